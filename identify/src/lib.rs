@@ -1,0 +1,1 @@
+//! Calibration of a robot from a ball-bar recording and the robot's own log.

@@ -1,0 +1,128 @@
+//! `config/ball_bar.toml`: the bar's geometry and the encoders on its joints.
+
+use serde::{Deserialize, Serialize};
+
+use super::robot::validate_links;
+use super::{LinkConfig, Validate, Violation};
+use crate::encoder::{Direction, EncoderScale, INTERPOLATION_BITS};
+use crate::recording::schema::MAX_ENCODERS;
+
+/// Joints of the bar: three of the gimbal at the base, two of the cardan at the flange.
+pub const BAR_JOINTS: usize = 5;
+
+/// One encoder, in the order in which its terminal stands on the bus.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EncoderConfig {
+    /// Bar joint that it measures, 1 to 5.
+    pub joint: u8,
+    /// Signal periods per revolution.
+    pub lines: u32,
+    /// Interpolation in the terminal, bits per signal period.
+    pub interpolation_bits: u8,
+    /// Which way its counts run.
+    pub direction: Direction,
+}
+
+impl EncoderConfig {
+    /// Counts to angle with unknown zero: offset and reference mark are found later.
+    pub fn scale(&self) -> EncoderScale {
+        EncoderScale {
+            lines: self.lines,
+            interpolation_bits: self.interpolation_bits,
+            direction: self.direction,
+            ..EncoderScale::default()
+        }
+    }
+}
+
+/// The double ball-bar.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BallBarConfig {
+    /// Which bar, with which rod.
+    pub name: String,
+    /// Centre of the gimbal to centre of the cardan \[m\]; it is `d` of link 3.
+    pub length_m: f64,
+    /// Axis 6 of the robot to axis 5 of the bar, along the offset plate \[m\]; it is added to `a` of the robot's
+    /// link 6. The one length taken as known: it fixes the scale.
+    pub plate_m: f64,
+    /// Robot flange to offset plate: tool changer and adapters \[m\]; added to `d` of the robot's link 6.
+    pub tool_m: f64,
+    /// Links 1 to 5, without `length_m`.
+    pub links: Vec<LinkConfig>,
+    /// Encoders in bus order: the first is on the first EL5021 after the coupler.
+    pub encoders: Vec<EncoderConfig>,
+}
+
+impl BallBarConfig {
+    fn validate_encoder(&self, index: usize, encoder: &EncoderConfig) -> Result<(), Violation> {
+        let key = |name: &str| format!("encoders[{index}].{name}");
+        if !(1..=BAR_JOINTS as u8).contains(&encoder.joint) {
+            return Err(Violation::new(
+                key("joint"),
+                format!("the bar has no joint {}", encoder.joint),
+                "use 1 to 3 for the gimbal, 4 and 5 for the cardan",
+            ));
+        }
+        if self.encoders[..index].iter().any(|other| other.joint == encoder.joint) {
+            return Err(Violation::new(
+                key("joint"),
+                format!("joint {} has two encoders", encoder.joint),
+                "list each joint once, in bus order",
+            ));
+        }
+        if encoder.lines == 0 || encoder.lines > 1_000_000 {
+            return Err(Violation::new(
+                key("lines"),
+                format!("{} lines per revolution", encoder.lines),
+                "take it from the encoder's label (ERN 1080: 3600)",
+            ));
+        }
+        if !INTERPOLATION_BITS.contains(&encoder.interpolation_bits) {
+            return Err(Violation::new(
+                key("interpolation_bits"),
+                format!("{} bits per signal period", encoder.interpolation_bits),
+                "an EL5021 interpolates 8 to 13 bits (12 is usual)",
+            ));
+        }
+        Ok(())
+    }
+}
+
+impl Validate for BallBarConfig {
+    fn validate(&self) -> Result<(), Violation> {
+        for (key, value, low, high) in [
+            ("length_m", self.length_m, 0.05, 5.0),
+            ("plate_m", self.plate_m, 0.0, 2.0),
+            ("tool_m", self.tool_m, 0.0, 2.0),
+        ] {
+            if !(low..=high).contains(&value) {
+                return Err(Violation::new(
+                    key,
+                    format!("{value} is outside {low} to {high}"),
+                    "lengths are in metres",
+                ));
+            }
+        }
+        if self.links.len() != BAR_JOINTS {
+            return Err(Violation::new(
+                "links",
+                format!("{} links are given", self.links.len()),
+                "give the five links of the bar, base to flange",
+            ));
+        }
+        validate_links("links", &self.links)?;
+        if self.encoders.is_empty() || self.encoders.len() > MAX_ENCODERS {
+            return Err(Violation::new(
+                "encoders",
+                format!("{} encoders are given", self.encoders.len()),
+                "list one [[encoders]] block for each EL5021, one to five",
+            ));
+        }
+        self.encoders
+            .iter()
+            .enumerate()
+            .try_for_each(|(index, encoder)| self.validate_encoder(index, encoder))
+    }
+}

@@ -1,0 +1,95 @@
+//! Configuration from TOML files. An error names the file, the key, what is wrong and what to do.
+
+mod ball_bar;
+mod robot;
+
+use std::path::{Path, PathBuf};
+
+use serde::de::DeserializeOwned;
+
+pub use ball_bar::{BallBarConfig, EncoderConfig};
+pub use robot::{AngleUnit, LinkConfig, LogConversion, RobotConfig};
+
+/// Why a configuration file cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("cannot read configuration {}: {source}; check the path and its permissions", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+    },
+    /// The text is not TOML, or a key has the wrong name or type.
+    #[error("{}: key `{key}`: {message}", path.display())]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// Dotted path of the key, `.` for the whole file.
+        key: String,
+        /// What is wrong, with line and column where known.
+        message: String,
+    },
+    /// A value is outside what makes sense.
+    #[error("{}: key `{key}`: {problem}; {remedy}", path.display())]
+    Invalid {
+        /// The file.
+        path: PathBuf,
+        /// Dotted path of the key.
+        key: String,
+        /// What is wrong with the value.
+        problem: String,
+        /// What to write instead.
+        remedy: String,
+    },
+}
+
+/// A value that breaks a rule, named by its key; [`load`] adds the file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Violation {
+    /// Dotted path of the key.
+    pub key: String,
+    /// What is wrong with the value.
+    pub problem: String,
+    /// What to write instead.
+    pub remedy: String,
+}
+
+impl Violation {
+    /// A violation of `key`: what is wrong and what to do.
+    pub fn new(key: impl Into<String>, problem: impl Into<String>, remedy: impl Into<String>) -> Self {
+        Self { key: key.into(), problem: problem.into(), remedy: remedy.into() }
+    }
+}
+
+/// Rules that types alone cannot state, checked once after reading.
+pub trait Validate {
+    /// The first rule that is broken.
+    fn validate(&self) -> Result<(), Violation>;
+}
+
+/// Reads, types and validates one configuration file.
+pub fn load<T: DeserializeOwned + Validate>(path: &Path) -> Result<T, ConfigError> {
+    let text = std::fs::read_to_string(path)
+        .map_err(|source| ConfigError::Unreadable { path: path.to_owned(), source })?;
+    parse(&text, path)
+}
+
+/// [`load`] on text already in memory; `path` is only named in errors.
+pub fn parse<T: DeserializeOwned + Validate>(text: &str, path: &Path) -> Result<T, ConfigError> {
+    let malformed =
+        |key: String, message: String| ConfigError::Malformed { path: path.to_owned(), key, message };
+    let deserializer = toml::Deserializer::parse(text)
+        .map_err(|error| malformed(".".into(), error.to_string().trim_end().to_owned()))?;
+    let value: T = serde_path_to_error::deserialize(deserializer).map_err(|error| {
+        malformed(error.path().to_string(), error.inner().to_string().trim_end().to_owned())
+    })?;
+    value.validate().map_err(|Violation { key, problem, remedy }| ConfigError::Invalid {
+        path: path.to_owned(),
+        key,
+        problem,
+        remedy,
+    })?;
+    Ok(value)
+}

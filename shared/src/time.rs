@@ -1,0 +1,66 @@
+//! Integer time. Each clock has its own type, so that bus time, host time and UTC cannot mix.
+
+use std::fmt;
+
+use chrono::{DateTime, Utc};
+use serde::{Deserialize, Serialize};
+
+/// Nanoseconds in one second.
+pub const NS_PER_S: i64 = 1_000_000_000;
+
+macro_rules! clock_instant {
+    ($(#[$doc:meta])* $name:ident) => {
+        $(#[$doc])*
+        #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+        #[serde(transparent)]
+        pub struct $name(pub i64);
+
+        impl $name {
+            /// Signed distance `self - earlier` in ns.
+            pub const fn ns_since(self, earlier: Self) -> i64 {
+                self.0.wrapping_sub(earlier.0)
+            }
+
+            /// This instant moved by `ns` (may be negative).
+            pub const fn plus_ns(self, ns: i64) -> Self {
+                Self(self.0.wrapping_add(ns))
+            }
+
+            /// Signed distance `self - earlier` in s.
+            pub fn seconds_since(self, earlier: Self) -> f64 {
+                self.ns_since(earlier) as f64 * 1e-9
+            }
+        }
+    };
+}
+
+clock_instant! {
+    /// UTC as ns since 1970-01-01, as estimated by the host.
+    UtcNs
+}
+clock_instant! {
+    /// EtherCAT system time in ns: the distributed clock of the bus' reference device.
+    DcNs
+}
+clock_instant! {
+    /// The host's `CLOCK_MONOTONIC` in ns.
+    MonoNs
+}
+
+impl UtcNs {
+    /// The calendar date, or none outside the years that chrono can show.
+    pub fn to_datetime(self) -> DateTime<Utc> {
+        DateTime::from_timestamp_nanos(self.0)
+    }
+
+    /// From a calendar date; saturates outside the years 1677 to 2262 that fit 64-bit ns.
+    pub fn from_datetime(when: DateTime<Utc>) -> Self {
+        Self(when.timestamp_nanos_opt().unwrap_or(if when.timestamp() < 0 { i64::MIN } else { i64::MAX }))
+    }
+}
+
+impl fmt::Display for UtcNs {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.to_datetime().to_rfc3339_opts(chrono::SecondsFormat::Nanos, true))
+    }
+}
