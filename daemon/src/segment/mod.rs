@@ -1,0 +1,3 @@
+//! The piece of EtherCAT that frames are sent into.
+
+pub mod simulated;

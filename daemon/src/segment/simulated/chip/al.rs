@@ -1,0 +1,219 @@
+//! Application layer state machine (ETG.1000.6 section 6.4.1): INIT, PRE-OP, SAFE-OP, OP.
+
+/// Requested or reached state.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum AlState {
+    /// No communication on the application layer.
+    Init = 1,
+    /// Mailbox works.
+    PreOp = 2,
+    /// Inputs are valid.
+    SafeOp = 4,
+    /// Inputs and outputs are valid.
+    Op = 8,
+}
+
+/// Why a change of state was refused (ETG.1020 table "AL status codes").
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u16)]
+pub enum AlStatusCode {
+    /// A step that the state machine does not have.
+    InvalidRequestedStateChange = 0x0011,
+    /// No such state.
+    UnknownRequestedState = 0x0012,
+    /// No bootstrap state here.
+    BootstrapNotSupported = 0x0013,
+    /// Sync manager 0 or 1.
+    InvalidMailboxConfiguration = 0x0016,
+    /// No outputs arrived.
+    NoValidOutputs = 0x0019,
+    /// Sync manager 2.
+    InvalidOutputConfiguration = 0x001d,
+    /// Sync manager 3.
+    InvalidInputConfiguration = 0x001e,
+    /// The sync signals do not fit the device.
+    FatalSyncError = 0x002c,
+    /// No sync signal arrived.
+    NoSyncError = 0x002d,
+    /// Distributed clock registers.
+    InvalidDcSyncConfiguration = 0x0030,
+}
+
+/// How the distributed clock's sync signals stand.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SyncReadiness {
+    /// Not activated: the device follows the frames.
+    Off,
+    /// Activated in a way that the device cannot use.
+    Invalid,
+    /// SYNC1 is not within the cycle.
+    WrongSync1,
+    /// Activated, no pulse so far.
+    Waiting,
+    /// Pulses come.
+    Running,
+}
+
+/// What a change of state depends on.
+#[derive(Debug, Clone, Copy)]
+pub struct Readiness {
+    /// Both mailbox sync managers fit.
+    pub mailbox: bool,
+    /// The output sync manager fits.
+    pub outputs: bool,
+    /// The input sync manager fits.
+    pub inputs: bool,
+    /// Sync signals.
+    pub sync: SyncReadiness,
+    /// Outputs arrived since PRE-OP.
+    pub outputs_received: bool,
+}
+
+const STATE_MASK: u8 = 0x0f;
+const ERROR: u8 = 0x10;
+const BOOTSTRAP: u8 = 3;
+/// Firmware needs about this long to change its state.
+const TRANSITION_NS: i64 = 2_000_000;
+/// How long a device that is ready for OP waits for outputs and sync pulses.
+const PATIENCE_NS: i64 = 2_000_000_000;
+
+#[derive(Clone, Copy)]
+struct Pending {
+    target: AlState,
+    due_ns: i64,
+    deadline_ns: i64,
+}
+
+enum Verdict {
+    Enter,
+    /// Not yet; refused with this code when patience ends.
+    Wait(AlStatusCode),
+    Refuse(AlStatusCode),
+}
+
+/// State machine of one chip.
+pub struct AlMachine {
+    /// Without a processor behind the chip, status mirrors control.
+    emulated: Option<u8>,
+    state: AlState,
+    error: Option<AlStatusCode>,
+    pending: Option<Pending>,
+}
+
+impl AlMachine {
+    /// A chip without processor ("device emulation"): the status shows what was requested.
+    pub fn emulated() -> Self {
+        Self { emulated: Some(AlState::Init as u8), ..Self::firmware() }
+    }
+
+    /// A chip with a processor that checks what it is asked for.
+    pub fn firmware() -> Self {
+        Self { emulated: None, state: AlState::Init, error: None, pending: None }
+    }
+
+    /// The state that was reached.
+    pub fn state(&self) -> AlState {
+        self.state
+    }
+
+    /// AL status (0x0130) and AL status code (0x0134).
+    pub fn registers(&self) -> (u8, u16) {
+        match (self.emulated, self.error) {
+            (Some(mirrored), _) => (mirrored, 0),
+            (None, Some(code)) => (self.state as u8 | ERROR, code as u16),
+            (None, None) => (self.state as u8, 0),
+        }
+    }
+
+    /// A master wrote AL control (0x0120).
+    pub fn request(&mut self, control: u8, now_ns: i64) {
+        if let Some(mirrored) = &mut self.emulated {
+            *mirrored = control & (STATE_MASK | ERROR);
+            return;
+        }
+        if self.error.is_some() && control & ERROR == 0 {
+            return; // an error is to be acknowledged first
+        }
+        self.error = None;
+        self.pending = None;
+        match target(control & STATE_MASK) {
+            Ok(target) => {
+                let due_ns = now_ns.saturating_add(TRANSITION_NS);
+                let deadline_ns = due_ns.saturating_add(PATIENCE_NS);
+                self.pending = Some(Pending { target, due_ns, deadline_ns });
+            }
+            Err(code) => self.error = Some(code),
+        }
+    }
+
+    /// Whether a change of state is to be decided at `now_ns`.
+    pub fn is_due(&self, now_ns: i64) -> bool {
+        self.pending.is_some_and(|pending| pending.due_ns <= now_ns)
+    }
+
+    /// Decides the change of state that is due.
+    pub fn decide(&mut self, now_ns: i64, readiness: &Readiness) {
+        let Some(pending) = self.pending else { return };
+        match verdict(self.state, pending.target, readiness) {
+            Verdict::Wait(_) if now_ns < pending.deadline_ns => return,
+            Verdict::Enter => self.state = pending.target,
+            Verdict::Wait(code) | Verdict::Refuse(code) => self.error = Some(code),
+        }
+        self.pending = None;
+    }
+}
+
+fn target(requested: u8) -> Result<AlState, AlStatusCode> {
+    match requested {
+        1 => Ok(AlState::Init),
+        2 => Ok(AlState::PreOp),
+        4 => Ok(AlState::SafeOp),
+        8 => Ok(AlState::Op),
+        BOOTSTRAP => Err(AlStatusCode::BootstrapNotSupported),
+        _ => Err(AlStatusCode::UnknownRequestedState),
+    }
+}
+
+fn verdict(from: AlState, to: AlState, readiness: &Readiness) -> Verdict {
+    match (from, to) {
+        _ if to <= from => Verdict::Enter,
+        (AlState::Init, AlState::PreOp) => preop(readiness),
+        (AlState::PreOp, AlState::SafeOp) => safe_op(readiness),
+        (AlState::SafeOp, AlState::Op) => op(readiness),
+        _ => Verdict::Refuse(AlStatusCode::InvalidRequestedStateChange),
+    }
+}
+
+fn preop(readiness: &Readiness) -> Verdict {
+    if readiness.mailbox {
+        Verdict::Enter
+    } else {
+        Verdict::Refuse(AlStatusCode::InvalidMailboxConfiguration)
+    }
+}
+
+fn safe_op(readiness: &Readiness) -> Verdict {
+    if !readiness.mailbox {
+        Verdict::Refuse(AlStatusCode::InvalidMailboxConfiguration)
+    } else if !readiness.outputs {
+        Verdict::Refuse(AlStatusCode::InvalidOutputConfiguration)
+    } else if !readiness.inputs {
+        Verdict::Refuse(AlStatusCode::InvalidInputConfiguration)
+    } else if readiness.sync == SyncReadiness::Invalid {
+        Verdict::Refuse(AlStatusCode::InvalidDcSyncConfiguration)
+    } else {
+        Verdict::Enter
+    }
+}
+
+fn op(readiness: &Readiness) -> Verdict {
+    match readiness.sync {
+        SyncReadiness::Invalid => Verdict::Refuse(AlStatusCode::InvalidDcSyncConfiguration),
+        SyncReadiness::WrongSync1 => Verdict::Refuse(AlStatusCode::FatalSyncError),
+        SyncReadiness::Waiting => Verdict::Wait(AlStatusCode::NoSyncError),
+        SyncReadiness::Off | SyncReadiness::Running if !readiness.outputs_received => {
+            Verdict::Wait(AlStatusCode::NoValidOutputs)
+        }
+        SyncReadiness::Off | SyncReadiness::Running => Verdict::Enter,
+    }
+}

@@ -1,0 +1,89 @@
+//! What each EtherCAT command does at a slave controller, and how it counts (ETG.1000.4 section 5.4).
+
+use super::esc::{Esc, ReadMode};
+use crate::segment::simulated::frame::Datagram;
+
+const APRD: u8 = 1;
+const APWR: u8 = 2;
+const APRW: u8 = 3;
+const FPRD: u8 = 4;
+const FPWR: u8 = 5;
+const FPRW: u8 = 6;
+const BRD: u8 = 7;
+const BWR: u8 = 8;
+const BRW: u8 = 9;
+const LRD: u8 = 10;
+const LWR: u8 = 11;
+const LRW: u8 = 12;
+const ARMW: u8 = 13;
+const FRMW: u8 = 14;
+
+/// What a command asks of one device once its address is settled.
+enum Action {
+    Nothing,
+    Read(ReadMode),
+    Write,
+    Exchange(ReadMode),
+}
+
+/// Executes one datagram at one device, at true time `now_ns`.
+pub fn execute(esc: &mut Esc, datagram: &mut Datagram<'_>, now_ns: i64) {
+    let increment = match datagram.command() {
+        LRD => u16::from(esc.read_logical(datagram.logical_address(), datagram.data, now_ns)),
+        LWR => u16::from(esc.write_logical(datagram.logical_address(), datagram.data, now_ns)),
+        LRW => exchange_logical(esc, datagram, now_ns),
+        _ => execute_physical(esc, datagram, now_ns),
+    };
+    datagram.count(increment);
+}
+
+/// Outputs are taken from the passing datagram before inputs replace it.
+fn exchange_logical(esc: &mut Esc, datagram: &mut Datagram<'_>, now_ns: i64) -> u16 {
+    let address = datagram.logical_address();
+    let written = esc.write_logical(address, datagram.data, now_ns);
+    let read = esc.read_logical(address, datagram.data, now_ns);
+    u16::from(read) + 2 * u16::from(written)
+}
+
+fn execute_physical(esc: &mut Esc, datagram: &mut Datagram<'_>, now_ns: i64) -> u16 {
+    let address = datagram.memory_address();
+    match action(esc, datagram) {
+        Action::Nothing => 0,
+        Action::Read(mode) => u16::from(esc.read(address, datagram.data, mode, now_ns)),
+        Action::Write => u16::from(esc.write(address, datagram.data, now_ns)),
+        Action::Exchange(mode) => {
+            // The data on the wire is taken before it is replaced; a datagram holds at most 2047 bytes.
+            let mut incoming = [0; 2048];
+            let incoming = &mut incoming[..datagram.data.len()];
+            incoming.copy_from_slice(datagram.data);
+            let read = esc.read(address, datagram.data, mode, now_ns);
+            let written = esc.write(address, incoming, now_ns);
+            u16::from(read) + 2 * u16::from(written)
+        }
+    }
+}
+
+/// Settles whether this device is meant, and counts it in the address field where the command says so.
+fn action(esc: &Esc, datagram: &mut Datagram<'_>) -> Action {
+    let command = datagram.command();
+    let first = datagram.device_address() == 0;
+    let addressed = datagram.device_address() == esc.station_address();
+    if matches!(command, APRD | APWR | APRW | ARMW | BRD | BWR | BRW) {
+        datagram.increment_device_address();
+    }
+    match command {
+        APRD if first => Action::Read(ReadMode::Replace),
+        APWR if first => Action::Write,
+        APRW if first => Action::Exchange(ReadMode::Replace),
+        FPRD if addressed => Action::Read(ReadMode::Replace),
+        FPWR if addressed => Action::Write,
+        FPRW if addressed => Action::Exchange(ReadMode::Replace),
+        BRD => Action::Read(ReadMode::Or),
+        BWR => Action::Write,
+        BRW => Action::Exchange(ReadMode::Or),
+        ARMW if first => Action::Read(ReadMode::Replace),
+        FRMW if addressed => Action::Read(ReadMode::Replace),
+        ARMW | FRMW => Action::Write,
+        _ => Action::Nothing,
+    }
+}

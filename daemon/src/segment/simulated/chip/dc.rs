@@ -1,0 +1,236 @@
+//! Distributed clock (ETG.1000.4 section 6.8): a local clock that drifts, the copy of the system time on it, the
+//! loop that follows the reference clock, and the SYNC0 pulses.
+
+use super::al::SyncReadiness;
+
+/// A crystal that runs off by some ppm, as the control loop of the chip corrects it.
+#[derive(Debug, Clone)]
+pub struct LocalClock {
+    base_true_ns: i64,
+    base_local_ns: i64,
+    /// Part of a nanosecond beyond `base_local_ns`.
+    base_fraction_ns: f64,
+    /// Relative error of the crystal.
+    drift: f64,
+    /// Relative correction by the control loop.
+    correction: f64,
+}
+
+impl LocalClock {
+    /// A clock that shows `start_ns` at true time `now_ns` and gains `drift_ppm`.
+    pub fn new(now_ns: i64, start_ns: i64, drift_ppm: f64) -> Self {
+        Self {
+            base_true_ns: now_ns,
+            base_local_ns: start_ns,
+            base_fraction_ns: 0.0,
+            drift: drift_ppm * 1e-6,
+            correction: 0.0,
+        }
+    }
+
+    /// What the clock shows at a true time.
+    pub fn local_ns(&self, true_ns: i64) -> i64 {
+        let elapsed = true_ns.wrapping_sub(self.base_true_ns);
+        let gained = elapsed as f64 * self.gain() + self.base_fraction_ns;
+        self.base_local_ns.wrapping_add(elapsed).wrapping_add(gained.floor() as i64)
+    }
+
+    /// When the clock shows `local_ns`.
+    pub fn true_ns(&self, local_ns: i64) -> i64 {
+        let elapsed = local_ns.wrapping_sub(self.base_local_ns);
+        let gain = self.gain();
+        let excess = (elapsed as f64 * gain + self.base_fraction_ns) / (1.0 + gain);
+        self.base_true_ns.wrapping_add(elapsed).wrapping_sub(excess.floor() as i64)
+    }
+
+    /// From true time `now_ns` on: stepped by `step_ns`, and running at `correction`.
+    fn adjust(&mut self, now_ns: i64, step_ns: f64, correction: f64) {
+        let elapsed = now_ns.wrapping_sub(self.base_true_ns);
+        let fraction = elapsed as f64 * self.gain() + self.base_fraction_ns + step_ns;
+        let whole = fraction.floor();
+        self.base_true_ns = now_ns;
+        self.base_local_ns = self.base_local_ns.wrapping_add(elapsed).wrapping_add(whole as i64);
+        self.base_fraction_ns = fraction - whole;
+        self.correction = correction;
+    }
+
+    fn gain(&self) -> f64 {
+        self.drift + self.correction
+    }
+}
+
+/// Share of a deviation that is taken away at once, and share that goes into the rate. Together critically
+/// damped; real chips count in 9 or 11 ns steps instead, with the same result some thousand frames later.
+const PROPORTIONAL: f64 = 1.0 / 16.0;
+const INTEGRAL: f64 = PROPORTIONAL * PROPORTIONAL / 4.0;
+/// A chip slews its clock; it does not step it.
+const DEVIATION_LIMIT_NS: f64 = 10_000.0;
+const CORRECTION_LIMIT: f64 = 200e-6;
+
+const SYNC_ENABLE: u8 = 0x01;
+const SYNC0_ENABLE: u8 = 0x02;
+const SYNC1_ENABLE: u8 = 0x04;
+
+/// SYNC0 pulses since the last look.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Pulses {
+    /// How many.
+    pub count: u64,
+    /// System time of the last one, as it was programmed.
+    pub system_ns: i64,
+    /// True time of the last one.
+    pub true_ns: i64,
+}
+
+/// The distributed clock unit of one chip.
+pub struct DistributedClock {
+    clock: LocalClock,
+    /// System time minus local time (0x0920).
+    pub offset_ns: i64,
+    /// Way of the frame from the reference clock (0x0928).
+    pub delay_ns: u32,
+    filter_depth: u8,
+    difference_ns: f64,
+    last_follow_ns: Option<i64>,
+    /// Local time at which the latching frame came to each port (0x0900).
+    pub port_times: [u32; 4],
+    /// Local time at which the latching frame was processed (0x0918).
+    pub receive_time: u64,
+    activation: u8,
+    start_ns: i64,
+    sync0_cycle_ns: u32,
+    sync1_cycle_ns: u32,
+    next_sync0_ns: Option<i64>,
+    pulsed: bool,
+}
+
+impl DistributedClock {
+    /// A unit that was just powered up.
+    pub fn new(clock: LocalClock) -> Self {
+        Self {
+            clock,
+            offset_ns: 0,
+            delay_ns: 0,
+            filter_depth: 4,
+            difference_ns: 0.0,
+            last_follow_ns: None,
+            port_times: [0; 4],
+            receive_time: 0,
+            activation: 0,
+            start_ns: 0,
+            sync0_cycle_ns: 0,
+            sync1_cycle_ns: 0,
+            next_sync0_ns: None,
+            pulsed: false,
+        }
+    }
+
+    /// Copy of the system time (0x0910).
+    pub fn system_ns(&self, now_ns: i64) -> i64 {
+        self.clock.local_ns(now_ns).wrapping_add(self.offset_ns)
+    }
+
+    /// Notes when the frame at `now_ns` came in, and when it comes back to port 1 from the devices behind.
+    pub fn latch(&mut self, now_ns: i64, back_ns: Option<i64>) {
+        let local = self.clock.local_ns(now_ns);
+        self.receive_time = local as u64;
+        self.port_times[0] = local as u32;
+        if let Some(back_ns) = back_ns {
+            self.port_times[1] = self.clock.local_ns(back_ns) as u32;
+        }
+    }
+
+    /// System time difference (0x092C): magnitude, and bit 31 when this clock is behind.
+    pub fn difference(&self) -> u32 {
+        let magnitude = self.difference_ns.abs().round().min(f64::from(0x7fff_ffff_u32)) as u32;
+        if self.difference_ns < 0.0 { magnitude | 0x8000_0000 } else { magnitude }
+    }
+
+    /// A master wrote the loop's filter depth (0x0934).
+    pub fn set_filter_depth(&mut self, depth: u8) {
+        self.filter_depth = depth & 0x0f;
+    }
+
+    /// A master wrote the speed counter's start (0x0930): the loop begins anew.
+    pub fn reset_loop(&mut self, now_ns: i64) {
+        self.clock.adjust(now_ns, 0.0, 0.0);
+        self.difference_ns = 0.0;
+        self.last_follow_ns = None;
+    }
+
+    /// The system time of the reference clock passed by (write to 0x0910): follow it.
+    ///
+    /// With four bytes only the low half is known.
+    pub fn follow(&mut self, received: &[u8], now_ns: i64) {
+        let own = self.system_ns(now_ns).wrapping_sub(i64::from(self.delay_ns));
+        let deviation_ns = match (received.first_chunk::<8>(), received.first_chunk::<4>()) {
+            (Some(wide), _) => own.wrapping_sub(i64::from_le_bytes(*wide)) as f64,
+            (None, Some(low)) => f64::from((own as u32).wrapping_sub(u32::from_le_bytes(*low)) as i32),
+            (None, None) => return,
+        };
+        self.difference_ns += (deviation_ns - self.difference_ns) / f64::from(1u32 << self.filter_depth);
+        let deviation_ns = deviation_ns.clamp(-DEVIATION_LIMIT_NS, DEVIATION_LIMIT_NS);
+        let mut correction = self.clock.correction;
+        if let Some(last_ns) = self.last_follow_ns {
+            let elapsed_ns = now_ns.saturating_sub(last_ns).max(1) as f64;
+            correction -= INTEGRAL * deviation_ns / elapsed_ns;
+        }
+        self.last_follow_ns = Some(now_ns);
+        let correction = correction.clamp(-CORRECTION_LIMIT, CORRECTION_LIMIT);
+        self.clock.adjust(now_ns, -PROPORTIONAL * deviation_ns, correction);
+    }
+
+    /// Start time and cycle times (0x0990 to 0x09A7) as they stand in the registers.
+    pub fn set_cycle(&mut self, start_ns: i64, sync0_cycle_ns: u32, sync1_cycle_ns: u32) {
+        (self.start_ns, self.sync0_cycle_ns, self.sync1_cycle_ns) =
+            (start_ns, sync0_cycle_ns, sync1_cycle_ns);
+    }
+
+    /// A master wrote the activation (0x0981). A start time that has passed gives no pulses.
+    pub fn activate(&mut self, activation: u8, now_ns: i64) {
+        let started = activation & !self.activation & SYNC_ENABLE != 0;
+        self.activation = activation;
+        if activation & SYNC_ENABLE == 0 || activation & SYNC0_ENABLE == 0 {
+            (self.next_sync0_ns, self.pulsed) = (None, false);
+        } else if started {
+            self.next_sync0_ns = (self.start_ns > self.system_ns(now_ns)).then_some(self.start_ns);
+        }
+    }
+
+    /// Whether the device is to run on SYNC0.
+    pub fn is_active(&self) -> bool {
+        self.activation & SYNC_ENABLE != 0
+    }
+
+    /// How the sync signals stand for a device that needs both.
+    pub fn readiness(&self, now_ns: i64) -> SyncReadiness {
+        let both = SYNC0_ENABLE | SYNC1_ENABLE;
+        if !self.is_active() {
+            SyncReadiness::Off
+        } else if self.activation & both != both || self.sync0_cycle_ns == 0 {
+            SyncReadiness::Invalid
+        } else if self.sync1_cycle_ns == 0 || self.sync1_cycle_ns >= self.sync0_cycle_ns {
+            SyncReadiness::WrongSync1
+        } else if self.pulsed || self.next_sync0_ns.is_some_and(|next| next <= self.system_ns(now_ns)) {
+            SyncReadiness::Running
+        } else {
+            SyncReadiness::Waiting
+        }
+    }
+
+    /// Takes the SYNC0 pulses that lie at least `age_ns` back. The cost does not depend on how many they are.
+    pub fn take_pulses(&mut self, now_ns: i64, age_ns: i64) -> Option<Pulses> {
+        let first_ns = self.next_sync0_ns?;
+        let passed_ns = self.system_ns(now_ns).saturating_sub(age_ns).saturating_sub(first_ns);
+        if passed_ns < 0 {
+            return None;
+        }
+        let cycle_ns = i64::from(self.sync0_cycle_ns);
+        let after_first = passed_ns.checked_div(cycle_ns).unwrap_or(0);
+        let system_ns = first_ns.saturating_add(after_first.saturating_mul(cycle_ns));
+        self.next_sync0_ns = if cycle_ns == 0 { None } else { system_ns.checked_add(cycle_ns) };
+        self.pulsed = true;
+        let true_ns = self.clock.true_ns(system_ns.wrapping_sub(self.offset_ns));
+        Some(Pulses { count: after_first as u64 + 1, system_ns, true_ns })
+    }
+}

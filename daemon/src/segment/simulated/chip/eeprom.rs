@@ -1,0 +1,177 @@
+//! Builds the content of an EEPROM: the slave information (SII) of a device (ETG.2010).
+
+/// Real terminals carry 16 kbit.
+const SIZE: usize = 2048;
+/// Byte offset of the first category.
+const CATEGORIES: usize = 0x80;
+const CATEGORY_STRINGS: u16 = 10;
+const CATEGORY_GENERAL: u16 = 30;
+const CATEGORY_FMMU: u16 = 40;
+const CATEGORY_SYNC_MANAGER: u16 = 41;
+const CATEGORY_TX_PDO: u16 = 50;
+const CATEGORY_RX_PDO: u16 = 51;
+const CATEGORY_END: u16 = 0xffff;
+const VERSION: u16 = 1;
+
+/// First words of the EEPROM.
+pub struct Header {
+    /// PDI control and configuration words that the chip loads at power-up (words 0 to 3).
+    pub configuration: [u16; 4],
+    /// Vendor.
+    pub vendor: u32,
+    /// Product code.
+    pub product: u32,
+    /// Revision.
+    pub revision: u32,
+    /// Mailbox out offset and size, mailbox in offset and size, protocols (words 0x18 to 0x1C).
+    pub mailbox: [u16; 5],
+}
+
+/// General category.
+pub struct General {
+    /// CoE capabilities.
+    pub coe_details: u8,
+    /// E-bus current \[mA\]; negative for a device that feeds it.
+    pub e_bus_current_ma: i16,
+    /// Physical ports, four bits each: 1 MII, 3 E-bus.
+    pub ports: u16,
+}
+
+/// One entry of a PDO.
+pub struct PdoEntry {
+    /// Object and subindex; zero for a gap.
+    pub object: (u16, u8),
+    /// Length \[bits\].
+    pub bits: u8,
+}
+
+/// An EEPROM that is being filled.
+pub struct Image {
+    bytes: Vec<u8>,
+    strings: Vec<&'static str>,
+}
+
+impl Image {
+    /// An EEPROM with header and names: order code (string 1), long name (string 2), group (string 3).
+    pub fn new(header: &Header, names: [&'static str; 3], general: &General) -> Self {
+        let mut image = Self { bytes: vec![0; CATEGORIES], strings: names.to_vec() };
+        image.header(header);
+        image.category(CATEGORY_STRINGS, &strings(&image.strings));
+        image.category(CATEGORY_GENERAL, &general_bytes(general));
+        image
+    }
+
+    fn header(&mut self, header: &Header) {
+        for (index, word) in header.configuration.iter().enumerate() {
+            self.put(index * 2, &word.to_le_bytes());
+        }
+        let checksum = checksum(&self.bytes[..14]);
+        self.put(14, &[checksum, 0]);
+        for (index, value) in [header.vendor, header.product, header.revision].iter().enumerate() {
+            self.put(0x10 + 4 * index, &value.to_le_bytes());
+        }
+        for (index, word) in header.mailbox.iter().enumerate() {
+            self.put(0x30 + 2 * index, &word.to_le_bytes());
+        }
+        let kilobits = (SIZE / 128 - 1) as u16;
+        self.put(0x7c, &kilobits.to_le_bytes());
+        self.put(0x7e, &VERSION.to_le_bytes());
+    }
+
+    /// Adds the use of each FMMU: 1 outputs, 2 inputs, 3 mailbox state.
+    pub fn fmmus(mut self, uses: &[u8]) -> Self {
+        self.category(CATEGORY_FMMU, uses);
+        self
+    }
+
+    /// Adds sync managers: start, length, control, enable, type.
+    pub fn sync_managers(mut self, channels: &[(u16, u16, u8, u8, u8)]) -> Self {
+        let mut content = Vec::new();
+        for (start, length, control, enable, kind) in channels {
+            content.extend(start.to_le_bytes());
+            content.extend(length.to_le_bytes());
+            content.extend([*control, 0, *enable, *kind]);
+        }
+        self.category(CATEGORY_SYNC_MANAGER, &content);
+        self
+    }
+
+    /// Adds the PDO of the inputs.
+    pub fn tx_pdo(self, index: u16, channel: u8, entries: &[PdoEntry]) -> Self {
+        self.pdo(CATEGORY_TX_PDO, index, channel, entries)
+    }
+
+    /// Adds the PDO of the outputs.
+    pub fn rx_pdo(self, index: u16, channel: u8, entries: &[PdoEntry]) -> Self {
+        self.pdo(CATEGORY_RX_PDO, index, channel, entries)
+    }
+
+    fn pdo(mut self, category: u16, index: u16, channel: u8, entries: &[PdoEntry]) -> Self {
+        let mut content = index.to_le_bytes().to_vec();
+        // Entries, sync manager, no distributed clock, no name, fixed content and mandatory.
+        content.extend([entries.len() as u8, channel, 0, 0, 0x11, 0]);
+        for entry in entries {
+            content.extend(entry.object.0.to_le_bytes());
+            content.extend([entry.object.1, 0, data_type(entry.bits), entry.bits, 0, 0]);
+        }
+        self.category(category, &content);
+        self
+    }
+
+    /// Closes the list of categories and fills up with ones as an erased memory.
+    pub fn finish(mut self) -> Vec<u8> {
+        self.bytes.extend(CATEGORY_END.to_le_bytes());
+        self.bytes.resize(SIZE, 0xff);
+        self.bytes
+    }
+
+    fn put(&mut self, offset: usize, bytes: &[u8]) {
+        self.bytes[offset..offset + bytes.len()].copy_from_slice(bytes);
+    }
+
+    fn category(&mut self, kind: u16, content: &[u8]) {
+        let words = content.len().div_ceil(2) as u16;
+        self.bytes.extend(kind.to_le_bytes());
+        self.bytes.extend(words.to_le_bytes());
+        self.bytes.extend(content);
+        if content.len() % 2 == 1 {
+            self.bytes.push(0);
+        }
+    }
+}
+
+fn strings(strings: &[&str]) -> Vec<u8> {
+    let mut content = vec![strings.len() as u8];
+    for string in strings {
+        content.push(string.len() as u8);
+        content.extend(string.as_bytes());
+    }
+    content
+}
+
+fn general_bytes(general: &General) -> [u8; 32] {
+    let mut content = [0; 32];
+    let (group, order, name) = (3, 1, 2);
+    [content[0], content[2], content[3], content[5]] = [group, order, name, general.coe_details];
+    content[12..14].copy_from_slice(&general.e_bus_current_ma.to_le_bytes());
+    content[14] = group;
+    content[16..18].copy_from_slice(&general.ports.to_le_bytes());
+    content
+}
+
+/// CoE data types (ETG.1020): bit, u16, u32; others have no place in a PDO here.
+fn data_type(bits: u8) -> u8 {
+    match bits {
+        1 => 0x01,
+        16 => 0x06,
+        32 => 0x07,
+        _ => 0,
+    }
+}
+
+/// CRC-8 with polynomial x^8 + x^2 + x + 1, started with ones, over the first seven words.
+fn checksum(bytes: &[u8]) -> u8 {
+    bytes.iter().fold(0xff, |crc, byte| {
+        (0..8).fold(crc ^ byte, |crc: u8, _| if crc & 0x80 == 0 { crc << 1 } else { crc << 1 ^ 0x07 })
+    })
+}

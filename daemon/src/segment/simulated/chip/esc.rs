@@ -1,0 +1,377 @@
+//! The chip: one memory, and the units that give some of its addresses a meaning.
+
+use super::al::{AlMachine, AlState, Readiness};
+use super::dc::{DistributedClock, LocalClock, Pulses};
+use super::fmmu::{self, Fmmu, Mapped};
+use super::registers as reg;
+use super::sii::Sii;
+use super::sync_manager::{self, Completion, Direction, ExpectedSyncManager, Permit, SyncManager};
+use crate::segment::simulated::source::Conversion;
+
+/// Sync manager channels by use, as every device with a mailbox has them.
+const MAILBOX_OUT: usize = 0;
+const MAILBOX_IN: usize = 1;
+const OUTPUTS: usize = 2;
+const INPUTS: usize = 3;
+/// The processor behind the chip answers a mailbox request after this time.
+const MAILBOX_ANSWER_NS: i64 = 300_000;
+
+/// Watchdog registers at power-up (ESC data sheet).
+const WATCHDOG_DEFAULTS: [(u16, u16); 4] = [
+    (reg::WATCHDOG_DIVIDER, 0x09c2),
+    (reg::WATCHDOG_TIME_PDI, 0x03e8),
+    (reg::WATCHDOG_TIME_PROCESS_DATA, 0x03e8),
+    (reg::WATCHDOG_STATUS, 0x0001),
+];
+
+/// What kind of chip a device has, and what the device expects of its configuration.
+pub struct ChipProfile {
+    /// Registers 0x0000 to 0x0009: type, revision, number of units, features.
+    pub information: [u8; 10],
+    /// EEPROM content.
+    pub eeprom: Vec<u8>,
+    /// Whether the EEPROM interface reads eight bytes at once.
+    pub eight_byte_reads: bool,
+    /// Mailbox out, mailbox in, outputs, inputs; none for a device without processor.
+    pub sync_managers: Option<[ExpectedSyncManager; 4]>,
+    /// From a conversion's start until its result can be read \[ns\].
+    pub data_ready_ns: i64,
+}
+
+/// How the device is synchronised.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SyncMode {
+    /// By the frames that bring outputs.
+    SyncManager,
+    /// By SYNC0.
+    DistributedClock,
+}
+
+/// What starts a conversion.
+#[derive(Debug, Clone, Copy)]
+pub struct SyncEvent {
+    /// Events since the last one that was looked at; only the last is converted.
+    pub count: u64,
+    /// Events that came without new outputs.
+    pub missed: u64,
+    /// True time of the last.
+    pub true_ns: i64,
+    /// Its nominal system time when SYNC0 made it.
+    pub system_ns: Option<i64>,
+}
+
+impl SyncEvent {
+    /// When and by which clock the sample was taken.
+    pub fn conversion(&self) -> Conversion {
+        Conversion { true_time_ns: self.true_ns, system_time_ns: self.system_ns }
+    }
+}
+
+/// How read data meets what a datagram already holds.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum ReadMode {
+    /// It replaces it.
+    Replace,
+    /// It is joined to it bit by bit (broadcast).
+    Or,
+}
+
+/// One slave controller.
+pub struct Esc {
+    memory: Box<[u8]>,
+    sync_managers: [SyncManager; sync_manager::CHANNELS_MAX],
+    fmmus: [Fmmu; fmmu::UNITS_MAX],
+    expected: Option<[ExpectedSyncManager; 4]>,
+    data_ready_ns: i64,
+    al: AlMachine,
+    clock: DistributedClock,
+    sii: Sii,
+    request_at_ns: Option<i64>,
+    /// When outputs last arrived, for a conversion that is still to come.
+    outputs_at_ns: Option<i64>,
+    outputs_since_sync: bool,
+    outputs_received: bool,
+    /// When the frame that is being processed comes back from the devices behind.
+    back_ns: Option<i64>,
+}
+
+impl Esc {
+    /// A chip that was just powered up.
+    pub fn new(profile: ChipProfile, clock: LocalClock) -> Self {
+        let al = if profile.sync_managers.is_some() { AlMachine::firmware() } else { AlMachine::emulated() };
+        let mut esc = Self {
+            memory: vec![0; reg::MEMORY_SIZE].into_boxed_slice(),
+            sync_managers: Default::default(),
+            fmmus: Default::default(),
+            expected: profile.sync_managers,
+            data_ready_ns: profile.data_ready_ns,
+            al,
+            clock: DistributedClock::new(clock),
+            sii: Sii::new(profile.eeprom, profile.eight_byte_reads),
+            request_at_ns: None,
+            outputs_at_ns: None,
+            outputs_since_sync: false,
+            outputs_received: false,
+            back_ns: None,
+        };
+        esc.put(reg::INFORMATION, &profile.information);
+        let alias = esc.sii.alias();
+        esc.put(reg::STATION_ALIAS, &alias);
+        for (register, value) in WATCHDOG_DEFAULTS {
+            esc.put(register, &value.to_le_bytes());
+        }
+        esc.block_process_data();
+        esc
+    }
+
+    /// Links as the wiring has them.
+    pub fn set_dl_status(&mut self, dl_status: u16) {
+        self.put(reg::DL_STATUS, &dl_status.to_le_bytes());
+    }
+
+    /// A frame arrives: settles what happened since the last one.
+    pub fn advance(&mut self, now_ns: i64, back_ns: Option<i64>) {
+        self.back_ns = back_ns;
+        if self.al.is_due(now_ns) {
+            let readiness = self.readiness(now_ns);
+            self.al.decide(now_ns, &readiness);
+            self.block_process_data();
+            self.outputs_received &= self.al.state() >= AlState::SafeOp;
+        }
+    }
+
+    /// Address that the master gave.
+    pub fn station_address(&self) -> u16 {
+        u16::from_le_bytes(self.get(reg::STATION_ADDRESS))
+    }
+
+    /// Reached state.
+    pub fn state(&self) -> AlState {
+        self.al.state()
+    }
+
+    /// What conversions follow.
+    pub fn sync_mode(&self) -> SyncMode {
+        if self.clock.is_active() { SyncMode::DistributedClock } else { SyncMode::SyncManager }
+    }
+
+    /// Takes the event whose conversion is finished at `now_ns`, if there is one.
+    pub fn take_sync_event(&mut self, now_ns: i64) -> Option<SyncEvent> {
+        match self.sync_mode() {
+            SyncMode::DistributedClock => {
+                self.outputs_at_ns = None;
+                let pulses = self.clock.take_pulses(now_ns, self.data_ready_ns)?;
+                Some(self.sync0_event(pulses))
+            }
+            SyncMode::SyncManager => {
+                let true_ns =
+                    self.outputs_at_ns.take_if(|at| at.saturating_add(self.data_ready_ns) <= now_ns)?;
+                Some(SyncEvent { count: 1, missed: 0, true_ns, system_ns: None })
+            }
+        }
+    }
+
+    fn sync0_event(&mut self, pulses: Pulses) -> SyncEvent {
+        let fresh = std::mem::take(&mut self.outputs_since_sync);
+        let missed = if fresh { pulses.count - 1 } else { pulses.count };
+        SyncEvent { count: pulses.count, missed, true_ns: pulses.true_ns, system_ns: Some(pulses.system_ns) }
+    }
+
+    /// The device reads its outputs.
+    pub fn outputs(&self) -> &[u8] {
+        self.expected.and_then(|all| self.memory.get(span(&all[OUTPUTS]))).unwrap_or_default()
+    }
+
+    /// The device writes its inputs.
+    pub fn inputs_mut(&mut self) -> &mut [u8] {
+        let Some(all) = self.expected else { return &mut [] };
+        self.memory.get_mut(span(&all[INPUTS])).unwrap_or_default()
+    }
+
+    /// The device takes a mailbox request once it is due and the answer has room.
+    pub fn take_request(&mut self, now_ns: i64, request: &mut [u8]) -> Option<usize> {
+        let expected = self.expected?;
+        if !self.sync_managers[MAILBOX_OUT].is_full() {
+            self.request_at_ns = None; // the master switched the mailbox off
+        }
+        let due = self.request_at_ns?.saturating_add(MAILBOX_ANSWER_NS) <= now_ns;
+        if !due || self.state() < AlState::PreOp || self.sync_managers[MAILBOX_IN].is_full() {
+            return None;
+        }
+        self.request_at_ns = None;
+        self.sync_managers[MAILBOX_OUT].set_full(false);
+        let mailbox = self.memory.get(span(&expected[MAILBOX_OUT]))?;
+        request.get_mut(..mailbox.len())?.copy_from_slice(mailbox);
+        Some(mailbox.len())
+    }
+
+    /// The device puts its answer.
+    pub fn put_answer(&mut self, answer: &[u8]) {
+        let Some(expected) = self.expected else { return };
+        let Some(mailbox) = self.memory.get_mut(span(&expected[MAILBOX_IN])) else { return };
+        mailbox.fill(0);
+        for (target, byte) in mailbox.iter_mut().zip(answer) {
+            *target = *byte;
+        }
+        self.sync_managers[MAILBOX_IN].set_full(true);
+    }
+
+    /// The master reads; true if it was let in.
+    pub fn read(&mut self, address: u16, data: &mut [u8], mode: ReadMode, now_ns: i64) -> bool {
+        let permit = sync_manager::permit(&self.sync_managers, address, data.len(), Direction::Read);
+        if matches!(permit, Permit::Denied) || data.is_empty() {
+            return false;
+        }
+        self.refresh(address, data.len(), now_ns);
+        let start = usize::from(address);
+        let Some(memory) = self.memory.get(start..start + data.len()) else { return false };
+        match mode {
+            ReadMode::Replace => data.copy_from_slice(memory),
+            ReadMode::Or => data.iter_mut().zip(memory).for_each(|(byte, own)| *byte |= own),
+        }
+        if let Permit::Through(index) = permit {
+            sync_manager::book(&mut self.sync_managers, index, address, data.len());
+        }
+        true
+    }
+
+    /// The master writes; true if it was let in.
+    pub fn write(&mut self, address: u16, data: &[u8], now_ns: i64) -> bool {
+        let permit = sync_manager::permit(&self.sync_managers, address, data.len(), Direction::Write);
+        let end = usize::from(address) + data.len();
+        if matches!(permit, Permit::Denied) || data.is_empty() || end > self.memory.len() {
+            return false;
+        }
+        let mut written = false;
+        for (offset, byte) in data.iter().enumerate() {
+            let target = address + offset as u16;
+            if self.is_writable(target) {
+                self.memory[usize::from(target)] = *byte;
+                written = true;
+            }
+        }
+        if address < reg::PROCESS_MEMORY {
+            self.apply(address, data, now_ns);
+        }
+        if let Permit::Through(index) = permit {
+            let completion = sync_manager::book(&mut self.sync_managers, index, address, data.len());
+            self.complete(completion, now_ns);
+        }
+        written
+    }
+
+    /// The master reads the logical process image; true if a unit mapped any of it.
+    pub fn read_logical(&mut self, logical: u32, data: &mut [u8], now_ns: i64) -> bool {
+        let mut matched = false;
+        for index in 0..self.fmmus.len() {
+            if !self.fmmus[index].reads() {
+                continue;
+            }
+            let Some(mapped) = self.fmmus[index].map(logical, data.len()) else { continue };
+            matched |= self.read_mapped(&mapped, &mut data[mapped.data.clone()], now_ns);
+        }
+        matched
+    }
+
+    fn read_mapped(&mut self, mapped: &Mapped, data: &mut [u8], now_ns: i64) -> bool {
+        if !self.is_mappable(mapped.physical, data.len(), Direction::Read) {
+            return false;
+        }
+        let (Some(bits), Some(byte)) = (mapped.bits, data.first_mut()) else {
+            return self.read(mapped.physical, data, ReadMode::Replace, now_ns);
+        };
+        let mut own = [0];
+        let read = self.read(mapped.physical, &mut own, ReadMode::Replace, now_ns);
+        *byte = if read { bits.to_logical(own[0], *byte) } else { *byte };
+        read
+    }
+
+    /// The master writes the logical process image; true if a unit mapped any of it.
+    pub fn write_logical(&mut self, logical: u32, data: &[u8], now_ns: i64) -> bool {
+        let mut matched = false;
+        for index in 0..self.fmmus.len() {
+            if !self.fmmus[index].writes() {
+                continue;
+            }
+            let Some(mapped) = self.fmmus[index].map(logical, data.len()) else { continue };
+            matched |= self.write_mapped(&mapped, &data[mapped.data.clone()], now_ns);
+        }
+        matched
+    }
+
+    fn write_mapped(&mut self, mapped: &Mapped, data: &[u8], now_ns: i64) -> bool {
+        if !self.is_mappable(mapped.physical, data.len(), Direction::Write) {
+            return false;
+        }
+        let (Some(bits), Some(byte)) = (mapped.bits, data.first()) else {
+            return self.write(mapped.physical, data, now_ns);
+        };
+        let own = self.memory.get(usize::from(mapped.physical)).copied().unwrap_or(0);
+        self.write(mapped.physical, &[bits.to_physical(*byte, own)], now_ns)
+    }
+
+    /// A unit gives nothing while the sync manager behind it is off; registers can be mapped for reading.
+    fn is_mappable(&self, physical: u16, len: usize, direction: Direction) -> bool {
+        let permit = sync_manager::permit(&self.sync_managers, physical, len, direction);
+        let register = direction == Direction::Read && physical < reg::PROCESS_MEMORY;
+        register || matches!(permit, Permit::Through(_))
+    }
+
+    fn is_writable(&self, address: u16) -> bool {
+        let fmmus = reg::FMMU..reg::FMMU + self.fmmu_count() * reg::FMMU_LEN;
+        let channels = reg::SYNC_MANAGER..reg::SYNC_MANAGER + self.channel_count() * reg::SYNC_MANAGER_LEN;
+        address >= reg::PROCESS_MEMORY
+            || fmmus.contains(&address)
+            || (channels.contains(&address) && !matches!(address % reg::SYNC_MANAGER_LEN, 5 | 7))
+            || reg::is_writable(address)
+    }
+
+    fn fmmu_count(&self) -> u16 {
+        u16::from(self.memory[4]).min(fmmu::UNITS_MAX as u16)
+    }
+
+    fn channel_count(&self) -> u16 {
+        u16::from(self.memory[5]).min(sync_manager::CHANNELS_MAX as u16)
+    }
+
+    fn complete(&mut self, completion: Completion, now_ns: i64) {
+        match completion {
+            Completion::Nothing => {}
+            Completion::Request => self.request_at_ns = Some(now_ns),
+            Completion::Outputs => {
+                // While a conversion runs, further events are lost.
+                self.outputs_at_ns.get_or_insert(now_ns);
+                self.outputs_since_sync = true;
+                self.outputs_received = true;
+            }
+        }
+    }
+
+    fn readiness(&self, now_ns: i64) -> Readiness {
+        let fits = |channel: usize| {
+            self.expected.is_none_or(|all| self.sync_managers[channel].matches(&all[channel]))
+        };
+        Readiness {
+            mailbox: fits(MAILBOX_OUT) && fits(MAILBOX_IN),
+            outputs: fits(OUTPUTS),
+            inputs: fits(INPUTS),
+            sync: self.clock.readiness(now_ns),
+            outputs_received: self.outputs_received,
+        }
+    }
+
+    /// The device opens process data from SAFE-OP on.
+    fn block_process_data(&mut self) {
+        let blocked = self.expected.is_some() && self.state() < AlState::SafeOp;
+        for channel in [OUTPUTS, INPUTS] {
+            self.sync_managers[channel].blocked = blocked;
+        }
+    }
+}
+
+mod register_access;
+
+fn span(channel: &ExpectedSyncManager) -> std::ops::Range<usize> {
+    let start = usize::from(channel.start);
+    start..start + usize::from(channel.length)
+}

@@ -1,0 +1,108 @@
+//! Fieldbus memory management units: where logical addresses lie in process memory (ETG.1000.4 section 6.6).
+
+use std::ops::Range;
+
+/// Units that a chip can have.
+pub const UNITS_MAX: usize = 8;
+
+const READ: u8 = 0x01;
+const WRITE: u8 = 0x02;
+const ENABLE: u8 = 0x01;
+
+/// One unit.
+#[derive(Clone, Copy, Default)]
+pub struct Fmmu {
+    logical: u32,
+    length: u16,
+    start_bit: u8,
+    end_bit: u8,
+    physical: u16,
+    physical_bit: u8,
+    kind: u8,
+    enable: u8,
+}
+
+/// The part of a datagram that a unit maps.
+pub struct Mapped {
+    /// Bytes of the datagram's data.
+    pub data: Range<usize>,
+    /// Where they lie in the device.
+    pub physical: u16,
+    /// Set when single bits of one byte are mapped.
+    pub bits: Option<Bits>,
+}
+
+/// Bits of one byte: `count` bits from `physical` in the device to `logical` in the datagram.
+#[derive(Clone, Copy)]
+pub struct Bits {
+    logical: u8,
+    physical: u8,
+    count: u8,
+}
+
+impl Bits {
+    /// Puts the mapped bits of the device's byte into the datagram's byte.
+    pub fn to_logical(self, device: u8, datagram: u8) -> u8 {
+        insert(device >> self.physical, datagram, self.logical, self.count)
+    }
+
+    /// Puts the mapped bits of the datagram's byte into the device's byte.
+    pub fn to_physical(self, datagram: u8, device: u8) -> u8 {
+        insert(datagram >> self.logical, device, self.physical, self.count)
+    }
+}
+
+fn insert(source: u8, target: u8, shift: u8, count: u8) -> u8 {
+    let mask = (((1u16 << count) - 1) << shift) as u8;
+    (target & !mask) | ((source << shift) & mask)
+}
+
+impl Fmmu {
+    /// Takes the registers as a master wrote them.
+    pub fn configure(&mut self, registers: &[u8; 16]) {
+        let [l0, l1, l2, l3, n0, n1, start_bit, end_bit, p0, p1, physical_bit, kind, enable, ..] = *registers;
+        *self = Self {
+            logical: u32::from_le_bytes([l0, l1, l2, l3]),
+            length: u16::from_le_bytes([n0, n1]),
+            start_bit: start_bit & 7,
+            end_bit: end_bit & 7,
+            physical: u16::from_le_bytes([p0, p1]),
+            physical_bit: physical_bit & 7,
+            kind,
+            enable,
+        };
+    }
+
+    /// Whether the unit maps for reading by the master.
+    pub fn reads(&self) -> bool {
+        self.enable & ENABLE != 0 && self.kind & READ != 0
+    }
+
+    /// Whether the unit maps for writing by the master.
+    pub fn writes(&self) -> bool {
+        self.enable & ENABLE != 0 && self.kind & WRITE != 0
+    }
+
+    /// The part of `len` bytes from `logical` on that this unit maps.
+    pub fn map(&self, logical: u32, len: usize) -> Option<Mapped> {
+        let (from, to) = (u64::from(logical), u64::from(logical) + len as u64);
+        let (own_from, own_to) = (u64::from(self.logical), u64::from(self.logical) + u64::from(self.length));
+        let (start, end) = (from.max(own_from), to.min(own_to));
+        if start >= end {
+            return None;
+        }
+        let physical = u16::try_from(u64::from(self.physical) + start - own_from).ok()?;
+        Some(Mapped { data: (start - from) as usize..(end - from) as usize, physical, bits: self.bits() })
+    }
+
+    /// Bits are mapped within one byte only: status bits. Process data of more than one byte is byte-aligned in
+    /// every device here.
+    fn bits(&self) -> Option<Bits> {
+        let whole = self.start_bit == 0 && self.end_bit == 7 && self.physical_bit == 0;
+        if whole || self.length != 1 || self.end_bit < self.start_bit {
+            return None;
+        }
+        let count = (self.end_bit - self.start_bit + 1).min(8 - self.physical_bit);
+        Some(Bits { logical: self.start_bit, physical: self.physical_bit, count })
+    }
+}

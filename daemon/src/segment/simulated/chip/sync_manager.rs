@@ -1,0 +1,178 @@
+//! Sync managers: who may touch which part of process memory when (ETG.1000.4 section 6.7).
+
+/// Channels that a chip can have.
+pub const CHANNELS_MAX: usize = 8;
+
+const MODE_MASK: u8 = 0x03;
+const MODE_MAILBOX: u8 = 0x02;
+const WRITTEN_BY_MASTER: u8 = 0x04;
+/// Interrupt enables do not matter for whether a configuration fits.
+const FUNCTION_MASK: u8 = 0x0f;
+const ENABLE: u8 = 0x01;
+const REPEAT: u8 = 0x02;
+const STATUS_EVENT: u8 = 0x01;
+const STATUS_FULL: u8 = 0x08;
+const PDI_DISABLED: u8 = 0x01;
+
+/// Who is at the wire side of an access.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Direction {
+    /// The master reads.
+    Read,
+    /// The master writes.
+    Write,
+}
+
+/// What the sync managers say to an access.
+pub enum Permit {
+    /// No active sync manager there: plain memory.
+    Plain,
+    /// Refused: wrong direction, mailbox full or empty, or across a border.
+    Denied,
+    /// Passes through this channel.
+    Through(usize),
+}
+
+/// What a complete access through a channel means to the device.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Completion {
+    /// Not finished, or of no interest.
+    Nothing,
+    /// A mailbox request lies ready.
+    Request,
+    /// New outputs lie ready.
+    Outputs,
+}
+
+/// How a device wants a sync manager to be set.
+#[derive(Clone, Copy)]
+pub struct ExpectedSyncManager {
+    /// Start in process memory.
+    pub start: u16,
+    /// Length \[bytes\].
+    pub length: u16,
+    /// Control byte.
+    pub control: u8,
+}
+
+/// One channel.
+#[derive(Clone, Copy, Default)]
+pub struct SyncManager {
+    start: u16,
+    length: u16,
+    control: u8,
+    activate: u8,
+    full: bool,
+    event: bool,
+    /// Switched off from the device's side.
+    pub blocked: bool,
+}
+
+impl SyncManager {
+    /// Takes the registers as a master wrote them.
+    pub fn configure(&mut self, registers: &[u8; 8]) {
+        let repeated = (registers[6] ^ self.activate) & REPEAT != 0;
+        self.start = u16::from_le_bytes([registers[0], registers[1]]);
+        self.length = u16::from_le_bytes([registers[2], registers[3]]);
+        self.control = registers[4];
+        self.activate = registers[6];
+        if !self.is_enabled() {
+            (self.full, self.event) = (false, false);
+        } else if repeated && self.is_mailbox() && self.direction() == Direction::Read {
+            // The master lost the last answer and asks for it again; it still lies in memory.
+            self.full = true;
+        }
+    }
+
+    /// Status, activation and device-side control, as they read (registers 5 to 7).
+    pub fn status(&self) -> [u8; 3] {
+        let event = if self.event { STATUS_EVENT } else { 0 };
+        let full = if self.full { STATUS_FULL } else { 0 };
+        let device_side = if self.blocked { PDI_DISABLED } else { 0 } | (self.activate & REPEAT);
+        [event | full, self.activate, device_side]
+    }
+
+    /// Whether this channel is set as the device expects.
+    pub fn matches(&self, expected: &ExpectedSyncManager) -> bool {
+        self.is_enabled()
+            && self.start == expected.start
+            && self.length == expected.length
+            && self.control & FUNCTION_MASK == expected.control & FUNCTION_MASK
+    }
+
+    /// Whether a mailbox holds something.
+    pub fn is_full(&self) -> bool {
+        self.full
+    }
+
+    /// Empties or fills a mailbox from the device's side.
+    pub fn set_full(&mut self, full: bool) {
+        (self.full, self.event) = (full, false);
+    }
+
+    fn is_enabled(&self) -> bool {
+        self.activate & ENABLE != 0 && self.length > 0
+    }
+
+    fn is_active(&self) -> bool {
+        self.is_enabled() && !self.blocked
+    }
+
+    fn is_mailbox(&self) -> bool {
+        self.control & MODE_MASK == MODE_MAILBOX
+    }
+
+    fn direction(&self) -> Direction {
+        if self.control & WRITTEN_BY_MASTER == 0 { Direction::Read } else { Direction::Write }
+    }
+
+    fn end(&self) -> usize {
+        usize::from(self.start) + usize::from(self.length)
+    }
+
+    fn overlaps(&self, from: usize, to: usize) -> bool {
+        from < self.end() && usize::from(self.start) < to
+    }
+
+    fn admits(&self, from: usize, to: usize, direction: Direction) -> bool {
+        let inside = usize::from(self.start) <= from && to <= self.end();
+        let at_start = usize::from(self.start) == from;
+        let ready = self.full == (direction == Direction::Read);
+        inside && direction == self.direction() && (!self.is_mailbox() || (at_start && ready))
+    }
+
+    fn complete(&mut self) -> Completion {
+        self.event = self.direction() == Direction::Write;
+        match (self.is_mailbox(), self.direction()) {
+            (true, Direction::Write) => {
+                self.full = true;
+                Completion::Request
+            }
+            (true, Direction::Read) => {
+                self.full = false;
+                Completion::Nothing
+            }
+            (false, Direction::Write) => Completion::Outputs,
+            (false, Direction::Read) => Completion::Nothing,
+        }
+    }
+}
+
+/// What the channels say to an access of `len` bytes from `address` on.
+pub fn permit(channels: &[SyncManager], address: u16, len: usize, direction: Direction) -> Permit {
+    let (from, to) = (usize::from(address), usize::from(address) + len);
+    let touched = channels.iter().position(|channel| channel.is_active() && channel.overlaps(from, to));
+    match touched {
+        None => Permit::Plain,
+        Some(index) if channels[index].admits(from, to, direction) => Permit::Through(index),
+        Some(_) => Permit::Denied,
+    }
+}
+
+/// Books an access that was permitted; a buffer changes hands when its last byte was touched.
+pub fn book(channels: &mut [SyncManager], index: usize, address: u16, len: usize) -> Completion {
+    match channels.get_mut(index) {
+        Some(channel) if usize::from(address) + len == channel.end() => channel.complete(),
+        _ => Completion::Nothing,
+    }
+}

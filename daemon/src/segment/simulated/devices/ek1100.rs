@@ -1,0 +1,39 @@
+//! EK1100, the coupler: no process data, no mailbox, no processor. Register and EEPROM content as read from a
+//! real one.
+
+use super::VENDOR;
+use crate::segment::simulated::chip::ChipProfile;
+use crate::segment::simulated::chip::eeprom::{General, Header, Image};
+use crate::segment::simulated::node::Device;
+
+const PRODUCT: u32 = 0x044c_2c52;
+const REVISION: u32 = 0x0012_0000;
+/// Chip type, its revision and build, 8 FMMUs, 8 sync managers, 8 kB, four ports, features 0x00FC: 64-bit
+/// distributed clock, usable as reference, no SYNC signals.
+const INFORMATION: [u8; 10] = [0x11, 0x00, 0x02, 0x00, 8, 8, 8, 0x0f, 0xfc, 0x00];
+/// Device emulation is switched on in the second byte of the first word.
+const CONFIGURATION: [u16; 4] = [0x0108, 0x0000, 0x0000, 0x0000];
+const GENERAL: General = General { coe_details: 0, e_bus_current_ma: -2000, ports: 0x0131 };
+
+/// The coupler.
+pub struct Ek1100;
+
+impl Device for Ek1100 {
+    fn chip(&self) -> ChipProfile {
+        let header = Header {
+            configuration: CONFIGURATION,
+            vendor: VENDOR,
+            product: PRODUCT,
+            revision: REVISION,
+            mailbox: [0; 5],
+        };
+        let names = ["EK1100", "EK1100 EtherCAT-Koppler (2A E-Bus)", "SystemBk"];
+        ChipProfile {
+            information: INFORMATION,
+            eeprom: Image::new(&header, names, &GENERAL).finish(),
+            eight_byte_reads: false,
+            sync_managers: None,
+            data_ready_ns: 0,
+        }
+    }
+}

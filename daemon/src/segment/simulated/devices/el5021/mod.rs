@@ -1,0 +1,189 @@
+//! EL5021, the SinCos terminal: one encoder, 32-bit counter.
+
+mod counter;
+mod mapping;
+mod objects;
+
+use counter::{Counter, Settings};
+
+use super::VENDOR;
+use crate::segment::simulated::chip::al::AlState;
+use crate::segment::simulated::chip::coe::ObjectDictionary;
+use crate::segment::simulated::chip::eeprom::{General, Header, Image};
+use crate::segment::simulated::chip::{ChipProfile, ExpectedSyncManager, SyncMode};
+use crate::segment::simulated::node::{Device, Step};
+use crate::segment::simulated::source::EncoderSource;
+
+const PRODUCT: u32 = 0x139d_3052;
+/// Chip type, its revision and build, 3 FMMUs, 4 sync managers, 4 kB, two E-bus ports, features 0x01FC: 64-bit
+/// distributed clock with SYNC signals.
+const INFORMATION: [u8; 10] = [0x11, 0x00, 0x02, 0x00, 3, 4, 4, 0x0a, 0xfc, 0x01];
+const CONFIGURATION: [u16; 4] = [0x0c05, 0x0c8c, 0x0000, 0x0000];
+/// SDO and SDO information; PDO assignment and configuration are fixed.
+const GENERAL: General = General { coe_details: 0x03, e_bus_current_ma: 130, ports: 0x0033 };
+const COE_AND_FOE: u16 = 0x000c;
+const FMMU_USES: [u8; 3] = [1, 2, 3];
+
+const OUTPUTS_LEN: u16 = 6;
+const INPUTS_LEN: u16 = 10;
+/// Addresses and control bytes as other encoder terminals of this family have them.
+const SYNC_MANAGERS: [ExpectedSyncManager; 4] = [
+    ExpectedSyncManager { start: 0x1000, length: 128, control: 0x26 },
+    ExpectedSyncManager { start: 0x1080, length: 128, control: 0x22 },
+    ExpectedSyncManager { start: 0x1100, length: OUTPUTS_LEN, control: 0x24 },
+    ExpectedSyncManager { start: 0x1180, length: INPUTS_LEN, control: 0x20 },
+];
+/// Conversion, calculation and copy into the input buffer.
+const DATA_READY_NS: i64 = 28_000;
+
+/// Revisions of the terminal, as the device description file lists them.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Revision {
+    /// 0x00100000: status bits lie in other objects.
+    R16,
+    /// 0x00110000.
+    R17,
+    /// 0x00120000.
+    R18,
+    /// 0x00130000: status bits lie in object 0x6000.
+    R19,
+    /// 0x00140000.
+    #[default]
+    R20,
+    /// 0x00150000.
+    R21,
+    /// 0x00160000: measures frequency too.
+    R22,
+}
+
+impl Revision {
+    /// Revision number as the terminal identifies itself.
+    pub fn number(self) -> u32 {
+        (16 + self as u32) << 16
+    }
+
+    fn measures_frequency(self) -> bool {
+        self >= Self::R22
+    }
+
+    fn firmware(self) -> &'static str {
+        if self.measures_frequency() { "07" } else { "05" }
+    }
+}
+
+/// Events that the terminal counts for diagnosis.
+#[derive(Default)]
+struct Diagnosis {
+    sync_missed: u16,
+    sync_error: bool,
+    frequency_errors: u16,
+    amplitude_errors: u16,
+}
+
+/// The terminal.
+pub struct El5021 {
+    channel: usize,
+    revision: Revision,
+    settings: Settings,
+    counter: Counter,
+    sync_mode: SyncMode,
+    diagnosis: Diagnosis,
+    inputs: mapping::Inputs,
+    outputs: mapping::Outputs,
+}
+
+impl El5021 {
+    /// A terminal that was just powered up, `channel` terminals behind the coupler.
+    pub fn new(channel: usize, revision: Revision) -> Self {
+        Self {
+            channel,
+            revision,
+            settings: Settings::default(),
+            counter: Counter::default(),
+            sync_mode: SyncMode::SyncManager,
+            diagnosis: Diagnosis::default(),
+            inputs: mapping::Inputs::default(),
+            outputs: mapping::Outputs::default(),
+        }
+    }
+
+    fn diagnose(&mut self, step: &Step<'_>) {
+        let supervised = step.sync_mode == SyncMode::DistributedClock && step.state == AlState::Op;
+        self.diagnosis.sync_error = supervised && step.event.missed > 0;
+        if supervised {
+            let missed = u16::try_from(step.event.missed).unwrap_or(u16::MAX);
+            self.diagnosis.sync_missed = self.diagnosis.sync_missed.saturating_add(missed);
+        }
+    }
+
+    fn count_errors(&mut self, before: mapping::Inputs) {
+        let count = |counter: &mut u16, was: bool, is: bool| {
+            *counter = counter.saturating_add(u16::from(is && !was));
+        };
+        let now = self.inputs;
+        count(&mut self.diagnosis.frequency_errors, before.frequency_error, now.frequency_error);
+        count(&mut self.diagnosis.amplitude_errors, before.amplitude_error, now.amplitude_error);
+    }
+}
+
+impl Device for El5021 {
+    fn chip(&self) -> ChipProfile {
+        let [mailbox_out, mailbox_in, ..] = SYNC_MANAGERS;
+        let header = Header {
+            configuration: CONFIGURATION,
+            vendor: VENDOR,
+            product: PRODUCT,
+            revision: self.revision.number(),
+            mailbox: [
+                mailbox_out.start,
+                mailbox_out.length,
+                mailbox_in.start,
+                mailbox_in.length,
+                COE_AND_FOE,
+            ],
+        };
+        let names = ["EL5021", "EL5021 1K. SinCos Encoder Interface 1Vpp", "MeasuringModules"];
+        let mut kind = 0;
+        let sync_managers = SYNC_MANAGERS.map(|channel| {
+            kind += 1;
+            (channel.start, channel.length, channel.control, 1, kind)
+        });
+        let image = Image::new(&header, names, &GENERAL)
+            .fmmus(&FMMU_USES)
+            .sync_managers(&sync_managers)
+            .tx_pdo(mapping::TX_PDO, 3, &mapping::tx_entries(self.revision))
+            .rx_pdo(mapping::RX_PDO, 2, &mapping::rx_entries());
+        ChipProfile {
+            information: INFORMATION,
+            eeprom: image.finish(),
+            eight_byte_reads: true,
+            sync_managers: Some(SYNC_MANAGERS),
+            data_ready_ns: DATA_READY_NS,
+        }
+    }
+
+    fn step(&mut self, step: Step<'_>, source: &mut dyn EncoderSource) {
+        self.diagnose(&step);
+        // In SAFE-OP outputs are safe: no request.
+        self.outputs = match step.state {
+            AlState::Op => mapping::Outputs::decode(step.outputs),
+            _ => mapping::Outputs::default(),
+        };
+        let signal = source.signal(self.channel, step.event.conversion());
+        let before = self.inputs;
+        self.counter.convert(signal, &self.settings, &self.outputs, &mut self.inputs);
+        self.count_errors(before);
+        self.inputs.sync_error = self.diagnosis.sync_error;
+        // Each event gave new data, also those that nobody looked at.
+        self.inputs.toggle ^= step.event.count % 2 == 1;
+        self.inputs.encode(step.inputs);
+    }
+
+    fn synchronise(&mut self, mode: SyncMode) {
+        self.sync_mode = mode;
+    }
+
+    fn objects(&mut self) -> Option<&mut dyn ObjectDictionary> {
+        Some(self)
+    }
+}

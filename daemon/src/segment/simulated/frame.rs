@@ -1,0 +1,107 @@
+//! EtherCAT frames and datagrams as they lie in an Ethernet frame (ETG.1000.4 section 5.3 and 5.4).
+
+use std::ops::Range;
+
+/// Destination, source and type of an Ethernet frame.
+const ETHERNET_HEADER_LEN: usize = 14;
+/// Where the Ethernet type lies.
+const ETHERTYPE: Range<usize> = 12..14;
+/// First byte of the source address.
+const SOURCE_MAC: usize = 6;
+/// Set by the first slave controller in the source address: "locally administered".
+const LOCALLY_ADMINISTERED: u8 = 0x02;
+/// Ethernet type of EtherCAT, big-endian on the wire.
+const ETHERCAT: [u8; 2] = [0x88, 0xa4];
+/// Length and type of an EtherCAT frame.
+const ETHERCAT_HEADER_LEN: usize = 2;
+/// Frame type of EtherCAT commands.
+const TYPE_COMMANDS: u16 = 1;
+/// The lower 11 bits of a length field hold the length.
+const LENGTH_MASK: u16 = 0x07ff;
+/// Set in a datagram's length field when another datagram follows.
+const MORE_FOLLOWS: u16 = 0x8000;
+/// Command, index, address, length and interrupt field of a datagram.
+const DATAGRAM_HEADER_LEN: usize = 10;
+/// The working counter behind a datagram's data.
+const WORKING_COUNTER_LEN: usize = 2;
+
+/// Where the datagrams lie in an Ethernet frame; none if this is not an EtherCAT frame with commands.
+///
+/// A length field that reaches beyond the frame is cut at the frame's end.
+pub fn datagrams(frame: &[u8]) -> Option<Range<usize>> {
+    if frame.get(ETHERTYPE)? != ETHERCAT {
+        return None;
+    }
+    let start = ETHERNET_HEADER_LEN + ETHERCAT_HEADER_LEN;
+    let header = u16_at(frame, ETHERNET_HEADER_LEN)?;
+    if header >> 12 != TYPE_COMMANDS {
+        return None;
+    }
+    Some(start..frame.len().min(start + usize::from(header & LENGTH_MASK)))
+}
+
+/// Marks a frame as having passed a slave controller. Masters drop frames that carry their own address.
+pub fn mark_processed(frame: &mut [u8]) {
+    if let Some(byte) = frame.get_mut(SOURCE_MAC) {
+        *byte |= LOCALLY_ADMINISTERED;
+    }
+}
+
+/// One EtherCAT command with its data, in place.
+pub struct Datagram<'a> {
+    header: &'a mut [u8; DATAGRAM_HEADER_LEN],
+    /// What the command reads or writes.
+    pub data: &'a mut [u8],
+    working_counter: &'a mut [u8; WORKING_COUNTER_LEN],
+}
+
+impl<'a> Datagram<'a> {
+    /// The first datagram of `bytes` and what follows it; none if it does not fit.
+    ///
+    /// The rest is empty after the last datagram of a frame.
+    pub fn split_first(bytes: &'a mut [u8]) -> Option<(Self, &'a mut [u8])> {
+        let (header, rest) = bytes.split_first_chunk_mut::<DATAGRAM_HEADER_LEN>()?;
+        let length = u16::from_le_bytes([header[6], header[7]]);
+        let (data, rest) = rest.split_at_mut_checked(usize::from(length & LENGTH_MASK))?;
+        let (working_counter, rest) = rest.split_first_chunk_mut::<WORKING_COUNTER_LEN>()?;
+        let rest = if length & MORE_FOLLOWS == 0 { &mut [] } else { rest };
+        Some((Self { header, data, working_counter }, rest))
+    }
+
+    /// Command code.
+    pub fn command(&self) -> u8 {
+        self.header[0]
+    }
+
+    /// Address of the device (position or station address).
+    pub fn device_address(&self) -> u16 {
+        u16::from_le_bytes([self.header[2], self.header[3]])
+    }
+
+    /// Counts one device in the address field, as positional and broadcast commands do at every device.
+    pub fn increment_device_address(&mut self) {
+        let next = self.device_address().wrapping_add(1).to_le_bytes();
+        [self.header[2], self.header[3]] = next;
+    }
+
+    /// Address in the device's memory.
+    pub fn memory_address(&self) -> u16 {
+        u16::from_le_bytes([self.header[4], self.header[5]])
+    }
+
+    /// Address in the logical process image.
+    pub fn logical_address(&self) -> u32 {
+        u32::from(self.memory_address()) << 16 | u32::from(self.device_address())
+    }
+
+    /// Adds to the working counter.
+    pub fn count(&mut self, increment: u16) {
+        let sum = u16::from_le_bytes(*self.working_counter).wrapping_add(increment);
+        *self.working_counter = sum.to_le_bytes();
+    }
+}
+
+/// Little-endian word at `offset`.
+fn u16_at(bytes: &[u8], offset: usize) -> Option<u16> {
+    Some(u16::from_le_bytes(*bytes.get(offset..)?.first_chunk()?))
+}

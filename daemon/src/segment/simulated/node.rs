@@ -1,0 +1,89 @@
+//! A device on the segment: a chip, and what stands behind it.
+
+use super::chip::al::AlState;
+use super::chip::coe::{self, MAILBOX_MAX, ObjectDictionary};
+use super::chip::dc::LocalClock;
+use super::chip::{ChipProfile, Esc, SyncEvent, SyncMode};
+use super::source::EncoderSource;
+
+/// Longest outputs of any device.
+const OUTPUTS_MAX: usize = 16;
+
+/// What the device sees of a sync event.
+pub struct Step<'a> {
+    /// State of the application layer: SAFE-OP or OP.
+    pub state: AlState,
+    /// What the event came from.
+    pub sync_mode: SyncMode,
+    /// The event.
+    pub event: SyncEvent,
+    /// Outputs as they last arrived.
+    pub outputs: &'a [u8],
+    /// Inputs to be filled.
+    pub inputs: &'a mut [u8],
+}
+
+/// Behaviour of a device.
+pub trait Device: Send {
+    /// The chip that the device is built on.
+    fn chip(&self) -> ChipProfile;
+
+    /// A sync event in SAFE-OP or OP: read outputs, fill inputs.
+    fn step(&mut self, _step: Step<'_>, _source: &mut dyn EncoderSource) {}
+
+    /// How the device is synchronised was chosen or changed.
+    fn synchronise(&mut self, _mode: SyncMode) {}
+
+    /// The object dictionary of a device with a mailbox.
+    fn objects(&mut self) -> Option<&mut dyn ObjectDictionary> {
+        None
+    }
+}
+
+/// Chip and device.
+pub struct Node {
+    /// The wire side.
+    pub esc: Esc,
+    device: Box<dyn Device>,
+}
+
+impl Node {
+    /// Powers a device up.
+    pub fn new(device: Box<dyn Device>, clock: LocalClock, dl_status: u16) -> Self {
+        let mut esc = Esc::new(device.chip(), clock);
+        esc.set_dl_status(dl_status);
+        Self { esc, device }
+    }
+
+    /// Brings chip and device to the moment at which a frame arrives.
+    pub fn advance(&mut self, now_ns: i64, back_ns: Option<i64>, source: &mut dyn EncoderSource) {
+        self.esc.advance(now_ns, back_ns);
+        self.device.synchronise(self.esc.sync_mode());
+        if let Some(event) = self.esc.take_sync_event(now_ns) {
+            self.step(event, source);
+        }
+        self.serve_mailbox(now_ns);
+    }
+
+    fn step(&mut self, event: SyncEvent, source: &mut dyn EncoderSource) {
+        let (state, sync_mode) = (self.esc.state(), self.esc.sync_mode());
+        if state < AlState::SafeOp {
+            return;
+        }
+        let mut outputs = [0; OUTPUTS_MAX];
+        let len = self.esc.outputs().len().min(OUTPUTS_MAX);
+        outputs[..len].copy_from_slice(&self.esc.outputs()[..len]);
+        let inputs = self.esc.inputs_mut();
+        self.device.step(Step { state, sync_mode, event, outputs: &outputs[..len], inputs }, source);
+    }
+
+    fn serve_mailbox(&mut self, now_ns: i64) {
+        let Some(objects) = self.device.objects() else { return };
+        let mut request = [0; MAILBOX_MAX];
+        let Some(len) = self.esc.take_request(now_ns, &mut request) else { return };
+        let mut mailbox = [0; MAILBOX_MAX];
+        if let Some(len) = coe::answer(&request[..len], &mut mailbox, objects) {
+            self.esc.put_answer(&mailbox[..len]);
+        }
+    }
+}

@@ -1,0 +1,60 @@
+//! Where encoder signals come from: a built-in motion, or a recording.
+
+mod replay;
+mod smooth;
+
+pub use replay::{Replay, ReplayError, ReplayHandle};
+pub use smooth::SmoothMotion;
+
+/// The moment at which a terminal takes its sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Conversion {
+    /// The simulation's absolute time.
+    pub true_time_ns: i64,
+    /// Nominal time of the SYNC0 pulse on the system time of the bus; none where the terminal follows frames.
+    pub system_time_ns: Option<i64>,
+}
+
+/// Number of signal periods as fixed point with 32 fraction bits; wraps after 2^31 periods.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Periods(pub i64);
+
+impl Periods {
+    /// One signal period.
+    pub const ONE: i64 = 1 << 32;
+
+    /// Nearest fixed point number.
+    pub fn from_f64(periods: f64) -> Self {
+        Self((periods * Self::ONE as f64).round() as i64)
+    }
+}
+
+/// What an encoder puts on a terminal's inputs.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Signal {
+    /// A turning encoder.
+    Turning {
+        /// Position.
+        position: Periods,
+        /// Speed, signal periods per second.
+        periods_per_s: f64,
+        /// Signal amplitude as a fraction of 1 Vpp.
+        amplitude: f64,
+        /// Where the reference mark lies, if it was passed since the last conversion.
+        reference_mark: Option<Periods>,
+        /// Whether the encoder stands on the reference mark.
+        on_reference_mark: bool,
+    },
+    /// A recorded counter value; the terminal passes it through bit for bit, whatever its settings.
+    Recorded {
+        /// What the terminal shall show.
+        count: u32,
+    },
+}
+
+/// Gives the encoder signals to the terminals.
+pub trait EncoderSource: Send {
+    /// Signal at a conversion on terminal `channel`, counted from the coupler, from 0. Conversions of a channel
+    /// come in the order of time.
+    fn signal(&mut self, channel: usize, at: Conversion) -> Signal;
+}

@@ -1,0 +1,145 @@
+//! A motion that needs no recording: every joint swings slowly, as a sum of sines.
+
+use std::f64::consts::TAU;
+
+use rand::{Rng, SeedableRng, rngs::StdRng};
+
+use super::{Conversion, EncoderSource, Periods, Signal};
+
+/// Sines of each joint.
+const SINES: usize = 3;
+/// Largest sum of their amplitudes, 60 degrees.
+const ANGLE_MAX_RAD: f64 = std::f64::consts::FRAC_PI_3;
+/// Largest sum of their speeds.
+const SPEED_MAX_RAD_PER_S: f64 = 0.4;
+/// Fastest and slowest sine \[ns\].
+const PERIOD_NS: std::ops::Range<i64> = 11_000_000_000..37_000_000_000;
+/// Encoders with more lines do not exist.
+const LINES_MAX: u32 = 1 << 20;
+/// Terminals count from where they were switched on.
+const START_PERIODS_MAX: i64 = 10_000;
+
+#[derive(Debug, Clone, Copy)]
+struct Sine {
+    amplitude_rad: f64,
+    period_ns: i64,
+    phase_rad: f64,
+}
+
+impl Sine {
+    fn rate_rad_per_s(&self) -> f64 {
+        TAU / (self.period_ns as f64 * 1e-9)
+    }
+
+    /// The whole periods are taken off in integers: exact, however large the time.
+    fn argument_rad(&self, true_time_ns: i64) -> f64 {
+        TAU * true_time_ns.rem_euclid(self.period_ns) as f64 / self.period_ns as f64 + self.phase_rad
+    }
+}
+
+#[derive(Debug, Clone)]
+struct Joint {
+    sines: [Sine; SINES],
+    start: Periods,
+    /// Where the reference mark lies within a revolution.
+    mark: Periods,
+    last: Option<Periods>,
+}
+
+/// Every joint a sum of three slow sines within 60 degrees and 0.4 rad/s, on encoders with one reference mark.
+#[derive(Debug, Clone)]
+pub struct SmoothMotion {
+    lines: u32,
+    joints: Vec<Joint>,
+}
+
+impl SmoothMotion {
+    /// Joints with encoders of `lines` signal periods a revolution; the seed decides how they swing.
+    pub fn new(joints: usize, lines: u32, seed: u64) -> Self {
+        let mut random = StdRng::seed_from_u64(seed);
+        let lines = lines.clamp(1, LINES_MAX);
+        let joints = (0..joints).map(|_| Joint::new(lines, &mut random)).collect();
+        Self { lines, joints }
+    }
+
+    /// Angle of a joint \[rad\]; its encoder shows `lines / 2 pi` signal periods a radian on top of
+    /// [`start_periods`](Self::start_periods).
+    pub fn angle_rad(&self, joint: usize, true_time_ns: i64) -> f64 {
+        self.joints.get(joint).map_or(0.0, |joint| joint.angle_rad(true_time_ns))
+    }
+
+    /// What a joint's encoder shows at angle zero.
+    pub fn start_periods(&self, joint: usize) -> Periods {
+        self.joints.get(joint).map_or(Periods(0), |joint| joint.start)
+    }
+}
+
+impl Joint {
+    fn new(lines: u32, random: &mut StdRng) -> Self {
+        let mut sines = [(); SINES].map(|()| Sine {
+            amplitude_rad: random.random_range(0.3..1.0),
+            period_ns: random.random_range(PERIOD_NS),
+            phase_rad: random.random_range(0.0..TAU),
+        });
+        let angle: f64 = sines.iter().map(|sine| sine.amplitude_rad).sum();
+        let speed: f64 = sines.iter().map(|sine| sine.amplitude_rad * sine.rate_rad_per_s()).sum();
+        let scale = (ANGLE_MAX_RAD / angle).min(SPEED_MAX_RAD_PER_S / speed);
+        for sine in &mut sines {
+            sine.amplitude_rad *= scale;
+        }
+        let start = Periods(random.random_range(-START_PERIODS_MAX..START_PERIODS_MAX) * Periods::ONE);
+        let mark =
+            Periods(start.0 + i64::from(lines) * random.random_range(-Periods::ONE / 40..Periods::ONE / 40));
+        Self { sines, start, mark, last: None }
+    }
+
+    fn angle_rad(&self, true_time_ns: i64) -> f64 {
+        self.sines.iter().map(|sine| sine.amplitude_rad * sine.argument_rad(true_time_ns).sin()).sum()
+    }
+
+    fn speed_rad_per_s(&self, true_time_ns: i64) -> f64 {
+        let speed =
+            |sine: &Sine| sine.amplitude_rad * sine.rate_rad_per_s() * sine.argument_rad(true_time_ns).cos();
+        self.sines.iter().map(speed).sum()
+    }
+
+    fn signal(&mut self, lines: u32, true_time_ns: i64) -> Signal {
+        let periods_per_rad = f64::from(lines) / TAU;
+        let angle = Periods::from_f64(self.angle_rad(true_time_ns) * periods_per_rad);
+        let position = Periods(self.start.0.wrapping_add(angle.0));
+        let revolution = i64::from(lines) * Periods::ONE;
+        let turn = |at: Periods| at.0.wrapping_sub(self.mark.0).div_euclid(revolution);
+        // Between two turns lies the mark at the start of the upper one.
+        let passed =
+            self.last.map(turn).filter(|last| *last != turn(position)).map(|last| {
+                Periods(self.mark.0.wrapping_add(last.max(turn(position)).wrapping_mul(revolution)))
+            });
+        let from_mark = position.0.wrapping_sub(self.mark.0).rem_euclid(revolution);
+        let half = Periods::ONE / 2;
+        self.last = Some(position);
+        Signal::Turning {
+            position,
+            periods_per_s: self.speed_rad_per_s(true_time_ns) * periods_per_rad,
+            amplitude: 1.0,
+            reference_mark: passed,
+            on_reference_mark: from_mark < half || from_mark > revolution - half,
+        }
+    }
+}
+
+impl EncoderSource for SmoothMotion {
+    fn signal(&mut self, channel: usize, at: Conversion) -> Signal {
+        let lines = self.lines;
+        match self.joints.get_mut(channel) {
+            Some(joint) => joint.signal(lines, at.true_time_ns),
+            // Nothing is connected: no signal.
+            None => Signal::Turning {
+                position: Periods(0),
+                periods_per_s: 0.0,
+                amplitude: 0.0,
+                reference_mark: None,
+                on_reference_mark: false,
+            },
+        }
+    }
+}

@@ -1,0 +1,56 @@
+//! How the devices are wired: a line behind the coupler, and how long a frame takes from one to the next.
+
+use rand::{Rng, rngs::StdRng};
+
+/// 100 Mbit/s.
+const NS_PER_BYTE: i64 = 80;
+const FRAME_MIN: usize = 60;
+/// Preamble and start delimiter before, check sequence after each frame.
+const FRAME_OVERHEAD: usize = 8 + 4;
+/// Terminals differ by up to this much.
+const HOP_SPREAD_NS: i64 = 10;
+
+/// Line of devices; the first one is the coupler.
+pub struct Wiring {
+    /// From the master's side of the coupler to each device.
+    delays_ns: Vec<i64>,
+}
+
+impl Wiring {
+    /// A line of `devices`, about `hop_delay_ns` between neighbours.
+    pub fn new(devices: usize, hop_delay_ns: i64, random: &mut StdRng) -> Self {
+        let mut delay_ns = 0;
+        let mut delays_ns = Vec::with_capacity(devices);
+        for _ in 0..devices {
+            delays_ns.push(delay_ns);
+            delay_ns += hop_delay_ns + random.random_range(0..=HOP_SPREAD_NS);
+        }
+        Self { delays_ns }
+    }
+
+    /// From the coupler to the device at `position`.
+    pub fn delay_ns(&self, position: usize) -> i64 {
+        self.delays_ns.get(position).copied().unwrap_or(0)
+    }
+
+    /// From passing the device at `position` outwards until the frame is back from the devices behind it; none
+    /// for the last device.
+    pub fn loop_ns(&self, position: usize) -> Option<i64> {
+        let last = self.delays_ns.last()?;
+        (position + 1 < self.delays_ns.len()).then(|| 2 * (last - self.delay_ns(position)))
+    }
+
+    /// DL status (0x0110): which ports have a link, which are closed.
+    pub fn dl_status(&self, position: usize) -> u16 {
+        let watchdog_ok = if position == 0 { 0 } else { 0x0002 };
+        let links = if position + 1 < self.delays_ns.len() { 0x5a31 } else { 0x5611 };
+        links | watchdog_ok
+    }
+
+    /// From sending a frame's first bit until its last bit is back.
+    pub fn round_trip_ns(&self, frame_len: usize) -> i64 {
+        let bytes = frame_len.max(FRAME_MIN) + FRAME_OVERHEAD;
+        let line_ns = self.loop_ns(0).unwrap_or(0);
+        bytes as i64 * NS_PER_BYTE + line_ns
+    }
+}

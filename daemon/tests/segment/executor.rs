@@ -1,0 +1,95 @@
+//! Runs ethercrab's futures against a segment on a virtual clock: nothing waits, time is what frames cost.
+#![allow(unsafe_code, reason = "the time driver's functions are found by their unmangled names")]
+
+use std::cell::Cell;
+use std::future::Future;
+use std::pin::pin;
+use std::task::{Context, Poll, Waker};
+
+use ballbard::segment::simulated::SimulatedSegment;
+use ethercrab::{MainDevice, MainDeviceConfig, PduRx, PduStorage, PduTx, Timeouts};
+
+const FRAMES: usize = 16;
+const FRAME_DATA: usize = PduStorage::element_size(1100);
+/// Time passes in these steps while nothing is on the wire.
+const IDLE_NS: i64 = 50_000;
+
+thread_local! {
+    /// Each test has its own thread, so its own time.
+    static NOW_NS: Cell<i64> = const { Cell::new(1_000_000_000_000) };
+}
+
+struct VirtualTime;
+
+impl embassy_time_driver::Driver for VirtualTime {
+    fn now(&self) -> u64 {
+        (now_ns() / 1000) as u64
+    }
+
+    fn schedule_wake(&self, _at: u64, _waker: &Waker) {}
+}
+
+embassy_time_driver::time_driver_impl!(static TIME: VirtualTime = VirtualTime);
+
+/// The simulation's absolute time.
+pub fn now_ns() -> i64 {
+    NOW_NS.get()
+}
+
+/// Lets time pass.
+pub fn pass_ns(duration_ns: i64) {
+    NOW_NS.set(now_ns() + duration_ns);
+}
+
+/// A master with a segment on its network interface.
+pub struct Bench {
+    pub segment: SimulatedSegment,
+    pub maindevice: &'static MainDevice<'static>,
+    tx: PduTx<'static>,
+    rx: PduRx<'static>,
+}
+
+impl Bench {
+    pub fn new(segment: SimulatedSegment) -> Self {
+        let storage = Box::leak(Box::new(PduStorage::<FRAMES, FRAME_DATA>::new()));
+        let (tx, rx, pdu_loop) = storage.try_split().expect("a fresh storage");
+        let config = MainDeviceConfig { dc_static_sync_iterations: 3000, ..MainDeviceConfig::default() };
+        let maindevice = Box::leak(Box::new(MainDevice::new(pdu_loop, Timeouts::default(), config)));
+        Self { segment, maindevice, tx, rx }
+    }
+
+    /// Polls a future to its end while frames go back and forth.
+    pub fn run<F: Future>(&mut self, future: F) -> F::Output {
+        let mut future = pin!(future);
+        let mut context = Context::from_waker(Waker::noop());
+        loop {
+            if let Poll::Ready(output) = future.as_mut().poll(&mut context) {
+                return output;
+            }
+            if !self.carry_frames() {
+                pass_ns(IDLE_NS);
+            }
+        }
+    }
+
+    /// Carries what is to be sent; false if there was nothing.
+    fn carry_frames(&mut self) -> bool {
+        let mut carried = false;
+        while let Some(frame) = self.tx.next_sendable_frame() {
+            let mut sent = Vec::new();
+            frame
+                .send_blocking(|bytes| {
+                    sent.extend_from_slice(bytes);
+                    Ok(bytes.len())
+                })
+                .expect("a frame can be sent");
+            let mut reply = [0; 1518];
+            if let Some(len) = self.segment.exchange(now_ns(), &sent, &mut reply) {
+                pass_ns(self.segment.round_trip_ns(len));
+                self.rx.receive_frame(&reply[..len]).expect("a reply to a frame that was sent");
+            }
+            carried = true;
+        }
+        carried
+    }
+}

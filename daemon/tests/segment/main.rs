@@ -1,0 +1,11 @@
+//! The simulated segment as a master sees it: ethercrab brings it into operation, and single frames obey the
+//! rules of EtherCAT.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+mod damage;
+mod datagrams;
+mod executor;
+mod frames;
+mod operation;
+mod refusal;
+mod replay;
