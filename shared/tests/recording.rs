@@ -45,7 +45,7 @@ fn cycle(number: u64) -> CycleRecord {
         joint: index as u8 + 1,
         count: (number as u32).wrapping_mul(1_000_003).wrapping_add(index as u32),
         latch: 7,
-        status: if number % 2 == 0 { 0x8000 } else { 0 },
+        status: if number.is_multiple_of(2) { 0x8000 } else { 0 },
         valid: number % 17 != 5,
     });
     let time_ns = number as i64 * 10_000_000;

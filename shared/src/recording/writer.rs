@@ -198,7 +198,7 @@ impl<W: Write + Seek> RecordingWriter<W> {
             joints: run
                 .encoders
                 .iter()
-                .map(|encoder| PlottedJoint { scale: encoder.scale, unwrapper: Unwrapper::default() })
+                .map(|encoder| PlottedJoint { scale: encoder.scale, unwrapper: encoder.scale.unwrapper() })
                 .collect(),
             cycles: 0,
             cycles_valid: 0,
