@@ -1,1 +1,70 @@
+//! A recording goes through the bus unchanged.
 
+use ballbard::segment::simulated::{Replay, ReplayError, SegmentConfig, SimulatedSegment};
+use rand::{Rng, SeedableRng, rngs::StdRng};
+
+use crate::executor::Bench;
+use crate::frames::{OP, TERMINAL, Wire};
+use crate::operation::{PERIOD_NS, cycle, inputs, operational, preop};
+
+fn recording(rows: usize, channels: usize) -> Vec<u32> {
+    let mut random = StdRng::seed_from_u64(3);
+    (0..rows * channels).map(|_| random.random()).collect()
+}
+
+#[test]
+fn every_recorded_row_arrives_bit_for_bit_one_a_cycle_on_drifting_clocks() {
+    const ROWS: usize = 2000;
+    let counts = recording(ROWS, 5);
+    let (replay, handle) = Replay::new(counts.clone(), 5, PERIOD_NS).unwrap();
+    let config = SegmentConfig { drift_ppm: 50.0, ..SegmentConfig::default() };
+    let mut bench = Bench::new(SimulatedSegment::new(&config, Box::new(replay)));
+    let group = preop(&mut bench);
+    let group = operational(&mut bench, group);
+    let last = cycle(&mut bench, &group);
+    assert_eq!(inputs(&bench, &group, 3).1, counts[3], "the first row, before the start");
+    handle.start_at((last.dc_time_ns / PERIOD_NS + 2) * PERIOD_NS);
+    cycle(&mut bench, &group);
+    assert_eq!((handle.rows_played(), handle.rows()), (0, ROWS));
+    for (row, recorded) in counts.chunks(5).enumerate() {
+        assert!(!handle.has_ended());
+        cycle(&mut bench, &group);
+        let shown: Vec<u32> = (0..5).map(|terminal| inputs(&bench, &group, terminal).1).collect();
+        assert_eq!(shown, recorded, "row {row}");
+        assert_eq!(handle.rows_played(), row + 1);
+    }
+    assert!(handle.has_ended());
+    cycle(&mut bench, &group);
+    assert_eq!(inputs(&bench, &group, 0).1, counts[5 * (ROWS - 1)], "the last row stays");
+}
+
+#[test]
+fn without_distributed_clocks_rows_follow_the_frames() {
+    let counts = recording(20, 1);
+    let (replay, handle) = Replay::new(counts.clone(), 1, PERIOD_NS).unwrap();
+    let mut wire = Wire::new(1, replay);
+    wire.to_safeop(TERMINAL);
+    wire.process_data(0, 0);
+    assert_eq!(wire.request(TERMINAL, OP), (OP, 0));
+    wire.process_data(0, 0);
+    wire.pass_ms(10);
+    handle.start_at(wire.now_ns);
+    let mut shown = Vec::new();
+    for _ in 0..=counts.len() {
+        let frame_ns = wire.now_ns;
+        shown.push(u32::from_le_bytes(wire.process_data(0, 0).1[2..6].try_into().unwrap()));
+        wire.now_ns = frame_ns + PERIOD_NS;
+    }
+    // A terminal that follows the frames shows what it converted at the frame before.
+    assert_eq!(shown[1..], counts);
+    assert!(handle.has_ended());
+}
+
+#[test]
+fn a_table_that_is_not_whole_is_refused() {
+    for (counts, channels) in [(0, 5), (7, 5), (5, 0)] {
+        let refused = Replay::new(vec![0; counts], channels, PERIOD_NS);
+        assert_eq!(refused.unwrap_err(), ReplayError::Shape { counts, channels });
+    }
+    assert_eq!(Replay::new(vec![0; 5], 5, 0).unwrap_err(), ReplayError::Period(0));
+}

@@ -11,8 +11,8 @@ const REVISION: u32 = 0x0012_0000;
 /// Chip type, its revision and build, 8 FMMUs, 8 sync managers, 8 kB, four ports, features 0x00FC: 64-bit
 /// distributed clock, usable as reference, no SYNC signals.
 const INFORMATION: [u8; 10] = [0x11, 0x00, 0x02, 0x00, 8, 8, 8, 0x0f, 0xfc, 0x00];
-/// Device emulation is switched on in the second byte of the first word.
-const CONFIGURATION: [u16; 4] = [0x0108, 0x0000, 0x0000, 0x0000];
+/// No processor; device emulation and distributed clock are switched on in the second byte of the first word.
+const CONFIGURATION: [u16; 4] = [0x0d00, 0x0000, 0x0000, 0x0000];
 const GENERAL: General = General { coe_details: 0, e_bus_current_ma: -2000, ports: 0x0131 };
 
 /// The coupler.
