@@ -1,4 +1,5 @@
 //! A run in real time on the simulated bus is complete, in order and whole.
+#![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::time::Duration;
 

@@ -1,4 +1,5 @@
 //! The recording opens with two implementations that are not ours, every message decoded.
+#![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::Path;
 use std::process::Command;

@@ -1,4 +1,5 @@
 //! Replay: what goes into the simulated encoders comes out of the recording, bit for bit.
+#![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::time::{Duration, Instant};
 

@@ -3,13 +3,12 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use anyhow::Context;
 use clap::Args;
 use shared::config::{self, BallBarConfig, DaemonConfig};
-use tokio::signal::unix::{SignalKind, signal};
 
+use super::on_signal;
 use crate::recorder::RunSummary;
-use crate::run::{self, BusChoice, RunError, RunRequest, Stop};
+use crate::run::{self, BusChoice, RunRequest, Stop};
 
 #[derive(Debug, Args)]
 pub struct RecordArguments {
@@ -53,10 +52,11 @@ pub fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
     }
     let request = request(arguments)?;
     let stop = Stop::default();
-    let summary = until_signal(&stop, || {
-        let (request, daemon, bar, stop) = (request, daemon, bar, stop.clone());
-        move || run::record(&request, &daemon, &bar, &stop)
-    })?;
+    let working = stop.clone();
+    let summary = on_signal(
+        move || Ok(run::record(&request, &daemon, &bar, &working)?),
+        |signal| stop.stop(&format!("stopped by {signal}")),
+    )?;
     print(&summary);
     Ok(())
 }
@@ -79,29 +79,6 @@ fn request(arguments: &RecordArguments) -> anyhow::Result<RunRequest> {
         duration: arguments.duration,
         bus,
         fast: arguments.fast,
-    })
-}
-
-/// Runs the blocking work of `job`; Ctrl-C and SIGTERM end it through `stop`, with its file closed.
-fn until_signal<J>(stop: &Stop, job: impl FnOnce() -> J) -> anyhow::Result<RunSummary>
-where
-    J: FnOnce() -> Result<RunSummary, RunError> + Send + 'static,
-{
-    let runtime = tokio::runtime::Builder::new_current_thread()
-        .enable_all()
-        .build()
-        .context("cannot start the signal handling")?;
-    runtime.block_on(async {
-        let mut interrupt = signal(SignalKind::interrupt())?;
-        let mut terminate = signal(SignalKind::terminate())?;
-        let mut work = tokio::task::spawn_blocking(job());
-        loop {
-            tokio::select! {
-                result = &mut work => return Ok(result??),
-                _ = interrupt.recv() => stop.stop("stopped by Ctrl-C"),
-                _ = terminate.recv() => stop.stop("stopped by SIGTERM"),
-            }
-        }
     })
 }
 

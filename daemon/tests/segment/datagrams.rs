@@ -111,11 +111,8 @@ fn logical_commands_count_inputs_and_outputs_once_they_are_open() {
 fn an_fmmu_answers_for_its_part_of_a_datagram_only() {
     let mut wire = Wire::new(1, Ramp);
     wire.to_safeop(TERMINAL);
-    let [before, part, behind] = wire.send([
-        logical(LRD, 0xffff_fff0, &[7; 16]),
-        logical(LRD, 8, &[7; 4]),
-        logical(LRD, 10, &[7; 4]),
-    ]);
+    let [before, part, behind] =
+        wire.send([logical(LRD, 0xffff_fff0, &[7; 16]), logical(LRD, 8, &[7; 4]), logical(LRD, 10, &[7; 4])]);
     assert_eq!((before.working_counter, before.data), (0, vec![7; 16]));
     assert_eq!(part.working_counter, 1);
     assert_eq!(part.data[2..], [7, 7]);
