@@ -11,7 +11,9 @@ use crate::solver::{Block, Prior, Problem};
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum CostError {
     /// An encoder that the cost needs is missing.
-    #[error("cost `{cost}` needs the encoder of bar joint {joint}, sample {sample} has none; choose another cost")]
+    #[error(
+        "cost `{cost}` needs the encoder of bar joint {joint}, sample {sample} has none; choose another cost"
+    )]
     NoEncoder {
         /// Cost.
         cost: &'static str,

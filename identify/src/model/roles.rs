@@ -78,8 +78,8 @@ fn robot_ids(robot: &Chain) -> impl Iterator<Item = ParameterId> + '_ {
     let standard = (0..robot.links.len()).flat_map(|link| {
         ParameterId::STANDARD.into_iter().map(move |parameter| ParameterId::Robot { link, parameter })
     });
-    let hayati = (0..robot.links.len())
-        .map(|link| ParameterId::Robot { link, parameter: LinkParameter::Beta });
+    let hayati =
+        (0..robot.links.len()).map(|link| ParameterId::Robot { link, parameter: LinkParameter::Beta });
     standard.chain(hayati)
 }
 

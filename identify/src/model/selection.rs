@@ -40,7 +40,11 @@ impl Model {
     ///
     /// # Errors
     /// None in practice: only parameters of the model are touched.
-    pub fn select(&mut self, selection: Selection, sees: impl Fn(ParameterId) -> bool) -> Result<(), ModelError> {
+    pub fn select(
+        &mut self,
+        selection: Selection,
+        sees: impl Fn(ParameterId) -> bool,
+    ) -> Result<(), ModelError> {
         let ids: Vec<ParameterId> = self.parameters().iter().map(|parameter| parameter.id).collect();
         ids.into_iter().try_for_each(|id| {
             let free = selection.contains(id) && sees(id);

@@ -200,8 +200,7 @@ impl Damping {
         }
         let scaled_gradient = at.gradient.component_mul(&inverse_scale);
         let scaled_step = scaled.cholesky()?.solve(&-&scaled_gradient);
-        let predicted =
-            0.5 * (self.lambda * scaled_step.norm_squared() - scaled_step.dot(&scaled_gradient));
+        let predicted = 0.5 * (self.lambda * scaled_step.norm_squared() - scaled_step.dot(&scaled_gradient));
         Some((scaled_step.component_mul(&inverse_scale), predicted))
     }
 
@@ -255,14 +254,10 @@ struct Descent {
 }
 
 /// The iteration itself.
-fn descend<P: Problem>(
-    problem: &P,
-    start: Linearization,
-    x: DVector<f64>,
-    options: &Options,
-) -> Descent {
+fn descend<P: Problem>(problem: &P, start: Linearization, x: DVector<f64>, options: &Options) -> Descent {
     let mut damping = Damping::new(options.damping_start, &start.normal);
-    let mut now = Descent { x, at: start, termination: Termination::IterationLimit, iterations: 0, evaluations: 1 };
+    let mut now =
+        Descent { x, at: start, termination: Termination::IterationLimit, iterations: 0, evaluations: 1 };
     while now.iterations < options.iterations_max {
         if now.at.cost == 0.0 {
             now.termination = Termination::ZeroResidual;
@@ -280,8 +275,7 @@ fn descend<P: Problem>(
             damping.refuse();
             continue;
         };
-        let small_step =
-            damping.scaled_norm(&step) <= options.step_tolerance * damping.scaled_norm(&now.x);
+        let small_step = damping.scaled_norm(&step) <= options.step_tolerance * damping.scaled_norm(&now.x);
         let trial_x = &now.x + &step;
         let trial = linearize(problem, &trial_x, options.loss, Taking::These(&now.at.fits));
         now.evaluations += 1;
@@ -300,8 +294,7 @@ fn descend<P: Problem>(
             damping.refuse();
         }
         if small_step || small_decrease {
-            now.termination =
-                if small_step { Termination::SmallStep } else { Termination::SmallDecrease };
+            now.termination = if small_step { Termination::SmallStep } else { Termination::SmallDecrease };
             return now;
         }
     }

@@ -17,7 +17,7 @@ pub use covariance::{Covariance, Noise};
 pub use identifiability::{DependentGroup, Identifiability, Unidentifiable, identifiability};
 pub use levenberg_marquardt::{Options, Solution, Summary, Termination, solve};
 pub use loss::Loss;
-pub use panel::Block;
+pub use panel::{Block, stacked};
 pub use robust::{GraduatedOptions, solve_graduated};
 
 /// Knowledge of one column apart from the samples: `x[column] = value +- sigma`, one extra residual row.
@@ -84,13 +84,17 @@ pub enum SolveError {
     #[error("no parameter is free; free at least one")]
     NothingFree,
     /// No sample is usable at the start.
-    #[error("none of the {samples} samples has a value at the start; check that the two logs overlap in time")]
+    #[error(
+        "none of the {samples} samples has a value at the start; check that the two logs overlap in time"
+    )]
     NoSamples {
         /// Samples offered.
         samples: usize,
     },
     /// A residual or derivative is not a number.
-    #[error("sample {sample} gives a residual or derivative that is not finite at the start; check its input")]
+    #[error(
+        "sample {sample} gives a residual or derivative that is not finite at the start; check its input"
+    )]
     NotFinite {
         /// Sample, from 0.
         sample: usize,

@@ -57,6 +57,9 @@ fn sparse_basis(mut basis: DMatrix<f64>) -> Vec<Vec<f64>> {
         pivots.push(pivot);
         basis = vanishing_at(&basis, pivot);
     }
+    if pivots.is_empty() {
+        return Vec::new();
+    }
     // Coefficients that give one at the own pivot and zero at the others.
     let at_pivots = full.select_rows(&pivots);
     let Some(inverse) = at_pivots.pseudo_inverse(1e-12).ok() else { return Vec::new() };
@@ -78,7 +81,10 @@ fn next_pivot(basis: &DMatrix<f64>) -> Option<usize> {
         alive.iter().filter(parallel).count()
     };
     // Of equals the longest row: the best conditioned pivot.
-    alive.iter().copied().max_by(|&i, &j| companions(i).cmp(&companions(j)).then(norms[i].total_cmp(&norms[j])))
+    alive
+        .iter()
+        .copied()
+        .max_by(|&i, &j| companions(i).cmp(&companions(j)).then(norms[i].total_cmp(&norms[j])))
 }
 
 /// Orthonormal basis of the vectors in the span of `basis` that are zero at `pivot`.

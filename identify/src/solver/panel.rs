@@ -180,8 +180,15 @@ pub(super) fn pass<P: Problem>(
 
 /// `H += J^T J` (both triangles), `g += J^T r`.
 pub(super) fn fold_normal(panel: &Panel, normal: &mut DMatrix<f64>, gradient: &mut DVector<f64>) {
-    normal.gemm(1.0, &panel.jacobian_transposed(), &panel.jacobian(), 1.0);
-    gradient.gemv(1.0, &panel.jacobian_transposed(), &panel.residual(), 1.0);
+    /// nalgebra hands larger products to a blocked, vectorised kernel that takes any strides; its own loops below
+    /// that size want contiguous columns.
+    const BLOCKED_KERNEL_ABOVE: usize = 5;
+    if panel.columns.min(panel.used) > BLOCKED_KERNEL_ABOVE {
+        normal.gemm(1.0, &panel.jacobian_transposed(), &panel.jacobian(), 1.0);
+    } else {
+        normal.gemm_tr(1.0, &panel.jacobian(), &panel.jacobian(), 1.0);
+    }
+    gradient.gemv_tr(1.0, &panel.jacobian(), &panel.residual(), 1.0);
 }
 
 /// `R <- triangle of [R; J]` by Householder QR, so that `R^T R` grows by `J^T J` without being formed.
@@ -191,4 +198,18 @@ pub(super) fn fold_triangle(jacobian: &DMatrixView<'_, f64, nalgebra::U1, Dyn>, 
     stacked.rows_mut(0, kept).copy_from(triangle);
     stacked.rows_mut(kept, jacobian.nrows()).copy_from(jacobian);
     *triangle = stacked.qr().unpack_r();
+}
+
+/// Residuals and Jacobian of all samples that have a value at `x`, stacked, without loss and priors: for looking at,
+/// and for other solvers. None where one of them is not finite.
+pub fn stacked<P: Problem>(problem: &P, x: &[f64]) -> Option<(DVector<f64>, DMatrix<f64>)> {
+    let mut residual = Vec::new();
+    let mut gradients = Vec::new();
+    pass(problem, x, Loss::Squared, Taking::WhatIsThere, |panel| {
+        residual.extend(panel.residual().iter().copied());
+        gradients.extend(panel.jacobian_transposed().iter().copied());
+    })
+    .ok()?;
+    let rows = residual.len();
+    Some((DVector::from_vec(residual), DMatrix::from_row_slice(rows, problem.columns(), &gradients)))
 }
