@@ -62,7 +62,7 @@ impl Replay {
         channels: usize,
         period_ns: i64,
     ) -> Result<(Self, ReplayHandle), ReplayError> {
-        if counts.is_empty() || channels == 0 || counts.len() % channels != 0 {
+        if counts.is_empty() || channels == 0 || !counts.len().is_multiple_of(channels) {
             return Err(ReplayError::Shape { counts: counts.len(), channels });
         }
         if period_ns <= 0 {
