@@ -8,7 +8,7 @@ use crate::operation::Ramp;
 /// A terminal in OP, and one that was not touched.
 fn operating() -> Wire {
     let mut wire = Wire::new(2, Ramp);
-    wire.to_safeop(TERMINAL);
+    wire.enter_safeop(TERMINAL);
     wire.process_data(0, 0);
     assert_eq!(wire.request(TERMINAL, OP), (OP, 0));
     wire

@@ -94,7 +94,7 @@ fn logical_commands_count_inputs_and_outputs_once_they_are_open() {
         [LRD, LWR, LRW].map(|command| wire.send([logical(command, 0, &data)])[0].working_counter)
     };
     assert_eq!(count(&mut wire), [0, 0, 0], "not mapped");
-    wire.to_preop(TERMINAL);
+    wire.enter_preop(TERMINAL);
     wire.map(TERMINAL);
     assert_eq!(count(&mut wire), [0, 0, 0], "the device opens process data in SAFE-OP");
     assert_eq!(wire.request(TERMINAL, SAFEOP), (SAFEOP, 0));
@@ -110,7 +110,7 @@ fn logical_commands_count_inputs_and_outputs_once_they_are_open() {
 #[test]
 fn an_fmmu_answers_for_its_part_of_a_datagram_only() {
     let mut wire = Wire::new(1, Ramp);
-    wire.to_safeop(TERMINAL);
+    wire.enter_safeop(TERMINAL);
     let [before, part, behind] =
         wire.send([logical(LRD, 0xffff_fff0, &[7; 16]), logical(LRD, 8, &[7; 4]), logical(LRD, 10, &[7; 4])]);
     assert_eq!((before.working_counter, before.data), (0, vec![7; 16]));
@@ -122,7 +122,7 @@ fn an_fmmu_answers_for_its_part_of_a_datagram_only() {
 #[test]
 fn the_mailbox_state_can_be_mapped_as_a_single_bit() {
     let mut wire = Wire::new(1, Ramp);
-    wire.to_preop(TERMINAL);
+    wire.enter_preop(TERMINAL);
     let mut registers = [0; 16];
     registers[..4].copy_from_slice(&100u32.to_le_bytes());
     registers[4] = 1; // one byte, of which bit 2
@@ -140,7 +140,7 @@ fn the_mailbox_state_can_be_mapped_as_a_single_bit() {
 #[test]
 fn a_full_mailbox_takes_nothing_and_an_empty_one_gives_nothing() {
     let mut wire = Wire::new(1, Ramp);
-    wire.to_preop(TERMINAL);
+    wire.enter_preop(TERMINAL);
     let mut upload = [0; 128];
     upload[..13].copy_from_slice(&[10, 0, 0, 0, 0, 0x13, 0, 0x20, 0x40, 0x00, 0x10, 0, 0]);
     let [empty] = wire.send([datagram(FPRD, TERMINAL, 0x1080, &[0; 128])]);
@@ -162,7 +162,7 @@ fn a_full_mailbox_takes_nothing_and_an_empty_one_gives_nothing() {
 #[test]
 fn a_mailbox_is_not_read_or_written_from_its_middle() {
     let mut wire = Wire::new(1, Ramp);
-    wire.to_preop(TERMINAL);
+    wire.enter_preop(TERMINAL);
     assert_eq!(wire.write(TERMINAL, 0x1004, &[0; 124]), 0);
     assert_eq!(wire.write(TERMINAL, 0x0ff0, &[0; 32]), 0, "across the border");
     assert_eq!(wire.write(TERMINAL, 0x1080, &[0; 128]), 0, "wrong direction");

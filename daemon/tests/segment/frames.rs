@@ -159,7 +159,7 @@ impl Wire {
         assert_eq!(self.write(station, 0x0600 + 16 * index, &registers), 1);
     }
 
-    pub fn to_preop(&mut self, station: u16) {
+    pub fn enter_preop(&mut self, station: u16) {
         self.sync_manager(station, 0, 0x1000, 128, 0x26);
         self.sync_manager(station, 1, 0x1080, 128, 0x22);
         assert_eq!(self.request(station, PREOP), (PREOP, 0));
@@ -173,8 +173,8 @@ impl Wire {
         self.fmmu(station, 1, 0, 10, 0x1180, 1);
     }
 
-    pub fn to_safeop(&mut self, station: u16) {
-        self.to_preop(station);
+    pub fn enter_safeop(&mut self, station: u16) {
+        self.enter_preop(station);
         self.map(station);
         assert_eq!(self.request(station, SAFEOP), (SAFEOP, 0));
     }

@@ -259,3 +259,94 @@ fn each_terminal_converts_once_a_cycle_and_all_at_the_same_time() {
         }
     }
 }
+
+#[test]
+fn the_bus_comes_back_after_a_restart_of_the_master() {
+    let mut bench = Bench::new(segment_with(5, Ramp));
+    let group = preop(&mut bench);
+    let group = operational(&mut bench, group);
+    let maindevice = bench.maindevice;
+    let group = bench.run(group.into_safe_op(maindevice)).expect("OP to SAFE-OP");
+    let group = bench.run(group.into_pre_op(maindevice)).expect("SAFE-OP to PRE-OP");
+    bench.run(group.into_init(maindevice)).expect("PRE-OP to INIT");
+    // Once in order, and once out of the blue.
+    let group = preop(&mut bench);
+    operational(&mut bench, group);
+    let group = preop(&mut bench);
+    let group = operational(&mut bench, group);
+    assert_eq!(cycle(&mut bench, &group).working_counter, 15);
+}
+
+#[test]
+fn without_distributed_clocks_counts_are_one_cycle_old() {
+    let mut bench = Bench::new(segment_with(2, Ramp));
+    let group = preop(&mut bench);
+    let maindevice = bench.maindevice;
+    let group = bench.run(group.into_pre_op_pdi(maindevice)).unwrap();
+    let group = bench.run(group.into_safe_op(maindevice)).unwrap();
+    let group = bench.run(group.request_into_op(maindevice)).unwrap();
+    let mut before_ns = 0;
+    for number in 0..50 {
+        let sent_ns = now_ns();
+        let response = bench.run(group.tx_rx(maindevice)).unwrap();
+        assert_eq!(response.working_counter, 6);
+        let bytes: [u8; 10] = group.subdevice(maindevice, 1).unwrap().inputs_raw()[..].try_into().unwrap();
+        let shown = u32::from_le_bytes(bytes[2..6].try_into().unwrap());
+        // The first terminal is one hop behind the coupler; a count lasts 4 us.
+        if number > 1 {
+            assert!(Ramp::count(0, before_ns + 150, 10).abs_diff(shown) <= 1, "cycle {number}");
+        }
+        before_ns = sent_ns;
+        pass_ns(sent_ns + PERIOD_NS - now_ns());
+    }
+}
+
+#[test]
+fn missed_frames_are_counted_and_a_long_pause_costs_nothing() {
+    let mut bench = Bench::new(segment_with(5, Ramp));
+    let group = preop(&mut bench);
+    let group = operational(&mut bench, group);
+    let maindevice = bench.maindevice;
+    let missed = |bench: &mut Bench| {
+        let terminal = group.subdevice(maindevice, 4).unwrap();
+        bench.run(terminal.sdo_read::<u16>(0x1c33, 0x0b)).unwrap()
+    };
+    for _ in 0..10 {
+        cycle(&mut bench, &group);
+    }
+    let before = missed(&mut bench);
+    cycle(&mut bench, &group);
+    pass_ns(3 * PERIOD_NS);
+    cycle(&mut bench, &group);
+    assert_eq!(inputs(&bench, &group, 3).0 >> 13 & 1, 1, "sync error of the last cycle");
+    cycle(&mut bench, &group);
+    assert_eq!(inputs(&bench, &group, 3).0 >> 13 & 1, 0, "not latched");
+    assert_eq!(missed(&mut bench) - before, 3);
+    pass_ns(30 * 86_400 * 1_000_000_000);
+    assert_eq!(missed(&mut bench), u16::MAX, "259 200 000 events");
+    for _ in 0..10 {
+        assert_eq!(cycle(&mut bench, &group).working_counter, 15);
+    }
+}
+
+#[test]
+fn the_latch_finds_the_reference_mark_over_the_bus() {
+    let motion = SmoothMotion::new(1, 3600, 11);
+    let mut bench = Bench::new(segment_with(1, motion));
+    let group = preop(&mut bench);
+    let group = operational(&mut bench, group);
+    group.subdevice(bench.maindevice, 1).unwrap().outputs_raw_mut()[0] = 0x01;
+    let mut latched = Vec::new();
+    for _ in 0..12_000 {
+        cycle(&mut bench, &group);
+        let (status, counter, latch) = inputs(&bench, &group, 0);
+        if status & 1 != 0 {
+            assert!(latched.is_empty() || latched.contains(&latch));
+            if latched.is_empty() {
+                assert!(latch.abs_diff(counter) < 3000, "the mark lies close to where it was passed");
+            }
+            latched.push(latch);
+        }
+    }
+    assert!(!latched.is_empty());
+}

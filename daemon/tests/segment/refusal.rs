@@ -8,7 +8,7 @@ const SYNC01: u8 = 0x07;
 
 fn preop() -> Wire {
     let mut wire = Wire::new(1, Ramp);
-    wire.to_preop(TERMINAL);
+    wire.enter_preop(TERMINAL);
     wire
 }
 

@@ -43,7 +43,7 @@ fn without_distributed_clocks_rows_follow_the_frames() {
     let counts = recording(20, 1);
     let (replay, handle) = Replay::new(counts.clone(), 1, PERIOD_NS).unwrap();
     let mut wire = Wire::new(1, replay);
-    wire.to_safeop(TERMINAL);
+    wire.enter_safeop(TERMINAL);
     wire.process_data(0, 0);
     assert_eq!(wire.request(TERMINAL, OP), (OP, 0));
     wire.process_data(0, 0);

@@ -169,12 +169,13 @@ impl DistributedClock {
             (None, None) => return,
         };
         self.difference_ns += (deviation_ns - self.difference_ns) / f64::from(1u32 << self.filter_depth);
-        let deviation_ns = deviation_ns.clamp(-DEVIATION_LIMIT_NS, DEVIATION_LIMIT_NS);
         let mut correction = self.clock.correction;
-        if let Some(last_ns) = self.last_follow_ns {
+        // While the clock slews, its deviation says nothing about its rate.
+        if let Some(last_ns) = self.last_follow_ns.filter(|_| deviation_ns.abs() < DEVIATION_LIMIT_NS) {
             let elapsed_ns = now_ns.saturating_sub(last_ns).max(1) as f64;
             correction -= INTEGRAL * deviation_ns / elapsed_ns;
         }
+        let deviation_ns = deviation_ns.clamp(-DEVIATION_LIMIT_NS, DEVIATION_LIMIT_NS);
         self.last_follow_ns = Some(now_ns);
         let correction = correction.clamp(-CORRECTION_LIMIT, CORRECTION_LIMIT);
         self.clock.adjust(now_ns, -PROPORTIONAL * deviation_ns, correction);
@@ -232,5 +233,87 @@ impl DistributedClock {
         self.pulsed = true;
         let true_ns = self.clock.true_ns(system_ns.wrapping_sub(self.offset_ns));
         Some(Pulses { count: after_first as u64 + 1, system_ns, true_ns })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: i64 = 1_000_000;
+
+    fn running(start_ns: i64) -> DistributedClock {
+        let mut clock = DistributedClock::new(LocalClock::new(0, 0, 20.0));
+        clock.set_cycle(start_ns, 10 * MS as u32, 25_000);
+        clock.activate(0x07, 0);
+        clock
+    }
+
+    #[test]
+    fn a_local_clock_can_be_read_backwards_over_years() {
+        let clock = LocalClock::new(1_700_000_000_000_000_000, 123_456, -17.3);
+        for elapsed_ns in [0, 1, 999, 1_000_000_007, 86_400_000_000_000, 63_000_000_000_000_000] {
+            let true_ns = 1_700_000_000_000_000_000 + elapsed_ns;
+            let back_ns = clock.true_ns(clock.local_ns(true_ns));
+            // One part in 2^53 of what the clock gained in two years is a few ns.
+            assert!((back_ns - true_ns).abs() <= 1 + elapsed_ns / 10_i64.pow(16), "{elapsed_ns}");
+        }
+    }
+
+    #[test]
+    fn followers_with_different_drift_settle_on_the_reference_within_thousands_of_frames() {
+        let reference = LocalClock::new(0, 1_000_000, 18.0);
+        for drift_ppm in [-50.0, -3.0, 0.0, 40.0] {
+            let mut follower = DistributedClock::new(LocalClock::new(0, 77, drift_ppm));
+            follower.set_filter_depth(0);
+            follower.delay_ns = 300;
+            follower.offset_ns = 1_000_300 - 77 + 2_000;
+            for frame in 1..3000 {
+                let now_ns = frame * 20_000;
+                follower.follow(&reference.local_ns(now_ns).to_le_bytes(), now_ns + 300);
+            }
+            assert!(follower.difference() & 0x7fff_ffff <= 3, "{drift_ppm} ppm: {}", follower.difference());
+        }
+    }
+
+    #[test]
+    fn a_clock_that_is_behind_shows_it_in_the_sign_bit() {
+        let mut clock = DistributedClock::new(LocalClock::new(0, 0, 0.0));
+        clock.set_filter_depth(0);
+        clock.follow(&(1000i64 + 64).to_le_bytes(), 1000);
+        assert_eq!(clock.difference(), 0x8000_0040);
+        clock.reset_loop(2000);
+        let own_ns = clock.system_ns(2000);
+        clock.follow(&(own_ns as u32 - 64).to_le_bytes(), 2000);
+        assert_eq!(clock.difference(), 64, "four bytes are enough");
+    }
+
+    #[test]
+    fn pulses_come_at_their_nominal_times_and_only_when_they_are_old_enough() {
+        let mut clock = running(20 * MS);
+        assert_eq!(clock.take_pulses(19 * MS, 0), None);
+        assert_eq!(clock.take_pulses(20 * MS + 20_000, 28_000), None);
+        let first = clock.take_pulses(20 * MS + 29_000, 28_000).unwrap();
+        assert_eq!((first.count, first.system_ns), (1, 20 * MS));
+        // The local clock gains 20 ppm: its 20 ms are over 400 ns early.
+        assert!((first.true_ns - (20 * MS - 400)).abs() <= 1);
+        assert_eq!(clock.take_pulses(29 * MS, 28_000), None);
+    }
+
+    #[test]
+    fn a_long_pause_is_one_step() {
+        let mut clock = running(20 * MS);
+        let year_ns = 365 * 86_400 * 1_000_000_000;
+        let pulses = clock.take_pulses(year_ns, 0).unwrap();
+        assert_eq!(pulses.count as i64, (pulses.system_ns - 20 * MS) / (10 * MS) + 1);
+        assert!(year_ns - pulses.true_ns <= 10 * MS);
+        assert_eq!(clock.take_pulses(year_ns + MS / 10, 0), None);
+    }
+
+    #[test]
+    fn a_start_in_the_past_gives_no_pulses() {
+        let mut clock = running(-1);
+        assert_eq!(clock.take_pulses(1000 * MS, 0), None);
+        assert_eq!(clock.readiness(1000 * MS), SyncReadiness::Waiting);
     }
 }

@@ -143,3 +143,74 @@ impl EncoderSource for SmoothMotion {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const STEP_NS: i64 = 10_000_000;
+
+    fn positions(
+        motion: &mut SmoothMotion,
+        joint: usize,
+        steps: i64,
+    ) -> Vec<(Periods, f64, Option<Periods>)> {
+        (0..steps)
+            .map(|step| {
+                let at = Conversion { true_time_ns: step * STEP_NS, system_time_ns: None };
+                match motion.signal(joint, at) {
+                    Signal::Turning { position, periods_per_s, reference_mark, .. } => {
+                        (position, periods_per_s, reference_mark)
+                    }
+                    Signal::Recorded { .. } => panic!("a motion is not a recording"),
+                }
+            })
+            .collect()
+    }
+
+    #[test]
+    fn every_joint_stays_within_its_limits_and_moves() {
+        for seed in 0..20 {
+            let motion = SmoothMotion::new(5, 3600, seed);
+            for joint in 0..5 {
+                let angles: Vec<f64> =
+                    (0..6000).map(|step| motion.angle_rad(joint, step * STEP_NS)).collect();
+                assert!(angles.iter().all(|angle| angle.abs() <= ANGLE_MAX_RAD));
+                let fastest = angles.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max);
+                assert!((0.02..=SPEED_MAX_RAD_PER_S).contains(&(fastest * 100.0)), "{fastest}");
+            }
+        }
+    }
+
+    #[test]
+    fn speed_is_the_change_of_position() {
+        let mut motion = SmoothMotion::new(1, 3600, 4);
+        for pair in positions(&mut motion, 0, 2000).windows(2) {
+            let change = (pair[1].0.0 - pair[0].0.0) as f64 / Periods::ONE as f64 * 100.0;
+            let mean = (pair[0].1 + pair[1].1) / 2.0;
+            assert!((change - mean).abs() < 0.01, "{change} against {mean} periods/s");
+        }
+    }
+
+    #[test]
+    fn the_reference_mark_is_reported_when_it_is_passed_and_always_at_the_same_place() {
+        let mut motion = SmoothMotion::new(5, 3600, 11);
+        let mut places = Vec::new();
+        for pair in positions(&mut motion, 2, 12_000).windows(2) {
+            let (from, to) = (pair[0].0.min(pair[1].0), pair[0].0.max(pair[1].0));
+            if let Some(mark) = pair[1].2 {
+                assert!(from <= mark && mark <= to);
+                places.push(mark);
+            }
+        }
+        assert!(places.len() > 1 && places.iter().all(|place| *place == places[0]), "{places:?}");
+    }
+
+    #[test]
+    fn the_same_seed_gives_the_same_motion() {
+        let at = 1_800_000_000_123_456_789;
+        let angle = |seed| SmoothMotion::new(5, 3600, seed).angle_rad(3, at);
+        assert_eq!(angle(9), angle(9));
+        assert_ne!(angle(9), angle(10));
+    }
+}

@@ -162,3 +162,141 @@ impl Counter {
 fn directed(position: Periods, settings: &Settings) -> Periods {
     if settings.reversed { Periods(position.0.wrapping_neg()) } else { position }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(periods: f64, periods_per_s: f64, mark: Option<f64>) -> Signal {
+        Signal::Turning {
+            position: Periods::from_f64(periods),
+            periods_per_s,
+            amplitude: 1.0,
+            reference_mark: mark.map(Periods::from_f64),
+            on_reference_mark: false,
+        }
+    }
+
+    #[derive(Default)]
+    struct Terminal {
+        counter: Counter,
+        settings: Settings,
+        outputs: Outputs,
+        inputs: Inputs,
+    }
+
+    impl Terminal {
+        fn with_bits(bits: u8) -> Self {
+            Self { settings: Settings { bits, ..Settings::default() }, ..Self::default() }
+        }
+
+        fn convert(&mut self, signal: Signal) -> u32 {
+            self.counter.convert(signal, &self.settings, &self.outputs, &mut self.inputs);
+            self.inputs.counter
+        }
+    }
+
+    #[test]
+    fn whole_periods_stand_above_the_interpolated_fraction() {
+        for bits in BITS {
+            let mut terminal = Terminal::with_bits(bits);
+            assert_eq!(terminal.convert(at(5.75, 0.0, None)), (5 << bits) + 3 * (1 << bits) / 4);
+            assert_eq!(terminal.convert(at(-0.25, 0.0, None)), 0u32.wrapping_sub(1 << (bits - 2)));
+        }
+    }
+
+    #[test]
+    fn at_12_bits_the_counter_wraps_after_1_048_576_periods() {
+        let mut terminal = Terminal::with_bits(12);
+        assert_eq!(terminal.convert(at(1_048_576.5, 0.0, None)), 2048);
+    }
+
+    #[test]
+    fn resolution_is_full_below_750_hz_and_6_bits_at_80_khz() {
+        let settings = Settings { bits: 12, ..Settings::default() };
+        let frozen = [(0.0, 0), (749.0, 0), (751.0, 1), (1499.0, 1), (1501.0, 2), (80e3, 6)];
+        for (frequency_hz, bits) in frozen {
+            assert_eq!(settings.frozen_bits(frequency_hz), bits, "{frequency_hz} Hz");
+        }
+    }
+
+    #[test]
+    fn frozen_bits_keep_what_they_showed_and_no_status_bit_tells() {
+        let mut terminal = Terminal::with_bits(12);
+        let slow = terminal.convert(at(1.0 + 5.0 / 4096.0, 100.0, None));
+        let fast = terminal.convert(at(2.0 + 2.0 / 4096.0, 4000.0, None));
+        assert_eq!((slow & 7, fast & 7, fast >> 3), (5, 5, 2 << 9));
+        assert_eq!(terminal.inputs.status(), 0);
+    }
+
+    #[test]
+    fn too_fast_or_too_weak_is_reported_and_makes_the_inputs_invalid() {
+        let mut terminal = Terminal::with_bits(12);
+        terminal.convert(at(0.0, -81e3, None));
+        assert_eq!(terminal.inputs.status(), 1 << 3 | 1 << 14);
+        let weak = Signal::Turning {
+            position: Periods(0),
+            periods_per_s: 0.0,
+            amplitude: 0.1,
+            reference_mark: None,
+            on_reference_mark: true,
+        };
+        terminal.convert(weak);
+        assert_eq!(terminal.inputs.status(), 1 << 4 | 1 << 10 | 1 << 14);
+        terminal.settings.amplitude_error = false;
+        terminal.convert(weak);
+        assert_eq!(terminal.inputs.status(), 1 << 10);
+    }
+
+    #[test]
+    fn the_latch_takes_the_first_mark_after_arming_and_keeps_it() {
+        let mut terminal = Terminal::with_bits(12);
+        terminal.convert(at(1.0, 0.0, Some(0.5)));
+        assert!(!terminal.inputs.latch_valid, "not armed");
+        terminal.outputs.enable_latch = true;
+        terminal.convert(at(3.0, 0.0, Some(2.25)));
+        terminal.convert(at(9.0, 0.0, Some(8.0)));
+        assert_eq!((terminal.inputs.latch_valid, terminal.inputs.latch), (true, (2 << 12) + 1024));
+        terminal.outputs.enable_latch = false;
+        terminal.convert(at(9.0, 0.0, None));
+        assert!(!terminal.inputs.latch_valid);
+        terminal.outputs.enable_latch = true;
+        terminal.convert(at(12.0, 0.0, Some(11.0)));
+        assert_eq!((terminal.inputs.latch_valid, terminal.inputs.latch), (true, 11 << 12));
+    }
+
+    #[test]
+    fn set_counter_acts_on_the_rising_request_and_done_follows_it() {
+        let mut terminal = Terminal::with_bits(10);
+        terminal.outputs = Outputs { set_counter: true, set_value: 5000, enable_latch: false };
+        assert_eq!(terminal.convert(at(7.5, 0.0, None)), 5000);
+        assert_eq!(terminal.convert(at(8.5, 0.0, None)), 5000 + 1024, "once only");
+        assert!(terminal.inputs.set_done);
+        terminal.outputs.set_counter = false;
+        terminal.convert(at(8.5, 0.0, None));
+        assert!(!terminal.inputs.set_done);
+    }
+
+    #[test]
+    fn reset_on_c_counts_from_the_mark() {
+        let mut terminal = Terminal::with_bits(12);
+        terminal.settings.reset_on_c = true;
+        assert_eq!(terminal.convert(at(10.25, 0.0, Some(10.0))), 1024);
+        assert_eq!(terminal.convert(at(11.0, 0.0, None)), 4096);
+    }
+
+    #[test]
+    fn reversed_counts_run_backwards() {
+        let mut terminal = Terminal::with_bits(12);
+        terminal.settings.reversed = true;
+        assert_eq!(terminal.convert(at(2.0, 0.0, None)), 0u32.wrapping_sub(2 << 12));
+    }
+
+    #[test]
+    fn a_recorded_count_passes_whatever_is_set() {
+        let mut terminal = Terminal::with_bits(8);
+        terminal.settings.reversed = true;
+        terminal.outputs.set_counter = true;
+        assert_eq!(terminal.convert(Signal::Recorded { count: 0xdead_beef }), 0xdead_beef);
+    }
+}
