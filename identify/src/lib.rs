@@ -1,1 +1,3 @@
 //! Calibration of a robot from a ball-bar recording and the robot's own log.
+
+pub mod logs;
