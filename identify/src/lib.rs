@@ -1,3 +1,4 @@
 //! Calibration of a robot from a ball-bar recording and the robot's own log.
 
+pub mod kinematics;
 pub mod logs;
