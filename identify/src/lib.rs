@@ -2,3 +2,4 @@
 
 pub mod kinematics;
 pub mod logs;
+pub mod simulate;
