@@ -146,6 +146,7 @@ pub fn ball_bar_inverse_refined(
 ) -> Result<[f64; BAR_JOINTS], InverseError> {
     let mut starts = ball_bar_inverse(chain, target)?
         .map(|(_, joints)| std::array::from_fn(|i| nearest_turn(joints[i], near[i])));
-    starts.sort_by(|a: &[f64; BAR_JOINTS], b| distance_squared(a, near).total_cmp(&distance_squared(b, near)));
+    starts
+        .sort_by(|a: &[f64; BAR_JOINTS], b| distance_squared(a, near).total_cmp(&distance_squared(b, near)));
     refine(chain, target, starts[0])
 }

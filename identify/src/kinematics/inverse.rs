@@ -101,11 +101,8 @@ pub(super) fn point_z(
     let across = direction.x.hypot(direction.y);
     let second = (side * across).atan2(-signs[0] * signs[1] * direction.z);
     let factor = side * signs[1];
-    let first = if across < 1e-9 {
-        first_if_free
-    } else {
-        (factor * direction.y).atan2(factor * direction.x)
-    };
+    let first =
+        if across < 1e-9 { first_if_free } else { (factor * direction.y).atan2(factor * direction.x) };
     (first, second)
 }
 
@@ -142,8 +139,19 @@ pub(super) fn distance_squared<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f6
 pub(super) fn pose_error(target: &Pose, end: &Pose) -> SVector<f64, 6> {
     let position = target.translation.vector - end.translation.vector;
     let rotation: Rotation3<f64> = target.rotation * end.rotation.inverse();
-    let turn = rotation.scaled_axis();
+    let turn = rotation_vector(rotation.matrix());
     SVector::from_iterator(position.iter().chain(turn.iter()).copied())
+}
+
+/// Axis times angle \[rad\]. By arc tangent: the arc cosine of the trace loses half the digits at small angles.
+/// At half a turn, where no axis is preferred, it is zero.
+pub(crate) fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
+    let r = rotation;
+    let twice_sine = Vector3::new(r[(2, 1)] - r[(1, 2)], r[(0, 2)] - r[(2, 0)], r[(1, 0)] - r[(0, 1)]);
+    let sine = 0.5 * twice_sine.norm();
+    let angle = sine.atan2(0.5 * (r.trace() - 1.0));
+    // Below this, angle and sine are the same number.
+    if sine < 1e-9 { 0.5 * twice_sine } else { twice_sine * (0.5 * angle / sine) }
 }
 
 /// Gauss-Newton on the chain as it is; with six joints it is Newton's method. Metres and radians weigh the same.

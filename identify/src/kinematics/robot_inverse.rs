@@ -60,8 +60,8 @@ impl Arm {
             // Forearm from elbow to wrist: a3 along x of link 3, d4 across it.
             let forearm_m = self.a3_m.hypot(self.d4_m);
             let bend = (-sign3 * self.d4_m).atan2(self.a3_m);
-            let cos_elbow = (out * out + up * up - self.a2_m.powi(2) - forearm_m.powi(2))
-                / (2.0 * self.a2_m * forearm_m);
+            let cos_elbow =
+                (out * out + up * up - self.a2_m.powi(2) - forearm_m.powi(2)) / (2.0 * self.a2_m * forearm_m);
             let Some(elbow) = clamped(cos_elbow).map(f64::acos) else { continue };
             for elbow in [elbow, -elbow] {
                 let (s, c) = elbow.sin_cos();

@@ -154,7 +154,6 @@ impl Tracer {
             });
             origin = origin_after;
         }
-        trace.end =
-            Pose::from_parts(origin.into(), nalgebra::Rotation3::from_matrix_unchecked(rotation));
+        trace.end = Pose::from_parts(origin.into(), nalgebra::Rotation3::from_matrix_unchecked(rotation));
     }
 }
