@@ -11,7 +11,13 @@ use crate::kinematics::{Chain, robot_inverse, singularity_margin_rad};
 /// Time between two looks at a move \[s\].
 const LOOK_S: f64 = 0.05;
 /// Points tried before giving up.
-const TRIES: usize = 3000;
+const TRIES: usize = 300;
+/// How often a corner without a way out may be left again.
+const RETREATS: usize = 60;
+/// Moves given up then.
+const MOVES_GIVEN_UP: usize = 4;
+/// A move goes this part of the way to a random point.
+const PART_OF_WAY: std::ops::Range<f64> = 0.3..1.0;
 /// Every how many points the robot stands still.
 const MOVES_PER_STOP: usize = 3;
 /// A move begins this part of its own or the former's duration before the former ends, whichever is shorter.
@@ -111,6 +117,13 @@ struct Planner<'a> {
     design: &'a Design,
 }
 
+/// What trying to add a move came to.
+enum Extension {
+    Reached(Waypoint),
+    TimeIsUp,
+    None,
+}
+
 /// A path for nominal chains, and the robot's joints at its start.
 ///
 /// # Errors
@@ -128,39 +141,15 @@ pub fn plan(
     let planner = Planner { robot, bar, limits_rad, design };
     let (start_rad, robot_rad) = planner.start(random)?;
     let mut path = Path { start_rad, moves: Vec::new(), duration_s: design.duration_s };
-    let mut robot_at_end = robot_rad;
-    let mut point = start_rad;
-    let mut obstacles = Obstacles::default();
-    let mut tries = 0;
-    let end_s = design.duration_s - END_STANDSTILLS * design.standstill_s;
-    loop {
-        let target = planner.point(random);
-        let speed = design.bar_speed_rad_s * random.random_range(SPEED_RANGE);
-        let step = planner.next_move(&path, &point, &target, speed);
-        let too_long = step.end_s() > end_s;
-        if too_long && path.moves.len() >= MOVES_MIN {
-            return Ok((path, robot_rad));
-        }
-        match planner.follow(&mut path, step, &robot_at_end) {
-            Ok(robot) if !too_long => (point, robot_at_end, tries) = (target, robot, 0),
-            outcome => {
-                if let Err(obstacle) = outcome {
-                    obstacles.count(obstacle);
-                } else {
-                    path.moves.pop();
-                }
-                tries += 1;
-            }
-        }
-        if tries > TRIES {
-            return Err(PlanError::Stuck {
-                moves: path.moves.len(),
-                time_s: path.moves.last().map_or(0.0, Move::end_s),
-                duration_s: design.duration_s,
-                obstacle: obstacles.worst(),
-            });
-        }
-    }
+    planner.fill(&mut path, Waypoint { bar_rad: start_rad, robot_rad }, random)?;
+    Ok((path, robot_rad))
+}
+
+/// A point of the path and the robot's joints there.
+#[derive(Clone, Copy)]
+struct Waypoint {
+    bar_rad: [f64; 5],
+    robot_rad: [f64; 6],
 }
 
 impl Planner<'_> {
@@ -184,6 +173,62 @@ impl Planner<'_> {
             base_m: self.design.base_m,
             obstacle: obstacles.worst(),
         })
+    }
+
+    /// Adds moves until the time is used up. Where no next move is found the last few are given up: a joint near its
+    /// limit may leave no way on.
+    fn fill(&self, path: &mut Path, start: Waypoint, random: &mut impl Rng) -> Result<(), PlanError> {
+        let end_s = self.design.duration_s - END_STANDSTILLS * self.design.standstill_s;
+        let mut waypoints = vec![start];
+        let mut obstacles = Obstacles::default();
+        let mut retreats = 0;
+        while let Some(&from) = waypoints.last() {
+            match self.extend(path, &from, end_s, &mut obstacles, random) {
+                Extension::Reached(next) => waypoints.push(next),
+                Extension::TimeIsUp if path.moves.len() >= MOVES_MIN => return Ok(()),
+                Extension::TimeIsUp | Extension::None => {
+                    retreats += 1;
+                    if retreats > RETREATS {
+                        break;
+                    }
+                    let kept = path.moves.len().saturating_sub(MOVES_GIVEN_UP);
+                    path.moves.truncate(kept);
+                    waypoints.truncate(kept + 1);
+                }
+            }
+        }
+        Err(PlanError::Stuck {
+            moves: path.moves.len(),
+            time_s: path.moves.last().map_or(0.0, Move::end_s),
+            duration_s: self.design.duration_s,
+            obstacle: obstacles.worst(),
+        })
+    }
+
+    /// Tries moves from the last point until one is found.
+    fn extend(
+        &self,
+        path: &mut Path,
+        from: &Waypoint,
+        end_s: f64,
+        obstacles: &mut Obstacles,
+        random: &mut impl Rng,
+    ) -> Extension {
+        for _ in 0..TRIES {
+            // Part of the way to a point anywhere: a line stays within the ranges, and a short one is found more easily.
+            let (goal, part) = (self.point(random), random.random_range(PART_OF_WAY));
+            let bar_rad = std::array::from_fn(|i| from.bar_rad[i] + part * (goal[i] - from.bar_rad[i]));
+            let speed = self.design.bar_speed_rad_s * random.random_range(SPEED_RANGE);
+            let step = self.next_move(path, &from.bar_rad, &bar_rad, speed);
+            if step.end_s() > end_s {
+                return Extension::TimeIsUp;
+            }
+            match self.follow(path, step, &from.robot_rad) {
+                Ok(robot_rad) => return Extension::Reached(Waypoint { bar_rad, robot_rad }),
+                Err(obstacle) => obstacles.count(obstacle),
+            }
+        }
+        Extension::None
     }
 
     /// The move from `from` to `to`, timed so that it joins the path.
