@@ -68,7 +68,7 @@ pub fn prepare(
     let kept = samples.keep(&predictor, clock, margin_rad, options, counts)?;
 
     let observations = kept
-        .iter
+        .indices
         .iter()
         .filter_map(|&index| samples.all.get(index))
         .map(|&(t_s, bar_rad)| Observation { t_s, bar_rad, measured: angles.measured, length_m: None })
@@ -194,7 +194,7 @@ struct Samples {
 
 /// Which samples are kept, and what became of the others.
 struct Kept {
-    iter: Vec<usize>,
+    indices: Vec<usize>,
     counts: SampleCounts,
 }
 
@@ -256,22 +256,22 @@ impl Samples {
             usable.iter().filter_map(|&index| self.all.get(index)).map(|(_, angles)| *angles).collect();
         let motion_min_rad = options.motion_min_mrad * 1e-3;
         let moving = apart(&angles, motion_min_rad).len();
-        let iter: Vec<usize> = select(&angles, motion_min_rad, options.points_max)
+        let indices: Vec<usize> = select(&angles, motion_min_rad, options.points_max)
             .into_iter()
             .filter_map(|index| usable.get(index).copied())
             .collect();
         counts.standstill = usable.len() - moving;
-        counts.surplus = moving.saturating_sub(iter.len());
-        counts.kept = iter.len();
-        if iter.len() < KEPT_MIN {
+        counts.surplus = moving.saturating_sub(indices.len());
+        counts.kept = indices.len();
+        if indices.len() < KEPT_MIN {
             return Err(PrepareError::NothingLeft {
-                kept: iter.len(),
+                kept: indices.len(),
                 outside: counts.outside_robot_log,
                 singular: counts.singular,
                 standstill: counts.standstill,
             });
         }
-        Ok(Kept { iter, counts })
+        Ok(Kept { indices, counts })
     }
 }
 

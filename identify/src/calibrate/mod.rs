@@ -1,0 +1,3 @@
+//! From data to a calibrated robot.
+
+pub mod measured_length;
