@@ -3,5 +3,8 @@
 pub mod calibrate;
 pub mod cost;
 pub mod kinematics;
+pub mod logs;
 pub mod model;
+pub mod prepare;
+pub mod simulate;
 pub mod solver;
