@@ -7,7 +7,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use rtrb::{Consumer, Producer, PushError, RingBuffer};
-use shared::recording::schema::{CycleRecord, EncoderSample, Event, EventKind, flags};
+use shared::recording::schema::{CycleRecord, EncoderSample, Event, EventKind, RunMetadata, flags};
 use shared::recording::{RecordingWriter, RunFile, WriteError};
 use shared::time::UtcNs;
 
@@ -90,23 +90,23 @@ pub struct Recorder {
 }
 
 impl Recorder {
-    /// A recorder whose file survives with all but the last `sync_period`, or that many cycles of `cycle_period_ns`.
+    /// A recorder of the run that `writer` began with `run`; a kill costs the last `sync_period` at most.
     pub fn new(
         source: CycleSource,
         writer: RecordingWriter<RunFile>,
         clock: Clock,
         sync_period: Duration,
-        cycle_period_ns: u64,
-        utc_minus_monotonic_ns: i64,
+        run: &RunMetadata,
     ) -> Self {
         Self {
             source,
             writer,
             clock,
             sync_period,
-            sync_cycles: (sync_period.as_nanos() as u64 / cycle_period_ns.max(1)).max(1),
-            utc_minus_monotonic_ns,
-            cycle_period_ns: cycle_period_ns as i64,
+            // On virtual time a second of cycles passes in no time at all.
+            sync_cycles: (sync_period.as_nanos() as u64 / run.cycle_period_ns.max(1)).max(1),
+            utc_minus_monotonic_ns: run.utc_minus_monotonic_ns,
+            cycle_period_ns: run.cycle_period_ns as i64,
             lost: 0,
             last: None,
         }
@@ -220,12 +220,12 @@ impl Recorder {
 mod tests {
     use shared::encoder::EncoderScale;
     use shared::recording::Recording;
-    use shared::recording::schema::{EncoderInfo, RunMetadata};
+    use shared::recording::schema::EncoderInfo;
 
     use super::*;
 
-    fn writer(directory: &std::path::Path) -> RecordingWriter<RunFile> {
-        let run = RunMetadata {
+    fn metadata() -> RunMetadata {
+        RunMetadata {
             name: "ring".into(),
             operator: String::new(),
             robot: String::new(),
@@ -240,8 +240,7 @@ mod tests {
             devices: Vec::new(),
             daemon_config: String::new(),
             ball_bar_config: String::new(),
-        };
-        RecordingWriter::create(directory, &run).unwrap()
+        }
     }
 
     fn cycle(cycle: u64) -> CycleRecord {
@@ -261,14 +260,9 @@ mod tests {
         let (mut sink, source) = ring(capacity, &Clock::Real);
         (0..cycles).for_each(|number| sink.push(&cycle(number)));
         drop(sink);
-        let recorder = Recorder::new(
-            source,
-            writer(directory.path()),
-            Clock::Real,
-            Duration::from_secs(1),
-            10_000_000,
-            0,
-        );
+        let run = metadata();
+        let writer = RecordingWriter::create(directory.path(), &run).unwrap();
+        let recorder = Recorder::new(source, writer, Clock::Real, Duration::from_secs(1), &run);
         let summary = recorder.run(|| "test over".into()).unwrap();
         (Recording::open(&summary.path).unwrap(), summary)
     }

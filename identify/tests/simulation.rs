@@ -86,7 +86,11 @@ fn all_joints_are_excited_and_the_robot_stands_still_several_times() {
         let bar_spans: [f64; 5] = std::array::from_fn(|j| span(&mut bars.iter().map(|b| b[j])).to_degrees());
         let robot_spans: [f64; 6] =
             std::array::from_fn(|j| span(&mut run.robot_log.q_rad.iter().map(|q| q[j])).to_degrees());
-        println!("{}: bar {bar_spans:.0?} robot {robot_spans:.0?} deg, {} moves", robot.name, run.motion.path.moves.len());
+        println!(
+            "{}: bar {bar_spans:.0?} robot {robot_spans:.0?} deg, {} moves",
+            robot.name,
+            run.motion.path.moves.len()
+        );
         assert!(bar_spans.iter().all(|&s| s > 50.0));
         assert!(robot_spans.iter().all(|&s| s > 25.0));
         let mut still_s = 0.0;
@@ -154,7 +158,13 @@ fn effects_have_the_size_that_was_asked_for() {
     let clean = simulate::run(&Experiment::new(robot, &bar)).unwrap();
     let noisy = |effects| simulate::run(&Experiment { effects, ..Experiment::new(robot, &bar) }).unwrap();
     let differences = |run: &Simulated| -> Vec<f64> {
-        run.robot_log.q_rad.iter().flatten().zip(clean.robot_log.q_rad.iter().flatten()).map(|(a, b)| a - b).collect()
+        run.robot_log
+            .q_rad
+            .iter()
+            .flatten()
+            .zip(clean.robot_log.q_rad.iter().flatten())
+            .map(|(a, b)| a - b)
+            .collect()
     };
     let noise = differences(&noisy(Effects { robot_noise_urad: 100.0, ..Effects::default() }));
     let sigma = (noise.iter().map(|d| d * d).sum::<f64>() / noise.len() as f64).sqrt();
@@ -176,7 +186,8 @@ fn effects_have_the_size_that_was_asked_for() {
 fn a_bar_out_of_reach_is_refused_with_what_to_change() {
     let (robot, bar) = (&robots()[0], bar());
     let design = Design { base_m: [4.0, 0.0, 0.0], ..Design::IRB_2400 };
-    let error = simulate::run(&Experiment { design, ..Experiment::new(robot, &bar) }).unwrap_err().to_string();
+    let error =
+        simulate::run(&Experiment { design, ..Experiment::new(robot, &bar) }).unwrap_err().to_string();
     assert!(error.contains("reach") && error.contains("base_m"), "{error}");
 }
 
@@ -184,7 +195,8 @@ fn a_bar_out_of_reach_is_refused_with_what_to_change() {
 fn other_configurations_of_the_bar_can_be_simulated() {
     let (robot, bar) = (&robots()[0], bar());
     for wanted in Configuration::ALL {
-        let run = simulate::run(&Experiment { design: design_in(wanted), ..Experiment::new(robot, &bar) }).unwrap();
+        let run =
+            simulate::run(&Experiment { design: design_in(wanted), ..Experiment::new(robot, &bar) }).unwrap();
         assert_eq!(Configuration::of(&run.motion.path.at(50.0)), wanted);
     }
 }

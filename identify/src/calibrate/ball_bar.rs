@@ -83,11 +83,7 @@ pub fn calibrate(
 }
 
 /// Nominal robot and bar, at the place and with the encoder offsets that the preparation found.
-fn start_model(
-    prepared: &Prepared,
-    robot: &RobotConfig,
-    bar: &BallBarConfig,
-) -> Result<Model, ModelError> {
+fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) -> Result<Model, ModelError> {
     let mut model = Model::ball_bar(&robot_chain(robot, bar), &ball_bar_chain(bar));
     let initial = &prepared.initial;
     for axis in Axis::ALL {

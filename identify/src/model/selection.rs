@@ -13,7 +13,9 @@ pub const THESIS_FIXED: [&str; 9] =
 pub enum Selection {
     /// The thesis' 38: robot and bar links and the bar's place, without [`THESIS_FIXED`].
     Thesis,
-    /// And the two rotations of the bar's base, which is never parallel to the robot's in a real cell.
+    /// And clock shift and skew, for logs on two clocks.
+    ThesisWithClocks,
+    /// The thesis' 38 and the two rotations of the bar's base, which is never parallel to the robot's in a real cell.
     Cell,
     /// And clock shift and skew, for logs on two clocks.
     CellWithClocks,
@@ -29,7 +31,9 @@ impl Selection {
                 !THESIS_FIXED.contains(&id.to_string().as_str())
             }
             ParameterId::BaseRotation(_) => matches!(self, Self::Cell | Self::CellWithClocks),
-            ParameterId::ClockShift | ParameterId::ClockSkew => self == Self::CellWithClocks,
+            ParameterId::ClockShift | ParameterId::ClockSkew => {
+                matches!(self, Self::ThesisWithClocks | Self::CellWithClocks)
+            }
             ParameterId::Attachment(_) | ParameterId::Anchor(_) | ParameterId::LengthOffset => false,
         }
     }

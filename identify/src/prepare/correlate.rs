@@ -79,13 +79,16 @@ fn is_peak(scores: &[Score], index: usize) -> bool {
     let at_most_here = |neighbour: Option<&Score>| {
         neighbour.and_then(|score| score.correlation).is_none_or(|value| value <= here)
     };
-    at_most_here(index.checked_sub(1).and_then(|before| scores.get(before))) && at_most_here(scores.get(index + 1))
+    at_most_here(index.checked_sub(1).and_then(|before| scores.get(before)))
+        && at_most_here(scores.get(index + 1))
 }
 
 /// Where the parabola through a peak and its neighbours has its top, -0.5 to 0.5 steps from the peak.
 fn vertex(scores: &[Score], peak: usize) -> f64 {
-    let at = |index: Option<usize>| index.and_then(|index| scores.get(index)).and_then(|score| score.correlation);
-    let (Some(left), Some(here), Some(right)) = (at(peak.checked_sub(1)), at(Some(peak)), at(Some(peak + 1))) else {
+    let at =
+        |index: Option<usize>| index.and_then(|index| scores.get(index)).and_then(|score| score.correlation);
+    let (Some(left), Some(here), Some(right)) = (at(peak.checked_sub(1)), at(Some(peak)), at(Some(peak + 1)))
+    else {
         return 0.0;
     };
     let bend = left - 2.0 * here + right;

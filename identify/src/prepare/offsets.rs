@@ -124,7 +124,8 @@ pub(super) fn wrapped(angle_rad: f64) -> f64 {
 /// Tries the usual mistakes on the encoders that do not fit.
 fn likely_cause(best: &Offsets, pairs: &[AnglePair], spread_max_mrad: f64) -> String {
     let fits = |differences: Vec<f64>| circular_median(differences).1 * 1e3 <= spread_max_mrad;
-    let predicted = |pair: &AnglePair, joint: usize| best.configuration.carry(&pair.predicted.joints_rad)[joint];
+    let predicted =
+        |pair: &AnglePair, joint: usize| best.configuration.carry(&pair.predicted.joints_rad)[joint];
     let mut hints = Vec::new();
     for encoder in best.encoders.iter().filter(|encoder| encoder.spread_rad * 1e3 > spread_max_mrad) {
         let joint = usize::from(encoder.joint) - 1;

@@ -3,7 +3,7 @@
 use nalgebra::{Translation3, Vector3};
 
 use crate::kinematics::{
-    BAR_JOINTS, Chain, Configuration, InverseError, Tracer, Trace, ball_bar_inverse, singularity_margin_rad,
+    BAR_JOINTS, Chain, Configuration, InverseError, Trace, Tracer, ball_bar_inverse, singularity_margin_rad,
 };
 use crate::logs::InterpolatedLog;
 

@@ -70,7 +70,8 @@ fn rows(
         let tau_s = fit.tau_s(*t_s);
         let around = [-DIFFERENCE_S, 0.0, DIFFERENCE_S].map(|by| predictor.at(tau_s + by));
         let [Some(before), Some(now), Some(after)] = around else { continue };
-        let [before, now_rad, after] = [before, now, after].map(|bar| offsets.configuration.carry(&bar.joints_rad));
+        let [before, now_rad, after] =
+            [before, now, after].map(|bar| offsets.configuration.carry(&bar.joints_rad));
         // Near singular poses errors of gimbal and cardan grow by the inverse of this.
         let trust = now.margin_rad.sin();
         for (encoder, offset) in offsets.encoders.iter().enumerate() {

@@ -35,8 +35,9 @@ pub fn fit_sphere(positions_m: &[Vector3<f64>], tolerance_m: f64) -> Option<Sphe
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let mut best: Option<(usize, Sphere)> = None;
     for _ in 0..DRAWS {
-        let pick: [Vector3<f64>; 4] =
-            [(); 4].map(|()| positions_m.get(random.random_range(0..positions_m.len().max(1))).copied().unwrap_or_default());
+        let pick: [Vector3<f64>; 4] = [(); 4].map(|()| {
+            positions_m.get(random.random_range(0..positions_m.len().max(1))).copied().unwrap_or_default()
+        });
         let Some(sphere) = Sphere::linear(&pick) else { continue };
         let agreeing = positions_m.iter().filter(|p| sphere.distance(p).abs() < tolerance_m).count();
         if best.is_none_or(|(most, _)| agreeing > most) {
@@ -80,9 +81,13 @@ impl Sphere {
         }
         // Scaled to unit size about the mean, so that the columns are comparable.
         let scaled: Vec<Vector3<f64>> = positions_m.iter().map(|p| (p - mean) / size).collect();
-        let a = DMatrix::from_fn(scaled.len(), 4, |row, column| {
-            if column < 3 { 2.0 * scaled[row][column] } else { 1.0 }
-        });
+        let a = DMatrix::from_fn(
+            scaled.len(),
+            4,
+            |row, column| {
+                if column < 3 { 2.0 * scaled[row][column] } else { 1.0 }
+            },
+        );
         let squares = DVector::from_iterator(scaled.len(), scaled.iter().map(Vector3::norm_squared));
         let normal: Matrix4<f64> = (a.transpose() * &a).fixed_view::<4, 4>(0, 0).into();
         let eigen = normal.symmetric_eigenvalues();

@@ -64,7 +64,8 @@ pub fn prepare(
     let samples = Samples::new(segment, &matched, log.duration_s());
     let margin_rad = options.singular_margin_deg.to_radians();
     let coarse = ClockFit { shift_s: samples.t_ref_s + matched.shift * STEP_S, skew: 0.0 };
-    let (offsets, clock) = offsets_and_clock(&predictor, &samples, &angles.measured, coarse, margin_rad, options)?;
+    let (offsets, clock) =
+        offsets_and_clock(&predictor, &samples, &angles.measured, coarse, margin_rad, options)?;
     let kept = samples.keep(&predictor, clock, margin_rad, options, counts)?;
 
     let observations = kept
@@ -113,7 +114,8 @@ fn travel_deg<const N: usize>(rows: &[[f64; N]]) -> f64 {
 }
 
 fn check_motion(segment: &BarSegment, log: &RobotLog) -> Result<(), PrepareError> {
-    let moves = [("the recording", travel_deg(&segment.angles_rad)), ("the robot log", travel_deg(&log.q_rad))];
+    let moves =
+        [("the recording", travel_deg(&segment.angles_rad)), ("the robot log", travel_deg(&log.q_rad))];
     match moves.into_iter().find(|(_, travel_deg)| *travel_deg < TRAVEL_DEG_MIN) {
         Some((what, travel_deg)) => Err(PrepareError::NoMotion { what, travel_deg }),
         None => Ok(()),
@@ -141,7 +143,10 @@ fn sphere(
         return Err(not_a_sphere(sphere.inliers));
     }
     if (sphere.radius_m - length_m).abs() * 1e3 > options.length_tolerance_mm {
-        return Err(PrepareError::OtherLength { found_mm: sphere.radius_m * 1e3, configured_mm: length_m * 1e3 });
+        return Err(PrepareError::OtherLength {
+            found_mm: sphere.radius_m * 1e3,
+            configured_mm: length_m * 1e3,
+        });
     }
     Ok(sphere)
 }
@@ -200,9 +205,8 @@ struct Kept {
 
 impl Samples {
     fn new(segment: &BarSegment, matched: &Match, log_duration_s: f64) -> Self {
-        let since_first_ns = |time: &shared::time::UtcNs| {
-            segment.times.first().map_or(0, |first| time.ns_since(*first))
-        };
+        let since_first_ns =
+            |time: &shared::time::UtcNs| segment.times.first().map_or(0, |first| time.ns_since(*first));
         let shift_s = matched.shift * STEP_S;
         let end_s = segment.times.last().map_or(0.0, |last| since_first_ns(last) as f64 * 1e-9);
         let overlap_s = [(-shift_s).max(0.0), (log_duration_s - shift_s).min(end_s)];
@@ -285,7 +289,8 @@ fn offsets_and_clock(
     options: &PrepareOptions,
 ) -> Result<(Offsets, ClockFit), PrepareError> {
     let pairs_at = |clock: ClockFit| samples.pairs(predictor, clock, margin_rad);
-    let angles = |pairs: &[(usize, AnglePair)]| -> Vec<AnglePair> { pairs.iter().map(|(_, pair)| *pair).collect() };
+    let angles =
+        |pairs: &[(usize, AnglePair)]| -> Vec<AnglePair> { pairs.iter().map(|(_, pair)| *pair).collect() };
     let pairs = pairs_at(coarse);
     // A skewed clock spreads the angles of a long run: judged only after the clock is refined.
     let rough = find_offsets(&angles(&pairs), measured, f64::INFINITY)?;

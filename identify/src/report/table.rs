@@ -49,7 +49,7 @@ pub fn calibration(file: &CalibrationFile) -> String {
         }
         let unit = display_unit(entry);
         let factor = unit.display_factor();
-        let sigma = entry.sigma.map_or_else(|| "-".into(), |sigma| format!("{:.4}", sigma * factor));
+        let sigma = entry.sigma.map_or_else(|| "-".into(), |sigma| format!("{:.5}", sigma * factor));
         let prior = if entry.status == Status::IdentifiedWithPrior { " (prior)" } else { "" };
         let _ = writeln!(
             text,
@@ -68,13 +68,13 @@ pub fn calibration(file: &CalibrationFile) -> String {
 /// True beside identified, with the thesis' two measures.
 pub fn comparison(comparison: &Comparison) -> String {
     let mut text = String::new();
-    let _ = writeln!(text, "{:<16}{:>14}{:>14}{:>10}  unit", "parameter", "true", "identified", "error");
+    let _ = writeln!(text, "{:<16}{:>14}{:>14}{:>11}  unit", "parameter", "true", "identified", "error");
     for one in &comparison.parameters {
         let unit = one.id.unit();
         let factor = unit.display_factor();
         let _ = writeln!(
             text,
-            "{:<16}{:>14.4}{:>14.4}{:>+10.4}  {}",
+            "{:<16}{:>14.4}{:>14.4}{:>+11.5}  {}",
             one.id.to_string(),
             one.truth * factor,
             one.identified * factor,

@@ -155,7 +155,9 @@ struct Waypoint {
 impl Planner<'_> {
     /// Any bar posture within the design's ranges.
     fn point(&self, random: &mut impl Rng) -> [f64; 5] {
-        self.design.bar_range_deg.map(|[low, high]| (low + (high - low) * random.random::<f64>()).to_radians())
+        self.design
+            .bar_range_deg
+            .map(|[low, high]| (low + (high - low) * random.random::<f64>()).to_radians())
     }
 
     fn start(&self, random: &mut impl Rng) -> Result<([f64; 5], [f64; 6]), PlanError> {
@@ -275,8 +277,8 @@ impl Planner<'_> {
         if singularity_margin_rad(bar_rad) < self.design.bar_margin_deg.to_radians() {
             return Err(Obstacle::BarSingularity);
         }
-        let robot = robot_inverse(self.robot, &self.bar.forward(bar_rad), near_rad)
-            .map_err(|_| Obstacle::Reach)?;
+        let robot =
+            robot_inverse(self.robot, &self.bar.forward(bar_rad), near_rad).map_err(|_| Obstacle::Reach)?;
         if !robot.iter().zip(self.limits_rad).all(|(q, [low, high])| (low..=high).contains(q)) {
             return Err(Obstacle::JointLimit);
         }

@@ -43,6 +43,11 @@ impl DaemonConfig {
         Duration::from_nanos(1_000_000_000 / u64::from(self.rate_hz))
     }
 
+    /// A kill loses at most this much of a run.
+    pub fn sync_period(&self) -> Duration {
+        Duration::from_millis(self.sync_period_ms.into())
+    }
+
     /// How long to wait for a reply.
     pub fn reply_timeout(&self) -> Duration {
         Duration::from_micros(u64::from(self.reply_timeout_us))

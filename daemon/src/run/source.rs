@@ -1,0 +1,147 @@
+//! From the request to a wire, a clock and a plan: everything that can be refused before a thread starts.
+
+use std::path::Path;
+use std::time::Duration;
+
+use shared::config::{BallBarConfig, DaemonConfig, EncoderConfig};
+use shared::recording::Recording;
+use shared::recording::schema::EncoderInfo;
+use shared::time::UtcNs;
+
+use super::{BusChoice, RunError, RunRequest};
+use crate::bus::BusPlan;
+use crate::clock::Clock;
+use crate::segment::simulated::{
+    EncoderSource, Replay, ReplayHandle, SegmentConfig, SimulatedSegment, SmoothMotion,
+};
+use crate::segment::{EthernetWire, InProcessWire, Wire};
+
+/// Everything that the request decides before a thread starts.
+pub(super) struct Prepared {
+    pub wire: Box<dyn Wire>,
+    pub clock: Clock,
+    pub plan: BusPlan,
+    /// Encoders of the run, in bus order.
+    pub encoders: Vec<EncoderInfo>,
+    /// Starts the replay, and when its first sample was taken.
+    pub replay: Option<(ReplayHandle, UtcNs)>,
+    /// Cycles after which the run ends.
+    pub cycles: Option<u64>,
+}
+
+/// Decides wire, clock and plan.
+pub(super) fn prepare(
+    request: &RunRequest,
+    daemon: &DaemonConfig,
+    bar: &BallBarConfig,
+) -> Result<Prepared, RunError> {
+    check(request)?;
+    let clock = if request.fast {
+        Clock::virtual_from(UtcNs::from_datetime(chrono::Utc::now()))
+    } else {
+        Clock::Real
+    };
+    let mut prepared = match &request.bus {
+        BusChoice::Interface(name) => {
+            let wire = Box::new(EthernetWire::open(name)?);
+            Prepared::from_config(wire, clock, name, daemon, bar)
+        }
+        BusChoice::Simulated => {
+            // One motion for all encoders of the bar, whose discs are alike.
+            let lines = bar.encoders.first().map_or(0, |encoder| encoder.lines);
+            let config = SegmentConfig { terminals: bar.encoders.len(), ..SegmentConfig::default() };
+            let source = SmoothMotion::new(bar.encoders.len(), lines, config.seed);
+            let wire = in_process(&config, Box::new(source), &clock);
+            Prepared::from_config(wire, clock, SIMULATED, daemon, bar)
+        }
+        BusChoice::Replay(path) => follow(path, clock, daemon, bar)?,
+    };
+    if let Some(duration) = request.duration {
+        let wanted = (duration.as_nanos() / prepared.plan.cycle_period.as_nanos().max(1)) as u64;
+        prepared.cycles = Some(prepared.cycles.map_or(wanted, |all| all.min(wanted)));
+    }
+    Ok(prepared)
+}
+
+const SIMULATED: &str = "simulated";
+
+fn check(request: &RunRequest) -> Result<(), RunError> {
+    match &request.bus {
+        BusChoice::Interface(_) if request.fast => {
+            Err(RunError::Request("--fast is virtual time: a real bus cannot follow it; leave it out"))
+        }
+        BusChoice::Simulated if request.fast && request.duration.is_none() => {
+            Err(RunError::Request("--fast without --duration would not end; add --duration"))
+        }
+        _ => Ok(()),
+    }
+}
+
+impl Prepared {
+    fn from_config(
+        wire: Box<dyn Wire>,
+        clock: Clock,
+        bus: &str,
+        daemon: &DaemonConfig,
+        bar: &BallBarConfig,
+    ) -> Self {
+        let info = |encoder: &EncoderConfig| EncoderInfo { joint: encoder.joint, scale: encoder.scale() };
+        Self {
+            wire,
+            clock,
+            plan: BusPlan {
+                name: bus.to_owned(),
+                encoders: bar.encoders.clone(),
+                cycle_period: daemon.cycle_period(),
+                distributed_clocks: daemon.distributed_clocks,
+                sync0_shift: daemon.cycle_period() / 2,
+                reply_timeout: daemon.reply_timeout(),
+            },
+            encoders: bar.encoders.iter().map(info).collect(),
+            replay: None,
+            cycles: None,
+        }
+    }
+}
+
+fn in_process(config: &SegmentConfig, source: Box<dyn EncoderSource>, clock: &Clock) -> Box<dyn Wire> {
+    Box::new(InProcessWire::new(SimulatedSegment::new(config, source), clock.clone()))
+}
+
+/// Lets the simulated encoders follow a recording; period and encoders are then those of the recording.
+fn follow(
+    path: &Path,
+    clock: Clock,
+    daemon: &DaemonConfig,
+    bar: &BallBarConfig,
+) -> Result<Prepared, RunError> {
+    let recording = Recording::open(path)?;
+    let unsuitable = |problem: String| RunError::ReplayContent { path: path.to_owned(), problem };
+    let encoders = &recording.run.encoders;
+    let counts =
+        recording.cycles.iter().flat_map(|record| record.encoders().iter().map(|encoder| encoder.count));
+    let (source, handle) =
+        Replay::new(counts.collect(), encoders.len(), recording.run.cycle_period_ns as i64)
+            .map_err(|error| unsuitable(error.to_string()))?;
+    let first = recording.cycles.first().ok_or_else(|| unsuitable("it holds no cycle".into()))?;
+    // The bus' clock is the time base of a replay: with a drift of its own the recording would be played too fast
+    // or too slow.
+    let config = SegmentConfig { terminals: encoders.len(), drift_ppm: 0.0, ..SegmentConfig::default() };
+    let wire = in_process(&config, Box::new(source), &clock);
+    let mut prepared = Prepared::from_config(wire, clock, SIMULATED, daemon, bar);
+    prepared.plan.encoders = encoders
+        .iter()
+        .map(|info| EncoderConfig {
+            joint: info.joint,
+            lines: info.scale.lines,
+            interpolation_bits: info.scale.interpolation_bits,
+            direction: info.scale.direction,
+        })
+        .collect();
+    prepared.plan.cycle_period = Duration::from_nanos(recording.run.cycle_period_ns);
+    prepared.plan.sync0_shift = prepared.plan.cycle_period / 2;
+    prepared.encoders.clone_from(encoders);
+    prepared.replay = Some((handle, first.sample_time));
+    prepared.cycles = Some(recording.cycles.len() as u64);
+    Ok(prepared)
+}

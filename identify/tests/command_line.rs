@@ -1,0 +1,218 @@
+//! What a person types and what comes back: exit codes, messages, files.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::OnceLock;
+
+use tempfile::TempDir;
+
+fn config(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../config").join(name)
+}
+
+fn identify(arguments: &[&str], robot: &str, out: &Path) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_identify"))
+        .args(arguments)
+        .arg("--robot")
+        .arg(config("robots").join(robot))
+        .arg("--out")
+        .arg(out)
+        .env("RUST_LOG", "off")
+        .output()
+        .unwrap()
+}
+
+const IRB: &str = "irb2400_16.toml";
+
+/// One experiment that all tests read: its directory holds recording.mcap, robot_log.csv and truth.toml.
+fn experiment() -> &'static Path {
+    static EXPERIMENT: OnceLock<TempDir> = OnceLock::new();
+    EXPERIMENT
+        .get_or_init(|| {
+            let directory = tempfile::tempdir().unwrap();
+            let bar = config("ball_bar.toml");
+            let output = identify(
+                &["simulate", "--duration", "60s", "--bar", bar.to_str().unwrap()],
+                IRB,
+                directory.path(),
+            );
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+            directory
+        })
+        .path()
+}
+
+fn calibrate(recording: &Path, log: &Path, extra: &[&str], out: &Path) -> Output {
+    let bar = config("ball_bar.toml");
+    let mut arguments = vec!["calibrate", "--recording", recording.to_str().unwrap(), "--robot-log"];
+    arguments.extend([log.to_str().unwrap(), "--bar", bar.to_str().unwrap()]);
+    arguments.extend(extra);
+    identify(&arguments, IRB, out)
+}
+
+/// The command fails, says `why`, and leaves nothing in `out`.
+fn refused(output: &Output, why: &[&str], out: &Path) {
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
+    for part in why {
+        assert!(text.contains(part), "`{part}` is missing in: {text}");
+    }
+    assert_eq!(std::fs::read_dir(out).unwrap().count(), 0, "something was left behind");
+}
+
+/// The experiment's robot log with something done to each data line.
+fn edited_log(directory: &Path, edit: impl Fn(usize, &str) -> String) -> PathBuf {
+    let text = std::fs::read_to_string(experiment().join("robot_log.csv")).unwrap();
+    let mut row = 0;
+    let lines = text.lines().map(|line| {
+        if line.starts_with('#') {
+            return line.to_owned();
+        }
+        row += 1;
+        edit(row - 1, line)
+    });
+    let path = directory.join("edited.csv");
+    std::fs::write(&path, lines.collect::<Vec<_>>().join("\n")).unwrap();
+    path
+}
+
+fn refused_log(edit: impl Fn(usize, &str) -> String, why: &[&str]) {
+    let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let log = edited_log(inputs.path(), edit);
+    refused(&calibrate(&experiment().join("recording.mcap"), &log, &[], out.path()), why, out.path());
+}
+
+#[test]
+fn a_calibration_prints_a_table_and_writes_every_parameter_with_sigma_and_state() {
+    let out = tempfile::tempdir().unwrap();
+    let directory = experiment();
+    let truth = directory.join("truth.toml");
+    let extra = ["--fix", "balpha4", "--truth", truth.to_str().unwrap()];
+    let output =
+        calibrate(&directory.join("recording.mcap"), &directory.join("robot_log.csv"), &extra, out.path());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(text.contains("converged") && text.contains("Euclidean error 0.00"), "{text}");
+
+    let written = std::fs::read_to_string(out.path().join("calibration.toml")).unwrap();
+    let file: toml::Table = written.parse().unwrap();
+    assert_eq!(file["schema"].as_integer(), Some(1));
+    assert_eq!(file["inputs"].as_array().unwrap().len(), 4);
+    let parameters = file["parameters"].as_array().unwrap();
+    let entry = |name: &str| {
+        let found = parameters.iter().find(|entry| entry["name"].as_str() == Some(name)).unwrap();
+        (
+            found["status"].as_str().unwrap().to_owned(),
+            found.get("sigma").is_some(),
+            found["correction"].clone(),
+        )
+    };
+    // Table 3.1 of the thesis: ra3 is 1.52 mm short. The plate ra6 is taken as known; balpha4 was fixed by name.
+    let (status, has_sigma, correction) = entry("ra3");
+    assert_eq!((status.as_str(), has_sigma), ("identified", true));
+    assert!((correction.as_float().unwrap() + 1.52e-3).abs() < 1e-6);
+    for fixed in ["ra6", "balpha4"] {
+        let (status, has_sigma, _) = entry(fixed);
+        assert_eq!((status.as_str(), has_sigma), ("fixed", false), "{fixed}");
+    }
+}
+
+#[test]
+fn freeing_what_cannot_be_identified_is_refused_with_its_name() {
+    let out = tempfile::tempdir().unwrap();
+    let directory = experiment();
+    let (recording, log) = (directory.join("recording.mcap"), directory.join("robot_log.csv"));
+    let output = calibrate(&recording, &log, &["--free", "rd3"], out.path());
+    refused(&output, &["42 of 43", "rd2", "rd3"], out.path());
+    let unknown = calibrate(&recording, &log, &["--free", "rgamma3"], out.path());
+    refused(&unknown, &["no parameter is called `rgamma3`"], out.path());
+}
+
+#[test]
+fn a_damaged_recording_is_refused() {
+    let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let mut bytes = std::fs::read(experiment().join("recording.mcap")).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 0x40;
+    let damaged = inputs.path().join("damaged.mcap");
+    std::fs::write(&damaged, &bytes).unwrap();
+    let log = experiment().join("robot_log.csv");
+    refused(&calibrate(&damaged, &log, &[], out.path()), &["damaged.mcap", "damaged"], out.path());
+    std::fs::write(&damaged, &bytes[..middle]).unwrap();
+    refused(&calibrate(&damaged, &log, &[], out.path()), &["damaged.mcap"], out.path());
+    let missing = inputs.path().join("missing.mcap");
+    refused(&calibrate(&missing, &log, &[], out.path()), &["missing.mcap", "cannot be read"], out.path());
+}
+
+#[test]
+fn a_robot_log_with_a_missing_column_is_refused_with_the_columns_found() {
+    let rename = |row: usize, line: &str| {
+        if row == 0 { line.replace("motor4_rad", "motor9_rad") } else { line.into() }
+    };
+    refused_log(rename, &["edited.csv", "motor4_rad", "motor9_rad"]);
+}
+
+#[test]
+fn a_robot_log_with_nan_is_refused_with_line_and_column() {
+    let nan = |row: usize, line: &str| {
+        let mut cells: Vec<&str> = line.split(',').collect();
+        if row == 500 {
+            cells[3] = "NaN";
+        }
+        cells.join(",")
+    };
+    refused_log(nan, &["edited.csv", "motor3_rad", "line"]);
+}
+
+#[test]
+fn degrees_under_a_header_of_radians_are_refused() {
+    let to_degrees = |row: usize, line: &str| {
+        if row == 0 {
+            return line.to_owned();
+        }
+        let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+        for cell in &mut cells[1..] {
+            *cell = cell.parse::<f64>().unwrap().to_degrees().to_string();
+        }
+        cells.join(",")
+    };
+    refused_log(to_degrees, &["edited.csv", "degrees"]);
+    let header = |row: usize, line: &str| if row == 0 { line.replace("_rad", "_deg") } else { line.into() };
+    refused_log(header, &["edited.csv", "deg"]);
+}
+
+#[test]
+fn a_clock_that_runs_backwards_is_refused() {
+    let jump = |row: usize, line: &str| match (row, line.split_once(',')) {
+        (9000, Some((_, joints))) => format!("1.0,{joints}"),
+        _ => line.to_owned(),
+    };
+    refused_log(jump, &["edited.csv", "time"]);
+}
+
+#[test]
+fn logs_without_overlap_in_time_are_refused() {
+    // Only the standstill of the first half second is left of the robot's log, and then only its last five seconds.
+    refused_log(|row, line| if row <= 120 { line.to_owned() } else { String::new() }, &["robot"]);
+    let other = tempfile::tempdir().unwrap();
+    let out = tempfile::tempdir().unwrap();
+    let bar = config("ball_bar.toml");
+    let another_run = ["simulate", "--seed", "9", "--duration", "60s", "--bar", bar.to_str().unwrap()];
+    assert!(identify(&another_run, IRB, other.path()).status.success());
+    let recording = experiment().join("recording.mcap");
+    let output = calibrate(&recording, &other.path().join("robot_log.csv"), &[], out.path());
+    refused(&output, &["correlat"], out.path());
+}
+
+#[test]
+fn another_robots_configuration_is_refused() {
+    let out = tempfile::tempdir().unwrap();
+    let directory = experiment();
+    let bar = config("ball_bar.toml");
+    let (recording, log) = (directory.join("recording.mcap"), directory.join("robot_log.csv"));
+    let arguments =
+        ["calibrate", "--recording", recording.to_str().unwrap(), "--robot-log", log.to_str().unwrap()];
+    let arguments = [&arguments[..], &["--bar", bar.to_str().unwrap()]].concat();
+    refused(&identify(&arguments, "nj220_2_7.toml", out.path()), &["joint1_deg", "motor1_rad"], out.path());
+}
