@@ -1,1 +1,59 @@
-//! What the whole-system tests have in common.
+//! What the whole-system tests have in common: the shipped configuration, a run, and how a test is skipped.
+#![allow(clippy::expect_used, clippy::panic, reason = "tests")]
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use ballbard::run::{self, BusChoice, RunRequest, Stop};
+use shared::config::{self, BallBarConfig, DaemonConfig};
+use shared::recording::Recording;
+
+/// Directory of the shipped configuration.
+pub fn config_directory() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../config")
+}
+
+/// The shipped bar.
+pub fn ball_bar() -> BallBarConfig {
+    config::load(&config_directory().join("ball_bar.toml")).expect("shipped ball_bar.toml")
+}
+
+/// The shipped daemon configuration, recording into `directory`.
+pub fn daemon(directory: &Path) -> DaemonConfig {
+    let shipped = config::load(&config_directory().join("daemon.toml")).expect("shipped daemon.toml");
+    DaemonConfig { directory: directory.to_owned(), ..shipped }
+}
+
+/// A request for a run on the simulated segment.
+pub fn request(name: &str, bus: BusChoice, duration: Option<Duration>, fast: bool) -> RunRequest {
+    RunRequest {
+        name: name.into(),
+        operator: "test".into(),
+        robot: "none".into(),
+        note: String::new(),
+        duration,
+        bus,
+        fast,
+    }
+}
+
+/// Records into `directory` and reads the finished file back.
+pub fn record(directory: &Path, request: &RunRequest, bar: &BallBarConfig) -> (PathBuf, Recording) {
+    let summary = run::record(request, &daemon(directory), bar, &Stop::default()).expect("run");
+    let recording = Recording::open(&summary.path).expect("finished recording");
+    (summary.path, recording)
+}
+
+/// Python with the independent readers, or none: then the test is skipped, except in CI, where it fails.
+pub fn python_with(modules: &[&str]) -> Option<PathBuf> {
+    let python = std::env::var_os("BALLBAR_PYTHON").map_or_else(|| "python3".into(), PathBuf::from);
+    let import = format!("import {}", modules.join(", "));
+    let found = std::process::Command::new(&python).args(["-c", &import]).output();
+    if found.is_ok_and(|output| output.status.success()) {
+        return Some(python);
+    }
+    let missing = format!("{} cannot import {}", python.display(), modules.join(", "));
+    assert!(std::env::var_os("CI").is_none(), "{missing}; see tests/requirements.txt");
+    println!("skipped: {missing}; pip install -r tests/requirements.txt and set BALLBAR_PYTHON");
+    None
+}

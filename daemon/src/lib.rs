@@ -1,3 +1,13 @@
 //! Acquisition daemon for a sensed double ball-bar on EtherCAT.
+//!
+//! The way of the data: [`segment`] (wire) -> [`bus`] -> [`cycle`] -> ring -> [`recorder`] -> file; [`run`] ties
+//! them together, [`commands`] is what a person types.
 
+pub mod bus;
+pub mod clock;
+pub mod commands;
+pub mod cycle;
+pub mod devices;
+pub mod recorder;
+pub mod run;
 pub mod segment;

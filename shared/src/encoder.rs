@@ -74,11 +74,17 @@ impl EncoderScale {
 
     /// Unwrapped counts to the joint's angle \[rad\].
     ///
-    /// The reference mark lies on the same turn of the counter as `counts`; feed counts from an [`Unwrapper`].
+    /// Feed it counts from [`EncoderScale::unwrapper`], which begins at the reference mark.
     pub fn counts_to_rad(&self, counts: i64) -> f64 {
         let from_reference = counts - i64::from(self.reference_counts);
         // The product is formed in integers: exact, whatever number of revolutions has passed.
         (self.direction.sign() * from_reference) as f64 * self.rad_per_count() + self.offset_rad
+    }
+
+    /// Follows this encoder's counter; the first count is taken as less than half a wrap (146 revolutions at 12
+    /// bits) away from the reference mark.
+    pub const fn unwrapper(&self) -> Unwrapper {
+        Unwrapper { last: self.reference_counts, unwrapped: self.reference_counts as i64 }
     }
 
     /// Nearest unwrapped count to an angle \[rad\].
@@ -99,18 +105,16 @@ pub const fn wrap(counts: i64) -> u32 {
 /// joint turns less than half a wrap (146 revolutions at 12 bits) between two samples.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Unwrapper {
-    last: Option<(u32, i64)>,
+    last: u32,
+    unwrapped: i64,
 }
 
 impl Unwrapper {
-    /// Next counter value to unwrapped counts; the first value is taken as it is.
+    /// Next counter value to unwrapped counts.
     pub fn next(&mut self, counter: u32) -> i64 {
-        let unwrapped = match self.last {
-            None => i64::from(counter),
-            Some((before, unwrapped)) => unwrapped + i64::from(counter.wrapping_sub(before) as i32),
-        };
-        self.last = Some((counter, unwrapped));
-        unwrapped
+        self.unwrapped += i64::from(counter.wrapping_sub(self.last) as i32);
+        self.last = counter;
+        self.unwrapped
     }
 }
 
@@ -156,6 +160,10 @@ mod tests {
     fn the_reference_mark_reads_the_offset() {
         let scale = EncoderScale { reference_counts: 777, offset_rad: 0.25, ..EncoderScale::default() };
         assert_eq!(scale.counts_to_rad(777), 0.25);
+        // Also when the counter wraps between the mark and the first count.
+        let near_wrap = EncoderScale { reference_counts: u32::MAX - 2, ..scale };
+        let turned_rad = near_wrap.counts_to_rad(near_wrap.unwrapper().next(3)) - 0.25;
+        assert!((turned_rad - 6.0 * scale.rad_per_count()).abs() < 1e-15);
         let reversed = EncoderScale { direction: Direction::Negative, ..scale };
         assert!(reversed.counts_to_rad(778) < 0.25 && scale.counts_to_rad(778) > 0.25);
     }
@@ -168,11 +176,11 @@ mod tests {
 
         #[test]
         fn any_motion_below_half_a_wrap_a_sample_is_followed(
-            start in any::<u32>(), steps in prop::collection::vec(-(1i64 << 31) + 1..(1i64 << 31), 1..50)
+            start in any::<i32>(), steps in prop::collection::vec(-(1i64 << 31) + 1..(1i64 << 31), 1..50)
         ) {
             let mut unwrapper = Unwrapper::default();
             let mut truth = i64::from(start);
-            prop_assert_eq!(unwrapper.next(start), truth);
+            prop_assert_eq!(unwrapper.next(wrap(truth)), truth);
             for step in steps {
                 truth += step;
                 prop_assert_eq!(unwrapper.next(wrap(truth)), truth);

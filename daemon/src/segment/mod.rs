@@ -1,3 +1,24 @@
-//! The piece of EtherCAT that frames are sent into.
+//! Where frames go: a network interface, or the simulated segment in this process.
 
+mod ethernet;
+mod in_process;
 pub mod simulated;
+
+use std::io;
+
+use shared::time::MonoNs;
+
+pub use ethernet::{EthernetWire, OpenError};
+pub use in_process::InProcessWire;
+
+/// Longest Ethernet frame without its checksum.
+pub const FRAME_BYTES_MAX: usize = 1518;
+
+/// Carries Ethernet frames to a segment and back. One thread owns it.
+pub trait Wire: Send {
+    /// Hands a frame to the wire.
+    fn send(&mut self, frame: &[u8]) -> io::Result<()>;
+
+    /// Waits for the next frame until `until`; its length in `buffer`, or none when time is over.
+    fn receive(&mut self, buffer: &mut [u8; FRAME_BYTES_MAX], until: MonoNs) -> io::Result<Option<usize>>;
+}

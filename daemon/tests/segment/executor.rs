@@ -1,13 +1,14 @@
 //! Runs ethercrab's futures against a segment on a virtual clock: nothing waits, time is what frames cost.
-#![allow(unsafe_code, reason = "the time driver's functions are found by their unmangled names")]
 
-use std::cell::Cell;
 use std::future::Future;
 use std::pin::pin;
 use std::task::{Context, Poll, Waker};
 
+use ballbard::bus::use_clock;
+use ballbard::clock::Clock;
 use ballbard::segment::simulated::SimulatedSegment;
 use ethercrab::{MainDevice, MainDeviceConfig, PduRx, PduStorage, PduTx, Timeouts};
+use shared::time::UtcNs;
 
 const FRAMES: usize = 16;
 const FRAME_DATA: usize = PduStorage::element_size(1100);
@@ -16,29 +17,17 @@ const IDLE_NS: i64 = 50_000;
 
 thread_local! {
     /// Each test has its own thread, so its own time.
-    static NOW_NS: Cell<i64> = const { Cell::new(1_000_000_000_000) };
+    static CLOCK: Clock = Clock::virtual_from(UtcNs(0));
 }
-
-struct VirtualTime;
-
-impl embassy_time_driver::Driver for VirtualTime {
-    fn now(&self) -> u64 {
-        (now_ns() / 1000) as u64
-    }
-
-    fn schedule_wake(&self, _at: u64, _waker: &Waker) {}
-}
-
-embassy_time_driver::time_driver_impl!(static TIME: VirtualTime = VirtualTime);
 
 /// The simulation's absolute time.
 pub fn now_ns() -> i64 {
-    NOW_NS.get()
+    CLOCK.with(|clock| clock.now().0)
 }
 
 /// Lets time pass.
 pub fn pass_ns(duration_ns: i64) {
-    NOW_NS.set(now_ns() + duration_ns);
+    CLOCK.with(|clock| clock.sleep_until(clock.now().plus_ns(duration_ns)));
 }
 
 /// A master with a segment on its network interface.
@@ -51,6 +40,7 @@ pub struct Bench {
 
 impl Bench {
     pub fn new(segment: SimulatedSegment) -> Self {
+        CLOCK.with(use_clock);
         let storage = Box::leak(Box::new(PduStorage::<FRAMES, FRAME_DATA>::new()));
         let (tx, rx, pdu_loop) = storage.try_split().expect("a fresh storage");
         let config = MainDeviceConfig { dc_static_sync_iterations: 3000, ..MainDeviceConfig::default() };

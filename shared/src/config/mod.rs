@@ -1,6 +1,7 @@
 //! Configuration from TOML files. An error names the file, the key, what is wrong and what to do.
 
 mod ball_bar;
+mod daemon;
 mod robot;
 
 use std::path::{Path, PathBuf};
@@ -8,6 +9,7 @@ use std::path::{Path, PathBuf};
 use serde::de::DeserializeOwned;
 
 pub use ball_bar::{BallBarConfig, EncoderConfig};
+pub use daemon::{DaemonConfig, RealtimeConfig};
 pub use robot::{AngleUnit, LinkConfig, LogConversion, RobotConfig};
 
 /// Why a configuration file cannot be used.

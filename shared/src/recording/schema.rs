@@ -1,5 +1,8 @@
 //! What a recording says of each bus cycle, and the ros2msg text that tells it to other readers.
 
+use serde::{Deserialize, Serialize};
+
+use crate::encoder::EncoderScale;
 use crate::time::{DcNs, MonoNs, UtcNs};
 
 /// Most encoders that a bar has: three of the gimbal, two of the cardan.
@@ -95,4 +98,118 @@ impl CycleRecord {
     pub fn is_valid(&self) -> bool {
         self.encoder_count > 0 && self.encoders().iter().all(|encoder| encoder.valid)
     }
+}
+
+/// What kind of thing happened.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+pub enum EventKind {
+    /// Set by a person.
+    Marker = 1,
+    /// Cycles without valid samples.
+    Gap = 2,
+    /// The state of the bus changed.
+    Bus = 3,
+    /// A clock was stepped or lost.
+    Clock = 4,
+}
+
+impl EventKind {
+    /// From its number in the file.
+    pub const fn from_u8(kind: u8) -> Option<Self> {
+        match kind {
+            1 => Some(Self::Marker),
+            2 => Some(Self::Gap),
+            3 => Some(Self::Bus),
+            4 => Some(Self::Clock),
+            _ => None,
+        }
+    }
+}
+
+/// Something that happened during a run.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Event {
+    /// When.
+    pub time: UtcNs,
+    /// During which cycle.
+    pub cycle: u64,
+    /// What kind of thing.
+    pub kind: EventKind,
+    /// In words.
+    pub text: String,
+}
+
+/// One encoder of the run: its joint and how its counts become angles.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct EncoderInfo {
+    /// Bar joint, 1 to 5.
+    pub joint: u8,
+    /// Counts to angle; offset and reference mark are 0 where they are not known.
+    pub scale: EncoderScale,
+}
+
+/// One device on the bus as it identified itself.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DeviceInfo {
+    /// Position on the bus, the coupler is 0.
+    pub position: u16,
+    /// Name from its EEPROM.
+    pub name: String,
+    /// EtherCAT vendor.
+    pub vendor_id: u32,
+    /// Product code.
+    pub product_code: u32,
+    /// Revision.
+    pub revision: u32,
+    /// Serial number, 0 where the maker gives none.
+    pub serial: u32,
+}
+
+/// Who, what, with which settings: written into the file before the first cycle.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunMetadata {
+    /// Name of the run; the file's name without its ending.
+    pub name: String,
+    /// Who made it.
+    pub operator: String,
+    /// Which robot.
+    pub robot: String,
+    /// Free text.
+    pub note: String,
+    /// When it began.
+    pub started: UtcNs,
+    /// Program and version that wrote it.
+    pub software: String,
+    /// Network interface, or `simulated`.
+    pub bus: String,
+    /// Time between two cycles \[ns\].
+    pub cycle_period_ns: u64,
+    /// Whether the terminals sample on distributed clocks. Without them a sample may be one period old.
+    pub distributed_clocks: bool,
+    /// `UTC = CLOCK_MONOTONIC + this` for the whole run \[ns\], so that time stamps never run backwards.
+    pub utc_minus_monotonic_ns: i64,
+    /// Encoders in bus order.
+    pub encoders: Vec<EncoderInfo>,
+    /// Devices in bus order.
+    pub devices: Vec<DeviceInfo>,
+    /// The daemon's configuration, TOML.
+    pub daemon_config: String,
+    /// The bar's configuration, TOML.
+    pub ball_bar_config: String,
+}
+
+/// How a run ended: written after the last cycle.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RunEnd {
+    /// Why it ended, in words.
+    pub cause: String,
+    /// When.
+    pub ended: UtcNs,
+    /// Cycles in the file.
+    pub cycles: u64,
+    /// Cycles in which every encoder is valid.
+    pub cycles_valid: u64,
+    /// Cycles that never reached the file with their content (ring overflow).
+    pub cycles_lost: u64,
 }

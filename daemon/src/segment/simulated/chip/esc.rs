@@ -1,5 +1,7 @@
 //! The chip: one memory, and the units that give some of its addresses a meaning.
 
+mod register_access;
+
 use super::al::{AlMachine, AlState, Readiness};
 use super::dc::{DistributedClock, LocalClock, Pulses};
 use super::fmmu::{self, Fmmu, Mapped};
@@ -368,8 +370,6 @@ impl Esc {
         }
     }
 }
-
-mod register_access;
 
 fn span(channel: &ExpectedSyncManager) -> std::ops::Range<usize> {
     let start = usize::from(channel.start);

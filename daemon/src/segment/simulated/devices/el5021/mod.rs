@@ -108,7 +108,7 @@ impl El5021 {
     }
 
     fn diagnose(&mut self, step: &Step<'_>) {
-        let supervised = step.sync_mode == SyncMode::DistributedClock && step.state == AlState::Op;
+        let supervised = self.sync_mode == SyncMode::DistributedClock && step.state == AlState::Op;
         self.diagnosis.sync_error = supervised && step.event.missed > 0;
         if supervised {
             let missed = u16::try_from(step.event.missed).unwrap_or(u16::MAX);

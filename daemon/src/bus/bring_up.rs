@@ -1,0 +1,272 @@
+//! From INIT to OP: who is there, is it who should be, interpolation, distributed clocks, states.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::time::Duration;
+
+use ethercrab::error::{Error as EtherCatError, MailboxError};
+use ethercrab::subdevice_group::{DcConfiguration, HasDc, NoDc, Op, PreOp, PreOpPdi};
+use ethercrab::{Command, DcSync, EtherCrabWireRead, RegisterAddress, SubDeviceRef, SubDeviceState};
+use shared::config::EncoderConfig;
+use shared::recording::schema::DeviceInfo;
+use shared::time::NS_PER_S;
+
+use super::error::{BusError, DeviceName, while_doing};
+use super::{Bus, BusPlan, Group, Operational, OperationalGroup, working_counter_of};
+use crate::devices::{DeviceKind, EK1100, EL5021, el5021};
+
+/// SYNC pulses start this much after they are configured: longer than configuring all terminals takes.
+const SYNC_START_DELAY: Duration = Duration::from_millis(100);
+/// Clocks are compared after as many synchronising frames, one per millisecond.
+const CLOCK_SETTLE_FRAMES: u32 = 50;
+/// Largest difference to the bus time that counts as settled \[ns\].
+const CLOCK_DIFFERENCE_NS_MAX: i64 = 1_000;
+/// Time that the terminals get for SAFE-OP to OP, process data flowing \[ns\].
+const OPERATIONAL_TIMEOUT_NS: i64 = 5 * NS_PER_S;
+
+impl Bus {
+    /// Brings the segment into operation, from whatever state it is in.
+    pub fn bring_up(&mut self, plan: &BusPlan) -> Result<Operational, BusError> {
+        // ethercrab 0.7.1 panics on a CoE emergency in the SDO path and on an incoherent topology: a broken
+        // terminal must not take the process with it.
+        catch_unwind(AssertUnwindSafe(|| self.try_bring_up(plan)))
+            .unwrap_or_else(|panic| Err(BusError::Panicked(panic_text(panic.as_ref()))))
+    }
+
+    fn try_bring_up(&mut self, plan: &BusPlan) -> Result<Operational, BusError> {
+        let mut group = self.discover(plan)?;
+        let devices = self.check_devices(&group, plan)?;
+        self.configure_terminals(&mut group, plan)?;
+        let doing = while_doing("mapping the process data");
+        let group = self.exchange.run(group.into_pre_op_pdi(&self.main)).map_err(doing)?;
+        let group = if plan.distributed_clocks {
+            self.settle_clocks(&group)?;
+            let group = self.start_sync(group, plan)?;
+            OperationalGroup::Dc(self.request_operational(group)?)
+        } else {
+            OperationalGroup::FreeRun(self.request_operational(group)?)
+        };
+        let operational = Operational {
+            group,
+            devices,
+            working_counter_expected: working_counter_of(plan.encoders.len()),
+            encoder_count: plan.encoders.len(),
+        };
+        self.check_process_data(&operational)?;
+        self.wait_operational(&operational, plan)?;
+        Ok(operational)
+    }
+
+    fn discover(&mut self, plan: &BusPlan) -> Result<Group<PreOp, NoDc>, BusError> {
+        let no_answer = || BusError::NoAnswer { bus: plan.name.clone() };
+        // The bus time begins at the host's monotonic time of this moment.
+        let start_ns = self.clock.now().0.max(0) as u64;
+        let host_time_ns = move || start_ns;
+        let group = match self.exchange.run(self.main.init_single_group(host_time_ns)) {
+            Ok(group) => group,
+            Err(_) if self.exchange.counters().received == 0 => return Err(no_answer()),
+            Err(error) => return Err(while_doing("looking for devices")(error)),
+        };
+        if group.is_empty() { Err(no_answer()) } else { Ok(group) }
+    }
+
+    fn check_devices(&self, group: &Group<PreOp, NoDc>, plan: &BusPlan) -> Result<Vec<DeviceInfo>, BusError> {
+        let devices: Vec<DeviceInfo> = group
+            .iter(&self.main)
+            .enumerate()
+            .map(|(position, device)| {
+                let identity = device.identity();
+                DeviceInfo {
+                    position: position as u16,
+                    name: device.name().to_owned(),
+                    vendor_id: identity.vendor_id,
+                    product_code: identity.product_id,
+                    revision: identity.revision,
+                    serial: identity.serial,
+                }
+            })
+            .collect();
+        let expected: Vec<&DeviceKind> =
+            std::iter::once(&EK1100).chain(plan.encoders.iter().map(|_| &EL5021)).collect();
+        match first_difference(&expected, &devices) {
+            None => Ok(devices),
+            Some(position) => Err(BusError::WrongDevices {
+                position,
+                expected: expected.iter().map(|kind| DeviceName(kind.name.to_owned())).collect(),
+                found: devices.iter().map(|device| DeviceName(device.name.clone())).collect(),
+            }),
+        }
+    }
+
+    fn configure_terminals(
+        &mut self,
+        group: &mut Group<PreOp, NoDc>,
+        plan: &BusPlan,
+    ) -> Result<(), BusError> {
+        let Self { exchange, main, .. } = self;
+        for (index, mut terminal) in group.iter_mut(main).skip(1).enumerate() {
+            let Some(encoder) = plan.encoders.get(index) else { break };
+            let found = exchange
+                .run(set_interpolation(&terminal, encoder))
+                .map_err(while_doing("setting the interpolation"))?;
+            if found != u32::from(encoder.interpolation_bits) {
+                let wanted = encoder.interpolation_bits;
+                return Err(BusError::Interpolation { position: index + 1, wanted, found });
+            }
+            if plan.distributed_clocks {
+                terminal.set_dc_sync(DcSync::Sync01 { sync1_period: el5021::SYNC1_SHIFT });
+            }
+        }
+        Ok(())
+    }
+
+    /// Lets the clocks of all terminals follow the reference clock, and checks that they do.
+    fn settle_clocks(&mut self, group: &Group<PreOpPdi, NoDc>) -> Result<(), BusError> {
+        let doing = while_doing("synchronising the clocks");
+        let mut times_ns = Vec::with_capacity(CLOCK_SETTLE_FRAMES as usize);
+        for _ in 0..CLOCK_SETTLE_FRAMES {
+            let response = self.exchange.run(group.tx_rx_sync_system_time(&self.main)).map_err(&doing)?;
+            times_ns.push(response.extra.unwrap_or(0));
+            self.clock.sleep_until(self.clock.now().plus_ns(NS_PER_S / 1000));
+        }
+        if let (Some(first), Some(last)) = (times_ns.first(), times_ns.last())
+            && last <= first
+        {
+            return Err(BusError::ClockStandsStill { time_ns: *last });
+        }
+        for (position, device) in group.iter(&self.main).enumerate().skip(1) {
+            let register = self
+                .exchange
+                .run(device.register_read::<u32>(RegisterAddress::DcSystemTimeDifference))
+                .map_err(&doing)?;
+            let difference_ns = sign_magnitude(register);
+            if difference_ns.abs() > CLOCK_DIFFERENCE_NS_MAX {
+                return Err(BusError::ClockNotSettled { position, difference_ns });
+            }
+        }
+        Ok(())
+    }
+
+    fn start_sync(
+        &mut self,
+        group: Group<PreOpPdi, NoDc>,
+        plan: &BusPlan,
+    ) -> Result<Group<PreOpPdi, HasDc>, BusError> {
+        let configuration = DcConfiguration {
+            start_delay: SYNC_START_DELAY,
+            sync0_period: plan.cycle_period,
+            sync0_shift: plan.sync0_shift,
+        };
+        self.exchange
+            .run(group.configure_dc_sync(&self.main, configuration))
+            .map_err(while_doing("starting SYNC0 and SYNC1"))
+    }
+
+    fn request_operational<Dc>(&mut self, group: Group<PreOpPdi, Dc>) -> Result<Group<Op, Dc>, BusError> {
+        let devices = group.len();
+        let safe_op = self.exchange.run(group.into_safe_op(&self.main));
+        let safe_op = safe_op.map_err(|error| self.explain_refusal(devices, "SAFE-OP", error))?;
+        let op = self.exchange.run(safe_op.request_into_op(&self.main));
+        op.map_err(|error| self.explain_refusal(devices, "OP", error))
+    }
+
+    fn check_process_data(&self, operational: &Operational) -> Result<(), BusError> {
+        for position in 1..=operational.encoder_count {
+            let lengths = match &operational.group {
+                OperationalGroup::Dc(group) => group
+                    .subdevice(&self.main, position)
+                    .map(|terminal| (terminal.inputs_raw().len(), terminal.outputs_raw().len())),
+                OperationalGroup::FreeRun(group) => group
+                    .subdevice(&self.main, position)
+                    .map(|terminal| (terminal.inputs_raw().len(), terminal.outputs_raw().len())),
+            };
+            let (inputs, outputs) = lengths.map_err(while_doing("looking at the process data"))?;
+            if (inputs, outputs) != (el5021::INPUT_BYTES, el5021::OUTPUT_BYTES) {
+                return Err(BusError::ProcessData { position, inputs, outputs });
+            }
+        }
+        Ok(())
+    }
+
+    /// Cycles in step with SYNC0 until every device is in OP: they want process data before they go there.
+    fn wait_operational(&mut self, operational: &Operational, plan: &BusPlan) -> Result<(), BusError> {
+        let period_ns = plan.cycle_period.as_nanos() as i64;
+        let deadline = self.clock.now().plus_ns(OPERATIONAL_TIMEOUT_NS);
+        while self.clock.now() < deadline {
+            let cycle = self.exchange(operational);
+            if cycle.reply.is_some_and(|reply| reply.all_operational) {
+                return Ok(());
+            }
+            let phase_ns =
+                cycle.reply.and_then(|reply| reply.dc_time).map_or(0, |time| time.0.rem_euclid(period_ns));
+            let next = cycle.sent.plus_ns(period_ns - phase_ns + plan.sync0_shift.as_nanos() as i64);
+            self.clock.sleep_until(next);
+        }
+        let timeout = while_doing("waiting for OP")(EtherCatError::StateTransition);
+        Err(self.refused_device(operational.devices.len(), "OP").unwrap_or(timeout))
+    }
+
+    fn explain_refusal(&mut self, devices: usize, wanted: &'static str, error: EtherCatError) -> BusError {
+        self.refused_device(devices, wanted).unwrap_or(BusError::Stack { doing: "changing state", error })
+    }
+
+    /// The first device with an AL status code: ethercrab reports a refusal only as a time-out.
+    fn refused_device(&mut self, devices: usize, wanted: &'static str) -> Option<BusError> {
+        (0..devices).find_map(|position| {
+            let (state, code) = self.al_status(position).ok()?;
+            let refused = u16::from(code) != 0;
+            refused.then_some(BusError::StateRefused { position, state, wanted, code })
+        })
+    }
+
+    fn al_status(
+        &mut self,
+        position: usize,
+    ) -> Result<(SubDeviceState, ethercrab::AlStatusCode), EtherCatError> {
+        const FIRST_STATION_ADDRESS: u16 = 0x1000;
+        let address = FIRST_STATION_ADDRESS + position as u16;
+        let Self { exchange, main, .. } = self;
+        let status: u16 =
+            exchange.run(Command::fprd(address, RegisterAddress::AlStatus.into()).receive(main))?;
+        let code: u16 =
+            exchange.run(Command::fprd(address, RegisterAddress::AlStatusCode.into()).receive(main))?;
+        let state = SubDeviceState::unpack_from_slice(&[(status & 0x0f) as u8])?;
+        Ok((state, ethercrab::AlStatusCode::unpack_from_slice(&code.to_le_bytes())?))
+    }
+}
+
+/// Writes the interpolation and reads it back. Object 0x8001:11 is one byte on the wire in all revisions seen;
+/// a firmware that says otherwise gets the length that it asks for.
+async fn set_interpolation<T: std::ops::Deref<Target = ethercrab::SubDevice>>(
+    terminal: &SubDeviceRef<'_, T>,
+    encoder: &EncoderConfig,
+) -> Result<u32, EtherCatError> {
+    let (index, sub_index) = el5021::INTERPOLATION_OBJECT;
+    let bits = encoder.interpolation_bits;
+    match terminal.sdo_write(index, sub_index, bits).await {
+        Err(EtherCatError::Mailbox(MailboxError::Aborted { .. })) => {
+            terminal.sdo_write(index, sub_index, u16::from(bits)).await?;
+            terminal.sdo_read::<u16>(index, sub_index).await.map(u32::from)
+        }
+        Err(error) => Err(error),
+        Ok(()) => terminal.sdo_read::<u8>(index, sub_index).await.map(u32::from),
+    }
+}
+
+/// First position at which the bus is not what it should be.
+fn first_difference(expected: &[&DeviceKind], found: &[DeviceInfo]) -> Option<usize> {
+    let same =
+        |(kind, device): (&&DeviceKind, &DeviceInfo)| kind.matches(device.vendor_id, device.product_code);
+    let common = expected.iter().zip(found).take_while(|&pair| same(pair)).count();
+    (common < expected.len().max(found.len())).then_some(common)
+}
+
+/// Registers such as 0x092C hold a sign bit and a magnitude, no two's complement.
+fn sign_magnitude(register: u32) -> i64 {
+    let magnitude = i64::from(register & 0x7fff_ffff);
+    if register >> 31 == 1 { -magnitude } else { magnitude }
+}
+
+fn panic_text(panic: &(dyn std::any::Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().map(|text| (*text).to_owned());
+    text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "unknown".into())
+}

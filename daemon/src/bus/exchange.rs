@@ -1,0 +1,131 @@
+//! Send and receive around ethercrab's `PduTx` and `PduRx`, on the thread that waits for the answer.
+//!
+//! The loops that come with ethercrab 0.7.1 end for good on a late or duplicated reply (issue 293) or stall
+//! after a lost one. Here a bad reply is counted and the next one is read; an interface that goes down is a
+//! send error of this frame, not the end of the thread.
+
+use std::future::Future;
+use std::pin::pin;
+use std::task::{Context, Poll, Waker};
+
+use ethercrab::{PduRx, PduTx, ReceiveAction};
+use shared::time::MonoNs;
+
+use super::timers;
+use crate::clock::Clock;
+use crate::segment::{FRAME_BYTES_MAX, Wire};
+
+/// With no timer pending, look again after this long \[ns\].
+const POLL_PERIOD_NS: i64 = 1_000_000;
+
+/// What went over the wire, counted since the start.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct WireCounters {
+    /// Frames sent.
+    pub sent: u64,
+    /// Frames that could not be sent.
+    pub send_errors: u64,
+    /// Replies that belonged to a waiting frame.
+    pub received: u64,
+    /// Replies that were late, duplicated or damaged.
+    pub rejected: u64,
+    /// The interface refused to receive.
+    pub receive_errors: u64,
+}
+
+/// Drives the EtherCAT stack over a wire.
+pub struct Exchange {
+    tx: PduTx<'static>,
+    rx: PduRx<'static>,
+    wire: Box<dyn Wire>,
+    clock: Clock,
+    buffer: Box<[u8; FRAME_BYTES_MAX]>,
+    counters: WireCounters,
+    sent_last: MonoNs,
+    received_last: MonoNs,
+}
+
+impl Exchange {
+    /// The halves of one `PduStorage` and the wire that they talk over.
+    pub fn new(tx: PduTx<'static>, rx: PduRx<'static>, wire: Box<dyn Wire>, clock: Clock) -> Self {
+        let now = clock.now();
+        Self {
+            tx,
+            rx,
+            wire,
+            clock,
+            buffer: Box::new([0; FRAME_BYTES_MAX]),
+            counters: WireCounters::default(),
+            sent_last: now,
+            received_last: now,
+        }
+    }
+
+    /// Runs a future of the EtherCAT stack to its end, carrying its frames meanwhile.
+    pub fn run<F: Future>(&mut self, future: F) -> F::Output {
+        let mut future = pin!(future);
+        let mut context = Context::from_waker(Waker::noop());
+        timers::use_clock(&self.clock);
+        loop {
+            timers::take_earliest_wake();
+            if let Poll::Ready(output) = future.as_mut().poll(&mut context) {
+                return output;
+            }
+            let idle_until = self.clock.now().plus_ns(POLL_PERIOD_NS);
+            let until = timers::take_earliest_wake().map_or(idle_until, |wake| wake.min(idle_until));
+            self.send_pending();
+            self.receive_one(until);
+        }
+    }
+
+    /// When the last frame was handed to the wire.
+    pub fn sent_last(&self) -> MonoNs {
+        self.sent_last
+    }
+
+    /// When the last reply was there.
+    pub fn received_last(&self) -> MonoNs {
+        self.received_last
+    }
+
+    /// What went over the wire so far.
+    pub fn counters(&self) -> WireCounters {
+        self.counters
+    }
+
+    fn send_pending(&mut self) {
+        while let Some(frame) = self.tx.next_sendable_frame() {
+            let Self { wire, clock, counters, sent_last, .. } = self;
+            *sent_last = clock.now();
+            // A frame that cannot be sent counts as sent and lost: it ends by its time-out like any other loss,
+            // instead of being offered again at once for ever.
+            let result = frame.send_blocking(|bytes| {
+                match wire.send(bytes) {
+                    Ok(()) => counters.sent += 1,
+                    Err(_) => counters.send_errors += 1,
+                }
+                Ok(bytes.len())
+            });
+            debug_assert!(result.is_ok());
+        }
+    }
+
+    fn receive_one(&mut self, until: MonoNs) {
+        match self.wire.receive(&mut self.buffer, until) {
+            Ok(Some(length)) => match self.rx.receive_frame(&self.buffer[..length]) {
+                Ok(ReceiveAction::Processed) => {
+                    self.received_last = self.clock.now();
+                    self.counters.received += 1;
+                }
+                Ok(ReceiveAction::Ignored) => {}
+                Err(_) => self.counters.rejected += 1,
+            },
+            Ok(None) => {}
+            Err(_) => {
+                // A dead interface answers at once: without a pause this would spin until the time-out.
+                self.counters.receive_errors += 1;
+                self.clock.sleep_until(until);
+            }
+        }
+    }
+}

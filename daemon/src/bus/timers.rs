@@ -1,0 +1,46 @@
+//! Time-outs of the EtherCAT stack, on our clock.
+//!
+//! ethercrab without `std` takes its timers from embassy-time, which asks one driver per program for the time.
+//! Ours answers with the clock of the calling thread, and remembers the earliest wake-up instead of arming
+//! anything: the thread that polls is the thread that waits. No timer thread, no lock, no allocation.
+
+use std::cell::{Cell, RefCell};
+use std::task::Waker;
+
+use embassy_time_driver::{Driver, TICK_HZ};
+use shared::time::{MonoNs, NS_PER_S};
+
+use crate::clock::Clock;
+
+const NS_PER_TICK: i64 = NS_PER_S / TICK_HZ as i64;
+
+thread_local! {
+    static CLOCK: RefCell<Clock> = const { RefCell::new(Clock::Real) };
+    static EARLIEST_WAKE: Cell<Option<u64>> = const { Cell::new(None) };
+}
+
+struct ThreadClock;
+
+impl Driver for ThreadClock {
+    fn now(&self) -> u64 {
+        CLOCK.with_borrow(|clock| (clock.now().0 / NS_PER_TICK).max(0) as u64)
+    }
+
+    fn schedule_wake(&self, at: u64, _waker: &Waker) {
+        EARLIEST_WAKE.set(Some(EARLIEST_WAKE.get().map_or(at, |earliest| earliest.min(at))));
+    }
+}
+
+embassy_time_driver::time_driver_impl!(static DRIVER: ThreadClock = ThreadClock);
+
+/// From now on the time-outs of EtherCAT futures that this thread polls run on `clock`. [`Exchange`](super::Exchange)
+/// does it by itself.
+pub fn use_clock(clock: &Clock) {
+    CLOCK.with_borrow_mut(|current| *current = clock.clone());
+}
+
+/// The earliest time at which a timer polled since the last call wants to be polled again.
+pub(super) fn take_earliest_wake() -> Option<MonoNs> {
+    // Rounded up: a timer polled a fraction of a tick early would not be ready.
+    EARLIEST_WAKE.take().map(|at| MonoNs((at as i64).saturating_add(1).saturating_mul(NS_PER_TICK)))
+}

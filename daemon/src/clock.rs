@@ -1,0 +1,83 @@
+//! The clock as a value: the same cycle runs on real time or, in tests and replays, on virtual time that
+//! passes as fast as the machine allows.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+
+use nix::errno::Errno;
+use nix::sys::time::TimeSpec;
+use nix::time::{ClockId, ClockNanosleepFlags, clock_gettime, clock_nanosleep};
+use shared::time::{MonoNs, NS_PER_S, UtcNs};
+
+/// A monotonic clock, and what UTC it stands for.
+#[derive(Debug, Clone)]
+pub enum Clock {
+    /// `CLOCK_MONOTONIC` and the host's UTC.
+    Real,
+    /// Moves only when somebody sleeps on it or a frame crosses the simulated wire.
+    Virtual {
+        /// Virtual monotonic time \[ns\].
+        now_ns: Arc<AtomicI64>,
+        /// `UTC - monotonic`, constant \[ns\].
+        utc_minus_monotonic_ns: i64,
+    },
+}
+
+impl Clock {
+    /// A virtual clock that shows `utc` at its beginning.
+    pub fn virtual_from(utc: UtcNs) -> Self {
+        // Not zero, so that a forgotten stamp is not taken for the beginning.
+        let start_ns = NS_PER_S;
+        Self::Virtual { now_ns: Arc::new(AtomicI64::new(start_ns)), utc_minus_monotonic_ns: utc.0 - start_ns }
+    }
+
+    /// Whether time passes by itself.
+    pub const fn is_real(&self) -> bool {
+        matches!(self, Self::Real)
+    }
+
+    /// Monotonic time.
+    pub fn now(&self) -> MonoNs {
+        match self {
+            Self::Real => MonoNs(read_ns(ClockId::CLOCK_MONOTONIC)),
+            Self::Virtual { now_ns, .. } => MonoNs(now_ns.load(Ordering::Acquire)),
+        }
+    }
+
+    /// Returns at `deadline`, at once if it has passed. Absolute, so that lateness does not add up.
+    pub fn sleep_until(&self, deadline: MonoNs) {
+        match self {
+            Self::Real => {
+                let at = TimeSpec::new(deadline.0.div_euclid(NS_PER_S), deadline.0.rem_euclid(NS_PER_S));
+                let absolute = ClockNanosleepFlags::TIMER_ABSTIME;
+                while clock_nanosleep(ClockId::CLOCK_MONOTONIC, absolute, &at) == Err(Errno::EINTR) {}
+            }
+            Self::Virtual { now_ns, .. } => {
+                now_ns.fetch_max(deadline.0, Ordering::AcqRel);
+            }
+        }
+    }
+
+    /// `UTC - monotonic` now \[ns\], read as the closest of a few bracketed pairs.
+    pub fn utc_minus_monotonic_ns(&self) -> i64 {
+        match self {
+            Self::Real => {
+                (0..9).map(|_| bracketed_pair()).min().map_or(0, |(_, difference_ns)| difference_ns)
+            }
+            Self::Virtual { utc_minus_monotonic_ns, .. } => *utc_minus_monotonic_ns,
+        }
+    }
+}
+
+/// Width of the bracket and `UTC - monotonic` at its middle \[ns\].
+fn bracketed_pair() -> (i64, i64) {
+    let before = read_ns(ClockId::CLOCK_MONOTONIC);
+    let utc = read_ns(ClockId::CLOCK_REALTIME);
+    let after = read_ns(ClockId::CLOCK_MONOTONIC);
+    (after - before, utc - before - (after - before) / 2)
+}
+
+fn read_ns(clock: ClockId) -> i64 {
+    // These two clocks exist on every Linux; a kernel without them could not have started this process.
+    clock_gettime(clock).map_or(0, |time| time.tv_sec() * NS_PER_S + time.tv_nsec())
+}

@@ -1,0 +1,90 @@
+//! `ballbard record`: one run, then exit.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::Args;
+use shared::config::{self, BallBarConfig, DaemonConfig};
+
+use super::on_signal;
+use crate::recorder::RunSummary;
+use crate::run::{self, BusChoice, RunRequest, Stop};
+
+#[derive(Debug, Args)]
+pub struct RecordArguments {
+    /// Name of the run and of its file; default: date and time
+    #[arg(long)]
+    name: Option<String>,
+    /// How long, such as 60s or 2m; default: until Ctrl-C, or to the end of a replay
+    #[arg(long, value_parser = humantime::parse_duration)]
+    duration: Option<Duration>,
+    /// `simulated`, or a network interface such as eth1
+    #[arg(long, default_value = "simulated")]
+    bus: String,
+    /// Let the simulated encoders follow this recording
+    #[arg(long, value_name = "FILE")]
+    replay: Option<PathBuf>,
+    /// Virtual time: as fast as the machine allows (simulated bus only)
+    #[arg(long)]
+    fast: bool,
+    /// Who records
+    #[arg(long, default_value = "")]
+    operator: String,
+    /// Which robot
+    #[arg(long, default_value = "")]
+    robot: String,
+    /// Free text, kept in the file
+    #[arg(long, default_value = "")]
+    note: String,
+    /// Directory for the recording; default: `directory` of daemon.toml
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Directory with daemon.toml and ball_bar.toml
+    #[arg(long, value_name = "DIR", default_value = "config")]
+    config: PathBuf,
+}
+
+pub fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
+    let mut daemon: DaemonConfig = config::load(&arguments.config.join("daemon.toml"))?;
+    let bar: BallBarConfig = config::load(&arguments.config.join("ball_bar.toml"))?;
+    if let Some(directory) = &arguments.out {
+        daemon.directory.clone_from(directory);
+    }
+    let request = request(arguments)?;
+    let stop = Stop::default();
+    let working = stop.clone();
+    let summary = on_signal(
+        move || Ok(run::record(&request, &daemon, &bar, &working)?),
+        |signal| stop.stop(&format!("stopped by {signal}")),
+    )?;
+    print(&summary);
+    Ok(())
+}
+
+fn request(arguments: &RecordArguments) -> anyhow::Result<RunRequest> {
+    let bus = match (&arguments.replay, arguments.bus.as_str()) {
+        (Some(file), "simulated") => BusChoice::Replay(file.clone()),
+        (Some(_), interface) => {
+            anyhow::bail!("--replay plays on the simulated bus, not on {interface}; leave out one of the two")
+        }
+        (None, "simulated") => BusChoice::Simulated,
+        (None, interface) => BusChoice::Interface(interface.to_owned()),
+    };
+    let name = arguments.name.clone();
+    Ok(RunRequest {
+        name: name.unwrap_or_else(|| chrono::Local::now().format("%Y-%m-%d_%H-%M-%S").to_string()),
+        operator: arguments.operator.clone(),
+        robot: arguments.robot.clone(),
+        note: arguments.note.clone(),
+        duration: arguments.duration,
+        bus,
+        fast: arguments.fast,
+    })
+}
+
+fn print(summary: &RunSummary) {
+    let RunSummary { path, cycles, cycles_valid, cycles_lost, cause } = summary;
+    let flagged = cycles - cycles_valid;
+    println!("{}", path.display());
+    println!("{cycles} cycles, {cycles_valid} valid, {flagged} flagged, {cycles_lost} lost; {cause}");
+}

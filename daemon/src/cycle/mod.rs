@@ -1,0 +1,205 @@
+//! The real-time cycle: time and process image in, one sample out.
+//!
+//! [`Acquisition::next_cycle`] sleeps until the cycle's absolute deadline, exchanges one frame and gives one
+//! record for each cycle that was due. It allocates nothing, takes no lock and writes no file; it ends at the
+//! sink that it is given, a bounded ring.
+
+mod clock_fit;
+mod realtime;
+mod sampler;
+
+use std::time::Duration;
+
+use shared::recording::schema::{CycleRecord, DeviceInfo, flags};
+use shared::time::{DcNs, MonoNs, UtcNs};
+
+pub use clock_fit::{ClockFit, ClockPair};
+pub use realtime::{RealtimeReport, RealtimeRequest};
+pub use sampler::{SampleTime, Sampler};
+
+use crate::bus::{Bus, BusError, BusPlan, CyclicExchange, Operational, WireCounters};
+use crate::clock::Clock;
+use crate::devices::el5021;
+
+/// Cycles run before the first sample so that the fit of bus time to host time has settled.
+const CLOCK_FIT_CYCLES: u32 = 100;
+/// A run is announced this many cycles before its first sample.
+const CYCLES_AHEAD: u64 = 2;
+
+/// A bus in operation and its clocks.
+pub struct Acquisition {
+    bus: Bus,
+    operational: Operational,
+    clock: Clock,
+    period_ns: i64,
+    sync0_shift_ns: i64,
+    distributed_clocks: bool,
+    utc_minus_monotonic_ns: i64,
+    fit: ClockFit,
+    sampler: Sampler,
+    /// Sampling instant of cycle 0 on the bus' clock, or of its frame on the host's without DC.
+    origin_ns: i64,
+    next_cycle: u64,
+    late_ns_max: i64,
+}
+
+impl Acquisition {
+    /// Brings the bus up and lets the clocks settle. Call it on the thread that will cycle.
+    pub fn start(mut bus: Bus, plan: &BusPlan, clock: Clock) -> Result<Self, BusError> {
+        let operational = bus.bring_up(plan)?;
+        let joints = plan.encoders.iter().map(|encoder| encoder.joint);
+        let mut acquisition = Self {
+            sampler: Sampler::new(joints, operational.working_counter_expected, plan.distributed_clocks),
+            bus,
+            operational,
+            period_ns: nanoseconds(plan.cycle_period),
+            sync0_shift_ns: nanoseconds(plan.sync0_shift),
+            distributed_clocks: plan.distributed_clocks,
+            utc_minus_monotonic_ns: clock.utc_minus_monotonic_ns(),
+            fit: ClockFit::default(),
+            origin_ns: 0,
+            next_cycle: 0,
+            late_ns_max: 0,
+            clock,
+        };
+        acquisition.settle();
+        Ok(acquisition)
+    }
+
+    /// Devices as they identified themselves.
+    pub fn devices(&self) -> &[DeviceInfo] {
+        &self.operational.devices
+    }
+
+    /// `UTC - monotonic` that all sample times of this run use \[ns\].
+    pub fn utc_minus_monotonic_ns(&self) -> i64 {
+        self.utc_minus_monotonic_ns
+    }
+
+    /// What went over the wire so far.
+    pub fn wire_counters(&self) -> WireCounters {
+        self.bus.wire_counters()
+    }
+
+    /// Latest that a wake-up came after its deadline \[ns\].
+    pub fn late_ns_max(&self) -> i64 {
+        self.late_ns_max
+    }
+
+    /// Lets cycle 0 of the next run be sampled at `utc` (virtual time only: there UTC is a matter of choice).
+    pub fn set_first_sample_time(&mut self, utc: UtcNs) {
+        if !self.clock.is_real() {
+            self.utc_minus_monotonic_ns = utc.0 - self.sample_monotonic(self.next_cycle + CYCLES_AHEAD).0;
+        }
+    }
+
+    /// Exchanges frames in step without recording, while somebody prepares a run.
+    pub fn idle(&mut self) {
+        self.next_cycle(&mut |_| ());
+    }
+
+    /// The next cycle will be number 0 of a run. `announce` is told its sampling instant on the bus' clock before
+    /// that instant has come.
+    pub fn begin_run(&mut self, announce: impl FnOnce(DcNs)) {
+        let first = self.next_cycle + CYCLES_AHEAD;
+        let origin_ns = self.origin_ns + first as i64 * self.period_ns;
+        announce(DcNs(origin_ns));
+        // No cycle is left out: a terminal that misses its frame reports a synchronisation error.
+        while self.next_cycle < first {
+            self.idle();
+        }
+        self.next_cycle -= first;
+        self.origin_ns = origin_ns;
+        self.late_ns_max = 0;
+    }
+
+    /// Waits for the next cycle, exchanges its frame, and hands `sink` one record for each cycle that was due.
+    pub fn next_cycle(&mut self, sink: &mut dyn FnMut(&CycleRecord)) {
+        let deadline = self.frame_deadline(self.next_cycle);
+        self.clock.sleep_until(deadline);
+        let exchange = self.bus.exchange(&self.operational);
+        self.late_ns_max = self.late_ns_max.max(exchange.sent.ns_since(deadline));
+        self.observe_clocks(&exchange);
+        let sampled = self.cycle_sampled(&exchange);
+        // Woken so late that SYNC0 overwrote samples before their frame was sent: those cycles are in the
+        // file all the same, with the reason.
+        while self.next_cycle < sampled {
+            let time = self.sample_time(self.next_cycle);
+            sink(&self.sampler.missed(self.next_cycle, time, &exchange));
+            self.next_cycle += 1;
+        }
+        let time = self.sample_time(self.next_cycle);
+        let mut record = self.sampler.sample(self.next_cycle, time, &exchange);
+        if sampled < self.next_cycle {
+            Sampler::invalidate(&mut record, flags::STALE_INPUT);
+        }
+        sink(&record);
+        self.next_cycle += 1;
+    }
+
+    /// Locks on: finds the phase of SYNC0, then cycles until the fit is good.
+    fn settle(&mut self) {
+        let exchange = self.bus.exchange(&self.operational);
+        self.observe_clocks(&exchange);
+        self.origin_ns = match exchange.reply.and_then(|reply| reply.dc_time) {
+            Some(time) => (time.0.div_euclid(self.period_ns) + 1) * self.period_ns,
+            None => exchange.sent.plus_ns(self.period_ns).0,
+        };
+        (0..CLOCK_FIT_CYCLES).for_each(|_| self.idle());
+    }
+
+    fn observe_clocks(&mut self, exchange: &CyclicExchange) {
+        if let Some(dc) = exchange.reply.and_then(|reply| reply.dc_time) {
+            self.fit.observe(ClockPair { dc, sent: exchange.sent, received: exchange.received });
+        }
+    }
+
+    /// Number of the cycle whose sample the reply holds; the expected one where nothing says otherwise.
+    fn cycle_sampled(&self, exchange: &CyclicExchange) -> u64 {
+        match exchange.reply.and_then(|reply| reply.dc_time) {
+            Some(dc) => {
+                let since_origin_ns = dc.0 - el5021::DATA_READY_NS - self.origin_ns;
+                since_origin_ns.div_euclid(self.period_ns).max(0) as u64
+            }
+            None if self.distributed_clocks => self.next_cycle,
+            None => {
+                let since_origin_ns = exchange.sent.0 - self.origin_ns;
+                (since_origin_ns.div_euclid(self.period_ns).max(0) as u64).max(self.next_cycle)
+            }
+        }
+    }
+
+    fn frame_deadline(&self, cycle: u64) -> MonoNs {
+        if self.distributed_clocks {
+            let frame = DcNs(self.origin_ns + cycle as i64 * self.period_ns + self.sync0_shift_ns);
+            self.fit.monotonic_from_dc(frame)
+        } else {
+            MonoNs(self.origin_ns + cycle as i64 * self.period_ns)
+        }
+    }
+
+    fn sample_monotonic(&self, cycle: u64) -> MonoNs {
+        if self.distributed_clocks {
+            self.fit.monotonic_from_dc(DcNs(self.origin_ns + cycle as i64 * self.period_ns))
+        } else {
+            // The terminal samples between this frame and the one before; the middle errs least.
+            MonoNs(self.origin_ns + cycle as i64 * self.period_ns - self.period_ns / 2)
+        }
+    }
+
+    fn sample_time(&self, cycle: u64) -> SampleTime {
+        let utc = UtcNs(self.sample_monotonic(cycle).0.saturating_add(self.utc_minus_monotonic_ns));
+        if self.distributed_clocks {
+            let dc = DcNs(self.origin_ns + cycle as i64 * self.period_ns);
+            SampleTime { utc, uncertainty_ns: self.fit.uncertainty_ns(), dc }
+        } else {
+            // Standard deviation of a uniform distribution one period wide.
+            let uncertainty_ns = (self.period_ns as f64 / 12f64.sqrt()) as u32;
+            SampleTime { utc, uncertainty_ns, dc: DcNs(0) }
+        }
+    }
+}
+
+fn nanoseconds(duration: Duration) -> i64 {
+    i64::try_from(duration.as_nanos()).unwrap_or(i64::MAX)
+}

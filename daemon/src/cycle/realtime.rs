@@ -1,0 +1,93 @@
+//! Scheduling, core and memory of the cycle's thread: what was asked for, what the system permits.
+
+use std::fmt;
+use std::io;
+
+use nix::sched::{CpuSet, sched_setaffinity};
+use nix::sys::mman::{MlockAllFlags, mlockall};
+use nix::unistd::Pid;
+
+/// What the cycle's thread should have.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RealtimeRequest {
+    /// Core that the thread stays on; none leaves it to the scheduler.
+    pub core: Option<usize>,
+    /// Priority under SCHED_FIFO, 1 to 99.
+    pub fifo_priority: i32,
+}
+
+/// What it got. Acquisition goes on without; lateness then depends on what else the machine does.
+#[derive(Debug)]
+pub struct RealtimeReport {
+    request: RealtimeRequest,
+    core: io::Result<()>,
+    fifo: io::Result<()>,
+    memory: io::Result<()>,
+}
+
+impl RealtimeRequest {
+    /// Applies it to the calling thread (memory: to the process).
+    pub fn apply(self) -> RealtimeReport {
+        RealtimeReport {
+            request: self,
+            core: self.core.map_or(Ok(()), pin_to_core),
+            fifo: set_fifo(self.fifo_priority),
+            memory: mlockall(MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE).map_err(io::Error::from),
+        }
+    }
+}
+
+impl RealtimeReport {
+    /// Everything was permitted.
+    pub fn is_complete(&self) -> bool {
+        self.core.is_ok() && self.fifo.is_ok() && self.memory.is_ok()
+    }
+}
+
+impl fmt::Display for RealtimeReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (&self.core, self.request.core) {
+            (Ok(()), Some(core)) => write!(f, "on core {core}")?,
+            (Ok(()), None) => write!(f, "on any core")?,
+            (Err(error), core) => {
+                write!(
+                    f,
+                    "NOT pinned to core {} ({error}; choose an existing core in daemon.toml)",
+                    core.unwrap_or(0)
+                )?;
+            }
+        }
+        match &self.fifo {
+            Ok(()) => write!(f, ", SCHED_FIFO {}", self.request.fifo_priority)?,
+            Err(error) => {
+                write!(
+                    f,
+                    ", NOT real-time ({error}; run as root, or grant CAP_SYS_NICE or an rtprio limit)"
+                )?;
+            }
+        }
+        match &self.memory {
+            Ok(()) => write!(f, ", memory locked"),
+            Err(error) => {
+                write!(
+                    f,
+                    ", memory NOT locked ({error}; run as root, or grant CAP_IPC_LOCK or a memlock limit)"
+                )
+            }
+        }
+    }
+}
+
+fn pin_to_core(core: usize) -> io::Result<()> {
+    let mut set = CpuSet::new();
+    set.set(core)?;
+    Ok(sched_setaffinity(Pid::from_raw(0), &set)?)
+}
+
+#[allow(unsafe_code, reason = "nix offers no sched_setscheduler")]
+fn set_fifo(priority: i32) -> io::Result<()> {
+    let parameters = libc::sched_param { sched_priority: priority };
+    // SAFETY: the structure outlives the call; 0 is the calling thread.
+    let result = unsafe { libc::sched_setscheduler(0, libc::SCHED_FIFO, &raw const parameters) };
+    if result == 0 { Ok(()) } else { Err(io::Error::last_os_error()) }
+}

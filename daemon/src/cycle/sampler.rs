@@ -1,0 +1,187 @@
+//! From one exchange to one record: which counts are fresh and trustworthy, and why others are not.
+
+use shared::recording::schema::{CycleRecord, EncoderSample, MAX_ENCODERS, flags};
+use shared::time::{DcNs, UtcNs};
+
+use crate::bus::{CyclicExchange, Reply};
+
+/// When a cycle's encoders were sampled.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct SampleTime {
+    /// UTC estimate.
+    pub utc: UtcNs,
+    /// One standard deviation \[ns\].
+    pub uncertainty_ns: u32,
+    /// On the bus' clock; 0 without distributed clocks.
+    pub dc: DcNs,
+}
+
+/// Judges each cycle's inputs against the one before.
+#[derive(Debug, Clone)]
+pub struct Sampler {
+    joints: [u8; MAX_ENCODERS],
+    encoder_count: usize,
+    working_counter_expected: u16,
+    always: u32,
+    toggles: [Option<bool>; MAX_ENCODERS],
+}
+
+impl Sampler {
+    /// `joints` in bus order. Without distributed clocks every record says so.
+    pub fn new(
+        joints: impl IntoIterator<Item = u8>,
+        working_counter_expected: u16,
+        distributed_clocks: bool,
+    ) -> Self {
+        let mut sampler = Self {
+            joints: [0; MAX_ENCODERS],
+            encoder_count: 0,
+            working_counter_expected,
+            always: if distributed_clocks { 0 } else { flags::NO_DC },
+            toggles: [None; MAX_ENCODERS],
+        };
+        for (place, joint) in sampler.joints.iter_mut().zip(joints) {
+            *place = joint;
+            sampler.encoder_count += 1;
+        }
+        sampler
+    }
+
+    /// One record of cycle `cycle`, from the exchange that belongs to it.
+    pub fn sample(&mut self, cycle: u64, time: SampleTime, exchange: &CyclicExchange) -> CycleRecord {
+        let mut record = self.blank(cycle, time, exchange);
+        match &exchange.reply {
+            Some(reply) => self.judge(&mut record, reply),
+            None => record.flags |= flags::NO_REPLY,
+        }
+        record
+    }
+
+    /// One record of a cycle whose sample was overwritten before `exchange` could fetch it.
+    pub fn missed(&self, cycle: u64, time: SampleTime, exchange: &CyclicExchange) -> CycleRecord {
+        let mut record = self.blank(cycle, time, exchange);
+        record.working_counter = 0;
+        record.flags |= flags::DEADLINE_MISSED;
+        record
+    }
+
+    fn blank(&self, cycle: u64, time: SampleTime, exchange: &CyclicExchange) -> CycleRecord {
+        let mut record = CycleRecord {
+            cycle,
+            sample_time: time.utc,
+            sample_time_uncertainty_ns: time.uncertainty_ns,
+            dc_time: time.dc,
+            send_time: exchange.sent,
+            receive_time: exchange.received,
+            working_counter: exchange.reply.map_or(0, |reply| reply.working_counter),
+            working_counter_expected: self.working_counter_expected,
+            flags: self.always,
+            encoder_count: self.encoder_count as u8,
+            encoders: [EncoderSample::default(); MAX_ENCODERS],
+        };
+        for (encoder, joint) in record.encoders.iter_mut().zip(self.joints) {
+            encoder.joint = joint;
+        }
+        record
+    }
+
+    /// Takes every count of a record out of use, for a reason.
+    pub fn invalidate(record: &mut CycleRecord, reason: u32) {
+        record.flags |= reason;
+        record.encoders.iter_mut().for_each(|encoder| encoder.valid = false);
+    }
+
+    fn judge(&mut self, record: &mut CycleRecord, reply: &Reply) {
+        let places = record.encoders.iter_mut().zip(&reply.inputs).zip(&mut self.toggles);
+        for ((encoder, input), toggle_before) in places.take(self.encoder_count) {
+            let toggle = input.status.toggle();
+            let fresh = *toggle_before != Some(toggle);
+            *toggle_before = Some(toggle);
+            encoder.count = input.count;
+            encoder.latch = input.latch;
+            encoder.status = input.status.0;
+            encoder.valid = fresh && !input.status.has_error();
+            if !fresh {
+                record.flags |= flags::STALE_INPUT;
+            }
+            if input.status.has_error() {
+                record.flags |= flags::TERMINAL_ERROR;
+            }
+        }
+        // ethercrab checks neither: it hands out the last inputs when a terminal is gone.
+        if reply.working_counter != self.working_counter_expected {
+            Self::invalidate(record, flags::WORKING_COUNTER);
+        }
+        if !reply.all_operational {
+            Self::invalidate(record, flags::NOT_OPERATIONAL);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use shared::time::MonoNs;
+
+    use super::*;
+    use crate::devices::el5021::{Input, Status};
+
+    const TIME: SampleTime = SampleTime { utc: UtcNs(1), uncertainty_ns: 2, dc: DcNs(3) };
+
+    fn reply(toggle: bool) -> Reply {
+        let status = Status(if toggle { 0x8000 } else { 0 });
+        Reply {
+            working_counter: 6,
+            all_operational: true,
+            dc_time: None,
+            inputs: [Input { status, count: 42, latch: 0 }; MAX_ENCODERS],
+        }
+    }
+
+    fn exchange(reply: Option<Reply>) -> CyclicExchange {
+        CyclicExchange { sent: MonoNs(10), received: MonoNs(20), reply }
+    }
+
+    fn sampler() -> Sampler {
+        Sampler::new([1, 2], 6, true)
+    }
+
+    #[test]
+    fn toggling_inputs_of_a_whole_bus_are_valid() {
+        let mut sampler = sampler();
+        for cycle in 0..4 {
+            let record = sampler.sample(cycle, TIME, &exchange(Some(reply(cycle % 2 == 0))));
+            assert!(record.is_valid() && record.flags == 0, "{record:?}");
+            assert_eq!(record.encoders().iter().map(|encoder| encoder.joint).collect::<Vec<_>>(), [1, 2]);
+        }
+    }
+
+    #[test]
+    fn an_input_that_did_not_toggle_is_stale_and_only_that_one() {
+        let mut sampler = sampler();
+        sampler.sample(0, TIME, &exchange(Some(reply(true))));
+        let mut second = reply(true);
+        second.inputs[1].status = Status(0);
+        let record = sampler.sample(1, TIME, &exchange(Some(second)));
+        assert_eq!(record.flags, flags::STALE_INPUT);
+        assert_eq!(record.encoders().iter().map(|encoder| encoder.valid).collect::<Vec<_>>(), [false, true]);
+    }
+
+    #[test]
+    fn a_short_working_counter_or_a_device_out_of_op_spoils_every_count() {
+        let short = Reply { working_counter: 3, ..reply(true) };
+        let record = sampler().sample(0, TIME, &exchange(Some(short)));
+        assert!(!record.encoders().iter().any(|encoder| encoder.valid));
+        assert_eq!(record.flags, flags::WORKING_COUNTER);
+        let safe_op = Reply { all_operational: false, ..reply(true) };
+        let record = sampler().sample(0, TIME, &exchange(Some(safe_op)));
+        assert!(!record.encoders().iter().any(|encoder| encoder.valid));
+        assert_eq!(record.flags, flags::NOT_OPERATIONAL);
+    }
+
+    #[test]
+    fn a_lost_reply_is_a_record_with_its_reason() {
+        let record = sampler().sample(7, TIME, &exchange(None));
+        assert_eq!((record.cycle, record.flags, record.is_valid()), (7, flags::NO_REPLY, false));
+        assert_eq!(record.encoder_count, 2);
+    }
+}

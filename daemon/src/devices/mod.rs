@@ -1,0 +1,30 @@
+//! The devices of the ball-bar's bus as the daemon knows them: identities, and how their process data reads.
+
+pub mod el5021;
+
+/// Vendor and product code of a device (EtherCAT SII words 8 and 10).
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct DeviceKind {
+    /// Name on the housing.
+    pub name: &'static str,
+    /// EtherCAT vendor.
+    pub vendor_id: u32,
+    /// Product code.
+    pub product_code: u32,
+}
+
+impl DeviceKind {
+    /// Whether a device that identified itself so is of this kind.
+    pub const fn matches(&self, vendor_id: u32, product_code: u32) -> bool {
+        self.vendor_id == vendor_id && self.product_code == product_code
+    }
+}
+
+/// Beckhoff's EtherCAT vendor number.
+const BECKHOFF: u32 = 2;
+
+/// EtherCAT coupler; reference clock of the bus.
+pub const EK1100: DeviceKind = DeviceKind { name: "EK1100", vendor_id: BECKHOFF, product_code: 0x044c_2c52 };
+
+/// SinCos encoder terminal, one encoder each.
+pub const EL5021: DeviceKind = DeviceKind { name: "EL5021", vendor_id: BECKHOFF, product_code: 0x139d_3052 };

@@ -1,0 +1,298 @@
+//! From the ring to the file: a thread that may wait for the disk, so that the cycle never does.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use rtrb::{Consumer, Producer, PushError, RingBuffer};
+use shared::recording::schema::{CycleRecord, EncoderSample, Event, EventKind, flags};
+use shared::recording::{RecordingWriter, RunFile, WriteError};
+use shared::time::UtcNs;
+
+use crate::clock::Clock;
+
+/// How often the ring is emptied.
+const DRAIN_PERIOD: Duration = Duration::from_millis(20);
+/// A host clock that differs by more than this from the run's is worth an event \[ns\].
+const CLOCK_STEP_NS: i64 = 1_000_000;
+
+/// The cycle's end of the ring.
+pub struct CycleSink {
+    ring: Producer<CycleRecord>,
+    due: Arc<AtomicU64>,
+    /// On virtual time the cycle waits for the recorder; on real time it never waits and the loss is recorded.
+    waits: bool,
+}
+
+/// The recorder's end of the ring.
+pub struct CycleSource {
+    ring: Consumer<CycleRecord>,
+    due: Arc<AtomicU64>,
+}
+
+/// What a finished run holds.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct RunSummary {
+    /// The finished file.
+    pub path: PathBuf,
+    /// Cycles in it.
+    pub cycles: u64,
+    /// Cycles in which every encoder is valid.
+    pub cycles_valid: u64,
+    /// Cycles that were lost between bus and file; each is in the file as lost.
+    pub cycles_lost: u64,
+    /// Why the run ended.
+    pub cause: String,
+}
+
+/// A ring of `capacity` cycles between the real-time thread and the recorder.
+pub fn ring(capacity: usize, clock: &Clock) -> (CycleSink, CycleSource) {
+    let (producer, consumer) = RingBuffer::new(capacity);
+    let due = Arc::new(AtomicU64::new(0));
+    (
+        CycleSink { ring: producer, due: Arc::clone(&due), waits: !clock.is_real() },
+        CycleSource { ring: consumer, due },
+    )
+}
+
+impl CycleSink {
+    /// Hands over one cycle. Wait-free on real time; a full ring costs the record but not its number.
+    pub fn push(&mut self, record: &CycleRecord) {
+        self.due.store(record.cycle + 1, Ordering::Release);
+        while let Err(PushError::Full(_)) = self.ring.push(*record) {
+            if !self.waits || self.ring.is_abandoned() {
+                return;
+            }
+            thread::yield_now();
+        }
+    }
+
+    /// The recorder has given up; going on makes no sense.
+    pub fn is_abandoned(&self) -> bool {
+        self.ring.is_abandoned()
+    }
+}
+
+/// Writes what comes out of the ring until its other end is dropped, then finishes the file.
+pub struct Recorder {
+    source: CycleSource,
+    writer: RecordingWriter<RunFile>,
+    clock: Clock,
+    sync_period: Duration,
+    sync_cycles: u64,
+    utc_minus_monotonic_ns: i64,
+    cycle_period_ns: i64,
+    lost: u64,
+    /// The last cycle written; its number is that of the one that should come next, less one.
+    last: Option<CycleRecord>,
+}
+
+impl Recorder {
+    /// A recorder whose file survives with all but the last `sync_period`, or that many cycles of `cycle_period_ns`.
+    pub fn new(
+        source: CycleSource,
+        writer: RecordingWriter<RunFile>,
+        clock: Clock,
+        sync_period: Duration,
+        cycle_period_ns: u64,
+        utc_minus_monotonic_ns: i64,
+    ) -> Self {
+        Self {
+            source,
+            writer,
+            clock,
+            sync_period,
+            sync_cycles: (sync_period.as_nanos() as u64 / cycle_period_ns.max(1)).max(1),
+            utc_minus_monotonic_ns,
+            cycle_period_ns: cycle_period_ns as i64,
+            lost: 0,
+            last: None,
+        }
+    }
+
+    /// Runs until the ring's other end is dropped; `cause` is asked for then.
+    pub fn run(mut self, cause: impl FnOnce() -> String) -> Result<RunSummary, WriteError> {
+        let mut synced_at = Instant::now();
+        let mut synced_cycles = 0;
+        loop {
+            // Asked before emptying: what was pushed before the other end was dropped is still taken.
+            let last_round = self.source.ring.is_abandoned();
+            while let Ok(record) = self.source.ring.pop() {
+                self.take(&record)?;
+                if self.writer.cycles() >= synced_cycles + self.sync_cycles {
+                    self.sync(&mut synced_at, &mut synced_cycles)?;
+                }
+            }
+            if last_round {
+                break;
+            }
+            if synced_at.elapsed() >= self.sync_period {
+                self.sync(&mut synced_at, &mut synced_cycles)?;
+            }
+            thread::sleep(DRAIN_PERIOD);
+        }
+        self.finish(cause())
+    }
+
+    fn take(&mut self, record: &CycleRecord) -> Result<(), WriteError> {
+        self.fill_lost(record.cycle)?;
+        self.writer.write_cycle(record)?;
+        self.last = Some(*record);
+        Ok(())
+    }
+
+    /// Cycles before `until` that the full ring could not take are in the file by number and reason.
+    fn fill_lost(&mut self, until: u64) -> Result<(), WriteError> {
+        let Some(last) = self.last else { return Ok(()) };
+        let first = last.cycle + 1;
+        if until <= first {
+            return Ok(());
+        }
+        let lost_at = |cycle| Self::lost_record(&last, cycle, self.cycle_period_ns);
+        for cycle in first..until {
+            self.writer.write_cycle(&lost_at(cycle))?;
+        }
+        let missing = until - first;
+        let text = format!("{missing} cycles lost: the disk did not keep up and the ring was full");
+        let time = lost_at(first).sample_time;
+        self.lost += missing;
+        self.last = Some(lost_at(until - 1));
+        self.writer.write_event(&Event { time, cycle: first, kind: EventKind::Gap, text })
+    }
+
+    /// What is known of a lost cycle: when it was due, and that it was.
+    fn lost_record(last: &CycleRecord, cycle: u64, cycle_period_ns: i64) -> CycleRecord {
+        let since_ns = (cycle - last.cycle) as i64 * cycle_period_ns;
+        let mut record = CycleRecord {
+            cycle,
+            sample_time: last.sample_time.plus_ns(since_ns),
+            flags: flags::LOST,
+            working_counter: 0,
+            ..*last
+        };
+        for encoder in &mut record.encoders {
+            *encoder = EncoderSample { joint: encoder.joint, ..EncoderSample::default() };
+        }
+        record
+    }
+
+    fn sync(&mut self, synced_at: &mut Instant, synced_cycles: &mut u64) -> Result<(), WriteError> {
+        self.note_clock_step()?;
+        self.writer.sync()?;
+        *synced_at = Instant::now();
+        *synced_cycles = self.writer.cycles();
+        Ok(())
+    }
+
+    /// Sample times keep to the offset of the run's beginning; when the host's UTC leaves it, the file says so.
+    fn note_clock_step(&mut self) -> Result<(), WriteError> {
+        if !self.clock.is_real() {
+            return Ok(());
+        }
+        let offset_ns = self.clock.utc_minus_monotonic_ns();
+        let moved_ns = offset_ns - self.utc_minus_monotonic_ns;
+        if moved_ns.abs() <= CLOCK_STEP_NS {
+            return Ok(());
+        }
+        self.utc_minus_monotonic_ns = offset_ns;
+        let text = format!(
+            "host UTC moved by {:.3} ms; sample times keep to the run's first offset",
+            moved_ns as f64 * 1e-6
+        );
+        let (cycle, time) = self.last.map_or((0, UtcNs(0)), |last| (last.cycle, last.sample_time));
+        self.writer.write_event(&Event { time, cycle, kind: EventKind::Clock, text })
+    }
+
+    fn finish(mut self, cause: String) -> Result<RunSummary, WriteError> {
+        let due = self.source.due.load(Ordering::Acquire);
+        self.fill_lost(due)?;
+        let (cycles, cycles_valid, cycles_lost) =
+            (self.writer.cycles(), self.writer.cycles_valid(), self.lost);
+        let ended = self.clock.now().plus_ns(self.utc_minus_monotonic_ns);
+        let path = self.writer.finish(&cause, UtcNs(ended.0))?;
+        Ok(RunSummary { path, cycles, cycles_valid, cycles_lost, cause })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use shared::encoder::EncoderScale;
+    use shared::recording::Recording;
+    use shared::recording::schema::{EncoderInfo, RunMetadata};
+
+    use super::*;
+
+    fn writer(directory: &std::path::Path) -> RecordingWriter<RunFile> {
+        let run = RunMetadata {
+            name: "ring".into(),
+            operator: String::new(),
+            robot: String::new(),
+            note: String::new(),
+            started: UtcNs(0),
+            software: String::new(),
+            bus: String::new(),
+            cycle_period_ns: 10_000_000,
+            distributed_clocks: true,
+            utc_minus_monotonic_ns: 0,
+            encoders: vec![EncoderInfo { joint: 1, scale: EncoderScale::default() }],
+            devices: Vec::new(),
+            daemon_config: String::new(),
+            ball_bar_config: String::new(),
+        };
+        RecordingWriter::create(directory, &run).unwrap()
+    }
+
+    fn cycle(cycle: u64) -> CycleRecord {
+        let mut record = CycleRecord {
+            cycle,
+            sample_time: UtcNs(1_000_000_000 + cycle as i64 * 10_000_000),
+            encoder_count: 1,
+            ..CycleRecord::default()
+        };
+        record.encoders[0] =
+            EncoderSample { joint: 1, count: cycle as u32, valid: true, ..EncoderSample::default() };
+        record
+    }
+
+    fn record_through_ring(capacity: usize, cycles: u64) -> (Recording, RunSummary) {
+        let directory = tempfile::tempdir().unwrap();
+        let (mut sink, source) = ring(capacity, &Clock::Real);
+        (0..cycles).for_each(|number| sink.push(&cycle(number)));
+        drop(sink);
+        let recorder = Recorder::new(
+            source,
+            writer(directory.path()),
+            Clock::Real,
+            Duration::from_secs(1),
+            10_000_000,
+            0,
+        );
+        let summary = recorder.run(|| "test over".into()).unwrap();
+        (Recording::open(&summary.path).unwrap(), summary)
+    }
+
+    #[test]
+    fn every_cycle_that_fits_into_the_ring_reaches_the_file() {
+        let (recording, summary) = record_through_ring(64, 50);
+        assert_eq!(recording.cycles, (0..50).map(cycle).collect::<Vec<_>>());
+        assert_eq!((summary.cycles, summary.cycles_valid, summary.cycles_lost), (50, 50, 0));
+        assert_eq!(recording.end.cause, "test over");
+    }
+
+    #[test]
+    fn cycles_that_a_full_ring_refused_are_in_the_file_as_lost() {
+        let (recording, summary) = record_through_ring(32, 50);
+        assert_eq!((summary.cycles, summary.cycles_valid, summary.cycles_lost), (50, 32, 18));
+        let lost: Vec<u64> = recording
+            .cycles
+            .iter()
+            .filter(|record| record.flags == flags::LOST)
+            .map(|record| record.cycle)
+            .collect();
+        assert_eq!(lost, (32..50).collect::<Vec<_>>());
+        assert!(recording.cycles[32..].iter().all(|record| !record.is_valid()));
+        assert!(recording.events.iter().any(|event| event.kind == EventKind::Gap));
+    }
+}

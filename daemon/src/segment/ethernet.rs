@@ -1,0 +1,131 @@
+//! A network interface as a wire: a raw AF_PACKET socket that carries EtherCAT frames only.
+
+use std::io;
+use std::os::fd::{AsFd, AsRawFd, FromRawFd, OwnedFd};
+
+use nix::errno::Errno;
+use nix::net::if_::if_nametoindex;
+use nix::poll::{PollFd, PollFlags, ppoll};
+use nix::sys::socket::{MsgFlags, recv, send};
+use nix::sys::time::TimeSpec;
+use shared::time::{MonoNs, NS_PER_S};
+
+use super::{FRAME_BYTES_MAX, Wire};
+use crate::clock::Clock;
+
+/// EtherType of EtherCAT (IEEE, ETG.1000.4).
+const ETHERTYPE_ETHERCAT: u16 = 0x88a4;
+
+/// Why an interface cannot be opened.
+#[derive(Debug, thiserror::Error)]
+pub enum OpenError {
+    /// There is none of that name.
+    #[error("there is no network interface `{name}`; this machine has: {}", available.join(", "))]
+    NoSuchInterface {
+        /// The name asked for.
+        name: String,
+        /// Names that exist.
+        available: Vec<String>,
+    },
+    /// Raw sockets are for root or CAP_NET_RAW.
+    #[error(
+        "no permission to open a raw socket on `{name}`; run as root, or once: \
+         sudo setcap cap_net_raw,cap_sys_nice,cap_ipc_lock+ep \"$(command -v ballbard)\""
+    )]
+    Permission {
+        /// The interface.
+        name: String,
+    },
+    /// Anything else that the system says.
+    #[error("cannot open network interface `{name}`: {source}; is it up (`ip link set {name} up`)?")]
+    System {
+        /// The interface.
+        name: String,
+        /// What the system said.
+        source: io::Error,
+    },
+}
+
+/// A raw socket on one interface.
+#[derive(Debug)]
+pub struct EthernetWire {
+    socket: OwnedFd,
+    clock: Clock,
+}
+
+impl EthernetWire {
+    /// Opens an interface by name. Frames then live on real time.
+    pub fn open(name: &str) -> Result<Self, OpenError> {
+        let index = if_nametoindex(name)
+            .map_err(|_| OpenError::NoSuchInterface { name: name.to_owned(), available: interfaces() })?;
+        let socket = bind_raw_socket(index).map_err(|source| {
+            if matches!(source.raw_os_error(), Some(libc::EPERM | libc::EACCES)) {
+                OpenError::Permission { name: name.to_owned() }
+            } else {
+                OpenError::System { name: name.to_owned(), source }
+            }
+        })?;
+        Ok(Self { socket, clock: Clock::Real })
+    }
+
+    /// Waits until a frame is there; false when time is over first.
+    fn wait_readable(&self, until: MonoNs) -> io::Result<bool> {
+        loop {
+            let wait_ns = until.ns_since(self.clock.now()).max(0);
+            let timeout = TimeSpec::new(wait_ns / NS_PER_S, wait_ns % NS_PER_S);
+            match ppoll(&mut [PollFd::new(self.socket.as_fd(), PollFlags::POLLIN)], Some(timeout), None) {
+                Ok(ready) => return Ok(ready > 0),
+                Err(Errno::EINTR) => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
+    }
+}
+
+impl Wire for EthernetWire {
+    fn send(&mut self, frame: &[u8]) -> io::Result<()> {
+        send(self.socket.as_raw_fd(), frame, MsgFlags::MSG_DONTWAIT)?;
+        Ok(())
+    }
+
+    fn receive(&mut self, buffer: &mut [u8; FRAME_BYTES_MAX], until: MonoNs) -> io::Result<Option<usize>> {
+        if !self.wait_readable(until)? {
+            return Ok(None);
+        }
+        match recv(self.socket.as_raw_fd(), buffer, MsgFlags::MSG_DONTWAIT) {
+            Ok(length) => Ok(Some(length)),
+            Err(Errno::EAGAIN | Errno::EINTR) => Ok(None),
+            Err(error) => Err(error.into()),
+        }
+    }
+}
+
+/// Names of the interfaces of this machine, for error messages.
+fn interfaces() -> Vec<String> {
+    let all = nix::net::if_::if_nameindex();
+    all.map(|all| all.iter().map(|one| one.name().to_string_lossy().into_owned()).collect())
+        .unwrap_or_default()
+}
+
+/// A packet socket that receives EtherCAT frames of one interface.
+#[allow(unsafe_code, reason = "neither std nor nix binds a packet socket to an interface and an EtherType")]
+fn bind_raw_socket(index: libc::c_uint) -> io::Result<OwnedFd> {
+    let protocol = ETHERTYPE_ETHERCAT.to_be();
+    // SAFETY: plain system call; the descriptor is checked before it is owned.
+    let descriptor =
+        unsafe { libc::socket(libc::AF_PACKET, libc::SOCK_RAW | libc::SOCK_CLOEXEC, i32::from(protocol)) };
+    if descriptor < 0 {
+        return Err(io::Error::last_os_error());
+    }
+    // SAFETY: the descriptor was just made and nobody else owns it.
+    let socket = unsafe { OwnedFd::from_raw_fd(descriptor) };
+    // SAFETY: all bytes zero is a valid sockaddr_ll.
+    let mut address: libc::sockaddr_ll = unsafe { std::mem::zeroed() };
+    address.sll_family = libc::AF_PACKET as u16;
+    address.sll_protocol = protocol;
+    address.sll_ifindex = i32::try_from(index).map_err(io::Error::other)?;
+    let length = size_of::<libc::sockaddr_ll>() as libc::socklen_t;
+    // SAFETY: the address lives across the call and its length is its own.
+    let bound = unsafe { libc::bind(socket.as_raw_fd(), (&raw const address).cast(), length) };
+    if bound < 0 { Err(io::Error::last_os_error()) } else { Ok(socket) }
+}

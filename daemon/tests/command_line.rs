@@ -1,0 +1,163 @@
+//! What a person types and what comes back: exit codes, messages, files.
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
+
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
+
+use shared::recording::Recording;
+
+fn config() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../config")
+}
+
+fn ballbard() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    command.env("RUST_LOG", "off");
+    command
+}
+
+fn record(out: &Path, arguments: &[&str]) -> Output {
+    let mut command = ballbard();
+    command.args(["record", "--config"]).arg(config()).arg("--out").arg(out).args(arguments);
+    command.output().unwrap()
+}
+
+/// The command fails, says `why`, and leaves nothing in `out`.
+fn refused(output: &Output, why: &[&str], out: &Path) {
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success(), "{text}");
+    for part in why {
+        assert!(text.contains(part), "`{part}` is missing in: {text}");
+    }
+    let left: Vec<_> = std::fs::read_dir(out).map(|dir| dir.flatten().collect()).unwrap_or_default();
+    assert!(left.is_empty(), "left behind: {left:?}");
+}
+
+#[test]
+fn a_run_is_recorded_and_exported_with_counts_and_angles() {
+    let out = tempfile::tempdir().unwrap();
+    let output = record(out.path(), &["--name", "trial", "--duration", "2s", "--fast"]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let file = out.path().join("trial.mcap");
+    let export = ballbard().args(["export", "--csv"]).arg(&file).output().unwrap();
+    assert!(export.status.success());
+    let recording = Recording::open(&file).unwrap();
+    let mut table = csv::Reader::from_path(out.path().join("trial.csv")).unwrap();
+    assert_eq!(table.headers().unwrap().iter().take(3).collect::<Vec<_>>(), ["time_utc", "count1", "count2"]);
+    let rows: Vec<csv::StringRecord> = table.records().map(Result::unwrap).collect();
+    assert_eq!(rows.len(), 200);
+    for (row, cycle) in rows.iter().zip(&recording.cycles) {
+        assert_eq!(row[0], cycle.sample_time.to_string());
+        for (index, encoder) in cycle.encoders().iter().enumerate() {
+            assert_eq!(row[1 + index], encoder.count.to_string());
+            // 3600 lines at 12 bits, counted from the encoder's own zero.
+            let angle_rad = f64::from(encoder.count as i32) * std::f64::consts::TAU / 14_745_600.0;
+            assert!((row[6 + index].parse::<f64>().unwrap() - angle_rad).abs() < 1e-8);
+        }
+    }
+}
+
+#[test]
+fn an_unknown_interface_is_refused_with_those_that_exist() {
+    let out = tempfile::tempdir().unwrap();
+    refused(&record(out.path(), &["--bus", "eth99"]), &["no network interface `eth99`", "lo"], out.path());
+}
+
+#[test]
+fn without_permission_the_message_says_what_to_type() {
+    let out = tempfile::tempdir().unwrap();
+    let root = nix::unistd::geteuid().is_root();
+    let program = env!("CARGO_BIN_EXE_ballbard");
+    let mut command = if root { Command::new("setpriv") } else { Command::new(program) };
+    if root {
+        command.args(["--reuid=65534", "--regid=65534", "--clear-groups", "--inh-caps=-all", program]);
+    }
+    command.args(["record", "--bus", "lo", "--config"]).arg(config()).arg("--out").arg(out.path());
+    refused(&command.output().expect("setpriv of util-linux"), &["no permission", "setcap"], out.path());
+}
+
+#[test]
+fn an_interface_where_nobody_answers_is_refused() {
+    if !nix::unistd::geteuid().is_root() {
+        println!("skipped: raw sockets need root");
+        return;
+    }
+    let out = tempfile::tempdir().unwrap();
+    refused(
+        &record(out.path(), &["--bus", "lo"]),
+        &["no EtherCAT device answers on lo", "power"],
+        out.path(),
+    );
+}
+
+#[test]
+fn contradictions_are_refused() {
+    let out = tempfile::tempdir().unwrap();
+    refused(&record(out.path(), &["--fast"]), &["--duration"], out.path());
+    refused(
+        &record(out.path(), &["--bus", "lo", "--fast", "--duration", "1s"]),
+        &["virtual time"],
+        out.path(),
+    );
+    refused(&record(out.path(), &["--bus", "lo", "--replay", "x.mcap"]), &["--replay"], out.path());
+    refused(
+        &record(out.path(), &["--name", "../up", "--duration", "1s", "--fast"]),
+        &["run name"],
+        out.path(),
+    );
+}
+
+#[test]
+fn a_file_that_is_no_recording_is_refused_and_exports_nothing() {
+    let out = tempfile::tempdir().unwrap();
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("notes.mcap");
+    std::fs::write(&file, "not a recording").unwrap();
+    let replay = record(out.path(), &["--replay", file.to_str().unwrap(), "--fast"]);
+    refused(&replay, &["notes.mcap", "damaged or not an MCAP file"], out.path());
+    let export = ballbard().args(["export", "--csv"]).arg(&file).output().unwrap();
+    assert!(!export.status.success());
+    assert!(!directory.path().join("notes.csv").exists());
+}
+
+#[test]
+fn a_wrong_key_in_the_configuration_is_named_with_its_file() {
+    let directory = tempfile::tempdir().unwrap();
+    let out = tempfile::tempdir().unwrap();
+    for name in ["daemon.toml", "ball_bar.toml"] {
+        std::fs::copy(config().join(name), directory.path().join(name)).unwrap();
+    }
+    let shipped = std::fs::read_to_string(config().join("daemon.toml")).unwrap();
+    for (broken, why) in [
+        (shipped.replace("rate_hz = 100", "rate_hz = 0"), "rate_hz"),
+        (shipped.replace("rate_hz = 100", "rate_hz = \"fast\""), "rate_hz"),
+        (shipped.replace("rate_hz = 100", "rate_herz = 100"), "rate_herz"),
+        (shipped.replace("rate_hz = 100", "rate_hz = "), "line"),
+    ] {
+        std::fs::write(directory.path().join("daemon.toml"), broken).unwrap();
+        let mut command = ballbard();
+        command.args(["record", "--fast", "--duration", "1s", "--config"]).arg(directory.path());
+        let output = command.arg("--out").arg(out.path()).output().unwrap();
+        refused(&output, &["daemon.toml", why], out.path());
+    }
+}
+
+#[test]
+fn a_signal_ends_a_run_with_a_finished_file_that_states_it() {
+    let out = tempfile::tempdir().unwrap();
+    let mut command = ballbard();
+    command.args(["record", "--name", "signal", "--config"]).arg(config()).arg("--out").arg(out.path());
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let active = out.path().join("signal.mcap.active");
+    while !active.exists() {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    std::thread::sleep(Duration::from_millis(500));
+    let pid = nix::unistd::Pid::from_raw(i32::try_from(child.id()).unwrap());
+    nix::sys::signal::kill(pid, nix::sys::signal::Signal::SIGTERM).unwrap();
+    assert!(child.wait().unwrap().success());
+    let recording = Recording::open(&out.path().join("signal.mcap")).unwrap();
+    assert!(recording.end.cause.contains("SIGTERM"), "{}", recording.end.cause);
+    assert!(!recording.cycles.is_empty() && !active.exists());
+}

@@ -1,0 +1,89 @@
+//! `config/daemon.toml`: how the bus is cycled and where recordings go.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Validate, Violation};
+
+/// The cycle's thread.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RealtimeConfig {
+    /// Core of its own (isolate it on the kernel's command line); absent: any core.
+    pub core: Option<usize>,
+    /// Priority under SCHED_FIFO, 1 to 99.
+    pub fifo_priority: i32,
+}
+
+/// The acquisition daemon.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DaemonConfig {
+    /// Cycles per second \[Hz\].
+    pub rate_hz: u32,
+    /// Sample on SYNC0 of the distributed clocks: one instant for all encoders, known to microseconds.
+    pub distributed_clocks: bool,
+    /// How long to wait for the reply to a cyclic frame \[us\].
+    pub reply_timeout_us: u32,
+    /// Seconds of cycles that fit between bus and disk before any is lost \[s\].
+    pub ring_s: u32,
+    /// A kill loses at most this much of a run \[ms\].
+    pub sync_period_ms: u32,
+    /// Where recordings go; relative to the working directory.
+    pub directory: PathBuf,
+    /// The cycle's thread.
+    pub realtime: RealtimeConfig,
+}
+
+impl DaemonConfig {
+    /// Time between two cycles.
+    pub fn cycle_period(&self) -> Duration {
+        Duration::from_nanos(1_000_000_000 / u64::from(self.rate_hz))
+    }
+
+    /// How long to wait for a reply.
+    pub fn reply_timeout(&self) -> Duration {
+        Duration::from_micros(u64::from(self.reply_timeout_us))
+    }
+}
+
+impl Default for DaemonConfig {
+    fn default() -> Self {
+        Self {
+            rate_hz: 100,
+            distributed_clocks: true,
+            reply_timeout_us: 4000,
+            ring_s: 60,
+            sync_period_ms: 1000,
+            directory: "runs".into(),
+            realtime: RealtimeConfig { core: None, fifo_priority: 80 },
+        }
+    }
+}
+
+impl Validate for DaemonConfig {
+    fn validate(&self) -> Result<(), Violation> {
+        let period_us = 1_000_000 / self.rate_hz.max(1);
+        let ranges = [
+            ("rate_hz", i64::from(self.rate_hz), 1, 1000, "100 is usual; an EL5021 on DC does up to 1000"),
+            (
+                "reply_timeout_us",
+                i64::from(self.reply_timeout_us),
+                50,
+                i64::from(period_us) * 9 / 10,
+                "a reply that takes longer than a cycle is of no use; stay below 9/10 of the period",
+            ),
+            ("ring_s", i64::from(self.ring_s), 1, 3600, "60 s survive any ordinary disk"),
+            ("sync_period_ms", i64::from(self.sync_period_ms), 10, 10_000, "1000 is usual"),
+            ("realtime.fifo_priority", i64::from(self.realtime.fifo_priority), 1, 99, "80 is usual"),
+        ];
+        for (key, value, low, high, remedy) in ranges {
+            if !(low..=high).contains(&value) {
+                return Err(Violation::new(key, format!("{value} is outside {low} to {high}"), remedy));
+            }
+        }
+        Ok(())
+    }
+}

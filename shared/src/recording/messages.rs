@@ -1,0 +1,296 @@
+//! The messages of a recording as they lie in the file: CDR bytes and their ros2msg schemas.
+//!
+//! CDR: OMG XCDR1, little endian, behind the 4-byte encapsulation header. Schema text: MCAP registry "ros2msg".
+
+use byteorder::LittleEndian;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use super::schema::{CycleRecord, EncoderSample, Event, EventKind, MAX_ENCODERS};
+use crate::time::{DcNs, MonoNs, NS_PER_S, UtcNs};
+
+/// Encapsulation header of plain little-endian CDR.
+const CDR_LITTLE_ENDIAN: [u8; 4] = [0x00, 0x01, 0x00, 0x00];
+
+/// A topic of the recording.
+pub(super) struct Topic {
+    pub topic: &'static str,
+    pub schema_name: &'static str,
+    pub schema_text: &'static str,
+}
+
+pub(super) const CYCLE: Topic = Topic {
+    topic: "/ballbard/cycle",
+    schema_name: "ballbard_msgs/msg/BusCycle",
+    schema_text: include_str!("bus_cycle.ros2msg"),
+};
+
+pub(super) const EVENT: Topic = Topic {
+    topic: "/ballbard/event",
+    schema_name: "ballbard_msgs/msg/Event",
+    schema_text: include_str!("event.ros2msg"),
+};
+
+pub(super) const JOINT_STATE: Topic = Topic {
+    topic: "/ballbard/joint_states",
+    schema_name: "sensor_msgs/msg/JointState",
+    schema_text: include_str!("joint_state.ros2msg"),
+};
+
+/// Why bytes are not the message that their topic promises.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum MessageError {
+    /// The bytes do not begin with the header of little-endian CDR.
+    #[error("not little-endian CDR")]
+    Encapsulation,
+    /// The bytes end early, go on after the message, or hold an impossible value.
+    #[error("not a whole message of this type: {0}")]
+    Content(String),
+}
+
+/// `builtin_interfaces/Time`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+struct Time {
+    sec: i32,
+    nanosec: u32,
+}
+
+impl From<UtcNs> for Time {
+    fn from(time: UtcNs) -> Self {
+        let sec = time.0.div_euclid(NS_PER_S);
+        Self {
+            sec: sec.clamp(i64::from(i32::MIN), i64::from(i32::MAX)) as i32,
+            nanosec: time.0.rem_euclid(NS_PER_S) as u32,
+        }
+    }
+}
+
+impl Time {
+    fn to_utc(self) -> UtcNs {
+        UtcNs(i64::from(self.sec) * NS_PER_S + i64::from(self.nanosec))
+    }
+}
+
+/// `std_msgs/Header`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct Header {
+    stamp: Time,
+    frame_id: String,
+}
+
+impl Header {
+    fn at(time: UtcNs) -> Self {
+        Self { stamp: time.into(), frame_id: String::new() }
+    }
+}
+
+/// `ballbard_msgs/EncoderSample`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct EncoderMessage {
+    joint: u8,
+    valid: bool,
+    status: u16,
+    count: u32,
+    latch: u32,
+}
+
+/// `ballbard_msgs/BusCycle`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct CycleMessage {
+    header: Header,
+    cycle: u64,
+    dc_time_ns: i64,
+    send_monotonic_ns: i64,
+    receive_monotonic_ns: i64,
+    sample_time_uncertainty_ns: u32,
+    flags: u32,
+    working_counter: u16,
+    working_counter_expected: u16,
+    encoders: Vec<EncoderMessage>,
+}
+
+/// `ballbard_msgs/Event`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct EventMessage {
+    header: Header,
+    cycle: u64,
+    kind: u8,
+    text: String,
+}
+
+/// `sensor_msgs/JointState`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct JointStateMessage {
+    header: Header,
+    name: Vec<String>,
+    position: Vec<f64>,
+    velocity: Vec<f64>,
+    effort: Vec<f64>,
+}
+
+fn to_cdr<T: Serialize>(message: &T) -> Result<Vec<u8>, MessageError> {
+    let mut bytes = CDR_LITTLE_ENDIAN.to_vec();
+    cdr_encoding::to_writer::<T, LittleEndian, _>(&mut bytes, message)
+        .map_err(|error| MessageError::Content(error.to_string()))?;
+    Ok(bytes)
+}
+
+fn from_cdr<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, MessageError> {
+    let body = bytes.strip_prefix(&CDR_LITTLE_ENDIAN).ok_or(MessageError::Encapsulation)?;
+    let (message, used) = cdr_encoding::from_bytes::<T, LittleEndian>(body)
+        .map_err(|error| MessageError::Content(error.to_string()))?;
+    if used == body.len() {
+        Ok(message)
+    } else {
+        Err(MessageError::Content(format!("{} bytes are left over", body.len() - used)))
+    }
+}
+
+/// One bus cycle as CDR.
+pub(super) fn encode_cycle(record: &CycleRecord) -> Result<Vec<u8>, MessageError> {
+    to_cdr(&CycleMessage {
+        header: Header::at(record.sample_time),
+        cycle: record.cycle,
+        dc_time_ns: record.dc_time.0,
+        send_monotonic_ns: record.send_time.0,
+        receive_monotonic_ns: record.receive_time.0,
+        sample_time_uncertainty_ns: record.sample_time_uncertainty_ns,
+        flags: record.flags,
+        working_counter: record.working_counter,
+        working_counter_expected: record.working_counter_expected,
+        encoders: record
+            .encoders()
+            .iter()
+            .map(|&EncoderSample { joint, count, latch, status, valid }| EncoderMessage {
+                joint,
+                valid,
+                status,
+                count,
+                latch,
+            })
+            .collect(),
+    })
+}
+
+/// One bus cycle from CDR.
+pub(super) fn decode_cycle(bytes: &[u8]) -> Result<CycleRecord, MessageError> {
+    let message: CycleMessage = from_cdr(bytes)?;
+    let mut encoders = [EncoderSample::default(); MAX_ENCODERS];
+    if message.encoders.len() > MAX_ENCODERS {
+        return Err(MessageError::Content(format!(
+            "{} encoders, a bar has at most {MAX_ENCODERS}",
+            message.encoders.len()
+        )));
+    }
+    for (sample, encoder) in encoders.iter_mut().zip(&message.encoders) {
+        *sample = EncoderSample {
+            joint: encoder.joint,
+            count: encoder.count,
+            latch: encoder.latch,
+            status: encoder.status,
+            valid: encoder.valid,
+        };
+    }
+    Ok(CycleRecord {
+        cycle: message.cycle,
+        sample_time: message.header.stamp.to_utc(),
+        sample_time_uncertainty_ns: message.sample_time_uncertainty_ns,
+        dc_time: DcNs(message.dc_time_ns),
+        send_time: MonoNs(message.send_monotonic_ns),
+        receive_time: MonoNs(message.receive_monotonic_ns),
+        working_counter: message.working_counter,
+        working_counter_expected: message.working_counter_expected,
+        flags: message.flags,
+        encoder_count: message.encoders.len() as u8,
+        encoders,
+    })
+}
+
+/// An event as CDR.
+pub(super) fn encode_event(event: &Event) -> Result<Vec<u8>, MessageError> {
+    to_cdr(&EventMessage {
+        header: Header::at(event.time),
+        cycle: event.cycle,
+        kind: event.kind as u8,
+        text: event.text.clone(),
+    })
+}
+
+/// An event from CDR.
+pub(super) fn decode_event(bytes: &[u8]) -> Result<Event, MessageError> {
+    let message: EventMessage = from_cdr(bytes)?;
+    let kind = EventKind::from_u8(message.kind)
+        .ok_or_else(|| MessageError::Content(format!("event of unknown kind {}", message.kind)))?;
+    Ok(Event { time: message.header.stamp.to_utc(), cycle: message.cycle, kind, text: message.text })
+}
+
+/// Joint angles for plotting: one name and position \[rad\] per encoder, NaN where a count is not valid.
+pub(super) fn encode_joint_state(
+    time: UtcNs,
+    names: &[String],
+    position_rad: &[f64],
+) -> Result<Vec<u8>, MessageError> {
+    to_cdr(&JointStateMessage {
+        header: Header::at(time),
+        name: names.to_vec(),
+        position: position_rad.to_vec(),
+        velocity: Vec::new(),
+        effort: Vec::new(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    prop_compose! {
+        fn any_cycle()(
+            cycle in any::<u64>(),
+            seconds in i64::from(i32::MIN)..i64::from(i32::MAX),
+            nanoseconds in 0..NS_PER_S,
+            times in any::<[i64; 3]>(),
+            words in any::<(u32, u32, u16, u16)>(),
+            samples in prop::collection::vec(any::<(u8, u32, u32, u16, bool)>(), 0..=MAX_ENCODERS),
+        ) -> CycleRecord {
+            let mut encoders = [EncoderSample::default(); MAX_ENCODERS];
+            for (encoder, &(joint, count, latch, status, valid)) in encoders.iter_mut().zip(&samples) {
+                *encoder = EncoderSample { joint, count, latch, status, valid };
+            }
+            CycleRecord {
+                cycle,
+                sample_time: UtcNs(seconds * NS_PER_S + nanoseconds),
+                sample_time_uncertainty_ns: words.0,
+                dc_time: DcNs(times[0]),
+                send_time: MonoNs(times[1]),
+                receive_time: MonoNs(times[2]),
+                working_counter: words.2,
+                working_counter_expected: words.3,
+                flags: words.1,
+                encoder_count: samples.len() as u8,
+                encoders,
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn a_cycle_survives_the_file(record in any_cycle()) {
+            prop_assert_eq!(decode_cycle(&encode_cycle(&record).unwrap()), Ok(record));
+        }
+
+        #[test]
+        fn a_cut_cycle_is_refused(record in any_cycle(), cut in any::<prop::sample::Index>()) {
+            let bytes = encode_cycle(&record).unwrap();
+            prop_assert!(decode_cycle(&bytes[..cut.index(bytes.len())]).is_err());
+        }
+
+        #[test]
+        fn any_bytes_are_decoded_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+            let framed = [&CDR_LITTLE_ENDIAN[..], &bytes].concat();
+            let _ = decode_cycle(&framed);
+            let _ = decode_event(&framed);
+        }
+    }
+}

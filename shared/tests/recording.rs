@@ -1,0 +1,177 @@
+//! A recording is read back as it was written, or refused with a reason.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::io::Cursor;
+
+use shared::encoder::EncoderScale;
+use shared::recording::schema::{
+    CycleRecord, DeviceInfo, EncoderInfo, EncoderSample, Event, EventKind, MAX_ENCODERS, RunMetadata, flags,
+};
+use shared::recording::{ReadErrorKind, Recording, RecordingWriter, WriteError};
+use shared::time::{DcNs, MonoNs, UtcNs};
+
+const START: UtcNs = UtcNs(1_790_000_000_000_000_000);
+
+fn run(name: &str) -> RunMetadata {
+    RunMetadata {
+        name: name.into(),
+        operator: "technician".into(),
+        robot: "irb2400_16".into(),
+        note: "first run, ümlaut".into(),
+        started: START,
+        software: "test".into(),
+        bus: "simulated".into(),
+        cycle_period_ns: 10_000_000,
+        distributed_clocks: true,
+        utc_minus_monotonic_ns: 42,
+        encoders: (1..=MAX_ENCODERS as u8)
+            .map(|joint| EncoderInfo { joint, scale: EncoderScale::default() })
+            .collect(),
+        devices: vec![DeviceInfo {
+            position: 0,
+            name: "EK1100".into(),
+            vendor_id: 2,
+            product_code: 0x044c_2c52,
+            revision: 0x0012_0000,
+            serial: 0,
+        }],
+        daemon_config: String::new(),
+        ball_bar_config: String::new(),
+    }
+}
+
+fn cycle(number: u64) -> CycleRecord {
+    let encoders = std::array::from_fn(|index| EncoderSample {
+        joint: index as u8 + 1,
+        count: (number as u32).wrapping_mul(1_000_003).wrapping_add(index as u32),
+        latch: 7,
+        status: if number.is_multiple_of(2) { 0x8000 } else { 0 },
+        valid: number % 17 != 5,
+    });
+    let time_ns = number as i64 * 10_000_000;
+    CycleRecord {
+        cycle: number,
+        sample_time: START.plus_ns(time_ns),
+        sample_time_uncertainty_ns: 1500,
+        dc_time: DcNs(1_000 + time_ns),
+        send_time: MonoNs(5_000 + time_ns),
+        receive_time: MonoNs(65_000 + time_ns),
+        working_counter: 15,
+        working_counter_expected: 15,
+        flags: if number % 17 == 5 { flags::STALE_INPUT } else { 0 },
+        encoder_count: MAX_ENCODERS as u8,
+        encoders,
+    }
+}
+
+fn marker(number: u64) -> Event {
+    let text = "second half".into();
+    Event { time: cycle(number).sample_time, cycle: number, kind: EventKind::Marker, text }
+}
+
+fn small_recording(cycles: u64) -> Vec<u8> {
+    let mut writer = RecordingWriter::begin(Cursor::new(Vec::new()), &run("small")).unwrap();
+    for number in 0..cycles {
+        writer.write_cycle(&cycle(number)).unwrap();
+        if number % 20 == 19 {
+            writer.sync().unwrap();
+        }
+    }
+    writer.write_event(&marker(cycles / 2)).unwrap();
+    writer.end("stopped", START).unwrap().into_inner()
+}
+
+#[test]
+fn what_is_written_is_read_back() {
+    let recording = Recording::read(&small_recording(100)[..]).unwrap();
+    assert_eq!(recording.run, run("small"));
+    assert_eq!(recording.cycles, (0..100).map(cycle).collect::<Vec<_>>());
+    assert_eq!(recording.events, [marker(50)]);
+    assert_eq!((recording.end.cycles, recording.end.cycles_valid, recording.end.cycles_lost), (100, 94, 0));
+    assert_eq!(recording.end.cause, "stopped");
+}
+
+#[test]
+fn a_run_has_its_final_name_only_when_it_is_finished() {
+    let directory = tempfile::tempdir().unwrap();
+    let mut writer = RecordingWriter::create(directory.path(), &run("trial-1")).unwrap();
+    writer.write_cycle(&cycle(0)).unwrap();
+    writer.sync().unwrap();
+    let (active, finished) =
+        (directory.path().join("trial-1.mcap.active"), directory.path().join("trial-1.mcap"));
+    assert!(active.exists() && !finished.exists());
+    let unfinished = Recording::open(&active).unwrap_err();
+    assert!(unfinished.to_string().contains("recover"), "{unfinished}");
+    assert_eq!(writer.finish("stopped", START).unwrap(), finished);
+    assert!(!active.exists());
+    assert_eq!(Recording::open(&finished).unwrap().cycles.len(), 1);
+}
+
+#[test]
+fn an_older_recording_is_never_overwritten() {
+    let directory = tempfile::tempdir().unwrap();
+    std::fs::write(directory.path().join("taken.mcap"), "precious").unwrap();
+    assert!(matches!(RecordingWriter::create(directory.path(), &run("taken")), Err(WriteError::Exists(_))));
+    let writer = RecordingWriter::create(directory.path(), &run("late")).unwrap();
+    std::fs::write(directory.path().join("late.mcap"), "precious").unwrap();
+    assert!(matches!(writer.finish("stopped", START), Err(WriteError::Exists(_))));
+    assert_eq!(std::fs::read(directory.path().join("late.mcap")).unwrap(), b"precious");
+}
+
+#[test]
+fn names_that_leave_the_directory_are_refused() {
+    let directory = tempfile::tempdir().unwrap();
+    for name in ["", "../up", "a/b", ".hidden", "nul\0"] {
+        assert!(
+            matches!(RecordingWriter::create(directory.path(), &run(name)), Err(WriteError::Name(_))),
+            "{name}"
+        );
+    }
+}
+
+#[test]
+fn every_prefix_is_refused() {
+    let whole = small_recording(60);
+    for length in 0..whole.len() {
+        assert!(
+            Recording::read(&whole[..length]).is_err(),
+            "a prefix of {length} bytes passed as a whole file"
+        );
+    }
+}
+
+#[test]
+fn every_flipped_bit_is_refused_or_changes_no_sample() {
+    let whole = small_recording(60);
+    let truth = Recording::read(&whole[..]).unwrap();
+    let mut unnoticed = 0;
+    for position in 0..whole.len() {
+        for bit in [0, 3, 7] {
+            let mut damaged = whole.clone();
+            damaged[position] ^= 1 << bit;
+            if let Ok(read) = Recording::read(&damaged[..]) {
+                assert_eq!(read, truth, "bit {bit} of byte {position} changed what is read");
+                unnoticed += 1;
+            }
+        }
+    }
+    assert!(unnoticed < whole.len() / 100, "{unnoticed} flips were not noticed");
+}
+
+#[test]
+fn a_zero_filled_tail_is_refused() {
+    let whole = small_recording(60);
+    let mut torn = whole[..whole.len() / 2].to_vec();
+    torn.resize(whole.len(), 0);
+    assert!(Recording::read(&torn[..]).is_err());
+}
+
+#[test]
+fn a_hole_in_the_cycle_numbers_is_refused() {
+    let mut writer = RecordingWriter::begin(Cursor::new(Vec::new()), &run("hole")).unwrap();
+    for number in [0, 1, 3] {
+        writer.write_cycle(&cycle(number)).unwrap();
+    }
+    let bytes = writer.end("stopped", START).unwrap().into_inner();
+    assert!(matches!(Recording::read(&bytes[..]), Err(ReadErrorKind::Hole { expected: 2, found: 3 })));
+}

@@ -1,0 +1,81 @@
+//! The recording opens with two implementations that are not ours, every message decoded.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::path::Path;
+use std::process::Command;
+use std::time::Duration;
+
+use ballbard::run::BusChoice;
+use serde_json::Value;
+use shared::recording::Recording;
+use system_tests::{ball_bar, python_with, record, request};
+
+#[test]
+fn python_mcap_decodes_every_message() {
+    if let Some(python) = python_with(&["mcap", "mcap_ros2"]) {
+        compare_with(&python, "mcap");
+    }
+}
+
+#[test]
+fn rosbags_decodes_every_message() {
+    if let Some(python) = python_with(&["rosbags"]) {
+        compare_with(&python, "rosbags");
+    }
+}
+
+fn compare_with(python: &Path, reader: &str) {
+    let directory = tempfile::tempdir().unwrap();
+    let seconds = Some(Duration::from_secs(20));
+    let (path, ours) =
+        record(directory.path(), &request("readers", BusChoice::Simulated, seconds, true), &ball_bar());
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("read_recording.py");
+    let output = Command::new(python).arg(script).arg(reader).arg(&path).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let theirs: Value = serde_json::from_slice(&output.stdout).unwrap();
+    compare_cycles(&ours, theirs["cycles"].as_array().unwrap());
+    compare_joint_states(&ours, theirs["joint_states"].as_array().unwrap());
+    assert_eq!(theirs["events"].as_array().unwrap().len(), ours.events.len());
+}
+
+fn compare_cycles(ours: &Recording, theirs: &[Value]) {
+    assert_eq!(ours.cycles.len(), theirs.len());
+    for (one, other) in ours.cycles.iter().zip(theirs) {
+        let numbers = |key: &str| -> Vec<u64> {
+            other[key].as_array().unwrap().iter().map(|value| value.as_u64().unwrap()).collect()
+        };
+        let encoders = one.encoders();
+        assert_eq!(other["cycle"].as_u64(), Some(one.cycle));
+        assert_eq!(other["log_time_ns"].as_i64(), Some(one.sample_time.0));
+        assert_eq!(other["stamp_ns"].as_i64(), Some(one.sample_time.0));
+        assert_eq!(other["dc_time_ns"].as_i64(), Some(one.dc_time.0));
+        assert_eq!(other["working_counter"].as_u64(), Some(one.working_counter.into()));
+        assert_eq!(other["flags"].as_u64(), Some(one.flags.into()));
+        assert_eq!(
+            numbers("joints"),
+            encoders.iter().map(|encoder| encoder.joint.into()).collect::<Vec<u64>>()
+        );
+        assert_eq!(
+            numbers("counts"),
+            encoders.iter().map(|encoder| encoder.count.into()).collect::<Vec<u64>>()
+        );
+        let valid: Vec<bool> =
+            other["valid"].as_array().unwrap().iter().map(|value| value.as_bool().unwrap()).collect();
+        assert_eq!(valid, encoders.iter().map(|encoder| encoder.valid).collect::<Vec<_>>());
+    }
+}
+
+/// Positions of the plotted joint states turn by 2 pi / 14 745 600 a count.
+fn compare_joint_states(ours: &Recording, theirs: &[Value]) {
+    assert_eq!(ours.cycles.len(), theirs.len());
+    let position = |index: usize, joint: usize| theirs[index]["position"][joint].as_f64().unwrap();
+    for joint in 0..5 {
+        assert_eq!(theirs[0]["name"][joint], format!("bar_joint_{}", joint + 1));
+        let count = |index: usize| ours.cycles[index].encoders[joint].count;
+        for index in 1..theirs.len() {
+            let turned = f64::from(count(index).wrapping_sub(count(index - 1)) as i32);
+            let expected_rad = turned * std::f64::consts::TAU / 14_745_600.0;
+            assert!((position(index, joint) - position(index - 1, joint) - expected_rad).abs() < 1e-9);
+        }
+    }
+}

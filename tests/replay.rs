@@ -1,0 +1,80 @@
+//! Replay: what goes into the simulated encoders comes out of the recording, bit for bit.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::time::{Duration, Instant};
+
+use ballbard::run::{self, BusChoice, RunError, Stop};
+use shared::config::BallBarConfig;
+use shared::recording::Recording;
+use shared::recording::schema::CycleRecord;
+use system_tests::{ball_bar, daemon, record, request};
+
+fn counts_of(cycle: &CycleRecord) -> Vec<u32> {
+    cycle.encoders().iter().map(|encoder| encoder.count).collect()
+}
+
+fn counts(recording: &Recording) -> Vec<Vec<u32>> {
+    recording.cycles.iter().map(counts_of).collect()
+}
+
+fn without_encoder_3() -> BallBarConfig {
+    let mut bar = ball_bar();
+    bar.encoders.retain(|encoder| encoder.joint != 3);
+    bar
+}
+
+#[test]
+fn a_replayed_recording_is_the_same_bit_for_bit_and_needs_a_fraction_of_its_duration() {
+    for bar in [ball_bar(), without_encoder_3()] {
+        let directory = tempfile::tempdir().unwrap();
+        let ten_minutes = Duration::from_secs(600);
+        let first = request("first", BusChoice::Simulated, Some(ten_minutes), true);
+        let (path, original) = record(directory.path(), &first, &bar);
+        assert_eq!(original.cycles.len(), 60_000);
+        assert!(original.cycles.iter().all(|cycle| cycle.is_valid()));
+
+        let begun = Instant::now();
+        let second = request("second", BusChoice::Replay(path), None, true);
+        let (_, replayed) = record(directory.path(), &second, &bar);
+        assert_eq!(counts(&replayed), counts(&original));
+        assert!(replayed.cycles.iter().all(|cycle| cycle.is_valid()));
+        assert!(begun.elapsed() < ten_minutes / 10, "{:?}", begun.elapsed());
+        // On virtual time a replay also keeps the time of the recording, to what the clock fit resolves.
+        for (one, other) in original.cycles.iter().zip(&replayed.cycles) {
+            let off_ns = other.sample_time.ns_since(one.sample_time);
+            assert!(off_ns.abs() < 50_000, "cycle {} is {off_ns} ns off", one.cycle);
+        }
+    }
+}
+
+#[test]
+fn a_replay_in_real_time_is_the_same_bit_for_bit() {
+    let directory = tempfile::tempdir().unwrap();
+    let bar = ball_bar();
+    let first = request("first", BusChoice::Simulated, Some(Duration::from_secs(3)), true);
+    let (path, original) = record(directory.path(), &first, &bar);
+    let second = request("second", BusChoice::Replay(path), None, false);
+    let (_, replayed) = record(directory.path(), &second, &bar);
+    for (one, other) in original.cycles.iter().zip(&replayed.cycles).filter(|(_, other)| other.is_valid()) {
+        assert_eq!(counts_of(one), counts_of(other), "cycle {}", one.cycle);
+    }
+    assert_eq!(replayed.cycles.len(), original.cycles.len());
+}
+
+#[test]
+fn a_damaged_recording_is_not_replayed_and_leaves_no_file() {
+    let directory = tempfile::tempdir().unwrap();
+    let bar = ball_bar();
+    let first = request("first", BusChoice::Simulated, Some(Duration::from_secs(3)), true);
+    let (path, _) = record(directory.path(), &first, &bar);
+    let mut bytes = std::fs::read(&path).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 0x10;
+    let damaged = directory.path().join("damaged.mcap");
+    std::fs::write(&damaged, bytes).unwrap();
+    let out = directory.path().join("out");
+    let second = request("second", BusChoice::Replay(damaged), None, true);
+    let error = run::record(&second, &daemon(&out), &bar, &Stop::default()).unwrap_err();
+    assert!(matches!(error, RunError::Replay(_)), "{error}");
+    assert!(!out.exists());
+}
