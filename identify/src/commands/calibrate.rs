@@ -1,0 +1,134 @@
+//! `identify calibrate`.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use clap::Args;
+use shared::config::{self, BallBarConfig, RobotConfig};
+use shared::recording::Recording;
+
+use crate::calibrate::ball_bar::{self, BallBarCalibration};
+use crate::calibrate::truth::Comparison;
+use crate::calibrate::{CostName, IdentifyConfig, SelectionName};
+use crate::logs;
+use crate::model::ParameterId;
+use crate::report::file::{CalibrationFile, ClockEntry, Input, ParameterEntry, SolveEntry};
+use crate::report::table;
+use crate::simulate::Truth;
+
+#[derive(Debug, Args)]
+pub struct CalibrateArguments {
+    /// Recording of the ball-bar (.mcap)
+    #[arg(long, value_name = "FILE", requires_all = ["robot_log", "bar"])]
+    recording: Option<PathBuf>,
+    /// The robot's own log (.csv)
+    #[arg(long, value_name = "FILE", requires = "recording")]
+    robot_log: Option<PathBuf>,
+    /// The robot's configuration, such as config/robots/irb2400_16.toml
+    #[arg(long, value_name = "FILE")]
+    robot: PathBuf,
+    /// The bar's configuration, such as config/ball_bar.toml
+    #[arg(long, value_name = "FILE")]
+    bar: Option<PathBuf>,
+    /// Directory for calibration.toml
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// What to minimise, what is free; default: see config/identify.toml
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Cost; default: the best that the encoders allow
+    #[arg(long)]
+    cost: Option<CostName>,
+    /// Free parameters
+    #[arg(long)]
+    selection: Option<SelectionName>,
+    /// Also free these parameters
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    free: Vec<String>,
+    /// Fix these parameters
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    fix: Vec<String>,
+    /// True parameters of a simulated experiment, to compare with
+    #[arg(long, value_name = "FILE")]
+    truth: Option<PathBuf>,
+}
+
+pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
+    let robot: RobotConfig = config::load(&arguments.robot)?;
+    match (&arguments.recording, &arguments.robot_log, &arguments.bar) {
+        (Some(recording), Some(robot_log), Some(bar)) => {
+            from_ball_bar(arguments, &robot, recording, robot_log, bar)
+        }
+        _ => anyhow::bail!("nothing to calibrate from; give --recording, --robot-log and --bar"),
+    }
+}
+
+/// The configuration file with what was typed on top of it.
+fn identify_config(arguments: &CalibrateArguments) -> anyhow::Result<IdentifyConfig> {
+    let file = arguments.config.as_deref();
+    let mut config: IdentifyConfig = file.map_or_else(|| Ok(IdentifyConfig::default()), config::load)?;
+    config.cost = arguments.cost.or(config.cost);
+    config.selection = arguments.selection.unwrap_or(config.selection);
+    config.free.extend_from_slice(&arguments.free);
+    config.fix.extend_from_slice(&arguments.fix);
+    Ok(config)
+}
+
+fn from_ball_bar(
+    arguments: &CalibrateArguments,
+    robot: &RobotConfig,
+    recording_path: &Path,
+    log_path: &Path,
+    bar_path: &Path,
+) -> anyhow::Result<()> {
+    let bar: BallBarConfig = config::load(bar_path)?;
+    let config = identify_config(arguments)?;
+    let truth = arguments.truth.as_deref().map(load_truth).transpose()?;
+    let recording = Recording::open(recording_path)?;
+    let log = logs::load(log_path, robot)?;
+    let calibration =
+        ball_bar::calibrate(&recording.cycles, &recording.run.encoders, &log, robot, &bar, &config)
+            .with_context(|| format!("{} with {}", recording_path.display(), log_path.display()))?;
+    let inputs = [
+        ("recording", recording_path),
+        ("robot log", log_path),
+        ("robot", arguments.robot.as_path()),
+        ("bar", bar_path),
+    ]
+    .into_iter()
+    .map(|(role, path)| Input::of(role, path).with_context(|| format!("cannot read {}", path.display())))
+    .collect::<anyhow::Result<_>>()?;
+    let file = CalibrationFile::new(
+        &robot.name,
+        &bar.name,
+        SolveEntry::new(calibration.cost.name(), &calibration.solution),
+        Some(clock_entry(&calibration)),
+        inputs,
+        ParameterEntry::all(&calibration.model, &calibration.solution),
+    );
+    let written = file.write(&arguments.out)?;
+    print!("{}", table::calibration(&file));
+    if let Some(truth) = &truth {
+        print!("\n{}", table::comparison(&Comparison::new(&calibration, truth)));
+    }
+    println!("\n{}", written.display());
+    Ok(())
+}
+
+fn clock_entry(calibration: &BallBarCalibration) -> ClockEntry {
+    let prepared = &calibration.prepared;
+    let value = |id| calibration.model.parameter(id).map_or(0.0, |parameter| parameter.value);
+    ClockEntry {
+        reference_utc: prepared.t_ref.to_string(),
+        robot_minus_bar_ns: prepared.clock_difference_ns(value(ParameterId::ClockShift)),
+        skew_ppm: value(ParameterId::ClockSkew) * 1e6,
+        correlation: prepared.alignment.correlation,
+        overlap_s: prepared.alignment.overlap_s,
+    }
+}
+
+fn load_truth(path: &Path) -> anyhow::Result<Truth> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    toml::from_str(&text)
+        .with_context(|| format!("{} is no truth.toml of `identify simulate`", path.display()))
+}

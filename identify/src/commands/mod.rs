@@ -1,0 +1,30 @@
+//! What a person types.
+
+mod calibrate;
+mod simulate;
+
+use clap::{Parser, Subcommand};
+
+/// Calibrates a robot from a ball-bar recording and the robot's own log.
+#[derive(Debug, Parser)]
+#[command(name = "identify", version, about)]
+pub struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Identify the robot's geometry.
+    Calibrate(calibrate::CalibrateArguments),
+    /// Make an experiment with known errors: a recording, a robot log, and the truth beside them.
+    Simulate(simulate::SimulateArguments),
+}
+
+/// Does what was typed; an error's text is meant for a person.
+pub fn run(arguments: Arguments) -> anyhow::Result<()> {
+    match arguments.command {
+        Command::Calibrate(arguments) => calibrate::run(&arguments),
+        Command::Simulate(arguments) => simulate::run(&arguments),
+    }
+}

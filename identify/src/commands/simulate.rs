@@ -1,0 +1,92 @@
+//! `identify simulate`.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use clap::{Args, ValueEnum};
+use shared::config::{self, BallBarConfig, RobotConfig};
+
+use crate::simulate::{self, Effects, Experiment, StaticErrors};
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum Errors {
+    /// Table 3.1 of the thesis
+    Thesis,
+    /// Drawn from the seed, 1 mm|mrad standard deviation
+    Drawn,
+    /// The robot is as its data sheet says
+    None,
+}
+
+#[derive(Debug, Args)]
+pub struct SimulateArguments {
+    /// The robot's configuration, such as config/robots/irb2400_16.toml
+    #[arg(long, value_name = "FILE")]
+    robot: PathBuf,
+    /// The bar's configuration, such as config/ball_bar.toml
+    #[arg(long, value_name = "FILE")]
+    bar: PathBuf,
+    /// Directory for recording.mcap, robot_log.csv and truth.toml
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Decides path, encoder zeros, noise and drawn errors
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Errors of robot and bar
+    #[arg(long, value_enum, default_value = "thesis")]
+    errors: Errors,
+    /// Length of the run
+    #[arg(long, default_value = "2m", value_parser = humantime::parse_duration)]
+    duration: Duration,
+    /// What the robot's clock shows when the recording begins [s]
+    #[arg(long, value_name = "S", allow_hyphen_values = true)]
+    robot_clock_s: Option<f64>,
+    /// How much faster the robot's clock runs [ppm]
+    #[arg(long, value_name = "PPM", default_value_t = 25.0, allow_hyphen_values = true)]
+    skew_ppm: f64,
+    /// White noise of each robot joint [urad]
+    #[arg(long, value_name = "URAD", default_value_t = 0.0)]
+    robot_noise_urad: f64,
+    /// White noise of each bar encoder [urad]
+    #[arg(long, value_name = "URAD", default_value_t = 0.0)]
+    encoder_noise_urad: f64,
+    /// Sinusoidal gear error of each robot joint, amplitude [urad]
+    #[arg(long, value_name = "URAD", default_value_t = 0.0)]
+    gear_sine_urad: f64,
+    /// Eccentricity of each bar encoder, amplitude [urad]
+    #[arg(long, value_name = "URAD", default_value_t = 0.0)]
+    encoder_eccentricity_urad: f64,
+    /// Tilt of the bar's base against the robot's [urad]
+    #[arg(long, value_name = "URAD", default_value_t = 0.0)]
+    base_tilt_urad: f64,
+}
+
+pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
+    let robot: RobotConfig = config::load(&arguments.robot)?;
+    let bar: BallBarConfig = config::load(&arguments.bar)?;
+    let mut experiment = Experiment::new(&robot, &bar);
+    experiment.seed = arguments.seed;
+    experiment.errors = match arguments.errors {
+        Errors::Thesis => StaticErrors::Thesis,
+        Errors::Drawn => StaticErrors::Drawn { seed: arguments.seed },
+        Errors::None => StaticErrors::None,
+    };
+    experiment.design.duration_s = arguments.duration.as_secs_f64();
+    experiment.clocks.skew = arguments.skew_ppm * 1e-6;
+    if let Some(clock_s) = arguments.robot_clock_s {
+        experiment.clocks.robot_at_bar_start_ns = (clock_s * 1e9).round() as i64;
+    }
+    experiment.effects = Effects {
+        robot_noise_urad: arguments.robot_noise_urad,
+        encoder_noise_urad: arguments.encoder_noise_urad,
+        gear_sine_urad: arguments.gear_sine_urad,
+        encoder_eccentricity_urad: arguments.encoder_eccentricity_urad,
+        base_tilt_urad: arguments.base_tilt_urad,
+    };
+    let simulated = simulate::run(&experiment)?;
+    let files = simulate::write(&arguments.out, &simulated, &robot, &bar)?;
+    for path in [&files.recording, &files.robot_log, &files.truth] {
+        println!("{}", path.display());
+    }
+    Ok(())
+}

@@ -1,0 +1,48 @@
+//! The bar as a distance: no encoders needed.
+
+use super::{Movement, Residual, Scene};
+use crate::kinematics::LinkParameter;
+use crate::model::ParameterId;
+
+/// `|R_p - o|^2 - bd3^2` (thesis eq. 2.1): the robot's end lies on the sphere of the bar \[m^2\].
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Length;
+
+/// The rod is `d` of this link.
+const ROD: ParameterId = ParameterId::Bar { link: 2, parameter: LinkParameter::D };
+
+fn rod_m(scene: &Scene<'_>) -> f64 {
+    scene.geometry.bar_links.get(2).map_or(0.0, |link| link.d_m)
+}
+
+impl Residual for Length {
+    const NAME: &'static str = "length";
+    const ROWS: usize = 1;
+    const ENCODERS: &'static [usize] = &[];
+
+    fn sees(id: ParameterId) -> bool {
+        match id {
+            // The last twist turns the end frame about its own origin.
+            ParameterId::Robot { link, parameter } => {
+                link != 5 || !matches!(parameter, LinkParameter::Alpha | LinkParameter::Beta)
+            }
+            ParameterId::Base(_) | ParameterId::ClockShift | ParameterId::ClockSkew => true,
+            id => id == ROD,
+        }
+    }
+
+    fn residual(&self, scene: &Scene<'_>, out: &mut [f64]) {
+        let from_origin = scene.robot.position_m() - scene.geometry.base.origin_m;
+        out[0] = from_origin.norm_squared() - rod_m(scene).powi(2);
+    }
+
+    fn derivative(&self, scene: &Scene<'_>, id: ParameterId, out: &mut [f64]) {
+        let from_origin = scene.robot.position_m() - scene.geometry.base.origin_m;
+        out[0] = match (id, scene.movement(id)) {
+            (_, Movement::Robot(twist)) => 2.0 * from_origin.dot(&twist.linear),
+            (ParameterId::Base(axis), _) => -2.0 * from_origin[axis.index()],
+            (id, _) if id == ROD => -2.0 * rod_m(scene),
+            _ => 0.0,
+        };
+    }
+}

@@ -1,0 +1,16 @@
+//! Residuals of the closed chain, and the problem that the solver gets.
+//!
+//! A cost says what its residual is and how it changes when the robot's end or the bar's end moves by a twist; where
+//! each parameter's twist comes from is said once, in [`Scene`]. A new cost is a new [`Residual`].
+
+mod length;
+mod measured_length;
+mod problem;
+mod scene;
+mod transform;
+
+pub use length::Length;
+pub use measured_length::MeasuredLength;
+pub use problem::{CostError, LoopProblem};
+pub use scene::{Movement, Residual, Scene};
+pub use transform::Transform;

@@ -1,0 +1,184 @@
+//! A model, a motion, observations and a cost, as the least-squares problem that the solver gets.
+
+use nalgebra::Vector3;
+
+use super::{Residual, Scene};
+use crate::kinematics::{Trace, Tracer, Twist};
+use crate::model::{Geometry, Model, Observation, ParameterId, RobotMotion};
+use crate::solver::{Block, Prior, Problem};
+
+/// Observations that a cost cannot use.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum CostError {
+    /// An encoder that the cost needs is missing.
+    #[error(
+        "cost `{cost}` needs the encoder of bar joint {joint}, sample {sample} has none; choose another cost"
+    )]
+    NoEncoder {
+        /// Cost.
+        cost: &'static str,
+        /// Joint from 1.
+        joint: usize,
+        /// Sample from 0.
+        sample: usize,
+    },
+    /// The cost needs a measured length.
+    #[error("cost `{cost}` needs a measured length, sample {sample} has none; choose another cost")]
+    NoLength {
+        /// Cost.
+        cost: &'static str,
+        /// Sample from 0.
+        sample: usize,
+    },
+    /// Something measured is not a number.
+    #[error("sample {sample} has a value that is not finite; take it out of the data")]
+    NotFinite {
+        /// Sample from 0.
+        sample: usize,
+    },
+    /// The unit of the residual must be positive.
+    #[error("a residual's standard deviation of {sigma} makes no sense; give a number above zero")]
+    BadSigma {
+        /// As given.
+        sigma: f64,
+    },
+}
+
+/// The closed chain as a least-squares problem.
+#[derive(Debug)]
+pub struct LoopProblem<'a, R, M> {
+    model: &'a Model,
+    motion: &'a M,
+    observations: &'a [Observation],
+    residual: R,
+    ids: Vec<ParameterId>,
+    priors: Vec<Prior>,
+    whitening: f64,
+}
+
+impl<'a, R: Residual, M: RobotMotion> LoopProblem<'a, R, M> {
+    /// `sigma` is the standard deviation of a residual entry in its own unit: residuals are divided by it, so that
+    /// priors and robust scales count in sigmas. With one and without priors the residual is as the cost defines it.
+    ///
+    /// # Errors
+    /// [`CostError`] where the observations are not what the cost needs.
+    pub fn new(
+        model: &'a Model,
+        motion: &'a M,
+        observations: &'a [Observation],
+        residual: R,
+        sigma: f64,
+    ) -> Result<Self, CostError> {
+        if !(sigma.is_finite() && sigma > 0.0) {
+            return Err(CostError::BadSigma { sigma });
+        }
+        observations
+            .iter()
+            .enumerate()
+            .try_for_each(|(sample, observation)| check::<R>(sample, observation))?;
+        let ids = model.columns().map(|parameter| parameter.id).collect();
+        let priors = model.priors();
+        Ok(Self { model, motion, observations, residual, ids, priors, whitening: sigma.recip() })
+    }
+}
+
+fn check<R: Residual>(sample: usize, observation: &Observation) -> Result<(), CostError> {
+    for &joint in R::ENCODERS {
+        if !observation.measured.get(joint).copied().unwrap_or(false) {
+            return Err(CostError::NoEncoder { cost: R::NAME, joint: joint + 1, sample });
+        }
+    }
+    if R::NEEDS_LENGTH && observation.length_m.is_none() {
+        return Err(CostError::NoLength { cost: R::NAME, sample });
+    }
+    let encoders = R::ENCODERS.iter().filter_map(|&joint| observation.bar_rad.get(joint));
+    let length = observation.length_m.iter().filter(|_| R::NEEDS_LENGTH);
+    if encoders.chain(length).chain([&observation.t_s]).all(|value| value.is_finite()) {
+        Ok(())
+    } else {
+        Err(CostError::NotFinite { sample })
+    }
+}
+
+/// Chains made ready for one set of parameters, and scratch space.
+#[derive(Debug)]
+pub struct LoopPoint {
+    geometry: Geometry,
+    robot_tracer: Tracer,
+    bar_tracer: Tracer,
+    robot: Trace,
+    bar: Trace,
+}
+
+impl<R: Residual, M: RobotMotion> Problem for LoopProblem<'_, R, M> {
+    type Point = LoopPoint;
+
+    fn columns(&self) -> usize {
+        self.ids.len()
+    }
+
+    fn column_name(&self, column: usize) -> String {
+        self.ids.get(column).map_or_else(|| format!("column {column}"), ToString::to_string)
+    }
+
+    fn samples(&self) -> usize {
+        self.observations.len()
+    }
+
+    fn rows(&self) -> usize {
+        R::ROWS
+    }
+
+    fn priors(&self) -> &[Prior] {
+        &self.priors
+    }
+
+    fn point(&self, x: &[f64]) -> LoopPoint {
+        let geometry = self.model.geometry(x);
+        LoopPoint {
+            robot_tracer: Tracer::new(&geometry.robot),
+            bar_tracer: Tracer::new(&geometry.bar()),
+            geometry,
+            robot: Trace::default(),
+            bar: Trace::default(),
+        }
+    }
+
+    fn sample(
+        &self,
+        point: &mut LoopPoint,
+        sample: usize,
+        residual: &mut [f64],
+        block: &mut Block<'_>,
+    ) -> bool {
+        let Some(observation) = self.observations.get(sample) else { return false };
+        let tau_s = point.geometry.clock.robot_time_s(observation.t_s);
+        let Some(state) = self.motion.at(tau_s) else { return false };
+        point.robot_tracer.trace(&state.q, &mut point.robot);
+        point.bar_tracer.trace(&observation.bar_rad, &mut point.bar);
+        let scene = Scene {
+            geometry: &point.geometry,
+            observation,
+            robot: &point.robot,
+            bar: &point.bar,
+            robot_rate: rate(&point.robot, &state.qd),
+        };
+        self.residual.residual(&scene, residual);
+        residual.iter_mut().for_each(|r| *r *= self.whitening);
+        for (column, &id) in self.ids.iter().enumerate() {
+            let derivative = block.column_mut(column);
+            self.residual.derivative(&scene, id, derivative);
+            derivative.iter_mut().for_each(|d| *d *= self.whitening);
+        }
+        true
+    }
+}
+
+/// Velocity of the robot's end at joint rates \[rad/s\].
+fn rate(robot: &Trace, joint_rates: &[f64]) -> Twist {
+    let rest = Twist { angular: Vector3::zeros(), linear: Vector3::zeros() };
+    robot.joint_twists().zip(joint_rates).fold(rest, |sum, (twist, &rate)| Twist {
+        angular: sum.angular + twist.angular * rate,
+        linear: sum.linear + twist.linear * rate,
+    })
+}

@@ -1,0 +1,105 @@
+//! One sample with everything that residuals are made of.
+
+use nalgebra::Vector3;
+
+use crate::kinematics::{BAR_JOINTS, Trace, Twist};
+use crate::model::{Axis, Geometry, Observation, ParameterId};
+
+/// What a parameter moves.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Movement {
+    /// The robot's end.
+    Robot(Twist),
+    /// The bar's end, as far as the bar's joints and links tell.
+    Bar(Twist),
+    /// Neither: the parameter stands in the residual itself.
+    None,
+}
+
+/// Both chains at one sample.
+#[derive(Debug)]
+pub struct Scene<'a> {
+    /// Parameters.
+    pub geometry: &'a Geometry,
+    /// What was measured.
+    pub observation: &'a Observation,
+    /// The robot at this instant.
+    pub robot: &'a Trace,
+    /// The bar as its encoders claim; without meaning where the cost needs no encoders.
+    pub bar: &'a Trace,
+    /// Motion of the robot's end per second of its clock.
+    pub robot_rate: Twist,
+}
+
+impl Scene<'_> {
+    /// What moves, and how, when a parameter moves at unit speed.
+    pub fn movement(&self, id: ParameterId) -> Movement {
+        match id {
+            ParameterId::Robot { link, parameter } => {
+                self.robot.twist(link, parameter).map_or(Movement::None, Movement::Robot)
+            }
+            ParameterId::Bar { link, parameter } => {
+                self.bar.twist(link, parameter).map_or(Movement::None, Movement::Bar)
+            }
+            ParameterId::Base(axis) => Movement::Bar(Twist::translation(unit(axis))),
+            ParameterId::BaseRotation(axis) => Movement::Bar(self.base_rotation(axis)),
+            ParameterId::ClockShift => Movement::Robot(self.robot_rate),
+            ParameterId::ClockSkew => {
+                let t_s = self.observation.t_s;
+                Movement::Robot(Twist {
+                    angular: self.robot_rate.angular * t_s,
+                    linear: self.robot_rate.linear * t_s,
+                })
+            }
+            ParameterId::Attachment(_) | ParameterId::Anchor(_) | ParameterId::LengthOffset => Movement::None,
+        }
+    }
+
+    /// `T(o) Rx(rx) Ry(ry)`: the second axis is carried along by the first.
+    fn base_rotation(&self, axis: Axis) -> Twist {
+        let base = &self.geometry.base;
+        let axis = match axis {
+            Axis::X => Vector3::x(),
+            Axis::Y => Vector3::new(0.0, base.rx_rad.cos(), base.rx_rad.sin()),
+            Axis::Z => Vector3::zeros(),
+        };
+        Twist::rotation(axis, base.origin_m, self.bar.position_m())
+    }
+}
+
+/// Unit vector along an axis.
+pub(super) fn unit(axis: Axis) -> Vector3<f64> {
+    Vector3::ith(axis.index(), 1.0)
+}
+
+/// One cost function: a residual vector per sample and its derivative by each parameter.
+pub trait Residual {
+    /// Name in reports and on the command line.
+    const NAME: &'static str;
+    /// Entries of the residual.
+    const ROWS: usize;
+    /// Encoders that must be there, joints from 0.
+    const ENCODERS: &'static [usize];
+    /// A measured length must be there.
+    const NEEDS_LENGTH: bool = false;
+
+    /// The parameter changes the residual; others need not be free.
+    fn sees(id: ParameterId) -> bool;
+
+    /// The residual, `ROWS` entries.
+    fn residual(&self, scene: &Scene<'_>, out: &mut [f64]);
+
+    /// Its derivative by one parameter, `ROWS` entries that come as zeros.
+    fn derivative(&self, scene: &Scene<'_>, id: ParameterId, out: &mut [f64]);
+}
+
+/// All five encoders.
+pub(super) const ALL_ENCODERS: &[usize] = &{
+    let mut all = [0; BAR_JOINTS];
+    let mut i = 0;
+    while i < BAR_JOINTS {
+        all[i] = i;
+        i += 1;
+    }
+    all
+};

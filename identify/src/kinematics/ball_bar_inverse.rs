@@ -1,0 +1,152 @@
+//! Inverse kinematics of the ball-bar: four named configurations, and how near a pose is to a singular one.
+
+use std::f64::consts::PI;
+use std::fmt;
+
+use super::inverse::{
+    distance_squared, nearest_turn, point_z, refine, right_angle, turn_and_twist, wrapped, wrist_angles,
+};
+use super::{Chain, InverseError, Pose};
+
+/// Joints of the bar: three of the gimbal at the base, two of the cardan at the flange.
+pub const BAR_JOINTS: usize = 5;
+
+/// Which way a joint is bent: the sign of its sine.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Side {
+    /// Sine not negative.
+    Positive,
+    /// Sine negative.
+    Negative,
+}
+
+impl Side {
+    fn of(angle_rad: f64) -> Self {
+        if angle_rad.sin() < 0.0 { Self::Negative } else { Self::Positive }
+    }
+
+    fn sign(self) -> f64 {
+        match self {
+            Self::Positive => 1.0,
+            Self::Negative => -1.0,
+        }
+    }
+
+    const fn symbol(self) -> char {
+        match self {
+            Self::Positive => '+',
+            Self::Negative => '-',
+        }
+    }
+}
+
+/// One of the four ways in which the bar takes the same pose.
+///
+/// Gimbal turned over: `b1 + pi, -b2, b3 + pi`; cardan turned over: `b3 + pi, -b4, b5 + pi`. A bar changes from one to
+/// another only through a singular pose, so a run stays in one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub struct Configuration {
+    /// Sign of sin b2.
+    pub gimbal: Side,
+    /// Sign of sin b4.
+    pub cardan: Side,
+}
+
+impl Configuration {
+    /// All four.
+    pub const ALL: [Self; 4] = [
+        Self { gimbal: Side::Positive, cardan: Side::Positive },
+        Self { gimbal: Side::Positive, cardan: Side::Negative },
+        Self { gimbal: Side::Negative, cardan: Side::Positive },
+        Self { gimbal: Side::Negative, cardan: Side::Negative },
+    ];
+
+    /// The configuration of joint angles \[rad\].
+    pub fn of(bar_rad: &[f64; BAR_JOINTS]) -> Self {
+        Self { gimbal: Side::of(bar_rad[1]), cardan: Side::of(bar_rad[3]) }
+    }
+
+    /// The same pose in this configuration, each joint in (-pi, pi].
+    pub fn carry(self, bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
+        let from = Self::of(bar_rad);
+        let mut b = *bar_rad;
+        if from.gimbal != self.gimbal {
+            b = [b[0] + PI, -b[1], b[2] + PI, b[3], b[4]];
+        }
+        if from.cardan != self.cardan {
+            b = [b[0], b[1], b[2] + PI, -b[3], b[4] + PI];
+        }
+        b.map(wrapped)
+    }
+}
+
+impl fmt::Display for Configuration {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "gimbal{} cardan{}", self.gimbal.symbol(), self.cardan.symbol())
+    }
+}
+
+/// Distance to the nearest singular pose \[rad\]: rod along the base axis (sin b2 = 0) or along the last axis
+/// (sin b4 = 0). There one joint is undetermined and encoder errors are amplified by the inverse of this number.
+pub fn singularity_margin_rad(bar_rad: &[f64; BAR_JOINTS]) -> f64 {
+    let to_multiple_of_pi = |angle: f64| angle.sin().abs().asin();
+    to_multiple_of_pi(bar_rad[1]).min(to_multiple_of_pi(bar_rad[3]))
+}
+
+/// Signs of the twists of links 1 to 4.
+fn twist_signs(chain: &Chain) -> Result<[f64; 4], InverseError> {
+    if chain.links.len() != BAR_JOINTS {
+        return Err(InverseError::Links { found: chain.links.len(), expected: BAR_JOINTS });
+    }
+    Ok([right_angle(chain, 0)?, right_angle(chain, 1)?, right_angle(chain, 2)?, right_angle(chain, 3)?])
+}
+
+/// Joint angles \[rad\] of the nominal bar for a pose, in each configuration, in the order of [`Configuration::ALL`].
+///
+/// The bar has five joints, a pose six freedoms: direction of the rod and rotation of the end frame are met, the
+/// distance from the gimbal is not looked at. Errors of the chain enter only by its joint offsets; see
+/// [`ball_bar_inverse_refined`].
+///
+/// # Errors
+/// [`InverseError::Structure`] or [`InverseError::Links`] where the chain is no ball-bar.
+pub fn ball_bar_inverse(
+    chain: &Chain,
+    target: &Pose,
+) -> Result<[(Configuration, [f64; BAR_JOINTS]); 4], InverseError> {
+    let [s1, s2, s3, s4] = twist_signs(chain)?;
+    let after_joint5 = chain.links.last().map_or_else(Pose::identity, |link| link.after_joint());
+    let base_from_end = chain.root_from_base.inverse() * target * after_joint5.inverse();
+    let rod = base_from_end.translation.vector;
+    let rod = if rod.norm() > 0.0 { rod.normalize() } else { rod };
+    Ok(Configuration::ALL.map(|configuration| {
+        let (first, second) = point_z(&rod, [s1, s2], configuration.gimbal.sign(), 0.0);
+        let base_from_rod = turn_and_twist(first, s1) * turn_and_twist(second, s2);
+        let rod_from_end = base_from_rod.transpose() * base_from_end.rotation.matrix();
+        let cardan = wrist_angles(&rod_from_end, [s3, s4], configuration.cardan.sign(), 0.0);
+        let angles = [first, second, cardan[0], cardan[1], cardan[2]];
+        let mut joints = angles;
+        for (joint, link) in joints.iter_mut().zip(&chain.links) {
+            *joint = wrapped(*joint - link.theta_rad);
+        }
+        (configuration, joints)
+    }))
+}
+
+/// Joint angles \[rad\] that bring the end of `chain`, with whatever errors it has, closest to `target`; in the
+/// configuration and the turn nearest to `near`.
+///
+/// Least squares over position \[m\] and rotation vector \[rad\]; the pose is met exactly only where the bar can.
+///
+/// # Errors
+/// [`InverseError::NotConverged`] at a singular pose; as [`ball_bar_inverse`] for another structure.
+pub fn ball_bar_inverse_refined(
+    chain: &Chain,
+    target: &Pose,
+    near: &[f64; BAR_JOINTS],
+) -> Result<[f64; BAR_JOINTS], InverseError> {
+    let mut starts = ball_bar_inverse(chain, target)?
+        .map(|(_, joints)| std::array::from_fn(|i| nearest_turn(joints[i], near[i])));
+    starts
+        .sort_by(|a: &[f64; BAR_JOINTS], b| distance_squared(a, near).total_cmp(&distance_squared(b, near)));
+    refine(chain, target, starts[0])
+}

@@ -1,0 +1,227 @@
+//! What both inverse kinematics share: right-angled twists, three-axis wrists, refinement on the true chain.
+
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
+
+use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, Vector3};
+
+use super::{Chain, Pose, Trace, Tracer};
+
+/// Why no joint angles were found.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum InverseError {
+    /// The links are not those of the structure that the closed form solves.
+    #[error(
+        "link {link} has a twist of {alpha_deg:.3} deg, the closed form needs {expected}; \
+         check alpha_deg in the configuration"
+    )]
+    Structure {
+        /// Link, from 1.
+        link: usize,
+        /// Its twist.
+        alpha_deg: f64,
+        /// What it should be.
+        expected: &'static str,
+    },
+    /// The chain has another number of links.
+    #[error("the chain has {found} links, {expected} are needed; check the links in the configuration")]
+    Links {
+        /// Links of the chain.
+        found: usize,
+        /// Links of the structure.
+        expected: usize,
+    },
+    /// The pose is outside the workspace.
+    #[error(
+        "the pose at x {x_m:.3}, y {y_m:.3}, z {z_m:.3} m is out of reach; bring it closer to the robot's base"
+    )]
+    Unreachable {
+        /// Position of the target.
+        x_m: f64,
+        /// Position of the target.
+        y_m: f64,
+        /// Position of the target.
+        z_m: f64,
+    },
+    /// Refinement on the given chain did not settle: a singular pose or a chain far from its nominal structure.
+    #[error(
+        "joint angles did not settle (last step {step_rad:.1e} rad after {iterations} iterations); \
+         move the pose away from a singularity or check the chain's parameters"
+    )]
+    NotConverged {
+        /// Iterations made.
+        iterations: usize,
+        /// Last step, the largest of the joints.
+        step_rad: f64,
+    },
+}
+
+impl InverseError {
+    pub(super) fn unreachable(target: &Pose) -> Self {
+        let p = target.translation.vector;
+        Self::Unreachable { x_m: p.x, y_m: p.y, z_m: p.z }
+    }
+}
+
+/// How far a twist may be from a multiple of 90 degrees and still count as one \[rad\].
+const TWIST_TOLERANCE_RAD: f64 = 0.1;
+
+/// The sign of a twist of +-90 degrees.
+pub(super) fn right_angle(chain: &Chain, index: usize) -> Result<f64, InverseError> {
+    let alpha_rad = chain.links.get(index).map_or(f64::NAN, |link| link.alpha_rad);
+    if (alpha_rad.abs() - FRAC_PI_2).abs() < TWIST_TOLERANCE_RAD {
+        return Ok(alpha_rad.signum());
+    }
+    Err(InverseError::Structure { link: index + 1, alpha_deg: alpha_rad.to_degrees(), expected: "+-90" })
+}
+
+/// Checks that a twist is zero within the tolerance.
+pub(super) fn parallel(chain: &Chain, index: usize) -> Result<(), InverseError> {
+    let alpha_rad = chain.links.get(index).map_or(f64::NAN, |link| link.alpha_rad);
+    if alpha_rad.abs() < TWIST_TOLERANCE_RAD {
+        return Ok(());
+    }
+    Err(InverseError::Structure { link: index + 1, alpha_deg: alpha_rad.to_degrees(), expected: "0" })
+}
+
+/// Turn about z, then a twist of `sign * 90` degrees about x: a link's rotation on the nominal structure.
+pub(super) fn turn_and_twist(theta_rad: f64, sign: f64) -> Matrix3<f64> {
+    let (s, c) = theta_rad.sin_cos();
+    Matrix3::new(c, 0.0, sign * s, s, 0.0, -sign * c, 0.0, sign, 0.0)
+}
+
+/// Turns `(first, second)` with `Rz(first) Rx(sign0 90) Rz(second) Rx(sign1 90) z = direction`; `side` is the sign of
+/// sin(second). Where the direction lies along z the first turn is free and `first_if_free` is taken.
+pub(super) fn point_z(
+    direction: &Vector3<f64>,
+    signs: [f64; 2],
+    side: f64,
+    first_if_free: f64,
+) -> (f64, f64) {
+    // direction = (sign1 s2 c1, sign1 s2 s1, -sign0 sign1 c2)
+    let across = direction.x.hypot(direction.y);
+    let second = (side * across).atan2(-signs[0] * signs[1] * direction.z);
+    let factor = side * signs[1];
+    let first =
+        if across < 1e-9 { first_if_free } else { (factor * direction.y).atan2(factor * direction.x) };
+    (first, second)
+}
+
+/// Turns of three axes that meet at right angles: `Rz(t0) Rx(signs0 90) Rz(t1) Rx(signs1 90) Rz(t2) = rotation`.
+pub(super) fn wrist_angles(
+    rotation: &Matrix3<f64>,
+    signs: [f64; 2],
+    side: f64,
+    first_if_free: f64,
+) -> [f64; 3] {
+    let (first, second) = point_z(&rotation.column(2).into(), signs, side, first_if_free);
+    let before_last = turn_and_twist(first, signs[0]) * turn_and_twist(second, signs[1]);
+    let last = before_last.transpose() * rotation;
+    [first, second, last[(1, 0)].atan2(last[(0, 0)])]
+}
+
+/// The angle that differs from `angle_rad` by whole turns and is nearest to `near_rad`.
+pub(super) fn nearest_turn(angle_rad: f64, near_rad: f64) -> f64 {
+    angle_rad + ((near_rad - angle_rad) / TAU).round() * TAU
+}
+
+/// Angle in (-pi, pi].
+pub(super) fn wrapped(angle_rad: f64) -> f64 {
+    let wrapped = nearest_turn(angle_rad, 0.0);
+    if wrapped <= -PI { wrapped + TAU } else { wrapped }
+}
+
+/// Sum of squared differences.
+pub(super) fn distance_squared<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum()
+}
+
+/// Target minus end: position \[m\], then the rotation vector that takes the end's rotation to the target's \[rad\].
+pub(super) fn pose_error(target: &Pose, end: &Pose) -> SVector<f64, 6> {
+    let position = target.translation.vector - end.translation.vector;
+    let rotation: Rotation3<f64> = target.rotation * end.rotation.inverse();
+    let turn = rotation_vector(rotation.matrix());
+    SVector::from_iterator(position.iter().chain(turn.iter()).copied())
+}
+
+/// Axis times angle \[rad\]. By arc tangent: the arc cosine of the trace loses half the digits at small angles.
+/// At half a turn, where no axis is preferred, it is zero.
+pub(crate) fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
+    let r = rotation;
+    let twice_sine = Vector3::new(r[(2, 1)] - r[(1, 2)], r[(0, 2)] - r[(2, 0)], r[(1, 0)] - r[(0, 1)]);
+    let sine = 0.5 * twice_sine.norm();
+    let angle = sine.atan2(0.5 * (r.trace() - 1.0));
+    // Below this, angle and sine are the same number.
+    if sine < 1e-9 { 0.5 * twice_sine } else { twice_sine * (0.5 * angle / sine) }
+}
+
+/// Gauss-Newton on the chain as it is; with six joints it is Newton's method. Metres and radians weigh the same.
+pub(super) fn refine<const N: usize>(
+    chain: &Chain,
+    target: &Pose,
+    start: [f64; N],
+) -> Result<[f64; N], InverseError> {
+    /// Below this the next step would be rounding.
+    const STEP_RAD_MIN: f64 = 1e-13;
+    /// Accepted where rounding keeps the steps from shrinking further.
+    const STEP_RAD_SETTLED: f64 = 1e-10;
+    const ITERATIONS_MAX: usize = 30;
+
+    let tracer = Tracer::new(chain);
+    let mut trace = Trace::default();
+    let mut joints = SVector::<f64, N>::from(start);
+    let mut step_rad = f64::INFINITY;
+    for _ in 0..ITERATIONS_MAX {
+        tracer.trace(joints.as_slice(), &mut trace);
+        let mut jacobian = SMatrix::<f64, 6, N>::zeros();
+        for (mut column, twist) in jacobian.column_iter_mut().zip(trace.joint_twists()) {
+            column.fixed_rows_mut::<3>(0).copy_from(&twist.linear);
+            column.fixed_rows_mut::<3>(3).copy_from(&twist.angular);
+        }
+        let Some(step) = least_squares_step(jacobian, pose_error(target, trace.end())) else { break };
+        let previous = step_rad;
+        step_rad = step.amax();
+        joints += step;
+        if step_rad < STEP_RAD_MIN || (step_rad < STEP_RAD_SETTLED && step_rad > 0.5 * previous) {
+            return Ok(joints.into());
+        }
+        if !step_rad.is_finite() {
+            break;
+        }
+    }
+    if step_rad < STEP_RAD_SETTLED {
+        return Ok(joints.into());
+    }
+    Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad })
+}
+
+/// `argmin |J x - e|` by Householder QR of `[J e]`; none where J is singular.
+fn least_squares_step<const N: usize>(
+    jacobian: SMatrix<f64, 6, N>,
+    error: SVector<f64, 6>,
+) -> Option<SVector<f64, N>> {
+    /// Smallest pivot that still gives a usable step.
+    const PIVOT_MIN: f64 = 1e-9;
+    let mut triangle = jacobian;
+    let mut rhs = error;
+    for k in 0..N {
+        let mut axis = SVector::<f64, 6>::zeros();
+        axis.rows_mut(k, 6 - k).copy_from(&triangle.column(k).rows(k, 6 - k));
+        let pivot = -axis.norm().copysign(axis[k]);
+        if pivot.abs() < PIVOT_MIN {
+            return None;
+        }
+        axis[k] -= pivot;
+        let scale = 2.0 / axis.norm_squared();
+        for mut column in triangle.column_iter_mut().skip(k) {
+            let along = scale * axis.dot(&column);
+            column -= axis * along;
+        }
+        rhs -= axis * (scale * axis.dot(&rhs));
+    }
+    let mut step = SVector::<f64, N>::zeros();
+    for k in (0..N).rev() {
+        let known: f64 = (k + 1..N).map(|j| triangle[(k, j)] * step[j]).sum();
+        step[k] = (rhs[k] - known) / triangle[(k, k)];
+    }
+    Some(step)
+}

@@ -1,0 +1,21 @@
+//! Geometry of the robot and of the ball-bar: forward kinematics, derivatives by every parameter, and inverses.
+//!
+//! Both are chains of standard Denavit-Hartenberg links that end in the same frame: the robot's link 6 carries tool
+//! and offset plate, the bar's link 5 ends where the plate ends. Each link may carry Hayati's extra rotation about y
+//! for nearly parallel neighbours (Hayati and Mirmirani 1985).
+
+mod ball_bar_inverse;
+mod chain;
+mod configured;
+mod inverse;
+mod robot_inverse;
+mod trace;
+
+pub use ball_bar_inverse::{
+    BAR_JOINTS, Configuration, Side, ball_bar_inverse, ball_bar_inverse_refined, singularity_margin_rad,
+};
+pub use chain::{Chain, DhLink, Pose};
+pub use configured::{ball_bar_chain, flange_chain, robot_chain};
+pub use inverse::InverseError;
+pub use robot_inverse::{ROBOT_JOINTS, robot_inverse, robot_inverse_all};
+pub use trace::{LinkParameter, Trace, Tracer, Twist};

@@ -1,0 +1,149 @@
+//! Inverse kinematics of a six-axis arm with a spherical wrist, also when it has errors everywhere.
+
+use nalgebra::Matrix3;
+
+use super::inverse::{
+    distance_squared, nearest_turn, parallel, refine, right_angle, turn_and_twist, wrapped, wrist_angles,
+};
+use super::{Chain, InverseError, Pose};
+
+/// Joints of the robot.
+pub const ROBOT_JOINTS: usize = 6;
+
+/// What the closed form needs: twists snapped to right angles, offsets that the structure does not have dropped.
+struct Arm {
+    /// Signs of the twists of links 1, 3, 4, 5.
+    signs: [f64; 4],
+    a1_m: f64,
+    d1_m: f64,
+    a2_m: f64,
+    shoulder_m: f64,
+    a3_m: f64,
+    d4_m: f64,
+    /// Joint variable = link angle - this.
+    theta_rad: [f64; ROBOT_JOINTS],
+}
+
+impl Arm {
+    fn new(chain: &Chain) -> Result<Self, InverseError> {
+        let &[l1, l2, l3, l4, l5, l6] = chain.links.as_slice() else {
+            return Err(InverseError::Links { found: chain.links.len(), expected: ROBOT_JOINTS });
+        };
+        parallel(chain, 1)?;
+        let signs =
+            [right_angle(chain, 0)?, right_angle(chain, 2)?, right_angle(chain, 3)?, right_angle(chain, 4)?];
+        Ok(Self {
+            signs,
+            a1_m: l1.a_m,
+            d1_m: l1.d_m,
+            a2_m: l2.a_m,
+            shoulder_m: l2.d_m + l3.d_m,
+            a3_m: l3.a_m,
+            d4_m: l4.d_m,
+            theta_rad: [l1, l2, l3, l4, l5, l6].map(|link| link.theta_rad),
+        })
+    }
+
+    /// First three link angles that bring the wrist's centre to `wrist`, four ways at most.
+    fn reach(&self, wrist: [f64; 3]) -> Vec<[f64; 3]> {
+        let [sign1, sign3, ..] = self.signs;
+        let [x, y, z] = wrist;
+        let Some(lean) = clamped(sign1 * self.shoulder_m / x.hypot(y)).map(f64::asin) else {
+            return Vec::new();
+        };
+        let towards = y.atan2(x);
+        let mut found = Vec::with_capacity(4);
+        for theta1 in [towards + lean, towards + std::f64::consts::PI - lean] {
+            // In the plane of the upper arm, seen from the shoulder.
+            let (s1, c1) = theta1.sin_cos();
+            let (out, up) = (c1 * x + s1 * y - self.a1_m, sign1 * (z - self.d1_m));
+            // Forearm from elbow to wrist: a3 along x of link 3, d4 across it.
+            let forearm_m = self.a3_m.hypot(self.d4_m);
+            let bend = (-sign3 * self.d4_m).atan2(self.a3_m);
+            let cos_elbow =
+                (out * out + up * up - self.a2_m.powi(2) - forearm_m.powi(2)) / (2.0 * self.a2_m * forearm_m);
+            let Some(elbow) = clamped(cos_elbow).map(f64::acos) else { continue };
+            for elbow in [elbow, -elbow] {
+                let (s, c) = elbow.sin_cos();
+                let theta2 = up.atan2(out) - (forearm_m * s).atan2(self.a2_m + forearm_m * c);
+                found.push([theta1, theta2, elbow - bend]);
+            }
+        }
+        found
+    }
+
+    /// Rotation of frame 3 in the base.
+    fn base_from_link3(&self, [theta1, theta2, theta3]: [f64; 3]) -> Matrix3<f64> {
+        turn_and_twist(theta1, self.signs[0]) * turn_and_twist(theta2 + theta3, self.signs[1])
+    }
+}
+
+/// A sine or cosine, with some room beyond one: errors of the chain may put a reachable pose just outside the
+/// nominal workspace. None far outside or where it is not a number.
+fn clamped(value: f64) -> Option<f64> {
+    (value.abs() < 1.02).then(|| value.clamp(-1.0, 1.0))
+}
+
+/// The closed form on the nominal structure: up to eight solutions, each joint within half a turn of `near`.
+fn closed_form(
+    chain: &Chain,
+    target: &Pose,
+    near: &[f64; ROBOT_JOINTS],
+) -> Result<Vec<[f64; ROBOT_JOINTS]>, InverseError> {
+    let arm = Arm::new(chain)?;
+    let after_joint6 = chain.links.last().map_or_else(Pose::identity, |link| link.after_joint());
+    let base_from_wrist = chain.root_from_base.inverse() * target * after_joint6.inverse();
+    let wrist_rotation = base_from_wrist.rotation.matrix();
+    let mut solutions = Vec::with_capacity(8);
+    for reach in arm.reach(base_from_wrist.translation.vector.into()) {
+        let link3_from_wrist = arm.base_from_link3(reach).transpose() * wrist_rotation;
+        for side in [1.0, -1.0] {
+            let signs = [arm.signs[2], arm.signs[3]];
+            let wrist = wrist_angles(&link3_from_wrist, signs, side, near[3] + arm.theta_rad[3]);
+            let angles = [reach[0], reach[1], reach[2], wrist[0], wrist[1], wrist[2]];
+            solutions.push(std::array::from_fn(|i| nearest_turn(angles[i] - arm.theta_rad[i], near[i])));
+        }
+    }
+    if solutions.is_empty() { Err(InverseError::unreachable(target)) } else { Ok(solutions) }
+}
+
+/// Joint angles \[rad\] that bring the end of `chain` to `target`, of all solutions the one nearest to `near`.
+///
+/// The closed form of the spherical-wrist arm (twists of links 1, 3, 4, 5 at right angles, axes 2 and 3 parallel)
+/// starts Newton's method on the chain as it is, which may have errors of some mm and mrad in every parameter.
+///
+/// # Errors
+/// [`InverseError::Unreachable`] outside the workspace, [`InverseError::NotConverged`] at a singularity,
+/// [`InverseError::Structure`] and [`InverseError::Links`] for another kind of robot.
+pub fn robot_inverse(
+    chain: &Chain,
+    target: &Pose,
+    near: &[f64; ROBOT_JOINTS],
+) -> Result<[f64; ROBOT_JOINTS], InverseError> {
+    let mut starts = closed_form(chain, target, near)?;
+    starts.sort_by(|a, b| distance_squared(a, near).total_cmp(&distance_squared(b, near)));
+    let mut failure = InverseError::unreachable(target);
+    for start in starts {
+        match refine(chain, target, start) {
+            Ok(joints) => return Ok(joints),
+            Err(error) => failure = error,
+        }
+    }
+    Err(failure)
+}
+
+/// All solutions, up to eight, each joint in (-pi, pi]; those that do not settle on the given chain are left out.
+///
+/// # Errors
+/// As [`robot_inverse`], where none is left.
+pub fn robot_inverse_all(chain: &Chain, target: &Pose) -> Result<Vec<[f64; ROBOT_JOINTS]>, InverseError> {
+    let mut failure = InverseError::unreachable(target);
+    let mut solutions = Vec::with_capacity(8);
+    for start in closed_form(chain, target, &[0.0; ROBOT_JOINTS])? {
+        match refine(chain, target, start) {
+            Ok(joints) => solutions.push(joints.map(wrapped)),
+            Err(error) => failure = error,
+        }
+    }
+    if solutions.is_empty() { Err(failure) } else { Ok(solutions) }
+}

@@ -1,0 +1,159 @@
+//! One forward pass that yields the end pose and its derivative by every parameter of every link.
+//!
+//! A parameter of link i moves everything after it as one rigid body, by a twist about an axis that the forward pass
+//! meets anyway: `theta` and `d` about and along z of frame i-1, `alpha` and `a` about and along x of link i, `beta`
+//! about y of frame i. No differences, no symbolic expressions.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::{Chain, Pose};
+
+/// Velocity of the end frame when one parameter moves at unit speed, in root coordinates.
+///
+/// With `R`, `p` the end pose: `dR = [angular] R`, `dp = linear`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Twist {
+    /// Angular velocity.
+    pub angular: Vector3<f64>,
+    /// Velocity of the end frame's origin.
+    pub linear: Vector3<f64>,
+}
+
+impl Twist {
+    /// A turn about `axis` through `point`, seen at `end`.
+    pub fn rotation(axis: Vector3<f64>, point: Vector3<f64>, end: Vector3<f64>) -> Self {
+        Self { angular: axis, linear: axis.cross(&(end - point)) }
+    }
+
+    /// A shift along `axis`.
+    pub fn translation(axis: Vector3<f64>) -> Self {
+        Self { angular: Vector3::zeros(), linear: axis }
+    }
+}
+
+/// The five numbers of a link, and its joint (which moves the end as `theta` does).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum LinkParameter {
+    /// Length along x.
+    A,
+    /// Offset along z.
+    D,
+    /// Twist about x.
+    Alpha,
+    /// Turn about z, also the joint variable.
+    Theta,
+    /// Hayati's rotation about y.
+    Beta,
+}
+
+/// What a forward pass met at one link, in root coordinates.
+#[derive(Debug, Clone, Copy)]
+struct LinkAxes {
+    z_before: Vector3<f64>,
+    origin_before: Vector3<f64>,
+    x: Vector3<f64>,
+    y_after: Vector3<f64>,
+    origin_after: Vector3<f64>,
+}
+
+/// A forward pass: end pose and the axes that derivatives need. Reused from sample to sample.
+#[derive(Debug, Clone)]
+pub struct Trace {
+    axes: Vec<LinkAxes>,
+    end: Pose,
+}
+
+impl Default for Trace {
+    fn default() -> Self {
+        Self { axes: Vec::new(), end: Pose::identity() }
+    }
+}
+
+impl Trace {
+    /// `root_from_end`.
+    pub fn end(&self) -> &Pose {
+        &self.end
+    }
+
+    /// Origin of the end frame in the root frame \[m\].
+    pub fn position_m(&self) -> Vector3<f64> {
+        self.end.translation.vector
+    }
+
+    /// Rotation of the end frame in the root frame.
+    pub fn rotation(&self) -> &Matrix3<f64> {
+        self.end.rotation.matrix()
+    }
+
+    /// How the end frame moves with a parameter of link `link` (from 0); none beyond the last link.
+    pub fn twist(&self, link: usize, parameter: LinkParameter) -> Option<Twist> {
+        let at = self.axes.get(link)?;
+        let end = self.position_m();
+        Some(match parameter {
+            LinkParameter::A => Twist::translation(at.x),
+            LinkParameter::D => Twist::translation(at.z_before),
+            LinkParameter::Alpha => Twist::rotation(at.x, at.origin_after, end),
+            LinkParameter::Theta => Twist::rotation(at.z_before, at.origin_before, end),
+            LinkParameter::Beta => Twist::rotation(at.y_after, at.origin_after, end),
+        })
+    }
+
+    /// Twists of all joints, base to end.
+    pub fn joint_twists(&self) -> impl Iterator<Item = Twist> {
+        let end = self.position_m();
+        self.axes.iter().map(move |at| Twist::rotation(at.z_before, at.origin_before, end))
+    }
+}
+
+/// A chain made ready for many forward passes: what does not depend on the joints is computed once.
+#[derive(Debug, Clone)]
+pub struct Tracer {
+    root_from_base: Pose,
+    links: Vec<PreparedLink>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct PreparedLink {
+    theta_rad: f64,
+    rotation: Matrix3<f64>,
+    a_m: f64,
+    d_m: f64,
+}
+
+impl Tracer {
+    /// Prepares a chain.
+    pub fn new(chain: &Chain) -> Self {
+        let links = chain.links.iter().map(|link| PreparedLink {
+            theta_rad: link.theta_rad,
+            rotation: *link.after_joint().rotation.matrix(),
+            a_m: link.a_m,
+            d_m: link.d_m,
+        });
+        Self { root_from_base: chain.root_from_base, links: links.collect() }
+    }
+
+    /// Forward pass at joint angles \[rad\] (missing ones count as zero), into a trace that is overwritten.
+    pub fn trace(&self, joints_rad: &[f64], trace: &mut Trace) {
+        let mut rotation = *self.root_from_base.rotation.matrix();
+        let mut origin = self.root_from_base.translation.vector;
+        trace.axes.clear();
+        let joints = joints_rad.iter().copied().chain(std::iter::repeat(0.0));
+        for (link, joint_rad) in self.links.iter().zip(joints) {
+            let (sin, cos) = (link.theta_rad + joint_rad).sin_cos();
+            let z_before: Vector3<f64> = rotation.column(2).into();
+            let x = rotation.column(0) * cos + rotation.column(1) * sin;
+            let y = rotation.column(1) * cos - rotation.column(0) * sin;
+            let origin_after = origin + x * link.a_m + z_before * link.d_m;
+            rotation = Matrix3::from_columns(&[x, y, z_before]) * link.rotation;
+            trace.axes.push(LinkAxes {
+                z_before,
+                origin_before: origin,
+                x,
+                y_after: rotation.column(1).into(),
+                origin_after,
+            });
+            origin = origin_after;
+        }
+        trace.end = Pose::from_parts(origin.into(), nalgebra::Rotation3::from_matrix_unchecked(rotation));
+    }
+}

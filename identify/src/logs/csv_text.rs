@@ -1,0 +1,202 @@
+//! What the readers of CSV files share: encoding, comments, header, cells.
+
+use std::path::{Path, PathBuf};
+
+use super::{Cell, LogError};
+
+/// How the numbers of a file are written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Format {
+    pub delimiter: u8,
+    pub decimal_comma: bool,
+}
+
+/// A header and its rows, read on demand.
+pub(super) struct Table<'a> {
+    path: PathBuf,
+    lines: LineCounter<'a>,
+    header: Vec<String>,
+    decimal_comma: bool,
+    rows: csv::StringRecordsIntoIter<&'a [u8]>,
+}
+
+/// One row and its line in the file.
+pub(super) struct Row {
+    pub line: u64,
+    cells: csv::StringRecord,
+}
+
+/// A column that the header names.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Column {
+    pub index: usize,
+    pub name: String,
+}
+
+/// The text of a file without byte order mark; UTF-16 and other encodings are refused by name.
+pub(super) fn decode<'a>(bytes: &'a [u8], path: &Path) -> Result<&'a str, LogError> {
+    let not_text = |problem: &str| LogError::NotText { path: path.to_owned(), problem: problem.to_owned() };
+    if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
+        return Err(not_text("it starts like UTF-16, as \"Unicode text\" exports do"));
+    }
+    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+    std::str::from_utf8(bytes)
+        .map_err(|error| not_text(&format!("bad byte at offset {}", error.valid_up_to())))
+}
+
+/// The comment lines `# key: value` of a text, keys in lower case.
+pub(super) fn comments(text: &str) -> impl Iterator<Item = (String, &str)> {
+    text.lines()
+        .filter_map(|line| line.trim().strip_prefix('#'))
+        .filter_map(|comment| comment.split_once(':'))
+        .map(|(key, value)| (key.trim().to_lowercase(), value.trim()))
+}
+
+/// The delimiter that the header row uses: whichever of comma, semicolon and tab it has most of.
+pub(super) fn delimiter_of_header(text: &str) -> u8 {
+    let header = text
+        .lines()
+        .find(|line| !line.trim().is_empty() && !line.trim_start().starts_with('#'))
+        .unwrap_or_default();
+    let count = |delimiter: u8| header.bytes().filter(|&byte| byte == delimiter).count();
+    [b';', b'\t'].into_iter().filter(|&d| count(d) > count(b',')).max_by_key(|&d| count(d)).unwrap_or(b',')
+}
+
+impl<'a> Table<'a> {
+    /// Reads the header of `text`.
+    pub fn open(text: &'a str, path: &Path, format: Format) -> Result<Self, LogError> {
+        let mut reader = csv::ReaderBuilder::new()
+            .delimiter(format.delimiter)
+            .comment(Some(b'#'))
+            .trim(csv::Trim::All)
+            .from_reader(text.as_bytes());
+        let header: Vec<String> = reader
+            .headers()
+            .map_err(|error| malformed(&error, path, &mut LineCounter { text, byte: 0, line: 1 }))?
+            .iter()
+            .map(str::to_owned)
+            .collect();
+        if header.iter().all(String::is_empty) {
+            return Err(LogError::NoHeader { path: path.to_owned() });
+        }
+        let rows = reader.into_records();
+        let lines = LineCounter { text, byte: 0, line: 1 };
+        Ok(Self { path: path.to_owned(), lines, header, decimal_comma: format.decimal_comma, rows })
+    }
+
+    /// The column named `name`, which must be there once.
+    pub fn column(&self, name: &str, remedy: &str) -> Result<Column, LogError> {
+        let mut matching = self.header.iter().enumerate().filter(|(_, header)| *header == name);
+        let Some((index, _)) = matching.next() else {
+            return Err(LogError::MissingColumn {
+                path: self.path.clone(),
+                column: name.to_owned(),
+                found: self.header.join(", "),
+                remedy: remedy.to_owned(),
+            });
+        };
+        if matching.next().is_some() {
+            return Err(LogError::RepeatedColumn { path: self.path.clone(), column: name.to_owned() });
+        }
+        Ok(Column { index, name: name.to_owned() })
+    }
+
+    /// Whether the header has a column of this name.
+    pub fn has(&self, name: &str) -> bool {
+        self.header.iter().any(|header| header == name)
+    }
+
+    /// The next row, if there is one.
+    pub fn next_row(&mut self) -> Option<Result<Row, LogError>> {
+        let record = self.rows.next()?;
+        Some(match record {
+            Ok(cells) => {
+                let line = self.lines.line_of(cells.position());
+                Ok(Row { line, cells })
+            }
+            Err(error) => Err(malformed(&error, &self.path, &mut self.lines)),
+        })
+    }
+
+    /// The text of one cell.
+    pub fn text<'r>(&self, row: &'r Row, column: &Column) -> &'r str {
+        row.cells.get(column.index).unwrap_or_default()
+    }
+
+    /// A finite number from one cell.
+    pub fn number(&self, row: &Row, column: &Column) -> Result<f64, LogError> {
+        let text = self.text(row, column);
+        if text.is_empty() {
+            return Err(self.bad(row, column, "the cell is empty".into(), "remove the row or fill it in"));
+        }
+        let parsed = if self.decimal_comma { text.replace(',', ".").parse() } else { text.parse::<f64>() };
+        match parsed {
+            Ok(value) if value.is_finite() => Ok(value),
+            Ok(_) => Err(self.bad(
+                row,
+                column,
+                format!("`{text}` is not a finite number"),
+                "remove the row; the controller had no value there",
+            )),
+            Err(_) if text.contains(',') => Err(self.bad(
+                row,
+                column,
+                format!("`{text}` has a decimal comma"),
+                "export with decimal points",
+            )),
+            Err(_) => {
+                Err(self.bad(row, column, format!("`{text}` is not a number"), "correct or remove the row"))
+            }
+        }
+    }
+
+    /// An error about one cell.
+    pub fn bad(&self, row: &Row, column: &Column, problem: String, remedy: &'static str) -> LogError {
+        let cell = Cell { path: self.path.clone(), line: row.line, column: column.name.clone() };
+        LogError::BadValue { cell, problem, remedy }
+    }
+}
+
+/// Lines of records, in the order in which they are read. The positions of the `csv` crate lie before the comments,
+/// blank lines and line ends that precede a record, so its own line numbers are too small there.
+struct LineCounter<'a> {
+    text: &'a str,
+    byte: usize,
+    line: u64,
+}
+
+impl LineCounter<'_> {
+    fn line_of(&mut self, position: Option<&csv::Position>) -> u64 {
+        let target = position.map_or(self.byte, |position| position.byte() as usize).max(self.byte);
+        self.advance_to(target);
+        while let Some(length) = self.length_of_skipped_line() {
+            self.advance_to(self.byte + length);
+        }
+        self.line
+    }
+
+    fn advance_to(&mut self, byte: usize) {
+        let passed = self.text.as_bytes().get(self.byte..byte).unwrap_or_default();
+        self.line += passed.iter().filter(|&&byte| byte == b'\n').count() as u64;
+        self.byte = byte;
+    }
+
+    /// Length of the comment or blank line at the cursor, with its line end.
+    fn length_of_skipped_line(&self) -> Option<usize> {
+        let rest = self.text.as_bytes().get(self.byte..).filter(|rest| !rest.is_empty())?;
+        let end = rest.iter().position(|&byte| byte == b'\n').map_or(rest.len(), |end| end + 1);
+        let line = rest.get(..end)?;
+        let skipped = line.first() == Some(&b'#') || line.iter().all(|byte| matches!(byte, b'\r' | b'\n'));
+        skipped.then_some(end)
+    }
+}
+
+fn malformed(error: &csv::Error, path: &Path, lines: &mut LineCounter<'_>) -> LogError {
+    let problem = match error.kind() {
+        csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
+            format!("{len} cells where the header has {expected_len}")
+        }
+        _ => error.to_string(),
+    };
+    LogError::Malformed { path: path.to_owned(), line: lines.line_of(error.position()), problem }
+}

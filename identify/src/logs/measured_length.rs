@@ -1,0 +1,210 @@
+//! Poses with one measured length each: a draw-wire sensor or a telescoping bar without encoders.
+//!
+//! There is no common file format, so a mapping in TOML says which columns to read and how. An example that explains
+//! each key is `config/measured_length.toml`.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use shared::config::{AngleUnit, Validate, Violation};
+
+use super::LogError;
+use super::csv_text::{Column, Format, Table, decode};
+
+/// Fewest rows that make a table.
+const ROWS_MIN: usize = 10;
+/// No joint turns further than this from its zero \[rad\]; more means a wrong unit.
+const JOINT_RAD_MAX: f64 = 4.0 * std::f64::consts::PI;
+/// No wire or bar is longer \[m\]; more means a wrong unit.
+const LENGTH_M_MAX: f64 = 20.0;
+
+/// Unit of a length column.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LengthUnit {
+    /// Metres.
+    M,
+    /// Millimetres.
+    Mm,
+}
+
+impl LengthUnit {
+    /// Metres in one unit.
+    pub const fn to_m(self) -> f64 {
+        match self {
+            Self::M => 1.0,
+            Self::Mm => 1e-3,
+        }
+    }
+}
+
+/// The column of the measured length.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LengthColumn {
+    /// Name in the header.
+    pub column: String,
+    /// Unit of its values.
+    pub unit: LengthUnit,
+}
+
+/// The column of one joint: `q = sign * (value * unit - offset)`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JointColumn {
+    /// Name in the header.
+    pub column: String,
+    /// Unit of its values.
+    pub unit: AngleUnit,
+    /// +1, or -1 where the file counts the other way than the model.
+    #[serde(default = "positive")]
+    pub sign: f64,
+    /// Value of the file at the model's zero \[deg\].
+    #[serde(default)]
+    pub offset_deg: f64,
+}
+
+/// Which columns hold what.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MeasuredLengthMapping {
+    /// Character between cells; one ASCII character.
+    #[serde(default = "comma")]
+    pub delimiter: char,
+    /// Numbers are written `1,5`.
+    #[serde(default)]
+    pub decimal_comma: bool,
+    /// The measured length.
+    pub length: LengthColumn,
+    /// Joints 1 to 6, in this order.
+    pub joints: Vec<JointColumn>,
+}
+
+fn positive() -> f64 {
+    1.0
+}
+
+fn comma() -> char {
+    ','
+}
+
+impl Validate for MeasuredLengthMapping {
+    fn validate(&self) -> Result<(), Violation> {
+        if !self.delimiter.is_ascii() || matches!(self.delimiter, '"' | '#' | '\n' | '\r') {
+            return Err(Violation::new(
+                "delimiter",
+                format!("`{}` cannot separate cells", self.delimiter.escape_default()),
+                "use \",\", \";\" or \"\\t\"",
+            ));
+        }
+        if self.decimal_comma && self.delimiter == ',' {
+            return Err(Violation::new(
+                "delimiter",
+                "a comma separates cells and decimals alike",
+                "files with decimal commas mostly have delimiter = \";\"",
+            ));
+        }
+        if self.joints.len() != 6 {
+            return Err(Violation::new(
+                "joints",
+                format!("{} joints are given", self.joints.len()),
+                "write one [[joints]] block for each of the six joints",
+            ));
+        }
+        for (index, joint) in self.joints.iter().enumerate() {
+            if joint.sign.abs() != 1.0 {
+                return Err(Violation::new(
+                    format!("joints[{index}].sign"),
+                    format!("{} is no sign", joint.sign),
+                    "write 1 or -1",
+                ));
+            }
+            if !(-360.0..=360.0).contains(&joint.offset_deg) {
+                return Err(Violation::new(
+                    format!("joints[{index}].offset_deg"),
+                    format!("{} is out of range (at most 360)", joint.offset_deg),
+                    "offsets are in degrees",
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// One pose and the length measured there.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MeasuredLength {
+    /// Joint variables of the model \[rad\].
+    pub q_rad: [f64; 6],
+    /// The measured length \[m\].
+    pub length_m: f64,
+    /// Line of the source file, so that a screened row can be found again.
+    pub line: u64,
+}
+
+/// The rows of a file.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct MeasuredLengths {
+    /// In the order of the file.
+    pub rows: Vec<MeasuredLength>,
+}
+
+impl MeasuredLengths {
+    /// Reads the table at `path`.
+    ///
+    /// # Errors
+    /// Every way in which the file cannot be used, see [`LogError`].
+    pub fn load(path: &Path, mapping: &MeasuredLengthMapping) -> Result<Self, LogError> {
+        let bytes =
+            std::fs::read(path).map_err(|source| LogError::Unreadable { path: path.to_owned(), source })?;
+        Self::read(&bytes, path, mapping)
+    }
+
+    /// [`Self::load`] on bytes in memory; `path` is only named in errors.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredLengthMapping) -> Result<Self, LogError> {
+        const REMEDY: &str = "Correct the column's name in the mapping file, or the header.";
+        let text = decode(bytes, path)?;
+        let format = Format { delimiter: mapping.delimiter as u8, decimal_comma: mapping.decimal_comma };
+        let mut table = Table::open(text, path, format)?;
+        let length = table.column(&mapping.length.column, REMEDY)?;
+        let joints: Vec<(Column, &JointColumn)> = mapping
+            .joints
+            .iter()
+            .map(|joint| Ok((table.column(&joint.column, REMEDY)?, joint)))
+            .collect::<Result<_, LogError>>()?;
+        let mut rows = Vec::new();
+        while let Some(row) = table.next_row() {
+            let row = row?;
+            let length_m = table.number(&row, &length)? * mapping.length.unit.to_m();
+            if !(0.0..=LENGTH_M_MAX).contains(&length_m) {
+                return Err(table.bad(
+                    &row,
+                    &length,
+                    format!("{length_m} m is no length that is measured here (0 to {LENGTH_M_MAX} m)"),
+                    "check the length's unit in the mapping file",
+                ));
+            }
+            let mut q_rad = [0.0; 6];
+            for (q, (column, joint)) in q_rad.iter_mut().zip(&joints) {
+                let value_rad = table.number(&row, column)? * joint.unit.to_rad();
+                *q = joint.sign * (value_rad - joint.offset_deg.to_radians());
+                if q.abs() > JOINT_RAD_MAX {
+                    return Err(table.bad(
+                        &row,
+                        column,
+                        format!("{:.1} rad is more than two turns", *q),
+                        "the column looks like degrees: check the joint's unit in the mapping file",
+                    ));
+                }
+            }
+            rows.push(MeasuredLength { q_rad, length_m, line: row.line });
+        }
+        if rows.len() < ROWS_MIN {
+            return Err(LogError::TooFewRows { path: path.to_owned(), rows: rows.len(), needed: ROWS_MIN });
+        }
+        Ok(Self { rows })
+    }
+}

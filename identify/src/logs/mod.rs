@@ -1,0 +1,95 @@
+//! What a robot says of its own motion, read from the files that people have.
+//!
+//! A robot log ends up as one table, [`RobotLog`]: time stamps of the robot's own clock and joint variables of the
+//! model in radians. Everything robot-specific (motors or joints, units, signs, coupled axes) is settled here by
+//! [`JointConversion`]; later steps never see it. The clock is only named, not trusted: logs of many controllers
+//! count from their own start, so the relation to the bar's clock is found from the motion (`prepare`).
+//!
+//! [`MeasuredLengths`] is the other kind of input: single poses with a measured length (draw-wire, telescoping bar).
+
+mod conversion;
+mod csv_text;
+mod error;
+mod interpolation;
+mod measured_length;
+mod reader;
+mod spline;
+mod writer;
+
+pub use conversion::JointConversion;
+pub use error::{Cell, LogError};
+pub use interpolation::{InterpolatedLog, default_gap_limit_s};
+pub use measured_length::{
+    JointColumn, LengthColumn, LengthUnit, MeasuredLength, MeasuredLengthMapping, MeasuredLengths,
+};
+pub use reader::{load, read};
+pub use spline::{CubicSpline, SplinePoint};
+pub use writer::write;
+
+/// Whether joint values are what the encoders read or what the controller asked for.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Origin {
+    /// Read from the robot's encoders.
+    Measured,
+    /// Interpolator output; servo lag is not in it, so results are worse. Reports say so.
+    Commanded,
+    /// The file does not say.
+    #[default]
+    Unstated,
+}
+
+impl Origin {
+    /// The word that files carry.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Measured => "measured",
+            Self::Commanded => "commanded",
+            Self::Unstated => "unstated",
+        }
+    }
+}
+
+/// How good a log is in itself; reports show it.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct LogQuality {
+    /// Rows that repeat the row before, stamp and values; they are dropped.
+    pub duplicates_dropped: usize,
+    /// Median distance of two stamps \[s\].
+    pub period_s: f64,
+    /// Longest distance of two stamps \[s\].
+    pub longest_gap_s: f64,
+    /// What looks odd but is not wrong by itself, in sentences.
+    pub remarks: Vec<String>,
+}
+
+/// A robot's joint log on its own clock.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct RobotLog {
+    /// Robot named in the file, where it is.
+    pub robot: Option<String>,
+    /// Name of the clock that made the stamps, as the file declares it (`unstated` otherwise).
+    pub clock: String,
+    /// Measured or commanded values.
+    pub origin: Origin,
+    /// First stamp as the file gives it \[ns on the log's clock\]. Its zero may be 1970, the controller's start or
+    /// anything else.
+    pub first_stamp_ns: i64,
+    /// Stamps relative to the first \[s\], strictly increasing, the first is 0.
+    pub t_s: Vec<f64>,
+    /// Joint variables of the model, one row per stamp \[rad\].
+    pub q_rad: Vec<[f64; 6]>,
+    /// Quality of the log.
+    pub quality: LogQuality,
+}
+
+impl RobotLog {
+    /// From first to last stamp \[s\].
+    pub fn duration_s(&self) -> f64 {
+        self.t_s.last().copied().unwrap_or(0.0)
+    }
+
+    /// Stamp of row `index` as its file gives it \[ns\], if there is such a row.
+    pub fn stamp_ns(&self, index: usize) -> Option<i64> {
+        self.t_s.get(index).map(|t_s| self.first_stamp_ns + (t_s * 1e9).round() as i64)
+    }
+}

@@ -1,0 +1,43 @@
+//! Writes a robot's joint log in the form that [`super::read`] takes.
+
+use std::io::Write;
+
+use shared::config::RobotConfig;
+
+use super::reader::{TIME_COLUMN, column_name};
+use super::{JointConversion, RobotLog};
+
+/// Writes `log` as CSV in the columns and the unit of `robot`'s configuration.
+///
+/// # Errors
+/// Those of the sink, and `InvalidInput` where the robot's conversion cannot be inverted.
+pub fn write(log: &RobotLog, robot: &RobotConfig, sink: impl Write) -> std::io::Result<()> {
+    let conversion = JointConversion::new(&robot.log).map_err(std::io::Error::other)?;
+    let mut sink = std::io::BufWriter::new(sink);
+    for (key, value) in [
+        ("robot", log.robot.as_deref().unwrap_or(&robot.name)),
+        ("clock", log.clock.as_str()),
+        ("values", log.origin.name()),
+    ] {
+        writeln!(sink, "# {key}: {}", value.replace(['\r', '\n'], " "))?;
+    }
+    let mut csv = csv::Writer::from_writer(sink);
+    let header: Vec<String> = std::iter::once(TIME_COLUMN.to_owned())
+        .chain((0..6).map(|index| column_name(robot, index, robot.log.unit)))
+        .collect();
+    csv.write_record(&header)?;
+    for (index, q_rad) in log.q_rad.iter().enumerate() {
+        let Some(stamp_ns) = log.stamp_ns(index) else { break };
+        let mut row = vec![seconds_text(stamp_ns)];
+        row.extend(conversion.to_raw(q_rad).map(|value| value.to_string()));
+        csv.write_record(&row)?;
+    }
+    csv.flush()
+}
+
+/// Integer ns as decimal seconds with all nine digits.
+fn seconds_text(ns: i64) -> String {
+    let magnitude = ns.unsigned_abs();
+    let sign = if ns < 0 { "-" } else { "" };
+    format!("{sign}{}.{:09}", magnitude / 1_000_000_000, magnitude % 1_000_000_000)
+}

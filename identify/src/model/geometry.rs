@@ -1,0 +1,116 @@
+//! The closed chain that a set of parameter values describes.
+
+use nalgebra::{Rotation3, Translation3, Vector3};
+
+use super::{Axis, ParameterId};
+use crate::kinematics::{Chain, DhLink, LinkParameter, Pose};
+
+/// Where the ball-bar stands: `T(origin) Rx(rx) Ry(ry)`; the turn about z is the bar's `btheta1`.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct BasePlacement {
+    /// Centre of the gimbal in the robot's base \[m\].
+    pub origin_m: Vector3<f64>,
+    /// About x \[rad\].
+    pub rx_rad: f64,
+    /// About the turned y \[rad\].
+    pub ry_rad: f64,
+}
+
+impl BasePlacement {
+    /// `root_from_base`.
+    pub fn pose(&self) -> Pose {
+        let tilt = Rotation3::from_axis_angle(&Vector3::x_axis(), self.rx_rad)
+            * Rotation3::from_axis_angle(&Vector3::y_axis(), self.ry_rad);
+        Pose::from_parts(Translation3::from(self.origin_m), tilt)
+    }
+}
+
+/// From the bar's clock to the robot's.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Clock {
+    /// Robot clock minus bar clock at the reference time \[s\].
+    pub shift_s: f64,
+    /// Relative rate of the robot's clock minus one.
+    pub skew: f64,
+}
+
+impl Clock {
+    /// Bar time since the reference to robot time since the reference: `t + shift + skew t` \[s\].
+    pub fn robot_time_s(&self, t_s: f64) -> f64 {
+        t_s + self.shift_s + self.skew * t_s
+    }
+}
+
+/// A draw-wire or telescoping bar.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Wire {
+    /// In the flange frame \[m\].
+    pub attachment_m: Vector3<f64>,
+    /// In the robot's base \[m\].
+    pub anchor_m: Vector3<f64>,
+    /// Measured length minus distance \[m\].
+    pub offset_m: f64,
+}
+
+/// All numbers that residuals are made of.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Geometry {
+    /// The robot, on its own base.
+    pub robot: Chain,
+    /// Links of the ball-bar; its base is `base`.
+    pub bar_links: Vec<DhLink>,
+    /// Where the bar stands.
+    pub base: BasePlacement,
+    /// Clocks of the two logs.
+    pub clock: Clock,
+    /// For measured lengths.
+    pub wire: Wire,
+}
+
+fn field(link: &mut DhLink, parameter: LinkParameter) -> &mut f64 {
+    match parameter {
+        LinkParameter::A => &mut link.a_m,
+        LinkParameter::D => &mut link.d_m,
+        LinkParameter::Alpha => &mut link.alpha_rad,
+        LinkParameter::Theta => &mut link.theta_rad,
+        LinkParameter::Beta => &mut link.beta_rad,
+    }
+}
+
+impl Geometry {
+    /// A robot alone, everything else at zero.
+    pub fn new(robot: Chain, bar: Option<&Chain>) -> Self {
+        let (bar_links, base) = bar.map_or_else(Default::default, |bar| {
+            let origin_m = bar.root_from_base.translation.vector;
+            (bar.links.clone(), BasePlacement { origin_m, ..BasePlacement::default() })
+        });
+        Self { robot, bar_links, base, clock: Clock::default(), wire: Wire::default() }
+    }
+
+    /// The ball-bar on its base.
+    pub fn bar(&self) -> Chain {
+        Chain { root_from_base: self.base.pose(), links: self.bar_links.clone() }
+    }
+
+    /// The number that a parameter names; none for a link that is not there.
+    pub fn parameter_mut(&mut self, id: ParameterId) -> Option<&mut f64> {
+        match id {
+            ParameterId::Robot { link, parameter } => {
+                self.robot.links.get_mut(link).map(|link| field(link, parameter))
+            }
+            ParameterId::Bar { link, parameter } => {
+                self.bar_links.get_mut(link).map(|link| field(link, parameter))
+            }
+            ParameterId::Base(axis) => self.base.origin_m.get_mut(axis.index()),
+            ParameterId::BaseRotation(Axis::X) => Some(&mut self.base.rx_rad),
+            ParameterId::BaseRotation(Axis::Y) => Some(&mut self.base.ry_rad),
+            // About z it would be btheta1 a second time.
+            ParameterId::BaseRotation(Axis::Z) => None,
+            ParameterId::ClockShift => Some(&mut self.clock.shift_s),
+            ParameterId::ClockSkew => Some(&mut self.clock.skew),
+            ParameterId::Attachment(axis) => self.wire.attachment_m.get_mut(axis.index()),
+            ParameterId::Anchor(axis) => self.wire.anchor_m.get_mut(axis.index()),
+            ParameterId::LengthOffset => Some(&mut self.wire.offset_m),
+        }
+    }
+}

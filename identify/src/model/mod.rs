@@ -1,0 +1,15 @@
+//! What is estimated and what is measured: named parameters with roles, the geometry they describe, observations.
+//!
+//! [`Model`] is the one place that maps names to columns of the solve.
+
+mod geometry;
+mod observation;
+mod parameter;
+mod roles;
+mod selection;
+
+pub use geometry::{BasePlacement, Clock, Geometry, Wire};
+pub use observation::{JointState, Observation, PerObservation, RobotMotion};
+pub use parameter::{Axis, ParameterId, Unit};
+pub use roles::{Model, ModelError, Parameter, Role};
+pub use selection::{Selection, THESIS_FIXED};

@@ -1,0 +1,64 @@
+//! Samples of the bar and motion of the robot, each on its own clock.
+
+use crate::kinematics::{BAR_JOINTS, ROBOT_JOINTS};
+
+/// What the ball-bar or the wire measured at one instant.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Observation {
+    /// Bar clock, since the reference time \[s\].
+    pub t_s: f64,
+    /// Bar joints \[rad\], encoder offsets not yet added; entries that are not measured do not count.
+    pub bar_rad: [f64; BAR_JOINTS],
+    /// Joints that have an encoder.
+    pub measured: [bool; BAR_JOINTS],
+    /// Length of a wire or telescoping bar \[m\].
+    pub length_m: Option<f64>,
+}
+
+impl Observation {
+    /// A bar with all five encoders.
+    pub fn bar(t_s: f64, bar_rad: [f64; BAR_JOINTS]) -> Self {
+        Self { t_s, bar_rad, measured: [true; BAR_JOINTS], length_m: None }
+    }
+
+    /// A measured length alone.
+    pub fn length(t_s: f64, length_m: f64) -> Self {
+        Self { t_s, bar_rad: [0.0; BAR_JOINTS], measured: [false; BAR_JOINTS], length_m: Some(length_m) }
+    }
+}
+
+/// Robot joints at one instant.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct JointState {
+    /// Joint variables \[rad\].
+    pub q: [f64; ROBOT_JOINTS],
+    /// Joint rates \[rad/s\].
+    pub qd: [f64; ROBOT_JOINTS],
+}
+
+/// The robot's motion on its own clock, smooth enough to be differentiated.
+pub trait RobotMotion {
+    /// Joints at robot time `tau_s` since the reference \[s\]; none outside the log.
+    fn at(&self, tau_s: f64) -> Option<JointState>;
+}
+
+/// Joints given per observation, for data without clocks: observation `i` has time `i`.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PerObservation(pub Vec<[f64; ROBOT_JOINTS]>);
+
+impl PerObservation {
+    /// Time of observation `index` \[s\].
+    pub fn time_s(index: usize) -> f64 {
+        index as f64
+    }
+}
+
+impl RobotMotion for PerObservation {
+    fn at(&self, tau_s: f64) -> Option<JointState> {
+        if !(tau_s > -0.5 && tau_s < self.0.len() as f64) {
+            return None;
+        }
+        let q = *self.0.get(tau_s.round() as usize)?;
+        Some(JointState { q, qd: [0.0; ROBOT_JOINTS] })
+    }
+}

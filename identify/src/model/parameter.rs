@@ -1,0 +1,186 @@
+//! Names and units of parameters.
+
+use std::fmt;
+use std::str::FromStr;
+
+use super::ModelError;
+use crate::kinematics::{BAR_JOINTS, LinkParameter, ROBOT_JOINTS};
+
+/// A coordinate axis of the root frame or of the flange.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Axis {
+    /// x
+    X,
+    /// y
+    Y,
+    /// z
+    Z,
+}
+
+impl Axis {
+    /// All three.
+    pub const ALL: [Self; 3] = [Self::X, Self::Y, Self::Z];
+
+    /// 0 to 2.
+    pub const fn index(self) -> usize {
+        self as usize
+    }
+
+    const fn letter(self) -> char {
+        match self {
+            Self::X => 'x',
+            Self::Y => 'y',
+            Self::Z => 'z',
+        }
+    }
+}
+
+/// One parameter of the closed chain. Links count from 0 here, from 1 in names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum ParameterId {
+    /// Of the robot's link: `ra1`, `rd1`, `ralpha1`, `rtheta1`, `rbeta2`.
+    Robot {
+        /// Link from 0.
+        link: usize,
+        /// Which of its numbers.
+        parameter: LinkParameter,
+    },
+    /// Of the ball-bar's link: `ba1`, `bd1`, `balpha1`, `btheta1`.
+    Bar {
+        /// Link from 0.
+        link: usize,
+        /// Which of its numbers.
+        parameter: LinkParameter,
+    },
+    /// Place of the bar's base: `ox`, `oy`, `oz`.
+    Base(Axis),
+    /// Rotation of the bar's base about x, then y: `orx`, `ory`.
+    BaseRotation(Axis),
+    /// Robot clock minus bar clock at the reference time.
+    ClockShift,
+    /// How much faster the robot's clock runs.
+    ClockSkew,
+    /// Where a wire or telescoping bar is attached, in the flange frame: `attachment_x` ...
+    Attachment(Axis),
+    /// Where it is anchored, in the robot's base: `anchor_x` ...
+    Anchor(Axis),
+    /// Added to the distance to give the measured length.
+    LengthOffset,
+}
+
+/// What a parameter is measured in, and how people read it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Unit {
+    /// Metres, read in mm.
+    Metre,
+    /// Radians, read in mrad.
+    Radian,
+    /// Seconds, read in ms.
+    Second,
+    /// Ratio, read in ppm.
+    Ratio,
+}
+
+impl Unit {
+    /// Displayed number for one of the SI unit.
+    pub const fn display_factor(self) -> f64 {
+        match self {
+            Self::Metre | Self::Radian | Self::Second => 1e3,
+            Self::Ratio => 1e6,
+        }
+    }
+
+    /// Symbol of the displayed unit.
+    pub const fn display_symbol(self) -> &'static str {
+        match self {
+            Self::Metre => "mm",
+            Self::Radian => "mrad",
+            Self::Second => "ms",
+            Self::Ratio => "ppm",
+        }
+    }
+
+    /// Symbol of the SI unit, `1` for ratios.
+    pub const fn si_symbol(self) -> &'static str {
+        match self {
+            Self::Metre => "m",
+            Self::Radian => "rad",
+            Self::Second => "s",
+            Self::Ratio => "1",
+        }
+    }
+}
+
+const fn link_parameter_name(parameter: LinkParameter) -> &'static str {
+    match parameter {
+        LinkParameter::A => "a",
+        LinkParameter::D => "d",
+        LinkParameter::Alpha => "alpha",
+        LinkParameter::Theta => "theta",
+        LinkParameter::Beta => "beta",
+    }
+}
+
+impl ParameterId {
+    /// The standard numbers of a link, in the order of the thesis' tables.
+    pub(super) const STANDARD: [LinkParameter; 4] =
+        [LinkParameter::A, LinkParameter::D, LinkParameter::Alpha, LinkParameter::Theta];
+
+    /// SI unit and display unit.
+    pub const fn unit(self) -> Unit {
+        match self {
+            Self::Robot { parameter, .. } | Self::Bar { parameter, .. } => match parameter {
+                LinkParameter::A | LinkParameter::D => Unit::Metre,
+                LinkParameter::Alpha | LinkParameter::Theta | LinkParameter::Beta => Unit::Radian,
+            },
+            Self::Base(_) | Self::Attachment(_) | Self::Anchor(_) | Self::LengthOffset => Unit::Metre,
+            Self::BaseRotation(_) => Unit::Radian,
+            Self::ClockShift => Unit::Second,
+            Self::ClockSkew => Unit::Ratio,
+        }
+    }
+
+    /// Every parameter that has a name.
+    pub fn all() -> impl Iterator<Item = Self> {
+        let robot = (0..ROBOT_JOINTS).flat_map(|link| {
+            let with_hayati = Self::STANDARD.into_iter().chain([LinkParameter::Beta]);
+            with_hayati.map(move |parameter| Self::Robot { link, parameter })
+        });
+        let bar = (0..BAR_JOINTS)
+            .flat_map(|link| Self::STANDARD.into_iter().map(move |parameter| Self::Bar { link, parameter }));
+        robot
+            .chain(bar)
+            .chain(Axis::ALL.map(Self::Base))
+            .chain([Self::BaseRotation(Axis::X), Self::BaseRotation(Axis::Y)])
+            .chain([Self::ClockShift, Self::ClockSkew])
+            .chain(Axis::ALL.map(Self::Attachment))
+            .chain(Axis::ALL.map(Self::Anchor))
+            .chain([Self::LengthOffset])
+    }
+}
+
+impl fmt::Display for ParameterId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Robot { link, parameter } => write!(f, "r{}{}", link_parameter_name(parameter), link + 1),
+            Self::Bar { link, parameter } => write!(f, "b{}{}", link_parameter_name(parameter), link + 1),
+            Self::Base(axis) => write!(f, "o{}", axis.letter()),
+            Self::BaseRotation(axis) => write!(f, "or{}", axis.letter()),
+            Self::ClockShift => f.write_str("clock_shift"),
+            Self::ClockSkew => f.write_str("clock_skew"),
+            Self::Attachment(axis) => write!(f, "attachment_{}", axis.letter()),
+            Self::Anchor(axis) => write!(f, "anchor_{}", axis.letter()),
+            Self::LengthOffset => f.write_str("length_offset"),
+        }
+    }
+}
+
+impl FromStr for ParameterId {
+    type Err = ModelError;
+
+    fn from_str(name: &str) -> Result<Self, ModelError> {
+        Self::all()
+            .find(|id| id.to_string() == name)
+            .ok_or_else(|| ModelError::UnknownName { name: name.to_owned() })
+    }
+}

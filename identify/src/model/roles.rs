@@ -1,0 +1,219 @@
+//! Which parameters are free, which are fixed, which have a prior; names to columns and back.
+
+use super::{Axis, Geometry, ParameterId};
+use crate::kinematics::{Chain, LinkParameter};
+use crate::solver::Prior;
+
+/// What the solve does with a parameter.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Role {
+    /// Found from the samples alone.
+    Free,
+    /// Stays at its value.
+    Fixed,
+    /// Found from the samples and from what is known about it.
+    Prior {
+        /// Expected value, SI.
+        value: f64,
+        /// Standard deviation, SI.
+        sigma: f64,
+    },
+}
+
+/// One parameter of a model.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Parameter {
+    /// Which.
+    pub id: ParameterId,
+    /// Data sheet or first guess: what reports compare with, SI.
+    pub nominal: f64,
+    /// Where the solve starts, or where the parameter stays if fixed, SI.
+    pub value: f64,
+    /// What the solve does with it.
+    pub role: Role,
+}
+
+/// A parameter that does not exist or a prior that is none.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ModelError {
+    /// No parameter has this name.
+    #[error(
+        "no parameter is called `{name}`; names are ra1 rd1 ralpha1 rtheta1 .. 6, rbeta1 .. 6, ba1 bd1 balpha1 \
+         btheta1 .. 5, ox oy oz orx ory, clock_shift clock_skew, attachment_x anchor_x .. z, length_offset"
+    )]
+    UnknownName {
+        /// As given.
+        name: String,
+    },
+    /// The model does not have this parameter.
+    #[error("this model has no parameter `{id}`; take it out of the selection")]
+    NotInModel {
+        /// Which.
+        id: ParameterId,
+    },
+    /// A prior needs a finite value and a positive standard deviation.
+    #[error("the prior of `{id}` is {value} +- {sigma}; give finite numbers and a sigma above zero")]
+    BadPrior {
+        /// Which.
+        id: ParameterId,
+        /// As given.
+        value: f64,
+        /// As given.
+        sigma: f64,
+    },
+}
+
+/// Parameters in blocks, their roles, and the geometry they describe.
+///
+/// A model starts with everything fixed at its nominal value; select, free or set priors from there.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Model {
+    structure: Geometry,
+    parameters: Vec<Parameter>,
+    /// Parameter of each column.
+    columns: Vec<usize>,
+}
+
+fn robot_ids(robot: &Chain) -> impl Iterator<Item = ParameterId> + '_ {
+    let standard = (0..robot.links.len()).flat_map(|link| {
+        ParameterId::STANDARD.into_iter().map(move |parameter| ParameterId::Robot { link, parameter })
+    });
+    let hayati =
+        (0..robot.links.len()).map(|link| ParameterId::Robot { link, parameter: LinkParameter::Beta });
+    standard.chain(hayati)
+}
+
+impl Model {
+    fn new(structure: Geometry, ids: impl IntoIterator<Item = ParameterId>) -> Self {
+        let mut values = structure.clone();
+        let parameters = ids
+            .into_iter()
+            .filter_map(|id| {
+                let nominal = *values.parameter_mut(id)?;
+                Some(Parameter { id, nominal, value: nominal, role: Role::Fixed })
+            })
+            .collect();
+        Self { structure, parameters, columns: Vec::new() }
+    }
+
+    /// Robot and ball-bar: both sets of links, the bar's base (its nominal place is that of `bar`) and the clocks.
+    pub fn ball_bar(robot: &Chain, bar: &Chain) -> Self {
+        let bar_ids = (0..bar.links.len()).flat_map(|link| {
+            ParameterId::STANDARD.into_iter().map(move |parameter| ParameterId::Bar { link, parameter })
+        });
+        let ids = robot_ids(robot)
+            .chain(bar_ids)
+            .chain(Axis::ALL.map(ParameterId::Base))
+            .chain([ParameterId::BaseRotation(Axis::X), ParameterId::BaseRotation(Axis::Y)])
+            .chain([ParameterId::ClockShift, ParameterId::ClockSkew]);
+        Self::new(Geometry::new(robot.clone(), Some(bar)), ids)
+    }
+
+    /// Robot and a wire or telescoping bar of measured length: attachment, anchor, offset and the clocks.
+    pub fn measured_length(robot: &Chain) -> Self {
+        let ids = robot_ids(robot)
+            .chain(Axis::ALL.map(ParameterId::Attachment))
+            .chain(Axis::ALL.map(ParameterId::Anchor))
+            .chain([ParameterId::LengthOffset, ParameterId::ClockShift, ParameterId::ClockSkew]);
+        Self::new(Geometry::new(robot.clone(), None), ids)
+    }
+
+    /// All parameters in the order of their blocks.
+    pub fn parameters(&self) -> &[Parameter] {
+        &self.parameters
+    }
+
+    /// One parameter; none where the model does not have it.
+    pub fn parameter(&self, id: ParameterId) -> Option<&Parameter> {
+        self.parameters.iter().find(|parameter| parameter.id == id)
+    }
+
+    fn parameter_mut(&mut self, id: ParameterId) -> Result<&mut Parameter, ModelError> {
+        let found = self.parameters.iter_mut().find(|parameter| parameter.id == id);
+        found.ok_or(ModelError::NotInModel { id })
+    }
+
+    /// Sets where a parameter starts or stays.
+    ///
+    /// # Errors
+    /// [`ModelError::NotInModel`].
+    pub fn set_value(&mut self, id: ParameterId, value: f64) -> Result<(), ModelError> {
+        self.parameter_mut(id)?.value = value;
+        Ok(())
+    }
+
+    /// Sets what the solve does with a parameter.
+    ///
+    /// # Errors
+    /// [`ModelError::NotInModel`], [`ModelError::BadPrior`].
+    pub fn set_role(&mut self, id: ParameterId, role: Role) -> Result<(), ModelError> {
+        if let Role::Prior { value, sigma } = role
+            && !(value.is_finite() && sigma.is_finite() && sigma > 0.0)
+        {
+            return Err(ModelError::BadPrior { id, value, sigma });
+        }
+        self.parameter_mut(id)?.role = role;
+        let free = self.parameters.iter().enumerate().filter(|(_, p)| p.role != Role::Fixed);
+        self.columns = free.map(|(index, _)| index).collect();
+        Ok(())
+    }
+
+    /// [`Model::set_role`] for several parameters at once.
+    ///
+    /// # Errors
+    /// As [`Model::set_role`].
+    pub fn set_roles(
+        &mut self,
+        ids: impl IntoIterator<Item = ParameterId>,
+        role: Role,
+    ) -> Result<(), ModelError> {
+        ids.into_iter().try_for_each(|id| self.set_role(id, role))
+    }
+
+    /// The parameter of each column of the solve.
+    pub fn columns(&self) -> impl ExactSizeIterator<Item = &Parameter> {
+        self.columns.iter().map(|&index| &self.parameters[index])
+    }
+
+    /// The column of a parameter; none where it is fixed or absent.
+    pub fn column_of(&self, id: ParameterId) -> Option<usize> {
+        self.columns().position(|parameter| parameter.id == id)
+    }
+
+    /// Starting values of the columns.
+    pub fn start(&self) -> Vec<f64> {
+        self.columns().map(|parameter| parameter.value).collect()
+    }
+
+    /// Priors of the columns.
+    pub fn priors(&self) -> Vec<Prior> {
+        let prior = |(column, parameter): (usize, &Parameter)| match parameter.role {
+            Role::Prior { value, sigma } => Some(Prior { column, value, sigma }),
+            Role::Free | Role::Fixed => None,
+        };
+        self.columns().enumerate().filter_map(prior).collect()
+    }
+
+    /// Geometry with the columns at `x` and everything else at its value; missing entries of `x` stay at theirs too.
+    pub fn geometry(&self, x: &[f64]) -> Geometry {
+        let mut geometry = self.structure.clone();
+        for parameter in &self.parameters {
+            if let Some(value) = geometry.parameter_mut(parameter.id) {
+                *value = parameter.value;
+            }
+        }
+        for (parameter, &x) in self.columns().zip(x) {
+            if let Some(value) = geometry.parameter_mut(parameter.id) {
+                *value = x;
+            }
+        }
+        geometry
+    }
+
+    /// Takes a solution over as the values to start from.
+    pub fn adopt(&mut self, x: &[f64]) {
+        for (&index, &x) in self.columns.iter().zip(x) {
+            self.parameters[index].value = x;
+        }
+    }
+}

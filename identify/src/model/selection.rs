@@ -1,0 +1,54 @@
+//! Named sets of free parameters.
+
+use super::{Model, ModelError, ParameterId, Role};
+use crate::kinematics::LinkParameter;
+
+/// Fixed by the thesis so that the rest is determined (TFRT-6017 section 3.3): the offset plate as the scale
+/// (`ra6`, `ba5`), and one of each dependent pair.
+pub const THESIS_FIXED: [&str; 9] =
+    ["ra6", "ba5", "rd1", "bd1", "rd3", "rtheta1", "bd5", "balpha2", "balpha5"];
+
+/// Which parameters of a ball-bar model are free.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Selection {
+    /// The thesis' 38: robot and bar links and the bar's place, without [`THESIS_FIXED`].
+    Thesis,
+    /// And the two rotations of the bar's base, which is never parallel to the robot's in a real cell.
+    Cell,
+    /// And clock shift and skew, for logs on two clocks.
+    CellWithClocks,
+}
+
+impl Selection {
+    /// The parameters in question, whatever a cost can see.
+    pub fn contains(self, id: ParameterId) -> bool {
+        match id {
+            // Hayati's rotation is opted into by name, in place of the link's d.
+            ParameterId::Robot { parameter: LinkParameter::Beta, .. } => false,
+            ParameterId::Robot { .. } | ParameterId::Bar { .. } | ParameterId::Base(_) => {
+                !THESIS_FIXED.contains(&id.to_string().as_str())
+            }
+            ParameterId::BaseRotation(_) => matches!(self, Self::Cell | Self::CellWithClocks),
+            ParameterId::ClockShift | ParameterId::ClockSkew => self == Self::CellWithClocks,
+            ParameterId::Attachment(_) | ParameterId::Anchor(_) | ParameterId::LengthOffset => false,
+        }
+    }
+}
+
+impl Model {
+    /// Frees what a selection contains and a cost sees, fixes the rest. `sees` is [`crate::cost::Residual::sees`].
+    ///
+    /// # Errors
+    /// None in practice: only parameters of the model are touched.
+    pub fn select(
+        &mut self,
+        selection: Selection,
+        sees: impl Fn(ParameterId) -> bool,
+    ) -> Result<(), ModelError> {
+        let ids: Vec<ParameterId> = self.parameters().iter().map(|parameter| parameter.id).collect();
+        ids.into_iter().try_for_each(|id| {
+            let free = selection.contains(id) && sees(id);
+            self.set_role(id, if free { Role::Free } else { Role::Fixed })
+        })
+    }
+}

@@ -1,0 +1,30 @@
+//! The robot's motion seen from the reference time.
+
+use crate::logs::InterpolatedLog;
+use crate::model::{JointState, RobotMotion};
+
+/// An interpolated robot log whose time begins at the reference time instead of at its first stamp.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AlignedLog {
+    log: InterpolatedLog,
+    origin_s: f64,
+}
+
+impl AlignedLog {
+    /// `log` with its time `origin_s` (after the first stamp) called zero.
+    pub fn new(log: InterpolatedLog, origin_s: f64) -> Self {
+        Self { log, origin_s }
+    }
+
+    /// The log's time, after its first stamp, that is called zero \[s\].
+    pub fn origin_s(&self) -> f64 {
+        self.origin_s
+    }
+}
+
+impl RobotMotion for AlignedLog {
+    fn at(&self, tau_s: f64) -> Option<JointState> {
+        let point = self.log.joints(self.origin_s + tau_s)?;
+        Some(JointState { q: point.value, qd: point.rate })
+    }
+}

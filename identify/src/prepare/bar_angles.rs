@@ -1,0 +1,105 @@
+//! Counts of a recording to joint angles with unknown zeros.
+
+use std::f64::consts::TAU;
+
+use shared::encoder::Unwrapper;
+use shared::recording::schema::{CycleRecord, EncoderInfo, flags};
+use shared::time::UtcNs;
+
+use super::PrepareError;
+use crate::kinematics::BAR_JOINTS;
+
+/// Samples between two changes of the counters' origin: within it the zeros stay the same.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct BarSegment {
+    /// When the encoders were sampled, strictly increasing.
+    pub times: Vec<UtcNs>,
+    /// Angles \[rad\], continuous; each joint begins within half a turn of zero. Joints without encoder are 0.
+    pub angles_rad: Vec<[f64; BAR_JOINTS]>,
+}
+
+/// What the encoders of a recording say.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct BarAngles {
+    /// Joints with an encoder.
+    pub measured: [bool; BAR_JOINTS],
+    /// In the order of time; none is empty.
+    pub segments: Vec<BarSegment>,
+    /// Cycles dropped because some encoder was not valid.
+    pub invalid: usize,
+    /// Cycles dropped because their time was not later than that of the cycle before.
+    pub time_not_increasing: usize,
+}
+
+/// Unwraps the counts of all valid cycles.
+///
+/// # Errors
+/// [`PrepareError::NoValidCycle`], and where cycles and declared encoders disagree.
+pub fn bar_angles(cycles: &[CycleRecord], encoders: &[EncoderInfo]) -> Result<BarAngles, PrepareError> {
+    let mut angles = BarAngles { measured: measured(encoders)?, ..BarAngles::default() };
+    let mut segment = SegmentBuilder::default();
+    for cycle in cycles {
+        if cycle.flags & flags::ORIGIN_CHANGED != 0 {
+            angles.segments.extend(std::mem::take(&mut segment).finish());
+        }
+        if !cycle.is_valid() {
+            angles.invalid += 1;
+            continue;
+        }
+        if segment.samples.times.last().is_some_and(|&before| cycle.sample_time <= before) {
+            angles.time_not_increasing += 1;
+            continue;
+        }
+        segment.push(cycle, encoders)?;
+    }
+    angles.segments.extend(segment.finish());
+    if angles.segments.is_empty() {
+        return Err(PrepareError::NoValidCycle { cycles: cycles.len() });
+    }
+    Ok(angles)
+}
+
+fn measured(encoders: &[EncoderInfo]) -> Result<[bool; BAR_JOINTS], PrepareError> {
+    let mut measured = [false; BAR_JOINTS];
+    for encoder in encoders {
+        match measured.get_mut(usize::from(encoder.joint).wrapping_sub(1)) {
+            Some(taken) if !*taken => *taken = true,
+            _ => return Err(PrepareError::EncoderJoint { joint: encoder.joint }),
+        }
+    }
+    Ok(measured)
+}
+
+#[derive(Default)]
+struct SegmentBuilder {
+    samples: BarSegment,
+    unwrappers: [Unwrapper; BAR_JOINTS],
+    /// Whole turns taken off each joint.
+    turns_rad: Option<[f64; BAR_JOINTS]>,
+}
+
+impl SegmentBuilder {
+    fn push(&mut self, cycle: &CycleRecord, encoders: &[EncoderInfo]) -> Result<(), PrepareError> {
+        let mut raw_rad = [0.0; BAR_JOINTS];
+        for (index, encoder) in encoders.iter().enumerate() {
+            let sample = cycle.encoders().get(index).copied().unwrap_or_default();
+            if sample.joint != encoder.joint {
+                return Err(PrepareError::EncoderOrder {
+                    cycle: cycle.cycle,
+                    declared: encoder.joint,
+                    found: sample.joint,
+                });
+            }
+            let joint = usize::from(encoder.joint) - 1;
+            raw_rad[joint] = encoder.scale.counts_to_rad(self.unwrappers[joint].next(sample.count));
+        }
+        let turns_rad = *self.turns_rad.get_or_insert_with(|| raw_rad.map(|raw| (raw / TAU).round() * TAU));
+        self.samples.times.push(cycle.sample_time);
+        self.samples.angles_rad.push(std::array::from_fn(|joint| raw_rad[joint] - turns_rad[joint]));
+        Ok(())
+    }
+
+    fn finish(self) -> Option<BarSegment> {
+        (!self.samples.times.is_empty()).then_some(self.samples)
+    }
+}

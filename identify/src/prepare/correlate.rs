@@ -1,0 +1,179 @@
+//! At which shift two sets of signals are most alike.
+//!
+//! Normalised cross-correlation where samples may be unknown (Padfield, "Masked object registration in the Fourier
+//! domain", IEEE Trans. Image Processing 21, 2012): at each shift only samples that both logs know are compared, with
+//! mean and variance of just these. So a log that covers ten times the other one, or holes, do not bias it.
+
+use std::sync::Arc;
+
+use rustfft::num_complex::Complex;
+use rustfft::{Fft, FftPlanner};
+
+/// Signals on a common uniform grid.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Channels {
+    /// Whether the signals are known, per grid point.
+    pub known: Vec<bool>,
+    /// Per channel, per grid point; unknown points are not looked at.
+    pub values: Vec<Vec<f64>>,
+}
+
+/// The best shift and how sure it is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Match {
+    /// Sample `i` of the second set is sample `i + shift` of the first, in grid steps with a fraction.
+    pub shift: f64,
+    /// Correlation there, -1 to 1.
+    pub correlation: f64,
+    /// Grid points that were compared there.
+    pub overlap: usize,
+    /// Best correlation at a shift that is clearly another one, 0 where there is none.
+    pub runner_up: f64,
+}
+
+/// Shifts at least this many grid steps apart are different ones.
+const APART: i64 = 100;
+/// Correlations this close are equally good: the motion repeats itself. Then the longer overlap decides.
+pub(super) const TIE: f64 = 0.02;
+
+/// Finds the shift with the highest correlation of at least `overlap_min` points. None where no shift has so many, or
+/// nothing varies.
+pub fn correlate(first: &Channels, second: &Channels, overlap_min: usize) -> Option<Match> {
+    let scores = scores(first, second, overlap_min.max(3));
+    let highest = scores.iter().filter_map(|score| score.correlation).max_by(f64::total_cmp)?;
+    let peaks: Vec<usize> = (0..scores.len()).filter(|&index| is_peak(&scores, index)).collect();
+    let value = |index: usize| scores[index].correlation.unwrap_or(f64::NEG_INFINITY);
+    let best = peaks
+        .iter()
+        .copied()
+        .filter(|&index| value(index) >= highest - TIE)
+        // Among equals a tenth more overlap counts as longer; otherwise the correlation decides.
+        .reduce(|best, other| {
+            let (a, b) = (scores[best].overlap as f64, scores[other].overlap as f64);
+            let other_is_better = b > 1.1 * a || (b > a / 1.1 && value(other) > value(best));
+            if other_is_better { other } else { best }
+        })?;
+    let runner_up = peaks
+        .iter()
+        .filter(|&&index| (scores[index].shift - scores[best].shift).abs() > APART)
+        .map(|&index| value(index))
+        .fold(0.0, f64::max);
+    Some(Match {
+        shift: scores[best].shift as f64 + vertex(&scores, best),
+        correlation: value(best),
+        overlap: scores[best].overlap,
+        runner_up,
+    })
+}
+
+#[derive(Clone, Copy)]
+struct Score {
+    shift: i64,
+    overlap: usize,
+    /// None where too little overlaps or nothing varies.
+    correlation: Option<f64>,
+}
+
+fn is_peak(scores: &[Score], index: usize) -> bool {
+    let Some(here) = scores[index].correlation else { return false };
+    let at_most_here = |neighbour: Option<&Score>| {
+        neighbour.and_then(|score| score.correlation).is_none_or(|value| value <= here)
+    };
+    at_most_here(index.checked_sub(1).and_then(|before| scores.get(before))) && at_most_here(scores.get(index + 1))
+}
+
+/// Where the parabola through a peak and its neighbours has its top, -0.5 to 0.5 steps from the peak.
+fn vertex(scores: &[Score], peak: usize) -> f64 {
+    let at = |index: Option<usize>| index.and_then(|index| scores.get(index)).and_then(|score| score.correlation);
+    let (Some(left), Some(here), Some(right)) = (at(peak.checked_sub(1)), at(Some(peak)), at(Some(peak + 1))) else {
+        return 0.0;
+    };
+    let bend = left - 2.0 * here + right;
+    if bend < 0.0 { (0.5 * (left - right) / bend).clamp(-0.5, 0.5) } else { 0.0 }
+}
+
+/// Correlation at every shift, in the order of the shifts.
+fn scores(first: &Channels, second: &Channels, overlap_min: usize) -> Vec<Score> {
+    let (n, m) = (first.known.len(), second.known.len());
+    let transform = Transform::new(n + m);
+    let masks = [mask(first), mask(second)].map(|mask| transform.forward(&mask));
+    let overlaps = transform.product(&masks[0], &masks[1]);
+    let mut covariance = vec![0.0; overlaps.len()];
+    let mut variances = [vec![0.0; overlaps.len()], vec![0.0; overlaps.len()]];
+    for (a, b) in first.values.iter().zip(&second.values) {
+        let (a, b) = (normalised(a, &first.known), normalised(b, &second.known));
+        let spectra = [&a, &b].map(|signal| transform.forward(signal));
+        let squares = [&a, &b].map(|signal| {
+            let squared: Vec<f64> = signal.iter().map(|value| value * value).collect();
+            transform.forward(&squared)
+        });
+        let sum_ab = transform.product(&spectra[0], &spectra[1]);
+        let sum_a = transform.product(&spectra[0], &masks[1]);
+        let sum_b = transform.product(&masks[0], &spectra[1]);
+        let sum_aa = transform.product(&squares[0], &masks[1]);
+        let sum_bb = transform.product(&masks[0], &squares[1]);
+        for (index, overlap) in overlaps.iter().enumerate() {
+            let count = overlap.round().max(1.0);
+            covariance[index] += sum_ab[index] - sum_a[index] * sum_b[index] / count;
+            variances[0][index] += sum_aa[index] - sum_a[index].powi(2) / count;
+            variances[1][index] += sum_bb[index] - sum_b[index].powi(2) / count;
+        }
+    }
+    // Shifts 1 - m .. n - 1; negative ones are at the upper end of the transform.
+    (1 - m as i64..n as i64)
+        .map(|shift| {
+            let index = shift.rem_euclid(transform.length as i64) as usize;
+            let overlap = overlaps[index].round().max(0.0) as usize;
+            let (va, vb) = (variances[0][index], variances[1][index]);
+            // Signals have unit variance over the whole log: far less than that in the overlap is standstill.
+            let still = 1e-3 * overlap as f64;
+            let usable = overlap >= overlap_min && va > still && vb > still;
+            let correlation = usable.then(|| (covariance[index] / (va * vb).sqrt()).clamp(-1.0, 1.0));
+            Score { shift, overlap, correlation }
+        })
+        .collect()
+}
+
+fn mask(channels: &Channels) -> Vec<f64> {
+    channels.known.iter().map(|&known| f64::from(u8::from(known))).collect()
+}
+
+/// Mean 0 and variance 1 over the known points, 0 at the others: all channels count the same.
+fn normalised(values: &[f64], known: &[bool]) -> Vec<f64> {
+    let known_values = || values.iter().zip(known).filter(|(_, known)| **known).map(|(value, _)| *value);
+    let count = known_values().count().max(1) as f64;
+    let mean = known_values().sum::<f64>() / count;
+    let deviation = (known_values().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt();
+    // A joint that does not move has nothing to say.
+    let scale = if deviation > 1e-9 { 1.0 / deviation } else { 0.0 };
+    values.iter().zip(known).map(|(value, &known)| if known { (value - mean) * scale } else { 0.0 }).collect()
+}
+
+/// Fourier transforms of one length, long enough that nothing wraps around.
+struct Transform {
+    length: usize,
+    forward: Arc<dyn Fft<f64>>,
+    inverse: Arc<dyn Fft<f64>>,
+}
+
+impl Transform {
+    fn new(points: usize) -> Self {
+        let length = points.max(2).next_power_of_two();
+        let mut planner = FftPlanner::new();
+        Self { length, forward: planner.plan_fft_forward(length), inverse: planner.plan_fft_inverse(length) }
+    }
+
+    fn forward(&self, signal: &[f64]) -> Vec<Complex<f64>> {
+        let mut spectrum: Vec<Complex<f64>> = signal.iter().map(|&value| Complex::new(value, 0.0)).collect();
+        spectrum.resize(self.length, Complex::default());
+        self.forward.process(&mut spectrum);
+        spectrum
+    }
+
+    /// `sum over i of a[i + shift] b[i]` at every shift, from the spectra.
+    fn product(&self, a: &[Complex<f64>], b: &[Complex<f64>]) -> Vec<f64> {
+        let mut product: Vec<Complex<f64>> = a.iter().zip(b).map(|(a, b)| a * b.conj()).collect();
+        self.inverse.process(&mut product);
+        product.iter().map(|value| value.re / self.length as f64).collect()
+    }
+}

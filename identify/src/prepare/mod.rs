@@ -1,0 +1,173 @@
+//! From a recording and a robot log, each on its own clock, to samples that a solve can begin with.
+//!
+//! Nothing but nominal geometry is known at the beginning: not the clocks, not the encoders' zeros, not where the bar
+//! stands nor in which of its configurations. The steps, each a plain function on values:
+//!
+//! 1. [`bar_angles`]: counts to angles, bad cycles dropped, runs split where counters lost their origin.
+//! 2. [`fit_sphere`]: the robot's own positions give the bar's base and length.
+//! 3. [`Predictor`]: with these, nominal inverse kinematics of the bar predicts its joints from the robot's log.
+//! 4. [`correlate`]: predicted and measured joint *speeds* know no zeros, signs or configurations; their
+//!    cross-correlation gives the clock difference, whatever its size.
+//! 5. [`find_offsets`]: with the clocks aligned, angles are compared: offsets, configuration, and whether this log
+//!    belongs to this recording at all; [`refine_clock`] improves the alignment on the angles.
+//! 6. [`select`]: standstill, singular poses and surplus samples are left out.
+//!
+//! Times stay integers until they are small differences: the clocks may be decades apart.
+
+mod aligned;
+mod bar_angles;
+mod correlate;
+mod error;
+mod offsets;
+mod predict;
+mod refine;
+mod select;
+mod speeds;
+mod sphere;
+mod steps;
+
+pub use aligned::AlignedLog;
+pub use bar_angles::{BarAngles, BarSegment, bar_angles};
+pub use correlate::{Channels, Match, correlate};
+pub use error::PrepareError;
+pub use offsets::{AnglePair, EncoderOffset, Offsets, find_offsets};
+pub use predict::{PredictedBar, Predictor};
+pub use refine::{ClockFit, refine_clock};
+pub use select::select;
+pub use sphere::{SphereFit, fit_sphere};
+pub use steps::prepare;
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+use shared::time::UtcNs;
+
+use crate::kinematics::{BAR_JOINTS, Configuration};
+use crate::model::Observation;
+
+/// Limits and sizes of the preparation. The defaults suit a run of half a minute to an hour.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PrepareOptions {
+    /// Two logs match where their speeds correlate at least so well (1 is identical). Runs of the same experiment come
+    /// to 0.99; different runs stay below 0.7.
+    pub correlation_min: f64,
+    /// Two logs must overlap at least this long \[s\]...
+    pub overlap_min_s: f64,
+    /// ...and at least by this part of the shorter one.
+    pub overlap_min_part: f64,
+    /// Measured and predicted angles may differ by this much (1.48 times the median deviation) \[mrad\].
+    pub spread_max_mrad: f64,
+    /// The robot's positions may be this far from one sphere \[mm\].
+    pub sphere_tolerance_mm: f64,
+    /// The sphere's radius may differ this much from the bar's configured length \[mm\].
+    pub length_tolerance_mm: f64,
+    /// Samples nearer to a singular pose of the bar are left out \[deg\].
+    pub singular_margin_deg: f64,
+    /// At most this many samples are kept, evenly spread over the motion.
+    pub points_max: usize,
+    /// Samples are kept only where some bar joint has moved by this much since the last one \[mrad\].
+    pub motion_min_mrad: f64,
+}
+
+impl Default for PrepareOptions {
+    fn default() -> Self {
+        Self {
+            correlation_min: 0.85,
+            overlap_min_s: 10.0,
+            overlap_min_part: 0.25,
+            spread_max_mrad: 50.0,
+            sphere_tolerance_mm: 20.0,
+            length_tolerance_mm: 50.0,
+            singular_margin_deg: 5.0,
+            points_max: 1500,
+            motion_min_mrad: 2.0,
+        }
+    }
+}
+
+/// How many samples went where; all are bar cycles.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+pub struct SampleCounts {
+    /// In the recording.
+    pub recorded: usize,
+    /// Not fresh or not trustworthy.
+    pub invalid: usize,
+    /// Time stamp not later than the one before.
+    pub time_not_increasing: usize,
+    /// In runs between two changes of the counters' origin other than the longest one.
+    pub other_origin: usize,
+    /// At times that the robot's log does not cover.
+    pub outside_robot_log: usize,
+    /// Near singular poses of the bar.
+    pub singular: usize,
+    /// At a standstill.
+    pub standstill: usize,
+    /// More than are wanted.
+    pub surplus: usize,
+    /// Kept.
+    pub kept: usize,
+}
+
+/// How the two logs were brought together.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Alignment {
+    /// Correlation of the speeds at the best shift.
+    pub correlation: f64,
+    /// Best correlation at a clearly different shift.
+    pub runner_up: f64,
+    /// The other shift is nearly as good: the motion repeats itself, and the shift with the longest overlap was taken.
+    pub ambiguous: bool,
+    /// How long the logs overlap \[s\].
+    pub overlap_s: f64,
+    /// Robot clock minus bar clock at the reference time \[ns\].
+    pub clock_difference_ns: i64,
+    /// Relative rate of the robot's clock minus one, from the angles.
+    pub skew: f64,
+}
+
+/// Where a solve begins.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct InitialValues {
+    /// Clock shift beyond [`Alignment::clock_difference_ns`] \[s\]: zero, the motion is aligned already.
+    pub clock_shift_s: f64,
+    /// Relative rate of the robot's clock minus one.
+    pub clock_skew: f64,
+    /// Centre of the gimbal in the robot's base \[m\].
+    pub base_m: Vector3<f64>,
+    /// Length of the bar as the nominal robot sees it \[m\]. The configured length is usually the better start.
+    pub length_m: f64,
+    /// Encoder offsets \[rad\]; 0 for joints without encoder.
+    pub btheta_rad: [f64; BAR_JOINTS],
+}
+
+/// Samples ready for a solve.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Prepared {
+    /// Reference time on the bar's clock: the middle of the overlap.
+    pub t_ref: UtcNs,
+    /// Times relative to `t_ref`, angles without offsets.
+    pub observations: Vec<Observation>,
+    /// The robot's motion; its time is zero at `t_ref` as far as the alignment knows.
+    pub motion: AlignedLog,
+    /// Bar joints with an encoder.
+    pub measured: [bool; BAR_JOINTS],
+    /// Where a solve begins.
+    pub initial: InitialValues,
+    /// Configuration of the bar through the whole run.
+    pub configuration: Configuration,
+    /// How well the logs fit together in time.
+    pub alignment: Alignment,
+    /// How well each encoder fits the prediction.
+    pub offsets: Vec<EncoderOffset>,
+    /// The sphere on which the robot moved.
+    pub sphere: SphereFit,
+    /// What was dropped and why.
+    pub counts: SampleCounts,
+}
+
+impl Prepared {
+    /// Robot clock minus bar clock at the reference time \[ns\], once a solve has found what is left of the shift.
+    pub fn clock_difference_ns(&self, solved_shift_s: f64) -> i64 {
+        self.alignment.clock_difference_ns.saturating_add((solved_shift_s * 1e9).round() as i64)
+    }
+}

@@ -1,0 +1,57 @@
+//! What the bar's joints should be, from the robot's log and nominal geometry.
+
+use nalgebra::{Translation3, Vector3};
+
+use crate::kinematics::{
+    BAR_JOINTS, Chain, Configuration, InverseError, Tracer, Trace, ball_bar_inverse, singularity_margin_rad,
+};
+use crate::logs::InterpolatedLog;
+
+/// The bar at one instant as the robot's log has it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PredictedBar {
+    /// Joints in the first configuration, each in (-pi, pi] \[rad\]; [`Configuration::carry`] gives the others.
+    pub joints_rad: [f64; BAR_JOINTS],
+    /// Distance from the bar's nearest singular pose \[rad\].
+    pub margin_rad: f64,
+}
+
+impl PredictedBar {
+    /// The configuration that predictions are in.
+    pub const CONFIGURATION: Configuration = Configuration::ALL[0];
+}
+
+/// Nominal robot and nominal bar on a base found from the robot's positions.
+#[derive(Debug, Clone)]
+pub struct Predictor<'a> {
+    log: &'a InterpolatedLog,
+    robot: Tracer,
+    bar: Chain,
+}
+
+impl<'a> Predictor<'a> {
+    /// Predicts from `log` with the nominal chains, the bar standing upright at `base_m`.
+    ///
+    /// # Errors
+    /// [`InverseError`] where `bar` has not the structure of a ball-bar.
+    pub fn new(
+        log: &'a InterpolatedLog,
+        robot: &Chain,
+        bar: &Chain,
+        base_m: Vector3<f64>,
+    ) -> Result<Self, InverseError> {
+        let bar = Chain { root_from_base: Translation3::from(base_m).into(), links: bar.links.clone() };
+        // Any pose tells whether the structure is right; a prediction then cannot fail.
+        ball_bar_inverse(&bar, &bar.forward(&[0.1; BAR_JOINTS]))?;
+        Ok(Self { log, robot: Tracer::new(robot), bar })
+    }
+
+    /// The bar at `tau_s` after the log's first stamp; none where the log says nothing.
+    pub fn at(&self, tau_s: f64) -> Option<PredictedBar> {
+        let joints = self.log.joints(tau_s)?;
+        let mut trace = Trace::default();
+        self.robot.trace(&joints.value, &mut trace);
+        let [(_, joints_rad), ..] = ball_bar_inverse(&self.bar, trace.end()).ok()?;
+        Some(PredictedBar { joints_rad, margin_rad: singularity_margin_rad(&joints_rad) })
+    }
+}

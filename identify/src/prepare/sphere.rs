@@ -1,0 +1,118 @@
+//! The sphere that the robot's positions lie on: base and length of the bar without any encoder.
+
+use nalgebra::{DMatrix, DVector, Matrix4, Vector3, Vector4};
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use serde::Serialize;
+
+/// A sphere through robot positions.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct SphereFit {
+    /// Centre \[m\].
+    pub centre_m: Vector3<f64>,
+    /// Radius \[m\].
+    pub radius_m: f64,
+    /// Root mean square distance of the inliers from it \[m\].
+    pub rms_m: f64,
+    /// Part of the positions within the tolerance.
+    pub inliers: f64,
+}
+
+/// Quadruples tried for a first sphere. With half of the positions bad one in sixteen is good.
+const DRAWS: usize = 200;
+/// Rounds of selecting inliers and fitting them.
+const ROUNDS: usize = 5;
+/// Steps of Gauss-Newton in each round.
+const STEPS: usize = 8;
+
+/// The sphere that most of `positions_m` lie on within `tolerance_m`; none where they span no sphere.
+///
+/// Logs also hold the way to and from the bar: a first sphere through four positions that most others agree with
+/// (random sample consensus, Fischler and Bolles 1981, fixed seed) keeps those out. Then linear least squares on
+/// `|p|^2 = 2 p o + (L^2 - |o|^2)` and Gauss-Newton on the distances themselves.
+pub fn fit_sphere(positions_m: &[Vector3<f64>], tolerance_m: f64) -> Option<SphereFit> {
+    let mut random = ChaCha8Rng::seed_from_u64(0);
+    let mut best: Option<(usize, Sphere)> = None;
+    for _ in 0..DRAWS {
+        let pick: [Vector3<f64>; 4] =
+            [(); 4].map(|()| positions_m.get(random.random_range(0..positions_m.len().max(1))).copied().unwrap_or_default());
+        let Some(sphere) = Sphere::linear(&pick) else { continue };
+        let agreeing = positions_m.iter().filter(|p| sphere.distance(p).abs() < tolerance_m).count();
+        if best.is_none_or(|(most, _)| agreeing > most) {
+            best = Some((agreeing, sphere));
+        }
+    }
+    let (_, mut sphere) = best?;
+    let mut inliers = Vec::new();
+    for _ in 0..ROUNDS {
+        inliers = positions_m.iter().filter(|p| sphere.distance(p).abs() < tolerance_m).copied().collect();
+        sphere = Sphere::linear(&inliers)?.refined(&inliers)?;
+    }
+    let sum: f64 = inliers.iter().map(|p| sphere.distance(p).powi(2)).sum();
+    Some(SphereFit {
+        centre_m: sphere.centre_m,
+        radius_m: sphere.radius_m,
+        rms_m: (sum / inliers.len() as f64).sqrt(),
+        inliers: inliers.len() as f64 / positions_m.len() as f64,
+    })
+}
+
+#[derive(Clone, Copy)]
+struct Sphere {
+    centre_m: Vector3<f64>,
+    radius_m: f64,
+}
+
+impl Sphere {
+    fn distance(&self, position_m: &Vector3<f64>) -> f64 {
+        (position_m - self.centre_m).norm() - self.radius_m
+    }
+
+    /// Algebraic fit; none where the points lie in a plane.
+    fn linear(positions_m: &[Vector3<f64>]) -> Option<Self> {
+        /// Smallest ratio of singular values of points that span a sphere.
+        const RATIO_MIN: f64 = 1e-3;
+        let mean = positions_m.iter().sum::<Vector3<f64>>() / positions_m.len().max(1) as f64;
+        let size = positions_m.iter().map(|p| (p - mean).norm()).fold(0.0, f64::max);
+        if positions_m.len() < 4 || size.partial_cmp(&1e-6).is_none_or(std::cmp::Ordering::is_le) {
+            return None;
+        }
+        // Scaled to unit size about the mean, so that the columns are comparable.
+        let scaled: Vec<Vector3<f64>> = positions_m.iter().map(|p| (p - mean) / size).collect();
+        let a = DMatrix::from_fn(scaled.len(), 4, |row, column| {
+            if column < 3 { 2.0 * scaled[row][column] } else { 1.0 }
+        });
+        let squares = DVector::from_iterator(scaled.len(), scaled.iter().map(Vector3::norm_squared));
+        let normal: Matrix4<f64> = (a.transpose() * &a).fixed_view::<4, 4>(0, 0).into();
+        let eigen = normal.symmetric_eigenvalues();
+        if eigen.min() < RATIO_MIN * RATIO_MIN * eigen.max() {
+            return None;
+        }
+        let right: Vector4<f64> = (a.transpose() * squares).fixed_rows::<4>(0).into();
+        let solution = normal.cholesky()?.solve(&right);
+        let centre = Vector3::new(solution[0], solution[1], solution[2]);
+        let radius = (solution[3] + centre.norm_squared()).sqrt();
+        Some(Self { centre_m: mean + centre * size, radius_m: radius * size })
+            .filter(|sphere| sphere.radius_m.is_finite())
+    }
+
+    /// Gauss-Newton on the distances.
+    fn refined(mut self, positions_m: &[Vector3<f64>]) -> Option<Self> {
+        for _ in 0..STEPS {
+            let mut normal = Matrix4::zeros();
+            let mut right = Vector4::zeros();
+            for position in positions_m {
+                let from_centre = position - self.centre_m;
+                let out = from_centre / from_centre.norm().max(f64::MIN_POSITIVE);
+                let row = Vector4::new(-out.x, -out.y, -out.z, -1.0);
+                normal += row * row.transpose();
+                right -= row * self.distance(position);
+            }
+            let step = normal.cholesky()?.solve(&right);
+            self.centre_m += step.fixed_rows::<3>(0);
+            self.radius_m += step[3];
+        }
+        Some(self).filter(|sphere| sphere.radius_m.is_finite())
+    }
+}

@@ -1,0 +1,223 @@
+//! `calibration.toml`: identified parameters with their uncertainty, and everything needed to repeat it.
+
+use std::fs::File;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use shared::time::UtcNs;
+
+use crate::model::{Model, Parameter, Role};
+use crate::solver::Solution;
+
+/// Version of the file's structure; it rises when a key changes its meaning.
+pub const SCHEMA: u32 = 1;
+
+/// Why the file cannot be written.
+#[derive(Debug, thiserror::Error)]
+pub enum FileError {
+    /// The system refused.
+    #[error("cannot write {}: {source}; check the directory and free space", path.display())]
+    Io {
+        /// The file or directory.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// A number does not fit TOML.
+    #[error("the calibration cannot be written as TOML: {0}")]
+    Toml(#[from] toml::ser::Error),
+}
+
+/// A file that the calibration was made from.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Input {
+    /// What it is.
+    pub role: String,
+    /// Where it was.
+    pub path: PathBuf,
+    /// Its checksum, hexadecimal.
+    pub sha256: String,
+}
+
+impl Input {
+    /// Reads a file's checksum.
+    pub fn of(role: &str, path: &Path) -> io::Result<Self> {
+        let mut hash = Sha256::new();
+        io::copy(&mut File::open(path)?, &mut hash)?;
+        let sha256 = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+        Ok(Self { role: role.to_owned(), path: path.to_owned(), sha256 })
+    }
+}
+
+/// What became of a parameter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Status {
+    /// Found from the samples.
+    Identified,
+    /// Found from the samples and a prior.
+    IdentifiedWithPrior,
+    /// Left at its value.
+    Fixed,
+}
+
+/// One parameter, SI units.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ParameterEntry {
+    /// Name, such as `ra1`.
+    pub name: String,
+    /// `m`, `rad`, `s` or `1`.
+    pub unit: String,
+    /// Data sheet or first guess.
+    pub nominal: f64,
+    /// Identified value.
+    pub value: f64,
+    /// Value minus nominal.
+    pub correction: f64,
+    /// One standard deviation; absent for fixed parameters.
+    pub sigma: Option<f64>,
+    /// What became of it.
+    pub status: Status,
+}
+
+impl ParameterEntry {
+    fn new(parameter: &Parameter, sigma: Option<f64>) -> Self {
+        Self {
+            name: parameter.id.to_string(),
+            unit: parameter.id.unit().si_symbol().to_owned(),
+            nominal: parameter.nominal,
+            value: parameter.value,
+            correction: parameter.value - parameter.nominal,
+            sigma,
+            status: match parameter.role {
+                Role::Free => Status::Identified,
+                Role::Prior { .. } => Status::IdentifiedWithPrior,
+                Role::Fixed => Status::Fixed,
+            },
+        }
+    }
+
+    /// All parameters of a model at its solution, in the model's order.
+    pub fn all(model: &Model, solution: &Solution) -> Vec<Self> {
+        let sigma = |parameter: &Parameter| {
+            model.column_of(parameter.id).and_then(|column| solution.covariance.sigma(column))
+        };
+        model.parameters().iter().map(|parameter| Self::new(parameter, sigma(parameter))).collect()
+    }
+}
+
+/// How the solve went.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SolveEntry {
+    /// Cost function.
+    pub cost: String,
+    /// Why it ended.
+    pub ended: String,
+    /// Accepted steps.
+    pub iterations: usize,
+    /// Samples that took part.
+    pub samples: usize,
+    /// Free parameters, all of them identified.
+    pub parameters: usize,
+    /// Condition number of the column-scaled Jacobian.
+    pub condition: f64,
+    /// Root mean square of the residuals at the nominal start, in the cost's unit.
+    pub residual_rms_start: f64,
+    /// The same at the solution.
+    pub residual_rms: f64,
+}
+
+impl SolveEntry {
+    /// Of a solution.
+    pub fn new(cost: &str, solution: &Solution) -> Self {
+        let summary = &solution.summary;
+        Self {
+            cost: cost.to_owned(),
+            ended: summary.termination.to_string(),
+            iterations: summary.iterations,
+            samples: summary.samples_used,
+            parameters: solution.x.len(),
+            condition: solution.identifiability.weakest().recip(),
+            residual_rms_start: summary.residual_rms_start,
+            residual_rms: summary.residual_rms,
+        }
+    }
+}
+
+/// How two logs were brought together.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ClockEntry {
+    /// Reference time on the bar's clock.
+    pub reference_utc: String,
+    /// Robot clock minus bar clock there \[ns\].
+    pub robot_minus_bar_ns: i64,
+    /// How much faster the robot's clock runs \[ppm\].
+    pub skew_ppm: f64,
+    /// Correlation of the joint speeds at the coarse alignment.
+    pub correlation: f64,
+    /// How long the logs overlap \[s\].
+    pub overlap_s: f64,
+}
+
+/// The whole file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CalibrationFile {
+    /// [`SCHEMA`].
+    pub schema: u32,
+    /// When it was made.
+    pub created: String,
+    /// Program and version.
+    pub software: String,
+    /// Robot.
+    pub robot: String,
+    /// What it was measured with.
+    pub instrument: String,
+    /// Solve.
+    pub solve: SolveEntry,
+    /// Clocks, where there are two.
+    pub clock: Option<ClockEntry>,
+    /// Files it was made from.
+    pub inputs: Vec<Input>,
+    /// Every parameter of the model.
+    pub parameters: Vec<ParameterEntry>,
+}
+
+impl CalibrationFile {
+    /// The constant part: schema, time and program.
+    pub fn new(
+        robot: &str,
+        instrument: &str,
+        solve: SolveEntry,
+        clock: Option<ClockEntry>,
+        inputs: Vec<Input>,
+        parameters: Vec<ParameterEntry>,
+    ) -> Self {
+        Self {
+            schema: SCHEMA,
+            created: UtcNs::from_datetime(chrono::Utc::now()).to_string(),
+            software: concat!("identify ", env!("CARGO_PKG_VERSION")).into(),
+            robot: robot.to_owned(),
+            instrument: instrument.to_owned(),
+            solve,
+            clock,
+            inputs,
+            parameters,
+        }
+    }
+
+    /// Writes `<directory>/calibration.toml`: whole under that name, or not at all.
+    pub fn write(&self, directory: &Path) -> Result<PathBuf, FileError> {
+        let path = directory.join("calibration.toml");
+        let part = directory.join("calibration.toml.part");
+        let text = toml::to_string(self)?;
+        let write = || {
+            std::fs::create_dir_all(directory)?;
+            std::fs::write(&part, text)?;
+            std::fs::rename(&part, &path)
+        };
+        write().map_err(|source| FileError::Io { path: path.clone(), source })?;
+        Ok(path)
+    }
+}

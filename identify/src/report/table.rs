@@ -1,0 +1,102 @@
+//! Tables on a terminal.
+
+use std::fmt::Write;
+
+use super::file::{CalibrationFile, ParameterEntry, Status};
+use crate::calibrate::truth::Comparison;
+use crate::model::{ParameterId, Unit};
+
+/// Unit in which people read a parameter.
+fn display_unit(entry: &ParameterEntry) -> Unit {
+    entry.name.parse::<ParameterId>().map_or(Unit::Ratio, ParameterId::unit)
+}
+
+/// How the solve went, and every identified parameter: nominal, correction and sigma in mm and mrad.
+pub fn calibration(file: &CalibrationFile) -> String {
+    let mut text = String::new();
+    let solve = &file.solve;
+    // Writing to a string cannot fail.
+    let _ = writeln!(text, "{} measured with {}", file.robot, file.instrument);
+    let _ = writeln!(
+        text,
+        "cost {}: {} after {} iterations, {} samples, {} parameters, condition {:.0}, residual RMS {:.3e} -> {:.3e}",
+        solve.cost,
+        solve.ended,
+        solve.iterations,
+        solve.samples,
+        solve.parameters,
+        solve.condition,
+        solve.residual_rms_start,
+        solve.residual_rms,
+    );
+    if let Some(clock) = &file.clock {
+        let _ = writeln!(
+            text,
+            "clocks: robot - bar = {:.6} s at {}, robot runs {:+.3} ppm; logs overlap {:.1} s, correlation {:.3}",
+            clock.robot_minus_bar_ns as f64 * 1e-9,
+            clock.reference_utc,
+            clock.skew_ppm,
+            clock.overlap_s,
+            clock.correlation,
+        );
+    }
+    let _ = writeln!(text, "\n{:<16}{:>14}{:>12}{:>10}  unit", "parameter", "nominal", "correction", "sigma");
+    let mut fixed = Vec::new();
+    for entry in &file.parameters {
+        if entry.status == Status::Fixed {
+            fixed.push(entry.name.as_str());
+            continue;
+        }
+        let unit = display_unit(entry);
+        let factor = unit.display_factor();
+        let sigma = entry.sigma.map_or_else(|| "-".into(), |sigma| format!("{:.4}", sigma * factor));
+        let prior = if entry.status == Status::IdentifiedWithPrior { " (prior)" } else { "" };
+        let _ = writeln!(
+            text,
+            "{:<16}{:>14.4}{:>+12.4}{:>10}  {}{prior}",
+            entry.name,
+            entry.nominal * factor,
+            entry.correction * factor,
+            sigma,
+            unit.display_symbol(),
+        );
+    }
+    let _ = writeln!(text, "fixed: {}", fixed.join(" "));
+    text
+}
+
+/// True beside identified, with the thesis' two measures.
+pub fn comparison(comparison: &Comparison) -> String {
+    let mut text = String::new();
+    let _ = writeln!(text, "{:<16}{:>14}{:>14}{:>10}  unit", "parameter", "true", "identified", "error");
+    for one in &comparison.parameters {
+        let unit = one.id.unit();
+        let factor = unit.display_factor();
+        let _ = writeln!(
+            text,
+            "{:<16}{:>14.4}{:>14.4}{:>+10.4}  {}",
+            one.id.to_string(),
+            one.truth * factor,
+            one.identified * factor,
+            one.error_displayed(),
+            unit.display_symbol(),
+        );
+    }
+    let robot = comparison.only(|id| matches!(id, ParameterId::Robot { .. }));
+    let _ = writeln!(
+        text,
+        "{} parameters: Euclidean error {:.5} mm|mrad, largest {:.5}; robot alone ({}): {:.5}",
+        comparison.parameters.len(),
+        comparison.euclidean_mm_mrad(),
+        comparison.max_mm_mrad(),
+        robot.parameters.len(),
+        robot.euclidean_mm_mrad(),
+    );
+    let _ = writeln!(
+        text,
+        "clocks: shift off by {:.3} us, skew by {:.4} ppm",
+        comparison.clock_shift_error_s * 1e6,
+        comparison.clock_skew_error * 1e6,
+    );
+    text
+}

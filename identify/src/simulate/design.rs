@@ -1,0 +1,56 @@
+//! Where the bar stands in the cell and how the robot is moved.
+
+use serde::{Deserialize, Serialize};
+use shared::config::RobotConfig;
+
+/// Layout and motion of an experiment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Design {
+    /// Centre of the gimbal in the robot's base frame \[m\].
+    pub base_m: [f64; 3],
+    /// A posture of the robot near which the motion begins \[deg\]; it selects elbow and wrist.
+    pub posture_deg: [f64; 6],
+    /// Lower and upper end of each bar joint on the path \[deg\]. The signs of joints 2 and 4 are the bar's
+    /// configuration.
+    pub bar_range_deg: [[f64; 2]; 5],
+    /// From the first to the last bar sample \[s\].
+    pub duration_s: f64,
+    /// Highest speed of a bar joint \[rad/s\].
+    pub bar_speed_rad_s: f64,
+    /// Highest speed of a robot joint \[rad/s\].
+    pub robot_speed_rad_s: f64,
+    /// Standstill at the beginning, at the end and at every third point of the path \[s\].
+    pub standstill_s: f64,
+    /// Distance of the bar from its singular poses \[deg\].
+    pub bar_margin_deg: f64,
+    /// Distance of robot joint 5 from the straight wrist \[deg\].
+    pub wrist_margin_deg: f64,
+    /// Distance of the robot's joints from their limits \[deg\].
+    pub limit_margin_deg: f64,
+}
+
+impl Design {
+    /// ABB IRB 2400/16 with a bar of 0.5 to 0.7 m.
+    pub const IRB_2400: Self = Self {
+        base_m: [1.0, 0.05, 0.35],
+        posture_deg: [0.0, 20.0, 10.0, 0.0, 60.0, 0.0],
+        bar_range_deg: [[-170.0, 170.0], [12.0, 85.0], [-170.0, 170.0], [75.0, 165.0], [-170.0, 170.0]],
+        duration_s: 120.0,
+        bar_speed_rad_s: 0.8,
+        robot_speed_rad_s: 1.2,
+        standstill_s: 1.0,
+        bar_margin_deg: 10.0,
+        wrist_margin_deg: 12.0,
+        limit_margin_deg: 3.0,
+    };
+
+    /// Comau NJ 220-2.7 with a bar of 0.5 to 1.0 m.
+    pub const NJ_220: Self = Self { base_m: [1.7, 0.05, 0.6], ..Self::IRB_2400 };
+
+    /// The layout for a robot, by its reach: the upper arm of large robots is longer than a metre.
+    pub fn for_robot(robot: &RobotConfig) -> Self {
+        let upper_arm_m = robot.links.get(1).map_or(0.0, |link| link.a_m);
+        if upper_arm_m > 1.0 { Self::NJ_220 } else { Self::IRB_2400 }
+    }
+}

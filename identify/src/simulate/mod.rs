@@ -1,0 +1,170 @@
+//! Experiments from known true parameters: what the bar's encoders and the robot's log would have said.
+//!
+//! A path is chosen in the bar's joints ([`plan`]), so the robot moves on the bar's sphere by construction; the robot's
+//! joints follow from the inverse kinematics of its *true* chain. Encoder counts and robot log are then taken of that
+//! motion as the real things would, each on its own clock, with [`Effects`] that no estimator models. Nothing here is
+//! shared with the estimator but the kinematics: otherwise a simulation would only prove that a model inverts itself.
+
+mod design;
+mod effects;
+mod path;
+mod plan;
+mod sample;
+mod truth;
+mod write;
+
+pub use design::Design;
+pub use effects::Effects;
+pub use path::{Motion, Move, Path};
+pub use plan::{PlanError, plan};
+pub use truth::{ClockTruth, EncoderTruth, StaticErrors, Truth, parameter_names};
+pub use write::{SimulationFiles, WriteError, write};
+
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use serde::{Deserialize, Serialize};
+use shared::config::{BallBarConfig, RobotConfig};
+use shared::recording::schema::{CycleRecord, EncoderInfo};
+use shared::time::UtcNs;
+
+use crate::kinematics::{InverseError, ball_bar_chain, robot_chain};
+use crate::logs::RobotLog;
+
+/// How the robot's clock relates to the bar's.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Clocks {
+    /// First bar sample \[UTC ns\].
+    pub bar_start: UtcNs,
+    /// What the robot's clock shows at that instant \[ns\]; its zero may be anything.
+    pub robot_at_bar_start_ns: i64,
+    /// Robot seconds per bar second, minus one.
+    pub skew: f64,
+}
+
+impl Default for Clocks {
+    /// A bar run in 2026; a controller that was started 1.03 hours before and whose clock gains 25 ppm.
+    fn default() -> Self {
+        Self {
+            bar_start: UtcNs(1_780_000_000_000_000_000),
+            robot_at_bar_start_ns: 3_712_345_678_901,
+            skew: 25e-6,
+        }
+    }
+}
+
+/// Everything that decides a simulated experiment. Equal experiments give equal results, bit for bit.
+#[derive(Debug, Clone)]
+pub struct Experiment<'a> {
+    /// The robot, nominal.
+    pub robot: &'a RobotConfig,
+    /// The ball-bar, nominal, with its encoders.
+    pub bar: &'a BallBarConfig,
+    /// Where the bar stands and how the robot moves.
+    pub design: Design,
+    /// How the true parameters differ from the nominal ones.
+    pub errors: StaticErrors,
+    /// What no estimator models.
+    pub effects: Effects,
+    /// The two clocks.
+    pub clocks: Clocks,
+    /// Seed of path, encoder zeros and noise.
+    pub seed: u64,
+}
+
+impl<'a> Experiment<'a> {
+    /// The usual experiment with this robot and bar: the thesis' static errors and nothing else.
+    pub fn new(robot: &'a RobotConfig, bar: &'a BallBarConfig) -> Self {
+        Self {
+            robot,
+            bar,
+            design: Design::for_robot(robot),
+            errors: StaticErrors::Thesis,
+            effects: Effects::default(),
+            clocks: Clocks::default(),
+            seed: 1,
+        }
+    }
+}
+
+/// What a simulated experiment gives.
+#[derive(Debug, Clone)]
+pub struct Simulated {
+    /// The bar's recording: one valid record per 10 ms.
+    pub cycles: Vec<CycleRecord>,
+    /// Encoders in bus order.
+    pub encoders: Vec<EncoderInfo>,
+    /// The robot's log.
+    pub robot_log: RobotLog,
+    /// What an identification should find.
+    pub truth: Truth,
+    /// The error-free motion.
+    pub motion: Motion,
+}
+
+/// Why an experiment cannot be simulated.
+#[derive(Debug, thiserror::Error)]
+pub enum SimulateError {
+    /// No path.
+    #[error(transparent)]
+    Plan(#[from] PlanError),
+    /// The true robot cannot follow the path.
+    #[error("the robot cannot follow the bar {t_s:.3} s after the start: {source}; use smaller errors or another base")]
+    Follow {
+        /// Time on the path \[s\].
+        t_s: f64,
+        /// What the inverse kinematics said.
+        source: InverseError,
+    },
+    /// The noise cannot be drawn.
+    #[error("effects.{name} is {value_urad} urad; give a finite number that is not negative")]
+    Effect {
+        /// Key of the effect.
+        name: &'static str,
+        /// Its value.
+        value_urad: f64,
+    },
+}
+
+/// Independent random streams, so that one more draw for one purpose leaves all others as they were.
+#[derive(Debug, Clone, Copy)]
+enum Stream {
+    Path = 1,
+    StaticErrors = 2,
+    EncoderZeros = 3,
+    RobotEffects = 4,
+    EncoderEffects = 5,
+}
+
+fn random(seed: u64, stream: Stream) -> ChaCha8Rng {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    random.set_stream(stream as u64);
+    random
+}
+
+/// Runs an experiment.
+///
+/// # Errors
+/// [`SimulateError`] where base, length and robot do not allow a path, or an effect is no number.
+pub fn run(experiment: &Experiment<'_>) -> Result<Simulated, SimulateError> {
+    experiment.effects.check()?;
+    let Experiment { robot, bar, design, .. } = experiment;
+    let nominal_robot = robot_chain(robot, bar);
+    let mut nominal_bar = ball_bar_chain(bar);
+    nominal_bar.root_from_base = nalgebra::Translation3::from(design.base_m).into();
+    let mut path_random = random(experiment.seed, Stream::Path);
+    let (path, start_rad) =
+        plan(&nominal_robot, &nominal_bar, &robot.joint_limits_deg, design, &mut path_random)?;
+
+    let truth = Truth::new(experiment, &nominal_robot, &nominal_bar);
+    let motion = Motion {
+        path,
+        robot: truth.robot_chain(&nominal_robot),
+        bar: truth.bar_chain(&nominal_bar),
+        start_rad,
+    };
+    let robot_log = sample::robot_log(experiment, &motion)?;
+    let (cycles, encoders, encoder_truth) = sample::recording(experiment, &motion);
+    let truth = Truth { encoders: encoder_truth, ..truth };
+    Ok(Simulated { cycles, encoders, robot_log, truth, motion })
+}

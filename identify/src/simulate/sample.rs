@@ -1,0 +1,144 @@
+//! What the bar's encoders and the robot's log say of a motion, each on its own clock.
+
+use rand::Rng;
+use shared::encoder::{EncoderScale, wrap};
+use shared::recording::schema::{CycleRecord, EncoderInfo, EncoderSample, MAX_ENCODERS};
+use shared::time::{DcNs, MonoNs};
+
+use super::effects::Reading;
+use super::truth::EncoderTruth;
+use super::{Experiment, Motion, SimulateError, Stream, random};
+use crate::logs::{LogQuality, Origin, RobotLog};
+
+/// Time between two bus cycles \[ns\]: 100 Hz.
+pub(super) const CYCLE_NS: i64 = 10_000_000;
+/// Time between two stamps of the robot's log, on its own clock \[ns\]: 250 Hz.
+const ROBOT_PERIOD_NS: i64 = 4_000_000;
+/// The robot's log begins so long before the bar's recording and ends so long after it \[s\].
+const LOG_LEAD_S: f64 = 1.5;
+/// 2000-01-01 in UTC, where distributed clocks count from \[ns\] (ETG.1000.4).
+const DC_EPOCH_NS: i64 = 946_684_800_000_000_000;
+/// Uptime of the measurement PC at the first cycle \[ns\].
+const MONOTONIC_START_NS: i64 = 86_400_000_000_000;
+/// From sending a frame to having it back \[ns\].
+const ROUND_TRIP_NS: i64 = 60_000;
+/// Error of the UTC estimate, one standard deviation \[ns\].
+const UTC_UNCERTAINTY_NS: u32 = 1_000;
+/// What one EL5021 adds to the working counter (one logical read and write).
+const WORKING_COUNTER_PER_ENCODER: u16 = 3;
+
+/// The robot's log of the motion.
+pub(super) fn robot_log(experiment: &Experiment<'_>, motion: &Motion) -> Result<RobotLog, SimulateError> {
+    let rate = 1.0 + experiment.clocks.skew;
+    let lead_ns = ((LOG_LEAD_S * rate) * 1e9) as i64;
+    let length_s = motion.path.duration_s + 2.0 * LOG_LEAD_S;
+    let rows = (length_s * rate * 1e9 / ROBOT_PERIOD_NS as f64) as i64;
+    let mut reading =
+        Reading::of_robot(&experiment.effects, random(experiment.seed, Stream::RobotEffects));
+    let mut near_rad = motion.start_rad;
+    let mut log = RobotLog {
+        robot: Some(experiment.robot.name.clone()),
+        clock: "robot controller".into(),
+        origin: Origin::Measured,
+        first_stamp_ns: experiment.clocks.robot_at_bar_start_ns.saturating_sub(lead_ns),
+        quality: LogQuality {
+            period_s: ROBOT_PERIOD_NS as f64 * 1e-9,
+            longest_gap_s: ROBOT_PERIOD_NS as f64 * 1e-9,
+            ..LogQuality::default()
+        },
+        ..RobotLog::default()
+    };
+    for row in 0..rows {
+        let since_bar_start_ns = row * ROBOT_PERIOD_NS - lead_ns;
+        let t_s = since_bar_start_ns as f64 * 1e-9 / rate;
+        near_rad = motion
+            .robot_joints(t_s, &near_rad)
+            .map_err(|source| SimulateError::Follow { t_s, source })?;
+        log.t_s.push((row * ROBOT_PERIOD_NS) as f64 * 1e-9);
+        log.q_rad.push(reading.of(&near_rad));
+    }
+    Ok(log)
+}
+
+/// The bar's recording of the motion, its encoders, and where their zeros truly are.
+pub(super) fn recording(
+    experiment: &Experiment<'_>,
+    motion: &Motion,
+) -> (Vec<CycleRecord>, Vec<EncoderInfo>, Vec<EncoderTruth>) {
+    let encoders: Vec<EncoderInfo> = experiment
+        .bar
+        .encoders
+        .iter()
+        .map(|encoder| EncoderInfo { joint: encoder.joint, scale: encoder.scale() })
+        .collect();
+    let mut reading =
+        Reading::of_bar(&experiment.effects, random(experiment.seed, Stream::EncoderEffects));
+    let cycles = (motion.path.duration_s * 1e9 / CYCLE_NS as f64).round() as i64 + 1;
+    let angles: Vec<[f64; 5]> =
+        (0..cycles).map(|k| reading.of(&motion.path.at((k * CYCLE_NS) as f64 * 1e-9))).collect();
+    let mut zeros = random(experiment.seed, Stream::EncoderZeros);
+    let truth: Vec<EncoderTruth> = encoders
+        .iter()
+        .map(|encoder| {
+            let first = angles.first().map_or(0.0, |angles| angles[usize::from(encoder.joint) - 1]);
+            encoder_truth(encoder, first, zeros.random())
+        })
+        .collect();
+    let records = angles
+        .iter()
+        .enumerate()
+        .map(|(cycle, angles)| record(experiment, cycle as u64, angles, &encoders, &truth))
+        .collect();
+    (records, encoders, truth)
+}
+
+/// The zero of an encoder whose counter shows `shown` at the first sample: it may be any of its 2^32 counts.
+fn encoder_truth(encoder: &EncoderInfo, first_rad: f64, shown: u32) -> EncoderTruth {
+    let zero_counts = i64::from(shown) - encoder.scale.rad_to_counts(first_rad);
+    let EncoderScale { direction, .. } = encoder.scale;
+    // Whole turns are dropped in integers, so that the angle is exact.
+    let turns = (direction.sign() * zero_counts).rem_euclid(encoder.scale.counts_per_revolution());
+    let offset_rad = -(turns as f64) * encoder.scale.rad_per_count();
+    let offset_rad = if offset_rad > -std::f64::consts::PI {
+        offset_rad
+    } else {
+        offset_rad + std::f64::consts::TAU
+    };
+    EncoderTruth { joint: encoder.joint, zero_counts, offset_rad }
+}
+
+fn record(
+    experiment: &Experiment<'_>,
+    cycle: u64,
+    angles_rad: &[f64; 5],
+    encoders: &[EncoderInfo],
+    truth: &[EncoderTruth],
+) -> CycleRecord {
+    let since_start_ns = cycle as i64 * CYCLE_NS;
+    let sample_time = experiment.clocks.bar_start.plus_ns(since_start_ns);
+    let send_time = MonoNs(MONOTONIC_START_NS + since_start_ns);
+    let mut samples = [EncoderSample::default(); MAX_ENCODERS];
+    for ((sample, encoder), truth) in samples.iter_mut().zip(encoders).zip(truth) {
+        let angle_rad = angles_rad[usize::from(encoder.joint) - 1];
+        *sample = EncoderSample {
+            joint: encoder.joint,
+            count: wrap(encoder.scale.rad_to_counts(angle_rad) + truth.zero_counts),
+            valid: true,
+            ..EncoderSample::default()
+        };
+    }
+    let working_counter = WORKING_COUNTER_PER_ENCODER * encoders.len() as u16;
+    CycleRecord {
+        cycle,
+        sample_time,
+        sample_time_uncertainty_ns: UTC_UNCERTAINTY_NS,
+        dc_time: DcNs(sample_time.0.saturating_sub(DC_EPOCH_NS)),
+        send_time,
+        receive_time: send_time.plus_ns(ROUND_TRIP_NS),
+        working_counter,
+        working_counter_expected: working_counter,
+        flags: 0,
+        encoder_count: encoders.len() as u8,
+        encoders: samples,
+    }
+}

@@ -1,0 +1,236 @@
+//! The parameters that an identification should find.
+
+use std::collections::BTreeMap;
+
+use rand::Rng;
+use rand_distr::StandardNormal;
+use serde::{Deserialize, Serialize};
+use shared::time::UtcNs;
+
+use super::{Design, Effects, Experiment, Stream, random};
+use crate::kinematics::{Chain, Pose};
+
+/// Static errors of the simulations in the thesis (TFRT-6017 table 3.1) \[mm|mrad\]. Its first row is illegible; the
+/// values of `ra1`, `ralpha1`, `btheta1` and `ox` are our own.
+const THESIS_ERRORS: [(&str, f64); 28] = [
+    ("ra1", 0.47),
+    ("ralpha1", -0.64),
+    ("btheta1", 0.53),
+    ("ox", 1.05),
+    ("ra2", 0.14),
+    ("rd2", 0.27),
+    ("ralpha2", 0.78),
+    ("rtheta2", -0.09),
+    ("btheta2", 1.27),
+    ("oy", 0.80),
+    ("ra3", -1.52),
+    ("ralpha3", -1.36),
+    ("rtheta3", 0.19),
+    ("bd3", 0.24),
+    ("btheta3", -1.90),
+    ("oz", -0.70),
+    ("ra4", -1.88),
+    ("rd4", -0.16),
+    ("ralpha4", 0.35),
+    ("rtheta4", -0.12),
+    ("btheta4", -0.19),
+    ("ra5", 0.80),
+    ("rd5", 1.80),
+    ("ralpha5", 0.08),
+    ("rtheta5", 0.72),
+    ("btheta5", 0.98),
+    ("rd6", -1.47),
+    ("rtheta6", -0.22),
+];
+
+/// Parameters that the thesis fixes because others do the same: they have no error.
+const FIXED: [&str; 9] = ["ra6", "ba5", "rd1", "bd1", "rd3", "rtheta1", "bd5", "balpha2", "balpha5"];
+
+/// How the true parameters differ from the nominal ones.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StaticErrors {
+    /// Not at all.
+    None,
+    /// Table 3.1 of the thesis.
+    #[default]
+    Thesis,
+    /// N(0, 1 mm|mrad) on the 38 parameters that the thesis leaves free.
+    Drawn {
+        /// Seed of the draw.
+        seed: u64,
+    },
+}
+
+impl StaticErrors {
+    /// Error by parameter \[m|rad\]; those not named have none.
+    fn by_name(self) -> BTreeMap<String, f64> {
+        match self {
+            Self::None => BTreeMap::new(),
+            Self::Thesis => {
+                THESIS_ERRORS.iter().map(|&(name, error)| (name.to_owned(), error * 1e-3)).collect()
+            }
+            Self::Drawn { seed } => {
+                let mut random = random(seed, Stream::StaticErrors);
+                parameter_names()
+                    .into_iter()
+                    .filter(|name| !FIXED.contains(&name.as_str()) && !name.starts_with("or"))
+                    .map(|name| (name, 1e-3 * random.sample::<f64, _>(StandardNormal)))
+                    .collect()
+            }
+        }
+    }
+}
+
+/// Names of all geometric parameters: robot and bar links, base position and tilt.
+pub fn parameter_names() -> Vec<String> {
+    let links = |chain: char, count: usize| {
+        ["a", "d", "alpha", "theta"]
+            .into_iter()
+            .flat_map(move |kind| (1..=count).map(move |link| format!("{chain}{kind}{link}")))
+    };
+    let base = ["ox", "oy", "oz", "orx", "ory"].map(str::to_owned);
+    links('r', 6).chain(links('b', 5)).chain(base).collect()
+}
+
+/// The two clocks, as a solve should find them.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ClockTruth {
+    /// First bar sample \[UTC ns\].
+    pub bar_start: UtcNs,
+    /// The robot's clock at that instant \[ns\].
+    pub robot_at_bar_start_ns: i64,
+    /// Robot clock minus bar clock at that instant \[s\], rounded to what a number holds.
+    pub shift_s: f64,
+    /// Robot seconds per bar second, minus one.
+    pub skew: f64,
+}
+
+impl ClockTruth {
+    /// The robot's clock where the bar's shows `bar` \[ns\].
+    pub fn robot_ns(&self, bar: UtcNs) -> f64 {
+        let passed = bar.ns_since(self.bar_start) as f64;
+        self.robot_at_bar_start_ns as f64 + passed * (1.0 + self.skew)
+    }
+}
+
+/// One encoder: `joint = sign * rad_per_count * counts + offset_rad`, counts unwrapped from the first one.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct EncoderTruth {
+    /// Bar joint, 1 to 5.
+    pub joint: u8,
+    /// Count at joint angle zero.
+    pub zero_counts: i64,
+    /// Joint angle at count zero, in (-pi, pi] \[rad\]. With `btheta` of the joint it is all of the offset that can be
+    /// identified.
+    pub offset_rad: f64,
+}
+
+/// Everything that is true of a simulated experiment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Truth {
+    /// The robot's name.
+    pub robot: String,
+    /// The bar's name.
+    pub ball_bar: String,
+    /// Seed of path, encoder zeros and noise.
+    pub seed: u64,
+    /// The clocks.
+    pub clock: ClockTruth,
+    /// How the static errors were chosen.
+    pub errors: StaticErrors,
+    /// Unmodelled effects.
+    pub effects: Effects,
+    /// Layout and motion.
+    pub design: Design,
+    /// Nominal parameters by name \[m|rad\]; `ox`, `oy`, `oz` are those of the design.
+    pub nominal: BTreeMap<String, f64>,
+    /// True parameters by name \[m|rad\].
+    pub parameters: BTreeMap<String, f64>,
+    /// Encoders in bus order.
+    pub encoders: Vec<EncoderTruth>,
+}
+
+impl Truth {
+    pub(super) fn new(experiment: &Experiment<'_>, robot: &Chain, bar: &Chain) -> Self {
+        let errors = experiment.errors.by_name();
+        let nominal = nominal(robot, bar);
+        let [orx, ory] = experiment.effects.base_tilt_rad();
+        let parameters = nominal
+            .iter()
+            .map(|(name, value)| {
+                let tilt = match name.as_str() {
+                    "orx" => orx,
+                    "ory" => ory,
+                    _ => 0.0,
+                };
+                (name.clone(), value + tilt + errors.get(name).copied().unwrap_or(0.0))
+            })
+            .collect();
+        let clocks = experiment.clocks;
+        let shift_ns = i128::from(clocks.robot_at_bar_start_ns) - i128::from(clocks.bar_start.0);
+        Self {
+            robot: experiment.robot.name.clone(),
+            ball_bar: experiment.bar.name.clone(),
+            seed: experiment.seed,
+            clock: ClockTruth {
+                bar_start: clocks.bar_start,
+                robot_at_bar_start_ns: clocks.robot_at_bar_start_ns,
+                shift_s: shift_ns as f64 * 1e-9,
+                skew: clocks.skew,
+            },
+            errors: experiment.errors,
+            effects: experiment.effects,
+            design: experiment.design.clone(),
+            nominal,
+            parameters,
+            encoders: Vec::new(),
+        }
+    }
+
+    /// True minus nominal value \[m|rad\]; 0 for a name that is none.
+    pub fn error(&self, name: &str) -> f64 {
+        let value = |map: &BTreeMap<String, f64>| map.get(name).copied().unwrap_or(0.0);
+        value(&self.parameters) - value(&self.nominal)
+    }
+
+    /// The true robot, from the nominal one.
+    pub fn robot_chain(&self, nominal: &Chain) -> Chain {
+        self.with_errors(nominal, 'r')
+    }
+
+    /// The true bar on its true base, from the nominal one (whose base is not looked at).
+    pub fn bar_chain(&self, nominal: &Chain) -> Chain {
+        let value = |name: &str| self.parameters.get(name).copied().unwrap_or(0.0);
+        let position = nalgebra::Translation3::new(value("ox"), value("oy"), value("oz"));
+        let about_x = nalgebra::Rotation3::from_axis_angle(&nalgebra::Vector3::x_axis(), value("orx"));
+        let about_y = nalgebra::Rotation3::from_axis_angle(&nalgebra::Vector3::y_axis(), value("ory"));
+        let root_from_base = Pose::from_parts(position, about_x * about_y);
+        Chain { root_from_base, ..self.with_errors(nominal, 'b') }
+    }
+
+    fn with_errors(&self, nominal: &Chain, chain: char) -> Chain {
+        let mut moved = nominal.clone();
+        for (index, link) in moved.links.iter_mut().enumerate() {
+            let error = |kind: &str| self.error(&format!("{chain}{kind}{}", index + 1));
+            link.a_m += error("a");
+            link.d_m += error("d");
+            link.alpha_rad += error("alpha");
+            link.theta_rad += error("theta");
+        }
+        moved
+    }
+}
+
+fn nominal(robot: &Chain, bar: &Chain) -> BTreeMap<String, f64> {
+    let links = [('r', robot), ('b', bar)].into_iter().flat_map(|(letter, chain)| {
+        chain.links.iter().enumerate().flat_map(move |(index, link)| {
+            [("a", link.a_m), ("d", link.d_m), ("alpha", link.alpha_rad), ("theta", link.theta_rad)]
+                .map(|(kind, value)| (format!("{letter}{kind}{}", index + 1), value))
+        })
+    });
+    let base = bar.root_from_base.translation.vector;
+    let base = [("ox", base.x), ("oy", base.y), ("oz", base.z), ("orx", 0.0), ("ory", 0.0)]
+        .map(|(name, value)| (name.to_owned(), value));
+    links.chain(base).collect()
+}

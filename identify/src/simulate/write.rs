@@ -1,0 +1,97 @@
+//! Puts a simulated experiment into files: the same three that a real one leaves, and the truth beside them.
+
+use std::path::{Path, PathBuf};
+
+use shared::config::{BallBarConfig, RobotConfig};
+use shared::recording::RecordingWriter;
+use shared::recording::schema::RunMetadata;
+
+use super::Simulated;
+use super::sample::CYCLE_NS;
+use crate::logs::{self, LogError};
+
+/// Where the files of a simulated experiment are.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct SimulationFiles {
+    /// The bar's recording.
+    pub recording: PathBuf,
+    /// The robot's log.
+    pub robot_log: PathBuf,
+    /// The true parameters.
+    pub truth: PathBuf,
+}
+
+/// Why the files cannot be written.
+#[derive(Debug, thiserror::Error)]
+pub enum WriteError {
+    /// The recording.
+    #[error(transparent)]
+    Recording(#[from] shared::recording::WriteError),
+    /// Robot log or truth.
+    #[error(transparent)]
+    File(#[from] LogError),
+    /// The truth does not fit TOML.
+    #[error("the true parameters cannot be written as TOML: {0}; use finite effects and clocks")]
+    Truth(#[from] toml::ser::Error),
+}
+
+/// Writes `recording.mcap`, `robot_log.csv` and `truth.toml` into `directory`, which is made where it is missing.
+///
+/// # Errors
+/// [`WriteError`]; a recording that exists already is never overwritten.
+pub fn write(
+    directory: &Path,
+    simulated: &Simulated,
+    robot: &RobotConfig,
+    bar: &BallBarConfig,
+) -> Result<SimulationFiles, WriteError> {
+    const RECORDING: &str = "recording";
+    let files = SimulationFiles {
+        recording: directory.join(format!("{RECORDING}.mcap")),
+        robot_log: directory.join("robot_log.csv"),
+        truth: directory.join("truth.toml"),
+    };
+    let truth = toml::to_string(&simulated.truth)?;
+    let mut writer =
+        RecordingWriter::create(directory, &metadata(RECORDING, simulated, robot, bar)?)?;
+    for cycle in &simulated.cycles {
+        writer.write_cycle(cycle)?;
+    }
+    let ended = simulated.cycles.last().map_or(simulated.truth.clock.bar_start, |cycle| cycle.sample_time);
+    writer.finish("the simulated path is over", ended)?;
+
+    let unwritable = |path: &Path| {
+        let path = path.to_owned();
+        move |source| LogError::Unwritable { path, source }
+    };
+    let sink = std::fs::File::create(&files.robot_log).map_err(unwritable(&files.robot_log))?;
+    logs::write(&simulated.robot_log, robot, sink).map_err(unwritable(&files.robot_log))?;
+    std::fs::write(&files.truth, truth).map_err(unwritable(&files.truth))?;
+    Ok(files)
+}
+
+fn metadata(
+    name: &str,
+    simulated: &Simulated,
+    robot: &RobotConfig,
+    bar: &BallBarConfig,
+) -> Result<RunMetadata, toml::ser::Error> {
+    let started = simulated.truth.clock.bar_start;
+    let monotonic_ns = simulated.cycles.first().map_or(0, |cycle| cycle.send_time.0);
+    Ok(RunMetadata {
+        name: name.to_owned(),
+        operator: String::new(),
+        robot: robot.name.clone(),
+        note: format!("simulated from known parameters, seed {}", simulated.truth.seed),
+        started,
+        software: format!("identify {}", env!("CARGO_PKG_VERSION")),
+        bus: "simulated".into(),
+        cycle_period_ns: CYCLE_NS as u64,
+        distributed_clocks: true,
+        utc_minus_monotonic_ns: started.0.saturating_sub(monotonic_ns),
+        encoders: simulated.encoders.clone(),
+        devices: Vec::new(),
+        daemon_config: String::new(),
+        ball_bar_config: toml::to_string(bar)?,
+    })
+}

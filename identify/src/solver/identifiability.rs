@@ -1,0 +1,252 @@
+//! Which free parameters the samples determine, by an orthogonal factorisation of the Jacobian.
+//!
+//! Columns are scaled to unit length first, so that metres, radians and seconds compare. The singular values of the
+//! scaled triangle show the rank and how clear its gap is; the null space shows who depends on whom.
+
+use std::fmt;
+
+use nalgebra::{DMatrix, DVector};
+
+use super::covariance::Covariance;
+use super::null_space::dependent_groups;
+use super::panel::{SampleFit, Taking, fold_triangle, pass};
+use super::{Options, Problem, SolveError};
+
+/// Parameters of which only combinations are determined.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DependentGroup {
+    /// Columns, ascending.
+    pub columns: Vec<usize>,
+    /// How many of them must be fixed before the rest is determined.
+    pub excess: usize,
+}
+
+/// What the samples and priors determine.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Identifiability {
+    /// Names of the columns.
+    pub names: Vec<String>,
+    /// Rank with samples and priors.
+    pub rank: usize,
+    /// Rank with samples alone.
+    pub rank_of_samples: usize,
+    /// Singular values of the column-scaled Jacobian (samples and priors), descending.
+    pub singular_values: Vec<f64>,
+    /// Columns that change nothing.
+    pub zero_columns: Vec<usize>,
+    /// Columns that depend on each other, smallest groups first.
+    pub groups: Vec<DependentGroup>,
+}
+
+/// Some free parameters are not determined by the samples.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{rank} of {columns} free parameters are identified: {what}; fix the surplus ones, give them a prior, \
+     or measure more varied poses"
+)]
+pub struct Unidentifiable {
+    /// Rank found.
+    pub rank: usize,
+    /// Free parameters.
+    pub columns: usize,
+    /// The culprits by name.
+    pub what: String,
+}
+
+impl Identifiability {
+    /// Every free parameter is determined.
+    pub fn is_full(&self) -> bool {
+        self.rank == self.names.len()
+    }
+
+    /// How clear the rank is: the smallest singular value that counts over the largest that does not. None where all
+    /// count.
+    pub fn gap(&self) -> Option<f64> {
+        let smallest = self.singular_values.get(self.rank.checked_sub(1)?)?;
+        Some(smallest / self.singular_values.get(self.rank)?)
+    }
+
+    /// Smallest singular value over the largest, of those that count: the inverse of the condition number.
+    pub fn weakest(&self) -> f64 {
+        let last = self.rank.checked_sub(1).and_then(|i| self.singular_values.get(i));
+        match (last, self.singular_values.first()) {
+            (Some(last), Some(first)) if *first > 0.0 => last / first,
+            _ => 0.0,
+        }
+    }
+
+    /// Columns that are not determined: zero or in a dependent group.
+    pub fn undetermined(&self) -> Vec<usize> {
+        let mut columns = self.zero_columns.clone();
+        columns.extend(self.groups.iter().flat_map(|group| group.columns.iter().copied()));
+        columns.sort_unstable();
+        columns.dedup();
+        columns
+    }
+
+    /// Nothing, if every free parameter is determined.
+    ///
+    /// # Errors
+    /// Names zero columns and dependent groups.
+    pub fn require_full(&self) -> Result<(), Unidentifiable> {
+        if self.is_full() {
+            return Ok(());
+        }
+        Err(Unidentifiable { rank: self.rank, columns: self.names.len(), what: self.describe() })
+    }
+
+    fn name(&self, column: usize) -> &str {
+        self.names.get(column).map_or("?", String::as_str)
+    }
+
+    fn join(&self, columns: &[usize], separator: &str) -> String {
+        columns.iter().map(|&column| self.name(column)).collect::<Vec<_>>().join(separator)
+    }
+
+    fn describe(&self) -> String {
+        let mut parts = Vec::new();
+        if !self.zero_columns.is_empty() {
+            parts.push(format!("without effect {}", self.join(&self.zero_columns, ", ")));
+        }
+        for group in &self.groups {
+            parts.push(format!("dependent {} (fix {})", self.join(&group.columns, "|"), group.excess));
+        }
+        parts.join("; ")
+    }
+}
+
+impl fmt::Display for Identifiability {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "rank {} of {}", self.rank, self.names.len())?;
+        match self.gap() {
+            Some(gap) => write!(f, ", gap {gap:.0e}, {}", self.describe()),
+            None => write!(f, ", weakest direction {:.0e} of the strongest", self.weakest()),
+        }
+    }
+}
+
+/// Singular values and right singular vectors of a triangle with columns scaled to unit length.
+pub(super) struct ScaledSpectrum {
+    /// Column lengths before scaling, zero where the column is.
+    pub(super) lengths: DVector<f64>,
+    /// Descending.
+    pub(super) singular_values: DVector<f64>,
+    /// One row for each singular value.
+    pub(super) v_transposed: DMatrix<f64>,
+    /// Singular values that count.
+    pub(super) rank: usize,
+}
+
+impl ScaledSpectrum {
+    fn new(triangle: &DMatrix<f64>, tolerance: f64) -> Self {
+        let columns = triangle.ncols();
+        let mut lengths = DVector::from_iterator(columns, triangle.column_iter().map(|c| c.norm()));
+        // A column of rounding noise beside real ones is zero.
+        let longest = lengths.max();
+        lengths.iter_mut().for_each(|l| {
+            if *l <= 1e-12 * longest {
+                *l = 0.0;
+            }
+        });
+        // Square, so that there is a right singular vector for every column.
+        let mut scaled = DMatrix::zeros(columns.max(triangle.nrows()), columns);
+        scaled.rows_mut(0, triangle.nrows()).copy_from(triangle);
+        for (mut column, &length) in scaled.column_iter_mut().zip(lengths.iter()) {
+            column *= if length > 0.0 { length.recip() } else { 0.0 };
+        }
+        let svd = scaled.svd(false, true);
+        let singular_values = svd.singular_values;
+        let v_transposed = svd.v_t.unwrap_or_else(|| DMatrix::identity(columns, columns));
+        let floor = tolerance * singular_values.max();
+        let rank = singular_values.iter().filter(|s| **s > floor).count();
+        Self { lengths, singular_values, v_transposed, rank }
+    }
+
+    /// Orthonormal basis of the null space, one column for each missing rank.
+    fn null_basis(&self) -> DMatrix<f64> {
+        let missing = self.v_transposed.nrows() - self.rank;
+        self.v_transposed.rows(self.rank, missing).transpose()
+    }
+}
+
+/// Triangle of the samples' weighted Jacobian.
+fn sample_triangle<P: Problem>(
+    problem: &P,
+    x: &[f64],
+    options: &Options,
+    taking: Taking<'_>,
+) -> Result<(DMatrix<f64>, Vec<SampleFit>), super::panel::PassError> {
+    let mut triangle = DMatrix::zeros(0, problem.columns());
+    let fits =
+        pass(problem, x, options.loss, taking, |panel| fold_triangle(&panel.jacobian(), &mut triangle))?;
+    Ok((triangle, fits))
+}
+
+/// Adds the priors' rows.
+fn with_priors<P: Problem>(problem: &P, triangle: &DMatrix<f64>) -> DMatrix<f64> {
+    let priors = problem.priors();
+    let mut stacked = DMatrix::zeros(triangle.nrows() + priors.len(), triangle.ncols());
+    stacked.rows_mut(0, triangle.nrows()).copy_from(triangle);
+    for (i, prior) in priors.iter().enumerate() {
+        stacked[(triangle.nrows() + i, prior.column)] = prior.sigma.recip();
+    }
+    stacked.qr().unpack_r()
+}
+
+fn examine<P: Problem>(
+    problem: &P,
+    triangle: &DMatrix<f64>,
+    options: &Options,
+) -> (Identifiability, ScaledSpectrum) {
+    let rank_of_samples = ScaledSpectrum::new(triangle, options.rank_tolerance).rank;
+    let spectrum = ScaledSpectrum::new(&with_priors(problem, triangle), options.rank_tolerance);
+    let zero_columns: Vec<usize> =
+        (0..problem.columns()).filter(|&column| spectrum.lengths[column] == 0.0).collect();
+    let identifiability = Identifiability {
+        names: (0..problem.columns()).map(|column| problem.column_name(column)).collect(),
+        rank: spectrum.rank,
+        rank_of_samples,
+        singular_values: spectrum.singular_values.iter().copied().collect(),
+        groups: dependent_groups(&spectrum.null_basis(), &zero_columns),
+        zero_columns,
+    };
+    (identifiability, spectrum)
+}
+
+/// What the samples can identify at `x`, without solving: for choosing parameters and poses.
+///
+/// # Errors
+/// [`SolveError`] where no sample is usable.
+pub fn identifiability<P: Problem>(
+    problem: &P,
+    x: &[f64],
+    options: &Options,
+) -> Result<Identifiability, SolveError> {
+    if x.len() != problem.columns() {
+        return Err(SolveError::StartLength { found: x.len(), expected: problem.columns() });
+    }
+    match sample_triangle(problem, x, options, Taking::WhatIsThere) {
+        Err(super::panel::PassError::NotFinite(sample)) => Err(SolveError::NotFinite { sample }),
+        Ok((_, fits)) if !fits.iter().any(|fit| fit.present) => {
+            Err(SolveError::NoSamples { samples: problem.samples() })
+        }
+        Err(super::panel::PassError::Lost) => Err(SolveError::NoSamples { samples: problem.samples() }),
+        Ok((triangle, _)) => Ok(examine(problem, &triangle, options).0),
+    }
+}
+
+/// Identifiability and covariance where a solve ended.
+pub(super) fn at_solution<P: Problem>(
+    problem: &P,
+    x: &[f64],
+    options: &Options,
+    fits: &[SampleFit],
+) -> (Identifiability, Covariance) {
+    // The same samples at the same point were finite a moment ago.
+    let triangle = sample_triangle(problem, x, options, Taking::These(fits))
+        .map_or_else(|_| DMatrix::zeros(0, problem.columns()), |(triangle, _)| triangle);
+    let (identifiability, spectrum) = examine(problem, &triangle, options);
+    let factor = options.noise.variance_factor(problem, x, fits);
+    let covariance = Covariance::new(&spectrum, &identifiability.undetermined(), factor);
+    (identifiability, covariance)
+}

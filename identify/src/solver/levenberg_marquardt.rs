@@ -1,0 +1,354 @@
+//! Levenberg-Marquardt with Marquardt's column scaling and Nielsen's damping.
+//!
+//! References: Marquardt 1963; More 1978 (scaling that only grows); Nielsen, IMM-REP-1999-05 (damping by the gain
+//! ratio); Madsen, Nielsen, Tingleff 2004.
+
+use std::fmt;
+
+use nalgebra::{DMatrix, DVector};
+
+use super::covariance::{Covariance, Noise};
+use super::identifiability::{Identifiability, Unidentifiable, at_solution};
+use super::panel::{PassError, SampleFit, Taking, fold_normal, pass};
+use super::{Loss, Problem, SolveError};
+
+/// When to stop and what to assume.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Options {
+    /// Loss of each sample.
+    pub loss: Loss,
+    /// Accepted steps at most.
+    pub iterations_max: usize,
+    /// Stop where the scaled step is this part of the scaled parameters.
+    pub step_tolerance: f64,
+    /// Stop where actual and predicted decrease are this part of the cost.
+    pub cost_tolerance: f64,
+    /// Stop where the cosine between residual and every column is below this.
+    pub gradient_tolerance: f64,
+    /// First damping, relative to the scaled normal matrix. Small: the start is good to millimetres, and a larger one
+    /// would hold back exactly the weak directions.
+    pub damping_start: f64,
+    /// Singular values of the column-scaled Jacobian below this part of the largest count as zero.
+    pub rank_tolerance: f64,
+    /// What residuals are worth.
+    pub noise: Noise,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            loss: Loss::Squared,
+            iterations_max: 100,
+            step_tolerance: 1e-12,
+            cost_tolerance: 1e-14,
+            gradient_tolerance: 1e-14,
+            damping_start: 1e-6,
+            rank_tolerance: 1e-6,
+            noise: Noise::Estimated,
+        }
+    }
+}
+
+/// Why the solve ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Termination {
+    /// Steps became as small as asked.
+    SmallStep,
+    /// The cost no longer falls.
+    SmallDecrease,
+    /// Residual and columns are orthogonal.
+    SmallGradient,
+    /// Every residual is zero to rounding.
+    ZeroResidual,
+    /// The limit of iterations was reached first.
+    IterationLimit,
+    /// No damping gives a lower cost: derivatives are wrong or the problem is rounding.
+    NoDecrease,
+}
+
+impl Termination {
+    /// The solve ended at a minimum.
+    pub fn converged(self) -> bool {
+        !matches!(self, Self::IterationLimit | Self::NoDecrease)
+    }
+}
+
+impl fmt::Display for Termination {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::SmallStep => "converged: the step is negligible",
+            Self::SmallDecrease => "converged: the cost no longer falls",
+            Self::SmallGradient => "converged: the gradient is zero",
+            Self::ZeroResidual => "converged: all residuals are zero",
+            Self::IterationLimit => "not converged: iteration limit",
+            Self::NoDecrease => "not converged: no step lowers the cost",
+        })
+    }
+}
+
+/// How the solve went.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Summary {
+    /// Why it ended.
+    pub termination: Termination,
+    /// Accepted steps.
+    pub iterations: usize,
+    /// Passes over all samples.
+    pub evaluations: usize,
+    /// Half the sum of losses and squared prior residuals at the start.
+    pub cost_start: f64,
+    /// The same at the end.
+    pub cost_end: f64,
+    /// Root mean square of all residual entries at the start, unweighted, without priors.
+    pub residual_rms_start: f64,
+    /// The same at the end.
+    pub residual_rms: f64,
+    /// Samples that took part.
+    pub samples_used: usize,
+    /// Samples without a value at the start.
+    pub samples_left_out: usize,
+}
+
+/// A solve's outcome.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Solution {
+    /// Free parameters.
+    pub x: Vec<f64>,
+    /// How it went.
+    pub summary: Summary,
+    /// What the samples could tell.
+    pub identifiability: Identifiability,
+    /// How well.
+    pub covariance: Covariance,
+    /// Weight that the loss gave each sample, zero where left out.
+    pub sample_weights: Vec<f64>,
+}
+
+impl Solution {
+    /// The solution if every free parameter is identified.
+    ///
+    /// # Errors
+    /// Names the columns that are not.
+    pub fn identified(self) -> Result<Self, Unidentifiable> {
+        self.identifiability.require_full()?;
+        Ok(self)
+    }
+}
+
+/// Normal equations at a point.
+struct Linearization {
+    cost: f64,
+    normal: DMatrix<f64>,
+    gradient: DVector<f64>,
+    fits: Vec<SampleFit>,
+}
+
+fn linearize<P: Problem>(
+    problem: &P,
+    x: &DVector<f64>,
+    loss: Loss,
+    taking: Taking<'_>,
+) -> Result<Linearization, PassError> {
+    let columns = problem.columns();
+    let mut normal = DMatrix::zeros(columns, columns);
+    let mut gradient = DVector::zeros(columns);
+    let fits = pass(problem, x.as_slice(), loss, taking, |panel| {
+        fold_normal(panel, &mut normal, &mut gradient);
+    })?;
+    let mut twice: f64 = fits.iter().filter(|fit| fit.present).map(|fit| loss.rho(fit.squared)).sum();
+    for prior in problem.priors() {
+        let (column, weight) = (prior.column, prior.sigma.powi(-2));
+        let error = x[column] - prior.value;
+        normal[(column, column)] += weight;
+        gradient[column] += weight * error;
+        twice += weight * error * error;
+    }
+    Ok(Linearization { cost: 0.5 * twice, normal, gradient, fits })
+}
+
+/// Damping and scaling between steps.
+struct Damping {
+    lambda: f64,
+    growth: f64,
+    /// Squared column norms, the largest seen so far.
+    scale_squared: DVector<f64>,
+}
+
+impl Damping {
+    fn new(lambda: f64, normal: &DMatrix<f64>) -> Self {
+        let mut damping = Self { lambda, growth: 2.0, scale_squared: DVector::zeros(normal.nrows()) };
+        damping.rescale(normal);
+        damping
+    }
+
+    fn rescale(&mut self, normal: &DMatrix<f64>) {
+        for (scale, found) in self.scale_squared.iter_mut().zip(normal.diagonal().iter()) {
+            *scale = scale.max(*found);
+        }
+    }
+
+    /// Step of `(H + lambda D) step = -g` and the decrease it promises.
+    ///
+    /// A column that does nothing gets no step, rather than a singular matrix: it is named afterwards.
+    fn step(&self, at: &Linearization) -> Option<(DVector<f64>, f64)> {
+        let inverse_scale = self.scale_squared.map(|s| if s > 0.0 { s.sqrt().recip() } else { 0.0 });
+        let mut scaled = at.normal.clone();
+        for (j, mut column) in scaled.column_iter_mut().enumerate() {
+            column.component_mul_assign(&inverse_scale);
+            column *= inverse_scale[j];
+            column[j] += if self.scale_squared[j] > 0.0 { self.lambda } else { 1.0 };
+        }
+        let scaled_gradient = at.gradient.component_mul(&inverse_scale);
+        let scaled_step = scaled.cholesky()?.solve(&-&scaled_gradient);
+        let predicted = 0.5 * (self.lambda * scaled_step.norm_squared() - scaled_step.dot(&scaled_gradient));
+        Some((scaled_step.component_mul(&inverse_scale), predicted))
+    }
+
+    fn accept(&mut self, gain: f64) {
+        // Nielsen's rule, with a faster fall after a step that kept its promise.
+        self.lambda *= (1.0 - (2.0 * gain - 1.0).powi(3)).max(0.1);
+        self.growth = 2.0;
+    }
+
+    fn refuse(&mut self) {
+        self.lambda *= self.growth;
+        self.growth *= 2.0;
+    }
+
+    fn exhausted(&self) -> bool {
+        self.lambda > 1e20
+    }
+
+    fn scaled_norm(&self, v: &DVector<f64>) -> f64 {
+        v.iter().zip(self.scale_squared.iter()).map(|(v, s)| v * v * s).sum::<f64>().sqrt()
+    }
+}
+
+/// Root mean square of the residual entries of the samples that take part.
+fn residual_rms(fits: &[SampleFit], rows: usize) -> f64 {
+    let (count, sum) = fits
+        .iter()
+        .filter(|fit| fit.present)
+        .fold((0usize, 0.0), |(count, sum), fit| (count + rows, sum + fit.squared));
+    if count == 0 { 0.0 } else { (sum / count as f64).sqrt() }
+}
+
+/// Largest cosine between the residual and a column.
+fn gradient_cosine(at: &Linearization) -> f64 {
+    let norm = (2.0 * at.cost).sqrt();
+    if norm == 0.0 {
+        return 0.0;
+    }
+    let diagonal = at.normal.diagonal();
+    let cosines = at.gradient.iter().zip(diagonal.iter()).filter(|(_, d)| **d > 0.0);
+    cosines.map(|(g, d)| (g / (d.sqrt() * norm)).abs()).fold(0.0, f64::max)
+}
+
+/// What the descent hands on.
+struct Descent {
+    x: DVector<f64>,
+    at: Linearization,
+    termination: Termination,
+    iterations: usize,
+    evaluations: usize,
+}
+
+/// The iteration itself.
+fn descend<P: Problem>(problem: &P, start: Linearization, x: DVector<f64>, options: &Options) -> Descent {
+    let mut damping = Damping::new(options.damping_start, &start.normal);
+    let mut now =
+        Descent { x, at: start, termination: Termination::IterationLimit, iterations: 0, evaluations: 1 };
+    while now.iterations < options.iterations_max {
+        if now.at.cost == 0.0 {
+            now.termination = Termination::ZeroResidual;
+            return now;
+        }
+        if gradient_cosine(&now.at) <= options.gradient_tolerance {
+            now.termination = Termination::SmallGradient;
+            return now;
+        }
+        if damping.exhausted() {
+            now.termination = Termination::NoDecrease;
+            return now;
+        }
+        let Some((step, predicted)) = damping.step(&now.at) else {
+            damping.refuse();
+            continue;
+        };
+        let small_step = damping.scaled_norm(&step) <= options.step_tolerance * damping.scaled_norm(&now.x);
+        let trial_x = &now.x + &step;
+        let trial = linearize(problem, &trial_x, options.loss, Taking::These(&now.at.fits));
+        now.evaluations += 1;
+        let decrease = trial.as_ref().map_or(f64::NEG_INFINITY, |trial| now.at.cost - trial.cost);
+        let negligible = options.cost_tolerance * now.at.cost;
+        let small_decrease = decrease.abs() <= negligible && predicted <= negligible;
+        if let Ok(trial) = trial
+            && decrease > 0.0
+        {
+            damping.accept(decrease / predicted);
+            damping.rescale(&trial.normal);
+            now.x = trial_x;
+            now.at = trial;
+            now.iterations += 1;
+        } else {
+            damping.refuse();
+        }
+        if small_step || small_decrease {
+            now.termination = if small_step { Termination::SmallStep } else { Termination::SmallDecrease };
+            return now;
+        }
+    }
+    now
+}
+
+/// The descent of [`solve`] alone: the minimum, how it was reached, and each sample's fit there.
+pub(super) fn minimise<P: Problem>(
+    problem: &P,
+    start: &[f64],
+    options: &Options,
+) -> Result<(DVector<f64>, Summary, Vec<SampleFit>), SolveError> {
+    let columns = problem.columns();
+    if columns == 0 {
+        return Err(SolveError::NothingFree);
+    }
+    if start.len() != columns {
+        return Err(SolveError::StartLength { found: start.len(), expected: columns });
+    }
+    let x = DVector::from_column_slice(start);
+    let first = linearize(problem, &x, options.loss, Taking::WhatIsThere).map_err(|error| match error {
+        PassError::NotFinite(sample) => SolveError::NotFinite { sample },
+        PassError::Lost => SolveError::NoSamples { samples: problem.samples() },
+    })?;
+    let samples_used = first.fits.iter().filter(|fit| fit.present).count();
+    if samples_used == 0 {
+        return Err(SolveError::NoSamples { samples: problem.samples() });
+    }
+    let (cost_start, residual_rms_start) = (first.cost, residual_rms(&first.fits, problem.rows()));
+    let end = descend(problem, first, x, options);
+    let summary = Summary {
+        termination: end.termination,
+        iterations: end.iterations,
+        evaluations: end.evaluations,
+        cost_start,
+        cost_end: end.at.cost,
+        residual_rms_start,
+        residual_rms: residual_rms(&end.at.fits, problem.rows()),
+        samples_used,
+        samples_left_out: problem.samples() - samples_used,
+    };
+    Ok((end.x, summary, end.at.fits))
+}
+
+/// Minimises a problem from `start`, and says at the end what was identified and how well.
+///
+/// Free parameters that the samples do not determine stay near their start and are named in
+/// [`Solution::identifiability`]; [`Solution::identified`] turns them into an error.
+///
+/// # Errors
+/// [`SolveError`] where the solve cannot start.
+pub fn solve<P: Problem>(problem: &P, start: &[f64], options: &Options) -> Result<Solution, SolveError> {
+    let (x, summary, fits) = minimise(problem, start, options)?;
+    let (identifiability, covariance) = at_solution(problem, x.as_slice(), options, &fits);
+    let sample_weights = fits.iter().map(|fit| fit.weight).collect();
+    Ok(Solution { x: x.as_slice().to_vec(), summary, identifiability, covariance, sample_weights })
+}

@@ -1,0 +1,89 @@
+//! Robust losses `rho(s)` of the squared residual norm `s = |r|^2` of a sample, and their weights `rho'(s)`.
+
+/// How a sample's squared norm enters the cost. Scales are in the residual's own (whitened) unit.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub enum Loss {
+    /// Plain least squares.
+    #[default]
+    Squared,
+    /// Quadratic up to `scale`, linear beyond (Huber 1964).
+    Huber {
+        /// Where it turns linear.
+        scale: f64,
+    },
+    /// `c^2 ln(1 + s / c^2)`.
+    Cauchy {
+        /// c.
+        scale: f64,
+    },
+    /// `c^2 s / (c^2 + s)`: bounded, so a gross outlier has no pull (Geman and McClure 1985).
+    GemanMcClure {
+        /// c.
+        scale: f64,
+    },
+}
+
+impl Loss {
+    /// `rho(s)`; equals `s` for small `s`.
+    pub fn rho(self, s: f64) -> f64 {
+        match self {
+            Self::Squared => s,
+            Self::Huber { scale } if s <= scale * scale => s,
+            Self::Huber { scale } => 2.0 * scale * s.sqrt() - scale * scale,
+            Self::Cauchy { scale } => scale * scale * (s / (scale * scale)).ln_1p(),
+            Self::GemanMcClure { scale } => scale * scale * s / (scale * scale + s),
+        }
+    }
+
+    /// `rho'(s)`, the weight of iteratively reweighted least squares; one at zero.
+    pub fn weight(self, s: f64) -> f64 {
+        match self {
+            Self::Squared => 1.0,
+            Self::Huber { scale } if s <= scale * scale => 1.0,
+            Self::Huber { scale } => scale / s.sqrt(),
+            Self::Cauchy { scale } => 1.0 / (1.0 + s / (scale * scale)),
+            Self::GemanMcClure { scale } => (scale * scale / (scale * scale + s)).powi(2),
+        }
+    }
+
+    /// The same loss with its scale multiplied.
+    pub fn widened(self, factor: f64) -> Self {
+        match self {
+            Self::Squared => Self::Squared,
+            Self::Huber { scale } => Self::Huber { scale: scale * factor },
+            Self::Cauchy { scale } => Self::Cauchy { scale: scale * factor },
+            Self::GemanMcClure { scale } => Self::GemanMcClure { scale: scale * factor },
+        }
+    }
+
+    /// The scale, none for plain least squares.
+    pub fn scale(self) -> Option<f64> {
+        match self {
+            Self::Squared => None,
+            Self::Huber { scale } | Self::Cauchy { scale } | Self::GemanMcClure { scale } => Some(scale),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weights_are_the_slopes_of_the_losses_and_all_start_as_least_squares() {
+        let losses = [
+            Loss::Squared,
+            Loss::Huber { scale: 1.3 },
+            Loss::Cauchy { scale: 0.7 },
+            Loss::GemanMcClure { scale: 2.0 },
+        ];
+        for loss in losses {
+            assert_eq!(loss.weight(0.0), 1.0);
+            for s in [0.01, 0.5, 3.0, 40.0] {
+                let h = 1e-6 * s;
+                let slope = (loss.rho(s + h) - loss.rho(s - h)) / (2.0 * h);
+                assert!((slope - loss.weight(s)).abs() < 1e-7, "{loss:?} at {s}");
+            }
+        }
+    }
+}

@@ -1,0 +1,102 @@
+//! Nonlinear least squares over samples: a solve that says why it ended, what it could identify and how well.
+//!
+//! It knows residuals, Jacobians, priors and names of columns, nothing of robots. Each sample's small dense block is
+//! added into the normal matrix; no tall matrix is stored. At the solution the blocks are folded once more into a
+//! triangle by orthogonal transformations, from which rank, dependent groups and covariance are read: the normal
+//! matrix itself would square the condition number.
+
+mod covariance;
+mod identifiability;
+mod levenberg_marquardt;
+mod loss;
+mod null_space;
+mod panel;
+mod robust;
+
+pub use covariance::{Covariance, Noise};
+pub use identifiability::{DependentGroup, Identifiability, Unidentifiable, identifiability};
+pub use levenberg_marquardt::{Options, Solution, Summary, Termination, solve};
+pub use loss::Loss;
+pub use panel::{Block, stacked};
+pub use robust::{GraduatedOptions, solve_graduated};
+
+/// Knowledge of one column apart from the samples: `x[column] = value +- sigma`, one extra residual row.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Prior {
+    /// Column of the free parameters.
+    pub column: usize,
+    /// Expected value.
+    pub value: f64,
+    /// Standard deviation, in the parameter's unit.
+    pub sigma: f64,
+}
+
+/// A least-squares problem `min 1/2 sum_k rho(|r_k(x)|^2) + 1/2 sum ((x_j - value_j) / sigma_j)^2`.
+pub trait Problem {
+    /// What depends on `x` alone and is computed once for all samples, and scratch space.
+    type Point;
+
+    /// Number of free parameters.
+    fn columns(&self) -> usize;
+
+    /// Name of a column, for messages and reports.
+    fn column_name(&self, column: usize) -> String;
+
+    /// Number of samples.
+    fn samples(&self) -> usize;
+
+    /// Residual rows of each sample.
+    fn rows(&self) -> usize;
+
+    /// Priors on columns.
+    fn priors(&self) -> &[Prior] {
+        &[]
+    }
+
+    /// Prepares for `x`.
+    fn point(&self, x: &[f64]) -> Self::Point;
+
+    /// Residual and Jacobian of one sample; `block` comes filled with zeros.
+    ///
+    /// False where the sample has no value at this point (its time is outside the other log). A sample that has none
+    /// at the start is left out and counted; a step that loses one later is refused.
+    fn sample(
+        &self,
+        point: &mut Self::Point,
+        sample: usize,
+        residual: &mut [f64],
+        block: &mut Block<'_>,
+    ) -> bool;
+}
+
+/// Why a solve could not start.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SolveError {
+    /// Start and columns do not fit.
+    #[error("the start has {found} values for {expected} free parameters; give one for each")]
+    StartLength {
+        /// Values given.
+        found: usize,
+        /// Free parameters.
+        expected: usize,
+    },
+    /// Nothing to solve for.
+    #[error("no parameter is free; free at least one")]
+    NothingFree,
+    /// No sample is usable at the start.
+    #[error(
+        "none of the {samples} samples has a value at the start; check that the two logs overlap in time"
+    )]
+    NoSamples {
+        /// Samples offered.
+        samples: usize,
+    },
+    /// A residual or derivative is not a number.
+    #[error(
+        "sample {sample} gives a residual or derivative that is not finite at the start; check its input"
+    )]
+    NotFinite {
+        /// Sample, from 0.
+        sample: usize,
+    },
+}

@@ -1,0 +1,218 @@
+//! What the costs can identify in the reference set-up, and that it is identified.
+#![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
+#![allow(clippy::print_stdout, reason = "figures of a run")]
+
+mod support;
+
+use identify::cost::{Length, LoopProblem, Residual, Transform};
+use identify::kinematics::{Chain, robot_inverse};
+use identify::model::{JointState, Model, Observation, ParameterId, RobotMotion, Role, Selection};
+use identify::solver::{Identifiability, Options, Solution, identifiability, solve};
+use support::{Cell, THESIS_ERRORS, spread_poses};
+
+/// The 47 of the thesis: no Hayati, no base rotations, no clocks.
+fn thesis_47(model: &mut Model) {
+    let ids: Vec<ParameterId> = model.parameters().iter().map(|p| p.id).collect();
+    for id in ids {
+        let name = id.to_string();
+        let outside = name.starts_with("rbeta") || name.starts_with("or") || name.starts_with("clock");
+        if !outside {
+            model.set_role(id, Role::Free).unwrap();
+        }
+    }
+}
+
+fn examined<R: Residual>(residual: R, extra: &[&str]) -> Identifiability {
+    let cell = Cell::irb2400();
+    let (observations, joints) = spread_poses(&cell.robot, &cell.bar, 300, 7);
+    let mut model = cell.model();
+    thesis_47(&mut model);
+    for name in extra {
+        model.set_role(name.parse().unwrap(), Role::Free).unwrap();
+    }
+    let problem = LoopProblem::new(&model, &joints, &observations, residual, 1.0).unwrap();
+    identifiability(&problem, &model.start(), &Options::default()).unwrap()
+}
+
+fn names(found: &Identifiability, columns: &[usize]) -> Vec<String> {
+    columns.iter().map(|&column| found.names[column].clone()).collect()
+}
+
+fn group(found: &Identifiability, members: &[&str]) -> Option<usize> {
+    found.groups.iter().find(|group| names(found, &group.columns) == members).map(|group| group.excess)
+}
+
+#[test]
+fn length_identifies_23_of_47_and_sees_nothing_of_the_bar_but_its_length() {
+    let found = examined(Length, &[]);
+    println!("{found}");
+    assert_eq!((found.names.len(), found.rank), (47, 23));
+    assert!(found.gap().unwrap() > 1e3);
+    let zero = names(&found, &found.zero_columns);
+    assert!(zero.contains(&"ralpha6".to_owned()) && !zero.contains(&"bd3".to_owned()));
+    assert_eq!(zero.len(), 1 + 19);
+    assert!(zero.iter().all(|name| name == "ralpha6" || name.starts_with('b')));
+}
+
+#[test]
+fn transform_identifies_39_of_47_and_names_who_depends_on_whom() {
+    let found = examined(Transform, &[]);
+    println!("{found}");
+    assert_eq!((found.names.len(), found.rank), (47, 39));
+    assert!(found.gap().unwrap() > 1e3);
+    assert!(found.zero_columns.is_empty());
+    assert_eq!(group(&found, &["ralpha6", "balpha5"]), Some(1));
+    assert_eq!(group(&found, &["rd1", "bd1", "oz"]), Some(2));
+    assert_eq!(group(&found, &["rd2", "rd3"]), Some(1));
+    assert_eq!(group(&found, &["rd6", "bd5"]), Some(1));
+    assert_eq!(group(&found, &["ra6", "ba5"]), Some(1));
+    assert_eq!(group(&found, &["rtheta1", "btheta1", "ox", "oy"]), Some(1));
+    let scale = found.groups.last().unwrap();
+    let scaled = names(&found, &scale.columns);
+    for length in ["ra1", "ra2", "ra3", "rd4", "bd3"] {
+        assert!(scaled.contains(&length.to_owned()), "{length} is not in the common scale {scaled:?}");
+    }
+    assert_eq!(found.groups.len(), 7);
+}
+
+#[test]
+fn both_rotations_of_the_base_are_identified_beside_everything_else() {
+    let found = examined(Transform, &["orx", "ory"]);
+    assert_eq!((found.names.len(), found.rank), (49, 41));
+    let undetermined = names(&found, &found.undetermined());
+    assert!(!undetermined.contains(&"orx".to_owned()) && !undetermined.contains(&"ory".to_owned()));
+}
+
+#[test]
+fn surplus_parameters_are_an_error_with_their_names() {
+    let error = examined(Transform, &[]).require_full().unwrap_err().to_string();
+    assert!(error.contains("39 of 47") && error.contains("ralpha6|balpha5"), "{error}");
+    assert!(error.contains("rd1|bd1|oz (fix 2)"), "{error}");
+}
+
+#[test]
+fn every_selection_is_identified_by_its_cost() {
+    let cell = Cell::irb2400();
+    let (observations, joints) = spread_poses(&cell.robot, &cell.bar, 300, 8);
+    let mut model = cell.model();
+    for (selection, columns) in [(Selection::Thesis, 38), (Selection::Cell, 40)] {
+        model.select(selection, Transform::sees).unwrap();
+        assert_eq!(model.columns().len(), columns);
+        let problem = LoopProblem::new(&model, &joints, &observations, Transform, 1.0).unwrap();
+        identifiability(&problem, &model.start(), &Options::default()).unwrap().require_full().unwrap();
+        model.select(selection, Length::sees).unwrap();
+        assert_eq!(model.columns().len(), 23);
+        let problem = LoopProblem::new(&model, &joints, &observations, Length, 1.0).unwrap();
+        identifiability(&problem, &model.start(), &Options::default()).unwrap().require_full().unwrap();
+    }
+}
+
+/// True chains: nominal with the thesis' static errors and, if wanted, a tilted base.
+fn true_chains(model: &Model, more: &[(&str, f64)]) -> (Model, Chain, Chain) {
+    let mut truth = model.clone();
+    for (name, error) in THESIS_ERRORS.iter().chain(more) {
+        let id: ParameterId = name.parse().unwrap();
+        let value = truth.parameter(id).unwrap().value;
+        truth.set_value(id, value + error * 1e-3).unwrap();
+    }
+    let geometry = truth.geometry(&[]);
+    (truth, geometry.robot.clone(), geometry.bar())
+}
+
+/// Euclidean distance to the truth over the free parameters \[mm|mrad\].
+fn distance(model: &Model, truth: &Model, x: &[f64]) -> f64 {
+    let errors = model.columns().zip(x).map(|(p, x)| x - truth.parameter(p.id).unwrap().value);
+    errors.map(|e| (1e3 * e).powi(2)).sum::<f64>().sqrt()
+}
+
+fn recovered<R: Residual>(cell: &Cell, residual: R) -> (f64, Solution) {
+    let mut model = cell.model();
+    model.select(Selection::Thesis, R::sees).unwrap();
+    let (truth, robot, bar) = true_chains(&model, &[]);
+    let (observations, joints) = spread_poses(&robot, &bar, 1500, 3);
+    let problem = LoopProblem::new(&model, &joints, &observations, residual, 1.0).unwrap();
+    let solution = solve(&problem, &model.start(), &Options::default()).unwrap().identified().unwrap();
+    (distance(&model, &truth, &solution.x), solution)
+}
+
+#[test]
+fn static_errors_of_the_thesis_are_recovered_from_1500_poses() {
+    for (name, cell) in [("IRB 2400", Cell::irb2400()), ("NJ 220", Cell::nj220())] {
+        for (cost, (error, solution)) in
+            [("transform", recovered(&cell, Transform)), ("length", recovered(&cell, Length))]
+        {
+            let summary = solution.summary;
+            println!(
+                "{name} {cost}: {error:.1e} mm|mrad after {} iterations, {} passes ({}), weakest {:.1e}",
+                summary.iterations,
+                summary.evaluations,
+                summary.termination,
+                solution.identifiability.weakest(),
+            );
+            assert!(error < 1e-6, "{name} {cost}: {error:e} mm|mrad");
+            assert!(summary.termination.converged() && summary.iterations <= 10);
+        }
+    }
+}
+
+/// A robot that follows the bar along a smooth path, on a clock that is `shift_s` ahead and runs fast by `skew`.
+struct Following<'a> {
+    robot: &'a Chain,
+    bar: &'a Chain,
+    shift_s: f64,
+    skew: f64,
+}
+
+fn bar_path(t_s: f64) -> [f64; 5] {
+    let s = |rate: f64, phase: f64| (rate * t_s + phase).sin();
+    [
+        2.6 + 0.7 * s(0.31, 0.0),
+        1.0 + 0.5 * s(0.43, 1.0),
+        0.9 * s(0.37, 2.0),
+        1.3 + 0.5 * s(0.53, 0.5),
+        0.9 * s(0.29, 3.0),
+    ]
+}
+
+impl Following<'_> {
+    fn joints(&self, tau_s: f64) -> Option<[f64; 6]> {
+        let t_s = (tau_s - self.shift_s) / (1.0 + self.skew);
+        let home = [0.0, 0.2, 0.2, 0.0, 0.8, 0.0];
+        robot_inverse(self.robot, &self.bar.forward(&bar_path(t_s)), &home).ok()
+    }
+}
+
+impl RobotMotion for Following<'_> {
+    fn at(&self, tau_s: f64) -> Option<JointState> {
+        let h = 1e-4;
+        let (q, before, after) = (self.joints(tau_s)?, self.joints(tau_s - h)?, self.joints(tau_s + h)?);
+        Some(JointState { q, qd: std::array::from_fn(|i| (after[i] - before[i]) / (2.0 * h)) })
+    }
+}
+
+#[test]
+fn clock_shift_skew_and_a_tilted_base_are_found_with_everything_else() {
+    let cell = Cell::irb2400();
+    let mut model = cell.model();
+    model.select(Selection::CellWithClocks, Transform::sees).unwrap();
+    let (truth, robot, bar) = true_chains(&model, &[("orx", 5.0), ("ory", -4.0)]);
+    let motion = Following { robot: &robot, bar: &bar, shift_s: 0.02, skew: 25e-6 };
+    let observations: Vec<Observation> = (0..600)
+        .map(|k| 0.2 * f64::from(k) - 60.0)
+        .filter(|&t| motion.at(t + 0.02).is_some())
+        .map(|t| Observation::bar(t, bar_path(t)))
+        .collect();
+    println!("{} of 600 poses are in reach", observations.len());
+    let problem = LoopProblem::new(&model, &motion, &observations, Transform, 1.0).unwrap();
+    let solution = solve(&problem, &model.start(), &Options::default()).unwrap();
+    println!("{:?}\n{}", solution.summary, solution.identifiability);
+    let solution = solution.identified().unwrap();
+    let geometry = model.geometry(&solution.x);
+    assert!((geometry.clock.shift_s - 0.02).abs() < 1e-9, "{}", geometry.clock.shift_s);
+    assert!((geometry.clock.skew - 25e-6).abs() < 1e-10, "{}", geometry.clock.skew);
+    let mut without_clock = truth.clone();
+    without_clock.set_value(ParameterId::ClockShift, 0.02).unwrap();
+    without_clock.set_value(ParameterId::ClockSkew, 25e-6).unwrap();
+    let error = distance(&model, &without_clock, &solution.x);
+    assert!(error < 1e-4, "{error:e}");
+}

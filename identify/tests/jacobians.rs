@@ -1,0 +1,214 @@
+//! Analytic Jacobians of the costs against automatic differentiation of an independent kinematics.
+#![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
+
+mod support;
+
+use identify::cost::{Length, LoopProblem, MeasuredLength, Residual, Transform};
+use identify::kinematics::{Chain, LinkParameter};
+use identify::model::{Axis, Geometry, JointState, Model, Observation, ParameterId, RobotMotion, Role};
+use identify::solver::stacked;
+use num_dual::{Dual64, DualNum};
+use support::Cell;
+use support::independent::{Link, Matrix, forward, identity, product, shift, turn};
+
+/// A smooth motion whose joints are known as functions of time.
+#[derive(Debug)]
+struct Sines;
+
+fn sines<D: DualNum<f64> + Copy>(tau: D) -> [D; 6] {
+    std::array::from_fn(|i| {
+        let i = i as f64;
+        (tau * (0.3 + 0.17 * i) + i).sin() * (0.9 - 0.05 * i) + 0.1 * i
+    })
+}
+
+impl RobotMotion for Sines {
+    fn at(&self, tau_s: f64) -> Option<JointState> {
+        let moved = sines(Dual64::new(tau_s, 1.0));
+        Some(JointState { q: moved.map(|q| q.re), qd: moved.map(|q| q.eps) })
+    }
+}
+
+/// All numbers of the closed chain over any scalar, in the order of [`ParameterId`]s given.
+struct Numbers<D> {
+    robot: Vec<Link<D>>,
+    bar: Vec<Link<D>>,
+    origin: [D; 3],
+    tilt: [D; 2],
+    clock: [D; 2],
+    attachment: [D; 3],
+    anchor: [D; 3],
+    offset: D,
+}
+
+fn links<D: DualNum<f64> + Copy>(links: &[identify::kinematics::DhLink]) -> Vec<Link<D>> {
+    links.iter().map(|l| [l.a_m, l.alpha_rad, l.d_m, l.theta_rad, l.beta_rad].map(D::from)).collect()
+}
+
+impl<D: DualNum<f64> + Copy> Numbers<D> {
+    fn new(g: &Geometry) -> Self {
+        Self {
+            robot: links(&g.robot.links),
+            bar: links(&g.bar_links),
+            origin: [0, 1, 2].map(|i| D::from(g.base.origin_m[i])),
+            tilt: [g.base.rx_rad, g.base.ry_rad].map(D::from),
+            clock: [g.clock.shift_s, g.clock.skew].map(D::from),
+            attachment: [0, 1, 2].map(|i| D::from(g.wire.attachment_m[i])),
+            anchor: [0, 1, 2].map(|i| D::from(g.wire.anchor_m[i])),
+            offset: D::from(g.wire.offset_m),
+        }
+    }
+
+    fn number(&mut self, id: ParameterId) -> &mut D {
+        let at = |parameter| match parameter {
+            LinkParameter::A => 0,
+            LinkParameter::Alpha => 1,
+            LinkParameter::D => 2,
+            LinkParameter::Theta => 3,
+            LinkParameter::Beta => 4,
+        };
+        match id {
+            ParameterId::Robot { link, parameter } => &mut self.robot[link][at(parameter)],
+            ParameterId::Bar { link, parameter } => &mut self.bar[link][at(parameter)],
+            ParameterId::Base(axis) => &mut self.origin[axis.index()],
+            ParameterId::BaseRotation(axis) => &mut self.tilt[axis.index()],
+            ParameterId::ClockShift => &mut self.clock[0],
+            ParameterId::ClockSkew => &mut self.clock[1],
+            ParameterId::Attachment(axis) => &mut self.attachment[axis.index()],
+            ParameterId::Anchor(axis) => &mut self.anchor[axis.index()],
+            ParameterId::LengthOffset => &mut self.offset,
+        }
+    }
+
+    fn robot_end(&self, t_s: f64) -> Matrix<D> {
+        let tau = self.clock[0] + (self.clock[1] + 1.0) * t_s;
+        forward(&identity(), &self.robot, &sines(tau))
+    }
+
+    fn bar_end(&self, bar_rad: &[f64; 5]) -> Matrix<D> {
+        let place = shift(self.origin[0], self.origin[1], self.origin[2]);
+        let tilted = product(&place, &turn(1, 2, self.tilt[0]));
+        forward(&product(&tilted, &turn(2, 0, self.tilt[1])), &self.bar, &bar_rad.map(D::from))
+    }
+}
+
+type Independent = fn(&Numbers<Dual64>, &Observation) -> Vec<Dual64>;
+
+fn independent_length(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
+    let r = n.robot_end(o.t_s);
+    let square = |x: Dual64| x * x;
+    let from_origin = (0..3).map(|i| square(r[i][3] - n.origin[i])).fold(Dual64::from(0.0), |a, b| a + b);
+    vec![from_origin - square(n.bar[2][2])]
+}
+
+fn independent_transform(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
+    let (r, b) = (n.robot_end(o.t_s), n.bar_end(&o.bar_rad));
+    (0..4).flat_map(|j| (0..3).map(move |i| r[i][j] - b[i][j])).collect()
+}
+
+fn independent_measured_length(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
+    let r = n.robot_end(o.t_s);
+    let squares = (0..3).map(|i| {
+        let [x, y, z] = n.attachment;
+        let along = r[i][0] * x + r[i][1] * y + r[i][2] * z + r[i][3] - n.anchor[i];
+        along * along
+    });
+    vec![squares.fold(Dual64::from(0.0), |a, b| a + b).sqrt() + n.offset - o.length_m.unwrap()]
+}
+
+/// Every parameter of the model free, none of them at a value where derivatives vanish by symmetry.
+fn all_free(mut model: Model) -> Model {
+    let ids: Vec<ParameterId> = model.parameters().iter().map(|p| p.id).collect();
+    for (i, id) in ids.into_iter().enumerate() {
+        let value = model.parameter(id).unwrap().value;
+        model.set_value(id, value + 0.02 * (1.7 * i as f64).sin()).unwrap();
+        model.set_role(id, Role::Free).unwrap();
+    }
+    model
+}
+
+fn observations() -> Vec<Observation> {
+    (0..20)
+        .map(|k| {
+            let t = 0.4 * f64::from(k) - 3.0;
+            let mut o =
+                Observation::bar(t, [0, 1, 2, 3, 4].map(|j| 2.0 * (t * (0.5 + 0.1 * f64::from(j))).sin()));
+            o.length_m = Some(1.0 + 0.01 * t);
+            o
+        })
+        .collect()
+}
+
+/// Every column agrees to 1e-9 of the largest entry of its kind, and columns that the cost does not see are zero.
+fn agrees<R: Residual>(model: &Model, residual: R, independent: Independent) {
+    let observations = observations();
+    let problem = LoopProblem::new(model, &Sines, &observations, residual, 1.0).unwrap();
+    let (r, jacobian) = stacked(&problem, &model.start()).unwrap();
+    let geometry = model.geometry(&model.start());
+    for (column, parameter) in model.columns().enumerate() {
+        let mut numbers = Numbers::<Dual64>::new(&geometry);
+        let number = numbers.number(parameter.id);
+        *number = number.derivative();
+        let mut largest = 0.0f64;
+        for (k, observation) in observations.iter().enumerate() {
+            for (i, expected) in independent(&numbers, observation).into_iter().enumerate() {
+                let row = k * R::ROWS + i;
+                assert!((r[row] - expected.re).abs() < 1e-12, "{} row {row}", R::NAME);
+                let scale = jacobian.column(column).amax().max(expected.eps.abs()).max(1e-3);
+                let error = (jacobian[(row, column)] - expected.eps).abs() / scale;
+                assert!(error < 1e-9, "{} by {}: off by {error:e}", R::NAME, parameter.id);
+                largest = largest.max(expected.eps.abs());
+            }
+        }
+        assert_eq!(largest > 1e-12, R::sees(parameter.id), "{} sees {}", R::NAME, parameter.id);
+    }
+}
+
+#[test]
+fn length_and_transform_have_the_derivatives_of_the_closed_chain_for_both_robots() {
+    for cell in [Cell::irb2400(), Cell::nj220()] {
+        let model = all_free(cell.model());
+        agrees(&model, Length, independent_length);
+        agrees(&model, Transform, independent_transform);
+    }
+}
+
+#[test]
+fn measured_length_has_the_derivatives_of_the_wire_for_both_robots() {
+    for Cell { robot, .. } in [Cell::irb2400(), Cell::nj220()] {
+        let mut model = Model::measured_length(&robot);
+        for axis in Axis::ALL {
+            model.set_value(ParameterId::Attachment(axis), 0.1).unwrap();
+            model.set_value(ParameterId::Anchor(axis), -0.7).unwrap();
+        }
+        agrees(&all_free(model), MeasuredLength, independent_measured_length);
+    }
+}
+
+#[test]
+fn a_cost_refuses_observations_without_its_encoders_or_its_length() {
+    let cell = Cell::irb2400();
+    let model = all_free(cell.model());
+    let mut four = Observation::bar(0.0, [0.1; 5]);
+    four.measured[2] = false;
+    let without = [four];
+    let error = LoopProblem::new(&model, &Sines, &without, Transform, 1.0).unwrap_err().to_string();
+    assert!(error.contains("bar joint 3") && error.contains("transform"), "{error}");
+    assert!(LoopProblem::new(&model, &Sines, &without, Length, 1.0).is_ok());
+    assert!(LoopProblem::new(&model, &Sines, &without, MeasuredLength, 1.0).is_err());
+    let nan = [Observation::bar(0.0, [f64::NAN; 5])];
+    assert!(LoopProblem::new(&model, &Sines, &nan, Transform, 1.0).is_err());
+    assert!(LoopProblem::new(&model, &Sines, &without, Length, 0.0).is_err());
+}
+
+#[test]
+fn names_and_parameters_are_one_to_one() {
+    let names: Vec<String> = ParameterId::all().map(|id| id.to_string()).collect();
+    for (id, name) in ParameterId::all().zip(&names) {
+        assert_eq!(name.parse::<ParameterId>().unwrap(), id);
+        assert_eq!(names.iter().filter(|other| *other == name).count(), 1);
+    }
+    assert!("ra7".parse::<ParameterId>().is_err());
+    let chain: &Chain = &Cell::irb2400().robot;
+    assert!(Model::measured_length(chain).set_role("ba1".parse().unwrap(), Role::Free).is_err());
+}

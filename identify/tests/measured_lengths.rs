@@ -1,0 +1,104 @@
+//! Poses with a measured length: mapping, reading and refusals.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::path::Path;
+
+use identify::logs::{LogError, MeasuredLengthMapping, MeasuredLengths};
+use proptest::prelude::*;
+use shared::config::{self, ConfigError};
+
+const HEADER: &str = "x_mm,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,cable_mm";
+
+fn example() -> MeasuredLengthMapping {
+    config::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/measured_length.toml")).unwrap()
+}
+
+fn mapping(text: &str) -> Result<MeasuredLengthMapping, ConfigError> {
+    config::parse(text, Path::new("mapping.toml"))
+}
+
+fn read(text: &str, mapping: &MeasuredLengthMapping) -> Result<MeasuredLengths, LogError> {
+    MeasuredLengths::read(text.as_bytes(), Path::new("lengths.csv"), mapping)
+}
+
+fn table(row: &str) -> String {
+    format!("{HEADER}\n{}", format!("{row}\n").repeat(12))
+}
+
+#[test]
+fn the_shipped_example_reads_degrees_and_millimetres() {
+    let rows = read(&table("1,-74.5,33.9,-30.8,-15.1,80.5,-59.7,509.19"), &example()).unwrap().rows;
+    assert_eq!(rows.len(), 12);
+    assert_eq!(rows[0].line, 2);
+    assert!((rows[3].length_m - 0.50919).abs() < 1e-12);
+    assert!((rows[3].q_rad[0] + 74.5_f64.to_radians()).abs() < 1e-12);
+    assert!((rows[3].q_rad[5] + 59.7_f64.to_radians()).abs() < 1e-12);
+}
+
+#[test]
+fn semicolons_decimal_commas_signs_and_offsets_follow_the_mapping() {
+    let joints: String = (1..=6)
+        .map(|joint| {
+            format!("[[joints]]\ncolumn = \"j{joint}\"\nunit = \"rad\"\nsign = -1\noffset_deg = 90\n")
+        })
+        .collect();
+    let text =
+        format!("delimiter = \";\"\ndecimal_comma = true\n[length]\ncolumn = \"L\"\nunit = \"m\"\n{joints}");
+    let mapping = mapping(&text).unwrap();
+    let csv = format!("j1;j2;j3;j4;j5;j6;L\n{}", "0,5;1;1;1;1;1;0,75\r\n".repeat(10));
+    let row = read(&csv, &mapping).unwrap().rows[0];
+    assert!((row.length_m - 0.75).abs() < 1e-12);
+    assert!((row.q_rad[0] - (std::f64::consts::FRAC_PI_2 - 0.5)).abs() < 1e-12);
+}
+
+#[test]
+fn bad_cells_are_refused_with_line_and_column() {
+    let good = table("1,-74.5,33.9,-30.8,-15.1,80.5,-59.7,509.19");
+    for (row, column, problem) in [
+        ("1,-74.5,33.9,-30.8,NaN,80.5,-59.7,509.19", "q4_deg", "finite"),
+        ("1,-74.5,33.9,-30.8,-15.1,80.5,-59.7,", "cable_mm", "empty"),
+        ("1,-74.5,33.9,-30.8,-15.1,80.5,-59.7,-5", "cable_mm", "no length"),
+        ("1,-74.5,3390,-30.8,-15.1,80.5,-59.7,509.19", "q2_deg", "two turns"),
+    ] {
+        let error = read(&format!("{good}{row}\n"), &example()).unwrap_err().to_string();
+        assert!(error.contains(&format!("line 14 column `{column}`")), "{error}");
+        assert!(error.contains(problem), "{error}");
+    }
+    let error = read(&good.replace("cable_mm", "wire"), &example()).unwrap_err().to_string();
+    assert!(error.contains("`cable_mm` is missing") && error.contains("wire"), "{error}");
+    assert!(matches!(read(HEADER, &example()), Err(LogError::TooFewRows { rows: 0, .. })));
+}
+
+#[test]
+fn a_mapping_that_cannot_work_is_refused_by_key() {
+    let text =
+        std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/measured_length.toml"))
+            .unwrap();
+    for (from, to, key) in [
+        ("decimal_comma = false", "decimal_comma = true", "delimiter"),
+        ("sign = 1", "sign = 2", "joints[0].sign"),
+        ("delimiter = \",\"", "delimiter = \"#\"", "delimiter"),
+        ("column = \"q6_deg\"", "colum = \"q6_deg\"", "joints"),
+    ] {
+        let error = mapping(&text.replace(from, to)).unwrap_err().to_string();
+        assert!(error.contains(key), "{error}");
+    }
+}
+
+proptest! {
+    #[test]
+    fn no_text_makes_the_reader_panic(text in "\\PC*") {
+        let _ = read(&text, &example());
+    }
+
+    #[test]
+    fn rows_come_back_as_written(values in prop::collection::vec((-360.0f64..360.0, 0.0f64..5000.0), 10..30)) {
+        let rows: String = values.iter().map(|(q, length)| format!("0,{q},0,0,0,0,{q},{length}\n")).collect();
+        let read = read(&format!("{HEADER}\n{rows}"), &example()).unwrap().rows;
+        prop_assert_eq!(read.len(), values.len());
+        for (row, (q, length)) in read.iter().zip(values) {
+            prop_assert!((row.q_rad[5] - q.to_radians()).abs() < 1e-12);
+            prop_assert!((row.length_m - length * 1e-3).abs() < 1e-12);
+        }
+    }
+}

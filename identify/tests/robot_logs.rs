@@ -1,0 +1,295 @@
+//! Robot logs in and out: conversions, round trips and every refusal.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::path::{Path, PathBuf};
+
+use identify::logs::{JointConversion, LogError, Origin, RobotLog, read, write};
+use proptest::prelude::*;
+use shared::config::{self, RobotConfig};
+
+fn repository() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_owned()
+}
+
+fn robot(file: &str) -> RobotConfig {
+    config::load(&repository().join("config/robots").join(file)).unwrap()
+}
+
+fn irb() -> RobotConfig {
+    robot("irb2400_16.toml")
+}
+
+fn nj() -> RobotConfig {
+    robot("nj220_2_7.toml")
+}
+
+/// A log of 60 rows at 4 ms whose stamps need more digits than an f64 has.
+fn sample_log() -> RobotLog {
+    let t_s: Vec<f64> = (0..60).map(|k| f64::from(k) * 0.004).collect();
+    let q_rad =
+        t_s.iter().map(|t| std::array::from_fn(|j| 0.5 * (t * (j as f64 + 2.0) + j as f64).sin())).collect();
+    RobotLog {
+        robot: Some("left arm".into()),
+        clock: "controller".into(),
+        origin: Origin::Measured,
+        first_stamp_ns: 1_795_000_000_123_456_789,
+        t_s,
+        q_rad,
+        ..RobotLog::default()
+    }
+}
+
+fn text_of(log: &RobotLog, robot: &RobotConfig) -> String {
+    let mut bytes = Vec::new();
+    write(log, robot, &mut bytes).unwrap();
+    String::from_utf8(bytes).unwrap()
+}
+
+fn parse(text: &str, robot: &RobotConfig) -> Result<RobotLog, LogError> {
+    read(text.as_bytes(), Path::new("log.csv"), robot)
+}
+
+/// The sample log of the IRB 2400 with row `row` (from 0) changed by `edit`, as text; that row is line `row + 5`.
+fn edited(row: usize, edit: impl Fn(&mut Vec<String>)) -> String {
+    let text = text_of(&sample_log(), &irb());
+    let lines: Vec<String> = text
+        .lines()
+        .enumerate()
+        .map(|(index, line)| {
+            let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+            if index == row + 4 {
+                edit(&mut cells);
+            }
+            cells.join(",")
+        })
+        .collect();
+    lines.join("\n")
+}
+
+fn message(result: Result<RobotLog, LogError>) -> String {
+    result.unwrap_err().to_string()
+}
+
+#[test]
+fn a_written_log_reads_back_the_same_for_both_robots() {
+    for robot in [irb(), nj()] {
+        let log = sample_log();
+        let back = parse(&text_of(&log, &robot), &robot).unwrap();
+        assert_eq!(back.first_stamp_ns, log.first_stamp_ns);
+        assert_eq!((back.robot, back.clock, back.origin), (log.robot, log.clock, log.origin));
+        assert_eq!(back.t_s.len(), log.t_s.len());
+        for (a, b) in back.t_s.iter().zip(&log.t_s) {
+            assert!((a - b).abs() < 1e-9);
+        }
+        for (a, b) in back.q_rad.iter().flatten().zip(log.q_rad.iter().flatten()) {
+            assert!((a - b).abs() < 1e-9, "{a} {b}");
+        }
+        assert!((back.quality.period_s - 0.004).abs() < 1e-9);
+        assert!(back.quality.remarks.is_empty());
+    }
+}
+
+#[test]
+fn motors_of_the_irb_2400_turn_its_joints_as_the_transmission_says() {
+    let conversion = JointConversion::new(&irb().log).unwrap();
+    // By hand from the gear ratios: motor 2 at 12999/100 rad turns joint 2 by 1 and joint 3 by -1 (parallel rod).
+    let q = conversion.to_joint(&[0.0, 129.99, 0.0, 0.0, 0.0, 0.0]);
+    let expected = [0.0, 1.0, -1.0, 0.0, 0.0, 0.0];
+    assert!(q.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{q:?}");
+    // Motor 4 at 55 rad: joint 4 by -1, joint 5 by -55/759, joint 6 by -62 * 55/41745.
+    let q = conversion.to_joint(&[0.0, 0.0, 0.0, 55.0, 0.0, 0.0]);
+    let expected = [0.0, 0.0, 0.0, -1.0, -0.072_463_768_115_942, -0.081_686_429_512_516];
+    assert!(q.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{q:?}");
+    // Motors 1, 3, 5, 6 at 1 rad.
+    let q = conversion.to_joint(&[1.0, 0.0, 1.0, 0.0, 1.0, 1.0]);
+    let expected = [-5.0 / 648.0, 0.0, -5.0 / 648.0, 0.0, -5.0 / 276.0, -5.0 / 552.0 - 1.0 / 44.0];
+    assert!(q.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-12), "{q:?}");
+}
+
+#[test]
+fn the_log_of_the_nj_220_has_other_signs_and_a_parallel_rod() {
+    let conversion = JointConversion::new(&nj().log).unwrap();
+    let q = conversion.to_joint(&[10.0, 20.0, -30.0, 40.0, 50.0, 60.0]);
+    // q3 = -l3 - q2 = 30 - 20.
+    let expected = [-10.0_f64, 20.0, 10.0, -40.0, 50.0, -60.0];
+    assert!(q.iter().zip(expected).all(|(a, b)| (a - b.to_radians()).abs() < 1e-12), "{q:?}");
+}
+
+#[test]
+fn byte_order_mark_crlf_semicolons_and_comments_between_rows_are_taken() {
+    let plain = text_of(&sample_log(), &irb());
+    let expected = parse(&plain, &irb()).unwrap();
+    let windows = format!("\u{feff}{}", plain.replace(',', ";").replace('\n', "\r\n"));
+    assert_eq!(parse(&windows, &irb()).unwrap(), expected);
+    let commented = plain.replacen("1795000000.127456789", "# paused\n\n1795000000.127456789", 1);
+    assert_eq!(parse(&commented, &irb()).unwrap(), expected);
+}
+
+#[test]
+fn a_repeated_row_is_dropped_and_counted() {
+    let text = text_of(&sample_log(), &irb());
+    let row = text.lines().nth(20).unwrap();
+    let log = parse(&text.replace(row, &format!("{row}\n{row}\n{row}")), &irb()).unwrap();
+    assert_eq!(log.quality.duplicates_dropped, 2);
+    assert_eq!(log.t_s.len(), 60);
+}
+
+#[test]
+fn a_missing_column_is_named_with_those_found() {
+    let text = text_of(&sample_log(), &irb()).replace("motor4_rad", "axis4");
+    let message = message(parse(&text, &irb()));
+    assert!(message.contains("`motor4_rad` is missing"), "{message}");
+    assert!(message.contains("axis4") && message.contains("motor1_rad"), "{message}");
+    let text = text_of(&sample_log(), &irb()).replace("t_s", "time");
+    assert!(matches!(parse(&text, &irb()), Err(LogError::MissingColumn { column, .. }) if column == "t_s"));
+}
+
+#[test]
+fn a_header_in_the_other_unit_is_refused_with_both_units() {
+    let text = text_of(&sample_log(), &irb()).replace("_rad", "_deg");
+    let message = message(parse(&text, &irb()));
+    assert!(message.contains("is in deg") && message.contains("says rad"), "{message}");
+    let text = text_of(&sample_log(), &nj()).replace("_deg", "_rad");
+    assert!(matches!(
+        parse(&text, &nj()),
+        Err(LogError::UnitMismatch { in_header: "rad", in_config: "deg", .. })
+    ));
+}
+
+#[test]
+fn nan_empty_and_other_text_are_refused_with_line_and_column() {
+    for (value, problem) in
+        [("NaN", "not a finite number"), ("inf", "not a finite number"), ("", "empty"), ("x", "not a number")]
+    {
+        for ending in ["\n", "\r\n"] {
+            let text = edited(7, |cells| cells[3] = value.into()).replace('\n', ending);
+            let message = message(parse(&text, &irb()));
+            assert!(message.contains("log.csv line 12 column `motor3_rad`"), "{message}");
+            assert!(message.contains(problem), "{message}");
+        }
+    }
+    let text = text_of(&sample_log(), &irb()).replace(',', ";").replace("0.", "0,");
+    assert!(message(parse(&text, &irb())).contains("decimal comma"));
+}
+
+#[test]
+fn the_line_is_right_after_comments_and_blank_lines() {
+    let text = edited(7, |cells| cells[3] = "x".into()).replacen(
+        "1795000000.127456789",
+        "# a\n\n# b\n1795000000.127456789",
+        1,
+    );
+    assert!(message(parse(&text, &irb())).contains("line 15 "));
+}
+
+#[test]
+fn a_short_row_is_refused_with_its_line() {
+    let text = edited(9, |cells| {
+        cells.pop();
+    });
+    let message = message(parse(&text, &irb()));
+    assert!(message.contains("line 14") && message.contains("6 cells where the header has 7"), "{message}");
+}
+
+#[test]
+fn a_clock_that_runs_backwards_or_stands_still_is_refused_with_both_rows() {
+    let text = edited(10, |cells| cells[0] = "1795000000.000000000".into());
+    let told = message(parse(&text, &irb()));
+    assert!(told.contains("line 15") && told.contains("line 14"), "{told}");
+    assert!(told.contains("1795000000.159456789") && told.contains("1795000000.000000000"), "{told}");
+    let text = edited(10, |cells| cells[0] = "1795000000.159456789".into());
+    assert!(matches!(
+        parse(&text, &irb()),
+        Err(LogError::TimeNotIncreasing { line: 15, before_line: 14, .. })
+    ));
+}
+
+#[test]
+fn a_log_of_few_rows_or_none_is_refused() {
+    let text = text_of(&sample_log(), &irb());
+    let short: String = text.lines().take(30).map(|line| format!("{line}\n")).collect();
+    assert!(matches!(parse(&short, &irb()), Err(LogError::TooFewRows { rows: 26, .. })));
+    assert!(matches!(parse("", &irb()), Err(LogError::NoHeader { .. })));
+    assert!(matches!(parse("# robot: x\n", &irb()), Err(LogError::NoHeader { .. })));
+}
+
+#[test]
+fn degrees_under_a_header_of_radians_are_recognised() {
+    let mut robot = irb();
+    robot.log = nj().log;
+    robot.log.unit = shared::config::AngleUnit::Rad;
+    let mut in_degrees = robot.clone();
+    in_degrees.log.unit = shared::config::AngleUnit::Deg;
+    let text = text_of(&sample_log(), &in_degrees).replace("_deg", "_rad");
+    let told = message(parse(&text, &robot));
+    assert!(told.contains("look like degrees") && told.contains("outside"), "{told}");
+}
+
+#[test]
+fn exchanged_columns_are_suspected_where_they_explain_the_limits() {
+    let mut log = sample_log();
+    for q in &mut log.q_rad {
+        *q = [2.5 + 0.1 * q[0], 0.5, 0.3, 0.2, 0.1, -3.0];
+    }
+    let text = text_of(&log, &nj());
+    let text = text
+        .replace("joint1_deg", "first")
+        .replace("joint2_deg", "joint1_deg")
+        .replace("first", "joint2_deg");
+    let told = message(parse(&text, &nj()));
+    assert!(told.contains("`joint1_deg` and `joint2_deg` exchanged"), "{told}");
+}
+
+#[test]
+fn other_encodings_are_refused_by_name() {
+    let utf16: Vec<u8> = "\u{feff}t_s".encode_utf16().flat_map(u16::to_le_bytes).collect();
+    let error = read(&utf16, Path::new("log.csv"), &irb()).unwrap_err().to_string();
+    assert!(error.contains("UTF-16") && error.contains("CSV UTF-8"), "{error}");
+    assert!(matches!(read(b"t_s\xb0", Path::new("log.csv"), &irb()), Err(LogError::NotText { .. })));
+}
+
+#[test]
+fn a_log_without_motion_gets_a_remark() {
+    let mut log = sample_log();
+    log.q_rad.iter_mut().flatten().for_each(|q| *q *= 0.01);
+    let back = parse(&text_of(&log, &nj()), &nj()).unwrap();
+    assert_eq!(back.quality.remarks.len(), 1);
+}
+
+proptest! {
+    #[test]
+    fn no_text_makes_the_reader_panic(text in "\\PC*") {
+        let _ = parse(&text, &irb());
+    }
+
+    #[test]
+    fn no_table_makes_the_reader_panic(rows in prop::collection::vec(prop::collection::vec("[-0-9.,;eNa\"# ]{0,12}", 7), 0..60)) {
+        let body: Vec<String> = rows.iter().map(|row| row.join(",")).collect();
+        let text = format!("t_s,joint1_deg,joint2_deg,joint3_deg,joint4_deg,joint5_deg,joint6_deg\n{}", body.join("\n"));
+        let _ = parse(&text, &nj());
+    }
+
+    #[test]
+    fn any_log_within_the_limits_survives_the_file(
+        first_stamp_ns in -4_000_000_000_000_000_000i64..4_000_000_000_000_000_000,
+        steps_ns in prop::collection::vec(1i64..5_000_000_000, 60..80),
+        seed in prop::array::uniform6(-1.0f64..1.0),
+    ) {
+        let mut at_ns = 0i64;
+        let t_s: Vec<f64> = std::iter::once(0.0)
+            .chain(steps_ns.iter().map(|step| { at_ns += step; at_ns as f64 * 1e-9 }))
+            .collect();
+        let q_rad = t_s.iter().map(|t| std::array::from_fn(|j| seed[j] * (t + j as f64).cos())).collect();
+        let log = RobotLog { first_stamp_ns, t_s, q_rad, clock: "c".into(), ..RobotLog::default() };
+        for robot in [irb(), nj()] {
+            let back = parse(&text_of(&log, &robot), &robot).unwrap();
+            prop_assert_eq!(back.first_stamp_ns, first_stamp_ns);
+            for (a, b) in back.q_rad.iter().flatten().zip(log.q_rad.iter().flatten()) {
+                prop_assert!((a - b).abs() < 1e-9);
+            }
+            for (a, b) in back.t_s.iter().zip(&log.t_s) {
+                prop_assert!((a - b).abs() < 1e-9);
+            }
+        }
+    }
+}

@@ -1,0 +1,242 @@
+//! Simulated experiments: consistent in themselves, comfortable for robot and bar, and worth identifying.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::path::Path;
+
+use identify::kinematics::{Configuration, ball_bar_chain, robot_chain, singularity_margin_rad};
+use identify::logs;
+use identify::simulate::{self, Clocks, Design, Effects, Experiment, Simulated, StaticErrors, Truth};
+use shared::config::{self, BallBarConfig, RobotConfig};
+use shared::encoder::Unwrapper;
+use shared::recording::Recording;
+
+fn load<T: serde::de::DeserializeOwned + config::Validate>(file: &str) -> T {
+    config::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../config").join(file)).unwrap()
+}
+
+fn bar() -> BallBarConfig {
+    load("ball_bar.toml")
+}
+
+fn robots() -> [RobotConfig; 2] {
+    [load("robots/irb2400_16.toml"), load("robots/nj220_2_7.toml")]
+}
+
+fn seconds_on_bar_clock(run: &Simulated, row: usize) -> f64 {
+    let clock = &run.truth.clock;
+    let since_ns = run.robot_log.stamp_ns(row).unwrap() - clock.robot_at_bar_start_ns;
+    since_ns as f64 * 1e-9 / (1.0 + clock.skew)
+}
+
+#[test]
+fn robot_and_bar_end_in_the_same_pose_at_every_row_of_the_log() {
+    for robot in robots() {
+        for errors in [StaticErrors::Thesis, StaticErrors::Drawn { seed: 5 }] {
+            let bar = bar();
+            let run = simulate::run(&Experiment { errors, ..Experiment::new(&robot, &bar) }).unwrap();
+            for (row, q) in run.robot_log.q_rad.iter().enumerate() {
+                let by_robot = run.motion.robot.forward(q);
+                let by_bar = run.motion.pose(seconds_on_bar_clock(&run, row));
+                let apart_m = (by_robot.translation.vector - by_bar.translation.vector).norm();
+                let turned = (by_robot.rotation.matrix() - by_bar.rotation.matrix()).amax();
+                assert!(apart_m < 1e-12 && turned < 1e-12, "row {row}: {apart_m} m, {turned}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_motion_keeps_away_from_limits_and_singular_poses_and_is_smooth() {
+    for robot in robots() {
+        for seed in 1..4 {
+            let bar = bar();
+            let run = simulate::run(&Experiment { seed, ..Experiment::new(&robot, &bar) }).unwrap();
+            let log = &run.robot_log;
+            for (q, [low, high]) in log.q_rad.iter().flat_map(|q| q.iter().zip(robot.joint_limits_deg)) {
+                assert!((low..=high).contains(&q.to_degrees()));
+            }
+            assert!(log.q_rad.iter().all(|q| q[4].sin().abs() > 10_f64.to_radians().sin()));
+            for window in log.q_rad.windows(4) {
+                for j in 0..6 {
+                    let [a, b, c, d] = [0, 1, 2, 3].map(|i| window[i][j]);
+                    assert!((b - a).abs() < 0.004 * 1.3, "speed of joint {}", j + 1);
+                    let acceleration = (c - 2.0 * b + a) / 0.004_f64.powi(2);
+                    let jerk = (d - 3.0 * c + 3.0 * b - a) / 0.004_f64.powi(3);
+                    assert!(acceleration.abs() < 20.0 && jerk.abs() < 300.0, "{acceleration} {jerk}");
+                }
+            }
+            for k in 0..=12_000 {
+                let b = run.motion.path.at(f64::from(k) * 0.01);
+                assert!(singularity_margin_rad(&b) > 9.99_f64.to_radians());
+            }
+        }
+    }
+}
+
+#[test]
+fn all_joints_are_excited_and_the_robot_stands_still_several_times() {
+    for robot in robots() {
+        let bar = bar();
+        let run = simulate::run(&Experiment::new(&robot, &bar)).unwrap();
+        let span = |values: &mut dyn Iterator<Item = f64>| {
+            let (low, high) = values.fold((f64::MAX, f64::MIN), |(l, h), v| (l.min(v), h.max(v)));
+            high - low
+        };
+        let bars: Vec<[f64; 5]> = (0..=1200).map(|k| run.motion.path.at(f64::from(k) * 0.1)).collect();
+        let bar_spans: [f64; 5] = std::array::from_fn(|j| span(&mut bars.iter().map(|b| b[j])).to_degrees());
+        let robot_spans: [f64; 6] =
+            std::array::from_fn(|j| span(&mut run.robot_log.q_rad.iter().map(|q| q[j])).to_degrees());
+        println!("{}: bar {bar_spans:.0?} robot {robot_spans:.0?} deg, {} moves", robot.name, run.motion.path.moves.len());
+        assert!(bar_spans.iter().all(|&s| s > 50.0));
+        assert!(robot_spans.iter().all(|&s| s > 25.0));
+        let mut still_s = 0.0;
+        let mut stops = 0;
+        for pair in run.robot_log.q_rad.windows(2) {
+            let moved = pair[0].iter().zip(pair[1]).any(|(a, b)| (a - b).abs() > 1e-9);
+            still_s = if moved { 0.0 } else { still_s + 0.004 };
+            if (0.9..0.904).contains(&still_s) {
+                stops += 1;
+            }
+        }
+        assert!(stops >= 4, "{stops} stops");
+    }
+}
+
+#[test]
+fn counts_are_the_joints_within_half_a_count_of_the_true_zero() {
+    let robot = &robots()[0];
+    let mut bar = bar();
+    bar.encoders[2].direction = shared::encoder::Direction::Negative;
+    bar.encoders.remove(0);
+    let run = simulate::run(&Experiment::new(robot, &bar)).unwrap();
+    assert_eq!(run.cycles.len(), 12_001);
+    for (index, (encoder, truth)) in run.encoders.iter().zip(&run.truth.encoders).enumerate() {
+        assert_eq!(encoder.joint, truth.joint);
+        let mut unwrapper = Unwrapper::default();
+        for (k, cycle) in run.cycles.iter().enumerate() {
+            let counts = unwrapper.next(cycle.encoders()[index].count);
+            let joint = run.motion.path.at(k as f64 * 0.01)[usize::from(encoder.joint) - 1];
+            let error = encoder.scale.counts_to_rad(counts) + truth.offset_rad - joint;
+            let error = error - std::f64::consts::TAU * (error / std::f64::consts::TAU).round();
+            assert!(error.abs() < 0.51 * encoder.scale.rad_per_count() + 1e-9, "{error}");
+        }
+    }
+}
+
+#[test]
+fn cycles_are_whole_valid_and_10_ms_apart() {
+    let (robot, bar) = (&robots()[0], bar());
+    let run = simulate::run(&Experiment::new(robot, &bar)).unwrap();
+    for (k, cycle) in run.cycles.iter().enumerate() {
+        assert_eq!(cycle.cycle, k as u64);
+        assert_eq!(cycle.sample_time.ns_since(run.truth.clock.bar_start), k as i64 * 10_000_000);
+        assert!(cycle.is_valid() && cycle.flags == 0 && cycle.working_counter == 15);
+        assert!(cycle.dc_time.0 > 0 && cycle.receive_time > cycle.send_time);
+    }
+}
+
+#[test]
+fn equal_experiments_are_equal_and_seeds_change_path_and_zeros() {
+    let (robot, bar) = (&robots()[0], bar());
+    let effects = Effects { robot_noise_urad: 5.0, encoder_noise_urad: 5.0, ..Effects::default() };
+    let experiment = Experiment { effects, ..Experiment::new(robot, &bar) };
+    let (a, b) = (simulate::run(&experiment).unwrap(), simulate::run(&experiment).unwrap());
+    assert_eq!((&a.cycles, &a.robot_log, &a.truth), (&b.cycles, &b.robot_log, &b.truth));
+    let c = simulate::run(&Experiment { seed: 2, ..experiment }).unwrap();
+    assert_ne!(a.motion.path, c.motion.path);
+    assert_ne!(a.truth.encoders, c.truth.encoders);
+    assert_eq!(a.truth.parameters, c.truth.parameters);
+}
+
+#[test]
+fn effects_have_the_size_that_was_asked_for() {
+    let (robot, bar) = (&robots()[0], bar());
+    let clean = simulate::run(&Experiment::new(robot, &bar)).unwrap();
+    let noisy = |effects| simulate::run(&Experiment { effects, ..Experiment::new(robot, &bar) }).unwrap();
+    let differences = |run: &Simulated| -> Vec<f64> {
+        run.robot_log.q_rad.iter().flatten().zip(clean.robot_log.q_rad.iter().flatten()).map(|(a, b)| a - b).collect()
+    };
+    let noise = differences(&noisy(Effects { robot_noise_urad: 100.0, ..Effects::default() }));
+    let sigma = (noise.iter().map(|d| d * d).sum::<f64>() / noise.len() as f64).sqrt();
+    assert!((sigma - 1e-4).abs() < 1e-6, "{sigma}");
+    let sine = differences(&noisy(Effects { gear_sine_urad: 50.0, ..Effects::default() }));
+    let largest = sine.iter().fold(0.0_f64, |most, d| most.max(d.abs()));
+    assert!((largest - 5e-5).abs() < 1e-6, "{largest}");
+    let tilted = noisy(Effects { base_tilt_urad: 5000.0, ..Effects::default() });
+    let up = tilted.motion.bar.root_from_base.rotation * nalgebra::Vector3::z();
+    assert!((up.x.hypot(up.y) - 5e-3 * 1.0_f64.hypot(0.6)).abs() < 1e-6);
+    let refused = simulate::run(&Experiment {
+        effects: Effects { robot_noise_urad: f64::NAN, ..Effects::default() },
+        ..Experiment::new(robot, &bar)
+    });
+    assert!(refused.unwrap_err().to_string().contains("robot_noise_urad"));
+}
+
+#[test]
+fn a_bar_out_of_reach_is_refused_with_what_to_change() {
+    let (robot, bar) = (&robots()[0], bar());
+    let design = Design { base_m: [4.0, 0.0, 0.0], ..Design::IRB_2400 };
+    let error = simulate::run(&Experiment { design, ..Experiment::new(robot, &bar) }).unwrap_err().to_string();
+    assert!(error.contains("reach") && error.contains("base_m"), "{error}");
+}
+
+#[test]
+fn other_configurations_of_the_bar_can_be_simulated() {
+    let (robot, bar) = (&robots()[0], bar());
+    for wanted in Configuration::ALL {
+        let run = simulate::run(&Experiment { design: design_in(wanted), ..Experiment::new(robot, &bar) }).unwrap();
+        assert_eq!(Configuration::of(&run.motion.path.at(50.0)), wanted);
+    }
+}
+
+/// The usual design with the bar in another configuration.
+fn design_in(configuration: Configuration) -> Design {
+    use identify::kinematics::Side;
+    let mut design = Design { duration_s: 60.0, ..Design::IRB_2400 };
+    let negative = |[low, high]: [f64; 2]| [-high, -low];
+    if configuration.gimbal == Side::Negative {
+        design.bar_range_deg[1] = negative(design.bar_range_deg[1]);
+    }
+    if configuration.cardan == Side::Negative {
+        design.bar_range_deg[3] = negative(design.bar_range_deg[3]);
+    }
+    design
+}
+
+#[test]
+fn the_files_read_back_as_what_was_simulated() {
+    let directory = tempfile::tempdir().unwrap();
+    for (index, robot) in robots().into_iter().enumerate() {
+        let bar = bar();
+        let design = Design { duration_s: 30.0, ..Design::for_robot(&robot) };
+        let clocks = Clocks { robot_at_bar_start_ns: 12_345_678_901, ..Clocks::default() };
+        let run = simulate::run(&Experiment { design, clocks, ..Experiment::new(&robot, &bar) }).unwrap();
+        let files = simulate::write(&directory.path().join(index.to_string()), &run, &robot, &bar).unwrap();
+        let recording = Recording::open(&files.recording).unwrap();
+        assert_eq!(recording.cycles, run.cycles);
+        assert_eq!(recording.run.encoders, run.encoders);
+        let log = logs::load(&files.robot_log, &robot).unwrap();
+        assert_eq!(log.first_stamp_ns, run.robot_log.first_stamp_ns);
+        assert_eq!((log.t_s.len(), &log.clock), (run.robot_log.t_s.len(), &run.robot_log.clock));
+        for (a, b) in log.q_rad.iter().flatten().zip(run.robot_log.q_rad.iter().flatten()) {
+            assert!((a - b).abs() < 1e-9);
+        }
+        let truth: Truth = toml::from_str(&std::fs::read_to_string(&files.truth).unwrap()).unwrap();
+        assert_eq!(truth, run.truth);
+        assert_eq!(truth.bar_chain(&ball_bar_chain(&bar)), run.motion.bar);
+        assert_eq!(truth.robot_chain(&robot_chain(&robot, &bar)), run.motion.robot);
+    }
+}
+
+#[test]
+fn drawn_errors_touch_the_38_free_parameters_and_no_other() {
+    let (robot, bar) = (&robots()[0], bar());
+    let errors = StaticErrors::Drawn { seed: 9 };
+    let run = simulate::run(&Experiment { errors, ..Experiment::new(robot, &bar) }).unwrap();
+    let changed: Vec<String> =
+        simulate::parameter_names().into_iter().filter(|name| run.truth.error(name) != 0.0).collect();
+    assert_eq!(changed.len(), 38);
+    for fixed in ["ra6", "ba5", "rd1", "bd1", "rd3", "rtheta1", "bd5", "balpha2", "balpha5", "orx", "ory"] {
+        assert!(!changed.iter().any(|name| name == fixed));
+    }
+}

@@ -1,0 +1,120 @@
+//! Shared by the tests: configurations of the repository, an independent kinematics, the reference set-up.
+#![allow(dead_code, reason = "each test file uses its part")]
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test stops at the first surprise")]
+
+pub mod independent;
+
+use std::path::{Path, PathBuf};
+
+use identify::kinematics::{Chain, ball_bar_chain, robot_chain, robot_inverse, singularity_margin_rad};
+use identify::model::{Model, Observation, PerObservation};
+use nalgebra::Vector3;
+use rand::rngs::StdRng;
+use rand::{Rng, SeedableRng};
+use shared::config::{self, BallBarConfig, RobotConfig};
+
+pub fn repository(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(path)
+}
+
+pub fn irb2400() -> RobotConfig {
+    config::load(&repository("config/robots/irb2400_16.toml")).unwrap()
+}
+
+pub fn nj220() -> RobotConfig {
+    config::load(&repository("config/robots/nj220_2_7.toml")).unwrap()
+}
+
+pub fn bar() -> BallBarConfig {
+    config::load(&repository("config/ball_bar.toml")).unwrap()
+}
+
+/// A robot and a bar that stands where the robot reaches the sphere from many sides.
+pub struct Cell {
+    pub robot: Chain,
+    pub bar: Chain,
+}
+
+impl Cell {
+    /// The reference set-up: bar at (1.0, 0.05, 0.35), L 0.6, plate 0.25.
+    pub fn irb2400() -> Self {
+        Self::new(&irb2400(), Vector3::new(1.0, 0.05, 0.35))
+    }
+
+    pub fn nj220() -> Self {
+        Self::new(&nj220(), Vector3::new(1.7, 0.05, 0.6))
+    }
+
+    fn new(robot: &RobotConfig, origin_m: Vector3<f64>) -> Self {
+        let config = bar();
+        let mut bar = ball_bar_chain(&config);
+        bar.root_from_base.translation.vector = origin_m;
+        Self { robot: robot_chain(robot, &config), bar }
+    }
+
+    pub fn model(&self) -> Model {
+        Model::ball_bar(&self.robot, &self.bar)
+    }
+}
+
+/// Bar angles where robot and bar are regular, and the robot's joints there, on the chains given.
+pub fn spread_poses(
+    robot: &Chain,
+    bar: &Chain,
+    count: usize,
+    seed: u64,
+) -> (Vec<Observation>, PerObservation) {
+    let mut random = StdRng::seed_from_u64(seed);
+    let mut observations = Vec::new();
+    let mut joints = Vec::new();
+    let home = [0.0, 0.2, 0.2, 0.0, 0.8, 0.0];
+    while observations.len() < count {
+        let b: [f64; 5] = std::array::from_fn(|_| random.random_range(-3.1..3.1));
+        if singularity_margin_rad(&b) < 0.2 {
+            continue;
+        }
+        let Ok(q) = robot_inverse(robot, &bar.forward(&b), &home) else { continue };
+        if q[4].sin().abs() < 0.1 || q[2].abs() > 1.2 {
+            continue;
+        }
+        observations.push(Observation::bar(PerObservation::time_s(joints.len()), b));
+        joints.push(q);
+    }
+    (observations, PerObservation(joints))
+}
+
+/// Static errors of the thesis' table 3.1 \[mm|mrad\]; row 1 is illegible there, its values are ours.
+pub const THESIS_ERRORS: [(&str, f64); 32] = [
+    ("ra1", 0.5),
+    ("ralpha1", -0.6),
+    ("btheta1", 0.9),
+    ("ox", -0.4),
+    ("ra2", 0.14),
+    ("rd2", 0.27),
+    ("ralpha2", 0.78),
+    ("rtheta2", -0.09),
+    ("btheta2", 1.27),
+    ("oy", 0.80),
+    ("ra3", -1.52),
+    ("rd3", 0.0),
+    ("ralpha3", -1.36),
+    ("rtheta3", 0.19),
+    ("bd3", 0.24),
+    ("btheta3", -1.90),
+    ("oz", -0.70),
+    ("ra4", -1.88),
+    ("rd4", -0.16),
+    ("ralpha4", 0.35),
+    ("rtheta4", -0.12),
+    ("btheta4", -0.19),
+    ("ra5", 0.80),
+    ("rd5", 1.80),
+    ("ralpha5", 0.08),
+    ("rtheta5", 0.72),
+    ("btheta5", 0.98),
+    ("rd6", -1.47),
+    ("rtheta6", -0.22),
+    ("orx", 0.0),
+    ("ory", 0.0),
+    ("ralpha6", 0.0),
+];
