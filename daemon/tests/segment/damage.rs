@@ -46,8 +46,6 @@ fn any_mailbox_request() -> impl Strategy<Value = Datagram> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(256))]
-
     #[test]
     fn random_bytes_do_no_harm(bytes in prop::collection::vec(any::<u8>(), 0..1518), ethercat in any::<bool>()) {
         let mut bytes = bytes;

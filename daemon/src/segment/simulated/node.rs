@@ -13,8 +13,6 @@ const OUTPUTS_MAX: usize = 16;
 pub struct Step<'a> {
     /// State of the application layer: SAFE-OP or OP.
     pub state: AlState,
-    /// What the event came from.
-    pub sync_mode: SyncMode,
     /// The event.
     pub event: SyncEvent,
     /// Outputs as they last arrived.
@@ -66,7 +64,7 @@ impl Node {
     }
 
     fn step(&mut self, event: SyncEvent, source: &mut dyn EncoderSource) {
-        let (state, sync_mode) = (self.esc.state(), self.esc.sync_mode());
+        let state = self.esc.state();
         if state < AlState::SafeOp {
             return;
         }
@@ -74,7 +72,7 @@ impl Node {
         let len = self.esc.outputs().len().min(OUTPUTS_MAX);
         outputs[..len].copy_from_slice(&self.esc.outputs()[..len]);
         let inputs = self.esc.inputs_mut();
-        self.device.step(Step { state, sync_mode, event, outputs: &outputs[..len], inputs }, source);
+        self.device.step(Step { state, event, outputs: &outputs[..len], inputs }, source);
     }
 
     fn serve_mailbox(&mut self, now_ns: i64) {

@@ -1,12 +1,13 @@
 //! The chip: one memory, and the units that give some of its addresses a meaning.
 
+mod register_access;
+
 use super::al::{AlMachine, AlState, Readiness};
 use super::dc::{DistributedClock, LocalClock, Pulses};
 use super::fmmu::{self, Fmmu, Mapped};
 use super::registers as reg;
 use super::sii::Sii;
 use super::sync_manager::{self, Completion, Direction, ExpectedSyncManager, Permit, SyncManager};
-use crate::segment::simulated::source::Conversion;
 
 /// Sync manager channels by use, as every device with a mailbox has them.
 const MAILBOX_OUT: usize = 0;
@@ -58,13 +59,6 @@ pub struct SyncEvent {
     pub true_ns: i64,
     /// Its nominal system time when SYNC0 made it.
     pub system_ns: Option<i64>,
-}
-
-impl SyncEvent {
-    /// When and by which clock the sample was taken.
-    pub fn conversion(&self) -> Conversion {
-        Conversion { true_time_ns: self.true_ns, system_time_ns: self.system_ns }
-    }
 }
 
 /// How read data meets what a datagram already holds.
@@ -368,8 +362,6 @@ impl Esc {
         }
     }
 }
-
-mod register_access;
 
 fn span(channel: &ExpectedSyncManager) -> std::ops::Range<usize> {
     let start = usize::from(channel.start);

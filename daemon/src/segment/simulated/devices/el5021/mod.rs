@@ -12,7 +12,7 @@ use crate::segment::simulated::chip::coe::ObjectDictionary;
 use crate::segment::simulated::chip::eeprom::{General, Header, Image};
 use crate::segment::simulated::chip::{ChipProfile, ExpectedSyncManager, SyncMode};
 use crate::segment::simulated::node::{Device, Step};
-use crate::segment::simulated::source::EncoderSource;
+use crate::segment::simulated::source::{Conversion, EncoderSource};
 
 const PRODUCT: u32 = 0x139d_3052;
 /// Chip type, its revision and build, 3 FMMUs, 4 sync managers, 4 kB, two E-bus ports, features 0x01FC: 64-bit
@@ -108,7 +108,7 @@ impl El5021 {
     }
 
     fn diagnose(&mut self, step: &Step<'_>) {
-        let supervised = step.sync_mode == SyncMode::DistributedClock && step.state == AlState::Op;
+        let supervised = self.sync_mode == SyncMode::DistributedClock && step.state == AlState::Op;
         self.diagnosis.sync_error = supervised && step.event.missed > 0;
         if supervised {
             let missed = u16::try_from(step.event.missed).unwrap_or(u16::MAX);
@@ -169,7 +169,8 @@ impl Device for El5021 {
             AlState::Op => mapping::Outputs::decode(step.outputs),
             _ => mapping::Outputs::default(),
         };
-        let signal = source.signal(self.channel, step.event.conversion());
+        let at = Conversion { true_time_ns: step.event.true_ns, system_time_ns: step.event.system_ns };
+        let signal = source.signal(self.channel, at);
         let before = self.inputs;
         self.counter.convert(signal, &self.settings, &self.outputs, &mut self.inputs);
         self.count_errors(before);
