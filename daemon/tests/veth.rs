@@ -2,6 +2,7 @@
 //! Needs root and iproute2; the namespace is made and removed here.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
@@ -37,6 +38,19 @@ impl Drop for Namespace {
 /// A served segment, ended with the test.
 struct Segment(Child);
 
+impl Segment {
+    /// Returns when the segment answers.
+    fn serve(namespace: &Namespace) -> Self {
+        let mut command = namespace.ballbard();
+        let mut child =
+            command.args(["segment", "--interface", "far"]).stdout(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        assert!(line.starts_with("serving"), "{line}");
+        Self(child)
+    }
+}
+
 impl Drop for Segment {
     fn drop(&mut self) {
         let _ = self.0.kill();
@@ -57,9 +71,7 @@ fn a_run_over_a_raw_socket_is_complete() {
         return;
     }
     let namespace = Namespace::new();
-    let mut serve = namespace.ballbard();
-    serve.args(["segment", "--interface", "far"]).stdout(Stdio::null());
-    let _segment = Segment(serve.spawn().unwrap());
+    let _segment = Segment::serve(&namespace);
     let out = tempfile::tempdir().unwrap();
     let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
     let mut record = namespace.ballbard();

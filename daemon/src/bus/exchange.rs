@@ -5,7 +5,7 @@
 //! send error of this frame, not the end of the thread.
 
 use std::future::Future;
-use std::pin::pin;
+use std::pin::{Pin, pin};
 use std::task::{Context, Poll, Waker};
 
 use ethercrab::{PduRx, PduTx, ReceiveAction};
@@ -64,18 +64,37 @@ impl Exchange {
     /// Runs a future of the EtherCAT stack to its end, carrying its frames meanwhile.
     pub fn run<F: Future>(&mut self, future: F) -> F::Output {
         let mut future = pin!(future);
-        let mut context = Context::from_waker(Waker::noop());
-        timers::use_clock(&self.clock);
         loop {
-            timers::take_earliest_wake();
-            if let Poll::Ready(output) = future.as_mut().poll(&mut context) {
+            if let Some(output) = self.turn(future.as_mut(), None) {
                 return output;
             }
-            let idle_until = self.clock.now().plus_ns(POLL_PERIOD_NS);
-            let until = timers::take_earliest_wake().map_or(idle_until, |wake| wake.min(idle_until));
-            self.send_pending();
-            self.receive_one(until);
         }
+    }
+
+    /// Like [`run`](Self::run), but gives up at `deadline`; a reply that comes later is rejected.
+    pub fn run_until<F: Future>(&mut self, future: F, deadline: MonoNs) -> Option<F::Output> {
+        let mut future = pin!(future);
+        loop {
+            let output = self.turn(future.as_mut(), Some(deadline));
+            if output.is_some() || self.clock.now() >= deadline {
+                return output;
+            }
+        }
+    }
+
+    /// Polls once; if that is not the end, sends what is to be sent and waits for one reply or the next timer.
+    fn turn<F: Future>(&mut self, future: Pin<&mut F>, deadline: Option<MonoNs>) -> Option<F::Output> {
+        timers::use_clock(&self.clock);
+        timers::take_earliest_wake();
+        if let Poll::Ready(output) = future.poll(&mut Context::from_waker(Waker::noop())) {
+            return Some(output);
+        }
+        let idle_until = self.clock.now().plus_ns(POLL_PERIOD_NS);
+        let waits = [timers::take_earliest_wake(), deadline];
+        let until = waits.into_iter().flatten().fold(idle_until, MonoNs::min);
+        self.send_pending();
+        self.receive_one(until);
+        None
     }
 
     /// When the last frame was handed to the wire.

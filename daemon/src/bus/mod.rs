@@ -26,6 +26,9 @@ const DEVICES_MAX: usize = 16;
 /// Room for the process data of all terminals.
 const PDI_BYTES_MAX: usize = 256;
 const FRAMES_MAX: usize = 16;
+/// Nothing is cyclic yet while the bus comes up, and this PC may be busy: patience costs nothing.
+const BRING_UP_REPLY_TIMEOUT: Duration = Duration::from_millis(20);
+const BRING_UP_RETRIES: usize = 5;
 const FRAME_DATA_BYTES: usize = PduStorage::element_size(1100);
 
 type Group<State, Dc> = SubDeviceGroup<DEVICES_MAX, PDI_BYTES_MAX, ethercrab::DefaultLock, State, Dc>;
@@ -44,7 +47,7 @@ pub struct BusPlan {
     pub distributed_clocks: bool,
     /// The frame follows SYNC0 by this much. Half a period leaves most room for lateness either way.
     pub sync0_shift: Duration,
-    /// How long to wait for a reply.
+    /// How long a cyclic frame waits for its reply.
     pub reply_timeout: Duration,
 }
 
@@ -53,6 +56,7 @@ pub struct Bus {
     exchange: Exchange,
     main: MainDevice<'static>,
     clock: Clock,
+    reply_timeout_ns: i64,
 }
 
 /// A segment in operation.
@@ -101,14 +105,18 @@ impl Bus {
         // Splitting fails only the second time; a storage made here was never split.
         #[allow(clippy::expect_used, reason = "the storage was made one line above")]
         let (tx, rx, pdu_loop) = storage.try_split().expect("fresh storage");
-        let timeouts = Timeouts { pdu: reply_timeout, ..Timeouts::default() };
-        // A lost frame is lost: a retry would come a cycle late and pass for a fresh sample.
-        let config =
-            MainDeviceConfig { retry_behaviour: RetryBehaviour::None, ..MainDeviceConfig::default() };
+        // For bringing the bus up; cyclic frames have a time-out of their own and are never repeated: a repeated one
+        // would come a cycle late and pass for a fresh sample.
+        let timeouts = Timeouts { pdu: BRING_UP_REPLY_TIMEOUT, ..Timeouts::default() };
+        let config = MainDeviceConfig {
+            retry_behaviour: RetryBehaviour::Count(BRING_UP_RETRIES),
+            ..MainDeviceConfig::default()
+        };
         Self {
             exchange: Exchange::new(tx, rx, wire, clock.clone()),
             main: MainDevice::new(pdu_loop, timeouts, config),
             clock,
+            reply_timeout_ns: reply_timeout.as_nanos() as i64,
         }
     }
 
@@ -119,18 +127,22 @@ impl Bus {
 
     /// Sends one cyclic frame and waits for its reply or the time-out. Allocates nothing.
     pub fn exchange(&mut self, operational: &Operational) -> CyclicExchange {
+        let deadline = self.clock.now().plus_ns(self.reply_timeout_ns);
         let Self { exchange, main, .. } = self;
         let response = match &operational.group {
-            OperationalGroup::Dc(group) => exchange.run(group.tx_rx_dc(main)).map(|response| {
-                let time = DcNs(response.extra.dc_system_time as i64);
-                (response.working_counter, response.all_op(), Some(time))
-            }),
+            OperationalGroup::Dc(group) => {
+                exchange.run_until(group.tx_rx_dc(main), deadline).and_then(Result::ok).map(|response| {
+                    let time = DcNs(response.extra.dc_system_time as i64);
+                    (response.working_counter, response.all_op(), Some(time))
+                })
+            }
             OperationalGroup::FreeRun(group) => exchange
-                .run(group.tx_rx(main))
+                .run_until(group.tx_rx(main), deadline)
+                .and_then(Result::ok)
                 .map(|response| (response.working_counter, response.all_op(), None)),
         };
         let sent = exchange.sent_last();
-        let Ok((working_counter, all_operational, dc_time)) = response else {
+        let Some((working_counter, all_operational, dc_time)) = response else {
             return CyclicExchange { sent, received: sent, reply: None };
         };
         let inputs = self.inputs(operational);

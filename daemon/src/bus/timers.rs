@@ -36,7 +36,7 @@ embassy_time_driver::time_driver_impl!(static DRIVER: ThreadClock = ThreadClock)
 /// From now on the time-outs of EtherCAT futures that this thread polls run on `clock`. [`Exchange`](super::Exchange)
 /// does it by itself.
 pub fn use_clock(clock: &Clock) {
-    CLOCK.with_borrow_mut(|current| *current = clock.clone());
+    CLOCK.with_borrow_mut(|current| current.clone_from(clock));
 }
 
 /// The earliest time at which a timer polled since the last call wants to be polled again.

@@ -31,11 +31,7 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
     let wire = EthernetWire::open(&arguments.interface)?;
     let stop = Arc::new(AtomicBool::new(false));
     let serving = Arc::clone(&stop);
-    tracing::info!(
-        interface = arguments.interface,
-        terminals = config.terminals,
-        "serving a simulated segment"
-    );
+    println!("serving an EK1100 with {} EL5021 on {}", config.terminals, arguments.interface);
     on_signal(move || serve(segment, wire, &serving), |_| stop.store(true, Ordering::Release))
 }
 
