@@ -8,14 +8,14 @@ use identify::cost::{LoopProblem, Residual, Transform};
 use identify::model::{PerObservation, Selection};
 use identify::solver::{
     Block, GraduatedOptions, Loss, Noise, Options, Prior, Problem, SolveError, Termination, solve,
-    solve_graduated, stacked,
+    solve_graduated,
 };
-use levenberg_marquardt::{LeastSquaresProblem, LevenbergMarquardt};
-use nalgebra::storage::Owned;
-use nalgebra::{DMatrix, DVector, Dyn};
+use levenberg_marquardt::LevenbergMarquardt;
+use nalgebra::{DMatrix, DVector};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
+use support::other_solver::Other;
 use support::{Cell, spread_poses};
 
 /// Residual and gradient of one row at `x`.
@@ -73,37 +73,8 @@ impl Problem for Rows<'_> {
     }
 }
 
-/// Any problem of ours as one of the crate `levenberg-marquardt`.
-struct Other<'a, P> {
-    problem: &'a P,
-    x: DVector<f64>,
-}
-
-impl<P: Problem> LeastSquaresProblem<f64, Dyn, Dyn> for Other<'_, P> {
-    type ResidualStorage = Owned<f64, Dyn>;
-    type JacobianStorage = Owned<f64, Dyn, Dyn>;
-    type ParameterStorage = Owned<f64, Dyn>;
-
-    fn set_params(&mut self, x: &DVector<f64>) {
-        self.x.copy_from(x);
-    }
-
-    fn params(&self) -> DVector<f64> {
-        self.x.clone()
-    }
-
-    fn residuals(&self) -> Option<DVector<f64>> {
-        stacked(self.problem, self.x.as_slice()).map(|(r, _)| r)
-    }
-
-    fn jacobian(&self) -> Option<DMatrix<f64>> {
-        stacked(self.problem, self.x.as_slice()).map(|(_, j)| j)
-    }
-}
-
 fn other_solver<P: Problem>(problem: &P, start: &[f64]) -> DVector<f64> {
-    let start = Other { problem, x: DVector::from_column_slice(start) };
-    let (end, report) = LevenbergMarquardt::new().minimize(start);
+    let (end, report) = LevenbergMarquardt::new().minimize(Other::new(problem, start));
     assert!(report.termination.was_successful(), "{report:?}");
     end.x
 }
