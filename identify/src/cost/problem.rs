@@ -164,11 +164,12 @@ impl<R: Residual, M: RobotMotion> Problem for LoopProblem<'_, R, M> {
             robot_rate: rate(&point.robot, &state.qd),
         };
         self.residual.residual(&scene, residual);
-        residual.iter_mut().for_each(|r| *r *= self.whitening);
         for (column, &id) in self.ids.iter().enumerate() {
-            let derivative = block.column_mut(column);
-            self.residual.derivative(&scene, id, derivative);
-            derivative.iter_mut().for_each(|d| *d *= self.whitening);
+            self.residual.derivative(&scene, id, block.column_mut(column));
+        }
+        if self.whitening != 1.0 {
+            residual.iter_mut().for_each(|r| *r *= self.whitening);
+            block.scale(self.whitening);
         }
         true
     }

@@ -33,6 +33,7 @@ pub struct Scene<'a> {
 
 impl Scene<'_> {
     /// What moves, and how, when a parameter moves at unit speed.
+    #[inline]
     pub fn movement(&self, id: ParameterId) -> Movement {
         match id {
             ParameterId::Robot { link, parameter } => {

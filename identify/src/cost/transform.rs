@@ -13,13 +13,18 @@ use crate::model::ParameterId;
 pub struct Transform;
 
 /// Entries of `dT` for a twist of a pose with this rotation: `sign ([w] R, v)`.
+#[inline]
 fn moved(twist: &Twist, rotation: &Matrix3<f64>, sign: f64, out: &mut [f64]) {
-    let angular = twist.angular * sign;
-    let turned = rotation.column_iter().map(|column| angular.cross(&Vector3::from(column)));
-    let linear = twist.linear * sign;
-    for (out, column) in out.chunks_exact_mut(3).zip(turned.chain([linear])) {
-        out.copy_from_slice(column.as_slice());
+    let Some(out) = out.first_chunk_mut::<12>() else { return };
+    let w: Vector3<f64> = twist.angular * sign;
+    let (v, r) = (twist.linear * sign, rotation);
+    for column in 0..3 {
+        let (x, y, z) = (r[(0, column)], r[(1, column)], r[(2, column)]);
+        out[3 * column] = w.y * z - w.z * y;
+        out[3 * column + 1] = w.z * x - w.x * z;
+        out[3 * column + 2] = w.x * y - w.y * x;
     }
+    [out[9], out[10], out[11]] = v.into();
 }
 
 impl Residual for Transform {

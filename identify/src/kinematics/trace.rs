@@ -21,11 +21,13 @@ pub struct Twist {
 
 impl Twist {
     /// A turn about `axis` through `point`, seen at `end`.
+    #[inline]
     pub fn rotation(axis: Vector3<f64>, point: Vector3<f64>, end: Vector3<f64>) -> Self {
         Self { angular: axis, linear: axis.cross(&(end - point)) }
     }
 
     /// A shift along `axis`.
+    #[inline]
     pub fn translation(axis: Vector3<f64>) -> Self {
         Self { angular: Vector3::zeros(), linear: axis }
     }
@@ -76,16 +78,19 @@ impl Trace {
     }
 
     /// Origin of the end frame in the root frame \[m\].
+    #[inline]
     pub fn position_m(&self) -> Vector3<f64> {
         self.end.translation.vector
     }
 
     /// Rotation of the end frame in the root frame.
+    #[inline]
     pub fn rotation(&self) -> &Matrix3<f64> {
         self.end.rotation.matrix()
     }
 
     /// How the end frame moves with a parameter of link `link` (from 0); none beyond the last link.
+    #[inline]
     pub fn twist(&self, link: usize, parameter: LinkParameter) -> Option<Twist> {
         let at = self.axes.get(link)?;
         let end = self.position_m();

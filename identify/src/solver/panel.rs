@@ -18,12 +18,14 @@ pub struct Block<'a> {
 
 impl Block<'_> {
     /// The derivatives of all rows by one column; empty for a column that does not exist.
+    #[inline]
     pub fn column_mut(&mut self, column: usize) -> &mut [f64] {
         let start = column * self.stride + self.offset;
         self.data.get_mut(start..start + self.rows).unwrap_or_default()
     }
 
-    fn scale(&mut self, factor: f64) {
+    /// Multiplies all derivatives: a weight or a unit.
+    pub fn scale(&mut self, factor: f64) {
         for column in self.data.chunks_exact_mut(self.stride) {
             for value in &mut column[self.offset..self.offset + self.rows] {
                 *value *= factor;
@@ -178,18 +180,32 @@ pub(super) fn pass<P: Problem>(
     Ok(fits)
 }
 
-/// `H += J^T J` (both triangles), `g += J^T r`.
+/// `H += J^T J` (the lower triangle, and some of the upper), `g += J^T r`.
 pub(super) fn fold_normal(panel: &Panel, normal: &mut DMatrix<f64>, gradient: &mut DVector<f64>) {
-    /// nalgebra hands larger products to a blocked, vectorised kernel that takes any strides; its own loops below
-    /// that size want contiguous columns.
-    const BLOCKED_KERNEL_ABOVE: usize = 5;
-    if panel.columns.min(panel.used) > BLOCKED_KERNEL_ABOVE {
-        normal.gemm(1.0, &panel.jacobian_transposed(), &panel.jacobian(), 1.0);
-    } else {
-        normal.gemm_tr(1.0, &panel.jacobian(), &panel.jacobian(), 1.0);
+    let jacobian = panel.jacobian();
+    gradient.gemv_tr(1.0, &jacobian, &panel.residual(), 1.0);
+    let mut first = 0;
+    while first < panel.columns {
+        let width = COLUMNS_TOGETHER.min(panel.columns - first);
+        let below = panel.columns - first;
+        let mut target = normal.view_mut((first, first), (below, width));
+        // nalgebra hands larger products to a blocked, vectorised kernel that takes any strides; its own loops below
+        // that size want contiguous columns.
+        if width.min(panel.used) > BLOCKED_KERNEL_ABOVE {
+            let left = panel.jacobian_transposed();
+            target.gemm(1.0, &left.rows(first, below), &jacobian.columns(first, width), 1.0);
+        } else {
+            target.gemm_tr(1.0, &jacobian.columns(first, below), &jacobian.columns(first, width), 1.0);
+        }
+        first += width;
     }
-    gradient.gemv_tr(1.0, &panel.jacobian(), &panel.residual(), 1.0);
 }
+
+/// Columns of the normal matrix that are formed at once, from the diagonal down.
+const COLUMNS_TOGETHER: usize = 16;
+
+/// nalgebra's own limit.
+const BLOCKED_KERNEL_ABOVE: usize = 5;
 
 /// `R <- triangle of [R; J]` by Householder QR, so that `R^T R` grows by `J^T J` without being formed.
 pub(super) fn fold_triangle(jacobian: &DMatrixView<'_, f64, nalgebra::U1, Dyn>, triangle: &mut DMatrix<f64>) {
