@@ -1,25 +1,18 @@
 //! Simulated experiments: consistent in themselves, comfortable for robot and bar, and worth identifying.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use std::path::Path;
+mod support;
 
 use identify::kinematics::{Configuration, ball_bar_chain, robot_chain, singularity_margin_rad};
 use identify::logs;
 use identify::simulate::{self, Clocks, Design, Effects, Experiment, Simulated, StaticErrors, Truth};
-use shared::config::{self, BallBarConfig, RobotConfig};
+use shared::config::RobotConfig;
 use shared::encoder::Unwrapper;
 use shared::recording::Recording;
-
-fn load<T: serde::de::DeserializeOwned + config::Validate>(file: &str) -> T {
-    config::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../config").join(file)).unwrap()
-}
-
-fn bar() -> BallBarConfig {
-    load("ball_bar.toml")
-}
+use support::{bar, irb2400, nj220};
 
 fn robots() -> [RobotConfig; 2] {
-    [load("robots/irb2400_16.toml"), load("robots/nj220_2_7.toml")]
+    [irb2400(), nj220()]
 }
 
 fn seconds_on_bar_clock(run: &Simulated, row: usize) -> f64 {
@@ -86,7 +79,11 @@ fn all_joints_are_excited_and_the_robot_stands_still_several_times() {
         let bar_spans: [f64; 5] = std::array::from_fn(|j| span(&mut bars.iter().map(|b| b[j])).to_degrees());
         let robot_spans: [f64; 6] =
             std::array::from_fn(|j| span(&mut run.robot_log.q_rad.iter().map(|q| q[j])).to_degrees());
-        println!("{}: bar {bar_spans:.0?} robot {robot_spans:.0?} deg, {} moves", robot.name, run.motion.path.moves.len());
+        println!(
+            "{}: bar {bar_spans:.0?} robot {robot_spans:.0?} deg, {} moves",
+            robot.name,
+            run.motion.path.moves.len()
+        );
         assert!(bar_spans.iter().all(|&s| s > 50.0));
         assert!(robot_spans.iter().all(|&s| s > 25.0));
         let mut still_s = 0.0;
@@ -154,7 +151,13 @@ fn effects_have_the_size_that_was_asked_for() {
     let clean = simulate::run(&Experiment::new(robot, &bar)).unwrap();
     let noisy = |effects| simulate::run(&Experiment { effects, ..Experiment::new(robot, &bar) }).unwrap();
     let differences = |run: &Simulated| -> Vec<f64> {
-        run.robot_log.q_rad.iter().flatten().zip(clean.robot_log.q_rad.iter().flatten()).map(|(a, b)| a - b).collect()
+        run.robot_log
+            .q_rad
+            .iter()
+            .flatten()
+            .zip(clean.robot_log.q_rad.iter().flatten())
+            .map(|(a, b)| a - b)
+            .collect()
     };
     let noise = differences(&noisy(Effects { robot_noise_urad: 100.0, ..Effects::default() }));
     let sigma = (noise.iter().map(|d| d * d).sum::<f64>() / noise.len() as f64).sqrt();
@@ -176,7 +179,8 @@ fn effects_have_the_size_that_was_asked_for() {
 fn a_bar_out_of_reach_is_refused_with_what_to_change() {
     let (robot, bar) = (&robots()[0], bar());
     let design = Design { base_m: [4.0, 0.0, 0.0], ..Design::IRB_2400 };
-    let error = simulate::run(&Experiment { design, ..Experiment::new(robot, &bar) }).unwrap_err().to_string();
+    let error =
+        simulate::run(&Experiment { design, ..Experiment::new(robot, &bar) }).unwrap_err().to_string();
     assert!(error.contains("reach") && error.contains("base_m"), "{error}");
 }
 
@@ -184,7 +188,8 @@ fn a_bar_out_of_reach_is_refused_with_what_to_change() {
 fn other_configurations_of_the_bar_can_be_simulated() {
     let (robot, bar) = (&robots()[0], bar());
     for wanted in Configuration::ALL {
-        let run = simulate::run(&Experiment { design: design_in(wanted), ..Experiment::new(robot, &bar) }).unwrap();
+        let run =
+            simulate::run(&Experiment { design: design_in(wanted), ..Experiment::new(robot, &bar) }).unwrap();
         assert_eq!(Configuration::of(&run.motion.path.at(50.0)), wanted);
     }
 }

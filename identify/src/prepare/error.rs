@@ -35,7 +35,9 @@ pub enum PrepareError {
         joint: u8,
     },
     /// Too little data to match.
-    #[error("{what} covers {seconds:.1} s, at least {needed:.1} s are needed to match the logs; log a longer motion")]
+    #[error(
+        "{what} covers {seconds:.1} s, at least {needed:.1} s are needed to match the logs; log a longer motion"
+    )]
     TooShort {
         /// Which log.
         what: &'static str,
@@ -45,7 +47,9 @@ pub enum PrepareError {
         needed: f64,
     },
     /// Nothing moves.
-    #[error("{what} shows no motion (largest joint travel {travel_deg:.2} deg); is it the part with the motion?")]
+    #[error(
+        "{what} shows no motion (largest joint travel {travel_deg:.2} deg); is it the part with the motion?"
+    )]
     NoMotion {
         /// Which log.
         what: &'static str,

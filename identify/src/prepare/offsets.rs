@@ -2,7 +2,6 @@
 
 use std::f64::consts::TAU;
 
-use serde::Serialize;
 
 use super::{PredictedBar, PrepareError};
 use crate::kinematics::{BAR_JOINTS, Configuration};
@@ -17,7 +16,7 @@ pub struct AnglePair {
 }
 
 /// What is added to an encoder's angle to get the joint's.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EncoderOffset {
     /// Bar joint, 1 to 5.
     pub joint: u8,
@@ -124,7 +123,8 @@ pub(super) fn wrapped(angle_rad: f64) -> f64 {
 /// Tries the usual mistakes on the encoders that do not fit.
 fn likely_cause(best: &Offsets, pairs: &[AnglePair], spread_max_mrad: f64) -> String {
     let fits = |differences: Vec<f64>| circular_median(differences).1 * 1e3 <= spread_max_mrad;
-    let predicted = |pair: &AnglePair, joint: usize| best.configuration.carry(&pair.predicted.joints_rad)[joint];
+    let predicted =
+        |pair: &AnglePair, joint: usize| best.configuration.carry(&pair.predicted.joints_rad)[joint];
     let mut hints = Vec::new();
     for encoder in best.encoders.iter().filter(|encoder| encoder.spread_rad * 1e3 > spread_max_mrad) {
         let joint = usize::from(encoder.joint) - 1;

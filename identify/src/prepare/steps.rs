@@ -9,9 +9,9 @@ use super::predict::Predictor;
 use super::select::apart;
 use super::speeds::{STEP_S, measured_speeds, predicted_speeds};
 use super::{
-    AlignedLog, Alignment, AnglePair, BarSegment, ClockFit, InitialValues, Match, Offsets, PrepareError,
-    PrepareOptions, Prepared, SampleCounts, SphereFit, bar_angles, correlate, find_offsets, fit_sphere,
-    refine_clock, select,
+    AlignedLog, Alignment, AnglePair, BarSegment, ClockFit, EncoderOffset, InitialValues, Match, Offsets, PrepareError,
+    PrepareOptions, Prepared, Relation, SampleCounts, SphereFit, bar_angles, correlate, find_offsets, fit_sphere,
+    refine, select,
 };
 use crate::kinematics::{BAR_JOINTS, Chain, ball_bar_chain, robot_chain};
 use crate::logs::{InterpolatedLog, RobotLog, default_gap_limit_s};
@@ -64,7 +64,9 @@ pub fn prepare(
     let samples = Samples::new(segment, &matched, log.duration_s());
     let margin_rad = options.singular_margin_deg.to_radians();
     let coarse = ClockFit { shift_s: samples.t_ref_s + matched.shift * STEP_S, skew: 0.0 };
-    let (offsets, clock) = offsets_and_clock(&predictor, &samples, &angles.measured, coarse, margin_rad, options)?;
+    let relation = relate(&predictor, &samples, &angles.measured, coarse, margin_rad, options)?;
+    let Relation { clock, base_m, offsets } = relation;
+    let predictor = predictor.with_base(base_m);
     let kept = samples.keep(&predictor, clock, margin_rad, options, counts)?;
 
     let observations = kept
@@ -81,7 +83,7 @@ pub fn prepare(
         initial: InitialValues {
             clock_shift_s: 0.0,
             clock_skew: clock.skew,
-            base_m: sphere.centre_m,
+            base_m,
             length_m: sphere.radius_m,
             btheta_rad: offsets.by_joint_rad(),
         },
@@ -113,7 +115,8 @@ fn travel_deg<const N: usize>(rows: &[[f64; N]]) -> f64 {
 }
 
 fn check_motion(segment: &BarSegment, log: &RobotLog) -> Result<(), PrepareError> {
-    let moves = [("the recording", travel_deg(&segment.angles_rad)), ("the robot log", travel_deg(&log.q_rad))];
+    let moves =
+        [("the recording", travel_deg(&segment.angles_rad)), ("the robot log", travel_deg(&log.q_rad))];
     match moves.into_iter().find(|(_, travel_deg)| *travel_deg < TRAVEL_DEG_MIN) {
         Some((what, travel_deg)) => Err(PrepareError::NoMotion { what, travel_deg }),
         None => Ok(()),
@@ -141,9 +144,12 @@ fn sphere(
         return Err(not_a_sphere(sphere.inliers));
     }
     if (sphere.radius_m - length_m).abs() * 1e3 > options.length_tolerance_mm {
-        return Err(PrepareError::OtherLength { found_mm: sphere.radius_m * 1e3, configured_mm: length_m * 1e3 });
+        return Err(PrepareError::OtherLength {
+            found_mm: sphere.radius_m * 1e3,
+            configured_mm: length_m * 1e3,
+        });
     }
-    Ok(sphere)
+    Ok(sphere.drawn_to_length(&positions, tolerance_mm * 1e-3, length_m))
 }
 
 fn match_speeds(
@@ -200,9 +206,8 @@ struct Kept {
 
 impl Samples {
     fn new(segment: &BarSegment, matched: &Match, log_duration_s: f64) -> Self {
-        let since_first_ns = |time: &shared::time::UtcNs| {
-            segment.times.first().map_or(0, |first| time.ns_since(*first))
-        };
+        let since_first_ns =
+            |time: &shared::time::UtcNs| segment.times.first().map_or(0, |first| time.ns_since(*first));
         let shift_s = matched.shift * STEP_S;
         let end_s = segment.times.last().map_or(0.0, |last| since_first_ns(last) as f64 * 1e-9);
         let overlap_s = [(-shift_s).max(0.0), (log_duration_s - shift_s).min(end_s)];
@@ -275,23 +280,32 @@ impl Samples {
     }
 }
 
-/// Offsets at the coarse alignment, a finer clock with them, and the offsets again.
-fn offsets_and_clock(
+/// Offsets at the coarse alignment, then everything refined, then judged.
+fn relate(
     predictor: &Predictor<'_>,
     samples: &Samples,
     measured: &[bool; BAR_JOINTS],
     coarse: ClockFit,
     margin_rad: f64,
     options: &PrepareOptions,
-) -> Result<(Offsets, ClockFit), PrepareError> {
-    let pairs_at = |clock: ClockFit| samples.pairs(predictor, clock, margin_rad);
+) -> Result<Relation, PrepareError> {
     let angles = |pairs: &[(usize, AnglePair)]| -> Vec<AnglePair> { pairs.iter().map(|(_, pair)| *pair).collect() };
-    let pairs = pairs_at(coarse);
+    let pairs = samples.pairs(predictor, coarse, margin_rad);
     // A skewed clock spreads the angles of a long run: judged only after the clock is refined.
     let rough = find_offsets(&angles(&pairs), measured, f64::INFINITY)?;
     let moving: Vec<(f64, [f64; BAR_JOINTS])> =
         pairs.iter().filter_map(|(index, _)| samples.all.get(*index).copied()).collect();
-    let clock = refine_clock(predictor, &moving, &rough, coarse);
-    let offsets = find_offsets(&angles(&pairs_at(clock)), measured, options.spread_max_mrad)?;
-    Ok((offsets, clock))
+    let start = Relation { clock: coarse, base_m: predictor.base_m(), offsets: rough };
+    let refined = refine(predictor, &moving, &start);
+    let predictor = predictor.clone().with_base(refined.base_m);
+    let pairs = samples.pairs(&predictor, refined.clock, margin_rad);
+    let judged = find_offsets(&angles(&pairs), measured, options.spread_max_mrad)?;
+    let encoders = judged
+        .encoders
+        .iter()
+        .zip(&refined.offsets.encoders)
+        .map(|(judged, refined)| EncoderOffset { offset_rad: refined.offset_rad, ..*judged })
+        .collect();
+    let offsets = Offsets { configuration: refined.offsets.configuration, encoders };
+    Ok(Relation { offsets, ..refined })
 }

@@ -109,7 +109,9 @@ pub enum SimulateError {
     #[error(transparent)]
     Plan(#[from] PlanError),
     /// The true robot cannot follow the path.
-    #[error("the robot cannot follow the bar {t_s:.3} s after the start: {source}; use smaller errors or another base")]
+    #[error(
+        "the robot cannot follow the bar {t_s:.3} s after the start: {source}; use smaller errors or another base"
+    )]
     Follow {
         /// Time on the path \[s\].
         t_s: f64,

@@ -33,8 +33,7 @@ pub(super) fn robot_log(experiment: &Experiment<'_>, motion: &Motion) -> Result<
     let lead_ns = ((LOG_LEAD_S * rate) * 1e9) as i64;
     let length_s = motion.path.duration_s + 2.0 * LOG_LEAD_S;
     let rows = (length_s * rate * 1e9 / ROBOT_PERIOD_NS as f64) as i64;
-    let mut reading =
-        Reading::of_robot(&experiment.effects, random(experiment.seed, Stream::RobotEffects));
+    let mut reading = Reading::of_robot(&experiment.effects, random(experiment.seed, Stream::RobotEffects));
     let mut near_rad = motion.start_rad;
     let mut log = RobotLog {
         robot: Some(experiment.robot.name.clone()),
@@ -51,9 +50,8 @@ pub(super) fn robot_log(experiment: &Experiment<'_>, motion: &Motion) -> Result<
     for row in 0..rows {
         let since_bar_start_ns = row * ROBOT_PERIOD_NS - lead_ns;
         let t_s = since_bar_start_ns as f64 * 1e-9 / rate;
-        near_rad = motion
-            .robot_joints(t_s, &near_rad)
-            .map_err(|source| SimulateError::Follow { t_s, source })?;
+        near_rad =
+            motion.robot_joints(t_s, &near_rad).map_err(|source| SimulateError::Follow { t_s, source })?;
         log.t_s.push((row * ROBOT_PERIOD_NS) as f64 * 1e-9);
         log.q_rad.push(reading.of(&near_rad));
     }
@@ -71,8 +69,7 @@ pub(super) fn recording(
         .iter()
         .map(|encoder| EncoderInfo { joint: encoder.joint, scale: encoder.scale() })
         .collect();
-    let mut reading =
-        Reading::of_bar(&experiment.effects, random(experiment.seed, Stream::EncoderEffects));
+    let mut reading = Reading::of_bar(&experiment.effects, random(experiment.seed, Stream::EncoderEffects));
     let cycles = (motion.path.duration_s * 1e9 / CYCLE_NS as f64).round() as i64 + 1;
     let angles: Vec<[f64; 5]> =
         (0..cycles).map(|k| reading.of(&motion.path.at((k * CYCLE_NS) as f64 * 1e-9))).collect();
@@ -99,11 +96,8 @@ fn encoder_truth(encoder: &EncoderInfo, first_rad: f64, shown: u32) -> EncoderTr
     // Whole turns are dropped in integers, so that the angle is exact.
     let turns = (direction.sign() * zero_counts).rem_euclid(encoder.scale.counts_per_revolution());
     let offset_rad = -(turns as f64) * encoder.scale.rad_per_count();
-    let offset_rad = if offset_rad > -std::f64::consts::PI {
-        offset_rad
-    } else {
-        offset_rad + std::f64::consts::TAU
-    };
+    let offset_rad =
+        if offset_rad > -std::f64::consts::PI { offset_rad } else { offset_rad + std::f64::consts::TAU };
     EncoderTruth { joint: encoder.joint, zero_counts, offset_rad }
 }
 

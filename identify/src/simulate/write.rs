@@ -52,8 +52,7 @@ pub fn write(
         truth: directory.join("truth.toml"),
     };
     let truth = toml::to_string(&simulated.truth)?;
-    let mut writer =
-        RecordingWriter::create(directory, &metadata(RECORDING, simulated, robot, bar)?)?;
+    let mut writer = RecordingWriter::create(directory, &metadata(RECORDING, simulated, robot, bar)?)?;
     for cycle in &simulated.cycles {
         writer.write_cycle(cycle)?;
     }
