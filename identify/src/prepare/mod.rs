@@ -49,7 +49,7 @@ use crate::model::Observation;
 #[serde(default, deny_unknown_fields)]
 pub struct PrepareOptions {
     /// Two logs match where their speeds correlate at least so well (1 is identical). Runs of the same experiment come
-    /// to 0.99; different runs stay below 0.7.
+    /// to 0.99; different runs stay below 0.5.
     pub correlation_min: f64,
     /// Two logs must overlap at least this long \[s\]...
     pub overlap_min_s: f64,
@@ -72,7 +72,7 @@ pub struct PrepareOptions {
 impl Default for PrepareOptions {
     fn default() -> Self {
         Self {
-            correlation_min: 0.85,
+            correlation_min: 0.9,
             overlap_min_s: 10.0,
             overlap_min_part: 0.25,
             spread_max_mrad: 50.0,

@@ -2,7 +2,6 @@
 
 use std::f64::consts::TAU;
 
-
 use super::{PredictedBar, PrepareError};
 use crate::kinematics::{BAR_JOINTS, Configuration};
 

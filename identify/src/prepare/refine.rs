@@ -37,12 +37,15 @@ pub struct Relation {
 const DIFFERENCE_S: f64 = 0.005;
 /// Distance over which the effect of the base is differenced \[m\].
 const DIFFERENCE_M: f64 = 1e-4;
+/// The correlation of the speeds gives the shift this well, one standard deviation \[s\]: constant errors of the nominal
+/// geometry spoil speeds less than angles.
+const SHIFT_SIGMA_S: f64 = 0.001;
 /// Clocks of controllers differ by this much, one standard deviation.
-const SKEW_SIGMA: f64 = 100e-6;
+const SKEW_SIGMA: f64 = 50e-6;
 /// The sphere through the robot's positions gives the base this well, one standard deviation \[m\].
 const BASE_SIGMA_M: f64 = 0.003;
 /// Errors of the nominal geometry change slowly: so many neighbouring samples say the same.
-const SAMPLES_ALIKE: f64 = 50.0;
+const SAMPLES_ALIKE: f64 = 300.0;
 /// Rounds of linearising.
 const ROUNDS: usize = 4;
 /// Rounds of weighting in each.
@@ -50,15 +53,14 @@ const WEIGHTINGS: usize = 4;
 /// Columns before those of the encoders: shift, skew, base.
 const COMMON: usize = 5;
 
+/// How far the common columns are expected to go, one standard deviation each.
+const EXPECTED: [f64; COMMON] = [SHIFT_SIGMA_S, SKEW_SIGMA, BASE_SIGMA_M, BASE_SIGMA_M, BASE_SIGMA_M];
+
 /// Improves `start` by least squares of the angle differences. Robust (Cauchy), because the nominal geometry is wrong
 /// by an unknown amount. Returns `start` where the samples do not determine it.
 ///
 /// `samples` are bar times \[s\], best about zero, and measured angles \[rad\].
-pub fn refine(
-    predictor: &Predictor<'_>,
-    samples: &[(f64, [f64; BAR_JOINTS])],
-    start: &Relation,
-) -> Relation {
+pub fn refine(predictor: &Predictor<'_>, samples: &[(f64, [f64; BAR_JOINTS])], start: &Relation) -> Relation {
     let mut now = start.clone();
     for _ in 0..ROUNDS {
         let rows: Vec<Row> = samples
@@ -66,10 +68,10 @@ pub fn refine(
             .filter_map(|(t_s, measured_rad)| rows_of(predictor, *t_s, measured_rad, &now))
             .flatten()
             .collect();
-        let from_start = now.base_m - start.base_m;
-        let Some(step) = solve(&rows, now.offsets.encoders.len(), now.clock.skew, from_start) else {
-            return start.clone();
-        };
+        let base_by = now.base_m - start.base_m;
+        let so_far =
+            [now.clock.shift_s - start.clock.shift_s, now.clock.skew, base_by.x, base_by.y, base_by.z];
+        let Some(step) = solve(&rows, now.offsets.encoders.len(), &so_far) else { return start.clone() };
         now.clock.shift_s += step[0];
         now.clock.skew += step[1];
         now.base_m += Vector3::new(step[2], step[3], step[4]);
@@ -127,8 +129,8 @@ fn rows_of(
     Some(joints.enumerate().map(row).collect())
 }
 
-/// Step of shift, skew, base and offsets.
-fn solve(rows: &[Row], encoders: usize, skew: f64, base_from_start: Vector3<f64>) -> Option<DVector<f64>> {
+/// Step of shift, skew, base and offsets; the common ones have come `so_far` from their expected values.
+fn solve(rows: &[Row], encoders: usize, so_far: &[f64; COMMON]) -> Option<DVector<f64>> {
     let columns = COMMON + encoders;
     if rows.len() < 10 * columns {
         return None;
@@ -158,10 +160,7 @@ fn solve(rows: &[Row], encoders: usize, skew: f64, base_from_start: Vector3<f64>
                 }
             }
         }
-        let known = [(1, skew, SKEW_SIGMA)]
-            .into_iter()
-            .chain((0..3).map(|axis| (2 + axis, base_from_start[axis], BASE_SIGMA_M)));
-        for (column, value, deviation) in known {
+        for (column, (value, deviation)) in so_far.iter().zip(EXPECTED).enumerate() {
             let prior = SAMPLES_ALIKE * (sigma / deviation).powi(2);
             normal[(column, column)] += prior;
             right[column] -= prior * value;

@@ -9,9 +9,9 @@ use super::predict::Predictor;
 use super::select::apart;
 use super::speeds::{STEP_S, measured_speeds, predicted_speeds};
 use super::{
-    AlignedLog, Alignment, AnglePair, BarSegment, ClockFit, EncoderOffset, InitialValues, Match, Offsets, PrepareError,
-    PrepareOptions, Prepared, Relation, SampleCounts, SphereFit, bar_angles, correlate, find_offsets, fit_sphere,
-    refine, select,
+    AlignedLog, Alignment, AnglePair, BarSegment, ClockFit, EncoderOffset, InitialValues, Match, Offsets,
+    PrepareError, PrepareOptions, Prepared, Relation, SampleCounts, SphereFit, bar_angles, correlate,
+    find_offsets, fit_sphere, refine, select,
 };
 use crate::kinematics::{BAR_JOINTS, Chain, ball_bar_chain, robot_chain};
 use crate::logs::{InterpolatedLog, RobotLog, default_gap_limit_s};
@@ -289,7 +289,8 @@ fn relate(
     margin_rad: f64,
     options: &PrepareOptions,
 ) -> Result<Relation, PrepareError> {
-    let angles = |pairs: &[(usize, AnglePair)]| -> Vec<AnglePair> { pairs.iter().map(|(_, pair)| *pair).collect() };
+    let angles =
+        |pairs: &[(usize, AnglePair)]| -> Vec<AnglePair> { pairs.iter().map(|(_, pair)| *pair).collect() };
     let pairs = samples.pairs(predictor, coarse, margin_rad);
     // A skewed clock spreads the angles of a long run: judged only after the clock is refined.
     let rough = find_offsets(&angles(&pairs), measured, f64::INFINITY)?;
