@@ -1,1 +1,360 @@
-//! x
+//! Calibration from poses with a measured length each: a draw-wire or a telescoping bar between robot and cell.
+//!
+//! Unknown are the anchor in the cell, the attachment on the flange, a constant length offset, and the robot's links.
+//! The links get priors from tolerances instead of being dropped by hand: one length per pose leaves many directions
+//! weak. Lengths have heavy tails (the wire sags, catches, is read late), so the loss is robust and narrowed step by
+//! step. Rows are held out by a fixed seed and never seen by the fit; the figures on them are what counts.
+
+mod figures;
+mod report;
+mod runs;
+mod screen;
+mod start;
+
+use rand::SeedableRng;
+use rand::seq::SliceRandom;
+
+use crate::cost::{CostError, LoopProblem, MeasuredLength};
+use crate::kinematics::{Chain, LinkParameter};
+use crate::model::{Axis, Model, ModelError, Observation, ParameterId, PerObservation, Role, Unit};
+use crate::solver::{
+    GraduatedOptions, Loss, Noise, Options, Solution, SolveError, Unidentifiable, solve_graduated,
+};
+
+pub use figures::{ErrorFigures, Figures};
+pub use report::{LengthReport, ParameterEstimate, RejectedRow, Rejection};
+pub use runs::{FaultyRun, RunCause};
+
+/// One pose and its length.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LengthRow {
+    /// Joint variables of the model \[rad\].
+    pub joints_rad: [f64; 6],
+    /// Measured length \[m\].
+    pub length_m: f64,
+    /// Where the controller says the flange is \[m\]; used to find rows whose parts do not belong together.
+    pub flange_m: Option<[f64; 3]>,
+}
+
+/// How the calibration is done.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct LengthOptions {
+    /// Part of the rows that the fit never sees.
+    pub held_out: f64,
+    /// Seed of the choice of rows.
+    pub seed: u64,
+    /// Loss of the last solve, its scale in standard deviations of a length.
+    pub loss: Loss,
+    /// Standard deviation of a length \[m\]; none takes it from the spread of the residuals before the robot is fitted.
+    pub length_sigma_m: Option<f64>,
+    /// Prior of the links' lengths around nominal, one standard deviation \[m\].
+    pub link_sigma_m: f64,
+    /// Prior of the links' angles around nominal, one standard deviation \[rad\].
+    pub link_sigma_rad: f64,
+    /// A row is rejected where controller and joint angles place the flange further apart than this \[m\].
+    pub flange_tolerance_m: f64,
+    /// A fitting row is rejected where its residual exceeds this many robust standard deviations.
+    pub residual_limit: f64,
+    /// A run of rows is rejected where the median residual of neighbouring fitting rows exceeds this many robust
+    /// standard deviations: a slipped zero, a joint logged with another sign. None keeps them.
+    pub run_limit: Option<f64>,
+}
+
+impl Default for LengthOptions {
+    fn default() -> Self {
+        Self {
+            held_out: 0.2,
+            seed: 1042,
+            loss: Loss::Cauchy { scale: 2.0 },
+            length_sigma_m: None,
+            link_sigma_m: 1e-2,
+            link_sigma_rad: 1e-2,
+            flange_tolerance_m: 5e-3,
+            residual_limit: 8.0,
+            run_limit: Some(3.0),
+        }
+    }
+}
+
+/// Why lengths cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum LengthError {
+    /// Too few rows for the unknowns.
+    #[error("{rows} usable rows are too few, at least {needed} are needed; measure more poses")]
+    TooFewRows {
+        /// Rows left for fitting.
+        rows: usize,
+        /// Least number.
+        needed: usize,
+    },
+    /// A row is not a measurement.
+    #[error("row {row} has {what}; take it out or mend it")]
+    BadRow {
+        /// Row from 1.
+        row: usize,
+        /// What is wrong.
+        what: &'static str,
+    },
+    /// Options that make no sense.
+    #[error("option {option} is {value}; {remedy}")]
+    BadOption {
+        /// Field of [`LengthOptions`].
+        option: &'static str,
+        /// As given.
+        value: f64,
+        /// What to give.
+        remedy: &'static str,
+    },
+    /// Most rows contradict the rest.
+    #[error(
+        "only {kept} of {rows} fitting rows agree with each other; check units, signs and zero of the joint angles and \
+         the unit of the lengths"
+    )]
+    TooManyRejected {
+        /// Rows that agree.
+        kept: usize,
+        /// Fitting rows.
+        rows: usize,
+    },
+    /// No anchor follows from positions and lengths.
+    #[error(
+        "no anchor fits the lengths: the poses lie in a plane or too close together; measure poses further apart"
+    )]
+    NoAnchor,
+    /// From the cost.
+    #[error(transparent)]
+    Cost(#[from] CostError),
+    /// From the model.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// From the solver.
+    #[error(transparent)]
+    Solve(#[from] SolveError),
+    /// Some parameter is not determined.
+    #[error(transparent)]
+    Unidentifiable(#[from] Unidentifiable),
+}
+
+/// Fewest rows of a fit: the seven unknowns of the wire and as many again.
+const ROWS_MIN: usize = 14;
+
+/// Row numbers for fitting and for judging, both ascending.
+struct Split {
+    fitting: Vec<usize>,
+    held_out: Vec<usize>,
+}
+
+fn split(rows: usize, options: &LengthOptions) -> Split {
+    let mut order: Vec<usize> = (0..rows).collect();
+    order.shuffle(&mut rand::rngs::StdRng::seed_from_u64(options.seed));
+    let held = (rows as f64 * options.held_out).round() as usize;
+    let (held_out, fitting) = order.split_at(held.min(rows));
+    let sorted = |rows: &[usize]| {
+        let mut rows = rows.to_vec();
+        rows.sort_unstable();
+        rows
+    };
+    Split { fitting: sorted(fitting), held_out: sorted(held_out) }
+}
+
+fn check(rows: &[LengthRow], options: &LengthOptions) -> Result<(), LengthError> {
+    for (index, row) in rows.iter().enumerate() {
+        let bad = |what| Err(LengthError::BadRow { row: index + 1, what });
+        if !row.joints_rad.iter().chain(row.flange_m.iter().flatten()).all(|v| v.is_finite()) {
+            return bad("a number that is not finite");
+        }
+        if !(row.length_m.is_finite() && row.length_m > 0.0) {
+            return bad("a length that is not above zero");
+        }
+    }
+    let positive = [
+        ("link_sigma_m", options.link_sigma_m),
+        ("link_sigma_rad", options.link_sigma_rad),
+        ("length_sigma_m", options.length_sigma_m.unwrap_or(1.0)),
+        ("flange_tolerance_m", options.flange_tolerance_m),
+        ("residual_limit", options.residual_limit),
+        ("run_limit", options.run_limit.unwrap_or(1.0)),
+        ("loss.scale", options.loss.scale().unwrap_or(1.0)),
+    ];
+    for (option, value) in positive {
+        if !(value.is_finite() && value > 0.0) {
+            return Err(LengthError::BadOption { option, value, remedy: "give a number above zero" });
+        }
+    }
+    if !(0.0..0.9).contains(&options.held_out) {
+        let (option, value) = ("held_out", options.held_out);
+        return Err(LengthError::BadOption { option, value, remedy: "give a part from 0 to below 0.9" });
+    }
+    Ok(())
+}
+
+/// The parameters of the wire.
+fn wire_ids() -> impl Iterator<Item = ParameterId> {
+    let attachment = Axis::ALL.into_iter().map(ParameterId::Attachment);
+    attachment.chain(Axis::ALL.into_iter().map(ParameterId::Anchor)).chain([ParameterId::LengthOffset])
+}
+
+/// The standard numbers of the robot's links.
+fn is_link(id: ParameterId) -> bool {
+    matches!(id, ParameterId::Robot { parameter, .. } if parameter != LinkParameter::Beta)
+}
+
+/// Rows of a fit in the form that the problem takes.
+struct Samples {
+    observations: Vec<Observation>,
+    motion: PerObservation,
+}
+
+impl Samples {
+    fn of(rows: &[LengthRow], chosen: &[usize]) -> Self {
+        let chosen = || chosen.iter().filter_map(|&row| rows.get(row));
+        let observation =
+            |(i, row): (usize, &LengthRow)| Observation::length(PerObservation::time_s(i), row.length_m);
+        Self {
+            observations: chosen().enumerate().map(observation).collect(),
+            motion: PerObservation(chosen().map(|row| row.joints_rad).collect()),
+        }
+    }
+}
+
+/// Solves for what is free in the model and takes the solution over.
+fn fit(
+    model: &mut Model,
+    rows: &[LengthRow],
+    chosen: &[usize],
+    loss: Loss,
+    sigma_m: f64,
+) -> Result<Solution, LengthError> {
+    let samples = Samples::of(rows, chosen);
+    let problem = LoopProblem::new(model, &samples.motion, &samples.observations, MeasuredLength, sigma_m)?;
+    let options = Options { loss, noise: Noise::Estimated, ..Options::default() };
+    let solution = solve_graduated(&problem, &model.start(), &GraduatedOptions::new(options))?;
+    let solution = solution.identified()?;
+    model.adopt(&solution.x);
+    Ok(solution)
+}
+
+/// Residual of every row \[m\].
+fn residuals_m(model: &Model, rows: &[LengthRow]) -> Vec<f64> {
+    let geometry = model.geometry(&model.start());
+    let wire = geometry.wire;
+    let predicted = |row: &LengthRow| {
+        let root_from_flange = geometry.robot.forward(&row.joints_rad);
+        let attachment = root_from_flange.translation.vector + root_from_flange.rotation * wire.attachment_m;
+        (attachment - wire.anchor_m).norm() + wire.offset_m
+    };
+    rows.iter().map(|row| predicted(row) - row.length_m).collect()
+}
+
+/// Anchor, attachment and offset with the robot as it is.
+fn fit_wire(
+    model: &mut Model,
+    rows: &[LengthRow],
+    chosen: &[usize],
+    options: &LengthOptions,
+) -> Result<(), LengthError> {
+    let anchor_m = start::anchor_by_sphere(&model.geometry(&[]).robot, rows, chosen)?;
+    for axis in Axis::ALL {
+        model.set_value(ParameterId::Anchor(axis), anchor_m[axis.index()])?;
+    }
+    model.set_roles(wire_ids(), Role::Free)?;
+    // A first fit with nothing called an outlier, only to learn the scale.
+    fit(model, rows, chosen, Loss::Squared, 1e-3)?;
+    let sigma_m = scale_m(model, rows, chosen, options);
+    fit(model, rows, chosen, options.loss, sigma_m).map(drop)
+}
+
+/// Priors on the links around nominal.
+fn free_links(model: &mut Model, options: &LengthOptions) -> Result<(), LengthError> {
+    let links: Vec<_> = model.parameters().iter().filter(|p| is_link(p.id)).copied().collect();
+    for link in links {
+        let sigma = match link.id.unit() {
+            Unit::Metre => options.link_sigma_m,
+            _ => options.link_sigma_rad,
+        };
+        model.set_role(link.id, Role::Prior { value: link.nominal, sigma })?;
+    }
+    Ok(())
+}
+
+/// Fits wire and links, each round without the rows that the round before found faulty, until none changes.
+///
+/// Every round judges all fitting rows anew: as the fit improves, smaller faults show, and rows rejected too early
+/// come back.
+fn fit_links(
+    model: &mut Model,
+    rows: &[LengthRow],
+    fitting: &[usize],
+    options: &LengthOptions,
+) -> Result<LinkFit, LengthError> {
+    const ROUNDS_MAX: usize = 20;
+    /// The scale changes less than this from round to round.
+    const SCALE_SETTLED: f64 = 0.02;
+    let mut found = screen::faulty(&residuals_m(model, rows), fitting, fitting, options);
+    free_links(model, options)?;
+    for _ in 0..ROUNDS_MAX {
+        let kept = screen::without(fitting, &found);
+        if kept.len() < ROWS_MIN.max(fitting.len() / 2) {
+            return Err(LengthError::TooManyRejected { kept: kept.len(), rows: fitting.len() });
+        }
+        let sigma_m = scale_m(model, rows, &kept, options);
+        let solution = fit(model, rows, &kept, options.loss, sigma_m)?;
+        let again = screen::faulty(&residuals_m(model, rows), fitting, &kept, options);
+        let rescaled = scale_m(model, rows, &kept, options) / sigma_m - 1.0;
+        let settled = screen::same_rows(&again, &found) && rescaled.abs() < SCALE_SETTLED;
+        let rejected = std::mem::replace(&mut found, again);
+        if settled {
+            return Ok(LinkFit { solution, sigma_m, rejected });
+        }
+    }
+    // Rows at the limit may change places for ever; the last choice is as good as any.
+    let kept = screen::without(fitting, &found);
+    let sigma_m = scale_m(model, rows, &kept, options);
+    let solution = fit(model, rows, &kept, options.loss, sigma_m)?;
+    Ok(LinkFit { solution, sigma_m, rejected: found })
+}
+
+/// Outcome of [`fit_links`].
+struct LinkFit {
+    solution: Solution,
+    sigma_m: f64,
+    rejected: Vec<RejectedRow>,
+}
+
+/// Standard deviation of a length \[m\]: given, or from the rows as they fit now.
+fn scale_m(model: &Model, rows: &[LengthRow], kept: &[usize], options: &LengthOptions) -> f64 {
+    let estimated = || screen::robust_sigma(&figures::pick(&residuals_m(model, rows), kept));
+    options.length_sigma_m.unwrap_or_else(estimated)
+}
+
+/// Calibrates a robot from poses with a measured length each; rows in the order in which they were measured.
+///
+/// `robot` is the nominal chain to the flange. Rows whose controller position contradicts their joint angles are
+/// rejected everywhere. Single gross residuals are rejected from the fit only; faulty runs everywhere, but judged by
+/// their fitting rows alone. Lengths of held-out rows decide nothing.
+///
+/// # Errors
+/// [`LengthError`] for rows, options or geometry that allow no calibration.
+pub fn calibrate(
+    rows: &[LengthRow],
+    robot: &Chain,
+    options: &LengthOptions,
+) -> Result<LengthReport, LengthError> {
+    check(rows, options)?;
+    let split = split(rows.len(), options);
+    let mut rejected = screen::contradicting(rows, robot, options.flange_tolerance_m);
+    let fitting = screen::without(&split.fitting, &rejected);
+    if fitting.len() < ROWS_MIN {
+        return Err(LengthError::TooFewRows { rows: fitting.len(), needed: ROWS_MIN });
+    }
+    let mut model = Model::measured_length(robot);
+    fit_wire(&mut model, rows, &fitting, options)?;
+    let before = residuals_m(&model, rows);
+    let LinkFit { solution, sigma_m, rejected: faulty } = fit_links(&mut model, rows, &fitting, options)?;
+    let after = residuals_m(&model, rows);
+    let known: Vec<usize> = rejected.iter().map(|r| r.row).collect();
+    rejected.extend(faulty.into_iter().filter(|r| !known.contains(&r.row)));
+    rejected.sort_by_key(|r| r.row);
+    let runs = runs::runs(&model, rows, &rejected);
+    Ok(report::assemble(report::Outcome { model, solution, before, after, split, rejected, runs, sigma_m }))
+}

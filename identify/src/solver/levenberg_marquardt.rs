@@ -301,8 +301,20 @@ fn descend<P: Problem>(problem: &P, start: Linearization, x: DVector<f64>, optio
     now
 }
 
-/// The descent of [`solve`] alone: the minimum, how it was reached, and each sample's fit there.
-pub(super) fn minimise<P: Problem>(
+/// The descent of [`solve`] alone, without a word on rank and covariance: for studies that solve thousands of times.
+///
+/// # Errors
+/// As [`solve`].
+pub fn minimise<P: Problem>(
+    problem: &P,
+    start: &[f64],
+    options: &Options,
+) -> Result<(Vec<f64>, Summary), SolveError> {
+    descended(problem, start, options).map(|(x, summary, _)| (x.as_slice().to_vec(), summary))
+}
+
+/// The minimum, how it was reached, and each sample's fit there.
+fn descended<P: Problem>(
     problem: &P,
     start: &[f64],
     options: &Options,
@@ -347,7 +359,7 @@ pub(super) fn minimise<P: Problem>(
 /// # Errors
 /// [`SolveError`] where the solve cannot start.
 pub fn solve<P: Problem>(problem: &P, start: &[f64], options: &Options) -> Result<Solution, SolveError> {
-    let (x, summary, fits) = minimise(problem, start, options)?;
+    let (x, summary, fits) = descended(problem, start, options)?;
     let (identifiability, covariance) = at_solution(problem, x.as_slice(), options, &fits);
     let sample_weights = fits.iter().map(|fit| fit.weight).collect();
     Ok(Solution { x: x.as_slice().to_vec(), summary, identifiability, covariance, sample_weights })

@@ -15,7 +15,7 @@ mod robust;
 
 pub use covariance::{Covariance, Noise};
 pub use identifiability::{DependentGroup, Identifiability, Unidentifiable, identifiability};
-pub use levenberg_marquardt::{Options, Solution, Summary, Termination, solve};
+pub use levenberg_marquardt::{Options, Solution, Summary, Termination, minimise, solve};
 pub use loss::Loss;
 pub use panel::{Block, stacked};
 pub use robust::{GraduatedOptions, solve_graduated};

@@ -4,8 +4,7 @@
 //! good start, and each narrowing keeps it (graduated non-convexity, Blake and Zisserman 1987; the schedule factor is
 //! that of Yang, Antonante, Tzoumas, Carlone 2020).
 
-use super::levenberg_marquardt::minimise;
-use super::{Options, Problem, Solution, SolveError, solve};
+use super::{Options, Problem, Solution, SolveError, minimise, solve};
 
 /// How the loss is narrowed.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -44,7 +43,7 @@ pub fn solve_graduated<P: Problem>(
             iterations_max: options.iterations_between,
             ..options.solve
         };
-        x = minimise(problem, &x, &between)?.0.as_slice().to_vec();
+        x = minimise(problem, &x, &between)?.0;
         widening /= options.narrowing.max(1.01);
     }
     solve(problem, &x, &options.solve)

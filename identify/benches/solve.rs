@@ -1,0 +1,75 @@
+//! One Levenberg-Marquardt iteration on the reference problem: 1500 poses x 12 residuals x 40 parameters, beside the
+//! crate `levenberg-marquardt` on the same functions.
+//!
+//! An iteration is a pass over all samples (residual, Jacobian, normal equations) and the step. Figures are of whole
+//! descents with a fixed number of iterations; the passes that each made are printed, divide by them.
+#![allow(clippy::unwrap_used, reason = "a benchmark stops at the first surprise")]
+#![allow(clippy::print_stdout, reason = "the number of passes belongs to the figures")]
+#![allow(missing_docs, reason = "criterion's macros write undocumented functions")]
+
+#[path = "../tests/support/mod.rs"]
+mod support;
+
+use std::hint::black_box;
+use std::time::Duration;
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use identify::cost::{LoopProblem, Residual, Transform};
+use identify::model::{PerObservation, Selection};
+use identify::solver::{Options, identifiability, minimise, stacked};
+use levenberg_marquardt::LevenbergMarquardt;
+use rand::rngs::StdRng;
+use rand::{Rng, SeedableRng};
+use rand_distr::StandardNormal;
+use support::other_solver::Other;
+use support::{Cell, spread_poses};
+
+const POSES: usize = 1500;
+
+fn iterations(criterion: &mut Criterion) {
+    let cell = Cell::irb2400();
+    let (mut observations, PerObservation(mut joints)) = spread_poses(&cell.robot, &cell.bar, POSES, 1);
+    let mut random = StdRng::seed_from_u64(2);
+    for value in observations.iter_mut().flat_map(|o| &mut o.bar_rad).chain(joints.iter_mut().flatten()) {
+        *value += 1e-3 * random.sample::<f64, _>(StandardNormal);
+    }
+    let mut model = cell.model();
+    model.select(Selection::Cell, Transform::sees).unwrap();
+    let motion = PerObservation(joints);
+    let problem = LoopProblem::new(&model, &motion, &observations, Transform, 1.0).unwrap();
+    let start = model.start();
+    assert_eq!(start.len(), 40);
+
+    let mut group = criterion.benchmark_group("1500 poses x 12 x 40");
+    group.sample_size(20).measurement_time(Duration::from_secs(5));
+    for limit in [1, 3] {
+        let options = Options { iterations_max: limit, ..Options::default() };
+        let (_, summary) = minimise(&problem, &start, &options).unwrap();
+        println!("ours, at most {limit} iterations: {} passes", summary.evaluations);
+        group.bench_function(format!("ours, {limit} iterations"), |b| {
+            b.iter(|| minimise(black_box(&problem), &start, &options).unwrap());
+        });
+    }
+    let full = Options::default();
+    println!("ours, to the end: {} passes", minimise(&problem, &start, &full).unwrap().1.evaluations);
+    group.bench_function("ours, to the end", |b| b.iter(|| minimise(&problem, &start, &full).unwrap()));
+    group.bench_function("ours, rank and groups", |b| {
+        b.iter(|| identifiability(&problem, &start, &full).unwrap());
+    });
+    group.bench_function("residual and Jacobian alone, stacked", |b| {
+        b.iter(|| stacked(&problem, black_box(&start)).unwrap());
+    });
+    let (_, report) = LevenbergMarquardt::new().minimize(Other::new(&problem, &start));
+    println!(
+        "levenberg-marquardt, to the end: {} evaluations, {:?}",
+        report.number_of_evaluations, report.termination
+    );
+    group.sample_size(10);
+    group.bench_function("levenberg-marquardt, to the end", |b| {
+        b.iter(|| LevenbergMarquardt::new().minimize(Other::new(&problem, &start)));
+    });
+    group.finish();
+}
+
+criterion_group!(benches, iterations);
+criterion_main!(benches);

@@ -1,0 +1,87 @@
+//! What would explain a run of rows that is off as a whole: hints for whoever mends the data. Nothing is repaired here.
+
+use super::figures::{median, pick};
+use super::{LengthRow, RejectedRow, Rejection, residuals_m};
+use crate::kinematics::ROBOT_JOINTS;
+use crate::model::Model;
+
+/// What would explain a run.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum RunCause {
+    /// The instrument's zero moved.
+    ZeroMoved {
+        /// By this much \[m\].
+        by_m: f64,
+    },
+    /// A joint was logged with the other sign.
+    SignReversed {
+        /// Joint from 1.
+        joint: usize,
+    },
+}
+
+/// Consecutive rows that are off together.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FaultyRun {
+    /// First row, from 0.
+    pub first: usize,
+    /// Last row, from 0.
+    pub last: usize,
+    /// Median size of the residuals \[m\].
+    pub median_m: f64,
+    /// What brings it down to a third or less; the best of what was tried.
+    pub cause: Option<RunCause>,
+}
+
+fn median_size(residuals_m: impl Iterator<Item = f64>) -> f64 {
+    let mut sizes: Vec<f64> = residuals_m.map(f64::abs).collect();
+    sizes.sort_by(f64::total_cmp);
+    median(&sizes)
+}
+
+fn zero_moved(residuals_m: &[f64]) -> (f64, RunCause) {
+    let mut sorted = residuals_m.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let by_m = median(&sorted);
+    (median_size(residuals_m.iter().map(|r| r - by_m)), RunCause::ZeroMoved { by_m: -by_m })
+}
+
+fn sign_reversed(model: &Model, rows: &[LengthRow], joint: usize) -> (f64, RunCause) {
+    let reversed: Vec<LengthRow> = rows
+        .iter()
+        .map(|row| {
+            let mut row = *row;
+            row.joints_rad[joint] = -row.joints_rad[joint];
+            row
+        })
+        .collect();
+    let left = median_size(residuals_m(model, &reversed).into_iter());
+    (left, RunCause::SignReversed { joint: joint + 1 })
+}
+
+fn explain(model: &Model, rows: &[LengthRow], residuals_m: &[f64], median_m: f64) -> Option<RunCause> {
+    /// A cause must leave no more than this part of the residuals.
+    const PART_LEFT: f64 = 1.0 / 3.0;
+    (0..ROBOT_JOINTS)
+        .map(|joint| sign_reversed(model, rows, joint))
+        .chain([zero_moved(residuals_m)])
+        .min_by(|a, b| a.0.total_cmp(&b.0))
+        .filter(|(left, _)| *left <= PART_LEFT * median_m)
+        .map(|(_, cause)| cause)
+}
+
+/// Runs among rejected rows (ascending).
+pub(super) fn runs(model: &Model, rows: &[LengthRow], rejected: &[RejectedRow]) -> Vec<FaultyRun> {
+    let faulty: Vec<usize> =
+        rejected.iter().filter(|r| matches!(r.why, Rejection::FaultyRun { .. })).map(|r| r.row).collect();
+    let residuals_m = residuals_m(model, rows);
+    let consecutive = faulty.chunk_by(|a, b| a + 1 == *b);
+    let run = |members: &[usize]| {
+        let (&first, &last) = (members.first()?, members.last()?);
+        let own = pick(&residuals_m, members);
+        let median_m = median_size(own.iter().copied());
+        let cause = explain(model, rows.get(first..=last)?, &own, median_m);
+        Some(FaultyRun { first, last, median_m, cause })
+    };
+    consecutive.filter_map(run).collect()
+}

@@ -1,0 +1,200 @@
+//! Calibration by measured lengths: on made-up rows with known truth, and on a real IRB 120 with a draw-wire sensor.
+#![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
+#![allow(clippy::print_stdout, reason = "figures of a run")]
+
+mod support;
+
+use std::path::PathBuf;
+
+use identify::calibrate::measured_length::{
+    ErrorFigures, LengthOptions, LengthRow, Rejection, RunCause, calibrate,
+};
+use identify::kinematics::{Chain, flange_chain};
+use identify::model::{Axis, ParameterId};
+use identify::solver::Loss;
+use nalgebra::Vector3;
+use rand::rngs::StdRng;
+use rand::{Rng, SeedableRng};
+use rand_distr::StandardNormal;
+use shared::config::{self, RobotConfig};
+
+fn irb120() -> Chain {
+    flange_chain(&config::load::<RobotConfig>(&support::repository("config/robots/irb120_3.toml")).unwrap())
+}
+
+/// The measured rows; none where the data are not on this machine.
+fn real_rows() -> Option<Vec<LengthRow>> {
+    let folder =
+        std::env::var_os("BALLBAR_DATA").map_or_else(|| support::repository("../shared/data"), PathBuf::from);
+    let path = folder.join("irb120-draw-wire/draw_wire_1042.csv");
+    if !path.exists() {
+        println!(
+            "skipped: {} is not here; set BALLBAR_DATA to the folder of the measured data",
+            path.display()
+        );
+        return None;
+    }
+    let rows = csv::Reader::from_path(&path).unwrap().into_deserialize::<[f64; 10]>().map(|row| {
+        let row = row.unwrap();
+        LengthRow {
+            joints_rad: std::array::from_fn(|i| row[3 + i].to_radians()),
+            length_m: row[9] * 1e-3,
+            flange_m: Some(std::array::from_fn(|i| row[i] * 1e-3)),
+        }
+    });
+    Some(rows.collect())
+}
+
+fn show(name: &str, figures: &ErrorFigures) {
+    println!(
+        "{name}: {} rows, mean {:.3}, RMS {:.3}, median {:.3}, max {:.2} mm",
+        figures.rows,
+        1e3 * figures.mean_m,
+        1e3 * figures.rms_m,
+        1e3 * figures.median_m,
+        1e3 * figures.max_m
+    );
+}
+
+/// A robot with errors of some mm and mrad, a wire, noise of 0.1 mm, and faults where asked.
+fn made_up(count: usize) -> (Vec<LengthRow>, Vector3<f64>) {
+    let mut random = StdRng::seed_from_u64(5);
+    let mut truth = irb120();
+    for link in &mut truth.links {
+        link.a_m += random.random_range(-1e-3..1e-3);
+        link.theta_rad += random.random_range(-4e-3..4e-3);
+        link.alpha_rad += random.random_range(-2e-3..2e-3);
+    }
+    let (anchor_m, attachment_m) = (Vector3::new(0.3, -0.9, 0.1), Vector3::new(0.02, -0.01, 0.05));
+    let rows = (0..count).map(|_| {
+        let joints_rad: [f64; 6] = std::array::from_fn(|_| random.random_range(-1.2..1.2));
+        let pose = truth.forward(&joints_rad);
+        let distance = (pose.translation.vector + pose.rotation * attachment_m - anchor_m).norm();
+        let noise = 1e-4 * random.sample::<f64, _>(StandardNormal);
+        let flange_m = irb120().forward(&joints_rad).translation.vector.into();
+        LengthRow { joints_rad, length_m: distance - 0.04 + noise, flange_m: Some(flange_m) }
+    });
+    (rows.collect(), anchor_m)
+}
+
+#[test]
+fn anchor_offset_and_robot_are_found_from_lengths_alone() {
+    let (rows, anchor_m) = made_up(500);
+    let report = calibrate(&rows, &irb120(), &LengthOptions::default()).unwrap();
+    show("made up, before", &report.held_out.before);
+    show("made up, after", &report.held_out.after);
+    assert!(report.held_out.before.rms_m > 3e-4, "the made-up robot has no errors to find");
+    assert!(report.held_out.after.rms_m < 1.5e-4);
+    assert_eq!((report.held_out.after.rows, report.fitted.after.rows), (100, 400));
+    assert!((report.length_sigma_m - 1e-4).abs() < 2e-5);
+    assert!(report.runs.is_empty() && report.rejected.is_empty());
+    let offset = report.parameters.iter().find(|p| p.id == ParameterId::LengthOffset).unwrap();
+    assert!((offset.value + 0.04).abs() < 4.0 * offset.sigma.unwrap());
+    for axis in Axis::ALL {
+        // Its height is the robot's, too: rd1 takes part of it, and sigma says so.
+        let anchor = report.parameters.iter().find(|p| p.id == ParameterId::Anchor(axis)).unwrap();
+        assert!((anchor.value - anchor_m[axis.index()]).abs() < 4.0 * anchor.sigma.unwrap());
+    }
+}
+
+#[test]
+fn faults_in_the_rows_are_found_named_and_kept_out_of_the_fit() {
+    let (mut rows, _) = made_up(600);
+    for row in &mut rows[100..150] {
+        row.length_m += 5e-3;
+    }
+    for row in &mut rows[300..360] {
+        row.joints_rad[4] = -row.joints_rad[4];
+        row.flange_m = None;
+    }
+    for row in rows[400..600].iter_mut().step_by(20) {
+        row.length_m -= 2e-2;
+    }
+    rows[50].flange_m = Some([0.0, 0.0, 0.0]);
+    let report = calibrate(&rows, &irb120(), &LengthOptions::default()).unwrap();
+    let contradicting =
+        report.rejected.iter().filter(|r| matches!(r.why, Rejection::FlangeContradicts { .. }));
+    assert_eq!(contradicting.map(|r| r.row).collect::<Vec<_>>(), [50]);
+    let run_at = |row: usize| report.runs.iter().find(|run| run.first <= row && row <= run.last).unwrap();
+    let Some(RunCause::ZeroMoved { by_m }) = run_at(125).cause else { panic!("{:?}", run_at(125)) };
+    assert!((by_m - 5e-3).abs() < 2e-4, "{by_m}");
+    assert_eq!(run_at(330).cause, Some(RunCause::SignReversed { joint: 5 }));
+    let fitting_outliers =
+        report.rejected.iter().filter(|r| matches!(r.why, Rejection::GrossResidual { .. })).count();
+    assert!((4..=10).contains(&fitting_outliers), "{:?}", report.rejected);
+    assert!(report.fitted.after.rms_m < 1.5e-4, "{:?}", report.fitted.after);
+}
+
+#[test]
+fn rows_and_options_that_make_no_sense_are_errors() {
+    let (mut rows, _) = made_up(100);
+    let text = |rows: &[LengthRow], options: &LengthOptions| {
+        calibrate(rows, &irb120(), options).unwrap_err().to_string()
+    };
+    let options = LengthOptions::default();
+    assert!(text(&rows[..12], &options).contains("at least 14"));
+    assert!(text(&rows, &LengthOptions { held_out: 1.0, ..options }).contains("held_out"));
+    assert!(text(&rows, &LengthOptions { link_sigma_m: 0.0, ..options }).contains("link_sigma_m"));
+    rows[7].length_m = -1.0;
+    assert!(text(&rows, &options).contains("row 8"));
+    rows[7].length_m = f64::NAN;
+    assert!(text(&rows, &options).contains("row 8"));
+    let still = vec![LengthRow { length_m: 0.5, ..rows[0] }; 50];
+    assert!(text(&still, &options).contains("no anchor"));
+}
+
+#[test]
+fn the_real_irb_120_is_predicted_better_on_rows_that_no_fit_has_seen() {
+    let Some(rows) = real_rows() else { return };
+    let report = calibrate(&rows, &irb120(), &LengthOptions::default()).unwrap();
+    println!("{} | {}", report.summary.termination, report.identifiability);
+    println!(
+        "{} of {} rows rejected, sigma of a length {:.2} mm",
+        report.rejected.len(),
+        rows.len(),
+        1e3 * report.length_sigma_m
+    );
+    for run in &report.runs {
+        println!(
+            "rows {} to {}: median {:.2} mm, {:?}",
+            run.first + 1,
+            run.last + 1,
+            1e3 * run.median_m,
+            run.cause
+        );
+    }
+    show("held out, accepted, before", &report.held_out.before);
+    show("held out, accepted, after", &report.held_out.after);
+    show("held out, all, before", &report.held_out_with_rejected.before);
+    show("held out, all, after", &report.held_out_with_rejected.after);
+    // Its controller position is 99 mm from its joint angles.
+    assert!(
+        report.rejected.iter().any(|r| r.row == 950 && matches!(r.why, Rejection::FlangeContradicts { .. }))
+    );
+    let after = report.held_out.after;
+    assert!(after.mean_m < 0.94e-3 && after.rms_m < 1.60e-3 && after.max_m < 4.5e-3, "{after:?}");
+    assert!(after.rows >= 140);
+}
+
+#[test]
+fn the_real_irb_120_with_every_row_kept() {
+    let Some(rows) = real_rows() else { return };
+    let options = LengthOptions {
+        loss: Loss::Huber { scale: 1.5 },
+        link_sigma_m: 1.0,
+        link_sigma_rad: 1.0,
+        residual_limit: 1e3,
+        run_limit: None,
+        ..LengthOptions::default()
+    };
+    let mut sum = ErrorFigures::default();
+    for seed in 1..=5 {
+        let report = calibrate(&rows, &irb120(), &LengthOptions { seed, ..options }).unwrap();
+        show("held out, all, before", &report.held_out_with_rejected.before);
+        show("held out, all, after", &report.held_out_with_rejected.after);
+        sum.mean_m += 0.2 * report.held_out_with_rejected.after.mean_m;
+        sum.rms_m += 0.2 * report.held_out_with_rejected.after.rms_m;
+    }
+    println!("mean of five seeds: mean {:.3}, RMS {:.3} mm", 1e3 * sum.mean_m, 1e3 * sum.rms_m);
+    assert!(sum.mean_m < 1.0e-3 && sum.rms_m < 1.75e-3);
+}

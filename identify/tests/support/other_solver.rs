@@ -1,0 +1,42 @@
+//! Any problem of ours as one of the crate `levenberg-marquardt`, a port of MINPACK's lmder.
+
+use identify::solver::{Problem, stacked};
+use levenberg_marquardt::LeastSquaresProblem;
+use nalgebra::storage::Owned;
+use nalgebra::{DMatrix, DVector, Dyn};
+
+pub struct Other<'a, P> {
+    problem: &'a P,
+    pub x: DVector<f64>,
+    /// That crate asks for residuals and Jacobian of a point one after the other.
+    at_x: Option<(DVector<f64>, DMatrix<f64>)>,
+}
+
+impl<'a, P: Problem> Other<'a, P> {
+    pub fn new(problem: &'a P, start: &[f64]) -> Self {
+        Self { problem, x: DVector::from_column_slice(start), at_x: stacked(problem, start) }
+    }
+}
+
+impl<P: Problem> LeastSquaresProblem<f64, Dyn, Dyn> for Other<'_, P> {
+    type ResidualStorage = Owned<f64, Dyn>;
+    type JacobianStorage = Owned<f64, Dyn, Dyn>;
+    type ParameterStorage = Owned<f64, Dyn>;
+
+    fn set_params(&mut self, x: &DVector<f64>) {
+        self.x.copy_from(x);
+        self.at_x = stacked(self.problem, x.as_slice());
+    }
+
+    fn params(&self) -> DVector<f64> {
+        self.x.clone()
+    }
+
+    fn residuals(&self) -> Option<DVector<f64>> {
+        self.at_x.as_ref().map(|(residual, _)| residual.clone())
+    }
+
+    fn jacobian(&self) -> Option<DMatrix<f64>> {
+        self.at_x.as_ref().map(|(_, jacobian)| jacobian.clone())
+    }
+}
