@@ -23,6 +23,8 @@ const TRAVEL_DEG_MIN: f64 = 3.0;
 const POSITIONS_APART_M: f64 = 0.005;
 /// Travel between samples from which offsets and clocks are found \[rad\].
 const PAIRS_APART_RAD: f64 = 0.01;
+/// Samples so near to an end or a hole of the robot's log \[s\] might leave it when a solve moves the clocks.
+const EDGE_S: f64 = 0.03;
 /// Fewest samples that a solve can begin with.
 const KEPT_MIN: usize = 50;
 
@@ -251,7 +253,9 @@ impl Samples {
     ) -> Result<Kept, PrepareError> {
         let mut usable = Vec::new();
         for (index, (t_s, _)) in self.all.iter().enumerate() {
-            match predictor.at(clock.tau_s(*t_s)) {
+            let tau_s = clock.tau_s(*t_s);
+            let around = [tau_s - EDGE_S, tau_s + EDGE_S].map(|tau_s| predictor.at(tau_s).is_some());
+            match predictor.at(tau_s).filter(|_| around == [true, true]) {
                 None => counts.outside_robot_log += 1,
                 Some(bar) if bar.margin_rad <= margin_rad => counts.singular += 1,
                 Some(_) => usable.push(index),
