@@ -1,27 +1,14 @@
 //! Robot logs in and out: conversions, round trips and every refusal.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use std::path::{Path, PathBuf};
+mod support;
+
+use std::path::Path;
 
 use identify::logs::{JointConversion, LogError, Origin, RobotLog, read, write};
 use proptest::prelude::*;
-use shared::config::{self, RobotConfig};
-
-fn repository() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap().to_owned()
-}
-
-fn robot(file: &str) -> RobotConfig {
-    config::load(&repository().join("config/robots").join(file)).unwrap()
-}
-
-fn irb() -> RobotConfig {
-    robot("irb2400_16.toml")
-}
-
-fn nj() -> RobotConfig {
-    robot("nj220_2_7.toml")
-}
+use shared::config::RobotConfig;
+use support::{irb2400 as irb, nj220 as nj};
 
 /// A log of 60 rows at 4 ms whose stamps need more digits than an f64 has.
 fn sample_log() -> RobotLog {

@@ -1,25 +1,18 @@
 //! Simulated experiments: consistent in themselves, comfortable for robot and bar, and worth identifying.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use std::path::Path;
+mod support;
 
 use identify::kinematics::{Configuration, ball_bar_chain, robot_chain, singularity_margin_rad};
 use identify::logs;
 use identify::simulate::{self, Clocks, Design, Effects, Experiment, Simulated, StaticErrors, Truth};
-use shared::config::{self, BallBarConfig, RobotConfig};
+use shared::config::RobotConfig;
 use shared::encoder::Unwrapper;
 use shared::recording::Recording;
-
-fn load<T: serde::de::DeserializeOwned + config::Validate>(file: &str) -> T {
-    config::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../config").join(file)).unwrap()
-}
-
-fn bar() -> BallBarConfig {
-    load("ball_bar.toml")
-}
+use support::{bar, irb2400, nj220};
 
 fn robots() -> [RobotConfig; 2] {
-    [load("robots/irb2400_16.toml"), load("robots/nj220_2_7.toml")]
+    [irb2400(), nj220()]
 }
 
 fn seconds_on_bar_clock(run: &Simulated, row: usize) -> f64 {

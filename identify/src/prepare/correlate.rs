@@ -104,7 +104,9 @@ fn scores(first: &Channels, second: &Channels, overlap_min: usize) -> Vec<Score>
     let mut covariance = vec![0.0; overlaps.len()];
     let mut variances = [vec![0.0; overlaps.len()], vec![0.0; overlaps.len()]];
     for (a, b) in first.values.iter().zip(&second.values) {
-        let (a, b) = (normalised(a, &first.known), normalised(b, &second.known));
+        // One scale for both: scaled each by its own, channels would disagree wherever one log covers more motion.
+        let scale = inverse_deviation(b, &second.known);
+        let (a, b) = (normalised(a, &first.known, scale), normalised(b, &second.known, scale));
         let spectra = [&a, &b].map(|signal| transform.forward(signal));
         let squares = [&a, &b].map(|signal| {
             let squared: Vec<f64> = signal.iter().map(|value| value * value).collect();
@@ -128,7 +130,7 @@ fn scores(first: &Channels, second: &Channels, overlap_min: usize) -> Vec<Score>
             let index = shift.rem_euclid(transform.length as i64) as usize;
             let overlap = overlaps[index].round().max(0.0) as usize;
             let (va, vb) = (variances[0][index], variances[1][index]);
-            // Signals have unit variance over the whole log: far less than that in the overlap is standstill.
+            // Channels of the second set have unit variance: far less than that in the overlap is standstill.
             let still = 1e-3 * overlap as f64;
             let usable = overlap >= overlap_min && va > still && vb > still;
             let correlation = usable.then(|| (covariance[index] / (va * vb).sqrt()).clamp(-1.0, 1.0));
@@ -141,15 +143,28 @@ fn mask(channels: &Channels) -> Vec<f64> {
     channels.known.iter().map(|&known| f64::from(u8::from(known))).collect()
 }
 
-/// Mean 0 and variance 1 over the known points, 0 at the others: all channels count the same.
-fn normalised(values: &[f64], known: &[bool]) -> Vec<f64> {
-    let known_values = || values.iter().zip(known).filter(|(_, known)| **known).map(|(value, _)| *value);
-    let count = known_values().count().max(1) as f64;
-    let mean = known_values().sum::<f64>() / count;
-    let deviation = (known_values().map(|value| (value - mean).powi(2)).sum::<f64>() / count).sqrt();
-    // A joint that does not move has nothing to say.
-    let scale = if deviation > 1e-9 { 1.0 / deviation } else { 0.0 };
-    values.iter().zip(known).map(|(value, &known)| if known { (value - mean) * scale } else { 0.0 }).collect()
+fn known<'a>(values: &'a [f64], known: &'a [bool]) -> impl Iterator<Item = f64> + 'a {
+    values.iter().zip(known).filter(|(_, known)| **known).map(|(value, _)| *value)
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> f64 {
+    let (count, sum) = values.fold((0usize, 0.0), |(count, sum), value| (count + 1, sum + value));
+    sum / count.max(1) as f64
+}
+
+/// One over the standard deviation of the known points: with it all channels count the same. 0 for a joint that does
+/// not move, which has nothing to say.
+fn inverse_deviation(values: &[f64], known_points: &[bool]) -> f64 {
+    let middle = mean(known(values, known_points));
+    let deviation = mean(known(values, known_points).map(|value| (value - middle).powi(2))).sqrt();
+    if deviation > 1e-9 { 1.0 / deviation } else { 0.0 }
+}
+
+/// Known points about their mean, scaled; 0 at the others. Taking off the mean keeps the sums accurate.
+fn normalised(values: &[f64], known_points: &[bool], scale: f64) -> Vec<f64> {
+    let middle = mean(known(values, known_points));
+    let about = |(value, &known): (&f64, &bool)| if known { (value - middle) * scale } else { 0.0 };
+    values.iter().zip(known_points).map(about).collect()
 }
 
 /// Fourier transforms of one length, long enough that nothing wraps around.

@@ -9,7 +9,7 @@
 //! 4. [`correlate`]: predicted and measured joint *speeds* know no zeros, signs or configurations; their
 //!    cross-correlation gives the clock difference, whatever its size.
 //! 5. [`find_offsets`]: with the clocks aligned, angles are compared: offsets, configuration, and whether this log
-//!    belongs to this recording at all; [`refine_clock`] improves the alignment on the angles.
+//!    belongs to this recording at all; [`refine`] improves clocks, base and offsets on the angles.
 //! 6. [`select`]: standstill, singular poses and surplus samples are left out.
 //!
 //! Times stay integers until they are small differences: the clocks may be decades apart.
@@ -32,7 +32,7 @@ pub use correlate::{Channels, Match, correlate};
 pub use error::PrepareError;
 pub use offsets::{AnglePair, EncoderOffset, Offsets, find_offsets};
 pub use predict::{PredictedBar, Predictor};
-pub use refine::{ClockFit, refine_clock};
+pub use refine::{ClockFit, Relation, refine};
 pub use select::select;
 pub use sphere::{SphereFit, fit_sphere};
 pub use steps::prepare;
@@ -49,7 +49,7 @@ use crate::model::Observation;
 #[serde(default, deny_unknown_fields)]
 pub struct PrepareOptions {
     /// Two logs match where their speeds correlate at least so well (1 is identical). Runs of the same experiment come
-    /// to 0.99; different runs stay below 0.7.
+    /// to 0.99; different runs stay below 0.5.
     pub correlation_min: f64,
     /// Two logs must overlap at least this long \[s\]...
     pub overlap_min_s: f64,
@@ -72,7 +72,7 @@ pub struct PrepareOptions {
 impl Default for PrepareOptions {
     fn default() -> Self {
         Self {
-            correlation_min: 0.85,
+            correlation_min: 0.9,
             overlap_min_s: 10.0,
             overlap_min_part: 0.25,
             spread_max_mrad: 50.0,
@@ -86,7 +86,7 @@ impl Default for PrepareOptions {
 }
 
 /// How many samples went where; all are bar cycles.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct SampleCounts {
     /// In the recording.
     pub recorded: usize,
@@ -109,7 +109,7 @@ pub struct SampleCounts {
 }
 
 /// How the two logs were brought together.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Alignment {
     /// Correlation of the speeds at the best shift.
     pub correlation: f64,
@@ -126,7 +126,7 @@ pub struct Alignment {
 }
 
 /// Where a solve begins.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct InitialValues {
     /// Clock shift beyond [`Alignment::clock_difference_ns`] \[s\]: zero, the motion is aligned already.
     pub clock_shift_s: f64,
@@ -157,7 +157,7 @@ pub struct Prepared {
     pub configuration: Configuration,
     /// How well the logs fit together in time.
     pub alignment: Alignment,
-    /// How well each encoder fits the prediction.
+    /// Offset of each encoder and how well it fits the prediction.
     pub offsets: Vec<EncoderOffset>,
     /// The sphere on which the robot moved.
     pub sphere: SphereFit,

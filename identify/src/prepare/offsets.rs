@@ -2,8 +2,6 @@
 
 use std::f64::consts::TAU;
 
-use serde::Serialize;
-
 use super::{PredictedBar, PrepareError};
 use crate::kinematics::{BAR_JOINTS, Configuration};
 
@@ -17,7 +15,7 @@ pub struct AnglePair {
 }
 
 /// What is added to an encoder's angle to get the joint's.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EncoderOffset {
     /// Bar joint, 1 to 5.
     pub joint: u8,

@@ -46,12 +46,31 @@ impl<'a> Predictor<'a> {
         Ok(Self { log, robot: Tracer::new(robot), bar })
     }
 
+    /// Where the bar stands \[m\].
+    pub fn base_m(&self) -> Vector3<f64> {
+        self.bar.root_from_base.translation.vector
+    }
+
     /// The bar at `tau_s` after the log's first stamp; none where the log says nothing.
     pub fn at(&self, tau_s: f64) -> Option<PredictedBar> {
+        self.at_with_base(tau_s, &self.base_m())
+    }
+
+    /// [`Self::at`] with the bar standing elsewhere.
+    pub(super) fn at_with_base(&self, tau_s: f64, base_m: &Vector3<f64>) -> Option<PredictedBar> {
         let joints = self.log.joints(tau_s)?;
         let mut trace = Trace::default();
         self.robot.trace(&joints.value, &mut trace);
-        let [(_, joints_rad), ..] = ball_bar_inverse(&self.bar, trace.end()).ok()?;
+        // Moving the bar is moving the end the other way.
+        let mut end = *trace.end();
+        end.translation.vector -= base_m - self.base_m();
+        let [(_, joints_rad), ..] = ball_bar_inverse(&self.bar, &end).ok()?;
         Some(PredictedBar { joints_rad, margin_rad: singularity_margin_rad(&joints_rad) })
+    }
+
+    /// The same with the bar standing at `base_m` from now on.
+    pub(super) fn with_base(mut self, base_m: Vector3<f64>) -> Self {
+        self.bar.root_from_base.translation.vector = base_m;
+        self
     }
 }

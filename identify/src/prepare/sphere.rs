@@ -4,10 +4,9 @@ use nalgebra::{DMatrix, DVector, Matrix4, Vector3, Vector4};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use serde::Serialize;
 
 /// A sphere through robot positions.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SphereFit {
     /// Centre \[m\].
     pub centre_m: Vector3<f64>,
@@ -25,6 +24,11 @@ const DRAWS: usize = 200;
 const ROUNDS: usize = 5;
 /// Steps of Gauss-Newton in each round.
 const STEPS: usize = 8;
+/// How well the bar's length is known from its configuration, one standard deviation \[m\].
+const LENGTH_SIGMA_M: f64 = 0.002;
+/// Distances from the sphere are mostly errors of the nominal robot, alike in neighbouring postures: however many
+/// positions there are, they say as much as so many independent ones.
+const POSITIONS_INDEPENDENT: f64 = 50.0;
 
 /// The sphere that most of `positions_m` lie on within `tolerance_m`; none where they span no sphere.
 ///
@@ -48,15 +52,34 @@ pub fn fit_sphere(positions_m: &[Vector3<f64>], tolerance_m: f64) -> Option<Sphe
     let mut inliers = Vec::new();
     for _ in 0..ROUNDS {
         inliers = positions_m.iter().filter(|p| sphere.distance(p).abs() < tolerance_m).copied().collect();
-        sphere = Sphere::linear(&inliers)?.refined(&inliers)?;
+        sphere = Sphere::linear(&inliers)?.refined(&inliers, None)?;
     }
-    let sum: f64 = inliers.iter().map(|p| sphere.distance(p).powi(2)).sum();
     Some(SphereFit {
         centre_m: sphere.centre_m,
         radius_m: sphere.radius_m,
-        rms_m: (sum / inliers.len() as f64).sqrt(),
+        rms_m: sphere.rms(&inliers),
         inliers: inliers.len() as f64 / positions_m.len() as f64,
     })
+}
+
+impl SphereFit {
+    /// The same sphere drawn towards a radius that is known from elsewhere: on a part of a sphere, centre and radius
+    /// are hard to tell apart. Itself where nothing is gained.
+    pub fn drawn_to_length(self, positions_m: &[Vector3<f64>], tolerance_m: f64, length_m: f64) -> Self {
+        let sphere = Sphere { centre_m: self.centre_m, radius_m: self.radius_m };
+        let on_it: Vec<Vector3<f64>> =
+            positions_m.iter().filter(|p| sphere.distance(p).abs() < tolerance_m).copied().collect();
+        let weight = on_it.len() as f64 / POSITIONS_INDEPENDENT * (self.rms_m / LENGTH_SIGMA_M).powi(2);
+        match sphere.refined(&on_it, Some((length_m, weight))) {
+            Some(drawn) => Self {
+                centre_m: drawn.centre_m,
+                radius_m: drawn.radius_m,
+                rms_m: drawn.rms(&on_it),
+                inliers: self.inliers,
+            },
+            None => self,
+        }
+    }
 }
 
 #[derive(Clone, Copy)]
@@ -102,11 +125,19 @@ impl Sphere {
             .filter(|sphere| sphere.radius_m.is_finite())
     }
 
-    /// Gauss-Newton on the distances.
-    fn refined(mut self, positions_m: &[Vector3<f64>]) -> Option<Self> {
+    fn rms(&self, positions_m: &[Vector3<f64>]) -> f64 {
+        let sum: f64 = positions_m.iter().map(|p| self.distance(p).powi(2)).sum();
+        (sum / positions_m.len().max(1) as f64).sqrt()
+    }
+
+    /// Gauss-Newton on the distances, with an expected radius and its weight (one position has weight 1).
+    fn refined(mut self, positions_m: &[Vector3<f64>], expected: Option<(f64, f64)>) -> Option<Self> {
+        let (length_m, weight) = expected.unwrap_or_default();
         for _ in 0..STEPS {
             let mut normal = Matrix4::zeros();
             let mut right = Vector4::zeros();
+            normal[(3, 3)] = weight;
+            right[3] = weight * (length_m - self.radius_m);
             for position in positions_m {
                 let from_centre = position - self.centre_m;
                 let out = from_centre / from_centre.norm().max(f64::MIN_POSITIVE);

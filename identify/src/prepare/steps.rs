@@ -9,9 +9,9 @@ use super::predict::Predictor;
 use super::select::apart;
 use super::speeds::{STEP_S, measured_speeds, predicted_speeds};
 use super::{
-    AlignedLog, Alignment, AnglePair, BarSegment, ClockFit, InitialValues, Match, Offsets, PrepareError,
-    PrepareOptions, Prepared, SampleCounts, SphereFit, bar_angles, correlate, find_offsets, fit_sphere,
-    refine_clock, select,
+    AlignedLog, Alignment, AnglePair, BarSegment, ClockFit, EncoderOffset, InitialValues, Match, Offsets,
+    PrepareError, PrepareOptions, Prepared, Relation, SampleCounts, SphereFit, bar_angles, correlate,
+    find_offsets, fit_sphere, refine, select,
 };
 use crate::kinematics::{BAR_JOINTS, Chain, ball_bar_chain, robot_chain};
 use crate::logs::{InterpolatedLog, RobotLog, default_gap_limit_s};
@@ -23,6 +23,8 @@ const TRAVEL_DEG_MIN: f64 = 3.0;
 const POSITIONS_APART_M: f64 = 0.005;
 /// Travel between samples from which offsets and clocks are found \[rad\].
 const PAIRS_APART_RAD: f64 = 0.01;
+/// Samples so near to an end or a hole of the robot's log \[s\] might leave it when a solve moves the clocks.
+const EDGE_S: f64 = 0.03;
 /// Fewest samples that a solve can begin with.
 const KEPT_MIN: usize = 50;
 
@@ -64,8 +66,9 @@ pub fn prepare(
     let samples = Samples::new(segment, &matched, log.duration_s());
     let margin_rad = options.singular_margin_deg.to_radians();
     let coarse = ClockFit { shift_s: samples.t_ref_s + matched.shift * STEP_S, skew: 0.0 };
-    let (offsets, clock) =
-        offsets_and_clock(&predictor, &samples, &angles.measured, coarse, margin_rad, options)?;
+    let relation = relate(&predictor, &samples, &angles.measured, coarse, margin_rad, options)?;
+    let Relation { clock, base_m, offsets } = relation;
+    let predictor = predictor.with_base(base_m);
     let kept = samples.keep(&predictor, clock, margin_rad, options, counts)?;
 
     let observations = kept
@@ -82,7 +85,7 @@ pub fn prepare(
         initial: InitialValues {
             clock_shift_s: 0.0,
             clock_skew: clock.skew,
-            base_m: sphere.centre_m,
+            base_m,
             length_m: sphere.radius_m,
             btheta_rad: offsets.by_joint_rad(),
         },
@@ -148,7 +151,7 @@ fn sphere(
             configured_mm: length_m * 1e3,
         });
     }
-    Ok(sphere)
+    Ok(sphere.drawn_to_length(&positions, tolerance_mm * 1e-3, length_m))
 }
 
 fn match_speeds(
@@ -250,7 +253,9 @@ impl Samples {
     ) -> Result<Kept, PrepareError> {
         let mut usable = Vec::new();
         for (index, (t_s, _)) in self.all.iter().enumerate() {
-            match predictor.at(clock.tau_s(*t_s)) {
+            let tau_s = clock.tau_s(*t_s);
+            let around = [tau_s - EDGE_S, tau_s + EDGE_S].map(|tau_s| predictor.at(tau_s).is_some());
+            match predictor.at(tau_s).filter(|_| around == [true, true]) {
                 None => counts.outside_robot_log += 1,
                 Some(bar) if bar.margin_rad <= margin_rad => counts.singular += 1,
                 Some(_) => usable.push(index),
@@ -279,24 +284,33 @@ impl Samples {
     }
 }
 
-/// Offsets at the coarse alignment, a finer clock with them, and the offsets again.
-fn offsets_and_clock(
+/// Offsets at the coarse alignment, then everything refined, then judged.
+fn relate(
     predictor: &Predictor<'_>,
     samples: &Samples,
     measured: &[bool; BAR_JOINTS],
     coarse: ClockFit,
     margin_rad: f64,
     options: &PrepareOptions,
-) -> Result<(Offsets, ClockFit), PrepareError> {
-    let pairs_at = |clock: ClockFit| samples.pairs(predictor, clock, margin_rad);
+) -> Result<Relation, PrepareError> {
     let angles =
         |pairs: &[(usize, AnglePair)]| -> Vec<AnglePair> { pairs.iter().map(|(_, pair)| *pair).collect() };
-    let pairs = pairs_at(coarse);
+    let pairs = samples.pairs(predictor, coarse, margin_rad);
     // A skewed clock spreads the angles of a long run: judged only after the clock is refined.
     let rough = find_offsets(&angles(&pairs), measured, f64::INFINITY)?;
     let moving: Vec<(f64, [f64; BAR_JOINTS])> =
         pairs.iter().filter_map(|(index, _)| samples.all.get(*index).copied()).collect();
-    let clock = refine_clock(predictor, &moving, &rough, coarse);
-    let offsets = find_offsets(&angles(&pairs_at(clock)), measured, options.spread_max_mrad)?;
-    Ok((offsets, clock))
+    let start = Relation { clock: coarse, base_m: predictor.base_m(), offsets: rough };
+    let refined = refine(predictor, &moving, &start);
+    let predictor = predictor.clone().with_base(refined.base_m);
+    let pairs = samples.pairs(&predictor, refined.clock, margin_rad);
+    let judged = find_offsets(&angles(&pairs), measured, options.spread_max_mrad)?;
+    let encoders = judged
+        .encoders
+        .iter()
+        .zip(&refined.offsets.encoders)
+        .map(|(judged, refined)| EncoderOffset { offset_rad: refined.offset_rad, ..*judged })
+        .collect();
+    let offsets = Offsets { configuration: refined.offsets.configuration, encoders };
+    Ok(Relation { offsets, ..refined })
 }

@@ -28,6 +28,9 @@ pub struct Design {
     pub wrist_margin_deg: f64,
     /// Distance of the robot's joints from their limits \[deg\].
     pub limit_margin_deg: f64,
+    /// Smallest singular value of the robot's Jacobian (m and rad alike): keeps away from the stretched elbow and all
+    /// other postures where small errors of the geometry make joints jump.
+    pub dexterity_min: f64,
 }
 
 impl Design {
@@ -43,6 +46,7 @@ impl Design {
         bar_margin_deg: 10.0,
         wrist_margin_deg: 12.0,
         limit_margin_deg: 3.0,
+        dexterity_min: 0.06,
     };
 
     /// Comau NJ 220-2.7 with a bar of 0.5 to 1.0 m.

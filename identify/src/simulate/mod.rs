@@ -3,7 +3,7 @@
 //! A path is chosen in the bar's joints ([`plan`]), so the robot moves on the bar's sphere by construction; the robot's
 //! joints follow from the inverse kinematics of its *true* chain. Encoder counts and robot log are then taken of that
 //! motion as the real things would, each on its own clock, with [`Effects`] that no estimator models. Nothing here is
-//! shared with the estimator but the kinematics: otherwise a simulation would only prove that a model inverts itself.
+//! shared with the estimator but kinematics and names: otherwise a simulation would only prove that a model inverts itself.
 
 mod design;
 mod effects;

@@ -3,10 +3,11 @@
 //! Random points in all five bar joints excite every direction of the pose, which a hand-made path seldom does; the
 //! seed makes another path of the same experiment.
 
+use nalgebra::Matrix6;
 use rand::Rng;
 
 use super::{Design, Move, Path};
-use crate::kinematics::{Chain, robot_inverse, singularity_margin_rad};
+use crate::kinematics::{Chain, Trace, Tracer, robot_inverse, singularity_margin_rad};
 
 /// Time between two looks at a move \[s\].
 const LOOK_S: f64 = 0.05;
@@ -73,6 +74,8 @@ pub enum Obstacle {
     JointLimit,
     /// The robot's wrist is nearly straight.
     Wrist,
+    /// The robot is near another singular posture.
+    RobotSingularity,
     /// A robot joint would have to move too fast.
     Speed,
 }
@@ -84,6 +87,7 @@ impl std::fmt::Display for Obstacle {
             Self::Reach => "the robot's reach",
             Self::JointLimit => "joint limits of the robot",
             Self::Wrist => "the straight wrist",
+            Self::RobotSingularity => "singular postures of the robot",
             Self::Speed => "the robot's joint speed",
         })
     }
@@ -91,7 +95,7 @@ impl std::fmt::Display for Obstacle {
 
 /// How often each obstacle was met.
 #[derive(Default)]
-struct Obstacles([usize; 5]);
+struct Obstacles([usize; 6]);
 
 impl Obstacles {
     fn count(&mut self, obstacle: Obstacle) {
@@ -104,6 +108,7 @@ impl Obstacles {
             Obstacle::Reach,
             Obstacle::JointLimit,
             Obstacle::Wrist,
+            Obstacle::RobotSingularity,
             Obstacle::Speed,
         ];
         all.into_iter().max_by_key(|&obstacle| self.0[obstacle as usize]).unwrap_or(Obstacle::Reach)
@@ -112,6 +117,7 @@ impl Obstacles {
 
 struct Planner<'a> {
     robot: &'a Chain,
+    tracer: Tracer,
     bar: &'a Chain,
     limits_rad: [[f64; 2]; 6],
     design: &'a Design,
@@ -138,7 +144,7 @@ pub fn plan(
     let limits_rad = limits_deg.map(|[low, high]| {
         [low + design.limit_margin_deg, high - design.limit_margin_deg].map(f64::to_radians)
     });
-    let planner = Planner { robot, bar, limits_rad, design };
+    let planner = Planner { robot, tracer: Tracer::new(robot), bar, limits_rad, design };
     let (start_rad, robot_rad) = planner.start(random)?;
     let mut path = Path { start_rad, moves: Vec::new(), duration_s: design.duration_s };
     planner.fill(&mut path, Waypoint { bar_rad: start_rad, robot_rad }, random)?;
@@ -285,6 +291,21 @@ impl Planner<'_> {
         if robot[4].sin().abs() < self.design.wrist_margin_deg.to_radians().sin() {
             return Err(Obstacle::Wrist);
         }
+        if dexterity(&self.tracer, &robot) < self.design.dexterity_min {
+            return Err(Obstacle::RobotSingularity);
+        }
         Ok(robot)
     }
+}
+
+/// Smallest singular value of the robot's Jacobian, position in m and rotation in rad.
+fn dexterity(robot: &Tracer, joints_rad: &[f64; 6]) -> f64 {
+    let mut trace = Trace::default();
+    robot.trace(joints_rad, &mut trace);
+    let mut jacobian = Matrix6::zeros();
+    for (mut column, twist) in jacobian.column_iter_mut().zip(trace.joint_twists()) {
+        column.fixed_rows_mut::<3>(0).copy_from(&twist.linear);
+        column.fixed_rows_mut::<3>(3).copy_from(&twist.angular);
+    }
+    (jacobian * jacobian.transpose()).symmetric_eigenvalues().min().max(0.0).sqrt()
 }

@@ -9,6 +9,7 @@ use shared::time::UtcNs;
 
 use super::{Design, Effects, Experiment, Stream, random};
 use crate::kinematics::{Chain, Pose};
+use crate::model::THESIS_FIXED;
 
 /// Static errors of the simulations in the thesis (TFRT-6017 table 3.1) \[mm|mrad\]. Its first row is illegible; the
 /// values of `ra1`, `ralpha1`, `btheta1` and `ox` are our own.
@@ -43,9 +44,6 @@ const THESIS_ERRORS: [(&str, f64); 28] = [
     ("rtheta6", -0.22),
 ];
 
-/// Parameters that the thesis fixes because others do the same: they have no error.
-const FIXED: [&str; 9] = ["ra6", "ba5", "rd1", "bd1", "rd3", "rtheta1", "bd5", "balpha2", "balpha5"];
-
 /// How the true parameters differ from the nominal ones.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -74,7 +72,7 @@ impl StaticErrors {
                 let mut random = random(seed, Stream::StaticErrors);
                 parameter_names()
                     .into_iter()
-                    .filter(|name| !FIXED.contains(&name.as_str()) && !name.starts_with("or"))
+                    .filter(|name| !THESIS_FIXED.contains(&name.as_str()) && !name.starts_with("or"))
                     .map(|name| (name, 1e-3 * random.sample::<f64, _>(StandardNormal)))
                     .collect()
             }

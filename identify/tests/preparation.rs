@@ -1,0 +1,354 @@
+//! Recording and robot log brought together: any clocks, any zeros, any configuration; and refused where they do not
+//! belong together.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+mod support;
+
+use std::f64::consts::TAU;
+
+use identify::kinematics::{Configuration, Side};
+use identify::logs::{LogQuality, RobotLog};
+use identify::model::RobotMotion;
+use identify::prepare::{PrepareError, PrepareOptions, Prepared, prepare};
+use identify::simulate::{self, Clocks, Design, Effects, Experiment, Simulated};
+use shared::config::{BallBarConfig, RobotConfig};
+use shared::encoder::Direction;
+use shared::recording::schema::flags;
+use shared::time::UtcNs;
+use support::{bar, irb2400, nj220};
+
+const DAY_NS: i64 = 86_400_000_000_000;
+
+fn short(robot: &RobotConfig) -> Design {
+    Design { duration_s: 60.0, ..Design::for_robot(robot) }
+}
+
+fn clocks(shift_ns: i64, skew: f64) -> Clocks {
+    let bar_start = Clocks::default().bar_start;
+    Clocks { bar_start, robot_at_bar_start_ns: bar_start.0 + shift_ns, skew }
+}
+
+fn run(robot: &RobotConfig, bar: &BallBarConfig, change: impl Fn(&mut Experiment<'_>)) -> Simulated {
+    let mut experiment = Experiment { design: short(robot), ..Experiment::new(robot, bar) };
+    change(&mut experiment);
+    simulate::run(&experiment).unwrap()
+}
+
+fn prepared(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig) -> Result<Prepared, PrepareError> {
+    prepare(&run.cycles, &run.encoders, &run.robot_log, robot, bar, &PrepareOptions::default())
+}
+
+fn refusal(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig) -> String {
+    prepared(run, robot, bar).unwrap_err().to_string()
+}
+
+/// How far the alignment is from the truth at the reference time \[ms\].
+fn clock_error_ms(found: &Prepared, run: &Simulated) -> f64 {
+    let truth = &run.truth.clock;
+    // In integers up to the small part: the clocks may show 2026.
+    let passed_ns = found.t_ref.ns_since(truth.bar_start);
+    let difference_ns = truth.robot_at_bar_start_ns - truth.bar_start.0;
+    let drift_ns = passed_ns as f64 * truth.skew;
+    ((found.alignment.clock_difference_ns - difference_ns) as f64 - drift_ns) * 1e-6
+}
+
+/// Largest error of the encoder offsets \[mrad\].
+fn offset_error_mrad(found: &Prepared, run: &Simulated) -> f64 {
+    assert_eq!(run.truth.encoders.len(), found.offsets.len());
+    let errors = run.truth.encoders.iter().map(|truth| {
+        let offset = found.offsets.iter().find(|offset| offset.joint == truth.joint).unwrap();
+        let expected = truth.offset_rad + run.truth.error(&format!("btheta{}", truth.joint));
+        let error = offset.offset_rad - expected;
+        (error - (error / TAU).round() * TAU).abs() * 1e3
+    });
+    errors.fold(0.0, f64::max)
+}
+
+fn check(found: &Prepared, run: &Simulated, case: &str) {
+    check_within(found, run, case, [2.0, 5.0]);
+}
+
+fn check_within(found: &Prepared, run: &Simulated, case: &str, [clock_ms_max, offsets_mrad_max]: [f64; 2]) {
+    let (clock_ms, offsets_mrad) = (clock_error_ms(found, run), offset_error_mrad(found, run));
+    println!(
+        "{case}: clock {clock_ms:.3} ms, skew {:.0} ppm, offsets {offsets_mrad:.2} mrad, correlation {:.4}, next {:.3}",
+        found.alignment.skew * 1e6,
+        found.alignment.correlation,
+        found.alignment.runner_up
+    );
+    assert!(clock_ms.abs() < clock_ms_max, "{case}: {clock_ms} ms");
+    assert!(offsets_mrad < offsets_mrad_max, "{case}: {offsets_mrad} mrad");
+}
+
+#[test]
+fn any_clock_difference_is_found_with_five_encoders_and_with_four_and_whichever_way_they_count() {
+    for robot in [irb2400(), nj220()] {
+        for (case, (shift_ns, skew)) in
+            [(-3_600_000_000_000, 25e-6), (400_000_000, 80e-6), (-9_000 * DAY_NS, -80e-6)]
+                .into_iter()
+                .enumerate()
+        {
+            let mut bar = bar();
+            if case > 0 {
+                bar.encoders.remove(2);
+                bar.encoders[0].direction = Direction::Negative;
+                bar.encoders[3].direction = Direction::Negative;
+                bar.encoders.swap(0, 2);
+            }
+            let run = run(&robot, &bar, |e| (e.clocks, e.seed) = (clocks(shift_ns, skew), case as u64 + 1));
+            let found = prepared(&run, &robot, &bar).unwrap();
+            check(&found, &run, &format!("{} shift {} s", robot.name, shift_ns / 1_000_000_000));
+        }
+    }
+}
+
+#[test]
+fn noise_tilt_and_gear_errors_leave_the_alignment_within_its_bounds() {
+    let (robot, bar) = (irb2400(), bar());
+    let effects = Effects {
+        robot_noise_urad: 50.0,
+        encoder_noise_urad: 75.0,
+        gear_sine_urad: 100.0,
+        encoder_eccentricity_urad: 100.0,
+        base_tilt_urad: 2000.0,
+    };
+    let run = run(&robot, &bar, |e| e.effects = effects);
+    check(&prepared(&run, &robot, &bar).unwrap(), &run, "all effects");
+}
+
+#[test]
+fn ten_minutes_with_a_fast_clock_are_aligned_to_their_ends() {
+    let (robot, bar) = (irb2400(), bar());
+    let run = run(&robot, &bar, |e| {
+        e.design.duration_s = 600.0;
+        e.clocks = clocks(5 * DAY_NS, 80e-6);
+    });
+    let found = prepared(&run, &robot, &bar).unwrap();
+    check(&found, &run, "ten minutes");
+    assert!((found.alignment.skew - 80e-6).abs() < 20e-6, "{}", found.alignment.skew);
+}
+
+#[test]
+fn a_recording_of_a_part_of_the_log_is_placed_in_it() {
+    let (robot, bar) = (irb2400(), bar());
+    let mut run = run(&robot, &bar, |e| e.design.duration_s = 120.0);
+    run.cycles = run.cycles[7000..9500].to_vec();
+    // So short a motion leaves more to the errors of the nominal robot.
+    check_within(&prepared(&run, &robot, &bar).unwrap(), &run, "a part", [5.0, 8.0]);
+}
+
+#[test]
+fn each_configuration_of_the_bar_is_recognised() {
+    let (robot, bar) = (irb2400(), bar());
+    for wanted in Configuration::ALL {
+        let run = run(&robot, &bar, |e| {
+            for (joint, side) in [(1, wanted.gimbal), (3, wanted.cardan)] {
+                let [low, high] = e.design.bar_range_deg[joint];
+                if side == Side::Negative {
+                    e.design.bar_range_deg[joint] = [-high, -low];
+                }
+            }
+        });
+        let found = prepared(&run, &robot, &bar).unwrap();
+        assert_eq!(found.configuration, wanted);
+        check(&found, &run, &wanted.to_string());
+    }
+}
+
+#[test]
+fn observations_carry_the_true_joints_and_the_motion_the_true_robot() {
+    let (robot, bar) = (irb2400(), bar());
+    let run = run(&robot, &bar, |_| {});
+    let found = prepared(&run, &robot, &bar).unwrap();
+    assert!(found.observations.len() <= 1500 && found.observations.len() > 1000);
+    assert_eq!(found.counts.kept, found.observations.len());
+    let since_start_s = found.t_ref.seconds_since(run.truth.clock.bar_start);
+    let late_s = clock_error_ms(&found, &run) * 1e-3;
+    for observation in &found.observations {
+        let t_s = since_start_s + observation.t_s;
+        let bar_joints = run.motion.path.at(t_s);
+        for encoder in &run.truth.encoders {
+            let joint = usize::from(encoder.joint) - 1;
+            let error = observation.bar_rad[joint] + encoder.offset_rad - bar_joints[joint];
+            assert!((error - (error / TAU).round() * TAU).abs() < 0.3e-6);
+        }
+        // With the alignment's own error taken off, the motion is that of the true robot.
+        let tau_s = observation.t_s * (1.0 + run.truth.clock.skew) - late_s;
+        let state = found.motion.at(tau_s).unwrap();
+        let pose = run.motion.robot.forward(&state.q);
+        assert!((pose.translation.vector - run.motion.pose(t_s).translation.vector).norm() < 2e-6);
+    }
+    let first = found.observations.first().unwrap().t_s;
+    assert!((found.observations.last().unwrap().t_s + first).abs() < 10.0, "t_ref is in the middle");
+}
+
+#[test]
+fn bad_cycles_are_dropped_and_counted_and_a_new_origin_begins_a_new_run() {
+    let (robot, bar) = (irb2400(), bar());
+    let mut run = run(&robot, &bar, |_| {});
+    for cycle in &mut run.cycles[500..520] {
+        cycle.flags = flags::STALE_INPUT;
+        cycle.encoders[1].valid = false;
+    }
+    run.cycles[900].sample_time = run.cycles[899].sample_time;
+    for (k, cycle) in run.cycles.iter_mut().enumerate().skip(4500) {
+        cycle.encoders[0].count = cycle.encoders[0].count.wrapping_add(123_456);
+        if k == 4500 {
+            cycle.flags = flags::ORIGIN_CHANGED;
+        }
+    }
+    let found = prepared(&run, &robot, &bar).unwrap();
+    check(&found, &run, "with losses");
+    let counts = found.counts;
+    assert_eq!((counts.recorded, counts.invalid, counts.time_not_increasing), (6001, 20, 1));
+    assert_eq!(counts.other_origin, 1501);
+    let sum = counts.invalid + counts.time_not_increasing + counts.other_origin + counts.outside_robot_log;
+    assert_eq!(sum + counts.singular + counts.standstill + counts.surplus + counts.kept, counts.recorded);
+    assert!(counts.standstill > 300);
+}
+
+#[test]
+fn two_logs_of_the_same_motion_done_twice_are_matched_over_their_whole_length() {
+    let (robot, bar) = (irb2400(), bar());
+    let mut run = run(&robot, &bar, |_| {});
+    let pause_ns = 70_000_000_000;
+    let again: Vec<_> = run
+        .cycles
+        .iter()
+        .map(|cycle| {
+            let mut cycle = *cycle;
+            cycle.sample_time = cycle.sample_time.plus_ns(pause_ns);
+            cycle
+        })
+        .collect();
+    run.cycles.extend(again);
+    let log = &mut run.robot_log;
+    let late: Vec<f64> = log.t_s.iter().map(|t| t + pause_ns as f64 * 1e-9 * (1.0 + 25e-6)).collect();
+    log.t_s.extend(late);
+    log.q_rad.extend(log.q_rad.clone());
+    let found = prepared(&run, &robot, &bar).unwrap();
+    check(&found, &run, "twice");
+    assert!(found.alignment.ambiguous && found.alignment.runner_up > 0.97);
+}
+
+#[test]
+fn logs_that_do_not_overlap_or_are_of_other_runs_are_refused() {
+    let (robot, bar) = (irb2400(), bar());
+    let whole = run(&robot, &bar, |e| e.design.duration_s = 120.0);
+    let mut apart = whole.clone();
+    apart.cycles.truncate(5500);
+    let keep = apart.robot_log.t_s.iter().position(|&t| t > 62.0).unwrap();
+    apart.robot_log.t_s.drain(..keep);
+    apart.robot_log.q_rad.drain(..keep);
+    let told = refusal(&apart, &robot, &bar);
+    println!("no overlap: {told}");
+    assert!(told.contains("do not match at any clock difference"), "{told}");
+    for seed in 2..6 {
+        let mut other = whole.clone();
+        other.robot_log = run(&robot, &bar, |e| e.seed = seed).robot_log;
+        let told = refusal(&other, &robot, &bar);
+        println!("other run: {told}");
+        assert!(told.contains("different runs"), "{told}");
+    }
+}
+
+#[test]
+fn another_robot_or_another_rod_is_refused() {
+    let (robot, bar) = (irb2400(), bar());
+    let run = run(&robot, &bar, |_| {});
+    let told = refusal(&run, &robot, &BallBarConfig { length_m: 0.9, ..bar.clone() });
+    assert!(told.contains("sphere of 59") && told.contains("900 mm"), "{told}");
+    let told = refusal(&run, &nj220(), &bar);
+    assert!(told.contains("one sphere"), "{told}");
+}
+
+#[test]
+fn a_wrong_direction_or_order_of_encoders_is_named() {
+    let (robot, bar) = (irb2400(), bar());
+    let mut reversed = run(&robot, &bar, |_| {});
+    reversed.encoders[2].scale.direction = Direction::Negative;
+    let told = refusal(&reversed, &robot, &bar);
+    assert!(told.contains("encoder of joint 3 counts the other way"), "{told}");
+    let mut exchanged = run(&robot, &bar, |_| {});
+    exchanged.encoders[0].joint = 5;
+    exchanged.encoders[4].joint = 1;
+    for cycle in &mut exchanged.cycles {
+        cycle.encoders[0].joint = 5;
+        cycle.encoders[4].joint = 1;
+    }
+    let told = refusal(&exchanged, &robot, &bar);
+    assert!(told.contains("order of the terminals"), "{told}");
+}
+
+#[test]
+fn logs_without_motion_too_short_or_without_valid_cycles_are_refused() {
+    let (robot, bar) = (irb2400(), bar());
+    let run = run(&robot, &bar, |_| {});
+    let mut still = run.clone();
+    still.cycles.truncate(200);
+    assert!(matches!(
+        prepared(&still, &robot, &bar),
+        Err(PrepareError::NoMotion { what: "the recording", .. })
+    ));
+    let mut still = run.clone();
+    let first = still.robot_log.q_rad[0];
+    still.robot_log.q_rad.fill(first);
+    assert!(matches!(
+        prepared(&still, &robot, &bar),
+        Err(PrepareError::NoMotion { what: "the robot log", .. })
+    ));
+    let mut short = run.clone();
+    short.cycles.truncate(800);
+    assert!(matches!(
+        prepared(&short, &robot, &bar),
+        Err(PrepareError::TooShort { what: "the recording", .. })
+    ));
+    let mut invalid = run.clone();
+    invalid.cycles.iter_mut().for_each(|cycle| cycle.encoders[3].valid = false);
+    assert!(matches!(prepared(&invalid, &robot, &bar), Err(PrepareError::NoValidCycle { cycles: 6001 })));
+    let mut empty = run.clone();
+    empty.cycles.clear();
+    assert!(matches!(prepared(&empty, &robot, &bar), Err(PrepareError::NoValidCycle { cycles: 0 })));
+    let mut damaged = run;
+    damaged.cycles[77].encoders[0].joint = 2;
+    assert!(matches!(
+        prepared(&damaged, &robot, &bar),
+        Err(PrepareError::EncoderOrder { cycle: 77, declared: 1, found: 2 })
+    ));
+}
+
+#[test]
+fn a_log_that_also_holds_the_way_to_the_bar_is_used() {
+    let (robot, bar) = (irb2400(), bar());
+    let mut run = run(&robot, &bar, |_| {});
+    // 20 s of swinging far from the sphere before the run.
+    let start = run.robot_log.q_rad[0];
+    let way: Vec<[f64; 6]> = (0..5000)
+        .map(|k| {
+            let s = 0.5 * (1.0 - (TAU * f64::from(k) / 5000.0).cos());
+            std::array::from_fn(|j| start[j] + s * [0.5, -0.6, 0.3, 0.2, 0.4, 1.0][j])
+        })
+        .collect();
+    let log = RobotLog {
+        first_stamp_ns: run.robot_log.first_stamp_ns - 20_000_000_000,
+        t_s: (0..5000 + run.robot_log.t_s.len()).map(|k| k as f64 * 0.004).collect(),
+        q_rad: way.into_iter().chain(run.robot_log.q_rad.iter().copied()).collect(),
+        quality: LogQuality { period_s: 0.004, ..LogQuality::default() },
+        ..RobotLog::default()
+    };
+    run.robot_log = log;
+    let found = prepared(&run, &robot, &bar).unwrap();
+    assert!(found.sphere.inliers < 0.95);
+    check(&found, &run, "with the way to the bar");
+    let centre = found.sphere.centre_m;
+    assert!((centre - nalgebra::Vector3::new(1.0, 0.05, 0.35)).norm() < 0.01, "{centre}");
+}
+
+#[test]
+fn times_before_1970_and_clocks_that_begin_at_zero_are_no_obstacle() {
+    let (robot, bar) = (irb2400(), bar());
+    let run = run(&robot, &bar, |e| {
+        e.clocks = Clocks { bar_start: UtcNs(-5), robot_at_bar_start_ns: 0, skew: -25e-6 };
+    });
+    check(&prepared(&run, &robot, &bar).unwrap(), &run, "clocks at zero");
+}
