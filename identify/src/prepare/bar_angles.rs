@@ -37,10 +37,11 @@ pub struct BarAngles {
 /// [`PrepareError::NoValidCycle`], and where cycles and declared encoders disagree.
 pub fn bar_angles(cycles: &[CycleRecord], encoders: &[EncoderInfo]) -> Result<BarAngles, PrepareError> {
     let mut angles = BarAngles { measured: measured(encoders)?, ..BarAngles::default() };
-    let mut segment = SegmentBuilder::default();
+    let mut segment = SegmentBuilder::new(encoders);
     for cycle in cycles {
         if cycle.flags & flags::ORIGIN_CHANGED != 0 {
-            angles.segments.extend(std::mem::take(&mut segment).finish());
+            let ended = std::mem::replace(&mut segment, SegmentBuilder::new(encoders));
+            angles.segments.extend(ended.finish());
         }
         if !cycle.is_valid() {
             angles.invalid += 1;
@@ -70,18 +71,26 @@ fn measured(encoders: &[EncoderInfo]) -> Result<[bool; BAR_JOINTS], PrepareError
     Ok(measured)
 }
 
-#[derive(Default)]
 struct SegmentBuilder {
     samples: BarSegment,
-    unwrappers: [Unwrapper; BAR_JOINTS],
+    /// One for each encoder, in the order of the recording.
+    unwrappers: Vec<Unwrapper>,
     /// Whole turns taken off each joint.
     turns_rad: Option<[f64; BAR_JOINTS]>,
 }
 
 impl SegmentBuilder {
+    fn new(encoders: &[EncoderInfo]) -> Self {
+        Self {
+            samples: BarSegment::default(),
+            unwrappers: encoders.iter().map(|encoder| encoder.scale.unwrapper()).collect(),
+            turns_rad: None,
+        }
+    }
+
     fn push(&mut self, cycle: &CycleRecord, encoders: &[EncoderInfo]) -> Result<(), PrepareError> {
         let mut raw_rad = [0.0; BAR_JOINTS];
-        for (index, encoder) in encoders.iter().enumerate() {
+        for (index, (encoder, unwrapper)) in encoders.iter().zip(&mut self.unwrappers).enumerate() {
             let sample = cycle.encoders().get(index).copied().unwrap_or_default();
             if sample.joint != encoder.joint {
                 return Err(PrepareError::EncoderOrder {
@@ -91,7 +100,7 @@ impl SegmentBuilder {
                 });
             }
             let joint = usize::from(encoder.joint) - 1;
-            raw_rad[joint] = encoder.scale.counts_to_rad(self.unwrappers[joint].next(sample.count));
+            raw_rad[joint] = encoder.scale.counts_to_rad(unwrapper.next(sample.count));
         }
         let turns_rad = *self.turns_rad.get_or_insert_with(|| raw_rad.map(|raw| (raw / TAU).round() * TAU));
         self.samples.times.push(cycle.sample_time);

@@ -89,8 +89,9 @@ pub(super) fn recording(
     (records, encoders, truth)
 }
 
-/// The zero of an encoder whose counter shows `shown` at the first sample: it may be any of its 2^32 counts.
-fn encoder_truth(encoder: &EncoderInfo, first_rad: f64, shown: u32) -> EncoderTruth {
+/// The zero of an encoder whose counter shows `shown` at the first sample: it may be any of its 2^32 counts, read as a
+/// signed number as [`EncoderScale::unwrapper`] does.
+fn encoder_truth(encoder: &EncoderInfo, first_rad: f64, shown: i32) -> EncoderTruth {
     let zero_counts = i64::from(shown) - encoder.scale.rad_to_counts(first_rad);
     let EncoderScale { direction, .. } = encoder.scale;
     // Whole turns are dropped in integers, so that the angle is exact.
