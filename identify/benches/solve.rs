@@ -15,27 +15,19 @@ use std::time::Duration;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use identify::cost::{LoopProblem, Residual, Transform};
-use identify::model::{PerObservation, Selection};
+use identify::model::Selection;
 use identify::solver::{Options, identifiability, minimise, stacked};
 use levenberg_marquardt::LevenbergMarquardt;
-use rand::rngs::StdRng;
-use rand::{Rng, SeedableRng};
-use rand_distr::StandardNormal;
 use support::other_solver::Other;
-use support::{Cell, spread_poses};
+use support::{Cell, noisy_poses};
 
 const POSES: usize = 1500;
 
 fn iterations(criterion: &mut Criterion) {
     let cell = Cell::irb2400();
-    let (mut observations, PerObservation(mut joints)) = spread_poses(&cell.robot, &cell.bar, POSES, 1);
-    let mut random = StdRng::seed_from_u64(2);
-    for value in observations.iter_mut().flat_map(|o| &mut o.bar_rad).chain(joints.iter_mut().flatten()) {
-        *value += 1e-3 * random.sample::<f64, _>(StandardNormal);
-    }
+    let (observations, motion) = noisy_poses(&cell, POSES, 1, 1e-3);
     let mut model = cell.model();
     model.select(Selection::Cell, Transform::sees).unwrap();
-    let motion = PerObservation(joints);
     let problem = LoopProblem::new(&model, &motion, &observations, Transform, 1.0).unwrap();
     let start = model.start();
     assert_eq!(start.len(), 40);

@@ -5,7 +5,7 @@
 mod support;
 
 use identify::cost::{LoopProblem, Residual, Transform};
-use identify::model::{PerObservation, Selection};
+use identify::model::Selection;
 use identify::solver::{
     Block, GraduatedOptions, Loss, Noise, Options, Prior, Problem, SolveError, Termination, solve,
     solve_graduated,
@@ -16,7 +16,7 @@ use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
 use support::other_solver::Other;
-use support::{Cell, spread_poses};
+use support::{Cell, noisy_poses};
 
 /// Residual and gradient of one row at `x`.
 type Row<'a> = dyn Fn(&[f64], usize) -> (f64, Vec<f64>) + 'a;
@@ -170,14 +170,9 @@ fn rosenbrocks_valley_ends_at_one_one() {
 #[test]
 fn the_closed_chain_with_noise_ends_where_another_solver_ends() {
     let cell = Cell::irb2400();
-    let (mut observations, PerObservation(mut joints)) = spread_poses(&cell.robot, &cell.bar, 60, 21);
-    let mut random = StdRng::seed_from_u64(4);
-    for value in observations.iter_mut().flat_map(|o| &mut o.bar_rad).chain(joints.iter_mut().flatten()) {
-        *value += 1e-3 * random.sample::<f64, _>(StandardNormal);
-    }
+    let (observations, motion) = noisy_poses(&cell, 60, 21, 1e-3);
     let mut model = cell.model();
     model.select(Selection::Thesis, Transform::sees).unwrap();
-    let motion = PerObservation(joints);
     let problem = LoopProblem::new(&model, &motion, &observations, Transform, 1.0).unwrap();
     let ours = solve(&problem, &model.start(), &Options::default()).unwrap();
     assert!(ours.summary.termination.converged());

@@ -12,6 +12,7 @@ use identify::model::{Model, Observation, PerObservation};
 use nalgebra::Vector3;
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
+use rand_distr::StandardNormal;
 use shared::config::{self, BallBarConfig, RobotConfig};
 
 pub fn repository(path: &str) -> PathBuf {
@@ -82,6 +83,22 @@ pub fn spread_poses(
         joints.push(q);
     }
     (observations, PerObservation(joints))
+}
+
+/// [`spread_poses`] of nominal chains with noise on all angles of both sides, one standard deviation \[rad\].
+pub fn noisy_poses(
+    cell: &Cell,
+    count: usize,
+    seed: u64,
+    sigma_rad: f64,
+) -> (Vec<Observation>, PerObservation) {
+    let (mut observations, mut motion) = spread_poses(&cell.robot, &cell.bar, count, seed);
+    let mut random = StdRng::seed_from_u64(seed);
+    let bar = observations.iter_mut().flat_map(|o| &mut o.bar_rad);
+    for angle in bar.chain(motion.0.iter_mut().flatten()) {
+        *angle += sigma_rad * random.sample::<f64, _>(StandardNormal);
+    }
+    (observations, motion)
 }
 
 /// Static errors of the thesis' table 3.1 \[mm|mrad\]; row 1 is illegible there, its values are ours.
