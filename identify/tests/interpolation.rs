@@ -89,6 +89,6 @@ fn nothing_is_said_outside_the_log_or_inside_a_hole() {
 
 #[test]
 fn a_log_of_single_samples_far_apart_is_refused() {
-    let log = log((0..100).map(|k| f64::from(k)).collect());
+    let log = log((0..100).map(f64::from).collect());
     assert!(matches!(InterpolatedLog::new(&log, 0.05), Err(LogError::NoContinuousPart { .. })));
 }

@@ -303,6 +303,14 @@ fn logs_without_motion_too_short_or_without_valid_cycles_are_refused() {
         prepared(&short, &robot, &bar),
         Err(PrepareError::TooShort { what: "the recording", .. })
     ));
+    let mut stepped = run.clone();
+    for cycle in &mut stepped.cycles[3000..] {
+        cycle.sample_time = cycle.sample_time.plus_ns(9_000 * DAY_NS);
+    }
+    assert!(matches!(
+        prepared(&stepped, &robot, &bar),
+        Err(PrepareError::TooLong { what: "the recording", .. })
+    ));
     let mut invalid = run.clone();
     invalid.cycles.iter_mut().for_each(|cycle| cycle.encoders[3].valid = false);
     assert!(matches!(prepared(&invalid, &robot, &bar), Err(PrepareError::NoValidCycle { cycles: 6001 })));

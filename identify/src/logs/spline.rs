@@ -120,19 +120,19 @@ fn curvatures<const N: usize>(t_s: &[f64], values: &[[f64; N]], out: &mut [[f64;
         }
         let pivot = diagonal - lower * upper_over_diagonal[i - 1];
         upper_over_diagonal[i] = upper / pivot;
-        for n in 0..N {
+        let before = out[i - 1];
+        out[i] = std::array::from_fn(|n| {
             let right_side = 6.0 * (slope(i, n) - slope(i - 1, n));
-            out[i][n] = (right_side - lower * out[i - 1][n]) / pivot;
-        }
+            (right_side - lower * before[n]) / pivot
+        });
     }
     for i in (1..last - 1).rev() {
-        for n in 0..N {
-            out[i][n] -= upper_over_diagonal[i] * out[i + 1][n];
-        }
+        let (factor, after) = (upper_over_diagonal[i], out[i + 1]);
+        out[i] = std::array::from_fn(|n| out[i][n] - factor * after[n]);
     }
-    let (first_ratio, last_ratio) = (h[0] / h[1], h[last - 1] / h[last - 2]);
-    for n in 0..N {
-        out[0][n] = out[1][n] + first_ratio * (out[1][n] - out[2][n]);
-        out[last][n] = out[last - 1][n] + last_ratio * (out[last - 1][n] - out[last - 2][n]);
-    }
+    let end = |inner: [f64; N], further: [f64; N], ratio: f64| {
+        std::array::from_fn(|n| inner[n] + ratio * (inner[n] - further[n]))
+    };
+    out[0] = end(out[1], out[2], h[0] / h[1]);
+    out[last] = end(out[last - 1], out[last - 2], h[last - 1] / h[last - 2]);
 }

@@ -46,6 +46,19 @@ pub enum PrepareError {
         /// What is needed \[s\].
         needed: f64,
     },
+    /// Too much to match, or a time stamp far from the others.
+    #[error(
+        "{what} covers {hours:.1} h, at most {hours_max} h can be matched; cut out the run, or was a clock set \
+         during it?"
+    )]
+    TooLong {
+        /// Which log.
+        what: &'static str,
+        /// What it covers \[h\].
+        hours: f64,
+        /// What can be matched \[h\].
+        hours_max: f64,
+    },
     /// Nothing moves.
     #[error(
         "{what} shows no motion (largest joint travel {travel_deg:.2} deg); is it the part with the motion?"

@@ -21,6 +21,7 @@ mod error;
 mod offsets;
 mod predict;
 mod refine;
+mod samples;
 mod select;
 mod speeds;
 mod sphere;
