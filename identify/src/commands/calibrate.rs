@@ -8,9 +8,11 @@ use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::recording::Recording;
 
 use crate::calibrate::ball_bar::{self, BallBarCalibration};
+use crate::calibrate::measured_length::{self, LengthOptions, LengthRow};
 use crate::calibrate::truth::Comparison;
 use crate::calibrate::{CostName, IdentifyConfig, SelectionName};
-use crate::logs;
+use crate::kinematics::flange_chain;
+use crate::logs::{self, MeasuredLengthMapping, MeasuredLengths};
 use crate::model::ParameterId;
 use crate::report::file::{CalibrationFile, ClockEntry, Input, ParameterEntry, SolveEntry};
 use crate::report::table;
@@ -24,6 +26,15 @@ pub struct CalibrateArguments {
     /// The robot's own log (.csv)
     #[arg(long, value_name = "FILE", requires = "recording")]
     robot_log: Option<PathBuf>,
+    /// Poses with one measured length each (.csv), instead of a recording
+    #[arg(long, value_name = "FILE", requires = "mapping", conflicts_with = "recording")]
+    measured_lengths: Option<PathBuf>,
+    /// Which column of the measured lengths is what, such as config/measured_length.toml
+    #[arg(long, value_name = "FILE", requires = "measured_lengths")]
+    mapping: Option<PathBuf>,
+    /// Decides which of the measured lengths are held out
+    #[arg(long, default_value_t = LengthOptions::default().seed)]
+    seed: u64,
     /// The robot's configuration, such as config/robots/irb2400_16.toml
     #[arg(long, value_name = "FILE")]
     robot: PathBuf,
@@ -57,9 +68,16 @@ pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
     let robot: RobotConfig = config::load(&arguments.robot)?;
     match (&arguments.recording, &arguments.robot_log, &arguments.bar) {
         (Some(recording), Some(robot_log), Some(bar)) => {
-            from_ball_bar(arguments, &robot, recording, robot_log, bar)
+            return from_ball_bar(arguments, &robot, recording, robot_log, bar);
         }
-        _ => anyhow::bail!("nothing to calibrate from; give --recording, --robot-log and --bar"),
+        (None, _, _) => {}
+        _ => anyhow::bail!("--recording needs --robot-log and --bar"),
+    }
+    match (&arguments.measured_lengths, &arguments.mapping) {
+        (Some(lengths), Some(mapping)) => from_measured_lengths(arguments, &robot, lengths, mapping),
+        _ => anyhow::bail!(
+            "nothing to calibrate from; give --recording with --robot-log and --bar, or --measured-lengths with --mapping"
+        ),
     }
 }
 
@@ -89,28 +107,73 @@ fn from_ball_bar(
     let calibration =
         ball_bar::calibrate(&recording.cycles, &recording.run.encoders, &log, robot, &bar, &config)
             .with_context(|| format!("{} with {}", recording_path.display(), log_path.display()))?;
-    let inputs = [
+    let inputs = inputs(&[
         ("recording", recording_path),
         ("robot log", log_path),
-        ("robot", arguments.robot.as_path()),
+        ("robot", &arguments.robot),
         ("bar", bar_path),
-    ]
-    .into_iter()
-    .map(|(role, path)| Input::of(role, path).with_context(|| format!("cannot read {}", path.display())))
-    .collect::<anyhow::Result<_>>()?;
+    ])?;
+    let solution = &calibration.solution;
     let file = CalibrationFile::new(
         &robot.name,
         &bar.name,
-        SolveEntry::new(calibration.cost.name(), &calibration.solution),
+        SolveEntry::new(calibration.cost.name(), &solution.summary, &solution.identifiability),
         Some(clock_entry(&calibration)),
         inputs,
-        ParameterEntry::all(&calibration.model, &calibration.solution),
+        ParameterEntry::all(&calibration.model, |id| {
+            calibration.model.column_of(id).and_then(|column| solution.covariance.sigma(column))
+        }),
     );
     let written = file.write(&arguments.out)?;
     print!("{}", table::calibration(&file));
     if let Some(truth) = &truth {
         print!("\n{}", table::comparison(&Comparison::new(&calibration, truth)));
     }
+    println!("\n{}", written.display());
+    Ok(())
+}
+
+/// The files of a calibration with their checksums.
+fn inputs(files: &[(&str, &Path)]) -> anyhow::Result<Vec<Input>> {
+    let input = |&(role, path): &(&str, &Path)| {
+        Input::of(role, path).with_context(|| format!("cannot read {}", path.display()))
+    };
+    files.iter().map(input).collect()
+}
+
+fn from_measured_lengths(
+    arguments: &CalibrateArguments,
+    robot: &RobotConfig,
+    lengths_path: &Path,
+    mapping_path: &Path,
+) -> anyhow::Result<()> {
+    let mapping: MeasuredLengthMapping = config::load(mapping_path)?;
+    let measured = MeasuredLengths::load(lengths_path, &mapping)?;
+    let rows: Vec<LengthRow> = measured
+        .rows
+        .iter()
+        .map(|row| LengthRow { joints_rad: row.q_rad, length_m: row.length_m, flange_m: row.flange_m })
+        .collect();
+    let options = LengthOptions { seed: arguments.seed, ..LengthOptions::default() };
+    let report = measured_length::calibrate(&rows, &flange_chain(robot), &options)
+        .with_context(|| lengths_path.display().to_string())?;
+    let sigma = |id| report.parameters.iter().find(|one| one.id == id).and_then(|one| one.sigma);
+    let file = CalibrationFile::new(
+        &robot.name,
+        "measured lengths",
+        SolveEntry::new("measured_length", &report.summary, &report.identifiability),
+        None,
+        inputs(&[
+            ("measured lengths", lengths_path),
+            ("mapping", mapping_path),
+            ("robot", &arguments.robot),
+        ])?,
+        ParameterEntry::all(&report.model, sigma),
+    );
+    let written = file.write(&arguments.out)?;
+    print!("{}", table::calibration(&file));
+    let lines: Vec<u64> = measured.rows.iter().map(|row| row.line).collect();
+    print!("\n{}", table::lengths(&report, &lines));
     println!("\n{}", written.display());
     Ok(())
 }

@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, Validate, Violation};
 
 use super::LogError;
-use super::csv_text::{Column, Format, Table, decode};
+use super::csv_text::{Column, Format, Row, Table, decode};
 
 /// Fewest rows that make a table.
 const ROWS_MIN: usize = 10;
@@ -64,6 +64,16 @@ pub struct JointColumn {
     pub offset_deg: f64,
 }
 
+/// The columns of the position that the controller itself gives for the flange.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FlangeColumns {
+    /// Names in the header: x, y, z in the robot's base.
+    pub columns: [String; 3],
+    /// Unit of their values.
+    pub unit: LengthUnit,
+}
+
 /// Which columns hold what.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -78,6 +88,8 @@ pub struct MeasuredLengthMapping {
     pub length: LengthColumn,
     /// Joints 1 to 6, in this order.
     pub joints: Vec<JointColumn>,
+    /// The controller's own position, where the file has it: rows that contradict their joint angles are then found.
+    pub flange: Option<FlangeColumns>,
 }
 
 fn positive() -> f64 {
@@ -138,6 +150,8 @@ pub struct MeasuredLength {
     pub q_rad: [f64; 6],
     /// The measured length \[m\].
     pub length_m: f64,
+    /// Where the controller says the flange is \[m\].
+    pub flange_m: Option<[f64; 3]>,
     /// Line of the source file, so that a screened row can be found again.
     pub line: u64,
 }
@@ -165,46 +179,80 @@ impl MeasuredLengths {
     /// # Errors
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredLengthMapping) -> Result<Self, LogError> {
-        const REMEDY: &str = "Correct the column's name in the mapping file, or the header.";
         let text = decode(bytes, path)?;
         let format = Format { delimiter: mapping.delimiter as u8, decimal_comma: mapping.decimal_comma };
         let mut table = Table::open(text, path, format)?;
-        let length = table.column(&mapping.length.column, REMEDY)?;
-        let joints: Vec<(Column, &JointColumn)> = mapping
-            .joints
-            .iter()
-            .map(|joint| Ok((table.column(&joint.column, REMEDY)?, joint)))
-            .collect::<Result<_, LogError>>()?;
+        let columns = Columns::find(&table, mapping)?;
         let mut rows = Vec::new();
         while let Some(row) = table.next_row() {
-            let row = row?;
-            let length_m = table.number(&row, &length)? * mapping.length.unit.to_m();
-            if !(0.0..=LENGTH_M_MAX).contains(&length_m) {
-                return Err(table.bad(
-                    &row,
-                    &length,
-                    format!("{length_m} m is no length that is measured here (0 to {LENGTH_M_MAX} m)"),
-                    "check the length's unit in the mapping file",
-                ));
-            }
-            let mut q_rad = [0.0; 6];
-            for (q, (column, joint)) in q_rad.iter_mut().zip(&joints) {
-                let value_rad = table.number(&row, column)? * joint.unit.to_rad();
-                *q = joint.sign * (value_rad - joint.offset_deg.to_radians());
-                if q.abs() > JOINT_RAD_MAX {
-                    return Err(table.bad(
-                        &row,
-                        column,
-                        format!("{:.1} rad is more than two turns", *q),
-                        "the column looks like degrees: check the joint's unit in the mapping file",
-                    ));
-                }
-            }
-            rows.push(MeasuredLength { q_rad, length_m, line: row.line });
+            rows.push(columns.read(&table, &row?)?);
         }
         if rows.len() < ROWS_MIN {
             return Err(LogError::TooFewRows { path: path.to_owned(), rows: rows.len(), needed: ROWS_MIN });
         }
         Ok(Self { rows })
+    }
+}
+
+/// The mapping's columns, found in a file.
+struct Columns<'a> {
+    length: (Column, LengthUnit),
+    joints: Vec<(Column, &'a JointColumn)>,
+    flange: Option<([Column; 3], LengthUnit)>,
+}
+
+impl<'a> Columns<'a> {
+    fn find(table: &Table<'_>, mapping: &'a MeasuredLengthMapping) -> Result<Self, LogError> {
+        let column =
+            |name: &str| table.column(name, "Correct the column's name in the mapping file, or the header.");
+        let joints = mapping.joints.iter().map(|joint| Ok((column(&joint.column)?, joint)));
+        let flange = match &mapping.flange {
+            Some(FlangeColumns { columns: [x, y, z], unit }) => {
+                Some(([column(x)?, column(y)?, column(z)?], *unit))
+            }
+            None => None,
+        };
+        Ok(Self {
+            length: (column(&mapping.length.column)?, mapping.length.unit),
+            joints: joints.collect::<Result<_, LogError>>()?,
+            flange,
+        })
+    }
+
+    fn read(&self, table: &Table<'_>, row: &Row) -> Result<MeasuredLength, LogError> {
+        let (length, unit) = &self.length;
+        let length_m = table.number(row, length)? * unit.to_m();
+        if !(0.0..=LENGTH_M_MAX).contains(&length_m) {
+            return Err(table.bad(
+                row,
+                length,
+                format!("{length_m} m is no length that is measured here (0 to {LENGTH_M_MAX} m)"),
+                "check the length's unit in the mapping file",
+            ));
+        }
+        let mut q_rad = [0.0; 6];
+        for (q, (column, joint)) in q_rad.iter_mut().zip(&self.joints) {
+            let value_rad = table.number(row, column)? * joint.unit.to_rad();
+            *q = joint.sign * (value_rad - joint.offset_deg.to_radians());
+            if q.abs() > JOINT_RAD_MAX {
+                return Err(table.bad(
+                    row,
+                    column,
+                    format!("{:.1} rad is more than two turns", *q),
+                    "the column looks like degrees: check the joint's unit in the mapping file",
+                ));
+            }
+        }
+        let flange_m = match &self.flange {
+            Some((columns, unit)) => {
+                let mut flange_m = [0.0; 3];
+                for (value_m, column) in flange_m.iter_mut().zip(columns) {
+                    *value_m = table.number(row, column)? * unit.to_m();
+                }
+                Some(flange_m)
+            }
+            None => None,
+        };
+        Ok(MeasuredLength { q_rad, length_m, flange_m, line: row.line })
     }
 }

@@ -20,7 +20,8 @@ pub use conversion::JointConversion;
 pub use error::{Cell, LogError};
 pub use interpolation::{InterpolatedLog, default_gap_limit_s};
 pub use measured_length::{
-    JointColumn, LengthColumn, LengthUnit, MeasuredLength, MeasuredLengthMapping, MeasuredLengths,
+    FlangeColumns, JointColumn, LengthColumn, LengthUnit, MeasuredLength, MeasuredLengthMapping,
+    MeasuredLengths,
 };
 pub use reader::{load, read};
 pub use spline::{CubicSpline, SplinePoint};

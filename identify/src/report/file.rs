@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use shared::time::UtcNs;
 
-use crate::model::{Model, Parameter, Role};
-use crate::solver::Solution;
+use crate::model::{Model, Parameter, ParameterId, Role};
+use crate::solver::{Identifiability, Summary};
 
 /// Version of the file's structure; it rises when a key changes its meaning.
 pub const SCHEMA: u32 = 1;
@@ -100,11 +100,8 @@ impl ParameterEntry {
     }
 
     /// All parameters of a model at its solution, in the model's order.
-    pub fn all(model: &Model, solution: &Solution) -> Vec<Self> {
-        let sigma = |parameter: &Parameter| {
-            model.column_of(parameter.id).and_then(|column| solution.covariance.sigma(column))
-        };
-        model.parameters().iter().map(|parameter| Self::new(parameter, sigma(parameter))).collect()
+    pub fn all(model: &Model, sigma: impl Fn(ParameterId) -> Option<f64>) -> Vec<Self> {
+        model.parameters().iter().map(|parameter| Self::new(parameter, sigma(parameter.id))).collect()
     }
 }
 
@@ -130,16 +127,15 @@ pub struct SolveEntry {
 }
 
 impl SolveEntry {
-    /// Of a solution.
-    pub fn new(cost: &str, solution: &Solution) -> Self {
-        let summary = &solution.summary;
+    /// Of a solve that identified all of its free parameters.
+    pub fn new(cost: &str, summary: &Summary, identifiability: &Identifiability) -> Self {
         Self {
             cost: cost.to_owned(),
             ended: summary.termination.to_string(),
             iterations: summary.iterations,
             samples: summary.samples_used,
-            parameters: solution.x.len(),
-            condition: solution.identifiability.weakest().recip(),
+            parameters: identifiability.names.len(),
+            condition: identifiability.weakest().recip(),
             residual_rms_start: summary.residual_rms_start,
             residual_rms: summary.residual_rms,
         }

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use super::file::{CalibrationFile, ParameterEntry, Status};
+use crate::calibrate::measured_length::{ErrorFigures, Figures, LengthReport, Rejection, RunCause};
 use crate::calibrate::truth::Comparison;
 use crate::model::{ParameterId, Unit};
 
@@ -98,5 +99,65 @@ pub fn comparison(comparison: &Comparison) -> String {
         comparison.clock_shift_error_s * 1e6,
         comparison.clock_skew_error * 1e6,
     );
+    text
+}
+
+/// Length errors before and after on rows that the fit saw and on rows that it did not, and what was rejected. `lines`
+/// gives each row's line in its file.
+pub fn lengths(report: &LengthReport, lines: &[u64]) -> String {
+    let mut text = String::new();
+    let _ =
+        writeln!(text, "{:<34}{:>6}{:>22}{:>22}{:>20}", "length error [mm]", "rows", "mean", "RMS", "max");
+    for (name, Figures { before, after }) in [
+        ("fitted", &report.fitted),
+        ("held out", &report.held_out),
+        ("held out, with faulty rows", &report.held_out_with_rejected),
+    ] {
+        let change =
+            |of: fn(&ErrorFigures) -> f64| format!("{:.3} -> {:.3}", of(before) * 1e3, of(after) * 1e3);
+        let _ = writeln!(
+            text,
+            "{name:<34}{:>6}{:>22}{:>22}{:>20}",
+            after.rows,
+            change(|figures| figures.mean_m),
+            change(|figures| figures.rms_m),
+            change(|figures| figures.max_m),
+        );
+    }
+    let line = |row: usize| lines.get(row).copied().unwrap_or_default();
+    let _ = writeln!(text, "{} of {} rows rejected:", report.rejected.len(), lines.len());
+    for rejected in &report.rejected {
+        let _ = match rejected.why {
+            Rejection::FlangeContradicts { distance_m } => writeln!(
+                text,
+                "  line {}: the controller's position is {:.1} mm from its joint angles",
+                line(rejected.row),
+                distance_m * 1e3
+            ),
+            Rejection::GrossResidual { residual_m } => {
+                writeln!(text, "  line {}: length off by {:.1} mm", line(rejected.row), residual_m * 1e3)
+            }
+            // Told as a run below.
+            Rejection::FaultyRun { .. } => Ok(()),
+        };
+    }
+    for run in &report.runs {
+        let cause = match run.cause {
+            Some(RunCause::ZeroMoved { by_m }) => {
+                format!("; a zero moved by {:+.1} mm would explain it", by_m * 1e3)
+            }
+            Some(RunCause::SignReversed { joint }) => {
+                format!("; joint {joint} logged with the other sign would explain it")
+            }
+            None => String::new(),
+        };
+        let _ = writeln!(
+            text,
+            "  lines {} to {}: off together by {:.1} mm{cause}",
+            line(run.first),
+            line(run.last),
+            run.median_m * 1e3
+        );
+    }
     text
 }
