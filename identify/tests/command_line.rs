@@ -216,3 +216,47 @@ fn another_robots_configuration_is_refused() {
     let arguments = [&arguments[..], &["--bar", bar.to_str().unwrap()]].concat();
     refused(&identify(&arguments, "nj220_2_7.toml", out.path()), &["joint1_deg", "motor1_rad"], out.path());
 }
+
+#[test]
+fn measured_lengths_calibrate_from_a_csv_with_a_mapping() {
+    // Lengths from an anchor at (0.3, -0.6, 0.1) m to the flange of the nominal IRB 120, rounded to 0.01 mm.
+    let robot: shared::config::RobotConfig = shared::config::load(&config("robots/irb120_3.toml")).unwrap();
+    let chain = identify::kinematics::flange_chain(&robot);
+    let anchor_m = nalgebra::Vector3::new(0.3, -0.6, 0.1);
+    let mut csv = String::from("x_mm,y_mm,z_mm,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,cable_mm\n");
+    for row in 0..200 {
+        let swing =
+            |joint: usize| 50.0 * (0.37 * f64::from(row) * (1.0 + 0.31 * joint as f64) + joint as f64).sin();
+        let q_deg: [f64; 6] = std::array::from_fn(swing);
+        let position_m = chain.forward(&q_deg.map(f64::to_radians)).translation.vector;
+        for cell in position_m.iter().map(|value| value * 1e3).chain(q_deg) {
+            csv += &format!("{cell:.6},");
+        }
+        csv += &format!("{:.2}\n", (position_m - anchor_m).norm() * 1e3 + 12.0);
+    }
+    let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let path = inputs.path().join("lengths.csv");
+    std::fs::write(&path, &csv).unwrap();
+    let mapping = config("measured_length.toml");
+    let arguments =
+        ["calibrate", "--measured-lengths", path.to_str().unwrap(), "--mapping", mapping.to_str().unwrap()];
+    let output = identify(&arguments, "irb120_3.toml", out.path());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(text.contains("held out") && text.contains("0 of 200 rows rejected"), "{text}");
+    let file: toml::Table =
+        std::fs::read_to_string(out.path().join("calibration.toml")).unwrap().parse().unwrap();
+    let value = |name: &str| {
+        let entries = file["parameters"].as_array().unwrap();
+        entries.iter().find(|entry| entry["name"].as_str() == Some(name)).unwrap()["value"]
+            .as_float()
+            .unwrap()
+    };
+    assert!((value("anchor_x") - 0.3).abs() < 1e-3 && (value("anchor_y") + 0.6).abs() < 1e-3);
+    assert!((value("length_offset") - 0.012).abs() < 1e-3);
+
+    let broken = csv.replace("cable_mm", "wire_mm");
+    let out = tempfile::tempdir().unwrap();
+    std::fs::write(&path, broken).unwrap();
+    refused(&identify(&arguments, "irb120_3.toml", out.path()), &["cable_mm", "wire_mm"], out.path());
+}

@@ -7,7 +7,7 @@ use identify::logs::{LogError, MeasuredLengthMapping, MeasuredLengths};
 use proptest::prelude::*;
 use shared::config::{self, ConfigError};
 
-const HEADER: &str = "x_mm,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,cable_mm";
+const HEADER: &str = "x_mm,y_mm,z_mm,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,cable_mm";
 
 fn example() -> MeasuredLengthMapping {
     config::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/measured_length.toml")).unwrap()
@@ -27,12 +27,13 @@ fn table(row: &str) -> String {
 
 #[test]
 fn the_shipped_example_reads_degrees_and_millimetres() {
-    let rows = read(&table("1,-74.5,33.9,-30.8,-15.1,80.5,-59.7,509.19"), &example()).unwrap().rows;
+    let rows = read(&table("1,2,3,-74.5,33.9,-30.8,-15.1,80.5,-59.7,509.19"), &example()).unwrap().rows;
     assert_eq!(rows.len(), 12);
     assert_eq!(rows[0].line, 2);
     assert!((rows[3].length_m - 0.50919).abs() < 1e-12);
     assert!((rows[3].q_rad[0] + 74.5_f64.to_radians()).abs() < 1e-12);
     assert!((rows[3].q_rad[5] + 59.7_f64.to_radians()).abs() < 1e-12);
+    assert_eq!(rows[3].flange_m, Some([1e-3, 2e-3, 3e-3]));
 }
 
 #[test]
@@ -49,16 +50,17 @@ fn semicolons_decimal_commas_signs_and_offsets_follow_the_mapping() {
     let row = read(&csv, &mapping).unwrap().rows[0];
     assert!((row.length_m - 0.75).abs() < 1e-12);
     assert!((row.q_rad[0] - (std::f64::consts::FRAC_PI_2 - 0.5)).abs() < 1e-12);
+    assert_eq!(row.flange_m, None);
 }
 
 #[test]
 fn bad_cells_are_refused_with_line_and_column() {
-    let good = table("1,-74.5,33.9,-30.8,-15.1,80.5,-59.7,509.19");
+    let good = table("1,2,3,-74.5,33.9,-30.8,-15.1,80.5,-59.7,509.19");
     for (row, column, problem) in [
-        ("1,-74.5,33.9,-30.8,NaN,80.5,-59.7,509.19", "q4_deg", "finite"),
-        ("1,-74.5,33.9,-30.8,-15.1,80.5,-59.7,", "cable_mm", "empty"),
-        ("1,-74.5,33.9,-30.8,-15.1,80.5,-59.7,-5", "cable_mm", "no length"),
-        ("1,-74.5,3390,-30.8,-15.1,80.5,-59.7,509.19", "q2_deg", "two turns"),
+        ("1,2,3,-74.5,33.9,-30.8,NaN,80.5,-59.7,509.19", "q4_deg", "finite"),
+        ("1,2,3,-74.5,33.9,-30.8,-15.1,80.5,-59.7,", "cable_mm", "empty"),
+        ("1,2,3,-74.5,33.9,-30.8,-15.1,80.5,-59.7,-5", "cable_mm", "no length"),
+        ("1,2,3,-74.5,3390,-30.8,-15.1,80.5,-59.7,509.19", "q2_deg", "two turns"),
     ] {
         let error = read(&format!("{good}{row}\n"), &example()).unwrap_err().to_string();
         assert!(error.contains(&format!("line 14 column `{column}`")), "{error}");
@@ -93,7 +95,7 @@ proptest! {
 
     #[test]
     fn rows_come_back_as_written(values in prop::collection::vec((-360.0f64..360.0, 0.0f64..5000.0), 10..30)) {
-        let rows: String = values.iter().map(|(q, length)| format!("0,{q},0,0,0,0,{q},{length}\n")).collect();
+        let rows: String = values.iter().map(|(q, length)| format!("0,0,0,{q},0,0,0,0,{q},{length}\n")).collect();
         let read = read(&format!("{HEADER}\n{rows}"), &example()).unwrap().rows;
         prop_assert_eq!(read.len(), values.len());
         for (row, (q, length)) in read.iter().zip(values) {
