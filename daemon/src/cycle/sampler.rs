@@ -132,6 +132,8 @@ mod tests {
         Reply {
             working_counter: 6,
             all_operational: true,
+            not_operational: 0,
+            silent: 0,
             dc_time: None,
             inputs: [Input { status, count: 42, latch: 0 }; MAX_ENCODERS],
         }
