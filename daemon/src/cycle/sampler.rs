@@ -47,6 +47,11 @@ impl Sampler {
         sampler
     }
 
+    /// Flags that every record of this bus carries.
+    pub fn flags_always(&self) -> u32 {
+        self.always
+    }
+
     /// One record of cycle `cycle`, from the exchange that belongs to it.
     pub fn sample(&mut self, cycle: u64, time: SampleTime, exchange: &CyclicExchange) -> CycleRecord {
         let mut record = self.blank(cycle, time, exchange);
