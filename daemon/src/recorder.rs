@@ -12,7 +12,10 @@ use shared::recording::{RecordingWriter, RunFile, WriteError};
 use shared::time::UtcNs;
 
 use crate::clock::Clock;
+use crate::cycle::CycleEvent;
 
+/// Events that may wait for the recorder; cycles carry their reasons themselves, so that one too many is no harm.
+const EVENTS_MAX: usize = 1024;
 /// How often the ring is emptied.
 const DRAIN_PERIOD: Duration = Duration::from_millis(20);
 /// A host clock that differs by more than this from the run's is worth an event \[ns\].
@@ -21,6 +24,7 @@ const CLOCK_STEP_NS: i64 = 1_000_000;
 /// The cycle's end of the ring.
 pub struct CycleSink {
     ring: Producer<CycleRecord>,
+    events: Producer<CycleEvent>,
     due: Arc<AtomicU64>,
     /// On virtual time the cycle waits for the recorder; on real time it never waits and the loss is recorded.
     waits: bool,
@@ -29,6 +33,7 @@ pub struct CycleSink {
 /// The recorder's end of the ring.
 pub struct CycleSource {
     ring: Consumer<CycleRecord>,
+    events: Consumer<CycleEvent>,
     due: Arc<AtomicU64>,
 }
 
@@ -50,10 +55,11 @@ pub struct RunSummary {
 /// A ring of `capacity` cycles between the real-time thread and the recorder.
 pub fn ring(capacity: usize, clock: &Clock) -> (CycleSink, CycleSource) {
     let (producer, consumer) = RingBuffer::new(capacity);
+    let (events_in, events_out) = RingBuffer::new(EVENTS_MAX);
     let due = Arc::new(AtomicU64::new(0));
     (
-        CycleSink { ring: producer, due: Arc::clone(&due), waits: !clock.is_real() },
-        CycleSource { ring: consumer, due },
+        CycleSink { ring: producer, events: events_in, due: Arc::clone(&due), waits: !clock.is_real() },
+        CycleSource { ring: consumer, events: events_out, due },
     )
 }
 
@@ -67,6 +73,11 @@ impl CycleSink {
             }
             thread::yield_now();
         }
+    }
+
+    /// Hands over what happened on the bus. Wait-free; with a thousand waiting it is dropped.
+    pub fn push_event(&mut self, event: CycleEvent) {
+        let _ = self.events.push(event);
     }
 
     /// The recorder has given up; going on makes no sense.
@@ -124,6 +135,9 @@ impl Recorder {
                 if self.writer.cycles() >= synced_cycles + self.sync_cycles {
                     self.sync(&mut synced_at, &mut synced_cycles)?;
                 }
+            }
+            while let Ok(event) = self.source.events.pop() {
+                self.writer.write_event(&event.to_event())?;
             }
             if last_round {
                 break;

@@ -11,7 +11,9 @@ use shared::recording::schema::DeviceInfo;
 use shared::time::NS_PER_S;
 
 use super::error::{BusError, DeviceName, while_doing};
-use super::{Bus, BusPlan, Group, Operational, OperationalGroup, working_counter_of};
+use super::{
+    Bus, BusPlan, Group, Operational, OperationalGroup, STATION_ADDRESS_FIRST, timers, working_counter_of,
+};
 use crate::devices::{DeviceKind, EK1100, EL5021, el5021};
 
 /// SYNC pulses start this much after they are configured: longer than configuring all terminals takes.
@@ -28,8 +30,11 @@ impl Bus {
     pub fn bring_up(&mut self, plan: &BusPlan) -> Result<Operational, BusError> {
         // ethercrab 0.7.1 panics on a CoE emergency in the SDO path and on an incoherent topology: a broken
         // terminal must not take the process with it.
-        catch_unwind(AssertUnwindSafe(|| self.try_bring_up(plan)))
-            .unwrap_or_else(|panic| Err(BusError::Panicked(panic_text(panic.as_ref()))))
+        catch_unwind(AssertUnwindSafe(|| self.try_bring_up(plan))).unwrap_or_else(|panic| {
+            // What it held of the frame storage is lost.
+            self.renew_stack();
+            Err(BusError::Panicked(panic_text(panic.as_ref())))
+        })
     }
 
     fn try_bring_up(&mut self, plan: &BusPlan) -> Result<Operational, BusError> {
@@ -58,12 +63,12 @@ impl Bus {
 
     fn discover(&mut self, plan: &BusPlan) -> Result<Group<PreOp, NoDc>, BusError> {
         let no_answer = || BusError::NoAnswer { bus: plan.name.clone() };
-        // The bus time begins at the host's monotonic time of this moment.
-        let start_ns = self.clock.now().0.max(0) as u64;
-        let host_time_ns = move || start_ns;
-        let group = match self.exchange.run(self.main.init_single_group(host_time_ns)) {
+        let bus_minus_monotonic_ns = self.bus_minus_monotonic_ns;
+        let bus_time_ns = move || timers::now().plus_ns(bus_minus_monotonic_ns).0.max(0) as u64;
+        let received_before = self.exchange.counters().received;
+        let group = match self.exchange.run(self.main.init_single_group(bus_time_ns)) {
             Ok(group) => group,
-            Err(_) if self.exchange.counters().received == 0 => return Err(no_answer()),
+            Err(_) if self.exchange.counters().received == received_before => return Err(no_answer()),
             Err(error) => return Err(while_doing("looking for devices")(error)),
         };
         if group.is_empty() { Err(no_answer()) } else { Ok(group) }
@@ -218,12 +223,11 @@ impl Bus {
         })
     }
 
-    fn al_status(
+    pub(super) fn al_status(
         &mut self,
         position: usize,
     ) -> Result<(SubDeviceState, ethercrab::AlStatusCode), EtherCatError> {
-        const FIRST_STATION_ADDRESS: u16 = 0x1000;
-        let address = FIRST_STATION_ADDRESS + position as u16;
+        let address = STATION_ADDRESS_FIRST + position as u16;
         let Self { exchange, main, .. } = self;
         let status: u16 =
             exchange.run(Command::fprd(address, RegisterAddress::AlStatus.into()).receive(main))?;

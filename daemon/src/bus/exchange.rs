@@ -61,6 +61,11 @@ impl Exchange {
         }
     }
 
+    /// From now on serves another `PduStorage` over the same wire.
+    pub fn replace(&mut self, tx: PduTx<'static>, rx: PduRx<'static>) {
+        (self.tx, self.rx) = (tx, rx);
+    }
+
     /// Runs a future of the EtherCAT stack to its end, carrying its frames meanwhile.
     pub fn run<F: Future>(&mut self, future: F) -> F::Output {
         let mut future = pin!(future);

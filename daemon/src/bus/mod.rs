@@ -3,18 +3,23 @@
 mod bring_up;
 mod error;
 mod exchange;
+mod recovery;
 mod timers;
 
 use std::time::Duration;
 
 use ethercrab::subdevice_group::{HasDc, NoDc, Op};
-use ethercrab::{MainDevice, MainDeviceConfig, PduStorage, RetryBehaviour, SubDeviceGroup, Timeouts};
+use ethercrab::{
+    MainDevice, MainDeviceConfig, PduRx, PduStorage, PduTx, RetryBehaviour, SubDeviceGroup, SubDeviceState,
+    Timeouts,
+};
 use shared::config::EncoderConfig;
 use shared::recording::schema::{DeviceInfo, MAX_ENCODERS};
 use shared::time::{DcNs, MonoNs};
 
 pub use error::{BusError, DeviceName};
 pub use exchange::{Exchange, WireCounters};
+pub use recovery::Lift;
 pub use timers::use_clock;
 
 use crate::clock::Clock;
@@ -23,6 +28,8 @@ use crate::segment::Wire;
 
 /// More devices than a ball-bar has; ethercrab wants a power of two.
 const DEVICES_MAX: usize = 16;
+/// ethercrab gives this station address to the first device and the next ones to those behind it.
+const STATION_ADDRESS_FIRST: u16 = 0x1000;
 /// Room for the process data of all terminals.
 const PDI_BYTES_MAX: usize = 256;
 const FRAMES_MAX: usize = 16;
@@ -57,6 +64,8 @@ pub struct Bus {
     main: MainDevice<'static>,
     clock: Clock,
     reply_timeout_ns: i64,
+    /// What the bus' clock is set to when the bus comes up: the host's monotonic time plus this \[ns\].
+    bus_minus_monotonic_ns: i64,
 }
 
 /// A segment in operation.
@@ -81,6 +90,10 @@ pub struct Reply {
     pub working_counter: u16,
     /// Every device reports OP.
     pub all_operational: bool,
+    /// Positions that report another state, one bit each.
+    pub not_operational: u32,
+    /// Positions that report nothing: nobody has that address any more. One bit each.
+    pub silent: u32,
     /// System time at which the frame passed the reference clock.
     pub dc_time: Option<DcNs>,
     /// Inputs in bus order; as many as there are encoders.
@@ -101,22 +114,13 @@ pub struct CyclicExchange {
 impl Bus {
     /// A MainDevice on a wire. Its frame storage lives as long as the process: ethercrab lends it once.
     pub fn new(wire: Box<dyn Wire>, clock: Clock, reply_timeout: Duration) -> Self {
-        let storage: &'static Storage = Box::leak(Box::new(Storage::new()));
-        // Splitting fails only the second time; a storage made here was never split.
-        #[allow(clippy::expect_used, reason = "the storage was made one line above")]
-        let (tx, rx, pdu_loop) = storage.try_split().expect("fresh storage");
-        // For bringing the bus up; cyclic frames have a time-out of their own and are never repeated: a repeated one
-        // would come a cycle late and pass for a fresh sample.
-        let timeouts = Timeouts { pdu: BRING_UP_REPLY_TIMEOUT, ..Timeouts::default() };
-        let config = MainDeviceConfig {
-            retry_behaviour: RetryBehaviour::Count(BRING_UP_RETRIES),
-            ..MainDeviceConfig::default()
-        };
+        let (tx, rx, main) = new_stack();
         Self {
             exchange: Exchange::new(tx, rx, wire, clock.clone()),
-            main: MainDevice::new(pdu_loop, timeouts, config),
+            main,
             clock,
             reply_timeout_ns: reply_timeout.as_nanos() as i64,
+            bus_minus_monotonic_ns: 0,
         }
     }
 
@@ -133,20 +137,22 @@ impl Bus {
             OperationalGroup::Dc(group) => {
                 exchange.run_until(group.tx_rx_dc(main), deadline).and_then(Result::ok).map(|response| {
                     let time = DcNs(response.extra.dc_system_time as i64);
-                    (response.working_counter, response.all_op(), Some(time))
+                    (response.working_counter, States::of(&response.subdevice_states), Some(time))
                 })
             }
             OperationalGroup::FreeRun(group) => exchange
                 .run_until(group.tx_rx(main), deadline)
                 .and_then(Result::ok)
-                .map(|response| (response.working_counter, response.all_op(), None)),
+                .map(|response| (response.working_counter, States::of(&response.subdevice_states), None)),
         };
         let sent = exchange.sent_last();
-        let Some((working_counter, all_operational, dc_time)) = response else {
+        let Some((working_counter, states, dc_time)) = response else {
             return CyclicExchange { sent, received: sent, reply: None };
         };
         let inputs = self.inputs(operational);
-        let reply = Reply { working_counter, all_operational, dc_time, inputs };
+        let States { not_operational, silent } = states;
+        let all_operational = not_operational == 0;
+        let reply = Reply { working_counter, all_operational, not_operational, silent, dc_time, inputs };
         CyclicExchange { sent, received: self.exchange.received_last(), reply: Some(reply) }
     }
 
@@ -169,6 +175,44 @@ impl Bus {
         }
         inputs
     }
+}
+
+/// Which devices are not in OP, and which of them report no state at all. One bit for each position.
+struct States {
+    not_operational: u32,
+    silent: u32,
+}
+
+impl States {
+    fn of(states: &[SubDeviceState]) -> Self {
+        let mask = |is: fn(&SubDeviceState) -> bool| {
+            states
+                .iter()
+                .enumerate()
+                .filter(|(_, state)| is(state))
+                .fold(0, |mask, (position, _)| mask | 1 << position)
+        };
+        Self {
+            not_operational: mask(|state| *state != SubDeviceState::Op),
+            silent: mask(|state| *state == SubDeviceState::None),
+        }
+    }
+}
+
+/// Storage for frames and the stack on it. It lives as long as the process: ethercrab lends it once.
+fn new_stack() -> (PduTx<'static>, PduRx<'static>, MainDevice<'static>) {
+    let storage: &'static Storage = Box::leak(Box::new(Storage::new()));
+    // Splitting fails only the second time; a storage made here was never split.
+    #[allow(clippy::expect_used, reason = "the storage was made one line above")]
+    let (tx, rx, pdu_loop) = storage.try_split().expect("fresh storage");
+    // For bringing the bus up; cyclic frames have a time-out of their own and are never repeated: a repeated one
+    // would come a cycle late and pass for a fresh sample.
+    let timeouts = Timeouts { pdu: BRING_UP_REPLY_TIMEOUT, ..Timeouts::default() };
+    let config = MainDeviceConfig {
+        retry_behaviour: RetryBehaviour::Count(BRING_UP_RETRIES),
+        ..MainDeviceConfig::default()
+    };
+    (tx, rx, MainDevice::new(pdu_loop, timeouts, config))
 }
 
 /// Working counter that `terminals` EL5021 add up to.

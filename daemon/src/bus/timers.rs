@@ -39,6 +39,11 @@ pub fn use_clock(clock: &Clock) {
     CLOCK.with_borrow_mut(|current| current.clone_from(clock));
 }
 
+/// The time on the calling thread's clock.
+pub(super) fn now() -> MonoNs {
+    CLOCK.with_borrow(Clock::now)
+}
+
 /// The earliest time at which a timer polled since the last call wants to be polled again.
 pub(super) fn take_earliest_wake() -> Option<MonoNs> {
     // Rounded up: a timer polled a fraction of a tick early would not be ready.

@@ -4,10 +4,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use clap::Args;
-use shared::time::NS_PER_S;
+use shared::time::{MonoNs, NS_PER_S};
 
 use super::on_signal;
 use crate::clock::Clock;
+use crate::segment::faults::{FaultWindow, FaultySegment};
 use crate::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
 use crate::segment::{EthernetWire, FRAME_BYTES_MAX, Wire};
 
@@ -22,12 +23,21 @@ pub struct SegmentArguments {
     /// Signal periods per revolution of the simulated encoders
     #[arg(long, default_value_t = 3600)]
     lines: u32,
+    /// Seed of the motion, of the devices' clocks and of chance
+    #[arg(long, default_value_t = SegmentConfig::default().seed)]
+    seed: u64,
+    /// What goes wrong, such as lost:0.01 or gone:3@10s-15s (an unknown one lists all); may be repeated
+    #[arg(long = "fault", value_name = "FAULT[@FROM[-UNTIL]]")]
+    faults: Vec<FaultWindow>,
 }
 
 pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
-    let config = SegmentConfig { terminals: arguments.terminals, ..SegmentConfig::default() };
+    let config =
+        SegmentConfig { terminals: arguments.terminals, seed: arguments.seed, ..SegmentConfig::default() };
     let motion = SmoothMotion::new(config.terminals, arguments.lines, config.seed);
     let segment = SimulatedSegment::new(&config, Box::new(motion));
+    let (mut segment, _) = FaultySegment::new(segment, config.seed);
+    segment.schedule(&arguments.faults);
     let wire = EthernetWire::open(&arguments.interface)?;
     let stop = Arc::new(AtomicBool::new(false));
     let serving = Arc::clone(&stop);
@@ -35,14 +45,21 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
     on_signal(move || serve(segment, wire, &serving), |_| stop.store(true, Ordering::Release))
 }
 
-/// Answers each frame as it comes, until stopped.
-fn serve(mut segment: SimulatedSegment, mut wire: EthernetWire, stop: &AtomicBool) -> anyhow::Result<()> {
+/// Answers each frame as it comes, until stopped. An interface that goes away does not end it: it may come back.
+fn serve(mut segment: FaultySegment, mut wire: EthernetWire, stop: &AtomicBool) -> anyhow::Result<()> {
     let clock = Clock::Real;
     let (mut frame, mut reply) = ([0; FRAME_BYTES_MAX], [0; FRAME_BYTES_MAX]);
     while !stop.load(Ordering::Acquire) {
-        let Some(length) = wire.receive(&mut frame, clock.now().plus_ns(NS_PER_S / 10))? else { continue };
-        if let Some(length) = segment.exchange(clock.now().0, &frame[..length], &mut reply) {
-            wire.send(&reply[..length])?;
+        let idle_until = clock.now().plus_ns(NS_PER_S / 10);
+        let until = segment.next_reply_ns().map_or(idle_until, |due_ns| idle_until.min(MonoNs(due_ns)));
+        match wire.receive(&mut frame, until) {
+            Ok(Some(length)) => segment.exchange(clock.now().0, 0, &frame[..length]),
+            Ok(None) => {}
+            Err(_) => clock.sleep_until(until),
+        }
+        while let Some(length) = segment.take_reply(clock.now().0, &mut reply) {
+            // A reply that cannot be sent is a lost one.
+            let _ = wire.send(&reply[..length]);
         }
     }
     Ok(())

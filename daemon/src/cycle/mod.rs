@@ -2,44 +2,66 @@
 //!
 //! [`Acquisition::next_cycle`] sleeps until the cycle's absolute deadline, exchanges one frame and gives one
 //! record for each cycle that was due. It allocates nothing, takes no lock and writes no file; it ends at the
-//! sink that it is given, a bounded ring.
+//! sink that it is given, a bounded ring. Only while the bus is down, and there is nothing to be late for, may it do
+//! all of these: bringing up a bus takes long.
 
 mod clock_fit;
+mod continuity;
+mod events;
 mod realtime;
+mod recovery;
 mod sampler;
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
 use shared::recording::schema::{CycleRecord, DeviceInfo, flags};
 use shared::time::{DcNs, MonoNs, UtcNs};
 
 pub use clock_fit::{ClockFit, ClockPair};
+pub use continuity::Continuity;
+pub use events::{CycleEvent, Down, Happening, Origin};
 pub use realtime::{RealtimeReport, RealtimeRequest};
 pub use sampler::{SampleTime, Sampler};
 
 use crate::bus::{Bus, BusError, BusPlan, CyclicExchange, Operational, WireCounters};
 use crate::clock::Clock;
 use crate::devices::el5021;
+use recovery::Health;
 
 /// Cycles run before the first sample so that the fit of bus time to host time has settled.
 const CLOCK_FIT_CYCLES: u32 = 100;
 /// A run is announced this many cycles before its first sample.
 const CYCLES_AHEAD: u64 = 2;
 
-/// A bus in operation and its clocks.
+/// Events that wait to be taken; nobody needs more of one cycle.
+const EVENTS_MAX: usize = 32;
+
+/// A bus, in operation or on its way back there, and its clocks.
 pub struct Acquisition {
     bus: Bus,
-    operational: Operational,
+    plan: BusPlan,
+    /// None while the bus is down.
+    operational: Option<Operational>,
+    devices: Vec<DeviceInfo>,
     clock: Clock,
     period_ns: i64,
     sync0_shift_ns: i64,
+    reply_timeout_ns: i64,
     distributed_clocks: bool,
     utc_minus_monotonic_ns: i64,
     fit: ClockFit,
+    /// How far the bus' clock came out ahead when it was last set, compared with the bus before any fault \[ns\].
+    bus_lead_ns: i64,
     sampler: Sampler,
+    continuity: Continuity,
+    health: Health,
+    events: VecDeque<CycleEvent>,
     /// Sampling instant of cycle 0 on the bus' clock, or of its frame on the host's without DC.
     origin_ns: i64,
     next_cycle: u64,
+    /// Sample time of the cycle before.
+    time_last: Option<UtcNs>,
     late_ns_max: i64,
 }
 
@@ -51,14 +73,22 @@ impl Acquisition {
         let mut acquisition = Self {
             sampler: Sampler::new(joints, operational.working_counter_expected, plan.distributed_clocks),
             bus,
-            operational,
+            plan: plan.clone(),
+            devices: operational.devices.clone(),
+            operational: Some(operational),
             period_ns: nanoseconds(plan.cycle_period),
             sync0_shift_ns: nanoseconds(plan.sync0_shift),
+            reply_timeout_ns: nanoseconds(plan.reply_timeout),
             distributed_clocks: plan.distributed_clocks,
             utc_minus_monotonic_ns: clock.utc_minus_monotonic_ns(),
             fit: ClockFit::default(),
+            bus_lead_ns: 0,
+            continuity: Continuity::new(&plan.encoders),
+            health: Health::default(),
+            events: VecDeque::with_capacity(EVENTS_MAX),
             origin_ns: 0,
             next_cycle: 0,
+            time_last: None,
             late_ns_max: 0,
             clock,
         };
@@ -68,7 +98,7 @@ impl Acquisition {
 
     /// Devices as they identified themselves.
     pub fn devices(&self) -> &[DeviceInfo] {
-        &self.operational.devices
+        &self.devices
     }
 
     /// `UTC - monotonic` that all sample times of this run use \[ns\].
@@ -84,6 +114,11 @@ impl Acquisition {
     /// Latest that a wake-up came after its deadline \[ns\].
     pub fn late_ns_max(&self) -> i64 {
         self.late_ns_max
+    }
+
+    /// What happened on the bus, oldest first; take all after each cycle.
+    pub fn take_event(&mut self) -> Option<CycleEvent> {
+        self.events.pop_front()
     }
 
     /// Lets cycle 0 of the next run be sampled at `utc` (virtual time only: there UTC is a matter of choice).
@@ -108,50 +143,63 @@ impl Acquisition {
         while self.next_cycle < first {
             self.idle();
         }
-        self.next_cycle -= first;
-        self.origin_ns = origin_ns;
+        // Cycles that were overslept belong to no run.
+        let overslept = (self.next_cycle - first) as i64;
+        self.next_cycle = 0;
+        self.origin_ns = origin_ns + overslept * self.period_ns;
         self.late_ns_max = 0;
+        self.time_last = None;
+        self.continuity.begin_run();
+        self.health.begin_run();
+        self.events.clear();
     }
 
-    /// Waits for the next cycle, exchanges its frame, and hands `sink` one record for each cycle that was due.
+    /// Waits for the next cycle, exchanges its frame, and hands `sink` one record for each cycle that was due, also
+    /// while the bus is down.
     pub fn next_cycle(&mut self, sink: &mut dyn FnMut(&CycleRecord)) {
         let deadline = self.frame_deadline(self.next_cycle);
         self.clock.sleep_until(deadline);
-        let exchange = self.bus.exchange(&self.operational);
+        let Some(operational) = &self.operational else { return self.cycle_down(sink) };
+        let exchange = self.bus.exchange(operational);
         self.late_ns_max = self.late_ns_max.max(exchange.sent.ns_since(deadline));
-        self.observe_clocks(&exchange);
-        let sampled = self.cycle_sampled(&exchange);
+        let step_ns = self.observe_clocks(&exchange);
+        let sampled = if step_ns.is_none() { self.cycle_sampled(&exchange) } else { self.next_cycle };
         // Woken so late that SYNC0 overwrote samples before their frame was sent: those cycles are in the
         // file all the same, with the reason.
         while self.next_cycle < sampled {
             let time = self.sample_time(self.next_cycle);
-            sink(&self.sampler.missed(self.next_cycle, time, &exchange));
-            self.next_cycle += 1;
+            let missed = self.sampler.missed(self.next_cycle, time, &exchange);
+            self.emit(missed, sink);
         }
         let time = self.sample_time(self.next_cycle);
         let mut record = self.sampler.sample(self.next_cycle, time, &exchange);
         if sampled < self.next_cycle {
             Sampler::invalidate(&mut record, flags::STALE_INPUT);
         }
-        sink(&record);
-        self.next_cycle += 1;
+        if step_ns.is_some() {
+            Sampler::invalidate(&mut record, flags::NO_DC);
+        }
+        self.emit(record, sink);
+        self.conclude(&record, &exchange, step_ns);
+    }
+
+    fn tell(&mut self, what: Happening) {
+        if self.events.len() < EVENTS_MAX {
+            let time = self.sample_time(self.next_cycle).utc;
+            self.events.push_back(CycleEvent { time, cycle: self.next_cycle, what });
+        }
     }
 
     /// Locks on: finds the phase of SYNC0, then cycles until the fit is good.
     fn settle(&mut self) {
-        let exchange = self.bus.exchange(&self.operational);
+        let Some(operational) = &self.operational else { return };
+        let exchange = self.bus.exchange(operational);
         self.observe_clocks(&exchange);
         self.origin_ns = match exchange.reply.and_then(|reply| reply.dc_time) {
             Some(time) => (time.0.div_euclid(self.period_ns) + 1) * self.period_ns,
             None => exchange.sent.plus_ns(self.period_ns).0,
         };
         (0..CLOCK_FIT_CYCLES).for_each(|_| self.idle());
-    }
-
-    fn observe_clocks(&mut self, exchange: &CyclicExchange) {
-        if let Some(dc) = exchange.reply.and_then(|reply| reply.dc_time) {
-            self.fit.observe(ClockPair { dc, sent: exchange.sent, received: exchange.received });
-        }
     }
 
     /// Number of the cycle whose sample the reply holds; the expected one where nothing says otherwise.

@@ -47,6 +47,11 @@ impl Sampler {
         sampler
     }
 
+    /// Flags that every record of this bus carries.
+    pub fn flags_always(&self) -> u32 {
+        self.always
+    }
+
     /// One record of cycle `cycle`, from the exchange that belongs to it.
     pub fn sample(&mut self, cycle: u64, time: SampleTime, exchange: &CyclicExchange) -> CycleRecord {
         let mut record = self.blank(cycle, time, exchange);
@@ -132,6 +137,8 @@ mod tests {
         Reply {
             working_counter: 6,
             all_operational: true,
+            not_operational: 0,
+            silent: 0,
             dc_time: None,
             inputs: [Input { status, count: 42, latch: 0 }; MAX_ENCODERS],
         }

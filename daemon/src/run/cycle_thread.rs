@@ -59,6 +59,9 @@ pub(super) fn run(
                 done = record.cycle + 1;
             }
         });
+        while let Some(event) = acquisition.take_event() {
+            sink.push_event(event);
+        }
     }
     stop.stop(if replay.is_some() { "end of the replayed recording" } else { "duration reached" });
     tracing::info!(

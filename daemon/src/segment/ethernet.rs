@@ -16,6 +16,9 @@ use crate::clock::Clock;
 /// EtherType of EtherCAT (IEEE, ETG.1000.4).
 const ETHERTYPE_ETHERCAT: u16 = 0x88a4;
 
+/// How often a dead interface is looked for \[ns\].
+const REOPEN_PERIOD_NS: i64 = NS_PER_S / 10;
+
 /// Why an interface cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
@@ -49,23 +52,30 @@ pub enum OpenError {
 /// A raw socket on one interface.
 #[derive(Debug)]
 pub struct EthernetWire {
+    name: String,
     socket: OwnedFd,
     clock: Clock,
+    reopened_last: MonoNs,
 }
 
 impl EthernetWire {
     /// Opens an interface by name. Frames then live on real time.
     pub fn open(name: &str) -> Result<Self, OpenError> {
-        let index = if_nametoindex(name)
-            .map_err(|_| OpenError::NoSuchInterface { name: name.to_owned(), available: interfaces() })?;
-        let socket = bind_raw_socket(index).map_err(|source| {
-            if matches!(source.raw_os_error(), Some(libc::EPERM | libc::EACCES)) {
-                OpenError::Permission { name: name.to_owned() }
-            } else {
-                OpenError::System { name: name.to_owned(), source }
-            }
-        })?;
-        Ok(Self { socket, clock: Clock::Real })
+        let socket = open_socket(name)?;
+        Ok(Self { name: name.to_owned(), socket, clock: Clock::Real, reopened_last: Clock::Real.now() })
+    }
+
+    /// After an interface was unplugged and is back under its name, the old socket belongs to nothing. Tried not more
+    /// often than each tenth of a second.
+    fn reopen_later(&mut self) {
+        let now = self.clock.now();
+        if now.ns_since(self.reopened_last) < REOPEN_PERIOD_NS {
+            return;
+        }
+        self.reopened_last = now;
+        if let Ok(socket) = open_socket(&self.name) {
+            self.socket = socket;
+        }
     }
 
     /// Waits until a frame is there; false when time is over first.
@@ -84,8 +94,15 @@ impl EthernetWire {
 
 impl Wire for EthernetWire {
     fn send(&mut self, frame: &[u8]) -> io::Result<()> {
-        send(self.socket.as_raw_fd(), frame, MsgFlags::MSG_DONTWAIT)?;
-        Ok(())
+        match send(self.socket.as_raw_fd(), frame, MsgFlags::MSG_DONTWAIT) {
+            Ok(_) => Ok(()),
+            // Full queues pass; a dead interface does not.
+            Err(error @ (Errno::EAGAIN | Errno::ENOBUFS | Errno::EINTR)) => Err(error.into()),
+            Err(error) => {
+                self.reopen_later();
+                Err(error.into())
+            }
+        }
     }
 
     fn receive(&mut self, buffer: &mut [u8; FRAME_BYTES_MAX], until: MonoNs) -> io::Result<Option<usize>> {
@@ -98,6 +115,19 @@ impl Wire for EthernetWire {
             Err(error) => Err(error.into()),
         }
     }
+}
+
+/// A socket on the interface that has this name now.
+fn open_socket(name: &str) -> Result<OwnedFd, OpenError> {
+    let index = if_nametoindex(name)
+        .map_err(|_| OpenError::NoSuchInterface { name: name.to_owned(), available: interfaces() })?;
+    bind_raw_socket(index).map_err(|source| {
+        if matches!(source.raw_os_error(), Some(libc::EPERM | libc::EACCES)) {
+            OpenError::Permission { name: name.to_owned() }
+        } else {
+            OpenError::System { name: name.to_owned(), source }
+        }
+    })
 }
 
 /// Names of the interfaces of this machine, for error messages.

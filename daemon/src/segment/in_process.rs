@@ -4,47 +4,46 @@ use std::io;
 
 use shared::time::MonoNs;
 
+use super::faults::FaultySegment;
 use super::simulated::SimulatedSegment;
 use super::{FRAME_BYTES_MAX, Wire};
 use crate::clock::Clock;
 
 /// Frames sent are answered by a simulated segment at once (real time) or one round trip later (virtual time).
 pub struct InProcessWire {
-    segment: SimulatedSegment,
+    segment: FaultySegment,
     clock: Clock,
-    reply: Box<[u8; FRAME_BYTES_MAX]>,
-    reply_len: Option<usize>,
 }
 
 impl InProcessWire {
-    /// Connects a segment; both live on `clock`.
+    /// Connects a segment without faults; both live on `clock`.
     pub fn new(segment: SimulatedSegment, clock: Clock) -> Self {
-        Self { segment, clock, reply: Box::new([0; FRAME_BYTES_MAX]), reply_len: None }
+        let (segment, _) = FaultySegment::new(segment, 0);
+        Self::with_faults(segment, clock)
+    }
+
+    /// Connects a segment and its faults.
+    pub fn with_faults(segment: FaultySegment, clock: Clock) -> Self {
+        Self { segment, clock }
     }
 }
 
 impl Wire for InProcessWire {
     fn send(&mut self, frame: &[u8]) -> io::Result<()> {
         let now = self.clock.now();
+        if !self.segment.has_link(now.0) {
+            return Err(io::ErrorKind::NetworkDown.into());
+        }
         let round_trip_ns = if self.clock.is_real() { 0 } else { self.segment.round_trip_ns(frame.len()) };
         // The coupler sees the frame half way of the round trip.
-        self.reply_len = self.segment.exchange(now.0 + round_trip_ns / 2, frame, &mut self.reply[..]);
-        if !self.clock.is_real() {
-            self.clock.sleep_until(now.plus_ns(round_trip_ns));
-        }
+        let there_ns = round_trip_ns / 2;
+        self.segment.exchange(now.0 + there_ns, round_trip_ns - there_ns, frame);
         Ok(())
     }
 
     fn receive(&mut self, buffer: &mut [u8; FRAME_BYTES_MAX], until: MonoNs) -> io::Result<Option<usize>> {
-        match self.reply_len.take() {
-            Some(length) => {
-                buffer[..length].copy_from_slice(&self.reply[..length]);
-                Ok(Some(length))
-            }
-            None => {
-                self.clock.sleep_until(until);
-                Ok(None)
-            }
-        }
+        let due = self.segment.next_reply_ns().map(MonoNs).filter(|due| *due <= until);
+        self.clock.sleep_until(due.unwrap_or(until));
+        Ok(self.segment.take_reply(self.clock.now().0, buffer))
     }
 }

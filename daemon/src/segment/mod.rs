@@ -1,6 +1,7 @@
 //! Where frames go: a network interface, or the simulated segment in this process.
 
 mod ethernet;
+pub mod faults;
 mod in_process;
 pub mod simulated;
 

@@ -6,7 +6,8 @@
 //! [`SimulatedSegment::exchange`] is told: it has no clock and no thread, so it runs on real time as well as on a
 //! virtual clock. What happens between two frames is worked out when the next one arrives.
 //!
-//! Faults are none of its business: whoever wants a lost, late or damaged frame wraps `exchange`.
+//! What can go wrong with a device is set here, between two frames; what can go wrong with a frame is the business
+//! of [`faults`](super::faults), which wraps `exchange`.
 
 mod chip;
 mod devices;
@@ -18,6 +19,7 @@ mod wiring;
 use rand::{Rng, SeedableRng, rngs::StdRng};
 
 pub use devices::Revision;
+pub use node::MailboxFault;
 pub use source::{
     Conversion, EncoderSource, Periods, Replay, ReplayError, ReplayHandle, Signal, SmoothMotion,
 };
@@ -71,6 +73,8 @@ pub struct SimulatedSegment {
     /// Powered up by the first frame, which tells the time.
     nodes: Vec<Node>,
     unpowered: Vec<Unpowered>,
+    /// Frames reach this many devices.
+    reach: usize,
     source: Box<dyn EncoderSource>,
 }
 
@@ -96,13 +100,16 @@ impl SimulatedSegment {
             on_since_ns: random.random_range(0..POWERED_UP_NS),
             drift_ppm: random.random_range(-drift_ppm..=drift_ppm),
         });
-        Self { wiring, nodes: Vec::with_capacity(1 + terminals), unpowered: unpowered.collect(), source }
+        let reach = 1 + terminals;
+        Self { wiring, nodes: Vec::with_capacity(reach), unpowered: unpowered.collect(), reach, source }
     }
 
     /// One Ethernet frame enters at true time `now_ns`, which never runs backwards. The frame that returns is put
     /// into `reply` and its length returned: the same length, data exchanged, working counters raised and bit
     /// 0x02 set in the first byte of the source address. None for what is not an EtherCAT frame, or is longer
     /// than `reply`.
+    ///
+    /// None, too, while not even the coupler is reached.
     ///
     /// Allocates nothing after the first frame.
     pub fn exchange(&mut self, now_ns: i64, frame: &[u8], reply: &mut [u8]) -> Option<usize> {
@@ -112,9 +119,12 @@ impl SimulatedSegment {
         frame::mark_processed(reply);
         self.power_up(now_ns);
         self.advance(now_ns);
+        if self.reach == 0 {
+            return None;
+        }
         let mut rest = reply.get_mut(datagrams)?;
         while let Some((mut datagram, behind)) = Datagram::split_first(rest) {
-            for (position, node) in self.nodes.iter_mut().enumerate() {
+            for (position, node) in self.nodes.iter_mut().take(self.reach).enumerate() {
                 let arrival_ns = now_ns.saturating_add(self.wiring.delay_ns(position));
                 command::execute(&mut node.esc, &mut datagram, arrival_ns);
             }
@@ -128,19 +138,70 @@ impl SimulatedSegment {
         self.wiring.round_trip_ns(frame_len)
     }
 
+    /// The devices from `position` on lose power or their cable; 0 takes the coupler too.
+    pub fn cut_from(&mut self, position: usize) {
+        self.reach = self.reach.min(position);
+        self.show_links();
+    }
+
+    /// What was cut off is back at `now_ns`, powered up again: in INIT, without address, counters without origin.
+    pub fn restore(&mut self, now_ns: i64) {
+        for node in self.nodes.iter_mut().skip(self.reach) {
+            node.power_cycle(now_ns);
+        }
+        self.reach = self.nodes.len() + self.unpowered.len();
+        self.show_links();
+    }
+
+    /// A terminal leaves OP for SAFE-OP with an AL status code; one that is not in OP stays where it is.
+    pub fn fall_to_safe_op(&mut self, position: usize, code: u16) {
+        if let Some(node) = self.nodes.get_mut(position) {
+            node.esc.fall_to_safe_op(code);
+        }
+    }
+
+    /// Breaks or mends the mailbox of a terminal.
+    pub fn set_mailbox_fault(&mut self, position: usize, fault: Option<MailboxFault>) {
+        if let Some(node) = self.nodes.get_mut(position) {
+            node.set_mailbox_fault(fault);
+        }
+    }
+
+    /// The reference clock jumps at `now_ns`.
+    pub fn step_reference_clock(&mut self, now_ns: i64, step_ns: i64) {
+        if let Some(node) = self.nodes.first_mut() {
+            node.esc.step_clock(now_ns, step_ns);
+        }
+    }
+
+    /// A frame was damaged on its way to the coupler, which counts it and passes it on marked as invalid.
+    pub fn count_invalid_frame(&mut self) {
+        if let Some(node) = self.nodes.first_mut() {
+            node.esc.count_invalid_frame();
+        }
+    }
+
+    fn show_links(&mut self) {
+        for (position, node) in self.nodes.iter_mut().take(self.reach).enumerate() {
+            node.esc.set_dl_status(self.wiring.dl_status(position, self.reach));
+        }
+    }
+
     /// Everything that happened before the frame comes to each device.
     fn advance(&mut self, now_ns: i64) {
-        for (position, node) in self.nodes.iter_mut().enumerate() {
+        for (position, node) in self.nodes.iter_mut().take(self.reach).enumerate() {
             let arrival_ns = now_ns.saturating_add(self.wiring.delay_ns(position));
-            let back_ns = self.wiring.loop_ns(position).map(|loop_ns| arrival_ns.saturating_add(loop_ns));
+            let back_ns =
+                self.wiring.loop_ns(position, self.reach).map(|loop_ns| arrival_ns.saturating_add(loop_ns));
             node.advance(arrival_ns, back_ns, self.source.as_mut());
         }
     }
 
-    fn power_up(&mut self, now_ns: i64) {
+    /// Switches on what was not yet; the first frame does so by itself.
+    pub fn power_up(&mut self, now_ns: i64) {
         for (position, off) in self.unpowered.drain(..).enumerate() {
             let clock = LocalClock::new(now_ns, off.on_since_ns, off.drift_ppm);
-            self.nodes.push(Node::new(off.device, clock, self.wiring.dl_status(position)));
+            self.nodes.push(Node::new(off.device, clock, self.wiring.dl_status(position, self.reach)));
         }
     }
 }

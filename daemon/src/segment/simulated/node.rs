@@ -32,10 +32,24 @@ pub trait Device: Send {
     /// How the device is synchronised was chosen or changed.
     fn synchronise(&mut self, _mode: SyncMode) {}
 
+    /// The device is powered off and on: what is not in its EEPROM is gone.
+    fn power_cycle(&mut self) {}
+
     /// The object dictionary of a device with a mailbox.
     fn objects(&mut self) -> Option<&mut dyn ObjectDictionary> {
         None
     }
+}
+
+/// What is wrong with a device's mailbox.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MailboxFault {
+    /// Every SDO is refused with this abort code.
+    Abort(u32),
+    /// Requests are taken and never answered.
+    Silent,
+    /// Before the next answer comes an emergency with this error code, once.
+    Emergency(u16),
 }
 
 /// Chip and device.
@@ -43,6 +57,9 @@ pub struct Node {
     /// The wire side.
     pub esc: Esc,
     device: Box<dyn Device>,
+    mailbox_fault: Option<MailboxFault>,
+    /// An answer that waits until the master has fetched what came before it.
+    held_answer: Option<([u8; MAILBOX_MAX], usize)>,
 }
 
 impl Node {
@@ -50,7 +67,19 @@ impl Node {
     pub fn new(device: Box<dyn Device>, clock: LocalClock, dl_status: u16) -> Self {
         let mut esc = Esc::new(device.chip(), clock);
         esc.set_dl_status(dl_status);
-        Self { esc, device }
+        Self { esc, device, mailbox_fault: None, held_answer: None }
+    }
+
+    /// Powers the device off and on.
+    pub fn power_cycle(&mut self, now_ns: i64) {
+        self.device.power_cycle();
+        self.esc = Esc::new(self.device.chip(), self.esc.restarted_clock(now_ns));
+        self.held_answer = None;
+    }
+
+    /// Breaks or mends the mailbox.
+    pub fn set_mailbox_fault(&mut self, fault: Option<MailboxFault>) {
+        self.mailbox_fault = fault;
     }
 
     /// Brings chip and device to the moment at which a frame arrives.
@@ -77,10 +106,26 @@ impl Node {
 
     fn serve_mailbox(&mut self, now_ns: i64) {
         let Some(objects) = self.device.objects() else { return };
+        if !self.esc.is_answer_waiting()
+            && let Some((mailbox, len)) = self.held_answer.take()
+        {
+            self.esc.put_answer(&mailbox[..len]);
+        }
         let mut request = [0; MAILBOX_MAX];
         let Some(len) = self.esc.take_request(now_ns, &mut request) else { return };
         let mut mailbox = [0; MAILBOX_MAX];
-        if let Some(len) = coe::answer(&request[..len], &mut mailbox, objects) {
+        let answer = match self.mailbox_fault {
+            Some(MailboxFault::Silent) => None,
+            Some(MailboxFault::Abort(code)) => coe::abort_with(&request[..len], &mut mailbox, code),
+            None | Some(MailboxFault::Emergency(_)) => coe::answer(&request[..len], &mut mailbox, objects),
+        };
+        let Some(len) = answer else { return };
+        if let Some(MailboxFault::Emergency(code)) = self.mailbox_fault {
+            self.mailbox_fault = None;
+            self.held_answer = Some((mailbox, len));
+            let len = coe::emergency(&mut mailbox, code);
+            self.esc.put_answer(&mailbox[..len]);
+        } else {
             self.esc.put_answer(&mailbox[..len]);
         }
     }

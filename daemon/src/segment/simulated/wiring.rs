@@ -33,24 +33,24 @@ impl Wiring {
         self.delays_ns.get(position).copied().unwrap_or(0)
     }
 
-    /// From passing the device at `position` outwards until the frame is back from the devices behind it; none
-    /// for the last device.
-    pub fn loop_ns(&self, position: usize) -> Option<i64> {
-        let last = self.delays_ns.last()?;
-        (position + 1 < self.delays_ns.len()).then(|| 2 * (last - self.delay_ns(position)))
+    /// From passing the device at `position` outwards until the frame is back from the last of `reach` devices;
+    /// none for that last one.
+    pub fn loop_ns(&self, position: usize, reach: usize) -> Option<i64> {
+        let last = self.delays_ns.get(..reach)?.last()?;
+        (position + 1 < reach).then(|| 2 * (last - self.delay_ns(position)))
     }
 
-    /// DL status (0x0110): which ports have a link, which are closed.
-    pub fn dl_status(&self, position: usize) -> u16 {
+    /// DL status (0x0110) when frames reach `reach` devices: which ports have a link, which are closed.
+    pub fn dl_status(&self, position: usize, reach: usize) -> u16 {
         let watchdog_ok = if position == 0 { 0 } else { 0x0002 };
-        let links = if position + 1 < self.delays_ns.len() { 0x5a31 } else { 0x5611 };
+        let links = if position + 1 < reach { 0x5a31 } else { 0x5611 };
         links | watchdog_ok
     }
 
     /// From sending a frame's first bit until its last bit is back.
     pub fn round_trip_ns(&self, frame_len: usize) -> i64 {
         let bytes = frame_len.max(FRAME_MIN) + FRAME_OVERHEAD;
-        let line_ns = self.loop_ns(0).unwrap_or(0);
+        let line_ns = self.loop_ns(0, self.delays_ns.len()).unwrap_or(0);
         bytes as i64 * NS_PER_BYTE + line_ns
     }
 }

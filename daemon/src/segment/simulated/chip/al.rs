@@ -96,7 +96,8 @@ pub struct AlMachine {
     /// Without a processor behind the chip, status mirrors control.
     emulated: Option<u8>,
     state: AlState,
-    error: Option<AlStatusCode>,
+    /// AL status code while the error bit stands.
+    error: Option<u16>,
     pending: Option<Pending>,
 }
 
@@ -120,7 +121,7 @@ impl AlMachine {
     pub fn registers(&self) -> (u8, u16) {
         match (self.emulated, self.error) {
             (Some(mirrored), _) => (mirrored, 0),
-            (None, Some(code)) => (self.state as u8 | ERROR, code as u16),
+            (None, Some(code)) => (self.state as u8 | ERROR, code),
             (None, None) => (self.state as u8, 0),
         }
     }
@@ -142,7 +143,14 @@ impl AlMachine {
                 let deadline_ns = due_ns.saturating_add(PATIENCE_NS);
                 self.pending = Some(Pending { target, due_ns, deadline_ns });
             }
-            Err(code) => self.error = Some(code),
+            Err(code) => self.error = Some(code as u16),
+        }
+    }
+
+    /// The firmware leaves OP by itself, for a reason; without firmware, or below OP, nothing happens.
+    pub fn fall_to_safe_op(&mut self, code: u16) {
+        if self.emulated.is_none() && self.state == AlState::Op {
+            (self.state, self.error, self.pending) = (AlState::SafeOp, Some(code), None);
         }
     }
 
@@ -157,7 +165,7 @@ impl AlMachine {
         match verdict(self.state, pending.target, readiness) {
             Verdict::Wait(_) if now_ns < pending.deadline_ns => return,
             Verdict::Enter => self.state = pending.target,
-            Verdict::Wait(code) | Verdict::Refuse(code) => self.error = Some(code),
+            Verdict::Wait(code) | Verdict::Refuse(code) => self.error = Some(code as u16),
         }
         self.pending = None;
     }

@@ -66,6 +66,7 @@ const TYPE_COE: u8 = 3;
 const UNSUPPORTED_PROTOCOL: u16 = 2;
 const INVALID_HEADER: u16 = 3;
 
+const SERVICE_EMERGENCY: u8 = 1;
 const SERVICE_SDO_REQUEST: u8 = 2;
 const SERVICE_SDO_RESPONSE: u8 = 3;
 const SERVICE_INFORMATION: u8 = 8;
@@ -138,6 +139,26 @@ pub fn answer(
         _ => return Some(refuse(answer, UNSUPPORTED_PROTOCOL, request)),
     }
     Some(answer.finish(TYPE_COE, request))
+}
+
+/// Refuses an SDO request with any code, whatever it asks for; none for what is no SDO request.
+pub fn abort_with(request: &[u8], mailbox: &mut [u8; MAILBOX_MAX], code: u32) -> Option<usize> {
+    let sdo = request.get(MAILBOX_HEADER_LEN + COE_HEADER_LEN..)?;
+    let &[_, i0, i1, subindex] = sdo.first_chunk::<4>()?;
+    let mut answer = Answer { mailbox, len: MAILBOX_HEADER_LEN };
+    answer.begin(SERVICE_SDO_REQUEST);
+    answer.push(&[ABORT, i0, i1, subindex]);
+    answer.push(&code.to_le_bytes());
+    Some(answer.finish(TYPE_COE, request))
+}
+
+/// An emergency that nobody asked for (ETG.1000.6 section 5.6.4): error code, error register, no data.
+pub fn emergency(mailbox: &mut [u8; MAILBOX_MAX], code: u16) -> usize {
+    let mut answer = Answer { mailbox, len: MAILBOX_HEADER_LEN };
+    answer.begin(SERVICE_EMERGENCY);
+    answer.push(&code.to_le_bytes());
+    answer.push(&[0x01, 0, 0, 0, 0, 0]);
+    answer.finish(TYPE_COE, &[])
 }
 
 /// Mailbox error reply (ETG.1000.4 table 30).

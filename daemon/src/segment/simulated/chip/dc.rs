@@ -54,6 +54,11 @@ impl LocalClock {
         self.correction = correction;
     }
 
+    /// The same crystal after its device was powered off and on at `now_ns`.
+    fn restarted(&self, now_ns: i64) -> Self {
+        Self::new(now_ns, 0, self.drift * 1e6)
+    }
+
     fn gain(&self) -> f64 {
         self.drift + self.correction
     }
@@ -128,6 +133,16 @@ impl DistributedClock {
     /// Copy of the system time (0x0910).
     pub fn system_ns(&self, now_ns: i64) -> i64 {
         self.clock.local_ns(now_ns).wrapping_add(self.offset_ns)
+    }
+
+    /// The clock jumps, as no chip should let it.
+    pub fn step(&mut self, now_ns: i64, step_ns: i64) {
+        self.clock.adjust(now_ns, step_ns as f64, self.clock.correction);
+    }
+
+    /// The clock as it starts when its device is powered off and on.
+    pub fn restarted(&self, now_ns: i64) -> LocalClock {
+        self.clock.restarted(now_ns)
     }
 
     /// Notes when the frame at `now_ns` came in, and when it comes back to port 1 from the devices behind.

@@ -118,6 +118,32 @@ impl Esc {
         esc
     }
 
+    /// The clock of this chip after a power cycle at `now_ns`.
+    pub fn restarted_clock(&self, now_ns: i64) -> LocalClock {
+        self.clock.restarted(now_ns)
+    }
+
+    /// The local clock jumps.
+    pub fn step_clock(&mut self, now_ns: i64, step_ns: i64) {
+        self.clock.step(now_ns, step_ns);
+    }
+
+    /// The device leaves OP with an AL status code.
+    pub fn fall_to_safe_op(&mut self, code: u16) {
+        self.al.fall_to_safe_op(code);
+    }
+
+    /// A frame with a wrong check sequence came in at port 0 (0x0300: invalid frames, 0x0301: receive errors).
+    pub fn count_invalid_frame(&mut self) {
+        let [frames, errors] = self.get(reg::ERROR_COUNTERS);
+        self.put(reg::ERROR_COUNTERS, &[frames.saturating_add(1), errors.saturating_add(1)]);
+    }
+
+    /// Whether the mailbox to the master still holds something.
+    pub fn is_answer_waiting(&self) -> bool {
+        self.sync_managers[MAILBOX_IN].is_full()
+    }
+
     /// Links as the wiring has them.
     pub fn set_dl_status(&mut self, dl_status: u16) {
         self.put(reg::DL_STATUS, &dl_status.to_le_bytes());

@@ -87,12 +87,19 @@ impl Settings {
 pub struct Counter {
     /// Added to the encoder's position; in periods, so that it keeps its meaning when the bits change.
     offset: Periods,
+    /// Counts begin at the period in which the first conversion finds the encoder.
+    begins_at_zero: bool,
     latch_armed: bool,
     latch_was_enabled: bool,
     set_was_requested: bool,
 }
 
 impl Counter {
+    /// A counter that has forgotten how many periods went by.
+    pub fn after_power_cycle() -> Self {
+        Self { begins_at_zero: true, ..Self::default() }
+    }
+
     /// One conversion.
     pub fn convert(&mut self, signal: Signal, settings: &Settings, outputs: &Outputs, inputs: &mut Inputs) {
         match signal {
@@ -100,6 +107,10 @@ impl Counter {
             Signal::Turning { position, periods_per_s, amplitude, reference_mark, on_reference_mark } => {
                 let frequency_hz = periods_per_s.abs();
                 let directed = directed(position, settings);
+                if std::mem::take(&mut self.begins_at_zero) {
+                    // The fraction of a period is in the signal; whole periods are not.
+                    self.offset = Periods(directed.0.div_euclid(Periods::ONE).wrapping_mul(-Periods::ONE));
+                }
                 self.serve_set(directed, settings, outputs, inputs);
                 self.serve_latch(reference_mark, settings, outputs, inputs);
                 inputs.level_c = on_reference_mark;

@@ -184,6 +184,10 @@ impl Device for El5021 {
         self.sync_mode = mode;
     }
 
+    fn power_cycle(&mut self) {
+        *self = Self { counter: Counter::after_power_cycle(), ..Self::new(self.channel, self.revision) };
+    }
+
     fn objects(&mut self) -> Option<&mut dyn ObjectDictionary> {
         Some(self)
     }

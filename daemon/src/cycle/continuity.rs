@@ -1,0 +1,162 @@
+//! Whether counts go on from where they were, or have a new origin.
+
+use shared::config::EncoderConfig;
+use shared::recording::schema::{CycleRecord, MAX_ENCODERS, flags};
+use shared::time::UtcNs;
+
+use super::events::Origin;
+
+/// No joint of a ball-bar turns faster than this while a robot is being calibrated \[rev/s\]: 120 degrees a second.
+const SPEED_MAX_REV_PER_S: f64 = 1.0 / 3.0;
+/// Freezing of low bits and rounding \[counts\].
+const SLACK_COUNTS: f64 = 256.0;
+
+/// Compares each valid record with the valid one before.
+#[derive(Debug, Clone)]
+pub struct Continuity {
+    counts_per_rev: [f64; MAX_ENCODERS],
+    last: Option<CycleRecord>,
+    powered_off: bool,
+    /// When the bus was first sent through INIT since the last valid record.
+    reset_at: Option<UtcNs>,
+}
+
+impl Continuity {
+    /// Encoders in bus order.
+    pub fn new(encoders: &[EncoderConfig]) -> Self {
+        let mut counts_per_rev = [f64::INFINITY; MAX_ENCODERS];
+        for (counts, encoder) in counts_per_rev.iter_mut().zip(encoders) {
+            *counts = encoder.scale().counts_per_revolution() as f64;
+        }
+        Self { counts_per_rev, last: None, powered_off: false, reset_at: None }
+    }
+
+    /// What was counted before belongs to no run.
+    pub fn begin_run(&mut self) {
+        self.last = None;
+        (self.powered_off, self.reset_at) = (false, None);
+    }
+
+    /// A device was without power: what it counts from now on has nothing to do with what it counted.
+    pub fn powered_off(&mut self) {
+        self.powered_off = true;
+    }
+
+    /// The bus is sent through INIT.
+    pub fn resets(&mut self, at: UtcNs) {
+        self.reset_at.get_or_insert(at);
+    }
+
+    /// Flags the first valid record whose counts may have another origin than those before, and says why.
+    pub fn check(&mut self, record: &mut CycleRecord) -> Option<Origin> {
+        if !record.is_valid() {
+            return None;
+        }
+        let reset_at = self.reset_at.take();
+        let changed = if std::mem::take(&mut self.powered_off) {
+            Some(Origin::PoweredOff)
+        } else {
+            self.last.as_ref().and_then(|last| self.compare(last, record, reset_at))
+        };
+        if changed.is_some() {
+            record.flags |= flags::ORIGIN_CHANGED;
+        }
+        self.last = Some(*record);
+        changed
+    }
+
+    /// A terminal that starts anew when the bus comes up does so at zero. Close to zero this cannot be told from
+    /// a count that went on, so it passes for a new origin: a needless one costs a few parameters, a missed one
+    /// spoils the calibration.
+    fn compare(&self, last: &CycleRecord, record: &CycleRecord, reset_at: Option<UtcNs>) -> Option<Origin> {
+        let turns_since = |at: UtcNs| SPEED_MAX_REV_PER_S * record.sample_time.seconds_since(at).max(0.0);
+        let turns = turns_since(last.sample_time);
+        let turns_from_zero = reset_at.map(turns_since);
+        let pairs = last.encoders().iter().zip(record.encoders()).zip(&self.counts_per_rev);
+        pairs.into_iter().find_map(|((before, now), counts_per_rev)| {
+            let reach = |turns: f64| turns * counts_per_rev + SLACK_COUNTS;
+            let from_zero = f64::from(now.count as i32).abs();
+            let turned = f64::from(now.count.wrapping_sub(before.count) as i32).abs();
+            if turned > reach(turns) {
+                Some(Origin::Jumped { joint: now.joint })
+            } else if turns_from_zero.is_some_and(|turns| from_zero <= reach(turns)) {
+                Some(Origin::NearZero { joint: now.joint })
+            } else {
+                None
+            }
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use shared::encoder::Direction;
+    use shared::recording::schema::EncoderSample;
+
+    use super::*;
+
+    fn continuity() -> Continuity {
+        let encoder = |joint| EncoderConfig {
+            joint,
+            lines: 3600,
+            interpolation_bits: 12,
+            direction: Direction::Positive,
+        };
+        Continuity::new(&[encoder(1), encoder(2)])
+    }
+
+    fn record(ms: i64, counts: [u32; 2], valid: bool) -> CycleRecord {
+        let mut record =
+            CycleRecord { sample_time: UtcNs(ms * 1_000_000), encoder_count: 2, ..CycleRecord::default() };
+        for (encoder, (joint, count)) in record.encoders.iter_mut().zip([1, 2].into_iter().zip(counts)) {
+            *encoder = EncoderSample { joint, count, valid, ..EncoderSample::default() };
+        }
+        record
+    }
+
+    const FAR: u32 = 900_000_000;
+
+    #[test]
+    fn a_joint_that_turns_through_the_wrap_of_its_counter_goes_on() {
+        let mut continuity = continuity();
+        for (ms, count) in [(0, u32::MAX - 20_000), (10, 10_000), (20, 50_000)] {
+            let mut record = record(ms, [count, FAR], true);
+            assert_eq!(continuity.check(&mut record), None);
+            assert_eq!(record.flags, 0);
+        }
+    }
+
+    #[test]
+    fn more_than_a_joint_can_turn_is_a_new_origin_once_and_only_valid_counts_are_asked() {
+        let mut continuity = continuity();
+        assert_eq!(continuity.check(&mut record(0, [FAR, FAR], true)), None);
+        assert_eq!(continuity.check(&mut record(10, [0, 0], false)), None);
+        let mut jumped = record(20, [FAR, FAR + 200_000], true);
+        assert_eq!(continuity.check(&mut jumped), Some(Origin::Jumped { joint: 2 }));
+        assert_eq!(jumped.flags, flags::ORIGIN_CHANGED);
+        assert_eq!(continuity.check(&mut record(30, [FAR, FAR + 201_000], true)), None);
+        // In a second it can turn that far.
+        assert_eq!(continuity.check(&mut record(1030, [FAR + 4_000_000, FAR], true)), None);
+    }
+
+    #[test]
+    fn a_power_cycle_is_a_new_origin_wherever_the_count_is() {
+        let mut continuity = continuity();
+        continuity.check(&mut record(0, [FAR, FAR], true));
+        continuity.powered_off();
+        assert_eq!(continuity.check(&mut record(10, [FAR, FAR], false)), None);
+        assert_eq!(continuity.check(&mut record(20, [FAR, FAR], true)), Some(Origin::PoweredOff));
+        assert_eq!(continuity.check(&mut record(30, [FAR, FAR], true)), None);
+    }
+
+    #[test]
+    fn a_count_near_zero_after_the_bus_came_up_again_may_have_started_there() {
+        let mut continuity = continuity();
+        continuity.check(&mut record(0, [FAR, 3000], true));
+        assert_eq!(continuity.check(&mut record(10, [FAR, 2000], true)), None);
+        continuity.resets(UtcNs(20_000_000));
+        let near = Origin::NearZero { joint: 2 };
+        assert_eq!(continuity.check(&mut record(700, [FAR, 1000], true)), Some(near));
+        assert_eq!(continuity.check(&mut record(710, [FAR, 0], true)), None);
+    }
+}

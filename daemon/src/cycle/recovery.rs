@@ -1,0 +1,249 @@
+//! How the acquisition gets over faults: what each bad cycle leads to, and how no cycle gets lost meanwhile.
+//!
+//! A single bad cycle is flagged and forgotten. A terminal in SAFE-OP is asked back to OP between two frames. Silence is
+//! met with further frames: a bus that answers again goes on where it was. Only when that does not help is the bus
+//! brought up again; cycles that become due meanwhile are given afterwards, flagged, and the bus' clock is set to go
+//! on, so that numbers and times stay those of one run.
+
+use shared::recording::schema::{CycleRecord, flags};
+use shared::time::{DcNs, MonoNs, NS_PER_S};
+
+use super::events::{Down, Happening};
+use super::{Acquisition, ClockPair, Sampler};
+use crate::bus::{CyclicExchange, Lift, Operational, Reply};
+
+/// A terminal that nobody hears is lost when the cycle after confirms it.
+const LOST_CYCLES: u32 = 2;
+/// The reference clock jumped when as many readings in a row say so.
+const STEP_CYCLES: u32 = 3;
+/// A reading of the bus' clock that is further off than this is no drift \[ns\].
+const CLOCK_STEP_NS: i64 = 100_000;
+/// Bad cycles in a row, of any other kind, after which the bus is brought up again.
+const BAD_CYCLES_MAX: u32 = 10;
+/// A terminal that was asked back to OP gets this long \[ns\] ...
+const LIFT_TIMEOUT_NS: i64 = NS_PER_S / 2;
+/// ... and is asked again after this long \[ns\].
+const LIFT_PERIOD_NS: i64 = NS_PER_S / 20;
+/// Clocks of terminals that nobody synchronised for longer are no longer trusted \[ns\].
+const SILENCE_NS_MAX: i64 = NS_PER_S;
+/// Between two attempts to bring the bus up \[ns\].
+const RETRY_PERIOD_NS: i64 = NS_PER_S / 5;
+
+/// What went wrong lately.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Health {
+    /// Bad replies in a row.
+    bad: u32,
+    /// When the first of the frames without reply was sent.
+    silent_since: Option<MonoNs>,
+    /// When a terminal was first and last asked back to OP.
+    lifting: Option<(MonoNs, MonoNs)>,
+    /// Attempts to bring up the bus since it was given up.
+    attempts: u32,
+    /// Not before this is it tried again.
+    retry_at: Option<MonoNs>,
+    /// First cycle without valid sample, and all reasons since.
+    gap: Option<(u64, u32)>,
+}
+
+impl Health {
+    /// Forgets the cycle numbers of what came before a run.
+    pub(super) fn begin_run(&mut self) {
+        self.gap = None;
+    }
+}
+
+impl Acquisition {
+    /// Draws the conclusions from a cycle: nothing, ask a terminal back, or give the bus up.
+    pub(super) fn conclude(&mut self, record: &CycleRecord, exchange: &CyclicExchange, step_ns: Option<i64>) {
+        let Some(reply) = &exchange.reply else {
+            let since = *self.health.silent_since.get_or_insert(exchange.sent);
+            if exchange.sent.ns_since(since) > SILENCE_NS_MAX {
+                self.give_up(Down::Silent);
+            }
+            return;
+        };
+        self.health.silent_since = None;
+        // A broken signal is not mended by bringing up the bus.
+        let matter = record.flags & !(flags::TERMINAL_ERROR | flags::DEADLINE_MISSED | flags::ORIGIN_CHANGED);
+        if record.is_valid() || (matter & !self.sampler.flags_always()) == 0 {
+            (self.health.bad, self.health.lifting) = (0, None);
+            return;
+        }
+        self.health.bad += 1;
+        if let Some(by_ns) = step_ns {
+            if self.health.bad >= STEP_CYCLES {
+                self.tell(Happening::ClockStep { by_ns });
+                self.give_up(Down::ClockStep);
+            }
+        } else if reply.silent != 0 {
+            if self.health.bad >= LOST_CYCLES {
+                self.give_up(Down::DeviceLost);
+            }
+        } else if reply.not_operational != 0 {
+            self.lift(reply, exchange.received);
+        } else if self.health.bad >= BAD_CYCLES_MAX {
+            self.give_up(Down::Bad { flags: matter });
+        }
+    }
+
+    /// Asks terminals that fell to SAFE-OP back, in the time until the next frame.
+    fn lift(&mut self, reply: &Reply, now: MonoNs) {
+        let (first, last) = self.health.lifting.unwrap_or((now, MonoNs(i64::MIN / 2)));
+        if now.ns_since(first) > LIFT_TIMEOUT_NS {
+            self.give_up(Down::Bad { flags: flags::NOT_OPERATIONAL });
+            return;
+        }
+        if now.ns_since(last) < LIFT_PERIOD_NS {
+            return;
+        }
+        self.health.lifting = Some((first, now));
+        let until = now.plus_ns(self.period_ns / 4);
+        for position in (0..u32::BITS as usize).filter(|position| reply.not_operational >> position & 1 == 1)
+        {
+            match self.bus.lift(position, until) {
+                Lift::Requested(code) if last < first => {
+                    self.tell(Happening::FellToSafeOp { position: position as u8, code });
+                }
+                Lift::Requested(_) | Lift::Operational | Lift::Unknown => {}
+                Lift::Beyond => {
+                    self.give_up(Down::DeviceLost);
+                    return;
+                }
+            }
+        }
+    }
+
+    fn give_up(&mut self, why: Down) {
+        self.operational = None;
+        self.health = Health { gap: self.health.gap, ..Health::default() };
+        self.tell(Happening::Down(why));
+    }
+
+    /// A cycle without a bus: one small frame looks who is there; when all are, the bus is brought up.
+    pub(super) fn cycle_down(&mut self, sink: &mut dyn FnMut(&CycleRecord)) {
+        let now = self.clock.now();
+        let all = self.bus.answers(self.devices.len(), now.plus_ns(self.reply_timeout_ns));
+        self.emit_down(self.next_cycle, now, sink);
+        if !all || self.health.retry_at.is_some_and(|retry_at| now < retry_at) {
+            return;
+        }
+        self.health.attempts += 1;
+        match self.try_bring_up_again() {
+            Some(operational) => self.go_on(operational, sink),
+            None => {
+                let now = self.clock.now();
+                self.health.retry_at = Some(now.plus_ns(RETRY_PERIOD_NS));
+                self.catch_up(now, sink);
+            }
+        }
+    }
+
+    fn try_bring_up_again(&mut self) -> Option<Operational> {
+        if self.bus.was_powered_off(self.devices.len())? {
+            self.continuity.powered_off();
+        }
+        self.continuity.resets(self.sample_time(self.next_cycle).utc);
+        if self.distributed_clocks {
+            self.bus.set_bus_minus_monotonic(self.bus_minus_monotonic_ns() - self.bus_lead_ns);
+        }
+        match self.bus.bring_up(&self.plan) {
+            Ok(operational) => Some(operational),
+            Err(error) => {
+                tracing::warn!(attempt = self.health.attempts, "bus stays down: {error}");
+                None
+            }
+        }
+    }
+
+    /// The first exchange after the bus came up tells the time and which way the toggles stand; its inputs are not
+    /// used, because nothing proves yet that they are fresh.
+    fn go_on(&mut self, operational: Operational, sink: &mut dyn FnMut(&CycleRecord)) {
+        let exchange = self.bus.exchange(&operational);
+        let bus_time = exchange.reply.and_then(|reply| reply.dc_time);
+        if exchange.reply.is_none() || (self.distributed_clocks && bus_time.is_none()) {
+            return self.catch_up(self.clock.now(), sink);
+        }
+        let attempts = self.health.attempts;
+        self.operational = Some(operational);
+        self.health = Health { gap: self.health.gap, ..Health::default() };
+        let difference_ns = self.bus_minus_monotonic_ns();
+        let before = std::mem::take(&mut self.fit);
+        self.observe_clocks(&exchange);
+        // Setting the bus' clock takes some frames: it comes out a little off. Remembered, so that it does not add up.
+        self.bus_lead_ns += self.bus_minus_monotonic_ns() - difference_ns;
+        let sampled = self.cycle_sampled(&exchange);
+        let after = std::mem::replace(&mut self.fit, before);
+        while self.next_cycle < sampled {
+            self.emit_down(self.next_cycle, exchange.sent, sink);
+        }
+        self.fit = after;
+        if self.next_cycle == sampled {
+            let time = self.sample_time(sampled);
+            let mut record = self.sampler.sample(sampled, time, &exchange);
+            Sampler::invalidate(&mut record, flags::BUS_DOWN);
+            self.emit(record, sink);
+        }
+        self.tell(Happening::Up { attempts });
+    }
+
+    /// How far the bus' clock is ahead of the host's around now, as the fit has it.
+    fn bus_minus_monotonic_ns(&self) -> i64 {
+        let next = DcNs(self.origin_ns + self.next_cycle as i64 * self.period_ns);
+        next.0 - self.fit.monotonic_from_dc(next).0
+    }
+
+    /// Gives the cycles that were due before `now`.
+    fn catch_up(&mut self, now: MonoNs, sink: &mut dyn FnMut(&CycleRecord)) {
+        while self.frame_deadline(self.next_cycle) < now {
+            self.emit_down(self.next_cycle, now, sink);
+        }
+    }
+
+    fn emit_down(&mut self, cycle: u64, at: MonoNs, sink: &mut dyn FnMut(&CycleRecord)) {
+        let nothing = CyclicExchange { sent: at, received: at, reply: None };
+        let mut record = self.sampler.missed(cycle, self.sample_time(cycle), &nothing);
+        record.flags = self.sampler.flags_always() | flags::BUS_DOWN;
+        self.emit(record, sink);
+    }
+
+    /// Hands out the record of the next cycle. Time never runs backwards, also where the bus' clock was set anew.
+    pub(super) fn emit(&mut self, mut record: CycleRecord, sink: &mut dyn FnMut(&CycleRecord)) {
+        if let Some(last) = self.time_last.filter(|last| record.sample_time <= *last) {
+            record.sample_time = last.plus_ns(1);
+            Sampler::invalidate(&mut record, flags::BUS_DOWN);
+        }
+        self.time_last = Some(record.sample_time);
+        if let Some(origin) = self.continuity.check(&mut record) {
+            self.tell(Happening::OriginChanged(origin));
+        }
+        if record.is_valid() {
+            if let Some((first, flags)) = self.health.gap.take() {
+                self.tell(Happening::Gap { first, cycles: record.cycle - first, flags });
+            }
+        } else {
+            let (first, so_far) = self.health.gap.unwrap_or((record.cycle, 0));
+            self.health.gap = Some((first, so_far | record.flags));
+        }
+        sink(&record);
+        self.next_cycle += 1;
+    }
+
+    /// Takes a reading of the bus' clock into account. One that no drift explains is kept away from the fit; then the
+    /// answer is how far the clock jumped \[ns\].
+    pub(super) fn observe_clocks(&mut self, exchange: &CyclicExchange) -> Option<i64> {
+        let dc = exchange.reply.and_then(|reply| reply.dc_time)?;
+        let pair = ClockPair { dc, sent: exchange.sent, received: exchange.received };
+        let uncertainty_ns = self.fit.uncertainty_ns();
+        if uncertainty_ns != u32::MAX {
+            let passed = self.fit.monotonic_from_dc(dc);
+            let outside_ns = passed.ns_since(exchange.received).max(exchange.sent.ns_since(passed)).max(0);
+            if outside_ns > CLOCK_STEP_NS + 4 * i64::from(uncertainty_ns) {
+                let round_trip_ns = exchange.received.ns_since(exchange.sent);
+                return Some(passed.ns_since(exchange.sent) - round_trip_ns / 2);
+            }
+        }
+        self.fit.observe(pair);
+        None
+    }
+}

@@ -1,0 +1,287 @@
+//! What can go wrong on a bus, on purpose: faults of frames and of devices, each from a seed and switched while the
+//! segment runs.
+//!
+//! A [`FaultySegment`] stands between a wire and a [`SimulatedSegment`]. Faults of frames happen here; faults of devices
+//! are set in the segment. Times are those of the frames, so everything works on a virtual clock.
+
+mod frame_damage;
+mod replies;
+mod text;
+
+use std::sync::mpsc::{Receiver, Sender, channel};
+
+use rand::{Rng, SeedableRng, rngs::StdRng};
+
+pub use text::{FaultText, FaultWindow};
+
+use super::FRAME_BYTES_MAX;
+use super::simulated::{MailboxFault, SimulatedSegment};
+use replies::Replies;
+
+/// One thing that is wrong. Positions are those on the bus: the coupler is 0, terminals follow. Shares are the
+/// probability with which a frame is hit, 0 to 1.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Fault {
+    /// A frame is lost on its way to the devices or on its way back, as chance has it.
+    FrameLost {
+        /// Of all frames.
+        share: f64,
+    },
+    /// A reply comes late.
+    FrameLate {
+        /// Of all frames.
+        share: f64,
+        /// By this much.
+        by_ns: i64,
+    },
+    /// A reply comes twice.
+    FrameDuplicated {
+        /// Of all frames.
+        share: f64,
+    },
+    /// Bits flip. Where the check sequence tells, the frame is dropped (on the way there by the devices, on the way
+    /// back by the network card); where a card lets it pass, headers or working counters are wrong or the end is
+    /// missing.
+    FrameCorrupted {
+        /// Of all frames.
+        share: f64,
+    },
+    /// Logical datagrams come back with a working counter that is too low, and with inputs that nobody wrote.
+    WorkingCounterShort {
+        /// Of all frames.
+        share: f64,
+        /// By this much: 1 for an input that is missing, 3 for a whole terminal.
+        by: u16,
+    },
+    /// Devices from a position on have no power. When it ends they are powered up again with fresh counters.
+    DevicesGone {
+        /// First position that is gone.
+        from: usize,
+    },
+    /// A terminal leaves OP for SAFE-OP, once.
+    FallToSafeOp {
+        /// Which.
+        position: usize,
+        /// AL status code (ETG.1020), such as 0x001A for a synchronisation error.
+        code: u16,
+    },
+    /// A terminal refuses every SDO.
+    MailboxAbort {
+        /// Which.
+        position: usize,
+        /// Abort code.
+        code: u32,
+    },
+    /// A terminal does not answer mailbox requests.
+    MailboxSilent {
+        /// Which.
+        position: usize,
+    },
+    /// A terminal sends an emergency before its next answer, once.
+    MailboxEmergency {
+        /// Which.
+        position: usize,
+        /// Emergency error code.
+        code: u16,
+    },
+    /// No link: nothing can be sent and nothing arrives.
+    LinkDown,
+    /// The reference clock jumps, once.
+    ClockStep {
+        /// By this much.
+        by_ns: i64,
+    },
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Switch {
+    fault: Fault,
+    on: bool,
+}
+
+/// Switches faults of a running segment, from any thread.
+#[derive(Debug, Clone)]
+pub struct FaultHandle(Sender<Switch>);
+
+impl FaultHandle {
+    /// From the next frame on.
+    pub fn begin(&self, fault: Fault) {
+        let _ = self.0.send(Switch { fault, on: true });
+    }
+
+    /// From the next frame on no more. What happens only once cannot be ended.
+    pub fn end(&self, fault: Fault) {
+        let _ = self.0.send(Switch { fault, on: false });
+    }
+}
+
+/// A simulated segment and what is wrong with it.
+pub struct FaultySegment {
+    segment: SimulatedSegment,
+    random: StdRng,
+    switches: Receiver<Switch>,
+    /// What is still to be switched, by time since the first frame; the next one last.
+    schedule: Vec<(i64, Switch)>,
+    first_frame_ns: Option<i64>,
+    active: Vec<Fault>,
+    scratch: Box<[u8; FRAME_BYTES_MAX]>,
+    replies: Replies,
+}
+
+/// What chance has in store for one frame.
+#[derive(Default)]
+struct Fate {
+    lost: bool,
+    corrupted: bool,
+    duplicated: bool,
+    late_ns: i64,
+    short_by: u16,
+}
+
+impl FaultySegment {
+    /// A segment without faults, and the handle that brings them. The seed decides which frames are hit.
+    pub fn new(segment: SimulatedSegment, seed: u64) -> (Self, FaultHandle) {
+        let (sender, switches) = channel();
+        let faulty = Self {
+            segment,
+            random: StdRng::seed_from_u64(seed),
+            switches,
+            schedule: Vec::new(),
+            first_frame_ns: None,
+            active: Vec::new(),
+            scratch: Box::new([0; FRAME_BYTES_MAX]),
+            replies: Replies::new(),
+        };
+        (faulty, FaultHandle(sender))
+    }
+
+    /// Faults that come and go by themselves, by the time since the first frame.
+    pub fn schedule(&mut self, windows: &[FaultWindow]) {
+        for window in windows {
+            self.schedule.push((window.from_ns, Switch { fault: window.fault, on: true }));
+            if let Some(until_ns) = window.until_ns {
+                self.schedule.push((until_ns, Switch { fault: window.fault, on: false }));
+            }
+        }
+        self.schedule.sort_by_key(|&(at_ns, _)| std::cmp::Reverse(at_ns));
+    }
+
+    /// Whether the cable is in: without it nothing can be sent.
+    pub fn has_link(&mut self, now_ns: i64) -> bool {
+        self.switch(now_ns);
+        !self.active.contains(&Fault::LinkDown)
+    }
+
+    /// From sending a frame's first bit until its last bit is back.
+    pub fn round_trip_ns(&self, frame_len: usize) -> i64 {
+        self.segment.round_trip_ns(frame_len)
+    }
+
+    /// A frame enters the coupler at `now_ns`; its replies leave it then, later, or not at all. `back_ns` is how long a
+    /// reply takes from the coupler to whoever takes it.
+    pub fn exchange(&mut self, now_ns: i64, back_ns: i64, frame: &[u8]) {
+        if !self.has_link(now_ns) {
+            return;
+        }
+        let fate = self.draw();
+        let on_the_way_there = self.random.random_bool(0.5);
+        if fate.lost && on_the_way_there {
+            return;
+        }
+        if fate.corrupted && on_the_way_there {
+            self.segment.count_invalid_frame();
+            return;
+        }
+        let Some(length) = self.segment.exchange(now_ns, frame, &mut self.scratch[..]) else { return };
+        if fate.lost {
+            return;
+        }
+        let reply = &mut self.scratch[..length];
+        if fate.short_by > 0 {
+            frame_damage::shorten_working_counters(reply, fate.short_by);
+        }
+        let length = if fate.corrupted {
+            match frame_damage::corrupt(reply, &mut self.random) {
+                Some(length) => length,
+                None => return,
+            }
+        } else {
+            length
+        };
+        let due_ns = now_ns.saturating_add(back_ns).saturating_add(fate.late_ns);
+        let copies = if fate.duplicated { 2 } else { 1 };
+        for _ in 0..copies {
+            self.replies.push(due_ns, &self.scratch[..length]);
+        }
+    }
+
+    /// When the next reply is there.
+    pub fn next_reply_ns(&self) -> Option<i64> {
+        self.replies.next_due_ns()
+    }
+
+    /// Takes the next reply if it is there at `now_ns`; its length.
+    pub fn take_reply(&mut self, now_ns: i64, buffer: &mut [u8; FRAME_BYTES_MAX]) -> Option<usize> {
+        self.replies.take(now_ns, buffer)
+    }
+
+    fn draw(&mut self) -> Fate {
+        let Self { active, random, .. } = self;
+        let mut fate = Fate::default();
+        if active.is_empty() {
+            return fate;
+        }
+        let mut hit = |share: f64| random.random_bool(share.clamp(0.0, 1.0));
+        for fault in active.iter() {
+            match *fault {
+                Fault::FrameLost { share } => fate.lost |= hit(share),
+                Fault::FrameLate { share, by_ns } if hit(share) => fate.late_ns = by_ns.max(0),
+                Fault::FrameDuplicated { share } => fate.duplicated |= hit(share),
+                Fault::FrameCorrupted { share } => fate.corrupted |= hit(share),
+                Fault::WorkingCounterShort { share, by } if hit(share) => fate.short_by = by,
+                _ => {}
+            }
+        }
+        fate
+    }
+
+    fn switch(&mut self, now_ns: i64) {
+        self.segment.power_up(now_ns);
+        let since_ns = now_ns - *self.first_frame_ns.get_or_insert(now_ns);
+        while let Some(&(at_ns, switch)) = self.schedule.last() {
+            if at_ns > since_ns {
+                break;
+            }
+            self.schedule.pop();
+            self.apply(switch, now_ns);
+        }
+        while let Ok(switch) = self.switches.try_recv() {
+            self.apply(switch, now_ns);
+        }
+    }
+
+    fn apply(&mut self, switch: Switch, now_ns: i64) {
+        let Switch { fault, on } = switch;
+        self.active.retain(|other| *other != fault);
+        if on {
+            self.active.push(fault);
+        }
+        match (fault, on) {
+            (Fault::DevicesGone { from }, true) => self.segment.cut_from(from),
+            (Fault::DevicesGone { .. }, false) => self.segment.restore(now_ns),
+            (Fault::FallToSafeOp { position, code }, true) => self.segment.fall_to_safe_op(position, code),
+            (Fault::ClockStep { by_ns }, true) => self.segment.step_reference_clock(now_ns, by_ns),
+            (Fault::MailboxAbort { position, code }, _) => {
+                let fault = on.then_some(MailboxFault::Abort(code));
+                self.segment.set_mailbox_fault(position, fault);
+            }
+            (Fault::MailboxSilent { position }, _) => {
+                self.segment.set_mailbox_fault(position, on.then_some(MailboxFault::Silent));
+            }
+            (Fault::MailboxEmergency { position, code }, true) => {
+                self.segment.set_mailbox_fault(position, Some(MailboxFault::Emergency(code)));
+            }
+            _ => {}
+        }
+    }
+}

@@ -1,0 +1,46 @@
+//! Replies on their way back.
+
+use crate::segment::FRAME_BYTES_MAX;
+
+/// More frames than a MainDevice has on the wire.
+const REPLIES_MAX: usize = 64;
+
+struct OnTheWay {
+    due_ns: i64,
+    length: usize,
+    bytes: [u8; FRAME_BYTES_MAX],
+}
+
+/// Replies that have left the segment, taken by when they arrive; those of one moment in the order that they left.
+pub struct Replies {
+    on_the_way: Vec<OnTheWay>,
+}
+
+impl Replies {
+    pub fn new() -> Self {
+        // Allocated here, so that a cycle in this process allocates nothing.
+        Self { on_the_way: Vec::with_capacity(REPLIES_MAX) }
+    }
+
+    /// A reply that is more than the wire holds is lost.
+    pub fn push(&mut self, due_ns: i64, reply: &[u8]) {
+        if self.on_the_way.len() == REPLIES_MAX || reply.len() > FRAME_BYTES_MAX {
+            return;
+        }
+        let mut bytes = [0; FRAME_BYTES_MAX];
+        bytes[..reply.len()].copy_from_slice(reply);
+        self.on_the_way.push(OnTheWay { due_ns, length: reply.len(), bytes });
+    }
+
+    pub fn next_due_ns(&self) -> Option<i64> {
+        self.on_the_way.iter().map(|reply| reply.due_ns).min()
+    }
+
+    pub fn take(&mut self, now_ns: i64, buffer: &mut [u8; FRAME_BYTES_MAX]) -> Option<usize> {
+        let due_ns = self.next_due_ns().filter(|due_ns| *due_ns <= now_ns)?;
+        let index = self.on_the_way.iter().position(|reply| reply.due_ns == due_ns)?;
+        let reply = self.on_the_way.remove(index);
+        *buffer = reply.bytes;
+        Some(reply.length)
+    }
+}

@@ -1,0 +1,142 @@
+//! Faults as a person types them: `lost:0.01`, `gone:3@10s-15s`, `safe-op:2,0x001a@5s`.
+
+use std::str::FromStr;
+use std::time::Duration;
+
+use super::Fault;
+
+/// A fault and when it is there, counted from the first frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FaultWindow {
+    /// What.
+    pub fault: Fault,
+    /// Begins \[ns\].
+    pub from_ns: i64,
+    /// Ends \[ns\]; none: stays.
+    pub until_ns: Option<i64>,
+}
+
+/// Why a text is no fault.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "`{0}` is no fault; write one of lost:SHARE, late:SHARE,TIME, duplicated:SHARE, corrupted:SHARE, \
+     short:SHARE,BY, gone:POSITION, safe-op:POSITION,CODE, abort:POSITION,CODE, silent:POSITION, \
+     emergency:POSITION,CODE, link-down, clock-step:TIME, each with @FROM-UNTIL or @FROM behind it if it is not \
+     always there, such as gone:3@10s-15s"
+)]
+pub struct FaultText(String);
+
+impl FromStr for FaultWindow {
+    type Err = FaultText;
+
+    fn from_str(text: &str) -> Result<Self, FaultText> {
+        window(text).ok_or_else(|| FaultText(text.to_owned()))
+    }
+}
+
+fn window(text: &str) -> Option<FaultWindow> {
+    let (fault, times) = text.split_once('@').map_or((text, None), |(fault, times)| (fault, Some(times)));
+    let (from_ns, until_ns) = match times.map(|times| times.split_once('-').ok_or(times)) {
+        None => (0, None),
+        Some(Err(from)) => (time_ns(from)?, None),
+        Some(Ok((from, until))) => (time_ns(from)?, Some(time_ns(until)?)),
+    };
+    if until_ns.is_some_and(|until_ns| until_ns <= from_ns) {
+        return None;
+    }
+    let (name, values) = fault.split_once(':').unwrap_or((fault, ""));
+    let values: Vec<&str> = values.split(',').filter(|value| !value.is_empty()).collect();
+    Some(FaultWindow { fault: named(name, &values)?, from_ns, until_ns })
+}
+
+fn named(name: &str, values: &[&str]) -> Option<Fault> {
+    let fault = match (name, values) {
+        ("lost", [of]) => Fault::FrameLost { share: share(of)? },
+        ("late", [of, by]) => Fault::FrameLate { share: share(of)?, by_ns: time_ns(by)? },
+        ("duplicated", [of]) => Fault::FrameDuplicated { share: share(of)? },
+        ("corrupted", [of]) => Fault::FrameCorrupted { share: share(of)? },
+        ("short", [of, by]) => Fault::WorkingCounterShort { share: share(of)?, by: by.parse().ok()? },
+        ("gone", [from]) => Fault::DevicesGone { from: from.parse().ok()? },
+        ("safe-op", [position, with]) => {
+            Fault::FallToSafeOp { position: position.parse().ok()?, code: code(with)?.try_into().ok()? }
+        }
+        ("abort", [position, with]) => {
+            Fault::MailboxAbort { position: position.parse().ok()?, code: code(with)? }
+        }
+        ("silent", [position]) => Fault::MailboxSilent { position: position.parse().ok()? },
+        ("emergency", [position, with]) => {
+            Fault::MailboxEmergency { position: position.parse().ok()?, code: code(with)?.try_into().ok()? }
+        }
+        ("link-down", []) => Fault::LinkDown,
+        ("clock-step", [by]) => match by.strip_prefix('-') {
+            Some(back) => Fault::ClockStep { by_ns: -time_ns(back)? },
+            None => Fault::ClockStep { by_ns: time_ns(by)? },
+        },
+        _ => return None,
+    };
+    Some(fault)
+}
+
+fn share(text: &str) -> Option<f64> {
+    text.parse().ok().filter(|share| (0.0..=1.0).contains(share))
+}
+
+fn code(text: &str) -> Option<u32> {
+    match text.strip_prefix("0x") {
+        Some(hexadecimal) => u32::from_str_radix(hexadecimal, 16).ok(),
+        None => text.parse().ok(),
+    }
+}
+
+fn time_ns(text: &str) -> Option<i64> {
+    let time: Duration = humantime::parse_duration(text).ok()?;
+    i64::try_from(time.as_nanos()).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    #[test]
+    fn faults_read_as_they_are_written() {
+        let always = |fault| Ok(FaultWindow { fault, from_ns: 0, until_ns: None });
+        assert_eq!("lost:0.25".parse(), always(Fault::FrameLost { share: 0.25 }));
+        assert_eq!("late:1,15ms".parse(), always(Fault::FrameLate { share: 1.0, by_ns: 15_000_000 }));
+        assert_eq!("clock-step:-3ms".parse(), always(Fault::ClockStep { by_ns: -3_000_000 }));
+        assert_eq!(
+            "safe-op:2,0x001a@5s".parse(),
+            Ok(FaultWindow {
+                fault: Fault::FallToSafeOp { position: 2, code: 0x1a },
+                from_ns: 5_000_000_000,
+                until_ns: None
+            })
+        );
+        assert_eq!(
+            "gone:3@10s-15s".parse(),
+            Ok(FaultWindow {
+                fault: Fault::DevicesGone { from: 3 },
+                from_ns: 10_000_000_000,
+                until_ns: Some(15_000_000_000)
+            })
+        );
+    }
+
+    #[test]
+    fn what_is_no_fault_is_refused_with_the_list_of_those_there_are() {
+        for text in
+            ["", "lost", "lost:2", "lost:NaN", "gone:-1", "gone:1@5s-5s", "link-down:1", "safe-op:1,0x10000"]
+        {
+            let refused = text.parse::<FaultWindow>().unwrap_err().to_string();
+            assert!(refused.starts_with(&format!("`{text}`")) && refused.contains("clock-step:TIME"));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn any_text_is_a_fault_or_refused(text in "[a-z-]{0,10}:?[0-9a-fx.,@s-]{0,20}") {
+            let _ = text.parse::<FaultWindow>();
+        }
+    }
+}

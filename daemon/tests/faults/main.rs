@@ -1,0 +1,6 @@
+//! Faults of the simulated segment, and the acquisition that survives them. All on virtual time.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+mod matrix;
+mod random;
+mod rig;

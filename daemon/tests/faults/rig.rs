@@ -1,0 +1,129 @@
+//! An acquisition on a segment whose faults are switched by the test, and the truth about what it recorded.
+
+use std::f64::consts::TAU;
+use std::time::Duration;
+
+use ballbard::bus::{Bus, BusPlan};
+use ballbard::clock::Clock;
+use ballbard::cycle::{Acquisition, CycleEvent};
+use ballbard::segment::InProcessWire;
+use ballbard::segment::faults::{FaultHandle, FaultySegment};
+use ballbard::segment::simulated::{Periods, SegmentConfig, SimulatedSegment, SmoothMotion};
+use shared::config::EncoderConfig;
+use shared::encoder::Direction;
+use shared::recording::schema::{CycleRecord, flags};
+use shared::time::UtcNs;
+
+pub const PERIOD_NS: i64 = 10_000_000;
+const TERMINALS: usize = 5;
+const LINES: u32 = 3600;
+const BITS: u8 = 12;
+/// 0.4 rad/s.
+const COUNTS_PER_S_MAX: f64 = 0.4 / TAU * 3600.0 * 4096.0;
+
+pub struct Rig {
+    pub acquisition: Acquisition,
+    pub faults: FaultHandle,
+    pub clock: Clock,
+    motion: SmoothMotion,
+    pub records: Vec<CycleRecord>,
+    pub events: Vec<CycleEvent>,
+}
+
+fn plan() -> BusPlan {
+    let encoder = |joint| EncoderConfig {
+        joint,
+        lines: LINES,
+        interpolation_bits: BITS,
+        direction: Direction::Positive,
+    };
+    BusPlan {
+        name: "simulated".into(),
+        encoders: (1..=TERMINALS as u8).map(encoder).collect(),
+        cycle_period: Duration::from_nanos(PERIOD_NS as u64),
+        distributed_clocks: true,
+        sync0_shift: Duration::from_millis(5),
+        reply_timeout: Duration::from_millis(4),
+    }
+}
+
+impl Rig {
+    /// In operation, the next cycle is number 0 of a run.
+    pub fn new(seed: u64) -> Self {
+        let config = SegmentConfig { seed, ..SegmentConfig::default() };
+        let motion = SmoothMotion::new(TERMINALS, LINES, seed);
+        let (segment, faults) =
+            FaultySegment::new(SimulatedSegment::new(&config, Box::new(motion.clone())), seed);
+        let clock = Clock::virtual_from(UtcNs(0));
+        let wire = InProcessWire::with_faults(segment, clock.clone());
+        let plan = plan();
+        let bus = Bus::new(Box::new(wire), clock.clone(), plan.reply_timeout);
+        let mut acquisition = Acquisition::start(bus, &plan, clock.clone()).unwrap();
+        acquisition.begin_run(|_| ());
+        Self { acquisition, faults, clock, motion, records: Vec::new(), events: Vec::new() }
+    }
+
+    /// Runs until as many cycles were given.
+    pub fn run_to(&mut self, cycles: usize) {
+        while self.records.len() < cycles {
+            let records = &mut self.records;
+            self.acquisition.next_cycle(&mut |record| records.push(*record));
+            self.events.extend(std::iter::from_fn(|| self.acquisition.take_event()));
+        }
+    }
+
+    /// Every cycle that was due is there once, in order, and time runs forward at the cycle's pace.
+    pub fn assert_complete(&self) {
+        for (number, record) in self.records.iter().enumerate() {
+            assert_eq!(record.cycle, number as u64);
+        }
+        for pair in self.records.windows(2) {
+            let step_ns = pair[1].sample_time.ns_since(pair[0].sample_time);
+            assert!(step_ns > 0, "time runs backwards at cycle {}", pair[1].cycle);
+        }
+        let (first, last) = (self.records.first().unwrap(), self.records.last().unwrap());
+        let span_ns = last.sample_time.ns_since(first.sample_time);
+        let due = 1 + (span_ns as f64 / PERIOD_NS as f64).round() as i64;
+        // The bus' crystal is within 20 ppm, and its clock is set anew to within a few ms.
+        let tolerance = 1 + span_ns / PERIOD_NS / 40_000;
+        assert!((self.records.len() as i64 - due).abs() <= tolerance, "{due} cycles were due");
+        let now = self.clock.now().plus_ns(self.acquisition.utc_minus_monotonic_ns());
+        assert!(now.0 - last.sample_time.0 < PERIOD_NS, "a due cycle was not given");
+    }
+
+    /// Counts of every valid cycle are those of the encoders at the cycle's sample time; where the origin is said
+    /// to have changed, up to whole periods that stay the same from there on. Returns how many were valid.
+    pub fn assert_true(&self) -> usize {
+        let mut origins = [Some(0i64); TERMINALS];
+        let mut valid = 0;
+        for record in &self.records {
+            if record.flags & flags::ORIGIN_CHANGED != 0 {
+                origins = [None; TERMINALS];
+            }
+            if !record.is_valid() {
+                continue;
+            }
+            valid += 1;
+            let tolerance = 3.0 + 3e-9 * f64::from(record.sample_time_uncertainty_ns) * COUNTS_PER_S_MAX;
+            for (joint, (encoder, origin)) in record.encoders().iter().zip(&mut origins).enumerate() {
+                let excess = f64::from(encoder.count.wrapping_sub(self.true_count(joint, record)) as i32);
+                let origin = *origin.get_or_insert((excess / 4096.0).round() as i64 * 4096);
+                assert!(
+                    (excess - origin as f64).abs() <= tolerance,
+                    "cycle {} joint {}: {} counts off, {tolerance} allowed",
+                    record.cycle,
+                    joint + 1,
+                    excess - origin as f64,
+                );
+            }
+        }
+        valid
+    }
+
+    fn true_count(&self, joint: usize, record: &CycleRecord) -> u32 {
+        let true_ns = record.sample_time.0 - self.acquisition.utc_minus_monotonic_ns();
+        let turned = self.motion.angle_rad(joint, true_ns) * f64::from(LINES) / TAU;
+        let position = self.motion.start_periods(joint).0 + Periods::from_f64(turned).0;
+        (position >> (32 - BITS)) as u32
+    }
+}

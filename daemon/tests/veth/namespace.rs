@@ -1,0 +1,82 @@
+//! A network namespace with a veth pair, and a segment served at its far end.
+
+use std::ffi::OsStr;
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Command, Stdio};
+
+pub struct Namespace(String);
+
+impl Namespace {
+    /// None where the test cannot run: it is skipped then, except in CI, where it fails.
+    pub fn new(test: &str) -> Option<Self> {
+        if !nix::unistd::geteuid().is_root() || Command::new("ip").arg("-V").output().is_err() {
+            skip("network namespaces need root and iproute2");
+            return None;
+        }
+        let namespace = Self(format!("ballbard-{test}-{}", std::process::id()));
+        run(&["netns", "add", &namespace.0]);
+        namespace.plug_in();
+        Some(namespace)
+    }
+
+    /// Makes the pair and takes both ends up.
+    pub fn plug_in(&self) {
+        run(&["-n", &self.0, "link", "add", "near", "type", "veth", "peer", "name", "far"]);
+        for end in ["near", "far"] {
+            self.link(&["set", end, "up"]);
+        }
+    }
+
+    /// `ip link` within the namespace.
+    pub fn link(&self, arguments: &[&str]) {
+        run(&[&["-n", &self.0, "link"], arguments].concat());
+    }
+
+    pub fn command(&self, program: impl AsRef<OsStr>) -> Command {
+        let mut command = Command::new("ip");
+        command.args(["netns", "exec", &self.0]).arg(program).env("RUST_LOG", "warn");
+        command
+    }
+
+    pub fn ballbard(&self) -> Command {
+        self.command(env!("CARGO_BIN_EXE_ballbard"))
+    }
+}
+
+impl Drop for Namespace {
+    fn drop(&mut self) {
+        let _ = Command::new("ip").args(["netns", "delete", &self.0]).status();
+    }
+}
+
+/// A process that ends with the test.
+pub struct Ended(pub Child);
+
+impl Drop for Ended {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Serves a segment at the far end; returns when it answers.
+pub fn serve_segment(namespace: &Namespace, arguments: &[&str]) -> Ended {
+    let mut command = namespace.ballbard();
+    command.args(["segment", "--interface", "far"]).args(arguments);
+    let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
+    let mut line = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    assert!(line.starts_with("serving"), "{line}");
+    Ended(child)
+}
+
+/// Says why a test does nothing; in CI it may not.
+pub fn skip(reason: &str) {
+    assert!(std::env::var_os("CI").is_none(), "{reason}");
+    println!("skipped: {reason}");
+}
+
+fn run(arguments: &[&str]) {
+    let status = Command::new("ip").args(arguments).status().expect("iproute2");
+    assert!(status.success(), "ip {arguments:?}");
+}

@@ -1,0 +1,63 @@
+//! Runs over a raw socket.
+
+use std::path::Path;
+use std::process::Command;
+use std::thread;
+use std::time::Duration;
+
+use shared::recording::Recording;
+use shared::recording::schema::flags;
+
+use crate::namespace::{Namespace, serve_segment};
+
+fn record(namespace: &Namespace, out: &Path, duration: &str) -> Command {
+    let mut record = namespace.ballbard();
+    record.args(["record", "--bus", "near", "--name", "veth", "--duration", duration, "--config"]);
+    record.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../config")).arg("--out").arg(out);
+    record
+}
+
+#[test]
+fn a_run_over_a_raw_socket_is_complete() {
+    let Some(namespace) = Namespace::new("run") else { return };
+    let _segment = serve_segment(&namespace, &[]);
+    let out = tempfile::tempdir().unwrap();
+    let output = record(&namespace, out.path(), "5s").output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let recording = Recording::open(&out.path().join("veth.mcap")).unwrap();
+    assert_eq!(recording.cycles.len(), 500);
+    assert!(recording.run.distributed_clocks && recording.run.bus == "near");
+    let valid = recording.cycles.iter().filter(|cycle| cycle.is_valid()).count();
+    // A stalling host costs some cycles, each of them flagged.
+    assert!(valid >= 450, "{valid} of 500 cycles valid");
+    for pair in recording.cycles.windows(2).filter(|pair| pair.iter().all(|cycle| cycle.is_valid())) {
+        // Joints move at 0.4 rad/s at most: some 9400 counts a cycle.
+        for (before, after) in pair[0].encoders().iter().zip(pair[1].encoders()) {
+            assert!((after.count.wrapping_sub(before.count) as i32).abs() < 10_000);
+        }
+    }
+}
+
+#[test]
+fn an_interface_that_is_unplugged_and_plugged_in_again_is_found_again() {
+    let Some(namespace) = Namespace::new("unplugged") else { return };
+    let _segment = serve_segment(&namespace, &[]);
+    let out = tempfile::tempdir().unwrap();
+    let running = record(&namespace, out.path(), "14s").spawn().unwrap();
+    thread::sleep(Duration::from_secs(4));
+    // Both interfaces are gone; those that come have the same names and other numbers.
+    namespace.link(&["delete", "near"]);
+    thread::sleep(Duration::from_secs(2));
+    namespace.plug_in();
+    let output = running.wait_with_output().unwrap();
+    assert!(output.status.success());
+    let recording = Recording::open(&out.path().join("veth.mcap")).unwrap();
+    assert_eq!(recording.cycles.len(), 1400);
+    assert!(recording.cycles.iter().enumerate().all(|(number, cycle)| cycle.cycle == number as u64));
+    assert!(recording.cycles.windows(2).all(|pair| pair[0].sample_time < pair[1].sample_time));
+    let down = recording.cycles.iter().filter(|cycle| cycle.flags & flags::BUS_DOWN != 0).count();
+    assert!(down >= 50, "{down} cycles while the bus was down");
+    assert!(recording.cycles.last().unwrap().is_valid(), "the bus is back");
+    let told = |text: &str| recording.events.iter().any(|event| event.text.contains(text));
+    assert!(told("no reply for a second") && told("bus in operation again"), "{:?}", recording.events);
+}
