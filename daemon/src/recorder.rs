@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::Receiver;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -12,6 +13,7 @@ use shared::recording::{RecordingWriter, RunFile, WriteError};
 use shared::time::UtcNs;
 
 use crate::clock::Clock;
+use crate::run::{DiskFloor, Progress, Stop, Synced};
 
 /// How often the ring is emptied.
 const DRAIN_PERIOD: Duration = Duration::from_millis(20);
@@ -75,6 +77,20 @@ impl CycleSink {
     }
 }
 
+/// What ties a recorder to the rest while it runs.
+pub struct RunLink {
+    /// Ends the run when the disk gets full.
+    pub stop: Stop,
+    /// Markers that people set.
+    pub marks: Receiver<String>,
+    /// Told after each synchronisation.
+    pub progress: Arc<Progress>,
+    /// Space that must stay free.
+    pub floor: DiskFloor,
+    /// The file that is being written.
+    pub file: PathBuf,
+}
+
 /// Writes what comes out of the ring until its other end is dropped, then finishes the file.
 pub struct Recorder {
     source: CycleSource,
@@ -85,6 +101,7 @@ pub struct Recorder {
     utc_minus_monotonic_ns: i64,
     cycle_period_ns: i64,
     lost: u64,
+    link: RunLink,
     /// The last cycle written; its number is that of the one that should come next, less one.
     last: Option<CycleRecord>,
 }
@@ -97,6 +114,7 @@ impl Recorder {
         clock: Clock,
         sync_period: Duration,
         run: &RunMetadata,
+        link: RunLink,
     ) -> Self {
         Self {
             source,
@@ -108,6 +126,7 @@ impl Recorder {
             utc_minus_monotonic_ns: run.utc_minus_monotonic_ns,
             cycle_period_ns: run.cycle_period_ns as i64,
             lost: 0,
+            link,
             last: None,
         }
     }
@@ -125,6 +144,7 @@ impl Recorder {
                     self.sync(&mut synced_at, &mut synced_cycles)?;
                 }
             }
+            self.take_marks()?;
             if last_round {
                 break;
             }
@@ -183,6 +203,25 @@ impl Recorder {
         self.writer.sync()?;
         *synced_at = Instant::now();
         *synced_cycles = self.writer.cycles();
+        self.link.progress.set(Synced {
+            cycles: self.writer.cycles(),
+            cycles_valid: self.writer.cycles_valid(),
+            cycles_lost: self.lost,
+            bytes: std::fs::metadata(&self.link.file).map_or(0, |file| file.len()),
+            at: self.clock.now(),
+        });
+        if let Some(problem) = self.link.floor.problem() {
+            self.link.stop.stop(&problem);
+        }
+        Ok(())
+    }
+
+    fn take_marks(&mut self) -> Result<(), WriteError> {
+        while let Ok(text) = self.link.marks.try_recv() {
+            let time = UtcNs(self.clock.now().0 + self.utc_minus_monotonic_ns);
+            let cycle = self.last.map_or(0, |last| last.cycle);
+            self.writer.write_event(&Event { time, cycle, kind: EventKind::Marker, text })?;
+        }
         Ok(())
     }
 
@@ -262,7 +301,14 @@ mod tests {
         drop(sink);
         let run = metadata();
         let writer = RecordingWriter::create(directory.path(), &run).unwrap();
-        let recorder = Recorder::new(source, writer, Clock::Real, Duration::from_secs(1), &run);
+        let link = RunLink {
+            stop: Stop::default(),
+            marks: std::sync::mpsc::channel().1,
+            progress: Arc::default(),
+            floor: DiskFloor::new(directory.path(), 0),
+            file: directory.path().join("ring.mcap.active"),
+        };
+        let recorder = Recorder::new(source, writer, Clock::Real, Duration::from_secs(1), &run, link);
         let summary = recorder.run(|| "test over".into()).unwrap();
         (Recording::open(&summary.path).unwrap(), summary)
     }

@@ -216,3 +216,8 @@ fn sync_parent(path: &Path) -> Result<(), WriteError> {
     let directory = path.parent().unwrap_or(Path::new("."));
     sync_directory(directory).map_err(io_error(directory))
 }
+
+/// A living process writes the file, or it cannot be asked.
+pub fn is_in_use(path: &Path) -> bool {
+    File::open(path).and_then(lock).is_err()
+}

@@ -16,7 +16,7 @@ mod run_file;
 pub mod schema;
 mod writer;
 
-pub use leftover::{Leftover, RecoverError, Recovery, recover_file, recover_leftovers};
+pub use leftover::{Leftover, RecoverError, Recovery, is_in_use, recover_file, recover_leftovers};
 pub use messages::MessageError;
 pub use overview::RunOverview;
 pub use reader::{ReadError, ReadErrorKind, Recording};
