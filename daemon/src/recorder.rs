@@ -295,21 +295,31 @@ mod tests {
     }
 
     fn record_through_ring(capacity: usize, cycles: u64) -> (Recording, RunSummary) {
+        record_above_floor(capacity, cycles, 0)
+    }
+
+    fn record_above_floor(capacity: usize, cycles: u64, floor_mb: u32) -> (Recording, RunSummary) {
         let directory = tempfile::tempdir().unwrap();
         let (mut sink, source) = ring(capacity, &Clock::Real);
         (0..cycles).for_each(|number| sink.push(&cycle(number)));
         drop(sink);
         let run = metadata();
         let writer = RecordingWriter::create(directory.path(), &run).unwrap();
+        let stop = Stop::default();
         let link = RunLink {
-            stop: Stop::default(),
+            stop: stop.clone(),
             marks: std::sync::mpsc::channel().1,
             progress: Arc::default(),
-            floor: DiskFloor::new(directory.path(), 0),
+            floor: DiskFloor::new(directory.path(), floor_mb),
             file: directory.path().join("ring.mcap.active"),
         };
         let recorder = Recorder::new(source, writer, Clock::Real, Duration::from_secs(1), &run, link);
-        let summary = recorder.run(|| "test over".into()).unwrap();
+        let summary = recorder
+            .run(|| {
+                stop.stop("test over");
+                stop.cause()
+            })
+            .unwrap();
         (Recording::open(&summary.path).unwrap(), summary)
     }
 
@@ -334,5 +344,13 @@ mod tests {
         assert_eq!(lost, (32..50).collect::<Vec<_>>());
         assert!(recording.cycles[32..].iter().all(|record| !record.is_valid()));
         assert!(recording.events.iter().any(|event| event.kind == EventKind::Gap));
+    }
+
+    #[test]
+    fn at_the_disk_floor_the_run_is_asked_to_end_and_its_file_says_why() {
+        // Longer than a synchronisation period, and more than any disk has.
+        let (recording, summary) = record_above_floor(256, 150, 4_000_000_000);
+        assert_eq!(recording.cycles.len(), 150);
+        assert!(summary.cause.contains("disk floor"), "{}", summary.cause);
     }
 }

@@ -383,3 +383,47 @@ fn at_the_disk_floor_no_run_begins() {
     assert!(lines.iter().any(|line| line.subject == "disk" && line.remedy.is_some()), "{lines:?}");
     assert_eq!(std::fs::read_dir(service.directory.path()).unwrap().count(), 0);
 }
+
+/// A file system of 8 MB, unmounted when the test is over.
+struct SmallDisk(tempfile::TempDir);
+
+impl SmallDisk {
+    fn mount() -> Option<Self> {
+        let directory = tempfile::tempdir().unwrap();
+        let mounted = Command::new("mount")
+            .args(["-t", "tmpfs", "-o", "size=8m", "tmpfs"])
+            .arg(directory.path())
+            .stderr(Stdio::null())
+            .status();
+        mounted.is_ok_and(|status| status.success()).then(|| Self(directory))
+    }
+}
+
+impl Drop for SmallDisk {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg("--lazy").arg(self.0.path()).status();
+    }
+}
+
+#[test]
+fn a_disk_that_others_fill_ends_the_run_with_a_finished_file() {
+    let Some(disk) = SmallDisk::mount() else {
+        println!("skipped: mounting a small disk needs root");
+        return;
+    };
+    let config = tempfile::tempdir().unwrap();
+    std::fs::copy(shipped().join("ball_bar.toml"), config.path().join("ball_bar.toml")).unwrap();
+    let daemon = std::fs::read_to_string(shipped().join("daemon.toml")).unwrap();
+    let daemon = daemon.replace("disk_floor_mb = 500", "disk_floor_mb = 2");
+    std::fs::write(config.path().join("daemon.toml"), daemon).unwrap();
+    let service = Running::in_directory(tempfile::tempdir_in(disk.0.path()).unwrap(), config.path());
+    service.wait_for("waiting");
+    service.granted("start", &json!({"name": "filled"}));
+    let cycles = service.wait_for("writing").run.unwrap().cycles;
+    std::fs::write(disk.0.path().join("others"), vec![1; 6_800_000]).unwrap();
+    let last = service.wait_for("waiting").last.unwrap();
+    assert!(last.cause.contains("disk floor") && last.cycles >= cycles, "{last:?}");
+    let recording = service.recording("filled");
+    assert_eq!(recording.end.cause, last.cause);
+    assert_eq!(service.post("start", &json!({"name": "next"})).0, 409);
+}

@@ -1,6 +1,6 @@
 //! A bus in operation, which serves one run after the other without being brought up again.
 
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::mpsc::{Sender, SyncSender, channel, sync_channel};
 use std::thread;
@@ -217,7 +217,7 @@ impl ActiveRun {
 }
 
 /// A disk that refused: what was synchronised before is made a finished file, if there is room for that.
-fn save(active: &PathBuf) -> String {
+fn save(active: &Path) -> String {
     match recover_file(active) {
         Ok(Recovery::Recovered { file, content, .. } | Recovery::Renamed { file, content }) => {
             format!("{} cycles are saved in {}", content.cycles, file.display())

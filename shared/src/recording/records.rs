@@ -70,11 +70,14 @@ fn parse(opcode: u8, data: &[u8]) -> Result<Record<'_>, ReadErrorKind> {
     Ok(mcap::parse_record(opcode, data)?)
 }
 
+/// Takes opcode and content of a record.
+type RawSink<'a, E> = dyn FnMut(u8, &[u8]) -> Result<(), E> + 'a;
+
 /// Feeds the reader from `source`.
 fn drive<E: From<ReadErrorKind>>(
     mut reader: LinearReader,
     mut source: impl Read,
-    sink: &mut dyn FnMut(u8, &[u8]) -> Result<(), E>,
+    sink: &mut RawSink<'_, E>,
 ) -> Result<(), E> {
     let container = |error: McapError| E::from(ReadErrorKind::from(error));
     while let Some(event) = reader.next_event() {
