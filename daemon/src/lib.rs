@@ -1,11 +1,12 @@
 //! Acquisition daemon for a sensed double ball-bar on EtherCAT.
 //!
 //! The way of the data: [`segment`] (wire) -> [`bus`] -> [`cycle`] -> ring -> [`recorder`] -> file; [`run`] ties
-//! them together, [`commands`] is what a person types.
+//! them together, [`control`] keeps them going as a service, [`commands`] is what a person types.
 
 pub mod bus;
 pub mod clock;
 pub mod commands;
+pub mod control;
 pub mod cycle;
 pub mod devices;
 pub mod recorder;

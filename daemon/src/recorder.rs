@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::Receiver;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -13,6 +14,7 @@ use shared::time::UtcNs;
 
 use crate::clock::Clock;
 use crate::cycle::CycleEvent;
+use crate::run::{DiskFloor, Progress, Stop, Synced};
 
 /// Events that may wait for the recorder; cycles carry their reasons themselves, so that one too many is no harm.
 const EVENTS_MAX: usize = 1024;
@@ -86,6 +88,20 @@ impl CycleSink {
     }
 }
 
+/// What ties a recorder to the rest while it runs.
+pub struct RunLink {
+    /// Ends the run when the disk gets full.
+    pub stop: Stop,
+    /// Markers that people set.
+    pub marks: Receiver<String>,
+    /// Told after each synchronisation.
+    pub progress: Arc<Progress>,
+    /// Space that must stay free.
+    pub floor: DiskFloor,
+    /// The file that is being written.
+    pub file: PathBuf,
+}
+
 /// Writes what comes out of the ring until its other end is dropped, then finishes the file.
 pub struct Recorder {
     source: CycleSource,
@@ -96,6 +112,7 @@ pub struct Recorder {
     utc_minus_monotonic_ns: i64,
     cycle_period_ns: i64,
     lost: u64,
+    link: RunLink,
     /// The last cycle written; its number is that of the one that should come next, less one.
     last: Option<CycleRecord>,
 }
@@ -108,6 +125,7 @@ impl Recorder {
         clock: Clock,
         sync_period: Duration,
         run: &RunMetadata,
+        link: RunLink,
     ) -> Self {
         Self {
             source,
@@ -119,6 +137,7 @@ impl Recorder {
             utc_minus_monotonic_ns: run.utc_minus_monotonic_ns,
             cycle_period_ns: run.cycle_period_ns as i64,
             lost: 0,
+            link,
             last: None,
         }
     }
@@ -139,6 +158,7 @@ impl Recorder {
             while let Ok(event) = self.source.events.pop() {
                 self.writer.write_event(&event.to_event())?;
             }
+            self.take_marks()?;
             if last_round {
                 break;
             }
@@ -197,6 +217,25 @@ impl Recorder {
         self.writer.sync()?;
         *synced_at = Instant::now();
         *synced_cycles = self.writer.cycles();
+        self.link.progress.set(Synced {
+            cycles: self.writer.cycles(),
+            cycles_valid: self.writer.cycles_valid(),
+            cycles_lost: self.lost,
+            bytes: std::fs::metadata(&self.link.file).map_or(0, |file| file.len()),
+            at: self.clock.now(),
+        });
+        if let Some(problem) = self.link.floor.problem() {
+            self.link.stop.stop(&problem);
+        }
+        Ok(())
+    }
+
+    fn take_marks(&mut self) -> Result<(), WriteError> {
+        while let Ok(text) = self.link.marks.try_recv() {
+            let time = UtcNs(self.clock.now().0 + self.utc_minus_monotonic_ns);
+            let cycle = self.last.map_or(0, |last| last.cycle);
+            self.writer.write_event(&Event { time, cycle, kind: EventKind::Marker, text })?;
+        }
         Ok(())
     }
 
@@ -270,14 +309,31 @@ mod tests {
     }
 
     fn record_through_ring(capacity: usize, cycles: u64) -> (Recording, RunSummary) {
+        record_above_floor(capacity, cycles, 0)
+    }
+
+    fn record_above_floor(capacity: usize, cycles: u64, floor_mb: u32) -> (Recording, RunSummary) {
         let directory = tempfile::tempdir().unwrap();
         let (mut sink, source) = ring(capacity, &Clock::Real);
         (0..cycles).for_each(|number| sink.push(&cycle(number)));
         drop(sink);
         let run = metadata();
         let writer = RecordingWriter::create(directory.path(), &run).unwrap();
-        let recorder = Recorder::new(source, writer, Clock::Real, Duration::from_secs(1), &run);
-        let summary = recorder.run(|| "test over".into()).unwrap();
+        let stop = Stop::default();
+        let link = RunLink {
+            stop: stop.clone(),
+            marks: std::sync::mpsc::channel().1,
+            progress: Arc::default(),
+            floor: DiskFloor::new(directory.path(), floor_mb),
+            file: directory.path().join("ring.mcap.active"),
+        };
+        let recorder = Recorder::new(source, writer, Clock::Real, Duration::from_secs(1), &run, link);
+        let summary = recorder
+            .run(|| {
+                stop.stop("test over");
+                stop.cause()
+            })
+            .unwrap();
         (Recording::open(&summary.path).unwrap(), summary)
     }
 
@@ -302,5 +358,13 @@ mod tests {
         assert_eq!(lost, (32..50).collect::<Vec<_>>());
         assert!(recording.cycles[32..].iter().all(|record| !record.is_valid()));
         assert!(recording.events.iter().any(|event| event.kind == EventKind::Gap));
+    }
+
+    #[test]
+    fn at_the_disk_floor_the_run_is_asked_to_end_and_its_file_says_why() {
+        // Longer than a synchronisation period, and more than any disk has.
+        let (recording, summary) = record_above_floor(256, 150, 4_000_000_000);
+        assert_eq!(recording.cycles.len(), 150);
+        assert!(summary.cause.contains("disk floor"), "{}", summary.cause);
     }
 }

@@ -3,66 +3,13 @@
 
 use std::io::Cursor;
 
-use shared::encoder::EncoderScale;
-use shared::recording::schema::{
-    CycleRecord, DeviceInfo, EncoderInfo, EncoderSample, Event, EventKind, MAX_ENCODERS, RunMetadata, flags,
-};
+use shared::recording::schema::{Event, EventKind};
 use shared::recording::{ReadErrorKind, Recording, RecordingWriter, WriteError};
-use shared::time::{DcNs, MonoNs, UtcNs};
 
-const START: UtcNs = UtcNs(1_790_000_000_000_000_000);
+#[path = "support/run.rs"]
+mod support;
 
-fn run(name: &str) -> RunMetadata {
-    RunMetadata {
-        name: name.into(),
-        operator: "technician".into(),
-        robot: "irb2400_16".into(),
-        note: "first run, ümlaut".into(),
-        started: START,
-        software: "test".into(),
-        bus: "simulated".into(),
-        cycle_period_ns: 10_000_000,
-        distributed_clocks: true,
-        utc_minus_monotonic_ns: 42,
-        encoders: (1..=MAX_ENCODERS as u8)
-            .map(|joint| EncoderInfo { joint, scale: EncoderScale::default() })
-            .collect(),
-        devices: vec![DeviceInfo {
-            position: 0,
-            name: "EK1100".into(),
-            vendor_id: 2,
-            product_code: 0x044c_2c52,
-            revision: 0x0012_0000,
-            serial: 0,
-        }],
-        daemon_config: String::new(),
-        ball_bar_config: String::new(),
-    }
-}
-
-fn cycle(number: u64) -> CycleRecord {
-    let encoders = std::array::from_fn(|index| EncoderSample {
-        joint: index as u8 + 1,
-        count: (number as u32).wrapping_mul(1_000_003).wrapping_add(index as u32),
-        latch: 7,
-        status: if number.is_multiple_of(2) { 0x8000 } else { 0 },
-        valid: number % 17 != 5,
-    });
-    let time_ns = number as i64 * 10_000_000;
-    CycleRecord {
-        cycle: number,
-        sample_time: START.plus_ns(time_ns),
-        sample_time_uncertainty_ns: 1500,
-        dc_time: DcNs(1_000 + time_ns),
-        send_time: MonoNs(5_000 + time_ns),
-        receive_time: MonoNs(65_000 + time_ns),
-        working_counter: 15,
-        working_counter_expected: 15,
-        flags: if number % 17 == 5 { flags::STALE_INPUT } else { 0 },
-        encoder_count: MAX_ENCODERS as u8,
-        encoders,
-    }
-}
+use support::{START, cycle, run};
 
 fn marker(number: u64) -> Event {
     let text = "second half".into();

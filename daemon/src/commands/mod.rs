@@ -1,8 +1,11 @@
 //! What a person types.
 
+mod client;
 mod export;
 mod record;
+mod recover;
 mod segment;
+mod serve;
 
 use anyhow::Context;
 use clap::{Parser, Subcommand};
@@ -18,10 +21,26 @@ pub struct Arguments {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Record one run.
+    /// Keep the bus in operation and record when asked to.
+    Run(serve::RunArguments),
+    /// Ask the service to begin a run.
+    Start(client::StartArguments),
+    /// Ask the service to end the run; returns when its file is finished.
+    Stop(client::AskArguments),
+    /// What the service is doing.
+    Status(client::AskArguments),
+    /// Put a marker into the run.
+    Mark(client::MarkArguments),
+    /// Whether everything is as it should be before a run.
+    Check(client::AskArguments),
+    /// List recordings.
+    Runs(client::RunsArguments),
+    /// Record one run and exit.
     Record(record::RecordArguments),
     /// Write a recording as a table.
     Export(export::ExportArguments),
+    /// Make a finished recording of one that was cut short or damaged.
+    Recover(recover::RecoverArguments),
     /// Serve a simulated EK1100 with EL5021 terminals on a network interface.
     Segment(segment::SegmentArguments),
 }
@@ -29,8 +48,16 @@ enum Command {
 /// Does what was typed; an error's text is meant for a person.
 pub fn run(arguments: Arguments) -> anyhow::Result<()> {
     match arguments.command {
+        Command::Run(arguments) => serve::run(&arguments),
+        Command::Start(arguments) => client::start(arguments),
+        Command::Stop(arguments) => client::stop(&arguments),
+        Command::Status(arguments) => client::status(&arguments),
+        Command::Mark(arguments) => client::mark(&arguments),
+        Command::Check(arguments) => client::check(&arguments),
+        Command::Runs(arguments) => client::list(&arguments),
         Command::Record(arguments) => record::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
+        Command::Recover(arguments) => recover::run(&arguments),
         Command::Segment(arguments) => segment::run(&arguments),
     }
 }

@@ -128,6 +128,11 @@ impl Acquisition {
         }
     }
 
+    /// Sample times of the runs from here on use this `UTC - monotonic` \[ns\].
+    pub fn set_utc_minus_monotonic_ns(&mut self, utc_minus_monotonic_ns: i64) {
+        self.utc_minus_monotonic_ns = utc_minus_monotonic_ns;
+    }
+
     /// Exchanges frames in step without recording, while somebody prepares a run.
     pub fn idle(&mut self) {
         self.next_cycle(&mut |_| ());

@@ -1,33 +1,47 @@
-//! The real-time thread: brings the bus up, cycles, ends.
+//! The real-time thread: brings the bus up, keeps it going, and serves one run after the other.
 
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
 
 use shared::recording::schema::DeviceInfo;
+use shared::time::UtcNs;
 
+use super::progress::Live;
 use super::source::Prepared;
 use super::{RunError, Stop};
 use crate::bus::Bus;
 use crate::clock::Clock;
 use crate::cycle::{Acquisition, RealtimeReport, RealtimeRequest};
 use crate::recorder::CycleSink;
+use crate::segment::simulated::ReplayHandle;
 
-/// What the cycle's thread reports before the run begins.
+/// What the cycle's thread reports once the bus is in operation.
 pub(super) struct Ready {
     pub devices: Vec<DeviceInfo>,
     pub utc_minus_monotonic_ns: i64,
     pub realtime: Option<RealtimeReport>,
 }
 
-/// Bus, cycles, and the end of the run. Everything that may block is behind the ring or before the first cycle.
+/// One run, as the cycle's thread knows it.
+pub(super) struct Job {
+    pub sink: CycleSink,
+    pub stop: Stop,
+    /// Cycles after which the run ends.
+    pub cycles: Option<u64>,
+    /// For the run's sample times \[ns\].
+    pub utc_minus_monotonic_ns: i64,
+}
+
+/// Bus and cycles, until nobody can send jobs any more. Everything that may block is behind the ring or before
+/// the first cycle.
 pub(super) fn run(
     prepared: Prepared,
     realtime: RealtimeRequest,
-    mut sink: CycleSink,
     ready: &SyncSender<Result<Ready, RunError>>,
-    go: &Receiver<()>,
-    stop: &Stop,
+    jobs: &Receiver<Job>,
+    live: &Arc<Live>,
 ) {
-    let Prepared { wire, clock, plan, replay, cycles, .. } = prepared;
+    let Prepared { wire, clock, plan, replay, .. } = prepared;
     let realtime = clock.is_real().then(|| realtime.apply());
     let bus = Bus::new(wire, clock.clone(), plan.reply_timeout);
     let mut acquisition = match Acquisition::start(bus, &plan, clock.clone()) {
@@ -43,11 +57,16 @@ pub(super) fn run(
     let devices = acquisition.devices().to_vec();
     let utc_minus_monotonic_ns = acquisition.utc_minus_monotonic_ns();
     let _ = ready.send(Ok(Ready { devices, utc_minus_monotonic_ns, realtime }));
-    if !wait_for_go(&mut acquisition, &clock, go) {
-        return;
+    while let Some(job) = wait_for_job(&mut acquisition, &clock, jobs, live) {
+        serve(&mut acquisition, job, replay.as_ref(), live);
     }
+}
+
+fn serve(acquisition: &mut Acquisition, job: Job, replay: Option<&(ReplayHandle, UtcNs)>, live: &Arc<Live>) {
+    let Job { mut sink, stop, cycles, utc_minus_monotonic_ns } = job;
+    acquisition.set_utc_minus_monotonic_ns(utc_minus_monotonic_ns);
     acquisition.begin_run(|first_sample| {
-        if let Some((replay, _)) = &replay {
+        if let Some((replay, _)) = replay {
             replay.start_at(first_sample.0);
         }
     });
@@ -58,6 +77,7 @@ pub(super) fn run(
                 sink.push(record);
                 done = record.cycle + 1;
             }
+            live.publish(record);
         });
         while let Some(event) = acquisition.take_event() {
             sink.push_event(event);
@@ -67,21 +87,26 @@ pub(super) fn run(
     tracing::info!(
         late_us_max = acquisition.late_ns_max() as f64 * 1e-3,
         wire = ?acquisition.wire_counters(),
-        "cycle ended"
+        "run ended"
     );
 }
 
-/// Keeps the bus going until the recorder is ready; false if there will be no run.
-fn wait_for_go(acquisition: &mut Acquisition, clock: &Clock, go: &Receiver<()>) -> bool {
+/// Keeps the bus going until there is a run to serve; none if there will be no more.
+fn wait_for_job(
+    acquisition: &mut Acquisition,
+    clock: &Clock,
+    jobs: &Receiver<Job>,
+    live: &Arc<Live>,
+) -> Option<Job> {
     if !clock.is_real() {
         // Nothing happens on virtual time while nobody asks for it.
-        return go.recv().is_ok();
+        return jobs.recv().ok();
     }
     loop {
-        match go.try_recv() {
-            Ok(()) => return true,
-            Err(TryRecvError::Disconnected) => return false,
-            Err(TryRecvError::Empty) => acquisition.idle(),
+        match jobs.try_recv() {
+            Ok(job) => return Some(job),
+            Err(TryRecvError::Disconnected) => return None,
+            Err(TryRecvError::Empty) => acquisition.next_cycle(&mut |record| live.publish(record)),
         }
     }
 }

@@ -1,33 +1,36 @@
 //! One recording run, from the request to the finished file.
 //!
-//! Two threads: the cycle (real time, no disk) and the recorder (disk, no bus), with a ring between them.
+//! Two threads: the cycle (real time, no disk) and the recorder (disk, no bus), with a ring between them. A [`Session`]
+//! keeps the cycle going between runs.
 //! The file is begun only when the bus is in operation, so a bus that does not come up leaves no file.
 
 mod cycle_thread;
+mod disk;
+mod progress;
+mod session;
 mod source;
+mod stop;
 
-use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::sync_channel;
-use std::sync::{Arc, OnceLock};
-use std::thread;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use shared::config::{BallBarConfig, DaemonConfig};
-use shared::recording::schema::RunMetadata;
-use shared::recording::{ReadError, RecordingWriter, RunFile, WriteError};
-use shared::time::UtcNs;
+use shared::recording::{Leftover, ReadError, Recovery, WriteError, recover_leftovers};
 
-use self::cycle_thread::Ready;
+pub use disk::DiskFloor;
+pub use progress::{Live, LiveEncoder, Progress, Synced};
+pub use session::{ActiveRun, Session};
+pub use stop::Stop;
+
 use crate::bus::BusError;
-use crate::cycle::RealtimeRequest;
-use crate::recorder::{self, Recorder, RunSummary};
+use crate::recorder::RunSummary;
 use crate::segment::OpenError;
 
 /// Which bus to record from.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub enum BusChoice {
     /// The simulated segment in this process, moving by itself.
+    #[default]
     Simulated,
     /// The simulated segment, its encoders following a recording.
     Replay(PathBuf),
@@ -35,8 +38,8 @@ pub enum BusChoice {
     Interface(String),
 }
 
-/// What to record.
-#[derive(Debug, Clone)]
+/// What to record, and from where.
+#[derive(Debug, Clone, Default)]
 pub struct RunRequest {
     /// Name of the run, and of its file.
     pub name: String,
@@ -52,6 +55,33 @@ pub struct RunRequest {
     pub bus: BusChoice,
     /// Virtual time, as fast as the machine allows. Simulated bus only.
     pub fast: bool,
+}
+
+/// One run of a bus that is in operation.
+#[derive(Debug, Clone, Default)]
+pub struct RunDetails {
+    /// Name of the run, and of its file.
+    pub name: String,
+    /// Who records.
+    pub operator: String,
+    /// Which robot.
+    pub robot: String,
+    /// Free text.
+    pub note: String,
+    /// How long; none: until stopped.
+    pub duration: Option<Duration>,
+}
+
+impl RunRequest {
+    fn details(&self) -> RunDetails {
+        RunDetails {
+            name: self.name.clone(),
+            operator: self.operator.clone(),
+            robot: self.robot.clone(),
+            note: self.note.clone(),
+            duration: self.duration,
+        }
+    }
 }
 
 /// Why a run failed.
@@ -80,32 +110,26 @@ pub enum RunError {
     /// The recording cannot be written.
     #[error(transparent)]
     Write(#[from] WriteError),
+    /// The disk is too full to begin.
+    #[error("{0}")]
+    Disk(String),
+    /// The disk refused while the run went on.
+    #[error("{source}; {saved}")]
+    Broken {
+        /// What went wrong.
+        source: WriteError,
+        /// What became of the cycles before.
+        saved: String,
+    },
     /// The system refused a thread, or one died.
     #[error("a thread of the acquisition failed: {0}")]
     Thread(String),
 }
 
-/// Asks a run to end, from any thread or a signal.
-#[derive(Debug, Clone, Default)]
-pub struct Stop {
-    stopped: Arc<AtomicBool>,
-    cause: Arc<OnceLock<String>>,
-}
-
-impl Stop {
-    /// Ends the run; the first cause given is the one that the file states.
-    pub fn stop(&self, cause: &str) {
-        let _ = self.cause.set(cause.to_owned());
-        self.stopped.store(true, Ordering::Release);
-    }
-
-    fn is_stopped(&self) -> bool {
-        self.stopped.load(Ordering::Acquire)
-    }
-
-    fn cause(&self) -> String {
-        self.cause.get().cloned().unwrap_or_else(|| "the cycle ended by itself".into())
-    }
+/// Brings a bus into operation, to record several runs from it.
+pub fn open(bus: &BusChoice, daemon: &DaemonConfig, bar: &BallBarConfig) -> Result<Session, RunError> {
+    let request = RunRequest { bus: bus.clone(), ..RunRequest::default() };
+    Session::open(source::prepare(&request, daemon, bar)?, daemon, bar)
 }
 
 /// Records one run and returns when its file is finished.
@@ -116,77 +140,27 @@ pub fn record(
     stop: &Stop,
 ) -> Result<RunSummary, RunError> {
     let prepared = source::prepare(request, daemon, bar)?;
-    let (clock, encoders) = (prepared.clock.clone(), prepared.encoders.clone());
-    let (bus, period) = (prepared.plan.name.clone(), prepared.plan.cycle_period);
-    let metadata = |ready: &Ready| RunMetadata {
-        name: request.name.clone(),
-        operator: request.operator.clone(),
-        robot: request.robot.clone(),
-        note: request.note.clone(),
-        started: UtcNs(clock.now().0 + ready.utc_minus_monotonic_ns),
-        software: concat!("ballbard ", env!("CARGO_PKG_VERSION")).into(),
-        bus,
-        cycle_period_ns: period.as_nanos() as u64,
-        distributed_clocks: daemon.distributed_clocks,
-        utc_minus_monotonic_ns: ready.utc_minus_monotonic_ns,
-        encoders,
-        devices: ready.devices.clone(),
-        daemon_config: toml_text(daemon),
-        ball_bar_config: toml_text(bar),
-    };
-    let ring_cycles = Duration::from_secs(daemon.ring_s.into()).as_nanos() / period.as_nanos().max(1);
-    let (sink, ring) = recorder::ring(ring_cycles.max(64) as usize, &clock);
-    let (ready_tx, ready_rx) = sync_channel(1);
-    let (go_tx, go_rx) = sync_channel(1);
-    let realtime =
-        RealtimeRequest { core: daemon.realtime.core, fifo_priority: daemon.realtime.fifo_priority };
-    let cycle_stop = stop.clone();
-    let cycle =
-        spawn("cycle", move || cycle_thread::run(prepared, realtime, sink, &ready_tx, &go_rx, &cycle_stop))?;
-
-    let begun = ready_rx.recv().map_err(|_| RunError::Thread("the cycle died while the bus came up".into()));
-    let outcome = begun.and_then(|ready| ready).and_then(|ready| {
-        report_ready(&ready);
-        let metadata = metadata(&ready);
-        let writer = RecordingWriter::<RunFile>::create(&daemon.directory, &metadata)?;
-        let recorder = Recorder::new(ring, writer, clock.clone(), daemon.sync_period(), &metadata);
-        let cause = stop.clone();
-        let recording = spawn("recorder", move || recorder.run(|| cause.cause()))?;
-        // The cycle waits for this; if it has died meanwhile the recorder finds the ring abandoned.
-        let _ = go_tx.send(());
-        join(recording)?.map_err(RunError::from)
-    });
-    if outcome.is_err() {
-        stop.stop("the run failed");
-    }
-    drop(go_tx);
-    join(cycle)?;
+    finish_leftovers(&daemon.directory);
+    let session = Session::open(prepared, daemon, bar)?;
+    session.log();
+    let outcome = session.begin(&request.details(), stop).and_then(ActiveRun::join);
+    session.close()?;
     outcome
 }
 
-fn spawn<T: Send + 'static>(
-    name: &str,
-    body: impl FnOnce() -> T + Send + 'static,
-) -> Result<thread::JoinHandle<T>, RunError> {
-    thread::Builder::new().name(name.into()).spawn(body).map_err(|error| RunError::Thread(error.to_string()))
-}
-
-fn join<T>(handle: thread::JoinHandle<T>) -> Result<T, RunError> {
-    let name = handle.thread().name().unwrap_or("a thread").to_owned();
-    handle.join().map_err(|_| RunError::Thread(format!("{name} panicked; its cause is in the log")))
-}
-
-fn toml_text(config: &impl serde::Serialize) -> String {
-    toml::to_string(config).unwrap_or_else(|error| format!("# cannot be shown: {error}"))
-}
-
-fn report_ready(ready: &Ready) {
-    let devices: Vec<_> =
-        ready.devices.iter().map(|device| format!("{} r{}", device.name, device.revision >> 16)).collect();
-    tracing::info!(devices = devices.join(", "), "bus in operation");
-    match &ready.realtime {
-        Some(report) if report.is_complete() => tracing::info!("cycle runs {report}"),
-        Some(report) => tracing::warn!("cycle runs {report}"),
-        None => {}
+/// Makes finished recordings of what earlier crashes left in `directory`, and says so in the log.
+pub fn finish_leftovers(directory: &Path) {
+    for Leftover { file, outcome } in recover_leftovers(directory) {
+        match outcome {
+            Ok(Recovery::Recovered { file, content, .. } | Recovery::Renamed { file, content }) => {
+                tracing::warn!(
+                    file = %file.display(),
+                    cycles = content.cycles,
+                    "a run left behind by a crash was recovered"
+                );
+            }
+            Ok(Recovery::Whole { .. }) => {}
+            Err(error) => tracing::warn!(file = %file.display(), "a file left behind: {error}"),
+        }
     }
 }

@@ -25,7 +25,7 @@ pub(super) struct Prepared {
     pub encoders: Vec<EncoderInfo>,
     /// Starts the replay, and when its first sample was taken.
     pub replay: Option<(ReplayHandle, UtcNs)>,
-    /// Cycles after which the run ends.
+    /// Cycles after which every run ends: those of the replayed recording.
     pub cycles: Option<u64>,
 }
 
@@ -41,7 +41,7 @@ pub(super) fn prepare(
     } else {
         Clock::Real
     };
-    let mut prepared = match &request.bus {
+    let prepared = match &request.bus {
         BusChoice::Interface(name) => {
             let wire = Box::new(EthernetWire::open(name)?);
             Prepared::from_config(wire, clock, name, daemon, bar)
@@ -56,10 +56,6 @@ pub(super) fn prepare(
         }
         BusChoice::Replay(path) => follow(path, clock, daemon, bar)?,
     };
-    if let Some(duration) = request.duration {
-        let wanted = (duration.as_nanos() / prepared.plan.cycle_period.as_nanos().max(1)) as u64;
-        prepared.cycles = Some(prepared.cycles.map_or(wanted, |all| all.min(wanted)));
-    }
     Ok(prepared)
 }
 

@@ -31,10 +31,24 @@ pub struct DaemonConfig {
     pub ring_s: u32,
     /// A kill loses at most this much of a run \[ms\].
     pub sync_period_ms: u32,
+    /// Space that recordings leave free on their file system: below it none begins, and a running one ends \[MB\].
+    #[serde(default = "default_disk_floor_mb")]
+    pub disk_floor_mb: u32,
+    /// Port of the service on 127.0.0.1.
+    #[serde(default = "default_port")]
+    pub port: u16,
     /// Where recordings go; relative to the working directory.
     pub directory: PathBuf,
     /// The cycle's thread.
     pub realtime: RealtimeConfig,
+}
+
+const fn default_disk_floor_mb() -> u32 {
+    500
+}
+
+const fn default_port() -> u16 {
+    7311
 }
 
 impl DaemonConfig {
@@ -62,6 +76,8 @@ impl Default for DaemonConfig {
             reply_timeout_us: 4000,
             ring_s: 60,
             sync_period_ms: 1000,
+            disk_floor_mb: default_disk_floor_mb(),
+            port: default_port(),
             directory: "runs".into(),
             realtime: RealtimeConfig { core: None, fifo_priority: 80 },
         }

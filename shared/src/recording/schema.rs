@@ -212,4 +212,7 @@ pub struct RunEnd {
     pub cycles_valid: u64,
     /// Cycles that never reached the file with their content (ring overflow).
     pub cycles_lost: u64,
+    /// The run was cut short, and this file holds what was whole of it.
+    #[serde(default)]
+    pub recovered: bool,
 }

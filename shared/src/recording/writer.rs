@@ -4,24 +4,18 @@
 //! was cut ends at a chunk's border or in a torn chunk, never in a record of bogus length.
 
 use std::collections::BTreeMap;
-use std::fs::{File, OpenOptions};
-use std::io::{self, Seek, SeekFrom, Write};
+use std::io::{self, Seek, Write};
 use std::path::{Path, PathBuf};
 
-use mcap::records::{MessageHeader, Metadata};
+use mcap::records::MessageHeader;
 use mcap::{Compression, McapError, WriteOptions, Writer};
-use serde::Serialize;
 
+use super::content::{END_METADATA, RUN_METADATA, metadata_of};
 use super::messages::{self, MessageError, Topic};
+use super::run_file::RunFile;
 use super::schema::{CycleRecord, Event, RunEnd, RunMetadata};
-use super::{CONTENT_KEY, END_METADATA, RUN_METADATA};
 use crate::encoder::Unwrapper;
 use crate::time::UtcNs;
-
-/// Ending of a finished recording.
-pub const FINISHED_ENDING: &str = "mcap";
-/// Ending of a recording that is being written, or that was left by a crash.
-pub const ACTIVE_ENDING: &str = "mcap.active";
 
 /// Why a recording cannot be written.
 #[derive(Debug, thiserror::Error)]
@@ -49,97 +43,6 @@ pub enum WriteError {
     /// Metadata could not be encoded.
     #[error("cannot encode the run's metadata: {0}")]
     Metadata(#[from] serde_json::Error),
-}
-
-/// A run's file on disk, `.mcap.active` until it is finished.
-#[derive(Debug)]
-pub struct RunFile {
-    file: File,
-    active: PathBuf,
-    finished: PathBuf,
-}
-
-impl RunFile {
-    /// Creates `<directory>/<name>.mcap.active`; the directory is made where it is missing.
-    pub fn create(directory: &Path, name: &str) -> Result<Self, WriteError> {
-        let plain = |c: char| c.is_alphanumeric() || "-_.+".contains(c);
-        if name.is_empty() || name.starts_with('.') || name.len() > 200 || !name.chars().all(plain) {
-            return Err(WriteError::Name(name.to_owned()));
-        }
-        let io_error = |path: &Path| {
-            let path = path.to_owned();
-            move |source| WriteError::Io { path, source }
-        };
-        std::fs::create_dir_all(directory).map_err(io_error(directory))?;
-        let active = directory.join(format!("{name}.{ACTIVE_ENDING}"));
-        let finished = directory.join(format!("{name}.{FINISHED_ENDING}"));
-        if finished.exists() {
-            return Err(WriteError::Exists(finished));
-        }
-        let file =
-            OpenOptions::new().read(true).write(true).create_new(true).open(&active).map_err(|source| {
-                if source.kind() == io::ErrorKind::AlreadyExists {
-                    WriteError::Exists(active.clone())
-                } else {
-                    WriteError::Io { path: active.clone(), source }
-                }
-            })?;
-        sync_directory(directory).map_err(io_error(directory))?;
-        Ok(Self { file, active, finished })
-    }
-
-    /// Where the bytes are while the run goes on.
-    pub fn active_path(&self) -> &Path {
-        &self.active
-    }
-
-    /// Gives the file its final name, without ever replacing another.
-    fn publish(self) -> Result<PathBuf, WriteError> {
-        let Self { file, active, finished } = self;
-        let io_error = |source| WriteError::Io { path: finished.clone(), source };
-        file.sync_all().map_err(io_error)?;
-        rename_without_replacing(&active, &finished).map_err(|source| {
-            if source.kind() == io::ErrorKind::AlreadyExists {
-                WriteError::Exists(finished.clone())
-            } else {
-                io_error(source)
-            }
-        })?;
-        sync_directory(finished.parent().unwrap_or(Path::new("."))).map_err(io_error)?;
-        Ok(finished)
-    }
-}
-
-impl Write for RunFile {
-    fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
-        self.file.write(buffer)
-    }
-
-    /// Returns when everything written so far survives a power cut.
-    fn flush(&mut self) -> io::Result<()> {
-        self.file.sync_data()
-    }
-}
-
-impl Seek for RunFile {
-    fn seek(&mut self, position: SeekFrom) -> io::Result<u64> {
-        self.file.seek(position)
-    }
-}
-
-fn rename_without_replacing(from: &Path, to: &Path) -> io::Result<()> {
-    use nix::errno::Errno;
-    use nix::fcntl::{AT_FDCWD, RenameFlags, renameat2};
-    match renameat2(AT_FDCWD, from, AT_FDCWD, to, RenameFlags::RENAME_NOREPLACE) {
-        // Some file systems know no such rename; the name was free when the run began.
-        Err(Errno::EINVAL | Errno::ENOSYS) if !to.exists() => std::fs::rename(from, to),
-        result => result.map_err(io::Error::from),
-    }
-}
-
-fn sync_directory(directory: &Path) -> io::Result<()> {
-    let directory = if directory.as_os_str().is_empty() { Path::new(".") } else { directory };
-    File::open(directory)?.sync_all()
 }
 
 /// One joint of the plotted joint states.
@@ -185,7 +88,7 @@ impl<W: Write + Seek> RecordingWriter<W> {
             .compression_threads(0)
             .disable_seeking(true)
             .create(sink)?;
-        write_json_metadata(&mut writer, RUN_METADATA, run)?;
+        writer.write_metadata(&metadata_of(RUN_METADATA, run)?)?;
         let cycle_channel = add_topic(&mut writer, &messages::CYCLE)?;
         let event_channel = add_topic(&mut writer, &messages::EVENT)?;
         let joint_state_channel = add_topic(&mut writer, &messages::JOINT_STATE)?;
@@ -260,15 +163,25 @@ impl<W: Write + Seek> RecordingWriter<W> {
     }
 
     /// Ends the run on any sink: how it ended, summary, footer.
-    pub fn end(mut self, cause: &str, ended: UtcNs) -> Result<W, WriteError> {
-        let end = RunEnd {
+    pub fn end(self, cause: &str, ended: UtcNs) -> Result<W, WriteError> {
+        let end = self.end_record(cause, ended);
+        self.end_with(&end)
+    }
+
+    /// How the run ends if it ends now.
+    pub(super) fn end_record(&self, cause: &str, ended: UtcNs) -> RunEnd {
+        RunEnd {
             cause: cause.to_owned(),
             ended,
             cycles: self.cycles,
             cycles_valid: self.cycles_valid,
             cycles_lost: self.cycles_lost,
-        };
-        write_json_metadata(&mut self.writer, END_METADATA, &end)?;
+            recovered: false,
+        }
+    }
+
+    pub(super) fn end_with(mut self, end: &RunEnd) -> Result<W, WriteError> {
+        self.writer.write_metadata(&metadata_of(END_METADATA, end)?)?;
         self.writer.finish()?;
         Ok(self.writer.into_inner())
     }
@@ -286,16 +199,6 @@ impl<W: Write + Seek> RecordingWriter<W> {
         let header = MessageHeader { channel_id, sequence, log_time, publish_time: log_time };
         Ok(self.writer.write_to_known_channel(&header, data)?)
     }
-}
-
-fn write_json_metadata<W: Write + Seek>(
-    writer: &mut Writer<W>,
-    name: &str,
-    content: &impl Serialize,
-) -> Result<(), WriteError> {
-    let json = serde_json::to_string(content)?;
-    let metadata = BTreeMap::from([(CONTENT_KEY.to_owned(), json)]);
-    Ok(writer.write_metadata(&Metadata { name: name.to_owned(), metadata })?)
 }
 
 /// Adds schema and channel of a topic, with the QoS profile that `ros2 bag play` asks for.

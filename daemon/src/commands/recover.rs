@@ -1,0 +1,42 @@
+//! `ballbard recover`: a finished recording out of one that was cut short or damaged.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use shared::recording::{Recovery, Salvaged, recover_file};
+
+#[derive(Debug, Args)]
+pub struct RecoverArguments {
+    /// The recording, `.mcap.active` or `.mcap`
+    file: PathBuf,
+}
+
+pub fn run(arguments: &RecoverArguments) -> anyhow::Result<()> {
+    match recover_file(&arguments.file)? {
+        Recovery::Whole { content } => {
+            println!("{}: whole, {} cycles; nothing to recover", arguments.file.display(), content.cycles);
+        }
+        Recovery::Renamed { file, content } => {
+            println!("{}: was finished, {} cycles; it has its name now", file.display(), content.cycles);
+        }
+        Recovery::Recovered { file, torn, content } => {
+            println!("{}: {}", file.display(), kept(&content));
+            if let Some(damage) = &content.cut {
+                println!("what followed could not be read: {damage}");
+            }
+            if let Some(torn) = torn {
+                println!("the original is kept as {}", torn.display());
+            }
+        }
+    }
+    Ok(())
+}
+
+fn kept(content: &Salvaged) -> String {
+    match content.last_good {
+        Some(last) => {
+            format!("recovered {} cycles, {} valid, the last of {last}", content.cycles, content.cycles_valid)
+        }
+        None => "recovered, but no cycle was whole".into(),
+    }
+}

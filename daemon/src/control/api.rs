@@ -1,0 +1,176 @@
+//! The service over HTTP on 127.0.0.1: JSON in, JSON out.
+//!
+//! Only programs of this machine reach it. Web pages of others do not, although a browser runs here: requests must name
+//! a loopback host (no rebinding of names), come from no foreign origin, and carry JSON (no plain forms).
+
+use std::future::Future;
+use std::time::Duration;
+
+use axum::extract::rejection::JsonRejection;
+use axum::extract::{DefaultBodyLimit, Request, State};
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::middleware::{self, Next};
+use axum::response::{IntoResponse, Response};
+use axum::routing::{get, post};
+use axum::{Json, Router};
+use tokio::net::TcpListener;
+
+use super::machine::Answer;
+use super::runs;
+use super::service::Service;
+use super::status::{LastRun, MarkRequest, Refusal, Reply, StartRequest, Status, StopRequest};
+
+/// Longest request.
+const BODY_BYTES_MAX: usize = 64 * 1024;
+/// Longest name, note and so on \[bytes\].
+const TEXT_BYTES_MAX: usize = 4000;
+/// How long `stop` waits for the finished file.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(20);
+
+/// Serves until `end` comes, then finishes the requests that are being answered.
+pub async fn serve(
+    listener: TcpListener,
+    service: Service,
+    end: impl Future<Output = ()> + Send + 'static,
+) -> std::io::Result<()> {
+    axum::serve(listener, router(service)).with_graceful_shutdown(end).await
+}
+
+/// All routes.
+pub fn router(service: Service) -> Router {
+    Router::new()
+        .route("/status", get(status))
+        .route("/check", get(check))
+        .route("/runs", get(list_runs))
+        .route("/start", post(start))
+        .route("/stop", post(stop))
+        .route("/mark", post(mark))
+        .fallback(|| async { refusal(StatusCode::NOT_FOUND, "no such path") })
+        .layer(DefaultBodyLimit::max(BODY_BYTES_MAX))
+        .layer(middleware::from_fn(only_this_machine))
+        .with_state(service)
+}
+
+type Body<T> = Result<Json<T>, JsonRejection>;
+
+async fn status(State(service): State<Service>) -> Response {
+    Json(service.status()).into_response()
+}
+
+async fn check(State(service): State<Service>) -> Response {
+    match service.check().await {
+        Ok(lines) => Json(lines).into_response(),
+        Err(Refusal { error }) => refusal(StatusCode::SERVICE_UNAVAILABLE, &error),
+    }
+}
+
+async fn list_runs(State(service): State<Service>) -> Response {
+    let directory = service.settings().daemon.directory.clone();
+    match tokio::task::spawn_blocking(move || runs::list(&directory)).await {
+        Ok(Ok(lines)) => Json(lines).into_response(),
+        // A directory that is not there yet holds no runs.
+        Ok(Err(error)) if error.kind() == std::io::ErrorKind::NotFound => {
+            Json(Vec::<runs::RunLine>::new()).into_response()
+        }
+        Ok(Err(error)) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &format!("cannot list runs: {error}")),
+        Err(error) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
+    }
+}
+
+async fn start(State(service): State<Service>, body: Body<StartRequest>) -> Response {
+    let request = match body {
+        Ok(Json(request)) => request,
+        Err(rejection) => return rejected(&rejection),
+    };
+    let texts = [&request.operator, &request.robot, &request.note];
+    if texts.iter().any(|text| text.len() > TEXT_BYTES_MAX) {
+        return refusal(StatusCode::UNPROCESSABLE_ENTITY, "a text is longer than 4000 bytes; shorten it");
+    }
+    let named = request.name.clone();
+    match service.begin(request).await {
+        Ok(Answer::Beginning) => reply("begun", service.status().run.map(|run| run.name).or(named), None),
+        Ok(Answer::Running(run)) => reply("running", Some(run), None),
+        Ok(Answer::Busy(run)) => refusal(
+            StatusCode::CONFLICT,
+            &format!("run `{run}` goes on; stop it first, or wait until its file is finished"),
+        ),
+        Ok(Answer::Refused(reason)) => refusal(StatusCode::CONFLICT, &reason),
+        Ok(other) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &format!("unexpected answer {other:?}")),
+        Err(Refusal { error }) => refusal(StatusCode::UNPROCESSABLE_ENTITY, &error),
+    }
+}
+
+async fn stop(State(service): State<Service>, body: Body<StopRequest>) -> Response {
+    let cause = match body {
+        Ok(Json(request)) => request.cause.unwrap_or_else(|| "stopped".into()),
+        Err(rejection) => return rejected(&rejection),
+    };
+    if cause.is_empty() || cause.len() > TEXT_BYTES_MAX {
+        return refusal(StatusCode::UNPROCESSABLE_ENTITY, "the cause must have 1 to 4000 bytes");
+    }
+    match service.stop(cause).await {
+        Ok(Answer::Stopping(run)) => match finished(&service, &run).await {
+            Some(last) => reply("stopped", Some(run), Some(last)),
+            None => refusal(
+                StatusCode::GATEWAY_TIMEOUT,
+                &format!("run `{run}` is ending, but the disk has not taken it yet; ask for the status"),
+            ),
+        },
+        Ok(_) => reply("idle", None, service.status().last),
+        Err(Refusal { error }) => refusal(StatusCode::SERVICE_UNAVAILABLE, &error),
+    }
+}
+
+async fn mark(State(service): State<Service>, body: Body<MarkRequest>) -> Response {
+    let text = match body {
+        Ok(Json(MarkRequest { text })) => text,
+        Err(rejection) => return rejected(&rejection),
+    };
+    if text.is_empty() || text.len() > TEXT_BYTES_MAX {
+        return refusal(StatusCode::UNPROCESSABLE_ENTITY, "a marker must have 1 to 4000 bytes");
+    }
+    match service.mark(text).await {
+        Ok(Some(run)) => reply("marked", Some(run), None),
+        Ok(None) => refusal(StatusCode::CONFLICT, "no run goes on, so there is nothing to mark"),
+        Err(Refusal { error }) => refusal(StatusCode::SERVICE_UNAVAILABLE, &error),
+    }
+}
+
+/// Waits until `run` is over.
+async fn finished(service: &Service, run: &str) -> Option<LastRun> {
+    let mut status = service.watch();
+    let over = |status: &Status| status.last.as_ref().is_some_and(|last| last.name == run);
+    let wait = async { status.wait_for(over).await.ok().and_then(|status| status.last.clone()) };
+    tokio::time::timeout(CLOSE_TIMEOUT, wait).await.ok().flatten()
+}
+
+/// Turns away what a foreign web page could send.
+async fn only_this_machine(request: Request, next: Next) -> Response {
+    if is_local(request.headers()) {
+        next.run(request).await
+    } else {
+        refusal(StatusCode::FORBIDDEN, "only programs of this machine may use this")
+    }
+}
+
+fn is_local(headers: &HeaderMap) -> bool {
+    let text = |name| headers.get(name).map(|value: &header::HeaderValue| value.to_str().unwrap_or_default());
+    let loopback = |authority: &str| {
+        let host = authority.rsplit_once(':').map_or(authority, |(host, _)| host);
+        ["127.0.0.1", "localhost", "[::1]"].contains(&host)
+    };
+    text(header::HOST).is_some_and(loopback)
+        && text(header::ORIGIN).is_none_or(|origin| origin.strip_prefix("http://").is_some_and(loopback))
+}
+
+fn reply(answer: &str, run: Option<String>, last: Option<LastRun>) -> Response {
+    Json(Reply { answer: answer.into(), run, last }).into_response()
+}
+
+fn rejected(rejection: &JsonRejection) -> Response {
+    refusal(rejection.status(), &rejection.body_text())
+}
+
+fn refusal(status: StatusCode, error: &str) -> Response {
+    (status, Json(Refusal { error: error.into() })).into_response()
+}

@@ -1,0 +1,137 @@
+//! What the service says of itself: the words of the API and of the commands.
+
+use serde::{Deserialize, Serialize};
+use shared::time::UtcNs;
+
+/// What the service is doing, as far as it is on disk.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Status {
+    /// `fault`, `waiting`, `opening`, `sampling`, `writing` or `closing`.
+    pub state: String,
+    /// Why nothing can be recorded, in a fault; why the run ends, when closing.
+    pub reason: Option<String>,
+    /// The run that goes on.
+    pub run: Option<RunStatus>,
+    /// The run before.
+    pub last: Option<LastRun>,
+    /// Network interface, or `simulated`.
+    pub bus: String,
+    /// Devices in operation, in bus order.
+    pub devices: Vec<String>,
+    /// The latest sample of each encoder.
+    pub encoders: Vec<EncoderStatus>,
+    /// Age of that sample \[ms\]; none before the first.
+    pub sample_age_ms: Option<i64>,
+    /// Space above the floor \[MB\]; 0 at the floor.
+    pub disk_usable_mb: Option<u64>,
+}
+
+/// The run that goes on.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RunStatus {
+    /// Its name.
+    pub name: String,
+    /// When it began, ns since 1970.
+    pub started: UtcNs,
+    /// Cycles on disk.
+    pub cycles: u64,
+    /// Cycles among them in which every encoder is valid.
+    pub cycles_valid: u64,
+    /// Cycles that were lost between bus and file.
+    pub cycles_lost: u64,
+    /// Length of its file \[bytes\].
+    pub bytes: u64,
+    /// How long ago it was last synchronised \[ms\]; none before the first time.
+    pub sync_age_ms: Option<i64>,
+}
+
+/// A run that is over.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LastRun {
+    /// Its name.
+    pub name: String,
+    /// Its finished file; none where it could not be finished in the ordinary way.
+    pub file: Option<String>,
+    /// Cycles in it.
+    pub cycles: u64,
+    /// Cycles in which every encoder is valid.
+    pub cycles_valid: u64,
+    /// Cycles that were lost between bus and file.
+    pub cycles_lost: u64,
+    /// Why it ended.
+    pub cause: String,
+}
+
+/// One encoder, now.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EncoderStatus {
+    /// Bar joint, 1 to 5.
+    pub joint: u8,
+    /// Counter.
+    pub count: u32,
+    /// Status word of its terminal.
+    pub status: u16,
+    /// Fresh and without error.
+    pub valid: bool,
+}
+
+/// What is asked for with `start`.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct StartRequest {
+    /// Name of the run and of its file; without one the service makes one of date and time.
+    pub name: Option<String>,
+    /// Who records.
+    pub operator: String,
+    /// Which robot.
+    pub robot: String,
+    /// Free text.
+    pub note: String,
+    /// How long \[s\]; without it until stopped.
+    pub duration_s: Option<f64>,
+}
+
+/// What is asked for with `stop`.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct StopRequest {
+    /// Why, for the file.
+    pub cause: Option<String>,
+}
+
+/// What is asked for with `mark`.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MarkRequest {
+    /// Text of the marker.
+    pub text: String,
+}
+
+/// What became of a request.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Reply {
+    /// In one word: `begun`, `running`, `stopped`, `idle` or `marked`.
+    pub answer: String,
+    /// The run that it is about.
+    pub run: Option<String>,
+    /// The run that has ended.
+    pub last: Option<LastRun>,
+}
+
+/// Why a request was not granted.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Refusal {
+    /// What is wrong and what to do.
+    pub error: String,
+}
+
+/// One line of the preflight check.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CheckLine {
+    /// What was looked at.
+    pub subject: String,
+    /// What was found.
+    pub finding: String,
+    /// What to do; none if all is well.
+    pub remedy: Option<String>,
+}

@@ -1,0 +1,104 @@
+//! What other threads see of a run and of the bus while they go on, without making them wait.
+
+use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
+
+use shared::recording::schema::{CycleRecord, MAX_ENCODERS};
+use shared::time::MonoNs;
+
+/// What of a run is really on disk.
+#[derive(Debug, Default)]
+pub struct Progress {
+    cycles: AtomicU64,
+    cycles_valid: AtomicU64,
+    cycles_lost: AtomicU64,
+    bytes: AtomicU64,
+    synced_at_ns: AtomicI64,
+}
+
+/// [`Progress`] at one moment.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Synced {
+    /// Cycles on disk.
+    pub cycles: u64,
+    /// Cycles among them in which every encoder is valid.
+    pub cycles_valid: u64,
+    /// Cycles among them that were lost between bus and file.
+    pub cycles_lost: u64,
+    /// Length of the file \[bytes\].
+    pub bytes: u64,
+    /// When it was synchronised.
+    pub at: MonoNs,
+}
+
+impl Progress {
+    /// The recorder has synchronised the file.
+    pub fn set(&self, synced: Synced) {
+        self.cycles_valid.store(synced.cycles_valid, Ordering::Relaxed);
+        self.cycles_lost.store(synced.cycles_lost, Ordering::Relaxed);
+        self.bytes.store(synced.bytes, Ordering::Relaxed);
+        self.synced_at_ns.store(synced.at.0, Ordering::Relaxed);
+        self.cycles.store(synced.cycles, Ordering::Release);
+    }
+
+    /// As of now.
+    pub fn get(&self) -> Synced {
+        Synced {
+            cycles: self.cycles.load(Ordering::Acquire),
+            cycles_valid: self.cycles_valid.load(Ordering::Relaxed),
+            cycles_lost: self.cycles_lost.load(Ordering::Relaxed),
+            bytes: self.bytes.load(Ordering::Relaxed),
+            at: MonoNs(self.synced_at_ns.load(Ordering::Relaxed)),
+        }
+    }
+}
+
+/// The latest sample of each encoder, for people. Each encoder is consistent in itself, not with the others.
+#[derive(Debug, Default)]
+pub struct Live {
+    at_ns: AtomicI64,
+    flags: AtomicU64,
+    encoders: [AtomicU64; MAX_ENCODERS],
+}
+
+/// The latest sample of one encoder.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct LiveEncoder {
+    /// Counter.
+    pub count: u32,
+    /// Status word of its terminal.
+    pub status: u16,
+    /// Fresh and without error.
+    pub valid: bool,
+}
+
+impl Live {
+    /// Wait-free, for the real-time thread.
+    pub fn publish(&self, record: &CycleRecord) {
+        for (place, encoder) in self.encoders.iter().zip(record.encoders()) {
+            let packed = u64::from(encoder.count)
+                | u64::from(encoder.status) << 32
+                | u64::from(u8::from(encoder.valid)) << 48;
+            place.store(packed, Ordering::Relaxed);
+        }
+        self.flags.store(record.flags.into(), Ordering::Relaxed);
+        self.at_ns.store(record.send_time.0, Ordering::Release);
+    }
+
+    /// When the latest cycle was, 0 before the first.
+    pub fn at(&self) -> MonoNs {
+        MonoNs(self.at_ns.load(Ordering::Acquire))
+    }
+
+    /// Reasons of the latest cycle, see `schema::flags`.
+    pub fn flags(&self) -> u32 {
+        self.flags.load(Ordering::Relaxed) as u32
+    }
+
+    /// The encoders, in bus order.
+    pub fn encoders(&self) -> [LiveEncoder; MAX_ENCODERS] {
+        std::array::from_fn(|index| {
+            let packed = self.encoders[index].load(Ordering::Relaxed);
+            LiveEncoder { count: packed as u32, status: (packed >> 32) as u16, valid: packed >> 48 & 1 == 1 }
+        })
+    }
+}

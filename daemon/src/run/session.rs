@@ -1,0 +1,247 @@
+//! A bus in operation, which serves one run after the other without being brought up again.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::mpsc::{Sender, SyncSender, channel, sync_channel};
+use std::thread;
+use std::time::Duration;
+
+use shared::config::{BallBarConfig, DaemonConfig};
+use shared::recording::schema::{DeviceInfo, EncoderInfo, RunMetadata};
+use shared::recording::{ACTIVE_ENDING, RecordingWriter, Recovery, RunFile, recover_file};
+use shared::time::UtcNs;
+
+use super::cycle_thread::{self, Job, Ready};
+use super::disk::DiskFloor;
+use super::progress::{Live, Progress};
+use super::source::Prepared;
+use super::{RunDetails, RunError, Stop};
+use crate::clock::Clock;
+use crate::cycle::RealtimeRequest;
+use crate::recorder::{self, Recorder, RunLink, RunSummary};
+
+/// A bus in operation.
+pub struct Session {
+    jobs: SyncSender<Job>,
+    cycle: thread::JoinHandle<()>,
+    ready: Ready,
+    live: Arc<Live>,
+    clock: Clock,
+    bus: String,
+    period: Duration,
+    encoders: Vec<EncoderInfo>,
+    cycles: Option<u64>,
+    daemon: DaemonConfig,
+    bar: BallBarConfig,
+}
+
+/// A run that is being recorded.
+pub struct ActiveRun {
+    /// Ends it.
+    pub stop: Stop,
+    /// What of it is on disk.
+    pub progress: Arc<Progress>,
+    /// When it began.
+    pub started: UtcNs,
+    marks: Sender<String>,
+    recorder: thread::JoinHandle<Result<RunSummary, RunError>>,
+}
+
+impl Session {
+    /// Brings the bus into operation; returns when it is, or why it is not.
+    pub(super) fn open(
+        prepared: Prepared,
+        daemon: &DaemonConfig,
+        bar: &BallBarConfig,
+    ) -> Result<Self, RunError> {
+        let (clock, encoders) = (prepared.clock.clone(), prepared.encoders.clone());
+        let (bus, period) = (prepared.plan.name.clone(), prepared.plan.cycle_period);
+        let cycles = prepared.cycles;
+        let (ready_tx, ready_rx) = sync_channel(1);
+        let (jobs, jobs_rx) = sync_channel(1);
+        let realtime =
+            RealtimeRequest { core: daemon.realtime.core, fifo_priority: daemon.realtime.fifo_priority };
+        let live = Arc::new(Live::default());
+        let seen = Arc::clone(&live);
+        let cycle =
+            spawn("cycle", move || cycle_thread::run(prepared, realtime, &ready_tx, &jobs_rx, &seen))?;
+        let Ok(ready) = ready_rx.recv() else {
+            join(cycle)?;
+            return Err(RunError::Thread("the cycle ended while the bus came up".into()));
+        };
+        let (daemon, bar) = (daemon.clone(), bar.clone());
+        match ready {
+            Ok(ready) => {
+                Ok(Self { jobs, cycle, ready, live, clock, bus, period, encoders, cycles, daemon, bar })
+            }
+            Err(error) => {
+                join(cycle)?;
+                Err(error)
+            }
+        }
+    }
+
+    /// Begins a run; its file is on disk when this returns. One run at a time: the one before must be joined.
+    pub fn begin(&self, details: &RunDetails, stop: &Stop) -> Result<ActiveRun, RunError> {
+        let floor = DiskFloor::new(&self.daemon.directory, self.daemon.disk_floor_mb);
+        if let Some(problem) = floor.problem() {
+            return Err(RunError::Disk(problem));
+        }
+        let metadata = self.metadata(details);
+        let writer = RecordingWriter::<RunFile>::create(&self.daemon.directory, &metadata)?;
+        let ring_cycles = u128::from(self.daemon.ring_s) * 1_000_000_000 / self.period.as_nanos().max(1);
+        let (sink, ring) = recorder::ring(ring_cycles.max(64) as usize, &self.clock);
+        let (marks, marks_rx) = channel();
+        let progress = Arc::new(Progress::default());
+        let active = self.daemon.directory.join(format!("{}.{ACTIVE_ENDING}", details.name));
+        let link = RunLink {
+            stop: stop.clone(),
+            marks: marks_rx,
+            progress: Arc::clone(&progress),
+            floor,
+            file: active.clone(),
+        };
+        let recorder =
+            Recorder::new(ring, writer, self.clock.clone(), self.daemon.sync_period(), &metadata, link);
+        let cause = stop.clone();
+        let recorder = spawn("recorder", move || {
+            recorder.run(|| cause.cause()).map_err(|source| RunError::Broken { saved: save(&active), source })
+        })?;
+        let job = Job {
+            sink,
+            stop: stop.clone(),
+            cycles: self.cycles_of(details.duration),
+            utc_minus_monotonic_ns: metadata.utc_minus_monotonic_ns,
+        };
+        // If the cycle has died the recorder finds the ring abandoned and finishes an empty file.
+        let _ = self.jobs.send(job);
+        Ok(ActiveRun { stop: stop.clone(), progress, started: metadata.started, marks, recorder })
+    }
+
+    /// The cycle's thread lives.
+    pub fn is_alive(&self) -> bool {
+        !self.cycle.is_finished()
+    }
+
+    /// Devices on the bus.
+    pub fn devices(&self) -> &[DeviceInfo] {
+        &self.ready.devices
+    }
+
+    /// Encoders in bus order.
+    pub fn encoders(&self) -> &[EncoderInfo] {
+        &self.encoders
+    }
+
+    /// The latest sample of each encoder.
+    pub fn live(&self) -> &Arc<Live> {
+        &self.live
+    }
+
+    /// Time between two cycles.
+    pub fn period(&self) -> Duration {
+        self.period
+    }
+
+    /// What the system did not permit the cycle's thread; none if it has all that it asked for.
+    pub fn realtime_problem(&self) -> Option<String> {
+        self.ready.realtime.as_ref().filter(|report| !report.is_complete()).map(ToString::to_string)
+    }
+
+    /// Says in the log what the bus is and how the cycle runs.
+    pub fn log(&self) {
+        let name = |device: &DeviceInfo| format!("{} r{}", device.name, device.revision >> 16);
+        let devices: Vec<_> = self.ready.devices.iter().map(name).collect();
+        tracing::info!(devices = devices.join(", "), "bus in operation");
+        match &self.ready.realtime {
+            Some(report) if report.is_complete() => tracing::info!("cycle runs {report}"),
+            Some(report) => tracing::warn!("cycle runs {report}"),
+            None => {}
+        }
+    }
+
+    /// Ends the cycle.
+    pub fn close(self) -> Result<(), RunError> {
+        drop(self.jobs);
+        join(self.cycle)
+    }
+
+    fn cycles_of(&self, duration: Option<Duration>) -> Option<u64> {
+        let wanted = duration.map(|duration| (duration.as_nanos() / self.period.as_nanos().max(1)) as u64);
+        [wanted, self.cycles].into_iter().flatten().min()
+    }
+
+    fn metadata(&self, details: &RunDetails) -> RunMetadata {
+        // A bus in operation for days outlives the offset of its beginning: each run takes its own.
+        let utc_minus_monotonic_ns = if self.clock.is_real() {
+            self.clock.utc_minus_monotonic_ns()
+        } else {
+            self.ready.utc_minus_monotonic_ns
+        };
+        RunMetadata {
+            name: details.name.clone(),
+            operator: details.operator.clone(),
+            robot: details.robot.clone(),
+            note: details.note.clone(),
+            started: UtcNs(self.clock.now().0 + utc_minus_monotonic_ns),
+            software: concat!("ballbard ", env!("CARGO_PKG_VERSION")).into(),
+            bus: self.bus.clone(),
+            cycle_period_ns: self.period.as_nanos() as u64,
+            distributed_clocks: self.daemon.distributed_clocks,
+            utc_minus_monotonic_ns,
+            encoders: self.encoders.clone(),
+            devices: self.ready.devices.clone(),
+            daemon_config: toml_text(&self.daemon),
+            ball_bar_config: toml_text(&self.bar),
+        }
+    }
+}
+
+impl ActiveRun {
+    /// Puts a marker into the file, with the time of the cycle that is being written.
+    pub fn mark(&self, text: &str) {
+        // A recorder that has ended takes no more marks; its run is over.
+        let _ = self.marks.send(text.to_owned());
+    }
+
+    /// The file is finished, or will never be.
+    pub fn is_finished(&self) -> bool {
+        self.recorder.is_finished()
+    }
+
+    /// Waits for the finished file.
+    pub fn join(self) -> Result<RunSummary, RunError> {
+        drop(self.marks);
+        join(self.recorder)?
+    }
+}
+
+/// A disk that refused: what was synchronised before is made a finished file, if there is room for that.
+fn save(active: &Path) -> String {
+    match recover_file(active) {
+        Ok(Recovery::Recovered { file, content, .. } | Recovery::Renamed { file, content }) => {
+            format!("{} cycles are saved in {}", content.cycles, file.display())
+        }
+        Ok(Recovery::Whole { .. }) => format!("{} is whole", active.display()),
+        Err(error) => format!(
+            "what was written before is in {} and will be recovered at the next start ({error})",
+            active.display()
+        ),
+    }
+}
+
+fn spawn<T: Send + 'static>(
+    name: &str,
+    body: impl FnOnce() -> T + Send + 'static,
+) -> Result<thread::JoinHandle<T>, RunError> {
+    thread::Builder::new().name(name.into()).spawn(body).map_err(|error| RunError::Thread(error.to_string()))
+}
+
+fn join<T>(handle: thread::JoinHandle<T>) -> Result<T, RunError> {
+    let name = handle.thread().name().unwrap_or("a thread").to_owned();
+    handle.join().map_err(|_| RunError::Thread(format!("{name} panicked; its cause is in the log")))
+}
+
+fn toml_text(config: &impl serde::Serialize) -> String {
+    toml::to_string(config).unwrap_or_else(|error| format!("# cannot be shown: {error}"))
+}

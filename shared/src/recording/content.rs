@@ -1,0 +1,120 @@
+//! From MCAP records to what a recording says: metadata, cycles without a hole, events.
+
+use std::collections::{BTreeMap, HashMap};
+
+use mcap::records::{Channel, Metadata, Record, SchemaHeader};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+use super::messages::{self, Topic};
+use super::reader::ReadErrorKind;
+use super::schema::{CycleRecord, Event, RunEnd, RunMetadata};
+
+/// Names of the metadata records at the beginning and the end of a run.
+pub(super) const RUN_METADATA: &str = "ballbard.run";
+pub(super) const END_METADATA: &str = "ballbard.end";
+
+/// Key under which those records hold their content as JSON.
+const CONTENT_KEY: &str = "json";
+/// Key of the CRC-32 of that JSON, in hexadecimal. MCAP protects metadata only by the checksum at the end of
+/// the file, which a run that was cut short does not have.
+const CHECKSUM_KEY: &str = "crc32";
+
+/// A metadata record with `content` and its checksum.
+pub(super) fn metadata_of(name: &str, content: &impl Serialize) -> Result<Metadata, serde_json::Error> {
+    let json = serde_json::to_string(content)?;
+    let checksum = checksum_of(&json);
+    let metadata = BTreeMap::from([(CONTENT_KEY.to_owned(), json), (CHECKSUM_KEY.to_owned(), checksum)]);
+    Ok(Metadata { name: name.to_owned(), metadata })
+}
+
+/// The content of a metadata record, if it is what was written.
+pub(super) fn content_of<T: DeserializeOwned>(
+    name: &'static str,
+    metadata: &Metadata,
+) -> Result<T, ReadErrorKind> {
+    let problem = |problem: String| ReadErrorKind::Metadata { name, problem };
+    let value = |key| metadata.metadata.get(key).ok_or_else(|| problem(format!("no `{key}`")));
+    let json = value(CONTENT_KEY)?;
+    if *value(CHECKSUM_KEY)? != checksum_of(json) {
+        return Err(problem("its checksum differs".into()));
+    }
+    serde_json::from_str(json).map_err(|error| problem(error.to_string()))
+}
+
+fn checksum_of(json: &str) -> String {
+    format!("{:08x}", crc32fast::hash(json.as_bytes()))
+}
+
+/// One thing that a recording says.
+#[derive(Debug)]
+pub(super) enum Item {
+    Run(Box<RunMetadata>),
+    Cycle(CycleRecord),
+    Event(Event),
+    End(RunEnd),
+}
+
+/// Understands the records of one recording, in the order in which they come.
+#[derive(Default)]
+pub(super) struct Decoder {
+    schemas: HashMap<u16, String>,
+    channels: HashMap<u16, &'static Topic>,
+    next_cycle: u64,
+}
+
+impl Decoder {
+    /// What the record says; none where it is not ours or only prepares others.
+    pub fn decode(&mut self, record: Record<'_>) -> Result<Option<Item>, ReadErrorKind> {
+        Ok(match record {
+            Record::Metadata(metadata) if metadata.name == RUN_METADATA => {
+                Some(Item::Run(Box::new(content_of(RUN_METADATA, &metadata)?)))
+            }
+            Record::Metadata(metadata) if metadata.name == END_METADATA => {
+                Some(Item::End(content_of(END_METADATA, &metadata)?))
+            }
+            Record::Schema { header: SchemaHeader { id, name, .. }, .. } => {
+                self.schemas.insert(id, name);
+                None
+            }
+            Record::Channel(channel) => {
+                self.take_channel(&channel);
+                None
+            }
+            Record::Message { header, data } => {
+                self.decode_message(header.channel_id, header.sequence, &data)?
+            }
+            _ => None,
+        })
+    }
+
+    /// Remembers the channels that are ours; others (added by another tool) are passed over.
+    fn take_channel(&mut self, channel: &Channel) {
+        let schema = self.schemas.get(&channel.schema_id);
+        let ours = [&messages::CYCLE, &messages::EVENT].into_iter().find(|topic| {
+            channel.topic == topic.topic && schema.is_some_and(|name| name == topic.schema_name)
+        });
+        if let Some(topic) = ours {
+            self.channels.insert(channel.id, topic);
+        }
+    }
+
+    fn decode_message(
+        &mut self,
+        channel_id: u16,
+        sequence: u32,
+        data: &[u8],
+    ) -> Result<Option<Item>, ReadErrorKind> {
+        let Some(&topic) = self.channels.get(&channel_id) else { return Ok(None) };
+        let error = |source| ReadErrorKind::Message { topic: topic.topic, sequence, source };
+        if topic.topic == messages::EVENT.topic {
+            return Ok(Some(Item::Event(messages::decode_event(data).map_err(error)?)));
+        }
+        let record = messages::decode_cycle(data).map_err(error)?;
+        if record.cycle != self.next_cycle {
+            return Err(ReadErrorKind::Hole { expected: self.next_cycle, found: record.cycle });
+        }
+        self.next_cycle += 1;
+        Ok(Some(Item::Cycle(record)))
+    }
+}

@@ -1,0 +1,94 @@
+//! The MCAP layer: hands out each record of a file, or says where the file stops being whole.
+//!
+//! Chunks are opened here and not by the MCAP library, because it lets a chunk pass whose checksum field is zero,
+//! as it is where a power cut left zeros.
+
+use std::io::Read;
+
+use mcap::McapError;
+use mcap::records::{Record, op};
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+
+use super::reader::ReadErrorKind;
+
+/// Longest record that a recording has: far above a second of 1 kHz cycles, far below memory.
+pub(super) const RECORD_LENGTH_BYTES_MAX: usize = 64 << 20;
+/// Opcode and length before each record.
+const PREFIX_BYTES: usize = 9;
+
+/// What the end of the file must be.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Ending {
+    /// Footer and magic: a finished file.
+    Whole,
+    /// The end of any record.
+    AnyRecord,
+}
+
+/// Hands every record of the file, chunks unpacked, to `sink`.
+pub(super) fn for_each_record<E: From<ReadErrorKind>>(
+    source: impl Read,
+    ending: Ending,
+    sink: &mut dyn FnMut(Record<'_>) -> Result<(), E>,
+) -> Result<(), E> {
+    let reader = LinearReader::new_with_options(
+        options()
+            .with_emit_chunks(true)
+            .with_validate_data_section_crc(true)
+            .with_validate_summary_section_crc(true)
+            .with_check_finishes_after_end_magic(true)
+            .with_skip_end_magic(ending == Ending::AnyRecord),
+    );
+    drive(reader, source, &mut |opcode, data| {
+        if opcode == op::CHUNK { open_chunk(data, sink) } else { sink(parse(opcode, data)?) }
+    })
+}
+
+fn options() -> LinearReaderOptions {
+    LinearReaderOptions::default().with_record_length_limit(RECORD_LENGTH_BYTES_MAX)
+}
+
+/// Checks a chunk as a whole, then hands out its records.
+fn open_chunk<E: From<ReadErrorKind>>(
+    chunk: &[u8],
+    sink: &mut dyn FnMut(Record<'_>) -> Result<(), E>,
+) -> Result<(), E> {
+    if let Record::Chunk { header, .. } = parse(op::CHUNK, chunk)?
+        && header.uncompressed_crc == 0
+    {
+        return Err(ReadErrorKind::NoChecksum.into());
+    }
+    let reader = LinearReader::new_with_options(
+        options().with_skip_start_magic(true).with_skip_end_magic(true).with_prevalidate_chunk_crcs(true),
+    );
+    let mut prefix = [op::CHUNK; PREFIX_BYTES];
+    prefix[1..].copy_from_slice(&(chunk.len() as u64).to_le_bytes());
+    drive(reader, prefix.chain(chunk), &mut |opcode, data| sink(parse(opcode, data)?))
+}
+
+fn parse(opcode: u8, data: &[u8]) -> Result<Record<'_>, ReadErrorKind> {
+    Ok(mcap::parse_record(opcode, data)?)
+}
+
+/// Takes opcode and content of a record.
+type RawSink<'a, E> = dyn FnMut(u8, &[u8]) -> Result<(), E> + 'a;
+
+/// Feeds the reader from `source`.
+fn drive<E: From<ReadErrorKind>>(
+    mut reader: LinearReader,
+    mut source: impl Read,
+    sink: &mut RawSink<'_, E>,
+) -> Result<(), E> {
+    let container = |error: McapError| E::from(ReadErrorKind::from(error));
+    while let Some(event) = reader.next_event() {
+        match event.map_err(container)? {
+            LinearReadEvent::ReadRequest(wanted) => {
+                let buffer = reader.insert(wanted.min(RECORD_LENGTH_BYTES_MAX));
+                let count = source.read(buffer).map_err(ReadErrorKind::from)?;
+                reader.notify_read(count);
+            }
+            LinearReadEvent::Record { data, opcode } => sink(opcode, data)?,
+        }
+    }
+    Ok(())
+}

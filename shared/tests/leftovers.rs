@@ -1,0 +1,147 @@
+//! Files left behind in a directory: found, made whole, labelled; those in use are left alone.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+
+use std::path::{Path, PathBuf};
+
+use shared::recording::{
+    Recording, RecordingWriter, RecoverError, Recovery, RunFile, RunOverview, recover_file, recover_leftovers,
+};
+
+#[path = "support/run.rs"]
+mod support;
+
+use support::{START, cycle, run};
+
+/// A run of 40 cycles in a directory, still being written.
+fn running(directory: &Path, name: &str) -> RecordingWriter<RunFile> {
+    let mut writer = RecordingWriter::create(directory, &run(name)).unwrap();
+    for number in 0..40 {
+        writer.write_cycle(&cycle(number)).unwrap();
+        if number % 20 == 19 {
+            writer.sync().unwrap();
+        }
+    }
+    writer
+}
+
+/// The same, after the process was killed: what it left, without its lock.
+fn left_behind(directory: &Path, name: &str) -> PathBuf {
+    let elsewhere = tempfile::tempdir().unwrap();
+    let writer = running(elsewhere.path(), name);
+    let left = directory.join(format!("{name}.mcap.active"));
+    std::fs::copy(elsewhere.path().join(format!("{name}.mcap.active")), &left).unwrap();
+    drop(writer);
+    left
+}
+
+fn names(directory: &Path) -> Vec<String> {
+    let entries = std::fs::read_dir(directory).unwrap().flatten();
+    let mut names: Vec<_> = entries.map(|entry| entry.file_name().into_string().unwrap()).collect();
+    names.sort();
+    names
+}
+
+#[test]
+fn a_run_left_behind_is_finished_and_labelled() {
+    let directory = tempfile::tempdir().unwrap();
+    left_behind(directory.path(), "crashed");
+    let leftovers = recover_leftovers(directory.path());
+    assert!(matches!(leftovers[..], [ref one] if one.outcome.is_ok()), "{leftovers:?}");
+    assert_eq!(names(directory.path()), ["crashed.mcap"]);
+    let path = directory.path().join("crashed.mcap");
+    let recording = Recording::open(&path).unwrap();
+    assert_eq!(recording.cycles.len(), 40);
+    let last = recording.cycles.last().unwrap().sample_time;
+    assert!(recording.end.recovered && recording.end.ended == last);
+    for part in ["recovered", "40 cycles", &last.to_string()] {
+        assert!(recording.end.cause.contains(part), "{}", recording.end.cause);
+    }
+    let overview = RunOverview::open(&path).unwrap();
+    assert_eq!((overview.run, overview.end), (recording.run, recording.end));
+    assert!(recover_leftovers(directory.path()).is_empty());
+}
+
+#[test]
+fn a_file_that_is_being_written_is_left_alone() {
+    let directory = tempfile::tempdir().unwrap();
+    let writer = running(directory.path(), "alive");
+    assert!(recover_leftovers(directory.path()).is_empty());
+    let active = directory.path().join("alive.mcap.active");
+    assert!(matches!(recover_file(&active), Err(RecoverError::Busy(_))));
+    let path = writer.finish("stopped", START).unwrap();
+    assert_eq!(Recording::open(&path).unwrap().end.cause, "stopped");
+    assert_eq!(names(directory.path()), ["alive.mcap"]);
+}
+
+#[test]
+fn the_original_of_a_torn_file_is_kept() {
+    let directory = tempfile::tempdir().unwrap();
+    let left = left_behind(directory.path(), "torn");
+    let mut bytes = std::fs::read(&left).unwrap();
+    bytes.truncate(bytes.len() - 5);
+    std::fs::write(&left, &bytes).unwrap();
+    let Ok(Recovery::Recovered { torn: Some(torn), content, .. }) = recover_file(&left) else { panic!() };
+    // The last chunk is whole, only an index behind it is cut.
+    assert_eq!((content.cycles, std::fs::read(torn).unwrap()), (40, bytes));
+    assert_eq!(names(directory.path()), ["torn.mcap", "torn.mcap.torn"]);
+}
+
+#[test]
+fn a_damaged_finished_recording_is_replaced_by_what_is_whole_and_kept() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = running(directory.path(), "damaged").finish("stopped", START).unwrap();
+    assert!(matches!(recover_file(&path), Ok(Recovery::Whole { .. })));
+    let mut bytes = std::fs::read(&path).unwrap();
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(&path, &bytes).unwrap();
+    let Ok(Recovery::Recovered { torn: Some(torn), content, .. }) = recover_file(&path) else { panic!() };
+    let recording = Recording::open(&path).unwrap();
+    assert_eq!(recording.cycles.len() as u64, content.cycles);
+    assert!(recording.end.recovered && recording.cycles.len() < 40);
+    assert_eq!(std::fs::read(torn).unwrap(), bytes);
+}
+
+#[test]
+fn a_finished_file_that_only_lacks_its_name_gets_it() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = running(directory.path(), "named").finish("stopped", START).unwrap();
+    std::fs::rename(&path, directory.path().join("named.mcap.active")).unwrap();
+    let leftovers = recover_leftovers(directory.path());
+    assert!(matches!(leftovers[0].outcome, Ok(Recovery::Renamed { .. })), "{leftovers:?}");
+    assert!(!Recording::open(&path).unwrap().end.recovered);
+}
+
+#[test]
+fn a_crash_during_recovery_leaves_nothing_to_choose_between() {
+    let directory = tempfile::tempdir().unwrap();
+    let left = left_behind(directory.path(), "twice");
+    let bytes = std::fs::read(&left).unwrap();
+    recover_file(&left).unwrap();
+    // The original was about to be removed; half of another attempt lies about.
+    std::fs::write(&left, &bytes).unwrap();
+    std::fs::write(directory.path().join("twice.mcap.recovering"), "half").unwrap();
+    assert!(recover_leftovers(directory.path())[0].outcome.is_ok());
+    assert_eq!(Recording::open(&directory.path().join("twice.mcap")).unwrap().cycles.len(), 40);
+    assert!(directory.path().join("twice.mcap.torn").exists() && !left.exists());
+}
+
+#[test]
+fn another_run_of_the_same_name_is_never_replaced() {
+    let directory = tempfile::tempdir().unwrap();
+    let left = left_behind(directory.path(), "taken");
+    std::fs::write(directory.path().join("taken.mcap"), "precious").unwrap();
+    assert!(recover_file(&left).is_err());
+    assert_eq!(std::fs::read(directory.path().join("taken.mcap")).unwrap(), b"precious");
+    assert!(left.exists());
+}
+
+#[test]
+fn what_was_never_a_recording_is_set_aside_once() {
+    let directory = tempfile::tempdir().unwrap();
+    std::fs::write(directory.path().join("empty.mcap.active"), "").unwrap();
+    assert!(recover_leftovers(directory.path())[0].outcome.is_err());
+    assert_eq!(names(directory.path()), ["empty.mcap.torn"]);
+    assert!(recover_leftovers(directory.path()).is_empty());
+    assert!(matches!(recover_file(Path::new("notes.txt")), Err(RecoverError::NotARecording(_))));
+}

@@ -1,0 +1,257 @@
+//! What a crash, a failing disk or a flipped bit leaves of a recording is taken out, or refused; nothing else
+//! comes out, ever.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+
+use std::io::Cursor;
+
+use proptest::prelude::*;
+use shared::recording::schema::{CycleRecord, Event, EventKind, RunMetadata};
+use shared::recording::{Recording, RecordingWriter, SalvageError, WriteError, salvage, verify};
+
+#[path = "support/disk.rs"]
+mod disk;
+#[path = "support/run.rs"]
+mod support;
+
+use disk::DiskFile;
+use support::{START, cycle, run};
+
+/// Cycles between two synchronisations.
+const SYNC_CYCLES: u64 = 4;
+const CYCLES: u64 = 16;
+
+fn small_run() -> RunMetadata {
+    let mut run = run("small");
+    run.encoders.truncate(2);
+    run
+}
+
+fn small_cycle(number: u64) -> CycleRecord {
+    CycleRecord { encoder_count: 2, ..cycle(number) }.only_used()
+}
+
+trait OnlyUsed {
+    fn only_used(self) -> Self;
+}
+
+impl OnlyUsed for CycleRecord {
+    /// What lies behind the used encoders is not in the file.
+    fn only_used(mut self) -> Self {
+        let used = usize::from(self.encoder_count);
+        self.encoders[used..].fill_with(Default::default);
+        self
+    }
+}
+
+fn marker(number: u64) -> Event {
+    Event {
+        time: cycle(number).sample_time,
+        cycle: number,
+        kind: EventKind::Marker,
+        text: format!("m{number}"),
+    }
+}
+
+/// Writes cycles until all are written or the disk refuses.
+fn write_until_refused(disk: DiskFile) -> Result<RecordingWriter<DiskFile>, WriteError> {
+    let mut writer = RecordingWriter::begin(disk, &small_run())?;
+    for number in 0..CYCLES {
+        writer.write_cycle(&small_cycle(number))?;
+        if number % SYNC_CYCLES == SYNC_CYCLES - 1 {
+            writer.write_event(&marker(number))?;
+            writer.sync()?;
+        }
+    }
+    Ok(writer)
+}
+
+/// A run that was never ended: its bytes and the lengths at which it was synchronised.
+fn unfinished() -> (Vec<u8>, Vec<usize>) {
+    let disk = DiskFile::default();
+    let writer = write_until_refused(disk.clone()).unwrap();
+    let (bytes, synced) = (disk.bytes(), disk.0.borrow().synced.clone());
+    drop(writer);
+    (bytes, synced)
+}
+
+fn finished() -> Vec<u8> {
+    let disk = DiskFile::default();
+    write_until_refused(disk.clone()).unwrap().end("stopped", START).unwrap();
+    disk.bytes()
+}
+
+/// Cycles that come out of `bytes`, each of which must be true; none if it is refused.
+fn true_cycles_in(bytes: &[u8]) -> Option<u64> {
+    let (salvaged, recovered) = match salvage(bytes, Cursor::new(Vec::new())) {
+        Ok(whole) => whole,
+        Err(SalvageError::NothingWhole(_)) => return None,
+        Err(other) => panic!("{other}"),
+    };
+    let recovered = recovered.into_inner();
+    verify(&recovered[..], &salvaged).unwrap();
+    let recording = Recording::read(&recovered[..]).unwrap();
+    assert_eq!(recording.run, small_run());
+    let count = recording.cycles.len() as u64;
+    assert_eq!(recording.cycles, (0..count).map(small_cycle).collect::<Vec<_>>());
+    let markers: Vec<_> = (0..CYCLES).filter(|n| n % SYNC_CYCLES == SYNC_CYCLES - 1).map(marker).collect();
+    assert!(markers.starts_with(&recording.events), "{:?}", recording.events);
+    assert_eq!((recording.end.recovered, recording.end.cycles), (true, count));
+    assert!(recording.end.cause.contains("recovered"), "{}", recording.end.cause);
+    Some(count)
+}
+
+fn cycles_synced_within(length: usize, synced: &[usize]) -> Option<u64> {
+    // The first synchronisation is that of the metadata.
+    (synced.iter().filter(|&&at| at <= length).count() as u64).checked_sub(1).map(|n| n * SYNC_CYCLES)
+}
+
+#[test]
+fn every_prefix_gives_all_that_was_synchronised_in_it() {
+    let (bytes, synced) = unfinished();
+    for length in 0..=bytes.len() {
+        let expected = cycles_synced_within(length, &synced);
+        let found = true_cycles_in(&bytes[..length]);
+        assert!(found >= expected, "{length} of {} bytes: {found:?} of {expected:?} cycles", bytes.len());
+    }
+    assert_eq!(true_cycles_in(&bytes), Some(CYCLES));
+}
+
+#[test]
+fn every_single_flipped_bit_costs_cycles_but_falsifies_none() {
+    let (bytes, _) = unfinished();
+    for position in 0..bytes.len() {
+        for bit in 0..8 {
+            let mut damaged = bytes.clone();
+            damaged[position] ^= 1 << bit;
+            let whole = true_cycles_in(&damaged);
+            assert!(whole.is_none_or(|cycles| cycles <= CYCLES), "bit {bit} of byte {position}");
+        }
+    }
+}
+
+#[test]
+fn a_flipped_bit_that_costs_cycles_is_reported() {
+    let (bytes, _) = unfinished();
+    for position in 0..bytes.len() {
+        let mut damaged = bytes.clone();
+        damaged[position] ^= 0x08;
+        if let Ok((salvaged, _)) = salvage(&damaged[..], Cursor::new(Vec::new())) {
+            assert!(salvaged.cycles == CYCLES || salvaged.cut.is_some(), "byte {position}: {salvaged:?}");
+        }
+    }
+}
+
+#[test]
+fn every_prefix_of_a_finished_recording_is_recovered_with_what_is_whole() {
+    let bytes = finished();
+    let counts: Vec<_> = (0..bytes.len()).map(|length| true_cycles_in(&bytes[..length])).collect();
+    assert!(counts.is_sorted());
+    assert_eq!(counts.last(), Some(&Some(CYCLES)));
+}
+
+#[test]
+fn a_tail_of_zeros_as_a_power_cut_leaves_it_costs_only_itself() {
+    let (bytes, synced) = unfinished();
+    for length in (0..bytes.len()).step_by(7) {
+        let mut torn = bytes[..length].to_vec();
+        torn.resize(bytes.len() + 4096, 0);
+        assert!(true_cycles_in(&torn) >= cycles_synced_within(length, &synced), "{length}");
+    }
+}
+
+#[test]
+fn a_disk_that_refuses_at_any_offset_keeps_what_was_synchronised_before() {
+    let (bytes, _) = unfinished();
+    for errno in [nix::libc::ENOSPC, nix::libc::EIO] {
+        for capacity in 0..bytes.len() {
+            let disk = DiskFile::full_at(capacity, errno);
+            let refused = write_until_refused(disk.clone()).map(drop);
+            assert!(refused.is_err(), "{capacity} bytes were enough for {}", bytes.len());
+            let expected = cycles_synced_within(capacity, &disk.0.borrow().synced);
+            assert!(true_cycles_in(&disk.bytes()) >= expected, "{capacity} bytes");
+        }
+    }
+}
+
+#[test]
+fn a_synchronisation_that_fails_is_an_error_and_loses_nothing_before_it() {
+    for syncs in 0..=(CYCLES / SYNC_CYCLES) as usize {
+        let disk = DiskFile::failing_after(syncs, nix::libc::EIO);
+        let result = write_until_refused(disk.clone()).map(drop);
+        assert!(result.is_err(), "{syncs}");
+        let on_disk = disk.0.borrow().synced.last().copied().unwrap_or(0);
+        let kept = true_cycles_in(&disk.bytes()[..on_disk]);
+        assert_eq!(kept, (syncs as u64).checked_sub(1).map(|n| n * SYNC_CYCLES));
+    }
+}
+
+#[test]
+fn recovering_onto_a_full_disk_is_an_error_and_never_a_short_file() {
+    let (bytes, _) = unfinished();
+    let (_, whole) = salvage(&bytes[..], Cursor::new(Vec::new())).unwrap();
+    for capacity in 0..whole.get_ref().len() {
+        let disk = DiskFile::full_at(capacity, nix::libc::ENOSPC);
+        assert!(matches!(salvage(&bytes[..], disk), Err(SalvageError::Write(_))), "{capacity} bytes");
+    }
+}
+
+#[test]
+fn a_run_recovered_again_stays_as_it_is() {
+    let (bytes, synced) = unfinished();
+    let (first, once) = salvage(&bytes[..synced[3]], Cursor::new(Vec::new())).unwrap();
+    let (second, twice) = salvage(&once.get_ref()[..], Cursor::new(Vec::new())).unwrap();
+    assert_eq!((first.cycles, &first.run), (second.cycles, &second.run));
+    let read = |bytes: &Cursor<Vec<u8>>| Recording::read(&bytes.get_ref()[..]).unwrap();
+    assert_eq!(read(&once).cycles, read(&twice).cycles);
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+
+    /// What was not synchronised when the power went is on the disk in parts, in any order, torn or not at all.
+    #[test]
+    fn unsynchronised_writes_in_any_order_never_give_a_wrong_record(
+        last_sync in 0_usize..5,
+        extra_writes in 1_usize..40,
+        fate in prop::collection::vec((any::<bool>(), 0.0_f64..=1.0), 40),
+        stale in any::<u8>(),
+    ) {
+        let (bytes, synced) = unfinished();
+        let keep = synced[last_sync.min(synced.len() - 1)];
+        let mut on_disk = bytes[..keep].to_vec();
+        // Sectors of the rest, each kept, torn, or left as it was before.
+        for (index, sector) in bytes[keep..].chunks(64).take(extra_writes).enumerate() {
+            let (kept, part) = fate[index % fate.len()];
+            let whole = if kept { sector.len() } else { (sector.len() as f64 * part * 0.99) as usize };
+            on_disk.extend_from_slice(&sector[..whole]);
+            on_disk.resize(on_disk.len() + sector.len() - whole, stale);
+        }
+        let expected = cycles_synced_within(keep, &synced);
+        prop_assert!(true_cycles_in(&on_disk) >= expected);
+    }
+
+    /// Bytes that were never a recording, alone and behind the beginning of one.
+    #[test]
+    fn any_bytes_are_refused_or_add_nothing(bytes in prop::collection::vec(any::<u8>(), 0..2000), at in 0_usize..5) {
+        prop_assert_eq!(true_cycles_in(&bytes), None);
+        let (recording, synced) = unfinished();
+        let at = at.min(synced.len() - 1);
+        let tail = [&recording[..synced[at]], &bytes].concat();
+        prop_assert_eq!(true_cycles_in(&tail), Some(at as u64 * SYNC_CYCLES));
+    }
+
+    /// Bytes moved about inside a recording.
+    #[test]
+    fn shuffled_parts_never_give_a_wrong_record(
+        from in any::<prop::sample::Index>(),
+        to in any::<prop::sample::Index>(),
+        length in 1_usize..600,
+    ) {
+        let (bytes, _) = unfinished();
+        let mut shuffled = bytes.clone();
+        let (from, to) = (from.index(bytes.len()), to.index(bytes.len()));
+        let length = length.min(bytes.len() - from.max(to));
+        shuffled.copy_within(from..from + length, to);
+        prop_assert!(true_cycles_in(&shuffled).is_none_or(|cycles| cycles <= CYCLES));
+    }
+}
