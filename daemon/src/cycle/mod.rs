@@ -60,6 +60,8 @@ pub struct Acquisition {
     /// Sampling instant of cycle 0 on the bus' clock, or of its frame on the host's without DC.
     origin_ns: i64,
     next_cycle: u64,
+    /// When the last frame was sent that a reply came to.
+    replied_last: Option<MonoNs>,
     /// Sample time of the cycle before.
     time_last: Option<UtcNs>,
     late_ns_max: i64,
@@ -88,6 +90,7 @@ impl Acquisition {
             events: VecDeque::with_capacity(EVENTS_MAX),
             origin_ns: 0,
             next_cycle: 0,
+            replied_last: None,
             time_last: None,
             late_ns_max: 0,
             clock,
@@ -178,7 +181,7 @@ impl Acquisition {
         }
         let time = self.sample_time(self.next_cycle);
         let mut record = self.sampler.sample(self.next_cycle, time, &exchange);
-        if sampled < self.next_cycle {
+        if sampled < self.next_cycle || !self.follows_a_frame(&exchange) {
             Sampler::invalidate(&mut record, flags::STALE_INPUT);
         }
         if step_ns.is_some() {
@@ -186,6 +189,18 @@ impl Acquisition {
         }
         self.emit(record, sink);
         self.conclude(&record, &exchange, step_ns);
+    }
+
+    /// Without distributed clocks a terminal samples when a frame comes, and the next frame fetches that. Unless the
+    /// frame before was sent when it was due, the sample is not of the time that its record says.
+    fn follows_a_frame(&mut self, exchange: &CyclicExchange) -> bool {
+        let before = self.replied_last;
+        if exchange.reply.is_some() {
+            self.replied_last = Some(exchange.sent);
+        }
+        let due_before = self.frame_deadline(self.next_cycle).plus_ns(-self.period_ns);
+        let off_ns = before.map_or(i64::MAX, |before| before.ns_since(due_before).abs());
+        self.distributed_clocks || off_ns <= self.period_ns / 4
     }
 
     fn tell(&mut self, what: Happening) {

@@ -55,27 +55,37 @@ pub struct EthernetWire {
     name: String,
     socket: OwnedFd,
     clock: Clock,
-    reopened_last: MonoNs,
+    /// Since when the interface has been gone, or the last time that it was looked for.
+    gone_since: Option<MonoNs>,
 }
 
 impl EthernetWire {
     /// Opens an interface by name. Frames then live on real time.
     pub fn open(name: &str) -> Result<Self, OpenError> {
         let socket = open_socket(name)?;
-        Ok(Self { name: name.to_owned(), socket, clock: Clock::Real, reopened_last: Clock::Real.now() })
+        Ok(Self { name: name.to_owned(), socket, clock: Clock::Real, gone_since: None })
     }
 
-    /// After an interface was unplugged and is back under its name, the old socket belongs to nothing. Tried not more
-    /// often than each tenth of a second.
-    fn reopen_later(&mut self) {
+    /// After an interface was unplugged and is back under its name, the old socket belongs to nothing. Looked for not
+    /// more often than each tenth of a second.
+    fn reopen_if_gone(&mut self) {
+        let Some(since) = self.gone_since else { return };
         let now = self.clock.now();
-        if now.ns_since(self.reopened_last) < REOPEN_PERIOD_NS {
+        if now.ns_since(since) < REOPEN_PERIOD_NS {
             return;
         }
-        self.reopened_last = now;
-        if let Ok(socket) = open_socket(&self.name) {
-            self.socket = socket;
+        match open_socket(&self.name) {
+            Ok(socket) => (self.socket, self.gone_since) = (socket, None),
+            Err(_) => self.gone_since = Some(now),
         }
+    }
+
+    /// Full queues and interruptions pass; any other error means that the interface is down or gone.
+    fn note(&mut self, error: Errno) -> io::Error {
+        if !matches!(error, Errno::EAGAIN | Errno::ENOBUFS | Errno::EINTR) {
+            self.gone_since.get_or_insert(self.clock.now());
+        }
+        error.into()
     }
 
     /// Waits until a frame is there; false when time is over first.
@@ -94,25 +104,22 @@ impl EthernetWire {
 
 impl Wire for EthernetWire {
     fn send(&mut self, frame: &[u8]) -> io::Result<()> {
+        self.reopen_if_gone();
         match send(self.socket.as_raw_fd(), frame, MsgFlags::MSG_DONTWAIT) {
             Ok(_) => Ok(()),
-            // Full queues pass; a dead interface does not.
-            Err(error @ (Errno::EAGAIN | Errno::ENOBUFS | Errno::EINTR)) => Err(error.into()),
-            Err(error) => {
-                self.reopen_later();
-                Err(error.into())
-            }
+            Err(error) => Err(self.note(error)),
         }
     }
 
     fn receive(&mut self, buffer: &mut [u8; FRAME_BYTES_MAX], until: MonoNs) -> io::Result<Option<usize>> {
+        self.reopen_if_gone();
         if !self.wait_readable(until)? {
             return Ok(None);
         }
         match recv(self.socket.as_raw_fd(), buffer, MsgFlags::MSG_DONTWAIT) {
             Ok(length) => Ok(Some(length)),
             Err(Errno::EAGAIN | Errno::EINTR) => Ok(None),
-            Err(error) => Err(error.into()),
+            Err(error) => Err(self.note(error)),
         }
     }
 }

@@ -3,8 +3,15 @@
 use std::ffi::OsStr;
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
-pub struct Namespace(String);
+/// One test at a time: each has a bus to keep pace with.
+static TURN: Mutex<()> = Mutex::new(());
+
+pub struct Namespace {
+    name: String,
+    _turn: MutexGuard<'static, ()>,
+}
 
 impl Namespace {
     /// None where the test cannot run: it is skipped then, except in CI, where it fails.
@@ -13,15 +20,17 @@ impl Namespace {
             skip("network namespaces need root and iproute2");
             return None;
         }
-        let namespace = Self(format!("ballbard-{test}-{}", std::process::id()));
-        run(&["netns", "add", &namespace.0]);
+        let turn = TURN.lock().unwrap_or_else(PoisonError::into_inner);
+        let name = format!("ballbard-{test}-{}", std::process::id());
+        let namespace = Self { name, _turn: turn };
+        run(&["netns", "add", &namespace.name]);
         namespace.plug_in();
         Some(namespace)
     }
 
     /// Makes the pair and takes both ends up.
     pub fn plug_in(&self) {
-        run(&["-n", &self.0, "link", "add", "near", "type", "veth", "peer", "name", "far"]);
+        run(&["-n", &self.name, "link", "add", "near", "type", "veth", "peer", "name", "far"]);
         for end in ["near", "far"] {
             self.link(&["set", end, "up"]);
         }
@@ -29,12 +38,12 @@ impl Namespace {
 
     /// `ip link` within the namespace.
     pub fn link(&self, arguments: &[&str]) {
-        run(&[&["-n", &self.0, "link"], arguments].concat());
+        run(&[&["-n", &self.name, "link"], arguments].concat());
     }
 
     pub fn command(&self, program: impl AsRef<OsStr>) -> Command {
         let mut command = Command::new("ip");
-        command.args(["netns", "exec", &self.0]).arg(program).env("RUST_LOG", "warn");
+        command.args(["netns", "exec", &self.name]).arg(program).env("RUST_LOG", "warn");
         command
     }
 
@@ -45,7 +54,7 @@ impl Namespace {
 
 impl Drop for Namespace {
     fn drop(&mut self) {
-        let _ = Command::new("ip").args(["netns", "delete", &self.0]).status();
+        let _ = Command::new("ip").args(["netns", "delete", &self.name]).status();
     }
 }
 

@@ -33,7 +33,8 @@ struct CycleSeen {
     dc_ns: i64,
     sent_ns: i64,
     received_ns: i64,
-    working_counter: u16,
+    /// Negative when no reply came in time.
+    working_counter: i32,
     /// Status word and counter.
     terminals: Vec<(u16, u32)>,
 }
@@ -68,17 +69,17 @@ fn soem_brings_the_segment_into_op_and_reads_the_counters_of_the_motion() {
     assert_eq!(products, [vec![0x044c_2c52], vec![0x139d_3052; 5]].concat());
     assert_eq!((seen.devices[0].name.as_str(), seen.devices[5].name.as_str()), ("EK1100", "EL5021"));
     assert_eq!(seen.expected_working_counter, 15);
-    assert!(seen.cycles.iter().all(|cycle| cycle.working_counter == 15));
+    let whole = seen.cycles.iter().filter(|cycle| cycle.working_counter == 15).count();
+    assert!(whole > 190, "{whole} of 200 cycles with all terminals");
 
     let motion = SmoothMotion::new(5, LINES, SEED);
     let mut compared = 0;
     for pair in seen.cycles.windows(2) {
         let [before, cycle] = pair else { continue };
-        let since_ns = cycle.dc_ns - before.dc_ns;
-        assert!(since_ns > 0, "the bus clock runs");
+        assert!(cycle.dc_ns >= before.dc_ns, "the bus clock runs");
         // Near a SYNC0 it is not known which sample the frame found; a late one was overtaken by others.
         let phase_ns = cycle.dc_ns.rem_euclid(PERIOD_NS);
-        if !(100_000..9_900_000).contains(&phase_ns) {
+        if !(100_000..9_900_000).contains(&phase_ns) || cycle.working_counter != 15 {
             continue;
         }
         let bracket_ns = cycle.received_ns - cycle.sent_ns;
@@ -97,6 +98,9 @@ fn soem_brings_the_segment_into_op_and_reads_the_counters_of_the_motion() {
     }
     println!("SOEM: {} cycles, {compared} compared", seen.cycles.len());
     assert!(compared > 100);
+    let (first, last) = (&seen.cycles[0], &seen.cycles[199]);
+    let (bus_ns, host_ns) = (last.dc_ns - first.dc_ns, last.sent_ns - first.sent_ns);
+    assert!((bus_ns - host_ns).abs() < host_ns / 100, "{bus_ns} ns on the bus, {host_ns} ns on the host");
 }
 
 #[test]
