@@ -4,10 +4,12 @@
 
 mod support;
 
-use identify::cost::{Length, LoopProblem, Residual, Transform};
+use identify::cost::{Length, LoopProblem, Position, PositionAngles, Residual, Transform};
 use identify::kinematics::{Chain, robot_inverse};
 use identify::model::{JointState, Model, Observation, ParameterId, RobotMotion, Role, Selection};
-use identify::solver::{Identifiability, Options, Solution, identifiability, solve};
+use identify::solver::{Identifiability, Options, Solution, identifiability, minimise, solve};
+use rand::rngs::StdRng;
+use rand::{Rng, SeedableRng};
 use support::{Cell, THESIS_ERRORS, spread_poses};
 
 /// The 47 of the thesis: no Hayati, no base rotations, no clocks.
@@ -55,6 +57,28 @@ fn length_identifies_23_of_47_and_sees_nothing_of_the_bar_but_its_length() {
 }
 
 #[test]
+fn position_identifies_31_of_47_and_33_with_the_rotations_of_the_base() {
+    let found = examined(Position, &[]);
+    println!("{found}");
+    assert_eq!((found.names.len(), found.rank), (47, 31));
+    assert!(found.gap().unwrap() > 1e3);
+    let zero = ["ralpha6", "balpha3", "btheta3", "balpha4", "btheta4", "balpha5", "btheta5"];
+    assert_eq!(names(&found, &found.zero_columns), zero);
+    assert_eq!(examined(Position, &["orx", "ory"]).rank, 33);
+}
+
+#[test]
+fn position_angles_identify_38_of_47_and_see_nothing_of_the_third_zero() {
+    let found = examined(PositionAngles, &[]);
+    println!("{found}");
+    assert_eq!((found.names.len(), found.rank), (47, 38));
+    assert!(found.gap().unwrap() > 1e3);
+    assert_eq!(names(&found, &found.zero_columns), ["btheta3"]);
+    let tilted = examined(PositionAngles, &["orx", "ory"]);
+    assert_eq!(tilted.rank, 40);
+}
+
+#[test]
 fn transform_identifies_39_of_47_and_names_who_depends_on_whom() {
     let found = examined(Transform, &[]);
     println!("{found}");
@@ -90,21 +114,27 @@ fn surplus_parameters_are_an_error_with_their_names() {
     assert!(error.contains("rd1|bd1|oz (fix 2)"), "{error}");
 }
 
-#[test]
-fn every_selection_is_identified_by_its_cost() {
+fn selection_is_identified<R: Residual>(residual: R, columns: [usize; 2]) {
     let cell = Cell::irb2400();
     let (observations, joints) = spread_poses(&cell.robot, &cell.bar, 300, 8);
     let mut model = cell.model();
-    for (selection, columns) in [(Selection::Thesis, 38), (Selection::Cell, 40)] {
-        model.select(selection, Transform::sees).unwrap();
-        assert_eq!(model.columns().len(), columns);
-        let problem = LoopProblem::new(&model, &joints, &observations, Transform, 1.0).unwrap();
+    let problem_of = |model: &Model| {
+        let problem = LoopProblem::new(model, &joints, &observations, &residual, 1.0).unwrap();
         identifiability(&problem, &model.start(), &Options::default()).unwrap().require_full().unwrap();
-        model.select(selection, Length::sees).unwrap();
-        assert_eq!(model.columns().len(), 23);
-        let problem = LoopProblem::new(&model, &joints, &observations, Length, 1.0).unwrap();
-        identifiability(&problem, &model.start(), &Options::default()).unwrap().require_full().unwrap();
+    };
+    for (selection, columns) in [Selection::Thesis, Selection::Cell].into_iter().zip(columns) {
+        model.select(selection, R::tells).unwrap();
+        assert_eq!(model.columns().len(), columns, "{} {selection:?}", R::NAME);
+        problem_of(&model);
     }
+}
+
+#[test]
+fn every_selection_is_identified_by_its_cost() {
+    selection_is_identified(Transform, [38, 40]);
+    selection_is_identified(PositionAngles, [37, 39]);
+    selection_is_identified(Position, [31, 33]);
+    selection_is_identified(Length, [23, 23]);
 }
 
 /// True chains: nominal with the thesis' static errors and, if wanted, a tilted base.
@@ -127,7 +157,7 @@ fn distance(model: &Model, truth: &Model, x: &[f64]) -> f64 {
 
 fn recovered<R: Residual>(cell: &Cell, residual: R) -> (f64, Solution) {
     let mut model = cell.model();
-    model.select(Selection::Thesis, R::sees).unwrap();
+    model.select(Selection::Thesis, R::tells).unwrap();
     let (truth, robot, bar) = true_chains(&model, &[]);
     let (observations, joints) = spread_poses(&robot, &bar, 1500, 3);
     let problem = LoopProblem::new(&model, &joints, &observations, residual, 1.0).unwrap();
@@ -138,9 +168,12 @@ fn recovered<R: Residual>(cell: &Cell, residual: R) -> (f64, Solution) {
 #[test]
 fn static_errors_of_the_thesis_are_recovered_from_1500_poses() {
     for (name, cell) in [("IRB 2400", Cell::irb2400()), ("NJ 220", Cell::nj220())] {
-        for (cost, (error, solution)) in
-            [("transform", recovered(&cell, Transform)), ("length", recovered(&cell, Length))]
-        {
+        for (cost, (error, solution)) in [
+            ("transform", recovered(&cell, Transform)),
+            ("position_angles", recovered(&cell, PositionAngles)),
+            ("position", recovered(&cell, Position)),
+            ("length", recovered(&cell, Length)),
+        ] {
             let summary = solution.summary;
             println!(
                 "{name} {cost}: {error:.1e} mm|mrad after {} iterations, {} passes ({}), weakest {:.1e}",
@@ -152,6 +185,39 @@ fn static_errors_of_the_thesis_are_recovered_from_1500_poses() {
             assert!(error < 1e-6, "{name} {cost}: {error:e} mm|mrad");
             assert!(summary.termination.converged() && summary.iterations <= 10);
         }
+    }
+}
+
+/// Of `seeds` starts with every free parameter up to 20 mm|mrad off, how many end at the truth.
+fn recovered_from_afar<R: Residual>(cell: &Cell, residual: R, seeds: u64) -> u64 {
+    let mut model = cell.model();
+    model.select(Selection::Thesis, R::tells).unwrap();
+    let (truth, robot, bar) = true_chains(&model, &[]);
+    let (observations, joints) = spread_poses(&robot, &bar, 300, 3);
+    let problem = LoopProblem::new(&model, &joints, &observations, residual, 1.0).unwrap();
+    let found = |seed: &u64| {
+        let mut random = StdRng::seed_from_u64(*seed);
+        let start: Vec<f64> = model
+            .columns()
+            .map(|p| truth.parameter(p.id).unwrap().value + random.random_range(-0.02..0.02))
+            .collect();
+        let (x, _) = minimise(&problem, &start, &Options::default()).unwrap();
+        distance(&model, &truth, &x) < 1e-4
+    };
+    (0..seeds).filter(found).count() as u64
+}
+
+#[test]
+fn starts_20_mm_and_mrad_away_lead_to_the_truth_with_every_cost() {
+    for cell in [Cell::irb2400(), Cell::nj220()] {
+        let found = [
+            recovered_from_afar(&cell, Transform, 100),
+            recovered_from_afar(&cell, PositionAngles, 100),
+            recovered_from_afar(&cell, Position, 100),
+            recovered_from_afar(&cell, Length, 100),
+        ];
+        println!("of 100: {found:?}");
+        assert_eq!(found, [100; 4]);
     }
 }
 

@@ -3,9 +3,13 @@
 
 mod support;
 
-use identify::cost::{Length, LoopProblem, MeasuredLength, Residual, Transform};
-use identify::kinematics::{Chain, LinkParameter};
-use identify::model::{Axis, Geometry, JointState, Model, Observation, ParameterId, RobotMotion, Role};
+use identify::cost::{
+    Length, LoopProblem, MeasuredLength, Position, PositionAngles, Residual, Transform, fill_in,
+};
+use identify::kinematics::{Chain, DhLink, ImpliedBar, LinkParameter, Pose, Tracer};
+use identify::model::{
+    Axis, BasePlacement, Geometry, JointState, Model, Observation, ParameterId, RobotMotion, Role,
+};
 use identify::solver::stacked;
 use num_dual::{Dual64, DualNum};
 use support::Cell;
@@ -85,10 +89,53 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
         forward(&identity(), &self.robot, &sines(tau))
     }
 
-    fn bar_end(&self, bar_rad: &[f64; 5]) -> Matrix<D> {
+    fn bar_base(&self) -> Matrix<D> {
         let place = shift(self.origin[0], self.origin[1], self.origin[2]);
         let tilted = product(&place, &turn(1, 2, self.tilt[0]));
-        forward(&product(&tilted, &turn(2, 0, self.tilt[1])), &self.bar, &bar_rad.map(D::from))
+        product(&tilted, &turn(2, 0, self.tilt[1]))
+    }
+
+    fn bar_end(&self, bar: &[D; 5]) -> Matrix<D> {
+        forward(&self.bar_base(), &self.bar, bar)
+    }
+}
+
+impl Numbers<Dual64> {
+    fn without_derivative(&self) -> Self {
+        let plain = |x: &Dual64| Dual64::from(x.re);
+        Self {
+            robot: self.robot.iter().map(|link| link.map(|x| plain(&x))).collect(),
+            bar: self.bar.iter().map(|link| link.map(|x| plain(&x))).collect(),
+            origin: self.origin.map(|x| plain(&x)),
+            tilt: self.tilt.map(|x| plain(&x)),
+            clock: self.clock.map(|x| plain(&x)),
+            attachment: self.attachment.map(|x| plain(&x)),
+            anchor: self.anchor.map(|x| plain(&x)),
+            offset: plain(&self.offset),
+        }
+    }
+
+    /// Robot and bar as the library has them.
+    fn chains(&self) -> (Chain, Chain) {
+        let links = |links: &[Link<Dual64>]| {
+            let link = |l: &Link<Dual64>| DhLink {
+                a_m: l[0].re,
+                alpha_rad: l[1].re,
+                d_m: l[2].re,
+                theta_rad: l[3].re,
+                beta_rad: l[4].re,
+            };
+            links.iter().map(link).collect()
+        };
+        let base = BasePlacement {
+            origin_m: self.origin.map(|x| x.re).into(),
+            rx_rad: self.tilt[0].re,
+            ry_rad: self.tilt[1].re,
+        };
+        (
+            Chain { root_from_base: Pose::identity(), links: links(&self.robot) },
+            Chain { root_from_base: base.pose(), links: links(&self.bar) },
+        )
     }
 }
 
@@ -102,8 +149,62 @@ fn independent_length(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
 }
 
 fn independent_transform(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
-    let (r, b) = (n.robot_end(o.t_s), n.bar_end(&o.bar_rad));
+    let (r, b) = (n.robot_end(o.t_s), n.bar_end(&o.bar_rad.map(Dual64::from)));
     (0..4).flat_map(|j| (0..3).map(move |i| r[i][j] - b[i][j])).collect()
+}
+
+fn independent_position(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
+    independent_transform(n, o).split_off(9)
+}
+
+/// Rotation met exactly, and both positions across the rod: five numbers that are zero at the implied joints.
+fn conditions(n: &Numbers<Dual64>, target: &Matrix<Dual64>, bar: &[Dual64; 5]) -> [Dual64; 5] {
+    let end = n.bar_end(bar);
+    let gimbal = forward(&n.bar_base(), &n.bar[..2], &bar[..2]);
+    // Of the turn that is left to do, the antisymmetric part.
+    let turned = |i: usize, j: usize| (0..3).map(|k| target[i][k] * end[j][k]).sum::<Dual64>();
+    let across = |axis: usize| (0..3).map(|i| gimbal[i][axis] * (target[i][3] - end[i][3])).sum::<Dual64>();
+    [
+        turned(2, 1) - turned(1, 2),
+        turned(0, 2) - turned(2, 0),
+        turned(1, 0) - turned(0, 1),
+        across(0),
+        across(1),
+    ]
+}
+
+/// Newton's method on dual numbers: the derivative of the joints comes out with the joints.
+fn independent_implied(n: &Numbers<Dual64>, target: &Matrix<Dual64>, start: [f64; 5]) -> [Dual64; 5] {
+    let mut bar = start.map(Dual64::from);
+    for _ in 0..12 {
+        let at = conditions(n, target, &bar);
+        let by_joint = nalgebra::Matrix5::from_fn(|i, j| {
+            let mut moved = bar.map(|b| Dual64::from(b.re));
+            moved[j].eps = 1.0;
+            let fixed = n.without_derivative();
+            conditions(&fixed, &target.map(|row| row.map(|x| Dual64::from(x.re))), &moved)[i].eps
+        });
+        let inverse = by_joint.try_inverse().unwrap();
+        let step = |part: fn(&Dual64) -> f64| inverse * nalgebra::Vector5::from_fn(|i, _| part(&at[i]));
+        let (re, eps) = (step(|x| x.re), step(|x| x.eps));
+        for (j, b) in bar.iter_mut().enumerate() {
+            *b -= Dual64::new(re[j], eps[j]);
+        }
+    }
+    bar
+}
+
+fn independent_position_angles(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
+    // The library says only which of the solutions is meant.
+    let (robot, bar) = n.chains();
+    let tau = n.clock[0].re + (1.0 + n.clock[1].re) * o.t_s;
+    let target = robot.forward(&sines(tau));
+    let implied = ImpliedBar::new(&bar, &Tracer::new(&bar), &target, &o.bar_rad.map(Some)).unwrap();
+    let near = implied.joints_rad.map(|b| b + 0.01);
+    let implied = independent_implied(n, &n.robot_end(o.t_s), near);
+    let mut residual = independent_position(n, o);
+    residual.extend([3, 4].map(|joint: usize| (implied[joint] - o.bar_rad[joint]).sin()));
+    residual
 }
 
 fn independent_measured_length(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
@@ -117,11 +218,17 @@ fn independent_measured_length(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual
 }
 
 /// Every parameter of the model free, none of them at a value where derivatives vanish by symmetry.
-fn all_free(mut model: Model) -> Model {
+fn all_free(model: Model) -> Model {
+    all_free_but(model, |_| false)
+}
+
+/// The same, where parameters of a kind stay at their nominal value.
+fn all_free_but(mut model: Model, nominal: impl Fn(&str) -> bool) -> Model {
     let ids: Vec<ParameterId> = model.parameters().iter().map(|p| p.id).collect();
     for (i, id) in ids.into_iter().enumerate() {
         let value = model.parameter(id).unwrap().value;
-        model.set_value(id, value + 0.02 * (1.7 * i as f64).sin()).unwrap();
+        let by = if nominal(&id.to_string()) { 0.0 } else { 0.02 * (1.7 * i as f64).sin() };
+        model.set_value(id, value + by).unwrap();
         model.set_role(id, Role::Free).unwrap();
     }
     model
@@ -170,6 +277,42 @@ fn length_and_transform_have_the_derivatives_of_the_closed_chain_for_both_robots
         let model = all_free(cell.model());
         agrees(&model, Length, independent_length);
         agrees(&model, Transform, independent_transform);
+    }
+}
+
+/// Without these the bar's point does not see joints 3 to 5.
+const LEVER_ARMS: [&str; 5] = ["ba3", "ba4", "ba5", "bd4", "bd5"];
+
+#[test]
+fn position_has_the_derivatives_of_the_closed_chain_for_both_robots() {
+    for cell in [Cell::irb2400(), Cell::nj220()] {
+        let model = all_free_but(cell.model(), |name| LEVER_ARMS.contains(&name));
+        agrees(&model, Position, independent_position);
+    }
+}
+
+#[test]
+fn position_angles_have_the_derivatives_of_the_implied_joints_for_both_robots() {
+    for cell in [Cell::irb2400(), Cell::nj220()] {
+        let model = all_free_but(cell.model(), |name| LEVER_ARMS.contains(&name));
+        agrees(&model, PositionAngles, independent_position_angles);
+    }
+}
+
+#[test]
+fn joints_without_encoder_get_the_angles_that_the_robot_implies() {
+    let cell = Cell::irb2400();
+    let (observations, joints) = support::spread_poses(&cell.robot, &cell.bar, 50, 4);
+    let geometry = cell.model().geometry(&[]);
+    let mut four = observations.clone();
+    for observation in &mut four {
+        observation.measured[2] = false;
+        observation.bar_rad[2] = 0.0;
+    }
+    fill_in(&geometry, &joints, &mut four);
+    for (filled, known) in four.iter().zip(&observations) {
+        let apart = filled.bar_rad[2] - known.bar_rad[2];
+        assert!(apart.sin().abs() < 1e-9 && apart.cos() > 0.0, "{apart}");
     }
 }
 

@@ -4,7 +4,7 @@ use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 
 use super::config::{CostName, IdentifyConfig};
-use crate::cost::{CostError, Length, LoopProblem, Residual, Transform};
+use crate::cost::{CostError, Length, LoopProblem, Position, PositionAngles, Residual, Transform, fill_in};
 use crate::kinematics::{BAR_JOINTS, LinkParameter, ball_bar_chain, robot_chain};
 use crate::logs::RobotLog;
 use crate::model::{Axis, Model, ModelError, ParameterId, Role};
@@ -71,14 +71,15 @@ pub fn calibrate(
     bar: &BallBarConfig,
     config: &IdentifyConfig,
 ) -> Result<BallBarCalibration, CalibrateError> {
-    let prepared = prepare(cycles, encoders, log, robot, bar, &config.prepare)?;
+    let mut prepared = prepare(cycles, encoders, log, robot, bar, &config.prepare)?;
     let cost = config.cost.unwrap_or_else(|| CostName::for_encoders(&prepared.measured));
     let mut model = start_model(&prepared, robot, bar)?;
     let solution = match cost {
-        CostName::Transform => solve(&prepared, &mut model, Transform, config)?,
-        CostName::Length => solve(&prepared, &mut model, Length, config)?,
+        CostName::Transform => solve(&mut prepared, &mut model, || Transform, config)?,
+        CostName::PositionAngles => solve(&mut prepared, &mut model, || PositionAngles, config)?,
+        CostName::Position => solve(&mut prepared, &mut model, || Position, config)?,
+        CostName::Length => solve(&mut prepared, &mut model, || Length, config)?,
     };
-    model.adopt(&solution.x);
     Ok(BallBarCalibration { cost, prepared, model, solution })
 }
 
@@ -99,23 +100,40 @@ fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) ->
     Ok(model)
 }
 
+/// Selects, solves, and leaves the model at the solution.
 fn solve<R: Residual>(
-    prepared: &Prepared,
+    prepared: &mut Prepared,
     model: &mut Model,
-    residual: R,
+    residual: impl Fn() -> R,
     config: &IdentifyConfig,
 ) -> Result<Solution, CalibrateError> {
-    model.select(config.selection.into(), R::sees)?;
+    model.select(config.selection.into(), R::tells)?;
     for (names, role) in [(&config.free, Role::Free), (&config.fix, Role::Fixed)] {
         for name in names {
             model.set_role(name.parse()?, role)?;
         }
     }
+    let solution = solve_once(prepared, model, residual())?;
+    if R::ENCODERS.is_empty() || !prepared.measured.contains(&false) {
+        return Ok(solution);
+    }
+    // Angles without encoder were those of the nominal geometry; now they are those of the solution.
+    solve_once(prepared, model, residual())
+}
+
+fn solve_once<R: Residual>(
+    prepared: &mut Prepared,
+    model: &mut Model,
+    residual: R,
+) -> Result<Solution, CalibrateError> {
+    if !R::ENCODERS.is_empty() {
+        fill_in(&model.geometry(&model.start()), &prepared.motion, &mut prepared.observations);
+    }
     let problem = LoopProblem::new(model, &prepared.motion, &prepared.observations, residual, UNWEIGHTED)?;
     let solution = solver::solve(&problem, &model.start(), &Options::default())?.identified()?;
-    if solution.summary.termination.converged() {
-        Ok(solution)
-    } else {
-        Err(CalibrateError::NotConverged { summary: solution.summary })
+    if !solution.summary.termination.converged() {
+        return Err(CalibrateError::NotConverged { summary: solution.summary });
     }
+    model.adopt(&solution.x);
+    Ok(solution)
 }

@@ -3,29 +3,42 @@
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 
+use crate::kinematics::BAR_JOINTS;
 use crate::model::{ParameterId, Selection};
 use crate::prepare::PrepareOptions;
 
 /// Cost functions that need a ball-bar.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
 pub enum CostName {
     /// All entries of robot minus bar (thesis eq. 2.4); five encoders.
     Transform,
+    /// Position and two angles of the cardan (thesis eq. 2.3); encoders 1, 2, 4 and 5.
+    PositionAngles,
+    /// Position (thesis eq. 2.2); encoders 1 and 2.
+    Position,
     /// Distance from the bar's base against its length (thesis eq. 2.1); no encoder.
     Length,
 }
 
 impl CostName {
     /// The best cost that these encoders allow.
-    pub fn for_encoders(measured: &[bool]) -> Self {
-        if measured.iter().all(|&measured| measured) { Self::Transform } else { Self::Length }
+    pub fn for_encoders(measured: &[bool; BAR_JOINTS]) -> Self {
+        match measured {
+            [true, true, true, true, true] => Self::Transform,
+            [true, true, _, true, true] => Self::PositionAngles,
+            [true, true, ..] => Self::Position,
+            _ => Self::Length,
+        }
     }
 
     /// Name in files and reports.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Transform => "transform",
+            Self::PositionAngles => "position_angles",
+            Self::Position => "position",
             Self::Length => "length",
         }
     }

@@ -1,5 +1,7 @@
 //! The bar as a distance: no encoders needed.
 
+use nalgebra::Vector3;
+
 use super::{Movement, Residual, Scene};
 use crate::kinematics::LinkParameter;
 use crate::model::ParameterId;
@@ -16,6 +18,9 @@ fn rod_m(scene: &Scene<'_>) -> f64 {
 }
 
 impl Residual for Length {
+    /// From the bar's base to the robot's end \[m\].
+    type Local = Vector3<f64>;
+
     const NAME: &'static str = "length";
     const ROWS: usize = 1;
     const ENCODERS: &'static [usize] = &[];
@@ -31,13 +36,15 @@ impl Residual for Length {
         }
     }
 
-    fn residual(&self, scene: &Scene<'_>, out: &mut [f64]) {
-        let from_origin = scene.robot.position_m() - scene.geometry.base.origin_m;
+    fn local(&self, scene: &Scene<'_>) -> Option<Vector3<f64>> {
+        Some(scene.robot.position_m() - scene.geometry.base.origin_m)
+    }
+
+    fn residual(&self, scene: &Scene<'_>, from_origin: &Vector3<f64>, out: &mut [f64]) {
         out[0] = from_origin.norm_squared() - rod_m(scene).powi(2);
     }
 
-    fn derivative(&self, scene: &Scene<'_>, id: ParameterId, out: &mut [f64]) {
-        let from_origin = scene.robot.position_m() - scene.geometry.base.origin_m;
+    fn derivative(&self, scene: &Scene<'_>, from_origin: &Vector3<f64>, id: ParameterId, out: &mut [f64]) {
         out[0] = match (id, scene.movement(id)) {
             (_, Movement::Robot(twist)) => 2.0 * from_origin.dot(&twist.linear),
             (ParameterId::Base(axis), _) => -2.0 * from_origin[axis.index()],

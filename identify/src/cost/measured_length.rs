@@ -17,6 +17,9 @@ fn along_wire(scene: &Scene<'_>) -> Vector3<f64> {
 }
 
 impl Residual for MeasuredLength {
+    /// From anchor to attachment \[m\].
+    type Local = Vector3<f64>;
+
     const NAME: &'static str = "measured_length";
     const ROWS: usize = 1;
     const ENCODERS: &'static [usize] = &[];
@@ -26,15 +29,18 @@ impl Residual for MeasuredLength {
         !matches!(id, ParameterId::Bar { .. } | ParameterId::Base(_) | ParameterId::BaseRotation(_))
     }
 
-    fn residual(&self, scene: &Scene<'_>, out: &mut [f64]) {
-        let measured_m = scene.observation.length_m.unwrap_or(f64::NAN);
-        out[0] = along_wire(scene).norm() + scene.geometry.wire.offset_m - measured_m;
+    fn local(&self, scene: &Scene<'_>) -> Option<Vector3<f64>> {
+        Some(along_wire(scene))
     }
 
-    fn derivative(&self, scene: &Scene<'_>, id: ParameterId, out: &mut [f64]) {
-        let wire = along_wire(scene);
+    fn residual(&self, scene: &Scene<'_>, wire: &Vector3<f64>, out: &mut [f64]) {
+        let measured_m = scene.observation.length_m.unwrap_or(f64::NAN);
+        out[0] = wire.norm() + scene.geometry.wire.offset_m - measured_m;
+    }
+
+    fn derivative(&self, scene: &Scene<'_>, wire: &Vector3<f64>, id: ParameterId, out: &mut [f64]) {
         // At length zero it has no direction; there the derivative is taken as zero.
-        let direction = if wire.norm() > 0.0 { wire.normalize() } else { wire };
+        let direction = if wire.norm() > 0.0 { wire.normalize() } else { *wire };
         let attachment = scene.robot.rotation() * scene.geometry.wire.attachment_m;
         out[0] = match (id, scene.movement(id)) {
             (_, Movement::Robot(twist)) => direction.dot(&(twist.linear + twist.angular.cross(&attachment))),

@@ -3,14 +3,20 @@
 //! A cost says what its residual is and how it changes when the robot's end or the bar's end moves by a twist; where
 //! each parameter's twist comes from is said once, in [`Scene`]. A new cost is a new [`Residual`].
 
+mod fill_in;
 mod length;
 mod measured_length;
+mod position;
+mod position_angles;
 mod problem;
 mod scene;
 mod transform;
 
+pub use fill_in::fill_in;
 pub use length::Length;
 pub use measured_length::MeasuredLength;
+pub use position::Position;
+pub use position_angles::PositionAngles;
 pub use problem::{CostError, LoopProblem};
 pub use scene::{Movement, Residual, Scene};
 pub use transform::Transform;

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::{Residual, Scene};
-use crate::kinematics::{Trace, Tracer, Twist};
+use crate::kinematics::{Chain, Trace, Tracer, Twist};
 use crate::model::{Geometry, Model, Observation, ParameterId, RobotMotion};
 use crate::solver::{Block, Prior, Problem};
 
@@ -105,6 +105,7 @@ fn check<R: Residual>(sample: usize, observation: &Observation) -> Result<(), Co
 pub struct LoopPoint {
     geometry: Geometry,
     robot_tracer: Tracer,
+    bar_chain: Chain,
     bar_tracer: Tracer,
     robot: Trace,
     bar: Trace,
@@ -135,9 +136,11 @@ impl<R: Residual, M: RobotMotion> Problem for LoopProblem<'_, R, M> {
 
     fn point(&self, x: &[f64]) -> LoopPoint {
         let geometry = self.model.geometry(x);
+        let bar_chain = geometry.bar();
         LoopPoint {
             robot_tracer: Tracer::new(&geometry.robot),
-            bar_tracer: Tracer::new(&geometry.bar()),
+            bar_tracer: Tracer::new(&bar_chain),
+            bar_chain,
             geometry,
             robot: Trace::default(),
             bar: Trace::default(),
@@ -158,14 +161,17 @@ impl<R: Residual, M: RobotMotion> Problem for LoopProblem<'_, R, M> {
         point.bar_tracer.trace(&observation.bar_rad, &mut point.bar);
         let scene = Scene {
             geometry: &point.geometry,
+            sample,
             observation,
+            bar_chain: (&point.bar_chain, &point.bar_tracer),
             robot: &point.robot,
             bar: &point.bar,
             robot_rate: rate(&point.robot, &state.qd),
         };
-        self.residual.residual(&scene, residual);
+        let Some(local) = self.residual.local(&scene) else { return false };
+        self.residual.residual(&scene, &local, residual);
         for (column, &id) in self.ids.iter().enumerate() {
-            self.residual.derivative(&scene, id, block.column_mut(column));
+            self.residual.derivative(&scene, &local, id, block.column_mut(column));
         }
         if self.whitening != 1.0 {
             residual.iter_mut().for_each(|r| *r *= self.whitening);

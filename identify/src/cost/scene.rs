@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use crate::kinematics::{BAR_JOINTS, Trace, Twist};
+use crate::kinematics::{BAR_JOINTS, Chain, Trace, Tracer, Twist};
 use crate::model::{Axis, Geometry, Observation, ParameterId};
 
 /// What a parameter moves.
@@ -21,8 +21,12 @@ pub enum Movement {
 pub struct Scene<'a> {
     /// Parameters.
     pub geometry: &'a Geometry,
+    /// Number of the sample.
+    pub sample: usize,
     /// What was measured.
     pub observation: &'a Observation,
+    /// The bar on its base, and the same made ready for forward passes.
+    pub bar_chain: (&'a Chain, &'a Tracer),
     /// The robot at this instant.
     pub robot: &'a Trace,
     /// The bar as its encoders claim; without meaning where the cost needs no encoders.
@@ -39,11 +43,9 @@ impl Scene<'_> {
             ParameterId::Robot { link, parameter } => {
                 self.robot.twist(link, parameter).map_or(Movement::None, Movement::Robot)
             }
-            ParameterId::Bar { link, parameter } => {
-                self.bar.twist(link, parameter).map_or(Movement::None, Movement::Bar)
+            ParameterId::Bar { .. } | ParameterId::Base(_) | ParameterId::BaseRotation(_) => {
+                self.bar_twist(self.bar, id).map_or(Movement::None, Movement::Bar)
             }
-            ParameterId::Base(axis) => Movement::Bar(Twist::translation(unit(axis))),
-            ParameterId::BaseRotation(axis) => Movement::Bar(self.base_rotation(axis)),
             ParameterId::ClockShift => Movement::Robot(self.robot_rate),
             ParameterId::ClockSkew => {
                 let t_s = self.observation.t_s;
@@ -56,15 +58,26 @@ impl Scene<'_> {
         }
     }
 
+    /// How the end of the bar moves with a number of its links or of its base, where its joints stand as in `bar`.
+    #[inline]
+    pub fn bar_twist(&self, bar: &Trace, id: ParameterId) -> Option<Twist> {
+        match id {
+            ParameterId::Bar { link, parameter } => bar.twist(link, parameter),
+            ParameterId::Base(axis) => Some(Twist::translation(unit(axis))),
+            ParameterId::BaseRotation(axis) => Some(self.base_rotation(axis, bar.position_m())),
+            _ => None,
+        }
+    }
+
     /// `T(o) Rx(rx) Ry(ry)`: the second axis is carried along by the first.
-    fn base_rotation(&self, axis: Axis) -> Twist {
+    fn base_rotation(&self, axis: Axis, end_m: Vector3<f64>) -> Twist {
         let base = &self.geometry.base;
         let axis = match axis {
             Axis::X => Vector3::x(),
             Axis::Y => Vector3::new(0.0, base.rx_rad.cos(), base.rx_rad.sin()),
             Axis::Z => Vector3::zeros(),
         };
-        Twist::rotation(axis, base.origin_m, self.bar.position_m())
+        Twist::rotation(axis, base.origin_m, end_m)
     }
 }
 
@@ -73,8 +86,15 @@ pub(super) fn unit(axis: Axis) -> Vector3<f64> {
     Vector3::ith(axis.index(), 1.0)
 }
 
+/// The parameter belongs to a draw-wire or telescoping bar, which no cost of the ball-bar sees.
+pub(super) fn of_wire(id: ParameterId) -> bool {
+    matches!(id, ParameterId::Attachment(_) | ParameterId::Anchor(_) | ParameterId::LengthOffset)
+}
+
 /// One cost function: a residual vector per sample and its derivative by each parameter.
 pub trait Residual {
+    /// What a sample computes once for its residual and all derivatives.
+    type Local;
     /// Name in reports and on the command line.
     const NAME: &'static str;
     /// Entries of the residual.
@@ -87,11 +107,50 @@ pub trait Residual {
     /// The parameter changes the residual; others need not be free.
     fn sees(id: ParameterId) -> bool;
 
+    /// Named selections free the parameter with this cost: it sees it and can tell it from the others of the selection.
+    fn tells(id: ParameterId) -> bool {
+        Self::sees(id)
+    }
+
+    /// What this sample computes once; none where the residual has no value here.
+    fn local(&self, scene: &Scene<'_>) -> Option<Self::Local>;
+
     /// The residual, `ROWS` entries.
-    fn residual(&self, scene: &Scene<'_>, out: &mut [f64]);
+    fn residual(&self, scene: &Scene<'_>, local: &Self::Local, out: &mut [f64]);
 
     /// Its derivative by one parameter, `ROWS` entries that come as zeros.
-    fn derivative(&self, scene: &Scene<'_>, id: ParameterId, out: &mut [f64]);
+    fn derivative(&self, scene: &Scene<'_>, local: &Self::Local, id: ParameterId, out: &mut [f64]);
+}
+
+impl<R: Residual> Residual for &R {
+    type Local = R::Local;
+
+    const NAME: &'static str = R::NAME;
+    const ROWS: usize = R::ROWS;
+    const ENCODERS: &'static [usize] = R::ENCODERS;
+    const NEEDS_LENGTH: bool = R::NEEDS_LENGTH;
+
+    fn sees(id: ParameterId) -> bool {
+        R::sees(id)
+    }
+
+    fn tells(id: ParameterId) -> bool {
+        R::tells(id)
+    }
+
+    fn local(&self, scene: &Scene<'_>) -> Option<R::Local> {
+        R::local(self, scene)
+    }
+
+    #[inline]
+    fn residual(&self, scene: &Scene<'_>, local: &R::Local, out: &mut [f64]) {
+        R::residual(self, scene, local, out);
+    }
+
+    #[inline]
+    fn derivative(&self, scene: &Scene<'_>, local: &R::Local, id: ParameterId, out: &mut [f64]) {
+        R::derivative(self, scene, local, id, out);
+    }
 }
 
 /// All five encoders.

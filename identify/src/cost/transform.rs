@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::scene::ALL_ENCODERS;
+use super::scene::{ALL_ENCODERS, of_wire};
 use super::{Movement, Residual, Scene};
 use crate::kinematics::Twist;
 use crate::model::ParameterId;
@@ -28,15 +28,21 @@ fn moved(twist: &Twist, rotation: &Matrix3<f64>, sign: f64, out: &mut [f64]) {
 }
 
 impl Residual for Transform {
+    type Local = ();
+
     const NAME: &'static str = "transform";
     const ROWS: usize = 12;
     const ENCODERS: &'static [usize] = ALL_ENCODERS;
 
     fn sees(id: ParameterId) -> bool {
-        !matches!(id, ParameterId::Attachment(_) | ParameterId::Anchor(_) | ParameterId::LengthOffset)
+        !of_wire(id)
     }
 
-    fn residual(&self, scene: &Scene<'_>, out: &mut [f64]) {
+    fn local(&self, _: &Scene<'_>) -> Option<()> {
+        Some(())
+    }
+
+    fn residual(&self, scene: &Scene<'_>, (): &(), out: &mut [f64]) {
         let rotation = scene.robot.rotation() - scene.bar.rotation();
         let position = scene.robot.position_m() - scene.bar.position_m();
         for (out, entry) in out.iter_mut().zip(rotation.iter().chain(position.iter())) {
@@ -44,7 +50,7 @@ impl Residual for Transform {
         }
     }
 
-    fn derivative(&self, scene: &Scene<'_>, id: ParameterId, out: &mut [f64]) {
+    fn derivative(&self, scene: &Scene<'_>, (): &(), id: ParameterId, out: &mut [f64]) {
         match scene.movement(id) {
             Movement::Robot(twist) => moved(&twist, scene.robot.rotation(), 1.0, out),
             Movement::Bar(twist) => moved(&twist, scene.bar.rotation(), -1.0, out),

@@ -22,7 +22,7 @@ pub enum Selection {
 }
 
 impl Selection {
-    /// The parameters in question, whatever a cost can see.
+    /// The parameters in question, whatever a cost can tell.
     pub fn contains(self, id: ParameterId) -> bool {
         match id {
             // Hayati's rotation is opted into by name, in place of the link's d.
@@ -40,18 +40,18 @@ impl Selection {
 }
 
 impl Model {
-    /// Frees what a selection contains and a cost sees, fixes the rest. `sees` is [`crate::cost::Residual::sees`].
+    /// Frees what a selection contains and a cost tells, fixes the rest. `tells` is [`crate::cost::Residual::tells`].
     ///
     /// # Errors
     /// None in practice: only parameters of the model are touched.
     pub fn select(
         &mut self,
         selection: Selection,
-        sees: impl Fn(ParameterId) -> bool,
+        tells: impl Fn(ParameterId) -> bool,
     ) -> Result<(), ModelError> {
         let ids: Vec<ParameterId> = self.parameters().iter().map(|parameter| parameter.id).collect();
         ids.into_iter().try_for_each(|id| {
-            let free = selection.contains(id) && sees(id);
+            let free = selection.contains(id) && tells(id);
             self.set_role(id, if free { Role::Free } else { Role::Fixed })
         })
     }

@@ -1,0 +1,23 @@
+//! Angles for the bar's joints that have no encoder.
+
+use super::position_angles::measured;
+use crate::kinematics::{BAR_JOINTS, ImpliedBar, Tracer};
+use crate::model::{Geometry, Observation, RobotMotion};
+
+/// Sets the angle of each joint without encoder to the one that the robot's pose implies on this geometry.
+///
+/// Costs for fewer encoders hang on these joints only by lever arms of a fraction of a millimetre, so the geometry need
+/// not be exact: after a solve, filling in once more and solving again takes the rest away. Samples outside the robot's
+/// log stay as they are.
+pub fn fill_in(geometry: &Geometry, motion: &impl RobotMotion, observations: &mut [Observation]) {
+    let bar = geometry.bar();
+    let tracer = Tracer::new(&bar);
+    for observation in observations.iter_mut().filter(|observation| observation.measured.contains(&false)) {
+        let Some(state) = motion.at(geometry.clock.robot_time_s(observation.t_s)) else { continue };
+        let target = geometry.robot.forward(&state.q);
+        let Ok(implied) = ImpliedBar::new(&bar, &tracer, &target, &measured(observation)) else { continue };
+        for joint in (0..BAR_JOINTS).filter(|&joint| !observation.measured[joint]) {
+            observation.bar_rad[joint] = implied.joints_rad[joint];
+        }
+    }
+}

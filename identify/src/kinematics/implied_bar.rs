@@ -1,0 +1,139 @@
+//! The bar's joints that a pose implies, on a bar with whatever errors it has, and how they change.
+//!
+//! A pose has six freedoms, the bar five. Met are the rotation and both positions across the rod; the distance along
+//! the rod is left over. That makes five smooth equations `f(joints, bar, pose) = 0`, exact for every set of parameters,
+//! and the implicit function theorem gives `d joints = -(df/d joints)^-1 df` without symbolic expressions.
+
+use nalgebra::{Matrix5, Vector3, Vector5};
+
+use super::ball_bar_inverse::ball_bar_inverse;
+use super::inverse::pose_error;
+use super::{BAR_JOINTS, Chain, InverseError, LinkParameter, Pose, Trace, Tracer, Twist};
+
+/// The rod lies along z before this link.
+const ROD_LINK: usize = 2;
+/// Below this the next step would be rounding.
+const STEP_RAD_MIN: f64 = 1e-14;
+/// Accepted where rounding keeps the steps from shrinking further.
+const STEP_RAD_SETTLED: f64 = 1e-10;
+const ITERATIONS_MAX: usize = 20;
+/// Between configurations that fit the measured joints equally well the first one is taken, whatever the rounding.
+const TIE: f64 = 1e-6;
+
+/// Joints of the bar at a pose, and their derivatives.
+#[derive(Debug, Clone)]
+pub struct ImpliedBar {
+    /// Joint variables \[rad\], each within half a turn of zero before refinement.
+    pub joints_rad: [f64; BAR_JOINTS],
+    /// The bar at these joints.
+    pub trace: Trace,
+    by_condition: Matrix5<f64>,
+    rod: Rod,
+}
+
+/// Direction of the rod, two directions across it, and how far the pose is beyond the bar's end \[m\].
+#[derive(Debug, Clone, Copy)]
+struct Rod {
+    along: Vector3<f64>,
+    across: [Vector3<f64>; 2],
+    beyond_m: f64,
+}
+
+impl Rod {
+    fn new(trace: &Trace, target: &Pose) -> Self {
+        let along = trace.twist(ROD_LINK, LinkParameter::D).map_or_else(Vector3::z, |twist| twist.linear);
+        let first = along.cross(&Vector3::ith(along.iamin(), 1.0)).normalize();
+        let beyond_m = along.dot(&(target.translation.vector - trace.position_m()));
+        Self { along, across: [first, along.cross(&first)], beyond_m }
+    }
+
+    /// Change of the five conditions when the bar's end moves, and with it, if `turns`, the rod.
+    fn conditions(&self, twist: &Twist, turns: bool) -> Vector5<f64> {
+        let turned = if turns { twist.angular.cross(&self.along) * self.beyond_m } else { Vector3::zeros() };
+        let linear = twist.linear + turned;
+        let w = twist.angular;
+        Vector5::new(w.x, w.y, w.z, self.across[0].dot(&linear), self.across[1].dot(&linear))
+    }
+}
+
+impl ImpliedBar {
+    /// Solves for `target` in the configuration nearest to `near` \[rad\], where each joint is compared that is given.
+    ///
+    /// `tracer` is `chain` made ready.
+    ///
+    /// # Errors
+    /// [`InverseError::NotConverged`] at a singular pose, others where the chain is no ball-bar.
+    pub fn new(
+        chain: &Chain,
+        tracer: &Tracer,
+        target: &Pose,
+        near: &[Option<f64>; BAR_JOINTS],
+    ) -> Result<Self, InverseError> {
+        let mut joints_rad = nearest(chain, target, near)?;
+        let mut trace = Trace::default();
+        let mut step_rad = f64::INFINITY;
+        for _ in 0..ITERATIONS_MAX {
+            tracer.trace(&joints_rad, &mut trace);
+            let rod = Rod::new(&trace, target);
+            let Some(by_condition) = joint_conditions(&trace, &rod).try_inverse() else { break };
+            let error = pose_error(target, trace.end());
+            let linear = Vector3::new(error[0], error[1], error[2]);
+            let angular = Vector3::new(error[3], error[4], error[5]);
+            let step = by_condition * rod.conditions(&Twist { angular, linear }, false);
+            let previous = step_rad;
+            step_rad = step.amax();
+            if step_rad < STEP_RAD_MIN || (step_rad < STEP_RAD_SETTLED && step_rad > 0.1 * previous) {
+                return Ok(Self { joints_rad, trace, by_condition, rod });
+            }
+            if !step_rad.is_finite() {
+                break;
+            }
+            for (joint, step) in joints_rad.iter_mut().zip(step.iter()) {
+                *joint += step;
+            }
+        }
+        Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad })
+    }
+
+    /// Change of the joints when the pose moves.
+    pub fn by_pose(&self, twist: &Twist) -> Vector5<f64> {
+        self.by_condition * self.rod.conditions(twist, false)
+    }
+
+    /// Change of the joints when a number of link `link` moves the bar's end by `twist` at fixed joints; no link stands
+    /// for the base.
+    pub fn by_bar(&self, link: Option<usize>, twist: &Twist) -> Vector5<f64> {
+        -(self.by_condition * self.rod.conditions(twist, turns_rod(link)))
+    }
+}
+
+/// What stands before the rod turns it.
+fn turns_rod(link: Option<usize>) -> bool {
+    link.is_none_or(|link| link < ROD_LINK)
+}
+
+/// How the five conditions change with the joints, one column each.
+fn joint_conditions(trace: &Trace, rod: &Rod) -> Matrix5<f64> {
+    let mut matrix = Matrix5::zeros();
+    for (joint, twist) in trace.joint_twists().enumerate().take(BAR_JOINTS) {
+        matrix.set_column(joint, &rod.conditions(&twist, turns_rod(Some(joint))));
+    }
+    matrix
+}
+
+/// Closed form on the nominal structure, in the configuration nearest to what was measured.
+fn nearest(
+    chain: &Chain,
+    target: &Pose,
+    near: &[Option<f64>; BAR_JOINTS],
+) -> Result<[f64; BAR_JOINTS], InverseError> {
+    let mut best = ([0.0; BAR_JOINTS], f64::INFINITY);
+    for (_, joints) in ball_bar_inverse(chain, target)? {
+        let given = joints.iter().zip(near).filter_map(|(joint, near)| near.map(|near| joint - near));
+        let distance: f64 = given.map(|difference| 1.0 - difference.cos()).sum();
+        if distance < best.1 - TIE {
+            best = (joints, distance);
+        }
+    }
+    Ok(best.0)
+}
