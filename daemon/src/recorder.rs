@@ -127,6 +127,8 @@ impl Recorder {
         run: &RunMetadata,
         link: RunLink,
     ) -> Self {
+        // The rest of the period is for what waits in the ring and for the disk.
+        let sync_period = sync_period * 9 / 10;
         Self {
             source,
             writer,

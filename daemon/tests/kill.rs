@@ -1,11 +1,11 @@
 //! `kill -9` at random instants costs at most one second, and what is left becomes a finished recording.
 //!
-//! 200 kills as a rule; `BALLBARD_KILLS` sets another number. Each process records for up to 4 s at 100 Hz, several at
+//! 200 kills as a rule; `BALLBARD_KILLS` sets another number. Each process records for up to 2.5 s at 100 Hz, several at
 //! once. What the process had produced is known from outside by its clock: a cycle each 10 ms since its first.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use rand::{Rng, SeedableRng};
@@ -13,7 +13,7 @@ use shared::recording::{Recording, Recovery, recover_file};
 use shared::time::{NS_PER_S, UtcNs};
 
 /// Processes that record at the same time.
-const AT_ONCE: usize = 20;
+const AT_ONCE: usize = 16;
 /// A second, the drain period of the ring, and what a busy machine adds to noticing the kill \[ns\].
 const LOST_NS_MAX: i64 = NS_PER_S;
 const SLACK_NS: i64 = 250_000_000;
@@ -26,21 +26,22 @@ fn config() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../config")
 }
 
+fn record(directory: &Path, name: &str) -> Child {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    command.env("RUST_LOG", "off").args(["record", "--name", name, "--config"]).arg(config());
+    command.arg("--out").arg(directory).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
+}
+
 /// Records, is killed after `life` counted from its file's appearance, and tells when that was.
 fn record_and_kill(directory: &Path, name: &str, life: Duration) -> UtcNs {
-    let mut child = Command::new(env!("CARGO_BIN_EXE_ballbard"))
-        .env("RUST_LOG", "off")
-        .args(["record", "--name", name, "--config"])
-        .arg(config())
-        .arg("--out")
-        .arg(directory)
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
+    let mut child = record(directory, name);
     let active = directory.join(format!("{name}.mcap.active"));
     let begun = Instant::now();
     while !active.exists() {
+        // With this many at once on a small machine the bus may not come up in time: then it is tried again.
+        if child.try_wait().unwrap().is_some() {
+            child = record(directory, name);
+        }
         assert!(begun.elapsed() < Duration::from_secs(60), "{name} never began");
         std::thread::sleep(Duration::from_millis(5));
     }
@@ -76,7 +77,7 @@ fn a_kill_at_any_instant_costs_at_most_a_second_and_leaves_a_readable_recording(
     let directory = tempfile::tempdir().unwrap();
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(11);
     let lives: Vec<Duration> =
-        (0..kills()).map(|_| Duration::from_micros(random.random_range(0..4_000_000))).collect();
+        (0..kills()).map(|_| Duration::from_micros(random.random_range(0..2_500_000))).collect();
     let mut lost_ns: Vec<i64> = Vec::new();
     for (batch, lives) in lives.chunks(AT_ONCE).enumerate() {
         let killed: Vec<(String, UtcNs)> = std::thread::scope(|scope| {
