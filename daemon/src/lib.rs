@@ -12,3 +12,4 @@ pub mod devices;
 pub mod recorder;
 pub mod run;
 pub mod segment;
+pub mod tuning;

@@ -161,3 +161,13 @@ fn a_signal_ends_a_run_with_a_finished_file_that_states_it() {
     assert!(recording.end.cause.contains("SIGTERM"), "{}", recording.end.cause);
     assert!(!recording.cycles.is_empty() && !active.exists());
 }
+
+#[test]
+fn tune_says_how_each_setting_stands() {
+    let output = ballbard().args(["tune", "--config"]).arg(config()).output().unwrap();
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    for subject in ["kernel", "isolated core", "priority", "locked memory", "interrupt coalescing"] {
+        assert!(text.contains(subject), "`{subject}` is missing in: {text}");
+    }
+}

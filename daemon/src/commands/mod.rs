@@ -6,6 +6,7 @@ mod record;
 mod recover;
 mod segment;
 mod serve;
+mod tune;
 
 use anyhow::Context;
 use clap::{Parser, Subcommand};
@@ -37,6 +38,8 @@ enum Command {
     Runs(client::RunsArguments),
     /// Record one run and exit.
     Record(record::RecordArguments),
+    /// Say what of this machine's settings makes the cycle late, and what to type.
+    Tune(tune::TuneArguments),
     /// Write a recording as a table.
     Export(export::ExportArguments),
     /// Make a finished recording of one that was cut short or damaged.
@@ -56,6 +59,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
         Command::Check(arguments) => client::check(&arguments),
         Command::Runs(arguments) => client::list(&arguments),
         Command::Record(arguments) => record::run(&arguments),
+        Command::Tune(arguments) => tune::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
         Command::Recover(arguments) => recover::run(&arguments),
         Command::Segment(arguments) => segment::run(&arguments),

@@ -1,0 +1,29 @@
+//! `ballbard tune`: what of this machine's settings makes the cycle late, and what to type.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use shared::config::{self, DaemonConfig};
+
+use crate::tuning::{self, Machine, Verdict};
+
+#[derive(Debug, Args)]
+pub struct TuneArguments {
+    /// Network interface of the bus, such as eth1
+    #[arg(long)]
+    interface: Option<String>,
+    /// Directory with daemon.toml, which says the core
+    #[arg(long, value_name = "DIR", default_value = "config")]
+    config: PathBuf,
+}
+
+pub fn run(arguments: &TuneArguments) -> anyhow::Result<()> {
+    let daemon: DaemonConfig = config::load(&arguments.config.join("daemon.toml"))?;
+    let machine = Machine::read(Path::new("/"), daemon.realtime.core, arguments.interface.as_deref());
+    let findings = tuning::findings(&machine);
+    findings.iter().for_each(|finding| println!("{finding}"));
+    let count = |verdict| findings.iter().filter(|finding| finding.verdict == verdict).count();
+    let (problems, unknown) = (count(Verdict::Problem), count(Verdict::Unknown));
+    println!("{problems} problems, {unknown} unknown of {}", findings.len());
+    Ok(())
+}

@@ -1,0 +1,400 @@
+//! What of a machine's settings stands in the way of a cycle that keeps its time, and what to type.
+//!
+//! [`Machine::read`] collects the text of the files and commands that tell; [`findings`] judges text only.
+
+use std::fmt;
+use std::path::Path;
+use std::process::Command;
+
+/// How one setting stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Verdict {
+    /// As it should be.
+    Fine,
+    /// It makes the cycle late.
+    Problem,
+    /// This machine does not tell.
+    Unknown,
+}
+
+/// One setting.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Finding {
+    /// What was looked at.
+    pub subject: &'static str,
+    /// How it stands.
+    pub verdict: Verdict,
+    /// What was found, and why it matters.
+    pub says: String,
+    /// What to type; empty where nothing is to be done.
+    pub remedy: String,
+}
+
+/// What a machine says of itself: text of files and commands, none where there is no such file.
+#[derive(Debug, Clone, Default)]
+pub struct Machine {
+    /// Core that the cycle's thread is to have.
+    pub core: Option<usize>,
+    /// Network interface of the bus.
+    pub interface: Option<String>,
+    /// `/sys/devices/system/cpu/isolated`
+    pub isolated: Option<String>,
+    /// `/sys/devices/system/cpu/nohz_full`
+    pub nohz_full: Option<String>,
+    /// `/sys/devices/system/cpu/online`
+    pub online: Option<String>,
+    /// `cpufreq/scaling_governor` of the core.
+    pub governor: Option<String>,
+    /// `topology/thread_siblings_list` of the core.
+    pub siblings: Option<String>,
+    /// `/sys/devices/system/cpu/cpuidle/current_driver`
+    pub idle_driver: Option<String>,
+    /// `/sys/kernel/realtime`
+    pub realtime: Option<String>,
+    /// `/proc/sys/kernel/version`, what `uname -v` prints.
+    pub kernel_version: Option<String>,
+    /// `/proc/sys/kernel/sched_rt_runtime_us`
+    pub rt_runtime_us: Option<String>,
+    /// `/proc/self/limits`
+    pub limits: Option<String>,
+    /// `/proc/self/status`
+    pub status: Option<String>,
+    /// `/proc/swaps`
+    pub swaps: Option<String>,
+    /// `/sys/devices/system/clocksource/clocksource0/current_clocksource`
+    pub clock_source: Option<String>,
+    /// What `ethtool -c INTERFACE` prints.
+    pub coalescing: Option<String>,
+}
+
+impl Machine {
+    /// Reads this machine; `root` is `/` outside of tests.
+    pub fn read(root: &Path, core: Option<usize>, interface: Option<&str>) -> Self {
+        let file = |path: &str| std::fs::read_to_string(root.join(path)).ok();
+        let of_core = |path: &str| file(&format!("sys/devices/system/cpu/cpu{}/{path}", core.unwrap_or(0)));
+        Self {
+            core,
+            interface: interface.map(str::to_owned),
+            isolated: file("sys/devices/system/cpu/isolated"),
+            nohz_full: file("sys/devices/system/cpu/nohz_full"),
+            online: file("sys/devices/system/cpu/online"),
+            governor: of_core("cpufreq/scaling_governor"),
+            siblings: of_core("topology/thread_siblings_list"),
+            idle_driver: file("sys/devices/system/cpu/cpuidle/current_driver"),
+            realtime: file("sys/kernel/realtime"),
+            kernel_version: file("proc/sys/kernel/version"),
+            rt_runtime_us: file("proc/sys/kernel/sched_rt_runtime_us"),
+            limits: file("proc/self/limits"),
+            status: file("proc/self/status"),
+            swaps: file("proc/swaps"),
+            clock_source: file("sys/devices/system/clocksource/clocksource0/current_clocksource"),
+            coalescing: interface.and_then(coalescing_of),
+        }
+    }
+
+    /// The core to have, or the last one as a proposal.
+    fn core_or_last(&self) -> usize {
+        let last = || cores(self.online.as_deref().unwrap_or("")).last().copied();
+        self.core.or_else(last).unwrap_or(0)
+    }
+}
+
+fn coalescing_of(interface: &str) -> Option<String> {
+    let output = Command::new("ethtool").args(["-c", interface]).output().ok()?;
+    output.status.success().then(|| String::from_utf8_lossy(&output.stdout).into_owned())
+}
+
+/// Every setting, in the order in which they matter.
+pub fn findings(machine: &Machine) -> Vec<Finding> {
+    vec![
+        kernel(machine),
+        own_core(machine),
+        tickless_core(machine),
+        siblings(machine),
+        governor(machine),
+        idle_states(machine),
+        clock_source(machine),
+        priority(machine),
+        locked_memory(machine),
+        throttling(machine),
+        swap(machine),
+        coalescing(machine),
+    ]
+}
+
+fn fine(subject: &'static str, says: impl Into<String>) -> Finding {
+    Finding { subject, verdict: Verdict::Fine, says: says.into(), remedy: String::new() }
+}
+
+fn problem(subject: &'static str, says: impl Into<String>, remedy: impl Into<String>) -> Finding {
+    Finding { subject, verdict: Verdict::Problem, says: says.into(), remedy: remedy.into() }
+}
+
+fn unknown(subject: &'static str, says: impl Into<String>, remedy: impl Into<String>) -> Finding {
+    Finding { subject, verdict: Verdict::Unknown, says: says.into(), remedy: remedy.into() }
+}
+
+fn kernel(machine: &Machine) -> Finding {
+    let subject = "kernel";
+    let says_realtime = machine.realtime.as_deref().is_some_and(|text| text.trim() == "1");
+    let version = machine.kernel_version.as_deref().unwrap_or("").trim();
+    if says_realtime || version.contains("PREEMPT_RT") || version.contains("PREEMPT RT") {
+        return fine(subject, "PREEMPT_RT");
+    }
+    let remedy = "sudo apt-get install linux-image-rt-amd64 && sudo reboot";
+    if version.is_empty() {
+        return unknown(subject, "cannot be read; a PREEMPT_RT kernel bounds every delay", remedy);
+    }
+    problem(
+        subject,
+        format!("{version}: not PREEMPT_RT, so drivers may delay the cycle by milliseconds"),
+        remedy,
+    )
+}
+
+/// Options belong to the kernel's command line; Debian and Ubuntu keep it there.
+fn boot_option(options: &str) -> String {
+    format!(
+        "add `{options}` to GRUB_CMDLINE_LINUX in /etc/default/grub, then: sudo update-grub && sudo reboot"
+    )
+}
+
+fn own_core(machine: &Machine) -> Finding {
+    let subject = "isolated core";
+    let core = machine.core_or_last();
+    let options = format!("isolcpus={core} nohz_full={core} rcu_nocbs={core} irqaffinity=0");
+    let Some(isolated) = machine.isolated.as_deref() else {
+        return unknown(subject, "cannot be read", boot_option(&options));
+    };
+    match (machine.core, cores(isolated)) {
+        (Some(core), isolated) if isolated.contains(&core) => {
+            fine(subject, format!("core {core} is isolated"))
+        }
+        (Some(core), _) => problem(
+            subject,
+            format!("core {core} of daemon.toml is not isolated: other programs run on it"),
+            boot_option(&options),
+        ),
+        (None, isolated) => match isolated.first() {
+            Some(free) => problem(
+                subject,
+                format!("core {free} is isolated, but daemon.toml gives the cycle none"),
+                format!("write `core = {free}` under [realtime] in daemon.toml"),
+            ),
+            None => problem(
+                subject,
+                "none: the cycle shares its core with every other program",
+                format!("{}; write `core = {core}` under [realtime] in daemon.toml", boot_option(&options)),
+            ),
+        },
+    }
+}
+
+fn tickless_core(machine: &Machine) -> Finding {
+    let subject = "timer tick";
+    let core = machine.core_or_last();
+    match machine.nohz_full.as_deref() {
+        Some(list) if cores(list).contains(&core) => fine(subject, format!("core {core} has none")),
+        Some(_) => problem(
+            subject,
+            format!("core {core} has a periodic tick, which costs some microseconds"),
+            boot_option(&format!("nohz_full={core}")),
+        ),
+        None => unknown(subject, "this kernel knows no nohz_full", ""),
+    }
+}
+
+fn siblings(machine: &Machine) -> Finding {
+    let subject = "hyper-threading";
+    let core = machine.core_or_last();
+    let Some(text) = machine.siblings.as_deref() else { return unknown(subject, "cannot be read", "") };
+    match cores(text).into_iter().find(|sibling| *sibling != core && machine.core.is_some()) {
+        None if machine.core.is_none() && cores(text).len() > 1 => problem(
+            subject,
+            "cores come in pairs that slow each other down",
+            "echo off | sudo tee /sys/devices/system/cpu/smt/control",
+        ),
+        None => fine(subject, "no sibling shares the core"),
+        Some(sibling) => problem(
+            subject,
+            format!("core {sibling} shares its execution units with core {core}"),
+            format!("echo 0 | sudo tee /sys/devices/system/cpu/cpu{sibling}/online"),
+        ),
+    }
+}
+
+fn governor(machine: &Machine) -> Finding {
+    let subject = "frequency";
+    match machine.governor.as_deref().map(str::trim) {
+        Some("performance") => fine(subject, "governor performance"),
+        Some(other) => problem(
+            subject,
+            format!("governor {other}: a core that was slowed down wakes up slowly"),
+            "echo performance | sudo tee /sys/devices/system/cpu/cpu*/cpufreq/scaling_governor",
+        ),
+        None => unknown(subject, "not under this kernel's control (virtual machine or firmware)", ""),
+    }
+}
+
+fn idle_states(machine: &Machine) -> Finding {
+    let subject = "idle states";
+    match machine.idle_driver.as_deref().map(str::trim) {
+        Some("none") => fine(subject, "no idle driver: none is deep"),
+        Some(driver) => fine(
+            subject,
+            format!("{driver}; ballbard holds /dev/cpu_dma_latency at 0, which keeps out of deep ones"),
+        ),
+        None => unknown(subject, "not under this kernel's control (virtual machine or firmware)", ""),
+    }
+}
+
+fn clock_source(machine: &Machine) -> Finding {
+    let subject = "clock source";
+    match machine.clock_source.as_deref().map(str::trim) {
+        Some(source @ ("tsc" | "kvm-clock" | "arch_sys_counter")) => fine(subject, source),
+        Some(source) => problem(
+            subject,
+            format!("{source}: reading the time takes microseconds"),
+            "echo tsc | sudo tee /sys/devices/system/clocksource/clocksource0/current_clocksource",
+        ),
+        None => unknown(subject, "cannot be read", ""),
+    }
+}
+
+/// Bits of the effective capabilities (linux/capability.h).
+const CAP_IPC_LOCK: u32 = 14;
+const CAP_SYS_NICE: u32 = 23;
+
+fn has_capability(machine: &Machine, bit: u32) -> bool {
+    let effective = machine.status.as_deref().and_then(|text| {
+        let line = text.lines().find_map(|line| line.strip_prefix("CapEff:"))?;
+        u64::from_str_radix(line.trim(), 16).ok()
+    });
+    effective.is_some_and(|effective| effective >> bit & 1 == 1)
+}
+
+/// The soft limit of a line of `/proc/self/limits`.
+fn limit<'a>(machine: &'a Machine, name: &str) -> Option<&'a str> {
+    let line = machine.limits.as_deref()?.lines().find_map(|line| line.strip_prefix(name))?;
+    line.split_whitespace().next()
+}
+
+const GRANT: &str = "sudo setcap cap_net_raw,cap_sys_nice,cap_ipc_lock+ep \"$(command -v ballbard)\"";
+
+fn priority(machine: &Machine) -> Finding {
+    let subject = "priority";
+    if has_capability(machine, CAP_SYS_NICE) {
+        return fine(subject, "SCHED_FIFO is permitted (CAP_SYS_NICE)");
+    }
+    match limit(machine, "Max realtime priority").map(str::parse::<u32>) {
+        Some(Ok(0)) => {
+            problem(subject, "SCHED_FIFO is not permitted: any program may delay the cycle", GRANT)
+        }
+        Some(Ok(highest)) => fine(subject, format!("SCHED_FIFO is permitted up to {highest}")),
+        Some(Err(_)) => fine(subject, "SCHED_FIFO is permitted without limit"),
+        None => unknown(subject, "limits cannot be read", GRANT),
+    }
+}
+
+fn locked_memory(machine: &Machine) -> Finding {
+    /// Program, ring and stacks.
+    const NEEDED_BYTES: u64 = 64 << 20;
+    let subject = "locked memory";
+    if has_capability(machine, CAP_IPC_LOCK) {
+        return fine(subject, "permitted (CAP_IPC_LOCK)");
+    }
+    match limit(machine, "Max locked memory").map(str::parse::<u64>) {
+        Some(Ok(bytes)) if bytes < NEEDED_BYTES => problem(
+            subject,
+            format!("only {} MiB may be locked: a page fault would stop the cycle", bytes >> 20),
+            GRANT,
+        ),
+        Some(_) => fine(subject, "permitted"),
+        None => unknown(subject, "limits cannot be read", GRANT),
+    }
+}
+
+fn throttling(machine: &Machine) -> Finding {
+    let subject = "throttling";
+    match machine.rt_runtime_us.as_deref().map(|text| text.trim().parse::<i64>()) {
+        Some(Ok(-1)) => fine(subject, "real-time threads are never throttled"),
+        // The cycle sleeps most of the time: what is left to others by default does not touch it.
+        Some(Ok(runtime_us)) if runtime_us >= 900_000 => {
+            fine(subject, format!("real-time threads may take {} % of a core", runtime_us / 10_000))
+        }
+        Some(Ok(runtime_us)) => problem(
+            subject,
+            format!("real-time threads are stopped after {runtime_us} us of each second"),
+            "sudo sysctl kernel.sched_rt_runtime_us=950000",
+        ),
+        _ => unknown(subject, "cannot be read", ""),
+    }
+}
+
+fn swap(machine: &Machine) -> Finding {
+    let subject = "swap";
+    match machine.swaps.as_deref().map(|text| text.lines().skip(1).count()) {
+        Some(0) => fine(subject, "none"),
+        Some(areas) => {
+            problem(subject, format!("{areas} in use: other programs stall the disk"), "sudo swapoff -a")
+        }
+        None => unknown(subject, "cannot be read", ""),
+    }
+}
+
+fn coalescing(machine: &Machine) -> Finding {
+    let subject = "interrupt coalescing";
+    let Some(interface) = machine.interface.as_deref() else {
+        return unknown(subject, "no interface given", "ballbard tune --interface eth1");
+    };
+    let Some(text) = machine.coalescing.as_deref() else {
+        return unknown(
+            subject,
+            format!("ethtool tells nothing of {interface}: not installed, or a virtual interface"),
+            format!("sudo apt-get install ethtool && ethtool -c {interface}"),
+        );
+    };
+    let delays = ["rx-usecs", "tx-usecs"].map(|name| (name, setting(text, name)));
+    let late: Vec<String> = delays
+        .iter()
+        .filter_map(|(name, us)| us.filter(|us| *us > 0).map(|us| format!("{name} {us}")))
+        .collect();
+    let adaptive = text.lines().any(|line| line.starts_with("Adaptive") && line.contains(" on"));
+    if late.is_empty() && !adaptive {
+        return fine(subject, format!("{interface} interrupts at once"));
+    }
+    let found = if adaptive { "adaptive".to_owned() } else { late.join(", ") };
+    problem(
+        subject,
+        format!("{interface} holds replies back ({found})"),
+        format!("sudo ethtool -C {interface} adaptive-rx off adaptive-tx off rx-usecs 0 tx-usecs 0"),
+    )
+}
+
+/// `name: value` of ethtool's listing; none for `n/a`.
+fn setting(text: &str, name: &str) -> Option<u32> {
+    let line = text.lines().find_map(|line| line.trim().strip_prefix(name)?.strip_prefix(':'))?;
+    line.trim().parse().ok()
+}
+
+/// `0-2,5` to 0, 1, 2, 5; what is no list of cores gives none.
+fn cores(list: &str) -> Vec<usize> {
+    const CORES_MAX: usize = 4096;
+    let range = |part: &str| {
+        let (first, last) = part.split_once('-').unwrap_or((part, part));
+        Some(first.trim().parse::<usize>().ok()?..=last.trim().parse::<usize>().ok()?.min(CORES_MAX))
+    };
+    list.trim().split(',').filter_map(range).flatten().collect()
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let verdict = match self.verdict {
+            Verdict::Fine => "ok",
+            Verdict::Problem => "PROBLEM",
+            Verdict::Unknown => "unknown",
+        };
+        write!(f, "{verdict:8} {:21} {}", self.subject, self.says)?;
+        if self.remedy.is_empty() { Ok(()) } else { write!(f, "\n{:31}type: {}", "", self.remedy) }
+    }
+}

@@ -1,0 +1,106 @@
+//! The cycle allocates nothing and never waits for anybody but its deadline and its reply.
+#![allow(unsafe_code, clippy::unwrap_used, reason = "tests; an allocator that counts")]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+use std::time::Duration;
+
+use ballbard::bus::{Bus, BusPlan};
+use ballbard::clock::Clock;
+use ballbard::cycle::Acquisition;
+use ballbard::recorder;
+use ballbard::segment::InProcessWire;
+use ballbard::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
+use shared::config::EncoderConfig;
+use shared::encoder::Direction;
+use shared::time::UtcNs;
+
+/// Counts the calling thread's allocations; other threads of the test runner do not disturb.
+struct Counting;
+
+thread_local! {
+    static CALLS: Cell<u64> = const { Cell::new(0) };
+}
+
+// SAFETY: everything is handed to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        CALLS.set(CALLS.get() + 1);
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        CALLS.set(CALLS.get() + 1);
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        CALLS.set(CALLS.get() + 1);
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// How often the calling thread gave the processor away to wait for something.
+fn voluntary_switches() -> u64 {
+    let status = std::fs::read_to_string("/proc/thread-self/status").unwrap();
+    let line = status.lines().find_map(|line| line.strip_prefix("voluntary_ctxt_switches:"));
+    line.unwrap().trim().parse().unwrap()
+}
+
+/// Five terminals on distributed clocks, the frame half a period after the sample.
+fn plan(rate_hz: u64) -> BusPlan {
+    let encoder =
+        |joint| EncoderConfig { joint, lines: 3600, interpolation_bits: 12, direction: Direction::Positive };
+    let period = Duration::from_nanos(1_000_000_000 / rate_hz);
+    BusPlan {
+        name: "simulated".into(),
+        encoders: (1..=5).map(encoder).collect(),
+        cycle_period: period,
+        distributed_clocks: true,
+        sync0_shift: period / 2,
+        reply_timeout: (period * 4 / 10).min(Duration::from_millis(4)),
+    }
+}
+
+fn acquisition(clock: &Clock, rate_hz: u64) -> Acquisition {
+    let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(SmoothMotion::new(5, 3600, 1)));
+    let plan = plan(rate_hz);
+    let bus =
+        Bus::new(Box::new(InProcessWire::new(segment, clock.clone())), clock.clone(), plan.reply_timeout);
+    let mut acquisition = Acquisition::start(bus, &plan, clock.clone()).unwrap();
+    acquisition.begin_run(|_| ());
+    acquisition
+}
+
+/// Cycles and records on their way to the recorder: allocations and waits of `cycles` of them.
+fn cost(clock: &Clock, rate_hz: u64, cycles: u64) -> (u64, u64) {
+    let mut acquisition = acquisition(clock, rate_hz);
+    // Rings as of real time, large enough for all: nobody empties them here.
+    let (mut sink, _source) = recorder::ring(cycles as usize + 1000, &Clock::Real);
+    acquisition.next_cycle(&mut |record| sink.push(record));
+    let waits_before = voluntary_switches();
+    let calls_before = CALLS.get();
+    for _ in 0..cycles {
+        acquisition.next_cycle(&mut |record| sink.push(record));
+    }
+    let calls = CALLS.get() - calls_before;
+    (calls, voluntary_switches() - waits_before)
+}
+
+#[test]
+fn on_virtual_time_a_cycle_allocates_nothing_and_waits_for_nothing() {
+    // Virtual time does not sleep: whatever gives the processor away is a lock or a file.
+    let (calls, waits) = cost(&Clock::virtual_from(UtcNs(0)), 100, 20_000);
+    assert_eq!((calls, waits), (0, 0));
+}
+
+#[test]
+fn on_real_time_a_cycle_allocates_nothing_and_waits_for_its_deadline_only() {
+    let cycles = 500;
+    let (calls, waits) = cost(&Clock::Real, 500, cycles);
+    assert_eq!(calls, 0);
+    assert!(waits <= cycles, "{waits} waits in {cycles} cycles");
+}

@@ -1,0 +1,142 @@
+//! `ballbard tune` on the texts of machines as they are found.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::fs;
+
+use ballbard::tuning::{Finding, Machine, Verdict, findings};
+
+const LIMITS: &str = "Limit                     Soft Limit           Hard Limit           Units     \n\
+    Max locked memory         8388608              8388608              bytes     \n\
+    Max realtime priority     0                    0                              \n";
+const COALESCING: &str = "Coalesce parameters for eth1:\nAdaptive RX: off  TX: off\nstats-block-usecs: n/a\n\
+    rx-usecs: 3\nrx-frames: n/a\n\ntx-usecs: 0\n";
+
+/// A machine as it comes from the shop.
+fn untuned() -> Machine {
+    Machine {
+        core: None,
+        interface: Some("eth1".into()),
+        isolated: Some("\n".into()),
+        nohz_full: Some("(null)\n".into()),
+        online: Some("0-3\n".into()),
+        governor: Some("powersave\n".into()),
+        siblings: Some("0,2\n".into()),
+        idle_driver: Some("intel_idle\n".into()),
+        realtime: None,
+        kernel_version: Some("#1 SMP PREEMPT_DYNAMIC Debian 6.1.0\n".into()),
+        rt_runtime_us: Some("950000\n".into()),
+        limits: Some(LIMITS.into()),
+        status: Some("Name:\tballbard\nCapEff:\t0000000000000000\n".into()),
+        swaps: Some("Filename\tType\tSize\tUsed\tPriority\n/dev/sda2 partition 1 0 -2\n".into()),
+        clock_source: Some("hpet\n".into()),
+        coalescing: Some(COALESCING.into()),
+    }
+}
+
+/// The same after somebody typed all of it.
+fn tuned() -> Machine {
+    Machine {
+        core: Some(3),
+        interface: Some("eth1".into()),
+        isolated: Some("2-3\n".into()),
+        nohz_full: Some("3\n".into()),
+        online: Some("0-3\n".into()),
+        governor: Some("performance\n".into()),
+        siblings: Some("3\n".into()),
+        idle_driver: Some("intel_idle\n".into()),
+        realtime: Some("1\n".into()),
+        kernel_version: Some("#1 SMP PREEMPT_RT Debian 6.1.0\n".into()),
+        rt_runtime_us: Some("-1\n".into()),
+        limits: Some(LIMITS.into()),
+        status: Some("CapEff:\t0000000000806000\n".into()),
+        swaps: Some("Filename\tType\tSize\tUsed\tPriority\n".into()),
+        clock_source: Some("tsc\n".into()),
+        coalescing: Some(COALESCING.replace("rx-usecs: 3", "rx-usecs: 0")),
+    }
+}
+
+fn find(machine: &Machine, subject: &str) -> Finding {
+    findings(machine).into_iter().find(|finding| finding.subject == subject).unwrap()
+}
+
+#[test]
+fn a_tuned_machine_has_nothing_to_type() {
+    for finding in findings(&tuned()) {
+        assert_eq!((finding.verdict, finding.remedy.as_str()), (Verdict::Fine, ""), "{finding}");
+    }
+}
+
+#[test]
+fn every_problem_of_an_untuned_machine_says_what_to_type() {
+    for (subject, types) in [
+        ("kernel", "linux-image-rt"),
+        ("isolated core", "isolcpus=3"),
+        ("timer tick", "nohz_full=3"),
+        ("hyper-threading", "smt/control"),
+        ("frequency", "scaling_governor"),
+        ("clock source", "echo tsc"),
+        ("priority", "cap_sys_nice"),
+        ("locked memory", "cap_ipc_lock"),
+        ("swap", "swapoff -a"),
+        ("interrupt coalescing", "ethtool -C eth1"),
+    ] {
+        let finding = find(&untuned(), subject);
+        assert_eq!(finding.verdict, Verdict::Problem, "{finding}");
+        assert!(finding.remedy.contains(types), "{finding}");
+    }
+}
+
+#[test]
+fn a_machine_that_says_nothing_is_unknown_not_fine() {
+    for finding in findings(&Machine::default()) {
+        assert_eq!(finding.verdict, Verdict::Unknown, "{finding}");
+    }
+}
+
+#[test]
+fn a_core_of_the_configuration_is_checked_against_the_kernel() {
+    let elsewhere = Machine { core: Some(1), ..tuned() };
+    let finding = find(&elsewhere, "isolated core");
+    assert!(finding.verdict == Verdict::Problem && finding.remedy.contains("isolcpus=1"), "{finding}");
+    let unused = Machine { core: None, ..tuned() };
+    assert!(find(&unused, "isolated core").remedy.contains("core = 2"));
+    let paired = Machine { siblings: Some("1,3\n".into()), ..tuned() };
+    assert!(find(&paired, "hyper-threading").remedy.contains("cpu1/online"));
+}
+
+#[test]
+fn limits_without_capabilities_count() {
+    let limits = LIMITS.replace("priority     0 ", "priority     95").replace("8388608  ", "unlimited");
+    let machine = Machine { limits: Some(limits), ..untuned() };
+    assert_eq!(find(&machine, "priority").verdict, Verdict::Fine);
+    assert_eq!(find(&machine, "locked memory").verdict, Verdict::Fine);
+}
+
+#[test]
+fn adaptive_coalescing_and_throttling_are_problems() {
+    let adaptive = COALESCING.replace("RX: off", "RX: on").replace("rx-usecs: 3", "rx-usecs: 0");
+    let machine = Machine { coalescing: Some(adaptive), rt_runtime_us: Some("500000".into()), ..tuned() };
+    assert_eq!(find(&machine, "interrupt coalescing").verdict, Verdict::Problem);
+    assert_eq!(find(&machine, "throttling").verdict, Verdict::Problem);
+}
+
+#[test]
+fn the_files_of_a_machine_are_read_where_the_kernel_has_them() {
+    let root = tempfile::tempdir().unwrap();
+    for (file, text) in [
+        ("sys/devices/system/cpu/isolated", "3\n"),
+        ("sys/devices/system/cpu/cpu3/cpufreq/scaling_governor", "performance\n"),
+        ("sys/devices/system/cpu/cpu3/topology/thread_siblings_list", "3\n"),
+        ("proc/sys/kernel/version", "#1 SMP PREEMPT_RT\n"),
+        ("proc/swaps", "Filename\n"),
+    ] {
+        let path = root.path().join(file);
+        fs::create_dir_all(path.parent().unwrap()).unwrap();
+        fs::write(path, text).unwrap();
+    }
+    let machine = Machine::read(root.path(), Some(3), None);
+    for subject in ["kernel", "isolated core", "hyper-threading", "frequency", "swap"] {
+        assert_eq!(find(&machine, subject).verdict, Verdict::Fine, "{subject}");
+    }
+    assert_eq!(find(&machine, "priority").verdict, Verdict::Unknown);
+}
