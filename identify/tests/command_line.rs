@@ -124,7 +124,7 @@ fn freeing_what_cannot_be_identified_is_refused_with_its_name() {
     let directory = experiment();
     let (recording, log) = (directory.join("recording.mcap"), directory.join("robot_log.csv"));
     let output = calibrate(&recording, &log, &["--free", "rd3"], out.path());
-    refused(&output, &["42 of 43", "rd2", "rd3"], out.path());
+    refused(&output, &["62 of 63", "rd2", "rd3"], out.path());
     let unknown = calibrate(&recording, &log, &["--free", "rgamma3"], out.path());
     refused(&unknown, &["no parameter is called `rgamma3`"], out.path());
 }

@@ -17,7 +17,7 @@ fn thesis_47(model: &mut Model) {
     let ids: Vec<ParameterId> = model.parameters().iter().map(|p| p.id).collect();
     for id in ids {
         let name = id.to_string();
-        let outside = name.starts_with("rbeta") || name.starts_with("or") || name.starts_with("clock");
+        let outside = ["rbeta", "or", "bsin", "bcos", "clock"].iter().any(|no| name.starts_with(no));
         if !outside {
             model.set_role(id, Role::Free).unwrap();
         }

@@ -4,13 +4,15 @@
 mod support;
 
 use identify::cost::{
-    Length, LoopProblem, MeasuredLength, Position, PositionAngles, Residual, Transform, fill_in,
+    AngleNoise, Length, LoopProblem, MeasuredLength, Position, PositionAngles, Residual, Transform,
+    WhitenedPose, fill_in,
 };
 use identify::kinematics::{Chain, DhLink, ImpliedBar, LinkParameter, Pose, Tracer};
 use identify::model::{
-    Axis, BasePlacement, Geometry, JointState, Model, Observation, ParameterId, RobotMotion, Role,
+    Axis, BasePlacement, Geometry, Harmonic, JointState, Model, Observation, ParameterId, RobotMotion, Role,
 };
 use identify::solver::stacked;
+use nalgebra::DMatrix;
 use num_dual::{Dual64, DualNum};
 use support::Cell;
 use support::independent::{Link, Matrix, forward, identity, product, shift, turn};
@@ -39,10 +41,18 @@ struct Numbers<D> {
     bar: Vec<Link<D>>,
     origin: [D; 3],
     tilt: [D; 2],
+    harmonics: [[D; 4]; 5],
     clock: [D; 2],
     attachment: [D; 3],
     anchor: [D; 3],
     offset: D,
+}
+
+fn harmonics(g: &Geometry) -> [[f64; 4]; 5] {
+    let mut g = g.clone();
+    let mut amplitude =
+        |joint, harmonic| *g.parameter_mut(ParameterId::Harmonic { joint, harmonic }).unwrap();
+    std::array::from_fn(|joint| Harmonic::ALL.map(|harmonic| amplitude(joint, harmonic)))
 }
 
 fn links<D: DualNum<f64> + Copy>(links: &[identify::kinematics::DhLink]) -> Vec<Link<D>> {
@@ -56,6 +66,7 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             bar: links(&g.bar_links),
             origin: [0, 1, 2].map(|i| D::from(g.base.origin_m[i])),
             tilt: [g.base.rx_rad, g.base.ry_rad].map(D::from),
+            harmonics: harmonics(g).map(|joint| joint.map(D::from)),
             clock: [g.clock.shift_s, g.clock.skew].map(D::from),
             attachment: [0, 1, 2].map(|i| D::from(g.wire.attachment_m[i])),
             anchor: [0, 1, 2].map(|i| D::from(g.wire.anchor_m[i])),
@@ -76,6 +87,7 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             ParameterId::Bar { link, parameter } => &mut self.bar[link][at(parameter)],
             ParameterId::Base(axis) => &mut self.origin[axis.index()],
             ParameterId::BaseRotation(axis) => &mut self.tilt[axis.index()],
+            ParameterId::Harmonic { joint, harmonic } => &mut self.harmonics[joint][harmonic as usize],
             ParameterId::ClockShift => &mut self.clock[0],
             ParameterId::ClockSkew => &mut self.clock[1],
             ParameterId::Attachment(axis) => &mut self.attachment[axis.index()],
@@ -95,6 +107,15 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
         product(&tilted, &turn(2, 0, self.tilt[1]))
     }
 
+    fn bar_joints(&self, o: &Observation) -> [D; 5] {
+        std::array::from_fn(|j| {
+            let b = o.bar_rad[j];
+            let waves = [b.sin(), b.cos(), (2.0 * b).sin(), (2.0 * b).cos()];
+            let error = |k: usize| self.harmonics[j][k] * waves[k];
+            D::from(b) - error(0) - error(1) - error(2) - error(3)
+        })
+    }
+
     fn bar_end(&self, bar: &[D; 5]) -> Matrix<D> {
         forward(&self.bar_base(), &self.bar, bar)
     }
@@ -108,6 +129,7 @@ impl Numbers<Dual64> {
             bar: self.bar.iter().map(|link| link.map(|x| plain(&x))).collect(),
             origin: self.origin.map(|x| plain(&x)),
             tilt: self.tilt.map(|x| plain(&x)),
+            harmonics: self.harmonics.map(|joint| joint.map(|x| plain(&x))),
             clock: self.clock.map(|x| plain(&x)),
             attachment: self.attachment.map(|x| plain(&x)),
             anchor: self.anchor.map(|x| plain(&x)),
@@ -149,7 +171,7 @@ fn independent_length(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
 }
 
 fn independent_transform(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
-    let (r, b) = (n.robot_end(o.t_s), n.bar_end(&o.bar_rad.map(Dual64::from)));
+    let (r, b) = (n.robot_end(o.t_s), n.bar_end(&n.bar_joints(o)));
     (0..4).flat_map(|j| (0..3).map(move |i| r[i][j] - b[i][j])).collect()
 }
 
@@ -203,7 +225,7 @@ fn independent_position_angles(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual
     let near = implied.joints_rad.map(|b| b + 0.01);
     let implied = independent_implied(n, &n.robot_end(o.t_s), near);
     let mut residual = independent_position(n, o);
-    residual.extend([3, 4].map(|joint: usize| (implied[joint] - o.bar_rad[joint]).sin()));
+    residual.extend([3, 4].map(|joint: usize| (implied[joint] - n.bar_joints(o)[joint]).sin()));
     residual
 }
 
@@ -282,6 +304,69 @@ fn length_and_transform_have_the_derivatives_of_the_closed_chain_for_both_robots
 
 /// Without these the bar's point does not see joints 3 to 5.
 const LEVER_ARMS: [&str; 5] = ["ba3", "ba4", "ba5", "bd4", "bd5"];
+
+/// `B^-1 R` as position and rotation vector, by matrices on dual numbers; not whitened.
+fn independent_pose(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
+    let (r, b) = (n.robot_end(o.t_s), n.bar_end(&n.bar_joints(o)));
+    let sum = |terms: [Dual64; 3]| terms[0] + terms[1] + terms[2];
+    let q = |i: usize, j: usize| sum([0, 1, 2].map(|k| b[k][i] * r[k][j]));
+    let mut pose: Vec<Dual64> =
+        (0..3).map(|i| sum([0, 1, 2].map(|k| b[k][i] * (r[k][3] - b[k][3])))).collect();
+    let axis = [q(2, 1) - q(1, 2), q(0, 2) - q(2, 0), q(1, 0) - q(0, 1)];
+    let sine = sum(axis.map(|x| x * x)).sqrt() * 0.5;
+    let angle = sine.atan2((q(0, 0) + q(1, 1) + q(2, 2) - 1.0) * 0.5);
+    pose.extend(axis.map(|x| x * angle / (sine * 2.0)));
+    pose
+}
+
+/// The whitening is frozen: on the same parameters, one matrix for each sample takes all derivatives of the plain pose to
+/// those of the cost.
+#[test]
+fn pose_has_the_derivatives_of_the_plain_pose_times_one_matrix_for_each_sample() {
+    for cell in [Cell::irb2400(), Cell::nj220()] {
+        let model = all_free(cell.model());
+        let observations = observations();
+        let geometry = model.geometry(&model.start());
+        let noise = AngleNoise { encoder_rad: 5e-6, robot_rad: 15e-6 };
+        let residual = WhitenedPose::new(&geometry, &Sines, &observations, noise);
+        let problem = LoopProblem::new(&model, &Sines, &observations, residual, 1.0).unwrap();
+        let (r, jacobian) = stacked(&problem, &model.start()).unwrap();
+        for (k, observation) in observations.iter().enumerate() {
+            let mut plain = DMatrix::zeros(6, model.columns().len() + 1);
+            for (column, parameter) in model.columns().enumerate() {
+                let mut numbers = Numbers::<Dual64>::new(&geometry);
+                let number = numbers.number(parameter.id);
+                *number = number.derivative();
+                for (i, value) in independent_pose(&numbers, observation).into_iter().enumerate() {
+                    plain[(i, column)] = value.eps;
+                    plain[(i, model.columns().len())] = value.re;
+                }
+            }
+            // By the law of propagation: columns are `theta` of each joint.
+            let angle =
+                |name: String| plain.column(model.column_of(name.parse().unwrap()).unwrap()).into_owned();
+            let mut covariance = DMatrix::identity(6, 6) * 1e-14;
+            let chains = [("r", 6, noise.robot_rad), ("b", 5, noise.encoder_rad)];
+            for (chain, joints, sigma_rad) in chains {
+                for joint in 1..=joints {
+                    let moved = angle(format!("{chain}theta{joint}")) * sigma_rad;
+                    covariance += &moved * moved.transpose();
+                }
+            }
+            let lower = covariance.cholesky().unwrap().l();
+            let expected = lower.solve_lower_triangular(&plain).unwrap();
+            for column in 0..=model.columns().len() {
+                for i in 0..6 {
+                    let found =
+                        if column < jacobian.ncols() { jacobian[(6 * k + i, column)] } else { r[6 * k + i] };
+                    let scale = expected.column(column).amax().max(1.0);
+                    let error = (found - expected[(i, column)]).abs() / scale;
+                    assert!(error < 1e-9, "sample {k}, column {column}: off by {error:e}");
+                }
+            }
+        }
+    }
+}
 
 #[test]
 fn position_has_the_derivatives_of_the_closed_chain_for_both_robots() {

@@ -4,15 +4,20 @@ use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 
 use super::config::{CostName, IdentifyConfig};
-use crate::cost::{CostError, Length, LoopProblem, Position, PositionAngles, Residual, Transform, fill_in};
+use super::robust::solve_robust;
+use crate::cost::{
+    CostError, Length, LoopProblem, Position, PositionAngles, Residual, Transform, WhitenedPose, fill_in,
+};
 use crate::kinematics::{BAR_JOINTS, LinkParameter, ball_bar_chain, robot_chain};
 use crate::logs::RobotLog;
-use crate::model::{Axis, Model, ModelError, ParameterId, Role};
+use crate::model::{Axis, Geometry, Model, ModelError, ParameterId};
 use crate::prepare::{PrepareError, Prepared, prepare};
-use crate::solver::{self, Options, Solution, SolveError, Summary, Unidentifiable};
+use crate::solver::{Options, Solution, SolveError, Summary, Unidentifiable};
 
-/// Residuals of `length` and `transform` enter as the thesis defines them, unweighted.
+/// The thesis' residuals enter as it defines them; `pose` is whitened by itself.
 const UNWEIGHTED: f64 = 1.0;
+/// Residuals without any error still count as this uncertain against priors \[m, m^2 or matrix entry\].
+const SIGMA_MIN: f64 = 1e-9;
 
 /// Why there is no calibration.
 #[derive(Debug, thiserror::Error)]
@@ -75,10 +80,16 @@ pub fn calibrate(
     let cost = config.cost.unwrap_or_else(|| CostName::for_encoders(&prepared.measured));
     let mut model = start_model(&prepared, robot, bar)?;
     let solution = match cost {
-        CostName::Transform => solve(&mut prepared, &mut model, || Transform, config)?,
-        CostName::PositionAngles => solve(&mut prepared, &mut model, || PositionAngles, config)?,
-        CostName::Position => solve(&mut prepared, &mut model, || Position, config)?,
-        CostName::Length => solve(&mut prepared, &mut model, || Length, config)?,
+        CostName::Pose => {
+            let whitened = |prepared: &Prepared, geometry: &Geometry| {
+                WhitenedPose::new(geometry, &prepared.motion, &prepared.observations, config.noise.into())
+            };
+            solve(&mut prepared, &mut model, cost, whitened, config)?
+        }
+        CostName::Transform => solve(&mut prepared, &mut model, cost, |_, _| Transform, config)?,
+        CostName::PositionAngles => solve(&mut prepared, &mut model, cost, |_, _| PositionAngles, config)?,
+        CostName::Position => solve(&mut prepared, &mut model, cost, |_, _| Position, config)?,
+        CostName::Length => solve(&mut prepared, &mut model, cost, |_, _| Length, config)?,
     };
     Ok(BallBarCalibration { cost, prepared, model, solution })
 }
@@ -100,40 +111,37 @@ fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) ->
     Ok(model)
 }
 
-/// Selects, solves, and leaves the model at the solution.
+/// Selects, solves, and leaves the model at the solution. `residual` makes the cost for a geometry.
 fn solve<R: Residual>(
     prepared: &mut Prepared,
     model: &mut Model,
-    residual: impl Fn() -> R,
+    cost: CostName,
+    residual: impl Fn(&Prepared, &Geometry) -> R,
     config: &IdentifyConfig,
 ) -> Result<Solution, CalibrateError> {
-    model.select(config.selection.into(), R::tells)?;
-    for (names, role) in [(&config.free, Role::Free), (&config.fix, Role::Fixed)] {
-        for name in names {
-            model.set_role(name.parse()?, role)?;
+    config.set_roles(model, R::tells)?;
+    let loss = config.loss.unwrap_or(cost.usual_loss());
+    let mut solve_once = |sigma: f64| {
+        let geometry = model.geometry(&model.start());
+        if !R::ENCODERS.is_empty() {
+            fill_in(&geometry, &prepared.motion, &mut prepared.observations);
         }
-    }
-    let solution = solve_once(prepared, model, residual())?;
-    if R::ENCODERS.is_empty() || !prepared.measured.contains(&false) {
-        return Ok(solution);
-    }
-    // Angles without encoder were those of the nominal geometry; now they are those of the solution.
-    solve_once(prepared, model, residual())
-}
-
-fn solve_once<R: Residual>(
-    prepared: &mut Prepared,
-    model: &mut Model,
-    residual: R,
-) -> Result<Solution, CalibrateError> {
-    if !R::ENCODERS.is_empty() {
-        fill_in(&model.geometry(&model.start()), &prepared.motion, &mut prepared.observations);
-    }
-    let problem = LoopProblem::new(model, &prepared.motion, &prepared.observations, residual, UNWEIGHTED)?;
-    let solution = solver::solve(&problem, &model.start(), &Options::default())?.identified()?;
-    if !solution.summary.termination.converged() {
-        return Err(CalibrateError::NotConverged { summary: solution.summary });
-    }
-    model.adopt(&solution.x);
-    Ok(solution)
+        let residual = residual(prepared, &geometry);
+        let problem = LoopProblem::new(model, &prepared.motion, &prepared.observations, residual, sigma)?;
+        let mut solution = solve_robust(&problem, &model.start(), loss, &Options::default())?.identified()?;
+        solution.summary.residual_rms_start *= sigma;
+        solution.summary.residual_rms *= sigma;
+        if !solution.summary.termination.converged() {
+            return Err(CalibrateError::NotConverged { summary: solution.summary });
+        }
+        model.adopt(&solution.x);
+        Ok(solution)
+    };
+    let first = solve_once(UNWEIGHTED)?;
+    // Whitening, angles without encoder and the worth of a residual against priors were those of the nominal geometry;
+    // now they are those of the solution.
+    let sigma = if cost == CostName::Pose { UNWEIGHTED } else { first.summary.residual_rms.max(SIGMA_MIN) };
+    let mut second = solve_once(sigma)?;
+    second.summary.residual_rms_start = first.summary.residual_rms_start;
+    Ok(second)
 }

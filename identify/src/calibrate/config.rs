@@ -1,10 +1,14 @@
 //! `config/identify.toml`: what to minimise, what is free, and the limits of the preparation.
 
+use std::collections::BTreeMap;
+
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 
+use super::robust::LossName;
+use crate::cost::AngleNoise;
 use crate::kinematics::BAR_JOINTS;
-use crate::model::{ParameterId, Selection};
+use crate::model::{Model, ModelError, ParameterId, Role, Selection};
 use crate::prepare::PrepareOptions;
 
 /// Cost functions that need a ball-bar.
@@ -12,6 +16,8 @@ use crate::prepare::PrepareOptions;
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
 pub enum CostName {
+    /// Position and rotation, whitened by the noise of all angles; five encoders.
+    Pose,
     /// All entries of robot minus bar (thesis eq. 2.4); five encoders.
     Transform,
     /// Position and two angles of the cardan (thesis eq. 2.3); encoders 1, 2, 4 and 5.
@@ -26,16 +32,25 @@ impl CostName {
     /// The best cost that these encoders allow.
     pub fn for_encoders(measured: &[bool; BAR_JOINTS]) -> Self {
         match measured {
-            [true, true, true, true, true] => Self::Transform,
+            [true, true, true, true, true] => Self::Pose,
             [true, true, _, true, true] => Self::PositionAngles,
             [true, true, ..] => Self::Position,
             _ => Self::Length,
         }
     }
 
+    /// Loss where none is asked for: the thesis' costs are plain sums of squares.
+    pub const fn usual_loss(self) -> LossName {
+        match self {
+            Self::Pose => LossName::Huber,
+            _ => LossName::None,
+        }
+    }
+
     /// Name in files and reports.
     pub const fn name(self) -> &'static str {
         match self {
+            Self::Pose => "pose",
             Self::Transform => "transform",
             Self::PositionAngles => "position_angles",
             Self::Position => "position",
@@ -64,30 +79,125 @@ impl From<SelectionName> for Selection {
     }
 }
 
+/// White noise of the angles, by which the `pose` cost weighs.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct NoiseConfig {
+    /// Of each bar encoder, one standard deviation \[urad\].
+    pub encoder_urad: f64,
+    /// Of each robot joint, one standard deviation \[urad\].
+    pub robot_urad: f64,
+}
+
+impl Default for NoiseConfig {
+    fn default() -> Self {
+        Self { encoder_urad: 5.0, robot_urad: 15.0 }
+    }
+}
+
+impl From<NoiseConfig> for AngleNoise {
+    fn from(config: NoiseConfig) -> Self {
+        Self { encoder_rad: config.encoder_urad * 1e-6, robot_rad: config.robot_urad * 1e-6 }
+    }
+}
+
 /// How to calibrate.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct IdentifyConfig {
     /// Cost; absent: the best that the encoders allow.
     pub cost: Option<CostName>,
+    /// Loss; absent: [`CostName::usual_loss`].
+    pub loss: Option<LossName>,
     /// Free parameters.
     pub selection: SelectionName,
     /// Parameters freed on top of the selection.
     pub free: Vec<String>,
     /// Parameters fixed all the same.
     pub fix: Vec<String>,
+    /// With selection `cell`, each harmonic of an encoder is expected to be zero within this standard deviation
+    /// \[urad\]; zero leaves them out.
+    pub encoder_harmonics_urad: f64,
+    /// Parameters expected at their starting value within a standard deviation \[mm, mrad, ms or ppm\].
+    pub priors: BTreeMap<String, f64>,
+    /// What angles are worth.
+    pub noise: NoiseConfig,
     /// Limits of the preparation.
     pub prepare: PrepareOptions,
 }
 
+impl Default for IdentifyConfig {
+    fn default() -> Self {
+        Self {
+            cost: None,
+            loss: None,
+            selection: SelectionName::default(),
+            free: Vec::new(),
+            fix: Vec::new(),
+            encoder_harmonics_urad: 30.0,
+            priors: BTreeMap::new(),
+            noise: NoiseConfig::default(),
+            prepare: PrepareOptions::default(),
+        }
+    }
+}
+
+impl IdentifyConfig {
+    /// Gives every parameter its role for a cost that tells `tells` apart.
+    ///
+    /// # Errors
+    /// [`ModelError`] where a name or a standard deviation makes no sense.
+    pub fn set_roles(
+        &self,
+        model: &mut Model,
+        tells: impl Fn(ParameterId) -> bool,
+    ) -> Result<(), ModelError> {
+        model.select(self.selection.into(), &tells)?;
+        if self.selection == SelectionName::Cell && self.encoder_harmonics_urad > 0.0 {
+            let prior = Role::Prior { value: 0.0, sigma: self.encoder_harmonics_urad * 1e-6 };
+            model.set_roles(ParameterId::harmonics().filter(|id| tells(*id)), prior)?;
+        }
+        for (name, sigma) in &self.priors {
+            let id: ParameterId = name.parse()?;
+            let value = model.parameter(id).ok_or(ModelError::NotInModel { id })?.value;
+            model.set_role(id, Role::Prior { value, sigma: sigma / id.unit().display_factor() })?;
+        }
+        for (names, role) in [(&self.free, Role::Free), (&self.fix, Role::Fixed)] {
+            for name in names {
+                model.set_role(name.parse()?, role)?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn positive(key: String, value: f64) -> Result<(), Violation> {
+    if value.is_finite() && value > 0.0 {
+        return Ok(());
+    }
+    Err(Violation::new(key, format!("{value} is no standard deviation"), "give a number above zero"))
+}
+
 impl Validate for IdentifyConfig {
     fn validate(&self) -> Result<(), Violation> {
+        let known = |key: String, name: &String| {
+            let parsed = name.parse::<ParameterId>();
+            parsed.map(drop).map_err(|error| Violation::new(key, error.to_string(), "correct the name"))
+        };
         for (key, names) in [("free", &self.free), ("fix", &self.fix)] {
             for (index, name) in names.iter().enumerate() {
-                name.parse::<ParameterId>().map_err(|error| {
-                    Violation::new(format!("{key}[{index}]"), error.to_string(), "correct the name")
-                })?;
+                known(format!("{key}[{index}]"), name)?;
             }
+        }
+        for (name, &sigma) in &self.priors {
+            known(format!("priors.{name}"), name)?;
+            positive(format!("priors.{name}"), sigma)?;
+        }
+        positive("noise.encoder_urad".into(), self.noise.encoder_urad)?;
+        positive("noise.robot_urad".into(), self.noise.robot_urad)?;
+        if !(self.encoder_harmonics_urad.is_finite() && self.encoder_harmonics_urad >= 0.0) {
+            let found = format!("{} is no standard deviation", self.encoder_harmonics_urad);
+            return Err(Violation::new("encoder_harmonics_urad", found, "give zero or a number above"));
         }
         Ok(())
     }

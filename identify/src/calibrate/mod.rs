@@ -3,6 +3,8 @@
 pub mod ball_bar;
 mod config;
 pub mod measured_length;
+mod robust;
 pub mod truth;
 
-pub use config::{CostName, IdentifyConfig, SelectionName};
+pub use config::{CostName, IdentifyConfig, NoiseConfig, SelectionName};
+pub use robust::{LossName, solve_robust};

@@ -43,7 +43,10 @@ impl Comparison {
             .model
             .columns()
             .filter(|parameter| parameter.role != Role::Fixed)
-            .filter(|parameter| !matches!(parameter.id, ParameterId::ClockShift | ParameterId::ClockSkew))
+            .filter(|parameter| {
+                use ParameterId::{ClockShift, ClockSkew, Harmonic};
+                !matches!(parameter.id, ClockShift | ClockSkew | Harmonic { .. })
+            })
             .map(|parameter| Compared {
                 id: parameter.id,
                 truth: true_value(truth, parameter.id, parameter.value),

@@ -10,7 +10,7 @@ use shared::recording::Recording;
 use crate::calibrate::ball_bar::{self, BallBarCalibration};
 use crate::calibrate::measured_length::{self, LengthOptions, LengthRow};
 use crate::calibrate::truth::Comparison;
-use crate::calibrate::{CostName, IdentifyConfig, SelectionName};
+use crate::calibrate::{CostName, IdentifyConfig, LossName, SelectionName};
 use crate::kinematics::flange_chain;
 use crate::logs::{self, MeasuredLengthMapping, MeasuredLengths};
 use crate::model::ParameterId;
@@ -50,6 +50,9 @@ pub struct CalibrateArguments {
     /// Cost; default: the best that the encoders allow
     #[arg(long)]
     cost: Option<CostName>,
+    /// How much samples count that do not fit; default: huber with pose, none with the others
+    #[arg(long)]
+    loss: Option<LossName>,
     /// Free parameters
     #[arg(long)]
     selection: Option<SelectionName>,
@@ -86,6 +89,7 @@ fn identify_config(arguments: &CalibrateArguments) -> anyhow::Result<IdentifyCon
     let file = arguments.config.as_deref();
     let mut config: IdentifyConfig = file.map_or_else(|| Ok(IdentifyConfig::default()), config::load)?;
     config.cost = arguments.cost.or(config.cost);
+    config.loss = arguments.loss.or(config.loss);
     config.selection = arguments.selection.unwrap_or(config.selection);
     config.free.extend_from_slice(&arguments.free);
     config.fix.extend_from_slice(&arguments.fix);

@@ -36,6 +36,11 @@ impl Residual for Length {
         }
     }
 
+    fn tells(id: ParameterId) -> bool {
+        // A robot on the sphere moves along it: when a sample was taken makes no difference but noise.
+        !matches!(id, ParameterId::ClockShift | ParameterId::ClockSkew) && Self::sees(id)
+    }
+
     fn local(&self, scene: &Scene<'_>) -> Option<Vector3<f64>> {
         Some(scene.robot.position_m() - scene.geometry.base.origin_m)
     }

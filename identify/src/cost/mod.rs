@@ -6,6 +6,7 @@
 mod fill_in;
 mod length;
 mod measured_length;
+mod pose;
 mod position;
 mod position_angles;
 mod problem;
@@ -15,6 +16,7 @@ mod transform;
 pub use fill_in::fill_in;
 pub use length::Length;
 pub use measured_length::MeasuredLength;
+pub use pose::{AngleNoise, WhitenedPose};
 pub use position::Position;
 pub use position_angles::PositionAngles;
 pub use problem::{CostError, LoopProblem};

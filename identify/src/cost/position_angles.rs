@@ -1,7 +1,9 @@
 //! The bar as a point and two angles of its cardan: encoders 1, 2, 4 and 5.
 
+use nalgebra::Vector5;
+
 use super::position::{derivative, difference};
-use super::scene::of_wire;
+use super::scene::{of_wire, sees_harmonic};
 use super::{Movement, Residual, Scene};
 use crate::kinematics::{BAR_JOINTS, ImpliedBar, LinkParameter};
 use crate::model::{Observation, ParameterId};
@@ -28,7 +30,9 @@ impl Residual for PositionAngles {
 
     fn sees(id: ParameterId) -> bool {
         // Joint 3 is in neither: its zero moves the implied angle 3 alone.
-        id != ParameterId::Bar { link: 2, parameter: LinkParameter::Theta } && !of_wire(id)
+        id != ParameterId::Bar { link: 2, parameter: LinkParameter::Theta }
+            && !of_wire(id)
+            && sees_harmonic(id, Self::ENCODERS)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<ImpliedBar> {
@@ -40,7 +44,7 @@ impl Residual for PositionAngles {
         let (position, angles) = out.split_at_mut(3);
         position.copy_from_slice(difference(scene).as_slice());
         for (out, joint) in angles.iter_mut().zip(COMPARED) {
-            *out = (implied.joints_rad[joint] - scene.observation.bar_rad[joint]).sin();
+            *out = (implied.joints_rad[joint] - scene.bar_rad[joint]).sin();
         }
     }
 
@@ -53,6 +57,11 @@ impl Residual for PositionAngles {
                 let Some(twist) = scene.bar_twist(&implied.trace, id) else { return };
                 implied.by_bar(Some(link), &twist)
             }
+            // The measured joint changes, the implied one does not.
+            (_, ParameterId::Harmonic { joint, harmonic }) => {
+                let wave = harmonic.wave(scene.observation.bar_rad[joint]);
+                Vector5::from_fn(|i, _| if i == joint { wave } else { 0.0 })
+            }
             (Movement::Bar(_), _) => {
                 let Some(twist) = scene.bar_twist(&implied.trace, id) else { return };
                 implied.by_bar(None, &twist)
@@ -60,7 +69,7 @@ impl Residual for PositionAngles {
             (Movement::None, _) => return,
         };
         for (out, joint) in angles.iter_mut().zip(COMPARED) {
-            *out = joints[joint] * (implied.joints_rad[joint] - scene.observation.bar_rad[joint]).cos();
+            *out = joints[joint] * (implied.joints_rad[joint] - scene.bar_rad[joint]).cos();
         }
     }
 }

@@ -111,6 +111,43 @@ pub struct LoopPoint {
     bar: Trace,
 }
 
+impl LoopPoint {
+    pub(super) fn new(geometry: Geometry) -> Self {
+        let bar_chain = geometry.bar();
+        Self {
+            robot_tracer: Tracer::new(&geometry.robot),
+            bar_tracer: Tracer::new(&bar_chain),
+            bar_chain,
+            geometry,
+            robot: Trace::default(),
+            bar: Trace::default(),
+        }
+    }
+
+    /// Both chains at one observation; none where the robot's log does not cover it.
+    pub(super) fn scene<'a>(
+        &'a mut self,
+        motion: &impl RobotMotion,
+        sample: usize,
+        observation: &'a Observation,
+    ) -> Option<Scene<'a>> {
+        let state = motion.at(self.geometry.clock.robot_time_s(observation.t_s))?;
+        let bar_rad = self.geometry.harmonics.corrected(&observation.bar_rad);
+        self.robot_tracer.trace(&state.q, &mut self.robot);
+        self.bar_tracer.trace(&bar_rad, &mut self.bar);
+        Some(Scene {
+            geometry: &self.geometry,
+            sample,
+            observation,
+            bar_rad,
+            bar_chain: (&self.bar_chain, &self.bar_tracer),
+            robot: &self.robot,
+            bar: &self.bar,
+            robot_rate: rate(&self.robot, &state.qd),
+        })
+    }
+}
+
 impl<R: Residual, M: RobotMotion> Problem for LoopProblem<'_, R, M> {
     type Point = LoopPoint;
 
@@ -135,16 +172,7 @@ impl<R: Residual, M: RobotMotion> Problem for LoopProblem<'_, R, M> {
     }
 
     fn point(&self, x: &[f64]) -> LoopPoint {
-        let geometry = self.model.geometry(x);
-        let bar_chain = geometry.bar();
-        LoopPoint {
-            robot_tracer: Tracer::new(&geometry.robot),
-            bar_tracer: Tracer::new(&bar_chain),
-            bar_chain,
-            geometry,
-            robot: Trace::default(),
-            bar: Trace::default(),
-        }
+        LoopPoint::new(self.model.geometry(x))
     }
 
     fn sample(
@@ -155,19 +183,7 @@ impl<R: Residual, M: RobotMotion> Problem for LoopProblem<'_, R, M> {
         block: &mut Block<'_>,
     ) -> bool {
         let Some(observation) = self.observations.get(sample) else { return false };
-        let tau_s = point.geometry.clock.robot_time_s(observation.t_s);
-        let Some(state) = self.motion.at(tau_s) else { return false };
-        point.robot_tracer.trace(&state.q, &mut point.robot);
-        point.bar_tracer.trace(&observation.bar_rad, &mut point.bar);
-        let scene = Scene {
-            geometry: &point.geometry,
-            sample,
-            observation,
-            bar_chain: (&point.bar_chain, &point.bar_tracer),
-            robot: &point.robot,
-            bar: &point.bar,
-            robot_rate: rate(&point.robot, &state.qd),
-        };
+        let Some(scene) = point.scene(self.motion, sample, observation) else { return false };
         let Some(local) = self.residual.local(&scene) else { return false };
         self.residual.residual(&scene, &local, residual);
         for (column, &id) in self.ids.iter().enumerate() {

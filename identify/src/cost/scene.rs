@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use crate::kinematics::{BAR_JOINTS, Chain, Trace, Tracer, Twist};
+use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter, Trace, Tracer, Twist};
 use crate::model::{Axis, Geometry, Observation, ParameterId};
 
 /// What a parameter moves.
@@ -25,6 +25,8 @@ pub struct Scene<'a> {
     pub sample: usize,
     /// What was measured.
     pub observation: &'a Observation,
+    /// Bar joints without the encoders' harmonics \[rad\], offsets not yet added.
+    pub bar_rad: [f64; BAR_JOINTS],
     /// The bar on its base, and the same made ready for forward passes.
     pub bar_chain: (&'a Chain, &'a Tracer),
     /// The robot at this instant.
@@ -46,13 +48,16 @@ impl Scene<'_> {
             ParameterId::Bar { .. } | ParameterId::Base(_) | ParameterId::BaseRotation(_) => {
                 self.bar_twist(self.bar, id).map_or(Movement::None, Movement::Bar)
             }
+            ParameterId::Harmonic { joint, harmonic } => {
+                self.bar.twist(joint, LinkParameter::Theta).map_or(Movement::None, |twist| {
+                    let reading = self.observation.bar_rad.get(joint).copied().unwrap_or(0.0);
+                    Movement::Bar(twist.scaled(-harmonic.wave(reading)))
+                })
+            }
             ParameterId::ClockShift => Movement::Robot(self.robot_rate),
             ParameterId::ClockSkew => {
                 let t_s = self.observation.t_s;
-                Movement::Robot(Twist {
-                    angular: self.robot_rate.angular * t_s,
-                    linear: self.robot_rate.linear * t_s,
-                })
+                Movement::Robot(self.robot_rate.scaled(t_s))
             }
             ParameterId::Attachment(_) | ParameterId::Anchor(_) | ParameterId::LengthOffset => Movement::None,
         }
@@ -89,6 +94,14 @@ pub(super) fn unit(axis: Axis) -> Vector3<f64> {
 /// The parameter belongs to a draw-wire or telescoping bar, which no cost of the ball-bar sees.
 pub(super) fn of_wire(id: ParameterId) -> bool {
     matches!(id, ParameterId::Attachment(_) | ParameterId::Anchor(_) | ParameterId::LengthOffset)
+}
+
+/// The harmonic of an encoder is seen by costs that need the encoder; what is no harmonic is not in question.
+pub(super) fn sees_harmonic(id: ParameterId, encoders: &[usize]) -> bool {
+    match id {
+        ParameterId::Harmonic { joint, .. } => encoders.contains(&joint),
+        _ => true,
+    }
 }
 
 /// One cost function: a residual vector per sample and its derivative by each parameter.

@@ -19,5 +19,6 @@ pub use chain::{Chain, DhLink, Pose};
 pub use configured::{ball_bar_chain, flange_chain, robot_chain};
 pub use implied_bar::ImpliedBar;
 pub use inverse::InverseError;
+pub(crate) use inverse::rotation_vector;
 pub use robot_inverse::{ROBOT_JOINTS, robot_inverse, robot_inverse_all};
 pub use trace::{LinkParameter, Trace, Tracer, Twist};

@@ -26,6 +26,12 @@ impl Twist {
         Self { angular: axis, linear: axis.cross(&(end - point)) }
     }
 
+    /// The same motion at another speed.
+    #[inline]
+    pub fn scaled(&self, speed: f64) -> Self {
+        Self { angular: self.angular * speed, linear: self.linear * speed }
+    }
+
     /// A shift along `axis`.
     #[inline]
     pub fn translation(axis: Vector3<f64>) -> Self {

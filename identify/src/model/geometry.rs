@@ -2,7 +2,7 @@
 
 use nalgebra::{Rotation3, Translation3, Vector3};
 
-use super::{Axis, ParameterId};
+use super::{Axis, Harmonics, ParameterId};
 use crate::kinematics::{Chain, DhLink, LinkParameter, Pose};
 
 /// Where the ball-bar stands: `T(origin) Rx(rx) Ry(ry)`; the turn about z is the bar's `btheta1`.
@@ -61,6 +61,8 @@ pub struct Geometry {
     pub bar_links: Vec<DhLink>,
     /// Where the bar stands.
     pub base: BasePlacement,
+    /// Errors of the bar's encoders.
+    pub harmonics: Harmonics,
     /// Clocks of the two logs.
     pub clock: Clock,
     /// For measured lengths.
@@ -84,7 +86,14 @@ impl Geometry {
             let origin_m = bar.root_from_base.translation.vector;
             (bar.links.clone(), BasePlacement { origin_m, ..BasePlacement::default() })
         });
-        Self { robot, bar_links, base, clock: Clock::default(), wire: Wire::default() }
+        Self {
+            robot,
+            bar_links,
+            base,
+            harmonics: Harmonics::default(),
+            clock: Clock::default(),
+            wire: Wire::default(),
+        }
     }
 
     /// The ball-bar on its base.
@@ -106,6 +115,7 @@ impl Geometry {
             ParameterId::BaseRotation(Axis::Y) => Some(&mut self.base.ry_rad),
             // About z it would be btheta1 a second time.
             ParameterId::BaseRotation(Axis::Z) => None,
+            ParameterId::Harmonic { joint, harmonic } => self.harmonics.amplitude_mut(joint, harmonic),
             ParameterId::ClockShift => Some(&mut self.clock.shift_s),
             ParameterId::ClockSkew => Some(&mut self.clock.skew),
             ParameterId::Attachment(axis) => self.wire.attachment_m.get_mut(axis.index()),

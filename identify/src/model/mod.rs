@@ -3,13 +3,15 @@
 //! [`Model`] is the one place that maps names to columns of the solve.
 
 mod geometry;
+mod harmonics;
 mod observation;
 mod parameter;
 mod roles;
 mod selection;
 
 pub use geometry::{BasePlacement, Clock, Geometry, Wire};
+pub use harmonics::{Harmonic, Harmonics};
 pub use observation::{JointState, Observation, PerObservation, RobotMotion};
-pub use parameter::{Axis, ParameterId, Unit};
+pub use parameter::{Axis, ParameterId, Unit, link_parameter_name};
 pub use roles::{Model, ModelError, Parameter, Role};
 pub use selection::{Selection, THESIS_FIXED};

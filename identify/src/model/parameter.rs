@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use super::ModelError;
+use super::{Harmonic, ModelError};
 use crate::kinematics::{BAR_JOINTS, LinkParameter, ROBOT_JOINTS};
 
 /// A coordinate axis of the root frame or of the flange.
@@ -56,6 +56,13 @@ pub enum ParameterId {
     Base(Axis),
     /// Rotation of the bar's base about x, then y: `orx`, `ory`.
     BaseRotation(Axis),
+    /// Error of a bar encoder that repeats with its turns: `bsin1_1` (sine of once joint 1's reading) .. `bcos2_5`.
+    Harmonic {
+        /// Joint from 0.
+        joint: usize,
+        /// Which wave.
+        harmonic: Harmonic,
+    },
     /// Robot clock minus bar clock at the reference time.
     ClockShift,
     /// How much faster the robot's clock runs.
@@ -111,7 +118,8 @@ impl Unit {
     }
 }
 
-const fn link_parameter_name(parameter: LinkParameter) -> &'static str {
+/// `a`, `d`, `alpha`, `theta` or `beta`.
+pub const fn link_parameter_name(parameter: LinkParameter) -> &'static str {
     match parameter {
         LinkParameter::A => "a",
         LinkParameter::D => "d",
@@ -134,10 +142,16 @@ impl ParameterId {
                 LinkParameter::Alpha | LinkParameter::Theta | LinkParameter::Beta => Unit::Radian,
             },
             Self::Base(_) | Self::Attachment(_) | Self::Anchor(_) | Self::LengthOffset => Unit::Metre,
-            Self::BaseRotation(_) => Unit::Radian,
+            Self::BaseRotation(_) | Self::Harmonic { .. } => Unit::Radian,
             Self::ClockShift => Unit::Second,
             Self::ClockSkew => Unit::Ratio,
         }
+    }
+
+    /// Harmonics of all bar encoders.
+    pub fn harmonics() -> impl Iterator<Item = Self> {
+        let of = |joint| Harmonic::ALL.into_iter().map(move |harmonic| Self::Harmonic { joint, harmonic });
+        (0..BAR_JOINTS).flat_map(of)
     }
 
     /// Every parameter that has a name.
@@ -152,6 +166,7 @@ impl ParameterId {
             .chain(bar)
             .chain(Axis::ALL.map(Self::Base))
             .chain([Self::BaseRotation(Axis::X), Self::BaseRotation(Axis::Y)])
+            .chain(Self::harmonics())
             .chain([Self::ClockShift, Self::ClockSkew])
             .chain(Axis::ALL.map(Self::Attachment))
             .chain(Axis::ALL.map(Self::Anchor))
@@ -166,6 +181,7 @@ impl fmt::Display for ParameterId {
             Self::Bar { link, parameter } => write!(f, "b{}{}", link_parameter_name(parameter), link + 1),
             Self::Base(axis) => write!(f, "o{}", axis.letter()),
             Self::BaseRotation(axis) => write!(f, "or{}", axis.letter()),
+            Self::Harmonic { joint, harmonic } => write!(f, "b{harmonic}_{}", joint + 1),
             Self::ClockShift => f.write_str("clock_shift"),
             Self::ClockSkew => f.write_str("clock_skew"),
             Self::Attachment(axis) => write!(f, "attachment_{}", axis.letter()),

@@ -39,7 +39,8 @@ pub enum ModelError {
     /// No parameter has this name.
     #[error(
         "no parameter is called `{name}`; names are ra1 rd1 ralpha1 rtheta1 .. 6, rbeta1 .. 6, ba1 bd1 balpha1 \
-         btheta1 .. 5, ox oy oz orx ory, clock_shift clock_skew, attachment_x anchor_x .. z, length_offset"
+         btheta1 .. 5, ox oy oz orx ory, bsin1_1 bcos1_1 bsin2_1 bcos2_1 .. 5, \
+         clock_shift clock_skew, attachment_x anchor_x .. z, length_offset"
     )]
     UnknownName {
         /// As given.
@@ -96,7 +97,8 @@ impl Model {
         Self { structure, parameters, columns: Vec::new() }
     }
 
-    /// Robot and ball-bar: both sets of links, the bar's base (its nominal place is that of `bar`) and the clocks.
+    /// Robot and ball-bar: both sets of links, the bar's base (its nominal place is that of `bar`),
+    /// the encoders' harmonics and the clocks.
     pub fn ball_bar(robot: &Chain, bar: &Chain) -> Self {
         let bar_ids = (0..bar.links.len()).flat_map(|link| {
             ParameterId::STANDARD.into_iter().map(move |parameter| ParameterId::Bar { link, parameter })
@@ -105,6 +107,7 @@ impl Model {
             .chain(bar_ids)
             .chain(Axis::ALL.map(ParameterId::Base))
             .chain([ParameterId::BaseRotation(Axis::X), ParameterId::BaseRotation(Axis::Y)])
+            .chain(ParameterId::harmonics())
             .chain([ParameterId::ClockShift, ParameterId::ClockSkew]);
         Self::new(Geometry::new(robot.clone(), Some(bar)), ids)
     }

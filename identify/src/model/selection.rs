@@ -34,6 +34,8 @@ impl Selection {
             ParameterId::ClockShift | ParameterId::ClockSkew => {
                 matches!(self, Self::ThesisWithClocks | Self::CellWithClocks)
             }
+            // Not told from the geometry by samples alone: they come with priors.
+            ParameterId::Harmonic { .. } => false,
             ParameterId::Attachment(_) | ParameterId::Anchor(_) | ParameterId::LengthOffset => false,
         }
     }

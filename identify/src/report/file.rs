@@ -1,4 +1,4 @@
-//! `calibration.toml`: identified parameters with their uncertainty, and everything needed to repeat it.
+//! `calibration.toml`, `calibration.json` and `dh.csv`: identified parameters with their uncertainty, and everything needed to repeat it.
 
 use std::fs::File;
 use std::io;
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use shared::time::UtcNs;
 
-use crate::model::{Model, Parameter, ParameterId, Role};
+use crate::model::{Model, Parameter, ParameterId, Role, link_parameter_name};
 use crate::solver::{Identifiability, Summary};
 
 /// Version of the file's structure; it rises when a key changes its meaning.
@@ -28,6 +28,12 @@ pub enum FileError {
     /// A number does not fit TOML.
     #[error("the calibration cannot be written as TOML: {0}")]
     Toml(#[from] toml::ser::Error),
+    /// A number does not fit JSON.
+    #[error("the calibration cannot be written as JSON: {0}")]
+    Json(#[from] serde_json::Error),
+    /// The table of links cannot be written.
+    #[error("the table of links cannot be written as CSV: {0}")]
+    Csv(#[from] csv::Error),
 }
 
 /// A file that the calibration was made from.
@@ -203,17 +209,79 @@ impl CalibrationFile {
         }
     }
 
-    /// Writes `<directory>/calibration.toml`: whole under that name, or not at all.
+    /// Writes `calibration.toml`, the same as `calibration.json`, and `dh.csv` (see [`CalibrationFile::dh_csv`]) into the
+    /// directory, each whole under its name or not at all. Returns the path of the first.
+    ///
+    /// # Errors
+    /// [`FileError`].
     pub fn write(&self, directory: &Path) -> Result<PathBuf, FileError> {
-        let path = directory.join("calibration.toml");
-        let part = directory.join("calibration.toml.part");
         let text = toml::to_string(self)?;
-        let write = || {
-            std::fs::create_dir_all(directory)?;
-            std::fs::write(&part, text)?;
-            std::fs::rename(&part, &path)
-        };
-        write().map_err(|source| FileError::Io { path: path.clone(), source })?;
-        Ok(path)
+        let json = serde_json::to_string_pretty(self)?;
+        let table = self.dh_csv()?;
+        replace(directory, "calibration.json", &json)?;
+        replace(directory, "dh.csv", &table)?;
+        replace(directory, "calibration.toml", &text)
     }
+
+    /// One row for each number of each link: `chain,link,parameter,unit,nominal,identified,correction,sigma`, SI units,
+    /// links from 1 in the order of the chain. Parameters that were fixed have no sigma.
+    ///
+    /// # Errors
+    /// [`FileError::Csv`].
+    pub fn dh_csv(&self) -> Result<String, FileError> {
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        for entry in &self.parameters {
+            let (chain, link, parameter) = match entry.name.parse::<ParameterId>() {
+                Ok(ParameterId::Robot { link, parameter }) => ("robot", link, parameter),
+                Ok(ParameterId::Bar { link, parameter }) => ("ball_bar", link, parameter),
+                _ => continue,
+            };
+            writer.serialize(DhRow {
+                chain: chain.into(),
+                link: link + 1,
+                parameter: link_parameter_name(parameter).into(),
+                unit: entry.unit.clone(),
+                nominal: entry.nominal,
+                identified: entry.value,
+                correction: entry.correction,
+                sigma: entry.sigma,
+            })?;
+        }
+        let bytes = writer.into_inner().map_err(|error| csv::Error::from(error.into_error()))?;
+        Ok(String::from_utf8_lossy(&bytes).into_owned())
+    }
+}
+
+/// One row of `dh.csv`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DhRow {
+    /// `robot` or `ball_bar`.
+    pub chain: String,
+    /// Link from 1.
+    pub link: usize,
+    /// `a`, `d`, `alpha`, `theta` or `beta`.
+    pub parameter: String,
+    /// `m` or `rad`.
+    pub unit: String,
+    /// Data sheet or first guess.
+    pub nominal: f64,
+    /// Identified value.
+    pub identified: f64,
+    /// Identified minus nominal.
+    pub correction: f64,
+    /// One standard deviation; absent for fixed parameters.
+    pub sigma: Option<f64>,
+}
+
+/// Puts a file in place at once.
+fn replace(directory: &Path, name: &str, text: &str) -> Result<PathBuf, FileError> {
+    let path = directory.join(name);
+    let part = directory.join(format!("{name}.part"));
+    let write = || {
+        std::fs::create_dir_all(directory)?;
+        std::fs::write(&part, text)?;
+        std::fs::rename(&part, &path)
+    };
+    write().map_err(|source| FileError::Io { path: path.clone(), source })?;
+    Ok(path)
 }

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use super::file::{CalibrationFile, ParameterEntry, Status};
 use crate::calibrate::measured_length::{ErrorFigures, Figures, LengthReport, Rejection, RunCause};
 use crate::calibrate::truth::Comparison;
+use crate::kinematics::LinkParameter;
 use crate::model::{ParameterId, Unit};
 
 /// Unit in which people read a parameter.
@@ -63,7 +64,24 @@ pub fn calibration(file: &CalibrationFile) -> String {
         );
     }
     let _ = writeln!(text, "fixed: {}", fixed.join(" "));
+    text.push_str(&joint_offsets(file));
     text
+}
+
+/// The corrections of the robot's zeros as they are applied: in degrees, with what the sign means.
+fn joint_offsets(file: &CalibrationFile) -> String {
+    let mut text = String::new();
+    for entry in &file.parameters {
+        let id = entry.name.parse::<ParameterId>();
+        let Ok(ParameterId::Robot { link, parameter: LinkParameter::Theta }) = id else { continue };
+        let degrees = entry.correction.to_degrees();
+        let fixed = if entry.status == Status::Fixed { " (fixed)" } else { "" };
+        let _ = writeln!(text, "  joint {}: {degrees:+.5} deg{fixed}", link + 1);
+    }
+    format!(
+        "joint offsets: add to the joint angle of the model (the log converted as the robot's file says) to get the true \
+         one;\nwhere the conversion turns a joint's sign, subtract on the controller\n{text}"
+    )
 }
 
 /// True beside identified, with the thesis' two measures.

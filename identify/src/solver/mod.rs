@@ -17,7 +17,7 @@ pub use covariance::{Covariance, Noise};
 pub use identifiability::{DependentGroup, Identifiability, Unidentifiable, identifiability};
 pub use levenberg_marquardt::{Options, Solution, Summary, Termination, minimise, solve};
 pub use loss::Loss;
-pub use panel::{Block, stacked};
+pub use panel::{Block, squared_norms, stacked};
 pub use robust::{GraduatedOptions, solve_graduated};
 
 /// Knowledge of one column apart from the samples: `x[column] = value +- sigma`, one extra residual row.

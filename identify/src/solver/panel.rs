@@ -216,6 +216,12 @@ pub(super) fn fold_triangle(jacobian: &DMatrixView<'_, f64, nalgebra::U1, Dyn>, 
     *triangle = stacked.qr().unpack_r();
 }
 
+/// Squared residual norm of each sample that has a value at `x`, without loss. Empty where one is not finite.
+pub fn squared_norms<P: Problem>(problem: &P, x: &[f64]) -> Vec<f64> {
+    let fits = pass(problem, x, Loss::Squared, Taking::WhatIsThere, |_| ()).unwrap_or_default();
+    fits.iter().filter(|fit| fit.present).map(|fit| fit.squared).collect()
+}
+
 /// Residuals and Jacobian of all samples that have a value at `x`, stacked, without loss and priors: for looking at,
 /// and for other solvers. None where one of them is not finite.
 pub fn stacked<P: Problem>(problem: &P, x: &[f64]) -> Option<(DVector<f64>, DMatrix<f64>)> {

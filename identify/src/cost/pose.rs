@@ -1,0 +1,153 @@
+//! The whole pose, each number weighed by what it is worth: all five encoders.
+
+use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
+
+use super::problem::LoopPoint;
+use super::scene::{ALL_ENCODERS, of_wire, sees_harmonic};
+use super::{Movement, Residual, Scene};
+use crate::kinematics::{Trace, Twist, rotation_vector};
+use crate::model::{Geometry, Observation, ParameterId, RobotMotion};
+
+/// White noise of the angles, one standard deviation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AngleNoise {
+    /// Of each bar encoder \[rad\].
+    pub encoder_rad: f64,
+    /// Of each robot joint \[rad\].
+    pub robot_rad: f64,
+}
+
+/// Standard deviation that is added in each direction \[m, rad\]: keeps a direction that neither chain's noise reaches,
+/// near a singular pose, from weighing without limit.
+const FLOOR: f64 = 1e-7;
+
+/// Position \[m\] and rotation vector \[rad\] of `B^-1 R`, whitened: six numbers of standard deviation one.
+///
+/// The covariance of a sample is what the noise of its eleven angles propagates into it. It is frozen: computed once, on
+/// the geometry given to [`WhitenedPose::new`], and the same for every step of a solve, so that residual and derivative
+/// belong to one function. Errors of millimetres change it by thousandths; whiten again at the solution and solve once
+/// more where that matters.
+#[derive(Debug, Clone)]
+pub struct WhitenedPose {
+    /// Inverse of the Cholesky factor of each sample's covariance; none where the sample has no value.
+    whitening: Vec<Option<Matrix6<f64>>>,
+}
+
+impl WhitenedPose {
+    /// Whitening of each observation on this geometry.
+    pub fn new(
+        geometry: &Geometry,
+        motion: &impl RobotMotion,
+        observations: &[Observation],
+        noise: AngleNoise,
+    ) -> Self {
+        let mut point = LoopPoint::new(geometry.clone());
+        let whitening = observations.iter().enumerate().map(|(sample, observation)| {
+            let scene = point.scene(motion, sample, observation)?;
+            let covariance = covariance(&scene, noise);
+            let lower = covariance.cholesky()?.l();
+            lower.solve_lower_triangular(&Matrix6::identity())
+        });
+        Self { whitening: whitening.collect() }
+    }
+}
+
+/// Pose of the robot's end seen from the bar's, and how it moves with either.
+struct Seen {
+    value: Vector6<f64>,
+    by_robot: Matrix6<f64>,
+    by_bar: Matrix6<f64>,
+}
+
+impl Seen {
+    fn new(scene: &Scene<'_>) -> Self {
+        let into_bar = scene.bar.rotation().transpose();
+        let apart = scene.robot.position_m() - scene.bar.position_m();
+        let turn = rotation_vector(&(into_bar * scene.robot.rotation()));
+        let turned = inverse_left_jacobian(&turn) * into_bar;
+        let mut value = Vector6::zeros();
+        value.fixed_rows_mut::<3>(0).copy_from(&(into_bar * apart));
+        value.fixed_rows_mut::<3>(3).copy_from(&turn);
+        let mut by_robot = Matrix6::zeros();
+        by_robot.fixed_view_mut::<3, 3>(0, 0).copy_from(&into_bar);
+        by_robot.fixed_view_mut::<3, 3>(3, 3).copy_from(&turned);
+        let mut by_bar = -by_robot;
+        by_bar.fixed_view_mut::<3, 3>(0, 3).copy_from(&(into_bar * apart.cross_matrix()));
+        Self { value, by_robot, by_bar }
+    }
+}
+
+/// `d log(Q) = J dw` for `dQ = [dw] Q` at rotation vector `w`: `1 - [w]/2 + c [w]^2`.
+fn inverse_left_jacobian(w: &Vector3<f64>) -> Matrix3<f64> {
+    let squared = w.norm_squared();
+    // 1/t^2 - cot(t/2)/(2t) cancels for small angles; its series there.
+    let c = if squared < 1e-2 {
+        1.0 / 12.0 + squared * (1.0 / 720.0 + squared * (1.0 / 30240.0 + squared / 1_209_600.0))
+    } else {
+        let angle = squared.sqrt();
+        (1.0 - 0.5 * angle / (0.5 * angle).tan()) / squared
+    };
+    let cross = w.cross_matrix();
+    Matrix3::identity() - cross * 0.5 + cross * cross * c
+}
+
+fn stacked(twist: &Twist) -> Vector6<f64> {
+    let (v, w) = (twist.linear, twist.angular);
+    Vector6::new(v.x, v.y, v.z, w.x, w.y, w.z)
+}
+
+fn covariance(scene: &Scene<'_>, noise: AngleNoise) -> Matrix6<f64> {
+    let seen = Seen::new(scene);
+    let of = |chain: &Trace, by: &Matrix6<f64>, sigma_rad: f64| {
+        chain.joint_twists().fold(Matrix6::zeros(), |sum, twist| {
+            let moved = by * stacked(&twist) * sigma_rad;
+            sum + moved * moved.transpose()
+        })
+    };
+    of(scene.robot, &seen.by_robot, noise.robot_rad)
+        + of(scene.bar, &seen.by_bar, noise.encoder_rad)
+        + Matrix6::identity() * (FLOOR * FLOOR)
+}
+
+/// The whitened residual and what it makes of twists of either end (linear, then angular).
+#[derive(Debug, Clone)]
+pub struct Whitened {
+    residual: Vector6<f64>,
+    by_robot: Matrix6<f64>,
+    by_bar: Matrix6<f64>,
+}
+
+impl Residual for WhitenedPose {
+    type Local = Whitened;
+
+    const NAME: &'static str = "pose";
+    const ROWS: usize = 6;
+    const ENCODERS: &'static [usize] = ALL_ENCODERS;
+
+    fn sees(id: ParameterId) -> bool {
+        !of_wire(id) && sees_harmonic(id, Self::ENCODERS)
+    }
+
+    fn local(&self, scene: &Scene<'_>) -> Option<Whitened> {
+        let whitening = self.whitening.get(scene.sample)?.as_ref()?;
+        let seen = Seen::new(scene);
+        Some(Whitened {
+            residual: whitening * seen.value,
+            by_robot: whitening * seen.by_robot,
+            by_bar: whitening * seen.by_bar,
+        })
+    }
+
+    fn residual(&self, _: &Scene<'_>, whitened: &Whitened, out: &mut [f64]) {
+        out.copy_from_slice(whitened.residual.as_slice());
+    }
+
+    fn derivative(&self, scene: &Scene<'_>, whitened: &Whitened, id: ParameterId, out: &mut [f64]) {
+        let moved = match scene.movement(id) {
+            Movement::Robot(twist) => whitened.by_robot * stacked(&twist),
+            Movement::Bar(twist) => whitened.by_bar * stacked(&twist),
+            Movement::None => return,
+        };
+        out.copy_from_slice(moved.as_slice());
+    }
+}

@@ -1,0 +1,97 @@
+//! What a calibration leaves behind reads back as the same robot.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test stops at the first surprise")]
+
+mod support;
+
+use identify::cost::{LoopProblem, Residual, Transform};
+use identify::kinematics::{Chain, DhLink, Pose};
+use identify::model::{Model, Selection};
+use identify::report::file::{CalibrationFile, DhRow, ParameterEntry, SolveEntry};
+use identify::report::table;
+use identify::solver::{Options, Solution, solve};
+use support::{Cell, noisy_poses};
+
+fn solved() -> (Model, Solution) {
+    let cell = Cell::irb2400();
+    let (observations, joints) = noisy_poses(&cell, 200, 5, 1e-3);
+    let mut model = cell.model();
+    model.select(Selection::Thesis, Transform::tells).unwrap();
+    let problem = LoopProblem::new(&model, &joints, &observations, Transform, 1.0).unwrap();
+    let solution = solve(&problem, &model.start(), &Options::default()).unwrap();
+    model.adopt(&solution.x);
+    (model, solution)
+}
+
+fn file(model: &Model, solution: &Solution) -> CalibrationFile {
+    let solve = SolveEntry::new("transform", &solution.summary, &solution.identifiability);
+    let sigma = |id| model.column_of(id).and_then(|column| solution.covariance.sigma(column));
+    CalibrationFile::new("robot", "bar", solve, None, Vec::new(), ParameterEntry::all(model, sigma))
+}
+
+/// Robot and bar (standing at the root) of a table of links.
+fn chain(rows: &[DhRow], name: &str, links: usize) -> Chain {
+    let mut chain = Chain { root_from_base: Pose::identity(), links: vec![DhLink::default(); links] };
+    for row in rows.iter().filter(|row| row.chain == name) {
+        let link = &mut chain.links[row.link - 1];
+        assert_eq!(row.unit, if row.parameter.len() == 1 { "m" } else { "rad" });
+        assert!((row.nominal + row.correction - row.identified).abs() < 1e-15);
+        *match row.parameter.as_str() {
+            "a" => &mut link.a_m,
+            "d" => &mut link.d_m,
+            "alpha" => &mut link.alpha_rad,
+            "theta" => &mut link.theta_rad,
+            "beta" => &mut link.beta_rad,
+            other => panic!("{other}"),
+        } = row.identified;
+    }
+    chain
+}
+
+#[test]
+fn the_table_of_links_and_both_files_give_the_poses_of_the_solution() {
+    let (model, solution) = solved();
+    let directory = tempfile::tempdir().unwrap();
+    let written = file(&model, &solution);
+    let path = written.write(directory.path()).unwrap();
+    let from_toml: CalibrationFile = toml::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
+    let json = std::fs::read_to_string(directory.path().join("calibration.json")).unwrap();
+    let from_json: CalibrationFile = serde_json::from_str(&json).unwrap();
+    assert_eq!(from_toml, written);
+    assert_eq!(from_json, written);
+
+    let mut reader = csv::Reader::from_path(directory.path().join("dh.csv")).unwrap();
+    let rows: Vec<DhRow> = reader.deserialize().map(|row| row.unwrap()).collect();
+    let geometry = model.geometry(&model.start());
+    let mut bar = geometry.bar();
+    bar.root_from_base = Pose::identity();
+    for k in 0..20 {
+        let joints: [f64; 6] = std::array::from_fn(|i| (1.3 * f64::from(k) + i as f64).sin());
+        for (name, expected) in [("robot", &geometry.robot), ("ball_bar", &bar)] {
+            let read = chain(&rows, name, expected.links.len()).forward(&joints);
+            let apart = (read.to_homogeneous() - expected.forward(&joints).to_homogeneous()).amax();
+            assert!(apart < 1e-12, "{name}: {apart}");
+        }
+    }
+}
+
+#[test]
+fn a_joint_offset_as_printed_added_to_the_joint_angle_gives_the_identified_robot() {
+    let (model, solution) = solved();
+    let text = table::calibration(&file(&model, &solution));
+    let offset_deg = |joint: usize| -> f64 {
+        let line = text.lines().find(|line| line.starts_with(&format!("  joint {joint}: "))).unwrap();
+        line.split_whitespace().nth(2).unwrap().parse().unwrap()
+    };
+    let identified = model.geometry(&model.start()).robot;
+    let mut zeros_nominal = identified.clone();
+    let nominal = Cell::irb2400().robot;
+    for (link, nominal) in zeros_nominal.links.iter_mut().zip(&nominal.links) {
+        link.theta_rad = nominal.theta_rad;
+    }
+    let joints = [0.3, -0.4, 0.5, 0.6, -0.7, 0.8];
+    let corrected: [f64; 6] = std::array::from_fn(|i| joints[i] + offset_deg(i + 1).to_radians());
+    let apart =
+        zeros_nominal.forward(&corrected).to_homogeneous() - identified.forward(&joints).to_homogeneous();
+    assert!(apart.amax() < 1e-6, "{}", apart.amax());
+    assert!((2..=6).any(|joint| offset_deg(joint).abs() > 1e-4));
+}
