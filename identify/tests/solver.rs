@@ -19,7 +19,7 @@ use support::other_solver::Other;
 use support::{Cell, noisy_poses};
 
 /// Residual and gradient of one row at `x`.
-type Row<'a> = dyn Fn(&[f64], usize) -> (f64, Vec<f64>) + 'a;
+type Row<'a> = dyn Fn(&[f64], usize) -> (f64, Vec<f64>) + Sync + 'a;
 
 /// Scalar rows given by a function.
 struct Rows<'a> {
@@ -188,7 +188,7 @@ fn decay_data(random: &mut StdRng, sigma: f64) -> Vec<f64> {
         .collect()
 }
 
-fn decay(data: &[f64]) -> impl Fn(&[f64], usize) -> (f64, Vec<f64>) + '_ {
+fn decay(data: &[f64]) -> impl Fn(&[f64], usize) -> (f64, Vec<f64>) + Sync + '_ {
     |x, k| {
         let t = k as f64;
         let e = (-x[1] * t).exp();

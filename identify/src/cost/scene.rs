@@ -105,7 +105,7 @@ pub(super) fn sees_harmonic(id: ParameterId, encoders: &[usize]) -> bool {
 }
 
 /// One cost function: a residual vector per sample and its derivative by each parameter.
-pub trait Residual {
+pub trait Residual: Sync {
     /// What a sample computes once for its residual and all derivatives.
     type Local;
     /// Name in reports and on the command line.

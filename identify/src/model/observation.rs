@@ -37,7 +37,7 @@ pub struct JointState {
 }
 
 /// The robot's motion on its own clock, smooth enough to be differentiated.
-pub trait RobotMotion {
+pub trait RobotMotion: Sync {
     /// Joints at robot time `tau_s` since the reference \[s\]; none outside the log.
     fn at(&self, tau_s: f64) -> Option<JointState>;
 }

@@ -32,7 +32,7 @@ pub struct Prior {
 }
 
 /// A least-squares problem `min 1/2 sum_k rho(|r_k(x)|^2) + 1/2 sum ((x_j - value_j) / sigma_j)^2`.
-pub trait Problem {
+pub trait Problem: Sync {
     /// What depends on `x` alone and is computed once for all samples, and scratch space.
     type Point;
 
