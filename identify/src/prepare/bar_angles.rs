@@ -6,12 +6,14 @@ use shared::encoder::Unwrapper;
 use shared::recording::schema::{CycleRecord, EncoderInfo, flags};
 use shared::time::UtcNs;
 
-use super::PrepareError;
+use super::{Fate, PrepareError};
 use crate::kinematics::BAR_JOINTS;
 
 /// Samples between two changes of the counters' origin: within it the zeros stay the same.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct BarSegment {
+    /// Index of each sample's cycle in the recording.
+    pub cycles: Vec<usize>,
     /// When the encoders were sampled, strictly increasing.
     pub times: Vec<UtcNs>,
     /// Angles \[rad\], continuous; each joint begins within half a turn of zero. Joints without encoder are 0.
@@ -25,10 +27,8 @@ pub struct BarAngles {
     pub measured: [bool; BAR_JOINTS],
     /// In the order of time; none is empty.
     pub segments: Vec<BarSegment>,
-    /// Cycles dropped because some encoder was not valid.
-    pub invalid: usize,
-    /// Cycles dropped because their time was not later than that of the cycle before.
-    pub time_not_increasing: usize,
+    /// What became of each cycle so far: invalid, time not increasing, or anything else.
+    pub fates: Vec<Fate>,
 }
 
 /// Unwraps the counts of all valid cycles.
@@ -38,20 +38,21 @@ pub struct BarAngles {
 pub fn bar_angles(cycles: &[CycleRecord], encoders: &[EncoderInfo]) -> Result<BarAngles, PrepareError> {
     let mut angles = BarAngles { measured: measured(encoders)?, ..BarAngles::default() };
     let mut segment = SegmentBuilder::new(encoders);
-    for cycle in cycles {
+    for (index, cycle) in cycles.iter().enumerate() {
         if cycle.flags & flags::ORIGIN_CHANGED != 0 {
             let ended = std::mem::replace(&mut segment, SegmentBuilder::new(encoders));
             angles.segments.extend(ended.finish());
         }
         if !cycle.is_valid() {
-            angles.invalid += 1;
+            angles.fates.push(Fate::Invalid);
             continue;
         }
         if segment.samples.times.last().is_some_and(|&before| cycle.sample_time <= before) {
-            angles.time_not_increasing += 1;
+            angles.fates.push(Fate::TimeNotIncreasing);
             continue;
         }
-        segment.push(cycle, encoders)?;
+        segment.push(index, cycle, encoders)?;
+        angles.fates.push(Fate::Surplus);
     }
     angles.segments.extend(segment.finish());
     if angles.segments.is_empty() {
@@ -88,10 +89,15 @@ impl SegmentBuilder {
         }
     }
 
-    fn push(&mut self, cycle: &CycleRecord, encoders: &[EncoderInfo]) -> Result<(), PrepareError> {
+    fn push(
+        &mut self,
+        cycle_index: usize,
+        cycle: &CycleRecord,
+        encoders: &[EncoderInfo],
+    ) -> Result<(), PrepareError> {
         let mut raw_rad = [0.0; BAR_JOINTS];
-        for (index, (encoder, unwrapper)) in encoders.iter().zip(&mut self.unwrappers).enumerate() {
-            let sample = cycle.encoders().get(index).copied().unwrap_or_default();
+        for (place, (encoder, unwrapper)) in encoders.iter().zip(&mut self.unwrappers).enumerate() {
+            let sample = cycle.encoders().get(place).copied().unwrap_or_default();
             if sample.joint != encoder.joint {
                 return Err(PrepareError::EncoderOrder {
                     cycle: cycle.cycle,
@@ -103,6 +109,7 @@ impl SegmentBuilder {
             raw_rad[joint] = encoder.scale.counts_to_rad(unwrapper.next(sample.count));
         }
         let turns_rad = *self.turns_rad.get_or_insert_with(|| raw_rad.map(|raw| (raw / TAU).round() * TAU));
+        self.samples.cycles.push(cycle_index);
         self.samples.times.push(cycle.sample_time);
         self.samples.angles_rad.push(std::array::from_fn(|joint| raw_rad[joint] - turns_rad[joint]));
         Ok(())

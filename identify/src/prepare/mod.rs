@@ -25,7 +25,9 @@ mod samples;
 mod select;
 mod speeds;
 mod sphere;
+mod standstill;
 mod steps;
+mod timeline;
 
 pub use aligned::AlignedLog;
 pub use bar_angles::{BarAngles, BarSegment, bar_angles};
@@ -36,7 +38,9 @@ pub use predict::{PredictedBar, Predictor};
 pub use refine::{ClockFit, Relation, refine};
 pub use select::select;
 pub use sphere::{SphereFit, fit_sphere};
+pub use standstill::{Jitter, MOVING_RAD_S, Standstill};
 pub use steps::prepare;
+pub use timeline::{Fate, Timeline, TimelinePoint};
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -105,8 +109,31 @@ pub struct SampleCounts {
     pub standstill: usize,
     /// More than are wanted.
     pub surplus: usize,
+    /// Their angles do not fit those around them.
+    pub outliers: usize,
     /// Kept.
     pub kept: usize,
+}
+
+impl SampleCounts {
+    /// Counts the fates of all cycles.
+    pub fn of(fates: &[Fate]) -> Self {
+        let mut counts = Self { recorded: fates.len(), ..Self::default() };
+        for fate in fates {
+            *match fate {
+                Fate::Surplus => &mut counts.surplus,
+                Fate::Standstill => &mut counts.standstill,
+                Fate::Outside => &mut counts.outside_robot_log,
+                Fate::OtherOrigin => &mut counts.other_origin,
+                Fate::Singular => &mut counts.singular,
+                Fate::Kept => &mut counts.kept,
+                Fate::Invalid => &mut counts.invalid,
+                Fate::TimeNotIncreasing => &mut counts.time_not_increasing,
+                Fate::Outlier => &mut counts.outliers,
+            } += 1;
+        }
+        counts
+    }
 }
 
 /// How the two logs were brought together.
@@ -164,6 +191,8 @@ pub struct Prepared {
     pub sphere: SphereFit,
     /// What was dropped and why.
     pub counts: SampleCounts,
+    /// The run at a glance, for reports.
+    pub timeline: Timeline,
 }
 
 impl Prepared {

@@ -3,7 +3,8 @@
 use nalgebra::{Translation3, Vector3};
 
 use crate::kinematics::{
-    BAR_JOINTS, Chain, Configuration, InverseError, Trace, Tracer, ball_bar_inverse, singularity_margin_rad,
+    BAR_JOINTS, Chain, Configuration, InverseError, ROBOT_JOINTS, Trace, Tracer, ball_bar_inverse,
+    singularity_margin_rad,
 };
 use crate::logs::InterpolatedLog;
 
@@ -54,6 +55,11 @@ impl<'a> Predictor<'a> {
     /// The bar at `tau_s` after the log's first stamp; none where the log says nothing.
     pub fn at(&self, tau_s: f64) -> Option<PredictedBar> {
         self.at_with_base(tau_s, &self.base_m())
+    }
+
+    /// The robot's joints at `tau_s` \[rad\].
+    pub fn robot_at(&self, tau_s: f64) -> Option<[f64; ROBOT_JOINTS]> {
+        self.log.joints(tau_s).map(|joints| joints.value)
     }
 
     /// [`Self::at`] with the bar standing elsewhere.

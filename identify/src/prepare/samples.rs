@@ -4,9 +4,10 @@ use shared::time::UtcNs;
 
 use super::select::apart;
 use super::speeds::STEP_S;
+use super::timeline::Sample;
 use super::{
-    AnglePair, BarSegment, ClockFit, EncoderOffset, Match, Offsets, Predictor, PrepareError, PrepareOptions,
-    Relation, SampleCounts, find_offsets, refine, select,
+    AnglePair, BarSegment, ClockFit, EncoderOffset, Fate, Match, Offsets, Predictor, PrepareError,
+    PrepareOptions, Relation, SampleCounts, find_offsets, refine, select,
 };
 use crate::kinematics::BAR_JOINTS;
 use crate::model::Observation;
@@ -29,7 +30,8 @@ pub(super) struct Samples {
 /// Which samples are kept, and what became of the others.
 pub(super) struct Kept {
     indices: Vec<usize>,
-    pub counts: SampleCounts,
+    /// Of each sample of the segment.
+    pub fates: Vec<Fate>,
 }
 
 impl Samples {
@@ -82,30 +84,36 @@ impl Samples {
         clock: ClockFit,
         margin_rad: f64,
         options: &PrepareOptions,
-        mut counts: SampleCounts,
     ) -> Result<Kept, PrepareError> {
+        let mut fates = vec![Fate::Outside; self.all.len()];
         let mut usable = Vec::new();
         for (index, (t_s, _)) in self.all.iter().enumerate() {
             let tau_s = clock.tau_s(*t_s);
             let around = [tau_s - EDGE_S, tau_s + EDGE_S].map(|tau_s| predictor.at(tau_s).is_some());
             match predictor.at(tau_s).filter(|_| around == [true, true]) {
-                None => counts.outside_robot_log += 1,
-                Some(bar) if bar.margin_rad <= margin_rad => counts.singular += 1,
-                Some(_) => usable.push(index),
+                None => {}
+                Some(bar) if bar.margin_rad <= margin_rad => fates[index] = Fate::Singular,
+                Some(_) => {
+                    fates[index] = Fate::Standstill;
+                    usable.push(index);
+                }
             }
         }
         let angles: Vec<[f64; BAR_JOINTS]> =
             usable.iter().filter_map(|&index| self.all.get(index)).map(|(_, angles)| *angles).collect();
         let motion_min_rad = options.motion_min_mrad * 1e-3;
-        let moving = apart(&angles, motion_min_rad).len();
-        let indices: Vec<usize> = select(&angles, motion_min_rad, options.points_max)
-            .into_iter()
-            .filter_map(|index| usable.get(index).copied())
-            .collect();
-        counts.standstill = usable.len() - moving;
-        counts.surplus = moving.saturating_sub(indices.len());
-        counts.kept = indices.len();
+        let of_all = |indices: Vec<usize>| -> Vec<usize> {
+            indices.into_iter().filter_map(|index| usable.get(index).copied()).collect()
+        };
+        for index in of_all(apart(&angles, motion_min_rad)) {
+            fates[index] = Fate::Surplus;
+        }
+        let indices = of_all(select(&angles, motion_min_rad, options.points_max));
+        for &index in &indices {
+            fates[index] = Fate::Kept;
+        }
         if indices.len() < KEPT_MIN {
+            let counts = SampleCounts::of(&fates);
             return Err(PrepareError::NothingLeft {
                 kept: indices.len(),
                 outside: counts.outside_robot_log,
@@ -113,7 +121,17 @@ impl Samples {
                 standstill: counts.standstill,
             });
         }
-        Ok(Kept { indices, counts })
+        Ok(Kept { indices, fates })
+    }
+
+    /// The samples with offsets added, for drawing.
+    pub fn drawn(&self, segment: &BarSegment, offsets_rad: &[f64; BAR_JOINTS]) -> Vec<Sample> {
+        let samples = segment.cycles.iter().zip(&self.all).map(|(&cycle, (t_s, angles_rad))| Sample {
+            cycle,
+            t_s: *t_s,
+            bar_rad: std::array::from_fn(|joint| angles_rad[joint] + offsets_rad[joint]),
+        });
+        samples.collect()
     }
 }
 

@@ -8,9 +8,11 @@ use shared::time::UtcNs;
 use super::correlate::TIE;
 use super::samples::{Samples, relate};
 use super::speeds::{STEP_S, measured_speeds, predicted_speeds};
+use super::timeline::Run;
 use super::{
-    AlignedLog, Alignment, BarAngles, BarSegment, ClockFit, InitialValues, Match, Predictor, PrepareError,
-    PrepareOptions, Prepared, Relation, SampleCounts, SphereFit, bar_angles, correlate, fit_sphere,
+    AlignedLog, Alignment, BarAngles, BarSegment, ClockFit, Fate, InitialValues, Match, Predictor,
+    PrepareError, PrepareOptions, Prepared, Relation, SampleCounts, SphereFit, bar_angles, correlate,
+    fit_sphere,
 };
 use crate::kinematics::{BAR_JOINTS, Chain, ball_bar_chain, robot_chain};
 use crate::logs::{InterpolatedLog, RobotLog, default_gap_limit_s};
@@ -56,10 +58,20 @@ pub fn prepare(
     let relation = relate(&predictor, &samples, &angles.measured, coarse, margin_rad, options)?;
     let Relation { clock, base_m, offsets } = relation;
     let predictor = predictor.with_base(base_m);
-    let counts = counts_so_far(cycles, &angles, segment);
-    let kept = samples.keep(&predictor, clock, margin_rad, options, counts)?;
+    let kept = samples.keep(&predictor, clock, margin_rad, options)?;
+    let fates = fates_of_all(&angles, segment, &kept.fates);
 
     let t_ref = samples.t_ref(segment);
+    let timeline = Run {
+        fates: &fates,
+        cycle_s: &|cycle| cycles.get(cycle).map_or(0.0, |cycle| cycle.sample_time.seconds_since(t_ref)),
+        samples: &samples.drawn(segment, &offsets.by_joint_rad()),
+        measured: &angles.measured,
+        configuration: offsets.configuration,
+        predictor: &predictor,
+        clock,
+    }
+    .timeline();
     let robot_ref_ns = log.first_stamp_ns.saturating_add((clock.shift_s * 1e9).round() as i64);
     Ok(Prepared {
         t_ref,
@@ -76,20 +88,26 @@ pub fn prepare(
         alignment: alignment(&matched, clock, robot_ref_ns, t_ref),
         offsets: offsets.encoders,
         sphere,
-        counts: kept.counts,
+        counts: SampleCounts::of(&fates),
+        timeline,
         motion: AlignedLog::new(interpolated.clone(), clock.shift_s),
     })
 }
 
-fn counts_so_far(cycles: &[CycleRecord], angles: &BarAngles, used: &BarSegment) -> SampleCounts {
-    let valid: usize = angles.segments.iter().map(|segment| segment.times.len()).sum();
-    SampleCounts {
-        recorded: cycles.len(),
-        invalid: angles.invalid,
-        time_not_increasing: angles.time_not_increasing,
-        other_origin: valid - used.times.len(),
-        ..SampleCounts::default()
+/// What became of every cycle of the recording, from what became of those of the segment that is used.
+fn fates_of_all(angles: &BarAngles, used: &BarSegment, of_used: &[Fate]) -> Vec<Fate> {
+    let mut fates = angles.fates.clone();
+    for cycle in angles.segments.iter().flat_map(|segment| &segment.cycles) {
+        if let Some(fate) = fates.get_mut(*cycle) {
+            *fate = Fate::OtherOrigin;
+        }
     }
+    for (cycle, of_sample) in used.cycles.iter().zip(of_used) {
+        if let Some(fate) = fates.get_mut(*cycle) {
+            *fate = *of_sample;
+        }
+    }
+    fates
 }
 
 fn alignment(matched: &Match, clock: ClockFit, robot_ref_ns: i64, t_ref: UtcNs) -> Alignment {

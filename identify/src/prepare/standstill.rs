@@ -1,0 +1,113 @@
+//! Where nothing moves, and how much the encoders' readings jitter there.
+
+use serde::Serialize;
+
+use crate::kinematics::{BAR_JOINTS, ROBOT_JOINTS};
+
+/// Joints slower than this stand still \[rad/s\]: noise of 75 urad, differenced over 0.1 s, stays below.
+pub const MOVING_RAD_S: f64 = 3e-3;
+/// Shorter ones are turning points \[s\].
+const DURATION_S_MIN: f64 = 0.4;
+/// Still readings further apart belong to two standstills \[s\].
+const BREAK_S: f64 = 0.05;
+/// Left out at both ends, where the motion ends and begins \[s\].
+const EDGE_S: f64 = 0.1;
+/// Fewest readings that a deviation is taken from.
+const READINGS_MIN: usize = 10;
+
+/// A time in which neither robot nor bar moves.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Standstill {
+    /// First instant, bar time since the reference \[s\].
+    pub from_s: f64,
+    /// Last instant \[s\].
+    pub to_s: f64,
+}
+
+impl Standstill {
+    /// How long \[s\].
+    pub fn duration_s(&self) -> f64 {
+        self.to_s - self.from_s
+    }
+}
+
+/// Standard deviation of the readings about the straight line through each standstill, over all standstills; none
+/// without encoder or where nothing stands still long enough.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct Jitter {
+    /// Each bar encoder \[urad\].
+    pub bar_urad: [Option<f64>; BAR_JOINTS],
+    /// Each robot joint, at the bar's sample times \[urad\].
+    pub robot_urad: [Option<f64>; ROBOT_JOINTS],
+}
+
+/// Readings at one instant.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Readings {
+    /// Bar time \[s\].
+    pub t_s: f64,
+    /// Bar joints \[rad\].
+    pub bar_rad: [f64; BAR_JOINTS],
+    /// Robot joints \[rad\].
+    pub robot_rad: [f64; ROBOT_JOINTS],
+}
+
+/// Standstills, and the jitter in them. `still` are the readings at which nothing moves, in the order of time.
+pub(super) fn standstills(still: &[Readings], measured: &[bool; BAR_JOINTS]) -> (Vec<Standstill>, Jitter) {
+    let mut found = Vec::new();
+    let mut bar = [Spread::default(); BAR_JOINTS];
+    let mut robot = [Spread::default(); ROBOT_JOINTS];
+    for stretch in still.chunk_by(|a, b| b.t_s - a.t_s < BREAK_S) {
+        let (Some(first), Some(last)) = (stretch.first(), stretch.last()) else { continue };
+        let standstill = Standstill { from_s: first.t_s, to_s: last.t_s };
+        if standstill.duration_s() < DURATION_S_MIN {
+            continue;
+        }
+        found.push(standstill);
+        let within = |reading: &&Readings| {
+            reading.t_s > standstill.from_s + EDGE_S && reading.t_s < standstill.to_s - EDGE_S
+        };
+        let inner: Vec<&Readings> = stretch.iter().filter(within).collect();
+        for (joint, spread) in bar.iter_mut().enumerate() {
+            spread.add(inner.iter().map(|reading| (reading.t_s, reading.bar_rad[joint])));
+        }
+        for (joint, spread) in robot.iter_mut().enumerate() {
+            spread.add(inner.iter().map(|reading| (reading.t_s, reading.robot_rad[joint])));
+        }
+    }
+    let mut bar_urad = bar.map(|spread| spread.deviation_urad());
+    for (deviation, measured) in bar_urad.iter_mut().zip(measured) {
+        *deviation = deviation.filter(|_| *measured);
+    }
+    (found, Jitter { bar_urad, robot_urad: robot.map(|spread| spread.deviation_urad()) })
+}
+
+/// Squared deviations from straight lines, and their degrees of freedom.
+#[derive(Debug, Clone, Copy, Default)]
+struct Spread {
+    squares: f64,
+    freedoms: usize,
+}
+
+impl Spread {
+    /// Adds one standstill's readings, about their own line: a robot that settles drifts.
+    fn add(&mut self, readings: impl Iterator<Item = (f64, f64)> + Clone) {
+        let count = readings.clone().count();
+        if count < READINGS_MIN {
+            return;
+        }
+        let n = count as f64;
+        let (t_mean, v_mean) =
+            readings.clone().fold((0.0, 0.0), |(t_sum, v_sum), (t, v)| (t_sum + t / n, v_sum + v / n));
+        let (tt, tv, vv) = readings.fold((0.0, 0.0, 0.0), |(tt, tv, vv), (t, v)| {
+            let (t, v) = (t - t_mean, v - v_mean);
+            (tt + t * t, tv + t * v, vv + v * v)
+        });
+        self.squares += (vv - tv * tv / tt.max(f64::MIN_POSITIVE)).max(0.0);
+        self.freedoms += count - 2;
+    }
+
+    fn deviation_urad(self) -> Option<f64> {
+        (self.freedoms > 0).then(|| (self.squares / self.freedoms as f64).sqrt() * 1e6)
+    }
+}

@@ -1,0 +1,200 @@
+//! A run at a glance: what a report draws of the preparation, thinned so that ten hours stay a few thousand points.
+
+use serde::Serialize;
+
+use super::standstill::{Jitter, MOVING_RAD_S, Readings, Standstill, standstills};
+use super::{ClockFit, Predictor};
+use crate::kinematics::{BAR_JOINTS, Configuration, ROBOT_JOINTS};
+
+/// What became of a bus cycle.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Fate {
+    /// More samples than are wanted, or hardly moved since the last one kept.
+    #[default]
+    Surplus,
+    /// Neither robot nor bar moves.
+    Standstill,
+    /// The robot's log does not cover it.
+    Outside,
+    /// In a run between two changes of the counters' origin that is too short to find its zeros.
+    OtherOrigin,
+    /// Near a singular pose of the bar.
+    Singular,
+    /// The solve gets it.
+    Kept,
+    /// Not fresh, flagged, or without valid counts of all encoders.
+    Invalid,
+    /// Time stamp not later than the one before.
+    TimeNotIncreasing,
+    /// Its angles do not fit those around it.
+    Outlier,
+}
+
+/// One of the timeline's instants.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct TimelinePoint {
+    /// Bar time since [`super::Prepared::t_ref`] \[s\].
+    pub t_s: f64,
+    /// The most noteworthy fate among the cycles that this point stands for, in the order of [`Fate`]: a single outlier
+    /// shows even where a point stands for a minute.
+    pub fate: Fate,
+    /// Largest speed of a bar joint, over 0.1 s \[rad/s\]; none where neighbours are missing.
+    pub bar_speed_rad_s: Option<f64>,
+    /// Largest speed of a robot joint, over 0.1 s \[rad/s\]; none outside its log.
+    pub robot_speed_rad_s: Option<f64>,
+    /// Faster than [`super::MOVING_RAD_S`].
+    pub bar_moves: Option<bool>,
+    /// Faster than [`super::MOVING_RAD_S`].
+    pub robot_moves: Option<bool>,
+    /// Bar joints by their encoders, offsets added, in [`super::Prepared::configuration`], each in (-pi, pi] \[rad\].
+    /// None for invalid cycles; joints without encoder are as predicted.
+    pub measured_rad: Option<[f64; BAR_JOINTS]>,
+    /// Bar joints that the robot's log implies, in the same configuration \[rad\]; none outside the log.
+    pub predicted_rad: Option<[f64; BAR_JOINTS]>,
+    /// Robot joints at this instant \[rad\]; none outside its log.
+    pub robot_rad: Option<[f64; ROBOT_JOINTS]>,
+    /// Distance to the bar's nearest singular pose, predicted \[rad\].
+    pub margin_rad: Option<f64>,
+}
+
+/// What a report draws of the preparation.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct Timeline {
+    /// In the order of time, evenly over the cycles of the recording, at most [`Timeline::POINTS_MAX`].
+    pub points: Vec<TimelinePoint>,
+    /// How many cycles a point stands for.
+    pub cycles_per_point: usize,
+    /// Where robot and bar stand still together, bar time.
+    pub standstills: Vec<Standstill>,
+    /// Noise of the encoders at standstill (figure 5.2 of the thesis).
+    pub jitter: Jitter,
+}
+
+impl Timeline {
+    /// Points at most.
+    pub const POINTS_MAX: usize = 3000;
+}
+
+/// The run as the preparation leaves it.
+pub(super) struct Run<'a> {
+    /// Of every cycle of the recording.
+    pub fates: &'a [Fate],
+    /// Time of a cycle since the reference \[s\].
+    pub cycle_s: &'a dyn Fn(usize) -> f64,
+    /// Valid samples in the order of time.
+    pub samples: &'a [Sample],
+    /// Joints with an encoder.
+    pub measured: &'a [bool; BAR_JOINTS],
+    /// In which angles are shown.
+    pub configuration: Configuration,
+    /// The robot's log and what it implies.
+    pub predictor: &'a Predictor<'a>,
+    /// Bar time to robot time.
+    pub clock: ClockFit,
+}
+
+/// A valid sample of the bar.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Sample {
+    /// Index of its cycle in the recording.
+    pub cycle: usize,
+    /// Bar time since the reference \[s\].
+    pub t_s: f64,
+    /// Bar joints, offsets added \[rad\].
+    pub bar_rad: [f64; BAR_JOINTS],
+}
+
+/// Half the time over which speeds are taken \[s\].
+const SPEED_REACH_S: f64 = 0.05;
+/// Samples to either side among which the one at that distance is sought.
+const NEIGHBOURS: usize = 12;
+
+impl Run<'_> {
+    pub fn timeline(&self) -> Timeline {
+        let cycles_per_point = self.fates.len().div_ceil(Timeline::POINTS_MAX).max(1);
+        let points = self
+            .fates
+            .chunks(cycles_per_point)
+            .enumerate()
+            .filter_map(|(chunk, fates)| {
+                let noteworthy = fates.iter().enumerate().max_by_key(|(_, fate)| **fate);
+                noteworthy.map(|(index, fate)| self.point(chunk * cycles_per_point + index, *fate))
+            })
+            .collect();
+        let (standstills, jitter) = standstills(&self.still(), self.measured);
+        Timeline { points, cycles_per_point, standstills, jitter }
+    }
+
+    fn point(&self, cycle: usize, fate: Fate) -> TimelinePoint {
+        let sample = self.samples.binary_search_by_key(&cycle, |sample| sample.cycle).ok();
+        let t_s = (self.cycle_s)(cycle);
+        let tau_s = self.clock.tau_s(t_s);
+        let predicted = self.predictor.at(tau_s);
+        let predicted_rad = predicted.map(|bar| self.configuration.carry(&bar.joints_rad));
+        let bar_speed_rad_s = sample.and_then(|index| self.bar_speed_rad_s(index));
+        let robot_speed_rad_s = self.robot_speed_rad_s(tau_s);
+        let moves = |speed: Option<f64>| speed.map(|speed| speed > MOVING_RAD_S);
+        let measured = sample.and_then(|index| self.samples.get(index));
+        TimelinePoint {
+            t_s,
+            fate,
+            bar_speed_rad_s,
+            robot_speed_rad_s,
+            bar_moves: moves(bar_speed_rad_s),
+            robot_moves: moves(robot_speed_rad_s),
+            measured_rad: measured.map(|sample| self.shown(&sample.bar_rad, predicted_rad)),
+            predicted_rad,
+            robot_rad: self.predictor.robot_at(tau_s),
+            margin_rad: predicted.map(|bar| bar.margin_rad),
+        }
+    }
+
+    /// Measured joints, the others as predicted, in the configuration that is shown.
+    fn shown(
+        &self,
+        bar_rad: &[f64; BAR_JOINTS],
+        predicted_rad: Option<[f64; BAR_JOINTS]>,
+    ) -> [f64; BAR_JOINTS] {
+        let filled = std::array::from_fn(|joint| match predicted_rad {
+            Some(predicted_rad) if !self.measured[joint] => predicted_rad[joint],
+            _ => bar_rad[joint],
+        });
+        self.configuration.carry(&filled)
+    }
+
+    /// Largest speed of a bar joint about a sample; none where no neighbours are near.
+    fn bar_speed_rad_s(&self, index: usize) -> Option<f64> {
+        let here = self.samples.get(index)?;
+        let near = |sample: &&Sample| (sample.t_s - here.t_s).abs() <= SPEED_REACH_S * 1.01;
+        let from = index.saturating_sub(NEIGHBOURS);
+        let before = self.samples.get(from..index)?.iter().find(near)?;
+        let to = (index + 1 + NEIGHBOURS).min(self.samples.len());
+        let after = self.samples.get(index + 1..to)?.iter().rev().find(near)?;
+        let time_s = after.t_s - before.t_s;
+        Some(largest_difference(&after.bar_rad, &before.bar_rad) / time_s)
+    }
+
+    /// Largest speed of a robot joint.
+    fn robot_speed_rad_s(&self, tau_s: f64) -> Option<f64> {
+        let before = self.predictor.robot_at(tau_s - SPEED_REACH_S)?;
+        let after = self.predictor.robot_at(tau_s + SPEED_REACH_S)?;
+        Some(largest_difference(&after, &before) / (2.0 * SPEED_REACH_S))
+    }
+
+    /// Samples at which neither robot nor bar moves.
+    fn still(&self) -> Vec<Readings> {
+        let slow = |speed: Option<f64>| speed.is_some_and(|speed| speed < MOVING_RAD_S);
+        let still = self.samples.iter().enumerate().filter_map(|(index, sample)| {
+            let tau_s = self.clock.tau_s(sample.t_s);
+            let still = slow(self.bar_speed_rad_s(index)) && slow(self.robot_speed_rad_s(tau_s));
+            let robot_rad = self.predictor.robot_at(tau_s).filter(|_| still)?;
+            Some(Readings { t_s: sample.t_s, bar_rad: sample.bar_rad, robot_rad })
+        });
+        still.collect()
+    }
+}
+
+fn largest_difference<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
+    a.iter().zip(b).fold(0.0, |most, (a, b)| most.max((a - b).abs()))
+}
