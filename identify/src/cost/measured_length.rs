@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::scene::unit;
+use super::scene::{of_bar, of_tracker, unit};
 use super::{Movement, Residual, Scene};
 use crate::model::ParameterId;
 
@@ -26,7 +26,7 @@ impl Residual for MeasuredLength {
     const NEEDS_LENGTH: bool = true;
 
     fn sees(id: ParameterId) -> bool {
-        !matches!(id, ParameterId::Bar { .. } | ParameterId::Base(_) | ParameterId::BaseRotation(_))
+        !of_bar(id) && !of_tracker(id)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Vector3<f64>> {

@@ -6,6 +6,8 @@
 mod fill_in;
 mod length;
 mod measured_length;
+mod measured_pose;
+mod measured_position;
 mod pose;
 mod position;
 mod position_angles;
@@ -16,6 +18,8 @@ mod transform;
 pub use fill_in::fill_in;
 pub use length::Length;
 pub use measured_length::MeasuredLength;
+pub use measured_pose::{MeasuredPose, PoseNoise};
+pub use measured_position::MeasuredPosition;
 pub use pose::{AngleNoise, WhitenedPose};
 pub use position::Position;
 pub use position_angles::PositionAngles;

@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use super::problem::LoopPoint;
-use super::scene::{ALL_ENCODERS, of_wire, sees_harmonic};
+use super::scene::{ALL_ENCODERS, of_other_instrument, sees_harmonic};
 use super::{Movement, Residual, Scene};
 use crate::kinematics::{Trace, Twist, rotation_vector};
 use crate::model::{Geometry, Observation, ParameterId, RobotMotion};
@@ -78,7 +78,7 @@ impl Seen {
 }
 
 /// `d log(Q) = J dw` for `dQ = [dw] Q` at rotation vector `w`: `1 - [w]/2 + c [w]^2`.
-fn inverse_left_jacobian(w: &Vector3<f64>) -> Matrix3<f64> {
+pub(super) fn inverse_left_jacobian(w: &Vector3<f64>) -> Matrix3<f64> {
     let squared = w.norm_squared();
     // 1/t^2 - cot(t/2)/(2t) cancels for small angles; its series there.
     let c = if squared < 1e-2 {
@@ -125,7 +125,7 @@ impl Residual for WhitenedPose {
     const ENCODERS: &'static [usize] = ALL_ENCODERS;
 
     fn sees(id: ParameterId) -> bool {
-        !of_wire(id) && sees_harmonic(id, Self::ENCODERS)
+        !of_other_instrument(id) && sees_harmonic(id, Self::ENCODERS)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Whitened> {

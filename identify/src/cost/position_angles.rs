@@ -3,7 +3,7 @@
 use nalgebra::Vector5;
 
 use super::position::{derivative, difference};
-use super::scene::{of_wire, sees_harmonic};
+use super::scene::{of_other_instrument, sees_harmonic};
 use super::{Movement, Residual, Scene};
 use crate::kinematics::{BAR_JOINTS, ImpliedBar, LinkParameter};
 use crate::model::{Observation, ParameterId};
@@ -31,7 +31,7 @@ impl Residual for PositionAngles {
     fn sees(id: ParameterId) -> bool {
         // Joint 3 is in neither: its zero moves the implied angle 3 alone.
         id != ParameterId::Bar { link: 2, parameter: LinkParameter::Theta }
-            && !of_wire(id)
+            && !of_other_instrument(id)
             && sees_harmonic(id, Self::ENCODERS)
     }
 

@@ -60,6 +60,8 @@ impl Scene<'_> {
                 Movement::Robot(self.robot_rate.scaled(t_s))
             }
             ParameterId::Attachment(_) | ParameterId::Anchor(_) | ParameterId::LengthOffset => Movement::None,
+            ParameterId::Tracker(_) | ParameterId::TrackerRotation(_) => Movement::None,
+            ParameterId::Probe(_) | ParameterId::ProbeRotation(_) => Movement::None,
         }
     }
 
@@ -91,9 +93,36 @@ pub(super) fn unit(axis: Axis) -> Vector3<f64> {
     Vector3::ith(axis.index(), 1.0)
 }
 
-/// The parameter belongs to a draw-wire or telescoping bar, which no cost of the ball-bar sees.
+/// The parameter belongs to a draw-wire or telescoping bar.
 pub(super) fn of_wire(id: ParameterId) -> bool {
     matches!(id, ParameterId::Attachment(_) | ParameterId::Anchor(_) | ParameterId::LengthOffset)
+}
+
+/// The parameter belongs to a tracker or its probe.
+pub(super) fn of_tracker(id: ParameterId) -> bool {
+    matches!(
+        id,
+        ParameterId::Tracker(_)
+            | ParameterId::TrackerRotation(_)
+            | ParameterId::Probe(_)
+            | ParameterId::ProbeRotation(_)
+    )
+}
+
+/// The parameter belongs to the ball-bar, its base or its encoders.
+pub(super) fn of_bar(id: ParameterId) -> bool {
+    matches!(
+        id,
+        ParameterId::Bar { .. }
+            | ParameterId::Base(_)
+            | ParameterId::BaseRotation(_)
+            | ParameterId::Harmonic { .. }
+    )
+}
+
+/// The parameter belongs to an instrument that no cost of the ball-bar sees.
+pub(super) fn of_other_instrument(id: ParameterId) -> bool {
+    of_wire(id) || of_tracker(id)
 }
 
 /// The harmonic of an encoder is seen by costs that need the encoder; what is no harmonic is not in question.

@@ -2,7 +2,7 @@
 
 use nalgebra::{Rotation3, Translation3, Vector3};
 
-use super::{Axis, Harmonics, ParameterId};
+use super::{Axis, Harmonics, ParameterId, Tracker};
 use crate::kinematics::{Chain, DhLink, LinkParameter, Pose};
 
 /// Where the ball-bar stands: `T(origin) Rx(rx) Ry(ry)`; the turn about z is the bar's `btheta1`.
@@ -67,6 +67,8 @@ pub struct Geometry {
     pub clock: Clock,
     /// For measured lengths.
     pub wire: Wire,
+    /// For measured positions and poses.
+    pub tracker: Tracker,
 }
 
 fn field(link: &mut DhLink, parameter: LinkParameter) -> &mut f64 {
@@ -93,6 +95,7 @@ impl Geometry {
             harmonics: Harmonics::default(),
             clock: Clock::default(),
             wire: Wire::default(),
+            tracker: Tracker::default(),
         }
     }
 
@@ -121,6 +124,10 @@ impl Geometry {
             ParameterId::Attachment(axis) => self.wire.attachment_m.get_mut(axis.index()),
             ParameterId::Anchor(axis) => self.wire.anchor_m.get_mut(axis.index()),
             ParameterId::LengthOffset => Some(&mut self.wire.offset_m),
+            ParameterId::Tracker(axis) => self.tracker.place.position_m.get_mut(axis.index()),
+            ParameterId::TrackerRotation(axis) => self.tracker.place.rotation_rad.get_mut(axis.index()),
+            ParameterId::Probe(axis) => self.tracker.probe.position_m.get_mut(axis.index()),
+            ParameterId::ProbeRotation(axis) => self.tracker.probe.rotation_rad.get_mut(axis.index()),
         }
     }
 }

@@ -8,6 +8,7 @@ mod observation;
 mod parameter;
 mod roles;
 mod selection;
+mod tracker;
 
 pub use geometry::{BasePlacement, Clock, Geometry, Wire};
 pub use harmonics::{Harmonic, Harmonics};
@@ -15,3 +16,4 @@ pub use observation::{JointState, Observation, PerObservation, RobotMotion};
 pub use parameter::{Axis, ParameterId, Unit, link_parameter_name};
 pub use roles::{Model, ModelError, Parameter, Role};
 pub use selection::{Selection, THESIS_FIXED};
+pub use tracker::{Placement, Tracker};

@@ -73,6 +73,14 @@ pub enum ParameterId {
     Anchor(Axis),
     /// Added to the distance to give the measured length.
     LengthOffset,
+    /// Where a tracker stands, in the robot's base: `tracker_x` ...
+    Tracker(Axis),
+    /// Its rotation vector there: `tracker_rx` ...
+    TrackerRotation(Axis),
+    /// Where the tracker's probe is, in the flange frame: `probe_x` ...
+    Probe(Axis),
+    /// Its rotation vector there: `probe_rx` ...
+    ProbeRotation(Axis),
 }
 
 /// What a parameter is measured in, and how people read it.
@@ -142,7 +150,9 @@ impl ParameterId {
                 LinkParameter::Alpha | LinkParameter::Theta | LinkParameter::Beta => Unit::Radian,
             },
             Self::Base(_) | Self::Attachment(_) | Self::Anchor(_) | Self::LengthOffset => Unit::Metre,
+            Self::Tracker(_) | Self::Probe(_) => Unit::Metre,
             Self::BaseRotation(_) | Self::Harmonic { .. } => Unit::Radian,
+            Self::TrackerRotation(_) | Self::ProbeRotation(_) => Unit::Radian,
             Self::ClockShift => Unit::Second,
             Self::ClockSkew => Unit::Ratio,
         }
@@ -152,6 +162,13 @@ impl ParameterId {
     pub fn harmonics() -> impl Iterator<Item = Self> {
         let of = |joint| Harmonic::ALL.into_iter().map(move |harmonic| Self::Harmonic { joint, harmonic });
         (0..BAR_JOINTS).flat_map(of)
+    }
+
+    /// Where a tracker stands and where its probe is: positions, then rotations, of each.
+    pub fn tracker() -> impl Iterator<Item = Self> {
+        [Self::Tracker, Self::TrackerRotation, Self::Probe, Self::ProbeRotation]
+            .into_iter()
+            .flat_map(|of| Axis::ALL.map(of))
     }
 
     /// Every parameter that has a name.
@@ -171,6 +188,7 @@ impl ParameterId {
             .chain(Axis::ALL.map(Self::Attachment))
             .chain(Axis::ALL.map(Self::Anchor))
             .chain([Self::LengthOffset])
+            .chain(Self::tracker())
     }
 }
 
@@ -187,6 +205,10 @@ impl fmt::Display for ParameterId {
             Self::Attachment(axis) => write!(f, "attachment_{}", axis.letter()),
             Self::Anchor(axis) => write!(f, "anchor_{}", axis.letter()),
             Self::LengthOffset => f.write_str("length_offset"),
+            Self::Tracker(axis) => write!(f, "tracker_{}", axis.letter()),
+            Self::TrackerRotation(axis) => write!(f, "tracker_r{}", axis.letter()),
+            Self::Probe(axis) => write!(f, "probe_{}", axis.letter()),
+            Self::ProbeRotation(axis) => write!(f, "probe_r{}", axis.letter()),
         }
     }
 }

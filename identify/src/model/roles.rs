@@ -40,7 +40,8 @@ pub enum ModelError {
     #[error(
         "no parameter is called `{name}`; names are ra1 rd1 ralpha1 rtheta1 .. 6, rbeta1 .. 6, ba1 bd1 balpha1 \
          btheta1 .. 5, ox oy oz orx ory, bsin1_1 bcos1_1 bsin2_1 bcos2_1 .. 5, \
-         clock_shift clock_skew, attachment_x anchor_x .. z, length_offset"
+         clock_shift clock_skew, attachment_x anchor_x .. z, length_offset, \
+         tracker_x tracker_rx probe_x probe_rx .. z"
     )]
     UnknownName {
         /// As given.
@@ -118,6 +119,15 @@ impl Model {
             .chain(Axis::ALL.map(ParameterId::Attachment))
             .chain(Axis::ALL.map(ParameterId::Anchor))
             .chain([ParameterId::LengthOffset, ParameterId::ClockShift, ParameterId::ClockSkew]);
+        Self::new(Geometry::new(robot.clone(), None), ids)
+    }
+
+    /// Robot and a tracker that follows a probe on its flange: where the tracker stands, how the probe is mounted, and
+    /// the clocks.
+    pub fn measured_pose(robot: &Chain) -> Self {
+        let ids = robot_ids(robot)
+            .chain(ParameterId::tracker())
+            .chain([ParameterId::ClockShift, ParameterId::ClockSkew]);
         Self::new(Geometry::new(robot.clone(), None), ids)
     }
 

@@ -37,6 +37,8 @@ impl Selection {
             // Not told from the geometry by samples alone: they come with priors.
             ParameterId::Harmonic { .. } => false,
             ParameterId::Attachment(_) | ParameterId::Anchor(_) | ParameterId::LengthOffset => false,
+            ParameterId::Tracker(_) | ParameterId::TrackerRotation(_) => false,
+            ParameterId::Probe(_) | ParameterId::ProbeRotation(_) => false,
         }
     }
 }

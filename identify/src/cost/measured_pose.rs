@@ -1,0 +1,81 @@
+//! A pose measured at each pose of the robot: a tracker with a probe of six degrees of freedom on the flange.
+
+use nalgebra::{Matrix3, Vector3};
+
+use super::measured_position::Sighting;
+use super::pose::inverse_left_jacobian;
+use super::scene::{of_bar, of_wire};
+use super::{Residual, Scene};
+use crate::kinematics::{Pose, rotation_vector};
+use crate::model::ParameterId;
+
+/// What a measured pose is worth, one standard deviation of each coordinate.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PoseNoise {
+    /// \[m\]
+    pub position_m: f64,
+    /// \[rad\]
+    pub rotation_rad: f64,
+}
+
+/// With `H = R probe` where the robot holds the probe and `S = T measured` where the tracker sees it: position of `H`
+/// minus `S` in the robot's base and rotation vector of `S^-1 H`, each over its standard deviation.
+///
+/// The measurements stand beside the observations, which only give the time: one for each, in the same order. A
+/// sample without one has no value.
+#[derive(Debug, Clone, Copy)]
+pub struct MeasuredPose<'a> {
+    /// `tracker_from_probe` of each sample.
+    pub measured: &'a [Pose],
+    /// Of all of them.
+    pub noise: PoseNoise,
+}
+
+/// The two probes, and what turning them apart does to the rotation vector.
+#[derive(Debug, Clone, Copy)]
+pub struct TurnedSighting {
+    sighting: Sighting,
+    turn_rad: Vector3<f64>,
+    by_angular: Matrix3<f64>,
+}
+
+impl Residual for MeasuredPose<'_> {
+    type Local = TurnedSighting;
+
+    const NAME: &'static str = "measured_pose";
+    const ROWS: usize = 6;
+    const ENCODERS: &'static [usize] = &[];
+
+    fn sees(id: ParameterId) -> bool {
+        !of_bar(id) && !of_wire(id)
+    }
+
+    fn local(&self, scene: &Scene<'_>) -> Option<TurnedSighting> {
+        let sighting = Sighting::new(scene, self.measured.get(scene.sample)?);
+        let into_seen = sighting.seen.rotation.matrix().transpose();
+        let turn_rad = rotation_vector(&(into_seen * sighting.held.rotation.matrix()));
+        let by_angular = inverse_left_jacobian(&turn_rad) * into_seen;
+        Some(TurnedSighting { sighting, turn_rad, by_angular })
+    }
+
+    fn residual(&self, _: &Scene<'_>, local: &TurnedSighting, out: &mut [f64]) {
+        self.write(&local.sighting.apart_m(), &local.turn_rad, out);
+    }
+
+    fn derivative(&self, scene: &Scene<'_>, local: &TurnedSighting, id: ParameterId, out: &mut [f64]) {
+        if let Some(twist) = local.sighting.parting(scene, id) {
+            self.write(&twist.linear, &(local.by_angular * twist.angular), out);
+        }
+    }
+}
+
+impl MeasuredPose<'_> {
+    /// Six numbers in standard deviations.
+    fn write(&self, linear_m: &Vector3<f64>, angular_rad: &Vector3<f64>, out: &mut [f64]) {
+        let linear = linear_m / self.noise.position_m;
+        let angular = angular_rad / self.noise.rotation_rad;
+        for (out, value) in out.iter_mut().zip(linear.iter().chain(angular.iter())) {
+            *out = *value;
+        }
+    }
+}

@@ -1,0 +1,94 @@
+//! A position measured at each pose: a tracker that follows a reflector on the flange.
+
+use nalgebra::Vector3;
+
+use super::scene::{of_bar, of_wire, unit};
+use super::{Movement, Residual, Scene};
+use crate::kinematics::{Pose, Twist};
+use crate::model::ParameterId;
+
+/// `R probe - T measured` \[m\], entries in the robot's base: `R` is the robot's pose, `T` the tracker's place. Divide by
+/// the standard deviation of a coordinate.
+///
+/// The measurements stand beside the observations, which only give the time: one for each, in the same order. A
+/// sample without one has no value.
+#[derive(Debug, Clone, Copy)]
+pub struct MeasuredPosition<'a> {
+    /// Of the reflector in the tracker's frame \[m\].
+    pub measured_m: &'a [Vector3<f64>],
+}
+
+/// The probe where the robot holds it and where the tracker sees it.
+#[derive(Debug, Clone, Copy)]
+pub struct Sighting {
+    /// `root_from_probe` by the robot.
+    pub(super) held: Pose,
+    /// `root_from_probe` by the tracker.
+    pub(super) seen: Pose,
+}
+
+impl Sighting {
+    pub(super) fn new(scene: &Scene<'_>, tracker_from_probe: &Pose) -> Self {
+        let tracker = &scene.geometry.tracker;
+        Self {
+            held: scene.robot.end() * tracker.probe.pose(),
+            seen: tracker.place.pose() * tracker_from_probe,
+        }
+    }
+
+    /// From where the tracker sees it to where the robot holds it \[m\].
+    pub(super) fn apart_m(&self) -> Vector3<f64> {
+        self.held.translation.vector - self.seen.translation.vector
+    }
+
+    /// How the probe that is held moves away from the one that is seen when a parameter moves at unit speed.
+    pub(super) fn parting(&self, scene: &Scene<'_>, id: ParameterId) -> Option<Twist> {
+        let (place, probe) = (&scene.geometry.tracker.place, &scene.geometry.tracker.probe);
+        let robot = scene.robot;
+        Some(match id {
+            ParameterId::Tracker(axis) => Twist::translation(-unit(axis)),
+            ParameterId::TrackerRotation(axis) => {
+                let seen_m = self.seen.translation.vector;
+                Twist::rotation(place.turning(axis), place.position_m, seen_m).scaled(-1.0)
+            }
+            ParameterId::Probe(axis) => Twist::translation(robot.rotation() * unit(axis)),
+            ParameterId::ProbeRotation(axis) => {
+                Twist { angular: robot.rotation() * probe.turning(axis), linear: Vector3::zeros() }
+            }
+            id => match scene.movement(id) {
+                Movement::Robot(twist) => {
+                    let arm = self.held.translation.vector - robot.position_m();
+                    Twist { angular: twist.angular, linear: twist.linear + twist.angular.cross(&arm) }
+                }
+                Movement::Bar(_) | Movement::None => return None,
+            },
+        })
+    }
+}
+
+impl Residual for MeasuredPosition<'_> {
+    type Local = Sighting;
+
+    const NAME: &'static str = "measured_position";
+    const ROWS: usize = 3;
+    const ENCODERS: &'static [usize] = &[];
+
+    fn sees(id: ParameterId) -> bool {
+        !of_bar(id) && !of_wire(id) && !matches!(id, ParameterId::ProbeRotation(_))
+    }
+
+    fn local(&self, scene: &Scene<'_>) -> Option<Sighting> {
+        let measured_m = *self.measured_m.get(scene.sample)?;
+        Some(Sighting::new(scene, &Pose::translation(measured_m.x, measured_m.y, measured_m.z)))
+    }
+
+    fn residual(&self, _: &Scene<'_>, sighting: &Sighting, out: &mut [f64]) {
+        out.copy_from_slice(sighting.apart_m().as_slice());
+    }
+
+    fn derivative(&self, scene: &Scene<'_>, sighting: &Sighting, id: ParameterId, out: &mut [f64]) {
+        if let Some(twist) = sighting.parting(scene, id) {
+            out.copy_from_slice(twist.linear.as_slice());
+        }
+    }
+}

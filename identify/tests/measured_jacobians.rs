@@ -1,0 +1,199 @@
+//! Analytic Jacobians of the tracker's costs against automatic differentiation of an independent kinematics.
+#![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
+
+mod support;
+
+use identify::cost::{LoopProblem, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
+use identify::kinematics::{LinkParameter, Pose};
+use identify::model::{Axis, JointState, Model, Observation, ParameterId, Placement, RobotMotion, Role};
+use identify::solver::stacked;
+use nalgebra::{Rotation3, Vector3};
+use num_dual::{Dual64, DualNum};
+use proptest::prelude::*;
+use support::Cell;
+use support::independent::{Link, Matrix, forward, identity, product};
+
+/// A smooth motion whose joints are known as functions of time.
+struct Sines;
+
+fn sines(tau: Dual64) -> [Dual64; 6] {
+    std::array::from_fn(|i| {
+        let i = i as f64;
+        (tau * (0.3 + 0.17 * i) + i).sin() * (0.9 - 0.05 * i) + 0.1 * i
+    })
+}
+
+impl RobotMotion for Sines {
+    fn at(&self, tau_s: f64) -> Option<JointState> {
+        let moved = sines(Dual64::new(tau_s, 1.0));
+        Some(JointState { q: moved.map(|q| q.re), qd: moved.map(|q| q.eps) })
+    }
+}
+
+/// Rotation by the exponential series of `[w]`, which knows no sine.
+fn exponential(w: [Dual64; 3]) -> Matrix<Dual64> {
+    let zero = Dual64::from(0.0);
+    let cross = [[zero, -w[2], w[1]], [w[2], zero, -w[0]], [-w[1], w[0], zero]];
+    let mut generator = [[zero; 4]; 4];
+    for i in 0..3 {
+        generator[i][..3].copy_from_slice(&cross[i]);
+    }
+    let mut term = identity();
+    let mut sum: Matrix<Dual64> = identity();
+    for n in 1..60 {
+        term = product(&term, &generator).map(|row| row.map(|x| x / f64::from(n)));
+        for i in 0..4 {
+            for j in 0..4 {
+                sum[i][j] += term[i][j];
+            }
+        }
+    }
+    sum
+}
+
+fn placed(six: &[Dual64]) -> Matrix<Dual64> {
+    let mut m = exponential([six[3], six[4], six[5]]);
+    (0..3).for_each(|i| m[i][3] = six[i]);
+    m
+}
+
+/// Robot links, tracker, probe and clocks as dual numbers, one of them with a derivative.
+fn probes(model: &Model, by: ParameterId, t_s: f64, measured: &Pose) -> [Matrix<Dual64>; 2] {
+    let number = |id: ParameterId| {
+        let value = model.parameter(id).map_or(0.0, |p| p.value);
+        Dual64::new(value, if id == by { 1.0 } else { 0.0 })
+    };
+    use LinkParameter::{A, Alpha, Beta, D, Theta};
+    let links: Vec<Link<Dual64>> = (0..6)
+        .map(|link| {
+            [A, Alpha, D, Theta, Beta].map(|parameter| number(ParameterId::Robot { link, parameter }))
+        })
+        .collect();
+    let six: Vec<Dual64> = ParameterId::tracker().map(number).collect();
+    let tau = number(ParameterId::ClockShift) + (number(ParameterId::ClockSkew) + 1.0) * t_s;
+    let m = measured.to_homogeneous();
+    let measured = std::array::from_fn(|i| std::array::from_fn(|j| Dual64::from(m[(i, j)])));
+    let held = product(&forward(&identity(), &links, &sines(tau)), &placed(&six[6..]));
+    [held, product(&placed(&six[..6]), &measured)]
+}
+
+fn position([held, seen]: &[Matrix<Dual64>; 2]) -> Vec<Dual64> {
+    (0..3).map(|i| held[i][3] - seen[i][3]).collect()
+}
+
+/// Rotation vector of `S^T H` by angle and axis.
+fn turn([held, seen]: &[Matrix<Dual64>; 2]) -> Vec<Dual64> {
+    let q = |i: usize, j: usize| (0..3).map(|k| seen[k][i] * held[k][j]).sum::<Dual64>();
+    let twice_sine_axis = [q(2, 1) - q(1, 2), q(0, 2) - q(2, 0), q(1, 0) - q(0, 1)];
+    let twice_sine = twice_sine_axis.iter().map(|x| *x * *x).sum::<Dual64>().sqrt();
+    let angle = twice_sine.atan2(q(0, 0) + q(1, 1) + q(2, 2) - 1.0);
+    twice_sine_axis.iter().map(|x| *x * angle / twice_sine).collect()
+}
+
+fn times() -> impl Iterator<Item = f64> {
+    (0..20).map(|k| 0.4 * f64::from(k) - 3.0)
+}
+
+/// Poses that the tracker might have seen: anywhere.
+fn measured() -> Vec<Pose> {
+    let pose = |t: f64| {
+        let turn = Rotation3::new(Vector3::new(0.4 * t.sin(), 0.3, 0.2 * t.cos()));
+        Pose::from_parts(Vector3::new(1.0 + 0.1 * t, t.sin(), 0.5).into(), turn)
+    };
+    times().map(pose).collect()
+}
+
+fn agrees<R: Residual>(
+    model: &Model,
+    residual: R,
+    independent: impl Fn(&[Matrix<Dual64>; 2]) -> Vec<Dual64>,
+) {
+    let observations: Vec<Observation> = times().map(|t| Observation::bar(t, [0.0; 5])).collect();
+    let problem = LoopProblem::new(model, &Sines, &observations, residual, 1.0).unwrap();
+    let (r, jacobian) = stacked(&problem, &model.start()).unwrap();
+    assert_eq!(r.len(), R::ROWS * observations.len());
+    for (column, parameter) in model.columns().enumerate() {
+        let scale = jacobian.column(column).amax().max(1e-3);
+        let mut largest = 0.0_f64;
+        for (k, (t_s, pose)) in times().zip(measured()).enumerate() {
+            let expected = independent(&probes(model, parameter.id, t_s, &pose));
+            for (i, expected) in expected.into_iter().enumerate() {
+                let row = k * R::ROWS + i;
+                assert!((r[row] - expected.re).abs() < 1e-9, "{} row {row}", R::NAME);
+                let error = (jacobian[(row, column)] - expected.eps).abs() / scale;
+                assert!(error < 1e-9, "{} by {}: off by {error:e}", R::NAME, parameter.id);
+                largest = largest.max(expected.eps.abs());
+            }
+        }
+        assert_eq!(largest > 1e-12, R::sees(parameter.id), "{} sees {}", R::NAME, parameter.id);
+    }
+}
+
+/// Everything free and nothing at a value where derivatives vanish by symmetry.
+fn all_free(robot: &identify::kinematics::Chain, rotation_rad: [f64; 3]) -> Model {
+    let mut model = Model::measured_pose(robot);
+    let ids: Vec<ParameterId> = model.parameters().iter().map(|p| p.id).collect();
+    for (i, id) in ids.into_iter().enumerate() {
+        let rotation = match id {
+            ParameterId::TrackerRotation(axis) => rotation_rad[axis.index()],
+            ParameterId::ProbeRotation(axis) => -0.5 * rotation_rad[2 - axis.index()],
+            _ => 0.0,
+        };
+        let value = model.parameter(id).unwrap().value + 0.02 * (1.7 * i as f64).sin() + rotation;
+        model.set_value(id, value).unwrap();
+        model.set_role(id, Role::Free).unwrap();
+    }
+    model
+}
+
+#[test]
+fn measured_position_and_pose_have_the_derivatives_of_tracker_and_robot() {
+    let noise = PoseNoise { position_m: 2e-1, rotation_rad: 5e-1 };
+    let measured = measured();
+    let measured_m: Vec<Vector3<f64>> = measured.iter().map(|pose| pose.translation.vector).collect();
+    for Cell { robot, .. } in [Cell::irb2400(), Cell::nj220()] {
+        for rotation_rad in [[0.0; 3], [0.3, -1.9, 1.2]] {
+            let model = all_free(&robot, rotation_rad);
+            agrees(&model, MeasuredPosition { measured_m: &measured_m }, position);
+            agrees(&model, MeasuredPose { measured: &measured, noise }, |probes| {
+                let [linear, angular] = [position(probes), turn(probes)];
+                let linear = linear.into_iter().map(|x| x / noise.position_m);
+                linear.chain(angular.into_iter().map(|x| x / noise.rotation_rad)).collect()
+            });
+        }
+    }
+}
+
+#[test]
+fn samples_that_were_not_measured_take_no_part() {
+    let Cell { robot, .. } = Cell::irb2400();
+    let model = all_free(&robot, [0.0; 3]);
+    let observations: Vec<Observation> = times().map(|t| Observation::bar(t, [0.0; 5])).collect();
+    let measured = &measured()[..12];
+    let noise = PoseNoise { position_m: 1e-4, rotation_rad: 1e-4 };
+    let problem =
+        LoopProblem::new(&model, &Sines, &observations, MeasuredPose { measured, noise }, 1.0).unwrap();
+    assert_eq!(stacked(&problem, &model.start()).unwrap().0.len(), 6 * 12);
+}
+
+proptest! {
+    /// The turning of a placement is the angular velocity of its rotation: by differences of the rotation itself.
+    #[test]
+    fn a_placement_turns_as_its_rotation_vector_says(w in prop::array::uniform3(-1.8_f64..1.8), small in any::<bool>()) {
+        let scale = if small { 1e-3 } else { 1.0 };
+        let at = |w: [f64; 3]| Placement { position_m: Vector3::zeros(), rotation_rad: w.map(|x| x * scale).into() };
+        let here = at(w);
+        for axis in Axis::ALL {
+            let step = 1e-6;
+            let (mut up, mut down) = (here, here);
+            up.rotation_rad[axis.index()] += step;
+            down.rotation_rad[axis.index()] -= step;
+            let rate = (up.pose().rotation.matrix() - down.pose().rotation.matrix()) / (2.0 * step);
+            let turning = rate * here.pose().rotation.matrix().transpose();
+            let expected = here.turning(axis).cross_matrix();
+            prop_assert!((turning - expected).amax() < 1e-8);
+        }
+        let back = Placement::of(&here.pose());
+        prop_assert!((back.pose().rotation.matrix() - here.pose().rotation.matrix()).amax() < 1e-14);
+    }
+}
