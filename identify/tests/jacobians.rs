@@ -93,7 +93,7 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             ParameterId::Attachment(axis) => &mut self.attachment[axis.index()],
             ParameterId::Anchor(axis) => &mut self.anchor[axis.index()],
             ParameterId::LengthOffset => &mut self.offset,
-            id => panic!("{id} belongs to measured_jacobians.rs"),
+            id => unreachable!("{id} belongs to measured_jacobians.rs"),
         }
     }
 
