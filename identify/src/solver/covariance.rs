@@ -8,7 +8,7 @@ use nalgebra::DMatrix;
 
 use super::Problem;
 use super::identifiability::ScaledSpectrum;
-use super::panel::SampleFit;
+use super::pass::SampleFit;
 
 /// What a residual row is worth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -9,7 +9,7 @@ use nalgebra::{DMatrix, DVector};
 
 use super::covariance::Covariance;
 use super::null_space::dependent_groups;
-use super::panel::{SampleFit, Taking, fold_triangle, pass};
+use super::pass::{Pass, PassError, SampleFit, Taking, Triangle};
 use super::{Options, Problem, SolveError};
 
 /// Parameters of which only combinations are determined.
@@ -173,13 +173,12 @@ impl ScaledSpectrum {
 fn sample_triangle<P: Problem>(
     problem: &P,
     x: &[f64],
-    options: &Options,
+    options: &Options<'_>,
     taking: Taking<'_>,
-) -> Result<(DMatrix<f64>, Vec<SampleFit>), super::panel::PassError> {
-    let mut triangle = DMatrix::zeros(0, problem.columns());
-    let fits =
-        pass(problem, x, options.loss, taking, |panel| fold_triangle(&panel.jacobian(), &mut triangle))?;
-    Ok((triangle, fits))
+) -> Result<(DMatrix<f64>, Vec<SampleFit>), PassError> {
+    let pass = Pass::new(problem, x, options, taking);
+    let (triangle, fits) = pass.run(|| Triangle::new(problem.columns()))?;
+    Ok((triangle.of_jacobian(), fits))
 }
 
 /// Adds the priors' rows.
@@ -196,7 +195,7 @@ fn with_priors<P: Problem>(problem: &P, triangle: &DMatrix<f64>) -> DMatrix<f64>
 fn examine<P: Problem>(
     problem: &P,
     triangle: &DMatrix<f64>,
-    options: &Options,
+    options: &Options<'_>,
 ) -> (Identifiability, ScaledSpectrum) {
     let rank_of_samples = ScaledSpectrum::new(triangle, options.rank_tolerance).rank;
     let spectrum = ScaledSpectrum::new(&with_priors(problem, triangle), options.rank_tolerance);
@@ -216,37 +215,40 @@ fn examine<P: Problem>(
 /// What the samples can identify at `x`, without solving: for choosing parameters and poses.
 ///
 /// # Errors
-/// [`SolveError`] where no sample is usable.
+/// [`SolveError`] where no sample is usable or it was cancelled.
 pub fn identifiability<P: Problem>(
     problem: &P,
     x: &[f64],
-    options: &Options,
+    options: &Options<'_>,
 ) -> Result<Identifiability, SolveError> {
     if x.len() != problem.columns() {
         return Err(SolveError::StartLength { found: x.len(), expected: problem.columns() });
     }
-    match sample_triangle(problem, x, options, Taking::WhatIsThere) {
-        Err(super::panel::PassError::NotFinite(sample)) => Err(SolveError::NotFinite { sample }),
-        Ok((_, fits)) if !fits.iter().any(|fit| fit.present) => {
-            Err(SolveError::NoSamples { samples: problem.samples() })
-        }
-        Err(super::panel::PassError::Lost) => Err(SolveError::NoSamples { samples: problem.samples() }),
-        Ok((triangle, _)) => Ok(examine(problem, &triangle, options).0),
+    let (triangle, fits) = sample_triangle(problem, x, options, Taking::WhatIsThere)
+        .map_err(|error| error.at_start(problem.samples()))?;
+    if !fits.iter().any(|fit| fit.present) {
+        return Err(SolveError::NoSamples { samples: problem.samples() });
     }
+    Ok(examine(problem, &triangle, options).0)
 }
 
 /// Identifiability and covariance where a solve ended.
 pub(super) fn at_solution<P: Problem>(
     problem: &P,
     x: &[f64],
-    options: &Options,
+    options: &Options<'_>,
     fits: &[SampleFit],
-) -> (Identifiability, Covariance) {
-    // The same samples at the same point were finite a moment ago.
-    let triangle = sample_triangle(problem, x, options, Taking::These(fits))
-        .map_or_else(|_| DMatrix::zeros(0, problem.columns()), |(triangle, _)| triangle);
+) -> Result<(Identifiability, Covariance), SolveError> {
+    let triangle = match sample_triangle(problem, x, options, Taking::These(fits)) {
+        Ok((triangle, _)) => triangle,
+        Err(PassError::Cancelled) => {
+            return Err(SolveError::Cancelled { iterations: options.iterations_max });
+        }
+        // The same samples at the same point were finite a moment ago.
+        Err(PassError::Lost | PassError::NotFinite(_)) => DMatrix::zeros(0, problem.columns()),
+    };
     let (identifiability, spectrum) = examine(problem, &triangle, options);
     let factor = options.noise.variance_factor(problem, x, fits);
     let covariance = Covariance::new(&spectrum, &identifiability.undetermined(), factor);
-    (identifiability, covariance)
+    Ok((identifiability, covariance))
 }

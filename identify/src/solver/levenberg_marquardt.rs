@@ -3,137 +3,11 @@
 //! References: Marquardt 1963; More 1978 (scaling that only grows); Nielsen, IMM-REP-1999-05 (damping by the gain
 //! ratio); Madsen, Nielsen, Tingleff 2004.
 
-use std::fmt;
-
 use nalgebra::{DMatrix, DVector};
 
-use super::covariance::{Covariance, Noise};
-use super::identifiability::{Identifiability, Unidentifiable, at_solution};
-use super::panel::{PassError, SampleFit, Taking, fold_normal, pass};
-use super::{Loss, Problem, SolveError};
-
-/// When to stop and what to assume.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Options {
-    /// Loss of each sample.
-    pub loss: Loss,
-    /// Accepted steps at most.
-    pub iterations_max: usize,
-    /// Stop where the scaled step is this part of the scaled parameters.
-    pub step_tolerance: f64,
-    /// Stop where actual and predicted decrease are this part of the cost.
-    pub cost_tolerance: f64,
-    /// Stop where the cosine between residual and every column is below this.
-    pub gradient_tolerance: f64,
-    /// First damping, relative to the scaled normal matrix. Small: the start is good to millimetres, and a larger one
-    /// would hold back exactly the weak directions.
-    pub damping_start: f64,
-    /// Singular values of the column-scaled Jacobian below this part of the largest count as zero.
-    pub rank_tolerance: f64,
-    /// What residuals are worth.
-    pub noise: Noise,
-}
-
-impl Default for Options {
-    fn default() -> Self {
-        Self {
-            loss: Loss::Squared,
-            iterations_max: 100,
-            step_tolerance: 1e-12,
-            cost_tolerance: 1e-14,
-            gradient_tolerance: 1e-14,
-            damping_start: 1e-6,
-            rank_tolerance: 1e-6,
-            noise: Noise::Estimated,
-        }
-    }
-}
-
-/// Why the solve ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Termination {
-    /// Steps became as small as asked.
-    SmallStep,
-    /// The cost no longer falls.
-    SmallDecrease,
-    /// Residual and columns are orthogonal.
-    SmallGradient,
-    /// Every residual is zero to rounding.
-    ZeroResidual,
-    /// The limit of iterations was reached first.
-    IterationLimit,
-    /// No damping gives a lower cost: derivatives are wrong or the problem is rounding.
-    NoDecrease,
-}
-
-impl Termination {
-    /// The solve ended at a minimum.
-    pub fn converged(self) -> bool {
-        !matches!(self, Self::IterationLimit | Self::NoDecrease)
-    }
-}
-
-impl fmt::Display for Termination {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::SmallStep => "converged: the step is negligible",
-            Self::SmallDecrease => "converged: the cost no longer falls",
-            Self::SmallGradient => "converged: the gradient is zero",
-            Self::ZeroResidual => "converged: all residuals are zero",
-            Self::IterationLimit => "not converged: iteration limit",
-            Self::NoDecrease => "not converged: no step lowers the cost",
-        })
-    }
-}
-
-/// How the solve went.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Summary {
-    /// Why it ended.
-    pub termination: Termination,
-    /// Accepted steps.
-    pub iterations: usize,
-    /// Passes over all samples.
-    pub evaluations: usize,
-    /// Half the sum of losses and squared prior residuals at the start.
-    pub cost_start: f64,
-    /// The same at the end.
-    pub cost_end: f64,
-    /// Root mean square of all residual entries at the start, unweighted, without priors.
-    pub residual_rms_start: f64,
-    /// The same at the end.
-    pub residual_rms: f64,
-    /// Samples that took part.
-    pub samples_used: usize,
-    /// Samples without a value at the start.
-    pub samples_left_out: usize,
-}
-
-/// A solve's outcome.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Solution {
-    /// Free parameters.
-    pub x: Vec<f64>,
-    /// How it went.
-    pub summary: Summary,
-    /// What the samples could tell.
-    pub identifiability: Identifiability,
-    /// How well.
-    pub covariance: Covariance,
-    /// Weight that the loss gave each sample, zero where left out.
-    pub sample_weights: Vec<f64>,
-}
-
-impl Solution {
-    /// The solution if every free parameter is identified.
-    ///
-    /// # Errors
-    /// Names the columns that are not.
-    pub fn identified(self) -> Result<Self, Unidentifiable> {
-        self.identifiability.require_full()?;
-        Ok(self)
-    }
-}
+use super::identifiability::at_solution;
+use super::pass::{Pass, PassError, Products, SampleFit, Taking};
+use super::{Options, Problem, Solution, SolveError, Summary, Termination};
 
 /// Normal equations at a point.
 struct Linearization {
@@ -143,18 +17,10 @@ struct Linearization {
     fits: Vec<SampleFit>,
 }
 
-fn linearize<P: Problem>(
-    problem: &P,
-    x: &DVector<f64>,
-    loss: Loss,
-    taking: Taking<'_>,
-) -> Result<Linearization, PassError> {
-    let columns = problem.columns();
-    let mut normal = DMatrix::zeros(columns, columns);
-    let mut gradient = DVector::zeros(columns);
-    let fits = pass(problem, x.as_slice(), loss, taking, |panel| {
-        fold_normal(panel, &mut normal, &mut gradient);
-    })?;
+fn linearize<P: Problem>(pass: &Pass<'_, P>) -> Result<Linearization, PassError> {
+    let Pass { problem, x, loss, .. } = *pass;
+    let (products, fits) = pass.run(|| Products::new(problem.columns()))?;
+    let (mut normal, mut gradient) = products.normal_equations();
     let mut twice: f64 = fits.iter().filter(|fit| fit.present).map(|fit| loss.rho(fit.squared)).sum();
     for prior in problem.priors() {
         let (column, weight) = (prior.column, prior.sigma.powi(-2));
@@ -254,22 +120,27 @@ struct Descent {
 }
 
 /// The iteration itself.
-fn descend<P: Problem>(problem: &P, start: Linearization, x: DVector<f64>, options: &Options) -> Descent {
+fn descend<P: Problem>(
+    problem: &P,
+    start: Linearization,
+    x: DVector<f64>,
+    options: &Options<'_>,
+) -> Result<Descent, SolveError> {
     let mut damping = Damping::new(options.damping_start, &start.normal);
     let mut now =
         Descent { x, at: start, termination: Termination::IterationLimit, iterations: 0, evaluations: 1 };
     while now.iterations < options.iterations_max {
         if now.at.cost == 0.0 {
             now.termination = Termination::ZeroResidual;
-            return now;
+            return Ok(now);
         }
         if gradient_cosine(&now.at) <= options.gradient_tolerance {
             now.termination = Termination::SmallGradient;
-            return now;
+            return Ok(now);
         }
         if damping.exhausted() {
             now.termination = Termination::NoDecrease;
-            return now;
+            return Ok(now);
         }
         let Some((step, predicted)) = damping.step(&now.at) else {
             damping.refuse();
@@ -277,8 +148,14 @@ fn descend<P: Problem>(problem: &P, start: Linearization, x: DVector<f64>, optio
         };
         let small_step = damping.scaled_norm(&step) <= options.step_tolerance * damping.scaled_norm(&now.x);
         let trial_x = &now.x + &step;
-        let trial = linearize(problem, &trial_x, options.loss, Taking::These(&now.at.fits));
+        let taking = Taking::These(&now.at.fits);
+        let mut pass = Pass::new(problem, trial_x.as_slice(), options, taking);
+        pass.progress = (now.iterations, options.iterations_max, Some(now.at.cost));
+        let trial = linearize(&pass);
         now.evaluations += 1;
+        if matches!(trial, Err(PassError::Cancelled)) {
+            return Err(SolveError::Cancelled { iterations: now.iterations });
+        }
         let decrease = trial.as_ref().map_or(f64::NEG_INFINITY, |trial| now.at.cost - trial.cost);
         let negligible = options.cost_tolerance * now.at.cost;
         let small_decrease = decrease.abs() <= negligible && predicted <= negligible;
@@ -295,10 +172,10 @@ fn descend<P: Problem>(problem: &P, start: Linearization, x: DVector<f64>, optio
         }
         if small_step || small_decrease {
             now.termination = if small_step { Termination::SmallStep } else { Termination::SmallDecrease };
-            return now;
+            return Ok(now);
         }
     }
-    now
+    Ok(now)
 }
 
 /// The descent of [`solve`] alone, without a word on rank and covariance: for studies that solve thousands of times.
@@ -308,7 +185,7 @@ fn descend<P: Problem>(problem: &P, start: Linearization, x: DVector<f64>, optio
 pub fn minimise<P: Problem>(
     problem: &P,
     start: &[f64],
-    options: &Options,
+    options: &Options<'_>,
 ) -> Result<(Vec<f64>, Summary), SolveError> {
     descended(problem, start, options).map(|(x, summary, _)| (x.as_slice().to_vec(), summary))
 }
@@ -317,7 +194,7 @@ pub fn minimise<P: Problem>(
 fn descended<P: Problem>(
     problem: &P,
     start: &[f64],
-    options: &Options,
+    options: &Options<'_>,
 ) -> Result<(DVector<f64>, Summary, Vec<SampleFit>), SolveError> {
     let columns = problem.columns();
     if columns == 0 {
@@ -327,16 +204,14 @@ fn descended<P: Problem>(
         return Err(SolveError::StartLength { found: start.len(), expected: columns });
     }
     let x = DVector::from_column_slice(start);
-    let first = linearize(problem, &x, options.loss, Taking::WhatIsThere).map_err(|error| match error {
-        PassError::NotFinite(sample) => SolveError::NotFinite { sample },
-        PassError::Lost => SolveError::NoSamples { samples: problem.samples() },
-    })?;
+    let first = linearize(&Pass::new(problem, start, options, Taking::WhatIsThere))
+        .map_err(|error| error.at_start(problem.samples()))?;
     let samples_used = first.fits.iter().filter(|fit| fit.present).count();
     if samples_used == 0 {
         return Err(SolveError::NoSamples { samples: problem.samples() });
     }
     let (cost_start, residual_rms_start) = (first.cost, residual_rms(&first.fits, problem.rows()));
-    let end = descend(problem, first, x, options);
+    let end = descend(problem, first, x, options)?;
     let summary = Summary {
         termination: end.termination,
         iterations: end.iterations,
@@ -357,10 +232,10 @@ fn descended<P: Problem>(
 /// [`Solution::identifiability`]; [`Solution::identified`] turns them into an error.
 ///
 /// # Errors
-/// [`SolveError`] where the solve cannot start.
-pub fn solve<P: Problem>(problem: &P, start: &[f64], options: &Options) -> Result<Solution, SolveError> {
+/// [`SolveError`] where the solve cannot start or was cancelled.
+pub fn solve<P: Problem>(problem: &P, start: &[f64], options: &Options<'_>) -> Result<Solution, SolveError> {
     let (x, summary, fits) = descended(problem, start, options)?;
-    let (identifiability, covariance) = at_solution(problem, x.as_slice(), options, &fits);
+    let (identifiability, covariance) = at_solution(problem, x.as_slice(), options, &fits)?;
     let sample_weights = fits.iter().map(|fit| fit.weight).collect();
     Ok(Solution { x: x.as_slice().to_vec(), summary, identifiability, covariance, sample_weights })
 }

@@ -7,18 +7,25 @@
 
 mod covariance;
 mod identifiability;
+mod kernel;
 mod levenberg_marquardt;
 mod loss;
 mod null_space;
+mod outcome;
 mod panel;
+mod pass;
 mod robust;
+mod watch;
 
 pub use covariance::{Covariance, Noise};
 pub use identifiability::{DependentGroup, Identifiability, Unidentifiable, identifiability};
-pub use levenberg_marquardt::{Options, Solution, Summary, Termination, minimise, solve};
+pub use levenberg_marquardt::{minimise, solve};
 pub use loss::Loss;
-pub use panel::{Block, squared_norms, stacked};
+pub use outcome::{Options, Solution, Summary, Termination};
+pub use panel::Block;
+pub use pass::{squared_norms, stacked};
 pub use robust::{GraduatedOptions, solve_graduated};
+pub use watch::{Progress, Watch};
 
 /// Knowledge of one column apart from the samples: `x[column] = value +- sigma`, one extra residual row.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,7 +76,7 @@ pub trait Problem: Sync {
     ) -> bool;
 }
 
-/// Why a solve could not start.
+/// Why there is no solution.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SolveError {
     /// Start and columns do not fit.
@@ -98,5 +105,11 @@ pub enum SolveError {
     NotFinite {
         /// Sample, from 0.
         sample: usize,
+    },
+    /// Who looked on ended it.
+    #[error("the solve was cancelled after {iterations} iterations")]
+    Cancelled {
+        /// Accepted steps.
+        iterations: usize,
     },
 }

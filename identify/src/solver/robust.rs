@@ -7,10 +7,10 @@
 use super::{Options, Problem, Solution, SolveError, minimise, solve};
 
 /// How the loss is narrowed.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct GraduatedOptions {
+#[derive(Debug, Clone, Copy)]
+pub struct GraduatedOptions<'a> {
     /// The solve, with the final loss.
-    pub solve: Options,
+    pub solve: Options<'a>,
     /// First scale in multiples of the final one.
     pub widening_start: f64,
     /// Division of the scale from solve to solve.
@@ -19,9 +19,9 @@ pub struct GraduatedOptions {
     pub iterations_between: usize,
 }
 
-impl GraduatedOptions {
+impl<'a> GraduatedOptions<'a> {
     /// The usual schedule for a solve.
-    pub fn new(solve: Options) -> Self {
+    pub fn new(solve: Options<'a>) -> Self {
         Self { solve, widening_start: 50.0, narrowing: 1.4, iterations_between: 5 }
     }
 }
@@ -33,7 +33,7 @@ impl GraduatedOptions {
 pub fn solve_graduated<P: Problem>(
     problem: &P,
     start: &[f64],
-    options: &GraduatedOptions,
+    options: &GraduatedOptions<'_>,
 ) -> Result<Solution, SolveError> {
     let mut x = start.to_vec();
     let mut widening = options.widening_start;

@@ -1,0 +1,234 @@
+//! The two inner loops of a solve, in the widest SIMD that the processor has: products of columns and Householder
+//! reflections of a short panel. Which instructions there are is found at run time (crate `pulp`), so that a binary for
+//! any x86-64 uses AVX2 and FMA where it can.
+//!
+//! A panel is column-major: column `c` is `panel[c * stride..][..rows]`, and `rows` is a multiple of [`ROW_STEP`], the
+//! surplus rows being zero.
+
+use pulp::{Arch, Simd, WithSimd};
+
+/// Rows of a panel come in multiples of this: no register of today holds more numbers.
+pub(super) const ROW_STEP: usize = 8;
+
+/// Columns of a panel come in multiples of this for [`add_products`].
+pub(super) const COLUMN_STEP: usize = TILE;
+
+/// Products are formed for so many columns by so many columns at once: nine sums stay in registers, and each number
+/// that is loaded is used three times.
+const TILE: usize = 3;
+
+/// A panel of columns.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Shape {
+    /// From one column to the next.
+    pub(super) stride: usize,
+    /// Rows in use, a multiple of [`ROW_STEP`].
+    pub(super) rows: usize,
+    /// Columns in use.
+    pub(super) columns: usize,
+}
+
+/// Adds `panel^T panel` to `sums`, a column-major square matrix: the lower triangle, and the tiles on the diagonal whole.
+/// The columns are a multiple of [`COLUMN_STEP`].
+pub(super) fn add_products(panel: &[f64], shape: Shape, sums: &mut [f64]) {
+    Arch::new().dispatch(AddProducts { panel, shape, sums });
+}
+
+struct AddProducts<'a> {
+    panel: &'a [f64],
+    shape: Shape,
+    sums: &'a mut [f64],
+}
+
+impl WithSimd for AddProducts<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Shape { stride, rows, columns } = self.shape;
+        let three = |first: usize| {
+            let column = |i: usize| S::as_simd_f64s(&self.panel[(first + i) * stride..][..rows]).0;
+            [column(0), column(1), column(2)]
+        };
+        for right in (0..columns).step_by(TILE) {
+            let y = three(right);
+            for left in (right..columns).step_by(TILE) {
+                let found = tile(simd, three(left), y);
+                for (j, found) in found.iter().enumerate() {
+                    let sums = &mut self.sums[(right + j) * columns + left..][..TILE];
+                    for (sum, found) in sums.iter_mut().zip(found) {
+                        *sum += found;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// `x_i . y_j` as `[j][i]`.
+#[inline(always)]
+fn tile<S: Simd>(simd: S, x: [&[S::f64s]; TILE], y: [&[S::f64s]; TILE]) -> [[f64; TILE]; TILE] {
+    let mut sums = [[simd.splat_f64s(0.0); TILE]; TILE];
+    let ([x0, x1, x2], [y0, y1, y2]) = (x, y);
+    for (((((&x0, &x1), &x2), &y0), &y1), &y2) in x0.iter().zip(x1).zip(x2).zip(y0).zip(y1).zip(y2) {
+        let (x, y) = ([x0, x1, x2], [y0, y1, y2]);
+        for j in 0..TILE {
+            for i in 0..TILE {
+                sums[j][i] = simd.mul_add_e_f64s(x[i], y[j], sums[j][i]);
+            }
+        }
+    }
+    let mut reduced = [[0.0; TILE]; TILE];
+    for j in 0..TILE {
+        for i in 0..TILE {
+            reduced[j][i] = simd.reduce_sum_f64s(sums[j][i]);
+        }
+    }
+    reduced
+}
+
+/// Replaces `triangle` (column-major, upper, square) by the triangle of `[triangle; panel]` by Householder reflections,
+/// so that `R^T R` grows by `panel^T panel` without being formed. What is left in the panel has no meaning.
+pub(super) fn fold_into_triangle(panel: &mut [f64], shape: Shape, triangle: &mut [f64]) {
+    Arch::new().dispatch(FoldTriangle { panel, shape, triangle });
+}
+
+struct FoldTriangle<'a> {
+    panel: &'a mut [f64],
+    shape: Shape,
+    triangle: &'a mut [f64],
+}
+
+impl WithSimd for FoldTriangle<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let Shape { stride, rows, columns } = self.shape;
+        for k in 0..columns {
+            let (left, right) = self.panel.split_at_mut((k + 1) * stride);
+            let x = S::as_simd_f64s(&left[k * stride..][..rows]).0;
+            let squared = dot(simd, x, x);
+            if squared == 0.0 {
+                continue;
+            }
+            // Golub and Van Loan, algorithm 5.1.1, for the vector (pivot, x).
+            let pivot = self.triangle[k * columns + k];
+            let reflected = -(pivot * pivot + squared).sqrt().copysign(pivot);
+            let head = pivot - reflected;
+            let scale = 2.0 / (head * head + squared);
+            self.triangle[k * columns + k] = reflected;
+            for (j, column) in (k + 1..columns).zip(right.chunks_exact_mut(stride)) {
+                let y = S::as_mut_simd_f64s(&mut column[..rows]).0;
+                let top = &mut self.triangle[j * columns + k];
+                let along = scale * (head * *top + dot(simd, x, y));
+                *top -= along * head;
+                let minus = simd.splat_f64s(-along);
+                for (y, &x) in y.iter_mut().zip(x) {
+                    *y = simd.mul_add_e_f64s(minus, x, *y);
+                }
+            }
+        }
+    }
+}
+
+/// In four sums, so that one addition need not wait for the other.
+#[inline(always)]
+fn dot<S: Simd>(simd: S, x: &[S::f64s], y: &[S::f64s]) -> f64 {
+    const SUMS: usize = 4;
+    let mut sums = [simd.splat_f64s(0.0); SUMS];
+    let (x4, x1) = x.as_chunks::<SUMS>();
+    let (y4, y1) = y.as_chunks::<SUMS>();
+    for (x, y) in x4.iter().zip(y4) {
+        for i in 0..SUMS {
+            sums[i] = simd.mul_add_e_f64s(x[i], y[i], sums[i]);
+        }
+    }
+    for (&x, &y) in x1.iter().zip(y1) {
+        sums[0] = simd.mul_add_e_f64s(x, y, sums[0]);
+    }
+    let sum = simd.add_f64s(simd.add_f64s(sums[0], sums[1]), simd.add_f64s(sums[2], sums[3]));
+    simd.reduce_sum_f64s(sum)
+}
+
+/// Every number of these columns is finite.
+pub(super) fn is_finite(panel: &[f64], shape: Shape) -> bool {
+    Arch::new().dispatch(IsFinite { panel, shape })
+}
+
+struct IsFinite<'a> {
+    panel: &'a [f64],
+    shape: Shape,
+}
+
+impl WithSimd for IsFinite<'_> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> bool {
+        let zero = simd.splat_f64s(0.0);
+        let mut sum = zero;
+        for column in self.panel.chunks_exact(self.shape.stride).take(self.shape.columns) {
+            for &value in S::as_simd_f64s(&column[..self.shape.rows]).0 {
+                // Zero for a finite number, not a number for any other.
+                sum = simd.mul_add_e_f64s(value, zero, sum);
+            }
+        }
+        simd.reduce_sum_f64s(sum) == 0.0
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::DMatrix;
+
+    use super::*;
+
+    const SHAPE: Shape = Shape { stride: 40, rows: 32, columns: 6 };
+
+    fn panel(shift: f64) -> Vec<f64> {
+        let value = |i: usize| if i % 40 < 32 { (1.3 * i as f64 + shift).sin() } else { f64::NAN };
+        (0..SHAPE.stride * SHAPE.columns).map(value).collect()
+    }
+
+    fn matrix(panel: &[f64]) -> DMatrix<f64> {
+        DMatrix::from_fn(SHAPE.rows, SHAPE.columns, |i, j| panel[j * SHAPE.stride + i])
+    }
+
+    #[test]
+    fn products_are_those_of_the_matrices() {
+        let mut sums = vec![1.0; 36];
+        let panel = panel(0.3);
+        add_products(&panel, SHAPE, &mut sums);
+        let expected = matrix(&panel).tr_mul(&matrix(&panel));
+        for j in 0..6 {
+            for i in j..6 {
+                assert!((sums[j * 6 + i] - 1.0 - expected[(i, j)]).abs() < 1e-12);
+            }
+        }
+    }
+
+    #[test]
+    fn a_triangle_has_the_products_of_all_panels_folded_into_it() {
+        let mut triangle = vec![0.0; 36];
+        let mut expected = DMatrix::zeros(6, 6);
+        for k in 0..3 {
+            let mut panel = panel(f64::from(k));
+            expected += matrix(&panel).tr_mul(&matrix(&panel));
+            fold_into_triangle(&mut panel, SHAPE, &mut triangle);
+        }
+        let triangle = DMatrix::from_column_slice(6, 6, &triangle);
+        assert_eq!(triangle.lower_triangle().sum(), triangle.diagonal().sum());
+        assert!((triangle.tr_mul(&triangle) - expected).amax() < 1e-12);
+    }
+
+    #[test]
+    fn one_number_that_is_none_is_seen_in_the_rows_in_use_only() {
+        let mut panel = panel(0.0);
+        assert!(is_finite(&panel, SHAPE));
+        for bad in [f64::NAN, f64::INFINITY] {
+            panel[3 * SHAPE.stride + 17] = bad;
+            assert!(!is_finite(&panel, SHAPE));
+        }
+    }
+}

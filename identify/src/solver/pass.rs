@@ -1,0 +1,344 @@
+//! One pass over all samples, by one thread or several, with a result that does not depend on how many.
+//!
+//! Samples are cut into parts whose size depends on their number alone. Each part is folded by itself, and parts are
+//! merged in their order. Memory is that of a few dozen normal matrices and one small record per sample.
+
+use std::ops::Range;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+use nalgebra::{DMatrix, DVector};
+
+use super::panel::{Panel, fold_triangles, width};
+use super::{Loss, Options, Problem, Progress, SolveError, Watch};
+
+/// Samples of a part, at least: about a millisecond.
+const PART_SAMPLES_MIN: usize = 1024;
+/// Parts at most, so that partial sums stay small whatever the input.
+const PARTS_MAX: usize = 64;
+/// Entries of the Jacobian for which another thread pays: about a millisecond of work against some 50 us to start one.
+const ENTRIES_PER_THREAD: usize = 1 << 20;
+
+/// What one sample is worth in a pass.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) struct SampleFit {
+    /// The sample has a value here.
+    pub(super) present: bool,
+    /// Squared norm of its residual, unweighted.
+    pub(super) squared: f64,
+    /// Weight of the robust loss.
+    pub(super) weight: f64,
+}
+
+/// Why a pass over the samples was given up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum PassError {
+    /// A sample that takes part has no value here.
+    Lost,
+    /// A residual or derivative of this sample is not finite.
+    NotFinite(usize),
+    /// Who looks on said stop.
+    Cancelled,
+}
+
+impl PassError {
+    /// What it means for a solve that begins.
+    pub(super) fn at_start(self, samples: usize) -> SolveError {
+        match self {
+            Self::NotFinite(sample) => SolveError::NotFinite { sample },
+            Self::Lost => SolveError::NoSamples { samples },
+            Self::Cancelled => SolveError::Cancelled { iterations: 0 },
+        }
+    }
+}
+
+/// Which samples take part.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Taking<'a> {
+    /// All that have a value: the first pass, which decides.
+    WhatIsThere,
+    /// Exactly these.
+    These(&'a [SampleFit]),
+}
+
+/// What becomes of the rows of a part.
+pub(super) trait Fold: Send {
+    /// Takes a panel of rows, whose numbers it may destroy.
+    fn fold(&mut self, panel: &mut Panel);
+
+    /// Adds the samples that come next.
+    fn merge(&mut self, later: Self);
+}
+
+/// Nothing: only the fits of the samples are wanted.
+impl Fold for () {
+    fn fold(&mut self, _: &mut Panel) {}
+
+    fn merge(&mut self, (): ()) {}
+}
+
+/// `[J r]^T [J r]`, the lower triangle.
+pub(super) struct Products {
+    columns: usize,
+    sums: Vec<f64>,
+}
+
+impl Products {
+    pub(super) fn new(columns: usize) -> Self {
+        Self { columns, sums: vec![0.0; width(columns).pow(2)] }
+    }
+
+    /// `J^T J`, of which the lower triangle counts, and `J^T r`.
+    pub(super) fn normal_equations(&self) -> (DMatrix<f64>, DVector<f64>) {
+        let side = width(self.columns);
+        let normal = DMatrix::from_fn(self.columns, self.columns, |i, j| self.sums[j * side + i]);
+        let gradient = DVector::from_fn(self.columns, |i, _| self.sums[i * side + self.columns]);
+        (normal, gradient)
+    }
+}
+
+impl Fold for Products {
+    fn fold(&mut self, panel: &mut Panel) {
+        panel.add_products(&mut self.sums);
+    }
+
+    fn merge(&mut self, later: Self) {
+        self.sums.iter_mut().zip(later.sums).for_each(|(sum, later)| *sum += later);
+    }
+}
+
+/// The triangle `R` of `[J r] = Q R`.
+pub(super) struct Triangle(DMatrix<f64>);
+
+impl Triangle {
+    pub(super) fn new(columns: usize) -> Self {
+        Self(DMatrix::zeros(columns + 1, columns + 1))
+    }
+
+    /// The triangle of the Jacobian alone.
+    pub(super) fn of_jacobian(&self) -> DMatrix<f64> {
+        let columns = self.0.ncols() - 1;
+        self.0.view((0, 0), (columns, columns)).into_owned()
+    }
+}
+
+impl Fold for Triangle {
+    fn fold(&mut self, panel: &mut Panel) {
+        panel.fold_into_triangle(self.0.as_mut_slice());
+    }
+
+    fn merge(&mut self, later: Self) {
+        fold_triangles(&later.0, &mut self.0);
+    }
+}
+
+/// All rows, as they are.
+#[derive(Default)]
+pub(super) struct Rows {
+    residual: Vec<f64>,
+    gradients: Vec<f64>,
+}
+
+impl Fold for Rows {
+    fn fold(&mut self, panel: &mut Panel) {
+        panel.append_to(&mut self.residual, &mut self.gradients);
+    }
+
+    fn merge(&mut self, later: Self) {
+        self.residual.extend(later.residual);
+        self.gradients.extend(later.gradients);
+    }
+}
+
+/// One pass: where, which samples, and how much each counts.
+pub(super) struct Pass<'a, P> {
+    pub(super) problem: &'a P,
+    pub(super) x: &'a [f64],
+    pub(super) loss: Loss,
+    pub(super) taking: Taking<'a>,
+    /// Threads at most; none: as many as pay.
+    pub(super) threads: Option<usize>,
+    pub(super) watch: Option<&'a dyn Watch>,
+    /// Steps so far, for who looks on.
+    pub(super) progress: (usize, usize, Option<f64>),
+}
+
+impl<'a, P: Problem> Pass<'a, P> {
+    /// As the options say, apart from any iteration.
+    pub(super) fn new(problem: &'a P, x: &'a [f64], options: &'a Options<'_>, taking: Taking<'a>) -> Self {
+        Self {
+            problem,
+            x,
+            loss: options.loss,
+            taking,
+            threads: options.threads.map(usize::from),
+            watch: options.watch,
+            progress: (0, options.iterations_max, None),
+        }
+    }
+
+    /// Folds the rows of all samples; returns each sample's fit too.
+    pub(super) fn run<F: Fold>(&self, new: impl Fn() -> F + Sync) -> Result<(F, Vec<SampleFit>), PassError> {
+        let samples = self.problem.samples();
+        let part_samples = samples.div_ceil(PARTS_MAX).max(PART_SAMPLES_MIN);
+        let parts = samples.div_ceil(part_samples);
+        let shared = Shared::default();
+        let work = || {
+            let mut done = Vec::new();
+            while let Some(part) = shared.next_of(parts) {
+                let range = part * part_samples..samples.min((part + 1) * part_samples);
+                let result = self.part(range.clone(), new());
+                let result = self.report(&shared, range.len(), result);
+                shared.stop.fetch_or(result.is_err(), Ordering::Relaxed);
+                done.push((part, result));
+            }
+            done
+        };
+        let mut done = on_threads(self.threads(parts), &work);
+        done.sort_by_key(|(part, _)| *part);
+        let mut whole: Option<F> = None;
+        let mut fits = Vec::with_capacity(samples);
+        for (_, result) in done {
+            let (fold, part_fits) = result?;
+            match &mut whole {
+                Some(whole) => whole.merge(fold),
+                None => whole = Some(fold),
+            }
+            fits.extend(part_fits);
+        }
+        Ok((whole.unwrap_or_else(new), fits))
+    }
+
+    fn threads(&self, parts: usize) -> usize {
+        let entries = self.problem.samples() * self.problem.rows() * self.problem.columns();
+        let there = || std::thread::available_parallelism().map_or(1, usize::from);
+        let wanted = self.threads.unwrap_or_else(|| there().min(entries / ENTRIES_PER_THREAD));
+        wanted.clamp(1, parts.max(1))
+    }
+
+    fn report<T>(
+        &self,
+        shared: &Shared,
+        samples: usize,
+        result: Result<T, PassError>,
+    ) -> Result<T, PassError> {
+        let Some(watch) = self.watch else { return result };
+        let (iteration, iterations_max, cost) = self.progress;
+        let samples_done = shared.samples_done.fetch_add(samples, Ordering::Relaxed) + samples;
+        let samples = self.problem.samples();
+        let progress = Progress { iteration, iterations_max, cost, samples_done, samples };
+        if watch.goes_on(&progress) { result } else { Err(PassError::Cancelled) }
+    }
+
+    /// The samples of one part, in their order.
+    fn part<F: Fold>(&self, samples: Range<usize>, mut fold: F) -> Result<(F, Vec<SampleFit>), PassError> {
+        let mut point = self.problem.point(self.x);
+        let mut panel = Panel::new(self.problem.columns(), self.problem.rows());
+        let mut fits = Vec::with_capacity(samples.len());
+        for sample in samples {
+            fits.push(self.sample(&mut point, sample, &mut panel)?);
+            if panel.is_full() {
+                fold_panel(&mut fold, &mut panel)?;
+            }
+        }
+        if !panel.is_empty() {
+            fold_panel(&mut fold, &mut panel)?;
+        }
+        Ok((fold, fits))
+    }
+
+    /// Puts a sample into the panel, weighted.
+    fn sample(&self, point: &mut P::Point, sample: usize, panel: &mut Panel) -> Result<SampleFit, PassError> {
+        if let Taking::These(these) = self.taking
+            && !these.get(sample).is_some_and(|fit| fit.present)
+        {
+            return Ok(SampleFit::default());
+        }
+        let (residual, mut block) = panel.next();
+        if !self.problem.sample(point, sample, residual, &mut block) {
+            residual.fill(0.0);
+            block.clear();
+            return match self.taking {
+                Taking::WhatIsThere => Ok(SampleFit::default()),
+                Taking::These(_) => Err(PassError::Lost),
+            };
+        }
+        let squared: f64 = residual.iter().map(|r| r * r).sum();
+        if !squared.is_finite() {
+            return Err(PassError::NotFinite(sample));
+        }
+        let weight = self.loss.weight(squared);
+        if weight != 1.0 {
+            let factor = weight.sqrt();
+            residual.iter_mut().for_each(|r| *r *= factor);
+            block.scale(factor);
+        }
+        panel.keep(sample);
+        Ok(SampleFit { present: true, squared, weight })
+    }
+}
+
+fn fold_panel(fold: &mut impl Fold, panel: &mut Panel) -> Result<(), PassError> {
+    if let Some(sample) = panel.not_finite() {
+        return Err(PassError::NotFinite(sample));
+    }
+    fold.fold(panel);
+    panel.clear();
+    Ok(())
+}
+
+/// What the threads of a pass have in common.
+#[derive(Default)]
+struct Shared {
+    next: AtomicUsize,
+    samples_done: AtomicUsize,
+    stop: AtomicBool,
+}
+
+impl Shared {
+    /// The next part to do. Parts are begun in their order and ended once begun: of several errors the first one in the
+    /// order of samples is always found.
+    fn next_of(&self, parts: usize) -> Option<usize> {
+        if self.stop.load(Ordering::Relaxed) {
+            return None;
+        }
+        let part = self.next.fetch_add(1, Ordering::Relaxed);
+        (part < parts).then_some(part)
+    }
+}
+
+/// What `work` gives on so many threads, this one among them.
+fn on_threads<T: Send>(threads: usize, work: &(impl Fn() -> Vec<T> + Sync)) -> Vec<T> {
+    std::thread::scope(|scope| {
+        let others: Vec<_> = (1..threads).map(|_| scope.spawn(work)).collect();
+        let mut done = work();
+        for other in others {
+            match other.join() {
+                Ok(more) => done.extend(more),
+                Err(panic) => std::panic::resume_unwind(panic),
+            }
+        }
+        done
+    })
+}
+
+fn plain<'a, P: Problem>(problem: &'a P, x: &'a [f64]) -> Pass<'a, P> {
+    let taking = Taking::WhatIsThere;
+    Pass { problem, x, loss: Loss::Squared, taking, threads: None, watch: None, progress: (0, 0, None) }
+}
+
+/// Squared residual norm of each sample that has a value at `x`, without loss. Empty where one is not finite.
+pub fn squared_norms<P: Problem>(problem: &P, x: &[f64]) -> Vec<f64> {
+    let fits = plain(problem, x).run(|| ()).map(|((), fits)| fits).unwrap_or_default();
+    fits.iter().filter(|fit| fit.present).map(|fit| fit.squared).collect()
+}
+
+/// Residuals and Jacobian of all samples that have a value at `x`, stacked, without loss and priors: for looking at,
+/// and for other solvers. None where one of them is not finite.
+pub fn stacked<P: Problem>(problem: &P, x: &[f64]) -> Option<(DVector<f64>, DMatrix<f64>)> {
+    let (rows, _) = plain(problem, x).run(Rows::default).ok()?;
+    let count = rows.residual.len();
+    Some((
+        DVector::from_vec(rows.residual),
+        DMatrix::from_row_slice(count, problem.columns(), &rows.gradients),
+    ))
+}
