@@ -1,7 +1,7 @@
 //! Calibration of a robot from a ball-bar recording and the robot's own log.
 //!
 //! The way of the data: [`logs`] and the recording -> [`prepare`] -> [`model`] and [`cost`] -> [`solver`] ->
-//! [`calibrate`] ties them together -> [`report`]; [`simulate`] makes experiments with known truth, [`commands`] is
+//! [`calibrate`] ties them together -> [`study`] looks at the result -> [`report`]; [`simulate`] makes experiments with known truth, [`commands`] is
 //! what a person types.
 
 pub mod calibrate;
@@ -14,3 +14,4 @@ pub mod prepare;
 pub mod report;
 pub mod simulate;
 pub mod solver;
+pub mod study;

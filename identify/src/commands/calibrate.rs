@@ -15,8 +15,10 @@ use crate::kinematics::flange_chain;
 use crate::logs::{self, MeasuredLengthMapping, MeasuredLengths};
 use crate::model::ParameterId;
 use crate::report::file::{CalibrationFile, ClockEntry, Input, ParameterEntry, SolveEntry};
+use crate::report::page::Page;
 use crate::report::table;
 use crate::simulate::Truth;
+use crate::study::evidence;
 
 #[derive(Debug, Args)]
 pub struct CalibrateArguments {
@@ -129,11 +131,18 @@ fn from_ball_bar(
         }),
     );
     let written = file.write(&arguments.out)?;
+    let page = Page {
+        file: &file,
+        calibration: &calibration,
+        evidence: &evidence(&calibration, &robot.joint_limits_deg),
+        configuration: &toml::to_string(&config)?,
+    };
+    let page = page.write(&arguments.out)?;
     print!("{}", table::calibration(&file));
     if let Some(truth) = &truth {
         print!("\n{}", table::comparison(&Comparison::new(&calibration, truth)));
     }
-    println!("\n{}", written.display());
+    println!("\n{}\n{}", written.display(), page.display());
     Ok(())
 }
 

@@ -3,6 +3,7 @@
 //! A cost says what its residual is and how it changes when the robot's end or the bar's end moves by a twist; where
 //! each parameter's twist comes from is said once, in [`Scene`]. A new cost is a new [`Residual`].
 
+mod closure;
 mod fill_in;
 mod length;
 mod measured_length;
@@ -15,6 +16,7 @@ mod problem;
 mod scene;
 mod transform;
 
+pub use closure::{Closure, closures};
 pub use fill_in::fill_in;
 pub use length::Length;
 pub use measured_length::MeasuredLength;

@@ -274,7 +274,7 @@ pub struct DhRow {
 }
 
 /// Puts a file in place at once.
-fn replace(directory: &Path, name: &str, text: &str) -> Result<PathBuf, FileError> {
+pub(super) fn replace(directory: &Path, name: &str, text: &str) -> Result<PathBuf, FileError> {
     let path = directory.join(name);
     let part = directory.join(format!("{name}.part"));
     let write = || {

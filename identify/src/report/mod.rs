@@ -1,4 +1,5 @@
-//! What people and programs get to see of a calibration. Computes nothing.
+//! What people and programs get: files, tables on a terminal, and a page.
 
 pub mod file;
+pub mod page;
 pub mod table;

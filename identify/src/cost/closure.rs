@@ -1,0 +1,67 @@
+//! How far the two chains are from closing, sample by sample: what reports draw.
+
+use nalgebra::Vector3;
+
+use super::problem::LoopPoint;
+use crate::kinematics::{ROBOT_JOINTS, Twist, rotation_vector, singularity_margin_rad};
+use crate::model::{Geometry, JointState, Observation, RobotMotion};
+
+/// The closed chain at one sample.
+#[derive(Debug, Clone, Copy)]
+pub struct Closure {
+    /// Bar clock, since the reference time \[s\].
+    pub t_s: f64,
+    /// Robot joints at that instant.
+    pub joints: JointState,
+    /// Robot's end minus bar's end, in the robot's base \[m\].
+    pub apart_m: Vector3<f64>,
+    /// Rotation from the bar's end to the robot's, in the robot's base \[rad\].
+    pub turned_rad: Vector3<f64>,
+    /// Distance of the robot's end from the centre of the gimbal minus the bar's length \[m\].
+    pub off_sphere_m: f64,
+    /// From the centre of the gimbal to the robot's end, in the robot's base, unit length.
+    pub direction: Vector3<f64>,
+    /// Distance from the bar's nearest singular pose \[rad\].
+    pub margin_rad: f64,
+    /// How the robot's end moves with each joint.
+    pub joint_twists: [Twist; ROBOT_JOINTS],
+}
+
+/// Link of the bar whose `d` is its length, from 0.
+const ROD_LINK: usize = 2;
+
+/// The closed chain at each observation, on one geometry. Joints without encoder must have been filled in.
+/// Observations outside the robot's log are left out.
+pub fn closures(
+    geometry: &Geometry,
+    motion: &impl RobotMotion,
+    observations: &[Observation],
+) -> Vec<Closure> {
+    let mut point = LoopPoint::new(geometry.clone());
+    let length_m = geometry.bar_links.get(ROD_LINK).map_or(0.0, |link| link.d_m);
+    let at = |(sample, observation): (usize, &Observation)| {
+        let joints = motion.at(geometry.clock.robot_time_s(observation.t_s))?;
+        let scene = point.scene(motion, sample, observation)?;
+        let out_m = scene.robot.position_m() - geometry.base.origin_m;
+        let still = Twist { angular: Vector3::zeros(), linear: Vector3::zeros() };
+        let mut joint_twists = [still; ROBOT_JOINTS];
+        for (kept, twist) in joint_twists.iter_mut().zip(scene.robot.joint_twists()) {
+            *kept = twist;
+        }
+        let mut bar_rad = scene.bar_rad;
+        for (angle, link) in bar_rad.iter_mut().zip(&geometry.bar_links) {
+            *angle += link.theta_rad;
+        }
+        Some(Closure {
+            t_s: observation.t_s,
+            joints,
+            apart_m: scene.robot.position_m() - scene.bar.position_m(),
+            turned_rad: rotation_vector(&(scene.robot.rotation() * scene.bar.rotation().transpose())),
+            off_sphere_m: out_m.norm() - length_m,
+            direction: out_m / out_m.norm().max(f64::MIN_POSITIVE),
+            margin_rad: singularity_margin_rad(&bar_rad),
+            joint_twists,
+        })
+    };
+    observations.iter().enumerate().filter_map(at).collect()
+}

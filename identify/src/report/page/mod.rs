@@ -1,0 +1,89 @@
+//! `report.html`: one file without scripts or links to anything else, that a browser shows and a printer prints.
+
+mod figures;
+mod plot;
+mod sections;
+
+use std::path::{Path, PathBuf};
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+use crate::calibrate::ball_bar::BallBarCalibration;
+use crate::report::file::{CalibrationFile, FileError, replace};
+use crate::study::Evidence;
+
+pub use plot::PlotError;
+
+/// Everything that the page shows.
+#[derive(Debug)]
+pub struct Page<'a> {
+    /// Results as they are written.
+    pub file: &'a CalibrationFile,
+    /// The solve and the preparation.
+    pub calibration: &'a BallBarCalibration,
+    /// What is drawn.
+    pub evidence: &'a Evidence,
+    /// The whole configuration that was used, as text.
+    pub configuration: &'a str,
+}
+
+/// Why there is no page.
+#[derive(Debug, thiserror::Error)]
+pub enum PageError {
+    /// A figure cannot be drawn.
+    #[error(transparent)]
+    Plot(#[from] PlotError),
+    /// It cannot be written.
+    #[error(transparent)]
+    File(#[from] FileError),
+}
+
+impl Page<'_> {
+    /// Writes `report.html` into the directory, whole or not at all.
+    ///
+    /// # Errors
+    /// [`PageError`].
+    pub fn write(&self, directory: &Path) -> Result<PathBuf, PageError> {
+        let text = self.render()?.into_string();
+        Ok(replace(directory, "report.html", &text)?)
+    }
+
+    /// The page.
+    ///
+    /// # Errors
+    /// [`PlotError`].
+    pub fn render(&self) -> Result<Markup, PlotError> {
+        let title = format!("Calibration of {}", self.file.robot);
+        Ok(html! {
+            (DOCTYPE)
+            html lang="en" {
+                head {
+                    meta charset="utf-8";
+                    meta name="viewport" content="width=device-width, initial-scale=1";
+                    // Nothing is loaded, whatever a name in a log may contain.
+                    meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'; img-src data:";
+                    title { (title) }
+                    style { (PreEscaped(include_str!("style.css"))) }
+                }
+                body {
+                    header {
+                        h1 { (title) }
+                        p.about {
+                            (self.file.instrument) " · " (self.file.created) " · " (self.file.software)
+                        }
+                    }
+                    main {
+                        (sections::verdict(self))
+                        (sections::gaps(self)?)
+                        (sections::parameters(self))
+                        (sections::joints(self)?)
+                        (sections::alignment(self)?)
+                        (sections::coverage(self)?)
+                        (sections::dependence(self)?)
+                        (sections::origin(self))
+                    }
+                }
+            }
+        })
+    }
+}

@@ -1,0 +1,246 @@
+//! The parts of the page in their order: verdict first, origin last.
+
+use maud::{Markup, PreEscaped, html};
+
+use super::plot::PlotError;
+use super::{Page, figures};
+use crate::model::{ParameterId, Unit};
+use crate::report::file::{ParameterEntry, Status};
+use crate::study::{Expected, Quantiles};
+
+/// mm with as many digits as mean something.
+fn mm(metres: f64) -> String {
+    let mm = metres * 1e3;
+    if mm.abs() < 0.1 { format!("{mm:.4}") } else { format!("{mm:.3}") }
+}
+
+/// Four digits, whatever the size.
+fn figure(value: f64) -> String {
+    if (0.01..1e4).contains(&value) { format!("{value:.4}") } else { format!("{value:.3e}") }
+}
+
+fn svg(text: String) -> PreEscaped<String> {
+    PreEscaped(text)
+}
+
+pub(super) fn verdict(page: &Page<'_>) -> Markup {
+    let workspace = &page.evidence.workspace;
+    let limits = &page.evidence.limits;
+    let (before, after) = (&workspace.before, &workspace.after);
+    let number = |label: &str, expected: &Expected| {
+        let [low, high] = expected.interval_m.map(mm);
+        html! { div.number {
+            b { (mm(expected.mean_m)) " mm" }
+            span { (label) ", mean over the workspace; 95 % interval " (low) " to " (high) " mm; 95 % of all postures below "
+                (mm(expected.p95_m)) " mm" }
+        } }
+    };
+    let gap = |label: &str, gap: &Quantiles| {
+        html! { div.number {
+            b { (mm(gap.mean)) " mm" }
+            span { "robot against bar, " (label) "; median " (mm(gap.median)) ", 95 % " (mm(gap.p95)) ", largest " (mm(gap.max)) " mm" }
+        } }
+    };
+    html! {
+        div.verdict.doubt[limits.iter().any(|limit| limit.serious)] {
+            strong { "Calibrated. " }
+            "The expected position error of the robot over its workspace falls from "
+            b { (mm(before.mean_m)) " mm" } " to " b { (mm(after.mean_m)) " mm" } "."
+            @if !limits.is_empty() { ul { @for limit in limits { li { (limit.sentence) } } } }
+        }
+        div.numbers {
+            (number("before", before))
+            (number("after", after))
+            (gap("nominal", &page.evidence.gap_before_m))
+            (gap("calibrated", &page.evidence.gap_after_m))
+        }
+        p.note {
+            "Before: nominal against identified geometry at the point where the bar is bolted on, over all postures within the "
+            "joint limits, so also where the bar did not reach. After: what the covariance of the parameters leaves there. Errors "
+            "that do not depend on the geometry (gears, load, temperature) come on top; what the bar saw of them is in the two "
+            "figures on the right."
+        }
+    }
+}
+
+pub(super) fn gaps(page: &Page<'_>) -> Result<Markup, PlotError> {
+    let [nominal, calibrated] = figures::gap_over_time(page.evidence)?;
+    let [position, rotation] = figures::components_over_time(page.evidence)?;
+    Ok(html! {
+        h2 { "Residuals over time" }
+        figure {
+            (svg(nominal)) (svg(calibrated))
+            figcaption { "Distance between the robot's end and the bar's at each sample that was used. Mind the scales." }
+        }
+        @if page.evidence.by_encoders {
+            figure {
+                div.panels { (svg(position)) (svg(rotation)) }
+                figcaption { "The same at the solution by component, in the robot's base frame." }
+            }
+        }
+    })
+}
+
+fn unit_of(entry: &ParameterEntry) -> Unit {
+    entry.name.parse::<ParameterId>().map_or(Unit::Ratio, ParameterId::unit)
+}
+
+pub(super) fn parameters(page: &Page<'_>) -> Markup {
+    let entries = &page.file.parameters;
+    let of =
+        |prefix: char| entries.iter().filter(move |entry| entry.name.starts_with(prefix) && shown(entry));
+    let others = entries.iter().filter(|entry| !entry.name.starts_with(['r', 'b']) && shown(entry));
+    let fixed: Vec<&str> = entries
+        .iter()
+        .filter(|entry| entry.status == Status::Fixed)
+        .map(|entry| entry.name.as_str())
+        .collect();
+    html! {
+        h2 { "Parameters" }
+        div.columns {
+            (table("Robot", of('r')))
+            (table("Ball-bar and encoders", of('b')))
+            (table("Place of the bar, clocks", others))
+        }
+        p.note { "sigma: one standard deviation. (p): data and prior. Fixed at nominal: " (fixed.join(", ")) "." }
+    }
+}
+
+/// Parameters that nobody freed and nobody changed only fill the table.
+fn shown(entry: &ParameterEntry) -> bool {
+    entry.status != Status::Fixed
+}
+
+fn table<'a>(caption: &str, entries: impl Iterator<Item = &'a ParameterEntry>) -> Markup {
+    html! {
+        table {
+            caption { (caption) }
+            thead { tr { th { "name" } th { "nominal" } th { "correction" } th { "sigma" } th.text { "" } } }
+            tbody {
+                @for entry in entries {
+                    @let unit = unit_of(entry);
+                    @let factor = unit.display_factor();
+                    tr {
+                        td { (entry.name) @if entry.status == Status::IdentifiedWithPrior { " (p)" } }
+                        td { (format!("{:.3}", entry.nominal * factor)) }
+                        td { (format!("{:+.4}", entry.correction * factor)) }
+                        td { @if let Some(sigma) = entry.sigma { (format!("{:.4}", sigma * factor)) } @else { "–" } }
+                        td.text { (unit.display_symbol()) }
+                    }
+                }
+            }
+        }
+    }
+}
+
+pub(super) fn joints(page: &Page<'_>) -> Result<Markup, PlotError> {
+    if !page.evidence.by_encoders {
+        return Ok(html! {});
+    }
+    let panels = figures::by_joint(page.evidence)?;
+    Ok(html! {
+        h2 { "What is left, by joint and direction" }
+        figure {
+            div.panels { @for panel in panels { (svg(panel)) } }
+            figcaption {
+                "By how much each joint alone would have to turn on to bring the robot's end nearest to the bar's. A wave over the "
+                "angle points at the gear, two branches by direction at backlash, a slope at the gear's ratio."
+            }
+        }
+    })
+}
+
+pub(super) fn alignment(page: &Page<'_>) -> Result<Markup, PlotError> {
+    let evidence = page.evidence;
+    let wide = figures::shift("Gap against time shift", &evidence.shift_wide)?;
+    let near = figures::shift("Near the minimum", &evidence.shift_near)?;
+    let alignment = &page.calibration.prepared.alignment;
+    Ok(html! {
+        h2 { "Alignment of the two logs" }
+        p {
+            "The logs overlap for " (format!("{:.1}", alignment.overlap_s)) " s. Joint speeds correlate to "
+            (format!("{:.4}", alignment.correlation)) " (next best shift " (format!("{:.3}", alignment.runner_up)) "). "
+            @if let Some(clock) = &page.file.clock {
+                "Robot clock minus bar clock: " (format!("{:.6}", clock.robot_minus_bar_ns as f64 * 1e-9)) " s at "
+                (clock.reference_utc) ", rate " (format!("{:+.3}", clock.skew_ppm)) " ppm. "
+            }
+            @if let Some(minimum_s) = evidence.shift_near.minimum_s {
+                "The gap is smallest " (format!("{:+.1}", minimum_s * 1e6)) " us from the solution."
+            }
+        }
+        figure {
+            div.panels { (svg(wide)) (svg(near)) }
+            figcaption { "Everything but the time shift as in the solution." }
+        }
+    })
+}
+
+pub(super) fn coverage(page: &Page<'_>) -> Result<Markup, PlotError> {
+    let counts = &page.calibration.prepared.counts;
+    let rows = [
+        ("recorded", counts.recorded),
+        ("not valid on the bus", counts.invalid),
+        ("time did not increase", counts.time_not_increasing),
+        ("other origin of the counters", counts.other_origin),
+        ("outside the robot's log", counts.outside_robot_log),
+        ("near a singular pose", counts.singular),
+        ("standstill", counts.standstill),
+        ("more than wanted", counts.surplus),
+        ("used", counts.kept),
+    ];
+    let (coverage, margin) = (figures::coverage(page.evidence)?, figures::margin(page.evidence)?);
+    Ok(html! {
+        h2 { "Samples" }
+        figure { div.panels { (svg(coverage)) (svg(margin)) } }
+        table {
+            thead { tr { th { "what became of the samples" } th { "count" } } }
+            tbody { @for (what, count) in rows { tr { td { (what) } td { (count) } } } }
+        }
+    })
+}
+
+pub(super) fn dependence(page: &Page<'_>) -> Result<Markup, PlotError> {
+    let strongest = page.calibration.solution.covariance.strongest_correlations(0.9);
+    let names = &page.evidence.correlations.0;
+    let name = |column: usize| names.get(column).map_or("?", String::as_str);
+    let solve = &page.file.solve;
+    Ok(html! {
+        h2 { "How well the parameters are told apart" }
+        p {
+            "Cost " code { (solve.cost) } ": " (solve.ended) " after " (solve.iterations) " iterations, " (solve.samples)
+            " samples, " (solve.parameters) " parameters, all identified; condition " (format!("{:.0}", solve.condition))
+            "; residual RMS "
+            (figure(solve.residual_rms_start)) " to " (figure(solve.residual_rms)) "."
+        }
+        @if !strongest.is_empty() {
+            p {
+                "Strongly correlated: "
+                @for (index, (a, b, correlation)) in strongest.iter().take(12).enumerate() {
+                    @if index > 0 { ", " }
+                    (name(*a)) "–" (name(*b)) " " (format!("{correlation:+.3}"))
+                }
+                "."
+            }
+        }
+        figure {
+            (svg(figures::correlations(page.evidence)))
+            figcaption { "Correlations above 0.1: blue together, orange against each other." }
+        }
+    })
+}
+
+pub(super) fn origin(page: &Page<'_>) -> Markup {
+    html! {
+        h2 { "To repeat it" }
+        table {
+            thead { tr { th { "input" } th.text { "file" } th.text { "SHA-256" } } }
+            tbody {
+                @for input in &page.file.inputs {
+                    tr { td { (input.role) } td.text { (input.path.display()) } td.text { code { (input.sha256) } } }
+                }
+            }
+        }
+        p.note { "Made with " (page.file.software) ". Configuration in full:" }
+        pre { (page.configuration) }
+    }
+}

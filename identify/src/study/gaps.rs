@@ -1,0 +1,36 @@
+//! Residuals by joint: which turn of one robot joint would close most of the gap between robot and bar.
+
+use crate::cost::Closure;
+use crate::kinematics::ROBOT_JOINTS;
+
+/// One sample seen from one joint.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct JointGap {
+    /// The joint as the robot reports it \[rad\].
+    pub q_rad: f64,
+    /// Its speed \[rad/s\].
+    pub qd_rad_s: f64,
+    /// By how much it would have to turn on to bring the robot's end nearest to the bar's \[rad\].
+    pub turn_rad: f64,
+}
+
+/// Per robot joint and sample: the least-squares turn of this joint alone.
+///
+/// Position only; joints that hardly move the end at a sample (lever arm below a tenth of a metre) have no say there.
+/// An error of the joint's gear shows as a wave over its angle, backlash as two branches by direction.
+pub fn joint_gaps(closures: &[Closure]) -> [Vec<JointGap>; ROBOT_JOINTS] {
+    /// \[m\]
+    const LEVER_MIN_M: f64 = 0.1;
+    std::array::from_fn(|joint| {
+        let seen = |closure: &Closure| {
+            let arm = closure.joint_twists[joint].linear;
+            let lever_m = arm.norm();
+            (lever_m > LEVER_MIN_M).then(|| JointGap {
+                q_rad: closure.joints.q[joint],
+                qd_rad_s: closure.joints.qd[joint],
+                turn_rad: -arm.dot(&closure.apart_m) / (lever_m * lever_m),
+            })
+        };
+        closures.iter().filter_map(seen).collect()
+    })
+}

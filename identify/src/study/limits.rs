@@ -1,0 +1,93 @@
+//! What limits a calibration, in sentences that a person can act on.
+
+use super::{Quantiles, WorkspaceError};
+use crate::calibrate::CostName;
+use crate::calibrate::ball_bar::BallBarCalibration;
+use crate::cost::Closure;
+use crate::kinematics::ROBOT_JOINTS;
+
+/// A joint that turned less than this tells little of its link \[deg\].
+const TRAVEL_MIN_DEG: f64 = 20.0;
+/// Residuals this many times the noise are no noise.
+const NOISE_RATIO_MAX: f64 = 1.5;
+/// Samples that the loss trusts less than half are outliers.
+const WEIGHT_MIN: f64 = 0.5;
+
+/// One thing that limits a calibration.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Limit {
+    /// For a person.
+    pub sentence: String,
+    /// The figures of the calibration cannot be taken as they are.
+    pub serious: bool,
+}
+
+/// What limits a calibration, the most important first.
+pub fn limits(calibration: &BallBarCalibration, after: &[Closure], workspace: &WorkspaceError) -> Vec<Limit> {
+    let mut limits = Vec::new();
+    let mut tell = |serious: bool, sentence: String| limits.push(Limit { sentence, serious });
+    let noise_ratio = calibration.solution.summary.residual_rms;
+    if calibration.cost == CostName::Pose && noise_ratio > NOISE_RATIO_MAX {
+        tell(
+            true,
+            format!(
+                "What is left is {noise_ratio:.1} times the noise that the angles are configured to have: errors that the \
+             model does not contain (gears, bar, deflection) limit the result. The figures by joint show where."
+            ),
+        );
+    }
+    for (joint, travel_deg) in travel_deg(after).into_iter().enumerate() {
+        if travel_deg < TRAVEL_MIN_DEG {
+            tell(
+                true,
+                format!(
+                    "Joint {} turned by {travel_deg:.0} degrees only; a path that turns it further tells more of its link.",
+                    joint + 1
+                ),
+            );
+        }
+    }
+    let weights = &calibration.solution.sample_weights;
+    let outliers = weights.iter().filter(|weight| **weight < WEIGHT_MIN).count();
+    if outliers * 20 > weights.len() {
+        tell(
+            true,
+            format!(
+                "{outliers} of {} samples fit badly and count less: look for a loose joint, slip or collisions in the log.",
+                weights.len()
+            ),
+        );
+    }
+    if !workspace.weakest.is_empty() {
+        let names: Vec<&str> = workspace.weakest.iter().map(|(name, _)| name.as_str()).take(4).collect();
+        tell(
+            false,
+            format!(
+                "The weakest combination of parameters is {}: poses that tell these apart improve the result most.",
+                names.join(", ")
+            ),
+        );
+    }
+    if calibration.prepared.alignment.ambiguous {
+        tell(true, "The motion repeats itself: another alignment in time fits nearly as well.".into());
+    }
+    limits
+}
+
+/// Range of each robot joint over the samples \[deg\].
+fn travel_deg(closures: &[Closure]) -> [f64; ROBOT_JOINTS] {
+    std::array::from_fn(|joint| {
+        let angles = closures.iter().map(|closure| closure.joints.q[joint]);
+        let (low, high) =
+            angles.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| (low.min(q), high.max(q)));
+        (high - low).max(0.0).to_degrees()
+    })
+}
+
+/// Distances of robot and bar \[m\].
+pub(super) fn gap_m(closures: &[Closure], by_encoders: bool) -> Quantiles {
+    let gap = |closure: &Closure| {
+        if by_encoders { closure.apart_m.norm() } else { closure.off_sphere_m.abs() }
+    };
+    Quantiles::of(closures.iter().map(gap).collect())
+}

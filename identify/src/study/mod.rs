@@ -1,0 +1,17 @@
+//! What a calibration shows when one looks at it: figures for the report, computed from a solve and never fed back.
+
+mod evidence;
+mod figures;
+mod gaps;
+mod limits;
+mod nominal;
+mod shift;
+mod workspace;
+
+pub use evidence::{Evidence, evidence};
+pub use figures::{Quantiles, rms};
+pub use gaps::{JointGap, joint_gaps};
+pub use limits::{Limit, limits};
+pub use nominal::uncalibrated;
+pub use shift::{ShiftCurve, shift_curve};
+pub use workspace::{Expected, WorkspaceError, workspace_error};

@@ -1,0 +1,65 @@
+//! The robot as its maker sold it, with everything around it at its best: what a calibration is compared with.
+
+use crate::cost::{LoopProblem, Position, Residual, Transform};
+use crate::model::{Geometry, Model, Observation, ParameterId, RobotMotion, Role};
+use crate::solver::{Options, solve};
+
+/// The parameter says where the bar stands, how its encoders are zeroed, or how clocks differ: nothing of the robot.
+fn about_the_setup(id: ParameterId) -> bool {
+    matches!(
+        id,
+        ParameterId::Bar { .. }
+            | ParameterId::Base(_)
+            | ParameterId::BaseRotation(_)
+            | ParameterId::Harmonic { .. }
+            | ParameterId::ClockShift
+            | ParameterId::ClockSkew
+    )
+}
+
+/// The calibrated model with its robot put back to nominal, and the bar's place and encoder offsets fitted to that.
+///
+/// Without the fit all errors of the robot would show as a displaced bar. Where the fit fails the bar stays as calibrated.
+pub fn uncalibrated(model: &Model, motion: &impl RobotMotion, observations: &[Observation]) -> Geometry {
+    let mut nominal = model.clone();
+    let all: Vec<_> = model.parameters().iter().map(|parameter| (parameter.id, parameter.nominal)).collect();
+    for (id, value) in all {
+        // The model has each of its own parameters.
+        let _ = nominal.set_role(id, Role::Fixed);
+        if !about_the_setup(id) {
+            let _ = nominal.set_value(id, value);
+        }
+    }
+    let five = observations.iter().all(|observation| observation.measured == [true; 5]);
+    let fitted = |id: ParameterId| match id {
+        ParameterId::Base(_) | ParameterId::BaseRotation(_) => true,
+        ParameterId::Bar { link, parameter } => {
+            // The first offset is the bar's turn about z; those behind the sphere only matter with five encoders.
+            parameter == crate::kinematics::LinkParameter::Theta && (five || link < 2)
+        }
+        _ => false,
+    };
+    let ids: Vec<_> =
+        model.parameters().iter().map(|parameter| parameter.id).filter(|id| fitted(*id)).collect();
+    let _ = nominal.set_roles(ids, Role::Free);
+    let x = if five {
+        fit(&nominal, motion, observations, Transform)
+    } else {
+        fit(&nominal, motion, observations, Position)
+    };
+    if let Some(x) = x {
+        nominal.adopt(&x);
+    }
+    nominal.geometry(&nominal.start())
+}
+
+fn fit<R: Residual>(
+    model: &Model,
+    motion: &impl RobotMotion,
+    observations: &[Observation],
+    residual: R,
+) -> Option<Vec<f64>> {
+    let problem = LoopProblem::new(model, motion, observations, residual, 1.0).ok()?;
+    let solution = solve(&problem, &model.start(), &Options::default()).ok()?;
+    solution.summary.termination.converged().then_some(solution.x)
+}

@@ -1,0 +1,55 @@
+//! The alignment as the thesis drew it (its figure 5.5): what the gap becomes when one log is moved in time.
+
+use super::rms;
+use crate::cost::closures;
+use crate::model::{Geometry, Observation, RobotMotion};
+
+/// Gap between robot and bar against an added time shift.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ShiftCurve {
+    /// Added to the robot's clock \[s\], ascending.
+    pub shift_s: Vec<f64>,
+    /// Root mean square distance of the robot's end from the bar's \[m\].
+    pub rms_m: Vec<f64>,
+    /// Where a parabola through the smallest value has its vertex \[s\]; none where the smallest is at an end.
+    pub minimum_s: Option<f64>,
+}
+
+/// Samples that a curve is made of at most; more do not change it visibly.
+const SAMPLES_MAX: usize = 300;
+
+/// The curve over `-reach_s .. reach_s`, everything but the shift as in `geometry`.
+pub fn shift_curve(
+    geometry: &Geometry,
+    motion: &impl RobotMotion,
+    observations: &[Observation],
+    reach_s: f64,
+    steps: usize,
+) -> ShiftCurve {
+    let every = observations.len().div_ceil(SAMPLES_MAX).max(1);
+    let sparse: Vec<Observation> = observations.iter().step_by(every).copied().collect();
+    let mut curve = ShiftCurve::default();
+    for step in 0..=2 * steps {
+        let shift_s = reach_s * (step as f64 / steps as f64 - 1.0);
+        let mut moved = geometry.clone();
+        moved.clock.shift_s += shift_s;
+        let seen = closures(&moved, motion, &sparse);
+        if seen.is_empty() {
+            continue;
+        }
+        curve.shift_s.push(shift_s);
+        curve.rms_m.push(rms(seen.iter().map(|closure| closure.apart_m.norm())));
+    }
+    curve.minimum_s = minimum(&curve.shift_s, &curve.rms_m);
+    curve
+}
+
+/// Vertex of the parabola through the smallest square and its neighbours: squares of gaps are parabolas of the shift.
+fn minimum(shift_s: &[f64], rms_m: &[f64]) -> Option<f64> {
+    let least = (0..rms_m.len()).min_by(|&a, &b| rms_m[a].total_cmp(&rms_m[b]))?;
+    let square = |index: usize| rms_m.get(index).map(|rms| rms * rms);
+    let (left, here, right) = (square(least.checked_sub(1)?)?, square(least)?, square(least + 1)?);
+    let step_s = shift_s.get(least + 1)? - shift_s.get(least)?;
+    let bend = left - 2.0 * here + right;
+    (bend > 0.0).then(|| shift_s[least] + 0.5 * step_s * (left - right) / bend)
+}

@@ -1,0 +1,167 @@
+//! What the calibration is worth where the robot works: position error over the whole range of its joints.
+
+use nalgebra::{DMatrix, DVector, SymmetricEigen, Vector3};
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::figures::quantile;
+use crate::kinematics::{Chain, ROBOT_JOINTS, Trace, Tracer};
+use crate::model::{Model, ParameterId};
+use crate::solver::Covariance;
+
+/// Postures, evenly spread over the joint limits.
+const POSTURES: usize = 400;
+/// Robots drawn from the covariance.
+const DRAWS: usize = 400;
+
+/// A position error that is expected, and how sure that is.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Expected {
+    /// Mean over the workspace \[m\].
+    pub mean_m: f64,
+    /// 95 % of the workspace is better than this \[m\].
+    pub p95_m: f64,
+    /// The mean lies between these with 95 % \[m\].
+    pub interval_m: [f64; 2],
+}
+
+/// Position error of the point where the bar is bolted on, over all postures within the joint limits.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct WorkspaceError {
+    /// With the nominal geometry.
+    pub before: Expected,
+    /// With the calibrated one, as far as its covariance tells.
+    pub after: Expected,
+    /// The combination of parameters that contributes most to what is left, largest part first: name and its part of
+    /// the combination, 0 to 1.
+    pub weakest: Vec<(String, f64)>,
+}
+
+/// Postures with the error that calibration took away, and how what it left depends on the free parameters.
+struct Postures {
+    corrected_m: Vec<Vector3<f64>>,
+    by_parameter: Vec<DMatrix<f64>>,
+}
+
+/// Expected position errors: nominal robot against robots drawn from the solution's covariance.
+///
+/// `joint_limits_deg` are those of the model's joints. Only the links' parameters are drawn; the robot's base frame is
+/// defined by those that stay fixed.
+pub fn workspace_error(
+    model: &Model,
+    covariance: &Covariance,
+    joint_limits_deg: &[[f64; 2]; ROBOT_JOINTS],
+) -> WorkspaceError {
+    let columns: Vec<(usize, ParameterId)> = model
+        .columns()
+        .enumerate()
+        .filter(|(column, parameter)| {
+            matches!(parameter.id, ParameterId::Robot { .. }) && covariance.sigma(*column).is_some()
+        })
+        .map(|(column, parameter)| (column, parameter.id))
+        .collect();
+    let postures = postures(model, &columns, joint_limits_deg);
+    let between = |i: usize, j: usize| covariance.between(columns[i].0, columns[j].0).unwrap_or(0.0);
+    let eigen = SymmetricEigen::new(DMatrix::from_fn(columns.len(), columns.len(), between));
+    let root =
+        &eigen.eigenvectors * DMatrix::from_diagonal(&eigen.eigenvalues.map(|value| value.max(0.0).sqrt()));
+
+    let mut random = ChaCha8Rng::seed_from_u64(0);
+    let (mut before, mut after) = (Vec::new(), Vec::new());
+    for _ in 0..DRAWS {
+        let normal = DVector::from_fn(columns.len(), |_, _| StandardNormal.sample(&mut random));
+        let off: DVector<f64> = &root * normal;
+        let left = postures.by_parameter.iter().map(|by| {
+            let moved = by * &off;
+            Vector3::new(moved[0], moved[1], moved[2])
+        });
+        let left: Vec<Vector3<f64>> = left.collect();
+        before.push(postures.corrected_m.iter().zip(&left).map(|(was, left)| (was + left).norm()).collect());
+        after.push(left.iter().map(Vector3::norm).collect());
+    }
+    WorkspaceError {
+        before: expected(before),
+        after: expected(after),
+        weakest: weakest(&root, &postures.by_parameter, &columns),
+    }
+}
+
+fn postures(
+    model: &Model,
+    columns: &[(usize, ParameterId)],
+    joint_limits_deg: &[[f64; 2]; ROBOT_JOINTS],
+) -> Postures {
+    let mut nominal = model.clone();
+    for parameter in model.parameters() {
+        // The model has each of its own parameters.
+        let _ = nominal.set_value(parameter.id, parameter.nominal);
+    }
+    let chain = |model: &Model| -> Chain { model.geometry(&model.start()).robot };
+    let (calibrated, nominal) = (Tracer::new(&chain(model)), Tracer::new(&chain(&nominal)));
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let (mut here, mut there) = (Trace::default(), Trace::default());
+    let mut postures = Postures { corrected_m: Vec::new(), by_parameter: Vec::new() };
+    for _ in 0..POSTURES {
+        let q =
+            joint_limits_deg.map(|[low, high]| (low + (high - low) * random.random::<f64>()).to_radians());
+        calibrated.trace(&q, &mut here);
+        nominal.trace(&q, &mut there);
+        postures.corrected_m.push(here.position_m() - there.position_m());
+        let mut by = DMatrix::zeros(3, columns.len());
+        for (mut column, (_, id)) in by.column_iter_mut().zip(columns) {
+            if let ParameterId::Robot { link, parameter } = *id
+                && let Some(twist) = here.twist(link, parameter)
+            {
+                column.copy_from(&twist.linear);
+            }
+        }
+        postures.by_parameter.push(by);
+    }
+    postures
+}
+
+/// `errors_m`: per draw, per posture.
+fn expected(errors_m: Vec<Vec<f64>>) -> Expected {
+    let mean = |errors: &Vec<f64>| errors.iter().sum::<f64>() / errors.len().max(1) as f64;
+    let mut means: Vec<f64> = errors_m.iter().map(mean).collect();
+    means.sort_by(f64::total_cmp);
+    let mut all: Vec<f64> = errors_m.into_iter().flatten().collect();
+    all.sort_by(f64::total_cmp);
+    Expected {
+        mean_m: mean(&all),
+        p95_m: quantile(&all, 0.95),
+        interval_m: [quantile(&means, 0.025), quantile(&means, 0.975)],
+    }
+}
+
+/// The direction in which the covariance spoils positions most: largest eigenvector of `S^T M S`, where `S S^T` is the
+/// covariance and `M` the mean of `J^T J` over the postures.
+fn weakest(
+    root: &DMatrix<f64>,
+    by_parameter: &[DMatrix<f64>],
+    columns: &[(usize, ParameterId)],
+) -> Vec<(String, f64)> {
+    /// Smaller parts of the combination are not told.
+    const PART_MIN: f64 = 0.05;
+    let worth = by_parameter
+        .iter()
+        .fold(DMatrix::zeros(columns.len(), columns.len()), |sum, by| sum + by.transpose() * by);
+    let eigen = SymmetricEigen::new(root.transpose() * &worth * root);
+    if columns.is_empty() {
+        return Vec::new();
+    }
+    let direction = root * eigen.eigenvectors.column(eigen.eigenvalues.imax());
+    // Each parameter's own effect on positions makes metres and radians comparable.
+    let effect = |i: usize| direction[i] * direction[i] * worth[(i, i)];
+    let whole: f64 = (0..columns.len()).map(effect).sum();
+    let mut parts: Vec<(String, f64)> = columns
+        .iter()
+        .enumerate()
+        .map(|(i, (_, id))| (id.to_string(), effect(i) / whole.max(f64::MIN_POSITIVE)))
+        .filter(|(_, part)| *part > PART_MIN)
+        .collect();
+    parts.sort_by(|a, b| b.1.total_cmp(&a.1));
+    parts
+}
