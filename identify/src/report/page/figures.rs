@@ -7,13 +7,13 @@ use crate::cost::Closure;
 use crate::kinematics::ROBOT_JOINTS;
 use crate::study::{Evidence, JointGap, ShiftCurve};
 
-const WIDE: (u32, u32) = (920, 250);
-const HALF: (u32, u32) = (450, 270);
+pub(super) const WIDE: (u32, u32) = (920, 250);
+pub(super) const HALF: (u32, u32) = (450, 270);
 const THIRD: (u32, u32) = (340, 230);
 /// Axes of equal length once the labels have their room.
 const ROUND: (u32, u32) = (450, 420);
 
-fn dots(name: &'static str, colour: RGBColor, points: Vec<(f64, f64)>) -> Series {
+pub(super) fn dots(name: &'static str, colour: RGBColor, points: Vec<(f64, f64)>) -> Series {
     Series { name, colour, mark: Mark::Dots, points }
 }
 

@@ -2,6 +2,7 @@
 
 mod figures;
 mod plot;
+mod preparation;
 mod sections;
 
 use std::path::{Path, PathBuf};
@@ -78,6 +79,7 @@ impl Page<'_> {
                         (sections::parameters(self))
                         (sections::joints(self)?)
                         (sections::alignment(self)?)
+                        (preparation::section(self)?)
                         (sections::coverage(self)?)
                         (sections::dependence(self)?)
                         (sections::origin(self))

@@ -19,7 +19,7 @@ fn figure(value: f64) -> String {
     if (0.01..1e4).contains(&value) { format!("{value:.4}") } else { format!("{value:.3e}") }
 }
 
-fn svg(text: String) -> PreEscaped<String> {
+pub(super) fn svg(text: String) -> PreEscaped<String> {
     PreEscaped(text)
 }
 
@@ -176,25 +176,12 @@ pub(super) fn alignment(page: &Page<'_>) -> Result<Markup, PlotError> {
 }
 
 pub(super) fn coverage(page: &Page<'_>) -> Result<Markup, PlotError> {
-    let counts = &page.calibration.prepared.counts;
-    let rows = [
-        ("recorded", counts.recorded),
-        ("not valid on the bus", counts.invalid),
-        ("time did not increase", counts.time_not_increasing),
-        ("other origin of the counters", counts.other_origin),
-        ("outside the robot's log", counts.outside_robot_log),
-        ("near a singular pose", counts.singular),
-        ("standstill", counts.standstill),
-        ("more than wanted", counts.surplus),
-        ("used", counts.kept),
-    ];
     let (coverage, margin) = (figures::coverage(page.evidence)?, figures::margin(page.evidence)?);
     Ok(html! {
-        h2 { "Samples" }
-        figure { div.panels { (svg(coverage)) (svg(margin)) } }
-        table {
-            thead { tr { th { "what became of the samples" } th { "count" } } }
-            tbody { @for (what, count) in rows { tr { td { (what) } td { (count) } } } }
+        h2 { "Where the bar was" }
+        figure {
+            div.panels { (svg(coverage)) (svg(margin)) }
+            figcaption { "Left: equal areas of the sphere are equal areas of the figure. Bare regions say nothing of the robot." }
         }
     })
 }

@@ -1,0 +1,118 @@
+//! How the two logs were brought together: what the thesis drew as its figures 5.2 to 5.4.
+
+use maud::{Markup, html};
+
+use super::Page;
+use super::figures::{HALF, WIDE, dots};
+use super::plot::{BLUE, GREY, Mark, ORANGE, Panel, PlotError, Series};
+use super::sections::svg;
+use crate::kinematics::BAR_JOINTS;
+use crate::prepare::{Fate, Timeline, TimelinePoint};
+
+pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
+    let prepared = &page.calibration.prepared;
+    let timeline = &prepared.timeline;
+    let speeds = speeds(timeline)?;
+    let trimmed = trimmed(timeline, &prepared.measured)?;
+    Ok(html! {
+        h2 { "Preparation" }
+        figure {
+            (svg(speeds))
+            figcaption {
+                "Fastest joint of robot and bar, on the bar's clock after the alignment. Both stand still together "
+                (timeline.standstills.len()) " times, "
+                (format!("{:.1}", timeline.standstills.iter().map(|one| one.duration_s()).sum::<f64>())) " s in all."
+            }
+        }
+        figure {
+            div.panels { @for panel in trimmed { (svg(panel)) } }
+            figcaption { "Joints of the bar: what was used, and what was left out for one of the reasons below." }
+        }
+        (jitter(timeline))
+        (fates(page))
+    })
+}
+
+/// Fastest joint of either log over time.
+fn speeds(timeline: &Timeline) -> Result<String, PlotError> {
+    let line = |name, colour, speed: fn(&TimelinePoint) -> Option<f64>| {
+        let point = |point: &TimelinePoint| Some((point.t_s, speed(point)?.to_degrees()));
+        Series { name, colour, mark: Mark::Line, points: timeline.points.iter().filter_map(point).collect() }
+    };
+    Panel {
+        title: "Speed".into(),
+        x: "time from the middle of the run [s]",
+        y: "fastest joint [deg/s]".into(),
+        size: WIDE,
+        series: vec![
+            line("bar", ORANGE, |point| point.bar_speed_rad_s),
+            line("robot", BLUE, |point| point.robot_speed_rad_s),
+        ],
+        from_zero: true,
+    }
+    .draw()
+}
+
+/// Angle of each measured joint over time, by what became of the samples.
+fn trimmed(timeline: &Timeline, measured: &[bool; BAR_JOINTS]) -> Result<Vec<String>, PlotError> {
+    let panel = |joint: usize| {
+        let of = |name, colour, wanted: fn(Fate) -> bool| {
+            let angle = |point: &TimelinePoint| Some((point.t_s, point.measured_rad?[joint].to_degrees()));
+            let points = timeline.points.iter().filter(|point| wanted(point.fate)).filter_map(angle);
+            dots(name, colour, points.collect())
+        };
+        let used = |fate| matches!(fate, Fate::Kept | Fate::Surplus);
+        Panel {
+            title: format!("b{}", joint + 1),
+            x: "time from the middle of the run [s]",
+            y: "[deg]".into(),
+            size: HALF,
+            series: vec![
+                of("left out", GREY, |fate| !matches!(fate, Fate::Kept | Fate::Surplus)),
+                of("usable", BLUE, used),
+            ],
+            from_zero: false,
+        }
+        .draw()
+    };
+    (0..BAR_JOINTS).filter(|&joint| measured[joint]).map(panel).collect()
+}
+
+fn jitter(timeline: &Timeline) -> Markup {
+    let jitter = &timeline.jitter;
+    let cell = |value: &Option<f64>| value.map_or_else(|| "–".to_owned(), |urad| format!("{urad:.2}"));
+    let row = |what: &str, values: &[Option<f64>]| {
+        html! {
+            tr { td { (what) } @for value in values { td { (cell(value)) } } @for _ in values.len()..6 { td {} } }
+        }
+    };
+    html! {
+        table {
+            caption { "Jitter at standstill, standard deviation about a straight line [urad]" }
+            thead { tr { th { "joint" } @for joint in 1..=6 { th { (joint) } } } }
+            tbody { (row("robot", &jitter.robot_urad)) (row("bar", &jitter.bar_urad)) }
+        }
+    }
+}
+
+/// The table of what became of all samples.
+fn fates(page: &Page<'_>) -> Markup {
+    let counts = &page.calibration.prepared.counts;
+    let rows = [
+        ("recorded", counts.recorded),
+        ("not valid on the bus", counts.invalid),
+        ("time did not increase", counts.time_not_increasing),
+        ("other origin of the counters", counts.other_origin),
+        ("outside the robot's log", counts.outside_robot_log),
+        ("near a singular pose", counts.singular),
+        ("standstill", counts.standstill),
+        ("more than wanted", counts.surplus),
+        ("used", counts.kept),
+    ];
+    html! {
+        table.narrow {
+            caption { "What became of the samples" }
+            tbody { @for (what, count) in rows { tr { td { (what) } td { (count) } } } }
+        }
+    }
+}
