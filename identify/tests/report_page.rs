@@ -73,7 +73,8 @@ fn true_error_m(run: &Simulated, found: &BallBarCalibration, robot: &RobotConfig
             let part = (posture % STEPS[joint]) as f64 / (STEPS[joint] - 1) as f64;
             (low + (high - low) * part).to_radians()
         });
-        let end = |chain: &identify::kinematics::Chain| -> Vector3<f64> { chain.forward(&q).translation.vector };
+        let end =
+            |chain: &identify::kinematics::Chain| -> Vector3<f64> { chain.forward(&q).translation.vector };
         (end(&identified) - end(&truth)).norm()
     };
     (0..POSTURES).map(distance).sum::<f64>() / POSTURES as f64
@@ -86,7 +87,8 @@ fn the_error_that_the_page_expects_is_the_error_that_the_robot_has() {
     const SEEDS: u64 = 8;
     for seed in 1..=SEEDS {
         let (run, found) = calibrated(&robot, seed, None);
-        let expected = workspace_error(&found.model, &found.solution.covariance, &robot.joint_limits_deg).after;
+        let expected =
+            workspace_error(&found.model, &found.solution.covariance, &robot.joint_limits_deg).after;
         let truth_m = true_error_m(&run, &found, &robot);
         println!(
             "seed {seed}: true {:.4} mm, expected {:.4} ({:.4} to {:.4})",
@@ -129,7 +131,12 @@ fn a_browser_shows_the_page_and_asks_nobody_else() {
     let requests = directory.path().join("requests.json");
     let output = Command::new(browser)
         .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"])
-        .args(["--disable-background-networking", "--disable-component-update", "--disable-sync", "--dump-dom"])
+        .args([
+            "--disable-background-networking",
+            "--disable-component-update",
+            "--disable-sync",
+            "--dump-dom",
+        ])
         .arg(format!("--user-data-dir={}", directory.path().join("profile").display()))
         .arg(format!("--log-net-log={}", requests.display()))
         .arg(format!("file://{}", page.display()))

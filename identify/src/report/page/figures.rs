@@ -8,8 +8,8 @@ use crate::kinematics::ROBOT_JOINTS;
 use crate::study::{Evidence, JointGap, ShiftCurve};
 
 pub(super) const WIDE: (u32, u32) = (920, 250);
-pub(super) const HALF: (u32, u32) = (450, 270);
-const THIRD: (u32, u32) = (340, 230);
+const HALF: (u32, u32) = (450, 270);
+pub(super) const THIRD: (u32, u32) = (340, 230);
 /// Axes of equal length once the labels have their room.
 const ROUND: (u32, u32) = (450, 420);
 

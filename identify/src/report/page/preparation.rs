@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 
 use super::Page;
-use super::figures::{HALF, WIDE, dots};
+use super::figures::{THIRD, WIDE, dots};
 use super::plot::{BLUE, GREY, Mark, ORANGE, Panel, PlotError, Series};
 use super::sections::svg;
 use crate::kinematics::BAR_JOINTS;
@@ -66,7 +66,7 @@ fn trimmed(timeline: &Timeline, measured: &[bool; BAR_JOINTS]) -> Result<Vec<Str
             title: format!("b{}", joint + 1),
             x: "time from the middle of the run [s]",
             y: "[deg]".into(),
-            size: HALF,
+            size: THIRD,
             series: vec![
                 of("left out", GREY, |fate| !matches!(fate, Fate::Kept | Fate::Surplus)),
                 of("usable", BLUE, used),
