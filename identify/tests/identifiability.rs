@@ -17,7 +17,8 @@ fn thesis_47(model: &mut Model) {
     let ids: Vec<ParameterId> = model.parameters().iter().map(|p| p.id).collect();
     for id in ids {
         let name = id.to_string();
-        let outside = ["rbeta", "or", "bsin", "bcos", "clock"].iter().any(|no| name.starts_with(no));
+        let outside = ["rbeta", "or", "bsin", "bcos", "clock"].iter().any(|no| name.starts_with(no))
+            || matches!(id, ParameterId::Joint { .. });
         if !outside {
             model.set_role(id, Role::Free).unwrap();
         }
@@ -252,7 +253,9 @@ impl RobotMotion for Following<'_> {
     fn at(&self, tau_s: f64) -> Option<JointState> {
         let h = 1e-4;
         let (q, before, after) = (self.joints(tau_s)?, self.joints(tau_s - h)?, self.joints(tau_s + h)?);
-        Some(JointState { q, qd: std::array::from_fn(|i| (after[i] - before[i]) / (2.0 * h)) })
+        let qd = std::array::from_fn(|i| (after[i] - before[i]) / (2.0 * h));
+        let qdd = std::array::from_fn(|i| (after[i] - 2.0 * q[i] + before[i]) / (h * h));
+        Some(JointState { q, qd, qdd })
     }
 }
 

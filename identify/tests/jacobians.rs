@@ -9,7 +9,8 @@ use identify::cost::{
 };
 use identify::kinematics::{Chain, DhLink, ImpliedBar, LinkParameter, Pose, Tracer};
 use identify::model::{
-    Axis, BasePlacement, Geometry, Harmonic, JointState, Model, Observation, ParameterId, RobotMotion, Role,
+    Axis, BACKLASH_SPEED_RAD_S, BasePlacement, DriveTrain, Geometry, Harmonic, JointState, JointTerm, Model,
+    Observation, ParameterId, RobotMotion, Role,
 };
 use identify::solver::stacked;
 use nalgebra::DMatrix;
@@ -28,10 +29,18 @@ fn sines<D: DualNum<f64> + Copy>(tau: D) -> [D; 6] {
     })
 }
 
+fn sines_rates<D: DualNum<f64> + Copy>(tau: D) -> [D; 6] {
+    std::array::from_fn(|i| {
+        let i = i as f64;
+        (tau * (0.3 + 0.17 * i) + i).cos() * ((0.9 - 0.05 * i) * (0.3 + 0.17 * i))
+    })
+}
+
 impl RobotMotion for Sines {
     fn at(&self, tau_s: f64) -> Option<JointState> {
         let moved = sines(Dual64::new(tau_s, 1.0));
-        Some(JointState { q: moved.map(|q| q.re), qd: moved.map(|q| q.eps) })
+        let rates = sines_rates(Dual64::new(tau_s, 1.0));
+        Some(JointState { q: moved.map(|q| q.re), qd: moved.map(|q| q.eps), qdd: rates.map(|qd| qd.eps) })
     }
 }
 
@@ -42,6 +51,9 @@ struct Numbers<D> {
     origin: [D; 3],
     tilt: [D; 2],
     harmonics: [[D; 4]; 5],
+    joint_errors: [[D; 13]; 6],
+    /// Nominal robot, from which levers of weights are computed.
+    arm: Vec<DhLink>,
     clock: [D; 2],
     attachment: [D; 3],
     anchor: [D; 3],
@@ -55,18 +67,87 @@ fn harmonics(g: &Geometry) -> [[f64; 4]; 5] {
     std::array::from_fn(|joint| Harmonic::ALL.map(|harmonic| amplitude(joint, harmonic)))
 }
 
+fn place(term: JointTerm) -> usize {
+    JointTerm::ALL.iter().position(|one| *one == term).unwrap()
+}
+
+fn joint_errors(g: &Geometry) -> [[f64; 13]; 6] {
+    let mut g = g.clone();
+    let mut amplitude =
+        |axis, term| g.parameter_mut(ParameterId::Joint { axis, term }).map_or(0.0, |amplitude| *amplitude);
+    std::array::from_fn(|axis| JointTerm::ALL.map(|term| amplitude(axis, term)))
+}
+
+/// Drive 2 turns joint 3 back, drive 4 turns joints 5 and 6 along; lobes and turns are anything; the robot hangs askew.
+fn coupled_drives(arm: &Chain) -> DriveTrain {
+    let mut drives = DriveTrain::direct(arm);
+    let couplings = [(1, 2, -1.0), (3, 4, 0.1), (3, 5, 0.05), (4, 5, 0.4)];
+    for (drive, joint, part) in couplings {
+        drives.joint_from_drive[drive][joint] = part;
+    }
+    let matrix = nalgebra::Matrix6::from_fn(|i, j| drives.joint_from_drive[i][j]);
+    let inverse = matrix.try_inverse().unwrap();
+    drives.drive_from_joint = std::array::from_fn(|i| std::array::from_fn(|j| inverse[(i, j)]));
+    drives.cycloid_lobes = [7.0, 11.0, 9.0, 5.0, 6.0, 4.0].map(Some);
+    drives.motor_turns = [3.5, 6.1, 4.2, 3.3, 5.7, 2.9].map(Some);
+    drives.gravity = nalgebra::Vector3::new(0.36, -0.48, -0.8);
+    drives
+}
+
+fn coupled(cell: &Cell) -> Model {
+    cell.model().with_drives(coupled_drives(&cell.robot))
+}
+
+/// Joints with all errors of [`coupled_drives`], by definition: shapes over the reported angles of the drives.
+fn true_joints<D: DualNum<f64> + Copy>(arm: &[DhLink], errors: &[[D; 13]; 6], tau: D) -> [D; 6] {
+    let arm: Vec<Link<D>> = links(arm);
+    let (q, qd) = (sines(tau), sines_rates(tau));
+    // joints = drives C, solved for the drives by hand.
+    let drives = |q: [D; 6]| {
+        let [q1, q2, q3, q4, q5, q6] = q;
+        let d5 = q5 - q4 * 0.1;
+        [q1, q2, q3 + q2, q4, d5, q6 - q4 * 0.05 - d5 * 0.4]
+    };
+    let (g, rate) = (drives(q), drives(qd));
+    let frame = |links: usize| forward(&identity(), &arm[..links], &q);
+    let lever = |axis: usize, at: usize| {
+        let (base, load) = (frame(axis), frame(at));
+        let gravity = [0.36, -0.48, -0.8];
+        let r: [D; 3] = std::array::from_fn(|i| load[i][3] - base[i][3]);
+        let cross = |i: usize, j: usize| r[i] * gravity[j] - r[j] * gravity[i];
+        base[0][2] * cross(1, 2) + base[1][2] * cross(2, 0) + base[2][2] * cross(0, 1)
+    };
+    let error: [D; 6] = std::array::from_fn(|i| {
+        let lobes = [7.0, 11.0, 9.0, 5.0, 6.0, 4.0][i];
+        let turns = [3.5, 6.1, 4.2, 3.3, 5.7, 2.9][i];
+        let waves = [1.0, 2.0, lobes, turns].map(|n| [(g[i] * n).sin(), (g[i] * n).cos()]);
+        let shapes = waves.into_iter().flatten().chain([(rate[i] / BACKLASH_SPEED_RAD_S).tanh(), g[i]]);
+        let levers = [2, 4, 6].map(|at| lever(i, at));
+        shapes
+            .chain(levers)
+            .zip(errors[i])
+            .map(|(shape, amplitude)| shape * amplitude)
+            .fold(D::from(0.0), |a, b| a + b)
+    });
+    let [e1, e2, e3, e4, e5, e6] = error;
+    let moved = [e1, e2, e3 - e2, e4, e5 + e4 * 0.1, e6 + e4 * 0.05 + e5 * 0.4];
+    std::array::from_fn(|i| q[i] + moved[i])
+}
+
 fn links<D: DualNum<f64> + Copy>(links: &[identify::kinematics::DhLink]) -> Vec<Link<D>> {
     links.iter().map(|l| [l.a_m, l.alpha_rad, l.d_m, l.theta_rad, l.beta_rad].map(D::from)).collect()
 }
 
 impl<D: DualNum<f64> + Copy> Numbers<D> {
-    fn new(g: &Geometry) -> Self {
+    fn new(arm: &Chain, g: &Geometry) -> Self {
         Self {
+            arm: arm.links.clone(),
             robot: links(&g.robot.links),
             bar: links(&g.bar_links),
             origin: [0, 1, 2].map(|i| D::from(g.base.origin_m[i])),
             tilt: [g.base.rx_rad, g.base.ry_rad].map(D::from),
             harmonics: harmonics(g).map(|joint| joint.map(D::from)),
+            joint_errors: joint_errors(g).map(|axis| axis.map(D::from)),
             clock: [g.clock.shift_s, g.clock.skew].map(D::from),
             attachment: [0, 1, 2].map(|i| D::from(g.wire.attachment_m[i])),
             anchor: [0, 1, 2].map(|i| D::from(g.wire.anchor_m[i])),
@@ -88,6 +169,7 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             ParameterId::Base(axis) => &mut self.origin[axis.index()],
             ParameterId::BaseRotation(axis) => &mut self.tilt[axis.index()],
             ParameterId::Harmonic { joint, harmonic } => &mut self.harmonics[joint][harmonic as usize],
+            ParameterId::Joint { axis, term } => &mut self.joint_errors[axis][place(term)],
             ParameterId::ClockShift => &mut self.clock[0],
             ParameterId::ClockSkew => &mut self.clock[1],
             ParameterId::Attachment(axis) => &mut self.attachment[axis.index()],
@@ -99,7 +181,7 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
 
     fn robot_end(&self, t_s: f64) -> Matrix<D> {
         let tau = self.clock[0] + (self.clock[1] + 1.0) * t_s;
-        forward(&identity(), &self.robot, &sines(tau))
+        forward(&identity(), &self.robot, &true_joints(&self.arm, &self.joint_errors, tau))
     }
 
     fn bar_base(&self) -> Matrix<D> {
@@ -131,6 +213,8 @@ impl Numbers<Dual64> {
             origin: self.origin.map(|x| plain(&x)),
             tilt: self.tilt.map(|x| plain(&x)),
             harmonics: self.harmonics.map(|joint| joint.map(|x| plain(&x))),
+            arm: self.arm.clone(),
+            joint_errors: self.joint_errors.map(|axis| axis.map(|x| plain(&x))),
             clock: self.clock.map(|x| plain(&x)),
             attachment: self.attachment.map(|x| plain(&x)),
             anchor: self.anchor.map(|x| plain(&x)),
@@ -221,7 +305,8 @@ fn independent_position_angles(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual
     // The library says only which of the solutions is meant.
     let (robot, bar) = n.chains();
     let tau = n.clock[0].re + (1.0 + n.clock[1].re) * o.t_s;
-    let target = robot.forward(&sines(tau));
+    let errors = n.joint_errors.map(|axis| axis.map(|x| x.re));
+    let target = robot.forward(&true_joints(&n.arm, &errors, tau));
     let implied = ImpliedBar::new(&bar, &Tracer::new(&bar), &target, &o.bar_rad.map(Some)).unwrap();
     let near = implied.joints_rad.map(|b| b + 0.01);
     let implied = independent_implied(n, &n.robot_end(o.t_s), near);
@@ -270,13 +355,13 @@ fn observations() -> Vec<Observation> {
 }
 
 /// Every column agrees to 1e-9 of the largest entry of its kind, and columns that the cost does not see are zero.
-fn agrees<R: Residual>(model: &Model, residual: R, independent: Independent) {
+fn agrees<R: Residual>(arm: &Chain, model: &Model, residual: R, independent: Independent) {
     let observations = observations();
     let problem = LoopProblem::new(model, &Sines, &observations, residual, 1.0).unwrap();
     let (r, jacobian) = stacked(&problem, &model.start()).unwrap();
     let geometry = model.geometry(&model.start());
     for (column, parameter) in model.columns().enumerate() {
-        let mut numbers = Numbers::<Dual64>::new(&geometry);
+        let mut numbers = Numbers::<Dual64>::new(arm, &geometry);
         let number = numbers.number(parameter.id);
         *number = number.derivative();
         let mut largest = 0.0f64;
@@ -297,9 +382,9 @@ fn agrees<R: Residual>(model: &Model, residual: R, independent: Independent) {
 #[test]
 fn length_and_transform_have_the_derivatives_of_the_closed_chain_for_both_robots() {
     for cell in [Cell::irb2400(), Cell::nj220()] {
-        let model = all_free(cell.model());
-        agrees(&model, Length, independent_length);
-        agrees(&model, Transform, independent_transform);
+        let model = all_free(coupled(&cell));
+        agrees(&cell.robot, &model, Length, independent_length);
+        agrees(&cell.robot, &model, Transform, independent_transform);
     }
 }
 
@@ -325,7 +410,7 @@ fn independent_pose(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
 #[test]
 fn pose_has_the_derivatives_of_the_plain_pose_times_one_matrix_for_each_sample() {
     for cell in [Cell::irb2400(), Cell::nj220()] {
-        let model = all_free(cell.model());
+        let model = all_free(coupled(&cell));
         let observations = observations();
         let geometry = model.geometry(&model.start());
         let noise = AngleNoise { encoder_rad: 5e-6, robot_rad: 15e-6 };
@@ -335,7 +420,7 @@ fn pose_has_the_derivatives_of_the_plain_pose_times_one_matrix_for_each_sample()
         for (k, observation) in observations.iter().enumerate() {
             let mut plain = DMatrix::zeros(6, model.columns().len() + 1);
             for (column, parameter) in model.columns().enumerate() {
-                let mut numbers = Numbers::<Dual64>::new(&geometry);
+                let mut numbers = Numbers::<Dual64>::new(&cell.robot, &geometry);
                 let number = numbers.number(parameter.id);
                 *number = number.derivative();
                 for (i, value) in independent_pose(&numbers, observation).into_iter().enumerate() {
@@ -372,16 +457,16 @@ fn pose_has_the_derivatives_of_the_plain_pose_times_one_matrix_for_each_sample()
 #[test]
 fn position_has_the_derivatives_of_the_closed_chain_for_both_robots() {
     for cell in [Cell::irb2400(), Cell::nj220()] {
-        let model = all_free_but(cell.model(), |name| LEVER_ARMS.contains(&name));
-        agrees(&model, Position, independent_position);
+        let model = all_free_but(coupled(&cell), |name| LEVER_ARMS.contains(&name));
+        agrees(&cell.robot, &model, Position, independent_position);
     }
 }
 
 #[test]
 fn position_angles_have_the_derivatives_of_the_implied_joints_for_both_robots() {
     for cell in [Cell::irb2400(), Cell::nj220()] {
-        let model = all_free_but(cell.model(), |name| LEVER_ARMS.contains(&name));
-        agrees(&model, PositionAngles, independent_position_angles);
+        let model = all_free_but(coupled(&cell), |name| LEVER_ARMS.contains(&name));
+        agrees(&cell.robot, &model, PositionAngles, independent_position_angles);
     }
 }
 
@@ -389,7 +474,7 @@ fn position_angles_have_the_derivatives_of_the_implied_joints_for_both_robots() 
 fn joints_without_encoder_get_the_angles_that_the_robot_implies() {
     let cell = Cell::irb2400();
     let (observations, joints) = support::spread_poses(&cell.robot, &cell.bar, 50, 4);
-    let geometry = cell.model().geometry(&[]);
+    let geometry = coupled(&cell).geometry(&[]);
     let mut four = observations.clone();
     for observation in &mut four {
         observation.measured[2] = false;
@@ -405,19 +490,19 @@ fn joints_without_encoder_get_the_angles_that_the_robot_implies() {
 #[test]
 fn measured_length_has_the_derivatives_of_the_wire_for_both_robots() {
     for Cell { robot, .. } in [Cell::irb2400(), Cell::nj220()] {
-        let mut model = Model::measured_length(&robot);
+        let mut model = Model::measured_length(&robot).with_drives(coupled_drives(&robot));
         for axis in Axis::ALL {
             model.set_value(ParameterId::Attachment(axis), 0.1).unwrap();
             model.set_value(ParameterId::Anchor(axis), -0.7).unwrap();
         }
-        agrees(&all_free(model), MeasuredLength, independent_measured_length);
+        agrees(&robot, &all_free(model), MeasuredLength, independent_measured_length);
     }
 }
 
 #[test]
 fn a_cost_refuses_observations_without_its_encoders_or_its_length() {
     let cell = Cell::irb2400();
-    let model = all_free(cell.model());
+    let model = all_free(coupled(&cell));
     let mut four = Observation::bar(0.0, [0.1; 5]);
     four.measured[2] = false;
     let without = [four];

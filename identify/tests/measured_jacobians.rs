@@ -26,7 +26,7 @@ fn sines(tau: Dual64) -> [Dual64; 6] {
 impl RobotMotion for Sines {
     fn at(&self, tau_s: f64) -> Option<JointState> {
         let moved = sines(Dual64::new(tau_s, 1.0));
-        Some(JointState { q: moved.map(|q| q.re), qd: moved.map(|q| q.eps) })
+        Some(JointState { q: moved.map(|q| q.re), qd: moved.map(|q| q.eps), qdd: [0.0; 6] })
     }
 }
 
@@ -132,7 +132,9 @@ fn agrees<R: Residual>(
 /// Everything free and nothing at a value where derivatives vanish by symmetry.
 fn all_free(robot: &identify::kinematics::Chain, rotation_rad: [f64; 3]) -> Model {
     let mut model = Model::measured_pose(robot);
-    let ids: Vec<ParameterId> = model.parameters().iter().map(|p| p.id).collect();
+    // Errors of the robot's axes turn its joints whatever the cost: jacobians.rs has them.
+    let ids = model.parameters().iter().map(|p| p.id).filter(|id| !matches!(id, ParameterId::Joint { .. }));
+    let ids: Vec<ParameterId> = ids.collect();
     for (i, id) in ids.into_iter().enumerate() {
         let rotation = match id {
             ParameterId::TrackerRotation(axis) => rotation_rad[axis.index()],

@@ -10,7 +10,7 @@ use crate::cost::{
 };
 use crate::kinematics::{BAR_JOINTS, LinkParameter, ball_bar_chain, robot_chain};
 use crate::logs::RobotLog;
-use crate::model::{Axis, Geometry, Model, ModelError, ParameterId};
+use crate::model::{Axis, DriveTrain, Geometry, Model, ModelError, ParameterId};
 use crate::prepare::{PrepareError, Prepared, prepare};
 use crate::solver::{Options, Solution, SolveError, Summary, Unidentifiable};
 
@@ -96,7 +96,8 @@ pub fn calibrate(
 
 /// Nominal robot and bar, at the place and with the encoder offsets that the preparation found.
 fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) -> Result<Model, ModelError> {
-    let mut model = Model::ball_bar(&robot_chain(robot, bar), &ball_bar_chain(bar));
+    let arm = robot_chain(robot, bar);
+    let mut model = Model::ball_bar(&arm, &ball_bar_chain(bar)).with_drives(DriveTrain::of(robot, &arm));
     let initial = &prepared.initial;
     for axis in Axis::ALL {
         model.set_value(ParameterId::Base(axis), initial.base_m[axis.index()])?;

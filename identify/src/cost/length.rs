@@ -31,7 +31,10 @@ impl Residual for Length {
             ParameterId::Robot { link, parameter } => {
                 link != 5 || !matches!(parameter, LinkParameter::Alpha | LinkParameter::Beta)
             }
-            ParameterId::Base(_) | ParameterId::ClockShift | ParameterId::ClockSkew => true,
+            ParameterId::Joint { .. }
+            | ParameterId::Base(_)
+            | ParameterId::ClockShift
+            | ParameterId::ClockSkew => true,
             id => id == ROD,
         }
     }

@@ -1,9 +1,7 @@
 //! A model, a motion, observations and a cost, as the least-squares problem that the solver gets.
 
-use nalgebra::Vector3;
-
 use super::{Residual, Scene};
-use crate::kinematics::{Chain, Trace, Tracer, Twist};
+use crate::kinematics::{Chain, Trace, Tracer};
 use crate::model::{Geometry, Model, Observation, ParameterId, RobotMotion};
 use crate::solver::{Block, Prior, Problem};
 
@@ -131,8 +129,9 @@ impl LoopPoint {
         sample: usize,
         observation: &'a Observation,
     ) -> Option<Scene<'a>> {
-        let state = motion.at(self.geometry.clock.robot_time_s(observation.t_s))?;
+        let reported = motion.at(self.geometry.clock.robot_time_s(observation.t_s))?;
         let bar_rad = self.geometry.harmonics.corrected(&observation.bar_rad);
+        let state = self.geometry.joints.corrected(&reported);
         self.robot_tracer.trace(&state.q, &mut self.robot);
         self.bar_tracer.trace(&bar_rad, &mut self.bar);
         Some(Scene {
@@ -141,9 +140,10 @@ impl LoopPoint {
             observation,
             bar_rad,
             bar_chain: (&self.bar_chain, &self.bar_tracer),
+            reported,
             robot: &self.robot,
             bar: &self.bar,
-            robot_rate: rate(&self.robot, &state.qd),
+            robot_rate: self.robot.moved_by(&state.qd),
         })
     }
 }
@@ -195,13 +195,4 @@ impl<R: Residual, M: RobotMotion> Problem for LoopProblem<'_, R, M> {
         }
         true
     }
-}
-
-/// Velocity of the robot's end at joint rates \[rad/s\].
-fn rate(robot: &Trace, joint_rates: &[f64]) -> Twist {
-    let rest = Twist { angular: Vector3::zeros(), linear: Vector3::zeros() };
-    robot.joint_twists().zip(joint_rates).fold(rest, |sum, (twist, &rate)| Twist {
-        angular: sum.angular + twist.angular * rate,
-        linear: sum.linear + twist.linear * rate,
-    })
 }

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter, Trace, Tracer, Twist};
-use crate::model::{Axis, Geometry, Observation, ParameterId};
+use crate::model::{Axis, Geometry, JointState, JointTerm, Observation, ParameterId};
 
 /// What a parameter moves.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -29,7 +29,9 @@ pub struct Scene<'a> {
     pub bar_rad: [f64; BAR_JOINTS],
     /// The bar on its base, and the same made ready for forward passes.
     pub bar_chain: (&'a Chain, &'a Tracer),
-    /// The robot at this instant.
+    /// What the robot reports.
+    pub reported: JointState,
+    /// The robot at this instant, its joints without their errors.
     pub robot: &'a Trace,
     /// The bar as its encoders claim; without meaning where the cost needs no encoders.
     pub bar: &'a Trace,
@@ -54,6 +56,7 @@ impl Scene<'_> {
                     Movement::Bar(twist.scaled(-harmonic.wave(reading)))
                 })
             }
+            ParameterId::Joint { axis, term } => Movement::Robot(self.joint_error(axis, term)),
             ParameterId::ClockShift => Movement::Robot(self.robot_rate),
             ParameterId::ClockSkew => {
                 let t_s = self.observation.t_s;
@@ -63,6 +66,11 @@ impl Scene<'_> {
             ParameterId::Tracker(_) | ParameterId::TrackerRotation(_) => Movement::None,
             ParameterId::Probe(_) | ParameterId::ProbeRotation(_) => Movement::None,
         }
+    }
+
+    /// An error of a robot axis turns each joint that its drive turns.
+    fn joint_error(&self, axis: usize, term: JointTerm) -> Twist {
+        self.robot.moved_by(&self.geometry.joints.by_amplitude(axis, term, &self.reported))
     }
 
     /// How the end of the bar moves with a number of its links or of its base, where its joints stand as in `bar`.

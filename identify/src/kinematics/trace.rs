@@ -109,6 +109,19 @@ impl Trace {
         })
     }
 
+    /// A point on each joint's axis \[m\] and the axis' direction, base to end.
+    pub fn joint_axes(&self) -> impl Iterator<Item = (Vector3<f64>, Vector3<f64>)> {
+        self.axes.iter().map(|at| (at.origin_before, at.z_before))
+    }
+
+    /// Velocity of the end at joint rates, base to end.
+    pub fn moved_by(&self, rates: &[f64]) -> Twist {
+        let rest = Twist { angular: Vector3::zeros(), linear: Vector3::zeros() };
+        self.joint_twists().zip(rates).filter(|(_, rate)| **rate != 0.0).fold(rest, |sum, (twist, &rate)| {
+            Twist { angular: sum.angular + twist.angular * rate, linear: sum.linear + twist.linear * rate }
+        })
+    }
+
     /// Twists of all joints, base to end.
     pub fn joint_twists(&self) -> impl Iterator<Item = Twist> {
         let end = self.position_m();
@@ -117,13 +130,13 @@ impl Trace {
 }
 
 /// A chain made ready for many forward passes: what does not depend on the joints is computed once.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Tracer {
     root_from_base: Pose,
     links: Vec<PreparedLink>,
 }
 
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 struct PreparedLink {
     theta_rad: f64,
     rotation: Matrix3<f64>,

@@ -19,13 +19,15 @@ pub struct CubicSpline<const N: usize> {
     bridged: Vec<bool>,
 }
 
-/// Value and first derivative at one instant.
+/// Value and first two derivatives at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SplinePoint<const N: usize> {
     /// Values.
     pub value: [f64; N],
     /// Derivatives \[1/s\].
     pub rate: [f64; N],
+    /// Second derivatives \[1/s²\].
+    pub acceleration: [f64; N],
 }
 
 impl<const N: usize> CubicSpline<N> {
@@ -79,6 +81,7 @@ impl<const N: usize> CubicSpline<N> {
                 (right[i] - left[i]) / width_s
                     + width_s / 6.0 * ((1.0 - 3.0 * w * w) * m_left[i] + (3.0 * u * u - 1.0) * m_right[i])
             }),
+            acceleration: std::array::from_fn(|i| w * m_left[i] + u * m_right[i]),
         })
     }
 

@@ -2,7 +2,7 @@
 
 use nalgebra::{Rotation3, Translation3, Vector3};
 
-use super::{Axis, Harmonics, ParameterId, Tracker};
+use super::{Axis, DriveTrain, Harmonics, JointErrors, JointState, ParameterId, Tracker};
 use crate::kinematics::{Chain, DhLink, LinkParameter, Pose};
 
 /// Where the ball-bar stands: `T(origin) Rx(rx) Ry(ry)`; the turn about z is the bar's `btheta1`.
@@ -57,6 +57,8 @@ pub struct Wire {
 pub struct Geometry {
     /// The robot, on its own base.
     pub robot: Chain,
+    /// Errors of its joint angles.
+    pub joints: JointErrors,
     /// Links of the ball-bar; its base is `base`.
     pub bar_links: Vec<DhLink>,
     /// Where the bar stands.
@@ -89,6 +91,7 @@ impl Geometry {
             (bar.links.clone(), BasePlacement { origin_m, ..BasePlacement::default() })
         });
         Self {
+            joints: JointErrors::none(DriveTrain::direct(&robot)),
             robot,
             bar_links,
             base,
@@ -97,6 +100,11 @@ impl Geometry {
             wire: Wire::default(),
             tracker: Tracker::default(),
         }
+    }
+
+    /// Where the robot's end is when it reports these joints.
+    pub fn robot_end(&self, reported: &JointState) -> Pose {
+        self.robot.forward(&self.joints.corrected(reported).q)
     }
 
     /// The ball-bar on its base.
@@ -119,6 +127,7 @@ impl Geometry {
             // About z it would be btheta1 a second time.
             ParameterId::BaseRotation(Axis::Z) => None,
             ParameterId::Harmonic { joint, harmonic } => self.harmonics.amplitude_mut(joint, harmonic),
+            ParameterId::Joint { axis, term } => self.joints.amplitude_mut(axis, term),
             ParameterId::ClockShift => Some(&mut self.clock.shift_s),
             ParameterId::ClockSkew => Some(&mut self.clock.skew),
             ParameterId::Attachment(axis) => self.wire.attachment_m.get_mut(axis.index()),

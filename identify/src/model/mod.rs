@@ -4,6 +4,8 @@
 
 mod geometry;
 mod harmonics;
+mod joint_errors;
+mod joint_term;
 mod observation;
 mod parameter;
 mod roles;
@@ -12,6 +14,8 @@ mod tracker;
 
 pub use geometry::{BasePlacement, Clock, Geometry, Wire};
 pub use harmonics::{Harmonic, Harmonics};
+pub use joint_errors::{BACKLASH_SPEED_RAD_S, DriveTrain, JointErrors};
+pub use joint_term::{JointTerm, Load, Period};
 pub use observation::{JointState, Observation, PerObservation, RobotMotion};
 pub use parameter::{Axis, ParameterId, Unit, link_parameter_name};
 pub use roles::{Model, ModelError, Parameter, Role};

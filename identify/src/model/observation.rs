@@ -34,6 +34,8 @@ pub struct JointState {
     pub q: [f64; ROBOT_JOINTS],
     /// Joint rates \[rad/s\].
     pub qd: [f64; ROBOT_JOINTS],
+    /// Joint accelerations \[rad/s²\].
+    pub qdd: [f64; ROBOT_JOINTS],
 }
 
 /// The robot's motion on its own clock, smooth enough to be differentiated.
@@ -59,6 +61,6 @@ impl RobotMotion for PerObservation {
             return None;
         }
         let q = *self.0.get(tau_s.round() as usize)?;
-        Some(JointState { q, qd: [0.0; ROBOT_JOINTS] })
+        Some(JointState { q, qd: [0.0; ROBOT_JOINTS], qdd: [0.0; ROBOT_JOINTS] })
     }
 }

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use super::{Harmonic, ModelError};
+use super::{Harmonic, JointTerm, ModelError};
 use crate::kinematics::{BAR_JOINTS, LinkParameter, ROBOT_JOINTS};
 
 /// A coordinate axis of the root frame or of the flange.
@@ -63,6 +63,13 @@ pub enum ParameterId {
         /// Which wave.
         harmonic: Harmonic,
     },
+    /// Error of a robot axis that repeats with its motion: `rsin1_1` (sine of once drive 1's angle) .. `rtool_5`.
+    Joint {
+        /// Axis from 0.
+        axis: usize,
+        /// Which term.
+        term: JointTerm,
+    },
     /// Robot clock minus bar clock at the reference time.
     ClockShift,
     /// How much faster the robot's clock runs.
@@ -94,13 +101,16 @@ pub enum Unit {
     Second,
     /// Ratio, read in ppm.
     Ratio,
+    /// Radians per newton metre times newtons: by how much an axis gives way for each metre of its load's lever, read in
+    /// mrad/m.
+    RadianPerMetre,
 }
 
 impl Unit {
     /// Displayed number for one of the SI unit.
     pub const fn display_factor(self) -> f64 {
         match self {
-            Self::Metre | Self::Radian | Self::Second => 1e3,
+            Self::Metre | Self::Radian | Self::Second | Self::RadianPerMetre => 1e3,
             Self::Ratio => 1e6,
         }
     }
@@ -112,6 +122,7 @@ impl Unit {
             Self::Radian => "mrad",
             Self::Second => "ms",
             Self::Ratio => "ppm",
+            Self::RadianPerMetre => "mrad/m",
         }
     }
 
@@ -122,6 +133,7 @@ impl Unit {
             Self::Radian => "rad",
             Self::Second => "s",
             Self::Ratio => "1",
+            Self::RadianPerMetre => "rad/m",
         }
     }
 }
@@ -153,6 +165,11 @@ impl ParameterId {
             Self::Tracker(_) | Self::Probe(_) => Unit::Metre,
             Self::BaseRotation(_) | Self::Harmonic { .. } => Unit::Radian,
             Self::TrackerRotation(_) | Self::ProbeRotation(_) => Unit::Radian,
+            Self::Joint { term, .. } => match term {
+                JointTerm::Ratio => Unit::Ratio,
+                JointTerm::Compliance(_) => Unit::RadianPerMetre,
+                _ => Unit::Radian,
+            },
             Self::ClockShift => Unit::Second,
             Self::ClockSkew => Unit::Ratio,
         }
@@ -171,6 +188,15 @@ impl ParameterId {
             .flat_map(|of| Axis::ALL.map(of))
     }
 
+    /// Terms of all robot axes, whether a robot has them or not.
+    pub fn joint_terms() -> impl Iterator<Item = Self> {
+        let of = |axis| {
+            let acting = JointTerm::ALL.into_iter().filter(move |term| term.acts_on(axis));
+            acting.map(move |term| Self::Joint { axis, term })
+        };
+        (0..ROBOT_JOINTS).flat_map(of)
+    }
+
     /// Every parameter that has a name.
     pub fn all() -> impl Iterator<Item = Self> {
         let robot = (0..ROBOT_JOINTS).flat_map(|link| {
@@ -184,6 +210,7 @@ impl ParameterId {
             .chain(Axis::ALL.map(Self::Base))
             .chain([Self::BaseRotation(Axis::X), Self::BaseRotation(Axis::Y)])
             .chain(Self::harmonics())
+            .chain(Self::joint_terms())
             .chain([Self::ClockShift, Self::ClockSkew])
             .chain(Axis::ALL.map(Self::Attachment))
             .chain(Axis::ALL.map(Self::Anchor))
@@ -200,6 +227,7 @@ impl fmt::Display for ParameterId {
             Self::Base(axis) => write!(f, "o{}", axis.letter()),
             Self::BaseRotation(axis) => write!(f, "or{}", axis.letter()),
             Self::Harmonic { joint, harmonic } => write!(f, "b{harmonic}_{}", joint + 1),
+            Self::Joint { axis, term } => write!(f, "r{term}_{}", axis + 1),
             Self::ClockShift => f.write_str("clock_shift"),
             Self::ClockSkew => f.write_str("clock_skew"),
             Self::Attachment(axis) => write!(f, "attachment_{}", axis.letter()),

@@ -1,6 +1,6 @@
 //! Which parameters are free, which are fixed, which have a prior; names to columns and back.
 
-use super::{Axis, Geometry, ParameterId};
+use super::{Axis, DriveTrain, Geometry, JointErrors, ParameterId};
 use crate::kinematics::{Chain, LinkParameter};
 use crate::solver::Prior;
 
@@ -39,7 +39,8 @@ pub enum ModelError {
     /// No parameter has this name.
     #[error(
         "no parameter is called `{name}`; names are ra1 rd1 ralpha1 rtheta1 .. 6, rbeta1 .. 6, ba1 bd1 balpha1 \
-         btheta1 .. 5, ox oy oz orx ory, bsin1_1 bcos1_1 bsin2_1 bcos2_1 .. 5, \
+         btheta1 .. 5, ox oy oz orx ory, bsin1_1 bcos1_1 bsin2_1 bcos2_1 .. 5, rsin1_1 rcos1_1 rsin2_1 rcos2_1 \
+         rsinc_1 rcosc_1 rsinm_1 rcosm_1 rbacklash_1 rratio_1 .. 6, relbow_2 rwrist_2 rwrist_3 rtool_2 rtool_3 rtool_5, \
          clock_shift clock_skew, attachment_x anchor_x .. z, length_offset, \
          tracker_x tracker_rx probe_x probe_rx .. z"
     )]
@@ -99,7 +100,7 @@ impl Model {
     }
 
     /// Robot and ball-bar: both sets of links, the bar's base (its nominal place is that of `bar`),
-    /// the encoders' harmonics and the clocks.
+    /// the encoders' harmonics, terms of the robot's axes and the clocks.
     pub fn ball_bar(robot: &Chain, bar: &Chain) -> Self {
         let bar_ids = (0..bar.links.len()).flat_map(|link| {
             ParameterId::STANDARD.into_iter().map(move |parameter| ParameterId::Bar { link, parameter })
@@ -109,16 +110,20 @@ impl Model {
             .chain(Axis::ALL.map(ParameterId::Base))
             .chain([ParameterId::BaseRotation(Axis::X), ParameterId::BaseRotation(Axis::Y)])
             .chain(ParameterId::harmonics())
+            .chain(ParameterId::joint_terms())
             .chain([ParameterId::ClockShift, ParameterId::ClockSkew]);
         Self::new(Geometry::new(robot.clone(), Some(bar)), ids)
     }
 
-    /// Robot and a wire or telescoping bar of measured length: attachment, anchor, offset and the clocks.
+    /// Robot and a wire or telescoping bar of measured length: attachment, anchor, offset, terms of the robot's axes and the
+    /// clocks.
     pub fn measured_length(robot: &Chain) -> Self {
         let ids = robot_ids(robot)
             .chain(Axis::ALL.map(ParameterId::Attachment))
             .chain(Axis::ALL.map(ParameterId::Anchor))
-            .chain([ParameterId::LengthOffset, ParameterId::ClockShift, ParameterId::ClockSkew]);
+            .chain([ParameterId::LengthOffset])
+            .chain(ParameterId::joint_terms())
+            .chain([ParameterId::ClockShift, ParameterId::ClockSkew]);
         Self::new(Geometry::new(robot.clone(), None), ids)
     }
 
@@ -127,8 +132,20 @@ impl Model {
     pub fn measured_pose(robot: &Chain) -> Self {
         let ids = robot_ids(robot)
             .chain(ParameterId::tracker())
+            .chain(ParameterId::joint_terms())
             .chain([ParameterId::ClockShift, ParameterId::ClockSkew]);
         Self::new(Geometry::new(robot.clone(), None), ids)
+    }
+
+    /// The same with drives other than [`DriveTrain::direct`]: terms that they can have join the parameters, fixed at zero.
+    pub fn with_drives(self, drives: DriveTrain) -> Self {
+        let ids: Vec<ParameterId> = self.parameters.iter().map(|parameter| parameter.id).collect();
+        let at = ids.iter().position(|id| matches!(id, ParameterId::Joint { .. })).unwrap_or(ids.len());
+        let (before, after) = ids.split_at(at);
+        let others = after.iter().copied().filter(|id| !matches!(id, ParameterId::Joint { .. }));
+        let all = before.iter().copied().chain(ParameterId::joint_terms()).chain(others);
+        let structure = Geometry { joints: JointErrors::none(drives), ..self.structure };
+        Self::new(structure, all)
     }
 
     /// All parameters in the order of their blocks.

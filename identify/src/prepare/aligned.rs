@@ -25,6 +25,6 @@ impl AlignedLog {
 impl RobotMotion for AlignedLog {
     fn at(&self, tau_s: f64) -> Option<JointState> {
         let point = self.log.joints(self.origin_s + tau_s)?;
-        Some(JointState { q: point.value, qd: point.rate })
+        Some(JointState { q: point.value, qd: point.rate, qdd: point.acceleration })
     }
 }

@@ -105,9 +105,15 @@ impl ParameterEntry {
         }
     }
 
-    /// All parameters of a model at its solution, in the model's order.
+    /// All parameters of a model at its solution, in the model's order, but terms of the robot's axes that are left out.
     pub fn all(model: &Model, sigma: impl Fn(ParameterId) -> Option<f64>) -> Vec<Self> {
-        model.parameters().iter().map(|parameter| Self::new(parameter, sigma(parameter.id))).collect()
+        let left_out = |parameter: &&Parameter| {
+            matches!(parameter.id, ParameterId::Joint { .. })
+                && parameter.role == Role::Fixed
+                && parameter.value == 0.0
+        };
+        let told = model.parameters().iter().filter(|parameter| !left_out(parameter));
+        told.map(|parameter| Self::new(parameter, sigma(parameter.id))).collect()
     }
 }
 

@@ -10,7 +10,7 @@ use serde::de::DeserializeOwned;
 
 pub use ball_bar::{BallBarConfig, EncoderConfig};
 pub use daemon::{DaemonConfig, RealtimeConfig};
-pub use robot::{AngleUnit, LinkConfig, LogConversion, RobotConfig};
+pub use robot::{AngleUnit, DrivesConfig, LinkConfig, LogConversion, RobotConfig};
 
 /// Why a configuration file cannot be used.
 #[derive(Debug, thiserror::Error)]

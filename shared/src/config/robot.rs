@@ -67,6 +67,46 @@ pub struct LogConversion {
     pub raw_to_joint: [[f64; ROBOT_JOINTS]; ROBOT_JOINTS],
 }
 
+/// What is known of a robot's gears. Everything may be absent.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct DrivesConfig {
+    /// Lobes of the cycloid gear of each axis: ripples of its error in one turn; 0 where it has none or they are unknown.
+    pub cycloid_lobes: [f64; ROBOT_JOINTS],
+    /// Turns of the motor for one turn of each axis; 0 where unknown. A motor log says it by itself.
+    pub motor_turns: [f64; ROBOT_JOINTS],
+    /// Direction of gravity in the robot's base, of any length; absent: a robot that stands upright.
+    pub gravity: Option<[f64; 3]>,
+}
+
+impl DrivesConfig {
+    fn validate(&self) -> Result<(), Violation> {
+        for (key, numbers) in [("cycloid_lobes", &self.cycloid_lobes), ("motor_turns", &self.motor_turns)] {
+            for (axis, number) in numbers.iter().enumerate() {
+                if !(0.0..=1e4).contains(number) {
+                    return Err(Violation::new(
+                        format!("drives.{key}[{axis}]"),
+                        format!("{number} is no number of waves in a turn"),
+                        "give a positive number, or 0 where it is unknown",
+                    ));
+                }
+            }
+        }
+        let usable = |direction: &[f64; 3]| {
+            let squared: f64 = direction.iter().map(|part| part * part).sum();
+            squared.is_finite() && squared > 0.0
+        };
+        match &self.gravity {
+            Some(direction) if !usable(direction) => Err(Violation::new(
+                "drives.gravity",
+                "it has no direction",
+                "give a vector in the robot's base, such as [0.0, 0.0, -1.0]",
+            )),
+            _ => Ok(()),
+        }
+    }
+}
+
 /// A robot: six links, nominal values from its data sheet.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -79,6 +119,9 @@ pub struct RobotConfig {
     pub joint_limits_deg: [[f64; 2]; ROBOT_JOINTS],
     /// How the log becomes joint variables.
     pub log: LogConversion,
+    /// Its gears.
+    #[serde(default)]
+    pub drives: DrivesConfig,
 }
 
 impl Validate for RobotConfig {
@@ -100,6 +143,7 @@ impl Validate for RobotConfig {
                 ));
             }
         }
+        self.drives.validate()?;
         let numbers = self.log.raw_offset_rad.iter().chain(self.log.raw_to_joint.iter().flatten());
         if !numbers.copied().all(f64::is_finite) {
             return Err(Violation::new("log", "a number is not finite", "write ordinary numbers"));

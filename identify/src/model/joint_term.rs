@@ -1,0 +1,125 @@
+//! What a robot's joint angle is wrong by, as far as it repeats with the motion.
+
+use std::fmt;
+
+/// How often a wave comes back while a drive's output makes one turn.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Period {
+    /// Once: an eccentric output gear or joint encoder.
+    Once,
+    /// Twice: an elliptic or tilted one.
+    Twice,
+    /// Once for each lobe of a cycloid gear; only where the robot's file has the number.
+    Cycloid,
+    /// Once for each turn of the motor; only where the robot's file has the ratio.
+    Motor,
+}
+
+impl Period {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Once, Self::Twice, Self::Cycloid, Self::Motor];
+
+    const fn letter(self) -> char {
+        match self {
+            Self::Once => '1',
+            Self::Twice => '2',
+            Self::Cycloid => 'c',
+            Self::Motor => 'm',
+        }
+    }
+}
+
+/// What pulls a joint out of place by its weight.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Load {
+    /// The upper arm: a weight on axis 3.
+    Elbow,
+    /// The forearm: a weight where the wrist's axes meet.
+    Wrist,
+    /// The tool: a weight at the end of the chain.
+    Tool,
+}
+
+impl Load {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Elbow, Self::Wrist, Self::Tool];
+
+    /// Axes (from 0) that a load can be told on: those that it moves up and down in most postures. Axis 1 stands
+    /// upright, axis 4 points along the forearm, axis 6 along the tool.
+    pub const fn acts_on(self, axis: usize) -> bool {
+        matches!((self, axis), (Self::Elbow, 1) | (Self::Wrist, 1 | 2) | (Self::Tool, 1 | 2 | 4))
+    }
+
+    const fn name(self) -> &'static str {
+        match self {
+            Self::Elbow => "elbow",
+            Self::Wrist => "wrist",
+            Self::Tool => "tool",
+        }
+    }
+}
+
+/// One term of the error of a robot axis. A constant offset is the link's `theta` and has no term.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum JointTerm {
+    /// `sin(n g)` of the drive's output angle `g`: `rsin1`, `rsin2`, `rsinc`, `rsinm`.
+    Sine(Period),
+    /// `cos(n g)`
+    Cosine(Period),
+    /// Half of the lost motion, by the direction in which the drive turns: `rbacklash`.
+    Backlash,
+    /// The drive turns by another ratio than its file says: `rratio`.
+    Ratio,
+    /// The axis gives way under a weight: `relbow`, `rwrist`, `rtool`.
+    Compliance(Load),
+}
+
+impl JointTerm {
+    /// All of them.
+    pub const ALL: [Self; 13] = [
+        Self::Sine(Period::Once),
+        Self::Cosine(Period::Once),
+        Self::Sine(Period::Twice),
+        Self::Cosine(Period::Twice),
+        Self::Sine(Period::Cycloid),
+        Self::Cosine(Period::Cycloid),
+        Self::Sine(Period::Motor),
+        Self::Cosine(Period::Motor),
+        Self::Backlash,
+        Self::Ratio,
+        Self::Compliance(Load::Elbow),
+        Self::Compliance(Load::Wrist),
+        Self::Compliance(Load::Tool),
+    ];
+
+    /// The term makes sense on this axis (from 0) of an arm.
+    pub const fn acts_on(self, axis: usize) -> bool {
+        match self {
+            Self::Compliance(load) => load.acts_on(axis),
+            _ => true,
+        }
+    }
+
+    /// Place in [`Self::ALL`].
+    pub(super) const fn index(self) -> usize {
+        match self {
+            Self::Sine(period) => 2 * period as usize,
+            Self::Cosine(period) => 2 * period as usize + 1,
+            Self::Backlash => 8,
+            Self::Ratio => 9,
+            Self::Compliance(load) => 10 + load as usize,
+        }
+    }
+}
+
+impl fmt::Display for JointTerm {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Sine(period) => write!(f, "sin{}", period.letter()),
+            Self::Cosine(period) => write!(f, "cos{}", period.letter()),
+            Self::Backlash => f.write_str("backlash"),
+            Self::Ratio => f.write_str("ratio"),
+            Self::Compliance(load) => f.write_str(load.name()),
+        }
+    }
+}
