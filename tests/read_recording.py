@@ -19,6 +19,17 @@ def with_mcap(path):
             yield channel.topic, message.log_time, decoded
 
 
+def timing_of(path):
+    """How well the loop kept its time: a metadata record, which only the first of them reads."""
+    from mcap.reader import make_reader
+
+    with open(path, "rb") as stream:
+        for record in make_reader(stream).iter_metadata():
+            if record.name == "ballbard.timing":
+                return json.loads(record.metadata["json"])
+    return None
+
+
 def with_rosbags(path):
     """PyPI rosbags: an implementation of its own, types taken from the file."""
     from rosbags.highlevel import AnyReader
@@ -54,6 +65,8 @@ def main():
             })
         else:
             result["events"].append({"stamp_ns": stamp_ns, "kind": message.kind, "text": message.text})
+    if sys.argv[1] == "mcap":
+        result["timing"] = timing_of(sys.argv[2])
     json.dump(result, sys.stdout)
 
 

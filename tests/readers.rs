@@ -24,15 +24,34 @@ fn rosbags_decodes_every_message() {
     }
 }
 
+#[test]
+fn python_mcap_reads_how_the_loop_kept_its_time() {
+    let Some(python) = python_with(&["mcap", "mcap_ros2"]) else { return };
+    let directory = tempfile::tempdir().unwrap();
+    let seconds = Some(Duration::from_secs(2));
+    let (path, ours) =
+        record(directory.path(), &request("timing", BusChoice::Simulated, seconds, false), &ball_bar());
+    let timing = ours.timing.unwrap();
+    assert_eq!(read_with(&python, "mcap", &path)["timing"], serde_json::to_value(&timing).unwrap());
+    for durations in [&timing.lateness, &timing.duration] {
+        assert_eq!(durations.histogram.iter().map(|bin| bin.cycles).sum::<u64>(), timing.cycles);
+    }
+    assert!(timing.cycles > 150 && timing.duration.p50_ns >= timing.round_trip.p50_ns, "{timing}");
+}
+
+fn read_with(python: &Path, reader: &str, recording: &Path) -> Value {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("read_recording.py");
+    let output = Command::new(python).arg(script).arg(reader).arg(recording).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).unwrap()
+}
+
 fn compare_with(python: &Path, reader: &str) {
     let directory = tempfile::tempdir().unwrap();
     let seconds = Some(Duration::from_secs(20));
     let (path, ours) =
         record(directory.path(), &request("readers", BusChoice::Simulated, seconds, true), &ball_bar());
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("read_recording.py");
-    let output = Command::new(python).arg(script).arg(reader).arg(&path).output().unwrap();
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let theirs: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let theirs = read_with(python, reader, &path);
     compare_cycles(&ours, theirs["cycles"].as_array().unwrap());
     compare_joint_states(&ours, theirs["joint_states"].as_array().unwrap());
     assert_eq!(theirs["events"].as_array().unwrap().len(), ours.events.len());

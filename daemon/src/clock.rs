@@ -18,8 +18,8 @@ pub enum Clock {
     Virtual {
         /// Virtual monotonic time \[ns\].
         now_ns: Arc<AtomicI64>,
-        /// `UTC - monotonic`, constant \[ns\].
-        utc_minus_monotonic_ns: i64,
+        /// `UTC - monotonic`, constant but for [`Clock::step_utc`] \[ns\].
+        utc_minus_monotonic_ns: Arc<AtomicI64>,
     },
 }
 
@@ -28,7 +28,10 @@ impl Clock {
     pub fn virtual_from(utc: UtcNs) -> Self {
         // Not zero, so that a forgotten stamp is not taken for the beginning.
         let start_ns = NS_PER_S;
-        Self::Virtual { now_ns: Arc::new(AtomicI64::new(start_ns)), utc_minus_monotonic_ns: utc.0 - start_ns }
+        Self::Virtual {
+            now_ns: Arc::new(AtomicI64::new(start_ns)),
+            utc_minus_monotonic_ns: Arc::new(AtomicI64::new(utc.0 - start_ns)),
+        }
     }
 
     /// Whether time passes by itself.
@@ -64,7 +67,14 @@ impl Clock {
             Self::Real => {
                 (0..9).map(|_| bracketed_pair()).min().map_or(0, |(_, difference_ns)| difference_ns)
             }
-            Self::Virtual { utc_minus_monotonic_ns, .. } => *utc_minus_monotonic_ns,
+            Self::Virtual { utc_minus_monotonic_ns, .. } => utc_minus_monotonic_ns.load(Ordering::Acquire),
+        }
+    }
+
+    /// Steps the UTC of virtual time, as NTP or a person does it to a host; real time is left alone.
+    pub fn step_utc(&self, by_ns: i64) {
+        if let Self::Virtual { utc_minus_monotonic_ns, .. } = self {
+            utc_minus_monotonic_ns.fetch_add(by_ns, Ordering::AcqRel);
         }
     }
 }

@@ -9,24 +9,25 @@ use std::time::{Duration, Instant};
 
 use rtrb::{Consumer, Producer, PushError, RingBuffer};
 use shared::recording::schema::{CycleRecord, EncoderSample, Event, EventKind, RunMetadata, flags};
-use shared::recording::{RecordingWriter, RunFile, WriteError};
+use shared::recording::{RecordingWriter, RunFile, TimingSummary, WriteError};
 use shared::time::UtcNs;
 
 use crate::clock::Clock;
-use crate::cycle::CycleEvent;
+use crate::cycle::{CycleEvent, CycleTiming, TimingSink, TimingSource, timing_ring};
 use crate::run::{DiskFloor, Progress, Stop, Synced};
 
 /// Events that may wait for the recorder; cycles carry their reasons themselves, so that one too many is no harm.
 const EVENTS_MAX: usize = 1024;
 /// How often the ring is emptied.
 const DRAIN_PERIOD: Duration = Duration::from_millis(20);
-/// A host clock that differs by more than this from the run's is worth an event \[ns\].
-const CLOCK_STEP_NS: i64 = 1_000_000;
+/// UTC that moved by more than this against the monotonic clock was stepped \[ns\].
+const CLOCK_STEP_NS: i64 = 100_000;
 
 /// The cycle's end of the ring.
 pub struct CycleSink {
     ring: Producer<CycleRecord>,
     events: Producer<CycleEvent>,
+    timing: TimingSink,
     due: Arc<AtomicU64>,
     /// On virtual time the cycle waits for the recorder; on real time it never waits and the loss is recorded.
     waits: bool,
@@ -36,6 +37,7 @@ pub struct CycleSink {
 pub struct CycleSource {
     ring: Consumer<CycleRecord>,
     events: Consumer<CycleEvent>,
+    timing: TimingSource,
     due: Arc<AtomicU64>,
 }
 
@@ -52,17 +54,19 @@ pub struct RunSummary {
     pub cycles_lost: u64,
     /// Why the run ended.
     pub cause: String,
+    /// How well the loop kept its time; none on virtual time.
+    pub timing: Option<TimingSummary>,
 }
 
 /// A ring of `capacity` cycles between the real-time thread and the recorder.
 pub fn ring(capacity: usize, clock: &Clock) -> (CycleSink, CycleSource) {
     let (producer, consumer) = RingBuffer::new(capacity);
     let (events_in, events_out) = RingBuffer::new(EVENTS_MAX);
-    let due = Arc::new(AtomicU64::new(0));
-    (
-        CycleSink { ring: producer, events: events_in, due: Arc::clone(&due), waits: !clock.is_real() },
-        CycleSource { ring: consumer, events: events_out, due },
-    )
+    let (timing_in, timing_out) = timing_ring(capacity);
+    let (due, waits) = (Arc::new(AtomicU64::new(0)), !clock.is_real());
+    let sink =
+        CycleSink { ring: producer, events: events_in, timing: timing_in, due: Arc::clone(&due), waits };
+    (sink, CycleSource { ring: consumer, events: events_out, timing: timing_out, due })
 }
 
 impl CycleSink {
@@ -80,6 +84,13 @@ impl CycleSink {
     /// Hands over what happened on the bus. Wait-free; with a thousand waiting it is dropped.
     pub fn push_event(&mut self, event: CycleEvent) {
         let _ = self.events.push(event);
+    }
+
+    /// Hands over how late the cycle was and how long it took; virtual time knows neither. Wait-free.
+    pub fn push_timing(&mut self, timing: CycleTiming) {
+        if !self.waits {
+            self.timing.push(timing);
+        }
     }
 
     /// The recorder has given up; going on makes no sense.
@@ -109,7 +120,10 @@ pub struct Recorder {
     clock: Clock,
     sync_period: Duration,
     sync_cycles: u64,
+    /// That of the run's sample times \[ns\].
     utc_minus_monotonic_ns: i64,
+    /// That of the host when it was looked at last \[ns\].
+    host_offset_ns: i64,
     cycle_period_ns: i64,
     lost: u64,
     link: RunLink,
@@ -132,6 +146,7 @@ impl Recorder {
         Self {
             source,
             writer,
+            host_offset_ns: clock.utc_minus_monotonic_ns(),
             clock,
             sync_period,
             // On virtual time a second of cycles passes in no time at all.
@@ -160,6 +175,7 @@ impl Recorder {
             while let Ok(event) = self.source.events.pop() {
                 self.writer.write_event(&event.to_event())?;
             }
+            self.source.timing.drain();
             self.take_marks()?;
             if last_round {
                 break;
@@ -226,6 +242,7 @@ impl Recorder {
             bytes: std::fs::metadata(&self.link.file).map_or(0, |file| file.len()),
             at: self.clock.now(),
         });
+        self.link.progress.set_timing(self.source.timing.summary());
         if let Some(problem) = self.link.floor.problem() {
             self.link.stop.stop(&problem);
         }
@@ -243,15 +260,12 @@ impl Recorder {
 
     /// Sample times keep to the offset of the run's beginning; when the host's UTC leaves it, the file says so.
     fn note_clock_step(&mut self) -> Result<(), WriteError> {
-        if !self.clock.is_real() {
-            return Ok(());
-        }
         let offset_ns = self.clock.utc_minus_monotonic_ns();
-        let moved_ns = offset_ns - self.utc_minus_monotonic_ns;
+        let moved_ns = offset_ns - self.host_offset_ns;
         if moved_ns.abs() <= CLOCK_STEP_NS {
             return Ok(());
         }
-        self.utc_minus_monotonic_ns = offset_ns;
+        self.host_offset_ns = offset_ns;
         let text = format!(
             "host UTC moved by {:.3} ms; sample times keep to the run's first offset",
             moved_ns as f64 * 1e-6
@@ -265,9 +279,14 @@ impl Recorder {
         self.fill_lost(due)?;
         let (cycles, cycles_valid, cycles_lost) =
             (self.writer.cycles(), self.writer.cycles_valid(), self.lost);
+        self.note_clock_step()?;
+        let timing = self.source.timing.summary();
+        if let Some(timing) = &timing {
+            self.writer.write_timing(timing)?;
+        }
         let ended = self.clock.now().plus_ns(self.utc_minus_monotonic_ns);
         let path = self.writer.finish(&cause, UtcNs(ended.0))?;
-        Ok(RunSummary { path, cycles, cycles_valid, cycles_lost, cause })
+        Ok(RunSummary { path, cycles, cycles_valid, cycles_lost, cause, timing })
     }
 }
 
@@ -360,6 +379,30 @@ mod tests {
         assert_eq!(lost, (32..50).collect::<Vec<_>>());
         assert!(recording.cycles[32..].iter().all(|record| !record.is_valid()));
         assert!(recording.events.iter().any(|event| event.kind == EventKind::Gap));
+    }
+
+    #[test]
+    fn the_hosts_utc_may_be_stepped_and_the_file_says_so() {
+        let directory = tempfile::tempdir().unwrap();
+        let clock = Clock::virtual_from(UtcNs(0));
+        let (mut sink, source) = ring(1000, &Clock::Real);
+        (0..300).for_each(|number| sink.push(&cycle(number)));
+        drop(sink);
+        let run = metadata();
+        let writer = RecordingWriter::create(directory.path(), &run).unwrap();
+        let link = RunLink {
+            stop: Stop::default(),
+            marks: std::sync::mpsc::channel().1,
+            progress: Arc::default(),
+            floor: DiskFloor::new(directory.path(), 0),
+            file: directory.path().join("ring.mcap.active"),
+        };
+        let recorder = Recorder::new(source, writer, clock.clone(), Duration::from_secs(1), &run, link);
+        clock.step_utc(-2_000_000_000);
+        let recording = Recording::open(&recorder.run(String::new).unwrap().path).unwrap();
+        let told: Vec<_> = recording.events.iter().map(|event| (event.kind, event.text.as_str())).collect();
+        let text = "host UTC moved by -2000.000 ms; sample times keep to the run's first offset";
+        assert_eq!(told, [(EventKind::Clock, text)]);
     }
 
     #[test]

@@ -1,19 +1,19 @@
 //! The cycle allocates nothing and never waits for anybody but its deadline and its reply.
 #![allow(unsafe_code, clippy::unwrap_used, reason = "tests; an allocator that counts")]
 
+mod support;
+
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
-use std::time::Duration;
 
-use ballbard::bus::{Bus, BusPlan};
+use ballbard::bus::Bus;
 use ballbard::clock::Clock;
 use ballbard::cycle::Acquisition;
 use ballbard::recorder;
 use ballbard::segment::InProcessWire;
 use ballbard::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
-use shared::config::EncoderConfig;
-use shared::encoder::Direction;
 use shared::time::UtcNs;
+use support::plan;
 
 /// Counts the calling thread's allocations; other threads of the test runner do not disturb.
 struct Counting;
@@ -50,21 +50,6 @@ fn voluntary_switches() -> u64 {
     line.unwrap().trim().parse().unwrap()
 }
 
-/// Five terminals on distributed clocks, the frame half a period after the sample.
-fn plan(rate_hz: u64) -> BusPlan {
-    let encoder =
-        |joint| EncoderConfig { joint, lines: 3600, interpolation_bits: 12, direction: Direction::Positive };
-    let period = Duration::from_nanos(1_000_000_000 / rate_hz);
-    BusPlan {
-        name: "simulated".into(),
-        encoders: (1..=5).map(encoder).collect(),
-        cycle_period: period,
-        distributed_clocks: true,
-        sync0_shift: period / 2,
-        reply_timeout: (period * 4 / 10).min(Duration::from_millis(4)),
-    }
-}
-
 fn acquisition(clock: &Clock, rate_hz: u64) -> Acquisition {
     let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(SmoothMotion::new(5, 3600, 1)));
     let plan = plan(rate_hz);
@@ -75,7 +60,7 @@ fn acquisition(clock: &Clock, rate_hz: u64) -> Acquisition {
     acquisition
 }
 
-/// Cycles and records on their way to the recorder: allocations and waits of `cycles` of them.
+/// Cycles, records and times on their way to the recorder: allocations and waits of `cycles` of them.
 fn cost(clock: &Clock, rate_hz: u64, cycles: u64) -> (u64, u64) {
     let mut acquisition = acquisition(clock, rate_hz);
     // Rings as of real time, large enough for all: nobody empties them here.
@@ -85,6 +70,7 @@ fn cost(clock: &Clock, rate_hz: u64, cycles: u64) -> (u64, u64) {
     let calls_before = CALLS.get();
     for _ in 0..cycles {
         acquisition.next_cycle(&mut |record| sink.push(record));
+        sink.push_timing(acquisition.last_timing());
     }
     let calls = CALLS.get() - calls_before;
     (calls, voluntary_switches() - waits_before)

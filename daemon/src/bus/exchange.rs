@@ -42,6 +42,7 @@ pub struct Exchange {
     buffer: Box<[u8; FRAME_BYTES_MAX]>,
     counters: WireCounters,
     sent_last: MonoNs,
+    sent_bytes_last: usize,
     received_last: MonoNs,
 }
 
@@ -57,6 +58,7 @@ impl Exchange {
             buffer: Box::new([0; FRAME_BYTES_MAX]),
             counters: WireCounters::default(),
             sent_last: now,
+            sent_bytes_last: 0,
             received_last: now,
         }
     }
@@ -107,6 +109,11 @@ impl Exchange {
         self.sent_last
     }
 
+    /// How long that frame was \[bytes\].
+    pub fn sent_bytes_last(&self) -> usize {
+        self.sent_bytes_last
+    }
+
     /// When the last reply was there.
     pub fn received_last(&self) -> MonoNs {
         self.received_last
@@ -119,11 +126,12 @@ impl Exchange {
 
     fn send_pending(&mut self) {
         while let Some(frame) = self.tx.next_sendable_frame() {
-            let Self { wire, clock, counters, sent_last, .. } = self;
+            let Self { wire, clock, counters, sent_last, sent_bytes_last, .. } = self;
             *sent_last = clock.now();
             // A frame that cannot be sent counts as sent and lost: it ends by its time-out like any other loss,
             // instead of being offered again at once for ever.
             let result = frame.send_blocking(|bytes| {
+                *sent_bytes_last = bytes.len();
                 match wire.send(bytes) {
                     Ok(()) => counters.sent += 1,
                     Err(_) => counters.send_errors += 1,

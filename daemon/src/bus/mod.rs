@@ -36,6 +36,12 @@ const FRAMES_MAX: usize = 16;
 /// Nothing is cyclic yet while the bus comes up, and this PC may be busy: patience costs nothing.
 const BRING_UP_REPLY_TIMEOUT: Duration = Duration::from_millis(20);
 const BRING_UP_RETRIES: usize = 5;
+/// 100 Mbit/s.
+const WIRE_NS_PER_BYTE: i64 = 80;
+/// Shorter frames are padded.
+const FRAME_BYTES_MIN: usize = 60;
+/// Preamble and start delimiter before, check sequence after each frame.
+const FRAME_BYTES_AROUND: usize = 8 + 4;
 const FRAME_DATA_BYTES: usize = PduStorage::element_size(1100);
 
 type Group<State, Dc> = SubDeviceGroup<DEVICES_MAX, PDI_BYTES_MAX, ethercrab::DefaultLock, State, Dc>;
@@ -127,6 +133,12 @@ impl Bus {
     /// What went over the wire so far.
     pub fn wire_counters(&self) -> WireCounters {
         self.exchange.counters()
+    }
+
+    /// From the first to the last bit of the last frame on the wire \[ns\].
+    pub fn frame_ns(&self) -> i64 {
+        let bytes = self.exchange.sent_bytes_last().max(FRAME_BYTES_MIN) + FRAME_BYTES_AROUND;
+        bytes as i64 * WIRE_NS_PER_BYTE
     }
 
     /// Sends one cyclic frame and waits for its reply or the time-out. Allocates nothing.

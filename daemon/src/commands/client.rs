@@ -128,6 +128,10 @@ pub fn status(arguments: &AskArguments) -> anyhow::Result<()> {
     if let Some(last) = &status.last {
         println!("last run: {}", last_run(last));
     }
+    let run = status.run.as_ref().and_then(|run| run.timing.as_ref());
+    if let Some(timing) = run.or(status.last.as_ref().and_then(|last| last.timing.as_ref())) {
+        println!("{timing}");
+    }
     Ok(())
 }
 
@@ -222,7 +226,7 @@ fn running(run: &RunStatus) -> String {
 }
 
 fn last_run(last: &LastRun) -> String {
-    let LastRun { name, file, cycles, cycles_valid, cycles_lost, cause } = last;
+    let LastRun { name, file, cycles, cycles_valid, cycles_lost, cause, timing: _ } = last;
     let flagged = cycles - cycles_valid.min(cycles);
     match file {
         Some(file) => {

@@ -83,8 +83,11 @@ fn request(arguments: &RecordArguments) -> anyhow::Result<RunRequest> {
 }
 
 fn print(summary: &RunSummary) {
-    let RunSummary { path, cycles, cycles_valid, cycles_lost, cause } = summary;
+    let RunSummary { path, cycles, cycles_valid, cycles_lost, cause, timing } = summary;
     let flagged = cycles - cycles_valid;
     println!("{}", path.display());
     println!("{cycles} cycles, {cycles_valid} valid, {flagged} flagged, {cycles_lost} lost; {cause}");
+    if let Some(timing) = timing {
+        println!("{timing}");
+    }
 }

@@ -302,6 +302,7 @@ impl Controller {
             cycles_valid: count(|summary| summary.cycles_valid),
             cycles_lost: count(|summary| summary.cycles_lost),
             file: summary.as_ref().map(|summary| summary.path.display().to_string()),
+            timing: summary.and_then(|summary| summary.timing),
         });
     }
 
@@ -455,6 +456,7 @@ impl Controller {
             cycles_lost: synced.cycles_lost,
             bytes: synced.bytes,
             sync_age_ms: age_ms(synced.at),
+            timing: run.progress.timing(),
         })
     }
 }

@@ -1,6 +1,7 @@
 //! What the service says of itself: the words of the API and of the commands.
 
 use serde::{Deserialize, Serialize};
+use shared::recording::TimingSummary;
 use shared::time::UtcNs;
 
 /// What the service is doing, as far as it is on disk.
@@ -43,6 +44,9 @@ pub struct RunStatus {
     pub bytes: u64,
     /// How long ago it was last synchronised \[ms\]; none before the first time.
     pub sync_age_ms: Option<i64>,
+    /// How well the loop kept its time so far.
+    #[serde(default)]
+    pub timing: Option<TimingSummary>,
 }
 
 /// A run that is over.
@@ -60,6 +64,9 @@ pub struct LastRun {
     pub cycles_lost: u64,
     /// Why it ended.
     pub cause: String,
+    /// How well the loop kept its time.
+    #[serde(default)]
+    pub timing: Option<TimingSummary>,
 }
 
 /// One encoder, now.

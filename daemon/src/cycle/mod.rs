@@ -11,6 +11,7 @@ mod events;
 mod realtime;
 mod recovery;
 mod sampler;
+mod timing;
 
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -18,16 +19,17 @@ use std::time::Duration;
 use shared::recording::schema::{CycleRecord, DeviceInfo, flags};
 use shared::time::{DcNs, MonoNs, UtcNs};
 
-pub use clock_fit::{ClockFit, ClockPair};
+pub use clock_fit::{ClockFit, ClockPair, Observation};
 pub use continuity::Continuity;
 pub use events::{CycleEvent, Down, Happening, Origin};
 pub use realtime::{RealtimeReport, RealtimeRequest};
 pub use sampler::{SampleTime, Sampler};
+pub use timing::{CycleTiming, TimingSink, TimingSource, Timings, timing_ring};
 
 use crate::bus::{Bus, BusError, BusPlan, CyclicExchange, Operational, WireCounters};
 use crate::clock::Clock;
 use crate::devices::el5021;
-use recovery::Health;
+use recovery::{Health, is_misread};
 
 /// Cycles run before the first sample so that the fit of bus time to host time has settled.
 const CLOCK_FIT_CYCLES: u32 = 100;
@@ -64,7 +66,7 @@ pub struct Acquisition {
     replied_last: Option<MonoNs>,
     /// Sample time of the cycle before.
     time_last: Option<UtcNs>,
-    late_ns_max: i64,
+    timing: CycleTiming,
 }
 
 impl Acquisition {
@@ -92,7 +94,7 @@ impl Acquisition {
             next_cycle: 0,
             replied_last: None,
             time_last: None,
-            late_ns_max: 0,
+            timing: CycleTiming::default(),
             clock,
         };
         acquisition.settle();
@@ -114,9 +116,9 @@ impl Acquisition {
         self.bus.wire_counters()
     }
 
-    /// Latest that a wake-up came after its deadline \[ns\].
-    pub fn late_ns_max(&self) -> i64 {
-        self.late_ns_max
+    /// How late the last cycle was and how long it took.
+    pub fn last_timing(&self) -> CycleTiming {
+        self.timing
     }
 
     /// What happened on the bus, oldest first; take all after each cycle.
@@ -155,7 +157,6 @@ impl Acquisition {
         let overslept = (self.next_cycle - first) as i64;
         self.next_cycle = 0;
         self.origin_ns = origin_ns + overslept * self.period_ns;
-        self.late_ns_max = 0;
         self.time_last = None;
         self.continuity.begin_run();
         self.health.begin_run();
@@ -167,11 +168,19 @@ impl Acquisition {
     pub fn next_cycle(&mut self, sink: &mut dyn FnMut(&CycleRecord)) {
         let deadline = self.frame_deadline(self.next_cycle);
         self.clock.sleep_until(deadline);
+        let woken = self.clock.now();
+        self.timing = CycleTiming { late_ns: woken.ns_since(deadline), ..CycleTiming::default() };
+        self.cycle(sink);
+        self.timing.duration_ns = self.clock.now().ns_since(woken);
+    }
+
+    fn cycle(&mut self, sink: &mut dyn FnMut(&CycleRecord)) {
         let Some(operational) = &self.operational else { return self.cycle_down(sink) };
         let exchange = self.bus.exchange(operational);
-        self.late_ns_max = self.late_ns_max.max(exchange.sent.ns_since(deadline));
-        let step_ns = self.observe_clocks(&exchange);
-        let sampled = if step_ns.is_none() { self.cycle_sampled(&exchange) } else { self.next_cycle };
+        self.timing.round_trip_ns = exchange.reply.map(|_| exchange.received.ns_since(exchange.sent));
+        let seen = self.observe_clocks(&exchange);
+        let misread = seen.is_some_and(is_misread);
+        let sampled = if misread { self.next_cycle } else { self.cycle_sampled(&exchange) };
         // Woken so late that SYNC0 overwrote samples before their frame was sent: those cycles are in the
         // file all the same, with the reason.
         while self.next_cycle < sampled {
@@ -184,11 +193,11 @@ impl Acquisition {
         if sampled < self.next_cycle || !self.follows_a_frame(&exchange) {
             Sampler::invalidate(&mut record, flags::STALE_INPUT);
         }
-        if step_ns.is_some() {
+        if misread {
             Sampler::invalidate(&mut record, flags::NO_DC);
         }
         self.emit(record, sink);
-        self.conclude(&record, &exchange, step_ns);
+        self.conclude(&record, &exchange, seen);
     }
 
     /// Without distributed clocks a terminal samples when a frame comes, and the next frame fetches that. Unless the
@@ -259,7 +268,7 @@ impl Acquisition {
         let utc = UtcNs(self.sample_monotonic(cycle).0.saturating_add(self.utc_minus_monotonic_ns));
         if self.distributed_clocks {
             let dc = DcNs(self.origin_ns + cycle as i64 * self.period_ns);
-            SampleTime { utc, uncertainty_ns: self.fit.uncertainty_ns(), dc }
+            SampleTime { utc, uncertainty_ns: self.fit.uncertainty_ns(dc), dc }
         } else {
             // Standard deviation of a uniform distribution one period wide.
             let uncertainty_ns = (self.period_ns as f64 / 12f64.sqrt()) as u32;

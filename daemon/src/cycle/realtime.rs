@@ -1,7 +1,8 @@
 //! Scheduling, core and memory of the cycle's thread: what was asked for, what the system permits.
 
 use std::fmt;
-use std::io;
+use std::fs::{File, OpenOptions};
+use std::io::{self, Write};
 
 use nix::sched::{CpuSet, sched_setaffinity};
 use nix::sys::mman::{MlockAllFlags, mlockall};
@@ -16,13 +17,16 @@ pub struct RealtimeRequest {
     pub fifo_priority: i32,
 }
 
-/// What it got. Acquisition goes on without; lateness then depends on what else the machine does.
+/// What it got; held for as long as the cycle runs. Acquisition goes on without; lateness then depends on what else the
+/// machine does.
 #[derive(Debug)]
 pub struct RealtimeReport {
     request: RealtimeRequest,
     core: io::Result<()>,
     fifo: io::Result<()>,
     memory: io::Result<()>,
+    /// Keeps the processor out of deep idle states while it is open; machines without such a file have none.
+    _awake: Option<File>,
 }
 
 impl RealtimeRequest {
@@ -33,6 +37,7 @@ impl RealtimeRequest {
             core: self.core.map_or(Ok(()), pin_to_core),
             fifo: set_fifo(self.fifo_priority),
             memory: mlockall(MlockAllFlags::MCL_CURRENT | MlockAllFlags::MCL_FUTURE).map_err(io::Error::from),
+            _awake: stay_awake(),
         }
     }
 }
@@ -76,6 +81,13 @@ impl fmt::Display for RealtimeReport {
             }
         }
     }
+}
+
+/// Asks for wake-ups without delay (Linux, Documentation/power/pm_qos_interface.rst).
+fn stay_awake() -> Option<File> {
+    let mut file = OpenOptions::new().write(true).open("/dev/cpu_dma_latency").ok()?;
+    file.write_all(&0i32.to_ne_bytes()).ok()?;
+    Some(file)
 }
 
 fn pin_to_core(core: usize) -> io::Result<()> {

@@ -9,15 +9,13 @@ use shared::recording::schema::{CycleRecord, flags};
 use shared::time::{DcNs, MonoNs, NS_PER_S};
 
 use super::events::{Down, Happening};
-use super::{Acquisition, ClockPair, Sampler};
+use super::{Acquisition, ClockPair, Observation, Sampler};
 use crate::bus::{CyclicExchange, Lift, Operational, Reply};
 
 /// A terminal that nobody hears is lost when the cycle after confirms it.
 const LOST_CYCLES: u32 = 2;
-/// The reference clock jumped when as many readings in a row say so.
-const STEP_CYCLES: u32 = 3;
-/// A reading of the bus' clock that is further off than this is no drift \[ns\].
-const CLOCK_STEP_NS: i64 = 100_000;
+/// A bus time that is this far off and that no delay explains says nothing about its sample \[ns\].
+const MISREAD_NS: i64 = 100_000;
 /// Bad cycles in a row, of any other kind, after which the bus is brought up again.
 const BAD_CYCLES_MAX: u32 = 10;
 /// A terminal that was asked back to OP gets this long \[ns\] ...
@@ -55,7 +53,12 @@ impl Health {
 
 impl Acquisition {
     /// Draws the conclusions from a cycle: nothing, ask a terminal back, or give the bus up.
-    pub(super) fn conclude(&mut self, record: &CycleRecord, exchange: &CyclicExchange, step_ns: Option<i64>) {
+    pub(super) fn conclude(
+        &mut self,
+        record: &CycleRecord,
+        exchange: &CyclicExchange,
+        seen: Option<Observation>,
+    ) {
         let Some(reply) = &exchange.reply else {
             let since = *self.health.silent_since.get_or_insert(exchange.sent);
             if exchange.sent.ns_since(since) > SILENCE_NS_MAX {
@@ -64,6 +67,13 @@ impl Acquisition {
             return;
         };
         self.health.silent_since = None;
+        if let Some(Observation::Stepped(by_ns)) = seen {
+            // However small: the terminals' clocks would take long to follow, and meanwhile nobody knows when they
+            // sample.
+            self.tell(Happening::ClockStep { by_ns });
+            self.give_up(Down::ClockStep);
+            return;
+        }
         // A broken signal is not mended by bringing up the bus.
         let matter = record.flags & !(flags::TERMINAL_ERROR | flags::DEADLINE_MISSED | flags::ORIGIN_CHANGED);
         if record.is_valid() || (matter & !self.sampler.flags_always()) == 0 {
@@ -71,18 +81,13 @@ impl Acquisition {
             return;
         }
         self.health.bad += 1;
-        if let Some(by_ns) = step_ns {
-            if self.health.bad >= STEP_CYCLES {
-                self.tell(Happening::ClockStep { by_ns });
-                self.give_up(Down::ClockStep);
-            }
-        } else if reply.silent != 0 {
+        if reply.silent != 0 {
             if self.health.bad >= LOST_CYCLES {
                 self.give_up(Down::DeviceLost);
             }
         } else if reply.not_operational != 0 {
             self.lift(reply, exchange.received);
-        } else if self.health.bad >= BAD_CYCLES_MAX {
+        } else if self.health.bad >= BAD_CYCLES_MAX && !seen.is_some_and(is_misread) {
             self.give_up(Down::Bad { flags: matter });
         }
     }
@@ -168,7 +173,8 @@ impl Acquisition {
         self.operational = Some(operational);
         self.health = Health { gap: self.health.gap, ..Health::default() };
         let difference_ns = self.bus_minus_monotonic_ns();
-        let before = std::mem::take(&mut self.fit);
+        let restarted = self.fit.restarted();
+        let before = std::mem::replace(&mut self.fit, restarted);
         self.observe_clocks(&exchange);
         // Setting the bus' clock takes some frames: it comes out a little off. Remembered, so that it does not add up.
         self.bus_lead_ns += self.bus_minus_monotonic_ns() - difference_ns;
@@ -210,7 +216,9 @@ impl Acquisition {
     /// Hands out the record of the next cycle. Time never runs backwards, also where the bus' clock was set anew.
     pub(super) fn emit(&mut self, mut record: CycleRecord, sink: &mut dyn FnMut(&CycleRecord)) {
         if let Some(last) = self.time_last.filter(|last| record.sample_time <= *last) {
+            let behind_ns = u32::try_from(last.ns_since(record.sample_time) + 1).unwrap_or(u32::MAX);
             record.sample_time = last.plus_ns(1);
+            record.sample_time_uncertainty_ns = record.sample_time_uncertainty_ns.saturating_add(behind_ns);
             Sampler::invalidate(&mut record, flags::BUS_DOWN);
         }
         self.time_last = Some(record.sample_time);
@@ -229,21 +237,18 @@ impl Acquisition {
         self.next_cycle += 1;
     }
 
-    /// Takes a reading of the bus' clock into account. One that no drift explains is kept away from the fit; then the
-    /// answer is how far the clock jumped \[ns\].
-    pub(super) fn observe_clocks(&mut self, exchange: &CyclicExchange) -> Option<i64> {
-        let dc = exchange.reply.and_then(|reply| reply.dc_time)?;
-        let pair = ClockPair { dc, sent: exchange.sent, received: exchange.received };
-        let uncertainty_ns = self.fit.uncertainty_ns();
-        if uncertainty_ns != u32::MAX {
-            let passed = self.fit.monotonic_from_dc(dc);
-            let outside_ns = passed.ns_since(exchange.received).max(exchange.sent.ns_since(passed)).max(0);
-            if outside_ns > CLOCK_STEP_NS + 4 * i64::from(uncertainty_ns) {
-                let round_trip_ns = exchange.received.ns_since(exchange.sent);
-                return Some(passed.ns_since(exchange.sent) - round_trip_ns / 2);
-            }
-        }
-        self.fit.observe(pair);
-        None
+    /// Takes a reading of the bus' clock into account; none without one.
+    pub(super) fn observe_clocks(&mut self, exchange: &CyclicExchange) -> Option<Observation> {
+        let dc = exchange.reply?.dc_time?;
+        let CyclicExchange { sent, received, .. } = *exchange;
+        Some(self.fit.observe(ClockPair { dc, sent, received, frame_ns: self.bus.frame_ns() }))
+    }
+}
+
+/// Whether a bus time is too far off to be used, also for telling which cycle was sampled.
+pub(super) fn is_misread(seen: Observation) -> bool {
+    match seen {
+        Observation::Followed => false,
+        Observation::Doubted(by_ns) | Observation::Stepped(by_ns) => by_ns.abs() > MISREAD_NS,
     }
 }

@@ -79,16 +79,13 @@ fn serve(acquisition: &mut Acquisition, job: Job, replay: Option<&(ReplayHandle,
             }
             live.publish(record);
         });
+        sink.push_timing(acquisition.last_timing());
         while let Some(event) = acquisition.take_event() {
             sink.push_event(event);
         }
     }
     stop.stop(if replay.is_some() { "end of the replayed recording" } else { "duration reached" });
-    tracing::info!(
-        late_us_max = acquisition.late_ns_max() as f64 * 1e-3,
-        wire = ?acquisition.wire_counters(),
-        "run ended"
-    );
+    tracing::info!(wire = ?acquisition.wire_counters(), "run ended");
 }
 
 /// Keeps the bus going until there is a run to serve; none if there will be no more.

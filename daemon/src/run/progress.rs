@@ -1,7 +1,9 @@
 //! What other threads see of a run and of the bus while they go on, without making them wait.
 
 use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
+use std::sync::{Mutex, PoisonError};
 
+use shared::recording::TimingSummary;
 use shared::recording::schema::{CycleRecord, MAX_ENCODERS};
 use shared::time::MonoNs;
 
@@ -13,6 +15,8 @@ pub struct Progress {
     cycles_lost: AtomicU64,
     bytes: AtomicU64,
     synced_at_ns: AtomicI64,
+    /// Shared by the recorder and those who ask; the cycle knows nothing of it.
+    timing: Mutex<Option<TimingSummary>>,
 }
 
 /// [`Progress`] at one moment.
@@ -38,6 +42,16 @@ impl Progress {
         self.bytes.store(synced.bytes, Ordering::Relaxed);
         self.synced_at_ns.store(synced.at.0, Ordering::Relaxed);
         self.cycles.store(synced.cycles, Ordering::Release);
+    }
+
+    /// How well the loop kept its time so far.
+    pub fn set_timing(&self, timing: Option<TimingSummary>) {
+        *self.timing.lock().unwrap_or_else(PoisonError::into_inner) = timing;
+    }
+
+    /// How well the loop kept its time up to the last synchronisation; none on virtual time.
+    pub fn timing(&self) -> Option<TimingSummary> {
+        self.timing.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// As of now.

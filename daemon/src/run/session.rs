@@ -89,8 +89,7 @@ impl Session {
         }
         let metadata = self.metadata(details);
         let writer = RecordingWriter::<RunFile>::create(&self.daemon.directory, &metadata)?;
-        let ring_cycles = u128::from(self.daemon.ring_s) * 1_000_000_000 / self.period.as_nanos().max(1);
-        let (sink, ring) = recorder::ring(ring_cycles.max(64) as usize, &self.clock);
+        let (sink, ring) = recorder::ring(self.daemon.ring_cycles(self.period), &self.clock);
         let (marks, marks_rx) = channel();
         let progress = Arc::new(Progress::default());
         let active = self.daemon.directory.join(format!("{}.{ACTIVE_ENDING}", details.name));

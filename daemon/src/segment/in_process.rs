@@ -35,9 +35,8 @@ impl Wire for InProcessWire {
             return Err(io::ErrorKind::NetworkDown.into());
         }
         let round_trip_ns = if self.clock.is_real() { 0 } else { self.segment.round_trip_ns(frame.len()) };
-        // The coupler sees the frame half way of the round trip.
-        let there_ns = round_trip_ns / 2;
-        self.segment.exchange(now.0 + there_ns, round_trip_ns - there_ns, frame);
+        // The coupler sees the start of the frame at once; the round trip lasts until its end is back.
+        self.segment.exchange(now.0, round_trip_ns, frame);
         Ok(())
     }
 

@@ -68,7 +68,7 @@ const fn powered_off(row: Row) -> Row {
 const UP: &str = "bus in operation again";
 
 #[rustfmt::skip]
-const ROWS: [Row; 24] = [
+const ROWS: [Row; 25] = [
     row("one frame lost", &[(LOST, 1)], SILENCE, 2, &["no_reply"]),
     row("all frames lost for 0.3 s", &[(LOST, 30)], SILENCE, 2, &["no_reply"]),
     row("replies 6 ms late for 0.5 s", &[(late(6), 50)], SILENCE, 2, &["no_reply"]),
@@ -88,6 +88,7 @@ const ROWS: [Row; 24] = [
     powered_off(row("coupler without power for 5 s", &[(gone(0), 500)], SILENCE | DOWN, BRING_UP, &["no reply for a second", UP, "without power"])),
     row("link down for 0.5 s", &[(Fault::LinkDown, 50)], SILENCE, 2, &["no_reply"]),
     row("link down for 5 s", &[(Fault::LinkDown, 500)], SILENCE | DOWN, BRING_UP, &["no reply for a second", UP]),
+    row("reference clock 50 us ahead", &[(Fault::ClockStep { by_ns: 50_000 }, 1)], SILENCE | DOWN, BRING_UP + 4, &["jumped by 0.050 ms", UP]),
     row("reference clock 3 ms ahead", &[(step(3), 1)], flags::NO_DC | SILENCE | DOWN, BRING_UP + 4, &["jumped by 3.000 ms", UP]),
     row("reference clock 3 ms back", &[(step(-3), 1)], flags::NO_DC | SILENCE | DOWN, BRING_UP + 4, &["jumped by -3.000 ms", UP]),
     row("reference clock an hour ahead", &[(step(3_600_000), 1)], flags::NO_DC | SILENCE | DOWN, BRING_UP + 4, &["the reference clock jumped by 36000", UP]),

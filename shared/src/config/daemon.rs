@@ -25,9 +25,9 @@ pub struct DaemonConfig {
     pub rate_hz: u32,
     /// Sample on SYNC0 of the distributed clocks: one instant for all encoders, known to microseconds.
     pub distributed_clocks: bool,
-    /// How long to wait for the reply to a cyclic frame \[us\].
-    pub reply_timeout_us: u32,
-    /// Seconds of cycles that fit between bus and disk before any is lost \[s\].
+    /// How long to wait for the reply to a cyclic frame; absent: 4/10 of a cycle, 4 ms at most \[us\].
+    pub reply_timeout_us: Option<u32>,
+    /// Seconds of cycles that fit between bus and disk before any is lost \[s\]; see [`DaemonConfig::ring_cycles`].
     pub ring_s: u32,
     /// A kill loses at most this much of a run \[ms\].
     pub sync_period_ms: u32,
@@ -43,6 +43,9 @@ pub struct DaemonConfig {
     pub realtime: RealtimeConfig,
 }
 
+/// A slow cycle's few would fit into nothing.
+const RING_CYCLES_MIN: usize = 64;
+
 const fn default_disk_floor_mb() -> u32 {
     500
 }
@@ -54,7 +57,7 @@ const fn default_port() -> u16 {
 impl DaemonConfig {
     /// Time between two cycles.
     pub fn cycle_period(&self) -> Duration {
-        Duration::from_nanos(1_000_000_000 / u64::from(self.rate_hz))
+        Duration::from_nanos(1_000_000_000 / u64::from(self.rate_hz.max(1)))
     }
 
     /// A kill loses at most this much of a run.
@@ -64,7 +67,14 @@ impl DaemonConfig {
 
     /// How long to wait for a reply.
     pub fn reply_timeout(&self) -> Duration {
-        Duration::from_micros(u64::from(self.reply_timeout_us))
+        let usual = || (self.cycle_period() * 4 / 10).min(Duration::from_millis(4));
+        self.reply_timeout_us.map_or_else(usual, |timeout_us| Duration::from_micros(timeout_us.into()))
+    }
+
+    /// Cycles that fit between bus and disk, of this period.
+    pub fn ring_cycles(&self, cycle_period: Duration) -> usize {
+        let cycles = u128::from(self.ring_s) * 1_000_000_000 / cycle_period.as_nanos().max(1);
+        usize::try_from(cycles).unwrap_or(usize::MAX).max(RING_CYCLES_MIN)
     }
 }
 
@@ -73,7 +83,7 @@ impl Default for DaemonConfig {
         Self {
             rate_hz: 100,
             distributed_clocks: true,
-            reply_timeout_us: 4000,
+            reply_timeout_us: None,
             ring_s: 60,
             sync_period_ms: 1000,
             disk_floor_mb: default_disk_floor_mb(),
@@ -91,7 +101,7 @@ impl Validate for DaemonConfig {
             ("rate_hz", i64::from(self.rate_hz), 1, 1000, "100 is usual; an EL5021 on DC does up to 1000"),
             (
                 "reply_timeout_us",
-                i64::from(self.reply_timeout_us),
+                self.reply_timeout().as_micros() as i64,
                 50,
                 i64::from(period_us) * 9 / 10,
                 "a reply that takes longer than a cycle is of no use; stay below 9/10 of the period",
@@ -106,5 +116,29 @@ impl Validate for DaemonConfig {
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn any_rate_up_to_1_khz_is_valid_by_itself_and_its_ring_holds_a_minute() {
+        for rate_hz in [1, 3, 100, 250, 333, 1000] {
+            let config = DaemonConfig { rate_hz, ..DaemonConfig::default() };
+            assert_eq!(config.validate(), Ok(()), "{rate_hz} Hz");
+            assert!(config.reply_timeout() < config.cycle_period() / 2);
+            assert!(config.ring_cycles(config.cycle_period()) >= 60 * rate_hz as usize);
+        }
+        for rate_hz in [0, 1001] {
+            assert!(DaemonConfig { rate_hz, ..DaemonConfig::default() }.validate().is_err());
+        }
+    }
+
+    #[test]
+    fn a_time_out_that_reaches_into_the_next_cycle_is_refused() {
+        let config = DaemonConfig { rate_hz: 1000, reply_timeout_us: Some(4000), ..DaemonConfig::default() };
+        assert!(config.validate().is_err());
     }
 }

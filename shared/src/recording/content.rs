@@ -9,10 +9,13 @@ use serde::de::DeserializeOwned;
 use super::messages::{self, Topic};
 use super::reader::ReadErrorKind;
 use super::schema::{CycleRecord, Event, RunEnd, RunMetadata};
+use super::timing::TimingSummary;
 
 /// Names of the metadata records at the beginning and the end of a run.
 pub(super) const RUN_METADATA: &str = "ballbard.run";
 pub(super) const END_METADATA: &str = "ballbard.end";
+/// Name of the metadata record of the loop's timing.
+pub(super) const TIMING_METADATA: &str = "ballbard.timing";
 
 /// Key under which those records hold their content as JSON.
 const CONTENT_KEY: &str = "json";
@@ -52,6 +55,7 @@ pub(super) enum Item {
     Run(Box<RunMetadata>),
     Cycle(CycleRecord),
     Event(Event),
+    Timing(Box<TimingSummary>),
     End(RunEnd),
 }
 
@@ -72,6 +76,9 @@ impl Decoder {
             }
             Record::Metadata(metadata) if metadata.name == END_METADATA => {
                 Some(Item::End(content_of(END_METADATA, &metadata)?))
+            }
+            Record::Metadata(metadata) if metadata.name == TIMING_METADATA => {
+                Some(Item::Timing(Box::new(content_of(TIMING_METADATA, &metadata)?)))
             }
             Record::Schema { header: SchemaHeader { id, name, .. }, .. } => {
                 self.schemas.insert(id, name);

@@ -14,6 +14,7 @@ mod records;
 mod recover;
 mod run_file;
 pub mod schema;
+mod timing;
 mod writer;
 
 pub use leftover::{Leftover, RecoverError, Recovery, is_in_use, recover_file, recover_leftovers};
@@ -22,4 +23,5 @@ pub use overview::RunOverview;
 pub use reader::{ReadError, ReadErrorKind, Recording};
 pub use recover::{SalvageError, Salvaged, salvage, verify};
 pub use run_file::{ACTIVE_ENDING, FINISHED_ENDING, RunFile, TORN_ENDING};
+pub use timing::{Bin, Durations, TimingSummary};
 pub use writer::{RecordingWriter, WriteError};

@@ -14,6 +14,7 @@ use super::content::{Decoder, Item, RUN_METADATA};
 use super::messages::MessageError;
 use super::records::{Ending, for_each_record};
 use super::schema::{CycleRecord, Event, RunEnd, RunMetadata};
+use super::timing::TimingSummary;
 
 /// Why a file cannot be read as a recording.
 #[derive(Debug, thiserror::Error)]
@@ -88,6 +89,8 @@ pub struct Recording {
     pub cycles: Vec<CycleRecord>,
     /// What happened meanwhile.
     pub events: Vec<Event>,
+    /// How well the loop kept its time; none on virtual time, or where the run was cut short.
+    pub timing: Option<TimingSummary>,
     /// How the run ended.
     pub end: RunEnd,
 }
@@ -116,6 +119,7 @@ impl Recording {
 struct Content {
     run: Option<RunMetadata>,
     end: Option<RunEnd>,
+    timing: Option<TimingSummary>,
     cycles: Vec<CycleRecord>,
     events: Vec<Event>,
 }
@@ -126,6 +130,7 @@ impl Content {
             Item::Run(run) => self.run = Some(*run),
             Item::Cycle(cycle) => self.cycles.push(cycle),
             Item::Event(event) => self.events.push(event),
+            Item::Timing(timing) => self.timing = Some(*timing),
             Item::End(end) => self.end = Some(end),
         }
     }
@@ -137,6 +142,6 @@ impl Content {
         if end.cycles != self.cycles.len() as u64 {
             return Err(ReadErrorKind::Hole { expected: self.cycles.len() as u64, found: end.cycles });
         }
-        Ok(Recording { run, cycles: self.cycles, events: self.events, end })
+        Ok(Recording { run, cycles: self.cycles, events: self.events, timing: self.timing, end })
     }
 }

@@ -13,6 +13,7 @@ use super::messages;
 use super::reader::ReadErrorKind;
 use super::records::{Ending, for_each_record};
 use super::schema::{CycleRecord, Event, RunEnd, RunMetadata};
+use super::timing::TimingSummary;
 use super::writer::{RecordingWriter, WriteError};
 use crate::time::UtcNs;
 
@@ -118,6 +119,7 @@ enum Part<'a> {
     Run(&'a RunMetadata),
     Cycle(&'a CycleRecord),
     Event(&'a Event),
+    Timing(&'a TimingSummary),
 }
 
 impl<W: Write + Seek> Writing<W> {
@@ -131,6 +133,7 @@ impl<W: Write + Seek> Writing<W> {
             }
             (Part::Cycle(cycle), Some(writer)) => writer.write_cycle(cycle),
             (Part::Event(event), Some(writer)) => writer.write_event(event),
+            (Part::Timing(timing), Some(writer)) => writer.write_timing(timing),
             // A scan hands out nothing before the metadata.
             (_, None) => Ok(()),
         }
@@ -230,6 +233,7 @@ impl Scan {
                     .update(&messages::encode_event(&event).map_err(|error| Halt::Write(error.into()))?);
                 sink(Part::Event(&event)).map_err(Halt::Write)?;
             }
+            Item::Timing(timing) => sink(Part::Timing(&timing)).map_err(Halt::Write)?,
             Item::End(end) => self.end = Some(end),
         }
         Ok(())

@@ -10,10 +10,11 @@ use std::path::{Path, PathBuf};
 use mcap::records::MessageHeader;
 use mcap::{Compression, McapError, WriteOptions, Writer};
 
-use super::content::{END_METADATA, RUN_METADATA, metadata_of};
+use super::content::{END_METADATA, RUN_METADATA, TIMING_METADATA, metadata_of};
 use super::messages::{self, MessageError, Topic};
 use super::run_file::RunFile;
 use super::schema::{CycleRecord, Event, RunEnd, RunMetadata};
+use super::timing::TimingSummary;
 use crate::encoder::Unwrapper;
 use crate::time::UtcNs;
 
@@ -145,6 +146,11 @@ impl<W: Write + Seek> RecordingWriter<W> {
         let data = messages::encode_event(event)?;
         self.events = self.events.wrapping_add(1);
         self.write_message(self.event_channel, self.events, event.time, &data)
+    }
+
+    /// Says how well the loop kept its time; once, after the last cycle.
+    pub fn write_timing(&mut self, timing: &TimingSummary) -> Result<(), WriteError> {
+        Ok(self.writer.write_metadata(&metadata_of(TIMING_METADATA, timing)?)?)
     }
 
     /// Cuts the chunk and flushes the sink: with a [`RunFile`] everything so far survives a power cut.

@@ -1,0 +1,114 @@
+//! How well the cycle keeps its time on this machine, under a load made here: `cargo bench -p ballbard`.
+//!
+//! Lateness beside `cyclictest` under the same load, alternately; error of sample times against the true sampling
+//! instants of the simulated terminals; processor share and memory of the daemon; the highest rate without a lost
+//! cycle. Everything in one run and on one machine, so that ratios mean something when absolute figures do not.
+#![allow(clippy::unwrap_used, clippy::print_stderr, reason = "a benchmark")]
+
+#[path = "realtime/load.rs"]
+mod load;
+#[path = "realtime/measure.rs"]
+mod measure;
+#[path = "realtime/process.rs"]
+mod process;
+#[path = "../tests/support/mod.rs"]
+mod support;
+
+use std::time::Duration;
+
+use load::Load;
+use measure::{Bus, Distribution, cyclictest, run_cycles};
+
+/// Alternations of ours and cyclictest at each rate.
+const REPEATS: usize = 5;
+const PRIORITY: i32 = 80;
+
+fn main() {
+    // `cargo test --benches` runs this too: it measures nothing then.
+    if !std::env::args().any(|argument| argument == "--bench") {
+        return;
+    }
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    println!("{cores} cores; load: {cores} threads that compute, write memory and make system calls\n");
+    lateness(cores);
+    time_stamps(cores);
+    process::cost(&[100, 1000]);
+    highest_rate(cores);
+}
+
+fn lateness(cores: usize) {
+    println!("wake-up lateness [us]              p50      p99    p99.9      max");
+    for (rate_hz, seconds) in [(100, 2), (1000, 1)] {
+        for loaded in [false, true] {
+            let _load = loaded.then(|| Load::start(cores));
+            let state = if loaded { "loaded" } else { "quiet" };
+            let (mut ours, mut theirs) = (Distribution::default(), Distribution::default());
+            let mut ratios: [Vec<f64>; 2] = Default::default();
+            for _ in 0..REPEATS {
+                let cycles = rate_hz * seconds;
+                let measured = run_cycles(Bus::InProcess, rate_hz, cycles, PRIORITY).lateness;
+                if let Some(reference) = cyclictest(rate_hz, cycles, PRIORITY) {
+                    for (ratios, part) in ratios.iter_mut().zip([0.5, 0.99]) {
+                        ratios.push(measured.quantile_us(part) / reference.quantile_us(part));
+                    }
+                    theirs.append(reference);
+                }
+                ours.append(measured);
+            }
+            println!("{rate_hz:5} Hz {state:7} ballbard    {}", ours.row());
+            if !theirs.is_empty() {
+                println!("{rate_hz:5} Hz {state:7} cyclictest  {}", theirs.row());
+                println!("{rate_hz:5} Hz {state:7} ratio       {}", ours.ratio_row(&theirs));
+                // The host may stop this machine for milliseconds: a median of repeats does not see it.
+                let [p50, p99] = ratios.map(Distribution::range);
+                println!(
+                    "{rate_hz:5} Hz {state:7} ratio, least, median and most of the repeats: p50 {p50}, p99 {p99}"
+                );
+            } else {
+                println!("cyclictest gives nothing: apt-get install rt-tests, and run as root");
+            }
+        }
+    }
+    println!();
+}
+
+fn time_stamps(cores: usize) {
+    println!(
+        "error of sample times [us]         p50      p99    p99.9      max   within 3 sigma   median sigma"
+    );
+    let veth = process::Veth::new();
+    let buses = [Some(Bus::InProcess), veth.as_ref().map(|veth| Bus::Veth(veth.ends()))];
+    for bus in buses.into_iter().flatten() {
+        for (rate_hz, seconds, loaded) in [(100, 4, true), (1000, 2, false), (1000, 3, true)] {
+            let _load = loaded.then(|| Load::start(cores));
+            let name = if matches!(bus, Bus::InProcess) { "in process" } else { "veth" };
+            let measured = run_cycles(bus.clone(), rate_hz, rate_hz * seconds, PRIORITY);
+            let state = if loaded { "loaded" } else { "quiet" };
+            println!(
+                "{rate_hz:5} Hz {state:7} {name:11} {}   {:8.3} %   {:8.1} us",
+                measured.errors.row(),
+                measured.covered_percent,
+                measured.sigma.quantile_us(0.5),
+            );
+        }
+    }
+    println!();
+}
+
+fn highest_rate(cores: usize) {
+    println!("highest rate, 2 s each: cycles lost or flagged");
+    for loaded in [false, true] {
+        let _load = loaded.then(|| Load::start(cores));
+        let state = if loaded { "loaded" } else { "quiet" };
+        let mut held = 0;
+        for rate_hz in [500, 1000, 2000, 4000] {
+            let measured = run_cycles(Bus::InProcess, rate_hz, rate_hz * 2, PRIORITY);
+            println!("{rate_hz:5} Hz {state:7} {:6} of {}", measured.flagged, measured.cycles);
+            if measured.flagged == 0 {
+                held = rate_hz;
+            }
+        }
+        println!("held without one: {held} Hz ({state})");
+        std::thread::sleep(Duration::from_millis(200));
+    }
+}

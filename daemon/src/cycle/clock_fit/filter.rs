@@ -1,0 +1,205 @@
+//! Offset and rate between two clocks as a Kalman filter, and how far delays alone may move a reading.
+
+use shared::time::{DcNs, MonoNs};
+
+use super::Reading;
+use super::doubt::Deviation;
+
+/// Wander of the offset between two clocks \[ns^2/s\]: some 10 ns in a second.
+const OFFSET_WANDER_NS2_PER_S: f64 = 100.0;
+/// Wander of their drift \[(ns/s)^2/s\]: 1 ppm in a second, a quartz under the hand of NTP.
+const DRIFT_WANDER: f64 = 1e6;
+/// Drift before anything is known \[ns/s\]: 200 ppm.
+const DRIFT_SIGMA_START: f64 = 200e3;
+/// Drift of the same two clocks after a restart \[ns/s\]: 1 ppm.
+const DRIFT_SIGMA_KNOWN: f64 = 1e3;
+/// What a reading is worth when its round trip is the quickest \[ns\]; time stamps of host and bus are no better.
+const READING_SIGMA_NS: f64 = 500.0;
+/// Before as many readings nobody knows what the quickest round trip is: each reading is worth its own bound.
+const SETTLING_READINGS: u32 = 64;
+/// The quickest round trip is forgotten by this part each second, so that a changed path is noticed.
+const QUICKEST_FORGOTTEN_PER_S: f64 = 0.01;
+/// The filter's own share of a deviation is up to as many sigmas; the rest is scatter of the readings ...
+const SCATTER_SIGMAS: f64 = 3.0;
+/// ... which is forgotten by this part each second ...
+const SCATTER_FORGOTTEN_PER_S: f64 = 0.3;
+/// ... and no more than this: what lies beyond is doubted \[ns\].
+const SCATTER_NS_MAX: f64 = 50_000.0;
+/// A deviation of more than this many of the filter's own sigmas, beyond what delays explain, is one ...
+const SLACK_SIGMAS: f64 = 6.0;
+/// ... and the quickest round trip is known to this \[ns\].
+const SLACK_NS: f64 = 5_000.0;
+/// Mean of the last readings' deviations, in sigmas and over about as many readings, that means a changed rate.
+const TREND_SIGMAS: f64 = 2.0;
+const TREND_READINGS: f64 = 16.0;
+/// Mean deviation that leads up to an unexplained one and makes it one of a changed rate, too.
+const CREEP_SIGMAS: f64 = 0.5;
+/// Readings with more slack than this tell no creeping from chance \[ns\].
+const CREEP_SLACK_NS: f64 = 20_000.0;
+/// A trend is found about as many readings after its beginning.
+const TREND_ONSET_READINGS: f64 = 4.0;
+
+#[derive(Debug, Clone)]
+pub(super) struct Filter {
+    /// Time to which offset and covariance refer.
+    at: MonoNs,
+    /// Whole part of the offset \[ns\]; keeps the filter's numbers small.
+    base_ns: i64,
+    /// Offset beyond `base_ns` \[ns\].
+    offset_ns: f64,
+    /// \[ns/s\]
+    drift: f64,
+    p_offset: f64,
+    p_cross: f64,
+    p_drift: f64,
+    /// Readings so far, up to [`SETTLING_READINGS`].
+    readings: u32,
+    /// Half the width of the narrowest hard bound.
+    quickest_half_ns: f64,
+    /// Half widths of the hard bounds, weighted as the readings are: the offset is wrong by this if all delay was on
+    /// one way.
+    one_way_ns: f64,
+    /// Mean deviation of the last quick readings in sigmas.
+    trend: f64,
+    /// How far readings lately contradicted each other beyond their delays \[ns\].
+    scatter_ns: f64,
+}
+
+impl Filter {
+    /// From one reading, and from what is known of the same clocks and the same way.
+    pub fn first(reading: &Reading, known: Option<&Self>) -> Self {
+        Self {
+            at: reading.at,
+            base_ns: reading.offset_ns,
+            offset_ns: 0.0,
+            drift: known.map_or(0.0, |known| known.drift),
+            p_offset: reading.half_ns.powi(2) + READING_SIGMA_NS.powi(2),
+            p_cross: 0.0,
+            p_drift: known
+                .map_or(DRIFT_SIGMA_START.powi(2), |known| known.p_drift + DRIFT_SIGMA_KNOWN.powi(2)),
+            readings: known.map_or(1, |known| known.readings),
+            quickest_half_ns: known
+                .map_or(reading.half_ns, |known| known.quickest_half_ns.min(reading.half_ns)),
+            one_way_ns: reading.half_ns,
+            trend: 0.0,
+            scatter_ns: known.map_or(0.0, |known| known.scatter_ns),
+        }
+    }
+
+    pub fn monotonic_from_dc(&self, dc: DcNs) -> MonoNs {
+        self.at.plus_ns(self.since_ns(dc).round() as i64)
+    }
+
+    /// Variance of the host time that stands for `dc`: the filter's own at that time, and what an unequal way there and
+    /// back can hide.
+    pub fn variance_ns2(&self, dc: DcNs) -> f64 {
+        let dt_s = (self.since_ns(dc) * 1e-9).abs();
+        let own = self.p_offset
+            + dt_s * (2.0 * self.p_cross.abs() + dt_s * self.p_drift)
+            + OFFSET_WANDER_NS2_PER_S * dt_s;
+        // How the delay divides between the ways is unknown: uniform within the bounds.
+        own + self.one_way_ns.powi(2) / 3.0 + READING_SIGMA_NS.powi(2)
+    }
+
+    /// `dc = monotonic + base + offset + drift * (monotonic - at)`, solved for `monotonic - at` \[ns\].
+    fn since_ns(&self, dc: DcNs) -> f64 {
+        let dc_since_ns = dc.0.wrapping_sub(self.base_ns).wrapping_sub(self.at.0) as f64 - self.offset_ns;
+        dc_since_ns / (1.0 + self.drift * 1e-9)
+    }
+
+    /// Moves the state on to `at`; how far \[s\].
+    pub fn predict(&mut self, at: MonoNs) -> f64 {
+        let dt_s = at.seconds_since(self.at).max(0.0);
+        self.at = at;
+        self.offset_ns += self.drift * dt_s;
+        self.p_offset += dt_s * (2.0 * self.p_cross + dt_s * self.p_drift) + OFFSET_WANDER_NS2_PER_S * dt_s;
+        self.p_cross += dt_s * self.p_drift;
+        self.p_drift += DRIFT_WANDER * dt_s;
+        self.quickest_half_ns *= 1.0 + QUICKEST_FORGOTTEN_PER_S * dt_s;
+        dt_s
+    }
+
+    /// How a reading lies beside the prediction.
+    ///
+    /// A delay beyond the quickest round trip moves the middle by half of it at most; the same holds for the readings
+    /// that the filter is made of. While the quickest round trip is not known yet, all of it may be such a delay.
+    pub fn deviation(&self, reading: &Reading) -> Deviation {
+        let quickest_ns = if self.is_settling() { 0.0 } else { self.quickest_half_ns };
+        let fit_delayed_ns = (self.one_way_ns - quickest_ns).abs();
+        Deviation {
+            at: reading.at,
+            by_ns: self.deviation_ns(reading),
+            delayed_ns: (reading.half_ns - quickest_ns).abs(),
+            predicted_ns: fit_delayed_ns + SLACK_SIGMAS * self.p_offset.sqrt() + SLACK_NS,
+        }
+    }
+
+    fn deviation_ns(&self, reading: &Reading) -> f64 {
+        reading.offset_ns.wrapping_sub(self.base_ns) as f64 - self.offset_ns
+    }
+
+    fn is_settling(&self) -> bool {
+        self.readings < SETTLING_READINGS
+    }
+
+    /// Takes a reading in, to whose time the state was moved by `dt_s`.
+    pub fn correct(&mut self, reading: &Reading, dt_s: f64) {
+        self.quickest_half_ns = self.quickest_half_ns.min(reading.half_ns);
+        let excess_ns = reading.half_ns - self.quickest_half_ns;
+        let unknown_ns = if self.is_settling() { reading.half_ns } else { excess_ns };
+        self.readings = (self.readings + 1).min(SETTLING_READINGS);
+        let deviation_ns = self.deviation_ns(reading);
+        self.watch_scatter(deviation_ns.abs() - unknown_ns, dt_s);
+        let delayed_ns = READING_SIGMA_NS + unknown_ns;
+        let reading_sigma_ns = delayed_ns + self.scatter_ns;
+        let spread = self.p_offset + reading_sigma_ns * reading_sigma_ns;
+        let (gain_offset, gain_drift) = (self.p_offset / spread, self.p_cross / spread);
+        self.offset_ns += gain_offset * deviation_ns;
+        self.drift += gain_drift * deviation_ns;
+        self.p_drift -= gain_drift * self.p_cross;
+        self.p_cross -= gain_offset * self.p_cross;
+        self.p_offset -= gain_offset * self.p_offset;
+        self.one_way_ns += gain_offset * (reading.half_ns - self.one_way_ns);
+        self.stay_within(reading);
+        self.watch_trend(deviation_ns, delayed_ns, dt_s);
+    }
+
+    /// Whether readings before lay to the same side, as they do when the rate has changed and not the time. Under load
+    /// they cannot tell.
+    pub fn crept_to(&self, deviation: &Deviation) -> bool {
+        let slack_ns = deviation.delayed_ns + deviation.predicted_ns;
+        let is_near = deviation.by_ns.abs() <= 2.0 * slack_ns && slack_ns <= CREEP_SLACK_NS;
+        is_near && self.trend * deviation.by_ns.signum() > CREEP_SIGMAS
+    }
+
+    /// Quick replies that contradict each other show that the quickest way is not the same each time.
+    fn watch_scatter(&mut self, unexplained_ns: f64, dt_s: f64) {
+        let scatter_ns = unexplained_ns - SCATTER_SIGMAS * self.p_offset.sqrt();
+        let forgotten = 1.0 - SCATTER_FORGOTTEN_PER_S * dt_s.min(1.0);
+        self.scatter_ns = (self.scatter_ns * forgotten).max(scatter_ns.min(SCATTER_NS_MAX));
+    }
+
+    /// Forgets offset and rate as far as they may have changed by these.
+    pub fn open(&mut self, offset_ns: f64, rate: f64) {
+        self.p_offset += offset_ns.powi(2);
+        self.p_drift += rate.powi(2);
+        self.trend = 0.0;
+    }
+
+    /// The hard bound holds whatever the filter weighs.
+    fn stay_within(&mut self, reading: &Reading) {
+        let centre_ns = reading.offset_ns.wrapping_sub(self.base_ns) as f64;
+        let half_ns = reading.half_ns + READING_SIGMA_NS;
+        self.offset_ns = self.offset_ns.clamp(centre_ns - half_ns, centre_ns + half_ns);
+    }
+
+    /// Small deviations that do not change sides mean a rate that changed: the filter is opened as far as they ask for.
+    /// Only quick replies can tell; a slow one deviates to one side by itself.
+    fn watch_trend(&mut self, deviation_ns: f64, delayed_ns: f64, dt_s: f64) {
+        let weight = (READING_SIGMA_NS / delayed_ns).powi(2) / TREND_READINGS;
+        self.trend += weight * (deviation_ns / delayed_ns - self.trend);
+        if self.trend.abs() > TREND_SIGMAS && dt_s > 0.0 {
+            self.open(deviation_ns, deviation_ns / (TREND_ONSET_READINGS * dt_s));
+        }
+    }
+}

@@ -1,0 +1,182 @@
+//! How late, how long: measured in the cycle, counted outside of it.
+//!
+//! The cycle hands three numbers to a bounded ring, wait-free; whoever empties the ring keeps the histograms. So
+//! the cycle neither touches memory that others read nor spends time on counting.
+
+use hdrhistogram::Histogram;
+use rtrb::{Consumer, Producer, RingBuffer};
+use shared::recording::{Bin, Durations, TimingSummary};
+
+/// Longest duration that is told apart \[ns\]: a minute.
+const LONGEST_NS: u64 = 60_000_000_000;
+const SIGNIFICANT_DIGITS: u8 = 3;
+
+/// One cycle's times \[ns\].
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct CycleTiming {
+    /// From the deadline until the thread ran.
+    pub late_ns: i64,
+    /// From handing the frame to the wire until the reply was there; none without a reply.
+    pub round_trip_ns: Option<i64>,
+    /// From waking up until the record was handed over.
+    pub duration_ns: i64,
+}
+
+/// The cycle's end.
+pub struct TimingSink(Producer<CycleTiming>);
+
+/// The end of whoever counts.
+pub struct TimingSource {
+    ring: Consumer<CycleTiming>,
+    timings: Timings,
+}
+
+/// A ring of `capacity` cycles' times. Emptied less often it loses times, no cycles.
+pub fn timing_ring(capacity: usize) -> (TimingSink, TimingSource) {
+    let (producer, consumer) = RingBuffer::new(capacity);
+    (TimingSink(producer), TimingSource { ring: consumer, timings: Timings::default() })
+}
+
+impl TimingSink {
+    /// Hands over one cycle's times. Wait-free.
+    pub fn push(&mut self, timing: CycleTiming) {
+        // A full ring costs one entry of a histogram, which is no reason to wait.
+        let _ = self.0.push(timing);
+    }
+}
+
+impl TimingSource {
+    /// Counts what the cycle handed over since the last call.
+    pub fn drain(&mut self) {
+        while let Ok(timing) = self.ring.pop() {
+            self.timings.count(&timing);
+        }
+    }
+
+    /// All that was drained; none before the first cycle.
+    pub fn summary(&self) -> Option<TimingSummary> {
+        self.timings.summary()
+    }
+}
+
+/// Histograms of the cycle's times.
+#[derive(Debug, Clone)]
+pub struct Timings {
+    lateness: Histogram<u32>,
+    round_trip: Histogram<u32>,
+    duration: Histogram<u32>,
+}
+
+impl Default for Timings {
+    fn default() -> Self {
+        // The bounds are constants within what the crate accepts.
+        #[allow(clippy::expect_used, reason = "constant arguments")]
+        let empty = Histogram::new_with_bounds(1, LONGEST_NS, SIGNIFICANT_DIGITS).expect("valid bounds");
+        Self { lateness: empty.clone(), round_trip: empty.clone(), duration: empty }
+    }
+}
+
+impl Timings {
+    /// Counts one cycle.
+    pub fn count(&mut self, timing: &CycleTiming) {
+        let positive = |ns: i64| u64::try_from(ns).unwrap_or(0);
+        self.lateness.saturating_record(positive(timing.late_ns));
+        self.duration.saturating_record(positive(timing.duration_ns));
+        if let Some(round_trip_ns) = timing.round_trip_ns {
+            self.round_trip.saturating_record(positive(round_trip_ns));
+        }
+    }
+
+    /// Percentiles and histograms so far; none before the first cycle.
+    pub fn summary(&self) -> Option<TimingSummary> {
+        (!self.lateness.is_empty()).then(|| TimingSummary {
+            cycles: self.lateness.len(),
+            lateness: durations(&self.lateness),
+            round_trip: durations(&self.round_trip),
+            duration: durations(&self.duration),
+        })
+    }
+}
+
+fn durations(counted: &Histogram<u32>) -> Durations {
+    Durations {
+        p50_ns: counted.value_at_quantile(0.5),
+        p99_ns: counted.value_at_quantile(0.99),
+        p999_ns: counted.value_at_quantile(0.999),
+        max_ns: counted.max(),
+        histogram: bins(counted),
+    }
+}
+
+fn bins(counted: &Histogram<u32>) -> Vec<Bin> {
+    let mut bins: Vec<Bin> = Vec::new();
+    for step in counted.iter_recorded() {
+        let up_to_ns = Bin::limit_of(step.value_iterated_to());
+        let cycles = step.count_since_last_iteration();
+        match bins.last_mut() {
+            Some(bin) if bin.up_to_ns == up_to_ns => bin.cycles += cycles,
+            _ => bins.push(Bin { up_to_ns, cycles }),
+        }
+    }
+    bins
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn timing(late_ns: i64) -> CycleTiming {
+        CycleTiming { late_ns, round_trip_ns: Some(2 * late_ns), duration_ns: 3 * late_ns }
+    }
+
+    #[test]
+    fn percentiles_are_those_of_what_was_pushed_to_a_part_in_a_thousand() {
+        let (mut sink, mut source) = timing_ring(2000);
+        assert_eq!(source.summary(), None);
+        (1..=1000).for_each(|step| sink.push(timing(step * 1000)));
+        source.drain();
+        let summary = source.summary().unwrap();
+        assert_eq!(summary.cycles, 1000);
+        let all = [(&summary.lateness, 1.0), (&summary.round_trip, 2.0), (&summary.duration, 3.0)];
+        for (durations, factor) in all {
+            let found = [durations.p50_ns, durations.p99_ns, durations.p999_ns, durations.max_ns];
+            for (found, expected) in found.into_iter().zip([500e3, 990e3, 999e3, 1000e3]) {
+                assert!((found as f64 / (factor * expected) - 1.0).abs() < 2e-3, "{durations}");
+            }
+        }
+    }
+
+    #[test]
+    fn each_cycle_is_in_one_bin_and_in_the_right_one() {
+        let mut timings = Timings::default();
+        (1..=1000).for_each(|step| timings.count(&timing(step * 1000)));
+        let bins = timings.summary().unwrap().lateness.histogram;
+        assert_eq!(bins.iter().map(|bin| bin.cycles).sum::<u64>(), 1000);
+        let mut below = 0;
+        for bin in bins {
+            let up_to = (bin.up_to_ns / 1000).min(1000);
+            // A step of the counter is a part in a thousand.
+            assert!((bin.cycles as i64 - (up_to - below) as i64).abs() <= 1, "{bin:?}");
+            below = up_to;
+        }
+    }
+
+    #[test]
+    fn cycles_without_a_reply_early_and_endless_ones_are_counted() {
+        let mut timings = Timings::default();
+        timings.count(&CycleTiming { round_trip_ns: None, ..timing(-5) });
+        timings.count(&timing(i64::MAX / 4));
+        let summary = timings.summary().unwrap();
+        assert_eq!(summary.cycles, 2);
+        assert!(summary.lateness.max_ns >= LONGEST_NS && summary.lateness.p50_ns == 0);
+        assert_eq!(summary.round_trip.histogram.iter().map(|bin| bin.cycles).sum::<u64>(), 1);
+    }
+
+    #[test]
+    fn a_full_ring_loses_times_without_waiting() {
+        let (mut sink, mut source) = timing_ring(4);
+        (0..10).for_each(|step| sink.push(timing(step)));
+        source.drain();
+        assert_eq!(source.summary().unwrap().cycles, 4);
+    }
+}

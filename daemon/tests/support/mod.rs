@@ -1,0 +1,93 @@
+//! What tests and benchmarks of the real-time loop share.
+#![allow(dead_code, clippy::unwrap_used, reason = "each user takes a part")]
+
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use ballbard::bus::BusPlan;
+use ballbard::segment::simulated::{Conversion, EncoderSource, Signal};
+use shared::config::EncoderConfig;
+use shared::encoder::Direction;
+use shared::recording::schema::CycleRecord;
+
+/// Five terminals on distributed clocks, the frame half a period after the sample.
+pub fn plan(rate_hz: u64) -> BusPlan {
+    let encoder =
+        |joint| EncoderConfig { joint, lines: 3600, interpolation_bits: 12, direction: Direction::Positive };
+    let period = Duration::from_nanos(1_000_000_000 / rate_hz);
+    BusPlan {
+        name: "simulated".into(),
+        encoders: (1..=5).map(encoder).collect(),
+        cycle_period: period,
+        distributed_clocks: true,
+        sync0_shift: period / 2,
+        reply_timeout: (period * 4 / 10).min(Duration::from_millis(4)),
+    }
+}
+
+/// When the first terminal truly took its samples.
+#[derive(Debug, Clone, Default)]
+pub struct TrueInstants(Arc<Mutex<Vec<Conversion>>>);
+
+/// Passes an encoder source on and notes its conversions.
+pub struct Watched<S> {
+    source: S,
+    instants: TrueInstants,
+}
+
+/// Error of a sample time against the truth, and the sigma that the record states \[ns\].
+#[derive(Debug, Clone, Copy)]
+pub struct Stamped {
+    pub cycle: u64,
+    pub error_ns: i64,
+    pub sigma_ns: i64,
+}
+
+impl TrueInstants {
+    /// Watches a source; room for `conversions` of them, so that noting one allocates nothing.
+    pub fn watch<S: EncoderSource>(source: S, conversions: usize) -> (Watched<S>, Self) {
+        let instants = Self(Arc::new(Mutex::new(Vec::with_capacity(conversions))));
+        (Watched { source, instants: instants.clone() }, instants)
+    }
+
+    /// Sample times of valid records on distributed clocks against the truth. `utc_minus_true_ns` is the records' UTC
+    /// minus the true time.
+    pub fn judge(&self, records: &[CycleRecord], utc_minus_true_ns: i64) -> Vec<Stamped> {
+        let instants = self.0.lock().unwrap();
+        let true_ns: HashMap<i64, i64> =
+            instants.iter().filter_map(|at| Some((at.system_time_ns?, at.true_time_ns))).collect();
+        let stamped = |record: &CycleRecord| {
+            let true_ns = true_ns.get(&record.dc_time.0)?;
+            Some(stamped(record, record.sample_time.0 - utc_minus_true_ns - true_ns))
+        };
+        records.iter().filter(|record| record.is_valid()).filter_map(stamped).collect()
+    }
+
+    /// The same without distributed clocks: a frame fetches what was sampled last before it was sent.
+    pub fn judge_free_running(&self, records: &[CycleRecord], utc_minus_true_ns: i64) -> Vec<Stamped> {
+        let instants = self.0.lock().unwrap();
+        let judge = |record: &CycleRecord| {
+            let later = instants.partition_point(|at| at.true_time_ns < record.send_time.0);
+            let sampled = instants.get(later.checked_sub(1)?)?;
+            Some(stamped(record, record.sample_time.0 - utc_minus_true_ns - sampled.true_time_ns))
+        };
+        records.iter().filter(|record| record.is_valid()).filter_map(judge).collect()
+    }
+}
+
+fn stamped(record: &CycleRecord, error_ns: i64) -> Stamped {
+    Stamped { cycle: record.cycle, error_ns, sigma_ns: record.sample_time_uncertainty_ns.into() }
+}
+
+impl<S: EncoderSource> EncoderSource for Watched<S> {
+    fn signal(&mut self, channel: usize, at: Conversion) -> Signal {
+        if channel == 0 {
+            let mut instants = self.instants.0.lock().unwrap();
+            if instants.len() < instants.capacity() {
+                instants.push(at);
+            }
+        }
+        self.source.signal(channel, at)
+    }
+}

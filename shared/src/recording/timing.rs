@@ -1,0 +1,143 @@
+//! How well the real-time loop kept its time during a run.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+/// One duration over all cycles of a run \[ns\].
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Durations {
+    /// Half of all cycles took no longer.
+    pub p50_ns: u64,
+    /// 99 of 100.
+    pub p99_ns: u64,
+    /// 999 of 1000.
+    pub p999_ns: u64,
+    /// Longest.
+    pub max_ns: u64,
+    /// How many cycles took how long, shortest first; bins without a cycle are left out.
+    pub histogram: Vec<Bin>,
+}
+
+/// One bin of a histogram: longer than the limit of the bin before, up to its own.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Bin {
+    /// Limit, included \[ns\]; see [`Bin::limit_of`].
+    pub up_to_ns: u64,
+    /// Cycles.
+    pub cycles: u64,
+}
+
+/// How well the loop kept its time. Runs on virtual time have none.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TimingSummary {
+    /// Cycles measured.
+    pub cycles: u64,
+    /// From a cycle's deadline until its thread ran.
+    pub lateness: Durations,
+    /// From handing the frame to the wire until the reply was there; cycles with a reply only.
+    pub round_trip: Durations,
+    /// From waking up until the cycle's record was handed over.
+    pub duration: Durations,
+}
+
+impl Bin {
+    /// The limit of the bin that a duration falls into \[ns\]: 1, 1.5, 2, 3, 4, 6, 8, 12 .. us.
+    pub fn limit_of(duration_ns: u64) -> u64 {
+        let octave_ns = |shift: u32| 1000u64.checked_shl(shift).unwrap_or(u64::MAX);
+        (0..54)
+            .flat_map(|shift| [octave_ns(shift), octave_ns(shift) / 2 * 3])
+            .find(|limit_ns| duration_ns <= *limit_ns)
+            .unwrap_or(u64::MAX)
+    }
+}
+
+impl fmt::Display for Durations {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let us = |ns: u64| ns as f64 * 1e-3;
+        let Self { p50_ns, p99_ns, p999_ns, max_ns, .. } = *self;
+        write!(f, "{:10.1} {:10.1} {:10.1} {:10.1}", us(p50_ns), us(p99_ns), us(p999_ns), us(max_ns))
+    }
+}
+
+impl fmt::Display for TimingSummary {
+    /// Percentiles, then the three histograms side by side.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { cycles, lateness, round_trip, duration } = self;
+        writeln!(f, "{:15} {:>10} {:>10} {:>10} {:>10}", "time [us]", "p50", "p99", "p99.9", "max")?;
+        for (name, durations) in
+            [("wake-up late", lateness), ("round trip", round_trip), ("cycle duration", duration)]
+        {
+            writeln!(f, "{name:15} {durations}")?;
+        }
+        write!(
+            f,
+            "{:15} {:>14} {:>14} {:>14}  of {cycles} cycles",
+            "up to [us]", "wake-up late", "round trip", "duration"
+        )?;
+        for limit_ns in self.limits_ns() {
+            let count = |of: &Durations| {
+                of.histogram.iter().find(|bin| bin.up_to_ns == limit_ns).map_or(0, |bin| bin.cycles)
+            };
+            let limit_us = limit_ns as f64 * 1e-3;
+            write!(
+                f,
+                "\n{limit_us:>15} {:>14} {:>14} {:>14}",
+                count(lateness),
+                count(round_trip),
+                count(duration)
+            )?;
+        }
+        Ok(())
+    }
+}
+
+impl TimingSummary {
+    /// Limits of all bins in use.
+    fn limits_ns(&self) -> Vec<u64> {
+        let all = [&self.lateness, &self.round_trip, &self.duration];
+        let mut limits: Vec<u64> = all
+            .into_iter()
+            .flat_map(|durations| durations.histogram.iter().map(|bin| bin.up_to_ns))
+            .collect();
+        limits.sort_unstable();
+        limits.dedup();
+        limits
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bins_are_half_octaves_and_every_duration_has_one() {
+        let limits = [0, 1000, 1001, 1500, 1501, 2000, 95_000, u64::MAX].map(Bin::limit_of);
+        assert_eq!(limits, [1000, 1000, 1500, 1500, 2000, 2000, 96_000, u64::MAX]);
+        let mut last = 0;
+        for exponent in 0..64 {
+            let limit = Bin::limit_of(1 << exponent);
+            assert!(limit >= 1 << exponent && limit >= last);
+            last = limit;
+        }
+    }
+
+    #[test]
+    fn the_table_has_a_row_for_each_bin_in_use() {
+        let of = |up_to_ns, cycles| Durations {
+            max_ns: up_to_ns,
+            histogram: vec![Bin { up_to_ns, cycles }],
+            ..Durations::default()
+        };
+        let timing = TimingSummary {
+            cycles: 7,
+            lateness: of(64_000, 7),
+            round_trip: of(96_000, 6),
+            duration: of(64_000, 7),
+        };
+        let text = timing.to_string();
+        let rows: Vec<Vec<&str>> =
+            text.lines().skip(5).map(|line| line.split_whitespace().collect()).collect();
+        assert_eq!(rows, [["64", "7", "0", "7"], ["96", "0", "6", "0"]]);
+    }
+}
