@@ -1,6 +1,8 @@
 //! What the whole-system tests have in common: the shipped configuration, a run, and how a test is skipped.
 #![allow(clippy::expect_used, clippy::panic, reason = "tests")]
 
+pub mod fuzzing;
+
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 

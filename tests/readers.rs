@@ -1,13 +1,13 @@
 //! The recording opens with two implementations that are not ours, every message decoded.
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
 use ballbard::run::BusChoice;
 use serde_json::Value;
-use shared::recording::Recording;
+use shared::recording::{ACTIVE_ENDING, Recording, Recovery, recover_file};
 use system_tests::{ball_bar, python_with, record, request};
 
 #[test]
@@ -46,14 +46,38 @@ fn read_with(python: &Path, reader: &str, recording: &Path) -> Value {
     serde_json::from_slice(&output.stdout).unwrap()
 }
 
+/// A finished recording, and what is recovered of it where it is cut short, torn, or followed by the zeros of a power
+/// cut.
 fn compare_with(python: &Path, reader: &str) {
     let directory = tempfile::tempdir().unwrap();
     let seconds = Some(Duration::from_secs(20));
     let (path, ours) =
         record(directory.path(), &request("readers", BusChoice::Simulated, seconds, true), &ball_bar());
-    let theirs = read_with(python, reader, &path);
-    compare_cycles(&ours, theirs["cycles"].as_array().unwrap());
-    compare_joint_states(&ours, theirs["joint_states"].as_array().unwrap());
+    compare(python, reader, &path, &ours);
+    let bytes = std::fs::read(&path).unwrap();
+    let mut flipped = bytes.clone();
+    flipped[bytes.len() / 2] ^= 0x10;
+    let killed = bytes[..bytes.len() * 2 / 3].to_vec();
+    let zeros = [&bytes[..bytes.len() / 3], &[0; 4096]].concat();
+    for (name, left) in [("killed", killed), ("flipped", flipped), ("zeros", zeros)] {
+        let (path, recovered) = recover(&directory.path().join(format!("{name}.{ACTIVE_ENDING}")), &left);
+        assert!(recovered.end.recovered && !recovered.cycles.is_empty(), "{name}");
+        assert!(ours.cycles.starts_with(&recovered.cycles) && recovered.cycles.len() < ours.cycles.len());
+        compare(python, reader, &path, &recovered);
+    }
+}
+
+fn recover(active: &Path, left: &[u8]) -> (PathBuf, Recording) {
+    std::fs::write(active, left).unwrap();
+    let Recovery::Recovered { file, .. } = recover_file(active).unwrap() else { panic!("nothing recovered") };
+    let recording = Recording::open(&file).unwrap();
+    (file, recording)
+}
+
+fn compare(python: &Path, reader: &str, path: &Path, ours: &Recording) {
+    let theirs = read_with(python, reader, path);
+    compare_cycles(ours, theirs["cycles"].as_array().unwrap());
+    compare_joint_states(ours, theirs["joint_states"].as_array().unwrap());
     assert_eq!(theirs["events"].as_array().unwrap().len(), ours.events.len());
 }
 

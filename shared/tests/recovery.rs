@@ -116,29 +116,58 @@ fn every_prefix_gives_all_that_was_synchronised_in_it() {
     assert_eq!(true_cycles_in(&bytes), Some(CYCLES));
 }
 
-#[test]
-fn every_single_flipped_bit_costs_cycles_but_falsifies_none() {
-    let (bytes, _) = unfinished();
-    for position in 0..bytes.len() {
+/// Calls `look` with each single bit of `bytes` flipped, one after the other, beginning with byte `from`.
+fn for_each_flipped_bit(bytes: &[u8], from: usize, mut look: impl FnMut(&[u8], &str)) {
+    let mut damaged = bytes.to_vec();
+    for position in from..bytes.len() {
         for bit in 0..8 {
-            let mut damaged = bytes.clone();
             damaged[position] ^= 1 << bit;
-            let whole = true_cycles_in(&damaged);
-            assert!(whole.is_none_or(|cycles| cycles <= CYCLES), "bit {bit} of byte {position}");
+            look(&damaged, &format!("bit {bit} of byte {position}"));
+            damaged[position] ^= 1 << bit;
         }
     }
 }
 
 #[test]
-fn a_flipped_bit_that_costs_cycles_is_reported() {
-    let (bytes, _) = unfinished();
-    for position in 0..bytes.len() {
-        let mut damaged = bytes.clone();
-        damaged[position] ^= 0x08;
-        if let Ok((salvaged, _)) = salvage(&damaged[..], Cursor::new(Vec::new())) {
-            assert!(salvaged.cycles == CYCLES || salvaged.cut.is_some(), "byte {position}: {salvaged:?}");
-        }
+fn every_single_flipped_bit_costs_cycles_that_are_reported_but_falsifies_none() {
+    // Up to its end the finished file is the unfinished one.
+    let (bytes, end) = (finished(), unfinished().0.len());
+    assert_eq!(bytes[..end], unfinished().0);
+    for (name, bytes, from) in [("unfinished", &bytes[..end], 0), ("finished", &bytes, end)] {
+        for_each_flipped_bit(bytes, from, |damaged, at| {
+            let Some(cycles) = true_cycles_in(damaged) else { return };
+            let said = || salvage(damaged, Cursor::new(Vec::new())).unwrap().0.cut.is_some();
+            assert!(cycles == CYCLES || said(), "{at}, {name}: {cycles} cycles and no word about the others");
+        });
     }
+}
+
+#[test]
+fn every_flipped_bit_of_a_finished_recording_is_refused_or_changes_nothing_that_is_read() {
+    let bytes = finished();
+    let truth = Recording::read(&bytes[..]).unwrap();
+    let mut unnoticed = 0;
+    for_each_flipped_bit(&bytes, 0, |damaged, at| match Recording::read(damaged) {
+        Ok(read) => {
+            assert_eq!(read, truth, "{at} changed what is read");
+            unnoticed += 1;
+        }
+        Err(error) => assert!(!error.to_string().is_empty(), "{at}"),
+    });
+    assert!(unnoticed < bytes.len() / 25, "{unnoticed} flips were not noticed");
+}
+
+#[test]
+fn an_unfinished_recording_is_never_read_as_a_whole_one_not_cut_and_not_with_a_flipped_bit() {
+    let (bytes, _) = unfinished();
+    let refused = |bytes: &[u8], at: &str| {
+        let error = Recording::read(bytes).map(|_| at.to_owned()).unwrap_err();
+        assert!(!error.to_string().is_empty(), "{at}");
+    };
+    for length in 0..=bytes.len() {
+        refused(&bytes[..length], "cut");
+    }
+    for_each_flipped_bit(&bytes, 0, refused);
 }
 
 #[test]
@@ -169,6 +198,43 @@ fn a_disk_that_refuses_at_any_offset_keeps_what_was_synchronised_before() {
             assert!(refused.is_err(), "{capacity} bytes were enough for {}", bytes.len());
             let expected = cycles_synced_within(capacity, &disk.0.borrow().synced);
             assert!(true_cycles_in(&disk.bytes()) >= expected, "{capacity} bytes");
+        }
+    }
+}
+
+#[test]
+fn a_disk_that_refuses_once_at_any_offset_and_then_goes_on_leaves_no_wrong_record() {
+    let (bytes, _) = unfinished();
+    for offset in 0..bytes.len() {
+        let disk = DiskFile::refusing_once_at(offset, nix::libc::EIO);
+        // What was begun is dropped, which may write what was still in memory behind the hole.
+        assert!(write_until_refused(disk.clone()).is_err(), "byte {offset}");
+        let expected = cycles_synced_within(offset, &disk.0.borrow().synced);
+        assert!(true_cycles_in(&disk.bytes()) >= expected, "byte {offset}");
+    }
+}
+
+#[test]
+fn writes_that_come_in_small_parts_make_the_same_file() {
+    for bytes_at_once in [1, 7, 64] {
+        let disk = DiskFile::taking_at_most(bytes_at_once);
+        drop(write_until_refused(disk.clone()).unwrap());
+        assert_eq!(true_cycles_in(&disk.bytes()), Some(CYCLES), "{bytes_at_once} bytes at once");
+    }
+}
+
+#[test]
+fn a_tear_at_any_offset_with_what_follows_on_disk_falsifies_nothing() {
+    let (bytes, synced) = unfinished();
+    for &keep in &synced {
+        let expected = cycles_synced_within(keep, &synced);
+        for tear in keep..bytes.len() {
+            // The later write reached the disk, the earlier one did not; then the two of them exchanged.
+            let hole = [&bytes[..keep], &vec![0; tear - keep], &bytes[tear..]].concat();
+            let exchanged = [&bytes[..keep], &bytes[tear..], &bytes[keep..tear]].concat();
+            for on_disk in [hole, exchanged] {
+                assert!(true_cycles_in(&on_disk) >= expected, "synchronised {keep}, torn at {tear}");
+            }
         }
     }
 }

@@ -8,8 +8,9 @@ use serde::de::DeserializeOwned;
 
 use super::messages::{self, Topic};
 use super::reader::ReadErrorKind;
-use super::schema::{CycleRecord, Event, RunEnd, RunMetadata};
+use super::schema::{CycleRecord, EncoderInfo, Event, MAX_ENCODERS, RunEnd, RunMetadata};
 use super::timing::TimingSummary;
+use crate::encoder::{EncoderScale, INTERPOLATION_BITS};
 
 /// Names of the metadata records at the beginning and the end of a run.
 pub(super) const RUN_METADATA: &str = "ballbard.run";
@@ -45,6 +46,21 @@ pub(super) fn content_of<T: DeserializeOwned>(
     serde_json::from_str(json).map_err(|error| problem(error.to_string()))
 }
 
+/// Encoders as no configuration allows them would make nonsense of every count.
+fn check_encoders(run: &RunMetadata) -> Result<(), ReadErrorKind> {
+    let possible = |encoder: &EncoderInfo| {
+        encoder.scale.lines > 0 && INTERPOLATION_BITS.contains(&encoder.scale.interpolation_bits)
+    };
+    let problem = match run.encoders.iter().find(|encoder| !possible(encoder)) {
+        Some(EncoderInfo { joint, scale: EncoderScale { lines, interpolation_bits, .. } }) => {
+            format!("the encoder of joint {joint} has {lines} lines and {interpolation_bits} bits")
+        }
+        None if run.encoders.len() > MAX_ENCODERS => format!("{} encoders", run.encoders.len()),
+        None => return Ok(()),
+    };
+    Err(ReadErrorKind::Metadata { name: RUN_METADATA, problem })
+}
+
 fn checksum_of(json: &str) -> String {
     format!("{:08x}", crc32fast::hash(json.as_bytes()))
 }
@@ -63,7 +79,8 @@ pub(super) enum Item {
 #[derive(Default)]
 pub(super) struct Decoder {
     schemas: HashMap<u16, String>,
-    channels: HashMap<u16, &'static Topic>,
+    /// Every channel that is declared; none for those that are not ours (added by another tool).
+    channels: HashMap<u16, Option<&'static Topic>>,
     next_cycle: u64,
 }
 
@@ -72,7 +89,9 @@ impl Decoder {
     pub fn decode(&mut self, record: Record<'_>) -> Result<Option<Item>, ReadErrorKind> {
         Ok(match record {
             Record::Metadata(metadata) if metadata.name == RUN_METADATA => {
-                Some(Item::Run(Box::new(content_of(RUN_METADATA, &metadata)?)))
+                let run: RunMetadata = content_of(RUN_METADATA, &metadata)?;
+                check_encoders(&run)?;
+                Some(Item::Run(Box::new(run)))
             }
             Record::Metadata(metadata) if metadata.name == END_METADATA => {
                 Some(Item::End(content_of(END_METADATA, &metadata)?))
@@ -95,15 +114,13 @@ impl Decoder {
         })
     }
 
-    /// Remembers the channels that are ours; others (added by another tool) are passed over.
+    /// Remembers a channel, and which of ours it is.
     fn take_channel(&mut self, channel: &Channel) {
         let schema = self.schemas.get(&channel.schema_id);
         let ours = [&messages::CYCLE, &messages::EVENT].into_iter().find(|topic| {
             channel.topic == topic.topic && schema.is_some_and(|name| name == topic.schema_name)
         });
-        if let Some(topic) = ours {
-            self.channels.insert(channel.id, topic);
-        }
+        self.channels.insert(channel.id, ours);
     }
 
     fn decode_message(
@@ -112,7 +129,9 @@ impl Decoder {
         sequence: u32,
         data: &[u8],
     ) -> Result<Option<Item>, ReadErrorKind> {
-        let Some(&topic) = self.channels.get(&channel_id) else { return Ok(None) };
+        let undeclared =
+            || ReadErrorKind::Misplaced(format!("a message on channel {channel_id}, which is not declared"));
+        let Some(topic) = self.channels.get(&channel_id).ok_or_else(undeclared)? else { return Ok(None) };
         let error = |source| ReadErrorKind::Message { topic: topic.topic, sequence, source };
         if topic.topic == messages::EVENT.topic {
             return Ok(Some(Item::Event(messages::decode_event(data).map_err(error)?)));

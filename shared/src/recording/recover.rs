@@ -3,6 +3,7 @@
 //! Reading stops at the first thing that is not as it was written: what comes after cannot be placed, and a
 //! doubtful sample is worth less than none. Works on any source and sink; files are in `leftover`.
 
+use std::collections::BTreeMap;
 use std::io::{Read, Seek, Write};
 
 use crc32fast::Hasher;
@@ -185,6 +186,8 @@ struct Scan {
     last_good: Option<UtcNs>,
     hasher: Hasher,
     in_summary: bool,
+    /// Messages of each channel that no index has listed yet.
+    unlisted: BTreeMap<u16, usize>,
 }
 
 impl Scan {
@@ -193,14 +196,24 @@ impl Scan {
     fn expect(&mut self, record: &Record<'_>) -> Result<(), ReadErrorKind> {
         let opcode = record.opcode();
         let expected = match opcode {
-            op::HEADER | op::SCHEMA | op::CHANNEL | op::MESSAGE | op::MESSAGE_INDEX | op::METADATA => true,
+            op::HEADER | op::SCHEMA | op::CHANNEL | op::MESSAGE | op::METADATA => true,
+            // One bit away from a chunk: it must list just what lies before it.
+            op::MESSAGE_INDEX => self.is_listed(record),
             op::DATA_END => !std::mem::replace(&mut self.in_summary, true),
             op::STATISTICS | op::CHUNK_INDEX | op::METADATA_INDEX | op::SUMMARY_OFFSET | op::FOOTER => {
                 self.in_summary
             }
             _ => false,
         };
+        if let Record::Message { header, .. } = record {
+            *self.unlisted.entry(header.channel_id).or_default() += 1;
+        }
         if expected { Ok(()) } else { Err(ReadErrorKind::UnexpectedRecord { opcode }) }
+    }
+
+    fn is_listed(&mut self, index: &Record<'_>) -> bool {
+        matches!(index, Record::MessageIndex(index)
+            if self.unlisted.remove(&index.channel_id) == Some(index.records.len()))
     }
 
     fn take(

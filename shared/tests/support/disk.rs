@@ -15,6 +15,10 @@ pub struct Disk {
     pub unsynced: Vec<(usize, usize)>,
     /// Writes beyond this length are refused.
     pub capacity: Option<usize>,
+    /// The write that crosses this length is refused, once.
+    pub refuse_once_at: Option<usize>,
+    /// Most bytes that one write takes.
+    pub at_once: Option<usize>,
     /// The error that refusing gives.
     pub errno: i32,
     /// Synchronisations that still succeed.
@@ -29,6 +33,16 @@ impl DiskFile {
     /// A disk that refuses with `errno` what does not fit into `capacity` bytes.
     pub fn full_at(capacity: usize, errno: i32) -> Self {
         Self(Rc::new(RefCell::new(Disk { capacity: Some(capacity), errno, ..Disk::default() })))
+    }
+
+    /// A disk that takes what comes before byte `offset`, refuses with `errno` once, and takes everything again.
+    pub fn refusing_once_at(offset: usize, errno: i32) -> Self {
+        Self(Rc::new(RefCell::new(Disk { refuse_once_at: Some(offset), errno, ..Disk::default() })))
+    }
+
+    /// A disk that takes at most `bytes` with each write.
+    pub fn taking_at_most(bytes: usize) -> Self {
+        Self(Rc::new(RefCell::new(Disk { at_once: Some(bytes), ..Disk::default() })))
     }
 
     /// A disk whose synchronisation fails for good after `syncs` of them.
@@ -46,10 +60,13 @@ impl Write for DiskFile {
     fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
         let mut disk = self.0.borrow_mut();
         let begin = disk.bytes.len();
-        let room = disk.capacity.map_or(buffer.len(), |capacity| capacity.saturating_sub(begin));
+        let limits = [disk.capacity, disk.refuse_once_at].into_iter().flatten();
+        let room = limits.map(|limit| limit.saturating_sub(begin)).min().unwrap_or(usize::MAX);
         if room == 0 && !buffer.is_empty() {
+            disk.refuse_once_at = None;
             return Err(io::Error::from_raw_os_error(disk.errno));
         }
+        let room = room.min(disk.at_once.unwrap_or(usize::MAX));
         let taken = &buffer[..room.min(buffer.len())];
         disk.bytes.extend_from_slice(taken);
         disk.unsynced.push((begin, begin + taken.len()));

@@ -1,0 +1,79 @@
+//! The service's HTTP interface under any requests.
+
+use std::path::Path;
+use std::sync::LazyLock;
+
+use axum::Router;
+use axum::body::{Body, to_bytes};
+use axum::http::{Method, Request, header};
+use ballbard::control::api;
+use ballbard::control::service::{Service, Settings};
+use ballbard::run::BusChoice;
+use tower::ServiceExt;
+
+/// Longest answer.
+const ANSWER_BYTES_MAX: usize = 1 << 20;
+
+/// A service whose bus is not there, so that no request starts a thread or a file.
+struct Served {
+    router: Router,
+    runtime: tokio::runtime::Runtime,
+}
+
+static SERVED: LazyLock<Served> = LazyLock::new(|| {
+    let directory = std::env::temp_dir().join(format!("ballbard-fuzz-{}", std::process::id()));
+    let settings = Settings {
+        bus: BusChoice::Interface("none-such".into()),
+        daemon: crate::daemon(Path::new(&directory)),
+        bar: crate::ball_bar(),
+    };
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+    Served { router: api::router(Service::start(settings).expect("a service")), runtime }
+});
+
+/// Requests, one a line: `METHOD PATH CONTENT-TYPE HOST BODY`. Each is answered in JSON, with a reason if refused.
+pub fn any_requests(bytes: &[u8]) {
+    for line in bytes.split(|byte| *byte == b'\n') {
+        let mut parts = line.splitn(5, |byte| *byte == b' ');
+        let mut part = || parts.next().unwrap_or_default();
+        let (method, path, kind, host) = (part(), part(), part(), part());
+        let request = Request::builder()
+            .method(Method::from_bytes(method).unwrap_or(Method::POST))
+            .uri(path)
+            .header(header::CONTENT_TYPE, kind)
+            .header(header::HOST, host)
+            .body(Body::from(part().to_vec()));
+        if let Ok(request) = request {
+            answered(request);
+        }
+    }
+}
+
+fn answered(request: Request<Body>) {
+    let head = request.method() == Method::HEAD;
+    let (status, body) = SERVED.runtime.block_on(async {
+        let answer = SERVED.router.clone().oneshot(request).await.expect("a router never fails");
+        (answer.status(), to_bytes(answer.into_body(), ANSWER_BYTES_MAX).await.expect("a body in memory"))
+    });
+    assert!(!status.is_server_error(), "{status}: {}", String::from_utf8_lossy(&body));
+    // A method that a path does not have is refused by status alone, and a HEAD has no body.
+    if status.as_u16() != 405 && !head {
+        let answer: serde_json::Value = serde_json::from_slice(&body).expect("JSON");
+        let reason = answer.get("error").and_then(|error| error.as_str());
+        assert!(status.is_success() || reason.is_some_and(|reason| !reason.is_empty()), "{status}: {answer}");
+    }
+}
+
+/// What the commands send, and what they do not.
+pub fn requests() -> Vec<Vec<u8>> {
+    let json = "application/json 127.0.0.1:7311";
+    let bodies = [
+        format!("POST /start {json} {{\"name\":\"monday-1\",\"note\":\"n\",\"duration_s\":12.5}}"),
+        format!("POST /start {json} {{\"name\":\"../up\",\"operator\":\"\",\"duration_s\":-1e400}}"),
+        format!("POST /stop {json} {{\"cause\":\"enough\"}}"),
+        format!("POST /mark {json} {{\"text\":\"second half\"}}"),
+        format!("GET /status {json} \nGET /check {json} \nGET /runs {json} "),
+        "POST /stop text/plain evil.example {}".to_owned(),
+    ];
+    bodies.into_iter().map(String::into_bytes).collect()
+}

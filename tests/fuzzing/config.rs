@@ -1,0 +1,61 @@
+//! Every kind of configuration file from any text.
+
+use std::path::Path;
+
+use identify::calibrate::IdentifyConfig;
+use identify::logs::{JointConversion, MeasuredLengthMapping};
+use shared::config::{BallBarConfig, DaemonConfig, RobotConfig, Validate, parse};
+
+use super::explained;
+
+const FILES: [(u8, &str); 7] = [
+    (b'd', "daemon.toml"),
+    (b'b', "ball_bar.toml"),
+    (b'i', "identify.toml"),
+    (b'l', "measured_length.toml"),
+    (b'r', "robots/irb2400_16.toml"),
+    (b'r', "robots/nj220_2_7.toml"),
+    (b'r', "robots/irb120_3.toml"),
+];
+
+/// The first byte chooses the file, the rest is its text: taken, or refused with a reason. What is taken can be used.
+pub fn any_text(bytes: &[u8]) {
+    let Some((kind, text)) = bytes.split_first() else { return };
+    let Ok(text) = std::str::from_utf8(text) else { return };
+    match kind {
+        b'd' => {
+            if let Some(config) = accepted::<DaemonConfig>(text) {
+                assert!(!config.cycle_period().is_zero() && config.reply_timeout() < config.cycle_period());
+            }
+        }
+        b'b' => {
+            if let Some(config) = accepted::<BallBarConfig>(text) {
+                let counts = config.encoders.iter().map(|encoder| encoder.scale().counts_per_revolution());
+                assert!(counts.into_iter().all(|counts| counts > 0));
+            }
+        }
+        b'i' => drop(accepted::<IdentifyConfig>(text)),
+        b'l' => drop(accepted::<MeasuredLengthMapping>(text)),
+        _ => {
+            if let Some(robot) = accepted::<RobotConfig>(text) {
+                let zero = JointConversion::new(&robot.log).map(|conversion| conversion.to_joint(&[0.0; 6]));
+                if let Err(error) = zero {
+                    explained(&error);
+                }
+            }
+        }
+    }
+}
+
+fn accepted<T: serde::de::DeserializeOwned + Validate>(text: &str) -> Option<T> {
+    parse(text, Path::new("fuzzed.toml")).inspect_err(|error| explained(error)).ok()
+}
+
+/// The shipped files.
+pub fn shipped() -> Vec<Vec<u8>> {
+    let file = |(kind, name): (u8, &str)| {
+        let text = std::fs::read(crate::config_directory().join(name)).expect("a shipped file");
+        [&[kind], &text[..]].concat()
+    };
+    FILES.map(file).to_vec()
+}

@@ -1,0 +1,45 @@
+//! What fuzzing feeds: each [`Target`] takes any bytes and panics where a promise is broken.
+//!
+//! The same functions serve `cargo fuzz` (`tests/fuzz`, needs nightly) and the ordinary test `corpus`, which runs
+//! everything that fuzzing has found worth keeping. Errors are asked for their message: that must not fail either.
+
+mod api;
+mod bring_up;
+mod config;
+mod input;
+mod recording;
+mod segment;
+
+use input::Input;
+
+/// One way in for bytes from outside.
+pub struct Target {
+    /// Name of the fuzz target and of its folder in `tests/fuzz/corpus`.
+    pub name: &'static str,
+    /// Takes any bytes; panics where a promise is broken.
+    pub run: fn(&[u8]),
+    /// Well-formed inputs to begin with.
+    pub seeds: fn() -> Vec<Vec<u8>>,
+}
+
+/// Every way in.
+pub const TARGETS: &[Target] = &[
+    Target { name: "recording", run: recording::any_bytes, seeds: recording::whole_and_cut },
+    Target { name: "recording_content", run: recording::any_content, seeds: recording::contents },
+    Target { name: "segment_frames", run: segment::any_frames, seeds: segment::frames },
+    Target { name: "segment_mailbox", run: segment::any_requests, seeds: segment::requests },
+    Target { name: "bus_replies", run: bring_up::any_replies, seeds: bring_up::scripts },
+    Target { name: "config", run: config::any_text, seeds: config::shipped },
+    Target { name: "api", run: api::any_requests, seeds: api::requests },
+];
+
+/// Runs the target of that name.
+pub fn run(name: &str, bytes: &[u8]) {
+    let target = TARGETS.iter().find(|target| target.name == name).expect("a target of that name");
+    (target.run)(bytes);
+}
+
+/// What a refusal says to a person is more than nothing.
+fn explained(error: &dyn std::fmt::Display) {
+    assert!(error.to_string().len() > 10, "an error without words");
+}
