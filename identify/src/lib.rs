@@ -7,6 +7,7 @@
 pub mod calibrate;
 pub mod commands;
 pub mod cost;
+pub mod examine;
 pub mod kinematics;
 pub mod logs;
 pub mod model;

@@ -8,11 +8,12 @@ mod support;
 use identify::calibrate::{LossName, solve_robust};
 use identify::cost::{AngleNoise, LoopProblem, Residual, Transform, WhitenedPose};
 use identify::model::{Model, Observation, ParameterId, PerObservation, Selection};
+use identify::simulate::THESIS_ERRORS;
 use identify::solver::{Noise, Options, Solution, minimise, solve};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
-use support::{Cell, THESIS_ERRORS, spread_poses};
+use support::{Cell, spread_poses};
 
 const NOISE: AngleNoise = AngleNoise { encoder_rad: 10e-6, robot_rad: 10e-6 };
 

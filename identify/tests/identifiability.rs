@@ -7,10 +7,11 @@ mod support;
 use identify::cost::{Length, LoopProblem, Position, PositionAngles, Residual, Transform};
 use identify::kinematics::{Chain, robot_inverse};
 use identify::model::{JointState, Model, Observation, ParameterId, RobotMotion, Role, Selection};
+use identify::simulate::THESIS_ERRORS;
 use identify::solver::{Identifiability, Options, Solution, identifiability, minimise, solve};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
-use support::{Cell, THESIS_ERRORS, spread_poses};
+use support::{Cell, spread_poses};
 
 /// The 47 of the thesis: no Hayati, no base rotations, no clocks.
 fn thesis_47(model: &mut Model) {

@@ -1,6 +1,7 @@
 //! What a person types.
 
 mod calibrate;
+mod examine;
 mod simulate;
 
 use clap::{Parser, Subcommand};
@@ -17,6 +18,8 @@ pub struct Arguments {
 enum Command {
     /// Identify the robot's geometry.
     Calibrate(calibrate::CalibrateArguments),
+    /// Say what each cost can identify on a robot and a bar, before anything is measured.
+    Examine(examine::ExamineArguments),
     /// Make an experiment with known errors: a recording, a robot log, and the truth beside them.
     Simulate(simulate::SimulateArguments),
 }
@@ -25,6 +28,7 @@ enum Command {
 pub fn run(arguments: Arguments) -> anyhow::Result<()> {
     match arguments.command {
         Command::Calibrate(arguments) => calibrate::run(&arguments),
+        Command::Examine(arguments) => examine::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
     }
 }

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::problem::LoopPoint;
+use super::problem::{LoopPoint, readings};
 use crate::kinematics::{ROBOT_JOINTS, Twist, rotation_vector, singularity_margin_rad};
 use crate::model::{Geometry, JointState, Observation, RobotMotion};
 
@@ -41,7 +41,8 @@ pub fn closures(
     let length_m = geometry.bar_links.get(ROD_LINK).map_or(0.0, |link| link.d_m);
     let at = |(sample, observation): (usize, &Observation)| {
         let joints = motion.at(geometry.clock.robot_time_s(observation.t_s))?;
-        let scene = point.scene(motion, sample, observation)?;
+        let readings = readings(observation);
+        let scene = point.scene(motion, sample, observation, &readings)?;
         let out_m = scene.robot.position_m() - geometry.base.origin_m;
         let still = Twist { angular: Vector3::zeros(), linear: Vector3::zeros() };
         let mut joint_twists = [still; ROBOT_JOINTS];

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
-use super::problem::LoopPoint;
+use super::problem::{LoopPoint, readings};
 use super::scene::{ALL_ENCODERS, of_other_instrument, sees_harmonic};
 use super::{Movement, Residual, Scene};
 use crate::kinematics::{Trace, Twist, rotation_vector};
@@ -43,7 +43,8 @@ impl WhitenedPose {
     ) -> Self {
         let mut point = LoopPoint::new(geometry.clone());
         let whitening = observations.iter().enumerate().map(|(sample, observation)| {
-            let scene = point.scene(motion, sample, observation)?;
+            let readings = readings(observation);
+            let scene = point.scene(motion, sample, observation, &readings)?;
             let covariance = covariance(&scene, noise);
             let lower = covariance.cholesky()?.l();
             lower.solve_lower_triangular(&Matrix6::identity())
@@ -143,11 +144,15 @@ impl Residual for WhitenedPose {
     }
 
     fn derivative(&self, scene: &Scene<'_>, whitened: &Whitened, id: ParameterId, out: &mut [f64]) {
-        let moved = match scene.movement(id) {
-            Movement::Robot(twist) => whitened.by_robot * stacked(&twist),
-            Movement::Bar(twist) => whitened.by_bar * stacked(&twist),
+        let (by, twist) = match scene.movement(id) {
+            Movement::Robot(twist) => (&whitened.by_robot, twist),
+            Movement::Bar(twist) => (&whitened.by_bar, twist),
             Movement::None => return,
         };
+        let mut moved = by.fixed_columns::<3>(0) * twist.linear;
+        if twist.angular != Vector3::zeros() {
+            moved += by.fixed_columns::<3>(3) * twist.angular;
+        }
         out.copy_from_slice(moved.as_slice());
     }
 }

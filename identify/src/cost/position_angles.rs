@@ -59,7 +59,7 @@ impl Residual for PositionAngles {
             }
             // The measured joint changes, the implied one does not.
             (_, ParameterId::Harmonic { joint, harmonic }) => {
-                let wave = harmonic.wave(scene.observation.bar_rad[joint]);
+                let wave = harmonic.wave(scene.readings[joint]);
                 Vector5::from_fn(|i, _| if i == joint { wave } else { 0.0 })
             }
             (Movement::Bar(_), _) => {

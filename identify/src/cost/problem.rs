@@ -1,7 +1,9 @@
 //! A model, a motion, observations and a cost, as the least-squares problem that the solver gets.
 
+use nalgebra::Vector3;
+
 use super::{Residual, Scene};
-use crate::kinematics::{Chain, Trace, Tracer};
+use crate::kinematics::{BAR_JOINTS, Chain, Trace, Tracer, Turn};
 use crate::model::{Geometry, Model, Observation, ParameterId, RobotMotion};
 use crate::solver::{Block, Prior, Problem};
 
@@ -48,6 +50,8 @@ pub struct LoopProblem<'a, R, M> {
     model: &'a Model,
     motion: &'a M,
     observations: &'a [Observation],
+    /// Sines and cosines of the bar's readings, the same for every step of a solve.
+    readings: Vec<[Turn; BAR_JOINTS]>,
     residual: R,
     ids: Vec<ParameterId>,
     priors: Vec<Prior>,
@@ -74,10 +78,16 @@ impl<'a, R: Residual, M: RobotMotion> LoopProblem<'a, R, M> {
             .iter()
             .enumerate()
             .try_for_each(|(sample, observation)| check::<R>(sample, observation))?;
+        let readings = observations.iter().map(readings).collect();
         let ids = model.columns().map(|parameter| parameter.id).collect();
         let priors = model.priors();
-        Ok(Self { model, motion, observations, residual, ids, priors, whitening: sigma.recip() })
+        Ok(Self { model, motion, observations, readings, residual, ids, priors, whitening: sigma.recip() })
     }
+}
+
+/// Sines and cosines of what the bar's encoders show.
+pub(super) fn readings(observation: &Observation) -> [Turn; BAR_JOINTS] {
+    observation.bar_rad.map(Turn::of)
 }
 
 fn check<R: Residual>(sample: usize, observation: &Observation) -> Result<(), CostError> {
@@ -105,6 +115,7 @@ pub struct LoopPoint {
     robot_tracer: Tracer,
     bar_chain: Chain,
     bar_tracer: Tracer,
+    base_y: Vector3<f64>,
     robot: Trace,
     bar: Trace,
 }
@@ -116,6 +127,7 @@ impl LoopPoint {
             robot_tracer: Tracer::new(&geometry.robot),
             bar_tracer: Tracer::new(&bar_chain),
             bar_chain,
+            base_y: Vector3::new(0.0, geometry.base.rx_rad.cos(), geometry.base.rx_rad.sin()),
             geometry,
             robot: Trace::default(),
             bar: Trace::default(),
@@ -128,22 +140,27 @@ impl LoopPoint {
         motion: &impl RobotMotion,
         sample: usize,
         observation: &'a Observation,
+        readings: &'a [Turn; BAR_JOINTS],
     ) -> Option<Scene<'a>> {
         let reported = motion.at(self.geometry.clock.robot_time_s(observation.t_s))?;
-        let bar_rad = self.geometry.harmonics.corrected(&observation.bar_rad);
         let state = self.geometry.joints.corrected(&reported);
+        let errors_rad = self.geometry.harmonics.errors_rad(readings);
+        let bar_joints =
+            readings.iter().zip(errors_rad).map(|(reading, error)| reading.and(Turn::of(-error)));
         self.robot_tracer.trace(&state.q, &mut self.robot);
-        self.bar_tracer.trace(&bar_rad, &mut self.bar);
+        self.bar_tracer.trace_turns(bar_joints, &mut self.bar);
         Some(Scene {
             geometry: &self.geometry,
             sample,
             observation,
-            bar_rad,
+            readings,
+            bar_rad: std::array::from_fn(|joint| observation.bar_rad[joint] - errors_rad[joint]),
             bar_chain: (&self.bar_chain, &self.bar_tracer),
             reported,
             robot: &self.robot,
             bar: &self.bar,
             robot_rate: self.robot.moved_by(&state.qd),
+            base_y: self.base_y,
         })
     }
 }
@@ -182,8 +199,11 @@ impl<R: Residual, M: RobotMotion> Problem for LoopProblem<'_, R, M> {
         residual: &mut [f64],
         block: &mut Block<'_>,
     ) -> bool {
-        let Some(observation) = self.observations.get(sample) else { return false };
-        let Some(scene) = point.scene(self.motion, sample, observation) else { return false };
+        let (Some(observation), Some(readings)) = (self.observations.get(sample), self.readings.get(sample))
+        else {
+            return false;
+        };
+        let Some(scene) = point.scene(self.motion, sample, observation, readings) else { return false };
         let Some(local) = self.residual.local(&scene) else { return false };
         self.residual.residual(&scene, &local, residual);
         for (column, &id) in self.ids.iter().enumerate() {

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter, Trace, Tracer, Twist};
+use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter, Trace, Tracer, Turn, Twist};
 use crate::model::{Axis, Geometry, JointState, JointTerm, Observation, ParameterId};
 
 /// What a parameter moves.
@@ -25,6 +25,8 @@ pub struct Scene<'a> {
     pub sample: usize,
     /// What was measured.
     pub observation: &'a Observation,
+    /// Sines and cosines of the bar's readings.
+    pub readings: &'a [Turn; BAR_JOINTS],
     /// Bar joints without the encoders' harmonics \[rad\], offsets not yet added.
     pub bar_rad: [f64; BAR_JOINTS],
     /// The bar on its base, and the same made ready for forward passes.
@@ -37,11 +39,13 @@ pub struct Scene<'a> {
     pub bar: &'a Trace,
     /// Motion of the robot's end per second of its clock.
     pub robot_rate: Twist,
+    /// Where the base's second rotation has its axis.
+    pub(super) base_y: Vector3<f64>,
 }
 
 impl Scene<'_> {
     /// What moves, and how, when a parameter moves at unit speed.
-    #[inline]
+    #[inline(always)]
     pub fn movement(&self, id: ParameterId) -> Movement {
         match id {
             ParameterId::Robot { link, parameter } => {
@@ -51,10 +55,10 @@ impl Scene<'_> {
                 self.bar_twist(self.bar, id).map_or(Movement::None, Movement::Bar)
             }
             ParameterId::Harmonic { joint, harmonic } => {
-                self.bar.twist(joint, LinkParameter::Theta).map_or(Movement::None, |twist| {
-                    let reading = self.observation.bar_rad.get(joint).copied().unwrap_or(0.0);
-                    Movement::Bar(twist.scaled(-harmonic.wave(reading)))
-                })
+                match (self.bar.twist(joint, LinkParameter::Theta), self.readings.get(joint)) {
+                    (Some(twist), Some(&reading)) => Movement::Bar(twist.scaled(-harmonic.wave(reading))),
+                    _ => Movement::None,
+                }
             }
             ParameterId::Joint { axis, term } => Movement::Robot(self.joint_error(axis, term)),
             ParameterId::ClockShift => Movement::Robot(self.robot_rate),
@@ -74,7 +78,7 @@ impl Scene<'_> {
     }
 
     /// How the end of the bar moves with a number of its links or of its base, where its joints stand as in `bar`.
-    #[inline]
+    #[inline(always)]
     pub fn bar_twist(&self, bar: &Trace, id: ParameterId) -> Option<Twist> {
         match id {
             ParameterId::Bar { link, parameter } => bar.twist(link, parameter),
@@ -86,13 +90,12 @@ impl Scene<'_> {
 
     /// `T(o) Rx(rx) Ry(ry)`: the second axis is carried along by the first.
     fn base_rotation(&self, axis: Axis, end_m: Vector3<f64>) -> Twist {
-        let base = &self.geometry.base;
         let axis = match axis {
             Axis::X => Vector3::x(),
-            Axis::Y => Vector3::new(0.0, base.rx_rad.cos(), base.rx_rad.sin()),
+            Axis::Y => self.base_y,
             Axis::Z => Vector3::zeros(),
         };
-        Twist::rotation(axis, base.origin_m, end_m)
+        Twist::rotation(axis, self.geometry.base.origin_m, end_m)
     }
 }
 

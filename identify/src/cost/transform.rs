@@ -13,18 +13,22 @@ use crate::model::ParameterId;
 pub struct Transform;
 
 /// Entries of `dT` for a twist of a pose with this rotation: `sign ([w] R, v)`.
-#[inline]
+#[inline(always)]
 fn moved(twist: &Twist, rotation: &Matrix3<f64>, sign: f64, out: &mut [f64]) {
     let Some(out) = out.first_chunk_mut::<12>() else { return };
     let w: Vector3<f64> = twist.angular * sign;
     let (v, r) = (twist.linear * sign, rotation);
+    [out[9], out[10], out[11]] = v.into();
+    // A shift turns nothing: the rest stays zero.
+    if w == Vector3::zeros() {
+        return;
+    }
     for column in 0..3 {
         let (x, y, z) = (r[(0, column)], r[(1, column)], r[(2, column)]);
         out[3 * column] = w.y * z - w.z * y;
         out[3 * column + 1] = w.z * x - w.x * z;
         out[3 * column + 2] = w.x * y - w.y * x;
     }
-    [out[9], out[10], out[11]] = v.into();
 }
 
 impl Residual for Transform {
@@ -50,6 +54,7 @@ impl Residual for Transform {
         }
     }
 
+    #[inline(always)]
     fn derivative(&self, scene: &Scene<'_>, (): &(), id: ParameterId, out: &mut [f64]) {
         match scene.movement(id) {
             Movement::Robot(twist) => moved(&twist, scene.robot.rotation(), 1.0, out),

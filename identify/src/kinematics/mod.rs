@@ -7,6 +7,7 @@
 mod ball_bar_inverse;
 mod chain;
 mod configured;
+mod hayati;
 mod implied_bar;
 mod inverse;
 mod robot_inverse;
@@ -17,8 +18,9 @@ pub use ball_bar_inverse::{
 };
 pub use chain::{Chain, DhLink, Pose};
 pub use configured::{ball_bar_chain, flange_chain, robot_chain};
+pub use hayati::ConversionError;
 pub use implied_bar::ImpliedBar;
 pub use inverse::InverseError;
 pub(crate) use inverse::rotation_vector;
 pub use robot_inverse::{ROBOT_JOINTS, robot_inverse, robot_inverse_all};
-pub use trace::{LinkParameter, Trace, Tracer, Twist};
+pub use trace::{LinkParameter, Trace, Tracer, Turn, Twist};

@@ -39,6 +39,42 @@ impl Twist {
     }
 }
 
+/// Sine and cosine of an angle, which is all that a rotation needs of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Turn {
+    /// Sine.
+    pub sin: f64,
+    /// Cosine.
+    pub cos: f64,
+}
+
+impl Turn {
+    /// Of an angle \[rad\].
+    #[inline]
+    pub fn of(angle_rad: f64) -> Self {
+        /// Below this the series are exact to rounding with the terms taken.
+        const SMALL_RAD: f64 = 1e-3;
+        if angle_rad.abs() > SMALL_RAD {
+            let (sin, cos) = angle_rad.sin_cos();
+            return Self { sin, cos };
+        }
+        let squared = angle_rad * angle_rad;
+        Self {
+            sin: angle_rad * (1.0 - squared / 6.0 * (1.0 - squared / 20.0)),
+            cos: 1.0 - 0.5 * squared * (1.0 - squared / 12.0),
+        }
+    }
+
+    /// Of the sum of both angles.
+    #[inline]
+    pub fn and(self, other: Self) -> Self {
+        Self {
+            sin: self.sin * other.cos + self.cos * other.sin,
+            cos: self.cos * other.cos - self.sin * other.sin,
+        }
+    }
+}
+
 /// The five numbers of a link, and its joint (which moves the end as `theta` does).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum LinkParameter {
@@ -138,7 +174,7 @@ pub struct Tracer {
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct PreparedLink {
-    theta_rad: f64,
+    theta: Turn,
     rotation: Matrix3<f64>,
     a_m: f64,
     d_m: f64,
@@ -148,7 +184,7 @@ impl Tracer {
     /// Prepares a chain.
     pub fn new(chain: &Chain) -> Self {
         let links = chain.links.iter().map(|link| PreparedLink {
-            theta_rad: link.theta_rad,
+            theta: Turn::of(link.theta_rad),
             rotation: *link.after_joint().rotation.matrix(),
             a_m: link.a_m,
             d_m: link.d_m,
@@ -158,12 +194,17 @@ impl Tracer {
 
     /// Forward pass at joint angles \[rad\] (missing ones count as zero), into a trace that is overwritten.
     pub fn trace(&self, joints_rad: &[f64], trace: &mut Trace) {
+        let joints = joints_rad.iter().copied().chain(std::iter::repeat(0.0));
+        self.trace_turns(joints.map(Turn::of), trace);
+    }
+
+    /// The same where sines and cosines of the joint angles are known, one for each link.
+    pub fn trace_turns(&self, joints: impl IntoIterator<Item = Turn>, trace: &mut Trace) {
         let mut rotation = *self.root_from_base.rotation.matrix();
         let mut origin = self.root_from_base.translation.vector;
         trace.axes.clear();
-        let joints = joints_rad.iter().copied().chain(std::iter::repeat(0.0));
-        for (link, joint_rad) in self.links.iter().zip(joints) {
-            let (sin, cos) = (link.theta_rad + joint_rad).sin_cos();
+        for (link, joint) in self.links.iter().zip(joints) {
+            let Turn { sin, cos } = link.theta.and(joint);
             let z_before: Vector3<f64> = rotation.column(2).into();
             let x = rotation.column(0) * cos + rotation.column(1) * sin;
             let y = rotation.column(1) * cos - rotation.column(0) * sin;

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use crate::kinematics::BAR_JOINTS;
+use crate::kinematics::{BAR_JOINTS, Turn};
 
 /// One wave of an encoder's error over its reading `b`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -21,14 +21,15 @@ impl Harmonic {
     /// All four.
     pub const ALL: [Self; 4] = [Self::Sine1, Self::Cosine1, Self::Sine2, Self::Cosine2];
 
-    /// The wave at a reading \[rad\].
+    /// The wave at a reading.
     #[inline]
-    pub fn wave(self, reading_rad: f64) -> f64 {
+    pub fn wave(self, reading: Turn) -> f64 {
+        let Turn { sin, cos } = reading;
         match self {
-            Self::Sine1 => reading_rad.sin(),
-            Self::Cosine1 => reading_rad.cos(),
-            Self::Sine2 => (2.0 * reading_rad).sin(),
-            Self::Cosine2 => (2.0 * reading_rad).cos(),
+            Self::Sine1 => sin,
+            Self::Cosine1 => cos,
+            Self::Sine2 => 2.0 * sin * cos,
+            Self::Cosine2 => cos * cos - sin * sin,
         }
     }
 }
@@ -56,17 +57,11 @@ impl Harmonics {
         self.amplitudes_rad.get_mut(joint)?.get_mut(harmonic as usize)
     }
 
-    /// Readings without their harmonics, `b - sum a wave(b)` \[rad\].
-    pub fn corrected(&self, readings_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
-        let mut corrected = *readings_rad;
-        for (angle, amplitudes) in corrected.iter_mut().zip(&self.amplitudes_rad) {
-            let reading = *angle;
-            for (amplitude, harmonic) in amplitudes.iter().zip(Harmonic::ALL) {
-                if *amplitude != 0.0 {
-                    *angle -= amplitude * harmonic.wave(reading);
-                }
-            }
-        }
-        corrected
+    /// What all encoders show too much at these readings, `sum a wave(b)` \[rad\].
+    pub fn errors_rad(&self, readings: &[Turn; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
+        std::array::from_fn(|joint| {
+            let waves = self.amplitudes_rad[joint].iter().zip(Harmonic::ALL);
+            waves.map(|(amplitude, harmonic)| amplitude * harmonic.wave(readings[joint])).sum()
+        })
     }
 }

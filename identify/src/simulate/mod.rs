@@ -17,7 +17,7 @@ pub use design::Design;
 pub use effects::Effects;
 pub use path::{Motion, Move, Path};
 pub use plan::{PlanError, plan};
-pub use truth::{ClockTruth, EncoderTruth, StaticErrors, Truth, parameter_names};
+pub use truth::{ClockTruth, EncoderTruth, StaticErrors, THESIS_ERRORS, Truth, parameter_names};
 pub use write::{SimulationFiles, WriteError, write};
 
 use rand_chacha::ChaCha8Rng;

@@ -13,7 +13,7 @@ use crate::model::THESIS_FIXED;
 
 /// Static errors of the simulations in the thesis (TFRT-6017 table 3.1) \[mm|mrad\]. Its first row is illegible; the
 /// values of `ra1`, `ralpha1`, `btheta1` and `ox` are our own.
-const THESIS_ERRORS: [(&str, f64); 28] = [
+pub const THESIS_ERRORS: [(&str, f64); 28] = [
     ("ra1", 0.47),
     ("ralpha1", -0.64),
     ("btheta1", 0.53),

@@ -10,7 +10,7 @@ use nalgebra::{DMatrix, DVector};
 use super::covariance::Covariance;
 use super::null_space::dependent_groups;
 use super::pass::{Pass, PassError, SampleFit, Taking, Triangle};
-use super::{Options, Problem, SolveError};
+use super::{Observability, Options, Prior, Problem, SolveError};
 
 /// Parameters of which only combinations are determined.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -36,6 +36,10 @@ pub struct Identifiability {
     pub zero_columns: Vec<usize>,
     /// Columns that depend on each other, smallest groups first.
     pub groups: Vec<DependentGroup>,
+    /// The triangle `R` of the samples' weighted Jacobian: `R^T R = J^T J`.
+    pub triangle: DMatrix<f64>,
+    /// Samples that took part.
+    pub samples: usize,
 }
 
 /// Some free parameters are not determined by the samples.
@@ -73,6 +77,11 @@ impl Identifiability {
             (Some(last), Some(first)) if *first > 0.0 => last / first,
             _ => 0.0,
         }
+    }
+
+    /// Observability indices of the samples without priors, with columns in the units given.
+    pub fn observability(&self, units: &[f64]) -> Observability {
+        Observability::new(&self.triangle, units, self.samples, 1e-15)
     }
 
     /// Columns that are not determined: zero or in a dependent group.
@@ -170,7 +179,7 @@ impl ScaledSpectrum {
 }
 
 /// Triangle of the samples' weighted Jacobian.
-fn sample_triangle<P: Problem>(
+pub(super) fn sample_triangle<P: Problem>(
     problem: &P,
     x: &[f64],
     options: &Options<'_>,
@@ -182,23 +191,35 @@ fn sample_triangle<P: Problem>(
 }
 
 /// Adds the priors' rows.
-fn with_priors<P: Problem>(problem: &P, triangle: &DMatrix<f64>) -> DMatrix<f64> {
-    let priors = problem.priors();
-    let mut stacked = DMatrix::zeros(triangle.nrows() + priors.len(), triangle.ncols());
+pub(super) fn with_priors<'a>(
+    priors: impl Iterator<Item = &'a Prior> + Clone,
+    triangle: &DMatrix<f64>,
+) -> DMatrix<f64> {
+    let mut stacked = DMatrix::zeros(triangle.nrows() + priors.clone().count(), triangle.ncols());
     stacked.rows_mut(0, triangle.nrows()).copy_from(triangle);
-    for (i, prior) in priors.iter().enumerate() {
+    for (i, prior) in priors.enumerate() {
         stacked[(triangle.nrows() + i, prior.column)] = prior.sigma.recip();
     }
     stacked.qr().unpack_r()
 }
 
+/// The point has a value for each column.
+pub(super) fn require_start<P: Problem>(problem: &P, x: &[f64]) -> Result<(), SolveError> {
+    if x.len() == problem.columns() {
+        return Ok(());
+    }
+    Err(SolveError::StartLength { found: x.len(), expected: problem.columns() })
+}
+
 fn examine<P: Problem>(
     problem: &P,
     triangle: &DMatrix<f64>,
+    fits: &[SampleFit],
     options: &Options<'_>,
 ) -> (Identifiability, ScaledSpectrum) {
     let rank_of_samples = ScaledSpectrum::new(triangle, options.rank_tolerance).rank;
-    let spectrum = ScaledSpectrum::new(&with_priors(problem, triangle), options.rank_tolerance);
+    let spectrum =
+        ScaledSpectrum::new(&with_priors(problem.priors().iter(), triangle), options.rank_tolerance);
     let zero_columns: Vec<usize> =
         (0..problem.columns()).filter(|&column| spectrum.lengths[column] == 0.0).collect();
     let identifiability = Identifiability {
@@ -208,6 +229,8 @@ fn examine<P: Problem>(
         singular_values: spectrum.singular_values.iter().copied().collect(),
         groups: dependent_groups(&spectrum.null_basis(), &zero_columns),
         zero_columns,
+        triangle: triangle.clone(),
+        samples: fits.iter().filter(|fit| fit.present).count(),
     };
     (identifiability, spectrum)
 }
@@ -221,15 +244,13 @@ pub fn identifiability<P: Problem>(
     x: &[f64],
     options: &Options<'_>,
 ) -> Result<Identifiability, SolveError> {
-    if x.len() != problem.columns() {
-        return Err(SolveError::StartLength { found: x.len(), expected: problem.columns() });
-    }
+    require_start(problem, x)?;
     let (triangle, fits) = sample_triangle(problem, x, options, Taking::WhatIsThere)
         .map_err(|error| error.at_start(problem.samples()))?;
     if !fits.iter().any(|fit| fit.present) {
         return Err(SolveError::NoSamples { samples: problem.samples() });
     }
-    Ok(examine(problem, &triangle, options).0)
+    Ok(examine(problem, &triangle, &fits, options).0)
 }
 
 /// Identifiability and covariance where a solve ended.
@@ -247,7 +268,7 @@ pub(super) fn at_solution<P: Problem>(
         // The same samples at the same point were finite a moment ago.
         Err(PassError::Lost | PassError::NotFinite(_)) => DMatrix::zeros(0, problem.columns()),
     };
-    let (identifiability, spectrum) = examine(problem, &triangle, options);
+    let (identifiability, spectrum) = examine(problem, &triangle, fits, options);
     let factor = options.noise.variance_factor(problem, x, fits);
     let covariance = Covariance::new(&spectrum, &identifiability.undetermined(), factor);
     Ok((identifiability, covariance))

@@ -5,7 +5,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::identifiability::at_solution;
+use super::identifiability::{at_solution, require_start};
 use super::pass::{Pass, PassError, Products, SampleFit, Taking};
 use super::{Options, Problem, Solution, SolveError, Summary, Termination};
 
@@ -200,9 +200,7 @@ fn descended<P: Problem>(
     if columns == 0 {
         return Err(SolveError::NothingFree);
     }
-    if start.len() != columns {
-        return Err(SolveError::StartLength { found: start.len(), expected: columns });
-    }
+    require_start(problem, start)?;
     let x = DVector::from_column_slice(start);
     let first = linearize(&Pass::new(problem, start, options, Taking::WhatIsThere))
         .map_err(|error| error.at_start(problem.samples()))?;

@@ -7,10 +7,12 @@
 
 mod covariance;
 mod identifiability;
+mod influence;
 mod kernel;
 mod levenberg_marquardt;
 mod loss;
 mod null_space;
+mod observability;
 mod outcome;
 mod panel;
 mod pass;
@@ -19,8 +21,10 @@ mod watch;
 
 pub use covariance::{Covariance, Noise};
 pub use identifiability::{DependentGroup, Identifiability, Unidentifiable, identifiability};
+pub use influence::{Influence, influence};
 pub use levenberg_marquardt::{minimise, solve};
 pub use loss::Loss;
+pub use observability::Observability;
 pub use outcome::{Options, Solution, Summary, Termination};
 pub use panel::Block;
 pub use pass::{squared_norms, stacked};
@@ -106,6 +110,11 @@ pub enum SolveError {
         /// Sample, from 0.
         sample: usize,
     },
+    /// The estimates depend on each other.
+    #[error(
+        "the columns that are estimated depend on each other; hold more of them, or measure more varied poses"
+    )]
+    Dependent,
     /// Who looked on ended it.
     #[error("the solve was cancelled after {iterations} iterations")]
     Cancelled {

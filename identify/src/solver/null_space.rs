@@ -20,7 +20,10 @@ pub(super) fn dependent_groups(null_basis: &DMatrix<f64>, zero_columns: &[usize]
     let mut supports: Vec<Vec<usize>> = sparse_basis(basis).iter().map(|v| support(v)).collect();
     supports.retain(|members| !members.is_empty());
     supports.sort_by_key(Vec::len);
-    gather(supports)
+    let mut groups = gather(supports);
+    // What small differences of the numbers leave open is settled by the order of the columns.
+    groups.sort_by(|a, b| (a.columns.len(), &a.columns).cmp(&(b.columns.len(), &b.columns)));
+    groups
 }
 
 /// A support that overlaps one group extends it; one that overlaps several runs through them and stays by itself.

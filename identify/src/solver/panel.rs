@@ -50,17 +50,18 @@ pub(super) struct Panel {
     columns: usize,
     width: usize,
     rows_per_sample: usize,
+    samples_max: usize,
     /// Sample of each group of rows in use.
     samples: Vec<usize>,
 }
 
 impl Panel {
     pub(super) fn new(columns: usize, rows_per_sample: usize) -> Self {
-        let samples = (PANEL_ROWS / rows_per_sample.max(1)).max(1);
-        let stride = (samples * rows_per_sample).next_multiple_of(ROW_STEP);
+        let samples_max = (PANEL_ROWS / rows_per_sample.max(1)).max(1);
+        let stride = (samples_max * rows_per_sample).next_multiple_of(ROW_STEP);
         let width = width(columns);
-        let data = vec![0.0; stride * width];
-        Self { data, stride, columns, width, rows_per_sample, samples: Vec::with_capacity(samples) }
+        let (data, samples) = (vec![0.0; stride * width], Vec::with_capacity(samples_max));
+        Self { data, stride, columns, width, rows_per_sample, samples_max, samples }
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -68,7 +69,7 @@ impl Panel {
     }
 
     pub(super) fn is_full(&self) -> bool {
-        self.samples.len() == self.samples.capacity()
+        self.samples.len() == self.samples_max
     }
 
     pub(super) fn clear(&mut self) {

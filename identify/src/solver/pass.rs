@@ -62,8 +62,8 @@ pub(super) enum Taking<'a> {
 
 /// What becomes of the rows of a part.
 pub(super) trait Fold: Send {
-    /// Takes a panel of rows, whose numbers it may destroy.
-    fn fold(&mut self, panel: &mut Panel);
+    /// Takes a panel of rows, whose numbers it may destroy, or names the sample whose are not finite.
+    fn fold(&mut self, panel: &mut Panel) -> Result<(), PassError>;
 
     /// Adds the samples that come next.
     fn merge(&mut self, later: Self);
@@ -71,7 +71,9 @@ pub(super) trait Fold: Send {
 
 /// Nothing: only the fits of the samples are wanted.
 impl Fold for () {
-    fn fold(&mut self, _: &mut Panel) {}
+    fn fold(&mut self, panel: &mut Panel) -> Result<(), PassError> {
+        require_finite(panel)
+    }
 
     fn merge(&mut self, (): ()) {}
 }
@@ -97,8 +99,12 @@ impl Products {
 }
 
 impl Fold for Products {
-    fn fold(&mut self, panel: &mut Panel) {
+    fn fold(&mut self, panel: &mut Panel) -> Result<(), PassError> {
         panel.add_products(&mut self.sums);
+        // The squared length of a column tells of each of its numbers.
+        let side = width(self.columns);
+        let mut squares = self.sums.iter().step_by(side + 1);
+        if squares.all(|square| square.is_finite()) { Ok(()) } else { require_finite(panel) }
     }
 
     fn merge(&mut self, later: Self) {
@@ -122,8 +128,10 @@ impl Triangle {
 }
 
 impl Fold for Triangle {
-    fn fold(&mut self, panel: &mut Panel) {
+    fn fold(&mut self, panel: &mut Panel) -> Result<(), PassError> {
+        require_finite(panel)?;
         panel.fold_into_triangle(self.0.as_mut_slice());
+        Ok(())
     }
 
     fn merge(&mut self, later: Self) {
@@ -139,8 +147,10 @@ pub(super) struct Rows {
 }
 
 impl Fold for Rows {
-    fn fold(&mut self, panel: &mut Panel) {
+    fn fold(&mut self, panel: &mut Panel) -> Result<(), PassError> {
+        require_finite(panel)?;
         panel.append_to(&mut self.residual, &mut self.gradients);
+        Ok(())
     }
 
     fn merge(&mut self, later: Self) {
@@ -237,11 +247,12 @@ impl<'a, P: Problem> Pass<'a, P> {
         for sample in samples {
             fits.push(self.sample(&mut point, sample, &mut panel)?);
             if panel.is_full() {
-                fold_panel(&mut fold, &mut panel)?;
+                fold.fold(&mut panel)?;
+                panel.clear();
             }
         }
         if !panel.is_empty() {
-            fold_panel(&mut fold, &mut panel)?;
+            fold.fold(&mut panel)?;
         }
         Ok((fold, fits))
     }
@@ -277,13 +288,8 @@ impl<'a, P: Problem> Pass<'a, P> {
     }
 }
 
-fn fold_panel(fold: &mut impl Fold, panel: &mut Panel) -> Result<(), PassError> {
-    if let Some(sample) = panel.not_finite() {
-        return Err(PassError::NotFinite(sample));
-    }
-    fold.fold(panel);
-    panel.clear();
-    Ok(())
+fn require_finite(panel: &Panel) -> Result<(), PassError> {
+    panel.not_finite().map_or(Ok(()), |sample| Err(PassError::NotFinite(sample)))
 }
 
 /// What the threads of a pass have in common.

@@ -100,39 +100,3 @@ pub fn noisy_poses(
     }
     (observations, motion)
 }
-
-/// Static errors of the thesis' table 3.1 \[mm|mrad\]; row 1 is illegible there, its values are ours.
-pub const THESIS_ERRORS: [(&str, f64); 32] = [
-    ("ra1", 0.5),
-    ("ralpha1", -0.6),
-    ("btheta1", 0.9),
-    ("ox", -0.4),
-    ("ra2", 0.14),
-    ("rd2", 0.27),
-    ("ralpha2", 0.78),
-    ("rtheta2", -0.09),
-    ("btheta2", 1.27),
-    ("oy", 0.80),
-    ("ra3", -1.52),
-    ("rd3", 0.0),
-    ("ralpha3", -1.36),
-    ("rtheta3", 0.19),
-    ("bd3", 0.24),
-    ("btheta3", -1.90),
-    ("oz", -0.70),
-    ("ra4", -1.88),
-    ("rd4", -0.16),
-    ("ralpha4", 0.35),
-    ("rtheta4", -0.12),
-    ("btheta4", -0.19),
-    ("ra5", 0.80),
-    ("rd5", 1.80),
-    ("ralpha5", 0.08),
-    ("rtheta5", 0.72),
-    ("btheta5", 0.98),
-    ("rd6", -1.47),
-    ("rtheta6", -0.22),
-    ("orx", 0.0),
-    ("ory", 0.0),
-    ("ralpha6", 0.0),
-];

@@ -1,0 +1,46 @@
+//! `identify examine`.
+
+use std::path::PathBuf;
+
+use clap::Args;
+use shared::config::{self, BallBarConfig, RobotConfig};
+
+use crate::calibrate::CostName;
+use crate::examine::examine;
+use crate::report::examination::examinations;
+
+#[derive(Debug, Args)]
+pub struct ExamineArguments {
+    /// The robot's configuration, such as config/robots/irb2400_16.toml
+    #[arg(long, value_name = "FILE")]
+    robot: PathBuf,
+    /// The bar's configuration, such as config/ball_bar.toml
+    #[arg(long, value_name = "FILE")]
+    bar: PathBuf,
+    /// Costs to examine; default: all
+    #[arg(long, value_delimiter = ',')]
+    cost: Vec<CostName>,
+    /// Random poses
+    #[arg(long, default_value_t = 300)]
+    poses: usize,
+    /// Seed of the poses
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+/// From the cost that needs most encoders to the one that needs none.
+const ALL: [CostName; 5] =
+    [CostName::Pose, CostName::Transform, CostName::PositionAngles, CostName::Position, CostName::Length];
+
+pub fn run(arguments: &ExamineArguments) -> anyhow::Result<()> {
+    let robot: RobotConfig = config::load(&arguments.robot)?;
+    let bar: BallBarConfig = config::load(&arguments.bar)?;
+    let costs = if arguments.cost.is_empty() { &ALL[..] } else { &arguments.cost };
+    let found = costs
+        .iter()
+        .map(|&cost| examine(&robot, &bar, cost, arguments.poses, arguments.seed))
+        .collect::<Result<Vec<_>, _>>()?;
+    println!("{} with {}, {} random poses\n", robot.name, bar.name, arguments.poses);
+    print!("{}", examinations(&found));
+    Ok(())
+}

@@ -1,0 +1,130 @@
+//! What a cost can tell on a robot and a bar, before anything is measured.
+//!
+//! On random poses that robot and bar can take: which parameters are determined, which depend on each other, what an error
+//! in a parameter that is held fixed does to the others (thesis TFRT-6017, sections 3.2 and 3.3), and how well the poses
+//! show all that (observability indices).
+
+mod poses;
+
+pub use poses::{PoseError, Poses};
+
+use shared::config::{BallBarConfig, RobotConfig};
+
+use crate::calibrate::CostName;
+use crate::cost::{
+    AngleNoise, CostError, Length, LoopProblem, Position, PositionAngles, Residual, Transform, WhitenedPose,
+};
+use crate::kinematics::{ball_bar_chain, robot_chain};
+use crate::model::{Model, ModelError, ParameterId, Role, Selection, THESIS_FIXED};
+use crate::simulate::Design;
+use crate::solver::{
+    Identifiability, Influence, Observability, Options, SolveError, identifiability, influence,
+};
+
+/// Noise by which `pose` weighs; both kinds alike, since here only directions count.
+const NOISE: AngleNoise = AngleNoise { encoder_rad: 1e-5, robot_rad: 1e-5 };
+
+/// Why nothing can be said.
+#[derive(Debug, thiserror::Error)]
+pub enum ExamineError {
+    /// No poses.
+    #[error(transparent)]
+    Poses(#[from] PoseError),
+    /// The model lacks a parameter.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// The poses do not suit the cost.
+    #[error(transparent)]
+    Cost(#[from] CostError),
+    /// The poses do not suit the solver.
+    #[error(transparent)]
+    Solve(#[from] SolveError),
+}
+
+/// What one cost tells.
+#[derive(Debug, Clone)]
+pub struct Examination {
+    /// The cost.
+    pub cost: CostName,
+    /// With the 47 parameters of the thesis free: both chains and the place of the bar's base.
+    pub all: Identifiability,
+    /// And the two rotations of the base.
+    pub tilted: Identifiability,
+    /// What the thesis' fixed parameters do to its free ones.
+    pub influence: Influence,
+    /// Of the thesis' free parameters, in mm and mrad.
+    pub observability: Observability,
+}
+
+/// Examines one cost on the nominal robot and bar.
+///
+/// # Errors
+/// [`ExamineError`] where robot and bar have no poses in common.
+pub fn examine(
+    robot: &RobotConfig,
+    bar: &BallBarConfig,
+    cost: CostName,
+    count: usize,
+    seed: u64,
+) -> Result<Examination, ExamineError> {
+    let design = Design::for_robot(robot);
+    let robot_chain = robot_chain(robot, bar);
+    let mut bar_chain = ball_bar_chain(bar);
+    bar_chain.root_from_base.translation.vector = design.base_m.into();
+    let poses = Poses::spread(&robot_chain, &bar_chain, &robot.joint_limits_deg, &design, count, seed)?;
+    let model = Model::ball_bar(&robot_chain, &bar_chain);
+    match cost {
+        CostName::Pose => {
+            let geometry = model.geometry(&[]);
+            let pose = WhitenedPose::new(&geometry, &poses.joints, &poses.observations, NOISE);
+            examine_with(model, &poses, cost, pose)
+        }
+        CostName::Transform => examine_with(model, &poses, cost, Transform),
+        CostName::PositionAngles => examine_with(model, &poses, cost, PositionAngles),
+        CostName::Position => examine_with(model, &poses, cost, Position),
+        CostName::Length => examine_with(model, &poses, cost, Length),
+    }
+}
+
+fn examine_with<R: Residual>(
+    mut model: Model,
+    poses: &Poses,
+    cost: CostName,
+    residual: R,
+) -> Result<Examination, ExamineError> {
+    let options = Options::default();
+    let identified = |model: &Model| -> Result<Identifiability, ExamineError> {
+        let problem = LoopProblem::new(model, &poses.joints, &poses.observations, &residual, 1.0)?;
+        Ok(identifiability(&problem, &model.start(), &options)?)
+    };
+    free_only(&mut model, is_of_the_thesis)?;
+    let all = identified(&model)?;
+    free_only(&mut model, |id| is_of_the_thesis(id) || matches!(id, ParameterId::BaseRotation(_)))?;
+    let tilted = identified(&model)?;
+
+    model.select(Selection::Thesis, R::tells)?;
+    let units: Vec<f64> = model.columns().map(|p| p.id.unit().display_factor().recip()).collect();
+    let observability = identified(&model)?.observability(&units);
+    let held = THESIS_FIXED.iter().map(|name| name.parse()).collect::<Result<Vec<ParameterId>, _>>()?;
+    let held: Vec<ParameterId> = held.into_iter().filter(|id| R::sees(*id)).collect();
+    model.set_roles(held.iter().copied(), Role::Free)?;
+    let columns: Vec<usize> = held.iter().filter_map(|id| model.column_of(*id)).collect();
+    let problem = LoopProblem::new(&model, &poses.joints, &poses.observations, &residual, 1.0)?;
+    let influence = influence(&problem, &model.start(), &columns, &options)?;
+    Ok(Examination { cost, all, tilted, influence, observability })
+}
+
+fn free_only(model: &mut Model, free: impl Fn(ParameterId) -> bool) -> Result<(), ModelError> {
+    let ids: Vec<ParameterId> = model.parameters().iter().map(|parameter| parameter.id).collect();
+    ids.into_iter().try_for_each(|id| model.set_role(id, if free(id) { Role::Free } else { Role::Fixed }))
+}
+
+/// One of the 47: standard Denavit-Hartenberg parameters of both chains and the place of the base.
+fn is_of_the_thesis(id: ParameterId) -> bool {
+    use crate::kinematics::LinkParameter::Beta;
+    match id {
+        ParameterId::Robot { parameter, .. } => parameter != Beta,
+        ParameterId::Bar { .. } | ParameterId::Base(_) => true,
+        _ => false,
+    }
+}

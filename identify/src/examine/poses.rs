@@ -1,0 +1,83 @@
+//! Random poses that robot and bar can take together.
+
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+
+use crate::kinematics::{BAR_JOINTS, Chain, ROBOT_JOINTS, robot_inverse, singularity_margin_rad};
+use crate::model::{Observation, PerObservation};
+use crate::simulate::Design;
+
+/// Random bar joints tried for each pose before giving up.
+const TRIES_PER_POSE: usize = 2000;
+
+/// Robot and bar have too few poses in common.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error(
+    "only {found} of {wanted} random poses of the bar at {base_m:?} m are in the robot's reach and away from singular \
+     ones; choose another place or length of the bar"
+)]
+pub struct PoseError {
+    /// Poses found.
+    pub found: usize,
+    /// Poses wanted.
+    pub wanted: usize,
+    /// Where the bar stands.
+    pub base_m: [f64; 3],
+}
+
+/// Bar and robot joints of each pose.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Poses {
+    /// Bar joints.
+    pub observations: Vec<Observation>,
+    /// Robot joints.
+    pub joints: PerObservation,
+}
+
+impl Poses {
+    /// Poses spread over all joints of the bar, within the robot's limits \[deg\] and the margins of the design.
+    ///
+    /// # Errors
+    /// [`PoseError`].
+    pub fn spread(
+        robot: &Chain,
+        bar: &Chain,
+        limits_deg: &[[f64; 2]],
+        design: &Design,
+        count: usize,
+        seed: u64,
+    ) -> Result<Self, PoseError> {
+        let mut random = ChaCha8Rng::seed_from_u64(seed);
+        let near = design.posture_deg.map(f64::to_radians);
+        let mut poses = Self { observations: Vec::with_capacity(count), joints: PerObservation(Vec::new()) };
+        for _ in 0..count * TRIES_PER_POSE {
+            if poses.observations.len() == count {
+                break;
+            }
+            let bar_rad: [f64; BAR_JOINTS] =
+                std::array::from_fn(|_| random.random_range(-std::f64::consts::PI..std::f64::consts::PI));
+            if singularity_margin_rad(&bar_rad) < design.bar_margin_deg.to_radians() {
+                continue;
+            }
+            let Ok(q) = robot_inverse(robot, &bar.forward(&bar_rad), &near) else { continue };
+            if is_regular(&q, limits_deg, design) {
+                let index = poses.joints.0.len();
+                poses.observations.push(Observation::bar(PerObservation::time_s(index), bar_rad));
+                poses.joints.0.push(q);
+            }
+        }
+        let found = poses.observations.len();
+        if found < count || count == 0 {
+            return Err(PoseError { found, wanted: count, base_m: design.base_m });
+        }
+        Ok(poses)
+    }
+}
+
+fn is_regular(q: &[f64; ROBOT_JOINTS], limits_deg: &[[f64; 2]], design: &Design) -> bool {
+    let margin = design.limit_margin_deg;
+    let within =
+        |(q, [low, high]): (&f64, &[f64; 2])| (low + margin..high - margin).contains(&q.to_degrees());
+    q.iter().zip(limits_deg).all(within) && q[4].sin().abs() > design.wrist_margin_deg.to_radians().sin()
+}

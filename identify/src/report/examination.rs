@@ -1,0 +1,95 @@
+//! What costs can tell, as text.
+
+use std::fmt::Write;
+
+use crate::examine::Examination;
+use crate::solver::{Identifiability, Influence};
+
+/// An estimate is affected that follows a held value by more than this part of its error (thesis section 3.3).
+const AFFECTED: f64 = 0.05;
+/// Above so many names, their number says more.
+const NAMES_MAX: usize = 8;
+
+/// One block for each cost: rank, gap, zero columns and groups, influence of what is fixed, observability.
+pub fn examinations(examinations: &[Examination]) -> String {
+    let mut text = String::new();
+    for one in examinations {
+        let _ = writeln!(text, "{}", one.cost.name());
+        rank(&mut text, &one.all);
+        let _ = writeln!(
+            text,
+            "  with the base's two rotations: rank {} of {}{}",
+            one.tilted.rank,
+            one.tilted.names.len(),
+            gap(&one.tilted),
+        );
+        influences(&mut text, &one.influence);
+        let o = &one.observability;
+        let _ = writeln!(
+            text,
+            "  observability of the thesis' free parameters (rows by mm, mrad): O1 {:.2e}  O2 {:.2e}  O3 {:.2e}  O4 {:.2e}  \
+             O5 {:.2e}\n",
+            o.o1, o.o2, o.o3, o.o4, o.o5,
+        );
+    }
+    text
+}
+
+/// Rank with its gap, columns without effect, dependent groups.
+fn rank(text: &mut String, found: &Identifiability) {
+    let names = |columns: &[usize], separator: &str| {
+        let name = |column: &usize| found.names.get(*column).map_or("?", String::as_str);
+        columns.iter().map(name).collect::<Vec<_>>().join(separator)
+    };
+    let _ = writeln!(text, "  rank {} of {}{}", found.rank, found.names.len(), gap(found));
+    let zero = if found.zero_columns.is_empty() { "none".into() } else { names(&found.zero_columns, " ") };
+    let _ = writeln!(text, "  without effect: {zero}");
+    for (i, group) in found.groups.iter().enumerate() {
+        let (shared, own): (Vec<usize>, Vec<usize>) = group
+            .columns
+            .iter()
+            .partition(|column| found.groups[..i].iter().any(|other| other.columns.contains(column)));
+        // Which member of another group takes part is arbitrary: say which groups.
+        let through: Vec<String> = found.groups[..i]
+            .iter()
+            .filter(|other| shared.iter().any(|column| other.columns.contains(column)))
+            .map(|other| names(&other.columns, "|"))
+            .collect();
+        let through = if through.is_empty() {
+            String::new()
+        } else {
+            format!(" with one of each of {}", through.join(", "))
+        };
+        let _ = writeln!(text, "  dependent: {}{through} (fix {})", names(&own, "|"), group.excess);
+    }
+}
+
+/// Powers of ten only: the digits depend on the poses.
+fn gap(found: &Identifiability) -> String {
+    found.gap().map_or_else(String::new, |gap| {
+        if gap > 1e3 { ", clear gap above 1e3".into() } else { format!(", gap {gap:.0}") }
+    })
+}
+
+/// Thesis table 3.4.
+fn influences(text: &mut String, influence: &Influence) {
+    let _ =
+        writeln!(text, "  an error of 1 mm|mrad in what is held fixed affects (by more than {AFFECTED}):");
+    for (column, held) in influence.held.iter().enumerate() {
+        let changes = influence.change.column(column);
+        let mut affected: Vec<(&str, f64)> = influence
+            .estimated
+            .iter()
+            .map(String::as_str)
+            .zip(changes.iter().copied())
+            .filter(|(_, change)| change.abs() > AFFECTED)
+            .collect();
+        affected.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
+        let shown: Vec<String> =
+            affected.iter().take(NAMES_MAX).map(|(name, change)| format!("{name} {change:+.2}")).collect();
+        let more = affected.len().saturating_sub(NAMES_MAX);
+        let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+        let nothing = if affected.is_empty() { "nothing" } else { "" };
+        let _ = writeln!(text, "    {held:<8} {}{more}{nothing}", shown.join("  "));
+    }
+}

@@ -1,0 +1,83 @@
+//! How well a set of poses shows the parameters, in one number: the five observability indices.
+//!
+//! Names and formulas as in Sun and Hollerbach, "Observability index selection for robot calibration" (ICRA 2008), with
+//! `s1 >= .. >= sL` the singular values of the Jacobian over `m` poses and `L` parameters. Larger is better. All of them
+//! depend on units: the columns are scaled by what is given, such as one millimetre for lengths.
+
+use nalgebra::DMatrix;
+
+/// O1 to O5. All are zero where a parameter is not determined.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Observability {
+    /// `(s1 s2 .. sL)^(1/L) / sqrt(m)`: volume of the ellipsoid of what is seen; its maximum is D-optimal (Borm and Menq
+    /// 1991).
+    pub o1: f64,
+    /// `sL / s1`: the inverse condition number (Driels and Pathre 1990).
+    pub o2: f64,
+    /// `sL`: what the worst direction shows; E-optimal (Nahvi, Hollerbach and Hayward 1994).
+    pub o3: f64,
+    /// `sL^2 / s1`: the noise amplification index (Nahvi and Hollerbach 1996).
+    pub o4: f64,
+    /// `1 / (1/s1 + .. + 1/sL)`: close to A-optimal (Sun and Hollerbach 2008).
+    pub o5: f64,
+}
+
+impl Observability {
+    /// From a matrix with the singular values of the Jacobian, such as its triangle, its columns multiplied by `scales`
+    /// (one for each column), and the number of poses.
+    ///
+    /// Singular values below `tolerance` of the largest count as zero.
+    pub fn new(triangle: &DMatrix<f64>, scales: &[f64], poses: usize, tolerance: f64) -> Self {
+        let mut scaled = triangle.clone();
+        for (mut column, scale) in scaled.column_iter_mut().zip(scales) {
+            column *= *scale;
+        }
+        let columns = scaled.ncols();
+        let values = scaled.singular_values();
+        let (first, last) = (values.max(), values.min());
+        if values.len() < columns
+            || columns == 0
+            || last.partial_cmp(&(tolerance * first)).is_none_or(|o| o.is_le())
+        {
+            return Self::default();
+        }
+        let mean_logarithm = values.iter().map(|s| s.ln()).sum::<f64>() / columns as f64;
+        Self {
+            o1: mean_logarithm.exp() / (poses as f64).sqrt(),
+            o2: last / first,
+            o3: last,
+            o4: last * last / first,
+            o5: values.iter().map(|s| s.recip()).sum::<f64>().recip(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_indices_of_known_singular_values() {
+        // Rotated, so that the values are not those of the diagonal; scaled back by the scales.
+        let turn = DMatrix::from_row_slice(2, 2, &[0.6, -0.8, 0.8, 0.6]);
+        let triangle = turn * DMatrix::from_row_slice(2, 2, &[8.0, 0.0, 0.0, 1.0]);
+        let found = Observability::new(&triangle, &[1.0, 2.0], 4, 1e-6);
+        let expected = Observability { o1: 2.0, o2: 0.25, o3: 2.0, o4: 0.5, o5: 1.6 };
+        for (found, expected) in [
+            (found.o1, expected.o1),
+            (found.o2, expected.o2),
+            (found.o3, expected.o3),
+            (found.o4, expected.o4),
+            (found.o5, expected.o5),
+        ] {
+            assert!((found - expected).abs() < 1e-12, "{found} instead of {expected}");
+        }
+    }
+
+    #[test]
+    fn nothing_is_observable_where_one_direction_is_not() {
+        let triangle = DMatrix::from_row_slice(2, 2, &[1.0, 1.0, 0.0, 1e-9]);
+        assert_eq!(Observability::new(&triangle, &[1.0, 1.0], 9, 1e-6), Observability::default());
+        assert_eq!(Observability::new(&DMatrix::zeros(1, 2), &[1.0, 1.0], 1, 1e-6), Observability::default());
+    }
+}
