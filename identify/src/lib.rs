@@ -1,13 +1,14 @@
 //! Calibration of a robot from a ball-bar recording and the robot's own log.
 //!
 //! The way of the data: [`logs`] and the recording -> [`prepare`] -> [`model`] and [`cost`] -> [`solver`] ->
-//! [`calibrate`] ties them together -> [`study`] looks at the result -> [`report`]; [`simulate`] makes experiments with known truth, [`commands`] is
-//! what a person types.
+//! [`calibrate`] ties them together -> [`study`] looks at the result -> [`report`]; [`simulate`] makes experiments with
+//! known truth, [`commands`] is what a person types.
 
 pub mod calibrate;
 pub mod commands;
 pub mod cost;
 pub mod examine;
+pub mod inspect;
 pub mod kinematics;
 pub mod logs;
 pub mod model;

@@ -1,7 +1,9 @@
 //! What a person types.
 
 mod calibrate;
+mod compare;
 mod examine;
+mod inspect;
 mod simulate;
 
 use clap::{Parser, Subcommand};
@@ -20,6 +22,10 @@ enum Command {
     Calibrate(calibrate::CalibrateArguments),
     /// Say what each cost can identify on a robot and a bar, before anything is measured.
     Examine(examine::ExamineArguments),
+    /// Show what is in recordings and robot logs, and what is suspicious in them.
+    Inspect(inspect::InspectArguments),
+    /// Put several calibrations of one robot side by side: do they agree within their uncertainty?
+    Compare(compare::CompareArguments),
     /// Make an experiment with known errors: a recording, a robot log, and the truth beside them.
     Simulate(simulate::SimulateArguments),
 }
@@ -29,6 +35,8 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
     match arguments.command {
         Command::Calibrate(arguments) => calibrate::run(&arguments),
         Command::Examine(arguments) => examine::run(&arguments),
+        Command::Inspect(arguments) => inspect::run(&arguments),
+        Command::Compare(arguments) => compare::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
     }
 }

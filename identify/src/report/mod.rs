@@ -3,4 +3,8 @@
 pub mod examination;
 pub mod file;
 pub mod page;
+mod read;
+pub mod side_by_side;
 pub mod table;
+
+pub use read::CalibrationReadError;

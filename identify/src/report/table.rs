@@ -5,6 +5,7 @@ use std::fmt::Write;
 use super::file::{CalibrationFile, ParameterEntry, Status};
 use crate::calibrate::measured_length::{ErrorFigures, Figures, LengthReport, Rejection, RunCause};
 use crate::calibrate::truth::Comparison;
+use crate::inspect::{Inspection, JointLine};
 use crate::kinematics::LinkParameter;
 use crate::model::{ParameterId, Unit};
 
@@ -176,6 +177,28 @@ pub fn lengths(report: &LengthReport, lines: &[u64]) -> String {
             line(run.last),
             run.median_m * 1e3
         );
+    }
+    text
+}
+
+/// What is in a log or recording, and what is suspicious in it.
+pub fn inspection(inspection: &Inspection) -> String {
+    let mut text = String::new();
+    // Writing to a string cannot fail.
+    for (what, value) in &inspection.facts {
+        let _ = writeln!(text, "  {what:<24}{value}");
+    }
+    if !inspection.joints.is_empty() {
+        let _ = writeln!(text, "  {:<8}{:>10}{:>10}{:>12}", "joint", "from deg", "to deg", "most deg/s");
+    }
+    for JointLine { name, range_deg: [low, high], speed_max_deg_s } in &inspection.joints {
+        let _ = writeln!(text, "  {name:<8}{low:>10.2}{high:>10.2}{speed_max_deg_s:>12.2}");
+    }
+    match inspection.suspicious.len() {
+        0 => text.push_str("  nothing suspicious\n"),
+        _ => inspection.suspicious.iter().for_each(|sentence| {
+            let _ = writeln!(text, "  ! {sentence}");
+        }),
     }
     text
 }

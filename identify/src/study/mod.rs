@@ -1,5 +1,6 @@
 //! What a calibration shows when one looks at it: figures for the report, computed from a solve and never fed back.
 
+mod consistency;
 mod evidence;
 mod figures;
 mod gaps;
@@ -8,6 +9,7 @@ mod nominal;
 mod shift;
 mod workspace;
 
+pub use consistency::{Compared, Consistency, ConsistencyError};
 pub use evidence::{Evidence, evidence};
 pub use figures::{Quantiles, rms};
 pub use gaps::{JointGap, joint_gaps};

@@ -1,7 +1,7 @@
 //! `report.html`: one file without scripts or links to anything else, that a browser shows and a printer prints.
 
 mod figures;
-mod plot;
+pub(super) mod plot;
 mod preparation;
 mod sections;
 

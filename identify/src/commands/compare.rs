@@ -1,0 +1,40 @@
+//! `identify compare`.
+
+use std::path::PathBuf;
+
+use anyhow::Context;
+use clap::Args;
+
+use crate::report::file::CalibrationFile;
+use crate::report::side_by_side;
+use crate::study::Consistency;
+
+#[derive(Debug, Args)]
+pub struct CompareArguments {
+    /// Directories of calibrations, or their calibration.json
+    #[arg(required = true, num_args = 2.., value_name = "CALIBRATIONS")]
+    calibrations: Vec<PathBuf>,
+    /// Page with figures to write
+    #[arg(long, value_name = "FILE.html")]
+    out: Option<PathBuf>,
+}
+
+pub fn run(arguments: &CompareArguments) -> anyhow::Result<()> {
+    let files: Vec<CalibrationFile> =
+        arguments.calibrations.iter().map(|path| CalibrationFile::open(path)).collect::<Result<_, _>>()?;
+    let consistency = Consistency::new(&files)?;
+    let names: Vec<String> = arguments
+        .calibrations
+        .iter()
+        .zip(&files)
+        .map(|(path, file)| format!("{} ({}, {})", path.display(), file.solve.cost, file.created))
+        .collect();
+    print!("{}", side_by_side::table(&consistency, &names));
+    if let Some(out) = &arguments.out {
+        let robot = files.first().map_or("", |file| file.robot.as_str());
+        let text = side_by_side::page(&consistency, robot, &names)?.into_string();
+        std::fs::write(out, text).with_context(|| format!("cannot write {}", out.display()))?;
+        println!("{}", out.display());
+    }
+    Ok(())
+}

@@ -1,0 +1,76 @@
+//! What is in a log or a recording, and what is suspicious in it, before anything is solved.
+
+mod recording;
+mod robot_log;
+
+pub use recording::recording;
+pub use robot_log::robot_log;
+
+/// What was found.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Inspection {
+    /// What it is, in the order in which people ask.
+    pub facts: Vec<(String, String)>,
+    /// One row per joint.
+    pub joints: Vec<JointLine>,
+    /// What may spoil a calibration, and what to do about it.
+    pub suspicious: Vec<String>,
+}
+
+/// One joint of a log.
+#[derive(Debug, Clone, PartialEq)]
+pub struct JointLine {
+    /// Such as `b1` or `q1`.
+    pub name: String,
+    /// Smallest and largest angle \[deg\].
+    pub range_deg: [f64; 2],
+    /// Fastest between two samples \[deg/s\].
+    pub speed_max_deg_s: f64,
+}
+
+impl Inspection {
+    fn fact(&mut self, what: &str, value: impl Into<String>) {
+        self.facts.push((what.to_owned(), value.into()));
+    }
+
+    fn suspect(&mut self, sentence: impl Into<String>) {
+        self.suspicious.push(sentence.into());
+    }
+}
+
+/// Range and speed of each joint; `t_s` and `angles_rad` belong together.
+fn joint_lines<const N: usize>(prefix: char, t_s: &[f64], angles_rad: &[[f64; N]]) -> Vec<JointLine> {
+    let line = |joint: usize| {
+        let angles = angles_rad.iter().map(|row| row[joint]);
+        let (low, high) = angles
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), angle| (low.min(angle), high.max(angle)));
+        let speeds = t_s.windows(2).zip(angles_rad.windows(2)).map(|(t, a)| {
+            let step_s = t[1] - t[0];
+            if step_s > 0.0 { (a[1][joint] - a[0][joint]).abs() / step_s } else { 0.0 }
+        });
+        JointLine {
+            name: format!("{prefix}{}", joint + 1),
+            range_deg: if low <= high { [low.to_degrees(), high.to_degrees()] } else { [0.0, 0.0] },
+            speed_max_deg_s: speeds.fold(0.0, f64::max).to_degrees(),
+        }
+    };
+    (0..N).map(line).collect()
+}
+
+/// Joints that hardly move say nothing of their link.
+fn suspect_still(inspection: &mut Inspection) {
+    /// \[deg\]
+    const TRAVEL_MIN_DEG: f64 = 5.0;
+    let still: Vec<String> = inspection
+        .joints
+        .iter()
+        .filter(|joint| joint.range_deg[1] - joint.range_deg[0] < TRAVEL_MIN_DEG)
+        .map(|joint| joint.name.clone())
+        .collect();
+    if !still.is_empty() {
+        inspection.suspect(format!(
+            "{} moved by less than {TRAVEL_MIN_DEG} degrees: check the plug, or choose a path that moves it",
+            still.join(", ")
+        ));
+    }
+}

@@ -1,0 +1,135 @@
+//! A recording of the ball-bar.
+
+use shared::recording::Recording;
+use shared::recording::schema::{CycleRecord, EventKind, flags};
+
+use super::{Inspection, joint_lines, suspect_still};
+use crate::kinematics::BAR_JOINTS;
+use crate::prepare::{BarAngles, bar_angles};
+
+/// Faster than this no bar is moved by a robot; counts that jump are \[deg/s\].
+const SPEED_MAX_DEG_S: f64 = 720.0;
+/// Sample times less certain than this spoil a calibration: 0.5 rad/s times 150 us is the whole budget of 75 urad.
+const UNCERTAINTY_MAX_NS: u32 = 150_000;
+
+/// What a recording holds.
+pub fn recording(recording: &Recording) -> Inspection {
+    let mut inspection = Inspection::default();
+    facts(&mut inspection, recording);
+    quality(&mut inspection, &recording.cycles);
+    times(&mut inspection, recording);
+    match bar_angles(&recording.cycles, &recording.run.encoders) {
+        Ok(angles) => motion(&mut inspection, &angles),
+        Err(error) => inspection.suspect(error.to_string()),
+    }
+    for event in &recording.events {
+        let kind = match event.kind {
+            EventKind::Marker => "mark",
+            EventKind::Gap => "gap",
+            EventKind::Bus => "bus",
+            EventKind::Clock => "clock",
+        };
+        inspection.fact(kind, format!("{} (cycle {}): {}", event.time, event.cycle, event.text));
+    }
+    inspection
+}
+
+fn facts(inspection: &mut Inspection, recording: &Recording) {
+    let run = &recording.run;
+    inspection.fact("run", run.name.clone());
+    for (what, value) in [("operator", &run.operator), ("robot", &run.robot), ("note", &run.note)] {
+        if !value.is_empty() {
+            inspection.fact(what, value.clone());
+        }
+    }
+    let seconds = recording.cycles.len() as f64 * run.cycle_period_ns as f64 * 1e-9;
+    let rate_hz = 1e9 / run.cycle_period_ns.max(1) as f64;
+    inspection.fact("begins", run.started.to_string());
+    inspection
+        .fact("length", format!("{seconds:.1} s, {} cycles at {rate_hz:.0} Hz", recording.cycles.len()));
+    inspection.fact("recorded by", format!("{} on {}", run.software, run.bus));
+    let joints: Vec<String> = run.encoders.iter().map(|encoder| format!("b{}", encoder.joint)).collect();
+    inspection.fact("encoders", joints.join(" "));
+    inspection.fact("ended", recording.end.cause.clone());
+    if recording.end.recovered {
+        inspection.suspect("the run was cut short and recovered; what came after its end was never written");
+    }
+    if !run.distributed_clocks {
+        inspection.suspect(
+            "recorded without distributed clocks: each sample may be a whole cycle old; repeat with distributed clocks",
+        );
+    }
+}
+
+fn quality(inspection: &mut Inspection, cycles: &[CycleRecord]) {
+    let valid = cycles.iter().filter(|cycle| cycle.is_valid()).count();
+    let percent = 100.0 * valid as f64 / cycles.len().max(1) as f64;
+    inspection.fact("valid", format!("{valid} of {} cycles ({percent:.2} %)", cycles.len()));
+    for (flag, name) in flags::NAMES {
+        let count = cycles.iter().filter(|cycle| cycle.flags & flag != 0).count();
+        if count > 0 {
+            inspection.fact(&format!("flagged {name}"), format!("{count} cycles"));
+        }
+    }
+    if percent < 95.0 {
+        inspection.suspect(format!(
+            "only {percent:.1} % of the cycles are valid: look at the flags and events below"
+        ));
+    }
+    let origins = cycles.iter().filter(|cycle| cycle.flags & flags::ORIGIN_CHANGED != 0).count();
+    if origins > 0 {
+        inspection.suspect(format!(
+            "the counters may have a new origin at {origins} places: each part has encoder offsets of its own"
+        ));
+    }
+}
+
+fn times(inspection: &mut Inspection, recording: &Recording) {
+    let cycles = &recording.cycles;
+    let uncertain = cycles
+        .iter()
+        .filter(|cycle| cycle.is_valid() && cycle.sample_time_uncertainty_ns > UNCERTAINTY_MAX_NS)
+        .count();
+    if uncertain > 0 && recording.run.distributed_clocks {
+        inspection.suspect(format!(
+            "the time of {uncertain} valid cycles is uncertain by more than {} us: the machine stalled or its clock was \
+             set; `ballbard tune` says what to do",
+            UNCERTAINTY_MAX_NS / 1000
+        ));
+    }
+    let back = cycles.windows(2).filter(|pair| pair[1].sample_time <= pair[0].sample_time).count();
+    if back > 0 {
+        inspection.suspect(format!("time does not increase at {back} cycles; they will be left out"));
+    }
+    let holes = cycles.windows(2).filter(|pair| pair[1].cycle != pair[0].cycle.wrapping_add(1)).count();
+    if holes > 0 {
+        inspection
+            .suspect(format!("cycle numbers are not consecutive at {holes} places: records are missing"));
+    }
+}
+
+fn motion(inspection: &mut Inspection, angles: &BarAngles) {
+    let Some(longest) = angles.segments.iter().max_by_key(|segment| segment.times.len()) else { return };
+    let Some(&first) = longest.times.first() else { return };
+    let t_s: Vec<f64> = longest.times.iter().map(|time| time.seconds_since(first)).collect();
+    let lines = joint_lines::<BAR_JOINTS>('b', &t_s, &longest.angles_rad);
+    inspection.joints = lines
+        .into_iter()
+        .zip(angles.measured)
+        .filter(|(_, measured)| *measured)
+        .map(|(line, _)| line)
+        .collect();
+    let jumps: Vec<String> = inspection
+        .joints
+        .iter()
+        .filter(|joint| joint.speed_max_deg_s > SPEED_MAX_DEG_S)
+        .map(|joint| format!("{} ({:.0} deg/s)", joint.name, joint.speed_max_deg_s))
+        .collect();
+    if !jumps.is_empty() {
+        inspection.suspect(format!(
+            "{} moved faster than any bar does: the encoder slipped or lost counts; check its signal",
+            jumps.join(", ")
+        ));
+    }
+    suspect_still(inspection);
+}

@@ -1,0 +1,71 @@
+//! A robot's own log.
+
+use super::{Inspection, joint_lines, suspect_still};
+use crate::logs::{Origin, RobotLog};
+
+/// Stamps further apart than so many periods are a hole.
+const GAP_PERIODS: f64 = 5.0;
+/// Rows that repeat all joints while the log moves on either side are frozen, not still.
+const FROZEN_ROWS_MIN: usize = 3;
+/// A joint that moved by this much over a frozen stretch was moving \[rad\].
+const FROZEN_STEP_RAD: f64 = 1e-3;
+
+/// What a robot's log holds.
+pub fn robot_log(log: &RobotLog) -> Inspection {
+    let mut inspection = Inspection::default();
+    if let Some(robot) = &log.robot {
+        inspection.fact("robot", robot.clone());
+    }
+    inspection.fact("length", format!("{:.1} s, {} rows", log.duration_s(), log.t_s.len()));
+    inspection.fact("clock", format!("{}, first stamp {} ns", log.clock, log.first_stamp_ns));
+    inspection.fact("angles", log.origin.name());
+    let quality = &log.quality;
+    inspection.fact(
+        "stamps",
+        format!("every {:.2} ms, longest gap {:.1} ms", quality.period_s * 1e3, quality.longest_gap_s * 1e3),
+    );
+    if quality.duplicates_dropped > 0 {
+        inspection.fact("repeated rows", format!("{} dropped", quality.duplicates_dropped));
+    }
+    if log.origin == Origin::Commanded {
+        inspection.suspect(
+            "the angles are what the controller asked for: servo lag is not in them; log the measured ones if possible",
+        );
+    }
+    if quality.longest_gap_s > GAP_PERIODS * quality.period_s {
+        inspection.suspect(format!(
+            "stamps are up to {:.0} ms apart: samples in such holes are not used",
+            quality.longest_gap_s * 1e3
+        ));
+    }
+    let frozen = frozen_rows(&log.q_rad);
+    if frozen > 0 {
+        inspection.suspect(format!(
+            "{frozen} rows repeat the joints of the row before and then jump: the logger was not served in time"
+        ));
+    }
+    for remark in &quality.remarks {
+        inspection.suspect(remark.clone());
+    }
+    inspection.joints = joint_lines('q', &log.t_s, &log.q_rad);
+    suspect_still(&mut inspection);
+    inspection
+}
+
+/// Rows in stretches where every joint repeats itself exactly, and that end in a jump.
+fn frozen_rows(rows: &[[f64; 6]]) -> usize {
+    let mut frozen = 0;
+    let mut start = 0;
+    for index in 1..rows.len() {
+        if rows[index] == rows[index - 1] {
+            continue;
+        }
+        let repeated = index - 1 - start;
+        let step = rows[index].iter().zip(&rows[start]).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        if repeated >= FROZEN_ROWS_MIN && step > FROZEN_STEP_RAD {
+            frozen += repeated;
+        }
+        start = index;
+    }
+    frozen
+}

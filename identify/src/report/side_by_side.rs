@@ -1,0 +1,133 @@
+//! Several calibrations of one robot side by side: a table, and the figure that the thesis drew by path (5.12 to 5.17).
+
+use std::fmt::Write;
+
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+
+use super::page::plot::{COLOURS, Intervals, PlotError};
+use crate::model::Unit;
+use crate::study::{Compared, Consistency};
+
+/// The table on a terminal.
+pub fn table(consistency: &Consistency, names: &[String]) -> String {
+    let mut text = String::new();
+    // Writing to a string cannot fail.
+    for (index, name) in names.iter().enumerate() {
+        let _ = writeln!(text, "  [{}] {name}", index + 1);
+    }
+    let _ = write!(text, "{:<10}", "parameter");
+    (1..=names.len()).for_each(|index| {
+        let _ = write!(text, "{:>22}", format!("[{index}]"));
+    });
+    let _ = writeln!(text, "{:>10}  unit", "p");
+    for one in &consistency.parameters {
+        let factor = one.unit.display_factor();
+        let _ = write!(text, "{:<10}", one.name);
+        for correction in &one.corrections {
+            let _ = write!(text, "{:>22}", shown(*correction, factor));
+        }
+        let _ = writeln!(text, "{:>10}  {}", probability(one.p), one.unit.display_symbol());
+    }
+    let _ = writeln!(text, "{}", verdict(consistency));
+    text
+}
+
+fn shown(correction: Option<(f64, f64)>, factor: f64) -> String {
+    correction.map_or_else(
+        || "fixed".into(),
+        |(value, sigma)| format!("{:+.4} +- {:.4}", value * factor, sigma * factor),
+    )
+}
+
+fn probability(p: Option<f64>) -> String {
+    p.map_or_else(|| "-".into(), |p| if p < 1e-4 { "<0.0001".into() } else { format!("{p:.4}") })
+}
+
+fn verdict(consistency: &Consistency) -> String {
+    match consistency.p_corrected {
+        None => "no parameter was identified twice: nothing to compare".into(),
+        Some(p) if consistency.is_consistent() => {
+            format!("consistent: differences like these come by chance (p {p:.3}, all parameters together)")
+        }
+        Some(p) => format!(
+            "not consistent: differences like these do not come by chance (p {}, all parameters together); something \
+             that the model lacks differs between the runs, or their sigmas are too small",
+            probability(Some(p))
+        ),
+    }
+}
+
+/// A page for a browser, without scripts or anything to load.
+///
+/// # Errors
+/// [`PlotError`].
+pub fn page(consistency: &Consistency, robot: &str, names: &[String]) -> Result<Markup, PlotError> {
+    let figures = [(Unit::Metre, "Lengths"), (Unit::Radian, "Angles")].map(|(unit, title)| {
+        let of_unit: Vec<&Compared> = consistency.parameters.iter().filter(|one| one.unit == unit).collect();
+        intervals(title, unit, &of_unit, names.len()).draw()
+    });
+    let [lengths, angles] = figures;
+    let title = format!("Calibrations of {robot} side by side");
+    Ok(html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'";
+                title { (title) }
+                style { (PreEscaped(include_str!("page/style.css"))) }
+            }
+            body {
+                h1 { (title) }
+                div.verdict.doubt[!consistency.is_consistent()] { (verdict(consistency)) }
+                ol { @for (index, name) in names.iter().enumerate() {
+                    @let colour = COLOURS[index % COLOURS.len()];
+                    li { span style=(format!("color: rgb({},{},{})", colour.0, colour.1, colour.2)) { "● " } (name) }
+                } }
+                figure {
+                    (PreEscaped(lengths?)) (PreEscaped(angles?))
+                    figcaption { "Corrections of the robot's nominal geometry with their 95 % intervals." }
+                }
+                div.wide { (rows(consistency, names.len())) }
+            }
+        }
+    })
+}
+
+fn intervals(title: &str, unit: Unit, parameters: &[&Compared], files: usize) -> Intervals {
+    /// 95 % of a normal distribution.
+    const SIGMAS: f64 = 1.96;
+    let factor = unit.display_factor();
+    let bar = |file: usize| {
+        let of = |one: &&Compared| {
+            let (value, sigma) = (*one.corrections.get(file)?)?;
+            Some((value * factor, SIGMAS * sigma * factor))
+        };
+        parameters.iter().map(of).collect()
+    };
+    Intervals {
+        title: title.into(),
+        y: format!("correction [{}]", unit.display_symbol()),
+        names: parameters.iter().map(|one| one.name.clone()).collect(),
+        sets: (0..files).map(bar).collect(),
+    }
+}
+
+fn rows(consistency: &Consistency, files: usize) -> Markup {
+    html! {
+        table {
+            thead { tr { th { "parameter" } @for index in 1..=files { th { (index) } } th { "p" } th.text { "unit" } } }
+            tbody {
+                @for one in &consistency.parameters {
+                    tr {
+                        td { (one.name) }
+                        @for correction in &one.corrections { td { (shown(*correction, one.unit.display_factor())) } }
+                        td { (probability(one.p)) }
+                        td.text { (one.unit.display_symbol()) }
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,95 @@
+//! Several calibrations side by side: agreement where one robot was measured twice, none where it changed.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+mod support;
+
+use identify::calibrate::{IdentifyConfig, ball_bar};
+use identify::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
+use identify::report::side_by_side;
+use identify::simulate::{self, Effects, Experiment, StaticErrors};
+use identify::study::{Consistency, ConsistencyError};
+use support::{bar, irb2400};
+
+const NOISE: Effects = Effects {
+    robot_noise_urad: 15.0,
+    encoder_noise_urad: 5.0,
+    gear_sine_urad: 0.0,
+    encoder_eccentricity_urad: 0.0,
+    base_tilt_urad: 5000.0,
+};
+
+/// One calibration of the robot with errors drawn from `errors`, on the path drawn from `path`.
+fn file(path: u64, errors: u64) -> CalibrationFile {
+    let (robot, bar) = (irb2400(), bar());
+    let errors = StaticErrors::Drawn { seed: errors };
+    let experiment = Experiment { seed: path, errors, effects: NOISE, ..Experiment::new(&robot, &bar) };
+    let run = simulate::run(&experiment).unwrap();
+    let config = IdentifyConfig { encoder_harmonics_urad: 0.0, ..IdentifyConfig::default() };
+    let found =
+        ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
+    let (model, solution) = (&found.model, &found.solution);
+    CalibrationFile::new(
+        &robot.name,
+        &bar.name,
+        SolveEntry::new(found.cost.name(), &solution.summary, &solution.identifiability),
+        None,
+        Vec::new(),
+        ParameterEntry::all(model, |id| {
+            model.column_of(id).and_then(|column| solution.covariance.sigma(column))
+        }),
+    )
+}
+
+#[test]
+fn other_paths_of_one_robot_agree_and_another_robot_does_not() {
+    let same = Consistency::new(&[file(1, 9), file(2, 9), file(3, 9)]).unwrap();
+    assert!(same.is_consistent(), "{:?}", same.p_corrected);
+    // If the intervals are true, probabilities are evenly spread: half of them above a half.
+    let high = same.parameters.iter().filter(|one| one.p.unwrap() > 0.5).count();
+    assert!((4..=16).contains(&high), "{high} of {}", same.parameters.len());
+
+    let files = [file(1, 9), file(2, 10)];
+    let other = Consistency::new(&files).unwrap();
+    assert!(!other.is_consistent(), "{:?}", other.p_corrected);
+    let names = ["monday".to_owned(), "<tuesday>".to_owned()];
+    assert!(side_by_side::table(&other, &names).contains("not consistent"));
+    let page = side_by_side::page(&other, "robot", &names).unwrap().into_string();
+    assert!(page.contains("not consistent") && page.contains("&lt;tuesday&gt;") && page.contains("<svg"));
+}
+
+#[test]
+fn the_probability_is_that_of_the_chi_square_table() {
+    let of = |correction: f64| {
+        let mut file = file(1, 9);
+        file.parameters.retain(|entry| entry.name == "ra1");
+        file.parameters[0].correction = correction;
+        file.parameters[0].sigma = Some(1e-3);
+        file
+    };
+    // Two values 2.7718 sigma apart: chi-square 3.8415 with one degree of freedom, 5 % in every table.
+    let pair = Consistency::new(&[of(0.0), of(2.7718e-3)]).unwrap();
+    assert!((pair.parameters[0].p.unwrap() - 0.05).abs() < 1e-4);
+    assert!((pair.parameters[0].mean - 1.3859e-3).abs() < 1e-9);
+}
+
+#[test]
+fn what_cannot_be_compared_is_refused() {
+    let one = file(1, 9);
+    assert_eq!(Consistency::new(std::slice::from_ref(&one)).unwrap_err(), ConsistencyError::One);
+    let other = CalibrationFile { robot: "another".into(), ..one.clone() };
+    assert!(matches!(Consistency::new(&[one, other]), Err(ConsistencyError::OtherRobot { .. })));
+}
+
+#[test]
+fn calibrations_come_back_from_both_of_their_files() {
+    let directory = tempfile::tempdir().unwrap();
+    let written = file(1, 9);
+    written.write(directory.path()).unwrap();
+    assert_eq!(CalibrationFile::open(directory.path()).unwrap(), written);
+    assert_eq!(CalibrationFile::open(&directory.path().join("calibration.toml")).unwrap(), written);
+    let newer = std::fs::read_to_string(directory.path().join("calibration.toml")).unwrap();
+    let path = directory.path().join("newer.toml");
+    std::fs::write(&path, newer.replacen("schema = ", "schema = 9", 1)).unwrap();
+    let message = CalibrationFile::open(&path).unwrap_err().to_string();
+    assert!(message.contains("newer.toml") && message.contains("schema"), "{message}");
+}

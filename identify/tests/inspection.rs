@@ -1,0 +1,77 @@
+//! What is suspicious in a log is told before anything is solved, and a sound one is not slandered.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+mod support;
+
+use identify::inspect;
+use identify::logs::{Origin, RobotLog};
+use identify::simulate::{self, Experiment, Simulated};
+use shared::recording::Recording;
+use shared::recording::schema::flags;
+use support::{bar, irb2400};
+
+fn simulated() -> Simulated {
+    simulate::run(&Experiment::new(&irb2400(), &bar())).unwrap()
+}
+
+/// The recording as a file gives it back.
+fn recording() -> Recording {
+    let directory = tempfile::tempdir().unwrap();
+    let (robot, bar) = (irb2400(), bar());
+    simulate::write(directory.path(), &simulated(), &robot, &bar).unwrap();
+    Recording::open(&directory.path().join("recording.mcap")).unwrap()
+}
+
+fn sentences(recording: &Recording) -> String {
+    inspect::recording(recording).suspicious.join("\n")
+}
+
+#[test]
+fn a_sound_recording_and_its_log_are_not_suspected() {
+    let inspection = inspect::recording(&recording());
+    assert_eq!(inspection.suspicious, Vec::<String>::new());
+    assert_eq!(inspection.joints.len(), 5);
+    let log = inspect::robot_log(&simulated().robot_log);
+    assert_eq!(log.suspicious, Vec::<String>::new());
+    assert_eq!(log.joints.len(), 6);
+}
+
+#[test]
+fn counts_that_jump_are_suspected_by_the_encoder_s_name() {
+    let mut jumped = recording();
+    for cycle in &mut jumped.cycles[5000..] {
+        cycle.encoders[2].count = cycle.encoders[2].count.wrapping_add(3_000_000);
+    }
+    let told = sentences(&jumped);
+    assert!(told.contains("b3") && told.contains("slipped"), "{told}");
+}
+
+#[test]
+fn clocks_that_jump_and_counters_with_a_new_origin_are_suspected() {
+    let mut odd = recording();
+    odd.cycles[4000].sample_time = odd.cycles[3990].sample_time;
+    odd.cycles[8000].flags |= flags::ORIGIN_CHANGED;
+    let told = sentences(&odd);
+    assert!(told.contains("time does not increase at 1") && told.contains("new origin at 1"), "{told}");
+}
+
+#[test]
+fn frozen_and_commanded_logs_are_suspected() {
+    let mut log: RobotLog = simulated().robot_log;
+    log.origin = Origin::Commanded;
+    // Where the robot is fastest: held there for 30 rows it jumps afterwards.
+    let step = |row: &usize| (log.q_rad[row + 30][0] - log.q_rad[*row][0]).abs();
+    let fastest = (0..log.q_rad.len() - 30).max_by(|a, b| step(a).total_cmp(&step(b))).unwrap();
+    let held = log.q_rad[fastest];
+    log.q_rad[fastest..fastest + 30].fill(held);
+    let told = inspect::robot_log(&log).suspicious.join("\n");
+    assert!(told.contains("29 rows repeat") && told.contains("asked for"), "{told}");
+}
+
+#[test]
+fn a_joint_that_does_not_move_is_suspected() {
+    let mut log = simulated().robot_log;
+    log.q_rad.iter_mut().for_each(|q| q[3] = 0.1);
+    let told = inspect::robot_log(&log).suspicious.join("\n");
+    assert!(told.contains("q4 moved by less than 5 degrees"), "{told}");
+}
