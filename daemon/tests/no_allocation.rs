@@ -70,7 +70,7 @@ fn cost(clock: &Clock, rate_hz: u64, cycles: u64) -> (u64, u64) {
     let calls_before = CALLS.get();
     for _ in 0..cycles {
         acquisition.next_cycle(&mut |record| sink.push(record));
-        sink.push_timing(acquisition.last_timing());
+        sink.push_timing(acquisition.last_timing().unwrap_or_default());
     }
     let calls = CALLS.get() - calls_before;
     (calls, voluntary_switches() - waits_before)

@@ -9,7 +9,7 @@ use shared::recording::{ReadErrorKind, Recording, RecordingWriter, WriteError};
 #[path = "support/run.rs"]
 mod support;
 
-use support::{START, cycle, run};
+use support::{START, cycle, run, timing};
 
 fn marker(number: u64) -> Event {
     let text = "second half".into();
@@ -25,6 +25,7 @@ fn small_recording(cycles: u64) -> Vec<u8> {
         }
     }
     writer.write_event(&marker(cycles / 2)).unwrap();
+    writer.write_timing(&timing()).unwrap();
     writer.end("stopped", START).unwrap().into_inner()
 }
 
@@ -36,6 +37,7 @@ fn what_is_written_is_read_back() {
     assert_eq!(recording.events, [marker(50)]);
     assert_eq!((recording.end.cycles, recording.end.cycles_valid, recording.end.cycles_lost), (100, 94, 0));
     assert_eq!(recording.end.cause, "stopped");
+    assert_eq!(recording.timing, Some(timing()));
 }
 
 #[test]

@@ -14,7 +14,7 @@ mod disk;
 mod support;
 
 use disk::DiskFile;
-use support::{START, cycle, run};
+use support::{START, cycle, run, timing};
 
 /// Cycles between two synchronisations.
 const SYNC_CYCLES: u64 = 4;
@@ -76,7 +76,9 @@ fn unfinished() -> (Vec<u8>, Vec<usize>) {
 
 fn finished() -> Vec<u8> {
     let disk = DiskFile::default();
-    write_until_refused(disk.clone()).unwrap().end("stopped", START).unwrap();
+    let mut writer = write_until_refused(disk.clone()).unwrap();
+    writer.write_timing(&timing()).unwrap();
+    writer.end("stopped", START).unwrap();
     disk.bytes()
 }
 
@@ -176,6 +178,14 @@ fn every_prefix_of_a_finished_recording_is_recovered_with_what_is_whole() {
     let counts: Vec<_> = (0..bytes.len()).map(|length| true_cycles_in(&bytes[..length])).collect();
     assert!(counts.is_sorted());
     assert_eq!(counts.last(), Some(&Some(CYCLES)));
+}
+
+#[test]
+fn a_recovered_recording_keeps_how_well_its_loop_kept_its_time() {
+    let bytes = finished();
+    // Without the last bytes of the footer.
+    let (_, recovered) = salvage(&bytes[..bytes.len() - 5], Cursor::new(Vec::new())).unwrap();
+    assert_eq!(Recording::read(&recovered.into_inner()[..]).unwrap().timing, Some(timing()));
 }
 
 #[test]

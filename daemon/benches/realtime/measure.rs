@@ -38,6 +38,11 @@ impl Distribution {
         self.0.get(place).map_or(f64::NAN, |ns| *ns as f64 * 1e-3)
     }
 
+    /// How many are longer.
+    pub fn above_us(&self, limit_us: f64) -> usize {
+        self.0.iter().filter(|ns| **ns as f64 * 1e-3 > limit_us).count()
+    }
+
     const QUANTILES: [f64; 4] = [0.5, 0.99, 0.999, 1.0];
 
     pub fn row(&self) -> String {
@@ -129,7 +134,7 @@ fn cycle(bus: &Bus, rate_hz: u64, cycles: u64) -> Measured {
     let mut lateness_ns = Vec::with_capacity(cycles as usize);
     while (records.len() as u64) < cycles {
         acquisition.next_cycle(&mut |record| records.push(*record));
-        lateness_ns.push(acquisition.last_timing().late_ns);
+        lateness_ns.extend(acquisition.last_timing().map(|timing| timing.late_ns));
     }
     stop.store(true, Ordering::Relaxed);
     let offset_ns = acquisition.utc_minus_monotonic_ns();

@@ -33,11 +33,13 @@ fn record(namespace: &str, rate_hz: u32) {
     let out = std::env::temp_dir().join(namespace);
     configure(&out, rate_hz);
     let directory = out.to_string_lossy();
-    let segment = Ended(ballbard(namespace, &["segment", "--interface", "far"]));
+    // Real terminals are never busy with anything else.
+    let segment = Ended(ballbard(namespace, &["chrt", "-f", "81"], &["segment", "--interface", "far"]));
     std::thread::sleep(Duration::from_millis(500));
     let duration = format!("{SECONDS}s");
     let mut daemon = Ended(ballbard(
         namespace,
+        &[],
         &[
             "record",
             "--bus",
@@ -127,9 +129,13 @@ fn ip(arguments: &[&str]) -> bool {
     Command::new("ip").args(arguments).stderr(Stdio::null()).status().is_ok_and(|status| status.success())
 }
 
-fn ballbard(namespace: &str, arguments: &[&str]) -> Child {
+fn ballbard(namespace: &str, under: &[&str], arguments: &[&str]) -> Child {
     let mut command = Command::new("ip");
-    command.args(["netns", "exec", namespace, env!("CARGO_BIN_EXE_ballbard")]).args(arguments);
+    command
+        .args(["netns", "exec", namespace])
+        .args(under)
+        .arg(env!("CARGO_BIN_EXE_ballbard"))
+        .args(arguments);
     command.env("RUST_LOG", "warn").stdout(Stdio::piped()).spawn().unwrap()
 }
 

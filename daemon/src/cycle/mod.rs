@@ -66,7 +66,8 @@ pub struct Acquisition {
     replied_last: Option<MonoNs>,
     /// Sample time of the cycle before.
     time_last: Option<UtcNs>,
-    timing: CycleTiming,
+    /// Of the last cycle; none while the bus is down, when there is nothing to be late for.
+    timing: Option<CycleTiming>,
 }
 
 impl Acquisition {
@@ -94,7 +95,7 @@ impl Acquisition {
             next_cycle: 0,
             replied_last: None,
             time_last: None,
-            timing: CycleTiming::default(),
+            timing: None,
             clock,
         };
         acquisition.settle();
@@ -116,8 +117,8 @@ impl Acquisition {
         self.bus.wire_counters()
     }
 
-    /// How late the last cycle was and how long it took.
-    pub fn last_timing(&self) -> CycleTiming {
+    /// How late the last cycle was and how long it took; none while the bus is down.
+    pub fn last_timing(&self) -> Option<CycleTiming> {
         self.timing
     }
 
@@ -169,35 +170,39 @@ impl Acquisition {
         let deadline = self.frame_deadline(self.next_cycle);
         self.clock.sleep_until(deadline);
         let woken = self.clock.now();
-        self.timing = CycleTiming { late_ns: woken.ns_since(deadline), ..CycleTiming::default() };
-        self.cycle(sink);
-        self.timing.duration_ns = self.clock.now().ns_since(woken);
-    }
-
-    fn cycle(&mut self, sink: &mut dyn FnMut(&CycleRecord)) {
+        self.timing = None;
         let Some(operational) = &self.operational else { return self.cycle_down(sink) };
         let exchange = self.bus.exchange(operational);
-        self.timing.round_trip_ns = exchange.reply.map(|_| exchange.received.ns_since(exchange.sent));
-        let seen = self.observe_clocks(&exchange);
+        self.cycle(&exchange, sink);
+        self.timing = Some(CycleTiming {
+            late_ns: woken.ns_since(deadline),
+            round_trip_ns: exchange.reply.map(|_| exchange.received.ns_since(exchange.sent)),
+            duration_ns: self.clock.now().ns_since(woken),
+        });
+    }
+
+    /// From a frame to the records of all cycles that were due, and to what is to be done about them.
+    fn cycle(&mut self, exchange: &CyclicExchange, sink: &mut dyn FnMut(&CycleRecord)) {
+        let seen = self.observe_clocks(exchange);
         let misread = seen.is_some_and(is_misread);
-        let sampled = if misread { self.next_cycle } else { self.cycle_sampled(&exchange) };
+        let sampled = if misread { self.next_cycle } else { self.cycle_sampled(exchange) };
         // Woken so late that SYNC0 overwrote samples before their frame was sent: those cycles are in the
         // file all the same, with the reason.
         while self.next_cycle < sampled {
             let time = self.sample_time(self.next_cycle);
-            let missed = self.sampler.missed(self.next_cycle, time, &exchange);
+            let missed = self.sampler.missed(self.next_cycle, time, exchange);
             self.emit(missed, sink);
         }
         let time = self.sample_time(self.next_cycle);
-        let mut record = self.sampler.sample(self.next_cycle, time, &exchange);
-        if sampled < self.next_cycle || !self.follows_a_frame(&exchange) {
+        let mut record = self.sampler.sample(self.next_cycle, time, exchange);
+        if sampled < self.next_cycle || !self.follows_a_frame(exchange) {
             Sampler::invalidate(&mut record, flags::STALE_INPUT);
         }
         if misread {
             Sampler::invalidate(&mut record, flags::NO_DC);
         }
         self.emit(record, sink);
-        self.conclude(&record, &exchange, seen);
+        self.conclude(&record, exchange, seen);
     }
 
     /// Without distributed clocks a terminal samples when a frame comes, and the next frame fetches that. Unless the

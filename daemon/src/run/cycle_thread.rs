@@ -79,7 +79,9 @@ fn serve(acquisition: &mut Acquisition, job: Job, replay: Option<&(ReplayHandle,
             }
             live.publish(record);
         });
-        sink.push_timing(acquisition.last_timing());
+        if let Some(timing) = acquisition.last_timing() {
+            sink.push_timing(timing);
+        }
         while let Some(event) = acquisition.take_event() {
             sink.push_event(event);
         }

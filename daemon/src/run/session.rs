@@ -20,6 +20,9 @@ use crate::clock::Clock;
 use crate::cycle::RealtimeRequest;
 use crate::recorder::{self, Recorder, RunLink, RunSummary};
 
+/// Locked memory is really there, all of it: several times what these threads use.
+const STACK_BYTES: usize = 512 << 10;
+
 /// A bus in operation.
 pub struct Session {
     jobs: SyncSender<Job>,
@@ -233,7 +236,8 @@ fn spawn<T: Send + 'static>(
     name: &str,
     body: impl FnOnce() -> T + Send + 'static,
 ) -> Result<thread::JoinHandle<T>, RunError> {
-    thread::Builder::new().name(name.into()).spawn(body).map_err(|error| RunError::Thread(error.to_string()))
+    let thread = thread::Builder::new().name(name.into()).stack_size(STACK_BYTES);
+    thread.spawn(body).map_err(|error| RunError::Thread(error.to_string()))
 }
 
 fn join<T>(handle: thread::JoinHandle<T>) -> Result<T, RunError> {

@@ -4,6 +4,7 @@ use shared::encoder::EncoderScale;
 use shared::recording::schema::{
     CycleRecord, DeviceInfo, EncoderInfo, EncoderSample, MAX_ENCODERS, RunMetadata, flags,
 };
+use shared::recording::{Bin, Durations, TimingSummary};
 use shared::time::{DcNs, MonoNs, UtcNs};
 
 /// When the made-up run began.
@@ -36,6 +37,20 @@ pub fn run(name: &str) -> RunMetadata {
         daemon_config: String::new(),
         ball_bar_config: String::new(),
     }
+}
+
+/// How well its loop kept its time.
+#[allow(dead_code, reason = "not every user needs it")]
+pub fn timing() -> TimingSummary {
+    let durations = |ns: u64| Durations {
+        p50_ns: ns,
+        p99_ns: 2 * ns,
+        p999_ns: 3 * ns,
+        max_ns: 4 * ns,
+        histogram: vec![Bin { up_to_ns: 48_000, cycles: 9 }, Bin { up_to_ns: u64::MAX, cycles: 1 }],
+    };
+    let (lateness, round_trip, duration) = (durations(40_000), durations(43_000), durations(66_000));
+    TimingSummary { cycles: 10, lateness, round_trip, duration }
 }
 
 /// Its cycles, each different from every other.

@@ -258,6 +258,48 @@ fn an_hour_under_load_has_no_false_step_and_a_step_of_100_us_is_found() {
     }
 }
 
+/// A fit that has settled under load at some rate of cycles.
+fn settled_under_load(random: &mut StdRng, period_ns: i64) -> (ClockFit, Clocks) {
+    let (mut fit, mut clocks) = (ClockFit::default(), Clocks { period_ns, ..Clocks::new(20.0) });
+    for _ in 0..1000 {
+        let (there, back) = loaded(random);
+        fit.observe(clocks.next(there, back).0);
+    }
+    (fit, clocks)
+}
+
+#[test]
+fn under_load_a_rate_changed_by_some_ppm_is_no_step_at_any_rate_of_cycles() {
+    for (seed, period_ns) in (0..10).flat_map(|seed| [(seed, PERIOD_NS), (seed, 1_000_000)]) {
+        for change_ppm in [-3.0, 3.0] {
+            let mut random = StdRng::seed_from_u64(seed);
+            let (mut fit, mut clocks) = settled_under_load(&mut random, period_ns);
+            clocks.drift_ppm += change_ppm;
+            for step in 0..2000 {
+                let (there, back) = loaded(&mut random);
+                let pair = clocks.next(there, back);
+                let seen = fit.observe(pair.0);
+                assert!(!matches!(seen, Observation::Stepped(_)), "{seed} {period_ns} {change_ppm} {step}");
+                assert!(error_ns(&fit, pair).abs() < 20_000.0, "{seed} {period_ns} {change_ppm} {step}");
+            }
+        }
+    }
+}
+
+#[test]
+fn under_load_a_step_of_80_us_is_found_at_any_rate_of_cycles() {
+    for (seed, period_ns) in (0..10).flat_map(|seed| [(seed, PERIOD_NS), (seed, 1_000_000)]) {
+        let mut random = StdRng::seed_from_u64(seed);
+        let (mut fit, mut clocks) = settled_under_load(&mut random, period_ns);
+        clocks.dc_ns += 80_000.0;
+        let found = (0..400).any(|_| {
+            let (there, back) = loaded(&mut random);
+            matches!(fit.observe(clocks.next(there, back).0), Observation::Stepped(50_000..110_000))
+        });
+        assert!(found, "{seed} {period_ns}");
+    }
+}
+
 proptest! {
     #[test]
     fn errors_stay_within_four_sigmas_whatever_the_delays(

@@ -1,0 +1,122 @@
+//! What goes into the ring comes out of the file.
+
+use shared::encoder::EncoderScale;
+use shared::recording::Recording;
+use shared::recording::schema::EncoderInfo;
+
+use super::*;
+
+fn metadata() -> RunMetadata {
+    RunMetadata {
+        name: "ring".into(),
+        operator: String::new(),
+        robot: String::new(),
+        note: String::new(),
+        started: UtcNs(0),
+        software: String::new(),
+        bus: String::new(),
+        cycle_period_ns: 10_000_000,
+        distributed_clocks: true,
+        utc_minus_monotonic_ns: 0,
+        encoders: vec![EncoderInfo { joint: 1, scale: EncoderScale::default() }],
+        devices: Vec::new(),
+        daemon_config: String::new(),
+        ball_bar_config: String::new(),
+    }
+}
+
+fn cycle(cycle: u64) -> CycleRecord {
+    let mut record = CycleRecord {
+        cycle,
+        sample_time: UtcNs(1_000_000_000 + cycle as i64 * 10_000_000),
+        encoder_count: 1,
+        ..CycleRecord::default()
+    };
+    record.encoders[0] =
+        EncoderSample { joint: 1, count: cycle as u32, valid: true, ..EncoderSample::default() };
+    record
+}
+
+fn record_through_ring(capacity: usize, cycles: u64) -> (Recording, RunSummary) {
+    record_above_floor(capacity, cycles, 0)
+}
+
+fn record_above_floor(capacity: usize, cycles: u64, floor_mb: u32) -> (Recording, RunSummary) {
+    let directory = tempfile::tempdir().unwrap();
+    let (mut sink, source) = ring(capacity, &Clock::Real);
+    (0..cycles).for_each(|number| sink.push(&cycle(number)));
+    drop(sink);
+    let run = metadata();
+    let writer = RecordingWriter::create(directory.path(), &run).unwrap();
+    let stop = Stop::default();
+    let link = RunLink {
+        stop: stop.clone(),
+        marks: std::sync::mpsc::channel().1,
+        progress: Arc::default(),
+        floor: DiskFloor::new(directory.path(), floor_mb),
+        file: directory.path().join("ring.mcap.active"),
+    };
+    let recorder = Recorder::new(source, writer, Clock::Real, Duration::from_secs(1), &run, link);
+    let summary = recorder
+        .run(|| {
+            stop.stop("test over");
+            stop.cause()
+        })
+        .unwrap();
+    (Recording::open(&summary.path).unwrap(), summary)
+}
+
+#[test]
+fn every_cycle_that_fits_into_the_ring_reaches_the_file() {
+    let (recording, summary) = record_through_ring(64, 50);
+    assert_eq!(recording.cycles, (0..50).map(cycle).collect::<Vec<_>>());
+    assert_eq!((summary.cycles, summary.cycles_valid, summary.cycles_lost), (50, 50, 0));
+    assert_eq!(recording.end.cause, "test over");
+}
+
+#[test]
+fn cycles_that_a_full_ring_refused_are_in_the_file_as_lost() {
+    let (recording, summary) = record_through_ring(32, 50);
+    assert_eq!((summary.cycles, summary.cycles_valid, summary.cycles_lost), (50, 32, 18));
+    let lost: Vec<u64> = recording
+        .cycles
+        .iter()
+        .filter(|record| record.flags == flags::LOST)
+        .map(|record| record.cycle)
+        .collect();
+    assert_eq!(lost, (32..50).collect::<Vec<_>>());
+    assert!(recording.cycles[32..].iter().all(|record| !record.is_valid()));
+    assert!(recording.events.iter().any(|event| event.kind == EventKind::Gap));
+}
+
+#[test]
+fn the_hosts_utc_may_be_stepped_and_the_file_says_so() {
+    let directory = tempfile::tempdir().unwrap();
+    let clock = Clock::virtual_from(UtcNs(0));
+    let (mut sink, source) = ring(1000, &Clock::Real);
+    (0..300).for_each(|number| sink.push(&cycle(number)));
+    drop(sink);
+    let run = metadata();
+    let writer = RecordingWriter::create(directory.path(), &run).unwrap();
+    let link = RunLink {
+        stop: Stop::default(),
+        marks: std::sync::mpsc::channel().1,
+        progress: Arc::default(),
+        floor: DiskFloor::new(directory.path(), 0),
+        file: directory.path().join("ring.mcap.active"),
+    };
+    let recorder = Recorder::new(source, writer, clock.clone(), Duration::from_secs(1), &run, link);
+    clock.step_utc(-2_000_000_000);
+    let recording = Recording::open(&recorder.run(String::new).unwrap().path).unwrap();
+    let told: Vec<_> = recording.events.iter().map(|event| (event.kind, event.text.as_str())).collect();
+    let text = "host UTC moved by -2000.000 ms; sample times keep to the run's first offset";
+    assert_eq!(told, [(EventKind::Clock, text)]);
+}
+
+#[test]
+fn at_the_disk_floor_the_run_is_asked_to_end_and_its_file_says_why() {
+    // Longer than a synchronisation period, and more than any disk has.
+    let (recording, summary) = record_above_floor(256, 150, 4_000_000_000);
+    assert_eq!(recording.cycles.len(), 150);
+    assert!(summary.cause.contains("disk floor"), "{}", summary.cause);
+}
