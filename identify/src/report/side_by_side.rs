@@ -2,8 +2,9 @@
 
 use std::fmt::Write;
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{Markup, PreEscaped, html};
 
+use super::page::document;
 use super::page::plot::{COLOURS, Intervals, PlotError};
 use crate::model::Unit;
 use crate::study::{Compared, Consistency};
@@ -68,31 +69,25 @@ pub fn page(consistency: &Consistency, robot: &str, names: &[String]) -> Result<
     });
     let [lengths, angles] = figures;
     let title = format!("Calibrations of {robot} side by side");
-    Ok(html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'";
-                title { (title) }
-                style { (PreEscaped(include_str!("page/style.css"))) }
-            }
-            body {
-                h1 { (title) }
-                div.verdict.doubt[!consistency.is_consistent()] { (verdict(consistency)) }
-                ol { @for (index, name) in names.iter().enumerate() {
-                    @let colour = COLOURS[index % COLOURS.len()];
-                    li { span style=(format!("color: rgb({},{},{})", colour.0, colour.1, colour.2)) { "● " } (name) }
-                } }
-                figure {
-                    (PreEscaped(lengths?)) (PreEscaped(angles?))
-                    figcaption { "Corrections of the robot's nominal geometry with their 95 % intervals." }
+    Ok(document(
+        &title,
+        &html! {
+            h1 { (title) }
+            div.verdict.doubt[!consistency.is_consistent()] { (verdict(consistency)) }
+            ol { @for (index, name) in names.iter().enumerate() {
+                @let colour = COLOURS[index % COLOURS.len()];
+                li { span style=(format!("color: rgb({},{},{})", colour.0, colour.1, colour.2)) { "● " } (name) }
+            } }
+            figure {
+                (PreEscaped(lengths?)) (PreEscaped(angles?))
+                figcaption {
+                    "How far each calibration is from their weighted mean, with 95 % intervals. Intervals that do not meet tell "
+                    "more than points that do."
                 }
-                div.wide { (rows(consistency, names.len())) }
             }
-        }
-    })
+            div.wide { (rows(consistency, names.len())) }
+        },
+    ))
 }
 
 fn intervals(title: &str, unit: Unit, parameters: &[&Compared], files: usize) -> Intervals {
@@ -102,13 +97,13 @@ fn intervals(title: &str, unit: Unit, parameters: &[&Compared], files: usize) ->
     let bar = |file: usize| {
         let of = |one: &&Compared| {
             let (value, sigma) = (*one.corrections.get(file)?)?;
-            Some((value * factor, SIGMAS * sigma * factor))
+            Some(((value - one.mean) * factor, SIGMAS * sigma * factor))
         };
         parameters.iter().map(of).collect()
     };
     Intervals {
         title: title.into(),
-        y: format!("correction [{}]", unit.display_symbol()),
+        y: format!("from the mean [{}]", unit.display_symbol()),
         names: parameters.iter().map(|one| one.name.clone()).collect(),
         sets: (0..files).map(bar).collect(),
     }

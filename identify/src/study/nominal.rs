@@ -4,17 +4,9 @@ use crate::cost::{LoopProblem, Position, Residual, Transform};
 use crate::model::{Geometry, Model, Observation, ParameterId, RobotMotion, Role};
 use crate::solver::{Options, solve};
 
-/// The parameter says where the bar stands, how its encoders are zeroed, or how clocks differ: nothing of the robot.
-fn about_the_setup(id: ParameterId) -> bool {
-    matches!(
-        id,
-        ParameterId::Bar { .. }
-            | ParameterId::Base(_)
-            | ParameterId::BaseRotation(_)
-            | ParameterId::Harmonic { .. }
-            | ParameterId::ClockShift
-            | ParameterId::ClockSkew
-    )
+/// The parameter describes the robot itself, not where the bar stands, how its encoders are zeroed or how clocks differ.
+fn of_robot(id: ParameterId) -> bool {
+    matches!(id, ParameterId::Robot { .. } | ParameterId::Joint { .. })
 }
 
 /// The calibrated model with its robot put back to nominal, and the bar's place and encoder offsets fitted to that.
@@ -26,7 +18,7 @@ pub fn uncalibrated(model: &Model, motion: &impl RobotMotion, observations: &[Ob
     for (id, value) in all {
         // The model has each of its own parameters.
         let _ = nominal.set_role(id, Role::Fixed);
-        if !about_the_setup(id) {
+        if of_robot(id) {
             let _ = nominal.set_value(id, value);
         }
     }

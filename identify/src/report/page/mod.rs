@@ -55,37 +55,45 @@ impl Page<'_> {
     /// [`PlotError`].
     pub fn render(&self) -> Result<Markup, PlotError> {
         let title = format!("Calibration of {}", self.file.robot);
-        Ok(html! {
-            (DOCTYPE)
-            html lang="en" {
-                head {
-                    meta charset="utf-8";
-                    meta name="viewport" content="width=device-width, initial-scale=1";
-                    // Nothing is loaded, whatever a name in a log may contain.
-                    meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'; img-src data:";
-                    title { (title) }
-                    style { (PreEscaped(include_str!("style.css"))) }
-                }
-                body {
-                    header {
-                        h1 { (title) }
-                        p.about {
-                            (self.file.instrument) " · " (self.file.created) " · " (self.file.software)
-                        }
-                    }
-                    main {
-                        (sections::verdict(self))
-                        (sections::gaps(self)?)
-                        (sections::parameters(self))
-                        (sections::joints(self)?)
-                        (sections::alignment(self)?)
-                        (preparation::section(self)?)
-                        (sections::coverage(self)?)
-                        (sections::dependence(self)?)
-                        (sections::origin(self))
+        Ok(document(
+            &title,
+            &html! {
+                header {
+                    h1 { (title) }
+                    p.about {
+                        (self.file.instrument) " · " (self.file.created) " · " (self.file.software)
                     }
                 }
+                main {
+                    (sections::verdict(self))
+                    (sections::gaps(self)?)
+                    (sections::parameters(self))
+                    (sections::joints(self)?)
+                    (sections::alignment(self)?)
+                    (preparation::section(self)?)
+                    (sections::coverage(self)?)
+                    (sections::dependence(self)?)
+                    (sections::origin(self))
+                }
+            },
+        ))
+    }
+}
+
+/// A page that loads nothing, whatever a name in a log may contain.
+pub(super) fn document(title: &str, body: &Markup) -> Markup {
+    const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:";
+    html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                meta http-equiv="Content-Security-Policy" content=(POLICY);
+                title { (title) }
+                style { (PreEscaped(include_str!("style.css"))) }
             }
-        })
+            body { (body) }
+        }
     }
 }
