@@ -36,6 +36,7 @@ pub fn request(name: &str, bus: BusChoice, duration: Option<Duration>, fast: boo
         duration,
         bus,
         fast,
+        ..RunRequest::default()
     }
 }
 

@@ -9,6 +9,7 @@ pub mod commands;
 pub mod control;
 pub mod cycle;
 pub mod devices;
+pub mod homing;
 pub mod recorder;
 pub mod run;
 pub mod segment;

@@ -2,10 +2,11 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
 
 use shared::recording::Recording;
+use shared::recording::schema::flags;
 
 fn config() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../config")
@@ -109,6 +110,93 @@ fn contradictions_are_refused() {
 }
 
 #[test]
+fn what_goes_wrong_on_the_simulated_bus_is_chosen_by_hand() {
+    let out = tempfile::tempdir().unwrap();
+    let arguments = ["--name", "faulty", "--duration", "6s", "--fast", "--fault", "lost:1@3s-3500ms"];
+    let output = record(out.path(), &arguments);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let recording = Recording::open(&out.path().join("faulty.mcap")).unwrap();
+    let silent = recording.cycles.iter().filter(|cycle| cycle.flags & flags::NO_REPLY != 0).count();
+    assert!((49..=51).contains(&silent), "{silent} cycles without a reply");
+    std::fs::remove_file(out.path().join("faulty.mcap")).unwrap();
+    refused(
+        &record(out.path(), &["--fault", "gnoe:3"]),
+        &["`gnoe:3` is no fault", "gone:POSITION"],
+        out.path(),
+    );
+    refused(&record(out.path(), &["--bus", "lo", "--fault", "lost:1"]), &["simulated bus"], out.path());
+}
+
+#[test]
+fn a_bus_gone_for_good_ends_the_run_with_a_finished_file_that_says_so() {
+    let out = tempfile::tempdir().unwrap();
+    // No duration: only the full fault ends it.
+    let output =
+        record(out.path(), &["--name", "gone", "--duration", "1h", "--fast", "--fault", "link-down@3s"]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let recording = Recording::open(&out.path().join("gone.mcap")).unwrap();
+    assert!(recording.end.cause.contains("full fault"), "{}", recording.end.cause);
+    let blind = recording.cycles.iter().rev().take_while(|cycle| !cycle.is_valid()).count();
+    // 60 s, and what one look at the bus may take.
+    assert!((6000..6100).contains(&blind), "{blind} cycles");
+}
+
+fn kill(child: &Child, signal: nix::sys::signal::Signal) {
+    let pid = nix::unistd::Pid::from_raw(i32::try_from(child.id()).unwrap());
+    nix::sys::signal::kill(pid, signal).unwrap();
+}
+
+#[test]
+fn a_bus_that_is_waited_for_can_be_given_up() {
+    let out = tempfile::tempdir().unwrap();
+    let mut command = ballbard();
+    command
+        .args(["record", "--wait", "--bus", "eth99", "--config"])
+        .arg(config())
+        .arg("--out")
+        .arg(out.path());
+    let child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    std::thread::sleep(Duration::from_millis(1500));
+    kill(&child, nix::sys::signal::Signal::SIGINT);
+    let output = child.wait_with_output().unwrap();
+    refused(&output, &["Ctrl-C while waiting", "no network interface `eth99`"], out.path());
+}
+
+#[test]
+fn what_a_killed_run_left_is_recovered_when_the_next_begins() {
+    let out = tempfile::tempdir().unwrap();
+    let mut command = ballbard();
+    command.args(["record", "--name", "killed", "--config"]).arg(config()).arg("--out").arg(out.path());
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let active = out.path().join("killed.mcap.active");
+    while !active.exists() {
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    std::thread::sleep(Duration::from_millis(2500));
+    kill(&child, nix::sys::signal::Signal::SIGKILL);
+    child.wait().unwrap();
+    let output = record(out.path(), &["--name", "next", "--duration", "1s", "--fast"]);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let killed = Recording::open(&out.path().join("killed.mcap")).unwrap();
+    assert!(killed.end.recovered && killed.end.cause.contains("recovered"), "{:?}", killed.end);
+    assert!(killed.cycles.len() > 50 && !active.exists(), "{}", killed.cycles.len());
+    let listed = ballbard().arg("runs").arg(out.path()).output().unwrap();
+    let text = String::from_utf8_lossy(&listed.stdout);
+    assert!(text.lines().any(|line| line.contains("killed") && line.contains("[recovered]")), "{text}");
+}
+
+#[test]
+fn homing_without_a_service_or_a_bus_says_what_to_do() {
+    let home = |arguments: &[&str]| ballbard().arg("home").args(arguments).output().unwrap();
+    let alone = home(&["--port", "1"]);
+    assert!(!alone.status.success());
+    assert!(String::from_utf8_lossy(&alone.stderr).contains("ballbard run"), "{alone:?}");
+    let unknown = home(&["--bus", "eth99", "--config", config().to_str().unwrap()]);
+    assert!(String::from_utf8_lossy(&unknown.stderr).contains("no network interface"), "{unknown:?}");
+    assert!(!config().join("homing.toml").exists());
+}
+
+#[test]
 fn a_file_that_is_no_recording_is_refused_and_exports_nothing() {
     let out = tempfile::tempdir().unwrap();
     let directory = tempfile::tempdir().unwrap();
@@ -154,8 +242,7 @@ fn a_signal_ends_a_run_with_a_finished_file_that_states_it() {
         std::thread::sleep(Duration::from_millis(20));
     }
     std::thread::sleep(Duration::from_millis(500));
-    let pid = nix::unistd::Pid::from_raw(i32::try_from(child.id()).unwrap());
-    nix::sys::signal::kill(pid, nix::sys::signal::Signal::SIGTERM).unwrap();
+    kill(&child, nix::sys::signal::Signal::SIGTERM);
     assert!(child.wait().unwrap().success());
     let recording = Recording::open(&out.path().join("signal.mcap")).unwrap();
     assert!(recording.end.cause.contains("SIGTERM"), "{}", recording.end.cause);

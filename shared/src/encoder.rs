@@ -44,7 +44,8 @@ pub struct EncoderScale {
     pub direction: Direction,
     /// Joint angle at `reference_counts` \[rad\].
     pub offset_rad: f64,
-    /// Count at the reference mark (latched on C), or 0 where none was taken.
+    /// Count at the reference mark (latched on C, see [`HomingConfig`](crate::config::HomingConfig)), or 0 where none
+    /// was taken: angles then begin at an arbitrary count of this power cycle.
     pub reference_counts: u32,
 }
 

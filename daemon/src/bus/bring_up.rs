@@ -31,8 +31,7 @@ impl Bus {
         // ethercrab 0.7.1 panics on a CoE emergency in the SDO path and on an incoherent topology: a broken
         // terminal must not take the process with it.
         catch_unwind(AssertUnwindSafe(|| self.try_bring_up(plan))).unwrap_or_else(|panic| {
-            // What it held of the frame storage is lost.
-            self.renew_stack();
+            // Its frames were given back while the panic passed through their owners.
             Err(BusError::Panicked(panic_text(panic.as_ref())))
         })
     }
@@ -42,7 +41,7 @@ impl Bus {
         let devices = self.check_devices(&group, plan)?;
         self.configure_terminals(&mut group, plan)?;
         let doing = while_doing("mapping the process data");
-        let group = self.exchange.run(group.into_pre_op_pdi(&self.main)).map_err(doing)?;
+        let group = self.exchange.run(group.into_pre_op_pdi(self.main)).map_err(doing)?;
         let group = if plan.distributed_clocks {
             self.settle_clocks(&group)?;
             let group = self.start_sync(group, plan)?;
@@ -76,7 +75,7 @@ impl Bus {
 
     fn check_devices(&self, group: &Group<PreOp, NoDc>, plan: &BusPlan) -> Result<Vec<DeviceInfo>, BusError> {
         let devices: Vec<DeviceInfo> = group
-            .iter(&self.main)
+            .iter(self.main)
             .enumerate()
             .map(|(position, device)| {
                 let identity = device.identity();
@@ -129,7 +128,7 @@ impl Bus {
         let doing = while_doing("synchronising the clocks");
         let mut times_ns = Vec::with_capacity(CLOCK_SETTLE_FRAMES as usize);
         for _ in 0..CLOCK_SETTLE_FRAMES {
-            let response = self.exchange.run(group.tx_rx_sync_system_time(&self.main)).map_err(&doing)?;
+            let response = self.exchange.run(group.tx_rx_sync_system_time(self.main)).map_err(&doing)?;
             times_ns.push(response.extra.unwrap_or(0));
             self.clock.sleep_until(self.clock.now().plus_ns(NS_PER_S / 1000));
         }
@@ -138,7 +137,7 @@ impl Bus {
         {
             return Err(BusError::ClockStandsStill { time_ns: *last });
         }
-        for (position, device) in group.iter(&self.main).enumerate().skip(1) {
+        for (position, device) in group.iter(self.main).enumerate().skip(1) {
             let register = self
                 .exchange
                 .run(device.register_read::<u32>(RegisterAddress::DcSystemTimeDifference))
@@ -162,15 +161,15 @@ impl Bus {
             sync0_shift: plan.sync0_shift,
         };
         self.exchange
-            .run(group.configure_dc_sync(&self.main, configuration))
+            .run(group.configure_dc_sync(self.main, configuration))
             .map_err(while_doing("starting SYNC0 and SYNC1"))
     }
 
     fn request_operational<Dc>(&mut self, group: Group<PreOpPdi, Dc>) -> Result<Group<Op, Dc>, BusError> {
         let devices = group.len();
-        let safe_op = self.exchange.run(group.into_safe_op(&self.main));
+        let safe_op = self.exchange.run(group.into_safe_op(self.main));
         let safe_op = safe_op.map_err(|error| self.explain_refusal(devices, "SAFE-OP", error))?;
-        let op = self.exchange.run(safe_op.request_into_op(&self.main));
+        let op = self.exchange.run(safe_op.request_into_op(self.main));
         op.map_err(|error| self.explain_refusal(devices, "OP", error))
     }
 
@@ -178,10 +177,10 @@ impl Bus {
         for position in 1..=operational.encoder_count {
             let lengths = match &operational.group {
                 OperationalGroup::Dc(group) => group
-                    .subdevice(&self.main, position)
+                    .subdevice(self.main, position)
                     .map(|terminal| (terminal.inputs_raw().len(), terminal.outputs_raw().len())),
                 OperationalGroup::FreeRun(group) => group
-                    .subdevice(&self.main, position)
+                    .subdevice(self.main, position)
                     .map(|terminal| (terminal.inputs_raw().len(), terminal.outputs_raw().len())),
             };
             let (inputs, outputs) = lengths.map_err(while_doing("looking at the process data"))?;

@@ -35,8 +35,8 @@ pub struct WireCounters {
 
 /// Drives the EtherCAT stack over a wire.
 pub struct Exchange {
-    tx: PduTx<'static>,
-    rx: PduRx<'static>,
+    /// None once released.
+    halves: Option<(PduTx<'static>, PduRx<'static>)>,
     wire: Box<dyn Wire>,
     clock: Clock,
     buffer: Box<[u8; FRAME_BYTES_MAX]>,
@@ -51,8 +51,7 @@ impl Exchange {
     pub fn new(tx: PduTx<'static>, rx: PduRx<'static>, wire: Box<dyn Wire>, clock: Clock) -> Self {
         let now = clock.now();
         Self {
-            tx,
-            rx,
+            halves: Some((tx, rx)),
             wire,
             clock,
             buffer: Box::new([0; FRAME_BYTES_MAX]),
@@ -63,9 +62,9 @@ impl Exchange {
         }
     }
 
-    /// From now on serves another `PduStorage` over the same wire.
-    pub fn replace(&mut self, tx: PduTx<'static>, rx: PduRx<'static>) {
-        (self.tx, self.rx) = (tx, rx);
+    /// Gives the halves back; nothing is sent or received any more.
+    pub fn release(&mut self) -> Option<(PduTx<'static>, PduRx<'static>)> {
+        self.halves.take()
     }
 
     /// Runs a future of the EtherCAT stack to its end, carrying its frames meanwhile.
@@ -125,8 +124,9 @@ impl Exchange {
     }
 
     fn send_pending(&mut self) {
-        while let Some(frame) = self.tx.next_sendable_frame() {
-            let Self { wire, clock, counters, sent_last, sent_bytes_last, .. } = self;
+        let Self { halves, wire, clock, counters, sent_last, sent_bytes_last, .. } = self;
+        let Some((tx, _)) = halves else { return };
+        while let Some(frame) = tx.next_sendable_frame() {
             *sent_last = clock.now();
             // A frame that cannot be sent counts as sent and lost: it ends by its time-out like any other loss,
             // instead of being offered again at once for ever.
@@ -144,14 +144,16 @@ impl Exchange {
 
     fn receive_one(&mut self, until: MonoNs) {
         match self.wire.receive(&mut self.buffer, until) {
-            Ok(Some(length)) => match self.rx.receive_frame(&self.buffer[..length]) {
-                Ok(ReceiveAction::Processed) => {
-                    self.received_last = self.clock.now();
-                    self.counters.received += 1;
+            Ok(Some(length)) => {
+                match self.halves.as_mut().map(|(_, rx)| rx.receive_frame(&self.buffer[..length])) {
+                    Some(Ok(ReceiveAction::Processed)) => {
+                        self.received_last = self.clock.now();
+                        self.counters.received += 1;
+                    }
+                    None | Some(Ok(ReceiveAction::Ignored)) => {}
+                    Some(Err(_)) => self.counters.rejected += 1,
                 }
-                Ok(ReceiveAction::Ignored) => {}
-                Err(_) => self.counters.rejected += 1,
-            },
+            }
             Ok(None) => {}
             Err(_) => {
                 // A dead interface answers at once: without a pause this would spin until the time-out.

@@ -4,15 +4,13 @@ mod bring_up;
 mod error;
 mod exchange;
 mod recovery;
+mod stack;
 mod timers;
 
 use std::time::Duration;
 
 use ethercrab::subdevice_group::{HasDc, NoDc, Op};
-use ethercrab::{
-    MainDevice, MainDeviceConfig, PduRx, PduStorage, PduTx, RetryBehaviour, SubDeviceGroup, SubDeviceState,
-    Timeouts,
-};
+use ethercrab::{MainDevice, SubDeviceGroup, SubDeviceState};
 use shared::config::EncoderConfig;
 use shared::recording::schema::{DeviceInfo, MAX_ENCODERS};
 use shared::time::{DcNs, MonoNs};
@@ -23,8 +21,9 @@ pub use recovery::Lift;
 pub use timers::use_clock;
 
 use crate::clock::Clock;
-use crate::devices::el5021::{self, Input};
+use crate::devices::el5021::{self, Input, Output};
 use crate::segment::Wire;
+use stack::Stack;
 
 /// More devices than a ball-bar has; ethercrab wants a power of two.
 const DEVICES_MAX: usize = 16;
@@ -32,7 +31,6 @@ const DEVICES_MAX: usize = 16;
 const STATION_ADDRESS_FIRST: u16 = 0x1000;
 /// Room for the process data of all terminals.
 const PDI_BYTES_MAX: usize = 256;
-const FRAMES_MAX: usize = 16;
 /// Nothing is cyclic yet while the bus comes up, and this PC may be busy: patience costs nothing.
 const BRING_UP_REPLY_TIMEOUT: Duration = Duration::from_millis(20);
 const BRING_UP_RETRIES: usize = 5;
@@ -42,10 +40,8 @@ const WIRE_NS_PER_BYTE: i64 = 80;
 const FRAME_BYTES_MIN: usize = 60;
 /// Preamble and start delimiter before, check sequence after each frame.
 const FRAME_BYTES_AROUND: usize = 8 + 4;
-const FRAME_DATA_BYTES: usize = PduStorage::element_size(1100);
 
 type Group<State, Dc> = SubDeviceGroup<DEVICES_MAX, PDI_BYTES_MAX, ethercrab::DefaultLock, State, Dc>;
-type Storage = PduStorage<FRAMES_MAX, FRAME_DATA_BYTES>;
 
 /// What the bus should be and how it should run.
 #[derive(Debug, Clone)]
@@ -67,7 +63,7 @@ pub struct BusPlan {
 /// The EtherCAT MainDevice on one wire.
 pub struct Bus {
     exchange: Exchange,
-    main: MainDevice<'static>,
+    main: &'static MainDevice<'static>,
     clock: Clock,
     reply_timeout_ns: i64,
     /// What the bus' clock is set to when the bus comes up: the host's monotonic time plus this \[ns\].
@@ -118,9 +114,9 @@ pub struct CyclicExchange {
 }
 
 impl Bus {
-    /// A MainDevice on a wire. Its frame storage lives as long as the process: ethercrab lends it once.
+    /// A MainDevice on a wire.
     pub fn new(wire: Box<dyn Wire>, clock: Clock, reply_timeout: Duration) -> Self {
-        let (tx, rx, main) = new_stack();
+        let Stack { tx, rx, main } = Stack::take();
         Self {
             exchange: Exchange::new(tx, rx, wire, clock.clone()),
             main,
@@ -168,6 +164,23 @@ impl Bus {
         CyclicExchange { sent, received: self.exchange.received_last(), reply: Some(reply) }
     }
 
+    /// What the terminal of one encoder, counted in bus order from 0, is told from the next exchange on.
+    pub fn set_output(&self, operational: &Operational, encoder: usize, output: Output) {
+        // The coupler stands before the terminals. Lengths were checked when the bus came up.
+        let position = encoder + 1;
+        let put = |pdo: &mut [u8]| {
+            pdo.iter_mut().zip(output.encode()).for_each(|(byte, value)| *byte = value);
+        };
+        match &operational.group {
+            OperationalGroup::Dc(group) => {
+                group.subdevice(self.main, position).iter().for_each(|one| put(&mut one.outputs_raw_mut()));
+            }
+            OperationalGroup::FreeRun(group) => {
+                group.subdevice(self.main, position).iter().for_each(|one| put(&mut one.outputs_raw_mut()));
+            }
+        }
+    }
+
     fn inputs(&self, operational: &Operational) -> [Input; MAX_ENCODERS] {
         let mut inputs = [Input::default(); MAX_ENCODERS];
         for (index, input) in inputs.iter_mut().enumerate().take(operational.encoder_count) {
@@ -175,17 +188,25 @@ impl Bus {
             let position = index + 1;
             let decoded = match &operational.group {
                 OperationalGroup::Dc(group) => group
-                    .subdevice(&self.main, position)
+                    .subdevice(self.main, position)
                     .ok()
                     .and_then(|terminal| Input::decode(&terminal.inputs_raw())),
                 OperationalGroup::FreeRun(group) => group
-                    .subdevice(&self.main, position)
+                    .subdevice(self.main, position)
                     .ok()
                     .and_then(|terminal| Input::decode(&terminal.inputs_raw())),
             };
             *input = decoded.unwrap_or_default();
         }
         inputs
+    }
+}
+
+impl Drop for Bus {
+    fn drop(&mut self) {
+        if let Some((tx, rx)) = self.exchange.release() {
+            Stack { tx, rx, main: self.main }.leave();
+        }
     }
 }
 
@@ -209,22 +230,6 @@ impl States {
             silent: mask(|state| *state == SubDeviceState::None),
         }
     }
-}
-
-/// Storage for frames and the stack on it. It lives as long as the process: ethercrab lends it once.
-fn new_stack() -> (PduTx<'static>, PduRx<'static>, MainDevice<'static>) {
-    let storage: &'static Storage = Box::leak(Box::new(Storage::new()));
-    // Splitting fails only the second time; a storage made here was never split.
-    #[allow(clippy::expect_used, reason = "the storage was made one line above")]
-    let (tx, rx, pdu_loop) = storage.try_split().expect("fresh storage");
-    // For bringing the bus up; cyclic frames have a time-out of their own and are never repeated: a repeated one
-    // would come a cycle late and pass for a fresh sample.
-    let timeouts = Timeouts { pdu: BRING_UP_REPLY_TIMEOUT, ..Timeouts::default() };
-    let config = MainDeviceConfig {
-        retry_behaviour: RetryBehaviour::Count(BRING_UP_RETRIES),
-        ..MainDeviceConfig::default()
-    };
-    (tx, rx, MainDevice::new(pdu_loop, timeouts, config))
 }
 
 /// Working counter that `terminals` EL5021 add up to.

@@ -5,7 +5,7 @@ use ethercrab::error::Error as EtherCatError;
 use ethercrab::{Command, RegisterAddress};
 use shared::time::MonoNs;
 
-use super::{Bus, STATION_ADDRESS_FIRST, new_stack};
+use super::{Bus, STATION_ADDRESS_FIRST};
 
 /// AL status and AL control: lower bits hold the state, this one the error and its acknowledgement (ETG.1000.6).
 const AL_ERROR: u16 = 0x10;
@@ -79,12 +79,5 @@ impl Bus {
     /// up again goes on with the time that it had.
     pub fn set_bus_minus_monotonic(&mut self, difference_ns: i64) {
         self.bus_minus_monotonic_ns = difference_ns;
-    }
-
-    /// Begins with a new frame storage on the same wire.
-    pub(super) fn renew_stack(&mut self) {
-        let (tx, rx, main) = new_stack();
-        self.exchange.replace(tx, rx);
-        self.main = main;
     }
 }

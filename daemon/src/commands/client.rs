@@ -1,7 +1,7 @@
 //! Commands that ask a running service: `start`, `stop`, `status`, `mark`, `check`, `runs`.
 
 use std::fmt::Write as _;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
@@ -96,6 +96,7 @@ pub fn stop(arguments: &AskArguments) -> anyhow::Result<()> {
     let reply: Reply = arguments.service.post("stop", &request)?;
     match (reply.answer.as_str(), reply.last) {
         ("stopped", Some(last)) => println!("{}", last_run(&last)),
+        ("homing", _) => println!("the homing ends"),
         _ => println!("no run goes on"),
     }
     Ok(())
@@ -167,13 +168,20 @@ pub fn list(arguments: &RunsArguments) -> anyhow::Result<()> {
 }
 
 impl ServiceArguments {
-    fn get<T: DeserializeOwned>(&self, path: &str) -> anyhow::Result<T> {
+    /// Directory of the configuration.
+    pub fn config(&self) -> &Path {
+        &self.config
+    }
+
+    /// Asks the service for something that changes nothing.
+    pub fn get<T: DeserializeOwned>(&self, path: &str) -> anyhow::Result<T> {
         let url = self.url(path)?;
         let response = agent().get(&url).call().with_context(|| not_there(&url))?;
         understood(response)
     }
 
-    fn post<T: DeserializeOwned>(&self, path: &str, body: &impl Serialize) -> anyhow::Result<T> {
+    /// Asks the service to do something.
+    pub fn post<T: DeserializeOwned>(&self, path: &str, body: &impl Serialize) -> anyhow::Result<T> {
         let url = self.url(path)?;
         let response = agent().post(&url).send_json(body).with_context(|| not_there(&url))?;
         understood(response)

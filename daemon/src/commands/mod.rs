@@ -2,6 +2,7 @@
 
 mod client;
 mod export;
+mod home;
 mod record;
 mod recover;
 mod segment;
@@ -11,6 +12,8 @@ mod tune;
 use anyhow::Context;
 use clap::{Parser, Subcommand};
 use tokio::signal::unix::{SignalKind, signal};
+
+use crate::run::BusChoice;
 
 /// Records a sensed double ball-bar over EtherCAT.
 #[derive(Debug, Parser)]
@@ -38,6 +41,8 @@ enum Command {
     Runs(client::RunsArguments),
     /// Record one run and exit.
     Record(record::RecordArguments),
+    /// Find the encoders' reference marks and check their order and direction, joint by joint.
+    Home(home::HomeArguments),
     /// Say what of this machine's settings makes the cycle late, and what to type.
     Tune(tune::TuneArguments),
     /// Write a recording as a table.
@@ -59,10 +64,19 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
         Command::Check(arguments) => client::check(&arguments),
         Command::Runs(arguments) => client::list(&arguments),
         Command::Record(arguments) => record::run(&arguments),
+        Command::Home(arguments) => home::run(arguments),
         Command::Tune(arguments) => tune::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
         Command::Recover(arguments) => recover::run(&arguments),
         Command::Segment(arguments) => segment::run(&arguments),
+    }
+}
+
+/// The bus that a person names.
+fn bus_choice(name: &str) -> BusChoice {
+    match name {
+        "simulated" => BusChoice::Simulated,
+        interface => BusChoice::Interface(interface.to_owned()),
     }
 }
 

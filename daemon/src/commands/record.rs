@@ -4,11 +4,13 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
-use shared::config::{self, BallBarConfig, DaemonConfig};
+use shared::config::{self, BallBarConfig, DaemonConfig, HomingConfig};
 
-use super::on_signal;
+use super::{bus_choice, on_signal};
+use crate::homing;
 use crate::recorder::RunSummary;
 use crate::run::{self, BusChoice, RunRequest, Stop};
+use crate::segment::faults::FaultWindow;
 
 #[derive(Debug, Args)]
 pub struct RecordArguments {
@@ -24,6 +26,13 @@ pub struct RecordArguments {
     /// Let the simulated encoders follow this recording
     #[arg(long, value_name = "FILE")]
     replay: Option<PathBuf>,
+    /// If the bus does not come up, say what is missing and try again until it does
+    #[arg(long)]
+    wait: bool,
+    /// What goes wrong on the simulated bus, such as lost:0.01 or gone:3@10s-15s (an unknown one lists all); may be
+    /// repeated
+    #[arg(long = "fault", value_name = "FAULT[@FROM[-UNTIL]]")]
+    faults: Vec<FaultWindow>,
     /// Virtual time: as fast as the machine allows (simulated bus only)
     #[arg(long)]
     fast: bool,
@@ -67,8 +76,7 @@ fn request(arguments: &RecordArguments) -> anyhow::Result<RunRequest> {
         (Some(_), interface) => {
             anyhow::bail!("--replay plays on the simulated bus, not on {interface}; leave out one of the two")
         }
-        (None, "simulated") => BusChoice::Simulated,
-        (None, interface) => BusChoice::Interface(interface.to_owned()),
+        (None, name) => bus_choice(name),
     };
     let name = arguments.name.clone();
     Ok(RunRequest {
@@ -78,6 +86,9 @@ fn request(arguments: &RecordArguments) -> anyhow::Result<RunRequest> {
         note: arguments.note.clone(),
         duration: arguments.duration,
         bus,
+        faults: arguments.faults.clone(),
+        wait: arguments.wait,
+        homing: homing::file::read(&arguments.config.join(HomingConfig::FILE_NAME))?,
         fast: arguments.fast,
     })
 }

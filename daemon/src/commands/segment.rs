@@ -1,14 +1,17 @@
-//! `ballbard segment`: the simulated segment on a network interface, for any EtherCAT MainDevice.
+//! `ballbard segment`: the simulated segment on a network interface, for any EtherCAT MainDevice. What goes wrong is
+//! planned by `--fault`, or switched by lines on the standard input while it is served.
 
+use std::io::{self, BufRead, Write};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
 
 use clap::Args;
 use shared::time::{MonoNs, NS_PER_S};
 
 use super::on_signal;
 use crate::clock::Clock;
-use crate::segment::faults::{FaultWindow, FaultySegment};
+use crate::segment::faults::{FaultHandle, FaultSwitch, FaultWindow, FaultySegment};
 use crate::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
 use crate::segment::{EthernetWire, FRAME_BYTES_MAX, Wire};
 
@@ -26,7 +29,8 @@ pub struct SegmentArguments {
     /// Seed of the motion, of the devices' clocks and of chance
     #[arg(long, default_value_t = SegmentConfig::default().seed)]
     seed: u64,
-    /// What goes wrong, such as lost:0.01 or gone:3@10s-15s (an unknown one lists all); may be repeated
+    /// What goes wrong, such as lost:0.01 or gone:3@10s-15s (an unknown one lists all); may be repeated. While it
+    /// serves, lines on the standard input switch faults: `on gone:3`, `off gone:3`
     #[arg(long = "fault", value_name = "FAULT[@FROM[-UNTIL]]")]
     faults: Vec<FaultWindow>,
 }
@@ -36,13 +40,31 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
         SegmentConfig { terminals: arguments.terminals, seed: arguments.seed, ..SegmentConfig::default() };
     let motion = SmoothMotion::new(config.terminals, arguments.lines, config.seed);
     let segment = SimulatedSegment::new(&config, Box::new(motion));
-    let (mut segment, _) = FaultySegment::new(segment, config.seed);
+    let (mut segment, faults) = FaultySegment::new(segment, config.seed);
     segment.schedule(&arguments.faults);
     let wire = EthernetWire::open(&arguments.interface)?;
     let stop = Arc::new(AtomicBool::new(false));
     let serving = Arc::clone(&stop);
     println!("serving an EK1100 with {} EL5021 on {}", config.terminals, arguments.interface);
+    // It ends with its input or with this program, whichever is first.
+    thread::Builder::new().name("switches".into()).spawn(move || switch_by_lines(&faults))?;
     on_signal(move || serve(segment, wire, &serving), |_| stop.store(true, Ordering::Release))
+}
+
+/// Faults as a person or a test types them while the segment is served: `on gone:3`, `off gone:3`.
+fn switch_by_lines(faults: &FaultHandle) {
+    for line in io::stdin().lock().lines().map_while(Result::ok).filter(|line| !line.trim().is_empty()) {
+        match line.parse() {
+            Ok(FaultSwitch { fault, on: true }) => faults.begin(fault),
+            Ok(FaultSwitch { fault, on: false }) => faults.end(fault),
+            Err(error) => {
+                eprintln!("{error}");
+                continue;
+            }
+        }
+        // Whoever switches need not listen.
+        let _ = writeln!(io::stdout(), "{}", line.trim());
+    }
 }
 
 /// Answers each frame as it comes, until stopped. An interface that goes away does not end it: it may come back.

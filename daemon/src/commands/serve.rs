@@ -2,21 +2,27 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context;
+use anyhow::{Context, bail};
 use clap::Args;
-use shared::config::{self, BallBarConfig, DaemonConfig};
+use shared::config::{self, BallBarConfig, DaemonConfig, HomingConfig};
 use tokio::net::TcpListener;
 use tokio::signal::unix::{SignalKind, signal};
 
+use super::bus_choice;
 use crate::control::api;
 use crate::control::service::{Service, Settings};
 use crate::run::BusChoice;
+use crate::segment::faults::FaultWindow;
 
 #[derive(Debug, Args)]
 pub struct RunArguments {
     /// `simulated`, or a network interface such as eth1
     #[arg(long, default_value = "simulated")]
     bus: String,
+    /// What goes wrong on the simulated bus, such as lost:0.01 or gone:3@10s-15s (an unknown one lists all); may be
+    /// repeated
+    #[arg(long = "fault", value_name = "FAULT[@FROM[-UNTIL]]")]
+    faults: Vec<FaultWindow>,
     /// Directory for the recordings; default: `directory` of daemon.toml
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
@@ -35,15 +41,20 @@ pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
         daemon.directory.clone_from(directory);
     }
     let port = arguments.port.unwrap_or(daemon.port);
-    let bus = match arguments.bus.as_str() {
-        "simulated" => BusChoice::Simulated,
-        interface => BusChoice::Interface(interface.to_owned()),
-    };
+    let bus = bus_choice(&arguments.bus);
+    let faults = arguments.faults.clone();
+    if bus != BusChoice::Simulated && !faults.is_empty() {
+        bail!(
+            "--fault breaks the simulated bus, not {}; leave it out, or use `ballbard segment --fault`",
+            arguments.bus
+        );
+    }
+    let homing_file = arguments.config.join(HomingConfig::FILE_NAME);
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
         .context("cannot start the service")?;
-    runtime.block_on(serve(port, Settings { bus, daemon, bar }))
+    runtime.block_on(serve(port, Settings { bus, faults, daemon, bar, homing_file }))
 }
 
 async fn serve(port: u16, settings: Settings) -> anyhow::Result<()> {

@@ -18,7 +18,7 @@ use tokio::net::TcpListener;
 use super::machine::Answer;
 use super::runs;
 use super::service::Service;
-use super::status::{LastRun, MarkRequest, Refusal, Reply, StartRequest, Status, StopRequest};
+use super::status::{HomeRequest, LastRun, MarkRequest, Refusal, Reply, StartRequest, Status, StopRequest};
 
 /// Longest request.
 const BODY_BYTES_MAX: usize = 64 * 1024;
@@ -44,6 +44,7 @@ pub fn router(service: Service) -> Router {
         .route("/runs", get(list_runs))
         .route("/start", post(start))
         .route("/stop", post(stop))
+        .route("/home", post(home))
         .route("/mark", post(mark))
         .fallback(|| async { refusal(StatusCode::NOT_FOUND, "no such path") })
         .layer(DefaultBodyLimit::max(BODY_BYTES_MAX))
@@ -116,7 +117,23 @@ async fn stop(State(service): State<Service>, body: Body<StopRequest>) -> Respon
                 &format!("run `{run}` is ending, but the disk has not taken it yet; ask for the status"),
             ),
         },
+        Ok(Answer::Homing) => reply("homing", None, None),
         Ok(_) => reply("idle", None, service.status().last),
+        Err(Refusal { error }) => refusal(StatusCode::SERVICE_UNAVAILABLE, &error),
+    }
+}
+
+async fn home(State(service): State<Service>, body: Body<HomeRequest>) -> Response {
+    if let Err(rejection) = body {
+        return rejected(&rejection);
+    }
+    match service.home().await {
+        Ok(Answer::Beginning | Answer::Homing) => reply("homing", None, None),
+        Ok(Answer::Busy(run)) => {
+            refusal(StatusCode::CONFLICT, &format!("run `{run}` goes on; encoders are homed between runs"))
+        }
+        Ok(Answer::Refused(reason)) => refusal(StatusCode::CONFLICT, &reason),
+        Ok(other) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &format!("unexpected answer {other:?}")),
         Err(Refusal { error }) => refusal(StatusCode::SERVICE_UNAVAILABLE, &error),
     }
 }

@@ -1,10 +1,15 @@
-//! The acquisition service: keeps the bus in operation, starts and stops runs, answers people.
+//! The acquisition service: keeps the bus in operation, starts and stops runs, homes the encoders, answers people.
 //!
-//! [`machine`] decides and does nothing; [`service`] does and decides nothing; [`api`] carries requests over HTTP.
+//! [`machine`] decides and does nothing; `controller` does and decides nothing, with `bus_link` and `homing`; `view` says
+//! what people see of it; [`service`] is the way to it from other threads, [`api`] the one over HTTP.
 
 pub mod api;
+mod bus_link;
+mod controller;
+pub mod homing;
 pub mod machine;
 pub mod preflight;
 pub mod runs;
 pub mod service;
 pub mod status;
+mod view;

@@ -4,15 +4,25 @@ use nix::unistd::{AccessFlags, access};
 
 use super::machine::State;
 use super::runs;
-use super::service::Seen;
 use super::status::{CheckLine, Status};
+use super::view::View;
+use crate::homing;
+use crate::run::Session;
 
 /// A live sample older than this is not live \[ms\].
 const SAMPLE_AGE_MS_MAX: i64 = 1000;
 
 /// All lines; each is independent of the others.
-pub(super) fn check(seen: &Seen, status: &Status) -> Vec<CheckLine> {
-    vec![bus(seen, status), encoders(status), disk(seen), realtime(seen), clock(), leftovers(seen)]
+pub(super) fn check(view: &View<'_>, status: &Status) -> Vec<CheckLine> {
+    vec![
+        bus(view, status),
+        encoders(status),
+        reference_marks(view),
+        disk(view),
+        realtime(view),
+        clock(),
+        leftovers(view),
+    ]
 }
 
 fn good(subject: &str, finding: impl Into<String>) -> CheckLine {
@@ -23,9 +33,9 @@ fn problem(subject: &str, finding: impl Into<String>, remedy: &str) -> CheckLine
     CheckLine { subject: subject.into(), finding: finding.into(), remedy: Some(remedy.into()) }
 }
 
-fn bus(seen: &Seen, status: &Status) -> CheckLine {
+fn bus(view: &View<'_>, status: &Status) -> CheckLine {
     const SUBJECT: &str = "bus";
-    match &seen.state {
+    match view.machine.state() {
         State::Fault { reason } => {
             problem(SUBJECT, reason, "set right what it says; the service tries again by itself")
         }
@@ -53,17 +63,36 @@ fn encoders(status: &Status) -> CheckLine {
     }
 }
 
-fn disk(seen: &Seen) -> CheckLine {
+/// A run needs no marks: calibration finds the offsets. But marks that hold no more would be missed.
+fn reference_marks(view: &View<'_>) -> CheckLine {
+    const SUBJECT: &str = "reference marks";
+    let homing = match homing::file::read(&view.settings.homing_file) {
+        Ok(None) => return good(SUBJECT, "not homed; calibration finds the offsets of this power cycle"),
+        Ok(Some(homing)) => homing,
+        Err(error) => return problem(SUBJECT, error.to_string(), "correct the file, or home again"),
+    };
+    let Some(session) = view.session else { return good(SUBJECT, "to be seen when the bus is in operation") };
+    let stale = homing.apply(&mut session.encoders().to_vec(), &session.live().latches());
+    if stale.is_empty() {
+        return good(SUBJECT, format!("of all joints, homed {}", homing.homed));
+    }
+    let joints: Vec<_> = stale.iter().map(u8::to_string).collect();
+    let finding = format!("those of joint {} do not hold any more", joints.join(", "));
+    problem(SUBJECT, finding, "run `ballbard home`, or remove homing.toml if runs need no marks")
+}
+
+fn disk(view: &View<'_>) -> CheckLine {
     const SUBJECT: &str = "disk";
-    let writable = access(&seen.directory, AccessFlags::W_OK).is_ok() || !seen.directory.exists();
+    let writable = access(&view.settings.daemon.directory, AccessFlags::W_OK).is_ok()
+        || !view.settings.daemon.directory.exists();
     if !writable {
-        let finding = format!("{} cannot be written", seen.directory.display());
+        let finding = format!("{} cannot be written", view.settings.daemon.directory.display());
         return problem(SUBJECT, finding, "correct its permissions, or `directory` in daemon.toml");
     }
-    match seen.floor.problem() {
+    match view.floor().problem() {
         Some(finding) => problem(SUBJECT, finding, "delete or move recordings"),
         None => {
-            let usable = seen.floor.usable_bytes().ok().flatten().unwrap_or(0);
+            let usable = view.floor().usable_bytes().ok().flatten().unwrap_or(0);
             // Measured: 11.5 kB a second at 100 Hz with five encoders.
             let hours = usable / 42_000_000;
             good(SUBJECT, format!("{} MB above the floor, some {hours} hours at 100 Hz", usable / 1_000_000))
@@ -71,9 +100,9 @@ fn disk(seen: &Seen) -> CheckLine {
     }
 }
 
-fn realtime(seen: &Seen) -> CheckLine {
+fn realtime(view: &View<'_>) -> CheckLine {
     const SUBJECT: &str = "real time";
-    match &seen.realtime_problem {
+    match view.session.and_then(Session::realtime_problem) {
         Some(report) => problem(
             SUBJECT,
             report,
@@ -107,9 +136,9 @@ fn clock_is_synchronised() -> bool {
     state >= 0 && state != libc::TIME_ERROR
 }
 
-fn leftovers(seen: &Seen) -> CheckLine {
+fn leftovers(view: &View<'_>) -> CheckLine {
     const SUBJECT: &str = "left-over files";
-    let files = runs::left_behind(&seen.directory);
+    let files = runs::left_behind(&view.settings.daemon.directory);
     if files.is_empty() {
         return good(SUBJECT, "none");
     }

@@ -7,14 +7,17 @@ use shared::time::UtcNs;
 /// What the service is doing, as far as it is on disk.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Status {
-    /// `fault`, `waiting`, `opening`, `sampling`, `writing` or `closing`.
+    /// `fault`, `waiting`, `homing`, `opening`, `sampling`, `writing` or `closing`.
     pub state: String,
-    /// Why nothing can be recorded, in a fault; why the run ends, when closing.
+    /// Why nothing can be recorded, in a fault; why the run ends, when closing; what is wrong with the bus, while a run
+    /// goes on.
     pub reason: Option<String>,
     /// The run that goes on.
     pub run: Option<RunStatus>,
     /// The run before.
     pub last: Option<LastRun>,
+    /// The homing that goes on, or the last one.
+    pub homing: Option<HomingStatus>,
     /// Network interface, or `simulated`.
     pub bus: String,
     /// Devices in operation, in bus order.
@@ -69,6 +72,21 @@ pub struct LastRun {
     pub timing: Option<TimingSummary>,
 }
 
+/// How far a homing is.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct HomingStatus {
+    /// What was asked and found so far, for people.
+    pub lines: Vec<String>,
+    /// Joint that is to be turned now.
+    pub joint: Option<u8>,
+    /// How far it was turned; positive where the counts of its encoder rise \[deg\].
+    pub turned_deg: Option<f64>,
+    /// It has ended.
+    pub is_over: bool,
+    /// Why it found nothing, and what to do.
+    pub error: Option<String>,
+}
+
 /// One encoder, now.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EncoderStatus {
@@ -106,6 +124,11 @@ pub struct StopRequest {
     pub cause: Option<String>,
 }
 
+/// What is asked for with `home`: nothing in particular.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HomeRequest {}
+
 /// What is asked for with `mark`.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -117,7 +140,7 @@ pub struct MarkRequest {
 /// What became of a request.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Reply {
-    /// In one word: `begun`, `running`, `stopped`, `idle` or `marked`.
+    /// In one word: `begun`, `running`, `stopped`, `idle`, `homing` or `marked`.
     pub answer: String,
     /// The run that it is about.
     pub run: Option<String>,

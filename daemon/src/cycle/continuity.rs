@@ -47,9 +47,13 @@ impl Continuity {
         self.reset_at.get_or_insert(at);
     }
 
-    /// Flags the first valid record whose counts may have another origin than those before, and says why.
+    /// Flags the first valid record whose counts may have another origin than those before, and says why. Until that one
+    /// nobody knows, so counts of a bus that came up without some of its terminals are not used.
     pub fn check(&mut self, record: &mut CycleRecord) -> Option<Origin> {
         if !record.is_valid() {
+            if self.powered_off || self.reset_at.is_some() {
+                record.encoders.iter_mut().for_each(|encoder| encoder.valid = false);
+            }
             return None;
         }
         let reset_at = self.reset_at.take();
@@ -147,6 +151,21 @@ mod tests {
         assert_eq!(continuity.check(&mut record(10, [FAR, FAR], false)), None);
         assert_eq!(continuity.check(&mut record(20, [FAR, FAR], true)), Some(Origin::PoweredOff));
         assert_eq!(continuity.check(&mut record(30, [FAR, FAR], true)), None);
+    }
+
+    #[test]
+    fn until_the_origin_is_known_again_no_count_is_used() {
+        let mut continuity = continuity();
+        continuity.check(&mut record(0, [FAR, FAR], true));
+        continuity.powered_off();
+        let mut partly = record(10, [FAR, FAR], true);
+        partly.encoders[1].valid = false;
+        assert_eq!(continuity.check(&mut partly), None);
+        assert!(!partly.encoders[0].valid);
+        assert_eq!(continuity.check(&mut record(20, [FAR, FAR], true)), Some(Origin::PoweredOff));
+        partly.encoders[0].valid = true;
+        assert_eq!(continuity.check(&mut partly), None);
+        assert!(partly.encoders[0].valid, "known since");
     }
 
     #[test]

@@ -26,6 +26,11 @@ pub enum Happening {
         /// Reasons, see [`flags`].
         flags: u32,
     },
+    /// Terminals from a position on do not answer; those before stay in use.
+    Missing {
+        /// Position on the bus.
+        position: u8,
+    },
     /// The bus is given up and will be brought up again.
     Down(Down),
     /// The bus is in operation again.
@@ -100,6 +105,9 @@ impl Happening {
             Self::Gap { first, cycles, flags } => {
                 format!("{cycles} cycles from {first} on without valid samples: {}", names(flags))
             }
+            Self::Missing { position } => format!(
+                "devices from position {position} on do not answer; the others stay in use until all are there"
+            ),
             Self::Down(why) => format!("bus given up, to be brought up again: {}", why.text()),
             Self::Up { attempts: 1 } => "bus in operation again".into(),
             Self::Up { attempts } => format!("bus in operation again, after {attempts} attempts"),

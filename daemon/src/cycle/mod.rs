@@ -28,7 +28,7 @@ pub use timing::{CycleTiming, TimingSink, TimingSource, Timings, timing_ring};
 
 use crate::bus::{Bus, BusError, BusPlan, CyclicExchange, Operational, WireCounters};
 use crate::clock::Clock;
-use crate::devices::el5021;
+use crate::devices::el5021::{self, Output};
 use recovery::{Health, is_misread};
 
 /// Cycles run before the first sample so that the fit of bus time to host time has settled.
@@ -120,6 +120,14 @@ impl Acquisition {
     /// How late the last cycle was and how long it took; none while the bus is down.
     pub fn last_timing(&self) -> Option<CycleTiming> {
         self.timing
+    }
+
+    /// What the terminal of one encoder, counted in bus order from 0, is told from the next cycle on; nothing while the
+    /// bus is down, and nothing is told anew when it comes up.
+    pub fn set_output(&mut self, encoder: usize, output: Output) {
+        if let Some(operational) = &self.operational {
+            self.bus.set_output(operational, encoder, output);
+        }
     }
 
     /// What happened on the bus, oldest first; take all after each cycle.

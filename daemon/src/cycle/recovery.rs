@@ -1,7 +1,8 @@
 //! How the acquisition gets over faults: what each bad cycle leads to, and how no cycle gets lost meanwhile.
 //!
 //! A single bad cycle is flagged and forgotten. A terminal in SAFE-OP is asked back to OP between two frames. Silence is
-//! met with further frames: a bus that answers again goes on where it was. Only when that does not help is the bus
+//! met with further frames: a bus that answers again goes on where it was. Terminals before one that is gone stay in use
+//! until it is back. Only when that does not help is the bus
 //! brought up again; cycles that become due meanwhile are given afterwards, flagged, and the bus' clock is set to go
 //! on, so that numbers and times stay those of one run.
 
@@ -24,6 +25,8 @@ const LIFT_TIMEOUT_NS: i64 = NS_PER_S / 2;
 const LIFT_PERIOD_NS: i64 = NS_PER_S / 20;
 /// Clocks of terminals that nobody synchronised for longer are no longer trusted \[ns\].
 const SILENCE_NS_MAX: i64 = NS_PER_S;
+/// Between two looks whether terminals that are missing are back \[ns\].
+const LOOK_PERIOD_NS: i64 = NS_PER_S / 20;
 /// Between two attempts to bring the bus up \[ns\].
 const RETRY_PERIOD_NS: i64 = NS_PER_S / 5;
 
@@ -36,6 +39,8 @@ pub(super) struct Health {
     silent_since: Option<MonoNs>,
     /// When a terminal was first and last asked back to OP.
     lifting: Option<(MonoNs, MonoNs)>,
+    /// When it was last looked whether missing terminals are back.
+    missing_since_look: Option<MonoNs>,
     /// Attempts to bring up the bus since it was given up.
     attempts: u32,
     /// Not before this is it tried again.
@@ -77,13 +82,14 @@ impl Acquisition {
         // A broken signal is not mended by bringing up the bus.
         let matter = record.flags & !(flags::TERMINAL_ERROR | flags::DEADLINE_MISSED | flags::ORIGIN_CHANGED);
         if record.is_valid() || (matter & !self.sampler.flags_always()) == 0 {
-            (self.health.bad, self.health.lifting) = (0, None);
+            (self.health.bad, self.health.lifting, self.health.missing_since_look) = (0, None, None);
             return;
         }
         self.health.bad += 1;
         if reply.silent != 0 {
             if self.health.bad >= LOST_CYCLES {
-                self.give_up(Down::DeviceLost);
+                let some_left = record.encoders().iter().any(|encoder| encoder.valid);
+                self.do_without(reply.silent, some_left, exchange.received);
             }
         } else if reply.not_operational != 0 {
             self.lift(reply, exchange.received);
@@ -117,6 +123,23 @@ impl Acquisition {
                 }
             }
         }
+    }
+
+    /// Terminals are gone. While some are left these stay in use, and the bus is brought up again, which none of them
+    /// would survive, only when all devices answer.
+    fn do_without(&mut self, silent: u32, some_left: bool, now: MonoNs) {
+        let looked_at = self.health.missing_since_look;
+        if looked_at.is_some_and(|looked_at| some_left && now.ns_since(looked_at) < LOOK_PERIOD_NS) {
+            return;
+        }
+        if !some_left || self.bus.answers(self.devices.len(), now.plus_ns(self.period_ns / 4)) {
+            self.give_up(Down::DeviceLost);
+            return;
+        }
+        if looked_at.is_none() {
+            self.tell(Happening::Missing { position: silent.trailing_zeros() as u8 });
+        }
+        self.health.missing_since_look = Some(now);
     }
 
     fn give_up(&mut self, why: Down) {

@@ -4,6 +4,7 @@ use shared::recording::schema::{CycleRecord, EncoderSample, MAX_ENCODERS, flags}
 use shared::time::{DcNs, UtcNs};
 
 use crate::bus::{CyclicExchange, Reply};
+use crate::devices::el5021;
 
 /// When a cycle's encoders were sampled.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -115,10 +116,27 @@ impl Sampler {
         }
         // ethercrab checks neither: it hands out the last inputs when a terminal is gone.
         if reply.working_counter != self.working_counter_expected {
-            Self::invalidate(record, flags::WORKING_COUNTER);
+            record.flags |= flags::WORKING_COUNTER;
         }
         if !reply.all_operational {
-            Self::invalidate(record, flags::NOT_OPERATIONAL);
+            record.flags |= flags::NOT_OPERATIONAL;
+        }
+        if record.flags & (flags::WORKING_COUNTER | flags::NOT_OPERATIONAL) != 0 {
+            self.invalidate_unproven(record, reply);
+        }
+    }
+
+    /// A short working counter does not say who is missing, so it spoils every count; unless terminals that answer nothing
+    /// at all are missing by exactly what they would have counted: then every other one took part.
+    fn invalidate_unproven(&self, record: &mut CycleRecord, reply: &Reply) {
+        let absent = |index: usize| reply.silent >> (index + 1) & 1 == 1;
+        let missing = (0..self.encoder_count).filter(|index| absent(*index)).count() as u16;
+        let explained = missing > 0
+            && reply.silent & 1 == 0
+            && reply.not_operational == reply.silent
+            && reply.working_counter + missing * el5021::WORKING_COUNTER == self.working_counter_expected;
+        for (index, encoder) in record.encoders.iter_mut().enumerate() {
+            encoder.valid &= explained && !absent(index);
         }
     }
 }
@@ -183,6 +201,28 @@ mod tests {
         let record = sampler().sample(0, TIME, &exchange(Some(safe_op)));
         assert!(!record.encoders().iter().any(|encoder| encoder.valid));
         assert_eq!(record.flags, flags::NOT_OPERATIONAL);
+    }
+
+    #[test]
+    fn terminals_before_missing_ones_stay_valid_only_if_the_counter_proves_it() {
+        // The terminal at position 2 answers nothing, and its 3 are missing.
+        let rest = Reply {
+            working_counter: 3,
+            all_operational: false,
+            not_operational: 4,
+            silent: 4,
+            ..reply(true)
+        };
+        let valid = |reply: Reply| {
+            let record = sampler().sample(0, TIME, &exchange(Some(reply)));
+            assert_ne!(record.flags, 0);
+            record.encoders().iter().map(|encoder| encoder.valid).collect::<Vec<_>>()
+        };
+        assert_eq!(valid(rest), [true, false]);
+        assert_eq!(valid(Reply { working_counter: 2, ..rest }), [false, false], "somebody else is short");
+        assert_eq!(valid(Reply { working_counter: 6, ..rest }), [false, false], "a contradiction");
+        assert_eq!(valid(Reply { not_operational: 6, ..rest }), [false, false], "the other is not in OP");
+        assert_eq!(valid(Reply { silent: 5, not_operational: 5, ..rest }), [false, false], "no coupler");
     }
 
     #[test]

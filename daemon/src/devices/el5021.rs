@@ -20,6 +20,7 @@ pub const DATA_READY_NS: i64 = 31_000;
 pub struct Status(pub u16);
 
 impl Status {
+    const LATCH_VALID: u16 = 1 << 0;
     const FREQUENCY_ERROR: u16 = 1 << 3;
     const AMPLITUDE_ERROR: u16 = 1 << 4;
     const SYNC_ERROR: u16 = 1 << 13;
@@ -31,9 +32,28 @@ impl Status {
         self.0 & (Self::FREQUENCY_ERROR | Self::AMPLITUDE_ERROR | Self::SYNC_ERROR | Self::TXPDO_STATE) != 0
     }
 
+    /// The latch holds the count at a reference mark that was passed since it was armed.
+    pub const fn latch_valid(self) -> bool {
+        self.0 & Self::LATCH_VALID != 0
+    }
+
     /// Flips each time the terminal puts new data into the PDO.
     pub const fn toggle(self) -> bool {
         self.0 & Self::TOGGLE != 0
+    }
+}
+
+/// What one terminal is told per cycle.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Output {
+    /// Latch the counter at the next reference mark; re-armed by false, then true.
+    pub enable_latch: bool,
+}
+
+impl Output {
+    /// The RxPDO "ENC Control"; the counter is never set.
+    pub const fn encode(self) -> [u8; OUTPUT_BYTES] {
+        [self.enable_latch as u8, 0, 0, 0, 0, 0]
     }
 }
 

@@ -3,9 +3,10 @@
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError};
 
-use shared::recording::schema::DeviceInfo;
+use shared::recording::schema::{DeviceInfo, flags};
 use shared::time::UtcNs;
 
+use super::homing::HomingJob;
 use super::progress::Live;
 use super::source::Prepared;
 use super::{RunError, Stop};
@@ -22,12 +23,20 @@ pub(super) struct Ready {
     pub realtime: Option<RealtimeReport>,
 }
 
+/// What the cycle's thread is asked for.
+pub(super) enum Job {
+    Run(RunJob),
+    Home(HomingJob),
+}
+
 /// One run, as the cycle's thread knows it.
-pub(super) struct Job {
+pub(super) struct RunJob {
     pub sink: CycleSink,
     pub stop: Stop,
     /// Cycles after which the run ends.
     pub cycles: Option<u64>,
+    /// Full fault: as many cycles in a row without a valid sample of any encoder end the run.
+    pub full_fault_cycles: u64,
     /// For the run's sample times \[ns\].
     pub utc_minus_monotonic_ns: i64,
 }
@@ -41,7 +50,7 @@ pub(super) fn run(
     jobs: &Receiver<Job>,
     live: &Arc<Live>,
 ) {
-    let Prepared { wire, clock, plan, replay, .. } = prepared;
+    let Prepared { wire, clock, plan, replay, hand, .. } = prepared;
     let realtime = clock.is_real().then(|| realtime.apply());
     let bus = Bus::new(wire, clock.clone(), plan.reply_timeout);
     let mut acquisition = match Acquisition::start(bus, &plan, clock.clone()) {
@@ -54,16 +63,26 @@ pub(super) fn run(
     if let Some((_, first_sample)) = &replay {
         acquisition.set_first_sample_time(*first_sample);
     }
+    // The first of what others see of the bus.
+    acquisition.next_cycle(&mut |record| live.publish(record));
     let devices = acquisition.devices().to_vec();
     let utc_minus_monotonic_ns = acquisition.utc_minus_monotonic_ns();
     let _ = ready.send(Ok(Ready { devices, utc_minus_monotonic_ns, realtime }));
     while let Some(job) = wait_for_job(&mut acquisition, &clock, jobs, live) {
-        serve(&mut acquisition, job, replay.as_ref(), live);
+        match job {
+            Job::Run(job) => serve(&mut acquisition, job, replay.as_ref(), live),
+            Job::Home(job) => job.serve(&mut acquisition, &plan.encoders, hand.as_ref(), live),
+        }
     }
 }
 
-fn serve(acquisition: &mut Acquisition, job: Job, replay: Option<&(ReplayHandle, UtcNs)>, live: &Arc<Live>) {
-    let Job { mut sink, stop, cycles, utc_minus_monotonic_ns } = job;
+fn serve(
+    acquisition: &mut Acquisition,
+    job: RunJob,
+    replay: Option<&(ReplayHandle, UtcNs)>,
+    live: &Arc<Live>,
+) {
+    let RunJob { mut sink, stop, cycles, full_fault_cycles, utc_minus_monotonic_ns } = job;
     acquisition.set_utc_minus_monotonic_ns(utc_minus_monotonic_ns);
     acquisition.begin_run(|first_sample| {
         if let Some((replay, _)) = replay {
@@ -71,6 +90,7 @@ fn serve(acquisition: &mut Acquisition, job: Job, replay: Option<&(ReplayHandle,
         }
     });
     let mut done = 0;
+    let (mut blind, mut reasons) = (0, 0);
     while !stop.is_stopped() && !sink.is_abandoned() && cycles.is_none_or(|wanted| done < wanted) {
         acquisition.next_cycle(&mut |record| {
             if cycles.is_none_or(|wanted| record.cycle < wanted) {
@@ -78,9 +98,17 @@ fn serve(acquisition: &mut Acquisition, job: Job, replay: Option<&(ReplayHandle,
                 done = record.cycle + 1;
             }
             live.publish(record);
+            if record.encoders().iter().any(|encoder| encoder.valid) {
+                (blind, reasons) = (0, 0);
+            } else {
+                (blind, reasons) = (blind + 1, reasons | record.flags);
+            }
         });
         if let Some(timing) = acquisition.last_timing() {
             sink.push_timing(timing);
+        }
+        if blind >= full_fault_cycles {
+            stop.stop(&full_fault(blind, reasons));
         }
         while let Some(event) = acquisition.take_event() {
             sink.push_event(event);
@@ -88,6 +116,12 @@ fn serve(acquisition: &mut Acquisition, job: Job, replay: Option<&(ReplayHandle,
     }
     stop.stop(if replay.is_some() { "end of the replayed recording" } else { "duration reached" });
     tracing::info!(wire = ?acquisition.wire_counters(), "run ended");
+}
+
+fn full_fault(cycles: u64, reasons: u32) -> String {
+    let names: Vec<_> =
+        flags::NAMES.iter().filter(|(bit, _)| reasons & bit != 0).map(|(_, name)| *name).collect();
+    format!("full fault: no encoder gave a valid sample for {cycles} cycles ({})", names.join(", "))
 }
 
 /// Keeps the bus going until there is a run to serve; none if there will be no more.

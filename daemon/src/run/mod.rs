@@ -6,18 +6,21 @@
 
 mod cycle_thread;
 mod disk;
+mod homing;
 mod progress;
 mod session;
 mod source;
 mod stop;
 
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::thread;
+use std::time::{Duration, Instant};
 
-use shared::config::{BallBarConfig, DaemonConfig};
+use shared::config::{BallBarConfig, DaemonConfig, HomingConfig};
 use shared::recording::{Leftover, ReadError, Recovery, WriteError, recover_leftovers};
 
 pub use disk::DiskFloor;
+pub use homing::ActiveHoming;
 pub use progress::{Live, LiveEncoder, Progress, Synced};
 pub use session::{ActiveRun, Session};
 pub use stop::Stop;
@@ -25,6 +28,12 @@ pub use stop::Stop;
 use crate::bus::BusError;
 use crate::recorder::RunSummary;
 use crate::segment::OpenError;
+use crate::segment::faults::FaultWindow;
+
+/// Between two attempts to bring up the bus that a run waits for.
+const RETRY_PERIOD: Duration = Duration::from_secs(1);
+/// How often whoever waits looks whether it is to end.
+const STOP_PERIOD: Duration = Duration::from_millis(50);
 
 /// Which bus to record from.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -53,6 +62,13 @@ pub struct RunRequest {
     pub duration: Option<Duration>,
     /// Which bus.
     pub bus: BusChoice,
+    /// What goes wrong on the simulated bus, on purpose.
+    pub faults: Vec<FaultWindow>,
+    /// A bus that does not come up is tried again until it does.
+    pub wait: bool,
+    /// Reference marks of the encoders, used where the terminals still show them; not for a replay, whose recording
+    /// has its own.
+    pub homing: Option<HomingConfig>,
     /// Virtual time, as fast as the machine allows. Simulated bus only.
     pub fast: bool,
 }
@@ -70,6 +86,8 @@ pub struct RunDetails {
     pub note: String,
     /// How long; none: until stopped.
     pub duration: Option<Duration>,
+    /// Reference marks of the encoders, used where the terminals still show them.
+    pub homing: Option<HomingConfig>,
 }
 
 impl RunRequest {
@@ -80,6 +98,7 @@ impl RunRequest {
             robot: self.robot.clone(),
             note: self.note.clone(),
             duration: self.duration,
+            homing: self.homing.clone().filter(|_| !matches!(self.bus, BusChoice::Replay(_))),
         }
     }
 }
@@ -121,15 +140,48 @@ pub enum RunError {
         /// What became of the cycles before.
         saved: String,
     },
+    /// Asked to end before the bus was there.
+    #[error("{cause} while waiting for the bus; nothing was recorded: {missing}")]
+    Waiting {
+        /// Who asked.
+        cause: String,
+        /// What was missing.
+        missing: String,
+    },
     /// The system refused a thread, or one died.
     #[error("a thread of the acquisition failed: {0}")]
     Thread(String),
 }
 
-/// Brings a bus into operation, to record several runs from it.
-pub fn open(bus: &BusChoice, daemon: &DaemonConfig, bar: &BallBarConfig) -> Result<Session, RunError> {
-    let request = RunRequest { bus: bus.clone(), ..RunRequest::default() };
+impl RunError {
+    /// Somebody at the bus can set it right while this program waits: a cable, power, a terminal, an interface.
+    fn may_pass(&self) -> bool {
+        matches!(
+            self,
+            Self::Bus(_) | Self::Open(OpenError::NoSuchInterface { .. } | OpenError::System { .. })
+        )
+    }
+}
+
+/// Brings a bus into operation, to record several runs from it. `faults` go wrong on a simulated one.
+pub fn open(
+    bus: &BusChoice,
+    faults: &[FaultWindow],
+    daemon: &DaemonConfig,
+    bar: &BallBarConfig,
+) -> Result<Session, RunError> {
+    let request = RunRequest { bus: bus.clone(), faults: faults.to_vec(), ..RunRequest::default() };
     Session::open(source::prepare(&request, daemon, bar)?, daemon, bar)
+}
+
+/// A bus in operation over another wire, for tests of what stands above it.
+#[cfg(test)]
+pub(crate) fn open_on(
+    wire: Box<dyn crate::segment::Wire>,
+    daemon: &DaemonConfig,
+    bar: &BallBarConfig,
+) -> Result<Session, RunError> {
+    Session::open(source::on_wire(wire, daemon, bar), daemon, bar)
 }
 
 /// Records one run and returns when its file is finished.
@@ -139,13 +191,43 @@ pub fn record(
     bar: &BallBarConfig,
     stop: &Stop,
 ) -> Result<RunSummary, RunError> {
-    let prepared = source::prepare(request, daemon, bar)?;
+    source::check(request)?;
     finish_leftovers(&daemon.directory);
-    let session = Session::open(prepared, daemon, bar)?;
+    let session = connect(request, daemon, bar, stop)?;
     session.log();
     let outcome = session.begin(&request.details(), stop).and_then(ActiveRun::join);
     session.close()?;
     outcome
+}
+
+/// A bus in operation. One that is to be waited for is tried until it is, and what is missing is said whenever that
+/// changes.
+fn connect(
+    request: &RunRequest,
+    daemon: &DaemonConfig,
+    bar: &BallBarConfig,
+    stop: &Stop,
+) -> Result<Session, RunError> {
+    let mut said = String::new();
+    loop {
+        let outcome =
+            source::prepare(request, daemon, bar).and_then(|prepared| Session::open(prepared, daemon, bar));
+        let missing = match outcome {
+            Err(error) if request.wait && error.may_pass() => error.to_string(),
+            outcome => return outcome,
+        };
+        if missing != said {
+            tracing::warn!("waiting for the bus: {missing}");
+            said.clone_from(&missing);
+        }
+        let retry_at = Instant::now() + RETRY_PERIOD;
+        while Instant::now() < retry_at {
+            if stop.is_stopped() {
+                return Err(RunError::Waiting { cause: stop.cause(), missing });
+            }
+            thread::sleep(STOP_PERIOD);
+        }
+    }
 }
 
 /// Makes finished recordings of what earlier crashes left in `directory`, and says so in the log.

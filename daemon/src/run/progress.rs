@@ -1,6 +1,6 @@
 //! What other threads see of a run and of the bus while they go on, without making them wait.
 
-use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicI64, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use shared::recording::TimingSummary;
@@ -72,6 +72,7 @@ pub struct Live {
     at_ns: AtomicI64,
     flags: AtomicU64,
     encoders: [AtomicU64; MAX_ENCODERS],
+    latches: [AtomicU32; MAX_ENCODERS],
 }
 
 /// The latest sample of one encoder.
@@ -94,6 +95,11 @@ impl Live {
                 | u64::from(u8::from(encoder.valid)) << 48;
             place.store(packed, Ordering::Relaxed);
         }
+        if record.is_valid() {
+            for (place, encoder) in self.latches.iter().zip(record.encoders()) {
+                place.store(encoder.latch, Ordering::Relaxed);
+            }
+        }
         self.flags.store(record.flags.into(), Ordering::Relaxed);
         self.at_ns.store(record.send_time.0, Ordering::Release);
     }
@@ -101,6 +107,11 @@ impl Live {
     /// When the latest cycle was, 0 before the first.
     pub fn at(&self) -> MonoNs {
         MonoNs(self.at_ns.load(Ordering::Acquire))
+    }
+
+    /// What the terminals' latches showed in the latest cycle in which every encoder was valid, in bus order.
+    pub fn latches(&self) -> [u32; MAX_ENCODERS] {
+        std::array::from_fn(|index| self.latches[index].load(Ordering::Relaxed))
     }
 
     /// Reasons of the latest cycle, see `schema::flags`.

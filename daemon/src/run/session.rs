@@ -11,8 +11,9 @@ use shared::recording::schema::{DeviceInfo, EncoderInfo, RunMetadata};
 use shared::recording::{ACTIVE_ENDING, RecordingWriter, Recovery, RunFile, recover_file};
 use shared::time::UtcNs;
 
-use super::cycle_thread::{self, Job, Ready};
+use super::cycle_thread::{self, Job, Ready, RunJob};
 use super::disk::DiskFloor;
+use super::homing::{self, ActiveHoming};
 use super::progress::{Live, Progress};
 use super::source::Prepared;
 use super::{RunDetails, RunError, Stop};
@@ -109,15 +110,40 @@ impl Session {
         let recorder = spawn("recorder", move || {
             recorder.run(|| cause.cause()).map_err(|source| RunError::Broken { saved: save(&active), source })
         })?;
-        let job = Job {
+        let job = RunJob {
             sink,
             stop: stop.clone(),
             cycles: self.cycles_of(details.duration),
+            full_fault_cycles: self
+                .cycles_of_time(Duration::from_secs(self.daemon.full_fault_s.into()))
+                .max(1),
             utc_minus_monotonic_ns: metadata.utc_minus_monotonic_ns,
         };
         // If the cycle has died the recorder finds the ring abandoned and finishes an empty file.
-        let _ = self.jobs.send(job);
+        let _ = self.jobs.send(Job::Run(job));
         Ok(ActiveRun { stop: stop.clone(), progress, started: metadata.started, marks, recorder })
+    }
+
+    /// Begins to look for the encoders' reference marks, while a person turns one joint at a time.
+    pub fn begin_homing(&self) -> ActiveHoming {
+        let (job, active) = homing::begin();
+        // If the cycle has died the homing is over at once.
+        let _ = self.jobs.send(Job::Home(job));
+        active
+    }
+
+    /// The encoders, with those reference marks of `details.homing` that their terminals still show.
+    fn homed(&self, details: &RunDetails) -> Vec<EncoderInfo> {
+        let mut encoders = self.encoders.clone();
+        let stale = details.homing.as_ref().map(|homing| homing.apply(&mut encoders, &self.live.latches()));
+        if let Some(stale) = stale.filter(|stale| !stale.is_empty()) {
+            tracing::warn!(
+                joints = ?stale,
+                "reference marks of homing.toml do not hold any more (power was off, or the encoders were configured \
+                 differently); run `ballbard home` if the run needs them"
+            );
+        }
+        encoders
     }
 
     /// The cycle's thread lives.
@@ -168,8 +194,12 @@ impl Session {
         join(self.cycle)
     }
 
+    fn cycles_of_time(&self, time: Duration) -> u64 {
+        (time.as_nanos() / self.period.as_nanos().max(1)) as u64
+    }
+
     fn cycles_of(&self, duration: Option<Duration>) -> Option<u64> {
-        let wanted = duration.map(|duration| (duration.as_nanos() / self.period.as_nanos().max(1)) as u64);
+        let wanted = duration.map(|duration| self.cycles_of_time(duration));
         [wanted, self.cycles].into_iter().flatten().min()
     }
 
@@ -191,7 +221,7 @@ impl Session {
             cycle_period_ns: self.period.as_nanos() as u64,
             distributed_clocks: self.daemon.distributed_clocks,
             utc_minus_monotonic_ns,
-            encoders: self.encoders.clone(),
+            encoders: self.homed(details),
             devices: self.ready.devices.clone(),
             daemon_config: toml_text(&self.daemon),
             ball_bar_config: toml_text(&self.bar),

@@ -11,8 +11,9 @@ use shared::time::UtcNs;
 use super::{BusChoice, RunError, RunRequest};
 use crate::bus::BusPlan;
 use crate::clock::Clock;
+use crate::segment::faults::{FaultWindow, FaultySegment};
 use crate::segment::simulated::{
-    EncoderSource, Replay, ReplayHandle, SegmentConfig, SimulatedSegment, SmoothMotion,
+    EncoderSource, Hand, HandTurned, Replay, ReplayHandle, SegmentConfig, SimulatedSegment, SmoothMotion,
 };
 use crate::segment::{EthernetWire, InProcessWire, Wire};
 
@@ -25,6 +26,8 @@ pub(super) struct Prepared {
     pub encoders: Vec<EncoderInfo>,
     /// Starts the replay, and when its first sample was taken.
     pub replay: Option<(ReplayHandle, UtcNs)>,
+    /// Turns the simulated joints when they are homed.
+    pub hand: Option<Hand>,
     /// Cycles after which every run ends: those of the replayed recording.
     pub cycles: Option<u64>,
 }
@@ -35,7 +38,6 @@ pub(super) fn prepare(
     daemon: &DaemonConfig,
     bar: &BallBarConfig,
 ) -> Result<Prepared, RunError> {
-    check(request)?;
     let clock = if request.fast {
         Clock::virtual_from(UtcNs::from_datetime(chrono::Utc::now()))
     } else {
@@ -50,22 +52,27 @@ pub(super) fn prepare(
             // One motion for all encoders of the bar, whose discs are alike.
             let lines = bar.encoders.first().map_or(0, |encoder| encoder.lines);
             let config = SegmentConfig { terminals: bar.encoders.len(), ..SegmentConfig::default() };
-            let source = SmoothMotion::new(bar.encoders.len(), lines, config.seed);
-            let wire = in_process(&config, Box::new(source), &clock);
-            Prepared::from_config(wire, clock, SIMULATED, daemon, bar)
+            let (source, hand) = HandTurned::new(SmoothMotion::new(bar.encoders.len(), lines, config.seed));
+            let wire = in_process(&config, Box::new(source), &clock, &request.faults);
+            let prepared = Prepared::from_config(wire, clock, SIMULATED, daemon, bar);
+            Prepared { hand: Some(hand), ..prepared }
         }
-        BusChoice::Replay(path) => follow(path, clock, daemon, bar)?,
+        BusChoice::Replay(path) => follow(path, clock, daemon, bar, &request.faults)?,
     };
     Ok(prepared)
 }
 
 const SIMULATED: &str = "simulated";
 
-fn check(request: &RunRequest) -> Result<(), RunError> {
+/// Refuses what contradicts itself.
+pub(super) fn check(request: &RunRequest) -> Result<(), RunError> {
     match &request.bus {
         BusChoice::Interface(_) if request.fast => {
             Err(RunError::Request("--fast is virtual time: a real bus cannot follow it; leave it out"))
         }
+        BusChoice::Interface(_) if !request.faults.is_empty() => Err(RunError::Request(
+            "--fault breaks the simulated bus: a real one has its own; leave it out, or use `ballbard segment --fault`",
+        )),
         BusChoice::Simulated if request.fast && request.duration.is_none() => {
             Err(RunError::Request("--fast without --duration would not end; add --duration"))
         }
@@ -95,13 +102,27 @@ impl Prepared {
             },
             encoders: bar.encoders.iter().map(info).collect(),
             replay: None,
+            hand: None,
             cycles: None,
         }
     }
 }
 
-fn in_process(config: &SegmentConfig, source: Box<dyn EncoderSource>, clock: &Clock) -> Box<dyn Wire> {
-    Box::new(InProcessWire::new(SimulatedSegment::new(config, source), clock.clone()))
+/// Real time on any wire.
+#[cfg(test)]
+pub(super) fn on_wire(wire: Box<dyn Wire>, daemon: &DaemonConfig, bar: &BallBarConfig) -> Prepared {
+    Prepared::from_config(wire, crate::clock::Clock::Real, "test", daemon, bar)
+}
+
+fn in_process(
+    config: &SegmentConfig,
+    source: Box<dyn EncoderSource>,
+    clock: &Clock,
+    faults: &[FaultWindow],
+) -> Box<dyn Wire> {
+    let (mut segment, _) = FaultySegment::new(SimulatedSegment::new(config, source), config.seed);
+    segment.schedule(faults);
+    Box::new(InProcessWire::with_faults(segment, clock.clone()))
 }
 
 /// Lets the simulated encoders follow a recording; period and encoders are then those of the recording.
@@ -110,6 +131,7 @@ fn follow(
     clock: Clock,
     daemon: &DaemonConfig,
     bar: &BallBarConfig,
+    faults: &[FaultWindow],
 ) -> Result<Prepared, RunError> {
     let recording = Recording::open(path)?;
     let unsuitable = |problem: String| RunError::ReplayContent { path: path.to_owned(), problem };
@@ -123,7 +145,7 @@ fn follow(
     // The bus' clock is the time base of a replay: with a drift of its own the recording would be played too fast
     // or too slow.
     let config = SegmentConfig { terminals: encoders.len(), drift_ppm: 0.0, ..SegmentConfig::default() };
-    let wire = in_process(&config, Box::new(source), &clock);
+    let wire = in_process(&config, Box::new(source), &clock, faults);
     let mut prepared = Prepared::from_config(wire, clock, SIMULATED, daemon, bar);
     prepared.plan.encoders = encoders
         .iter()

@@ -166,3 +166,24 @@ fn every_fault_is_survived_flagged_and_over_when_it_is_over() {
         assert_eq!(outcome.flagged > 0, events.iter().any(|event| event.kind == EventKind::Gap), "{name}");
     }
 }
+
+#[test]
+fn terminals_before_missing_ones_stay_in_use_until_all_are_back() {
+    let mut rig = Rig::new(8);
+    rig.run_to(BEGIN);
+    rig.faults.begin(gone(3));
+    rig.run_to(BEGIN + 500);
+    rig.faults.end(gone(3));
+    rig.run_to(BEGIN + 1000);
+    rig.assert_complete();
+    rig.assert_true();
+    for record in &rig.records[BEGIN + 1..BEGIN + 500] {
+        let valid: Vec<bool> = record.encoders().iter().map(|encoder| encoder.valid).collect();
+        assert_eq!(valid, [true, true, false, false, false], "cycle {}", record.cycle);
+        assert_eq!(record.flags & !flags::STALE_INPUT, flags::WORKING_COUNTER | flags::NOT_OPERATIONAL);
+    }
+    let last = rig.records.iter().rposition(|record| !record.is_valid()).unwrap();
+    assert!(last <= BEGIN + 500 + BRING_UP, "{last}");
+    let told: Vec<_> = rig.events.iter().map(|event| event.to_event().text).collect();
+    assert!(told.iter().any(|text| text.contains("from position 3 on do not answer")), "{told:?}");
+}

@@ -72,7 +72,7 @@ impl Drop for Ended {
 pub fn serve_segment(namespace: &Namespace, arguments: &[&str]) -> Ended {
     let mut command = namespace.ballbard();
     command.args(["segment", "--interface", "far"]).args(arguments);
-    let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
+    let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
     let mut line = String::new();
     BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
     assert!(line.starts_with("serving"), "{line}");

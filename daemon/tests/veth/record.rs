@@ -1,7 +1,8 @@
 //! Runs over a raw socket.
 
+use std::io::Write;
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, Stdio};
 use std::thread;
 use std::time::Duration;
 
@@ -62,4 +63,39 @@ fn an_interface_that_is_unplugged_and_plugged_in_again_is_found_again() {
     assert!(recording.cycles.last().unwrap().is_valid(), "the bus is back");
     let told = |text: &str| recording.events.iter().any(|event| event.text.contains(text));
     assert!(told("no reply for a second") && told("bus in operation again"), "{:?}", recording.events);
+}
+
+#[test]
+fn faults_are_switched_by_lines_while_the_segment_is_served() {
+    let Some(namespace) = Namespace::new("switched") else { return };
+    let mut segment = serve_segment(&namespace, &[]);
+    let mut switches = segment.0.stdin.take().unwrap();
+    let out = tempfile::tempdir().unwrap();
+    let running = record(&namespace, out.path(), "8s").spawn().unwrap();
+    thread::sleep(Duration::from_secs(4));
+    switches.write_all(b"on gone:4\n").unwrap();
+    thread::sleep(Duration::from_secs(2));
+    switches.write_all(b"nonsense\noff gone:4\n").unwrap();
+    assert!(running.wait_with_output().unwrap().status.success());
+    let recording = Recording::open(&out.path().join("veth.mcap")).unwrap();
+    assert_eq!(recording.cycles.len(), 800);
+    let told = |text: &str| recording.events.iter().any(|event| event.text.contains(text));
+    assert!(told("from position 4 on do not answer"), "{:?}", recording.events);
+    assert!(told("bus in operation again") && told("without power"), "{:?}", recording.events);
+    assert!(recording.cycles.iter().any(|cycle| cycle.flags & flags::ORIGIN_CHANGED != 0));
+}
+
+#[test]
+fn a_run_that_waits_begins_when_the_bus_is_there() {
+    let Some(namespace) = Namespace::new("waits") else { return };
+    let out = tempfile::tempdir().unwrap();
+    let mut waiting = record(&namespace, out.path(), "1s");
+    let waiting = waiting.arg("--wait").stderr(Stdio::piped()).spawn().unwrap();
+    thread::sleep(Duration::from_secs(3));
+    let _segment = serve_segment(&namespace, &[]);
+    let output = waiting.wait_with_output().unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{said}");
+    assert!(said.contains("waiting for the bus") && said.contains("no EtherCAT device answers"), "{said}");
+    assert_eq!(Recording::open(&out.path().join("veth.mcap")).unwrap().cycles.len(), 100);
 }

@@ -10,6 +10,18 @@ use crate::recording::schema::MAX_ENCODERS;
 /// Joints of the bar: three of the gimbal at the base, two of the cardan at the flange.
 pub const BAR_JOINTS: usize = 5;
 
+/// What a person calls a joint of the bar; where its axis lies at angle zero is in the links.
+pub const fn bar_joint_name(joint: u8) -> &'static str {
+    match joint {
+        1 => "gimbal, about the axis of its base",
+        2 => "gimbal, tilting the rod",
+        3 => "gimbal, the rod about itself",
+        4 => "cardan, tilting",
+        5 => "cardan, about the axis of the flange side",
+        _ => "no joint of the bar",
+    }
+}
+
 /// One encoder, in the order in which its terminal stands on the bus.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

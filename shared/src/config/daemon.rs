@@ -34,6 +34,9 @@ pub struct DaemonConfig {
     /// Space that recordings leave free on their file system: below it none begins, and a running one ends \[MB\].
     #[serde(default = "default_disk_floor_mb")]
     pub disk_floor_mb: u32,
+    /// Full fault: a run in which no encoder gives a valid sample for this long ends, its file finished \[s\].
+    #[serde(default = "default_full_fault_s")]
+    pub full_fault_s: u32,
     /// Port of the service on 127.0.0.1.
     #[serde(default = "default_port")]
     pub port: u16,
@@ -48,6 +51,10 @@ const RING_CYCLES_MIN: usize = 64;
 
 const fn default_disk_floor_mb() -> u32 {
     500
+}
+
+const fn default_full_fault_s() -> u32 {
+    60
 }
 
 const fn default_port() -> u16 {
@@ -87,6 +94,7 @@ impl Default for DaemonConfig {
             ring_s: 60,
             sync_period_ms: 1000,
             disk_floor_mb: default_disk_floor_mb(),
+            full_fault_s: default_full_fault_s(),
             port: default_port(),
             directory: "runs".into(),
             realtime: RealtimeConfig { core: None, fifo_priority: 80 },
@@ -108,6 +116,7 @@ impl Validate for DaemonConfig {
             ),
             ("ring_s", i64::from(self.ring_s), 1, 3600, "60 s survive any ordinary disk"),
             ("sync_period_ms", i64::from(self.sync_period_ms), 10, 10_000, "1000 is usual"),
+            ("full_fault_s", i64::from(self.full_fault_s), 1, 86_400, "60 s are enough to plug in a cable"),
             ("realtime.fifo_priority", i64::from(self.realtime.fifo_priority), 1, 99, "80 is usual"),
         ];
         for (key, value, low, high, remedy) in ranges {

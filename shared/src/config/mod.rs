@@ -2,14 +2,16 @@
 
 mod ball_bar;
 mod daemon;
+mod homing;
 mod robot;
 
 use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
 
-pub use ball_bar::{BallBarConfig, EncoderConfig};
+pub use ball_bar::{BallBarConfig, EncoderConfig, bar_joint_name};
 pub use daemon::{DaemonConfig, RealtimeConfig};
+pub use homing::{HomedEncoder, HomingConfig};
 pub use robot::{AngleUnit, DrivesConfig, LinkConfig, LogConversion, RobotConfig};
 
 /// Why a configuration file cannot be used.

@@ -12,7 +12,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 
 use rand::{Rng, SeedableRng, rngs::StdRng};
 
-pub use text::{FaultText, FaultWindow};
+pub use text::{FaultSwitch, FaultText, FaultWindow};
 
 use super::FRAME_BYTES_MAX;
 use super::simulated::{MailboxFault, SimulatedSegment};
@@ -93,25 +93,19 @@ pub enum Fault {
     },
 }
 
-#[derive(Debug, Clone, Copy)]
-struct Switch {
-    fault: Fault,
-    on: bool,
-}
-
 /// Switches faults of a running segment, from any thread.
 #[derive(Debug, Clone)]
-pub struct FaultHandle(Sender<Switch>);
+pub struct FaultHandle(Sender<FaultSwitch>);
 
 impl FaultHandle {
     /// From the next frame on.
     pub fn begin(&self, fault: Fault) {
-        let _ = self.0.send(Switch { fault, on: true });
+        let _ = self.0.send(FaultSwitch { fault, on: true });
     }
 
     /// From the next frame on no more. What happens only once cannot be ended.
     pub fn end(&self, fault: Fault) {
-        let _ = self.0.send(Switch { fault, on: false });
+        let _ = self.0.send(FaultSwitch { fault, on: false });
     }
 }
 
@@ -119,9 +113,9 @@ impl FaultHandle {
 pub struct FaultySegment {
     segment: SimulatedSegment,
     random: StdRng,
-    switches: Receiver<Switch>,
+    switches: Receiver<FaultSwitch>,
     /// What is still to be switched, by time since the first frame; the next one last.
-    schedule: Vec<(i64, Switch)>,
+    schedule: Vec<(i64, FaultSwitch)>,
     first_frame_ns: Option<i64>,
     active: Vec<Fault>,
     scratch: Box<[u8; FRAME_BYTES_MAX]>,
@@ -158,9 +152,9 @@ impl FaultySegment {
     /// Faults that come and go by themselves, by the time since the first frame.
     pub fn schedule(&mut self, windows: &[FaultWindow]) {
         for window in windows {
-            self.schedule.push((window.from_ns, Switch { fault: window.fault, on: true }));
+            self.schedule.push((window.from_ns, FaultSwitch { fault: window.fault, on: true }));
             if let Some(until_ns) = window.until_ns {
-                self.schedule.push((until_ns, Switch { fault: window.fault, on: false }));
+                self.schedule.push((until_ns, FaultSwitch { fault: window.fault, on: false }));
             }
         }
         self.schedule.sort_by_key(|&(at_ns, _)| std::cmp::Reverse(at_ns));
@@ -260,8 +254,8 @@ impl FaultySegment {
         }
     }
 
-    fn apply(&mut self, switch: Switch, now_ns: i64) {
-        let Switch { fault, on } = switch;
+    fn apply(&mut self, switch: FaultSwitch, now_ns: i64) {
+        let FaultSwitch { fault, on } = switch;
         self.active.retain(|other| *other != fault);
         if on {
             self.active.push(fault);

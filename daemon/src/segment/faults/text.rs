@@ -16,13 +16,22 @@ pub struct FaultWindow {
     pub until_ns: Option<i64>,
 }
 
+/// A fault that begins or ends now, as in `on gone:3` and `off gone:3`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FaultSwitch {
+    /// What.
+    pub fault: Fault,
+    /// It begins; otherwise it ends.
+    pub on: bool,
+}
+
 /// Why a text is no fault.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "`{0}` is no fault; write one of lost:SHARE, late:SHARE,TIME, duplicated:SHARE, corrupted:SHARE, \
      short:SHARE,BY, gone:POSITION, safe-op:POSITION,CODE, abort:POSITION,CODE, silent:POSITION, \
      emergency:POSITION,CODE, link-down, clock-step:TIME, each with @FROM-UNTIL or @FROM behind it if it is not \
-     always there, such as gone:3@10s-15s"
+     always there, such as gone:3@10s-15s, or `on` or `off` before it to switch it now"
 )]
 pub struct FaultText(String);
 
@@ -31,6 +40,22 @@ impl FromStr for FaultWindow {
 
     fn from_str(text: &str) -> Result<Self, FaultText> {
         window(text).ok_or_else(|| FaultText(text.to_owned()))
+    }
+}
+
+impl FromStr for FaultSwitch {
+    type Err = FaultText;
+
+    fn from_str(text: &str) -> Result<Self, FaultText> {
+        let unknown = || FaultText(text.to_owned());
+        let (on, fault) = match text.trim().split_once(' ').ok_or_else(unknown)? {
+            ("on", fault) => (true, fault),
+            ("off", fault) => (false, fault),
+            _ => return Err(unknown()),
+        };
+        // Whoever switches by hand says the times by when.
+        let window = window(fault.trim()).filter(|window| (window.from_ns, window.until_ns) == (0, None));
+        Ok(Self { fault: window.ok_or_else(unknown)?.fault, on })
     }
 }
 
@@ -130,6 +155,16 @@ mod tests {
         {
             let refused = text.parse::<FaultWindow>().unwrap_err().to_string();
             assert!(refused.starts_with(&format!("`{text}`")) && refused.contains("clock-step:TIME"));
+        }
+    }
+
+    #[test]
+    fn a_line_switches_a_fault_on_and_off() {
+        let fault = Fault::DevicesGone { from: 3 };
+        assert_eq!("on gone:3".parse(), Ok(FaultSwitch { fault, on: true }));
+        assert_eq!("  off  gone:3 ".parse(), Ok(FaultSwitch { fault, on: false }));
+        for text in ["gone:3", "on", "on gone", "maybe gone:3", "on gone:3@1s-2s"] {
+            assert!(text.parse::<FaultSwitch>().is_err(), "{text}");
         }
     }
 

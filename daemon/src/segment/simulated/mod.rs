@@ -21,7 +21,8 @@ use rand::{Rng, SeedableRng, rngs::StdRng};
 pub use devices::Revision;
 pub use node::MailboxFault;
 pub use source::{
-    Conversion, EncoderSource, Periods, Replay, ReplayError, ReplayHandle, Signal, SmoothMotion,
+    Conversion, EncoderSource, Hand, HandTurned, Periods, Replay, ReplayError, ReplayHandle, Signal,
+    SmoothMotion,
 };
 
 use chip::command;

@@ -1,8 +1,11 @@
 //! Where encoder signals come from: a built-in motion, or a recording.
 
+mod hand_turned;
+mod reference_mark;
 mod replay;
 mod smooth;
 
+pub use hand_turned::{Hand, HandTurned};
 pub use replay::{Replay, ReplayError, ReplayHandle};
 pub use smooth::SmoothMotion;
 
@@ -50,6 +53,17 @@ pub enum Signal {
         /// What the terminal shall show.
         count: u32,
     },
+}
+
+impl Signal {
+    /// Nothing is plugged into the terminal.
+    pub const NOT_CONNECTED: Self = Self::Turning {
+        position: Periods(0),
+        periods_per_s: 0.0,
+        amplitude: 0.0,
+        reference_mark: None,
+        on_reference_mark: false,
+    };
 }
 
 /// Gives the encoder signals to the terminals.

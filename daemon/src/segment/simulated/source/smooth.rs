@@ -4,6 +4,7 @@ use std::f64::consts::TAU;
 
 use rand::{Rng, SeedableRng, rngs::StdRng};
 
+use super::reference_mark::ReferenceMark;
 use super::{Conversion, EncoderSource, Periods, Signal};
 
 /// Sines of each joint.
@@ -41,8 +42,7 @@ impl Sine {
 struct Joint {
     sines: [Sine; SINES],
     start: Periods,
-    /// Where the reference mark lies within a revolution.
-    mark: Periods,
+    mark: ReferenceMark,
     last: Option<Periods>,
 }
 
@@ -68,6 +68,32 @@ impl SmoothMotion {
         self.joints.get(joint).map_or(0.0, |joint| joint.angle_rad(true_time_ns))
     }
 
+    /// Position of a joint's encoder.
+    pub fn position(&self, joint: usize, true_time_ns: i64) -> Periods {
+        self.joints.get(joint).map_or(Periods(0), |joint| joint.position(self.lines, true_time_ns))
+    }
+
+    /// A place of the reference mark on a joint's encoder; there is one each revolution.
+    pub fn reference_mark(&self, joint: usize) -> Option<Periods> {
+        self.mark(joint).map(|mark| mark.at)
+    }
+
+    pub(super) fn mark(&self, joint: usize) -> Option<ReferenceMark> {
+        self.joints.get(joint).map(|joint| joint.mark)
+    }
+
+    pub(super) fn periods_per_s(&self, joint: usize, true_time_ns: i64) -> f64 {
+        self.joints.get(joint).map_or(0.0, |joint| joint.periods_per_s(self.lines, true_time_ns))
+    }
+
+    pub(super) fn joints(&self) -> usize {
+        self.joints.len()
+    }
+
+    pub(super) fn lines(&self) -> u32 {
+        self.lines
+    }
+
     /// What a joint's encoder shows at angle zero.
     pub fn start_periods(&self, joint: usize) -> Periods {
         self.joints.get(joint).map_or(Periods(0), |joint| joint.start)
@@ -90,7 +116,7 @@ impl Joint {
         let start = Periods(random.random_range(-START_PERIODS_MAX..START_PERIODS_MAX) * Periods::ONE);
         let mark =
             Periods(start.0 + i64::from(lines) * random.random_range(-Periods::ONE / 40..Periods::ONE / 40));
-        Self { sines, start, mark, last: None }
+        Self { sines, start, mark: ReferenceMark::new(mark, lines), last: None }
     }
 
     fn angle_rad(&self, true_time_ns: i64) -> f64 {
@@ -103,26 +129,24 @@ impl Joint {
         self.sines.iter().map(speed).sum()
     }
 
+    fn position(&self, lines: u32, true_time_ns: i64) -> Periods {
+        let angle = Periods::from_f64(self.angle_rad(true_time_ns) * f64::from(lines) / TAU);
+        Periods(self.start.0.wrapping_add(angle.0))
+    }
+
+    fn periods_per_s(&self, lines: u32, true_time_ns: i64) -> f64 {
+        self.speed_rad_per_s(true_time_ns) * f64::from(lines) / TAU
+    }
+
     fn signal(&mut self, lines: u32, true_time_ns: i64) -> Signal {
-        let periods_per_rad = f64::from(lines) / TAU;
-        let angle = Periods::from_f64(self.angle_rad(true_time_ns) * periods_per_rad);
-        let position = Periods(self.start.0.wrapping_add(angle.0));
-        let revolution = i64::from(lines) * Periods::ONE;
-        let turn = |at: Periods| at.0.wrapping_sub(self.mark.0).div_euclid(revolution);
-        // Between two turns lies the mark at the start of the upper one.
-        let passed =
-            self.last.map(turn).filter(|last| *last != turn(position)).map(|last| {
-                Periods(self.mark.0.wrapping_add(last.max(turn(position)).wrapping_mul(revolution)))
-            });
-        let from_mark = position.0.wrapping_sub(self.mark.0).rem_euclid(revolution);
-        let half = Periods::ONE / 2;
-        self.last = Some(position);
+        let position = self.position(lines, true_time_ns);
+        let before = self.last.replace(position);
         Signal::Turning {
             position,
-            periods_per_s: self.speed_rad_per_s(true_time_ns) * periods_per_rad,
+            periods_per_s: self.periods_per_s(lines, true_time_ns),
             amplitude: 1.0,
-            reference_mark: passed,
-            on_reference_mark: from_mark < half || from_mark > revolution - half,
+            reference_mark: before.and_then(|before| self.mark.between(before, position)),
+            on_reference_mark: self.mark.is_at(position),
         }
     }
 }
@@ -132,14 +156,7 @@ impl EncoderSource for SmoothMotion {
         let lines = self.lines;
         match self.joints.get_mut(channel) {
             Some(joint) => joint.signal(lines, at.true_time_ns),
-            // Nothing is connected: no signal.
-            None => Signal::Turning {
-                position: Periods(0),
-                periods_per_s: 0.0,
-                amplitude: 0.0,
-                reference_mark: None,
-                on_reference_mark: false,
-            },
+            None => Signal::NOT_CONNECTED,
         }
     }
 }

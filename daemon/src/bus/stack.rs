@@ -1,0 +1,75 @@
+//! The EtherCAT stacks of this process.
+//!
+//! ethercrab splits a frame storage once and lends its halves for good, so a stack lives as long as the process. A
+//! [`Bus`](super::Bus) that is dropped leaves its stack to the next one: however often a bus is given up and begun
+//! anew, there are as many stacks as there were buses at the same time.
+
+use std::sync::{Mutex, PoisonError};
+
+use ethercrab::{MainDevice, MainDeviceConfig, PduRx, PduStorage, PduTx, RetryBehaviour, Timeouts};
+
+use super::{BRING_UP_REPLY_TIMEOUT, BRING_UP_RETRIES};
+
+const FRAMES_MAX: usize = 16;
+const FRAME_DATA_BYTES: usize = PduStorage::element_size(1100);
+
+type Storage = PduStorage<FRAMES_MAX, FRAME_DATA_BYTES>;
+
+/// Stacks that no bus uses.
+static IDLE: Mutex<Vec<Stack>> = Mutex::new(Vec::new());
+
+/// One frame storage and what works on it.
+pub(super) struct Stack {
+    /// Frames to be sent.
+    pub tx: PduTx<'static>,
+    /// Replies.
+    pub rx: PduRx<'static>,
+    /// The MainDevice.
+    pub main: &'static MainDevice<'static>,
+}
+
+impl Stack {
+    /// One that is idle, or a new one.
+    pub fn take() -> Self {
+        let idle = IDLE.lock().unwrap_or_else(PoisonError::into_inner).pop();
+        idle.unwrap_or_else(Self::new)
+    }
+
+    /// Leaves it to the next bus.
+    pub fn leave(self) {
+        IDLE.lock().unwrap_or_else(PoisonError::into_inner).push(self);
+    }
+
+    fn new() -> Self {
+        let storage: &'static Storage = Box::leak(Box::new(Storage::new()));
+        // Splitting fails only the second time; a storage made here was never split.
+        #[allow(clippy::expect_used, reason = "the storage was made one line above")]
+        let (tx, rx, pdu_loop) = storage.try_split().expect("fresh storage");
+        // For bringing the bus up; cyclic frames have a time-out of their own and are never repeated: a repeated one
+        // would come a cycle late and pass for a fresh sample.
+        let timeouts = Timeouts { pdu: BRING_UP_REPLY_TIMEOUT, ..Timeouts::default() };
+        let config = MainDeviceConfig {
+            retry_behaviour: RetryBehaviour::Count(BRING_UP_RETRIES),
+            ..MainDeviceConfig::default()
+        };
+        Self { tx, rx, main: Box::leak(Box::new(MainDevice::new(pdu_loop, timeouts, config))) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stack_that_was_left_is_used_again() {
+        // Other tests take and leave stacks meanwhile, but these are held here.
+        let held: Vec<Stack> = (0..3).map(|_| Stack::take()).collect();
+        let places: Vec<*const MainDevice> =
+            held.iter().map(|stack| std::ptr::from_ref(stack.main)).collect();
+        held.into_iter().for_each(Stack::leave);
+        let again: Vec<Stack> = (0..32).map(|_| Stack::take()).collect();
+        let found = again.iter().filter(|stack| places.contains(&std::ptr::from_ref(stack.main))).count();
+        again.into_iter().for_each(Stack::leave);
+        assert!(found >= 1, "none of three came back");
+    }
+}

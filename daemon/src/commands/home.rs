@@ -1,0 +1,108 @@
+//! `ballbard home`: reference marks of all encoders, with a person who turns one joint at a time.
+
+use std::path::PathBuf;
+use std::thread;
+use std::time::Duration;
+
+use anyhow::bail;
+use clap::Args;
+use shared::config::{self, BallBarConfig, DaemonConfig, HomingConfig};
+
+use super::client::ServiceArguments;
+use super::{bus_choice, on_signal};
+use crate::control::homing;
+use crate::control::status::{HomeRequest, HomingStatus, Reply, Status, StopRequest};
+use crate::run::{self, Stop};
+
+/// How often progress is looked at.
+const POLL: Duration = Duration::from_millis(200);
+
+#[derive(Debug, Args)]
+pub struct HomeArguments {
+    /// Without a service: network interface such as eth1, or `simulated`, where the joints turn by themselves.
+    /// Default: ask the running service, which has the bus
+    #[arg(long)]
+    bus: Option<String>,
+    #[command(flatten)]
+    service: ServiceArguments,
+}
+
+pub fn run(arguments: HomeArguments) -> anyhow::Result<()> {
+    let stop = Stop::default();
+    let stopping = stop.clone();
+    let work = move || match &arguments.bus {
+        Some(bus) => on_own_bus(bus, arguments.service.config(), &stop),
+        None => by_service(&arguments.service, &stop),
+    };
+    on_signal(work, |signal| stopping.stop(signal))
+}
+
+fn by_service(service: &ServiceArguments, stop: &Stop) -> anyhow::Result<()> {
+    let _: Reply = service.post("home", &HomeRequest {})?;
+    let mut printer = Printer::default();
+    let mut asked_to_stop = false;
+    loop {
+        let status: Status = service.get("status")?;
+        let Some(homing) = status.homing else {
+            bail!("the service has forgotten the homing; was it restarted?")
+        };
+        if printer.print(&homing) {
+            return outcome(homing);
+        }
+        if stop.is_stopped() && !asked_to_stop {
+            asked_to_stop = true;
+            let _: Reply = service.post("stop", &StopRequest { cause: Some(stop.cause()) })?;
+        }
+        thread::sleep(POLL);
+    }
+}
+
+fn on_own_bus(bus: &str, config: &std::path::Path, stop: &Stop) -> anyhow::Result<()> {
+    let daemon: DaemonConfig = config::load(&config.join("daemon.toml"))?;
+    let bar: BallBarConfig = config::load(&config.join("ball_bar.toml"))?;
+    let file: PathBuf = config.join(HomingConfig::FILE_NAME);
+    let session = run::open(&bus_choice(bus), &[], &daemon, &bar)?;
+    session.log();
+    let mut active = session.begin_homing();
+    let (mut printer, mut status) = (Printer::default(), HomingStatus::default());
+    while !homing::look(&mut active, &mut status, &bar.encoders, &file) {
+        printer.print(&status);
+        if stop.is_stopped() {
+            active.stop.stop(&stop.cause());
+        }
+        thread::sleep(POLL);
+    }
+    printer.print(&status);
+    session.close()?;
+    outcome(status)
+}
+
+fn outcome(status: HomingStatus) -> anyhow::Result<()> {
+    match status.error {
+        Some(error) => bail!(error),
+        None => Ok(()),
+    }
+}
+
+/// Prints what is new.
+#[derive(Default)]
+struct Printer {
+    lines: usize,
+    turned_deg: Option<f64>,
+}
+
+impl Printer {
+    /// Whether it is over.
+    fn print(&mut self, status: &HomingStatus) -> bool {
+        for line in status.lines.iter().skip(self.lines) {
+            println!("{line}");
+        }
+        self.lines = self.lines.max(status.lines.len());
+        if let Some(turned_deg) = status.turned_deg.filter(|turned_deg| Some(*turned_deg) != self.turned_deg)
+        {
+            println!("  turned {turned_deg:+.1} degrees");
+        }
+        self.turned_deg = status.turned_deg;
+        status.is_over
+    }
+}

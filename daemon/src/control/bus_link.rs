@@ -1,0 +1,149 @@
+//! The bus, or the attempt to bring it into operation.
+
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, channel};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use shared::recording::schema::flags;
+
+use super::machine::Event;
+use super::service::Connect;
+use crate::clock::Clock;
+use crate::run::{RunError, Session};
+
+/// Pauses between attempts to bring the bus up.
+const RETRY_FIRST: Duration = Duration::from_secs(1);
+const RETRY_LONGEST: Duration = Duration::from_secs(30);
+/// A bus that gave no sample for longer is in trouble: what works on it needs less for most faults.
+const TROUBLED_AFTER: Duration = Duration::from_secs(2);
+/// Reasons that stand for the bus itself, and not for one encoder or this PC.
+const BUS_FLAGS: u32 = flags::NO_REPLY | flags::WORKING_COUNTER | flags::NOT_OPERATIONAL | flags::BUS_DOWN;
+
+/// Keeps a bus in operation, and tells what becomes of it.
+pub(super) struct BusLink {
+    connect: Arc<Connect>,
+    state: State,
+}
+
+enum State {
+    Down { retry_at: Instant, pause: Duration },
+    Connecting { attempt: Receiver<Result<Session, RunError>>, pause: Duration },
+    Up { session: Box<Session>, well_at: Instant, is_troubled: bool },
+}
+
+impl BusLink {
+    /// Tries at once.
+    pub fn new(connect: Arc<Connect>) -> Self {
+        Self { connect, state: State::Down { retry_at: Instant::now(), pause: RETRY_FIRST } }
+    }
+
+    /// The bus, while it is there.
+    pub fn session(&self) -> Option<&Session> {
+        match &self.state {
+            State::Up { session, .. } => Some(session),
+            State::Down { .. } | State::Connecting { .. } => None,
+        }
+    }
+
+    /// What has changed since the last look.
+    pub fn look(&mut self) -> Option<Event> {
+        match &mut self.state {
+            State::Down { retry_at, pause } => {
+                if Instant::now() < *retry_at {
+                    return None;
+                }
+                let pause = *pause;
+                self.try_to_connect(pause)
+            }
+            State::Connecting { attempt, pause } => {
+                let (outcome, pause) = (attempt.try_recv().ok()?, *pause);
+                Some(self.connected(outcome, pause))
+            }
+            State::Up { session, .. } if !session.is_alive() => {
+                self.close();
+                Some(self.failed("the thread of the cycle has ended; its cause is in the log", RETRY_FIRST))
+            }
+            State::Up { session, well_at, is_troubled } => {
+                let trouble = trouble(session);
+                if trouble.is_none() {
+                    *well_at = Instant::now();
+                }
+                match trouble {
+                    None => std::mem::take(is_troubled).then_some(Event::BusUp),
+                    Some(reason) => {
+                        let is_new = !*is_troubled && well_at.elapsed() > TROUBLED_AFTER;
+                        *is_troubled |= is_new;
+                        is_new.then_some(Event::BusTroubled(reason))
+                    }
+                }
+            }
+        }
+    }
+
+    /// Ends the cycle.
+    pub fn close(&mut self) {
+        let down = State::Down { retry_at: Instant::now(), pause: RETRY_FIRST };
+        if let State::Up { session, .. } = std::mem::replace(&mut self.state, down)
+            && let Err(error) = session.close()
+        {
+            tracing::error!("{error}");
+        }
+    }
+
+    fn try_to_connect(&mut self, pause: Duration) -> Option<Event> {
+        let connect = Arc::clone(&self.connect);
+        let (result, attempt) = channel();
+        let body = move || {
+            // Nobody waits any more if the service has ended meanwhile.
+            let _ = result.send(connect());
+        };
+        match thread::Builder::new().name("bus".into()).spawn(body) {
+            Ok(_) => {
+                self.state = State::Connecting { attempt, pause };
+                None
+            }
+            Err(error) => Some(self.failed(&error.to_string(), pause)),
+        }
+    }
+
+    fn connected(&mut self, outcome: Result<Session, RunError>, pause: Duration) -> Event {
+        match outcome {
+            Ok(session) => {
+                session.log();
+                let session = Box::new(session);
+                self.state = State::Up { session, well_at: Instant::now(), is_troubled: false };
+                Event::BusUp
+            }
+            Err(error) => self.failed(&error.to_string(), pause),
+        }
+    }
+
+    fn failed(&mut self, reason: &str, pause: Duration) -> Event {
+        tracing::warn!("bus: {reason}; next attempt in {} s", pause.as_secs());
+        self.state = State::Down { retry_at: Instant::now() + pause, pause: (pause * 2).min(RETRY_LONGEST) };
+        Event::BusDown(reason.to_owned())
+    }
+}
+
+/// Why the latest cycle gave no sample of the whole bus, as far as the bus is to blame.
+fn trouble(session: &Session) -> Option<String> {
+    let live = session.live();
+    let age = Clock::Real.now().ns_since(live.at());
+    if age > TROUBLED_AFTER.as_nanos() as i64 {
+        return Some(format!(
+            "no bus cycle for {:.1} s; its thread hangs or is not let run",
+            age as f64 * 1e-9
+        ));
+    }
+    let reasons = live.flags() & BUS_FLAGS;
+    (reasons != 0).then(|| {
+        let names: Vec<_> =
+            flags::NAMES.iter().filter(|(bit, _)| reasons & bit != 0).map(|(_, name)| *name).collect();
+        format!(
+            "the bus gives no samples of every encoder ({}); it comes back by itself as soon as cable, power and every \
+             terminal are as they should be, see the log",
+            names.join(", ")
+        )
+    })
+}

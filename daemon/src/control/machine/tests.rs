@@ -1,0 +1,173 @@
+//! What holds whatever happens in whatever order, and the ways that are taken every day.
+
+use proptest::prelude::*;
+
+use super::*;
+
+fn started(run: &str) -> Event {
+    Event::Start { run: run.into(), named: true }
+}
+
+fn after(events: impl IntoIterator<Item = Event>) -> (Machine, Vec<Action>) {
+    let mut machine = Machine::default();
+    let actions = events.into_iter().flat_map(|event| machine.handle(event)).collect();
+    (machine, actions)
+}
+
+fn any_event() -> impl Strategy<Value = Event> {
+    let word = "[ab]";
+    prop_oneof![
+        3 => Just(Event::BusUp),
+        1 => word.prop_map(Event::BusDown),
+        4 => (word, any::<bool>()).prop_map(|(run, named)| Event::Start { run, named }),
+        3 => Just(Event::Opened),
+        1 => word.prop_map(Event::OpenFailed),
+        2 => Just(Event::Synced),
+        1 => Just(Event::Stalled),
+        2 => word.prop_map(Event::Stop),
+        1 => word.prop_map(Event::Ended),
+        3 => Just(Event::Closed),
+        1 => word.prop_map(Event::CloseFailed),
+        1 => Just(Event::Recovered),
+        2 => Just(Event::Home),
+        2 => Just(Event::HomingOver),
+        1 => word.prop_map(Event::BusTroubled),
+    ]
+}
+
+/// A run is open from the moment it is asked to be until it is said to be finished.
+fn check_runs(actions: &[Action]) -> Result<Option<String>, TestCaseError> {
+    let mut open: Option<String> = None;
+    for action in actions {
+        match action {
+            Action::Open(run) => {
+                prop_assert!(open.is_none(), "{run} is opened while {open:?} goes on");
+                open = Some(run.clone());
+            }
+            Action::Finished { run, cause } => {
+                let opened = open.take();
+                prop_assert_eq!(opened.as_ref(), Some(run));
+                prop_assert!(!cause.is_empty());
+            }
+            _ => {}
+        }
+    }
+    Ok(open)
+}
+
+proptest! {
+    #[test]
+    fn no_two_runs_at_once_and_none_is_lost_without_a_cause(
+        events in prop::collection::vec(any_event(), 0..60),
+    ) {
+        let (machine, actions) = after(events);
+        let open = check_runs(&actions)?;
+        prop_assert_eq!(open.as_deref(), machine.run());
+    }
+
+    #[test]
+    fn whatever_happened_a_shutdown_ends_the_run_and_the_service(
+        events in prop::collection::vec(any_event(), 0..60),
+        failing in any::<bool>(),
+    ) {
+        let (mut machine, mut actions) = after(events);
+        actions.extend(machine.handle(Event::Shutdown("SIGTERM".into())));
+        actions.extend(machine.handle(Event::Opened));
+        let last = if failing { Event::CloseFailed("disk".into()) } else { Event::Closed };
+        actions.extend(machine.handle(last));
+        actions.extend(machine.handle(Event::HomingOver));
+        prop_assert_eq!(check_runs(&actions)?, None);
+        prop_assert_eq!(machine.run(), None);
+        prop_assert_eq!(actions.iter().filter(|action| **action == Action::Exit).count(), 1);
+    }
+
+    #[test]
+    fn every_question_gets_one_answer(
+        events in prop::collection::vec(any_event(), 0..60),
+    ) {
+        let questions =
+            events.iter().filter(|event| matches!(event, Event::Start { .. } | Event::Stop(_) | Event::Home)).count();
+        let (_, actions) = after(events);
+        let answers = actions.iter().filter(|action| matches!(action, Action::Answer(_))).count();
+        prop_assert_eq!(questions, answers);
+    }
+
+    #[test]
+    fn a_lost_bus_is_always_being_brought_back(events in prop::collection::vec(any_event(), 0..60)) {
+        let downs = events.iter().filter(|event| matches!(event, Event::BusDown(_))).count();
+        let (_, actions) = after(events);
+        prop_assert_eq!(actions.iter().filter(|action| **action == Action::Connect).count(), downs);
+    }
+}
+
+#[test]
+fn a_run_passes_through_the_five_states() {
+    let (mut machine, _) = after([Event::BusUp]);
+    assert_eq!(*machine.state(), State::Waiting);
+    machine.handle(started("a"));
+    assert_eq!(*machine.state(), State::Opening { run: "a".into(), stop: None });
+    machine.handle(Event::Opened);
+    assert_eq!(*machine.state(), State::Sampling { run: "a".into() });
+    machine.handle(Event::Synced);
+    assert_eq!(*machine.state(), State::Writing { run: "a".into() });
+    machine.handle(Event::Stop("stopped".into()));
+    assert_eq!(*machine.state(), State::Closing { run: "a".into(), cause: "stopped".into() });
+    let actions = machine.handle(Event::Closed);
+    assert_eq!(actions, [Action::Finished { run: "a".into(), cause: "stopped".into() }]);
+    assert_eq!(*machine.state(), State::Waiting);
+}
+
+#[test]
+fn starting_twice_and_stopping_twice_change_nothing() {
+    let (mut machine, _) = after([Event::BusUp, started("a"), Event::Opened]);
+    assert_eq!(machine.handle(started("a")), [Action::Answer(Answer::Running("a".into()))]);
+    assert_eq!(machine.handle(started("b")), [Action::Answer(Answer::Busy("a".into()))]);
+    machine.handle(Event::Stop("first".into()));
+    let second = machine.handle(Event::Stop("second".into()));
+    assert_eq!(second, [Action::Answer(Answer::Stopping("a".into()))]);
+    assert!(matches!(machine.state(), State::Closing { cause, .. } if cause == "first"));
+    machine.handle(Event::Closed);
+    assert_eq!(machine.handle(Event::Stop("third".into())), [Action::Answer(Answer::Idle)]);
+}
+
+#[test]
+fn a_disk_that_fails_is_a_fault_until_it_is_looked_after() {
+    let (mut machine, _) = after([Event::BusUp, started("a"), Event::Opened, Event::Synced]);
+    let actions = machine.handle(Event::CloseFailed("no space".into()));
+    assert_eq!(actions, [Action::Finished { run: "a".into(), cause: "no space".into() }, Action::Recover]);
+    assert_eq!(machine.handle(started("b")), [Action::Answer(Answer::Refused("no space".into()))]);
+    machine.handle(Event::Recovered);
+    assert_eq!(*machine.state(), State::Waiting);
+}
+
+#[test]
+fn nothing_reaching_the_disk_is_shown() {
+    let (mut machine, _) = after([Event::BusUp, started("a"), Event::Opened, Event::Synced]);
+    machine.handle(Event::Stalled);
+    assert_eq!(*machine.state(), State::Sampling { run: "a".into() });
+}
+
+#[test]
+fn while_the_encoders_are_homed_no_run_begins_and_stop_ends_it() {
+    let (mut machine, actions) = after([Event::BusUp, Event::Home]);
+    assert_eq!(actions, [Action::BeginHoming, Action::Answer(Answer::Beginning)]);
+    assert_eq!(machine.handle(Event::Home), [Action::Answer(Answer::Homing)]);
+    assert!(matches!(machine.handle(started("a"))[..], [Action::Answer(Answer::Refused(_))]));
+    let ended = machine.handle(Event::Stop("enough".into()));
+    assert_eq!(ended, [Action::EndHoming("enough".into()), Action::Answer(Answer::Homing)]);
+    machine.handle(Event::HomingOver);
+    assert_eq!(*machine.state(), State::Waiting);
+}
+
+#[test]
+fn a_bus_in_trouble_lets_a_run_go_on_and_none_begin() {
+    let (mut machine, _) = after([Event::BusUp, started("a"), Event::Opened, Event::Synced]);
+    assert_eq!(machine.handle(Event::BusTroubled("no cable".into())), []);
+    assert_eq!(*machine.state(), State::Writing { run: "a".into() });
+    assert_eq!(machine.bus_fault(), Some("no cable"));
+    machine.handle(Event::Ended("full fault".into()));
+    machine.handle(Event::Closed);
+    assert_eq!(*machine.state(), State::Fault { reason: "no cable".into() });
+    machine.handle(Event::BusUp);
+    assert_eq!(*machine.state(), State::Waiting);
+}

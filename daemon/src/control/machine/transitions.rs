@@ -1,0 +1,260 @@
+//! From one state to the next.
+
+use super::{Action, Answer, Event, State};
+
+/// The acquisition's state.
+#[derive(Debug, Clone)]
+pub struct Machine {
+    state: State,
+    /// Why the bus is not in operation; none if it is.
+    bus_fault: Option<String>,
+    /// Why a run could not be finished, until that is looked after.
+    disk_fault: Option<String>,
+    leaving: bool,
+}
+
+impl Default for Machine {
+    fn default() -> Self {
+        let reason = "the bus is being brought into operation".to_owned();
+        Self {
+            state: State::Fault { reason: reason.clone() },
+            bus_fault: Some(reason),
+            disk_fault: None,
+            leaving: false,
+        }
+    }
+}
+
+impl Machine {
+    /// Where it is.
+    pub fn state(&self) -> &State {
+        &self.state
+    }
+
+    /// Why the bus is not in operation, also while a run goes on.
+    pub fn bus_fault(&self) -> Option<&str> {
+        self.bus_fault.as_deref()
+    }
+
+    /// The run that goes on.
+    pub fn run(&self) -> Option<&str> {
+        match &self.state {
+            State::Fault { .. } | State::Waiting | State::Homing => None,
+            State::Opening { run, .. }
+            | State::Sampling { run }
+            | State::Writing { run }
+            | State::Closing { run, .. } => Some(run),
+        }
+    }
+
+    /// Takes one event; the actions are to be done in their order. An event that makes no sense in this state
+    /// changes nothing.
+    pub fn handle(&mut self, event: Event) -> Vec<Action> {
+        match event {
+            Event::BusUp => self.bus_is(None),
+            Event::BusDown(reason) => self.bus_is(Some(reason)),
+            Event::BusTroubled(reason) => self.bus_troubled(reason),
+            Event::Home => self.home(),
+            Event::HomingOver => self.homing_over(),
+            Event::Start { run, named } => self.start(run, named),
+            Event::Opened => self.opened(),
+            Event::OpenFailed(reason) => self.open_failed(reason),
+            Event::Synced => self.progress(true),
+            Event::Stalled => self.progress(false),
+            Event::Stop(cause) => self.stop(&cause),
+            Event::Ended(cause) => self.ended(&cause),
+            Event::Closed => self.closed(None),
+            Event::CloseFailed(reason) => self.closed(Some(reason)),
+            Event::Recovered => self.recovered(),
+            Event::Shutdown(cause) => self.shutdown(&cause),
+        }
+    }
+
+    fn bus_is(&mut self, fault: Option<String>) -> Vec<Action> {
+        let mut actions = Vec::new();
+        if let Some(reason) = &fault {
+            if !self.leaving {
+                actions.push(Action::Connect);
+            }
+            let cause = format!("the bus failed: {reason}");
+            actions.extend(self.end_homing(&cause));
+            actions.extend(self.end_run(&cause));
+        }
+        self.bus_fault = fault;
+        self.rest();
+        actions
+    }
+
+    /// Between runs nothing can begin; a run that goes on stays open, and so does the homing.
+    fn bus_troubled(&mut self, reason: String) -> Vec<Action> {
+        self.bus_fault = Some(reason);
+        self.rest();
+        Vec::new()
+    }
+
+    fn home(&mut self) -> Vec<Action> {
+        let answer = match &self.state {
+            _ if self.leaving => Answer::Refused("the service is ending".into()),
+            State::Fault { reason } => Answer::Refused(reason.clone()),
+            State::Homing => Answer::Homing,
+            State::Opening { run, .. }
+            | State::Sampling { run }
+            | State::Writing { run }
+            | State::Closing { run, .. } => Answer::Busy(run.clone()),
+            State::Waiting => {
+                self.state = State::Homing;
+                return vec![Action::BeginHoming, Action::Answer(Answer::Beginning)];
+            }
+        };
+        vec![Action::Answer(answer)]
+    }
+
+    fn end_homing(&mut self, cause: &str) -> Option<Action> {
+        (self.state == State::Homing).then(|| Action::EndHoming(cause.to_owned()))
+    }
+
+    fn homing_over(&mut self) -> Vec<Action> {
+        if self.state != State::Homing {
+            return Vec::new();
+        }
+        self.state = State::Waiting;
+        self.rest_or_exit().into_iter().collect()
+    }
+
+    fn start(&mut self, run: String, named: bool) -> Vec<Action> {
+        let answer = match &self.state {
+            _ if self.leaving => Answer::Refused("the service is ending".into()),
+            State::Fault { reason } => Answer::Refused(reason.clone()),
+            State::Homing => Answer::Refused(
+                "the encoders are being homed; wait until that is done, or end it with `ballbard stop`"
+                    .into(),
+            ),
+            State::Closing { run, .. } => Answer::Busy(run.clone()),
+            State::Opening { run: running, .. }
+            | State::Sampling { run: running }
+            | State::Writing { run: running } => {
+                if !named || *running == run {
+                    Answer::Running(running.clone())
+                } else {
+                    Answer::Busy(running.clone())
+                }
+            }
+            State::Waiting => {
+                self.state = State::Opening { run: run.clone(), stop: None };
+                return vec![Action::Open(run), Action::Answer(Answer::Beginning)];
+            }
+        };
+        vec![Action::Answer(answer)]
+    }
+
+    fn opened(&mut self) -> Vec<Action> {
+        let State::Opening { run, stop } = &mut self.state else { return Vec::new() };
+        let (run, stop) = (std::mem::take(run), stop.take());
+        self.state = State::Sampling { run };
+        stop.map_or_else(Vec::new, |cause| self.end_run(&cause))
+    }
+
+    fn open_failed(&mut self, reason: String) -> Vec<Action> {
+        let State::Opening { run, .. } = &mut self.state else { return Vec::new() };
+        let run = std::mem::take(run);
+        self.state = State::Waiting;
+        let mut actions = vec![Action::Finished { run, cause: format!("it could not begin: {reason}") }];
+        actions.extend(self.rest_or_exit());
+        actions
+    }
+
+    fn progress(&mut self, on_disk: bool) -> Vec<Action> {
+        if let State::Sampling { run } | State::Writing { run } = &mut self.state {
+            let run = std::mem::take(run);
+            self.state = if on_disk { State::Writing { run } } else { State::Sampling { run } };
+        }
+        Vec::new()
+    }
+
+    fn stop(&mut self, cause: &str) -> Vec<Action> {
+        let answer = match self.run() {
+            Some(run) => Answer::Stopping(run.to_owned()),
+            None if self.state == State::Homing => Answer::Homing,
+            None => Answer::Idle,
+        };
+        let mut actions = self.end_run(cause);
+        actions.extend(self.end_homing(cause));
+        actions.push(Action::Answer(answer));
+        actions
+    }
+
+    /// The cycles have ended already, so nobody needs to be told.
+    fn ended(&mut self, cause: &str) -> Vec<Action> {
+        self.end_run(cause);
+        Vec::new()
+    }
+
+    /// The first cause stands.
+    fn end_run(&mut self, cause: &str) -> Vec<Action> {
+        match &mut self.state {
+            State::Opening { stop, .. } => {
+                stop.get_or_insert_with(|| cause.to_owned());
+                Vec::new()
+            }
+            State::Sampling { run } | State::Writing { run } => {
+                let run = std::mem::take(run);
+                self.state = State::Closing { run, cause: cause.to_owned() };
+                vec![Action::End(cause.to_owned())]
+            }
+            State::Closing { .. } | State::Fault { .. } | State::Waiting | State::Homing => Vec::new(),
+        }
+    }
+
+    fn closed(&mut self, failure: Option<String>) -> Vec<Action> {
+        // A recorder that fails ends its run without being asked to.
+        if let Some(reason) = &failure {
+            self.end_run(reason);
+        }
+        let State::Closing { run, cause } = &mut self.state else { return Vec::new() };
+        let (run, cause) = (std::mem::take(run), std::mem::take(cause));
+        self.state = State::Waiting;
+        let mut actions = Vec::new();
+        let cause = match &failure {
+            Some(reason) if *reason != cause => format!("{cause}; {reason}"),
+            _ => cause,
+        };
+        actions.push(Action::Finished { run, cause });
+        if failure.is_some() {
+            self.disk_fault = failure;
+            actions.push(Action::Recover);
+        }
+        actions.extend(self.rest_or_exit());
+        actions
+    }
+
+    fn recovered(&mut self) -> Vec<Action> {
+        self.disk_fault = None;
+        self.rest();
+        Vec::new()
+    }
+
+    fn shutdown(&mut self, cause: &str) -> Vec<Action> {
+        self.leaving = true;
+        let mut actions = self.end_run(cause);
+        actions.extend(self.end_homing(cause));
+        actions.extend(self.rest_or_exit());
+        actions
+    }
+
+    fn is_resting(&self) -> bool {
+        matches!(self.state, State::Fault { .. } | State::Waiting)
+    }
+
+    /// Between runs: what stands in the way of the next decides the state.
+    fn rest(&mut self) {
+        if self.is_resting() {
+            let fault = self.bus_fault.as_ref().or(self.disk_fault.as_ref());
+            self.state = fault.map_or(State::Waiting, |reason| State::Fault { reason: reason.clone() });
+        }
+    }
+
+    fn rest_or_exit(&mut self) -> Option<Action> {
+        self.rest();
+        (self.leaving && self.is_resting()).then_some(Action::Exit)
+    }
+}

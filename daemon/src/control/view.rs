@@ -1,0 +1,100 @@
+//! What people see of the service: the status from what it holds.
+
+use shared::time::MonoNs;
+
+use super::homing::Homing;
+use super::machine::{Machine, State};
+use super::service::Settings;
+use super::status::{EncoderStatus, LastRun, RunStatus, Status};
+use crate::clock::Clock;
+use crate::run::{ActiveRun, BusChoice, DiskFloor, Session};
+
+/// The service at one moment.
+pub(super) struct View<'a> {
+    pub settings: &'a Settings,
+    pub machine: &'a Machine,
+    pub session: Option<&'a Session>,
+    pub run: Option<&'a ActiveRun>,
+    pub homing: Option<&'a Homing>,
+    pub last: Option<&'a LastRun>,
+}
+
+impl View<'_> {
+    /// The space that recordings leave free.
+    pub fn floor(&self) -> DiskFloor {
+        DiskFloor::new(&self.settings.daemon.directory, self.settings.daemon.disk_floor_mb)
+    }
+
+    /// In the words of the API.
+    pub fn status(&self) -> Status {
+        let (state, reason) = match self.machine.state() {
+            State::Fault { reason } => ("fault", Some(reason.as_str())),
+            State::Waiting => ("waiting", None),
+            State::Homing => ("homing", None),
+            State::Opening { .. } => ("opening", None),
+            State::Sampling { .. } => ("sampling", None),
+            State::Writing { .. } => ("writing", None),
+            State::Closing { cause, .. } => ("closing", Some(cause.as_str())),
+        };
+        let mut status = Status {
+            state: state.into(),
+            // A run goes on while its bus is brought back, and whoever looks should know.
+            reason: reason.or(self.machine.bus_fault()).map(str::to_owned),
+            run: self.run_status(),
+            last: self.last.cloned(),
+            homing: self.homing.map(|homing| homing.status().clone()),
+            bus: bus_name(&self.settings.bus),
+            disk_usable_mb: self.floor().usable_bytes().ok().map(|bytes| bytes.unwrap_or(0) / 1_000_000),
+            ..Status::default()
+        };
+        if let Some(session) = self.session {
+            add_bus(&mut status, session);
+        }
+        status
+    }
+
+    fn run_status(&self) -> Option<RunStatus> {
+        let (name, run) = (self.machine.run()?, self.run?);
+        let synced = run.progress.get();
+        Some(RunStatus {
+            name: name.to_owned(),
+            started: run.started,
+            cycles: synced.cycles,
+            cycles_valid: synced.cycles_valid,
+            cycles_lost: synced.cycles_lost,
+            bytes: synced.bytes,
+            sync_age_ms: age_ms(synced.at),
+            timing: run.progress.timing(),
+        })
+    }
+}
+
+fn add_bus(status: &mut Status, session: &Session) {
+    let live = session.live();
+    status.devices = session.devices().iter().map(|device| device.name.clone()).collect();
+    status.sample_age_ms = age_ms(live.at());
+    status.encoders = session
+        .encoders()
+        .iter()
+        .zip(live.encoders())
+        .map(|(info, encoder)| EncoderStatus {
+            joint: info.joint,
+            count: encoder.count,
+            status: encoder.status,
+            valid: encoder.valid,
+        })
+        .collect();
+}
+
+/// Zero stands for "never".
+fn age_ms(at: MonoNs) -> Option<i64> {
+    (at.0 != 0).then(|| Clock::Real.now().ns_since(at) / 1_000_000)
+}
+
+fn bus_name(bus: &BusChoice) -> String {
+    match bus {
+        BusChoice::Simulated => "simulated".into(),
+        BusChoice::Replay(file) => format!("replay of {}", file.display()),
+        BusChoice::Interface(name) => name.clone(),
+    }
+}

@@ -1,0 +1,188 @@
+//! One joint on its way over its mark, judged record after record: a pure function of what the bus gave.
+
+use shared::config::EncoderConfig;
+use shared::recording::schema::{CycleRecord, MAX_ENCODERS};
+use shared::time::UtcNs;
+
+use super::{Found, HomingError, PATIENCE_S, SIGNAL_LOST_MAX_S};
+use crate::devices::el5021::Status;
+
+/// Enough to tell which joint turns, and which way \[rad\].
+const TURNED_MIN_RAD: f64 = 5.0 * std::f64::consts::PI / 180.0;
+/// Until then other joints may give way by this much \[rad\].
+const OTHERS_MAX_RAD: f64 = 2.0 * std::f64::consts::PI / 180.0;
+
+/// What a record showed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum Seen {
+    /// Nothing that matters yet.
+    Nothing,
+    /// The encoder passed its mark against the direction in which it is turned: that latch is not used.
+    MarkPassedBackwards {
+        /// In bus order from 0.
+        encoder: usize,
+    },
+    /// The encoder, its direction and its mark.
+    Found(Found),
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Start {
+    time: UtcNs,
+    counts: [u32; MAX_ENCODERS],
+}
+
+/// What is known of one encoder since the joint was asked for.
+#[derive(Debug, Clone, Copy, Default)]
+struct Track {
+    /// Way from the start \[counts\].
+    moved: i64,
+    /// Least and greatest way \[counts\].
+    reach: (i64, i64),
+    /// The latch is valid, and whether counts were rising then.
+    latched: Option<bool>,
+}
+
+pub(super) struct Search<'a> {
+    encoders: &'a [EncoderConfig],
+    joint: u8,
+    before: &'a [Found],
+    start: Option<Start>,
+    tracks: [Track; MAX_ENCODERS],
+    /// The encoder that moves, and whether its counts rise.
+    mover: Option<(usize, bool)>,
+    elapsed_s: f64,
+    valid_last_s: f64,
+}
+
+impl<'a> Search<'a> {
+    /// Looks for `joint`, after those `before` were found. Terminals must have just been armed.
+    pub fn new(encoders: &'a [EncoderConfig], joint: u8, before: &'a [Found]) -> Self {
+        Self {
+            encoders,
+            joint,
+            before,
+            start: None,
+            tracks: [Track::default(); MAX_ENCODERS],
+            mover: None,
+            elapsed_s: 0.0,
+            valid_last_s: 0.0,
+        }
+    }
+
+    /// Time since the first record \[s\].
+    pub fn elapsed_s(&self) -> f64 {
+        self.elapsed_s
+    }
+
+    /// The joint asked for, and the way of the encoder that moves most \[rad\].
+    pub fn progress(&self) -> (u8, f64) {
+        let moves = self.mover.map(|(encoder, _)| encoder).or_else(|| self.farthest(None));
+        (self.joint, moves.map_or(0.0, |encoder| self.turned_rad(encoder)))
+    }
+
+    /// Takes the next record of the bus.
+    pub fn observe(&mut self, record: &CycleRecord) -> Result<Seen, HomingError> {
+        let start = *self.start.get_or_insert_with(|| Start {
+            time: record.sample_time,
+            counts: record.encoders.map(|encoder| encoder.count),
+        });
+        self.elapsed_s = record.sample_time.seconds_since(start.time);
+        if !record.is_valid() {
+            if self.elapsed_s - self.valid_last_s > SIGNAL_LOST_MAX_S {
+                return Err(HomingError::NoSignal(self.joint));
+            }
+            return Ok(Seen::Nothing);
+        }
+        if self.valid_last_s == 0.0 {
+            // The start must be a count to be trusted.
+            let counts = record.encoders.map(|encoder| encoder.count);
+            self.start = Some(Start { counts, ..start });
+        }
+        self.valid_last_s = self.elapsed_s.max(f64::MIN_POSITIVE);
+        self.follow(record);
+        self.find_mover()?;
+        if let Some((encoder, counts_rise)) = self.mover {
+            let seen = self.at_mark(record, encoder, counts_rise)?;
+            if seen != Seen::Nothing {
+                return Ok(seen);
+            }
+        }
+        if self.elapsed_s > PATIENCE_S {
+            let (joint, turned_rad) = self.progress();
+            return Err(HomingError::NoMark { joint, turned_deg: turned_rad.to_degrees() });
+        }
+        Ok(Seen::Nothing)
+    }
+
+    fn follow(&mut self, record: &CycleRecord) {
+        let Some(start) = self.start else { return };
+        for ((track, encoder), start) in self.tracks.iter_mut().zip(record.encoders()).zip(start.counts) {
+            let before = track.moved;
+            track.moved = i64::from(encoder.count.wrapping_sub(start) as i32);
+            track.reach = (track.reach.0.min(track.moved), track.reach.1.max(track.moved));
+            let is_latched = Status(encoder.status).latch_valid();
+            let rising = track.moved > before;
+            track.latched = is_latched.then(|| track.latched.unwrap_or(rising));
+        }
+    }
+
+    /// The first encoder that turns far enough is the joint's, if it is alone.
+    fn find_mover(&mut self) -> Result<(), HomingError> {
+        if self.mover.is_some() {
+            return Ok(());
+        }
+        let far = |encoder: usize| self.turned_rad(encoder).abs();
+        let Some(mover) = self.farthest(None).filter(|mover| far(*mover) >= TURNED_MIN_RAD) else {
+            return Ok(());
+        };
+        if let Some(other) = self.farthest(Some(mover)).filter(|other| far(*other) > OTHERS_MAX_RAD) {
+            return Err(HomingError::Together { asked: self.joint, terminals: [mover + 1, other + 1] });
+        }
+        if let Some(earlier) = self.before.iter().find(|found| found.encoder == mover) {
+            let (asked, terminal, joint) = (self.joint, mover + 1, earlier.joint);
+            return Err(HomingError::Again { asked, terminal, joint });
+        }
+        self.mover = Some((mover, self.turned_rad(mover) > 0.0));
+        Ok(())
+    }
+
+    fn at_mark(
+        &mut self,
+        record: &CycleRecord,
+        encoder: usize,
+        counts_rise: bool,
+    ) -> Result<Seen, HomingError> {
+        let (joint, reference_counts) = (self.joint, record.encoders[encoder].latch);
+        match self.tracks[encoder].latched {
+            None => Ok(Seen::Nothing),
+            Some(rising) if rising != counts_rise => {
+                self.tracks[encoder].latched = None;
+                Ok(Seen::MarkPassedBackwards { encoder })
+            }
+            Some(_) if !self.was_passed(encoder, reference_counts) => {
+                Err(HomingError::Implausible { joint, latch: reference_counts })
+            }
+            Some(_) => Ok(Seen::Found(Found { joint, encoder, counts_rise, reference_counts })),
+        }
+    }
+
+    /// The count lies where the joint has been, give or take one signal period.
+    fn was_passed(&self, encoder: usize, count: u32) -> bool {
+        let period = 1i64 << self.encoders[encoder].interpolation_bits;
+        let (low, high) = self.tracks[encoder].reach;
+        let start = self.start.map_or(count, |start| start.counts[encoder]);
+        let way = i64::from(count.wrapping_sub(start) as i32);
+        (low - period..=high + period).contains(&way)
+    }
+
+    /// How far an encoder turned; positive where its counts rose.
+    fn turned_rad(&self, encoder: usize) -> f64 {
+        self.tracks[encoder].moved as f64 * self.encoders[encoder].scale().rad_per_count()
+    }
+
+    fn farthest(&self, except: Option<usize>) -> Option<usize> {
+        let others = (0..self.encoders.len().min(MAX_ENCODERS)).filter(|encoder| Some(*encoder) != except);
+        others.max_by(|one, other| self.turned_rad(*one).abs().total_cmp(&self.turned_rad(*other).abs()))
+    }
+}

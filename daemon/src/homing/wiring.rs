@@ -1,0 +1,62 @@
+//! What homing found against what `ball_bar.toml` says: which encoder sits on which joint, and which way it counts.
+
+use std::fmt;
+
+use shared::config::EncoderConfig;
+use shared::encoder::Direction;
+
+use super::Found;
+
+/// The configuration is not what is there.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub struct Miswired {
+    /// Each encoder in bus order: as configured, and as found.
+    encoders: Vec<(EncoderConfig, EncoderConfig)>,
+}
+
+/// The counts at the reference marks, in the order of the encoders; or how the configuration must be changed.
+pub fn verify(encoders: &[EncoderConfig], found: &[Found]) -> Result<Vec<u32>, Miswired> {
+    let on = |encoder: usize| found.iter().find(|found| found.encoder == encoder);
+    let there: Vec<(EncoderConfig, EncoderConfig)> = encoders
+        .iter()
+        .enumerate()
+        .filter_map(|(encoder, config)| Some((config.clone(), as_found(config, on(encoder)?))))
+        .collect();
+    if there.len() != encoders.len() || there.iter().any(|(config, found)| config != found) {
+        return Err(Miswired { encoders: there });
+    }
+    Ok((0..encoders.len()).filter_map(|encoder| Some(on(encoder)?.reference_counts)).collect())
+}
+
+fn as_found(config: &EncoderConfig, found: &Found) -> EncoderConfig {
+    let direction = if found.counts_rise { Direction::Positive } else { Direction::Negative };
+    EncoderConfig { joint: found.joint, direction, ..config.clone() }
+}
+
+impl fmt::Display for Miswired {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "the encoders are not as ball_bar.toml has them, so nothing was written:")?;
+        for (index, (config, found)) in self.encoders.iter().enumerate() {
+            let terminal = index + 1;
+            if config.joint != found.joint {
+                write!(
+                    f,
+                    "\n  terminal {terminal} measures joint {}, not joint {}; in ball_bar.toml the encoder at place \
+                     {terminal} must have `joint = {}`",
+                    found.joint, config.joint, found.joint
+                )?;
+            }
+            if config.direction != found.direction {
+                write!(
+                    f,
+                    "\n  joint {} counts {}: if it was turned in its positive direction, its encoder must have \
+                     `direction = \"{}\"`",
+                    found.joint,
+                    if found.direction == Direction::Positive { "up" } else { "down" },
+                    if found.direction == Direction::Positive { "positive" } else { "negative" },
+                )?;
+            }
+        }
+        write!(f, "\nCorrect ball_bar.toml (or the plugs), then home again")
+    }
+}

@@ -1,0 +1,150 @@
+//! A person who stops the motion and turns one joint at a time.
+
+use std::f64::consts::TAU;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
+
+use super::{Conversion, EncoderSource, Periods, Signal, SmoothMotion};
+
+/// A slow hand: the interpolation keeps its full resolution (below 750 Hz at 3600 lines and 12 bits).
+const SPEED_RAD_PER_S: f64 = 1.2;
+const LET_GO: i64 = 0;
+const HOLD: i64 = i64::MAX;
+
+/// Tells the person what to do, from any thread.
+#[derive(Debug, Clone, Default)]
+pub struct Hand(Arc<AtomicI64>);
+
+impl Hand {
+    /// Hold all joints still.
+    pub fn hold(&self) {
+        self.0.store(HOLD, Ordering::Release);
+    }
+
+    /// Turn the encoder on this channel so that its counts rise, and hold the others.
+    pub fn turn(&self, channel: usize) {
+        self.0.store(channel as i64 + 1, Ordering::Release);
+    }
+
+    /// Turn it the other way.
+    pub fn turn_back(&self, channel: usize) {
+        self.0.store(-(channel as i64 + 1), Ordering::Release);
+    }
+
+    /// Let the motion go on from where the joints are.
+    pub fn let_go(&self) {
+        self.0.store(LET_GO, Ordering::Release);
+    }
+
+    fn doing(&self) -> i64 {
+        self.0.load(Ordering::Acquire)
+    }
+}
+
+#[derive(Debug, Clone, Copy, Default)]
+struct Joint {
+    /// How far it was turned by hand.
+    by_hand: Periods,
+    last: Option<(i64, Periods)>,
+}
+
+/// A [`SmoothMotion`] with a [`Hand`] that can stop it and turn its joints. While nobody does, it is that motion.
+#[derive(Debug, Clone)]
+pub struct HandTurned {
+    motion: SmoothMotion,
+    hand: Hand,
+    joints: Vec<Joint>,
+    /// How long the motion stood still before now \[ns\].
+    stood_ns: i64,
+    held_since_ns: Option<i64>,
+}
+
+impl HandTurned {
+    /// A motion and the hand that can stop it.
+    pub fn new(motion: SmoothMotion) -> (Self, Hand) {
+        let hand = Hand::default();
+        let joints = vec![Joint::default(); motion.joints()];
+        (Self { motion, hand: hand.clone(), joints, stood_ns: 0, held_since_ns: None }, hand)
+    }
+
+    /// The time that the motion has reached.
+    fn motion_ns(&mut self, true_time_ns: i64, is_held: bool) -> i64 {
+        if is_held {
+            let since_ns = *self.held_since_ns.get_or_insert(true_time_ns);
+            return since_ns - self.stood_ns;
+        }
+        if let Some(since_ns) = self.held_since_ns.take() {
+            self.stood_ns += true_time_ns - since_ns;
+        }
+        true_time_ns - self.stood_ns
+    }
+}
+
+impl EncoderSource for HandTurned {
+    fn signal(&mut self, channel: usize, at: Conversion) -> Signal {
+        let doing = self.hand.doing();
+        let motion_ns = self.motion_ns(at.true_time_ns, doing != LET_GO);
+        let Self { motion, joints, .. } = self;
+        let Some((joint, mark)) = joints.get_mut(channel).zip(motion.mark(channel)) else {
+            return Signal::NOT_CONNECTED;
+        };
+        let by_hand = if doing.unsigned_abs() == channel as u64 + 1 { doing.signum() as f64 } else { 0.0 };
+        let mut periods_per_s = by_hand * SPEED_RAD_PER_S * f64::from(motion.lines()) / TAU;
+        let elapsed_ns = joint.last.map_or(0, |(last_ns, _)| at.true_time_ns.saturating_sub(last_ns).max(0));
+        let moved = Periods::from_f64(periods_per_s * elapsed_ns as f64 * 1e-9);
+        joint.by_hand = Periods(joint.by_hand.0.wrapping_add(moved.0));
+        if doing == LET_GO {
+            periods_per_s = motion.periods_per_s(channel, motion_ns);
+        }
+        let position = Periods(motion.position(channel, motion_ns).0.wrapping_add(joint.by_hand.0));
+        let before = joint.last.replace((at.true_time_ns, position));
+        Signal::Turning {
+            position,
+            periods_per_s,
+            amplitude: 1.0,
+            reference_mark: before.and_then(|(_, before)| mark.between(before, position)),
+            on_reference_mark: mark.is_at(position),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(ms: i64) -> Conversion {
+        Conversion { true_time_ns: ms * 1_000_000, system_time_ns: None }
+    }
+
+    fn position(source: &mut impl EncoderSource, channel: usize, ms: i64) -> Periods {
+        match source.signal(channel, at(ms)) {
+            Signal::Turning { position, .. } => position,
+            Signal::Recorded { .. } => panic!("a motion is not a recording"),
+        }
+    }
+
+    #[test]
+    fn untouched_it_is_the_motion() {
+        let mut motion = SmoothMotion::new(2, 3600, 3);
+        let (mut turned, _) = HandTurned::new(motion.clone());
+        for step in 0..6000 {
+            assert_eq!(turned.signal(1, at(step * 10)), motion.signal(1, at(step * 10)));
+        }
+    }
+
+    #[test]
+    fn one_joint_turns_the_others_stand_and_the_motion_goes_on_from_there() {
+        let (mut turned, hand) = HandTurned::new(SmoothMotion::new(2, 3600, 3));
+        let start = [position(&mut turned, 0, 0), position(&mut turned, 1, 0)];
+        hand.turn_back(1);
+        let held = [position(&mut turned, 0, 1), position(&mut turned, 1, 1)];
+        let after = [position(&mut turned, 0, 1001), position(&mut turned, 1, 1001)];
+        assert_eq!(held[0], after[0]);
+        let moved = (after[1].0 - held[1].0) as f64 / Periods::ONE as f64;
+        assert!((moved + 1.2 * 3600.0 / TAU).abs() < 1e-3, "{moved} periods in a second");
+        hand.let_go();
+        let goes_on = position(&mut turned, 0, 2001);
+        // One second of standing still at least; the motion itself moves less than 230 periods a second.
+        assert!((goes_on.0 - start[0].0).abs() < 230 * Periods::ONE, "no jump");
+    }
+}

@@ -1,0 +1,34 @@
+//! The reference mark of an encoder disc: one signal period wide, once a revolution.
+
+use super::Periods;
+
+/// Where the marks of one encoder lie.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct ReferenceMark {
+    /// One of its places.
+    pub at: Periods,
+    /// From one to the next.
+    revolution: i64,
+}
+
+impl ReferenceMark {
+    /// A mark at `at` and each revolution of `lines` signal periods from there.
+    pub fn new(at: Periods, lines: u32) -> Self {
+        Self { at, revolution: i64::from(lines).max(1) * Periods::ONE }
+    }
+
+    /// The mark between two positions less than a revolution apart.
+    pub fn between(&self, from: Periods, to: Periods) -> Option<Periods> {
+        let turn = |at: Periods| at.0.wrapping_sub(self.at.0).div_euclid(self.revolution);
+        // Between two turns lies the mark at the start of the upper one.
+        let upper = turn(from).max(turn(to));
+        (turn(from) != turn(to)).then(|| Periods(self.at.0.wrapping_add(upper.wrapping_mul(self.revolution))))
+    }
+
+    /// Whether the encoder stands on a mark.
+    pub fn is_at(&self, position: Periods) -> bool {
+        let from_mark = position.0.wrapping_sub(self.at.0).rem_euclid(self.revolution);
+        let half = Periods::ONE / 2;
+        from_mark < half || from_mark > self.revolution - half
+    }
+}

@@ -1,0 +1,236 @@
+//! Homing on the simulated segment, virtual time: the marks are the true ones, the same pose reads the same angle after a
+//! power cycle, and wrong wiring is found.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+
+use std::f64::consts::TAU;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use ballbard::bus::{Bus, BusPlan};
+use ballbard::clock::Clock;
+use ballbard::cycle::Acquisition;
+use ballbard::homing::{Found, HomingError, HomingStep, Miswired, home, verify};
+use ballbard::segment::InProcessWire;
+use ballbard::segment::faults::{Fault, FaultHandle, FaultySegment};
+use ballbard::segment::simulated::{
+    Conversion, EncoderSource, Hand, HandTurned, Periods, SegmentConfig, Signal, SimulatedSegment,
+    SmoothMotion,
+};
+use shared::config::{EncoderConfig, HomingConfig};
+use shared::encoder::Direction;
+use shared::recording::schema::{CycleRecord, EncoderInfo};
+use shared::time::UtcNs;
+
+const TERMINALS: usize = 5;
+const COUNTS_PER_REVOLUTION: u32 = 3600 << 12;
+
+fn encoders() -> Vec<EncoderConfig> {
+    let encoder =
+        |joint| EncoderConfig { joint, lines: 3600, interpolation_bits: 12, direction: Direction::Positive };
+    (1..=TERMINALS as u8).map(encoder).collect()
+}
+
+/// A bus whose joints stand still until the hand turns one.
+struct Bench {
+    acquisition: Acquisition,
+    hand: Hand,
+    faults: FaultHandle,
+    true_marks: Vec<Periods>,
+    positions: Positions,
+}
+
+/// Where each encoder was when it was last converted.
+type Positions = Arc<Mutex<[Periods; TERMINALS]>>;
+
+struct Watched(HandTurned, Positions);
+
+impl EncoderSource for Watched {
+    fn signal(&mut self, channel: usize, at: Conversion) -> Signal {
+        let signal = self.0.signal(channel, at);
+        if let Signal::Turning { position, .. } = signal {
+            self.1.lock().unwrap()[channel] = position;
+        }
+        signal
+    }
+}
+
+impl Bench {
+    fn new(seed: u64) -> Self {
+        let motion = SmoothMotion::new(TERMINALS, 3600, seed);
+        let true_marks = (0..TERMINALS).map(|joint| motion.reference_mark(joint).unwrap()).collect();
+        let (source, hand) = HandTurned::new(motion);
+        hand.hold();
+        let positions = Positions::default();
+        let source = Watched(source, Arc::clone(&positions));
+        let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(source));
+        let (segment, faults) = FaultySegment::new(segment, seed);
+        let clock = Clock::virtual_from(UtcNs(0));
+        let plan = BusPlan {
+            name: "simulated".into(),
+            encoders: encoders(),
+            cycle_period: Duration::from_millis(10),
+            distributed_clocks: true,
+            sync0_shift: Duration::from_millis(5),
+            reply_timeout: Duration::from_millis(4),
+        };
+        let wire = InProcessWire::with_faults(segment, clock.clone());
+        let bus = Bus::new(Box::new(wire), clock.clone(), plan.reply_timeout);
+        let acquisition = Acquisition::start(bus, &plan, clock).unwrap();
+        Self { acquisition, hand, faults, true_marks, positions }
+    }
+
+    /// Homes as `encoders` says; `obeys` does what a person does who is asked to turn a joint.
+    fn home(
+        &mut self,
+        encoders: &[EncoderConfig],
+        obeys: impl Fn(&Hand, u8),
+    ) -> Result<Vec<Found>, HomingError> {
+        let hand = &self.hand;
+        let mut turned_rad_max = 0.0f64;
+        let mut watch = |step| match step {
+            HomingStep::Turn { joint, .. } => obeys(hand, joint),
+            HomingStep::Turning { turned_rad, .. } => turned_rad_max = turned_rad_max.max(turned_rad.abs()),
+            HomingStep::Found(_) => hand.hold(),
+        };
+        let found = home(&mut self.acquisition, encoders, &mut |_| (), &mut watch, &|| None);
+        assert!(found.is_err() || turned_rad_max > 0.08, "progress is told");
+        found
+    }
+
+    fn record(&mut self) -> CycleRecord {
+        let mut last = None;
+        self.acquisition.next_cycle(&mut |record| last = Some(*record));
+        last.unwrap()
+    }
+
+    /// Angles of all joints, with the marks that `homing` has and the terminals still show.
+    fn angles_rad(&mut self, homing: &HomingConfig) -> (Vec<f64>, Vec<u8>) {
+        let record = self.record();
+        assert!(record.is_valid());
+        let mut infos: Vec<EncoderInfo> =
+            encoders().iter().map(|one| EncoderInfo { joint: one.joint, scale: one.scale() }).collect();
+        let latches: Vec<u32> = record.encoders().iter().map(|encoder| encoder.latch).collect();
+        let stale = homing.apply(&mut infos, &latches);
+        let angle = |(info, encoder): (&EncoderInfo, &shared::recording::schema::EncoderSample)| {
+            info.scale.counts_to_rad(info.scale.unwrapper().next(encoder.count))
+        };
+        (infos.iter().zip(record.encoders()).map(angle).collect(), stale)
+    }
+
+    /// Whatever the counters begin with: an angle is the way from the mark on the disc, but for whole turns.
+    fn assert_angles_are_those_from_the_true_marks(&mut self, homing: &HomingConfig) {
+        let (angles_rad, stale) = self.angles_rad(homing);
+        assert!(stale.is_empty(), "the terminals show their marks");
+        let positions = *self.positions.lock().unwrap();
+        for ((angle_rad, position), mark) in angles_rad.iter().zip(positions).zip(&self.true_marks) {
+            let from_mark_rad = (position.0 - mark.0) as f64 / Periods::ONE as f64 / 3600.0 * TAU;
+            let off_rad = (angle_rad - from_mark_rad + TAU / 2.0).rem_euclid(TAU) - TAU / 2.0;
+            assert!(off_rad.abs() <= 1.01 * TAU / f64::from(COUNTS_PER_REVOLUTION), "{off_rad} rad off");
+        }
+    }
+}
+
+fn obedient(hand: &Hand, joint: u8) {
+    hand.turn(usize::from(joint) - 1);
+}
+
+fn kept(encoders: &[EncoderConfig], found: &[Found]) -> HomingConfig {
+    HomingConfig::new(UtcNs(0), encoders, &verify(encoders, found).unwrap())
+}
+
+#[test]
+fn the_marks_found_are_the_true_ones() {
+    for seed in 0..4 {
+        let mut bench = Bench::new(seed);
+        let found = bench.home(&encoders(), obedient).unwrap();
+        for (found, true_mark) in verify(&encoders(), &found).unwrap().iter().zip(&bench.true_marks) {
+            // Once each revolution there is one.
+            let apart = found.wrapping_sub((true_mark.0 >> 20) as u32) as i32;
+            assert_eq!(apart % COUNTS_PER_REVOLUTION as i32, 0);
+        }
+    }
+}
+
+#[test]
+fn after_a_power_cycle_and_homing_again_the_same_pose_reads_the_same_angle() {
+    let mut bench = Bench::new(4);
+    let first = bench.home(&encoders(), obedient).unwrap();
+    let homing = kept(&encoders(), &first);
+    bench.assert_angles_are_those_from_the_true_marks(&homing);
+    let counts = bench.record().encoders.map(|encoder| encoder.count);
+
+    bench.faults.begin(Fault::DevicesGone { from: 1 });
+    for _ in 0..100 {
+        bench.record();
+    }
+    bench.faults.end(Fault::DevicesGone { from: 1 });
+    while !bench.record().is_valid() {}
+    let counts_after = bench.record().encoders.map(|encoder| encoder.count);
+    assert!(counts.iter().zip(counts_after).all(|(before, after)| before.abs_diff(after) > 4096));
+    // Nobody takes the old marks for those of the new counts.
+    assert_eq!(bench.angles_rad(&homing).1, [1, 2, 3, 4, 5]);
+
+    let again = bench.home(&encoders(), obedient).unwrap();
+    assert!(first.iter().zip(&again).all(|(first, again)| first.reference_counts != again.reference_counts));
+    bench.assert_angles_are_those_from_the_true_marks(&kept(&encoders(), &again));
+}
+
+fn miswired(found: &[Found], encoders: &[EncoderConfig]) -> String {
+    let error: Miswired = verify(encoders, found).unwrap_err();
+    error.to_string()
+}
+
+#[test]
+fn encoders_on_each_others_terminals_are_named_with_what_to_write() {
+    // The configuration lists joint 2 first and joint 1 second; the wiring has them the other way round.
+    let mut swapped = encoders();
+    swapped.swap(0, 1);
+    let found = Bench::new(4).home(&swapped, obedient).unwrap();
+    assert_eq!(found.iter().map(|found| found.encoder).collect::<Vec<_>>(), [1, 0, 2, 3, 4]);
+    let text = miswired(&found, &swapped);
+    assert!(text.contains("terminal 1 measures joint 1, not joint 2"), "{text}");
+    assert!(text.contains("place 2 must have `joint = 2`"), "{text}");
+    assert!(verify(&encoders(), &found).is_ok());
+}
+
+#[test]
+fn a_joint_that_counts_the_other_way_is_named() {
+    let turns_back = |hand: &Hand, joint: u8| match joint {
+        3 => hand.turn_back(2),
+        _ => obedient(hand, joint),
+    };
+    let found = Bench::new(4).home(&encoders(), turns_back).unwrap();
+    let text = miswired(&found, &encoders());
+    assert!(text.contains("joint 3 counts down") && text.contains("direction = \"negative\""), "{text}");
+    assert!(!text.contains("joint 2"), "{text}");
+    let mut right = encoders();
+    right[2].direction = Direction::Negative;
+    assert_eq!(verify(&right, &found).unwrap().len(), TERMINALS);
+}
+
+#[test]
+fn nobody_turning_ends_with_what_to_do() {
+    let error = Bench::new(4).home(&encoders(), |_, _| ()).unwrap_err();
+    assert!(matches!(error, HomingError::NoMark { joint: 1, turned_deg } if turned_deg.abs() < 0.1));
+    assert!(error.to_string().contains("turn it a whole revolution"));
+}
+
+#[test]
+fn joints_that_turn_together_or_a_joint_that_was_found_before_are_refused() {
+    let together = Bench::new(1).home(&encoders(), |hand, _| hand.let_go()).unwrap_err();
+    assert!(matches!(together, HomingError::Together { asked: 1, .. }), "{together}");
+    let error = Bench::new(1).home(&encoders(), |hand, _| hand.turn(0)).unwrap_err();
+    assert_eq!(error, HomingError::Again { asked: 2, terminal: 1, joint: 1 });
+}
+
+#[test]
+fn a_bus_that_fails_and_a_person_who_leaves_end_it() {
+    let mut bench = Bench::new(2);
+    let faults = bench.faults.clone();
+    let error = bench.home(&encoders(), |_, _| faults.begin(Fault::LinkDown)).unwrap_err();
+    assert_eq!(error, HomingError::NoSignal(1));
+    let mut bench = Bench::new(2);
+    let leaves = || Some("Ctrl-C".to_owned());
+    let left = home(&mut bench.acquisition, &encoders(), &mut |_| (), &mut |_| (), &leaves);
+    assert_eq!(left, Err(HomingError::Stopped("Ctrl-C".into())));
+}

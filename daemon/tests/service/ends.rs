@@ -1,0 +1,162 @@
+//! How runs end, and what of them is there afterwards.
+
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use ballbard::control::runs::RunLine;
+use ballbard::control::status::{CheckLine, Status};
+use serde_json::json;
+
+use crate::rig::{Running, changed, shipped};
+
+#[test]
+fn a_signal_ends_service_and_run_with_a_finished_file() {
+    let mut service = Running::start();
+    service.wait_for("waiting");
+    service.granted("start", &json!({"name": "signal"}));
+    service.wait_for("writing");
+    let asked = Instant::now();
+    service.signal(nix::sys::signal::Signal::SIGTERM);
+    assert!(service.child.wait().unwrap().success());
+    assert!(asked.elapsed() < Duration::from_secs(20));
+    let recording = service.recording("signal");
+    assert!(recording.end.cause.contains("SIGTERM"), "{}", recording.end.cause);
+}
+
+#[test]
+fn a_run_ends_by_itself_after_its_duration() {
+    let service = Running::start();
+    service.wait_for("waiting");
+    service.granted("start", &json!({"name": "short", "duration_s": 0.5}));
+    let last = loop {
+        if let Some(last) = service.get::<Status>("status").last {
+            break last;
+        }
+        std::thread::sleep(Duration::from_millis(50));
+    };
+    assert_eq!((last.cycles, last.cause.as_str()), (50, "duration reached"));
+    assert_eq!(service.recording("short").cycles.len(), 50);
+    service.wait_for("waiting");
+}
+
+#[test]
+fn a_run_that_a_kill_left_behind_is_there_finished_when_the_service_starts_again() {
+    let mut service = Running::start();
+    service.wait_for("waiting");
+    service.granted("start", &json!({"name": "killed"}));
+    service.wait_for("writing");
+    let written = service.get::<Status>("status").run.unwrap().cycles;
+    service.signal(nix::sys::signal::Signal::SIGKILL);
+    service.child.wait().unwrap();
+    let directory = std::mem::replace(&mut service.directory, tempfile::tempdir().unwrap());
+    let again = Running::in_directory(directory, &shipped());
+    again.wait_for("waiting");
+    let lines: Vec<RunLine> = again.get("runs");
+    assert!(matches!(&lines[..], [line] if line.recovered && line.cycles >= written), "{lines:?}");
+    assert!(again.recording("killed").end.cause.contains("recovered"));
+}
+
+#[test]
+fn at_the_disk_floor_no_run_begins() {
+    let directory = tempfile::tempdir().unwrap();
+    // More than any disk has.
+    let config = changed("disk_floor_mb = 500", "disk_floor_mb = 4000000000");
+    let service = Running::in_directory(directory, config.path());
+    service.wait_for("waiting");
+    let (status, reply) = service.post("start", &json!({"name": "full"}));
+    assert_eq!(status, 409);
+    assert!(reply["error"].as_str().unwrap().contains("disk floor"), "{reply}");
+    let lines: Vec<CheckLine> = service.get("check");
+    assert!(lines.iter().any(|line| line.subject == "disk" && line.remedy.is_some()), "{lines:?}");
+    assert_eq!(std::fs::read_dir(service.directory.path()).unwrap().count(), 0);
+}
+
+/// A file system of 8 MB, unmounted when the test is over.
+struct SmallDisk(tempfile::TempDir);
+
+impl SmallDisk {
+    fn mount() -> Option<Self> {
+        let directory = tempfile::tempdir().unwrap();
+        let mounted = Command::new("mount")
+            .args(["-t", "tmpfs", "-o", "size=8m", "tmpfs"])
+            .arg(directory.path())
+            .stderr(Stdio::null())
+            .status();
+        mounted.is_ok_and(|status| status.success()).then(|| Self(directory))
+    }
+}
+
+impl Drop for SmallDisk {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg("--lazy").arg(self.0.path()).status();
+    }
+}
+
+#[test]
+fn a_disk_that_others_fill_ends_the_run_with_a_finished_file() {
+    let Some(disk) = SmallDisk::mount() else {
+        println!("skipped: mounting a small disk needs root");
+        return;
+    };
+    let config = changed("disk_floor_mb = 500", "disk_floor_mb = 2");
+    let service = Running::in_directory(tempfile::tempdir_in(disk.0.path()).unwrap(), config.path());
+    service.wait_for("waiting");
+    service.granted("start", &json!({"name": "filled"}));
+    let cycles = service.wait_for("writing").run.unwrap().cycles;
+    std::fs::write(disk.0.path().join("others"), vec![1; 6_800_000]).unwrap();
+    let last = service.wait_for("waiting").last.unwrap();
+    assert!(last.cause.contains("disk floor") && last.cycles >= cycles, "{last:?}");
+    let recording = service.recording("filled");
+    assert_eq!(recording.end.cause, last.cause);
+    assert_eq!(service.post("start", &json!({"name": "next"})).0, 409);
+}
+
+#[test]
+fn a_bus_that_is_gone_for_good_ends_the_run_and_the_service_is_ready_again_when_it_is_back() {
+    let config = changed("full_fault_s = 60", "full_fault_s = 3");
+    let faults = ["--fault", "gone:0@7s-20s"];
+    let service = Running::with(tempfile::tempdir().unwrap(), config.path(), &faults);
+    service.wait_for("waiting");
+    service.granted("start", &json!({"name": "lost"}));
+    service.wait_for("writing");
+    // The run ends, and no other can begin while the bus is gone.
+    let fault = service.wait_for("fault");
+    let reason = fault.reason.unwrap();
+    assert!(reason.contains("bus_down") && reason.contains("cable"), "{reason}");
+    let last = fault.last.unwrap();
+    assert!(last.cause.contains("full fault") && last.cause.contains("bus_down"), "{}", last.cause);
+    let (status, refused) = service.post("start", &json!({"name": "refused"}));
+    assert_eq!((status, refused["error"].as_str()), (409, Some(reason.as_str())));
+    let recording = service.recording("lost");
+    assert_eq!(recording.end.cause, last.cause);
+    let blind = recording.cycles.iter().rev().take_while(|cycle| !cycle.is_valid()).count();
+    assert!(blind >= 300, "{blind} cycles");
+    assert!(recording.cycles.iter().filter(|cycle| cycle.is_valid()).count() > 50);
+    assert!(recording.cycles.iter().all(|cycle| cycle.is_valid() || cycle.flags != 0));
+    // Power is back: the service needs nobody's help.
+    service.wait_for("waiting");
+    service.granted("start", &json!({"name": "next", "duration_s": 1.0}));
+    service.wait_for("waiting");
+    while service.get::<Status>("status").last.unwrap().name != "next" {
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    assert!(service.recording("next").cycles.iter().filter(|cycle| cycle.is_valid()).count() > 50);
+}
+
+#[test]
+fn a_short_fault_leaves_the_run_as_it_is_and_the_status_says_so() {
+    let faults = ["--fault", "gone:3@5s-9s"];
+    let service = Running::with(tempfile::tempdir().unwrap(), &shipped(), &faults);
+    service.wait_for("waiting");
+    service.granted("start", &json!({"name": "short"}));
+    let troubled = service.wait_until("trouble", |status| status.reason.is_some());
+    assert!(troubled.state == "writing" || troubled.state == "sampling", "{troubled:?}");
+    // What is before the missing terminals stays in use.
+    let valid: Vec<bool> = troubled.encoders.iter().map(|encoder| encoder.valid).collect();
+    assert_eq!(valid[2..], [false; 3]);
+    service.wait_until("the end of trouble", |status| status.reason.is_none());
+    service.granted("stop", &json!({}));
+    let recording = service.recording("short");
+    assert!(recording.cycles.iter().any(|cycle| cycle.encoders()[0].valid && !cycle.encoders()[4].valid));
+    assert!(recording.events.iter().any(|event| event.text.contains("from position 3 on do not answer")));
+}

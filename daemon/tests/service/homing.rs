@@ -1,0 +1,59 @@
+//! Homing through the service: what a person types, reads, and finds in the files.
+
+use ballbard::control::status::CheckLine;
+use serde_json::json;
+use shared::config::{self, HomingConfig};
+
+use crate::rig::{Running, copied, text};
+
+fn marks_line(service: &Running) -> CheckLine {
+    let lines: Vec<CheckLine> = service.get("check");
+    lines.into_iter().find(|line| line.subject == "reference marks").unwrap()
+}
+
+fn recorded_marks(service: &Running, name: &str) -> Vec<u32> {
+    service.granted("start", &json!({"name": name, "duration_s": 0.2}));
+    service.wait_until("the run", |status| status.last.as_ref().is_some_and(|last| last.name == name));
+    let encoders = service.recording(name).run.encoders;
+    encoders.iter().map(|encoder| encoder.scale.reference_counts).collect()
+}
+
+#[test]
+fn marks_are_found_used_by_runs_and_forgotten_with_the_terminals_power() {
+    let config = copied();
+    let service = Running::in_directory(tempfile::tempdir().unwrap(), config.path());
+    service.wait_for("waiting");
+    assert!(marks_line(&service).finding.contains("not homed"));
+    let output = service.command(&["home"]);
+    assert!(output.status.success(), "{}", text(&output));
+    for told in ["joint 1 (gimbal", "joint 5 (cardan", "joint 5: on terminal 5, counts up", "homing.toml"] {
+        assert!(text(&output).contains(told), "`{told}` is missing in: {}", text(&output));
+    }
+    let homing: HomingConfig = config::load(&config.path().join("homing.toml")).unwrap();
+    let marks: Vec<u32> = homing.encoders.iter().map(|encoder| encoder.reference_counts).collect();
+    assert_eq!(recorded_marks(&service, "homed"), marks);
+    assert_eq!(marks_line(&service).remedy, None);
+    // The simulated terminals lose power with their process.
+    let directory = tempfile::tempdir().unwrap();
+    drop(service);
+    let again = Running::in_directory(directory, config.path());
+    again.wait_for("waiting");
+    assert!(marks_line(&again).remedy.unwrap().contains("ballbard home"));
+    assert_eq!(recorded_marks(&again, "not-homed"), [0; 5]);
+}
+
+#[test]
+fn homing_is_stopped_like_a_run_and_keeps_runs_out() {
+    let config = copied();
+    let service = Running::in_directory(tempfile::tempdir().unwrap(), config.path());
+    service.wait_for("waiting");
+    assert_eq!(service.granted("home", &json!({})).answer, "homing");
+    service.wait_for("homing");
+    let (status, refused) = service.post("start", &json!({}));
+    assert_eq!(status, 409);
+    assert!(refused["error"].as_str().unwrap().contains("being homed"), "{refused}");
+    assert_eq!(service.granted("stop", &json!({"cause": "enough"})).answer, "homing");
+    let homing = service.wait_for("waiting").homing.unwrap();
+    assert!(homing.is_over && homing.error.unwrap().contains("enough"));
+    assert!(!config.path().join("homing.toml").exists());
+}

@@ -1,0 +1,8 @@
+//! The service over loopback: idempotent, one run at a time, deaf to nonsense, and always a closed file.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+mod ends;
+mod homing;
+mod requests;
+mod rig;
+mod runs;

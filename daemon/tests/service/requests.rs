@@ -1,0 +1,89 @@
+//! Requests that nobody should send.
+
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::time::Duration;
+
+use ballbard::control::status::Status;
+use serde_json::json;
+
+use crate::rig::Running;
+
+#[test]
+fn hostile_requests_are_refused_and_leave_nothing() {
+    let service = Running::start();
+    service.wait_for("waiting");
+    let names = ["../up", "a/b", "/etc/passwd", ".hidden", "a\u{0}b", "a b", "%2e%2e", "", "..", "\u{202e}x"];
+    for name in names.iter().map(|name| (*name).to_owned()).chain(["x".repeat(201), "x".repeat(60_000)]) {
+        let (status, reply) = service.post("start", &json!({"name": name}));
+        assert_eq!(status, 409, "{name}: {reply}");
+        assert!(reply["error"].as_str().unwrap().contains("run name"), "{reply}");
+    }
+    for body in [
+        json!({"name": 5}),
+        json!({"nmae": "x"}),
+        json!({"duration_s": -1}),
+        json!({"duration_s": 1e300}),
+        json!({"duration_s": 0.0}),
+        json!({"note": "x".repeat(5000)}),
+        json!([1]),
+        json!(null),
+    ] {
+        let (status, reply) = service.post("start", &body);
+        assert_eq!(status, 422, "{body}: {reply}");
+        assert!(!reply["error"].as_str().unwrap().is_empty());
+    }
+    for (path, body) in [("mark", json!({"text": ""})), ("mark", json!({})), ("stop", json!({"cause": ""}))] {
+        assert_eq!(service.post(path, &body).0, 422);
+    }
+    assert_eq!(service.post("mark", &json!({"text": "x"})).0, 409);
+    assert_eq!(service.post("nowhere", &json!({})).0, 404);
+    assert_eq!(std::fs::read_dir(service.directory.path()).unwrap().count(), 0);
+    assert_eq!(service.get::<Status>("status").state, "waiting");
+}
+
+/// Sends bytes as they are and gives the status line.
+fn raw(port: &str, request: &[u8]) -> String {
+    let mut stream = TcpStream::connect(format!("127.0.0.1:{port}")).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(5))).unwrap();
+    // The service may close before it has read everything.
+    let _ = stream.write_all(request);
+    let mut answer = Vec::new();
+    let _ = stream.read_to_end(&mut answer);
+    String::from_utf8_lossy(&answer).lines().next().unwrap_or_default().to_owned()
+}
+
+fn raw_post(port: &str, headers: &str, body: &str) -> String {
+    let length = body.len();
+    let request = format!(
+        "POST /start HTTP/1.1\r\nConnection: close\r\nContent-Length: {length}\r\n{headers}\r\n{body}"
+    );
+    raw(port, request.as_bytes())
+}
+
+#[test]
+fn what_a_foreign_web_page_could_send_is_refused() {
+    let service = Running::start();
+    service.wait_for("waiting");
+    let port = &service.port;
+    let json = "Content-Type: application/json\r\n";
+    for headers in [
+        format!("Host: evil.example\r\n{json}"),
+        format!("Host: 127.0.0.1:{port}\r\nOrigin: http://evil.example\r\n{json}"),
+        format!("Host: 127.0.0.1.evil.example\r\n{json}"),
+        format!("Host: 127.0.0.1:{port}\r\nOrigin: null\r\n{json}"),
+    ] {
+        let answer = raw_post(port, &headers, "{}");
+        assert!(answer.contains("403"), "{headers}: {answer}");
+    }
+    let host = format!("Host: 127.0.0.1:{port}\r\n");
+    assert!(raw_post(port, &format!("{host}Content-Type: text/plain\r\n"), "{}").contains("415"));
+    assert!(raw_post(port, &format!("{host}{json}"), "{\"name\": ").contains("400"));
+    let huge = format!("{{\"note\": \"{}\"}}", "x".repeat(1 << 20));
+    assert!(raw_post(port, &format!("{host}{json}"), &huge).contains("413"));
+    for nonsense in [&b"\0\0\0\0"[..], b"GET / HTTP/9.9\r\n\r\n", b"\r\n\r\n", &[0xff; 4096]] {
+        let answer = raw(port, nonsense);
+        assert!(answer.is_empty() || answer.contains(" 4") || answer.contains(" 5"), "{answer}");
+    }
+    assert_eq!(service.get::<Status>("status").state, "waiting");
+}

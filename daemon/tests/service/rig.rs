@@ -1,0 +1,134 @@
+//! A service of the built program, and what a client does with it.
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use ballbard::control::status::{Reply, Status};
+use serde_json::Value;
+use shared::recording::Recording;
+
+pub fn shipped() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../config")
+}
+
+/// A service on the simulated bus, on a port of its own.
+pub struct Running {
+    pub child: Child,
+    pub port: String,
+    pub directory: tempfile::TempDir,
+}
+
+impl Running {
+    pub fn start() -> Self {
+        Self::in_directory(tempfile::tempdir().unwrap(), &shipped())
+    }
+
+    pub fn in_directory(directory: tempfile::TempDir, config: &Path) -> Self {
+        Self::with(directory, config, &[])
+    }
+
+    /// With further arguments.
+    pub fn with(directory: tempfile::TempDir, config: &Path, arguments: &[&str]) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_ballbard"))
+            .env("RUST_LOG", "off")
+            .args(["run", "--port", "0", "--config"])
+            .arg(config)
+            .arg("--out")
+            .arg(directory.path())
+            .args(arguments)
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let port = line.trim().rsplit_once(':').unwrap().1.to_owned();
+        Self { child, port, directory }
+    }
+
+    pub fn url(&self, path: &str) -> String {
+        format!("http://127.0.0.1:{}/{path}", self.port)
+    }
+
+    pub fn get<T: serde::de::DeserializeOwned>(&self, path: &str) -> T {
+        agent().get(&self.url(path)).call().unwrap().body_mut().read_json().unwrap()
+    }
+
+    pub fn post(&self, path: &str, body: &Value) -> (u16, Value) {
+        let mut response = agent().post(&self.url(path)).send_json(body).unwrap();
+        (response.status().as_u16(), response.body_mut().read_json().unwrap())
+    }
+
+    pub fn granted(&self, path: &str, body: &Value) -> Reply {
+        let (status, reply) = self.post(path, body);
+        assert_eq!(status, 200, "{reply}");
+        serde_json::from_value(reply).unwrap()
+    }
+
+    pub fn wait_for(&self, state: &str) -> Status {
+        self.wait_until(state, |status| status.state == state)
+    }
+
+    /// Waits for a status; `what` names it if it never comes.
+    pub fn wait_until(&self, what: &str, is_it: impl Fn(&Status) -> bool) -> Status {
+        let begun = Instant::now();
+        loop {
+            let status: Status = self.get("status");
+            if is_it(&status) {
+                return status;
+            }
+            assert!(begun.elapsed() < Duration::from_secs(40), "{what} never came: {status:?}");
+            std::thread::sleep(Duration::from_millis(50));
+        }
+    }
+
+    /// What a person types.
+    pub fn command(&self, arguments: &[&str]) -> Output {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+        command.env("RUST_LOG", "off").args(arguments).args(["--port", &self.port]).output().unwrap()
+    }
+
+    pub fn signal(&self, signal: nix::sys::signal::Signal) {
+        let pid = nix::unistd::Pid::from_raw(i32::try_from(self.child.id()).unwrap());
+        nix::sys::signal::kill(pid, signal).unwrap();
+    }
+
+    pub fn recording(&self, name: &str) -> Recording {
+        Recording::open(&self.directory.path().join(format!("{name}.mcap"))).unwrap()
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+pub fn agent() -> ureq::Agent {
+    ureq::Agent::config_builder().http_status_as_error(false).proxy(None).build().into()
+}
+
+pub fn text(output: &Output) -> String {
+    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+}
+
+/// The shipped configuration, to be written into.
+pub fn copied() -> tempfile::TempDir {
+    let config = tempfile::tempdir().unwrap();
+    for name in ["ball_bar.toml", "daemon.toml"] {
+        std::fs::copy(shipped().join(name), config.path().join(name)).unwrap();
+    }
+    config
+}
+
+/// The shipped configuration with `daemon.toml` changed.
+pub fn changed(from: &str, to: &str) -> tempfile::TempDir {
+    let config = copied();
+    let file = config.path().join("daemon.toml");
+    let daemon = std::fs::read_to_string(&file).unwrap();
+    assert!(daemon.contains(from), "daemon.toml has no `{from}`");
+    std::fs::write(file, daemon.replace(from, to)).unwrap();
+    config
+}

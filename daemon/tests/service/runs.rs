@@ -1,0 +1,144 @@
+//! Runs from beginning to end, asked for by programs and by people.
+
+use std::process::Command;
+use std::time::Duration;
+
+use ballbard::control::runs::RunLine;
+use ballbard::control::status::CheckLine;
+use serde_json::json;
+use shared::recording::Recording;
+use shared::recording::schema::EventKind;
+
+use crate::rig::{Running, text};
+
+#[test]
+fn runs_are_recorded_one_after_the_other_from_one_bus() {
+    let service = Running::start();
+    service.wait_for("waiting");
+    for name in ["first", "second"] {
+        assert_eq!(service.granted("start", &json!({"name": name, "note": "n"})).answer, "begun");
+        let writing = service.wait_for("writing").run.unwrap();
+        assert!(writing.cycles > 0 && writing.bytes > 0, "{writing:?}");
+        assert_eq!(service.granted("mark", &json!({"text": "half way"})).run.as_deref(), Some(name));
+        let stopped = service.granted("stop", &json!({"cause": "enough"}));
+        assert_eq!((stopped.answer.as_str(), stopped.run.as_deref()), ("stopped", Some(name)));
+        let recording = service.recording(name);
+        assert_eq!((recording.run.name.as_str(), recording.run.note.as_str()), (name, "n"));
+        assert_eq!(recording.end.cause, "enough");
+        assert_eq!(recording.cycles.len() as u64, stopped.last.unwrap().cycles);
+        let marks: Vec<_> = recording.events.iter().filter(|event| event.kind == EventKind::Marker).collect();
+        assert!(matches!(marks[..], [mark] if mark.text == "half way"), "{marks:?}");
+        assert!(recording.cycles.iter().filter(|cycle| cycle.is_valid()).count() > 50);
+    }
+    let lines: Vec<RunLine> = service.get("runs");
+    assert_eq!(lines.iter().map(|line| line.name.as_str()).collect::<Vec<_>>(), ["second", "first"]);
+}
+
+#[test]
+fn starting_and_stopping_twice_changes_nothing() {
+    let service = Running::start();
+    service.wait_for("waiting");
+    assert_eq!(service.granted("stop", &json!({})).answer, "idle");
+    assert_eq!(service.granted("start", &json!({"name": "one"})).answer, "begun");
+    for body in [json!({"name": "one"}), json!({})] {
+        let again = service.granted("start", &body);
+        assert_eq!((again.answer.as_str(), again.run.as_deref()), ("running", Some("one")));
+    }
+    let (status, other) = service.post("start", &json!({"name": "two"}));
+    assert_eq!(status, 409);
+    assert!(other["error"].as_str().unwrap().contains("`one` goes on"), "{other}");
+    assert_eq!(service.granted("stop", &json!({})).answer, "stopped");
+    assert_eq!(service.granted("stop", &json!({})).answer, "idle");
+    let (status, taken) = service.post("start", &json!({"name": "one"}));
+    assert_eq!(status, 409);
+    assert!(taken["error"].as_str().unwrap().contains("never overwritten"), "{taken}");
+    service.wait_for("waiting");
+}
+
+#[test]
+fn many_clients_at_once_get_one_run_at_a_time_and_every_file_is_whole() {
+    let service = Running::start();
+    service.wait_for("waiting");
+    let begun: usize = std::thread::scope(|scope| {
+        let clients: Vec<_> = (0..8)
+            .map(|client| {
+                let service = &service;
+                scope.spawn(move || {
+                    let mut begun = 0;
+                    for turn in 0..6 {
+                        let name = format!("c{client}-{turn}");
+                        let (status, reply) = service.post("start", &json!({"name": name}));
+                        assert!(status == 200 || status == 409, "{reply}");
+                        begun += usize::from(reply["answer"] == "begun");
+                        std::thread::sleep(Duration::from_millis(30));
+                        let (status, reply) = service.post("stop", &json!({}));
+                        assert_eq!(status, 200, "{reply}");
+                    }
+                    begun
+                })
+            })
+            .collect();
+        clients.into_iter().map(|client| client.join().unwrap()).sum()
+    });
+    service.wait_for("waiting");
+    let lines: Vec<RunLine> = service.get("runs");
+    assert!(begun > 0);
+    assert_eq!(lines.len(), begun);
+    for line in lines {
+        let recording = Recording::open(&line.file).unwrap();
+        assert_eq!((recording.cycles.len() as u64, line.recovered), (line.cycles, false));
+    }
+}
+
+#[test]
+fn the_commands_say_what_they_did() {
+    let service = Running::start();
+    service.wait_for("waiting");
+    let started = service.command(&["start", "--name", "typed", "--note", "by hand", "--operator", "A"]);
+    assert!(started.status.success() && text(&started).contains("`typed` has begun"), "{}", text(&started));
+    assert!(text(&service.command(&["start", "--name", "typed"])).contains("goes on already"));
+    service.wait_for("writing");
+    assert!(text(&service.command(&["mark", "a mark"])).contains("marked in run `typed`"));
+    let status = service.command(&["status"]);
+    assert!(text(&status).contains("WRITING") && text(&status).contains("`typed`"), "{}", text(&status));
+    let stopped = service.command(&["stop"]);
+    assert!(text(&stopped).contains("typed.mcap"), "{}", text(&stopped));
+    assert!(text(&service.command(&["stop"])).contains("no run goes on"));
+    let runs =
+        Command::new(env!("CARGO_BIN_EXE_ballbard")).arg("runs").arg(service.directory.path()).output();
+    let runs = text(&runs.unwrap());
+    assert!(runs.contains("typed") && runs.contains("by hand") && !runs.contains("recovered"), "{runs}");
+}
+
+#[test]
+fn without_a_service_the_commands_say_what_to_type() {
+    let output =
+        Command::new(env!("CARGO_BIN_EXE_ballbard")).args(["status", "--port", "1"]).output().unwrap();
+    assert!(!output.status.success() && text(&output).contains("ballbard run"), "{}", text(&output));
+}
+
+#[test]
+fn the_check_has_a_line_for_each_thing_and_a_remedy_for_each_problem() {
+    let service = Running::start();
+    service.wait_for("waiting");
+    std::thread::sleep(Duration::from_millis(300));
+    let lines: Vec<CheckLine> = service.get("check");
+    let line = |subject: &str| lines.iter().find(|line| line.subject == subject).unwrap().clone();
+    for subject in ["bus", "encoders", "disk", "left-over files"] {
+        assert_eq!(line(subject).remedy, None, "{lines:?}");
+    }
+    for subject in ["real time", "clock"] {
+        // Depends on this machine; it must be there.
+        assert!(!line(subject).finding.is_empty());
+    }
+    // A file that appears while the service runs turns exactly its line.
+    std::fs::write(service.directory.path().join("old.mcap.active"), "left").unwrap();
+    let after: Vec<CheckLine> = service.get("check");
+    for (before, after) in lines.iter().zip(after) {
+        if after.subject == "left-over files" {
+            assert!(after.remedy.unwrap().contains("recover") && after.finding.contains("old.mcap.active"));
+        } else {
+            assert_eq!(before.remedy, after.remedy);
+        }
+    }
+}

@@ -1,0 +1,148 @@
+//! `homing.toml`, written by `ballbard home` beside `ball_bar.toml`: where each encoder's reference mark lies on its
+//! terminal's counter.
+//!
+//! A counter begins anew when its terminal loses power. What stays is the mark on the encoder's disc: angles are counted
+//! from it, so the offset that a calibration finds holds as long as the encoder is not taken off its joint. Homing again
+//! gives the counts of this power cycle. A terminal that still shows the count it latched has not lost power since, so
+//! that is what decides whether a mark still holds; one that does not is left out, and its angles then begin at an
+//! arbitrary count. The revolution that the mark was found in does not matter: angles are the same but for whole turns.
+
+use serde::{Deserialize, Serialize};
+
+use super::ball_bar::BAR_JOINTS;
+use super::{EncoderConfig, Validate, Violation};
+use crate::encoder::INTERPOLATION_BITS;
+use crate::recording::schema::EncoderInfo;
+use crate::time::UtcNs;
+
+/// The reference mark of one encoder.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HomedEncoder {
+    /// Bar joint that it measures, 1 to 5.
+    pub joint: u8,
+    /// Signal periods per revolution, as configured then.
+    pub lines: u32,
+    /// Interpolation as configured then; with another one the counts mean something else.
+    pub interpolation_bits: u8,
+    /// Count at the reference mark, latched by the terminal.
+    pub reference_counts: u32,
+}
+
+/// Reference marks of all encoders, in bus order.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct HomingConfig {
+    /// When, UTC as RFC 3339; for people.
+    pub homed: String,
+    /// The encoders.
+    pub encoders: Vec<HomedEncoder>,
+}
+
+impl HomingConfig {
+    /// The file's name beside `ball_bar.toml`.
+    pub const FILE_NAME: &'static str = "homing.toml";
+
+    /// Reference marks found at `homed`, in the order of the encoders.
+    pub fn new(homed: UtcNs, encoders: &[EncoderConfig], reference_counts: &[u32]) -> Self {
+        let homed_encoder = |(encoder, counts): (&EncoderConfig, &u32)| HomedEncoder {
+            joint: encoder.joint,
+            lines: encoder.lines,
+            interpolation_bits: encoder.interpolation_bits,
+            reference_counts: *counts,
+        };
+        Self {
+            homed: homed.to_string(),
+            encoders: encoders.iter().zip(reference_counts).map(homed_encoder).collect(),
+        }
+    }
+
+    /// Puts the reference marks into a run's encoders where they still hold: the same encoder, and a terminal whose
+    /// latch shows them. `latches` are those of the terminals now, in bus order. Returns the joints whose mark is not
+    /// known any more.
+    pub fn apply(&self, encoders: &mut [EncoderInfo], latches: &[u32]) -> Vec<u8> {
+        let mut stale = Vec::new();
+        for (index, info) in encoders.iter_mut().enumerate() {
+            let homed = self.encoders.get(index).filter(|homed| {
+                homed.joint == info.joint
+                    && homed.lines == info.scale.lines
+                    && homed.interpolation_bits == info.scale.interpolation_bits
+                    && latches.get(index) == Some(&homed.reference_counts)
+            });
+            match homed {
+                Some(homed) => info.scale.reference_counts = homed.reference_counts,
+                None => stale.push(info.joint),
+            }
+        }
+        stale
+    }
+}
+
+impl Validate for HomingConfig {
+    fn validate(&self) -> Result<(), Violation> {
+        let again = "run `ballbard home` again, which writes this file, or remove it";
+        for (index, encoder) in self.encoders.iter().enumerate() {
+            let key = |name: &str| format!("encoders[{index}].{name}");
+            if !(1..=BAR_JOINTS as u8).contains(&encoder.joint) {
+                return Err(Violation::new(key("joint"), format!("no joint {}", encoder.joint), again));
+            }
+            if !INTERPOLATION_BITS.contains(&encoder.interpolation_bits) {
+                let problem = format!("{} bits per signal period", encoder.interpolation_bits);
+                return Err(Violation::new(key("interpolation_bits"), problem, again));
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::encoder::{Direction, EncoderScale};
+
+    fn encoders() -> Vec<EncoderConfig> {
+        let encoder = |joint| EncoderConfig {
+            joint,
+            lines: 3600,
+            interpolation_bits: 12,
+            direction: Direction::Positive,
+        };
+        (1..=3).map(encoder).collect()
+    }
+
+    fn infos() -> Vec<EncoderInfo> {
+        encoders().iter().map(|one| EncoderInfo { joint: one.joint, scale: one.scale() }).collect()
+    }
+
+    fn marks(of_run: &[EncoderInfo]) -> Vec<u32> {
+        of_run.iter().map(|info| info.scale.reference_counts).collect()
+    }
+
+    #[test]
+    fn marks_are_used_as_long_as_the_terminals_still_show_them() {
+        let homing = HomingConfig::new(UtcNs(0), &encoders(), &[11, 22, 33]);
+        let mut of_run = infos();
+        assert!(homing.apply(&mut of_run, &[11, 22, 33]).is_empty());
+        assert_eq!(marks(&of_run), [11, 22, 33]);
+    }
+
+    #[test]
+    fn after_a_power_cycle_or_with_other_settings_the_mark_is_not_known() {
+        let homing = HomingConfig::new(UtcNs(0), &encoders(), &[11, 22, 33]);
+        let mut of_run = infos();
+        of_run[2].scale = EncoderScale { interpolation_bits: 13, ..of_run[2].scale };
+        assert_eq!(homing.apply(&mut of_run, &[11, 0, 33]), [2, 3]);
+        assert_eq!(marks(&of_run), [11, 0, 0]);
+        assert_eq!(homing.apply(&mut infos(), &[]), [1, 2, 3]);
+    }
+
+    #[test]
+    fn what_is_written_is_what_is_read() {
+        let homing = HomingConfig::new(UtcNs(1_800_000_000_000_000_000), &encoders(), &[1, u32::MAX, 3]);
+        let text = toml::to_string(&homing).unwrap();
+        assert_eq!(crate::config::parse::<HomingConfig>(&text, "homing.toml".as_ref()).unwrap(), homing);
+        let broken = text.replace("joint = 2", "joint = 9");
+        let error = crate::config::parse::<HomingConfig>(&broken, "homing.toml".as_ref()).unwrap_err();
+        assert!(error.to_string().contains("encoders[1].joint"), "{error}");
+    }
+}
