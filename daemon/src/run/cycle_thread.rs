@@ -60,11 +60,11 @@ pub(super) fn run(
             return;
         }
     };
+    // The first of what others see of the bus.
+    acquisition.next_cycle(&mut |record| live.publish(record));
     if let Some((_, first_sample)) = &replay {
         acquisition.set_first_sample_time(*first_sample);
     }
-    // The first of what others see of the bus.
-    acquisition.next_cycle(&mut |record| live.publish(record));
     let devices = acquisition.devices().to_vec();
     let utc_minus_monotonic_ns = acquisition.utc_minus_monotonic_ns();
     let _ = ready.send(Ok(Ready { devices, utc_minus_monotonic_ns, realtime }));
