@@ -178,6 +178,8 @@ impl Controller {
 
     fn finished(&mut self, name: String, cause: String) {
         let summary = self.summary.take();
+        // What the file states is what everybody is told.
+        let cause = summary.as_ref().map_or(cause, |summary| summary.cause.clone());
         tracing::info!(
             run = name,
             cause,

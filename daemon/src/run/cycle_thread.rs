@@ -83,6 +83,8 @@ fn serve(
     live: &Arc<Live>,
 ) {
     let RunJob { mut sink, stop, cycles, full_fault_cycles, utc_minus_monotonic_ns } = job;
+    // Dropped before the ring is: the recorder must not finish the file without the cause.
+    let _fate = Fate(&stop);
     acquisition.set_utc_minus_monotonic_ns(utc_minus_monotonic_ns);
     acquisition.begin_run(|first_sample| {
         if let Some((replay, _)) = replay {
@@ -116,6 +118,17 @@ fn serve(
     }
     stop.stop(if replay.is_some() { "end of the replayed recording" } else { "duration reached" });
     tracing::info!(wire = ?acquisition.wire_counters(), "run ended");
+}
+
+/// Says why a run ends that takes its thread with it.
+struct Fate<'a>(&'a Stop);
+
+impl Drop for Fate<'_> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.0.stop("full fault: the thread of the cycle has ended; its cause is in the log");
+        }
+    }
 }
 
 fn full_fault(cycles: u64, reasons: u32) -> String {
