@@ -141,7 +141,12 @@ impl Controller {
                 Action::Finished { run, cause } => self.finished(run, cause),
                 // The link tries by itself whenever it is down.
                 Action::Connect => {}
-                Action::BeginHoming => self.homing = self.bus.session().map(Homing::begin),
+                Action::BeginHoming => {
+                    self.homing = self.bus.session().map(Homing::begin);
+                    if self.homing.is_none() {
+                        self.handle(Event::HomingOver);
+                    }
+                }
                 Action::EndHoming(cause) => self.homing.iter().for_each(|homing| homing.stop(&cause)),
                 Action::Recover => {
                     run::finish_leftovers(&self.settings.daemon.directory);
