@@ -24,8 +24,10 @@ static SERVED: LazyLock<Served> = LazyLock::new(|| {
     let directory = std::env::temp_dir().join(format!("ballbard-fuzz-{}", std::process::id()));
     let settings = Settings {
         bus: BusChoice::Interface("none-such".into()),
+        faults: Vec::new(),
         daemon: crate::daemon(Path::new(&directory)),
         bar: crate::ball_bar(),
+        homing_file: directory.join("homing.toml"),
     };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
     Served { router: api::router(Service::start(settings).expect("a service")), runtime }
