@@ -58,7 +58,7 @@ fn switch_by_lines(faults: &FaultHandle) {
             Ok(FaultSwitch { fault, on: true }) => faults.begin(fault),
             Ok(FaultSwitch { fault, on: false }) => faults.end(fault),
             Err(error) => {
-                eprintln!("{error}");
+                tracing::warn!("{error}");
                 continue;
             }
         }
