@@ -26,6 +26,7 @@ fn file(model: &Model, solution: &Solution) -> CalibrationFile {
     let solve = SolveEntry::new("transform", &solution.summary, &solution.identifiability);
     let sigma = |id| model.column_of(id).and_then(|column| solution.covariance.sigma(column));
     CalibrationFile::new("robot", "bar", solve, None, Vec::new(), ParameterEntry::all(model, sigma))
+        .with_knowledge(model, solution)
 }
 
 /// Robot and bar (standing at the root) of a table of links.
@@ -56,8 +57,8 @@ fn the_table_of_links_and_both_files_give_the_poses_of_the_solution() {
     let from_toml: CalibrationFile = toml::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
     let json = std::fs::read_to_string(directory.path().join("calibration.json")).unwrap();
     let from_json: CalibrationFile = serde_json::from_str(&json).unwrap();
-    assert_eq!(from_toml, written);
     assert_eq!(from_json, written);
+    assert_eq!(from_toml, CalibrationFile { covariance: None, ..written.clone() });
 
     let mut reader = csv::Reader::from_path(directory.path().join("dh.csv")).unwrap();
     let rows: Vec<DhRow> = reader.deserialize().map(|row| row.unwrap()).collect();
@@ -94,4 +95,27 @@ fn a_joint_offset_as_printed_added_to_the_joint_angle_gives_the_identified_robot
         zeros_nominal.forward(&corrected).to_homogeneous() - identified.forward(&joints).to_homogeneous();
     assert!(apart.amax() < 1e-6, "{}", apart.amax());
     assert!((2..=6).any(|joint| offset_deg(joint).abs() > 1e-4));
+}
+
+#[test]
+fn the_covariance_in_the_file_has_the_sigmas_on_its_diagonal_and_names_what_is_correlated() {
+    let (model, solution) = solved();
+    let written = file(&model, &solution);
+    let (covariance, knowledge) = (written.covariance.clone().unwrap(), written.knowledge.clone().unwrap());
+    let at = |name: &str| covariance.names.iter().position(|other| other == name).unwrap();
+    for entry in written.parameters.iter().filter(|entry| entry.sigma.is_some()) {
+        let k = at(&entry.name);
+        let variance = covariance.rows[k][k].unwrap();
+        assert!((variance.sqrt() - entry.sigma.unwrap()).abs() < 1e-9 * variance.sqrt(), "{}", entry.name);
+    }
+    assert!(!knowledge.correlations.is_empty());
+    for one in &knowledge.correlations {
+        let (a, b) = (at(&one.first), at(&one.second));
+        let entry = |a: usize, b: usize| covariance.rows[a][b].unwrap();
+        let expected = entry(a, b) / (entry(a, a) * entry(b, b)).sqrt();
+        assert!((one.correlation - expected).abs() < 1e-12 && one.correlation.abs() > 0.8);
+    }
+    let text = table::calibration(&written);
+    assert!(text.contains("largest correlations: ") && text.contains("rank 38 of 38"), "{text}");
+    assert!(knowledge.observability.o3 > 0.0 && knowledge.observability.o2 < 1.0);
 }

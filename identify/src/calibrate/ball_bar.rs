@@ -4,7 +4,7 @@ use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 
 use super::config::{CostName, IdentifyConfig};
-use super::robust::solve_robust;
+use super::robust::{solve_from_subsets, solve_robust};
 use crate::cost::{
     CostError, Length, LoopProblem, Position, PositionAngles, Residual, Transform, WhitenedPose, fill_in,
 };
@@ -12,7 +12,7 @@ use crate::kinematics::{BAR_JOINTS, LinkParameter, ball_bar_chain, robot_chain};
 use crate::logs::RobotLog;
 use crate::model::{Axis, DriveTrain, Geometry, Model, ModelError, ParameterId};
 use crate::prepare::{PrepareError, Prepared, prepare};
-use crate::solver::{Options, Solution, SolveError, Summary, Unidentifiable};
+use crate::solver::{Options, Solution, SolveError, Summary, Unidentifiable, Watch};
 
 /// The thesis' residuals enter as it defines them; `pose` is whitened by itself.
 const UNWEIGHTED: f64 = 1.0;
@@ -62,12 +62,10 @@ pub struct BallBarCalibration {
     pub solution: Solution,
 }
 
-/// Prepares and solves.
-///
-/// `encoders` are those of the recording, in its order.
+/// [`calibrate_watched`] with nobody looking on.
 ///
 /// # Errors
-/// [`CalibrateError`]: a calibration that is returned has converged and every free parameter of it is identified.
+/// As there.
 pub fn calibrate(
     cycles: &[CycleRecord],
     encoders: &[EncoderInfo],
@@ -75,6 +73,24 @@ pub fn calibrate(
     robot: &RobotConfig,
     bar: &BallBarConfig,
     config: &IdentifyConfig,
+) -> Result<BallBarCalibration, CalibrateError> {
+    calibrate_watched(cycles, encoders, log, robot, bar, config, None)
+}
+
+/// Prepares and solves.
+///
+/// `encoders` are those of the recording, in its order.
+///
+/// # Errors
+/// [`CalibrateError`]: a calibration that is returned has converged and every free parameter of it is identified.
+pub fn calibrate_watched(
+    cycles: &[CycleRecord],
+    encoders: &[EncoderInfo],
+    log: &RobotLog,
+    robot: &RobotConfig,
+    bar: &BallBarConfig,
+    config: &IdentifyConfig,
+    watch: Option<&dyn Watch>,
 ) -> Result<BallBarCalibration, CalibrateError> {
     let mut prepared = prepare(cycles, encoders, log, robot, bar, &config.prepare)?;
     let cost = config.cost.unwrap_or_else(|| CostName::for_encoders(&prepared.measured));
@@ -84,12 +100,14 @@ pub fn calibrate(
             let whitened = |prepared: &Prepared, geometry: &Geometry| {
                 WhitenedPose::new(geometry, &prepared.motion, &prepared.observations, config.noise.into())
             };
-            solve(&mut prepared, &mut model, cost, whitened, config)?
+            solve(&mut prepared, &mut model, cost, whitened, config, watch)?
         }
-        CostName::Transform => solve(&mut prepared, &mut model, cost, |_, _| Transform, config)?,
-        CostName::PositionAngles => solve(&mut prepared, &mut model, cost, |_, _| PositionAngles, config)?,
-        CostName::Position => solve(&mut prepared, &mut model, cost, |_, _| Position, config)?,
-        CostName::Length => solve(&mut prepared, &mut model, cost, |_, _| Length, config)?,
+        CostName::Transform => solve(&mut prepared, &mut model, cost, |_, _| Transform, config, watch)?,
+        CostName::PositionAngles => {
+            solve(&mut prepared, &mut model, cost, |_, _| PositionAngles, config, watch)?
+        }
+        CostName::Position => solve(&mut prepared, &mut model, cost, |_, _| Position, config, watch)?,
+        CostName::Length => solve(&mut prepared, &mut model, cost, |_, _| Length, config, watch)?,
     };
     Ok(BallBarCalibration { cost, prepared, model, solution })
 }
@@ -119,9 +137,11 @@ fn solve<R: Residual>(
     cost: CostName,
     residual: impl Fn(&Prepared, &Geometry) -> R,
     config: &IdentifyConfig,
+    watch: Option<&dyn Watch>,
 ) -> Result<Solution, CalibrateError> {
     config.set_roles(model, R::tells)?;
-    let loss = config.loss.unwrap_or(cost.usual_loss());
+    let loss = config.loss_for(cost);
+    let options = Options { watch, ..Options::default() };
     let mut solve_once = |sigma: f64| {
         let geometry = model.geometry(&model.start());
         if !R::ENCODERS.is_empty() {
@@ -129,7 +149,8 @@ fn solve<R: Residual>(
         }
         let residual = residual(prepared, &geometry);
         let problem = LoopProblem::new(model, &prepared.motion, &prepared.observations, residual, sigma)?;
-        let mut solution = solve_robust(&problem, &model.start(), loss, &Options::default())?.identified()?;
+        let solve_by = if config.ransac { solve_from_subsets } else { solve_robust };
+        let mut solution = solve_by(&problem, &model.start(), loss, &options)?.identified()?;
         solution.summary.residual_rms_start *= sigma;
         solution.summary.residual_rms *= sigma;
         if !solution.summary.termination.converged() {

@@ -109,6 +109,9 @@ pub struct IdentifyConfig {
     pub cost: Option<CostName>,
     /// Loss; absent: [`CostName::usual_loss`].
     pub loss: Option<LossName>,
+    /// Where more than a fifth of the samples is wrong: start from random subsets of them (RANSAC). The loss is then
+    /// `geman_mcclure` unless another one is asked for.
+    pub ransac: bool,
     /// Free parameters.
     pub selection: SelectionName,
     /// Parameters freed on top of the selection.
@@ -131,6 +134,7 @@ impl Default for IdentifyConfig {
         Self {
             cost: None,
             loss: None,
+            ransac: false,
             selection: SelectionName::default(),
             free: Vec::new(),
             fix: Vec::new(),
@@ -143,6 +147,12 @@ impl Default for IdentifyConfig {
 }
 
 impl IdentifyConfig {
+    /// The loss for a cost.
+    pub fn loss_for(&self, cost: CostName) -> LossName {
+        let usual = if self.ransac { LossName::GemanMcclure } else { cost.usual_loss() };
+        self.loss.unwrap_or(usual)
+    }
+
     /// Gives every parameter its role for a cost that tells `tells` apart.
     ///
     /// # Errors

@@ -7,4 +7,4 @@ mod robust;
 pub mod truth;
 
 pub use config::{CostName, IdentifyConfig, NoiseConfig, SelectionName};
-pub use robust::{LossName, solve_robust};
+pub use robust::{LossName, solve_from_subsets, solve_robust};

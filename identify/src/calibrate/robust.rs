@@ -2,7 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::solver::{self, Loss, Options, Problem, Solution, SolveError, minimise, squared_norms};
+use crate::solver::{
+    self, Loss, Options, Problem, RansacOptions, Solution, SolveError, minimise, ransac, squared_norms,
+};
 
 /// How much a sample counts that does not fit. Scales are such that one clean sample in a hundred is beyond them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
@@ -47,15 +49,27 @@ fn squared_norm_quantile(rows: usize, normal: f64) -> f64 {
     n * (1.0 - ninth + normal * ninth.sqrt()).powi(3)
 }
 
-/// Standard deviation of a residual row, from the median over the samples: half of them may be wrong.
-fn spread<P: Problem>(problem: &P, x: &[f64]) -> f64 {
+/// A share of the samples that is taken as good, and the standard normal quantile of that share.
+#[derive(Debug, Clone, Copy)]
+struct GoodShare {
+    share: f64,
+    normal: f64,
+}
+
+/// Of what is usual: half of the samples may be wrong.
+const HALF: GoodShare = GoodShare { share: 0.5, normal: NORMAL[0] };
+/// Where more than half may be.
+const TWO_FIFTHS: GoodShare = GoodShare { share: 0.4, normal: -0.2533 };
+
+/// Standard deviation of a residual row, from the samples that fit best.
+fn spread<P: Problem>(problem: &P, x: &[f64], good: GoodShare) -> f64 {
     let mut squared = squared_norms(problem, x);
     if squared.is_empty() {
         return 0.0;
     }
-    let middle = squared.len() / 2;
-    let median = *squared.select_nth_unstable_by(middle, f64::total_cmp).1;
-    (median / squared_norm_quantile(problem.rows(), NORMAL[0])).sqrt()
+    let last = ((squared.len() as f64 * good.share) as usize).min(squared.len() - 1);
+    let quantile = *squared.select_nth_unstable_by(last, f64::total_cmp).1;
+    (quantile / squared_norm_quantile(problem.rows(), good.normal)).sqrt()
 }
 
 /// Solves with a loss whose scale is found on the way.
@@ -72,11 +86,36 @@ pub fn solve_robust<P: Problem>(
     loss: LossName,
     options: &Options,
 ) -> Result<Solution, SolveError> {
+    narrowed(problem, start.to_vec(), loss, options, HALF)
+}
+
+/// The same where up to three fifths of the samples may be wrong however far: a start from random subsets ([`ransac`]), then
+/// the loss, whose scale follows the best two fifths.
+///
+/// # Errors
+/// As [`solver::solve`].
+pub fn solve_from_subsets<P: Problem>(
+    problem: &P,
+    start: &[f64],
+    loss: LossName,
+    options: &Options<'_>,
+) -> Result<Solution, SolveError> {
+    let choice = RansacOptions { good_share: TWO_FIFTHS.share, ..RansacOptions::default() };
+    let x = ransac(problem, start, &choice, options)?;
+    narrowed(problem, x, loss, options, TWO_FIFTHS)
+}
+
+fn narrowed<P: Problem>(
+    problem: &P,
+    mut x: Vec<f64>,
+    loss: LossName,
+    options: &Options<'_>,
+    good: GoodShare,
+) -> Result<Solution, SolveError> {
     if loss == LossName::None {
-        return solver::solve(problem, start, options);
+        return solver::solve(problem, &x, options);
     }
-    let mut x = start.to_vec();
-    let mut sigma = spread(problem, &x);
+    let mut sigma = spread(problem, &x, good);
     for _ in 0..LOOKS_MAX {
         if sigma <= SPREAD_MIN {
             return solver::solve(problem, &x, options);
@@ -84,7 +123,7 @@ pub fn solve_robust<P: Problem>(
         let scale = sigma * squared_norm_quantile(problem.rows(), NORMAL[1]).sqrt();
         let between = Options { loss: Loss::Cauchy { scale }, iterations_max: STEPS_BETWEEN, ..*options };
         x = minimise(problem, &x, &between)?.0;
-        let before = std::mem::replace(&mut sigma, spread(problem, &x));
+        let before = std::mem::replace(&mut sigma, spread(problem, &x, good));
         if sigma > (1.0 - SETTLED) * before {
             break;
         }

@@ -7,6 +7,7 @@ use clap::Args;
 use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::recording::Recording;
 
+use super::on_terminal::OnTerminal;
 use crate::calibrate::ball_bar::{self, BallBarCalibration};
 use crate::calibrate::measured_length::{self, LengthOptions, LengthRow};
 use crate::calibrate::truth::Comparison;
@@ -55,6 +56,9 @@ pub struct CalibrateArguments {
     /// How much samples count that do not fit; default: huber with pose, none with the others
     #[arg(long)]
     loss: Option<LossName>,
+    /// Start from random subsets of the samples: where more than a fifth of them may be wrong
+    #[arg(long)]
+    ransac: bool,
     /// Free parameters
     #[arg(long)]
     selection: Option<SelectionName>,
@@ -92,6 +96,7 @@ fn identify_config(arguments: &CalibrateArguments) -> anyhow::Result<IdentifyCon
     let mut config: IdentifyConfig = file.map_or_else(|| Ok(IdentifyConfig::default()), config::load)?;
     config.cost = arguments.cost.or(config.cost);
     config.loss = arguments.loss.or(config.loss);
+    config.ransac |= arguments.ransac;
     config.selection = arguments.selection.unwrap_or(config.selection);
     config.free.extend_from_slice(&arguments.free);
     config.fix.extend_from_slice(&arguments.fix);
@@ -110,9 +115,19 @@ fn from_ball_bar(
     let truth = arguments.truth.as_deref().map(load_truth).transpose()?;
     let recording = Recording::open(recording_path)?;
     let log = logs::load(log_path, robot)?;
+    let on_terminal = OnTerminal::new();
+    let calibration = ball_bar::calibrate_watched(
+        &recording.cycles,
+        &recording.run.encoders,
+        &log,
+        robot,
+        &bar,
+        &config,
+        Some(&on_terminal),
+    );
+    on_terminal.finish();
     let calibration =
-        ball_bar::calibrate(&recording.cycles, &recording.run.encoders, &log, robot, &bar, &config)
-            .with_context(|| format!("{} with {}", recording_path.display(), log_path.display()))?;
+        calibration.with_context(|| format!("{} with {}", recording_path.display(), log_path.display()))?;
     let inputs = inputs(&[
         ("recording", recording_path),
         ("robot log", log_path),
@@ -129,8 +144,10 @@ fn from_ball_bar(
         ParameterEntry::all(&calibration.model, |id| {
             calibration.model.column_of(id).and_then(|column| solution.covariance.sigma(column))
         }),
-    );
+    )
+    .with_knowledge(&calibration.model, solution);
     let written = file.write(&arguments.out)?;
+    file.write_robot(robot, Some(&bar), &arguments.out)?;
     let page = Page {
         file: &file,
         calibration: &calibration,
@@ -184,6 +201,7 @@ fn from_measured_lengths(
         ParameterEntry::all(&report.model, sigma),
     );
     let written = file.write(&arguments.out)?;
+    file.write_robot(robot, None, &arguments.out)?;
     print!("{}", table::calibration(&file));
     let lines: Vec<u64> = measured.rows.iter().map(|row| row.line).collect();
     print!("\n{}", table::lengths(&report, &lines));

@@ -4,6 +4,7 @@ mod calibrate;
 mod compare;
 mod examine;
 mod inspect;
+mod on_terminal;
 mod simulate;
 
 use clap::{Parser, Subcommand};

@@ -175,9 +175,21 @@ pub struct Tracer {
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct PreparedLink {
     theta: Turn,
-    rotation: Matrix3<f64>,
+    alpha: Turn,
+    /// Hayati's; none where the link is a standard one.
+    beta: Option<Turn>,
     a_m: f64,
     d_m: f64,
+}
+
+impl PreparedLink {
+    /// Axes turned by `Rx(alpha) Ry(beta)`: each turn mixes two of them.
+    #[inline]
+    fn after_turn(&self, x: Vector3<f64>, y: Vector3<f64>, z: Vector3<f64>) -> Matrix3<f64> {
+        let (y, z) = (y * self.alpha.cos + z * self.alpha.sin, z * self.alpha.cos - y * self.alpha.sin);
+        let Some(beta) = self.beta else { return Matrix3::from_columns(&[x, y, z]) };
+        Matrix3::from_columns(&[x * beta.cos - z * beta.sin, y, z * beta.cos + x * beta.sin])
+    }
 }
 
 impl Tracer {
@@ -185,7 +197,8 @@ impl Tracer {
     pub fn new(chain: &Chain) -> Self {
         let links = chain.links.iter().map(|link| PreparedLink {
             theta: Turn::of(link.theta_rad),
-            rotation: *link.after_joint().rotation.matrix(),
+            alpha: Turn::of(link.alpha_rad),
+            beta: (link.beta_rad != 0.0).then(|| Turn::of(link.beta_rad)),
             a_m: link.a_m,
             d_m: link.d_m,
         });
@@ -209,7 +222,7 @@ impl Tracer {
             let x = rotation.column(0) * cos + rotation.column(1) * sin;
             let y = rotation.column(1) * cos - rotation.column(0) * sin;
             let origin_after = origin + x * link.a_m + z_before * link.d_m;
-            rotation = Matrix3::from_columns(&[x, y, z_before]) * link.rotation;
+            rotation = link.after_turn(x, y, z_before);
             trace.axes.push(LinkAxes {
                 z_before,
                 origin_before: origin,

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use shared::time::UtcNs;
 
+use super::knowledge::{CovarianceEntry, Knowledge};
 use crate::model::{Model, Parameter, ParameterId, Role, link_parameter_name};
 use crate::solver::{Identifiability, Summary};
 
@@ -190,6 +191,12 @@ pub struct CalibrationFile {
     pub inputs: Vec<Input>,
     /// Every parameter of the model.
     pub parameters: Vec<ParameterEntry>,
+    /// How well they are known together.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub knowledge: Option<Knowledge>,
+    /// Covariance of the free ones; in `calibration.json` alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub covariance: Option<CovarianceEntry>,
 }
 
 impl CalibrationFile {
@@ -212,16 +219,18 @@ impl CalibrationFile {
             clock,
             inputs,
             parameters,
+            knowledge: None,
+            covariance: None,
         }
     }
 
-    /// Writes `calibration.toml`, the same as `calibration.json`, and `dh.csv` (see [`CalibrationFile::dh_csv`]) into the
+    /// Writes `calibration.toml`, the same with the covariance as `calibration.json`, and `dh.csv` (see [`CalibrationFile::dh_csv`]) into the
     /// directory, each whole under its name or not at all. Returns the path of the first.
     ///
     /// # Errors
     /// [`FileError`].
     pub fn write(&self, directory: &Path) -> Result<PathBuf, FileError> {
-        let text = toml::to_string(self)?;
+        let text = toml::to_string(&Self { covariance: None, ..self.clone() })?;
         let json = serde_json::to_string_pretty(self)?;
         let table = self.dh_csv()?;
         replace(directory, "calibration.json", &json)?;

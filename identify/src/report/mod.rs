@@ -1,10 +1,15 @@
 //! What people and programs get: files, tables on a terminal, and a page.
 
+pub mod corrections;
 pub mod examination;
 pub mod file;
+pub mod knowledge;
 pub mod page;
 mod read;
+mod robot_files;
 pub mod side_by_side;
 pub mod table;
+pub mod urdf;
 
 pub use read::CalibrationReadError;
+pub use robot_files::RobotFileError;

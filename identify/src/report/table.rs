@@ -65,6 +65,9 @@ pub fn calibration(file: &CalibrationFile) -> String {
         );
     }
     let _ = writeln!(text, "fixed: {}", fixed.join(" "));
+    if let Some(knowledge) = &file.knowledge {
+        text.push_str(&knowledge.describe(solve.parameters));
+    }
     text.push_str(&joint_offsets(file));
     text
 }

@@ -81,7 +81,7 @@ impl Identifiability {
 
     /// Observability indices of the samples without priors, with columns in the units given.
     pub fn observability(&self, units: &[f64]) -> Observability {
-        Observability::new(&self.triangle, units, self.samples, 1e-15)
+        Observability::new(&self.triangle, units, self.samples, 1e-9)
     }
 
     /// Columns that are not determined: zero or in a dependent group.

@@ -16,6 +16,7 @@ mod observability;
 mod outcome;
 mod panel;
 mod pass;
+mod ransac;
 mod robust;
 mod watch;
 
@@ -28,6 +29,7 @@ pub use observability::Observability;
 pub use outcome::{Options, Solution, Summary, Termination};
 pub use panel::Block;
 pub use pass::{squared_norms, stacked};
+pub use ransac::{RansacOptions, ransac};
 pub use robust::{GraduatedOptions, solve_graduated};
 pub use watch::{Progress, Watch};
 
@@ -116,7 +118,7 @@ pub enum SolveError {
     )]
     Dependent,
     /// Who looked on ended it.
-    #[error("the solve was cancelled after {iterations} iterations")]
+    #[error("the solve was cancelled after {iterations} iterations; there is no result")]
     Cancelled {
         /// Accepted steps.
         iterations: usize,

@@ -334,8 +334,13 @@ fn plain<'a, P: Problem>(problem: &'a P, x: &'a [f64]) -> Pass<'a, P> {
 
 /// Squared residual norm of each sample that has a value at `x`, without loss. Empty where one is not finite.
 pub fn squared_norms<P: Problem>(problem: &P, x: &[f64]) -> Vec<f64> {
+    squared_norms_of_all(problem, x).into_iter().filter(|squared| squared.is_finite()).collect()
+}
+
+/// The same for all samples: infinite for one without a value.
+pub(super) fn squared_norms_of_all<P: Problem>(problem: &P, x: &[f64]) -> Vec<f64> {
     let fits = plain(problem, x).run(|| ()).map(|((), fits)| fits).unwrap_or_default();
-    fits.iter().filter(|fit| fit.present).map(|fit| fit.squared).collect()
+    fits.iter().map(|fit| if fit.present { fit.squared } else { f64::INFINITY }).collect()
 }
 
 /// Residuals and Jacobian of all samples that have a value at `x`, stacked, without loss and priors: for looking at,

@@ -1,0 +1,63 @@
+//! Progress of a long solve on a terminal, and Ctrl-C that ends it.
+
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressStyle};
+
+use crate::solver::{Progress, Watch};
+
+/// Somebody pressed Ctrl-C.
+static INTERRUPTED: AtomicBool = AtomicBool::new(false);
+static HANDLER: OnceLock<()> = OnceLock::new();
+
+/// Exit code of a program that Ctrl-C ended, as shells have it.
+const EXIT_INTERRUPTED: i32 = 130;
+/// A solve that is over before this shows nothing.
+const PATIENCE: Duration = Duration::from_millis(500);
+
+/// A bar on the terminal, where there is one, that Ctrl-C ends. A second Ctrl-C ends the program at once.
+#[derive(Debug)]
+pub struct OnTerminal {
+    bar: ProgressBar,
+    began: std::time::Instant,
+}
+
+impl OnTerminal {
+    pub fn new() -> Self {
+        HANDLER.get_or_init(|| {
+            // Without a handler Ctrl-C ends the program, which writes no file either.
+            let _ = ctrlc::set_handler(|| {
+                if INTERRUPTED.swap(true, Ordering::Relaxed) {
+                    std::process::exit(EXIT_INTERRUPTED);
+                }
+            });
+        });
+        let bar = ProgressBar::no_length();
+        let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} samples");
+        Self {
+            bar: style.map_or_else(|_| bar.clone(), |style| bar.clone().with_style(style)),
+            began: std::time::Instant::now(),
+        }
+    }
+
+    /// Takes the bar off the terminal.
+    pub fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+}
+
+impl Watch for OnTerminal {
+    fn goes_on(&self, progress: &Progress) -> bool {
+        if self.began.elapsed() > PATIENCE {
+            self.bar.set_length(progress.samples as u64);
+            self.bar.set_position(progress.samples_done as u64);
+            self.bar.set_message(progress.cost.map_or_else(
+                || "first pass".to_owned(),
+                |cost| format!("iteration {}, cost {cost:.3e}", progress.iteration + 1),
+            ));
+        }
+        !INTERRUPTED.load(Ordering::Relaxed)
+    }
+}

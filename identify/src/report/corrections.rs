@@ -1,0 +1,98 @@
+//! What a robot engineer types into a controller or a program: corrections with unit, sign and place.
+
+use serde::{Deserialize, Serialize};
+use shared::config::{AngleUnit, RobotConfig};
+
+use super::file::CalibrationFile;
+use crate::kinematics::{LinkParameter, ROBOT_JOINTS};
+use crate::logs::{JointConversion, LogError};
+use crate::model::{ParameterId, Unit, link_parameter_name};
+
+/// One row of `corrections.csv`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Correction {
+    /// What is corrected: `joint 2`, `motor2_rad`, `link 3 alpha`.
+    pub what: String,
+    /// `deg`, `rad` or `mm`.
+    pub unit: String,
+    /// The number to add.
+    pub add: f64,
+    /// To what it is added.
+    pub to: String,
+    /// Standard deviation; absent where the value was fixed or follows from several.
+    pub sigma: Option<f64>,
+}
+
+const TO_JOINT: &str = "the joint angle of the model (log converted as the robot's file says, nominal theta)";
+const TO_LOG: &str =
+    "the logged value before it is converted; instead of the joint corrections, not on top of them";
+const TO_LINK: &str = "the nominal Denavit-Hartenberg number of the link";
+
+/// Joint offsets for the model, the same for the log's own columns, and every other correction of a link.
+///
+/// # Errors
+/// [`LogError::SingularConversion`].
+pub fn corrections(file: &CalibrationFile, robot: &RobotConfig) -> Result<Vec<Correction>, LogError> {
+    let mut offsets_rad = [0.0; ROBOT_JOINTS];
+    let (mut joints, mut links) = (Vec::new(), Vec::new());
+    for entry in &file.parameters {
+        let Ok(ParameterId::Robot { link, parameter }) = entry.name.parse() else { continue };
+        if parameter == LinkParameter::Theta {
+            if let Some(offset) = offsets_rad.get_mut(link) {
+                *offset = entry.correction;
+            }
+            joints.push(Correction {
+                what: format!("joint {}", link + 1),
+                unit: "deg".into(),
+                add: entry.correction.to_degrees(),
+                to: TO_JOINT.into(),
+                sigma: entry.sigma.map(f64::to_degrees),
+            });
+        } else if entry.correction != 0.0 {
+            let (unit, factor) = match (ParameterId::Robot { link, parameter }).unit() {
+                Unit::Metre => ("mm", 1e3),
+                _ => ("deg", 1f64.to_degrees()),
+            };
+            links.push(Correction {
+                what: format!("link {} {}", link + 1, link_parameter_name(parameter)),
+                unit: unit.into(),
+                add: entry.correction * factor,
+                to: TO_LINK.into(),
+                sigma: entry.sigma.map(|sigma| sigma * factor),
+            });
+        }
+    }
+    let mut rows = joints;
+    rows.extend(of_the_log(robot, &offsets_rad)?);
+    rows.extend(links);
+    Ok(rows)
+}
+
+/// `q + offset = (raw + change - raw_offset) T`: what the joint offsets are in the log's own columns.
+fn of_the_log(robot: &RobotConfig, offsets_rad: &[f64; ROBOT_JOINTS]) -> Result<Vec<Correction>, LogError> {
+    let conversion = JointConversion::new(&robot.log)?;
+    let (with, without) = (conversion.to_raw(offsets_rad), conversion.to_raw(&[0.0; ROBOT_JOINTS]));
+    let unit = match robot.log.unit {
+        AngleUnit::Deg => "deg",
+        AngleUnit::Rad => "rad",
+    };
+    let row = |joint: usize| Correction {
+        what: format!("{}{}_{unit}", robot.log.column, joint + 1),
+        unit: unit.into(),
+        add: with[joint] - without[joint],
+        to: TO_LOG.into(),
+        sigma: None,
+    };
+    Ok((0..ROBOT_JOINTS).map(row).collect())
+}
+
+/// The rows as text.
+///
+/// # Errors
+/// [`csv::Error`], which writing to memory does not have.
+pub fn csv(rows: &[Correction]) -> Result<String, csv::Error> {
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    rows.iter().try_for_each(|row| writer.serialize(row))?;
+    let bytes = writer.into_inner().map_err(|error| csv::Error::from(error.into_error()))?;
+    Ok(String::from_utf8_lossy(&bytes).into_owned())
+}

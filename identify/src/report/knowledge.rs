@@ -1,0 +1,122 @@
+//! How well the identified parameters are known, apart from each one's sigma.
+
+use serde::{Deserialize, Serialize};
+
+use super::file::CalibrationFile;
+use crate::model::Model;
+use crate::solver::{Observability, Solution};
+
+/// Correlations above this are named.
+const NAMED_ABOVE: f64 = 0.8;
+/// So many are named at most.
+const NAMED_MAX: usize = 20;
+
+/// Two parameters that the data can hardly tell apart.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CorrelationEntry {
+    /// One of them.
+    pub first: String,
+    /// The other.
+    pub second: String,
+    /// -1 to 1.
+    pub correlation: f64,
+}
+
+/// The five indices of [`Observability`], of the samples without priors.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ObservabilityEntry {
+    /// Volume.
+    pub o1: f64,
+    /// Inverse condition.
+    pub o2: f64,
+    /// Smallest singular value.
+    pub o3: f64,
+    /// Noise amplification.
+    pub o4: f64,
+    /// Harmonic mean.
+    pub o5: f64,
+}
+
+impl From<Observability> for ObservabilityEntry {
+    fn from(o: Observability) -> Self {
+        Self { o1: o.o1, o2: o.o2, o3: o.o3, o4: o.o4, o5: o.o5 }
+    }
+}
+
+/// What samples and priors determine.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Knowledge {
+    /// Directions determined by samples and priors.
+    pub rank: usize,
+    /// Directions determined by the samples alone.
+    pub rank_of_samples: usize,
+    /// Singular values of the column-scaled Jacobian with priors, descending: a gap among them is a doubtful rank.
+    pub singular_values: Vec<f64>,
+    /// With columns in mm, mrad, ms and ppm; all zero where priors are needed.
+    pub observability: ObservabilityEntry,
+    /// Pairs that are correlated most, the strongest first.
+    pub correlations: Vec<CorrelationEntry>,
+}
+
+/// The covariance of all free parameters, SI units.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CovarianceEntry {
+    /// Parameters in the order of rows and columns.
+    pub names: Vec<String>,
+    /// Row by row; absent where a parameter is not identified.
+    pub rows: Vec<Vec<Option<f64>>>,
+}
+
+impl CalibrationFile {
+    /// Adds what the solution of a model says of itself. The covariance goes into `calibration.json` alone.
+    pub fn with_knowledge(mut self, model: &Model, solution: &Solution) -> Self {
+        let found = &solution.identifiability;
+        let name = |column: usize| found.names.get(column).cloned().unwrap_or_default();
+        let units: Vec<f64> = model.columns().map(|p| p.id.unit().display_factor().recip()).collect();
+        let strongest = solution.covariance.strongest_correlations(NAMED_ABOVE);
+        let named = strongest.into_iter().take(NAMED_MAX);
+        self.knowledge = Some(Knowledge {
+            rank: found.rank,
+            rank_of_samples: found.rank_of_samples,
+            singular_values: found.singular_values.clone(),
+            observability: found.observability(&units).into(),
+            correlations: named
+                .map(|(a, b, correlation)| CorrelationEntry { first: name(a), second: name(b), correlation })
+                .collect(),
+        });
+        let columns = found.names.len();
+        let rows =
+            (0..columns).map(|a| (0..columns).map(|b| solution.covariance.between(a, b)).collect()).collect();
+        self.covariance = Some(CovarianceEntry { names: found.names.clone(), rows });
+        self
+    }
+}
+
+impl Knowledge {
+    /// Some lines for a person.
+    pub(super) fn describe(&self, free: usize) -> String {
+        use std::fmt::Write;
+        let mut text = String::new();
+        let weakest = self.singular_values.last().copied().unwrap_or(0.0);
+        let strongest = self.singular_values.first().copied().unwrap_or(0.0);
+        let _ = writeln!(
+            text,
+            "rank {} of {free} ({} by the samples alone), weakest direction {:.1e} of the strongest",
+            self.rank,
+            self.rank_of_samples,
+            weakest / strongest,
+        );
+        let o = &self.observability;
+        let _ = writeln!(
+            text,
+            "observability (mm, mrad): O1 {:.2e}  O2 {:.2e}  O3 {:.2e}  O4 {:.2e}  O5 {:.2e}",
+            o.o1, o.o2, o.o3, o.o4, o.o5
+        );
+        if !self.correlations.is_empty() {
+            let pair = |c: &CorrelationEntry| format!("{}|{} {:+.3}", c.first, c.second, c.correlation);
+            let pairs: Vec<String> = self.correlations.iter().take(8).map(pair).collect();
+            let _ = writeln!(text, "largest correlations: {}", pairs.join("  "));
+        }
+        text
+    }
+}

@@ -1,0 +1,58 @@
+//! Files about the identified robot for other programs, beside a calibration.
+
+use std::path::Path;
+
+use shared::config::{BallBarConfig, RobotConfig};
+
+use super::corrections::{corrections, csv};
+use super::file::{CalibrationFile, FileError, replace};
+use super::urdf::urdf;
+use crate::kinematics::{Chain, DhLink, LinkParameter, Pose, ROBOT_JOINTS};
+use crate::logs::LogError;
+use crate::model::ParameterId;
+
+/// Why there is no such file.
+#[derive(Debug, thiserror::Error)]
+pub enum RobotFileError {
+    /// The robot's log cannot be converted.
+    #[error(transparent)]
+    Conversion(#[from] LogError),
+    /// It cannot be written.
+    #[error(transparent)]
+    File(#[from] FileError),
+}
+
+impl CalibrationFile {
+    /// The identified robot, to the frame where the calibration's last link ends.
+    pub fn robot_chain(&self) -> Chain {
+        let mut links = vec![DhLink::default(); ROBOT_JOINTS];
+        for entry in &self.parameters {
+            let Ok(ParameterId::Robot { link, parameter }) = entry.name.parse() else { continue };
+            let Some(link) = links.get_mut(link) else { continue };
+            *match parameter {
+                LinkParameter::A => &mut link.a_m,
+                LinkParameter::D => &mut link.d_m,
+                LinkParameter::Alpha => &mut link.alpha_rad,
+                LinkParameter::Theta => &mut link.theta_rad,
+                LinkParameter::Beta => &mut link.beta_rad,
+            } = entry.value;
+        }
+        Chain { root_from_base: Pose::identity(), links }
+    }
+
+    /// Writes `robot.urdf` and `corrections.csv` into the directory, each whole or not at all.
+    ///
+    /// # Errors
+    /// [`RobotFileError`].
+    pub fn write_robot(
+        &self,
+        robot: &RobotConfig,
+        bar: Option<&BallBarConfig>,
+        directory: &Path,
+    ) -> Result<(), RobotFileError> {
+        let table = csv(&corrections(self, robot)?).map_err(FileError::from)?;
+        replace(directory, "robot.urdf", &urdf(robot, &self.robot_chain(), bar))?;
+        replace(directory, "corrections.csv", &table)?;
+        Ok(())
+    }
+}

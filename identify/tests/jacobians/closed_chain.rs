@@ -1,0 +1,240 @@
+//! The closed chain a second time over any scalar: all of its numbers, a motion known as a function of time, and errors
+//! of the joints by their definition.
+
+use identify::kinematics::{Chain, DhLink, LinkParameter, Pose};
+use identify::model::{
+    BACKLASH_SPEED_RAD_S, BasePlacement, DriveTrain, Geometry, Harmonic, JointState, JointTerm, Model,
+    Observation, ParameterId, RobotMotion,
+};
+use num_dual::{Dual64, DualNum};
+
+use crate::support::Cell;
+use crate::support::independent::{Link, Matrix, forward, identity, product, shift, turn};
+
+/// A smooth motion whose joints are known as functions of time.
+#[derive(Debug)]
+pub struct Sines;
+
+pub fn sines<D: DualNum<f64> + Copy>(tau: D) -> [D; 6] {
+    std::array::from_fn(|i| {
+        let i = i as f64;
+        (tau * (0.3 + 0.17 * i) + i).sin() * (0.9 - 0.05 * i) + 0.1 * i
+    })
+}
+
+pub fn sines_rates<D: DualNum<f64> + Copy>(tau: D) -> [D; 6] {
+    std::array::from_fn(|i| {
+        let i = i as f64;
+        (tau * (0.3 + 0.17 * i) + i).cos() * ((0.9 - 0.05 * i) * (0.3 + 0.17 * i))
+    })
+}
+
+impl RobotMotion for Sines {
+    fn at(&self, tau_s: f64) -> Option<JointState> {
+        let moved = sines(Dual64::new(tau_s, 1.0));
+        let rates = sines_rates(Dual64::new(tau_s, 1.0));
+        Some(JointState { q: moved.map(|q| q.re), qd: moved.map(|q| q.eps), qdd: rates.map(|qd| qd.eps) })
+    }
+}
+
+/// All numbers of the closed chain over any scalar, in the order of [`ParameterId`]s given.
+pub struct Numbers<D> {
+    pub robot: Vec<Link<D>>,
+    pub bar: Vec<Link<D>>,
+    pub origin: [D; 3],
+    pub tilt: [D; 2],
+    pub harmonics: [[D; 4]; 5],
+    pub joint_errors: [[D; 13]; 6],
+    /// Nominal robot, from which levers of weights are computed.
+    pub arm: Vec<DhLink>,
+    pub clock: [D; 2],
+    pub attachment: [D; 3],
+    pub anchor: [D; 3],
+    pub offset: D,
+}
+
+pub fn harmonics(g: &Geometry) -> [[f64; 4]; 5] {
+    let mut g = g.clone();
+    let mut amplitude =
+        |joint, harmonic| *g.parameter_mut(ParameterId::Harmonic { joint, harmonic }).unwrap();
+    std::array::from_fn(|joint| Harmonic::ALL.map(|harmonic| amplitude(joint, harmonic)))
+}
+
+pub fn place(term: JointTerm) -> usize {
+    JointTerm::ALL.iter().position(|one| *one == term).unwrap()
+}
+
+pub fn joint_errors(g: &Geometry) -> [[f64; 13]; 6] {
+    let mut g = g.clone();
+    let mut amplitude =
+        |axis, term| g.parameter_mut(ParameterId::Joint { axis, term }).map_or(0.0, |amplitude| *amplitude);
+    std::array::from_fn(|axis| JointTerm::ALL.map(|term| amplitude(axis, term)))
+}
+
+/// Drive 2 turns joint 3 back, drive 4 turns joints 5 and 6 along; lobes and turns are anything; the robot hangs askew.
+pub fn coupled_drives(arm: &Chain) -> DriveTrain {
+    let mut drives = DriveTrain::direct(arm);
+    let couplings = [(1, 2, -1.0), (3, 4, 0.1), (3, 5, 0.05), (4, 5, 0.4)];
+    for (drive, joint, part) in couplings {
+        drives.joint_from_drive[drive][joint] = part;
+    }
+    let matrix = nalgebra::Matrix6::from_fn(|i, j| drives.joint_from_drive[i][j]);
+    let inverse = matrix.try_inverse().unwrap();
+    drives.drive_from_joint = std::array::from_fn(|i| std::array::from_fn(|j| inverse[(i, j)]));
+    drives.cycloid_lobes = [7.0, 11.0, 9.0, 5.0, 6.0, 4.0].map(Some);
+    drives.motor_turns = [3.5, 6.1, 4.2, 3.3, 5.7, 2.9].map(Some);
+    drives.gravity = nalgebra::Vector3::new(0.36, -0.48, -0.8);
+    drives
+}
+
+pub fn coupled(cell: &Cell) -> Model {
+    cell.model().with_drives(coupled_drives(&cell.robot))
+}
+
+/// Joints with all errors of [`coupled_drives`], by definition: shapes over the reported angles of the drives.
+pub fn true_joints<D: DualNum<f64> + Copy>(arm: &[DhLink], errors: &[[D; 13]; 6], tau: D) -> [D; 6] {
+    let arm: Vec<Link<D>> = links(arm);
+    let (q, qd) = (sines(tau), sines_rates(tau));
+    // joints = drives C, solved for the drives by hand.
+    let drives = |q: [D; 6]| {
+        let [q1, q2, q3, q4, q5, q6] = q;
+        let d5 = q5 - q4 * 0.1;
+        [q1, q2, q3 + q2, q4, d5, q6 - q4 * 0.05 - d5 * 0.4]
+    };
+    let (g, rate) = (drives(q), drives(qd));
+    let frame = |links: usize| forward(&identity(), &arm[..links], &q);
+    let lever = |axis: usize, at: usize| {
+        let (base, load) = (frame(axis), frame(at));
+        let gravity = [0.36, -0.48, -0.8];
+        let r: [D; 3] = std::array::from_fn(|i| load[i][3] - base[i][3]);
+        let cross = |i: usize, j: usize| r[i] * gravity[j] - r[j] * gravity[i];
+        base[0][2] * cross(1, 2) + base[1][2] * cross(2, 0) + base[2][2] * cross(0, 1)
+    };
+    let error: [D; 6] = std::array::from_fn(|i| {
+        let lobes = [7.0, 11.0, 9.0, 5.0, 6.0, 4.0][i];
+        let turns = [3.5, 6.1, 4.2, 3.3, 5.7, 2.9][i];
+        let waves = [1.0, 2.0, lobes, turns].map(|n| [(g[i] * n).sin(), (g[i] * n).cos()]);
+        let shapes = waves.into_iter().flatten().chain([(rate[i] / BACKLASH_SPEED_RAD_S).tanh(), g[i]]);
+        let levers = [2, 4, 6].map(|at| lever(i, at));
+        shapes
+            .chain(levers)
+            .zip(errors[i])
+            .map(|(shape, amplitude)| shape * amplitude)
+            .fold(D::from(0.0), |a, b| a + b)
+    });
+    let [e1, e2, e3, e4, e5, e6] = error;
+    let moved = [e1, e2, e3 - e2, e4, e5 + e4 * 0.1, e6 + e4 * 0.05 + e5 * 0.4];
+    std::array::from_fn(|i| q[i] + moved[i])
+}
+
+pub fn links<D: DualNum<f64> + Copy>(links: &[identify::kinematics::DhLink]) -> Vec<Link<D>> {
+    links.iter().map(|l| [l.a_m, l.alpha_rad, l.d_m, l.theta_rad, l.beta_rad].map(D::from)).collect()
+}
+
+impl<D: DualNum<f64> + Copy> Numbers<D> {
+    pub fn new(arm: &Chain, g: &Geometry) -> Self {
+        Self {
+            arm: arm.links.clone(),
+            robot: links(&g.robot.links),
+            bar: links(&g.bar_links),
+            origin: [0, 1, 2].map(|i| D::from(g.base.origin_m[i])),
+            tilt: [g.base.rx_rad, g.base.ry_rad].map(D::from),
+            harmonics: harmonics(g).map(|joint| joint.map(D::from)),
+            joint_errors: joint_errors(g).map(|axis| axis.map(D::from)),
+            clock: [g.clock.shift_s, g.clock.skew].map(D::from),
+            attachment: [0, 1, 2].map(|i| D::from(g.wire.attachment_m[i])),
+            anchor: [0, 1, 2].map(|i| D::from(g.wire.anchor_m[i])),
+            offset: D::from(g.wire.offset_m),
+        }
+    }
+
+    pub fn number(&mut self, id: ParameterId) -> &mut D {
+        let at = |parameter| match parameter {
+            LinkParameter::A => 0,
+            LinkParameter::Alpha => 1,
+            LinkParameter::D => 2,
+            LinkParameter::Theta => 3,
+            LinkParameter::Beta => 4,
+        };
+        match id {
+            ParameterId::Robot { link, parameter } => &mut self.robot[link][at(parameter)],
+            ParameterId::Bar { link, parameter } => &mut self.bar[link][at(parameter)],
+            ParameterId::Base(axis) => &mut self.origin[axis.index()],
+            ParameterId::BaseRotation(axis) => &mut self.tilt[axis.index()],
+            ParameterId::Harmonic { joint, harmonic } => &mut self.harmonics[joint][harmonic as usize],
+            ParameterId::Joint { axis, term } => &mut self.joint_errors[axis][place(term)],
+            ParameterId::ClockShift => &mut self.clock[0],
+            ParameterId::ClockSkew => &mut self.clock[1],
+            ParameterId::Attachment(axis) => &mut self.attachment[axis.index()],
+            ParameterId::Anchor(axis) => &mut self.anchor[axis.index()],
+            ParameterId::LengthOffset => &mut self.offset,
+            id => unreachable!("{id} belongs to measured_jacobians.rs"),
+        }
+    }
+
+    pub fn robot_end(&self, t_s: f64) -> Matrix<D> {
+        let tau = self.clock[0] + (self.clock[1] + 1.0) * t_s;
+        forward(&identity(), &self.robot, &true_joints(&self.arm, &self.joint_errors, tau))
+    }
+
+    pub fn bar_base(&self) -> Matrix<D> {
+        let place = shift(self.origin[0], self.origin[1], self.origin[2]);
+        let tilted = product(&place, &turn(1, 2, self.tilt[0]));
+        product(&tilted, &turn(2, 0, self.tilt[1]))
+    }
+
+    pub fn bar_joints(&self, o: &Observation) -> [D; 5] {
+        std::array::from_fn(|j| {
+            let b = o.bar_rad[j];
+            let waves = [b.sin(), b.cos(), (2.0 * b).sin(), (2.0 * b).cos()];
+            let error = |k: usize| self.harmonics[j][k] * waves[k];
+            D::from(b) - error(0) - error(1) - error(2) - error(3)
+        })
+    }
+
+    pub fn bar_end(&self, bar: &[D; 5]) -> Matrix<D> {
+        forward(&self.bar_base(), &self.bar, bar)
+    }
+}
+
+impl Numbers<Dual64> {
+    pub fn without_derivative(&self) -> Self {
+        let plain = |x: &Dual64| Dual64::from(x.re);
+        Self {
+            robot: self.robot.iter().map(|link| link.map(|x| plain(&x))).collect(),
+            bar: self.bar.iter().map(|link| link.map(|x| plain(&x))).collect(),
+            origin: self.origin.map(|x| plain(&x)),
+            tilt: self.tilt.map(|x| plain(&x)),
+            harmonics: self.harmonics.map(|joint| joint.map(|x| plain(&x))),
+            arm: self.arm.clone(),
+            joint_errors: self.joint_errors.map(|axis| axis.map(|x| plain(&x))),
+            clock: self.clock.map(|x| plain(&x)),
+            attachment: self.attachment.map(|x| plain(&x)),
+            anchor: self.anchor.map(|x| plain(&x)),
+            offset: plain(&self.offset),
+        }
+    }
+
+    /// Robot and bar as the library has them.
+    pub fn chains(&self) -> (Chain, Chain) {
+        let links = |links: &[Link<Dual64>]| {
+            let link = |l: &Link<Dual64>| DhLink {
+                a_m: l[0].re,
+                alpha_rad: l[1].re,
+                d_m: l[2].re,
+                theta_rad: l[3].re,
+                beta_rad: l[4].re,
+            };
+            links.iter().map(link).collect()
+        };
+        let base = BasePlacement {
+            origin_m: self.origin.map(|x| x.re).into(),
+            rx_rad: self.tilt[0].re,
+            ry_rad: self.tilt[1].re,
+        };
+        (
+            Chain { root_from_base: Pose::identity(), links: links(&self.robot) },
+            Chain { root_from_base: base.pose(), links: links(&self.bar) },
+        )
+    }
+}

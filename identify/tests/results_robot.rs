@@ -1,0 +1,186 @@
+//! The identified robot in the formats that others read, held against its own poses.
+#![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
+
+mod support;
+
+use std::f64::consts::FRAC_PI_2;
+
+use identify::kinematics::{Chain, robot_chain};
+use identify::logs::JointConversion;
+use identify::model::Model;
+use identify::report::corrections::{Correction, corrections, csv};
+use identify::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
+use identify::report::urdf::urdf;
+use identify::solver::{Identifiability, Summary, Termination};
+use nalgebra::DMatrix;
+use shared::config::RobotConfig;
+use support::independent::{Matrix, identity, product, shift, turn};
+
+/// Every number of the robot wrong by its own amount, Hayati's rotation of link 2 too.
+fn identified(robot: &RobotConfig) -> Chain {
+    let mut chain = robot_chain(robot, &support::bar());
+    for (i, link) in chain.links.iter_mut().enumerate() {
+        let e = |k: usize| 2e-3 * (1.0 + 5.0 * i as f64 + k as f64).sin();
+        link.a_m += e(0);
+        link.d_m += e(1);
+        link.alpha_rad += e(2);
+        link.theta_rad += e(3);
+    }
+    chain.links[1].beta_rad = 1.5e-3;
+    chain
+}
+
+fn file(robot: &RobotConfig) -> CalibrationFile {
+    let nominal = robot_chain(robot, &support::bar());
+    let mut model = Model::ball_bar(&nominal, &identify::kinematics::ball_bar_chain(&support::bar()));
+    let chain = identified(robot);
+    for (i, link) in chain.links.iter().enumerate() {
+        let numbers = [link.a_m, link.d_m, link.alpha_rad, link.theta_rad, link.beta_rad];
+        for (kind, value) in ["a", "d", "alpha", "theta", "beta"].into_iter().zip(numbers) {
+            model.set_value(format!("r{kind}{}", i + 1).parse().unwrap(), value).unwrap();
+        }
+    }
+    let summary = Summary {
+        termination: Termination::SmallStep,
+        iterations: 3,
+        evaluations: 4,
+        cost_start: 1.0,
+        cost_end: 0.1,
+        residual_rms_start: 1e-3,
+        residual_rms: 1e-5,
+        samples_used: 1500,
+        samples_left_out: 0,
+    };
+    let identifiability = Identifiability {
+        names: Vec::new(),
+        rank: 1,
+        rank_of_samples: 1,
+        singular_values: vec![1.0],
+        zero_columns: Vec::new(),
+        groups: Vec::new(),
+        triangle: DMatrix::zeros(0, 0),
+        samples: 1500,
+    };
+    let solve = SolveEntry::new("pose", &summary, &identifiability);
+    CalibrationFile::new(&robot.name, "bar", solve, None, Vec::new(), ParameterEntry::all(&model, |_| None))
+}
+
+fn robots() -> [RobotConfig; 2] {
+    [support::irb2400(), support::nj220()]
+}
+
+const JOINTS: [[f64; 6]; 3] =
+    [[0.0; 6], [0.3, -0.4, 0.5, 0.6, -0.7, 0.8], [-1.2, 0.9, -0.6, 2.0, FRAC_PI_2, -3.0]];
+
+/// Forward kinematics of a URDF as its specification says, on the crate `urdf-rs`' reading of it.
+fn by_urdf(robot: &urdf_rs::Robot, end: &str, joints: &[f64; 6]) -> Matrix<f64> {
+    let mut path = Vec::new();
+    let mut link = end.to_owned();
+    while let Some(joint) = robot.joints.iter().find(|joint| joint.child.link == link) {
+        link.clone_from(&joint.parent.link);
+        path.push(joint);
+    }
+    assert_eq!(link, "base");
+    let mut angles = joints.iter();
+    path.iter().rev().fold(identity(), |pose, joint| {
+        let ([x, y, z], [roll, pitch, yaw]) = (joint.origin.xyz.0, joint.origin.rpy.0);
+        let factors = [shift(x, y, z), turn(0, 1, yaw), turn(2, 0, pitch), turn(1, 2, roll)];
+        let pose = factors.iter().fold(pose, |pose, factor| product(&pose, factor));
+        if joint.joint_type == urdf_rs::JointType::Fixed {
+            return pose;
+        }
+        assert_eq!(joint.axis.xyz.0, [0.0, 0.0, 1.0]);
+        product(&pose, &turn(0, 1, *angles.next().unwrap()))
+    })
+}
+
+fn apart(found: &Matrix<f64>, chain: &Chain, joints: &[f64; 6]) -> f64 {
+    let expected = chain.forward(joints).to_homogeneous();
+    (0..4)
+        .flat_map(|i| (0..4).map(move |j| (i, j)))
+        .fold(0.0, |worst, (i, j)| f64::max(worst, (found[i][j] - expected[(i, j)]).abs()))
+}
+
+#[test]
+fn a_urdf_read_by_another_library_gives_the_poses_of_the_identified_robot() {
+    let bar = support::bar();
+    for config in robots() {
+        let chain = identified(&config);
+        let robot = urdf_rs::read_from_string(&urdf(&config, &chain, Some(&bar))).unwrap();
+        assert_eq!(robot.name, config.name);
+        let mut flange = chain.clone();
+        flange.links[5].a_m -= bar.plate_m;
+        flange.links[5].d_m -= bar.tool_m;
+        for joints in &JOINTS {
+            assert!(apart(&by_urdf(&robot, "ball_bar_end", joints), &chain, joints) < 1e-12);
+            assert!(apart(&by_urdf(&robot, "flange", joints), &flange, joints) < 1e-12);
+        }
+        let limits = &robot.joints.iter().find(|joint| joint.name == "joint_2").unwrap().limit;
+        assert!((limits.lower.to_degrees() - config.joint_limits_deg[1][0]).abs() < 1e-9);
+    }
+}
+
+fn read_back(text: &str) -> Vec<Correction> {
+    csv::Reader::from_reader(text.as_bytes()).deserialize().map(|row| row.unwrap()).collect()
+}
+
+/// As an engineer would: nominal robot, numbers added where the rows say.
+fn corrected_links(nominal: &Chain, rows: &[Correction]) -> Chain {
+    let mut chain = nominal.clone();
+    for row in rows.iter().filter(|row| row.what.starts_with("link")) {
+        let words: Vec<&str> = row.what.split(' ').collect();
+        let link = &mut chain.links[words[1].parse::<usize>().unwrap() - 1];
+        match (words[2], row.unit.as_str()) {
+            ("a", "mm") => link.a_m += row.add * 1e-3,
+            ("d", "mm") => link.d_m += row.add * 1e-3,
+            ("alpha", "deg") => link.alpha_rad += row.add.to_radians(),
+            ("beta", "deg") => link.beta_rad += row.add.to_radians(),
+            other => unreachable!("{other:?}"),
+        }
+    }
+    chain
+}
+
+#[test]
+fn corrections_read_back_and_applied_to_joints_or_to_the_log_give_the_identified_poses() {
+    for config in robots() {
+        let chain = identified(&config);
+        let rows = read_back(&csv(&corrections(&file(&config), &config).unwrap()).unwrap());
+        let links = corrected_links(&robot_chain(&config, &support::bar()), &rows);
+        let add = |prefix: &str| -> [f64; 6] {
+            let of = |i: usize| rows.iter().find(|row| row.what.starts_with(&format!("{prefix}{}", i + 1)));
+            std::array::from_fn(|i| of(i).unwrap().add)
+        };
+        let conversion = JointConversion::new(&config.log).unwrap();
+        let (to_joints, to_log) = (add("joint "), add(&config.log.column));
+        for joints in &JOINTS {
+            let by_joints: [f64; 6] = std::array::from_fn(|i| joints[i] + to_joints[i].to_radians());
+            let logged = conversion.to_raw(joints);
+            let by_log = conversion.to_joint(&std::array::from_fn(|i| logged[i] + to_log[i]));
+            for corrected in [by_joints, by_log] {
+                let found = links.forward(&corrected).to_homogeneous();
+                assert!((found - chain.forward(joints).to_homogeneous()).amax() < 1e-12);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_written_calibration_is_read_from_either_file_and_gives_the_same_robot() {
+    let config = support::irb2400();
+    let directory = tempfile::tempdir().unwrap();
+    let written = file(&config);
+    let toml = written.write(directory.path()).unwrap();
+    for path in [toml.clone(), directory.path().join("calibration.json")] {
+        let read = CalibrationFile::open(&path).unwrap();
+        assert_eq!(read, written);
+        assert_eq!(read.robot_chain(), identified(&config));
+    }
+    let newer = std::fs::read_to_string(&toml).unwrap().replace("schema = 1", "schema = 99");
+    std::fs::write(&toml, newer).unwrap();
+    let error = CalibrationFile::open(&toml).unwrap_err().to_string();
+    assert!(error.contains("schema 99"), "{error}");
+    std::fs::write(&toml, "something = \"else\"").unwrap();
+    assert!(CalibrationFile::open(&toml).is_err());
+    assert!(CalibrationFile::open(&directory.path().join("none.toml")).is_err());
+}
