@@ -9,9 +9,9 @@ use std::path::PathBuf;
 use identify::calibrate::measured_length::{
     ErrorFigures, LengthOptions, LengthRow, Rejection, RunCause, calibrate,
 };
+use identify::calibrate::measured_pose::HoldOut;
 use identify::kinematics::{Chain, flange_chain};
 use identify::model::{Axis, ParameterId};
-use identify::solver::Loss;
 use nalgebra::Vector3;
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
@@ -47,11 +47,12 @@ fn real_rows() -> Option<Vec<LengthRow>> {
 
 fn show(name: &str, figures: &ErrorFigures) {
     println!(
-        "{name}: {} rows, mean {:.3}, RMS {:.3}, median {:.3}, max {:.2} mm",
+        "{name}: {} rows, mean {:.3}, RMS {:.3}, median {:.3}, p95 {:.3}, max {:.2} mm",
         figures.rows,
         1e3 * figures.mean_m,
         1e3 * figures.rms_m,
         1e3 * figures.median_m,
+        1e3 * figures.p95_m,
         1e3 * figures.max_m
     );
 }
@@ -176,25 +177,53 @@ fn the_real_irb_120_is_predicted_better_on_rows_that_no_fit_has_seen() {
     assert!(after.rows >= 140);
 }
 
+/// Best published here, from different methods, over all 208 held-out rows: mean, RMS, max \[mm\].
+const WIRE: [f64; 3] = [0.94, 1.60, 4.5];
+
 #[test]
-fn the_real_irb_120_with_every_row_kept() {
+fn the_real_irb_120_over_every_held_out_row_of_several_splits() {
     let Some(rows) = real_rows() else { return };
-    let options = LengthOptions {
-        loss: Loss::Huber { scale: 1.5 },
-        link_sigma_m: 1.0,
-        link_sigma_rad: 1.0,
-        residual_limit: 1e3,
-        run_limit: None,
-        ..LengthOptions::default()
-    };
-    let mut sum = ErrorFigures::default();
     for seed in 1..=5 {
-        let report = calibrate(&rows, &irb120(), &LengthOptions { seed, ..options }).unwrap();
-        show("held out, all, before", &report.held_out_with_rejected.before);
-        show("held out, all, after", &report.held_out_with_rejected.after);
-        sum.mean_m += 0.2 * report.held_out_with_rejected.after.mean_m;
-        sum.rms_m += 0.2 * report.held_out_with_rejected.after.rms_m;
+        let report =
+            calibrate(&rows, &irb120(), &LengthOptions { seed, ..LengthOptions::default() }).unwrap();
+        println!("seed {seed}: {:?}", report.drift);
+        show("  nominal robot", &report.held_out_with_rejected.before);
+        show("  robot alone", &report.held_out_robot_alone.after);
+        show("  with the drift", &report.held_out_with_rejected.after);
+        let after = report.held_out_with_rejected.after;
+        assert_eq!(after.rows, 208);
+        let figures = [after.mean_m, after.rms_m, after.max_m].map(|m| 1e3 * m);
+        assert!(figures.iter().zip(WIRE).all(|(found, best)| *found < best), "{figures:?}");
     }
-    println!("mean of five seeds: mean {:.3}, RMS {:.3} mm", 1e3 * sum.mean_m, 1e3 * sum.rms_m);
-    assert!(sum.mean_m < 1.0e-3 && sum.rms_m < 1.75e-3);
+}
+
+/// Where whole stretches of the file are held out their zero is not known, and the figures say what that costs.
+#[test]
+fn the_real_irb_120_where_stretches_and_regions_are_held_out() {
+    let Some(rows) = real_rows() else { return };
+    for hold_out in [HoldOut::Blocks, HoldOut::Regions] {
+        for seed in 1..=3 {
+            let options = LengthOptions { seed, hold_out, ..LengthOptions::default() };
+            let report = calibrate(&rows, &irb120(), &options).unwrap();
+            println!("{hold_out:?}, seed {seed}: {:?}", report.drift);
+            show("  nominal robot", &report.held_out_with_rejected.before);
+            show("  robot alone", &report.held_out_robot_alone.after);
+            show("  with the drift", &report.held_out_with_rejected.after);
+        }
+    }
+}
+
+#[test]
+fn a_zero_that_wanders_is_told_from_the_robot_and_one_that_stays_is_not_invented() {
+    let (mut rows, _) = made_up(500);
+    assert!(calibrate(&rows, &irb120(), &LengthOptions::default()).unwrap().drift.is_none());
+    for (index, row) in rows.iter_mut().enumerate() {
+        row.length_m += 2e-3 * (index as f64 / 40.0).sin();
+    }
+    let report = calibrate(&rows, &irb120(), &LengthOptions::default()).unwrap();
+    println!("{:?}", report.drift);
+    show("wandering, robot alone", &report.held_out_robot_alone.after);
+    show("wandering, with drift", &report.held_out_with_rejected.after);
+    assert!(report.held_out_robot_alone.after.rms_m > 1e-3);
+    assert!(report.held_out_with_rejected.after.rms_m < 2e-4);
 }

@@ -5,13 +5,18 @@ mod support;
 
 use identify::cost::{LoopProblem, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
 use identify::kinematics::{LinkParameter, Pose};
-use identify::model::{Axis, JointState, Model, Observation, ParameterId, Placement, RobotMotion, Role};
+use identify::model::{
+    Axis, JointState, Model, Observation, ParameterId, Phase, Placement, RobotMotion, Role,
+};
 use identify::solver::stacked;
 use nalgebra::{Rotation3, Vector3};
 use num_dual::{Dual64, DualNum};
 use proptest::prelude::*;
 use support::Cell;
 use support::independent::{Link, Matrix, forward, identity, product};
+
+/// Waves of the joints that are tried: more make no other case.
+const WAVES: [u8; 2] = [3, 7];
 
 /// A smooth motion whose joints are known as functions of time.
 struct Sines;
@@ -71,9 +76,18 @@ fn probes(model: &Model, by: ParameterId, t_s: f64, measured: &Pose) -> [Matrix<
         .collect();
     let six: Vec<Dual64> = ParameterId::tracker().map(number).collect();
     let tau = number(ParameterId::ClockShift) + (number(ParameterId::ClockSkew) + 1.0) * t_s;
+    let mut joints = sines(tau);
+    for (joint, q) in joints.iter_mut().enumerate() {
+        let reported = *q;
+        for order in WAVES {
+            let amplitude = |phase| number(ParameterId::JointWave { joint, order, phase });
+            let angle = reported * f64::from(order);
+            *q += amplitude(Phase::Sine) * angle.sin() + amplitude(Phase::Cosine) * angle.cos();
+        }
+    }
     let m = measured.to_homogeneous();
     let measured = std::array::from_fn(|i| std::array::from_fn(|j| Dual64::from(m[(i, j)])));
-    let held = product(&forward(&identity(), &links, &sines(tau)), &placed(&six[6..]));
+    let held = product(&forward(&identity(), &links, &joints), &placed(&six[6..]));
     [held, product(&placed(&six[..6]), &measured)]
 }
 
@@ -131,9 +145,13 @@ fn agrees<R: Residual>(
 
 /// Everything free and nothing at a value where derivatives vanish by symmetry.
 fn all_free(robot: &identify::kinematics::Chain, rotation_rad: [f64; 3]) -> Model {
-    let mut model = Model::measured_pose(robot);
+    let mut model = Model::measured_pose(robot).with_joint_waves(7);
     // Errors of the robot's axes turn its joints whatever the cost: jacobians.rs has them.
-    let ids = model.parameters().iter().map(|p| p.id).filter(|id| !matches!(id, ParameterId::Joint { .. }));
+    let ids = model.parameters().iter().map(|p| p.id).filter(|id| match id {
+        ParameterId::Joint { .. } => false,
+        ParameterId::JointWave { order, .. } => WAVES.contains(order),
+        _ => true,
+    });
     let ids: Vec<ParameterId> = ids.collect();
     for (i, id) in ids.into_iter().enumerate() {
         let rotation = match id {

@@ -3,17 +3,20 @@
 //! Unknown are the anchor in the cell, the attachment on the flange, a constant length offset, and the robot's links.
 //! The links get priors from tolerances instead of being dropped by hand: one length per pose leaves many directions
 //! weak. Lengths have heavy tails (the wire sags, catches, is read late), so the loss is robust and narrowed step by
-//! step. Rows are held out by a fixed seed and never seen by the fit; the figures on them are what counts.
+//! step. What rows next to each other are off by together is a drift of the instrument's zero ([`Drift`]), which is taken
+//! into the solve where left-out rows ask for it. Rows are held out by a fixed seed and never seen by the fit; the figures on them are what counts.
 
+mod drift;
 mod figures;
 mod report;
 mod runs;
 mod screen;
 mod start;
 
-use rand::SeedableRng;
-use rand::seq::SliceRandom;
+use nalgebra::Vector3;
 
+use super::measured_pose::HoldOut;
+use super::measured_pose::split::{self, Split};
 use crate::cost::{CostError, LoopProblem, MeasuredLength};
 use crate::kinematics::{Chain, LinkParameter};
 use crate::model::{Axis, Model, ModelError, Observation, ParameterId, PerObservation, Role, Unit};
@@ -21,6 +24,7 @@ use crate::solver::{
     GraduatedOptions, Loss, Noise, Options, Solution, SolveError, Unidentifiable, solve_graduated,
 };
 
+pub use drift::Drift;
 pub use figures::{ErrorFigures, Figures};
 pub use report::{LengthReport, ParameterEstimate, RejectedRow, Rejection};
 pub use runs::{FaultyRun, RunCause};
@@ -39,6 +43,8 @@ pub struct LengthRow {
 /// How the calibration is done.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LengthOptions {
+    /// What is held out together, from the figures and from each fold of the choice of a drift.
+    pub hold_out: HoldOut,
     /// Part of the rows that the fit never sees.
     pub held_out: f64,
     /// Seed of the choice of rows.
@@ -58,11 +64,14 @@ pub struct LengthOptions {
     /// A run of rows is rejected where the median residual of neighbouring fitting rows exceeds this many robust
     /// standard deviations: a slipped zero, a joint logged with another sign. None keeps them.
     pub run_limit: Option<f64>,
+    /// A drift of the instrument's zero along the file may be taken.
+    pub drift: bool,
 }
 
 impl Default for LengthOptions {
     fn default() -> Self {
         Self {
+            hold_out: HoldOut::Rows,
             held_out: 0.2,
             seed: 1042,
             loss: Loss::Cauchy { scale: 2.0 },
@@ -72,6 +81,7 @@ impl Default for LengthOptions {
             flange_tolerance_m: 5e-3,
             residual_limit: 8.0,
             run_limit: Some(3.0),
+            drift: true,
         }
     }
 }
@@ -137,25 +147,6 @@ pub enum LengthError {
 
 /// Fewest rows of a fit: the seven unknowns of the wire and as many again.
 const ROWS_MIN: usize = 14;
-
-/// Row numbers for fitting and for judging, both ascending.
-struct Split {
-    fitting: Vec<usize>,
-    held_out: Vec<usize>,
-}
-
-fn split(rows: usize, options: &LengthOptions) -> Split {
-    let mut order: Vec<usize> = (0..rows).collect();
-    order.shuffle(&mut rand::rngs::StdRng::seed_from_u64(options.seed));
-    let held = (rows as f64 * options.held_out).round() as usize;
-    let (held_out, fitting) = order.split_at(held.min(rows));
-    let sorted = |rows: &[usize]| {
-        let mut rows = rows.to_vec();
-        rows.sort_unstable();
-        rows
-    };
-    Split { fitting: sorted(fitting), held_out: sorted(held_out) }
-}
 
 fn check(rows: &[LengthRow], options: &LengthOptions) -> Result<(), LengthError> {
     for (index, row) in rows.iter().enumerate() {
@@ -321,6 +312,46 @@ struct LinkFit {
     rejected: Vec<RejectedRow>,
 }
 
+/// A fit with a drift.
+struct Drifted {
+    drift: Drift,
+    drift_m: Vec<f64>,
+    solution: Solution,
+}
+
+impl Drifted {
+    /// Takes a drift into the fit if left-out rows ask for it. Faulty runs take part: what moved their zero is part of it.
+    fn find(
+        model: &mut Model,
+        rows: &[LengthRow],
+        fitting: &[usize],
+        faulty: &[RejectedRow],
+        sigma_m: f64,
+        groups: &[usize],
+        options: &LengthOptions,
+    ) -> Result<Option<Self>, LengthError> {
+        if !options.drift {
+            return Ok(None);
+        }
+        let single = |r: &&RejectedRow| matches!(r.why, Rejection::GrossResidual { .. });
+        let singles: Vec<RejectedRow> = faulty.iter().filter(single).copied().collect();
+        let fitting = screen::without(fitting, &singles);
+        let folds = split::folds(groups, &fitting, drift::FOLDS, options.seed.wrapping_add(1));
+        let Some(drift) = drift::choose(model, rows, &fitting, &folds, sigma_m)? else { return Ok(None) };
+        let drift_m = drift::fit(model, rows, &fitting, &drift)?;
+        // Once more with the drift as known: it stays where it is, and the solver tells of rank and covariance.
+        let mut steady = rows.to_vec();
+        steady.iter_mut().zip(&drift_m).for_each(|(row, drift_m)| row.length_m += drift_m);
+        let solution = fit(model, &steady, &fitting, Loss::Huber { scale: 3.0 }, drift.white_m)?;
+        Ok(Some(Self { drift, drift_m, solution }))
+    }
+
+    /// Residual of every row without the drift there \[m\].
+    fn residuals_m(&self, model: &Model, rows: &[LengthRow]) -> Vec<f64> {
+        residuals_m(model, rows).iter().zip(&self.drift_m).map(|(r, drift)| r - drift).collect()
+    }
+}
+
 /// Standard deviation of a length \[m\]: given, or from the rows as they fit now.
 fn scale_m(model: &Model, rows: &[LengthRow], kept: &[usize], options: &LengthOptions) -> f64 {
     let estimated = || screen::robust_sigma(&figures::pick(&residuals_m(model, rows), kept));
@@ -331,7 +362,7 @@ fn scale_m(model: &Model, rows: &[LengthRow], kept: &[usize], options: &LengthOp
 ///
 /// `robot` is the nominal chain to the flange. Rows whose controller position contradicts their joint angles are
 /// rejected everywhere. Single gross residuals are rejected from the fit only; faulty runs everywhere, but judged by
-/// their fitting rows alone. Lengths of held-out rows decide nothing.
+/// their fitting rows alone; with a drift they take part again. Lengths of held-out rows decide nothing.
 ///
 /// # Errors
 /// [`LengthError`] for rows, options or geometry that allow no calibration.
@@ -341,7 +372,10 @@ pub fn calibrate(
     options: &LengthOptions,
 ) -> Result<LengthReport, LengthError> {
     check(rows, options)?;
-    let split = split(rows.len(), options);
+    let positions_m: Vec<Vector3<f64>> =
+        rows.iter().map(|row| robot.forward(&row.joints_rad).translation.vector).collect();
+    let groups = split::groups(options.hold_out, &positions_m);
+    let split = split::split(&groups, options.held_out, options.seed);
     let mut rejected = screen::contradicting(rows, robot, options.flange_tolerance_m);
     let fitting = screen::without(&split.fitting, &rejected);
     if fitting.len() < ROWS_MIN {
@@ -351,10 +385,27 @@ pub fn calibrate(
     fit_wire(&mut model, rows, &fitting, options)?;
     let before = residuals_m(&model, rows);
     let LinkFit { solution, sigma_m, rejected: faulty } = fit_links(&mut model, rows, &fitting, options)?;
-    let after = residuals_m(&model, rows);
+    let robot_alone = residuals_m(&model, rows);
+    let drifted = Drifted::find(&mut model, rows, &fitting, &faulty, sigma_m, &groups, options)?;
+    let after = drifted.as_ref().map_or_else(|| robot_alone.clone(), |found| found.residuals_m(&model, rows));
     let known: Vec<usize> = rejected.iter().map(|r| r.row).collect();
     rejected.extend(faulty.into_iter().filter(|r| !known.contains(&r.row)));
     rejected.sort_by_key(|r| r.row);
     let runs = runs::runs(&model, rows, &rejected);
-    Ok(report::assemble(report::Outcome { model, solution, before, after, split, rejected, runs, sigma_m }))
+    let (solution, sigma_m, drift) = match drifted {
+        Some(Drifted { drift, solution, .. }) => (solution, drift.white_m, Some(drift)),
+        None => (solution, sigma_m, None),
+    };
+    Ok(report::assemble(report::Outcome {
+        model,
+        solution,
+        before,
+        robot_alone,
+        after,
+        split,
+        rejected,
+        runs,
+        sigma_m,
+        drift,
+    }))
 }

@@ -2,7 +2,9 @@
 
 pub mod ball_bar;
 mod config;
+pub mod cross_validation;
 pub mod measured_length;
+pub mod measured_pose;
 mod robust;
 pub mod truth;
 

@@ -22,6 +22,11 @@ pub enum LossName {
 }
 
 impl LossName {
+    /// The loss of samples of `rows` residuals each that are in standard deviations.
+    pub(super) fn for_whitened(self, rows: usize) -> Loss {
+        self.with_scale(squared_norm_quantile(rows, NORMAL[2]).sqrt())
+    }
+
     fn with_scale(self, scale: f64) -> Loss {
         match self {
             Self::None => Loss::Squared,

@@ -1,5 +1,7 @@
 //! `identify calibrate`.
 
+mod measured_poses;
+
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -10,6 +12,7 @@ use shared::recording::Recording;
 use super::on_terminal::OnTerminal;
 use crate::calibrate::ball_bar::{self, BallBarCalibration};
 use crate::calibrate::measured_length::{self, LengthOptions, LengthRow};
+use crate::calibrate::measured_pose::HoldOut;
 use crate::calibrate::truth::Comparison;
 use crate::calibrate::{CostName, IdentifyConfig, LossName, SelectionName};
 use crate::kinematics::flange_chain;
@@ -32,10 +35,19 @@ pub struct CalibrateArguments {
     /// Poses with one measured length each (.csv), instead of a recording
     #[arg(long, value_name = "FILE", requires = "mapping", conflicts_with = "recording")]
     measured_lengths: Option<PathBuf>,
-    /// Which column of the measured lengths is what, such as config/measured_length.toml
-    #[arg(long, value_name = "FILE", requires = "measured_lengths")]
+    /// Poses measured by a tracker (.csv), instead of a recording; rows in the order of the robot's motion
+    #[arg(long, value_name = "FILE", requires = "mapping", conflicts_with_all = ["recording", "measured_lengths"])]
+    measured_poses: Option<PathBuf>,
+    /// Which column of the measured lengths or poses is what, such as config/measured_pose.toml
+    #[arg(long, value_name = "FILE", conflicts_with = "recording")]
     mapping: Option<PathBuf>,
-    /// Decides which of the measured lengths are held out
+    /// Other files of measured poses that judge the robot; tracker and probe may be elsewhere
+    #[arg(long, value_name = "FILES", requires = "measured_poses", value_delimiter = ',')]
+    validate: Vec<PathBuf>,
+    /// Which of the measured lengths or poses are held out together; default: rows of lengths, regions of poses
+    #[arg(long, value_enum, requires = "mapping")]
+    hold_out: Option<HoldOut>,
+    /// Decides which of the measured lengths or poses are held out
     #[arg(long, default_value_t = LengthOptions::default().seed)]
     seed: u64,
     /// The robot's configuration, such as config/robots/irb2400_16.toml
@@ -82,10 +94,12 @@ pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
         (None, _, _) => {}
         _ => anyhow::bail!("--recording needs --robot-log and --bar"),
     }
-    match (&arguments.measured_lengths, &arguments.mapping) {
-        (Some(lengths), Some(mapping)) => from_measured_lengths(arguments, &robot, lengths, mapping),
+    match (&arguments.measured_lengths, &arguments.measured_poses, &arguments.mapping) {
+        (Some(lengths), _, Some(mapping)) => from_measured_lengths(arguments, &robot, lengths, mapping),
+        (_, Some(poses), Some(mapping)) => measured_poses::run(arguments, &robot, poses, mapping),
         _ => anyhow::bail!(
-            "nothing to calibrate from; give --recording with --robot-log and --bar, or --measured-lengths with --mapping"
+            "nothing to calibrate from; give --recording with --robot-log and --bar, or --measured-lengths or \
+             --measured-poses with --mapping"
         ),
     }
 }
@@ -184,7 +198,12 @@ fn from_measured_lengths(
         .iter()
         .map(|row| LengthRow { joints_rad: row.q_rad, length_m: row.length_m, flange_m: row.flange_m })
         .collect();
-    let options = LengthOptions { seed: arguments.seed, ..LengthOptions::default() };
+    let usual = LengthOptions::default();
+    let options = LengthOptions {
+        seed: arguments.seed,
+        hold_out: arguments.hold_out.unwrap_or(usual.hold_out),
+        ..usual
+    };
     let report = measured_length::calibrate(&rows, &flange_chain(robot), &options)
         .with_context(|| lengths_path.display().to_string())?;
     let sigma = |id| report.parameters.iter().find(|one| one.id == id).and_then(|one| one.sigma);

@@ -32,6 +32,7 @@ impl Residual for Length {
                 link != 5 || !matches!(parameter, LinkParameter::Alpha | LinkParameter::Beta)
             }
             ParameterId::Joint { .. }
+            | ParameterId::JointWave { .. }
             | ParameterId::Base(_)
             | ParameterId::ClockShift
             | ParameterId::ClockSkew => true,

@@ -143,7 +143,7 @@ impl LoopPoint {
         readings: &'a [Turn; BAR_JOINTS],
     ) -> Option<Scene<'a>> {
         let reported = motion.at(self.geometry.clock.robot_time_s(observation.t_s))?;
-        let state = self.geometry.joints.corrected(&reported);
+        let state = self.geometry.corrected(&reported);
         let errors_rad = self.geometry.harmonics.errors_rad(readings);
         let bar_joints =
             readings.iter().zip(errors_rad).map(|(reading, error)| reading.and(Turn::of(-error)));

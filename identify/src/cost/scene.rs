@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter, Trace, Tracer, Turn, Twist};
-use crate::model::{Axis, Geometry, JointState, JointTerm, Observation, ParameterId};
+use crate::model::{Axis, Geometry, JointState, JointTerm, JointWaves, Observation, ParameterId};
 
 /// What a parameter moves.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -59,6 +59,12 @@ impl Scene<'_> {
                     (Some(twist), Some(&reading)) => Movement::Bar(twist.scaled(-harmonic.wave(reading))),
                     _ => Movement::None,
                 }
+            }
+            ParameterId::JointWave { joint, order, phase } => {
+                self.robot.twist(joint, LinkParameter::Theta).map_or(Movement::None, |twist| {
+                    let angle_rad = self.reported.q.get(joint).copied().unwrap_or(0.0);
+                    Movement::Robot(twist.scaled(JointWaves::wave(order, phase, angle_rad)))
+                })
             }
             ParameterId::Joint { axis, term } => Movement::Robot(self.joint_error(axis, term)),
             ParameterId::ClockShift => Movement::Robot(self.robot_rate),

@@ -12,7 +12,7 @@ use super::LogError;
 use super::csv_text::{Column, Format, Row, Table, decode};
 
 /// Fewest rows that make a table.
-const ROWS_MIN: usize = 10;
+pub(super) const ROWS_MIN: usize = 10;
 /// No joint turns further than this from its zero \[rad\]; more means a wrong unit.
 const JOINT_RAD_MAX: f64 = 4.0 * std::f64::consts::PI;
 /// No wire or bar is longer \[m\]; more means a wrong unit.
@@ -96,51 +96,62 @@ fn positive() -> f64 {
     1.0
 }
 
-fn comma() -> char {
+pub(super) fn comma() -> char {
     ','
 }
 
 impl Validate for MeasuredLengthMapping {
     fn validate(&self) -> Result<(), Violation> {
-        if !self.delimiter.is_ascii() || matches!(self.delimiter, '"' | '#' | '\n' | '\r') {
-            return Err(Violation::new(
-                "delimiter",
-                format!("`{}` cannot separate cells", self.delimiter.escape_default()),
-                "use \",\", \";\" or \"\\t\"",
-            ));
-        }
-        if self.decimal_comma && self.delimiter == ',' {
-            return Err(Violation::new(
-                "delimiter",
-                "a comma separates cells and decimals alike",
-                "files with decimal commas mostly have delimiter = \";\"",
-            ));
-        }
-        if self.joints.len() != 6 {
-            return Err(Violation::new(
-                "joints",
-                format!("{} joints are given", self.joints.len()),
-                "write one [[joints]] block for each of the six joints",
-            ));
-        }
-        for (index, joint) in self.joints.iter().enumerate() {
-            if joint.sign.abs() != 1.0 {
-                return Err(Violation::new(
-                    format!("joints[{index}].sign"),
-                    format!("{} is no sign", joint.sign),
-                    "write 1 or -1",
-                ));
-            }
-            if !(-360.0..=360.0).contains(&joint.offset_deg) {
-                return Err(Violation::new(
-                    format!("joints[{index}].offset_deg"),
-                    format!("{} is out of range (at most 360)", joint.offset_deg),
-                    "offsets are in degrees",
-                ));
-            }
-        }
-        Ok(())
+        check_format(self.delimiter, self.decimal_comma)?;
+        check_joints(&self.joints)
     }
+}
+
+/// A delimiter that can separate the cells.
+pub(super) fn check_format(delimiter: char, decimal_comma: bool) -> Result<(), Violation> {
+    if !delimiter.is_ascii() || matches!(delimiter, '"' | '#' | '\n' | '\r') {
+        return Err(Violation::new(
+            "delimiter",
+            format!("`{}` cannot separate cells", delimiter.escape_default()),
+            "use \",\", \";\" or \"\\t\"",
+        ));
+    }
+    if decimal_comma && delimiter == ',' {
+        return Err(Violation::new(
+            "delimiter",
+            "a comma separates cells and decimals alike",
+            "files with decimal commas mostly have delimiter = \";\"",
+        ));
+    }
+    Ok(())
+}
+
+/// Six joints with signs and offsets that are some.
+pub(super) fn check_joints(joints: &[JointColumn]) -> Result<(), Violation> {
+    if joints.len() != 6 {
+        return Err(Violation::new(
+            "joints",
+            format!("{} joints are given", joints.len()),
+            "write one [[joints]] block for each of the six joints",
+        ));
+    }
+    for (index, joint) in joints.iter().enumerate() {
+        if joint.sign.abs() != 1.0 {
+            return Err(Violation::new(
+                format!("joints[{index}].sign"),
+                format!("{} is no sign", joint.sign),
+                "write 1 or -1",
+            ));
+        }
+        if !(-360.0..=360.0).contains(&joint.offset_deg) {
+            return Err(Violation::new(
+                format!("joints[{index}].offset_deg"),
+                format!("{} is out of range (at most 360)", joint.offset_deg),
+                "offsets are in degrees",
+            ));
+        }
+    }
+    Ok(())
 }
 
 /// One pose and the length measured there.
@@ -194,18 +205,49 @@ impl MeasuredLengths {
     }
 }
 
+/// The joints' columns, found in a file.
+pub(super) struct JointColumns<'a>(Vec<(Column, &'a JointColumn)>);
+
+impl<'a> JointColumns<'a> {
+    pub(super) fn find(table: &Table<'_>, joints: &'a [JointColumn]) -> Result<Self, LogError> {
+        let found = joints.iter().map(|joint| Ok((mapped(table, &joint.column)?, joint)));
+        found.collect::<Result<_, LogError>>().map(Self)
+    }
+
+    /// Joint variables of a row \[rad\].
+    pub(super) fn read(&self, table: &Table<'_>, row: &Row) -> Result<[f64; 6], LogError> {
+        let mut q_rad = [0.0; 6];
+        for (q, (column, joint)) in q_rad.iter_mut().zip(&self.0) {
+            let value_rad = table.number(row, column)? * joint.unit.to_rad();
+            *q = joint.sign * (value_rad - joint.offset_deg.to_radians());
+            if q.abs() > JOINT_RAD_MAX {
+                return Err(table.bad(
+                    row,
+                    column,
+                    format!("{:.1} rad is more than two turns", *q),
+                    "the column looks like degrees: check the joint's unit in the mapping file",
+                ));
+            }
+        }
+        Ok(q_rad)
+    }
+}
+
+/// A column that the mapping names.
+pub(super) fn mapped(table: &Table<'_>, name: &str) -> Result<Column, LogError> {
+    table.column(name, "Correct the column's name in the mapping file, or the header.")
+}
+
 /// The mapping's columns, found in a file.
 struct Columns<'a> {
     length: (Column, LengthUnit),
-    joints: Vec<(Column, &'a JointColumn)>,
+    joints: JointColumns<'a>,
     flange: Option<([Column; 3], LengthUnit)>,
 }
 
 impl<'a> Columns<'a> {
     fn find(table: &Table<'_>, mapping: &'a MeasuredLengthMapping) -> Result<Self, LogError> {
-        let column =
-            |name: &str| table.column(name, "Correct the column's name in the mapping file, or the header.");
-        let joints = mapping.joints.iter().map(|joint| Ok((column(&joint.column)?, joint)));
+        let column = |name: &str| mapped(table, name);
         let flange = match &mapping.flange {
             Some(FlangeColumns { columns: [x, y, z], unit }) => {
                 Some(([column(x)?, column(y)?, column(z)?], *unit))
@@ -214,7 +256,7 @@ impl<'a> Columns<'a> {
         };
         Ok(Self {
             length: (column(&mapping.length.column)?, mapping.length.unit),
-            joints: joints.collect::<Result<_, LogError>>()?,
+            joints: JointColumns::find(table, &mapping.joints)?,
             flange,
         })
     }
@@ -230,19 +272,7 @@ impl<'a> Columns<'a> {
                 "check the length's unit in the mapping file",
             ));
         }
-        let mut q_rad = [0.0; 6];
-        for (q, (column, joint)) in q_rad.iter_mut().zip(&self.joints) {
-            let value_rad = table.number(row, column)? * joint.unit.to_rad();
-            *q = joint.sign * (value_rad - joint.offset_deg.to_radians());
-            if q.abs() > JOINT_RAD_MAX {
-                return Err(table.bad(
-                    row,
-                    column,
-                    format!("{:.1} rad is more than two turns", *q),
-                    "the column looks like degrees: check the joint's unit in the mapping file",
-                ));
-            }
-        }
+        let q_rad = self.joints.read(table, row)?;
         let flange_m = match &self.flange {
             Some((columns, unit)) => {
                 let mut flange_m = [0.0; 3];

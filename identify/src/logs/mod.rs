@@ -5,13 +5,15 @@
 //! [`JointConversion`]; later steps never see it. The clock is only named, not trusted: logs of many controllers
 //! count from their own start, so the relation to the bar's clock is found from the motion (`prepare`).
 //!
-//! [`MeasuredLengths`] is the other kind of input: single poses with a measured length (draw-wire, telescoping bar).
+//! [`MeasuredLengths`] and [`MeasuredPoses`] are the other kinds of input: single poses of the robot with a measured
+//! length (draw-wire, telescoping bar) or with a measured position or pose (tracker).
 
 mod conversion;
 mod csv_text;
 mod error;
 mod interpolation;
 mod measured_length;
+mod measured_pose;
 mod reader;
 mod spline;
 mod writer;
@@ -22,6 +24,9 @@ pub use interpolation::{InterpolatedLog, default_gap_limit_s};
 pub use measured_length::{
     FlangeColumns, JointColumn, LengthColumn, LengthUnit, MeasuredLength, MeasuredLengthMapping,
     MeasuredLengths,
+};
+pub use measured_pose::{
+    EulerFrame, MeasuredPose, MeasuredPoseMapping, MeasuredPoses, PositionColumns, RotationColumns,
 };
 pub use reader::{load, read};
 pub use spline::{CubicSpline, SplinePoint};

@@ -2,7 +2,7 @@
 
 use nalgebra::{Rotation3, Translation3, Vector3};
 
-use super::{Axis, DriveTrain, Harmonics, JointErrors, JointState, ParameterId, Tracker};
+use super::{Axis, DriveTrain, Harmonics, JointErrors, JointState, JointWaves, ParameterId, Tracker};
 use crate::kinematics::{Chain, DhLink, LinkParameter, Pose};
 
 /// Where the ball-bar stands: `T(origin) Rx(rx) Ry(ry)`; the turn about z is the bar's `btheta1`.
@@ -59,6 +59,8 @@ pub struct Geometry {
     pub robot: Chain,
     /// Errors of its joint angles.
     pub joints: JointErrors,
+    /// And those that come back many times per turn.
+    pub waves: JointWaves,
     /// Links of the ball-bar; its base is `base`.
     pub bar_links: Vec<DhLink>,
     /// Where the bar stands.
@@ -92,6 +94,7 @@ impl Geometry {
         });
         Self {
             joints: JointErrors::none(DriveTrain::direct(&robot)),
+            waves: JointWaves::default(),
             robot,
             bar_links,
             base,
@@ -104,7 +107,14 @@ impl Geometry {
 
     /// Where the robot's end is when it reports these joints.
     pub fn robot_end(&self, reported: &JointState) -> Pose {
-        self.robot.forward(&self.joints.corrected(reported).q)
+        self.robot.forward(&self.corrected(reported).q)
+    }
+
+    /// The robot's joints without their errors.
+    pub fn corrected(&self, reported: &JointState) -> JointState {
+        let mut corrected = self.joints.corrected(reported);
+        self.waves.add_to(&mut corrected, reported);
+        corrected
     }
 
     /// The ball-bar on its base.
@@ -128,6 +138,7 @@ impl Geometry {
             ParameterId::BaseRotation(Axis::Z) => None,
             ParameterId::Harmonic { joint, harmonic } => self.harmonics.amplitude_mut(joint, harmonic),
             ParameterId::Joint { axis, term } => self.joints.amplitude_mut(axis, term),
+            ParameterId::JointWave { joint, order, phase } => self.waves.amplitude_mut(joint, order, phase),
             ParameterId::ClockShift => Some(&mut self.clock.shift_s),
             ParameterId::ClockSkew => Some(&mut self.clock.skew),
             ParameterId::Attachment(axis) => self.wire.attachment_m.get_mut(axis.index()),

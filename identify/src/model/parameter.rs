@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use super::{Harmonic, JointTerm, ModelError};
+use super::{Harmonic, JointTerm, JointWaves, ModelError, Phase};
 use crate::kinematics::{BAR_JOINTS, LinkParameter, ROBOT_JOINTS};
 
 /// A coordinate axis of the root frame or of the flange.
@@ -69,6 +69,16 @@ pub enum ParameterId {
         axis: usize,
         /// Which term.
         term: JointTerm,
+    },
+    /// Error of a robot joint that comes back a whole number of times per turn, more than twice: `rsin17_1` (sine of 17
+    /// times joint 1's angle).
+    JointWave {
+        /// Joint from 0.
+        joint: usize,
+        /// Waves per turn.
+        order: u8,
+        /// Sine or cosine.
+        phase: Phase,
     },
     /// Robot clock minus bar clock at the reference time.
     ClockShift,
@@ -164,7 +174,7 @@ impl ParameterId {
             Self::Base(_) | Self::Attachment(_) | Self::Anchor(_) | Self::LengthOffset => Unit::Metre,
             Self::Tracker(_) | Self::Probe(_) => Unit::Metre,
             Self::BaseRotation(_) | Self::Harmonic { .. } => Unit::Radian,
-            Self::TrackerRotation(_) | Self::ProbeRotation(_) => Unit::Radian,
+            Self::TrackerRotation(_) | Self::ProbeRotation(_) | Self::JointWave { .. } => Unit::Radian,
             Self::Joint { term, .. } => match term {
                 JointTerm::Ratio => Unit::Ratio,
                 JointTerm::Compliance(_) => Unit::RadianPerMetre,
@@ -197,6 +207,16 @@ impl ParameterId {
         (0..ROBOT_JOINTS).flat_map(of)
     }
 
+    /// Waves of all robot joints, from [`JointWaves::FIRST`] up to `last` per turn.
+    pub fn joint_waves(last: u8) -> impl Iterator<Item = Self> {
+        let of = move |joint| {
+            (JointWaves::FIRST..=last.min(JointWaves::LAST)).flat_map(move |order| {
+                Phase::ALL.into_iter().map(move |phase| Self::JointWave { joint, order, phase })
+            })
+        };
+        (0..ROBOT_JOINTS).flat_map(of)
+    }
+
     /// Every parameter that has a name.
     pub fn all() -> impl Iterator<Item = Self> {
         let robot = (0..ROBOT_JOINTS).flat_map(|link| {
@@ -211,6 +231,7 @@ impl ParameterId {
             .chain([Self::BaseRotation(Axis::X), Self::BaseRotation(Axis::Y)])
             .chain(Self::harmonics())
             .chain(Self::joint_terms())
+            .chain(Self::joint_waves(JointWaves::LAST))
             .chain([Self::ClockShift, Self::ClockSkew])
             .chain(Axis::ALL.map(Self::Attachment))
             .chain(Axis::ALL.map(Self::Anchor))
@@ -227,6 +248,7 @@ impl fmt::Display for ParameterId {
             Self::Base(axis) => write!(f, "o{}", axis.letter()),
             Self::BaseRotation(axis) => write!(f, "or{}", axis.letter()),
             Self::Harmonic { joint, harmonic } => write!(f, "b{harmonic}_{}", joint + 1),
+            Self::JointWave { joint, order, phase } => write!(f, "r{phase}{order}_{}", joint + 1),
             Self::Joint { axis, term } => write!(f, "r{term}_{}", axis + 1),
             Self::ClockShift => f.write_str("clock_shift"),
             Self::ClockSkew => f.write_str("clock_skew"),

@@ -40,7 +40,7 @@ pub enum ModelError {
     #[error(
         "no parameter is called `{name}`; names are ra1 rd1 ralpha1 rtheta1 .. 6, rbeta1 .. 6, ba1 bd1 balpha1 \
          btheta1 .. 5, ox oy oz orx ory, bsin1_1 bcos1_1 bsin2_1 bcos2_1 .. 5, rsin1_1 rcos1_1 rsin2_1 rcos2_1 \
-         rsinc_1 rcosc_1 rsinm_1 rcosm_1 rbacklash_1 rratio_1 .. 6, relbow_2 rwrist_2 rwrist_3 rtool_2 rtool_3 rtool_5, \
+         rsinc_1 rcosc_1 rsinm_1 rcosm_1 rsin3_1 rcos3_1 .. rcos64_1 rbacklash_1 rratio_1 .. 6, relbow_2 rwrist_2 rwrist_3 rtool_2 rtool_3 rtool_5, \
          clock_shift clock_skew, attachment_x anchor_x .. z, length_offset, \
          tracker_x tracker_rx probe_x probe_rx .. z"
     )]
@@ -146,6 +146,16 @@ impl Model {
         let all = before.iter().copied().chain(ParameterId::joint_terms()).chain(others);
         let structure = Geometry { joints: JointErrors::none(drives), ..self.structure };
         Self::new(structure, all)
+    }
+
+    /// The same with waves of the robot's joints among the parameters, fixed at zero; values and roles stay.
+    #[must_use]
+    pub fn with_joint_waves(mut self, last: u8) -> Self {
+        let known: Vec<ParameterId> = self.parameters.iter().map(|parameter| parameter.id).collect();
+        let added = ParameterId::joint_waves(last).filter(|id| !known.contains(id));
+        let fixed = |id| Parameter { id, nominal: 0.0, value: 0.0, role: Role::Fixed };
+        self.parameters.extend(added.map(fixed));
+        self
     }
 
     /// All parameters in the order of their blocks.

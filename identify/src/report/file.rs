@@ -109,7 +109,7 @@ impl ParameterEntry {
     /// All parameters of a model at its solution, in the model's order, but terms of the robot's axes that are left out.
     pub fn all(model: &Model, sigma: impl Fn(ParameterId) -> Option<f64>) -> Vec<Self> {
         let left_out = |parameter: &&Parameter| {
-            matches!(parameter.id, ParameterId::Joint { .. })
+            matches!(parameter.id, ParameterId::Joint { .. } | ParameterId::JointWave { .. })
                 && parameter.role == Role::Fixed
                 && parameter.value == 0.0
         };

@@ -5,6 +5,7 @@ pub mod examination;
 pub mod file;
 pub mod knowledge;
 pub mod page;
+pub mod poses;
 mod read;
 mod robot_files;
 pub mod side_by_side;

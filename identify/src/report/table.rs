@@ -128,22 +128,39 @@ pub fn comparison(comparison: &Comparison) -> String {
 /// gives each row's line in its file.
 pub fn lengths(report: &LengthReport, lines: &[u64]) -> String {
     let mut text = String::new();
-    let _ =
-        writeln!(text, "{:<34}{:>6}{:>22}{:>22}{:>20}", "length error [mm]", "rows", "mean", "RMS", "max");
+    let _ = writeln!(
+        text,
+        "{:<30}{:>6}{:>18}{:>18}{:>18}{:>18}",
+        "length error [mm]", "rows", "mean", "RMS", "p95", "max"
+    );
     for (name, Figures { before, after }) in [
         ("fitted", &report.fitted),
         ("held out", &report.held_out),
         ("held out, with faulty rows", &report.held_out_with_rejected),
+        ("the same, robot alone", &report.held_out_robot_alone),
     ] {
         let change =
             |of: fn(&ErrorFigures) -> f64| format!("{:.3} -> {:.3}", of(before) * 1e3, of(after) * 1e3);
         let _ = writeln!(
             text,
-            "{name:<34}{:>6}{:>22}{:>22}{:>20}",
+            "{name:<30}{:>6}{:>18}{:>18}{:>18}{:>18}",
             after.rows,
             change(|figures| figures.mean_m),
             change(|figures| figures.rms_m),
+            change(|figures| figures.p95_m),
             change(|figures| figures.max_m),
+        );
+    }
+    if let Some(drift) = &report.drift {
+        let _ = writeln!(
+            text,
+            "drift of the zero along the file: {:.2} mm over {:.0} rows, beside {:.2} mm white; fitting rows left out in \
+             turn: RMS {:.3} -> {:.3} mm",
+            drift.size_m * 1e3,
+            drift.memory_rows,
+            drift.white_m * 1e3,
+            drift.rms_without_m * 1e3,
+            drift.rms_with_m * 1e3,
         );
     }
     let line = |row: usize| lines.get(row).copied().unwrap_or_default();

@@ -1,5 +1,7 @@
 //! Figures of length errors.
 
+use crate::calibrate::measured_pose::quantile;
+
 /// Size of errors over some rows.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct ErrorFigures {
@@ -11,6 +13,8 @@ pub struct ErrorFigures {
     pub rms_m: f64,
     /// Median of the absolute error \[m\].
     pub median_m: f64,
+    /// Nineteen of twenty are below it \[m\].
+    pub p95_m: f64,
     /// Largest absolute error \[m\].
     pub max_m: f64,
 }
@@ -26,6 +30,7 @@ impl ErrorFigures {
             mean_m: sizes.iter().sum::<f64>() / count,
             rms_m: (sizes.iter().map(|e| e * e).sum::<f64>() / count).sqrt(),
             median_m: median(&sizes),
+            p95_m: quantile(&sizes, 0.95),
             max_m: sizes.last().copied().unwrap_or(0.0),
         }
     }

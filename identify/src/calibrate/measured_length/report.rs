@@ -1,7 +1,8 @@
 //! What a calibration by measured lengths found.
 
 use super::figures::{ErrorFigures, Figures, pick};
-use super::{FaultyRun, Split, screen};
+use super::{Drift, FaultyRun, screen};
+use crate::calibrate::measured_pose::split::Split;
 use crate::model::{Model, ParameterId, Role};
 use crate::solver::{Identifiability, Solution, Summary};
 
@@ -65,6 +66,10 @@ pub struct LengthReport {
     pub held_out: Figures,
     /// All held-out rows.
     pub held_out_with_rejected: Figures,
+    /// The same by the robot alone, fitted without a drift.
+    pub held_out_robot_alone: Figures,
+    /// Drift of the instrument's zero, where left-out rows asked for it; the figures above are with it.
+    pub drift: Option<Drift>,
     /// Rows that did not take part, and why.
     pub rejected: Vec<RejectedRow>,
     /// Faulty runs, with what would explain them.
@@ -86,19 +91,23 @@ pub(super) struct Outcome {
     pub(super) model: Model,
     pub(super) solution: Solution,
     pub(super) before: Vec<f64>,
+    pub(super) robot_alone: Vec<f64>,
     pub(super) after: Vec<f64>,
     pub(super) split: Split,
     pub(super) rejected: Vec<RejectedRow>,
     pub(super) runs: Vec<FaultyRun>,
     pub(super) sigma_m: f64,
+    pub(super) drift: Option<Drift>,
 }
 
 pub(super) fn assemble(outcome: Outcome) -> LengthReport {
-    let Outcome { model, solution, before, after, split, rejected, runs, sigma_m } = outcome;
-    let figures = |rows: &[usize]| Figures {
+    let Outcome { model, solution, before, robot_alone, after, split, rejected, runs, sigma_m, drift } =
+        outcome;
+    let between = |after: &[f64], rows: &[usize]| Figures {
         before: ErrorFigures::of(&pick(&before, rows)),
-        after: ErrorFigures::of(&pick(&after, rows)),
+        after: ErrorFigures::of(&pick(after, rows)),
     };
+    let figures = |rows: &[usize]| between(&after, rows);
     let estimate = |(column, parameter): (usize, &crate::model::Parameter)| ParameterEstimate {
         id: parameter.id,
         nominal: parameter.nominal,
@@ -113,6 +122,8 @@ pub(super) fn assemble(outcome: Outcome) -> LengthReport {
         fitted: figures(&screen::without(&split.fitting, &rejected)),
         held_out: figures(&screen::without(&split.held_out, &rejected)),
         held_out_with_rejected: figures(&split.held_out),
+        held_out_robot_alone: between(&robot_alone, &split.held_out),
+        drift,
         parameters: model.columns().enumerate().map(estimate).collect(),
         rejected,
         runs,

@@ -1,0 +1,258 @@
+//! A zero of the instrument that wanders along the file.
+//!
+//! A wire that is wound anew, slips or warms up measures with another zero from then on: rows next to each other are off
+//! together. The drift is a stationary random walk (Ornstein and Uhlenbeck 1930) over the number of the row, with a size
+//! and a length of memory; residuals are `r = f - l = g + e` with `g` drift and `e` white. Its covariance has a
+//! tridiagonal inverse, so that the best drift for given residuals costs one sweep, and the least squares of the robot
+//! with the drift taken out (generalised least squares) little more than without.
+//!
+//! Whether there is a drift, its size and its memory are decided by fitting rows left out in turn.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::{LengthError, LengthRow, Samples};
+use crate::calibrate::cross_validation::{Normal, StepPrior, step};
+use crate::cost::{LoopProblem, MeasuredLength};
+use crate::model::{Model, Role};
+use crate::solver::{Loss, stacked};
+
+/// Size and memory of a drift.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Drift {
+    /// Standard deviation of the zero \[m\].
+    pub size_m: f64,
+    /// Rows after which it has forgotten two thirds.
+    pub memory_rows: f64,
+    /// Standard deviation of a single length beside it \[m\].
+    pub white_m: f64,
+    /// Root mean square of fitting rows left out in turn, without a drift \[m\].
+    pub rms_without_m: f64,
+    /// And with it \[m\].
+    pub rms_with_m: f64,
+}
+
+/// Parts of the fitting rows that are left out in turn.
+pub(super) const FOLDS: usize = 5;
+/// A drift is taken where it lowers the root mean square of rows left out by this part.
+const GAIN_MIN: f64 = 0.05;
+/// Steps of the generalised least squares; the third changes nothing that is printed.
+const STEPS: usize = 8;
+/// Beyond this many standard deviations a row pulls no harder.
+const HUBER: Loss = Loss::Huber { scale: 3.0 };
+
+/// Sizes and memories to choose from: standard deviations in those of a length as it fits without a drift.
+fn candidates(sigma_m: f64) -> impl Iterator<Item = Drift> {
+    const WHITE: [f64; 3] = [0.3, 0.6, 1.0];
+    const SIZES: [f64; 4] = [0.5, 1.5, 5.0, 15.0];
+    const MEMORIES: [f64; 4] = [5.0, 15.0, 50.0, 150.0];
+    WHITE.into_iter().flat_map(move |white| {
+        SIZES.into_iter().flat_map(move |size| {
+            MEMORIES.into_iter().map(move |memory_rows| Drift {
+                size_m: size * sigma_m,
+                memory_rows,
+                white_m: white * sigma_m,
+                rms_without_m: 0.0,
+                rms_with_m: 0.0,
+            })
+        })
+    })
+}
+
+/// Solves for the drift of all rows: `(K^-1 + W / s^2) g = W r / s^2`, factored once (Thomas 1949).
+struct Sweep {
+    /// `W / s^2` of each row, zero for rows that do not count.
+    weights: Vec<f64>,
+    off_diagonal: f64,
+    pivots: Vec<f64>,
+}
+
+impl Sweep {
+    fn new(drift: &Drift, weights: &[f64]) -> Self {
+        let memory = (-drift.memory_rows.recip()).exp();
+        let scale = (drift.size_m.powi(2) * (1.0 - memory * memory)).recip();
+        let weights: Vec<f64> = weights.iter().map(|w| w / drift.white_m.powi(2)).collect();
+        let off_diagonal = -memory * scale;
+        let last = weights.len().saturating_sub(1);
+        let mut pivots: Vec<f64> = Vec::with_capacity(weights.len());
+        for (row, weight) in weights.iter().enumerate() {
+            let inner = if row == 0 || row == last { scale } else { scale * (1.0 + memory * memory) };
+            let before = pivots.last().map_or(0.0, |pivot| off_diagonal * off_diagonal / pivot);
+            pivots.push(inner + weight - before);
+        }
+        Self { weights, off_diagonal, pivots }
+    }
+
+    /// The drift behind residuals of all rows \[m\].
+    fn drift(&self, residuals: &[f64]) -> Vec<f64> {
+        let mut g: Vec<f64> = residuals.iter().zip(&self.weights).map(|(r, w)| r * w).collect();
+        for row in 1..g.len() {
+            g[row] -= self.off_diagonal / self.pivots[row - 1] * g[row - 1];
+        }
+        for row in (0..g.len()).rev() {
+            let after = g.get(row + 1).map_or(0.0, |next| self.off_diagonal * next);
+            g[row] = (g[row] - after) / self.pivots[row];
+        }
+        g
+    }
+
+    /// What is left of residuals without the drift, over the white variance: the inverse covariance times them.
+    fn whitened(&self, residuals: &[f64]) -> Vec<f64> {
+        let drift = self.drift(residuals);
+        residuals.iter().zip(drift).zip(&self.weights).map(|((r, g), w)| w * (r - g)).collect()
+    }
+}
+
+/// Residuals and Jacobian of the rows that take part, spread over all rows of the file.
+struct Linear {
+    residuals: Vec<f64>,
+    /// A column for each free parameter.
+    columns: Vec<Vec<f64>>,
+    priors: Vec<StepPrior>,
+}
+
+impl Linear {
+    fn at(model: &Model, rows: &[LengthRow], chosen: &[usize]) -> Result<Option<Self>, LengthError> {
+        let samples = Samples::of(rows, chosen);
+        let problem = LoopProblem::new(model, &samples.motion, &samples.observations, MeasuredLength, 1.0)?;
+        let Some((residual, jacobian)) = stacked(&problem, &model.start()) else { return Ok(None) };
+        let spread = |values: &mut dyn Iterator<Item = f64>| {
+            let mut all = vec![0.0; rows.len()];
+            for (&row, value) in chosen.iter().zip(values) {
+                all[row] = value;
+            }
+            all
+        };
+        let prior = |(column, parameter): (usize, &crate::model::Parameter)| match parameter.role {
+            Role::Prior { value, sigma } => StepPrior { column, expected: value - parameter.value, sigma },
+            Role::Free | Role::Fixed => StepPrior { column, expected: 0.0, sigma: f64::INFINITY },
+        };
+        Ok(Some(Self {
+            residuals: spread(&mut residual.iter().copied()),
+            columns: jacobian.column_iter().map(|column| spread(&mut column.iter().copied())).collect(),
+            priors: model.columns().enumerate().map(prior).collect(),
+        }))
+    }
+
+    /// The step of generalised least squares.
+    fn step(&self, sweep: &Sweep) -> Option<DVector<f64>> {
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        let whitened: Vec<Vec<f64>> = self.columns.iter().map(|column| sweep.whitened(column)).collect();
+        let residual = sweep.whitened(&self.residuals);
+        let size = self.columns.len();
+        let normal = Normal {
+            matrix: DMatrix::from_fn(size, size, |i, j| dot(&self.columns[i], &whitened[j])),
+            gradient: DVector::from_fn(size, |i, _| dot(&self.columns[i], &residual)),
+            squared: dot(&self.residuals, &residual),
+        };
+        step(&normal, &self.priors)
+    }
+
+    /// Residuals after a step.
+    fn after(&self, step: &DVector<f64>) -> Vec<f64> {
+        let mut after = self.residuals.clone();
+        for (column, by) in self.columns.iter().zip(step.iter()) {
+            after.iter_mut().zip(column).for_each(|(r, j)| *r += j * by);
+        }
+        after
+    }
+
+    /// Root mean square of rows left out in turn \[m\].
+    fn left_out(&self, drift: &Drift, folds: &[Option<usize>]) -> Option<f64> {
+        let (mut squared, mut count) = (0.0, 0);
+        for fold in 0..FOLDS {
+            let counts = |of: &Option<usize>| f64::from(u8::from(of.is_some_and(|of| of != fold)));
+            let sweep = Sweep::new(drift, &folds.iter().map(counts).collect::<Vec<f64>>());
+            let after = self.after(&self.step(&sweep)?);
+            let known = sweep.drift(&after);
+            let left = folds.iter().zip(after.iter().zip(known)).filter(|(of, _)| **of == Some(fold));
+            for (_, (residual, known)) in left {
+                squared += (residual - known).powi(2);
+                count += 1;
+            }
+        }
+        Some((squared / f64::from(count.max(1))).sqrt())
+    }
+}
+
+/// The drift that predicts left-out fitting rows best, none where it is not clearly better than none. The model stands at
+/// its fit without drift; `fold_of` is the fold of each fitting row.
+pub(super) fn choose(
+    model: &Model,
+    rows: &[LengthRow],
+    fitting: &[usize],
+    fold_of: &[usize],
+    sigma_m: f64,
+) -> Result<Option<Drift>, LengthError> {
+    /// So small that it is none.
+    const NONE: f64 = 1e-6;
+    let Some(linear) = Linear::at(model, rows, fitting)? else { return Ok(None) };
+    let mut folds = vec![None; rows.len()];
+    for (&row, &fold) in fitting.iter().zip(fold_of) {
+        folds[row] = Some(fold);
+    }
+    let none = Drift {
+        size_m: NONE * sigma_m,
+        memory_rows: 1.0,
+        white_m: sigma_m,
+        rms_without_m: 0.0,
+        rms_with_m: 0.0,
+    };
+    let Some(rms_without_m) = linear.left_out(&none, &folds) else { return Ok(None) };
+    let judged = candidates(sigma_m).filter_map(|drift| {
+        Some(Drift { rms_without_m, rms_with_m: linear.left_out(&drift, &folds)?, ..drift })
+    });
+    let best = judged.min_by(|a, b| a.rms_with_m.total_cmp(&b.rms_with_m));
+    Ok(best.filter(|best| best.rms_with_m < (1.0 - GAIN_MIN) * rms_without_m))
+}
+
+/// Fits the model with the drift taken out of its residuals. The drift of every row \[m\], also of rows that did not take
+/// part: there it is what their neighbours say.
+pub(super) fn fit(
+    model: &mut Model,
+    rows: &[LengthRow],
+    fitting: &[usize],
+    drift: &Drift,
+) -> Result<Vec<f64>, LengthError> {
+    let mut weights = vec![0.0; rows.len()];
+    fitting.iter().for_each(|&row| weights[row] = 1.0);
+    let mut known = vec![0.0; rows.len()];
+    for _ in 0..STEPS {
+        let Some(linear) = Linear::at(model, rows, fitting)? else { break };
+        let sweep = Sweep::new(drift, &weights);
+        let Some(step) = linear.step(&sweep) else { break };
+        let after = linear.after(&step);
+        known = sweep.drift(&after);
+        for &row in fitting {
+            weights[row] = HUBER.weight(((after[row] - known[row]) / drift.white_m).powi(2));
+        }
+        let x: Vec<f64> = model.start().iter().zip(step.iter()).map(|(x, by)| x + by).collect();
+        model.adopt(&x);
+    }
+    Ok(known)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The sweep against the dense formula `K (K + S)^-1 r`, with a row that does not count.
+    #[test]
+    fn the_sweep_is_the_best_prediction_of_the_random_walk() {
+        let drift =
+            Drift { size_m: 2.0, memory_rows: 3.0, white_m: 0.5, rms_without_m: 0.0, rms_with_m: 0.0 };
+        let residuals = [0.3, -1.0, 0.0, 2.0, 1.5, -0.2];
+        let counted = [0, 1, 3, 4, 5];
+        let covariance =
+            |i: usize, j: usize| 4.0 * (-(i.abs_diff(j) as f64) / drift.memory_rows).exp();
+        let total = DMatrix::from_fn(5, 5, |i, j| {
+            covariance(counted[i], counted[j]) + if i == j { 0.25 } else { 0.0 }
+        });
+        let r = DVector::from_fn(5, |i, _| residuals[counted[i]]);
+        let weights = total.lu().solve(&r).unwrap_or_else(|| DVector::zeros(5));
+        let found = Sweep::new(&drift, &[1.0, 1.0, 0.0, 1.0, 1.0, 1.0]).drift(&residuals);
+        for (row, found) in found.iter().enumerate() {
+            let expected: f64 = (0..5).map(|j| covariance(row, counted[j]) * weights[j]).sum();
+            assert!((found - expected).abs() < 1e-12, "row {row}: {found} {expected}");
+        }
+    }
+}

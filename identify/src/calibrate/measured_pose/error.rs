@@ -1,0 +1,52 @@
+//! Why measured poses cannot be used.
+
+use crate::cost::CostError;
+use crate::model::ModelError;
+use crate::solver::{SolveError, Unidentifiable};
+
+/// Why measured poses cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum PoseError {
+    /// Too few rows for the unknowns.
+    #[error("{rows} usable rows are too few, at least {needed} are needed; measure more poses")]
+    TooFewRows {
+        /// Rows left for fitting.
+        rows: usize,
+        /// Least number.
+        needed: usize,
+    },
+    /// A row is not a measurement.
+    #[error("row {row} has a number that is not finite; take it out or mend it")]
+    BadRow {
+        /// Row from 1.
+        row: usize,
+    },
+    /// Options that make no sense.
+    #[error("option {option} is {value}; {remedy}")]
+    BadOption {
+        /// Field of [`super::PoseOptions`].
+        option: &'static str,
+        /// As given.
+        value: f64,
+        /// What to give.
+        remedy: &'static str,
+    },
+    /// No place of the tracker follows from the positions.
+    #[error(
+        "the measured positions lie on a line or in a point: where the tracker stands does not follow; \
+         measure poses further apart"
+    )]
+    PosesOnALine,
+    /// From the cost.
+    #[error(transparent)]
+    Cost(#[from] CostError),
+    /// From the model.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// From the solver.
+    #[error(transparent)]
+    Solve(#[from] SolveError),
+    /// Some parameter is not determined.
+    #[error(transparent)]
+    Unidentifiable(#[from] Unidentifiable),
+}

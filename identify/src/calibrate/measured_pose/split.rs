@@ -1,0 +1,132 @@
+//! Which rows the fit sees and which judge it.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Vector3;
+use rand::SeedableRng;
+use rand::rngs::StdRng;
+use rand::seq::SliceRandom;
+
+/// What is held out together.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum HoldOut {
+    /// Single rows: between their neighbours, which the fit has seen.
+    Rows,
+    /// Stretches of the file, a twenty-fifth of it each: other times, mostly other poses.
+    Blocks,
+    /// Boxes of the workspace, a fifth of its longest side wide: places where the fit has seen nothing.
+    #[default]
+    Regions,
+}
+
+/// Stretches that a file is cut into.
+const BLOCKS: usize = 25;
+/// Boxes along the longest side of the workspace.
+const BOXES: f64 = 5.0;
+
+/// The group of each row: rows of one group are held out together.
+pub(in crate::calibrate) fn groups(hold_out: HoldOut, positions_m: &[Vector3<f64>]) -> Vec<usize> {
+    let rows = positions_m.len();
+    match hold_out {
+        HoldOut::Rows => (0..rows).collect(),
+        HoldOut::Blocks => (0..rows).map(|row| row * BLOCKS / rows.max(1)).collect(),
+        HoldOut::Regions => boxes(positions_m),
+    }
+}
+
+fn boxes(positions_m: &[Vector3<f64>]) -> Vec<usize> {
+    let Some(first) = positions_m.first() else { return Vec::new() };
+    let low = positions_m.iter().fold(*first, |low, p| low.inf(p));
+    let high = positions_m.iter().fold(*first, |high, p| high.sup(p));
+    let side_m = ((high - low).max() / BOXES).max(f64::MIN_POSITIVE);
+    let mut known: BTreeMap<[i64; 3], usize> = BTreeMap::new();
+    let numbered = positions_m.iter().map(|p| {
+        let cell = ((p - low) / side_m).map(|x| x.floor() as i64);
+        let next = known.len();
+        *known.entry(cell.into()).or_insert(next)
+    });
+    numbered.collect()
+}
+
+/// Deals the groups of the chosen rows out to `folds` hands of about equal size; the hand of each chosen row.
+pub(in crate::calibrate) fn folds(groups: &[usize], chosen: &[usize], folds: usize, seed: u64) -> Vec<usize> {
+    let mut sizes: BTreeMap<usize, usize> = BTreeMap::new();
+    for &row in chosen {
+        *sizes.entry(groups[row]).or_default() += 1;
+    }
+    let mut order: Vec<(usize, usize)> = sizes.into_iter().collect();
+    order.shuffle(&mut StdRng::seed_from_u64(seed));
+    let mut filled = vec![0; folds.max(1)];
+    let mut hand_of: BTreeMap<usize, usize> = BTreeMap::new();
+    for (group, size) in order {
+        let least = (0..filled.len()).min_by_key(|&hand| filled[hand]).unwrap_or(0);
+        filled[least] += size;
+        hand_of.insert(group, least);
+    }
+    chosen.iter().map(|&row| hand_of.get(&groups[row]).copied().unwrap_or(0)).collect()
+}
+
+/// Row numbers for fitting and for judging, both ascending.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(in crate::calibrate) struct Split {
+    pub(in crate::calibrate) fitting: Vec<usize>,
+    pub(in crate::calibrate) held_out: Vec<usize>,
+}
+
+/// Holds out whole groups until they make up a part of the rows.
+pub(in crate::calibrate) fn split(groups: &[usize], part: f64, seed: u64) -> Split {
+    let mut order: Vec<usize> = groups.to_vec();
+    order.sort_unstable();
+    order.dedup();
+    order.shuffle(&mut StdRng::seed_from_u64(seed));
+    let wanted = (groups.len() as f64 * part).round() as usize;
+    let mut sizes: BTreeMap<usize, usize> = BTreeMap::new();
+    groups.iter().for_each(|group| *sizes.entry(*group).or_default() += 1);
+    let mut held = 0;
+    let mut out = std::collections::BTreeSet::new();
+    for group in order {
+        if held >= wanted {
+            break;
+        }
+        held += sizes.get(&group).copied().unwrap_or(0);
+        out.insert(group);
+    }
+    let (held_out, fitting) = (0..groups.len()).partition(|&row| out.contains(&groups[row]));
+    Split { fitting, held_out }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn positions() -> Vec<Vector3<f64>> {
+        (0..1000)
+            .map(|k| Vector3::new(f64::from(k % 10), f64::from(k / 10 % 10), f64::from(k / 100)))
+            .collect()
+    }
+
+    #[test]
+    fn each_way_holds_out_about_the_part_asked_for_and_never_half_a_group() {
+        for hold_out in [HoldOut::Rows, HoldOut::Blocks, HoldOut::Regions] {
+            let groups = groups(hold_out, &positions());
+            let Split { fitting, held_out } = split(&groups, 0.2, 7);
+            assert_eq!(fitting.len() + held_out.len(), 1000);
+            assert!((195..=260).contains(&held_out.len()), "{hold_out:?}: {}", held_out.len());
+            assert!(held_out.iter().all(|out| fitting.iter().all(|row| groups[*row] != groups[*out])));
+        }
+    }
+
+    #[test]
+    fn folds_share_no_group_and_are_about_equal() {
+        let groups = groups(HoldOut::Regions, &positions());
+        let chosen: Vec<usize> = (0..1000).step_by(2).collect();
+        let hands = folds(&groups, &chosen, 5, 1);
+        for hand in 0..5 {
+            let size = hands.iter().filter(|h| **h == hand).count();
+            assert!((80..=120).contains(&size), "{size}");
+        }
+        for (a, row) in hands.iter().zip(&chosen) {
+            assert!(hands.iter().zip(&chosen).all(|(b, other)| groups[*row] != groups[*other] || a == b));
+        }
+    }
+}

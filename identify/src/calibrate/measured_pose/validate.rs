@@ -1,0 +1,48 @@
+//! A calibrated robot on rows of another day: only tracker and probe are found anew.
+
+use super::{Apart, Fit, PoseError, PoseFigures, PoseRow, ROWS_MIN, check_rows, samples, split};
+use crate::calibrate::LossName;
+use crate::kinematics::Chain;
+use crate::model::{Model, ParameterId, Role};
+
+/// Parts of the rows, each judged by a place that the others gave.
+const FOLDS: usize = 5;
+
+/// Figures of other rows with the nominal and with a calibrated robot.
+///
+/// The tracker stands elsewhere and the probe was mounted again, so these twelve numbers are found from four fifths of the
+/// rows and the errors taken on the last fifth, in turn. Nothing of the robot is changed.
+///
+/// # Errors
+/// [`PoseError`] for rows that allow no place of tracker and probe.
+pub fn validate(
+    rows: &[PoseRow],
+    robot: &Chain,
+    calibrated: &Model,
+    seed: u64,
+) -> Result<[PoseFigures; 2], PoseError> {
+    check_rows(rows)?;
+    let mut robot_only = calibrated.clone();
+    let ids: Vec<ParameterId> = robot_only.parameters().iter().map(|parameter| parameter.id).collect();
+    robot_only.set_roles(ids, Role::Fixed)?;
+    Ok([judged(rows, &Model::measured_pose(robot), seed)?, judged(rows, &robot_only, seed)?])
+}
+
+fn judged(rows: &[PoseRow], robot: &Model, seed: u64) -> Result<PoseFigures, PoseError> {
+    let directions = samples::directions(rows);
+    let all: Vec<usize> = (0..rows.len()).collect();
+    let hands = split::folds(&all, &all, FOLDS, seed);
+    let mut errors: Vec<Apart> = Vec::new();
+    for fold in 0..FOLDS {
+        let (judged, fitting): (Vec<usize>, Vec<usize>) = all.iter().partition(|&&row| hands[row] == fold);
+        if fitting.len() < ROWS_MIN {
+            return Err(PoseError::TooFewRows { rows: fitting.len(), needed: ROWS_MIN });
+        }
+        let fit = Fit::new(rows, &directions, &fitting, LossName::Huber);
+        let mut model = robot.clone();
+        fit.place(&mut model)?;
+        let found = fit.errors(&model);
+        errors.extend(judged.iter().filter_map(|&row| found.get(row)));
+    }
+    Ok(PoseFigures::of(&errors))
+}

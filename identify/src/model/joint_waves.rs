@@ -1,0 +1,99 @@
+//! Errors of joint angles with any whole number of waves per turn of the joint.
+//!
+//! A joint's own encoder, the teeth of its last gear and the flexspline of a harmonic drive err by a curve that comes back
+//! with each turn. Its Fourier series is the curve: `e(q) = sum_n a_n sin(n q) + b_n cos(n q)`. Once and twice per turn
+//! are terms of their own ([`super::JointTerm`]); this is the rest. Amplitudes are many and small, so they are estimated
+//! with a prior, never free.
+
+use std::fmt;
+
+use super::JointState;
+use crate::kinematics::ROBOT_JOINTS;
+
+/// Which part of a wave.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Phase {
+    /// Of the sine.
+    Sine,
+    /// Of the cosine.
+    Cosine,
+}
+
+impl Phase {
+    /// Both.
+    pub const ALL: [Self; 2] = [Self::Sine, Self::Cosine];
+}
+
+impl fmt::Display for Phase {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Sine => "sin",
+            Self::Cosine => "cos",
+        })
+    }
+}
+
+/// Amplitudes of all joints \[rad\].
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct JointWaves {
+    /// Of each joint, sine and cosine by order from [`Self::FIRST`] up to the highest that was asked for.
+    amplitudes_rad: [Vec<[f64; 2]>; ROBOT_JOINTS],
+}
+
+impl JointWaves {
+    /// Least waves per turn that are told here.
+    pub const FIRST: u8 = 3;
+    /// Most.
+    pub const LAST: u8 = 64;
+
+    /// One amplitude; none for a joint or an order that is not there.
+    pub fn amplitude_mut(&mut self, joint: usize, order: u8, phase: Phase) -> Option<&mut f64> {
+        if !(Self::FIRST..=Self::LAST).contains(&order) {
+            return None;
+        }
+        let of_joint = self.amplitudes_rad.get_mut(joint)?;
+        let index = usize::from(order - Self::FIRST);
+        if of_joint.len() <= index {
+            of_joint.resize(index + 1, [0.0; 2]);
+        }
+        of_joint.get_mut(index)?.get_mut(phase as usize)
+    }
+
+    /// A wave of amplitude one at an angle \[rad\].
+    #[inline]
+    pub fn wave(order: u8, phase: Phase, angle_rad: f64) -> f64 {
+        let angle_rad = f64::from(order) * angle_rad;
+        match phase {
+            Phase::Sine => angle_rad.sin(),
+            Phase::Cosine => angle_rad.cos(),
+        }
+    }
+
+    /// The error of a joint at an angle \[rad\] and its slope.
+    fn error(amplitudes_rad: &[[f64; 2]], angle_rad: f64) -> (f64, f64) {
+        let first = f64::from(Self::FIRST);
+        let (step_sin, step_cos) = angle_rad.sin_cos();
+        let (mut sin, mut cos) = (first * angle_rad).sin_cos();
+        let (mut error, mut slope, mut order) = (0.0, 0.0, first);
+        for [a, b] in amplitudes_rad {
+            error += a * sin + b * cos;
+            slope += order * (a * cos - b * sin);
+            // The next order by the theorem of addition: a tenth of the time of its own sine and cosine.
+            (sin, cos) = (sin * step_cos + cos * step_sin, cos * step_cos - sin * step_sin);
+            order += 1.0;
+        }
+        (error, slope)
+    }
+
+    /// Adds the waves, functions of what was reported, to joints and rates.
+    pub(super) fn add_to(&self, corrected: &mut JointState, reported: &JointState) {
+        for (joint, amplitudes_rad) in self.amplitudes_rad.iter().enumerate() {
+            if amplitudes_rad.is_empty() {
+                continue;
+            }
+            let (error, slope) = Self::error(amplitudes_rad, reported.q[joint]);
+            corrected.q[joint] += error;
+            corrected.qd[joint] += slope * reported.qd[joint];
+        }
+    }
+}

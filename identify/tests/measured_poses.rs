@@ -1,0 +1,144 @@
+//! Poses measured by a tracker: mapping, reading and refusals.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::path::Path;
+
+use identify::logs::{LogError, MeasuredPoseMapping, MeasuredPoses};
+use nalgebra::{Matrix3, Vector3};
+use proptest::prelude::*;
+use shared::config::{self, ConfigError};
+
+const HEADER: &str = "Timestamp;shoulder_pan_joint;shoulder_lift_joint;elbow_joint;wrist_1_joint;wrist_2_joint;\
+                      wrist_3_joint;measurement_x;measurement_y;measurement_z;measurement_rx;measurement_ry;measurement_rz";
+
+fn example_text() -> String {
+    std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/measured_pose.toml"))
+        .unwrap()
+}
+
+fn mapping(text: &str) -> Result<MeasuredPoseMapping, ConfigError> {
+    config::parse(text, Path::new("mapping.toml"))
+}
+
+fn example() -> MeasuredPoseMapping {
+    mapping(&example_text()).unwrap()
+}
+
+fn read(text: &str, mapping: &MeasuredPoseMapping) -> Result<MeasuredPoses, LogError> {
+    MeasuredPoses::read(text.as_bytes(), Path::new("poses.csv"), mapping)
+}
+
+fn table(row: &str) -> String {
+    format!("{HEADER}\n{}", format!("{row}\n").repeat(12))
+}
+
+/// A turn about x (0), y (1) or z (2), written out.
+fn about(axis: usize, degrees: f64) -> Matrix3<f64> {
+    let (s, c) = degrees.to_radians().sin_cos();
+    match axis {
+        0 => Matrix3::new(1.0, 0.0, 0.0, 0.0, c, -s, 0.0, s, c),
+        1 => Matrix3::new(c, 0.0, s, 0.0, 1.0, 0.0, -s, 0.0, c),
+        _ => Matrix3::new(c, -s, 0.0, s, c, 0.0, 0.0, 0.0, 1.0),
+    }
+}
+
+#[test]
+fn the_shipped_example_reads_millimetres_degrees_and_decimal_commas() {
+    let rows =
+        read(&table("1;0,5;-1,5;0;0;0;3,1;2361,9;-1368,5;119,4;-90,5;-60;10"), &example()).unwrap().rows;
+    assert_eq!((rows.len(), rows[0].line), (12, 2));
+    assert!((rows[3].position_m - Vector3::new(2.3619, -1.3685, 0.1194)).norm() < 1e-12);
+    assert_eq!(rows[3].q_rad, [0.5, -1.5, 0.0, 0.0, 0.0, 3.1]);
+    let expected = about(0, -90.5) * about(1, -60.0) * about(2, 10.0);
+    assert!((rows[3].rotation.unwrap().matrix() - expected).amax() < 1e-12);
+}
+
+#[test]
+fn orders_of_turns_and_their_frames_follow_the_mapping() {
+    let text = table("1;0;0;0;0;0;0;0;0;0;20;-30;50");
+    for (order, axes) in [("zyx", [2, 1, 0]), ("zyz", [2, 1, 2]), ("xyz", [0, 1, 2])] {
+        let [a, b, c] = [about(axes[0], 20.0), about(axes[1], -30.0), about(axes[2], 50.0)];
+        for (frame, expected) in [("moving", a * b * c), ("fixed", c * b * a)] {
+            let mapping = example_text()
+                .replace("order = \"xyz\"", &format!("order = \"{order}\""))
+                .replace("frame = \"moving\"", &format!("frame = \"{frame}\""));
+            let rotation = read(&text, &self::mapping(&mapping).unwrap()).unwrap().rows[0].rotation.unwrap();
+            assert!((rotation.matrix() - expected).amax() < 1e-12, "{order} {frame}");
+        }
+    }
+}
+
+#[test]
+fn positions_alone_are_read_where_the_mapping_has_no_orientation() {
+    let mut mapping = example();
+    mapping.rotation = None;
+    let header = HEADER.replace(";measurement_rx;measurement_ry;measurement_rz", "");
+    let text = format!("{header}\n{}", "1;0;0;0;0;0;0;1;2;3\n".repeat(10));
+    assert_eq!(read(&text, &mapping).unwrap().rows[9].rotation, None);
+}
+
+#[test]
+fn bad_cells_are_refused_with_line_and_column() {
+    let good = table("1;0;0;0;0;0;0;1;2;3;4;5;6");
+    for (row, column, problem) in [
+        ("1;0;0;0;0;0;0;1;2;x;4;5;6", "measurement_z", "not a number"),
+        ("1;0;0;0;0;0;0;1;2;;4;5;6", "measurement_z", "empty"),
+        ("1;0;0;0;0;0;0;1;2e9;3;4;5;6", "measurement_y", "more than anything"),
+        ("1;0;0;0;0;0;0;1;2;3;4;5000;6", "measurement_ry", "more than anything"),
+        ("1;0;90;0;0;0;0;1;2;3;4;5;6", "shoulder_lift_joint", "two turns"),
+    ] {
+        let error = read(&format!("{good}{row}\n"), &example()).unwrap_err().to_string();
+        assert!(error.contains(&format!("line 14 column `{column}`")), "{error}");
+        assert!(error.contains(problem), "{error}");
+    }
+    let error = read(&good.replace("measurement_rz", "yaw"), &example()).unwrap_err().to_string();
+    assert!(error.contains("`measurement_rz` is missing") && error.contains("yaw"), "{error}");
+    assert!(matches!(read(HEADER, &example()), Err(LogError::TooFewRows { rows: 0, .. })));
+}
+
+#[test]
+fn a_mapping_that_cannot_work_is_refused_by_key() {
+    for (from, to, key) in [
+        ("delimiter = \";\"", "delimiter = \",\"", "delimiter"),
+        ("order = \"xyz\"", "order = \"xxz\"", "rotation.order"),
+        ("order = \"xyz\"", "order = \"xy\"", "rotation.order"),
+        ("order = \"xyz\"", "order = \"rpy\"", "rotation.order"),
+        ("frame = \"moving\"", "frame = \"turning\"", "frame"),
+        (
+            "column = \"elbow_joint\"\nunit = \"rad\"",
+            "column = \"elbow_joint\"\nunit = \"rad\"\nsign = 0",
+            "joints[2].sign",
+        ),
+    ] {
+        let error = mapping(&example_text().replace(from, to)).unwrap_err().to_string();
+        assert!(error.contains(key), "{error}");
+    }
+}
+
+proptest! {
+    #[test]
+    fn no_text_makes_the_reader_panic(text in "\\PC*") {
+        let _ = read(&text, &example());
+        let _ = read(&format!("{HEADER}\n{text}"), &example());
+    }
+
+    #[test]
+    fn no_order_of_turns_makes_the_mapping_panic(order in "\\PC*") {
+        let mut mapping = example();
+        mapping.rotation.as_mut().unwrap().order = order;
+        let _ = read(&table("1;0;0;0;0;0;0;1;2;3;4;5;6"), &mapping);
+    }
+
+    #[test]
+    fn rows_come_back_as_written(values in prop::collection::vec((-6.0f64..6.0, -5000.0f64..5000.0, -180.0f64..180.0), 10..30)) {
+        let line = |(q, p, r): &(f64, f64, f64)| format!("1;{q};0;0;0;0;{q};{p};0;{p};{r};{r};0\n").replace('.', ",");
+        let rows: String = values.iter().map(line).collect();
+        let read = read(&format!("{HEADER}\n{rows}"), &example()).unwrap().rows;
+        prop_assert_eq!(read.len(), values.len());
+        for (row, (q, p, r)) in read.iter().zip(values) {
+            prop_assert_eq!(row.q_rad[5], q);
+            prop_assert!((row.position_m.z - p * 1e-3).abs() < 1e-12);
+            prop_assert!((row.rotation.unwrap().matrix() - about(0, r) * about(1, r)).amax() < 1e-12);
+        }
+    }
+}
