@@ -16,7 +16,7 @@ mod start;
 use nalgebra::Vector3;
 
 use super::measured_pose::HoldOut;
-use super::measured_pose::split::{self, Split};
+use super::measured_pose::split;
 use crate::cost::{CostError, LoopProblem, MeasuredLength};
 use crate::kinematics::{Chain, LinkParameter};
 use crate::model::{Axis, Model, ModelError, Observation, ParameterId, PerObservation, Role, Unit};

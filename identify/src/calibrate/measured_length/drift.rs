@@ -242,8 +242,7 @@ mod tests {
             Drift { size_m: 2.0, memory_rows: 3.0, white_m: 0.5, rms_without_m: 0.0, rms_with_m: 0.0 };
         let residuals = [0.3, -1.0, 0.0, 2.0, 1.5, -0.2];
         let counted = [0, 1, 3, 4, 5];
-        let covariance =
-            |i: usize, j: usize| 4.0 * (-(i.abs_diff(j) as f64) / drift.memory_rows).exp();
+        let covariance = |i: usize, j: usize| 4.0 * (-(i.abs_diff(j) as f64) / drift.memory_rows).exp();
         let total = DMatrix::from_fn(5, 5, |i, j| {
             covariance(counted[i], counted[j]) + if i == j { 0.25 } else { 0.0 }
         });

@@ -120,9 +120,11 @@ impl Left<'_> {
         let always = always.map(prior).collect();
         let rows_each = Samples::of(self.rows, self.directions, self.fitting).rows();
         // About the model without any of them, weighed as they are.
-        let away = model.columns().enumerate().map(|(column, parameter)| {
-            if of_candidate(column) { -parameter.value } else { 0.0 }
-        });
+        let away = model.columns().enumerate().map(
+            |(column, parameter)| {
+                if of_candidate(column) { -parameter.value } else { 0.0 }
+            },
+        );
         let away = DVector::from_iterator(model.columns().len(), away);
         let cross_validation = CrossValidation {
             folds: self.normals(model)?.iter().map(|fold| fold.about(&away)).collect(),
