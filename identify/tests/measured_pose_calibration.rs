@@ -158,6 +158,52 @@ fn rows_and_options_that_make_no_sense_are_errors() {
     assert!(text(&rows, &options).contains("row 8"));
 }
 
+/// The rows as the shipped mapping reads them.
+fn csv(rows: &[PoseRow]) -> String {
+    let mut text = String::from(
+        "shoulder_pan_joint;shoulder_lift_joint;elbow_joint;wrist_1_joint;wrist_2_joint;wrist_3_joint;measurement_x;\
+         measurement_y;measurement_z;measurement_rx;measurement_ry;measurement_rz\n",
+    );
+    for row in rows {
+        let m = *row.rotation.unwrap().matrix();
+        // Intrinsic x, y, z.
+        let angles = [(-m[(1, 2)]).atan2(m[(2, 2)]), m[(0, 2)].asin(), (-m[(0, 1)]).atan2(m[(0, 0)])];
+        let position = row.position_m.iter().map(|p| p * 1e3);
+        let numbers = row.joints_rad.into_iter().chain(position).chain(angles.map(f64::to_degrees));
+        let cells: Vec<String> = numbers.map(|number| number.to_string().replace('.', ",")).collect();
+        text += &(cells.join(";") + "\n");
+    }
+    text
+}
+
+#[test]
+fn the_command_calibrates_validates_and_writes_what_it_took() {
+    let folder = tempfile::tempdir().unwrap();
+    let (rows, ..) = made_up(500, 2e-5, 3e-4);
+    std::fs::write(folder.path().join("poses.csv"), csv(&rows[..400])).unwrap();
+    std::fs::write(folder.path().join("other.csv"), csv(&rows[400..])).unwrap();
+    let command = |extra: &[&str]| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_identify"));
+        command.args(["calibrate", "--measured-poses", "poses.csv", "--out", "out", "--joint-waves", "20"]);
+        command.arg("--robot").arg(support::repository("config/robots/ur10.toml"));
+        command.args(extra).current_dir(folder.path()).output().unwrap()
+    };
+    let mapping = support::repository("config/measured_pose.toml");
+    let mapping = ["--mapping", mapping.to_str().unwrap(), "--validate", "other.csv", "--hold-out", "rows"];
+    let done = command(&mapping);
+    let (out, err) = (String::from_utf8(done.stdout).unwrap(), String::from_utf8(done.stderr).unwrap());
+    assert!(done.status.success(), "{err}");
+    for part in
+        ["held out", "other.csv", "calibrated robot", "11 to 20 waves per turn: taken", "joint offsets"]
+    {
+        assert!(out.contains(part), "{part} is not in\n{out}");
+    }
+    let written = std::fs::read_to_string(folder.path().join("out/calibration.toml")).unwrap();
+    assert!(written.contains("rsin17_2") && written.contains("tracker_rx"));
+    let refused = command(&[]);
+    assert!(!refused.status.success() && String::from_utf8_lossy(&refused.stderr).contains("--mapping"));
+}
+
 /// Mean, p95 and max of the position \[mm\] are below these.
 fn below(figures: &PoseFigures, [mean, p95, max]: [f64; 3]) {
     let of = figures.position_m;
@@ -186,16 +232,16 @@ fn the_real_ur10_on_its_grid_and_from_its_grid_to_its_cubes() {
 #[test]
 fn the_real_ur10_on_its_cubes() {
     let Some(cubes) = real_rows("iso_cubes_632.csv") else { return };
-    for hold_out in [HoldOut::Rows, HoldOut::Blocks, HoldOut::Regions] {
+    for (hold_out, seeds) in [(HoldOut::Rows, 2), (HoldOut::Blocks, 1), (HoldOut::Regions, 1)] {
         let mut worst = [0.0_f64; 3];
-        for seed in 1..=3 {
+        for seed in 1..=seeds {
             let options = PoseOptions { waves_per_turn_max: 40, hold_out, seed, ..PoseOptions::default() };
             let report = calibrate(&cubes, &ur10(), &options).unwrap();
             println!("{hold_out:?}, seed {seed}\n{}", poses::table(&report, &[]));
             let of = report.held_out.joints.position_m;
             worst = std::array::from_fn(|i| worst[i].max(1e3 * [of.mean, of.p95, of.max][i]));
         }
-        println!("{hold_out:?}: worst of three {worst:.3?}");
-        assert!(worst[0] < CUBES[0] && worst[1] < CUBES[1], "{hold_out:?} {worst:?}");
+        println!("{hold_out:?}: worst {worst:.3?}");
+        assert!(worst.iter().zip(CUBES).all(|(found, best)| *found < best), "{hold_out:?} {worst:?}");
     }
 }

@@ -7,6 +7,7 @@
 //! into the solve where left-out rows ask for it. Rows are held out by a fixed seed and never seen by the fit; the figures on them are what counts.
 
 mod drift;
+mod error;
 mod figures;
 mod report;
 mod runs;
@@ -17,14 +18,13 @@ use nalgebra::Vector3;
 
 use super::measured_pose::HoldOut;
 use super::measured_pose::split;
-use crate::cost::{CostError, LoopProblem, MeasuredLength};
+use crate::cost::{LoopProblem, MeasuredLength};
 use crate::kinematics::{Chain, LinkParameter};
-use crate::model::{Axis, Model, ModelError, Observation, ParameterId, PerObservation, Role, Unit};
-use crate::solver::{
-    GraduatedOptions, Loss, Noise, Options, Solution, SolveError, Unidentifiable, solve_graduated,
-};
+use crate::model::{Axis, Model, Observation, ParameterId, PerObservation, Role, Unit};
+use crate::solver::{GraduatedOptions, Loss, Noise, Options, Solution, solve_graduated};
 
 pub use drift::Drift;
+pub use error::LengthError;
 pub use figures::{ErrorFigures, Figures};
 pub use report::{LengthReport, ParameterEstimate, RejectedRow, Rejection};
 pub use runs::{FaultyRun, RunCause};
@@ -84,65 +84,6 @@ impl Default for LengthOptions {
             drift: true,
         }
     }
-}
-
-/// Why lengths cannot be used.
-#[derive(Debug, thiserror::Error)]
-pub enum LengthError {
-    /// Too few rows for the unknowns.
-    #[error("{rows} usable rows are too few, at least {needed} are needed; measure more poses")]
-    TooFewRows {
-        /// Rows left for fitting.
-        rows: usize,
-        /// Least number.
-        needed: usize,
-    },
-    /// A row is not a measurement.
-    #[error("row {row} has {what}; take it out or mend it")]
-    BadRow {
-        /// Row from 1.
-        row: usize,
-        /// What is wrong.
-        what: &'static str,
-    },
-    /// Options that make no sense.
-    #[error("option {option} is {value}; {remedy}")]
-    BadOption {
-        /// Field of [`LengthOptions`].
-        option: &'static str,
-        /// As given.
-        value: f64,
-        /// What to give.
-        remedy: &'static str,
-    },
-    /// Most rows contradict the rest.
-    #[error(
-        "only {kept} of {rows} fitting rows agree with each other; check units, signs and zero of the joint angles and \
-         the unit of the lengths"
-    )]
-    TooManyRejected {
-        /// Rows that agree.
-        kept: usize,
-        /// Fitting rows.
-        rows: usize,
-    },
-    /// No anchor follows from positions and lengths.
-    #[error(
-        "no anchor fits the lengths: the poses lie in a plane or too close together; measure poses further apart"
-    )]
-    NoAnchor,
-    /// From the cost.
-    #[error(transparent)]
-    Cost(#[from] CostError),
-    /// From the model.
-    #[error(transparent)]
-    Model(#[from] ModelError),
-    /// From the solver.
-    #[error(transparent)]
-    Solve(#[from] SolveError),
-    /// Some parameter is not determined.
-    #[error(transparent)]
-    Unidentifiable(#[from] Unidentifiable),
 }
 
 /// Fewest rows of a fit: the seven unknowns of the wire and as many again.

@@ -17,7 +17,7 @@ use crate::calibrate::truth::Comparison;
 use crate::calibrate::{CostName, IdentifyConfig, LossName, SelectionName};
 use crate::kinematics::flange_chain;
 use crate::logs::{self, MeasuredLengthMapping, MeasuredLengths};
-use crate::model::ParameterId;
+use crate::model::{JointWaves, ParameterId};
 use crate::report::file::{CalibrationFile, ClockEntry, Input, ParameterEntry, SolveEntry};
 use crate::report::page::Page;
 use crate::report::table;
@@ -44,6 +44,10 @@ pub struct CalibrateArguments {
     /// Other files of measured poses that judge the robot; tracker and probe may be elsewhere
     #[arg(long, value_name = "FILES", requires = "measured_poses", value_delimiter = ',')]
     validate: Vec<PathBuf>,
+    /// Highest number of waves per turn that the errors of joints may have, with measured poses; 3 to 64
+    #[arg(long, value_name = "N", requires = "measured_poses", default_value_t = JointWaves::LAST,
+          value_parser = clap::value_parser!(u8).range(i64::from(JointWaves::FIRST)..=i64::from(JointWaves::LAST)))]
+    joint_waves: u8,
     /// Which of the measured lengths or poses are held out together; default: rows of lengths, regions of poses
     #[arg(long, value_enum, requires = "mapping")]
     hold_out: Option<HoldOut>,

@@ -52,6 +52,7 @@ pub(super) fn run(
     let options = PoseOptions {
         hold_out: arguments.hold_out.unwrap_or(usual.hold_out),
         seed: arguments.seed,
+        waves_per_turn_max: arguments.joint_waves,
         loss: arguments.loss.unwrap_or(usual.loss),
         ..usual
     };
