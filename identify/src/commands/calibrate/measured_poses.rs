@@ -72,6 +72,7 @@ pub(super) fn run(
         ParameterEntry::all(&report.model, sigma),
     );
     let written = file.write(&arguments.out)?;
+    file.write_robot(robot, None, &arguments.out)?;
     let mut without_waves = file;
     without_waves.parameters.retain(|entry| !is_wave(&entry.name));
     print!("{}", table::calibration(&without_waves));
