@@ -34,36 +34,46 @@ pub struct Match {
 /// Shifts at least this many grid steps apart are different ones.
 const APART: i64 = 100;
 /// Correlations this close are equally good: the motion repeats itself. Then the longer overlap decides.
-pub(super) const TIE: f64 = 0.02;
+const TIE: f64 = 0.02;
 
 /// Finds the shift with the highest correlation of at least `overlap_min` points. None where no shift has so many, or
 /// nothing varies.
 pub fn correlate(first: &Channels, second: &Channels, overlap_min: usize) -> Option<Match> {
+    let found = candidates(first, second, overlap_min, usize::MAX);
+    let highest = found.first()?.correlation;
+    // Among equals a tenth more overlap counts as longer; otherwise the correlation decides.
+    found
+        .into_iter()
+        .filter(|one| one.correlation >= highest - TIE)
+        .reduce(|best, other| if other.overlap as f64 > 1.1 * best.overlap as f64 { other } else { best })
+}
+
+/// The best shifts that are clearly different ones, highest correlation first, at most `count`.
+pub fn candidates(first: &Channels, second: &Channels, overlap_min: usize, count: usize) -> Vec<Match> {
     let scores = scores(first, second, overlap_min.max(3));
-    let highest = scores.iter().filter_map(|score| score.correlation).max_by(f64::total_cmp)?;
-    let peaks: Vec<usize> = (0..scores.len()).filter(|&index| is_peak(&scores, index)).collect();
-    let value = |index: usize| scores[index].correlation.unwrap_or(f64::NEG_INFINITY);
-    let best = peaks
-        .iter()
-        .copied()
-        .filter(|&index| value(index) >= highest - TIE)
-        // Among equals a tenth more overlap counts as longer; otherwise the correlation decides.
-        .reduce(|best, other| {
-            let (a, b) = (scores[best].overlap as f64, scores[other].overlap as f64);
-            let other_is_better = b > 1.1 * a || (b > a / 1.1 && value(other) > value(best));
-            if other_is_better { other } else { best }
-        })?;
-    let runner_up = peaks
-        .iter()
-        .filter(|&&index| (scores[index].shift - scores[best].shift).abs() > APART)
-        .map(|&index| value(index))
-        .fold(0.0, f64::max);
-    Some(Match {
-        shift: scores[best].shift as f64 + vertex(&scores, best),
-        correlation: value(best),
-        overlap: scores[best].overlap,
-        runner_up,
-    })
+    let mut peaks: Vec<(usize, f64)> = (0..scores.len())
+        .filter(|&index| is_peak(&scores, index))
+        .filter_map(|index| Some((index, scores[index].correlation?)))
+        .collect();
+    peaks.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let mut apart: Vec<(usize, f64)> = Vec::new();
+    for (index, correlation) in peaks {
+        let near = |other: usize| (scores[index].shift - scores[other].shift).abs() <= APART;
+        if !apart.iter().any(|&(other, _)| near(other)) {
+            apart.push((index, correlation));
+        }
+        if apart.len() > count {
+            break;
+        }
+    }
+    let value = |place: usize| apart.get(place).map_or(0.0, |(_, correlation)| correlation.max(0.0));
+    let found = apart.iter().enumerate().take(count).map(|(place, &(index, correlation))| Match {
+        shift: scores[index].shift as f64 + vertex(&scores, index),
+        correlation,
+        overlap: scores[index].overlap,
+        runner_up: if place == 0 { value(1) } else { value(0) },
+    });
+    found.collect()
 }
 
 #[derive(Clone, Copy)]

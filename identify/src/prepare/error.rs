@@ -100,8 +100,8 @@ pub enum PrepareError {
     /// The speeds do not match anywhere.
     #[error(
         "robot log and recording do not match at any clock difference: the best correlation of their joint speeds is \
-         {correlation:.2} (over {overlap_s:.0} s), at least {needed} is asked for. They do not overlap in time, are of \
-         different runs, or an encoder is assigned to the wrong joint (order of the terminals)"
+         {correlation:.2} (over {overlap_s:.0} s), at least {needed} is asked for. They do not overlap in time or are \
+         of different runs"
     )]
     NoMatch {
         /// Best correlation.
@@ -113,19 +113,96 @@ pub enum PrepareError {
     },
     /// The speeds match but the angles do not.
     #[error(
-        "measured bar angles do not fit the robot's log in any of the bar's four configurations; nearest is \
-         {configuration} with a spread of {spreads} mrad, at most {limit_mrad} is allowed. {hint}"
+        "measured bar angles do not fit the robot's log, in whatever order and direction the encoders are taken; as \
+         recorded (encoder -> joint): {recorded}, at most {limit_mrad} mrad is allowed for each. The robot's or the \
+         bar's configuration is not that of this cell, or robot log and recording are of different runs"
     )]
-    NoConfiguration {
-        /// The nearest configuration.
-        configuration: String,
+    NoWiring {
+        /// How the recorded order fits.
+        recorded: String,
+        /// Threshold \[mrad\].
+        limit_mrad: f64,
+    },
+    /// Several orders or directions of the encoders fit.
+    #[error(
+        "the encoders do not fit as recorded, and several other orders or directions fit alike (encoder -> joint): \
+         {fits}; state the right one as `encoders = [..]` under [prepare], for each encoder its joint, negative where \
+         it counts the other way, or move more joints"
+    )]
+    AmbiguousWiring {
+        /// Those that fit.
+        fits: String,
+    },
+    /// Another order or direction fits than the recording states, and it is not to be taken.
+    #[error(
+        "the encoders do not fit as recorded (encoder -> joint): {recorded}, but as {found}; correct order or \
+         direction in the bar's configuration, or let it be found with `encoders = \"find\"` under [prepare]"
+    )]
+    OtherWiring {
+        /// How the recorded order fits.
+        recorded: String,
+        /// The one that fits.
+        found: String,
+    },
+    /// The order stated in the configuration makes no sense.
+    #[error(
+        "prepare.encoders is {stated}; give one bar joint for each of the {encoders} encoders of the recording, \
+         1 to 5, none twice, negative where an encoder counts the other way than recorded"
+    )]
+    StatedWiring {
+        /// As given.
+        stated: String,
+        /// Encoders of the recording.
+        encoders: usize,
+    },
+    /// A clock was set, or samples are missing without a hole in the stamps.
+    #[error(
+        "a clock jumps during the run: {at_s:.0} s after the first sample the logs are {by_ms:+.1} ms further apart than before; \
+         calibrate from one side of the jump, and find out what sets the clock"
+    )]
+    ClockJump {
+        /// When, about \[s\].
+        at_s: f64,
+        /// By how much the robot's clock comes later \[ms\].
+        by_ms: f64,
+    },
+    /// An encoder lost counts or turned on its shaft.
+    #[error(
+        "the encoder of joint {joint} slips: {at_s:.2} s after the first sample its angle jumps by {by_mrad:+.2} mrad \
+         against the robot and stays there; check its coupling and cable, and record again"
+    )]
+    EncoderSlip {
+        /// Bar joint, 1 to 5.
+        joint: u8,
+        /// When \[s\].
+        at_s: f64,
+        /// By how much \[mrad\].
+        by_mrad: f64,
+    },
+    /// Even with all numbers of the geometry moved within their tolerances the angles do not fit.
+    #[error(
+        "the logs belong together, but the angles stay {spreads} mrad from any geometry near the nominal one, at most \
+         {limit_mrad} is allowed; robot, tool, plate or bar are configured otherwise than in the cell, or something \
+         is loose"
+    )]
+    PoorFit {
         /// Spread by encoder.
         spreads: String,
         /// Threshold \[mrad\].
         limit_mrad: f64,
-        /// Likely cause.
-        hint: String,
     },
+    /// No samples to fit.
+    #[error(
+        "the matched part of the logs is too short or too near to singular poses of the bar to compare angles; record \
+         a motion over more of the sphere"
+    )]
+    NothingToFit,
+    /// The robot moved on a circle or stood.
+    #[error(
+        "the robot's positions span no sphere (they lie on a line, a circle or in one place); the motion excites too \
+         little: move the bar over a good part of its sphere, with all joints"
+    )]
+    LittleMotion,
     /// Hardly anything is left.
     #[error(
         "only {kept} samples are left ({outside} outside the robot's log, {singular} near singular poses, \

@@ -3,44 +3,62 @@
 //! Nothing but nominal geometry is known at the beginning: not the clocks, not the encoders' zeros, not where the bar
 //! stands nor in which of its configurations. The steps, each a plain function on values:
 //!
-//! 1. [`bar_angles`]: counts to angles, bad cycles dropped, runs split where counters lost their origin.
+//! 1. [`bar_angles`]: counts to angles, bad cycles dropped, runs split where counters lost their origin. A moving average
+//!    of both logs where it is asked for.
 //! 2. [`fit_sphere`]: the robot's own positions give the bar's base and length.
 //! 3. [`Predictor`]: with these, nominal inverse kinematics of the bar predicts its joints from the robot's log.
-//! 4. [`correlate`]: predicted and measured joint *speeds* know no zeros, signs or configurations; their
-//!    cross-correlation gives the clock difference, whatever its size.
-//! 5. [`find_offsets`]: with the clocks aligned, angles are compared: offsets, configuration, and whether this log
-//!    belongs to this recording at all; [`refine`] improves clocks, base and offsets on the angles.
-//! 6. [`select`]: standstill, singular poses and surplus samples are left out.
+//! 4. [`correlate`]: predicted and measured joint *speeds* know no zeros, signs or configurations, and the root of the sum
+//!    of their squares knows no order either; their cross-correlation gives candidates for the clock difference, whatever
+//!    its size.
+//! 5. At each candidate angles are compared: [`find_wiring`] tells which encoder is which and which way it counts, then
+//!    zeros and configurations follow, stretch by stretch between singular poses and origins (`stretches`). The shift
+//!    whose angles fit best wins.
+//! 6. `refine` fits clocks, base and zeros to the angles while all numbers of both chains may move within their
+//!    tolerances. By this fit every sample is judged (`judge`): outliers, a slipped encoder, a clock that jumped.
+//! 7. [`select`], [`spread_over_sphere`]: standstill, singular poses and surplus samples are left out.
+//!
+//! The solve gets each sample in the configuration in which it was measured: forward kinematics needs no other, and
+//! converting it would bake the zeros of the preparation into it. Only the [`Timeline`] shows all in one configuration.
 //!
 //! Times stay integers until they are small differences: the clocks may be decades apart.
 
 mod aligned;
 mod bar_angles;
+mod circular;
+mod clock;
 mod correlate;
 mod error;
-mod offsets;
+mod find;
+mod judge;
+mod origins;
 mod predict;
 mod refine;
 mod samples;
 mod select;
+mod smooth;
 mod speeds;
 mod sphere;
 mod standstill;
 mod steps;
+mod stretches;
 mod timeline;
+mod wiring;
 
 pub use aligned::AlignedLog;
 pub use bar_angles::{BarAngles, BarSegment, bar_angles};
-pub use correlate::{Channels, Match, correlate};
+pub use clock::ClockFit;
+pub use correlate::{Channels, Match, candidates, correlate};
 pub use error::PrepareError;
-pub use offsets::{AnglePair, EncoderOffset, Offsets, find_offsets};
+pub use judge::LocalShift;
+pub use origins::OriginSpan;
 pub use predict::{PredictedBar, Predictor};
-pub use refine::{ClockFit, Relation, refine};
-pub use select::select;
+pub use select::{select, spread_over_sphere};
+pub use smooth::moving_average;
 pub use sphere::{SphereFit, fit_sphere};
 pub use standstill::{Jitter, MOVING_RAD_S, Standstill};
 pub use steps::prepare;
 pub use timeline::{Fate, Timeline, TimelinePoint};
+pub use wiring::{AnglePair, EncoderPlace, Wiring, WiringChoice, WiringReport, find_wiring};
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -68,10 +86,31 @@ pub struct PrepareOptions {
     pub length_tolerance_mm: f64,
     /// Samples nearer to a singular pose of the bar are left out \[deg\].
     pub singular_margin_deg: f64,
-    /// At most this many samples are kept, evenly spread over the motion.
+    /// At most this many samples are kept, spread over the sphere and, on each part of it, over the motion; 0 keeps all
+    /// that move.
     pub points_max: usize,
     /// Samples are kept only where some bar joint has moved by this much since the last one \[mrad\].
     pub motion_min_mrad: f64,
+    /// Which encoder sits on which joint and which way it counts: `find`, `recorded`, or stated one by one.
+    pub encoders: WiringChoice,
+    /// Centred moving average over both logs \[ms\]; 0 is none. The thesis took 100 ms; an estimator that knows the noise
+    /// does better without.
+    pub moving_average_ms: f64,
+    /// Angles may stay this far from the refined fit (1.48 times the median deviation) \[mrad\].
+    pub fit_max_mrad: f64,
+    /// Smaller steps of an encoder's zero are not looked for \[mrad\].
+    pub slip_min_mrad: f64,
+}
+
+/// What is added to an encoder's angle to get the joint's.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct EncoderOffset {
+    /// Bar joint, 1 to 5.
+    pub joint: u8,
+    /// Offset in (-pi, pi] \[rad\].
+    pub offset_rad: f64,
+    /// 1.48 times the median deviation from the refined fit \[rad\]: a standard deviation that outliers do not touch.
+    pub spread_rad: f64,
 }
 
 impl Default for PrepareOptions {
@@ -86,6 +125,10 @@ impl Default for PrepareOptions {
             singular_margin_deg: 5.0,
             points_max: 1500,
             motion_min_mrad: 2.0,
+            encoders: WiringChoice::Find,
+            moving_average_ms: 0.0,
+            fit_max_mrad: 3.0,
+            slip_min_mrad: 0.3,
         }
     }
 }
@@ -99,7 +142,7 @@ pub struct SampleCounts {
     pub invalid: usize,
     /// Time stamp not later than the one before.
     pub time_not_increasing: usize,
-    /// In runs between two changes of the counters' origin other than the longest one.
+    /// In runs between two changes of the counters' origin that are too short to find their zeros.
     pub other_origin: usize,
     /// At times that the robot's log does not cover.
     pub outside_robot_log: usize,
@@ -143,7 +186,8 @@ pub struct Alignment {
     pub correlation: f64,
     /// Best correlation at a clearly different shift.
     pub runner_up: f64,
-    /// The other shift is nearly as good: the motion repeats itself, and the shift with the longest overlap was taken.
+    /// Another shift fits as well by its angles: the motion repeats itself, and the shift with the longest overlap was
+    /// taken. The geometry is the same either way, the clocks are not.
     pub ambiguous: bool,
     /// How long the logs overlap \[s\].
     pub overlap_s: f64,
@@ -181,7 +225,8 @@ pub struct Prepared {
     pub measured: [bool; BAR_JOINTS],
     /// Where a solve begins.
     pub initial: InitialValues,
-    /// Configuration of the bar through the whole run.
+    /// Configuration of the bar in the longest stretch between two singular poses. Samples are in whichever they were
+    /// measured in.
     pub configuration: Configuration,
     /// How well the logs fit together in time.
     pub alignment: Alignment,
@@ -193,6 +238,12 @@ pub struct Prepared {
     pub counts: SampleCounts,
     /// The run at a glance, for reports.
     pub timeline: Timeline,
+    /// Which encoder sits on which joint, and what else would fit.
+    pub wiring: WiringReport,
+    /// Parts of the recording between two changes of the counters' origin, in the order of time.
+    pub origins: Vec<OriginSpan>,
+    /// How the alignment varies along the run, about every 5 s.
+    pub local_shifts: Vec<LocalShift>,
 }
 
 impl Prepared {

@@ -54,29 +54,15 @@ impl<'a> Predictor<'a> {
 
     /// The bar at `tau_s` after the log's first stamp; none where the log says nothing.
     pub fn at(&self, tau_s: f64) -> Option<PredictedBar> {
-        self.at_with_base(tau_s, &self.base_m())
+        let joints = self.log.joints(tau_s)?;
+        let mut trace = Trace::default();
+        self.robot.trace(&joints.value, &mut trace);
+        let [(_, joints_rad), ..] = ball_bar_inverse(&self.bar, trace.end()).ok()?;
+        Some(PredictedBar { joints_rad, margin_rad: singularity_margin_rad(&joints_rad) })
     }
 
     /// The robot's joints at `tau_s` \[rad\].
     pub fn robot_at(&self, tau_s: f64) -> Option<[f64; ROBOT_JOINTS]> {
         self.log.joints(tau_s).map(|joints| joints.value)
-    }
-
-    /// [`Self::at`] with the bar standing elsewhere.
-    pub(super) fn at_with_base(&self, tau_s: f64, base_m: &Vector3<f64>) -> Option<PredictedBar> {
-        let joints = self.log.joints(tau_s)?;
-        let mut trace = Trace::default();
-        self.robot.trace(&joints.value, &mut trace);
-        // Moving the bar is moving the end the other way.
-        let mut end = *trace.end();
-        end.translation.vector -= base_m - self.base_m();
-        let [(_, joints_rad), ..] = ball_bar_inverse(&self.bar, &end).ok()?;
-        Some(PredictedBar { joints_rad, margin_rad: singularity_margin_rad(&joints_rad) })
-    }
-
-    /// The same with the bar standing at `base_m` from now on.
-    pub(super) fn with_base(mut self, base_m: Vector3<f64>) -> Self {
-        self.bar.root_from_base.translation.vector = base_m;
-        self
     }
 }

@@ -1,171 +1,380 @@
-//! Clocks, base and offsets from the angles: finer than the correlation of speeds, and right for runs of an hour.
+//! Clocks, base and zeros from the angles: finer than the correlation of speeds, and right for runs of hours.
+//!
+//! The residual is what the encoders say less what the robot's pose implies, joint by joint. Nominal geometry is wrong by
+//! millimetres, which would blur everything that is looked for here: the shift, the zeros of a new origin, a slipped
+//! encoder. So all numbers of both chains may move within their tolerances (priors) in the same fit. It is no calibration:
+//! its geometry is thrown away once the samples have been judged by it.
 
-use nalgebra::{DMatrix, DVector, Vector3};
+use nalgebra::{Vector3, Vector5};
 
-use super::offsets::wrapped;
-use super::{Offsets, Predictor};
-use crate::kinematics::BAR_JOINTS;
+use super::circular::{median, wrapped};
+use super::clock::ClockFit;
+use crate::cost::{LoopProblem, Movement, Residual, Scene};
+use crate::kinematics::{
+    BAR_JOINTS, Chain, ImpliedBar, LinkParameter, Trace, Tracer, singularity_margin_rad,
+};
+use crate::logs::InterpolatedLog;
+use crate::model::{Geometry, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
+use crate::prepare::AlignedLog;
+use crate::solver::{Block, Loss, Options, Prior, Problem, minimise};
 
-/// Robot time against bar time: `tau = shift + (1 + skew) t`, both from their own zero.
+/// How far the numbers of the nominal chains are expected to be off, one standard deviation \[m, rad\].
+const CHAIN_SIGMA: f64 = 2e-3;
+/// The sphere through the robot's positions gives the base this well \[m\].
+const BASE_SIGMA_M: f64 = 0.01;
+/// Bases stand level by this much \[rad\].
+const TILT_SIGMA_RAD: f64 = 0.01;
+/// Errors of the encoders that repeat with each turn \[rad\].
+const HARMONIC_SIGMA_RAD: f64 = 50e-6;
+/// The correlation of speeds gives the shift this well \[s\].
+const SHIFT_SIGMA_S: f64 = 0.05;
+/// Clocks of controllers differ by this much.
+const SKEW_SIGMA: f64 = 100e-6;
+/// Zeros are found on nominal geometry this well \[rad\].
+const ZERO_SIGMA_RAD: f64 = 0.05;
+/// Rounds of looking at the spread and solving with it.
+const ROUNDS: usize = 6;
+/// Steps in each.
+const STEPS: usize = 4;
+/// Of a squared norm of five normal numbers: its median, and the square root of its 95th percentile.
+const MEDIAN_OF_5: f64 = 4.35;
+const CAUCHY_SCALE: f64 = 3.3;
+/// Residuals below this are rounding \[rad\].
+const SIGMA_MIN_RAD: f64 = 1e-7;
+
+/// A sample as the refinement gets it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct ClockFit {
-    /// Robot time, after the log's first stamp, at bar time zero \[s\].
-    pub shift_s: f64,
-    /// Relative rate of the robot's clock minus one.
-    pub skew: f64,
+pub(super) struct FitSample {
+    /// Bar time \[s\].
+    pub t_s: f64,
+    /// Number of the counters' origin.
+    pub origin: usize,
+    /// Joints, zeros added as far as they are known \[rad\].
+    pub bar_rad: [f64; BAR_JOINTS],
 }
 
-impl ClockFit {
-    /// Robot time, after the log's first stamp, at bar time `t_s` \[s\].
-    pub fn tau_s(&self, t_s: f64) -> f64 {
-        self.shift_s + t_s + self.skew * t_s
-    }
-}
-
-/// What relates the two logs, on nominal geometry.
+/// What relates the two logs.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Relation {
-    /// The clocks.
+pub(super) struct Fit {
+    /// The clocks, for bar times as the samples had them.
     pub clock: ClockFit,
-    /// Centre of the gimbal in the robot's base \[m\].
-    pub base_m: Vector3<f64>,
-    /// The encoders and the configuration.
-    pub offsets: Offsets,
+    /// Both chains and the base, so that the angles fit.
+    pub geometry: Geometry,
+    /// To be added to the zeros, by origin \[rad\].
+    pub zeros_by_rad: Vec<[f64; BAR_JOINTS]>,
+    /// Standard deviation of an angle's residual, from the median \[rad\].
+    pub sigma_rad: f64,
 }
 
-/// Half the distance over which speeds are differenced \[s\].
-const DIFFERENCE_S: f64 = 0.005;
-/// Distance over which the effect of the base is differenced \[m\].
-const DIFFERENCE_M: f64 = 1e-4;
-/// The correlation of the speeds gives the shift this well, one standard deviation \[s\]: constant errors of the nominal
-/// geometry spoil speeds less than angles.
-const SHIFT_SIGMA_S: f64 = 0.001;
-/// Clocks of controllers differ by this much, one standard deviation.
-const SKEW_SIGMA: f64 = 50e-6;
-/// The sphere through the robot's positions gives the base this well, one standard deviation \[m\].
-const BASE_SIGMA_M: f64 = 0.003;
-/// Errors of the nominal geometry change slowly: so many neighbouring samples say the same.
-const SAMPLES_ALIKE: f64 = 300.0;
-/// Rounds of linearising.
-const ROUNDS: usize = 4;
-/// Rounds of weighting in each.
-const WEIGHTINGS: usize = 4;
-/// Columns before those of the encoders: shift, skew, base.
-const COMMON: usize = 5;
+/// Implied less measured joints, weighed down near singular poses where errors of the geometry grow.
+#[derive(Debug, Clone, Copy)]
+struct ImpliedAngles {
+    measured: [bool; BAR_JOINTS],
+}
 
-/// How far the common columns are expected to go, one standard deviation each.
-const EXPECTED: [f64; COMMON] = [SHIFT_SIGMA_S, SKEW_SIGMA, BASE_SIGMA_M, BASE_SIGMA_M, BASE_SIGMA_M];
+impl ImpliedAngles {
+    /// Weight of each joint at a posture.
+    fn trust(&self, bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
+        let trust = singularity_margin_rad(bar_rad).sin();
+        self.measured.map(|measured| if measured { trust } else { 0.0 })
+    }
+}
 
-/// Improves `start` by least squares of the angle differences. Robust (Cauchy), because the nominal geometry is wrong
-/// by an unknown amount. Returns `start` where the samples do not determine it.
-///
-/// `samples` are bar times \[s\], best about zero, and measured angles \[rad\].
-pub fn refine(predictor: &Predictor<'_>, samples: &[(f64, [f64; BAR_JOINTS])], start: &Relation) -> Relation {
-    let mut now = start.clone();
-    for _ in 0..ROUNDS {
-        let rows: Vec<Row> = samples
-            .iter()
-            .filter_map(|(t_s, measured_rad)| rows_of(predictor, *t_s, measured_rad, &now))
-            .flatten()
-            .collect();
-        let base_by = now.base_m - start.base_m;
-        let so_far =
-            [now.clock.shift_s - start.clock.shift_s, now.clock.skew, base_by.x, base_by.y, base_by.z];
-        let Some(step) = solve(&rows, now.offsets.encoders.len(), &so_far) else { return start.clone() };
-        now.clock.shift_s += step[0];
-        now.clock.skew += step[1];
-        now.base_m += Vector3::new(step[2], step[3], step[4]);
-        for (encoder, by) in now.offsets.encoders.iter_mut().zip(step.iter().skip(COMMON)) {
-            encoder.offset_rad = wrapped(encoder.offset_rad + by);
+impl Residual for ImpliedAngles {
+    type Local = ImpliedBar;
+
+    const NAME: &'static str = "angles";
+    const ROWS: usize = BAR_JOINTS;
+    const ENCODERS: &'static [usize] = &[];
+
+    fn sees(id: ParameterId) -> bool {
+        role(id).is_some()
+    }
+
+    fn local(&self, scene: &Scene<'_>) -> Option<ImpliedBar> {
+        let (chain, tracer) = scene.bar_chain;
+        let near =
+            std::array::from_fn(|joint| self.measured[joint].then_some(scene.observation.bar_rad[joint]));
+        ImpliedBar::new(chain, tracer, scene.robot.end(), &near).ok()
+    }
+
+    fn residual(&self, scene: &Scene<'_>, implied: &ImpliedBar, out: &mut [f64]) {
+        let trust = self.trust(&scene.observation.bar_rad);
+        for (joint, out) in out.iter_mut().enumerate() {
+            *out = trust[joint] * wrapped(implied.joints_rad[joint] - scene.bar_rad[joint]);
         }
     }
-    now
-}
 
-/// One encoder at one instant: predicted minus measured, and how that changes with shift, skew and base.
-struct Row {
-    encoder: usize,
-    slopes: [f64; COMMON],
-    /// Slope of the encoder's offset.
-    trust: f64,
-    difference_rad: f64,
-}
-
-fn rows_of(
-    predictor: &Predictor<'_>,
-    t_s: f64,
-    measured_rad: &[f64; BAR_JOINTS],
-    relation: &Relation,
-) -> Option<Vec<Row>> {
-    let Relation { clock, base_m, offsets } = relation;
-    let tau_s = clock.tau_s(t_s);
-    let at = |by_s: f64, by_m: Vector3<f64>| {
-        let bar = predictor.at_with_base(tau_s + by_s, &(base_m + by_m))?;
-        Some((offsets.configuration.carry(&bar.joints_rad), bar.margin_rad))
-    };
-    let (now, margin_rad) = at(0.0, Vector3::zeros())?;
-    let (before, _) = at(-DIFFERENCE_S, Vector3::zeros())?;
-    let (after, _) = at(DIFFERENCE_S, Vector3::zeros())?;
-    let mut moved = [now; 3];
-    for (axis, joints) in moved.iter_mut().enumerate() {
-        let mut by_m = Vector3::zeros();
-        by_m[axis] = DIFFERENCE_M;
-        (*joints, _) = at(0.0, by_m)?;
-    }
-    // Near singular poses errors of gimbal and cardan grow by the inverse of this.
-    let trust = margin_rad.sin();
-    let row = |(encoder, joint): (usize, usize)| {
-        let speed = wrapped(after[joint] - before[joint]) / (2.0 * DIFFERENCE_S);
-        let by_base = moved.map(|joints| wrapped(joints[joint] - now[joint]) / DIFFERENCE_M);
-        let offset_rad = offsets.encoders.get(encoder).map_or(0.0, |encoder| encoder.offset_rad);
-        Row {
-            encoder,
-            slopes: [speed, speed * t_s, by_base[0], by_base[1], by_base[2]].map(|slope| -slope * trust),
-            trust,
-            difference_rad: wrapped(now[joint] - measured_rad[joint] - offset_rad) * trust,
+    fn derivative(&self, scene: &Scene<'_>, implied: &ImpliedBar, id: ParameterId, out: &mut [f64]) {
+        let trust = self.trust(&scene.observation.bar_rad);
+        if let ParameterId::Harmonic { joint, harmonic } = id {
+            out[joint] = trust[joint] * harmonic.wave(scene.observation.bar_rad[joint]);
+            return;
         }
-    };
-    let joints = offsets.encoders.iter().map(|encoder| usize::from(encoder.joint) - 1);
-    Some(joints.enumerate().map(row).collect())
-}
-
-/// Step of shift, skew, base and offsets; the common ones have come `so_far` from their expected values.
-fn solve(rows: &[Row], encoders: usize, so_far: &[f64; COMMON]) -> Option<DVector<f64>> {
-    let columns = COMMON + encoders;
-    if rows.len() < 10 * columns {
-        return None;
-    }
-    let mut step = DVector::zeros(columns);
-    for _ in 0..WEIGHTINGS {
-        let residual = |row: &Row| {
-            let common: f64 = row.slopes.iter().zip(step.iter()).map(|(slope, x)| slope * x).sum();
-            row.difference_rad - common - row.trust * step[COMMON + row.encoder]
+        let joints = match (scene.movement(id), id) {
+            (Movement::Robot(twist), _) => implied.by_pose(&twist),
+            (Movement::Bar(_), _) => {
+                let link = if let ParameterId::Bar { link, .. } = id { Some(link) } else { None };
+                let Some(twist) = scene.bar_twist(&implied.trace, id) else { return };
+                implied.by_bar(link, &twist)
+            }
+            (Movement::None, _) => return,
         };
-        let residuals: Vec<f64> = rows.iter().map(residual).collect();
-        let mut sizes: Vec<f64> = residuals.iter().map(|residual| residual.abs()).collect();
-        let middle = sizes.len() / 2;
-        let sigma = (1.4826 * *sizes.select_nth_unstable_by(middle, f64::total_cmp).1).max(1e-9);
-        let mut normal = DMatrix::zeros(columns, columns);
-        let mut right = DVector::zeros(columns);
-        for (row, residual) in rows.iter().zip(residuals) {
-            // Cauchy's loss at its usual 95 % efficiency.
-            let weight = 1.0 / (1.0 + (residual / (2.385 * sigma)).powi(2));
-            let common = row.slopes.iter().copied().enumerate();
-            let parts: Vec<(usize, f64)> =
-                common.chain(std::iter::once((COMMON + row.encoder, row.trust))).collect();
-            for &(i, a) in &parts {
-                right[i] += weight * a * row.difference_rad;
-                for &(j, b) in &parts {
-                    normal[(i, j)] += weight * a * b;
-                }
+        for (joint, out) in out.iter_mut().enumerate() {
+            *out = trust[joint] * joints[joint];
+        }
+    }
+}
+
+/// Expected deviation from where a parameter starts; none for those that stay.
+fn role(id: ParameterId) -> Option<f64> {
+    match id {
+        // A link's theta is the same as the encoder's zero, which has its own column.
+        ParameterId::Bar { parameter: LinkParameter::Theta, .. }
+        | ParameterId::Robot { parameter: LinkParameter::Beta, .. } => None,
+        ParameterId::Robot { .. } | ParameterId::Bar { .. } => Some(CHAIN_SIGMA),
+        ParameterId::Base(_) => Some(BASE_SIGMA_M),
+        ParameterId::BaseRotation(_) => Some(TILT_SIGMA_RAD),
+        ParameterId::Harmonic { .. } => Some(HARMONIC_SIGMA_RAD),
+        ParameterId::ClockShift => Some(SHIFT_SIGMA_S),
+        ParameterId::ClockSkew => Some(SKEW_SIGMA),
+        _ => None,
+    }
+}
+
+/// The closed chain by its angles, with a column for each encoder's zero in each origin.
+struct WithZeros<'a> {
+    chain: LoopProblem<'a, ImpliedAngles, AlignedLog>,
+    residual: ImpliedAngles,
+    observations: &'a [Observation],
+    origins: &'a [usize],
+    chain_columns: usize,
+    origin_count: usize,
+    sigma_rad: f64,
+    priors: Vec<Prior>,
+}
+
+impl Problem for WithZeros<'_> {
+    type Point = (<LoopProblem<'static, ImpliedAngles, AlignedLog> as Problem>::Point, Vec<f64>);
+
+    fn columns(&self) -> usize {
+        self.chain_columns + self.origin_count * BAR_JOINTS
+    }
+
+    fn column_name(&self, column: usize) -> String {
+        match column.checked_sub(self.chain_columns) {
+            Some(zero) => {
+                format!("zero of encoder {} in origin {}", zero % BAR_JOINTS + 1, zero / BAR_JOINTS)
+            }
+            None => self.chain.column_name(column),
+        }
+    }
+
+    fn samples(&self) -> usize {
+        self.chain.samples()
+    }
+
+    fn rows(&self) -> usize {
+        BAR_JOINTS
+    }
+
+    fn priors(&self) -> &[Prior] {
+        &self.priors
+    }
+
+    fn point(&self, x: &[f64]) -> Self::Point {
+        let (chain, zeros) = x.split_at(self.chain_columns.min(x.len()));
+        (self.chain.point(chain), zeros.to_vec())
+    }
+
+    fn sample(
+        &self,
+        (point, zeros): &mut Self::Point,
+        sample: usize,
+        residual: &mut [f64],
+        block: &mut Block<'_>,
+    ) -> bool {
+        let (Some(observation), Some(&origin)) = (self.observations.get(sample), self.origins.get(sample))
+        else {
+            return false;
+        };
+        if !self.chain.sample(point, sample, residual, block) {
+            return false;
+        }
+        let trust = self.residual.trust(&observation.bar_rad);
+        for joint in 0..BAR_JOINTS {
+            let slope = -trust[joint] / self.sigma_rad;
+            let zero = origin * BAR_JOINTS + joint;
+            residual[joint] += slope * zeros.get(zero).copied().unwrap_or(0.0);
+            if let Some(entry) = block.column_mut(self.chain_columns + zero).get_mut(joint) {
+                *entry = slope;
             }
         }
-        for (column, (value, deviation)) in so_far.iter().zip(EXPECTED).enumerate() {
-            let prior = SAMPLES_ALIKE * (sigma / deviation).powi(2);
-            normal[(column, column)] += prior;
-            right[column] -= prior * value;
-        }
-        step = normal.cholesky()?.solve(&right);
+        true
     }
-    Some(step)
+}
+
+/// Fits clocks, base, zeros and, within their tolerances, all numbers of the chains to `samples`.
+///
+/// `coarse` relates the clocks for the samples' times; the bar stands upright at `base_m` so far. None where the samples
+/// determine nothing.
+pub(super) fn refine(
+    log: &InterpolatedLog,
+    [robot, bar]: [&Chain; 2],
+    base_m: Vector3<f64>,
+    measured: &[bool; BAR_JOINTS],
+    samples: &[FitSample],
+    coarse: ClockFit,
+) -> Option<Fit> {
+    // Times about their middle: shift and skew are then nearly independent.
+    let middle_s = samples.iter().map(|sample| sample.t_s).sum::<f64>() / samples.len().max(1) as f64;
+    let observations: Vec<Observation> = samples
+        .iter()
+        .map(|sample| Observation {
+            measured: *measured,
+            ..Observation::bar(sample.t_s - middle_s, sample.bar_rad)
+        })
+        .collect();
+    let origins: Vec<usize> = samples.iter().map(|sample| sample.origin).collect();
+    let origin_count = origins.iter().max().map_or(0, |most| most + 1);
+    let motion = AlignedLog::new(log.clone(), coarse.tau_s(middle_s));
+    let model = model(robot, bar, base_m, coarse.skew).ok()?;
+    let residual = ImpliedAngles { measured: *measured };
+    let chain_columns = model.columns().len();
+    let mut x = model.start();
+    x.resize(chain_columns + origin_count * BAR_JOINTS, 0.0);
+    let mut sigma_rad = f64::INFINITY;
+    for _ in 0..ROUNDS {
+        let spread = spread_rad(&model, &motion, &observations, &origins, residual, &x)?.max(SIGMA_MIN_RAD);
+        if spread > 0.98 * sigma_rad {
+            break;
+        }
+        sigma_rad = spread;
+        let problem = WithZeros {
+            chain: LoopProblem::new(&model, &motion, &observations, residual, sigma_rad).ok()?,
+            residual,
+            observations: &observations,
+            origins: &origins,
+            chain_columns,
+            origin_count,
+            sigma_rad,
+            priors: priors(&model, origin_count),
+        };
+        let loss = Loss::Cauchy { scale: CAUCHY_SCALE };
+        let options = Options { loss, iterations_max: STEPS, ..Options::default() };
+        x = minimise(&problem, &x, &options).ok()?.0;
+    }
+    let (chain, zeros) = x.split_at(chain_columns);
+    let geometry = model.geometry(chain);
+    let (shift_s, skew) = (geometry.clock.shift_s, geometry.clock.skew);
+    let tau_at_middle_s = motion.origin_s() + shift_s;
+    Some(Fit {
+        clock: ClockFit { shift_s: tau_at_middle_s - (1.0 + skew) * middle_s, skew },
+        geometry,
+        zeros_by_rad: zeros.chunks_exact(BAR_JOINTS).map(|of| std::array::from_fn(|j| of[j])).collect(),
+        sigma_rad,
+    })
+}
+
+fn model(robot: &Chain, bar: &Chain, base_m: Vector3<f64>, skew: f64) -> Result<Model, ModelError> {
+    let standing = Chain { root_from_base: nalgebra::Translation3::from(base_m).into(), ..bar.clone() };
+    let mut model = Model::ball_bar(robot, &standing);
+    model.set_value(ParameterId::ClockSkew, skew)?;
+    let roles: Vec<(ParameterId, f64, f64)> = model
+        .parameters()
+        .iter()
+        .filter_map(|parameter| Some((parameter.id, parameter.nominal, role(parameter.id)?)))
+        .collect();
+    for (id, value, sigma) in roles {
+        model.set_role(id, Role::Prior { value, sigma })?;
+    }
+    Ok(model)
+}
+
+fn priors(model: &Model, origin_count: usize) -> Vec<Prior> {
+    let first = model.columns().len();
+    let zeros = (0..origin_count * BAR_JOINTS).map(|zero| Prior {
+        column: first + zero,
+        value: 0.0,
+        sigma: ZERO_SIGMA_RAD,
+    });
+    model.priors().into_iter().chain(zeros).collect()
+}
+
+/// Standard deviation of a residual, from the median of the samples that have one.
+fn spread_rad(
+    model: &Model,
+    motion: &AlignedLog,
+    observations: &[Observation],
+    origins: &[usize],
+    residual: ImpliedAngles,
+    x: &[f64],
+) -> Option<f64> {
+    let (chain, zeros) = x.split_at(model.columns().len().min(x.len()));
+    let judge = Judge::new(motion, model.geometry(chain), residual.measured);
+    let mut squares: Vec<f64> = observations
+        .iter()
+        .zip(origins)
+        .filter_map(|(observation, origin)| {
+            let mut bar_rad = observation.bar_rad;
+            for (joint, angle) in bar_rad.iter_mut().enumerate() {
+                *angle += zeros.get(origin * BAR_JOINTS + joint).copied().unwrap_or(0.0);
+            }
+            let errors = judge.errors(observation.t_s, &bar_rad)?;
+            let trust = residual.trust(&bar_rad);
+            Some(errors.error_rad.iter().zip(trust).map(|(error, trust)| (trust * error).powi(2)).sum())
+        })
+        .collect();
+    let count = residual.measured.iter().filter(|measured| **measured).count() as f64;
+    Some((median(&mut squares) / (MEDIAN_OF_5 * count / BAR_JOINTS as f64)).sqrt()).filter(|s| s.is_finite())
+}
+
+/// Compares single samples with a fitted geometry.
+pub(super) struct Judge<'a, M> {
+    motion: &'a M,
+    geometry: Geometry,
+    robot_tracer: Tracer,
+    bar: Chain,
+    bar_tracer: Tracer,
+    measured: [bool; BAR_JOINTS],
+}
+
+/// A sample against what the robot's pose implies.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Errors {
+    /// Measured less implied joints; 0 without encoder \[rad\].
+    pub error_rad: [f64; BAR_JOINTS],
+    /// Joints that the robot's pose implies \[rad\].
+    pub implied_rad: [f64; BAR_JOINTS],
+    /// How fast they move by the robot's log \[rad/s\].
+    pub implied_rad_s: [f64; BAR_JOINTS],
+}
+
+impl<'a, M: RobotMotion> Judge<'a, M> {
+    pub fn new(motion: &'a M, geometry: Geometry, measured: [bool; BAR_JOINTS]) -> Self {
+        let bar = geometry.bar();
+        let [robot_tracer, bar_tracer] = [&geometry.robot, &bar].map(Tracer::new);
+        Self { motion, robot_tracer, bar_tracer, bar, geometry, measured }
+    }
+
+    /// The robot's log says something at bar time `t_s`.
+    pub fn covers(&self, t_s: f64) -> bool {
+        self.motion.at(self.geometry.clock.robot_time_s(t_s)).is_some()
+    }
+
+    /// None where the robot's log says nothing, or at a singular pose.
+    pub fn errors(&self, t_s: f64, bar_rad: &[f64; BAR_JOINTS]) -> Option<Errors> {
+        let state = self.motion.at(self.geometry.clock.robot_time_s(t_s))?;
+        let mut robot = Trace::default();
+        self.robot_tracer.trace(&state.q, &mut robot);
+        let near = std::array::from_fn(|joint| self.measured[joint].then_some(bar_rad[joint]));
+        let implied = ImpliedBar::new(&self.bar, &self.bar_tracer, robot.end(), &near).ok()?;
+        let corrected = self.geometry.harmonics.corrected(bar_rad);
+        let error_rad = std::array::from_fn(|joint| {
+            if self.measured[joint] { wrapped(corrected[joint] - implied.joints_rad[joint]) } else { 0.0 }
+        });
+        let rates = robot.joint_twists().zip(state.qd).map(|(twist, qd)| implied.by_pose(&twist) * qd);
+        let implied_rad_s = rates.fold(Vector5::zeros(), |sum, rate| sum + rate).into();
+        Some(Errors { error_rad, implied_rad: implied.joints_rad, implied_rad_s })
+    }
 }

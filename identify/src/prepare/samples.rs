@@ -1,167 +1,200 @@
-//! The bar's samples about the reference time: what relates them to the robot's log, and which of them are kept.
+//! What becomes of each sample once the logs are brought together.
 
-use shared::time::UtcNs;
+use nalgebra::Vector3;
 
-use super::select::apart;
-use super::speeds::STEP_S;
+use super::bar_angles::BarSegment;
+use super::find::{Found, Raw};
+use super::judge::{Judged, LocalShift, check_clock, check_slips, local_shifts, outliers, spreads_rad};
+use super::refine::Judge;
+use super::select::{apart, spread_over_sphere};
 use super::timeline::Sample;
-use super::{
-    AnglePair, BarSegment, ClockFit, EncoderOffset, Fate, Match, Offsets, Predictor, PrepareError,
-    PrepareOptions, Relation, SampleCounts, find_offsets, refine, select,
-};
-use crate::kinematics::BAR_JOINTS;
+use super::{AlignedLog, Fate, PrepareError, PrepareOptions, SampleCounts};
+use crate::kinematics::{BAR_JOINTS, singularity_margin_rad};
 use crate::model::Observation;
 
-/// Travel between samples from which offsets and clocks are found \[rad\].
-const PAIRS_APART_RAD: f64 = 0.01;
 /// Samples so near to an end or a hole of the robot's log \[s\] might leave it when a solve moves the clocks.
 const EDGE_S: f64 = 0.03;
 /// Fewest samples that a solve can begin with.
 const KEPT_MIN: usize = 50;
+/// Samples of a long recording that are looked at, at most; the others are surplus unseen.
+const LOOKED_AT_MAX: usize = 120_000;
 
-/// Bar samples with their times from the reference time.
-pub(super) struct Samples {
-    all: Vec<(f64, [f64; BAR_JOINTS])>,
-    /// Reference time after the segment's first sample \[s\].
-    pub t_ref_s: f64,
-    t_ref_ns: i64,
-}
-
-/// Which samples are kept, and what became of the others.
-pub(super) struct Kept {
-    indices: Vec<usize>,
-    /// Of each sample of the segment.
-    pub fates: Vec<Fate>,
-}
-
-impl Samples {
-    pub fn new(segment: &BarSegment, matched: &Match, log_duration_s: f64) -> Self {
-        let since_first_ns = |time: &UtcNs| segment.times.first().map_or(0, |first| time.ns_since(*first));
-        let shift_s = matched.shift * STEP_S;
-        let end_s = segment.times.last().map_or(0.0, |last| since_first_ns(last) as f64 * 1e-9);
-        let overlap_s = [(-shift_s).max(0.0), (log_duration_s - shift_s).min(end_s)];
-        let t_ref_ns = (0.5e9 * (overlap_s[0] + overlap_s[1])).round() as i64;
-        let all = segment
-            .times
-            .iter()
-            .zip(&segment.angles_rad)
-            .map(|(time, angles)| ((since_first_ns(time) - t_ref_ns) as f64 * 1e-9, *angles))
-            .collect();
-        Self { all, t_ref_s: t_ref_ns as f64 * 1e-9, t_ref_ns }
-    }
-
-    pub fn t_ref(&self, segment: &BarSegment) -> UtcNs {
-        segment.times.first().copied().unwrap_or_default().plus_ns(self.t_ref_ns)
-    }
-
-    pub fn observations(&self, kept: &Kept, measured: &[bool; BAR_JOINTS]) -> Vec<Observation> {
-        kept.indices
-            .iter()
-            .filter_map(|&index| self.all.get(index))
-            .map(|&(t_s, bar_rad)| Observation { t_s, bar_rad, measured: *measured, length_m: None })
-            .collect()
-    }
-
-    fn angles(&self) -> Vec<[f64; BAR_JOINTS]> {
-        self.all.iter().map(|(_, angles)| *angles).collect()
-    }
-
-    /// Samples spread over the motion, with what the robot's log predicts there.
-    fn pairs(&self, predictor: &Predictor<'_>, clock: ClockFit, margin_rad: f64) -> Vec<(usize, AnglePair)> {
-        apart(&self.angles(), PAIRS_APART_RAD)
-            .into_iter()
-            .filter_map(|index| {
-                let (t_s, measured_rad) = *self.all.get(index)?;
-                let predicted = predictor.at(clock.tau_s(t_s)).filter(|bar| bar.margin_rad > margin_rad)?;
-                Some((index, AnglePair { measured_rad, predicted }))
-            })
-            .collect()
-    }
-
-    pub fn keep(
-        &self,
-        predictor: &Predictor<'_>,
-        clock: ClockFit,
-        margin_rad: f64,
-        options: &PrepareOptions,
-    ) -> Result<Kept, PrepareError> {
-        let mut fates = vec![Fate::Outside; self.all.len()];
-        let mut usable = Vec::new();
-        for (index, (t_s, _)) in self.all.iter().enumerate() {
-            let tau_s = clock.tau_s(*t_s);
-            let around = [tau_s - EDGE_S, tau_s + EDGE_S].map(|tau_s| predictor.at(tau_s).is_some());
-            match predictor.at(tau_s).filter(|_| around == [true, true]) {
-                None => {}
-                Some(bar) if bar.margin_rad <= margin_rad => fates[index] = Fate::Singular,
-                Some(_) => {
-                    fates[index] = Fate::Standstill;
-                    usable.push(index);
-                }
-            }
-        }
-        let angles: Vec<[f64; BAR_JOINTS]> =
-            usable.iter().filter_map(|&index| self.all.get(index)).map(|(_, angles)| *angles).collect();
-        let motion_min_rad = options.motion_min_mrad * 1e-3;
-        let of_all = |indices: Vec<usize>| -> Vec<usize> {
-            indices.into_iter().filter_map(|index| usable.get(index).copied()).collect()
-        };
-        for index in of_all(apart(&angles, motion_min_rad)) {
-            fates[index] = Fate::Surplus;
-        }
-        let indices = of_all(select(&angles, motion_min_rad, options.points_max));
-        for &index in &indices {
-            fates[index] = Fate::Kept;
-        }
-        if indices.len() < KEPT_MIN {
-            let counts = SampleCounts::of(&fates);
-            return Err(PrepareError::NothingLeft {
-                kept: indices.len(),
-                outside: counts.outside_robot_log,
-                singular: counts.singular,
-                standstill: counts.standstill,
-            });
-        }
-        Ok(Kept { indices, fates })
-    }
-
-    /// The samples with offsets added, for drawing.
-    pub fn drawn(&self, segment: &BarSegment, offsets_rad: &[f64; BAR_JOINTS]) -> Vec<Sample> {
-        let samples = segment.cycles.iter().zip(&self.all).map(|(&cycle, (t_s, angles_rad))| Sample {
-            cycle,
-            t_s: *t_s,
-            bar_rad: std::array::from_fn(|joint| angles_rad[joint] + offsets_rad[joint]),
+/// All valid samples of a recording, with times since the first.
+pub(super) fn raw_samples(segments: &[BarSegment]) -> Vec<Raw> {
+    let Some(first) = segments.first().and_then(|segment| segment.times.first()) else { return Vec::new() };
+    let of_segment = |(origin, segment): (usize, &BarSegment)| {
+        let samples = segment.cycles.iter().zip(&segment.times).zip(&segment.angles_rad);
+        let raw = samples.map(move |((cycle, time), angles_rad)| Raw {
+            cycle: *cycle,
+            origin,
+            t_s: time.seconds_since(*first),
+            recorded_rad: *angles_rad,
         });
-        samples.collect()
-    }
+        raw.collect::<Vec<Raw>>()
+    };
+    segments.iter().enumerate().flat_map(of_segment).collect()
 }
 
-/// Offsets at the coarse alignment, then everything refined, then judged.
-pub(super) fn relate(
-    predictor: &Predictor<'_>,
-    samples: &Samples,
-    measured: &[bool; BAR_JOINTS],
-    coarse: ClockFit,
-    margin_rad: f64,
+/// The samples after all decisions.
+pub(super) struct Sorted {
+    /// Of every sample.
+    pub fates: Vec<Fate>,
+    /// Joints of every sample, zeros added; those without encoder are 0 \[rad\].
+    pub joints: Vec<Sample>,
+    /// For the solve, in the order of time.
+    pub observations: Vec<Observation>,
+    /// How the alignment varies along the run.
+    pub local_shifts: Vec<LocalShift>,
+    /// Scatter of each encoder about the fit \[rad\].
+    pub spread_rad: [f64; BAR_JOINTS],
+}
+
+/// Sorts the samples of `raw`; `t_ref_s` is the reference time after the first, `reference` the origin whose zeros the
+/// observations have.
+///
+/// # Errors
+/// [`PrepareError::ClockJump`], [`PrepareError::EncoderSlip`], [`PrepareError::PoorFit`], [`PrepareError::NothingLeft`].
+pub(super) fn sort(
+    raw: &[Raw],
+    found: &Found,
+    motion: &AlignedLog,
+    t_ref_s: f64,
+    reference: usize,
     options: &PrepareOptions,
-) -> Result<Relation, PrepareError> {
-    let angles =
-        |pairs: &[(usize, AnglePair)]| -> Vec<AnglePair> { pairs.iter().map(|(_, pair)| *pair).collect() };
-    let pairs = samples.pairs(predictor, coarse, margin_rad);
-    // A skewed clock spreads the angles of a long run: judged only after the clock is refined.
-    let rough = find_offsets(&angles(&pairs), measured, f64::INFINITY)?;
-    let moving: Vec<(f64, [f64; BAR_JOINTS])> =
-        pairs.iter().filter_map(|(index, _)| samples.all.get(*index).copied()).collect();
-    let start = Relation { clock: coarse, base_m: predictor.base_m(), offsets: rough };
-    let refined = refine(predictor, &moving, &start);
-    let predictor = predictor.clone().with_base(refined.base_m);
-    let pairs = samples.pairs(&predictor, refined.clock, margin_rad);
-    let judged = find_offsets(&angles(&pairs), measured, options.spread_max_mrad)?;
-    let encoders = judged
-        .encoders
+) -> Result<Sorted, PrepareError> {
+    let wiring = &found.wiring.used;
+    let measured = wiring.measured();
+    let zeros = |origin: usize| found.settled.zeros.get(origin).copied().flatten().map(|z| z.offsets_rad);
+    let joints: Vec<Sample> = raw
         .iter()
-        .zip(&refined.offsets.encoders)
-        .map(|(judged, refined)| EncoderOffset { offset_rad: refined.offset_rad, ..*judged })
+        .map(|raw| {
+            let angles = wiring.applied(&raw.recorded_rad);
+            let zeros = zeros(raw.origin).unwrap_or_default();
+            let bar_rad = std::array::from_fn(|joint| angles[joint] + zeros[joint]);
+            Sample { cycle: raw.cycle, t_s: raw.t_s - t_ref_s, bar_rad }
+        })
         .collect();
-    let offsets = Offsets { configuration: refined.offsets.configuration, encoders };
-    Ok(Relation { offsets, ..refined })
+    let (mut fates, judged) = look_at_all(raw, &joints, found, motion, options);
+    let local_shifts = local_shifts(&judged);
+    check_clock(&local_shifts, t_ref_s)?;
+    check_slips(&judged, &measured, t_ref_s, options)?;
+    let spread_rad = spreads_rad(&judged);
+    check_fit(&spread_rad, options)?;
+    for sample in outliers(&judged, &spread_rad) {
+        fates[sample] = Fate::Outlier;
+    }
+    choose(&joints, &mut fates, options)?;
+    let reference_rad = zeros(reference).unwrap_or_default();
+    let kept = joints.iter().zip(&fates).filter(|(_, fate)| **fate == Fate::Kept);
+    let observations = kept.map(|(sample, _)| Observation {
+        measured,
+        ..Observation::bar(
+            sample.t_s,
+            std::array::from_fn(|j| if measured[j] { sample.bar_rad[j] - reference_rad[j] } else { 0.0 }),
+        )
+    });
+    Ok(Sorted { observations: observations.collect(), fates, joints, local_shifts, spread_rad })
+}
+
+/// Where samples are usable they are `Standstill` so far: whether they move is seen later.
+fn look_at_all(
+    raw: &[Raw],
+    joints: &[Sample],
+    found: &Found,
+    motion: &AlignedLog,
+    options: &PrepareOptions,
+) -> (Vec<Fate>, Vec<Judged>) {
+    let mut geometry = found.fit.geometry.clone();
+    // The motion's own time is aligned already.
+    (geometry.clock.shift_s, geometry.clock.skew) = (0.0, found.fit.clock.skew);
+    let measured = found.wiring.used.measured();
+    let judge = Judge::new(motion, geometry, measured);
+    let margin_min_rad = options.singular_margin_deg.to_radians();
+    let stride = raw.len().div_ceil(LOOKED_AT_MAX).max(1);
+    let mut fates = vec![Fate::Surplus; raw.len()];
+    let mut judged = Vec::new();
+    for (index, (raw, sample)) in raw.iter().zip(joints).enumerate() {
+        let has_zeros = found.settled.zeros.get(raw.origin).is_some_and(Option::is_some);
+        if !has_zeros {
+            fates[index] = Fate::OtherOrigin;
+            continue;
+        }
+        if !index.is_multiple_of(stride) {
+            continue;
+        }
+        let covered = [-EDGE_S, 0.0, EDGE_S].iter().all(|by_s| judge.covers(sample.t_s + by_s));
+        if !covered {
+            fates[index] = Fate::Outside;
+            continue;
+        }
+        let errors = judge.errors(sample.t_s, &sample.bar_rad);
+        let margin_rad = errors.map_or(0.0, |errors| singularity_margin_rad(&errors.implied_rad));
+        let Some(errors) = errors.filter(|_| margin_rad > margin_min_rad) else {
+            fates[index] = Fate::Singular;
+            continue;
+        };
+        fates[index] = Fate::Standstill;
+        let trust = margin_rad.sin();
+        judged.push(Judged {
+            sample: index,
+            t_s: sample.t_s,
+            origin: raw.origin,
+            error_rad: errors.error_rad.map(|error| error * trust),
+            speed_rad_s: std::array::from_fn(
+                |j| {
+                    if measured[j] { errors.implied_rad_s[j] * trust } else { 0.0 }
+                },
+            ),
+        });
+    }
+    (fates, judged)
+}
+
+fn check_fit(spread_rad: &[f64; BAR_JOINTS], options: &PrepareOptions) -> Result<(), PrepareError> {
+    let spreads_mrad = spread_rad.map(|spread| spread * 1e3);
+    if spreads_mrad.iter().all(|spread| *spread <= options.fit_max_mrad) {
+        return Ok(());
+    }
+    let told: Vec<String> = spreads_mrad
+        .iter()
+        .enumerate()
+        .filter(|(_, spread)| **spread > 0.0)
+        .map(|(joint, spread)| format!("{spread:.1} (joint {})", joint + 1))
+        .collect();
+    Err(PrepareError::PoorFit { spreads: told.join(", "), limit_mrad: options.fit_max_mrad })
+}
+
+/// Among those that are usable: standstill, surplus, kept.
+fn choose(joints: &[Sample], fates: &mut [Fate], options: &PrepareOptions) -> Result<(), PrepareError> {
+    let usable: Vec<usize> =
+        (0..joints.len()).filter(|index| fates.get(*index) == Some(&Fate::Standstill)).collect();
+    let angles: Vec<[f64; BAR_JOINTS]> = usable.iter().map(|index| joints[*index].bar_rad).collect();
+    let moving: Vec<usize> =
+        apart(&angles, options.motion_min_mrad * 1e-3).into_iter().map(|place| usable[place]).collect();
+    for index in &moving {
+        fates[*index] = Fate::Surplus;
+    }
+    let directions: Vec<Vector3<f64>> = moving.iter().map(|index| rod(&joints[*index].bar_rad)).collect();
+    let points_max = if options.points_max == 0 { usize::MAX } else { options.points_max };
+    let kept = spread_over_sphere(&moving, &directions, points_max);
+    for index in &kept {
+        fates[*index] = Fate::Kept;
+    }
+    if kept.len() >= KEPT_MIN {
+        return Ok(());
+    }
+    let counts = SampleCounts::of(fates);
+    Err(PrepareError::NothingLeft {
+        kept: kept.len(),
+        outside: counts.outside_robot_log,
+        singular: counts.singular,
+        standstill: counts.standstill,
+    })
+}
+
+/// Direction of the rod in the bar's base, up to the signs of its axes.
+fn rod(bar_rad: &[f64; BAR_JOINTS]) -> Vector3<f64> {
+    let ([sin1, cos1], [sin2, cos2]) =
+        ([bar_rad[0].sin(), bar_rad[0].cos()], [bar_rad[1].sin(), bar_rad[1].cos()]);
+    Vector3::new(cos1 * sin2, sin1 * sin2, cos2)
 }

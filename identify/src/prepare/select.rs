@@ -1,5 +1,9 @@
 //! Which samples are worth keeping.
 
+use std::f64::consts::PI;
+
+use nalgebra::Vector3;
+
 use crate::kinematics::BAR_JOINTS;
 
 /// Rounds of halving the interval in which the distance between samples is sought.
@@ -24,6 +28,45 @@ pub fn select(angles_rad: &[[f64; BAR_JOINTS]], motion_min_rad: f64, points_max:
     let mut kept = apart(angles_rad, high);
     kept.truncate(points_max);
     kept
+}
+
+/// Indices, in order, of at most `points_max` of `samples`, spread over the sphere of directions as evenly as they lie
+/// there: the sphere is cut into cells of equal area, each cell gives the same number or all it has, evenly taken in the
+/// order of the samples. A path that crosses one region ten times would otherwise weigh it tenfold.
+///
+/// `directions` are unit vectors, one for each of `samples`.
+pub fn spread_over_sphere(samples: &[usize], directions: &[Vector3<f64>], points_max: usize) -> Vec<usize> {
+    if samples.len() <= points_max {
+        return samples.to_vec();
+    }
+    let mut cells = vec![Vec::new(); CELLS];
+    for (sample, direction) in samples.iter().zip(directions) {
+        if let Some(cell) = cells.get_mut(cell_of(direction)) {
+            cell.push(*sample);
+        }
+    }
+    cells.retain(|cell| !cell.is_empty());
+    cells.sort_by_key(Vec::len);
+    let (mut left, mut chosen) = (points_max, Vec::with_capacity(points_max));
+    let count = cells.len();
+    for (place, cell) in cells.iter().enumerate() {
+        let share = (left / (count - place)).min(cell.len());
+        left -= share;
+        chosen.extend((0..share).filter_map(|k| cell.get((2 * k + 1) * cell.len() / (2 * share))));
+    }
+    chosen.sort_unstable();
+    chosen
+}
+
+/// Cells of equal area on the sphere: rings of equal height, each cut into the same number.
+const RINGS: usize = 12;
+const SECTORS: usize = 24;
+const CELLS: usize = RINGS * SECTORS;
+
+fn cell_of(direction: &Vector3<f64>) -> usize {
+    let of = |part: f64, count: usize| ((part * count as f64) as usize).min(count - 1);
+    let ring = of(0.5 * (1.0 + direction.z), RINGS);
+    ring * SECTORS + of(0.5 * (1.0 + direction.y.atan2(direction.x) / PI), SECTORS)
 }
 
 /// Indices of samples at least `step_rad` from the last one kept; the first is always kept.

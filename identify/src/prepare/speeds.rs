@@ -1,31 +1,43 @@
 //! Joint speeds on a uniform grid, without signs: what both logs can be compared by before anything is known.
 
-use std::f64::consts::TAU;
-
+use super::find::Raw;
 use super::predict::Predictor;
-use super::{BarSegment, Channels};
+use super::{Channels, circular::wrapped};
 use crate::kinematics::BAR_JOINTS;
 use crate::logs::CubicSpline;
 
-/// Step of the grid \[s\].
+/// Finest step of the grid \[s\].
 pub(super) const STEP_S: f64 = 0.01;
 /// Speeds are differences over this many steps to either side: noise of the readings is divided by their time.
 const REACH: usize = 2;
 /// Bar samples further apart are not bridged \[s\].
 const GAP_LIMIT_S: f64 = 0.05;
+/// Faster than a bar ever turns \[rad/s\]: a jump of the counters or of the robot's log.
+const SPEED_RAD_S_MAX: f64 = 4.0;
 
 /// Angle at each grid point, or none where it is not known.
 type Angles = Vec<Option<[f64; BAR_JOINTS]>>;
 
-/// Measured speeds, from the segment's first sample on. None where the samples are too far apart.
-pub(super) fn measured_speeds(segment: &BarSegment, measured: &[bool; BAR_JOINTS]) -> Option<Channels> {
-    let first = *segment.times.first()?;
-    let t_s: Vec<f64> = segment.times.iter().map(|time| time.seconds_since(first)).collect();
-    let spline = CubicSpline::new(&t_s, &segment.angles_rad, GAP_LIMIT_S)?;
-    let steps = (t_s.last()? / STEP_S) as usize + 1;
-    let angles: Angles =
-        (0..steps).map(|step| spline.at(step as f64 * STEP_S).map(|point| point.value)).collect();
-    Some(speeds(&angles, measured))
+/// Measured speeds of `joints` (from 0), from the first sample on, at least every `step_s`.
+pub(super) fn measured_speeds(samples: &[Raw], joints: &[usize], step_s: f64) -> Channels {
+    let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
+        return Channels { known: Vec::new(), values: vec![Vec::new(); joints.len()] };
+    };
+    let steps = ((last.t_s - first.t_s) / step_s) as usize + 1;
+    let mut angles: Angles = vec![None; steps];
+    for of_origin in samples.chunk_by(|a, b| a.origin == b.origin) {
+        let t_s: Vec<f64> = of_origin.iter().map(|raw| raw.t_s - first.t_s).collect();
+        let values: Vec<[f64; BAR_JOINTS]> = of_origin.iter().map(|raw| raw.recorded_rad).collect();
+        let Some(spline) = CubicSpline::new(&t_s, &values, GAP_LIMIT_S) else { continue };
+        let (from_s, to_s) = spline.range_s();
+        let grid = (from_s / step_s).ceil() as usize..=(to_s / step_s) as usize;
+        for step in grid {
+            if let Some(slot) = angles.get_mut(step) {
+                *slot = spline.at(step as f64 * step_s).map(|point| point.value);
+            }
+        }
+    }
+    speeds(&angles, joints, step_s)
 }
 
 /// Predicted speeds, from the robot log's first stamp to `duration_s`. Unknown nearer to singular poses than
@@ -33,30 +45,39 @@ pub(super) fn measured_speeds(segment: &BarSegment, measured: &[bool; BAR_JOINTS
 pub(super) fn predicted_speeds(
     predictor: &Predictor<'_>,
     duration_s: f64,
-    measured: &[bool; BAR_JOINTS],
+    joints: &[usize],
     margin_rad: f64,
+    step_s: f64,
 ) -> Channels {
-    let steps = (duration_s / STEP_S) as usize + 1;
+    let steps = (duration_s / step_s) as usize + 1;
     let angles: Angles = (0..steps)
-        .map(|step| predictor.at(step as f64 * STEP_S))
+        .map(|step| predictor.at(step as f64 * step_s))
         .map(|bar| bar.filter(|bar| bar.margin_rad > margin_rad).map(|bar| bar.joints_rad))
         .collect();
-    speeds(&angles, measured)
+    speeds(&angles, joints, step_s)
 }
 
-fn speeds(angles: &Angles, measured: &[bool; BAR_JOINTS]) -> Channels {
-    let joints: Vec<usize> = (0..BAR_JOINTS).filter(|&joint| measured[joint]).collect();
+fn speeds(angles: &Angles, joints: &[usize], step_s: f64) -> Channels {
     let mut channels =
         Channels { known: vec![false; angles.len()], values: vec![vec![0.0; angles.len()]; joints.len()] };
     for step in REACH..angles.len().saturating_sub(REACH) {
         let around = (&angles[step - REACH], &angles[step + REACH]);
         let (Some(before), Some(after)) = around else { continue };
+        let speed =
+            |joint: &usize| wrapped(after[*joint] - before[*joint]).abs() / (2.0 * REACH as f64 * step_s);
+        if joints.iter().any(|joint| speed(joint) > SPEED_RAD_S_MAX) {
+            continue;
+        }
         channels.known[step] = true;
-        for (channel, &joint) in channels.values.iter_mut().zip(&joints) {
-            let turned = after[joint] - before[joint];
-            let turned = turned - (turned / TAU).round() * TAU;
-            channel[step] = turned.abs() / (2.0 * REACH as f64 * STEP_S);
+        for (channel, joint) in channels.values.iter_mut().zip(joints) {
+            channel[step] = speed(joint);
         }
     }
     channels
+}
+
+/// All channels as one, the root of the sum of their squares: the same whichever encoder is called which.
+pub(super) fn without_order(channels: &Channels) -> Channels {
+    let sum = |step: usize| channels.values.iter().map(|values| values[step].powi(2)).sum::<f64>().sqrt();
+    Channels { known: channels.known.clone(), values: vec![(0..channels.known.len()).map(sum).collect()] }
 }

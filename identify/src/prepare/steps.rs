@@ -5,14 +5,15 @@ use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 use shared::time::UtcNs;
 
-use super::correlate::TIE;
-use super::samples::{Samples, relate};
-use super::speeds::{STEP_S, measured_speeds, predicted_speeds};
+use super::bar_angles::{BarAngles, bar_angles};
+use super::find::{Found, Raw, Search};
+use super::origins::join;
+use super::samples::{Sorted, raw_samples, sort};
+use super::smooth::{smoothed_log, smoothed_segments};
 use super::timeline::Run;
 use super::{
-    AlignedLog, Alignment, BarAngles, BarSegment, ClockFit, Fate, InitialValues, Match, Predictor,
-    PrepareError, PrepareOptions, Prepared, Relation, SampleCounts, SphereFit, bar_angles, correlate,
-    fit_sphere,
+    AlignedLog, Alignment, ClockFit, EncoderOffset, Fate, InitialValues, Predictor, PrepareError,
+    PrepareOptions, Prepared, SampleCounts, SphereFit, fit_sphere,
 };
 use crate::kinematics::{BAR_JOINTS, Chain, ball_bar_chain, robot_chain};
 use crate::logs::{InterpolatedLog, RobotLog, default_gap_limit_s};
@@ -21,13 +22,13 @@ use crate::logs::{InterpolatedLog, RobotLog, default_gap_limit_s};
 const TRAVEL_DEG_MIN: f64 = 3.0;
 /// Robot positions nearer to the last one say nothing new about the sphere \[m\].
 const POSITIONS_APART_M: f64 = 0.005;
-/// Longest log \[s\]. Memory for the correlation grows with it, and a longer one mostly is a clock that was set.
-const DURATION_S_MAX: f64 = 3.0 * 3600.0;
+/// Longest log \[s\]. A longer one mostly is a clock that was set.
+const DURATION_S_MAX: f64 = 24.0 * 3600.0;
 
 /// Brings recording and robot log together.
 ///
-/// `encoders` are those of the recording, in its order. Only the longest run between two changes of the counters' origin
-/// is used: another one has other zeros.
+/// `encoders` are those of the recording, in its order. Parts of the recording after a change of the counters' origin are
+/// used too, each with its own zeros.
 ///
 /// # Errors
 /// [`PrepareError`] says which step failed, with its figures.
@@ -39,106 +40,182 @@ pub fn prepare(
     bar: &BallBarConfig,
     options: &PrepareOptions,
 ) -> Result<Prepared, PrepareError> {
-    let angles = bar_angles(cycles, encoders)?;
-    let segment = angles
-        .segments
-        .iter()
-        .max_by_key(|segment| segment.times.len())
-        .ok_or(PrepareError::NoValidCycle { cycles: cycles.len() })?;
-    check_motion(segment, log)?;
+    let mut angles = bar_angles(cycles, encoders)?;
+    let log = &smoothed(&mut angles, log, options);
+    let raw = raw_samples(&angles.segments);
+    check_motion(&raw, cycles.len(), log)?;
+    check_length(&raw, log, options)?;
     let interpolated = InterpolatedLog::new(log, default_gap_limit_s(log))?;
     let (robot, bar_chain) = (robot_chain(robot, bar), ball_bar_chain(bar));
     let sphere = sphere(log, &robot, bar.length_m, options)?;
     let predictor = Predictor::new(&interpolated, &robot, &bar_chain, sphere.centre_m)?;
-    let matched = match_speeds(&predictor, segment, log.duration_s(), &angles.measured, options)?;
+    let recorded_joints: Vec<u8> = encoders.iter().map(|encoder| encoder.joint).collect();
+    let search = Search {
+        samples: &raw,
+        recorded_joints: &recorded_joints,
+        origins: angles.segments.len(),
+        log: &interpolated,
+        log_duration_s: log.duration_s(),
+        predictor: &predictor,
+        chains: [&robot, &bar_chain],
+        options,
+    };
+    let mut found = search.run()?;
 
-    let samples = Samples::new(segment, &matched, log.duration_s());
-    let margin_rad = options.singular_margin_deg.to_radians();
-    let coarse = ClockFit { shift_s: samples.t_ref_s + matched.shift * STEP_S, skew: 0.0 };
-    let relation = relate(&predictor, &samples, &angles.measured, coarse, margin_rad, options)?;
-    let Relation { clock, base_m, offsets } = relation;
-    let predictor = predictor.with_base(base_m);
-    let kept = samples.keep(&predictor, clock, margin_rad, options)?;
-    let fates = fates_of_all(&angles, segment, &kept.fates);
-
-    let t_ref = samples.t_ref(segment);
-    let timeline = Run {
+    let overlap_s = overlap_s(&raw, found.fit.clock, log.duration_s());
+    let t_ref_s = 0.5 * (overlap_s[0] + overlap_s[1]);
+    let t_ref = first_time(&angles).plus_ns((t_ref_s * 1e9).round() as i64);
+    let clock = found.fit.clock.counted_from(t_ref_s);
+    let motion = AlignedLog::new(interpolated.clone(), clock.shift_s);
+    let (reference, origins) = join(&raw, &mut found, t_ref_s);
+    let sorted = sort(&raw, &found, &motion, t_ref_s, reference, options)?;
+    let fates = fates_of_all(&angles, &raw, &sorted.fates);
+    let measured = found.wiring.used.measured();
+    let base_m = found.fit.geometry.base.origin_m;
+    let run = Run {
         fates: &fates,
         cycle_s: &|cycle| cycles.get(cycle).map_or(0.0, |cycle| cycle.sample_time.seconds_since(t_ref)),
-        samples: &samples.drawn(segment, &offsets.by_joint_rad()),
-        measured: &angles.measured,
-        configuration: offsets.configuration,
+        samples: &sorted.joints,
+        measured: &measured,
+        configuration: found.settled.configuration,
         predictor: &predictor,
         clock,
-    }
-    .timeline();
-    let robot_ref_ns = log.first_stamp_ns.saturating_add((clock.shift_s * 1e9).round() as i64);
+    };
+    let timeline = run.timeline();
+    let offsets = offsets(&found, reference, &sorted);
     Ok(Prepared {
         t_ref,
-        observations: samples.observations(&kept, &angles.measured),
-        measured: angles.measured,
-        initial: InitialValues {
-            clock_shift_s: 0.0,
-            clock_skew: clock.skew,
-            base_m,
-            length_m: sphere.radius_m,
-            btheta_rad: offsets.by_joint_rad(),
-        },
-        configuration: offsets.configuration,
-        alignment: alignment(&matched, clock, robot_ref_ns, t_ref),
-        offsets: offsets.encoders,
+        measured,
+        initial: initial(base_m, &sphere, clock, &offsets),
+        configuration: found.settled.configuration,
+        alignment: alignment(&found, clock, log, t_ref, overlap_s),
+        offsets,
         sphere,
         counts: SampleCounts::of(&fates),
         timeline,
-        motion: AlignedLog::new(interpolated.clone(), clock.shift_s),
+        wiring: found.wiring,
+        origins,
+        local_shifts: sorted.local_shifts,
+        observations: sorted.observations,
+        motion,
     })
 }
 
-/// What became of every cycle of the recording, from what became of those of the segment that is used.
-fn fates_of_all(angles: &BarAngles, used: &BarSegment, of_used: &[Fate]) -> Vec<Fate> {
-    let mut fates = angles.fates.clone();
-    for cycle in angles.segments.iter().flat_map(|segment| &segment.cycles) {
-        if let Some(fate) = fates.get_mut(*cycle) {
-            *fate = Fate::OtherOrigin;
-        }
+/// Both logs averaged in the same way where that is asked for.
+fn smoothed(angles: &mut BarAngles, log: &RobotLog, options: &PrepareOptions) -> RobotLog {
+    let width_s = options.moving_average_ms * 1e-3;
+    if width_s.is_nan() || width_s <= 0.0 {
+        return log.clone();
     }
-    for (cycle, of_sample) in used.cycles.iter().zip(of_used) {
-        if let Some(fate) = fates.get_mut(*cycle) {
-            *fate = *of_sample;
+    let before = angles.segments.len();
+    angles.segments = smoothed_segments(&angles.segments, width_s);
+    tracing::debug!(before, after = angles.segments.len(), width_s, "moving average over both logs");
+    smoothed_log(log, width_s, default_gap_limit_s(log))
+}
+
+fn first_time(angles: &BarAngles) -> UtcNs {
+    let first = angles.segments.first().and_then(|segment| segment.times.first());
+    first.copied().unwrap_or_default()
+}
+
+/// Bar times, since the first sample, between which both logs say something \[s\].
+fn overlap_s(raw: &[Raw], clock: ClockFit, log_duration_s: f64) -> [f64; 2] {
+    let end_s = raw.last().map_or(0.0, |last| last.t_s);
+    let bar_time_s = |tau_s: f64| (tau_s - clock.shift_s) / (1.0 + clock.skew);
+    let from_s = bar_time_s(0.0).clamp(0.0, end_s);
+    [from_s, bar_time_s(log_duration_s).clamp(from_s, end_s)]
+}
+
+fn initial(
+    base_m: Vector3<f64>,
+    sphere: &SphereFit,
+    clock: ClockFit,
+    offsets: &[EncoderOffset],
+) -> InitialValues {
+    let mut btheta_rad = [0.0; BAR_JOINTS];
+    for offset in offsets {
+        btheta_rad[usize::from(offset.joint) - 1] = offset.offset_rad;
+    }
+    InitialValues {
+        clock_shift_s: 0.0,
+        clock_skew: clock.skew,
+        base_m,
+        length_m: sphere.radius_m,
+        btheta_rad,
+    }
+}
+
+/// Zeros of the reference origin and how well they fit.
+fn offsets(found: &Found, reference: usize, sorted: &Sorted) -> Vec<EncoderOffset> {
+    let zeros = found.settled.zeros.get(reference).copied().flatten();
+    let measured = found.wiring.used.measured();
+    let offset = |joint: usize| EncoderOffset {
+        joint: joint as u8 + 1,
+        offset_rad: super::circular::wrapped(zeros.map_or(0.0, |zeros| zeros.offsets_rad[joint])),
+        spread_rad: sorted.spread_rad[joint],
+    };
+    (0..BAR_JOINTS).filter(|joint| measured[*joint]).map(offset).collect()
+}
+
+/// What became of every cycle of the recording.
+fn fates_of_all(angles: &BarAngles, raw: &[Raw], of_samples: &[Fate]) -> Vec<Fate> {
+    let mut fates = angles.fates.clone();
+    for (raw, fate) in raw.iter().zip(of_samples) {
+        if let Some(slot) = fates.get_mut(raw.cycle) {
+            *slot = *fate;
         }
     }
     fates
 }
 
-fn alignment(matched: &Match, clock: ClockFit, robot_ref_ns: i64, t_ref: UtcNs) -> Alignment {
+fn alignment(found: &Found, clock: ClockFit, log: &RobotLog, t_ref: UtcNs, overlap_s: [f64; 2]) -> Alignment {
+    let robot_ref_ns = log.first_stamp_ns.saturating_add((clock.shift_s * 1e9).round() as i64);
     Alignment {
-        correlation: matched.correlation,
-        runner_up: matched.runner_up,
-        ambiguous: matched.runner_up > matched.correlation - TIE,
-        overlap_s: matched.overlap as f64 * STEP_S,
+        correlation: found.matched.correlation,
+        runner_up: found.matched.runner_up,
+        ambiguous: found.ambiguous,
+        overlap_s: overlap_s[1] - overlap_s[0],
         clock_difference_ns: robot_ref_ns.saturating_sub(t_ref.0),
         skew: clock.skew,
     }
 }
 
 /// Largest travel of any joint \[deg\].
-fn travel_deg<const N: usize>(rows: &[[f64; N]]) -> f64 {
+fn travel_deg<const N: usize>(rows: impl Iterator<Item = [f64; N]>) -> f64 {
     let mut range = [(f64::INFINITY, f64::NEG_INFINITY); N];
     for row in rows {
         for ((low, high), value) in range.iter_mut().zip(row) {
-            (*low, *high) = (low.min(*value), high.max(*value));
+            (*low, *high) = (low.min(value), high.max(value));
         }
     }
     range.iter().fold(0.0_f64, |most, (low, high)| most.max(high - low)).to_degrees()
 }
 
-fn check_motion(segment: &BarSegment, log: &RobotLog) -> Result<(), PrepareError> {
-    let moves =
-        [("the recording", travel_deg(&segment.angles_rad)), ("the robot log", travel_deg(&log.q_rad))];
+fn check_motion(raw: &[Raw], cycles: usize, log: &RobotLog) -> Result<(), PrepareError> {
+    if raw.is_empty() {
+        return Err(PrepareError::NoValidCycle { cycles });
+    }
+    let of_bar = raw.chunk_by(|a, b| a.origin == b.origin);
+    let of_bar = of_bar.map(|part| travel_deg(part.iter().map(|raw| raw.recorded_rad))).fold(0.0, f64::max);
+    let moves = [("the recording", of_bar), ("the robot log", travel_deg(log.q_rad.iter().copied()))];
     match moves.into_iter().find(|(_, travel_deg)| *travel_deg < TRAVEL_DEG_MIN) {
         Some((what, travel_deg)) => Err(PrepareError::NoMotion { what, travel_deg }),
         None => Ok(()),
     }
+}
+
+fn check_length(raw: &[Raw], log: &RobotLog, options: &PrepareOptions) -> Result<(), PrepareError> {
+    let bar_s = raw.last().map_or(0.0, |last| last.t_s);
+    let logs = [("the recording", bar_s), ("the robot log", log.duration_s())];
+    if let Some((what, seconds)) = logs.into_iter().find(|(_, seconds)| *seconds > DURATION_S_MAX) {
+        let hours_max = DURATION_S_MAX / 3600.0;
+        return Err(PrepareError::TooLong { what, hours: seconds / 3600.0, hours_max });
+    }
+    let (what, seconds) = if bar_s < log.duration_s() { logs[0] } else { logs[1] };
+    if seconds < options.overlap_min_s {
+        return Err(PrepareError::TooShort { what, seconds, needed: options.overlap_min_s });
+    }
+    Ok(())
 }
 
 fn sphere(
@@ -155,11 +232,10 @@ fn sphere(
         }
     }
     let tolerance_mm = options.sphere_tolerance_mm;
-    let not_a_sphere =
-        |inliers: f64| PrepareError::NotASphere { inliers_percent: 100.0 * inliers, tolerance_mm };
-    let sphere = fit_sphere(&positions, tolerance_mm * 1e-3).ok_or_else(|| not_a_sphere(0.0))?;
+    let sphere = fit_sphere(&positions, tolerance_mm * 1e-3).ok_or(PrepareError::LittleMotion)?;
     if sphere.inliers < 0.5 {
-        return Err(not_a_sphere(sphere.inliers));
+        let inliers_percent = 100.0 * sphere.inliers;
+        return Err(PrepareError::NotASphere { inliers_percent, tolerance_mm });
     }
     if (sphere.radius_m - length_m).abs() * 1e3 > options.length_tolerance_mm {
         return Err(PrepareError::OtherLength {
@@ -168,51 +244,4 @@ fn sphere(
         });
     }
     Ok(sphere.drawn_to_length(&positions, tolerance_mm * 1e-3, length_m))
-}
-
-fn match_speeds(
-    predictor: &Predictor<'_>,
-    segment: &BarSegment,
-    log_duration_s: f64,
-    measured: &[bool; BAR_JOINTS],
-    options: &PrepareOptions,
-) -> Result<Match, PrepareError> {
-    let bar_duration_s = match (segment.times.first(), segment.times.last()) {
-        (Some(first), Some(last)) => last.seconds_since(*first),
-        _ => 0.0,
-    };
-    for (what, seconds) in [("the recording", bar_duration_s), ("the robot log", log_duration_s)] {
-        if seconds > DURATION_S_MAX {
-            return Err(PrepareError::TooLong {
-                what,
-                hours: seconds / 3600.0,
-                hours_max: DURATION_S_MAX / 3600.0,
-            });
-        }
-    }
-    let shorter_s = bar_duration_s.min(log_duration_s);
-    let needed_s = options.overlap_min_s.max(options.overlap_min_part * shorter_s);
-    let (what, seconds) = if bar_duration_s < log_duration_s {
-        ("the recording", bar_duration_s)
-    } else {
-        ("the robot log", log_duration_s)
-    };
-    let too_short = |seconds| PrepareError::TooShort { what, seconds, needed: needed_s };
-    if seconds < needed_s {
-        return Err(too_short(seconds));
-    }
-    let from_bar = measured_speeds(segment, measured).ok_or_else(|| too_short(0.0))?;
-    let margin_rad = options.singular_margin_deg.to_radians();
-    let from_robot = predicted_speeds(predictor, log_duration_s, measured, margin_rad);
-    let overlap_min = (needed_s / STEP_S) as usize;
-    let no_match = |correlation, overlap: usize| PrepareError::NoMatch {
-        correlation,
-        overlap_s: overlap as f64 * STEP_S,
-        needed: options.correlation_min,
-    };
-    let matched = correlate(&from_robot, &from_bar, overlap_min).ok_or_else(|| no_match(0.0, 0))?;
-    if matched.correlation < options.correlation_min {
-        return Err(no_match(matched.correlation, matched.overlap));
-    }
-    Ok(matched)
 }

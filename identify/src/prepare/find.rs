@@ -1,0 +1,337 @@
+//! Where in the robot's log the recording lies: candidates from the speeds, the best of them by the angles.
+
+use super::clock::ClockFit;
+use super::correlate::{Match, candidates};
+use super::refine::{Fit, FitSample, refine};
+use super::select::{apart, select};
+use super::speeds::{STEP_S, measured_speeds, predicted_speeds, without_order};
+use super::stretches::{Pair, Settled, settle};
+use super::wiring::{AnglePair, Wiring, WiringReport, find_wiring};
+use super::{Channels, Predictor, PrepareError, PrepareOptions};
+use crate::kinematics::{BAR_JOINTS, Chain};
+use crate::logs::InterpolatedLog;
+
+/// A valid sample of the recording.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Raw {
+    /// Index of its cycle.
+    pub cycle: usize,
+    /// Number of the counters' origin.
+    pub origin: usize,
+    /// Bar time since the first sample \[s\].
+    pub t_s: f64,
+    /// Encoder angles by recorded joint, zeros unknown \[rad\].
+    pub recorded_rad: [f64; BAR_JOINTS],
+}
+
+/// What is searched, and in what.
+pub(super) struct Search<'a> {
+    pub samples: &'a [Raw],
+    /// Of the recording, 1 to 5.
+    pub recorded_joints: &'a [u8],
+    pub origins: usize,
+    pub log: &'a InterpolatedLog,
+    pub log_duration_s: f64,
+    pub predictor: &'a Predictor<'a>,
+    /// Nominal robot and bar.
+    pub chains: [&'a Chain; 2],
+    pub options: &'a PrepareOptions,
+}
+
+/// The logs brought together.
+#[derive(Debug, Clone)]
+pub(super) struct Found {
+    /// How the speeds match.
+    pub matched: Match,
+    /// Another shift fits as well.
+    pub ambiguous: bool,
+    /// Which encoder is which.
+    pub wiring: WiringReport,
+    /// Zeros by origin, refined, and configurations, on all samples.
+    pub settled: Settled,
+    /// The fine fit; its times are those of the samples.
+    pub fit: Fit,
+}
+
+/// The recording is searched for by its liveliest part of at most this length \[s\]: over a longer one clocks of
+/// different rate drift apart.
+const WINDOW_S: f64 = 900.0;
+/// The window grows by this factor from fit to fit.
+const GROWTH: f64 = 4.0;
+/// Grid points that the robot's log takes at most.
+const GRID_MAX: f64 = 1e6;
+/// Candidates by each kind of correlation.
+const CANDIDATES: usize = 6;
+/// Candidates that are fitted.
+const FITTED_MAX: usize = 4;
+/// On nominal geometry, candidates within this factor of the best may turn out to be the better one.
+const NEAR_BEST: f64 = 2.0;
+/// Two fits whose residuals differ by less than this factor are equally good: the motion repeats itself.
+const TIE: f64 = 1.2;
+/// Travel between samples that are compared \[rad\], and how many there are at most.
+const PAIRS_APART_RAD: f64 = 0.01;
+const PAIRS_MAX: usize = 3000;
+/// Samples of a refinement at most.
+const FIT_MAX: usize = 1500;
+/// In windows longer than [`WINDOW_S`] only every so many-th sample is looked at.
+const LONG_STRIDE: usize = 5;
+/// The bar may pass a singular pose unseen in a hole of this length \[s\].
+const HOLE_S: f64 = 1.0;
+
+/// A shift, and how the angles fit there.
+struct Hypothesis {
+    matched: Match,
+    clock: ClockFit,
+    wiring: WiringReport,
+    spread_rad: f64,
+}
+
+impl Search<'_> {
+    /// The best alignment.
+    ///
+    /// # Errors
+    /// [`PrepareError::NoMatch`], [`PrepareError::ClockJump`] and those of [`find_wiring`].
+    pub fn run(&self) -> Result<Found, PrepareError> {
+        let step_s = STEP_S.max(self.log_duration_s / GRID_MAX);
+        let window = self.liveliest();
+        let shifts = self.candidates(&window, step_s)?;
+        let mut hypotheses = Vec::new();
+        let mut refusal = None;
+        for matched in shifts {
+            match self.hypothesis(&window, matched, step_s) {
+                Ok(hypothesis) => hypotheses.push(hypothesis),
+                Err(error) => {
+                    refusal.get_or_insert(error);
+                }
+            }
+        }
+        hypotheses.sort_by(|a, b| a.spread_rad.total_cmp(&b.spread_rad));
+        let best_rad = hypotheses.first().map_or(0.0, |best| best.spread_rad);
+        hypotheses.retain(|one| one.spread_rad <= NEAR_BEST * best_rad);
+        hypotheses.truncate(FITTED_MAX);
+        let mut fitted: Vec<(Hypothesis, Fit)> = Vec::new();
+        for hypothesis in hypotheses {
+            let measured = hypothesis.wiring.used.measured();
+            let settled = self.settled(&window, hypothesis.clock, &hypothesis.wiring.used);
+            let fit = self.refined(&settled, &measured, hypothesis.clock);
+            fitted.extend(fit.map(|fit| (hypothesis, fit)));
+        }
+        let sharpest = fitted.iter().map(|(_, fit)| fit.sigma_rad).fold(f64::INFINITY, f64::min);
+        fitted.retain(|(_, fit)| fit.sigma_rad <= TIE * sharpest);
+        let ambiguous = fitted.len() > 1;
+        // Equally good ones: the motion repeats itself, and the longest overlap is most likely.
+        let longest = fitted.into_iter().reduce(|best, other| {
+            if other.0.matched.overlap as f64 > 1.1 * best.0.matched.overlap as f64 { other } else { best }
+        });
+        let Some((hypothesis, fit)) = longest else {
+            return Err(refusal.unwrap_or(PrepareError::NothingToFit));
+        };
+        let Hypothesis { matched, wiring, .. } = hypothesis;
+        let (settled, fit) = self.grown(window, &wiring.used, fit)?;
+        Ok(Found { matched, ambiguous, wiring, settled, fit })
+    }
+
+    fn margin_rad(&self) -> f64 {
+        self.options.singular_margin_deg.to_radians()
+    }
+
+    /// The part of the recording with the most motion.
+    fn liveliest(&self) -> std::ops::Range<usize> {
+        let duration_s = self.samples.last().map_or(0.0, |last| last.t_s);
+        if duration_s <= WINDOW_S {
+            return 0..self.samples.len();
+        }
+        let index_at = |t_s: f64| self.samples.partition_point(|raw| raw.t_s < t_s);
+        let windows = (0..).map(|half| 0.5 * WINDOW_S * f64::from(half)).take_while(|t_s| *t_s < duration_s);
+        let travel = |range: &std::ops::Range<usize>| -> f64 {
+            let pairs =
+                self.samples[range.clone()].windows(2).filter(|pair| pair[0].origin == pair[1].origin);
+            let steps = pairs.map(|pair| {
+                let (a, b) = (&pair[0].recorded_rad, &pair[1].recorded_rad);
+                a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f64>()
+            });
+            steps.sum()
+        };
+        windows
+            .map(|from_s| index_at(from_s)..index_at(from_s + WINDOW_S))
+            .max_by(|a, b| travel(a).total_cmp(&travel(b)))
+            .unwrap_or(0..self.samples.len())
+    }
+
+    /// Shifts at which the speeds match, for times since the window's first sample, in grid steps.
+    fn candidates(&self, window: &std::ops::Range<usize>, step_s: f64) -> Result<Vec<Match>, PrepareError> {
+        let joints: Vec<usize> = self.recorded_joints.iter().map(|joint| usize::from(*joint) - 1).collect();
+        let samples = self.samples.get(window.clone()).unwrap_or_default();
+        let window_s = match (samples.first(), samples.last()) {
+            (Some(first), Some(last)) => last.t_s - first.t_s,
+            _ => 0.0,
+        };
+        let shorter_s = window_s.min(self.log_duration_s);
+        let overlap_s = self.options.overlap_min_s.max(self.options.overlap_min_part * shorter_s);
+        let overlap_min = (overlap_s / step_s) as usize;
+        let from_bar = measured_speeds(samples, &joints, step_s);
+        let from_robot =
+            predicted_speeds(self.predictor, self.log_duration_s, &joints, self.margin_rad(), step_s);
+        let of = |robot: &Channels, bar: &Channels| candidates(robot, bar, overlap_min, CANDIDATES);
+        let mut all = of(&from_robot, &from_bar);
+        let unordered = of(&without_order(&from_robot), &without_order(&from_bar));
+        let best =
+            all.iter().chain(&unordered).copied().max_by(|a, b| a.correlation.total_cmp(&b.correlation));
+        for one in unordered {
+            if !all.iter().any(|other| (other.shift - one.shift).abs() < 5.0) {
+                all.push(one);
+            }
+        }
+        all.retain(|one| one.correlation >= self.options.correlation_min);
+        if all.is_empty() {
+            return Err(self.no_match(best, samples, &joints, &from_robot, step_s));
+        }
+        Ok(all)
+    }
+
+    /// Whether parts of the recording match by themselves, at shifts that disagree.
+    fn no_match(
+        &self,
+        best: Option<Match>,
+        samples: &[Raw],
+        joints: &[usize],
+        from_robot: &Channels,
+        step_s: f64,
+    ) -> PrepareError {
+        /// Parts of the recording that are looked at one by one.
+        const PARTS: usize = 6;
+        /// Shifts that differ by this much are different \[s\].
+        const DIFFERENT_S: f64 = 0.05;
+        /// Part of a part that must lie in the robot's log.
+        const OVERLAP: f64 = 0.6;
+        let first_s = samples.first().map_or(0.0, |first| first.t_s);
+        let parts = samples.chunks(samples.len().div_ceil(PARTS).max(1)).filter_map(|part| {
+            let start_s = part.first()?.t_s - first_s;
+            let overlap_min = (OVERLAP * (part.last()?.t_s - part.first()?.t_s) / step_s) as usize;
+            let matched =
+                candidates(from_robot, &measured_speeds(part, joints, step_s), overlap_min, 1).pop()?;
+            let sure = matched.correlation >= self.options.correlation_min;
+            sure.then_some((start_s, matched.shift * step_s - start_s))
+        });
+        let parts: Vec<(f64, f64)> = parts.collect();
+        let jump = parts.windows(2).find(|pair| (pair[1].1 - pair[0].1).abs() > DIFFERENT_S);
+        // One part elsewhere may be chance; where most of them match, it is not.
+        if let (Some([_, (start_s, after_s)]), true) = (jump, parts.len() >= 3) {
+            let before_s = parts.first().map_or(0.0, |part| part.1);
+            return PrepareError::ClockJump { at_s: first_s + start_s, by_ms: 1e3 * (after_s - before_s) };
+        }
+        PrepareError::NoMatch {
+            correlation: best.map_or(0.0, |best| best.correlation),
+            overlap_s: best.map_or(0.0, |best| best.overlap as f64 * step_s),
+            needed: self.options.correlation_min,
+        }
+    }
+
+    /// What the angles say of a shift.
+    fn hypothesis(
+        &self,
+        window: &std::ops::Range<usize>,
+        matched: Match,
+        step_s: f64,
+    ) -> Result<Hypothesis, PrepareError> {
+        let first_s = self.samples.get(window.start).map_or(0.0, |first| first.t_s);
+        let clock = ClockFit { shift_s: matched.shift * step_s - first_s, skew: 0.0 };
+        let pairs: Vec<AnglePair> = self.pairs(window, clock).into_iter().map(|(_, pair)| pair).collect();
+        let wiring = find_wiring(&pairs, self.recorded_joints, self.options)?;
+        let settled = self.settled(window, clock, &wiring.used);
+        let squares: f64 = settled.spread_rad.iter().map(|spread| spread * spread).sum();
+        Ok(Hypothesis { matched, clock, wiring, spread_rad: squares.sqrt() })
+    }
+
+    /// Samples spread over the motion with what the robot's log predicts there, in stretches between singular poses.
+    fn pairs(&self, window: &std::ops::Range<usize>, clock: ClockFit) -> Vec<(usize, AnglePair)> {
+        let samples = self.samples.get(window.clone()).unwrap_or_default();
+        let long = samples.last().zip(samples.first()).is_some_and(|(a, b)| a.t_s - b.t_s > 1.1 * WINDOW_S);
+        let stride = if long { LONG_STRIDE } else { 1 };
+        let mut pairs: Vec<(usize, AnglePair)> = Vec::new();
+        let (mut stretch, mut broken, mut before) = (0, false, None::<&Raw>);
+        for (index, raw) in samples.iter().enumerate().step_by(stride) {
+            let parted =
+                before.is_some_and(|before| before.origin != raw.origin || raw.t_s - before.t_s > HOLE_S);
+            before = Some(raw);
+            let bar =
+                self.predictor.at(clock.tau_s(raw.t_s)).filter(|bar| bar.margin_rad > self.margin_rad());
+            broken |= parted || bar.is_none();
+            let Some(bar) = bar else { continue };
+            if std::mem::take(&mut broken) {
+                stretch += 1;
+            }
+            let pair = AnglePair { stretch, recorded_rad: raw.recorded_rad, predicted_rad: bar.joints_rad };
+            pairs.push((window.start + index, pair));
+        }
+        let angles: Vec<[f64; BAR_JOINTS]> = pairs.iter().map(|(_, pair)| pair.recorded_rad).collect();
+        let kept = select(&angles, PAIRS_APART_RAD, PAIRS_MAX);
+        kept.into_iter().filter_map(|index| pairs.get(index).copied()).collect()
+    }
+
+    /// Zeros and configurations at a shift.
+    fn settled(&self, window: &std::ops::Range<usize>, clock: ClockFit, wiring: &Wiring) -> Settled {
+        let pairs: Vec<Pair> = self
+            .pairs(window, clock)
+            .into_iter()
+            .map(|(sample, pair)| Pair {
+                sample,
+                origin: self.samples.get(sample).map_or(0, |raw| raw.origin),
+                stretch: pair.stretch,
+                measured_rad: wiring.applied(&pair.recorded_rad),
+                predicted_rad: pair.predicted_rad,
+            })
+            .collect();
+        // Wider than the limit for a whole run: a short stretch may lie where the nominal geometry is worst.
+        let limit_rad = 4.0 * self.options.spread_max_mrad * 1e-3;
+        settle(&pairs, &wiring.measured(), self.origins, limit_rad)
+    }
+
+    fn refined(&self, settled: &Settled, measured: &[bool; BAR_JOINTS], clock: ClockFit) -> Option<Fit> {
+        let angles: Vec<[f64; BAR_JOINTS]> = settled.fitting.iter().map(|(_, angles)| *angles).collect();
+        let kept = if angles.len() > FIT_MAX { select(&angles, 0.0, FIT_MAX) } else { apart(&angles, 0.0) };
+        let samples: Vec<FitSample> = kept
+            .into_iter()
+            .filter_map(|index| {
+                let (sample, bar_rad) = *settled.fitting.get(index)?;
+                let raw = self.samples.get(sample)?;
+                Some(FitSample { t_s: raw.t_s, origin: raw.origin, bar_rad })
+            })
+            .collect();
+        refine(self.log, self.chains, self.predictor.base_m(), measured, &samples, clock)
+    }
+
+    /// The fit extended from its window to the whole recording, step by step: clocks that are known over a quarter of an
+    /// hour are known well enough for an hour.
+    fn grown(
+        &self,
+        mut window: std::ops::Range<usize>,
+        wiring: &Wiring,
+        mut fit: Fit,
+    ) -> Result<(Settled, Fit), PrepareError> {
+        let measured = wiring.measured();
+        loop {
+            let whole = window == (0..self.samples.len());
+            let mut settled = self.settled(&window, fit.clock, wiring);
+            fit = self.refined(&settled, &measured, fit.clock).ok_or(PrepareError::NothingToFit)?;
+            if whole {
+                for (zeros, by_rad) in settled.zeros.iter_mut().zip(&fit.zeros_by_rad) {
+                    if let Some(zeros) = zeros {
+                        zeros.offsets_rad = std::array::from_fn(|j| zeros.offsets_rad[j] + by_rad[j]);
+                    }
+                }
+                return Ok((settled, fit));
+            }
+            window = self.wider(&window);
+        }
+    }
+
+    fn wider(&self, window: &std::ops::Range<usize>) -> std::ops::Range<usize> {
+        let at = |index: usize| self.samples.get(index).map_or(0.0, |raw| raw.t_s);
+        let (from_s, to_s) = (at(window.start), at(window.end.saturating_sub(1)));
+        let more_s = 0.5 * (GROWTH - 1.0) * (to_s - from_s).max(1.0);
+        let from = self.samples.partition_point(|raw| raw.t_s < from_s - more_s);
+        let to = self.samples.partition_point(|raw| raw.t_s <= to_s + more_s);
+        from..to
+    }
+}

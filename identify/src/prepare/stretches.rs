@@ -1,0 +1,155 @@
+//! Zeros of the encoders and configurations of the bar, stretch by stretch.
+//!
+//! Between two passes of a singular pose the bar stays in one configuration, between two changes of the counters' origin
+//! the zeros stay the same. The zeros of an origin are found in its longest stretch, in the configuration in which measured
+//! and predicted angles differ by constants; its other stretches then need only one of four configurations each.
+
+use super::circular::{circular_median, median, spread_of, wrapped};
+use crate::kinematics::{BAR_JOINTS, Configuration};
+
+/// Measured and predicted angles of one instant, by joint.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Pair {
+    /// Index among all samples.
+    pub sample: usize,
+    /// Number of the counters' origin.
+    pub origin: usize,
+    /// Number of the stretch.
+    pub stretch: usize,
+    /// Encoder angles, zeros unknown \[rad\].
+    pub measured_rad: [f64; BAR_JOINTS],
+    /// From the robot's log, in the first configuration \[rad\].
+    pub predicted_rad: [f64; BAR_JOINTS],
+}
+
+/// Zeros of one origin.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Zeros {
+    /// Added to the encoders' angles \[rad\]; 0 for joints without encoder.
+    pub offsets_rad: [f64; BAR_JOINTS],
+    /// Pairs that they rest on.
+    pub pairs: usize,
+}
+
+/// What is known of all origins.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Settled {
+    /// By origin; none where too little is there to tell.
+    pub zeros: Vec<Option<Zeros>>,
+    /// Configuration in the longest stretch of all. Without encoder on joint 2 (or 4) both signs fit, and the positive
+    /// one is named.
+    pub configuration: Configuration,
+    /// The pairs that fit, in the order of time: sample, and joints \[rad\]; those without encoder as predicted.
+    pub fitting: Vec<(usize, [f64; BAR_JOINTS])>,
+    /// Scatter of each joint about its zero, on nominal geometry \[rad\].
+    pub spread_rad: [f64; BAR_JOINTS],
+}
+
+/// Fewest pairs that the zeros of an origin are taken from.
+const PAIRS_MIN: usize = 10;
+
+/// Finds zeros and configurations. Stretches in which the median angle is off by more than `limit_rad` are left out.
+pub(super) fn settle(
+    pairs: &[Pair],
+    measured: &[bool; BAR_JOINTS],
+    origins: usize,
+    limit_rad: f64,
+) -> Settled {
+    let mut settled = Settled {
+        zeros: vec![None; origins],
+        configuration: Configuration::ALL[0],
+        fitting: Vec::new(),
+        spread_rad: [0.0; BAR_JOINTS],
+    };
+    let mut longest = 0;
+    let mut errors: [Vec<f64>; BAR_JOINTS] = Default::default();
+    for of_origin in pairs.chunk_by(|a, b| a.origin == b.origin) {
+        let mut stretches: Vec<&[Pair]> = of_origin.chunk_by(|a, b| a.stretch == b.stretch).collect();
+        stretches.sort_by_key(|stretch| std::cmp::Reverse(stretch.len()));
+        let Some(first) = stretches.first().filter(|stretch| stretch.len() >= PAIRS_MIN) else { continue };
+        let (configuration, offsets_rad) = zeros_of(first, measured);
+        if first.len() > longest {
+            (longest, settled.configuration) = (first.len(), configuration);
+        }
+        let mut chosen: Vec<(&[Pair], Configuration)> = Vec::new();
+        for stretch in &stretches {
+            let fits =
+                |configuration: &Configuration| off_by(stretch, *configuration, &offsets_rad, measured);
+            let best = Configuration::ALL.into_iter().min_by(|a, b| fits(a).total_cmp(&fits(b)));
+            chosen.extend(best.filter(|best| fits(best) <= limit_rad).map(|best| (*stretch, best)));
+        }
+        let offsets_rad = offsets_in(&chosen, measured);
+        let used = chosen.iter().map(|(stretch, _)| stretch.len()).sum();
+        if let Some(zeros) = settled.zeros.get_mut(first[0].origin) {
+            *zeros = Some(Zeros { offsets_rad, pairs: used });
+        }
+        for (pair, configuration) in chosen
+            .iter()
+            .flat_map(|(stretch, configuration)| stretch.iter().map(|pair| (pair, *configuration)))
+        {
+            let predicted = configuration.carry(&pair.predicted_rad);
+            let joints: [f64; BAR_JOINTS] = std::array::from_fn(|joint| {
+                if measured[joint] { pair.measured_rad[joint] + offsets_rad[joint] } else { predicted[joint] }
+            });
+            settled.fitting.push((pair.sample, joints));
+            for joint in 0..BAR_JOINTS {
+                errors[joint].push(wrapped(predicted[joint] - joints[joint]).abs());
+            }
+        }
+    }
+    settled.fitting.sort_by_key(|(sample, _)| *sample);
+    for ((spread, errors), measured) in settled.spread_rad.iter_mut().zip(errors).zip(measured) {
+        *spread = if *measured { spread_of(errors) } else { 0.0 };
+    }
+    settled
+}
+
+/// The configuration in which the differences scatter least, and their medians in it.
+fn zeros_of(stretch: &[Pair], measured: &[bool; BAR_JOINTS]) -> (Configuration, [f64; BAR_JOINTS]) {
+    let mut best: Option<(f64, Configuration, [f64; BAR_JOINTS])> = None;
+    for configuration in Configuration::ALL {
+        let offsets_rad = offsets_in(&[(stretch, configuration)], measured);
+        let off_by = off_by(stretch, configuration, &offsets_rad, measured);
+        // Clearly less: without some encoders two configurations fit alike, and rounding must not decide.
+        if best.is_none_or(|(least, _, _)| off_by < 0.99 * least) {
+            best = Some((off_by, configuration, offsets_rad));
+        }
+    }
+    best.map_or((Configuration::ALL[0], [0.0; BAR_JOINTS]), |(_, configuration, zeros)| {
+        (configuration, zeros)
+    })
+}
+
+/// Circular median of predicted minus measured, by joint.
+fn offsets_in(stretches: &[(&[Pair], Configuration)], measured: &[bool; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
+    let mut differences: [Vec<f64>; BAR_JOINTS] = Default::default();
+    for (stretch, configuration) in stretches {
+        for pair in *stretch {
+            let predicted = configuration.carry(&pair.predicted_rad);
+            for joint in (0..BAR_JOINTS).filter(|joint| measured[*joint]) {
+                differences[joint].push(predicted[joint] - pair.measured_rad[joint]);
+            }
+        }
+    }
+    differences.map(|differences| circular_median(&differences))
+}
+
+/// Median over the pairs of the largest difference of a joint \[rad\].
+fn off_by(
+    stretch: &[Pair],
+    configuration: Configuration,
+    offsets_rad: &[f64; BAR_JOINTS],
+    measured: &[bool; BAR_JOINTS],
+) -> f64 {
+    let mut largest: Vec<f64> = stretch
+        .iter()
+        .map(|pair| {
+            let predicted = configuration.carry(&pair.predicted_rad);
+            let joints = (0..BAR_JOINTS).filter(|joint| measured[*joint]);
+            let off = joints
+                .map(|joint| wrapped(predicted[joint] - pair.measured_rad[joint] - offsets_rad[joint]).abs());
+            off.fold(0.0, f64::max)
+        })
+        .collect();
+    median(&mut largest)
+}

@@ -1,0 +1,274 @@
+//! Which encoder sits on which joint, and which way it counts: found from the angles.
+//!
+//! Each recorded encoder is compared with each predicted joint, counting either way. Where they are the same joint the
+//! difference is one constant; otherwise it varies with the motion. So a table of encoders by joints says at once which
+//! orders and directions fit, and all of them are told.
+//!
+//! One thing no data can tell: an encoder on joint 2 (or 4) that counts the other way is the same as the gimbal (the
+//! cardan) in its other configuration. Both describe the same robot, so the recorded direction stands there.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use super::circular::{deviations, spread_of};
+use super::{PrepareError, PrepareOptions};
+use crate::kinematics::BAR_JOINTS;
+
+/// What to do about order and directions of the encoders.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum WiringChoice {
+    /// Take those that the recording states if they fit, else those that do, and say so.
+    #[default]
+    Find,
+    /// Refuse where others fit better than what the recording states.
+    Recorded,
+    /// For each encoder in the order of the recording: its bar joint, negative where it counts the other way than the
+    /// recording states. Not checked against others.
+    #[serde(untagged)]
+    Stated(Vec<i8>),
+}
+
+/// One encoder's place.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct EncoderPlace {
+    /// Bar joint that the recording states, 1 to 5.
+    pub recorded_joint: u8,
+    /// Bar joint that it sits on, 1 to 5.
+    pub joint: u8,
+    /// It counts the other way than the recording states.
+    pub reversed: bool,
+    /// How far measured and predicted angles scatter about their constant difference, on nominal geometry (1.48 times
+    /// the median deviation) \[mrad\].
+    pub spread_mrad: f64,
+}
+
+/// Places of all encoders.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct Wiring {
+    /// In the order of the recording's joints.
+    pub encoders: Vec<EncoderPlace>,
+}
+
+impl Wiring {
+    /// Order and directions are those that the recording states.
+    pub fn is_as_recorded(&self) -> bool {
+        self.encoders.iter().all(|place| place.joint == place.recorded_joint && !place.reversed)
+    }
+
+    /// Joints with an encoder.
+    pub fn measured(&self) -> [bool; BAR_JOINTS] {
+        let mut measured = [false; BAR_JOINTS];
+        for place in &self.encoders {
+            measured[usize::from(place.joint) - 1] = true;
+        }
+        measured
+    }
+
+    /// Angles by recorded joint to angles by true joint.
+    pub fn applied(&self, recorded_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
+        let mut angles_rad = [0.0; BAR_JOINTS];
+        for place in &self.encoders {
+            let sign = if place.reversed { -1.0 } else { 1.0 };
+            angles_rad[usize::from(place.joint) - 1] =
+                sign * recorded_rad[usize::from(place.recorded_joint) - 1];
+        }
+        angles_rad
+    }
+
+    /// Root mean square of the spreads \[mrad\].
+    pub fn spread_mrad(&self) -> f64 {
+        let squares: f64 = self.encoders.iter().map(|place| place.spread_mrad.powi(2)).sum();
+        (squares / self.encoders.len().max(1) as f64).sqrt()
+    }
+}
+
+impl fmt::Display for Wiring {
+    /// `1 -> 1, 2 -> 4 (reversed)`
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (index, place) in self.encoders.iter().enumerate() {
+            let separator = if index == 0 { "" } else { ", " };
+            let reversed = if place.reversed { " reversed" } else { "" };
+            write!(f, "{separator}{} -> {}{reversed}", place.recorded_joint, place.joint)?;
+        }
+        write!(f, " (spread {:.1} mrad)", self.spread_mrad())
+    }
+}
+
+/// Every order and set of directions that fits, the best first, and which of them is used.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct WiringReport {
+    /// The one that is used.
+    pub used: Wiring,
+    /// Others whose every encoder fits within the limit.
+    pub others: Vec<Wiring>,
+}
+
+/// Measured and predicted angles of one instant.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AnglePair {
+    /// Instants of one stretch share configuration of the bar and zeros of the encoders.
+    pub stretch: usize,
+    /// Encoder angles by recorded joint, zeros unknown \[rad\].
+    pub recorded_rad: [f64; BAR_JOINTS],
+    /// From the robot's log, in the first configuration \[rad\].
+    pub predicted_rad: [f64; BAR_JOINTS],
+}
+
+/// Spreads this much larger than the best are no longer as good.
+const CLEARLY_WORSE: f64 = 3.0;
+/// Stretches with fewer pairs say little about which joint is which.
+const PAIRS_MIN: usize = 30;
+/// Fits that are told at most.
+const TOLD_MAX: usize = 8;
+
+/// Finds or checks order and directions of the encoders on `recorded_joints` (1 to 5).
+///
+/// # Errors
+/// [`PrepareError::NoWiring`] where none fits, [`PrepareError::AmbiguousWiring`] where several do and the recorded one is
+/// not among them, [`PrepareError::OtherWiring`] where only the recorded one is allowed.
+pub fn find_wiring(
+    pairs: &[AnglePair],
+    recorded_joints: &[u8],
+    options: &PrepareOptions,
+) -> Result<WiringReport, PrepareError> {
+    let table = Table::new(pairs, recorded_joints);
+    if let WiringChoice::Stated(joints) = &options.encoders {
+        return table.stated(joints).map(|used| WiringReport { used, others: Vec::new() });
+    }
+    let recorded = table.recorded();
+    let mut fitting = table.fitting(options.spread_max_mrad);
+    let Some(best) = fitting.first().cloned() else {
+        return Err(PrepareError::NoWiring {
+            recorded: recorded.to_string(),
+            limit_mrad: options.spread_max_mrad,
+        });
+    };
+    let as_good = |wiring: &Wiring| wiring.spread_mrad() <= CLEARLY_WORSE * best.spread_mrad();
+    let recorded_fits = fitting.contains(&recorded) && as_good(&recorded);
+    let used = match (recorded_fits, &options.encoders) {
+        (true, _) => recorded,
+        (false, WiringChoice::Recorded) => {
+            return Err(PrepareError::OtherWiring {
+                recorded: recorded.to_string(),
+                found: best.to_string(),
+            });
+        }
+        (false, _) => {
+            let equals: Vec<String> =
+                fitting.iter().filter(|wiring| as_good(wiring)).map(ToString::to_string).collect();
+            if equals.len() > 1 {
+                return Err(PrepareError::AmbiguousWiring { fits: equals.join("; ") });
+            }
+            best
+        }
+    };
+    fitting.retain(|wiring| *wiring != used);
+    fitting.truncate(TOLD_MAX);
+    Ok(WiringReport { used, others: fitting })
+}
+
+/// Spread of each recorded encoder against each joint, counting as recorded and the other way.
+struct Table<'a> {
+    recorded_joints: &'a [u8],
+    spread_mrad: Vec<[[f64; 2]; BAR_JOINTS]>,
+}
+
+impl<'a> Table<'a> {
+    fn new(pairs: &[AnglePair], recorded_joints: &'a [u8]) -> Self {
+        let mut stretches: Vec<&[AnglePair]> = pairs.chunk_by(|a, b| a.stretch == b.stretch).collect();
+        stretches.sort_by_key(|stretch| std::cmp::Reverse(stretch.len()));
+        let telling = stretches.iter().take_while(|stretch| stretch.len() >= PAIRS_MIN).count();
+        stretches.truncate(telling.max(1));
+        let scatter = |stretch: &[AnglePair], recorded: usize, joint: usize, sign: f64| {
+            let differences =
+                stretch.iter().map(|pair| pair.predicted_rad[joint] - sign * pair.recorded_rad[recorded]);
+            deviations(differences.collect())
+        };
+        let spread_mrad = |of_stretch: &dyn Fn(&[AnglePair]) -> Vec<f64>| {
+            1e3 * spread_of(stretches.iter().flat_map(|stretch| of_stretch(stretch)).collect())
+        };
+        let row = |recorded: &u8| {
+            let recorded = usize::from(*recorded) - 1;
+            std::array::from_fn(|joint| {
+                let both = [1.0, -1.0];
+                if joint == 1 || joint == 3 {
+                    // On these the direction is a matter of the configuration, which may change between stretches.
+                    let better = |stretch: &[AnglePair]| {
+                        let [one, other] = both.map(|sign| scatter(stretch, recorded, joint, sign));
+                        if spread_of(one.clone()) <= spread_of(other.clone()) { one } else { other }
+                    };
+                    return [spread_mrad(&better), f64::INFINITY];
+                }
+                both.map(|sign| spread_mrad(&|stretch| scatter(stretch, recorded, joint, sign)))
+            })
+        };
+        Self { recorded_joints, spread_mrad: recorded_joints.iter().map(row).collect() }
+    }
+
+    fn place(&self, index: usize, joint: usize, reversed: bool) -> EncoderPlace {
+        let spread_mrad =
+            self.spread_mrad.get(index).map_or(f64::INFINITY, |row| row[joint][usize::from(reversed)]);
+        let recorded_joint = self.recorded_joints.get(index).copied().unwrap_or_default();
+        EncoderPlace { recorded_joint, joint: joint as u8 + 1, reversed, spread_mrad }
+    }
+
+    fn recorded(&self) -> Wiring {
+        let places = self.recorded_joints.iter().enumerate();
+        Wiring {
+            encoders: places
+                .map(|(index, joint)| self.place(index, usize::from(*joint) - 1, false))
+                .collect(),
+        }
+    }
+
+    fn stated(&self, joints: &[i8]) -> Result<Wiring, PrepareError> {
+        let mut taken = [false; BAR_JOINTS];
+        let mut free = |joint: u8| {
+            let taken = taken.get_mut(usize::from(joint).wrapping_sub(1));
+            taken.is_some_and(|taken| !std::mem::replace(taken, true))
+        };
+        if joints.len() != self.recorded_joints.len()
+            || !joints.iter().all(|joint| free(joint.unsigned_abs()))
+        {
+            return Err(PrepareError::StatedWiring {
+                stated: format!("{joints:?}"),
+                encoders: self.recorded_joints.len(),
+            });
+        }
+        let places = joints.iter().enumerate().map(|(index, joint)| {
+            let place = usize::from(joint.unsigned_abs()) - 1;
+            EncoderPlace { reversed: *joint < 0, ..self.place(index, place, false) }
+        });
+        Ok(Wiring { encoders: places.collect() })
+    }
+
+    /// All orders and directions in which every encoder fits, the best first.
+    fn fitting(&self, limit_mrad: f64) -> Vec<Wiring> {
+        let mut found = Vec::new();
+        self.extend(&mut Vec::new(), limit_mrad, &mut found);
+        found.sort_by(|a, b| a.spread_mrad().total_cmp(&b.spread_mrad()));
+        found
+    }
+
+    fn extend(&self, places: &mut Vec<EncoderPlace>, limit_mrad: f64, found: &mut Vec<Wiring>) {
+        if places.len() == self.recorded_joints.len() {
+            found.push(Wiring { encoders: places.clone() });
+            return;
+        }
+        for joint in 0..BAR_JOINTS {
+            if places.iter().any(|place| usize::from(place.joint) == joint + 1) {
+                continue;
+            }
+            for reversed in [false, true] {
+                let place = self.place(places.len(), joint, reversed);
+                if place.spread_mrad <= limit_mrad {
+                    places.push(place);
+                    self.extend(places, limit_mrad, found);
+                    places.pop();
+                }
+            }
+        }
+    }
+}

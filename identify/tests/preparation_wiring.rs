@@ -1,0 +1,152 @@
+//! Encoders in any order, counting either way: found, told, or asked for.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+mod support;
+
+use identify::calibrate::truth::Comparison;
+use identify::calibrate::{IdentifyConfig, ball_bar};
+use identify::model::ParameterId;
+use identify::prepare::{
+    AnglePair, PrepareError, PrepareOptions, Prepared, Wiring, WiringChoice, find_wiring, prepare,
+};
+use identify::simulate::{self, Design, Experiment, Simulated};
+use shared::config::{BallBarConfig, RobotConfig};
+use shared::encoder::Direction;
+use support::{bar, irb2400};
+
+fn run(robot: &RobotConfig, bar: &BallBarConfig) -> Simulated {
+    let design = Design { duration_s: 60.0, ..Design::for_robot(robot) };
+    simulate::run(&Experiment { design, ..Experiment::new(robot, bar) }).unwrap()
+}
+
+/// Encoder `place` is declared on the joint of `order[place]`, as if cables had been exchanged.
+fn exchanged(run: &mut Simulated, order: &[usize]) {
+    let joints: Vec<u8> = order.iter().map(|&place| run.encoders[place].joint).collect();
+    for (encoder, joint) in run.encoders.iter_mut().zip(&joints) {
+        encoder.joint = *joint;
+    }
+    for cycle in &mut run.cycles {
+        for (encoder, joint) in cycle.encoders.iter_mut().zip(&joints) {
+            encoder.joint = *joint;
+        }
+    }
+}
+
+fn reversed(run: &mut Simulated, places: &[usize]) {
+    for &place in places {
+        run.encoders[place].scale.direction = Direction::Negative;
+    }
+}
+
+fn prepared(run: &Simulated, encoders: WiringChoice) -> Result<Prepared, PrepareError> {
+    let options = PrepareOptions { encoders, ..PrepareOptions::default() };
+    prepare(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), &bar(), &options)
+}
+
+fn joints_and_directions(wiring: &Wiring) -> Vec<(u8, bool)> {
+    wiring.encoders.iter().map(|place| (place.joint, place.reversed)).collect()
+}
+
+#[test]
+fn shuffled_and_reversed_encoders_calibrate_without_a_hand() {
+    let (robot, mut bar) = (irb2400(), bar());
+    for four in [false, true] {
+        if four {
+            bar.encoders.remove(2);
+        }
+        let mut run = run(&robot, &bar);
+        let order: &[usize] = if four { &[3, 0, 2, 1] } else { &[4, 2, 0, 3, 1] };
+        let true_joints: Vec<u8> = run.encoders.iter().map(|encoder| encoder.joint).collect();
+        reversed(&mut run, &[0, 1, order.len() - 1]);
+        exchanged(&mut run, order);
+        let found = prepared(&run, WiringChoice::Find).unwrap();
+        let used = &found.wiring.used;
+        assert!(!used.is_as_recorded());
+        println!("{used}; others {:?}", found.wiring.others);
+        for (place, joint) in used.encoders.iter().zip(&true_joints) {
+            assert_eq!(place.joint, *joint);
+            // On joints 2 and 4 the direction is one with the bar's configuration.
+            let negative = [true_joints[0], true_joints[1], *true_joints.last().unwrap()].contains(joint);
+            assert!(matches!(joint, 2 | 4) || place.reversed == negative, "{used}");
+        }
+        assert!(found.wiring.others.is_empty());
+        let config = IdentifyConfig::default();
+        let calibration =
+            ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
+        let of_robot =
+            Comparison::new(&calibration, &run.truth).only(|id| matches!(id, ParameterId::Robot { .. }));
+        let error = of_robot.euclidean_mm_mrad();
+        println!("{} encoders: {error:.5} mm|mrad", order.len());
+        assert!(error < 0.05, "{error}");
+    }
+}
+
+#[test]
+fn order_and_directions_as_recorded_are_confirmed_and_nothing_else_fits() {
+    let found = prepared(&run(&irb2400(), &bar()), WiringChoice::Recorded).unwrap();
+    assert!(found.wiring.used.is_as_recorded() && found.wiring.others.is_empty());
+    assert!(found.wiring.used.spread_mrad() < 10.0);
+}
+
+#[test]
+fn another_order_is_refused_where_only_the_recorded_one_may_be_used_and_named() {
+    let mut run = run(&irb2400(), &bar());
+    exchanged(&mut run, &[4, 1, 2, 3, 0]);
+    let told = prepared(&run, WiringChoice::Recorded).unwrap_err().to_string();
+    println!("{told}");
+    assert!(told.contains("but as 5 -> 1") && told.contains("1 -> 5"), "{told}");
+}
+
+#[test]
+fn a_stated_order_is_taken_and_a_senseless_one_refused() {
+    let mut run = run(&irb2400(), &bar());
+    reversed(&mut run, &[2]);
+    exchanged(&mut run, &[4, 1, 2, 3, 0]);
+    let found = prepared(&run, WiringChoice::Stated(vec![1, 2, -3, 4, 5])).unwrap();
+    let wanted = vec![(1, false), (2, false), (3, true), (4, false), (5, false)];
+    assert_eq!(joints_and_directions(&found.wiring.used), wanted);
+    for senseless in [vec![1, 2, 3, 4], vec![1, 1, 2, 3, 4], vec![0, 1, 2, 3, 4], vec![1, 2, 3, 4, 6]] {
+        let told = prepared(&run, WiringChoice::Stated(senseless)).unwrap_err().to_string();
+        assert!(told.contains("one bar joint for each of the 5 encoders"), "{told}");
+    }
+}
+
+/// Made-up angles in which the joints of `alike` move together.
+fn pairs(alike: &[[usize; 2]]) -> Vec<AnglePair> {
+    let motion = |k: f64, joint: usize| (0.05 * k * (1.0 + 0.37 * joint as f64)).sin() + 0.3 * joint as f64;
+    (0..400)
+        .map(|k| {
+            let mut predicted_rad: [f64; 5] = std::array::from_fn(|joint| motion(f64::from(k), joint));
+            for [one, other] in alike {
+                predicted_rad[*other] = predicted_rad[*one] + 0.2;
+            }
+            let mut recorded_rad = predicted_rad.map(|angle| angle + 1.7);
+            // Encoders 1 and 3 are exchanged.
+            recorded_rad.swap(0, 2);
+            AnglePair { stretch: 0, recorded_rad, predicted_rad }
+        })
+        .collect()
+}
+
+#[test]
+fn joints_that_move_together_leave_the_order_open_and_it_is_asked_for() {
+    let options = PrepareOptions::default();
+    let clear = find_wiring(&pairs(&[]), &[1, 2, 3, 4, 5], &options).unwrap();
+    assert_eq!(clear.used.encoders[0].joint, 3);
+    let error = find_wiring(&pairs(&[[3, 4]]), &[1, 2, 3, 4, 5], &options).unwrap_err();
+    let told = error.to_string();
+    println!("{told}");
+    assert!(matches!(error, PrepareError::AmbiguousWiring { .. }) && told.contains("encoders = [..]"));
+    // The recorded order is among those that fit: it is taken, and the other one is told.
+    let found = find_wiring(&pairs(&[[0, 2]]), &[1, 2, 3, 4, 5], &options).unwrap();
+    assert!(found.used.is_as_recorded() && found.others.len() == 1, "{found:?}");
+}
+
+#[test]
+fn the_choice_is_read_from_configuration() {
+    let read = |text: &str| toml::from_str::<PrepareOptions>(text).map(|options| options.encoders);
+    assert_eq!(read("encoders = \"find\"").unwrap(), WiringChoice::Find);
+    assert_eq!(read("encoders = \"recorded\"").unwrap(), WiringChoice::Recorded);
+    assert_eq!(read("encoders = [5, -2, 3, 4, 1]").unwrap(), WiringChoice::Stated(vec![5, -2, 3, 4, 1]));
+    assert!(read("encoders = \"guess\"").is_err());
+}
