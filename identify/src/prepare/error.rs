@@ -197,6 +197,19 @@ pub enum PrepareError {
          a motion over more of the sphere"
     )]
     NothingToFit,
+    /// A joint of the bar hardly moves.
+    #[error(
+        "joint {joint} of the bar travels only {travel_deg:.1} deg, at least {needed_deg} are needed to tell its zero \
+         from the robot's geometry; turn the flange more, about all axes"
+    )]
+    LittleTravel {
+        /// Bar joint, 1 to 5.
+        joint: u8,
+        /// Its travel over the samples kept \[deg\].
+        travel_deg: f64,
+        /// Threshold \[deg\].
+        needed_deg: f64,
+    },
     /// The robot moved on a circle or stood.
     #[error(
         "the robot's positions span no sphere (they lie on a line, a circle or in one place); the motion excites too \

@@ -124,7 +124,9 @@ impl Search<'_> {
             if other.0.matched.overlap as f64 > 1.1 * best.0.matched.overlap as f64 { other } else { best }
         });
         let Some((hypothesis, fit)) = longest else {
-            return Err(refusal.unwrap_or(PrepareError::NothingToFit));
+            let samples = self.samples.get(window).unwrap_or_default();
+            let jump = self.jump_between_parts(samples, step_s);
+            return Err(jump.or(refusal).unwrap_or(PrepareError::NothingToFit));
         };
         let Hypothesis { matched, wiring, .. } = hypothesis;
         let (settled, fit) = self.grown(window, &wiring.used, fit)?;
@@ -160,7 +162,6 @@ impl Search<'_> {
 
     /// Shifts at which the speeds match, for times since the window's first sample, in grid steps.
     fn candidates(&self, window: &std::ops::Range<usize>, step_s: f64) -> Result<Vec<Match>, PrepareError> {
-        let joints: Vec<usize> = self.recorded_joints.iter().map(|joint| usize::from(*joint) - 1).collect();
         let samples = self.samples.get(window.clone()).unwrap_or_default();
         let window_s = match (samples.first(), samples.last()) {
             (Some(first), Some(last)) => last.t_s - first.t_s,
@@ -169,62 +170,69 @@ impl Search<'_> {
         let shorter_s = window_s.min(self.log_duration_s);
         let overlap_s = self.options.overlap_min_s.max(self.options.overlap_min_part * shorter_s);
         let overlap_min = (overlap_s / step_s) as usize;
-        let from_bar = measured_speeds(samples, &joints, step_s);
-        let from_robot =
-            predicted_speeds(self.predictor, self.log_duration_s, &joints, self.margin_rad(), step_s);
+        let from_bar = measured_speeds(samples, &self.joints(), step_s);
+        let from_robot = self.predicted(step_s);
         let of = |robot: &Channels, bar: &Channels| candidates(robot, bar, overlap_min, CANDIDATES);
         let mut all = of(&from_robot, &from_bar);
         let unordered = of(&without_order(&from_robot), &without_order(&from_bar));
         let best =
             all.iter().chain(&unordered).copied().max_by(|a, b| a.correlation.total_cmp(&b.correlation));
-        for one in unordered {
+        let high = |one: &Match| one.correlation >= self.options.correlation_min;
+        all.retain(high);
+        for one in unordered.into_iter().filter(high) {
             if !all.iter().any(|other| (other.shift - one.shift).abs() < 5.0) {
                 all.push(one);
             }
         }
-        all.retain(|one| one.correlation >= self.options.correlation_min);
         if all.is_empty() {
-            return Err(self.no_match(best, samples, &joints, &from_robot, step_s));
+            let no_match = PrepareError::NoMatch {
+                correlation: best.map_or(0.0, |best| best.correlation),
+                overlap_s: best.map_or(0.0, |best| best.overlap as f64 * step_s),
+                needed: self.options.correlation_min,
+            };
+            return Err(self.jump_between_parts(samples, step_s).unwrap_or(no_match));
         }
         Ok(all)
     }
 
-    /// Whether parts of the recording match by themselves, at shifts that disagree.
-    fn no_match(
-        &self,
-        best: Option<Match>,
-        samples: &[Raw],
-        joints: &[usize],
-        from_robot: &Channels,
-        step_s: f64,
-    ) -> PrepareError {
+    /// A clock that jumped, if parts of the recording match by themselves, at shifts that disagree.
+    fn jump_between_parts(&self, samples: &[Raw], step_s: f64) -> Option<PrepareError> {
         /// Parts of the recording that are looked at one by one.
         const PARTS: usize = 6;
         /// Shifts that differ by this much are different \[s\].
         const DIFFERENT_S: f64 = 0.05;
         /// Part of a part that must lie in the robot's log.
         const OVERLAP: f64 = 0.6;
-        let first_s = samples.first().map_or(0.0, |first| first.t_s);
+        let joints = self.joints();
+        let from_robot = without_order(&self.predicted(step_s));
+        let first_s = samples.first()?.t_s;
         let parts = samples.chunks(samples.len().div_ceil(PARTS).max(1)).filter_map(|part| {
             let start_s = part.first()?.t_s - first_s;
             let overlap_min = (OVERLAP * (part.last()?.t_s - part.first()?.t_s) / step_s) as usize;
-            let matched =
-                candidates(from_robot, &measured_speeds(part, joints, step_s), overlap_min, 1).pop()?;
+            let from_bar = without_order(&measured_speeds(part, &joints, step_s));
+            let matched = candidates(&from_robot, &from_bar, overlap_min, 1).pop()?;
             let sure = matched.correlation >= self.options.correlation_min;
             sure.then_some((start_s, matched.shift * step_s - start_s))
         });
         let parts: Vec<(f64, f64)> = parts.collect();
-        let jump = parts.windows(2).find(|pair| (pair[1].1 - pair[0].1).abs() > DIFFERENT_S);
-        // One part elsewhere may be chance; where most of them match, it is not.
-        if let (Some([_, (start_s, after_s)]), true) = (jump, parts.len() >= 3) {
-            let before_s = parts.first().map_or(0.0, |part| part.1);
-            return PrepareError::ClockJump { at_s: first_s + start_s, by_ms: 1e3 * (after_s - before_s) };
+        let differ = |a: &(f64, f64), b: &(f64, f64)| (a.1 - b.1).abs() > DIFFERENT_S;
+        // A chance match of one part agrees with no other.
+        let mut sides = parts.chunk_by(|a, b| !differ(a, b)).filter(|side| side.len() >= 2);
+        let (before, after) = (sides.next()?, sides.next()?);
+        if sides.next().is_some() || before.len() + after.len() + 1 < parts.len() {
+            return None;
         }
-        PrepareError::NoMatch {
-            correlation: best.map_or(0.0, |best| best.correlation),
-            overlap_s: best.map_or(0.0, |best| best.overlap as f64 * step_s),
-            needed: self.options.correlation_min,
-        }
+        let ((_, before_s), (start_s, after_s)) = (before.last()?, after.first()?);
+        Some(PrepareError::ClockJump { at_s: first_s + start_s, by_ms: 1e3 * (after_s - before_s) })
+    }
+
+    /// Recorded joints from 0.
+    fn joints(&self) -> Vec<usize> {
+        self.recorded_joints.iter().map(|joint| usize::from(*joint) - 1).collect()
+    }
+
+    fn predicted(&self, step_s: f64) -> Channels {
+        predicted_speeds(self.predictor, self.log_duration_s, &self.joints(), self.margin_rad(), step_s)
     }
 
     /// What the angles say of a shift.

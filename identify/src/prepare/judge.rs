@@ -17,6 +17,8 @@ pub(super) struct Judged {
     pub origin: usize,
     /// Measured less implied joints, weighed by the distance from singular poses \[rad\].
     pub error_rad: [f64; BAR_JOINTS],
+    /// That weight: sine of the distance.
+    pub trust: f64,
     /// Speed of the joints, weighed in the same way \[rad/s\].
     pub speed_rad_s: [f64; BAR_JOINTS],
 }
@@ -104,41 +106,102 @@ const LASTING_PART: f64 = 0.6;
 /// Samples further apart are compared with more caution \[s\].
 const NEIGHBOURS_S: f64 = 0.5;
 
+/// The sharpest steps of one joint's error.
+struct Steps {
+    /// Change of the error at each sample of an origin, and by how much it exceeds what is usual.
+    steps: Vec<(f64, f64)>,
+    errors: Vec<f64>,
+}
+
+impl Steps {
+    fn new(of_origin: &[Judged], joint: usize, options: &PrepareOptions) -> Self {
+        let errors: Vec<f64> = of_origin.iter().map(|one| one.error_rad[joint]).collect();
+        let steps: Vec<f64> = (0..errors.len()).map(|at| step(&errors, at, BESIDE)).collect();
+        let usual_rad = spread_of(steps.iter().map(|step| step.abs()).collect());
+        let spread_rad = spread_of(errors.iter().map(|error| error.abs()).collect());
+        let times_usual = |(at, by_rad): (usize, &f64)| {
+            let apart_s = at.checked_sub(1).map_or(0.0, |before| of_origin[at].t_s - of_origin[before].t_s);
+            let caution_rad = if apart_s > NEIGHBOURS_S { spread_rad } else { usual_rad };
+            let limit_rad = (options.slip_min_mrad * 1e-3).max(1.5 * TIMES_USUAL * caution_rad);
+            (*by_rad, by_rad.abs() / limit_rad)
+        };
+        Self { steps: steps.iter().enumerate().map(times_usual).collect(), errors }
+    }
+
+    /// The step at `at` is there long before and after.
+    fn lasts(&self, at: usize, by_rad: f64) -> bool {
+        step(&self.errors, at, LASTING) * by_rad.signum() > LASTING_PART * by_rad.abs()
+    }
+}
+
 /// `t_ref_s` is the reference time after the first sample.
 ///
 /// # Errors
-/// [`PrepareError::EncoderSlip`] where the zero of an encoder changes from one sample to the next without a flag.
-pub(super) fn check_slips(
+/// [`PrepareError::EncoderSlip`] where the zero of one encoder changes from one sample to the next without a flag,
+/// [`PrepareError::ClockJump`] where all joints change by their speeds.
+pub(super) fn check_steps(
     judged: &[Judged],
+    shifts: &[LocalShift],
     measured: &[bool; BAR_JOINTS],
     t_ref_s: f64,
     options: &PrepareOptions,
 ) -> Result<(), PrepareError> {
-    let mut worst: Option<(f64, usize, usize, f64)> = None;
-    for joint in (0..BAR_JOINTS).filter(|joint| measured[*joint]) {
-        for of_origin in judged.chunk_by(|a, b| a.origin == b.origin) {
-            let errors: Vec<f64> = of_origin.iter().map(|one| one.error_rad[joint]).collect();
-            let steps: Vec<f64> = (0..errors.len()).map(|at| step(&errors, at, BESIDE)).collect();
-            let usual_rad = spread_of(steps.iter().map(|step| step.abs()).collect());
-            let spread_rad = spread_of(errors.iter().map(|error| error.abs()).collect());
-            for (at, by_rad) in steps.iter().enumerate().skip(1) {
-                let apart_s = of_origin[at].t_s - of_origin[at - 1].t_s;
-                let caution_rad = if apart_s > NEIGHBOURS_S { spread_rad } else { usual_rad };
-                let limit_rad = (options.slip_min_mrad * 1e-3).max(1.5 * TIMES_USUAL * caution_rad);
-                let ratio = by_rad.abs() / limit_rad;
-                let lasts = || {
-                    let lasting_rad = step(&errors, at, LASTING);
-                    lasting_rad * by_rad.signum() > LASTING_PART * by_rad.abs()
-                };
-                if ratio > worst.map_or(1.0, |(most, ..)| most) && lasts() {
-                    worst = Some((ratio, joint, of_origin[at].sample, *by_rad));
+    for of_origin in judged.chunk_by(|a, b| a.origin == b.origin) {
+        let joints: Vec<(usize, Steps)> = (0..BAR_JOINTS)
+            .filter(|joint| measured[*joint])
+            .map(|joint| (joint, Steps::new(of_origin, joint, options)))
+            .collect();
+        let mut sharpest = (0, 1.0);
+        let mut slip: Option<(usize, usize, f64, f64)> = None;
+        for (joint, steps) in &joints {
+            for (at, (by_rad, ratio)) in steps.steps.iter().enumerate() {
+                if *ratio > sharpest.1 {
+                    sharpest = (at, *ratio);
+                }
+                if *ratio > slip.map_or(1.0, |(.., most)| most) && steps.lasts(at, *by_rad) {
+                    slip = Some((*joint, at, *by_rad, *ratio));
                 }
             }
         }
+        if let Some((at_s, by_s)) = time_step(of_origin, &joints, sharpest, shifts) {
+            return Err(PrepareError::ClockJump { at_s: at_s + t_ref_s, by_ms: by_s * 1e3 });
+        }
+        if let Some((joint, at, by_rad, _)) = slip {
+            let at = &of_origin[at];
+            let (at_s, by_mrad) = (at.t_s + t_ref_s, by_rad * 1e3 / at.trust);
+            return Err(PrepareError::EncoderSlip { joint: joint as u8 + 1, at_s, by_mrad });
+        }
     }
-    let Some((_, joint, sample, by_rad)) = worst else { return Ok(()) };
-    let at_s = judged.iter().find(|one| one.sample == sample).map_or(0.0, |one| one.t_s + t_ref_s);
-    Err(PrepareError::EncoderSlip { joint: joint as u8 + 1, at_s, by_mrad: by_rad * 1e3 })
+    Ok(())
+}
+
+/// When and how much time jumps, if that is what the sharpest step is: every joint steps by its speed times one and the
+/// same time, and the alignment of the parts before and after differs by it too.
+fn time_step(
+    of_origin: &[Judged],
+    joints: &[(usize, Steps)],
+    (at, ratio): (usize, f64),
+    shifts: &[LocalShift],
+) -> Option<(f64, f64)> {
+    /// Part of the steps that one time must explain.
+    const EXPLAINED: f64 = 0.8;
+    let here = of_origin.get(at).filter(|_| ratio > 1.0)?;
+    let steps: Vec<(f64, f64)> = joints
+        .iter()
+        .filter_map(|(joint, steps)| Some((steps.steps.get(at)?.0, here.speed_rad_s[*joint])))
+        .collect();
+    let sum = |of: &dyn Fn(&(f64, f64)) -> f64| steps.iter().map(of).sum::<f64>();
+    let by_s = sum(&|(step, speed)| step * speed) / sum(&|(_, speed)| speed * speed);
+    let left = sum(&|(step, speed)| (step - by_s * speed).powi(2)) / sum(&|(step, _)| step * step);
+    // One joint alone that happens to be the fastest is a slip.
+    let fastest = steps.iter().map(|(_, speed)| speed * speed).fold(0.0, f64::max);
+    let several = sum(&|(_, speed)| speed * speed) > 1.1 * fastest;
+    let after = shifts.iter().find(|shift| shift.t_s > here.t_s)?;
+    let before = shifts.iter().rfind(|shift| shift.t_s < here.t_s)?;
+    // The parts tell the size: where the step happens joints may be slow and just gaining speed.
+    let jump_s = after.shift_s - before.shift_s;
+    let agree = jump_s * by_s > 0.0 && jump_s.abs() > JUMP_S_MIN;
+    (left < 1.0 - EXPLAINED && several && agree).then_some((here.t_s, jump_s))
 }
 
 /// Median of `beside` values from `at` on, less that of as many before it.

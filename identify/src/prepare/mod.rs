@@ -98,6 +98,8 @@ pub struct PrepareOptions {
     pub moving_average_ms: f64,
     /// Angles may stay this far from the refined fit (1.48 times the median deviation) \[mrad\].
     pub fit_max_mrad: f64,
+    /// Every measured joint of the bar must travel at least this far \[deg\].
+    pub joint_travel_min_deg: f64,
     /// Smaller steps of an encoder's zero are not looked for \[mrad\].
     pub slip_min_mrad: f64,
 }
@@ -128,6 +130,7 @@ impl Default for PrepareOptions {
             encoders: WiringChoice::Find,
             moving_average_ms: 0.0,
             fit_max_mrad: 3.0,
+            joint_travel_min_deg: 3.0,
             slip_min_mrad: 0.3,
         }
     }

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::bar_angles::BarSegment;
 use super::find::{Found, Raw};
-use super::judge::{Judged, LocalShift, check_clock, check_slips, local_shifts, outliers, spreads_rad};
+use super::judge::{Judged, LocalShift, check_clock, check_steps, local_shifts, outliers, spreads_rad};
 use super::refine::Judge;
 use super::select::{apart, spread_over_sphere};
 use super::timeline::Sample;
@@ -76,14 +76,15 @@ pub(super) fn sort(
         .collect();
     let (mut fates, judged) = look_at_all(raw, &joints, found, motion, options);
     let local_shifts = local_shifts(&judged);
+    check_steps(&judged, &local_shifts, &measured, t_ref_s, options)?;
     check_clock(&local_shifts, t_ref_s)?;
-    check_slips(&judged, &measured, t_ref_s, options)?;
     let spread_rad = spreads_rad(&judged);
     check_fit(&spread_rad, options)?;
     for sample in outliers(&judged, &spread_rad) {
         fates[sample] = Fate::Outlier;
     }
     choose(&joints, &mut fates, options)?;
+    check_travel(&joints, &fates, &measured, options)?;
     let reference_rad = zeros(reference).unwrap_or_default();
     let kept = joints.iter().zip(&fates).filter(|(_, fate)| **fate == Fate::Kept);
     let observations = kept.map(|(sample, _)| Observation {
@@ -139,6 +140,7 @@ fn look_at_all(
             sample: index,
             t_s: sample.t_s,
             origin: raw.origin,
+            trust,
             error_rad: errors.error_rad.map(|error| error * trust),
             speed_rad_s: std::array::from_fn(
                 |j| {
@@ -162,6 +164,28 @@ fn check_fit(spread_rad: &[f64; BAR_JOINTS], options: &PrepareOptions) -> Result
         .map(|(joint, spread)| format!("{spread:.1} (joint {})", joint + 1))
         .collect();
     Err(PrepareError::PoorFit { spreads: told.join(", "), limit_mrad: options.fit_max_mrad })
+}
+
+/// Every measured joint must move, or what it stands for cannot be told from its zero.
+fn check_travel(
+    joints: &[Sample],
+    fates: &[Fate],
+    measured: &[bool; BAR_JOINTS],
+    options: &PrepareOptions,
+) -> Result<(), PrepareError> {
+    let kept: Vec<&Sample> =
+        joints.iter().zip(fates).filter(|(_, fate)| **fate == Fate::Kept).map(|(one, _)| one).collect();
+    for joint in (0..BAR_JOINTS).filter(|joint| measured[*joint]) {
+        let angles = kept.iter().map(|sample| sample.bar_rad[joint]);
+        let (low, high) = angles
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), angle| (low.min(angle), high.max(angle)));
+        let travel_deg = (high - low).to_degrees();
+        if travel_deg < options.joint_travel_min_deg {
+            let needed_deg = options.joint_travel_min_deg;
+            return Err(PrepareError::LittleTravel { joint: joint as u8 + 1, travel_deg, needed_deg });
+        }
+    }
+    Ok(())
 }
 
 /// Among those that are usable: standstill, surplus, kept.

@@ -1,6 +1,6 @@
 //! The steps of the preparation in their order.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 use shared::time::UtcNs;
@@ -232,6 +232,9 @@ fn sphere(
         }
     }
     let tolerance_mm = options.sphere_tolerance_mm;
+    if is_flat(&positions) {
+        return Err(PrepareError::LittleMotion);
+    }
     let sphere = fit_sphere(&positions, tolerance_mm * 1e-3).ok_or(PrepareError::LittleMotion)?;
     if sphere.inliers < 0.5 {
         let inliers_percent = 100.0 * sphere.inliers;
@@ -244,4 +247,14 @@ fn sphere(
         });
     }
     Ok(sphere.drawn_to_length(&positions, tolerance_mm * 1e-3, length_m))
+}
+
+/// The positions lie in a plane: a circle is on many spheres.
+fn is_flat(positions_m: &[Vector3<f64>]) -> bool {
+    /// Smallest thickness over extent of a part of a sphere that tells its radius.
+    const THICKNESS_MIN: f64 = 0.02;
+    let mean = positions_m.iter().sum::<Vector3<f64>>() / positions_m.len().max(1) as f64;
+    let outer = |sum: Matrix3<f64>, p: &Vector3<f64>| sum + (p - mean) * (p - mean).transpose();
+    let extents = positions_m.iter().fold(Matrix3::zeros(), outer).symmetric_eigenvalues();
+    extents.min() < THICKNESS_MIN * THICKNESS_MIN * extents.max()
 }

@@ -1,0 +1,162 @@
+//! The laboratory of the acceptance: unknown zeros and clocks, and all that spoils a run; both robots, ten seeds each.
+//!
+//! The whole campaign: `cargo test --release -p identify --test laboratory_campaign -- --ignored --nocapture`.
+#![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
+#![allow(clippy::print_stdout, reason = "figures of a run")]
+
+#[path = "support/laboratory.rs"]
+mod laboratory;
+mod support;
+
+use identify::calibrate::truth::Comparison;
+use identify::calibrate::{CostName, IdentifyConfig, SelectionName, ball_bar};
+use identify::model::ParameterId;
+use identify::prepare::LocalShift;
+use identify::simulate::{Design, Simulated};
+use laboratory::Level;
+use shared::config::{BallBarConfig, RobotConfig};
+use shared::encoder::Direction;
+use support::{bar, irb2400, nj220};
+
+/// What a calibration comes to.
+#[derive(Debug, Clone, Copy)]
+struct Outcome {
+    robot_mm_mrad: f64,
+    shift_ms: f64,
+    skew_ppm: f64,
+    /// Standard deviation of the alignment over disjoint parts of about 20 s \[ms\].
+    repeats_ms: f64,
+}
+
+fn calibrated(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig, config: &IdentifyConfig) -> Outcome {
+    let found = ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, bar, config).unwrap();
+    let comparison = Comparison::new(&found, &run.truth);
+    let of_robot = comparison.only(|id| matches!(id, ParameterId::Robot { .. }));
+    let of_part =
+        |part: &[LocalShift]| part.iter().map(|one| one.shift_s * 1e3).sum::<f64>() / part.len() as f64;
+    let shifts: Vec<f64> = found.prepared.local_shifts.chunks_exact(4).map(of_part).collect();
+    let mean = shifts.iter().sum::<f64>() / shifts.len() as f64;
+    let variance = shifts.iter().map(|shift| (shift - mean).powi(2)).sum::<f64>() / (shifts.len() - 1) as f64;
+    Outcome {
+        robot_mm_mrad: of_robot.euclidean_mm_mrad(),
+        shift_ms: comparison.clock_shift_error_s * 1e3,
+        skew_ppm: comparison.clock_skew_error * 1e6,
+        repeats_ms: variance.sqrt(),
+    }
+}
+
+/// Mean and largest error of the robot, after printing.
+fn summary(name: &str, outcomes: &[Outcome]) -> (f64, f64) {
+    let largest = |of: &dyn Fn(&Outcome) -> f64| outcomes.iter().map(of).fold(0.0, f64::max);
+    let mean = outcomes.iter().map(|one| one.robot_mm_mrad).sum::<f64>() / outcomes.len() as f64;
+    let most = largest(&|one| one.robot_mm_mrad);
+    println!(
+        "{name}: robot {mean:.3} mean, {most:.3} largest mm|mrad; shift {:.4} ms, skew {:.2} ppm, parts of 20 s {:.4} ms",
+        largest(&|one| one.shift_ms.abs()),
+        largest(&|one| one.skew_ppm.abs()),
+        largest(&|one| one.repeats_ms),
+    );
+    assert!(outcomes.iter().all(|one| one.shift_ms.abs() < 0.1 && one.skew_ppm.abs() < 2.0), "{name}");
+    assert!(outcomes.iter().all(|one| one.repeats_ms < 0.1), "{name}");
+    (mean, most)
+}
+
+/// How a run is made from a seed.
+type Make = fn(&RobotConfig, &BallBarConfig, u64) -> Simulated;
+
+fn usual(robot: &RobotConfig, bar: &BallBarConfig, seed: u64) -> Simulated {
+    laboratory::run(robot, bar, seed, &Level::USUAL, Design::for_robot(robot))
+}
+
+fn hard(robot: &RobotConfig, bar: &BallBarConfig, seed: u64) -> Simulated {
+    laboratory::run(robot, bar, seed, &Level::HARD, Design::for_robot(robot))
+}
+
+fn shuffled_and_reversed(robot: &RobotConfig, bar: &BallBarConfig, seed: u64) -> Simulated {
+    let mut run = usual(robot, bar, seed);
+    for place in [0, 2, 3] {
+        run.encoders[place].scale.direction = Direction::Negative;
+    }
+    laboratory::exchange(&mut run, &[4, 2, 0, 3, 1]);
+    run
+}
+
+fn crossing(robot: &RobotConfig, bar: &BallBarConfig, seed: u64) -> Simulated {
+    let mut design = Design { bar_margin_deg: 0.0, ..Design::for_robot(robot) };
+    design.bar_range_deg[1] = [-60.0, 85.0];
+    laboratory::run(robot, bar, seed, &Level::USUAL, design)
+}
+
+/// A motion of 60 s done twice within the recording and the log.
+fn repeated(robot: &RobotConfig, bar: &BallBarConfig, seed: u64) -> Simulated {
+    let design = Design { duration_s: 60.0, ..Design::for_robot(robot) };
+    let mut run = laboratory::without_noise(robot, bar, seed, &Level::USUAL, design);
+    laboratory::repeat(&mut run, 70.0);
+    laboratory::add_noise(&mut run, seed, &Level::USUAL);
+    run
+}
+
+fn four() -> BallBarConfig {
+    let mut bar = bar();
+    bar.encoders.remove(2);
+    bar
+}
+
+fn outcomes(
+    robot: &RobotConfig,
+    bar: &BallBarConfig,
+    make: Make,
+    seeds: std::ops::RangeInclusive<u64>,
+) -> Vec<Outcome> {
+    let config = IdentifyConfig::default();
+    seeds.map(|seed| calibrated(&make(robot, bar, seed), robot, bar, &config)).collect()
+}
+
+#[test]
+fn a_few_runs_of_each_kind_calibrate_without_a_hand() {
+    let (robot, bar) = (irb2400(), bar());
+    let kinds: [(&str, Make, f64); 4] = [
+        ("usual", usual, 0.25),
+        ("shuffled and reversed", shuffled_and_reversed, 0.25),
+        ("through a singular pose", crossing, 0.25),
+        ("repeated motion", repeated, 0.3),
+    ];
+    for (name, make, limit) in kinds {
+        let (_, most) = summary(name, &outcomes(&robot, &bar, make, 1..=1));
+        assert!(most < limit, "{name}: {most}");
+    }
+    let (_, most) = summary("NJ 220, hard", &outcomes(&nj220(), &bar, hard, 1..=1));
+    assert!(most < 0.5, "{most}");
+}
+
+#[test]
+#[ignore = "minutes; the command above"]
+fn ten_runs_of_each_kind_with_both_robots() {
+    for robot in [irb2400(), nj220()] {
+        let of = |name: &str, bar: &BallBarConfig, make: Make| {
+            summary(&format!("{}, {name}", robot.name), &outcomes(&robot, bar, make, 1..=10))
+        };
+        let (mean, most) = of("usual", &bar(), usual);
+        let thesis = IdentifyConfig {
+            cost: Some(CostName::Transform),
+            selection: SelectionName::Thesis,
+            ..IdentifyConfig::default()
+        };
+        let of_thesis: f64 = (1..=10)
+            .map(|seed| {
+                calibrated(&usual(&robot, &bar(), seed), &robot, &bar(), &thesis).robot_mm_mrad / 10.0
+            })
+            .sum();
+        println!("{}, the thesis' cost and parameters on the same files: {of_thesis:.3}", robot.name);
+        let others: Vec<(&str, (f64, f64))> = vec![
+            ("four encoders", of("four encoders", &four(), usual)),
+            ("shuffled and reversed", of("shuffled and reversed", &bar(), shuffled_and_reversed)),
+            ("through a singular pose", of("through a singular pose", &bar(), crossing)),
+            ("repeated motion", of("repeated motion", &bar(), repeated)),
+            ("hard", of("hard", &bar(), hard)),
+        ];
+        println!("{others:?}");
+        assert!(mean < 0.12 && most < 0.25, "{}: {mean} {most}", robot.name);
+        assert!(others.iter().all(|(_, (mean, _))| *mean < 0.25), "{}", robot.name);
+    }
+}

@@ -1,0 +1,111 @@
+//! Runs that pass singular poses of the bar and lose the counters' origin: all parts are used.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+mod support;
+
+use identify::calibrate::ball_bar::BallBarCalibration;
+use identify::calibrate::truth::Comparison;
+use identify::calibrate::{IdentifyConfig, ball_bar};
+use identify::model::ParameterId;
+use identify::prepare::Fate;
+use identify::simulate::{self, Design, Effects, Experiment, Simulated};
+use shared::recording::schema::flags;
+use support::{bar, irb2400};
+
+/// A path on which the rod passes along the base axis.
+fn crossing(effects: Effects) -> Simulated {
+    let (robot, bar) = (irb2400(), bar());
+    let usual = Design::for_robot(&robot);
+    let mut bar_range_deg = usual.bar_range_deg;
+    bar_range_deg[1] = [-60.0, 85.0];
+    let design = Design { bar_range_deg, bar_margin_deg: 0.0, ..usual };
+    simulate::run(&Experiment { design, effects, ..Experiment::new(&robot, &bar) }).unwrap()
+}
+
+fn calibrated(run: &Simulated) -> BallBarCalibration {
+    let config = IdentifyConfig::default();
+    ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), &bar(), &config).unwrap()
+}
+
+fn robot_error(found: &BallBarCalibration, run: &Simulated) -> f64 {
+    let comparison = Comparison::new(found, &run.truth);
+    comparison.only(|id| matches!(id, ParameterId::Robot { .. })).euclidean_mm_mrad()
+}
+
+/// From cycle `at` on, counters go on from elsewhere.
+fn new_origin(run: &mut Simulated, at: usize) {
+    run.cycles[at].flags |= flags::ORIGIN_CHANGED;
+    for (k, cycle) in run.cycles.iter_mut().enumerate().skip(at) {
+        for (place, encoder) in cycle.encoders.iter_mut().enumerate() {
+            encoder.count = encoder.count.wrapping_add((1 + place as u32) * 123_457 * (at as u32 / 100));
+        }
+        if k < at + 30 {
+            cycle.encoders[0].valid = false;
+        }
+    }
+    // The first valid record carries the flag, as the daemon has it.
+    run.cycles[at].flags = 0;
+    run.cycles[at + 30].flags |= flags::ORIGIN_CHANGED;
+}
+
+#[test]
+fn samples_of_all_configurations_are_used_and_those_near_singular_poses_left_out() {
+    let run = crossing(Effects::default());
+    let found = calibrated(&run);
+    let path = &run.motion.path;
+    let since_start_s = found.prepared.t_ref.seconds_since(run.truth.clock.bar_start);
+    let mut sides = [0usize; 2];
+    for observation in &found.prepared.observations {
+        let joints = path.at(since_start_s + observation.t_s);
+        sides[usize::from(joints[1].sin() > 0.0)] += 1;
+        assert!(joints[1].sin().abs() > 0.08 && joints[3].sin().abs() > 0.08, "{joints:?}");
+    }
+    println!("{sides:?} {:?}", found.prepared.counts);
+    assert!(sides.iter().all(|count| *count > 50), "{sides:?}");
+    let singular = found.prepared.timeline.points.iter().filter(|point| point.fate == Fate::Singular);
+    assert!(singular.count() > 10);
+    let error = robot_error(&found, &run);
+    println!("{error:.5} mm|mrad");
+    assert!(error < 0.05, "{error}");
+}
+
+#[test]
+fn a_run_with_lost_origins_calibrates_as_well_as_one_without() {
+    let effects = Effects {
+        robot_noise_urad: 15.0,
+        encoder_noise_urad: 5.0,
+        gear_sine_urad: 20.0,
+        encoder_eccentricity_urad: 40.0,
+        base_tilt_urad: 5000.0,
+    };
+    let (robot, bar) = (irb2400(), bar());
+    for seed in [1, 2] {
+        let clean = simulate::run(&Experiment { seed, effects, ..Experiment::new(&robot, &bar) }).unwrap();
+        let mut lossy = clean.clone();
+        for at in [2500, 5000, 9000] {
+            new_origin(&mut lossy, at);
+        }
+        // An origin that may have changed and did not.
+        lossy.cycles[10_500].flags |= flags::ORIGIN_CHANGED;
+        let [of_clean, of_lossy] = [&clean, &lossy].map(calibrated);
+        let errors = [robot_error(&of_clean, &clean), robot_error(&of_lossy, &clean)];
+        let origins = &of_lossy.prepared.origins;
+        println!("clean {:.3}, with four origins {:.3} mm|mrad; {origins:#?}", errors[0], errors[1]);
+        assert_eq!(origins.len(), 5);
+        assert!(origins.iter().all(|origin| origin.used));
+        assert!(of_lossy.prepared.counts.other_origin == 0);
+        assert!(errors[1] < 1.5 * errors[0] + 0.02, "{errors:?}");
+    }
+}
+
+#[test]
+fn origins_change_where_configurations_do() {
+    let mut run = crossing(Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, ..Effects::default() });
+    for at in [3000, 7000] {
+        new_origin(&mut run, at);
+    }
+    let found = calibrated(&run);
+    let error = robot_error(&found, &run);
+    println!("{error:.5} mm|mrad, {:#?}", found.prepared.origins);
+    assert!(error < 0.1, "{error}");
+}

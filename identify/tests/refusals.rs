@@ -1,0 +1,128 @@
+//! What must not become a calibration: each case with the words that a person reads.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+mod support;
+
+use identify::calibrate::{CostName, IdentifyConfig, ball_bar};
+use identify::simulate::{self, Design, Effects, Experiment, Simulated};
+use shared::config::BallBarConfig;
+use support::{bar, irb2400};
+
+fn laboratory(change: impl Fn(&mut Experiment<'_>)) -> Simulated {
+    let (robot, bar) = (irb2400(), bar());
+    let effects = Effects {
+        robot_noise_urad: 15.0,
+        encoder_noise_urad: 5.0,
+        gear_sine_urad: 30.0,
+        encoder_eccentricity_urad: 40.0,
+        base_tilt_urad: 5000.0,
+    };
+    let design = Design { duration_s: 80.0, ..Design::for_robot(&robot) };
+    let mut experiment = Experiment { effects, design, ..Experiment::new(&robot, &bar) };
+    change(&mut experiment);
+    simulate::run(&experiment).unwrap()
+}
+
+fn refusal(run: &Simulated, bar: &BallBarConfig, config: &IdentifyConfig) -> String {
+    let found = ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), bar, config);
+    let told = found.map(drop).unwrap_err().to_string();
+    println!("{told}\n");
+    told
+}
+
+fn refused(run: &Simulated) -> String {
+    refusal(run, &bar(), &IdentifyConfig::default())
+}
+
+/// The number before a unit in a message.
+fn number_before(text: &str, unit: &str) -> f64 {
+    let before = text.split(unit).next().unwrap();
+    before.rsplit(' ').next().unwrap().parse().unwrap()
+}
+
+#[test]
+fn a_slipped_encoder_is_named_with_time_and_size() {
+    let clean = laboratory(|_| {});
+    for (place, at, mrad) in [(0, 3000, 5.0), (3, 4000, -0.6), (4, 5000, 15.0), (2, 2000, 40.0)] {
+        let mut run = clean.clone();
+        let counts = (mrad * 1e-3 / run.encoders[place].scale.rad_per_count()) as i32;
+        for cycle in &mut run.cycles[at..] {
+            let count = &mut cycle.encoders[place].count;
+            *count = count.wrapping_add(counts as u32);
+        }
+        let told = refused(&run);
+        assert!(told.contains(&format!("encoder of joint {} slips", place + 1)), "{told}");
+        assert!((number_before(&told, " s after") - at as f64 * 0.01).abs() < 0.1, "{told}");
+        assert!((number_before(&told, " mrad") - mrad).abs() < 0.1 + 0.05 * mrad.abs(), "{told}");
+    }
+}
+
+#[test]
+fn a_clock_that_jumps_is_told_with_time_and_size() {
+    let clean = laboratory(|_| {});
+    for jump_s in [0.01, -0.003, 0.05, 0.3, 4.0] {
+        let mut run = clean.clone();
+        let at = run.robot_log.t_s.len() / 2;
+        run.robot_log.t_s[at..].iter_mut().for_each(|t_s| *t_s += jump_s);
+        if jump_s < 0.0 {
+            let last = run.robot_log.t_s[at - 1];
+            let surplus = run.robot_log.t_s[at..].iter().position(|t_s| *t_s > last).unwrap();
+            run.robot_log.t_s.drain(at..at + surplus);
+            run.robot_log.q_rad.drain(at..at + surplus);
+        }
+        let told = refused(&run);
+        assert!(told.contains("a clock jumps during the run"), "{told}");
+        assert!((number_before(&told, " s after") - 40.0).abs() < 15.0, "{told}");
+        assert!(
+            (number_before(&told, " ms further") - 1e3 * jump_s).abs() < 0.2 * 1e3 * jump_s.abs(),
+            "{told}"
+        );
+    }
+}
+
+#[test]
+fn a_motion_that_tells_too_little_is_refused() {
+    // A circle about the base axis.
+    let circle = laboratory(|e| {
+        e.design.bar_range_deg[1] = [50.0, 50.01];
+        e.design.bar_range_deg[3] = [120.0, 120.01];
+    });
+    let told = refused(&circle);
+    assert!(told.contains("span no sphere"), "{told}");
+    // The rod moves, the cardan hardly does.
+    let stiff = laboratory(|e| {
+        e.design.bar_range_deg[2] = [10.0, 10.5];
+        e.design.bar_range_deg[3] = [120.0, 120.5];
+        e.design.bar_range_deg[4] = [10.0, 10.5];
+    });
+    let told = refused(&stiff);
+    assert!(told.contains("of the bar travels only 0."), "{told}");
+}
+
+#[test]
+fn another_bar_and_another_plate_are_refused() {
+    let run = laboratory(|_| {});
+    let config = IdentifyConfig::default();
+    let told = refusal(&run, &BallBarConfig { length_m: 0.7, ..bar() }, &config);
+    assert!(told.contains("sphere of 59") && told.contains("700 mm"), "{told}");
+    let told = refusal(&run, &BallBarConfig { plate_m: 0.30, tool_m: 0.05, ..bar() }, &config);
+    assert!(told.contains("sphere") || told.contains("geometry"), "{told}");
+}
+
+#[test]
+fn the_log_of_another_run_is_refused() {
+    let mut run = laboratory(|_| {});
+    run.robot_log = laboratory(|e| e.seed = 9).robot_log;
+    let told = refused(&run);
+    assert!(told.contains("different runs"), "{told}");
+}
+
+#[test]
+fn too_few_encoders_for_the_chosen_cost_are_told_with_the_missing_one() {
+    let (robot, mut bar) = (irb2400(), bar());
+    bar.encoders.remove(2);
+    let run = simulate::run(&Experiment::new(&robot, &bar)).unwrap();
+    let config = IdentifyConfig { cost: Some(CostName::Pose), ..IdentifyConfig::default() };
+    let told = refusal(&run, &bar, &config);
+    assert!(told.contains("needs the encoder of bar joint 3"), "{told}");
+}
