@@ -11,7 +11,7 @@ use super::circular::{median, wrapped};
 use super::clock::ClockFit;
 use crate::cost::{LoopProblem, Movement, Residual, Scene};
 use crate::kinematics::{
-    BAR_JOINTS, Chain, ImpliedBar, LinkParameter, Trace, Tracer, singularity_margin_rad,
+    BAR_JOINTS, Chain, ImpliedBar, LinkParameter, Trace, Tracer, Turn, singularity_margin_rad,
 };
 use crate::logs::InterpolatedLog;
 use crate::model::{Geometry, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
@@ -108,7 +108,7 @@ impl Residual for ImpliedAngles {
     fn derivative(&self, scene: &Scene<'_>, implied: &ImpliedBar, id: ParameterId, out: &mut [f64]) {
         let trust = self.trust(&scene.observation.bar_rad);
         if let ParameterId::Harmonic { joint, harmonic } = id {
-            out[joint] = trust[joint] * harmonic.wave(scene.observation.bar_rad[joint]);
+            out[joint] = trust[joint] * harmonic.wave(scene.readings[joint]);
             return;
         }
         let joints = match (scene.movement(id), id) {
@@ -369,9 +369,13 @@ impl<'a, M: RobotMotion> Judge<'a, M> {
         self.robot_tracer.trace(&state.q, &mut robot);
         let near = std::array::from_fn(|joint| self.measured[joint].then_some(bar_rad[joint]));
         let implied = ImpliedBar::new(&self.bar, &self.bar_tracer, robot.end(), &near).ok()?;
-        let corrected = self.geometry.harmonics.corrected(bar_rad);
+        let too_much_rad = self.geometry.harmonics.errors_rad(&bar_rad.map(Turn::of));
         let error_rad = std::array::from_fn(|joint| {
-            if self.measured[joint] { wrapped(corrected[joint] - implied.joints_rad[joint]) } else { 0.0 }
+            if self.measured[joint] {
+                wrapped(bar_rad[joint] - too_much_rad[joint] - implied.joints_rad[joint])
+            } else {
+                0.0
+            }
         });
         let rates = robot.joint_twists().zip(state.qd).map(|(twist, qd)| implied.by_pose(&twist) * qd);
         let implied_rad_s = rates.fold(Vector5::zeros(), |sum, rate| sum + rate).into();
