@@ -12,7 +12,7 @@ use shared::time::{MonoNs, NS_PER_S};
 use super::on_signal;
 use crate::clock::Clock;
 use crate::segment::faults::{FaultHandle, FaultSwitch, FaultWindow, FaultySegment};
-use crate::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
+use crate::segment::simulated::{Revision, SegmentConfig, SimulatedSegment, SmoothMotion};
 use crate::segment::{EthernetWire, FRAME_BYTES_MAX, Wire};
 
 #[derive(Debug, Args)]
@@ -26,6 +26,9 @@ pub struct SegmentArguments {
     /// Signal periods per revolution of the simulated encoders
     #[arg(long, default_value_t = 3600)]
     lines: u32,
+    /// Revision of the terminals, 16 to 22: up to 18 status bits lie in other objects, 22 measures frequency too
+    #[arg(long, default_value_t = 20, value_parser = clap::value_parser!(u8).range(16..=22))]
+    revision: u8,
     /// Seed of the motion, of the devices' clocks and of chance
     #[arg(long, default_value_t = SegmentConfig::default().seed)]
     seed: u64,
@@ -36,8 +39,12 @@ pub struct SegmentArguments {
 }
 
 pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
-    let config =
-        SegmentConfig { terminals: arguments.terminals, seed: arguments.seed, ..SegmentConfig::default() };
+    let config = SegmentConfig {
+        terminals: arguments.terminals,
+        seed: arguments.seed,
+        revision: Revision::from_number(arguments.revision).unwrap_or_default(),
+        ..SegmentConfig::default()
+    };
     let motion = SmoothMotion::new(config.terminals, arguments.lines, config.seed);
     let segment = SimulatedSegment::new(&config, Box::new(motion));
     let (mut segment, faults) = FaultySegment::new(segment, config.seed);

@@ -23,6 +23,7 @@ struct Row {
 }
 
 const LOST: Fault = Fault::FrameLost { share: 1.0 };
+const TENTH_LOST: Fault = Fault::FrameLost { share: 0.1 };
 const CORRUPTED: Fault = Fault::FrameCorrupted { share: 0.5 };
 const DUPLICATED: Fault = Fault::FrameDuplicated { share: 1.0 };
 const fn late(by_ms: i64) -> Fault {
@@ -68,7 +69,7 @@ const fn powered_off(row: Row) -> Row {
 const UP: &str = "bus in operation again";
 
 #[rustfmt::skip]
-const ROWS: [Row; 25] = [
+const ROWS: [Row; 30] = [
     row("one frame lost", &[(LOST, 1)], SILENCE, 2, &["no_reply"]),
     row("all frames lost for 0.3 s", &[(LOST, 30)], SILENCE, 2, &["no_reply"]),
     row("replies 6 ms late for 0.5 s", &[(late(6), 50)], SILENCE, 2, &["no_reply"]),
@@ -81,6 +82,11 @@ const ROWS: [Row; 25] = [
     row("terminal 3 falls to SAFE-OP", &[(safe_op(3), 1)], GONE, 3, &["position 3 fell to SAFE-OP, AL status code 0x001a"]),
     row("all terminals fall to SAFE-OP", &[(safe_op(1), 1), (safe_op(2), 1), (safe_op(3), 1), (safe_op(4), 1), (safe_op(5), 1)],
         GONE, 3, &["position 1 fell", "position 5 fell"]),
+    row("every tenth frame lost for 3 s", &[(TENTH_LOST, 300)], SILENCE, 2, &["no_reply"]),
+    row("signal of one encoder lost for 1 s", &[(Fault::SignalLost { position: 4 }, 100)], flags::TERMINAL_ERROR, 2, &["terminal_error"]),
+    row("signal of one encoder too fast for 1 s", &[(Fault::SignalTooFast { position: 1 }, 100)], flags::TERMINAL_ERROR, 2, &["terminal_error"]),
+    row("late, doubled and lost at once for 1 s", &[(late(6), 100), (DUPLICATED, 100), (TENTH_LOST, 100)], SILENCE, 2, &["no_reply"]),
+    row("link down while a terminal falls to SAFE-OP", &[(Fault::LinkDown, 20), (safe_op(2), 20)], SILENCE | GONE, 5, &["no_reply"]),
     powered_off(row("terminals gone from 3 on for 1 s", &[(gone(3), 100)], GONE | DOWN, BRING_UP, &["lost its address", UP, "without power"])),
     powered_off(row("terminals gone from 3 on for 10 ms", &[(gone(3), 1)], GONE | DOWN, BRING_UP, &["lost its address", UP, "without power"])),
     powered_off(row("last terminal gone for 5 s", &[(gone(5), 500)], GONE | DOWN, BRING_UP, &["lost its address", UP, "without power"])),
@@ -138,10 +144,10 @@ fn every_fault_is_survived_flagged_and_over_when_it_is_over() {
         let origins = rig.records.iter().filter(|record| record.flags & flags::ORIGIN_CHANGED != 0).count();
         let origin = if origins > 0 { "new" } else { "same" };
         println!(
-            "{:44} {:>7} {:>9}  {origin:>6}  {}",
+            "{:44} {:>7} {:>6} ms  {origin:>6}  {}",
             row.name,
             outcome.flagged,
-            outcome.recovered,
+            outcome.recovered * 10,
             names(outcome.flags)
         );
         rig.assert_complete();

@@ -1,6 +1,6 @@
 //! A master made of single frames: what goes on the wire is what the test says.
 
-use ballbard::segment::simulated::{EncoderSource, SegmentConfig, SimulatedSegment};
+use ballbard::segment::simulated::{EncoderSource, Revision, SegmentConfig, SimulatedSegment};
 
 pub const NOP: u8 = 0;
 pub const APRD: u8 = 1;
@@ -93,7 +93,11 @@ pub struct Wire {
 impl Wire {
     /// A segment whose devices have their station addresses.
     pub fn new(terminals: usize, source: impl EncoderSource + 'static) -> Self {
-        let config = SegmentConfig { terminals, ..SegmentConfig::default() };
+        Self::with_revision(terminals, Revision::default(), source)
+    }
+
+    pub fn with_revision(terminals: usize, revision: Revision, source: impl EncoderSource + 'static) -> Self {
+        let config = SegmentConfig { terminals, revision, ..SegmentConfig::default() };
         let mut wire =
             Self { segment: SimulatedSegment::new(&config, Box::new(source)), now_ns: 5_000_000_000 };
         for position in 0..=terminals as u16 {

@@ -9,3 +9,4 @@ mod frames;
 mod operation;
 mod refusal;
 mod replay;
+mod terminal;

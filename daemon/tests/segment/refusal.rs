@@ -120,19 +120,19 @@ fn the_way_back_is_always_open_and_closes_the_process_data() {
     }
 }
 
-fn abort_code(answer: &[u8]) -> u32 {
+pub fn abort_code(answer: &[u8]) -> u32 {
     assert_eq!(answer[0], 0x80, "an abort: {answer:02x?}");
     u32::from_le_bytes(answer[4..8].try_into().unwrap())
 }
 
-fn download(index: u16, subindex: u8, value: &[u8]) -> Vec<u8> {
+pub fn download(index: u16, subindex: u8, value: &[u8]) -> Vec<u8> {
     let [i0, i1] = index.to_le_bytes();
     let mut request = vec![0x23 | (4 - value.len() as u8) << 2, i0, i1, subindex, 0, 0, 0, 0];
     request[4..4 + value.len()].copy_from_slice(value);
     request
 }
 
-fn upload(index: u16, subindex: u8) -> [u8; 8] {
+pub fn upload(index: u16, subindex: u8) -> [u8; 8] {
     let [i0, i1] = index.to_le_bytes();
     [0x40, i0, i1, subindex, 0, 0, 0, 0]
 }

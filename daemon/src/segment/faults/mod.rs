@@ -15,7 +15,7 @@ use rand::{Rng, SeedableRng, rngs::StdRng};
 pub use text::{FaultSwitch, FaultText, FaultWindow};
 
 use super::FRAME_BYTES_MAX;
-use super::simulated::{MailboxFault, SimulatedSegment};
+use super::simulated::{MailboxFault, SignalFault, SimulatedSegment};
 use replies::Replies;
 
 /// One thing that is wrong. Positions are those on the bus: the coupler is 0, terminals follow. Shares are the
@@ -64,6 +64,16 @@ pub enum Fault {
         position: usize,
         /// AL status code (ETG.1020), such as 0x001A for a synchronisation error.
         code: u16,
+    },
+    /// The signal of a terminal's encoder is lost: amplitude error.
+    SignalLost {
+        /// Which.
+        position: usize,
+    },
+    /// The signal of a terminal's encoder is faster than it can follow: frequency error.
+    SignalTooFast {
+        /// Which.
+        position: usize,
     },
     /// A terminal refuses every SDO.
     MailboxAbort {
@@ -265,6 +275,12 @@ impl FaultySegment {
             (Fault::DevicesGone { .. }, false) => self.segment.restore(now_ns),
             (Fault::FallToSafeOp { position, code }, true) => self.segment.fall_to_safe_op(position, code),
             (Fault::ClockStep { by_ns }, true) => self.segment.step_reference_clock(now_ns, by_ns),
+            (Fault::SignalLost { position }, _) => {
+                self.segment.set_signal_fault(position, on.then_some(SignalFault::Lost));
+            }
+            (Fault::SignalTooFast { position }, _) => {
+                self.segment.set_signal_fault(position, on.then_some(SignalFault::TooFast));
+            }
             (Fault::MailboxAbort { position, code }, _) => {
                 let fault = on.then_some(MailboxFault::Abort(code));
                 self.segment.set_mailbox_fault(position, fault);

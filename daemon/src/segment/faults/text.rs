@@ -29,7 +29,8 @@ pub struct FaultSwitch {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "`{0}` is no fault; write one of lost:SHARE, late:SHARE,TIME, duplicated:SHARE, corrupted:SHARE, \
-     short:SHARE,BY, gone:POSITION, safe-op:POSITION,CODE, abort:POSITION,CODE, silent:POSITION, \
+     short:SHARE,BY, gone:POSITION, safe-op:POSITION,CODE, \
+     no-signal:POSITION, too-fast:POSITION, abort:POSITION,CODE, silent:POSITION, \
      emergency:POSITION,CODE, link-down, clock-step:TIME, each with @FROM-UNTIL or @FROM behind it if it is not \
      always there, such as gone:3@10s-15s, or `on` or `off` before it to switch it now"
 )]
@@ -85,6 +86,8 @@ fn named(name: &str, values: &[&str]) -> Option<Fault> {
         ("safe-op", [position, with]) => {
             Fault::FallToSafeOp { position: position.parse().ok()?, code: code(with)?.try_into().ok()? }
         }
+        ("no-signal", [position]) => Fault::SignalLost { position: position.parse().ok()? },
+        ("too-fast", [position]) => Fault::SignalTooFast { position: position.parse().ok()? },
         ("abort", [position, with]) => {
             Fault::MailboxAbort { position: position.parse().ok()?, code: code(with)? }
         }

@@ -19,7 +19,7 @@ mod wiring;
 use rand::{Rng, SeedableRng, rngs::StdRng};
 
 pub use devices::Revision;
-pub use node::MailboxFault;
+pub use node::{MailboxFault, SignalFault};
 pub use source::{
     Conversion, EncoderSource, Hand, HandTurned, Periods, Replay, ReplayError, ReplayHandle, Signal,
     SmoothMotion,
@@ -158,6 +158,13 @@ impl SimulatedSegment {
     pub fn fall_to_safe_op(&mut self, position: usize, code: u16) {
         if let Some(node) = self.nodes.get_mut(position) {
             node.esc.fall_to_safe_op(code);
+        }
+    }
+
+    /// Breaks or mends the signal of a terminal's encoder.
+    pub fn set_signal_fault(&mut self, position: usize, fault: Option<SignalFault>) {
+        if let Some(node) = self.nodes.get_mut(position) {
+            node.set_signal_fault(fault);
         }
     }
 

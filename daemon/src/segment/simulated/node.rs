@@ -32,6 +32,9 @@ pub trait Device: Send {
     /// How the device is synchronised was chosen or changed.
     fn synchronise(&mut self, _mode: SyncMode) {}
 
+    /// Breaks or mends the encoder's signal; devices without encoder have none.
+    fn set_signal_fault(&mut self, _fault: Option<SignalFault>) {}
+
     /// The device is powered off and on: what is not in its EEPROM is gone.
     fn power_cycle(&mut self) {}
 
@@ -39,6 +42,15 @@ pub trait Device: Send {
     fn objects(&mut self) -> Option<&mut dyn ObjectDictionary> {
         None
     }
+}
+
+/// What is wrong with an encoder's signal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SignalFault {
+    /// No amplitude: a cable is off.
+    Lost,
+    /// A frequency that no terminal can follow, as disturbances make it.
+    TooFast,
 }
 
 /// What is wrong with a device's mailbox.
@@ -75,6 +87,11 @@ impl Node {
         self.device.power_cycle();
         self.esc = Esc::new(self.device.chip(), self.esc.restarted_clock(now_ns));
         self.held_answer = None;
+    }
+
+    /// Breaks or mends the encoder's signal.
+    pub fn set_signal_fault(&mut self, fault: Option<SignalFault>) {
+        self.device.set_signal_fault(fault);
     }
 
     /// Breaks or mends the mailbox.

@@ -11,8 +11,8 @@ use crate::segment::simulated::chip::al::AlState;
 use crate::segment::simulated::chip::coe::ObjectDictionary;
 use crate::segment::simulated::chip::eeprom::{General, Header, Image};
 use crate::segment::simulated::chip::{ChipProfile, ExpectedSyncManager, SyncMode};
-use crate::segment::simulated::node::{Device, Step};
-use crate::segment::simulated::source::{Conversion, EncoderSource};
+use crate::segment::simulated::node::{Device, SignalFault, Step};
+use crate::segment::simulated::source::{Conversion, EncoderSource, Signal};
 
 const PRODUCT: u32 = 0x139d_3052;
 /// Chip type, its revision and build, 3 FMMUs, 4 sync managers, 4 kB, two E-bus ports, features 0x01FC: 64-bit
@@ -36,6 +36,9 @@ const SYNC_MANAGERS: [ExpectedSyncManager; 4] = [
 /// Conversion, calculation and copy into the input buffer.
 const DATA_READY_NS: i64 = 28_000;
 
+/// Above what any interpolation allows \[Hz\].
+const TOO_FAST_HZ: f64 = 400e3;
+
 /// Revisions of the terminal, as the device description file lists them.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Revision {
@@ -57,6 +60,12 @@ pub enum Revision {
 }
 
 impl Revision {
+    /// By its short number, 16 to 22.
+    pub fn from_number(number: u8) -> Option<Self> {
+        let all = [Self::R16, Self::R17, Self::R18, Self::R19, Self::R20, Self::R21, Self::R22];
+        all.get(usize::from(number.checked_sub(16)?)).copied()
+    }
+
     /// Revision number as the terminal identifies itself.
     pub fn number(self) -> u32 {
         (16 + self as u32) << 16
@@ -88,6 +97,7 @@ pub struct El5021 {
     counter: Counter,
     sync_mode: SyncMode,
     diagnosis: Diagnosis,
+    signal_fault: Option<SignalFault>,
     inputs: mapping::Inputs,
     outputs: mapping::Outputs,
 }
@@ -102,6 +112,7 @@ impl El5021 {
             counter: Counter::default(),
             sync_mode: SyncMode::SyncManager,
             diagnosis: Diagnosis::default(),
+            signal_fault: None,
             inputs: mapping::Inputs::default(),
             outputs: mapping::Outputs::default(),
         }
@@ -170,7 +181,7 @@ impl Device for El5021 {
             _ => mapping::Outputs::default(),
         };
         let at = Conversion { true_time_ns: step.event.true_ns, system_time_ns: step.event.system_ns };
-        let signal = source.signal(self.channel, at);
+        let signal = disturbed(source.signal(self.channel, at), self.signal_fault);
         let before = self.inputs;
         self.counter.convert(signal, &self.settings, &self.outputs, &mut self.inputs);
         self.count_errors(before);
@@ -180,15 +191,32 @@ impl Device for El5021 {
         self.inputs.encode(step.inputs);
     }
 
+    fn set_signal_fault(&mut self, fault: Option<SignalFault>) {
+        self.signal_fault = fault;
+    }
+
     fn synchronise(&mut self, mode: SyncMode) {
         self.sync_mode = mode;
     }
 
     fn power_cycle(&mut self) {
-        *self = Self { counter: Counter::after_power_cycle(), ..Self::new(self.channel, self.revision) };
+        let counter = Counter::after_power_cycle();
+        // What is wrong with the cable does not depend on the power.
+        *self = Self { counter, signal_fault: self.signal_fault, ..Self::new(self.channel, self.revision) };
     }
 
     fn objects(&mut self) -> Option<&mut dyn ObjectDictionary> {
         Some(self)
     }
+}
+
+fn disturbed(mut signal: Signal, fault: Option<SignalFault>) -> Signal {
+    if let Signal::Turning { amplitude, periods_per_s, .. } = &mut signal {
+        match fault {
+            Some(SignalFault::Lost) => *amplitude = 0.0,
+            Some(SignalFault::TooFast) => *periods_per_s = TOO_FAST_HZ,
+            None => {}
+        }
+    }
+    signal
 }
