@@ -10,13 +10,8 @@ use identify::simulate::{self, Effects, Experiment, StaticErrors};
 use identify::study::{Consistency, ConsistencyError};
 use support::{bar, irb2400};
 
-const NOISE: Effects = Effects {
-    robot_noise_urad: 15.0,
-    encoder_noise_urad: 5.0,
-    gear_sine_urad: 0.0,
-    encoder_eccentricity_urad: 0.0,
-    base_tilt_urad: 5000.0,
-};
+const NOISE: Effects =
+    Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, base_tilt_urad: 5000.0, ..Effects::NONE };
 
 /// One calibration of the robot with errors drawn from `errors`, on the path drawn from `path`.
 fn file(path: u64, errors: u64) -> CalibrationFile {

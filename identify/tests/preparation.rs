@@ -111,6 +111,7 @@ fn noise_tilt_and_gear_errors_leave_the_alignment_within_its_bounds() {
         gear_sine_urad: 100.0,
         encoder_eccentricity_urad: 100.0,
         base_tilt_urad: 2000.0,
+        ..Effects::default()
     };
     let run = run(&robot, &bar, |e| e.effects = effects);
     check(&prepared(&run, &robot, &bar).unwrap(), &run, "all effects");

@@ -19,13 +19,8 @@ use serde_json::Value;
 use shared::config::RobotConfig;
 use support::{bar, irb2400};
 
-const NOISE: Effects = Effects {
-    robot_noise_urad: 15.0,
-    encoder_noise_urad: 5.0,
-    gear_sine_urad: 0.0,
-    encoder_eccentricity_urad: 0.0,
-    base_tilt_urad: 5000.0,
-};
+const NOISE: Effects =
+    Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, base_tilt_urad: 5000.0, ..Effects::NONE };
 
 fn calibrated(robot: &RobotConfig, seed: u64, cost: Option<CostName>) -> (Simulated, BallBarCalibration) {
     let bar = bar();

@@ -163,7 +163,8 @@ fn effects_have_the_size_that_was_asked_for() {
     let sigma = (noise.iter().map(|d| d * d).sum::<f64>() / noise.len() as f64).sqrt();
     assert!((sigma - 1e-4).abs() < 1e-6, "{sigma}");
     let sine = differences(&noisy(Effects { gear_sine_urad: 50.0, ..Effects::default() }));
-    let largest = sine.iter().fold(0.0_f64, |most, d| most.max(d.abs()));
+    // The first axis has a gear of its own.
+    let largest = sine.iter().step_by(6).fold(0.0_f64, |most, d| most.max(d.abs()));
     assert!((largest - 5e-5).abs() < 1e-6, "{largest}");
     let tilted = noisy(Effects { base_tilt_urad: 5000.0, ..Effects::default() });
     let up = tilted.motion.bar.root_from_base.rotation * nalgebra::Vector3::z();

@@ -3,21 +3,16 @@
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 
+use super::candidates::Candidate;
 use super::config::{CostName, IdentifyConfig};
-use super::robust::{solve_from_subsets, solve_robust};
-use crate::cost::{
-    CostError, Length, LoopProblem, Position, PositionAngles, Residual, Transform, WhitenedPose, fill_in,
-};
+use super::several::{self, Run};
+use super::structure::StructureError;
+use crate::cost::{CostError, Length, Position, PositionAngles, SharedColumns, Transform, WhitenedPose};
 use crate::kinematics::{BAR_JOINTS, LinkParameter, ball_bar_chain, robot_chain};
 use crate::logs::RobotLog;
 use crate::model::{Axis, DriveTrain, Geometry, Model, ModelError, ParameterId};
 use crate::prepare::{PrepareError, Prepared, prepare};
-use crate::solver::{Options, Solution, SolveError, Summary, Unidentifiable, Watch};
-
-/// The thesis' residuals enter as it defines them; `pose` is whitened by itself.
-const UNWEIGHTED: f64 = 1.0;
-/// Residuals without any error still count as this uncertain against priors \[m, m^2 or matrix entry\].
-const SIGMA_MIN: f64 = 1e-9;
+use crate::solver::{Solution, SolveError, Summary, Unidentifiable, Watch};
 
 /// Why there is no calibration.
 #[derive(Debug, thiserror::Error)]
@@ -34,6 +29,12 @@ pub enum CalibrateError {
     /// The solve could not start.
     #[error(transparent)]
     Solve(#[from] SolveError),
+    /// It cannot be told what the samples determine.
+    #[error(transparent)]
+    Structure(#[from] StructureError),
+    /// Nothing was given.
+    #[error("there is no run to calibrate from; give at least one recording with its robot log")]
+    NoRun,
     /// The samples do not determine what is free.
     #[error(transparent)]
     Unidentifiable(#[from] Unidentifiable),
@@ -54,18 +55,41 @@ pub enum CalibrateError {
 pub struct BallBarCalibration {
     /// Cost that was minimised.
     pub cost: CostName,
-    /// How the logs were brought together.
+    /// How the logs of the first run were brought together.
     pub prepared: Prepared,
-    /// Parameters, at the solution.
+    /// Parameters of robot and first run, at the solution. Their columns come first in `solution`.
     pub model: Model,
-    /// The solve.
+    /// The other runs; the robot is that of `model`.
+    pub others: Vec<Run>,
+    /// Which columns of the solution are whose.
+    pub columns: SharedColumns,
+    /// The solve of all runs.
     pub solution: Solution,
+    /// Kinds of terms that were tried, and what became of them.
+    pub candidates: Vec<Candidate>,
+    /// Tolerances of the links were multiplied by this: one but with selection `automatic`.
+    pub prior_scale: f64,
 }
 
-/// [`calibrate_watched`] with nobody looking on.
+/// What one run left behind.
+#[derive(Debug, Clone, Copy)]
+pub struct RunInput<'a> {
+    /// Of the recording.
+    pub cycles: &'a [CycleRecord],
+    /// Encoders of the recording, in its order.
+    pub encoders: &'a [EncoderInfo],
+    /// The robot's own log.
+    pub log: &'a RobotLog,
+    /// The bar of this run: bars of several runs may differ in length.
+    pub bar: &'a BallBarConfig,
+}
+
+/// Prepares and solves one run.
+///
+/// `encoders` are those of the recording, in its order.
 ///
 /// # Errors
-/// As there.
+/// [`CalibrateError`]: a calibration that is returned has converged and every free parameter of it is identified.
 pub fn calibrate(
     cycles: &[CycleRecord],
     encoders: &[EncoderInfo],
@@ -74,42 +98,45 @@ pub fn calibrate(
     bar: &BallBarConfig,
     config: &IdentifyConfig,
 ) -> Result<BallBarCalibration, CalibrateError> {
-    calibrate_watched(cycles, encoders, log, robot, bar, config, None)
+    calibrate_runs(&[RunInput { cycles, encoders, log, bar }], robot, config, None)
 }
 
-/// Prepares and solves.
-///
-/// `encoders` are those of the recording, in its order.
+/// Prepares each run and solves all in one: they share the robot and the bar's links, each has its own clock, place of the
+/// bar, encoder zeros and, where it differs, length. `watch` sees each solve and may end it.
 ///
 /// # Errors
-/// [`CalibrateError`]: a calibration that is returned has converged and every free parameter of it is identified.
-pub fn calibrate_watched(
-    cycles: &[CycleRecord],
-    encoders: &[EncoderInfo],
-    log: &RobotLog,
+/// As [`calibrate`].
+pub fn calibrate_runs(
+    inputs: &[RunInput<'_>],
     robot: &RobotConfig,
-    bar: &BallBarConfig,
     config: &IdentifyConfig,
     watch: Option<&dyn Watch>,
 ) -> Result<BallBarCalibration, CalibrateError> {
-    let mut prepared = prepare(cycles, encoders, log, robot, bar, &config.prepare)?;
-    let cost = config.cost.unwrap_or_else(|| CostName::for_encoders(&prepared.measured));
-    let mut model = start_model(&prepared, robot, bar)?;
-    let solution = match cost {
+    let run = |input: &RunInput<'_>| {
+        let prepared = prepare(input.cycles, input.encoders, input.log, robot, input.bar, &config.prepare)?;
+        let model = start_model(&prepared, robot, input.bar)?;
+        Ok(Run { prepared, model })
+    };
+    let mut runs = inputs.iter().map(run).collect::<Result<Vec<Run>, CalibrateError>>()?;
+    let measured = std::array::from_fn(|joint| runs.iter().all(|run| run.prepared.measured[joint]));
+    let cost = config.cost.unwrap_or_else(|| CostName::for_encoders(&measured));
+    let solved = match cost {
         CostName::Pose => {
             let whitened = |prepared: &Prepared, geometry: &Geometry| {
                 WhitenedPose::new(geometry, &prepared.motion, &prepared.observations, config.noise.into())
             };
-            solve(&mut prepared, &mut model, cost, whitened, config, watch)?
+            several::solve(&mut runs, cost, whitened, config, watch)?
         }
-        CostName::Transform => solve(&mut prepared, &mut model, cost, |_, _| Transform, config, watch)?,
-        CostName::PositionAngles => {
-            solve(&mut prepared, &mut model, cost, |_, _| PositionAngles, config, watch)?
-        }
-        CostName::Position => solve(&mut prepared, &mut model, cost, |_, _| Position, config, watch)?,
-        CostName::Length => solve(&mut prepared, &mut model, cost, |_, _| Length, config, watch)?,
+        CostName::Transform => several::solve(&mut runs, cost, |_, _| Transform, config, watch)?,
+        CostName::PositionAngles => several::solve(&mut runs, cost, |_, _| PositionAngles, config, watch)?,
+        CostName::Position => several::solve(&mut runs, cost, |_, _| Position, config, watch)?,
+        CostName::Length => several::solve(&mut runs, cost, |_, _| Length, config, watch)?,
     };
-    Ok(BallBarCalibration { cost, prepared, model, solution })
+    let mut runs = runs.into_iter();
+    let Run { prepared, model } = runs.next().ok_or(CalibrateError::NoRun)?;
+    let several::Solved { columns, solution, candidates, prior_scale } = solved;
+    let others = runs.collect();
+    Ok(BallBarCalibration { cost, prepared, model, others, columns, solution, candidates, prior_scale })
 }
 
 /// Nominal robot and bar, at the place and with the encoder offsets that the preparation found.
@@ -128,42 +155,4 @@ fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) ->
     model.set_value(ParameterId::ClockShift, initial.clock_shift_s)?;
     model.set_value(ParameterId::ClockSkew, initial.clock_skew)?;
     Ok(model)
-}
-
-/// Selects, solves, and leaves the model at the solution. `residual` makes the cost for a geometry.
-fn solve<R: Residual>(
-    prepared: &mut Prepared,
-    model: &mut Model,
-    cost: CostName,
-    residual: impl Fn(&Prepared, &Geometry) -> R,
-    config: &IdentifyConfig,
-    watch: Option<&dyn Watch>,
-) -> Result<Solution, CalibrateError> {
-    config.set_roles(model, R::tells)?;
-    let loss = config.loss_for(cost);
-    let options = Options { watch, ..Options::default() };
-    let mut solve_once = |sigma: f64| {
-        let geometry = model.geometry(&model.start());
-        if !R::ENCODERS.is_empty() {
-            fill_in(&geometry, &prepared.motion, &mut prepared.observations);
-        }
-        let residual = residual(prepared, &geometry);
-        let problem = LoopProblem::new(model, &prepared.motion, &prepared.observations, residual, sigma)?;
-        let solve_by = if config.ransac { solve_from_subsets } else { solve_robust };
-        let mut solution = solve_by(&problem, &model.start(), loss, &options)?.identified()?;
-        solution.summary.residual_rms_start *= sigma;
-        solution.summary.residual_rms *= sigma;
-        if !solution.summary.termination.converged() {
-            return Err(CalibrateError::NotConverged { summary: solution.summary });
-        }
-        model.adopt(&solution.x);
-        Ok(solution)
-    };
-    let first = solve_once(UNWEIGHTED)?;
-    // Whitening, angles without encoder and the worth of a residual against priors were those of the nominal geometry;
-    // now they are those of the solution.
-    let sigma = if cost == CostName::Pose { UNWEIGHTED } else { first.summary.residual_rms.max(SIGMA_MIN) };
-    let mut second = solve_once(sigma)?;
-    second.summary.residual_rms_start = first.summary.residual_rms_start;
-    Ok(second)
 }

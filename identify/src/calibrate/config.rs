@@ -5,10 +5,11 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 
+use super::candidates::TermGroup;
 use super::robust::LossName;
 use crate::cost::AngleNoise;
-use crate::kinematics::BAR_JOINTS;
-use crate::model::{Model, ModelError, ParameterId, Role, Selection};
+use crate::kinematics::{BAR_JOINTS, LinkParameter};
+use crate::model::{JointTerm, Model, ModelError, ParameterId, Role, Selection};
 use crate::prepare::PrepareOptions;
 
 /// Cost functions that need a ball-bar.
@@ -68,13 +69,55 @@ pub enum SelectionName {
     /// And two rotations of the bar's base, which no real cell has at zero.
     #[default]
     Cell,
+    /// All that the poses determine: of each dependent group the parameter that is best fixed is left out.
+    AllIdentifiable,
+    /// The same, each number of the links expected at its nominal value within a tolerance, which is scaled until
+    /// held-out stretches of the run are predicted best.
+    Automatic,
 }
 
-impl From<SelectionName> for Selection {
-    fn from(name: SelectionName) -> Self {
-        match name {
-            SelectionName::Thesis => Self::ThesisWithClocks,
-            SelectionName::Cell => Self::CellWithClocks,
+impl SelectionName {
+    /// The set, where it does not depend on the poses.
+    pub const fn fixed(self) -> Option<Selection> {
+        match self {
+            Self::Thesis => Some(Selection::ThesisWithClocks),
+            Self::Cell => Some(Selection::CellWithClocks),
+            Self::AllIdentifiable | Self::Automatic => None,
+        }
+    }
+}
+
+/// Errors of the robot's axes that repeat with the motion, and how large they are expected to be.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct JointTermsConfig {
+    /// Kinds that are tried; each stays only where it predicts held-out stretches of the run better.
+    pub candidates: Vec<TermGroup>,
+    /// Amplitude of each wave and half of each backlash: zero within this standard deviation \[urad\].
+    pub amplitude_urad: f64,
+    /// Error of each ratio \[ppm\].
+    pub ratio_ppm: f64,
+    /// How much an axis gives way for each metre of its load's lever \[urad/m\].
+    pub compliance_urad_per_m: f64,
+}
+
+impl Default for JointTermsConfig {
+    fn default() -> Self {
+        Self {
+            candidates: TermGroup::OF_ROBOT.to_vec(),
+            amplitude_urad: 30.0,
+            ratio_ppm: 50.0,
+            compliance_urad_per_m: 200.0,
+        }
+    }
+}
+
+impl JointTermsConfig {
+    fn sigma(&self, term: JointTerm) -> f64 {
+        1e-6 * match term {
+            JointTerm::Ratio => self.ratio_ppm,
+            JointTerm::Compliance(_) => self.compliance_urad_per_m,
+            _ => self.amplitude_urad,
         }
     }
 }
@@ -118,9 +161,13 @@ pub struct IdentifyConfig {
     pub free: Vec<String>,
     /// Parameters fixed all the same.
     pub fix: Vec<String>,
-    /// With selection `cell`, each harmonic of an encoder is expected to be zero within this standard deviation
-    /// \[urad\]; zero leaves them out.
+    /// With any selection but `thesis`, each harmonic of an encoder is expected to be zero within this standard deviation
+    /// \[urad\]; zero leaves them out. With `automatic` they are a candidate like the robot's terms.
     pub encoder_harmonics_urad: f64,
+    /// Errors of the robot's axes, with any selection but `thesis`.
+    pub joint_terms: JointTermsConfig,
+    /// With selection `automatic`, the tolerance of the links' numbers \[mm|mrad\].
+    pub tolerance_mm_mrad: f64,
     /// Parameters expected at their starting value within a standard deviation \[mm, mrad, ms or ppm\].
     pub priors: BTreeMap<String, f64>,
     /// What angles are worth.
@@ -139,6 +186,8 @@ impl Default for IdentifyConfig {
             free: Vec::new(),
             fix: Vec::new(),
             encoder_harmonics_urad: 30.0,
+            joint_terms: JointTermsConfig::default(),
+            tolerance_mm_mrad: 1.0,
             priors: BTreeMap::new(),
             noise: NoiseConfig::default(),
             prepare: PrepareOptions::default(),
@@ -153,19 +202,26 @@ impl IdentifyConfig {
         self.loss.unwrap_or(usual)
     }
 
-    /// Gives every parameter its role for a cost that tells `tells` apart.
+    /// Gives every parameter its role for a cost that tells `tells` apart. `identifiable` is the set of a selection that
+    /// depends on the poses. Terms that are candidates are left out.
     ///
     /// # Errors
     /// [`ModelError`] where a name or a standard deviation makes no sense.
     pub fn set_roles(
         &self,
         model: &mut Model,
+        identifiable: &[ParameterId],
         tells: impl Fn(ParameterId) -> bool,
     ) -> Result<(), ModelError> {
-        model.select(self.selection.into(), &tells)?;
-        if self.selection == SelectionName::Cell && self.encoder_harmonics_urad > 0.0 {
-            let prior = Role::Prior { value: 0.0, sigma: self.encoder_harmonics_urad * 1e-6 };
-            model.set_roles(ParameterId::harmonics().filter(|id| tells(*id)), prior)?;
+        match self.selection.fixed() {
+            Some(selection) => model.select(selection, &tells)?,
+            None => self.select_identifiable(model, identifiable, &tells)?,
+        }
+        let always = matches!(self.selection, SelectionName::Cell | SelectionName::AllIdentifiable);
+        if always && self.encoder_harmonics_urad > 0.0 {
+            for id in ParameterId::harmonics().filter(|id| tells(*id)) {
+                model.set_role(id, self.term_role(id))?;
+            }
         }
         for (name, sigma) in &self.priors {
             let id: ParameterId = name.parse()?;
@@ -178,6 +234,59 @@ impl IdentifyConfig {
             }
         }
         Ok(())
+    }
+}
+
+impl IdentifyConfig {
+    fn select_identifiable(
+        &self,
+        model: &mut Model,
+        identifiable: &[ParameterId],
+        tells: impl Fn(ParameterId) -> bool,
+    ) -> Result<(), ModelError> {
+        let all: Vec<ParameterId> = model.parameters().iter().map(|parameter| parameter.id).collect();
+        let clocks = [ParameterId::ClockShift, ParameterId::ClockSkew];
+        for id in all {
+            let free = identifiable.contains(&id) || clocks.contains(&id) && tells(id);
+            model.set_role(id, if free { self.geometry_role(model, id) } else { Role::Fixed })?;
+        }
+        Ok(())
+    }
+
+    /// The links' numbers have tolerances; where the bar stands, how its encoders are mounted and the clocks are anywhere.
+    fn geometry_role(&self, model: &Model, id: ParameterId) -> Role {
+        let made = match id {
+            ParameterId::Bar { parameter, .. } => parameter != LinkParameter::Theta,
+            ParameterId::Robot { .. } => true,
+            _ => false,
+        };
+        match model.parameter(id) {
+            Some(parameter) if made && self.selection == SelectionName::Automatic => {
+                Role::Prior { value: parameter.nominal, sigma: self.tolerance_mm_mrad * 1e-3 }
+            }
+            _ => Role::Free,
+        }
+    }
+
+    /// Kinds of terms that are tried on top of the selection.
+    pub fn candidates(&self) -> Vec<TermGroup> {
+        let mut groups = match self.selection {
+            SelectionName::Thesis => Vec::new(),
+            _ => self.joint_terms.candidates.clone(),
+        };
+        if self.selection == SelectionName::Automatic && self.encoder_harmonics_urad > 0.0 {
+            groups.insert(0, TermGroup::EncoderHarmonics);
+        }
+        groups
+    }
+
+    /// The prior of a term of the robot's axes or of an encoder.
+    pub fn term_role(&self, id: ParameterId) -> Role {
+        let sigma = match id {
+            ParameterId::Joint { term, .. } => self.joint_terms.sigma(term),
+            _ => self.encoder_harmonics_urad * 1e-6,
+        };
+        Role::Prior { value: 0.0, sigma }
     }
 }
 
@@ -203,6 +312,11 @@ impl Validate for IdentifyConfig {
             known(format!("priors.{name}"), name)?;
             positive(format!("priors.{name}"), sigma)?;
         }
+        positive("tolerance_mm_mrad".into(), self.tolerance_mm_mrad)?;
+        let terms = &self.joint_terms;
+        positive("joint_terms.amplitude_urad".into(), terms.amplitude_urad)?;
+        positive("joint_terms.ratio_ppm".into(), terms.ratio_ppm)?;
+        positive("joint_terms.compliance_urad_per_m".into(), terms.compliance_urad_per_m)?;
         positive("noise.encoder_urad".into(), self.noise.encoder_urad)?;
         positive("noise.robot_urad".into(), self.noise.robot_urad)?;
         if !(self.encoder_harmonics_urad.is_finite() && self.encoder_harmonics_urad >= 0.0) {

@@ -10,13 +10,13 @@ use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::recording::Recording;
 
 use super::on_terminal::OnTerminal;
-use crate::calibrate::ball_bar::{self, BallBarCalibration};
+use crate::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
 use crate::calibrate::measured_length::{self, LengthOptions, LengthRow};
 use crate::calibrate::measured_pose::HoldOut;
 use crate::calibrate::truth::Comparison;
 use crate::calibrate::{CostName, IdentifyConfig, LossName, SelectionName};
 use crate::kinematics::flange_chain;
-use crate::logs::{self, MeasuredLengthMapping, MeasuredLengths};
+use crate::logs::{self, MeasuredLengthMapping, MeasuredLengths, RobotLog};
 use crate::model::{JointWaves, ParameterId};
 use crate::report::file::{CalibrationFile, ClockEntry, Input, ParameterEntry, SolveEntry};
 use crate::report::page::Page;
@@ -26,12 +26,12 @@ use crate::study::evidence;
 
 #[derive(Debug, Args)]
 pub struct CalibrateArguments {
-    /// Recording of the ball-bar (.mcap)
+    /// Recording of the ball-bar (.mcap); several runs of one robot are solved together
     #[arg(long, value_name = "FILE", requires_all = ["robot_log", "bar"])]
-    recording: Option<PathBuf>,
-    /// The robot's own log (.csv)
+    recording: Vec<PathBuf>,
+    /// The robot's own log (.csv), one for each recording in the same order
     #[arg(long, value_name = "FILE", requires = "recording")]
-    robot_log: Option<PathBuf>,
+    robot_log: Vec<PathBuf>,
     /// Poses with one measured length each (.csv), instead of a recording
     #[arg(long, value_name = "FILE", requires = "mapping", conflicts_with = "recording")]
     measured_lengths: Option<PathBuf>,
@@ -57,9 +57,9 @@ pub struct CalibrateArguments {
     /// The robot's configuration, such as config/robots/irb2400_16.toml
     #[arg(long, value_name = "FILE")]
     robot: PathBuf,
-    /// The bar's configuration, such as config/ball_bar.toml
+    /// The bar's configuration, such as config/ball_bar.toml: one for all recordings, or one for each
     #[arg(long, value_name = "FILE")]
-    bar: Option<PathBuf>,
+    bar: Vec<PathBuf>,
     /// Directory for calibration.toml
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -84,19 +84,15 @@ pub struct CalibrateArguments {
     /// Fix these parameters
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     fix: Vec<String>,
-    /// True parameters of a simulated experiment, to compare with
+    /// True parameters of a simulated experiment (the first one), to compare with
     #[arg(long, value_name = "FILE")]
     truth: Option<PathBuf>,
 }
 
 pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
     let robot: RobotConfig = config::load(&arguments.robot)?;
-    match (&arguments.recording, &arguments.robot_log, &arguments.bar) {
-        (Some(recording), Some(robot_log), Some(bar)) => {
-            return from_ball_bar(arguments, &robot, recording, robot_log, bar);
-        }
-        (None, _, _) => {}
-        _ => anyhow::bail!("--recording needs --robot-log and --bar"),
+    if !arguments.recording.is_empty() {
+        return from_ball_bar(arguments, &robot);
     }
     match (&arguments.measured_lengths, &arguments.measured_poses, &arguments.mapping) {
         (Some(lengths), _, Some(mapping)) => from_measured_lengths(arguments, &robot, lengths, mapping),
@@ -121,51 +117,69 @@ fn identify_config(arguments: &CalibrateArguments) -> anyhow::Result<IdentifyCon
     Ok(config)
 }
 
-fn from_ball_bar(
-    arguments: &CalibrateArguments,
-    robot: &RobotConfig,
-    recording_path: &Path,
-    log_path: &Path,
-    bar_path: &Path,
-) -> anyhow::Result<()> {
-    let bar: BallBarConfig = config::load(bar_path)?;
+/// One run as it was read.
+struct RunFiles<'a> {
+    recording_path: &'a Path,
+    log_path: &'a Path,
+    bar_path: &'a Path,
+    recording: Recording,
+    log: RobotLog,
+    bar: BallBarConfig,
+}
+
+fn runs<'a>(arguments: &'a CalibrateArguments, robot: &RobotConfig) -> anyhow::Result<Vec<RunFiles<'a>>> {
+    let CalibrateArguments { recording, robot_log, bar, .. } = arguments;
+    anyhow::ensure!(
+        recording.len() == robot_log.len(),
+        "{} recordings and {} robot logs; give one --robot-log for each --recording, in the same order",
+        recording.len(),
+        robot_log.len()
+    );
+    anyhow::ensure!(
+        bar.len() == 1 || bar.len() == recording.len(),
+        "{} recordings and {} bars; give one --bar for all, or one for each --recording",
+        recording.len(),
+        bar.len()
+    );
+    let bars = bar.iter().cycle();
+    let read = |((recording_path, log_path), bar_path): ((&'a PathBuf, &'a PathBuf), &'a PathBuf)| {
+        Ok(RunFiles {
+            recording: Recording::open(recording_path)?,
+            log: logs::load(log_path, robot)?,
+            bar: config::load(bar_path)?,
+            recording_path,
+            log_path,
+            bar_path,
+        })
+    };
+    recording.iter().zip(robot_log).zip(bars).map(read).collect()
+}
+
+fn from_ball_bar(arguments: &CalibrateArguments, robot: &RobotConfig) -> anyhow::Result<()> {
     let config = identify_config(arguments)?;
     let truth = arguments.truth.as_deref().map(load_truth).transpose()?;
-    let recording = Recording::open(recording_path)?;
-    let log = logs::load(log_path, robot)?;
+    let runs = runs(arguments, robot)?;
+    let inputs: Vec<RunInput<'_>> = runs
+        .iter()
+        .map(|run| RunInput {
+            cycles: &run.recording.cycles,
+            encoders: &run.recording.run.encoders,
+            log: &run.log,
+            bar: &run.bar,
+        })
+        .collect();
     let on_terminal = OnTerminal::new();
-    let calibration = ball_bar::calibrate_watched(
-        &recording.cycles,
-        &recording.run.encoders,
-        &log,
-        robot,
-        &bar,
-        &config,
-        Some(&on_terminal),
-    );
+    let calibration = ball_bar::calibrate_runs(&inputs, robot, &config, Some(&on_terminal));
     on_terminal.finish();
-    let calibration =
-        calibration.with_context(|| format!("{} with {}", recording_path.display(), log_path.display()))?;
-    let inputs = inputs(&[
-        ("recording", recording_path),
-        ("robot log", log_path),
-        ("robot", &arguments.robot),
-        ("bar", bar_path),
-    ])?;
-    let solution = &calibration.solution;
-    let file = CalibrationFile::new(
-        &robot.name,
-        &bar.name,
-        SolveEntry::new(calibration.cost.name(), &solution.summary, &solution.identifiability),
-        Some(clock_entry(&calibration)),
-        inputs,
-        ParameterEntry::all(&calibration.model, |id| {
-            calibration.model.column_of(id).and_then(|column| solution.covariance.sigma(column))
-        }),
-    )
-    .with_knowledge(&calibration.model, solution);
+    let calibration = calibration.with_context(|| {
+        let names = runs
+            .iter()
+            .map(|run| format!("{} with {}", run.recording_path.display(), run.log_path.display()));
+        names.collect::<Vec<_>>().join(", ")
+    })?;
+    let file = calibration_file(arguments, robot, &runs, &calibration)?;
     let written = file.write(&arguments.out)?;
-    file.write_robot(robot, Some(&bar), &arguments.out)?;
+    file.write_robot(robot, runs.first().map(|run| &run.bar), &arguments.out)?;
     let page = Page {
         file: &file,
         calibration: &calibration,
@@ -179,6 +193,31 @@ fn from_ball_bar(
     }
     println!("\n{}\n{}", written.display(), page.display());
     Ok(())
+}
+
+fn calibration_file(
+    arguments: &CalibrateArguments,
+    robot: &RobotConfig,
+    runs: &[RunFiles<'_>],
+    calibration: &BallBarCalibration,
+) -> anyhow::Result<CalibrationFile> {
+    let mut files = vec![("robot", arguments.robot.as_path())];
+    for run in runs {
+        files.extend([("recording", run.recording_path), ("robot log", run.log_path), ("bar", run.bar_path)]);
+    }
+    let solution = &calibration.solution;
+    let bar = runs.first().map_or("", |run| run.bar.name.as_str());
+    let mut file = CalibrationFile::new(
+        &robot.name,
+        bar,
+        SolveEntry::new(calibration.cost.name(), &solution.summary, &solution.identifiability),
+        Some(clock_entry(calibration)),
+        inputs(&files)?,
+        ParameterEntry::of_runs(calibration),
+    )
+    .with_knowledge(&calibration.model, solution);
+    file.candidates.clone_from(&calibration.candidates);
+    Ok(file)
 }
 
 /// The files of a calibration with their checksums.

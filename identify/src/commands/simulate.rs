@@ -50,12 +50,21 @@ pub struct SimulateArguments {
     /// White noise of each bar encoder [urad]
     #[arg(long, value_name = "URAD", default_value_t = 0.0)]
     encoder_noise_urad: f64,
-    /// Sinusoidal gear error of each robot joint, amplitude [urad]
+    /// Sinusoidal error of each robot gear, amplitude [urad]
     #[arg(long, value_name = "URAD", default_value_t = 0.0)]
     gear_sine_urad: f64,
+    /// Ripple of each cycloid gear, amplitude [urad]
+    #[arg(long, value_name = "URAD", default_value_t = 0.0)]
+    cycloid_urad: f64,
+    /// Half of the play of each robot gear [urad]
+    #[arg(long, value_name = "URAD", default_value_t = 0.0)]
+    backlash_urad: f64,
     /// Eccentricity of each bar encoder, amplitude [urad]
     #[arg(long, value_name = "URAD", default_value_t = 0.0)]
     encoder_eccentricity_urad: f64,
+    /// The same twice per turn, amplitude [urad]
+    #[arg(long, value_name = "URAD", default_value_t = 0.0)]
+    encoder_ellipticity_urad: f64,
     /// Tilt of the bar's base against the robot's [urad]
     #[arg(long, value_name = "URAD", default_value_t = 0.0)]
     base_tilt_urad: f64,
@@ -80,6 +89,9 @@ pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
         robot_noise_urad: arguments.robot_noise_urad,
         encoder_noise_urad: arguments.encoder_noise_urad,
         gear_sine_urad: arguments.gear_sine_urad,
+        cycloid_urad: arguments.cycloid_urad,
+        backlash_urad: arguments.backlash_urad,
+        encoder_ellipticity_urad: arguments.encoder_ellipticity_urad,
         encoder_eccentricity_urad: arguments.encoder_eccentricity_urad,
         base_tilt_urad: arguments.base_tilt_urad,
     };

@@ -14,6 +14,7 @@ mod position;
 mod position_angles;
 mod problem;
 mod scene;
+mod several;
 mod transform;
 
 pub use closure::{Closure, closures};
@@ -27,4 +28,5 @@ pub use position::Position;
 pub use position_angles::PositionAngles;
 pub use problem::{CostError, LoopProblem};
 pub use scene::{Movement, Residual, Scene};
+pub use several::{SeveralRuns, SharedColumns};
 pub use transform::Transform;

@@ -54,6 +54,7 @@ pub struct LoopProblem<'a, R, M> {
     readings: Vec<[Turn; BAR_JOINTS]>,
     residual: R,
     ids: Vec<ParameterId>,
+    own_columns: Vec<usize>,
     priors: Vec<Prior>,
     whitening: f64,
 }
@@ -80,8 +81,35 @@ impl<'a, R: Residual, M: RobotMotion> LoopProblem<'a, R, M> {
             .try_for_each(|(sample, observation)| check::<R>(sample, observation))?;
         let readings = observations.iter().map(readings).collect();
         let ids = model.columns().map(|parameter| parameter.id).collect();
-        let priors = model.priors();
-        Ok(Self { model, motion, observations, readings, residual, ids, priors, whitening: sigma.recip() })
+        let own_columns = (0..model.columns().len()).collect();
+        let (priors, whitening) = (model.priors(), sigma.recip());
+        Ok(Self { model, motion, observations, readings, residual, ids, own_columns, priors, whitening })
+    }
+
+    /// [`Problem::sample`] with the derivatives of each parameter in a column of the caller's choice.
+    pub(super) fn sample_into(
+        &self,
+        point: &mut LoopPoint,
+        sample: usize,
+        residual: &mut [f64],
+        block: &mut Block<'_>,
+        columns: &[usize],
+    ) -> bool {
+        let (Some(observation), Some(readings)) = (self.observations.get(sample), self.readings.get(sample))
+        else {
+            return false;
+        };
+        let Some(scene) = point.scene(self.motion, sample, observation, readings) else { return false };
+        let Some(local) = self.residual.local(&scene) else { return false };
+        self.residual.residual(&scene, &local, residual);
+        for (&column, &id) in columns.iter().zip(&self.ids) {
+            self.residual.derivative(&scene, &local, id, block.column_mut(column));
+        }
+        if self.whitening != 1.0 {
+            residual.iter_mut().for_each(|r| *r *= self.whitening);
+            block.scale(self.whitening);
+        }
+        true
     }
 }
 
@@ -199,20 +227,6 @@ impl<R: Residual, M: RobotMotion> Problem for LoopProblem<'_, R, M> {
         residual: &mut [f64],
         block: &mut Block<'_>,
     ) -> bool {
-        let (Some(observation), Some(readings)) = (self.observations.get(sample), self.readings.get(sample))
-        else {
-            return false;
-        };
-        let Some(scene) = point.scene(self.motion, sample, observation, readings) else { return false };
-        let Some(local) = self.residual.local(&scene) else { return false };
-        self.residual.residual(&scene, &local, residual);
-        for (column, &id) in self.ids.iter().enumerate() {
-            self.residual.derivative(&scene, &local, id, block.column_mut(column));
-        }
-        if self.whitening != 1.0 {
-            residual.iter_mut().for_each(|r| *r *= self.whitening);
-            block.scale(self.whitening);
-        }
-        true
+        self.sample_into(point, sample, residual, block, &self.own_columns)
     }
 }

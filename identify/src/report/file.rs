@@ -9,6 +9,8 @@ use sha2::{Digest, Sha256};
 use shared::time::UtcNs;
 
 use super::knowledge::{CovarianceEntry, Knowledge};
+use crate::calibrate::ball_bar::BallBarCalibration;
+use crate::calibrate::candidates::Candidate;
 use crate::model::{Model, Parameter, ParameterId, Role, link_parameter_name};
 use crate::solver::{Identifiability, Summary};
 
@@ -106,6 +108,27 @@ impl ParameterEntry {
         }
     }
 
+    /// Those of a calibration: all of the first run, then those that each other run has for itself.
+    pub fn of_runs(calibration: &BallBarCalibration) -> Vec<Self> {
+        let covariance = &calibration.solution.covariance;
+        let sigma = |id| calibration.model.column_of(id).and_then(|column| covariance.sigma(column));
+        let mut entries = Self::all(&calibration.model, sigma);
+        for (run, other) in calibration.others.iter().enumerate().map(|(index, other)| (index + 1, other)) {
+            let columns = calibration.columns.of_run(run);
+            for (parameter, &column) in other.model.columns().zip(columns) {
+                let name = calibration.columns.names().get(column).filter(|name| name.contains('@'));
+                let Some(name) = name else { continue };
+                entries.push(Self { name: name.clone(), ..Self::new(parameter, covariance.sigma(column)) });
+            }
+        }
+        entries
+    }
+
+    /// Which parameter it is, of whichever run; none for a name that is not known.
+    pub fn id(&self) -> Option<ParameterId> {
+        self.name.split('@').next()?.parse().ok()
+    }
+
     /// All parameters of a model at its solution, in the model's order, but terms of the robot's axes that are left out.
     pub fn all(model: &Model, sigma: impl Fn(ParameterId) -> Option<f64>) -> Vec<Self> {
         let left_out = |parameter: &&Parameter| {
@@ -189,7 +212,10 @@ pub struct CalibrationFile {
     pub clock: Option<ClockEntry>,
     /// Files it was made from.
     pub inputs: Vec<Input>,
-    /// Every parameter of the model.
+    /// Kinds of terms that were tried on held-out stretches of the runs.
+    #[serde(default)]
+    pub candidates: Vec<Candidate>,
+    /// Every parameter of the model; those of run 2 alone are called `ox@2`.
     pub parameters: Vec<ParameterEntry>,
     /// How well they are known together.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -218,6 +244,7 @@ impl CalibrationFile {
             solve,
             clock,
             inputs,
+            candidates: Vec::new(),
             parameters,
             knowledge: None,
             covariance: None,

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::file::CalibrationFile;
-use crate::model::Model;
+use crate::model::{Model, ParameterId};
 use crate::solver::{Observability, Solution};
 
 /// Correlations above this are named.
@@ -72,7 +72,12 @@ impl CalibrationFile {
     pub fn with_knowledge(mut self, model: &Model, solution: &Solution) -> Self {
         let found = &solution.identifiability;
         let name = |column: usize| found.names.get(column).cloned().unwrap_or_default();
-        let units: Vec<f64> = model.columns().map(|p| p.id.unit().display_factor().recip()).collect();
+        let of_model = model.columns().map(|p| p.id);
+        // Columns of other runs are called as those of the first, with the run's number.
+        let of_others = found.names.iter().skip(of_model.len());
+        let of_others = of_others.filter_map(|name| name.split('@').next()?.parse::<ParameterId>().ok());
+        let units: Vec<f64> =
+            of_model.chain(of_others).map(|id| id.unit().display_factor().recip()).collect();
         let strongest = solution.covariance.strongest_correlations(NAMED_ABOVE);
         let named = strongest.into_iter().take(NAMED_MAX);
         self.knowledge = Some(Knowledge {

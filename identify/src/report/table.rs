@@ -11,7 +11,7 @@ use crate::model::{ParameterId, Unit};
 
 /// Unit in which people read a parameter.
 fn display_unit(entry: &ParameterEntry) -> Unit {
-    entry.name.parse::<ParameterId>().map_or(Unit::Ratio, ParameterId::unit)
+    entry.id().map_or(Unit::Ratio, ParameterId::unit)
 }
 
 /// How the solve went, and every identified parameter: nominal, correction and sigma in mm and mrad.
@@ -68,7 +68,29 @@ pub fn calibration(file: &CalibrationFile) -> String {
     if let Some(knowledge) = &file.knowledge {
         text.push_str(&knowledge.describe(solve.parameters));
     }
+    text.push_str(&candidates(file));
     text.push_str(&joint_offsets(file));
+    text
+}
+
+/// Terms that were tried and what they did to the prediction of held-out stretches.
+fn candidates(file: &CalibrationFile) -> String {
+    if file.candidates.is_empty() {
+        return String::new();
+    }
+    let mut text =
+        String::from("terms tried on held-out stretches of the run (residual RMS without and with):\n");
+    for candidate in &file.candidates {
+        let _ = writeln!(
+            text,
+            "  {:<40}{:>4} parameters{:>12.4} -> {:.4}  {}",
+            candidate.group.name(),
+            candidate.parameters,
+            candidate.held_out_before,
+            candidate.held_out_after,
+            if candidate.accepted { "taken" } else { "left out" },
+        );
+    }
     text
 }
 

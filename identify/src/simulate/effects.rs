@@ -2,10 +2,12 @@
 
 use std::f64::consts::TAU;
 
+use nalgebra::{Matrix6, RowVector6};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, StandardNormal};
 use serde::{Deserialize, Serialize};
+use shared::config::RobotConfig;
 
 use super::SimulateError;
 
@@ -17,25 +19,49 @@ pub struct Effects {
     pub robot_noise_urad: f64,
     /// White noise of each bar encoder, standard deviation.
     pub encoder_noise_urad: f64,
-    /// Sine of twice the joint angle on each robot joint, amplitude: an eccentric output gear (thesis 2.3).
+    /// Sine of twice the angle of each robot gear's output, amplitude: an eccentric output gear (thesis 2.3).
     pub gear_sine_urad: f64,
+    /// Ripple of each cycloid gear at its number of lobes, amplitude, and a fourth of it at twice that: no pure sine, as
+    /// in Yang and Blanche 1990. Robot axes whose number of lobes is not configured have none.
+    pub cycloid_urad: f64,
+    /// Half of the play between each robot motor and its joint.
+    pub backlash_urad: f64,
     /// Sine of the joint angle on each bar encoder, amplitude: an eccentric grating.
     pub encoder_eccentricity_urad: f64,
+    /// Sine of twice the joint angle on each bar encoder, amplitude: an elliptic one.
+    pub encoder_ellipticity_urad: f64,
     /// How far the bar's base leans, about x and by 0.6 of it about -y.
     pub base_tilt_urad: f64,
 }
 
-/// Turns of the gear error in one turn of the joint.
+/// Turns of the gear error in one turn of the gear's output.
 const GEAR_PERIODS: f64 = 2.0;
+/// Second wave of a cycloid's ripple, part of the first.
+const CYCLOID_SECOND: f64 = 0.25;
 
 impl Effects {
+    /// None at all.
+    pub const NONE: Self = Self {
+        robot_noise_urad: 0.0,
+        encoder_noise_urad: 0.0,
+        gear_sine_urad: 0.0,
+        cycloid_urad: 0.0,
+        backlash_urad: 0.0,
+        encoder_eccentricity_urad: 0.0,
+        encoder_ellipticity_urad: 0.0,
+        base_tilt_urad: 0.0,
+    };
+
     /// All sizes with their keys.
-    fn sizes(&self) -> [(&'static str, f64); 5] {
+    fn sizes(&self) -> [(&'static str, f64); 8] {
         [
             ("robot_noise_urad", self.robot_noise_urad),
             ("encoder_noise_urad", self.encoder_noise_urad),
             ("gear_sine_urad", self.gear_sine_urad),
+            ("cycloid_urad", self.cycloid_urad),
+            ("backlash_urad", self.backlash_urad),
             ("encoder_eccentricity_urad", self.encoder_eccentricity_urad),
+            ("encoder_ellipticity_urad", self.encoder_ellipticity_urad),
             ("base_tilt_urad", self.base_tilt_urad),
         ]
     }
@@ -53,39 +79,109 @@ impl Effects {
     }
 }
 
-/// One kind of angle reading with its own phases and noise.
-pub(super) struct Reading<const N: usize> {
-    sine_rad: f64,
+/// `amplitude sin(periods angle + phase)`.
+#[derive(Debug, Clone, Copy)]
+struct Wave {
+    amplitude_rad: f64,
     periods: f64,
-    phases_rad: [f64; N],
+    phase_rad: f64,
+}
+
+impl Wave {
+    fn at(&self, angle_rad: f64) -> f64 {
+        self.amplitude_rad * (self.periods * angle_rad + self.phase_rad).sin()
+    }
+}
+
+/// `N` waves of one kind with phases of their own.
+fn waves<const N: usize>(amplitude_urad: f64, periods: [f64; N], random: &mut ChaCha8Rng) -> [Wave; N] {
+    periods.map(|periods| Wave {
+        amplitude_rad: if periods > 0.0 { amplitude_urad * 1e-6 } else { 0.0 },
+        periods,
+        phase_rad: random.random_range(0.0..TAU),
+    })
+}
+
+/// One kind of angle reading with its own phases and noise.
+struct Noisy<const N: usize> {
+    /// Each of them on every angle.
+    waves: Vec<[Wave; N]>,
     noise_rad: f64,
     random: ChaCha8Rng,
 }
 
-impl Reading<6> {
-    pub fn of_robot(effects: &Effects, random: ChaCha8Rng) -> Self {
-        Self::new(effects.gear_sine_urad, GEAR_PERIODS, effects.robot_noise_urad, random)
-    }
-}
-
-impl Reading<5> {
-    pub fn of_bar(effects: &Effects, random: ChaCha8Rng) -> Self {
-        Self::new(effects.encoder_eccentricity_urad, 1.0, effects.encoder_noise_urad, random)
-    }
-}
-
-impl<const N: usize> Reading<N> {
-    fn new(sine_urad: f64, periods: f64, noise_urad: f64, mut random: ChaCha8Rng) -> Self {
-        let phases_rad = std::array::from_fn(|_| random.random_range(0.0..TAU));
-        Self { sine_rad: sine_urad * 1e-6, periods, phases_rad, noise_rad: noise_urad * 1e-6, random }
+impl<const N: usize> Noisy<N> {
+    fn error_rad(&self, angles_rad: &[f64; N]) -> [f64; N] {
+        std::array::from_fn(|i| self.waves.iter().map(|wave| wave[i].at(angles_rad[i])).sum())
     }
 
-    /// What is read where the joints are at `true_rad`.
-    pub fn of(&mut self, true_rad: &[f64; N]) -> [f64; N] {
-        std::array::from_fn(|i| {
-            let sine = (self.periods * true_rad[i] + self.phases_rad[i]).sin();
+    fn noise_rad(&mut self) -> [f64; N] {
+        std::array::from_fn(|_| {
             let noise: f64 = StandardNormal.sample(&mut self.random);
-            true_rad[i] + self.sine_rad * sine + self.noise_rad * noise
+            self.noise_rad * noise
         })
+    }
+}
+
+/// What the bar's encoders say.
+pub(super) struct BarReading(Noisy<5>);
+
+impl BarReading {
+    pub fn new(effects: &Effects, mut random: ChaCha8Rng) -> Self {
+        let waves = vec![
+            waves(effects.encoder_eccentricity_urad, [1.0; 5], &mut random),
+            waves(effects.encoder_ellipticity_urad, [2.0; 5], &mut random),
+        ];
+        Self(Noisy { waves, noise_rad: effects.encoder_noise_urad * 1e-6, random })
+    }
+
+    /// Where the joints are at `true_rad`.
+    pub fn of(&mut self, true_rad: &[f64; 5]) -> [f64; 5] {
+        let (error, noise) = (self.0.error_rad(true_rad), self.0.noise_rad());
+        std::array::from_fn(|i| true_rad[i] + error[i] + noise[i])
+    }
+}
+
+/// What the robot's log says. Gears err at the angle of their output, which rods and bevel gears pass on to joints.
+pub(super) struct RobotReading {
+    noisy: Noisy<6>,
+    joints_from_gears: Matrix6<f64>,
+    gears_from_joints: Matrix6<f64>,
+    play_rad: f64,
+    /// Where each motor is, as an angle of its gear's output; none before the first reading.
+    motors_rad: Option<[f64; 6]>,
+}
+
+impl RobotReading {
+    pub fn new(robot: &RobotConfig, effects: &Effects, mut random: ChaCha8Rng) -> Self {
+        let table = &robot.log.raw_to_joint;
+        // A gear's output turns with its own entry of the table; the rest of the row is what it takes along.
+        let joints_from_gears = Matrix6::from_fn(|i, j| table[i][j] / table[i][i]);
+        let usable = joints_from_gears.try_inverse().filter(|inverse| inverse.iter().all(|x| x.is_finite()));
+        let (joints_from_gears, gears_from_joints) =
+            usable.map_or((Matrix6::identity(), Matrix6::identity()), |inverse| (joints_from_gears, inverse));
+        let lobes = robot.drives.cycloid_lobes;
+        let waves = vec![
+            waves(effects.gear_sine_urad, [GEAR_PERIODS; 6], &mut random),
+            waves(effects.cycloid_urad, lobes, &mut random),
+            waves(CYCLOID_SECOND * effects.cycloid_urad, lobes.map(|lobes| 2.0 * lobes), &mut random),
+        ];
+        let noisy = Noisy { waves, noise_rad: effects.robot_noise_urad * 1e-6, random };
+        let play_rad = effects.backlash_urad * 1e-6;
+        Self { noisy, joints_from_gears, gears_from_joints, play_rad, motors_rad: None }
+    }
+
+    /// Where the joints are at `true_rad`, after they were where it was asked before.
+    pub fn of(&mut self, true_rad: &[f64; 6]) -> [f64; 6] {
+        let gears = RowVector6::from_row_slice(true_rad) * self.gears_from_joints;
+        let gears: [f64; 6] = std::array::from_fn(|i| gears[i]);
+        let before = self.motors_rad.unwrap_or(gears);
+        let motors: [f64; 6] =
+            std::array::from_fn(|i| before[i].clamp(gears[i] - self.play_rad, gears[i] + self.play_rad));
+        self.motors_rad = Some(motors);
+        let (error, noise) = (self.noisy.error_rad(&gears), self.noisy.noise_rad());
+        let off: [f64; 6] = std::array::from_fn(|i| motors[i] - gears[i] + error[i]);
+        let off = RowVector6::from_row_slice(&off) * self.joints_from_gears;
+        std::array::from_fn(|i| true_rad[i] + off[i] + noise[i])
     }
 }

@@ -63,6 +63,11 @@ impl Covariance {
         Self { matrix, determined, variance_factor }
     }
 
+    /// The same columns with a covariance from elsewhere, such as one that knows of correlated errors.
+    pub fn replaced(self, matrix: DMatrix<f64>) -> Self {
+        if matrix.shape() == self.matrix.shape() { Self { matrix, ..self } } else { self }
+    }
+
     fn is_determined(&self, column: usize) -> bool {
         self.determined.get(column).copied().unwrap_or(false)
     }

@@ -1,0 +1,277 @@
+//! The solve of one or several runs: what is free, which terms stay, and how far to trust the result.
+
+use super::ball_bar::CalibrateError;
+use super::blocks::{Blocks, stretches};
+use super::candidates::{Candidate, TermGroup, choose, prior_scale};
+use super::config::{CostName, IdentifyConfig, SelectionName};
+use super::robust::{LossName, solve_from_subsets, solve_robust};
+use super::structure::identifiable;
+use crate::cost::{CostError, LoopProblem, Residual, SeveralRuns, SharedColumns, fill_in};
+use crate::kinematics::LinkParameter;
+use crate::model::{Geometry, Model, ModelError, ParameterId, Role};
+use crate::prepare::{AlignedLog, Prepared};
+use crate::solver::{Options, Solution, Watch};
+
+/// The thesis' residuals enter as it defines them; `pose` is whitened by itself.
+const UNWEIGHTED: f64 = 1.0;
+/// Residuals without any error still count as this uncertain against priors \[m, m^2 or matrix entry\].
+const SIGMA_MIN: f64 = 1e-9;
+/// Whitened residuals below this are rounding: there is nothing left that a term could explain.
+const RESIDUAL_MIN: f64 = 1e-3;
+/// Stretches of each run that are held out in turn to choose terms.
+const HELD_OUT: usize = 8;
+/// Stretches of each run that are left out in turn for the covariance.
+const LEFT_OUT: usize = 30;
+
+/// One run and its parameters.
+#[derive(Debug, Clone)]
+pub struct Run {
+    /// How its logs were brought together.
+    pub prepared: Prepared,
+    /// Its parameters.
+    pub model: Model,
+}
+
+/// A solve of all runs.
+#[derive(Debug, Clone)]
+pub struct Solved {
+    /// Which columns of the solution are whose.
+    pub columns: SharedColumns,
+    /// The solve.
+    pub solution: Solution,
+    /// Kinds of terms that were tried.
+    pub candidates: Vec<Candidate>,
+    /// Scale of the links' tolerances.
+    pub prior_scale: f64,
+}
+
+/// Runs with a cost: `residual` makes it for a run on a geometry.
+struct Solver<'a, F> {
+    runs: &'a mut [Run],
+    residual: F,
+    loss: LossName,
+    ransac: bool,
+    watch: Option<&'a dyn Watch>,
+    /// The runs' bars differ in length.
+    lengths_differ: bool,
+}
+
+/// Selects, solves, chooses terms, solves again and leaves the models at the solution.
+///
+/// # Errors
+/// [`CalibrateError`] where the runs do not suit the cost or do not determine what is free.
+pub fn solve<R: Residual>(
+    runs: &mut [Run],
+    cost: CostName,
+    residual: impl Fn(&Prepared, &Geometry) -> R,
+    config: &IdentifyConfig,
+    watch: Option<&dyn Watch>,
+) -> Result<Solved, CalibrateError> {
+    let first = runs.first().ok_or(CalibrateError::NoRun)?;
+    let free = match config.selection.fixed() {
+        Some(_) => Vec::new(),
+        None => identifiable(&first.model, &first.prepared.motion, &first.prepared.observations, cost)?,
+    };
+    for run in &mut *runs {
+        config.set_roles(&mut run.model, &free, R::tells)?;
+    }
+    let loss = config.loss_for(cost);
+    let lengths_differ = lengths_differ(runs);
+    let mut solver = Solver { runs, residual, loss, ransac: config.ransac, watch, lengths_differ };
+    let (_, first) = solver.solve(UNWEIGHTED)?;
+    // Whitening, angles without encoder and the worth of a residual against priors were those of the nominal geometry;
+    // now they are those of the solution.
+    let sigma = if cost == CostName::Pose { UNWEIGHTED } else { first.summary.residual_rms.max(SIGMA_MIN) };
+    let (mut columns, mut solution) = solver.solve(sigma)?;
+    let mut candidates = Vec::new();
+    let mut scale = 1.0;
+    if solution.summary.residual_rms > RESIDUAL_MIN * sigma {
+        (candidates, scale) = solver.choose_terms(sigma, &solution, config, R::tells)?;
+        if scale != 1.0 || candidates.iter().any(|candidate| candidate.accepted) {
+            (columns, solution) = solver.solve(sigma)?;
+        }
+    }
+    solution.summary.residual_rms_start = first.summary.residual_rms_start;
+    if let Some(blocks) = solver.blocks(&columns, sigma, &solution.sample_weights, LEFT_OUT)?
+        && let Some(covariance) = blocks.jackknife()
+    {
+        solution.covariance = solution.covariance.replaced(covariance);
+    }
+    Ok(Solved { columns, solution, candidates, prior_scale: scale })
+}
+
+const ROD: ParameterId = ParameterId::Bar { link: 2, parameter: LinkParameter::D };
+
+fn lengths_differ(runs: &[Run]) -> bool {
+    let length = |run: &Run| run.model.parameter(ROD).map(|rod| rod.nominal);
+    runs.windows(2).any(|pair| length(&pair[0]) != length(&pair[1]))
+}
+
+/// What a run has for itself: robot and bar are those of all runs, but the bar is set up anew and its encoders count from
+/// new zeros.
+fn is_own(id: ParameterId, lengths_differ: bool) -> bool {
+    match id {
+        ParameterId::Base(_) | ParameterId::BaseRotation(_) | ParameterId::Harmonic { .. } => true,
+        ParameterId::ClockShift | ParameterId::ClockSkew => true,
+        ParameterId::Bar { parameter: LinkParameter::Theta, .. } => true,
+        id => id == ROD && lengths_differ,
+    }
+}
+
+impl<R: Residual, F: Fn(&Prepared, &Geometry) -> R> Solver<'_, F> {
+    fn columns(&self) -> SharedColumns {
+        SharedColumns::new(self.runs.iter().map(|run| &run.model), |id| is_own(id, self.lengths_differ))
+    }
+
+    fn start(&self, columns: &SharedColumns) -> Vec<f64> {
+        columns.gather(&self.runs.iter().map(|run| run.model.start()).collect::<Vec<_>>())
+    }
+
+    fn problem<'p>(
+        &'p self,
+        columns: &'p SharedColumns,
+        sigma: f64,
+    ) -> Result<SeveralRuns<'p, R, AlignedLog>, CostError> {
+        let of_run = |run: &'p Run| {
+            let Prepared { motion, observations, .. } = &run.prepared;
+            let residual = (self.residual)(&run.prepared, &run.model.geometry(&[]));
+            LoopProblem::new(&run.model, motion, observations, residual, sigma)
+        };
+        let problems = self.runs.iter().map(of_run).collect::<Result<Vec<_>, CostError>>()?;
+        Ok(SeveralRuns::new(problems, columns))
+    }
+
+    /// One solve from where the models are; they are left at its solution.
+    fn solve(&mut self, sigma: f64) -> Result<(SharedColumns, Solution), CalibrateError> {
+        if !R::ENCODERS.is_empty() {
+            for Run { prepared, model } in &mut *self.runs {
+                fill_in(&model.geometry(&[]), &prepared.motion, &mut prepared.observations);
+            }
+        }
+        let columns = self.columns();
+        let start = self.start(&columns);
+        let problem = self.problem(&columns, sigma)?;
+        let solve_by = if self.ransac { solve_from_subsets } else { solve_robust };
+        let options = Options { watch: self.watch, ..Options::default() };
+        let mut solution = solve_by(&problem, &start, self.loss, &options)?.identified()?;
+        solution.summary.residual_rms_start *= sigma;
+        solution.summary.residual_rms *= sigma;
+        if !solution.summary.termination.converged() {
+            return Err(CalibrateError::NotConverged { summary: solution.summary });
+        }
+        for (number, run) in self.runs.iter_mut().enumerate() {
+            run.model.adopt(&columns.values(number, &solution.x));
+        }
+        Ok((columns, solution))
+    }
+
+    /// Stretches of all runs where the models are; none where residuals are not finite.
+    fn blocks(
+        &self,
+        columns: &SharedColumns,
+        sigma: f64,
+        weights: &[f64],
+        count: usize,
+    ) -> Result<Option<Blocks>, CostError> {
+        let problem = self.problem(columns, sigma)?;
+        let stretches = stretches(problem.starts(), count);
+        Ok(Blocks::new(&problem, &self.start(columns), weights, &stretches))
+    }
+
+    /// Tries each kind of terms on held-out stretches, gives those that stay their priors, and finds the priors' scale.
+    fn choose_terms(
+        &mut self,
+        sigma: f64,
+        solution: &Solution,
+        config: &IdentifyConfig,
+        tells: impl Fn(ParameterId) -> bool,
+    ) -> Result<(Vec<Candidate>, f64), CalibrateError> {
+        let groups = config.candidates();
+        let offered =
+            |id: ParameterId| TermGroup::of(id).is_some_and(|group| groups.contains(&group)) && tells(id);
+        self.set_terms(config, |model, id| offered(id) && is_fixed(model, id))?;
+        let columns = self.columns();
+        let blocks = self.blocks(&columns, sigma, &solution.sample_weights, HELD_OUT)?;
+        let ids = columns.gather(&self.ids());
+        let of_group = |group: Option<TermGroup>| -> Vec<usize> {
+            let offered = |id: ParameterId| TermGroup::of(id).filter(|of| groups.contains(of));
+            ids.iter()
+                .enumerate()
+                .filter(|(_, id)| offered(**id) == group)
+                .map(|(column, _)| column)
+                .collect()
+        };
+        let offers: Vec<(TermGroup, Vec<usize>)> = groups
+            .iter()
+            .map(|group| (*group, of_group(Some(*group))))
+            .filter(|(_, own)| !own.is_empty())
+            .collect();
+        let Some(blocks) = blocks else {
+            self.leave_out(|group| groups.contains(&group))?;
+            return Ok((Vec::new(), 1.0));
+        };
+        let (report, kept) = choose(&blocks, &of_group(None), &offers);
+        let accepted = |group| report.iter().any(|candidate| candidate.accepted && candidate.group == group);
+        self.leave_out(|group| groups.contains(&group) && !accepted(group))?;
+        if config.selection != SelectionName::Automatic {
+            return Ok((report, 1.0));
+        }
+        // Tolerances of the links: terms were weighed above, and what a person gave stays as it is.
+        let tolerance =
+            |id: ParameterId| TermGroup::of(id).is_none() && !config.priors.contains_key(&id.to_string());
+        let scale = prior_scale(&blocks, &kept, |column| ids.get(column).copied().is_some_and(tolerance));
+        self.scale_priors(scale, tolerance)?;
+        Ok((report, scale))
+    }
+
+    fn ids(&self) -> Vec<Vec<ParameterId>> {
+        self.runs.iter().map(|run| run.model.columns().map(|parameter| parameter.id).collect()).collect()
+    }
+
+    /// Gives terms their priors.
+    fn set_terms(
+        &mut self,
+        config: &IdentifyConfig,
+        wanted: impl Fn(&Model, ParameterId) -> bool,
+    ) -> Result<(), ModelError> {
+        for run in &mut *self.runs {
+            let all: Vec<ParameterId> = run.model.parameters().iter().map(|parameter| parameter.id).collect();
+            for id in all {
+                if wanted(&run.model, id) && !config.fix.contains(&id.to_string()) {
+                    run.model.set_role(id, config.term_role(id))?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Fixes the terms of some groups at zero, but those that were asked for by name.
+    fn leave_out(&mut self, group: impl Fn(TermGroup) -> bool) -> Result<(), ModelError> {
+        for run in &mut *self.runs {
+            let all: Vec<ParameterId> = run.model.columns().map(|parameter| parameter.id).collect();
+            for id in all.into_iter().filter(|id| TermGroup::of(*id).is_some_and(&group)) {
+                if run.model.parameter(id).is_some_and(|parameter| parameter.value == 0.0) {
+                    run.model.set_role(id, Role::Fixed)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn scale_priors(&mut self, scale: f64, which: impl Fn(ParameterId) -> bool) -> Result<(), ModelError> {
+        for run in &mut *self.runs {
+            let priors: Vec<(ParameterId, Role)> =
+                run.model.columns().map(|parameter| (parameter.id, parameter.role)).collect();
+            for (id, role) in priors.into_iter().filter(|(id, _)| which(*id)) {
+                if let Role::Prior { value, sigma } = role {
+                    run.model.set_role(id, Role::Prior { value, sigma: sigma * scale })?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn is_fixed(model: &Model, id: ParameterId) -> bool {
+    model.parameter(id).is_some_and(|parameter| parameter.role == Role::Fixed)
+}

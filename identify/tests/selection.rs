@@ -1,0 +1,82 @@
+//! What is free: named selections, and terms that stay only where they predict what they were not fitted to.
+#![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
+#![allow(clippy::print_stdout, reason = "figures of a run")]
+
+mod support;
+
+use std::collections::BTreeSet;
+
+use identify::calibrate::ball_bar::{self, BallBarCalibration};
+use identify::calibrate::candidates::TermGroup;
+use identify::calibrate::structure::identifiable;
+use identify::calibrate::{CostName, IdentifyConfig, SelectionName};
+use identify::model::{ParameterId, THESIS_FIXED};
+use identify::simulate::{self, Design, Effects, Experiment};
+use support::{Cell, bar, irb2400, spread_poses};
+
+fn calibrated(effects: Effects, selection: SelectionName) -> BallBarCalibration {
+    let (robot, bar) = (irb2400(), bar());
+    let effects = Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, ..effects };
+    let design = Design { duration_s: 60.0, ..Design::for_robot(&robot) };
+    let run = simulate::run(&Experiment { effects, design, ..Experiment::new(&robot, &bar) }).unwrap();
+    let config = IdentifyConfig { selection, ..IdentifyConfig::default() };
+    let found =
+        ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
+    for candidate in &found.candidates {
+        println!("{effects:?} {candidate:?}");
+    }
+    found
+}
+
+fn taken(found: &BallBarCalibration) -> BTreeSet<&'static str> {
+    found.candidates.iter().filter(|one| one.accepted).map(|one| one.group.name()).collect()
+}
+
+fn names(ids: &[ParameterId]) -> BTreeSet<String> {
+    ids.iter().map(ToString::to_string).collect()
+}
+
+/// Ranks of the reference set-up with the two rotations of the base: 41 for `transform`, 33 for `position`.
+#[test]
+fn all_identifiable_frees_as_many_as_the_rank_and_leaves_out_what_the_thesis_fixes() {
+    let cell = Cell::irb2400();
+    let (observations, joints) = spread_poses(&cell.robot, &cell.bar, 300, 7);
+    let model = cell.model();
+    let free = |cost| names(&identifiable(&model, &joints, &observations, cost).unwrap());
+    let transform = free(CostName::Transform);
+    assert_eq!(transform.len(), 41);
+    assert_eq!(transform, free(CostName::Pose));
+    // The whole pose tells `balpha2`, which the thesis fixes for the other costs.
+    for name in THESIS_FIXED {
+        assert_eq!(transform.contains(name), name == "balpha2", "{name}");
+    }
+    assert_eq!(free(CostName::Position).len(), 33);
+    assert_eq!(free(CostName::Length).len(), 23);
+}
+
+#[test]
+fn terms_are_taken_where_the_robot_has_the_error_and_left_out_where_not() {
+    let none = calibrated(Effects::default(), SelectionName::Cell);
+    assert!(taken(&none).len() <= 1, "{:?}", taken(&none));
+    assert_eq!(none.candidates.len(), TermGroup::OF_ROBOT.len());
+    for (effects, group) in [
+        (Effects { gear_sine_urad: 30.0, ..Effects::default() }, TermGroup::GearTwice),
+        (Effects { cycloid_urad: 20.0, ..Effects::default() }, TermGroup::Cycloid),
+        (Effects { backlash_urad: 20.0, ..Effects::default() }, TermGroup::Backlash),
+    ] {
+        let found = calibrated(effects, SelectionName::Cell);
+        assert!(taken(&found).contains(group.name()), "{group:?} among {:?}", taken(&found));
+        for candidate in &found.candidates {
+            assert!(!candidate.accepted || candidate.held_out_after < candidate.held_out_before);
+        }
+    }
+}
+
+#[test]
+fn automatic_scales_its_priors_and_takes_encoder_harmonics_where_they_are() {
+    let effects = Effects { encoder_eccentricity_urad: 40.0, ..Effects::default() };
+    let found = calibrated(effects, SelectionName::Automatic);
+    assert!(taken(&found).contains(TermGroup::EncoderHarmonics.name()), "{:?}", taken(&found));
+    // True errors are around 1 mm|mrad.
+    assert!((0.5..=100.0).contains(&found.prior_scale), "{}", found.prior_scale);
+}
