@@ -9,7 +9,8 @@ use super::simulated::SimulatedSegment;
 use super::{FRAME_BYTES_MAX, Wire};
 use crate::clock::Clock;
 
-/// Frames sent are answered by a simulated segment at once (real time) or one round trip later (virtual time).
+/// Frames sent are answered by a simulated segment when a wire would have brought them back: a reply takes the frame's
+/// own time on the wire, also in real time, or the time that a recording takes off for it would be an error.
 pub struct InProcessWire {
     segment: FaultySegment,
     clock: Clock,
@@ -34,7 +35,7 @@ impl Wire for InProcessWire {
         if !self.segment.has_link(now.0) {
             return Err(io::ErrorKind::NetworkDown.into());
         }
-        let round_trip_ns = if self.clock.is_real() { 0 } else { self.segment.round_trip_ns(frame.len()) };
+        let round_trip_ns = self.segment.round_trip_ns(frame.len());
         // The coupler sees the start of the frame at once; the round trip lasts until its end is back.
         self.segment.exchange(now.0, round_trip_ns, frame);
         Ok(())
