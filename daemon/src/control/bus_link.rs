@@ -140,10 +140,40 @@ fn trouble(session: &Session) -> Option<String> {
     (reasons != 0).then(|| {
         let names: Vec<_> =
             flags::NAMES.iter().filter(|(bit, _)| reasons & bit != 0).map(|(_, name)| *name).collect();
+        let joints = session.encoders().iter().map(|encoder| encoder.joint);
+        let is_valid = live.encoders().map(|encoder| encoder.valid);
         format!(
-            "the bus gives no samples of every encoder ({}); it comes back by itself as soon as cable, power and every \
-             terminal are as they should be, see the log",
+            "{} ({}); it comes back by itself as soon as cable, power and every terminal are as they should be",
+            silent_text(joints.zip(is_valid)),
             names.join(", ")
         )
     })
+}
+
+/// Which joints, in bus order with whether each gives samples, give none, and where to look first.
+fn silent_text(joints: impl Iterator<Item = (u8, bool)>) -> String {
+    let (giving, silent): (Vec<_>, Vec<_>) = joints.partition(|(_, is_valid)| *is_valid);
+    match silent.first() {
+        Some((first, _)) if !giving.is_empty() => {
+            let names: Vec<_> = silent.iter().map(|(joint, _)| joint.to_string()).collect();
+            format!(
+                "no samples from joint {}: look first at the terminal of joint {first} and at the contact before it",
+                names.join(", ")
+            )
+        }
+        _ => "no samples from any encoder: look first at the coupler's cable and power".into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_first_terminal_that_is_missing_is_where_to_look() {
+        let some = silent_text([(1, true), (3, true), (2, false), (5, false)].into_iter());
+        assert!(some.contains("joint 2, 5:") && some.contains("terminal of joint 2 "), "{some}");
+        let none = silent_text([(1, false), (2, false)].into_iter());
+        assert!(none.contains("coupler"), "{none}");
+    }
 }
