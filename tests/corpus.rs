@@ -53,6 +53,11 @@ corpora! {
     no_mailbox_request_of_the_corpus_breaks_a_promise: "segment_mailbox",
     no_bus_reply_of_the_corpus_breaks_a_promise: "bus_replies",
     no_configuration_of_the_corpus_breaks_a_promise: "config",
+    no_robot_table_of_the_corpus_breaks_a_promise: "robot_log_table",
+    no_mcap_bag_of_the_corpus_breaks_a_promise: "robot_log_mcap",
+    no_sqlite_bag_of_the_corpus_breaks_a_promise: "robot_log_db3",
+    no_egm_capture_of_the_corpus_breaks_a_promise: "robot_log_egm",
+    no_rsi_log_of_the_corpus_breaks_a_promise: "robot_log_rsi",
     no_http_request_of_the_corpus_breaks_a_promise: "api",
 }
 

@@ -8,6 +8,7 @@ mod bring_up;
 mod config;
 mod input;
 mod recording;
+mod robot_log;
 mod segment;
 
 use input::Input;
@@ -30,6 +31,11 @@ pub const TARGETS: &[Target] = &[
     Target { name: "segment_mailbox", run: segment::any_requests, seeds: segment::requests },
     Target { name: "bus_replies", run: bring_up::any_replies, seeds: bring_up::scripts },
     Target { name: "config", run: config::any_text, seeds: config::shipped },
+    Target { name: "robot_log_table", run: robot_log::any_table, seeds: robot_log::tables },
+    Target { name: "robot_log_mcap", run: robot_log::any_mcap, seeds: robot_log::mcap_bags },
+    Target { name: "robot_log_db3", run: robot_log::any_db3, seeds: robot_log::sqlite_bags },
+    Target { name: "robot_log_egm", run: robot_log::any_egm, seeds: robot_log::egm_messages },
+    Target { name: "robot_log_rsi", run: robot_log::any_rsi, seeds: robot_log::telegrams },
     Target { name: "api", run: api::any_requests, seeds: api::requests },
 ];
 

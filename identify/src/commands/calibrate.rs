@@ -16,7 +16,9 @@ use crate::calibrate::measured_pose::HoldOut;
 use crate::calibrate::truth::Comparison;
 use crate::calibrate::{CostName, IdentifyConfig, LossName, SelectionName};
 use crate::kinematics::flange_chain;
-use crate::logs::{self, MeasuredLengthMapping, MeasuredLengths, RobotLog};
+use crate::logs::{
+    self, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths, RobotLog, RobotLogMapping,
+};
 use crate::model::{JointWaves, ParameterId};
 use crate::report::file::{CalibrationFile, ClockEntry, Input, ParameterEntry, SolveEntry};
 use crate::report::page::Page;
@@ -29,9 +31,15 @@ pub struct CalibrateArguments {
     /// Recording of the ball-bar (.mcap); several runs of one robot are solved together
     #[arg(long, value_name = "FILE", requires_all = ["robot_log", "bar"])]
     recording: Vec<PathBuf>,
-    /// The robot's own log (.csv), one for each recording in the same order
+    /// The robot's own log (CSV, ROS 2 bag, UR RTDE, ABB EGM, KUKA RSI), one for each recording in the same order
     #[arg(long, value_name = "FILE", requires = "recording")]
     robot_log: Vec<PathBuf>,
+    /// Kind of the robot's logs; default: told by their content
+    #[arg(long, value_name = "KIND", requires = "robot_log")]
+    log_format: Option<LogFormat>,
+    /// Which column or joint of the robot's logs is what, such as config/robot_log.toml
+    #[arg(long, value_name = "FILE", requires = "robot_log")]
+    log_mapping: Option<PathBuf>,
     /// Poses with one measured length each (.csv), instead of a recording
     #[arg(long, value_name = "FILE", requires = "mapping", conflicts_with = "recording")]
     measured_lengths: Option<PathBuf>,
@@ -128,6 +136,9 @@ struct RunFiles<'a> {
 }
 
 fn runs<'a>(arguments: &'a CalibrateArguments, robot: &RobotConfig) -> anyhow::Result<Vec<RunFiles<'a>>> {
+    let log_mapping: Option<RobotLogMapping> =
+        arguments.log_mapping.as_deref().map(config::load).transpose()?;
+    let log_options = LogOptions { format: arguments.log_format, mapping: log_mapping };
     let CalibrateArguments { recording, robot_log, bar, .. } = arguments;
     anyhow::ensure!(
         recording.len() == robot_log.len(),
@@ -145,7 +156,7 @@ fn runs<'a>(arguments: &'a CalibrateArguments, robot: &RobotConfig) -> anyhow::R
     let read = |((recording_path, log_path), bar_path): ((&'a PathBuf, &'a PathBuf), &'a PathBuf)| {
         Ok(RunFiles {
             recording: Recording::open(recording_path)?,
-            log: logs::load(log_path, robot)?,
+            log: load_log(log_path, robot, &log_options)?,
             bar: config::load(bar_path)?,
             recording_path,
             log_path,
@@ -153,6 +164,15 @@ fn runs<'a>(arguments: &'a CalibrateArguments, robot: &RobotConfig) -> anyhow::R
         })
     };
     recording.iter().zip(robot_log).zip(bars).map(read).collect()
+}
+
+/// Reads a robot's log and says what is odd about it.
+fn load_log(path: &Path, robot: &RobotConfig, options: &LogOptions) -> anyhow::Result<RobotLog> {
+    let log = logs::load_with(path, robot, options)?;
+    for remark in &log.quality.remarks {
+        tracing::warn!("{}: {remark}", path.display());
+    }
+    Ok(log)
 }
 
 fn from_ball_bar(arguments: &CalibrateArguments, robot: &RobotConfig) -> anyhow::Result<()> {

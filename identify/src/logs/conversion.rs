@@ -44,6 +44,12 @@ impl JointConversion {
         std::array::from_fn(|index| joint[index])
     }
 
+    /// Speeds of one row, in the log's unit per second, to joint rates \[rad/s\].
+    pub fn to_joint_rate(&self, raw_per_s: &[f64; 6]) -> [f64; 6] {
+        let joint: RowVector6<f64> = RowVector6::from(*raw_per_s) * self.unit.to_rad() * self.raw_to_joint;
+        std::array::from_fn(|index| joint[index])
+    }
+
     /// Joint variables \[rad\] to one row of the log, in the log's unit.
     pub fn to_raw(&self, joint_rad: &[f64; 6]) -> [f64; 6] {
         let raw_rad: RowVector6<f64> = RowVector6::from(*joint_rad) * self.joint_to_raw + self.raw_offset_rad;

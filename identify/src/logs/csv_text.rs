@@ -54,17 +54,28 @@ pub(super) fn comments(text: &str) -> impl Iterator<Item = (String, &str)> {
 
 /// The delimiter that the header row uses: whichever of comma, semicolon and tab it has most of.
 pub(super) fn delimiter_of_header(text: &str) -> u8 {
-    let header = text
-        .lines()
-        .find(|line| !line.trim().is_empty() && !line.trim_start().starts_with('#'))
-        .unwrap_or_default();
+    let header = header_line(text);
     let count = |delimiter: u8| header.bytes().filter(|&byte| byte == delimiter).count();
     [b';', b'\t'].into_iter().filter(|&d| count(d) > count(b',')).max_by_key(|&d| count(d)).unwrap_or(b',')
+}
+
+/// The first line that is neither blank nor a comment.
+pub(super) fn header_line(text: &str) -> &str {
+    text.lines()
+        .find(|line| !line.trim().is_empty() && !line.trim_start().starts_with('#'))
+        .unwrap_or_default()
 }
 
 impl<'a> Table<'a> {
     /// Reads the header of `text`.
     pub fn open(text: &'a str, path: &Path, format: Format) -> Result<Self, LogError> {
+        Self::open_behind(text, 0, path, format)
+    }
+
+    /// [`Self::open`] where the table begins `from` bytes into the text.
+    pub fn open_behind(whole: &'a str, from: usize, path: &Path, format: Format) -> Result<Self, LogError> {
+        let (before, text) = whole.split_at_checked(from).unwrap_or((whole, ""));
+        let first_line = 1 + before.bytes().filter(|&byte| byte == b'\n').count() as u64;
         let mut reader = csv::ReaderBuilder::new()
             .delimiter(format.delimiter)
             .comment(Some(b'#'))
@@ -72,7 +83,7 @@ impl<'a> Table<'a> {
             .from_reader(text.as_bytes());
         let header: Vec<String> = reader
             .headers()
-            .map_err(|error| malformed(&error, path, &mut LineCounter { text, byte: 0, line: 1 }))?
+            .map_err(|error| malformed(&error, path, &mut LineCounter { text, byte: 0, line: first_line }))?
             .iter()
             .map(str::to_owned)
             .collect();
@@ -80,7 +91,7 @@ impl<'a> Table<'a> {
             return Err(LogError::NoHeader { path: path.to_owned() });
         }
         let rows = reader.into_records();
-        let lines = LineCounter { text, byte: 0, line: 1 };
+        let lines = LineCounter { text, byte: 0, line: first_line };
         Ok(Self { path: path.to_owned(), lines, header, decimal_comma: format.decimal_comma, rows })
     }
 

@@ -121,12 +121,14 @@ pub enum LogError {
     },
     /// Time stands still or runs backwards.
     #[error(
-        "{} line {line}: time goes from {before_s} s (line {before_line}) to {after_s} s; \
+        "{} {what} {line}: time goes from {before_s} s ({what} {before_line}) to {after_s} s; \
          sort the rows, or split the file where the clock was set", path.display()
     )]
     TimeNotIncreasing {
         /// The file.
         path: PathBuf,
+        /// What rows are called in this format.
+        what: &'static str,
         /// Line of the later row.
         line: u64,
         /// Line of the row before it.
@@ -138,12 +140,14 @@ pub enum LogError {
     },
     /// Joint values that the robot cannot reach.
     #[error(
-        "{} line {line}: joint {joint} would be at {value_deg:.1} deg, outside {low_deg} to {high_deg} deg \
+        "{} {what} {line}: joint {joint} would be at {value_deg:.1} deg, outside {low_deg} to {high_deg} deg \
          ({rows_beyond} of {rows} rows beyond a limit); {remedy}", path.display()
     )]
     BeyondLimits {
         /// The file.
         path: PathBuf,
+        /// What rows are called in this format.
+        what: &'static str,
         /// Line of the first such row.
         line: u64,
         /// Joint, 1 to 6.
@@ -160,6 +164,49 @@ pub enum LogError {
         rows: usize,
         /// The likely cause and what to do.
         remedy: String,
+    },
+    /// The file is none of the formats that are known.
+    #[error(
+        "{}: not a robot log of any kind that is known; say which with --log-format, or export a CSV", path.display()
+    )]
+    UnknownFormat {
+        /// The file.
+        path: PathBuf,
+    },
+    /// A record of a binary file or a telegram of an XML file cannot be used.
+    #[error("{} {place}: {problem}; {remedy}", path.display())]
+    BadRecord {
+        /// The file.
+        path: PathBuf,
+        /// Which record, such as `message 12`.
+        place: String,
+        /// What is wrong with it.
+        problem: String,
+        /// What to do.
+        remedy: &'static str,
+    },
+    /// The file as a whole does not hold what its format promises.
+    #[error("{}: {problem}; {remedy}", path.display())]
+    Content {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        problem: String,
+        /// What to do.
+        remedy: String,
+    },
+    /// The robot's configuration describes motors, the log has joints.
+    #[error(
+        "{}: it has joint angles ({format}), but the configuration of {robot} says how its motors become joints;          say how the controller's joints become the model's with --log-mapping, see config/robot_log.toml",
+        path.display()
+    )]
+    NeedsMapping {
+        /// The file.
+        path: PathBuf,
+        /// Its format.
+        format: &'static str,
+        /// The robot's name.
+        robot: String,
     },
     /// The conversion of the robot's configuration cannot be inverted.
     #[error(

@@ -10,17 +10,26 @@
 
 mod conversion;
 mod csv_text;
+mod egm;
 mod error;
+mod format;
 mod interpolation;
+mod mapping;
 mod measured_length;
 mod measured_pose;
+mod raw;
 mod reader;
+mod ros;
+mod rsi;
 mod spline;
+mod table;
 mod writer;
 
 pub use conversion::JointConversion;
 pub use error::{Cell, LogError};
+pub use format::LogFormat;
 pub use interpolation::{InterpolatedLog, default_gap_limit_s};
+pub use mapping::{Columns, Coupling, CsvLayout, RobotLogMapping, TimeColumn, TimeUnit};
 pub use measured_length::{
     FlangeColumns, JointColumn, LengthColumn, LengthUnit, MeasuredLength, MeasuredLengthMapping,
     MeasuredLengths,
@@ -28,12 +37,15 @@ pub use measured_length::{
 pub use measured_pose::{
     EulerFrame, MeasuredPose, MeasuredPoseMapping, MeasuredPoses, PositionColumns, RotationColumns,
 };
-pub use reader::{load, read};
+pub use reader::{LogOptions, load, load_with, read, read_with};
 pub use spline::{CubicSpline, SplinePoint};
 pub use writer::write;
 
+use serde::{Deserialize, Serialize};
+
 /// Whether joint values are what the encoders read or what the controller asked for.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Origin {
     /// Read from the robot's encoders.
     Measured,
@@ -60,6 +72,10 @@ impl Origin {
 pub struct LogQuality {
     /// Rows that repeat the row before, stamp and values; they are dropped.
     pub duplicates_dropped: usize,
+    /// Rows that repeat the joints before them under a new stamp in the middle of a motion; they are dropped.
+    pub frozen_dropped: usize,
+    /// Rows in which a joint is missing or not a number; they are dropped.
+    pub incomplete_dropped: usize,
     /// Median distance of two stamps \[s\].
     pub period_s: f64,
     /// Longest distance of two stamps \[s\].
@@ -84,6 +100,10 @@ pub struct RobotLog {
     pub t_s: Vec<f64>,
     /// Joint variables of the model, one row per stamp \[rad\].
     pub q_rad: Vec<[f64; 6]>,
+    /// Rates of those joint variables where the log has them, one row per stamp \[rad/s\].
+    pub speed_rad_s: Option<Vec<[f64; 6]>>,
+    /// Torques or motor currents where the log has them, in the unit and on the axes of the file.
+    pub torque: Option<Vec<[f64; 6]>>,
     /// Quality of the log.
     pub quality: LogQuality,
 }

@@ -4,7 +4,7 @@ use std::io::Write;
 
 use shared::config::RobotConfig;
 
-use super::reader::{TIME_COLUMN, column_name};
+use super::table::{TIME_COLUMN, column_name};
 use super::{JointConversion, RobotLog};
 
 /// Writes `log` as CSV in the columns and the unit of `robot`'s configuration.
@@ -36,7 +36,7 @@ pub fn write(log: &RobotLog, robot: &RobotConfig, sink: impl Write) -> std::io::
 }
 
 /// Integer ns as decimal seconds with all nine digits.
-fn seconds_text(ns: i64) -> String {
+pub(super) fn seconds_text(ns: i64) -> String {
     let magnitude = ns.unsigned_abs();
     let sign = if ns < 0 { "-" } else { "" };
     format!("{sign}{}.{:09}", magnitude / 1_000_000_000, magnitude % 1_000_000_000)

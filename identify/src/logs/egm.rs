@@ -1,0 +1,134 @@
+//! ABB Externally Guided Motion: a file of `EgmRobot` messages as the controller sends them over UDP, each behind its
+//! length as a varint (what protobuf calls delimited).
+//!
+//! Fields as in ABB's public `egm.proto` (proto2, package `abb.egm`); those that are not used are left out. Joints are in
+//! degrees. `feedBack.time` is UTC since RobotWare 6.07; older controllers give only `header.tm`, milliseconds of
+//! their own that wrap after 49 days.
+
+use std::path::Path;
+
+use prost::Message;
+use shared::config::{AngleUnit, RobotConfig};
+
+use super::mapping::RobotLogMapping;
+use super::raw::{Meaning, RawLog, RawRow};
+use super::{LogError, LogFormat, Origin, RobotLog};
+
+#[derive(Clone, PartialEq, Message)]
+struct EgmHeader {
+    #[prost(uint32, optional, tag = "1")]
+    seqno: Option<u32>,
+    #[prost(uint32, optional, tag = "2")]
+    tm: Option<u32>,
+}
+
+#[derive(Clone, PartialEq, Message)]
+struct EgmJoints {
+    #[prost(double, repeated, packed = "false", tag = "1")]
+    joints: Vec<f64>,
+}
+
+#[derive(Clone, Copy, PartialEq, Message)]
+struct EgmClock {
+    #[prost(uint64, required, tag = "1")]
+    sec: u64,
+    #[prost(uint64, required, tag = "2")]
+    usec: u64,
+}
+
+/// `EgmFeedBack` and `EgmPlanned` have the same fields.
+#[derive(Clone, PartialEq, Message)]
+struct EgmPosition {
+    #[prost(message, optional, tag = "1")]
+    joints: Option<EgmJoints>,
+    #[prost(message, optional, tag = "4")]
+    time: Option<EgmClock>,
+}
+
+#[derive(Clone, PartialEq, Message)]
+struct EgmRobot {
+    #[prost(message, optional, tag = "1")]
+    header: Option<EgmHeader>,
+    #[prost(message, optional, tag = "2")]
+    feed_back: Option<EgmPosition>,
+    #[prost(message, optional, tag = "3")]
+    planned: Option<EgmPosition>,
+}
+
+impl EgmRobot {
+    fn utc_ns(&self) -> Option<i64> {
+        let EgmClock { sec, usec } = self.feed_back.as_ref()?.time.filter(|time| time.sec > 0)?;
+        i64::try_from(sec)
+            .ok()?
+            .checked_mul(1_000_000_000)?
+            .checked_add(i64::try_from(usec).ok()?.checked_mul(1000)?)
+    }
+}
+
+/// Reads a capture.
+pub(super) fn read(
+    bytes: &[u8],
+    path: &Path,
+    robot: &RobotConfig,
+    mapping: Option<&RobotLogMapping>,
+) -> Result<RobotLog, LogError> {
+    let messages = decode(bytes, path)?;
+    let names = std::array::from_fn(|index| format!("joint {}", index + 1));
+    let (meaning, to_unit) = match mapping {
+        Some(mapping) => (Meaning::new(robot, &mapping.conversion(), names)?, AngleUnit::Deg.to_rad()),
+        None => (Meaning::of_controller(robot, AngleUnit::Deg, names, LogFormat::Egm, path)?, 1.0),
+    };
+    let mut raw = RawLog::new(path, "message");
+    raw.origin = mapping.and_then(|mapping| mapping.values).unwrap_or(Origin::Measured);
+    let commanded = raw.origin == Origin::Commanded;
+    let utc: Option<Vec<i64>> = messages.iter().map(EgmRobot::utc_ns).collect();
+    let clock = if utc.is_some() { "controller, UTC" } else { "controller, ms of its own" };
+    raw.clock = mapping.and_then(|mapping| mapping.clock.clone()).unwrap_or_else(|| clock.into());
+    let stamps_ns = match utc {
+        Some(stamps_ns) => stamps_ns,
+        None => own_stamps(&messages, path)?,
+    };
+    for ((message, stamp_ns), number) in messages.iter().zip(stamps_ns).zip(1..) {
+        let position = if commanded { &message.planned } else { &message.feed_back };
+        let joints = position.as_ref().and_then(|position| position.joints.as_ref());
+        let values = joints.map_or(&[][..], |joints| &joints.joints);
+        let joints = std::array::from_fn(|joint| values.get(joint).map_or(f64::NAN, |value| value * to_unit));
+        raw.push(RawRow { place: number, stamp_ns, joints, ..RawRow::default() })?;
+    }
+    raw.finish(&meaning)
+}
+
+fn decode(bytes: &[u8], path: &Path) -> Result<Vec<EgmRobot>, LogError> {
+    let mut rest = bytes;
+    let mut messages = Vec::new();
+    while !rest.is_empty() {
+        let offset = bytes.len() - rest.len();
+        let message = EgmRobot::decode_length_delimited(&mut rest).map_err(|error| LogError::BadRecord {
+            path: path.to_owned(),
+            place: format!("message {} (byte {offset})", messages.len() + 1),
+            problem: error.to_string(),
+            remedy: "a capture holds EgmRobot messages, each behind its length as a varint; was it cut short?",
+        })?;
+        messages.push(message);
+    }
+    Ok(messages)
+}
+
+/// Milliseconds of the controller, followed over their wrap.
+fn own_stamps(messages: &[EgmRobot], path: &Path) -> Result<Vec<i64>, LogError> {
+    let mut unwrapped_ms = 0i64;
+    let mut last: Option<u32> = None;
+    let mut stamps_ns = Vec::with_capacity(messages.len());
+    for (message, number) in messages.iter().zip(1u64..) {
+        let tm = message.header.as_ref().and_then(|header| header.tm).ok_or_else(|| LogError::BadRecord {
+            path: path.to_owned(),
+            place: format!("message {number}"),
+            problem: "neither feedBack.time nor header.tm".into(),
+            remedy: "without a time stamp it cannot be used; record it with the controller's own messages",
+        })?;
+        unwrapped_ms += last.map_or(i64::from(tm), |last| i64::from(tm.wrapping_sub(last) as i32));
+        last = Some(tm);
+        stamps_ns.push(unwrapped_ms.saturating_mul(1_000_000));
+    }
+    Ok(stamps_ns)
+}

@@ -1,0 +1,68 @@
+//! Which kind of file a robot log is, told by its content.
+
+use std::path::Path;
+
+use super::LogError;
+use super::csv_text::header_line;
+
+/// Kinds of robot logs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum LogFormat {
+    /// Text table with a header: the robot's own columns, or what a mapping names.
+    Csv,
+    /// What `record.py` of Universal Robots' RTDE client writes: blanks between cells, `actual_q_0` and so on.
+    UrRtde,
+    /// ROS 2 bag in MCAP with `sensor_msgs/JointState`.
+    Ros2Mcap,
+    /// ROS 2 bag in SQLite (`.db3`) with `sensor_msgs/JointState`.
+    Ros2Db3,
+    /// ABB EGM: `EgmRobot` messages, each behind its length.
+    Egm,
+    /// KUKA RSI: `<Rob>` telegrams one after the other.
+    Rsi,
+}
+
+impl LogFormat {
+    /// The kind of the file with these `bytes`.
+    ///
+    /// # Errors
+    /// [`LogError::UnknownFormat`] where it is none of them.
+    pub fn detect(bytes: &[u8], path: &Path) -> Result<Self, LogError> {
+        if bytes.starts_with(b"\x89MCAP0\r\n") {
+            return Ok(Self::Ros2Mcap);
+        }
+        if bytes.starts_with(b"SQLite format 3\0") {
+            return Ok(Self::Ros2Db3);
+        }
+        let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_lowercase();
+        if ending == "egm" {
+            return Ok(Self::Egm);
+        }
+        let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
+        if text.trim_ascii_start().starts_with(b"<") {
+            return Ok(Self::Rsi);
+        }
+        // UTF-16 and the like are text too: the reader says which.
+        let binary = text.iter().take(4096).any(|byte| matches!(byte, 0..=8 | 14..=31))
+            && !text.starts_with(b"\xff\xfe");
+        if binary && !text.starts_with(b"\xfe\xff") {
+            return Err(LogError::UnknownFormat { path: path.to_owned() });
+        }
+        let header = header_line(std::str::from_utf8(text).unwrap_or_default());
+        let is_rtde = header.contains("timestamp")
+            && ["actual_q_0", "target_q_0"].iter().any(|name| header.contains(name));
+        Ok(if is_rtde { Self::UrRtde } else { Self::Csv })
+    }
+
+    /// The word that `--log-format` takes.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Csv => "csv",
+            Self::UrRtde => "ur-rtde",
+            Self::Ros2Mcap => "ros2-mcap",
+            Self::Ros2Db3 => "ros2-db3",
+            Self::Egm => "egm",
+            Self::Rsi => "rsi",
+        }
+    }
+}

@@ -1,0 +1,166 @@
+//! A TOML file that says how to read a log that does not say it itself: `config/robot_log.toml` explains each key.
+
+use serde::{Deserialize, Serialize};
+use shared::config::{AngleUnit, LogConversion, Validate, Violation};
+
+use super::Origin;
+use super::measured_length::JointColumn;
+
+/// Joints of a robot.
+const ROBOT_JOINTS: usize = 6;
+
+/// Unit of a time column.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TimeUnit {
+    /// Seconds.
+    #[default]
+    S,
+    /// Milliseconds.
+    Ms,
+    /// Microseconds.
+    Us,
+    /// Nanoseconds.
+    Ns,
+    /// Windows FILETIME: 100 ns since 1601, as TwinCAT exports it.
+    Filetime,
+}
+
+impl TimeUnit {
+    /// Ns in one unit.
+    pub const fn ns(self) -> i64 {
+        match self {
+            Self::S => 1_000_000_000,
+            Self::Ms => 1_000_000,
+            Self::Us => 1_000,
+            Self::Ns => 1,
+            Self::Filetime => 100,
+        }
+    }
+}
+
+/// Layout of a text table.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct CsvLayout {
+    /// Character between cells; absent: comma, semicolon or tab, whichever the header has most of.
+    pub delimiter: Option<char>,
+    /// Numbers are written `1,5`.
+    pub decimal_comma: bool,
+    /// Lines before the header.
+    pub skip_lines: usize,
+    /// Lines between header and numbers, such as units.
+    pub unit_lines: usize,
+}
+
+/// Where the stamps are.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TimeColumn {
+    /// Name in the header of a table; not used by other formats.
+    #[serde(default)]
+    pub column: String,
+    /// Unit of its values; for RSI the unit of `IPOC`.
+    #[serde(default)]
+    pub unit: TimeUnit,
+}
+
+/// `q[joint] += factor * q[from]`, in the values of the file after sign and offset.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Coupling {
+    /// Joint that is corrected, 1 to 6.
+    pub joint: usize,
+    /// Joint that it moves with, 1 to 6.
+    pub from: usize,
+    /// By how much of it.
+    pub factor: f64,
+}
+
+/// Names of further columns, joints 1 to 6.
+pub type Columns = [String; ROBOT_JOINTS];
+
+/// How to read a robot log.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotLogMapping {
+    /// Name of the clock that made the stamps.
+    pub clock: Option<String>,
+    /// Whether values are measured or commanded; of formats that have both, which are read.
+    pub values: Option<Origin>,
+    /// Topic of a bag, where it has several with joint states.
+    pub topic: Option<String>,
+    /// Layout of a text table.
+    #[serde(default)]
+    pub csv: CsvLayout,
+    /// Where the stamps are.
+    pub time: Option<TimeColumn>,
+    /// Joints 1 to 6, in this order: `q = sign * (value - offset)`.
+    pub joints: Vec<JointColumn>,
+    /// Columns with joint speeds, in the joints' unit per second.
+    pub speeds: Option<Columns>,
+    /// Columns with joint torques or motor currents, taken as they are.
+    pub torques: Option<Columns>,
+    /// What one joint of the file contributes to another of the model.
+    #[serde(default)]
+    pub coupling: Vec<Coupling>,
+}
+
+impl RobotLogMapping {
+    /// Values of the file in radians to joint variables of the model.
+    pub(super) fn conversion(&self) -> LogConversion {
+        let mut coupled = [[0.0; ROBOT_JOINTS]; ROBOT_JOINTS];
+        for (index, row) in coupled.iter_mut().enumerate() {
+            row[index] = 1.0;
+        }
+        for Coupling { joint, from, factor } in &self.coupling {
+            if let Some(cell) =
+                coupled.get_mut(from.wrapping_sub(1)).and_then(|row| row.get_mut(joint.wrapping_sub(1)))
+            {
+                *cell += factor;
+            }
+        }
+        let mut raw_offset_rad = [0.0; ROBOT_JOINTS];
+        for ((row, offset_rad), joint) in coupled.iter_mut().zip(&mut raw_offset_rad).zip(&self.joints) {
+            row.iter_mut().for_each(|cell| *cell *= joint.sign);
+            *offset_rad = joint.offset_deg.to_radians();
+        }
+        LogConversion { column: "joint".into(), unit: AngleUnit::Rad, raw_offset_rad, raw_to_joint: coupled }
+    }
+}
+
+impl Validate for RobotLogMapping {
+    fn validate(&self) -> Result<(), Violation> {
+        if let Some(delimiter) = self.csv.delimiter
+            && (!delimiter.is_ascii() || matches!(delimiter, '"' | '#' | '\n' | '\r'))
+        {
+            let problem = format!("`{}` cannot separate cells", delimiter.escape_default());
+            return Err(Violation::new("csv.delimiter", problem, "use \",\", \";\", \" \" or \"\\t\""));
+        }
+        if self.csv.decimal_comma && self.csv.delimiter == Some(',') {
+            return Err(Violation::new(
+                "csv.delimiter",
+                "a comma separates cells and decimals alike",
+                "files with decimal commas mostly have delimiter = \";\"",
+            ));
+        }
+        super::measured_length::check_joints(&self.joints)?;
+        for (index, Coupling { joint, from, factor }) in self.coupling.iter().enumerate() {
+            let known = |joint: &usize| (1..=ROBOT_JOINTS).contains(joint);
+            if !known(joint) || !known(from) || joint == from || !(-10.0..=10.0).contains(factor) {
+                return Err(Violation::new(
+                    format!("coupling[{index}]"),
+                    format!("joint {joint} from {from} by {factor} is no coupling"),
+                    "write two different joints of 1 to 6 and a factor such as 1 or -1",
+                ));
+            }
+        }
+        super::JointConversion::new(&self.conversion()).map(drop).map_err(|_| {
+            Violation::new(
+                "coupling",
+                "together they leave a joint undetermined",
+                "check joint, from and factor of each",
+            )
+        })
+    }
+}

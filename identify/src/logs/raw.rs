@@ -1,0 +1,275 @@
+//! What a log says before it is the model's: rows as they come, then judged as a whole.
+
+use std::path::{Path, PathBuf};
+
+use shared::config::{AngleUnit, LogConversion, RobotConfig};
+
+use super::writer::seconds_text;
+use super::{JointConversion, LogError, LogFormat, LogQuality, Origin, RobotLog};
+
+/// Fewest rows that make a log.
+const ROWS_MIN: usize = 50;
+/// Joint values may pass the nominal limits by this much before a log is refused \[deg\]: zero positions of real
+/// robots differ a little from the data sheet.
+const LIMIT_SLACK_DEG: f64 = 2.0;
+/// A log whose joints all move less than this \[deg\] cannot identify anything.
+const MOTION_DEG_MIN: f64 = 5.0;
+/// A row that repeats the joints before it is frozen if they moved further than this before and after \[rad\].
+const FROZEN_STEP_RAD: f64 = 1e-4;
+
+/// One row of a log in the file's own units.
+#[derive(Debug, Clone, Default)]
+pub(super) struct RawRow {
+    /// Line or number in the file.
+    pub place: u64,
+    pub stamp_ns: i64,
+    /// NaN where the file has no value.
+    pub joints: [f64; 6],
+    pub speeds: Option<[f64; 6]>,
+    pub torques: Option<[f64; 6]>,
+}
+
+/// Rows in the order of the file, stamps increasing.
+pub(super) struct RawLog {
+    path: PathBuf,
+    /// What rows are called: `line`, `message` or `telegram`.
+    what: &'static str,
+    rows: Vec<RawRow>,
+    quality: LogQuality,
+    pub robot: Option<String>,
+    pub clock: String,
+    pub origin: Origin,
+    pub remarks: Vec<String>,
+}
+
+/// How the joints of a file become those of the model, and what they are called there.
+pub(super) struct Meaning<'a> {
+    robot: &'a RobotConfig,
+    unit: AngleUnit,
+    conversion: JointConversion,
+    names: [String; 6],
+}
+
+impl<'a> Meaning<'a> {
+    pub fn new(robot: &'a RobotConfig, log: &LogConversion, names: [String; 6]) -> Result<Self, LogError> {
+        Ok(Self { robot, unit: log.unit, conversion: JointConversion::new(log)?, names })
+    }
+
+    /// Joint angles of the controller, as the robot's configuration converts them, in the unit that the format has.
+    pub fn of_controller(
+        robot: &'a RobotConfig,
+        unit: AngleUnit,
+        names: [String; 6],
+        format: LogFormat,
+        path: &Path,
+    ) -> Result<Self, LogError> {
+        if robot.log.column != "joint" {
+            let robot = robot.name.clone();
+            return Err(LogError::NeedsMapping { path: path.to_owned(), format: format.name(), robot });
+        }
+        Self::new(robot, &LogConversion { unit, ..robot.log.clone() }, names)
+    }
+}
+
+impl RawLog {
+    pub fn new(path: &Path, what: &'static str) -> Self {
+        Self {
+            path: path.to_owned(),
+            what,
+            rows: Vec::new(),
+            quality: LogQuality::default(),
+            robot: None,
+            clock: "unstated".into(),
+            origin: Origin::Unstated,
+            remarks: Vec::new(),
+        }
+    }
+
+    /// Takes the next row; one that repeats the row before it, or lacks a joint, is only counted.
+    pub fn push(&mut self, row: RawRow) -> Result<(), LogError> {
+        if row.joints.iter().any(|joint| !joint.is_finite()) {
+            self.quality.incomplete_dropped += 1;
+            return Ok(());
+        }
+        if let Some(before) = self.rows.last() {
+            if row.stamp_ns == before.stamp_ns && row.joints == before.joints {
+                self.quality.duplicates_dropped += 1;
+                return Ok(());
+            }
+            if row.stamp_ns <= before.stamp_ns {
+                return Err(LogError::TimeNotIncreasing {
+                    path: self.path.clone(),
+                    what: self.what,
+                    line: row.place,
+                    before_line: before.place,
+                    before_s: seconds_text(before.stamp_ns),
+                    after_s: seconds_text(row.stamp_ns),
+                });
+            }
+        }
+        self.rows.push(row);
+        Ok(())
+    }
+
+    /// Judges the whole and converts it.
+    pub fn finish(mut self, meaning: &Meaning<'_>) -> Result<RobotLog, LogError> {
+        self.drop_frozen(meaning.unit);
+        if self.rows.len() < ROWS_MIN {
+            return Err(self.too_few());
+        }
+        let q_rad: Vec<[f64; 6]> =
+            self.rows.iter().map(|row| meaning.conversion.to_joint(&row.joints)).collect();
+        self.check_limits(&q_rad, meaning)?;
+        let first_stamp_ns = self.rows.first().map_or(0, |row| row.stamp_ns);
+        // 128 bits: two stamps may be further apart than 292 years.
+        let since_first_s =
+            |row: &RawRow| (i128::from(row.stamp_ns) - i128::from(first_stamp_ns)) as f64 * 1e-9;
+        let t_s: Vec<f64> = self.rows.iter().map(since_first_s).collect();
+        let all = |of: fn(&RawRow) -> Option<[f64; 6]>| self.rows.iter().map(of).collect::<Option<Vec<_>>>();
+        let speed_rad_s = all(|row| row.speeds)
+            .map(|speeds| speeds.iter().map(|row| meaning.conversion.to_joint_rate(row)).collect());
+        let torque = all(|row| row.torques);
+        let quality = self.judge(&t_s, &q_rad);
+        Ok(RobotLog {
+            robot: self.robot,
+            clock: self.clock,
+            origin: self.origin,
+            first_stamp_ns,
+            t_s,
+            q_rad,
+            speed_rad_s,
+            torque,
+            quality,
+        })
+    }
+
+    /// Interfaces that are read faster than they are filled give the same joints again under a new stamp.
+    fn drop_frozen(&mut self, unit: AngleUnit) {
+        let step_rad = |a: &RawRow, b: &RawRow| {
+            a.joints.iter().zip(&b.joints).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) * unit.to_rad()
+        };
+        let frozen: Vec<bool> = (0..self.rows.len())
+            .map(|index| match (index.checked_sub(2), self.rows.get(index + 1)) {
+                (Some(first), Some(next)) => {
+                    let (first, before, this) = (&self.rows[first], &self.rows[index - 1], &self.rows[index]);
+                    this.joints == before.joints
+                        && step_rad(first, before) > FROZEN_STEP_RAD
+                        && step_rad(this, next) > FROZEN_STEP_RAD
+                }
+                _ => false,
+            })
+            .collect();
+        self.quality.frozen_dropped = frozen.iter().filter(|&&frozen| frozen).count();
+        let mut frozen = frozen.into_iter();
+        self.rows.retain(|_| !frozen.next().unwrap_or(false));
+    }
+
+    fn too_few(&self) -> LogError {
+        let (path, rows, incomplete) = (self.path.clone(), self.rows.len(), self.quality.incomplete_dropped);
+        if incomplete > rows {
+            return LogError::Content {
+                path,
+                problem: format!("{incomplete} of {} {}s lack a joint", rows + incomplete, self.what),
+                remedy: "check that the log has all six joints of this robot".into(),
+            };
+        }
+        LogError::TooFewRows { path, rows, needed: ROWS_MIN }
+    }
+
+    fn check_limits(&self, q_rad: &[[f64; 6]], meaning: &Meaning<'_>) -> Result<(), LogError> {
+        let limits = &meaning.robot.joint_limits_deg;
+        let rows_beyond = q_rad.iter().filter(|q| beyond_limits(q, limits).is_some()).count();
+        let first = q_rad
+            .iter()
+            .zip(&self.rows)
+            .find_map(|(q, row)| beyond_limits(q, limits).map(|joint| (q, row.place, joint)));
+        let Some((q, line, joint)) = first else { return Ok(()) };
+        let [low_deg, high_deg] = limits[joint];
+        Err(LogError::BeyondLimits {
+            path: self.path.clone(),
+            what: self.what,
+            line,
+            joint: joint + 1,
+            value_deg: q[joint].to_degrees(),
+            low_deg,
+            high_deg,
+            rows_beyond,
+            rows: q_rad.len(),
+            remedy: self.likely_cause(meaning),
+        })
+    }
+
+    /// Tries the usual mistakes on the whole log and names the one that would bring every row within the limits.
+    fn likely_cause(&self, meaning: &Meaning<'_>) -> String {
+        let fits = |to_joint: &dyn Fn(&[f64; 6]) -> [f64; 6]| {
+            self.rows
+                .iter()
+                .all(|row| beyond_limits(&to_joint(&row.joints), &meaning.robot.joint_limits_deg).is_none())
+        };
+        let conversion = &meaning.conversion;
+        if meaning.unit == AngleUnit::Rad && fits(&|row| conversion.to_joint_with_unit(row, AngleUnit::Deg)) {
+            return "read as degrees every row fits: the columns look like degrees under a `_rad` header; export \
+                    radians, or name the columns `_deg` and set log.unit = \"deg\" in the robot's configuration"
+                .into();
+        }
+        for (i, j) in (0..6).flat_map(|i| (i + 1..6).map(move |j| (i, j))) {
+            let swapped = |row: &[f64; 6]| {
+                let mut row = *row;
+                row.swap(i, j);
+                conversion.to_joint(&row)
+            };
+            if fits(&swapped) {
+                return format!(
+                    "with columns `{}` and `{}` exchanged every row fits: check their order in the export",
+                    meaning.names[i], meaning.names[j]
+                );
+            }
+        }
+        "check that the log belongs to this robot, its unit, the order of its columns, and log.raw_offset_rad and \
+         joint_limits_deg of the robot's configuration"
+            .into()
+    }
+
+    fn judge(&mut self, t_s: &[f64], q_rad: &[[f64; 6]]) -> LogQuality {
+        let mut steps_s: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        steps_s.sort_by(f64::total_cmp);
+        let span_deg = |joint: usize| {
+            let (low, high) = q_rad.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| {
+                (low.min(q[joint]), high.max(q[joint]))
+            });
+            (high - low).to_degrees()
+        };
+        let mut quality = std::mem::take(&mut self.quality);
+        quality.period_s = steps_s.get(steps_s.len() / 2).copied().unwrap_or_default();
+        quality.longest_gap_s = steps_s.last().copied().unwrap_or_default();
+        quality.remarks.append(&mut self.remarks);
+        if (0..6).all(|joint| span_deg(joint) < MOTION_DEG_MIN) {
+            quality.remarks.push(format!(
+                "no joint moves by {MOTION_DEG_MIN} deg in the whole log: radians in columns named as degrees, or the \
+                 wrong part of a log?"
+            ));
+        }
+        for (count, what) in [
+            (
+                quality.frozen_dropped,
+                "repeat the joints before them in the middle of a motion; they are left out",
+            ),
+            (quality.incomplete_dropped, "lack a joint; they are left out"),
+        ] {
+            if count > 0 {
+                quality.remarks.push(format!("{count} {}s {what}", self.what));
+            }
+        }
+        if self.origin == Origin::Commanded {
+            quality.remarks.push("the values are commanded, not measured: servo lag is not in them".into());
+        }
+        quality
+    }
+}
+
+/// The first joint beyond its limits.
+fn beyond_limits(q_rad: &[f64; 6], limits_deg: &[[f64; 2]; 6]) -> Option<usize> {
+    q_rad.iter().zip(limits_deg).position(|(q, [low, high])| {
+        !(low - LIMIT_SLACK_DEG..=high + LIMIT_SLACK_DEG).contains(&q.to_degrees())
+    })
+}

@@ -1,0 +1,68 @@
+//! One `sensor_msgs/JointState` from its CDR bytes.
+
+use std::rc::Rc;
+
+use byteorder::{BigEndian, LittleEndian};
+use serde::Deserialize;
+
+#[derive(Deserialize)]
+struct Time {
+    sec: i32,
+    nanosec: u32,
+}
+
+#[derive(Deserialize)]
+struct Header {
+    stamp: Time,
+    #[allow(dead_code, reason = "lies between the fields that are used")]
+    frame_id: String,
+}
+
+/// Fields in the order of the message definition.
+#[derive(Deserialize)]
+struct Wire {
+    header: Header,
+    name: Vec<String>,
+    position: Vec<f64>,
+    velocity: Vec<f64>,
+    effort: Vec<f64>,
+}
+
+/// What is used of a message.
+pub(super) struct JointState {
+    /// `header.stamp`, 0 where it was not set \[ns\].
+    pub stamp_ns: i64,
+    /// Shared with the message before where they are the same.
+    pub names: Rc<[String]>,
+    pub position: Vec<f64>,
+    pub velocity: Vec<f64>,
+    pub effort: Vec<f64>,
+}
+
+impl JointState {
+    /// Decodes a message; the error is what is wrong, in words.
+    pub fn decode(bytes: &[u8], names_before: Option<&Rc<[String]>>) -> Result<Self, String> {
+        let Some((&[_, kind, _, _], body)) = bytes.split_first_chunk::<4>() else {
+            return Err(format!("{} bytes are too short for a message", bytes.len()));
+        };
+        let wire: Wire = match kind {
+            0 => cdr_encoding::from_bytes::<Wire, BigEndian>(body),
+            1 => cdr_encoding::from_bytes::<Wire, LittleEndian>(body),
+            other => return Err(format!("encoding {other} is not plain CDR")),
+        }
+        .map_err(|error| format!("not a whole JointState ({error})"))?
+        .0;
+        let Time { sec, nanosec } = wire.header.stamp;
+        let names = match names_before {
+            Some(before) if **before == *wire.name => Rc::clone(before),
+            _ => wire.name.into(),
+        };
+        Ok(Self {
+            stamp_ns: i64::from(sec) * 1_000_000_000 + i64::from(nanosec),
+            names,
+            position: wire.position,
+            velocity: wire.velocity,
+            effort: wire.effort,
+        })
+    }
+}

@@ -1,0 +1,97 @@
+//! Bags in MCAP, also those of a recorder that was killed.
+
+use std::collections::HashMap;
+use std::path::Path;
+
+use mcap::records::{Record, SchemaHeader};
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
+use mcap::{McapError, parse_record};
+
+use super::Bag;
+use crate::logs::LogError;
+
+/// Longest record of a bag: far above any chunk that recorders write, far below memory.
+const RECORD_BYTES_MAX: usize = 256 << 20;
+
+/// Joint states of a bag. One that breaks off is read up to there, with a remark.
+pub(super) fn read(bytes: &[u8], path: &Path) -> Result<Bag, LogError> {
+    let mut bag = Bag::default();
+    let mut channels = Channels::default();
+    let options = LinearReaderOptions::default()
+        .with_record_length_limit(RECORD_BYTES_MAX)
+        .with_prevalidate_chunk_crcs(true);
+    let mut reader = LinearReader::new_with_options(options);
+    let mut source = bytes;
+    while let Some(event) = reader.next_event() {
+        let record = match event {
+            Ok(LinearReadEvent::ReadRequest(wanted)) => {
+                let wanted = wanted.min(source.len());
+                let (taken, rest) = source.split_at(wanted);
+                reader.insert(wanted).copy_from_slice(taken);
+                reader.notify_read(wanted);
+                source = rest;
+                continue;
+            }
+            Ok(LinearReadEvent::Record { data, opcode }) => parse_record(opcode, data),
+            Err(error) => Err(error),
+        };
+        match record {
+            Ok(record) => channels.take(record, &mut bag, path)?,
+            Err(error) => {
+                broken_off(&mut bag, &error, path)?;
+                break;
+            }
+        }
+    }
+    Ok(bag)
+}
+
+fn broken_off(bag: &mut Bag, error: &McapError, path: &Path) -> Result<(), LogError> {
+    let messages: usize = bag.topics.iter().map(|topic| topic.messages.len()).sum();
+    if messages == 0 {
+        return Err(LogError::Content {
+            path: path.to_owned(),
+            problem: format!("not a whole MCAP file: {error}"),
+            remedy: "if the recorder was killed, try `mcap recover` on it".into(),
+        });
+    }
+    bag.remarks.push(format!(
+        "the bag is damaged after {messages} joint states ({error}); what follows is not read"
+    ));
+    Ok(())
+}
+
+/// Schemas and the channels on which joint states come.
+#[derive(Default)]
+struct Channels {
+    joint_state_schemas: Vec<u16>,
+    topics: HashMap<u16, String>,
+}
+
+impl Channels {
+    fn take(&mut self, record: Record<'_>, bag: &mut Bag, path: &Path) -> Result<(), LogError> {
+        match record {
+            Record::Schema { header: SchemaHeader { id, name, .. }, .. } if is_joint_state(&name) => {
+                self.joint_state_schemas.push(id);
+            }
+            Record::Channel(channel)
+                if self.joint_state_schemas.contains(&channel.schema_id)
+                    && channel.message_encoding == "cdr" =>
+            {
+                self.topics.insert(channel.id, channel.topic);
+            }
+            Record::Message { header, data } => {
+                if let Some(topic) = self.topics.get(&header.channel_id) {
+                    let recorded_ns = i64::try_from(header.log_time).unwrap_or(i64::MAX);
+                    bag.topic(topic).push(recorded_ns, &data, path)?;
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+}
+
+fn is_joint_state(schema: &str) -> bool {
+    ["sensor_msgs/msg/JointState", "sensor_msgs/JointState"].contains(&schema)
+}

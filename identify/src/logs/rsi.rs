@@ -1,0 +1,131 @@
+//! KUKA Robot Sensor Interface: a file of the `<Rob>` telegrams that the controller sends each cycle, one after the other,
+//! with or without a root element around them.
+//!
+//! `AIPos` are measured joint angles in degrees, `ASPos` commanded ones, `IPOC` a counter in milliseconds. There is no
+//! wall time.
+
+use std::path::Path;
+
+use quick_xml::Reader;
+use quick_xml::events::{BytesStart, Event};
+use shared::config::{AngleUnit, RobotConfig};
+
+use super::csv_text::decode;
+use super::mapping::{RobotLogMapping, TimeUnit};
+use super::raw::{Meaning, RawLog, RawRow};
+use super::{LogError, LogFormat, Origin, RobotLog};
+
+/// Attributes of `AIPos` and `ASPos`.
+const AXES: [&str; 6] = ["A1", "A2", "A3", "A4", "A5", "A6"];
+
+/// One telegram.
+#[derive(Default)]
+struct Telegram {
+    joints_deg: Option<[f64; 6]>,
+    ipoc: Option<i64>,
+}
+
+/// Reads a log of telegrams.
+pub(super) fn read(
+    bytes: &[u8],
+    path: &Path,
+    robot: &RobotConfig,
+    mapping: Option<&RobotLogMapping>,
+) -> Result<RobotLog, LogError> {
+    let text = decode(bytes, path)?;
+    let names = AXES.map(str::to_owned);
+    let (meaning, to_unit) = match mapping {
+        Some(mapping) => (Meaning::new(robot, &mapping.conversion(), names)?, AngleUnit::Deg.to_rad()),
+        None => (Meaning::of_controller(robot, AngleUnit::Deg, names, LogFormat::Rsi, path)?, 1.0),
+    };
+    let mut raw = RawLog::new(path, "telegram");
+    raw.origin = mapping.and_then(|mapping| mapping.values).unwrap_or(Origin::Measured);
+    raw.clock = mapping.and_then(|mapping| mapping.clock.clone()).unwrap_or_else(|| "IPOC".into());
+    let element = if raw.origin == Origin::Commanded { "ASPos" } else { "AIPos" };
+    let tick_ns =
+        mapping.and_then(|mapping| mapping.time.as_ref()).map_or(TimeUnit::Ms, |time| time.unit).ns();
+    let telegrams = parse(text, path, element)?;
+    check_counter(&telegrams, path, mapping.is_some_and(|mapping| mapping.time.is_some()))?;
+    for (telegram, number) in telegrams.iter().zip(1u64..) {
+        let ipoc =
+            telegram.ipoc.and_then(|ipoc| ipoc.checked_mul(tick_ns)).ok_or_else(|| LogError::BadRecord {
+                path: path.to_owned(),
+                place: format!("telegram {number}"),
+                problem: "no IPOC".into(),
+                remedy: "telegrams without their counter cannot be placed in time; log IPOC too",
+            })?;
+        let joints = telegram.joints_deg.unwrap_or([f64::NAN; 6]).map(|value| value * to_unit);
+        raw.push(RawRow { place: number, stamp_ns: ipoc, joints, ..RawRow::default() })?;
+    }
+    raw.finish(&meaning)
+}
+
+/// A counter that goes up by one with each telegram counts telegrams: how long one lasts is then not in the file.
+fn check_counter(telegrams: &[Telegram], path: &Path, unit_is_given: bool) -> Result<(), LogError> {
+    let ipocs: Vec<i64> = telegrams.iter().filter_map(|telegram| telegram.ipoc).collect();
+    let mut steps: Vec<i64> = ipocs.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
+    steps.sort_unstable();
+    match steps.get(steps.len() / 2) {
+        Some(1) if !unit_is_given => Err(LogError::Content {
+            path: path.to_owned(),
+            problem: "IPOC goes up by 1 with each telegram, so it does not count milliseconds".into(),
+            remedy: "give its unit with [time] unit = \"...\" in a mapping file (--log-mapping), or log with 4 or 12 ms".into(),
+        }),
+        _ => Ok(()),
+    }
+}
+
+fn parse(text: &str, path: &Path, element: &str) -> Result<Vec<Telegram>, LogError> {
+    let mut reader = Reader::from_str(text);
+    reader.config_mut().check_end_names = false;
+    let mut telegrams = Vec::new();
+    let mut current = Telegram::default();
+    let mut in_ipoc = false;
+    loop {
+        let bad = |problem: String| LogError::BadRecord {
+            path: path.to_owned(),
+            place: format!("telegram {}", telegrams.len() + 1),
+            problem,
+            remedy: "a log holds the <Rob> telegrams of RSI one after the other; was it cut short?",
+        };
+        match reader.read_event().map_err(|error| bad(error.to_string()))? {
+            Event::Start(tag) | Event::Empty(tag) if is(&tag, element) => {
+                current.joints_deg = Some(axes(&tag).map_err(bad)?);
+            }
+            Event::Start(tag) => in_ipoc = is(&tag, "IPOC"),
+            Event::Text(content) if in_ipoc => {
+                let text = content.xml10_content().into_owned();
+                current.ipoc = Some(
+                    text.trim().parse().map_err(|_| bad(format!("IPOC `{}` is no number", text.trim())))?,
+                );
+            }
+            Event::End(tag) => {
+                in_ipoc = false;
+                if tag.local_name().as_ref() == "Rob" {
+                    telegrams.push(std::mem::take(&mut current));
+                }
+            }
+            Event::Eof => return Ok(telegrams),
+            _ => {}
+        }
+    }
+}
+
+fn is(tag: &BytesStart<'_>, name: &str) -> bool {
+    tag.local_name().as_ref() == name
+}
+
+/// The six axes of a position; one that is absent is NaN.
+fn axes(tag: &BytesStart<'_>) -> Result<[f64; 6], String> {
+    let mut joints_deg = [f64::NAN; 6];
+    for attribute in tag.attributes() {
+        let attribute = attribute.map_err(|error| error.to_string())?;
+        let key = attribute.key.as_ref();
+        if let Some(axis) = AXES.iter().position(|axis| *axis == key) {
+            let text = attribute.value;
+            joints_deg[axis] =
+                text.trim().parse().map_err(|_| format!("{} = `{text}` is no number", AXES[axis]))?;
+        }
+    }
+    Ok(joints_deg)
+}

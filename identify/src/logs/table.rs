@@ -1,0 +1,248 @@
+//! Robot logs that are text tables: the robot's own columns, RTDE's, or what a mapping names.
+
+use std::path::Path;
+
+use shared::config::{AngleUnit, RobotConfig};
+
+use super::csv_text::{Column, Format, Row, Table, comments, decode, delimiter_of_header};
+use super::mapping::{Columns, RobotLogMapping, TimeUnit};
+use super::raw::{Meaning, RawLog, RawRow};
+use super::{LogError, LogFormat, Origin, RobotLog};
+
+/// Name of the column with time stamps \[s\].
+pub(super) const TIME_COLUMN: &str = "t_s";
+/// 1970 in FILETIME, 100 ns since 1601.
+const FILETIME_1970: i64 = 116_444_736_000_000_000;
+
+/// Name of the column of motor or joint `index` (from 0).
+pub(super) fn column_name(robot: &RobotConfig, index: usize, unit: AngleUnit) -> String {
+    format!("{}{}_{}", robot.log.column, index + 1, unit.suffix())
+}
+
+/// The columns of a table that are read.
+struct Layout {
+    time: Column,
+    time_unit: TimeUnit,
+    /// Columns and what their values are multiplied by.
+    joints: Vec<(Column, f64)>,
+    speeds: Option<Vec<(Column, f64)>>,
+    torques: Option<Vec<(Column, f64)>>,
+}
+
+/// The robot's own columns: `t_s` and the six that its configuration names; other columns are passed over.
+pub(super) fn read_own(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<RobotLog, LogError> {
+    let text = decode(bytes, path)?;
+    let names = std::array::from_fn(|index| column_name(robot, index, robot.log.unit));
+    let meaning = Meaning::new(robot, &robot.log, names)?;
+    let format = Format { delimiter: delimiter_of_header(text), decimal_comma: false };
+    let mut table = Table::open(text, path, format)?;
+    let layout = own_layout(&table, path, robot)?;
+    let mut raw = RawLog::new(path, "line");
+    declare(&mut raw, text);
+    read_rows(&mut table, &layout, &mut raw)?;
+    raw.finish(&meaning)
+}
+
+fn own_layout(table: &Table<'_>, path: &Path, robot: &RobotConfig) -> Result<Layout, LogError> {
+    let time = table.column(TIME_COLUMN, "Name the column of time stamps, in seconds, `t_s`; or say with --log-mapping which columns hold what.")?;
+    let unit = robot.log.unit;
+    let other = match unit {
+        AngleUnit::Rad => AngleUnit::Deg,
+        AngleUnit::Deg => AngleUnit::Rad,
+    };
+    let mut joints = Vec::with_capacity(6);
+    for index in 0..6 {
+        let name = column_name(robot, index, unit);
+        let in_other_unit = column_name(robot, index, other);
+        if !table.has(&name) && table.has(&in_other_unit) {
+            return Err(LogError::UnitMismatch {
+                path: path.to_owned(),
+                column: in_other_unit,
+                in_header: other.suffix(),
+                in_config: unit.suffix(),
+                robot: robot.name.clone(),
+            });
+        }
+        let remedy = format!(
+            "A log of {} has {} to {}; rename the columns, say with --log-mapping which hold what, or correct `log` in the robot's configuration.",
+            robot.name,
+            column_name(robot, 0, unit),
+            column_name(robot, 5, unit)
+        );
+        joints.push((table.column(&name, &remedy)?, 1.0));
+    }
+    Ok(Layout { time, time_unit: TimeUnit::S, joints, speeds: None, torques: None })
+}
+
+/// What `record.py` of the RTDE client writes, joints in radians.
+pub(super) fn read_rtde(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<RobotLog, LogError> {
+    let text = decode(bytes, path)?;
+    let table = &mut Table::open(text, path, Format { delimiter: b' ', decimal_comma: false })?;
+    let origin = if table.has("actual_q_0") { Origin::Measured } else { Origin::Commanded };
+    let kind = if origin == Origin::Measured { "actual" } else { "target" };
+    let columns =
+        |quantity: &str| -> [String; 6] { std::array::from_fn(|joint| format!("{kind}_{quantity}_{joint}")) };
+    let remedy = "Record timestamp and actual_q; add actual_qd and actual_current if you like.";
+    let optional = |names: &[String; 6]| {
+        names.iter().all(|name| table.has(name)).then(|| named(table, names, &[1.0; 6], remedy)).transpose()
+    };
+    let meaning = Meaning::of_controller(robot, AngleUnit::Rad, columns("q"), LogFormat::UrRtde, path)?;
+    let layout = Layout {
+        time: table.column("timestamp", remedy)?,
+        time_unit: TimeUnit::S,
+        joints: named(table, &columns("q"), &[1.0; 6], remedy)?,
+        speeds: optional(&columns("qd"))?,
+        torques: optional(&columns("current"))?,
+    };
+    let mut raw = RawLog::new(path, "line");
+    (raw.clock, raw.origin) = ("since the controller's start".into(), origin);
+    read_rows(table, &layout, &mut raw)?;
+    raw.finish(&meaning)
+}
+
+/// The columns that a mapping names.
+pub(super) fn read_mapped(
+    bytes: &[u8],
+    path: &Path,
+    robot: &RobotConfig,
+    mapping: &RobotLogMapping,
+) -> Result<RobotLog, LogError> {
+    let text = decode(bytes, path)?;
+    let layout = &mapping.csv;
+    let from = text.split_inclusive('\n').take(layout.skip_lines).map(str::len).sum::<usize>();
+    let body = text.get(from..).unwrap_or_default();
+    let delimiter = layout.delimiter.map_or_else(|| delimiter_of_header(body), |delimiter| delimiter as u8);
+    let format = Format { delimiter, decimal_comma: layout.decimal_comma };
+    let mut table = Table::open_behind(text, from, path, format)?;
+    let columns = mapped_layout(&table, path, mapping)?;
+    for _ in 0..layout.unit_lines {
+        // Whatever stands there is not numbers.
+        let _ = table.next_row();
+    }
+    let names: Vec<String> = mapping.joints.iter().map(|joint| joint.column.clone()).collect();
+    let meaning = Meaning::new(robot, &mapping.conversion(), names.try_into().unwrap_or_default())?;
+    let mut raw = RawLog::new(path, "line");
+    declare(&mut raw, text);
+    raw.clock = mapping.clock.clone().unwrap_or(raw.clock);
+    raw.origin = mapping.values.unwrap_or(raw.origin);
+    read_rows(&mut table, &columns, &mut raw)?;
+    raw.finish(&meaning)
+}
+
+fn mapped_layout(table: &Table<'_>, path: &Path, mapping: &RobotLogMapping) -> Result<Layout, LogError> {
+    let remedy = "Correct the name in the mapping file.";
+    let time =
+        mapping.time.as_ref().filter(|time| !time.column.is_empty()).ok_or_else(|| LogError::Content {
+            path: path.to_owned(),
+            problem: "the mapping does not say which column has the time stamps".into(),
+            remedy: "write [time] column = \"...\" and its unit into the mapping file".into(),
+        })?;
+    let to_rad: Vec<f64> = mapping.joints.iter().map(|joint| joint.unit.to_rad()).collect();
+    let joints: Columns = mapping
+        .joints
+        .iter()
+        .map(|joint| joint.column.clone())
+        .collect::<Vec<_>>()
+        .try_into()
+        .unwrap_or_default();
+    let optional = |names: &Option<Columns>, factors: &[f64]| {
+        names.as_ref().map(|names| named(table, names, factors, remedy)).transpose()
+    };
+    Ok(Layout {
+        time: table.column(&time.column, remedy)?,
+        time_unit: time.unit,
+        joints: named(table, &joints, &to_rad, remedy)?,
+        speeds: optional(&mapping.speeds, &to_rad)?,
+        torques: optional(&mapping.torques, &[1.0; 6])?,
+    })
+}
+
+fn named(
+    table: &Table<'_>,
+    names: &Columns,
+    factors: &[f64],
+    remedy: &str,
+) -> Result<Vec<(Column, f64)>, LogError> {
+    names.iter().zip(factors).map(|(name, factor)| Ok((table.column(name, remedy)?, *factor))).collect()
+}
+
+/// What comment lines say about the whole log.
+fn declare(raw: &mut RawLog, text: &str) {
+    for (key, value) in comments(text) {
+        match key.as_str() {
+            "robot" => raw.robot = Some(value.to_owned()),
+            "clock" => value.clone_into(&mut raw.clock),
+            "values" => {
+                raw.origin = [Origin::Measured, Origin::Commanded]
+                    .into_iter()
+                    .find(|origin| origin.name() == value.to_lowercase())
+                    .unwrap_or_default();
+            }
+            _ => {}
+        }
+    }
+}
+
+fn read_rows(table: &mut Table<'_>, layout: &Layout, raw: &mut RawLog) -> Result<(), LogError> {
+    while let Some(row) = table.next_row() {
+        let row = row?;
+        let six = |columns: &[(Column, f64)]| -> Result<[f64; 6], LogError> {
+            let mut values = [0.0; 6];
+            for (value, (column, factor)) in values.iter_mut().zip(columns) {
+                *value = table.number(&row, column)? * factor;
+            }
+            Ok(values)
+        };
+        raw.push(RawRow {
+            place: row.line,
+            stamp_ns: stamp_ns(table, &row, layout)?,
+            joints: six(&layout.joints)?,
+            speeds: layout.speeds.as_deref().map(six).transpose()?,
+            torques: layout.torques.as_deref().map(six).transpose()?,
+        })?;
+    }
+    Ok(())
+}
+
+/// A stamp to integer ns. Decimal digits are taken as they are: a UTC stamp in seconds has more of them than an
+/// `f64` can hold.
+fn stamp_ns(table: &Table<'_>, row: &Row, layout: &Layout) -> Result<i64, LogError> {
+    let column = &layout.time;
+    let number = table.number(row, column)?;
+    let text = table.text(row, column).replace(',', ".");
+    let zero = if layout.time_unit == TimeUnit::Filetime { FILETIME_1970 } else { 0 };
+    let exact = match layout.time_unit {
+        TimeUnit::S => decimal_to_ns(&text),
+        unit => text.parse::<i64>().ok().and_then(|ticks| ticks.checked_sub(zero)?.checked_mul(unit.ns())),
+    };
+    let rounded = || {
+        let ns = ((number - zero as f64) * layout.time_unit.ns() as f64).round();
+        (ns.abs() < i64::MAX as f64).then_some(ns as i64)
+    };
+    exact.or_else(rounded).ok_or_else(|| {
+        table.bad(
+            row,
+            column,
+            format!("{number} is more than 292 years"),
+            "give the time in seconds, from any zero within 292 years",
+        )
+    })
+}
+
+/// `[-]digits[.digits]` in seconds to ns, exactly up to ns and rounded below; none for other notations.
+fn decimal_to_ns(text: &str) -> Option<i64> {
+    let (negative, digits) = match text.strip_prefix('-') {
+        Some(rest) => (true, rest),
+        None => (false, text.strip_prefix('+').unwrap_or(text)),
+    };
+    let (whole, fraction) = digits.split_once('.').unwrap_or((digits, ""));
+    if !whole.bytes().chain(fraction.bytes()).all(|byte| byte.is_ascii_digit()) {
+        return None;
+    }
+    let whole: i64 = if whole.is_empty() { 0 } else { whole.parse().ok()? };
+    let digit = |index: usize| fraction.as_bytes().get(index).map_or(0, |byte| i64::from(byte - b'0'));
+    let rounding = i64::from(digit(9) >= 5);
+    let fraction_ns = (0..9).fold(0, |ns, index| ns * 10 + digit(index)) + rounding;
+    let ns = whole.checked_mul(1_000_000_000)?.checked_add(fraction_ns)?;
+    Some(if negative { -ns } else { ns })
+}

@@ -1,0 +1,298 @@
+//! Robot logs in the forms that people have them: mapped tables, RTDE, RSI; what is odd in them is dropped and told.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+mod support;
+
+use std::path::Path;
+
+use identify::logs::{LogError, LogFormat, LogOptions, Origin, RobotLog, RobotLogMapping, read_with};
+use proptest::prelude::*;
+use shared::config::{self, RobotConfig};
+use support::irb2400;
+
+/// A robot whose controller's joints are the model's.
+fn irb120() -> RobotConfig {
+    config::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/robots/irb120_3.toml")).unwrap()
+}
+
+fn shipped_mapping() -> RobotLogMapping {
+    config::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/robot_log.toml")).unwrap()
+}
+
+fn mapping(text: &str) -> RobotLogMapping {
+    config::parse(text, Path::new("mapping.toml")).unwrap()
+}
+
+fn read_as(text: &str, mapping: Option<RobotLogMapping>) -> Result<RobotLog, LogError> {
+    read_with(text.as_bytes(), Path::new("log.txt"), &irb120(), &LogOptions { format: None, mapping })
+}
+
+/// Joint `joint` (from 0) of row `row` \[deg\].
+fn angle_deg(row: usize, joint: usize) -> f64 {
+    20.0 * (0.05 * row as f64 + joint as f64).sin()
+}
+
+fn rows(count: usize) -> impl Iterator<Item = (usize, [f64; 6])> {
+    (0..count).map(|row| (row, std::array::from_fn(|joint| angle_deg(row, joint))))
+}
+
+fn assert_follows(log: &RobotLog, count: usize, expected_deg: impl Fn(usize, usize) -> f64) {
+    assert_eq!(log.q_rad.len(), count);
+    for (row, q_rad) in log.q_rad.iter().enumerate() {
+        for (joint, q) in q_rad.iter().enumerate() {
+            let expected = expected_deg(row, joint).to_radians();
+            assert!((q - expected).abs() < 1e-9, "row {row} joint {joint}: {q} for {expected}");
+        }
+    }
+}
+
+fn cells(values: &[f64], separator: &str) -> String {
+    values.iter().map(f64::to_string).collect::<Vec<_>>().join(separator)
+}
+
+/// As the shipped mapping describes it: a line before the header, units, semicolons, decimal commas, byte order mark, CRLF.
+fn german_table(count: usize) -> String {
+    let mut text = "\u{feff}exported 2026-11-20\r\nTime;J1;J2;J3;J4;J5;J6;I1\r\n[ms];[deg];[deg];[deg];[deg];[deg];[deg];[A]\r\n".to_owned();
+    for (row, deg) in rows(count) {
+        text += &format!("{};{};0,5\r\n", row * 8, cells(&deg, ";").replace('.', ","));
+    }
+    text
+}
+
+#[test]
+fn the_shipped_mapping_reads_decimal_commas_units_and_the_coupling_of_a_fanuc() {
+    let log = read_as(&german_table(80), Some(shipped_mapping())).unwrap();
+    assert_follows(&log, 80, |row, joint| match joint {
+        2 => angle_deg(row, 2) + angle_deg(row, 1),
+        _ => angle_deg(row, joint),
+    });
+    assert!((log.quality.period_s - 0.008).abs() < 1e-12);
+    assert_eq!((log.clock.as_str(), log.origin), ("controller", Origin::Measured));
+}
+
+#[test]
+fn an_error_in_a_mapped_table_names_the_line_of_the_file_and_the_column() {
+    let text = german_table(80).replace("\r\n80;", "\r\n80;x");
+    let told = read_as(&text, Some(shipped_mapping())).unwrap_err().to_string();
+    // Row 10 of the numbers, behind three lines.
+    assert!(told.contains("log.txt line 14 column `J1`"), "{told}");
+    let told =
+        read_as(&german_table(80).replace("J4", "axis4"), Some(shipped_mapping())).unwrap_err().to_string();
+    assert!(told.contains("`J4` is missing") && told.contains("axis4"), "{told}");
+}
+
+#[test]
+fn sign_offset_and_coupling_apply_in_that_order() {
+    let joints: String =
+        (1..=6).map(|joint| format!("[[joints]]\ncolumn = \"q{joint}\"\nunit = \"rad\"\n")).collect();
+    let text = joints.replacen("unit = \"rad\"", "unit = \"deg\"\nsign = -1\noffset_deg = 5.0", 1)
+        + "[time]\ncolumn = \"t\"\nunit = \"filetime\"\n[[coupling]]\njoint = 3\nfrom = 1\nfactor = 0.5\n";
+    let mut table = "t q1 q2 q3 q4 q5 q6\n".to_owned();
+    for (row, deg) in rows(60) {
+        let mut values = deg.map(f64::to_radians);
+        values[0] = deg[0];
+        // 2026-11-21 in FILETIME, more digits than an f64 holds.
+        table += &format!("{} {}\n", 134_082_000_000_000_001_i64 + row as i64 * 40_000, cells(&values, " "));
+    }
+    let text = format!("[csv]\ndelimiter = \" \"\n{text}");
+    let log = read_as(&table, Some(mapping(&text))).unwrap();
+    assert_follows(&log, 60, |row, joint| {
+        let first = 5.0 - angle_deg(row, 0);
+        match joint {
+            0 => first,
+            2 => angle_deg(row, 2) + 0.5 * first,
+            _ => angle_deg(row, joint),
+        }
+    });
+    assert_eq!(log.first_stamp_ns, (134_082_000_000_000_001 - 116_444_736_000_000_000) * 100);
+}
+
+#[test]
+fn what_record_py_of_the_rtde_client_writes_is_recognised() {
+    let header = |kind: &str| {
+        let names =
+            |quantity: &str| (0..6).map(|i| format!("{kind}_{quantity}_{i}")).collect::<Vec<_>>().join(" ");
+        format!("timestamp {} {} output_int_register_0\n", names("q"), names("qd"))
+    };
+    let body: String = rows(60)
+        .map(|(row, deg)| {
+            let q = cells(&deg.map(f64::to_radians), " ");
+            format!("{} {q} {} 7\n", row as f64 * 0.002 + 4711.5, cells(&[0.25; 6], " "))
+        })
+        .collect();
+    let log = read_as(&(header("actual") + &body), None).unwrap();
+    assert_follows(&log, 60, angle_deg);
+    assert_eq!((log.origin, log.speed_rad_s.unwrap()[3]), (Origin::Measured, [0.25; 6]));
+    let log = read_as(&(header("target") + &body), None).unwrap();
+    assert!(
+        log.origin == Origin::Commanded
+            && log.quality.remarks.iter().any(|remark| remark.contains("commanded"))
+    );
+}
+
+fn telegrams(count: usize, tick: usize) -> String {
+    rows(count)
+        .map(|(row, deg)| {
+            let axes = |deg: &[f64]| {
+                deg.iter().enumerate().map(|(i, value)| format!(" A{}=\"{value}\"", i + 1)).collect::<String>()
+            };
+            format!(
+                "<Rob TYPE=\"KUKA\"><RIst X=\"1\" Y=\"2\" Z=\"3\"/><AIPos{}/><ASPos{}/><Delay D=\"0\"/><IPOC>{}</IPOC></Rob>\n",
+                axes(&deg),
+                axes(&deg.map(|value| value + 1.0)),
+                4_208_163_634_usize + row * tick
+            )
+        })
+        .collect()
+}
+
+#[test]
+fn telegrams_of_rsi_give_measured_joints_or_commanded_ones_where_a_mapping_asks() {
+    for text in [telegrams(60, 12), format!("<?xml version=\"1.0\"?><Log>\n{}</Log>\n", telegrams(60, 12))] {
+        let log = read_as(&text, None).unwrap();
+        assert_follows(&log, 60, angle_deg);
+        assert!((log.quality.period_s - 0.012).abs() < 1e-12 && log.origin == Origin::Measured);
+    }
+    let joints: String =
+        (1..=6).map(|joint| format!("[[joints]]\ncolumn = \"A{joint}\"\nunit = \"deg\"\n")).collect();
+    let log =
+        read_as(&telegrams(60, 4), Some(mapping(&format!("values = \"commanded\"\n{joints}")))).unwrap();
+    assert_follows(&log, 60, |row, joint| angle_deg(row, joint) + 1.0);
+}
+
+#[test]
+fn a_counter_of_telegrams_is_not_taken_for_milliseconds() {
+    let told = read_as(&telegrams(60, 1), None).unwrap_err().to_string();
+    assert!(told.contains("IPOC") && told.contains("[time]"), "{told}");
+}
+
+#[test]
+fn a_log_of_telegrams_that_breaks_off_is_refused_with_the_telegram() {
+    let text = telegrams(60, 4);
+    let told = read_as(&text[..text.len() - 200], None).map(|log| log.q_rad.len());
+    // Cut in an attribute: refused; cut between elements: the last one is not whole and not taken.
+    match told {
+        Ok(count) => assert_eq!(count, 59),
+        Err(error) => assert!(error.to_string().contains("telegram 60"), "{error}"),
+    }
+    let told = read_as(&text.replacen("<IPOC>", "<IPOC>x", 1), None).unwrap_err().to_string();
+    assert!(told.contains("telegram 1") && told.contains("IPOC"), "{told}");
+}
+
+#[test]
+fn frozen_telegrams_and_those_that_lack_an_axis_are_left_out_and_told() {
+    let mut lines: Vec<String> = telegrams(80, 4).lines().map(str::to_owned).collect();
+    let axes_of = |line: &str| line[line.find("<AIPos").unwrap()..line.find("<ASPos").unwrap()].to_owned();
+    let (before, frozen) = (axes_of(&lines[20]), axes_of(&lines[21]));
+    lines[21] = lines[21].replace(&frozen, &before);
+    lines[40] = lines[40].replacen("A3=", "B3=", 1);
+    let log = read_as(&lines.join("\n"), None).unwrap();
+    assert_eq!((log.quality.frozen_dropped, log.quality.incomplete_dropped, log.q_rad.len()), (1, 1, 78));
+    let remarks = log.quality.remarks.join("\n");
+    assert!(
+        remarks.contains("1 telegrams repeat") && remarks.contains("1 telegrams lack a joint"),
+        "{remarks}"
+    );
+}
+
+#[test]
+fn a_robot_that_stands_still_is_not_frozen() {
+    let standing: String = telegrams(1, 4).repeat(60);
+    let mut ipoc = 0;
+    let text: String = standing
+        .lines()
+        .map(|line| {
+            ipoc += 4;
+            line.replace("4208163634", &ipoc.to_string()) + "\n"
+        })
+        .collect();
+    let log = read_as(&text, None).unwrap();
+    assert_eq!((log.quality.frozen_dropped, log.q_rad.len()), (0, 60));
+}
+
+#[test]
+fn joints_for_a_robot_whose_configuration_describes_motors_need_a_mapping() {
+    let options = LogOptions::default();
+    let told = read_with(telegrams(60, 4).as_bytes(), Path::new("log.xml"), &irb2400(), &options)
+        .unwrap_err()
+        .to_string();
+    assert!(told.contains("motors") && told.contains("--log-mapping"), "{told}");
+}
+
+#[test]
+fn formats_are_told_by_content_and_refused_where_there_is_none() {
+    let detect = |bytes: &[u8], name: &str| LogFormat::detect(bytes, Path::new(name));
+    assert_eq!(detect(b"\x89MCAP0\r\n...", "bag").unwrap(), LogFormat::Ros2Mcap);
+    assert_eq!(detect(b"SQLite format 3\0", "bag_0.db3").unwrap(), LogFormat::Ros2Db3);
+    assert_eq!(detect(b"\n  <Rob>", "x.log").unwrap(), LogFormat::Rsi);
+    assert_eq!(detect(b"timestamp actual_q_0 actual_q_1\n", "x.csv").unwrap(), LogFormat::UrRtde);
+    assert_eq!(detect(b"# robot: x\nt_s,joint1_deg\n", "x.csv").unwrap(), LogFormat::Csv);
+    assert_eq!(detect(b"\x2d\x0a\x07", "capture.EGM").unwrap(), LogFormat::Egm);
+    let told = detect(b"\x7fELF\x02\x01\x01\0", "x.bin").unwrap_err().to_string();
+    assert!(told.contains("--log-format"), "{told}");
+}
+
+#[test]
+fn impossible_mappings_are_refused_by_key() {
+    let joints: String =
+        (1..=6).map(|joint| format!("[[joints]]\ncolumn = \"q{joint}\"\nunit = \"rad\"\n")).collect();
+    for (text, key) in [
+        ("[csv]\ndelimiter = \",\"\ndecimal_comma = true\n", "csv.delimiter"),
+        ("[[coupling]]\njoint = 3\nfrom = 3\nfactor = 1.0\n", "coupling[0]"),
+        ("[[coupling]]\njoint = 7\nfrom = 2\nfactor = 1.0\n", "coupling[0]"),
+        (
+            "[[coupling]]\njoint = 3\nfrom = 2\nfactor = 1.0\n[[coupling]]\njoint = 2\nfrom = 3\nfactor = 1.0\n",
+            "coupling",
+        ),
+    ] {
+        let told =
+            config::parse::<RobotLogMapping>(&format!("{text}{joints}"), Path::new("m.toml")).unwrap_err();
+        assert!(told.to_string().contains(&format!("`{key}`")), "{told}");
+    }
+}
+
+/// Reads any bytes as every format; the refusal has words.
+fn read_as_everything(bytes: &[u8]) {
+    let robot = irb120();
+    let formats = [
+        LogFormat::Csv,
+        LogFormat::UrRtde,
+        LogFormat::Ros2Mcap,
+        LogFormat::Ros2Db3,
+        LogFormat::Egm,
+        LogFormat::Rsi,
+    ];
+    for mapping in [None, Some(shipped_mapping())] {
+        for format in formats {
+            let options = LogOptions { format: Some(format), mapping: mapping.clone() };
+            if let Err(error) = read_with(bytes, Path::new("log"), &robot, &options) {
+                assert!(error.to_string().len() > 10);
+            }
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn no_bytes_make_a_reader_panic(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
+        read_as_everything(&bytes);
+    }
+
+    #[test]
+    fn no_damage_to_a_log_makes_a_reader_panic(
+        which in 0_usize..2,
+        flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..6),
+        cut in any::<prop::sample::Index>(),
+    ) {
+        let text = [telegrams(60, 4), german_table(60)][which].clone();
+        let mut bytes = text.into_bytes();
+        for (at, byte) in flips {
+            let at = at.index(bytes.len());
+            bytes[at] = byte;
+        }
+        bytes.truncate(cut.index(bytes.len()) + 1);
+        read_as_everything(&bytes);
+    }
+}

@@ -1,0 +1,130 @@
+//! Robot logs that other programs wrote are read as they were meant: rosbags for ROS 2 bags, Google's protobuf for EGM.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use identify::logs::{LogError, LogOptions, Origin, RobotLog, RobotLogMapping, load, load_with, read};
+use shared::config::{self, RobotConfig};
+use system_tests::{config_directory, python_with};
+
+/// As `write_robot_log.py` has them.
+const ROWS: usize = 5000;
+const START_NS: i64 = 1_795_000_000_123_456_789;
+const PERIOD_S: f64 = 0.008;
+
+fn angle_rad(row: usize, joint: usize) -> f64 {
+    0.4 * (0.01 * row as f64 + joint as f64).sin()
+}
+
+fn robot() -> RobotConfig {
+    config::load(&config_directory().join("robots/irb120_3.toml")).unwrap()
+}
+
+fn written(directory: &Path, modules: &[&str], kind: &str) -> Option<PathBuf> {
+    let python = python_with(modules)?;
+    let path = directory.join(format!("log.{}", kind.split('-').next().unwrap()));
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("write_robot_log.py");
+    let output = Command::new(python).arg(script).arg(kind).arg(&path).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    Some(path)
+}
+
+/// Every row but `left_out`, within `tolerance_rad`.
+fn assert_follows(log: &RobotLog, left_out: Option<usize>, tolerance_rad: f64) {
+    let rows: Vec<usize> = (0..ROWS).filter(|row| Some(*row) != left_out).collect();
+    assert_eq!(log.q_rad.len(), rows.len());
+    for ((row, q_rad), t_s) in rows.iter().zip(&log.q_rad).zip(&log.t_s) {
+        assert!((t_s - *row as f64 * PERIOD_S).abs() < 1e-9, "row {row} at {t_s} s");
+        for (joint, q) in q_rad.iter().enumerate() {
+            assert!((q - angle_rad(*row, joint)).abs() < tolerance_rad, "row {row} joint {joint}: {q}");
+        }
+    }
+}
+
+fn bag_reads_by_name(kind: &str) {
+    let directory = tempfile::tempdir().unwrap();
+    let Some(path) = written(directory.path(), &["rosbags"], kind) else { return };
+    let log = load(&path, &robot()).unwrap();
+    // One message has a joint that is not a number.
+    assert_follows(&log, Some(100), 1e-12);
+    assert_eq!((log.quality.incomplete_dropped, log.first_stamp_ns), (1, START_NS));
+    assert_eq!((log.clock.as_str(), log.origin), ("header.stamp", Origin::Measured));
+    for (row, speeds) in log.speed_rad_s.unwrap().iter().enumerate().take(100) {
+        for (joint, speed) in speeds.iter().enumerate() {
+            assert!((speed - 0.5 * (0.01 * row as f64 + joint as f64).cos()).abs() < 1e-12);
+        }
+    }
+    assert!(log.torque.is_none());
+    the_wrong_topic_is_refused(&path);
+}
+
+fn the_wrong_topic_is_refused(path: &Path) {
+    let joints: String = (1..=6)
+        .map(|joint| format!("[[joints]]\ncolumn = \"right_joint_{joint}\"\nunit = \"rad\"\n"))
+        .collect();
+    for (text, expected) in [
+        (joints.clone(), "left_joint_3"),
+        (format!("topic = \"/right/joint_states\"\n{joints}"), "/right/joint_states"),
+    ] {
+        let mapping: RobotLogMapping = config::parse(&text, Path::new("mapping.toml")).unwrap();
+        let options = LogOptions { mapping: Some(mapping), ..LogOptions::default() };
+        let told = load_with(path, &robot(), &options).unwrap_err().to_string();
+        assert!(told.contains(expected), "{told}");
+    }
+}
+
+#[test]
+fn joint_states_of_an_mcap_bag_by_rosbags_are_found_by_name() {
+    bag_reads_by_name("mcap");
+}
+
+#[test]
+fn joint_states_of_a_db3_bag_by_rosbags_are_found_by_name() {
+    bag_reads_by_name("db3");
+}
+
+#[test]
+fn a_bag_that_breaks_off_is_read_up_to_there_and_says_so() {
+    let directory = tempfile::tempdir().unwrap();
+    let Some(path) = written(directory.path(), &["rosbags"], "mcap") else { return };
+    let bytes = std::fs::read(&path).unwrap();
+    let log = read(&bytes[..bytes.len() * 2 / 3], &path, &robot()).unwrap();
+    assert!((ROWS / 3..ROWS).contains(&log.q_rad.len()));
+    assert!(
+        log.quality.remarks.iter().any(|remark| remark.contains("damaged after")),
+        "{:?}",
+        log.quality.remarks
+    );
+    for (q_rad, t_s) in log.q_rad.iter().zip(&log.t_s) {
+        let row = (t_s / PERIOD_S).round() as usize;
+        assert!(q_rad.iter().enumerate().all(|(joint, q)| (q - angle_rad(row, joint)).abs() < 1e-12));
+    }
+}
+
+#[test]
+fn egm_messages_by_googles_protobuf_are_read_in_degrees_on_either_clock() {
+    let directory = tempfile::tempdir().unwrap();
+    for (kind, clock) in [("egm", "controller, ms of its own"), ("egm-utc", "controller, UTC")] {
+        let Some(path) = written(directory.path(), &["google.protobuf"], kind) else { return };
+        let log = load(&path, &robot()).unwrap();
+        if kind == "egm" {
+            // Its milliseconds wrap after 20 s of these 40.
+            assert_follows(&log, None, 1e-12);
+        } else {
+            // Whole microseconds.
+            assert_eq!(log.first_stamp_ns, START_NS / 1000 * 1000);
+        }
+        assert_eq!((log.q_rad.len(), log.quality.duplicates_dropped), (ROWS, 1));
+        assert_eq!((log.clock.as_str(), log.origin), (clock, Origin::Measured));
+    }
+}
+
+#[test]
+fn an_egm_capture_that_is_cut_is_refused_with_the_message_and_the_byte() {
+    let directory = tempfile::tempdir().unwrap();
+    let Some(path) = written(directory.path(), &["google.protobuf"], "egm") else { return };
+    let bytes = std::fs::read(&path).unwrap();
+    let error = read(&bytes[..bytes.len() - 3], &path, &robot()).unwrap_err();
+    assert!(matches!(&error, LogError::BadRecord { place, .. } if place.contains("5001")), "{error}");
+}

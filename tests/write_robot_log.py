@@ -1,0 +1,121 @@
+"""Writes a robot log with implementations that are not ours.
+
+usage: write_robot_log.py {mcap|db3|egm|egm-utc} FILE
+
+40 s at 125 Hz; joint j (from 0) at row k is 0.4 sin(0.01 k + j) rad, its speed 0.5 cos(0.01 k + j) rad/s.
+"""
+
+import math
+import sys
+from pathlib import Path
+
+ROWS = 5000
+START_NS = 1_795_000_000_123_456_789
+PERIOD_NS = 8_000_000
+
+
+def angle(row, joint):
+    return 0.4 * math.sin(0.01 * row + joint)
+
+
+def bag(path, storage):
+    """PyPI rosbags: two topics, of which one has other joints; ours has an extra joint and another order."""
+    import numpy
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    types = get_typestore(Stores.ROS2_JAZZY)
+    message, header, time = (
+        types.types[name] for name in ("sensor_msgs/msg/JointState", "std_msgs/msg/Header", "builtin_interfaces/msg/Time"))
+    directory = path.with_suffix(f".{storage}-bag")
+    plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
+    order = [5, 0, 3, 1, 4, 2]
+    names = ["gripper"] + [f"left_joint_{j + 1}" for j in order]
+    with Writer(directory, version=9, storage_plugin=plugin) as writer:
+        arm, other = (writer.add_connection(topic, message.__msgtype__, typestore=types)
+                      for topic in ("/left/joint_states", "/gripper/joint_states"))
+        for row in range(ROWS):
+            stamp = START_NS + row * PERIOD_NS
+            at = header(stamp=time(sec=stamp // 10**9, nanosec=stamp % 10**9), frame_id="base")
+            position = numpy.array([0.01] + [angle(row, j) for j in order])
+            velocity = numpy.array([0.0] + [0.5 * math.cos(0.01 * row + j) for j in order])
+            if row == 100:
+                position[3] = math.nan
+            state = message(header=at, name=names, position=position, velocity=velocity, effort=numpy.array([]))
+            # Received late, and not evenly.
+            received = stamp + 1_000_000 + (row * 7919) % 700_000
+            writer.write(arm, received, types.serialize_cdr(state, message.__msgtype__))
+            writer.write(other, received, types.serialize_cdr(
+                message(header=at, name=["gripper"], position=position[:1], velocity=position[:0], effort=position[:0]),
+                message.__msgtype__))
+    (written,) = [file for file in directory.iterdir() if file.suffix == f".{storage}"]
+    written.rename(path)
+
+
+def egm_messages():
+    """Google's protobuf: message types made from the public definition of EGM."""
+    from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+
+    field = descriptor_pb2.FieldDescriptorProto
+    file = descriptor_pb2.FileDescriptorProto(name="egm.proto", package="abb.egm", syntax="proto2")
+
+    def define(name, *fields):
+        message = file.message_type.add(name=name)
+        for number, label, kind, title in fields:
+            entry = message.field.add(name=title, number=number, label=label)
+            if isinstance(kind, str):
+                entry.type, entry.type_name = field.TYPE_MESSAGE, f".abb.egm.{kind}"
+            else:
+                entry.type = kind
+
+    optional, required, repeated = field.LABEL_OPTIONAL, field.LABEL_REQUIRED, field.LABEL_REPEATED
+    define("EgmHeader", (1, optional, field.TYPE_UINT32, "seqno"), (2, optional, field.TYPE_UINT32, "tm"),
+           (3, optional, field.TYPE_INT32, "mtype"))
+    define("EgmCartesian", *((n, required, field.TYPE_DOUBLE, "xyz"[n - 1]) for n in (1, 2, 3)))
+    define("EgmPose", (1, optional, "EgmCartesian", "pos"))
+    define("EgmClock", (1, required, field.TYPE_UINT64, "sec"), (2, required, field.TYPE_UINT64, "usec"))
+    define("EgmJoints", (1, repeated, field.TYPE_DOUBLE, "joints"))
+    for name in ("EgmFeedBack", "EgmPlanned"):
+        define(name, (1, optional, "EgmJoints", "joints"), (2, optional, "EgmPose", "cartesian"),
+               (3, optional, "EgmJoints", "externalJoints"), (4, optional, "EgmClock", "time"))
+    define("EgmRobot", (1, optional, "EgmHeader", "header"), (2, optional, "EgmFeedBack", "feedBack"),
+           (3, optional, "EgmPlanned", "planned"), (6, optional, field.TYPE_BOOL, "mciConvergenceMet"),
+           (9, optional, "EgmJoints", "measuredForce"), (10, optional, field.TYPE_DOUBLE, "utilizationRate"))
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName("abb.egm.EgmRobot"))
+
+
+def egm(path, utc):
+    from google.protobuf.internal.encoder import _VarintBytes
+
+    robot = egm_messages()
+    with open(path, "wb") as sink:
+        for row in range(ROWS):
+            message = robot()
+            message.header.seqno = row
+            # The controller's own milliseconds wrap in the middle.
+            message.header.tm = (2**32 - 20_000 + row * PERIOD_NS // 1_000_000) % 2**32
+            message.header.mtype = 2
+            message.feedBack.joints.joints.extend(math.degrees(angle(row, j)) for j in range(6))
+            message.feedBack.cartesian.pos.x = message.feedBack.cartesian.pos.y = message.feedBack.cartesian.pos.z = 1.0
+            message.planned.joints.joints.extend(math.degrees(angle(row, j)) + 1.0 for j in range(6))
+            message.utilizationRate = 12.5
+            if utc:
+                stamp = START_NS + row * PERIOD_NS
+                message.feedBack.time.sec, message.feedBack.time.usec = stamp // 10**9, stamp % 10**9 // 1000
+            # A reader that did not wait gets the same message twice.
+            for _ in range(2 if row == 77 else 1):
+                sink.write(_VarintBytes(message.ByteSize()) + message.SerializeToString())
+
+
+def main():
+    kind, path = sys.argv[1], Path(sys.argv[2])
+    if kind in ("mcap", "db3"):
+        bag(path, kind)
+    else:
+        egm(path, utc=kind == "egm-utc")
+
+
+if __name__ == "__main__":
+    main()
