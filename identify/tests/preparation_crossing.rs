@@ -77,6 +77,7 @@ fn a_run_with_lost_origins_calibrates_as_well_as_one_without() {
         gear_sine_urad: 20.0,
         encoder_eccentricity_urad: 40.0,
         base_tilt_urad: 5000.0,
+        ..Effects::NONE
     };
     let (robot, bar) = (irb2400(), bar());
     for seed in [1, 2] {

@@ -16,6 +16,7 @@ fn laboratory(change: impl Fn(&mut Experiment<'_>)) -> Simulated {
         gear_sine_urad: 30.0,
         encoder_eccentricity_urad: 40.0,
         base_tilt_urad: 5000.0,
+        ..Effects::NONE
     };
     let design = Design { duration_s: 80.0, ..Design::for_robot(&robot) };
     let mut experiment = Experiment { effects, design, ..Experiment::new(&robot, &bar) };
