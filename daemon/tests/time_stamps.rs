@@ -177,7 +177,8 @@ fn sample_times_are_right_within_their_uncertainty_on_quiet_and_loaded_hosts() {
             assert!(stamped.len() > 4_700, "{}", stamped.len());
             assert!(p999_ns(&stamped) < bound_ns, "seed {seed}: {} ns", p999_ns(&stamped));
             assert_within(&stamped, 3);
-            assert!(stamped.iter().all(|one| one.sigma_ns < sigma_bound_ns), "seed {seed}");
+            let sigma_ns = stamped.iter().map(|one| one.sigma_ns).max().unwrap();
+            assert!(sigma_ns < sigma_bound_ns, "seed {seed}: {sigma_ns} ns, not below {sigma_bound_ns}");
             assert!(!experiment.events.iter().any(|event| matches!(event.what, Happening::Down(_))));
         }
     }

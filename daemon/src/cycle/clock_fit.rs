@@ -9,6 +9,7 @@
 //! explains is left out of the filter until readings agree on what it is (`doubt`): a step, which is told and not
 //! followed (the terminals' clocks have not taken part in it), or another rate, which is followed.
 
+mod covariance;
 mod doubt;
 mod filter;
 
@@ -96,7 +97,11 @@ impl ClockFit {
                 self.doubt = Some(doubt);
                 return Observation::Doubted(deviation_ns.round() as i64);
             }
-            Verdict::Stepped => return Observation::Stepped(deviation_ns.round() as i64),
+            Verdict::Stepped => {
+                // The fit is wrong by the step until it begins anew, and says so.
+                self.doubt = Some(Doubt::begin(deviation));
+                return Observation::Stepped(deviation_ns.round() as i64);
+            }
         }
         Observation::Followed
     }

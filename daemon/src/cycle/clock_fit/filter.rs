@@ -3,6 +3,7 @@
 use shared::time::{DcNs, MonoNs};
 
 use super::Reading;
+use super::covariance::Covariance;
 use super::doubt::Deviation;
 
 /// Wander of the offset between two clocks \[ns^2/s\]: some 10 ns in a second.
@@ -49,9 +50,11 @@ pub(super) struct Filter {
     offset_ns: f64,
     /// \[ns/s\]
     drift: f64,
-    p_offset: f64,
-    p_cross: f64,
-    p_drift: f64,
+    /// What the gains are made of. It takes readings as quick as the quickest for equal: only so are they followed.
+    p: Covariance,
+    /// What offset and drift are worth under those gains if each delay divides between the ways as it likes; a chance
+    /// run of delays then looks like a rate.
+    honest: Covariance,
     /// Readings so far, up to [`SETTLING_READINGS`].
     readings: u32,
     /// Half the width of the narrowest hard bound.
@@ -68,15 +71,19 @@ pub(super) struct Filter {
 impl Filter {
     /// From one reading, and from what is known of the same clocks and the same way.
     pub fn first(reading: &Reading, known: Option<&Self>) -> Self {
+        let offset_sigma_ns = reading.half_ns.hypot(READING_SIGMA_NS);
+        let start = |known: Option<Covariance>| {
+            let drift_sigma =
+                known.map_or(DRIFT_SIGMA_START, |known| DRIFT_SIGMA_KNOWN.hypot(known.drift.sqrt()));
+            Covariance::independent(offset_sigma_ns, drift_sigma)
+        };
         Self {
             at: reading.at,
             base_ns: reading.offset_ns,
             offset_ns: 0.0,
             drift: known.map_or(0.0, |known| known.drift),
-            p_offset: reading.half_ns.powi(2) + READING_SIGMA_NS.powi(2),
-            p_cross: 0.0,
-            p_drift: known
-                .map_or(DRIFT_SIGMA_START.powi(2), |known| known.p_drift + DRIFT_SIGMA_KNOWN.powi(2)),
+            p: start(known.map(|known| known.p)),
+            honest: start(known.map(|known| known.honest)),
             readings: known.map_or(1, |known| known.readings),
             quickest_half_ns: known
                 .map_or(reading.half_ns, |known| known.quickest_half_ns.min(reading.half_ns)),
@@ -90,12 +97,12 @@ impl Filter {
         self.at.plus_ns(self.since_ns(dc).round() as i64)
     }
 
-    /// Variance of the host time that stands for `dc`: the filter's own at that time, and what an unequal way there and
-    /// back can hide.
+    /// Variance of the host time that stands for `dc`: what delays that divide by chance leave at that time, and what
+    /// ways there and back that are always unequal can hide.
     pub fn variance_ns2(&self, dc: DcNs) -> f64 {
         let dt_s = (self.since_ns(dc) * 1e-9).abs();
-        let own = self.p_offset
-            + dt_s * (2.0 * self.p_cross.abs() + dt_s * self.p_drift)
+        let own = self.honest.offset
+            + dt_s * (2.0 * self.honest.cross.abs() + dt_s * self.honest.drift)
             + OFFSET_WANDER_NS2_PER_S * dt_s;
         // How the delay divides between the ways is unknown: uniform within the bounds.
         own + self.one_way_ns.powi(2) / 3.0 + READING_SIGMA_NS.powi(2)
@@ -112,9 +119,8 @@ impl Filter {
         let dt_s = at.seconds_since(self.at).max(0.0);
         self.at = at;
         self.offset_ns += self.drift * dt_s;
-        self.p_offset += dt_s * (2.0 * self.p_cross + dt_s * self.p_drift) + OFFSET_WANDER_NS2_PER_S * dt_s;
-        self.p_cross += dt_s * self.p_drift;
-        self.p_drift += DRIFT_WANDER * dt_s;
+        self.p.predict(dt_s, OFFSET_WANDER_NS2_PER_S, DRIFT_WANDER);
+        self.honest.predict(dt_s, OFFSET_WANDER_NS2_PER_S, DRIFT_WANDER);
         self.quickest_half_ns *= 1.0 + QUICKEST_FORGOTTEN_PER_S * dt_s;
         dt_s
     }
@@ -130,7 +136,7 @@ impl Filter {
             at: reading.at,
             by_ns: self.deviation_ns(reading),
             delayed_ns: (reading.half_ns - quickest_ns).abs(),
-            predicted_ns: fit_delayed_ns + SLACK_SIGMAS * self.p_offset.sqrt() + SLACK_NS,
+            predicted_ns: fit_delayed_ns + SLACK_SIGMAS * self.p.offset.sqrt() + SLACK_NS,
         }
     }
 
@@ -152,13 +158,13 @@ impl Filter {
         self.watch_scatter(deviation_ns.abs() - unknown_ns, dt_s);
         let delayed_ns = READING_SIGMA_NS + unknown_ns;
         let reading_sigma_ns = delayed_ns + self.scatter_ns;
-        let spread = self.p_offset + reading_sigma_ns * reading_sigma_ns;
-        let (gain_offset, gain_drift) = (self.p_offset / spread, self.p_cross / spread);
+        let variance = reading_sigma_ns * reading_sigma_ns;
+        let spread = self.p.offset + variance;
+        let (gain_offset, gain_drift) = (self.p.offset / spread, self.p.cross / spread);
         self.offset_ns += gain_offset * deviation_ns;
         self.drift += gain_drift * deviation_ns;
-        self.p_drift -= gain_drift * self.p_cross;
-        self.p_cross -= gain_offset * self.p_cross;
-        self.p_offset -= gain_offset * self.p_offset;
+        self.p.correct(gain_offset, gain_drift, variance);
+        self.honest.correct(gain_offset, gain_drift, variance.max(reading.half_ns.powi(2) / 12.0));
         self.one_way_ns += gain_offset * (reading.half_ns - self.one_way_ns);
         self.stay_within(reading);
         self.watch_trend(deviation_ns, delayed_ns, dt_s);
@@ -174,15 +180,15 @@ impl Filter {
 
     /// Quick replies that contradict each other show that the quickest way is not the same each time.
     fn watch_scatter(&mut self, unexplained_ns: f64, dt_s: f64) {
-        let scatter_ns = unexplained_ns - SCATTER_SIGMAS * self.p_offset.sqrt();
+        let scatter_ns = unexplained_ns - SCATTER_SIGMAS * self.p.offset.sqrt();
         let forgotten = 1.0 - SCATTER_FORGOTTEN_PER_S * dt_s.min(1.0);
         self.scatter_ns = (self.scatter_ns * forgotten).max(scatter_ns.min(SCATTER_NS_MAX));
     }
 
     /// Forgets offset and rate as far as they may have changed by these.
     pub fn open(&mut self, offset_ns: f64, rate: f64) {
-        self.p_offset += offset_ns.powi(2);
-        self.p_drift += rate.powi(2);
+        self.p.open(offset_ns, rate);
+        self.honest.open(offset_ns, rate);
         self.trend = 0.0;
     }
 

@@ -309,9 +309,12 @@ proptest! {
         let (mut fit, mut clocks) = (ClockFit::default(), Clocks::new(drift_ppm));
         for (step, (there, back)) in delays.into_iter().enumerate() {
             let pair = clocks.next(there, back);
-            fit.observe(pair.0);
+            let seen = fit.observe(pair.0);
             let sigma_ns = f64::from(fit.uncertainty_ns(pair.0.dc));
             let error_ns = error_ns(&fit, pair).abs();
+            // Fit and truth both lie within the bound of the reading that was followed.
+            let width_ns = pair.0.received.ns_since(pair.0.sent) - FRAME_NS;
+            prop_assert!(seen != Observation::Followed || error_ns < width_ns as f64 + 2_000.0, "{step}: {error_ns}");
             prop_assert!(step < 100 || error_ns < 4.0 * sigma_ns, "{step}: {error_ns} of {sigma_ns}");
         }
     }

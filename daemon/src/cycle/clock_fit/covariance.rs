@@ -1,0 +1,38 @@
+//! How far offset and rate of two clocks may be wrong, and how both errors hang together.
+
+/// Covariance of offset \[ns\] and drift \[ns/s\].
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Covariance {
+    pub offset: f64,
+    pub cross: f64,
+    pub drift: f64,
+}
+
+impl Covariance {
+    pub fn independent(offset_sigma_ns: f64, drift_sigma: f64) -> Self {
+        Self { offset: offset_sigma_ns.powi(2), cross: 0.0, drift: drift_sigma.powi(2) }
+    }
+
+    /// Later by `dt_s`, while offset and drift wander by these each second.
+    pub fn predict(&mut self, dt_s: f64, offset_wander: f64, drift_wander: f64) {
+        self.offset += dt_s * (2.0 * self.cross + dt_s * self.drift) + offset_wander * dt_s;
+        self.cross += dt_s * self.drift;
+        self.drift += drift_wander * dt_s;
+    }
+
+    /// After a reading of this variance was taken in with these gains, whether or not they are the best for it
+    /// (Joseph's form).
+    pub fn correct(&mut self, gain_offset: f64, gain_drift: f64, reading: f64) {
+        let Self { offset, cross, drift } = *self;
+        let kept = 1.0 - gain_offset;
+        self.offset = kept * kept * offset + gain_offset * gain_offset * reading;
+        self.cross = kept * (cross - gain_drift * offset) + gain_offset * gain_drift * reading;
+        self.drift = drift - 2.0 * gain_drift * cross + gain_drift * gain_drift * (offset + reading);
+    }
+
+    /// Forgets offset and rate as far as they may have changed by these.
+    pub fn open(&mut self, offset_ns: f64, rate: f64) {
+        self.offset += offset_ns.powi(2);
+        self.drift += rate.powi(2);
+    }
+}
