@@ -161,7 +161,9 @@ fn silent_text(joints: impl Iterator<Item = (u8, bool)>) -> String {
                 names.join(", ")
             )
         }
-        _ => "no samples from any encoder: look first at the coupler's cable and power".into(),
+        _ => "no samples from any encoder: look first at the coupler's cable and power, then along the terminals; the \
+              service's log says what the last attempt met"
+            .into(),
     }
 }
 
