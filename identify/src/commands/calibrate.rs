@@ -200,14 +200,18 @@ fn from_ball_bar(arguments: &CalibrateArguments, robot: &RobotConfig) -> anyhow:
     let file = calibration_file(arguments, robot, &runs, &calibration)?;
     let written = file.write(&arguments.out)?;
     file.write_robot(robot, runs.first().map(|run| &run.bar), &arguments.out)?;
+    let evidence = evidence(&calibration, &robot.joint_limits_deg);
     let page = Page {
         file: &file,
         calibration: &calibration,
-        evidence: &evidence(&calibration, &robot.joint_limits_deg),
+        evidence: &evidence,
         configuration: &toml::to_string(&config)?,
     };
     let page = page.write(&arguments.out)?;
     print!("{}", table::calibration(&file));
+    for limit in evidence.limits.iter().filter(|limit| limit.serious) {
+        println!("! {}", limit.sentence);
+    }
     if let Some(truth) = &truth {
         print!("\n{}", table::comparison(&Comparison::new(&calibration, truth)));
     }

@@ -26,6 +26,16 @@ pub struct Limit {
 pub fn limits(calibration: &BallBarCalibration, after: &[Closure], workspace: &WorkspaceError) -> Vec<Limit> {
     let mut limits = Vec::new();
     let mut tell = |serious: bool, sentence: String| limits.push(Limit { sentence, serious });
+    let wiring = &calibration.prepared.wiring.used;
+    if !wiring.is_as_recorded() {
+        tell(
+            true,
+            format!(
+                "The encoders do not sit or count as the recording says; this fits instead and was used: {wiring}. Check the \
+                 plugs, and correct ball_bar.toml."
+            ),
+        );
+    }
     let noise_ratio = calibration.solution.summary.residual_rms;
     if calibration.cost == CostName::Pose && noise_ratio > NOISE_RATIO_MAX {
         tell(

@@ -68,6 +68,7 @@ impl Page<'_> {
                     (sections::verdict(self))
                     (sections::gaps(self)?)
                     (sections::parameters(self))
+                    (sections::candidates(self))
                     (sections::joints(self)?)
                     (sections::alignment(self)?)
                     (preparation::section(self)?)

@@ -106,6 +106,27 @@ pub(super) fn parameters(page: &Page<'_>) -> Markup {
     }
 }
 
+/// Terms of the robot's axes that were tried, and what held-out stretches said.
+pub(super) fn candidates(page: &Page<'_>) -> Markup {
+    let candidates = &page.file.candidates;
+    html! { @if !candidates.is_empty() {
+        h2 { "Errors of the axes: what held-out stretches of the run support" }
+        table {
+            thead { tr {
+                th { "kind" } th { "parameters" } th { "RMS residual without" } th { "with" } th.text { "" }
+            } }
+            tbody { @for one in candidates { tr {
+                td { (one.group.name()) }
+                td { (one.parameters) }
+                td { (figure(one.held_out_before)) }
+                td { (figure(one.held_out_after)) }
+                td.text { @if one.accepted { "taken" } @else { "left out" } }
+            } } }
+        }
+        p.note { "Each stretch was predicted from a fit that had not seen it. Residuals in standard deviations of the cost." }
+    } }
+}
+
 /// Parameters that nobody freed and nobody changed only fill the table.
 fn shown(entry: &ParameterEntry) -> bool {
     entry.status != Status::Fixed
