@@ -4,6 +4,7 @@ usage: read_recording.py {mcap|rosbags} FILE
 """
 
 import json
+import math
 import sys
 from pathlib import Path
 
@@ -61,13 +62,14 @@ def main():
             result["joint_states"].append({
                 "stamp_ns": stamp_ns,
                 "name": list(message.name),
-                "position": [float(value) for value in message.position],
+                # JSON knows no NaN, which stands for a joint without a valid sample.
+                "position": [None if math.isnan(value) else float(value) for value in message.position],
             })
         else:
             result["events"].append({"stamp_ns": stamp_ns, "kind": message.kind, "text": message.text})
     if sys.argv[1] == "mcap":
         result["timing"] = timing_of(sys.argv[2])
-    json.dump(result, sys.stdout)
+    json.dump(result, sys.stdout, allow_nan=False)
 
 
 if __name__ == "__main__":
