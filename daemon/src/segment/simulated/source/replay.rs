@@ -38,13 +38,40 @@ struct Shared {
 /// Recorded counts as an encoder source.
 ///
 /// The row is chosen by the nominal SYNC0 time, so each cycle plays exactly one row whatever the clocks of the
-/// devices do. Terminals that follow frames choose by true time instead.
+/// devices do. Where the clock of the bus was set anew during the replay, pulses of the same nominal time come earlier or
+/// later than before by the simulation's clock: the encoders then stand between two rows. Terminals that follow frames show
+/// the nearest row by true time.
 #[derive(Debug)]
 pub struct Replay {
     counts: Vec<u32>,
     channels: usize,
     period_ns: i64,
+    /// Per channel, how pulses lie in true time.
+    pulses: Vec<Pulses>,
     shared: Arc<Shared>,
+}
+
+/// True time of pulses against their nominal one.
+#[derive(Debug, Clone, Copy, Default)]
+struct Pulses {
+    /// True less nominal time of the last one \[ns\].
+    apart_ns: Option<i64>,
+    /// By how much pulses come later since the clock of the bus was set \[ns\].
+    later_ns: i64,
+}
+
+impl Pulses {
+    /// Clocks drift by less than this between two pulses, and are set by more \[ns\].
+    const SET_NS: i64 = 20_000;
+
+    /// Takes the next pulse into account.
+    fn next(&mut self, apart_ns: i64) {
+        let moved_ns = self.apart_ns.map_or(0, |before_ns| apart_ns - before_ns);
+        if moved_ns.abs() > Self::SET_NS {
+            self.later_ns += moved_ns;
+        }
+        self.apart_ns = Some(apart_ns);
+    }
 }
 
 /// Starts a replay and asks how far it is, from wherever the bus is run.
@@ -74,31 +101,56 @@ impl Replay {
             rows: counts.len() / channels,
         });
         let handle = ReplayHandle(Arc::clone(&shared));
-        Ok((Self { counts, channels, period_ns, shared }, handle))
+        let pulses = vec![Pulses::default(); channels];
+        Ok((Self { counts, channels, period_ns, pulses, shared }, handle))
     }
 
-    /// Row at a moment, and whether the replay is under way.
-    fn row(&self, at: Conversion) -> (usize, bool) {
+    /// Row at a moment; none while the replay is not under way.
+    fn row(&self, at: Conversion) -> Option<usize> {
         let start_ns = self.shared.start_ns.load(Ordering::Acquire);
         let now_ns = at.system_time_ns.unwrap_or(at.true_time_ns);
         let since_ns = now_ns.saturating_sub(start_ns).saturating_add(self.period_ns / 2);
         if start_ns == NOT_STARTED || since_ns < 0 {
-            return (0, false);
+            return None;
         }
         let row = usize::try_from(since_ns / self.period_ns).unwrap_or(usize::MAX);
-        (row.min(self.shared.rows - 1), true)
+        Some(row.min(self.shared.rows - 1))
+    }
+
+    /// Count of a channel that much later than a row, on the straight line between the rows around. A terminal beyond the
+    /// recorded ones shows nothing.
+    fn count(&self, channel: usize, row: usize, later_ns: i64) -> u32 {
+        let recorded = |row: usize| {
+            let in_row = self.counts.get(row * self.channels..)?.get(..self.channels)?;
+            in_row.get(channel).copied()
+        };
+        let rows_later =
+            usize::try_from(later_ns.div_euclid(self.period_ns).unsigned_abs()).unwrap_or(usize::MAX);
+        let row = if later_ns < 0 { row.saturating_sub(rows_later) } else { row.saturating_add(rows_later) };
+        let Some(here) = recorded(row.min(self.shared.rows - 1)) else { return 0 };
+        let Some(there) = recorded(row.saturating_add(1)) else { return here };
+        // Counters wrap: the difference is the signed one.
+        let step = f64::from(there.wrapping_sub(here) as i32);
+        let part = later_ns.rem_euclid(self.period_ns) as f64 / self.period_ns as f64;
+        here.wrapping_add((step * part).round() as i64 as u32)
     }
 }
 
 impl EncoderSource for Replay {
     fn signal(&mut self, channel: usize, at: Conversion) -> Signal {
-        let (row, under_way) = self.row(at);
-        if let (true, Some(played)) = (under_way, self.shared.played.get(channel)) {
+        let under_way = self.row(at);
+        if let (Some(row), Some(played)) = (under_way, self.shared.played.get(channel)) {
             played.fetch_max(row + 1, Ordering::AcqRel);
         }
-        // A terminal beyond the recorded ones shows nothing.
-        let recorded = (channel < self.channels).then(|| self.counts.get(row * self.channels + channel));
-        Signal::Recorded { count: recorded.flatten().copied().unwrap_or(0) }
+        let pulses = self.pulses.get_mut(channel).filter(|_| under_way.is_some());
+        let later_ns = match (pulses, at.system_time_ns) {
+            (Some(pulses), Some(nominal_ns)) => {
+                pulses.next(at.true_time_ns.saturating_sub(nominal_ns));
+                pulses.later_ns
+            }
+            _ => 0,
+        };
+        Signal::Recorded { count: self.count(channel, under_way.unwrap_or_default(), later_ns) }
     }
 }
 
