@@ -13,9 +13,11 @@ use identify::calibrate::{CostName, IdentifyConfig, SelectionName, ball_bar};
 use identify::model::ParameterId;
 use identify::prepare::LocalShift;
 use identify::simulate::{Design, Simulated};
+use identify::study::workspace_error;
 use laboratory::Level;
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::encoder::Direction;
+use support::truth::position_error_m;
 use support::{bar, irb2400, nj220};
 
 /// What a calibration comes to.
@@ -26,6 +28,16 @@ struct Outcome {
     skew_ppm: f64,
     /// Standard deviation of the alignment over disjoint parts of about 20 s \[ms\].
     repeats_ms: f64,
+    /// Mean position error over the workspace \[mm\]...
+    position_mm: f64,
+    /// ...and the 95 % interval in which the report expects it.
+    expected_mm: [f64; 2],
+}
+
+impl Outcome {
+    fn is_as_expected(&self) -> bool {
+        (self.expected_mm[0]..=self.expected_mm[1]).contains(&self.position_mm)
+    }
 }
 
 fn calibrated(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig, config: &IdentifyConfig) -> Outcome {
@@ -37,7 +49,10 @@ fn calibrated(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig, config:
     let shifts: Vec<f64> = found.prepared.local_shifts.chunks_exact(4).map(of_part).collect();
     let mean = shifts.iter().sum::<f64>() / shifts.len() as f64;
     let variance = shifts.iter().map(|shift| (shift - mean).powi(2)).sum::<f64>() / (shifts.len() - 1) as f64;
+    let expected = workspace_error(&found.model, &found.solution.covariance, &robot.joint_limits_deg).after;
     Outcome {
+        position_mm: position_error_m(run, &found, robot) * 1e3,
+        expected_mm: expected.interval_m.map(|limit_m| limit_m * 1e3),
         robot_mm_mrad: of_robot.euclidean_mm_mrad(),
         shift_ms: comparison.clock_shift_error_s * 1e3,
         skew_ppm: comparison.clock_skew_error * 1e6,
@@ -55,6 +70,12 @@ fn summary(name: &str, outcomes: &[Outcome]) -> (f64, f64) {
         largest(&|one| one.shift_ms.abs()),
         largest(&|one| one.skew_ppm.abs()),
         largest(&|one| one.repeats_ms),
+    );
+    let position_mm = outcomes.iter().map(|one| one.position_mm).sum::<f64>() / outcomes.len() as f64;
+    let as_expected = outcomes.iter().filter(|one| one.is_as_expected()).count();
+    println!(
+        "    position {position_mm:.4} mm; within the report's interval {as_expected} of {}",
+        outcomes.len()
     );
     assert!(outcomes.iter().all(|one| one.shift_ms.abs() < 0.1 && one.skew_ppm.abs() < 2.0), "{name}");
     assert!(outcomes.iter().all(|one| one.repeats_ms < 0.1), "{name}");

@@ -9,14 +9,13 @@ use std::process::Command;
 
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
 use identify::calibrate::{CostName, IdentifyConfig};
-use identify::model::ParameterId;
 use identify::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use identify::report::page::Page;
 use identify::simulate::{self, Effects, Experiment, Simulated, StaticErrors};
 use identify::study::{evidence, workspace_error};
-use nalgebra::Vector3;
 use serde_json::Value;
 use shared::config::RobotConfig;
+use support::truth::position_error_m;
 use support::{bar, irb2400};
 
 const NOISE: Effects =
@@ -50,31 +49,6 @@ fn page_text(calibration: &BallBarCalibration, robot: &RobotConfig) -> String {
     page.render().unwrap().into_string()
 }
 
-/// Distance between the end of the true robot and that of the identified one over postures within the limits.
-fn true_error_m(run: &Simulated, found: &BallBarCalibration, robot: &RobotConfig) -> f64 {
-    /// Steps along each joint, prime to each other so that every combination comes.
-    const STEPS: [usize; 6] = [7, 11, 13, 17, 19, 23];
-    const POSTURES: usize = 2000;
-    let mut true_model = found.model.clone();
-    for (name, value) in &run.truth.parameters {
-        if let Ok(id @ ParameterId::Robot { .. }) = name.parse() {
-            true_model.set_value(id, *value).unwrap();
-        }
-    }
-    let [identified, truth] = [&found.model, &true_model].map(|model| model.geometry(&model.start()).robot);
-    let distance = |posture: usize| {
-        let q: [f64; 6] = std::array::from_fn(|joint| {
-            let [low, high] = robot.joint_limits_deg[joint];
-            let part = (posture % STEPS[joint]) as f64 / (STEPS[joint] - 1) as f64;
-            (low + (high - low) * part).to_radians()
-        });
-        let end =
-            |chain: &identify::kinematics::Chain| -> Vector3<f64> { chain.forward(&q).translation.vector };
-        (end(&identified) - end(&truth)).norm()
-    };
-    (0..POSTURES).map(distance).sum::<f64>() / POSTURES as f64
-}
-
 #[test]
 fn the_error_that_the_page_expects_is_the_error_that_the_robot_has() {
     let robot = irb2400();
@@ -84,7 +58,7 @@ fn the_error_that_the_page_expects_is_the_error_that_the_robot_has() {
         let (run, found) = calibrated(&robot, seed, None);
         let expected =
             workspace_error(&found.model, &found.solution.covariance, &robot.joint_limits_deg).after;
-        let truth_m = true_error_m(&run, &found, &robot);
+        let truth_m = position_error_m(&run, &found, &robot);
         println!(
             "seed {seed}: true {:.4} mm, expected {:.4} ({:.4} to {:.4})",
             truth_m * 1e3,

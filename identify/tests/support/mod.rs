@@ -4,6 +4,7 @@
 
 pub mod independent;
 pub mod other_solver;
+pub mod truth;
 
 use std::path::{Path, PathBuf};
 
