@@ -1,4 +1,5 @@
-//! Robot logs that other programs wrote are read as they were meant: rosbags for ROS 2 bags, Google's protobuf for EGM.
+//! Robot logs that other programs wrote are read as they were meant: rosbags for ROS 2 bags, Google's protobuf for EGM,
+//! Python's own CSV and XML writers for the rest.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::path::{Path, PathBuf};
@@ -118,6 +119,42 @@ fn egm_messages_by_googles_protobuf_are_read_in_degrees_on_either_clock() {
         assert_eq!((log.q_rad.len(), log.quality.duplicates_dropped), (ROWS, 1));
         assert_eq!((log.clock.as_str(), log.origin), (clock, Origin::Measured));
     }
+}
+
+#[test]
+fn csv_of_a_rtde_client_is_read_by_name_and_measured_not_targeted() {
+    let directory = tempfile::tempdir().unwrap();
+    let Some(path) = written(directory.path(), &["csv"], "rtde") else { return };
+    let log = load(&path, &robot()).unwrap();
+    assert_follows(&log, None, 1e-12);
+    assert_eq!((log.first_stamp_ns, log.origin), (250_000_000_000, Origin::Measured));
+    for (row, speeds) in log.speed_rad_s.unwrap().iter().enumerate() {
+        for (joint, speed) in speeds.iter().enumerate() {
+            assert!((speed - 0.5 * (0.01 * row as f64 + joint as f64).cos()).abs() < 1e-12);
+        }
+    }
+}
+
+#[test]
+fn rsi_telegrams_by_an_xml_writer_are_read_measured_or_commanded() {
+    let directory = tempfile::tempdir().unwrap();
+    let Some(path) = written(directory.path(), &["xml.etree"], "rsi") else { return };
+    let log = load(&path, &robot()).unwrap();
+    assert_follows(&log, None, 1e-12);
+    assert_eq!((log.clock.as_str(), log.origin), ("IPOC", Origin::Measured));
+}
+
+#[test]
+fn a_spreadsheets_export_with_decimal_commas_is_read_by_its_mapping() {
+    let directory = tempfile::tempdir().unwrap();
+    let Some(path) = written(directory.path(), &["csv"], "table") else { return };
+    let layout = "delimiter = \";\"\ndecimal_comma = true\nskip_lines = 1\nunit_lines = 1\n";
+    let joints: String =
+        (1..=6).map(|joint| format!("[[joints]]\ncolumn = \"Achse {joint}\"\nunit = \"deg\"\n")).collect();
+    let text = format!("[csv]\n{layout}[time]\ncolumn = \"Zeit\"\nunit = \"ms\"\n{joints}");
+    let mapping: RobotLogMapping = config::parse(&text, Path::new("mapping.toml")).unwrap();
+    let options = LogOptions { mapping: Some(mapping), ..LogOptions::default() };
+    assert_follows(&load_with(&path, &robot(), &options).unwrap(), None, 1e-12);
 }
 
 #[test]

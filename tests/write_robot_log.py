@@ -1,13 +1,15 @@
 """Writes a robot log with implementations that are not ours.
 
-usage: write_robot_log.py {mcap|db3|egm|egm-utc} FILE
+usage: write_robot_log.py {mcap|db3|egm|egm-utc|rtde|rsi|table} FILE
 
 40 s at 125 Hz; joint j (from 0) at row k is 0.4 sin(0.01 k + j) rad, its speed 0.5 cos(0.01 k + j) rad/s.
 """
 
+import csv
 import math
 import sys
 from pathlib import Path
+from xml.etree import ElementTree
 
 ROWS = 5000
 START_NS = 1_795_000_000_123_456_789
@@ -109,12 +111,53 @@ def egm(path, utc):
                 sink.write(_VarintBytes(message.ByteSize()) + message.SerializeToString())
 
 
+def rtde(path):
+    """As the CSV writer of Universal Robots' RTDE client: Python's csv, blanks between cells, outputs in any order."""
+    with open(path, "w", newline="") as sink:
+        writer = csv.writer(sink, delimiter=" ")
+        joints = range(6)
+        writer.writerow(["timestamp"] + [f"target_q_{j}" for j in joints] + [f"actual_q_{j}" for j in joints]
+                        + [f"actual_qd_{j}" for j in joints] + ["robot_mode", "payload"])
+        for row in range(ROWS):
+            writer.writerow([250.0 + row * PERIOD_NS * 1e-9] + [angle(row, j) + 0.01 for j in joints]
+                            + [angle(row, j) for j in joints]
+                            + [0.5 * math.cos(0.01 * row + j) for j in joints] + [7, 12.5])
+
+
+def rsi(path):
+    """Telegrams by Python's ElementTree, one after the other as a socket gives them."""
+    with open(path, "wb") as sink:
+        for row in range(ROWS):
+            telegram = ElementTree.Element("Rob", Type="KUKA")
+            ElementTree.SubElement(telegram, "RIst", X="1.0", Y="2.0", Z="3.0", A="0.0", B="0.0", C="0.0")
+            for name, off in (("AIPos", 0.0), ("ASPos", 1.0)):
+                axes = {f"A{j + 1}": repr(math.degrees(angle(row, j)) + off) for j in range(6)}
+                ElementTree.SubElement(telegram, name, axes)
+            ElementTree.SubElement(telegram, "Delay", D="0")
+            ElementTree.SubElement(telegram, "IPOC").text = str(4_208_163_000 + row * PERIOD_NS // 1_000_000)
+            sink.write(ElementTree.tostring(telegram))
+
+
+def table(path):
+    """A spreadsheet's export where decimals have commas: a title, UTF-8 with BOM, CRLF, everything quoted, degrees."""
+    with open(path, "w", newline="", encoding="utf-8-sig") as sink:
+        writer = csv.writer(sink, delimiter=";", quoting=csv.QUOTE_ALL)
+        writer.writerow(["Prüfstand 3; Lauf 7"])
+        writer.writerow(["Kommentar"] + [f"Achse {j}" for j in (3, 1, 2, 6, 5, 4)] + ["Zeit"])
+        writer.writerow([""] + ["[°]"] * 6 + ["[ms]"])
+        for row in range(ROWS):
+            numbers = [math.degrees(angle(row, j - 1)) for j in (3, 1, 2, 6, 5, 4)] + [row * PERIOD_NS / 1e6]
+            writer.writerow(["läuft"] + [repr(number).replace(".", ",") for number in numbers])
+
+
 def main():
     kind, path = sys.argv[1], Path(sys.argv[2])
     if kind in ("mcap", "db3"):
         bag(path, kind)
-    else:
+    elif kind in ("egm", "egm-utc"):
         egm(path, utc=kind == "egm-utc")
+    else:
+        {"rtde": rtde, "rsi": rsi, "table": table}[kind](path)
 
 
 if __name__ == "__main__":
