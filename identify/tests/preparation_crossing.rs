@@ -70,7 +70,7 @@ fn samples_of_all_configurations_are_used_and_those_near_singular_poses_left_out
 }
 
 #[test]
-fn a_run_with_lost_origins_is_used_whole_and_calibrates_to_hundredths() {
+fn a_run_with_lost_origins_is_used_whole_and_calibrates_as_well_as_a_clean_one() {
     let effects = Effects {
         robot_noise_urad: 15.0,
         encoder_noise_urad: 5.0,
@@ -95,8 +95,7 @@ fn a_run_with_lost_origins_is_used_whole_and_calibrates_to_hundredths() {
         assert_eq!(origins.len(), 5);
         assert!(origins.iter().all(|origin| origin.used));
         assert!(of_lossy.prepared.counts.other_origin == 0);
-        // The zeros of each origin are those of the preparation, which knows no gears: they cost some hundredths.
-        assert!(errors[1] < 0.08, "{errors:?}");
+        assert!(errors[1] < 1.5 * errors[0] + 0.002, "{errors:?}");
     }
 }
 

@@ -142,7 +142,9 @@ pub fn calibrate_runs(
 /// Nominal robot and bar, at the place and with the encoder offsets that the preparation found.
 fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) -> Result<Model, ModelError> {
     let arm = robot_chain(robot, bar);
-    let mut model = Model::ball_bar(&arm, &ball_bar_chain(bar)).with_drives(DriveTrain::of(robot, &arm));
+    let mut model = Model::ball_bar(&arm, &ball_bar_chain(bar))
+        .with_drives(DriveTrain::of(robot, &arm))
+        .with_zeros(changed_zeros(prepared));
     let initial = &prepared.initial;
     for axis in Axis::ALL {
         model.set_value(ParameterId::Base(axis), initial.base_m[axis.index()])?;
@@ -155,4 +157,16 @@ fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) ->
     model.set_value(ParameterId::ClockShift, initial.clock_shift_s)?;
     model.set_value(ParameterId::ClockSkew, initial.clock_skew)?;
     Ok(model)
+}
+
+/// Encoders whose counters lost their origin, with samples left since.
+fn changed_zeros(prepared: &Prepared) -> impl Iterator<Item = ParameterId> {
+    let has_samples = |number: usize| prepared.observations.iter().any(|one| one.origin == number);
+    let spans = prepared.origins.iter().filter(move |span| {
+        (1..=ParameterId::LAST_ORIGIN).contains(&span.number) && has_samples(span.number)
+    });
+    spans.flat_map(|span| {
+        let changed = (0..BAR_JOINTS).filter(|joint| span.shift_rad[*joint] != 0.0);
+        changed.map(|joint| ParameterId::Zero { origin: span.number, joint })
+    })
 }

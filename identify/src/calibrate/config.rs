@@ -12,6 +12,10 @@ use crate::kinematics::{BAR_JOINTS, LinkParameter};
 use crate::model::{JointTerm, Model, ModelError, ParameterId, Role, Selection};
 use crate::prepare::PrepareOptions;
 
+/// Zeros after a loss of a counter's origin start where the preparation found them, on nominal geometry. Far more than it
+/// errs, so that samples decide; a stretch that is held out with all samples of an origin leaves them there \[rad\].
+const ZERO_SIGMA_RAD: f64 = 0.01;
+
 /// Cost functions that need a ball-bar.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
@@ -217,6 +221,10 @@ impl IdentifyConfig {
             Some(selection) => model.select(selection, &tells)?,
             None => self.select_identifiable(model, identifiable, &tells)?,
         }
+        let zeros = model.parameters().iter().map(|parameter| parameter.id);
+        let zeros: Vec<ParameterId> =
+            zeros.filter(|id| matches!(id, ParameterId::Zero { .. }) && tells(*id)).collect();
+        model.set_roles(zeros, Role::Prior { value: 0.0, sigma: ZERO_SIGMA_RAD })?;
         let always = matches!(self.selection, SelectionName::Cell | SelectionName::AllIdentifiable);
         if always && self.encoder_harmonics_urad > 0.0 {
             for id in ParameterId::harmonics().filter(|id| tells(*id)) {

@@ -111,7 +111,8 @@ fn lengths_differ(runs: &[Run]) -> bool {
 /// new zeros.
 fn is_own(id: ParameterId, lengths_differ: bool) -> bool {
     match id {
-        ParameterId::Base(_) | ParameterId::BaseRotation(_) | ParameterId::Harmonic { .. } => true,
+        ParameterId::Base(_) | ParameterId::BaseRotation(_) => true,
+        ParameterId::Harmonic { .. } | ParameterId::Zero { .. } => true,
         ParameterId::ClockShift | ParameterId::ClockSkew => true,
         ParameterId::Bar { parameter: LinkParameter::Theta, .. } => true,
         id => id == ROD && lengths_differ,
@@ -216,9 +217,11 @@ impl<R: Residual, F: Fn(&Prepared, &Geometry) -> R> Solver<'_, F> {
         if config.selection != SelectionName::Automatic {
             return Ok((report, 1.0));
         }
-        // Tolerances of the links: terms were weighed above, and what a person gave stays as it is.
-        let tolerance =
-            |id: ParameterId| TermGroup::of(id).is_none() && !config.priors.contains_key(&id.to_string());
+        // Terms were weighed above, and what a person gave stays as it is.
+        let tolerance = |id: ParameterId| {
+            let of_link = matches!(id, ParameterId::Robot { .. } | ParameterId::Bar { .. });
+            of_link && !config.priors.contains_key(&id.to_string())
+        };
         let scale = prior_scale(&blocks, &kept, |column| ids.get(column).copied().is_some_and(tolerance));
         self.scale_priors(scale, tolerance)?;
         Ok((report, scale))

@@ -44,8 +44,8 @@ impl Comparison {
             .columns()
             .filter(|parameter| parameter.role != Role::Fixed)
             .filter(|parameter| {
-                use ParameterId::{ClockShift, ClockSkew, Harmonic, Joint};
-                !matches!(parameter.id, ClockShift | ClockSkew | Harmonic { .. } | Joint { .. })
+                use ParameterId::{ClockShift, ClockSkew, Harmonic, Joint, Zero};
+                !matches!(parameter.id, ClockShift | ClockSkew | Harmonic { .. } | Zero { .. } | Joint { .. })
             })
             .map(|parameter| Compared {
                 id: parameter.id,

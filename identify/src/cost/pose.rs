@@ -3,7 +3,7 @@
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use super::problem::{LoopPoint, readings};
-use super::scene::{ALL_ENCODERS, of_other_instrument, sees_harmonic};
+use super::scene::{ALL_ENCODERS, of_other_instrument, sees_encoder};
 use super::{Movement, Residual, Scene};
 use crate::kinematics::{Trace, Twist, rotation_vector};
 use crate::model::{Geometry, Observation, ParameterId, RobotMotion};
@@ -126,7 +126,7 @@ impl Residual for WhitenedPose {
     const ENCODERS: &'static [usize] = ALL_ENCODERS;
 
     fn sees(id: ParameterId) -> bool {
-        !of_other_instrument(id) && sees_harmonic(id, Self::ENCODERS)
+        !of_other_instrument(id) && sees_encoder(id, Self::ENCODERS)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Whitened> {

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::scene::{of_other_instrument, sees_harmonic};
+use super::scene::{of_other_instrument, sees_encoder};
 use super::{Movement, Residual, Scene};
 use crate::kinematics::LinkParameter;
 use crate::model::ParameterId;
@@ -46,7 +46,7 @@ impl Residual for Position {
             ParameterId::Bar { link: 2..=4, parameter } => {
                 matches!(parameter, LinkParameter::A | LinkParameter::D)
             }
-            id => !of_other_instrument(id) && sees_harmonic(id, Self::ENCODERS),
+            id => !of_other_instrument(id) && sees_encoder(id, Self::ENCODERS),
         }
     }
 

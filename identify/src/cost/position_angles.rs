@@ -3,7 +3,7 @@
 use nalgebra::Vector5;
 
 use super::position::{derivative, difference};
-use super::scene::{of_other_instrument, sees_harmonic};
+use super::scene::{of_other_instrument, sees_encoder};
 use super::{Movement, Residual, Scene};
 use crate::kinematics::{BAR_JOINTS, ImpliedBar, LinkParameter};
 use crate::model::{Observation, ParameterId};
@@ -32,7 +32,7 @@ impl Residual for PositionAngles {
         // Joint 3 is in neither: its zero moves the implied angle 3 alone.
         id != ParameterId::Bar { link: 2, parameter: LinkParameter::Theta }
             && !of_other_instrument(id)
-            && sees_harmonic(id, Self::ENCODERS)
+            && sees_encoder(id, Self::ENCODERS)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<ImpliedBar> {
@@ -61,6 +61,9 @@ impl Residual for PositionAngles {
             (_, ParameterId::Harmonic { joint, harmonic }) => {
                 let wave = harmonic.wave(scene.readings[joint]);
                 Vector5::from_fn(|i, _| if i == joint { wave } else { 0.0 })
+            }
+            (Movement::Bar(_), ParameterId::Zero { joint, .. }) => {
+                Vector5::from_fn(|i, _| if i == joint { -1.0 } else { 0.0 })
             }
             (Movement::Bar(_), _) => {
                 let Some(twist) = scene.bar_twist(&implied.trace, id) else { return };

@@ -173,8 +173,9 @@ impl LoopPoint {
         let reported = motion.at(self.geometry.clock.robot_time_s(observation.t_s))?;
         let state = self.geometry.corrected(&reported);
         let errors_rad = self.geometry.harmonics.errors_rad(readings);
-        let bar_joints =
-            readings.iter().zip(errors_rad).map(|(reading, error)| reading.and(Turn::of(-error)));
+        let zeros_rad = self.geometry.zeros_in(observation.origin);
+        let added_rad: [f64; BAR_JOINTS] = std::array::from_fn(|joint| zeros_rad[joint] - errors_rad[joint]);
+        let bar_joints = readings.iter().zip(added_rad).map(|(reading, added)| reading.and(Turn::of(added)));
         self.robot_tracer.trace(&state.q, &mut self.robot);
         self.bar_tracer.trace_turns(bar_joints, &mut self.bar);
         Some(Scene {
@@ -182,7 +183,7 @@ impl LoopPoint {
             sample,
             observation,
             readings,
-            bar_rad: std::array::from_fn(|joint| observation.bar_rad[joint] - errors_rad[joint]),
+            bar_rad: std::array::from_fn(|joint| observation.bar_rad[joint] + added_rad[joint]),
             bar_chain: (&self.bar_chain, &self.bar_tracer),
             reported,
             robot: &self.robot,

@@ -27,7 +27,7 @@ pub struct Scene<'a> {
     pub observation: &'a Observation,
     /// Sines and cosines of the bar's readings.
     pub readings: &'a [Turn; BAR_JOINTS],
-    /// Bar joints without the encoders' harmonics \[rad\], offsets not yet added.
+    /// Bar joints without the encoders' harmonics, in the first origin's zeros \[rad\]; offsets not yet added.
     pub bar_rad: [f64; BAR_JOINTS],
     /// The bar on its base, and the same made ready for forward passes.
     pub bar_chain: (&'a Chain, &'a Tracer),
@@ -59,6 +59,10 @@ impl Scene<'_> {
                     (Some(twist), Some(&reading)) => Movement::Bar(twist.scaled(-harmonic.wave(reading))),
                     _ => Movement::None,
                 }
+            }
+            ParameterId::Zero { origin, joint } => {
+                let twist = self.bar.twist(joint, LinkParameter::Theta);
+                twist.filter(|_| origin == self.observation.origin).map_or(Movement::None, Movement::Bar)
             }
             ParameterId::JointWave { joint, order, phase } => {
                 self.robot.twist(joint, LinkParameter::Theta).map_or(Movement::None, |twist| {
@@ -134,6 +138,7 @@ pub(super) fn of_bar(id: ParameterId) -> bool {
             | ParameterId::Base(_)
             | ParameterId::BaseRotation(_)
             | ParameterId::Harmonic { .. }
+            | ParameterId::Zero { .. }
     )
 }
 
@@ -142,10 +147,10 @@ pub(super) fn of_other_instrument(id: ParameterId) -> bool {
     of_wire(id) || of_tracker(id)
 }
 
-/// The harmonic of an encoder is seen by costs that need the encoder; what is no harmonic is not in question.
-pub(super) fn sees_harmonic(id: ParameterId, encoders: &[usize]) -> bool {
+/// Harmonics and zeros of an encoder are seen by costs that need the encoder; anything else is not in question.
+pub(super) fn sees_encoder(id: ParameterId, encoders: &[usize]) -> bool {
     match id {
-        ParameterId::Harmonic { joint, .. } => encoders.contains(&joint),
+        ParameterId::Harmonic { joint, .. } | ParameterId::Zero { joint, .. } => encoders.contains(&joint),
         _ => true,
     }
 }

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::scene::{ALL_ENCODERS, of_other_instrument, sees_harmonic};
+use super::scene::{ALL_ENCODERS, of_other_instrument, sees_encoder};
 use super::{Movement, Residual, Scene};
 use crate::kinematics::Twist;
 use crate::model::ParameterId;
@@ -39,7 +39,7 @@ impl Residual for Transform {
     const ENCODERS: &'static [usize] = ALL_ENCODERS;
 
     fn sees(id: ParameterId) -> bool {
-        !of_other_instrument(id) && sees_harmonic(id, Self::ENCODERS)
+        !of_other_instrument(id) && sees_encoder(id, Self::ENCODERS)
     }
 
     fn local(&self, _: &Scene<'_>) -> Option<()> {

@@ -3,7 +3,7 @@
 use nalgebra::{Rotation3, Translation3, Vector3};
 
 use super::{Axis, DriveTrain, Harmonics, JointErrors, JointState, JointWaves, ParameterId, Tracker};
-use crate::kinematics::{Chain, DhLink, LinkParameter, Pose};
+use crate::kinematics::{BAR_JOINTS, Chain, DhLink, LinkParameter, Pose};
 
 /// Where the ball-bar stands: `T(origin) Rx(rx) Ry(ry)`; the turn about z is the bar's `btheta1`.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -67,6 +67,8 @@ pub struct Geometry {
     pub base: BasePlacement,
     /// Errors of the bar's encoders.
     pub harmonics: Harmonics,
+    /// What is added to the encoders' angles in each origin of the counters but the first \[rad\].
+    pub zeros_rad: Vec<[f64; BAR_JOINTS]>,
     /// Clocks of the two logs.
     pub clock: Clock,
     /// For measured lengths.
@@ -99,6 +101,7 @@ impl Geometry {
             bar_links,
             base,
             harmonics: Harmonics::default(),
+            zeros_rad: Vec::new(),
             clock: Clock::default(),
             wire: Wire::default(),
             tracker: Tracker::default(),
@@ -115,6 +118,11 @@ impl Geometry {
         let mut corrected = self.joints.corrected(reported);
         self.waves.add_to(&mut corrected, reported);
         corrected
+    }
+
+    /// What is added to the encoders' angles in one of the origins of the counters \[rad\].
+    pub fn zeros_in(&self, origin: usize) -> [f64; BAR_JOINTS] {
+        origin.checked_sub(1).and_then(|index| self.zeros_rad.get(index)).copied().unwrap_or_default()
     }
 
     /// The ball-bar on its base.
@@ -137,6 +145,9 @@ impl Geometry {
             // About z it would be btheta1 a second time.
             ParameterId::BaseRotation(Axis::Z) => None,
             ParameterId::Harmonic { joint, harmonic } => self.harmonics.amplitude_mut(joint, harmonic),
+            ParameterId::Zero { origin, joint } => {
+                self.zeros_rad.get_mut(origin.checked_sub(1)?)?.get_mut(joint)
+            }
             ParameterId::Joint { axis, term } => self.joints.amplitude_mut(axis, term),
             ParameterId::JointWave { joint, order, phase } => self.waves.amplitude_mut(joint, order, phase),
             ParameterId::ClockShift => Some(&mut self.clock.shift_s),

@@ -11,6 +11,8 @@ pub struct Observation {
     pub bar_rad: [f64; BAR_JOINTS],
     /// Joints that have an encoder.
     pub measured: [bool; BAR_JOINTS],
+    /// Which zeros the encoders had: 0 those of the bar's links, others also [`super::ParameterId::Zero`] of this number.
+    pub origin: usize,
     /// Length of a wire or telescoping bar \[m\].
     pub length_m: Option<f64>,
 }
@@ -18,12 +20,18 @@ pub struct Observation {
 impl Observation {
     /// A bar with all five encoders.
     pub fn bar(t_s: f64, bar_rad: [f64; BAR_JOINTS]) -> Self {
-        Self { t_s, bar_rad, measured: [true; BAR_JOINTS], length_m: None }
+        Self { t_s, bar_rad, measured: [true; BAR_JOINTS], origin: 0, length_m: None }
     }
 
     /// A measured length alone.
     pub fn length(t_s: f64, length_m: f64) -> Self {
-        Self { t_s, bar_rad: [0.0; BAR_JOINTS], measured: [false; BAR_JOINTS], length_m: Some(length_m) }
+        Self {
+            t_s,
+            bar_rad: [0.0; BAR_JOINTS],
+            measured: [false; BAR_JOINTS],
+            origin: 0,
+            length_m: Some(length_m),
+        }
     }
 }
 

@@ -63,6 +63,14 @@ pub enum ParameterId {
         /// Which wave.
         harmonic: Harmonic,
     },
+    /// What is added to a bar encoder's angle after its counter lost its origin during the run, beside `btheta`: `bzero1_2`
+    /// (encoder 2 after the first loss).
+    Zero {
+        /// Which origin, from 1: 0 is that of `btheta`.
+        origin: usize,
+        /// Joint from 0.
+        joint: usize,
+    },
     /// Error of a robot axis that repeats with its motion: `rsin1_1` (sine of once drive 1's angle) .. `rtool_5`.
     Joint {
         /// Axis from 0.
@@ -164,6 +172,9 @@ impl ParameterId {
     pub(super) const STANDARD: [LinkParameter; 4] =
         [LinkParameter::A, LinkParameter::D, LinkParameter::Alpha, LinkParameter::Theta];
 
+    /// Origins of counters that have parameters of their own: a run that loses more keeps what the preparation found.
+    pub const LAST_ORIGIN: usize = 99;
+
     /// SI unit and display unit.
     pub const fn unit(self) -> Unit {
         match self {
@@ -173,7 +184,7 @@ impl ParameterId {
             },
             Self::Base(_) | Self::Attachment(_) | Self::Anchor(_) | Self::LengthOffset => Unit::Metre,
             Self::Tracker(_) | Self::Probe(_) => Unit::Metre,
-            Self::BaseRotation(_) | Self::Harmonic { .. } => Unit::Radian,
+            Self::BaseRotation(_) | Self::Harmonic { .. } | Self::Zero { .. } => Unit::Radian,
             Self::TrackerRotation(_) | Self::ProbeRotation(_) | Self::JointWave { .. } => Unit::Radian,
             Self::Joint { term, .. } => match term {
                 JointTerm::Ratio => Unit::Ratio,
@@ -189,6 +200,12 @@ impl ParameterId {
     pub fn harmonics() -> impl Iterator<Item = Self> {
         let of = |joint| Harmonic::ALL.into_iter().map(move |harmonic| Self::Harmonic { joint, harmonic });
         (0..BAR_JOINTS).flat_map(of)
+    }
+
+    /// Zeros of all bar encoders in the origins from 1 to `last`, at most [`Self::LAST_ORIGIN`].
+    pub fn zeros(last: usize) -> impl Iterator<Item = Self> {
+        let of = |origin| (0..BAR_JOINTS).map(move |joint| Self::Zero { origin, joint });
+        (1..=last.min(Self::LAST_ORIGIN)).flat_map(of)
     }
 
     /// Where a tracker stands and where its probe is: positions, then rotations, of each.
@@ -230,6 +247,7 @@ impl ParameterId {
             .chain(Axis::ALL.map(Self::Base))
             .chain([Self::BaseRotation(Axis::X), Self::BaseRotation(Axis::Y)])
             .chain(Self::harmonics())
+            .chain(Self::zeros(Self::LAST_ORIGIN))
             .chain(Self::joint_terms())
             .chain(Self::joint_waves(JointWaves::LAST))
             .chain([Self::ClockShift, Self::ClockSkew])
@@ -248,6 +266,7 @@ impl fmt::Display for ParameterId {
             Self::Base(axis) => write!(f, "o{}", axis.letter()),
             Self::BaseRotation(axis) => write!(f, "or{}", axis.letter()),
             Self::Harmonic { joint, harmonic } => write!(f, "b{harmonic}_{}", joint + 1),
+            Self::Zero { origin, joint } => write!(f, "bzero{origin}_{}", joint + 1),
             Self::JointWave { joint, order, phase } => write!(f, "r{phase}{order}_{}", joint + 1),
             Self::Joint { axis, term } => write!(f, "r{term}_{}", axis + 1),
             Self::ClockShift => f.write_str("clock_shift"),

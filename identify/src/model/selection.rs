@@ -35,7 +35,8 @@ impl Selection {
                 matches!(self, Self::ThesisWithClocks | Self::CellWithClocks)
             }
             // Not told from the geometry by samples alone: they come with priors.
-            ParameterId::Harmonic { .. } | ParameterId::Joint { .. } | ParameterId::JointWave { .. } => false,
+            ParameterId::Harmonic { .. } | ParameterId::Zero { .. } => false,
+            ParameterId::Joint { .. } | ParameterId::JointWave { .. } => false,
             ParameterId::Attachment(_) | ParameterId::Anchor(_) | ParameterId::LengthOffset => false,
             ParameterId::Tracker(_) | ParameterId::TrackerRotation(_) => false,
             ParameterId::Probe(_) | ParameterId::ProbeRotation(_) => false,

@@ -5,6 +5,8 @@ use serde::Serialize;
 use super::circular::wrapped;
 use super::find::{Found, Raw};
 use crate::kinematics::BAR_JOINTS;
+#[cfg(doc)]
+use crate::model::Observation;
 
 /// A part of the recording with its own zeros, brought to those of the longest part.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -23,6 +25,8 @@ pub struct OriginSpan {
     pub sigma_rad: f64,
     /// The counters went on from where they were: `shift_rad` is zero exactly.
     pub unchanged: bool,
+    /// What [`Observation::origin`] calls the zeros of its samples.
+    pub number: usize,
 }
 
 /// Neighbouring samples share the errors of gears and encoders: so many are worth one.
@@ -45,6 +49,7 @@ pub(super) fn join(raw: &[Raw], found: &mut Found, t_ref_s: f64) -> (usize, Vec<
     };
     let of_reference = found.settled.zeros.get(reference).copied().flatten();
     let mut spans = Vec::new();
+    let mut numbers = 1..;
     for origin in 0..origins {
         let samples: Vec<&Raw> = raw.iter().filter(|raw| raw.origin == origin).collect();
         let zeros = found.settled.zeros.get(origin).copied().flatten();
@@ -56,13 +61,17 @@ pub(super) fn join(raw: &[Raw], found: &mut Found, t_ref_s: f64) -> (usize, Vec<
         let own_rad = if origin == reference { 0.0 } else { sigma_rad(found, origin) };
         let sigma_rad = own_rad.hypot(if origin == reference { 0.0 } else { sigma_rad(found, reference) });
         let limit_rad = UNCHANGED_RAD.max(SIGMAS * sigma_rad);
-        let unchanged = zeros.is_some() && shift_rad.iter().all(|shift| shift.abs() <= limit_rad);
-        if unchanged {
-            shift_rad = [0.0; BAR_JOINTS];
-            if let Some(slot) = found.settled.zeros.get_mut(origin) {
-                *slot = of_reference;
+        if let (Some(Some(zeros)), Some(reference)) = (found.settled.zeros.get_mut(origin), of_reference) {
+            // Terminals lose their origin one by one.
+            for (joint, shift) in
+                shift_rad.iter_mut().enumerate().filter(|(_, shift)| shift.abs() <= limit_rad)
+            {
+                *shift = 0.0;
+                zeros.offsets_rad[joint] = reference.offsets_rad[joint];
             }
         }
+        let unchanged = zeros.is_some() && shift_rad == [0.0; BAR_JOINTS];
+        let number = if unchanged || zeros.is_none() { 0 } else { numbers.next().unwrap_or_default() };
         let time_s = |raw: Option<&&Raw>| raw.map_or(0.0, |raw| raw.t_s - t_ref_s);
         spans.push(OriginSpan {
             from_s: time_s(samples.first()),
@@ -72,6 +81,7 @@ pub(super) fn join(raw: &[Raw], found: &mut Found, t_ref_s: f64) -> (usize, Vec<
             shift_rad,
             sigma_rad,
             unchanged,
+            number,
         });
     }
     (reference, spans)

@@ -50,7 +50,7 @@ pub(super) struct Sorted {
 }
 
 /// Sorts the samples of `raw`; `t_ref_s` is the reference time after the first, `reference` the origin whose zeros the
-/// observations have.
+/// observations have, `numbers` what they call each origin.
 ///
 /// # Errors
 /// [`PrepareError::ClockJump`], [`PrepareError::EncoderSlip`], [`PrepareError::PoorFit`], [`PrepareError::NothingLeft`].
@@ -60,6 +60,7 @@ pub(super) fn sort(
     motion: &AlignedLog,
     t_ref_s: f64,
     reference: usize,
+    numbers: &[usize],
     options: &PrepareOptions,
 ) -> Result<Sorted, PrepareError> {
     let wiring = &found.wiring.used;
@@ -86,9 +87,10 @@ pub(super) fn sort(
     choose(&joints, &mut fates, options)?;
     check_travel(&joints, &fates, &measured, options)?;
     let reference_rad = zeros(reference).unwrap_or_default();
-    let kept = joints.iter().zip(&fates).filter(|(_, fate)| **fate == Fate::Kept);
-    let observations = kept.map(|(sample, _)| Observation {
+    let kept = raw.iter().zip(&joints).zip(&fates).filter(|(_, fate)| **fate == Fate::Kept);
+    let observations = kept.map(|((raw, sample), _)| Observation {
         measured,
+        origin: numbers.get(raw.origin).copied().unwrap_or_default(),
         ..Observation::bar(
             sample.t_s,
             std::array::from_fn(|j| if measured[j] { sample.bar_rad[j] - reference_rad[j] } else { 0.0 }),

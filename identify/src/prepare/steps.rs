@@ -68,7 +68,8 @@ pub fn prepare(
     let clock = found.fit.clock.counted_from(t_ref_s);
     let motion = AlignedLog::new(interpolated.clone(), clock.shift_s);
     let (reference, origins) = join(&raw, &mut found, t_ref_s);
-    let sorted = sort(&raw, &found, &motion, t_ref_s, reference, options)?;
+    let numbers: Vec<usize> = origins.iter().map(|span| span.number).collect();
+    let sorted = sort(&raw, &found, &motion, t_ref_s, reference, &numbers, options)?;
     let fates = fates_of_all(&angles, &raw, &sorted.fates);
     let measured = found.wiring.used.measured();
     let base_m = found.fit.geometry.base.origin_m;

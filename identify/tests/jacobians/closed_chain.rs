@@ -44,6 +44,8 @@ pub struct Numbers<D> {
     pub origin: [D; 3],
     pub tilt: [D; 2],
     pub harmonics: [[D; 4]; 5],
+    /// Added to the encoders' angles in origin 1.
+    pub zeros: [D; 5],
     pub joint_errors: [[D; 13]; 6],
     /// Nominal robot, from which levers of weights are computed.
     pub arm: Vec<DhLink>,
@@ -88,7 +90,7 @@ pub fn coupled_drives(arm: &Chain) -> DriveTrain {
 }
 
 pub fn coupled(cell: &Cell) -> Model {
-    cell.model().with_drives(coupled_drives(&cell.robot))
+    cell.model().with_drives(coupled_drives(&cell.robot)).with_zeros(ParameterId::zeros(1))
 }
 
 /// Joints with all errors of [`coupled_drives`], by definition: shapes over the reported angles of the drives.
@@ -140,6 +142,7 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             origin: [0, 1, 2].map(|i| D::from(g.base.origin_m[i])),
             tilt: [g.base.rx_rad, g.base.ry_rad].map(D::from),
             harmonics: harmonics(g).map(|joint| joint.map(D::from)),
+            zeros: g.zeros_in(1).map(D::from),
             joint_errors: joint_errors(g).map(|axis| axis.map(D::from)),
             clock: [g.clock.shift_s, g.clock.skew].map(D::from),
             attachment: [0, 1, 2].map(|i| D::from(g.wire.attachment_m[i])),
@@ -162,6 +165,7 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             ParameterId::Base(axis) => &mut self.origin[axis.index()],
             ParameterId::BaseRotation(axis) => &mut self.tilt[axis.index()],
             ParameterId::Harmonic { joint, harmonic } => &mut self.harmonics[joint][harmonic as usize],
+            ParameterId::Zero { joint, .. } => &mut self.zeros[joint],
             ParameterId::Joint { axis, term } => &mut self.joint_errors[axis][place(term)],
             ParameterId::ClockShift => &mut self.clock[0],
             ParameterId::ClockSkew => &mut self.clock[1],
@@ -188,7 +192,8 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             let b = o.bar_rad[j];
             let waves = [b.sin(), b.cos(), (2.0 * b).sin(), (2.0 * b).cos()];
             let error = |k: usize| self.harmonics[j][k] * waves[k];
-            D::from(b) - error(0) - error(1) - error(2) - error(3)
+            let zero = if o.origin == 1 { self.zeros[j] } else { D::from(0.0) };
+            D::from(b) - error(0) - error(1) - error(2) - error(3) + zero
         })
     }
 
@@ -206,6 +211,7 @@ impl Numbers<Dual64> {
             origin: self.origin.map(|x| plain(&x)),
             tilt: self.tilt.map(|x| plain(&x)),
             harmonics: self.harmonics.map(|joint| joint.map(|x| plain(&x))),
+            zeros: self.zeros.map(|x| plain(&x)),
             arm: self.arm.clone(),
             joint_errors: self.joint_errors.map(|axis| axis.map(|x| plain(&x))),
             clock: self.clock.map(|x| plain(&x)),

@@ -121,6 +121,7 @@ fn observations() -> Vec<Observation> {
             let mut o =
                 Observation::bar(t, [0, 1, 2, 3, 4].map(|j| 2.0 * (t * (0.5 + 0.1 * f64::from(j))).sin()));
             o.length_m = Some(1.0 + 0.01 * t);
+            o.origin = (k % 2) as usize;
             o
         })
         .collect()
