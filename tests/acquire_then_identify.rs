@@ -4,15 +4,16 @@
 
 use std::path::Path;
 
-use ballbard::run::BusChoice;
+use ballbard::run::{BusChoice, RunRequest};
 use identify::calibrate::ball_bar::{self, CalibrateError};
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, SelectionName};
 use identify::logs;
 use identify::model::ParameterId;
-use identify::simulate::{self, Experiment};
+use identify::simulate::{self, Effects, Experiment};
 use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::recording::Recording;
+use shared::recording::schema::{CycleRecord, EncoderInfo};
 use system_tests::{ball_bar, config_directory, record, request};
 
 fn robot(name: &str) -> RobotConfig {
@@ -75,6 +76,69 @@ fn the_bar_of_the_thesis_without_encoder_3_calibrates_by_position_and_two_angles
         .only(|id| matches!(id, ParameterId::Robot { .. }))
         .euclidean_mm_mrad();
     assert!(robot_error < 0.05, "{robot_error} mm|mrad");
+}
+
+/// Each fault that a cable, a terminal or a host brings, one after the other, within two minutes.
+const FAULTS: [&str; 9] = [
+    "lost:0.02@5s-20s",
+    "late:0.02,6ms@20s-30s",
+    "corrupted:0.02@30s-40s",
+    "short:0.02,1@40s-50s",
+    "gone:4@55s-57s",
+    "safe-op:3,0x001b@70s",
+    "no-signal:5@80s-82s",
+    "link-down@90s-91s",
+    "clock-step:3ms@100s",
+];
+
+/// Error of the robot's parameters \[mm|mrad\] from a clean recording and from one with faults, which has as many valid
+/// cycles as the part of the clean one that is used.
+fn errors_clean_and_faulty(seed: u64) -> [f64; 2] {
+    let (robot, bar) = (robot("irb2400_16.toml"), ball_bar());
+    let directory = tempfile::tempdir().unwrap();
+    let effects = Effects {
+        robot_noise_urad: 15.0,
+        encoder_noise_urad: 5.0,
+        gear_sine_urad: 20.0,
+        encoder_eccentricity_urad: 40.0,
+        base_tilt_urad: 5000.0,
+        ..Effects::NONE
+    };
+    let (clean, log, truth) =
+        experiment(directory.path(), &Experiment { seed, effects, ..Experiment::new(&robot, &bar) }, &bar);
+    let simulated = BusChoice::Replay(directory.path().join("recording.mcap"));
+    let faults = FAULTS.iter().map(|fault| fault.parse().unwrap()).collect();
+    let (_, faulty) =
+        record(directory.path(), &RunRequest { faults, ..request("faulty", simulated, None, true) }, &bar);
+    let is_valid = |cycle: &&CycleRecord| cycle.encoders.iter().all(|encoder| encoder.valid);
+    let valid = faulty.cycles.iter().filter(is_valid).count();
+    assert!(valid < clean.cycles.len() - 500, "{valid} of {}", clean.cycles.len());
+    // As many cycles out of the middle of the clean run.
+    let skipped = (clean.cycles.len() - valid) / 2;
+    let error = |cycles: &[CycleRecord], encoders: &[EncoderInfo]| {
+        let config = IdentifyConfig::default();
+        let found = ball_bar::calibrate(cycles, encoders, &log, &robot, &bar, &config).unwrap();
+        let comparison = Comparison::new(&found, &truth);
+        let error = comparison.only(|id| matches!(id, ParameterId::Robot { .. })).euclidean_mm_mrad();
+        println!("{error:.4} mm|mrad, {} origins, {:?}", found.prepared.origins.len(), found.prepared.counts);
+        error
+    };
+    [
+        error(&clean.cycles[skipped..skipped + valid], &clean.run.encoders),
+        error(&faulty.cycles, &faulty.run.encoders),
+    ]
+}
+
+#[test]
+fn runs_with_faults_calibrate_as_well_as_clean_ones_of_the_same_valid_length() {
+    let [mut of_clean, mut of_faulty] = [0.0, 0.0];
+    for seed in [1, 2] {
+        let [clean, faulty] = errors_clean_and_faulty(seed);
+        of_clean += clean / 2.0;
+        of_faulty += faulty / 2.0;
+    }
+    // Which samples are chosen differs, and that alone makes such errors differ by half.
+    assert!(of_faulty < 1.6 * of_clean, "{of_faulty} mm|mrad with faults, {of_clean} without");
 }
 
 #[test]
