@@ -10,6 +10,7 @@ use ballbard::bus::Bus;
 use ballbard::clock::Clock;
 use ballbard::cycle::Acquisition;
 use ballbard::recorder;
+use ballbard::run::Live;
 use ballbard::segment::InProcessWire;
 use ballbard::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
 use shared::time::UtcNs;
@@ -66,10 +67,15 @@ fn cost(clock: &Clock, rate_hz: u64, cycles: u64) -> (u64, u64) {
     // Rings as of real time, large enough for all: nobody empties them here.
     let (mut sink, _source) = recorder::ring(cycles as usize + 1000, &Clock::Real);
     acquisition.next_cycle(&mut |record| sink.push(record));
+    let live = Live::default();
     let waits_before = voluntary_switches();
     let calls_before = CALLS.get();
     for _ in 0..cycles {
-        acquisition.next_cycle(&mut |record| sink.push(record));
+        acquisition.next_cycle(&mut |record| {
+            sink.push(record);
+            live.publish(record);
+        });
+        live.publish_bus(&acquisition.bus_state());
         sink.push_timing(acquisition.last_timing().unwrap_or_default());
     }
     let calls = CALLS.get() - calls_before;

@@ -109,12 +109,15 @@ impl Bus {
         let Self { exchange, main, .. } = self;
         for (index, mut terminal) in group.iter_mut(main).skip(1).enumerate() {
             let Some(encoder) = plan.encoders.get(index) else { break };
+            // The coupler stands before the terminals.
+            let position = index + 1;
+            let doing = "setting the interpolation";
             let found = exchange
                 .run(set_interpolation(&terminal, encoder))
-                .map_err(while_doing("setting the interpolation"))?;
+                .map_err(|error| BusError::Terminal { position, doing, error })?;
             if found != u32::from(encoder.interpolation_bits) {
                 let wanted = encoder.interpolation_bits;
-                return Err(BusError::Interpolation { position: index + 1, wanted, found });
+                return Err(BusError::Interpolation { position, wanted, found });
             }
             if plan.distributed_clocks {
                 terminal.set_dc_sync(DcSync::Sync01 { sync1_period: el5021::SYNC1_SHIFT });

@@ -4,6 +4,7 @@ use std::fmt;
 
 use ethercrab::error::Error as EtherCatError;
 use ethercrab::{AlStatusCode, SubDeviceState};
+use shared::recording::schema::DeviceInfo;
 
 /// A device as it should be or as it was found.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -12,6 +13,20 @@ pub struct DeviceName(pub String);
 impl fmt::Display for DeviceName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.0)
+    }
+}
+
+/// What to do about devices that are not those of the configuration.
+fn remedy(position: usize, expected: &[DeviceName], found: &[DeviceName]) -> String {
+    if position == found.len() {
+        format!(
+            "check the device at position {position}: its power, and that it and those behind it sit firmly on the one \
+             before; if it was taken away, correct the list of encoders in ball_bar.toml"
+        )
+    } else if position == expected.len() {
+        "add the encoders of the devices behind to ball_bar.toml, or take these devices away".into()
+    } else {
+        "correct the order of the terminals or the list of encoders in ball_bar.toml".into()
     }
 }
 
@@ -38,9 +53,10 @@ pub enum BusError {
     /// Other devices, or another order, than configured.
     #[error(
         "bus position {position} differs from the configuration: expected [{}], found [{}]; \
-         correct the order of the terminals or the list of encoders in ball_bar.toml",
+         {}",
         list(expected),
-        list(found)
+        list(found),
+        remedy(*position, expected, found)
     )]
     WrongDevices {
         /// First position that differs; the coupler is 0.
@@ -87,7 +103,8 @@ pub enum BusError {
     },
     /// A terminal's clock does not follow the reference.
     #[error(
-        "the clock of the terminal at position {position} is {difference_ns} ns off the bus time and does not settle"
+        "the clock of the terminal at position {position} is {difference_ns} ns off the bus time and does not settle \
+         within 1000 ns; power the terminals off and on, and replace that one if it stays so"
     )]
     ClockNotSettled {
         /// Position on the bus.
@@ -96,7 +113,10 @@ pub enum BusError {
         difference_ns: i64,
     },
     /// A device refuses a state.
-    #[error("device at position {position} stays in {state} instead of {wanted}: AL status {code}")]
+    #[error(
+        "device at position {position} stays in {state} instead of {wanted}: AL status {code}; power the terminals off \
+         and on, and replace that one if it stays so"
+    )]
     StateRefused {
         /// Position on the bus.
         position: usize,
@@ -107,8 +127,21 @@ pub enum BusError {
         /// Why, as the device says.
         code: AlStatusCode,
     },
+    /// A terminal does not take a setting.
+    #[error(
+        "terminal at position {position}, while {doing}: {error}; power the terminals off and on, and replace that one \
+         if it stays so"
+    )]
+    Terminal {
+        /// Position on the bus.
+        position: usize,
+        /// What was being done.
+        doing: &'static str,
+        /// What the stack says.
+        error: EtherCatError,
+    },
     /// Anything else.
-    #[error("EtherCAT, while {doing}: {error}")]
+    #[error("EtherCAT, while {doing}: {error}; check cables, contacts and the terminals' power")]
     Stack {
         /// What was being done.
         doing: &'static str,
@@ -120,7 +153,55 @@ pub enum BusError {
     Panicked(String),
 }
 
+impl BusError {
+    /// Only the first `answering` of `devices`, which were all in operation before, answer on `bus`; more than all
+    /// where further ones were added meanwhile.
+    pub fn absent(bus: &str, devices: &[DeviceInfo], answering: usize) -> Self {
+        let name = |device: &DeviceInfo| DeviceName(device.name.clone());
+        let added =
+            std::iter::repeat_n(DeviceName("another device".into()), answering.saturating_sub(devices.len()));
+        match answering {
+            0 => Self::NoAnswer { bus: bus.to_owned() },
+            _ => Self::WrongDevices {
+                position: answering.min(devices.len()),
+                expected: devices.iter().map(name).collect(),
+                found: devices.iter().take(answering).map(name).chain(added).collect(),
+            },
+        }
+    }
+}
+
 /// For `map_err`: what was being done when the stack failed.
 pub(super) fn while_doing(doing: &'static str) -> impl Fn(EtherCatError) -> BusError {
     move |error| BusError::Stack { doing, error }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn devices_that_came_or_went_are_named_by_position_and_with_what_to_do() {
+        let device = |position| DeviceInfo {
+            position,
+            name: format!("device{position}"),
+            vendor_id: 2,
+            product_code: 1,
+            revision: 1,
+            serial: 0,
+        };
+        let devices: Vec<_> = (0..3).map(device).collect();
+        let text = |answering| BusError::absent("eth9", &devices, answering).to_string();
+        assert!(text(0).contains("answers on eth9") && text(0).contains("cabled"), "{}", text(0));
+        let all = "expected [device0, device1, device2]";
+        let gone = text(1);
+        assert!(gone.contains("bus position 1") && gone.contains(all), "{gone}");
+        assert!(gone.contains("found [device0]; check the device at position 1"), "{gone}");
+        let more = text(4);
+        assert!(more.contains("bus position 3") && more.contains(all), "{more}");
+        assert!(
+            more.contains("device2, another device]") && more.contains("take these devices away"),
+            "{more}"
+        );
+    }
 }

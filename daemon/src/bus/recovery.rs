@@ -55,11 +55,15 @@ impl Bus {
         }
     }
 
-    /// Whether as many devices answer as there should be. Gives up at `deadline`.
-    pub fn answers(&mut self, devices: usize, deadline: MonoNs) -> bool {
+    /// How many devices answer, where there should be `devices`; 0 if nobody does before `deadline`.
+    pub fn answering(&mut self, devices: usize, deadline: MonoNs) -> usize {
         let Self { exchange, main, .. } = self;
         let count = Command::brd(RegisterAddress::Type.into()).with_wkc(devices as u16);
-        matches!(exchange.run_until(count.receive::<u8>(main), deadline), Some(Ok(_)))
+        match exchange.run_until(count.receive::<u8>(main), deadline) {
+            Some(Ok(_)) => devices,
+            Some(Err(EtherCatError::WorkingCounter { received, .. })) => received.into(),
+            Some(Err(_)) | None => 0,
+        }
     }
 
     /// Whether any device has lost the address that it was given: it was without power since, and with the address

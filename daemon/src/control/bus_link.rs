@@ -27,9 +27,20 @@ pub(super) struct BusLink {
 }
 
 enum State {
-    Down { retry_at: Instant, pause: Duration },
-    Connecting { attempt: Receiver<Result<Session, RunError>>, pause: Duration },
-    Up { session: Box<Session>, well_at: Instant, is_troubled: bool },
+    Down {
+        retry_at: Instant,
+        pause: Duration,
+    },
+    Connecting {
+        attempt: Receiver<Result<Session, RunError>>,
+        pause: Duration,
+    },
+    /// With the trouble that was told, while there is one.
+    Up {
+        session: Box<Session>,
+        well_at: Instant,
+        trouble: Option<String>,
+    },
 }
 
 impl BusLink {
@@ -64,19 +75,16 @@ impl BusLink {
                 self.close();
                 Some(self.failed("the thread of the cycle has ended; its cause is in the log", RETRY_FIRST))
             }
-            State::Up { session, well_at, is_troubled } => {
-                let trouble = trouble(session);
-                if trouble.is_none() {
+            State::Up { session, well_at, trouble } => {
+                let now = trouble_of(session);
+                if now.is_none() {
                     *well_at = Instant::now();
                 }
-                match trouble {
-                    None => std::mem::take(is_troubled).then_some(Event::BusUp),
-                    Some(reason) => {
-                        let is_new = !*is_troubled && well_at.elapsed() > TROUBLED_AFTER;
-                        *is_troubled |= is_new;
-                        is_new.then_some(Event::BusTroubled(reason))
-                    }
+                if now == *trouble || (now.is_some() && well_at.elapsed() <= TROUBLED_AFTER) {
+                    return None;
                 }
+                trouble.clone_from(&now);
+                Some(now.map_or(Event::BusUp, Event::BusTroubled))
             }
         }
     }
@@ -112,7 +120,7 @@ impl BusLink {
             Ok(session) => {
                 session.log();
                 let session = Box::new(session);
-                self.state = State::Up { session, well_at: Instant::now(), is_troubled: false };
+                self.state = State::Up { session, well_at: Instant::now(), trouble: None };
                 Event::BusUp
             }
             Err(error) => self.failed(&error.to_string(), pause),
@@ -126,8 +134,8 @@ impl BusLink {
     }
 }
 
-/// Why the latest cycle gave no sample of the whole bus, as far as the bus is to blame.
-fn trouble(session: &Session) -> Option<String> {
+/// Why the latest cycle gave no sample of the whole bus, as far as the bus is to blame, and what to do.
+fn trouble_of(session: &Session) -> Option<String> {
     let live = session.live();
     let age = Clock::Real.now().ns_since(live.at());
     if age > TROUBLED_AFTER.as_nanos() as i64 {
@@ -144,27 +152,28 @@ fn trouble(session: &Session) -> Option<String> {
         let is_valid = live.encoders().map(|encoder| encoder.valid);
         format!(
             "{} ({}); it comes back by itself as soon as cable, power and every terminal are as they should be",
-            silent_text(joints.zip(is_valid)),
+            silent_text(joints.zip(is_valid), session.outage()),
             names.join(", ")
         )
     })
 }
 
-/// Which joints, in bus order with whether each gives samples, give none, and where to look first.
-fn silent_text(joints: impl Iterator<Item = (u8, bool)>) -> String {
+/// Which joints, in bus order with whether each gives samples, give none, and why; where that is not known, where to
+/// look first.
+fn silent_text(joints: impl Iterator<Item = (u8, bool)>, why: Option<String>) -> String {
     let (giving, silent): (Vec<_>, Vec<_>) = joints.partition(|(_, is_valid)| *is_valid);
-    match silent.first() {
+    let (who, look) = match silent.first() {
         Some((first, _)) if !giving.is_empty() => {
             let names: Vec<_> = silent.iter().map(|(joint, _)| joint.to_string()).collect();
-            format!(
-                "no samples from joint {}: look first at the terminal of joint {first} and at the contact before it",
-                names.join(", ")
-            )
+            let look = format!("look first at the terminal of joint {first} and at the contact before it");
+            (format!("joint {}", names.join(", ")), look)
         }
-        _ => "no samples from any encoder: look first at the coupler's cable and power, then along the terminals; the \
-              service's log says what the last attempt met"
-            .into(),
-    }
+        _ => (
+            "any encoder".into(),
+            "look first at the coupler's cable and power, then along the terminals".into(),
+        ),
+    };
+    format!("no samples from {who}: {}", why.unwrap_or(look))
 }
 
 #[cfg(test)]
@@ -173,9 +182,11 @@ mod tests {
 
     #[test]
     fn the_first_terminal_that_is_missing_is_where_to_look() {
-        let some = silent_text([(1, true), (3, true), (2, false), (5, false)].into_iter());
+        let some = silent_text([(1, true), (3, true), (2, false), (5, false)].into_iter(), None);
         assert!(some.contains("joint 2, 5:") && some.contains("terminal of joint 2 "), "{some}");
-        let none = silent_text([(1, false), (2, false)].into_iter());
+        let none = silent_text([(1, false), (2, false)].into_iter(), None);
         assert!(none.contains("coupler"), "{none}");
+        let known = silent_text([(1, true), (2, false)].into_iter(), Some("position 2 is away".into()));
+        assert_eq!(known, "no samples from joint 2: position 2 is away");
     }
 }

@@ -2,7 +2,6 @@
 
 use nix::unistd::{AccessFlags, access};
 
-use super::machine::State;
 use super::runs;
 use super::status::{CheckLine, Status};
 use super::view::View;
@@ -35,11 +34,9 @@ fn problem(subject: &str, finding: impl Into<String>, remedy: &str) -> CheckLine
 
 fn bus(view: &View<'_>, status: &Status) -> CheckLine {
     const SUBJECT: &str = "bus";
-    match view.machine.state() {
-        State::Fault { reason } => {
-            problem(SUBJECT, reason, "set right what it says; the service tries again by itself")
-        }
-        _ => good(SUBJECT, format!("in operation on {}: {}", status.bus, status.devices.join(", "))),
+    match view.machine.bus_fault() {
+        Some(reason) => problem(SUBJECT, reason, "set right what it says; the service tries again by itself"),
+        None => good(SUBJECT, format!("in operation on {}: {}", status.bus, status.devices.join(", "))),
     }
 }
 

@@ -23,6 +23,7 @@ pub use clock_fit::{ClockFit, ClockPair, Observation};
 pub use continuity::Continuity;
 pub use events::{CycleEvent, Down, Happening, Origin};
 pub use realtime::{RealtimeReport, RealtimeRequest};
+pub use recovery::BusState;
 pub use sampler::{SampleTime, Sampler};
 pub use timing::{CycleTiming, TimingSink, TimingSource, Timings, timing_ring};
 

@@ -2,16 +2,15 @@
 //!
 //! A single bad cycle is flagged and forgotten. A terminal in SAFE-OP is asked back to OP between two frames. Silence is
 //! met with further frames: a bus that answers again goes on where it was. Terminals before one that is gone stay in use
-//! until it is back. Only when that does not help is the bus
-//! brought up again; cycles that become due meanwhile are given afterwards, flagged, and the bus' clock is set to go
-//! on, so that numbers and times stay those of one run.
+//! until it is back. Only when that does not help is the bus brought up again; cycles that become due meanwhile are given
+//! afterwards, flagged, and the bus' clock is set to go on, so that numbers and times stay those of one run.
 
 use shared::recording::schema::{CycleRecord, flags};
 use shared::time::{DcNs, MonoNs, NS_PER_S};
 
 use super::events::{Down, Happening};
 use super::{Acquisition, ClockPair, Observation, Sampler};
-use crate::bus::{CyclicExchange, Lift, Operational, Reply};
+use crate::bus::{BusError, CyclicExchange, Lift, Operational, Reply};
 
 /// A terminal that nobody hears is lost when the cycle after confirms it.
 const LOST_CYCLES: u32 = 2;
@@ -31,7 +30,7 @@ const LOOK_PERIOD_NS: i64 = NS_PER_S / 20;
 const RETRY_PERIOD_NS: i64 = NS_PER_S / 5;
 
 /// What went wrong lately.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Default)]
 pub(super) struct Health {
     /// Bad replies in a row.
     bad: u32,
@@ -39,14 +38,30 @@ pub(super) struct Health {
     silent_since: Option<MonoNs>,
     /// When a terminal was first and last asked back to OP.
     lifting: Option<(MonoNs, MonoNs)>,
-    /// When it was last looked whether missing terminals are back.
-    missing_since_look: Option<MonoNs>,
+    /// First position whose device is missing while those before it stay in use, and when it was last looked whether
+    /// it is back.
+    missing: Option<(u8, MonoNs)>,
     /// Attempts to bring up the bus since it was given up.
     attempts: u32,
     /// Not before this is it tried again.
     retry_at: Option<MonoNs>,
     /// First cycle without valid sample, and all reasons since.
     gap: Option<(u64, u32)>,
+    /// Why the bus is still down.
+    outage: Option<BusError>,
+    /// How many devices answered when the bus was last found incomplete.
+    answering: Option<usize>,
+}
+
+/// How much of the bus is in operation.
+#[derive(Debug)]
+pub enum BusState<'a> {
+    /// All of it, or what is wrong with it shows in its records only.
+    Whole,
+    /// What lies before this position; from there on nobody answers.
+    Before(u8),
+    /// Nothing, and why as far as it is known: whatever the last attempt to bring it up met.
+    Down(Option<&'a BusError>),
 }
 
 impl Health {
@@ -82,7 +97,7 @@ impl Acquisition {
         // A broken signal is not mended by bringing up the bus.
         let matter = record.flags & !(flags::TERMINAL_ERROR | flags::DEADLINE_MISSED | flags::ORIGIN_CHANGED);
         if record.is_valid() || (matter & !self.sampler.flags_always()) == 0 {
-            (self.health.bad, self.health.lifting, self.health.missing_since_look) = (0, None, None);
+            (self.health.bad, self.health.lifting, self.health.missing) = (0, None, None);
             return;
         }
         self.health.bad += 1;
@@ -128,18 +143,20 @@ impl Acquisition {
     /// Terminals are gone. While some are left these stay in use, and the bus is brought up again, which none of them
     /// would survive, only when all devices answer.
     fn do_without(&mut self, silent: u32, some_left: bool, now: MonoNs) {
-        let looked_at = self.health.missing_since_look;
+        let looked_at = self.health.missing.map(|(_, looked_at)| looked_at);
         if looked_at.is_some_and(|looked_at| some_left && now.ns_since(looked_at) < LOOK_PERIOD_NS) {
             return;
         }
-        if !some_left || self.bus.answers(self.devices.len(), now.plus_ns(self.period_ns / 4)) {
+        let all = self.devices.len();
+        if !some_left || self.bus.answering(all, now.plus_ns(self.period_ns / 4)) == all {
             self.give_up(Down::DeviceLost);
             return;
         }
+        let position = silent.trailing_zeros() as u8;
         if looked_at.is_none() {
-            self.tell(Happening::Missing { position: silent.trailing_zeros() as u8 });
+            self.tell(Happening::Missing { position });
         }
-        self.health.missing_since_look = Some(now);
+        self.health.missing = Some((position, now));
     }
 
     fn give_up(&mut self, why: Down) {
@@ -151,9 +168,12 @@ impl Acquisition {
     /// A cycle without a bus: one small frame looks who is there; when all are, the bus is brought up.
     pub(super) fn cycle_down(&mut self, sink: &mut dyn FnMut(&CycleRecord)) {
         let now = self.clock.now();
-        let all = self.bus.answers(self.devices.len(), now.plus_ns(self.reply_timeout_ns));
+        let answering = self.bus.answering(self.devices.len(), now.plus_ns(self.reply_timeout_ns));
         self.emit_down(self.next_cycle, now, sink);
-        if !all || self.health.retry_at.is_some_and(|retry_at| now < retry_at) {
+        if answering != self.devices.len() {
+            return self.note_incomplete(answering);
+        }
+        if self.health.retry_at.is_some_and(|retry_at| now < retry_at) {
             return;
         }
         self.health.attempts += 1;
@@ -164,6 +184,22 @@ impl Acquisition {
                 self.health.retry_at = Some(now.plus_ns(RETRY_PERIOD_NS));
                 self.catch_up(now, sink);
             }
+        }
+    }
+
+    fn note_incomplete(&mut self, answering: usize) {
+        if self.health.answering != Some(answering) {
+            self.health.answering = Some(answering);
+            self.health.outage = Some(BusError::absent(&self.plan.name, &self.devices, answering));
+        }
+    }
+
+    /// How much of the bus is in operation. Allocates nothing.
+    pub fn bus_state(&self) -> BusState<'_> {
+        match (&self.operational, self.health.missing) {
+            (None, _) => BusState::Down(self.health.outage.as_ref()),
+            (Some(_), Some((from, _))) => BusState::Before(from),
+            (Some(_), None) => BusState::Whole,
         }
     }
 
@@ -179,6 +215,7 @@ impl Acquisition {
             Ok(operational) => Some(operational),
             Err(error) => {
                 tracing::warn!(attempt = self.health.attempts, "bus stays down: {error}");
+                (self.health.outage, self.health.answering) = (Some(error), None);
                 None
             }
         }

@@ -106,6 +106,7 @@ fn serve(
                 (blind, reasons) = (blind + 1, reasons | record.flags);
             }
         });
+        live.publish_bus(&acquisition.bus_state());
         if let Some(timing) = acquisition.last_timing() {
             sink.push_timing(timing);
         }
@@ -152,7 +153,10 @@ fn wait_for_job(
         match jobs.try_recv() {
             Ok(job) => return Some(job),
             Err(TryRecvError::Disconnected) => return None,
-            Err(TryRecvError::Empty) => acquisition.next_cycle(&mut |record| live.publish(record)),
+            Err(TryRecvError::Empty) => {
+                acquisition.next_cycle(&mut |record| live.publish(record));
+                live.publish_bus(&acquisition.bus_state());
+            }
         }
     }
 }

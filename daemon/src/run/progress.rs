@@ -4,8 +4,10 @@ use std::sync::atomic::{AtomicI64, AtomicU32, AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};
 
 use shared::recording::TimingSummary;
-use shared::recording::schema::{CycleRecord, MAX_ENCODERS};
+use shared::recording::schema::{CycleRecord, MAX_ENCODERS, flags};
 use shared::time::MonoNs;
+
+use crate::cycle::BusState;
 
 /// What of a run is really on disk.
 #[derive(Debug, Default)]
@@ -73,6 +75,9 @@ pub struct Live {
     flags: AtomicU64,
     encoders: [AtomicU64; MAX_ENCODERS],
     latches: [AtomicU32; MAX_ENCODERS],
+    /// 0 where no device is missing: before the coupler there is nothing that could stay in use.
+    missing_from: AtomicU32,
+    outage: Mutex<Option<String>>,
 }
 
 /// The latest sample of one encoder.
@@ -102,6 +107,30 @@ impl Live {
         }
         self.flags.store(record.flags.into(), Ordering::Relaxed);
         self.at_ns.store(record.send_time.0, Ordering::Release);
+    }
+
+    /// Says how much of the bus is in operation. Wait-free, unless it is down: then nothing can be late.
+    pub fn publish_bus(&self, state: &BusState<'_>) {
+        let missing_from = match state {
+            BusState::Before(from) => (*from).into(),
+            BusState::Whole | BusState::Down(_) => 0,
+        };
+        self.missing_from.store(missing_from, Ordering::Relaxed);
+        if let BusState::Down(why) = state {
+            *self.outage.lock().unwrap_or_else(PoisonError::into_inner) = why.map(ToString::to_string);
+        }
+    }
+
+    /// First position whose device does not answer while those before it stay in use.
+    pub fn missing_from(&self) -> Option<usize> {
+        let from = self.missing_from.load(Ordering::Relaxed);
+        (from != 0).then_some(from as usize)
+    }
+
+    /// What the last attempt to bring up a bus that is down met; none if it is not down.
+    pub fn outage(&self) -> Option<String> {
+        let is_down = self.flags() & flags::BUS_DOWN != 0;
+        self.outage.lock().unwrap_or_else(PoisonError::into_inner).clone().filter(|_| is_down)
     }
 
     /// When the latest cycle was, 0 before the first.

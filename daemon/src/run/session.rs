@@ -17,6 +17,7 @@ use super::homing::{self, ActiveHoming};
 use super::progress::{Live, Progress};
 use super::source::Prepared;
 use super::{RunDetails, RunError, Stop};
+use crate::bus::BusError;
 use crate::clock::Clock;
 use crate::cycle::RealtimeRequest;
 use crate::recorder::{self, Recorder, RunLink, RunSummary};
@@ -164,6 +165,12 @@ impl Session {
     /// The latest sample of each encoder.
     pub fn live(&self) -> &Arc<Live> {
         &self.live
+    }
+
+    /// What is known of why the bus does not give whole samples: position, what should be there, what is, what to do.
+    pub fn outage(&self) -> Option<String> {
+        let absent = |from| BusError::absent(&self.bus, &self.ready.devices, from).to_string();
+        self.live.missing_from().map(absent).or_else(|| self.live.outage())
     }
 
     /// Time between two cycles.
