@@ -20,6 +20,8 @@ use crate::run::{DiskFloor, Progress, Stop, Synced};
 const EVENTS_MAX: usize = 1024;
 /// How often the ring is emptied.
 const DRAIN_PERIOD: Duration = Duration::from_millis(20);
+/// How well the loop kept its time is put into the file at least this often, for a run that is killed.
+const TIMING_PERIOD: Duration = Duration::from_secs(60);
 /// UTC that moved by more than this against the monotonic clock was stepped \[ns\].
 const CLOCK_STEP_NS: i64 = 100_000;
 
@@ -126,6 +128,8 @@ pub struct Recorder {
     host_offset_ns: i64,
     cycle_period_ns: i64,
     lost: u64,
+    /// Cycles written when the file was last told how well the loop kept its time.
+    timed_cycles: u64,
     link: RunLink,
     /// The last cycle written; its number is that of the one that should come next, less one.
     last: Option<CycleRecord>,
@@ -154,6 +158,7 @@ impl Recorder {
             utc_minus_monotonic_ns: run.utc_minus_monotonic_ns,
             cycle_period_ns: run.cycle_period_ns as i64,
             lost: 0,
+            timed_cycles: 0,
             link,
             last: None,
         }
@@ -232,6 +237,7 @@ impl Recorder {
 
     fn sync(&mut self, synced_at: &mut Instant, synced_cycles: &mut u64) -> Result<(), WriteError> {
         self.note_clock_step()?;
+        self.write_timing_if_due()?;
         self.writer.sync()?;
         *synced_at = Instant::now();
         *synced_cycles = self.writer.cycles();
@@ -247,6 +253,24 @@ impl Recorder {
             self.link.stop.stop(&problem);
         }
         Ok(())
+    }
+
+    /// Often at first, so that a short run has it too: whenever it has become twice as long, later in each period.
+    fn write_timing_if_due(&mut self) -> Result<(), WriteError> {
+        let period_cycles = TIMING_PERIOD.as_nanos() as u64 / self.cycle_period_ns.max(1) as u64;
+        let cycles = self.writer.cycles();
+        if cycles - self.timed_cycles < self.timed_cycles.min(period_cycles) {
+            return Ok(());
+        }
+        self.timed_cycles = cycles;
+        self.write_timing().map(drop)
+    }
+
+    fn write_timing(&mut self) -> Result<Option<TimingSummary>, WriteError> {
+        self.source.timing.drain();
+        let timing = self.source.timing.summary();
+        timing.iter().try_for_each(|timing| self.writer.write_timing(timing))?;
+        Ok(timing)
     }
 
     fn take_marks(&mut self) -> Result<(), WriteError> {
@@ -280,10 +304,7 @@ impl Recorder {
         let (cycles, cycles_valid, cycles_lost) =
             (self.writer.cycles(), self.writer.cycles_valid(), self.lost);
         self.note_clock_step()?;
-        let timing = self.source.timing.summary();
-        if let Some(timing) = &timing {
-            self.writer.write_timing(timing)?;
-        }
+        let timing = self.write_timing()?;
         let ended = self.clock.now().plus_ns(self.utc_minus_monotonic_ns);
         let path = self.writer.finish(&cause, UtcNs(ended.0))?;
         Ok(RunSummary { path, cycles, cycles_valid, cycles_lost, cause, timing })

@@ -189,6 +189,29 @@ fn a_recovered_recording_keeps_how_well_its_loop_kept_its_time() {
 }
 
 #[test]
+fn what_a_killed_run_said_last_of_its_timing_is_what_is_read_of_it() {
+    let mut early = timing();
+    early.cycles = 3;
+    let disk = DiskFile::default();
+    let mut writer = write_until_refused(disk.clone()).unwrap();
+    let said: Vec<_> = [early, timing()]
+        .into_iter()
+        .map(|timing| {
+            writer.write_timing(&timing).unwrap();
+            writer.sync().unwrap();
+            (disk.bytes().len(), timing)
+        })
+        .collect();
+    for (length, timing) in said {
+        // The next record is torn.
+        let torn = &disk.bytes()[..disk.bytes().len().min(length + 30)];
+        let (salvaged, recovered) = salvage(torn, Cursor::new(Vec::new())).unwrap();
+        assert_eq!((salvaged.cycles, salvaged.timing.as_ref()), (CYCLES, Some(&timing)));
+        assert_eq!(Recording::read(&recovered.into_inner()[..]).unwrap().timing, Some(timing));
+    }
+}
+
+#[test]
 fn a_tail_of_zeros_as_a_power_cut_leaves_it_costs_only_itself() {
     let (bytes, synced) = unfinished();
     for length in (0..bytes.len()).step_by(7) {

@@ -21,6 +21,9 @@ pub fn run(arguments: &RecoverArguments) -> anyhow::Result<()> {
         }
         Recovery::Recovered { file, torn, content } => {
             println!("{}: {}", file.display(), kept(&content));
+            if let Some(timing) = &content.timing {
+                println!("{timing}");
+            }
             if let Some(damage) = &content.cut {
                 println!("what followed could not be read: {damage}");
             }

@@ -1,8 +1,11 @@
 //! What goes into the ring comes out of the file.
 
+use std::io::Cursor;
+use std::path::Path;
+
 use shared::encoder::EncoderScale;
-use shared::recording::Recording;
 use shared::recording::schema::EncoderInfo;
+use shared::recording::{Recording, salvage};
 
 use super::*;
 
@@ -37,6 +40,16 @@ fn cycle(cycle: u64) -> CycleRecord {
     record
 }
 
+fn link_to(directory: &Path, floor_mb: u32) -> RunLink {
+    RunLink {
+        stop: Stop::default(),
+        marks: std::sync::mpsc::channel().1,
+        progress: Arc::default(),
+        floor: DiskFloor::new(directory, floor_mb),
+        file: directory.join("ring.mcap.active"),
+    }
+}
+
 fn record_through_ring(capacity: usize, cycles: u64) -> (Recording, RunSummary) {
     record_above_floor(capacity, cycles, 0)
 }
@@ -48,14 +61,8 @@ fn record_above_floor(capacity: usize, cycles: u64, floor_mb: u32) -> (Recording
     drop(sink);
     let run = metadata();
     let writer = RecordingWriter::create(directory.path(), &run).unwrap();
-    let stop = Stop::default();
-    let link = RunLink {
-        stop: stop.clone(),
-        marks: std::sync::mpsc::channel().1,
-        progress: Arc::default(),
-        floor: DiskFloor::new(directory.path(), floor_mb),
-        file: directory.path().join("ring.mcap.active"),
-    };
+    let link = link_to(directory.path(), floor_mb);
+    let stop = link.stop.clone();
     let recorder = Recorder::new(source, writer, Clock::Real, Duration::from_secs(1), &run, link);
     let summary = recorder
         .run(|| {
@@ -98,13 +105,7 @@ fn the_hosts_utc_may_be_stepped_and_the_file_says_so() {
     drop(sink);
     let run = metadata();
     let writer = RecordingWriter::create(directory.path(), &run).unwrap();
-    let link = RunLink {
-        stop: Stop::default(),
-        marks: std::sync::mpsc::channel().1,
-        progress: Arc::default(),
-        floor: DiskFloor::new(directory.path(), 0),
-        file: directory.path().join("ring.mcap.active"),
-    };
+    let link = link_to(directory.path(), 0);
     let recorder = Recorder::new(source, writer, clock.clone(), Duration::from_secs(1), &run, link);
     clock.step_utc(-2_000_000_000);
     let recording = Recording::open(&recorder.run(String::new).unwrap().path).unwrap();
@@ -119,4 +120,36 @@ fn at_the_disk_floor_the_run_is_asked_to_end_and_its_file_says_why() {
     let (recording, summary) = record_above_floor(256, 150, 4_000_000_000);
     assert_eq!(recording.cycles.len(), 150);
     assert!(summary.cause.contains("disk floor"), "{}", summary.cause);
+}
+
+#[test]
+fn wherever_a_run_is_cut_its_file_knows_how_late_it_was_up_to_a_minute_before() {
+    const CYCLES: u64 = 15_000;
+    let directory = tempfile::tempdir().unwrap();
+    let (mut sink, source) = ring(CYCLES as usize, &Clock::Real);
+    for number in 0..CYCLES {
+        sink.push(&cycle(number));
+        sink.push_timing(CycleTiming { late_ns: 5_000, round_trip_ns: Some(1), duration_ns: 1 });
+    }
+    drop(sink);
+    let run = metadata();
+    let writer = RecordingWriter::create(directory.path(), &run).unwrap();
+    let link = link_to(directory.path(), 0);
+    let recorder = Recorder::new(source, writer, Clock::Real, Duration::from_secs(1), &run, link);
+    let bytes = std::fs::read(recorder.run(String::new).unwrap().path).unwrap();
+    // Cut just before each of the metadata records, and at the end.
+    let name = b"ballbard.timing";
+    let records = (0..bytes.len()).filter(|at| bytes[*at..].starts_with(name));
+    let cuts: Vec<_> = records
+        .map(|at| salvage(&bytes[..at], Cursor::new(Vec::new())).unwrap().0)
+        .take_while(|cut| cut.end.is_none())
+        .collect();
+    let told_at: Vec<u64> = cuts.iter().map(|cut| cut.cycles).collect();
+    assert!(told_at.len() > 5 && told_at[0] < 100, "{told_at:?}");
+    assert!(told_at.windows(2).all(|pair| pair[1] - pair[0] < 6100), "{told_at:?}");
+    assert!(CYCLES - told_at[told_at.len() - 2] < 6100, "{told_at:?}");
+    assert!(cuts[0].timing.is_none());
+    for cut in &cuts[1..] {
+        assert_eq!(cut.timing.as_ref().unwrap().lateness.max_ns / 100, 50);
+    }
 }

@@ -15,7 +15,7 @@ use crate::encoder::{EncoderScale, INTERPOLATION_BITS};
 /// Names of the metadata records at the beginning and the end of a run.
 pub(super) const RUN_METADATA: &str = "ballbard.run";
 pub(super) const END_METADATA: &str = "ballbard.end";
-/// Name of the metadata record of the loop's timing.
+/// Name of the metadata records of the loop's timing; each replaces those before it.
 pub(super) const TIMING_METADATA: &str = "ballbard.timing";
 
 /// Key under which those records hold their content as JSON.

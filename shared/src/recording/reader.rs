@@ -89,7 +89,8 @@ pub struct Recording {
     pub cycles: Vec<CycleRecord>,
     /// What happened meanwhile.
     pub events: Vec<Event>,
-    /// How well the loop kept its time; none on virtual time, or where the run was cut short.
+    /// How well the loop kept its time; none on virtual time. Where the run was cut short it is that of its beginning:
+    /// `cycles` says how far.
     pub timing: Option<TimingSummary>,
     /// How the run ended.
     pub end: RunEnd,

@@ -29,6 +29,8 @@ pub struct Salvaged {
     pub cycles_valid: u64,
     /// When the last of them was sampled.
     pub last_good: Option<UtcNs>,
+    /// How well the loop kept its time, as far as that is known: a run that was cut short says it of its beginning only.
+    pub timing: Option<TimingSummary>,
     /// How the run ended, if it did.
     pub end: Option<RunEnd>,
     /// Why reading stopped before the end of the file; none if the file is whole up to its end.
@@ -98,7 +100,7 @@ pub fn verify(source: impl Read, salvaged: &Salvaged) -> Result<(), SalvageError
     if written.checksum != salvaged.checksum || written.cycles != salvaged.cycles {
         return differs("cycles or events differ");
     }
-    if written.run != salvaged.run {
+    if written.run != salvaged.run || written.timing != salvaged.timing {
         return differs("the run's metadata differ");
     }
     Ok(())
@@ -181,6 +183,7 @@ fn scan(
 struct Scan {
     run: Option<Box<RunMetadata>>,
     end: Option<RunEnd>,
+    timing: Option<TimingSummary>,
     cycles: u64,
     cycles_valid: u64,
     last_good: Option<UtcNs>,
@@ -246,7 +249,10 @@ impl Scan {
                     .update(&messages::encode_event(&event).map_err(|error| Halt::Write(error.into()))?);
                 sink(Part::Event(&event)).map_err(Halt::Write)?;
             }
-            Item::Timing(timing) => sink(Part::Timing(&timing)).map_err(Halt::Write)?,
+            Item::Timing(timing) => {
+                sink(Part::Timing(&timing)).map_err(Halt::Write)?;
+                self.timing = Some(*timing);
+            }
             Item::End(end) => self.end = Some(end),
         }
         Ok(())
@@ -262,6 +268,7 @@ impl Scan {
             cycles: self.cycles,
             cycles_valid: self.cycles_valid,
             last_good: self.last_good,
+            timing: self.timing,
             end: self.end,
             cut,
             checksum: self.hasher.finalize(),

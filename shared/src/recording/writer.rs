@@ -148,7 +148,7 @@ impl<W: Write + Seek> RecordingWriter<W> {
         self.write_message(self.event_channel, self.events, event.time, &data)
     }
 
-    /// Says how well the loop kept its time; once, after the last cycle.
+    /// Says how well the loop kept its time so far; the last one said counts. Cuts the chunk.
     pub fn write_timing(&mut self, timing: &TimingSummary) -> Result<(), WriteError> {
         Ok(self.writer.write_metadata(&metadata_of(TIMING_METADATA, timing)?)?)
     }
