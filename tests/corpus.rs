@@ -52,6 +52,7 @@ corpora! {
     no_frame_of_the_corpus_breaks_a_promise: "segment_frames",
     no_mailbox_request_of_the_corpus_breaks_a_promise: "segment_mailbox",
     no_bus_reply_of_the_corpus_breaks_a_promise: "bus_replies",
+    no_cyclic_reply_of_the_corpus_breaks_a_promise: "cycle_replies",
     no_configuration_of_the_corpus_breaks_a_promise: "config",
     no_robot_table_of_the_corpus_breaks_a_promise: "robot_log_table",
     no_mcap_bag_of_the_corpus_breaks_a_promise: "robot_log_mcap",

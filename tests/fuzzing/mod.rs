@@ -6,8 +6,10 @@
 mod api;
 mod bring_up;
 mod config;
+mod cycle;
 mod input;
 mod recording;
+mod replies;
 mod robot_log;
 mod segment;
 
@@ -30,6 +32,7 @@ pub const TARGETS: &[Target] = &[
     Target { name: "segment_frames", run: segment::any_frames, seeds: segment::frames },
     Target { name: "segment_mailbox", run: segment::any_requests, seeds: segment::requests },
     Target { name: "bus_replies", run: bring_up::any_replies, seeds: bring_up::scripts },
+    Target { name: "cycle_replies", run: cycle::any_replies, seeds: cycle::scripts },
     Target { name: "config", run: config::any_text, seeds: config::shipped },
     Target { name: "robot_log_table", run: robot_log::any_table, seeds: robot_log::tables },
     Target { name: "robot_log_mcap", run: robot_log::any_mcap, seeds: robot_log::mcap_bags },

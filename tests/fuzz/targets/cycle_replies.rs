@@ -1,0 +1,10 @@
+#![no_main]
+
+libfuzzer_sys::fuzz_target!(
+    init: {
+        // The bus catches panics of ethercrab; the fuzzer's hook would abort before that. Those that nobody catches
+        // still end the fuzzer.
+        std::panic::set_hook(Box::new(|_| {}));
+    },
+    |bytes: &[u8]| system_tests::fuzzing::run("cycle_replies", bytes)
+);

@@ -1,0 +1,122 @@
+//! Replies of a simulated bus, damaged as the fuzzer says.
+
+use std::io;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use ballbard::segment::{FRAME_BYTES_MAX, InProcessWire, Wire};
+use shared::time::MonoNs;
+
+use super::Input;
+
+/// What happens to replies: each entry waits for a number of replies (of mailbox replies where so chosen).
+pub struct Script {
+    entries: Vec<Entry>,
+    passed: u16,
+}
+
+struct Entry {
+    after: u16,
+    only_mailbox: bool,
+    damage: Damage,
+}
+
+enum Damage {
+    Drop,
+    Cut(usize),
+    /// From this byte of the first datagram's data on.
+    Overwrite(usize, Vec<u8>),
+}
+
+impl Script {
+    /// Entry after entry until the bytes end.
+    pub fn of(bytes: &[u8]) -> Self {
+        let mut input = Input(bytes);
+        let mut entries = Vec::new();
+        while !input.is_empty() {
+            let (kind, after, at) = (input.byte(), input.word(), usize::from(input.byte()));
+            let damage = match kind & 3 {
+                0 => Damage::Drop,
+                1 => Damage::Cut(at),
+                _ => Damage::Overwrite(at, {
+                    let length = usize::from(input.byte());
+                    input.take(length).to_vec()
+                }),
+            };
+            entries.push(Entry { after, only_mailbox: kind & 4 != 0, damage });
+        }
+        entries.reverse();
+        Self { entries, passed: 0 }
+    }
+
+    /// Damages a reply or not; none if it is lost.
+    fn apply(&mut self, reply: &mut [u8]) -> Option<usize> {
+        let Some(next) = self.entries.last() else { return Some(reply.len()) };
+        if next.only_mailbox && !is_mailbox_reply(reply) {
+            return Some(reply.len());
+        }
+        if self.passed < next.after {
+            self.passed += 1;
+            return Some(reply.len());
+        }
+        self.passed = 0;
+        match self.entries.pop().map(|entry| entry.damage) {
+            Some(Damage::Drop) => None,
+            Some(Damage::Cut(at)) => Some(at.min(reply.len())),
+            Some(Damage::Overwrite(at, bytes)) => {
+                reply.iter_mut().skip(26 + at).zip(bytes).for_each(|(byte, other)| *byte = other);
+                Some(reply.len())
+            }
+            None => Some(reply.len()),
+        }
+    }
+}
+
+/// The first datagram read the mailbox of a terminal, and something lay in it.
+fn is_mailbox_reply(frame: &[u8]) -> bool {
+    frame.get(16) == Some(&4)
+        && frame.get(20..22) == Some(&[0x80, 0x10])
+        && frame.len() >= 26 + 128 + 2
+        && frame.get(26 + 128) == Some(&1)
+}
+
+/// A wire to a segment that can be exchanged for a new one (ethercrab lends its frame storage once per process), and what
+/// happens to its replies. Clones are the same wire.
+#[derive(Clone)]
+pub struct DamagedWire(Arc<Mutex<(InProcessWire, Script)>>);
+
+impl DamagedWire {
+    /// Nothing happens to its replies.
+    pub fn new(segment: InProcessWire) -> Self {
+        Self(Arc::new(Mutex::new((segment, Script::of(&[])))))
+    }
+
+    pub fn exchange_segment(&self, segment: InProcessWire) {
+        self.lock().0 = segment;
+    }
+
+    /// From the next reply on.
+    pub fn play(&self, script: Script) {
+        self.lock().1 = script;
+    }
+
+    /// Nothing is left that could happen.
+    pub fn is_over(&self) -> bool {
+        self.lock().1.entries.is_empty()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, (InProcessWire, Script)> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Wire for DamagedWire {
+    fn send(&mut self, frame: &[u8]) -> io::Result<()> {
+        self.lock().0.send(frame)
+    }
+
+    fn receive(&mut self, buffer: &mut [u8; FRAME_BYTES_MAX], until: MonoNs) -> io::Result<Option<usize>> {
+        let mut inner = self.lock();
+        let (wire, script) = &mut *inner;
+        Ok(wire.receive(buffer, until)?.and_then(|length| script.apply(&mut buffer[..length])))
+    }
+}
