@@ -12,6 +12,8 @@ pub struct Move {
     pub duration_s: f64,
     /// By how much each joint moves \[rad\].
     pub by_rad: [f64; 5],
+    /// Bar joints when all moves before it are over \[rad\].
+    pub from_rad: [f64; 5],
 }
 
 impl Move {
@@ -21,6 +23,11 @@ impl Move {
     /// When it ends \[s\].
     pub fn end_s(&self) -> f64 {
         self.start_s + self.duration_s
+    }
+
+    /// Bar joints when it and all moves before it are over \[rad\].
+    pub(super) fn end_rad(&self) -> [f64; 5] {
+        std::array::from_fn(|joint| self.from_rad[joint] + self.by_rad[joint])
     }
 
     fn progress(&self, t_s: f64) -> f64 {
@@ -34,7 +41,7 @@ impl Move {
 pub struct Path {
     /// Bar joints before the first move \[rad\].
     pub start_rad: [f64; 5],
-    /// In the order of their beginning.
+    /// In the order of their beginning; at most neighbours overlap.
     pub moves: Vec<Move>,
     /// Length of the recording that is taken of it \[s\]; the path holds still before 0 and after its last move.
     pub duration_s: f64,
@@ -43,8 +50,11 @@ pub struct Path {
 impl Path {
     /// Bar joints at `t_s` \[rad\].
     pub fn at(&self, t_s: f64) -> [f64; 5] {
-        let mut joints = self.start_rad;
-        for step in &self.moves {
+        let begun = self.moves.partition_point(|step| step.start_s <= t_s);
+        // All but the last two are over: a path of ten hours costs as little as one of two minutes.
+        let going_on = self.moves.get(begun.saturating_sub(2)..begun).unwrap_or_default();
+        let mut joints = going_on.first().map_or(self.start_rad, |step| step.from_rad);
+        for step in going_on {
             let progress = step.progress(t_s);
             for (joint, by) in joints.iter_mut().zip(step.by_rad) {
                 *joint += progress * by;

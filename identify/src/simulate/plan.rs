@@ -13,7 +13,7 @@ use crate::kinematics::{Chain, Trace, Tracer, robot_inverse, singularity_margin_
 const LOOK_S: f64 = 0.05;
 /// Points tried before giving up.
 const TRIES: usize = 300;
-/// How often a corner without a way out may be left again.
+/// How often corners without a way out may be left again before the path grows.
 const RETREATS: usize = 60;
 /// Moves given up then.
 const MOVES_GIVEN_UP: usize = 4;
@@ -189,10 +189,15 @@ impl Planner<'_> {
         let end_s = self.design.duration_s - END_STANDSTILLS * self.design.standstill_s;
         let mut waypoints = vec![start];
         let mut obstacles = Obstacles::default();
-        let mut retreats = 0;
+        let (mut retreats, mut longest) = (0, 0);
         while let Some(&from) = waypoints.last() {
             match self.extend(path, &from, end_s, &mut obstacles, random) {
-                Extension::Reached(next) => waypoints.push(next),
+                Extension::Reached(next) => {
+                    waypoints.push(next);
+                    if waypoints.len() > longest {
+                        (retreats, longest) = (0, waypoints.len());
+                    }
+                }
                 Extension::TimeIsUp if path.moves.len() >= MOVES_MIN => return Ok(()),
                 Extension::TimeIsUp | Extension::None => {
                     retreats += 1;
@@ -252,7 +257,8 @@ impl Planner<'_> {
             }
             Some(last) => last.end_s() - OVERLAP * last.duration_s.min(duration_s),
         };
-        Move { start_s, duration_s, by_rad }
+        let from_rad = path.moves.last().map_or(path.start_rad, Move::end_rad);
+        Move { start_s, duration_s, by_rad, from_rad }
     }
 
     /// Adds the move and looks at the motion from its beginning to its end; takes it away again where something is in
