@@ -29,12 +29,34 @@ pub(super) struct RawRow {
     pub torques: Option<[f64; 6]>,
 }
 
+/// A row that is kept: ten hours have ten million of them, most logs neither speeds nor torques.
+struct KeptRow {
+    place: u64,
+    stamp_ns: i64,
+    joints: [f64; 6],
+    more: Option<Box<More>>,
+}
+
+/// What some logs have besides.
+struct More {
+    speeds: Option<[f64; 6]>,
+    torques: Option<[f64; 6]>,
+}
+
+impl From<RawRow> for KeptRow {
+    fn from(row: RawRow) -> Self {
+        let RawRow { place, stamp_ns, joints, speeds, torques } = row;
+        let some = speeds.is_some() || torques.is_some();
+        Self { place, stamp_ns, joints, more: some.then(|| Box::new(More { speeds, torques })) }
+    }
+}
+
 /// Rows in the order of the file, stamps increasing.
 pub(super) struct RawLog {
     path: PathBuf,
     /// What rows are called: `line`, `message` or `telegram`.
     what: &'static str,
-    rows: Vec<RawRow>,
+    rows: Vec<KeptRow>,
     quality: LogQuality,
     pub robot: Option<String>,
     pub clock: String,
@@ -107,7 +129,7 @@ impl RawLog {
                 });
             }
         }
-        self.rows.push(row);
+        self.rows.push(row.into());
         Ok(())
     }
 
@@ -123,12 +145,14 @@ impl RawLog {
         let first_stamp_ns = self.rows.first().map_or(0, |row| row.stamp_ns);
         // 128 bits: two stamps may be further apart than 292 years.
         let since_first_s =
-            |row: &RawRow| (i128::from(row.stamp_ns) - i128::from(first_stamp_ns)) as f64 * 1e-9;
+            |row: &KeptRow| (i128::from(row.stamp_ns) - i128::from(first_stamp_ns)) as f64 * 1e-9;
         let t_s: Vec<f64> = self.rows.iter().map(since_first_s).collect();
-        let all = |of: fn(&RawRow) -> Option<[f64; 6]>| self.rows.iter().map(of).collect::<Option<Vec<_>>>();
-        let speed_rad_s = all(|row| row.speeds)
+        let all = |of: fn(&More) -> Option<[f64; 6]>| {
+            self.rows.iter().map(|row| of(row.more.as_ref()?)).collect::<Option<Vec<_>>>()
+        };
+        let speed_rad_s = all(|more| more.speeds)
             .map(|speeds| speeds.iter().map(|row| meaning.conversion.to_joint_rate(row)).collect());
-        let torque = all(|row| row.torques);
+        let torque = all(|more| more.torques);
         let quality = self.judge(&t_s, &q_rad);
         Ok(RobotLog {
             robot: self.robot,
@@ -145,7 +169,7 @@ impl RawLog {
 
     /// Interfaces that are read faster than they are filled give the same joints again under a new stamp.
     fn drop_frozen(&mut self, unit: AngleUnit) {
-        let step_rad = |a: &RawRow, b: &RawRow| {
+        let step_rad = |a: &KeptRow, b: &KeptRow| {
             a.joints.iter().zip(&b.joints).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) * unit.to_rad()
         };
         let frozen: Vec<bool> = (0..self.rows.len())

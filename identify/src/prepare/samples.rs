@@ -16,8 +16,9 @@ use crate::model::Observation;
 const EDGE_S: f64 = 0.03;
 /// Fewest samples that a solve can begin with.
 const KEPT_MIN: usize = 50;
-/// Samples of a long recording that are looked at, at most; the others are surplus unseen.
-const LOOKED_AT_MAX: usize = 120_000;
+/// Samples of a long recording that are looked at, at most; the others are surplus unseen. Still four per second where a
+/// recording lasts for a day: fewer would not tell a clock that jumps.
+const LOOKED_AT_MAX: usize = 400_000;
 
 /// All valid samples of a recording, with times since the first.
 pub(super) fn raw_samples(segments: &[BarSegment]) -> Vec<Raw> {

@@ -1,5 +1,7 @@
 //! The steps of the preparation in their order.
 
+use std::borrow::Cow;
+
 use nalgebra::{Matrix3, Vector3};
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
@@ -41,7 +43,7 @@ pub fn prepare(
     options: &PrepareOptions,
 ) -> Result<Prepared, PrepareError> {
     let mut angles = bar_angles(cycles, encoders)?;
-    let log = &smoothed(&mut angles, log, options);
+    let log = &*smoothed(&mut angles, log, options);
     let raw = raw_samples(&angles.segments);
     check_motion(&raw, cycles.len(), log)?;
     check_length(&raw, log, options)?;
@@ -103,15 +105,15 @@ pub fn prepare(
 }
 
 /// Both logs averaged in the same way where that is asked for.
-fn smoothed(angles: &mut BarAngles, log: &RobotLog, options: &PrepareOptions) -> RobotLog {
+fn smoothed<'a>(angles: &mut BarAngles, log: &'a RobotLog, options: &PrepareOptions) -> Cow<'a, RobotLog> {
     let width_s = options.moving_average_ms * 1e-3;
     if width_s.is_nan() || width_s <= 0.0 {
-        return log.clone();
+        return Cow::Borrowed(log);
     }
     let before = angles.segments.len();
     angles.segments = smoothed_segments(&angles.segments, width_s);
     tracing::debug!(before, after = angles.segments.len(), width_s, "moving average over both logs");
-    smoothed_log(log, width_s, default_gap_limit_s(log))
+    Cow::Owned(smoothed_log(log, width_s, default_gap_limit_s(log)))
 }
 
 fn first_time(angles: &BarAngles) -> UtcNs {
