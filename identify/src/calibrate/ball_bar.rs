@@ -3,11 +3,12 @@
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 
+use super::by_cost::WithResidual;
 use super::candidates::Candidate;
 use super::config::{CostName, IdentifyConfig};
 use super::several::{self, Run};
 use super::structure::StructureError;
-use crate::cost::{CostError, Length, Position, PositionAngles, SharedColumns, Transform, WhitenedPose};
+use crate::cost::{CostError, Residual, SharedColumns};
 use crate::kinematics::{BAR_JOINTS, LinkParameter, ball_bar_chain, robot_chain};
 use crate::logs::RobotLog;
 use crate::model::{Axis, DriveTrain, Geometry, Model, ModelError, ParameterId};
@@ -71,6 +72,30 @@ pub struct BallBarCalibration {
     pub prior_scale: f64,
 }
 
+impl BallBarCalibration {
+    /// Preparation and parameters of each run, the first one first.
+    pub fn runs(&self) -> impl Iterator<Item = (&Prepared, &Model)> {
+        let others = self.others.iter().map(|run| (&run.prepared, &run.model));
+        std::iter::once((&self.prepared, &self.model)).chain(others)
+    }
+
+    /// Bar joints with an encoder in every run.
+    pub fn measured(&self) -> [bool; BAR_JOINTS] {
+        std::array::from_fn(|joint| self.runs().all(|(prepared, _)| prepared.measured[joint]))
+    }
+
+    /// Copies of the runs with at most so many samples in all, evenly taken: for figures that need no more.
+    pub(super) fn thinned(&self, samples_max: usize) -> Vec<Run> {
+        let samples: usize = self.runs().map(|(prepared, _)| prepared.observations.len()).sum();
+        let every = samples.div_ceil(samples_max.max(1)).max(1);
+        let thinned = |(prepared, model): (&Prepared, &Model)| {
+            let observations = prepared.observations.iter().step_by(every).copied().collect();
+            Run { prepared: Prepared { observations, ..prepared.clone() }, model: model.clone() }
+        };
+        self.runs().map(thinned).collect()
+    }
+}
+
 /// What one run left behind.
 #[derive(Debug, Clone, Copy)]
 pub struct RunInput<'a> {
@@ -120,23 +145,38 @@ pub fn calibrate_runs(
     let mut runs = inputs.iter().map(run).collect::<Result<Vec<Run>, CalibrateError>>()?;
     let measured = std::array::from_fn(|joint| runs.iter().all(|run| run.prepared.measured[joint]));
     let cost = config.cost.unwrap_or_else(|| CostName::for_encoders(&measured));
-    let solved = match cost {
-        CostName::Pose => {
-            let whitened = |prepared: &Prepared, geometry: &Geometry| {
-                WhitenedPose::new(geometry, &prepared.motion, &prepared.observations, config.noise.into())
-            };
-            several::solve(&mut runs, cost, whitened, config, watch)?
-        }
-        CostName::Transform => several::solve(&mut runs, cost, |_, _| Transform, config, watch)?,
-        CostName::PositionAngles => several::solve(&mut runs, cost, |_, _| PositionAngles, config, watch)?,
-        CostName::Position => several::solve(&mut runs, cost, |_, _| Position, config, watch)?,
-        CostName::Length => several::solve(&mut runs, cost, |_, _| Length, config, watch)?,
-    };
+    let solved = solve_by(cost, &mut runs, config, watch)?;
     let mut runs = runs.into_iter();
     let Run { prepared, model } = runs.next().ok_or(CalibrateError::NoRun)?;
     let several::Solved { columns, solution, candidates, prior_scale } = solved;
     let others = runs.collect();
     Ok(BallBarCalibration { cost, prepared, model, others, columns, solution, candidates, prior_scale })
+}
+
+/// [`several::solve`] with a cost by its name.
+///
+/// # Errors
+/// As [`several::solve`].
+pub(super) fn solve_by(
+    cost: CostName,
+    runs: &mut [Run],
+    config: &IdentifyConfig,
+    watch: Option<&dyn Watch>,
+) -> Result<several::Solved, CalibrateError> {
+    struct Solve<'a> {
+        cost: CostName,
+        runs: &'a mut [Run],
+        config: &'a IdentifyConfig,
+        watch: Option<&'a dyn Watch>,
+    }
+    impl WithResidual for Solve<'_> {
+        type Output = Result<several::Solved, CalibrateError>;
+
+        fn with<R: Residual>(self, residual: impl Fn(&Prepared, &Geometry) -> R) -> Self::Output {
+            several::solve(self.runs, self.cost, residual, self.config, self.watch)
+        }
+    }
+    cost.run(config.noise, Solve { cost, runs, config, watch })
 }
 
 /// Nominal robot and bar, at the place and with the encoder offsets that the preparation found.

@@ -2,11 +2,14 @@
 
 pub mod ball_bar;
 pub mod blocks;
+mod by_cost;
 pub mod candidates;
 mod config;
 pub mod cross_validation;
+pub mod held_out;
 pub mod measured_length;
 pub mod measured_pose;
+pub mod other_costs;
 mod robust;
 pub mod several;
 pub mod structure;

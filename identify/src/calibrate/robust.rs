@@ -56,15 +56,15 @@ fn squared_norm_quantile(rows: usize, normal: f64) -> f64 {
 
 /// A share of the samples that is taken as good, and the standard normal quantile of that share.
 #[derive(Debug, Clone, Copy)]
-struct GoodShare {
+pub(super) struct GoodShare {
     share: f64,
     normal: f64,
 }
 
 /// Of what is usual: half of the samples may be wrong.
-const HALF: GoodShare = GoodShare { share: 0.5, normal: NORMAL[0] };
+pub(super) const HALF: GoodShare = GoodShare { share: 0.5, normal: NORMAL[0] };
 /// Where more than half may be.
-const TWO_FIFTHS: GoodShare = GoodShare { share: 0.4, normal: -0.2533 };
+pub(super) const TWO_FIFTHS: GoodShare = GoodShare { share: 0.4, normal: -0.2533 };
 
 /// Standard deviation of a residual row, from the samples that fit best.
 fn spread<P: Problem>(problem: &P, x: &[f64], good: GoodShare) -> f64 {
@@ -108,6 +108,15 @@ pub fn solve_from_subsets<P: Problem>(
     let choice = RansacOptions { good_share: TWO_FIFTHS.share, ..RansacOptions::default() };
     let x = ransac(problem, start, &choice, options)?;
     narrowed(problem, x, loss, options, TWO_FIFTHS)
+}
+
+/// The loss asked for with the scale of the residuals at `x`, where the spread has settled already.
+pub(super) fn settled<P: Problem>(problem: &P, x: &[f64], loss: LossName, good: GoodShare) -> Loss {
+    let sigma = spread(problem, x, good);
+    if loss == LossName::None || sigma <= SPREAD_MIN {
+        return Loss::Squared;
+    }
+    loss.with_scale(sigma * squared_norm_quantile(problem.rows(), NORMAL[2]).sqrt())
 }
 
 fn narrowed<P: Problem>(

@@ -15,7 +15,7 @@ use crate::solver::{Options, Solution, Watch};
 /// The thesis' residuals enter as it defines them; `pose` is whitened by itself.
 const UNWEIGHTED: f64 = 1.0;
 /// Residuals without any error still count as this uncertain against priors \[m, m^2 or matrix entry\].
-const SIGMA_MIN: f64 = 1e-9;
+pub(super) const SIGMA_MIN: f64 = 1e-9;
 /// Whitened residuals below this are rounding: there is nothing left that a term could explain.
 const RESIDUAL_MIN: f64 = 1e-3;
 /// Stretches of each run that are held out in turn to choose terms.

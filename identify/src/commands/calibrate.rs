@@ -19,7 +19,8 @@ use crate::kinematics::flange_chain;
 use crate::logs::{
     self, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths, RobotLog, RobotLogMapping,
 };
-use crate::model::{JointWaves, ParameterId};
+use crate::model::{JointWaves, Model, ParameterId};
+use crate::prepare::Prepared;
 use crate::report::file::{CalibrationFile, ClockEntry, Input, ParameterEntry, SolveEntry};
 use crate::report::page::Page;
 use crate::report::table;
@@ -190,17 +191,22 @@ fn from_ball_bar(arguments: &CalibrateArguments, robot: &RobotConfig) -> anyhow:
         .collect();
     let on_terminal = OnTerminal::new();
     let calibration = ball_bar::calibrate_runs(&inputs, robot, &config, Some(&on_terminal));
+    let limits_deg = &robot.joint_limits_deg;
+    let studied = calibration.and_then(|calibration| {
+        let evidence = evidence(&calibration, limits_deg);
+        let evidence = evidence.with_validation(&calibration, &config, limits_deg, Some(&on_terminal))?;
+        Ok((calibration, evidence))
+    });
     on_terminal.finish();
-    let calibration = calibration.with_context(|| {
+    let (calibration, evidence) = studied.with_context(|| {
         let names = runs
             .iter()
             .map(|run| format!("{} with {}", run.recording_path.display(), run.log_path.display()));
         names.collect::<Vec<_>>().join(", ")
     })?;
-    let file = calibration_file(arguments, robot, &runs, &calibration)?;
+    let file = calibration_file(arguments, robot, &runs, &calibration)?.with_validation(&evidence);
     let written = file.write(&arguments.out)?;
     file.write_robot(robot, runs.first().map(|run| &run.bar), &arguments.out)?;
-    let evidence = evidence(&calibration, &robot.joint_limits_deg);
     let page = Page {
         file: &file,
         calibration: &calibration,
@@ -231,15 +237,17 @@ fn calibration_file(
     }
     let solution = &calibration.solution;
     let bar = runs.first().map_or("", |run| run.bar.name.as_str());
+    let mut clocks = calibration.runs().map(|(prepared, model)| clock_entry(prepared, model));
     let mut file = CalibrationFile::new(
         &robot.name,
         bar,
         SolveEntry::new(calibration.cost.name(), &solution.summary, &solution.identifiability),
-        Some(clock_entry(calibration)),
+        clocks.next(),
         inputs(&files)?,
         ParameterEntry::of_runs(calibration),
     )
     .with_knowledge(&calibration.model, solution);
+    file.other_clocks = clocks.collect();
     file.candidates.clone_from(&calibration.candidates);
     Ok(file)
 }
@@ -295,9 +303,8 @@ fn from_measured_lengths(
     Ok(())
 }
 
-fn clock_entry(calibration: &BallBarCalibration) -> ClockEntry {
-    let prepared = &calibration.prepared;
-    let value = |id| calibration.model.parameter(id).map_or(0.0, |parameter| parameter.value);
+fn clock_entry(prepared: &Prepared, model: &Model) -> ClockEntry {
+    let value = |id| model.parameter(id).map_or(0.0, |parameter| parameter.value);
     ClockEntry {
         reference_utc: prepared.t_ref.to_string(),
         robot_minus_bar_ns: prepared.clock_difference_ns(value(ParameterId::ClockShift)),

@@ -9,6 +9,7 @@ use sha2::{Digest, Sha256};
 use shared::time::UtcNs;
 
 use super::knowledge::{CovarianceEntry, Knowledge};
+use super::validation::{HeldOutEntry, OtherCostEntry};
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::calibrate::candidates::Candidate;
 use crate::model::{Model, Parameter, ParameterId, Role, link_parameter_name};
@@ -210,11 +211,20 @@ pub struct CalibrationFile {
     pub solve: SolveEntry,
     /// Clocks, where there are two.
     pub clock: Option<ClockEntry>,
+    /// Those of the other runs, in their order.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub other_clocks: Vec<ClockEntry>,
     /// Files it was made from.
     pub inputs: Vec<Input>,
     /// Kinds of terms that were tried on held-out stretches of the runs.
     #[serde(default)]
     pub candidates: Vec<Candidate>,
+    /// How well held-out stretches of the runs were predicted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub held_out: Option<HeldOutEntry>,
+    /// What the other costs that the encoders allow say of the same samples.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub other_costs: Vec<OtherCostEntry>,
     /// Every parameter of the model; those of run 2 alone are called `ox@2`.
     pub parameters: Vec<ParameterEntry>,
     /// How well they are known together.
@@ -243,8 +253,11 @@ impl CalibrationFile {
             instrument: instrument.to_owned(),
             solve,
             clock,
+            other_clocks: Vec::new(),
             inputs,
             candidates: Vec::new(),
+            held_out: None,
+            other_costs: Vec::new(),
             parameters,
             knowledge: None,
             covariance: None,

@@ -11,6 +11,7 @@ mod robot_files;
 pub mod side_by_side;
 pub mod table;
 pub mod urdf;
+pub mod validation;
 
 pub use read::CalibrationReadError;
 pub use robot_files::RobotFileError;

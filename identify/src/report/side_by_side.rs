@@ -5,7 +5,8 @@ use std::fmt::Write;
 use maud::{Markup, PreEscaped, html};
 
 use super::page::document;
-use super::page::plot::{COLOURS, Intervals, PlotError};
+use super::page::intervals::Intervals;
+use super::page::plot::{COLOURS, PlotError};
 use crate::model::Unit;
 use crate::study::{Compared, Consistency};
 

@@ -69,6 +69,7 @@ pub fn calibration(file: &CalibrationFile) -> String {
         text.push_str(&knowledge.describe(solve.parameters));
     }
     text.push_str(&candidates(file));
+    text.push_str(&super::validation::describe(file));
     text.push_str(&joint_offsets(file));
     text
 }
@@ -149,6 +150,24 @@ pub fn comparison(comparison: &Comparison) -> String {
 /// Length errors before and after on rows that the fit saw and on rows that it did not, and what was rejected. `lines`
 /// gives each row's line in its file.
 pub fn lengths(report: &LengthReport, lines: &[u64]) -> String {
+    let mut text = length_errors(report);
+    if let Some(drift) = &report.drift {
+        let _ = writeln!(
+            text,
+            "drift of the zero along the file: {:.2} mm over {:.0} rows, beside {:.2} mm white; fitting rows left out in \
+             turn: RMS {:.3} -> {:.3} mm",
+            drift.size_m * 1e3,
+            drift.memory_rows,
+            drift.white_m * 1e3,
+            drift.rms_without_m * 1e3,
+            drift.rms_with_m * 1e3,
+        );
+    }
+    text.push_str(&rejected_rows(report, lines));
+    text
+}
+
+fn length_errors(report: &LengthReport) -> String {
     let mut text = String::new();
     let _ = writeln!(
         text,
@@ -173,18 +192,11 @@ pub fn lengths(report: &LengthReport, lines: &[u64]) -> String {
             change(|figures| figures.max_m),
         );
     }
-    if let Some(drift) = &report.drift {
-        let _ = writeln!(
-            text,
-            "drift of the zero along the file: {:.2} mm over {:.0} rows, beside {:.2} mm white; fitting rows left out in \
-             turn: RMS {:.3} -> {:.3} mm",
-            drift.size_m * 1e3,
-            drift.memory_rows,
-            drift.white_m * 1e3,
-            drift.rms_without_m * 1e3,
-            drift.rms_with_m * 1e3,
-        );
-    }
+    text
+}
+
+fn rejected_rows(report: &LengthReport, lines: &[u64]) -> String {
+    let mut text = String::new();
     let line = |row: usize| lines.get(row).copied().unwrap_or_default();
     let _ = writeln!(text, "{} of {} rows rejected:", report.rejected.len(), lines.len());
     for rejected in &report.rejected {

@@ -2,66 +2,117 @@
 
 use super::limits::gap_m;
 use super::{
-    JointGap, Limit, Quantiles, ShiftCurve, WorkspaceError, joint_gaps, limits, shift_curve, uncalibrated,
-    workspace_error,
+    CostComparison, HeldOut, JointGap, Limit, Quantiles, ShiftCurve, WorkspaceError, compare_costs, held_out,
+    joint_gaps, limits, shift_curve, uncalibrated, workspace_error,
 };
-use crate::calibrate::ball_bar::BallBarCalibration;
+use crate::calibrate::IdentifyConfig;
+use crate::calibrate::ball_bar::{BallBarCalibration, CalibrateError};
+use crate::calibrate::held_out::without_each_stretch;
+use crate::calibrate::other_costs::other_costs;
 use crate::cost::{Closure, closures};
 use crate::kinematics::ROBOT_JOINTS;
+use crate::model::Model;
+use crate::prepare::Prepared;
+use crate::solver::Watch;
+
+/// What one run of a calibration shows.
+#[derive(Debug, Clone)]
+pub struct RunEvidence {
+    /// Each sample with the nominal robot, the bar fitted to it.
+    pub before: Vec<Closure>,
+    /// Each sample at the solution.
+    pub after: Vec<Closure>,
+    /// Gap against time shift, wide.
+    pub shift_wide: ShiftCurve,
+    /// The same about the minimum.
+    pub shift_near: ShiftCurve,
+}
+
+impl RunEvidence {
+    fn new(prepared: &Prepared, model: &Model) -> Self {
+        /// Reach of the two curves \[s\]: that of the thesis' figure 5.5, and the neighbourhood of the minimum.
+        const WIDE_S: f64 = 0.2;
+        const NEAR_S: f64 = 0.005;
+        const STEPS: usize = 40;
+        let (motion, observations) = (&prepared.motion, &prepared.observations);
+        let solved = model.geometry(&model.start());
+        let curve = |reach_s| shift_curve(&solved, motion, observations, reach_s, STEPS);
+        Self {
+            before: closures(&uncalibrated(model, motion, observations), motion, observations),
+            after: closures(&solved, motion, observations),
+            shift_wide: curve(WIDE_S),
+            shift_near: curve(NEAR_S),
+        }
+    }
+}
 
 /// What one calibration shows.
 #[derive(Debug, Clone)]
 pub struct Evidence {
     /// Position gaps need encoders; without any only the distance from the sphere means something.
     pub by_encoders: bool,
-    /// Each sample with the nominal robot, the bar fitted to it.
-    pub before: Vec<Closure>,
-    /// Each sample at the solution.
-    pub after: Vec<Closure>,
-    /// Gap with the nominal robot \[m\].
+    /// Rotations need all five.
+    pub rotations: bool,
+    /// Each run, the first one first.
+    pub runs: Vec<RunEvidence>,
+    /// Gap with the nominal robot, all runs \[m\].
     pub gap_before_m: Quantiles,
-    /// Gap at the solution \[m\].
+    /// Gap at the solution, all runs \[m\].
     pub gap_after_m: Quantiles,
-    /// The samples at the solution, from each joint.
+    /// The samples of all runs at the solution, from each joint.
     pub joints: [Vec<JointGap>; ROBOT_JOINTS],
-    /// Gap against time shift, wide.
-    pub shift_wide: ShiftCurve,
-    /// The same about the minimum.
-    pub shift_near: ShiftCurve,
     /// Expected error over the workspace.
     pub workspace: WorkspaceError,
-    /// Names of the free parameters, and their correlations row by row.
+    /// Names of the free parameters of robot and first run, and their correlations row by row.
     pub correlations: (Vec<String>, Vec<Vec<f64>>),
     /// What limits the result.
     pub limits: Vec<Limit>,
+    /// Prediction of stretches that no fit has seen, where somebody asked for it.
+    pub held_out: Option<HeldOut>,
+    /// What the other costs say, where somebody asked for it.
+    pub costs: Option<CostComparison>,
 }
 
 /// Looks at a calibration.
 pub fn evidence(calibration: &BallBarCalibration, joint_limits_deg: &[[f64; 2]; ROBOT_JOINTS]) -> Evidence {
-    /// Reach of the two curves \[s\]: that of the thesis' figure 5.5, and the neighbourhood of the minimum.
-    const WIDE_S: f64 = 0.2;
-    const NEAR_S: f64 = 0.005;
-    const STEPS: usize = 40;
-    let BallBarCalibration { prepared, model, solution, .. } = calibration;
-    let (motion, observations) = (&prepared.motion, &prepared.observations);
-    let solved = model.geometry(&model.start());
-    let before = closures(&uncalibrated(model, motion, observations), motion, observations);
-    let after = closures(&solved, motion, observations);
-    let by_encoders = prepared.measured.contains(&true);
-    let workspace = workspace_error(model, &solution.covariance, joint_limits_deg);
-    let curve = |reach_s| shift_curve(&solved, motion, observations, reach_s, STEPS);
+    let runs: Vec<RunEvidence> =
+        calibration.runs().map(|(prepared, model)| RunEvidence::new(prepared, model)).collect();
+    let measured = calibration.measured();
+    let by_encoders = measured.contains(&true);
+    let all = |of: fn(&RunEvidence) -> &Vec<Closure>| runs.iter().flat_map(of);
+    let workspace = workspace_error(&calibration.model, &calibration.solution.covariance, joint_limits_deg);
     Evidence {
         by_encoders,
-        gap_before_m: gap_m(&before, by_encoders),
-        gap_after_m: gap_m(&after, by_encoders),
-        joints: joint_gaps(&after),
-        shift_wide: curve(WIDE_S),
-        shift_near: curve(NEAR_S),
+        rotations: measured == [true; 5],
+        gap_before_m: gap_m(all(|run| &run.before), by_encoders),
+        gap_after_m: gap_m(all(|run| &run.after), by_encoders),
+        joints: joint_gaps(all(|run| &run.after)),
         correlations: correlations(calibration),
-        limits: limits(calibration, &after, &workspace),
-        before,
-        after,
+        limits: limits(calibration, &runs, &workspace),
+        runs,
         workspace,
+        held_out: None,
+        costs: None,
+    }
+}
+
+impl Evidence {
+    /// Adds the prediction of held-out stretches and what the other costs say: some solves more.
+    ///
+    /// # Errors
+    /// [`CalibrateError`] where `watch` ended it.
+    pub fn with_validation(
+        mut self,
+        calibration: &BallBarCalibration,
+        config: &IdentifyConfig,
+        joint_limits_deg: &[[f64; 2]; ROBOT_JOINTS],
+        watch: Option<&dyn Watch>,
+    ) -> Result<Self, CalibrateError> {
+        let stretches = without_each_stretch(calibration, config, watch)?;
+        self.held_out = Some(held_out(calibration, &stretches));
+        let others = other_costs(calibration, config, watch)?;
+        self.costs = Some(compare_costs(calibration, &others, joint_limits_deg));
+        Ok(self)
     }
 }
 

@@ -18,7 +18,7 @@ pub struct JointGap {
 ///
 /// Position only; joints that hardly move the end at a sample (lever arm below a tenth of a metre) have no say there.
 /// An error of the joint's gear shows as a wave over its angle, backlash as two branches by direction.
-pub fn joint_gaps(closures: &[Closure]) -> [Vec<JointGap>; ROBOT_JOINTS] {
+pub fn joint_gaps<'a>(closures: impl Iterator<Item = &'a Closure> + Clone) -> [Vec<JointGap>; ROBOT_JOINTS] {
     /// \[m\]
     const LEVER_MIN_M: f64 = 0.1;
     std::array::from_fn(|joint| {
@@ -31,6 +31,6 @@ pub fn joint_gaps(closures: &[Closure]) -> [Vec<JointGap>; ROBOT_JOINTS] {
                 turn_rad: -arm.dot(&closure.apart_m) / (lever_m * lever_m),
             })
         };
-        closures.iter().filter_map(seen).collect()
+        closures.clone().filter_map(seen).collect()
     })
 }

@@ -1,10 +1,11 @@
 //! What limits a calibration, in sentences that a person can act on.
 
-use super::{Quantiles, WorkspaceError};
+use super::{Quantiles, RunEvidence, WorkspaceError};
 use crate::calibrate::CostName;
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::cost::Closure;
 use crate::kinematics::ROBOT_JOINTS;
+use crate::prepare::Prepared;
 
 /// A joint that turned less than this tells little of its link \[deg\].
 const TRAVEL_MIN_DEG: f64 = 20.0;
@@ -23,19 +24,20 @@ pub struct Limit {
 }
 
 /// What limits a calibration, the most important first.
-pub fn limits(calibration: &BallBarCalibration, after: &[Closure], workspace: &WorkspaceError) -> Vec<Limit> {
+pub fn limits(
+    calibration: &BallBarCalibration,
+    runs: &[RunEvidence],
+    workspace: &WorkspaceError,
+) -> Vec<Limit> {
     let mut limits = Vec::new();
-    let mut tell = |serious: bool, sentence: String| limits.push(Limit { sentence, serious });
-    let wiring = &calibration.prepared.wiring.used;
-    if !wiring.is_as_recorded() {
-        tell(
-            true,
-            format!(
-                "The encoders do not sit or count as the recording says; this fits instead and was used: {wiring}. Check the \
-                 plugs, and correct ball_bar.toml."
-            ),
+    let several = !calibration.others.is_empty();
+    for (number, (prepared, _)) in calibration.runs().enumerate() {
+        let place = if several { format!("Run {}: ", number + 1) } else { String::new() };
+        limits.extend(
+            of_run(prepared).map(|sentence| Limit { sentence: place.clone() + &sentence, serious: true }),
         );
     }
+    let mut tell = |serious: bool, sentence: String| limits.push(Limit { sentence, serious });
     let noise_ratio = calibration.solution.summary.residual_rms;
     if calibration.cost == CostName::Pose && noise_ratio > NOISE_RATIO_MAX {
         tell(
@@ -46,7 +48,7 @@ pub fn limits(calibration: &BallBarCalibration, after: &[Closure], workspace: &W
             ),
         );
     }
-    for (joint, travel_deg) in travel_deg(after).into_iter().enumerate() {
+    for (joint, travel_deg) in travel_deg(runs).into_iter().enumerate() {
         if travel_deg < TRAVEL_MIN_DEG {
             tell(
                 true,
@@ -78,16 +80,28 @@ pub fn limits(calibration: &BallBarCalibration, after: &[Closure], workspace: &W
             ),
         );
     }
-    if calibration.prepared.alignment.ambiguous {
-        tell(true, "The motion repeats itself: another alignment in time fits nearly as well.".into());
-    }
     limits
 }
 
-/// Range of each robot joint over the samples \[deg\].
-fn travel_deg(closures: &[Closure]) -> [f64; ROBOT_JOINTS] {
+/// What is wrong with one run.
+fn of_run(prepared: &Prepared) -> impl Iterator<Item = String> {
+    let wiring = &prepared.wiring.used;
+    let rewired = (!wiring.is_as_recorded()).then(|| {
+        format!(
+            "The encoders do not sit or count as the recording says; this fits instead and was used: {wiring}. Check the \
+             plugs, and correct ball_bar.toml."
+        )
+    });
+    let repeats = prepared.alignment.ambiguous;
+    let repeats = repeats
+        .then(|| "The motion repeats itself: another alignment in time fits nearly as well.".to_owned());
+    rewired.into_iter().chain(repeats)
+}
+
+/// Widest range of each robot joint over the samples \[deg\].
+fn travel_deg(runs: &[RunEvidence]) -> [f64; ROBOT_JOINTS] {
     std::array::from_fn(|joint| {
-        let angles = closures.iter().map(|closure| closure.joints.q[joint]);
+        let angles = runs.iter().flat_map(|run| &run.after).map(|closure| closure.joints.q[joint]);
         let (low, high) =
             angles.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| (low.min(q), high.max(q)));
         (high - low).max(0.0).to_degrees()
@@ -95,9 +109,9 @@ fn travel_deg(closures: &[Closure]) -> [f64; ROBOT_JOINTS] {
 }
 
 /// Distances of robot and bar \[m\].
-pub(super) fn gap_m(closures: &[Closure], by_encoders: bool) -> Quantiles {
+pub(super) fn gap_m<'a>(closures: impl Iterator<Item = &'a Closure>, by_encoders: bool) -> Quantiles {
     let gap = |closure: &Closure| {
         if by_encoders { closure.apart_m.norm() } else { closure.off_sphere_m.abs() }
     };
-    Quantiles::of(closures.iter().map(gap).collect())
+    Quantiles::of(closures.map(gap).collect())
 }

@@ -1,18 +1,22 @@
 //! What a calibration shows when one looks at it: figures for the report, computed from a solve and never fed back.
 
 mod consistency;
+mod costs;
 mod evidence;
 mod figures;
 mod gaps;
+mod held_out;
 mod limits;
 mod nominal;
 mod shift;
 mod workspace;
 
 pub use consistency::{Compared, Consistency, ConsistencyError};
-pub use evidence::{Evidence, evidence};
+pub use costs::{CostComparison, CostEntry, CostFigures, compare_costs};
+pub use evidence::{Evidence, RunEvidence, evidence};
 pub use figures::{Quantiles, rms};
 pub use gaps::{JointGap, joint_gaps};
+pub use held_out::{Apart, ApartRms, HeldOut, HeldOutStretch, held_out};
 pub use limits::{Limit, limits};
 pub use nominal::uncalibrated;
 pub use shift::{ShiftCurve, shift_curve};

@@ -88,6 +88,29 @@ pub fn workspace_error(
     }
 }
 
+/// Mean distance between the positions of two robots, over postures within the joint limits \[m\].
+pub(super) fn distance_m(one: &Model, other: &Model, joint_limits_deg: &[[f64; 2]; ROBOT_JOINTS]) -> f64 {
+    let [one, other] = [one, other].map(|model| Tracer::new(&model.geometry(&[]).robot));
+    let (mut here, mut there) = (Trace::default(), Trace::default());
+    let distances = random_postures(joint_limits_deg).map(|q| {
+        one.trace(&q, &mut here);
+        other.trace(&q, &mut there);
+        (here.position_m() - there.position_m()).norm()
+    });
+    distances.sum::<f64>() / POSTURES as f64
+}
+
+/// Joint angles evenly spread over the limits \[rad\].
+fn random_postures(
+    joint_limits_deg: &[[f64; 2]; ROBOT_JOINTS],
+) -> impl Iterator<Item = [f64; ROBOT_JOINTS]> + '_ {
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let posture = move |_| {
+        joint_limits_deg.map(|[low, high]| (low + (high - low) * random.random::<f64>()).to_radians())
+    };
+    (0..POSTURES).map(posture)
+}
+
 fn postures(
     model: &Model,
     columns: &[(usize, ParameterId)],
@@ -100,12 +123,9 @@ fn postures(
     }
     let chain = |model: &Model| -> Chain { model.geometry(&model.start()).robot };
     let (calibrated, nominal) = (Tracer::new(&chain(model)), Tracer::new(&chain(&nominal)));
-    let mut random = ChaCha8Rng::seed_from_u64(1);
     let (mut here, mut there) = (Trace::default(), Trace::default());
     let mut postures = Postures { corrected_m: Vec::new(), by_parameter: Vec::new() };
-    for _ in 0..POSTURES {
-        let q =
-            joint_limits_deg.map(|[low, high]| (low + (high - low) * random.random::<f64>()).to_radians());
+    for q in random_postures(joint_limits_deg) {
         calibrated.trace(&q, &mut here);
         nominal.trace(&q, &mut there);
         postures.corrected_m.push(here.position_m() - there.position_m());

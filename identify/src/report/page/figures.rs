@@ -1,60 +1,104 @@
 //! Which figure shows what.
 
-use plotters::prelude::*;
+use plotters::prelude::RGBColor;
 
-use super::plot::{BLUE, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
+use super::plot::{BLUE, COLOURS, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
 use crate::cost::Closure;
 use crate::kinematics::ROBOT_JOINTS;
-use crate::study::{Evidence, JointGap, ShiftCurve};
+use crate::prepare::LocalShift;
+use crate::study::{Evidence, JointGap, RunEvidence, ShiftCurve};
 
 pub(super) const WIDE: (u32, u32) = (920, 250);
-const HALF: (u32, u32) = (450, 270);
+pub(super) const HALF: (u32, u32) = (450, 270);
 pub(super) const THIRD: (u32, u32) = (340, 230);
 /// Axes of equal length once the labels have their room.
-const ROUND: (u32, u32) = (450, 420);
+const ROUND: (u32, u32) = (450, 444);
 
-pub(super) fn dots(name: &'static str, colour: RGBColor, points: Vec<(f64, f64)>) -> Series {
-    Series { name, colour, mark: Mark::Dots, points }
+pub(super) fn dots(name: impl Into<String>, colour: RGBColor, points: Vec<(f64, f64)>) -> Series {
+    Series::new(name, colour, Mark::Dots, points)
+}
+
+/// Time in the unit in which people read a run of this length.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct TimeAxis {
+    seconds: f64,
+    pub label: &'static str,
+    /// Unit alone.
+    pub unit: &'static str,
+}
+
+impl TimeAxis {
+    /// For times from the middle of a run.
+    pub fn of(times_s: impl Iterator<Item = f64>) -> Self {
+        /// Longest of each unit \[s\].
+        const SECONDS_MAX: f64 = 900.0;
+        const MINUTES_MAX: f64 = 3.0 * 3600.0;
+        let (low, high) =
+            times_s.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
+        match high - low {
+            span_s if span_s > MINUTES_MAX => {
+                Self { seconds: 3600.0, label: "time from the middle of the run [h]", unit: "h" }
+            }
+            span_s if span_s > SECONDS_MAX => {
+                Self { seconds: 60.0, label: "time from the middle of the run [min]", unit: "min" }
+            }
+            _ => Self { seconds: 1.0, label: "time from the middle of the run [s]", unit: "s" },
+        }
+    }
+
+    fn of_run(run: &RunEvidence) -> Self {
+        Self::of(run.after.iter().map(|closure| closure.t_s))
+    }
+
+    /// Seconds in the axis' unit.
+    pub fn at(&self, t_s: f64) -> f64 {
+        t_s / self.seconds
+    }
 }
 
 /// Distance of robot and bar over time, nominal and calibrated.
-pub(super) fn gap_over_time(evidence: &Evidence) -> Result<[String; 2], PlotError> {
+pub(super) fn gap_over_time(run: &RunEvidence, by_encoders: bool) -> Result<[String; 2], PlotError> {
     let gap_mm = |closure: &Closure| {
-        1e3 * if evidence.by_encoders { closure.apart_m.norm() } else { closure.off_sphere_m.abs() }
+        1e3 * if by_encoders { closure.apart_m.norm() } else { closure.off_sphere_m.abs() }
     };
+    let time = TimeAxis::of_run(run);
     let panel = |title: &str, colour, closures: &[Closure]| Panel {
         title: title.into(),
-        x: "time from the middle of the run [s]",
+        x: time.label,
         y: "distance [mm]".into(),
         size: WIDE,
-        series: vec![dots("", colour, closures.iter().map(|one| (one.t_s, gap_mm(one))).collect())],
+        series: vec![dots("", colour, closures.iter().map(|one| (time.at(one.t_s), gap_mm(one))).collect())],
         from_zero: true,
     };
     Ok([
-        panel("Nominal robot, the bar fitted to it", GREY, &evidence.before).draw()?,
-        panel("Calibrated robot", BLUE, &evidence.after).draw()?,
+        panel("Nominal robot, the bar fitted to it", GREY, &run.before).draw()?,
+        panel("Calibrated robot", BLUE, &run.after).draw()?,
     ])
 }
 
-/// Components of the calibrated gap over time.
-pub(super) fn components_over_time(evidence: &Evidence) -> Result<[String; 2], PlotError> {
+/// Components of the calibrated gap over time: position, and rotation where it means something.
+pub(super) fn components_over_time(run: &RunEvidence, rotations: bool) -> Result<Vec<String>, PlotError> {
+    let time = TimeAxis::of_run(run);
     let panel = |title: &str, y: &str, component: &dyn Fn(&Closure, usize) -> f64| {
         let axis = |axis: usize, name, colour| {
-            dots(name, colour, evidence.after.iter().map(|one| (one.t_s, component(one, axis))).collect())
+            let point = |one: &Closure| (time.at(one.t_s), component(one, axis));
+            dots(name, colour, run.after.iter().map(point).collect())
         };
         Panel {
             title: title.into(),
-            x: "time from the middle of the run [s]",
+            x: time.label,
             y: y.into(),
             size: HALF,
             series: vec![axis(0, "x", BLUE), axis(1, "y", ORANGE), axis(2, "z", GREEN)],
             from_zero: false,
         }
+        .draw()
     };
-    Ok([
-        panel("Position, robot minus bar", "[um]", &|one, axis| one.apart_m[axis] * 1e6).draw()?,
-        panel("Rotation, robot minus bar", "[urad]", &|one, axis| one.turned_rad[axis] * 1e6).draw()?,
-    ])
+    let mut panels = vec![panel("Position, robot minus bar", "[um]", &|one, axis| one.apart_m[axis] * 1e6)?];
+    if rotations {
+        panels.push(panel("Rotation, robot minus bar", "[urad]", &|one, axis| one.turned_rad[axis] * 1e6)?);
+    }
+    Ok(panels)
 }
 
 /// What is left, seen from each joint and by its direction of motion.
@@ -84,11 +128,36 @@ pub(super) fn shift(title: &str, curve: &ShiftCurve) -> Result<String, PlotError
         title: title.into(),
         x: "added time shift [ms]",
         y: "RMS distance [mm]".into(),
-        size: HALF,
-        series: vec![Series { name: "", colour: BLUE, mark: Mark::Line, points: points.collect() }],
+        size: THIRD,
+        series: vec![Series::new("", BLUE, Mark::Line, points.collect())],
         from_zero: true,
     }
     .draw()
+}
+
+/// How the alignment varies along a run.
+pub(super) fn local_shifts(shifts: &[LocalShift]) -> Result<String, PlotError> {
+    let time = TimeAxis::of(shifts.iter().map(|shift| shift.t_s));
+    let points = shifts.iter().map(|shift| (time.at(shift.t_s), shift.shift_s * 1e3));
+    Panel {
+        title: "Along the run".into(),
+        x: time.label,
+        y: "shift of 5 s parts [ms]".into(),
+        size: THIRD,
+        series: vec![dots("", BLUE, points.collect())],
+        from_zero: false,
+    }
+    .draw()
+}
+
+/// One series of each run, named where there are several.
+fn by_run(evidence: &Evidence, point: impl Fn(&Closure) -> (f64, f64)) -> Vec<Series> {
+    let several = evidence.runs.len() > 1;
+    let series = |(number, run): (usize, &RunEvidence)| {
+        let name = if several { format!("run {}", number + 1) } else { String::new() };
+        dots(name, COLOURS[number % COLOURS.len()], run.after.iter().map(&point).collect())
+    };
+    evidence.runs.iter().enumerate().map(series).collect()
 }
 
 /// Directions of the bar, seen from above: equal areas of the sphere are equal areas of the figure (Lambert).
@@ -105,15 +174,14 @@ pub(super) fn coverage(evidence: &Evidence) -> Result<String, PlotError> {
         let angle = std::f64::consts::TAU * corner as f64 / CORNERS as f64;
         (angle.cos(), angle.sin())
     });
+    let mut series = vec![Series::new("horizon", GREY, Mark::Line, horizon.collect())];
+    series.extend(by_run(evidence, seen));
     Panel {
         title: "Directions of the bar, from above".into(),
         x: "towards the robot's x",
         y: "towards y".into(),
         size: ROUND,
-        series: vec![
-            Series { name: "horizon", colour: GREY, mark: Mark::Line, points: horizon.collect() },
-            dots("samples", BLUE, evidence.after.iter().map(seen).collect()),
-        ],
+        series,
         from_zero: false,
     }
     .draw()
@@ -121,53 +189,15 @@ pub(super) fn coverage(evidence: &Evidence) -> Result<String, PlotError> {
 
 /// Distance from singular poses over time.
 pub(super) fn margin(evidence: &Evidence) -> Result<String, PlotError> {
-    let points = evidence.after.iter().map(|one| (one.t_s, one.margin_rad.to_degrees()));
+    let times = evidence.runs.iter().flat_map(|run| &run.after).map(|closure| closure.t_s);
+    let time = TimeAxis::of(times);
     Panel {
         title: "Distance of the bar from a singular pose".into(),
-        x: "time from the middle of the run [s]",
+        x: time.label,
         y: "[deg]".into(),
         size: ROUND,
-        series: vec![dots("", BLUE, points.collect())],
+        series: by_run(evidence, |one| (time.at(one.t_s), one.margin_rad.to_degrees())),
         from_zero: true,
     }
     .draw()
-}
-
-/// Correlations of the free parameters, blue together, orange against each other.
-pub(super) fn correlations(evidence: &Evidence) -> String {
-    /// Weaker ones are left white \[1\].
-    const LEAST: f64 = 0.1;
-    const CELL: usize = 12;
-    const NAMES: usize = 84;
-    let (names, rows) = &evidence.correlations;
-    let side = NAMES + names.len() * CELL;
-    let mut svg = format!("<svg viewBox=\"0 0 {side} {side}\" role=\"img\" aria-label=\"correlations\">");
-    for (row, values) in rows.iter().enumerate() {
-        let y = NAMES + row * CELL;
-        let name = maud::html! { (names.get(row).map_or("", String::as_str)) }.into_string();
-        let label = "font-size=\"9\" fill=\"#46505c\" font-family=\"system-ui, sans-serif\"";
-        svg.push_str(&format!(
-            "<text x=\"{}\" y=\"{}\" text-anchor=\"end\" {label}>{name}</text>",
-            NAMES - 4,
-            y + 9
-        ));
-        svg.push_str(&format!(
-            "<text transform=\"translate({} {}) rotate(-90)\" {label}>{name}</text>",
-            NAMES + row * CELL + 9,
-            NAMES - 4
-        ));
-        for (column, value) in values.iter().enumerate().filter(|(_, value)| value.abs() > LEAST) {
-            let colour = if *value > 0.0 { BLUE } else { ORANGE };
-            svg.push_str(&format!(
-                "<rect x=\"{}\" y=\"{y}\" width=\"{CELL}\" height=\"{CELL}\" fill=\"rgb({},{},{})\" fill-opacity=\"{:.2}\"/>",
-                NAMES + column * CELL,
-                colour.0,
-                colour.1,
-                colour.2,
-                value.abs()
-            ));
-        }
-    }
-    svg.push_str("</svg>");
-    svg
 }

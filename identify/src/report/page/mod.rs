@@ -1,9 +1,15 @@
 //! `report.html`: one file without scripts or links to anything else, that a browser shows and a printer prints.
 
+mod correlations;
+mod costs;
 mod figures;
+mod held_out;
+pub(super) mod intervals;
 pub(super) mod plot;
 mod preparation;
+mod runs;
 mod sections;
+mod thin;
 
 use std::path::{Path, PathBuf};
 
@@ -66,13 +72,14 @@ impl Page<'_> {
                 }
                 main {
                     (sections::verdict(self))
-                    (sections::gaps(self)?)
+                    (held_out::section(self)?)
+                    (runs::gaps(self)?)
                     (sections::parameters(self))
                     (sections::candidates(self))
+                    (costs::section(self)?)
                     (sections::joints(self)?)
-                    (sections::alignment(self)?)
-                    (preparation::section(self)?)
                     (sections::coverage(self)?)
+                    (runs::alignments(self)?)
                     (sections::dependence(self)?)
                     (sections::origin(self))
                 }

@@ -1,7 +1,13 @@
 //! Figures as SVG text.
+//!
+//! Axes and lines are drawn by `plotters`. Dots are one path for each set: as elements of their own they would take ten
+//! times the bytes, and a browser would be slow with them. The title and the names of the sets stand above the axes, where
+//! they hide nothing.
 
 use plotters::coord::Shift;
 use plotters::prelude::*;
+
+use super::thin;
 
 /// A figure that cannot be drawn.
 #[derive(Debug, thiserror::Error)]
@@ -9,6 +15,12 @@ use plotters::prelude::*;
 pub struct PlotError {
     title: String,
     reason: String,
+}
+
+impl PlotError {
+    pub(super) fn new(title: &str, reason: String) -> Self {
+        Self { title: title.to_owned(), reason }
+    }
 }
 
 /// Colours of sets, in their order.
@@ -26,15 +38,24 @@ pub(in crate::report) const COLOURS: [RGBColor; 6] = [
 pub(super) enum Mark {
     Dots,
     Line,
+    /// Each two points are the ends of a line of their own.
+    Segments,
 }
 
 /// One set of points.
 #[derive(Debug, Clone)]
 pub(super) struct Series {
-    pub name: &'static str,
+    /// Empty: not named above the axes.
+    pub name: String,
     pub colour: RGBColor,
     pub mark: Mark,
     pub points: Vec<(f64, f64)>,
+}
+
+impl Series {
+    pub fn new(name: impl Into<String>, colour: RGBColor, mark: Mark, points: Vec<(f64, f64)>) -> Self {
+        Self { name: name.into(), colour, mark, points }
+    }
 }
 
 /// One pair of axes.
@@ -50,46 +71,88 @@ pub(super) struct Panel {
     pub from_zero: bool,
 }
 
-pub(super) const BLUE: RGBColor = RGBColor(31, 111, 178);
-pub(super) const ORANGE: RGBColor = RGBColor(214, 110, 22);
-pub(super) const GREEN: RGBColor = RGBColor(42, 140, 86);
+pub(super) const BLUE: RGBColor = COLOURS[0];
+pub(super) const ORANGE: RGBColor = COLOURS[1];
+pub(super) const GREEN: RGBColor = COLOURS[2];
 pub(super) const GREY: RGBColor = RGBColor(150, 158, 168);
-const INK: RGBColor = RGBColor(70, 80, 92);
-const MESH: RGBColor = RGBColor(230, 234, 239);
-const FONT: &str = "system-ui, sans-serif";
+pub(super) const INK: RGBColor = RGBColor(70, 80, 92);
+pub(super) const MESH: RGBColor = RGBColor(230, 234, 239);
+pub(super) const FONT: &str = "system-ui, sans-serif";
 
 /// SVG coordinates of the library are whole numbers: drawn larger, curves are smooth.
-const FINE: u32 = 3;
+pub(super) const FINE: u32 = 3;
 
-/// More points are not seen and make the page slow.
-const POINTS_MAX: usize = 1200;
+/// Height of the line with title and names of sets \[px\].
+const TITLE_PX: u32 = 24;
+const TITLE_FONT_PX: u32 = 15;
+const NAME_FONT_PX: u32 = 12;
+/// Room for the labels of the vertical axis \[px\].
+const LEFT_PX: u32 = 56;
+const MARGIN_PX: u32 = 6;
+/// Mean width of a letter over its height: only where the names begin depends on it.
+const LETTER: f64 = 0.56;
+
+/// One set as one path: strokes with round ends, those of dots of no length.
+struct Strokes {
+    colour: RGBColor,
+    path: String,
+    width: u32,
+    opacity: f64,
+}
+
+impl Strokes {
+    /// Few dots are drawn larger.
+    fn dots(colour: RGBColor, at: Vec<(i32, i32)>) -> Self {
+        const FEW: usize = 200;
+        let at = thin::dots(at);
+        let width = if at.len() <= FEW { 5 * FINE } else { 8 * FINE / 3 };
+        let path = at.iter().map(|(x, y)| format!("M{x} {y}h0")).collect();
+        Self { colour, path, width, opacity: 0.7 }
+    }
+
+    fn segments(colour: RGBColor, ends: &[(i32, i32)]) -> Self {
+        let line = |ends: &[(i32, i32)]| format!("M{} {}L{} {}", ends[0].0, ends[0].1, ends[1].0, ends[1].1);
+        let path = ends.chunks_exact(2).map(line).collect();
+        Self { colour, path, width: 2 * FINE, opacity: 1.0 }
+    }
+
+    fn svg(&self) -> String {
+        let Self { colour: RGBColor(r, g, b), path, width, opacity } = self;
+        format!(
+            "<path d=\"{path}\" fill=\"none\" stroke=\"rgb({r},{g},{b})\" stroke-opacity=\"{opacity}\" \
+             stroke-width=\"{width}\" stroke-linecap=\"round\"/>"
+        )
+    }
+}
 
 impl Panel {
     pub fn draw(&self) -> Result<String, PlotError> {
         let mut text = String::new();
-        {
+        let strokes = {
             let area = SVGBackend::with_string(&mut text, (self.size.0 * FINE, self.size.1 * FINE))
                 .into_drawing_area();
-            self.onto(&area).map_err(|reason| self.error(reason))?;
-            area.present().map_err(|error| self.error(error.to_string()))?;
-        }
+            let strokes = self.onto(&area).map_err(|reason| PlotError::new(&self.title, reason))?;
+            area.present().map_err(|error| PlotError::new(&self.title, error.to_string()))?;
+            strokes
+        };
+        let end = text.rfind("</svg>").unwrap_or(text.len());
+        text.truncate(end);
+        strokes.iter().for_each(|strokes| text.push_str(&strokes.svg()));
+        text.push_str(&self.heading());
+        text.push_str("</svg>\n");
         Ok(text)
     }
 
-    fn error(&self, reason: String) -> PlotError {
-        PlotError { title: self.title.clone(), reason }
-    }
-
-    fn onto(&self, area: &DrawingArea<SVGBackend<'_>, Shift>) -> Result<(), String> {
+    fn onto(&self, area: &DrawingArea<SVGBackend<'_>, Shift>) -> Result<Vec<Strokes>, String> {
         let finite =
             || self.series.iter().flat_map(|one| &one.points).filter(|(x, y)| x.is_finite() && y.is_finite());
         let (x, y) = (range(finite().map(|p| p.0), false), range(finite().map(|p| p.1), self.from_zero));
         let mut chart = ChartBuilder::on(area)
-            .caption(&self.title, (FONT, 15 * FINE).into_font().color(&INK))
-            .margin(6 * FINE)
+            .margin(MARGIN_PX * FINE)
+            .margin_top((self.heading_lines() * TITLE_PX + 4) * FINE)
             .margin_right(14 * FINE)
             .x_label_area_size(36 * FINE)
-            .y_label_area_size(56 * FINE)
+            .y_label_area_size(LEFT_PX * FINE)
             .build_cartesian_2d(x.0..x.1, y.0..y.1)
             .map_err(text)?;
         chart
@@ -107,48 +170,85 @@ impl Panel {
             .y_label_formatter(&|value| short(*value, y.1 - y.0))
             .draw()
             .map_err(text)?;
+        let mut strokes = Vec::new();
         for one in &self.series {
-            let points = thinned(&one.points);
-            let colour = one.colour;
-            let drawn = match one.mark {
-                Mark::Line => chart.draw_series(LineSeries::new(points, colour.stroke_width(2 * FINE))),
-                Mark::Dots => {
-                    let dot = |point| Circle::new(point, FINE + 1, colour.mix(0.55).filled());
-                    chart.draw_series(points.into_iter().map(dot))
+            let at = one.points.iter().filter(|(x, y)| x.is_finite() && y.is_finite());
+            let at: Vec<(i32, i32)> = at.map(|point| chart.as_coord_spec().translate(point)).collect();
+            match one.mark {
+                Mark::Dots => strokes.push(Strokes::dots(one.colour, at)),
+                Mark::Segments => strokes.push(Strokes::segments(one.colour, &at)),
+                Mark::Line => {
+                    let line = thin::line(&at, FINE as i32);
+                    area.draw(&PathElement::new(line, one.colour.stroke_width(2 * FINE))).map_err(text)?;
                 }
-            };
-            drawn
-                .map_err(text)?
-                .label(one.name)
-                .legend(move |(x, y)| Circle::new((x + 9 * FINE as i32, y), 4 * FINE, colour.filled()));
+            }
         }
-        if self.series.len() > 1 {
-            chart
-                .configure_series_labels()
-                .position(SeriesLabelPosition::UpperRight)
-                .background_style(WHITE.mix(0.85))
-                .legend_area_size(20 * FINE)
-                .margin(4 * FINE)
-                .label_font((FONT, 12 * FINE).into_font().color(&INK))
-                .draw()
-                .map_err(text)?;
-        }
-        Ok(())
+        Ok(strokes)
     }
+
+    fn named(&self) -> impl Iterator<Item = &Series> {
+        self.series.iter().filter(|one| !one.name.is_empty())
+    }
+
+    /// Width of the names of all sets \[px\].
+    fn names_px(&self) -> f64 {
+        self.named().map(|one| name_px(&one.name)).sum()
+    }
+
+    /// Title and names stand side by side where there is room.
+    fn heading_lines(&self) -> u32 {
+        let title_px = letters_px(&self.title, TITLE_FONT_PX);
+        let together_px = title_px + self.names_px() + f64::from(LEFT_PX + 4 * MARGIN_PX);
+        if self.named().next().is_some() && together_px > f64::from(self.size.0) { 2 } else { 1 }
+    }
+
+    fn heading(&self) -> String {
+        let fine = f64::from(FINE);
+        let left_px = f64::from(LEFT_PX + MARGIN_PX);
+        let mut svg = label(left_px * fine, 19.0 * fine, TITLE_FONT_PX, &self.title);
+        let lines = self.heading_lines();
+        let right_px = f64::from(self.size.0 - 2 * MARGIN_PX) - self.names_px();
+        let mut x_px = if lines > 1 { left_px } else { right_px };
+        let y_px = f64::from(lines * TITLE_PX) - 5.0;
+        for one in self.named() {
+            let RGBColor(r, g, b) = one.colour;
+            svg.push_str(&format!(
+                "<circle cx=\"{:.0}\" cy=\"{:.0}\" r=\"{}\" fill=\"rgb({r},{g},{b})\"/>",
+                (x_px + 6.0) * fine,
+                (y_px - 4.0) * fine,
+                4 * FINE
+            ));
+            svg.push_str(&label((x_px + 13.0) * fine, y_px * fine, NAME_FONT_PX, &one.name));
+            x_px += name_px(&one.name);
+        }
+        svg
+    }
+}
+
+/// Letters, the dot before them and the room behind \[px\].
+fn name_px(name: &str) -> f64 {
+    letters_px(name, NAME_FONT_PX) + 22.0
+}
+
+fn letters_px(text: &str, font_px: u32) -> f64 {
+    text.chars().count() as f64 * f64::from(font_px) * LETTER
+}
+
+fn label(x: f64, y: f64, font_px: u32, text: &str) -> String {
+    let RGBColor(r, g, b) = INK;
+    let text = maud::html! { (text) }.into_string();
+    format!(
+        "<text x=\"{x:.0}\" y=\"{y:.0}\" font-size=\"{}\" font-family=\"{FONT}\" fill=\"rgb({r},{g},{b})\">{text}</text>",
+        font_px * FINE
+    )
 }
 
 pub(super) fn text(error: impl std::fmt::Display) -> String {
     error.to_string()
 }
 
-/// At most so many points, evenly picked.
-fn thinned(points: &[(f64, f64)]) -> Vec<(f64, f64)> {
-    let every = points.len().div_ceil(POINTS_MAX).max(1);
-    points.iter().step_by(every).filter(|(x, y)| x.is_finite() && y.is_finite()).copied().collect()
-}
-
 /// Smallest to largest with a little room; something that can be drawn where there is nothing.
-fn range(values: impl Iterator<Item = f64>, from_zero: bool) -> (f64, f64) {
+pub(super) fn range(values: impl Iterator<Item = f64>, from_zero: bool) -> (f64, f64) {
     let start = if from_zero { (0.0, 0.0) } else { (f64::INFINITY, f64::NEG_INFINITY) };
     let (low, high) = values.fold(start, |(low, high), value| (low.min(value), high.max(value)));
     match high - low {
@@ -162,78 +262,8 @@ fn range(values: impl Iterator<Item = f64>, from_zero: bool) -> (f64, f64) {
 }
 
 /// As many decimals as an axis of this width needs.
-fn short(value: f64, width: f64) -> String {
+pub(super) fn short(value: f64, width: f64) -> String {
     let decimals = (1.5 - width.abs().max(1e-12).log10()).ceil().clamp(0.0, 6.0) as usize;
     let written = format!("{value:.decimals$}");
     if written.trim_start_matches(['-', '0', '.']).is_empty() { "0".into() } else { written }
-}
-
-/// Values with intervals, several sets of them side by side under each name.
-#[derive(Debug, Clone)]
-pub(in crate::report) struct Intervals {
-    pub title: String,
-    pub y: String,
-    pub names: Vec<String>,
-    /// Per set, per name: value and half the width of its interval; none where there is none.
-    pub sets: Vec<Vec<Option<(f64, f64)>>>,
-}
-
-impl Intervals {
-    /// As SVG text.
-    pub fn draw(&self) -> Result<String, PlotError> {
-        let mut text = String::new();
-        {
-            let area = SVGBackend::with_string(&mut text, (920 * FINE, 260 * FINE)).into_drawing_area();
-            let error = |reason| PlotError { title: self.title.clone(), reason };
-            self.onto(&area).map_err(error)?;
-            area.present().map_err(|failure| error(failure.to_string()))?;
-        }
-        Ok(text)
-    }
-
-    fn onto(&self, area: &DrawingArea<SVGBackend<'_>, Shift>) -> Result<(), String> {
-        let ends =
-            self.sets.iter().flatten().flatten().flat_map(|(value, half)| [value - half, value + half]);
-        let (low, high) = range(ends.chain([0.0]), false);
-        let right = self.names.len() as f64 - 0.5;
-        let mut chart = ChartBuilder::on(area)
-            .caption(&self.title, (FONT, 15 * FINE).into_font().color(&INK))
-            .margin(6 * FINE)
-            .x_label_area_size(30 * FINE)
-            .y_label_area_size(56 * FINE)
-            .build_cartesian_2d(-0.5..right.max(0.5), low..high)
-            .map_err(text)?;
-        chart
-            .configure_mesh()
-            .y_desc(&self.y)
-            .label_style((FONT, 12 * FINE).into_font().color(&INK))
-            .axis_desc_style((FONT, 13 * FINE).into_font().color(&INK))
-            .axis_style(MESH.stroke_width(FINE))
-            .bold_line_style(MESH.stroke_width(FINE))
-            .light_line_style(TRANSPARENT)
-            .x_labels(2 * self.names.len().max(1))
-            .x_label_formatter(&|at| self.name_at(*at))
-            .y_label_formatter(&|value| short(*value, high - low))
-            .draw()
-            .map_err(text)?;
-        for (index, set) in self.sets.iter().enumerate() {
-            let colour = COLOURS[index % COLOURS.len()];
-            let aside = 0.6 * ((index as f64 + 0.5) / self.sets.len() as f64 - 0.5);
-            for (name, (value, half)) in set.iter().enumerate().filter_map(|(i, one)| Some((i, (*one)?))) {
-                let x = name as f64 + aside;
-                let line =
-                    PathElement::new([(x, value - half), (x, value + half)], colour.stroke_width(2 * FINE));
-                chart.draw_series([line]).map_err(text)?;
-                chart.draw_series([Circle::new((x, value), 3 * FINE, colour.filled())]).map_err(text)?;
-            }
-        }
-        Ok(())
-    }
-
-    /// Labels stand at whole numbers; others stay empty.
-    fn name_at(&self, at: f64) -> String {
-        let whole = (at - at.round()).abs() < 1e-6;
-        let name = self.names.get(at.round() as usize).filter(|_| whole && at > -0.5);
-        name.cloned().unwrap_or_default()
-    }
 }

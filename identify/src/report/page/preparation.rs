@@ -2,20 +2,18 @@
 
 use maud::{Markup, html};
 
-use super::Page;
-use super::figures::{THIRD, WIDE, dots};
-use super::plot::{BLUE, GREY, Mark, ORANGE, Panel, PlotError, Series};
+use super::figures::{THIRD, TimeAxis, WIDE, dots};
+use super::plot::{BLUE, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
 use super::sections::svg;
 use crate::kinematics::BAR_JOINTS;
-use crate::prepare::{Fate, Timeline, TimelinePoint};
+use crate::prepare::{Fate, Prepared, SampleCounts, Timeline, TimelinePoint};
 
-pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
-    let prepared = &page.calibration.prepared;
+/// Figures and tables of one run.
+pub(super) fn section(prepared: &Prepared) -> Result<Markup, PlotError> {
     let timeline = &prepared.timeline;
     let speeds = speeds(timeline)?;
     let trimmed = trimmed(timeline, &prepared.measured)?;
     Ok(html! {
-        h2 { "Preparation" }
         figure {
             (svg(speeds))
             figcaption {
@@ -25,28 +23,44 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
             }
         }
         figure {
-            div.panels { @for panel in trimmed { (svg(panel)) } }
+            div.panels.three { @for panel in trimmed { (svg(panel)) } }
             figcaption { "Joints of the bar: what was used, and what was left out for one of the reasons below." }
         }
         (jitter(timeline))
-        (fates(page))
+        (fates(&prepared.counts))
     })
+}
+
+fn time_axis(timeline: &Timeline) -> TimeAxis {
+    TimeAxis::of(timeline.points.iter().map(|point| point.t_s))
 }
 
 /// Fastest joint of either log over time.
 fn speeds(timeline: &Timeline) -> Result<String, PlotError> {
+    /// Points further apart belong to different motions \[s\].
+    const APART_S: f64 = 1.0;
+    let time = time_axis(timeline);
+    let span_s = match timeline.points.as_slice() {
+        [first, .., last] => last.t_s - first.t_s,
+        _ => 0.0,
+    };
+    let still =
+        timeline.standstills.iter().flat_map(|one| [one.from_s, one.to_s].map(|t_s| (time.at(t_s), 0.0)));
+    let far = span_s > APART_S * timeline.points.len() as f64;
+    let mark = if far { Mark::Dots } else { Mark::Line };
     let line = |name, colour, speed: fn(&TimelinePoint) -> Option<f64>| {
-        let point = |point: &TimelinePoint| Some((point.t_s, speed(point)?.to_degrees()));
-        Series { name, colour, mark: Mark::Line, points: timeline.points.iter().filter_map(point).collect() }
+        let point = |point: &TimelinePoint| Some((time.at(point.t_s), speed(point)?.to_degrees()));
+        Series::new(name, colour, mark, timeline.points.iter().filter_map(point).collect())
     };
     Panel {
         title: "Speed".into(),
-        x: "time from the middle of the run [s]",
+        x: time.label,
         y: "fastest joint [deg/s]".into(),
         size: WIDE,
         series: vec![
             line("bar", ORANGE, |point| point.bar_speed_rad_s),
             line("robot", BLUE, |point| point.robot_speed_rad_s),
+            Series::new("both stand still", GREEN, Mark::Segments, still.collect()),
         ],
         from_zero: true,
     }
@@ -55,16 +69,18 @@ fn speeds(timeline: &Timeline) -> Result<String, PlotError> {
 
 /// Angle of each measured joint over time, by what became of the samples.
 fn trimmed(timeline: &Timeline, measured: &[bool; BAR_JOINTS]) -> Result<Vec<String>, PlotError> {
+    let time = time_axis(timeline);
     let panel = |joint: usize| {
         let of = |name, colour, wanted: fn(Fate) -> bool| {
-            let angle = |point: &TimelinePoint| Some((point.t_s, point.measured_rad?[joint].to_degrees()));
+            let angle =
+                |point: &TimelinePoint| Some((time.at(point.t_s), point.measured_rad?[joint].to_degrees()));
             let points = timeline.points.iter().filter(|point| wanted(point.fate)).filter_map(angle);
             dots(name, colour, points.collect())
         };
         let used = |fate| matches!(fate, Fate::Kept | Fate::Surplus);
         Panel {
             title: format!("b{}", joint + 1),
-            x: "time from the middle of the run [s]",
+            x: time.label,
             y: "[deg]".into(),
             size: THIRD,
             series: vec![
@@ -96,8 +112,7 @@ fn jitter(timeline: &Timeline) -> Markup {
 }
 
 /// The table of what became of all samples.
-fn fates(page: &Page<'_>) -> Markup {
-    let counts = &page.calibration.prepared.counts;
+fn fates(counts: &SampleCounts) -> Markup {
     let rows = [
         ("recorded", counts.recorded),
         ("not valid on the bus", counts.invalid),
@@ -105,6 +120,7 @@ fn fates(page: &Page<'_>) -> Markup {
         ("other origin of the counters", counts.other_origin),
         ("outside the robot's log", counts.outside_robot_log),
         ("near a singular pose", counts.singular),
+        ("do not fit those around them", counts.outliers),
         ("standstill", counts.standstill),
         ("more than wanted", counts.surplus),
         ("used", counts.kept),

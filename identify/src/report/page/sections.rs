@@ -3,7 +3,7 @@
 use maud::{Markup, PreEscaped, html};
 
 use super::plot::PlotError;
-use super::{Page, figures};
+use super::{Page, correlations, figures, runs};
 use crate::model::{ParameterId, Unit};
 use crate::report::file::{ParameterEntry, Status};
 use crate::study::{Expected, Quantiles};
@@ -15,7 +15,7 @@ fn mm(metres: f64) -> String {
 }
 
 /// Four digits, whatever the size.
-fn figure(value: f64) -> String {
+pub(super) fn figure(value: f64) -> String {
     if (0.01..1e4).contains(&value) { format!("{value:.4}") } else { format!("{value:.3e}") }
 }
 
@@ -46,6 +46,11 @@ pub(super) fn verdict(page: &Page<'_>) -> Markup {
             strong { "Calibrated. " }
             "The expected position error of the robot over its workspace falls from "
             b { (mm(before.mean_m)) " mm" } " to " b { (mm(after.mean_m)) " mm" } "."
+            @if let Some(held_out) = page.evidence.held_out.as_ref().filter(|one| !one.stretches.is_empty()) {
+                @let [nominal, predicted, _] = held_out.rms();
+                " On stretches of the run that its fit has not seen, robot and bar are " (mm(predicted.position_m))
+                " mm apart (RMS) instead of " (mm(nominal.position_m)) " mm."
+            }
             @if !limits.is_empty() { ul { @for limit in limits { li { (limit.sentence) } } } }
         }
         div.numbers {
@@ -63,44 +68,36 @@ pub(super) fn verdict(page: &Page<'_>) -> Markup {
     }
 }
 
-pub(super) fn gaps(page: &Page<'_>) -> Result<Markup, PlotError> {
-    let [nominal, calibrated] = figures::gap_over_time(page.evidence)?;
-    let [position, rotation] = figures::components_over_time(page.evidence)?;
-    Ok(html! {
-        h2 { "Residuals over time" }
-        figure {
-            (svg(nominal)) (svg(calibrated))
-            figcaption { "Distance between the robot's end and the bar's at each sample that was used. Mind the scales." }
-        }
-        @if page.evidence.by_encoders {
-            figure {
-                div.panels { (svg(position)) (svg(rotation)) }
-                figcaption { "The same at the solution by component, in the robot's base frame." }
-            }
-        }
-    })
-}
-
 fn unit_of(entry: &ParameterEntry) -> Unit {
-    entry.name.parse::<ParameterId>().map_or(Unit::Ratio, ParameterId::unit)
+    entry.id().map_or(Unit::Ratio, ParameterId::unit)
 }
 
 pub(super) fn parameters(page: &Page<'_>) -> Markup {
     let entries = &page.file.parameters;
-    let of =
-        |prefix: char| entries.iter().filter(move |entry| entry.name.starts_with(prefix) && shown(entry));
-    let others = entries.iter().filter(|entry| !entry.name.starts_with(['r', 'b']) && shown(entry));
     let fixed: Vec<&str> = entries
         .iter()
         .filter(|entry| entry.status == Status::Fixed)
         .map(|entry| entry.name.as_str())
         .collect();
+    // What a run after the first has for itself is called `ox@2`.
+    let own = |entry: &ParameterEntry, run: usize| match entry.name.split_once('@') {
+        Some((_, number)) => number.parse() == Ok(run + 1),
+        None => run == 0,
+    };
+    let of = |wanted: &dyn Fn(&ParameterEntry) -> bool| -> Vec<&ParameterEntry> {
+        entries.iter().filter(|entry| shown(entry) && wanted(entry)).collect()
+    };
+    let place = |entry: &ParameterEntry| !entry.name.starts_with(['r', 'b']);
+    let others = runs::names(page).into_iter().enumerate().skip(1);
     html! {
         h2 { "Parameters" }
         div.columns {
-            (table("Robot", of('r')))
-            (table("Ball-bar and encoders", of('b')))
-            (table("Place of the bar, clocks", others))
+            (table("Robot", &of(&|entry| entry.name.starts_with('r'))))
+            (table("Ball-bar and encoders", &of(&|entry| entry.name.starts_with('b') && own(entry, 0))))
+            (table("Place of the bar, clocks", &of(&|entry| place(entry) && own(entry, 0))))
+            @for (run, name) in others {
+                (table(&name.unwrap_or_default(), &of(&|entry| own(entry, run))))
+            }
         }
         p.note { "sigma: one standard deviation. (p): data and prior. Fixed at nominal: " (fixed.join(", ")) "." }
     }
@@ -120,7 +117,7 @@ pub(super) fn candidates(page: &Page<'_>) -> Markup {
                 td { (one.parameters) }
                 td { (figure(one.held_out_before)) }
                 td { (figure(one.held_out_after)) }
-                td.text { @if one.accepted { "taken" } @else { "left out" } }
+                td.unit { @if one.accepted { "taken" } @else { "left out" } }
             } } }
         }
         p.note { "Each stretch was predicted from a fit that had not seen it. Residuals in standard deviations of the cost." }
@@ -132,7 +129,7 @@ fn shown(entry: &ParameterEntry) -> bool {
     entry.status != Status::Fixed
 }
 
-fn table<'a>(caption: &str, entries: impl Iterator<Item = &'a ParameterEntry>) -> Markup {
+fn table(caption: &str, entries: &[&ParameterEntry]) -> Markup {
     html! {
         table {
             caption { (caption) }
@@ -146,7 +143,7 @@ fn table<'a>(caption: &str, entries: impl Iterator<Item = &'a ParameterEntry>) -
                         td { (format!("{:.3}", entry.nominal * factor)) }
                         td { (format!("{:+.4}", entry.correction * factor)) }
                         td { @if let Some(sigma) = entry.sigma { (format!("{:.4}", sigma * factor)) } @else { "–" } }
-                        td.text { (unit.display_symbol()) }
+                        td.unit { (unit.display_symbol()) }
                     }
                 }
             }
@@ -162,36 +159,11 @@ pub(super) fn joints(page: &Page<'_>) -> Result<Markup, PlotError> {
     Ok(html! {
         h2 { "What is left, by joint and direction" }
         figure {
-            div.panels { @for panel in panels { (svg(panel)) } }
+            div.panels.three { @for panel in panels { (svg(panel)) } }
             figcaption {
                 "By how much each joint alone would have to turn on to bring the robot's end nearest to the bar's. A wave over the "
                 "angle points at the gear, two branches by direction at backlash, a slope at the gear's ratio."
             }
-        }
-    })
-}
-
-pub(super) fn alignment(page: &Page<'_>) -> Result<Markup, PlotError> {
-    let evidence = page.evidence;
-    let wide = figures::shift("Gap against time shift", &evidence.shift_wide)?;
-    let near = figures::shift("Near the minimum", &evidence.shift_near)?;
-    let alignment = &page.calibration.prepared.alignment;
-    Ok(html! {
-        h2 { "Alignment of the two logs" }
-        p {
-            "The logs overlap for " (format!("{:.1}", alignment.overlap_s)) " s. Joint speeds correlate to "
-            (format!("{:.4}", alignment.correlation)) " (next best shift " (format!("{:.3}", alignment.runner_up)) "). "
-            @if let Some(clock) = &page.file.clock {
-                "Robot clock minus bar clock: " (format!("{:.6}", clock.robot_minus_bar_ns as f64 * 1e-9)) " s at "
-                (clock.reference_utc) ", rate " (format!("{:+.3}", clock.skew_ppm)) " ppm. "
-            }
-            @if let Some(minimum_s) = evidence.shift_near.minimum_s {
-                "The gap is smallest " (format!("{:+.1}", minimum_s * 1e6)) " us from the solution."
-            }
-        }
-        figure {
-            div.panels { (svg(wide)) (svg(near)) }
-            figcaption { "Everything but the time shift as in the solution." }
         }
     })
 }
@@ -209,7 +181,7 @@ pub(super) fn coverage(page: &Page<'_>) -> Result<Markup, PlotError> {
 
 pub(super) fn dependence(page: &Page<'_>) -> Result<Markup, PlotError> {
     let strongest = page.calibration.solution.covariance.strongest_correlations(0.9);
-    let names = &page.evidence.correlations.0;
+    let names = page.calibration.columns.names();
     let name = |column: usize| names.get(column).map_or("?", String::as_str);
     let solve = &page.file.solve;
     Ok(html! {
@@ -231,7 +203,7 @@ pub(super) fn dependence(page: &Page<'_>) -> Result<Markup, PlotError> {
             }
         }
         figure {
-            (svg(figures::correlations(page.evidence)))
+            (svg(correlations::figure(page.evidence)))
             figcaption { "Correlations above 0.1: blue together, orange against each other." }
         }
     })

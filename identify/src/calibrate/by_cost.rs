@@ -1,0 +1,56 @@
+//! From the name of a cost to its residual.
+
+use super::config::{CostName, NoiseConfig};
+use crate::cost::{Length, Position, PositionAngles, Residual, Transform, WhitenedPose};
+use crate::model::{Geometry, ParameterId};
+use crate::prepare::Prepared;
+
+/// Work on runs that is the same for every cost.
+pub(super) trait WithResidual {
+    /// What it comes to.
+    type Output;
+
+    /// Does it; `residual` makes the cost for a run on a geometry.
+    fn with<R: Residual>(self, residual: impl Fn(&Prepared, &Geometry) -> R) -> Self::Output;
+}
+
+impl CostName {
+    /// Every cost, the most telling first.
+    pub const ALL: [Self; 5] =
+        [Self::Pose, Self::Transform, Self::PositionAngles, Self::Position, Self::Length];
+
+    /// Bar joints whose encoders it needs, from 0.
+    pub const fn encoders(self) -> &'static [usize] {
+        match self {
+            Self::Pose => WhitenedPose::ENCODERS,
+            Self::Transform => Transform::ENCODERS,
+            Self::PositionAngles => PositionAngles::ENCODERS,
+            Self::Position => Position::ENCODERS,
+            Self::Length => Length::ENCODERS,
+        }
+    }
+
+    /// [`Residual::tells`] of its residual.
+    pub fn tells(self, id: ParameterId) -> bool {
+        match self {
+            Self::Pose => WhitenedPose::tells(id),
+            Self::Transform => Transform::tells(id),
+            Self::PositionAngles => PositionAngles::tells(id),
+            Self::Position => Position::tells(id),
+            Self::Length => Length::tells(id),
+        }
+    }
+
+    /// Does the work with its residual.
+    pub(super) fn run<W: WithResidual>(self, noise: NoiseConfig, work: W) -> W::Output {
+        match self {
+            Self::Pose => work.with(|prepared: &Prepared, geometry: &Geometry| {
+                WhitenedPose::new(geometry, &prepared.motion, &prepared.observations, noise.into())
+            }),
+            Self::Transform => work.with(|_: &Prepared, _: &Geometry| Transform),
+            Self::PositionAngles => work.with(|_: &Prepared, _: &Geometry| PositionAngles),
+            Self::Position => work.with(|_: &Prepared, _: &Geometry| Position),
+            Self::Length => work.with(|_: &Prepared, _: &Geometry| Length),
+        }
+    }
+}

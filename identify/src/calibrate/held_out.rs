@@ -1,0 +1,181 @@
+//! What a calibration says of stretches of time that it has not seen: the validation that no fit can flatter.
+
+use std::ops::Range;
+
+use super::ball_bar::{BallBarCalibration, CalibrateError};
+use super::blocks::stretches;
+use super::by_cost::WithResidual;
+use super::config::{CostName, IdentifyConfig};
+use super::robust::{HALF, TWO_FIFTHS, settled};
+use super::several::{Run, SIGMA_MIN};
+use crate::cost::{CostError, LoopProblem, Residual, SeveralRuns, SharedColumns};
+use crate::model::{Geometry, Model, Observation, ParameterId};
+use crate::prepare::Prepared;
+use crate::solver::{Block, Options, Prior, Problem, SolveError, Watch, solve};
+
+/// Samples of all runs that are looked at, at most.
+const SAMPLES_MAX: usize = 3000;
+/// Stretches of a run, and of all runs together, at most.
+const STRETCHES: usize = 8;
+const STRETCHES_OF_ALL: usize = 16;
+/// The fits begin next to their minima and are only looked at: closer than this makes no difference.
+const STEP_TOLERANCE: f64 = 1e-7;
+
+/// A stretch of one run, and the run's parameters by a fit to everything else.
+#[derive(Debug, Clone)]
+pub struct Stretch {
+    /// Number of the run, from 0.
+    pub run: usize,
+    /// Its samples.
+    pub seen_by_none: Vec<Observation>,
+    /// The other samples of its run.
+    pub others: Vec<Observation>,
+    /// None where the rest does not determine all parameters.
+    pub model: Option<Model>,
+}
+
+/// Fits the calibration's parameters once more without each stretch of time, from the calibration on. Which terms the
+/// model has was decided by the whole runs.
+///
+/// # Errors
+/// [`CalibrateError`] where `watch` ended it or the samples do not suit the cost.
+pub fn without_each_stretch(
+    calibration: &BallBarCalibration,
+    config: &IdentifyConfig,
+    watch: Option<&dyn Watch>,
+) -> Result<Vec<Stretch>, CalibrateError> {
+    let runs = calibration.thinned(SAMPLES_MAX);
+    // What residuals of costs that do not whiten themselves are worth against priors.
+    let sigma = match calibration.cost {
+        CostName::Pose => 1.0,
+        _ => calibration.solution.summary.residual_rms.max(SIGMA_MIN),
+    };
+    let work = Refit { runs: &runs, calibration, config, sigma, watch };
+    calibration.cost.run(config.noise, work)
+}
+
+struct Refit<'a> {
+    runs: &'a [Run],
+    calibration: &'a BallBarCalibration,
+    config: &'a IdentifyConfig,
+    sigma: f64,
+    watch: Option<&'a dyn Watch>,
+}
+
+impl<'a> WithResidual for Refit<'a> {
+    type Output = Result<Vec<Stretch>, CalibrateError>;
+
+    fn with<R: Residual>(self, residual: impl Fn(&Prepared, &Geometry) -> R) -> Self::Output {
+        let BallBarCalibration { columns, solution, cost, .. } = self.calibration;
+        let problem_of = |run: &'a Run| {
+            let Run { prepared, model } = run;
+            let residual = residual(prepared, &model.geometry(&[]));
+            LoopProblem::new(model, &prepared.motion, &prepared.observations, residual, self.sigma)
+        };
+        let problems = self.runs.iter().map(problem_of).collect::<Result<Vec<_>, CostError>>()?;
+        let problem = SeveralRuns::new(problems, columns);
+        let count = (STRETCHES_OF_ALL / self.runs.len().max(1)).clamp(2, STRETCHES);
+        let loss = self.config.loss_for(*cost);
+        let good = if self.config.ransac { TWO_FIFTHS } else { HALF };
+        let mut all = Vec::new();
+        for left_out in stretches(problem.starts(), count) {
+            let others = Without { problem: &problem, left_out: left_out.clone() };
+            let options = Options {
+                loss: settled(&others, &solution.x, loss, good),
+                step_tolerance: STEP_TOLERANCE,
+                cost_tolerance: STEP_TOLERANCE,
+                watch: self.watch,
+                ..Options::default()
+            };
+            let x = match solve(&others, &solution.x, &options) {
+                Err(error @ SolveError::Cancelled { .. }) => return Err(error.into()),
+                Err(_) => None,
+                Ok(found) => found.identified().ok().map(|found| found.x),
+            };
+            all.extend(self.stretch(columns, problem.starts(), &left_out, x));
+        }
+        Ok(all)
+    }
+}
+
+impl Refit<'_> {
+    fn stretch(
+        &self,
+        columns: &SharedColumns,
+        starts: &[usize],
+        left_out: &Range<usize>,
+        x: Option<Vec<f64>>,
+    ) -> Option<Stretch> {
+        let number = starts.partition_point(|start| *start <= left_out.start).checked_sub(1)?;
+        let run = self.runs.get(number)?;
+        let start = starts.get(number)?;
+        let samples = left_out.start - start..left_out.end - start;
+        let observations = &run.prepared.observations;
+        let others = [observations.get(..samples.start)?, observations.get(samples.end..)?].concat();
+        let model = x.map(|x| {
+            let mut model = run.model.clone();
+            model.adopt(&columns.values(number, &x));
+            keep_own_zeros(&mut model, &run.model, &others);
+            model
+        });
+        Some(Stretch { run: number, seen_by_none: observations.get(samples)?.to_vec(), others, model })
+    }
+}
+
+/// Zeros of encoders that lost their origin and that no other sample tells stay as the whole fit has them: no fit could
+/// predict them.
+fn keep_own_zeros(model: &mut Model, whole: &Model, others: &[Observation]) {
+    for parameter in whole.columns() {
+        if let ParameterId::Zero { origin, .. } = parameter.id
+            && others.iter().all(|one| one.origin != origin)
+        {
+            // Both models have the same parameters.
+            let _ = model.set_value(parameter.id, parameter.value);
+        }
+    }
+}
+
+/// A problem without some of its samples.
+struct Without<'a, P> {
+    problem: &'a P,
+    left_out: Range<usize>,
+}
+
+impl<P: Problem> Problem for Without<'_, P> {
+    type Point = P::Point;
+
+    fn columns(&self) -> usize {
+        self.problem.columns()
+    }
+
+    fn column_name(&self, column: usize) -> String {
+        self.problem.column_name(column)
+    }
+
+    fn samples(&self) -> usize {
+        self.problem.samples() - self.left_out.len()
+    }
+
+    fn rows(&self) -> usize {
+        self.problem.rows()
+    }
+
+    fn priors(&self) -> &[Prior] {
+        self.problem.priors()
+    }
+
+    fn point(&self, x: &[f64]) -> P::Point {
+        self.problem.point(x)
+    }
+
+    fn sample(
+        &self,
+        point: &mut P::Point,
+        sample: usize,
+        residual: &mut [f64],
+        block: &mut Block<'_>,
+    ) -> bool {
+        let behind = if sample < self.left_out.start { 0 } else { self.left_out.len() };
+        self.problem.sample(point, sample + behind, residual, block)
+    }
+}

@@ -1,0 +1,118 @@
+//! The cost functions side by side.
+
+use maud::{Markup, html};
+use plotters::prelude::RGBColor;
+
+use super::Page;
+use super::intervals::Intervals;
+use super::plot::{COLOURS, PlotError};
+use super::sections::{figure, svg};
+use crate::model::Unit;
+use crate::study::{CostComparison, CostEntry, CostFigures};
+
+/// So many names of parameters fit into a cell.
+const NAMES_MAX: usize = 8;
+
+pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
+    let Some(costs) = page.evidence.costs.as_ref().filter(|costs| costs.entries.len() > 1) else {
+        return Ok(html! {});
+    };
+    let [lengths, angles] = [(Unit::Metre, "Lengths"), (Unit::Radian, "Angles")]
+        .map(|(unit, title)| intervals(costs, unit, title).draw());
+    Ok(html! {
+        h2 { "Cost functions side by side" }
+        p {
+            "The same samples, selection and terms of the axes, each cost from nominal links; "
+            code { (page.calibration.cost.name()) } " is the calibration of this page."
+        }
+        div.wide { (table(costs)) }
+        figure {
+            p.key { @for (index, entry) in costs.entries.iter().enumerate() {
+                @let RGBColor(r, g, b) = COLOURS[index % COLOURS.len()];
+                span style=(format!("color: rgb({r},{g},{b})")) { "● " } (entry.cost.name()) " "
+            } }
+            (svg(lengths?)) (svg(angles?))
+            figcaption {
+                "The robot's parameters, from their values in the calibration, with 95 % intervals. All costs saw the same "
+                "samples, so they differ by less than these where they agree. A cost that is off by more than its interval "
+                "says is misled by an error that it cannot tell from the geometry."
+            }
+        }
+    })
+}
+
+fn table(costs: &CostComparison) -> Markup {
+    html! {
+        table {
+            thead { tr {
+                th { "cost" } th { "free" } th { "rank" } th { "condition" } th { "RMS residual" }
+                th { "sigma [mm|mrad]" } th { "difference" } th { "robot moved [mm]" } th { "expected error [mm]" }
+            } }
+            tbody { @for entry in &costs.entries { (rows(entry)) } }
+        }
+        p.note {
+            "Rank: directions that the samples determine without priors. Residuals in each cost's own unit. Sigma and "
+            "difference: Euclidean, over the robot's parameters that the cost identifies, millimetres and milliradians as "
+            "equals; the difference is to the calibration. Robot moved: mean distance between the positions of the two "
+            "robots over the workspace. Expected error: mean over the workspace, from the cost's own covariance."
+        }
+    }
+}
+
+fn rows(entry: &CostEntry) -> Markup {
+    html! {
+        @match &entry.figures {
+            Ok(figures) => { (figures_row(entry.cost.name(), figures)) }
+            Err(reason) => { tr { td { (entry.cost.name()) } td.text colspan="8" { "no result: " (reason) } } }
+        }
+    }
+}
+
+fn figures_row(name: &str, figures: &CostFigures) -> Markup {
+    html! {
+        tr {
+            td { (name) }
+            td { (figures.parameters) }
+            td { (figures.rank_of_samples) }
+            td { (format!("{:.0}", figures.condition)) }
+            td { (figure(figures.summary.residual_rms)) }
+            td { (format!("{:.4}", figures.sigma_mm_mrad)) }
+            td { (format!("{:.4}", figures.difference_mm_mrad)) }
+            td { (format!("{:.4}", figures.from_calibrated_m * 1e3)) }
+            td { (format!("{:.4}", figures.expected.mean_m * 1e3)) }
+        }
+        @if !figures.not_told.is_empty() {
+            tr.aside { td {} td.text colspan="8" { "does not tell " (named(&figures.not_told)) } }
+        }
+    }
+}
+
+fn named(names: &[String]) -> String {
+    let shown = names.iter().take(NAMES_MAX).map(String::as_str).collect::<Vec<_>>().join(", ");
+    match names.len().checked_sub(NAMES_MAX) {
+        Some(more) if more > 0 => format!("{shown} and {more} more"),
+        _ => shown,
+    }
+}
+
+fn intervals(costs: &CostComparison, unit: Unit, title: &str) -> Intervals {
+    /// 95 % of a normal distribution.
+    const SIGMAS: f64 = 1.96;
+    let factor = unit.display_factor();
+    let of_unit: Vec<usize> = (0..costs.names.len()).filter(|&at| costs.names[at].1 == unit).collect();
+    let own = costs.entries.first().and_then(|entry| entry.figures.as_ref().ok());
+    let set = |entry: &CostEntry| {
+        let of = |&at: &usize| {
+            let (correction, sigma) = (*entry.figures.as_ref().ok()?.robot.get(at)?)?;
+            let reference = own.and_then(|own| *own.robot.get(at)?).map_or(0.0, |(correction, _)| correction);
+            Some(((correction - reference) * factor, SIGMAS * sigma * factor))
+        };
+        of_unit.iter().map(of).collect()
+    };
+    Intervals {
+        title: title.into(),
+        y: format!("from the calibration [{}]", unit.display_symbol()),
+        names: of_unit.iter().map(|&at| costs.names[at].0.clone()).collect(),
+        sets: costs.entries.iter().map(set).collect(),
+    }
+}

@@ -1,0 +1,115 @@
+//! Robot against bar on stretches of time that no fit has seen, before and after calibration.
+
+use super::{rms, uncalibrated};
+use crate::calibrate::ball_bar::BallBarCalibration;
+use crate::calibrate::held_out::Stretch;
+use crate::cost::{Closure, closures};
+use crate::model::Geometry;
+
+/// Robot against bar at one sample.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Apart {
+    /// Bar clock, since the run's reference time \[s\].
+    pub t_s: f64,
+    /// Distance of the two ends; without encoders the distance from the bar's sphere \[m\].
+    pub position_m: f64,
+    /// Angle between them \[rad\].
+    pub rotation_rad: f64,
+}
+
+/// Root mean squares over some samples.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct ApartRms {
+    /// \[m\]
+    pub position_m: f64,
+    /// \[rad\]
+    pub rotation_rad: f64,
+}
+
+impl ApartRms {
+    fn of<'a>(samples: impl Iterator<Item = &'a Apart> + Clone) -> Self {
+        Self {
+            position_m: rms(samples.clone().map(|one| one.position_m)),
+            rotation_rad: rms(samples.map(|one| one.rotation_rad)),
+        }
+    }
+}
+
+/// One stretch.
+#[derive(Debug, Clone, PartialEq)]
+pub struct HeldOutStretch {
+    /// Number of its run, from 0.
+    pub run: usize,
+    /// Nominal robot, the bar fitted to it on the rest of the run.
+    pub nominal: Vec<Apart>,
+    /// Robot, bar and clocks as fitted to everything else.
+    pub predicted: Vec<Apart>,
+    /// The whole fit, which has seen the stretch.
+    pub fitted: Vec<Apart>,
+}
+
+impl HeldOutStretch {
+    /// First and last sample, bar clock since the run's reference time \[s\].
+    pub fn span_s(&self) -> [f64; 2] {
+        let at = |one: Option<&Apart>| one.map_or(0.0, |one| one.t_s);
+        [at(self.fitted.first()), at(self.fitted.last())]
+    }
+
+    /// Root mean squares: nominal, predicted, fitted.
+    pub fn rms(&self) -> [ApartRms; 3] {
+        [&self.nominal, &self.predicted, &self.fitted].map(|samples| ApartRms::of(samples.iter()))
+    }
+}
+
+/// All stretches of all runs.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct HeldOut {
+    /// In the order of runs and time, but those that the rest could not predict.
+    pub stretches: Vec<HeldOutStretch>,
+    /// Stretches without which the parameters are not determined.
+    pub undetermined: usize,
+    /// Rotations mean something: every joint of the bar has an encoder.
+    pub rotations: bool,
+}
+
+impl HeldOut {
+    /// Root mean squares over all stretches: nominal, predicted, fitted.
+    pub fn rms(&self) -> [ApartRms; 3] {
+        let all = |of: fn(&HeldOutStretch) -> &Vec<Apart>| ApartRms::of(self.stretches.iter().flat_map(of));
+        [all(|one| &one.nominal), all(|one| &one.predicted), all(|one| &one.fitted)]
+    }
+}
+
+/// Looks at each stretch with the parameters that were found without it.
+pub fn held_out(calibration: &BallBarCalibration, stretches: &[Stretch]) -> HeldOut {
+    let measured = calibration.measured();
+    let by_encoders = measured.contains(&true);
+    let runs: Vec<_> = calibration.runs().collect();
+    let mut all = HeldOut { rotations: measured == [true; 5], ..HeldOut::default() };
+    for stretch in stretches {
+        let Some(model) = &stretch.model else {
+            all.undetermined += 1;
+            continue;
+        };
+        let Some((prepared, whole)) = runs.get(stretch.run) else { continue };
+        let at = |geometry: &Geometry| -> Vec<Apart> {
+            let seen = closures(geometry, &prepared.motion, &stretch.seen_by_none);
+            seen.iter().map(|closure| apart(closure, by_encoders)).collect()
+        };
+        all.stretches.push(HeldOutStretch {
+            run: stretch.run,
+            nominal: at(&uncalibrated(model, &prepared.motion, &stretch.others)),
+            predicted: at(&model.geometry(&[])),
+            fitted: at(&whole.geometry(&[])),
+        });
+    }
+    all
+}
+
+fn apart(closure: &Closure, by_encoders: bool) -> Apart {
+    Apart {
+        t_s: closure.t_s,
+        position_m: if by_encoders { closure.apart_m.norm() } else { closure.off_sphere_m.abs() },
+        rotation_rad: closure.turned_rad.norm(),
+    }
+}
