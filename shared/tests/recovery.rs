@@ -1,7 +1,9 @@
 //! What a crash, a failing disk or a flipped bit leaves of a recording is taken out, or refused; nothing else
 //! comes out, ever.
-#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+#![allow(unsafe_code, clippy::unwrap_used, clippy::panic, reason = "tests; an allocator that looks")]
 
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
 use std::io::Cursor;
 
 use proptest::prelude::*;
@@ -15,6 +17,33 @@ mod support;
 
 use disk::DiskFile;
 use support::{START, cycle, run, timing};
+
+/// Remembers the largest amount of memory that the calling thread asked for at once.
+struct Watching;
+
+thread_local! {
+    static LARGEST: Cell<usize> = const { Cell::new(0) };
+}
+
+// SAFETY: everything is handed to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Watching {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        LARGEST.set(LARGEST.get().max(layout.size()));
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        LARGEST.set(LARGEST.get().max(size));
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Watching = Watching;
 
 /// Cycles between two synchronisations.
 const SYNC_CYCLES: u64 = 4;
@@ -157,6 +186,21 @@ fn every_flipped_bit_of_a_finished_recording_is_refused_or_changes_nothing_that_
         Err(error) => assert!(!error.to_string().is_empty(), "{at}"),
     });
     assert!(unnoticed < bytes.len() / 25, "{unnoticed} flips were not noticed");
+}
+
+#[test]
+fn no_flipped_bit_asks_for_more_memory_than_a_record_may_have() {
+    let mut bytes = finished();
+    LARGEST.set(0);
+    for position in 0..bytes.len() {
+        // The highest bit of a length is in its last byte.
+        bytes[position] ^= 0x80;
+        let _ = salvage(&bytes[..], Cursor::new(Vec::new()));
+        let _ = Recording::read(&bytes[..]);
+        bytes[position] ^= 0x80;
+    }
+    // 64 MB, and what a growing buffer adds.
+    assert!(LARGEST.get() <= 160 << 20, "{} bytes at once", LARGEST.get());
 }
 
 #[test]

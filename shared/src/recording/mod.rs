@@ -7,6 +7,7 @@
 
 mod content;
 mod leftover;
+mod lengths;
 mod messages;
 mod overview;
 mod reader;
@@ -18,6 +19,7 @@ mod timing;
 mod writer;
 
 pub use leftover::{Leftover, RecoverError, Recovery, is_in_use, recover_file, recover_leftovers};
+pub use lengths::parse_record;
 pub use messages::MessageError;
 pub use overview::RunOverview;
 pub use reader::{ReadError, ReadErrorKind, Recording};

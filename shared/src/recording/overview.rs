@@ -4,18 +4,23 @@ use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
-use mcap::Summary;
-use mcap::records::{MetadataIndex, Record, op};
-use mcap::sans_io::{SummaryReadEvent, SummaryReader, SummaryReaderOptions};
+use crc32fast::Hasher;
+use mcap::records::{Footer, MetadataIndex, Record, op};
+use mcap::{MAGIC, McapError};
 use serde::de::DeserializeOwned;
 
 use super::content::{END_METADATA, RUN_METADATA, content_of};
+use super::lengths::parse_record;
 use super::reader::{ReadError, ReadErrorKind};
 use super::records::RECORD_LENGTH_BYTES_MAX;
 use super::schema::{RunEnd, RunMetadata};
 
 /// Opcode and length before each record.
 const PREFIX_BYTES: usize = 9;
+/// The footer: two offsets and a checksum behind its prefix.
+const FOOTER_BYTES: usize = PREFIX_BYTES + 20;
+/// That checksum.
+const CHECKSUM_BYTES: usize = 4;
 
 /// Beginning and end of a finished recording. Says nothing of whether what lies between is whole.
 #[derive(Debug, Clone, PartialEq)]
@@ -35,36 +40,72 @@ impl RunOverview {
     }
 
     fn read(file: &mut File) -> Result<Self, ReadErrorKind> {
-        let summary = summary_of(file)?.ok_or(ReadErrorKind::Unfinished)?;
-        let run = metadata(file, &summary, RUN_METADATA)?;
-        Ok(Self { run, end: metadata(file, &summary, END_METADATA)? })
+        let indexes = metadata_indexes(file)?;
+        let run = metadata(file, &indexes, RUN_METADATA)?;
+        Ok(Self { run, end: metadata(file, &indexes, END_METADATA)? })
     }
 }
 
-fn summary_of(file: &mut File) -> Result<Option<Summary>, ReadErrorKind> {
-    let options = SummaryReaderOptions::default()
-        .with_file_size(file.metadata()?.len())
-        .with_record_length_limit(RECORD_LENGTH_BYTES_MAX);
-    let mut reader = SummaryReader::new_with_options(options);
-    while let Some(event) = reader.next_event() {
-        match event? {
-            SummaryReadEvent::ReadRequest(wanted) => {
-                let count = file.read(reader.insert(wanted.min(RECORD_LENGTH_BYTES_MAX)))?;
-                reader.notify_read(count);
-            }
-            SummaryReadEvent::SeekRequest(to) => reader.notify_seeked(file.seek(to)?),
+/// Where the summary says that metadata are. Read here and not by the MCAP library, which looks at lengths too late (see
+/// [`parse_record`]).
+fn metadata_indexes(file: &mut File) -> Result<Vec<MetadataIndex>, ReadErrorKind> {
+    let summary = summary_of(file)?;
+    let mut rest = &summary[..];
+    let mut indexes = Vec::new();
+    while let Some((&[opcode, ref length @ ..], behind)) = rest.split_first_chunk::<PREFIX_BYTES>() {
+        let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
+        let (content, next) = behind.split_at_checked(length).ok_or(McapError::UnexpectedEof)?;
+        if let Record::MetadataIndex(index) = parse_record(opcode, content)? {
+            indexes.push(index);
         }
+        rest = next;
     }
-    Ok(reader.finish())
+    Ok(indexes)
+}
+
+/// The bytes of the summary, whose checksum is right.
+fn summary_of(file: &mut File) -> Result<Vec<u8>, ReadErrorKind> {
+    let end = file.seek(SeekFrom::End(0))?;
+    let footer_at = end.checked_sub((FOOTER_BYTES + MAGIC.len()) as u64).ok_or(McapError::UnexpectedEof)?;
+    file.seek(SeekFrom::Start(footer_at))?;
+    let mut tail = [0; FOOTER_BYTES];
+    file.read_exact(&mut tail)?;
+    let mut magic = [0; MAGIC.len()];
+    file.read_exact(&mut magic)?;
+    if magic != *MAGIC {
+        return Err(McapError::BadMagic.into());
+    }
+    let Record::Footer(Footer { summary_start, summary_crc, .. }) =
+        parse_record(tail[0], &tail[PREFIX_BYTES..])?
+    else {
+        return Err(McapError::BadFooter.into());
+    };
+    if summary_start == 0 {
+        return Err(ReadErrorKind::Unfinished);
+    }
+    let length = footer_at.checked_sub(summary_start).and_then(|length| usize::try_from(length).ok());
+    let length = length.filter(|length| *length <= RECORD_LENGTH_BYTES_MAX).ok_or(McapError::BadFooter)?;
+    file.seek(SeekFrom::Start(summary_start))?;
+    let mut summary = vec![0; length];
+    file.read_exact(&mut summary)?;
+    let mut hasher = Hasher::new();
+    hasher.update(&summary);
+    hasher.update(&tail[..FOOTER_BYTES - CHECKSUM_BYTES]);
+    let calculated = hasher.finalize();
+    if calculated == summary_crc {
+        Ok(summary)
+    } else {
+        Err(McapError::BadSummaryCrc { saved: summary_crc, calculated }.into())
+    }
 }
 
 fn metadata<T: DeserializeOwned>(
     file: &mut File,
-    summary: &Summary,
+    indexes: &[MetadataIndex],
     name: &'static str,
 ) -> Result<T, ReadErrorKind> {
     let broken = |problem: &str| ReadErrorKind::Metadata { name, problem: problem.into() };
-    let index = summary.metadata_indexes.iter().find(|index| index.name == name);
+    let index = indexes.iter().find(|index| index.name == name);
     let MetadataIndex { offset, length, .. } = index.ok_or_else(|| broken("missing"))?;
     let length = usize::try_from(*length).unwrap_or(usize::MAX);
     if !(PREFIX_BYTES..=RECORD_LENGTH_BYTES_MAX).contains(&length) {
@@ -73,7 +114,7 @@ fn metadata<T: DeserializeOwned>(
     file.seek(SeekFrom::Start(*offset))?;
     let mut bytes = vec![0; length];
     file.read_exact(&mut bytes)?;
-    match mcap::parse_record(op::METADATA, &bytes[PREFIX_BYTES..])? {
+    match parse_record(op::METADATA, &bytes[PREFIX_BYTES..])? {
         Record::Metadata(record) if record.name == name => content_of(name, &record),
         _ => Err(broken("not where the summary says")),
     }

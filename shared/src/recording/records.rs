@@ -9,6 +9,7 @@ use mcap::McapError;
 use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
+use super::lengths::parse_record;
 use super::reader::ReadErrorKind;
 
 /// Longest record that a recording has: far above a second of 1 kHz cycles, far below memory.
@@ -67,7 +68,7 @@ fn open_chunk<E: From<ReadErrorKind>>(
 }
 
 fn parse(opcode: u8, data: &[u8]) -> Result<Record<'_>, ReadErrorKind> {
-    Ok(mcap::parse_record(opcode, data)?)
+    Ok(parse_record(opcode, data)?)
 }
 
 /// Takes opcode and content of a record.

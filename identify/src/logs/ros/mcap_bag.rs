@@ -3,9 +3,10 @@
 use std::collections::HashMap;
 use std::path::Path;
 
+use mcap::McapError;
 use mcap::records::{Record, SchemaHeader};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use mcap::{McapError, parse_record};
+use shared::recording::parse_record;
 
 use super::Bag;
 use crate::logs::LogError;
