@@ -246,6 +246,18 @@ impl IdentifyConfig {
 }
 
 impl IdentifyConfig {
+    /// Frees what a force tells, unless it is fixed or has a prior.
+    ///
+    /// # Errors
+    /// [`ModelError::NotInModel`].
+    pub fn free_for_force(&self, model: &mut Model, id: ParameterId) -> Result<(), ModelError> {
+        let name = id.to_string();
+        if self.fix.contains(&name) || self.priors.contains_key(&name) {
+            return Ok(());
+        }
+        model.set_role(id, Role::Free)
+    }
+
     fn select_identifiable(
         &self,
         model: &mut Model,

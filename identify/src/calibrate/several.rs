@@ -74,6 +74,9 @@ pub fn solve<R: Residual>(
     };
     for run in &mut *runs {
         config.set_roles(&mut run.model, &free, R::tells)?;
+        if let Some(force) = &run.prepared.force {
+            config.free_for_force(&mut run.model, force.parameter())?;
+        }
     }
     let loss = config.loss_for(cost);
     let lengths_differ = lengths_differ(runs);
@@ -100,10 +103,8 @@ pub fn solve<R: Residual>(
     Ok(Solved { columns, solution, candidates, prior_scale: scale })
 }
 
-const ROD: ParameterId = ParameterId::Bar { link: 2, parameter: LinkParameter::D };
-
 fn lengths_differ(runs: &[Run]) -> bool {
-    let length = |run: &Run| run.model.parameter(ROD).map(|rod| rod.nominal);
+    let length = |run: &Run| run.model.parameter(ParameterId::ROD).map(|rod| rod.nominal);
     runs.windows(2).any(|pair| length(&pair[0]) != length(&pair[1]))
 }
 
@@ -115,7 +116,9 @@ fn is_own(id: ParameterId, lengths_differ: bool) -> bool {
         ParameterId::Harmonic { .. } | ParameterId::Zero { .. } => true,
         ParameterId::ClockShift | ParameterId::ClockSkew => true,
         ParameterId::Bar { parameter: LinkParameter::Theta, .. } => true,
-        id => id == ROD && lengths_differ,
+        // Another bar gives way by another amount.
+        ParameterId::ROD | ParameterId::BarCompliance | ParameterId::BarPlay => lengths_differ,
+        _ => false,
     }
 }
 

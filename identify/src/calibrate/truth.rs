@@ -44,8 +44,13 @@ impl Comparison {
             .columns()
             .filter(|parameter| parameter.role != Role::Fixed)
             .filter(|parameter| {
-                use ParameterId::{ClockShift, ClockSkew, Harmonic, Joint, Zero};
-                !matches!(parameter.id, ClockShift | ClockSkew | Harmonic { .. } | Zero { .. } | Joint { .. })
+                use ParameterId::{BarCompliance, BarPlay, ClockShift, ClockSkew, Harmonic, Joint, Zero};
+                let of_force = matches!(parameter.id, BarCompliance | BarPlay);
+                let other = matches!(
+                    parameter.id,
+                    ClockShift | ClockSkew | Harmonic { .. } | Zero { .. } | Joint { .. }
+                );
+                !of_force && !other
             })
             .map(|parameter| Compared {
                 id: parameter.id,

@@ -22,6 +22,7 @@ use crate::logs::{
 use crate::model::{JointWaves, Model, ParameterId};
 use crate::prepare::Prepared;
 use crate::report::file::{CalibrationFile, ClockEntry, Input, ParameterEntry, SolveEntry};
+use crate::report::force::ForceEntry;
 use crate::report::page::Page;
 use crate::report::table;
 use crate::simulate::Truth;
@@ -204,7 +205,8 @@ fn from_ball_bar(arguments: &CalibrateArguments, robot: &RobotConfig) -> anyhow:
             .map(|run| format!("{} with {}", run.recording_path.display(), run.log_path.display()));
         names.collect::<Vec<_>>().join(", ")
     })?;
-    let file = calibration_file(arguments, robot, &runs, &calibration)?.with_validation(&evidence);
+    let mut file = calibration_file(arguments, robot, &runs, &calibration)?.with_validation(&evidence);
+    file.force = ForceEntry::of(&evidence.sphere);
     let written = file.write(&arguments.out)?;
     file.write_robot(robot, runs.first().map(|run| &run.bar), &arguments.out)?;
     let page = Page {

@@ -6,7 +6,7 @@ use std::time::Duration;
 use clap::{Args, ValueEnum};
 use shared::config::{self, BallBarConfig, RobotConfig};
 
-use crate::simulate::{self, Effects, Experiment, StaticErrors};
+use crate::simulate::{self, BarLoad, Effects, Experiment, StaticErrors};
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum Errors {
@@ -68,6 +68,18 @@ pub struct SimulateArguments {
     /// Tilt of the bar's base against the robot's [urad]
     #[arg(long, value_name = "URAD", default_value_t = 0.0)]
     base_tilt_urad: f64,
+    /// Largest force along the bar, which the robot's log then has as `force_N` [N]
+    #[arg(long, value_name = "N", default_value_t = 0.0)]
+    force_n: f64,
+    /// How much longer the bar becomes for each newton of tension [um/N]
+    #[arg(long, value_name = "UM", default_value_t = 0.0, requires = "force_n")]
+    compliance_um_per_n: f64,
+    /// How much longer the bar is under any tension, and shorter under compression: play [um]
+    #[arg(long, value_name = "UM", default_value_t = 0.0, requires = "force_n")]
+    bar_play_um: f64,
+    /// White noise of the force in the log [N]
+    #[arg(long, value_name = "N", default_value_t = 1.0)]
+    force_noise_n: f64,
 }
 
 pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
@@ -94,6 +106,12 @@ pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
         encoder_ellipticity_urad: arguments.encoder_ellipticity_urad,
         encoder_eccentricity_urad: arguments.encoder_eccentricity_urad,
         base_tilt_urad: arguments.base_tilt_urad,
+    };
+    experiment.load = BarLoad {
+        force_n: arguments.force_n,
+        compliance_um_per_n: arguments.compliance_um_per_n,
+        play_um: arguments.bar_play_um,
+        noise_n: arguments.force_noise_n,
     };
     let simulated = simulate::run(&experiment)?;
     let files = simulate::write(&arguments.out, &simulated, &robot, &bar)?;

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use super::problem::{LoopPoint, readings};
 use crate::kinematics::{ROBOT_JOINTS, Twist, rotation_vector, singularity_margin_rad};
-use crate::model::{Geometry, JointState, Observation, RobotMotion};
+use crate::model::{BarForce, Geometry, JointState, Observation, RobotMotion};
 
 /// The closed chain at one sample.
 #[derive(Debug, Clone, Copy)]
@@ -17,8 +17,12 @@ pub struct Closure {
     pub apart_m: Vector3<f64>,
     /// Rotation from the bar's end to the robot's, in the robot's base \[rad\].
     pub turned_rad: Vector3<f64>,
-    /// Distance of the robot's end from the centre of the gimbal minus the bar's length \[m\].
+    /// Distance of the robot's end from the centre of the gimbal minus the bar's length under its force \[m\].
     pub off_sphere_m: f64,
+    /// What the force adds to the bar's length \[m\].
+    pub extension_m: f64,
+    /// On the bar.
+    pub force: BarForce,
     /// From the centre of the gimbal to the robot's end, in the robot's base, unit length.
     pub direction: Vector3<f64>,
     /// Distance from the bar's nearest singular pose \[rad\].
@@ -26,9 +30,6 @@ pub struct Closure {
     /// How the robot's end moves with each joint.
     pub joint_twists: [Twist; ROBOT_JOINTS],
 }
-
-/// Link of the bar whose `d` is its length, from 0.
-const ROD_LINK: usize = 2;
 
 /// The closed chain at each observation, on one geometry. Joints without encoder must have been filled in.
 /// Observations outside the robot's log are left out.
@@ -38,7 +39,6 @@ pub fn closures(
     observations: &[Observation],
 ) -> Vec<Closure> {
     let mut point = LoopPoint::new(geometry.clone());
-    let length_m = geometry.bar_links.get(ROD_LINK).map_or(0.0, |link| link.d_m);
     let at = |(sample, observation): (usize, &Observation)| {
         let joints = motion.at(geometry.clock.robot_time_s(observation.t_s))?;
         let readings = readings(observation);
@@ -58,7 +58,9 @@ pub fn closures(
             joints,
             apart_m: scene.robot.position_m() - scene.bar.position_m(),
             turned_rad: rotation_vector(&(scene.robot.rotation() * scene.bar.rotation().transpose())),
-            off_sphere_m: out_m.norm() - length_m,
+            off_sphere_m: out_m.norm() - scene.rod_m(),
+            extension_m: geometry.stretch.extension_m(&observation.force),
+            force: observation.force,
             direction: out_m / out_m.norm().max(f64::MIN_POSITIVE),
             margin_rad: singularity_margin_rad(&bar_rad),
             joint_twists,

@@ -6,16 +6,10 @@ use super::{Movement, Residual, Scene};
 use crate::kinematics::LinkParameter;
 use crate::model::ParameterId;
 
-/// `|R_p - o|^2 - bd3^2` (thesis eq. 2.1): the robot's end lies on the sphere of the bar \[m^2\].
+/// `|R_p - o|^2 - L^2` (thesis eq. 2.1): the robot's end lies on the sphere of the bar \[m^2\]. `L` is `bd3` and what the
+/// force at the sample adds to it.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Length;
-
-/// The rod is `d` of this link.
-const ROD: ParameterId = ParameterId::Bar { link: 2, parameter: LinkParameter::D };
-
-fn rod_m(scene: &Scene<'_>) -> f64 {
-    scene.geometry.bar_links.get(2).map_or(0.0, |link| link.d_m)
-}
 
 impl Residual for Length {
     /// From the bar's base to the robot's end \[m\].
@@ -34,9 +28,11 @@ impl Residual for Length {
             ParameterId::Joint { .. }
             | ParameterId::JointWave { .. }
             | ParameterId::Base(_)
+            | ParameterId::BarCompliance
+            | ParameterId::BarPlay
             | ParameterId::ClockShift
             | ParameterId::ClockSkew => true,
-            id => id == ROD,
+            id => id == ParameterId::ROD,
         }
     }
 
@@ -50,15 +46,14 @@ impl Residual for Length {
     }
 
     fn residual(&self, scene: &Scene<'_>, from_origin: &Vector3<f64>, out: &mut [f64]) {
-        out[0] = from_origin.norm_squared() - rod_m(scene).powi(2);
+        out[0] = from_origin.norm_squared() - scene.rod_m().powi(2);
     }
 
     fn derivative(&self, scene: &Scene<'_>, from_origin: &Vector3<f64>, id: ParameterId, out: &mut [f64]) {
         out[0] = match (id, scene.movement(id)) {
             (_, Movement::Robot(twist)) => 2.0 * from_origin.dot(&twist.linear),
             (ParameterId::Base(axis), _) => -2.0 * from_origin[axis.index()],
-            (id, _) if id == ROD => -2.0 * rod_m(scene),
-            _ => 0.0,
+            (id, _) => -2.0 * scene.rod_m() * scene.stretch(id),
         };
     }
 }

@@ -53,10 +53,6 @@ impl Residual for PositionAngles {
         position.copy_from_slice(derivative(scene, id).as_slice());
         let joints = match (scene.movement(id), id) {
             (Movement::Robot(twist), _) => implied.by_pose(&twist),
-            (Movement::Bar(_), ParameterId::Bar { link, .. }) => {
-                let Some(twist) = scene.bar_twist(&implied.trace, id) else { return };
-                implied.by_bar(Some(link), &twist)
-            }
             // The measured joint changes, the implied one does not.
             (_, ParameterId::Harmonic { joint, harmonic }) => {
                 let wave = harmonic.wave(scene.readings[joint]);
@@ -67,7 +63,7 @@ impl Residual for PositionAngles {
             }
             (Movement::Bar(_), _) => {
                 let Some(twist) = scene.bar_twist(&implied.trace, id) else { return };
-                implied.by_bar(None, &twist)
+                implied.by_bar(id.bar_link(), &twist)
             }
             (Movement::None, _) => return,
         };

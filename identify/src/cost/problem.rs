@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use super::{Residual, Scene};
-use crate::kinematics::{BAR_JOINTS, Chain, Trace, Tracer, Turn};
+use crate::kinematics::{BAR_JOINTS, Chain, ROD_LINK, Trace, Tracer, Turn};
 use crate::model::{Geometry, Model, Observation, ParameterId, RobotMotion};
 use crate::solver::{Block, Prior, Problem};
 
@@ -129,7 +129,8 @@ fn check<R: Residual>(sample: usize, observation: &Observation) -> Result<(), Co
     }
     let encoders = R::ENCODERS.iter().filter_map(|&joint| observation.bar_rad.get(joint));
     let length = observation.length_m.iter().filter(|_| R::NEEDS_LENGTH);
-    if encoders.chain(length).chain([&observation.t_s]).all(|value| value.is_finite()) {
+    let force = [&observation.force.along_n, &observation.force.side];
+    if encoders.chain(length).chain([&observation.t_s]).chain(force).all(|value| value.is_finite()) {
         Ok(())
     } else {
         Err(CostError::NotFinite { sample })
@@ -176,6 +177,10 @@ impl LoopPoint {
         let zeros_rad = self.geometry.zeros_in(observation.origin);
         let added_rad: [f64; BAR_JOINTS] = std::array::from_fn(|joint| zeros_rad[joint] - errors_rad[joint]);
         let bar_joints = readings.iter().zip(added_rad).map(|(reading, added)| reading.and(Turn::of(added)));
+        if let Some(rod_m) = self.geometry.rod_m(&observation.force) {
+            self.bar_tracer.set_d(ROD_LINK, rod_m);
+            self.bar_chain.links.iter_mut().skip(ROD_LINK).take(1).for_each(|rod| rod.d_m = rod_m);
+        }
         self.robot_tracer.trace(&state.q, &mut self.robot);
         self.bar_tracer.trace_turns(bar_joints, &mut self.bar);
         Some(Scene {

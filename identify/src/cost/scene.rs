@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter, Trace, Tracer, Turn, Twist};
+use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter, ROD_LINK, Trace, Tracer, Turn, Twist};
 use crate::model::{Axis, Geometry, JointState, JointTerm, JointWaves, Observation, ParameterId};
 
 /// What a parameter moves.
@@ -29,7 +29,7 @@ pub struct Scene<'a> {
     pub readings: &'a [Turn; BAR_JOINTS],
     /// Bar joints without the encoders' harmonics, in the first origin's zeros \[rad\]; offsets not yet added.
     pub bar_rad: [f64; BAR_JOINTS],
-    /// The bar on its base, and the same made ready for forward passes.
+    /// The bar on its base, as long as the force makes it, and the same made ready for forward passes.
     pub bar_chain: (&'a Chain, &'a Tracer),
     /// What the robot reports.
     pub reported: JointState,
@@ -51,9 +51,11 @@ impl Scene<'_> {
             ParameterId::Robot { link, parameter } => {
                 self.robot.twist(link, parameter).map_or(Movement::None, Movement::Robot)
             }
-            ParameterId::Bar { .. } | ParameterId::Base(_) | ParameterId::BaseRotation(_) => {
-                self.bar_twist(self.bar, id).map_or(Movement::None, Movement::Bar)
-            }
+            ParameterId::Bar { .. }
+            | ParameterId::Base(_)
+            | ParameterId::BaseRotation(_)
+            | ParameterId::BarCompliance
+            | ParameterId::BarPlay => self.bar_twist(self.bar, id).map_or(Movement::None, Movement::Bar),
             ParameterId::Harmonic { joint, harmonic } => {
                 match (self.bar.twist(joint, LinkParameter::Theta), self.readings.get(joint)) {
                     (Some(twist), Some(&reading)) => Movement::Bar(twist.scaled(-harmonic.wave(reading))),
@@ -94,8 +96,27 @@ impl Scene<'_> {
             ParameterId::Bar { link, parameter } => bar.twist(link, parameter),
             ParameterId::Base(axis) => Some(Twist::translation(unit(axis))),
             ParameterId::BaseRotation(axis) => Some(self.base_rotation(axis, bar.position_m())),
+            ParameterId::BarCompliance | ParameterId::BarPlay => {
+                bar.twist(ROD_LINK, LinkParameter::D).map(|twist| twist.scaled(self.stretch(id)))
+            }
             _ => None,
         }
+    }
+
+    /// How much longer the bar becomes with a parameter: its rod itself, or what a force does to it.
+    #[inline]
+    pub fn stretch(&self, id: ParameterId) -> f64 {
+        match id {
+            ParameterId::BarCompliance => self.observation.force.along_n,
+            ParameterId::BarPlay => self.observation.force.side,
+            id => f64::from(u8::from(id == ParameterId::ROD)),
+        }
+    }
+
+    /// Length of the bar under this sample's force \[m\].
+    #[inline]
+    pub fn rod_m(&self) -> f64 {
+        self.bar_chain.0.links.get(ROD_LINK).map_or(0.0, |rod| rod.d_m)
     }
 
     /// `T(o) Rx(rx) Ry(ry)`: the second axis is carried along by the first.
@@ -137,6 +158,8 @@ pub(super) fn of_bar(id: ParameterId) -> bool {
         ParameterId::Bar { .. }
             | ParameterId::Base(_)
             | ParameterId::BaseRotation(_)
+            | ParameterId::BarCompliance
+            | ParameterId::BarPlay
             | ParameterId::Harmonic { .. }
             | ParameterId::Zero { .. }
     )

@@ -10,8 +10,8 @@ use super::ball_bar_inverse::ball_bar_inverse;
 use super::inverse::pose_error;
 use super::{BAR_JOINTS, Chain, InverseError, LinkParameter, Pose, Trace, Tracer, Twist};
 
-/// The rod lies along z before this link.
-const ROD_LINK: usize = 2;
+/// Link of the bar, from 0, whose `d` is its length: the rod lies along z before it.
+pub const ROD_LINK: usize = 2;
 /// Below this the next step would be rounding.
 const STEP_RAD_MIN: f64 = 1e-14;
 /// Accepted where rounding keeps the steps from shrinking further.

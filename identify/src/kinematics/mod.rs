@@ -19,7 +19,7 @@ pub use ball_bar_inverse::{
 pub use chain::{Chain, DhLink, Pose};
 pub use configured::{ball_bar_chain, flange_chain, robot_chain};
 pub use hayati::ConversionError;
-pub use implied_bar::ImpliedBar;
+pub use implied_bar::{ImpliedBar, ROD_LINK};
 pub use inverse::InverseError;
 pub(crate) use inverse::rotation_vector;
 pub use robot_inverse::{ROBOT_JOINTS, robot_inverse, robot_inverse_all};

@@ -205,6 +205,14 @@ impl Tracer {
         Self { root_from_base: chain.root_from_base, links: links.collect() }
     }
 
+    /// Sets `d` of one link (from 0) \[m\]; nothing for a link that is not there.
+    #[inline]
+    pub fn set_d(&mut self, link: usize, d_m: f64) {
+        if let Some(link) = self.links.get_mut(link) {
+            link.d_m = d_m;
+        }
+    }
+
     /// Forward pass at joint angles \[rad\] (missing ones count as zero), into a trace that is overwritten.
     pub fn trace(&self, joints_rad: &[f64], trace: &mut Trace) {
         let joints = joints_rad.iter().copied().chain(std::iter::repeat(0.0));

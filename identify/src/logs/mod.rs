@@ -12,6 +12,7 @@ mod conversion;
 mod csv_text;
 mod egm;
 mod error;
+mod force;
 mod format;
 mod interpolation;
 mod mapping;
@@ -27,6 +28,7 @@ mod writer;
 
 pub use conversion::JointConversion;
 pub use error::{Cell, LogError};
+pub use force::{ForceClock, ForceKind, ForceLog};
 pub use format::LogFormat;
 pub use interpolation::{InterpolatedLog, default_gap_limit_s};
 pub use mapping::{Columns, Coupling, CsvLayout, RobotLogMapping, TimeColumn, TimeUnit};
@@ -104,6 +106,8 @@ pub struct RobotLog {
     pub speed_rad_s: Option<Vec<[f64; 6]>>,
     /// Torques or motor currents where the log has them, in the unit and on the axes of the file.
     pub torque: Option<Vec<[f64; 6]>>,
+    /// Force on the ball-bar, from this log or from a file of its own.
+    pub force: Option<ForceLog>,
     /// Quality of the log.
     pub quality: LogQuality,
 }

@@ -163,6 +163,7 @@ impl RawLog {
             q_rad,
             speed_rad_s,
             torque,
+            force: None,
             quality,
         })
     }

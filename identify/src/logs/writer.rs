@@ -4,10 +4,12 @@ use std::io::Write;
 
 use shared::config::RobotConfig;
 
+use super::force::ALONG_COLUMN;
 use super::table::{TIME_COLUMN, column_name};
-use super::{JointConversion, RobotLog};
+use super::{ForceKind, JointConversion, RobotLog};
 
-/// Writes `log` as CSV in the columns and the unit of `robot`'s configuration.
+/// Writes `log` as CSV in the columns and the unit of `robot`'s configuration, and a force along the bar that has the same
+/// stamps.
 ///
 /// # Errors
 /// Those of the sink, and `InvalidInput` where the robot's conversion cannot be inverted.
@@ -22,14 +24,19 @@ pub fn write(log: &RobotLog, robot: &RobotConfig, sink: impl Write) -> std::io::
         writeln!(sink, "# {key}: {}", value.replace(['\r', '\n'], " "))?;
     }
     let mut csv = csv::Writer::from_writer(sink);
+    let along = log.force.as_ref().filter(|force| {
+        force.kind == ForceKind::Along && force.first_stamp_ns == log.first_stamp_ns && force.t_s == log.t_s
+    });
     let header: Vec<String> = std::iter::once(TIME_COLUMN.to_owned())
         .chain((0..6).map(|index| column_name(robot, index, robot.log.unit)))
+        .chain(along.map(|_| ALONG_COLUMN.to_owned()))
         .collect();
     csv.write_record(&header)?;
     for (index, q_rad) in log.q_rad.iter().enumerate() {
         let Some(stamp_ns) = log.stamp_ns(index) else { break };
         let mut row = vec![seconds_text(stamp_ns)];
         row.extend(conversion.to_raw(q_rad).map(|value| value.to_string()));
+        row.extend(along.and_then(|force| force.values.get(index)).map(|values| values[0].to_string()));
         csv.write_record(&row)?;
     }
     csv.flush()

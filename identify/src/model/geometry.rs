@@ -2,8 +2,10 @@
 
 use nalgebra::{Rotation3, Translation3, Vector3};
 
-use super::{Axis, DriveTrain, Harmonics, JointErrors, JointState, JointWaves, ParameterId, Tracker};
-use crate::kinematics::{BAR_JOINTS, Chain, DhLink, LinkParameter, Pose};
+use super::{
+    Axis, BarForce, DriveTrain, Harmonics, JointErrors, JointState, JointWaves, ParameterId, Tracker,
+};
+use crate::kinematics::{BAR_JOINTS, Chain, DhLink, LinkParameter, Pose, ROD_LINK};
 
 /// Where the ball-bar stands: `T(origin) Rx(rx) Ry(ry)`; the turn about z is the bar's `btheta1`.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -22,6 +24,23 @@ impl BasePlacement {
         let tilt = Rotation3::from_axis_angle(&Vector3::x_axis(), self.rx_rad)
             * Rotation3::from_axis_angle(&Vector3::y_axis(), self.ry_rad);
         Pose::from_parts(Translation3::from(self.origin_m), tilt)
+    }
+}
+
+/// How the ball-bar's length follows the force along it (TFRT-6017 section 5.3).
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct BarStretch {
+    /// Longer by this for each newton \[m/N\]; negative where the log counts compression as positive.
+    pub compliance_m_per_n: f64,
+    /// Longer by this on the positive side of its play, shorter on the other \[m\].
+    pub play_m: f64,
+}
+
+impl BarStretch {
+    /// How much longer the bar is under a force, `c F + h s` \[m\].
+    #[inline]
+    pub fn extension_m(&self, force: &BarForce) -> f64 {
+        self.compliance_m_per_n * force.along_n + self.play_m * force.side
     }
 }
 
@@ -65,6 +84,8 @@ pub struct Geometry {
     pub bar_links: Vec<DhLink>,
     /// Where the bar stands.
     pub base: BasePlacement,
+    /// What a force does to its length.
+    pub stretch: BarStretch,
     /// Errors of the bar's encoders.
     pub harmonics: Harmonics,
     /// What is added to the encoders' angles in each origin of the counters but the first \[rad\].
@@ -100,6 +121,7 @@ impl Geometry {
             robot,
             bar_links,
             base,
+            stretch: BarStretch::default(),
             harmonics: Harmonics::default(),
             zeros_rad: Vec::new(),
             clock: Clock::default(),
@@ -125,7 +147,13 @@ impl Geometry {
         origin.checked_sub(1).and_then(|index| self.zeros_rad.get(index)).copied().unwrap_or_default()
     }
 
-    /// The ball-bar on its base.
+    /// Length of the ball-bar under a force \[m\]; none without one.
+    #[inline]
+    pub fn rod_m(&self, force: &BarForce) -> Option<f64> {
+        self.bar_links.get(ROD_LINK).map(|rod| rod.d_m + self.stretch.extension_m(force))
+    }
+
+    /// The ball-bar on its base, without any force on it.
     pub fn bar(&self) -> Chain {
         Chain { root_from_base: self.base.pose(), links: self.bar_links.clone() }
     }
@@ -144,6 +172,8 @@ impl Geometry {
             ParameterId::BaseRotation(Axis::Y) => Some(&mut self.base.ry_rad),
             // About z it would be btheta1 a second time.
             ParameterId::BaseRotation(Axis::Z) => None,
+            ParameterId::BarCompliance => Some(&mut self.stretch.compliance_m_per_n),
+            ParameterId::BarPlay => Some(&mut self.stretch.play_m),
             ParameterId::Harmonic { joint, harmonic } => self.harmonics.amplitude_mut(joint, harmonic),
             ParameterId::Zero { origin, joint } => {
                 self.zeros_rad.get_mut(origin.checked_sub(1)?)?.get_mut(joint)

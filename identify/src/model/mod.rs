@@ -13,12 +13,12 @@ mod roles;
 mod selection;
 mod tracker;
 
-pub use geometry::{BasePlacement, Clock, Geometry, Wire};
+pub use geometry::{BarStretch, BasePlacement, Clock, Geometry, Wire};
 pub use harmonics::{Harmonic, Harmonics};
 pub use joint_errors::{BACKLASH_SPEED_RAD_S, DriveTrain, JointErrors};
 pub use joint_term::{JointTerm, Load, Period};
 pub use joint_waves::{JointWaves, Phase};
-pub use observation::{JointState, Observation, PerObservation, RobotMotion};
+pub use observation::{BarForce, JointState, Observation, PerObservation, RobotMotion};
 pub use parameter::{Axis, ParameterId, Unit, link_parameter_name};
 pub use roles::{Model, ModelError, Parameter, Role};
 pub use selection::{Selection, THESIS_FIXED};

@@ -2,6 +2,15 @@
 
 use crate::kinematics::{BAR_JOINTS, ROBOT_JOINTS};
 
+/// What pulls or presses on the ball-bar, counted as its log counts it: which sign is tension is not known.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct BarForce {
+    /// Along the bar \[N\]; 0 where it was not measured.
+    pub along_n: f64,
+    /// Its sign, from -1 to 1: on which side of its play the bar is.
+    pub side: f64,
+}
+
 /// What the ball-bar or the wire measured at one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Observation {
@@ -15,28 +24,26 @@ pub struct Observation {
     pub origin: usize,
     /// Length of a wire or telescoping bar \[m\].
     pub length_m: Option<f64>,
+    /// On the ball-bar.
+    pub force: BarForce,
 }
 
 impl Observation {
     /// A bar with all five encoders.
     pub fn bar(t_s: f64, bar_rad: [f64; BAR_JOINTS]) -> Self {
-        Self { t_s, bar_rad, measured: [true; BAR_JOINTS], origin: 0, length_m: None }
+        let force = BarForce::default();
+        Self { t_s, bar_rad, measured: [true; BAR_JOINTS], origin: 0, length_m: None, force }
     }
 
     /// A measured length alone.
     pub fn length(t_s: f64, length_m: f64) -> Self {
-        Self {
-            t_s,
-            bar_rad: [0.0; BAR_JOINTS],
-            measured: [false; BAR_JOINTS],
-            origin: 0,
-            length_m: Some(length_m),
-        }
+        let measured = [false; BAR_JOINTS];
+        Self { measured, length_m: Some(length_m), ..Self::bar(t_s, [0.0; BAR_JOINTS]) }
     }
 }
 
 /// Robot joints at one instant.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct JointState {
     /// Joint variables \[rad\].
     pub q: [f64; ROBOT_JOINTS],

@@ -4,7 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use super::{Harmonic, JointTerm, JointWaves, ModelError, Phase};
-use crate::kinematics::{BAR_JOINTS, LinkParameter, ROBOT_JOINTS};
+use crate::kinematics::{BAR_JOINTS, LinkParameter, ROBOT_JOINTS, ROD_LINK};
 
 /// A coordinate axis of the root frame or of the flange.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -56,6 +56,10 @@ pub enum ParameterId {
     Base(Axis),
     /// Rotation of the bar's base about x, then y: `orx`, `ory`.
     BaseRotation(Axis),
+    /// How much longer the bar is for each newton along it: `bcompliance`.
+    BarCompliance,
+    /// How much longer it is on one side of its play than in the middle, by the sign of the force: `bplay`.
+    BarPlay,
     /// Error of a bar encoder that repeats with its turns: `bsin1_1` (sine of once joint 1's reading) .. `bcos2_5`.
     Harmonic {
         /// Joint from 0.
@@ -122,6 +126,8 @@ pub enum Unit {
     /// Radians per newton metre times newtons: by how much an axis gives way for each metre of its load's lever, read in
     /// mrad/m.
     RadianPerMetre,
+    /// Metres per newton, read in um/N.
+    MetrePerNewton,
 }
 
 impl Unit {
@@ -129,7 +135,7 @@ impl Unit {
     pub const fn display_factor(self) -> f64 {
         match self {
             Self::Metre | Self::Radian | Self::Second | Self::RadianPerMetre => 1e3,
-            Self::Ratio => 1e6,
+            Self::Ratio | Self::MetrePerNewton => 1e6,
         }
     }
 
@@ -141,6 +147,7 @@ impl Unit {
             Self::Second => "ms",
             Self::Ratio => "ppm",
             Self::RadianPerMetre => "mrad/m",
+            Self::MetrePerNewton => "um/N",
         }
     }
 
@@ -152,6 +159,7 @@ impl Unit {
             Self::Second => "s",
             Self::Ratio => "1",
             Self::RadianPerMetre => "rad/m",
+            Self::MetrePerNewton => "m/N",
         }
     }
 }
@@ -174,6 +182,20 @@ impl ParameterId {
 
     /// Origins of counters that have parameters of their own: a run that loses more keeps what the preparation found.
     pub const LAST_ORIGIN: usize = 99;
+    /// Length of the ball-bar: `bd3`.
+    pub const ROD: Self = Self::Bar { link: ROD_LINK, parameter: LinkParameter::D };
+
+    /// What the bar's length owes to a force along it.
+    pub const OF_FORCE: [Self; 2] = [Self::BarCompliance, Self::BarPlay];
+
+    /// The link of the ball-bar that the parameter belongs to, from 0.
+    pub const fn bar_link(self) -> Option<usize> {
+        match self {
+            Self::Bar { link, .. } => Some(link),
+            Self::BarCompliance | Self::BarPlay => Some(ROD_LINK),
+            _ => None,
+        }
+    }
 
     /// SI unit and display unit.
     pub const fn unit(self) -> Unit {
@@ -184,6 +206,8 @@ impl ParameterId {
             },
             Self::Base(_) | Self::Attachment(_) | Self::Anchor(_) | Self::LengthOffset => Unit::Metre,
             Self::Tracker(_) | Self::Probe(_) => Unit::Metre,
+            Self::BarPlay => Unit::Metre,
+            Self::BarCompliance => Unit::MetrePerNewton,
             Self::BaseRotation(_) | Self::Harmonic { .. } | Self::Zero { .. } => Unit::Radian,
             Self::TrackerRotation(_) | Self::ProbeRotation(_) | Self::JointWave { .. } => Unit::Radian,
             Self::Joint { term, .. } => match term {
@@ -246,6 +270,7 @@ impl ParameterId {
             .chain(bar)
             .chain(Axis::ALL.map(Self::Base))
             .chain([Self::BaseRotation(Axis::X), Self::BaseRotation(Axis::Y)])
+            .chain(Self::OF_FORCE)
             .chain(Self::harmonics())
             .chain(Self::zeros(Self::LAST_ORIGIN))
             .chain(Self::joint_terms())
@@ -265,6 +290,8 @@ impl fmt::Display for ParameterId {
             Self::Bar { link, parameter } => write!(f, "b{}{}", link_parameter_name(parameter), link + 1),
             Self::Base(axis) => write!(f, "o{}", axis.letter()),
             Self::BaseRotation(axis) => write!(f, "or{}", axis.letter()),
+            Self::BarCompliance => f.write_str("bcompliance"),
+            Self::BarPlay => f.write_str("bplay"),
             Self::Harmonic { joint, harmonic } => write!(f, "b{harmonic}_{}", joint + 1),
             Self::Zero { origin, joint } => write!(f, "bzero{origin}_{}", joint + 1),
             Self::JointWave { joint, order, phase } => write!(f, "r{phase}{order}_{}", joint + 1),

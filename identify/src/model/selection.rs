@@ -34,6 +34,8 @@ impl Selection {
             ParameterId::ClockShift | ParameterId::ClockSkew => {
                 matches!(self, Self::ThesisWithClocks | Self::CellWithClocks)
             }
+            // Nothing without a force: they are freed where one is given.
+            ParameterId::BarCompliance | ParameterId::BarPlay => false,
             // Not told from the geometry by samples alone: they come with priors.
             ParameterId::Harmonic { .. } | ParameterId::Zero { .. } => false,
             ParameterId::Joint { .. } | ParameterId::JointWave { .. } => false,

@@ -1,5 +1,6 @@
 //! Why recording and robot log cannot be brought together.
 
+use super::ForceError;
 use crate::kinematics::InverseError;
 use crate::logs::LogError;
 
@@ -191,6 +192,9 @@ pub enum PrepareError {
         /// Threshold \[mrad\].
         limit_mrad: f64,
     },
+    /// The force on the bar cannot be used.
+    #[error(transparent)]
+    Force(#[from] ForceError),
     /// No samples to fit.
     #[error(
         "the matched part of the logs is too short or too near to singular poses of the bar to compare angles; record \

@@ -16,6 +16,7 @@
 //! 6. `refine` fits clocks, base and zeros to the angles while all numbers of both chains may move within their
 //!    tolerances. By this fit every sample is judged (`judge`): outliers, a slipped encoder, a clock that jumped.
 //! 7. [`select`], [`spread_over_sphere`]: standstill, singular poses and surplus samples are left out.
+//! 8. Where a force was measured, each sample gets its component along the bar (`forces`).
 //!
 //! The solve gets each sample in the configuration in which it was measured: forward kinematics needs no other, and
 //! converting it would bake the zeros of the preparation into it. Only the [`Timeline`] shows all in one configuration.
@@ -29,6 +30,7 @@ mod clock;
 mod correlate;
 mod error;
 mod find;
+mod forces;
 mod judge;
 mod origins;
 mod predict;
@@ -42,6 +44,7 @@ mod standstill;
 mod steps;
 mod stretches;
 mod timeline;
+mod torque;
 mod wiring;
 
 pub use aligned::AlignedLog;
@@ -49,6 +52,7 @@ pub use bar_angles::{BarAngles, BarSegment, bar_angles};
 pub use clock::ClockFit;
 pub use correlate::{Channels, Match, candidates, correlate};
 pub use error::PrepareError;
+pub use forces::{BarForces, ForceError};
 pub use judge::LocalShift;
 pub use origins::OriginSpan;
 pub use predict::{PredictedBar, Predictor};
@@ -247,6 +251,8 @@ pub struct Prepared {
     pub origins: Vec<OriginSpan>,
     /// How the alignment varies along the run, about every 5 s.
     pub local_shifts: Vec<LocalShift>,
+    /// The force on the bar, where one was measured.
+    pub force: Option<BarForces>,
 }
 
 impl Prepared {

@@ -9,6 +9,7 @@ use shared::time::UtcNs;
 
 use super::bar_angles::{BarAngles, bar_angles};
 use super::find::{Found, Raw, Search};
+use super::forces::{Surroundings, put_on};
 use super::origins::join;
 use super::samples::{Sorted, raw_samples, sort};
 use super::smooth::{smoothed_log, smoothed_segments};
@@ -19,6 +20,7 @@ use super::{
 };
 use crate::kinematics::{BAR_JOINTS, Chain, ball_bar_chain, robot_chain};
 use crate::logs::{InterpolatedLog, RobotLog, default_gap_limit_s};
+use crate::model::DriveTrain;
 
 /// Joints that travel less than this do not move \[deg\].
 const TRAVEL_DEG_MIN: f64 = 3.0;
@@ -48,6 +50,7 @@ pub fn prepare(
     check_motion(&raw, cycles.len(), log)?;
     check_length(&raw, log, options)?;
     let interpolated = InterpolatedLog::new(log, default_gap_limit_s(log))?;
+    let gravity = DriveTrain::of(robot, &robot_chain(robot, bar)).gravity;
     let (robot, bar_chain) = (robot_chain(robot, bar), ball_bar_chain(bar));
     let sphere = sphere(log, &robot, bar.length_m, options)?;
     let predictor = Predictor::new(&interpolated, &robot, &bar_chain, sphere.centre_m)?;
@@ -86,7 +89,7 @@ pub fn prepare(
     };
     let timeline = run.timeline();
     let offsets = offsets(&found, reference, &sorted);
-    Ok(Prepared {
+    let prepared = Prepared {
         t_ref,
         measured,
         initial: initial(base_m, &sphere, clock, &offsets),
@@ -101,7 +104,31 @@ pub fn prepare(
         local_shifts: sorted.local_shifts,
         observations: sorted.observations,
         motion,
-    })
+        force: None,
+    };
+    with_force(prepared, log, &robot, gravity)
+}
+
+/// The force on the bar in each sample, where one was measured.
+fn with_force(
+    mut prepared: Prepared,
+    log: &RobotLog,
+    robot: &Chain,
+    gravity: Vector3<f64>,
+) -> Result<Prepared, PrepareError> {
+    let Some(force) = &log.force else { return Ok(prepared) };
+    let around = Surroundings {
+        t_ref: prepared.t_ref,
+        clock_difference_ns: prepared.alignment.clock_difference_ns,
+        skew: prepared.alignment.skew,
+        motion: &prepared.motion,
+        robot,
+        base_m: prepared.initial.base_m,
+        gravity,
+    };
+    prepared.force = Some(put_on(&mut prepared.observations, force, &around)?);
+    prepared.counts.kept = prepared.observations.len();
+    Ok(prepared)
 }
 
 /// Both logs averaged in the same way where that is asked for.

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use shared::time::UtcNs;
 
+use super::force::ForceEntry;
 use super::knowledge::{CovarianceEntry, Knowledge};
 use super::validation::{HeldOutEntry, OtherCostEntry};
 use crate::calibrate::ball_bar::BallBarCalibration;
@@ -130,10 +131,11 @@ impl ParameterEntry {
         self.name.split('@').next()?.parse().ok()
     }
 
-    /// All parameters of a model at its solution, in the model's order, but terms of the robot's axes that are left out.
+    /// All parameters of a model at its solution, in the model's order, but terms of the robot's axes and of forces that are left out.
     pub fn all(model: &Model, sigma: impl Fn(ParameterId) -> Option<f64>) -> Vec<Self> {
         let left_out = |parameter: &&Parameter| {
-            matches!(parameter.id, ParameterId::Joint { .. } | ParameterId::JointWave { .. })
+            let term = matches!(parameter.id, ParameterId::Joint { .. } | ParameterId::JointWave { .. });
+            (term || ParameterId::OF_FORCE.contains(&parameter.id))
                 && parameter.role == Role::Fixed
                 && parameter.value == 0.0
         };
@@ -214,6 +216,9 @@ pub struct CalibrationFile {
     /// Those of the other runs, in their order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub other_clocks: Vec<ClockEntry>,
+    /// The force on the bar, where one was measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub force: Option<ForceEntry>,
     /// Files it was made from.
     pub inputs: Vec<Input>,
     /// Kinds of terms that were tried on held-out stretches of the runs.
@@ -254,6 +259,7 @@ impl CalibrationFile {
             solve,
             clock,
             other_clocks: Vec::new(),
+            force: None,
             inputs,
             candidates: Vec::new(),
             held_out: None,

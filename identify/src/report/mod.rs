@@ -3,6 +3,7 @@
 pub mod corrections;
 pub mod examination;
 pub mod file;
+pub mod force;
 pub mod knowledge;
 pub mod page;
 pub mod poses;

@@ -43,6 +43,15 @@ pub fn calibration(file: &CalibrationFile) -> String {
             clock.correlation,
         );
     }
+    if let Some(force) = &file.force {
+        let _ = writeln!(
+            text,
+            "force: {}; off the sphere {:.2} um RMS, {:.2} um of it not explained by the force",
+            force.sentence,
+            force.off_sphere_rms_m * 1e6,
+            force.unexplained_rms_m * 1e6,
+        );
+    }
     let _ = writeln!(text, "\n{:<16}{:>14}{:>12}{:>10}  unit", "parameter", "nominal", "correction", "sigma");
     let mut fixed = Vec::new();
     for entry in &file.parameters {

@@ -9,6 +9,7 @@ mod design;
 mod effects;
 mod path;
 mod plan;
+mod pull;
 mod sample;
 mod truth;
 mod write;
@@ -17,6 +18,7 @@ pub use design::Design;
 pub use effects::Effects;
 pub use path::{Motion, Move, Path};
 pub use plan::{PlanError, plan};
+pub use pull::{BarLoad, Pull};
 pub use truth::{ClockTruth, EncoderTruth, StaticErrors, THESIS_ERRORS, Truth, parameter_names};
 pub use write::{SimulationFiles, WriteError, write};
 
@@ -66,6 +68,8 @@ pub struct Experiment<'a> {
     pub errors: StaticErrors,
     /// What no estimator models.
     pub effects: Effects,
+    /// Force along the bar, which then gives way and the robot's log has it.
+    pub load: BarLoad,
     /// The two clocks.
     pub clocks: Clocks,
     /// Seed of path, encoder zeros and noise.
@@ -81,6 +85,7 @@ impl<'a> Experiment<'a> {
             design: Design::for_robot(robot),
             errors: StaticErrors::Thesis,
             effects: Effects::default(),
+            load: BarLoad::default(),
             clocks: Clocks::default(),
             seed: 1,
         }
@@ -126,6 +131,14 @@ pub enum SimulateError {
         /// Its value.
         value_urad: f64,
     },
+    /// The force is none.
+    #[error("load.{name} is {value}; give a finite number that is not negative")]
+    Load {
+        /// Its key.
+        name: &'static str,
+        /// Its value.
+        value: f64,
+    },
 }
 
 /// Independent random streams, so that one more draw for one purpose leaves all others as they were.
@@ -136,6 +149,7 @@ enum Stream {
     EncoderZeros = 3,
     RobotEffects = 4,
     EncoderEffects = 5,
+    Load = 6,
 }
 
 fn random(seed: u64, stream: Stream) -> ChaCha8Rng {
@@ -150,6 +164,10 @@ fn random(seed: u64, stream: Stream) -> ChaCha8Rng {
 /// [`SimulateError`] where base, length and robot do not allow a path, or an effect is no number.
 pub fn run(experiment: &Experiment<'_>) -> Result<Simulated, SimulateError> {
     experiment.effects.check()?;
+    let sizes = experiment.load.sizes();
+    if let Some(&(name, value)) = sizes.iter().find(|(_, size)| !(size.is_finite() && *size >= 0.0)) {
+        return Err(SimulateError::Load { name, value });
+    }
     let Experiment { robot, bar, design, .. } = experiment;
     let nominal_robot = robot_chain(robot, bar);
     let mut nominal_bar = ball_bar_chain(bar);
@@ -159,13 +177,15 @@ pub fn run(experiment: &Experiment<'_>) -> Result<Simulated, SimulateError> {
         plan(&nominal_robot, &nominal_bar, &robot.joint_limits_deg, design, &mut path_random)?;
 
     let truth = Truth::new(experiment, &nominal_robot, &nominal_bar);
+    let mut load_random = random(experiment.seed, Stream::Load);
     let motion = Motion {
         path,
         robot: truth.robot_chain(&nominal_robot),
         bar: truth.bar_chain(&nominal_bar),
         start_rad,
+        pull: Pull::new(experiment.load, &mut load_random),
     };
-    let robot_log = sample::robot_log(experiment, &motion)?;
+    let robot_log = sample::robot_log(experiment, &motion, load_random)?;
     let (cycles, encoders, encoder_truth) = sample::recording(experiment, &motion);
     let truth = Truth { encoders: encoder_truth, ..truth };
     Ok(Simulated { cycles, encoders, robot_log, truth, motion })

@@ -1,6 +1,7 @@
 //! Motion of the bar's joints, smooth to the second derivative, and of the robot that follows.
 
-use crate::kinematics::{Chain, InverseError, Pose, robot_inverse};
+use super::Pull;
+use crate::kinematics::{Chain, InverseError, Pose, ROD_LINK, robot_inverse};
 
 /// One move from point to point along the minimum-jerk profile `10 u^3 - 15 u^4 + 6 u^5`: speed and acceleration are
 /// zero at both ends (Flash and Hogan 1985).
@@ -75,12 +76,25 @@ pub struct Motion {
     pub bar: Chain,
     /// Joints of the nominal robot at the start of the path \[rad\].
     pub start_rad: [f64; 6],
+    /// What makes the bar longer and shorter; none leaves it rigid.
+    pub pull: Option<Pull>,
 }
 
 impl Motion {
     /// Pose of the common end frame at `t_s`.
     pub fn pose(&self, t_s: f64) -> Pose {
-        self.bar.forward(&self.path.at(t_s))
+        let joints_rad = self.path.at(t_s);
+        let Some(pull) = &self.pull else { return self.bar.forward(&joints_rad) };
+        let mut bar = self.bar.clone();
+        for rod in bar.links.iter_mut().skip(ROD_LINK).take(1) {
+            rod.d_m += pull.extension_m(t_s, &joints_rad);
+        }
+        bar.forward(&joints_rad)
+    }
+
+    /// Force along the bar at `t_s`, tension positive \[N\].
+    pub fn force_n(&self, t_s: f64) -> f64 {
+        self.pull.as_ref().map_or(0.0, |pull| pull.force_n(t_s, &self.path.at(t_s)))
     }
 
     /// Joints of the true robot at `t_s` \[rad\], the solution nearest to `near_rad`.

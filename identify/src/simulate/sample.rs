@@ -1,6 +1,8 @@
 //! What the bar's encoders and the robot's log say of a motion, each on its own clock.
 
 use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::StandardNormal;
 use shared::encoder::{EncoderScale, wrap};
 use shared::recording::schema::{CycleRecord, EncoderInfo, EncoderSample, MAX_ENCODERS};
 use shared::time::{DcNs, MonoNs};
@@ -8,7 +10,7 @@ use shared::time::{DcNs, MonoNs};
 use super::effects::{BarReading, RobotReading};
 use super::truth::EncoderTruth;
 use super::{Experiment, Motion, SimulateError, Stream, random};
-use crate::logs::{LogQuality, Origin, RobotLog};
+use crate::logs::{ForceClock, ForceKind, ForceLog, LogQuality, Origin, RobotLog};
 
 /// Time between two bus cycles \[ns\]: 100 Hz.
 pub(super) const CYCLE_NS: i64 = 10_000_000;
@@ -27,8 +29,12 @@ const UTC_UNCERTAINTY_NS: u32 = 1_000;
 /// What one EL5021 adds to the working counter (one logical read and write).
 const WORKING_COUNTER_PER_ENCODER: u16 = 3;
 
-/// The robot's log of the motion.
-pub(super) fn robot_log(experiment: &Experiment<'_>, motion: &Motion) -> Result<RobotLog, SimulateError> {
+/// The robot's log of the motion; `force_random` makes the noise of the force.
+pub(super) fn robot_log(
+    experiment: &Experiment<'_>,
+    motion: &Motion,
+    mut force_random: ChaCha8Rng,
+) -> Result<RobotLog, SimulateError> {
     let rate = 1.0 + experiment.clocks.skew;
     let lead_ns = ((LOG_LEAD_S * rate) * 1e9) as i64;
     let length_s = motion.path.duration_s + 2.0 * LOG_LEAD_S;
@@ -48,6 +54,7 @@ pub(super) fn robot_log(experiment: &Experiment<'_>, motion: &Motion) -> Result<
         },
         ..RobotLog::default()
     };
+    let mut forces = Vec::new();
     for row in 0..rows {
         let since_bar_start_ns = row * ROBOT_PERIOD_NS - lead_ns;
         let t_s = since_bar_start_ns as f64 * 1e-9 / rate;
@@ -55,7 +62,17 @@ pub(super) fn robot_log(experiment: &Experiment<'_>, motion: &Motion) -> Result<
             motion.robot_joints(t_s, &near_rad).map_err(|source| SimulateError::Follow { t_s, source })?;
         log.t_s.push((row * ROBOT_PERIOD_NS) as f64 * 1e-9);
         log.q_rad.push(reading.of(&near_rad));
+        let noise: f64 = force_random.sample(StandardNormal);
+        let force_n = motion.force_n(t_s) + experiment.load.noise_n * noise;
+        forces.push([force_n, 0.0, 0.0, 0.0, 0.0, 0.0]);
     }
+    log.force = motion.pull.map(|_| ForceLog {
+        clock: ForceClock::Robot,
+        kind: ForceKind::Along,
+        first_stamp_ns: log.first_stamp_ns,
+        t_s: log.t_s.clone(),
+        values: forces,
+    });
     Ok(log)
 }
 

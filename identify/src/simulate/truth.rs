@@ -7,7 +7,7 @@ use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 use shared::time::UtcNs;
 
-use super::{Design, Effects, Experiment, Stream, random};
+use super::{BarLoad, Design, Effects, Experiment, Stream, random};
 use crate::kinematics::{Chain, Pose};
 use crate::model::THESIS_FIXED;
 
@@ -139,6 +139,9 @@ pub struct Truth {
     pub errors: StaticErrors,
     /// Unmodelled effects.
     pub effects: Effects,
+    /// Force on the bar.
+    #[serde(default)]
+    pub load: BarLoad,
     /// Layout and motion.
     pub design: Design,
     /// Nominal parameters by name \[m|rad\]; `ox`, `oy`, `oz` are those of the design.
@@ -154,7 +157,7 @@ impl Truth {
         let errors = experiment.errors.by_name();
         let nominal = nominal(robot, bar);
         let [orx, ory] = experiment.effects.base_tilt_rad();
-        let parameters = nominal
+        let mut parameters: BTreeMap<String, f64> = nominal
             .iter()
             .map(|(name, value)| {
                 let tilt = match name.as_str() {
@@ -165,6 +168,11 @@ impl Truth {
                 (name.clone(), value + tilt + errors.get(name).copied().unwrap_or(0.0))
             })
             .collect();
+        let BarLoad { force_n, compliance_um_per_n, play_um, .. } = experiment.load;
+        if force_n > 0.0 {
+            parameters.insert("bcompliance".into(), compliance_um_per_n * 1e-6);
+            parameters.insert("bplay".into(), play_um * 1e-6);
+        }
         let clocks = experiment.clocks;
         let shift_ns = i128::from(clocks.robot_at_bar_start_ns) - i128::from(clocks.bar_start.0);
         Self {
@@ -179,6 +187,7 @@ impl Truth {
             },
             errors: experiment.errors,
             effects: experiment.effects,
+            load: experiment.load,
             design: experiment.design.clone(),
             nominal,
             parameters,

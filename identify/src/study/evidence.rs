@@ -2,8 +2,8 @@
 
 use super::limits::gap_m;
 use super::{
-    CostComparison, HeldOut, JointGap, Limit, Quantiles, ShiftCurve, WorkspaceError, compare_costs, held_out,
-    joint_gaps, limits, shift_curve, uncalibrated, workspace_error,
+    CostComparison, HeldOut, JointGap, Limit, Quantiles, ShiftCurve, SphereDeviation, WorkspaceError,
+    compare_costs, held_out, joint_gaps, limits, shift_curve, uncalibrated, workspace_error,
 };
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::ball_bar::{BallBarCalibration, CalibrateError};
@@ -61,6 +61,8 @@ pub struct Evidence {
     pub gap_after_m: Quantiles,
     /// The samples of all runs at the solution, from each joint.
     pub joints: [Vec<JointGap>; ROBOT_JOINTS],
+    /// How far the robot's end is from the bar's sphere.
+    pub sphere: SphereDeviation,
     /// Expected error over the workspace.
     pub workspace: WorkspaceError,
     /// Names of the free parameters of robot and first run, and their correlations row by row.
@@ -89,6 +91,7 @@ pub fn evidence(calibration: &BallBarCalibration, joint_limits_deg: &[[f64; 2]; 
         joints: joint_gaps(all(|run| &run.after)),
         correlations: correlations(calibration),
         limits: limits(calibration, &runs, &workspace),
+        sphere: SphereDeviation::of(calibration, &runs),
         runs,
         workspace,
         held_out: None,

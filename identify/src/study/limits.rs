@@ -1,6 +1,6 @@
 //! What limits a calibration, in sentences that a person can act on.
 
-use super::{Quantiles, RunEvidence, WorkspaceError};
+use super::{PositiveForce, Quantiles, RunEvidence, Stretch, WorkspaceError};
 use crate::calibrate::CostName;
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::cost::Closure;
@@ -77,6 +77,18 @@ pub fn limits(
             format!(
                 "The weakest combination of parameters is {}: poses that tell these apart improve the result most.",
                 names.join(", ")
+            ),
+        );
+    }
+    if let Some(stretch) =
+        Stretch::of(calibration).filter(|stretch| stretch.positive == PositiveForce::NotTold)
+    {
+        tell(
+            true,
+            format!(
+                "The {} does not tell how the bar gives way ({}); check its clock, column and place, or calibrate without it.",
+                stretch.measured.kind.describe(),
+                stretch.sentence()
             ),
         );
     }

@@ -9,6 +9,7 @@ mod held_out;
 mod limits;
 mod nominal;
 mod shift;
+mod sphere_deviation;
 mod workspace;
 
 pub use consistency::{Compared, Consistency, ConsistencyError};
@@ -20,4 +21,5 @@ pub use held_out::{Apart, ApartRms, HeldOut, HeldOutStretch, held_out};
 pub use limits::{Limit, limits};
 pub use nominal::uncalibrated;
 pub use shift::{ShiftCurve, shift_curve};
+pub use sphere_deviation::{Deviation, OffSphere, PositiveForce, SphereDeviation, Stretch};
 pub use workspace::{Expected, WorkspaceError, workspace_error};

@@ -3,8 +3,8 @@
 
 use identify::kinematics::{Chain, DhLink, LinkParameter, Pose};
 use identify::model::{
-    BACKLASH_SPEED_RAD_S, BasePlacement, DriveTrain, Geometry, Harmonic, JointState, JointTerm, Model,
-    Observation, ParameterId, RobotMotion,
+    BACKLASH_SPEED_RAD_S, BarForce, BasePlacement, DriveTrain, Geometry, Harmonic, JointState, JointTerm,
+    Model, Observation, ParameterId, RobotMotion,
 };
 use num_dual::{Dual64, DualNum};
 
@@ -38,11 +38,14 @@ impl RobotMotion for Sines {
 }
 
 /// All numbers of the closed chain over any scalar, in the order of [`ParameterId`]s given.
+#[derive(Clone)]
 pub struct Numbers<D> {
     pub robot: Vec<Link<D>>,
     pub bar: Vec<Link<D>>,
     pub origin: [D; 3],
     pub tilt: [D; 2],
+    /// Compliance and play.
+    pub stretch: [D; 2],
     pub harmonics: [[D; 4]; 5],
     /// Added to the encoders' angles in origin 1.
     pub zeros: [D; 5],
@@ -141,6 +144,7 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             bar: links(&g.bar_links),
             origin: [0, 1, 2].map(|i| D::from(g.base.origin_m[i])),
             tilt: [g.base.rx_rad, g.base.ry_rad].map(D::from),
+            stretch: [g.stretch.compliance_m_per_n, g.stretch.play_m].map(D::from),
             harmonics: harmonics(g).map(|joint| joint.map(D::from)),
             zeros: g.zeros_in(1).map(D::from),
             joint_errors: joint_errors(g).map(|axis| axis.map(D::from)),
@@ -164,6 +168,8 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             ParameterId::Bar { link, parameter } => &mut self.bar[link][at(parameter)],
             ParameterId::Base(axis) => &mut self.origin[axis.index()],
             ParameterId::BaseRotation(axis) => &mut self.tilt[axis.index()],
+            ParameterId::BarCompliance => &mut self.stretch[0],
+            ParameterId::BarPlay => &mut self.stretch[1],
             ParameterId::Harmonic { joint, harmonic } => &mut self.harmonics[joint][harmonic as usize],
             ParameterId::Zero { joint, .. } => &mut self.zeros[joint],
             ParameterId::Joint { axis, term } => &mut self.joint_errors[axis][place(term)],
@@ -197,6 +203,14 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
         })
     }
 
+    /// The same with the bar as long as a force makes it.
+    pub fn under(&self, force: &BarForce) -> Self {
+        let mut stretched = self.clone();
+        let Some(rod) = stretched.bar.get_mut(2) else { return stretched };
+        rod[2] += self.stretch[0] * force.along_n + self.stretch[1] * force.side;
+        stretched
+    }
+
     pub fn bar_end(&self, bar: &[D; 5]) -> Matrix<D> {
         forward(&self.bar_base(), &self.bar, bar)
     }
@@ -210,6 +224,7 @@ impl Numbers<Dual64> {
             bar: self.bar.iter().map(|link| link.map(|x| plain(&x))).collect(),
             origin: self.origin.map(|x| plain(&x)),
             tilt: self.tilt.map(|x| plain(&x)),
+            stretch: self.stretch.map(|x| plain(&x)),
             harmonics: self.harmonics.map(|joint| joint.map(|x| plain(&x))),
             zeros: self.zeros.map(|x| plain(&x)),
             arm: self.arm.clone(),

@@ -11,7 +11,7 @@ use identify::cost::{
     WhitenedPose, fill_in,
 };
 use identify::kinematics::{Chain, ImpliedBar, Tracer};
-use identify::model::{Axis, Model, Observation, ParameterId, Role};
+use identify::model::{Axis, BarForce, Model, Observation, ParameterId, Role};
 use identify::solver::stacked;
 use nalgebra::DMatrix;
 use num_dual::{Dual64, DualNum};
@@ -122,6 +122,7 @@ fn observations() -> Vec<Observation> {
                 Observation::bar(t, [0, 1, 2, 3, 4].map(|j| 2.0 * (t * (0.5 + 0.1 * f64::from(j))).sin()));
             o.length_m = Some(1.0 + 0.01 * t);
             o.origin = (k % 2) as usize;
+            o.force = BarForce { along_n: (1.3 * t).sin(), side: (0.9 * t + 1.0).cos() };
             o
         })
         .collect()
@@ -139,7 +140,9 @@ fn agrees<R: Residual>(arm: &Chain, model: &Model, residual: R, independent: Ind
         *number = number.derivative();
         let mut largest = 0.0f64;
         for (k, observation) in observations.iter().enumerate() {
-            for (i, expected) in independent(&numbers, observation).into_iter().enumerate() {
+            for (i, expected) in
+                independent(&numbers.under(&observation.force), observation).into_iter().enumerate()
+            {
                 let row = k * R::ROWS + i;
                 assert!((r[row] - expected.re).abs() < 1e-12, "{} row {row}", R::NAME);
                 let scale = jacobian.column(column).amax().max(expected.eps.abs()).max(1e-3);
@@ -196,6 +199,7 @@ fn pose_has_the_derivatives_of_the_plain_pose_times_one_matrix_for_each_sample()
                 let mut numbers = Numbers::<Dual64>::new(&cell.robot, &geometry);
                 let number = numbers.number(parameter.id);
                 *number = number.derivative();
+                let numbers = numbers.under(&observation.force);
                 for (i, value) in independent_pose(&numbers, observation).into_iter().enumerate() {
                     plain[(i, column)] = value.eps;
                     plain[(i, model.columns().len())] = value.re;
@@ -285,6 +289,9 @@ fn a_cost_refuses_observations_without_its_encoders_or_its_length() {
     assert!(LoopProblem::new(&model, &Sines, &without, MeasuredLength, 1.0).is_err());
     let nan = [Observation::bar(0.0, [f64::NAN; 5])];
     assert!(LoopProblem::new(&model, &Sines, &nan, Transform, 1.0).is_err());
+    let mut pulled = Observation::bar(0.0, [0.1; 5]);
+    pulled.force.along_n = f64::NAN;
+    assert!(LoopProblem::new(&model, &Sines, &[pulled], Transform, 1.0).is_err());
     assert!(LoopProblem::new(&model, &Sines, &without, Length, 0.0).is_err());
 }
 

@@ -9,6 +9,7 @@ pub(super) mod plot;
 mod preparation;
 mod runs;
 mod sections;
+mod sphere;
 mod thin;
 
 use std::path::{Path, PathBuf};
@@ -74,6 +75,7 @@ impl Page<'_> {
                     (sections::verdict(self))
                     (held_out::section(self)?)
                     (runs::gaps(self)?)
+                    (sphere::section(self)?)
                     (sections::parameters(self))
                     (sections::candidates(self))
                     (costs::section(self)?)

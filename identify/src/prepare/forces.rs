@@ -1,0 +1,255 @@
+//! The force on the bar at each sample.
+//!
+//! Forces change slowly beside the fractions of a millisecond by which a solve still moves the clocks, and their direction
+//! needs no more than nominal geometry: so they are taken once, on what the preparation has found.
+
+use nalgebra::Vector3;
+use serde::Serialize;
+use shared::time::UtcNs;
+
+use super::torque::{TorqueSample, forces_from_torques};
+use crate::kinematics::Chain;
+use crate::logs::{ForceClock, ForceKind, ForceLog};
+use crate::model::{BarForce, JointState, Observation, ParameterId, RobotMotion};
+
+/// Force at which the bar has changed sides of its play by three quarters \[N\].
+const SIDE_N: f64 = 5.0;
+/// A force must vary by this much to tell anything \[N\].
+const RANGE_MIN_N: f64 = 2.0;
+/// No ball-bar is pulled harder than this \[N\].
+const FORCE_MAX_N: f64 = 20_000.0;
+/// Half the time over which the robot's rates are taken \[s\].
+const RATE_REACH_S: f64 = 0.02;
+/// Part of the samples that must have a force.
+const COVERED_MIN: f64 = 0.5;
+/// Part of the samples that must be on either side, where only the sign is known.
+const EITHER_SIDE_MIN: f64 = 0.02;
+
+/// The force on the bar in the samples of a run.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct BarForces {
+    /// What was measured.
+    pub kind: ForceKind,
+    /// On whose clock.
+    pub clock: ForceClock,
+    /// Samples that the force log does not cover: they are left out.
+    pub uncovered: usize,
+    /// Smallest and largest along the bar, as the log counts them \[N\]; signs where only these are known.
+    pub range: [f64; 2],
+    /// What gravity, friction and inertia do not explain of the joints' torques, root mean square \[N m\].
+    pub torque_rms_nm: Option<f64>,
+}
+
+impl BarForces {
+    /// What a solve can find with them.
+    pub fn parameter(&self) -> ParameterId {
+        match self.kind {
+            ForceKind::Sign => ParameterId::BarPlay,
+            _ => ParameterId::BarCompliance,
+        }
+    }
+
+    /// `N`, or nothing for signs.
+    pub const fn unit(&self) -> &'static str {
+        if matches!(self.kind, ForceKind::Sign) { "" } else { "N" }
+    }
+}
+
+/// Forces that cannot be used.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ForceError {
+    /// Wrong clock, or another run.
+    #[error(
+        "the force log covers {covered} of {samples} samples: on the {clock}'s clock it lasts from {from_s:+.1} to \
+         {to_s:+.1} s, the samples from {first_s:+.1} to {last_s:+.1} s (about the middle of the run); is it of this \
+         run, and are its stamps on that clock? A file says `# clock: bar` or `# clock: robot`"
+    )]
+    NotCovered {
+        /// Samples with a force.
+        covered: usize,
+        /// All.
+        samples: usize,
+        /// `robot` or `bar`.
+        clock: &'static str,
+        /// First force.
+        from_s: f64,
+        /// Last force.
+        to_s: f64,
+        /// First sample.
+        first_s: f64,
+        /// Last sample.
+        last_s: f64,
+    },
+    /// Nothing to correlate with.
+    #[error(
+        "the {what} hardly varies ({low:.2} to {high:.2}{unit}): it tells nothing of the bar; check column and unit, or \
+         calibrate without it"
+    )]
+    Flat {
+        /// Kind of force.
+        what: &'static str,
+        /// Smallest.
+        low: f64,
+        /// Largest.
+        high: f64,
+        /// With a blank before it.
+        unit: &'static str,
+    },
+    /// Wrong unit.
+    #[error("the {what} reaches {most:.0} N, no ball-bar is pulled so hard; check its unit")]
+    TooLarge {
+        /// Kind of force.
+        what: &'static str,
+        /// Largest \[N\].
+        most: f64,
+    },
+    /// The motion does not tell gravity, friction and force apart.
+    #[error(
+        "the torques of the joints do not tell the force along the bar: robot and bar moved too little to tell it from \
+         gravity and friction; measure the force itself, or calibrate without it"
+    )]
+    Torques,
+}
+
+/// What a force is brought to the bar with.
+pub(super) struct Surroundings<'a, M> {
+    /// Reference time on the bar's clock.
+    pub t_ref: UtcNs,
+    /// Robot clock minus bar clock there \[ns\].
+    pub clock_difference_ns: i64,
+    /// Relative rate of the robot's clock minus one.
+    pub skew: f64,
+    /// The robot's motion, in robot time since the reference.
+    pub motion: &'a M,
+    /// The nominal robot.
+    pub robot: &'a Chain,
+    /// Centre of the gimbal in the robot's base \[m\].
+    pub base_m: Vector3<f64>,
+    /// Direction of gravity in the robot's base.
+    pub gravity: Vector3<f64>,
+}
+
+/// Puts the force on each sample; samples without one are taken out.
+///
+/// # Errors
+/// [`ForceError`] where the force log is of another time or cannot be a force on a bar.
+pub(super) fn put_on<M: RobotMotion>(
+    observations: &mut Vec<Observation>,
+    log: &ForceLog,
+    around: &Surroundings<'_, M>,
+) -> Result<BarForces, ForceError> {
+    let gap_limit_s = log.gap_limit_s();
+    let value = |observation: &Observation| log.at(around.log_time_s(log, observation.t_s), gap_limit_s);
+    let rows: Vec<Option<[f64; 6]>> = observations.iter().map(value).collect();
+    let covered = rows.iter().flatten().count();
+    let samples = observations.len();
+    if (covered as f64) < COVERED_MIN * samples as f64 {
+        return Err(around.not_covered(log, observations, covered));
+    }
+    let mut given = rows.iter();
+    observations.retain(|_| given.next().is_some_and(Option::is_some));
+    let rows: Vec<[f64; 6]> = rows.into_iter().flatten().collect();
+    let (along, torque_rms_nm) = around.along_bar(log.kind, observations, &rows)?;
+    let range = check(log.kind, &along)?;
+    for (observation, &along) in observations.iter_mut().zip(&along) {
+        observation.force = match log.kind {
+            ForceKind::Sign => BarForce { along_n: 0.0, side: along },
+            _ => BarForce { along_n: along, side: (along / SIDE_N).tanh() },
+        };
+    }
+    Ok(BarForces { kind: log.kind, clock: log.clock, uncovered: samples - covered, range, torque_rms_nm })
+}
+
+/// Smallest and largest, if they make sense.
+fn check(kind: ForceKind, along: &[f64]) -> Result<[f64; 2], ForceError> {
+    let (low, high) =
+        along.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &f| (low.min(f), high.max(f)));
+    let what = kind.describe();
+    if kind == ForceKind::Sign {
+        let least = EITHER_SIDE_MIN * along.len() as f64;
+        let many = |on: fn(&&f64) -> bool| along.iter().filter(on).count() as f64 >= least;
+        if many(|side| **side > 0.5) && many(|side| **side < -0.5) {
+            return Ok([low, high]);
+        }
+        return Err(ForceError::Flat { what, low, high, unit: "" });
+    }
+    if low.abs().max(high.abs()) > FORCE_MAX_N {
+        return Err(ForceError::TooLarge { what, most: low.abs().max(high.abs()) });
+    }
+    if high - low < RANGE_MIN_N {
+        return Err(ForceError::Flat { what, low, high, unit: " N" });
+    }
+    Ok([low, high])
+}
+
+impl<M: RobotMotion> Surroundings<'_, M> {
+    /// Time of the force log, after its first stamp, at a bar time since the reference \[s\].
+    fn log_time_s(&self, log: &ForceLog, t_s: f64) -> f64 {
+        let (reference_ns, rate) = match log.clock {
+            ForceClock::Bar => (self.t_ref.0, 1.0),
+            ForceClock::Robot => (self.t_ref.0.saturating_add(self.clock_difference_ns), 1.0 + self.skew),
+        };
+        // Stamps have more digits than a float.
+        let since_first_s = (i128::from(reference_ns) - i128::from(log.first_stamp_ns)) as f64 * 1e-9;
+        since_first_s + rate * t_s
+    }
+
+    /// The robot at a bar time since the reference. Rates are taken over a few hundredths of a second: from one row of its
+    /// log to the next they are mostly noise, which friction would take for changes of direction.
+    fn state(&self, t_s: f64) -> JointState {
+        let at = |by_s: f64| self.motion.at(t_s + self.skew * t_s + by_s);
+        let here = at(0.0).unwrap_or_default();
+        let (Some(before), Some(after)) = (at(-RATE_REACH_S), at(RATE_REACH_S)) else { return here };
+        let rate = |i: usize| (after.q[i] - before.q[i]) / (2.0 * RATE_REACH_S);
+        let bend = |i: usize| (after.q[i] - 2.0 * here.q[i] + before.q[i]) / (RATE_REACH_S * RATE_REACH_S);
+        JointState { q: here.q, qd: std::array::from_fn(rate), qdd: std::array::from_fn(bend) }
+    }
+
+    fn not_covered(&self, log: &ForceLog, observations: &[Observation], covered: usize) -> ForceError {
+        let middle_s = self.log_time_s(log, 0.0);
+        ForceError::NotCovered {
+            covered,
+            samples: observations.len(),
+            clock: log.clock.name(),
+            from_s: -middle_s,
+            to_s: log.t_s.last().copied().unwrap_or(0.0) - middle_s,
+            first_s: observations.first().map_or(0.0, |one| one.t_s),
+            last_s: observations.last().map_or(0.0, |one| one.t_s),
+        }
+    }
+
+    /// Component along the bar of each row, from the gimbal to the flange, and what torques leave unexplained \[N m\].
+    fn along_bar(
+        &self,
+        kind: ForceKind,
+        observations: &[Observation],
+        rows: &[[f64; 6]],
+    ) -> Result<(Vec<f64>, Option<f64>), ForceError> {
+        let samples = observations.iter().zip(rows);
+        if kind == ForceKind::JointTorques {
+            let torques: Vec<TorqueSample> = samples
+                .map(|(observation, row)| {
+                    TorqueSample::new(
+                        self.robot,
+                        self.base_m,
+                        self.gravity,
+                        &self.state(observation.t_s),
+                        *row,
+                    )
+                })
+                .collect();
+            let found = forces_from_torques(&torques).ok_or(ForceError::Torques)?;
+            return Ok((found.along_n, Some(found.rms_nm)));
+        }
+        let along = |(observation, row): (&Observation, &[f64; 6])| {
+            let force = Vector3::new(row[0], row[1], row[2]);
+            if kind.values() == 1 {
+                return row[0];
+            }
+            let end = self.robot.forward(&self.state(observation.t_s).q);
+            let out = (end.translation.vector - self.base_m).normalize();
+            if kind == ForceKind::InFlange { out.dot(&(end.rotation * force)) } else { out.dot(&force) }
+        };
+        Ok((samples.map(along).collect(), None))
+    }
+}

@@ -1,0 +1,59 @@
+//! What a force on the bar did, for programs.
+
+use serde::{Deserialize, Serialize};
+
+use crate::logs::{ForceClock, ForceKind};
+use crate::study::{PositiveForce, SphereDeviation};
+
+/// The force on the bar in `calibration.toml` and `calibration.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ForceEntry {
+    /// What was measured.
+    pub kind: ForceKind,
+    /// On whose clock.
+    pub clock: ForceClock,
+    /// `tension`, `compression` or `not told`: which the log's positive force is.
+    pub positive: String,
+    /// `bcompliance` \[m/N\] or `bplay` \[m\]: positive where the log's positive force makes the bar longer.
+    pub parameter: String,
+    /// Its value.
+    pub value: f64,
+    /// One standard deviation; absent where it was fixed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sigma: Option<f64>,
+    /// Smallest and largest along the bar \[N\], or signs.
+    pub range: [f64; 2],
+    /// Samples left out because they have no force.
+    pub uncovered: usize,
+    /// Deviation of the calibrated robot from the sphere of a rigid bar, root mean square \[m\].
+    pub off_sphere_rms_m: f64,
+    /// The same without what the force explains \[m\].
+    pub unexplained_rms_m: f64,
+    /// In words.
+    pub sentence: String,
+}
+
+impl ForceEntry {
+    /// None without a force.
+    pub fn of(sphere: &SphereDeviation) -> Option<Self> {
+        let stretch = sphere.stretch?;
+        let positive = match stretch.positive {
+            PositiveForce::Tension => "tension",
+            PositiveForce::Compression => "compression",
+            PositiveForce::NotTold => "not told",
+        };
+        Some(Self {
+            kind: stretch.measured.kind,
+            clock: stretch.measured.clock,
+            positive: positive.into(),
+            parameter: stretch.parameter.to_string(),
+            value: stretch.value,
+            sigma: stretch.sigma,
+            range: stretch.measured.range,
+            uncovered: stretch.measured.uncovered,
+            off_sphere_rms_m: sphere.after.rms_m,
+            unexplained_rms_m: sphere.after.unexplained_rms_m,
+            sentence: stretch.sentence(),
+        })
+    }
+}

@@ -1,0 +1,165 @@
+//! How far the robot's end is from the sphere of a rigid bar, and what of it a force explains (TFRT-6017 section 5.3).
+//!
+//! Where the bar's encoders tell its direction the deviation is the gap between robot and bar along the rod: a bar whose axes
+//! miss each other by some hundredths of a millimetre leads the robot on no exact sphere about the gimbal.
+
+use nalgebra::Vector3;
+
+use super::figures::rms;
+use super::{Quantiles, RunEvidence};
+use crate::calibrate::ball_bar::BallBarCalibration;
+use crate::cost::Closure;
+use crate::model::ParameterId;
+use crate::prepare::BarForces;
+
+/// Standard deviations within which a value is not told from zero, one time in twenty.
+const SIGMAS: f64 = 1.96;
+
+/// One sample on the sphere.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct OffSphere {
+    /// Bar clock, since the reference time \[s\].
+    pub t_s: f64,
+    /// From the centre to the robot's end, unit length, in the robot's base.
+    pub direction: Vector3<f64>,
+    /// Farther out than a bar without force would hold it \[m\].
+    pub off_m: f64,
+    /// The same minus what the force explains \[m\].
+    pub unexplained_m: f64,
+    /// Force along the bar as its log counts it \[N\], or its sign where only that is known.
+    pub force: f64,
+}
+
+/// The deviation with one robot.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Deviation {
+    /// In the order of time.
+    pub samples: Vec<OffSphere>,
+    /// Of [`OffSphere::off_m`] \[m\].
+    pub rms_m: f64,
+    /// Sizes of the same \[m\].
+    pub size_m: Quantiles,
+    /// Of [`OffSphere::unexplained_m`] \[m\].
+    pub unexplained_rms_m: f64,
+}
+
+impl Deviation {
+    fn of(closures: &[Closure], of_signs: bool, by_encoders: bool) -> Self {
+        let out_m =
+            |one: &Closure| if by_encoders { one.direction.dot(&one.apart_m) } else { one.off_sphere_m };
+        let sample = |one: &Closure| OffSphere {
+            t_s: one.t_s,
+            direction: one.direction,
+            off_m: out_m(one) + one.extension_m,
+            unexplained_m: out_m(one),
+            force: if of_signs { one.force.side } else { one.force.along_n },
+        };
+        let samples: Vec<OffSphere> = closures.iter().map(sample).collect();
+        Self {
+            rms_m: rms(samples.iter().map(|one| one.off_m)),
+            size_m: Quantiles::of(samples.iter().map(|one| one.off_m.abs()).collect()),
+            unexplained_rms_m: rms(samples.iter().map(|one| one.unexplained_m)),
+            samples,
+        }
+    }
+}
+
+/// Which sign of the log's force pulls the bar.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum PositiveForce {
+    /// The bar is longer where the log is positive.
+    Tension,
+    /// It is shorter there.
+    Compression,
+    /// The bar's length does not follow the force by more than chance.
+    NotTold,
+}
+
+/// What a force did to the bar.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Stretch {
+    /// Number of the run, from 0.
+    pub run: usize,
+    /// As it was measured.
+    pub measured: BarForces,
+    /// `bcompliance`, or `bplay` where only the sign was measured.
+    pub parameter: ParameterId,
+    /// Its value: longer by this for a newton as the log counts, or on the positive side \[m/N or m\].
+    pub value: f64,
+    /// One standard deviation; none where a person fixed it.
+    pub sigma: Option<f64>,
+    /// What the sign means.
+    pub positive: PositiveForce,
+}
+
+impl Stretch {
+    /// Of the first run of a calibration that has a force; none without any.
+    pub fn of(calibration: &BallBarCalibration) -> Option<Self> {
+        let BallBarCalibration { columns, solution, .. } = calibration;
+        let mut runs = calibration.runs().enumerate();
+        let (run, measured, model) =
+            runs.find_map(|(run, (prepared, model))| Some((run, prepared.force?, model)))?;
+        let parameter = measured.parameter();
+        let found = model.parameter(parameter)?;
+        let column = model.column_of(parameter).and_then(|own| columns.of_run(run).get(own));
+        let sigma = column.and_then(|column| solution.covariance.sigma(*column));
+        let told = sigma.is_none_or(|sigma| found.value.abs() > SIGMAS * sigma) && found.value != 0.0;
+        let positive = match told {
+            false => PositiveForce::NotTold,
+            true if found.value > 0.0 => PositiveForce::Tension,
+            true => PositiveForce::Compression,
+        };
+        Some(Self { run, measured, parameter, value: found.value, sigma, positive })
+    }
+
+    /// In a sentence or two.
+    pub fn sentence(&self) -> String {
+        let unit = self.parameter.unit();
+        // Play is read in um here: it is some hundredths of a millimetre.
+        let (factor, symbol) = if self.parameter == ParameterId::BarPlay {
+            (1e6, "um")
+        } else {
+            (unit.display_factor(), unit.display_symbol())
+        };
+        let sigma =
+            self.sigma.map_or_else(|| " (fixed)".into(), |sigma| format!(" +- {:.4}", sigma * factor));
+        let what = match self.parameter {
+            ParameterId::BarPlay => "half of the bar's play",
+            _ => "the bar gives way",
+        };
+        let value = format!("{what}: {:.4}{sigma} {symbol}", self.value.abs() * factor);
+        match self.positive {
+            PositiveForce::Tension => format!("{value}; the log's force is positive in tension"),
+            PositiveForce::Compression => format!("{value}; the log's force is positive in compression"),
+            PositiveForce::NotTold => format!(
+                "{what}: {:.4}{sigma} {symbol}, which is not told from zero: the force does not explain the bar's length",
+                self.value * factor
+            ),
+        }
+    }
+}
+
+/// The deviation from the sphere before and after, and the force where there is one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SphereDeviation {
+    /// With the nominal robot, the bar fitted to it.
+    pub before: Deviation,
+    /// With the calibrated one.
+    pub after: Deviation,
+    /// What a force did.
+    pub stretch: Option<Stretch>,
+}
+
+impl SphereDeviation {
+    /// Of the first run that has a force, or the first of all.
+    pub fn of(calibration: &BallBarCalibration, runs: &[RunEvidence]) -> Self {
+        let stretch = Stretch::of(calibration);
+        let of_signs = stretch.is_some_and(|stretch| stretch.parameter == ParameterId::BarPlay);
+        let [first, second, ..] = calibration.measured();
+        let deviation = |closures: &[Closure]| Deviation::of(closures, of_signs, first && second);
+        let run = runs.get(stretch.map_or(0, |stretch| stretch.run));
+        let [before, after] =
+            run.map(|run| [deviation(&run.before), deviation(&run.after)]).unwrap_or_default();
+        Self { before, after, stretch }
+    }
+}

@@ -1,0 +1,250 @@
+//! A bar that gives way under the force along it: what the force tells, in which sign, from which sensor, and what it is
+//! worth for the robot.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+mod support;
+
+use identify::calibrate::ball_bar::{self, BallBarCalibration, CalibrateError};
+use identify::calibrate::truth::Comparison;
+use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
+use identify::kinematics::{Chain, Trace, Tracer};
+use identify::logs::{ForceClock, ForceKind, ForceLog};
+use identify::model::ParameterId;
+use identify::prepare::{ForceError, PrepareError, PrepareOptions, Prepared, prepare};
+use identify::simulate::{self, BarLoad, Effects, Experiment, Simulated};
+use identify::study::{PositiveForce, Stretch, evidence};
+use nalgebra::Vector3;
+use support::{bar, irb2400};
+
+const NOISE: Effects =
+    Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, base_tilt_urad: 3000.0, ..Effects::NONE };
+/// Force of the thesis' runs and what its experiment found of the bar: +-25 um (TFRT-6017 section 5.3).
+const THESIS: BarLoad = BarLoad { force_n: 150.0, compliance_um_per_n: 0.17, play_um: 0.0, noise_n: 1.0 };
+
+fn simulated(load: BarLoad, seed: u64) -> Simulated {
+    let (robot, bar) = (irb2400(), bar());
+    let mut experiment = Experiment { seed, effects: NOISE, load, ..Experiment::new(&robot, &bar) };
+    experiment.design.duration_s = 60.0;
+    simulate::run(&experiment).unwrap()
+}
+
+fn calibrated(run: &Simulated, cost: CostName) -> Result<BallBarCalibration, CalibrateError> {
+    let config = IdentifyConfig {
+        cost: Some(cost),
+        encoder_harmonics_urad: 0.0,
+        joint_terms: JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() },
+        ..IdentifyConfig::default()
+    };
+    ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), &bar(), &config)
+}
+
+fn robot_error(found: &BallBarCalibration, run: &Simulated) -> f64 {
+    Comparison::new(found, &run.truth).only(|id| matches!(id, ParameterId::Robot { .. })).euclidean_mm_mrad()
+}
+
+fn without_force(run: &Simulated) -> Simulated {
+    let mut run = run.clone();
+    run.robot_log.force = None;
+    run
+}
+
+/// Error of what was found in standard deviations.
+fn in_sigmas(stretch: &Stretch, truth: f64) -> f64 {
+    (stretch.value - truth) / stretch.sigma.unwrap()
+}
+
+#[test]
+fn the_force_tells_how_the_bar_gives_way_and_brings_the_robot_nearer_to_the_truth() {
+    let run = simulated(THESIS, 2);
+    let rigid = without_force(&run);
+    for (cost, gain) in [(CostName::Length, 0.9), (CostName::Pose, 1.0)] {
+        let (found, without) = (calibrated(&run, cost).unwrap(), calibrated(&rigid, cost).unwrap());
+        let stretch = Stretch::of(&found).unwrap();
+        let errors = [robot_error(&without, &run), robot_error(&found, &run)];
+        println!("{}: {}; robot {errors:.4?} mm|mrad", cost.name(), stretch.sentence());
+        assert_eq!(stretch.positive, PositiveForce::Tension);
+        assert!(in_sigmas(&stretch, 0.17e-6).abs() < 1.96, "{}: {stretch:?}", cost.name());
+        assert!(stretch.sigma.unwrap() < 0.04e-6, "{}: {stretch:?}", cost.name());
+        assert!(errors[1] < gain * errors[0], "{}: {errors:?}", cost.name());
+        assert!(Stretch::of(&without).is_none());
+    }
+}
+
+#[test]
+fn the_sign_of_the_logs_force_is_found_and_told() {
+    let mut run = simulated(THESIS, 3);
+    for values in &mut run.robot_log.force.as_mut().unwrap().values {
+        values[0] = -values[0];
+    }
+    let found = calibrated(&run, CostName::Position).unwrap();
+    let stretch = Stretch::of(&found).unwrap();
+    assert_eq!(stretch.positive, PositiveForce::Compression);
+    assert!(in_sigmas(&stretch, -0.17e-6).abs() < 1.96, "{stretch:?}");
+    let sphere = evidence(&found, &irb2400().joint_limits_deg).sphere;
+    assert!(sphere.before.rms_m > sphere.after.rms_m);
+    assert!(sphere.after.unexplained_rms_m < 0.8 * sphere.after.rms_m, "{sphere:?}");
+}
+
+#[test]
+fn a_force_that_has_nothing_to_do_with_the_bar_is_told_to_be_none() {
+    let run = simulated(BarLoad { compliance_um_per_n: 0.0, ..THESIS }, 2);
+    let found = calibrated(&run, CostName::Pose).unwrap();
+    let stretch = Stretch::of(&found).unwrap();
+    assert_eq!(stretch.positive, PositiveForce::NotTold, "{stretch:?}");
+    let limits = evidence(&found, &irb2400().joint_limits_deg).limits;
+    assert!(limits.iter().any(|limit| limit.sentence.contains("not told from zero")), "{limits:?}");
+}
+
+#[test]
+fn where_only_the_sign_of_the_force_is_known_the_play_of_the_bar_follows() {
+    let mut run = simulated(BarLoad { compliance_um_per_n: 0.0, play_um: 20.0, ..THESIS }, 2);
+    let force = run.robot_log.force.as_mut().unwrap();
+    force.kind = ForceKind::Sign;
+    force.values.iter_mut().for_each(|values| values[0] = values[0].signum());
+    let found = calibrated(&run, CostName::Length).unwrap();
+    let stretch = Stretch::of(&found).unwrap();
+    assert_eq!((stretch.parameter, stretch.positive), (ParameterId::BarPlay, PositiveForce::Tension));
+    assert!(in_sigmas(&stretch, 20e-6).abs() < 1.96, "{stretch:?}");
+}
+
+/// Each row of the log's force as another sensor would have said it, on the robot's clock.
+fn seen_by(
+    run: &mut Simulated,
+    kind: ForceKind,
+    sensor: impl Fn(&Chain, &[f64; 6], [f64; 6], Vector3<f64>) -> [f64; 6],
+) {
+    let robot = run.motion.robot.clone();
+    let centre_m = run.motion.bar.root_from_base.translation.vector;
+    let rates: Vec<[f64; 6]> = run
+        .robot_log
+        .q_rad
+        .windows(21)
+        .map(|rows| std::array::from_fn(|joint| (rows[20][joint] - rows[0][joint]) / 0.08))
+        .collect();
+    let force = run.robot_log.force.as_mut().unwrap();
+    force.kind = kind;
+    for (row, values) in force.values.iter_mut().enumerate() {
+        let q = &run.robot_log.q_rad[row];
+        let rate = rates[row.saturating_sub(10).min(rates.len() - 1)];
+        let out = (robot.forward(q).translation.vector - centre_m).normalize();
+        *values = sensor(&robot, q, rate, out * values[0]);
+    }
+}
+
+fn padded(force: Vector3<f64>) -> [f64; 6] {
+    [force.x, force.y, force.z, 0.0, 0.0, 0.0]
+}
+
+/// The samples of a run, each with its force along the bar.
+fn prepared(run: &Simulated) -> Result<Prepared, PrepareError> {
+    prepare(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), &bar(), &PrepareOptions::default())
+}
+
+fn assert_alike(a: &Prepared, b: &Prepared, tolerance_n: f64) {
+    assert_eq!(a.observations.len(), b.observations.len());
+    for (a, b) in a.observations.iter().zip(&b.observations) {
+        assert!((a.force.along_n - b.force.along_n).abs() < tolerance_n, "{a:?} {b:?}");
+    }
+}
+
+#[test]
+fn a_sensor_at_the_flange_says_the_same_as_one_in_the_bar() {
+    let run = simulated(THESIS, 2);
+    let along = prepared(&run).unwrap();
+    let (mut flange, mut base) = (run.clone(), run);
+    let turned = |robot: &Chain, q: &[f64; 6], force| padded(robot.forward(q).rotation.inverse() * force);
+    seen_by(&mut flange, ForceKind::InFlange, |robot, q, _, force| turned(robot, q, force));
+    seen_by(&mut base, ForceKind::InBase, |_, _, _, force| padded(force));
+    for run in [flange, base] {
+        // Of 150 N, by millimetres and milliradians of the nominal geometry.
+        assert_alike(&prepared(&run).unwrap(), &along, 0.5);
+    }
+}
+
+#[test]
+fn torques_of_the_joints_give_the_force_behind_gravity_and_friction() {
+    let mut run = simulated(THESIS, 2);
+    let truth = run.robot_log.force.clone().unwrap();
+    seen_by(&mut run, ForceKind::JointTorques, |robot, q, qd, force| {
+        let mut trace = Trace::default();
+        Tracer::new(robot).trace(q, &mut trace);
+        let mut torques: [f64; 6] = [0.0; 6];
+        for (torque, twist) in torques.iter_mut().zip(trace.joint_twists()) {
+            *torque = twist.linear.dot(&force);
+        }
+        // Upper arm and forearm with their centres of mass somewhere, held against gravity.
+        let axes: Vec<_> = trace.joint_axes().collect();
+        for (link, mass_kg, at) in
+            [(2, 80.0, [-0.3, 0.02, 0.1]), (4, 60.0, [0.03, 0.05, -0.2]), (6, 25.0, [0.0, 0.04, 0.1])]
+        {
+            let part = Chain { root_from_base: robot.root_from_base, links: robot.links[..link].to_vec() };
+            let weight_at = part.forward(q).transform_point(&at.into()).coords;
+            for (torque, (origin, z)) in torques.iter_mut().zip(&axes).take(link) {
+                *torque += z.dot(&(weight_at - origin).cross(&Vector3::new(0.0, 0.0, 9.80665 * mass_kg)));
+            }
+        }
+        let friction = [90.0, 110.0, 70.0, 20.0, 15.0, 8.0];
+        std::array::from_fn(|axis| {
+            torques[axis] + friction[axis] * ((qd[axis] / 0.01).tanh() + 0.4 * qd[axis])
+        })
+    });
+    let found = calibrated(&run, CostName::Length).unwrap();
+    let start = run.truth.clock;
+    let mut squares = 0.0;
+    for observation in &found.prepared.observations {
+        let passed_s = found.prepared.t_ref.seconds_since(start.bar_start) + observation.t_s;
+        let lead_s = (start.robot_at_bar_start_ns - truth.first_stamp_ns) as f64 * 1e-9;
+        let true_n = truth.at(lead_s + passed_s * (1.0 + start.skew), 0.1).unwrap()[0];
+        squares += (observation.force.along_n - true_n).powi(2);
+    }
+    let rms_n = (squares / found.prepared.observations.len() as f64).sqrt();
+    println!("force from torques: RMS error {rms_n:.2} N; {:?}", found.prepared.force);
+    assert!(rms_n < 10.0, "{rms_n}");
+    let stretch = Stretch::of(&found).unwrap();
+    assert_eq!(stretch.positive, PositiveForce::Tension);
+    assert!((stretch.value / 0.17e-6 - 1.0).abs() < 0.1, "{stretch:?}");
+}
+
+#[test]
+fn a_force_log_on_the_bars_clock_or_with_a_hole_is_taken_and_one_of_another_time_refused() {
+    let run = simulated(THESIS, 2);
+    let with = |force: &ForceLog| {
+        let mut run = run.clone();
+        run.robot_log.force = Some(force.clone());
+        prepared(&run)
+    };
+    let robots = run.robot_log.force.clone().unwrap();
+    let clock = run.truth.clock;
+    // The same instants by the bar's clock.
+    let before_s = (robots.first_stamp_ns - clock.robot_at_bar_start_ns) as f64 * 1e-9 / (1.0 + clock.skew);
+    let bars = ForceLog {
+        clock: ForceClock::Bar,
+        first_stamp_ns: clock.bar_start.plus_ns((before_s * 1e9).round() as i64).0,
+        t_s: robots.t_s.iter().map(|t_s| t_s / (1.0 + clock.skew)).collect(),
+        ..robots.clone()
+    };
+    assert_alike(&with(&bars).unwrap(), &with(&robots).unwrap(), 2.0);
+
+    let mut holed = robots.clone();
+    let keep: Vec<bool> = holed.t_s.iter().map(|t_s| !(20.0..25.0).contains(t_s)).collect();
+    let mut kept = keep.iter();
+    holed.t_s.retain(|_| *kept.next().unwrap());
+    let mut kept = keep.iter();
+    holed.values.retain(|_| *kept.next().unwrap());
+    let left = with(&holed).unwrap();
+    let uncovered = left.force.unwrap().uncovered;
+    assert!(uncovered > 20 && left.counts.kept + uncovered <= 1500, "{uncovered}");
+    assert_eq!(left.counts.kept, left.observations.len());
+
+    let refused = |change: &dyn Fn(&mut ForceLog)| {
+        let mut force = robots.clone();
+        change(&mut force);
+        with(&force).unwrap_err()
+    };
+    let other_clock = refused(&|force| force.clock = ForceClock::Bar);
+    assert!(other_clock.to_string().contains("`# clock: bar`"), "{other_clock}");
+    let flat = refused(&|force| force.values.iter_mut().for_each(|values| values[0] = 20.0));
+    assert!(matches!(flat, PrepareError::Force(ForceError::Flat { .. })), "{flat}");
+    let in_mn = refused(&|force| force.values.iter_mut().for_each(|values| values[0] *= 1e3));
+    assert!(in_mn.to_string().contains("check its unit"), "{in_mn}");
+}
