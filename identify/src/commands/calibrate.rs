@@ -1,5 +1,6 @@
 //! `identify calibrate`.
 
+mod force_logs;
 mod measured_poses;
 
 use std::path::{Path, PathBuf};
@@ -9,6 +10,7 @@ use clap::Args;
 use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::recording::Recording;
 
+use self::force_logs::force_logs;
 use super::on_terminal::OnTerminal;
 use crate::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
 use crate::calibrate::measured_length::{self, LengthOptions, LengthRow};
@@ -42,6 +44,16 @@ pub struct CalibrateArguments {
     /// Which column or joint of the robot's logs is what, such as config/robot_log.toml
     #[arg(long, value_name = "FILE", requires = "robot_log")]
     log_mapping: Option<PathBuf>,
+    /// Force on the bar (.csv with t_s and force_N), one for each recording, on the robot's clock or the bar's; a force in the
+    /// robot's log is then not read
+    #[arg(long, value_name = "FILE", requires = "recording")]
+    force_log: Vec<PathBuf>,
+    /// Which column of the force logs is what, such as config/force_log.toml
+    #[arg(long, value_name = "FILE", requires = "force_log")]
+    force_mapping: Option<PathBuf>,
+    /// Take the bar as rigid although the robot's log has a force
+    #[arg(long, requires = "recording", conflicts_with = "force_log")]
+    ignore_force: bool,
     /// Poses with one measured length each (.csv), instead of a recording
     #[arg(long, value_name = "FILE", requires = "mapping", conflicts_with = "recording")]
     measured_lengths: Option<PathBuf>,
@@ -154,18 +166,22 @@ fn runs<'a>(arguments: &'a CalibrateArguments, robot: &RobotConfig) -> anyhow::R
         recording.len(),
         bar.len()
     );
+    let forces = force_logs(arguments, robot)?;
     let bars = bar.iter().cycle();
-    let read = |((recording_path, log_path), bar_path): ((&'a PathBuf, &'a PathBuf), &'a PathBuf)| {
-        Ok(RunFiles {
-            recording: Recording::open(recording_path)?,
-            log: load_log(log_path, robot, &log_options)?,
-            bar: config::load(bar_path)?,
-            recording_path,
-            log_path,
-            bar_path,
-        })
-    };
-    recording.iter().zip(robot_log).zip(bars).map(read).collect()
+    let read =
+        |(((recording_path, log_path), bar_path), force): (((&'a PathBuf, &'a PathBuf), &'a PathBuf), _)| {
+            let mut log = load_log(log_path, robot, &log_options)?;
+            log.force = if arguments.ignore_force { None } else { Option::or(force, log.force) };
+            Ok(RunFiles {
+                recording: Recording::open(recording_path)?,
+                log,
+                bar: config::load(bar_path)?,
+                recording_path,
+                log_path,
+                bar_path,
+            })
+        };
+    recording.iter().zip(robot_log).zip(bars).zip(forces).map(read).collect()
 }
 
 /// Reads a robot's log and says what is odd about it.
@@ -237,6 +253,8 @@ fn calibration_file(
     for run in runs {
         files.extend([("recording", run.recording_path), ("robot log", run.log_path), ("bar", run.bar_path)]);
     }
+    files.extend(arguments.force_mapping.as_deref().map(|path| ("force log mapping", path)));
+    files.extend(arguments.force_log.iter().map(|path| ("force log", path.as_path())));
     let solution = &calibration.solution;
     let bar = runs.first().map_or("", |run| run.bar.name.as_str());
     let mut clocks = calibration.runs().map(|(prepared, model)| clock_entry(prepared, model));

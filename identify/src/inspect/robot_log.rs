@@ -19,6 +19,11 @@ pub fn robot_log(log: &RobotLog) -> Inspection {
     inspection.fact("length", format!("{:.1} s, {} rows", log.duration_s(), log.t_s.len()));
     inspection.fact("clock", format!("{}, first stamp {} ns", log.clock, log.first_stamp_ns));
     inspection.fact("angles", log.origin.name());
+    if let Some(force) = &log.force {
+        let numbers = force.values.iter().flat_map(|row| row.iter().take(force.kind.values()));
+        let most = numbers.fold(0.0_f64, |most, value| most.max(value.abs()));
+        inspection.fact("force on the bar", format!("{}, up to {most:.1}", force.kind.describe()));
+    }
     let quality = &log.quality;
     inspection.fact(
         "stamps",

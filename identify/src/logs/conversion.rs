@@ -1,6 +1,6 @@
 //! From the numbers that a controller logs to the joint variables of the model, and back.
 
-use nalgebra::{Matrix6, RowVector6};
+use nalgebra::{Matrix6, RowVector6, Vector6};
 use shared::config::{AngleUnit, LogConversion};
 
 use super::LogError;
@@ -48,6 +48,12 @@ impl JointConversion {
     pub fn to_joint_rate(&self, raw_per_s: &[f64; 6]) -> [f64; 6] {
         let joint: RowVector6<f64> = RowVector6::from(*raw_per_s) * self.unit.to_rad() * self.raw_to_joint;
         std::array::from_fn(|index| joint[index])
+    }
+
+    /// Torques \[N m\] on the axes of one row of the log to torques of the joints: both do the same work.
+    pub fn to_joint_torque(&self, raw_nm: &[f64; 6]) -> [f64; 6] {
+        let joint: Vector6<f64> = self.joint_to_raw * Vector6::from(*raw_nm);
+        joint.into()
     }
 
     /// Joint variables \[rad\] to one row of the log, in the log's unit.

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{Cell, LogError};
+use super::{Cell, CsvLayout, LogError};
 
 /// How the numbers of a file are written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -59,6 +59,14 @@ pub(super) fn delimiter_of_header(text: &str) -> u8 {
     [b';', b'\t'].into_iter().filter(|&d| count(d) > count(b',')).max_by_key(|&d| count(d)).unwrap_or(b',')
 }
 
+/// The table of a text in the layout that a mapping gives.
+pub(super) fn open_mapped<'a>(text: &'a str, path: &Path, layout: &CsvLayout) -> Result<Table<'a>, LogError> {
+    let from = text.split_inclusive('\n').take(layout.skip_lines).map(str::len).sum::<usize>();
+    let body = text.get(from..).unwrap_or_default();
+    let delimiter = layout.delimiter.map_or_else(|| delimiter_of_header(body), |delimiter| delimiter as u8);
+    Table::open_behind(text, from, path, Format { delimiter, decimal_comma: layout.decimal_comma })
+}
+
 /// The first line that is neither blank nor a comment.
 pub(super) fn header_line(text: &str) -> &str {
     text.lines()
@@ -110,6 +118,11 @@ impl<'a> Table<'a> {
             return Err(LogError::RepeatedColumn { path: self.path.clone(), column: name.to_owned() });
         }
         Ok(Column { index, name: name.to_owned() })
+    }
+
+    /// Names of all columns, in their order.
+    pub fn header(&self) -> &[String] {
+        &self.header
     }
 
     /// Whether the header has a column of this name.

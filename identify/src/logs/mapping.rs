@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, LogConversion, Validate, Violation};
 
-use super::Origin;
 use super::measured_length::JointColumn;
+use super::{ForceColumns, Origin};
 
 /// Joints of a robot.
 const ROBOT_JOINTS: usize = 6;
@@ -51,6 +51,26 @@ pub struct CsvLayout {
     pub skip_lines: usize,
     /// Lines between header and numbers, such as units.
     pub unit_lines: usize,
+}
+
+impl CsvLayout {
+    /// A delimiter that can separate the cells.
+    pub(super) fn check(&self) -> Result<(), Violation> {
+        if let Some(delimiter) = self.delimiter
+            && (!delimiter.is_ascii() || matches!(delimiter, '"' | '#' | '\n' | '\r'))
+        {
+            let problem = format!("`{}` cannot separate cells", delimiter.escape_default());
+            return Err(Violation::new("csv.delimiter", problem, "use \",\", \";\", \" \" or \"\\t\""));
+        }
+        if self.decimal_comma && self.delimiter == Some(',') {
+            return Err(Violation::new(
+                "csv.delimiter",
+                "a comma separates cells and decimals alike",
+                "files with decimal commas mostly have delimiter = \";\"",
+            ));
+        }
+        Ok(())
+    }
 }
 
 /// Where the stamps are.
@@ -101,6 +121,8 @@ pub struct RobotLogMapping {
     pub speeds: Option<Columns>,
     /// Columns with joint torques or motor currents, taken as they are.
     pub torques: Option<Columns>,
+    /// Where the force on the ball-bar is, if the log has it.
+    pub force: Option<ForceColumns>,
     /// What one joint of the file contributes to another of the model.
     #[serde(default)]
     pub coupling: Vec<Coupling>,
@@ -131,20 +153,9 @@ impl RobotLogMapping {
 
 impl Validate for RobotLogMapping {
     fn validate(&self) -> Result<(), Violation> {
-        if let Some(delimiter) = self.csv.delimiter
-            && (!delimiter.is_ascii() || matches!(delimiter, '"' | '#' | '\n' | '\r'))
-        {
-            let problem = format!("`{}` cannot separate cells", delimiter.escape_default());
-            return Err(Violation::new("csv.delimiter", problem, "use \",\", \";\", \" \" or \"\\t\""));
-        }
-        if self.csv.decimal_comma && self.csv.delimiter == Some(',') {
-            return Err(Violation::new(
-                "csv.delimiter",
-                "a comma separates cells and decimals alike",
-                "files with decimal commas mostly have delimiter = \";\"",
-            ));
-        }
+        self.csv.check()?;
         super::measured_length::check_joints(&self.joints)?;
+        self.force.as_ref().map_or(Ok(()), ForceColumns::check)?;
         for (index, Coupling { joint, from, factor }) in self.coupling.iter().enumerate() {
             let known = |joint: &usize| (1..=ROBOT_JOINTS).contains(joint);
             if !known(joint) || !known(from) || joint == from || !(-10.0..=10.0).contains(factor) {

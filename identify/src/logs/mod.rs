@@ -28,7 +28,7 @@ mod writer;
 
 pub use conversion::JointConversion;
 pub use error::{Cell, LogError};
-pub use force::{ForceClock, ForceKind, ForceLog};
+pub use force::{ForceClock, ForceColumns, ForceFrame, ForceKind, ForceLog, ForceLogMapping, ForceUnit};
 pub use format::LogFormat;
 pub use interpolation::{InterpolatedLog, default_gap_limit_s};
 pub use mapping::{Columns, Coupling, CsvLayout, RobotLogMapping, TimeColumn, TimeUnit};

@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use shared::config::{AngleUnit, LogConversion, RobotConfig};
 
 use super::writer::seconds_text;
-use super::{JointConversion, LogError, LogFormat, LogQuality, Origin, RobotLog};
+use super::{
+    ForceClock, ForceKind, ForceLog, JointConversion, LogError, LogFormat, LogQuality, Origin, RobotLog,
+};
 
 /// Fewest rows that make a log.
 const ROWS_MIN: usize = 50;
@@ -27,6 +29,8 @@ pub(super) struct RawRow {
     pub joints: [f64; 6],
     pub speeds: Option<[f64; 6]>,
     pub torques: Option<[f64; 6]>,
+    /// Force on the bar, see [`RawLog::force`] \[N or N m\].
+    pub force: Option<[f64; 6]>,
 }
 
 /// A row that is kept: ten hours have ten million of them, most logs neither speeds nor torques.
@@ -41,13 +45,14 @@ struct KeptRow {
 struct More {
     speeds: Option<[f64; 6]>,
     torques: Option<[f64; 6]>,
+    force: Option<[f64; 6]>,
 }
 
 impl From<RawRow> for KeptRow {
     fn from(row: RawRow) -> Self {
-        let RawRow { place, stamp_ns, joints, speeds, torques } = row;
-        let some = speeds.is_some() || torques.is_some();
-        Self { place, stamp_ns, joints, more: some.then(|| Box::new(More { speeds, torques })) }
+        let RawRow { place, stamp_ns, joints, speeds, torques, force } = row;
+        let some = speeds.is_some() || torques.is_some() || force.is_some();
+        Self { place, stamp_ns, joints, more: some.then(|| Box::new(More { speeds, torques, force })) }
     }
 }
 
@@ -62,6 +67,8 @@ pub(super) struct RawLog {
     pub clock: String,
     pub origin: Origin,
     pub remarks: Vec<String>,
+    /// What the force of the rows is, where it has one; joint torques without are taken from the torques.
+    pub force: Option<ForceKind>,
 }
 
 /// How the joints of a file become those of the model, and what they are called there.
@@ -104,6 +111,7 @@ impl RawLog {
             clock: "unstated".into(),
             origin: Origin::Unstated,
             remarks: Vec::new(),
+            force: None,
         }
     }
 
@@ -153,6 +161,20 @@ impl RawLog {
         let speed_rad_s = all(|more| more.speeds)
             .map(|speeds| speeds.iter().map(|row| meaning.conversion.to_joint_rate(row)).collect());
         let torque = all(|more| more.torques);
+        let on_joints = |rows: &Vec<[f64; 6]>| -> Vec<[f64; 6]> {
+            rows.iter().map(|row| meaning.conversion.to_joint_torque(row)).collect()
+        };
+        let of_bar = self.force.and_then(|kind| {
+            let given = all(|more| more.force);
+            let values = match kind {
+                ForceKind::JointTorques => on_joints(&given.or_else(|| torque.clone())?),
+                _ => given?,
+            };
+            Some(ForceLog { clock: ForceClock::Robot, kind, first_stamp_ns, t_s: t_s.clone(), values })
+        });
+        if self.force.is_some() && of_bar.is_none() {
+            self.remarks.push("some rows have no force or torques: the force on the bar is not used".into());
+        }
         let quality = self.judge(&t_s, &q_rad);
         Ok(RobotLog {
             robot: self.robot,
@@ -163,7 +185,7 @@ impl RawLog {
             q_rad,
             speed_rad_s,
             torque,
-            force: None,
+            force: of_bar,
             quality,
         })
     }

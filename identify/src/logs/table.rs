@@ -4,10 +4,11 @@ use std::path::Path;
 
 use shared::config::{AngleUnit, RobotConfig};
 
-use super::csv_text::{Column, Format, Row, Table, comments, decode, delimiter_of_header};
+use super::csv_text::{Column, Format, Row, Table, comments, decode, delimiter_of_header, open_mapped};
+use super::force::ForceLayout;
 use super::mapping::{Columns, RobotLogMapping, TimeUnit};
 use super::raw::{Meaning, RawLog, RawRow};
-use super::{LogError, LogFormat, Origin, RobotLog};
+use super::{ForceColumns, LogError, LogFormat, Origin, RobotLog};
 
 /// Name of the column with time stamps \[s\].
 pub(super) const TIME_COLUMN: &str = "t_s";
@@ -27,6 +28,7 @@ struct Layout {
     joints: Vec<(Column, f64)>,
     speeds: Option<Vec<(Column, f64)>>,
     torques: Option<Vec<(Column, f64)>>,
+    force: Option<ForceLayout>,
 }
 
 /// The robot's own columns: `t_s` and the six that its configuration names; other columns are passed over.
@@ -36,9 +38,10 @@ pub(super) fn read_own(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result
     let meaning = Meaning::new(robot, &robot.log, names)?;
     let format = Format { delimiter: delimiter_of_header(text), decimal_comma: false };
     let mut table = Table::open(text, path, format)?;
-    let layout = own_layout(&table, path, robot)?;
+    let layout = Layout { force: ForceLayout::own(&table, text, robot)?, ..own_layout(&table, path, robot)? };
     let mut raw = RawLog::new(path, "line");
     declare(&mut raw, text);
+    raw.force = layout.force.as_ref().map(|force| force.kind);
     read_rows(&mut table, &layout, &mut raw)?;
     raw.finish(&meaning)
 }
@@ -71,7 +74,7 @@ fn own_layout(table: &Table<'_>, path: &Path, robot: &RobotConfig) -> Result<Lay
         );
         joints.push((table.column(&name, &remedy)?, 1.0));
     }
-    Ok(Layout { time, time_unit: TimeUnit::S, joints, speeds: None, torques: None })
+    Ok(Layout { time, time_unit: TimeUnit::S, joints, speeds: None, torques: None, force: None })
 }
 
 /// What `record.py` of the RTDE client writes, joints in radians.
@@ -93,9 +96,11 @@ pub(super) fn read_rtde(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Resul
         joints: named(table, &columns("q"), &[1.0; 6], remedy)?,
         speeds: optional(&columns("qd"))?,
         torques: optional(&columns("current"))?,
+        force: ForceLayout::own(table, text, robot)?,
     };
     let mut raw = RawLog::new(path, "line");
     (raw.clock, raw.origin) = ("since the controller's start".into(), origin);
+    raw.force = layout.force.as_ref().map(|force| force.kind);
     read_rows(table, &layout, &mut raw)?;
     raw.finish(&meaning)
 }
@@ -108,14 +113,9 @@ pub(super) fn read_mapped(
     mapping: &RobotLogMapping,
 ) -> Result<RobotLog, LogError> {
     let text = decode(bytes, path)?;
-    let layout = &mapping.csv;
-    let from = text.split_inclusive('\n').take(layout.skip_lines).map(str::len).sum::<usize>();
-    let body = text.get(from..).unwrap_or_default();
-    let delimiter = layout.delimiter.map_or_else(|| delimiter_of_header(body), |delimiter| delimiter as u8);
-    let format = Format { delimiter, decimal_comma: layout.decimal_comma };
-    let mut table = Table::open_behind(text, from, path, format)?;
+    let mut table = open_mapped(text, path, &mapping.csv)?;
     let columns = mapped_layout(&table, path, mapping)?;
-    for _ in 0..layout.unit_lines {
+    for _ in 0..mapping.csv.unit_lines {
         // Whatever stands there is not numbers.
         let _ = table.next_row();
     }
@@ -125,6 +125,7 @@ pub(super) fn read_mapped(
     declare(&mut raw, text);
     raw.clock = mapping.clock.clone().unwrap_or(raw.clock);
     raw.origin = mapping.values.unwrap_or(raw.origin);
+    raw.force = mapping.force.as_ref().map(ForceColumns::kind);
     read_rows(&mut table, &columns, &mut raw)?;
     raw.finish(&meaning)
 }
@@ -154,6 +155,11 @@ fn mapped_layout(table: &Table<'_>, path: &Path, mapping: &RobotLogMapping) -> R
         joints: named(table, &joints, &to_rad, remedy)?,
         speeds: optional(&mapping.speeds, &to_rad)?,
         torques: optional(&mapping.torques, &[1.0; 6])?,
+        force: mapping
+            .force
+            .as_ref()
+            .and_then(|force| ForceLayout::named(table, force).transpose())
+            .transpose()?,
     })
 }
 
@@ -195,10 +201,11 @@ fn read_rows(table: &mut Table<'_>, layout: &Layout, raw: &mut RawLog) -> Result
         };
         raw.push(RawRow {
             place: row.line,
-            stamp_ns: stamp_ns(table, &row, layout)?,
+            stamp_ns: stamp_ns(table, &row, &layout.time, layout.time_unit)?,
             joints: six(&layout.joints)?,
             speeds: layout.speeds.as_deref().map(six).transpose()?,
             torques: layout.torques.as_deref().map(six).transpose()?,
+            force: layout.force.as_ref().map(|force| force.row(table, &row)).transpose()?,
         })?;
     }
     Ok(())
@@ -206,17 +213,21 @@ fn read_rows(table: &mut Table<'_>, layout: &Layout, raw: &mut RawLog) -> Result
 
 /// A stamp to integer ns. Decimal digits are taken as they are: a UTC stamp in seconds has more of them than an
 /// `f64` can hold.
-fn stamp_ns(table: &Table<'_>, row: &Row, layout: &Layout) -> Result<i64, LogError> {
-    let column = &layout.time;
+pub(super) fn stamp_ns(
+    table: &Table<'_>,
+    row: &Row,
+    column: &Column,
+    unit: TimeUnit,
+) -> Result<i64, LogError> {
     let number = table.number(row, column)?;
     let text = table.text(row, column).replace(',', ".");
-    let zero = if layout.time_unit == TimeUnit::Filetime { FILETIME_1970 } else { 0 };
-    let exact = match layout.time_unit {
+    let zero = if unit == TimeUnit::Filetime { FILETIME_1970 } else { 0 };
+    let exact = match unit {
         TimeUnit::S => decimal_to_ns(&text),
         unit => text.parse::<i64>().ok().and_then(|ticks| ticks.checked_sub(zero)?.checked_mul(unit.ns())),
     };
     let rounded = || {
-        let ns = ((number - zero as f64) * layout.time_unit.ns() as f64).round();
+        let ns = ((number - zero as f64) * unit.ns() as f64).round();
         (ns.abs() < i64::MAX as f64).then_some(ns as i64)
     };
     exact.or_else(rounded).ok_or_else(|| {

@@ -83,7 +83,7 @@ pub enum ForceError {
     /// Nothing to correlate with.
     #[error(
         "the {what} hardly varies ({low:.2} to {high:.2}{unit}): it tells nothing of the bar; check column and unit, or \
-         calibrate without it"
+         calibrate without it (--ignore-force)"
     )]
     Flat {
         /// Kind of force.
@@ -106,7 +106,7 @@ pub enum ForceError {
     /// The motion does not tell gravity, friction and force apart.
     #[error(
         "the torques of the joints do not tell the force along the bar: robot and bar moved too little to tell it from \
-         gravity and friction; measure the force itself, or calibrate without it"
+         gravity and friction; measure the force itself, or calibrate without it (--ignore-force)"
     )]
     Torques,
 }

@@ -15,7 +15,7 @@ use shared::config::{AngleUnit, RobotConfig};
 
 use super::mapping::RobotLogMapping;
 use super::raw::{Meaning, RawLog, RawRow};
-use super::{LogError, LogFormat, Origin, RobotLog};
+use super::{ForceKind, LogError, LogFormat, Origin, RobotLog};
 use joint_state::JointState;
 
 /// Names that drivers give the six joints, from base to flange; a prefix such as `left_` may stand before all six.
@@ -121,6 +121,7 @@ pub(super) fn read(
     raw.clock = mapping.and_then(|mapping| mapping.clock.clone()).unwrap_or_else(|| clock.into());
     raw.origin = mapping.and_then(|mapping| mapping.values).unwrap_or(Origin::Measured);
     raw.remarks.clone_from(&bag.remarks);
+    raw.force = mapping.and_then(|mapping| mapping.force.as_ref()).map(|_| ForceKind::JointTorques);
     if !stamped {
         raw.remarks.push("messages without header.stamp: the time of their reception jitters".into());
     }
@@ -157,6 +158,7 @@ fn row(message: &Message, names: &[String; 6], to_rad: &[f64; 6], stamped: bool)
         joints: scaled(&state.position),
         speeds: whole(scaled(&state.velocity)),
         torques: whole(values(&state.effort)),
+        force: None,
     }
 }
 

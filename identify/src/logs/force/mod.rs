@@ -1,5 +1,12 @@
 //! The force on the ball-bar over time, on the robot's clock or on the bar's: part of the robot's log or a file of its own.
 
+mod columns;
+mod file;
+
+pub(super) use columns::ForceLayout;
+pub use columns::{ForceColumns, ForceFrame, ForceUnit};
+pub use file::ForceLogMapping;
+
 use serde::{Deserialize, Serialize};
 
 /// Column of a force along the bar \[N\].

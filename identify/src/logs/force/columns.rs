@@ -1,0 +1,170 @@
+//! Which columns of a table have the force, and in which unit.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use shared::config::{RobotConfig, Violation};
+
+use super::{ALONG_COLUMN, ForceKind};
+use crate::logs::LogError;
+use crate::logs::csv_text::{Column, Row, Table, comments};
+
+const SIGN_COLUMN: &str = "force_sign";
+const VECTOR_COLUMNS: [&str; 3] = ["force_x_N", "force_y_N", "force_z_N"];
+/// External force at the tool that UR's controllers estimate, in the axes of the robot's base \[N\].
+const RTDE_COLUMNS: [&str; 3] = ["actual_TCP_force_0", "actual_TCP_force_1", "actual_TCP_force_2"];
+/// A pound-force \[N\].
+const LBF_N: f64 = 4.448_221_615_260_5;
+
+/// Unit of a force.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ForceUnit {
+    /// Newtons.
+    N,
+    /// Kilonewtons.
+    #[serde(rename = "kN")]
+    KN,
+    /// Pounds-force.
+    #[serde(rename = "lbf")]
+    Lbf,
+    /// Newton metres, for torques of the joints.
+    Nm,
+    /// Only the sign is known: -1, 0 or 1.
+    #[serde(rename = "sign")]
+    Sign,
+}
+
+impl ForceUnit {
+    const fn to_si(self) -> f64 {
+        match self {
+            Self::N | Self::Nm | Self::Sign => 1.0,
+            Self::KN => 1e3,
+            Self::Lbf => LBF_N,
+        }
+    }
+}
+
+/// Axes of a force that has three components.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ForceFrame {
+    /// Those of the flange.
+    #[default]
+    Flange,
+    /// Those of the robot's base.
+    Base,
+}
+
+/// Where a log has the force.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ForceColumns {
+    /// One: along the bar. Three: its components x, y, z. Six: torques of the joints, in their order. None: the torques
+    /// that the log has anyway (columns `torques`, or `effort` of ROS 2).
+    #[serde(default)]
+    pub columns: Vec<String>,
+    /// Unit of all of them.
+    pub unit: ForceUnit,
+    /// Axes of three components.
+    #[serde(default)]
+    pub frame: ForceFrame,
+}
+
+impl ForceColumns {
+    /// What the columns hold.
+    pub fn kind(&self) -> ForceKind {
+        match (self.columns.len(), self.frame) {
+            (1, _) if self.unit == ForceUnit::Sign => ForceKind::Sign,
+            (1, _) => ForceKind::Along,
+            (3, ForceFrame::Flange) => ForceKind::InFlange,
+            (3, ForceFrame::Base) => ForceKind::InBase,
+            _ => ForceKind::JointTorques,
+        }
+    }
+
+    /// Number of columns and unit go together.
+    pub(in crate::logs) fn check(&self) -> Result<(), Violation> {
+        let fits = match (self.columns.len(), self.unit) {
+            (1, unit) => unit != ForceUnit::Nm,
+            (3, unit) => !matches!(unit, ForceUnit::Nm | ForceUnit::Sign),
+            (0 | 6, unit) => unit == ForceUnit::Nm,
+            _ => false,
+        };
+        if fits {
+            return Ok(());
+        }
+        Err(Violation::new(
+            "force",
+            format!("{} columns in {:?} are no force", self.columns.len(), self.unit),
+            "write one column along the bar (N, kN, lbf or sign), three components (N, kN, lbf), or six torques of the \
+             joints (Nm)",
+        ))
+    }
+}
+
+/// The columns of an open table.
+pub(in crate::logs) struct ForceLayout {
+    pub kind: ForceKind,
+    columns: Vec<(Column, f64)>,
+}
+
+impl ForceLayout {
+    /// Those that a mapping names; none where the force is in the log's own torques.
+    pub fn named(table: &Table<'_>, force: &ForceColumns) -> Result<Option<Self>, LogError> {
+        let remedy = "Correct the name under [force] in the mapping file.";
+        let column = |name: &String| Ok((table.column(name, remedy)?, force.unit.to_si()));
+        let columns = force.columns.iter().map(column).collect::<Result<Vec<_>, LogError>>()?;
+        Ok((!columns.is_empty()).then_some(Self { kind: force.kind(), columns }))
+    }
+
+    /// Those that say themselves what they are: `force_N`, `force_sign`, `force_x_N` .. `force_z_N` (in the axes of the
+    /// flange unless a comment says `# force_frame: base`), torques such as `joint1_Nm`, or the force of a UR.
+    pub fn own(table: &Table<'_>, text: &str, robot: &RobotConfig) -> Result<Option<Self>, LogError> {
+        let torques: [String; 6] =
+            std::array::from_fn(|joint| format!("{}{}_Nm", robot.log.column, joint + 1));
+        let torques = torques.each_ref().map(String::as_str);
+        let in_base =
+            comments(text).any(|(key, value)| key == "force_frame" && value.eq_ignore_ascii_case("base"));
+        let vector = if in_base { ForceKind::InBase } else { ForceKind::InFlange };
+        let known: [(ForceKind, &[&str]); 5] = [
+            (ForceKind::Along, &[ALONG_COLUMN]),
+            (ForceKind::Sign, &[SIGN_COLUMN]),
+            (vector, &VECTOR_COLUMNS),
+            (ForceKind::InBase, &RTDE_COLUMNS),
+            (ForceKind::JointTorques, &torques),
+        ];
+        let Some((kind, names)) =
+            known.into_iter().find(|(_, names)| names.iter().any(|name| table.has(name)))
+        else {
+            return Ok(None);
+        };
+        let remedy = "A force needs all of its components, or leave all of them out.";
+        let columns = names.iter().map(|name| Ok((table.column(name, remedy)?, 1.0)));
+        Ok(Some(Self { kind, columns: columns.collect::<Result<_, LogError>>()? }))
+    }
+
+    /// The numbers of one row \[N or N m\].
+    pub fn row(&self, table: &Table<'_>, row: &Row) -> Result<[f64; 6], LogError> {
+        let mut values = [0.0; 6];
+        for (value, (column, factor)) in values.iter_mut().zip(&self.columns) {
+            *value = table.number(row, column)? * factor;
+            if self.kind == ForceKind::Sign && !(-1.0..=1.0).contains(value) {
+                let remedy = "give -1, 0 or 1; a force in newtons belongs into `force_N`";
+                return Err(table.bad(row, column, format!("{value} is no sign"), remedy));
+            }
+        }
+        Ok(values)
+    }
+}
+
+/// Columns that look like a force but are none of those that are read.
+pub(in crate::logs) fn unknown(table: &Table<'_>, path: &Path) -> LogError {
+    LogError::MissingColumn {
+        path: path.to_owned(),
+        column: ALONG_COLUMN.into(),
+        found: table.header().join(", "),
+        remedy: "A force is in `force_N` (along the bar), `force_sign`, `force_x_N` to `force_z_N` or torques such as \
+                 `joint1_Nm`; say with --force-mapping which columns hold what, and in which unit."
+            .into(),
+    }
+}

@@ -1,0 +1,161 @@
+//! A force in a file of its own, such as the load cell's.
+//!
+//! The header names `t_s` and the columns of [`ForceLayout::own`]; `# clock: bar` says that stamps are of the ball-bar's
+//! clock (UTC), else they are of the robot's. Other tables need a [`ForceLogMapping`].
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use shared::config::{RobotConfig, Validate, Violation};
+
+use super::columns::{ForceColumns, ForceLayout, unknown};
+use super::{ForceClock, ForceKind, ForceLog};
+use crate::logs::csv_text::{Format, Table, comments, decode, delimiter_of_header, open_mapped};
+use crate::logs::mapping::{CsvLayout, TimeColumn, TimeUnit};
+use crate::logs::table::{TIME_COLUMN, stamp_ns};
+use crate::logs::writer::seconds_text;
+use crate::logs::{JointConversion, LogError};
+
+/// Fewest rows that make a log.
+const ROWS_MIN: usize = 50;
+
+/// How to read a force from a table: `config/force_log.toml` explains each key.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ForceLogMapping {
+    /// Which clock made the stamps.
+    #[serde(default)]
+    pub clock: ForceClock,
+    /// Layout of the table.
+    #[serde(default)]
+    pub csv: CsvLayout,
+    /// Where the stamps are.
+    pub time: TimeColumn,
+    /// Where the force is.
+    pub force: ForceColumns,
+}
+
+impl Validate for ForceLogMapping {
+    fn validate(&self) -> Result<(), Violation> {
+        self.csv.check()?;
+        self.force.check()?;
+        if self.force.columns.is_empty() {
+            let remedy = "name the columns of the force; without any it is read from a robot's log";
+            return Err(Violation::new("force.columns", "there are none", remedy));
+        }
+        Ok(())
+    }
+}
+
+impl ForceLog {
+    /// Reads the file at `path`; torques of the joints are on the axes of the robot's log.
+    ///
+    /// # Errors
+    /// Every way in which the file cannot be used, see [`LogError`].
+    pub fn load(
+        path: &Path,
+        robot: &RobotConfig,
+        mapping: Option<&ForceLogMapping>,
+    ) -> Result<Self, LogError> {
+        let bytes =
+            std::fs::read(path).map_err(|source| LogError::Unreadable { path: path.to_owned(), source })?;
+        Self::read(&bytes, path, robot, mapping)
+    }
+
+    /// [`Self::load`] on bytes in memory; `path` is only named in errors.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn read(
+        bytes: &[u8],
+        path: &Path,
+        robot: &RobotConfig,
+        mapping: Option<&ForceLogMapping>,
+    ) -> Result<Self, LogError> {
+        let text = decode(bytes, path)?;
+        let Some(mapping) = mapping else {
+            let format = Format { delimiter: delimiter_of_header(text), decimal_comma: false };
+            let table = Table::open(text, path, format)?;
+            let layout = ForceLayout::own(&table, text, robot)?.ok_or_else(|| unknown(&table, path))?;
+            let time = TimeColumn { column: TIME_COLUMN.into(), unit: TimeUnit::S };
+            return rows(table, path, &time, &layout, declared_clock(text, path)?)?.on_joints(robot);
+        };
+        let mut table = open_mapped(text, path, &mapping.csv)?;
+        for _ in 0..mapping.csv.unit_lines {
+            // Whatever stands there is not numbers.
+            let _ = table.next_row();
+        }
+        let layout = ForceLayout::named(&table, &mapping.force)?.ok_or_else(|| unknown(&table, path))?;
+        rows(table, path, &mapping.time, &layout, mapping.clock)?.on_joints(robot)
+    }
+
+    /// Torques of what the robot's log has to those of the model's joints.
+    fn on_joints(mut self, robot: &RobotConfig) -> Result<Self, LogError> {
+        if self.kind == ForceKind::JointTorques {
+            let conversion = JointConversion::new(&robot.log)?;
+            self.values.iter_mut().for_each(|row| *row = conversion.to_joint_torque(row));
+        }
+        Ok(self)
+    }
+}
+
+/// The clock that comments declare; the robot's where they do not.
+fn declared_clock(text: &str, path: &Path) -> Result<ForceClock, LogError> {
+    let Some((_, name)) = comments(text).find(|(key, _)| key == "clock") else {
+        return Ok(ForceClock::default());
+    };
+    let known = [ForceClock::Robot, ForceClock::Bar]
+        .into_iter()
+        .find(|clock| name.eq_ignore_ascii_case(clock.name()));
+    known.ok_or_else(|| LogError::Content {
+        path: path.to_owned(),
+        problem: format!("its clock is `{name}`"),
+        remedy: "write `# clock: robot` or `# clock: bar`: stamps must be of one of the two, whose relation is found \
+                 from the motion"
+            .into(),
+    })
+}
+
+fn rows(
+    mut table: Table<'_>,
+    path: &Path,
+    time: &TimeColumn,
+    layout: &ForceLayout,
+    clock: ForceClock,
+) -> Result<ForceLog, LogError> {
+    let column = table.column(
+        &time.column,
+        "Name the column of time stamps `t_s` (seconds), or say it with --force-mapping.",
+    )?;
+    let mut log =
+        ForceLog { clock, kind: layout.kind, first_stamp_ns: 0, t_s: Vec::new(), values: Vec::new() };
+    let mut before: Option<(i64, u64)> = None;
+    while let Some(row) = table.next_row() {
+        let row = row?;
+        let stamp = stamp_ns(&table, &row, &column, time.unit)?;
+        let values = layout.row(&table, &row)?;
+        match before {
+            None => log.first_stamp_ns = stamp,
+            // Loggers that are read faster than they are filled give the same row again.
+            Some((last, _)) if stamp == last && log.values.last() == Some(&values) => continue,
+            Some((last, line)) if stamp <= last => {
+                return Err(LogError::TimeNotIncreasing {
+                    path: path.to_owned(),
+                    what: "line",
+                    line: row.line,
+                    before_line: line,
+                    before_s: seconds_text(last),
+                    after_s: seconds_text(stamp),
+                });
+            }
+            Some(_) => {}
+        }
+        before = Some((stamp, row.line));
+        log.t_s.push((i128::from(stamp) - i128::from(log.first_stamp_ns)) as f64 * 1e-9);
+        log.values.push(values);
+    }
+    if log.values.len() < ROWS_MIN {
+        return Err(LogError::TooFewRows { path: path.to_owned(), rows: log.values.len(), needed: ROWS_MIN });
+    }
+    Ok(log)
+}
