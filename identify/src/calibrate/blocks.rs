@@ -8,7 +8,8 @@ use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::solver::{Block, Prior, Problem, stacked};
+use super::cross_validation::Normal;
+use crate::solver::{Prior, Problem, Subset, stacked};
 
 /// Samples whose Jacobian is held at a time.
 const CHUNK: usize = 2000;
@@ -22,71 +23,21 @@ pub struct Blocks {
     x: Vec<f64>,
 }
 
-/// `sum w J'J`, `sum w J'r`, `sum w r'r` and the number of rows.
+/// Normal equations of weighted rows and the sum of their weights.
 #[derive(Debug, Clone)]
 struct NormalEquations {
-    normal: DMatrix<f64>,
-    gradient: DVector<f64>,
-    squared: f64,
     rows: f64,
+    normal: Normal,
 }
 
 impl NormalEquations {
     fn zero(columns: usize) -> Self {
-        let (normal, gradient) = (DMatrix::zeros(columns, columns), DVector::zeros(columns));
-        Self { normal, gradient, squared: 0.0, rows: 0.0 }
+        Self { normal: Normal::zeros(columns), rows: 0.0 }
     }
 
     fn add(&mut self, other: &Self) {
         self.normal += &other.normal;
-        self.gradient += &other.gradient;
-        self.squared += other.squared;
         self.rows += other.rows;
-    }
-
-    /// Weighted squared residuals after a step.
-    fn squared_after(&self, step: &DVector<f64>) -> f64 {
-        self.squared + 2.0 * self.gradient.dot(step) + step.dot(&(&self.normal * step))
-    }
-}
-
-/// A part of a problem's samples.
-struct Portion<'a, P> {
-    problem: &'a P,
-    samples: Range<usize>,
-}
-
-impl<P: Problem> Problem for Portion<'_, P> {
-    type Point = P::Point;
-
-    fn columns(&self) -> usize {
-        self.problem.columns()
-    }
-
-    fn column_name(&self, column: usize) -> String {
-        self.problem.column_name(column)
-    }
-
-    fn samples(&self) -> usize {
-        self.samples.len()
-    }
-
-    fn rows(&self) -> usize {
-        self.problem.rows()
-    }
-
-    fn point(&self, x: &[f64]) -> P::Point {
-        self.problem.point(x)
-    }
-
-    fn sample(
-        &self,
-        point: &mut P::Point,
-        sample: usize,
-        residual: &mut [f64],
-        block: &mut Block<'_>,
-    ) -> bool {
-        self.problem.sample(point, self.samples.start + sample, residual, block)
     }
 }
 
@@ -97,7 +48,7 @@ fn normal_equations<P: Problem>(
     samples: Range<usize>,
 ) -> Option<NormalEquations> {
     let weights = weights.get(samples.clone())?;
-    let (mut residual, mut jacobian) = stacked(&Portion { problem, samples }, x)?;
+    let (mut residual, mut jacobian) = stacked(&Subset { of: problem, samples: samples.collect() }, x)?;
     let rows = problem.rows().max(1);
     // Samples without a value have no rows; the solve gave them no weight.
     let present: Vec<f64> = if residual.len() == rows * weights.len() {
@@ -116,12 +67,10 @@ fn normal_equations<P: Problem>(
             *entry *= present[row / rows].sqrt();
         }
     }
-    Some(NormalEquations {
-        normal: jacobian.tr_mul(&jacobian),
-        gradient: jacobian.tr_mul(&residual),
-        squared: residual.norm_squared(),
-        rows: present.iter().sum::<f64>() * rows as f64,
-    })
+    let mut equations = NormalEquations::zero(problem.columns());
+    equations.normal.add(&residual, &jacobian);
+    equations.rows = present.iter().sum::<f64>() * rows as f64;
+    Some(equations)
 }
 
 /// `count` stretches of nearly equal length in each run, of which `starts` gives the first samples and the total.
@@ -165,7 +114,7 @@ impl Blocks {
     pub fn held_out_with(&self, columns: &[usize], priors: &[Prior]) -> Option<Vec<f64>> {
         let error = |block: &NormalEquations| {
             let step = self.step_without(block, columns, priors)?;
-            Some(block.squared_after(&step) / block.rows.max(1.0))
+            Some(block.normal.after(&step) / block.rows.max(1.0))
         };
         self.blocks.iter().map(error).collect()
     }
@@ -197,9 +146,9 @@ impl Blocks {
     ) -> Option<DVector<f64>> {
         let (mut normal, mut gradient) = self.prior_equations(columns, priors);
         for (i, &a) in columns.iter().enumerate() {
-            gradient[i] += self.total.gradient[a] - block.gradient[a];
+            gradient[i] += self.total.normal.gradient[a] - block.normal.gradient[a];
             for (j, &b) in columns.iter().enumerate() {
-                normal[(i, j)] += self.total.normal[(a, b)] - block.normal[(a, b)];
+                normal[(i, j)] += self.total.normal.matrix[(a, b)] - block.normal.matrix[(a, b)];
             }
         }
         let short = -solved(normal, &gradient)?;
@@ -216,13 +165,13 @@ impl Blocks {
         let columns: Vec<usize> = (0..self.x.len()).collect();
         let count = self.blocks.len() as f64;
         let (prior, _) = self.prior_equations(&columns, &self.priors);
-        let whole = &self.total.normal + &prior;
+        let whole = &self.total.normal.matrix + &prior;
         if count < 2.0 {
             return None;
         }
         let mut covariance = DMatrix::zeros(columns.len(), columns.len());
         for block in &self.blocks {
-            let moved = solved(&whole - &block.normal, &block.gradient)?;
+            let moved = solved(&whole - &block.normal.matrix, &block.normal.gradient)?;
             covariance += &moved * moved.transpose() * ((count - 1.0) / count);
         }
         let through = solved_matrix(whole.clone(), &prior)?;

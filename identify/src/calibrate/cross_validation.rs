@@ -61,7 +61,7 @@ impl Normal {
     }
 
     /// Sum of squares after a step.
-    fn after(&self, step: &DVector<f64>) -> f64 {
+    pub fn after(&self, step: &DVector<f64>) -> f64 {
         self.squared + 2.0 * self.gradient.dot(step) + step.dot(&(&self.matrix * step))
     }
 }

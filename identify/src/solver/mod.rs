@@ -18,6 +18,7 @@ mod panel;
 mod pass;
 mod ransac;
 mod robust;
+mod subset;
 mod watch;
 
 pub use covariance::{Covariance, Noise};
@@ -31,6 +32,7 @@ pub use panel::Block;
 pub use pass::{squared_norms, stacked};
 pub use ransac::{RansacOptions, ransac};
 pub use robust::{GraduatedOptions, solve_graduated};
+pub use subset::Subset;
 pub use watch::{Progress, Watch};
 
 /// Knowledge of one column apart from the samples: `x[column] = value +- sigma`, one extra residual row.

@@ -10,7 +10,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
 use super::pass::squared_norms_of_all;
-use super::{Block, Loss, Options, Prior, Problem, SolveError, minimise, squared_norms};
+use super::{Loss, Options, Problem, SolveError, Subset, minimise, squared_norms};
 
 /// How to look for a start.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -40,50 +40,6 @@ const ITERATIONS: usize = 8;
 const CONCENTRATIONS: usize = 10;
 /// A refinement that gains less is the last one.
 const GAIN_MIN: f64 = 1e-3;
-
-/// Some samples of a problem.
-struct Subset<'a, P> {
-    of: &'a P,
-    samples: Vec<usize>,
-}
-
-impl<P: Problem> Problem for Subset<'_, P> {
-    type Point = P::Point;
-
-    fn columns(&self) -> usize {
-        self.of.columns()
-    }
-
-    fn column_name(&self, column: usize) -> String {
-        self.of.column_name(column)
-    }
-
-    fn samples(&self) -> usize {
-        self.samples.len()
-    }
-
-    fn rows(&self) -> usize {
-        self.of.rows()
-    }
-
-    fn priors(&self) -> &[Prior] {
-        self.of.priors()
-    }
-
-    fn point(&self, x: &[f64]) -> P::Point {
-        self.of.point(x)
-    }
-
-    fn sample(
-        &self,
-        point: &mut P::Point,
-        sample: usize,
-        residual: &mut [f64],
-        block: &mut Block<'_>,
-    ) -> bool {
-        self.samples.get(sample).is_some_and(|&sample| self.of.sample(point, sample, residual, block))
-    }
-}
 
 /// Parameters with the squared residual that the good share stays below.
 struct Candidate {
