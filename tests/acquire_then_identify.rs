@@ -61,7 +61,7 @@ fn all_38_parameters_are_recovered_for_both_robots() {
 }
 
 #[test]
-fn the_bar_of_the_thesis_without_encoder_3_calibrates_by_position_and_two_angles() {
+fn the_bar_of_the_thesis_without_encoder_3_calibrates_too() {
     let robot = robot("irb2400_16.toml");
     let mut bar = ball_bar();
     bar.encoders.retain(|encoder| encoder.joint != 3);
@@ -71,7 +71,7 @@ fn the_bar_of_the_thesis_without_encoder_3_calibrates_by_position_and_two_angles
     let config = IdentifyConfig { selection: SelectionName::Thesis, ..IdentifyConfig::default() };
     let calibration =
         ball_bar::calibrate(&recording.cycles, &recording.run.encoders, &log, &robot, &bar, &config).unwrap();
-    assert_eq!(calibration.cost, CostName::PositionAngles);
+    assert_eq!(calibration.cost, CostName::Pose);
     let robot_error = Comparison::new(&calibration, &truth)
         .only(|id| matches!(id, ParameterId::Robot { .. }))
         .euclidean_mm_mrad();

@@ -1,6 +1,7 @@
 //! The laboratory of the acceptance: unknown zeros and clocks, and all that spoils a run; both robots, ten seeds each.
 //!
-//! The whole campaign: `cargo test --release -p identify --test laboratory_campaign -- --ignored --nocapture`.
+//! The whole campaign: `cargo test --release -p identify --test laboratory_campaign -- --ignored --nocapture`;
+//! `IDENTIFY_KINDS=four` runs the kinds with that in their name.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -77,8 +78,9 @@ fn summary(name: &str, outcomes: &[Outcome]) -> (f64, f64) {
         "    position {position_mm:.4} mm; within the report's interval {as_expected} of {}",
         outcomes.len()
     );
+    let errors: Vec<String> = outcomes.iter().map(|one| format!("{:.3}", one.robot_mm_mrad)).collect();
+    println!("    one by one: {}", errors.join(" "));
     assert!(outcomes.iter().all(|one| one.shift_ms.abs() < 0.1 && one.skew_ppm.abs() < 2.0), "{name}");
-    assert!(outcomes.iter().all(|one| one.repeats_ms < 0.1), "{name}");
     (mean, most)
 }
 
@@ -153,31 +155,41 @@ fn a_few_runs_of_each_kind_calibrate_without_a_hand() {
 #[test]
 #[ignore = "minutes; the command above"]
 fn ten_runs_of_each_kind_with_both_robots() {
+    let five = bar();
+    let kinds: [(&str, &BallBarConfig, Make); 6] = [
+        ("usual", &five, usual),
+        ("four encoders", &four(), usual),
+        ("shuffled and reversed", &five, shuffled_and_reversed),
+        ("through a singular pose", &five, crossing),
+        ("repeated motion", &five, repeated),
+        ("hard", &five, hard),
+    ];
+    let wanted = std::env::var("IDENTIFY_KINDS").unwrap_or_default();
+    let mut missed = Vec::new();
     for robot in [irb2400(), nj220()] {
-        let of = |name: &str, bar: &BallBarConfig, make: Make| {
-            summary(&format!("{}, {name}", robot.name), &outcomes(&robot, bar, make, 1..=10))
-        };
-        let (mean, most) = of("usual", &bar(), usual);
-        let thesis = IdentifyConfig {
-            cost: Some(CostName::Transform),
-            selection: SelectionName::Thesis,
-            ..IdentifyConfig::default()
-        };
-        let of_thesis: f64 = (1..=10)
-            .map(|seed| {
-                calibrated(&usual(&robot, &bar(), seed), &robot, &bar(), &thesis).robot_mm_mrad / 10.0
-            })
-            .sum();
-        println!("{}, the thesis' cost and parameters on the same files: {of_thesis:.3}", robot.name);
-        let others: Vec<(&str, (f64, f64))> = vec![
-            ("four encoders", of("four encoders", &four(), usual)),
-            ("shuffled and reversed", of("shuffled and reversed", &bar(), shuffled_and_reversed)),
-            ("through a singular pose", of("through a singular pose", &bar(), crossing)),
-            ("repeated motion", of("repeated motion", &bar(), repeated)),
-            ("hard", of("hard", &bar(), hard)),
-        ];
-        println!("{others:?}");
-        assert!(mean < 0.12 && most < 0.25, "{}: {mean} {most}", robot.name);
-        assert!(others.iter().all(|(_, (mean, _))| *mean < 0.25), "{}", robot.name);
+        for (name, bar, make) in kinds.into_iter().filter(|(name, ..)| name.contains(&wanted)) {
+            let outcomes = outcomes(&robot, bar, make, 1..=10);
+            let (mean, most) = summary(&format!("{}, {name}", robot.name), &outcomes);
+            let (mean_max, most_max) = if name == "hard" { (0.25, f64::INFINITY) } else { (0.12, 0.25) };
+            if mean > mean_max || most > most_max {
+                missed.push(format!("{}, {name}: {mean:.3} mean, {most:.3} largest", robot.name));
+            }
+            if name == "usual" {
+                assert!(outcomes.iter().all(|one| one.repeats_ms < 0.1), "{}", robot.name);
+                as_the_thesis(&robot, bar);
+            }
+        }
     }
+    assert!(missed.is_empty(), "{missed:#?}");
+}
+
+/// The thesis' cost and parameters on the files of the usual runs, aligned and chosen as here: what the rest is worth.
+fn as_the_thesis(robot: &RobotConfig, bar: &BallBarConfig) {
+    let config = IdentifyConfig {
+        cost: Some(CostName::Transform),
+        selection: SelectionName::Thesis,
+        ..IdentifyConfig::default()
+    };
+    let errors = (1..=10).map(|seed| calibrated(&usual(robot, bar, seed), robot, bar, &config).robot_mm_mrad);
+    println!("    the thesis' cost and parameters on the same files: {:.3} mean", errors.sum::<f64>() / 10.0);
 }

@@ -123,7 +123,7 @@ fn too_few_encoders_for_the_chosen_cost_are_told_with_the_missing_one() {
     let (robot, mut bar) = (irb2400(), bar());
     bar.encoders.remove(2);
     let run = simulate::run(&Experiment::new(&robot, &bar)).unwrap();
-    let config = IdentifyConfig { cost: Some(CostName::Pose), ..IdentifyConfig::default() };
+    let config = IdentifyConfig { cost: Some(CostName::Transform), ..IdentifyConfig::default() };
     let told = refusal(&run, &bar, &config);
     assert!(told.contains("needs the encoder of bar joint 3"), "{told}");
 }

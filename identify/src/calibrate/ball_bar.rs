@@ -143,7 +143,7 @@ pub fn calibrate_runs(
         Ok(Run { prepared, model })
     };
     let mut runs = inputs.iter().map(run).collect::<Result<Vec<Run>, CalibrateError>>()?;
-    let measured = std::array::from_fn(|joint| runs.iter().all(|run| run.prepared.measured[joint]));
+    let measured = several::measured(&runs);
     let cost = config.cost.unwrap_or_else(|| CostName::for_encoders(&measured));
     let solved = solve_by(cost, &mut runs, config, watch)?;
     let mut runs = runs.into_iter();
@@ -176,7 +176,8 @@ pub(super) fn solve_by(
             several::solve(self.runs, self.cost, residual, self.config, self.watch)
         }
     }
-    cost.run(config.noise, Solve { cost, runs, config, watch })
+    let measured = several::measured(runs);
+    cost.run(&measured, config.noise, Solve { cost, runs, config, watch })
 }
 
 /// Nominal robot and bar, at the place and with the encoder offsets that the preparation found.

@@ -45,14 +45,15 @@ fn normal_equations<P: Problem>(
     problem: &P,
     x: &[f64],
     weights: &[f64],
-    samples: Range<usize>,
+    samples: &[usize],
 ) -> Option<NormalEquations> {
-    let weights = weights.get(samples.clone())?;
-    let (mut residual, mut jacobian) = stacked(&Subset { of: problem, samples: samples.collect() }, x)?;
+    let weights: Vec<f64> =
+        samples.iter().map(|sample| weights.get(*sample).copied()).collect::<Option<_>>()?;
+    let (mut residual, mut jacobian) = stacked(&Subset { of: problem, samples: samples.to_vec() }, x)?;
     let rows = problem.rows().max(1);
     // Samples without a value have no rows; the solve gave them no weight.
     let present: Vec<f64> = if residual.len() == rows * weights.len() {
-        weights.to_vec()
+        weights
     } else {
         weights.iter().copied().filter(|weight| *weight > 0.0).collect()
     };
@@ -88,14 +89,13 @@ impl Blocks {
         problem: &P,
         x: &[f64],
         weights: &[f64],
-        stretches: &[Range<usize>],
+        stretches: &[Vec<usize>],
     ) -> Option<Self> {
         let mut total = NormalEquations::zero(problem.columns());
         let mut blocks = Vec::with_capacity(stretches.len());
         for stretch in stretches {
             let mut block = NormalEquations::zero(problem.columns());
-            for start in stretch.clone().step_by(CHUNK) {
-                let chunk = start..stretch.end.min(start + CHUNK);
+            for chunk in stretch.chunks(CHUNK) {
                 block.add(&normal_equations(problem, x, weights, chunk)?);
             }
             total.add(&block);

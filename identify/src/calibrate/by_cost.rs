@@ -1,7 +1,8 @@
 //! From the name of a cost to its residual.
 
 use super::config::{CostName, NoiseConfig};
-use crate::cost::{Length, Position, PositionAngles, Residual, Transform, WhitenedPose};
+use crate::cost::{Length, Position, PositionAngles, Residual, Transform, WhitenedPose, WhitenedPoseOfFour};
+use crate::kinematics::BAR_JOINTS;
 use crate::model::{Geometry, ParameterId};
 use crate::prepare::Prepared;
 
@@ -22,7 +23,7 @@ impl CostName {
     /// Bar joints whose encoders it needs, from 0.
     pub const fn encoders(self) -> &'static [usize] {
         match self {
-            Self::Pose => WhitenedPose::ENCODERS,
+            Self::Pose => WhitenedPoseOfFour::ENCODERS,
             Self::Transform => Transform::ENCODERS,
             Self::PositionAngles => PositionAngles::ENCODERS,
             Self::Position => Position::ENCODERS,
@@ -30,9 +31,10 @@ impl CostName {
         }
     }
 
-    /// [`Residual::tells`] of its residual.
-    pub fn tells(self, id: ParameterId) -> bool {
+    /// [`Residual::tells`] of its residual with the encoders that there are.
+    pub fn tells(self, measured: &[bool; BAR_JOINTS], id: ParameterId) -> bool {
         match self {
+            Self::Pose if is_of_four(measured) => WhitenedPoseOfFour::tells(id),
             Self::Pose => WhitenedPose::tells(id),
             Self::Transform => Transform::tells(id),
             Self::PositionAngles => PositionAngles::tells(id),
@@ -41,9 +43,18 @@ impl CostName {
         }
     }
 
-    /// Does the work with its residual.
-    pub(super) fn run<W: WithResidual>(self, noise: NoiseConfig, work: W) -> W::Output {
+    /// Does the work with its residual, which may depend on the encoders that there are.
+    pub(super) fn run<W: WithResidual>(
+        self,
+        measured: &[bool; BAR_JOINTS],
+        noise: NoiseConfig,
+        work: W,
+    ) -> W::Output {
         match self {
+            Self::Pose if is_of_four(measured) => work.with(|prepared: &Prepared, geometry: &Geometry| {
+                let Prepared { motion, observations, .. } = prepared;
+                WhitenedPoseOfFour::new(geometry, motion, observations, noise.into())
+            }),
             Self::Pose => work.with(|prepared: &Prepared, geometry: &Geometry| {
                 WhitenedPose::new(geometry, &prepared.motion, &prepared.observations, noise.into())
             }),
@@ -53,4 +64,9 @@ impl CostName {
             Self::Length => work.with(|_: &Prepared, _: &Geometry| Length),
         }
     }
+}
+
+/// Encoder 3 is missing, which the whitened pose can do without.
+const fn is_of_four(measured: &[bool; BAR_JOINTS]) -> bool {
+    !measured[2]
 }

@@ -21,7 +21,7 @@ const ZERO_SIGMA_RAD: f64 = 0.01;
 #[serde(rename_all = "snake_case")]
 #[value(rename_all = "snake_case")]
 pub enum CostName {
-    /// Position and rotation, whitened by the noise of all angles; five encoders.
+    /// Position and rotation, whitened by the noise of all angles; five encoders, or all but that of joint 3.
     Pose,
     /// All entries of robot minus bar (thesis eq. 2.4); five encoders.
     Transform,
@@ -37,8 +37,7 @@ impl CostName {
     /// The best cost that these encoders allow.
     pub fn for_encoders(measured: &[bool; BAR_JOINTS]) -> Self {
         match measured {
-            [true, true, true, true, true] => Self::Pose,
-            [true, true, _, true, true] => Self::PositionAngles,
+            [true, true, _, true, true] => Self::Pose,
             [true, true, ..] => Self::Position,
             _ => Self::Length,
         }

@@ -51,7 +51,7 @@ pub fn without_each_stretch(
         _ => calibration.solution.summary.residual_rms.max(SIGMA_MIN),
     };
     let work = Refit { runs: &runs, calibration, config, sigma, watch };
-    calibration.cost.run(config.noise, work)
+    calibration.cost.run(&calibration.measured(), config.noise, work)
 }
 
 struct Refit<'a> {

@@ -71,12 +71,13 @@ fn at_nominal(model: &mut Model) -> Result<(), ModelError> {
 /// The configuration with the terms that the calibration took, none to choose from.
 fn same_terms(calibration: &BallBarCalibration, config: &IdentifyConfig, cost: CostName) -> IdentifyConfig {
     let mut config = config.clone();
+    let measured = calibration.measured();
     config.joint_terms.candidates.clear();
     let chosen_here = config.selection == SelectionName::Automatic;
     if chosen_here {
         config.encoder_harmonics_urad = 0.0;
     }
-    for parameter in calibration.model.columns().filter(|parameter| cost.tells(parameter.id)) {
+    for parameter in calibration.model.columns().filter(|parameter| cost.tells(&measured, parameter.id)) {
         let id = parameter.id;
         let of_selection = !chosen_here && matches!(id, ParameterId::Harmonic { .. });
         if let Role::Prior { sigma, .. } = parameter.role

@@ -1,13 +1,14 @@
 //! The solve of one or several runs: what is free, which terms stay, and how far to trust the result.
 
 use super::ball_bar::CalibrateError;
-use super::blocks::{Blocks, stretches};
+use super::blocks::Blocks;
 use super::candidates::{Candidate, TermGroup, choose, prior_scale};
 use super::config::{CostName, IdentifyConfig, SelectionName};
+use super::repetition::independent_stretches;
 use super::robust::{LossName, solve_from_subsets, solve_robust};
 use super::structure::identifiable;
-use crate::cost::{CostError, LoopProblem, Residual, SeveralRuns, SharedColumns, fill_in};
-use crate::kinematics::LinkParameter;
+use crate::cost::{CostError, LoopProblem, PositionAngles, Residual, SeveralRuns, SharedColumns, fill_in};
+use crate::kinematics::{BAR_JOINTS, LinkParameter};
 use crate::model::{Geometry, Model, ModelError, ParameterId, Role};
 use crate::prepare::{AlignedLog, Prepared};
 use crate::solver::{Options, Solution, Watch};
@@ -45,6 +46,11 @@ pub struct Solved {
     pub prior_scale: f64,
 }
 
+/// Bar joints whose encoder all runs have.
+pub(super) fn measured(runs: &[Run]) -> [bool; BAR_JOINTS] {
+    std::array::from_fn(|joint| runs.iter().all(|run| run.prepared.measured[joint]))
+}
+
 /// Runs with a cost: `residual` makes it for a run on a geometry.
 struct Solver<'a, F> {
     runs: &'a mut [Run],
@@ -70,7 +76,13 @@ pub fn solve<R: Residual>(
     let first = runs.first().ok_or(CalibrateError::NoRun)?;
     let free = match config.selection.fixed() {
         Some(_) => Vec::new(),
-        None => identifiable(&first.model, &first.prepared.motion, &first.prepared.observations, cost)?,
+        None => {
+            let Prepared { motion, observations, .. } = &first.prepared;
+            // What the poses determine without encoder 3, whatever weighs them.
+            let of_four = cost == CostName::Pose && R::ENCODERS == PositionAngles::ENCODERS;
+            let cost = if of_four { CostName::PositionAngles } else { cost };
+            identifiable(&first.model, motion, observations, cost)?
+        }
     };
     for run in &mut *runs {
         config.set_roles(&mut run.model, &free, R::tells)?;
@@ -178,7 +190,7 @@ impl<R: Residual, F: Fn(&Prepared, &Geometry) -> R> Solver<'_, F> {
         count: usize,
     ) -> Result<Option<Blocks>, CostError> {
         let problem = self.problem(columns, sigma)?;
-        let stretches = stretches(problem.starts(), count);
+        let stretches = independent_stretches(self.runs, problem.starts(), count);
         Ok(Blocks::new(&problem, &self.start(columns), weights, &stretches))
     }
 

@@ -23,7 +23,7 @@ pub use length::Length;
 pub use measured_length::MeasuredLength;
 pub use measured_pose::{MeasuredPose, PoseNoise};
 pub use measured_position::MeasuredPosition;
-pub use pose::{AngleNoise, WhitenedPose};
+pub use pose::{AngleNoise, PoseByNoise, WhitenedPose, WhitenedPoseOfFour};
 pub use position::Position;
 pub use position_angles::PositionAngles;
 pub use problem::{CostError, LoopProblem};

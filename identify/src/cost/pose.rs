@@ -1,11 +1,11 @@
-//! The whole pose, each number weighed by what it is worth: all five encoders.
+//! The whole pose, each number weighed by what it is worth: all five encoders, or all but that of joint 3.
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use super::problem::{LoopPoint, readings};
-use super::scene::{ALL_ENCODERS, of_other_instrument, sees_encoder};
+use super::scene::{ALL_BUT_TORSION, ALL_ENCODERS, TORSION, of_other_instrument, sees_encoder};
 use super::{Movement, Residual, Scene};
-use crate::kinematics::{Trace, Twist, rotation_vector};
+use crate::kinematics::{BAR_JOINTS, LinkParameter, ROBOT_JOINTS, Trace, Twist, rotation_vector};
 use crate::model::{Geometry, Observation, ParameterId, RobotMotion};
 
 /// White noise of the angles, one standard deviation.
@@ -20,6 +20,9 @@ pub struct AngleNoise {
 /// Standard deviation that is added in each direction \[m, rad\]: keeps a direction that neither chain's noise reaches,
 /// near a singular pose, from weighing without limit.
 const FLOOR: f64 = 1e-7;
+/// An angle without encoder is as good as unknown: beside microradians this leaves it without weight, and covariances can
+/// still be factorised \[rad\].
+const UNKNOWN_RAD: f64 = 0.1;
 
 /// Position \[m\] and rotation vector \[rad\] of `B^-1 R`, whitened: six numbers of standard deviation one.
 ///
@@ -27,13 +30,20 @@ const FLOOR: f64 = 1e-7;
 /// the geometry given to [`WhitenedPose::new`], and the same for every step of a solve, so that residual and derivative
 /// belong to one function. Errors of millimetres change it by thousandths; whiten again at the solution and solve once
 /// more where that matters.
+///
+/// Without encoder 3 the turn about the rod is not known, and what it moves has no weight.
 #[derive(Debug, Clone)]
-pub struct WhitenedPose {
+pub struct PoseByNoise<const ENCODER_3: bool> {
     /// Inverse of the Cholesky factor of each sample's covariance; none where the sample has no value.
     whitening: Vec<Option<Matrix6<f64>>>,
 }
 
-impl WhitenedPose {
+/// With all five encoders.
+pub type WhitenedPose = PoseByNoise<true>;
+/// With encoders 1, 2, 4 and 5.
+pub type WhitenedPoseOfFour = PoseByNoise<false>;
+
+impl<const ENCODER_3: bool> PoseByNoise<ENCODER_3> {
     /// Whitening of each observation on this geometry.
     pub fn new(
         geometry: &Geometry,
@@ -45,7 +55,11 @@ impl WhitenedPose {
         let whitening = observations.iter().enumerate().map(|(sample, observation)| {
             let readings = readings(observation);
             let scene = point.scene(motion, sample, observation, &readings)?;
-            let covariance = covariance(&scene, noise);
+            let mut encoder_rad = [noise.encoder_rad; BAR_JOINTS];
+            if !ENCODER_3 {
+                encoder_rad[TORSION] = UNKNOWN_RAD;
+            }
+            let covariance = covariance(&scene, noise.robot_rad, &encoder_rad);
             let lower = covariance.cholesky()?.l();
             lower.solve_lower_triangular(&Matrix6::identity())
         });
@@ -97,16 +111,16 @@ fn stacked(twist: &Twist) -> Vector6<f64> {
     Vector6::new(v.x, v.y, v.z, w.x, w.y, w.z)
 }
 
-fn covariance(scene: &Scene<'_>, noise: AngleNoise) -> Matrix6<f64> {
+fn covariance(scene: &Scene<'_>, robot_rad: f64, encoder_rad: &[f64; BAR_JOINTS]) -> Matrix6<f64> {
     let seen = Seen::new(scene);
-    let of = |chain: &Trace, by: &Matrix6<f64>, sigma_rad: f64| {
-        chain.joint_twists().fold(Matrix6::zeros(), |sum, twist| {
-            let moved = by * stacked(&twist) * sigma_rad;
+    let of = |chain: &Trace, by: &Matrix6<f64>, sigmas_rad: &[f64]| {
+        chain.joint_twists().zip(sigmas_rad).fold(Matrix6::zeros(), |sum, (twist, sigma_rad)| {
+            let moved = by * stacked(&twist) * *sigma_rad;
             sum + moved * moved.transpose()
         })
     };
-    of(scene.robot, &seen.by_robot, noise.robot_rad)
-        + of(scene.bar, &seen.by_bar, noise.encoder_rad)
+    of(scene.robot, &seen.by_robot, &[robot_rad; ROBOT_JOINTS])
+        + of(scene.bar, &seen.by_bar, encoder_rad)
         + Matrix6::identity() * (FLOOR * FLOOR)
 }
 
@@ -118,15 +132,16 @@ pub struct Whitened {
     by_bar: Matrix6<f64>,
 }
 
-impl Residual for WhitenedPose {
+impl<const ENCODER_3: bool> Residual for PoseByNoise<ENCODER_3> {
     type Local = Whitened;
 
     const NAME: &'static str = "pose";
     const ROWS: usize = 6;
-    const ENCODERS: &'static [usize] = ALL_ENCODERS;
+    const ENCODERS: &'static [usize] = if ENCODER_3 { ALL_ENCODERS } else { ALL_BUT_TORSION };
 
     fn sees(id: ParameterId) -> bool {
-        !of_other_instrument(id) && sees_encoder(id, Self::ENCODERS)
+        let of_torsion = id == ParameterId::Bar { link: TORSION, parameter: LinkParameter::Theta };
+        !of_other_instrument(id) && sees_encoder(id, Self::ENCODERS) && (ENCODER_3 || !of_torsion)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Whitened> {

@@ -3,7 +3,7 @@
 use nalgebra::Vector5;
 
 use super::position::{derivative, difference};
-use super::scene::{of_other_instrument, sees_encoder};
+use super::scene::{ALL_BUT_TORSION, TORSION, of_other_instrument, sees_encoder};
 use super::{Movement, Residual, Scene};
 use crate::kinematics::{BAR_JOINTS, ImpliedBar, LinkParameter};
 use crate::model::{Observation, ParameterId};
@@ -26,11 +26,11 @@ impl Residual for PositionAngles {
 
     const NAME: &'static str = "position_angles";
     const ROWS: usize = 5;
-    const ENCODERS: &'static [usize] = &[0, 1, 3, 4];
+    const ENCODERS: &'static [usize] = ALL_BUT_TORSION;
 
     fn sees(id: ParameterId) -> bool {
         // Joint 3 is in neither: its zero moves the implied angle 3 alone.
-        id != ParameterId::Bar { link: 2, parameter: LinkParameter::Theta }
+        id != ParameterId::Bar { link: TORSION, parameter: LinkParameter::Theta }
             && !of_other_instrument(id)
             && sees_encoder(id, Self::ENCODERS)
     }
