@@ -47,8 +47,7 @@ pub fn prepare(
     let mut angles = bar_angles(cycles, encoders)?;
     let log = &*smoothed(&mut angles, log, options);
     let raw = raw_samples(&angles.segments);
-    check_motion(&raw, cycles.len(), log)?;
-    check_length(&raw, log, options)?;
+    check(&raw, cycles.len(), log, options)?;
     let interpolated = InterpolatedLog::new(log, default_gap_limit_s(log))?;
     let gravity = DriveTrain::of(robot, &robot_chain(robot, bar)).gravity;
     let (robot, bar_chain) = (robot_chain(robot, bar), ball_bar_chain(bar));
@@ -66,18 +65,14 @@ pub fn prepare(
         options,
     };
     let mut found = search.run()?;
-
-    let overlap_s = overlap_s(&raw, found.fit.clock, log.duration_s());
-    let t_ref_s = 0.5 * (overlap_s[0] + overlap_s[1]);
-    let t_ref = first_time(&angles).plus_ns((t_ref_s * 1e9).round() as i64);
-    let clock = found.fit.clock.counted_from(t_ref_s);
+    let Reference { overlap_s, t_ref_s, t_ref, clock } =
+        Reference::new(&angles, &raw, &found, log.duration_s());
     let motion = AlignedLog::new(interpolated.clone(), clock.shift_s);
     let (reference, origins) = join(&raw, &mut found, t_ref_s);
     let numbers: Vec<usize> = origins.iter().map(|span| span.number).collect();
     let sorted = sort(&raw, &found, &motion, t_ref_s, reference, &numbers, options)?;
     let fates = fates_of_all(&angles, &raw, &sorted.fates);
     let measured = found.wiring.used.measured();
-    let base_m = found.fit.geometry.base.origin_m;
     let run = Run {
         fates: &fates,
         cycle_s: &|cycle| cycles.get(cycle).map_or(0.0, |cycle| cycle.sample_time.seconds_since(t_ref)),
@@ -87,18 +82,17 @@ pub fn prepare(
         predictor: &predictor,
         clock,
     };
-    let timeline = run.timeline();
     let offsets = offsets(&found, reference, &sorted);
     let prepared = Prepared {
         t_ref,
         measured,
-        initial: initial(base_m, &sphere, clock, &offsets),
+        initial: initial(found.fit.geometry.base.origin_m, &sphere, clock, &offsets),
         configuration: found.settled.configuration,
         alignment: alignment(&found, clock, log, t_ref, overlap_s),
         offsets,
         sphere,
         counts: SampleCounts::of(&fates),
-        timeline,
+        timeline: run.timeline(),
         wiring: found.wiring,
         origins,
         local_shifts: sorted.local_shifts,
@@ -146,6 +140,27 @@ fn smoothed<'a>(angles: &mut BarAngles, log: &'a RobotLog, options: &PrepareOpti
 fn first_time(angles: &BarAngles) -> UtcNs {
     let first = angles.segments.first().and_then(|segment| segment.times.first());
     first.copied().unwrap_or_default()
+}
+
+/// The middle of what both logs cover, to which all times of the result refer.
+struct Reference {
+    /// Bar times, since the first sample, between which both logs say something \[s\].
+    overlap_s: [f64; 2],
+    /// The middle of it \[s\]...
+    t_ref_s: f64,
+    /// ...as the recording's clock has it.
+    t_ref: UtcNs,
+    /// The fit for times since then.
+    clock: ClockFit,
+}
+
+impl Reference {
+    fn new(angles: &BarAngles, raw: &[Raw], found: &Found, log_duration_s: f64) -> Self {
+        let overlap_s = overlap_s(raw, found.fit.clock, log_duration_s);
+        let t_ref_s = 0.5 * (overlap_s[0] + overlap_s[1]);
+        let t_ref = first_time(angles).plus_ns((t_ref_s * 1e9).round() as i64);
+        Self { overlap_s, t_ref_s, t_ref, clock: found.fit.clock.counted_from(t_ref_s) }
+    }
 }
 
 /// Bar times, since the first sample, between which both logs say something \[s\].
@@ -219,6 +234,12 @@ fn travel_deg<const N: usize>(rows: impl Iterator<Item = [f64; N]>) -> f64 {
         }
     }
     range.iter().fold(0.0_f64, |most, (low, high)| most.max(high - low)).to_degrees()
+}
+
+/// Both logs hold a motion that is long enough and not too long.
+fn check(raw: &[Raw], cycles: usize, log: &RobotLog, options: &PrepareOptions) -> Result<(), PrepareError> {
+    check_motion(raw, cycles, log)?;
+    check_length(raw, log, options)
 }
 
 fn check_motion(raw: &[Raw], cycles: usize, log: &RobotLog) -> Result<(), PrepareError> {
