@@ -14,10 +14,15 @@ use support::{bar, irb2400};
 
 /// A path on which the rod passes along the base axis.
 fn crossing(effects: Effects) -> Simulated {
+    crossing_with(effects, 1, [-60.0, 85.0])
+}
+
+/// A path on which joint `joint` (from 0) has another range than usual.
+fn crossing_with(effects: Effects, joint: usize, range_deg: [f64; 2]) -> Simulated {
     let (robot, bar) = (irb2400(), bar());
     let usual = Design::for_robot(&robot);
     let mut bar_range_deg = usual.bar_range_deg;
-    bar_range_deg[1] = [-60.0, 85.0];
+    bar_range_deg[joint] = range_deg;
     let design = Design { bar_range_deg, bar_margin_deg: 0.0, ..usual };
     simulate::run(&Experiment { design, effects, ..Experiment::new(&robot, &bar) }).unwrap()
 }
@@ -67,6 +72,25 @@ fn samples_of_all_configurations_are_used_and_those_near_singular_poses_left_out
     let error = robot_error(&found, &run);
     println!("{error:.5} mm|mrad");
     assert!(error < 0.05, "{error}");
+}
+
+#[test]
+fn a_cardan_that_passes_its_singular_pose_calibrates_from_both_sides() {
+    let effects = Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, ..Effects::default() };
+    let run = crossing_with(effects, 3, [100.0, 230.0]);
+    let found = calibrated(&run);
+    let since_start_s = found.prepared.t_ref.seconds_since(run.truth.clock.bar_start);
+    let mut sides = [0usize; 2];
+    for observation in &found.prepared.observations {
+        let joints = run.motion.path.at(since_start_s + observation.t_s);
+        sides[usize::from(joints[3].sin() > 0.0)] += 1;
+        assert!(joints[3].sin().abs() > 0.08, "{joints:?}");
+    }
+    let error = robot_error(&found, &run);
+    println!("{sides:?}, {error:.5} mm|mrad, {:?}", found.prepared.counts);
+    assert!(sides.iter().all(|count| *count > 50), "{sides:?}");
+    assert!(found.prepared.counts.singular > 10);
+    assert!(error < 0.1, "{error}");
 }
 
 #[test]

@@ -1,9 +1,17 @@
-//! Single steps of the preparation on made-up values.
+//! Single steps of the preparation on made-up values, and what options make of them on whole runs.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use identify::prepare::{Channels, correlate, fit_sphere, select};
+mod support;
+
+use std::path::Path;
+
+use identify::calibrate::IdentifyConfig;
+use identify::prepare::{Channels, correlate, fit_sphere, moving_average, select, spread_over_sphere};
+use identify::prepare::{Prepared, prepare};
+use identify::simulate::{self, Design, Effects, Experiment, Simulated};
 use nalgebra::Vector3;
 use proptest::prelude::*;
+use support::{bar, irb2400};
 
 /// Values between 0 and 1 that look random.
 fn hash(k: i64) -> f64 {
@@ -118,4 +126,136 @@ fn points_of_a_circle_a_line_or_too_few_are_no_sphere() {
     assert!(fit_sphere(&cap(3, 0.0), 0.01).is_none());
     assert!(fit_sphere(&[], 0.01).is_none());
     assert!(fit_sphere(&[Vector3::repeat(f64::NAN); 20], 0.01).is_none());
+}
+
+#[test]
+fn a_moving_average_weakens_a_swing_as_the_integral_does_whatever_the_rate() {
+    let (width_s, omega) = (0.1_f64, 8.0_f64);
+    // Mean of sin over a width: sin(w/2 omega) / (w/2 omega) of it, in phase.
+    let gain = (0.5 * width_s * omega).sin() / (0.5 * width_s * omega);
+    for rate_hz in [100.0, 250.0, 83.3] {
+        let t_s: Vec<f64> = (0..400).map(|k| f64::from(k) / rate_hz + 2e-4 * hash(i64::from(k))).collect();
+        let values: Vec<[f64; 1]> = t_s.iter().map(|t| [700.0 + (omega * t).sin()]).collect();
+        let averages = moving_average(&t_s, &values, width_s, 0.05);
+        assert_eq!(averages.len(), t_s.len());
+        for (t, average) in t_s.iter().zip(averages) {
+            let covered = t - 0.5 * width_s >= t_s[0] && t + 0.5 * width_s <= t_s[399];
+            match average {
+                Some([average]) => {
+                    let error = average - 700.0 - gain * (omega * t).sin();
+                    assert!(error.abs() < 2e-3, "{rate_hz} Hz at {t} s: {error}");
+                }
+                None => assert!(!covered, "{rate_hz} Hz at {t} s"),
+            }
+        }
+    }
+}
+
+/// A direction anywhere on the sphere.
+fn anywhere(k: i64) -> Vector3<f64> {
+    let (z, azimuth) = (2.0 * hash(k) - 1.0, std::f64::consts::TAU * hash(k + 5000));
+    let r = (1.0 - z * z).sqrt();
+    Vector3::new(r * azimuth.cos(), r * azimuth.sin(), z)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(20))]
+    #[test]
+    fn points_are_spread_over_the_sphere_and_not_over_time(points_max in 100usize..1200, often in 2000i64..20_000) {
+        // One small cap is crossed again and again, the rest of the sphere once.
+        let pole = Vector3::new(0.3, -0.5, 0.8).normalize();
+        let mut directions: Vec<Vector3<f64>> = (0..2000).map(anywhere).collect();
+        directions.extend((0..often).map(|k| (pole + 0.05 * anywhere(k + 9000)).normalize()));
+        let samples: Vec<usize> = (0..directions.len()).map(|k| 3 * k + 7).collect();
+        let kept = spread_over_sphere(&samples, &directions, points_max);
+        prop_assert_eq!(kept.len(), points_max.min(samples.len()));
+        prop_assert!(kept.windows(2).all(|pair| pair[0] < pair[1]));
+        let of = |sample: &usize| directions[(sample - 7) / 3];
+        prop_assert!(kept.iter().all(|sample| sample % 3 == 1));
+        // The cap has a thousandth of the area and most of the samples.
+        let in_cap = kept.iter().filter(|sample| of(sample).angle(&pole) < 0.06).count();
+        prop_assert!((in_cap as f64) < 0.1 * points_max as f64, "{} of {}", in_cap, points_max);
+        // No octant is forgotten.
+        for octant in 0..8 {
+            let inside = |d: &Vector3<f64>| (0..3).all(|axis| (d[axis] > 0.0) == (octant >> axis & 1 == 1));
+            let count = kept.iter().filter(|sample| inside(&of(sample))).count();
+            prop_assert!(count as f64 > 0.06 * points_max as f64, "octant {}: {}", octant, count);
+        }
+    }
+}
+
+/// A run of a minute.
+fn run(effects: Effects) -> Simulated {
+    let (robot, bar) = (irb2400(), bar());
+    let design = Design { duration_s: 60.0, ..Design::for_robot(&robot) };
+    simulate::run(&Experiment { effects, design, ..Experiment::new(&robot, &bar) }).unwrap()
+}
+
+/// Prepared with options as a person writes them under `[prepare]`.
+fn prepared(run: &Simulated, options: &str) -> Prepared {
+    let text = format!("[prepare]\n{options}\n");
+    let config: IdentifyConfig = shared::config::parse(&text, Path::new("identify.toml")).unwrap();
+    prepare(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), &bar(), &config.prepare).unwrap()
+}
+
+/// Mean scatter of the encoders about the fit \[urad\].
+fn spread_urad(found: &Prepared) -> f64 {
+    found.offsets.iter().map(|offset| offset.spread_rad * 1e6).sum::<f64>() / found.offsets.len() as f64
+}
+
+#[test]
+fn a_moving_average_of_100_ms_from_the_configuration_takes_noise_from_both_logs() {
+    const AVERAGED: &str = "moving_average_ms = 100.0";
+    let noisy = run(Effects { robot_noise_urad: 300.0, encoder_noise_urad: 300.0, ..Effects::NONE });
+    let [as_logged, averaged] = ["", AVERAGED].map(|options| prepared(&noisy, options));
+    let spreads = [&as_logged, &averaged].map(spread_urad);
+    println!("{spreads:?} urad");
+    // Ten samples of the bar and 25 of the robot make one.
+    assert!(spreads[1] < 0.45 * spreads[0], "{spreads:?}");
+    let shift_ms = |found: &Prepared| {
+        let passed_s = found.t_ref.seconds_since(noisy.truth.clock.bar_start);
+        let difference_ns = noisy.truth.clock.robot_at_bar_start_ns - noisy.truth.clock.bar_start.0;
+        let drift_ns = passed_s * 1e9 * noisy.truth.clock.skew;
+        ((found.alignment.clock_difference_ns - difference_ns) as f64 - drift_ns) * 1e-6
+    };
+    // Centred: it moves neither log against the other.
+    assert!(shift_ms(&averaged).abs() < 0.2, "{} ms", shift_ms(&averaged));
+
+    // Of one log only it would take a part of the motion, which the other still has.
+    let clean = run(Effects::NONE);
+    let mut of_one = clean.clone();
+    let log = &mut of_one.robot_log;
+    let averages = moving_average(&log.t_s, &log.q_rad, 0.1, 0.05);
+    let kept: Vec<_> = log.t_s.iter().zip(averages).filter_map(|(t, q)| Some((*t, q?))).collect();
+    (log.t_s, log.q_rad) = kept.into_iter().unzip();
+    let (both, one) = (spread_urad(&prepared(&clean, AVERAGED)), spread_urad(&prepared(&of_one, "")));
+    println!("both {both:.1}, one {one:.1} urad");
+    assert!(both < 0.5 * one, "{both} {one}");
+}
+
+#[test]
+fn few_points_of_a_whole_run_still_cover_the_sphere_that_it_covers() {
+    let run = run(Effects::NONE);
+    let found = prepared(&run, "points_max = 300");
+    assert_eq!((found.observations.len(), found.counts.kept), (300, 300));
+    assert!(found.counts.surplus > 1000, "{:?}", found.counts);
+    let since_start_s = found.t_ref.seconds_since(run.truth.clock.bar_start);
+    let rod = |t_s: f64| {
+        let joints = run.motion.path.at(t_s);
+        let (azimuth, polar) = (joints[0], joints[1]);
+        Vector3::new(azimuth.cos() * polar.sin(), azimuth.sin() * polar.sin(), polar.cos())
+    };
+    let kept: Vec<Vector3<f64>> =
+        found.observations.iter().map(|observation| rod(since_start_s + observation.t_s)).collect();
+    // Wherever the rod pointed while it moved, a kept one points nearly there.
+    let mut farthest_deg = 0.0_f64;
+    for k in 0..600 {
+        let (before, here) = (rod(0.1 * f64::from(k) - 0.05), rod(0.1 * f64::from(k)));
+        if before.angle(&here) > 0.005 {
+            let nearest = kept.iter().map(|kept| kept.angle(&here)).fold(f64::INFINITY, f64::min);
+            farthest_deg = farthest_deg.max(nearest.to_degrees());
+        }
+    }
+    println!("{farthest_deg:.1} deg");
+    assert!(farthest_deg < 8.0, "{farthest_deg}");
 }

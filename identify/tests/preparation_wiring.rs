@@ -137,9 +137,24 @@ fn joints_that_move_together_leave_the_order_open_and_it_is_asked_for() {
     let told = error.to_string();
     println!("{told}");
     assert!(matches!(error, PrepareError::AmbiguousWiring { .. }) && told.contains("encoders = [..]"));
+    // What to type for each of them is said.
+    for choice in ["--encoders 3,2,1,4,5 for", "--encoders 3,2,1,5,4 for"] {
+        assert!(told.contains(choice), "{told}");
+    }
     // The recorded order is among those that fit: it is taken, and the other one is told.
     let found = find_wiring(&pairs(&[[0, 2]]), &[1, 2, 3, 4, 5], &options).unwrap();
     assert!(found.used.is_as_recorded() && found.others.len() == 1, "{found:?}");
+}
+
+#[test]
+fn the_choice_is_typed_as_a_word_or_joint_by_joint() {
+    let typed = |text: &str| text.parse::<WiringChoice>();
+    assert_eq!(typed("find").unwrap(), WiringChoice::Find);
+    assert_eq!(typed("recorded").unwrap(), WiringChoice::Recorded);
+    assert_eq!(typed("-1, 2,-3,5").unwrap(), WiringChoice::Stated(vec![-1, 2, -3, 5]));
+    for senseless in ["", "1;2", "one", "1,,2", "300"] {
+        assert!(typed(senseless).unwrap_err().contains("find, recorded"), "{senseless}");
+    }
 }
 
 #[test]

@@ -116,7 +116,8 @@ pub enum PrepareError {
     #[error(
         "measured bar angles do not fit the robot's log, in whatever order and direction the encoders are taken; as \
          recorded (encoder -> joint): {recorded}, at most {limit_mrad} mrad is allowed for each. The robot's or the \
-         bar's configuration is not that of this cell, or robot log and recording are of different runs"
+         bar's configuration (lengths, or lines and interpolation_bits of the encoders) is not that of this cell, or robot \
+         log and recording are of different runs"
     )]
     NoWiring {
         /// How the recorded order fits.
@@ -126,9 +127,9 @@ pub enum PrepareError {
     },
     /// Several orders or directions of the encoders fit.
     #[error(
-        "the encoders do not fit as recorded, and several other orders or directions fit alike (encoder -> joint): \
-         {fits}; state the right one as `encoders = [..]` under [prepare], for each encoder its joint, negative where \
-         it counts the other way, or move more joints"
+        "the encoders do not fit as recorded, and several other orders or directions fit alike (encoder -> joint):\
+         {fits}\nLook at the bar which is right and type that option (or put `encoders = [..]` under [prepare] of the \
+         configuration), or move more joints"
     )]
     AmbiguousWiring {
         /// Those that fit.
@@ -137,7 +138,8 @@ pub enum PrepareError {
     /// Another order or direction fits than the recording states, and it is not to be taken.
     #[error(
         "the encoders do not fit as recorded (encoder -> joint): {recorded}, but as {found}; correct order or \
-         direction in the bar's configuration, or let it be found with `encoders = \"find\"` under [prepare]"
+         direction in the bar's configuration, or let it be found with --encoders find (`encoders = \"find\"` under \
+         [prepare])"
     )]
     OtherWiring {
         /// How the recorded order fits.
@@ -147,7 +149,7 @@ pub enum PrepareError {
     },
     /// The order stated in the configuration makes no sense.
     #[error(
-        "prepare.encoders is {stated}; give one bar joint for each of the {encoders} encoders of the recording, \
+        "the stated encoders (--encoders, or `encoders` under [prepare]) are {stated}; give one bar joint for each of the {encoders} encoders of the recording, \
          1 to 5, none twice, negative where an encoder counts the other way than recorded"
     )]
     StatedWiring {

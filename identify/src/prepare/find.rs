@@ -4,6 +4,7 @@ use super::clock::ClockFit;
 use super::correlate::{Match, candidates};
 use super::refine::{Fit, FitSample, refine};
 use super::select::{apart, select};
+use super::slip::large_slip;
 use super::speeds::{STEP_S, measured_speeds, predicted_speeds, without_order};
 use super::stretches::{Pair, Settled, settle};
 use super::wiring::{AnglePair, Wiring, WiringReport, find_wiring};
@@ -90,7 +91,8 @@ impl Search<'_> {
     /// The best alignment.
     ///
     /// # Errors
-    /// [`PrepareError::NoMatch`], [`PrepareError::ClockJump`] and those of [`find_wiring`].
+    /// [`PrepareError::NoMatch`], [`PrepareError::ClockJump`], [`PrepareError::EncoderSlip`] and those of
+    /// [`find_wiring`].
     pub fn run(&self) -> Result<Found, PrepareError> {
         let step_s = STEP_S.max(self.log_duration_s / GRID_MAX);
         let window = self.liveliest();
@@ -101,7 +103,9 @@ impl Search<'_> {
             match self.hypothesis(&window, matched, step_s) {
                 Ok(hypothesis) => hypotheses.push(hypothesis),
                 Err(error) => {
-                    refusal.get_or_insert(error);
+                    // A slip is the cause wherever it is seen.
+                    let tells = matches!(error, PrepareError::EncoderSlip { .. });
+                    refusal = refusal.filter(|_| !tells).or(Some(error));
                 }
             }
         }
@@ -244,8 +248,14 @@ impl Search<'_> {
     ) -> Result<Hypothesis, PrepareError> {
         let first_s = self.samples.get(window.start).map_or(0.0, |first| first.t_s);
         let clock = ClockFit { shift_s: matched.shift * step_s - first_s, skew: 0.0 };
-        let pairs: Vec<AnglePair> = self.pairs(window, clock).into_iter().map(|(_, pair)| pair).collect();
-        let wiring = find_wiring(&pairs, self.recorded_joints, self.options)?;
+        let of_samples = self.pairs(window, clock);
+        let pairs: Vec<AnglePair> = of_samples.iter().map(|(_, pair)| *pair).collect();
+        let wiring = find_wiring(&pairs, self.recorded_joints, self.options).map_err(|error| {
+            let time_s = |sample: usize| self.samples.get(sample).map_or(0.0, |raw| raw.t_s);
+            let timed: Vec<_> = of_samples.iter().map(|(sample, pair)| (time_s(*sample), *pair)).collect();
+            let slip = || large_slip(&timed, self.recorded_joints, self.options);
+            if matches!(error, PrepareError::NoWiring { .. }) { slip().unwrap_or(error) } else { error }
+        })?;
         let settled = self.settled(window, clock, &wiring.used);
         let squares: f64 = settled.spread_rad.iter().map(|spread| spread * spread).sum();
         Ok(Hypothesis { matched, clock, wiring, spread_rad: squares.sqrt() })

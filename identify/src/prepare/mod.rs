@@ -37,6 +37,7 @@ mod predict;
 mod refine;
 mod samples;
 mod select;
+mod slip;
 mod smooth;
 mod speeds;
 mod sphere;

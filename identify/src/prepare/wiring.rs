@@ -8,6 +8,7 @@
 //! cardan) in its other configuration. Both describe the same robot, so the recorded direction stands there.
 
 use std::fmt;
+use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
@@ -28,6 +29,25 @@ pub enum WiringChoice {
     /// recording states. Not checked against others.
     #[serde(untagged)]
     Stated(Vec<i8>),
+}
+
+impl FromStr for WiringChoice {
+    type Err = String;
+
+    /// `find`, `recorded`, or joints as `1,2,-3,4,5`.
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        match text.trim() {
+            "find" => return Ok(Self::Find),
+            "recorded" => return Ok(Self::Recorded),
+            _ => {}
+        }
+        let joints = text.split(',').map(|joint| joint.trim().parse::<i8>());
+        joints.collect::<Result<_, _>>().map(Self::Stated).map_err(|_| {
+            "give find, recorded, or a joint for each encoder, negative where it counts the other way, such as \
+             1,2,-3,4,5"
+                .into()
+        })
+    }
 }
 
 /// One encoder's place.
@@ -75,6 +95,15 @@ impl Wiring {
                 sign * recorded_rad[usize::from(place.recorded_joint) - 1];
         }
         angles_rad
+    }
+
+    /// This wiring as `--encoders` and `prepare.encoders` take it, such as `1,2,-3,4,5`.
+    pub fn stated(&self) -> String {
+        let joints = self.encoders.iter().map(|place| {
+            let sign = if place.reversed { "-" } else { "" };
+            format!("{sign}{}", place.joint)
+        });
+        joints.collect::<Vec<String>>().join(",")
     }
 
     /// Root mean square of the spreads \[mrad\].
@@ -156,10 +185,10 @@ pub fn find_wiring(
             });
         }
         (false, _) => {
-            let equals: Vec<String> =
-                fitting.iter().filter(|wiring| as_good(wiring)).map(ToString::to_string).collect();
+            let told = |wiring: &Wiring| format!("\n  --encoders {} for {wiring}", wiring.stated());
+            let equals: Vec<String> = fitting.iter().filter(|wiring| as_good(wiring)).map(told).collect();
             if equals.len() > 1 {
-                return Err(PrepareError::AmbiguousWiring { fits: equals.join("; ") });
+                return Err(PrepareError::AmbiguousWiring { fits: equals.concat() });
             }
             best
         }

@@ -1,0 +1,80 @@
+//! An encoder that slipped so far that it fits nowhere: told before anything is fitted, or the refusal would blame the wiring.
+//! Smaller slips are found against the fitted geometry (`judge`).
+
+use super::circular::{circular_median, deviations, spread_of, wrapped};
+use super::{AnglePair, PrepareError, PrepareOptions};
+use crate::kinematics::BAR_JOINTS;
+
+/// Pairs to either side of a slip.
+const PAIRS_MIN: usize = 30;
+/// Before and after a slip the angles fit so much better than the limit.
+const CLEARLY_WITHIN: f64 = 0.5;
+
+/// One encoder in one stretch of the run.
+enum Fit {
+    /// It fits some joint as it is.
+    Whole,
+    /// It fits joint `joint` (from 0) but for one step.
+    Stepped { joint: usize, at: usize, by_rad: f64 },
+    /// It fits no joint.
+    Nowhere,
+}
+
+/// The slip in a run in which no order and no directions of the encoders fit: in some stretch between singular poses all
+/// encoders fit but one, and that one fits before and after a step.
+///
+/// `pairs` are in the order of time, each with its time \[s\].
+pub(super) fn large_slip(
+    pairs: &[(f64, AnglePair)],
+    recorded_joints: &[u8],
+    options: &PrepareOptions,
+) -> Option<PrepareError> {
+    let limit_rad = options.spread_max_mrad * 1e-3;
+    let mut stretches: Vec<&[(f64, AnglePair)]> = pairs.chunk_by(|a, b| a.1.stretch == b.1.stretch).collect();
+    stretches.retain(|stretch| stretch.len() >= 2 * PAIRS_MIN);
+    stretches.iter().find_map(|stretch| {
+        let mut slip = None;
+        for joint in recorded_joints {
+            match fit(stretch, usize::from(*joint) - 1, limit_rad) {
+                Fit::Whole => {}
+                Fit::Stepped { joint, at, by_rad } if slip.is_none() => slip = Some((joint, at, by_rad)),
+                _ => return None,
+            }
+        }
+        let (joint, at, by_rad) = slip?;
+        let at_s = stretch.get(at)?.0;
+        Some(PrepareError::EncoderSlip { joint: joint as u8 + 1, at_s, by_mrad: by_rad * 1e3 })
+    })
+}
+
+/// How the encoder of `recorded` (from 0) fits; its own joint is tried first.
+fn fit(stretch: &[(f64, AnglePair)], recorded: usize, limit_rad: f64) -> Fit {
+    let mut stepped = Fit::Nowhere;
+    let joints = std::iter::once(recorded).chain((0..BAR_JOINTS).filter(|joint| *joint != recorded));
+    for (joint, sign) in joints.flat_map(|joint| [(joint, 1.0), (joint, -1.0)]) {
+        let difference =
+            |(_, pair): &(f64, AnglePair)| pair.predicted_rad[joint] - sign * pair.recorded_rad[recorded];
+        let differences: Vec<f64> = stretch.iter().map(difference).collect();
+        if spread_of(deviations(differences.clone())) <= limit_rad {
+            return Fit::Whole;
+        }
+        if matches!(stepped, Fit::Nowhere)
+            && let Some((at, by_rad)) = step(&differences, limit_rad)
+        {
+            // What the encoder reads jumps the other way than what it lacks.
+            stepped = Fit::Stepped { joint, at, by_rad: -sign * by_rad };
+        }
+    }
+    stepped
+}
+
+/// Where and by how much the differences step, if they are constant before and after.
+fn step(differences_rad: &[f64], limit_rad: f64) -> Option<(usize, f64)> {
+    let change = |at: usize| wrapped(differences_rad[at] - differences_rad[at - 1]).abs();
+    let at = (1..differences_rad.len()).max_by(|a, b| change(*a).total_cmp(&change(*b)))?;
+    let (before, after) = differences_rad.split_at(at);
+    let constant = |part: &[f64]| spread_of(deviations(part.to_vec())) <= CLEARLY_WITHIN * limit_rad;
+    let by_rad = wrapped(circular_median(after) - circular_median(before));
+    let lasts = before.len().min(after.len()) >= PAIRS_MIN && constant(before) && constant(after);
+    (lasts && by_rad.abs() > CLEARLY_WITHIN * limit_rad).then_some((at, by_rad))
+}
