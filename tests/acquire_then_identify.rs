@@ -1,19 +1,21 @@
 //! The main job, end to end: an experiment with known errors is recorded over the simulated bus, and the errors are
 //! found again.
-#![allow(clippy::unwrap_used, reason = "tests")]
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::path::Path;
 
+use ballbard::commands::write_csv;
 use ballbard::run::{BusChoice, RunRequest};
 use identify::calibrate::ball_bar::{self, CalibrateError};
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, SelectionName};
-use identify::logs;
+use identify::logs::{self, BarLog};
 use identify::model::ParameterId;
-use identify::simulate::{self, Effects, Experiment};
+use identify::prepare::bar_angles;
+use identify::simulate::{self, Design, Effects, Experiment};
 use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::recording::Recording;
-use shared::recording::schema::{CycleRecord, EncoderInfo};
+use shared::recording::schema::{CycleRecord, EncoderInfo, flags};
 use system_tests::{ball_bar, config_directory, record, request};
 
 fn robot(name: &str) -> RobotConfig {
@@ -139,6 +141,43 @@ fn runs_with_faults_calibrate_as_well_as_clean_ones_of_the_same_valid_length() {
     }
     // Which samples are chosen differs, and that alone makes such errors differ by half.
     assert!(of_faulty < 1.6 * of_clean, "{of_faulty} mm|mrad with faults, {of_clean} without");
+}
+
+#[test]
+fn a_run_exported_as_a_table_of_counters_calibrates_as_the_recording_does() {
+    let (robot, bar) = (robot("irb2400_16.toml"), ball_bar());
+    let directory = tempfile::tempdir().unwrap();
+    let design = Design { duration_s: 80.0, ..Design::for_robot(&robot) };
+    let mut simulated = simulate::run(&Experiment { design, ..Experiment::new(&robot, &bar) }).unwrap();
+    // Some cycles gave nothing, and the counters start anew after it.
+    for cycle in &mut simulated.cycles[5000..5030] {
+        cycle.flags |= flags::NO_REPLY;
+        cycle.encoders.iter_mut().for_each(|sample| sample.valid = false);
+    }
+    simulated.cycles[5030].flags |= flags::ORIGIN_CHANGED;
+    for sample in simulated.cycles[5030..].iter_mut().flat_map(|cycle| &mut cycle.encoders) {
+        sample.count = sample.count.wrapping_add(123_456_789 * u32::from(sample.joint));
+    }
+    let files = simulate::write(directory.path(), &simulated, &robot, &bar).unwrap();
+    let recording = Recording::open(&files.recording).unwrap();
+    let table = directory.path().join("exported.csv");
+    write_csv(&recording, std::fs::File::create(&table).unwrap()).unwrap();
+
+    let of_table = BarLog::load(&table, &bar, None).unwrap();
+    let BarLog::Other(other) = &of_table else { panic!("a table is no recording") };
+    assert_eq!(other.unknown, ["how certain its times are"]);
+    let log = logs::load(&files.robot_log, &robot).unwrap();
+    let [(cycles, encoders), recorded] =
+        [(of_table.cycles(), of_table.encoders()), (&recording.cycles[..], &recording.run.encoders[..])];
+    // Times, angles and breaks are the same to the last bit, and so is all that follows from them.
+    assert_eq!(bar_angles(cycles, encoders).unwrap(), bar_angles(recorded.0, recorded.1).unwrap());
+    let config = IdentifyConfig::default();
+    let of_table = ball_bar::calibrate(cycles, encoders, &log, &robot, &bar, &config).unwrap();
+    assert_eq!((of_table.prepared.counts.invalid, of_table.prepared.origins.len()), (30, 2));
+    let error = Comparison::new(&of_table, &simulated.truth)
+        .only(|id| matches!(id, ParameterId::Robot { .. }))
+        .euclidean_mm_mrad();
+    assert!(error < 0.05, "{error} mm|mrad");
 }
 
 #[test]

@@ -5,9 +5,15 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use identify::logs::{LogError, LogOptions, Origin, RobotLog, RobotLogMapping, load, load_with, read};
+use identify::calibrate::truth::Comparison;
+use identify::calibrate::{IdentifyConfig, ball_bar};
+use identify::logs::{
+    BarLog, LogError, LogOptions, Origin, RobotLog, RobotLogMapping, load, load_with, read,
+};
+use identify::model::ParameterId;
+use identify::simulate::{self, Design, Experiment};
 use shared::config::{self, RobotConfig};
-use system_tests::{config_directory, python_with};
+use system_tests::{ball_bar as shipped_bar, config_directory, python_with};
 
 /// As `write_robot_log.py` has them.
 const ROWS: usize = 5000;
@@ -101,6 +107,42 @@ fn a_bag_that_breaks_off_is_read_up_to_there_and_says_so() {
         let row = (t_s / PERIOD_S).round() as usize;
         assert!(q_rad.iter().enumerate().all(|(joint, q)| (q - angle_rad(row, joint)).abs() < 1e-12));
     }
+}
+
+#[test]
+fn a_bar_s_joint_states_in_bags_by_rosbags_calibrate_as_the_recording_does() {
+    let Some(python) = python_with(&["rosbags"]) else { return };
+    let (robot, bar) =
+        (config::load(&config_directory().join("robots/irb2400_16.toml")).unwrap(), shipped_bar());
+    let directory = tempfile::tempdir().unwrap();
+    let design = Design { duration_s: 60.0, ..Design::for_robot(&robot) };
+    let mut simulated = simulate::run(&Experiment { design, ..Experiment::new(&robot, &bar) }).unwrap();
+    simulated.cycles[3000].encoders[2].valid = false;
+    let files = simulate::write(directory.path(), &simulated, &robot, &bar).unwrap();
+    let bag = |storage: &str| {
+        let path = directory.path().join(format!("bar.{storage}"));
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("write_robot_log.py");
+        let arguments =
+            [format!("bar-{storage}").into(), path.clone().into_os_string(), files.recording.clone().into()];
+        let output = Command::new(&python).arg(script).args(arguments).output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        BarLog::load(&path, &bar, None).unwrap()
+    };
+    let [of_mcap, of_db3] = ["mcap", "db3"].map(bag);
+    assert_eq!(of_mcap.cycles(), of_db3.cycles());
+    let (cycles, encoders) = (of_db3.cycles(), of_db3.encoders());
+    assert_eq!(cycles.len(), simulated.cycles.len());
+    assert!(!cycles[3000].is_valid() && cycles[3000].encoders[1].valid);
+    let joints: Vec<u8> = encoders.iter().map(|encoder| encoder.joint).collect();
+    assert_eq!(joints, [1, 2, 3, 4, 5]);
+    let log = load(&files.robot_log, &robot).unwrap();
+    let found =
+        ball_bar::calibrate(cycles, encoders, &log, &robot, &bar, &IdentifyConfig::default()).unwrap();
+    let error = Comparison::new(&found, &simulated.truth)
+        .only(|id| matches!(id, ParameterId::Robot { .. }))
+        .euclidean_mm_mrad();
+    println!("{error:.4} mm|mrad");
+    assert!(error < 0.05, "{error} mm|mrad");
 }
 
 #[test]

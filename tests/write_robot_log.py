@@ -1,7 +1,9 @@
 """Writes a robot log with implementations that are not ours.
 
 usage: write_robot_log.py {mcap|db3|egm|egm-utc|rtde|rsi|table} FILE
+       write_robot_log.py {bar-mcap|bar-db3} FILE RECORDING
 
+The second form copies the joint states of a recording of ours into a bag, read and written by PyPI rosbags. Otherwise
 40 s at 125 Hz; joint j (from 0) at row k is 0.4 sin(0.01 k + j) rad, its speed 0.5 cos(0.01 k + j) rad/s.
 """
 
@@ -50,6 +52,33 @@ def bag(path, storage):
             writer.write(other, received, types.serialize_cdr(
                 message(header=at, name=["gripper"], position=position[:1], velocity=position[:0], effort=position[:0]),
                 message.__msgtype__))
+    (written,) = [file for file in directory.iterdir() if file.suffix == f".{storage}"]
+    written.rename(path)
+
+
+def bag_of_bar(path, storage, recording):
+    """PyPI rosbags reads our recording and writes what it has read, joints in another order."""
+    import numpy
+    from rosbags.highlevel import AnyReader
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    types = get_typestore(Stores.ROS2_JAZZY)
+    kind = "sensor_msgs/msg/JointState"
+    message, header, time = (
+        types.types[name] for name in (kind, "std_msgs/msg/Header", "builtin_interfaces/msg/Time"))
+    directory = path.with_suffix(f".{storage}-bag")
+    plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
+    with AnyReader([recording]) as reader, Writer(directory, version=9, storage_plugin=plugin) as writer:
+        topic = writer.add_connection("/ball_bar/joint_states", kind, typestore=types)
+        connections = [one for one in reader.connections if one.msgtype == kind]
+        for connection, received, data in reader.messages(connections):
+            read = reader.deserialize(data, connection.msgtype)
+            at = header(stamp=time(sec=read.header.stamp.sec, nanosec=read.header.stamp.nanosec), frame_id="bar")
+            none = numpy.array([])
+            state = message(header=at, name=[f"lab_{name}" for name in reversed(read.name)],
+                            position=numpy.array(read.position[::-1]), velocity=none, effort=none)
+            writer.write(topic, received, types.serialize_cdr(state, kind))
     (written,) = [file for file in directory.iterdir() if file.suffix == f".{storage}"]
     written.rename(path)
 
@@ -154,6 +183,8 @@ def main():
     kind, path = sys.argv[1], Path(sys.argv[2])
     if kind in ("mcap", "db3"):
         bag(path, kind)
+    elif kind.startswith("bar-"):
+        bag_of_bar(path, kind.removeprefix("bar-"), Path(sys.argv[3]))
     elif kind in ("egm", "egm-utc"):
         egm(path, utc=kind == "egm-utc")
     else:

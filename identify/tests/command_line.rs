@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
 
+use shared::recording::Recording;
+use shared::recording::schema::CycleRecord;
 use tempfile::TempDir;
 
 fn config(name: &str) -> PathBuf {
@@ -127,6 +129,95 @@ fn freeing_what_cannot_be_identified_is_refused_with_its_name() {
     refused(&output, &["62 of 63", "rd2", "rd3"], out.path());
     let unknown = calibrate(&recording, &log, &["--free", "rgamma3"], out.path());
     refused(&unknown, &["no parameter is called `rgamma3`"], out.path());
+}
+
+/// The experiment's counters as the thesis' program wrote them: a date and the counters of joints 1, 2, 4 and 5, no header.
+fn counters(directory: &Path) -> (PathBuf, Vec<String>) {
+    let recording = Recording::open(&experiment().join("recording.mcap")).unwrap();
+    let line = |cycle: &CycleRecord| {
+        let date = cycle.sample_time.to_datetime().format("%Y-%m-%d-%H:%M:%S%.6f");
+        let of = |joint: u8| cycle.encoders().iter().find(|sample| sample.joint == joint).unwrap().count;
+        format!("{date};{};{};{};{}\n", of(1), of(2), of(4), of(5))
+    };
+    let path = directory.join("counters.csv");
+    std::fs::write(&path, recording.cycles.iter().map(line).collect::<String>()).unwrap();
+    let mapping = config("bar_log.toml");
+    (path, vec!["--recording-mapping".into(), mapping.to_str().unwrap().into()])
+}
+
+#[test]
+fn a_file_of_counters_without_header_calibrates_with_the_shipped_mapping_and_is_inspected() {
+    let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (path, mapping) = counters(inputs.path());
+    let mapping: Vec<&str> = mapping.iter().map(String::as_str).collect();
+    let (log, truth) = (experiment().join("robot_log.csv"), experiment().join("truth.toml"));
+    let extra = [&mapping[..], &["--truth", truth.to_str().unwrap()]].concat();
+    let output = calibrate(&path, &log, &extra, out.path());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(text.contains("position_angles") && text.contains("Euclidean error 0.0"), "{text}");
+    let file: toml::Table =
+        std::fs::read_to_string(out.path().join("calibration.toml")).unwrap().parse().unwrap();
+    assert_eq!(file["inputs"].as_array().unwrap().len(), 5);
+
+    let bar = config("ball_bar.toml");
+    let inspect = |files: &[&Path], extra: &[&str]| {
+        Command::new(env!("CARGO_BIN_EXE_identify"))
+            .arg("inspect")
+            .args(files)
+            .args(extra)
+            .args(["--robot".as_ref(), config("robots").join(IRB).as_os_str()])
+            .output()
+            .unwrap()
+    };
+    let with_bar = [&mapping[..], &["--bar", bar.to_str().unwrap()]].concat();
+    let output = inspect(&[&path, &log, &experiment().join("recording.mcap")], &with_bar);
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{text}{}", String::from_utf8_lossy(&output.stderr));
+    for part in ["measurement PC", "how certain its times are", "b5", "robot controller", "simulated"] {
+        assert!(text.contains(part), "{text}");
+    }
+    let table = inputs.path().join("table.csv");
+    std::fs::write(&table, "t_s,count1\n0,1\n").unwrap();
+    let output = inspect(&[&table], &[]);
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && told.contains("--bar"), "{told}");
+}
+
+#[test]
+fn inspect_takes_the_kind_and_the_mapping_of_a_robot_s_log_as_calibrate_does() {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("log.dat");
+    let mut text = "exported\nTime;J1;J2;J3;J4;J5;J6\n[ms];;;;;;\n".to_owned();
+    for row in 0..80 {
+        let deg = f64::from(row) * 0.25;
+        text += &format!("{};{deg};{deg};0;{deg};{deg};{deg}\n", row * 8).replace('.', ",");
+    }
+    std::fs::write(&path, text).unwrap();
+    let (robot, mapping) = (config("robots").join("irb120_3.toml"), config("robot_log.toml"));
+    let inspect = |extra: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_identify"));
+        command.arg("inspect").arg(&path).arg("--robot").arg(&robot).args(extra).output().unwrap()
+    };
+    let output = inspect(&["--log-mapping", mapping.to_str().unwrap()]);
+    let told = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success() && told.contains("0.6 s, 80 rows"), "{told}");
+    let output = inspect(&["--log-format", "rsi"]);
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && told.contains("log.dat"), "{told}");
+}
+
+#[test]
+fn the_wiring_that_is_typed_is_the_one_that_is_used() {
+    let out = tempfile::tempdir().unwrap();
+    let (recording, log) = (experiment().join("recording.mcap"), experiment().join("robot_log.csv"));
+    let told = calibrate(&recording, &log, &["--encoders", "-1,2"], out.path());
+    refused(&told, &["--encoders", "5 encoders"], out.path());
+    let told = calibrate(&recording, &log, &["--encoders", "left"], out.path());
+    refused(&told, &["find, recorded"], out.path());
+    // Not as the cables are: no geometry near the nominal one explains that.
+    let told = calibrate(&recording, &log, &["--encoders", "2,1,3,4,5"], out.path());
+    refused(&told, &["error:"], out.path());
 }
 
 #[test]

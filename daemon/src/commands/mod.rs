@@ -9,6 +9,8 @@ mod segment;
 mod serve;
 mod tune;
 
+pub use export::write_csv;
+
 use anyhow::Context;
 use clap::{Parser, Subcommand};
 use tokio::signal::unix::{SignalKind, signal};

@@ -8,7 +8,6 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::Args;
 use shared::config::{self, BallBarConfig, RobotConfig};
-use shared::recording::Recording;
 
 use self::force_logs::force_logs;
 use super::on_terminal::OnTerminal;
@@ -19,10 +18,11 @@ use crate::calibrate::truth::Comparison;
 use crate::calibrate::{CostName, IdentifyConfig, LossName, SelectionName};
 use crate::kinematics::flange_chain;
 use crate::logs::{
-    self, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths, RobotLog, RobotLogMapping,
+    self, BarLog, BarLogMapping, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths, RobotLog,
+    RobotLogMapping,
 };
 use crate::model::{JointWaves, Model, ParameterId};
-use crate::prepare::Prepared;
+use crate::prepare::{Prepared, WiringChoice};
 use crate::report::file::{CalibrationFile, ClockEntry, Input, ParameterEntry, SolveEntry};
 use crate::report::force::ForceEntry;
 use crate::report::page::Page;
@@ -32,9 +32,12 @@ use crate::study::evidence;
 
 #[derive(Debug, Args)]
 pub struct CalibrateArguments {
-    /// Recording of the ball-bar (.mcap); several runs of one robot are solved together
+    /// Recording of the ball-bar (.mcap; or a CSV of counters, or a ROS 2 bag); several runs of one robot are solved together
     #[arg(long, value_name = "FILE", requires_all = ["robot_log", "bar"])]
     recording: Vec<PathBuf>,
+    /// Which column or joint of recordings of other programs is what, such as config/bar_log.toml
+    #[arg(long, value_name = "FILE", requires = "recording")]
+    recording_mapping: Option<PathBuf>,
     /// The robot's own log (CSV, ROS 2 bag, UR RTDE, ABB EGM, KUKA RSI), one for each recording in the same order
     #[arg(long, value_name = "FILE", requires = "recording")]
     robot_log: Vec<PathBuf>,
@@ -106,6 +109,10 @@ pub struct CalibrateArguments {
     /// Fix these parameters
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     fix: Vec<String>,
+    /// Which encoder sits on which joint: find, recorded, or for each encoder of the recording its joint, negative where
+    /// it counts the other way, such as 1,2,-3,5,4; default: find
+    #[arg(long, value_name = "WIRING", allow_hyphen_values = true, requires = "recording")]
+    encoders: Option<WiringChoice>,
     /// True parameters of a simulated experiment (the first one), to compare with
     #[arg(long, value_name = "FILE")]
     truth: Option<PathBuf>,
@@ -136,6 +143,9 @@ fn identify_config(arguments: &CalibrateArguments) -> anyhow::Result<IdentifyCon
     config.selection = arguments.selection.unwrap_or(config.selection);
     config.free.extend_from_slice(&arguments.free);
     config.fix.extend_from_slice(&arguments.fix);
+    if let Some(encoders) = &arguments.encoders {
+        config.prepare.encoders.clone_from(encoders);
+    }
     Ok(config)
 }
 
@@ -144,7 +154,7 @@ struct RunFiles<'a> {
     recording_path: &'a Path,
     log_path: &'a Path,
     bar_path: &'a Path,
-    recording: Recording,
+    recording: BarLog,
     log: RobotLog,
     bar: BallBarConfig,
 }
@@ -153,6 +163,8 @@ fn runs<'a>(arguments: &'a CalibrateArguments, robot: &RobotConfig) -> anyhow::R
     let log_mapping: Option<RobotLogMapping> =
         arguments.log_mapping.as_deref().map(config::load).transpose()?;
     let log_options = LogOptions { format: arguments.log_format, mapping: log_mapping };
+    let bar_mapping: Option<BarLogMapping> =
+        arguments.recording_mapping.as_deref().map(config::load).transpose()?;
     let CalibrateArguments { recording, robot_log, bar, .. } = arguments;
     anyhow::ensure!(
         recording.len() == robot_log.len(),
@@ -170,18 +182,35 @@ fn runs<'a>(arguments: &'a CalibrateArguments, robot: &RobotConfig) -> anyhow::R
     let bars = bar.iter().cycle();
     let read =
         |(((recording_path, log_path), bar_path), force): (((&'a PathBuf, &'a PathBuf), &'a PathBuf), _)| {
+            let bar: BallBarConfig = config::load(bar_path)?;
             let mut log = load_log(log_path, robot, &log_options)?;
             log.force = if arguments.ignore_force { None } else { Option::or(force, log.force) };
             Ok(RunFiles {
-                recording: Recording::open(recording_path)?,
+                recording: load_recording(recording_path, &bar, bar_mapping.as_ref())?,
                 log,
-                bar: config::load(bar_path)?,
+                bar,
                 recording_path,
                 log_path,
                 bar_path,
             })
         };
     recording.iter().zip(robot_log).zip(bars).zip(forces).map(read).collect()
+}
+
+/// Reads the bar's side of a run and says what is odd about it, and what its file cannot say.
+fn load_recording(
+    path: &Path,
+    bar: &BallBarConfig,
+    mapping: Option<&BarLogMapping>,
+) -> anyhow::Result<BarLog> {
+    let log = BarLog::load(path, bar, mapping)?;
+    if let BarLog::Other(other) = &log {
+        tracing::info!("{}: {}; it does not say {}", path.display(), other.kind, other.unknown.join(", "));
+        for remark in &other.quality.remarks {
+            tracing::warn!("{}: {remark}", path.display());
+        }
+    }
+    Ok(log)
 }
 
 /// Reads a robot's log and says what is odd about it.
@@ -200,8 +229,8 @@ fn from_ball_bar(arguments: &CalibrateArguments, robot: &RobotConfig) -> anyhow:
     let inputs: Vec<RunInput<'_>> = runs
         .iter()
         .map(|run| RunInput {
-            cycles: &run.recording.cycles,
-            encoders: &run.recording.run.encoders,
+            cycles: run.recording.cycles(),
+            encoders: run.recording.encoders(),
             log: &run.log,
             bar: &run.bar,
         })
@@ -253,11 +282,17 @@ fn calibration_file(
     for run in runs {
         files.extend([("recording", run.recording_path), ("robot log", run.log_path), ("bar", run.bar_path)]);
     }
+    for (role, path) in
+        [("recording mapping", &arguments.recording_mapping), ("robot log mapping", &arguments.log_mapping)]
+    {
+        files.extend(path.as_deref().map(|path| (role, path)));
+    }
     files.extend(arguments.force_mapping.as_deref().map(|path| ("force log mapping", path)));
     files.extend(arguments.force_log.iter().map(|path| ("force log", path.as_path())));
     let solution = &calibration.solution;
     let bar = runs.first().map_or("", |run| run.bar.name.as_str());
-    let mut clocks = calibration.runs().map(|(prepared, model)| clock_entry(prepared, model));
+    let mut clocks = (runs.iter().zip(calibration.runs()))
+        .map(|(run, (prepared, model))| clock_entry(&run.recording, prepared, model));
     let mut file = CalibrationFile::new(
         &robot.name,
         bar,
@@ -323,10 +358,16 @@ fn from_measured_lengths(
     Ok(())
 }
 
-fn clock_entry(prepared: &Prepared, model: &Model) -> ClockEntry {
+/// `recording` is the one whose clock it is.
+fn clock_entry(recording: &BarLog, prepared: &Prepared, model: &Model) -> ClockEntry {
+    let has_date = !matches!(recording, BarLog::Other(other) if !other.is_dated);
     let value = |id| model.parameter(id).map_or(0.0, |parameter| parameter.value);
     ClockEntry {
-        reference_utc: prepared.t_ref.to_string(),
+        reference_utc: if has_date {
+            prepared.t_ref.to_string()
+        } else {
+            format!("{:.3} s (the recording's clock, zero unknown)", prepared.t_ref.0 as f64 * 1e-9)
+        },
         robot_minus_bar_ns: prepared.clock_difference_ns(value(ParameterId::ClockShift)),
         skew_ppm: value(ParameterId::ClockSkew) * 1e6,
         correlation: prepared.alignment.correlation,

@@ -4,43 +4,93 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::Args;
-use shared::config::{self, RobotConfig};
+use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::recording::Recording;
 
 use crate::inspect::{self, Inspection};
-use crate::logs;
+use crate::logs::{self, BarLogMapping, LogFormat, LogOptions, OtherBarLog};
 use crate::report::table;
 
 #[derive(Debug, Args)]
 pub struct InspectArguments {
-    /// Recordings of the ball-bar (.mcap) and logs of the robot
+    /// Recordings of the ball-bar and logs of the robot, of any kind that `calibrate` reads
     #[arg(required = true, value_name = "FILES")]
     files: Vec<PathBuf>,
     /// The robot's configuration, such as config/robots/irb2400_16.toml: says how its log becomes joint angles
     #[arg(long, value_name = "FILE")]
     robot: Option<PathBuf>,
+    /// The bar's configuration, such as config/ball_bar.toml: says how counters of other programs become angles
+    #[arg(long, value_name = "FILE")]
+    bar: Option<PathBuf>,
+    /// Kind of the robot's logs; default: told by their content
+    #[arg(long, value_name = "KIND", requires = "robot")]
+    log_format: Option<LogFormat>,
+    /// Which column or joint of the robot's logs is what, such as config/robot_log.toml
+    #[arg(long, value_name = "FILE", requires = "robot")]
+    log_mapping: Option<PathBuf>,
+    /// Which column or joint of recordings of other programs is what, such as config/bar_log.toml
+    #[arg(long, value_name = "FILE", requires = "bar")]
+    recording_mapping: Option<PathBuf>,
+}
+
+/// What was read of the arguments' files.
+struct Settings {
+    robot: Option<RobotConfig>,
+    log_options: LogOptions,
+    bar: Option<BallBarConfig>,
+    recording_mapping: Option<BarLogMapping>,
 }
 
 pub fn run(arguments: &InspectArguments) -> anyhow::Result<()> {
-    let robot = arguments.robot.as_deref().map(config::load::<RobotConfig>).transpose()?;
+    let settings = Settings {
+        robot: arguments.robot.as_deref().map(config::load).transpose()?,
+        log_options: LogOptions {
+            format: arguments.log_format,
+            mapping: arguments.log_mapping.as_deref().map(config::load).transpose()?,
+        },
+        bar: arguments.bar.as_deref().map(config::load).transpose()?,
+        recording_mapping: arguments.recording_mapping.as_deref().map(config::load).transpose()?,
+    };
     for path in &arguments.files {
         println!("{}", path.display());
-        println!("{}", table::inspection(&inspected(path, robot.as_ref())?));
+        let inspections = settings.inspected(path);
+        for inspection in inspections.with_context(|| format!("cannot inspect {}", path.display()))? {
+            println!("{}", table::inspection(&inspection));
+        }
     }
     Ok(())
 }
 
-fn inspected(path: &Path, robot: Option<&RobotConfig>) -> anyhow::Result<Inspection> {
-    let ours = path.extension().is_some_and(|ending| ending == "mcap");
-    let cannot = || format!("cannot inspect {}", path.display());
-    match (ours.then(|| Recording::open(path)), robot) {
-        (Some(Ok(recording)), _) => Ok(inspect::recording(&recording)),
-        (Some(Err(error)), None) => Err(error).with_context(cannot),
-        // A robot's log may be MCAP too.
-        (_, Some(robot)) => Ok(inspect::robot_log(&logs::load(path, robot).with_context(cannot)?)),
-        (None, None) => anyhow::bail!(
-            "{} is no recording; if it is a robot's log, say with --robot which robot's",
-            path.display()
-        ),
+impl Settings {
+    /// What is in a file: a bag may have both the robot and the bar.
+    fn inspected(&self, path: &Path) -> anyhow::Result<Vec<Inspection>> {
+        if logs::is_recording(path)? {
+            return Ok(vec![inspect::recording(&Recording::open(path)?)]);
+        }
+        let bytes = std::fs::read(path)?;
+        let is_of_bar = OtherBarLog::is_usual_table(&bytes);
+        let of_bar = self.bar.as_ref().map(|bar| {
+            let log = OtherBarLog::read(&bytes, path, bar, self.recording_mapping.as_ref());
+            log.map(|log| inspect::bar_log(&log)).map_err(|error| format!("as the bar's: {error}"))
+        });
+        let of_robot = self.robot.as_ref().filter(|_| !is_of_bar).map(|robot| {
+            let log = logs::read_with(&bytes, path, robot, &self.log_options);
+            log.map(|log| inspect::robot_log(&log)).map_err(|error| format!("as the robot's: {error}"))
+        });
+        let (mut found, mut refusals) = (Vec::new(), Vec::new());
+        for result in [of_bar, of_robot].into_iter().flatten() {
+            match result {
+                Ok(inspection) => found.push(inspection),
+                Err(refusal) => refusals.push(refusal),
+            }
+        }
+        match (found.is_empty(), refusals.is_empty()) {
+            (false, _) => Ok(found),
+            (true, false) => anyhow::bail!(refusals.join("; ")),
+            _ if is_of_bar => anyhow::bail!("it has counters of the bar; say with --bar which bar's"),
+            _ => anyhow::bail!(
+                "it is no recording; if it is a log, say with --robot which robot's, or with --bar which bar's"
+            ),
+        }
     }
 }

@@ -20,7 +20,7 @@ pub struct Arguments {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Identify the robot's geometry.
-    Calibrate(calibrate::CalibrateArguments),
+    Calibrate(Box<calibrate::CalibrateArguments>),
     /// Say what each cost can identify on a robot and a bar, before anything is measured.
     Examine(examine::ExamineArguments),
     /// Show what is in recordings and robot logs, and what is suspicious in them.

@@ -1,10 +1,14 @@
 //! What is in a log or a recording, and what is suspicious in it, before anything is solved.
 
+mod bar_log;
 mod recording;
 mod robot_log;
 
+pub use bar_log::bar_log;
 pub use recording::recording;
 pub use robot_log::robot_log;
+
+use crate::logs::LogQuality;
 
 /// What was found.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -35,6 +39,25 @@ impl Inspection {
 
     fn suspect(&mut self, sentence: impl Into<String>) {
         self.suspicious.push(sentence.into());
+    }
+}
+
+/// How far stamps of a log are apart, and what was done about those that repeat.
+fn stamps(inspection: &mut Inspection, quality: &LogQuality) {
+    /// Stamps further apart than so many periods are a hole.
+    const GAP_PERIODS: f64 = 5.0;
+    inspection.fact(
+        "stamps",
+        format!("every {:.2} ms, longest gap {:.1} ms", quality.period_s * 1e3, quality.longest_gap_s * 1e3),
+    );
+    if quality.duplicates_dropped > 0 {
+        inspection.fact("repeated rows", format!("{} dropped", quality.duplicates_dropped));
+    }
+    if quality.longest_gap_s > GAP_PERIODS * quality.period_s {
+        inspection.suspect(format!(
+            "stamps are up to {:.0} ms apart: samples in such holes are not used",
+            quality.longest_gap_s * 1e3
+        ));
     }
 }
 

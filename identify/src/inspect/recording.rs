@@ -1,7 +1,7 @@
 //! A recording of the ball-bar.
 
 use shared::recording::Recording;
-use shared::recording::schema::{CycleRecord, EventKind, flags};
+use shared::recording::schema::{CycleRecord, EncoderInfo, EventKind, flags};
 
 use super::{Inspection, joint_lines, suspect_still};
 use crate::kinematics::BAR_JOINTS;
@@ -18,10 +18,7 @@ pub fn recording(recording: &Recording) -> Inspection {
     facts(&mut inspection, recording);
     quality(&mut inspection, &recording.cycles);
     times(&mut inspection, recording);
-    match bar_angles(&recording.cycles, &recording.run.encoders) {
-        Ok(angles) => motion(&mut inspection, &angles),
-        Err(error) => inspection.suspect(error.to_string()),
-    }
+    motion(&mut inspection, &recording.cycles, &recording.run.encoders);
     for event in &recording.events {
         let kind = match event.kind {
             EventKind::Marker => "mark",
@@ -48,8 +45,7 @@ fn facts(inspection: &mut Inspection, recording: &Recording) {
     inspection
         .fact("length", format!("{seconds:.1} s, {} cycles at {rate_hz:.0} Hz", recording.cycles.len()));
     inspection.fact("recorded by", format!("{} on {}", run.software, run.bus));
-    let joints: Vec<String> = run.encoders.iter().map(|encoder| format!("b{}", encoder.joint)).collect();
-    inspection.fact("encoders", joints.join(" "));
+    encoders(inspection, &run.encoders);
     inspection.fact("ended", recording.end.cause.clone());
     if recording.end.recovered {
         inspection.suspect("the run was cut short and recovered; what came after its end was never written");
@@ -61,7 +57,14 @@ fn facts(inspection: &mut Inspection, recording: &Recording) {
     }
 }
 
-fn quality(inspection: &mut Inspection, cycles: &[CycleRecord]) {
+/// Which joints have an encoder, in the order of the file.
+pub(super) fn encoders(inspection: &mut Inspection, encoders: &[EncoderInfo]) {
+    let joints: Vec<String> = encoders.iter().map(|encoder| format!("b{}", encoder.joint)).collect();
+    inspection.fact("encoders", joints.join(" "));
+}
+
+/// Valid cycles, flags, and changes of the counters' origin.
+pub(super) fn quality(inspection: &mut Inspection, cycles: &[CycleRecord]) {
     let valid = cycles.iter().filter(|cycle| cycle.is_valid()).count();
     let percent = 100.0 * valid as f64 / cycles.len().max(1) as f64;
     inspection.fact("valid", format!("{valid} of {} cycles ({percent:.2} %)", cycles.len()));
@@ -108,7 +111,15 @@ fn times(inspection: &mut Inspection, recording: &Recording) {
     }
 }
 
-fn motion(inspection: &mut Inspection, angles: &BarAngles) {
+/// Range and speed of each joint, and what no bar does.
+pub(super) fn motion(inspection: &mut Inspection, cycles: &[CycleRecord], encoders: &[EncoderInfo]) {
+    match bar_angles(cycles, encoders) {
+        Ok(angles) => of_angles(inspection, &angles),
+        Err(error) => inspection.suspect(error.to_string()),
+    }
+}
+
+fn of_angles(inspection: &mut Inspection, angles: &BarAngles) {
     let Some(longest) = angles.segments.iter().max_by_key(|segment| segment.times.len()) else { return };
     let Some(&first) = longest.times.first() else { return };
     let t_s: Vec<f64> = longest.times.iter().map(|time| time.seconds_since(first)).collect();

@@ -1,10 +1,8 @@
 //! A robot's own log.
 
-use super::{Inspection, joint_lines, suspect_still};
+use super::{Inspection, joint_lines, stamps, suspect_still};
 use crate::logs::{Origin, RobotLog};
 
-/// Stamps further apart than so many periods are a hole.
-const GAP_PERIODS: f64 = 5.0;
 /// Rows that repeat all joints while the log moves on either side are frozen, not still.
 const FROZEN_ROWS_MIN: usize = 3;
 /// A joint that moved by this much over a frozen stretch was moving \[rad\].
@@ -25,23 +23,11 @@ pub fn robot_log(log: &RobotLog) -> Inspection {
         inspection.fact("force on the bar", format!("{}, up to {most:.1}", force.kind.describe()));
     }
     let quality = &log.quality;
-    inspection.fact(
-        "stamps",
-        format!("every {:.2} ms, longest gap {:.1} ms", quality.period_s * 1e3, quality.longest_gap_s * 1e3),
-    );
-    if quality.duplicates_dropped > 0 {
-        inspection.fact("repeated rows", format!("{} dropped", quality.duplicates_dropped));
-    }
+    stamps(&mut inspection, quality);
     if log.origin == Origin::Commanded {
         inspection.suspect(
             "the angles are what the controller asked for: servo lag is not in them; log the measured ones if possible",
         );
-    }
-    if quality.longest_gap_s > GAP_PERIODS * quality.period_s {
-        inspection.suspect(format!(
-            "stamps are up to {:.0} ms apart: samples in such holes are not used",
-            quality.longest_gap_s * 1e3
-        ));
     }
     let frozen = frozen_rows(&log.q_rad);
     if frozen > 0 {

@@ -63,8 +63,20 @@ pub(super) fn delimiter_of_header(text: &str) -> u8 {
 pub(super) fn open_mapped<'a>(text: &'a str, path: &Path, layout: &CsvLayout) -> Result<Table<'a>, LogError> {
     let from = text.split_inclusive('\n').take(layout.skip_lines).map(str::len).sum::<usize>();
     let body = text.get(from..).unwrap_or_default();
-    let delimiter = layout.delimiter.map_or_else(|| delimiter_of_header(body), |delimiter| delimiter as u8);
-    Table::open_behind(text, from, path, Format { delimiter, decimal_comma: layout.decimal_comma })
+    let delimiter = match (layout.delimiter, delimiter_of_header(body)) {
+        (Some(delimiter), _) => delimiter as u8,
+        // Those commas are in numbers.
+        (None, b',') if layout.decimal_comma => {
+            if header_line(body).contains('\t') {
+                b'\t'
+            } else {
+                b';'
+            }
+        }
+        (None, found) => found,
+    };
+    let format = Format { delimiter, decimal_comma: layout.decimal_comma };
+    Table::open_behind(text, from, path, format, layout.header)
 }
 
 /// The first line that is neither blank nor a comment.
@@ -77,24 +89,32 @@ pub(super) fn header_line(text: &str) -> &str {
 impl<'a> Table<'a> {
     /// Reads the header of `text`.
     pub fn open(text: &'a str, path: &Path, format: Format) -> Result<Self, LogError> {
-        Self::open_behind(text, 0, path, format)
+        Self::open_behind(text, 0, path, format, true)
     }
 
-    /// [`Self::open`] where the table begins `from` bytes into the text.
-    pub fn open_behind(whole: &'a str, from: usize, path: &Path, format: Format) -> Result<Self, LogError> {
+    /// [`Self::open`] where the table begins `from` bytes into the text. Without header the columns are called `1`, `2`
+    /// and so on.
+    fn open_behind(
+        whole: &'a str,
+        from: usize,
+        path: &Path,
+        format: Format,
+        has_header: bool,
+    ) -> Result<Self, LogError> {
         let (before, text) = whole.split_at_checked(from).unwrap_or((whole, ""));
         let first_line = 1 + before.bytes().filter(|&byte| byte == b'\n').count() as u64;
         let mut reader = csv::ReaderBuilder::new()
             .delimiter(format.delimiter)
+            .has_headers(has_header)
             .comment(Some(b'#'))
             .trim(csv::Trim::All)
             .from_reader(text.as_bytes());
-        let header: Vec<String> = reader
+        let first = reader
             .headers()
-            .map_err(|error| malformed(&error, path, &mut LineCounter { text, byte: 0, line: first_line }))?
-            .iter()
-            .map(str::to_owned)
-            .collect();
+            .map_err(|error| malformed(&error, path, &mut LineCounter { text, byte: 0, line: first_line }))?;
+        let name =
+            |(number, cell): (usize, &str)| if has_header { cell.to_owned() } else { number.to_string() };
+        let header: Vec<String> = (1..).zip(first).map(name).collect();
         if header.iter().all(String::is_empty) {
             return Err(LogError::NoHeader { path: path.to_owned() });
         }

@@ -173,6 +173,15 @@ pub enum LogError {
         /// The file.
         path: PathBuf,
     },
+    /// The file has nothing of the bar.
+    #[error(
+        "{}: neither a recording, nor a table with counters of the bar, nor a ROS 2 bag with its joints; is it the file of \
+         the ball-bar?", path.display()
+    )]
+    NoBarLog {
+        /// The file.
+        path: PathBuf,
+    },
     /// A record of a binary file or a telegram of an XML file cannot be used.
     #[error("{} {place}: {problem}; {remedy}", path.display())]
     BadRecord {

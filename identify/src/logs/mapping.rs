@@ -1,10 +1,12 @@
 //! A TOML file that says how to read a log that does not say it itself: `config/robot_log.toml` explains each key.
 
+use std::path::Path;
+
 use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, LogConversion, Validate, Violation};
 
-use super::measured_length::JointColumn;
-use super::{ForceColumns, Origin};
+use super::pose_rows::{JointColumn, check_format, check_joints};
+use super::{ForceColumns, LogError, Origin};
 
 /// Joints of a robot.
 const ROBOT_JOINTS: usize = 6;
@@ -24,23 +26,25 @@ pub enum TimeUnit {
     Ns,
     /// Windows FILETIME: 100 ns since 1601, as TwinCAT exports it.
     Filetime,
+    /// Date and time of day as text, such as `2026-11-22T10:15:00.25Z`; without zone it counts as UTC.
+    DateTime,
 }
 
 impl TimeUnit {
-    /// Ns in one unit.
+    /// Ns in one unit; dates become ns when they are read.
     pub const fn ns(self) -> i64 {
         match self {
             Self::S => 1_000_000_000,
             Self::Ms => 1_000_000,
             Self::Us => 1_000,
-            Self::Ns => 1,
+            Self::Ns | Self::DateTime => 1,
             Self::Filetime => 100,
         }
     }
 }
 
 /// Layout of a text table.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct CsvLayout {
     /// Character between cells; absent: comma, semicolon or tab, whichever the header has most of.
@@ -49,27 +53,23 @@ pub struct CsvLayout {
     pub decimal_comma: bool,
     /// Lines before the header.
     pub skip_lines: usize,
+    /// There is a header; without one columns are called by their number, `1`, `2` and so on.
+    pub header: bool,
     /// Lines between header and numbers, such as units.
     pub unit_lines: usize,
 }
 
+impl Default for CsvLayout {
+    fn default() -> Self {
+        Self { delimiter: None, decimal_comma: false, skip_lines: 0, header: true, unit_lines: 0 }
+    }
+}
+
 impl CsvLayout {
-    /// A delimiter that can separate the cells.
+    /// A delimiter that can separate the cells; none is found in the header, and then is no decimal comma.
     pub(super) fn check(&self) -> Result<(), Violation> {
-        if let Some(delimiter) = self.delimiter
-            && (!delimiter.is_ascii() || matches!(delimiter, '"' | '#' | '\n' | '\r'))
-        {
-            let problem = format!("`{}` cannot separate cells", delimiter.escape_default());
-            return Err(Violation::new("csv.delimiter", problem, "use \",\", \";\", \" \" or \"\\t\""));
-        }
-        if self.decimal_comma && self.delimiter == Some(',') {
-            return Err(Violation::new(
-                "csv.delimiter",
-                "a comma separates cells and decimals alike",
-                "files with decimal commas mostly have delimiter = \";\"",
-            ));
-        }
-        Ok(())
+        let delimiter = self.delimiter.unwrap_or(';');
+        check_format("csv.delimiter", delimiter, self.decimal_comma)
     }
 }
 
@@ -83,6 +83,17 @@ pub struct TimeColumn {
     /// Unit of its values; for RSI the unit of `IPOC`.
     #[serde(default)]
     pub unit: TimeUnit,
+}
+
+impl TimeColumn {
+    /// The one that a table needs.
+    pub(super) fn of_table<'a>(time: Option<&'a Self>, path: &Path) -> Result<&'a Self, LogError> {
+        time.filter(|time| !time.column.is_empty()).ok_or_else(|| LogError::Content {
+            path: path.to_owned(),
+            problem: "the mapping does not say which column has the time stamps".into(),
+            remedy: "write [time] column = \"...\" and its unit into the mapping file".into(),
+        })
+    }
 }
 
 /// `q[joint] += factor * q[from]`, in the values of the file after sign and offset.
@@ -154,7 +165,7 @@ impl RobotLogMapping {
 impl Validate for RobotLogMapping {
     fn validate(&self) -> Result<(), Violation> {
         self.csv.check()?;
-        super::measured_length::check_joints(&self.joints)?;
+        check_joints(&self.joints)?;
         self.force.as_ref().map_or(Ok(()), ForceColumns::check)?;
         for (index, Coupling { joint, from, factor }) in self.coupling.iter().enumerate() {
             let known = |joint: &usize| (1..=ROBOT_JOINTS).contains(joint);

@@ -6,37 +6,14 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use shared::config::{AngleUnit, Validate, Violation};
+use shared::config::{Validate, Violation};
 
-use super::LogError;
-use super::csv_text::{Column, Format, Row, Table, decode};
+use super::csv_text::{Column, Format, Row, Table};
+use super::pose_rows::{JointColumns, check_format, check_joints, comma, mapped, rows};
+use super::{JointColumn, LengthUnit, LogError, bytes_of};
 
-/// Fewest rows that make a table.
-pub(super) const ROWS_MIN: usize = 10;
-/// No joint turns further than this from its zero \[rad\]; more means a wrong unit.
-const JOINT_RAD_MAX: f64 = 4.0 * std::f64::consts::PI;
 /// No wire or bar is longer \[m\]; more means a wrong unit.
 const LENGTH_M_MAX: f64 = 20.0;
-
-/// Unit of a length column.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum LengthUnit {
-    /// Metres.
-    M,
-    /// Millimetres.
-    Mm,
-}
-
-impl LengthUnit {
-    /// Metres in one unit.
-    pub const fn to_m(self) -> f64 {
-        match self {
-            Self::M => 1.0,
-            Self::Mm => 1e-3,
-        }
-    }
-}
 
 /// The column of the measured length.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -46,22 +23,6 @@ pub struct LengthColumn {
     pub column: String,
     /// Unit of its values.
     pub unit: LengthUnit,
-}
-
-/// The column of one joint: `q = sign * (value * unit - offset)`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct JointColumn {
-    /// Name in the header.
-    pub column: String,
-    /// Unit of its values.
-    pub unit: AngleUnit,
-    /// +1, or -1 where the file counts the other way than the model.
-    #[serde(default = "positive")]
-    pub sign: f64,
-    /// Value of the file at the model's zero \[deg\].
-    #[serde(default)]
-    pub offset_deg: f64,
 }
 
 /// The columns of the position that the controller itself gives for the flange.
@@ -92,66 +53,11 @@ pub struct MeasuredLengthMapping {
     pub flange: Option<FlangeColumns>,
 }
 
-fn positive() -> f64 {
-    1.0
-}
-
-pub(super) fn comma() -> char {
-    ','
-}
-
 impl Validate for MeasuredLengthMapping {
     fn validate(&self) -> Result<(), Violation> {
-        check_format(self.delimiter, self.decimal_comma)?;
+        check_format("delimiter", self.delimiter, self.decimal_comma)?;
         check_joints(&self.joints)
     }
-}
-
-/// A delimiter that can separate the cells.
-pub(super) fn check_format(delimiter: char, decimal_comma: bool) -> Result<(), Violation> {
-    if !delimiter.is_ascii() || matches!(delimiter, '"' | '#' | '\n' | '\r') {
-        return Err(Violation::new(
-            "delimiter",
-            format!("`{}` cannot separate cells", delimiter.escape_default()),
-            "use \",\", \";\" or \"\\t\"",
-        ));
-    }
-    if decimal_comma && delimiter == ',' {
-        return Err(Violation::new(
-            "delimiter",
-            "a comma separates cells and decimals alike",
-            "files with decimal commas mostly have delimiter = \";\"",
-        ));
-    }
-    Ok(())
-}
-
-/// Six joints with signs and offsets that are some.
-pub(super) fn check_joints(joints: &[JointColumn]) -> Result<(), Violation> {
-    if joints.len() != 6 {
-        return Err(Violation::new(
-            "joints",
-            format!("{} joints are given", joints.len()),
-            "write one [[joints]] block for each of the six joints",
-        ));
-    }
-    for (index, joint) in joints.iter().enumerate() {
-        if joint.sign.abs() != 1.0 {
-            return Err(Violation::new(
-                format!("joints[{index}].sign"),
-                format!("{} is no sign", joint.sign),
-                "write 1 or -1",
-            ));
-        }
-        if !(-360.0..=360.0).contains(&joint.offset_deg) {
-            return Err(Violation::new(
-                format!("joints[{index}].offset_deg"),
-                format!("{} is out of range (at most 360)", joint.offset_deg),
-                "offsets are in degrees",
-            ));
-        }
-    }
-    Ok(())
 }
 
 /// One pose and the length measured there.
@@ -180,9 +86,7 @@ impl MeasuredLengths {
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].
     pub fn load(path: &Path, mapping: &MeasuredLengthMapping) -> Result<Self, LogError> {
-        let bytes =
-            std::fs::read(path).map_err(|source| LogError::Unreadable { path: path.to_owned(), source })?;
-        Self::read(&bytes, path, mapping)
+        Self::read(&bytes_of(path)?, path, mapping)
     }
 
     /// [`Self::load`] on bytes in memory; `path` is only named in errors.
@@ -190,52 +94,10 @@ impl MeasuredLengths {
     /// # Errors
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredLengthMapping) -> Result<Self, LogError> {
-        let text = decode(bytes, path)?;
         let format = Format { delimiter: mapping.delimiter as u8, decimal_comma: mapping.decimal_comma };
-        let mut table = Table::open(text, path, format)?;
-        let columns = Columns::find(&table, mapping)?;
-        let mut rows = Vec::new();
-        while let Some(row) = table.next_row() {
-            rows.push(columns.read(&table, &row?)?);
-        }
-        if rows.len() < ROWS_MIN {
-            return Err(LogError::TooFewRows { path: path.to_owned(), rows: rows.len(), needed: ROWS_MIN });
-        }
-        Ok(Self { rows })
+        let find = |table: &Table<'_>| Columns::find(table, mapping);
+        rows(bytes, path, format, find, Columns::read).map(|rows| Self { rows })
     }
-}
-
-/// The joints' columns, found in a file.
-pub(super) struct JointColumns<'a>(Vec<(Column, &'a JointColumn)>);
-
-impl<'a> JointColumns<'a> {
-    pub(super) fn find(table: &Table<'_>, joints: &'a [JointColumn]) -> Result<Self, LogError> {
-        let found = joints.iter().map(|joint| Ok((mapped(table, &joint.column)?, joint)));
-        found.collect::<Result<_, LogError>>().map(Self)
-    }
-
-    /// Joint variables of a row \[rad\].
-    pub(super) fn read(&self, table: &Table<'_>, row: &Row) -> Result<[f64; 6], LogError> {
-        let mut q_rad = [0.0; 6];
-        for (q, (column, joint)) in q_rad.iter_mut().zip(&self.0) {
-            let value_rad = table.number(row, column)? * joint.unit.to_rad();
-            *q = joint.sign * (value_rad - joint.offset_deg.to_radians());
-            if q.abs() > JOINT_RAD_MAX {
-                return Err(table.bad(
-                    row,
-                    column,
-                    format!("{:.1} rad is more than two turns", *q),
-                    "the column looks like degrees: check the joint's unit in the mapping file",
-                ));
-            }
-        }
-        Ok(q_rad)
-    }
-}
-
-/// A column that the mapping names.
-pub(super) fn mapped(table: &Table<'_>, name: &str) -> Result<Column, LogError> {
-    table.column(name, "Correct the column's name in the mapping file, or the header.")
 }
 
 /// The mapping's columns, found in a file.

@@ -9,9 +9,9 @@ use nalgebra::{Rotation3, Vector3};
 use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, Validate, Violation};
 
-use super::csv_text::{Column, Format, Row, Table, decode};
-use super::measured_length::{ROWS_MIN, check_format, check_joints, comma, mapped};
-use super::{JointColumn, LengthUnit, LogError, measured_length::JointColumns};
+use super::csv_text::{Column, Format, Row, Table};
+use super::pose_rows::{JointColumns, check_format, check_joints, comma, mapped, rows};
+use super::{JointColumn, LengthUnit, LogError, bytes_of};
 
 /// No tracker sees further \[m\]; more means a wrong unit.
 const POSITION_M_MAX: f64 = 100.0;
@@ -100,7 +100,7 @@ pub struct MeasuredPoseMapping {
 
 impl Validate for MeasuredPoseMapping {
     fn validate(&self) -> Result<(), Violation> {
-        check_format(self.delimiter, self.decimal_comma)?;
+        check_format("delimiter", self.delimiter, self.decimal_comma)?;
         if let Some(rotation) = &self.rotation
             && rotation.axes().is_none()
         {
@@ -140,9 +140,7 @@ impl MeasuredPoses {
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].
     pub fn load(path: &Path, mapping: &MeasuredPoseMapping) -> Result<Self, LogError> {
-        let bytes =
-            std::fs::read(path).map_err(|source| LogError::Unreadable { path: path.to_owned(), source })?;
-        Self::read(&bytes, path, mapping)
+        Self::read(&bytes_of(path)?, path, mapping)
     }
 
     /// [`Self::load`] on bytes in memory; `path` is only named in errors.
@@ -150,18 +148,9 @@ impl MeasuredPoses {
     /// # Errors
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredPoseMapping) -> Result<Self, LogError> {
-        let text = decode(bytes, path)?;
         let format = Format { delimiter: mapping.delimiter as u8, decimal_comma: mapping.decimal_comma };
-        let mut table = Table::open(text, path, format)?;
-        let columns = Columns::find(&table, mapping)?;
-        let mut rows = Vec::new();
-        while let Some(row) = table.next_row() {
-            rows.push(columns.read(&table, &row?)?);
-        }
-        if rows.len() < ROWS_MIN {
-            return Err(LogError::TooFewRows { path: path.to_owned(), rows: rows.len(), needed: ROWS_MIN });
-        }
-        Ok(Self { rows })
+        let find = |table: &Table<'_>| Columns::find(table, mapping);
+        rows(bytes, path, format, find, Columns::read).map(|rows| Self { rows })
     }
 }
 

@@ -5,9 +5,12 @@
 //! [`JointConversion`]; later steps never see it. The clock is only named, not trusted: logs of many controllers
 //! count from their own start, so the relation to the bar's clock is found from the motion (`prepare`).
 //!
+//! [`BarLog`] is the other side of a run: what the bar's encoders said, in a recording or in the file of another program.
+//!
 //! [`MeasuredLengths`] and [`MeasuredPoses`] are the other kinds of input: single poses of the robot with a measured
 //! length (draw-wire, telescoping bar) or with a measured position or pose (tracker).
 
+mod bar_log;
 mod conversion;
 mod csv_text;
 mod egm;
@@ -18,14 +21,19 @@ mod interpolation;
 mod mapping;
 mod measured_length;
 mod measured_pose;
+mod pose_rows;
 mod raw;
 mod reader;
 mod ros;
 mod rsi;
 mod spline;
+mod stamp;
 mod table;
 mod writer;
 
+pub use bar_log::{
+    BarLog, BarLogError, BarLogMapping, EncoderColumn, EncoderUnit, OtherBarLog, is_recording,
+};
 pub use conversion::JointConversion;
 pub use error::{Cell, LogError};
 pub use force::{ForceClock, ForceColumns, ForceFrame, ForceKind, ForceLog, ForceLogMapping, ForceUnit};
@@ -33,17 +41,24 @@ pub use format::LogFormat;
 pub use interpolation::{InterpolatedLog, default_gap_limit_s};
 pub use mapping::{Columns, Coupling, CsvLayout, RobotLogMapping, TimeColumn, TimeUnit};
 pub use measured_length::{
-    FlangeColumns, JointColumn, LengthColumn, LengthUnit, MeasuredLength, MeasuredLengthMapping,
-    MeasuredLengths,
+    FlangeColumns, LengthColumn, MeasuredLength, MeasuredLengthMapping, MeasuredLengths,
 };
 pub use measured_pose::{
     EulerFrame, MeasuredPose, MeasuredPoseMapping, MeasuredPoses, PositionColumns, RotationColumns,
 };
+pub use pose_rows::{JointColumn, LengthUnit};
 pub use reader::{LogOptions, load, load_with, read, read_with};
 pub use spline::{CubicSpline, SplinePoint};
 pub use writer::write;
 
+use std::path::Path;
+
 use serde::{Deserialize, Serialize};
+
+/// The whole file.
+fn bytes_of(path: &Path) -> Result<Vec<u8>, LogError> {
+    std::fs::read(path).map_err(|source| LogError::Unreadable { path: path.to_owned(), source })
+}
 
 /// Whether joint values are what the encoders read or what the controller asked for.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -74,9 +89,9 @@ impl Origin {
 pub struct LogQuality {
     /// Rows that repeat the row before, stamp and values; they are dropped.
     pub duplicates_dropped: usize,
-    /// Rows that repeat the joints before them under a new stamp in the middle of a motion; they are dropped.
+    /// Rows that repeat the joints before them under a new stamp in the middle of a motion; they are not used.
     pub frozen_dropped: usize,
-    /// Rows in which a joint is missing or not a number; they are dropped.
+    /// Rows in which a joint is missing or not a number; they are not used.
     pub incomplete_dropped: usize,
     /// Median distance of two stamps \[s\].
     pub period_s: f64,

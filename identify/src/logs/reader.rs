@@ -10,7 +10,7 @@ use std::path::Path;
 use shared::config::RobotConfig;
 
 use super::mapping::RobotLogMapping;
-use super::{LogError, LogFormat, RobotLog, egm, ros, rsi, table};
+use super::{LogError, LogFormat, RobotLog, bytes_of, egm, ros, rsi, table};
 
 /// How a log is to be read where the file does not say it itself.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -42,9 +42,7 @@ pub fn read(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<RobotLog, 
 /// # Errors
 /// As [`load`].
 pub fn load_with(path: &Path, robot: &RobotConfig, options: &LogOptions) -> Result<RobotLog, LogError> {
-    let bytes =
-        std::fs::read(path).map_err(|source| LogError::Unreadable { path: path.to_owned(), source })?;
-    read_with(&bytes, path, robot, options)
+    read_with(&bytes_of(path)?, path, robot, options)
 }
 
 /// [`read`] with what the file does not say.

@@ -4,16 +4,15 @@ use std::path::Path;
 
 use shared::config::{AngleUnit, RobotConfig};
 
-use super::csv_text::{Column, Format, Row, Table, comments, decode, delimiter_of_header, open_mapped};
+use super::csv_text::{Column, Format, Table, comments, decode, delimiter_of_header, open_mapped};
 use super::force::ForceLayout;
-use super::mapping::{Columns, RobotLogMapping, TimeUnit};
+use super::mapping::{Columns, RobotLogMapping, TimeColumn, TimeUnit};
 use super::raw::{Meaning, RawLog, RawRow};
+use super::stamp::stamp_ns;
 use super::{ForceColumns, LogError, LogFormat, Origin, RobotLog};
 
 /// Name of the column with time stamps \[s\].
 pub(super) const TIME_COLUMN: &str = "t_s";
-/// 1970 in FILETIME, 100 ns since 1601.
-const FILETIME_1970: i64 = 116_444_736_000_000_000;
 
 /// Name of the column of motor or joint `index` (from 0).
 pub(super) fn column_name(robot: &RobotConfig, index: usize, unit: AngleUnit) -> String {
@@ -132,12 +131,7 @@ pub(super) fn read_mapped(
 
 fn mapped_layout(table: &Table<'_>, path: &Path, mapping: &RobotLogMapping) -> Result<Layout, LogError> {
     let remedy = "Correct the name in the mapping file.";
-    let time =
-        mapping.time.as_ref().filter(|time| !time.column.is_empty()).ok_or_else(|| LogError::Content {
-            path: path.to_owned(),
-            problem: "the mapping does not say which column has the time stamps".into(),
-            remedy: "write [time] column = \"...\" and its unit into the mapping file".into(),
-        })?;
+    let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
     let to_rad: Vec<f64> = mapping.joints.iter().map(|joint| joint.unit.to_rad()).collect();
     let joints: Columns = mapping
         .joints
@@ -209,51 +203,4 @@ fn read_rows(table: &mut Table<'_>, layout: &Layout, raw: &mut RawLog) -> Result
         })?;
     }
     Ok(())
-}
-
-/// A stamp to integer ns. Decimal digits are taken as they are: a UTC stamp in seconds has more of them than an
-/// `f64` can hold.
-pub(super) fn stamp_ns(
-    table: &Table<'_>,
-    row: &Row,
-    column: &Column,
-    unit: TimeUnit,
-) -> Result<i64, LogError> {
-    let number = table.number(row, column)?;
-    let text = table.text(row, column).replace(',', ".");
-    let zero = if unit == TimeUnit::Filetime { FILETIME_1970 } else { 0 };
-    let exact = match unit {
-        TimeUnit::S => decimal_to_ns(&text),
-        unit => text.parse::<i64>().ok().and_then(|ticks| ticks.checked_sub(zero)?.checked_mul(unit.ns())),
-    };
-    let rounded = || {
-        let ns = ((number - zero as f64) * unit.ns() as f64).round();
-        (ns.abs() < i64::MAX as f64).then_some(ns as i64)
-    };
-    exact.or_else(rounded).ok_or_else(|| {
-        table.bad(
-            row,
-            column,
-            format!("{number} is more than 292 years"),
-            "give the time in seconds, from any zero within 292 years",
-        )
-    })
-}
-
-/// `[-]digits[.digits]` in seconds to ns, exactly up to ns and rounded below; none for other notations.
-fn decimal_to_ns(text: &str) -> Option<i64> {
-    let (negative, digits) = match text.strip_prefix('-') {
-        Some(rest) => (true, rest),
-        None => (false, text.strip_prefix('+').unwrap_or(text)),
-    };
-    let (whole, fraction) = digits.split_once('.').unwrap_or((digits, ""));
-    if !whole.bytes().chain(fraction.bytes()).all(|byte| byte.is_ascii_digit()) {
-        return None;
-    }
-    let whole: i64 = if whole.is_empty() { 0 } else { whole.parse().ok()? };
-    let digit = |index: usize| fraction.as_bytes().get(index).map_or(0, |byte| i64::from(byte - b'0'));
-    let rounding = i64::from(digit(9) >= 5);
-    let fraction_ns = (0..9).fold(0, |ns, index| ns * 10 + digit(index)) + rounding;
-    let ns = whole.checked_mul(1_000_000_000)?.checked_add(fraction_ns)?;
-    Some(if negative { -ns } else { ns })
 }

@@ -12,6 +12,9 @@ use super::schema::{CycleRecord, EncoderInfo, Event, MAX_ENCODERS, RunEnd, RunMe
 use super::timing::TimingSummary;
 use crate::encoder::{EncoderScale, INTERPOLATION_BITS};
 
+/// What a recording calls the library that wrote it, before its version.
+pub(super) const LIBRARY_NAME: &str = "ballbard ";
+
 /// Names of the metadata records at the beginning and the end of a run.
 pub(super) const RUN_METADATA: &str = "ballbard.run";
 pub(super) const END_METADATA: &str = "ballbard.end";

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 
 use mcap::McapError;
 
-use super::content::{Decoder, Item, RUN_METADATA};
+use super::content::{Decoder, Item, LIBRARY_NAME, RUN_METADATA};
 use super::messages::MessageError;
 use super::records::{Ending, for_each_record};
 use super::schema::{CycleRecord, Event, RunEnd, RunMetadata};
@@ -97,6 +97,14 @@ pub struct Recording {
 }
 
 impl Recording {
+    /// Whether the first bytes of a file are those of a recording, be it damaged, cut short or still growing. Other MCAP
+    /// files, such as bags of ROS 2, are not.
+    pub fn is_begun_by(beginning: &[u8]) -> bool {
+        // The name of the library, and the run's metadata right behind it: one of them survives what breaks the other.
+        let has = |name: &[u8]| beginning.windows(name.len()).any(|window| window == name);
+        beginning.starts_with(mcap::MAGIC) && (has(LIBRARY_NAME.as_bytes()) || has(RUN_METADATA.as_bytes()))
+    }
+
     /// Reads a finished recording from a file.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         let error = |kind| ReadError { path: path.to_owned(), kind };

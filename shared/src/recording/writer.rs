@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use mcap::records::MessageHeader;
 use mcap::{Compression, McapError, WriteOptions, Writer};
 
-use super::content::{END_METADATA, RUN_METADATA, TIMING_METADATA, metadata_of};
+use super::content::{END_METADATA, LIBRARY_NAME, RUN_METADATA, TIMING_METADATA, metadata_of};
 use super::messages::{self, MessageError, Topic};
 use super::run_file::RunFile;
 use super::schema::{CycleRecord, Event, RunEnd, RunMetadata};
@@ -84,7 +84,7 @@ impl<W: Write + Seek> RecordingWriter<W> {
     pub fn begin(sink: W, run: &RunMetadata) -> Result<Self, WriteError> {
         let mut writer = WriteOptions::new()
             .profile("ros2")
-            .library(format!("ballbard {}", env!("CARGO_PKG_VERSION")))
+            .library(format!("{LIBRARY_NAME}{}", env!("CARGO_PKG_VERSION")))
             .compression(Some(Compression::Zstd))
             .compression_threads(0)
             .disable_seeking(true)

@@ -12,7 +12,8 @@ use super::columns::{ForceColumns, ForceLayout, unknown};
 use super::{ForceClock, ForceKind, ForceLog};
 use crate::logs::csv_text::{Format, Table, comments, decode, delimiter_of_header, open_mapped};
 use crate::logs::mapping::{CsvLayout, TimeColumn, TimeUnit};
-use crate::logs::table::{TIME_COLUMN, stamp_ns};
+use crate::logs::stamp::stamp_ns;
+use crate::logs::table::TIME_COLUMN;
 use crate::logs::writer::seconds_text;
 use crate::logs::{JointConversion, LogError};
 

@@ -29,7 +29,7 @@ struct Wire {
 }
 
 /// What is used of a message.
-pub(super) struct JointState {
+pub(in crate::logs) struct JointState {
     /// `header.stamp`, 0 where it was not set \[ns\].
     pub stamp_ns: i64,
     /// Shared with the message before where they are the same.

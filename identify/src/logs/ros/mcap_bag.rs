@@ -8,7 +8,7 @@ use mcap::records::{Record, SchemaHeader};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use shared::recording::parse_record;
 
-use super::Bag;
+use super::bag::Bag;
 use crate::logs::LogError;
 
 /// Longest record of a bag: far above any chunk that recorders write, far below memory.

@@ -4,19 +4,21 @@
 //! ros2_control the time of the controller manager, not that of the encoders). The stamp is taken where every message has
 //! one; which it was is the name of the log's clock.
 
+mod bag;
 mod joint_state;
 mod mcap_bag;
 mod sqlite_bag;
 
 use std::path::Path;
-use std::rc::Rc;
 
 use shared::config::{AngleUnit, RobotConfig};
 
 use super::mapping::RobotLogMapping;
 use super::raw::{Meaning, RawLog, RawRow};
 use super::{ForceKind, LogError, LogFormat, Origin, RobotLog};
-use joint_state::JointState;
+use bag::Message;
+
+pub(super) use bag::{Bag, UNSTAMPED, Wanted, clock_name};
 
 /// Names that drivers give the six joints, from base to flange; a prefix such as `left_` may stand before all six.
 const FAMILIES: [[&str; 6]; 4] = [
@@ -33,70 +35,12 @@ const FAMILIES: [[&str; 6]; 4] = [
     ],
 ];
 
-/// Messages of one topic, in the order of the bag.
-struct Topic {
-    name: String,
-    messages: Vec<Message>,
-}
-
-/// A joint state and where and when it was recorded.
-struct Message {
-    /// Number within its topic, from 1.
-    number: u64,
-    recorded_ns: i64,
-    state: JointState,
-}
-
-/// Joint states of a bag, and what is odd about the bag itself.
-#[derive(Default)]
-struct Bag {
-    topics: Vec<Topic>,
-    remarks: Vec<String>,
-}
-
-impl Bag {
-    fn topic(&mut self, name: &str) -> &mut Topic {
-        let index = self.topics.iter().position(|topic| topic.name == name).unwrap_or_else(|| {
-            self.topics.push(Topic { name: name.to_owned(), messages: Vec::new() });
-            self.topics.len() - 1
-        });
-        &mut self.topics[index]
-    }
-}
-
-impl Topic {
-    fn push(&mut self, recorded_ns: i64, data: &[u8], path: &Path) -> Result<(), LogError> {
-        let number = self.messages.len() as u64 + 1;
-        let state = JointState::decode(data, self.messages.last().map(|last| &last.state.names)).map_err(
-            |problem| LogError::BadRecord {
-                path: path.to_owned(),
-                place: format!("message {number} on {}", self.name),
-                problem,
-                remedy: "the bag is damaged or its messages are not sensor_msgs/JointState; record it again",
-            },
-        )?;
-        self.messages.push(Message { number, recorded_ns, state });
-        Ok(())
-    }
-
-    /// Every joint that any message names, in the order of the first that does.
-    fn joint_names(&self) -> Vec<&str> {
-        let mut names: Vec<&str> = Vec::new();
-        let mut last: Option<&Rc<[String]>> = None;
-        for message in &self.messages {
-            if last.is_some_and(|last| Rc::ptr_eq(last, &message.state.names)) {
-                continue;
-            }
-            last = Some(&message.state.names);
-            for name in message.state.names.iter() {
-                if !names.contains(&name.as_str()) {
-                    names.push(name);
-                }
-            }
-        }
-        names
-    }
-}
+const SIX_JOINTS: Wanted = Wanted {
+    what: "the six joints of one robot",
+    remedy: "name joints 1 to 6 with [[joints]] column = \"...\" in a mapping file (--log-mapping)",
+    choose: "choose with topic = \"...\" in a mapping file (--log-mapping)",
+    record: "record the topic /joint_states",
+};
 
 /// Reads a bag.
 pub(super) fn read(
@@ -106,24 +50,22 @@ pub(super) fn read(
     format: LogFormat,
     mapping: Option<&RobotLogMapping>,
 ) -> Result<RobotLog, LogError> {
-    let bag = match format {
-        LogFormat::Ros2Db3 => sqlite_bag::read(bytes, path)?,
-        _ => mcap_bag::read(bytes, path)?,
-    };
-    let (topic, names) = choose(&bag, path, mapping)?;
+    let bag = Bag::open(bytes, path, format)?;
+    let topic = mapping.and_then(|mapping| mapping.topic.as_deref());
+    let (topic, names) = bag.choose(path, topic, &SIX_JOINTS, |found| six_joints(found, mapping))?;
     let meaning = match mapping {
         Some(mapping) => Meaning::new(robot, &mapping.conversion(), names.clone())?,
         None => Meaning::of_controller(robot, AngleUnit::Rad, names.clone(), format, path)?,
     };
     let mut raw = RawLog::new(path, "message");
-    let stamped = topic.messages.iter().all(|message| message.state.stamp_ns != 0);
-    let clock = if stamped { "header.stamp" } else { "receive time of the recorder" };
+    let stamped = topic.is_stamped();
+    let clock = clock_name(stamped);
     raw.clock = mapping.and_then(|mapping| mapping.clock.clone()).unwrap_or_else(|| clock.into());
     raw.origin = mapping.and_then(|mapping| mapping.values).unwrap_or(Origin::Measured);
     raw.remarks.clone_from(&bag.remarks);
     raw.force = mapping.and_then(|mapping| mapping.force.as_ref()).map(|_| ForceKind::JointTorques);
     if !stamped {
-        raw.remarks.push("messages without header.stamp: the time of their reception jitters".into());
+        raw.remarks.push(UNSTAMPED.into());
     }
     let to_rad = units(mapping);
     for message in &topic.messages {
@@ -154,58 +96,11 @@ fn row(message: &Message, names: &[String; 6], to_rad: &[f64; 6], stamped: bool)
     let whole = |values: [f64; 6]| values.iter().all(|value| value.is_finite()).then_some(values);
     RawRow {
         place: message.number,
-        stamp_ns: if stamped { state.stamp_ns } else { message.recorded_ns },
+        stamp_ns: message.stamp_ns(stamped),
         joints: scaled(&state.position),
         speeds: whole(scaled(&state.velocity)),
         torques: whole(values(&state.effort)),
         force: None,
-    }
-}
-
-/// The topic that has all six joints, and what they are called there.
-fn choose<'a>(
-    bag: &'a Bag,
-    path: &Path,
-    mapping: Option<&RobotLogMapping>,
-) -> Result<(&'a Topic, [String; 6]), LogError> {
-    let content = |problem: String, remedy: &str| LogError::Content {
-        path: path.to_owned(),
-        problem,
-        remedy: remedy.into(),
-    };
-    let wanted = mapping.and_then(|mapping| mapping.topic.as_deref());
-    let topics: Vec<&Topic> =
-        bag.topics.iter().filter(|topic| wanted.is_none_or(|wanted| topic.name == wanted)).collect();
-    let with_joints: Vec<(&Topic, [String; 6])> = topics
-        .iter()
-        .filter_map(|topic| Some((*topic, six_joints(&topic.joint_names(), mapping)?)))
-        .collect();
-    match with_joints.as_slice() {
-        [one] => Ok(one.clone()),
-        [] if topics.is_empty() => Err(content(
-            match wanted {
-                Some(wanted) => format!("no sensor_msgs/JointState on topic {wanted}"),
-                None => "no messages of type sensor_msgs/JointState".into(),
-            },
-            "record the topic /joint_states",
-        )),
-        [] => {
-            let found: Vec<String> = topics
-                .iter()
-                .map(|topic| format!("{}: {}", topic.name, topic.joint_names().join(", ")))
-                .collect();
-            Err(content(
-                format!("no topic has the six joints of one robot; there are {}", found.join("; ")),
-                "name joints 1 to 6 with [[joints]] column = \"...\" in a mapping file (--log-mapping)",
-            ))
-        }
-        several => {
-            let names: Vec<&str> = several.iter().map(|(topic, _)| topic.name.as_str()).collect();
-            Err(content(
-                format!("several topics have six joints: {}", names.join(", ")),
-                "choose with topic = \"...\" in a mapping file (--log-mapping)",
-            ))
-        }
     }
 }
 

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use rusqlite::{Connection, MAIN_DB};
 
-use super::Bag;
+use super::bag::Bag;
 use crate::logs::LogError;
 
 /// Where the header of an SQLite file says how it is written, and the value for a rollback journal.

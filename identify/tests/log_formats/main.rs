@@ -1,12 +1,16 @@
-//! Robot logs in the forms that people have them: mapped tables, RTDE, RSI; what is odd in them is dropped and told.
+//! Robot logs in the forms that people have them: mapped tables, RTDE, RSI; what is odd in them is dropped and told. The
+//! bar's side in `bar_log`, damage of every kind in `any_bytes`.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+mod any_bytes;
+mod bags;
+mod bar_log;
+#[path = "../support/mod.rs"]
 mod support;
 
 use std::path::Path;
 
 use identify::logs::{LogError, LogFormat, LogOptions, Origin, RobotLog, RobotLogMapping, read_with};
-use proptest::prelude::*;
 use shared::config::{self, RobotConfig};
 use support::irb2400;
 
@@ -248,51 +252,5 @@ fn impossible_mappings_are_refused_by_key() {
         let told =
             config::parse::<RobotLogMapping>(&format!("{text}{joints}"), Path::new("m.toml")).unwrap_err();
         assert!(told.to_string().contains(&format!("`{key}`")), "{told}");
-    }
-}
-
-/// Reads any bytes as every format; the refusal has words.
-fn read_as_everything(bytes: &[u8]) {
-    let robot = irb120();
-    let formats = [
-        LogFormat::Csv,
-        LogFormat::UrRtde,
-        LogFormat::Ros2Mcap,
-        LogFormat::Ros2Db3,
-        LogFormat::Egm,
-        LogFormat::Rsi,
-    ];
-    for mapping in [None, Some(shipped_mapping())] {
-        for format in formats {
-            let options = LogOptions { format: Some(format), mapping: mapping.clone() };
-            if let Err(error) = read_with(bytes, Path::new("log"), &robot, &options) {
-                assert!(error.to_string().len() > 10);
-            }
-        }
-    }
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
-
-    #[test]
-    fn no_bytes_make_a_reader_panic(bytes in prop::collection::vec(any::<u8>(), 0..400)) {
-        read_as_everything(&bytes);
-    }
-
-    #[test]
-    fn no_damage_to_a_log_makes_a_reader_panic(
-        which in 0_usize..2,
-        flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..6),
-        cut in any::<prop::sample::Index>(),
-    ) {
-        let text = [telegrams(60, 4), german_table(60)][which].clone();
-        let mut bytes = text.into_bytes();
-        for (at, byte) in flips {
-            let at = at.index(bytes.len());
-            bytes[at] = byte;
-        }
-        bytes.truncate(cut.index(bytes.len()) + 1);
-        read_as_everything(&bytes);
     }
 }

@@ -1,0 +1,27 @@
+//! The bar's encoders as another program recorded them.
+
+use super::recording::{encoders, motion, quality};
+use super::{Inspection, stamps};
+use crate::logs::OtherBarLog;
+
+/// What a table or a bag holds of the bar.
+pub fn bar_log(log: &OtherBarLog) -> Inspection {
+    let mut inspection = Inspection::default();
+    inspection.fact("the bar", log.kind);
+    let times = log.cycles.first().zip(log.cycles.last());
+    let seconds = times.map_or(0.0, |(first, last)| last.sample_time.seconds_since(first.sample_time));
+    inspection.fact("length", format!("{seconds:.1} s, {} rows", log.cycles.len()));
+    if let (true, Some((first, _))) = (log.is_dated, times) {
+        inspection.fact("begins", first.sample_time.to_string());
+    }
+    inspection.fact("clock", log.clock.clone());
+    encoders(&mut inspection, &log.encoders);
+    stamps(&mut inspection, &log.quality);
+    inspection.fact("not in the file", log.unknown.join("; "));
+    quality(&mut inspection, &log.cycles);
+    for remark in &log.quality.remarks {
+        inspection.suspect(remark.clone());
+    }
+    motion(&mut inspection, &log.cycles, &log.encoders);
+    inspection
+}

@@ -1,0 +1,117 @@
+//! Encoders of the bar as joints of `sensor_msgs/JointState` in a ROS 2 bag.
+
+use std::path::Path;
+
+use shared::config::BallBarConfig;
+use shared::recording::schema::MAX_ENCODERS;
+
+use super::mapping::{BarLogMapping, EncoderUnit};
+use super::samples::{Kind, RawBarLog, RawRow, Reading};
+use super::{LogError, LogFormat, OtherBarLog};
+use crate::kinematics::BAR_JOINTS;
+use crate::logs::ros::{Bag, UNSTAMPED, Wanted, clock_name};
+
+/// What `ballbard` calls its joints; a prefix such as `ball_` may stand before all.
+const USUAL: &str = "bar_joint_";
+
+const WANTED: Wanted = Wanted {
+    what: "the bar's encoders",
+    remedy: "their joints are called bar_joint_1 to 5, one for each encoder of the bar's configuration, or what \
+             [[encoders]] joint = 1, column = \"...\" says in a mapping file (--recording-mapping)",
+    choose: "choose with topic = \"...\" in a mapping file (--recording-mapping)",
+    record: "record the topic on which the encoders are published",
+};
+
+/// Reads a bag.
+pub(super) fn read(
+    bytes: &[u8],
+    path: &Path,
+    bar: &BallBarConfig,
+    format: LogFormat,
+    mapping: Option<&BarLogMapping>,
+) -> Result<OtherBarLog, LogError> {
+    let bag = Bag::open(bytes, path, format)?;
+    let topic = mapping.and_then(|mapping| mapping.topic.as_deref());
+    let (topic, names) = bag.choose(path, topic, &WANTED, |found| encoders(found, bar, mapping))?;
+    let wraps_at = BarLogMapping::wraps_at_of(mapping);
+    let reading = |(joint, name, unit): &(u8, String, EncoderUnit)| {
+        Reading::new(*joint, *unit, wraps_at, bar, (path, name))
+    };
+    let readings = names.iter().map(reading).collect::<Result<Vec<Reading>, LogError>>()?;
+    let stamped = topic.is_stamped();
+    let kind = Kind {
+        name: "ROS 2 bag with JointState",
+        row: "message",
+        tells_validity: false,
+        tells_origins: false,
+        is_dated: true,
+    };
+    let mut raw = RawBarLog::new(path, kind, readings.clone());
+    bag.remarks.iter().for_each(|remark| raw.remark(remark));
+    if !stamped {
+        raw.remark(UNSTAMPED);
+    }
+    for message in &topic.messages {
+        let state = &message.state;
+        let mut row = RawRow {
+            place: message.number,
+            stamp_ns: message.stamp_ns(stamped),
+            valid: [true; MAX_ENCODERS],
+            ..RawRow::default()
+        };
+        let mut is_of_bar = false;
+        for (count, ((_, name, _), reading)) in row.counts.iter_mut().zip(names.iter().zip(&readings)) {
+            let place = state.names.iter().position(|other| other == name);
+            is_of_bar |= place.is_some();
+            let value = place.and_then(|place| state.position.get(place)).copied();
+            *count = value.and_then(|value| count_of(value, reading));
+        }
+        // Others may publish on the same topic.
+        if is_of_bar {
+            raw.push(row)?;
+        }
+    }
+    let clock = mapping.and_then(|mapping| mapping.clock.clone());
+    raw.finish(clock.unwrap_or_else(|| clock_name(stamped).into()))
+}
+
+/// What is no count or angle is no value: drivers publish NaN where they have none.
+fn count_of(value: f64, reading: &Reading) -> Option<i64> {
+    /// Whole numbers are exact up to here.
+    const EXACT: f64 = 9_007_199_254_740_992.0;
+    if reading.is_counts() {
+        return (value.fract() == 0.0 && value.abs() <= EXACT).then_some(value as i64);
+    }
+    reading.count_of_angle(value)
+}
+
+/// Joint, name and unit of each encoder, in the order of the bar's configuration or of the mapping, if all are there.
+fn encoders(
+    found: &[&str],
+    bar: &BallBarConfig,
+    mapping: Option<&BarLogMapping>,
+) -> Option<Vec<(u8, String, EncoderUnit)>> {
+    if let Some(mapping) = mapping {
+        let named = mapping
+            .encoders
+            .iter()
+            .map(|encoder| (encoder.joint, encoder.column.clone(), encoder.unit.unwrap_or(EncoderUnit::Rad)));
+        let named: Vec<_> = named.collect();
+        let all = named.iter().all(|(_, name, _)| found.contains(&name.as_str()));
+        return all.then_some(named);
+    }
+    let usual = |prefix: &str, joint: u8| format!("{prefix}{USUAL}{joint}");
+    let prefixes = found.iter().flat_map(|name| {
+        (1..=BAR_JOINTS).filter_map(move |joint| name.strip_suffix(&format!("{USUAL}{joint}")))
+    });
+    let mut prefixes: Vec<&str> = prefixes.collect();
+    prefixes.sort_unstable();
+    prefixes.dedup();
+    // Two bars in one topic: which is meant must be said.
+    let [prefix] = prefixes[..] else { return None };
+    let named = bar.encoders.iter().map(|encoder| {
+        let name = usual(prefix, encoder.joint);
+        found.contains(&name.as_str()).then_some((encoder.joint, name, EncoderUnit::Rad))
+    });
+    named.collect()
+}

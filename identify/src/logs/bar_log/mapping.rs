@@ -1,0 +1,96 @@
+//! A TOML file that says how to read the bar's encoders from a file of another program: `config/bar_log.toml` explains each
+//! key.
+
+use serde::{Deserialize, Serialize};
+use shared::config::{Validate, Violation};
+
+use crate::kinematics::BAR_JOINTS;
+use crate::logs::mapping::{CsvLayout, TimeColumn};
+
+/// Counters narrower than this cannot be followed, and none is wider than 64 bits.
+const WRAPS_AT_MIN: u64 = 1 << 10;
+/// What an EL5021 counts before it begins anew.
+const WRAPS_AT: u64 = 1 << 32;
+
+/// Unit of an encoder's values.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EncoderUnit {
+    /// Raw counts; the bar's configuration says how many make a turn and which way they run.
+    Counts,
+    /// Angles in radians.
+    Rad,
+    /// Angles in degrees.
+    Deg,
+}
+
+/// Where the values of one encoder are.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EncoderColumn {
+    /// Bar joint that it measures, 1 to 5.
+    pub joint: u8,
+    /// Name in the header of a table, or of the joint in a ROS 2 bag.
+    pub column: String,
+    /// Unit; absent: counts in a table, radians in a bag.
+    pub unit: Option<EncoderUnit>,
+    /// Column that is zero (or empty) where the value is not to be used.
+    pub valid: Option<String>,
+}
+
+/// How to read the bar's encoders.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct BarLogMapping {
+    /// Name of the clock that made the stamps.
+    pub clock: Option<String>,
+    /// Topic of a bag, where it has several with the bar's joints.
+    pub topic: Option<String>,
+    /// Layout of a text table.
+    #[serde(default)]
+    pub csv: CsvLayout,
+    /// Where the stamps of a table are.
+    pub time: Option<TimeColumn>,
+    /// Counters show the count modulo this number.
+    #[serde(default = "wraps_at")]
+    pub wraps_at: u64,
+    /// The encoders of the file; joints that are left out are not used.
+    pub encoders: Vec<EncoderColumn>,
+}
+
+const fn wraps_at() -> u64 {
+    WRAPS_AT
+}
+
+impl Validate for BarLogMapping {
+    fn validate(&self) -> Result<(), Violation> {
+        self.csv.check()?;
+        if self.wraps_at < WRAPS_AT_MIN {
+            let found = format!("{} is no width of a counter", self.wraps_at);
+            return Err(Violation::new("wraps_at", found, "give the number of its values, such as 65536"));
+        }
+        if self.encoders.is_empty() {
+            let remedy = "write one [[encoders]] block for each encoder of the file";
+            return Err(Violation::new("encoders", "there are none", remedy));
+        }
+        for (index, encoder) in self.encoders.iter().enumerate() {
+            let key = format!("encoders[{index}].joint");
+            if !(1..=BAR_JOINTS as u8).contains(&encoder.joint) {
+                let found = format!("the bar has no joint {}", encoder.joint);
+                return Err(Violation::new(key, found, "use 1 to 3 for the gimbal, 4 and 5 for the cardan"));
+            }
+            if self.encoders[..index].iter().any(|other| other.joint == encoder.joint) {
+                let found = format!("joint {} has two encoders", encoder.joint);
+                return Err(Violation::new(key, found, "list each joint once"));
+            }
+        }
+        Ok(())
+    }
+}
+
+impl BarLogMapping {
+    /// What counters wrap at where no mapping says otherwise.
+    pub(super) fn wraps_at_of(mapping: Option<&Self>) -> u64 {
+        mapping.map_or(WRAPS_AT, |mapping| mapping.wraps_at)
+    }
+}

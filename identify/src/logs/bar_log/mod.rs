@@ -1,0 +1,136 @@
+//! What the encoders of the bar say, whoever recorded it: our own recordings, tables of counters, ROS 2 bags.
+//!
+//! Tables and bags become the records of bus cycles that a recording has, so that everything after this knows one kind of
+//! input only. What such files cannot say (validity of single counts, how certain times are, whether counters started anew)
+//! is not made up: [`OtherBarLog::unknown`] names it.
+
+mod bag;
+mod mapping;
+mod samples;
+mod table;
+
+pub use mapping::{BarLogMapping, EncoderColumn, EncoderUnit};
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use shared::config::BallBarConfig;
+use shared::recording::schema::{CycleRecord, EncoderInfo};
+use shared::recording::{ReadError, ReadErrorKind, Recording};
+
+use super::{LogError, LogFormat, LogQuality, bytes_of};
+
+/// How many bytes of a file tell whether it is a recording.
+const BEGINNING: u64 = 4096;
+
+/// Why the bar's side of a run cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum BarLogError {
+    /// A recording of ours.
+    #[error(transparent)]
+    Recording(#[from] ReadError),
+    /// A table or a bag.
+    #[error(transparent)]
+    Other(#[from] LogError),
+}
+
+/// The bar's side of a run.
+#[derive(Debug, Clone, PartialEq)]
+pub enum BarLog {
+    /// Made by `ballbard` or `identify simulate`.
+    Recording(Box<Recording>),
+    /// Made by another program.
+    Other(Box<OtherBarLog>),
+}
+
+/// Encoders of the bar from a table or a bag.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct OtherBarLog {
+    /// Kind of the file, in words.
+    pub kind: &'static str,
+    /// Name of the clock that made the stamps.
+    pub clock: String,
+    /// Stamps count from 1970; otherwise from an instant that nobody knows.
+    pub is_dated: bool,
+    /// In the order of the file.
+    pub encoders: Vec<EncoderInfo>,
+    /// One for each row or message; those that cannot be used are not valid.
+    pub cycles: Vec<CycleRecord>,
+    /// How good the log is in itself; rows without a value, and frozen ones, are there and not valid.
+    pub quality: LogQuality,
+    /// What the file does not say.
+    pub unknown: Vec<&'static str>,
+}
+
+impl BarLog {
+    /// Reads the file at `path`, whose content tells what kind it is. `bar` says how counts become angles.
+    ///
+    /// # Errors
+    /// Every way in which the file cannot be used.
+    pub fn load(
+        path: &Path,
+        bar: &BallBarConfig,
+        mapping: Option<&BarLogMapping>,
+    ) -> Result<Self, BarLogError> {
+        if is_recording(path)? {
+            return Ok(Self::Recording(Box::new(Recording::open(path)?)));
+        }
+        let other = OtherBarLog::read(&bytes_of(path)?, path, bar, mapping)?;
+        Ok(Self::Other(Box::new(other)))
+    }
+
+    /// All cycles, rows or messages.
+    pub fn cycles(&self) -> &[CycleRecord] {
+        match self {
+            Self::Recording(recording) => &recording.cycles,
+            Self::Other(other) => &other.cycles,
+        }
+    }
+
+    /// Encoders in the order in which each cycle has them.
+    pub fn encoders(&self) -> &[EncoderInfo] {
+        match self {
+            Self::Recording(recording) => &recording.run.encoders,
+            Self::Other(other) => &other.encoders,
+        }
+    }
+}
+
+/// Whether a file is a recording of ours, also a damaged one: it is never read as a bag of others then.
+///
+/// # Errors
+/// [`ReadErrorKind::Io`] where it cannot be read.
+pub fn is_recording(path: &Path) -> Result<bool, ReadError> {
+    let mut beginning = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(BEGINNING).read_to_end(&mut beginning));
+    read.map_err(|source| ReadError { path: path.to_owned(), kind: ReadErrorKind::Io(source) })?;
+    Ok(Recording::is_begun_by(&beginning))
+}
+
+impl OtherBarLog {
+    /// Reads a table or a bag from memory; `path` is only named in errors.
+    ///
+    /// # Errors
+    /// Every way in which the file cannot be used, see [`LogError`].
+    pub fn read(
+        bytes: &[u8],
+        path: &Path,
+        bar: &BallBarConfig,
+        mapping: Option<&BarLogMapping>,
+    ) -> Result<Self, LogError> {
+        match LogFormat::detect(bytes, path) {
+            Ok(format @ (LogFormat::Ros2Mcap | LogFormat::Ros2Db3)) => {
+                bag::read(bytes, path, bar, format, mapping)
+            }
+            Ok(LogFormat::Csv) => table::read(bytes, path, bar, mapping),
+            Ok(_) | Err(LogError::UnknownFormat { .. }) => Err(LogError::NoBarLog { path: path.to_owned() }),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Whether a text has the columns of the bar's encoders by their usual names: it is no robot's log then.
+    pub fn is_usual_table(bytes: &[u8]) -> bool {
+        table::has_usual_columns(bytes)
+    }
+}

@@ -1,0 +1,357 @@
+//! Rows of a table or a bag, judged as a whole, to the records of bus cycles.
+
+use std::f64::consts::TAU;
+use std::path::{Path, PathBuf};
+
+use shared::config::BallBarConfig;
+use shared::encoder::{Direction, EncoderScale, wrap};
+use shared::recording::schema::{CycleRecord, EncoderInfo, EncoderSample, MAX_ENCODERS, flags};
+use shared::time::UtcNs;
+
+use super::OtherBarLog;
+use super::mapping::EncoderUnit;
+use crate::logs::writer::seconds_text;
+use crate::logs::{LogError, LogQuality};
+
+/// Fewest rows that make a log.
+const ROWS_MIN: usize = 50;
+/// Faster than this no bar is moved by a robot \[rad/s\].
+const SPEED_RAD_S_MAX: f64 = 4.0 * std::f64::consts::PI;
+/// Smaller steps than this are no new origin \[rad\]: times of reception jitter, and rows come close behind each other.
+const JUMP_RAD_MIN: f64 = 0.2;
+/// A row that repeats the counts before it is frozen if they moved further than this before and after \[rad\].
+const FROZEN_STEP_RAD: f64 = 1e-4;
+/// Angles become counts of which so many make a turn: one is 1.5 nrad, and angles that begin anew after each turn are
+/// followed by the same arithmetic that follows counters.
+const ANGLE_SCALE: EncoderScale = EncoderScale {
+    lines: 1 << 24,
+    interpolation_bits: 8,
+    direction: Direction::Positive,
+    offset_rad: 0.0,
+    reference_counts: 0,
+};
+/// Angles further from zero are none \[rad\]: a terminal's counter wraps long before.
+const ANGLE_RAD_MAX: f64 = 1e4;
+
+/// How one encoder of a file is read.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct Reading {
+    pub info: EncoderInfo,
+    unit: EncoderUnit,
+    wraps_at: u64,
+    /// The last count as it was shown, and what it counts to without wraps.
+    last: Option<(i64, i64)>,
+}
+
+impl Reading {
+    /// The encoder of `joint`; `place` is what its values are called in the file.
+    ///
+    /// # Errors
+    /// [`LogError::Content`] where counts are given and the bar's configuration has no encoder there.
+    pub fn new(
+        joint: u8,
+        unit: EncoderUnit,
+        wraps_at: u64,
+        bar: &BallBarConfig,
+        (path, place): (&Path, &str),
+    ) -> Result<Self, LogError> {
+        let scale = match unit {
+            EncoderUnit::Counts => {
+                let configured = bar.encoders.iter().find(|encoder| encoder.joint == joint);
+                let scale = configured.map(shared::config::EncoderConfig::scale);
+                scale.ok_or_else(|| LogError::Content {
+                    path: path.to_owned(),
+                    problem: format!("`{place}` has counts of joint {joint}, and the bar's configuration no encoder there"),
+                    remedy: "give it an [[encoders]] block with lines and interpolation_bits, or leave the column out"
+                        .into(),
+                })?
+            }
+            EncoderUnit::Rad | EncoderUnit::Deg => ANGLE_SCALE,
+        };
+        Ok(Self { info: EncoderInfo { joint, scale }, unit, wraps_at, last: None })
+    }
+
+    /// Whether values are counts.
+    pub fn is_counts(&self) -> bool {
+        self.unit == EncoderUnit::Counts
+    }
+
+    /// What a terminal's counter would show for an angle in the file's unit; none where it is no angle.
+    pub fn count_of_angle(&self, value: f64) -> Option<i64> {
+        let turns = match self.unit {
+            EncoderUnit::Deg => value / 360.0,
+            _ => value / TAU,
+        };
+        let counts = turns * ANGLE_SCALE.counts_per_revolution() as f64;
+        (turns.abs() * TAU <= ANGLE_RAD_MAX).then_some(counts.round() as i64)
+    }
+
+    /// A counter of another width to 32 bits.
+    fn widened(&mut self, shown: i64) -> u32 {
+        let width = i128::from(self.wraps_at);
+        let (before, unwrapped) = self.last.unwrap_or((shown, shown));
+        let half = width / 2;
+        let step = (i128::from(shown) - i128::from(before) + half).rem_euclid(width) - half;
+        let unwrapped = unwrapped.wrapping_add(step as i64);
+        self.last = Some((shown, unwrapped));
+        wrap(unwrapped)
+    }
+}
+
+/// One row of a file.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct RawRow {
+    /// Line or number of the message in the file.
+    pub place: u64,
+    pub stamp_ns: i64,
+    /// Counts as the file has them, in the order of the readings; none where there is no value.
+    pub counts: [Option<i64>; MAX_ENCODERS],
+    /// Whether the file says that the value may be used.
+    pub valid: [bool; MAX_ENCODERS],
+    /// What the file says of the whole row, see [`flags`].
+    pub flags: u32,
+}
+
+impl RawRow {
+    fn is_valid(&self, count: usize) -> bool {
+        self.counts.iter().zip(&self.valid).take(count).all(|(count, valid)| count.is_some() && *valid)
+    }
+}
+
+/// What a file says of itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Kind {
+    /// In words.
+    pub name: &'static str,
+    /// What its rows are called: `line` or `message`.
+    pub row: &'static str,
+    /// It says which values are valid...
+    pub tells_validity: bool,
+    /// ...and where counters started anew: then nothing is concluded from the values.
+    pub tells_origins: bool,
+    /// Stamps count from 1970.
+    pub is_dated: bool,
+}
+
+/// Rows in the order of the file.
+pub(super) struct RawBarLog {
+    path: PathBuf,
+    kind: Kind,
+    readings: Vec<Reading>,
+    rows: Vec<RawRow>,
+    quality: LogQuality,
+}
+
+impl RawBarLog {
+    pub fn new(path: &Path, kind: Kind, readings: Vec<Reading>) -> Self {
+        Self { path: path.to_owned(), kind, readings, rows: Vec::new(), quality: LogQuality::default() }
+    }
+
+    /// What is odd and known already.
+    pub fn remark(&mut self, remark: impl Into<String>) {
+        self.quality.remarks.push(remark.into());
+    }
+
+    /// Takes the next row; one that repeats the row before it is only counted.
+    ///
+    /// # Errors
+    /// [`LogError::TimeNotIncreasing`], but where the file marks its cycles itself.
+    pub fn push(&mut self, row: RawRow) -> Result<(), LogError> {
+        if let Some(before) = self.rows.last() {
+            if row.stamp_ns == before.stamp_ns && row.counts == before.counts {
+                self.quality.duplicates_dropped += 1;
+                return Ok(());
+            }
+            if row.stamp_ns <= before.stamp_ns && !self.kind.tells_origins {
+                return Err(LogError::TimeNotIncreasing {
+                    path: self.path.clone(),
+                    what: self.kind.row,
+                    line: row.place,
+                    before_line: before.place,
+                    before_s: seconds_text(before.stamp_ns),
+                    after_s: seconds_text(row.stamp_ns),
+                });
+            }
+        }
+        self.rows.push(row);
+        Ok(())
+    }
+
+    /// Judges the whole.
+    ///
+    /// # Errors
+    /// [`LogError::TooFewRows`], and [`LogError::Content`] where counters wrap elsewhere than is known.
+    pub fn finish(mut self, clock: String) -> Result<OtherBarLog, LogError> {
+        let usable = self.rows.iter().filter(|row| row.is_valid(self.readings.len())).count();
+        if usable < ROWS_MIN {
+            return Err(LogError::TooFewRows { path: self.path, rows: usable, needed: ROWS_MIN });
+        }
+        for place in 0..self.readings.len() {
+            self.check_wrap(place)?;
+        }
+        self.quality.incomplete_dropped = if self.kind.tells_validity { 0 } else { self.rows.len() - usable };
+        let mut cycles = self.cycles();
+        if !self.kind.tells_origins {
+            self.mark_frozen(&mut cycles);
+            self.mark_origins(&mut cycles);
+        }
+        self.judge_stamps();
+        self.tell();
+        let Kind { name, is_dated, .. } = self.kind;
+        let unknown = self.unknown();
+        let encoders = self.readings.iter().map(|reading| reading.info).collect();
+        Ok(OtherBarLog { kind: name, clock, is_dated, encoders, cycles, quality: self.quality, unknown })
+    }
+
+    fn cycles(&mut self) -> Vec<CycleRecord> {
+        let mut cycles = Vec::with_capacity(self.rows.len());
+        for (row, cycle) in self.rows.iter().zip(0..) {
+            let mut encoders = [EncoderSample::default(); MAX_ENCODERS];
+            for (place, (sample, reading)) in encoders.iter_mut().zip(&mut self.readings).enumerate() {
+                let shown = row.counts[place];
+                sample.joint = reading.info.joint;
+                sample.valid = shown.is_some() && row.valid[place];
+                sample.count = shown.filter(|_| row.valid[place]).map_or(0, |shown| reading.widened(shown));
+            }
+            cycles.push(CycleRecord {
+                cycle,
+                sample_time: UtcNs(row.stamp_ns),
+                flags: row.flags,
+                encoder_count: self.readings.len() as u8,
+                encoders,
+                ..CycleRecord::default()
+            });
+        }
+        cycles
+    }
+
+    /// Steps of all encoders from each valid cycle to the next \[rad\], with the indices of both.
+    fn steps(&self, cycles: &[CycleRecord]) -> Vec<(usize, usize, Vec<f64>)> {
+        let valid: Vec<usize> = (0..cycles.len()).filter(|index| cycles[*index].is_valid()).collect();
+        let step = |pair: &[usize]| {
+            let (before, after) = (&cycles[pair[0]], &cycles[pair[1]]);
+            let samples = before.encoders().iter().zip(after.encoders()).zip(&self.readings);
+            let steps = samples.map(|((before, after), reading)| {
+                let counts = after.count.wrapping_sub(before.count) as i32;
+                f64::from(counts) * reading.info.scale.rad_per_count()
+            });
+            (pair[0], pair[1], steps.collect())
+        };
+        valid.windows(2).map(step).collect()
+    }
+
+    /// Loggers that run faster than their source give the same counts again under a new stamp, in the middle of a motion.
+    fn mark_frozen(&mut self, cycles: &mut [CycleRecord]) {
+        let steps = self.steps(cycles);
+        let largest = |steps: &[f64]| steps.iter().fold(0.0_f64, |most, step| most.max(step.abs()));
+        let mut moved = false;
+        let mut held: Vec<usize> = Vec::new();
+        for (_, after, step) in &steps {
+            if step.iter().all(|step| *step == 0.0) {
+                held.push(*after);
+                continue;
+            }
+            let moves = largest(step) > FROZEN_STEP_RAD;
+            if moved && moves {
+                self.quality.frozen_dropped += held.len();
+                for index in &held {
+                    let cycle = &mut cycles[*index];
+                    cycle.flags |= flags::STALE_INPUT;
+                    cycle.encoders.iter_mut().for_each(|sample| sample.valid = false);
+                }
+            }
+            held.clear();
+            moved = moves;
+        }
+    }
+
+    /// A terminal that lost power begins anew at some count: all its neighbours do, too. One encoder alone that jumps has
+    /// slipped, which is not a thing to be mended here.
+    fn mark_origins(&mut self, cycles: &mut [CycleRecord]) {
+        for (before, after, step) in self.steps(cycles) {
+            let apart_s = cycles[after].sample_time.seconds_since(cycles[before].sample_time);
+            let limit_rad = JUMP_RAD_MIN.max(SPEED_RAD_S_MAX * apart_s);
+            let jumps = step.iter().filter(|step| step.abs() > limit_rad).count();
+            if jumps >= 2 {
+                cycles[after].flags |= flags::ORIGIN_CHANGED;
+                self.quality.remarks.push(format!(
+                    "at {} {} {jumps} encoders jump at once: taken for counters that started anew",
+                    self.kind.row, self.rows[after].place
+                ));
+            }
+        }
+    }
+
+    /// A counter that is narrower than said jumps by its whole width where it wraps.
+    fn check_wrap(&self, place: usize) -> Result<(), LogError> {
+        let Some(reading) = self.readings.get(place).filter(|reading| reading.is_counts()) else {
+            return Ok(());
+        };
+        let valid = self.rows.iter().filter(|row| row.is_valid(self.readings.len()));
+        let shown: Vec<(u64, i128)> =
+            valid.filter_map(|row| Some((row.place, i128::from(row.counts[place]?)))).collect();
+        let low = shown.iter().map(|(_, count)| *count).min().unwrap_or_default();
+        let high = shown.iter().map(|(_, count)| *count).max().unwrap_or_default();
+        for width in [1 << 16, i128::from(reading.info.scale.counts_per_revolution()), 1 << 24] {
+            let within = low >= 0 && high < width || low >= -width / 2 && high < width / 2;
+            if width >= i128::from(reading.wraps_at) || !within || 4 * (high - low) < 3 * width {
+                continue;
+            }
+            let jump = shown.windows(2).find(|pair| (pair[1].1 - pair[0].1).abs() > width / 2);
+            if let Some([_, (line, _)]) = jump {
+                return Err(LogError::Content {
+                    path: self.path.clone(),
+                    problem: format!(
+                        "the counts of joint {} stay within {width} values and jump by most of them at {} {line}: this \
+                         counter wraps there",
+                        reading.info.joint, self.kind.row
+                    ),
+                    remedy: format!("write wraps_at = {width} into the mapping file (--recording-mapping)"),
+                });
+            }
+        }
+        Ok(())
+    }
+
+    fn judge_stamps(&mut self) {
+        let stamps = self.rows.windows(2).map(|pair| {
+            // 128 bits: two stamps may be further apart than 292 years.
+            (i128::from(pair[1].stamp_ns) - i128::from(pair[0].stamp_ns)) as f64 * 1e-9
+        });
+        let mut steps_s: Vec<f64> = stamps.collect();
+        steps_s.sort_by(f64::total_cmp);
+        self.quality.period_s = steps_s.get(steps_s.len() / 2).copied().unwrap_or_default();
+        self.quality.longest_gap_s = steps_s.last().copied().unwrap_or_default();
+    }
+
+    fn tell(&mut self) {
+        let LogQuality { duplicates_dropped, frozen_dropped, incomplete_dropped, .. } = self.quality;
+        for (count, what) in [
+            (duplicates_dropped, "repeat the one before them, stamp and counts; they are dropped"),
+            (
+                frozen_dropped,
+                "repeat the counts before them in the middle of a motion; they are marked and not used",
+            ),
+            (incomplete_dropped, "lack a value of an encoder; they are marked and not used"),
+        ] {
+            if count > 0 {
+                self.remark(format!("{count} {}s {what}", self.kind.row));
+            }
+        }
+    }
+
+    fn unknown(&self) -> Vec<&'static str> {
+        let Kind { tells_validity, tells_origins, is_dated, .. } = self.kind;
+        let mut unknown = vec!["how certain its times are"];
+        for (known, what) in [
+            (tells_validity, "which values are not valid"),
+            (tells_origins, "where counters started anew"),
+            (is_dated, "the date of its stamps"),
+        ] {
+            if !known {
+                unknown.push(what);
+            }
+        }
+        unknown
+    }
+}

@@ -1,0 +1,234 @@
+//! Encoders of the bar from a text table: what `ballbard export --csv` writes, the thesis' counters, what a mapping names.
+
+use std::path::Path;
+
+use shared::config::BallBarConfig;
+use shared::recording::schema::{MAX_ENCODERS, flags};
+
+use super::mapping::{BarLogMapping, EncoderUnit};
+use super::samples::{Kind, RawBarLog, RawRow, Reading};
+use super::{LogError, OtherBarLog};
+use crate::kinematics::BAR_JOINTS;
+use crate::logs::csv_text::{
+    Column, Format, Row, Table, comments, decode, delimiter_of_header, header_line, open_mapped,
+};
+use crate::logs::mapping::{TimeColumn, TimeUnit};
+use crate::logs::stamp::stamp_ns;
+
+/// Usual names of the time column and what is in it.
+const TIMES: [(&str, TimeUnit); 2] = [("time_utc", TimeUnit::DateTime), ("t_s", TimeUnit::S)];
+/// Usual names of an encoder's column, before the joint and after it.
+const VALUES: [(&str, &str, EncoderUnit); 3] = [
+    ("count", "", EncoderUnit::Counts),
+    ("angle", "_rad", EncoderUnit::Rad),
+    ("angle", "_deg", EncoderUnit::Deg),
+];
+const REMEDY: &str = "Name the columns as `ballbard export --csv` does (`time_utc` or `t_s`, `count1` to `count5`), or say \
+                      with --recording-mapping which hold what.";
+
+/// The columns of one encoder.
+struct Encoder {
+    value: Column,
+    valid: Option<Column>,
+    reading: Reading,
+}
+
+/// The columns that are read.
+struct Layout {
+    time: Column,
+    time_unit: TimeUnit,
+    encoders: Vec<Encoder>,
+    flags: Option<Column>,
+}
+
+/// Reads a table.
+pub(super) fn read(
+    bytes: &[u8],
+    path: &Path,
+    bar: &BallBarConfig,
+    mapping: Option<&BarLogMapping>,
+) -> Result<OtherBarLog, LogError> {
+    let text = decode(bytes, path)?;
+    let (mut table, layout) = match mapping {
+        Some(mapping) => {
+            let mut table = open_mapped(text, path, &mapping.csv)?;
+            let layout = mapped(&table, path, bar, mapping)?;
+            for _ in 0..mapping.csv.unit_lines {
+                // Whatever stands there is not numbers.
+                let _ = table.next_row();
+            }
+            (table, layout)
+        }
+        None => {
+            let format = Format { delimiter: delimiter_of_header(text), decimal_comma: false };
+            let table = Table::open(text, path, format)?;
+            let layout = usual(&table, path, bar)?;
+            (table, layout)
+        }
+    };
+    let kind = Kind {
+        name: if layout.flags.is_some() { "table of `ballbard export`" } else { "table" },
+        row: "line",
+        tells_validity: layout.encoders.iter().all(|encoder| encoder.valid.is_some()),
+        tells_origins: layout.flags.is_some(),
+        is_dated: matches!(layout.time_unit, TimeUnit::DateTime | TimeUnit::Filetime),
+    };
+    let readings = layout.encoders.iter().map(|encoder| encoder.reading).collect();
+    let mut raw = RawBarLog::new(path, kind, readings);
+    while let Some(row) = table.next_row() {
+        raw.push(layout.read(&table, &row?)?)?;
+    }
+    let declared = comments(text).find(|(key, _)| key == "clock").map(|(_, value)| value.to_owned());
+    let clock = mapping.and_then(|mapping| mapping.clock.clone()).or(declared);
+    raw.finish(clock.unwrap_or_else(|| layout.time.name.clone()))
+}
+
+/// Whether the header of a text names a counter or angle of the bar.
+pub(super) fn has_usual_columns(bytes: &[u8]) -> bool {
+    let Ok(text) = decode(bytes, Path::new("")) else { return false };
+    let header = header_line(text);
+    let mut cells = header.split([',', ';', '\t']).map(|cell| cell.trim().trim_matches('"'));
+    let is_value = |cell: &str| (1..=BAR_JOINTS).any(|joint| value_of(cell, joint).is_some());
+    cells.any(is_value)
+}
+
+/// The unit of a column, if its name is usual for a joint's encoder.
+fn value_of(name: &str, joint: usize) -> Option<EncoderUnit> {
+    let of = VALUES.iter().find(|(before, after, _)| name == format!("{before}{joint}{after}"));
+    of.map(|(.., unit)| *unit)
+}
+
+fn usual(table: &Table<'_>, path: &Path, bar: &BallBarConfig) -> Result<Layout, LogError> {
+    let (time, time_unit) =
+        TIMES.into_iter().find(|(name, _)| table.has(name)).unwrap_or(("time_utc", TimeUnit::DateTime));
+    let mut encoders = Vec::new();
+    for joint in 1..=BAR_JOINTS {
+        // The file may have counts and angles; the counts are the whole truth.
+        let names = VALUES.map(|(before, after, unit)| (format!("{before}{joint}{after}"), unit));
+        let configured = bar.encoders.iter().any(|encoder| usize::from(encoder.joint) == joint);
+        let Some((name, unit)) = names.iter().find(|(name, _)| table.has(name)) else {
+            if configured {
+                let remedy = format!(
+                    "The bar's configuration has an encoder on joint {joint}; take its [[encoders]] block out if it \
+                     was not mounted. {REMEDY}"
+                );
+                table.column(&names[0].0, &remedy)?;
+            }
+            continue;
+        };
+        let wraps_at = BarLogMapping::wraps_at_of(None);
+        let valid = format!("valid{joint}");
+        encoders.push(Encoder {
+            value: table.column(name, REMEDY)?,
+            valid: if table.has(&valid) { Some(table.column(&valid, REMEDY)?) } else { None },
+            reading: Reading::new(joint as u8, *unit, wraps_at, bar, (path, name))?,
+        });
+    }
+    encoders.sort_by_key(|encoder| encoder.value.index);
+    let flags = if table.has("flags") { Some(table.column("flags", REMEDY)?) } else { None };
+    Ok(Layout { time: table.column(time, REMEDY)?, time_unit, encoders, flags })
+}
+
+fn mapped(
+    table: &Table<'_>,
+    path: &Path,
+    bar: &BallBarConfig,
+    mapping: &BarLogMapping,
+) -> Result<Layout, LogError> {
+    let remedy = "Correct the name in the mapping file.";
+    let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
+    let mut encoders = Vec::new();
+    for encoder in &mapping.encoders {
+        let unit = encoder.unit.unwrap_or(EncoderUnit::Counts);
+        let valid = encoder.valid.as_ref().map(|name| table.column(name, remedy)).transpose()?;
+        encoders.push(Encoder {
+            value: table.column(&encoder.column, remedy)?,
+            valid,
+            reading: Reading::new(encoder.joint, unit, mapping.wraps_at, bar, (path, &encoder.column))?,
+        });
+    }
+    Ok(Layout { time: table.column(&time.column, remedy)?, time_unit: time.unit, encoders, flags: None })
+}
+
+impl Layout {
+    fn read(&self, table: &Table<'_>, row: &Row) -> Result<RawRow, LogError> {
+        let mut read = RawRow {
+            place: row.line,
+            stamp_ns: stamp_ns(table, row, &self.time, self.time_unit)?,
+            valid: [true; MAX_ENCODERS],
+            ..RawRow::default()
+        };
+        let slots = read.counts.iter_mut().zip(&mut read.valid);
+        for (encoder, (count, valid)) in self.encoders.iter().zip(slots) {
+            *count = encoder.count(table, row)?;
+            if let Some(column) = &encoder.valid {
+                *valid = is_true(table, row, column)?;
+            }
+        }
+        if let Some(column) = &self.flags {
+            read.flags = flags_of(table, row, column)?;
+        }
+        Ok(read)
+    }
+}
+
+impl Encoder {
+    /// None where the cell is empty or says that it is no number.
+    fn count(&self, table: &Table<'_>, row: &Row) -> Result<Option<i64>, LogError> {
+        let text = table.text(row, &self.value);
+        if text.is_empty() || text.eq_ignore_ascii_case("nan") {
+            return Ok(None);
+        }
+        if self.reading.is_counts() {
+            return self.whole(table, row, text).map(Some);
+        }
+        let value = table.number(row, &self.value)?;
+        let count = self.reading.count_of_angle(value).ok_or_else(|| {
+            let problem = format!("{value} is no angle of a bar");
+            table.bad(row, &self.value, problem, "check the unit of the column")
+        })?;
+        Ok(Some(count))
+    }
+
+    fn whole(&self, table: &Table<'_>, row: &Row, text: &str) -> Result<i64, LogError> {
+        if let Ok(count) = text.parse::<i64>() {
+            return Ok(count);
+        }
+        // Spreadsheets write `1.5E+09`, PLCs `1500000000.0`.
+        let value = table.number(row, &self.value)?;
+        let exact = value.fract() == 0.0 && value.abs() < (1_i64 << f64::MANTISSA_DIGITS) as f64;
+        exact.then_some(value as i64).ok_or_else(|| {
+            let problem = format!("`{text}` is no whole number of counts");
+            table.bad(
+                row,
+                &self.value,
+                problem,
+                "if the column has angles, say so with unit in a mapping file",
+            )
+        })
+    }
+}
+
+fn is_true(table: &Table<'_>, row: &Row, column: &Column) -> Result<bool, LogError> {
+    match table.text(row, column).to_lowercase().as_str() {
+        "1" | "true" => Ok(true),
+        "0" | "false" | "" => Ok(false),
+        other => {
+            let problem = format!("`{other}` says neither valid nor not");
+            Err(table.bad(row, column, problem, "write 1 or 0, true or false"))
+        }
+    }
+}
+
+/// Names of flags as `ballbard export` writes them.
+fn flags_of(table: &Table<'_>, row: &Row, column: &Column) -> Result<u32, LogError> {
+    let mut bits = 0;
+    for word in table.text(row, column).split_whitespace() {
+        let known = flags::NAMES.iter().find(|(_, name)| *name == word);
+        bits |= known.map(|(bit, _)| *bit).ok_or_else(|| {
+            let problem = format!("`{word}` is no flag of a recording");
+            table.bad(row, column, problem, "rename the column if it is not that of `ballbard export`")
+        })?;
+    }
+    Ok(bits)
+}

@@ -1,0 +1,160 @@
+//! What tables of single poses share, whatever was measured there: joints by the columns that a mapping names, the layout
+//! of the text, and reading row by row.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use shared::config::{AngleUnit, Violation};
+
+use super::LogError;
+use super::csv_text::{Column, Format, Row, Table, decode};
+
+/// Fewest rows that make a table.
+const ROWS_MIN: usize = 10;
+/// No joint turns further than this from its zero \[rad\]; more means a wrong unit.
+const JOINT_RAD_MAX: f64 = 4.0 * std::f64::consts::PI;
+
+/// Unit of a length column.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LengthUnit {
+    /// Metres.
+    M,
+    /// Millimetres.
+    Mm,
+}
+
+impl LengthUnit {
+    /// Metres in one unit.
+    pub const fn to_m(self) -> f64 {
+        match self {
+            Self::M => 1.0,
+            Self::Mm => 1e-3,
+        }
+    }
+}
+
+/// The column of one joint: `q = sign * (value * unit - offset)`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct JointColumn {
+    /// Name in the header.
+    pub column: String,
+    /// Unit of its values.
+    pub unit: AngleUnit,
+    /// +1, or -1 where the file counts the other way than the model.
+    #[serde(default = "positive")]
+    pub sign: f64,
+    /// Value of the file at the model's zero \[deg\].
+    #[serde(default)]
+    pub offset_deg: f64,
+}
+
+fn positive() -> f64 {
+    1.0
+}
+
+/// The usual delimiter.
+pub(super) fn comma() -> char {
+    ','
+}
+
+/// A delimiter that can separate the cells; `key` is where it was written.
+pub(super) fn check_format(key: &str, delimiter: char, decimal_comma: bool) -> Result<(), Violation> {
+    if !delimiter.is_ascii() || matches!(delimiter, '"' | '#' | '\n' | '\r') {
+        return Err(Violation::new(
+            key,
+            format!("`{}` cannot separate cells", delimiter.escape_default()),
+            "use \",\", \";\", \" \" or \"\\t\"",
+        ));
+    }
+    if decimal_comma && delimiter == ',' {
+        return Err(Violation::new(
+            key,
+            "a comma separates cells and decimals alike",
+            "files with decimal commas mostly have delimiter = \";\"",
+        ));
+    }
+    Ok(())
+}
+
+/// Six joints with signs and offsets that are some.
+pub(super) fn check_joints(joints: &[JointColumn]) -> Result<(), Violation> {
+    if joints.len() != 6 {
+        return Err(Violation::new(
+            "joints",
+            format!("{} joints are given", joints.len()),
+            "write one [[joints]] block for each of the six joints",
+        ));
+    }
+    for (index, joint) in joints.iter().enumerate() {
+        if joint.sign.abs() != 1.0 {
+            return Err(Violation::new(
+                format!("joints[{index}].sign"),
+                format!("{} is no sign", joint.sign),
+                "write 1 or -1",
+            ));
+        }
+        if !(-360.0..=360.0).contains(&joint.offset_deg) {
+            return Err(Violation::new(
+                format!("joints[{index}].offset_deg"),
+                format!("{} is out of range (at most 360)", joint.offset_deg),
+                "offsets are in degrees",
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// All rows of a table: `find` finds its columns, `read` reads a row of them.
+pub(super) fn rows<C, R>(
+    bytes: &[u8],
+    path: &Path,
+    format: Format,
+    find: impl FnOnce(&Table<'_>) -> Result<C, LogError>,
+    read: impl Fn(&C, &Table<'_>, &Row) -> Result<R, LogError>,
+) -> Result<Vec<R>, LogError> {
+    let mut table = Table::open(decode(bytes, path)?, path, format)?;
+    let columns = find(&table)?;
+    let mut rows = Vec::new();
+    while let Some(row) = table.next_row() {
+        rows.push(read(&columns, &table, &row?)?);
+    }
+    if rows.len() < ROWS_MIN {
+        return Err(LogError::TooFewRows { path: path.to_owned(), rows: rows.len(), needed: ROWS_MIN });
+    }
+    Ok(rows)
+}
+
+/// The joints' columns, found in a file.
+pub(super) struct JointColumns<'a>(Vec<(Column, &'a JointColumn)>);
+
+impl<'a> JointColumns<'a> {
+    pub(super) fn find(table: &Table<'_>, joints: &'a [JointColumn]) -> Result<Self, LogError> {
+        let found = joints.iter().map(|joint| Ok((mapped(table, &joint.column)?, joint)));
+        found.collect::<Result<_, LogError>>().map(Self)
+    }
+
+    /// Joint variables of a row \[rad\].
+    pub(super) fn read(&self, table: &Table<'_>, row: &Row) -> Result<[f64; 6], LogError> {
+        let mut q_rad = [0.0; 6];
+        for (q, (column, joint)) in q_rad.iter_mut().zip(&self.0) {
+            let value_rad = table.number(row, column)? * joint.unit.to_rad();
+            *q = joint.sign * (value_rad - joint.offset_deg.to_radians());
+            if q.abs() > JOINT_RAD_MAX {
+                return Err(table.bad(
+                    row,
+                    column,
+                    format!("{:.1} rad is more than two turns", *q),
+                    "the column looks like degrees: check the joint's unit in the mapping file",
+                ));
+            }
+        }
+        Ok(q_rad)
+    }
+}
+
+/// A column that the mapping names.
+pub(super) fn mapped(table: &Table<'_>, name: &str) -> Result<Column, LogError> {
+    table.column(name, "Correct the column's name in the mapping file, or the header.")
+}

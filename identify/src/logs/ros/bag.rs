@@ -1,0 +1,153 @@
+//! Joint states of a bag, topic by topic.
+
+use std::path::Path;
+use std::rc::Rc;
+
+use super::joint_state::JointState;
+use super::{mcap_bag, sqlite_bag};
+use crate::logs::{LogError, LogFormat};
+
+/// Messages of one topic, in the order of the bag.
+pub(in crate::logs) struct Topic {
+    pub name: String,
+    pub messages: Vec<Message>,
+}
+
+/// A joint state and where and when it was recorded.
+pub(in crate::logs) struct Message {
+    /// Number within its topic, from 1.
+    pub number: u64,
+    pub recorded_ns: i64,
+    pub state: JointState,
+}
+
+/// Joint states of a bag, and what is odd about the bag itself.
+#[derive(Default)]
+pub(in crate::logs) struct Bag {
+    pub topics: Vec<Topic>,
+    pub remarks: Vec<String>,
+}
+
+/// Joints that are looked for, in words.
+pub(in crate::logs) struct Wanted {
+    /// Such as `the six joints of one robot`.
+    pub what: &'static str,
+    /// What to do where no topic has them.
+    pub remedy: &'static str,
+    /// What to do where several have.
+    pub choose: &'static str,
+    /// Where there is nothing at all.
+    pub record: &'static str,
+}
+
+impl Bag {
+    /// Reads the joint states of a bag.
+    pub fn open(bytes: &[u8], path: &Path, format: LogFormat) -> Result<Self, LogError> {
+        match format {
+            LogFormat::Ros2Db3 => sqlite_bag::read(bytes, path),
+            _ => mcap_bag::read(bytes, path),
+        }
+    }
+
+    pub(super) fn topic(&mut self, name: &str) -> &mut Topic {
+        let index = self.topics.iter().position(|topic| topic.name == name).unwrap_or_else(|| {
+            self.topics.push(Topic { name: name.to_owned(), messages: Vec::new() });
+            self.topics.len() - 1
+        });
+        &mut self.topics[index]
+    }
+
+    /// The one topic that has what is wanted, and what `names_of` makes of the names of its joints. With `topic`, only that
+    /// one is looked at.
+    pub fn choose<N>(
+        &self,
+        path: &Path,
+        topic: Option<&str>,
+        wanted: &Wanted,
+        names_of: impl Fn(&[&str]) -> Option<N>,
+    ) -> Result<(&Topic, N), LogError> {
+        let content = |problem: String, remedy: &str| LogError::Content {
+            path: path.to_owned(),
+            problem,
+            remedy: remedy.into(),
+        };
+        let topics: Vec<&Topic> =
+            self.topics.iter().filter(|one| topic.is_none_or(|topic| one.name == topic)).collect();
+        let mut with_joints: Vec<(&Topic, N)> =
+            topics.iter().filter_map(|topic| Some((*topic, names_of(&topic.joint_names())?))).collect();
+        if with_joints.len() > 1 {
+            let names: Vec<&str> = with_joints.iter().map(|(topic, _)| topic.name.as_str()).collect();
+            let problem = format!("several topics have {}: {}", wanted.what, names.join(", "));
+            return Err(content(problem, wanted.choose));
+        }
+        if let Some(one) = with_joints.pop() {
+            return Ok(one);
+        }
+        if topics.is_empty() {
+            let problem = match topic {
+                Some(topic) => format!("no sensor_msgs/JointState on topic {topic}"),
+                None => "no messages of type sensor_msgs/JointState".into(),
+            };
+            return Err(content(problem, wanted.record));
+        }
+        let found = topics.iter().map(|topic| format!("{}: {}", topic.name, topic.joint_names().join(", ")));
+        let found: Vec<String> = found.collect();
+        let problem = format!("no topic has {}; there are {}", wanted.what, found.join("; "));
+        Err(content(problem, wanted.remedy))
+    }
+}
+
+impl Topic {
+    pub(super) fn push(&mut self, recorded_ns: i64, data: &[u8], path: &Path) -> Result<(), LogError> {
+        let number = self.messages.len() as u64 + 1;
+        let state = JointState::decode(data, self.messages.last().map(|last| &last.state.names)).map_err(
+            |problem| LogError::BadRecord {
+                path: path.to_owned(),
+                place: format!("message {number} on {}", self.name),
+                problem,
+                remedy: "the bag is damaged or its messages are not sensor_msgs/JointState; record it again",
+            },
+        )?;
+        self.messages.push(Message { number, recorded_ns, state });
+        Ok(())
+    }
+
+    /// Whether every message has a stamp of its publisher.
+    pub fn is_stamped(&self) -> bool {
+        self.messages.iter().all(|message| message.state.stamp_ns != 0)
+    }
+
+    /// Every joint that any message names, in the order of the first that does.
+    fn joint_names(&self) -> Vec<&str> {
+        let mut names: Vec<&str> = Vec::new();
+        let mut last: Option<&Rc<[String]>> = None;
+        for message in &self.messages {
+            if last.is_some_and(|last| Rc::ptr_eq(last, &message.state.names)) {
+                continue;
+            }
+            last = Some(&message.state.names);
+            for name in message.state.names.iter() {
+                if !names.contains(&name.as_str()) {
+                    names.push(name);
+                }
+            }
+        }
+        names
+    }
+}
+
+impl Message {
+    /// The publisher's stamp, or when the recorder received it \[ns\].
+    pub fn stamp_ns(&self, stamped: bool) -> i64 {
+        if stamped { self.state.stamp_ns } else { self.recorded_ns }
+    }
+}
+
+/// Name of the clock of a topic's stamps.
+pub(in crate::logs) const fn clock_name(stamped: bool) -> &'static str {
+    if stamped { "header.stamp" } else { "receive time of the recorder" }
+}
+
+/// What is odd about messages without stamps.
+pub(in crate::logs) const UNSTAMPED: &str =
+    "messages without header.stamp: the time of their reception jitters";

@@ -1,0 +1,270 @@
+//! The bar's encoders in files of other programs: tables of counters, bags; what is odd in them is marked or refused.
+
+use std::path::Path;
+
+use identify::inspect;
+use identify::logs::{BarLogMapping, LogError, OtherBarLog};
+use identify::prepare::bar_angles;
+use shared::config::{self, BallBarConfig};
+use shared::recording::schema::flags;
+
+use super::bags::{self, JointState};
+use super::support::bar;
+
+const ROWS: usize = 200;
+
+/// Angle of a joint (1 to 5) at a row \[rad\]: it turns on for more than a turn.
+fn angle_rad(row: usize, joint: usize) -> f64 {
+    0.05 * row as f64 + 0.6 * (0.03 * row as f64 + joint as f64).sin()
+}
+
+/// Counts of a joint's encoder from an arbitrary zero.
+fn counts(row: usize, joint: usize) -> i64 {
+    let scale = bar().encoders[joint - 1].scale();
+    scale.rad_to_counts(angle_rad(row, joint)) + 4_290_000_000 * joint as i64
+}
+
+/// Four encoders as the thesis had them, 100 Hz.
+pub fn table(cell: impl Fn(usize, usize) -> String) -> String {
+    let mut text = "t_s,count1,count2,count4,count5\n".to_owned();
+    for row in 0..ROWS {
+        let cells = [1, 2, 4, 5].map(|joint| cell(row, joint)).join(",");
+        text += &format!("{},{cells}\n", row as f64 * 0.01);
+    }
+    text
+}
+
+fn shown(row: usize, joint: usize) -> String {
+    (counts(row, joint) as u32).to_string()
+}
+
+fn four() -> BallBarConfig {
+    let mut bar = bar();
+    bar.encoders.remove(2);
+    bar
+}
+
+pub fn shipped() -> BarLogMapping {
+    config::load(&Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/bar_log.toml")).unwrap()
+}
+
+fn mapping(text: &str) -> BarLogMapping {
+    config::parse(text, Path::new("mapping.toml")).unwrap()
+}
+
+fn read(bytes: &[u8], mapping: Option<&BarLogMapping>) -> Result<OtherBarLog, LogError> {
+    OtherBarLog::read(bytes, Path::new("bar.csv"), &four(), mapping)
+}
+
+fn told(bytes: &[u8], mapping: Option<&BarLogMapping>) -> String {
+    read(bytes, mapping).map(drop).unwrap_err().to_string()
+}
+
+/// Every joint follows the true motion up to its zero.
+fn assert_follows(log: &OtherBarLog, tolerance_rad: f64) {
+    let angles = bar_angles(&log.cycles, &log.encoders).unwrap();
+    let segment = &angles.segments[0];
+    for encoder in &log.encoders {
+        let joint = usize::from(encoder.joint);
+        for (cycle, angles) in segment.cycles.iter().zip(&segment.angles_rad) {
+            let moved = angles[joint - 1] - segment.angles_rad[0][joint - 1];
+            let truth = angle_rad(*cycle, joint) - angle_rad(segment.cycles[0], joint);
+            assert!((moved - truth).abs() < tolerance_rad, "row {cycle} joint {joint}: {moved} for {truth}");
+        }
+    }
+}
+
+#[test]
+fn the_counters_of_the_thesis_become_angles_by_the_bar_s_configuration() {
+    for text in [table(shown), table(shown).replace(',', ";").replace('\n', "\r\n")] {
+        let log = read(text.as_bytes(), None).unwrap();
+        assert_eq!((log.cycles.len(), log.is_dated, log.clock.as_str()), (ROWS, false, "t_s"));
+        assert_eq!(log.encoders.iter().map(|encoder| encoder.joint).collect::<Vec<_>>(), [1, 2, 4, 5]);
+        assert_follows(&log, 1e-6);
+        assert!(log.unknown.contains(&"which values are not valid") && log.quality.remarks.is_empty());
+        assert!((log.quality.period_s - 0.01).abs() < 1e-12);
+    }
+}
+
+#[test]
+fn counters_that_a_program_has_unwrapped_read_as_others_do() {
+    let signed = table(|row, joint| (counts(row, joint) as u32 as i32).to_string());
+    let unwrapped = table(|row, joint| counts(row, joint).to_string());
+    let float = table(|row, joint| format!("{:e}", f64::from(counts(row, joint) as u32)));
+    let expected = read(table(shown).as_bytes(), None).unwrap().cycles;
+    for text in [signed, unwrapped, float] {
+        let cycles = read(text.as_bytes(), None).unwrap().cycles;
+        let steps = |cycles: &[shared::recording::schema::CycleRecord]| -> Vec<u32> {
+            let pairs = cycles.windows(2);
+            pairs.map(|pair| pair[1].encoders[3].count.wrapping_sub(pair[0].encoders[3].count)).collect()
+        };
+        assert_eq!(steps(&cycles), steps(&expected));
+    }
+}
+
+#[test]
+fn the_shipped_mapping_reads_lines_without_header_as_twincat_writes_dates() {
+    let table = table(shown);
+    let lines = table.lines().skip(1).map(|line| {
+        let (t_s, cells) = line.split_once(',').unwrap();
+        format!("2016-03-14-10:22:{:06.3};{}\n", t_s.parse::<f64>().unwrap() + 33.0, cells.replace(',', ";"))
+    });
+    let text: String = lines.collect();
+    let log = read(text.as_bytes(), Some(&shipped())).unwrap();
+    assert_follows(&log, 1e-6);
+    assert_eq!((log.is_dated, log.clock.as_str()), (true, "measurement PC"));
+    assert_eq!(log.cycles[0].sample_time.to_string(), "2016-03-14T10:22:33.000000000Z");
+    assert_eq!(log.cycles[1].sample_time.ns_since(log.cycles[0].sample_time), 10_000_000);
+}
+
+#[test]
+fn a_narrow_counter_is_refused_with_what_to_write_and_then_followed() {
+    // Slow enough that no wrap is skipped: at 16 bits a turn of the ERN 1080 has 225 wraps.
+    let slow = |row: usize, joint: usize| (counts(row, joint) / 100).rem_euclid(65_536).to_string();
+    let text = table(slow);
+    let refused = told(text.as_bytes(), None);
+    assert!(refused.contains("joint 1") && refused.contains("wraps_at = 65536"), "{refused}");
+    let columns: String = [1, 2, 4, 5]
+        .map(|joint| format!("[[encoders]]\njoint = {joint}\ncolumn = \"count{joint}\"\n"))
+        .concat();
+    let with_width = mapping(&format!("wraps_at = 65536\n[time]\ncolumn = \"t_s\"\n{columns}"));
+    let log = read(text.as_bytes(), Some(&with_width)).unwrap();
+    let angles = bar_angles(&log.cycles, &log.encoders).unwrap();
+    let last = angles.segments[0].angles_rad.last().unwrap()[0] - angles.segments[0].angles_rad[0][0];
+    let truth = (angle_rad(ROWS - 1, 1) - angle_rad(0, 1)) / 100.0;
+    assert!((last - truth).abs() < 1e-5, "{last} for {truth}");
+}
+
+#[test]
+fn missing_frozen_and_repeated_rows_are_marked_and_told() {
+    let text = table(|row, joint| match (row, joint) {
+        (40, 2) => String::new(),
+        (41, 5) => "NaN".into(),
+        // The logger was served late twice in a row.
+        (81 | 82, _) => shown(80, joint),
+        _ => shown(row, joint),
+    });
+    let line = text.lines().nth(121).unwrap().to_owned();
+    let text = text.replace(&line, &format!("{line}\n{line}"));
+    let log = read(text.as_bytes(), None).unwrap();
+    let quality = &log.quality;
+    assert_eq!((quality.incomplete_dropped, quality.frozen_dropped, quality.duplicates_dropped), (2, 2, 1));
+    let invalid: Vec<usize> = (0..log.cycles.len()).filter(|row| !log.cycles[*row].is_valid()).collect();
+    assert_eq!(invalid, [40, 41, 81, 82]);
+    assert!(log.cycles[81].flags & flags::STALE_INPUT != 0);
+    assert_follows(&log, 1e-6);
+    let told = inspect::bar_log(&log).suspicious.join("\n");
+    for part in ["2 lines lack a value", "2 lines repeat the counts", "1 lines repeat the one before"] {
+        assert!(told.contains(part), "{told}");
+    }
+}
+
+#[test]
+fn counters_that_start_anew_are_marked_and_one_that_slips_is_not_excused() {
+    let anew = |row: usize, joint: usize| {
+        let since = if row < 100 { 0 } else { -counts(99, joint) + 5000 };
+        ((counts(row, joint) + since) as u32).to_string()
+    };
+    let log = read(table(anew).as_bytes(), None).unwrap();
+    let flagged: Vec<usize> = (0..ROWS).filter(|row| log.cycles[*row].flags != 0).collect();
+    assert_eq!(flagged, [100]);
+    assert!(log.quality.remarks[0].contains("line 102"), "{:?}", log.quality.remarks);
+    let slips = |row: usize, joint: usize| {
+        let by = if row >= 100 && joint == 4 { 1_000_000 } else { 0 };
+        ((counts(row, joint) + by) as u32).to_string()
+    };
+    let log = read(table(slips).as_bytes(), None).unwrap();
+    assert!(log.cycles.iter().all(|cycle| cycle.flags == 0));
+    assert!(inspect::bar_log(&log).suspicious.join("\n").contains("b4"), "a jump is suspicious");
+}
+
+#[test]
+fn what_cannot_be_meant_is_refused_with_place_and_remedy() {
+    let good = table(shown);
+    let line = |number: usize| good.lines().nth(number - 1).unwrap().to_owned();
+    let swapped = good.replace(&line(60), "X").replace(&line(61), &line(60)).replace('X', &line(61));
+    let no_column = good.replace("count4", "counter4");
+    let fraction = good.replace(&line(60), &format!("{}.5", line(60)));
+    let word = good.replace(&line(60), &format!("{}x", line(60)));
+    let short = good[..good.len() - 30].to_owned();
+    for (text, parts) in [
+        (swapped, &["line 61", "time goes"][..]),
+        (no_column, &["`count4` is missing", "counter4", "[[encoders]]", "--recording-mapping"]),
+        (fraction, &["line 60", "`count5`", "no whole number"]),
+        (word, &["line 60", "`count5`"]),
+        (short, &["line 201"]),
+        (good.replace("t_s", "seconds"), &["`time_utc` is missing", "seconds"]),
+        (good.lines().take(30).collect::<Vec<_>>().join("\n"), &["29 usable rows"]),
+        ("<Rob/>".into(), &["neither a recording"]),
+    ] {
+        let told = told(text.as_bytes(), None);
+        assert!(parts.iter().all(|part| told.contains(part)), "{told}");
+    }
+    // Counts of an encoder that the bar does not have cannot become angles.
+    let told = told(good.replace("count4", "count3").as_bytes(), None);
+    assert!(told.contains("joint 3") && told.contains("interpolation_bits"), "{told}");
+}
+
+#[test]
+fn impossible_mappings_are_refused_by_key() {
+    let encoders = "[[encoders]]\njoint = 1\ncolumn = \"a\"\n";
+    for (text, key) in [
+        (format!("{encoders}{encoders}"), "encoders[1].joint"),
+        (encoders.replace('1', "6"), "encoders[0].joint"),
+        ("encoders = []".into(), "encoders"),
+        (format!("wraps_at = 2\n{encoders}"), "wraps_at"),
+        (format!("[csv]\ndelimiter = \"#\"\n{encoders}"), "csv.delimiter"),
+    ] {
+        let told = config::parse::<BarLogMapping>(&text, Path::new("m.toml")).unwrap_err().to_string();
+        assert!(told.contains(&format!("`{key}`")), "{told}");
+    }
+}
+
+/// Joints 1, 2, 4 and 5 in another order among those of others, each angle within half a turn.
+pub fn joint_states(prefix: &str) -> Vec<JointState> {
+    let wrapped = |angle: f64| angle - (angle / std::f64::consts::TAU).round() * std::f64::consts::TAU;
+    let state = |row: usize| JointState {
+        topic: "/bar/joint_states",
+        stamp_ns: 1_795_000_000_000_000_000 + row as i64 * 10_000_000,
+        names: ["bar_joint_5", "gripper", "bar_joint_1", "bar_joint_4", "bar_joint_2"]
+            .map(|name| format!("{prefix}{name}"))
+            .to_vec(),
+        position: [5, 3, 1, 4, 2].map(|joint| wrapped(angle_rad(row, joint))).to_vec(),
+    };
+    (0..ROWS).map(state).collect()
+}
+
+#[test]
+fn encoders_among_the_joints_of_a_bag_are_found_by_name_and_followed_over_full_turns() {
+    let mut messages = joint_states("lab_");
+    // Others publish on the same topic, and one value is missing.
+    messages.insert(
+        50,
+        JointState {
+            topic: "/bar/joint_states",
+            stamp_ns: 1,
+            names: vec!["gripper".into()],
+            position: vec![0.0],
+        },
+    );
+    messages[120].position[0] = f64::NAN;
+    for bytes in [bags::mcap(&messages), bags::db3(&messages[..50])] {
+        let whole = bytes.starts_with(b"\x89MCAP");
+        let log = OtherBarLog::read(&bytes, Path::new("bag"), &four(), None).unwrap();
+        assert_eq!(log.cycles.len(), if whole { ROWS } else { 50 });
+        assert_eq!(log.quality.incomplete_dropped, usize::from(whole));
+        assert_eq!((log.is_dated, log.clock.as_str()), (true, "header.stamp"));
+        assert_follows(&log, 1e-8);
+    }
+    let named = ["1", "2"].map(|joint| format!("[[encoders]]\njoint = {joint}\ncolumn = \"gripper\"\n"));
+    for (text, parts) in [
+        (None, &["bar_joint_1 to 5", "gripper"][..]),
+        (Some(named.concat().replace("gripper", "axis")), &["gripper", "--recording-mapping"]),
+        (Some(format!("topic = \"/x\"\n{}", named[0])), &["on topic /x"]),
+    ] {
+        let mapping = text.map(|text| mapping(&text));
+        let told = OtherBarLog::read(&bags::mcap(&messages), Path::new("bag"), &bar(), mapping.as_ref());
+        let told = told.map(drop).unwrap_err().to_string();
+        assert!(parts.iter().all(|part| told.contains(part)), "{told}");
+    }
+}
