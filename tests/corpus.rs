@@ -59,6 +59,9 @@ corpora! {
     no_sqlite_bag_of_the_corpus_breaks_a_promise: "robot_log_db3",
     no_egm_capture_of_the_corpus_breaks_a_promise: "robot_log_egm",
     no_rsi_log_of_the_corpus_breaks_a_promise: "robot_log_rsi",
+    no_table_of_the_bar_of_the_corpus_breaks_a_promise: "bar_log_table",
+    no_bag_of_the_bar_of_the_corpus_breaks_a_promise: "bar_log_bag",
+    no_table_of_poses_of_the_corpus_breaks_a_promise: "pose_table",
     no_http_request_of_the_corpus_breaks_a_promise: "api",
 }
 

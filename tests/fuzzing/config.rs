@@ -3,17 +3,21 @@
 use std::path::Path;
 
 use identify::calibrate::IdentifyConfig;
-use identify::logs::{JointConversion, MeasuredLengthMapping, RobotLogMapping};
+use identify::logs::{
+    BarLogMapping, JointConversion, MeasuredLengthMapping, MeasuredPoseMapping, RobotLogMapping,
+};
 use shared::config::{BallBarConfig, DaemonConfig, RobotConfig, Validate, parse};
 
 use super::explained;
 
-const FILES: [(u8, &str); 8] = [
+const FILES: [(u8, &str); 10] = [
     (b'd', "daemon.toml"),
     (b'b', "ball_bar.toml"),
     (b'i', "identify.toml"),
     (b'l', "measured_length.toml"),
     (b'm', "robot_log.toml"),
+    (b'p', "measured_pose.toml"),
+    (b'e', "bar_log.toml"),
     (b'r', "robots/irb2400_16.toml"),
     (b'r', "robots/nj220_2_7.toml"),
     (b'r', "robots/irb120_3.toml"),
@@ -38,6 +42,8 @@ pub fn any_text(bytes: &[u8]) {
         b'i' => drop(accepted::<IdentifyConfig>(text)),
         b'l' => drop(accepted::<MeasuredLengthMapping>(text)),
         b'm' => drop(accepted::<RobotLogMapping>(text)),
+        b'p' => drop(accepted::<MeasuredPoseMapping>(text)),
+        b'e' => drop(accepted::<BarLogMapping>(text)),
         _ => {
             if let Some(robot) = accepted::<RobotConfig>(text) {
                 let zero = JointConversion::new(&robot.log).map(|conversion| conversion.to_joint(&[0.0; 6]));

@@ -4,10 +4,12 @@
 //! everything that fuzzing has found worth keeping. Errors are asked for their message: that must not fail either.
 
 mod api;
+mod bar_log;
 mod bring_up;
 mod config;
 mod cycle;
 mod input;
+mod pose_table;
 mod recording;
 mod replies;
 mod robot_log;
@@ -39,6 +41,9 @@ pub const TARGETS: &[Target] = &[
     Target { name: "robot_log_db3", run: robot_log::any_db3, seeds: robot_log::sqlite_bags },
     Target { name: "robot_log_egm", run: robot_log::any_egm, seeds: robot_log::egm_messages },
     Target { name: "robot_log_rsi", run: robot_log::any_rsi, seeds: robot_log::telegrams },
+    Target { name: "bar_log_table", run: bar_log::any_file, seeds: bar_log::tables },
+    Target { name: "bar_log_bag", run: bar_log::any_file, seeds: bar_log::bags },
+    Target { name: "pose_table", run: pose_table::any_table, seeds: pose_table::tables },
     Target { name: "api", run: api::any_requests, seeds: api::requests },
 ];
 

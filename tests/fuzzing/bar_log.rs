@@ -1,0 +1,72 @@
+//! The bar's encoders in tables and bags of other programs, from any bytes.
+
+use std::path::Path;
+use std::sync::LazyLock;
+
+use identify::inspect;
+use identify::logs::{BarLogMapping, OtherBarLog};
+use identify::prepare::bar_angles;
+use shared::config::{self, BallBarConfig};
+
+use super::explained;
+
+struct Setting {
+    bars: [BallBarConfig; 2],
+    mapping: BarLogMapping,
+}
+
+static SETTING: LazyLock<Setting> = LazyLock::new(|| {
+    let mut four = crate::ball_bar();
+    four.encoders.remove(2);
+    let mapping = config::load(&crate::config_directory().join("bar_log.toml")).expect("a shipped file");
+    Setting { bars: [crate::ball_bar(), four], mapping }
+});
+
+/// Reads a table or a bag, with and without a mapping: its cycles are numbered and their angles finite, or it is refused
+/// with a reason.
+pub fn any_file(bytes: &[u8]) {
+    let Setting { bars, mapping } = &*SETTING;
+    for (bar, mapping) in bars.iter().flat_map(|bar| [(bar, None), (bar, Some(mapping))]) {
+        match OtherBarLog::read(bytes, Path::new("log"), bar, mapping) {
+            Ok(log) => {
+                assert!((0..).zip(&log.cycles).all(|(number, cycle)| cycle.cycle == number));
+                assert!(log.cycles.iter().all(|cycle| cycle.encoders().len() == log.encoders.len()));
+                match bar_angles(&log.cycles, &log.encoders) {
+                    Ok(angles) => {
+                        let mut all = angles.segments.iter().flat_map(|one| one.angles_rad.iter().flatten());
+                        assert!(all.all(|angle| angle.is_finite()));
+                    }
+                    Err(error) => explained(&error),
+                }
+                drop(inspect::bar_log(&log));
+            }
+            Err(error) => explained(&error),
+        }
+    }
+}
+
+/// What `ballbard export` writes, the thesis' columns, angles, and lines without header as in the shipped mapping.
+pub fn tables() -> Vec<Vec<u8>> {
+    let rows = |header: &str, row: &dyn Fn(usize) -> String| {
+        (header.to_owned() + &(0..52).map(row).collect::<String>()).into_bytes()
+    };
+    vec![
+        rows(
+            "time_utc,count1,count2,count3,count4,count5,valid1,valid2,valid3,valid4,valid5,cycle,flags\n",
+            &|k| {
+                let flags = if k == 20 { "no_reply origin_changed" } else { "" };
+                format!("2026-11-22T10:15:00.{k:02}Z,{k},{k},,9,4294967290,1,1,{},1,1,{k},{flags}\n", k % 2)
+            },
+        ),
+        rows("# clock: x\nt_s;count1;count2;count4;count5\n", &|k| format!("{k};{};2;-3;4e3\n", 1000 * k)),
+        rows("t_s\tangle1_rad\tangle2_deg\tcount4\tcount5\n", &|k| {
+            format!("{k}\t{}\t-7.5\t5\t6\n", 0.1 * k as f64)
+        }),
+        rows("", &|k| format!("2016-03-14-10:22:33.{k:02};{};2;3;{}\n", 77 * k, 100 * k)),
+    ]
+}
+
+/// Joint states as our own recordings have them.
+pub fn bags() -> Vec<Vec<u8>> {
+    super::recording::whole_and_cut()
+}

@@ -1,0 +1,59 @@
+//! Tables of single poses with a measured length, position or pose, from any bytes.
+
+use std::path::Path;
+use std::sync::LazyLock;
+
+use identify::logs::{MeasuredLengthMapping, MeasuredLengths, MeasuredPoseMapping, MeasuredPoses};
+use shared::config;
+
+use super::explained;
+
+struct Setting {
+    lengths: MeasuredLengthMapping,
+    poses: MeasuredPoseMapping,
+}
+
+static SETTING: LazyLock<Setting> = LazyLock::new(|| {
+    let directory = crate::config_directory();
+    Setting {
+        lengths: config::load(&directory.join("measured_length.toml")).expect("a shipped file"),
+        poses: config::load(&directory.join("measured_pose.toml")).expect("a shipped file"),
+    }
+});
+
+/// Reads a table by both shipped mappings: numbers are finite, or it is refused with a reason.
+pub fn any_table(bytes: &[u8]) {
+    match MeasuredLengths::read(bytes, Path::new("lengths"), &SETTING.lengths) {
+        Ok(lengths) => {
+            let finite = |row: &identify::logs::MeasuredLength| {
+                row.q_rad.iter().chain([&row.length_m]).all(|value| value.is_finite())
+            };
+            assert!(lengths.rows.iter().all(finite));
+        }
+        Err(error) => explained(&error),
+    }
+    match MeasuredPoses::read(bytes, Path::new("poses"), &SETTING.poses) {
+        Ok(poses) => {
+            let finite = |row: &identify::logs::MeasuredPose| {
+                let turns = row.rotation.iter().flat_map(|rotation| rotation.matrix().iter().copied());
+                row.q_rad.iter().chain(&row.position_m).copied().chain(turns).all(f64::is_finite)
+            };
+            assert!(poses.rows.iter().all(finite));
+        }
+        Err(error) => explained(&error),
+    }
+}
+
+/// One table for each shipped mapping.
+pub fn tables() -> Vec<Vec<u8>> {
+    let lengths = "x_mm,y_mm,z_mm,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,cable_mm\n";
+    let joints =
+        "shoulder_pan_joint;shoulder_lift_joint;elbow_joint;wrist_1_joint;wrist_2_joint;wrist_3_joint";
+    let measured = ["x", "y", "z", "rx", "ry", "rz"].map(|axis| format!("measurement_{axis}")).join(";");
+    vec![
+        (lengths.to_owned() + &"1,2,3,-74.5,33.9,-30.8,-15.1,80.5,-59.7,509.19\n".repeat(11)).into_bytes(),
+        (format!("{joints};{measured}\n")
+            + &"0,5;-1,5;0;0;0;3,1;2361,9;-1368,5;119,4;-90,5;-60;10\n".repeat(11))
+            .into_bytes(),
+    ]
+}
