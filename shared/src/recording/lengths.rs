@@ -1,10 +1,11 @@
 //! Lengths inside an MCAP record are looked at before the MCAP library is.
 //!
 //! The library reserves memory for a text as its length field says, and only then looks whether the bytes are there: one
-//! flipped bit would ask for 4 GB, which ends a process whose memory is locked or limited.
+//! flipped bit would ask for 4 GB, which ends a process whose memory is locked or limited. It does not look, either,
+//! whether the records of an uncompressed chunk end with it.
 
 use mcap::McapError;
-use mcap::records::{Record, op};
+use mcap::records::{ChunkHeader, Record, op};
 
 /// What a record is made of, as far as it has lengths.
 enum Part {
@@ -25,6 +26,18 @@ pub fn parse_record(opcode: u8, data: &[u8]) -> Result<Record<'_>, McapError> {
     mcap::parse_record(opcode, data)
 }
 
+/// Whether the records of an uncompressed chunk end with it; the library would go on behind its end. What a compressed
+/// one holds it looks at itself.
+pub fn chunk_is_whole(header: &ChunkHeader, records: &[u8]) -> bool {
+    let mut rest = if header.compression.is_empty() { records } else { &[] };
+    while let Some(([_, length @ ..], behind)) = rest.split_first_chunk::<9>() {
+        let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
+        let Some(next) = behind.get(length..) else { return false };
+        rest = next;
+    }
+    rest.is_empty()
+}
+
 /// The beginning of a record up to its last length (MCAP specification, "Records").
 const fn layout(opcode: u8) -> &'static [Part] {
     match opcode {
@@ -33,7 +46,8 @@ const fn layout(opcode: u8) -> &'static [Part] {
         op::CHANNEL => &[Part::Fixed(4), Part::Block, Part::Block, Part::Texts],
         op::CHUNK => &[Part::Fixed(28), Part::Block],
         op::CHUNK_INDEX => &[Part::Fixed(32), Part::Block, Part::Fixed(8), Part::Block],
-        op::ATTACHMENT => &[Part::Fixed(16), Part::Block, Part::Block],
+        // Behind its texts come a length and a checksum, which the library takes for granted.
+        op::ATTACHMENT => &[Part::Fixed(16), Part::Block, Part::Block, Part::Fixed(8 + 4)],
         op::ATTACHMENT_INDEX => &[Part::Fixed(40), Part::Block, Part::Block],
         op::METADATA => &[Part::Block, Part::Texts],
         op::METADATA_INDEX => &[Part::Fixed(16), Part::Block],

@@ -9,7 +9,7 @@ use mcap::McapError;
 use mcap::records::{Record, op};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
-use super::lengths::parse_record;
+use super::lengths::{chunk_is_whole, parse_record};
 use super::reader::ReadErrorKind;
 
 /// Longest record that a recording has: far above a second of 1 kHz cycles, far below memory.
@@ -54,10 +54,13 @@ fn open_chunk<E: From<ReadErrorKind>>(
     chunk: &[u8],
     sink: &mut dyn FnMut(Record<'_>) -> Result<(), E>,
 ) -> Result<(), E> {
-    if let Record::Chunk { header, .. } = parse(op::CHUNK, chunk)?
-        && header.uncompressed_crc == 0
-    {
-        return Err(ReadErrorKind::NoChecksum.into());
+    if let Record::Chunk { header, data } = parse(op::CHUNK, chunk)? {
+        if header.uncompressed_crc == 0 {
+            return Err(ReadErrorKind::NoChecksum.into());
+        }
+        if !chunk_is_whole(&header, &data) {
+            return Err(ReadErrorKind::from(McapError::UnexpectedEoc).into());
+        }
     }
     let reader = LinearReader::new_with_options(
         options().with_skip_start_magic(true).with_skip_end_magic(true).with_prevalidate_chunk_crcs(true),
