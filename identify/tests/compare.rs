@@ -1,14 +1,12 @@
 //! Several calibrations side by side: agreement where one robot was measured twice, none where it changed.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-mod support;
-
+use crate::support::{bar, irb2400};
 use identify::calibrate::{IdentifyConfig, ball_bar};
 use identify::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use identify::report::side_by_side;
 use identify::simulate::{self, Effects, Experiment, StaticErrors};
 use identify::study::{Consistency, ConsistencyError};
-use support::{bar, irb2400};
 
 const NOISE: Effects =
     Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, base_tilt_urad: 5000.0, ..Effects::NONE };

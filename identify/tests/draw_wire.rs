@@ -2,8 +2,6 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
-mod support;
-
 use std::path::PathBuf;
 
 use identify::calibrate::measured_length::{
@@ -19,13 +17,15 @@ use rand_distr::StandardNormal;
 use shared::config::{self, RobotConfig};
 
 fn irb120() -> Chain {
-    flange_chain(&config::load::<RobotConfig>(&support::repository("config/robots/irb120_3.toml")).unwrap())
+    flange_chain(
+        &config::load::<RobotConfig>(&crate::support::repository("config/robots/irb120_3.toml")).unwrap(),
+    )
 }
 
 /// The measured rows; none where the data are not on this machine.
 fn real_rows() -> Option<Vec<LengthRow>> {
-    let folder =
-        std::env::var_os("BALLBAR_DATA").map_or_else(|| support::repository("../shared/data"), PathBuf::from);
+    let folder = std::env::var_os("BALLBAR_DATA")
+        .map_or_else(|| crate::support::repository("../shared/data"), PathBuf::from);
     let path = folder.join("irb120-draw-wire/draw_wire_1042.csv");
     if !path.exists() {
         println!(

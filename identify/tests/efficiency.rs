@@ -3,8 +3,7 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
-mod support;
-
+use crate::support::{Cell, spread_poses};
 use identify::calibrate::{LossName, solve_from_subsets, solve_robust};
 use identify::cost::{AngleNoise, LoopProblem, Residual, Transform, WhitenedPose};
 use identify::model::{Model, Observation, ParameterId, PerObservation, Selection};
@@ -13,7 +12,6 @@ use identify::solver::{Noise, Options, Solution, minimise, solve};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
-use support::{Cell, spread_poses};
 
 const NOISE: AngleNoise = AngleNoise { encoder_rad: 10e-6, robot_rad: 10e-6 };
 

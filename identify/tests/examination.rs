@@ -1,8 +1,7 @@
 //! What costs can identify, as a snapshot for both robots, and that the influence of fixed parameters is what solves show.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
-mod support;
-
+use crate::support::Cell;
 use identify::calibrate::CostName;
 use identify::cost::{LoopProblem, Position, Residual, Transform};
 use identify::examine::{Poses, examine};
@@ -10,7 +9,6 @@ use identify::model::{ParameterId, Selection};
 use identify::report::examination::examinations;
 use identify::simulate::Design;
 use identify::solver::{Options, minimise};
-use support::Cell;
 
 const COSTS: [CostName; 5] =
     [CostName::Length, CostName::Position, CostName::PositionAngles, CostName::Transform, CostName::Pose];
@@ -19,12 +17,14 @@ const COSTS: [CostName; 5] =
 #[test]
 fn ranks_groups_and_influences_of_all_costs_and_both_robots_are_those_of_the_snapshot() {
     let mut text = String::new();
-    for robot in [support::irb2400(), support::nj220()] {
-        let found: Vec<_> =
-            COSTS.iter().map(|&cost| examine(&robot, &support::bar(), cost, 300, 1).unwrap()).collect();
+    for robot in [crate::support::irb2400(), crate::support::nj220()] {
+        let found: Vec<_> = COSTS
+            .iter()
+            .map(|&cost| examine(&robot, &crate::support::bar(), cost, 300, 1).unwrap())
+            .collect();
         text += &format!("{}\n\n{}", robot.name, examinations(&found));
     }
-    let path = support::repository("identify/tests/snapshots/examination.txt");
+    let path = crate::support::repository("identify/tests/snapshots/examination.txt");
     if std::env::var_os("IDENTIFY_WRITE_SNAPSHOTS").is_some() {
         std::fs::write(&path, &text).unwrap();
     }
@@ -37,7 +37,7 @@ fn ranks_groups_and_influences_of_all_costs_and_both_robots_are_those_of_the_sna
 
 /// The thesis' way: 1 mm|mrad of error in one fixed parameter, a solve, and a look at the others.
 fn solves_show_the_influence<R: Residual>(residual: R, cost: CostName) {
-    let (robot, bar) = (support::irb2400(), support::bar());
+    let (robot, bar) = (crate::support::irb2400(), crate::support::bar());
     let examined = examine(&robot, &bar, cost, 300, 1).unwrap();
     let cell = Cell::irb2400();
     let design = Design::for_robot(&robot);
@@ -73,7 +73,8 @@ fn a_solve_with_an_error_in_a_fixed_parameter_moves_the_others_as_the_table_says
 #[test]
 fn the_thesis_table_of_influences_is_reproduced() {
     let affected = |cost, held: &str| -> Vec<String> {
-        let influence = examine(&support::irb2400(), &support::bar(), cost, 300, 1).unwrap().influence;
+        let influence =
+            examine(&crate::support::irb2400(), &crate::support::bar(), cost, 300, 1).unwrap().influence;
         let column = influence.held.iter().position(|name| name == held).unwrap();
         let changes = influence.change.column(column);
         let names = influence.estimated.iter().zip(changes.iter());

@@ -2,10 +2,9 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
-mod support;
-
 use std::num::NonZeroUsize;
 
+use crate::support::{Cell, spread_poses};
 use identify::cost::{Length, LoopProblem, Position, PositionAngles, Residual, Transform};
 use identify::kinematics::{Chain, robot_inverse};
 use identify::model::{JointState, Model, Observation, ParameterId, RobotMotion, Role, Selection};
@@ -13,7 +12,6 @@ use identify::simulate::THESIS_ERRORS;
 use identify::solver::{Identifiability, Options, Solution, identifiability, minimise, solve};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
-use support::{Cell, spread_poses};
 
 /// The 47 of the thesis: no Hayati, no base rotations, no clocks.
 fn thesis_47(model: &mut Model) {

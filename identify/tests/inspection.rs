@@ -1,14 +1,12 @@
 //! What is suspicious in a log is told before anything is solved, and a sound one is not slandered.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-mod support;
-
+use crate::support::{bar, irb2400};
 use identify::inspect;
 use identify::logs::{Origin, RobotLog};
 use identify::simulate::{self, Experiment, Simulated};
 use shared::recording::Recording;
 use shared::recording::schema::flags;
-use support::{bar, irb2400};
 
 fn simulated() -> Simulated {
     simulate::run(&Experiment::new(&irb2400(), &bar())).unwrap()

@@ -1,8 +1,7 @@
 //! Forward kinematics, derivatives and inverses, held against an independent computation and against each other.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
-mod support;
-
+use crate::support::independent::{self, Link};
 use identify::kinematics::{
     Chain, Configuration, InverseError, LinkParameter, Pose, Trace, Tracer, ball_bar_chain, ball_bar_inverse,
     ball_bar_inverse_refined, flange_chain, robot_chain, robot_inverse, robot_inverse_all,
@@ -10,7 +9,6 @@ use identify::kinematics::{
 };
 use num_dual::Dual64;
 use proptest::prelude::*;
-use support::independent::{self, Link};
 
 const PARAMETERS: [LinkParameter; 5] =
     [LinkParameter::A, LinkParameter::Alpha, LinkParameter::D, LinkParameter::Theta, LinkParameter::Beta];
@@ -30,8 +28,12 @@ fn disturb(chain: &mut Chain, errors: &[f64]) {
 }
 
 fn nominal() -> [Chain; 3] {
-    let bar = support::bar();
-    [robot_chain(&support::irb2400(), &bar), robot_chain(&support::nj220(), &bar), ball_bar_chain(&bar)]
+    let bar = crate::support::bar();
+    [
+        robot_chain(&crate::support::irb2400(), &bar),
+        robot_chain(&crate::support::nj220(), &bar),
+        ball_bar_chain(&bar),
+    ]
 }
 
 fn pose_distance(a: &Pose, b: &Pose) -> f64 {
@@ -40,7 +42,7 @@ fn pose_distance(a: &Pose, b: &Pose) -> f64 {
 
 #[test]
 fn the_irb_2400_at_zero_has_its_flange_where_abb_draws_it() {
-    let flange = flange_chain(&support::irb2400()).forward(&[0.0; 6]);
+    let flange = flange_chain(&crate::support::irb2400()).forward(&[0.0; 6]);
     let expected = [0.940, 0.0, 1.455];
     for (found, expected) in flange.translation.vector.iter().zip(expected) {
         assert!((found - expected).abs() < 1e-12, "{found} instead of {expected}");
@@ -49,8 +51,8 @@ fn the_irb_2400_at_zero_has_its_flange_where_abb_draws_it() {
 
 #[test]
 fn plate_tool_and_rod_are_part_of_the_chains() {
-    let bar = support::bar();
-    let robot = support::irb2400();
+    let bar = crate::support::bar();
+    let robot = crate::support::irb2400();
     let (with, without) = (robot_chain(&robot, &bar), flange_chain(&robot));
     assert_eq!(with.links[5].a_m, without.links[5].a_m + bar.plate_m);
     assert_eq!(with.links[5].d_m, without.links[5].d_m + bar.tool_m);

@@ -1,14 +1,12 @@
 //! Standard links and Hayati's describe the same robot.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
-mod support;
-
 use identify::kinematics::{Chain, ConversionError, robot_chain};
 use proptest::prelude::*;
 
 fn nominal(which: usize) -> Chain {
-    let robots = [support::irb2400(), support::nj220()];
-    robot_chain(&robots[which], &support::bar())
+    let robots = [crate::support::irb2400(), crate::support::nj220()];
+    robot_chain(&robots[which], &crate::support::bar())
 }
 
 fn apart(a: &Chain, b: &Chain, joints: &[f64; 6]) -> f64 {

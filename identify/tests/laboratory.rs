@@ -4,15 +4,13 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
-mod support;
-
+use crate::support::{bar, irb2400, nj220};
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig, SelectionName};
 use identify::model::ParameterId;
 use identify::simulate::{self, Effects, Experiment, Simulated};
 use shared::config::{BallBarConfig, RobotConfig};
-use support::{bar, irb2400, nj220};
 
 /// 25 ppm skew is the experiment's own.
 const LABORATORY: Effects = Effects {

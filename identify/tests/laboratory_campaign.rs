@@ -1,25 +1,21 @@
 //! The laboratory of the acceptance: unknown zeros and clocks, and all that spoils a run; both robots, ten seeds each.
 //!
-//! The whole campaign: `cargo test --release -p identify --test laboratory_campaign -- --ignored --nocapture`;
+//! The whole campaign: `cargo test --release -p identify --test all laboratory_campaign -- --ignored --nocapture`;
 //! `IDENTIFY_KINDS=four` runs the kinds with that in their name.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
-#[path = "support/laboratory.rs"]
-mod laboratory;
-mod support;
-
+use crate::support::laboratory::{self, Level};
+use crate::support::truth::position_error_m;
+use crate::support::{bar, irb2400, nj220};
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, SelectionName, ball_bar};
 use identify::model::ParameterId;
 use identify::prepare::LocalShift;
 use identify::simulate::{Design, Simulated};
 use identify::study::workspace_error;
-use laboratory::Level;
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::encoder::Direction;
-use support::truth::position_error_m;
-use support::{bar, irb2400, nj220};
 
 /// What a calibration comes to.
 #[derive(Debug, Clone, Copy)]

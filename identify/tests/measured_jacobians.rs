@@ -1,8 +1,8 @@
 //! Analytic Jacobians of the tracker's costs against automatic differentiation of an independent kinematics.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
-mod support;
-
+use crate::support::Cell;
+use crate::support::independent::{Link, Matrix, forward, identity, product};
 use identify::cost::{LoopProblem, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
 use identify::kinematics::{LinkParameter, Pose};
 use identify::model::{
@@ -12,8 +12,6 @@ use identify::solver::stacked;
 use nalgebra::{Rotation3, Vector3};
 use num_dual::{Dual64, DualNum};
 use proptest::prelude::*;
-use support::Cell;
-use support::independent::{Link, Matrix, forward, identity, product};
 
 /// Waves of the joints that are tried: more make no other case.
 const WAVES: [u8; 2] = [3, 7];

@@ -2,8 +2,6 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
-mod support;
-
 use std::path::PathBuf;
 
 use identify::calibrate::measured_pose::{
@@ -20,13 +18,15 @@ use rand_distr::StandardNormal;
 use shared::config::{self, RobotConfig};
 
 fn ur10() -> Chain {
-    flange_chain(&config::load::<RobotConfig>(&support::repository("config/robots/ur10.toml")).unwrap())
+    flange_chain(
+        &config::load::<RobotConfig>(&crate::support::repository("config/robots/ur10.toml")).unwrap(),
+    )
 }
 
 /// The measured rows; none where the data are not on this machine.
 fn real_rows(name: &str) -> Option<Vec<PoseRow>> {
-    let folder =
-        std::env::var_os("BALLBAR_DATA").map_or_else(|| support::repository("../shared/data"), PathBuf::from);
+    let folder = std::env::var_os("BALLBAR_DATA")
+        .map_or_else(|| crate::support::repository("../shared/data"), PathBuf::from);
     let path = folder.join("ur10-tracker").join(name);
     if !path.exists() {
         println!(
@@ -36,7 +36,7 @@ fn real_rows(name: &str) -> Option<Vec<PoseRow>> {
         return None;
     }
     let mapping: MeasuredPoseMapping =
-        config::load(&support::repository("config/measured_pose.toml")).unwrap();
+        config::load(&crate::support::repository("config/measured_pose.toml")).unwrap();
     let row = |row: &identify::logs::MeasuredPose| PoseRow {
         joints_rad: row.q_rad,
         position_m: row.position_m,
@@ -185,10 +185,10 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     let command = |extra: &[&str]| {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_identify"));
         command.args(["calibrate", "--measured-poses", "poses.csv", "--out", "out", "--joint-waves", "20"]);
-        command.arg("--robot").arg(support::repository("config/robots/ur10.toml"));
+        command.arg("--robot").arg(crate::support::repository("config/robots/ur10.toml"));
         command.args(extra).current_dir(folder.path()).output().unwrap()
     };
-    let mapping = support::repository("config/measured_pose.toml");
+    let mapping = crate::support::repository("config/measured_pose.toml");
     let mapping = ["--mapping", mapping.to_str().unwrap(), "--validate", "other.csv", "--hold-out", "rows"];
     let done = command(&mapping);
     let (out, err) = (String::from_utf8(done.stdout).unwrap(), String::from_utf8(done.stderr).unwrap());

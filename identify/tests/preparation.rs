@@ -2,10 +2,9 @@
 //! belong together.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-mod support;
-
 use std::f64::consts::TAU;
 
+use crate::support::{bar, irb2400, nj220};
 use identify::kinematics::{Configuration, Side};
 use identify::logs::{LogQuality, RobotLog};
 use identify::model::RobotMotion;
@@ -15,7 +14,6 @@ use shared::config::{BallBarConfig, RobotConfig};
 use shared::encoder::Direction;
 use shared::recording::schema::flags;
 use shared::time::UtcNs;
-use support::{bar, irb2400, nj220};
 
 const DAY_NS: i64 = 86_400_000_000_000;
 

@@ -1,8 +1,7 @@
 //! Runs that pass singular poses of the bar and lose the counters' origin: all parts are used.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-mod support;
-
+use crate::support::{bar, irb2400};
 use identify::calibrate::ball_bar::BallBarCalibration;
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, ball_bar};
@@ -10,7 +9,6 @@ use identify::model::ParameterId;
 use identify::prepare::Fate;
 use identify::simulate::{self, Design, Effects, Experiment, Simulated};
 use shared::recording::schema::flags;
-use support::{bar, irb2400};
 
 /// A path on which the rod passes along the base axis.
 fn crossing(effects: Effects) -> Simulated {

@@ -1,17 +1,15 @@
 //! Single steps of the preparation on made-up values, and what options make of them on whole runs.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-mod support;
-
 use std::path::Path;
 
+use crate::support::{bar, irb2400};
 use identify::calibrate::IdentifyConfig;
 use identify::prepare::{Channels, correlate, fit_sphere, moving_average, select, spread_over_sphere};
 use identify::prepare::{Prepared, prepare};
 use identify::simulate::{self, Design, Effects, Experiment, Simulated};
 use nalgebra::Vector3;
 use proptest::prelude::*;
-use support::{bar, irb2400};
 
 /// Values between 0 and 1 that look random.
 fn hash(k: i64) -> f64 {

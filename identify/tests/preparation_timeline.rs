@@ -1,12 +1,10 @@
 //! What a report draws of the preparation: the run at a glance, its standstills and the noise in them.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-mod support;
-
+use crate::support::{bar, irb2400};
 use identify::prepare::{Fate, PrepareOptions, Timeline, prepare};
 use identify::simulate::{self, Design, Effects, Experiment};
 use shared::recording::schema::flags;
-use support::{bar, irb2400};
 
 #[test]
 fn standstills_jitter_angles_and_fates_are_those_of_the_simulated_run() {

@@ -1,8 +1,7 @@
 //! Encoders in any order, counting either way: found, told, or asked for.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-mod support;
-
+use crate::support::{bar, irb2400};
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, ball_bar};
 use identify::model::ParameterId;
@@ -12,7 +11,6 @@ use identify::prepare::{
 use identify::simulate::{self, Design, Experiment, Simulated};
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::encoder::Direction;
-use support::{bar, irb2400};
 
 fn run(robot: &RobotConfig, bar: &BallBarConfig) -> Simulated {
     let design = Design { duration_s: 60.0, ..Design::for_robot(robot) };

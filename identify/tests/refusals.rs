@@ -1,14 +1,12 @@
 //! What must not become a calibration: each case with the words that a person reads.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-mod support;
-
 use std::process::Command;
 
+use crate::support::{bar, irb2400, repository};
 use identify::calibrate::{CostName, IdentifyConfig, ball_bar};
 use identify::simulate::{self, Design, Effects, Experiment, Simulated};
 use shared::config::BallBarConfig;
-use support::{bar, irb2400, repository};
 
 fn laboratory(change: impl Fn(&mut Experiment<'_>)) -> Simulated {
     let (robot, bar) = (irb2400(), bar());

@@ -2,12 +2,12 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 #![allow(clippy::print_stdout, reason = "a test that is skipped says so")]
 
-mod support;
-
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::OnceLock;
 
+use crate::support::truth::position_error_m;
+use crate::support::{bar, irb2400};
 use identify::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
 use identify::calibrate::held_out::without_each_stretch;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
@@ -18,8 +18,6 @@ use identify::simulate::{self, Design, Effects, Experiment, Simulated, StaticErr
 use identify::study::{Evidence, evidence, held_out, workspace_error};
 use serde_json::Value;
 use shared::config::RobotConfig;
-use support::truth::position_error_m;
-use support::{bar, irb2400};
 
 const NOISE: Effects =
     Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, base_tilt_urad: 5000.0, ..Effects::NONE };

@@ -1,15 +1,13 @@
 //! What a calibration leaves behind reads back as the same robot.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test stops at the first surprise")]
 
-mod support;
-
+use crate::support::{Cell, noisy_poses};
 use identify::cost::{LoopProblem, Residual, Transform};
 use identify::kinematics::{Chain, DhLink, Pose};
 use identify::model::{Model, Selection};
 use identify::report::file::{CalibrationFile, DhRow, ParameterEntry, SolveEntry};
 use identify::report::table;
 use identify::solver::{Options, Solution, solve};
-use support::{Cell, noisy_poses};
 
 fn solved() -> (Model, Solution) {
     let cell = Cell::irb2400();

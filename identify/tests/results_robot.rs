@@ -1,10 +1,9 @@
 //! The identified robot in the formats that others read, held against its own poses.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
-mod support;
-
 use std::f64::consts::FRAC_PI_2;
 
+use crate::support::independent::{Matrix, identity, product, shift, turn};
 use identify::kinematics::{Chain, robot_chain};
 use identify::logs::JointConversion;
 use identify::model::Model;
@@ -14,11 +13,10 @@ use identify::report::urdf::urdf;
 use identify::solver::{Identifiability, Summary, Termination};
 use nalgebra::DMatrix;
 use shared::config::RobotConfig;
-use support::independent::{Matrix, identity, product, shift, turn};
 
 /// Every number of the robot wrong by its own amount, Hayati's rotation of link 2 too.
 fn identified(robot: &RobotConfig) -> Chain {
-    let mut chain = robot_chain(robot, &support::bar());
+    let mut chain = robot_chain(robot, &crate::support::bar());
     for (i, link) in chain.links.iter_mut().enumerate() {
         let e = |k: usize| 2e-3 * (1.0 + 5.0 * i as f64 + k as f64).sin();
         link.a_m += e(0);
@@ -31,8 +29,8 @@ fn identified(robot: &RobotConfig) -> Chain {
 }
 
 fn file(robot: &RobotConfig) -> CalibrationFile {
-    let nominal = robot_chain(robot, &support::bar());
-    let mut model = Model::ball_bar(&nominal, &identify::kinematics::ball_bar_chain(&support::bar()));
+    let nominal = robot_chain(robot, &crate::support::bar());
+    let mut model = Model::ball_bar(&nominal, &identify::kinematics::ball_bar_chain(&crate::support::bar()));
     let chain = identified(robot);
     for (i, link) in chain.links.iter().enumerate() {
         let numbers = [link.a_m, link.d_m, link.alpha_rad, link.theta_rad, link.beta_rad];
@@ -66,7 +64,7 @@ fn file(robot: &RobotConfig) -> CalibrationFile {
 }
 
 fn robots() -> [RobotConfig; 2] {
-    [support::irb2400(), support::nj220()]
+    [crate::support::irb2400(), crate::support::nj220()]
 }
 
 const JOINTS: [[f64; 6]; 3] =
@@ -103,7 +101,7 @@ fn apart(found: &Matrix<f64>, chain: &Chain, joints: &[f64; 6]) -> f64 {
 
 #[test]
 fn a_urdf_read_by_another_library_gives_the_poses_of_the_identified_robot() {
-    let bar = support::bar();
+    let bar = crate::support::bar();
     for config in robots() {
         let chain = identified(&config);
         let robot = urdf_rs::read_from_string(&urdf(&config, &chain, Some(&bar))).unwrap();
@@ -146,7 +144,7 @@ fn corrections_read_back_and_applied_to_joints_or_to_the_log_give_the_identified
     for config in robots() {
         let chain = identified(&config);
         let rows = read_back(&csv(&corrections(&file(&config), &config).unwrap()).unwrap());
-        let links = corrected_links(&robot_chain(&config, &support::bar()), &rows);
+        let links = corrected_links(&robot_chain(&config, &crate::support::bar()), &rows);
         let add = |prefix: &str| -> [f64; 6] {
             let of = |i: usize| rows.iter().find(|row| row.what.starts_with(&format!("{prefix}{}", i + 1)));
             std::array::from_fn(|i| of(i).unwrap().add)
@@ -167,7 +165,7 @@ fn corrections_read_back_and_applied_to_joints_or_to_the_log_give_the_identified
 
 #[test]
 fn a_written_calibration_is_read_from_either_file_and_gives_the_same_robot() {
-    let config = support::irb2400();
+    let config = crate::support::irb2400();
     let directory = tempfile::tempdir().unwrap();
     let written = file(&config);
     let toml = written.write(directory.path()).unwrap();

@@ -1,14 +1,12 @@
 //! Robot logs in and out: conversions, round trips and every refusal.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-mod support;
-
 use std::path::Path;
 
+use crate::support::{irb2400 as irb, nj220 as nj};
 use identify::logs::{JointConversion, LogError, Origin, RobotLog, read, write};
 use proptest::prelude::*;
 use shared::config::RobotConfig;
-use support::{irb2400 as irb, nj220 as nj};
 
 /// A log of 60 rows at 4 ms whose stamps need more digits than an f64 has.
 fn sample_log() -> RobotLog {

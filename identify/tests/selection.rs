@@ -2,17 +2,15 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
-mod support;
-
 use std::collections::BTreeSet;
 
+use crate::support::{Cell, bar, irb2400, spread_poses};
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
 use identify::calibrate::candidates::TermGroup;
 use identify::calibrate::structure::identifiable;
 use identify::calibrate::{CostName, IdentifyConfig, SelectionName};
 use identify::model::{ParameterId, THESIS_FIXED};
 use identify::simulate::{self, Design, Effects, Experiment};
-use support::{Cell, bar, irb2400, spread_poses};
 
 fn calibrated(effects: Effects, selection: SelectionName) -> BallBarCalibration {
     let (robot, bar) = (irb2400(), bar());

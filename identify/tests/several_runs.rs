@@ -1,8 +1,7 @@
 //! Several runs in one solve: they share the robot, and each has its own clock, place and encoder zeros.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
-mod support;
-
+use crate::support::{Cell, bar, irb2400};
 use identify::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
@@ -11,7 +10,6 @@ use identify::model::{ParameterId, Role};
 use identify::report::file::ParameterEntry;
 use identify::simulate::{self, Clocks, Design, Effects, Experiment, Simulated};
 use shared::config::BallBarConfig;
-use support::{Cell, bar, irb2400};
 
 const EFFECTS: Effects =
     Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, base_tilt_urad: 5000.0, ..Effects::NONE };

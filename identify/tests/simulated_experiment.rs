@@ -2,10 +2,9 @@
 //! together.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-mod support;
-
 use std::f64::consts::TAU;
 
+use crate::support::{bar, irb2400, nj220};
 use identify::cost::{LoopProblem, Residual, Transform};
 use identify::kinematics::{LinkParameter, ball_bar_chain, robot_chain};
 use identify::model::{Model, ParameterId, Role, Selection};
@@ -13,7 +12,6 @@ use identify::prepare::{PrepareOptions, Prepared, prepare};
 use identify::simulate::{self, Experiment, Simulated, StaticErrors};
 use identify::solver::{Options, Solution, solve};
 use shared::config::{BallBarConfig, RobotConfig};
-use support::{bar, irb2400, nj220};
 
 /// The thesis' 38 parameters and the two clocks, from the values that the preparation found.
 fn model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) -> Model {

@@ -1,15 +1,13 @@
 //! Simulated experiments: consistent in themselves, comfortable for robot and bar, and worth identifying.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-mod support;
-
+use crate::support::{bar, irb2400, nj220};
 use identify::kinematics::{Configuration, ball_bar_chain, robot_chain, singularity_margin_rad};
 use identify::logs;
 use identify::simulate::{self, Clocks, Design, Effects, Experiment, Simulated, StaticErrors, Truth};
 use shared::config::RobotConfig;
 use shared::encoder::Unwrapper;
 use shared::recording::Recording;
-use support::{bar, irb2400, nj220};
 
 fn robots() -> [RobotConfig; 2] {
     [irb2400(), nj220()]

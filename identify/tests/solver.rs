@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
-mod support;
-
+use crate::support::other_solver::Other;
+use crate::support::{Cell, noisy_poses};
 use identify::cost::{LoopProblem, Residual, Transform};
 use identify::model::Selection;
 use identify::solver::{
@@ -15,8 +15,6 @@ use nalgebra::{DMatrix, DVector};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
-use support::other_solver::Other;
-use support::{Cell, noisy_poses};
 
 /// Residual and gradient of one row at `x`.
 type Row<'a> = dyn Fn(&[f64], usize) -> (f64, Vec<f64>) + Sync + 'a;

@@ -1,15 +1,13 @@
 //! Threads, progress and cancellation: what a long solve owes to who waits for it.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
-mod support;
-
 use std::num::NonZeroUsize;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use crate::support::{Cell, noisy_poses};
 use identify::cost::{LoopProblem, Residual, Transform};
 use identify::model::{Model, Observation, PerObservation, Selection};
 use identify::solver::{Loss, Options, Progress, SolveError, Watch, solve};
-use support::{Cell, noisy_poses};
 
 struct Poses {
     model: Model,

@@ -3,9 +3,8 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 mod files;
-#[path = "../support/mod.rs"]
-mod support;
 
+use crate::support::{bar, irb2400};
 use identify::calibrate::ball_bar::{self, BallBarCalibration, CalibrateError};
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
@@ -16,7 +15,6 @@ use identify::prepare::{ForceError, PrepareError, PrepareOptions, Prepared, prep
 use identify::simulate::{self, BarLoad, Effects, Experiment, Simulated};
 use identify::study::{PositiveForce, Stretch, evidence};
 use nalgebra::Vector3;
-use support::{bar, irb2400};
 
 const NOISE: Effects =
     Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, base_tilt_urad: 3000.0, ..Effects::NONE };

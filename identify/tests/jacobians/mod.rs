@@ -2,9 +2,9 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 mod closed_chain;
-#[path = "../support/mod.rs"]
-mod support;
 
+use crate::support::Cell;
+use crate::support::independent::{Matrix, forward};
 use closed_chain::{Numbers, Sines, coupled, coupled_drives, true_joints};
 use identify::cost::{
     AngleNoise, Length, LoopProblem, MeasuredLength, Position, PositionAngles, Residual, Transform,
@@ -15,8 +15,6 @@ use identify::model::{Axis, BarForce, Model, Observation, ParameterId, Role};
 use identify::solver::stacked;
 use nalgebra::DMatrix;
 use num_dual::{Dual64, DualNum};
-use support::Cell;
-use support::independent::{Matrix, forward};
 
 type Independent = fn(&Numbers<Dual64>, &Observation) -> Vec<Dual64>;
 
@@ -250,7 +248,7 @@ fn position_angles_have_the_derivatives_of_the_implied_joints_for_both_robots() 
 #[test]
 fn joints_without_encoder_get_the_angles_that_the_robot_implies() {
     let cell = Cell::irb2400();
-    let (observations, joints) = support::spread_poses(&cell.robot, &cell.bar, 50, 4);
+    let (observations, joints) = crate::support::spread_poses(&cell.robot, &cell.bar, 50, 4);
     let geometry = coupled(&cell).geometry(&[]);
     let mut four = observations.clone();
     for observation in &mut four {

@@ -11,7 +11,7 @@ use proptest::prelude::*;
 use shared::config::{self, BallBarConfig};
 
 use super::bags::{self, JointState};
-use super::{angle_deg, bar_log, cells, german_table, irb120, rows, shipped_mapping, support, telegrams};
+use super::{angle_deg, bar_log, cells, german_table, irb120, rows, shipped_mapping, telegrams};
 
 const ROWS: usize = 60;
 
@@ -109,9 +109,9 @@ fn read_as_robot(bytes: &[u8], format: LogFormat) -> bool {
 }
 
 fn bars() -> [BallBarConfig; 2] {
-    let mut four = support::bar();
+    let mut four = crate::support::bar();
     four.encoders.remove(2);
-    [support::bar(), four]
+    [crate::support::bar(), four]
 }
 
 fn read_as_bar(bytes: &[u8]) -> bool {

@@ -9,7 +9,7 @@ use shared::config::{self, BallBarConfig};
 use shared::recording::schema::flags;
 
 use super::bags::{self, JointState};
-use super::support::bar;
+use crate::support::bar;
 
 const ROWS: usize = 200;
 

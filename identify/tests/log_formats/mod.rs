@@ -5,14 +5,12 @@
 mod any_bytes;
 mod bags;
 mod bar_log;
-#[path = "../support/mod.rs"]
-mod support;
 
 use std::path::Path;
 
+use crate::support::irb2400;
 use identify::logs::{LogError, LogFormat, LogOptions, Origin, RobotLog, RobotLogMapping, read_with};
 use shared::config::{self, RobotConfig};
-use support::irb2400;
 
 /// A robot whose controller's joints are the model's.
 fn irb120() -> RobotConfig {

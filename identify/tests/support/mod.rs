@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test stops at the first surprise")]
 
 pub mod independent;
+pub mod laboratory;
 pub mod other_solver;
 pub mod truth;
 
