@@ -8,7 +8,7 @@ use identify::model::ParameterId;
 use identify::prepare::{
     AnglePair, PrepareError, PrepareOptions, Prepared, Wiring, WiringChoice, find_wiring, prepare,
 };
-use identify::simulate::{self, Design, Experiment, Simulated};
+use identify::simulate::{self, Design, Effects, Experiment, Simulated};
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::encoder::Direction;
 
@@ -142,6 +142,44 @@ fn joints_that_move_together_leave_the_order_open_and_it_is_asked_for() {
     // The recorded order is among those that fit: it is taken, and the other one is told.
     let found = find_wiring(&pairs(&[[0, 2]]), &[1, 2, 3, 4, 5], &options).unwrap();
     assert!(found.used.is_as_recorded() && found.others.len() == 1, "{found:?}");
+}
+
+/// A whole run on which joints 3 and 5 hardly move, over a base that leans by more than they do, with the cables of encoders 1
+/// and 2 exchanged.
+fn ambiguous(robot: &RobotConfig, bar: &BallBarConfig) -> Simulated {
+    let usual = Design::for_robot(robot);
+    let mut bar_range_deg = usual.bar_range_deg;
+    bar_range_deg[2] = [10.0, 13.6];
+    bar_range_deg[4] = [-20.0, -16.4];
+    let design = Design { bar_range_deg, ..usual };
+    let effects = Effects { base_tilt_urad: 25_000.0, ..Effects::default() };
+    let mut run = simulate::run(&Experiment { design, effects, ..Experiment::new(robot, bar) }).unwrap();
+    exchanged(&mut run, &[1, 0, 2, 3, 4]);
+    run
+}
+
+#[test]
+fn an_ambiguous_wiring_of_a_whole_run_is_asked_for_and_what_is_typed_resolves_it() {
+    let (robot, bar) = (irb2400(), bar());
+    let run = ambiguous(&robot, &bar);
+    let told = prepared(&run, WiringChoice::Find).unwrap_err().to_string();
+    println!("{told}");
+    let choices: Vec<&str> =
+        told.split("--encoders ").skip(1).map(|rest| rest.split(' ').next().unwrap()).collect();
+    assert!(choices.len() > 1 && choices.contains(&"1,2,3,4,5"), "{choices:?}");
+    // The first encoder of the recording says that it is on joint 2, and is on joint 1.
+    let options = PrepareOptions {
+        encoders: "1,2,3,4,5".parse().unwrap(),
+        joint_travel_min_deg: 2.0,
+        ..PrepareOptions::default()
+    };
+    let found = prepare(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &options).unwrap();
+    let wanted: Vec<(u8, bool)> = (1..=5).map(|joint| (joint, false)).collect();
+    assert_eq!(joints_and_directions(&found.wiring.used), wanted);
+    assert!(found.wiring.others.is_empty());
+    // On a geometry that is fitted nothing is left of what the leaning base did to the angles.
+    let spreads = found.offsets.iter().map(|offset| offset.spread_rad * 1e3);
+    assert!(spreads.clone().all(|spread| spread < 1.0), "{:?} mrad", spreads.collect::<Vec<_>>());
 }
 
 #[test]

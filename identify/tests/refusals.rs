@@ -161,5 +161,5 @@ fn too_few_encoders_for_the_chosen_cost_are_told_with_the_missing_one() {
     let config = IdentifyConfig { cost: Some(CostName::Transform), ..IdentifyConfig::default() };
     let told = refusal(&run, &bar, &config);
     assert!(told.contains("needs the encoder of bar joint 3"), "{told}");
-    leaves_nothing(&run, &bar, "needs the encoder of bar joint 3", &["--cost", "pose"]);
+    leaves_nothing(&run, &bar, "needs the encoder of bar joint 3", &["--cost", "transform"]);
 }
