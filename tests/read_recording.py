@@ -1,6 +1,6 @@
-"""Reads a recording with two implementations that are not ours, and prints what they decode as JSON.
+"""Reads recordings with two implementations that are not ours, and prints what they decode, one line of JSON for each.
 
-usage: read_recording.py {mcap|rosbags} FILE
+usage: read_recording.py {mcap|rosbags} FILE ...
 """
 
 import json
@@ -38,10 +38,10 @@ def with_rosbags(path):
             yield connection.topic, log_time, reader.deserialize(raw, connection.msgtype)
 
 
-def main():
-    read = {"mcap": with_mcap, "rosbags": with_rosbags}[sys.argv[1]]
+def content_of(path, reader):
+    read = {"mcap": with_mcap, "rosbags": with_rosbags}[reader]
     result = {"cycles": [], "joint_states": [], "events": []}
-    for topic, log_time, message in read(sys.argv[2]):
+    for topic, log_time, message in read(path):
         stamp = message.header.stamp
         stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
         if topic == "/ballbard/cycle":
@@ -65,9 +65,15 @@ def main():
             })
         else:
             result["events"].append({"stamp_ns": stamp_ns, "kind": message.kind, "text": message.text})
-    if sys.argv[1] == "mcap":
-        result["timing"] = timing_of(sys.argv[2])
-    json.dump(result, sys.stdout, allow_nan=False)
+    if reader == "mcap":
+        result["timing"] = timing_of(path)
+    return result
+
+
+def main():
+    reader, *paths = sys.argv[1:]
+    for path in paths:
+        print(json.dumps(content_of(path, reader), allow_nan=False))
 
 
 if __name__ == "__main__":

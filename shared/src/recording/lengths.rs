@@ -38,6 +38,26 @@ pub fn chunk_is_whole(header: &ChunkHeader, records: &[u8]) -> bool {
     rest.is_empty()
 }
 
+/// An MCAP file up to the first chunk that it holds only in part, or whose records do not end with the chunk.
+pub fn up_to_broken_chunk(file: &[u8]) -> &[u8] {
+    const MAGIC_BYTES: usize = 8;
+    let mut rest = file.get(MAGIC_BYTES..).unwrap_or_default();
+    while let Some(([opcode, length @ ..], behind)) = rest.split_first_chunk::<9>() {
+        let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
+        let content = behind.split_at_checked(length);
+        let is_whole = |(chunk, _): (&[u8], &[u8])| match parse_record(op::CHUNK, chunk) {
+            Ok(Record::Chunk { header, data }) => chunk_is_whole(&header, &data),
+            _ => false,
+        };
+        if *opcode == op::CHUNK && !content.is_some_and(is_whole) {
+            return &file[..file.len() - rest.len()];
+        }
+        let Some((_, next)) = content else { break };
+        rest = next;
+    }
+    file
+}
+
 /// The beginning of a record up to its last length (MCAP specification, "Records").
 const fn layout(opcode: u8) -> &'static [Part] {
     match opcode {

@@ -19,7 +19,7 @@ mod timing;
 mod writer;
 
 pub use leftover::{Leftover, RecoverError, Recovery, is_in_use, recover_file, recover_leftovers};
-pub use lengths::parse_record;
+pub use lengths::{parse_record, up_to_broken_chunk};
 pub use messages::MessageError;
 pub use overview::RunOverview;
 pub use reader::{ReadError, ReadErrorKind, Recording};

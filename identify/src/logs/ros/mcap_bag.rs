@@ -6,7 +6,7 @@ use std::path::Path;
 use mcap::McapError;
 use mcap::records::{Record, SchemaHeader};
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use shared::recording::parse_record;
+use shared::recording::{parse_record, up_to_broken_chunk};
 
 use super::bag::Bag;
 use crate::logs::LogError;
@@ -22,7 +22,8 @@ pub(super) fn read(bytes: &[u8], path: &Path) -> Result<Bag, LogError> {
         .with_record_length_limit(RECORD_BYTES_MAX)
         .with_prevalidate_chunk_crcs(true);
     let mut reader = LinearReader::new_with_options(options);
-    let mut source = bytes;
+    // The library reads on behind the end of a broken chunk.
+    let mut source = up_to_broken_chunk(bytes);
     while let Some(event) = reader.next_event() {
         let record = match event {
             Ok(LinearReadEvent::ReadRequest(wanted)) => {
