@@ -11,7 +11,7 @@ use super::several::{Run, SIGMA_MIN};
 use crate::cost::{CostError, LoopProblem, Residual, SeveralRuns, SharedColumns};
 use crate::model::{Geometry, Model, Observation, ParameterId};
 use crate::prepare::Prepared;
-use crate::solver::{Block, Options, Prior, Problem, SolveError, Watch, solve};
+use crate::solver::{Options, Problem, SolveError, Subset, Watch, solve};
 
 /// Samples of all runs that are looked at, at most.
 const SAMPLES_MAX: usize = 3000;
@@ -79,7 +79,8 @@ impl<'a> WithResidual for Refit<'a> {
         let good = if self.config.ransac { TWO_FIFTHS } else { HALF };
         let mut all = Vec::new();
         for left_out in stretches(problem.starts(), count) {
-            let others = Without { problem: &problem, left_out: left_out.clone() };
+            let samples = (0..problem.samples()).filter(|sample| !left_out.contains(sample));
+            let others = Subset { of: &problem, samples: samples.collect() };
             let options = Options {
                 loss: settled(&others, &solution.x, loss, good),
                 step_tolerance: STEP_TOLERANCE,
@@ -132,50 +133,5 @@ fn keep_own_zeros(model: &mut Model, whole: &Model, others: &[Observation]) {
             // Both models have the same parameters.
             let _ = model.set_value(parameter.id, parameter.value);
         }
-    }
-}
-
-/// A problem without some of its samples.
-struct Without<'a, P> {
-    problem: &'a P,
-    left_out: Range<usize>,
-}
-
-impl<P: Problem> Problem for Without<'_, P> {
-    type Point = P::Point;
-
-    fn columns(&self) -> usize {
-        self.problem.columns()
-    }
-
-    fn column_name(&self, column: usize) -> String {
-        self.problem.column_name(column)
-    }
-
-    fn samples(&self) -> usize {
-        self.problem.samples() - self.left_out.len()
-    }
-
-    fn rows(&self) -> usize {
-        self.problem.rows()
-    }
-
-    fn priors(&self) -> &[Prior] {
-        self.problem.priors()
-    }
-
-    fn point(&self, x: &[f64]) -> P::Point {
-        self.problem.point(x)
-    }
-
-    fn sample(
-        &self,
-        point: &mut P::Point,
-        sample: usize,
-        residual: &mut [f64],
-        block: &mut Block<'_>,
-    ) -> bool {
-        let behind = if sample < self.left_out.start { 0 } else { self.left_out.len() };
-        self.problem.sample(point, sample + behind, residual, block)
     }
 }
