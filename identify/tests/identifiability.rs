@@ -19,7 +19,7 @@ fn thesis_47(model: &mut Model) {
     for id in ids {
         let name = id.to_string();
         let outside = ["rbeta", "or", "bsin", "bcos", "clock"].iter().any(|no| name.starts_with(no))
-            || matches!(id, ParameterId::Joint { .. });
+            || matches!(id, ParameterId::Joint { .. } | ParameterId::BarCompliance | ParameterId::BarPlay);
         if !outside {
             model.set_role(id, Role::Free).unwrap();
         }

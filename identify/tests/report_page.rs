@@ -184,7 +184,7 @@ fn with_fewer_encoders_only_costs_that_need_no_more_are_compared() {
     let evidence = evidence_of(&found, &robot);
     let costs = evidence.costs.as_ref().unwrap();
     let names: Vec<&str> = costs.entries.iter().map(|entry| entry.cost.name()).collect();
-    assert_eq!(names, ["position_angles", "position", "length"]);
+    assert_eq!(names, ["pose", "position_angles", "position", "length"]);
     let text = page_text(&found, &evidence, &robot);
     // Without all encoders the bar's rotation is what the robot says: comparing the two would flatter.
     assert!(text.contains("Position, calibrated without") && !text.contains("Rotation"));
