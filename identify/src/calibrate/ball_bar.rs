@@ -81,7 +81,7 @@ impl BallBarCalibration {
 
     /// Bar joints with an encoder in every run.
     pub fn measured(&self) -> [bool; BAR_JOINTS] {
-        std::array::from_fn(|joint| self.runs().all(|(prepared, _)| prepared.measured[joint]))
+        several::measured_in_all(self.runs().map(|(prepared, _)| prepared))
     }
 
     /// Copies of the runs with at most so many samples in all, evenly taken: for figures that need no more.

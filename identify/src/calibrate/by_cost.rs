@@ -1,7 +1,9 @@
 //! From the name of a cost to its residual.
 
 use super::config::{CostName, NoiseConfig};
-use crate::cost::{Length, Position, PositionAngles, Residual, Transform, WhitenedPose, WhitenedPoseOfFour};
+use crate::cost::{
+    Length, Position, PositionAngles, Residual, TORSION, Transform, WhitenedPose, WhitenedPoseOfFour,
+};
 use crate::kinematics::BAR_JOINTS;
 use crate::model::{Geometry, ParameterId};
 use crate::prepare::Prepared;
@@ -28,6 +30,15 @@ impl CostName {
             Self::PositionAngles => PositionAngles::ENCODERS,
             Self::Position => Position::ENCODERS,
             Self::Length => Length::ENCODERS,
+        }
+    }
+
+    /// The cost that tells as much where noise is not weighed: which parameters poses can identify at all.
+    pub(super) fn unweighed(self, measured: &[bool; BAR_JOINTS]) -> Self {
+        match self {
+            Self::Pose if is_of_four(measured) => Self::PositionAngles,
+            Self::Pose => Self::Transform,
+            other => other,
         }
     }
 
@@ -68,5 +79,5 @@ impl CostName {
 
 /// Encoder 3 is missing, which the whitened pose can do without.
 const fn is_of_four(measured: &[bool; BAR_JOINTS]) -> bool {
-    !measured[2]
+    !measured[TORSION]
 }

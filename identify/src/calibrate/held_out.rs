@@ -5,10 +5,10 @@ use std::ops::Range;
 use super::ball_bar::{BallBarCalibration, CalibrateError};
 use super::blocks::stretches;
 use super::by_cost::WithResidual;
-use super::config::{CostName, IdentifyConfig};
+use super::config::IdentifyConfig;
 use super::robust::{HALF, TWO_FIFTHS, settled};
-use super::several::{Run, SIGMA_MIN};
-use crate::cost::{CostError, LoopProblem, Residual, SeveralRuns, SharedColumns};
+use super::several::{Run, problem, residual_sigma};
+use crate::cost::{Residual, SharedColumns};
 use crate::model::{Geometry, Model, Observation, ParameterId};
 use crate::prepare::Prepared;
 use crate::solver::{Options, Problem, SolveError, Subset, Watch, solve};
@@ -45,11 +45,7 @@ pub fn without_each_stretch(
     watch: Option<&dyn Watch>,
 ) -> Result<Vec<Stretch>, CalibrateError> {
     let runs = calibration.thinned(SAMPLES_MAX);
-    // What residuals of costs that do not whiten themselves are worth against priors.
-    let sigma = match calibration.cost {
-        CostName::Pose => 1.0,
-        _ => calibration.solution.summary.residual_rms.max(SIGMA_MIN),
-    };
+    let sigma = residual_sigma(calibration.cost, &calibration.solution);
     let work = Refit { runs: &runs, calibration, config, sigma, watch };
     calibration.cost.run(&calibration.measured(), config.noise, work)
 }
@@ -67,13 +63,7 @@ impl<'a> WithResidual for Refit<'a> {
 
     fn with<R: Residual>(self, residual: impl Fn(&Prepared, &Geometry) -> R) -> Self::Output {
         let BallBarCalibration { columns, solution, cost, .. } = self.calibration;
-        let problem_of = |run: &'a Run| {
-            let Run { prepared, model } = run;
-            let residual = residual(prepared, &model.geometry(&[]));
-            LoopProblem::new(model, &prepared.motion, &prepared.observations, residual, self.sigma)
-        };
-        let problems = self.runs.iter().map(problem_of).collect::<Result<Vec<_>, CostError>>()?;
-        let problem = SeveralRuns::new(problems, columns);
+        let problem = problem(self.runs, columns, residual, self.sigma)?;
         let count = (STRETCHES_OF_ALL / self.runs.len().max(1)).clamp(2, STRETCHES);
         let loss = self.config.loss_for(*cost);
         let good = if self.config.ransac { TWO_FIFTHS } else { HALF };

@@ -7,7 +7,7 @@ use super::config::{CostName, IdentifyConfig, SelectionName};
 use super::repetition::independent_stretches;
 use super::robust::{LossName, solve_from_subsets, solve_robust};
 use super::structure::identifiable;
-use crate::cost::{CostError, LoopProblem, PositionAngles, Residual, SeveralRuns, SharedColumns, fill_in};
+use crate::cost::{CostError, LoopProblem, Residual, SeveralRuns, SharedColumns, fill_in};
 use crate::kinematics::{BAR_JOINTS, LinkParameter};
 use crate::model::{Geometry, Model, ModelError, ParameterId, Role};
 use crate::prepare::{AlignedLog, Prepared};
@@ -16,7 +16,7 @@ use crate::solver::{Options, Solution, Watch};
 /// The thesis' residuals enter as it defines them; `pose` is whitened by itself.
 const UNWEIGHTED: f64 = 1.0;
 /// Residuals without any error still count as this uncertain against priors \[m, m^2 or matrix entry\].
-pub(super) const SIGMA_MIN: f64 = 1e-9;
+const SIGMA_MIN: f64 = 1e-9;
 /// Whitened residuals below this are rounding: there is nothing left that a term could explain.
 const RESIDUAL_MIN: f64 = 1e-3;
 /// Stretches of each run that are held out in turn to choose terms.
@@ -48,7 +48,32 @@ pub struct Solved {
 
 /// Bar joints whose encoder all runs have.
 pub(super) fn measured(runs: &[Run]) -> [bool; BAR_JOINTS] {
-    std::array::from_fn(|joint| runs.iter().all(|run| run.prepared.measured[joint]))
+    measured_in_all(runs.iter().map(|run| &run.prepared))
+}
+
+/// [`measured`] of runs that are not together.
+pub(super) fn measured_in_all<'p>(runs: impl Iterator<Item = &'p Prepared>) -> [bool; BAR_JOINTS] {
+    runs.fold([true; BAR_JOINTS], |all, run| std::array::from_fn(|joint| all[joint] && run.measured[joint]))
+}
+
+/// What a residual of a solve is worth against priors, one standard deviation: `pose` is whitened by itself.
+pub(super) fn residual_sigma(cost: CostName, solution: &Solution) -> f64 {
+    if cost == CostName::Pose { UNWEIGHTED } else { solution.summary.residual_rms.max(SIGMA_MIN) }
+}
+
+/// All runs where their models are; `residual` makes the cost for a run on a geometry.
+pub(super) fn problem<'p, R: Residual>(
+    runs: &'p [Run],
+    columns: &'p SharedColumns,
+    residual: impl Fn(&Prepared, &Geometry) -> R,
+    sigma: f64,
+) -> Result<SeveralRuns<'p, R, AlignedLog>, CostError> {
+    let of_run = |Run { prepared, model }: &'p Run| {
+        let residual = residual(prepared, &model.geometry(&[]));
+        LoopProblem::new(model, &prepared.motion, &prepared.observations, residual, sigma)
+    };
+    let problems = runs.iter().map(of_run).collect::<Result<Vec<_>, CostError>>()?;
+    Ok(SeveralRuns::new(problems, columns))
 }
 
 /// Runs with a cost: `residual` makes it for a run on a geometry.
@@ -78,10 +103,7 @@ pub fn solve<R: Residual>(
         Some(_) => Vec::new(),
         None => {
             let Prepared { motion, observations, .. } = &first.prepared;
-            // What the poses determine without encoder 3, whatever weighs them.
-            let of_four = cost == CostName::Pose && R::ENCODERS == PositionAngles::ENCODERS;
-            let cost = if of_four { CostName::PositionAngles } else { cost };
-            identifiable(&first.model, motion, observations, cost)?
+            identifiable(&first.model, motion, observations, cost.unweighed(&measured(runs)))?
         }
     };
     for run in &mut *runs {
@@ -96,7 +118,7 @@ pub fn solve<R: Residual>(
     let (_, first) = solver.solve(UNWEIGHTED)?;
     // Whitening, angles without encoder and the worth of a residual against priors were those of the nominal geometry;
     // now they are those of the solution.
-    let sigma = if cost == CostName::Pose { UNWEIGHTED } else { first.summary.residual_rms.max(SIGMA_MIN) };
+    let sigma = residual_sigma(cost, &first);
     let (mut columns, mut solution) = solver.solve(sigma)?;
     let mut candidates = Vec::new();
     let mut scale = 1.0;
@@ -148,13 +170,7 @@ impl<R: Residual, F: Fn(&Prepared, &Geometry) -> R> Solver<'_, F> {
         columns: &'p SharedColumns,
         sigma: f64,
     ) -> Result<SeveralRuns<'p, R, AlignedLog>, CostError> {
-        let of_run = |run: &'p Run| {
-            let Prepared { motion, observations, .. } = &run.prepared;
-            let residual = (self.residual)(&run.prepared, &run.model.geometry(&[]));
-            LoopProblem::new(&run.model, motion, observations, residual, sigma)
-        };
-        let problems = self.runs.iter().map(of_run).collect::<Result<Vec<_>, CostError>>()?;
-        Ok(SeveralRuns::new(problems, columns))
+        problem(self.runs, columns, &self.residual, sigma)
     }
 
     /// One solve from where the models are; they are left at its solution.

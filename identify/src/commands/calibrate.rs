@@ -282,12 +282,14 @@ fn calibration_file(
     for run in runs {
         files.extend([("recording", run.recording_path), ("robot log", run.log_path), ("bar", run.bar_path)]);
     }
-    for (role, path) in
-        [("recording mapping", &arguments.recording_mapping), ("robot log mapping", &arguments.log_mapping)]
-    {
+    let mappings = [
+        ("recording mapping", &arguments.recording_mapping),
+        ("robot log mapping", &arguments.log_mapping),
+        ("force log mapping", &arguments.force_mapping),
+    ];
+    for (role, path) in mappings {
         files.extend(path.as_deref().map(|path| (role, path)));
     }
-    files.extend(arguments.force_mapping.as_deref().map(|path| ("force log mapping", path)));
     files.extend(arguments.force_log.iter().map(|path| ("force log", path.as_path())));
     let solution = &calibration.solution;
     let bar = runs.first().map_or("", |run| run.bar.name.as_str());

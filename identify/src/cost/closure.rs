@@ -31,6 +31,13 @@ pub struct Closure {
     pub joint_twists: [Twist; ROBOT_JOINTS],
 }
 
+impl Closure {
+    /// Distance of the two ends; without encoders they do not tell where the bar's is, and it is that from its sphere \[m\].
+    pub fn gap_m(&self, by_encoders: bool) -> f64 {
+        if by_encoders { self.apart_m.norm() } else { self.off_sphere_m.abs() }
+    }
+}
+
 /// The closed chain at each observation, on one geometry. Joints without encoder must have been filled in.
 /// Observations outside the robot's log are left out.
 pub fn closures(

@@ -27,6 +27,7 @@ pub use pose::{AngleNoise, PoseByNoise, WhitenedPose, WhitenedPoseOfFour};
 pub use position::Position;
 pub use position_angles::PositionAngles;
 pub use problem::{CostError, LoopProblem};
+pub(crate) use scene::TORSION;
 pub use scene::{Movement, Residual, Scene};
 pub use several::{SeveralRuns, SharedColumns};
 pub use transform::Transform;

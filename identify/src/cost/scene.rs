@@ -241,7 +241,7 @@ impl<R: Residual> Residual for &R {
 }
 
 /// The joint about the rod, from 0. Where its encoder is missing only the turn about the rod is unknown.
-pub(super) const TORSION: usize = 2;
+pub(crate) const TORSION: usize = ROD_LINK;
 /// Encoders of the bar without it.
 pub(super) const ALL_BUT_TORSION: &[usize] = &[0, 1, 3, 4];
 

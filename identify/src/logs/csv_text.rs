@@ -59,7 +59,7 @@ pub(super) fn delimiter_of_header(text: &str) -> u8 {
     [b';', b'\t'].into_iter().filter(|&d| count(d) > count(b',')).max_by_key(|&d| count(d)).unwrap_or(b',')
 }
 
-/// The table of a text in the layout that a mapping gives.
+/// The table of a text in the layout that a mapping gives, its first row of numbers next.
 pub(super) fn open_mapped<'a>(text: &'a str, path: &Path, layout: &CsvLayout) -> Result<Table<'a>, LogError> {
     let from = text.split_inclusive('\n').take(layout.skip_lines).map(str::len).sum::<usize>();
     let body = text.get(from..).unwrap_or_default();
@@ -76,7 +76,12 @@ pub(super) fn open_mapped<'a>(text: &'a str, path: &Path, layout: &CsvLayout) ->
         (None, found) => found,
     };
     let format = Format { delimiter, decimal_comma: layout.decimal_comma };
-    Table::open_behind(text, from, path, format, layout.header)
+    let mut table = Table::open_behind(text, from, path, format, layout.header)?;
+    for _ in 0..layout.unit_lines {
+        // Whatever stands there is not numbers.
+        let _ = table.next_row();
+    }
+    Ok(table)
 }
 
 /// The first line that is neither blank nor a comment.

@@ -1,6 +1,8 @@
 //! Why a log cannot be used: what, where (file, line, column) and what to do.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+use super::writer::seconds_text;
 
 /// Place of one value in a text file.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -234,4 +236,17 @@ pub enum LogError {
         /// Longest distance that is bridged \[s\].
         gap_limit_s: f64,
     },
+}
+
+impl LogError {
+    /// [`Self::TimeNotIncreasing`] between two rows, each with its place in the file and its stamp \[ns\].
+    pub(super) fn time_not_increasing(
+        path: &Path,
+        what: &'static str,
+        (before_line, before_ns): (u64, i64),
+        (line, after_ns): (u64, i64),
+    ) -> Self {
+        let (before_s, after_s) = (seconds_text(before_ns), seconds_text(after_ns));
+        Self::TimeNotIncreasing { path: path.to_owned(), what, line, before_line, before_s, after_s }
+    }
 }

@@ -55,6 +55,9 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+/// Fewest rows that make a log.
+const ROWS_MIN: usize = 50;
+
 /// The whole file.
 fn bytes_of(path: &Path) -> Result<Vec<u8>, LogError> {
     std::fs::read(path).map_err(|source| LogError::Unreadable { path: path.to_owned(), source })

@@ -4,13 +4,11 @@ use std::path::{Path, PathBuf};
 
 use shared::config::{AngleUnit, LogConversion, RobotConfig};
 
-use super::writer::seconds_text;
 use super::{
-    ForceClock, ForceKind, ForceLog, JointConversion, LogError, LogFormat, LogQuality, Origin, RobotLog,
+    ForceClock, ForceKind, ForceLog, JointConversion, LogError, LogFormat, LogQuality, Origin, ROWS_MIN,
+    RobotLog,
 };
 
-/// Fewest rows that make a log.
-const ROWS_MIN: usize = 50;
 /// Joint values may pass the nominal limits by this much before a log is refused \[deg\]: zero positions of real
 /// robots differ a little from the data sheet.
 const LIMIT_SLACK_DEG: f64 = 2.0;
@@ -127,14 +125,8 @@ impl RawLog {
                 return Ok(());
             }
             if row.stamp_ns <= before.stamp_ns {
-                return Err(LogError::TimeNotIncreasing {
-                    path: self.path.clone(),
-                    what: self.what,
-                    line: row.place,
-                    before_line: before.place,
-                    before_s: seconds_text(before.stamp_ns),
-                    after_s: seconds_text(row.stamp_ns),
-                });
+                let stamps = [(before.place, before.stamp_ns), (row.place, row.stamp_ns)];
+                return Err(LogError::time_not_increasing(&self.path, self.what, stamps[0], stamps[1]));
             }
         }
         self.rows.push(row.into());

@@ -114,10 +114,6 @@ pub(super) fn read_mapped(
     let text = decode(bytes, path)?;
     let mut table = open_mapped(text, path, &mapping.csv)?;
     let columns = mapped_layout(&table, path, mapping)?;
-    for _ in 0..mapping.csv.unit_lines {
-        // Whatever stands there is not numbers.
-        let _ = table.next_row();
-    }
     let names: Vec<String> = mapping.joints.iter().map(|joint| joint.column.clone()).collect();
     let meaning = Meaning::new(robot, &mapping.conversion(), names.try_into().unwrap_or_default())?;
     let mut raw = RawLog::new(path, "line");

@@ -49,8 +49,9 @@ pub fn prepare(
     let raw = raw_samples(&angles.segments);
     check(&raw, cycles.len(), log, options)?;
     let interpolated = InterpolatedLog::new(log, default_gap_limit_s(log))?;
-    let gravity = DriveTrain::of(robot, &robot_chain(robot, bar)).gravity;
-    let (robot, bar_chain) = (robot_chain(robot, bar), ball_bar_chain(bar));
+    let (arm, bar_chain) = (robot_chain(robot, bar), ball_bar_chain(bar));
+    let gravity = DriveTrain::of(robot, &arm).gravity;
+    let robot = arm;
     let sphere = sphere(log, &robot, bar.length_m, options)?;
     let predictor = Predictor::new(&interpolated, &robot, &bar_chain, sphere.centre_m)?;
     let recorded_joints: Vec<u8> = encoders.iter().map(|encoder| encoder.joint).collect();

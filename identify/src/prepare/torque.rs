@@ -63,9 +63,9 @@ impl TorqueSample {
         let mut by_term = Box::new(Regressors::zeros());
         let weight = gravity * STANDARD_GRAVITY;
         let axes: Vec<(Vector3<f64>, Vector3<f64>)> = trace.joint_axes().collect();
-        for link in 0..ROBOT_JOINTS {
-            let part = Chain { root_from_base: robot.root_from_base, links: robot.links[..=link].to_vec() };
-            let frame = part.forward(&state.q);
+        let mut frame = robot.root_from_base;
+        for (link, (of_link, joint_rad)) in robot.joined(&state.q).enumerate().take(ROBOT_JOINTS) {
+            frame *= of_link.transform(joint_rad);
             let turns = frame.rotation.matrix();
             // Motors hold against gravity; those beyond the link do not feel it.
             for (joint, (origin, z)) in axes.iter().enumerate().take(link + 1) {

@@ -8,7 +8,7 @@ use super::page::document;
 use super::page::intervals::Intervals;
 use super::page::plot::{COLOURS, PlotError};
 use crate::model::Unit;
-use crate::study::{Compared, Consistency};
+use crate::study::{Compared, Consistency, SIGMAS_OF_95};
 
 /// The table on a terminal.
 pub fn table(consistency: &Consistency, names: &[String]) -> String {
@@ -92,13 +92,11 @@ pub fn page(consistency: &Consistency, robot: &str, names: &[String]) -> Result<
 }
 
 fn intervals(title: &str, unit: Unit, parameters: &[&Compared], files: usize) -> Intervals {
-    /// 95 % of a normal distribution.
-    const SIGMAS: f64 = 1.96;
     let factor = unit.display_factor();
     let bar = |file: usize| {
         let of = |one: &&Compared| {
             let (value, sigma) = (*one.corrections.get(file)?)?;
-            Some(((value - one.mean) * factor, SIGMAS * sigma * factor))
+            Some(((value - one.mean) * factor, SIGMAS_OF_95 * sigma * factor))
         };
         parameters.iter().map(of).collect()
     };

@@ -56,7 +56,7 @@ impl CalibrationFile {
             evidence.held_out.as_ref().filter(|held_out| !held_out.stretches.is_empty()).map(|held_out| {
                 let entry = |rms: ApartRms| ApartEntry {
                     position_m: rms.position_m,
-                    rotation_rad: held_out.rotations.then_some(rms.rotation_rad),
+                    rotation_rad: evidence.rotations.then_some(rms.rotation_rad),
                 };
                 let [nominal, calibrated, fitted] = held_out.rms().map(entry);
                 HeldOutEntry { stretches: held_out.stretches.len(), nominal, calibrated, fitted }

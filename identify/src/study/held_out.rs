@@ -68,8 +68,6 @@ pub struct HeldOut {
     pub stretches: Vec<HeldOutStretch>,
     /// Stretches without which the parameters are not determined.
     pub undetermined: usize,
-    /// Rotations mean something: every joint of the bar has an encoder.
-    pub rotations: bool,
 }
 
 impl HeldOut {
@@ -82,10 +80,9 @@ impl HeldOut {
 
 /// Looks at each stretch with the parameters that were found without it.
 pub fn held_out(calibration: &BallBarCalibration, stretches: &[Stretch]) -> HeldOut {
-    let measured = calibration.measured();
-    let by_encoders = measured.contains(&true);
+    let by_encoders = calibration.measured().contains(&true);
     let runs: Vec<_> = calibration.runs().collect();
-    let mut all = HeldOut { rotations: measured == [true; 5], ..HeldOut::default() };
+    let mut all = HeldOut::default();
     for stretch in stretches {
         let Some(model) = &stretch.model else {
             all.undetermined += 1;
@@ -109,7 +106,7 @@ pub fn held_out(calibration: &BallBarCalibration, stretches: &[Stretch]) -> Held
 fn apart(closure: &Closure, by_encoders: bool) -> Apart {
     Apart {
         t_s: closure.t_s,
-        position_m: if by_encoders { closure.apart_m.norm() } else { closure.off_sphere_m.abs() },
+        position_m: closure.gap_m(by_encoders),
         rotation_rad: closure.turned_rad.norm(),
     }
 }

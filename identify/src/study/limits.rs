@@ -122,8 +122,5 @@ fn travel_deg(runs: &[RunEvidence]) -> [f64; ROBOT_JOINTS] {
 
 /// Distances of robot and bar \[m\].
 pub(super) fn gap_m<'a>(closures: impl Iterator<Item = &'a Closure>, by_encoders: bool) -> Quantiles {
-    let gap = |closure: &Closure| {
-        if by_encoders { closure.apart_m.norm() } else { closure.off_sphere_m.abs() }
-    };
-    Quantiles::of(closures.map(gap).collect())
+    Quantiles::of(closures.map(|closure| closure.gap_m(by_encoders)).collect())
 }

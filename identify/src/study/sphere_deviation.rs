@@ -6,14 +6,11 @@
 use nalgebra::Vector3;
 
 use super::figures::rms;
-use super::{Quantiles, RunEvidence};
+use super::{Quantiles, RunEvidence, SIGMAS_OF_95};
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::cost::Closure;
 use crate::model::ParameterId;
 use crate::prepare::BarForces;
-
-/// Standard deviations within which a value is not told from zero, one time in twenty.
-const SIGMAS: f64 = 1.96;
 
 /// One sample on the sphere.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -103,7 +100,7 @@ impl Stretch {
         let found = model.parameter(parameter)?;
         let column = model.column_of(parameter).and_then(|own| columns.of_run(run).get(own));
         let sigma = column.and_then(|column| solution.covariance.sigma(*column));
-        let told = sigma.is_none_or(|sigma| found.value.abs() > SIGMAS * sigma) && found.value != 0.0;
+        let told = sigma.is_none_or(|sigma| found.value.abs() > SIGMAS_OF_95 * sigma) && found.value != 0.0;
         let positive = match told {
             false => PositiveForce::NotTold,
             true if found.value > 0.0 => PositiveForce::Tension,

@@ -10,11 +10,8 @@ use shared::time::UtcNs;
 
 use super::OtherBarLog;
 use super::mapping::EncoderUnit;
-use crate::logs::writer::seconds_text;
-use crate::logs::{LogError, LogQuality};
+use crate::logs::{LogError, LogQuality, ROWS_MIN};
 
-/// Fewest rows that make a log.
-const ROWS_MIN: usize = 50;
 /// Faster than this no bar is moved by a robot \[rad/s\].
 const SPEED_RAD_S_MAX: f64 = 4.0 * std::f64::consts::PI;
 /// Smaller steps than this are no new origin \[rad\]: times of reception jitter, and rows come close behind each other.
@@ -163,14 +160,8 @@ impl RawBarLog {
                 return Ok(());
             }
             if row.stamp_ns <= before.stamp_ns && !self.kind.tells_origins {
-                return Err(LogError::TimeNotIncreasing {
-                    path: self.path.clone(),
-                    what: self.kind.row,
-                    line: row.place,
-                    before_line: before.place,
-                    before_s: seconds_text(before.stamp_ns),
-                    after_s: seconds_text(row.stamp_ns),
-                });
+                let stamps = [(before.place, before.stamp_ns), (row.place, row.stamp_ns)];
+                return Err(LogError::time_not_increasing(&self.path, self.kind.row, stamps[0], stamps[1]));
             }
         }
         self.rows.push(row);

@@ -51,12 +51,8 @@ pub(super) fn read(
     let text = decode(bytes, path)?;
     let (mut table, layout) = match mapping {
         Some(mapping) => {
-            let mut table = open_mapped(text, path, &mapping.csv)?;
+            let table = open_mapped(text, path, &mapping.csv)?;
             let layout = mapped(&table, path, bar, mapping)?;
-            for _ in 0..mapping.csv.unit_lines {
-                // Whatever stands there is not numbers.
-                let _ = table.next_row();
-            }
             (table, layout)
         }
         None => {

@@ -14,11 +14,7 @@ use crate::logs::csv_text::{Format, Table, comments, decode, delimiter_of_header
 use crate::logs::mapping::{CsvLayout, TimeColumn, TimeUnit};
 use crate::logs::stamp::stamp_ns;
 use crate::logs::table::TIME_COLUMN;
-use crate::logs::writer::seconds_text;
-use crate::logs::{JointConversion, LogError};
-
-/// Fewest rows that make a log.
-const ROWS_MIN: usize = 50;
+use crate::logs::{JointConversion, LogError, ROWS_MIN, bytes_of};
 
 /// How to read a force from a table: `config/force_log.toml` explains each key.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -58,9 +54,7 @@ impl ForceLog {
         robot: &RobotConfig,
         mapping: Option<&ForceLogMapping>,
     ) -> Result<Self, LogError> {
-        let bytes =
-            std::fs::read(path).map_err(|source| LogError::Unreadable { path: path.to_owned(), source })?;
-        Self::read(&bytes, path, robot, mapping)
+        Self::read(&bytes_of(path)?, path, robot, mapping)
     }
 
     /// [`Self::load`] on bytes in memory; `path` is only named in errors.
@@ -81,11 +75,7 @@ impl ForceLog {
             let time = TimeColumn { column: TIME_COLUMN.into(), unit: TimeUnit::S };
             return rows(table, path, &time, &layout, declared_clock(text, path)?)?.on_joints(robot);
         };
-        let mut table = open_mapped(text, path, &mapping.csv)?;
-        for _ in 0..mapping.csv.unit_lines {
-            // Whatever stands there is not numbers.
-            let _ = table.next_row();
-        }
+        let table = open_mapped(text, path, &mapping.csv)?;
         let layout = ForceLayout::named(&table, &mapping.force)?.ok_or_else(|| unknown(&table, path))?;
         rows(table, path, &mapping.time, &layout, mapping.clock)?.on_joints(robot)
     }
@@ -140,14 +130,7 @@ fn rows(
             // Loggers that are read faster than they are filled give the same row again.
             Some((last, _)) if stamp == last && log.values.last() == Some(&values) => continue,
             Some((last, line)) if stamp <= last => {
-                return Err(LogError::TimeNotIncreasing {
-                    path: path.to_owned(),
-                    what: "line",
-                    line: row.line,
-                    before_line: line,
-                    before_s: seconds_text(last),
-                    after_s: seconds_text(stamp),
-                });
+                return Err(LogError::time_not_increasing(path, "line", (line, last), (row.line, stamp)));
             }
             Some(_) => {}
         }

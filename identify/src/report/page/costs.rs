@@ -8,7 +8,7 @@ use super::intervals::Intervals;
 use super::plot::{COLOURS, PlotError};
 use super::sections::{figure, svg};
 use crate::model::Unit;
-use crate::study::{CostComparison, CostEntry, CostFigures};
+use crate::study::{CostComparison, CostEntry, CostFigures, SIGMAS_OF_95};
 
 /// So many names of parameters fit into a cell.
 const NAMES_MAX: usize = 8;
@@ -96,8 +96,6 @@ fn named(names: &[String]) -> String {
 }
 
 fn intervals(costs: &CostComparison, unit: Unit, title: &str) -> Intervals {
-    /// 95 % of a normal distribution.
-    const SIGMAS: f64 = 1.96;
     let factor = unit.display_factor();
     let of_unit: Vec<usize> = (0..costs.names.len()).filter(|&at| costs.names[at].1 == unit).collect();
     let own = costs.entries.first().and_then(|entry| entry.figures.as_ref().ok());
@@ -105,7 +103,7 @@ fn intervals(costs: &CostComparison, unit: Unit, title: &str) -> Intervals {
         let of = |&at: &usize| {
             let (correction, sigma) = (*entry.figures.as_ref().ok()?.robot.get(at)?)?;
             let reference = own.and_then(|own| *own.robot.get(at)?).map_or(0.0, |(correction, _)| correction);
-            Some(((correction - reference) * factor, SIGMAS * sigma * factor))
+            Some(((correction - reference) * factor, SIGMAS_OF_95 * sigma * factor))
         };
         of_unit.iter().map(of).collect()
     };

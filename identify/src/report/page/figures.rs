@@ -58,9 +58,7 @@ impl TimeAxis {
 
 /// Distance of robot and bar over time, nominal and calibrated.
 pub(super) fn gap_over_time(run: &RunEvidence, by_encoders: bool) -> Result<[String; 2], PlotError> {
-    let gap_mm = |closure: &Closure| {
-        1e3 * if by_encoders { closure.apart_m.norm() } else { closure.off_sphere_m.abs() }
-    };
+    let gap_mm = |closure: &Closure| 1e3 * closure.gap_m(by_encoders);
     let time = TimeAxis::of_run(run);
     let panel = |title: &str, colour, closures: &[Closure]| Panel {
         title: title.into(),

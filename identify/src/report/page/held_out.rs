@@ -9,7 +9,7 @@ use super::sections::svg;
 use super::{Page, runs};
 use crate::study::{Apart, ApartRms, HeldOut, HeldOutStretch};
 
-const INK: RGBColor = RGBColor(30, 36, 44);
+const BLACK: RGBColor = RGBColor(30, 36, 44);
 const RED: RGBColor = COLOURS[5];
 
 pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
@@ -21,7 +21,7 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
     for (number, name) in runs::names(page).iter().enumerate() {
         let stretches: Vec<&HeldOutStretch> =
             held_out.stretches.iter().filter(|stretch| stretch.run == number).collect();
-        figures.push((name.clone(), panels(&stretches, held_out.rotations)?));
+        figures.push((name.clone(), panels(&stretches, page.evidence.rotations)?));
     }
     let [nominal, predicted, fitted] = held_out.rms();
     Ok(html! {
@@ -30,7 +30,7 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
             "Each of " (held_out.stretches.len()) " stretches of time was predicted from a fit to all others. Robot against bar "
             "there, RMS: " (position(nominal)) " mm with the nominal robot, " b { (position(predicted)) " mm" }
             " with the calibrated one (" (position(fitted)) " mm where the fit has seen the stretch)"
-            @if held_out.rotations {
+            @if page.evidence.rotations {
                 "; in rotation " (rotation(nominal)) " mrad, " b { (rotation(predicted)) " mrad" } " (" (rotation(fitted)) " mrad)"
             }
             ". "
@@ -105,9 +105,9 @@ fn panel(
     };
     if calibrated {
         series.push(Series::new("", RED, Mark::Segments, level(|stretch| &stretch.fitted)));
-        series.push(Series::new("", INK, Mark::Segments, level(|stretch| &stretch.predicted)));
+        series.push(Series::new("", BLACK, Mark::Segments, level(|stretch| &stretch.predicted)));
     } else {
-        series.push(Series::new("", INK, Mark::Segments, level(|stretch| &stretch.nominal)));
+        series.push(Series::new("", BLACK, Mark::Segments, level(|stretch| &stretch.nominal)));
     }
     Panel { title: title.into(), x: time.label, y: y.into(), size: HALF, series, from_zero: true }.draw()
 }
@@ -127,7 +127,7 @@ fn table(page: &Page<'_>, held_out: &HeldOut) -> Markup {
                 @if several { th { "run" } }
                 th { "from [" (time.unit) "]" } th { "to" } th { "samples" }
                 th { "position [mm]" } th { "without" } th { "with" }
-                @if held_out.rotations { th { "rotation [mrad]" } th { "without" } th { "with" } }
+                @if page.evidence.rotations { th { "rotation [mrad]" } th { "without" } th { "with" } }
             } }
             tbody { @for stretch in &held_out.stretches {
                 @let [from, to] = stretch.span_s().map(|t_s| time.at(t_s));
@@ -136,7 +136,7 @@ fn table(page: &Page<'_>, held_out: &HeldOut) -> Markup {
                     @if several { td { (stretch.run + 1) } }
                     td { (format!("{from:.1}")) } td { (format!("{to:.1}")) } td { (stretch.fitted.len()) }
                     @for rms in figures { td { (position(rms)) } }
-                    @if held_out.rotations { @for rms in figures { td { (rotation(rms)) } } }
+                    @if page.evidence.rotations { @for rms in figures { td { (rotation(rms)) } } }
                 }
             } }
         }

@@ -5,7 +5,7 @@ use plotters::style::RGBColor;
 
 use super::Page;
 use super::figures::{HALF, TimeAxis, WIDE, dots};
-use super::plot::{BLUE, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
+use super::plot::{BLUE, FONT, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
 use super::sections::svg;
 use crate::study::{Deviation, OffSphere, SphereDeviation, Stretch};
 
@@ -158,7 +158,7 @@ fn map(title: &str, deviation: &Deviation, of: impl Fn(&OffSphere) -> f64) -> St
         format!("<svg viewBox=\"0 0 {SIDE} {}\" role=\"img\" aria-label=\"{title}\">", SIDE + 45.0);
     let label = |x: f64, y: f64, words: &str| {
         let style =
-            "font-size=\"15\" fill=\"#46505c\" font-family=\"system-ui, sans-serif\" text-anchor=\"middle\"";
+            format!("font-size=\"15\" fill=\"#46505c\" font-family=\"{FONT}\" text-anchor=\"middle\"");
         format!("<text x=\"{x}\" y=\"{y}\" {style}>{words}</text>")
     };
     text.push_str(&label(0.5 * SIDE, 20.0, title));
