@@ -19,7 +19,7 @@ fn standstills_jitter_angles_and_fates_are_those_of_the_simulated_run() {
     let prepared =
         prepare(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &PrepareOptions::default())
             .unwrap();
-    let Timeline { points, cycles_per_point, standstills, jitter } = prepared.timeline;
+    let Timeline { points, cycles_per_point, standstills, jitter, .. } = prepared.timeline;
     assert!(points.len() <= Timeline::POINTS_MAX && points.len() * cycles_per_point >= run.cycles.len());
     assert!(points.windows(2).all(|pair| pair[0].t_s < pair[1].t_s));
     assert!(points.iter().any(|point| point.fate == Fate::Invalid && point.measured_rad.is_none()));

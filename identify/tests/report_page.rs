@@ -61,7 +61,7 @@ fn evidence_of(found: &BallBarCalibration, robot: &RobotConfig) -> Evidence {
     seen.with_validation(found, &config(Some(found.cost)), limits_deg, None).unwrap()
 }
 
-fn page_text(calibration: &BallBarCalibration, evidence: &Evidence, robot: &RobotConfig) -> String {
+pub fn page_text(calibration: &BallBarCalibration, evidence: &Evidence, robot: &RobotConfig) -> String {
     let solution = &calibration.solution;
     let file = CalibrationFile::new(
         &robot.name,
@@ -71,7 +71,8 @@ fn page_text(calibration: &BallBarCalibration, evidence: &Evidence, robot: &Robo
         Vec::new(),
         ParameterEntry::of_runs(calibration),
     );
-    let page = Page { file: &file, calibration, evidence, configuration: "cost = \"pose\"" };
+    let configuration = "cost = \"pose\"";
+    let page = Page { file: &file, calibration, evidence, sources: &[], configuration };
     page.render().unwrap().into_string()
 }
 
@@ -202,6 +203,7 @@ fn a_page_of_several_runs_shows_each_of_them() {
     let inputs = runs.each_ref().map(|run| RunInput {
         cycles: &run.cycles,
         encoders: &run.encoders,
+        unwrapped: None,
         log: &run.robot_log,
         bar: &bar,
     });
@@ -212,8 +214,8 @@ fn a_page_of_several_runs_shows_each_of_them() {
     let of_run = |number| held_out.stretches.iter().filter(|stretch| stretch.run == number).count();
     assert_eq!((of_run(0), of_run(1)), (8, 8));
     let text = page_text(&found, &evidence, &robot);
-    // Held-out stretches, residuals, alignment, preparation; the second has a table of its own parameters.
-    assert_eq!(["Run 1 of 2", "Run 2 of 2"].map(|run| text.matches(run).count()), [4, 5]);
+    // Held-out stretches, residuals, sphere, alignment, preparation; the second has a table of its own parameters.
+    assert_eq!(["Run 1 of 2", "Run 2 of 2"].map(|run| text.matches(run).count()), [5, 6]);
     let row = text.split("<tr>").find(|row| row.contains("ox@2")).unwrap();
     assert!(row.contains("mm</td>"), "{row}");
     assert!(text.contains("run 2</text>"), "the sphere has both runs");

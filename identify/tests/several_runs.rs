@@ -23,7 +23,7 @@ fn run(bar: &BallBarConfig, seed: u64, base_m: [f64; 3], clock_ns: i64) -> Simul
 }
 
 fn input<'a>(run: &'a Simulated, bar: &'a BallBarConfig) -> RunInput<'a> {
-    RunInput { cycles: &run.cycles, encoders: &run.encoders, log: &run.robot_log, bar }
+    RunInput { cycles: &run.cycles, encoders: &run.encoders, unwrapped: None, log: &run.robot_log, bar }
 }
 
 /// No priors: the data alone decide.

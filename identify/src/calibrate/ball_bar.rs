@@ -10,7 +10,7 @@ use super::several::{self, Run};
 use super::structure::StructureError;
 use crate::cost::{CostError, Residual, SharedColumns};
 use crate::kinematics::{BAR_JOINTS, LinkParameter, ball_bar_chain, robot_chain};
-use crate::logs::RobotLog;
+use crate::logs::{RobotLog, Unwrapped};
 use crate::model::{Axis, DriveTrain, Geometry, Model, ModelError, ParameterId};
 use crate::prepare::{PrepareError, Prepared, prepare};
 use crate::solver::{Solution, SolveError, Summary, Unidentifiable, Watch};
@@ -103,6 +103,8 @@ pub struct RunInput<'a> {
     pub cycles: &'a [CycleRecord],
     /// Encoders of the recording, in its order.
     pub encoders: &'a [EncoderInfo],
+    /// What the reader of the recording has unwrapped itself: its records then show what no counter showed.
+    pub unwrapped: Option<&'a [Unwrapped]>,
     /// The robot's own log.
     pub log: &'a RobotLog,
     /// The bar of this run: bars of several runs may differ in length.
@@ -123,7 +125,7 @@ pub fn calibrate(
     bar: &BallBarConfig,
     config: &IdentifyConfig,
 ) -> Result<BallBarCalibration, CalibrateError> {
-    calibrate_runs(&[RunInput { cycles, encoders, log, bar }], robot, config, None)
+    calibrate_runs(&[RunInput { cycles, encoders, unwrapped: None, log, bar }], robot, config, None)
 }
 
 /// Prepares each run and solves all in one: they share the robot and the bar's links, each has its own clock, place of the
@@ -138,7 +140,11 @@ pub fn calibrate_runs(
     watch: Option<&dyn Watch>,
 ) -> Result<BallBarCalibration, CalibrateError> {
     let run = |input: &RunInput<'_>| {
-        let prepared = prepare(input.cycles, input.encoders, input.log, robot, input.bar, &config.prepare)?;
+        let mut prepared =
+            prepare(input.cycles, input.encoders, input.log, robot, input.bar, &config.prepare)?;
+        if let Some(unwrapped) = input.unwrapped {
+            prepared.timeline.unwrapped_encoders = unwrapped.to_vec();
+        }
         let model = start_model(&prepared, robot, input.bar)?;
         Ok(Run { prepared, model })
     };

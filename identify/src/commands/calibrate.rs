@@ -2,6 +2,7 @@
 
 mod force_logs;
 mod measured_poses;
+mod sources;
 
 use std::path::{Path, PathBuf};
 
@@ -10,6 +11,7 @@ use clap::Args;
 use shared::config::{self, BallBarConfig, RobotConfig};
 
 use self::force_logs::force_logs;
+use self::sources::sources;
 use super::on_terminal::OnTerminal;
 use crate::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
 use crate::calibrate::measured_length::{self, LengthOptions, LengthRow};
@@ -231,6 +233,7 @@ fn from_ball_bar(arguments: &CalibrateArguments, robot: &RobotConfig) -> anyhow:
         .map(|run| RunInput {
             cycles: run.recording.cycles(),
             encoders: run.recording.encoders(),
+            unwrapped: run.recording.unwrapped(),
             log: &run.log,
             bar: &run.bar,
         })
@@ -251,13 +254,15 @@ fn from_ball_bar(arguments: &CalibrateArguments, robot: &RobotConfig) -> anyhow:
         names.collect::<Vec<_>>().join(", ")
     })?;
     let mut file = calibration_file(arguments, robot, &runs, &calibration)?.with_validation(&evidence);
-    file.force = ForceEntry::of(&evidence.sphere);
+    let mut forces = ForceEntry::all(&evidence.spheres).into_iter();
+    (file.force, file.other_forces) = (forces.next(), forces.collect());
     let written = file.write(&arguments.out)?;
     file.write_robot(robot, runs.first().map(|run| &run.bar), &arguments.out)?;
     let page = Page {
         file: &file,
         calibration: &calibration,
         evidence: &evidence,
+        sources: &sources(&runs),
         configuration: &toml::to_string(&config)?,
     };
     let page = page.write(&arguments.out)?;

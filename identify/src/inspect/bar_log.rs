@@ -1,13 +1,13 @@
 //! The bar's encoders as another program recorded them.
 
 use super::recording::{encoders, motion, quality};
-use super::{Inspection, stamps};
+use super::{Inspection, UNSAID, stamps};
 use crate::logs::OtherBarLog;
 
 /// What a table or a bag holds of the bar.
 pub fn bar_log(log: &OtherBarLog) -> Inspection {
     let mut inspection = Inspection::default();
-    inspection.fact("the bar", log.kind);
+    inspection.fact("the bar", format!("from a {}", log.kind));
     let times = log.cycles.first().zip(log.cycles.last());
     let seconds = times.map_or(0.0, |(first, last)| last.sample_time.seconds_since(first.sample_time));
     inspection.fact("length", format!("{seconds:.1} s, {} rows", log.cycles.len()));
@@ -17,7 +17,20 @@ pub fn bar_log(log: &OtherBarLog) -> Inspection {
     inspection.fact("clock", log.clock.clone());
     encoders(&mut inspection, &log.encoders);
     stamps(&mut inspection, &log.quality);
-    inspection.fact("not in the file", log.unknown.join("; "));
+    for (what, instead) in log.unsaid() {
+        inspection.fact(UNSAID, format!("{what}; {instead}"));
+    }
+    for one in &log.unwrapped {
+        inspection.fact(
+            "unwrapped",
+            format!(
+                "{}, {} times; its largest step is {:.1} % of what can be followed",
+                one.name,
+                one.wraps,
+                100.0 * one.step_part
+            ),
+        );
+    }
     quality(&mut inspection, &log.cycles);
     for remark in &log.quality.remarks {
         inspection.suspect(remark.clone());

@@ -10,6 +10,9 @@ pub use robot_log::robot_log;
 
 use crate::logs::LogQuality;
 
+/// What a fact is called that the file should say, and does not.
+pub const UNSAID: &str = "not in the file";
+
 /// What was found.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Inspection {

@@ -29,6 +29,7 @@ mod rsi;
 mod spline;
 mod stamp;
 mod table;
+mod unwrapped;
 mod writer;
 
 pub use bar_log::{
@@ -49,6 +50,7 @@ pub use measured_pose::{
 pub use pose_rows::{JointColumn, LengthUnit};
 pub use reader::{LogOptions, load, load_with, read, read_with};
 pub use spline::{CubicSpline, SplinePoint};
+pub use unwrapped::{Unwrapped, UnwrappedPoint};
 pub use writer::write;
 
 use std::path::Path;

@@ -7,6 +7,7 @@ use nalgebra::Vector3;
 use serde::Serialize;
 use shared::time::UtcNs;
 
+use super::Alignment;
 use super::torque::{TorqueSample, forces_from_torques};
 use crate::kinematics::Chain;
 use crate::logs::{ForceClock, ForceKind, ForceLog};
@@ -129,7 +130,7 @@ pub(super) struct Surroundings<'a, M> {
     pub gravity: Vector3<f64>,
 }
 
-/// Puts the force on each sample; samples without one are taken out.
+/// Puts the force on each sample; samples without one are taken out. Also tells which of them had one.
 ///
 /// # Errors
 /// [`ForceError`] where the force log is of another time or cannot be a force on a bar.
@@ -137,7 +138,7 @@ pub(super) fn put_on<M: RobotMotion>(
     observations: &mut Vec<Observation>,
     log: &ForceLog,
     around: &Surroundings<'_, M>,
-) -> Result<BarForces, ForceError> {
+) -> Result<(BarForces, Vec<bool>), ForceError> {
     let gap_limit_s = log.gap_limit_s();
     let value = |observation: &Observation| log.at(around.log_time_s(log, observation.t_s), gap_limit_s);
     let rows: Vec<Option<[f64; 6]>> = observations.iter().map(value).collect();
@@ -146,8 +147,9 @@ pub(super) fn put_on<M: RobotMotion>(
     if (covered as f64) < COVERED_MIN * samples as f64 {
         return Err(around.not_covered(log, observations, covered));
     }
-    let mut given = rows.iter();
-    observations.retain(|_| given.next().is_some_and(Option::is_some));
+    let has_force: Vec<bool> = rows.iter().map(Option::is_some).collect();
+    let mut given = has_force.iter();
+    observations.retain(|_| given.next().is_some_and(|has_force| *has_force));
     let rows: Vec<[f64; 6]> = rows.into_iter().flatten().collect();
     let (along, torque_rms_nm) = around.along_bar(log.kind, observations, &rows)?;
     let range = check(log.kind, &along)?;
@@ -157,7 +159,9 @@ pub(super) fn put_on<M: RobotMotion>(
             _ => BarForce { along_n: along, side: (along / SIDE_N).tanh() },
         };
     }
-    Ok(BarForces { kind: log.kind, clock: log.clock, uncovered: samples - covered, range, torque_rms_nm })
+    let forces =
+        BarForces { kind: log.kind, clock: log.clock, uncovered: samples - covered, range, torque_rms_nm };
+    Ok((forces, has_force))
 }
 
 /// Smallest and largest, if they make sense.
@@ -182,7 +186,19 @@ fn check(kind: ForceKind, along: &[f64]) -> Result<[f64; 2], ForceError> {
     Ok([low, high])
 }
 
-impl<M: RobotMotion> Surroundings<'_, M> {
+impl<'a, M: RobotMotion> Surroundings<'a, M> {
+    pub fn new(
+        t_ref: UtcNs,
+        alignment: &Alignment,
+        motion: &'a M,
+        robot: &'a Chain,
+        base_m: Vector3<f64>,
+        gravity: Vector3<f64>,
+    ) -> Self {
+        let Alignment { clock_difference_ns, skew, .. } = *alignment;
+        Self { t_ref, clock_difference_ns, skew, motion, robot, base_m, gravity }
+    }
+
     /// Time of the force log, after its first stamp, at a bar time since the reference \[s\].
     fn log_time_s(&self, log: &ForceLog, t_s: f64) -> f64 {
         let (reference_ns, rate) = match log.clock {

@@ -3,8 +3,9 @@
 //! Nothing but nominal geometry is known at the beginning: not the clocks, not the encoders' zeros, not where the bar
 //! stands nor in which of its configurations. The steps, each a plain function on values:
 //!
-//! 1. [`bar_angles`]: counts to angles, bad cycles dropped, runs split where counters lost their origin. A moving average
-//!    of both logs where it is asked for.
+//! 1. [`bar_angles`]: counts to angles, bad cycles dropped, runs split where counters lost their origin;
+//!    [`unwrapped_log`]: joints that begin anew after a turn made continuous. A [`moving_average`] of both logs where it is
+//!    asked for.
 //! 2. [`fit_sphere`]: the robot's own positions give the bar's base and length.
 //! 3. [`Predictor`]: with these, nominal inverse kinematics of the bar predicts its joints from the robot's log.
 //! 4. [`correlate`]: predicted and measured joint *speeds* know no zeros, signs or configurations, and the root of the sum
@@ -24,7 +25,9 @@
 //! Times stay integers until they are small differences: the clocks may be decades apart.
 
 mod aligned;
+mod averaged;
 mod bar_angles;
+mod both_logs;
 mod circular;
 mod clock;
 mod correlate;
@@ -46,9 +49,11 @@ mod steps;
 mod stretches;
 mod timeline;
 mod torque;
+mod unwrap;
 mod wiring;
 
 pub use aligned::AlignedLog;
+pub use averaged::{Averaged, AveragedJoints, AveragedPoint};
 pub use bar_angles::{BarAngles, BarSegment, bar_angles};
 pub use clock::ClockFit;
 pub use correlate::{Channels, Match, candidates, correlate};
@@ -63,6 +68,7 @@ pub use sphere::{SphereFit, fit_sphere};
 pub use standstill::{Jitter, MOVING_RAD_S, Standstill};
 pub use steps::prepare;
 pub use timeline::{Fate, Timeline, TimelinePoint};
+pub use unwrap::{unwrapped_counters, unwrapped_log};
 pub use wiring::{AnglePair, EncoderPlace, Wiring, WiringChoice, WiringReport, find_wiring};
 
 use nalgebra::Vector3;
@@ -162,6 +168,8 @@ pub struct SampleCounts {
     pub surplus: usize,
     /// Their angles do not fit those around them.
     pub outliers: usize,
+    /// Without the force that others have.
+    pub no_force: usize,
     /// Kept.
     pub kept: usize,
 }
@@ -181,6 +189,7 @@ impl SampleCounts {
                 Fate::Invalid => &mut counts.invalid,
                 Fate::TimeNotIncreasing => &mut counts.time_not_increasing,
                 Fate::Outlier => &mut counts.outliers,
+                Fate::NoForce => &mut counts.no_force,
             } += 1;
         }
         counts

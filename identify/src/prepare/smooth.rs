@@ -4,7 +4,7 @@ use super::bar_angles::BarSegment;
 use crate::logs::RobotLog;
 
 /// Bar samples further apart are not averaged across \[s\].
-const BAR_GAP_S: f64 = 0.05;
+pub(super) const BAR_GAP_S: f64 = 0.05;
 
 /// The segments with every angle replaced by its average over `width_s`. Samples whose time is not covered on both sides
 /// are left out: a shorter average would be another filter.

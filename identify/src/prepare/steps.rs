@@ -1,26 +1,24 @@
 //! The steps of the preparation in their order.
 
-use std::borrow::Cow;
-
 use nalgebra::{Matrix3, Vector3};
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 use shared::time::UtcNs;
 
-use super::bar_angles::{BarAngles, bar_angles};
+use super::bar_angles::BarAngles;
+use super::both_logs::BothLogs;
 use super::find::{Found, Raw, Search};
 use super::forces::{Surroundings, put_on};
 use super::origins::join;
 use super::samples::{Sorted, raw_samples, sort};
-use super::smooth::{smoothed_log, smoothed_segments};
 use super::timeline::Run;
 use super::{
-    AlignedLog, Alignment, ClockFit, EncoderOffset, Fate, InitialValues, Predictor, PrepareError,
+    AlignedLog, Alignment, BarForces, ClockFit, EncoderOffset, Fate, InitialValues, Predictor, PrepareError,
     PrepareOptions, Prepared, SampleCounts, SphereFit, fit_sphere,
 };
 use crate::kinematics::{BAR_JOINTS, Chain, ball_bar_chain, robot_chain};
 use crate::logs::{InterpolatedLog, RobotLog, default_gap_limit_s};
-use crate::model::DriveTrain;
+use crate::model::{DriveTrain, Observation};
 
 /// Joints that travel less than this do not move \[deg\].
 const TRAVEL_DEG_MIN: f64 = 3.0;
@@ -44,8 +42,8 @@ pub fn prepare(
     bar: &BallBarConfig,
     options: &PrepareOptions,
 ) -> Result<Prepared, PrepareError> {
-    let mut angles = bar_angles(cycles, encoders)?;
-    let log = &*smoothed(&mut angles, log, options);
+    let both = BothLogs::new(cycles, encoders, log, options)?;
+    let (angles, log) = (&both.angles, &*both.log);
     let raw = raw_samples(&angles.segments);
     check(&raw, cycles.len(), log, options)?;
     let interpolated = InterpolatedLog::new(log, default_gap_limit_s(log))?;
@@ -54,42 +52,37 @@ pub fn prepare(
     let robot = arm;
     let sphere = sphere(log, &robot, bar.length_m, options)?;
     let predictor = Predictor::new(&interpolated, &robot, &bar_chain, sphere.centre_m)?;
-    let recorded_joints: Vec<u8> = encoders.iter().map(|encoder| encoder.joint).collect();
-    let search = Search {
-        samples: &raw,
-        recorded_joints: &recorded_joints,
-        origins: angles.segments.len(),
-        log: &interpolated,
-        log_duration_s: log.duration_s(),
-        predictor: &predictor,
-        chains: [&robot, &bar_chain],
-        options,
-    };
-    let mut found = search.run()?;
+    let chains = [&robot, &bar_chain];
+    let mut found = search(encoders, &both, &raw, &interpolated, &predictor, chains, options)?;
     let Reference { overlap_s, t_ref_s, t_ref, clock } =
-        Reference::new(&angles, &raw, &found, log.duration_s());
+        Reference::new(angles, &raw, &found, log.duration_s());
     let motion = AlignedLog::new(interpolated.clone(), clock.shift_s);
     let (reference, origins) = join(&raw, &mut found, t_ref_s);
     let numbers: Vec<usize> = origins.iter().map(|span| span.number).collect();
-    let sorted = sort(&raw, &found, &motion, t_ref_s, reference, &numbers, options)?;
-    let fates = fates_of_all(&angles, &raw, &sorted.fates);
-    let measured = found.wiring.used.measured();
+    let mut sorted = sort(&raw, &found, &motion, t_ref_s, reference, &numbers, options)?;
+    let offsets = offsets(&found, reference, &sorted);
+    let initial = initial(found.fit.geometry.base.origin_m, &sphere, clock, &offsets);
+    let alignment = alignment(&found, clock, log, t_ref, overlap_s);
+    let mut fates = fates_of_all(angles, &raw, &sorted.fates);
+    let around = Surroundings::new(t_ref, &alignment, &motion, &robot, initial.base_m, gravity);
+    let force = with_force(&mut sorted.observations, &mut fates, log, &around)?;
     let run = Run {
+        cycles,
+        both: &both,
+        t_ref,
+        clock,
         fates: &fates,
-        cycle_s: &|cycle| cycles.get(cycle).map_or(0.0, |cycle| cycle.sample_time.seconds_since(t_ref)),
         samples: &sorted.joints,
-        measured: &measured,
+        wiring: &found.wiring.used,
         configuration: found.settled.configuration,
         predictor: &predictor,
-        clock,
     };
-    let offsets = offsets(&found, reference, &sorted);
-    let prepared = Prepared {
+    Ok(Prepared {
         t_ref,
-        measured,
-        initial: initial(found.fit.geometry.base.origin_m, &sphere, clock, &offsets),
+        measured: found.wiring.used.measured(),
+        initial,
         configuration: found.settled.configuration,
-        alignment: alignment(&found, clock, log, t_ref, overlap_s),
+        alignment,
         offsets,
         sphere,
         counts: SampleCounts::of(&fates),
@@ -99,43 +92,47 @@ pub fn prepare(
         local_shifts: sorted.local_shifts,
         observations: sorted.observations,
         motion,
-        force: None,
-    };
-    with_force(prepared, log, &robot, gravity)
+        force,
+    })
 }
 
-/// The force on the bar in each sample, where one was measured.
+/// Where in the robot's log the recording lies, and which encoder is which.
+fn search(
+    encoders: &[EncoderInfo],
+    both: &BothLogs<'_>,
+    raw: &[Raw],
+    interpolated: &InterpolatedLog,
+    predictor: &Predictor<'_>,
+    chains: [&Chain; 2],
+    options: &PrepareOptions,
+) -> Result<Found, PrepareError> {
+    let recorded_joints: Vec<u8> = encoders.iter().map(|encoder| encoder.joint).collect();
+    let search = Search {
+        samples: raw,
+        recorded_joints: &recorded_joints,
+        origins: both.angles.segments.len(),
+        log: interpolated,
+        log_duration_s: both.log.duration_s(),
+        predictor,
+        chains,
+        options,
+    };
+    search.run()
+}
+
+/// Puts the force on the bar, where one was measured, on each sample. Samples without one are left out.
 fn with_force(
-    mut prepared: Prepared,
+    observations: &mut Vec<Observation>,
+    fates: &mut [Fate],
     log: &RobotLog,
-    robot: &Chain,
-    gravity: Vector3<f64>,
-) -> Result<Prepared, PrepareError> {
-    let Some(force) = &log.force else { return Ok(prepared) };
-    let around = Surroundings {
-        t_ref: prepared.t_ref,
-        clock_difference_ns: prepared.alignment.clock_difference_ns,
-        skew: prepared.alignment.skew,
-        motion: &prepared.motion,
-        robot,
-        base_m: prepared.initial.base_m,
-        gravity,
-    };
-    prepared.force = Some(put_on(&mut prepared.observations, force, &around)?);
-    prepared.counts.kept = prepared.observations.len();
-    Ok(prepared)
-}
-
-/// Both logs averaged in the same way where that is asked for.
-fn smoothed<'a>(angles: &mut BarAngles, log: &'a RobotLog, options: &PrepareOptions) -> Cow<'a, RobotLog> {
-    let width_s = options.moving_average_ms * 1e-3;
-    if width_s.is_nan() || width_s <= 0.0 {
-        return Cow::Borrowed(log);
-    }
-    let before = angles.segments.len();
-    angles.segments = smoothed_segments(&angles.segments, width_s);
-    tracing::debug!(before, after = angles.segments.len(), width_s, "moving average over both logs");
-    Cow::Owned(smoothed_log(log, width_s, default_gap_limit_s(log)))
+    around: &Surroundings<'_, AlignedLog>,
+) -> Result<Option<BarForces>, PrepareError> {
+    let Some(force) = &log.force else { return Ok(None) };
+    let (forces, has_force) = put_on(observations, force, around)?;
+    // Samples stand in the order of their cycles.
+    let kept = fates.iter_mut().filter(|fate| **fate == Fate::Kept);
+    kept.zip(has_force).filter(|(_, has_force)| !has_force).for_each(|(fate, _)| *fate = Fate::NoForce);
+    Ok(Some(forces))
 }
 
 fn first_time(angles: &BarAngles) -> UtcNs {

@@ -1,10 +1,14 @@
 //! A run at a glance: what a report draws of the preparation, thinned so that ten hours stay a few thousand points.
 
 use serde::Serialize;
+use shared::recording::schema::CycleRecord;
+use shared::time::UtcNs;
 
+use super::both_logs::BothLogs;
 use super::standstill::{Jitter, MOVING_RAD_S, Readings, Standstill, standstills};
-use super::{ClockFit, Predictor};
+use super::{Averaged, ClockFit, Predictor, Wiring};
 use crate::kinematics::{BAR_JOINTS, Configuration, ROBOT_JOINTS};
+use crate::logs::Unwrapped;
 
 /// What became of a bus cycle.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
@@ -21,6 +25,8 @@ pub enum Fate {
     OtherOrigin,
     /// Near a singular pose of the bar.
     Singular,
+    /// The force on the bar was measured, but not here.
+    NoForce,
     /// The solve gets it.
     Kept,
     /// Not fresh, flagged, or without valid counts of all encoders.
@@ -69,6 +75,12 @@ pub struct Timeline {
     pub standstills: Vec<Standstill>,
     /// Noise of the encoders at standstill (figure 5.2 of the thesis).
     pub jitter: Jitter,
+    /// Encoders that began anew and were made continuous; the others never did.
+    pub unwrapped_encoders: Vec<Unwrapped>,
+    /// The same of the robot's joints.
+    pub unwrapped_joints: Vec<Unwrapped>,
+    /// What the moving average did, where one was asked for.
+    pub averaged: Option<Averaged>,
 }
 
 impl Timeline {
@@ -78,20 +90,24 @@ impl Timeline {
 
 /// The run as the preparation leaves it.
 pub(super) struct Run<'a> {
-    /// Of every cycle of the recording.
+    /// The whole recording.
+    pub cycles: &'a [CycleRecord],
+    /// What was read of it and of the robot's log.
+    pub both: &'a BothLogs<'a>,
+    /// Reference time.
+    pub t_ref: UtcNs,
+    /// Bar time since then to robot time.
+    pub clock: ClockFit,
+    /// Of every cycle.
     pub fates: &'a [Fate],
-    /// Time of a cycle since the reference \[s\].
-    pub cycle_s: &'a dyn Fn(usize) -> f64,
     /// Valid samples in the order of time.
     pub samples: &'a [Sample],
-    /// Joints with an encoder.
-    pub measured: &'a [bool; BAR_JOINTS],
+    /// Which encoder sits where.
+    pub wiring: &'a Wiring,
     /// In which angles are shown.
     pub configuration: Configuration,
     /// The robot's log and what it implies.
     pub predictor: &'a Predictor<'a>,
-    /// Bar time to robot time.
-    pub clock: ClockFit,
 }
 
 /// A valid sample of the bar.
@@ -122,13 +138,24 @@ impl Run<'_> {
                 noteworthy.map(|(index, fate)| self.point(chunk * cycles_per_point + index, *fate))
             })
             .collect();
-        let (standstills, jitter) = standstills(&self.still(), self.measured);
-        Timeline { points, cycles_per_point, standstills, jitter }
+        let (standstills, jitter) = standstills(&self.still(), &self.wiring.measured());
+        let averaged = self.both.averaged(self.t_ref, self.clock, self.wiring, &standstills);
+        let [unwrapped_encoders, unwrapped_joints] = self.both.unwrapped.clone();
+        Timeline {
+            points,
+            cycles_per_point,
+            standstills,
+            jitter,
+            unwrapped_encoders,
+            unwrapped_joints,
+            averaged,
+        }
     }
 
     fn point(&self, cycle: usize, fate: Fate) -> TimelinePoint {
         let sample = self.samples.binary_search_by_key(&cycle, |sample| sample.cycle).ok();
-        let t_s = (self.cycle_s)(cycle);
+        let time = self.cycles.get(cycle).map(|cycle| cycle.sample_time);
+        let t_s = time.map_or(0.0, |time| time.seconds_since(self.t_ref));
         let tau_s = self.clock.tau_s(t_s);
         let predicted = self.predictor.at(tau_s);
         let predicted_rad = predicted.map(|bar| self.configuration.carry(&bar.joints_rad));
@@ -156,8 +183,9 @@ impl Run<'_> {
         bar_rad: &[f64; BAR_JOINTS],
         predicted_rad: Option<[f64; BAR_JOINTS]>,
     ) -> [f64; BAR_JOINTS] {
+        let measured = self.wiring.measured();
         let filled = std::array::from_fn(|joint| match predicted_rad {
-            Some(predicted_rad) if !self.measured[joint] => predicted_rad[joint],
+            Some(predicted_rad) if !measured[joint] => predicted_rad[joint],
             _ => bar_rad[joint],
         });
         self.configuration.carry(&filled)

@@ -219,6 +219,9 @@ pub struct CalibrationFile {
     /// The force on the bar, where one was measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub force: Option<ForceEntry>,
+    /// That in the other runs that have one.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub other_forces: Vec<ForceEntry>,
     /// Files it was made from.
     pub inputs: Vec<Input>,
     /// Kinds of terms that were tried on held-out stretches of the runs.
@@ -260,6 +263,7 @@ impl CalibrationFile {
             clock,
             other_clocks: Vec::new(),
             force: None,
+            other_forces: Vec::new(),
             inputs,
             candidates: Vec::new(),
             held_out: None,

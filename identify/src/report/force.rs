@@ -8,6 +8,9 @@ use crate::study::{PositiveForce, SphereDeviation};
 /// The force on the bar in `calibration.toml` and `calibration.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct ForceEntry {
+    /// Number of the run, from 1.
+    #[serde(default = "first_run")]
+    pub run: usize,
     /// What was measured.
     pub kind: ForceKind,
     /// On whose clock.
@@ -33,9 +36,17 @@ pub struct ForceEntry {
     pub sentence: String,
 }
 
+const fn first_run() -> usize {
+    1
+}
+
 impl ForceEntry {
-    /// None without a force.
-    pub fn of(sphere: &SphereDeviation) -> Option<Self> {
+    /// Of each run that has a force.
+    pub fn all(spheres: &[SphereDeviation]) -> Vec<Self> {
+        spheres.iter().filter_map(Self::of).collect()
+    }
+
+    fn of(sphere: &SphereDeviation) -> Option<Self> {
         let stretch = sphere.stretch?;
         let positive = match stretch.positive {
             PositiveForce::Tension => "tension",
@@ -43,6 +54,7 @@ impl ForceEntry {
             PositiveForce::NotTold => "not told",
         };
         Some(Self {
+            run: stretch.run + 1,
             kind: stretch.measured.kind,
             clock: stretch.measured.clock,
             positive: positive.into(),

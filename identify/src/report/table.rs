@@ -43,10 +43,11 @@ pub fn calibration(file: &CalibrationFile) -> String {
             clock.correlation,
         );
     }
-    if let Some(force) = &file.force {
+    for force in file.force.iter().chain(&file.other_forces) {
         let _ = writeln!(
             text,
-            "force: {}; off the sphere {:.2} um RMS, {:.2} um of it not explained by the force",
+            "force{}: {}; off the sphere {:.2} um RMS, {:.2} um of it not explained by the force",
+            if file.other_forces.is_empty() { String::new() } else { format!(" (run {})", force.run) },
             force.sentence,
             force.off_sphere_rms_m * 1e6,
             force.unexplained_rms_m * 1e6,

@@ -61,8 +61,8 @@ pub struct Evidence {
     pub gap_after_m: Quantiles,
     /// The samples of all runs at the solution, from each joint.
     pub joints: [Vec<JointGap>; ROBOT_JOINTS],
-    /// How far the robot's end is from the bar's sphere.
-    pub sphere: SphereDeviation,
+    /// How far the robot's end is from the bar's sphere, in each run.
+    pub spheres: Vec<SphereDeviation>,
     /// Expected error over the workspace.
     pub workspace: WorkspaceError,
     /// Names of the free parameters of robot and first run, and their correlations row by row.
@@ -91,7 +91,7 @@ pub fn evidence(calibration: &BallBarCalibration, joint_limits_deg: &[[f64; 2]; 
         joints: joint_gaps(all(|run| &run.after)),
         correlations: correlations(calibration),
         limits: limits(calibration, &runs, &workspace),
-        sphere: SphereDeviation::of(calibration, &runs),
+        spheres: SphereDeviation::all(calibration, &runs),
         runs,
         workspace,
         held_out: None,

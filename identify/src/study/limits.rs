@@ -80,13 +80,16 @@ pub fn limits(
             ),
         );
     }
-    if let Some(stretch) =
-        Stretch::of(calibration).filter(|stretch| stretch.positive == PositiveForce::NotTold)
-    {
+    for stretch in Stretch::all(calibration) {
+        if stretch.positive != PositiveForce::NotTold {
+            continue;
+        }
+        let place = if several { format!("Run {}: ", stretch.run + 1) } else { String::new() };
         tell(
             true,
             format!(
-                "The {} does not tell how the bar gives way ({}); check its clock, column and place, or calibrate without it.",
+                "{place}The {} does not tell how the bar gives way ({}); check its clock, column and place, or calibrate \
+                 without it.",
                 stretch.measured.kind.describe(),
                 stretch.sentence()
             ),

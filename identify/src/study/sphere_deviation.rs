@@ -9,8 +9,8 @@ use super::figures::rms;
 use super::{Quantiles, RunEvidence, SIGMAS_OF_95};
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::cost::Closure;
-use crate::model::ParameterId;
-use crate::prepare::BarForces;
+use crate::model::{Model, ParameterId};
+use crate::prepare::{BarForces, Prepared};
 
 /// One sample on the sphere.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -92,10 +92,23 @@ pub struct Stretch {
 impl Stretch {
     /// Of the first run of a calibration that has a force; none without any.
     pub fn of(calibration: &BallBarCalibration) -> Option<Self> {
+        Self::all(calibration).into_iter().next()
+    }
+
+    /// Of each run of a calibration that has a force.
+    pub fn all(calibration: &BallBarCalibration) -> Vec<Self> {
+        let runs = calibration.runs().enumerate();
+        runs.filter_map(|(run, (prepared, model))| Self::of_run(calibration, run, prepared, model)).collect()
+    }
+
+    fn of_run(
+        calibration: &BallBarCalibration,
+        run: usize,
+        prepared: &Prepared,
+        model: &Model,
+    ) -> Option<Self> {
         let BallBarCalibration { columns, solution, .. } = calibration;
-        let mut runs = calibration.runs().enumerate();
-        let (run, measured, model) =
-            runs.find_map(|(run, (prepared, model))| Some((run, prepared.force?, model)))?;
+        let measured = prepared.force?;
         let parameter = measured.parameter();
         let found = model.parameter(parameter)?;
         let column = model.column_of(parameter).and_then(|own| columns.of_run(run).get(own));
@@ -136,7 +149,7 @@ impl Stretch {
     }
 }
 
-/// The deviation from the sphere before and after, and the force where there is one.
+/// One run's deviation from the sphere before and after, and the force where there is one.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SphereDeviation {
     /// With the nominal robot, the bar fitted to it.
@@ -148,15 +161,16 @@ pub struct SphereDeviation {
 }
 
 impl SphereDeviation {
-    /// Of the first run that has a force, or the first of all.
-    pub fn of(calibration: &BallBarCalibration, runs: &[RunEvidence]) -> Self {
-        let stretch = Stretch::of(calibration);
-        let of_signs = stretch.is_some_and(|stretch| stretch.parameter == ParameterId::BarPlay);
+    /// Of each run.
+    pub fn all(calibration: &BallBarCalibration, runs: &[RunEvidence]) -> Vec<Self> {
         let [first, second, ..] = calibration.measured();
-        let deviation = |closures: &[Closure]| Deviation::of(closures, of_signs, first && second);
-        let run = runs.get(stretch.map_or(0, |stretch| stretch.run));
-        let [before, after] =
-            run.map(|run| [deviation(&run.before), deviation(&run.after)]).unwrap_or_default();
-        Self { before, after, stretch }
+        let of_run = |((run, seen), (prepared, model)): ((usize, &RunEvidence), (&Prepared, &Model))| {
+            let stretch = Stretch::of_run(calibration, run, prepared, model);
+            let of_signs = stretch.is_some_and(|stretch| stretch.parameter == ParameterId::BarPlay);
+            let [before, after] = [&seen.before, &seen.after]
+                .map(|closures| Deviation::of(closures, of_signs, first && second));
+            Self { before, after, stretch }
+        };
+        runs.iter().enumerate().zip(calibration.runs()).map(of_run).collect()
     }
 }

@@ -11,7 +11,7 @@ use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
 use identify::kinematics::{Chain, Trace, Tracer};
 use identify::logs::{ForceClock, ForceKind, ForceLog};
 use identify::model::ParameterId;
-use identify::prepare::{ForceError, PrepareError, PrepareOptions, Prepared, prepare};
+use identify::prepare::{Fate, ForceError, PrepareError, PrepareOptions, Prepared, prepare};
 use identify::simulate::{self, BarLoad, Effects, Experiment, Simulated};
 use identify::study::{PositiveForce, Stretch, evidence};
 use nalgebra::Vector3;
@@ -80,7 +80,7 @@ fn the_sign_of_the_logs_force_is_found_and_told() {
     let stretch = Stretch::of(&found).unwrap();
     assert_eq!(stretch.positive, PositiveForce::Compression);
     assert!(in_sigmas(&stretch, -0.17e-6).abs() < 1.96, "{stretch:?}");
-    let sphere = evidence(&found, &irb2400().joint_limits_deg).sphere;
+    let sphere = evidence(&found, &irb2400().joint_limits_deg).spheres.remove(0);
     assert!(sphere.before.rms_m > sphere.after.rms_m);
     assert!(sphere.after.unexplained_rms_m < 0.8 * sphere.after.rms_m, "{sphere:?}");
 }
@@ -235,6 +235,8 @@ fn a_force_log_on_the_bars_clock_or_with_a_hole_is_taken_and_one_of_another_time
     let uncovered = left.force.unwrap().uncovered;
     assert!(uncovered > 20 && left.counts.kept + uncovered <= 1500, "{uncovered}");
     assert_eq!(left.counts.kept, left.observations.len());
+    assert_eq!(left.counts.no_force, uncovered);
+    assert!(left.timeline.points.iter().any(|point| point.fate == Fate::NoForce));
 
     let refused = |change: &dyn Fn(&mut ForceLog)| {
         let mut force = robots.clone();

@@ -19,7 +19,21 @@ use shared::config::BallBarConfig;
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 use shared::recording::{ReadError, ReadErrorKind, Recording};
 
-use super::{LogError, LogFormat, LogQuality, bytes_of};
+use super::{LogError, LogFormat, LogQuality, Unwrapped, bytes_of};
+
+/// What a file may leave unsaid, and what is done then.
+const UNSAID: [(&str, &str); 4] = [
+    ("how certain its times are", "they are taken as exact"),
+    (
+        "which values are not valid",
+        "every row that has all values is used, but for those that repeat the counts before them",
+    ),
+    (
+        "where counters started anew",
+        "at a place where two or more encoders jump at once they are taken to have",
+    ),
+    ("the date of its stamps", "the two clocks are compared by the motion alone"),
+];
 
 /// How many bytes of a file tell whether it is a recording.
 const BEGINNING: u64 = 4096;
@@ -59,6 +73,8 @@ pub struct OtherBarLog {
     pub cycles: Vec<CycleRecord>,
     /// How good the log is in itself; rows without a value, and frozen ones, are there and not valid.
     pub quality: LogQuality,
+    /// Counters and angles that began anew and were made continuous.
+    pub unwrapped: Vec<Unwrapped>,
     /// What the file does not say.
     pub unknown: Vec<&'static str>,
 }
@@ -85,6 +101,15 @@ impl BarLog {
         match self {
             Self::Recording(recording) => &recording.cycles,
             Self::Other(other) => &other.cycles,
+        }
+    }
+
+    /// What the file's counters and angles showed where they began anew, if it is of another program: its records have the
+    /// counts that a terminal's counter would have shown.
+    pub fn unwrapped(&self) -> Option<&[Unwrapped]> {
+        match self {
+            Self::Recording(_) => None,
+            Self::Other(other) => Some(&other.unwrapped),
         }
     }
 
@@ -127,6 +152,11 @@ impl OtherBarLog {
             Ok(_) | Err(LogError::UnknownFormat { .. }) => Err(LogError::NoBarLog { path: path.to_owned() }),
             Err(error) => Err(error),
         }
+    }
+
+    /// What the file does not say, and what is done instead.
+    pub fn unsaid(&self) -> impl Iterator<Item = (&'static str, &'static str)> {
+        UNSAID.into_iter().filter(|(what, _)| self.unknown.contains(what))
     }
 
     /// Whether a text has the columns of the bar's encoders by their usual names: it is no robot's log then.

@@ -4,13 +4,13 @@ use std::f64::consts::TAU;
 use std::path::{Path, PathBuf};
 
 use shared::config::BallBarConfig;
-use shared::encoder::{Direction, EncoderScale, wrap};
+use shared::encoder::{Direction, EncoderScale, Unwrapper, wrap};
 use shared::recording::schema::{CycleRecord, EncoderInfo, EncoderSample, MAX_ENCODERS, flags};
 use shared::time::UtcNs;
 
-use super::OtherBarLog;
 use super::mapping::EncoderUnit;
-use crate::logs::{LogError, LogQuality, ROWS_MIN};
+use super::{OtherBarLog, UNSAID};
+use crate::logs::{LogError, LogQuality, ROWS_MIN, Unwrapped, UnwrappedPoint};
 
 /// Faster than this no bar is moved by a robot \[rad/s\].
 const SPEED_RAD_S_MAX: f64 = 4.0 * std::f64::consts::PI;
@@ -189,9 +189,10 @@ impl RawBarLog {
         self.judge_stamps();
         self.tell();
         let Kind { name, is_dated, .. } = self.kind;
-        let unknown = self.unknown();
+        let (unknown, unwrapped) = (self.unknown(), self.unwrapped(&cycles));
         let encoders = self.readings.iter().map(|reading| reading.info).collect();
-        Ok(OtherBarLog { kind: name, clock, is_dated, encoders, cycles, quality: self.quality, unknown })
+        let quality = self.quality;
+        Ok(OtherBarLog { kind: name, clock, is_dated, encoders, cycles, quality, unwrapped, unknown })
     }
 
     fn cycles(&mut self) -> Vec<CycleRecord> {
@@ -304,6 +305,31 @@ impl RawBarLog {
         Ok(())
     }
 
+    /// The encoders that began anew, as the file shows them and as they were followed.
+    fn unwrapped(&self, cycles: &[CycleRecord]) -> Vec<Unwrapped> {
+        let first_ns = self.rows.first().map_or(0, |row| row.stamp_ns);
+        let of_place = |(place, reading): (usize, &Reading)| {
+            let scale = &reading.info.scale;
+            let (mut unwrapper, mut first) = (Unwrapper::default(), None);
+            let rows = self.rows.iter().zip(cycles).filter(|(_, cycle)| cycle.is_valid());
+            let points = rows.filter_map(|(row, cycle)| {
+                let counts = unwrapper.next(cycle.encoders[place].count);
+                let from_first = counts - *first.get_or_insert(counts);
+                Some(UnwrappedPoint {
+                    t_s: (i128::from(row.stamp_ns) - i128::from(first_ns)) as f64 * 1e-9,
+                    shown_rad: row.counts[place]? as f64 * scale.rad_per_count(),
+                    continuous_rad: (scale.direction.sign() * from_first) as f64 * scale.rad_per_count(),
+                })
+            });
+            let points: Vec<UnwrappedPoint> = points.collect();
+            let period_rad =
+                if reading.is_counts() { reading.wraps_at as f64 * scale.rad_per_count() } else { TAU };
+            let name = format!("b{}", reading.info.joint);
+            Unwrapped::of(name, period_rad, points.len(), |at| points[at])
+        };
+        self.readings.iter().enumerate().filter_map(of_place).collect()
+    }
+
     fn judge_stamps(&mut self) {
         let stamps = self.rows.windows(2).map(|pair| {
             // 128 bits: two stamps may be further apart than 292 years.
@@ -333,12 +359,9 @@ impl RawBarLog {
 
     fn unknown(&self) -> Vec<&'static str> {
         let Kind { tells_validity, tells_origins, is_dated, .. } = self.kind;
-        let mut unknown = vec!["how certain its times are"];
-        for (known, what) in [
-            (tells_validity, "which values are not valid"),
-            (tells_origins, "where counters started anew"),
-            (is_dated, "the date of its stamps"),
-        ] {
+        let [certainty, validity, origins, date] = UNSAID.map(|(what, _)| what);
+        let mut unknown = vec![certainty];
+        for (known, what) in [(tells_validity, validity), (tells_origins, origins), (is_dated, date)] {
             if !known {
                 unknown.push(what);
             }

@@ -9,6 +9,8 @@ use crate::study::Evidence;
 
 /// Weaker ones are left white.
 const LEAST: f64 = 0.1;
+/// Strengths that are told apart.
+const STEPS: i32 = 20;
 /// Side of a cell, and room for names.
 const CELL: usize = 12;
 const NAMES: usize = 84;
@@ -20,9 +22,9 @@ pub(super) fn figure(evidence: &Evidence) -> String {
     let mut svg = format!("<svg viewBox=\"0 0 {side} {side}\" role=\"img\" aria-label=\"correlations\">");
     let label = format!("font-size=\"9\" fill=\"#46505c\" font-family=\"{FONT}\"");
     // Writing to a string cannot fail.
-    for (row, values) in rows.iter().enumerate() {
+    for (row, name) in names.iter().enumerate() {
         let y = NAMES + row * CELL;
-        let name = maud::html! { (names.get(row).map_or("", String::as_str)) }.into_string();
+        let name = maud::html! { (name) }.into_string();
         let _ = write!(
             svg,
             "<text x=\"{}\" y=\"{}\" text-anchor=\"end\" {label}>{name}</text>",
@@ -35,16 +37,31 @@ pub(super) fn figure(evidence: &Evidence) -> String {
             NAMES + row * CELL + 9,
             NAMES - 4
         );
-        for (column, value) in values.iter().enumerate().filter(|(_, value)| value.abs() > LEAST) {
-            let RGBColor(r, g, b) = if *value > 0.0 { BLUE } else { ORANGE };
-            let x = NAMES + column * CELL;
-            let _ = write!(
-                svg,
-                "<rect x=\"{x}\" y=\"{y}\" width=\"{CELL}\" height=\"{CELL}\" fill=\"rgb({r},{g},{b})\" fill-opacity=\"{:.2}\"/>",
-                value.abs()
-            );
+    }
+    // One path for all cells of a colour: as elements of their own they would be a third of the page.
+    for step in (-STEPS..=STEPS).filter(|step| *step != 0) {
+        let path = cells(rows, step);
+        let RGBColor(r, g, b) = if step > 0 { BLUE } else { ORANGE };
+        if !path.is_empty() {
+            let opacity = f64::from(step.abs()) / f64::from(STEPS);
+            let _ =
+                write!(svg, "<path d=\"{path}\" fill=\"rgb({r},{g},{b})\" fill-opacity=\"{opacity:.2}\"/>");
         }
     }
     svg.push_str("</svg>");
     svg
+}
+
+/// The cells of one strength, as a path.
+fn cells(rows: &[Vec<f64>], step: i32) -> String {
+    let is_one = |value: &f64| value.abs() > LEAST && (value * f64::from(STEPS)).round() as i32 == step;
+    let mut path = String::new();
+    for (row, values) in rows.iter().enumerate() {
+        for (column, _) in values.iter().enumerate().filter(|(_, value)| is_one(value)) {
+            let (x, y) = (NAMES + column * CELL, NAMES + row * CELL);
+            // Writing to a string cannot fail.
+            let _ = write!(path, "M{x} {y}h{CELL}v{CELL}h-{CELL}");
+        }
+    }
+    path
 }

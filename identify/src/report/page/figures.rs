@@ -23,11 +23,17 @@ pub(super) fn dots(name: impl Into<String>, colour: RGBColor, points: Vec<(f64, 
 pub(super) struct TimeAxis {
     seconds: f64,
     pub label: &'static str,
+    /// Title of the axis where times count from the first reading.
+    pub since_first: &'static str,
     /// Unit alone.
     pub unit: &'static str,
 }
 
 impl TimeAxis {
+    const fn new(seconds: f64, label: &'static str, since_first: &'static str, unit: &'static str) -> Self {
+        Self { seconds, label, since_first, unit }
+    }
+
     /// For times from the middle of a run.
     pub fn of(times_s: impl Iterator<Item = f64>) -> Self {
         /// Longest of each unit \[s\].
@@ -36,13 +42,21 @@ impl TimeAxis {
         let (low, high) =
             times_s.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
         match high - low {
-            span_s if span_s > MINUTES_MAX => {
-                Self { seconds: 3600.0, label: "time from the middle of the run [h]", unit: "h" }
+            span_s if span_s > MINUTES_MAX => Self::new(
+                3600.0,
+                "time from the middle of the run [h]",
+                "time from the first reading [h]",
+                "h",
+            ),
+            span_s if span_s > SECONDS_MAX => Self::new(
+                60.0,
+                "time from the middle of the run [min]",
+                "time from the first reading [min]",
+                "min",
+            ),
+            _ => {
+                Self::new(1.0, "time from the middle of the run [s]", "time from the first reading [s]", "s")
             }
-            span_s if span_s > SECONDS_MAX => {
-                Self { seconds: 60.0, label: "time from the middle of the run [min]", unit: "min" }
-            }
-            _ => Self { seconds: 1.0, label: "time from the middle of the run [s]", unit: "s" },
         }
     }
 

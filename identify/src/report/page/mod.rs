@@ -4,9 +4,11 @@ mod correlations;
 mod costs;
 mod figures;
 mod held_out;
+mod inputs;
 pub(super) mod intervals;
 pub(super) mod plot;
 mod preparation;
+mod readings;
 mod runs;
 mod sections;
 mod sphere;
@@ -20,6 +22,7 @@ use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::report::file::{CalibrationFile, FileError, replace};
 use crate::study::Evidence;
 
+pub use inputs::Source;
 pub use plot::PlotError;
 
 /// Everything that the page shows.
@@ -31,6 +34,8 @@ pub struct Page<'a> {
     pub calibration: &'a BallBarCalibration,
     /// What is drawn.
     pub evidence: &'a Evidence,
+    /// What the logs of each run say of themselves; empty where nobody looked.
+    pub sources: &'a [Source],
     /// The whole configuration that was used, as text.
     pub configuration: &'a str,
 }
@@ -83,6 +88,7 @@ impl Page<'_> {
                     (sections::coverage(self)?)
                     (runs::alignments(self)?)
                     (sections::dependence(self)?)
+                    (inputs::section(self.sources))
                     (sections::origin(self))
                 }
             },

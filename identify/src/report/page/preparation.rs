@@ -4,9 +4,10 @@ use maud::{Markup, html};
 
 use super::figures::{THIRD, TimeAxis, WIDE, dots};
 use super::plot::{BLUE, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
+use super::readings;
 use super::sections::svg;
 use crate::kinematics::BAR_JOINTS;
-use crate::prepare::{Fate, Prepared, SampleCounts, Timeline, TimelinePoint};
+use crate::prepare::{Fate, Prepared, Timeline, TimelinePoint};
 
 /// Figures and tables of one run.
 pub(super) fn section(prepared: &Prepared) -> Result<Markup, PlotError> {
@@ -14,6 +15,9 @@ pub(super) fn section(prepared: &Prepared) -> Result<Markup, PlotError> {
     let speeds = speeds(timeline)?;
     let trimmed = trimmed(timeline, &prepared.measured)?;
     Ok(html! {
+        (readings::unwrapping(timeline)?)
+        (readings::moving_average(timeline.averaged.as_ref())?)
+        (sphere(prepared))
         figure {
             (svg(speeds))
             figcaption {
@@ -26,8 +30,9 @@ pub(super) fn section(prepared: &Prepared) -> Result<Markup, PlotError> {
             div.panels.three { @for panel in trimmed { (svg(panel)) } }
             figcaption { "Joints of the bar: what was used, and what was left out for one of the reasons below." }
         }
+        (encoders(prepared))
         (jitter(timeline))
-        (fates(&prepared.counts))
+        (fates(prepared))
     })
 }
 
@@ -94,26 +99,58 @@ fn trimmed(timeline: &Timeline, measured: &[bool; BAR_JOINTS]) -> Result<Vec<Str
     (0..BAR_JOINTS).filter(|&joint| measured[joint]).map(panel).collect()
 }
 
-fn jitter(timeline: &Timeline) -> Markup {
-    let jitter = &timeline.jitter;
-    let cell = |value: &Option<f64>| value.map_or_else(|| "–".to_owned(), |urad| format!("{urad:.2}"));
-    let row = |what: &str, values: &[Option<f64>]| {
-        html! {
-            tr { td { (what) } @for value in values { td { (cell(value)) } } @for _ in values.len()..6 { td {} } }
-        }
-    };
+/// Where the bar stands and how long it is, by the robot's positions alone.
+fn sphere(prepared: &Prepared) -> Markup {
+    let sphere = &prepared.sphere;
+    let centre_m = sphere.centre_m;
     html! {
-        table {
-            caption { "Jitter at standstill, standard deviation about a straight line [urad]" }
-            thead { tr { th { "joint" } @for joint in 1..=6 { th { (joint) } } } }
-            tbody { (row("robot", &jitter.robot_urad)) (row("bar", &jitter.bar_urad)) }
+        p {
+            b { "Sphere: " } (format!("{:.1}", 100.0 * sphere.inliers)) " % of the positions in the robot's log lie on one of radius "
+            (format!("{:.2}", sphere.radius_m * 1e3)) " mm about (" (format!("{:.4}, {:.4}, {:.4}", centre_m.x, centre_m.y, centre_m.z))
+            ") m, " (format!("{:.2}", sphere.rms_m * 1e3)) " mm from it (RMS, nominal robot)."
         }
     }
 }
 
+/// Where each encoder sits, which way it counts, its zero, and how well all that fits.
+fn encoders(prepared: &Prepared) -> Markup {
+    let wiring = &prepared.wiring;
+    let offset = |joint: u8| prepared.offsets.iter().find(|offset| offset.joint == joint);
+    html! {
+        @if !wiring.used.encoders.is_empty() { table {
+            caption {
+                "Encoders of the bar: joint by the recording, joint and direction that the motion confirms, zero, and 1.48 times the "
+                "median deviation from the motion of the robot, nominal and with all lengths and angles moved within their tolerances"
+                @if !wiring.others.is_empty() { "; " (wiring.others.len()) " other orders or directions fit within the limit, worse" }
+            }
+            thead { tr {
+                th { "recorded as" } th { "sits on" } th.text { "" } th { "zero [deg]" } th { "nominal [mrad]" } th { "fitted [mrad]" }
+            } }
+            tbody { @for place in &wiring.used.encoders { tr {
+                td { "b" (place.recorded_joint) }
+                td { "b" (place.joint) }
+                td.unit { @if place.reversed { "counts the other way" } @else { "counts as recorded" } }
+                td { @if let Some(offset) = offset(place.joint) { (format!("{:.3}", offset.offset_rad.to_degrees())) } }
+                td { (format!("{:.2}", place.spread_mrad)) }
+                td { @if let Some(offset) = offset(place.joint) { (format!("{:.3}", offset.spread_rad * 1e3)) } }
+            } } }
+        } }
+    }
+}
+
+fn jitter(timeline: &Timeline) -> Markup {
+    let jitter = &timeline.jitter;
+    let rows = [("robot", jitter.robot_urad.to_vec()), ("bar", jitter.bar_urad.to_vec())];
+    let of = if timeline.averaged.is_some() { " of the averages" } else { "" };
+    let caption = format!("Jitter{of} at standstill, standard deviation about a straight line [urad]");
+    readings::by_joint(&caption, &rows)
+}
+
 /// The table of what became of all samples.
-fn fates(counts: &SampleCounts) -> Markup {
-    let rows = [
+fn fates(prepared: &Prepared) -> Markup {
+    let counts = &prepared.counts;
+    let no_force = prepared.force.map(|_| ("the force was not measured then", counts.no_force));
+    let before = [
         ("recorded", counts.recorded),
         ("not valid on the bus", counts.invalid),
         ("time did not increase", counts.time_not_increasing),
@@ -123,8 +160,8 @@ fn fates(counts: &SampleCounts) -> Markup {
         ("do not fit those around them", counts.outliers),
         ("standstill", counts.standstill),
         ("more than wanted", counts.surplus),
-        ("used", counts.kept),
     ];
+    let rows = before.into_iter().chain(no_force).chain([("used", counts.kept)]);
     html! {
         table.narrow {
             caption { "What became of the samples" }

@@ -28,7 +28,7 @@ pub(super) fn names(page: &Page<'_>) -> Vec<Option<String>> {
 }
 
 /// Title of a section, with the run's name where there are several.
-fn title(what: &str, name: Option<&String>) -> Markup {
+pub(super) fn title(what: &str, name: Option<&String>) -> Markup {
     html! { h2 { (what) @if let Some(name) = name { span.run { " · " (name) } } } }
 }
 

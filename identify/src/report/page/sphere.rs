@@ -6,19 +6,28 @@ use plotters::style::RGBColor;
 use super::Page;
 use super::figures::{HALF, TimeAxis, WIDE, dots};
 use super::plot::{BLUE, FONT, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
+use super::runs;
 use super::sections::svg;
 use crate::study::{Deviation, OffSphere, SphereDeviation, Stretch};
 
 /// Samples that a map shows, at most.
 const DOTS_MAX: usize = 1500;
 
+/// Each run by itself: another force, another place of the bar.
 pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
-    let sphere = &page.evidence.sphere;
+    let mut all = Vec::new();
+    for (sphere, name) in page.evidence.spheres.iter().zip(runs::names(page)) {
+        all.push(of_run(sphere, name.as_ref())?);
+    }
+    Ok(html! { @for one in all { (one) } })
+}
+
+fn of_run(sphere: &SphereDeviation, name: Option<&String>) -> Result<Markup, PlotError> {
     let over_time = over_time(sphere)?;
     let stretch = sphere.stretch;
     let forces = stretch.map(|stretch| forces(&sphere.after, &stretch)).transpose()?;
     Ok(html! {
-        h2 { "Deviation from the sphere" }
+        (runs::title("Deviation from the sphere", name))
         (figures_of(sphere))
         @if let Some(stretch) = stretch { p { (sentence(&stretch)) } }
         figure {

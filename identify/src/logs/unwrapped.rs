@@ -1,0 +1,86 @@
+//! Readings that begin anew after a turn, or at the width of a counter, as they were shown and as they were made continuous.
+
+use std::ops::Range;
+
+use serde::Serialize;
+
+/// Fresh beginnings that one picture shows, at most.
+const WRAPS_SHOWN: usize = 8;
+/// Readings that a picture spans, about.
+const READINGS_SHOWN: usize = 2000;
+/// Readings that it has of them, at most; those on either side of a fresh beginning come on top.
+const POINTS_MAX: usize = 250;
+
+/// One reading.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+pub struct UnwrappedPoint {
+    /// Since the first reading \[s\].
+    pub t_s: f64,
+    /// As it was shown \[rad\].
+    pub shown_rad: f64,
+    /// As it is used \[rad\].
+    pub continuous_rad: f64,
+}
+
+/// Readings of one encoder or joint that began anew somewhere.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Unwrapped {
+    /// Such as `b1` for an encoder of the bar, by the joint that its file states, or `q6` for a joint of the robot.
+    pub name: String,
+    /// After so much they begin anew \[rad\].
+    pub period_rad: f64,
+    /// How often they did.
+    pub wraps: usize,
+    /// Largest change from one reading to the next as part of half a period: from 1 on nobody can tell which way it went.
+    pub step_part: f64,
+    /// The part of the log with the most fresh beginnings, thinned.
+    pub points: Vec<UnwrappedPoint>,
+}
+
+impl Unwrapped {
+    /// From all readings in the order of time; none where nothing began anew.
+    pub fn of(
+        name: impl Into<String>,
+        period_rad: f64,
+        count: usize,
+        reading: impl Fn(usize) -> UnwrappedPoint,
+    ) -> Option<Self> {
+        let pair = |at: usize| (reading(at - 1), reading(at));
+        let is_wrap = |at: usize| {
+            let (before, after) = pair(at);
+            (after.shown_rad - before.shown_rad).abs() > 0.5 * period_rad
+        };
+        let wraps: Vec<usize> = (1..count).filter(|at| is_wrap(*at)).collect();
+        let within = liveliest(&wraps)?;
+        let within = within.start..within.end.min(count);
+        let steps = (1..count).map(pair).map(|(a, b)| (b.continuous_rad - a.continuous_rad).abs());
+        let every = within.len().div_ceil(POINTS_MAX).max(1);
+        let is_shown = |at: &usize| {
+            let beside = [*at, at + 1].iter().any(|at| wraps.binary_search(at).is_ok());
+            (at - within.start).is_multiple_of(every) || beside
+        };
+        Some(Self {
+            name: name.into(),
+            period_rad,
+            wraps: wraps.len(),
+            step_part: 2.0 * steps.fold(0.0, f64::max) / period_rad,
+            points: within.clone().filter(is_shown).map(reading).collect(),
+        })
+    }
+}
+
+/// The readings about as many wraps as one picture can have.
+fn liveliest(wraps: &[usize]) -> Option<Range<usize>> {
+    let followers = |first: usize| {
+        let near = wraps[first..].iter().take(WRAPS_SHOWN);
+        near.take_while(|at| **at < wraps[first] + READINGS_SHOWN).count()
+    };
+    // Of as many, those that follow each other fastest.
+    let span = |first: usize| wraps[first + followers(first) - 1] - wraps[first];
+    let first = (0..wraps.len()).max_by_key(|&first| (followers(first), std::cmp::Reverse(span(first))))?;
+    let aside = match followers(first) {
+        1 => READINGS_SHOWN / 2,
+        several => (span(first) / (several - 1)).max(2),
+    };
+    Some(wraps[first].saturating_sub(aside)..wraps[first] + span(first) + aside)
+}

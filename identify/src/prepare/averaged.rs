@@ -1,0 +1,191 @@
+//! What the moving average did to both logs, for reports.
+
+use serde::Serialize;
+
+use super::bar_angles::BarSegment;
+use super::smooth::{BAR_GAP_S, moving_average};
+use super::standstill::Standstill;
+use super::wiring::Wiring;
+use crate::kinematics::{BAR_JOINTS, ROBOT_JOINTS};
+use crate::logs::{RobotLog, default_gap_limit_s};
+
+/// A picture spans so many widths of the average to either side...
+const WIDTHS_ASIDE: f64 = 5.0;
+/// ...and at least this long \[s\].
+const ASIDE_S_MIN: f64 = 1.0;
+
+/// What became of one reading.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct AveragedPoint {
+    /// Bar time since [`super::Prepared::t_ref`] \[s\].
+    pub t_s: f64,
+    /// Speed from the readings \[rad/s\].
+    pub speed_rad_s: f64,
+    /// Speed from the averages \[rad/s\].
+    pub averaged_rad_s: f64,
+    /// Reading minus average \[rad\].
+    pub removed_rad: f64,
+}
+
+/// What the average took from the joints of one log.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct AveragedJoints {
+    /// Root mean square of reading minus average of each joint, where robot and bar stand still: noise \[rad\]. None without
+    /// encoder or standstill.
+    pub still_rad: Vec<Option<f64>>,
+    /// The same of all other readings: noise, and the bends of the motion.
+    pub moving_rad: Vec<Option<f64>>,
+    /// The joint that was fastest of all, from 1.
+    pub fastest_joint: usize,
+    /// Its readings about that moment.
+    pub fastest: Vec<AveragedPoint>,
+}
+
+/// What the moving average did.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct Averaged {
+    /// Over which time \[s\].
+    pub width_s: f64,
+    /// To the robot's log.
+    pub robot: AveragedJoints,
+    /// To the recording, by the joints on which the encoders sit.
+    pub bar: AveragedJoints,
+}
+
+/// Both logs before they were averaged, and what is known of them since.
+pub(super) struct BeforeAverage<'a> {
+    pub width_s: f64,
+    pub segments: &'a [BarSegment],
+    /// Bar time of a segment's sample since the reference \[s\].
+    pub bar_time_s: &'a dyn Fn(&BarSegment, usize) -> f64,
+    pub wiring: &'a Wiring,
+    pub log: &'a RobotLog,
+    /// Bar time since the reference of a time of `log` \[s\].
+    pub robot_time_s: &'a dyn Fn(f64) -> f64,
+    pub standstills: &'a [Standstill],
+}
+
+impl BeforeAverage<'_> {
+    /// Averages both once more and compares.
+    pub fn compared(&self) -> Averaged {
+        let mut bar = Comparison::<BAR_JOINTS>::default();
+        for segment in self.segments {
+            let t_s: Vec<f64> = (0..segment.times.len()).map(|at| (self.bar_time_s)(segment, at)).collect();
+            let angles: Vec<[f64; BAR_JOINTS]> =
+                segment.angles_rad.iter().map(|recorded| self.wiring.applied(recorded)).collect();
+            bar.add(&t_s, &angles, self.width_s, BAR_GAP_S, self.standstills);
+        }
+        let mut robot = Comparison::<ROBOT_JOINTS>::default();
+        let t_s: Vec<f64> = self.log.t_s.iter().map(|tau_s| (self.robot_time_s)(*tau_s)).collect();
+        let gap_s = default_gap_limit_s(self.log);
+        robot.add(&t_s, &self.log.q_rad, self.width_s, gap_s, self.standstills);
+        let mut bar = bar.finish();
+        let measured = self.wiring.measured();
+        for of_joints in [&mut bar.still_rad, &mut bar.moving_rad] {
+            of_joints
+                .iter_mut()
+                .zip(measured)
+                .filter(|(_, measured)| !measured)
+                .for_each(|(rms, _)| *rms = None);
+        }
+        Averaged { width_s: self.width_s, robot: robot.finish(), bar }
+    }
+}
+
+/// Sum of squares and how many.
+#[derive(Debug, Clone, Copy, Default)]
+struct Squares {
+    sum: f64,
+    count: usize,
+}
+
+impl Squares {
+    fn add(&mut self, value: f64) {
+        self.sum += value * value;
+        self.count += 1;
+    }
+
+    fn rms(self) -> Option<f64> {
+        (self.count > 0).then(|| (self.sum / self.count as f64).sqrt())
+    }
+}
+
+/// Readings beside their averages, part by part of a log.
+#[derive(Debug, Clone)]
+struct Comparison<const N: usize> {
+    still: [Squares; N],
+    moving: [Squares; N],
+    fastest_rad_s: f64,
+    fastest_joint: usize,
+    fastest: Vec<AveragedPoint>,
+}
+
+impl<const N: usize> Default for Comparison<N> {
+    fn default() -> Self {
+        let none = [Squares::default(); N];
+        Self { still: none, moving: none, fastest_rad_s: 0.0, fastest_joint: 0, fastest: Vec::new() }
+    }
+}
+
+impl<const N: usize> Comparison<N> {
+    /// Adds a part; `standstills` are in the order of time.
+    fn add(
+        &mut self,
+        t_s: &[f64],
+        values: &[[f64; N]],
+        width_s: f64,
+        gap_s: f64,
+        standstills: &[Standstill],
+    ) {
+        let averages = moving_average(t_s, values, width_s, gap_s);
+        for ((t_s, value), average) in t_s.iter().zip(values).zip(&averages) {
+            let Some(average) = average else { continue };
+            let next = standstills.partition_point(|one| one.to_s < *t_s);
+            let still = standstills.get(next).is_some_and(|one| one.from_s <= *t_s);
+            let squares = if still { &mut self.still } else { &mut self.moving };
+            for ((squares, value), average) in squares.iter_mut().zip(value).zip(average) {
+                squares.add(value - average);
+            }
+        }
+        let point = |at: usize, joint: usize| point(t_s, values, &averages, at, joint);
+        let fastest = (1..averages.len().saturating_sub(1))
+            .flat_map(|at| (0..N).map(move |joint| (at, joint)))
+            .filter_map(|(at, joint)| Some((point(at, joint)?.averaged_rad_s.abs(), at, joint)))
+            .max_by(|a, b| a.0.total_cmp(&b.0));
+        let Some((speed_rad_s, at, joint)) = fastest.filter(|one| one.0 > self.fastest_rad_s) else { return };
+        let aside_s = ASIDE_S_MIN.max(WIDTHS_ASIDE * width_s);
+        let from = t_s.partition_point(|t| *t < t_s[at] - aside_s).max(1);
+        let to = t_s.partition_point(|t| *t <= t_s[at] + aside_s).min(averages.len() - 1);
+        (self.fastest_rad_s, self.fastest_joint) = (speed_rad_s, joint + 1);
+        self.fastest = (from..to).filter_map(|at| point(at, joint)).collect();
+    }
+
+    fn finish(self) -> AveragedJoints {
+        let rms = |of_joints: [Squares; N]| of_joints.map(Squares::rms).to_vec();
+        AveragedJoints {
+            still_rad: rms(self.still),
+            moving_rad: rms(self.moving),
+            fastest_joint: self.fastest_joint,
+            fastest: self.fastest,
+        }
+    }
+}
+
+/// A reading of one joint between its neighbours; none beside a hole.
+fn point<const N: usize>(
+    t_s: &[f64],
+    values: &[[f64; N]],
+    averages: &[Option<[f64; N]>],
+    at: usize,
+    joint: usize,
+) -> Option<AveragedPoint> {
+    let [before, here, after] = [at - 1, at, at + 1].map(|at| averages[at]);
+    let (before, here, after) = (before?, here?, after?);
+    let time_s = t_s[at + 1] - t_s[at - 1];
+    Some(AveragedPoint {
+        t_s: t_s[at],
+        speed_rad_s: (values[at + 1][joint] - values[at - 1][joint]) / time_s,
+        averaged_rad_s: (after[joint] - before[joint]) / time_s,
+        removed_rad: values[at][joint] - here[joint],
+    })
+}

@@ -1,0 +1,131 @@
+//! What is done to the readings before the logs are brought together: counters and joints that begin anew, and the moving
+//! average, as a report shows them.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::f64::consts::TAU;
+use std::path::Path;
+
+use crate::support::{bar, irb2400};
+use identify::calibrate::IdentifyConfig;
+use identify::logs::Unwrapped;
+use identify::prepare::{Prepared, prepare, unwrapped_log};
+use identify::simulate::{self, Design, Effects, Experiment, Simulated};
+
+fn run(effects: Effects) -> Simulated {
+    let (robot, bar) = (irb2400(), bar());
+    let design = Design { duration_s: 60.0, ..Design::for_robot(&robot) };
+    simulate::run(&Experiment { effects, design, ..Experiment::new(&robot, &bar) }).unwrap()
+}
+
+fn prepared(run: &Simulated, options: &str) -> Prepared {
+    let text = format!("[prepare]\n{options}\n");
+    let config: IdentifyConfig = shared::config::parse(&text, Path::new("identify.toml")).unwrap();
+    prepare(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), &bar(), &config.prepare).unwrap()
+}
+
+fn middle(values: impl Iterator<Item = f64>) -> f64 {
+    let (low, high) = values
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| (low.min(value), high.max(value)));
+    0.5 * (low + high)
+}
+
+/// What is used has no jump, and differs from what was shown by whole periods but for a constant; `sign` is that of counts.
+fn assert_continuous(one: &Unwrapped, sign: f64) {
+    let points = &one.points;
+    assert!(points.len() > 20 && points.windows(2).all(|pair| pair[0].t_s < pair[1].t_s));
+    let largest =
+        |values: Vec<f64>| values.windows(2).map(|pair| (pair[1] - pair[0]).abs()).fold(0.0, f64::max);
+    let shown = largest(points.iter().map(|point| point.shown_rad).collect());
+    let used = largest(points.iter().map(|point| point.continuous_rad).collect());
+    assert!(shown > 0.9 * one.period_rad && used < 0.1 * one.period_rad, "{}: {shown} {used}", one.name);
+    let apart: Vec<f64> =
+        points.iter().map(|point| (sign * point.shown_rad - point.continuous_rad) / one.period_rad).collect();
+    for periods in apart.iter().map(|periods| periods - apart[0]) {
+        assert!((periods - periods.round()).abs() < 1e-6, "{}: {periods}", one.name);
+    }
+}
+
+#[test]
+fn counters_and_joints_that_begin_anew_change_nothing_and_are_shown() {
+    let as_it_was = run(Effects::NONE);
+    let mut wrapped = as_it_was.clone();
+    // The counter of b3 passes its end in the middle of its motion; those of the others do not.
+    let middle_count = middle(wrapped.cycles.iter().map(|cycle| f64::from(cycle.encoders[2].count))) as u32;
+    for cycle in &mut wrapped.cycles {
+        cycle.encoders[2].count = cycle.encoders[2].count.wrapping_sub(middle_count);
+    }
+    // A controller that shows joint 6 within one turn, which ends where the joint moves.
+    let end_rad = middle(wrapped.robot_log.q_rad.iter().map(|q| q[5]));
+    wrapped.robot_log.q_rad.iter_mut().filter(|q| q[5] > end_rad).for_each(|q| q[5] -= TAU);
+    let [expected, found] = [&as_it_was, &wrapped].map(|run| prepared(run, ""));
+    assert!(expected.timeline.unwrapped_encoders.is_empty() && expected.timeline.unwrapped_joints.is_empty());
+
+    let [of_bar] = &found.timeline.unwrapped_encoders[..] else { panic!("{:?}", found.timeline) };
+    assert_eq!(of_bar.name, "b3");
+    let sign = wrapped.encoders[2].scale.direction.sign() as f64;
+    assert_continuous(of_bar, sign);
+    let [of_robot] = &found.timeline.unwrapped_joints[..] else { panic!("{:?}", found.timeline) };
+    assert_eq!((of_robot.name.as_str(), of_robot.period_rad), ("q6", TAU));
+    assert_continuous(of_robot, 1.0);
+    let crossed = as_it_was.robot_log.q_rad.windows(2);
+    assert_eq!(
+        of_robot.wraps,
+        crossed.filter(|pair| (pair[0][5] > end_rad) != (pair[1][5] > end_rad)).count()
+    );
+
+    // The same samples with the same clocks: only the encoder's zero is another.
+    assert_eq!(found.observations.len(), expected.observations.len());
+    assert_eq!(found.alignment.clock_difference_ns, expected.alignment.clock_difference_ns);
+    for (a, b) in found.observations.iter().zip(&expected.observations) {
+        let apart = [0, 1, 3, 4].map(|joint| (a.bar_rad[joint] - b.bar_rad[joint]).abs());
+        assert!(a.t_s == b.t_s && apart.iter().all(|apart| *apart < 1e-9), "{a:?} {b:?}");
+    }
+}
+
+#[test]
+fn a_log_without_jumps_is_taken_as_it_is_and_one_with_them_moves_by_whole_turns() {
+    let log = run(Effects::NONE).robot_log;
+    let (same, none) = unwrapped_log(&log);
+    assert!(*same == log && none.is_empty());
+    let mut wrapped = log.clone();
+    for q in &mut wrapped.q_rad {
+        q[3] = (3.0 * q[3]).sin().atan2((3.0 * q[3]).cos());
+    }
+    let (continuous, _) = unwrapped_log(&wrapped);
+    for (row, (q, truth)) in continuous.q_rad.iter().zip(&log.q_rad).enumerate() {
+        let turns = (q[3] - 3.0 * truth[3] - continuous.q_rad[0][3] + 3.0 * log.q_rad[0][3]) / TAU;
+        assert!(turns.abs() < 1e-9, "row {row}: {turns} turns");
+    }
+}
+
+#[test]
+fn at_standstill_the_average_takes_noise_and_in_motion_also_the_bends_of_the_path() {
+    let noisy = run(Effects { robot_noise_urad: 30.0, encoder_noise_urad: 30.0, ..Effects::NONE });
+    assert_eq!(prepared(&noisy, "").timeline.averaged, None);
+    let found = prepared(&noisy, "moving_average_ms = 100.0");
+    let averaged = found.timeline.averaged.unwrap();
+    assert_eq!(averaged.width_s, 0.1);
+    for side in [&averaged.bar, &averaged.robot] {
+        for (still, moving) in side.still_rad.iter().zip(&side.moving_rad) {
+            let (still, moving) = (still.unwrap() * 1e6, moving.unwrap() * 1e6);
+            // The average has a small part of each reading's own noise.
+            assert!((25.0..30.5).contains(&still) && moving > still, "{still} {moving}");
+        }
+        let fastest = &side.fastest;
+        assert!((100..=600).contains(&fastest.len()), "{}", fastest.len());
+        let about_line = |of: fn(&identify::prepare::AveragedPoint) -> f64| {
+            let values: Vec<f64> = fastest.iter().map(of).collect();
+            let bend = |w: &[f64]| (w[0] - 2.0 * w[1] + w[2]).powi(2);
+            values.windows(3).map(bend).sum::<f64>().sqrt()
+        };
+        let (read, averaged) = (about_line(|one| one.speed_rad_s), about_line(|one| one.averaged_rad_s));
+        assert!(averaged < 0.2 * read, "speeds are smoother: {averaged} {read}");
+    }
+    // Both logs lose the same of the motion: what is fastest there bends by some hundred microradians within 100 ms.
+    let truth_s = found.t_ref.seconds_since(noisy.truth.clock.bar_start);
+    let joint = averaged.bar.fastest_joint - 1;
+    let point = averaged.bar.fastest[averaged.bar.fastest.len() / 2];
+    let path = |by_s: f64| noisy.motion.path.at(truth_s + point.t_s + by_s)[joint];
+    let speed_rad_s = (path(1e-3) - path(-1e-3)) / 2e-3;
+    assert!((speed_rad_s.abs() - point.averaged_rad_s.abs()).abs() < 0.01, "{speed_rad_s} {point:?}");
+}

@@ -1,0 +1,157 @@
+//! What the page says of the inputs and the preparation of each run: what a person signs for.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use crate::report_page::page_text;
+use crate::support::{bar, irb2400};
+use identify::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
+use identify::calibrate::{IdentifyConfig, JointTermsConfig};
+use identify::logs::ForceLog;
+use identify::prepare::PrepareOptions;
+use identify::simulate::{self, BarLoad, Design, Effects, Experiment, Simulated};
+use identify::study::evidence;
+use shared::recording::Recording;
+
+const NOISE: Effects = Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, ..Effects::NONE };
+
+fn simulated(seed: u64, load: BarLoad) -> Simulated {
+    let (robot, bar) = (irb2400(), bar());
+    let design = Design { duration_s: 40.0, ..Design::for_robot(&robot) };
+    simulate::run(&Experiment { seed, design, effects: NOISE, load, ..Experiment::new(&robot, &bar) })
+        .unwrap()
+}
+
+fn calibrated(runs: &[&Simulated], prepare: PrepareOptions) -> BallBarCalibration {
+    let bar = bar();
+    let config = IdentifyConfig {
+        encoder_harmonics_urad: 0.0,
+        joint_terms: JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() },
+        prepare: PrepareOptions { points_max: 500, ..prepare },
+        ..IdentifyConfig::default()
+    };
+    let inputs = runs.iter().map(|&run| RunInput {
+        cycles: &run.cycles,
+        encoders: &run.encoders,
+        unwrapped: None,
+        log: &run.robot_log,
+        bar: &bar,
+    });
+    let inputs: Vec<RunInput<'_>> = inputs.collect();
+    ball_bar::calibrate_runs(&inputs, &irb2400(), &config, None).unwrap()
+}
+
+fn shown(found: &BallBarCalibration) -> String {
+    let robot = irb2400();
+    page_text(found, &evidence(found, &robot.joint_limits_deg), &robot)
+}
+
+#[test]
+fn what_was_not_unwrapped_and_not_averaged_is_told_in_a_line_and_what_was_has_a_picture() {
+    let run = simulated(1, BarLoad::default());
+    let plain = shown(&calibrated(&[&run], PrepareOptions::default()));
+    assert!(plain.contains("nothing was to be unwrapped") && plain.contains("off, as usual"));
+    assert!(!plain.contains("as shown"));
+
+    let mut wrapped = run.clone();
+    let first = wrapped.cycles[0].encoders[0].count;
+    for cycle in &mut wrapped.cycles {
+        cycle.encoders[0].count = cycle.encoders[0].count.wrapping_sub(first);
+    }
+    let averaged = PrepareOptions { moving_average_ms: 100.0, ..PrepareOptions::default() };
+    let text = shown(&calibrated(&[&wrapped], averaged));
+    for part in ["b1 as shown", "b1 continuous", "of what can be followed", "averaged over 100 ms"] {
+        assert!(text.contains(part), "{part}");
+    }
+    assert!(text.contains("What the average took from the angles, RMS [urad]"));
+    assert!(!text.contains("nothing was to be unwrapped") && !text.contains("off, as usual"));
+}
+
+#[test]
+fn each_run_with_a_force_shows_it_and_what_it_left_out() {
+    let load = BarLoad { force_n: 150.0, compliance_um_per_n: 0.17, play_um: 0.0, noise_n: 1.0 };
+    let (rigid, whole, mut holed) =
+        (simulated(1, BarLoad::default()), simulated(2, load), simulated(3, load));
+    let force = holed.robot_log.force.as_mut().unwrap();
+    let keep = |t_s: &f64| !(15.0..20.0).contains(t_s);
+    let (t_s, values) =
+        force.t_s.iter().zip(&force.values).filter(|(t_s, _)| keep(t_s)).map(|(t, v)| (*t, *v)).unzip();
+    *force = ForceLog { t_s, values, ..force.clone() };
+    let found = calibrated(&[&rigid, &whole, &holed], PrepareOptions::default());
+    let left_out: Vec<Option<usize>> =
+        found.runs().map(|(prepared, _)| prepared.force.map(|_| prepared.counts.no_force)).collect();
+    assert!(matches!(left_out[..], [None, Some(0), Some(left_out)] if left_out > 20), "{left_out:?}");
+    let text = shown(&found);
+    let sections: Vec<&str> =
+        text.split("<h2>").filter(|one| one.starts_with("Deviation from the sphere")).collect();
+    let has_force: Vec<bool> = sections.iter().map(|one| one.contains("Measured: ")).collect();
+    assert_eq!(has_force, [false, true, true]);
+    assert_eq!(text.matches("the force was not measured then").count(), 2);
+    let row = format!("the force was not measured then</td><td>{}</td>", left_out[2].unwrap());
+    assert!(text.contains(&row), "{row}");
+}
+
+/// Counters of 24 bits, as a PLC writes them, from a recording.
+fn table(recording: &Path) -> String {
+    let recording = Recording::open(recording).unwrap();
+    let mut text = "t_s,count1,count2,count3,count4,count5\n".to_owned();
+    for cycle in &recording.cycles {
+        let t_s = cycle.sample_time.seconds_since(recording.cycles[0].sample_time);
+        let counts: Vec<String> =
+            cycle.encoders().iter().map(|encoder| (encoder.count & 0xff_ffff).to_string()).collect();
+        writeln!(text, "{t_s:.6},{}", counts.join(",")).unwrap();
+    }
+    text
+}
+
+fn identify(arguments: &[&str], out: &Path) {
+    let config =
+        |name: &str| -> PathBuf { Path::new(env!("CARGO_MANIFEST_DIR")).join("../config").join(name) };
+    let output = Command::new(env!("CARGO_BIN_EXE_identify"))
+        .args(arguments)
+        .arg("--robot")
+        .arg(config("robots/irb2400_16.toml"))
+        .arg("--bar")
+        .arg(config("ball_bar.toml"))
+        .arg("--out")
+        .arg(out)
+        .env("RUST_LOG", "off")
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+#[test]
+fn what_a_recording_of_another_program_leaves_unsaid_stands_in_the_page() {
+    let directory = tempfile::tempdir().unwrap();
+    let at = |name: &str| directory.path().join(name).display().to_string();
+    identify(&["simulate", "--duration", "40s"], directory.path());
+    std::fs::write(at("plc.csv"), table(&directory.path().join("recording.mcap"))).unwrap();
+    let columns: String =
+        (1..=5).map(|joint| format!("[[encoders]]\njoint = {joint}\ncolumn = \"count{joint}\"\n")).collect();
+    let mapping = format!("wraps_at = 16777216\n[time]\ncolumn = \"t_s\"\nunit = \"s\"\n{columns}");
+    std::fs::write(at("plc.toml"), mapping).unwrap();
+    let (recording, mapping, log, out) = (at("plc.csv"), at("plc.toml"), at("robot_log.csv"), at("out"));
+    identify(
+        &["calibrate", "--recording", &recording, "--recording-mapping", &mapping, "--robot-log", &log],
+        Path::new(&out),
+    );
+    let text = std::fs::read_to_string(Path::new(&out).join("report.html")).unwrap();
+    let inputs = text.split("<h2>").find(|section| section.starts_with("What the logs say")).unwrap();
+    assert!(inputs.contains("recording: ") && inputs.contains("robot log: "));
+    for unsaid in [
+        "how certain its times are",
+        "which values are not valid",
+        "where counters started anew",
+        "the date of its stamps",
+    ] {
+        assert!(inputs.contains(unsaid), "{unsaid}");
+    }
+    assert_eq!(inputs.matches("not in the file").count(), 4);
+    // The picture is of the file's 24 bits, not of the 32 that the records have.
+    let turns = 16_777_216.0 / 14_745_600.0;
+    assert!(turns < 1.5 && text.contains("as shown") && !text.contains("counter [turns]"));
+    assert!(text.len() < 3_000_000, "{} bytes", text.len());
+}
