@@ -63,6 +63,9 @@ fn the_probability_is_that_of_the_chi_square_table() {
     let pair = Consistency::new(&[of(0.0), of(2.7718e-3)]).unwrap();
     assert!((pair.parameters[0].p.unwrap() - 0.05).abs() < 1e-4);
     assert!((pair.parameters[0].mean - 1.3859e-3).abs() < 1e-9);
+    // The square of this difference is the smallest number that there is.
+    let alike = Consistency::new(&[of(0.0), of(3.5e-165)]).unwrap();
+    assert_eq!(alike.parameters[0].p, Some(1.0));
 }
 
 #[test]
@@ -85,4 +88,16 @@ fn calibrations_come_back_from_both_of_their_files() {
     std::fs::write(&path, newer.replacen("schema = ", "schema = 9", 1)).unwrap();
     let message = CalibrationFile::open(&path).unwrap_err().to_string();
     assert!(message.contains("newer.toml") && message.contains("schema"), "{message}");
+
+    for damage in [
+        |entry: &mut ParameterEntry| entry.correction = f64::NAN,
+        |entry: &mut ParameterEntry| entry.sigma = Some(1e-200),
+    ] {
+        let mut damaged = written.clone();
+        damaged.parameters.iter_mut().filter(|entry| entry.name == "ra1").for_each(damage);
+        damaged.write(directory.path()).unwrap();
+        let message =
+            CalibrationFile::open(&directory.path().join("calibration.toml")).unwrap_err().to_string();
+        assert!(message.contains("`ra1`") && message.contains("calibrate again"), "{message}");
+    }
 }

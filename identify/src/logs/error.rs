@@ -208,7 +208,8 @@ pub enum LogError {
     },
     /// The robot's configuration describes motors, the log has joints.
     #[error(
-        "{}: it has joint angles ({format}), but the configuration of {robot} says how its motors become joints;          say how the controller's joints become the model's with --log-mapping, see config/robot_log.toml",
+        "{}: it has joint angles ({format}), but the configuration of {robot} says how its motors become joints; \
+         say how the controller's joints become the model's with --log-mapping, see config/robot_log.toml",
         path.display()
     )]
     NeedsMapping {

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use shared::config::{AngleUnit, LogConversion, RobotConfig};
 
+use super::force::FORCE_MAX;
 use super::{
     ForceClock, ForceKind, ForceLog, JointConversion, LogError, LogFormat, LogQuality, Origin, ROWS_MIN,
     RobotLog,
@@ -159,13 +160,20 @@ impl RawLog {
         let of_bar = self.force.and_then(|kind| {
             let given = all(|more| more.force);
             let values = match kind {
-                ForceKind::JointTorques => on_joints(&given.or_else(|| torque.clone())?),
+                ForceKind::JointTorques => {
+                    let torques = given.or_else(|| torque.clone())?;
+                    let within = torques.iter().flatten().all(|torque| torque.abs() <= FORCE_MAX);
+                    on_joints(within.then_some(&torques)?)
+                }
                 _ => given?,
             };
             Some(ForceLog { clock: ForceClock::Robot, kind, first_stamp_ns, t_s: t_s.clone(), values })
         });
         if self.force.is_some() && of_bar.is_none() {
-            self.remarks.push("some rows have no force or torques: the force on the bar is not used".into());
+            self.remarks.push(format!(
+                "the force on the bar is not used: some {}s have none where the mapping says, or one of more than 1e7 Nm",
+                self.what
+            ));
         }
         let quality = self.judge(&t_s, &q_rad);
         Ok(RobotLog {

@@ -4,6 +4,11 @@ use std::path::{Path, PathBuf};
 
 use super::file::{CalibrationFile, SCHEMA};
 
+/// No parameter or its sigma is larger than this, in SI units; beyond are damaged files, whose numbers would overflow.
+const NUMBER_MAX: f64 = 1e12;
+/// And no sigma that is one is smaller.
+const SIGMA_MIN: f64 = 1e-30;
+
 /// Why a calibration cannot be read.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {kind}", path.display())]
@@ -22,6 +27,10 @@ enum Kind {
     Toml(#[from] toml::de::Error),
     #[error("has schema {found}, this program knows {SCHEMA}; use the program that wrote it")]
     Schema { found: u32 },
+    #[error(
+        "says {value:e} of parameter `{name}`, which no calibration does; it was damaged or edited, calibrate again"
+    )]
+    Number { name: String, value: f64 },
 }
 
 impl CalibrationFile {
@@ -31,13 +40,33 @@ impl CalibrationFile {
     /// [`CalibrationReadError`] names the file.
     pub fn open(path: &Path) -> Result<Self, CalibrationReadError> {
         let path = if path.is_dir() { path.join("calibration.json") } else { path.to_owned() };
-        Self::read(&path).map_err(|kind| CalibrationReadError { path, kind })
+        let text = std::fs::read_to_string(&path)
+            .map_err(|source| CalibrationReadError { path: path.clone(), kind: source.into() })?;
+        Self::parse(&text, &path)
     }
 
-    fn read(path: &Path) -> Result<Self, Kind> {
-        let text = std::fs::read_to_string(path)?;
+    /// [`Self::open`] on text in memory; the ending of `path` tells which of the two it is.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn parse(text: &str, path: &Path) -> Result<Self, CalibrationReadError> {
+        Self::checked(text, path).map_err(|kind| CalibrationReadError { path: path.to_owned(), kind })
+    }
+
+    fn checked(text: &str, path: &Path) -> Result<Self, Kind> {
         let is_toml = path.extension().is_some_and(|ending| ending == "toml");
-        let file: Self = if is_toml { toml::from_str(&text)? } else { serde_json::from_str(&text)? };
-        if file.schema == SCHEMA { Ok(file) } else { Err(Kind::Schema { found: file.schema }) }
+        let file: Self = if is_toml { toml::from_str(text)? } else { serde_json::from_str(text)? };
+        if file.schema != SCHEMA {
+            return Err(Kind::Schema { found: file.schema });
+        }
+        for entry in &file.parameters {
+            let is_sigma = |sigma: f64| sigma == 0.0 || (SIGMA_MIN..=NUMBER_MAX).contains(&sigma);
+            let numbers = [entry.nominal, entry.value, entry.correction];
+            let odd = numbers.into_iter().find(|number| !(-NUMBER_MAX..=NUMBER_MAX).contains(number));
+            if let Some(value) = odd.or_else(|| entry.sigma.filter(|sigma| !is_sigma(*sigma))) {
+                return Err(Kind::Number { name: entry.name.clone(), value });
+            }
+        }
+        Ok(file)
     }
 }

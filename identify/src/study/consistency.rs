@@ -103,6 +103,8 @@ fn compared(name: String, files: &[CalibrationFile]) -> Compared {
     let mean = known.iter().map(|(value, sigma)| value * sigma.powi(-2)).sum::<f64>() / weight;
     let chi_squared: f64 = known.iter().map(|(value, sigma)| ((value - mean) / sigma).powi(2)).sum();
     let freedom = known.len().saturating_sub(1);
+    // Half of it must be more than zero there.
+    let chi_squared = if chi_squared < f64::MIN_POSITIVE { 0.0 } else { chi_squared };
     let p = ChiSquared::new(freedom as f64).ok().map(|distribution| distribution.sf(chi_squared));
     Compared { name, unit, corrections, mean, p }
 }

@@ -156,6 +156,8 @@ fn what_is_no_force_is_refused_with_what_to_do() {
     assert!(no_sign.contains("line 4 column `force_sign`") && no_sign.contains("no sign"), "{no_sign}");
     let gap = refused(&table("force_N", |row| if row == 9 { "NaN".into() } else { "1".into() }));
     assert!(gap.contains("line 11 column `force_N`"), "{gap}");
+    let huge = refused(&table("force_N", |row| if row == 9 { "-1e300".into() } else { "1".into() }));
+    assert!(huge.contains("line 11 column `force_N`") && huge.contains("check the unit"), "{huge}");
     let back = refused(&table("force_N", |row| row.to_string()).replace("\n0.04,", "\n0.01,"));
     assert!(back.contains("line 12") && back.contains("line 11"), "{back}");
     let short = table("force_N", |row| row.to_string())

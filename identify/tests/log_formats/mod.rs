@@ -160,6 +160,14 @@ fn telegrams_of_rsi_give_measured_joints_or_commanded_ones_where_a_mapping_asks(
     let log =
         read_as(&telegrams(60, 4), Some(mapping(&format!("values = \"commanded\"\n{joints}")))).unwrap();
     assert_follows(&log, 60, |row, joint| angle_deg(row, joint) + 1.0);
+    assert!(log.quality.remarks.iter().all(|remark| !remark.contains("force")));
+    // Telegrams are not searched for forces.
+    let force = mapping(&format!("force = {{ unit = \"Nm\" }}\n{joints}"));
+    let log = read_as(&telegrams(60, 4), Some(force)).unwrap();
+    assert!(
+        log.force.is_none()
+            && log.quality.remarks.iter().any(|remark| remark.contains("force on the bar is not used"))
+    );
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use shared::config::{RobotConfig, Violation};
 
-use super::{ALONG_COLUMN, ForceKind};
+use super::{ALONG_COLUMN, FORCE_MAX, ForceKind};
 use crate::logs::LogError;
 use crate::logs::csv_text::{Column, Row, Table, comments};
 
@@ -148,6 +148,10 @@ impl ForceLayout {
         let mut values = [0.0; 6];
         for (value, (column, factor)) in values.iter_mut().zip(&self.columns) {
             *value = table.number(row, column)? * factor;
+            if value.abs() > FORCE_MAX {
+                let problem = format!("{value:.3e} N or Nm is more than any robot meets");
+                return Err(table.bad(row, column, problem, "check the unit, or correct or remove the row"));
+            }
             if self.kind == ForceKind::Sign && !(-1.0..=1.0).contains(value) {
                 let remedy = "give -1, 0 or 1; a force in newtons belongs into `force_N`";
                 return Err(table.bad(row, column, format!("{value} is no sign"), remedy));

@@ -11,6 +11,8 @@ use serde::{Deserialize, Serialize};
 
 /// Column of a force along the bar \[N\].
 pub(super) const ALONG_COLUMN: &str = "force_N";
+/// No robot meets a force \[N\] or gives a torque \[N m\] beyond this; more means a damaged file, and would overflow later.
+pub(super) const FORCE_MAX: f64 = 1e7;
 
 /// Which clock made a force's stamps.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]

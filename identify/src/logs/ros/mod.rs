@@ -15,7 +15,7 @@ use shared::config::{AngleUnit, RobotConfig};
 
 use super::mapping::RobotLogMapping;
 use super::raw::{Meaning, RawLog, RawRow};
-use super::{ForceKind, LogError, LogFormat, Origin, RobotLog};
+use super::{ForceColumns, ForceKind, LogError, LogFormat, Origin, RobotLog};
 use bag::Message;
 
 pub(super) use bag::{Bag, UNSTAMPED, Wanted, clock_name};
@@ -63,7 +63,10 @@ pub(super) fn read(
     raw.clock = mapping.and_then(|mapping| mapping.clock.clone()).unwrap_or_else(|| clock.into());
     raw.origin = mapping.and_then(|mapping| mapping.values).unwrap_or(Origin::Measured);
     raw.remarks.clone_from(&bag.remarks);
-    raw.force = mapping.and_then(|mapping| mapping.force.as_ref()).map(|_| ForceKind::JointTorques);
+    raw.force = mapping
+        .and_then(|mapping| mapping.force.as_ref())
+        .map(|force| of_efforts(force, path))
+        .transpose()?;
     if !stamped {
         raw.remarks.push(UNSTAMPED.into());
     }
@@ -72,6 +75,20 @@ pub(super) fn read(
         raw.push(row(message, &names, &to_rad, stamped))?;
     }
     raw.finish(&meaning)
+}
+
+/// A force is in a bag as efforts of the joints; columns are of tables.
+fn of_efforts(force: &ForceColumns, path: &Path) -> Result<ForceKind, LogError> {
+    if force.columns.is_empty() {
+        return Ok(force.kind());
+    }
+    Err(LogError::Content {
+        path: path.to_owned(),
+        problem: format!("the mapping looks for a force in columns ({}), a bag has none", force.columns.join(", ")),
+        remedy: "leave out `columns` under [force], then it is taken from the joints' efforts (unit = \"Nm\"); or give \
+                 the force in a table of its own with --force-log"
+            .into(),
+    })
 }
 
 /// What values of the joints are multiplied by: a mapping may say that they are degrees, against REP 103.
