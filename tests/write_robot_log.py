@@ -2,17 +2,21 @@
 
 usage: write_robot_log.py {mcap|db3|egm|egm-utc|rtde|rsi|table} FILE
        write_robot_log.py {bar-mcap|bar-db3} FILE RECORDING
+       write_robot_log.py {force-mcap|force-db3|force-rtde} FILE TABLE
 
-The second form copies the joint states of a recording of ours into a bag, read and written by PyPI rosbags. Otherwise
+The second form copies the joint states of a recording of ours into a bag, read and written by PyPI rosbags. The third
+writes the rows of TABLE (stamp in ns, six joints in rad, then six torques in Nm, or x, y, z of a force in N). Otherwise
 40 s at 125 Hz; joint j (from 0) at row k is 0.4 sin(0.01 k + j) rad, its speed 0.5 cos(0.01 k + j) rad/s.
 """
 
 import csv
 import math
 import sys
+from contextlib import contextmanager
 from pathlib import Path
 from xml.etree import ElementTree
 
+JOINT_STATE = "sensor_msgs/msg/JointState"
 ROWS = 5000
 START_NS = 1_795_000_000_123_456_789
 PERIOD_NS = 8_000_000
@@ -22,65 +26,91 @@ def angle(row, joint):
     return 0.4 * math.sin(0.01 * row + joint)
 
 
-def bag(path, storage):
-    """PyPI rosbags: two topics, of which one has other joints; ours has an extra joint and another order."""
+@contextmanager
+def joint_states(path, storage):
+    """A bag by PyPI rosbags that ends up as one file. Gives a function that writes a message."""
     import numpy
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
 
     types = get_typestore(Stores.ROS2_JAZZY)
-    message, header, time = (
-        types.types[name] for name in ("sensor_msgs/msg/JointState", "std_msgs/msg/Header", "builtin_interfaces/msg/Time"))
+    message, header, time = (types.types[name] for name in (JOINT_STATE, "std_msgs/msg/Header", "builtin_interfaces/msg/Time"))
     directory = path.with_suffix(f".{storage}-bag")
     plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
-    order = [5, 0, 3, 1, 4, 2]
-    names = ["gripper"] + [f"left_joint_{j + 1}" for j in order]
+    topics = {}
     with Writer(directory, version=9, storage_plugin=plugin) as writer:
-        arm, other = (writer.add_connection(topic, message.__msgtype__, typestore=types)
-                      for topic in ("/left/joint_states", "/gripper/joint_states"))
-        for row in range(ROWS):
-            stamp = START_NS + row * PERIOD_NS
+        def write(topic, received, stamp, names, position, velocity=(), effort=()):
+            if topic not in topics:
+                topics[topic] = writer.add_connection(topic, JOINT_STATE, typestore=types)
             at = header(stamp=time(sec=stamp // 10**9, nanosec=stamp % 10**9), frame_id="base")
-            position = numpy.array([0.01] + [angle(row, j) for j in order])
-            velocity = numpy.array([0.0] + [0.5 * math.cos(0.01 * row + j) for j in order])
-            if row == 100:
-                position[3] = math.nan
-            state = message(header=at, name=names, position=position, velocity=velocity, effort=numpy.array([]))
-            # Received late, and not evenly.
-            received = stamp + 1_000_000 + (row * 7919) % 700_000
-            writer.write(arm, received, types.serialize_cdr(state, message.__msgtype__))
-            writer.write(other, received, types.serialize_cdr(
-                message(header=at, name=["gripper"], position=position[:1], velocity=position[:0], effort=position[:0]),
-                message.__msgtype__))
+            position, velocity, effort = (numpy.array(values, dtype=float) for values in (position, velocity, effort))
+            state = message(header=at, name=names, position=position, velocity=velocity, effort=effort)
+            writer.write(topics[topic], received, types.serialize_cdr(state, JOINT_STATE))
+
+        yield write
     (written,) = [file for file in directory.iterdir() if file.suffix == f".{storage}"]
     written.rename(path)
+
+
+def bag(path, storage):
+    """Two topics, of which one has other joints; ours has an extra joint and another order."""
+    order = [5, 0, 3, 1, 4, 2]
+    names = ["gripper"] + [f"left_joint_{j + 1}" for j in order]
+    with joint_states(path, storage) as write:
+        for row in range(ROWS):
+            stamp = START_NS + row * PERIOD_NS
+            position = [0.01] + [angle(row, j) for j in order]
+            velocity = [0.0] + [0.5 * math.cos(0.01 * row + j) for j in order]
+            if row == 100:
+                position[3] = math.nan
+            # Received late, and not evenly.
+            received = stamp + 1_000_000 + (row * 7919) % 700_000
+            write("/left/joint_states", received, stamp, names, position, velocity)
+            write("/gripper/joint_states", received, stamp, ["gripper"], position[:1])
 
 
 def bag_of_bar(path, storage, recording):
     """PyPI rosbags reads our recording and writes what it has read, joints in another order."""
-    import numpy
     from rosbags.highlevel import AnyReader
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
 
-    types = get_typestore(Stores.ROS2_JAZZY)
-    kind = "sensor_msgs/msg/JointState"
-    message, header, time = (
-        types.types[name] for name in (kind, "std_msgs/msg/Header", "builtin_interfaces/msg/Time"))
-    directory = path.with_suffix(f".{storage}-bag")
-    plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
-    with AnyReader([recording]) as reader, Writer(directory, version=9, storage_plugin=plugin) as writer:
-        topic = writer.add_connection("/ball_bar/joint_states", kind, typestore=types)
-        connections = [one for one in reader.connections if one.msgtype == kind]
+    with AnyReader([recording]) as reader, joint_states(path, storage) as write:
+        connections = [one for one in reader.connections if one.msgtype == JOINT_STATE]
         for connection, received, data in reader.messages(connections):
             read = reader.deserialize(data, connection.msgtype)
-            at = header(stamp=time(sec=read.header.stamp.sec, nanosec=read.header.stamp.nanosec), frame_id="bar")
-            none = numpy.array([])
-            state = message(header=at, name=[f"lab_{name}" for name in reversed(read.name)],
-                            position=numpy.array(read.position[::-1]), velocity=none, effort=none)
-            writer.write(topic, received, types.serialize_cdr(state, kind))
-    (written,) = [file for file in directory.iterdir() if file.suffix == f".{storage}"]
-    written.rename(path)
+            stamp = read.header.stamp.sec * 10**9 + read.header.stamp.nanosec
+            names = [f"lab_{name}" for name in reversed(read.name)]
+            write("/ball_bar/joint_states", received, stamp, names, read.position[::-1])
+
+
+def rows_of(table):
+    """Stamp [ns], six joints [rad], and what was measured beside them."""
+    with open(table, newline="") as source:
+        for row in csv.reader(source):
+            yield int(row[0]), [float(cell) for cell in row[1:7]], [float(cell) for cell in row[7:]]
+
+
+def bag_with_efforts(path, storage, table):
+    """Six torques [Nm] as efforts, behind those of another joint and in another order than the robot's."""
+    order = [2, 0, 5, 1, 4, 3]
+    names = ["rail"] + [f"arm_joint_{j + 1}" for j in order]
+    with joint_states(path, storage) as write:
+        for stamp, joints, torques in rows_of(table):
+            write("/joint_states", stamp + 900_000, stamp, names, [0.5] + [joints[j] for j in order],
+                  effort=[-333.0] + [torques[j] for j in order])
+
+
+def rtde_with_force(path, table):
+    """As the recorder of Universal Robots' RTDE client: outputs in the order of its guide, numbers as Python prints them."""
+    vectors = ["target_q", "target_qd", "target_qdd", "target_current", "target_moment", "actual_q", "actual_qd",
+               "actual_current", "joint_control_output", "actual_TCP_pose", "actual_TCP_speed", "actual_TCP_force"]
+    with open(path, "w", newline="") as sink:
+        writer = csv.writer(sink, delimiter=" ")
+        writer.writerow(["timestamp"] + [f"{name}_{i}" for name in vectors for i in range(6)] + ["robot_mode"])
+        for stamp, joints, force in rows_of(table):
+            # Moments at the TCP stand behind its force.
+            known = {"target_q": [q + 0.01 for q in joints], "actual_q": joints, "actual_TCP_force": force + [7.0, -8.0, 9.0]}
+            cells = [value for name in vectors for value in known.get(name, [0.0] * 6)]
+            writer.writerow([stamp * 1e-9] + cells + [7])
 
 
 def egm_messages():
@@ -185,6 +215,10 @@ def main():
         bag(path, kind)
     elif kind.startswith("bar-"):
         bag_of_bar(path, kind.removeprefix("bar-"), Path(sys.argv[3]))
+    elif kind == "force-rtde":
+        rtde_with_force(path, Path(sys.argv[3]))
+    elif kind.startswith("force-"):
+        bag_with_efforts(path, kind.removeprefix("force-"), Path(sys.argv[3]))
     elif kind in ("egm", "egm-utc"):
         egm(path, utc=kind == "egm-utc")
     else:

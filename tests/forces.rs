@@ -1,0 +1,193 @@
+//! Forces on the bar in robot logs that other programs wrote: read with their unit and sign, and what the bar gives way
+//! under them is found again.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use identify::calibrate::ball_bar::{self, BallBarCalibration};
+use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
+use identify::kinematics::Chain;
+use identify::logs::{ForceClock, ForceKind, LogOptions, RobotLog, RobotLogMapping, load, load_with};
+use identify::simulate::{self, BarLoad, Design, Effects, Experiment, Simulated};
+use identify::study::{PositiveForce, Stretch};
+use shared::config::{self, AngleUnit, LogConversion, RobotConfig};
+use system_tests::{ball_bar as shipped_bar, config_directory, python_with};
+
+/// Force of the thesis' runs and what its experiment found of the bar: +-25 um (TFRT-6017 section 5.3).
+const LOAD: BarLoad = BarLoad { force_n: 150.0, compliance_um_per_n: 0.17, play_um: 0.0, noise_n: 1.0 };
+const COMPLIANCE_M_PER_N: f64 = 0.17e-6;
+const GRAVITY_M_PER_S2: f64 = 9.80665;
+
+/// The robot of the reference set-up, as a controller sees it that logs joints.
+fn robot() -> RobotConfig {
+    let robot: RobotConfig = config::load(&config_directory().join("robots/irb2400_16.toml")).unwrap();
+    let raw_to_joint =
+        std::array::from_fn(|row| std::array::from_fn(|column| f64::from(u8::from(row == column))));
+    let log = LogConversion {
+        column: "joint".into(),
+        unit: AngleUnit::Rad,
+        raw_offset_rad: [0.0; 6],
+        raw_to_joint,
+    };
+    RobotConfig { log, ..robot }
+}
+
+fn simulated() -> Simulated {
+    let (robot, bar) = (robot(), shipped_bar());
+    let effects =
+        Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, base_tilt_urad: 3000.0, ..Effects::NONE };
+    let design = Design { duration_s: 60.0, ..Design::for_robot(&robot) };
+    simulate::run(&Experiment { seed: 2, design, effects, load: LOAD, ..Experiment::new(&robot, &bar) })
+        .unwrap()
+}
+
+/// One row of a table for `write_robot_log.py`: stamp, joints, and what a sensor says of the force that the robot puts on
+/// the bar, in the axes of its base \[N\].
+type Row = (i64, [f64; 6], Vec<f64>);
+
+fn rows(run: &Simulated, sensor: impl Fn(&Chain, &[f64; 6], [f64; 3]) -> Vec<f64>) -> Vec<Row> {
+    let (robot, log) = (&run.motion.robot, &run.robot_log);
+    let centre_m = run.motion.bar.root_from_base.translation.vector;
+    let force = log.force.as_ref().unwrap();
+    (0..log.t_s.len())
+        .map(|index| {
+            let q = &log.q_rad[index];
+            let out = (robot.forward(q).translation.vector - centre_m).normalize() * force.values[index][0];
+            (log.stamp_ns(index).unwrap(), *q, sensor(robot, q, [out.x, out.y, out.z]))
+        })
+        .collect()
+}
+
+/// The file that another program writes of these rows.
+fn written(directory: &Path, modules: &[&str], kind: &str, rows: &[Row]) -> Option<PathBuf> {
+    let python = python_with(modules)?;
+    let mut text = String::new();
+    for (stamp_ns, joints, measured) in rows {
+        let cells: Vec<String> = joints.iter().chain(measured).map(f64::to_string).collect();
+        writeln!(text, "{stamp_ns},{}", cells.join(",")).unwrap();
+    }
+    let table = directory.join("table.csv");
+    std::fs::write(&table, text).unwrap();
+    let path = directory.join(kind.replace("force-", "log."));
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("write_robot_log.py");
+    let output = Command::new(python).arg(script).arg(kind).arg(&path).arg(table).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    Some(path)
+}
+
+fn calibrated(run: &Simulated, log: &RobotLog) -> BallBarCalibration {
+    let config = IdentifyConfig {
+        cost: Some(CostName::Length),
+        encoder_harmonics_urad: 0.0,
+        joint_terms: JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() },
+        ..IdentifyConfig::default()
+    };
+    ball_bar::calibrate(&run.cycles, &run.encoders, log, &robot(), &shipped_bar(), &config).unwrap()
+}
+
+/// Error of the force along the bar in the samples of a calibration, whose log counts it by `sign`; root mean square \[N\].
+fn force_error_n(found: &BallBarCalibration, run: &Simulated, sign: f64) -> f64 {
+    let (start, truth) = (run.truth.clock, run.robot_log.force.as_ref().unwrap());
+    let lead_s = (start.robot_at_bar_start_ns - truth.first_stamp_ns) as f64 * 1e-9;
+    let samples = &found.prepared.observations;
+    let squares = samples.iter().map(|sample| {
+        let passed_s = found.prepared.t_ref.seconds_since(start.bar_start) + sample.t_s;
+        let true_n = truth.at(lead_s + passed_s * (1.0 + start.skew), 0.1).unwrap()[0];
+        (sample.force.along_n - sign * true_n).powi(2)
+    });
+    (squares.sum::<f64>() / samples.len() as f64).sqrt()
+}
+
+#[test]
+fn the_tcp_force_of_a_rtde_client_is_the_one_on_the_bar_with_its_sign() {
+    let (directory, run) = (tempfile::tempdir().unwrap(), simulated());
+    // What the bar does to the tool; the stamps count from the controller's start.
+    let mut rows = rows(&run, |_, _, [x, y, z]| vec![-x, -y, -z]);
+    let first_ns = rows[0].0;
+    rows.iter_mut().for_each(|(stamp_ns, ..)| *stamp_ns -= first_ns - 250_000_000_000);
+    let Some(path) = written(directory.path(), &["csv"], "force-rtde", &rows) else { return };
+    let log = load(&path, &robot()).unwrap();
+    let force = log.force.clone().unwrap();
+    assert_eq!((force.kind, force.clock), (ForceKind::InBase, ForceClock::Robot));
+    assert_eq!((force.first_stamp_ns, force.values.len()), (250_000_000_000, rows.len()));
+    for ((_, _, written), read) in rows.iter().zip(&force.values) {
+        assert!(written.iter().zip(read).all(|(a, b)| (a - b).abs() < 1e-9), "{written:?} {read:?}");
+    }
+    let found = calibrated(&run, &log);
+    // Where the bar is pulled, it pulls the tool back.
+    assert!(force_error_n(&found, &run, -1.0) < 1.0);
+    let stretch = Stretch::of(&found).unwrap();
+    println!("{}", stretch.sentence());
+    assert_eq!(stretch.positive, PositiveForce::Compression);
+    assert!((stretch.value + COMPLIANCE_M_PER_N).abs() < 1.96 * stretch.sigma.unwrap(), "{stretch:?}");
+}
+
+/// Torques that hold arm and bar \[N m\]: what the potential energy of two masses on the arm, and the work at the flange,
+/// change with each joint.
+fn holding_torques_nm(robot: &Chain, q: &[f64; 6], force_n: [f64; 3]) -> Vec<f64> {
+    let masses = [(2, 80.0, [-0.3, 0.02, 0.1]), (4, 60.0, [0.03, 0.05, -0.2])].map(|(links, kg, at)| {
+        (Chain { root_from_base: robot.root_from_base, links: robot.links[..links].to_vec() }, kg, at)
+    });
+    let energy_j = |q: &[f64; 6]| {
+        let flange = robot.forward(q).translation.vector;
+        let work: f64 = (0..3).map(|axis| force_n[axis] * flange[axis]).sum();
+        let heights = masses
+            .iter()
+            .map(|(part, kg, at)| kg * GRAVITY_M_PER_S2 * part.forward(q).transform_point(&(*at).into()).z);
+        work + heights.sum::<f64>()
+    };
+    let moved = |joint: usize, by: f64| {
+        let mut q = *q;
+        q[joint] += by;
+        energy_j(&q)
+    };
+    (0..6).map(|joint| (moved(joint, 1e-4) - moved(joint, -1e-4)) / 2e-4).collect()
+}
+
+/// Joints as the driver calls them; joint 4 counts the other way there.
+fn mapping(more: &str) -> LogOptions {
+    let joint = |n: usize| {
+        let sign = if n == 4 { -1 } else { 1 };
+        format!("[[joints]]\ncolumn = \"arm_joint_{n}\"\nunit = \"rad\"\nsign = {sign}\n")
+    };
+    let text = format!("{more}\n{}", (1..=6).map(joint).collect::<String>());
+    let mapping: RobotLogMapping = config::parse(&text, Path::new("mapping.toml")).unwrap();
+    LogOptions { mapping: Some(mapping), ..LogOptions::default() }
+}
+
+#[test]
+fn efforts_of_joint_states_in_bags_by_rosbags_are_the_torques_behind_which_the_force_is() {
+    let (directory, run) = (tempfile::tempdir().unwrap(), simulated());
+    let of_joints = rows(&run, holding_torques_nm);
+    let mut of_driver = of_joints.clone();
+    for (_, joints, torques) in &mut of_driver {
+        joints[3] = -joints[3];
+        torques[3] = -torques[3];
+    }
+    let bag = |kind: &str| written(directory.path(), &["rosbags"], kind, &of_driver);
+    let (Some(mcap), Some(db3)) = (bag("force-mcap"), bag("force-db3")) else { return };
+    let options = mapping("force = { unit = \"Nm\" }");
+    let log = load_with(&mcap, &robot(), &options).unwrap();
+    assert_eq!(load_with(&db3, &robot(), &options).unwrap(), log);
+    let force = log.force.clone().unwrap();
+    assert_eq!((force.kind, force.clock), (ForceKind::JointTorques, ForceClock::Robot));
+    assert_eq!((force.first_stamp_ns, force.values.len()), (of_joints[0].0, of_joints.len()));
+    for ((_, _, torques_nm), read) in of_joints.iter().zip(&force.values) {
+        assert!(torques_nm.iter().zip(read).all(|(a, b)| (a - b).abs() < 1e-9), "{torques_nm:?} {read:?}");
+    }
+    let found = calibrated(&run, &log);
+    let (error_n, stretch) = (force_error_n(&found, &run, 1.0), Stretch::of(&found).unwrap());
+    println!("force from efforts: RMS error {error_n:.2} N; {}", stretch.sentence());
+    assert!(error_n < 2.0, "{error_n}");
+    assert_eq!(stretch.positive, PositiveForce::Tension);
+    assert!((stretch.value - COMPLIANCE_M_PER_N).abs() < 1.96 * stretch.sigma.unwrap(), "{stretch:?}");
+
+    // Nobody asked for a force: efforts are only the log's torques.
+    let plain = load_with(&mcap, &robot(), &mapping("")).unwrap();
+    assert!(plain.force.is_none() && plain.torque.is_some());
+    let columns = mapping("force = { columns = [\"Fx\", \"Fy\", \"Fz\"], unit = \"N\" }");
+    let told = load_with(&mcap, &robot(), &columns).unwrap_err().to_string();
+    assert!(told.contains("Fx, Fy, Fz") && told.contains("--force-log"), "{told}");
+}
