@@ -62,6 +62,8 @@ corpora! {
     no_table_of_the_bar_of_the_corpus_breaks_a_promise: "bar_log_table",
     no_bag_of_the_bar_of_the_corpus_breaks_a_promise: "bar_log_bag",
     no_table_of_poses_of_the_corpus_breaks_a_promise: "pose_table",
+    no_force_log_of_the_corpus_breaks_a_promise: "force_log",
+    no_calibration_of_the_corpus_breaks_a_promise: "calibration",
     no_http_request_of_the_corpus_breaks_a_promise: "api",
 }
 

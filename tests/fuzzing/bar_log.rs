@@ -8,7 +8,7 @@ use identify::logs::{BarLogMapping, OtherBarLog};
 use identify::prepare::bar_angles;
 use shared::config::{self, BallBarConfig};
 
-use super::explained;
+use super::{explained, joint_states};
 
 struct Setting {
     bars: [BallBarConfig; 2],
@@ -66,7 +66,10 @@ pub fn tables() -> Vec<Vec<u8>> {
     ]
 }
 
-/// Joint states as our own recordings have them.
+/// Joint states as another program writes them, and as our own recordings have them.
 pub fn bags() -> Vec<Vec<u8>> {
-    super::recording::whole_and_cut()
+    let five = ["bar_joint_5", "bar_joint_1", "bar_joint_2", "bar_joint_3", "bar_joint_4"];
+    let mut bags = vec![joint_states::bag(&five), joint_states::bag(&five[..4])];
+    bags.extend(super::recording::whole_and_cut());
+    bags
 }

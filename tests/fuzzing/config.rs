@@ -4,13 +4,14 @@ use std::path::Path;
 
 use identify::calibrate::IdentifyConfig;
 use identify::logs::{
-    BarLogMapping, JointConversion, MeasuredLengthMapping, MeasuredPoseMapping, RobotLogMapping,
+    BarLogMapping, ForceLogMapping, JointConversion, MeasuredLengthMapping, MeasuredPoseMapping,
+    RobotLogMapping,
 };
 use shared::config::{BallBarConfig, DaemonConfig, RobotConfig, Validate, parse};
 
 use super::explained;
 
-const FILES: [(u8, &str); 10] = [
+const FILES: [(u8, &str); 11] = [
     (b'd', "daemon.toml"),
     (b'b', "ball_bar.toml"),
     (b'i', "identify.toml"),
@@ -18,6 +19,7 @@ const FILES: [(u8, &str); 10] = [
     (b'm', "robot_log.toml"),
     (b'p', "measured_pose.toml"),
     (b'e', "bar_log.toml"),
+    (b'f', "force_log.toml"),
     (b'r', "robots/irb2400_16.toml"),
     (b'r', "robots/nj220_2_7.toml"),
     (b'r', "robots/irb120_3.toml"),
@@ -44,6 +46,7 @@ pub fn any_text(bytes: &[u8]) {
         b'm' => drop(accepted::<RobotLogMapping>(text)),
         b'p' => drop(accepted::<MeasuredPoseMapping>(text)),
         b'e' => drop(accepted::<BarLogMapping>(text)),
+        b'f' => drop(accepted::<ForceLogMapping>(text)),
         _ => {
             if let Some(robot) = accepted::<RobotConfig>(text) {
                 let zero = JointConversion::new(&robot.log).map(|conversion| conversion.to_joint(&[0.0; 6]));

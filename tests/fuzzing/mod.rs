@@ -6,9 +6,12 @@
 mod api;
 mod bar_log;
 mod bring_up;
+mod calibration;
 mod config;
 mod cycle;
+mod force_log;
 mod input;
+mod joint_states;
 mod pose_table;
 mod recording;
 mod replies;
@@ -44,6 +47,8 @@ pub const TARGETS: &[Target] = &[
     Target { name: "bar_log_table", run: bar_log::any_file, seeds: bar_log::tables },
     Target { name: "bar_log_bag", run: bar_log::any_file, seeds: bar_log::bags },
     Target { name: "pose_table", run: pose_table::any_table, seeds: pose_table::tables },
+    Target { name: "force_log", run: force_log::any_table, seeds: force_log::tables },
+    Target { name: "calibration", run: calibration::any_text, seeds: calibration::files },
     Target { name: "api", run: api::any_requests, seeds: api::requests },
 ];
 

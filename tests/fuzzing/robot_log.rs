@@ -3,10 +3,12 @@
 use std::path::Path;
 use std::sync::LazyLock;
 
-use identify::logs::{LogFormat, LogOptions, RobotLogMapping, read_with};
+use identify::logs::{
+    ForceColumns, ForceFrame, ForceUnit, LogFormat, LogOptions, RobotLogMapping, read_with,
+};
 use shared::config::{self, RobotConfig};
 
-use super::explained;
+use super::{explained, force_log, joint_states};
 
 struct Setting {
     robot: RobotConfig,
@@ -19,7 +21,9 @@ static SETTING: LazyLock<Setting> = LazyLock::new(|| {
     let mut robot: RobotConfig =
         config::load(&directory.join("robots/irb120_3.toml")).expect("a shipped file");
     robot.joint_limits_deg = [[-1e6, 1e6]; 6];
-    Setting { robot, mapping: config::load(&directory.join("robot_log.toml")).expect("a shipped file") }
+    let shipped: RobotLogMapping = config::load(&directory.join("robot_log.toml")).expect("a shipped file");
+    let torques = ForceColumns { columns: Vec::new(), unit: ForceUnit::Nm, frame: ForceFrame::Flange };
+    Setting { robot, mapping: RobotLogMapping { force: Some(torques), ..shipped } }
 });
 
 /// Reads a log of that kind, with and without a mapping: it has what it promises, or is refused with a reason.
@@ -35,6 +39,10 @@ fn any_log(format: LogFormat, bytes: &[u8]) {
                 let rows = log.q_rad.len();
                 assert!(log.speed_rad_s.is_none_or(|speeds| speeds.len() == rows));
                 assert!(log.torque.is_none_or(|torques| torques.len() == rows));
+                if let Some(force) = &log.force {
+                    assert_eq!(force.values.len(), rows);
+                    force_log::check(force);
+                }
             }
             Err(error) => explained(&error),
         }
@@ -67,24 +75,27 @@ fn row(row: usize) -> [f64; 6] {
     std::array::from_fn(|joint| 20.0 * (0.3 * row as f64 + joint as f64).sin())
 }
 
-/// The robot's own table, RTDE's, and that of the shipped mapping.
+/// The robot's own table and RTDE's, both with a force, and that of the shipped mapping.
 pub fn tables() -> Vec<Vec<u8>> {
-    let table = |header: &str, separator: &str, step: f64, comma: bool| {
+    let table = |header: &str, separator: &str, step: f64, more: &str| {
         let mut text = header.to_owned();
         for index in 0..52 {
             let cells = row(index).map(|value| format!("{value:.3}")).join(separator);
-            let line = format!("{}{separator}{cells}\n", index as f64 * step);
-            text += &if comma { line.replace('.', ",") } else { line };
+            text += &format!("{}{separator}{cells}{more}\n", index as f64 * step);
         }
-        text.into_bytes()
+        text
     };
     let own: Vec<String> = (1..=6).map(|joint| format!("joint{joint}_deg")).collect();
     let rtde: Vec<String> = (0..6).map(|joint| format!("actual_q_{joint}")).collect();
-    vec![
-        table(&format!("# robot: x\nt_s,{}\n", own.join(",")), ",", 0.004, false),
-        table(&format!("timestamp {}\n", rtde.join(" ")), " ", 0.008, false),
-        table("x\nTime;J1;J2;J3;J4;J5;J6\n[ms];;;;;;\n", ";", 8.0, true),
+    let force: Vec<String> = (0..3).map(|axis| format!("actual_TCP_force_{axis}")).collect();
+    let german = table("", ";", 8.0, "").replace('.', ",");
+    [
+        table(&format!("# robot: x\nt_s,{},force_N\n", own.join(",")), ",", 0.004, ",12.5"),
+        table(&format!("timestamp {} {}\n", rtde.join(" "), force.join(" ")), " ", 0.008, " 1 -2.5 3"),
+        format!("x\nTime;J1;J2;J3;J4;J5;J6\n[ms];;;;;;\n{german}"),
     ]
+    .map(String::into_bytes)
+    .to_vec()
 }
 
 /// Telegrams with and without a root element.
@@ -118,9 +129,12 @@ pub fn egm_messages() -> Vec<Vec<u8>> {
     vec![(0..30).flat_map(message).collect(), message(1)]
 }
 
-/// Bags with joint states as our own recordings have them.
+/// Bags whose joints have efforts, by the names of drivers and of the shipped mapping, and our own recordings.
 pub fn mcap_bags() -> Vec<Vec<u8>> {
-    super::recording::whole_and_cut()
+    let driver = ["joint_2", "joint_1", "joint_3", "gripper", "joint_4", "joint_5", "joint_6"];
+    let mut bags = vec![joint_states::bag(&driver), joint_states::bag(&["J1", "J2", "J3", "J4", "J5", "J6"])];
+    bags.extend(super::recording::whole_and_cut());
+    bags
 }
 
 /// None: `small.db3` in the corpus was written by another program.

@@ -1,0 +1,78 @@
+//! Calibrations that are read back and compared, from any text.
+
+use std::path::Path;
+
+use identify::report::file::{CalibrationFile, ParameterEntry, SolveEntry, Status};
+use identify::report::side_by_side;
+use identify::study::Consistency;
+
+use super::explained;
+
+/// Reads a text as `calibration.json` and as `calibration.toml` and compares it with itself: what comes out is a table, or
+/// it is refused with a reason.
+pub fn any_text(bytes: &[u8]) {
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    for name in ["calibration.json", "calibration.toml"] {
+        match CalibrationFile::parse(text, Path::new(name)) {
+            Ok(file) => compare(&file),
+            Err(error) => explained(&error),
+        }
+    }
+}
+
+fn compare(file: &CalibrationFile) {
+    let mut other = file.clone();
+    // As on another day: the more is identified, the less is the same.
+    for entry in other.parameters.iter_mut().step_by(2) {
+        entry.correction *= 0.5;
+    }
+    match Consistency::new(&[file.clone(), other]) {
+        Ok(consistency) => {
+            assert!(consistency.p_corrected.is_none_or(|p| (0.0..=1.0).contains(&p)), "no probability");
+            let names = ["first".to_owned(), "second".to_owned()];
+            assert!(side_by_side::table(&consistency, &names).contains("parameter"));
+            if let Err(error) = side_by_side::page(&consistency, &file.robot, &names) {
+                explained(&error);
+            }
+        }
+        Err(error) => explained(&error),
+    }
+}
+
+/// A calibration of few parameters in both of its forms.
+pub fn files() -> Vec<Vec<u8>> {
+    let solve = SolveEntry {
+        cost: "pose".into(),
+        ended: "converged".into(),
+        iterations: 7,
+        samples: 1500,
+        parameters: 3,
+        condition: 41.5,
+        residual_rms_start: 3e-3,
+        residual_rms: 2e-5,
+    };
+    let entry = |(name, unit, nominal, correction): (&str, &str, f64, f64)| ParameterEntry {
+        name: name.into(),
+        unit: unit.into(),
+        nominal,
+        value: nominal + correction,
+        correction,
+        sigma: (correction != 0.0).then_some(1e-5),
+        status: if correction == 0.0 { Status::Fixed } else { Status::Identified },
+    };
+    let parameters = [
+        ("ra1", "m", 0.1, 2e-4),
+        ("rtheta2", "rad", 0.0, -1e-4),
+        ("ox", "m", 1.0, 3e-3),
+        ("rd3", "m", 0.0, 0.0),
+    ]
+    .map(entry);
+    let file = CalibrationFile {
+        created: "2026-11-22T10:15:00Z".into(),
+        ..CalibrationFile::new("seed", "bar", solve, None, Vec::new(), parameters.to_vec())
+    };
+    vec![
+        serde_json::to_vec(&file).expect("a calibration as JSON"),
+        toml::to_string(&file).expect("a calibration as TOML").into_bytes(),
+    ]
+}
