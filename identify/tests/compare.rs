@@ -52,19 +52,20 @@ fn other_paths_of_one_robot_agree_and_another_robot_does_not() {
 
 #[test]
 fn the_probability_is_that_of_the_chi_square_table() {
-    let of = |correction: f64| {
+    let of_sigma = |correction: f64, sigma: f64| {
         let mut file = file(1, 9);
         file.parameters.retain(|entry| entry.name == "ra1");
         file.parameters[0].correction = correction;
-        file.parameters[0].sigma = Some(1e-3);
+        file.parameters[0].sigma = Some(sigma);
         file
     };
+    let of = |correction: f64| of_sigma(correction, 1e-3);
     // Two values 2.7718 sigma apart: chi-square 3.8415 with one degree of freedom, 5 % in every table.
     let pair = Consistency::new(&[of(0.0), of(2.7718e-3)]).unwrap();
     assert!((pair.parameters[0].p.unwrap() - 0.05).abs() < 1e-4);
     assert!((pair.parameters[0].mean - 1.3859e-3).abs() < 1e-9);
     // The square of this difference is the smallest number that there is.
-    let alike = Consistency::new(&[of(0.0), of(3.5e-165)]).unwrap();
+    let alike = Consistency::new(&[of(0.0), of_sigma(1.8e-162, 1.0)]).unwrap();
     assert_eq!(alike.parameters[0].p, Some(1.0));
 }
 

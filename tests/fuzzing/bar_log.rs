@@ -31,6 +31,11 @@ pub fn any_file(bytes: &[u8]) {
             Ok(log) => {
                 assert!((0..).zip(&log.cycles).all(|(number, cycle)| cycle.cycle == number));
                 assert!(log.cycles.iter().all(|cycle| cycle.encoders().len() == log.encoders.len()));
+                for one in &log.unwrapped {
+                    assert!(one.step_part.is_finite() && one.period_rad > 0.0 && one.wraps > 0);
+                    let shown = one.points.iter().flat_map(|at| [at.t_s, at.shown_rad, at.continuous_rad]);
+                    assert!(shown.into_iter().all(f64::is_finite), "a reading that is no number");
+                }
                 match bar_angles(&log.cycles, &log.encoders) {
                     Ok(angles) => {
                         let mut all = angles.segments.iter().flat_map(|one| one.angles_rad.iter().flatten());
