@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use crate::report_page::page_text;
-use crate::support::{bar, irb2400};
+use crate::support::{bar, browser, irb2400};
 use identify::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
 use identify::calibrate::{IdentifyConfig, JointTermsConfig};
 use identify::logs::ForceLog;
@@ -66,6 +66,12 @@ fn what_was_not_unwrapped_and_not_averaged_is_told_in_a_line_and_what_was_has_a_
         assert!(text.contains(part), "{part}");
     }
     assert!(text.contains("What the average took from the angles, RMS [urad]"));
+    if let Some(shown) = browser::shown(&text) {
+        // Two of the counter, four of the average: a parser of HTML finds them, and nothing is asked of others.
+        let pictures = |text: &str| text.matches("<svg").count();
+        assert_eq!(pictures(&shown.document), pictures(&plain) + 6);
+        assert_eq!(shown.foreign, Vec::<String>::new());
+    }
     assert!(!text.contains("nothing was to be unwrapped") && !text.contains("off, as usual"));
 }
 
@@ -143,13 +149,14 @@ fn what_a_recording_of_another_program_leaves_unsaid_stands_in_the_page() {
     assert!(inputs.contains("recording: ") && inputs.contains("robot log: "));
     for unsaid in [
         "how certain its times are",
+        "what another clock showed meanwhile",
         "which values are not valid",
         "where counters started anew",
         "the date of its stamps",
     ] {
         assert!(inputs.contains(unsaid), "{unsaid}");
     }
-    assert_eq!(inputs.matches("not in the file").count(), 4);
+    assert_eq!(inputs.matches("not in the file").count(), 5);
     // The picture is of the file's 24 bits, not of the 32 that the records have.
     let turns = 16_777_216.0 / 14_745_600.0;
     assert!(turns < 1.5 && text.contains("as shown") && !text.contains("counter [turns]"));

@@ -10,7 +10,7 @@ use super::bar_angles::{BarAngles, BarSegment, bar_angles};
 use super::smooth::{smoothed_log, smoothed_segments};
 use super::standstill::Standstill;
 use super::unwrap::{unwrapped_counters, unwrapped_log};
-use super::{ClockFit, PrepareError, PrepareOptions, Wiring};
+use super::{ClockFit, Fate, PrepareError, PrepareOptions, Wiring};
 use crate::logs::{RobotLog, Unwrapped, default_gap_limit_s};
 
 /// What the bar and the robot say.
@@ -52,6 +52,9 @@ impl<'a> BothLogs<'a> {
         let segments = smoothed_segments(&self.angles.segments, width_s);
         let log = smoothed_log(&self.log, width_s, default_gap_limit_s(&self.log));
         let segments = std::mem::replace(&mut self.angles.segments, segments);
+        // Those that have an average get theirs later.
+        let valid = self.angles.fates.iter_mut().filter(|fate| **fate == Fate::Surplus);
+        valid.for_each(|fate| *fate = Fate::NotAveraged);
         let after = self.angles.segments.len();
         tracing::debug!(before = segments.len(), after, width_s, "moving average over both logs");
         let log = std::mem::replace(&mut self.log, Cow::Owned(log));

@@ -158,6 +158,8 @@ pub struct SampleCounts {
     pub time_not_increasing: usize,
     /// In runs between two changes of the counters' origin that are too short to find their zeros.
     pub other_origin: usize,
+    /// Nearer to an end or a hole than half the moving average, where there is one.
+    pub not_averaged: usize,
     /// At times that the robot's log does not cover.
     pub outside_robot_log: usize,
     /// Near singular poses of the bar.
@@ -182,6 +184,7 @@ impl SampleCounts {
             *match fate {
                 Fate::Surplus => &mut counts.surplus,
                 Fate::Standstill => &mut counts.standstill,
+                Fate::NotAveraged => &mut counts.not_averaged,
                 Fate::Outside => &mut counts.outside_robot_log,
                 Fate::OtherOrigin => &mut counts.other_origin,
                 Fate::Singular => &mut counts.singular,

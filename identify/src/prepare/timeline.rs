@@ -5,6 +5,7 @@ use shared::recording::schema::CycleRecord;
 use shared::time::UtcNs;
 
 use super::both_logs::BothLogs;
+use super::circular::wrapped;
 use super::standstill::{Jitter, MOVING_RAD_S, Readings, Standstill, standstills};
 use super::{Averaged, ClockFit, Predictor, Wiring};
 use crate::kinematics::{BAR_JOINTS, Configuration, ROBOT_JOINTS};
@@ -19,6 +20,8 @@ pub enum Fate {
     Surplus,
     /// Neither robot nor bar moves.
     Standstill,
+    /// Too near to an end or a hole for the moving average.
+    NotAveraged,
     /// The robot's log does not cover it.
     Outside,
     /// In a run between two changes of the counters' origin that is too short to find its zeros.
@@ -62,6 +65,14 @@ pub struct TimelinePoint {
     pub robot_rad: Option<[f64; ROBOT_JOINTS]>,
     /// Distance to the bar's nearest singular pose, predicted \[rad\].
     pub margin_rad: Option<f64>,
+}
+
+impl TimelinePoint {
+    /// Measured less predicted joints \[rad\]; 0 for joints without encoder.
+    pub fn off_rad(&self) -> Option<[f64; BAR_JOINTS]> {
+        let (measured, predicted) = (self.measured_rad?, self.predicted_rad?);
+        Some(std::array::from_fn(|joint| wrapped(measured[joint] - predicted[joint])))
+    }
 }
 
 /// What a report draws of the preparation.

@@ -19,11 +19,12 @@ pub fn unwrapped_counters(
     encoders: &[EncoderInfo],
     angles: &BarAngles,
 ) -> Vec<Unwrapped> {
+    let first =
+        angles.segments.first().and_then(|segment| segment.times.first().copied()).unwrap_or_default();
     let of_encoder = |(place, encoder): (usize, &EncoderInfo)| {
         let rad_per_count = encoder.scale.rad_per_count();
         let joint = usize::from(encoder.joint).checked_sub(1)?;
         let of_segment = |segment: &BarSegment| {
-            let first = *segment.times.first()?;
             let reading = |at: usize| UnwrappedPoint {
                 t_s: segment.times[at].seconds_since(first),
                 shown_rad: f64::from(cycles[segment.cycles[at]].encoders[place].count) * rad_per_count,

@@ -22,8 +22,12 @@ use shared::recording::{ReadError, ReadErrorKind, Recording};
 use super::{LogError, LogFormat, LogQuality, Unwrapped, bytes_of};
 
 /// What a file may leave unsaid, and what is done then.
-const UNSAID: [(&str, &str); 4] = [
+const UNSAID: [(&str, &str); 5] = [
     ("how certain its times are", "they are taken as exact"),
+    (
+        "what another clock showed meanwhile",
+        "a clock that was set shows only where parts of the run ask for another shift",
+    ),
     (
         "which values are not valid",
         "every row that has all values is used, but for those that repeat the counts before them",

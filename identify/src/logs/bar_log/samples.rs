@@ -359,8 +359,8 @@ impl RawBarLog {
 
     fn unknown(&self) -> Vec<&'static str> {
         let Kind { tells_validity, tells_origins, is_dated, .. } = self.kind;
-        let [certainty, validity, origins, date] = UNSAID.map(|(what, _)| what);
-        let mut unknown = vec![certainty];
+        let [certainty, other_clock, validity, origins, date] = UNSAID.map(|(what, _)| what);
+        let mut unknown = vec![certainty, other_clock];
         for (known, what) in [(tells_validity, validity), (tells_origins, origins), (is_dated, date)] {
             if !known {
                 unknown.push(what);

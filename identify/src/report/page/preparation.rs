@@ -14,6 +14,7 @@ pub(super) fn section(prepared: &Prepared) -> Result<Markup, PlotError> {
     let timeline = &prepared.timeline;
     let speeds = speeds(timeline)?;
     let trimmed = trimmed(timeline, &prepared.measured)?;
+    let off = off(timeline, &prepared.measured)?;
     Ok(html! {
         (readings::unwrapping(timeline)?)
         (readings::moving_average(timeline.averaged.as_ref())?)
@@ -29,6 +30,13 @@ pub(super) fn section(prepared: &Prepared) -> Result<Markup, PlotError> {
         figure {
             div.panels.three { @for panel in trimmed { (svg(panel)) } }
             figcaption { "Joints of the bar: what was used, and what was left out for one of the reasons below." }
+        }
+        figure {
+            div.panels.three { @for panel in off { (svg(panel)) } }
+            figcaption {
+                "The used samples of each joint less what the robot's log and the nominal robot and bar say of it. This is what the "
+                "alignment and the zeros were found from; the errors of robot and bar are still in it."
+            }
         }
         (encoders(prepared))
         (jitter(timeline))
@@ -99,6 +107,25 @@ fn trimmed(timeline: &Timeline, measured: &[bool; BAR_JOINTS]) -> Result<Vec<Str
     (0..BAR_JOINTS).filter(|&joint| measured[joint]).map(panel).collect()
 }
 
+/// What each measured joint says less what the robot says of it, over time.
+fn off(timeline: &Timeline, measured: &[bool; BAR_JOINTS]) -> Result<Vec<String>, PlotError> {
+    let time = time_axis(timeline);
+    let panel = |joint: usize| {
+        let used = timeline.points.iter().filter(|point| point.fate == Fate::Kept);
+        let off = |point: &TimelinePoint| Some((time.at(point.t_s), point.off_rad()?[joint] * 1e3));
+        Panel {
+            title: format!("b{}, measured less predicted", joint + 1),
+            x: time.label,
+            y: "[mrad]".into(),
+            size: THIRD,
+            series: vec![dots("", ORANGE, used.filter_map(off).collect())],
+            from_zero: false,
+        }
+        .draw()
+    };
+    (0..BAR_JOINTS).filter(|&joint| measured[joint]).map(panel).collect()
+}
+
 /// Where the bar stands and how long it is, by the robot's positions alone.
 fn sphere(prepared: &Prepared) -> Markup {
     let sphere = &prepared.sphere;
@@ -149,23 +176,25 @@ fn jitter(timeline: &Timeline) -> Markup {
 /// The table of what became of all samples.
 fn fates(prepared: &Prepared) -> Markup {
     let counts = &prepared.counts;
-    let no_force = prepared.force.map(|_| ("the force was not measured then", counts.no_force));
-    let before = [
-        ("recorded", counts.recorded),
-        ("not valid on the bus", counts.invalid),
-        ("time did not increase", counts.time_not_increasing),
-        ("other origin of the counters", counts.other_origin),
-        ("outside the robot's log", counts.outside_robot_log),
-        ("near a singular pose", counts.singular),
-        ("do not fit those around them", counts.outliers),
-        ("standstill", counts.standstill),
-        ("more than wanted", counts.surplus),
+    let average = prepared.timeline.averaged.as_ref();
+    let rows = [
+        Some(("recorded", counts.recorded)),
+        Some(("not valid", counts.invalid)),
+        Some(("time did not increase", counts.time_not_increasing)),
+        average.map(|_| ("too near to an end or a hole for the average", counts.not_averaged)),
+        Some(("other origin of the counters", counts.other_origin)),
+        Some(("outside the robot's log", counts.outside_robot_log)),
+        Some(("near a singular pose", counts.singular)),
+        Some(("do not fit those around them", counts.outliers)),
+        Some(("standstill", counts.standstill)),
+        Some(("more than wanted", counts.surplus)),
+        prepared.force.map(|_| ("the force was not measured then", counts.no_force)),
+        Some(("used", counts.kept)),
     ];
-    let rows = before.into_iter().chain(no_force).chain([("used", counts.kept)]);
     html! {
         table.narrow {
             caption { "What became of the samples" }
-            tbody { @for (what, count) in rows { tr { td { (what) } td { (count) } } } }
+            tbody { @for (what, count) in rows.into_iter().flatten() { tr { td { (what) } td { (count) } } } }
         }
     }
 }
