@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use identify::inspect;
-use identify::logs::{BarLogMapping, LogError, OtherBarLog};
+use identify::logs::{BarLogMapping, LogError, OtherBarLog, UnwrappedPoint};
 use identify::prepare::bar_angles;
 use shared::config::{self, BallBarConfig};
 use shared::recording::schema::flags;
@@ -74,6 +74,22 @@ fn assert_follows(log: &OtherBarLog, tolerance_rad: f64) {
     }
 }
 
+/// Every joint began anew, and a report can show it: as the file has it, and as it was followed.
+fn assert_shown(log: &OtherBarLog, period_rad: f64) {
+    assert_eq!(log.unwrapped.len(), log.encoders.len());
+    for one in &log.unwrapped {
+        assert!(
+            (one.period_rad - period_rad).abs() < 1e-12 && one.wraps > 0 && one.step_part < 1.0,
+            "{one:?}"
+        );
+        let step = |pair: &[UnwrappedPoint]| (pair[1].shown_rad - pair[0].shown_rad).abs();
+        assert!(one.points.windows(2).any(|pair| step(pair) > 0.5 * period_rad), "{}", one.name);
+        let range = one.points.iter().map(|point| point.shown_rad);
+        let (low, high) = range.fold((f64::MAX, f64::MIN), |(low, high), rad| (low.min(rad), high.max(rad)));
+        assert!(high - low <= period_rad, "{}", one.name);
+    }
+}
+
 #[test]
 fn the_counters_of_the_thesis_become_angles_by_the_bar_s_configuration() {
     for text in [table(shown), table(shown).replace(',', ";").replace('\n', "\r\n")] {
@@ -133,6 +149,7 @@ fn a_narrow_counter_is_refused_with_what_to_write_and_then_followed() {
     let last = angles.segments[0].angles_rad.last().unwrap()[0] - angles.segments[0].angles_rad[0][0];
     let truth = (angle_rad(ROWS - 1, 1) - angle_rad(0, 1)) / 100.0;
     assert!((last - truth).abs() < 1e-5, "{last} for {truth}");
+    assert_shown(&log, 65_536.0 * log.encoders[0].scale.rad_per_count());
 }
 
 #[test]
@@ -255,6 +272,9 @@ fn encoders_among_the_joints_of_a_bag_are_found_by_name_and_followed_over_full_t
         assert_eq!(log.quality.incomplete_dropped, usize::from(whole));
         assert_eq!((log.is_dated, log.clock.as_str()), (true, "header.stamp"));
         assert_follows(&log, 1e-8);
+        if whole {
+            assert_shown(&log, std::f64::consts::TAU);
+        }
     }
     let named = ["1", "2"].map(|joint| format!("[[encoders]]\njoint = {joint}\ncolumn = \"gripper\"\n"));
     for (text, parts) in [
