@@ -191,5 +191,5 @@ fn the_log_of_another_run_is_refused() {
     let error = ball_bar::calibrate(&recording.cycles, &recording.run.encoders, &log, &robot, &bar, &config)
         .map(|_| ())
         .unwrap_err();
-    assert!(matches!(error, CalibrateError::Prepare(_)), "{error}");
+    assert!(matches!(error, CalibrateError::Prepare { run: 0, .. }), "{error}");
 }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
 
+use crate::support::refused::states_the_verdict;
 use shared::recording::Recording;
 use shared::recording::schema::CycleRecord;
 use tempfile::TempDir;
@@ -53,14 +54,26 @@ fn calibrate(recording: &Path, log: &Path, extra: &[&str], out: &Path) -> Output
     identify(&arguments, IRB, out)
 }
 
-/// The command fails, says `why`, and leaves nothing in `out`.
+/// The command fails, says `why`, and leaves nothing in `out`: it was mistyped, or an input is unreadable.
 fn refused(output: &Output, why: &[&str], out: &Path) {
+    fails(output, why);
+    assert_eq!(std::fs::read_dir(out).unwrap().count(), 0, "something was left behind");
+}
+
+/// The command fails, says `why`, and leaves a page that says so, and no calibration: the data are judged.
+fn refused_with_page(output: &Output, why: &[&str], out: &Path) {
+    fails(output, why);
+    let left: Vec<_> = std::fs::read_dir(out).unwrap().map(|one| one.unwrap().file_name()).collect();
+    assert_eq!(left, ["report.html"]);
+    states_the_verdict(&std::fs::read_to_string(out.join("report.html")).unwrap());
+}
+
+fn fails(output: &Output, why: &[&str]) {
     let text = String::from_utf8_lossy(&output.stderr);
     assert!(!output.status.success(), "{}", String::from_utf8_lossy(&output.stdout));
     for part in why {
         assert!(text.contains(part), "`{part}` is missing in: {text}");
     }
-    assert_eq!(std::fs::read_dir(out).unwrap().count(), 0, "something was left behind");
 }
 
 /// The experiment's robot log with something done to each data line.
@@ -126,7 +139,8 @@ fn freeing_what_cannot_be_identified_is_refused_with_its_name() {
     let directory = experiment();
     let (recording, log) = (directory.join("recording.mcap"), directory.join("robot_log.csv"));
     let output = calibrate(&recording, &log, &["--free", "rd3"], out.path());
-    refused(&output, &["62 of 63", "rd2", "rd3"], out.path());
+    refused_with_page(&output, &["62 of 63", "rd2", "rd3"], out.path());
+    let out = tempfile::tempdir().unwrap();
     let unknown = calibrate(&recording, &log, &["--free", "rgamma3"], out.path());
     refused(&unknown, &["no parameter is called `rgamma3`"], out.path());
 }
@@ -217,7 +231,7 @@ fn the_wiring_that_is_typed_is_the_one_that_is_used() {
     refused(&told, &["find, recorded"], out.path());
     // Not as the cables are: no geometry near the nominal one explains that.
     let told = calibrate(&recording, &log, &["--encoders", "2,1,3,4,5"], out.path());
-    refused(&told, &["error:"], out.path());
+    refused_with_page(&told, &["error:"], out.path());
 }
 
 #[test]
@@ -284,8 +298,12 @@ fn a_clock_that_runs_backwards_is_refused() {
 
 #[test]
 fn logs_without_overlap_in_time_are_refused() {
-    // Only the standstill of the first half second is left of the robot's log, and then only its last five seconds.
-    refused_log(|row, line| if row <= 120 { line.to_owned() } else { String::new() }, &["robot"]);
+    // Only the standstill of the first half second is left of the robot's log.
+    let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let still = |row: usize, line: &str| if row <= 120 { line.to_owned() } else { String::new() };
+    let log = edited_log(inputs.path(), still);
+    let output = calibrate(&experiment().join("recording.mcap"), &log, &[], out.path());
+    refused_with_page(&output, &["robot"], out.path());
     let other = tempfile::tempdir().unwrap();
     let out = tempfile::tempdir().unwrap();
     let bar = config("ball_bar.toml");
@@ -293,7 +311,7 @@ fn logs_without_overlap_in_time_are_refused() {
     assert!(identify(&another_run, IRB, other.path()).status.success());
     let recording = experiment().join("recording.mcap");
     let output = calibrate(&recording, &other.path().join("robot_log.csv"), &[], out.path());
-    refused(&output, &["correlat"], out.path());
+    refused_with_page(&output, &["correlat"], out.path());
 }
 
 #[test]

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::{bar, irb2400};
-use identify::inspect;
+use identify::inspect::{self, curves};
 use identify::logs::{Origin, RobotLog};
 use identify::simulate::{self, Experiment, Simulated};
 use shared::recording::Recording;
@@ -72,4 +72,38 @@ fn a_joint_that_does_not_move_is_suspected() {
     log.q_rad.iter_mut().for_each(|q| q[3] = 0.1);
     let told = inspect::robot_log(&log).suspicious.join("\n");
     assert!(told.contains("q4 moved by less than 5 degrees"), "{told}");
+}
+
+#[test]
+fn curves_keep_extremes_and_holes_and_stay_small() {
+    let Simulated { mut robot_log, cycles, encoders, .. } = simulated();
+    let of_bar = curves::of_bar(&cycles, &encoders);
+    assert_eq!(
+        of_bar.iter().map(|curve| curve.name.as_str()).collect::<Vec<_>>(),
+        ["b1", "b2", "b3", "b4", "b5"]
+    );
+    // A spike of one row is there, and the ten seconds that are missing are not bridged.
+    let spike = robot_log.q_rad.len() / 3;
+    robot_log.q_rad[spike][2] = 3.0;
+    let until_s = robot_log.duration_s() / 2.0 + 10.0;
+    let missing = |t_s: f64| (until_s - 10.0..until_s).contains(&t_s);
+    let kept: Vec<usize> = (0..robot_log.t_s.len()).filter(|&row| !missing(robot_log.t_s[row])).collect();
+    robot_log.q_rad = kept.iter().map(|&row| robot_log.q_rad[row]).collect();
+    robot_log.t_s = kept.iter().map(|&row| robot_log.t_s[row]).collect();
+    for (joint, curve) in curves::of_robot(&robot_log).iter().enumerate() {
+        assert_eq!(curve.parts.len(), 2);
+        assert!(curve.parts[0].last().unwrap().0 < until_s - 9.9 && curve.parts[1][0].0 >= until_s);
+        let points: Vec<(f64, f64)> = curve.parts.iter().flatten().copied().collect();
+        assert!(points.len() < 1700 && points.is_sorted_by(|a, b| a.0 < b.0), "{}", points.len());
+        let highest = |values: &mut dyn Iterator<Item = f64>| values.fold(f64::NEG_INFINITY, f64::max);
+        let of_log = highest(&mut robot_log.q_rad.iter().map(|row| row[joint].to_degrees()));
+        assert_eq!(highest(&mut points.iter().map(|point| point.1)), of_log);
+    }
+}
+
+#[test]
+fn a_recording_without_a_valid_cycle_has_no_curves() {
+    let Simulated { mut cycles, encoders, .. } = simulated();
+    cycles.iter_mut().flat_map(|cycle| &mut cycle.encoders).for_each(|sample| sample.valid = false);
+    assert!(curves::of_bar(&cycles, &encoders).is_empty());
 }

@@ -30,6 +30,7 @@ mod preparation_steps;
 mod preparation_timeline;
 mod preparation_wiring;
 mod refusals;
+mod refused_page;
 mod report_page;
 mod report_page_runs;
 mod results;

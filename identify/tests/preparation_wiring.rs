@@ -146,7 +146,7 @@ fn joints_that_move_together_leave_the_order_open_and_it_is_asked_for() {
 
 /// A whole run on which joints 3 and 5 hardly move, over a base that leans by more than they do, with the cables of encoders 1
 /// and 2 exchanged.
-fn ambiguous(robot: &RobotConfig, bar: &BallBarConfig) -> Simulated {
+pub fn ambiguous(robot: &RobotConfig, bar: &BallBarConfig) -> Simulated {
     let usual = Design::for_robot(robot);
     let mut bar_range_deg = usual.bar_range_deg;
     bar_range_deg[2] = [10.0, 13.6];

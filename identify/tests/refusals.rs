@@ -1,9 +1,8 @@
 //! What must not become a calibration: each case with the words that a person reads.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use std::process::Command;
-
-use crate::support::{bar, irb2400, repository};
+use crate::support::refused::Typed;
+use crate::support::{bar, irb2400};
 use identify::calibrate::{CostName, IdentifyConfig, ball_bar};
 use identify::simulate::{self, Design, Effects, Experiment, Simulated};
 use shared::config::BallBarConfig;
@@ -35,27 +34,9 @@ fn refused(run: &Simulated) -> String {
     refusal(run, &bar(), &IdentifyConfig::default())
 }
 
-/// The same from files and typed: it is refused with the same words, and nothing is left in `--out`.
-fn leaves_nothing(run: &Simulated, bar: &BallBarConfig, why: &str, extra: &[&str]) {
-    let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
-    let files = simulate::write(inputs.path(), run, &irb2400(), bar).unwrap();
-    let bar_path = inputs.path().join("ball_bar.toml");
-    std::fs::write(&bar_path, toml::to_string(bar).unwrap()).unwrap();
-    let output = Command::new(env!("CARGO_BIN_EXE_identify"))
-        .args(["calibrate".as_ref(), "--recording".as_ref(), files.recording.as_os_str()])
-        .args(["--robot-log".as_ref(), files.robot_log.as_os_str(), "--bar".as_ref(), bar_path.as_os_str()])
-        .arg("--robot")
-        .arg(repository("config/robots/irb2400_16.toml"))
-        .arg("--out")
-        .arg(out.path())
-        .args(extra)
-        .env("RUST_LOG", "off")
-        .output()
-        .unwrap();
-    let told = String::from_utf8_lossy(&output.stderr);
-    assert!(!output.status.success() && told.contains(why), "{told}");
-    let left: Vec<_> = std::fs::read_dir(out.path()).unwrap().collect();
-    assert!(left.is_empty(), "{left:?}");
+/// The same from files and typed: it is refused with the same words, and a page that says so is all that is left.
+fn leaves_a_page(run: &Simulated, bar: &BallBarConfig, why: &str, extra: &[&str]) {
+    Typed::new(run, &irb2400(), bar).refused(&[why], extra);
 }
 
 /// The number before a unit in a message.
@@ -79,7 +60,7 @@ fn a_slipped_encoder_is_named_with_time_and_size() {
         }
         let told = refused(&run);
         if at == 4000 {
-            leaves_nothing(&run, &bar(), "slips", &[]);
+            leaves_a_page(&run, &bar(), "slips", &[]);
         }
         assert!(told.contains(&format!("encoder of joint {} slips", place + 1)), "{told}");
         assert!((number_before(&told, " s after") - at as f64 * 0.01).abs() < 0.1, "{told}");
@@ -102,7 +83,7 @@ fn a_clock_that_jumps_is_told_with_time_and_size() {
         }
         let told = refused(&run);
         if jump_s == 0.3 {
-            leaves_nothing(&run, &bar(), "a clock jumps during the run", &[]);
+            leaves_a_page(&run, &bar(), "a clock jumps during the run", &[]);
         }
         assert!(told.contains("a clock jumps during the run"), "{told}");
         assert!((number_before(&told, " s after") - 40.0).abs() < 15.0, "{told}");
@@ -122,7 +103,7 @@ fn a_motion_that_tells_too_little_is_refused() {
     });
     let told = refused(&circle);
     assert!(told.contains("span no sphere"), "{told}");
-    leaves_nothing(&circle, &bar(), "span no sphere", &[]);
+    leaves_a_page(&circle, &bar(), "span no sphere", &[]);
     // The rod moves, the cardan hardly does.
     let stiff = laboratory(|e| {
         e.design.bar_range_deg[2] = [10.0, 10.5];
@@ -131,6 +112,7 @@ fn a_motion_that_tells_too_little_is_refused() {
     });
     let told = refused(&stiff);
     assert!(told.contains("of the bar travels only 0."), "{told}");
+    leaves_a_page(&stiff, &bar(), "of the bar travels only 0.", &[]);
 }
 
 #[test]
@@ -139,7 +121,7 @@ fn another_bar_and_another_plate_are_refused() {
     let config = IdentifyConfig::default();
     let told = refusal(&run, &BallBarConfig { length_m: 0.7, ..bar() }, &config);
     assert!(told.contains("sphere of 59") && told.contains("700 mm"), "{told}");
-    leaves_nothing(&run, &BallBarConfig { length_m: 0.7, ..bar() }, "700 mm", &[]);
+    leaves_a_page(&run, &BallBarConfig { length_m: 0.7, ..bar() }, "700 mm", &[]);
     let told = refusal(&run, &BallBarConfig { plate_m: 0.30, tool_m: 0.05, ..bar() }, &config);
     assert!(told.contains("sphere") || told.contains("geometry"), "{told}");
 }
@@ -150,7 +132,7 @@ fn the_log_of_another_run_is_refused() {
     run.robot_log = laboratory(|e| e.seed = 9).robot_log;
     let told = refused(&run);
     assert!(told.contains("different runs"), "{told}");
-    leaves_nothing(&run, &bar(), "different runs", &[]);
+    leaves_a_page(&run, &bar(), "different runs", &[]);
 }
 
 #[test]
@@ -161,5 +143,5 @@ fn too_few_encoders_for_the_chosen_cost_are_told_with_the_missing_one() {
     let config = IdentifyConfig { cost: Some(CostName::Transform), ..IdentifyConfig::default() };
     let told = refusal(&run, &bar, &config);
     assert!(told.contains("needs the encoder of bar joint 3"), "{told}");
-    leaves_nothing(&run, &bar, "needs the encoder of bar joint 3", &["--cost", "transform"]);
+    leaves_a_page(&run, &bar, "needs the encoder of bar joint 3", &["--cost", "transform"]);
 }

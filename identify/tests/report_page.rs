@@ -1,13 +1,10 @@
 //! The page of a calibration: what it says is true, and a browser shows it without asking anybody else.
 #![allow(clippy::unwrap_used, reason = "tests")]
-#![allow(clippy::print_stdout, reason = "a test that is skipped says so")]
 
-use std::path::{Path, PathBuf};
-use std::process::Command;
 use std::sync::OnceLock;
 
 use crate::support::truth::position_error_m;
-use crate::support::{bar, irb2400};
+use crate::support::{bar, browser, irb2400};
 use identify::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
 use identify::calibrate::held_out::without_each_stretch;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
@@ -16,7 +13,6 @@ use identify::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use identify::report::page::Page;
 use identify::simulate::{self, Design, Effects, Experiment, Simulated, StaticErrors};
 use identify::study::{Evidence, evidence, held_out, workspace_error};
-use serde_json::Value;
 use shared::config::RobotConfig;
 
 const NOISE: Effects =
@@ -241,50 +237,9 @@ fn a_calibration_without_encoders_has_a_page_too() {
 
 #[test]
 fn a_browser_shows_the_page_and_asks_nobody_else() {
-    let Some(browser) = browser() else { return };
     let (_, found, evidence) = validated();
-    let directory = tempfile::tempdir().unwrap();
-    let page = directory.path().join("report.html");
-    std::fs::write(&page, page_text(found, evidence, &irb2400())).unwrap();
-    let requests = directory.path().join("requests.json");
-    let output = Command::new(browser)
-        .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"])
-        .args([
-            "--disable-background-networking",
-            "--disable-component-update",
-            "--disable-sync",
-            "--dump-dom",
-        ])
-        .arg(format!("--user-data-dir={}", directory.path().join("profile").display()))
-        .arg(format!("--log-net-log={}", requests.display()))
-        .arg(format!("file://{}", page.display()))
-        .output()
-        .unwrap();
-    let shown = String::from_utf8_lossy(&output.stdout).into_owned();
-    assert!(shown.contains("Calibrated."), "{}", String::from_utf8_lossy(&output.stderr));
-    // What a parser of HTML made of them, not what we wrote.
-    assert!(shown.matches("<svg").count() >= 25, "{}", shown.matches("<svg").count());
-    assert_eq!(foreign(&requests), Vec::<String>::new());
-}
-
-/// Addresses on the web that a browser's log of requests names, without those that it visits by itself at any start.
-fn foreign(log: &Path) -> Vec<String> {
-    let log: Value = serde_json::from_slice(&std::fs::read(log).unwrap()).unwrap();
-    let address = |event: &Value| event["params"]["url"].as_str().map(str::to_owned);
-    let of_browser = |url: &str| ["google", "gstatic", "chrome"].iter().any(|name| url.contains(name));
-    let events = log["events"].as_array().unwrap().iter().filter_map(address);
-    events.filter(|url| url.starts_with("http") && !of_browser(url)).collect()
-}
-
-/// Chromium, where there is one; in CI there must be.
-fn browser() -> Option<PathBuf> {
-    let found = ["chromium", "chromium-browser", "google-chrome"].iter().find_map(|name| {
-        let paths = std::env::var_os("PATH")?;
-        std::env::split_paths(&paths).map(|path| path.join(name)).find(|path| path.is_file())
-    });
-    if found.is_none() {
-        assert!(std::env::var_os("CI").is_none(), "CI has no chromium");
-        println!("skipped: no chromium on this machine");
-    }
-    found
+    let Some(shown) = browser::shown(&page_text(found, evidence, &irb2400())) else { return };
+    assert!(shown.document.contains("Calibrated."), "{}", shown.stderr);
+    assert!(shown.document.matches("<svg").count() >= 25, "{}", shown.document.matches("<svg").count());
+    assert_eq!(shown.foreign, Vec::<String>::new());
 }

@@ -19,8 +19,13 @@ use crate::solver::{Solution, SolveError, Summary, Unidentifiable, Watch};
 #[derive(Debug, thiserror::Error)]
 pub enum CalibrateError {
     /// The logs do not fit together, or are not enough.
-    #[error(transparent)]
-    Prepare(#[from] PrepareError),
+    #[error("{error}")]
+    Prepare {
+        /// Which run, from 0.
+        run: usize,
+        /// What is wrong with it.
+        error: Box<PrepareError>,
+    },
     /// A named parameter or prior does not exist.
     #[error(transparent)]
     Model(#[from] ModelError),
@@ -42,7 +47,7 @@ pub enum CalibrateError {
     /// The solve ended elsewhere than at a minimum.
     #[error(
         "the solve did not converge ({}, {} iterations, residual RMS {:.3e}); robot, bar or log may be the wrong one, \
-         or its motion too small",
+         or its motion too small; check them, or record more of the sphere",
         summary.termination, summary.iterations, summary.residual_rms
     )]
     NotConverged {
@@ -139,16 +144,17 @@ pub fn calibrate_runs(
     config: &IdentifyConfig,
     watch: Option<&dyn Watch>,
 ) -> Result<BallBarCalibration, CalibrateError> {
-    let run = |input: &RunInput<'_>| {
+    let run = |(run, input): (usize, &RunInput<'_>)| {
         let mut prepared =
-            prepare(input.cycles, input.encoders, input.log, robot, input.bar, &config.prepare)?;
+            prepare(input.cycles, input.encoders, input.log, robot, input.bar, &config.prepare)
+                .map_err(|error| CalibrateError::Prepare { run, error: Box::new(error) })?;
         if let Some(unwrapped) = input.unwrapped {
             prepared.timeline.unwrapped_encoders = unwrapped.to_vec();
         }
         let model = start_model(&prepared, robot, input.bar)?;
         Ok(Run { prepared, model })
     };
-    let mut runs = inputs.iter().map(run).collect::<Result<Vec<Run>, CalibrateError>>()?;
+    let mut runs = inputs.iter().enumerate().map(run).collect::<Result<Vec<Run>, CalibrateError>>()?;
     let measured = several::measured(&runs);
     let cost = config.cost.unwrap_or_else(|| CostName::for_encoders(&measured));
     let solved = solve_by(cost, &mut runs, config, watch)?;

@@ -10,6 +10,7 @@ pub mod held_out;
 pub mod measured_length;
 pub mod measured_pose;
 pub mod other_costs;
+pub mod refusal;
 mod repetition;
 mod robust;
 pub mod several;

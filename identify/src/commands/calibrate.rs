@@ -2,6 +2,7 @@
 
 mod force_logs;
 mod measured_poses;
+mod refused;
 mod sources;
 
 use std::path::{Path, PathBuf};
@@ -247,12 +248,8 @@ fn from_ball_bar(arguments: &CalibrateArguments, robot: &RobotConfig) -> anyhow:
         Ok((calibration, evidence))
     });
     on_terminal.finish();
-    let (calibration, evidence) = studied.with_context(|| {
-        let names = runs
-            .iter()
-            .map(|run| format!("{} with {}", run.recording_path.display(), run.log_path.display()));
-        names.collect::<Vec<_>>().join(", ")
-    })?;
+    let (calibration, evidence) =
+        studied.map_err(|error| refused::of_runs(arguments, robot, &runs, &config, error))?;
     let mut file = calibration_file(arguments, robot, &runs, &calibration)?.with_validation(&evidence);
     let mut forces = ForceEntry::all(&evidence.spheres).into_iter();
     (file.force, file.other_forces) = (forces.next(), forces.collect());
@@ -277,12 +274,11 @@ fn from_ball_bar(arguments: &CalibrateArguments, robot: &RobotConfig) -> anyhow:
     Ok(())
 }
 
-fn calibration_file(
-    arguments: &CalibrateArguments,
-    robot: &RobotConfig,
-    runs: &[RunFiles<'_>],
-    calibration: &BallBarCalibration,
-) -> anyhow::Result<CalibrationFile> {
+/// Every file that was read, with what it is.
+fn input_files<'a>(
+    arguments: &'a CalibrateArguments,
+    runs: &'a [RunFiles<'_>],
+) -> Vec<(&'static str, &'a Path)> {
     let mut files = vec![("robot", arguments.robot.as_path())];
     for run in runs {
         files.extend([("recording", run.recording_path), ("robot log", run.log_path), ("bar", run.bar_path)]);
@@ -296,6 +292,15 @@ fn calibration_file(
         files.extend(path.as_deref().map(|path| (role, path)));
     }
     files.extend(arguments.force_log.iter().map(|path| ("force log", path.as_path())));
+    files
+}
+
+fn calibration_file(
+    arguments: &CalibrateArguments,
+    robot: &RobotConfig,
+    runs: &[RunFiles<'_>],
+    calibration: &BallBarCalibration,
+) -> anyhow::Result<CalibrationFile> {
     let solution = &calibration.solution;
     let bar = runs.first().map_or("", |run| run.bar.name.as_str());
     let mut clocks = (runs.iter().zip(calibration.runs()))
@@ -305,7 +310,7 @@ fn calibration_file(
         bar,
         SolveEntry::new(calibration.cost.name(), &solution.summary, &solution.identifiability),
         clocks.next(),
-        inputs(&files)?,
+        inputs(&input_files(arguments, runs))?,
         ParameterEntry::of_runs(calibration),
     )
     .with_knowledge(&calibration.model, solution);
@@ -341,19 +346,17 @@ fn from_measured_lengths(
         hold_out: arguments.hold_out.unwrap_or(usual.hold_out),
         ..usual
     };
+    let files: [(&str, &Path); 3] =
+        [("measured lengths", lengths_path), ("mapping", mapping_path), ("robot", &arguments.robot)];
     let report = measured_length::calibrate(&rows, &flange_chain(robot), &options)
-        .with_context(|| lengths_path.display().to_string())?;
+        .map_err(|error| refused::of_rows(arguments, robot, &files, &options, error))?;
     let sigma = |id| report.parameters.iter().find(|one| one.id == id).and_then(|one| one.sigma);
     let file = CalibrationFile::new(
         &robot.name,
         "measured lengths",
         SolveEntry::new("measured_length", &report.summary, &report.identifiability),
         None,
-        inputs(&[
-            ("measured lengths", lengths_path),
-            ("mapping", mapping_path),
-            ("robot", &arguments.robot),
-        ])?,
+        inputs(&files)?,
         ParameterEntry::all(&report.model, sigma),
     );
     let written = file.write(&arguments.out)?;

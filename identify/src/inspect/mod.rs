@@ -1,6 +1,7 @@
 //! What is in a log or a recording, and what is suspicious in it, before anything is solved.
 
 mod bar_log;
+pub mod curves;
 mod recording;
 mod robot_log;
 

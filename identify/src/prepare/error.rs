@@ -1,6 +1,6 @@
 //! Why recording and robot log cannot be brought together.
 
-use super::ForceError;
+use super::{Deviations, ForceError};
 use crate::kinematics::InverseError;
 use crate::logs::LogError;
 
@@ -19,7 +19,7 @@ pub enum PrepareError {
     /// A cycle's encoders are not those that the recording declares.
     #[error(
         "cycle {cycle} has an encoder on joint {found} where joint {declared} is declared; the recording is damaged \
-         or was put together from different runs"
+         or was put together from different runs; take it as it was recorded"
     )]
     EncoderOrder {
         /// Number of the cycle.
@@ -102,7 +102,7 @@ pub enum PrepareError {
     #[error(
         "robot log and recording do not match at any clock difference: the best correlation of their joint speeds is \
          {correlation:.2} (over {overlap_s:.0} s), at least {needed} is asked for. They do not overlap in time or are \
-         of different runs"
+         of different runs; give the log of this run"
     )]
     NoMatch {
         /// Best correlation.
@@ -117,7 +117,7 @@ pub enum PrepareError {
         "measured bar angles do not fit the robot's log, in whatever order and direction the encoders are taken; as \
          recorded (encoder -> joint): {recorded}, at most {limit_mrad} mrad is allowed for each. The robot's or the \
          bar's configuration (lengths, or lines and interpolation_bits of the encoders) is not that of this cell, or robot \
-         log and recording are of different runs"
+         log and recording are of different runs; correct the configuration, or give the log of this run"
     )]
     NoWiring {
         /// How the recorded order fits.
@@ -186,13 +186,21 @@ pub enum PrepareError {
     #[error(
         "the logs belong together, but the angles stay {spreads} mrad from any geometry near the nominal one, at most \
          {limit_mrad} is allowed; robot, tool, plate or bar are configured otherwise than in the cell, or something \
-         is loose"
+         is loose; compare the configuration with the cell, and try what is bolted on"
     )]
     PoorFit {
         /// Spread by encoder.
         spreads: String,
         /// Threshold \[mrad\].
         limit_mrad: f64,
+    },
+    /// One of the above, found by comparing the angles with the geometry that fits best.
+    #[error("{error}")]
+    Judged {
+        /// What is wrong.
+        error: Box<PrepareError>,
+        /// What it rests on.
+        deviations: Box<Deviations>,
     },
     /// The force on the bar cannot be used.
     #[error(transparent)]

@@ -8,7 +8,7 @@ use super::judge::{Judged, LocalShift, check_clock, check_steps, local_shifts, o
 use super::refine::Judge;
 use super::select::{apart, spread_over_sphere};
 use super::timeline::Sample;
-use super::{AlignedLog, Fate, PrepareError, PrepareOptions, SampleCounts};
+use super::{AlignedLog, Deviations, Fate, PrepareError, PrepareOptions, SampleCounts};
 use crate::kinematics::{BAR_JOINTS, singularity_margin_rad};
 use crate::model::Observation;
 
@@ -54,7 +54,8 @@ pub(super) struct Sorted {
 /// observations have, `numbers` what they call each origin.
 ///
 /// # Errors
-/// [`PrepareError::ClockJump`], [`PrepareError::EncoderSlip`], [`PrepareError::PoorFit`], [`PrepareError::NothingLeft`].
+/// [`PrepareError::Judged`] with [`PrepareError::ClockJump`], [`PrepareError::EncoderSlip`] or [`PrepareError::PoorFit`];
+/// [`PrepareError::NothingLeft`], [`PrepareError::LittleTravel`].
 pub(super) fn sort(
     raw: &[Raw],
     found: &Found,
@@ -78,10 +79,14 @@ pub(super) fn sort(
         .collect();
     let (mut fates, judged) = look_at_all(raw, &joints, found, motion, options);
     let local_shifts = local_shifts(&judged);
-    check_steps(&judged, &local_shifts, &measured, t_ref_s, options)?;
-    check_clock(&local_shifts, t_ref_s)?;
     let spread_rad = spreads_rad(&judged);
-    check_fit(&spread_rad, options)?;
+    check_steps(&judged, &local_shifts, &measured, t_ref_s, options)
+        .and_then(|()| check_clock(&local_shifts, t_ref_s))
+        .and_then(|()| check_fit(&spread_rad, options))
+        .map_err(|error| {
+            let clock = found.fit.clock;
+            error.resting_on(Deviations::new(&judged, &local_shifts, measured, t_ref_s, clock))
+        })?;
     for sample in outliers(&judged, &spread_rad) {
         fates[sample] = Fate::Outlier;
     }

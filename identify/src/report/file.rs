@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use shared::time::UtcNs;
 
+use super::earlier::remove_refusal;
 use super::force::ForceEntry;
 use super::knowledge::{CovarianceEntry, Knowledge};
 use super::validation::{HeldOutEntry, OtherCostEntry};
@@ -255,8 +256,8 @@ impl CalibrationFile {
     ) -> Self {
         Self {
             schema: SCHEMA,
-            created: UtcNs::from_datetime(chrono::Utc::now()).to_string(),
-            software: concat!("identify ", env!("CARGO_PKG_VERSION")).into(),
+            created: now(),
+            software: software().into(),
             robot: robot.to_owned(),
             instrument: instrument.to_owned(),
             solve,
@@ -283,6 +284,7 @@ impl CalibrationFile {
         let text = toml::to_string(&Self { covariance: None, ..self.clone() })?;
         let json = serde_json::to_string_pretty(self)?;
         let table = self.dh_csv()?;
+        remove_refusal(directory)?;
         replace(directory, "calibration.json", &json)?;
         replace(directory, "dh.csv", &table)?;
         replace(directory, "calibration.toml", &text)
@@ -336,6 +338,16 @@ pub struct DhRow {
     pub correction: f64,
     /// One standard deviation; absent for fixed parameters.
     pub sigma: Option<f64>,
+}
+
+/// When something is written.
+pub(super) fn now() -> String {
+    UtcNs::from_datetime(chrono::Utc::now()).to_string()
+}
+
+/// Program and version.
+pub(super) const fn software() -> &'static str {
+    concat!("identify ", env!("CARGO_PKG_VERSION"))
 }
 
 /// Puts a file in place at once.

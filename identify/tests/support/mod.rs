@@ -6,6 +6,7 @@ pub mod browser;
 pub mod independent;
 pub mod laboratory;
 pub mod other_solver;
+pub mod refused;
 pub mod truth;
 
 use std::path::{Path, PathBuf};

@@ -5,7 +5,7 @@ use std::path::Path;
 use anyhow::Context;
 use shared::config::{self, RobotConfig};
 
-use super::{CalibrateArguments, inputs};
+use super::{CalibrateArguments, inputs, refused};
 use crate::calibrate::measured_pose::{self, PoseOptions, PoseReport, PoseRow};
 use crate::kinematics::{Chain, flange_chain};
 use crate::logs::{MeasuredPoseMapping, MeasuredPoses};
@@ -57,8 +57,10 @@ pub(super) fn run(
         ..usual
     };
     let chain = flange_chain(robot);
+    let files: [(&str, &Path); 3] =
+        [("measured poses", poses_path), ("mapping", mapping_path), ("robot", &arguments.robot)];
     let report = measured_pose::calibrate(&rows, &chain, &options)
-        .with_context(|| poses_path.display().to_string())?;
+        .map_err(|error| refused::of_rows(arguments, robot, &files, &options, error))?;
     let validations = validations(arguments, &mapping, &chain, &report)?;
     let sigma = |id| report.sigmas.iter().find(|one| one.0 == id).map(|one| one.1);
     let mut solve = SolveEntry::new(report.cost, &report.summary, &report.identifiability);
@@ -68,7 +70,7 @@ pub(super) fn run(
         "measured poses",
         solve,
         None,
-        inputs(&[("measured poses", poses_path), ("mapping", mapping_path), ("robot", &arguments.robot)])?,
+        inputs(&files)?,
         ParameterEntry::all(&report.model, sigma),
     );
     let written = file.write(&arguments.out)?;

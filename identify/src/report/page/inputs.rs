@@ -28,6 +28,18 @@ pub(super) fn section(sources: &[Source]) -> Markup {
     } }
 }
 
+/// Facts of one file, as rows of a table.
+pub(super) fn rows(facts: &[(String, String)]) -> Markup {
+    html! {
+        @for (what, value) in facts.iter().take(FACTS_MAX) {
+            tr.unsaid[what == UNSAID] { td { (what) } td.text { (value) } }
+        }
+        @if facts.len() > FACTS_MAX {
+            tr { td { "…" } td.text { (facts.len() - FACTS_MAX) " more: " code { "identify inspect" } } }
+        }
+    }
+}
+
 /// What one file says; what it does not say stands out.
 fn facts(source: &Source) -> Markup {
     let Inspection { facts, suspicious, .. } = &source.inspection;
@@ -35,12 +47,7 @@ fn facts(source: &Source) -> Markup {
         table {
             caption { (source.role) ": " (source.path.display()) }
             tbody {
-                @for (what, value) in facts.iter().take(FACTS_MAX) {
-                    tr.unsaid[what == UNSAID] { td { (what) } td.text { (value) } }
-                }
-                @if facts.len() > FACTS_MAX {
-                    tr { td { "…" } td.text { (facts.len() - FACTS_MAX) " more: " code { "identify inspect" } } }
-                }
+                (rows(facts))
                 @for sentence in suspicious { tr.unsaid { td { "mind" } td.text { (sentence) } } }
             }
         }

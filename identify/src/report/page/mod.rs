@@ -9,6 +9,7 @@ pub(super) mod intervals;
 pub(super) mod plot;
 mod preparation;
 mod readings;
+mod refused;
 mod runs;
 mod sections;
 mod sphere;
@@ -24,6 +25,8 @@ use crate::study::Evidence;
 
 pub use inputs::Source;
 pub use plot::PlotError;
+pub(super) use refused::is_refusal;
+pub use refused::{InspectedLog, InspectedRun, RefusedPage, WrittenRefusal};
 
 /// Everything that the page shows.
 #[derive(Debug)]

@@ -5,7 +5,7 @@ use maud::{Markup, PreEscaped, html};
 use super::plot::PlotError;
 use super::{Page, correlations, figures, runs};
 use crate::model::{ParameterId, Unit};
-use crate::report::file::{ParameterEntry, Status};
+use crate::report::file::{Input, ParameterEntry, Status};
 use crate::study::{Expected, Quantiles};
 
 /// mm with as many digits as mean something.
@@ -210,17 +210,22 @@ pub(super) fn dependence(page: &Page<'_>) -> Result<Markup, PlotError> {
 }
 
 pub(super) fn origin(page: &Page<'_>) -> Markup {
+    repeated_with(&page.file.inputs, &page.file.software, page.configuration)
+}
+
+/// Everything that is needed to repeat it.
+pub(super) fn repeated_with(inputs: &[Input], software: &str, configuration: &str) -> Markup {
     html! {
         h2 { "To repeat it" }
         table {
             thead { tr { th { "input" } th.text { "file" } th.text { "SHA-256" } } }
             tbody {
-                @for input in &page.file.inputs {
+                @for input in inputs {
                     tr { td { (input.role) } td.text { (input.path.display()) } td.text { code { (input.sha256) } } }
                 }
             }
         }
-        p.note { "Made with " (page.file.software) ". Configuration in full:" }
-        pre { (page.configuration) }
+        p.note { "Made with " (software) ". Configuration in full:" }
+        pre { (configuration) }
     }
 }

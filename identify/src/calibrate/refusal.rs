@@ -1,0 +1,84 @@
+//! Refusals taken apart: a page says more of them than a line on a terminal.
+
+use super::ball_bar::CalibrateError;
+use super::measured_length::LengthError;
+use super::measured_pose::PoseError;
+use super::structure::StructureError;
+use crate::cost::CostError;
+use crate::prepare::{Deviations, Place};
+use crate::solver::SolveError;
+
+/// Why the data gave no calibration.
+#[derive(Debug, Clone)]
+pub struct Refusal<'e> {
+    /// As on the terminal: what is wrong, then what to do.
+    pub message: String,
+    /// Which run, from 0; none where it is all of them together.
+    pub run: Option<usize>,
+    /// Where in that run.
+    pub place: Place,
+    /// What it rests on, where the logs of the run were brought together before it.
+    pub deviations: Option<&'e Deviations>,
+}
+
+/// Something that ends a calibration.
+pub trait Refuses {
+    /// The refusal; none where the data are not to blame: something was mistyped, or somebody ended the solve.
+    fn refusal(&self) -> Option<Refusal<'_>>;
+}
+
+impl Refuses for CalibrateError {
+    fn refusal(&self) -> Option<Refusal<'_>> {
+        let of_data = match self {
+            Self::Model(_) | Self::Structure(StructureError::Model(_)) | Self::NoRun => false,
+            Self::Prepare { error, .. } => !error.is_mistyped(),
+            Self::Cost(error) | Self::Structure(StructureError::Cost(error)) => cost_is_of_data(error),
+            Self::Solve(error) | Self::Structure(StructureError::Solve(error)) => solve_is_of_data(error),
+            Self::Unidentifiable(_) | Self::NotConverged { .. } => true,
+        };
+        let of_all = of_data.then(|| of_all(self.to_string()))?;
+        Some(match self {
+            Self::Prepare { run, error } => {
+                Refusal { run: Some(*run), place: error.place(), deviations: error.deviations(), ..of_all }
+            }
+            _ => of_all,
+        })
+    }
+}
+
+impl Refuses for LengthError {
+    fn refusal(&self) -> Option<Refusal<'_>> {
+        let of_data = match self {
+            Self::BadOption { .. } | Self::Model(_) => false,
+            Self::Cost(error) => cost_is_of_data(error),
+            Self::Solve(error) => solve_is_of_data(error),
+            _ => true,
+        };
+        of_data.then(|| of_all(self.to_string()))
+    }
+}
+
+impl Refuses for PoseError {
+    fn refusal(&self) -> Option<Refusal<'_>> {
+        let of_data = match self {
+            Self::BadOption { .. } | Self::Model(_) => false,
+            Self::Cost(error) => cost_is_of_data(error),
+            Self::Solve(error) => solve_is_of_data(error),
+            _ => true,
+        };
+        of_data.then(|| of_all(self.to_string()))
+    }
+}
+
+fn of_all(message: String) -> Refusal<'static> {
+    Refusal { message, run: None, place: Place::default(), deviations: None }
+}
+
+fn cost_is_of_data(error: &CostError) -> bool {
+    !matches!(error, CostError::BadSigma { .. })
+}
+
+/// Nothing was freed, or somebody pressed Ctrl-C.
+fn solve_is_of_data(error: &SolveError) -> bool {
+    !matches!(error, SolveError::NothingFree | SolveError::Cancelled { .. })
+}

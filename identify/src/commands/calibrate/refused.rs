@@ -1,0 +1,137 @@
+//! What a refusal leaves: a page that shows what is known, and a message that says where it is.
+
+use std::path::Path;
+
+use anyhow::Context;
+use shared::config::RobotConfig;
+
+use super::{CalibrateArguments, RunFiles, input_files, inputs, sources};
+use crate::calibrate::IdentifyConfig;
+use crate::calibrate::ball_bar::CalibrateError;
+use crate::calibrate::refusal::{Refusal, Refuses};
+use crate::inspect::{self, curves};
+use crate::report::page::{InspectedLog, InspectedRun, RefusedPage, WrittenRefusal};
+
+/// What was to be calibrated, and from what.
+struct Attempt<'a> {
+    robot: &'a RobotConfig,
+    instrument: &'a str,
+    /// Every file that was read, with what it is.
+    files: &'a [(&'static str, &'a Path)],
+    configuration: String,
+    /// `--out`.
+    directory: &'a Path,
+}
+
+/// The error of a calibration from measured rows, as the terminal tells it; `files` begin with that of the rows.
+pub(super) fn of_rows<E>(
+    arguments: &CalibrateArguments,
+    robot: &RobotConfig,
+    files: &[(&'static str, &Path)],
+    options: &dyn std::fmt::Debug,
+    error: E,
+) -> anyhow::Error
+where
+    E: Refuses + std::error::Error + Send + Sync + 'static,
+{
+    let (instrument, path) = files.first().copied().unwrap_or(("", Path::new("")));
+    let attempt = Attempt {
+        robot,
+        instrument,
+        files,
+        configuration: format!("{options:#?}"),
+        directory: &arguments.out,
+    };
+    attempt.told(error, &path.display().to_string(), Vec::new)
+}
+
+/// The error of a calibration from runs with the ball-bar, as the terminal tells it.
+pub(super) fn of_runs(
+    arguments: &CalibrateArguments,
+    robot: &RobotConfig,
+    runs: &[RunFiles<'_>],
+    config: &IdentifyConfig,
+    error: CalibrateError,
+) -> anyhow::Error {
+    let attempt = Attempt {
+        robot,
+        instrument: runs.first().map_or("", |run| run.bar.name.as_str()),
+        files: &input_files(arguments, runs),
+        // Without its configuration a page is still of use.
+        configuration: toml::to_string(config).unwrap_or_else(|error| error.to_string()),
+        directory: &arguments.out,
+    };
+    let of_one = match &error {
+        CalibrateError::Prepare { run, .. } => runs.get(*run..=*run),
+        _ => None,
+    };
+    let names = of_one.unwrap_or(runs).iter();
+    let names = names.map(|run| format!("{} with {}", run.recording_path.display(), run.log_path.display()));
+    let names = names.collect::<Vec<_>>().join(", ");
+    attempt.told(error, &names, || runs.iter().map(inspected).collect())
+}
+
+impl Attempt<'_> {
+    /// The error with the place of its page. Without a page, because the data are not to blame or because it cannot be made,
+    /// it is the bare error. `names` says of what it is, `runs` looks at the inputs.
+    fn told<'r, E>(
+        &self,
+        error: E,
+        names: &str,
+        runs: impl FnOnce() -> Vec<InspectedRun<'r>>,
+    ) -> anyhow::Error
+    where
+        E: Refuses + std::error::Error + Send + Sync + 'static,
+    {
+        let page = error.refusal().map(|refusal| self.page(&refusal, &runs()));
+        let page = page.and_then(|page| {
+            page.inspect_err(|why| tracing::warn!("there is no page of this refusal: {why:#}")).ok()
+        });
+        let refused = anyhow::Error::new(error).context(names.to_owned());
+        match page {
+            Some(page) => anyhow::anyhow!("{refused:#}\n{}", self.whereabouts(&page)),
+            None => refused,
+        }
+    }
+
+    fn page(&self, refusal: &Refusal<'_>, runs: &[InspectedRun<'_>]) -> anyhow::Result<WrittenRefusal> {
+        let page = RefusedPage {
+            robot: &self.robot.name,
+            instrument: self.instrument,
+            refusal,
+            runs,
+            inputs: &inputs(self.files)?,
+            configuration: &self.configuration,
+        };
+        page.write(self.directory).with_context(|| self.directory.display().to_string())
+    }
+
+    /// Where the page is, and what became of an older calibration.
+    fn whereabouts(&self, written: &WrittenRefusal) -> String {
+        let page = format!("not calibrated: {} shows what was found", written.page.display());
+        match &written.set_aside {
+            Some(place) => format!(
+                "{page}; the older calibration in {} is now in {}",
+                self.directory.display(),
+                place.display()
+            ),
+            None => page,
+        }
+    }
+}
+
+fn inspected<'a>(run: &'a RunFiles<'_>) -> InspectedRun<'a> {
+    let (cycles, encoders) = (run.recording.cycles(), run.recording.encoders());
+    InspectedRun {
+        recording: InspectedLog {
+            path: run.recording_path,
+            inspection: sources::recording(&run.recording),
+            curves: curves::of_bar(cycles, encoders),
+        },
+        robot_log: InspectedLog {
+            path: run.log_path,
+            inspection: inspect::robot_log(&run.log),
+            curves: curves::of_robot(&run.log),
+        },
+    }
+}

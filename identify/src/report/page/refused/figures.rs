@@ -1,0 +1,80 @@
+//! Joints over time, with the instant of the trouble in red.
+
+use plotters::prelude::RGBColor;
+
+use crate::inspect::curves::Curve;
+use crate::prepare::Deviations;
+use crate::report::page::figures::{THIRD, TimeAxis, dots};
+use crate::report::page::plot::{BLUE, COLOURS, Mark, ORANGE, Panel, PlotError, Series};
+
+const RED: RGBColor = COLOURS[5];
+/// A log with more holes is shown as dots.
+const PARTS_MAX: usize = 200;
+
+/// The axis of times after the first sample.
+fn label(time: &TimeAxis) -> &'static str {
+    match time.unit {
+        "h" => "after the first sample [h]",
+        "min" => "after the first sample [min]",
+        _ => "after the first sample [s]",
+    }
+}
+
+/// A line across the figure; nothing where the instant is not known or there is nothing else to see.
+fn mark(time: &TimeAxis, at_s: Option<f64>, series: &[Series]) -> Option<Series> {
+    let x = time.at(at_s?);
+    let heights = series.iter().flat_map(|one| &one.points).map(|(_, y)| *y);
+    let (low, high) =
+        heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), y| (low.min(y), high.max(y)));
+    (low <= high).then(|| Series::new("", RED, Mark::Segments, vec![(x, low), (x, high)]))
+}
+
+fn panel(
+    title: String,
+    y: &str,
+    time: &TimeAxis,
+    mut series: Vec<Series>,
+    at_s: Option<f64>,
+) -> Result<String, PlotError> {
+    series.extend(mark(time, at_s, &series));
+    Panel { title, x: label(time), y: y.into(), size: THIRD, series, from_zero: false }.draw()
+}
+
+/// One figure for each joint of a log.
+pub(super) fn joints(curves: &[Curve], at_s: Option<f64>) -> Result<Vec<String>, PlotError> {
+    let one = |curve: &Curve| {
+        let points = || curve.parts.iter().flatten();
+        let time = TimeAxis::of(points().map(|(t_s, _)| *t_s));
+        let at = |(t_s, deg): &(f64, f64)| (time.at(*t_s), *deg);
+        let series = if curve.parts.len() > PARTS_MAX {
+            vec![dots("", BLUE, points().map(at).collect())]
+        } else {
+            let line =
+                |part: &Vec<(f64, f64)>| Series::new("", BLUE, Mark::Line, part.iter().map(at).collect());
+            curve.parts.iter().map(line).collect()
+        };
+        panel(curve.name.clone(), "[deg]", &time, series, at_s)
+    };
+    curves.iter().map(one).collect()
+}
+
+/// What is left of each encoder, and the alignment along the run. All are marked: whether others step at the same instant tells a
+/// slip from a clock.
+pub(super) fn deviations(deviations: &Deviations, at_s: Option<f64>) -> Result<Vec<String>, PlotError> {
+    let samples = &deviations.samples;
+    let time = TimeAxis::of(samples.iter().map(|(t_s, _)| *t_s));
+    let measured = deviations.measured.iter().enumerate().filter(|(_, measured)| **measured);
+    let of_joint = |joint: usize| {
+        let points = samples.iter().map(|(t_s, error_rad)| (time.at(*t_s), error_rad[joint] * 1e3));
+        let number = joint as u8 + 1;
+        panel(format!("b{number}"), "[mrad]", &time, vec![dots("", BLUE, points.collect())], at_s)
+    };
+    let mut panels =
+        measured.map(|(joint, _)| of_joint(joint)).collect::<Result<Vec<String>, PlotError>>()?;
+    if !deviations.local_shifts.is_empty() {
+        let points = deviations.local_shifts.iter().map(|shift| (time.at(shift.t_s), shift.shift_s * 1e3));
+        let series = vec![dots("", ORANGE, points.collect())];
+        panels.push(panel("Alignment".into(), "shift [ms]", &time, series, at_s)?);
+    }
+    Ok(panels)
+}

@@ -1,0 +1,299 @@
+//! The page of a refusal: what is wrong, where and what to do, then what is known of the inputs.
+
+mod figures;
+
+use std::path::{Path, PathBuf};
+
+use maud::{Markup, html};
+
+use super::inputs::rows;
+use super::plot::PlotError;
+use super::sections::{repeated_with, svg};
+use super::{PageError, document};
+use crate::calibrate::refusal::Refusal;
+use crate::inspect::Inspection;
+use crate::inspect::curves::Curve;
+use crate::report::earlier::Earlier;
+use crate::report::file::{Input, now, replace, software};
+
+/// Classes of the verdict of a page of this kind: by them it is known again.
+const VERDICT: &str = "verdict refused";
+
+/// Everything that the page shows.
+#[derive(Debug)]
+pub struct RefusedPage<'a> {
+    /// Name of the robot.
+    pub robot: &'a str,
+    /// What it was to be measured with.
+    pub instrument: &'a str,
+    /// Why not.
+    pub refusal: &'a Refusal<'a>,
+    /// What is known of each run.
+    pub runs: &'a [InspectedRun<'a>],
+    /// Files that were read.
+    pub inputs: &'a [Input],
+    /// The whole configuration that was used, as text.
+    pub configuration: &'a str,
+}
+
+/// The two sides of a run.
+#[derive(Debug)]
+pub struct InspectedRun<'a> {
+    /// The bar's.
+    pub recording: InspectedLog<'a>,
+    /// The robot's.
+    pub robot_log: InspectedLog<'a>,
+}
+
+/// What is known of a log by itself.
+#[derive(Debug)]
+pub struct InspectedLog<'a> {
+    /// Its file.
+    pub path: &'a Path,
+    /// As `identify inspect` says it.
+    pub inspection: Inspection,
+    /// Its joints over time.
+    pub curves: Vec<Curve>,
+}
+
+/// Where the page is.
+#[derive(Debug)]
+pub struct WrittenRefusal {
+    /// The page.
+    pub page: PathBuf,
+    /// Where an older calibration of the same directory is now.
+    pub set_aside: Option<PathBuf>,
+}
+
+/// Whether a text is the page of a refusal.
+pub(in crate::report) fn is_refusal(page: &str) -> bool {
+    page.contains(&format!("class=\"{VERDICT}\""))
+}
+
+impl RefusedPage<'_> {
+    /// Writes `report.html` into the directory, whole or not at all. An older calibration in it is set aside: its files
+    /// must not stand beside a page that is not theirs.
+    ///
+    /// # Errors
+    /// [`PageError`].
+    pub fn write(&self, directory: &Path) -> Result<WrittenRefusal, PageError> {
+        let earlier = Earlier::in_directory(directory);
+        let text = self.render(earlier.as_ref().map(Earlier::destination))?.into_string();
+        let set_aside = earlier.map(Earlier::set_aside).transpose()?;
+        Ok(WrittenRefusal { page: replace(directory, "report.html", &text)?, set_aside })
+    }
+
+    /// The page; `set_aside` is where an older calibration goes.
+    ///
+    /// # Errors
+    /// [`PlotError`].
+    pub fn render(&self, set_aside: Option<&Path>) -> Result<Markup, PlotError> {
+        let title = format!("Calibration of {}: refused", self.robot);
+        let mut runs = Vec::new();
+        for (number, run) in self.runs.iter().enumerate() {
+            runs.push(self.run(number, run)?);
+        }
+        Ok(document(
+            &title,
+            &html! {
+                header {
+                    h1 { (title) }
+                    p.about { (self.instrument) " · " (now()) " · " (software()) }
+                }
+                main {
+                    (self.verdict(set_aside))
+                    (self.deviations()?)
+                    @for run in &runs { (run) }
+                    (repeated_with(self.inputs, software(), self.configuration))
+                }
+            },
+        ))
+    }
+
+    fn verdict(&self, set_aside: Option<&Path>) -> Markup {
+        let (wrong, remedy) = parts(&self.refusal.message);
+        let place = self.place();
+        html! {
+            div class=(VERDICT) {
+                strong { "Not calibrated. " }
+                dl {
+                    dt { "What is wrong" } dd { (capitalised(wrong)) }
+                    @if !place.is_empty() { dt { "Where" } dd { (place) } }
+                    @if let Some(remedy) = remedy { dt { "What to do" } dd { (capitalised(remedy)) } }
+                }
+            }
+            p.note {
+                "There is no calibration of these inputs: no file of parameters was written."
+                @if !self.runs.is_empty() { " Below is what is known of the inputs by themselves." }
+                @if let Some(set_aside) = set_aside {
+                    " An older calibration that was in this directory, of other inputs or settings, is now in "
+                    code { (set_aside.display()) } "."
+                }
+            }
+        }
+    }
+
+    /// Run, instant and joint, as far as they are known; empty where nothing is.
+    fn place(&self) -> String {
+        let place = &self.refusal.place;
+        let run = self.refusal.run.and_then(|run| self.runs.get(run).map(|found| (run, found)));
+        let files = run.map(|(run, found)| {
+            let files = format!("{} with {}", found.recording.path.display(), found.robot_log.path.display());
+            if self.runs.len() > 1 { format!("{}, {files}", self.number(run)) } else { files }
+        });
+        let instant = place.bar_s.map(|bar_s| {
+            let of_log =
+                place.robot_s.map(|robot_s| format!(", {robot_s:.2} s after that of the robot's log"));
+            format!("{bar_s:.2} s after the recording's first sample{}", of_log.unwrap_or_default())
+        });
+        let joint = place.joint.map(|joint| format!("joint {joint} of the bar"));
+        [files, joint, instant].into_iter().flatten().collect::<Vec<_>>().join("; ")
+    }
+
+    fn number(&self, run: usize) -> String {
+        format!("Run {} of {}", run + 1, self.runs.len())
+    }
+
+    /// Encoders against the geometry that fits best.
+    fn deviations(&self) -> Result<Markup, PlotError> {
+        let Some(deviations) = self.refusal.deviations else { return Ok(html! {}) };
+        let panels = figures::deviations(deviations, self.refusal.place.bar_s)?;
+        Ok(html! {
+            h2 { "Encoders against the robot" }
+            figure {
+                div.panels.three { @for panel in panels { (svg(panel)) } }
+                figcaption {
+                    "What each encoder says beyond what the robot's log and the geometry that fits best ask of it, weighed down "
+                    "near singular poses of the bar. Waves are errors of the geometry, a step of one encoder alone is a slip, "
+                    "steps of several by their speeds are a clock"
+                    @if !deviations.local_shifts.is_empty() {
+                        "; the last figure is the time shift that each 5 s ask for by themselves"
+                    }
+                    "." (self.legend())
+                }
+            }
+        })
+    }
+
+    /// What the red line is, where there is one.
+    fn legend(&self) -> &'static str {
+        if self.refusal.place.bar_s.is_some() { " Red: where it is." } else { "" }
+    }
+
+    fn run(&self, number: usize, run: &InspectedRun<'_>) -> Result<Markup, PlotError> {
+        let place = (self.refusal.run == Some(number)).then_some(&self.refusal.place);
+        let [bar_s, robot_s] = [place.and_then(|place| place.bar_s), place.and_then(|place| place.robot_s)];
+        let name = (self.runs.len() > 1).then(|| self.number(number));
+        let recording = log("Recording of the bar", name.as_deref(), &run.recording, bar_s)?;
+        let robot_log = log("Robot's log", name.as_deref(), &run.robot_log, robot_s)?;
+        Ok(html! { (recording) (robot_log) })
+    }
+}
+
+/// One side of a run; `at_s` is marked.
+fn log(
+    what: &str,
+    run: Option<&str>,
+    log: &InspectedLog<'_>,
+    at_s: Option<f64>,
+) -> Result<Markup, PlotError> {
+    let panels = figures::joints(&log.curves, at_s)?;
+    let found = &log.inspection;
+    Ok(html! {
+        h2 {
+            (what)
+            @if let Some(run) = run { span.run { " · " (run) } }
+            span.run { " · " (log.path.display()) }
+        }
+        @if found.suspicious.is_empty() { p.note { "Nothing suspicious by itself." } }
+        @else { ul.suspicious { @for sentence in &found.suspicious { li { (sentence) } } } }
+        @if !panels.is_empty() {
+            figure {
+                div.panels.three { @for panel in panels { (svg(panel)) } }
+                figcaption {
+                    "Angles by this log alone, on its own clock."
+                    @if at_s.is_some() { " Red: where it is." }
+                }
+            }
+        }
+        div.columns {
+            table {
+                caption { "What is in it" }
+                tbody { (rows(&found.facts)) }
+            }
+            @if !found.joints.is_empty() { (joints(found)) }
+        }
+    })
+}
+
+fn joints(found: &Inspection) -> Markup {
+    html! {
+        table {
+            caption { "Its joints" }
+            thead { tr { th { "joint" } th { "from [deg]" } th { "to [deg]" } th { "fastest [deg/s]" } } }
+            tbody { @for joint in &found.joints { tr {
+                td { (joint.name) }
+                td { (format!("{:.2}", joint.range_deg[0])) }
+                td { (format!("{:.2}", joint.range_deg[1])) }
+                td { (format!("{:.2}", joint.speed_max_deg_s)) }
+            } } }
+        }
+    }
+}
+
+/// What is wrong and what to do. Our messages end with the remedy, after the last semicolon, full stop or line break.
+fn parts(message: &str) -> (&str, Option<&str>) {
+    let separators = ["; ", ". ", "\n"];
+    let last = separators.iter().filter_map(|mark| Some((message.rfind(mark)?, mark.len()))).max();
+    match last {
+        Some((at, length)) => (message[..at].trim_end(), Some(message[at + length..].trim())),
+        None => (message, None),
+    }
+}
+
+/// A sentence of its own.
+fn capitalised(text: &str) -> String {
+    let mut letters = text.chars();
+    let first = letters.next().map(char::to_uppercase);
+    let sentence: String = first.into_iter().flatten().chain(letters).collect();
+    if sentence.ends_with(['.', '?', '!']) { sentence } else { sentence + "." }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::calibrate::ball_bar::CalibrateError;
+    use crate::prepare::PrepareError;
+    use crate::solver::Unidentifiable;
+
+    #[test]
+    fn a_message_falls_apart_into_what_is_wrong_and_what_to_do() {
+        let fits = "\n  --encoders 1,2 for one; and. so\n  --encoders 2,1 for another".to_owned();
+        let what = "dependent rd2|rd3 (fix 1); dependent ra1|ox (fix 1)".to_owned();
+        let messages = [
+            (PrepareError::LittleMotion.to_string(), "excites too little", "move the bar"),
+            (PrepareError::AmbiguousWiring { fits }.to_string(), "--encoders 2,1", "Look at the bar"),
+            (
+                PrepareError::NoMatch { correlation: 0.3, overlap_s: 20.0, needed: 0.9 }.to_string(),
+                "0.30",
+                "They do not overlap",
+            ),
+            (
+                CalibrateError::from(Unidentifiable { rank: 1, columns: 3, what }).to_string(),
+                "ra1|ox (fix 1)",
+                "fix the surplus",
+            ),
+        ];
+        for (message, wrong, remedy) in messages {
+            let found = parts(&message);
+            assert!(found.0.contains(wrong) && found.1.unwrap().starts_with(remedy), "{found:?}");
+        }
+        assert_eq!(parts("nothing more"), ("nothing more", None));
+    }
+
+    #[test]
+    fn sentences_begin_and_end_as_such() {
+        assert_eq!(capitalised("a clock jumps"), "A clock jumps.");
+        assert_eq!(capitalised("is it of this run?"), "Is it of this run?");
+    }
+}

@@ -1,0 +1,254 @@
+//! The page of a refusal: what is wrong, where it shows, and nothing beside it that could be taken for a result.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::path::Path;
+use std::process::Command;
+
+use crate::preparation_wiring::ambiguous;
+use crate::support::refused::{Refused, Typed};
+use crate::support::{bar, browser, irb2400, repository};
+use identify::simulate::{self, Design, Effects, Experiment, Simulated};
+use shared::config::RobotConfig;
+
+const DURATION_S: f64 = 40.0;
+/// Of the instant of a trouble, in the pictures.
+const RED: &str = "stroke=\"rgb(180,40,60)\"";
+
+fn simulated(seed: u64) -> Simulated {
+    let (robot, bar) = (irb2400(), bar());
+    let effects = Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, ..Effects::NONE };
+    let design = Design { duration_s: DURATION_S, ..Design::for_robot(&robot) };
+    simulate::run(&Experiment { seed, effects, design, ..Experiment::new(&robot, &bar) }).unwrap()
+}
+
+fn typed(run: &Simulated) -> Typed {
+    Typed::new(run, &irb2400(), &bar())
+}
+
+/// Encoder `place` jumps by so much from cycle `at` on.
+fn slipped(mut run: Simulated, place: usize, at: usize, mrad: f64) -> Simulated {
+    let counts = (mrad * 1e-3 / run.encoders[place].scale.rad_per_count()) as i32;
+    for cycle in &mut run.cycles[at..] {
+        let count = &mut cycle.encoders[place].count;
+        *count = count.wrapping_add(counts as u32);
+    }
+    run
+}
+
+fn slip() -> Refused {
+    typed(&slipped(simulated(1), 0, 1000, 15.0)).refused(&["encoder of joint 1 slips"], &[])
+}
+
+/// Where along the axis of time the red line of each figure is, 0 to 1, by the figure's title; figures without are left out.
+fn marks(page: &str) -> Vec<(String, f64)> {
+    // As the figures are laid out: three units to a pixel, the axis from 62 to 326 px of 340.
+    const AXIS: [f64; 2] = [186.0, 978.0];
+    let figures = page.split("<svg").skip(1).map(|figure| figure.split("</svg>").next().unwrap());
+    let mark = |figure: &str| {
+        let path = figure.split("<path d=\"M").skip(1).find(|path| path.contains(RED))?;
+        let x: f64 = path.split(' ').next().unwrap().parse().unwrap();
+        let (before, _) = figure.rsplit_once("</text>")?;
+        let title = before.rsplit('>').next().unwrap().to_owned();
+        Some((title, (x - AXIS[0]) / (AXIS[1] - AXIS[0])))
+    };
+    figures.filter_map(mark).collect()
+}
+
+#[test]
+fn a_slip_is_marked_where_it_is_in_both_logs_and_beside_the_robot() {
+    let Refused { page, .. } = slip();
+    assert!(page.contains("joint 1 of the bar; ") && page.contains("s after the recording's first sample"));
+    assert!(page.contains("Check its coupling and cable, and record again."));
+    let marks = marks(&page);
+    let titles: Vec<&str> = marks.iter().map(|(title, _)| title.as_str()).collect();
+    let (encoders, joints) = (["b1", "b2", "b3", "b4", "b5"], ["q1", "q2", "q3", "q4", "q5", "q6"]);
+    assert_eq!(titles, [&encoders[..], &["Alignment"], &encoders, &joints].concat());
+    for (title, at) in &marks[6..11] {
+        // A quarter of the recording, in a figure with a little room to either side.
+        assert!((at - (0.04 + 0.25) / 1.1).abs() < 0.02, "{title}: {at}");
+    }
+}
+
+#[test]
+fn a_clock_that_jumps_is_marked_in_all_joints() {
+    let mut run = simulated(1);
+    let at = run.robot_log.t_s.len() / 2;
+    run.robot_log.t_s[at..].iter_mut().for_each(|t_s| *t_s += 0.02);
+    let Refused { page, .. } = typed(&run).refused(&["a clock jumps during the run"], &[]);
+    let marks = marks(&page);
+    // Five encoders and the alignment against the robot, five of the recording, six of the robot's log.
+    assert_eq!(marks.len(), 6 + 5 + 6, "{marks:?}");
+    assert!(page.contains("calibrate from one side of the jump".get(1..).unwrap()));
+}
+
+#[test]
+fn every_kind_of_refusal_has_its_page() {
+    let run = simulated(1);
+    // The log of another run.
+    let other = Simulated { robot_log: simulated(9).robot_log, ..run.clone() };
+    let Refused { page, stderr, .. } =
+        typed(&other).refused(&["different runs", "give the log of this run"], &[]);
+    assert!(marks(&page).is_empty(), "nothing is known of a place");
+    assert!(stderr.contains("recording.mcap with "), "{stderr}");
+    // Another robot, of the same columns.
+    let mut longer: RobotConfig = irb2400();
+    longer.links[2].a_m += 0.4;
+    Typed::new(&run, &longer, &bar())
+        .refused(&["is not that of this cell", "correct the configuration"], &[]);
+    // Another bar.
+    let longer = shared::config::BallBarConfig { length_m: 0.7, ..bar() };
+    Typed::new(&run, &irb2400(), &longer).refused(&["sphere of 59", "700 mm"], &[]);
+    // A wiring that is stated otherwise than it is.
+    typed(&run).refused(&["to compare angles"], &["--encoders", "2,1,3,4,5"]);
+    // A parameter that the motion does not tell.
+    typed(&run).refused(&["free parameters are identified", "dependent rd2"], &["--free", "rd3"]);
+    // An encoder that the cost needs.
+    let mut four = bar();
+    four.encoders.remove(2);
+    let of_four = simulate::run(&Experiment::new(&irb2400(), &four)).unwrap();
+    let why = ["needs the encoder of bar joint 3", "choose another cost"];
+    Typed::new(&of_four, &irb2400(), &four).refused(&why, &["--cost", "transform"]);
+}
+
+#[test]
+fn an_ambiguous_wiring_is_shown_line_by_line() {
+    let run = ambiguous(&irb2400(), &bar());
+    let Refused { page, .. } = typed(&run).refused(&["--encoders 1,2,3,4,5 for", "Look at the bar"], &[]);
+    assert!(page.contains("\n  --encoders "), "each on a line of its own");
+}
+
+#[test]
+fn of_several_runs_the_one_that_is_refused_is_named() {
+    let (good, bad) = (typed(&simulated(1)), typed(&slipped(simulated(2), 3, 1500, -5.0)));
+    let one_bar = bad.arguments.len() - 4;
+    let more: Vec<&str> = bad.arguments[..one_bar].iter().map(|one| one.to_str().unwrap()).collect();
+    let Refused { page, stderr, .. } = good.refused(&["encoder of joint 4 slips"], &more);
+    let first = good.inputs.path().to_str().unwrap();
+    assert!(!stderr.split("not calibrated").next().unwrap().contains(first), "{stderr}");
+    assert!(page.contains("<dd>Run 2 of 2, "));
+    // Of the first run nothing is marked.
+    assert_eq!(marks(&page).len(), 6 + 5 + 6);
+}
+
+#[test]
+fn an_older_calibration_is_set_aside_and_a_newer_one_takes_the_page_away() {
+    let typed = typed(&slipped(simulated(1), 0, 1000, 15.0));
+    let out = tempfile::tempdir().unwrap();
+    let older =
+        ["calibration.toml", "calibration.json", "dh.csv", "robot.urdf", "corrections.csv", "report.html"];
+    for name in older.iter().chain(&["notes.txt"]) {
+        std::fs::write(out.path().join(name), format!("older {name}")).unwrap();
+    }
+    let refused = || {
+        let output = typed.calibrate(&[], out.path());
+        assert_eq!(output.status.code(), Some(1));
+        let page = std::fs::read_to_string(out.path().join("report.html")).unwrap();
+        (String::from_utf8_lossy(&output.stderr).into_owned(), page)
+    };
+    let names = |directory: &Path| {
+        let entries = std::fs::read_dir(directory).unwrap();
+        let mut names: Vec<String> =
+            entries.map(|one| one.unwrap().file_name().into_string().unwrap()).collect();
+        names.sort();
+        names
+    };
+    let (told, page) = refused();
+    let earlier = out.path().join("earlier");
+    assert!(told.contains(&format!("is now in {}", earlier.display())), "{told}");
+    assert!(page.contains(&format!("<code>{}</code>", earlier.display())));
+    assert_eq!(names(out.path()), ["earlier", "notes.txt", "report.html"]);
+    for name in older {
+        assert_eq!(std::fs::read_to_string(earlier.join(name)).unwrap(), format!("older {name}"));
+    }
+    // Refused again: there is no calibration to set aside. One that came since does not meet the first one.
+    let (told, _) = refused();
+    assert!(!told.contains("is now in") && !out.path().join("earlier-2").exists(), "{told}");
+    std::fs::write(out.path().join("calibration.toml"), "newer").unwrap();
+    refused();
+    assert_eq!(names(out.path()), ["earlier", "earlier-2", "notes.txt", "report.html"]);
+    assert_eq!(names(&out.path().join("earlier-2")), ["calibration.toml", "report.html"]);
+
+    // A calibration that has no page of its own does not leave that of the refusal beside it.
+    let output = calibrated_from_lengths(200, out.path());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert!(out.path().join("calibration.toml").exists() && !out.path().join("report.html").exists());
+}
+
+/// Lengths from an anchor to the flange of a nominal IRB 120.
+fn calibrated_from_lengths(rows: u32, out: &Path) -> std::process::Output {
+    let robot = repository("config/robots/irb120_3.toml");
+    let chain = identify::kinematics::flange_chain(&shared::config::load(&robot).unwrap());
+    let anchor_m = nalgebra::Vector3::new(0.3, -0.6, 0.1);
+    let mut csv = String::from("x_mm,y_mm,z_mm,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,cable_mm\n");
+    for row in 0..rows {
+        let swing =
+            |joint: usize| 50.0 * (0.37 * f64::from(row) * (1.0 + 0.31 * joint as f64) + joint as f64).sin();
+        let q_deg: [f64; 6] = std::array::from_fn(swing);
+        let position_m = chain.forward(&q_deg.map(f64::to_radians)).translation.vector;
+        for cell in position_m.iter().map(|value| value * 1e3).chain(q_deg) {
+            csv += &format!("{cell:.6},");
+        }
+        csv += &format!("{:.2}\n", (position_m - anchor_m).norm() * 1e3);
+    }
+    let inputs = tempfile::tempdir().unwrap();
+    let path = inputs.path().join("lengths.csv");
+    std::fs::write(&path, &csv).unwrap();
+    Command::new(env!("CARGO_BIN_EXE_identify"))
+        .args(["calibrate".as_ref(), "--measured-lengths".as_ref(), path.as_os_str()])
+        .args(["--mapping".as_ref(), repository("config/measured_length.toml").as_os_str()])
+        .args(["--robot".as_ref(), robot.as_os_str(), "--out".as_ref(), out.as_os_str()])
+        .env("RUST_LOG", "off")
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn measured_lengths_that_are_refused_leave_a_page_and_no_older_calibration() {
+    let out = tempfile::tempdir().unwrap();
+    std::fs::write(out.path().join("calibration.toml"), "older").unwrap();
+    let output = calibrated_from_lengths(12, out.path());
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{told}");
+    assert!(told.contains("too few") && told.contains("is now in"), "{told}");
+    let page = std::fs::read_to_string(out.path().join("report.html")).unwrap();
+    for part in ["Not calibrated.", "too few", "Measure more poses.", "lengths.csv", "SHA-256", "hold_out"] {
+        assert!(page.contains(part), "`{part}` is missing");
+    }
+    assert!(!out.path().join("calibration.toml").exists());
+}
+
+#[test]
+fn what_was_mistyped_has_no_page_and_a_page_that_cannot_be_written_changes_nothing_of_the_error() {
+    let clean = simulated(1);
+    let sound = typed(&clean);
+    let directory = tempfile::tempdir().unwrap();
+    let out = directory.path().join("out");
+    for mistyped in [["--free", "rgamma3"], ["--encoders", "-1,2"], ["--cost", "best"]] {
+        let output = sound.calibrate(&mistyped, &out);
+        let told = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success() && !told.contains("not calibrated"), "{told}");
+        assert!(!out.exists(), "{mistyped:?}");
+    }
+    // A file where the directory should be.
+    std::fs::write(&out, "").unwrap();
+    let output = typed(&slipped(clean, 0, 1000, 15.0)).calibrate(&[], &out);
+    let told = String::from_utf8_lossy(&output.stderr);
+    assert!(told.contains("slips") && !told.contains("not calibrated"), "{told}");
+    assert!(told.trim_end().ends_with("record again"), "{told}");
+}
+
+#[test]
+fn markup_in_a_name_is_shown_and_not_obeyed() {
+    let robot = RobotConfig { name: "<script>alert('x')</script>".into(), ..irb2400() };
+    let run = slipped(simulated(1), 0, 1000, 15.0);
+    let Refused { page, .. } = Typed::new(&run, &robot, &bar()).refused(&["slips"], &[]);
+    assert!(!page.contains("<script") && page.contains("&lt;script&gt;"));
+}
+
+#[test]
+fn a_browser_shows_the_page_and_asks_nobody_else() {
+    let Some(shown) = browser::shown(&slip().page) else { return };
+    assert!(shown.document.contains("Not calibrated."), "{}", shown.stderr);
+    assert_eq!(shown.document.matches("<svg").count(), 6 + 5 + 6);
+    assert_eq!(shown.foreign, Vec::<String>::new());
+}
