@@ -7,6 +7,7 @@
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
 use rand::{Rng, SeedableRng};
@@ -121,25 +122,22 @@ fn a_kill_at_any_instant_costs_at_most_a_second_and_leaves_a_readable_recording(
     let mut random = rand_chacha::ChaCha8Rng::seed_from_u64(11);
     let lives: Vec<Duration> =
         (0..kills()).map(|_| Duration::from_micros(random.random_range(0..2_500_000))).collect();
-    let mut left: Vec<Left> = Vec::new();
-    for (batch, lives) in lives.chunks(AT_ONCE).enumerate() {
-        let killed: Vec<(String, UtcNs)> = std::thread::scope(|scope| {
-            let processes: Vec<_> = lives
-                .iter()
-                .enumerate()
-                .map(|(index, life)| {
-                    let name = format!("kill-{batch}-{index}");
-                    let path = directory.path();
-                    scope.spawn(move || {
-                        let killed = record_and_kill(path, &name, *life);
-                        (name, killed)
-                    })
-                })
-                .collect();
-            processes.into_iter().map(|process| process.join().unwrap()).collect()
-        });
-        left.extend(killed.iter().map(|(name, killed)| recover(directory.path(), name, *killed)));
-    }
+    let next = AtomicUsize::new(0);
+    let one_after_the_other = || {
+        let mut left: Vec<Left> = Vec::new();
+        while let index = next.fetch_add(1, Ordering::Relaxed)
+            && let Some(life) = lives.get(index)
+        {
+            let name = format!("kill-{index}");
+            let killed = record_and_kill(directory.path(), &name, *life);
+            left.push(recover(directory.path(), &name, killed));
+        }
+        left
+    };
+    let left: Vec<Left> = std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..AT_ONCE).map(|_| scope.spawn(one_after_the_other)).collect();
+        workers.into_iter().flat_map(|worker| worker.join().unwrap()).collect()
+    });
     let worst = left.iter().map(|one| one.lost_ns).max().unwrap();
     let kills = left.len();
     let recovered: Vec<(PathBuf, Recording)> = left.into_iter().filter_map(|one| one.recovered).collect();

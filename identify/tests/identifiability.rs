@@ -18,7 +18,9 @@ fn thesis_47(model: &mut Model) {
     let ids: Vec<ParameterId> = model.parameters().iter().map(|p| p.id).collect();
     for id in ids {
         let name = id.to_string();
-        let outside = ["rbeta", "or", "bsin", "bcos", "clock"].iter().any(|no| name.starts_with(no))
+        let outside = ["rbeta", "or", "bsin", "bcos", "bdsin", "bdcos", "clock"]
+            .iter()
+            .any(|no| name.starts_with(no))
             || matches!(id, ParameterId::Joint { .. } | ParameterId::BarCompliance | ParameterId::BarPlay);
         if !outside {
             model.set_role(id, Role::Free).unwrap();

@@ -72,6 +72,7 @@ fn ways() -> Vec<(&'static str, IdentifyConfig)> {
         cost: Some(cost),
         selection,
         encoder_harmonics_urad,
+        bar_length_um: 0.0,
         joint_terms: JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() },
         ..IdentifyConfig::default()
     };

@@ -4,12 +4,13 @@
 
 use std::collections::BTreeSet;
 
+use crate::support::laboratory::{self, Level};
 use crate::support::{Cell, bar, irb2400, spread_poses};
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
 use identify::calibrate::candidates::TermGroup;
 use identify::calibrate::structure::identifiable;
 use identify::calibrate::{CostName, IdentifyConfig, SelectionName};
-use identify::model::{ParameterId, THESIS_FIXED};
+use identify::model::{ParameterId, Phase, THESIS_FIXED};
 use identify::simulate::{self, Design, Effects, Experiment};
 
 fn calibrated(effects: Effects, selection: SelectionName) -> BallBarCalibration {
@@ -56,7 +57,8 @@ fn all_identifiable_frees_as_many_as_the_rank_and_leaves_out_what_the_thesis_fix
 fn terms_are_taken_where_the_robot_has_the_error_and_left_out_where_not() {
     let none = calibrated(Effects::default(), SelectionName::Cell);
     assert!(taken(&none).len() <= 1, "{:?}", taken(&none));
-    assert_eq!(none.candidates.len(), TermGroup::OF_ROBOT.len());
+    // Those of the robot and the bar's length.
+    assert_eq!(none.candidates.len(), TermGroup::OF_ROBOT.len() + 1);
     for (effects, group) in [
         (Effects { gear_sine_urad: 30.0, ..Effects::default() }, TermGroup::GearTwice),
         (Effects { cycloid_urad: 20.0, ..Effects::default() }, TermGroup::Cycloid),
@@ -77,4 +79,32 @@ fn automatic_scales_its_priors_and_takes_encoder_harmonics_where_they_are() {
     assert!(taken(&found).contains(TermGroup::EncoderHarmonics.name()), "{:?}", taken(&found));
     // True errors are around 1 mm|mrad.
     assert!((0.5..=100.0).contains(&found.prior_scale), "{}", found.prior_scale);
+}
+
+/// The laboratory's bar is longer by 15 um twice per turn of joint 1 and by 10 um three times per turn of joint 2, each way.
+#[test]
+fn how_the_length_of_the_bar_follows_its_direction_is_found() {
+    let (robot, bar) = (irb2400(), bar());
+    let level = Level { bar_um: 25.0, gear_sine_urad: 0.0, cycloid_urad: 0.0, ..Level::USUAL };
+    let run = laboratory::run(&robot, &bar, 1, &level, Design::for_robot(&robot));
+    let found = ball_bar::calibrate(
+        &run.cycles,
+        &run.encoders,
+        &run.robot_log,
+        &robot,
+        &bar,
+        &IdentifyConfig::default(),
+    )
+    .unwrap();
+    assert!(taken(&found).contains(TermGroup::BarLength.name()), "{:?}", taken(&found));
+    let amplitude_um = |joint, order| {
+        let of =
+            |phase| found.model.parameter(ParameterId::BarWave { joint, order, phase }).unwrap().value * 1e6;
+        of(Phase::Sine).hypot(of(Phase::Cosine))
+    };
+    for (joint, order, expected_um) in [(0, 2, 15.0), (0, 3, 0.0), (1, 3, 10.0), (1, 2, 0.0)] {
+        let um: f64 = amplitude_um(joint, order);
+        println!("joint {}, {order} per turn: {um:.2} um of {expected_um}", joint + 1);
+        assert!((um - expected_um).abs() < 4.0, "joint {}, {order} per turn: {um}", joint + 1);
+    }
 }

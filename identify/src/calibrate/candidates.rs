@@ -26,6 +26,8 @@ pub enum TermGroup {
     Compliance,
     /// Bar encoders once and twice per turn.
     EncoderHarmonics,
+    /// The bar's length by its direction.
+    BarLength,
 }
 
 impl TermGroup {
@@ -51,17 +53,17 @@ impl TermGroup {
             Self::Ratio => "gear ratio",
             Self::Compliance => "compliance under gravity",
             Self::EncoderHarmonics => "bar encoders, once and twice per turn",
+            Self::BarLength => "bar length by direction",
         }
     }
 
     /// The group of a parameter; none for geometry and clocks.
     pub const fn of(id: ParameterId) -> Option<Self> {
-        let ParameterId::Joint { term, .. } = id else {
-            return if matches!(id, ParameterId::Harmonic { .. }) {
-                Some(Self::EncoderHarmonics)
-            } else {
-                None
-            };
+        let term = match id {
+            ParameterId::Joint { term, .. } => term,
+            ParameterId::Harmonic { .. } => return Some(Self::EncoderHarmonics),
+            ParameterId::BarWave { .. } => return Some(Self::BarLength),
+            _ => return None,
         };
         Some(match term {
             JointTerm::Sine(period) | JointTerm::Cosine(period) => match period {

@@ -167,6 +167,10 @@ pub struct IdentifyConfig {
     /// With any selection but `thesis`, each harmonic of an encoder is expected to be zero within this standard deviation
     /// \[urad\]; zero leaves them out. With `automatic` they are a candidate like the robot's terms.
     pub encoder_harmonics_urad: f64,
+    /// With any selection but `thesis`, how much longer or shorter the bar may be by its direction: each wave is expected
+    /// to be zero within this standard deviation \[um\], and all stay only where they predict held-out stretches of the
+    /// run better; zero leaves them out.
+    pub bar_length_um: f64,
     /// Errors of the robot's axes, with any selection but `thesis`.
     pub joint_terms: JointTermsConfig,
     /// With selection `automatic`, the tolerance of the links' numbers \[mm|mrad\].
@@ -189,6 +193,7 @@ impl Default for IdentifyConfig {
             free: Vec::new(),
             fix: Vec::new(),
             encoder_harmonics_urad: 30.0,
+            bar_length_um: 10.0,
             joint_terms: JointTermsConfig::default(),
             tolerance_mm_mrad: 1.0,
             priors: BTreeMap::new(),
@@ -296,13 +301,17 @@ impl IdentifyConfig {
         if self.selection == SelectionName::Automatic && self.encoder_harmonics_urad > 0.0 {
             groups.insert(0, TermGroup::EncoderHarmonics);
         }
+        if self.selection != SelectionName::Thesis && self.bar_length_um > 0.0 {
+            groups.push(TermGroup::BarLength);
+        }
         groups
     }
 
-    /// The prior of a term of the robot's axes or of an encoder.
+    /// The prior of a term of the robot's axes, of an encoder or of the bar's length.
     pub fn term_role(&self, id: ParameterId) -> Role {
         let sigma = match id {
             ParameterId::Joint { term, .. } => self.joint_terms.sigma(term),
+            ParameterId::BarWave { .. } => self.bar_length_um * 1e-6,
             _ => self.encoder_harmonics_urad * 1e-6,
         };
         Role::Prior { value: 0.0, sigma }
@@ -338,9 +347,13 @@ impl Validate for IdentifyConfig {
         positive("joint_terms.compliance_urad_per_m".into(), terms.compliance_urad_per_m)?;
         positive("noise.encoder_urad".into(), self.noise.encoder_urad)?;
         positive("noise.robot_urad".into(), self.noise.robot_urad)?;
-        if !(self.encoder_harmonics_urad.is_finite() && self.encoder_harmonics_urad >= 0.0) {
-            let found = format!("{} is no standard deviation", self.encoder_harmonics_urad);
-            return Err(Violation::new("encoder_harmonics_urad", found, "give zero or a number above"));
+        for (key, sigma) in
+            [("encoder_harmonics_urad", self.encoder_harmonics_urad), ("bar_length_um", self.bar_length_um)]
+        {
+            if !(sigma.is_finite() && sigma >= 0.0) {
+                let found = format!("{sigma} is no standard deviation");
+                return Err(Violation::new(key, found, "give zero or a number above"));
+            }
         }
         Ok(())
     }

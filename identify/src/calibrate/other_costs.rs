@@ -73,6 +73,7 @@ fn same_terms(calibration: &BallBarCalibration, config: &IdentifyConfig, cost: C
     let mut config = config.clone();
     let measured = calibration.measured();
     config.joint_terms.candidates.clear();
+    config.bar_length_um = 0.0;
     let chosen_here = config.selection == SelectionName::Automatic;
     if chosen_here {
         config.encoder_harmonics_urad = 0.0;

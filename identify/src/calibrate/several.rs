@@ -147,7 +147,7 @@ fn lengths_differ(runs: &[Run]) -> bool {
 fn is_own(id: ParameterId, lengths_differ: bool) -> bool {
     match id {
         ParameterId::Base(_) | ParameterId::BaseRotation(_) => true,
-        ParameterId::Harmonic { .. } | ParameterId::Zero { .. } => true,
+        ParameterId::Harmonic { .. } | ParameterId::Zero { .. } | ParameterId::BarWave { .. } => true,
         ParameterId::ClockShift | ParameterId::ClockSkew => true,
         ParameterId::Bar { parameter: LinkParameter::Theta, .. } => true,
         // Another bar gives way by another amount.

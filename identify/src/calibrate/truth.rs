@@ -44,13 +44,15 @@ impl Comparison {
             .columns()
             .filter(|parameter| parameter.role != Role::Fixed)
             .filter(|parameter| {
-                use ParameterId::{BarCompliance, BarPlay, ClockShift, ClockSkew, Harmonic, Joint, Zero};
-                let of_force = matches!(parameter.id, BarCompliance | BarPlay);
+                use ParameterId::{
+                    BarCompliance, BarPlay, BarWave, ClockShift, ClockSkew, Harmonic, Joint, Zero,
+                };
+                let of_length = matches!(parameter.id, BarCompliance | BarPlay | BarWave { .. });
                 let other = matches!(
                     parameter.id,
                     ClockShift | ClockSkew | Harmonic { .. } | Zero { .. } | Joint { .. }
                 );
-                !of_force && !other
+                !of_length && !other
             })
             .map(|parameter| Compared {
                 id: parameter.id,

@@ -17,9 +17,9 @@ pub struct Closure {
     pub apart_m: Vector3<f64>,
     /// Rotation from the bar's end to the robot's, in the robot's base \[rad\].
     pub turned_rad: Vector3<f64>,
-    /// Distance of the robot's end from the centre of the gimbal minus the bar's length under its force \[m\].
+    /// Distance of the robot's end from the centre of the gimbal minus the bar's length under its force and in its direction \[m\].
     pub off_sphere_m: f64,
-    /// What the force adds to the bar's length \[m\].
+    /// What force and direction add to the bar's length \[m\].
     pub extension_m: f64,
     /// On the bar.
     pub force: BarForce,
@@ -66,7 +66,7 @@ pub fn closures(
             apart_m: scene.robot.position_m() - scene.bar.position_m(),
             turned_rad: rotation_vector(&(scene.robot.rotation() * scene.bar.rotation().transpose())),
             off_sphere_m: out_m.norm() - scene.rod_m(),
-            extension_m: geometry.stretch.extension_m(&observation.force),
+            extension_m: geometry.extension_m(&observation.force, &readings),
             force: observation.force,
             direction: out_m / out_m.norm().max(f64::MIN_POSITIVE),
             margin_rad: singularity_margin_rad(&bar_rad),

@@ -7,7 +7,7 @@ use crate::kinematics::LinkParameter;
 use crate::model::ParameterId;
 
 /// `|R_p - o|^2 - L^2` (thesis eq. 2.1): the robot's end lies on the sphere of the bar \[m^2\]. `L` is `bd3` and what the
-/// force at the sample adds to it.
+/// force and the direction at the sample add to it.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Length;
 
@@ -30,6 +30,7 @@ impl Residual for Length {
             | ParameterId::Base(_)
             | ParameterId::BarCompliance
             | ParameterId::BarPlay
+            | ParameterId::BarWave { .. }
             | ParameterId::ClockShift
             | ParameterId::ClockSkew => true,
             id => id == ParameterId::ROD,
@@ -37,8 +38,11 @@ impl Residual for Length {
     }
 
     fn tells(id: ParameterId) -> bool {
-        // A robot on the sphere moves along it: when a sample was taken makes no difference but noise.
-        !matches!(id, ParameterId::ClockShift | ParameterId::ClockSkew) && Self::sees(id)
+        // A robot on the sphere moves along it: when a sample was taken makes no difference but noise. Without encoders
+        // nothing says in which direction the bar points.
+        let of_clock = matches!(id, ParameterId::ClockShift | ParameterId::ClockSkew);
+        let of_reading = matches!(id, ParameterId::BarWave { .. });
+        !of_clock && !of_reading && Self::sees(id)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Vector3<f64>> {

@@ -177,7 +177,8 @@ impl LoopPoint {
         let zeros_rad = self.geometry.zeros_in(observation.origin);
         let added_rad: [f64; BAR_JOINTS] = std::array::from_fn(|joint| zeros_rad[joint] - errors_rad[joint]);
         let bar_joints = readings.iter().zip(added_rad).map(|(reading, added)| reading.and(Turn::of(added)));
-        if let Some(rod_m) = self.geometry.rod_m(&observation.force) {
+        if let Some(rod) = self.geometry.bar_links.get(ROD_LINK) {
+            let rod_m = rod.d_m + self.geometry.extension_m(&observation.force, readings);
             self.bar_tracer.set_d(ROD_LINK, rod_m);
             self.bar_chain.links.iter_mut().skip(ROD_LINK).take(1).for_each(|rod| rod.d_m = rod_m);
         }

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter, ROD_LINK, Trace, Tracer, Turn, Twist};
-use crate::model::{Axis, Geometry, JointState, JointTerm, JointWaves, Observation, ParameterId};
+use crate::model::{Axis, BarWaves, Geometry, JointState, JointTerm, JointWaves, Observation, ParameterId};
 
 /// What a parameter moves.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -29,7 +29,7 @@ pub struct Scene<'a> {
     pub readings: &'a [Turn; BAR_JOINTS],
     /// Bar joints without the encoders' harmonics, in the first origin's zeros \[rad\]; offsets not yet added.
     pub bar_rad: [f64; BAR_JOINTS],
-    /// The bar on its base, as long as the force makes it, and the same made ready for forward passes.
+    /// The bar on its base, as long as force and direction make it, and the same made ready for forward passes.
     pub bar_chain: (&'a Chain, &'a Tracer),
     /// What the robot reports.
     pub reported: JointState,
@@ -55,7 +55,10 @@ impl Scene<'_> {
             | ParameterId::Base(_)
             | ParameterId::BaseRotation(_)
             | ParameterId::BarCompliance
-            | ParameterId::BarPlay => self.bar_twist(self.bar, id).map_or(Movement::None, Movement::Bar),
+            | ParameterId::BarPlay
+            | ParameterId::BarWave { .. } => {
+                self.bar_twist(self.bar, id).map_or(Movement::None, Movement::Bar)
+            }
             ParameterId::Harmonic { joint, harmonic } => {
                 match (self.bar.twist(joint, LinkParameter::Theta), self.readings.get(joint)) {
                     (Some(twist), Some(&reading)) => Movement::Bar(twist.scaled(-harmonic.wave(reading))),
@@ -96,24 +99,27 @@ impl Scene<'_> {
             ParameterId::Bar { link, parameter } => bar.twist(link, parameter),
             ParameterId::Base(axis) => Some(Twist::translation(unit(axis))),
             ParameterId::BaseRotation(axis) => Some(self.base_rotation(axis, bar.position_m())),
-            ParameterId::BarCompliance | ParameterId::BarPlay => {
+            ParameterId::BarCompliance | ParameterId::BarPlay | ParameterId::BarWave { .. } => {
                 bar.twist(ROD_LINK, LinkParameter::D).map(|twist| twist.scaled(self.stretch(id)))
             }
             _ => None,
         }
     }
 
-    /// How much longer the bar becomes with a parameter: its rod itself, or what a force does to it.
+    /// How much longer the bar becomes with a parameter: its rod itself, what a force does to it, or its bearings.
     #[inline]
     pub fn stretch(&self, id: ParameterId) -> f64 {
         match id {
             ParameterId::BarCompliance => self.observation.force.along_n,
             ParameterId::BarPlay => self.observation.force.side,
+            ParameterId::BarWave { joint, order, phase } => {
+                self.readings.get(joint).map_or(0.0, |reading| BarWaves::wave(order, phase, *reading))
+            }
             id => f64::from(u8::from(id == ParameterId::ROD)),
         }
     }
 
-    /// Length of the bar under this sample's force \[m\].
+    /// Length of the bar under this sample's force and in its direction \[m\].
     #[inline]
     pub fn rod_m(&self) -> f64 {
         self.bar_chain.0.links.get(ROD_LINK).map_or(0.0, |rod| rod.d_m)
@@ -160,6 +166,7 @@ pub(super) fn of_bar(id: ParameterId) -> bool {
             | ParameterId::BaseRotation(_)
             | ParameterId::BarCompliance
             | ParameterId::BarPlay
+            | ParameterId::BarWave { .. }
             | ParameterId::Harmonic { .. }
             | ParameterId::Zero { .. }
     )
@@ -170,10 +177,13 @@ pub(super) fn of_other_instrument(id: ParameterId) -> bool {
     of_wire(id) || of_tracker(id)
 }
 
-/// Harmonics and zeros of an encoder are seen by costs that need the encoder; anything else is not in question.
+/// Harmonics and zeros of an encoder, and what follows its reading, are seen by costs that need the encoder; anything else
+/// is not in question.
 pub(super) fn sees_encoder(id: ParameterId, encoders: &[usize]) -> bool {
     match id {
-        ParameterId::Harmonic { joint, .. } | ParameterId::Zero { joint, .. } => encoders.contains(&joint),
+        ParameterId::Harmonic { joint, .. }
+        | ParameterId::Zero { joint, .. }
+        | ParameterId::BarWave { joint, .. } => encoders.contains(&joint),
         _ => true,
     }
 }

@@ -3,9 +3,10 @@
 use nalgebra::{Rotation3, Translation3, Vector3};
 
 use super::{
-    Axis, BarForce, DriveTrain, Harmonics, JointErrors, JointState, JointWaves, ParameterId, Tracker,
+    Axis, BarForce, BarWaves, DriveTrain, Harmonics, JointErrors, JointState, JointWaves, ParameterId,
+    Tracker,
 };
-use crate::kinematics::{BAR_JOINTS, Chain, DhLink, LinkParameter, Pose, ROD_LINK};
+use crate::kinematics::{BAR_JOINTS, Chain, DhLink, LinkParameter, Pose, Turn};
 
 /// Where the ball-bar stands: `T(origin) Rx(rx) Ry(ry)`; the turn about z is the bar's `btheta1`.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -86,6 +87,8 @@ pub struct Geometry {
     pub base: BasePlacement,
     /// What a force does to its length.
     pub stretch: BarStretch,
+    /// And its direction.
+    pub bar_waves: BarWaves,
     /// Errors of the bar's encoders.
     pub harmonics: Harmonics,
     /// What is added to the encoders' angles in each origin of the counters but the first \[rad\].
@@ -122,6 +125,7 @@ impl Geometry {
             bar_links,
             base,
             stretch: BarStretch::default(),
+            bar_waves: BarWaves::default(),
             harmonics: Harmonics::default(),
             zeros_rad: Vec::new(),
             clock: Clock::default(),
@@ -147,10 +151,10 @@ impl Geometry {
         origin.checked_sub(1).and_then(|index| self.zeros_rad.get(index)).copied().unwrap_or_default()
     }
 
-    /// Length of the ball-bar under a force \[m\]; none without one.
+    /// How much longer the ball-bar is under a force and in the direction of these readings \[m\].
     #[inline]
-    pub fn rod_m(&self, force: &BarForce) -> Option<f64> {
-        self.bar_links.get(ROD_LINK).map(|rod| rod.d_m + self.stretch.extension_m(force))
+    pub fn extension_m(&self, force: &BarForce, readings: &[Turn; BAR_JOINTS]) -> f64 {
+        self.stretch.extension_m(force) + self.bar_waves.extension_m(readings)
     }
 
     /// The ball-bar on its base, without any force on it.
@@ -174,6 +178,7 @@ impl Geometry {
             ParameterId::BaseRotation(Axis::Z) => None,
             ParameterId::BarCompliance => Some(&mut self.stretch.compliance_m_per_n),
             ParameterId::BarPlay => Some(&mut self.stretch.play_m),
+            ParameterId::BarWave { joint, order, phase } => self.bar_waves.amplitude_mut(joint, order, phase),
             ParameterId::Harmonic { joint, harmonic } => self.harmonics.amplitude_mut(joint, harmonic),
             ParameterId::Zero { origin, joint } => {
                 self.zeros_rad.get_mut(origin.checked_sub(1)?)?.get_mut(joint)

@@ -2,6 +2,7 @@
 //!
 //! [`Model`] is the one place that maps names to columns of the solve.
 
+mod bar_waves;
 mod geometry;
 mod harmonics;
 mod joint_errors;
@@ -13,6 +14,7 @@ mod roles;
 mod selection;
 mod tracker;
 
+pub use bar_waves::BarWaves;
 pub use geometry::{BarStretch, BasePlacement, Clock, Geometry, Wire};
 pub use harmonics::{Harmonic, Harmonics};
 pub use joint_errors::{BACKLASH_SPEED_RAD_S, DriveTrain, JointErrors};

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use super::{Harmonic, JointTerm, JointWaves, ModelError, Phase};
+use super::{BarWaves, Harmonic, JointTerm, JointWaves, ModelError, Phase};
 use crate::kinematics::{BAR_JOINTS, LinkParameter, ROBOT_JOINTS, ROD_LINK};
 
 /// A coordinate axis of the root frame or of the flange.
@@ -60,6 +60,16 @@ pub enum ParameterId {
     BarCompliance,
     /// How much longer it is on one side of its play than in the middle, by the sign of the force: `bplay`.
     BarPlay,
+    /// How much longer the bar is in some directions, a whole number of times per turn of its first two joints: `bdsin2_1`
+    /// (sine of twice joint 1's reading) .. `bdcos3_2`.
+    BarWave {
+        /// Joint from 0.
+        joint: usize,
+        /// Waves per turn.
+        order: u8,
+        /// Sine or cosine.
+        phase: Phase,
+    },
     /// Error of a bar encoder that repeats with its turns: `bsin1_1` (sine of once joint 1's reading) .. `bcos2_5`.
     Harmonic {
         /// Joint from 0.
@@ -192,7 +202,7 @@ impl ParameterId {
     pub const fn bar_link(self) -> Option<usize> {
         match self {
             Self::Bar { link, .. } => Some(link),
-            Self::BarCompliance | Self::BarPlay => Some(ROD_LINK),
+            Self::BarCompliance | Self::BarPlay | Self::BarWave { .. } => Some(ROD_LINK),
             _ => None,
         }
     }
@@ -206,7 +216,7 @@ impl ParameterId {
             },
             Self::Base(_) | Self::Attachment(_) | Self::Anchor(_) | Self::LengthOffset => Unit::Metre,
             Self::Tracker(_) | Self::Probe(_) => Unit::Metre,
-            Self::BarPlay => Unit::Metre,
+            Self::BarPlay | Self::BarWave { .. } => Unit::Metre,
             Self::BarCompliance => Unit::MetrePerNewton,
             Self::BaseRotation(_) | Self::Harmonic { .. } | Self::Zero { .. } => Unit::Radian,
             Self::TrackerRotation(_) | Self::ProbeRotation(_) | Self::JointWave { .. } => Unit::Radian,
@@ -224,6 +234,16 @@ impl ParameterId {
     pub fn harmonics() -> impl Iterator<Item = Self> {
         let of = |joint| Harmonic::ALL.into_iter().map(move |harmonic| Self::Harmonic { joint, harmonic });
         (0..BAR_JOINTS).flat_map(of)
+    }
+
+    /// All waves of the bar's length.
+    pub fn bar_waves() -> impl Iterator<Item = Self> {
+        let of = |joint| {
+            (BarWaves::FIRST..=BarWaves::LAST).flat_map(move |order| {
+                Phase::ALL.into_iter().map(move |phase| Self::BarWave { joint, order, phase })
+            })
+        };
+        (0..BarWaves::JOINTS).flat_map(of)
     }
 
     /// Zeros of all bar encoders in the origins from 1 to `last`, at most [`Self::LAST_ORIGIN`].
@@ -271,6 +291,7 @@ impl ParameterId {
             .chain(Axis::ALL.map(Self::Base))
             .chain([Self::BaseRotation(Axis::X), Self::BaseRotation(Axis::Y)])
             .chain(Self::OF_FORCE)
+            .chain(Self::bar_waves())
             .chain(Self::harmonics())
             .chain(Self::zeros(Self::LAST_ORIGIN))
             .chain(Self::joint_terms())
@@ -292,6 +313,7 @@ impl fmt::Display for ParameterId {
             Self::BaseRotation(axis) => write!(f, "or{}", axis.letter()),
             Self::BarCompliance => f.write_str("bcompliance"),
             Self::BarPlay => f.write_str("bplay"),
+            Self::BarWave { joint, order, phase } => write!(f, "bd{phase}{order}_{}", joint + 1),
             Self::Harmonic { joint, harmonic } => write!(f, "b{harmonic}_{}", joint + 1),
             Self::Zero { origin, joint } => write!(f, "bzero{origin}_{}", joint + 1),
             Self::JointWave { joint, order, phase } => write!(f, "r{phase}{order}_{}", joint + 1),

@@ -39,7 +39,7 @@ pub enum ModelError {
     /// No parameter has this name.
     #[error(
         "no parameter is called `{name}`; names are ra1 rd1 ralpha1 rtheta1 .. 6, rbeta1 .. 6, ba1 bd1 balpha1 \
-         btheta1 .. 5, ox oy oz orx ory, bcompliance bplay, bsin1_1 bcos1_1 bsin2_1 bcos2_1 bzero1_1 .. 5, rsin1_1 rcos1_1 rsin2_1 rcos2_1 \
+         btheta1 .. 5, ox oy oz orx ory, bcompliance bplay, bdsin2_1 bdcos2_1 .. bdcos3_2, bsin1_1 bcos1_1 bsin2_1 bcos2_1 bzero1_1 .. 5, rsin1_1 rcos1_1 rsin2_1 rcos2_1 \
          rsinc_1 rcosc_1 rsinm_1 rcosm_1 rsin3_1 rcos3_1 .. rcos64_1 rbacklash_1 rratio_1 .. 6, relbow_2 rwrist_2 rwrist_3 rtool_2 rtool_3 rtool_5, \
          clock_shift clock_skew, attachment_x anchor_x .. z, length_offset, \
          tracker_x tracker_rx probe_x probe_rx .. z"
@@ -100,7 +100,7 @@ impl Model {
     }
 
     /// Robot and ball-bar: both sets of links, the bar's base (its nominal place is that of `bar`),
-    /// its stretch under force, the encoders' harmonics, terms of the robot's axes and the clocks.
+    /// how its length follows force and direction, the encoders' harmonics, terms of the robot's axes and the clocks.
     pub fn ball_bar(robot: &Chain, bar: &Chain) -> Self {
         let bar_ids = (0..bar.links.len()).flat_map(|link| {
             ParameterId::STANDARD.into_iter().map(move |parameter| ParameterId::Bar { link, parameter })
@@ -112,7 +112,8 @@ impl Model {
             .chain(ParameterId::harmonics())
             .chain(ParameterId::joint_terms())
             .chain([ParameterId::ClockShift, ParameterId::ClockSkew])
-            .chain(ParameterId::OF_FORCE);
+            .chain(ParameterId::OF_FORCE)
+            .chain(ParameterId::bar_waves());
         Self::new(Geometry::new(robot.clone(), Some(bar)), ids)
     }
 

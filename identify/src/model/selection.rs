@@ -37,7 +37,7 @@ impl Selection {
             // Nothing without a force: they are freed where one is given.
             ParameterId::BarCompliance | ParameterId::BarPlay => false,
             // Not told from the geometry by samples alone: they come with priors.
-            ParameterId::Harmonic { .. } | ParameterId::Zero { .. } => false,
+            ParameterId::Harmonic { .. } | ParameterId::Zero { .. } | ParameterId::BarWave { .. } => false,
             ParameterId::Joint { .. } | ParameterId::JointWave { .. } => false,
             ParameterId::Attachment(_) | ParameterId::Anchor(_) | ParameterId::LengthOffset => false,
             ParameterId::Tracker(_) | ParameterId::TrackerRotation(_) => false,

@@ -132,11 +132,16 @@ impl ParameterEntry {
         self.name.split('@').next()?.parse().ok()
     }
 
-    /// All parameters of a model at its solution, in the model's order, but terms of the robot's axes and of forces that are left out.
+    /// All parameters of a model at its solution, in the model's order, but terms of the robot's axes, of forces and of
+    /// the bar's length that are left out.
     pub fn all(model: &Model, sigma: impl Fn(ParameterId) -> Option<f64>) -> Vec<Self> {
         let left_out = |parameter: &&Parameter| {
-            let term = matches!(parameter.id, ParameterId::Joint { .. } | ParameterId::JointWave { .. });
-            (term || ParameterId::OF_FORCE.contains(&parameter.id))
+            let id = parameter.id;
+            let term = matches!(
+                id,
+                ParameterId::Joint { .. } | ParameterId::JointWave { .. } | ParameterId::BarWave { .. }
+            );
+            (term || ParameterId::OF_FORCE.contains(&id))
                 && parameter.role == Role::Fixed
                 && parameter.value == 0.0
         };

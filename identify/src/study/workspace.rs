@@ -1,6 +1,6 @@
 //! What the calibration is worth where the robot works: position error over the whole range of its joints.
 
-use nalgebra::{DMatrix, DVector, SymmetricEigen, Vector3};
+use nalgebra::{DMatrix, SymmetricEigen, Vector3};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -42,7 +42,8 @@ pub struct WorkspaceError {
 /// Postures with the error that calibration took away, and how what it left depends on the free parameters.
 struct Postures {
     corrected_m: Vec<Vector3<f64>>,
-    by_parameter: Vec<DMatrix<f64>>,
+    /// Three rows for each posture.
+    by_parameter: DMatrix<f64>,
 }
 
 /// Expected position errors: nominal robot against robots drawn from the solution's covariance.
@@ -69,17 +70,15 @@ pub fn workspace_error(
         &eigen.eigenvectors * DMatrix::from_diagonal(&eigen.eigenvalues.map(|value| value.max(0.0).sqrt()));
 
     let mut random = ChaCha8Rng::seed_from_u64(0);
+    let normal = DMatrix::from_fn(columns.len(), DRAWS, |_, _| StandardNormal.sample(&mut random));
+    // All postures of all robots in one product: a draw in each column.
+    let left_m = &postures.by_parameter * (&root * normal);
     let (mut before, mut after) = (Vec::new(), Vec::new());
-    for _ in 0..DRAWS {
-        let normal = DVector::from_fn(columns.len(), |_, _| StandardNormal.sample(&mut random));
-        let off: DVector<f64> = &root * normal;
-        let left = postures.by_parameter.iter().map(|by| {
-            let moved = by * &off;
-            Vector3::new(moved[0], moved[1], moved[2])
-        });
-        let left: Vec<Vector3<f64>> = left.collect();
-        before.push(postures.corrected_m.iter().zip(&left).map(|(was, left)| (was + left).norm()).collect());
-        after.push(left.iter().map(Vector3::norm).collect());
+    for draw in left_m.column_iter() {
+        let left = |posture: usize| Vector3::from(draw.fixed_rows::<3>(3 * posture));
+        let was = postures.corrected_m.iter().enumerate();
+        before.push(was.clone().map(|(posture, was)| (was + left(posture)).norm()).collect());
+        after.push(was.map(|(posture, _)| left(posture).norm()).collect());
     }
     WorkspaceError {
         before: expected(before),
@@ -124,12 +123,13 @@ fn postures(
     let chain = |model: &Model| -> Chain { model.geometry(&model.start()).robot };
     let (calibrated, nominal) = (Tracer::new(&chain(model)), Tracer::new(&chain(&nominal)));
     let (mut here, mut there) = (Trace::default(), Trace::default());
-    let mut postures = Postures { corrected_m: Vec::new(), by_parameter: Vec::new() };
-    for q in random_postures(joint_limits_deg) {
+    let by_parameter = DMatrix::zeros(3 * POSTURES, columns.len());
+    let mut postures = Postures { corrected_m: Vec::new(), by_parameter };
+    for (posture, q) in random_postures(joint_limits_deg).enumerate() {
         calibrated.trace(&q, &mut here);
         nominal.trace(&q, &mut there);
         postures.corrected_m.push(here.position_m() - there.position_m());
-        let mut by = DMatrix::zeros(3, columns.len());
+        let mut by = postures.by_parameter.rows_mut(3 * posture, 3);
         for (mut column, (_, id)) in by.column_iter_mut().zip(columns) {
             if let ParameterId::Robot { link, parameter } = *id
                 && let Some(twist) = here.twist(link, parameter)
@@ -137,7 +137,6 @@ fn postures(
                 column.copy_from(&twist.linear);
             }
         }
-        postures.by_parameter.push(by);
     }
     postures
 }
@@ -146,9 +145,9 @@ fn postures(
 fn expected(errors_m: Vec<Vec<f64>>) -> Expected {
     let mean = |errors: &Vec<f64>| errors.iter().sum::<f64>() / errors.len().max(1) as f64;
     let mut means: Vec<f64> = errors_m.iter().map(mean).collect();
-    means.sort_by(f64::total_cmp);
+    means.sort_unstable_by(f64::total_cmp);
     let mut all: Vec<f64> = errors_m.into_iter().flatten().collect();
-    all.sort_by(f64::total_cmp);
+    all.sort_unstable_by(f64::total_cmp);
     Expected {
         mean_m: mean(&all),
         p95_m: quantile(&all, 0.95),
@@ -160,14 +159,12 @@ fn expected(errors_m: Vec<Vec<f64>>) -> Expected {
 /// covariance and `M` the mean of `J^T J` over the postures.
 fn weakest(
     root: &DMatrix<f64>,
-    by_parameter: &[DMatrix<f64>],
+    by_parameter: &DMatrix<f64>,
     columns: &[(usize, ParameterId)],
 ) -> Vec<(String, f64)> {
     /// Smaller parts of the combination are not told.
     const PART_MIN: f64 = 0.05;
-    let worth = by_parameter
-        .iter()
-        .fold(DMatrix::zeros(columns.len(), columns.len()), |sum, by| sum + by.transpose() * by);
+    let worth = by_parameter.tr_mul(by_parameter);
     let eigen = SymmetricEigen::new(root.transpose() * &worth * root);
     if columns.is_empty() {
         return Vec::new();

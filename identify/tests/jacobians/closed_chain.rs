@@ -3,8 +3,8 @@
 
 use identify::kinematics::{Chain, DhLink, LinkParameter, Pose};
 use identify::model::{
-    BACKLASH_SPEED_RAD_S, BarForce, BasePlacement, DriveTrain, Geometry, Harmonic, JointState, JointTerm,
-    Model, Observation, ParameterId, RobotMotion,
+    BACKLASH_SPEED_RAD_S, BasePlacement, DriveTrain, Geometry, Harmonic, JointState, JointTerm, Model,
+    Observation, ParameterId, Phase, RobotMotion,
 };
 use num_dual::{Dual64, DualNum};
 
@@ -46,6 +46,8 @@ pub struct Numbers<D> {
     pub tilt: [D; 2],
     /// Compliance and play.
     pub stretch: [D; 2],
+    /// Of the bar's length: joint, two or three times per turn, sine or cosine.
+    pub bar_waves: [[[D; 2]; 2]; 2],
     pub harmonics: [[D; 4]; 5],
     /// Added to the encoders' angles in origin 1.
     pub zeros: [D; 5],
@@ -63,6 +65,13 @@ pub fn harmonics(g: &Geometry) -> [[f64; 4]; 5] {
     let mut amplitude =
         |joint, harmonic| *g.parameter_mut(ParameterId::Harmonic { joint, harmonic }).unwrap();
     std::array::from_fn(|joint| Harmonic::ALL.map(|harmonic| amplitude(joint, harmonic)))
+}
+
+pub fn bar_waves(g: &Geometry) -> [[[f64; 2]; 2]; 2] {
+    let mut g = g.clone();
+    let mut amplitude =
+        |joint, order, phase| *g.parameter_mut(ParameterId::BarWave { joint, order, phase }).unwrap();
+    [0, 1].map(|joint| [2, 3].map(|order| Phase::ALL.map(|phase| amplitude(joint, order, phase))))
 }
 
 pub fn place(term: JointTerm) -> usize {
@@ -145,6 +154,7 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             origin: [0, 1, 2].map(|i| D::from(g.base.origin_m[i])),
             tilt: [g.base.rx_rad, g.base.ry_rad].map(D::from),
             stretch: [g.stretch.compliance_m_per_n, g.stretch.play_m].map(D::from),
+            bar_waves: bar_waves(g).map(|joint| joint.map(|order| order.map(D::from))),
             harmonics: harmonics(g).map(|joint| joint.map(D::from)),
             zeros: g.zeros_in(1).map(D::from),
             joint_errors: joint_errors(g).map(|axis| axis.map(D::from)),
@@ -170,6 +180,9 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             ParameterId::BaseRotation(axis) => &mut self.tilt[axis.index()],
             ParameterId::BarCompliance => &mut self.stretch[0],
             ParameterId::BarPlay => &mut self.stretch[1],
+            ParameterId::BarWave { joint, order, phase } => {
+                &mut self.bar_waves[joint][usize::from(order) - 2][phase as usize]
+            }
             ParameterId::Harmonic { joint, harmonic } => &mut self.harmonics[joint][harmonic as usize],
             ParameterId::Zero { joint, .. } => &mut self.zeros[joint],
             ParameterId::Joint { axis, term } => &mut self.joint_errors[axis][place(term)],
@@ -203,11 +216,16 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
         })
     }
 
-    /// The same with the bar as long as a force makes it.
-    pub fn under(&self, force: &BarForce) -> Self {
+    /// The same with the bar as long as it is under a force and in the direction of its readings.
+    pub fn with_length_at(&self, o: &Observation) -> Self {
         let mut stretched = self.clone();
         let Some(rod) = stretched.bar.get_mut(2) else { return stretched };
-        rod[2] += self.stretch[0] * force.along_n + self.stretch[1] * force.side;
+        rod[2] += self.stretch[0] * o.force.along_n + self.stretch[1] * o.force.side;
+        for (b, orders) in o.bar_rad.iter().zip(self.bar_waves) {
+            for (order, [sine, cosine]) in [2.0, 3.0].into_iter().zip(orders) {
+                rod[2] += sine * (order * b).sin() + cosine * (order * b).cos();
+            }
+        }
         stretched
     }
 
@@ -225,6 +243,7 @@ impl Numbers<Dual64> {
             origin: self.origin.map(|x| plain(&x)),
             tilt: self.tilt.map(|x| plain(&x)),
             stretch: self.stretch.map(|x| plain(&x)),
+            bar_waves: self.bar_waves.map(|joint| joint.map(|order| order.map(|x| plain(&x)))),
             harmonics: self.harmonics.map(|joint| joint.map(|x| plain(&x))),
             zeros: self.zeros.map(|x| plain(&x)),
             arm: self.arm.clone(),

@@ -139,7 +139,7 @@ fn agrees<R: Residual>(arm: &Chain, model: &Model, residual: R, independent: Ind
         let mut largest = 0.0f64;
         for (k, observation) in observations.iter().enumerate() {
             for (i, expected) in
-                independent(&numbers.under(&observation.force), observation).into_iter().enumerate()
+                independent(&numbers.with_length_at(observation), observation).into_iter().enumerate()
             {
                 let row = k * R::ROWS + i;
                 assert!((r[row] - expected.re).abs() < 1e-12, "{} row {row}", R::NAME);
@@ -197,7 +197,7 @@ fn pose_has_the_derivatives_of_the_plain_pose_times_one_matrix_for_each_sample()
                 let mut numbers = Numbers::<Dual64>::new(&cell.robot, &geometry);
                 let number = numbers.number(parameter.id);
                 *number = number.derivative();
-                let numbers = numbers.under(&observation.force);
+                let numbers = numbers.with_length_at(observation);
                 for (i, value) in independent_pose(&numbers, observation).into_iter().enumerate() {
                     plain[(i, column)] = value.eps;
                     plain[(i, model.columns().len())] = value.re;
