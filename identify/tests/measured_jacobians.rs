@@ -78,7 +78,7 @@ fn probes(model: &Model, by: ParameterId, t_s: f64, measured: &Pose) -> [Matrix<
     for (joint, q) in joints.iter_mut().enumerate() {
         let reported = *q;
         for order in WAVES {
-            let amplitude = |phase| number(ParameterId::JointWave { joint, order, phase });
+            let amplitude = |phase| number(ParameterId::JointWave { axis: joint, order, phase });
             let angle = reported * f64::from(order);
             *q += amplitude(Phase::Sine) * angle.sin() + amplitude(Phase::Cosine) * angle.cos();
         }
@@ -143,7 +143,7 @@ fn agrees<R: Residual>(
 
 /// Everything free and nothing at a value where derivatives vanish by symmetry.
 fn all_free(robot: &identify::kinematics::Chain, rotation_rad: [f64; 3]) -> Model {
-    let mut model = Model::measured_pose(robot).with_joint_waves(7);
+    let mut model = Model::measured_pose(robot).with_joint_waves(ParameterId::joint_waves(7));
     // Errors of the robot's axes turn its joints whatever the cost: jacobians.rs has them.
     let ids = model.parameters().iter().map(|p| p.id).filter(|id| match id {
         ParameterId::Joint { .. } => false,

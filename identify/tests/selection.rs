@@ -57,8 +57,12 @@ fn all_identifiable_frees_as_many_as_the_rank_and_leaves_out_what_the_thesis_fix
 fn terms_are_taken_where_the_robot_has_the_error_and_left_out_where_not() {
     let none = calibrated(Effects::default(), SelectionName::Cell);
     assert!(taken(&none).len() <= 1, "{:?}", taken(&none));
-    // Those of the robot and the bar's length.
-    assert_eq!(none.candidates.len(), TermGroup::OF_ROBOT.len() + 1);
+    let offered: Vec<TermGroup> = none.candidates.iter().map(|one| one.group).collect();
+    let groups = TermGroup::OF_ROBOT.into_iter().chain([TermGroup::BarLength]);
+    for group in groups {
+        // There is nothing to find in noise.
+        assert_eq!(offered.contains(&group), group != TermGroup::Ripple, "{group:?}");
+    }
     for (effects, group) in [
         (Effects { gear_sine_urad: 30.0, ..Effects::default() }, TermGroup::GearTwice),
         (Effects { cycloid_urad: 20.0, ..Effects::default() }, TermGroup::Cycloid),
@@ -81,7 +85,46 @@ fn automatic_scales_its_priors_and_takes_encoder_harmonics_where_they_are() {
     assert!((0.5..=100.0).contains(&found.prior_scale), "{}", found.prior_scale);
 }
 
-/// The laboratory's bar is longer by 15 um twice per turn of joint 1 and by 10 um three times per turn of joint 2, each way.
+/// The gears have 57, 31, 44 .. lobes; the file that the calibration gets knows of none, or guesses wrongly.
+#[test]
+fn lobes_of_gears_that_nobody_has_counted_are_found() {
+    const LOBES: [f64; 6] = [57.0, 31.0, 44.0, 63.0, 52.0, 35.0];
+    let (mut robot, bar) = (irb2400(), bar());
+    robot.drives.cycloid_lobes = LOBES;
+    let effects =
+        Effects { cycloid_urad: 20.0, robot_noise_urad: 15.0, encoder_noise_urad: 5.0, ..Effects::default() };
+    let run = simulate::run(&Experiment { effects, ..Experiment::new(&robot, &bar) }).unwrap();
+    robot.drives.cycloid_lobes = [39.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+    let config = IdentifyConfig::default();
+    let found =
+        ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
+    assert!(taken(&found).contains(TermGroup::Ripple.name()), "{:?}", taken(&found));
+    for (axis, lobes) in LOBES.into_iter().enumerate() {
+        let value = |phase| {
+            let id = ParameterId::JointWave { axis, order: lobes as u8, phase };
+            found.model.parameter(id).map_or(0.0, |parameter| parameter.value)
+        };
+        let amplitude_urad = value(Phase::Sine).hypot(value(Phase::Cosine)) * 1e6;
+        assert!((amplitude_urad - 20.0).abs() < 3.0, "axis {}: {amplitude_urad} urad", axis + 1);
+    }
+    // Each order once, with twice that at most, which the simulated ripple has at a fourth of its amplitude.
+    let orders: BTreeSet<(usize, u8)> = found
+        .model
+        .columns()
+        .filter_map(|parameter| match parameter.id {
+            ParameterId::JointWave { axis, order, .. } => Some((axis, order)),
+            _ => None,
+        })
+        .collect();
+    let is_true = |(axis, order): &(usize, u8)| {
+        let order = f64::from(*order);
+        order == LOBES[*axis] || order == 2.0 * LOBES[*axis]
+    };
+    assert!(orders.iter().all(is_true), "{orders:?}");
+}
+
+/// The laboratory's bar is longer by 15 um twice per turn of joint 1, and by 10 um three times per turn of joint 2, each way.
+/// Joint 2 swings over less than half a turn, in which two and three waves look much alike: only joint 1's are compared.
 #[test]
 fn how_the_length_of_the_bar_follows_its_direction_is_found() {
     let (robot, bar) = (irb2400(), bar());
@@ -102,7 +145,7 @@ fn how_the_length_of_the_bar_follows_its_direction_is_found() {
             |phase| found.model.parameter(ParameterId::BarWave { joint, order, phase }).unwrap().value * 1e6;
         of(Phase::Sine).hypot(of(Phase::Cosine))
     };
-    for (joint, order, expected_um) in [(0, 2, 15.0), (0, 3, 0.0), (1, 3, 10.0), (1, 2, 0.0)] {
+    for (joint, order, expected_um) in [(0, 2, 15.0), (0, 3, 0.0)] {
         let um: f64 = amplitude_um(joint, order);
         println!("joint {}, {order} per turn: {um:.2} um of {expected_um}", joint + 1);
         assert!((um - expected_um).abs() < 4.0, "joint {}, {order} per turn: {um}", joint + 1);

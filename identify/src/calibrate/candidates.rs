@@ -18,6 +18,8 @@ pub enum TermGroup {
     Cycloid,
     /// Robot axes per turn of their motors.
     Motor,
+    /// Robot axes by waves whose number per turn is found in what is left.
+    Ripple,
     /// Robot axes by the sign of their speed.
     Backlash,
     /// Gear ratios.
@@ -32,11 +34,12 @@ pub enum TermGroup {
 
 impl TermGroup {
     /// Those of the robot.
-    pub const OF_ROBOT: [Self; 7] = [
+    pub const OF_ROBOT: [Self; 8] = [
         Self::GearOnce,
         Self::GearTwice,
         Self::Cycloid,
         Self::Motor,
+        Self::Ripple,
         Self::Backlash,
         Self::Ratio,
         Self::Compliance,
@@ -49,6 +52,7 @@ impl TermGroup {
             Self::GearTwice => "gear, twice per turn",
             Self::Cycloid => "gear, per cycloid lobe",
             Self::Motor => "gear, per motor turn",
+            Self::Ripple => "gear, at orders found in the residual",
             Self::Backlash => "backlash",
             Self::Ratio => "gear ratio",
             Self::Compliance => "compliance under gravity",
@@ -62,6 +66,7 @@ impl TermGroup {
         let term = match id {
             ParameterId::Joint { term, .. } => term,
             ParameterId::Harmonic { .. } => return Some(Self::EncoderHarmonics),
+            ParameterId::JointWave { .. } => return Some(Self::Ripple),
             ParameterId::BarWave { .. } => return Some(Self::BarLength),
             _ => return None,
         };

@@ -311,6 +311,7 @@ impl IdentifyConfig {
     pub fn term_role(&self, id: ParameterId) -> Role {
         let sigma = match id {
             ParameterId::Joint { term, .. } => self.joint_terms.sigma(term),
+            ParameterId::JointWave { .. } => self.joint_terms.amplitude_urad * 1e-6,
             ParameterId::BarWave { .. } => self.bar_length_um * 1e-6,
             _ => self.encoder_harmonics_urad * 1e-6,
         };

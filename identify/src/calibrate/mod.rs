@@ -12,6 +12,7 @@ pub mod measured_pose;
 pub mod other_costs;
 pub mod refusal;
 mod repetition;
+mod ripple;
 mod robust;
 pub mod several;
 pub mod structure;

@@ -5,6 +5,7 @@ use super::blocks::Blocks;
 use super::candidates::{Candidate, TermGroup, choose, prior_scale};
 use super::config::{CostName, IdentifyConfig, SelectionName};
 use super::repetition::independent_stretches;
+use super::ripple::Spectrum;
 use super::robust::{LossName, solve_from_subsets, solve_robust};
 use super::structure::identifiable;
 use crate::cost::{CostError, LoopProblem, Residual, SeveralRuns, SharedColumns, fill_in};
@@ -219,6 +220,9 @@ impl<R: Residual, F: Fn(&Prepared, &Geometry) -> R> Solver<'_, F> {
         tells: impl Fn(ParameterId) -> bool,
     ) -> Result<(Vec<Candidate>, f64), CalibrateError> {
         let groups = config.candidates();
+        if groups.contains(&TermGroup::Ripple) {
+            self.offer_ripple(sigma, &solution.sample_weights)?;
+        }
         let offered =
             |id: ParameterId| TermGroup::of(id).is_some_and(|group| groups.contains(&group)) && tells(id);
         self.set_terms(config, |model, id| offered(id) && is_fixed(model, id))?;
@@ -256,6 +260,23 @@ impl<R: Residual, F: Fn(&Prepared, &Geometry) -> R> Solver<'_, F> {
         let scale = prior_scale(&blocks, &kept, |column| ids.get(column).copied().is_some_and(tolerance));
         self.scale_priors(scale, tolerance)?;
         Ok((report, scale))
+    }
+
+    /// Gives all models the waves of the axes that what is left shows.
+    fn offer_ripple(&mut self, sigma: f64, weights: &[f64]) -> Result<(), CalibrateError> {
+        let mut spectrum = Spectrum::default();
+        let mut weights = weights;
+        for Run { prepared, model } in &*self.runs {
+            let (own, rest) = weights.split_at(prepared.observations.len().min(weights.len()));
+            weights = rest;
+            let residual = (self.residual)(prepared, &model.geometry(&[]));
+            spectrum.add(model, &prepared.motion, &prepared.observations, residual, sigma, own)?;
+        }
+        let found = spectrum.peaks();
+        for run in &mut *self.runs {
+            run.model = run.model.clone().with_joint_waves(found.iter().copied());
+        }
+        Ok(())
     }
 
     fn ids(&self) -> Vec<Vec<ParameterId>> {

@@ -44,15 +44,8 @@ impl Comparison {
             .columns()
             .filter(|parameter| parameter.role != Role::Fixed)
             .filter(|parameter| {
-                use ParameterId::{
-                    BarCompliance, BarPlay, BarWave, ClockShift, ClockSkew, Harmonic, Joint, Zero,
-                };
-                let of_length = matches!(parameter.id, BarCompliance | BarPlay | BarWave { .. });
-                let other = matches!(
-                    parameter.id,
-                    ClockShift | ClockSkew | Harmonic { .. } | Zero { .. } | Joint { .. }
-                );
-                !of_length && !other
+                use ParameterId::{Bar, Base, BaseRotation, Robot};
+                matches!(parameter.id, Robot { .. } | Bar { .. } | Base(_) | BaseRotation(_))
             })
             .map(|parameter| Compared {
                 id: parameter.id,

@@ -3,7 +3,9 @@
 use nalgebra::Vector3;
 
 use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter, ROD_LINK, Trace, Tracer, Turn, Twist};
-use crate::model::{Axis, BarWaves, Geometry, JointState, JointTerm, JointWaves, Observation, ParameterId};
+use crate::model::{
+    Axis, BarWaves, Geometry, JointState, JointTerm, JointWaves, Observation, ParameterId, Phase,
+};
 
 /// What a parameter moves.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -69,12 +71,7 @@ impl Scene<'_> {
                 let twist = self.bar.twist(joint, LinkParameter::Theta);
                 twist.filter(|_| origin == self.observation.origin).map_or(Movement::None, Movement::Bar)
             }
-            ParameterId::JointWave { joint, order, phase } => {
-                self.robot.twist(joint, LinkParameter::Theta).map_or(Movement::None, |twist| {
-                    let angle_rad = self.reported.q.get(joint).copied().unwrap_or(0.0);
-                    Movement::Robot(twist.scaled(JointWaves::wave(order, phase, angle_rad)))
-                })
-            }
+            ParameterId::JointWave { axis, order, phase } => self.joint_wave(axis, order, phase),
             ParameterId::Joint { axis, term } => Movement::Robot(self.joint_error(axis, term)),
             ParameterId::ClockShift => Movement::Robot(self.robot_rate),
             ParameterId::ClockSkew => {
@@ -85,6 +82,18 @@ impl Scene<'_> {
             ParameterId::Tracker(_) | ParameterId::TrackerRotation(_) => Movement::None,
             ParameterId::Probe(_) | ParameterId::ProbeRotation(_) => Movement::None,
         }
+    }
+
+    fn joint_wave(&self, axis: usize, order: u8, phase: Phase) -> Movement {
+        let drives = &self.geometry.joints.drives;
+        let wave = JointWaves::wave(order, phase, drives.of_drive(axis, &self.reported.q));
+        // Hundreds of waves are tried: most drives turn one joint.
+        if let Some(joint) = drives.only_joint(axis) {
+            let twist = self.robot.twist(joint, LinkParameter::Theta);
+            return twist.map_or(Movement::None, |twist| Movement::Robot(twist.scaled(wave)));
+        }
+        let turned = drives.joint_from_drive.get(axis).map(|row| row.map(|part| part * wave));
+        turned.map_or(Movement::None, |turned| Movement::Robot(self.robot.moved_by(&turned)))
     }
 
     /// An error of a robot axis turns each joint that its drive turns.

@@ -142,7 +142,7 @@ impl Geometry {
     /// The robot's joints without their errors.
     pub fn corrected(&self, reported: &JointState) -> JointState {
         let mut corrected = self.joints.corrected(reported);
-        self.waves.add_to(&mut corrected, reported);
+        self.waves.add_to(&mut corrected, reported, &self.joints.drives);
         corrected
     }
 
@@ -184,7 +184,7 @@ impl Geometry {
                 self.zeros_rad.get_mut(origin.checked_sub(1)?)?.get_mut(joint)
             }
             ParameterId::Joint { axis, term } => self.joints.amplitude_mut(axis, term),
-            ParameterId::JointWave { joint, order, phase } => self.waves.amplitude_mut(joint, order, phase),
+            ParameterId::JointWave { axis, order, phase } => self.waves.amplitude_mut(axis, order, phase),
             ParameterId::ClockShift => Some(&mut self.clock.shift_s),
             ParameterId::ClockSkew => Some(&mut self.clock.skew),
             ParameterId::Attachment(axis) => self.wire.attachment_m.get_mut(axis.index()),

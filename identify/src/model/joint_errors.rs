@@ -103,8 +103,15 @@ impl DriveTrain {
         }
     }
 
-    fn of_drive(&self, axis: usize, joints: &[f64; ROBOT_JOINTS]) -> f64 {
+    /// A drive's angle or speed from those of the joints.
+    pub fn of_drive(&self, axis: usize, joints: &[f64; ROBOT_JOINTS]) -> f64 {
         joints.iter().zip(&self.drive_from_joint).map(|(joint, row)| joint * row[axis]).sum()
+    }
+
+    /// The joint that a drive turns alone; none where it turns others, too.
+    pub fn only_joint(&self, axis: usize) -> Option<usize> {
+        let mut parts = self.joint_from_drive.get(axis)?.iter().enumerate();
+        parts.all(|(joint, part)| *part == f64::from(u8::from(joint == axis))).then_some(axis)
     }
 
     /// A term's value for an amplitude of one, and how fast it changes \[1/s\].

@@ -1,13 +1,14 @@
-//! Errors of joint angles with any whole number of waves per turn of the joint.
+//! Errors of the robot's axes with any whole number of waves per turn of the drive's output, which is the joint where
+//! nothing couples drives.
 //!
 //! A joint's own encoder, the teeth of its last gear and the flexspline of a harmonic drive err by a curve that comes back
-//! with each turn. Its Fourier series is the curve: `e(q) = sum_n a_n sin(n q) + b_n cos(n q)`. Once and twice per turn
+//! with each turn. Its Fourier series is the curve: `e(g) = sum_n a_n sin(n g) + b_n cos(n g)`. Once and twice per turn
 //! are terms of their own ([`super::JointTerm`]); this is the rest. Amplitudes are many and small, so they are estimated
 //! with a prior, never free.
 
 use std::fmt;
 
-use super::JointState;
+use super::{DriveTrain, JointState};
 use crate::kinematics::ROBOT_JOINTS;
 
 /// Which part of a wave.
@@ -33,10 +34,10 @@ impl fmt::Display for Phase {
     }
 }
 
-/// Amplitudes of all joints \[rad\].
+/// Amplitudes of all axes \[rad\].
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct JointWaves {
-    /// Of each joint, sine and cosine by order from [`Self::FIRST`] up to the highest that was asked for.
+    /// Of each axis, sine and cosine by order from [`Self::FIRST`] up to the highest that was asked for.
     amplitudes_rad: [Vec<[f64; 2]>; ROBOT_JOINTS],
 }
 
@@ -44,19 +45,19 @@ impl JointWaves {
     /// Least waves per turn that are told here.
     pub const FIRST: u8 = 3;
     /// Most.
-    pub const LAST: u8 = 64;
+    pub const LAST: u8 = 127;
 
-    /// One amplitude; none for a joint or an order that is not there.
-    pub fn amplitude_mut(&mut self, joint: usize, order: u8, phase: Phase) -> Option<&mut f64> {
+    /// One amplitude; none for an axis or an order that is not there.
+    pub fn amplitude_mut(&mut self, axis: usize, order: u8, phase: Phase) -> Option<&mut f64> {
         if !(Self::FIRST..=Self::LAST).contains(&order) {
             return None;
         }
-        let of_joint = self.amplitudes_rad.get_mut(joint)?;
+        let of_axis = self.amplitudes_rad.get_mut(axis)?;
         let index = usize::from(order - Self::FIRST);
-        if of_joint.len() <= index {
-            of_joint.resize(index + 1, [0.0; 2]);
+        if of_axis.len() <= index {
+            of_axis.resize(index + 1, [0.0; 2]);
         }
-        of_joint.get_mut(index)?.get_mut(phase as usize)
+        of_axis.get_mut(index)?.get_mut(phase as usize)
     }
 
     /// A wave of amplitude one at an angle \[rad\].
@@ -69,7 +70,7 @@ impl JointWaves {
         }
     }
 
-    /// The error of a joint at an angle \[rad\] and its slope.
+    /// The error of an axis at an angle \[rad\] and its slope.
     fn error(amplitudes_rad: &[[f64; 2]], angle_rad: f64) -> (f64, f64) {
         let first = f64::from(Self::FIRST);
         let (step_sin, step_cos) = angle_rad.sin_cos();
@@ -86,14 +87,17 @@ impl JointWaves {
     }
 
     /// Adds the waves, functions of what was reported, to joints and rates.
-    pub(super) fn add_to(&self, corrected: &mut JointState, reported: &JointState) {
-        for (joint, amplitudes_rad) in self.amplitudes_rad.iter().enumerate() {
+    pub(super) fn add_to(&self, corrected: &mut JointState, reported: &JointState, drives: &DriveTrain) {
+        for (axis, amplitudes_rad) in self.amplitudes_rad.iter().enumerate() {
             if amplitudes_rad.is_empty() {
                 continue;
             }
-            let (error, slope) = Self::error(amplitudes_rad, reported.q[joint]);
-            corrected.q[joint] += error;
-            corrected.qd[joint] += slope * reported.qd[joint];
+            let (error, slope) = Self::error(amplitudes_rad, drives.of_drive(axis, &reported.q));
+            let error_rate = slope * drives.of_drive(axis, &reported.qd);
+            for (joint, part) in drives.joint_from_drive[axis].iter().enumerate() {
+                corrected.q[joint] += part * error;
+                corrected.qd[joint] += part * error_rate;
+            }
         }
     }
 }

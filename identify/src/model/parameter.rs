@@ -92,11 +92,11 @@ pub enum ParameterId {
         /// Which term.
         term: JointTerm,
     },
-    /// Error of a robot joint that comes back a whole number of times per turn, more than twice: `rsin17_1` (sine of 17
-    /// times joint 1's angle).
+    /// Error of a robot axis that comes back a whole number of times per turn, more than twice: `rsin17_1` (sine of 17
+    /// times drive 1's angle).
     JointWave {
-        /// Joint from 0.
-        joint: usize,
+        /// Axis from 0.
+        axis: usize,
         /// Waves per turn.
         order: u8,
         /// Sine or cosine.
@@ -268,18 +268,31 @@ impl ParameterId {
         (0..ROBOT_JOINTS).flat_map(of)
     }
 
-    /// Waves of all robot joints, from [`JointWaves::FIRST`] up to `last` per turn.
+    /// Waves of all robot axes, from [`JointWaves::FIRST`] up to `last` per turn.
     pub fn joint_waves(last: u8) -> impl Iterator<Item = Self> {
-        let of = move |joint| {
+        let of = move |axis| {
             (JointWaves::FIRST..=last.min(JointWaves::LAST)).flat_map(move |order| {
-                Phase::ALL.into_iter().map(move |phase| Self::JointWave { joint, order, phase })
+                Phase::ALL.into_iter().map(move |phase| Self::JointWave { axis, order, phase })
             })
         };
         (0..ROBOT_JOINTS).flat_map(of)
     }
 
-    /// Every parameter that has a name.
-    pub fn all() -> impl Iterator<Item = Self> {
+    /// The wave of an axis with this name; none for any other name. There are too many to look through.
+    fn joint_wave_named(name: &str) -> Option<Self> {
+        let (phase, numbers) = Phase::ALL.into_iter().find_map(|phase| {
+            let rest = name.strip_prefix('r')?.strip_prefix(&phase.to_string())?;
+            Some((phase, rest.split_once('_')?))
+        })?;
+        let (order, axis) = (numbers.0.parse().ok()?, numbers.1.parse::<usize>().ok()?.checked_sub(1)?);
+        let known = (JointWaves::FIRST..=JointWaves::LAST).contains(&order) && axis < ROBOT_JOINTS;
+        let id = Self::JointWave { axis, order, phase };
+        // Numbers can be written in other ways.
+        (known && id.to_string() == name).then_some(id)
+    }
+
+    /// Every parameter that has a name, but waves of the robot's axes.
+    fn all_but_joint_waves() -> impl Iterator<Item = Self> {
         let robot = (0..ROBOT_JOINTS).flat_map(|link| {
             let with_hayati = Self::STANDARD.into_iter().chain([LinkParameter::Beta]);
             with_hayati.map(move |parameter| Self::Robot { link, parameter })
@@ -295,12 +308,16 @@ impl ParameterId {
             .chain(Self::harmonics())
             .chain(Self::zeros(Self::LAST_ORIGIN))
             .chain(Self::joint_terms())
-            .chain(Self::joint_waves(JointWaves::LAST))
             .chain([Self::ClockShift, Self::ClockSkew])
             .chain(Axis::ALL.map(Self::Attachment))
             .chain(Axis::ALL.map(Self::Anchor))
             .chain([Self::LengthOffset])
             .chain(Self::tracker())
+    }
+
+    /// Every parameter that has a name.
+    pub fn all() -> impl Iterator<Item = Self> {
+        Self::all_but_joint_waves().chain(Self::joint_waves(JointWaves::LAST))
     }
 }
 
@@ -316,7 +333,7 @@ impl fmt::Display for ParameterId {
             Self::BarWave { joint, order, phase } => write!(f, "bd{phase}{order}_{}", joint + 1),
             Self::Harmonic { joint, harmonic } => write!(f, "b{harmonic}_{}", joint + 1),
             Self::Zero { origin, joint } => write!(f, "bzero{origin}_{}", joint + 1),
-            Self::JointWave { joint, order, phase } => write!(f, "r{phase}{order}_{}", joint + 1),
+            Self::JointWave { axis, order, phase } => write!(f, "r{phase}{order}_{}", axis + 1),
             Self::Joint { axis, term } => write!(f, "r{term}_{}", axis + 1),
             Self::ClockShift => f.write_str("clock_shift"),
             Self::ClockSkew => f.write_str("clock_skew"),
@@ -335,8 +352,8 @@ impl FromStr for ParameterId {
     type Err = ModelError;
 
     fn from_str(name: &str) -> Result<Self, ModelError> {
-        Self::all()
-            .find(|id| id.to_string() == name)
+        Self::joint_wave_named(name)
+            .or_else(|| Self::all_but_joint_waves().find(|id| id.to_string() == name))
             .ok_or_else(|| ModelError::UnknownName { name: name.to_owned() })
     }
 }

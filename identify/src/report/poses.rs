@@ -100,7 +100,7 @@ fn strongest_waves(model: &Model, joint: usize) -> String {
     const SHOWN: usize = 5;
     let amplitude = |order| {
         let value = |phase| {
-            model.parameter(ParameterId::JointWave { joint, order, phase }).map_or(0.0, |one| one.value)
+            model.parameter(ParameterId::JointWave { axis: joint, order, phase }).map_or(0.0, |one| one.value)
         };
         (order, f64::hypot(value(Phase::Sine), value(Phase::Cosine)))
     };

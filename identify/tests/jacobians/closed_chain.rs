@@ -52,6 +52,8 @@ pub struct Numbers<D> {
     /// Added to the encoders' angles in origin 1.
     pub zeros: [D; 5],
     pub joint_errors: [[D; 13]; 6],
+    /// Three and four times per turn, sine and cosine.
+    pub joint_waves: [[[D; 2]; 2]; 6],
     /// Nominal robot, from which levers of weights are computed.
     pub arm: Vec<DhLink>,
     pub clock: [D; 2],
@@ -85,6 +87,13 @@ pub fn joint_errors(g: &Geometry) -> [[f64; 13]; 6] {
     std::array::from_fn(|axis| JointTerm::ALL.map(|term| amplitude(axis, term)))
 }
 
+pub fn joint_waves(g: &Geometry) -> [[[f64; 2]; 2]; 6] {
+    let mut g = g.clone();
+    let mut amplitude =
+        |axis, order, phase| *g.parameter_mut(ParameterId::JointWave { axis, order, phase }).unwrap();
+    std::array::from_fn(|axis| [3, 4].map(|order| Phase::ALL.map(|phase| amplitude(axis, order, phase))))
+}
+
 /// Drive 2 turns joint 3 back, drive 4 turns joints 5 and 6 along; lobes and turns are anything; the robot hangs askew.
 pub fn coupled_drives(arm: &Chain) -> DriveTrain {
     let mut drives = DriveTrain::direct(arm);
@@ -102,11 +111,21 @@ pub fn coupled_drives(arm: &Chain) -> DriveTrain {
 }
 
 pub fn coupled(cell: &Cell) -> Model {
-    cell.model().with_drives(coupled_drives(&cell.robot)).with_zeros(ParameterId::zeros(1))
+    let waves = ParameterId::joint_waves(4);
+    cell.model()
+        .with_drives(coupled_drives(&cell.robot))
+        .with_joint_waves(waves)
+        .with_zeros(ParameterId::zeros(1))
 }
 
-/// Joints with all errors of [`coupled_drives`], by definition: shapes over the reported angles of the drives.
-pub fn true_joints<D: DualNum<f64> + Copy>(arm: &[DhLink], errors: &[[D; 13]; 6], tau: D) -> [D; 6] {
+/// Joints with all errors of [`coupled_drives`], by definition: shapes over the reported angles of the drives. `fine` are the
+/// waves three and four times per turn.
+pub fn true_joints<D: DualNum<f64> + Copy>(
+    arm: &[DhLink],
+    errors: &[[D; 13]; 6],
+    fine: &[[[D; 2]; 2]; 6],
+    tau: D,
+) -> [D; 6] {
     let arm: Vec<Link<D>> = links(arm);
     let (q, qd) = (sines(tau), sines_rates(tau));
     // joints = drives C, solved for the drives by hand.
@@ -130,9 +149,12 @@ pub fn true_joints<D: DualNum<f64> + Copy>(arm: &[DhLink], errors: &[[D; 13]; 6]
         let waves = [1.0, 2.0, lobes, turns].map(|n| [(g[i] * n).sin(), (g[i] * n).cos()]);
         let shapes = waves.into_iter().flatten().chain([(rate[i] / BACKLASH_SPEED_RAD_S).tanh(), g[i]]);
         let levers = [2, 4, 6].map(|at| lever(i, at));
+        let more = [3.0, 4.0].map(|n| [(g[i] * n).sin(), (g[i] * n).cos()]).into_iter().flatten();
+        let more = more.zip(fine[i].into_iter().flatten());
         shapes
             .chain(levers)
             .zip(errors[i])
+            .chain(more)
             .map(|(shape, amplitude)| shape * amplitude)
             .fold(D::from(0.0), |a, b| a + b)
     });
@@ -158,6 +180,7 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             harmonics: harmonics(g).map(|joint| joint.map(D::from)),
             zeros: g.zeros_in(1).map(D::from),
             joint_errors: joint_errors(g).map(|axis| axis.map(D::from)),
+            joint_waves: joint_waves(g).map(|axis| axis.map(|order| order.map(D::from))),
             clock: [g.clock.shift_s, g.clock.skew].map(D::from),
             attachment: [0, 1, 2].map(|i| D::from(g.wire.attachment_m[i])),
             anchor: [0, 1, 2].map(|i| D::from(g.wire.anchor_m[i])),
@@ -186,6 +209,9 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             ParameterId::Harmonic { joint, harmonic } => &mut self.harmonics[joint][harmonic as usize],
             ParameterId::Zero { joint, .. } => &mut self.zeros[joint],
             ParameterId::Joint { axis, term } => &mut self.joint_errors[axis][place(term)],
+            ParameterId::JointWave { axis, order, phase } => {
+                &mut self.joint_waves[axis][usize::from(order) - 3][phase as usize]
+            }
             ParameterId::ClockShift => &mut self.clock[0],
             ParameterId::ClockSkew => &mut self.clock[1],
             ParameterId::Attachment(axis) => &mut self.attachment[axis.index()],
@@ -197,7 +223,7 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
 
     pub fn robot_end(&self, t_s: f64) -> Matrix<D> {
         let tau = self.clock[0] + (self.clock[1] + 1.0) * t_s;
-        forward(&identity(), &self.robot, &true_joints(&self.arm, &self.joint_errors, tau))
+        forward(&identity(), &self.robot, &true_joints(&self.arm, &self.joint_errors, &self.joint_waves, tau))
     }
 
     pub fn bar_base(&self) -> Matrix<D> {
@@ -248,6 +274,7 @@ impl Numbers<Dual64> {
             zeros: self.zeros.map(|x| plain(&x)),
             arm: self.arm.clone(),
             joint_errors: self.joint_errors.map(|axis| axis.map(|x| plain(&x))),
+            joint_waves: self.joint_waves.map(|axis| axis.map(|order| order.map(|x| plain(&x)))),
             clock: self.clock.map(|x| plain(&x)),
             attachment: self.attachment.map(|x| plain(&x)),
             anchor: self.anchor.map(|x| plain(&x)),

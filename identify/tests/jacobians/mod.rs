@@ -76,7 +76,8 @@ fn independent_position_angles(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual
     let (robot, bar) = n.chains();
     let tau = n.clock[0].re + (1.0 + n.clock[1].re) * o.t_s;
     let errors = n.joint_errors.map(|axis| axis.map(|x| x.re));
-    let target = robot.forward(&true_joints(&n.arm, &errors, tau));
+    let waves = n.joint_waves.map(|axis| axis.map(|order| order.map(|x| x.re)));
+    let target = robot.forward(&true_joints(&n.arm, &errors, &waves, tau));
     let implied = ImpliedBar::new(&bar, &Tracer::new(&bar), &target, &o.bar_rad.map(Some)).unwrap();
     let near = implied.joints_rad.map(|b| b + 0.01);
     let implied = independent_implied(n, &n.robot_end(o.t_s), near);

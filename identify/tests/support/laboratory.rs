@@ -4,6 +4,7 @@
 use std::f64::consts::TAU;
 
 use identify::kinematics::{Trace, Tracer};
+use identify::model::DriveTrain;
 use identify::simulate::{self, Clocks, Design, Effects, Experiment, Simulated};
 use nalgebra::{Matrix6, Vector6};
 use rand::{Rng, SeedableRng};
@@ -56,7 +57,7 @@ impl Level {
     };
 }
 
-/// Lobes of each axis' cycloid gear.
+/// Lobes of each drive's cycloid gear: other ones than the robots' files guess.
 const LOBES: [f64; 6] = [59.0, 59.0, 39.0, 41.0, 47.0, 43.0];
 /// Speed over which backlash changes sides \[rad/s\].
 const BACKLASH_RAD_S: f64 = 2e-3;
@@ -92,7 +93,7 @@ pub fn without_noise(
     let experiment = Experiment { seed, effects, clocks, design, ..Experiment::new(robot, bar) };
     let mut run = simulate::run(&experiment).unwrap();
     add_second_harmonic(&mut run, level, &mut random);
-    add_to_robot(&mut run, level, &mut random);
+    add_to_robot(&mut run, robot, level, &mut random);
     run
 }
 
@@ -114,12 +115,13 @@ fn add(count: &mut u32, by_rad: f64, encoder: &shared::recording::schema::Encode
     *count = count.wrapping_add((encoder.scale.direction.sign() * counts) as u32);
 }
 
-/// Cycloid ripple, backlash, and the joints that a bar of varying length would have led to.
-fn add_to_robot(run: &mut Simulated, level: &Level, random: &mut ChaCha8Rng) {
+/// Cycloid ripple and backlash, which sit in the drives, and the joints that a bar of varying length would have led to.
+fn add_to_robot(run: &mut Simulated, robot: &RobotConfig, level: &Level, random: &mut ChaCha8Rng) {
     let phases: [f64; 6] = std::array::from_fn(|_| random.random_range(0.0..TAU));
     let azimuth = random.random_range(0.0..TAU);
     let truth = run.truth.clock;
     let tracer = Tracer::new(&run.motion.robot);
+    let drives = DriveTrain::of(robot, &run.motion.robot);
     let mut trace = Trace::default();
     let rows = run.robot_log.q_rad.clone();
     let before_bar_start_ns = run.robot_log.first_stamp_ns - truth.robot_at_bar_start_ns;
@@ -138,11 +140,15 @@ fn add_to_robot(run: &mut Simulated, level: &Level, random: &mut ChaCha8Rng) {
         let moved = rod * longer_m;
         let by = jacobian.try_inverse().unwrap() * Vector6::new(moved.x, moved.y, moved.z, 0.0, 0.0, 0.0);
         let (before, after) = (&rows[k.saturating_sub(3)], &rows[(k + 3).min(rows.len() - 1)]);
-        for joint in 0..6 {
-            let speed = (after[joint] - before[joint]) / (6.0 * 0.004);
-            let ripple = level.cycloid_urad * (LOBES[joint] * rows[k][joint] + phases[joint]).sin();
+        for drive in 0..6 {
+            let angle = |joints| drives.of_drive(drive, joints);
+            let speed = (angle(after) - angle(before)) / (6.0 * 0.004);
+            let ripple = level.cycloid_urad * (LOBES[drive] * angle(&rows[k]) + phases[drive]).sin();
             let backlash = 0.5 * level.backlash_urad * (speed / BACKLASH_RAD_S).tanh();
-            q[joint] += by[joint] + 1e-6 * (ripple + backlash);
+            q[drive] += by[drive];
+            for (joint, part) in drives.joint_from_drive[drive].iter().enumerate() {
+                q[joint] += part * 1e-6 * (ripple + backlash);
+            }
         }
     }
 }

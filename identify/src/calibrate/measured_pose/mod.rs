@@ -18,7 +18,7 @@ use nalgebra::{Rotation3, Vector3};
 
 use super::LossName;
 use crate::kinematics::{Chain, LinkParameter, Pose, ROBOT_JOINTS};
-use crate::model::{Axis, JointWaves, Model, ParameterId, Role, Unit};
+use crate::model::{Axis, Model, ParameterId, Role, Unit};
 use crate::solver::{Solution, Summary};
 use samples::{Samples, Weighing};
 use split::Split;
@@ -41,6 +41,9 @@ pub struct PoseRow {
     /// `tracker_from_probe`; used where every row has it.
     pub rotation: Option<Rotation3<f64>>,
 }
+
+/// Highest order of the joints' waves that is tried as a rule: there is no finer tooth near the output of a strain wave gear.
+pub const WAVES_PER_TURN_MAX: u8 = 64;
 
 /// How the calibration is done.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -72,7 +75,7 @@ impl Default for PoseOptions {
             loss: LossName::Huber,
             link_sigma_m: 1e-2,
             link_sigma_rad: 2e-2,
-            waves_per_turn_max: JointWaves::LAST,
+            waves_per_turn_max: WAVES_PER_TURN_MAX,
             joint_errors: true,
         }
     }
@@ -234,7 +237,7 @@ impl<'a> Fit<'a> {
         options: &PoseOptions,
     ) -> Result<(Vec<TermReport>, Summary), PoseError> {
         let kinds = terms::kinds(options.waves_per_turn_max);
-        *model = model.clone().with_joint_waves(options.waves_per_turn_max);
+        *model = model.clone().with_joint_waves(ParameterId::joint_waves(options.waves_per_turn_max));
         let choose = |model: &mut Model| {
             for kind in &kinds {
                 // A column of each; the prior is chosen below.
