@@ -17,19 +17,25 @@ const ALIKE_RAD: f64 = 0.1;
 const SAME_RAD: f64 = 2e-3;
 /// Periods are counted in bins of this width \[s\].
 const BIN_S: f64 = 0.5;
+/// Errors of gears, encoders and bearings last for seconds: shorter stretches are not independent of their neighbours \[s\].
+const STRETCH_MIN_S: f64 = 4.0;
+/// But so many there are in any case.
+const STRETCHES_MIN: usize = 8;
 /// Part of the samples that must have their like one period away.
 const SHARE: f64 = 0.4;
 
-/// Samples of each stretch, numbered over all runs, of which `starts` gives the first samples and the total: `count`
+/// Samples of each stretch, numbered over all runs, of which `starts` gives the first samples and the total: at most `count`
 /// stretches in each run, a motion that comes again with all of its repetitions in one.
 pub fn independent_stretches(runs: &[Run], starts: &[usize], count: usize) -> Vec<Vec<usize>> {
     let of_run = |(run, start): (&Run, &[usize])| {
         let samples: Vec<usize> = (start[0]..start[1]).collect();
         let times_s: Vec<f64> = run.prepared.observations.iter().map(|one| one.t_s).collect();
-        let in_order = match period_s(&run.prepared.motion, &times_s) {
-            Some(period_s) => by_phase(samples, &times_s, period_s),
-            None => samples,
+        let span_s = times_s.last().zip(times_s.first()).map_or(0.0, |(last, first)| last - first);
+        let (in_order, distinct_s) = match period_s(&run.prepared.motion, &times_s) {
+            Some(period_s) => (by_phase(samples, &times_s, period_s), period_s.min(span_s)),
+            None => (samples, span_s),
         };
+        let count = count.min(((distinct_s / STRETCH_MIN_S) as usize).max(STRETCHES_MIN));
         let parts = stretches(&[0, in_order.len()], count);
         parts.into_iter().map(|part: Range<usize>| in_order[part].to_vec()).collect::<Vec<_>>()
     };

@@ -2,19 +2,27 @@
 //!
 //! An error `a sin(n g) + b cos(n g)` of a drive at angle `g` adds `(a sin(n g) + b cos(n g)) J` to a residual, where `J`
 //! is what the drive's turn does to it. How much the sum of squares would fall with the best `a` and `b` is, over all
-//! orders `n`, a periodogram of the residuals over the drive's angle (Lomb 1976, with `J` for weights). What the solve has
-//! taken out already is orthogonal to the residuals, so that parameters near a wave can only hide it, never feign it.
+//! orders `n`, a periodogram of the residuals over the drive's angle (Lomb 1976, with `J` for weights). The wave that stands
+//! out most is fitted and taken away, then the next one is looked for (orthogonal matching pursuit, Pati 1993): axes that
+//! move together show each other's waves. What the solve has taken out already is orthogonal to the residuals, so that
+//! parameters near a wave can only hide it, never feign it.
 
 use std::collections::BTreeSet;
 use std::f64::consts::TAU;
 
+use nalgebra::{DMatrix, DVector};
+
 use crate::cost::{CostError, LoopProblem, Residual};
 use crate::kinematics::{LinkParameter, ROBOT_JOINTS};
-use crate::model::{DriveTrain, JointTerm, JointWaves, Model, Observation, ParameterId, Period, Phase, Role};
-use crate::model::{JointState, RobotMotion};
-use crate::solver::stacked;
+use crate::model::{
+    DriveTrain, JointState, JointTerm, JointWaves, Model, Observation, ParameterId, Period, Phase,
+    RobotMotion, Role,
+};
+use crate::solver::{Subset, stacked};
 
 const ORDERS: usize = (JointWaves::LAST - JointWaves::FIRST + 1) as usize;
+/// Samples of a run that are looked at, at most: waves that more would find are too small to matter.
+const SAMPLES_MAX: usize = 3000;
 /// What a wave takes away of noise of variance one is chi-squared with two degrees of freedom. Beyond this it stands out:
 /// that none of some 700 tries gets there by chance is certain to one in ten thousand.
 const STANDS_OUT: f64 = 32.0;
@@ -22,52 +30,24 @@ const STANDS_OUT: f64 = 32.0;
 const MEDIAN: f64 = 1.386;
 /// Waves of one axis at most: the order itself, twice that, and another stage of the gear.
 const WAVES_MAX: usize = 3;
-/// The side lobes of a peak that are seen are fewer, and lower than this part of it.
-const SIDE_LOBES: f64 = 4.0;
-const SIDE_LOBE: f64 = 0.1;
 
-/// Normal equations of one wave.
-#[derive(Debug, Clone, Copy, Default)]
-struct Wave {
-    gradient: [f64; 2],
-    /// `ss`, `sc`, `cc`
-    normal: [f64; 3],
-}
+/// A wave of an axis: axis from 0, times per turn.
+type Wave = (usize, u8);
 
-impl Wave {
-    /// How much the sum of squares falls with it.
-    fn fall(&self) -> f64 {
-        let ([s, c], [ss, sc, cc]) = (self.gradient, self.normal);
-        let determinant = ss * cc - sc * sc;
-        // The axis stood still, or sine and cosine are one over its travel.
-        if determinant <= 1e-6 * ss * cc {
-            return 0.0;
-        }
-        (s * s * cc - 2.0 * s * c * sc + c * c * ss) / determinant
-    }
-}
-
-/// Waves of all axes over the samples of all runs.
-#[derive(Debug)]
-pub(super) struct Spectrum {
-    waves: [Vec<Wave>; ROBOT_JOINTS],
-    /// Least and largest angle of each drive \[rad\].
-    travel_rad: [[f64; 2]; ROBOT_JOINTS],
-    squared: f64,
-    rows: f64,
+/// Samples of all runs, each multiplied by the root of its weight.
+#[derive(Debug, Default)]
+pub(super) struct Ripple {
+    /// One for each row.
+    residuals: Vec<f64>,
+    /// What a turn of each drive does to each row.
+    by_drives: Vec<[f64; ROBOT_JOINTS]>,
+    /// Of the drives at the sample of each row \[rad\].
+    angles_rad: Vec<[f64; ROBOT_JOINTS]>,
     /// Orders that are terms of their own.
-    known: BTreeSet<(usize, u8)>,
+    known: BTreeSet<Wave>,
 }
 
-impl Default for Spectrum {
-    fn default() -> Self {
-        let waves = std::array::from_fn(|_| vec![Wave::default(); ORDERS]);
-        let travel_rad = [[f64::INFINITY, f64::NEG_INFINITY]; ROBOT_JOINTS];
-        Self { waves, travel_rad, squared: 0.0, rows: 0.0, known: BTreeSet::new() }
-    }
-}
-
-impl Spectrum {
+impl Ripple {
     /// Adds the samples of a run where its model is, with their weights.
     ///
     /// # Errors
@@ -86,77 +66,116 @@ impl Spectrum {
         self.known.extend(known(drives));
         let Some(of_joints) = joints_only(model) else { return Ok(()) };
         let problem = LoopProblem::new(&of_joints, motion, observations, residual, sigma)?;
-        let Some((residuals, jacobian)) = stacked(&problem, &of_joints.start()) else { return Ok(()) };
-        let reported = observations.iter().map(|one| motion.at(geometry.clock.robot_time_s(one.t_s)));
-        // Samples without a value have no rows, and no weight.
-        let present: Vec<(JointState, f64)> = reported
-            .zip(weights)
-            .filter_map(|(state, weight)| Some((state?, *weight)))
-            .filter(|(_, weight)| *weight > 0.0)
+        let every = observations.len().div_ceil(SAMPLES_MAX).max(1);
+        let reported = |sample: usize| motion.at(geometry.clock.robot_time_s(observations.get(sample)?.t_s));
+        // Samples without a value have no weight.
+        let present: Vec<(usize, JointState, f64)> = (0..observations.len())
+            .step_by(every)
+            .filter_map(|sample| Some((sample, reported(sample)?, *weights.get(sample)?)))
+            .filter(|(.., weight)| *weight > 0.0)
             .collect();
+        let samples = present.iter().map(|(sample, ..)| *sample).collect();
+        let subset = Subset { of: &problem, samples };
+        let Some((residuals, jacobian)) = stacked(&subset, &of_joints.start()) else { return Ok(()) };
         if residuals.len() != R::ROWS * present.len() {
             return Ok(());
         }
-        for (sample, (state, weight)) in present.iter().enumerate() {
-            let rows = sample * R::ROWS..(sample + 1) * R::ROWS;
-            self.squared += weight * rows.clone().map(|row| residuals[row].powi(2)).sum::<f64>();
-            self.rows += weight * R::ROWS as f64;
-            for axis in 0..ROBOT_JOINTS {
-                let turned = &drives.joint_from_drive[axis];
-                let by_drive = |row: usize| {
-                    turned.iter().enumerate().map(|(j, part)| part * jacobian[(row, j)]).sum::<f64>()
-                };
-                let (mut pull, mut stiffness) = (0.0, 0.0);
-                for row in rows.clone() {
-                    let by = by_drive(row);
-                    pull += weight * by * residuals[row];
-                    stiffness += weight * by * by;
-                }
-                let angle_rad = drives.of_drive(axis, &state.q);
-                let [low, high] = self.travel_rad[axis];
-                self.travel_rad[axis] = [low.min(angle_rad), high.max(angle_rad)];
-                add_sample(&mut self.waves[axis], angle_rad, pull, stiffness);
-            }
+        for row in 0..residuals.len() {
+            let (_, state, weight) = &present[row / R::ROWS];
+            let root = weight.sqrt();
+            let by_drive = |axis: usize| {
+                let turned = drives.joint_from_drive[axis].iter().enumerate();
+                turned.map(|(joint, part)| root * part * jacobian[(row, joint)]).sum()
+            };
+            self.residuals.push(root * residuals[row]);
+            self.by_drives.push(std::array::from_fn(by_drive));
+            self.angles_rad.push(std::array::from_fn(|axis| drives.of_drive(axis, &state.q)));
         }
         Ok(())
     }
 
     /// The waves that stand out of the noise and of each axis' other waves, sine and cosine of each.
-    pub fn peaks(&self) -> Vec<ParameterId> {
-        let of_axis = |axis: usize| {
-            let new = move |order: &u8| !self.known.contains(&(axis, *order));
-            let orders = self.peaks_of(axis).into_iter().filter(new);
-            orders
-                .flat_map(move |order| Phase::ALL.map(|phase| ParameterId::JointWave { axis, order, phase }))
-        };
-        (0..ROBOT_JOINTS).flat_map(of_axis).collect()
+    pub fn found(&self) -> Vec<ParameterId> {
+        let resolved: [f64; ROBOT_JOINTS] = std::array::from_fn(|axis| self.resolved(axis));
+        let mut found: Vec<Wave> = Vec::new();
+        let mut left = DVector::from_column_slice(&self.residuals);
+        loop {
+            let is_new = |&(_, (axis, order)): &(f64, Wave)| {
+                let of_axis = found.iter().filter(|wave| wave.0 == axis);
+                // Over a part of a turn a wave looks like its neighbours: they are its shadows.
+                let mut apart = of_axis.clone().map(|wave| f64::from(wave.1.abs_diff(order)));
+                of_axis.clone().count() < WAVES_MAX && apart.all(|apart| apart > resolved[axis])
+            };
+            let standing = (0..ROBOT_JOINTS).flat_map(|axis| self.standing(axis, left.as_slice()));
+            let Some((_, wave)) = standing.filter(is_new).max_by(|a, b| a.0.total_cmp(&b.0)) else { break };
+            found.push(wave);
+            let Some(without) = self.without(&found) else { break };
+            left = without;
+        }
+        let new = found.into_iter().filter(|wave| !self.known.contains(wave));
+        new.flat_map(|(axis, order)| Phase::ALL.map(|phase| ParameterId::JointWave { axis, order, phase }))
+            .collect()
     }
 
-    /// Orders of an axis, the strongest first.
-    fn peaks_of(&self, axis: usize) -> Vec<u8> {
-        let falls: Vec<f64> = self.waves[axis].iter().map(Wave::fall).collect();
-        let mut sorted = falls.clone();
+    /// Orders that are told apart over the travel of a drive.
+    fn resolved(&self, axis: usize) -> f64 {
+        let angles = self.angles_rad.iter().map(|angles| angles[axis]);
+        let (low, high) =
+            angles.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), at| (low.min(at), high.max(at)));
+        (TAU / (high - low)).ceil()
+    }
+
+    /// Waves of an axis that stand out, with by how much.
+    fn standing(&self, axis: usize, left: &[f64]) -> Vec<(f64, Wave)> {
+        let mut orders = [Equations::default(); ORDERS];
+        for ((residual, by), angles) in left.iter().zip(&self.by_drives).zip(&self.angles_rad) {
+            add(&mut orders, angles[axis], by[axis] * residual, by[axis] * by[axis]);
+        }
+        let falls = orders.map(|order| order.fall());
+        let mut sorted = falls;
         sorted.sort_unstable_by(f64::total_cmp);
         // Errors of other kinds lift all waves: peaks have to stand out of these, too.
-        let floor = sorted.get(sorted.len() / 2).map_or(0.0, |median| median / MEDIAN);
-        let noise = floor.max(self.squared / self.rows.max(1.0));
-        let mut standing: Vec<(f64, u8)> = falls.into_iter().zip(JointWaves::FIRST..).collect();
-        standing.retain(|(fall, _)| *fall > STANDS_OUT * noise);
-        standing.sort_by(|a, b| b.0.total_cmp(&a.0));
-        // Over a part of a turn a wave looks like its neighbours: those of a stronger one are its shadows.
-        let [low, high] = self.travel_rad[axis];
-        let resolved = (TAU / (high - low)).ceil();
-        let mut peaks: Vec<(f64, u8)> = Vec::new();
-        for (fall, order) in standing {
-            let is_shadow = |(of_peak, peak): &(f64, u8)| {
-                let apart = f64::from(peak.abs_diff(order));
-                apart <= resolved || apart <= SIDE_LOBES * resolved && fall < SIDE_LOBE * of_peak
-            };
-            if peaks.len() < WAVES_MAX && !peaks.iter().any(is_shadow) {
-                peaks.push((fall, order));
-            }
+        let floor = sorted[ORDERS / 2] / MEDIAN;
+        let variance =
+            left.iter().map(|residual| residual * residual).sum::<f64>() / left.len().max(1) as f64;
+        let noise = floor.max(variance);
+        let standing =
+            falls.into_iter().zip(JointWaves::FIRST..).filter(|(fall, _)| *fall > STANDS_OUT * noise);
+        standing.map(|(fall, order)| (fall / noise, (axis, order))).collect()
+    }
+
+    /// What these waves, fitted together, leave of the residuals.
+    fn without(&self, waves: &[Wave]) -> Option<DVector<f64>> {
+        let columns: Vec<(Wave, Phase)> =
+            waves.iter().flat_map(|wave| Phase::ALL.map(|phase| (*wave, phase))).collect();
+        let by = DMatrix::from_fn(self.residuals.len(), columns.len(), |row, column| {
+            let ((axis, order), phase) = columns[column];
+            self.by_drives[row][axis] * JointWaves::wave(order, phase, self.angles_rad[row][axis])
+        });
+        let residuals = DVector::from_column_slice(&self.residuals);
+        let amplitudes = by.tr_mul(&by).cholesky()?.solve(&by.tr_mul(&residuals));
+        Some(residuals - by * amplitudes)
+    }
+}
+
+/// Normal equations of one wave.
+#[derive(Debug, Clone, Copy, Default)]
+struct Equations {
+    gradient: [f64; 2],
+    /// `ss`, `sc`, `cc`
+    normal: [f64; 3],
+}
+
+impl Equations {
+    /// How much the sum of squares falls with it.
+    fn fall(&self) -> f64 {
+        let ([s, c], [ss, sc, cc]) = (self.gradient, self.normal);
+        let determinant = ss * cc - sc * sc;
+        // The axis stood still, or sine and cosine are one over its travel.
+        if determinant <= 1e-6 * ss * cc {
+            return 0.0;
         }
-        peaks.into_iter().map(|(_, order)| order).collect()
+        (s * s * cc - 2.0 * s * c * sc + c * c * ss) / determinant
     }
 }
 
@@ -184,16 +203,16 @@ fn joints_only(model: &Model) -> Option<Model> {
     complete.then_some(model)
 }
 
-/// Adds a sample at a drive's angle to the normal equations of all orders.
-fn add_sample(waves: &mut [Wave], angle_rad: f64, pull: f64, stiffness: f64) {
+/// Adds a row at a drive's angle to the normal equations of all orders.
+fn add(orders: &mut [Equations; ORDERS], angle_rad: f64, pull: f64, stiffness: f64) {
     let (step_sin, step_cos) = angle_rad.sin_cos();
     let (mut sin, mut cos) = (f64::from(JointWaves::FIRST) * angle_rad).sin_cos();
-    for wave in waves {
-        wave.gradient[0] += pull * sin;
-        wave.gradient[1] += pull * cos;
-        wave.normal[0] += stiffness * sin * sin;
-        wave.normal[1] += stiffness * sin * cos;
-        wave.normal[2] += stiffness * cos * cos;
+    for order in orders {
+        order.gradient[0] += pull * sin;
+        order.gradient[1] += pull * cos;
+        order.normal[0] += stiffness * sin * sin;
+        order.normal[1] += stiffness * sin * cos;
+        order.normal[2] += stiffness * cos * cos;
         (sin, cos) = (sin * step_cos + cos * step_sin, cos * step_cos - sin * step_sin);
     }
 }

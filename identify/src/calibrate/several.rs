@@ -5,7 +5,7 @@ use super::blocks::Blocks;
 use super::candidates::{Candidate, TermGroup, choose, prior_scale};
 use super::config::{CostName, IdentifyConfig, SelectionName};
 use super::repetition::independent_stretches;
-use super::ripple::Spectrum;
+use super::ripple::Ripple;
 use super::robust::{LossName, solve_from_subsets, solve_robust};
 use super::structure::identifiable;
 use crate::cost::{CostError, LoopProblem, Residual, SeveralRuns, SharedColumns, fill_in};
@@ -264,15 +264,15 @@ impl<R: Residual, F: Fn(&Prepared, &Geometry) -> R> Solver<'_, F> {
 
     /// Gives all models the waves of the axes that what is left shows.
     fn offer_ripple(&mut self, sigma: f64, weights: &[f64]) -> Result<(), CalibrateError> {
-        let mut spectrum = Spectrum::default();
+        let mut ripple = Ripple::default();
         let mut weights = weights;
         for Run { prepared, model } in &*self.runs {
             let (own, rest) = weights.split_at(prepared.observations.len().min(weights.len()));
             weights = rest;
             let residual = (self.residual)(prepared, &model.geometry(&[]));
-            spectrum.add(model, &prepared.motion, &prepared.observations, residual, sigma, own)?;
+            ripple.add(model, &prepared.motion, &prepared.observations, residual, sigma, own)?;
         }
-        let found = spectrum.peaks();
+        let found = ripple.found();
         for run in &mut *self.runs {
             run.model = run.model.clone().with_joint_waves(found.iter().copied());
         }

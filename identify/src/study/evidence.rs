@@ -111,10 +111,18 @@ impl Evidence {
         joint_limits_deg: &[[f64; 2]; ROBOT_JOINTS],
         watch: Option<&dyn Watch>,
     ) -> Result<Self, CalibrateError> {
-        let stretches = without_each_stretch(calibration, config, watch)?;
-        self.held_out = Some(held_out(calibration, &stretches));
-        let others = other_costs(calibration, config, watch)?;
-        self.costs = Some(compare_costs(calibration, &others, joint_limits_deg));
+        // Neither needs the other, and each is as long as the calibration.
+        let (held_out, costs) = std::thread::scope(|scope| {
+            let costs = scope.spawn(|| {
+                let others = other_costs(calibration, config, watch)?;
+                Ok::<_, CalibrateError>(compare_costs(calibration, &others, joint_limits_deg))
+            });
+            let stretches = without_each_stretch(calibration, config, watch);
+            let held_out = stretches.map(|stretches| held_out(calibration, &stretches));
+            (held_out, costs.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+        });
+        self.held_out = Some(held_out?);
+        self.costs = Some(costs?);
         Ok(self)
     }
 }
