@@ -28,6 +28,8 @@ const SAMPLES_MAX: usize = 3000;
 const STANDS_OUT: f64 = 32.0;
 /// Median of the same.
 const MEDIAN: f64 = 1.386;
+/// Waves per turn that are terms of their own, at most.
+const TWICE: f64 = 2.0;
 /// Waves of one axis at most: the order itself, twice that, and another stage of the gear.
 const WAVES_MAX: usize = 3;
 
@@ -102,9 +104,11 @@ impl Ripple {
         loop {
             let is_new = |&(_, (axis, order)): &(f64, Wave)| {
                 let of_axis = found.iter().filter(|wave| wave.0 == axis);
-                // Over a part of a turn a wave looks like its neighbours: they are its shadows.
+                // Over a part of a turn a wave looks like its neighbours: they are its shadows. Those of once and twice
+                // per turn are in the way, too: these are terms of their own and may not have been taken out yet.
                 let mut apart = of_axis.clone().map(|wave| f64::from(wave.1.abs_diff(order)));
-                of_axis.clone().count() < WAVES_MAX && apart.all(|apart| apart > resolved[axis])
+                let slow = f64::from(order) <= TWICE + resolved[axis];
+                !slow && of_axis.clone().count() < WAVES_MAX && apart.all(|apart| apart > resolved[axis])
             };
             let standing = (0..ROBOT_JOINTS).flat_map(|axis| self.standing(axis, left.as_slice()));
             let Some((_, wave)) = standing.filter(is_new).max_by(|a, b| a.0.total_cmp(&b.0)) else { break };
