@@ -17,15 +17,14 @@ const ALIKE_RAD: f64 = 0.1;
 const SAME_RAD: f64 = 2e-3;
 /// Periods are counted in bins of this width \[s\].
 const BIN_S: f64 = 0.5;
-/// Errors of gears, encoders and bearings last for seconds: shorter stretches are not independent of their neighbours \[s\].
-const STRETCH_MIN_S: f64 = 4.0;
-/// But so many there are in any case.
+/// So many stretches there are in any case.
 const STRETCHES_MIN: usize = 8;
 /// Part of the samples that must have their like one period away.
 const SHARE: f64 = 0.4;
 
 /// Samples of each stretch, numbered over all runs, of which `starts` gives the first samples and the total: at most `count`
-/// stretches in each run, a motion that comes again with all of its repetitions in one.
+/// stretches in each run, a motion that comes again with all of its repetitions in one. It has fewer of them, so that they
+/// last as long as those of a run that does not repeat: errors of gears and bearings go on for seconds.
 pub fn independent_stretches(runs: &[Run], starts: &[usize], count: usize) -> Vec<Vec<usize>> {
     let of_run = |(run, start): (&Run, &[usize])| {
         let samples: Vec<usize> = (start[0]..start[1]).collect();
@@ -35,7 +34,8 @@ pub fn independent_stretches(runs: &[Run], starts: &[usize], count: usize) -> Ve
             Some(period_s) => (by_phase(samples, &times_s, period_s), period_s.min(span_s)),
             None => (samples, span_s),
         };
-        let count = count.min(((distinct_s / STRETCH_MIN_S) as usize).max(STRETCHES_MIN));
+        let distinct = if span_s > 0.0 { distinct_s / span_s } else { 1.0 };
+        let count = count.min(((count as f64 * distinct) as usize).max(STRETCHES_MIN));
         let parts = stretches(&[0, in_order.len()], count);
         parts.into_iter().map(|part: Range<usize>| in_order[part].to_vec()).collect::<Vec<_>>()
     };
