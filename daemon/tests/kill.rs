@@ -129,8 +129,11 @@ fn a_kill_at_any_instant_costs_at_most_a_second_and_leaves_a_readable_recording(
             && let Some(life) = lives.get(index)
         {
             let name = format!("kill-{index}");
-            let killed = record_and_kill(directory.path(), &name, *life);
-            left.push(recover(directory.path(), &name, killed));
+            // A process that starts recovers what it finds: each has a folder of its own.
+            let own = directory.path().join(&name);
+            std::fs::create_dir(&own).unwrap();
+            let killed = record_and_kill(&own, &name, *life);
+            left.push(recover(&own, &name, killed));
         }
         left
     };

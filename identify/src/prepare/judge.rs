@@ -3,6 +3,7 @@
 use serde::Serialize;
 
 use super::circular::{median, spread_of};
+use super::jump::{Jump, jumps};
 use super::{PrepareError, PrepareOptions};
 use crate::kinematics::BAR_JOINTS;
 
@@ -141,7 +142,6 @@ impl Steps {
 /// [`PrepareError::ClockJump`] where all joints change by their speeds.
 pub(super) fn check_steps(
     judged: &[Judged],
-    shifts: &[LocalShift],
     measured: &[bool; BAR_JOINTS],
     t_ref_s: f64,
     options: &PrepareOptions,
@@ -151,57 +151,29 @@ pub(super) fn check_steps(
             .filter(|joint| measured[*joint])
             .map(|joint| (joint, Steps::new(of_origin, joint, options)))
             .collect();
-        let mut sharpest = (0, 1.0);
+        let jumps = jumps(of_origin, measured, JUMP_S_MIN);
+        let jumped = |jump: Option<Jump>| {
+            let told =
+                |Jump { at_s, by_s }| PrepareError::ClockJump { at_s: at_s + t_ref_s, by_ms: by_s * 1e3 };
+            jump.map_or(Ok(()), |jump| Err(told(jump)))
+        };
+        jumped(jumps.sure)?;
         let mut slip: Option<(usize, usize, f64, f64)> = None;
         for (joint, steps) in &joints {
             for (at, (by_rad, ratio)) in steps.steps.iter().enumerate() {
-                if *ratio > sharpest.1 {
-                    sharpest = (at, *ratio);
-                }
                 if *ratio > slip.map_or(1.0, |(.., most)| most) && steps.lasts(at, *by_rad) {
                     slip = Some((*joint, at, *by_rad, *ratio));
                 }
             }
-        }
-        if let Some((at_s, by_s)) = time_step(of_origin, &joints, sharpest, shifts) {
-            return Err(PrepareError::ClockJump { at_s: at_s + t_ref_s, by_ms: by_s * 1e3 });
         }
         if let Some((joint, at, by_rad, _)) = slip {
             let at = &of_origin[at];
             let (at_s, by_mrad) = (at.t_s + t_ref_s, by_rad * 1e3 / at.trust);
             return Err(PrepareError::EncoderSlip { joint: joint as u8 + 1, at_s, by_mrad });
         }
+        jumped(jumps.likely)?;
     }
     Ok(())
-}
-
-/// When and how much time jumps, if that is what the sharpest step is: every joint steps by its speed times one and the
-/// same time, and the alignment of the parts before and after differs by it too.
-fn time_step(
-    of_origin: &[Judged],
-    joints: &[(usize, Steps)],
-    (at, ratio): (usize, f64),
-    shifts: &[LocalShift],
-) -> Option<(f64, f64)> {
-    /// Part of the steps that one time must explain.
-    const EXPLAINED: f64 = 0.8;
-    let here = of_origin.get(at).filter(|_| ratio > 1.0)?;
-    let steps: Vec<(f64, f64)> = joints
-        .iter()
-        .filter_map(|(joint, steps)| Some((steps.steps.get(at)?.0, here.speed_rad_s[*joint])))
-        .collect();
-    let sum = |of: &dyn Fn(&(f64, f64)) -> f64| steps.iter().map(of).sum::<f64>();
-    let by_s = sum(&|(step, speed)| step * speed) / sum(&|(_, speed)| speed * speed);
-    let left = sum(&|(step, speed)| (step - by_s * speed).powi(2)) / sum(&|(step, _)| step * step);
-    // One joint alone that happens to be the fastest is a slip.
-    let fastest = steps.iter().map(|(_, speed)| speed * speed).fold(0.0, f64::max);
-    let several = sum(&|(_, speed)| speed * speed) > 1.1 * fastest;
-    let after = shifts.iter().find(|shift| shift.t_s > here.t_s)?;
-    let before = shifts.iter().rfind(|shift| shift.t_s < here.t_s)?;
-    // The parts tell the size: where the step happens joints may be slow and just gaining speed.
-    let jump_s = after.shift_s - before.shift_s;
-    let agree = jump_s * by_s > 0.0 && jump_s.abs() > JUMP_S_MIN;
-    (left < 1.0 - EXPLAINED && several && agree).then_some((here.t_s, jump_s))
 }
 
 /// Median of `beside` values from `at` on, less that of as many before it.

@@ -36,6 +36,7 @@ mod find;
 mod findings;
 mod forces;
 mod judge;
+mod jump;
 mod origins;
 mod predict;
 mod refine;

@@ -80,7 +80,7 @@ pub(super) fn sort(
     let (mut fates, judged) = look_at_all(raw, &joints, found, motion, options);
     let local_shifts = local_shifts(&judged);
     let spread_rad = spreads_rad(&judged);
-    check_steps(&judged, &local_shifts, &measured, t_ref_s, options)
+    check_steps(&judged, &measured, t_ref_s, options)
         .and_then(|()| check_clock(&local_shifts, t_ref_s))
         .and_then(|()| check_fit(&spread_rad, options))
         .map_err(|error| {
