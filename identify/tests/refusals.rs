@@ -87,10 +87,7 @@ fn a_clock_that_jumps_is_told_with_time_and_size() {
         if jump_s == 0.3 {
             leaves_a_page(&run, &bar(), "a clock jumps during the run", &[]);
         }
-        if !told.contains("a clock jumps during the run") {
-            println!("MISSED {part} {jump_s} {told}");
-            continue;
-        }
+        assert!(told.contains("a clock jumps during the run"), "{told}");
         // Jumps that only whole parts of the run show are told less sharply.
         let within_s = if jump_s < 0.1 { 3.0 } else { 15.0 };
         assert!((number_before(&told, " s after") - 80.0 * part).abs() < within_s, "{part}: {told}");
