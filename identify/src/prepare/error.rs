@@ -226,8 +226,8 @@ pub enum PrepareError {
     },
     /// The robot moved on a circle or stood.
     #[error(
-        "the robot's positions span no sphere (they lie on a line, a circle or in one place); the motion excites too \
-         little: move the bar over a good part of its sphere, with all joints"
+        "the motion excites too little: the robot's positions span no sphere (they lie on a line, a circle or in one place); \
+         move the bar over a good part of its sphere, with all joints"
     )]
     LittleMotion,
     /// Hardly anything is left.
