@@ -276,7 +276,7 @@ mod tests {
             (
                 PrepareError::NoMatch { correlation: 0.3, overlap_s: 20.0, needed: 0.9 }.to_string(),
                 "0.30",
-                "They do not overlap",
+                "give the log of this run",
             ),
             (
                 CalibrateError::from(Unidentifiable { rank: 1, columns: 3, what }).to_string(),
