@@ -145,8 +145,8 @@ impl Recorder {
         run: &RunMetadata,
         link: RunLink,
     ) -> Self {
-        // The rest of the period is for what waits in the ring and for the disk.
-        let sync_period = sync_period * 9 / 10;
+        // The other half is for a disk or a processor that is late: the period is a promise.
+        let sync_period = sync_period / 2;
         Self {
             source,
             writer,
@@ -236,10 +236,11 @@ impl Recorder {
     }
 
     fn sync(&mut self, synced_at: &mut Instant, synced_cycles: &mut u64) -> Result<(), WriteError> {
+        // What comes while the disk works waits for the next time, so that the period counts from here.
+        *synced_at = Instant::now();
         self.note_clock_step()?;
         self.write_timing_if_due()?;
         self.writer.sync()?;
-        *synced_at = Instant::now();
         *synced_cycles = self.writer.cycles();
         self.link.progress.set(Synced {
             cycles: self.writer.cycles(),
