@@ -39,11 +39,11 @@ type Wave = (usize, u8);
 /// Samples of all runs, each multiplied by the root of its weight.
 #[derive(Debug, Default)]
 pub(super) struct Ripple {
-    /// One for each row.
+    /// One for each row; every sample has as many rows.
     residuals: Vec<f64>,
     /// What a turn of each drive does to each row.
     by_drives: Vec<[f64; ROBOT_JOINTS]>,
-    /// Of the drives at the sample of each row \[rad\].
+    /// Of the drives at each sample \[rad\].
     angles_rad: Vec<[f64; ROBOT_JOINTS]>,
     /// Orders that are terms of their own.
     known: BTreeSet<Wave>,
@@ -82,16 +82,17 @@ impl Ripple {
         if residuals.len() != R::ROWS * present.len() {
             return Ok(());
         }
+        self.angles_rad.extend(
+            present.iter().map(|(_, state, _)| std::array::from_fn(|axis| drives.of_drive(axis, &state.q))),
+        );
         for row in 0..residuals.len() {
-            let (_, state, weight) = &present[row / R::ROWS];
-            let root = weight.sqrt();
+            let root = present[row / R::ROWS].2.sqrt();
             let by_drive = |axis: usize| {
                 let turned = drives.joint_from_drive[axis].iter().enumerate();
                 turned.map(|(joint, part)| root * part * jacobian[(row, joint)]).sum()
             };
             self.residuals.push(root * residuals[row]);
             self.by_drives.push(std::array::from_fn(by_drive));
-            self.angles_rad.push(std::array::from_fn(|axis| drives.of_drive(axis, &state.q)));
         }
         Ok(())
     }
@@ -121,6 +122,11 @@ impl Ripple {
             .collect()
     }
 
+    /// Rows of each sample.
+    fn rows(&self) -> usize {
+        (self.residuals.len() / self.angles_rad.len().max(1)).max(1)
+    }
+
     /// Orders that are told apart over the travel of a drive.
     fn resolved(&self, axis: usize) -> f64 {
         let angles = self.angles_rad.iter().map(|angles| angles[axis]);
@@ -132,8 +138,12 @@ impl Ripple {
     /// Waves of an axis that stand out, with by how much.
     fn standing(&self, axis: usize, left: &[f64]) -> Vec<(f64, Wave)> {
         let mut orders = [Equations::default(); ORDERS];
-        for ((residual, by), angles) in left.iter().zip(&self.by_drives).zip(&self.angles_rad) {
-            add(&mut orders, angles[axis], by[axis] * residual, by[axis] * by[axis]);
+        let samples = left.chunks_exact(self.rows()).zip(self.by_drives.chunks_exact(self.rows()));
+        for ((residuals, by), angles) in samples.zip(&self.angles_rad) {
+            // All rows of a sample share its waves.
+            let pull = residuals.iter().zip(by).map(|(residual, by)| by[axis] * residual).sum();
+            let stiffness = by.iter().map(|by| by[axis] * by[axis]).sum();
+            add(&mut orders, angles[axis], pull, stiffness);
         }
         let falls = orders.map(|order| order.fall());
         let mut sorted = falls;
@@ -154,7 +164,8 @@ impl Ripple {
             waves.iter().flat_map(|wave| Phase::ALL.map(|phase| (*wave, phase))).collect();
         let by = DMatrix::from_fn(self.residuals.len(), columns.len(), |row, column| {
             let ((axis, order), phase) = columns[column];
-            self.by_drives[row][axis] * JointWaves::wave(order, phase, self.angles_rad[row][axis])
+            let angle_rad = self.angles_rad[row / self.rows()][axis];
+            self.by_drives[row][axis] * JointWaves::wave(order, phase, angle_rad)
         });
         let residuals = DVector::from_column_slice(&self.residuals);
         let amplitudes = by.tr_mul(&by).cholesky()?.solve(&by.tr_mul(&residuals));
@@ -207,7 +218,7 @@ fn joints_only(model: &Model) -> Option<Model> {
     complete.then_some(model)
 }
 
-/// Adds a row at a drive's angle to the normal equations of all orders.
+/// Adds a sample at a drive's angle to the normal equations of all orders.
 fn add(orders: &mut [Equations; ORDERS], angle_rad: f64, pull: f64, stiffness: f64) {
     let (step_sin, step_cos) = angle_rad.sin_cos();
     let (mut sin, mut cos) = (f64::from(JointWaves::FIRST) * angle_rad).sin_cos();
