@@ -12,6 +12,7 @@ use identify::calibrate::structure::identifiable;
 use identify::calibrate::{CostName, IdentifyConfig, SelectionName};
 use identify::model::{ParameterId, Phase, THESIS_FIXED};
 use identify::simulate::{self, Design, Effects, Experiment};
+use identify::study::{evidence, uncalibrated};
 
 fn calibrated(effects: Effects, selection: SelectionName) -> BallBarCalibration {
     let (robot, bar) = (irb2400(), bar());
@@ -121,6 +122,14 @@ fn lobes_of_gears_that_nobody_has_counted_are_found() {
         (order - lobes).abs() <= 1.0 || (order - 2.0 * lobes).abs() <= 2.0
     };
     assert!(waves.iter().all(is_true), "{waves:?}");
+
+    // What a calibration is compared with is the robot as its maker sold it.
+    let mut nominal = uncalibrated(&found.model, &found.prepared.motion, &found.prepared.observations);
+    for wave in found.model.parameters().iter().map(|parameter| parameter.id) {
+        if matches!(wave, ParameterId::JointWave { .. }) {
+            assert_eq!(nominal.parameter_mut(wave), Some(&mut 0.0), "{wave}");
+        }
+    }
 }
 
 /// The laboratory's bar is longer by 15 um twice per turn of joint 1, and by 10 um three times per turn of joint 2, each way.
@@ -150,4 +159,7 @@ fn how_the_length_of_the_bar_follows_its_direction_is_found() {
         println!("joint {}, {order} per turn: {um:.2} um of {expected_um}", joint + 1);
         assert!((um - expected_um).abs() < 4.0, "joint {}, {order} per turn: {um}", joint + 1);
     }
+    // Nothing of that is the work of a force.
+    let sphere = evidence(&found, &robot.joint_limits_deg).spheres.remove(0).after;
+    assert!(sphere.rms_m > 0.0 && sphere.rms_m == sphere.unexplained_rms_m, "{sphere:?}");
 }

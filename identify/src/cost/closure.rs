@@ -19,8 +19,8 @@ pub struct Closure {
     pub turned_rad: Vector3<f64>,
     /// Distance of the robot's end from the centre of the gimbal minus the bar's length under its force and in its direction \[m\].
     pub off_sphere_m: f64,
-    /// What force and direction add to the bar's length \[m\].
-    pub extension_m: f64,
+    /// What the force adds to the bar's length \[m\].
+    pub by_force_m: f64,
     /// On the bar.
     pub force: BarForce,
     /// From the centre of the gimbal to the robot's end, in the robot's base, unit length.
@@ -66,7 +66,7 @@ pub fn closures(
             apart_m: scene.robot.position_m() - scene.bar.position_m(),
             turned_rad: rotation_vector(&(scene.robot.rotation() * scene.bar.rotation().transpose())),
             off_sphere_m: out_m.norm() - scene.rod_m(),
-            extension_m: geometry.extension_m(&observation.force, &readings),
+            by_force_m: geometry.stretch.extension_m(&observation.force),
             force: observation.force,
             direction: out_m / out_m.norm().max(f64::MIN_POSITIVE),
             margin_rad: singularity_margin_rad(&bar_rad),

@@ -6,7 +6,7 @@ use crate::solver::{Options, solve};
 
 /// The parameter describes the robot itself, not where the bar stands, how its encoders are zeroed or how clocks differ.
 fn of_robot(id: ParameterId) -> bool {
-    matches!(id, ParameterId::Robot { .. } | ParameterId::Joint { .. })
+    matches!(id, ParameterId::Robot { .. } | ParameterId::Joint { .. } | ParameterId::JointWave { .. })
 }
 
 /// The calibrated model with its robot put back to nominal, and the bar's place and encoder offsets fitted to that.

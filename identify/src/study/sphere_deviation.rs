@@ -47,7 +47,7 @@ impl Deviation {
         let sample = |one: &Closure| OffSphere {
             t_s: one.t_s,
             direction: one.direction,
-            off_m: out_m(one) + one.extension_m,
+            off_m: out_m(one) + one.by_force_m,
             unexplained_m: out_m(one),
             force: if of_signs { one.force.side } else { one.force.along_n },
         };
