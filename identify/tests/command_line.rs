@@ -5,25 +5,15 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::OnceLock;
 
+use crate::support::command::identify;
 use crate::support::refused::states_the_verdict;
+use crate::support::{lengths, repository};
 use shared::recording::Recording;
 use shared::recording::schema::CycleRecord;
 use tempfile::TempDir;
 
 fn config(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("../config").join(name)
-}
-
-fn identify(arguments: &[&str], robot: &str, out: &Path) -> Output {
-    Command::new(env!("CARGO_BIN_EXE_identify"))
-        .args(arguments)
-        .arg("--robot")
-        .arg(config("robots").join(robot))
-        .arg("--out")
-        .arg(out)
-        .env("RUST_LOG", "off")
-        .output()
-        .unwrap()
+    repository("config").join(name)
 }
 
 const IRB: &str = "irb2400_16.toml";
@@ -328,21 +318,8 @@ fn another_robots_configuration_is_refused() {
 
 #[test]
 fn measured_lengths_calibrate_from_a_csv_with_a_mapping() {
-    // Lengths from an anchor at (0.3, -0.6, 0.1) m to the flange of the nominal IRB 120, rounded to 0.01 mm.
-    let robot: shared::config::RobotConfig = shared::config::load(&config("robots/irb120_3.toml")).unwrap();
-    let chain = identify::kinematics::flange_chain(&robot);
-    let anchor_m = nalgebra::Vector3::new(0.3, -0.6, 0.1);
-    let mut csv = String::from("x_mm,y_mm,z_mm,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,cable_mm\n");
-    for row in 0..200 {
-        let swing =
-            |joint: usize| 50.0 * (0.37 * f64::from(row) * (1.0 + 0.31 * joint as f64) + joint as f64).sin();
-        let q_deg: [f64; 6] = std::array::from_fn(swing);
-        let position_m = chain.forward(&q_deg.map(f64::to_radians)).translation.vector;
-        for cell in position_m.iter().map(|value| value * 1e3).chain(q_deg) {
-            csv += &format!("{cell:.6},");
-        }
-        csv += &format!("{:.2}\n", (position_m - anchor_m).norm() * 1e3 + 12.0);
-    }
+    let robot = shared::config::load(&config("robots/irb120_3.toml")).unwrap();
+    let csv = lengths::table(&robot, 200, 12.0);
     let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     let path = inputs.path().join("lengths.csv");
     std::fs::write(&path, &csv).unwrap();
@@ -361,7 +338,8 @@ fn measured_lengths_calibrate_from_a_csv_with_a_mapping() {
             .as_float()
             .unwrap()
     };
-    assert!((value("anchor_x") - 0.3).abs() < 1e-3 && (value("anchor_y") + 0.6).abs() < 1e-3);
+    let [x_m, y_m, _] = lengths::ANCHOR_M;
+    assert!((value("anchor_x") - x_m).abs() < 1e-3 && (value("anchor_y") - y_m).abs() < 1e-3);
     assert!((value("length_offset") - 0.012).abs() < 1e-3);
 
     let broken = csv.replace("cable_mm", "wire_mm");

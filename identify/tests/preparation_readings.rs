@@ -3,25 +3,11 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::f64::consts::TAU;
-use std::path::Path;
 
-use crate::support::{bar, irb2400};
-use identify::calibrate::IdentifyConfig;
+use crate::support::minute::{prepared, run};
 use identify::logs::Unwrapped;
-use identify::prepare::{Prepared, prepare, unwrapped_log};
-use identify::simulate::{self, Design, Effects, Experiment, Simulated};
-
-fn run(effects: Effects) -> Simulated {
-    let (robot, bar) = (irb2400(), bar());
-    let design = Design { duration_s: 60.0, ..Design::for_robot(&robot) };
-    simulate::run(&Experiment { effects, design, ..Experiment::new(&robot, &bar) }).unwrap()
-}
-
-fn prepared(run: &Simulated, options: &str) -> Prepared {
-    let text = format!("[prepare]\n{options}\n");
-    let config: IdentifyConfig = shared::config::parse(&text, Path::new("identify.toml")).unwrap();
-    prepare(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), &bar(), &config.prepare).unwrap()
-}
+use identify::prepare::unwrapped_log;
+use identify::simulate::Effects;
 
 fn middle(values: impl Iterator<Item = f64>) -> f64 {
     let (low, high) = values

@@ -1,13 +1,10 @@
 //! Single steps of the preparation on made-up values, and what options make of them on whole runs.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use std::path::Path;
-
-use crate::support::{bar, irb2400};
-use identify::calibrate::IdentifyConfig;
+use crate::support::minute::{prepared, run};
+use identify::prepare::Prepared;
 use identify::prepare::{Channels, correlate, fit_sphere, moving_average, select, spread_over_sphere};
-use identify::prepare::{Prepared, prepare};
-use identify::simulate::{self, Design, Effects, Experiment, Simulated};
+use identify::simulate::Effects;
 use nalgebra::Vector3;
 use proptest::prelude::*;
 
@@ -180,20 +177,6 @@ proptest! {
             prop_assert!(count as f64 > 0.06 * points_max as f64, "octant {}: {}", octant, count);
         }
     }
-}
-
-/// A run of a minute.
-fn run(effects: Effects) -> Simulated {
-    let (robot, bar) = (irb2400(), bar());
-    let design = Design { duration_s: 60.0, ..Design::for_robot(&robot) };
-    simulate::run(&Experiment { effects, design, ..Experiment::new(&robot, &bar) }).unwrap()
-}
-
-/// Prepared with options as a person writes them under `[prepare]`.
-fn prepared(run: &Simulated, options: &str) -> Prepared {
-    let text = format!("[prepare]\n{options}\n");
-    let config: IdentifyConfig = shared::config::parse(&text, Path::new("identify.toml")).unwrap();
-    prepare(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), &bar(), &config.prepare).unwrap()
 }
 
 /// Mean scatter of the encoders about the fit \[urad\].

@@ -2,17 +2,17 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::fmt::Write;
-use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::path::Path;
 
 use crate::report_page::page_text;
-use crate::support::{bar, browser, irb2400};
+use crate::support::command::identify;
+use crate::support::{bar, browser, irb2400, repository};
 use identify::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
 use identify::calibrate::{IdentifyConfig, JointTermsConfig};
 use identify::logs::ForceLog;
 use identify::prepare::PrepareOptions;
 use identify::simulate::{self, BarLoad, Design, Effects, Experiment, Simulated};
-use identify::study::evidence;
+use identify::study::{WorkspaceError, evidence};
 use shared::recording::Recording;
 
 const NOISE: Effects = Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, ..Effects::NONE };
@@ -99,6 +99,24 @@ fn each_run_with_a_force_shows_it_and_what_it_left_out() {
     assert!(text.contains(&row), "{row}");
 }
 
+#[test]
+fn a_calibration_of_the_bar_alone_expects_of_the_robot_what_it_was_before() {
+    let (run, robot) = (simulated(1, BarLoad::default()), irb2400());
+    let links = (1..=6).flat_map(|link| ["ra", "rd", "ralpha", "rtheta"].map(|name| format!("{name}{link}")));
+    let config = IdentifyConfig {
+        fix: links.collect(),
+        joint_terms: JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() },
+        prepare: PrepareOptions { points_max: 300, ..PrepareOptions::default() },
+        ..IdentifyConfig::default()
+    };
+    let found = ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config);
+    let found = found.unwrap();
+    let limits_deg = &robot.joint_limits_deg;
+    let evidence = evidence(&found, limits_deg).with_validation(&found, &config, limits_deg, None).unwrap();
+    assert_eq!(evidence.workspace, WorkspaceError::default());
+    assert!(page_text(&found, &evidence, &robot).contains("Calibrated. "));
+}
+
 /// Counters of 24 bits, as a PLC writes them, from a recording.
 fn table(recording: &Path) -> String {
     let recording = Recording::open(recording).unwrap();
@@ -112,20 +130,10 @@ fn table(recording: &Path) -> String {
     text
 }
 
-fn identify(arguments: &[&str], out: &Path) {
-    let config =
-        |name: &str| -> PathBuf { Path::new(env!("CARGO_MANIFEST_DIR")).join("../config").join(name) };
-    let output = Command::new(env!("CARGO_BIN_EXE_identify"))
-        .args(arguments)
-        .arg("--robot")
-        .arg(config("robots/irb2400_16.toml"))
-        .arg("--bar")
-        .arg(config("ball_bar.toml"))
-        .arg("--out")
-        .arg(out)
-        .env("RUST_LOG", "off")
-        .output()
-        .unwrap();
+fn typed(arguments: &[&str], out: &Path) {
+    let bar = repository("config/ball_bar.toml");
+    let arguments = [arguments, &["--bar", bar.to_str().unwrap()]].concat();
+    let output = identify(&arguments, "irb2400_16.toml", out);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
@@ -133,14 +141,14 @@ fn identify(arguments: &[&str], out: &Path) {
 fn what_a_recording_of_another_program_leaves_unsaid_stands_in_the_page() {
     let directory = tempfile::tempdir().unwrap();
     let at = |name: &str| directory.path().join(name).display().to_string();
-    identify(&["simulate", "--duration", "40s"], directory.path());
+    typed(&["simulate", "--duration", "40s"], directory.path());
     std::fs::write(at("plc.csv"), table(&directory.path().join("recording.mcap"))).unwrap();
     let columns: String =
         (1..=5).map(|joint| format!("[[encoders]]\njoint = {joint}\ncolumn = \"count{joint}\"\n")).collect();
     let mapping = format!("wraps_at = 16777216\n[time]\ncolumn = \"t_s\"\nunit = \"s\"\n{columns}");
     std::fs::write(at("plc.toml"), mapping).unwrap();
     let (recording, mapping, log, out) = (at("plc.csv"), at("plc.toml"), at("robot_log.csv"), at("out"));
-    identify(
+    typed(
         &["calibrate", "--recording", &recording, "--recording-mapping", &mapping, "--robot-log", &log],
         Path::new(&out),
     );

@@ -64,11 +64,7 @@ pub fn workspace_error(
         .map(|(column, parameter)| (column, parameter.id))
         .collect();
     let postures = postures(model, &columns, joint_limits_deg);
-    let between = |i: usize, j: usize| covariance.between(columns[i].0, columns[j].0).unwrap_or(0.0);
-    let eigen = SymmetricEigen::new(DMatrix::from_fn(columns.len(), columns.len(), between));
-    let root =
-        &eigen.eigenvectors * DMatrix::from_diagonal(&eigen.eigenvalues.map(|value| value.max(0.0).sqrt()));
-
+    let root = root(covariance, &columns);
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let normal = DMatrix::from_fn(columns.len(), DRAWS, |_, _| StandardNormal.sample(&mut random));
     // All postures of all robots in one product: a draw in each column.
@@ -85,6 +81,17 @@ pub fn workspace_error(
         after: expected(after),
         weakest: weakest(&root, &postures.by_parameter, &columns),
     }
+}
+
+/// `S`, where `S S^T` is the covariance of these columns.
+fn root(covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f64> {
+    if columns.is_empty() {
+        // Of nothing there is no decomposition.
+        return DMatrix::zeros(0, 0);
+    }
+    let between = |i: usize, j: usize| covariance.between(columns[i].0, columns[j].0).unwrap_or(0.0);
+    let eigen = SymmetricEigen::new(DMatrix::from_fn(columns.len(), columns.len(), between));
+    &eigen.eigenvectors * DMatrix::from_diagonal(&eigen.eigenvalues.map(|value| value.max(0.0).sqrt()))
 }
 
 /// Mean distance between the positions of two robots, over postures within the joint limits \[m\].
@@ -164,11 +171,11 @@ fn weakest(
 ) -> Vec<(String, f64)> {
     /// Smaller parts of the combination are not told.
     const PART_MIN: f64 = 0.05;
-    let worth = by_parameter.tr_mul(by_parameter);
-    let eigen = SymmetricEigen::new(root.transpose() * &worth * root);
     if columns.is_empty() {
         return Vec::new();
     }
+    let worth = by_parameter.tr_mul(by_parameter);
+    let eigen = SymmetricEigen::new(root.transpose() * &worth * root);
     let direction = root * eigen.eigenvectors.column(eigen.eigenvalues.imax());
     // Each parameter's own effect on positions makes metres and radians comparable.
     let effect = |i: usize| direction[i] * direction[i] * worth[(i, i)];

@@ -3,8 +3,11 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test stops at the first surprise")]
 
 pub mod browser;
+pub mod command;
 pub mod independent;
 pub mod laboratory;
+pub mod lengths;
+pub mod minute;
 pub mod other_solver;
 pub mod refused;
 pub mod truth;

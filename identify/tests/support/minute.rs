@@ -1,0 +1,23 @@
+//! Runs of a minute, prepared with options as a person writes them.
+
+use std::path::Path;
+
+use identify::calibrate::IdentifyConfig;
+use identify::prepare::{Prepared, prepare};
+use identify::simulate::{self, Design, Effects, Experiment, Simulated};
+use shared::config;
+
+use super::{bar, irb2400};
+
+pub fn run(effects: Effects) -> Simulated {
+    let (robot, bar) = (irb2400(), bar());
+    let design = Design { duration_s: 60.0, ..Design::for_robot(&robot) };
+    simulate::run(&Experiment { effects, design, ..Experiment::new(&robot, &bar) }).unwrap()
+}
+
+/// `options` are those under `[prepare]`.
+pub fn prepared(run: &Simulated, options: &str) -> Prepared {
+    let text = format!("[prepare]\n{options}\n");
+    let config: IdentifyConfig = config::parse(&text, Path::new("identify.toml")).unwrap();
+    prepare(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), &bar(), &config.prepare).unwrap()
+}
