@@ -2,11 +2,12 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::Path;
-use std::process::Command;
+use std::process::Output;
 
 use crate::preparation_wiring::ambiguous;
+use crate::support::command::identify;
 use crate::support::refused::{Refused, Typed};
-use crate::support::{bar, browser, irb2400, repository};
+use crate::support::{bar, browser, irb2400, lengths, repository};
 use identify::simulate::{self, Design, Effects, Experiment, Simulated};
 use shared::config::RobotConfig;
 
@@ -78,7 +79,7 @@ fn a_clock_that_jumps_is_marked_in_all_joints() {
     let marks = marks(&page);
     // Five encoders and the alignment against the robot, five of the recording, six of the robot's log.
     assert_eq!(marks.len(), 6 + 5 + 6, "{marks:?}");
-    assert!(page.contains("calibrate from one side of the jump".get(1..).unwrap()));
+    assert!(page.contains("Calibrate from one side of the jump"));
 }
 
 #[test]
@@ -168,38 +169,31 @@ fn an_older_calibration_is_set_aside_and_a_newer_one_takes_the_page_away() {
     assert_eq!(names(out.path()), ["earlier", "earlier-2", "notes.txt", "report.html"]);
     assert_eq!(names(&out.path().join("earlier-2")), ["calibration.toml", "report.html"]);
 
-    // A calibration that has no page of its own does not leave that of the refusal beside it.
-    let output = calibrated_from_lengths(200, out.path());
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    assert!(out.path().join("calibration.toml").exists() && !out.path().join("report.html").exists());
+    // A calibration that has no page of its own leaves neither that of the refusal beside it nor that of an older
+    // calibration, but what is not ours.
+    let page = out.path().join("report.html");
+    for (text, stays) in
+        [(None, false), (Some("<main><div class=\"verdict doubt\">"), false), (Some("older"), true)]
+    {
+        text.map_or(Ok(()), |text| std::fs::write(&page, text)).unwrap();
+        let output = calibrated_from_lengths(200, out.path());
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        assert!(out.path().join("calibration.toml").exists());
+        assert_eq!(page.exists(), stays, "{text:?}");
+    }
 }
 
-/// Lengths from an anchor to the flange of a nominal IRB 120.
-fn calibrated_from_lengths(rows: u32, out: &Path) -> std::process::Output {
-    let robot = repository("config/robots/irb120_3.toml");
-    let chain = identify::kinematics::flange_chain(&shared::config::load(&robot).unwrap());
-    let anchor_m = nalgebra::Vector3::new(0.3, -0.6, 0.1);
-    let mut csv = String::from("x_mm,y_mm,z_mm,q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,cable_mm\n");
-    for row in 0..rows {
-        let swing =
-            |joint: usize| 50.0 * (0.37 * f64::from(row) * (1.0 + 0.31 * joint as f64) + joint as f64).sin();
-        let q_deg: [f64; 6] = std::array::from_fn(swing);
-        let position_m = chain.forward(&q_deg.map(f64::to_radians)).translation.vector;
-        for cell in position_m.iter().map(|value| value * 1e3).chain(q_deg) {
-            csv += &format!("{cell:.6},");
-        }
-        csv += &format!("{:.2}\n", (position_m - anchor_m).norm() * 1e3);
-    }
+/// Types lengths from an anchor to the flange of a nominal IRB 120.
+fn calibrated_from_lengths(rows: u32, out: &Path) -> Output {
+    const ROBOT: &str = "irb120_3.toml";
+    let robot = shared::config::load(&repository("config/robots").join(ROBOT)).unwrap();
     let inputs = tempfile::tempdir().unwrap();
     let path = inputs.path().join("lengths.csv");
-    std::fs::write(&path, &csv).unwrap();
-    Command::new(env!("CARGO_BIN_EXE_identify"))
-        .args(["calibrate".as_ref(), "--measured-lengths".as_ref(), path.as_os_str()])
-        .args(["--mapping".as_ref(), repository("config/measured_length.toml").as_os_str()])
-        .args(["--robot".as_ref(), robot.as_os_str(), "--out".as_ref(), out.as_os_str()])
-        .env("RUST_LOG", "off")
-        .output()
-        .unwrap()
+    std::fs::write(&path, lengths::table(&robot, rows, 0.0)).unwrap();
+    let mapping = repository("config/measured_length.toml");
+    let arguments =
+        ["calibrate", "--measured-lengths", path.to_str().unwrap(), "--mapping", mapping.to_str().unwrap()];
+    identify(&arguments, ROBOT, out)
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use super::file::FileError;
-use super::page::is_refusal;
+use super::page::is_page;
 
 /// Everything that a calibration writes, what other programs read first.
 const FILES: [&str; 6] =
@@ -51,14 +51,15 @@ impl<'d> Earlier<'d> {
     }
 }
 
-/// Takes the page of a refusal out of a directory into which a calibration is written: it would belie it.
+/// Takes the page of a refusal, or of an older calibration, out of a directory into which a calibration is written that may
+/// have none: it would belie it. What another program calls so stays.
 ///
 /// # Errors
 /// [`FileError::Io`].
-pub(super) fn remove_refusal(directory: &Path) -> Result<(), FileError> {
+pub(super) fn remove_page(directory: &Path) -> Result<(), FileError> {
     let path = directory.join("report.html");
     let text = std::fs::read(&path).unwrap_or_default();
-    if !is_refusal(&String::from_utf8_lossy(&text)) {
+    if !is_page(&String::from_utf8_lossy(&text)) {
         return Ok(());
     }
     std::fs::remove_file(&path).map_err(|source| FileError::Io { path, source })

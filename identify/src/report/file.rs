@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use shared::time::UtcNs;
 
-use super::earlier::remove_refusal;
+use super::earlier::remove_page;
 use super::force::ForceEntry;
 use super::knowledge::{CovarianceEntry, Knowledge};
 use super::validation::{HeldOutEntry, OtherCostEntry};
@@ -281,7 +281,8 @@ impl CalibrationFile {
     }
 
     /// Writes `calibration.toml`, the same with the covariance as `calibration.json`, and `dh.csv` (see [`CalibrationFile::dh_csv`]) into the
-    /// directory, each whole under its name or not at all. Returns the path of the first.
+    /// directory, each whole under its name or not at all. A `report.html` of ours that is there is removed. Returns the path
+    /// of the first.
     ///
     /// # Errors
     /// [`FileError`].
@@ -289,7 +290,7 @@ impl CalibrationFile {
         let text = toml::to_string(&Self { covariance: None, ..self.clone() })?;
         let json = serde_json::to_string_pretty(self)?;
         let table = self.dh_csv()?;
-        remove_refusal(directory)?;
+        remove_page(directory)?;
         replace(directory, "calibration.json", &json)?;
         replace(directory, "dh.csv", &table)?;
         replace(directory, "calibration.toml", &text)

@@ -25,7 +25,6 @@ use crate::study::Evidence;
 
 pub use inputs::Source;
 pub use plot::PlotError;
-pub(super) use refused::is_refusal;
 pub use refused::{InspectedLog, InspectedRun, RefusedPage, WrittenRefusal};
 
 /// Everything that the page shows.
@@ -97,6 +96,11 @@ impl Page<'_> {
             },
         ))
     }
+}
+
+/// Whether a text is the page of a calibration or of a refusal.
+pub(super) fn is_page(text: &str) -> bool {
+    text.contains("<div class=\"verdict")
 }
 
 /// A page that loads nothing, whatever a name in a log may contain.

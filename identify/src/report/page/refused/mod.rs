@@ -16,9 +16,6 @@ use crate::inspect::curves::Curve;
 use crate::report::earlier::Earlier;
 use crate::report::file::{Input, now, replace, software};
 
-/// Classes of the verdict of a page of this kind: by them it is known again.
-const VERDICT: &str = "verdict refused";
-
 /// Everything that the page shows.
 #[derive(Debug)]
 pub struct RefusedPage<'a> {
@@ -65,11 +62,6 @@ pub struct WrittenRefusal {
     pub set_aside: Option<PathBuf>,
 }
 
-/// Whether a text is the page of a refusal.
-pub(in crate::report) fn is_refusal(page: &str) -> bool {
-    page.contains(&format!("class=\"{VERDICT}\""))
-}
-
 impl RefusedPage<'_> {
     /// Writes `report.html` into the directory, whole or not at all. An older calibration in it is set aside: its files
     /// must not stand beside a page that is not theirs.
@@ -114,7 +106,7 @@ impl RefusedPage<'_> {
         let (wrong, remedy) = parts(&self.refusal.message);
         let place = self.place();
         html! {
-            div class=(VERDICT) {
+            div.verdict.refused {
                 strong { "Not calibrated. " }
                 dl {
                     dt { "What is wrong" } dd { (capitalised(wrong)) }
