@@ -24,9 +24,10 @@ pub fn bar_log(log: &OtherBarLog) -> Inspection {
         inspection.fact(
             "unwrapped",
             format!(
-                "{}, {} times; its largest step is {:.1} % of what can be followed",
+                "{}, {} {}; its largest step is {:.1} % of what can be followed",
                 one.name,
                 one.wraps,
+                if one.wraps == 1 { "time" } else { "times" },
                 100.0 * one.step_part
             ),
         );

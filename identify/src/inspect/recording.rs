@@ -75,9 +75,8 @@ pub(super) fn quality(inspection: &mut Inspection, cycles: &[CycleRecord]) {
         }
     }
     if percent < 95.0 {
-        inspection.suspect(format!(
-            "only {percent:.1} % of the cycles are valid: look at the flags and events below"
-        ));
+        inspection
+            .suspect(format!("only {percent:.1} % of the cycles are valid: look at its flags and events"));
     }
     let origins = cycles.iter().filter(|cycle| cycle.flags & flags::ORIGIN_CHANGED != 0).count();
     if origins > 0 {

@@ -67,6 +67,14 @@ impl Unwrapped {
             points: within.clone().filter(is_shown).map(reading).collect(),
         })
     }
+    /// Of one encoder over parts of a log that do not follow each other; the liveliest is shown. None where nothing began anew.
+    pub fn of_parts(parts: impl IntoIterator<Item = Option<Self>>) -> Option<Self> {
+        let found: Vec<Self> = parts.into_iter().flatten().collect();
+        let wraps = found.iter().map(|one| one.wraps).sum();
+        let step_part = found.iter().map(|one| one.step_part).fold(0.0, f64::max);
+        let shown = found.into_iter().max_by_key(|one| one.wraps)?;
+        Some(Self { wraps, step_part, ..shown })
+    }
 }
 
 /// The readings about as many wraps as one picture can have.

@@ -33,12 +33,7 @@ pub fn unwrapped_counters(
             let period_rad = COUNTER_VALUES * rad_per_count;
             Unwrapped::of(format!("b{}", encoder.joint), period_rad, segment.times.len(), reading)
         };
-        let found: Vec<Unwrapped> = angles.segments.iter().filter_map(of_segment).collect();
-        let (wraps, step_part) = found
-            .iter()
-            .fold((0, 0.0_f64), |(wraps, most), one| (wraps + one.wraps, most.max(one.step_part)));
-        let shown = found.into_iter().max_by_key(|one| one.wraps)?;
-        Some(Unwrapped { wraps, step_part, ..shown })
+        Unwrapped::of_parts(angles.segments.iter().map(of_segment))
     };
     encoders.iter().enumerate().filter_map(of_encoder).collect()
 }

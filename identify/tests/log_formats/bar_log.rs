@@ -186,6 +186,36 @@ fn counters_that_start_anew_are_marked_and_one_that_slips_is_not_excused() {
     let flagged: Vec<usize> = (0..ROWS).filter(|row| log.cycles[*row].flags != 0).collect();
     assert_eq!(flagged, [100]);
     assert!(log.quality.remarks[0].contains("line 102"), "{:?}", log.quality.remarks);
+    // Anew, as if by three quarters of what a step can be: that is none, and no counter went over its end there.
+    let far = |row: usize, joint: usize| {
+        let since = if row < 100 { 0 } else { 1_610_000_000 };
+        ((counts(row, joint) + since) as u32).to_string()
+    };
+    let log = read(table(far).as_bytes(), None).unwrap();
+    assert!(log.cycles[100].flags & flags::ORIGIN_CHANGED != 0);
+    let wraps = |joint: usize| {
+        let turn = |row: usize| counts(row, joint).div_euclid(1 << 32);
+        (1..100).filter(|row| turn(*row) != turn(row - 1)).count()
+    };
+    assert!(!log.unwrapped.is_empty());
+    for one in &log.unwrapped {
+        let joint: usize = one.name[1..].parse().unwrap();
+        assert!(
+            one.step_part < 0.01 && one.wraps == wraps(joint),
+            "{}: {} {}",
+            one.name,
+            one.wraps,
+            one.step_part
+        );
+    }
+    // A scale that is wrong by far makes every row such a place: it is told once.
+    let coarse = |row: usize, joint: usize| ((50 * counts(row, joint)) as u32).to_string();
+    let log = read(table(coarse).as_bytes(), None).unwrap();
+    let told: Vec<&String> = log.quality.remarks.iter().filter(|one| one.contains("jump at once")).collect();
+    assert!(
+        matches!(told[..], [one] if one.contains("more") && one.contains("interpolation_bits")),
+        "{told:?}"
+    );
     let slips = |row: usize, joint: usize| {
         let by = if row >= 100 && joint == 4 { 1_000_000 } else { 0 };
         ((counts(row, joint) + by) as u32).to_string()

@@ -16,6 +16,8 @@ use crate::logs::{LogError, LogQuality, ROWS_MIN, Unwrapped, UnwrappedPoint};
 const SPEED_RAD_S_MAX: f64 = 4.0 * std::f64::consts::PI;
 /// Smaller steps than this are no new origin \[rad\]: times of reception jitter, and rows come close behind each other.
 const JUMP_RAD_MIN: f64 = 0.2;
+/// Places where counters started anew that a remark names: a wrong scale makes thousands.
+const PLACES_MAX: usize = 5;
 /// A row that repeats the counts before it is frozen if they moved further than this before and after \[rad\].
 const FROZEN_STEP_RAD: f64 = 1e-4;
 /// Angles become counts of which so many make a turn: one is 1.5 nrad, and angles that begin anew after each turn are
@@ -260,18 +262,33 @@ impl RawBarLog {
     /// A terminal that lost power begins anew at some count: all its neighbours do, too. One encoder alone that jumps has
     /// slipped, which is not a thing to be mended here.
     fn mark_origins(&mut self, cycles: &mut [CycleRecord]) {
+        let mut places = Vec::new();
         for (before, after, step) in self.steps(cycles) {
             let apart_s = cycles[after].sample_time.seconds_since(cycles[before].sample_time);
             let limit_rad = JUMP_RAD_MIN.max(SPEED_RAD_S_MAX * apart_s);
             let jumps = step.iter().filter(|step| step.abs() > limit_rad).count();
             if jumps >= 2 {
                 cycles[after].flags |= flags::ORIGIN_CHANGED;
-                self.quality.remarks.push(format!(
-                    "at {} {} {jumps} encoders jump at once: taken for counters that started anew",
-                    self.kind.row, self.rows[after].place
-                ));
+                places.push(self.rows[after].place);
             }
         }
+        self.tell_origins(&places);
+    }
+
+    fn tell_origins(&mut self, places: &[u64]) {
+        let named = places.iter().take(PLACES_MAX).map(u64::to_string).collect::<Vec<_>>().join(", ");
+        let (more, remedy) = match places.len() {
+            0 => return,
+            count if count > PLACES_MAX => (
+                format!(" and {} more", count - PLACES_MAX),
+                "; if none did, compare lines and interpolation_bits in the bar's configuration with the encoders",
+            ),
+            _ => (String::new(), ""),
+        };
+        let row = self.kind.row;
+        self.remark(format!(
+            "at {row} {named}{more} two or more encoders jump at once: taken for counters that started anew{remedy}"
+        ));
     }
 
     /// A counter that is narrower than said jumps by its whole width where it wraps.
@@ -310,22 +327,26 @@ impl RawBarLog {
         let first_ns = self.rows.first().map_or(0, |row| row.stamp_ns);
         let of_place = |(place, reading): (usize, &Reading)| {
             let scale = &reading.info.scale;
-            let (mut unwrapper, mut first) = (Unwrapper::default(), None);
-            let rows = self.rows.iter().zip(cycles).filter(|(_, cycle)| cycle.is_valid());
-            let points = rows.filter_map(|(row, cycle)| {
-                let counts = unwrapper.next(cycle.encoders[place].count);
-                let from_first = counts - *first.get_or_insert(counts);
-                Some(UnwrappedPoint {
-                    t_s: (i128::from(row.stamp_ns) - i128::from(first_ns)) as f64 * 1e-9,
-                    shown_rad: row.counts[place]? as f64 * scale.rad_per_count(),
-                    continuous_rad: (scale.direction.sign() * from_first) as f64 * scale.rad_per_count(),
-                })
-            });
-            let points: Vec<UnwrappedPoint> = points.collect();
             let period_rad =
                 if reading.is_counts() { reading.wraps_at as f64 * scale.rad_per_count() } else { TAU };
-            let name = format!("b{}", reading.info.joint);
-            Unwrapped::of(name, period_rad, points.len(), |at| points[at])
+            let part = |cycles: &[CycleRecord]| {
+                let (mut unwrapper, mut first) = (Unwrapper::default(), None);
+                let points = cycles.iter().filter(|cycle| cycle.is_valid()).filter_map(|cycle| {
+                    let row = self.rows.get(usize::try_from(cycle.cycle).ok()?)?;
+                    let counts = unwrapper.next(cycle.encoders[place].count);
+                    let from_first = counts - *first.get_or_insert(counts);
+                    Some(UnwrappedPoint {
+                        t_s: (i128::from(row.stamp_ns) - i128::from(first_ns)) as f64 * 1e-9,
+                        shown_rad: row.counts[place]? as f64 * scale.rad_per_count(),
+                        continuous_rad: (scale.direction.sign() * from_first) as f64 * scale.rad_per_count(),
+                    })
+                });
+                let points: Vec<UnwrappedPoint> = points.collect();
+                Unwrapped::of(format!("b{}", reading.info.joint), period_rad, points.len(), |at| points[at])
+            };
+            // A counter that lost its origin goes on anywhere.
+            let goes_on = |_: &CycleRecord, next: &CycleRecord| next.flags & flags::ORIGIN_CHANGED == 0;
+            Unwrapped::of_parts(cycles.chunk_by(goes_on).map(part))
         };
         self.readings.iter().enumerate().filter_map(of_place).collect()
     }
