@@ -12,7 +12,7 @@ use shared::config::{AngleUnit, RobotConfig};
 
 use super::mapping::RobotLogMapping;
 use super::raw::{Meaning, RawLog, RawRow};
-use super::{ForceColumns, LogError, LogFormat, Origin, RobotLog};
+use super::{LogError, LogFormat, Origin, RobotLog};
 
 #[derive(Clone, PartialEq, Message)]
 struct EgmHeader {
@@ -79,8 +79,7 @@ pub(super) fn read(
         None => (Meaning::of_controller(robot, AngleUnit::Deg, names, LogFormat::Egm, path)?, 1.0),
     };
     let mut raw = RawLog::new(path, "message");
-    // Not read from here: the log says that it is not used.
-    raw.force = mapping.and_then(|mapping| mapping.force.as_ref()).map(ForceColumns::kind);
+    raw.tell_without_force(mapping);
     raw.origin = mapping.and_then(|mapping| mapping.values).unwrap_or(Origin::Measured);
     let commanded = raw.origin == Origin::Commanded;
     let utc: Option<Vec<i64>> = messages.iter().map(EgmRobot::utc_ns).collect();

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use shared::config::{AngleUnit, LogConversion, RobotConfig};
 
 use super::force::FORCE_MAX;
+use super::mapping::RobotLogMapping;
 use super::{
     ForceClock, ForceKind, ForceLog, JointConversion, LogError, LogFormat, LogQuality, Origin, ROWS_MIN,
     RobotLog,
@@ -134,6 +135,17 @@ impl RawLog {
         Ok(())
     }
 
+    /// In a format where no force is looked for: says so where the mapping asks for one.
+    pub fn tell_without_force(&mut self, mapping: Option<&RobotLogMapping>) {
+        if mapping.is_some_and(|mapping| mapping.force.is_some()) {
+            self.remarks.push(format!(
+                "the force on the bar is not used: {}s are not searched for one; give it in a table of its own with \
+                 --force-log",
+                self.what
+            ));
+        }
+    }
+
     /// Judges the whole and converts it.
     pub fn finish(mut self, meaning: &Meaning<'_>) -> Result<RobotLog, LogError> {
         self.drop_frozen(meaning.unit);
@@ -171,7 +183,8 @@ impl RawLog {
         });
         if self.force.is_some() && of_bar.is_none() {
             self.remarks.push(format!(
-                "the force on the bar is not used: some {}s have none where the mapping says, or one of more than 1e7 Nm",
+                "the force on the bar is not used: some {}s have none where the mapping says, or one of more than 1e7 Nm; \
+                 correct the mapping, or give the force in a table of its own with --force-log",
                 self.what
             ));
         }

@@ -13,7 +13,7 @@ use shared::config::{AngleUnit, RobotConfig};
 use super::csv_text::decode;
 use super::mapping::{RobotLogMapping, TimeUnit};
 use super::raw::{Meaning, RawLog, RawRow};
-use super::{ForceColumns, LogError, LogFormat, Origin, RobotLog};
+use super::{LogError, LogFormat, Origin, RobotLog};
 
 /// Attributes of `AIPos` and `ASPos`.
 const AXES: [&str; 6] = ["A1", "A2", "A3", "A4", "A5", "A6"];
@@ -39,8 +39,7 @@ pub(super) fn read(
         None => (Meaning::of_controller(robot, AngleUnit::Deg, names, LogFormat::Rsi, path)?, 1.0),
     };
     let mut raw = RawLog::new(path, "telegram");
-    // Not read from here: the log says that it is not used.
-    raw.force = mapping.and_then(|mapping| mapping.force.as_ref()).map(ForceColumns::kind);
+    raw.tell_without_force(mapping);
     raw.origin = mapping.and_then(|mapping| mapping.values).unwrap_or(Origin::Measured);
     raw.clock = mapping.and_then(|mapping| mapping.clock.clone()).unwrap_or_else(|| "IPOC".into());
     let element = if raw.origin == Origin::Commanded { "ASPos" } else { "AIPos" };
