@@ -36,6 +36,9 @@ const WAVES_MAX: usize = 3;
 /// A wave of an axis: axis from 0, times per turn.
 type Wave = (usize, u8);
 
+/// Normal equations of one wave: `ss`, `sc`, `cc`.
+type Normal = [f64; 3];
+
 /// Samples of all runs, each multiplied by the root of its weight.
 #[derive(Debug, Default)]
 pub(super) struct Ripple {
@@ -100,6 +103,7 @@ impl Ripple {
     /// The waves that stand out of the noise and of each axis' other waves, sine and cosine of each.
     pub fn found(&self) -> Vec<ParameterId> {
         let resolved: [f64; ROBOT_JOINTS] = std::array::from_fn(|axis| self.resolved(axis));
+        let normals: [[Normal; ORDERS]; ROBOT_JOINTS] = std::array::from_fn(|axis| self.normals(axis));
         let mut found: Vec<Wave> = Vec::new();
         let mut left = DVector::from_column_slice(&self.residuals);
         loop {
@@ -111,7 +115,11 @@ impl Ripple {
                 let slow = f64::from(order) <= TWICE + resolved[axis];
                 !slow && of_axis.clone().count() < WAVES_MAX && apart.all(|apart| apart > resolved[axis])
             };
-            let standing = (0..ROBOT_JOINTS).flat_map(|axis| self.standing(axis, left.as_slice()));
+            let variance = left.norm_squared() / left.len().max(1) as f64;
+            let standing = normals
+                .iter()
+                .enumerate()
+                .flat_map(|(axis, normals)| self.standing(axis, normals, left.as_slice(), variance));
             let Some((_, wave)) = standing.filter(is_new).max_by(|a, b| a.0.total_cmp(&b.0)) else { break };
             found.push(wave);
             let Some(without) = self.without(&found) else { break };
@@ -135,23 +143,43 @@ impl Ripple {
         (TAU / (high - low)).ceil()
     }
 
-    /// Waves of an axis that stand out, with by how much.
-    fn standing(&self, axis: usize, left: &[f64]) -> Vec<(f64, Wave)> {
-        let mut orders = [Equations::default(); ORDERS];
+    /// What all waves of an axis do to the residuals: the same whatever is left of these.
+    fn normals(&self, axis: usize) -> [Normal; ORDERS] {
+        let mut normals = [[0.0; 3]; ORDERS];
+        for (by, angles) in self.by_drives.chunks_exact(self.rows()).zip(&self.angles_rad) {
+            // All rows of a sample share its waves.
+            let stiffness: f64 = by.iter().map(|by| by[axis] * by[axis]).sum();
+            for (normal, (sin, cos)) in normals.iter_mut().zip(waves(angles[axis])) {
+                normal[0] += stiffness * sin * sin;
+                normal[1] += stiffness * sin * cos;
+                normal[2] += stiffness * cos * cos;
+            }
+        }
+        normals
+    }
+
+    /// Waves of an axis that stand out of what is left, of this variance, with by how much.
+    fn standing(
+        &self,
+        axis: usize,
+        normals: &[Normal; ORDERS],
+        left: &[f64],
+        variance: f64,
+    ) -> Vec<(f64, Wave)> {
+        let mut gradients = [[0.0; 2]; ORDERS];
         let samples = left.chunks_exact(self.rows()).zip(self.by_drives.chunks_exact(self.rows()));
         for ((residuals, by), angles) in samples.zip(&self.angles_rad) {
-            // All rows of a sample share its waves.
-            let pull = residuals.iter().zip(by).map(|(residual, by)| by[axis] * residual).sum();
-            let stiffness = by.iter().map(|by| by[axis] * by[axis]).sum();
-            add(&mut orders, angles[axis], pull, stiffness);
+            let pull: f64 = residuals.iter().zip(by).map(|(residual, by)| by[axis] * residual).sum();
+            for (gradient, (sin, cos)) in gradients.iter_mut().zip(waves(angles[axis])) {
+                gradient[0] += pull * sin;
+                gradient[1] += pull * cos;
+            }
         }
-        let falls = orders.map(|order| order.fall());
+        let falls: [f64; ORDERS] = std::array::from_fn(|order| fall(gradients[order], normals[order]));
         let mut sorted = falls;
         sorted.sort_unstable_by(f64::total_cmp);
         // Errors of other kinds lift all waves: peaks have to stand out of these, too.
         let floor = sorted[ORDERS / 2] / MEDIAN;
-        let variance =
-            left.iter().map(|residual| residual * residual).sum::<f64>() / left.len().max(1) as f64;
         let noise = floor.max(variance);
         let standing =
             falls.into_iter().zip(JointWaves::FIRST..).filter(|(fall, _)| *fall > STANDS_OUT * noise);
@@ -173,25 +201,14 @@ impl Ripple {
     }
 }
 
-/// Normal equations of one wave.
-#[derive(Debug, Clone, Copy, Default)]
-struct Equations {
-    gradient: [f64; 2],
-    /// `ss`, `sc`, `cc`
-    normal: [f64; 3],
-}
-
-impl Equations {
-    /// How much the sum of squares falls with it.
-    fn fall(&self) -> f64 {
-        let ([s, c], [ss, sc, cc]) = (self.gradient, self.normal);
-        let determinant = ss * cc - sc * sc;
-        // The axis stood still, or sine and cosine are one over its travel.
-        if determinant <= 1e-6 * ss * cc {
-            return 0.0;
-        }
-        (s * s * cc - 2.0 * s * c * sc + c * c * ss) / determinant
+/// How much the sum of squares falls with one wave.
+fn fall([s, c]: [f64; 2], [ss, sc, cc]: Normal) -> f64 {
+    let determinant = ss * cc - sc * sc;
+    // The axis stood still, or sine and cosine are one over its travel.
+    if determinant <= 1e-6 * ss * cc {
+        return 0.0;
     }
+    (s * s * cc - 2.0 * s * c * sc + c * c * ss) / determinant
 }
 
 /// Orders that other terms of the axes have.
@@ -218,16 +235,11 @@ fn joints_only(model: &Model) -> Option<Model> {
     complete.then_some(model)
 }
 
-/// Adds a sample at a drive's angle to the normal equations of all orders.
-fn add(orders: &mut [Equations; ORDERS], angle_rad: f64, pull: f64, stiffness: f64) {
+/// Sine and cosine of all orders at a drive's angle.
+fn waves(angle_rad: f64) -> impl Iterator<Item = (f64, f64)> {
     let (step_sin, step_cos) = angle_rad.sin_cos();
-    let (mut sin, mut cos) = (f64::from(JointWaves::FIRST) * angle_rad).sin_cos();
-    for order in orders {
-        order.gradient[0] += pull * sin;
-        order.gradient[1] += pull * cos;
-        order.normal[0] += stiffness * sin * sin;
-        order.normal[1] += stiffness * sin * cos;
-        order.normal[2] += stiffness * cos * cos;
-        (sin, cos) = (sin * step_cos + cos * step_sin, cos * step_cos - sin * step_sin);
-    }
+    let first = (f64::from(JointWaves::FIRST) * angle_rad).sin_cos();
+    std::iter::successors(Some(first), move |(sin, cos)| {
+        Some((sin * step_cos + cos * step_sin, cos * step_cos - sin * step_sin))
+    })
 }
