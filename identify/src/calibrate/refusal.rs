@@ -46,29 +46,24 @@ impl Refuses for CalibrateError {
     }
 }
 
-impl Refuses for LengthError {
-    fn refusal(&self) -> Option<Refusal<'_>> {
-        let of_data = match self {
-            Self::BadOption { .. } | Self::Model(_) => false,
-            Self::Cost(error) => cost_is_of_data(error),
-            Self::Solve(error) => solve_is_of_data(error),
-            _ => true,
-        };
-        of_data.then(|| of_all(self.to_string()))
-    }
+/// Calibrations from measured rows fail alike.
+macro_rules! refuse_rows {
+    ($($error:ty),*) => { $(
+        impl Refuses for $error {
+            fn refusal(&self) -> Option<Refusal<'_>> {
+                let of_data = match self {
+                    Self::BadOption { .. } | Self::Model(_) => false,
+                    Self::Cost(error) => cost_is_of_data(error),
+                    Self::Solve(error) => solve_is_of_data(error),
+                    _ => true,
+                };
+                of_data.then(|| of_all(self.to_string()))
+            }
+        }
+    )* };
 }
 
-impl Refuses for PoseError {
-    fn refusal(&self) -> Option<Refusal<'_>> {
-        let of_data = match self {
-            Self::BadOption { .. } | Self::Model(_) => false,
-            Self::Cost(error) => cost_is_of_data(error),
-            Self::Solve(error) => solve_is_of_data(error),
-            _ => true,
-        };
-        of_data.then(|| of_all(self.to_string()))
-    }
-}
+refuse_rows!(LengthError, PoseError);
 
 fn of_all(message: String) -> Refusal<'static> {
     Refusal { message, run: None, place: Place::default(), deviations: None }

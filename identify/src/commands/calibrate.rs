@@ -16,8 +16,7 @@ use self::sources::sources;
 use super::on_terminal::OnTerminal;
 use crate::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
 use crate::calibrate::measured_length::{self, LengthOptions, LengthRow};
-use crate::calibrate::measured_pose::HoldOut;
-use crate::calibrate::measured_pose::WAVES_PER_TURN_MAX;
+use crate::calibrate::measured_pose::{HoldOut, WAVES_PER_TURN_MAX};
 use crate::calibrate::truth::Comparison;
 use crate::calibrate::{CostName, IdentifyConfig, LossName, SelectionName};
 use crate::kinematics::flange_chain;
@@ -73,7 +72,7 @@ pub struct CalibrateArguments {
     /// Other files of measured poses that judge the robot; tracker and probe may be elsewhere
     #[arg(long, value_name = "FILES", requires = "measured_poses", value_delimiter = ',')]
     validate: Vec<PathBuf>,
-    /// Highest number of waves per turn that the errors of joints may have, with measured poses; 3 to 64
+    /// Highest number of waves per turn that the errors of joints may have, with measured poses; 3 to 127
     #[arg(long, value_name = "N", requires = "measured_poses", default_value_t = WAVES_PER_TURN_MAX,
           value_parser = clap::value_parser!(u8).range(i64::from(JointWaves::FIRST)..=i64::from(JointWaves::LAST)))]
     joint_waves: u8,

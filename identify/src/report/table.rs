@@ -47,12 +47,25 @@ pub fn calibration(file: &CalibrationFile) -> String {
         let _ = writeln!(
             text,
             "force{}: {}; off the sphere {:.2} um RMS, {:.2} um of it not explained by the force",
-            if file.other_forces.is_empty() { String::new() } else { format!(" (run {})", force.run) },
+            if file.other_clocks.is_empty() { String::new() } else { format!(" (run {})", force.run) },
             force.sentence,
             force.off_sphere_rms_m * 1e6,
             force.unexplained_rms_m * 1e6,
         );
     }
+    text.push_str(&parameters(file));
+    if let Some(knowledge) = &file.knowledge {
+        text.push_str(&knowledge.describe(solve.parameters));
+    }
+    text.push_str(&candidates(file));
+    text.push_str(&super::validation::describe(file));
+    text.push_str(&joint_offsets(file));
+    text
+}
+
+/// Every identified parameter, and the names of the others.
+fn parameters(file: &CalibrationFile) -> String {
+    let mut text = String::new();
     let _ = writeln!(text, "\n{:<16}{:>14}{:>12}{:>10}  unit", "parameter", "nominal", "correction", "sigma");
     let mut fixed = Vec::new();
     for entry in &file.parameters {
@@ -75,12 +88,6 @@ pub fn calibration(file: &CalibrationFile) -> String {
         );
     }
     let _ = writeln!(text, "fixed: {}", fixed.join(" "));
-    if let Some(knowledge) = &file.knowledge {
-        text.push_str(&knowledge.describe(solve.parameters));
-    }
-    text.push_str(&candidates(file));
-    text.push_str(&super::validation::describe(file));
-    text.push_str(&joint_offsets(file));
     text
 }
 

@@ -30,9 +30,8 @@ pub fn limits(
     workspace: &WorkspaceError,
 ) -> Vec<Limit> {
     let mut limits = Vec::new();
-    let several = !calibration.others.is_empty();
     for (number, (prepared, _)) in calibration.runs().enumerate() {
-        let place = if several { format!("Run {}: ", number + 1) } else { String::new() };
+        let place = place(calibration, number);
         limits.extend(
             of_run(prepared).map(|sentence| Limit { sentence: place.clone() + &sentence, serious: true }),
         );
@@ -80,22 +79,27 @@ pub fn limits(
             ),
         );
     }
-    for stretch in Stretch::all(calibration) {
-        if stretch.positive != PositiveForce::NotTold {
-            continue;
-        }
-        let place = if several { format!("Run {}: ", stretch.run + 1) } else { String::new() };
-        tell(
-            true,
-            format!(
-                "{place}The {} does not tell how the bar gives way ({}); check its clock, column and place, or calibrate \
-                 without it.",
-                stretch.measured.kind.describe(),
-                stretch.sentence()
-            ),
-        );
-    }
+    limits.extend(untold_forces(calibration));
     limits
+}
+
+/// Of which run something is said, where there are several.
+fn place(calibration: &BallBarCalibration, run: usize) -> String {
+    if calibration.others.is_empty() { String::new() } else { format!("Run {}: ", run + 1) }
+}
+
+/// Forces that explain nothing.
+fn untold_forces(calibration: &BallBarCalibration) -> impl Iterator<Item = Limit> {
+    let untold = Stretch::all(calibration).into_iter().filter(|one| one.positive == PositiveForce::NotTold);
+    untold.map(|stretch| Limit {
+        sentence: format!(
+            "{}The {} does not tell how the bar gives way ({}); check its clock, column and place, or calibrate without it.",
+            place(calibration, stretch.run),
+            stretch.measured.kind.describe(),
+            stretch.sentence()
+        ),
+        serious: true,
+    })
 }
 
 /// What is wrong with one run.

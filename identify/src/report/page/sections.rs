@@ -103,11 +103,11 @@ pub(super) fn parameters(page: &Page<'_>) -> Markup {
     }
 }
 
-/// Terms of the robot's axes that were tried, and what held-out stretches said.
+/// Terms of robot and bar that were tried, and what held-out stretches said.
 pub(super) fn candidates(page: &Page<'_>) -> Markup {
     let candidates = &page.file.candidates;
     html! { @if !candidates.is_empty() {
-        h2 { "Errors of the axes: what held-out stretches of the run support" }
+        h2 { "Errors of axes, encoders and bar: what held-out stretches of the run support" }
         table {
             thead { tr {
                 th { "kind" } th { "parameters" } th { "RMS residual without" } th { "with" } th.text { "" }

@@ -11,15 +11,6 @@ const RED: RGBColor = COLOURS[5];
 /// A log with more holes is shown as dots.
 const PARTS_MAX: usize = 200;
 
-/// The axis of times after the first sample.
-fn label(time: &TimeAxis) -> &'static str {
-    match time.unit {
-        "h" => "after the first sample [h]",
-        "min" => "after the first sample [min]",
-        _ => "after the first sample [s]",
-    }
-}
-
 /// A line across the figure; nothing where the instant is not known or there is nothing else to see.
 fn mark(time: &TimeAxis, at_s: Option<f64>, series: &[Series]) -> Option<Series> {
     let x = time.at(at_s?);
@@ -37,7 +28,7 @@ fn panel(
     at_s: Option<f64>,
 ) -> Result<String, PlotError> {
     series.extend(mark(time, at_s, &series));
-    Panel { title, x: label(time), y: y.into(), size: THIRD, series, from_zero: false }.draw()
+    Panel { title, x: time.since_first, y: y.into(), size: THIRD, series, from_zero: false }.draw()
 }
 
 /// One figure for each joint of a log.
