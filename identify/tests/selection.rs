@@ -10,7 +10,7 @@ use identify::calibrate::ball_bar::{self, BallBarCalibration};
 use identify::calibrate::candidates::TermGroup;
 use identify::calibrate::structure::identifiable;
 use identify::calibrate::{CostName, IdentifyConfig, SelectionName};
-use identify::model::{ParameterId, Phase, THESIS_FIXED};
+use identify::model::{ParameterId, Phase, Role, THESIS_FIXED};
 use identify::simulate::{self, Design, Effects, Experiment};
 use identify::study::{evidence, uncalibrated};
 
@@ -86,19 +86,22 @@ fn automatic_scales_its_priors_and_takes_encoder_harmonics_where_they_are() {
     assert!((0.5..=100.0).contains(&found.prior_scale), "{}", found.prior_scale);
 }
 
+const LOBES: [f64; 6] = [57.0, 31.0, 44.0, 63.0, 52.0, 35.0];
+
 /// The gears have 57, 31, 44 .. lobes; the file that the calibration gets knows of none, or guesses wrongly.
-#[test]
-fn lobes_of_gears_that_nobody_has_counted_are_found() {
-    const LOBES: [f64; 6] = [57.0, 31.0, 44.0, 63.0, 52.0, 35.0];
+fn with_lobes(config: &IdentifyConfig) -> BallBarCalibration {
     let (mut robot, bar) = (irb2400(), bar());
     robot.drives.cycloid_lobes = LOBES;
     let effects =
         Effects { cycloid_urad: 20.0, robot_noise_urad: 15.0, encoder_noise_urad: 5.0, ..Effects::default() };
     let run = simulate::run(&Experiment { effects, ..Experiment::new(&robot, &bar) }).unwrap();
     robot.drives.cycloid_lobes = [39.0, 0.0, 0.0, 0.0, 0.0, 0.0];
-    let config = IdentifyConfig::default();
-    let found =
-        ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
+    ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, config).unwrap()
+}
+
+#[test]
+fn lobes_of_gears_that_nobody_has_counted_are_found() {
+    let found = with_lobes(&IdentifyConfig::default());
     assert!(taken(&found).contains(TermGroup::Ripple.name()), "{:?}", taken(&found));
     let waves = found.model.columns().filter_map(|parameter| match parameter.id {
         ParameterId::JointWave { axis, order, phase: Phase::Sine } => {
@@ -130,6 +133,23 @@ fn lobes_of_gears_that_nobody_has_counted_are_found() {
             assert_eq!(nominal.parameter_mut(wave), Some(&mut 0.0), "{wave}");
         }
     }
+}
+
+#[test]
+fn waves_can_be_freed_and_fixed_by_name() {
+    let names = |names: [&str; 2]| names.map(str::to_owned).to_vec();
+    let free = names(["rsin31_2", "rcos31_2"]);
+    let fix = names(["rsin57_1", "rcos57_1"]);
+    let found =
+        with_lobes(&IdentifyConfig { free: free.clone(), fix: fix.clone(), ..IdentifyConfig::default() });
+    let [freed, fixed] = [free, fix].map(|names| {
+        let parameter = |name: &String| found.model.parameter(name.parse().unwrap()).unwrap();
+        let [sine, cosine] = [parameter(&names[0]), parameter(&names[1])];
+        assert_eq!(sine.role, cosine.role);
+        (sine.role, sine.value.hypot(cosine.value) * 1e6)
+    });
+    assert_eq!(fixed, (Role::Fixed, 0.0));
+    assert!(freed.0 == Role::Free && (freed.1 - 20.0).abs() < 5.0, "{freed:?}");
 }
 
 /// The laboratory's bar is longer by 15 um twice per turn of joint 1, and by 10 um three times per turn of joint 2, each way.

@@ -151,7 +151,8 @@ pub fn calibrate_runs(
         if let Some(unwrapped) = input.unwrapped {
             prepared.timeline.unwrapped_encoders = unwrapped.to_vec();
         }
-        let model = start_model(&prepared, robot, input.bar)?;
+        // Hundreds of waves have a name: a model has those that somebody means, and later those that are found.
+        let model = start_model(&prepared, robot, input.bar)?.with_joint_waves(config.named());
         Ok(Run { prepared, model })
     };
     let mut runs = inputs.iter().enumerate().map(run).collect::<Result<Vec<Run>, CalibrateError>>()?;

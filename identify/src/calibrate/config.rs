@@ -292,6 +292,12 @@ impl IdentifyConfig {
         }
     }
 
+    /// Parameters that are freed, fixed or given a prior by name, as far as such names exist.
+    pub fn named(&self) -> impl Iterator<Item = ParameterId> + '_ {
+        let names = self.priors.keys().chain(&self.free).chain(&self.fix);
+        names.filter_map(|name| name.parse().ok())
+    }
+
     /// Kinds of terms that are tried on top of the selection.
     pub fn candidates(&self) -> Vec<TermGroup> {
         let mut groups = match self.selection {

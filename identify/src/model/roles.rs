@@ -154,11 +154,11 @@ impl Model {
     /// roles stay.
     #[must_use]
     pub fn with_joint_waves(mut self, waves: impl IntoIterator<Item = ParameterId>) -> Self {
-        let known: Vec<ParameterId> = self.parameters.iter().map(|parameter| parameter.id).collect();
-        let wave = |id: &ParameterId| matches!(id, ParameterId::JointWave { .. });
-        let added = waves.into_iter().filter(|id| wave(id) && !known.contains(id));
-        let fixed = |id| Parameter { id, nominal: 0.0, value: 0.0, role: Role::Fixed };
-        self.parameters.extend(added.map(fixed));
+        for id in waves {
+            if matches!(id, ParameterId::JointWave { .. }) && self.parameter(id).is_none() {
+                self.parameters.push(Parameter { id, nominal: 0.0, value: 0.0, role: Role::Fixed });
+            }
+        }
         self
     }
 
