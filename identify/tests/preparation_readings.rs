@@ -73,6 +73,13 @@ fn a_log_without_jumps_is_taken_as_it_is_and_one_with_them_moves_by_whole_turns(
     let log = run(Effects::NONE).robot_log;
     let (same, none) = unwrapped_log(&log);
     assert!(*same == log && none.is_empty());
+    // Ten seconds are missing, in which joint 6 turned by more than half a turn.
+    let mut holed = log.clone();
+    let at = holed.t_s.len() / 2;
+    holed.t_s[at..].iter_mut().for_each(|t_s| *t_s += 10.0);
+    holed.q_rad[at..].iter_mut().for_each(|q| q[5] += 4.0);
+    let (same, none) = unwrapped_log(&holed);
+    assert!(*same == holed && none.is_empty());
     let mut wrapped = log.clone();
     for q in &mut wrapped.q_rad {
         q[3] = (3.0 * q[3]).sin().atan2((3.0 * q[3]).cos());

@@ -7,7 +7,7 @@ use shared::recording::schema::{CycleRecord, EncoderInfo};
 
 use super::bar_angles::{BarAngles, BarSegment};
 use crate::kinematics::ROBOT_JOINTS;
-use crate::logs::{RobotLog, Unwrapped, UnwrappedPoint};
+use crate::logs::{RobotLog, Unwrapped, UnwrappedPoint, default_gap_limit_s};
 
 /// Values of a terminal's counter.
 const COUNTER_VALUES: f64 = 4_294_967_296.0;
@@ -41,18 +41,26 @@ pub fn unwrapped_counters(
 /// The log with joints that begin anew after each turn made continuous, and what was done: a spline or an average across
 /// such a jump would swing through the whole turn.
 ///
-/// Of two rows more than half a turn apart the second is moved by whole turns until it is nearest to the first.
+/// Of two rows more than half a turn apart the second is moved by whole turns until it is nearest to the first. Across a hole
+/// nobody can tell whether the joint moved so far.
 pub fn unwrapped_log(log: &RobotLog) -> (Cow<'_, RobotLog>, Vec<Unwrapped>) {
-    let jumps = |joint: usize| log.q_rad.windows(2).any(|pair| (pair[1][joint] - pair[0][joint]).abs() > PI);
-    let joints: Vec<usize> = (0..ROBOT_JOINTS).filter(|joint| jumps(*joint)).collect();
+    let gap_s = default_gap_limit_s(log);
+    // From the row before it to each row, joint by joint.
+    let steps = |joint: usize| {
+        let times = log.t_s.windows(2).map(move |pair| pair[1] - pair[0] <= gap_s);
+        let steps = log.q_rad.windows(2).map(move |pair| pair[1][joint] - pair[0][joint]);
+        times.zip(steps).map(|(follows, step_rad)| if follows { step_rad } else { 0.0 })
+    };
+    let jumps = |joint: &usize| steps(*joint).any(|step_rad| step_rad.abs() > PI);
+    let joints: Vec<usize> = (0..ROBOT_JOINTS).filter(jumps).collect();
     if joints.is_empty() {
         return (Cow::Borrowed(log), Vec::new());
     }
     let mut continuous = log.clone();
     for &joint in &joints {
         let mut turns = 0.0;
-        for (pair, q) in log.q_rad.windows(2).zip(continuous.q_rad.iter_mut().skip(1)) {
-            turns -= ((pair[1][joint] - pair[0][joint]) / TAU).round();
+        for (step_rad, q) in steps(joint).zip(continuous.q_rad.iter_mut().skip(1)) {
+            turns -= (step_rad / TAU).round();
             q[joint] += turns * TAU;
         }
     }
