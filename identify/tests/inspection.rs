@@ -75,6 +75,19 @@ fn a_joint_that_does_not_move_is_suspected() {
 }
 
 #[test]
+fn joints_that_begin_anew_after_a_turn_are_as_fast_as_they_were() {
+    let mut log = simulated().robot_log;
+    let speed = |log: &RobotLog| inspect::robot_log(log).joints[5].speed_max_deg_s;
+    let expected = speed(&log);
+    let middle = log.q_rad.len() / 2;
+    let end_rad = log.q_rad[middle][5];
+    log.q_rad.iter_mut().filter(|q| q[5] > end_rad).for_each(|q| q[5] -= std::f64::consts::TAU);
+    assert!((speed(&log) - expected).abs() < 1e-6 * expected);
+    let facts = inspect::robot_log(&log).facts;
+    assert!(facts.iter().any(|(what, value)| what == "unwrapped" && value.starts_with("q6, ")), "{facts:?}");
+}
+
+#[test]
 fn curves_keep_extremes_and_holes_and_stay_small() {
     let Simulated { mut robot_log, cycles, encoders, .. } = simulated();
     let of_bar = curves::of_bar(&cycles, &encoders);

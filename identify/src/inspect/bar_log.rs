@@ -1,7 +1,7 @@
 //! The bar's encoders as another program recorded them.
 
 use super::recording::{encoders, motion, quality};
-use super::{Inspection, UNSAID, stamps};
+use super::{Inspection, UNSAID, stamps, unwrapped};
 use crate::logs::OtherBarLog;
 
 /// What a table or a bag holds of the bar.
@@ -20,18 +20,7 @@ pub fn bar_log(log: &OtherBarLog) -> Inspection {
     for (what, instead) in log.unsaid() {
         inspection.fact(UNSAID, format!("{what}; {instead}"));
     }
-    for one in &log.unwrapped {
-        inspection.fact(
-            "unwrapped",
-            format!(
-                "{}, {} {}; its largest step is {:.1} % of what can be followed",
-                one.name,
-                one.wraps,
-                if one.wraps == 1 { "time" } else { "times" },
-                100.0 * one.step_part
-            ),
-        );
-    }
+    unwrapped(&mut inspection, &log.unwrapped);
     quality(&mut inspection, &log.cycles);
     for remark in &log.quality.remarks {
         inspection.suspect(remark.clone());

@@ -9,7 +9,7 @@ pub use bar_log::bar_log;
 pub use recording::recording;
 pub use robot_log::robot_log;
 
-use crate::logs::LogQuality;
+use crate::logs::{LogQuality, Unwrapped};
 
 /// What a fact is called that the file should say, and does not.
 pub const UNSAID: &str = "not in the file";
@@ -62,6 +62,18 @@ fn stamps(inspection: &mut Inspection, quality: &LogQuality) {
             "stamps are up to {:.0} ms apart: samples in such holes are not used",
             quality.longest_gap_s * 1e3
         ));
+    }
+}
+
+/// What began anew and was made continuous.
+fn unwrapped(inspection: &mut Inspection, all: &[Unwrapped]) {
+    for Unwrapped { name, wraps, step_part, .. } in all {
+        let times = if *wraps == 1 { "time" } else { "times" };
+        let percent = 100.0 * step_part;
+        inspection.fact(
+            "unwrapped",
+            format!("{name}, {wraps} {times}; its largest step is {percent:.1} % of what can be followed"),
+        );
     }
 }
 

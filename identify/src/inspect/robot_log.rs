@@ -1,7 +1,8 @@
 //! A robot's own log.
 
-use super::{Inspection, joint_lines, stamps, suspect_still};
+use super::{Inspection, joint_lines, stamps, suspect_still, unwrapped};
 use crate::logs::{Origin, RobotLog};
+use crate::prepare::unwrapped_log;
 
 /// Rows that repeat all joints while the log moves on either side are frozen, not still.
 const FROZEN_ROWS_MIN: usize = 3;
@@ -38,7 +39,9 @@ pub fn robot_log(log: &RobotLog) -> Inspection {
     for remark in &quality.remarks {
         inspection.suspect(remark.clone());
     }
-    inspection.joints = joint_lines('q', &log.t_s, &log.q_rad);
+    let (continuous, begun_anew) = unwrapped_log(log);
+    unwrapped(&mut inspection, &begun_anew);
+    inspection.joints = joint_lines('q', &log.t_s, &continuous.q_rad);
     suspect_still(&mut inspection);
     inspection
 }
