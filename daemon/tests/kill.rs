@@ -15,7 +15,7 @@ use shared::recording::{Recording, Recovery, recover_file};
 use shared::time::{NS_PER_S, UtcNs};
 
 /// Processes that record at the same time.
-const AT_ONCE: usize = 8;
+const AT_ONCE: usize = 6;
 /// A second, the drain period of the ring, and what a busy machine adds to noticing the kill \[ns\].
 const LOST_NS_MAX: i64 = NS_PER_S;
 const SLACK_NS: i64 = 250_000_000;
