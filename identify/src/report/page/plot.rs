@@ -261,9 +261,32 @@ pub(super) fn range(values: impl Iterator<Item = f64>, from_zero: bool) -> (f64,
     }
 }
 
-/// As many decimals as an axis of this width needs.
+/// As many decimals as an axis of this width needs; where these would run into what stands beside the axis, a power of ten.
 pub(super) fn short(value: f64, width: f64) -> String {
-    let decimals = (1.5 - width.abs().max(1e-12).log10()).ceil().clamp(0.0, 6.0) as usize;
+    const DECIMALS_MAX: f64 = 4.0;
+    let width = width.abs().max(1e-12);
+    let decimals = (1.5 - width.log10()).ceil();
+    if decimals > DECIMALS_MAX && value != 0.0 && value.abs() < 10.0 * width {
+        // Rounding of the axis' steps leaves zero not quite zero.
+        return if value.abs() < 1e-6 * width { "0".into() } else { format!("{value:.1e}") };
+    }
+    let decimals = decimals.clamp(0.0, 6.0) as usize;
     let written = format!("{value:.decimals$}");
     if written.trim_start_matches(['-', '0', '.']).is_empty() { "0".into() } else { written }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_beside_an_axis_are_short_and_tell_its_steps_apart() {
+        for exponent in -9..6 {
+            let step = 10.0_f64.powi(exponent);
+            let written: Vec<String> = (-2..=4).map(|at| short(f64::from(at) * step, 6.0 * step)).collect();
+            assert!(written.iter().all(|one| one.len() <= 8), "{written:?}");
+            assert!(written.windows(2).all(|pair| pair[0] != pair[1]), "{written:?}");
+            assert_eq!(written[2], "0");
+        }
+    }
 }

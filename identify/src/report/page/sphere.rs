@@ -57,7 +57,12 @@ fn of_run(sphere: &SphereDeviation, name: Option<&String>) -> Result<Markup, Plo
 
 fn um(metres: f64) -> String {
     let um = metres * 1e6;
-    if um < 100.0 { format!("{um:.1} um") } else { format!("{um:.0} um") }
+    let decimals = match um {
+        ..1.0 => 3,
+        ..100.0 => 1,
+        _ => 0,
+    };
+    format!("{um:.decimals$} um")
 }
 
 fn figures_of(sphere: &SphereDeviation) -> Markup {
