@@ -131,3 +131,22 @@ fn every_part_of_the_model_that_the_laboratory_has_brings_the_robot_nearer_to_th
         assert!(joints.mean() < limit && joints.max() < 0.25, "{}: {}", robot.name, joints.mean());
     }
 }
+
+#[test]
+fn a_moving_average_over_both_logs_costs_no_accuracy() {
+    let (robot, bar) = (irb2400(), bar());
+    let mut averaged = IdentifyConfig::default();
+    averaged.prepare.moving_average_ms = 100.0;
+    let mut scores = [Score::default(), Score::default()];
+    for seed in 1..=seeds() {
+        let run = simulate::run(&Experiment { seed, effects: LABORATORY, ..Experiment::new(&robot, &bar) });
+        let run = run.unwrap();
+        for (score, config) in scores.iter_mut().zip([&IdentifyConfig::default(), &averaged]) {
+            score.add(&calibrated(&run, &robot, &bar, config), &run);
+        }
+    }
+    let [without, with] = scores.each_ref().map(Score::mean);
+    println!("{:?} without, {:?} with an average over 100 ms", scores[0].errors, scores[1].errors);
+    assert!(with < 1.3 * without, "{with} {without}");
+    assert!(scores[1].max() < 0.05, "{}", scores[1].max());
+}

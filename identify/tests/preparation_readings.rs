@@ -92,18 +92,18 @@ fn a_log_without_jumps_is_taken_as_it_is_and_one_with_them_moves_by_whole_turns(
 }
 
 #[test]
-fn at_standstill_the_average_takes_noise_and_in_motion_also_the_bends_of_the_path() {
+fn the_average_takes_noise_and_in_motion_hardly_more_than_at_standstill() {
     let noisy = run(Effects { robot_noise_urad: 30.0, encoder_noise_urad: 30.0, ..Effects::NONE });
     assert_eq!(prepared(&noisy, "").timeline.averaged, None);
     let found = prepared(&noisy, "moving_average_ms = 100.0");
     let averaged = found.timeline.averaged.unwrap();
-    // Half of it at either end of the recording.
-    assert_eq!((averaged.width_s, found.counts.not_averaged), (0.1, 10));
+    // Its width at either end of the recording.
+    assert_eq!((averaged.width_s, found.counts.not_averaged), (0.1, 20));
     for side in [&averaged.bar, &averaged.robot] {
         for (still, moving) in side.still_rad.iter().zip(&side.moving_rad) {
             let (still, moving) = (still.unwrap() * 1e6, moving.unwrap() * 1e6);
             // The average has a small part of each reading's own noise.
-            assert!((25.0..30.5).contains(&still) && moving > still, "{still} {moving}");
+            assert!((25.0..30.5).contains(&still) && (moving - still).abs() < 3.0, "{still} {moving}");
         }
         let fastest = &side.fastest;
         assert!((100..=600).contains(&fastest.len()), "{}", fastest.len());
@@ -115,7 +115,7 @@ fn at_standstill_the_average_takes_noise_and_in_motion_also_the_bends_of_the_pat
         let (read, averaged) = (about_line(|one| one.speed_rad_s), about_line(|one| one.averaged_rad_s));
         assert!(averaged < 0.2 * read, "speeds are smoother: {averaged} {read}");
     }
-    // Both logs lose the same of the motion: what is fastest there bends by some hundred microradians within 100 ms.
+    // The speed that is shown is that of the motion.
     let truth_s = found.t_ref.seconds_since(noisy.truth.clock.bar_start);
     let joint = averaged.bar.fastest_joint - 1;
     let point = averaged.bar.fastest[averaged.bar.fastest.len() / 2];

@@ -85,6 +85,25 @@ impl<const N: usize> CubicSpline<N> {
         })
     }
 
+    /// Integral from knot `interval` over the part `u` (0 to 1) of the way to the next one; none in gaps.
+    pub fn integral_within(&self, interval: usize, u: f64) -> Option<[f64; N]> {
+        if !*self.bridged.get(interval)? {
+            return None;
+        }
+        let width_s = self.t_s[interval + 1] - self.t_s[interval];
+        let (left, right) = (&self.values[interval], &self.values[interval + 1]);
+        let (m_left, m_right) = (&self.curvatures[interval], &self.curvatures[interval + 1]);
+        let (w2, u2) = ((1.0 - u) * (1.0 - u), u * u);
+        let (of_left, of_right) = (0.5 * (1.0 - w2), 0.5 * u2);
+        let h2 = width_s * width_s / 6.0;
+        let (of_m_left, of_m_right) =
+            (h2 * (0.25 * (1.0 - w2 * w2) - of_left), h2 * (0.25 * u2 * u2 - of_right));
+        Some(std::array::from_fn(|i| {
+            width_s
+                * (of_left * left[i] + of_right * right[i] + of_m_left * m_left[i] + of_m_right * m_right[i])
+        }))
+    }
+
     /// First and last stamp.
     pub fn range_s(&self) -> (f64, f64) {
         (self.t_s.first().copied().unwrap_or_default(), self.t_s.last().copied().unwrap_or_default())

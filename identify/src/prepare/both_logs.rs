@@ -70,7 +70,7 @@ impl<'a> BothLogs<'a> {
         standstills: &[Standstill],
     ) -> Option<Averaged> {
         let before = self.before.as_ref()?;
-        // The first average is half a width after the first row.
+        // The first average is a width after the first row.
         let begins_s = self.log.first_stamp_ns.saturating_sub(before.log.first_stamp_ns) as f64 * 1e-9;
         let compared = BeforeAverage {
             width_s: before.width_s,

@@ -107,8 +107,8 @@ pub struct PrepareOptions {
     pub motion_min_mrad: f64,
     /// Which encoder sits on which joint and which way it counts: `find`, `recorded`, or stated one by one.
     pub encoders: WiringChoice,
-    /// Centred moving average over both logs \[ms\]; 0 is none. The thesis took 100 ms; an estimator that knows the noise
-    /// does better without.
+    /// Centred moving average over both logs \[ms\]; 0 is none. The thesis took 100 ms. Bends of the path stay
+    /// ([`moving_average`]) unless it is much longer.
     pub moving_average_ms: f64,
     /// Angles may stay this far from the refined fit (1.48 times the median deviation) \[mrad\].
     pub fit_max_mrad: f64,
@@ -161,7 +161,7 @@ pub struct SampleCounts {
     pub time_not_increasing: usize,
     /// In runs between two changes of the counters' origin that are too short to find their zeros.
     pub other_origin: usize,
-    /// Nearer to an end or a hole than half the moving average, where there is one.
+    /// Nearer to an end or a hole than the width of the moving average, where there is one.
     pub not_averaged: usize,
     /// At times that the robot's log does not cover.
     pub outside_robot_log: usize,

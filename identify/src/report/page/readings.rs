@@ -78,8 +78,8 @@ pub(super) fn moving_average(averaged: Option<&Averaged>) -> Result<Markup, Plot
     let Some(averaged) = averaged else {
         return Ok(html! {
             p {
-                b { "Moving average: " } "off, as usual: the cost knows the noise of the angles and weighs it, while an average also "
-                "flattens the motion. " code { "prepare.moving_average_ms" } " switches it on, for both logs alike."
+                b { "Moving average: " } "off, as usual: the cost knows the noise of the angles and weighs it. "
+                code { "prepare.moving_average_ms" } " switches it on, for both logs alike."
             }
         });
     };
@@ -92,14 +92,16 @@ pub(super) fn moving_average(averaged: Option<&Averaged>) -> Result<Markup, Plot
     let width_ms = averaged.width_s * 1e3;
     Ok(html! {
         p {
-            b { "Moving average: " } "both logs were averaged over " (format!("{width_ms:.0}")) " ms, centred and in the same way; "
-            "readings nearer than half of it to an end or a hole were left out."
+            b { "Moving average: " } "both logs were averaged over " (format!("{width_ms:.0}")) " ms, centred and in the same way. "
+            "A mean of a curved motion lies inside the curve; by how much is known from the mean over twice the time, and was given back. "
+            "Readings nearer than " (format!("{width_ms:.0}")) " ms to an end or a hole were left out."
         }
         figure {
             div.panels { @for panel in drawn { (svg(panel)) } }
             figcaption {
                 "The fastest joint of each log about its fastest moment. Left: its speed from the readings (grey) and from the "
-                "averages. Right: what the average took from its angle: noise, and the bends of the motion, these alike in both logs."
+                "averages. Right: what the average took from its angle: noise. Waves are turns too sharp for it: samples there fit worse, "
+                "and a shorter average is better."
             }
         }
         (removed(averaged))
