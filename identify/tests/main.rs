@@ -42,3 +42,4 @@ mod simulated_experiment;
 mod simulation;
 mod solver;
 mod solver_threads;
+mod wrong_robot;

@@ -80,7 +80,7 @@ const LONG_STRIDE: usize = 5;
 const HOLE_S: f64 = 1.0;
 
 /// A shift, and how the angles fit there.
-struct Hypothesis {
+pub(super) struct Hypothesis {
     matched: Match,
     clock: ClockFit,
     wiring: WiringReport,
@@ -128,8 +128,7 @@ impl Search<'_> {
             if other.0.matched.overlap as f64 > 1.1 * best.0.matched.overlap as f64 { other } else { best }
         });
         let Some((hypothesis, fit)) = longest else {
-            let samples = self.samples.get(window).unwrap_or_default();
-            let jump = self.jump_between_parts(samples, step_s);
+            let jump = self.jump_between_parts(&window, step_s);
             return Err(jump.or(refusal).unwrap_or(PrepareError::NothingToFit));
         };
         let Hypothesis { matched, wiring, .. } = hypothesis;
@@ -194,53 +193,22 @@ impl Search<'_> {
                 overlap_s: best.map_or(0.0, |best| best.overlap as f64 * step_s),
                 needed: self.options.correlation_min,
             };
-            return Err(self.jump_between_parts(samples, step_s).unwrap_or(no_match));
+            return Err(self.jump_between_parts(window, step_s).unwrap_or(no_match));
         }
         Ok(all)
     }
 
-    /// A clock that jumped, if parts of the recording match by themselves, at shifts that disagree.
-    fn jump_between_parts(&self, samples: &[Raw], step_s: f64) -> Option<PrepareError> {
-        /// Parts of the recording that are looked at one by one.
-        const PARTS: usize = 6;
-        /// Shifts that differ by this much are different \[s\].
-        const DIFFERENT_S: f64 = 0.05;
-        /// Part of a part that must lie in the robot's log.
-        const OVERLAP: f64 = 0.6;
-        let joints = self.joints();
-        let from_robot = without_order(&self.predicted(step_s));
-        let first_s = samples.first()?.t_s;
-        let parts = samples.chunks(samples.len().div_ceil(PARTS).max(1)).filter_map(|part| {
-            let start_s = part.first()?.t_s - first_s;
-            let overlap_min = (OVERLAP * (part.last()?.t_s - part.first()?.t_s) / step_s) as usize;
-            let from_bar = without_order(&measured_speeds(part, &joints, step_s));
-            let matched = candidates(&from_robot, &from_bar, overlap_min, 1).pop()?;
-            let sure = matched.correlation >= self.options.correlation_min;
-            sure.then_some((start_s, matched.shift * step_s - start_s))
-        });
-        let parts: Vec<(f64, f64)> = parts.collect();
-        let differ = |a: &(f64, f64), b: &(f64, f64)| (a.1 - b.1).abs() > DIFFERENT_S;
-        // A chance match of one part agrees with no other.
-        let mut sides = parts.chunk_by(|a, b| !differ(a, b)).filter(|side| side.len() >= 2);
-        let (before, after) = (sides.next()?, sides.next()?);
-        if sides.next().is_some() || before.len() + after.len() + 1 < parts.len() {
-            return None;
-        }
-        let ((_, before_s), (start_s, after_s)) = (before.last()?, after.first()?);
-        Some(PrepareError::ClockJump { at_s: first_s + start_s, by_ms: 1e3 * (after_s - before_s) })
-    }
-
     /// Recorded joints from 0.
-    fn joints(&self) -> Vec<usize> {
+    pub(super) fn joints(&self) -> Vec<usize> {
         self.recorded_joints.iter().map(|joint| usize::from(*joint) - 1).collect()
     }
 
-    fn predicted(&self, step_s: f64) -> Channels {
+    pub(super) fn predicted(&self, step_s: f64) -> Channels {
         predicted_speeds(self.predictor, self.log_duration_s, &self.joints(), self.margin_rad(), step_s)
     }
 
     /// What the angles say of a shift.
-    fn hypothesis(
+    pub(super) fn hypothesis(
         &self,
         window: &std::ops::Range<usize>,
         matched: Match,

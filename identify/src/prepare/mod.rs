@@ -38,6 +38,7 @@ mod forces;
 mod judge;
 mod jump;
 mod origins;
+mod parts;
 mod predict;
 mod refine;
 mod samples;

@@ -4,7 +4,8 @@ use super::{PositiveForce, Quantiles, RunEvidence, Stretch, WorkspaceError};
 use crate::calibrate::CostName;
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::cost::Closure;
-use crate::kinematics::ROBOT_JOINTS;
+use crate::kinematics::{LinkParameter, ROBOT_JOINTS};
+use crate::model::ParameterId;
 use crate::prepare::Prepared;
 
 /// A joint that turned less than this tells little of its link \[deg\].
@@ -13,6 +14,9 @@ const TRAVEL_MIN_DEG: f64 = 20.0;
 const NOISE_RATIO_MAX: f64 = 1.5;
 /// Samples that the loss trusts less than half are outliers.
 const WEIGHT_MIN: f64 = 0.5;
+
+/// No robot is built and no bar measured so badly \[m\].
+const LENGTH_OFF_M: f64 = 5e-3;
 
 /// One thing that limits a calibration.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -36,6 +40,7 @@ pub fn limits(
             of_run(prepared).map(|sentence| Limit { sentence: place.clone() + &sentence, serious: true }),
         );
     }
+    limits.extend(other_lengths(calibration).map(|sentence| Limit { sentence, serious: true }));
     let mut tell = |serious: bool, sentence: String| limits.push(Limit { sentence, serious });
     let noise_ratio = calibration.solution.summary.residual_rms;
     if calibration.cost == CostName::Pose && noise_ratio > NOISE_RATIO_MAX {
@@ -99,6 +104,29 @@ fn untold_forces(calibration: &BallBarCalibration) -> impl Iterator<Item = Limit
             stretch.sentence()
         ),
         serious: true,
+    })
+}
+
+/// Lengths that come out far from the configured ones: of another robot or bar, or all by the same part.
+fn other_lengths(calibration: &BallBarCalibration) -> Option<String> {
+    let is_length = |id: ParameterId| match id {
+        ParameterId::Robot { parameter, .. } | ParameterId::Bar { parameter, .. } => {
+            matches!(parameter, LinkParameter::A | LinkParameter::D)
+        }
+        _ => false,
+    };
+    let solved = calibration.model.columns().zip(&calibration.solution.x);
+    let off: Vec<String> = solved
+        .map(|(parameter, x)| (parameter.id, x - parameter.nominal))
+        .filter(|(id, off_m)| is_length(*id) && off_m.abs() > LENGTH_OFF_M)
+        .map(|(id, off_m)| format!("{id} by {:+.1} mm", off_m * 1e3))
+        .collect();
+    (!off.is_empty()).then(|| {
+        format!(
+            "Lengths come out far from the configured ones: {}. Where one or two are off, the robot's or the bar's configuration \
+             is not that of the cell; where all are, plate_m is not: it fixes the scale, and all lengths are wrong by as much.",
+            off.join(", ")
+        )
     })
 }
 

@@ -1,0 +1,79 @@
+//! A clock that jumps so far that no one shift matches the whole run: told by its parts.
+
+use std::ops::Range;
+
+use super::PrepareError;
+use super::correlate::{Match, candidates};
+use super::find::Search;
+use super::speeds::{measured_speeds, without_order};
+
+/// Parts of the recording that are looked at one by one.
+const PARTS: usize = 6;
+/// Shifts that differ by this much are different \[s\].
+const DIFFERENT_S: f64 = 0.05;
+/// Part of a part that must lie in the robot's log.
+const OVERLAP: f64 = 0.6;
+/// A jump is so many times larger than what the shifts of either side differ by.
+const TIMES_SCATTER: f64 = 3.0;
+
+/// A part of the recording that matches by itself.
+struct Part {
+    samples: Range<usize>,
+    /// First sample, bar time \[s\].
+    start_s: f64,
+    matched: Match,
+    /// Robot time less bar time \[s\].
+    shift_s: f64,
+}
+
+impl Search<'_> {
+    /// A clock that jumped, if parts of `window` match by themselves, at shifts that agree before and after some instant.
+    ///
+    /// With another robot than the configured one parts match, too, at shifts that scatter; its angles fit on neither side.
+    pub(super) fn jump_between_parts(&self, window: &Range<usize>, step_s: f64) -> Option<PrepareError> {
+        let parts = self.parts(window, step_s);
+        let differ = |a: &Part, b: &Part| (a.shift_s - b.shift_s).abs() > DIFFERENT_S;
+        // A chance match of one part agrees with no other.
+        let mut sides = parts.chunk_by(|a, b| !differ(a, b)).filter(|side| side.len() >= 2);
+        let (before, after) = (sides.next()?, sides.next()?);
+        if sides.next().is_some() || before.len() + after.len() + 1 < parts.len() {
+            return None;
+        }
+        let by_s = after.first()?.shift_s - before.last()?.shift_s;
+        let sharp = by_s.abs() > DIFFERENT_S.max(TIMES_SCATTER * scatter_s(before).max(scatter_s(after)));
+        let fits = |side: &[Part]| self.side_fits(side, step_s);
+        let at_s = after.first()?.start_s;
+        (sharp && fits(before) && fits(after)).then_some(PrepareError::ClockJump { at_s, by_ms: 1e3 * by_s })
+    }
+
+    fn parts(&self, window: &Range<usize>, step_s: f64) -> Vec<Part> {
+        let joints = self.joints();
+        let from_robot = without_order(&self.predicted(step_s));
+        let length = window.len().div_ceil(PARTS).max(1);
+        let part = |start: usize| {
+            let samples = start..(start + length).min(window.end);
+            let part = self.samples.get(samples.clone())?;
+            let (start_s, end_s) = (part.first()?.t_s, part.last()?.t_s);
+            let overlap_min = (OVERLAP * (end_s - start_s) / step_s) as usize;
+            let from_bar = without_order(&measured_speeds(part, &joints, step_s));
+            let matched = candidates(&from_robot, &from_bar, overlap_min, 1).pop()?;
+            let sure = matched.correlation >= self.options.correlation_min;
+            let shift_s = matched.shift * step_s - start_s;
+            sure.then_some(Part { samples, start_s, matched, shift_s })
+        };
+        window.clone().step_by(length).filter_map(part).collect()
+    }
+
+    /// The angles of a side fit at its own shift, as those of a run without jump do.
+    fn side_fits(&self, side: &[Part], step_s: f64) -> bool {
+        let (Some(first), Some(last)) = (side.first(), side.last()) else { return false };
+        let window = first.samples.start..last.samples.end;
+        let fit = self.hypothesis(&window, first.matched, step_s);
+        matches!(fit, Ok(_) | Err(PrepareError::AmbiguousWiring { .. } | PrepareError::OtherWiring { .. }))
+    }
+}
+
+/// How far the shifts of neighbouring parts are apart at most \[s\].
+fn scatter_s(side: &[Part]) -> f64 {
+    side.windows(2).map(|pair| (pair[1].shift_s - pair[0].shift_s).abs()).fold(0.0, f64::max)
+}

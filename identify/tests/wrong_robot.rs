@@ -1,0 +1,142 @@
+//! A run calibrated with the configuration of another robot or bar: told as that and as nothing else, or found all the same.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use crate::support::{bar, irb2400, nj220};
+use identify::calibrate::ball_bar::{self, BallBarCalibration};
+use identify::calibrate::truth::Comparison;
+use identify::calibrate::{IdentifyConfig, JointTermsConfig};
+use identify::prepare::{PrepareOptions, prepare};
+use identify::simulate::{self, Effects, Experiment, Simulated};
+use identify::study::{WorkspaceError, limits};
+use shared::config::{BallBarConfig, RobotConfig};
+
+fn laboratory(robot: &RobotConfig, seed: u64) -> Simulated {
+    let effects = Effects {
+        robot_noise_urad: 15.0,
+        encoder_noise_urad: 5.0,
+        gear_sine_urad: 30.0,
+        cycloid_urad: 20.0,
+        encoder_eccentricity_urad: 40.0,
+        encoder_ellipticity_urad: 15.0,
+        base_tilt_urad: 5000.0,
+        ..Effects::NONE
+    };
+    simulate::run(&Experiment { seed, effects, ..Experiment::new(robot, &bar()) }).unwrap()
+}
+
+/// Lengths of a robot's links that a bar can see.
+#[derive(Debug, Clone, Copy)]
+enum Length {
+    A(usize),
+    D(usize),
+}
+
+const LENGTHS: [Length; 5] = [Length::A(1), Length::A(2), Length::A(3), Length::D(4), Length::D(6)];
+
+fn longer(robot: &RobotConfig, by_m: &[(Length, f64)]) -> RobotConfig {
+    let mut robot = robot.clone();
+    for (length, by_m) in by_m {
+        match length {
+            Length::A(link) => robot.links[link - 1].a_m += by_m,
+            Length::D(link) => robot.links[link - 1].d_m += by_m,
+        }
+    }
+    robot
+}
+
+fn is_told_as_another_robot(run: &Simulated, robot: &RobotConfig, what: &str) {
+    let options = PrepareOptions::default();
+    let found = prepare(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), &options);
+    let told = found.map(drop).unwrap_err().to_string();
+    println!("{what}: {told}\n");
+    assert!(!told.contains("jumps") && !told.contains("slips"), "{what}: {told}");
+    assert!(told.contains("sphere") || told.contains("configuration (lengths"), "{what}: {told}");
+}
+
+#[test]
+fn links_that_are_decimetres_too_long_are_never_told_as_a_clock_or_an_encoder() {
+    for (name, robot, seeds) in [("IRB 2400", irb2400(), 1..=2), ("NJ 220", nj220(), 1..=1)] {
+        for seed in seeds {
+            let run = laboratory(&robot, seed);
+            for (at, one) in LENGTHS.into_iter().enumerate() {
+                for by_m in [0.2, -0.2] {
+                    let other = longer(&robot, &[(one, by_m)]);
+                    is_told_as_another_robot(&run, &other, &format!("{name}, seed {seed}, {one:?} {by_m:+}"));
+                    for two in LENGTHS.into_iter().skip(at + 1) {
+                        let other = longer(&robot, &[(one, 0.2), (two, by_m)]);
+                        let what = format!("{name}, seed {seed}, {one:?} +0.2, {two:?} {by_m:+}");
+                        is_told_as_another_robot(&run, &other, &what);
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_run_of_one_robot_is_no_run_of_the_other() {
+    let robots = [irb2400(), nj220()];
+    for (robot, other) in [(&robots[0], &robots[1]), (&robots[1], &robots[0])] {
+        is_told_as_another_robot(&laboratory(robot, 1), other, &other.name);
+    }
+}
+
+fn calibrated(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig) -> BallBarCalibration {
+    let config = IdentifyConfig {
+        joint_terms: JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() },
+        ..IdentifyConfig::default()
+    };
+    ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, bar, &config).unwrap()
+}
+
+/// Names of the lengths that are told to come out far from the configured ones, and by how much \[mm\].
+fn told_of_lengths(found: &BallBarCalibration) -> Vec<(String, f64)> {
+    let told = limits(found, &[], &WorkspaceError::default());
+    let Some(told) = told.into_iter().find(|limit| limit.sentence.starts_with("Lengths come out")) else {
+        return Vec::new();
+    };
+    assert!(told.serious && told.sentence.contains("plate_m"));
+    println!("{}", told.sentence);
+    let list = told.sentence.split_once(": ").unwrap().1.split_once(". ").unwrap().0;
+    let one = |told: &str| {
+        let (name, by) = told.split_once(" by ").unwrap();
+        (name.to_owned(), by.strip_suffix(" mm").unwrap().parse().unwrap())
+    };
+    list.split(", ").map(one).collect()
+}
+
+#[test]
+fn centimetres_are_found_and_told() {
+    let (robot, bar) = (irb2400(), bar());
+    let run = laboratory(&robot, 1);
+    let right = calibrated(&run, &robot, &bar);
+    assert_eq!(told_of_lengths(&right), []);
+    let error = |found: &BallBarCalibration| Comparison::new(found, &run.truth).euclidean_mm_mrad();
+    let bar_of = |length_m: f64| BallBarConfig { length_m, ..bar.clone() };
+    let two = [(Length::A(1), 0.05), (Length::D(4), -0.05)];
+    let cases = [
+        (longer(&robot, &[(Length::A(2), 0.05)]), bar.clone(), vec![("ra2", -50.0)]),
+        (longer(&robot, &two), bar.clone(), vec![("ra1", -50.0), ("rd4", 50.0)]),
+        (robot.clone(), bar_of(0.604), vec![]),
+        (robot.clone(), bar_of(0.62), vec![("bd3", -20.0)]),
+    ];
+    for (robot, bar, expected) in cases {
+        let found = calibrated(&run, &robot, &bar);
+        println!("{expected:?} {:.4} mm|mrad, {:.4} otherwise", error(&found), error(&right));
+        // Starting from elsewhere leads to the same robot.
+        assert!(error(&found) < 1.2 * error(&right), "{expected:?}");
+        let told = told_of_lengths(&found);
+        let same = |(told, expected): (&(String, f64), &(&str, f64))| {
+            told.0 == expected.0 && (told.1 - expected.1).abs() < 2.0
+        };
+        assert!(told.len() == expected.len() && told.iter().zip(&expected).all(same), "{told:?}");
+    }
+    // The plate is the measure of everything: only that all lengths are off, by the same part, tells of it.
+    let scaled = told_of_lengths(&calibrated(&run, &robot, &BallBarConfig { plate_m: 0.255, ..bar }));
+    let part = |name: &str, length_mm: f64| {
+        scaled.iter().find(|one| one.0 == name).map_or(0.0, |one| one.1 / length_mm)
+    };
+    for (name, length_mm) in [("ra2", 705.0), ("rd4", 755.0), ("bd3", 600.0)] {
+        assert!((part(name, length_mm) - 0.02).abs() < 1e-3, "{name}: {scaled:?}");
+    }
+}
