@@ -18,9 +18,9 @@ fn sixty_seconds_in_real_time_give_6000_whole_cycles() {
         record(directory.path(), &request("minute", BusChoice::Simulated, minute, false), &ball_bar());
     let cycles = &recording.cycles;
     assert!((5999..=6001).contains(&cycles.len()), "{} cycles", cycles.len());
-    // A machine that stalls for more than half a cycle (a busy host under this one) misses deadlines: then the file says
-    // so, for these cycles and for the one whose sample the late frame fetched.
-    let missed = |cycle: &CycleRecord| cycle.flags & flags::DEADLINE_MISSED != 0;
+    // A machine that stalls for half a cycle (a busy host under this one) misses deadlines, or replies while a frame is
+    // away: then the file says so, for these cycles and for the one whose sample the late frame fetched.
+    let missed = |cycle: &CycleRecord| cycle.flags & (flags::DEADLINE_MISSED | flags::NO_REPLY) != 0;
     for (number, cycle) in cycles.iter().enumerate() {
         assert_eq!(cycle.cycle, number as u64);
         assert_eq!(cycle.working_counter_expected, 15);
@@ -31,8 +31,8 @@ fn sixty_seconds_in_real_time_give_6000_whole_cycles() {
         }
     }
     let missed = cycles.iter().filter(|cycle| missed(cycle)).count();
-    println!("{} cycles, {missed} missed their deadline", cycles.len());
-    assert!(missed < 60, "{missed} of {} cycles missed their deadline", cycles.len());
+    println!("{} cycles, {missed} missed by a stall", cycles.len());
+    assert!(missed < 60, "{missed} of {} cycles missed by a stall", cycles.len());
     for pair in cycles.windows(2) {
         let step_ns = pair[1].sample_time.ns_since(pair[0].sample_time);
         assert!((9_000_000..11_000_000).contains(&step_ns), "{step_ns} ns after cycle {}", pair[0].cycle);
