@@ -48,10 +48,12 @@ fn number_before(text: &str, unit: &str) -> f64 {
 #[test]
 fn a_slipped_encoder_is_named_with_time_and_size() {
     let clean = laboratory(|_| {});
+    // The smallest drown in the errors of nominal links: only the calibrated ones show them.
+    let smallest = [(0, 4000, -0.6), (1, 3000, 0.5), (2, 6000, -0.6), (3, 1500, 0.5), (4, 4000, -0.6)];
     let small = [(0, 3000, 5.0), (3, 4000, -0.6), (4, 5000, 15.0), (2, 2000, 40.0)];
     // So large that the encoder fits no joint, or so large and late that most of the run still fits.
     let large = [(0, 4000, 90.0), (4, 5500, 1000.0), (3, 4100, -2500.0)];
-    for (place, at, mrad) in small.into_iter().chain(large) {
+    for (place, at, mrad) in smallest.into_iter().chain(small).chain(large) {
         let mut run = clean.clone();
         let counts = (mrad * 1e-3 / run.encoders[place].scale.rad_per_count()) as i32;
         for cycle in &mut run.cycles[at..] {

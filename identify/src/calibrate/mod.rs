@@ -14,8 +14,10 @@ pub mod refusal;
 mod repetition;
 mod ripple;
 mod robust;
+mod rows;
 pub mod several;
 pub mod structure;
+mod sudden;
 pub mod truth;
 
 pub use config::{CostName, IdentifyConfig, JointTermsConfig, NoiseConfig, SelectionName};

@@ -12,17 +12,14 @@ use std::f64::consts::TAU;
 
 use nalgebra::{DMatrix, DVector};
 
-use crate::cost::{CostError, LoopProblem, Residual};
+use super::rows::Rows;
+use crate::cost::{CostError, Residual};
 use crate::kinematics::{LinkParameter, ROBOT_JOINTS};
 use crate::model::{
-    DriveTrain, JointState, JointTerm, JointWaves, Model, Observation, ParameterId, Period, Phase,
-    RobotMotion, Role,
+    DriveTrain, JointTerm, JointWaves, Model, Observation, ParameterId, Period, Phase, RobotMotion, Role,
 };
-use crate::solver::{Subset, stacked};
 
 const ORDERS: usize = (JointWaves::LAST - JointWaves::FIRST + 1) as usize;
-/// Samples of a run that are looked at, at most: waves that more would find are too small to matter.
-const SAMPLES_MAX: usize = 3000;
 /// What a wave takes away of noise of variance one is chi-squared with two degrees of freedom. Beyond this it stands out:
 /// that none of some 700 tries gets there by chance is certain to one in ten thousand.
 const STANDS_OUT: f64 = 32.0;
@@ -70,31 +67,17 @@ impl Ripple {
         let drives = &geometry.joints.drives;
         self.known.extend(known(drives));
         let Some(of_joints) = joints_only(model) else { return Ok(()) };
-        let problem = LoopProblem::new(&of_joints, motion, observations, residual, sigma)?;
-        let every = observations.len().div_ceil(SAMPLES_MAX).max(1);
-        let reported = |sample: usize| motion.at(geometry.clock.robot_time_s(observations.get(sample)?.t_s));
-        // Samples without a value have no weight.
-        let present: Vec<(usize, JointState, f64)> = (0..observations.len())
-            .step_by(every)
-            .filter_map(|sample| Some((sample, reported(sample)?, *weights.get(sample)?)))
-            .filter(|(.., weight)| *weight > 0.0)
-            .collect();
-        let samples = present.iter().map(|(sample, ..)| *sample).collect();
-        let subset = Subset { of: &problem, samples };
-        let Some((residuals, jacobian)) = stacked(&subset, &of_joints.start()) else { return Ok(()) };
-        if residuals.len() != R::ROWS * present.len() {
-            return Ok(());
-        }
+        let rows = Rows::new(&of_joints, motion, observations, residual, sigma, weights)?;
+        let Some(Rows { samples, residuals, jacobian }) = rows else { return Ok(()) };
         self.angles_rad.extend(
-            present.iter().map(|(_, state, _)| std::array::from_fn(|axis| drives.of_drive(axis, &state.q))),
+            samples.iter().map(|(_, state)| std::array::from_fn(|axis| drives.of_drive(axis, &state.q))),
         );
-        for row in 0..residuals.len() {
-            let root = present[row / R::ROWS].2.sqrt();
+        for (residual, by) in residuals.iter().zip(jacobian.row_iter()) {
             let by_drive = |axis: usize| {
-                let turned = drives.joint_from_drive[axis].iter().enumerate();
-                turned.map(|(joint, part)| root * part * jacobian[(row, joint)]).sum()
+                let turned = drives.joint_from_drive[axis].iter().zip(&by);
+                turned.map(|(part, by_joint)| part * by_joint).sum()
             };
-            self.residuals.push(root * residuals[row]);
+            self.residuals.push(*residual);
             self.by_drives.push(std::array::from_fn(by_drive));
         }
         Ok(())

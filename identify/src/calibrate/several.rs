@@ -7,11 +7,13 @@ use super::config::{CostName, IdentifyConfig, SelectionName};
 use super::repetition::independent_stretches;
 use super::ripple::Ripple;
 use super::robust::{LossName, solve_from_subsets, solve_robust};
+use super::rows::Rows;
 use super::structure::identifiable;
+use super::sudden;
 use crate::cost::{CostError, LoopProblem, Residual, SeveralRuns, SharedColumns, fill_in};
 use crate::kinematics::{BAR_JOINTS, LinkParameter};
 use crate::model::{Geometry, Model, ModelError, ParameterId, Role};
-use crate::prepare::{AlignedLog, Prepared};
+use crate::prepare::{AlignedLog, PrepareOptions, Prepared};
 use crate::solver::{Options, Solution, Watch};
 
 /// The thesis' residuals enter as it defines them; `pose` is whitened by itself.
@@ -130,6 +132,7 @@ pub fn solve<R: Residual>(
         }
     }
     solution.summary.residual_rms_start = first.summary.residual_rms_start;
+    solver.check_changes(sigma, &solution.sample_weights, &config.prepare)?;
     if let Some(blocks) = solver.blocks(&columns, sigma, &solution.sample_weights, LEFT_OUT)?
         && let Some(covariance) = blocks.jackknife()
     {
@@ -262,15 +265,44 @@ impl<R: Residual, F: Fn(&Prepared, &Geometry) -> R> Solver<'_, F> {
         Ok((report, scale))
     }
 
+    /// Each run with the weights of its samples.
+    fn weighed<'a>(&'a self, weights: &'a [f64]) -> impl Iterator<Item = (&'a Run, &'a [f64])> {
+        let mut rest = weights;
+        self.runs.iter().map(move |run| {
+            let (own, others) = rest.split_at(run.prepared.observations.len().min(rest.len()));
+            rest = others;
+            (run, own)
+        })
+    }
+
+    /// No encoder slips and no clock jumps, as far as the solution with all of its terms tells: what these could bend towards
+    /// is not told.
+    ///
+    /// # Errors
+    /// [`CalibrateError::Prepare`] for the first run where one does.
+    fn check_changes(
+        &self,
+        sigma: f64,
+        weights: &[f64],
+        options: &PrepareOptions,
+    ) -> Result<(), CalibrateError> {
+        for (number, (Run { prepared, model }, weights)) in self.weighed(weights).enumerate() {
+            let residual = (self.residual)(prepared, &model.geometry(&[]));
+            let rows = Rows::new(model, &prepared.motion, &prepared.observations, residual, sigma, weights)?;
+            let change = rows.and_then(|rows| sudden::change(model, prepared, &rows, options));
+            if let Some(error) = change {
+                return Err(CalibrateError::Prepare { run: number, error: Box::new(error) });
+            }
+        }
+        Ok(())
+    }
+
     /// Gives all models the waves of the axes that what is left shows.
     fn offer_ripple(&mut self, sigma: f64, weights: &[f64]) -> Result<(), CalibrateError> {
         let mut ripple = Ripple::default();
-        let mut weights = weights;
-        for Run { prepared, model } in &*self.runs {
-            let (own, rest) = weights.split_at(prepared.observations.len().min(weights.len()));
-            weights = rest;
+        for (Run { prepared, model }, weights) in self.weighed(weights) {
             let residual = (self.residual)(prepared, &model.geometry(&[]));
-            ripple.add(model, &prepared.motion, &prepared.observations, residual, sigma, own)?;
+            ripple.add(model, &prepared.motion, &prepared.observations, residual, sigma, weights)?;
         }
         let found = ripple.found();
         for run in &mut *self.runs {
