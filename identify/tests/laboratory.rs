@@ -13,7 +13,7 @@ use identify::simulate::{self, Effects, Experiment, Simulated};
 use shared::config::{BallBarConfig, RobotConfig};
 
 /// 25 ppm skew is the experiment's own.
-const LABORATORY: Effects = Effects {
+pub(crate) const LABORATORY: Effects = Effects {
     robot_noise_urad: 15.0,
     encoder_noise_urad: 5.0,
     gear_sine_urad: 30.0,

@@ -1,27 +1,18 @@
 //! A run calibrated with the configuration of another robot or bar: told as that and as nothing else, or found all the same.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use crate::laboratory::LABORATORY;
 use crate::support::{bar, irb2400, nj220};
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, JointTermsConfig};
 use identify::prepare::{PrepareOptions, prepare};
-use identify::simulate::{self, Effects, Experiment, Simulated};
+use identify::simulate::{self, Experiment, Simulated};
 use identify::study::{WorkspaceError, limits};
 use shared::config::{BallBarConfig, RobotConfig};
 
 fn laboratory(robot: &RobotConfig, seed: u64) -> Simulated {
-    let effects = Effects {
-        robot_noise_urad: 15.0,
-        encoder_noise_urad: 5.0,
-        gear_sine_urad: 30.0,
-        cycloid_urad: 20.0,
-        encoder_eccentricity_urad: 40.0,
-        encoder_ellipticity_urad: 15.0,
-        base_tilt_urad: 5000.0,
-        ..Effects::NONE
-    };
-    simulate::run(&Experiment { seed, effects, ..Experiment::new(robot, &bar()) }).unwrap()
+    simulate::run(&Experiment { seed, effects: LABORATORY, ..Experiment::new(robot, &bar()) }).unwrap()
 }
 
 /// Lengths of a robot's links that a bar can see.
