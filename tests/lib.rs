@@ -1,4 +1,4 @@
-//! What the whole-system tests have in common: the shipped configuration, a run, and how a test is skipped.
+//! What the whole-system tests have in common: the shipped configuration, a run, and Python.
 #![allow(clippy::expect_used, clippy::panic, reason = "tests")]
 
 pub mod fuzzing;
@@ -47,16 +47,16 @@ pub fn record(directory: &Path, request: &RunRequest, bar: &BallBarConfig) -> (P
     (summary.path, recording)
 }
 
-/// Python with the independent readers, or none: then the test is skipped, except in CI, where it fails.
-pub fn python_with(modules: &[&str]) -> Option<PathBuf> {
+/// Python with the independent readers: what `BALLBAR_PYTHON` names, or `python3`.
+pub fn python_with(modules: &[&str]) -> PathBuf {
     let python = std::env::var_os("BALLBAR_PYTHON").map_or_else(|| "python3".into(), PathBuf::from);
     let import = format!("import {}", modules.join(", "));
     let found = std::process::Command::new(&python).args(["-c", &import]).output();
-    if found.is_ok_and(|output| output.status.success()) {
-        return Some(python);
-    }
-    let missing = format!("{} cannot import {}", python.display(), modules.join(", "));
-    assert!(std::env::var_os("CI").is_none(), "{missing}; see tests/requirements.txt");
-    println!("skipped: {missing}; pip install -r tests/requirements.txt and set BALLBAR_PYTHON");
-    None
+    assert!(
+        found.is_ok_and(|output| output.status.success()),
+        "{} cannot import {}: pip install -r tests/requirements.txt and set BALLBAR_PYTHON",
+        python.display(),
+        modules.join(", ")
+    );
+    python
 }

@@ -1,11 +1,10 @@
 //! The cycle allocates nothing and never waits for anybody but its deadline and its reply.
 #![allow(unsafe_code, clippy::unwrap_used, reason = "tests; an allocator that counts")]
 
-mod support;
-
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
+use crate::support::plan;
 use ballbard::bus::Bus;
 use ballbard::clock::Clock;
 use ballbard::cycle::Acquisition;
@@ -14,7 +13,6 @@ use ballbard::run::Live;
 use ballbard::segment::InProcessWire;
 use ballbard::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
 use shared::time::UtcNs;
-use support::plan;
 
 /// Counts the calling thread's allocations; other threads of the test runner do not disturb.
 struct Counting;

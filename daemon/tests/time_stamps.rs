@@ -2,12 +2,11 @@
 //! steps of each clock.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-mod support;
-
 use std::io;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
 
+use crate::support::{Stamped, TrueInstants, plan};
 use ballbard::bus::{Bus, BusPlan};
 use ballbard::clock::Clock;
 use ballbard::cycle::{Acquisition, CycleEvent, Happening};
@@ -16,7 +15,6 @@ use ballbard::segment::{FRAME_BYTES_MAX, Wire};
 use rand::{Rng, SeedableRng, rngs::StdRng};
 use shared::recording::schema::{CycleRecord, flags};
 use shared::time::{MonoNs, UtcNs};
-use support::{Stamped, TrueInstants, plan};
 
 /// What a host adds to the wire's own time: system calls, interrupts, a busy processor.
 #[derive(Clone, Copy)]

@@ -2,8 +2,6 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
-use std::path::PathBuf;
-
 use identify::calibrate::measured_length::{
     ErrorFigures, LengthOptions, LengthRow, Rejection, RunCause, calibrate,
 };
@@ -22,18 +20,9 @@ fn irb120() -> Chain {
     )
 }
 
-/// The measured rows; none where the data are not on this machine.
-fn real_rows() -> Option<Vec<LengthRow>> {
-    let folder = std::env::var_os("BALLBAR_DATA")
-        .map_or_else(|| crate::support::repository("../shared/data"), PathBuf::from);
-    let path = folder.join("irb120-draw-wire/draw_wire_1042.csv");
-    if !path.exists() {
-        println!(
-            "skipped: {} is not here; set BALLBAR_DATA to the folder of the measured data",
-            path.display()
-        );
-        return None;
-    }
+/// The measured rows, whose licence lets nobody copy them into a repository.
+fn real_rows() -> Vec<LengthRow> {
+    let path = crate::support::measured_data().join("irb120-draw-wire/draw_wire_1042.csv");
     let rows = csv::Reader::from_path(&path).unwrap().into_deserialize::<[f64; 10]>().map(|row| {
         let row = row.unwrap();
         LengthRow {
@@ -42,7 +31,7 @@ fn real_rows() -> Option<Vec<LengthRow>> {
             flange_m: Some(std::array::from_fn(|i| row[i] * 1e-3)),
         }
     });
-    Some(rows.collect())
+    rows.collect()
 }
 
 fn show(name: &str, figures: &ErrorFigures) {
@@ -145,8 +134,9 @@ fn rows_and_options_that_make_no_sense_are_errors() {
 }
 
 #[test]
-fn the_real_irb_120_is_predicted_better_on_rows_that_no_fit_has_seen() {
-    let Some(rows) = real_rows() else { return };
+#[ignore = "needs the measured rows in the folder BALLBAR_DATA"]
+fn all_rows_of_the_real_irb_120_predict_rows_that_no_fit_has_seen() {
+    let rows = real_rows();
     let report = calibrate(&rows, &irb120(), &LengthOptions::default()).unwrap();
     println!("{} | {}", report.summary.termination, report.identifiability);
     println!(
@@ -181,8 +171,9 @@ fn the_real_irb_120_is_predicted_better_on_rows_that_no_fit_has_seen() {
 const WIRE: [f64; 3] = [0.94, 1.60, 4.5];
 
 #[test]
-fn the_real_irb_120_over_every_held_out_row_of_several_splits() {
-    let Some(rows) = real_rows() else { return };
+#[ignore = "needs the measured rows in the folder BALLBAR_DATA"]
+fn all_rows_of_the_real_irb_120_over_several_splits() {
+    let rows = real_rows();
     for seed in 1..=5 {
         let report =
             calibrate(&rows, &irb120(), &LengthOptions { seed, ..LengthOptions::default() }).unwrap();
@@ -199,8 +190,9 @@ fn the_real_irb_120_over_every_held_out_row_of_several_splits() {
 
 /// Where whole stretches of the file are held out their zero is not known, and the figures say what that costs.
 #[test]
-fn the_real_irb_120_where_stretches_and_regions_are_held_out() {
-    let Some(rows) = real_rows() else { return };
+#[ignore = "needs the measured rows in the folder BALLBAR_DATA"]
+fn all_rows_of_the_real_irb_120_where_stretches_and_regions_are_held_out() {
+    let rows = real_rows();
     for hold_out in [HoldOut::Blocks, HoldOut::Regions] {
         for seed in 1..=3 {
             let options = LengthOptions { seed, hold_out, ..LengthOptions::default() };

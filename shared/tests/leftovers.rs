@@ -7,10 +7,7 @@ use shared::recording::{
     Recording, RecordingWriter, RecoverError, Recovery, RunFile, RunOverview, recover_file, recover_leftovers,
 };
 
-#[path = "support/run.rs"]
-mod support;
-
-use support::{START, cycle, run};
+use crate::support::run::{START, cycle, run};
 
 /// A run of 40 cycles in a directory, still being written.
 fn running(directory: &Path, name: &str) -> RecordingWriter<RunFile> {

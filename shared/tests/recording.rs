@@ -6,10 +6,7 @@ use std::io::Cursor;
 use shared::recording::schema::{Event, EventKind};
 use shared::recording::{ReadErrorKind, Recording, RecordingWriter, WriteError};
 
-#[path = "support/run.rs"]
-mod support;
-
-use support::{START, cycle, run, timing};
+use crate::support::run::{START, cycle, run, timing};
 
 fn marker(number: u64) -> Event {
     let text = "second half".into();

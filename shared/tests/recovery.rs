@@ -10,13 +10,8 @@ use proptest::prelude::*;
 use shared::recording::schema::{CycleRecord, Event, EventKind, RunMetadata};
 use shared::recording::{Recording, RecordingWriter, SalvageError, WriteError, salvage, verify};
 
-#[path = "support/disk.rs"]
-mod disk;
-#[path = "support/run.rs"]
-mod support;
-
-use disk::DiskFile;
-use support::{START, cycle, run, timing};
+use crate::support::disk::DiskFile;
+use crate::support::run::{START, cycle, run, timing};
 
 /// Remembers the largest amount of memory that the calling thread asked for at once.
 struct Watching;

@@ -3,7 +3,7 @@
 use ballbard::segment::faults::Fault;
 use shared::recording::schema::{EventKind, flags};
 
-use crate::rig::Rig;
+use super::rig::Rig;
 
 /// Faults begin with this cycle.
 const BEGIN: usize = 200;

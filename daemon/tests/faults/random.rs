@@ -4,7 +4,7 @@ use ballbard::segment::faults::Fault;
 use rand::{Rng, SeedableRng, rngs::StdRng};
 use shared::recording::schema::flags;
 
-use crate::rig::Rig;
+use super::rig::Rig;
 
 const CYCLES: usize = 100_000;
 

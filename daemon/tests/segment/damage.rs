@@ -2,8 +2,8 @@
 
 use proptest::prelude::*;
 
-use crate::frames::*;
-use crate::operation::Ramp;
+use super::frames::*;
+use super::operation::Ramp;
 
 /// A terminal in OP, and one that was not touched.
 fn operating() -> Wire {

@@ -1,7 +1,7 @@
 //! The rules of single datagrams: who is meant, what is exchanged, how it counts.
 
-use crate::frames::*;
-use crate::operation::Ramp;
+use super::frames::*;
+use super::operation::Ramp;
 
 const SCRATCH: u16 = 0x1f00;
 

@@ -9,7 +9,7 @@ use ballbard::segment::simulated::{
 use ethercrab::subdevice_group::{DcConfiguration, HasDc, Op, PreOp};
 use ethercrab::{DcSync, DefaultLock, RegisterAddress, SubDeviceGroup, SubDeviceState};
 
-use crate::executor::{Bench, now_ns, pass_ns};
+use super::executor::{Bench, now_ns, pass_ns};
 
 pub const PERIOD_NS: i64 = 10_000_000;
 const SHIFT: Duration = Duration::from_millis(2);

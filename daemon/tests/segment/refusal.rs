@@ -1,7 +1,7 @@
 //! What the terminal refuses, and the code with which it says why.
 
-use crate::frames::*;
-use crate::operation::Ramp;
+use super::frames::*;
+use super::operation::Ramp;
 
 const SYNC1_NS: u32 = 25_000;
 const SYNC01: u8 = 0x07;

@@ -5,9 +5,9 @@ use ballbard::segment::simulated::{
 };
 use rand::{Rng, SeedableRng, rngs::StdRng};
 
-use crate::executor::Bench;
-use crate::frames::{OP, TERMINAL, Wire};
-use crate::operation::{PERIOD_NS, cycle, inputs, operational, preop};
+use super::executor::Bench;
+use super::frames::{OP, TERMINAL, Wire};
+use super::operation::{PERIOD_NS, cycle, inputs, operational, preop};
 
 fn recording(rows: usize, channels: usize) -> Vec<u32> {
     let mut random = StdRng::seed_from_u64(3);

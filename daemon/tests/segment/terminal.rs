@@ -3,8 +3,8 @@
 
 use ballbard::segment::simulated::{Conversion, EncoderSource, Periods, Revision, Signal};
 
-use crate::frames::*;
-use crate::refusal::{abort_code, download, upload};
+use super::frames::*;
+use super::refusal::{abort_code, download, upload};
 
 /// An encoder that stands at 5.5 periods and was passed over its mark at 5.25 just before.
 struct Still {

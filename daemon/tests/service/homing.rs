@@ -4,7 +4,7 @@ use ballbard::control::status::CheckLine;
 use serde_json::json;
 use shared::config::{self, HomingConfig};
 
-use crate::rig::{Running, copied, text};
+use super::rig::{Running, copied, text};
 
 fn marks_line(service: &Running) -> CheckLine {
     let lines: Vec<CheckLine> = service.get("check");

@@ -7,7 +7,7 @@ use std::time::Duration;
 use ballbard::control::status::Status;
 use serde_json::json;
 
-use crate::rig::Running;
+use super::rig::Running;
 
 #[test]
 fn hostile_requests_are_refused_and_leave_nothing() {

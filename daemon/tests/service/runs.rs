@@ -9,7 +9,7 @@ use serde_json::json;
 use shared::recording::Recording;
 use shared::recording::schema::EventKind;
 
-use crate::rig::{Running, text};
+use super::rig::{Running, text};
 
 #[test]
 fn runs_are_recorded_one_after_the_other_from_one_bus() {

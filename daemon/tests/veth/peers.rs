@@ -8,7 +8,7 @@ use std::time::Duration;
 use ballbard::segment::simulated::{Periods, SmoothMotion};
 use serde::Deserialize;
 
-use crate::namespace::{Ended, Namespace, serve_segment, skip};
+use super::namespace::{Ended, Namespace, serve_segment};
 
 const PERIOD_NS: i64 = 10_000_000;
 const LINES: u32 = 3600;
@@ -39,15 +39,13 @@ struct CycleSeen {
     terminals: Vec<(u16, u32)>,
 }
 
-/// Python with pysoem, or none.
-fn python() -> Option<PathBuf> {
+/// Python with pysoem.
+fn python() -> PathBuf {
     let python = std::env::var_os("BALLBAR_PYTHON").map_or_else(|| "python3".into(), PathBuf::from);
     let found = Command::new(&python).args(["-c", "import pysoem"]).output();
-    if found.is_ok_and(|output| output.status.success()) {
-        return Some(python);
-    }
-    skip("pysoem is missing: pip install -r tests/requirements.txt and set BALLBAR_PYTHON");
-    None
+    let help = "pysoem is missing: pip install -r tests/requirements.txt and set BALLBAR_PYTHON";
+    assert!(found.is_ok_and(|output| output.status.success()), "{help}");
+    python
 }
 
 fn run_soem(namespace: &Namespace, python: &Path) -> Seen {
@@ -58,9 +56,10 @@ fn run_soem(namespace: &Namespace, python: &Path) -> Seen {
 }
 
 #[test]
+#[ignore = "needs root, iproute2, and Python with pysoem"]
 fn soem_brings_the_segment_into_op_and_reads_the_counters_of_the_motion() {
-    let Some(python) = python() else { return };
-    let Some(namespace) = Namespace::new("soem") else { return };
+    let python = python();
+    let namespace = Namespace::new("soem");
     let _segment = serve_segment(&namespace, &["--seed", &SEED.to_string()]);
     let seen = run_soem(&namespace, &python);
 
@@ -104,18 +103,16 @@ fn soem_brings_the_segment_into_op_and_reads_the_counters_of_the_motion() {
 }
 
 #[test]
+#[ignore = "needs root, iproute2, Python with pysoem, and tshark"]
 fn wireshark_finds_no_malformed_frame_in_what_soem_and_the_segment_say() {
-    if Command::new("tshark").arg("-v").output().is_err() {
-        return skip("tshark is missing: apt-get install tshark");
-    }
-    let Some(python) = python() else { return };
-    let Some(namespace) = Namespace::new("tshark") else { return };
+    let python = python();
+    let namespace = Namespace::new("tshark");
     let _segment = serve_segment(&namespace, &[]);
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("frames.pcapng");
     let mut capture = namespace.command("tshark");
     capture.args(["-i", "near", "-q", "-w"]).arg(&file).stdout(Stdio::null()).stderr(Stdio::null());
-    let mut capture = Ended(capture.spawn().unwrap());
+    let mut capture = Ended(capture.spawn().expect("tshark"));
     for _ in 0..100 {
         if file.exists() {
             break;

@@ -9,7 +9,7 @@ use std::time::Duration;
 use shared::recording::Recording;
 use shared::recording::schema::flags;
 
-use crate::namespace::{Namespace, serve_segment};
+use super::namespace::{Namespace, serve_segment};
 
 fn record(namespace: &Namespace, out: &Path, duration: &str) -> Command {
     let mut record = namespace.ballbard();
@@ -19,8 +19,9 @@ fn record(namespace: &Namespace, out: &Path, duration: &str) -> Command {
 }
 
 #[test]
+#[ignore = "needs root and iproute2 for a network namespace"]
 fn a_run_over_a_raw_socket_is_complete() {
-    let Some(namespace) = Namespace::new("run") else { return };
+    let namespace = Namespace::new("run");
     let _segment = serve_segment(&namespace, &[]);
     let out = tempfile::tempdir().unwrap();
     let output = record(&namespace, out.path(), "5s").output().unwrap();
@@ -42,8 +43,9 @@ fn a_run_over_a_raw_socket_is_complete() {
 }
 
 #[test]
+#[ignore = "needs root and iproute2 for a network namespace"]
 fn an_interface_that_is_unplugged_and_plugged_in_again_is_found_again() {
-    let Some(namespace) = Namespace::new("unplugged") else { return };
+    let namespace = Namespace::new("unplugged");
     let _segment = serve_segment(&namespace, &[]);
     let out = tempfile::tempdir().unwrap();
     let running = record(&namespace, out.path(), "14s").spawn().unwrap();
@@ -66,8 +68,9 @@ fn an_interface_that_is_unplugged_and_plugged_in_again_is_found_again() {
 }
 
 #[test]
+#[ignore = "needs root and iproute2 for a network namespace"]
 fn faults_are_switched_by_lines_while_the_segment_is_served() {
-    let Some(namespace) = Namespace::new("switched") else { return };
+    let namespace = Namespace::new("switched");
     let mut segment = serve_segment(&namespace, &[]);
     let mut switches = segment.0.stdin.take().unwrap();
     let out = tempfile::tempdir().unwrap();
@@ -86,8 +89,9 @@ fn faults_are_switched_by_lines_while_the_segment_is_served() {
 }
 
 #[test]
+#[ignore = "needs root and iproute2 for a network namespace"]
 fn a_run_that_waits_begins_when_the_bus_is_there() {
-    let Some(namespace) = Namespace::new("waits") else { return };
+    let namespace = Namespace::new("waits");
     let out = tempfile::tempdir().unwrap();
     let mut waiting = record(&namespace, out.path(), "1s");
     let waiting = waiting.arg("--wait").stderr(Stdio::piped()).spawn().unwrap();

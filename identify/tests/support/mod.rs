@@ -26,6 +26,11 @@ pub fn repository(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(path)
 }
 
+/// Folder of measured data that are not ours to copy.
+pub fn measured_data() -> PathBuf {
+    std::env::var_os("BALLBAR_DATA").expect("BALLBAR_DATA names the folder of the measured data").into()
+}
+
 pub fn irb2400() -> RobotConfig {
     config::load(&repository("config/robots/irb2400_16.toml")).unwrap()
 }
@@ -46,6 +51,11 @@ pub struct Cell {
 
 impl Cell {
     /// The reference set-up: bar at (1.0, 0.05, 0.35), L 0.6, plate 0.25.
+    /// Folder of measured data that are not ours to copy.
+    pub fn measured_data() -> PathBuf {
+        std::env::var_os("BALLBAR_DATA").expect("BALLBAR_DATA names the folder of the measured data").into()
+    }
+
     pub fn irb2400() -> Self {
         Self::new(&irb2400(), Vector3::new(1.0, 0.05, 0.35))
     }

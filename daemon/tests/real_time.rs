@@ -1,0 +1,8 @@
+//! Tests of `ballbard` as a process that keeps pace with the clock of this machine: apart from the others, which compute.
+
+mod support;
+
+mod kill;
+mod no_allocation;
+mod service;
+mod veth;

@@ -1,0 +1,7 @@
+//! Tests of the recording's format, in one program.
+
+mod support;
+
+mod leftovers;
+mod recording;
+mod recovery;

@@ -1,0 +1,4 @@
+//! Shared by the tests: a run, and a disk that fails.
+
+pub mod disk;
+pub mod run;

@@ -1,0 +1,11 @@
+//! Whole-system tests in one program: one link, and long tests side by side.
+//!
+//! One file of them: `cargo test -p system-tests --test all replay`.
+
+mod acquire;
+mod acquire_then_identify;
+mod corpus;
+mod forces;
+mod readers;
+mod replay;
+mod robot_logs;
