@@ -11,6 +11,7 @@ mod draw_wire;
 mod efficiency;
 mod examination;
 mod identifiability;
+mod independent;
 mod inspection;
 mod interpolation;
 mod jacobians;

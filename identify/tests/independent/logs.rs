@@ -1,0 +1,120 @@
+//! The two files of a run: what the robot's controller and the bar's counters write.
+
+use std::f64::consts::TAU;
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+
+use chrono::{DateTime, SecondsFormat};
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
+
+use super::robots::Robot;
+
+/// Counts of one turn of a bar joint: 3600 lines, each divided by 4096.
+pub const COUNTS_PER_TURN: f64 = 14_745_600.0;
+
+/// How the stamps of a robot's log came about.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Stamps {
+    /// Each row has the time at which it was sampled.
+    Perfect,
+    /// The clock that they are read from ticks so slowly \[ms\].
+    Rounded(f64),
+    /// Stamped on arrival, with a standard deviation \[ms\]; never backwards.
+    Jittered(f64),
+    /// This share of the rows is there twice.
+    Duplicated(f64),
+    /// So many rows arrive at once, stamped as they are taken in, 20 us each.
+    Batched(usize),
+}
+
+/// A row of the robot's log: time on its clock \[s\] and raw angles \[rad\].
+pub type Row = (f64, [f64; 6]);
+
+impl Stamps {
+    /// The rows as they are written.
+    pub fn applied(self, rows: &[Row], random: &mut ChaCha8Rng) -> Vec<Row> {
+        match self {
+            Self::Perfect => rows.to_vec(),
+            Self::Rounded(step_ms) => {
+                let step_s = step_ms * 1e-3;
+                rows.iter().map(|(time_s, values)| ((time_s / step_s).round() * step_s, *values)).collect()
+            }
+            Self::Jittered(sigma_ms) => {
+                let late_s = Normal::new(0.0, sigma_ms * 1e-3).unwrap();
+                let mut last_s = f64::MIN;
+                let mut stamp = |time_s: f64| {
+                    last_s = (time_s + late_s.sample(random)).max(last_s + 1e-6);
+                    last_s
+                };
+                rows.iter().map(|(time_s, values)| (stamp(*time_s), *values)).collect()
+            }
+            Self::Duplicated(share) => {
+                let mut twice = |row| if random.random_bool(share) { vec![row; 2] } else { vec![row] };
+                rows.iter().flat_map(|row| twice(*row)).collect()
+            }
+            Self::Batched(size) => rows
+                .chunks(size)
+                .flat_map(|batch| {
+                    let arrived_s = batch[batch.len() - 1].0;
+                    let taken = |(index, row): (usize, &Row)| (arrived_s + index as f64 * 20e-6, row.1);
+                    batch.iter().enumerate().map(taken).collect::<Vec<_>>()
+                })
+                .collect(),
+        }
+    }
+}
+
+/// Writes the robot's log in the form that its file names.
+pub fn write_robot(robot: &Robot, rows: &[Row], directory: &Path) -> PathBuf {
+    let form = robot.log;
+    let mut text = String::from("t_s");
+    (1..=6).for_each(|joint| write!(text, ",{}{joint}_{}", form.column, form.unit).unwrap());
+    text.push('\n');
+    for (time_s, angles_rad) in rows {
+        write!(text, "{time_s:.6}").unwrap();
+        for angle_rad in angles_rad {
+            write!(text, ",{:.*}", form.decimals, angle_rad / form.unit_rad).unwrap();
+        }
+        text.push('\n');
+    }
+    let path = directory.join("robot_log.csv");
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+/// Where time on the bar's clock begins.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum BarTime {
+    /// Seconds since this one: `t_s`.
+    Seconds(f64),
+    /// Seconds since 1970: `time_utc`.
+    Utc(i64),
+}
+
+/// Writes the counters, one row for each cycle: seconds since the first, counts.
+pub fn write_bar(begin: BarTime, cycles: &[(f64, [u32; 5])], directory: &Path) -> PathBuf {
+    let name = if matches!(begin, BarTime::Utc(_)) { "time_utc" } else { "t_s" };
+    let mut text = format!("{name},count1,count2,count3,count4,count5\n");
+    for (since_s, counts) in cycles {
+        match begin {
+            BarTime::Seconds(begin_s) => write!(text, "{:.6}", begin_s + since_s).unwrap(),
+            BarTime::Utc(begin_s) => {
+                let time_ns = begin_s * 1_000_000_000 + (since_s * 1e9).round() as i64;
+                let time = DateTime::from_timestamp_nanos(time_ns);
+                text += &time.to_rfc3339_opts(SecondsFormat::Micros, true);
+            }
+        }
+        counts.iter().for_each(|count| write!(text, ",{count}").unwrap());
+        text.push('\n');
+    }
+    let path = directory.join("bar.csv");
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+/// What a counter shows that showed zero at the count `origin`.
+pub fn counter(angle_rad: f64, origin: i64) -> u32 {
+    ((angle_rad / TAU * COUNTS_PER_TURN).round() as i64 - origin).rem_euclid(1 << 32) as u32
+}

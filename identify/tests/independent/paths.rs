@@ -1,0 +1,355 @@
+//! Where the bar goes (a smooth curve of its five joints) and when (moves with soft starts, and rests).
+
+use std::f64::consts::{PI, TAU};
+
+use nalgebra::{Matrix3, Rotation3, Vector3};
+use rand::Rng;
+use rand::seq::IndexedRandom;
+use rand_chacha::ChaCha8Rng;
+
+/// Kind of path on the sphere.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Family {
+    /// Each joint of the bar a sine of its own frequency.
+    Lissajous,
+    /// The rod turns about a direction, further and nearer.
+    Spiral,
+    /// B-spline through random points.
+    Waypoints,
+    /// Circles one after the other, not quite round, the flange keeping its direction on each.
+    Circles,
+    /// One closed curve again and again.
+    Laps,
+    /// Mostly at rest.
+    Bursts,
+    /// Joint speeds up to 1.5 rad/s.
+    Fast,
+    /// Half a minute.
+    Short,
+    /// Ten minutes.
+    Long,
+    /// The rod comes within a few degrees of the gimbal's first axis.
+    NearSingular,
+    /// The rod passes through the gimbal's first axis, so that the bar leaves its configuration.
+    ThroughSingular,
+}
+
+impl Family {
+    pub const ALL: [Self; 11] = [
+        Self::Lissajous,
+        Self::Spiral,
+        Self::Waypoints,
+        Self::Circles,
+        Self::Laps,
+        Self::Bursts,
+        Self::Fast,
+        Self::Short,
+        Self::Long,
+        Self::NearSingular,
+        Self::ThroughSingular,
+    ];
+
+    /// How long the run lasts where nobody says otherwise \[s\].
+    pub fn duration_s(self) -> f64 {
+        match self {
+            Self::Short => 30.0,
+            Self::Fast => 60.0,
+            Self::Bursts | Self::Circles => 240.0,
+            Self::Long => 600.0,
+            _ => 120.0,
+        }
+    }
+
+    /// Speed of the fastest joint of robot and bar where it is fastest \[rad/s\].
+    pub fn speed_rad_s(self) -> f64 {
+        match self {
+            Self::Fast => 1.5,
+            Self::Short | Self::Bursts => 0.7,
+            Self::Long => 0.3,
+            _ => 0.5,
+        }
+    }
+}
+
+type Curve = Box<dyn Fn(f64) -> [f64; 5]>;
+
+/// Joints of the bar over a path coordinate, along which the fastest of them turns by one radian for each unit or less.
+pub struct Path {
+    curve: Curve,
+    unit: f64,
+}
+
+impl Path {
+    /// A curve of `length` about some posture.
+    pub fn new(family: Family, length: f64, sweep: Sweep, random: &mut ChaCha8Rng) -> Self {
+        let curve = curve(family, length, sweep, random);
+        let step = 0.01;
+        let count = (length.min(60.0) / step) as usize;
+        let fastest = (0..count)
+            .map(|index| index as f64 * step)
+            .flat_map(|at| {
+                let (here, there) = (curve(at), curve(at + 1e-4));
+                (0..5).map(move |joint| (there[joint] - here[joint]).abs() / 1e-4)
+            })
+            .fold(0.0, f64::max);
+        Self { curve, unit: 1.0 / fastest }
+    }
+
+    /// Angles of the bar's joints \[rad\].
+    pub fn joints_rad(&self, at: f64) -> [f64; 5] {
+        (self.curve)(at * self.unit)
+    }
+}
+
+/// Middle and half width of the sweep of each joint \[rad\].
+#[derive(Debug, Clone, Copy)]
+pub struct Sweep {
+    pub middle: [f64; 5],
+    half: [f64; 5],
+}
+
+impl Sweep {
+    /// Sweeps `scale` times as wide as usual, with the flange turned to `flange` in the bar's base: its third joint and
+    /// the cardan take what the rod leaves. None where the rod would be nearly along the flange's axis.
+    pub fn about(
+        flange: &Rotation3<f64>,
+        family: Family,
+        scale: f64,
+        random: &mut ChaCha8Rng,
+    ) -> Option<Self> {
+        let mut degrees = |low: f64, high: f64| random.random_range(low..high).to_radians();
+        let mut half = [(35.0, 65.0), (18.0, 32.0), (30.0, 70.0), (20.0, 35.0), (50.0, 100.0)]
+            .map(|(low, high)| scale * degrees(low, high));
+        if family == Family::ThroughSingular {
+            // There the gimbal lets the rod move in one plane only.
+            half[0] *= 0.4;
+        }
+        let b1 = degrees(-150.0, 150.0);
+        let b2 = match family {
+            // Nearest 2 to 6 degrees from the axis.
+            Family::NearSingular => half[1] + degrees(2.0, 6.0),
+            Family::ThroughSingular => degrees(5.0, 12.0),
+            _ => half[1] + degrees(10.0, 60.0),
+        };
+        let side = if random.random_bool(0.5) { 1.0 } else { -1.0 };
+        let rod_from_flange = (zyz(b1, b2, 0.0).transpose() * flange).into_inner();
+        let [b3, b4, b5] = cardan(&rod_from_flange, &[b1, b2, 0.0, side, 0.0]);
+        (b4.sin().abs() > 0.8).then_some(Self { middle: [b1, b2, b3, b4, b5], half })
+    }
+
+    /// Joints at the part `share` (-1 to 1) of their sweeps.
+    fn at(&self, share: [f64; 5]) -> [f64; 5] {
+        std::array::from_fn(|joint| self.middle[joint] + self.half[joint] * share[joint])
+    }
+}
+
+fn curve(family: Family, length: f64, sweep: Sweep, random: &mut ChaCha8Rng) -> Curve {
+    match family {
+        Family::Spiral => spiral(sweep, random),
+        Family::Waypoints | Family::Bursts | Family::Long => waypoints(sweep, length, random),
+        Family::Circles => circles(sweep, length, random),
+        Family::Laps => sines(sweep, closed_frequencies(random), random),
+        _ => sines(sweep, open_frequencies(random), random),
+    }
+}
+
+/// Frequencies that have no common period; joints with wide sweeps are slower.
+fn open_frequencies(random: &mut ChaCha8Rng) -> [f64; 5] {
+    [0.9, 2.1, 1.0, 1.7, 0.6].map(|frequency: f64| frequency * random.random_range(0.8..1.25))
+}
+
+/// Whole numbers, so that the curve closes.
+fn closed_frequencies(random: &mut ChaCha8Rng) -> [f64; 5] {
+    let mut of = |choice: &[f64]| *choice.choose(random).unwrap();
+    [of(&[1.0, 2.0]), of(&[2.0, 3.0]), of(&[1.0, 2.0]), of(&[2.0, 3.0]), 1.0]
+}
+
+fn phases(random: &mut ChaCha8Rng) -> [f64; 5] {
+    std::array::from_fn(|_| random.random_range(0.0..TAU))
+}
+
+fn sines(sweep: Sweep, frequencies: [f64; 5], random: &mut ChaCha8Rng) -> Curve {
+    let phases = phases(random);
+    Box::new(move |at| sweep.at(std::array::from_fn(|joint| (frequencies[joint] * at + phases[joint]).sin())))
+}
+
+fn spiral(sweep: Sweep, random: &mut ChaCha8Rng) -> Curve {
+    let frequencies = open_frequencies(random);
+    let phases = phases(random);
+    let turns = random.random_range(6.0..10.0);
+    Box::new(move |at| {
+        // Out and in again once in so many turns; never still at the middle.
+        let radius = 0.55 - 0.45 * (at / turns).cos();
+        let wave = |joint: usize| (0.37 * frequencies[joint] * at + phases[joint]).sin();
+        sweep.at([
+            radius * (at + phases[0]).cos(),
+            radius * (at + phases[0]).sin(),
+            wave(2),
+            wave(3),
+            wave(4),
+        ])
+    })
+}
+
+fn waypoints(sweep: Sweep, length: f64, random: &mut ChaCha8Rng) -> Curve {
+    // Control points of a uniform cubic B-spline, further out than the curve that they pull; one unit between them at most.
+    let count = (length * 2.0) as usize + 8;
+    let points: Vec<[f64; 5]> = (0..count)
+        .map(|_| std::array::from_fn(|_| (1.4 * random.random_range(-1.0..1.0f64)).clamp(-1.2, 1.2)))
+        .collect();
+    Box::new(move |at| {
+        let at = at.clamp(0.0, (count - 5) as f64);
+        let first = at as usize;
+        let x = at - first as f64;
+        let weights = [
+            (1.0 - x).powi(3),
+            3.0 * x.powi(3) - 6.0 * x.powi(2) + 4.0,
+            -3.0 * x.powi(3) + 3.0 * x.powi(2) + 3.0 * x + 1.0,
+            x.powi(3),
+        ]
+        .map(|weight| weight / 6.0);
+        let of = |joint: usize| (0..4).map(|k| weights[k] * points[first + k][joint]).sum();
+        sweep.at(std::array::from_fn(of))
+    })
+}
+
+/// One circle: where its middle is and how large, and the flange's direction while it lasts.
+#[derive(Clone, Copy)]
+struct Circle {
+    middle: [f64; 2],
+    half: [f64; 2],
+    world_from_flange: Rotation3<f64>,
+}
+
+/// Turns about z and y by which rod and flange stand: see the bar's table, whose middle links turn about y of the one before.
+fn zyz(first: f64, second: f64, third: f64) -> Rotation3<f64> {
+    let about = |axis: &Vector3<f64>, angle: f64| Rotation3::new(axis * angle);
+    about(&Vector3::z(), first) * about(&Vector3::y(), second) * about(&Vector3::z(), third)
+}
+
+fn circles(sweep: Sweep, length: f64, random: &mut ChaCha8Rng) -> Curve {
+    const TURNS: f64 = 1.5;
+    let count = (length / TURNS) as usize + 3;
+    let circles: Vec<Circle> = (0..count)
+        .map(|_| {
+            let share = std::array::from_fn(|_| random.random_range(-0.8..0.8));
+            let [b1, b2, b3, b4, b5] = sweep.at(share);
+            let radius = random.random_range(0.4..0.9);
+            Circle {
+                middle: [0, 1].map(|joint| sweep.middle[joint] + 0.3 * sweep.half[joint] * share[joint]),
+                half: [0, 1].map(|joint| radius * sweep.half[joint] * random.random_range(0.85..1.15)),
+                world_from_flange: zyz(b1, b2, 0.0) * zyz(b3, b4, b5),
+            }
+        })
+        .collect();
+    let wobble = phases(random);
+    Box::new(move |at| {
+        let turn = (at / (TAU * TURNS)).clamp(0.0, (count - 2) as f64);
+        let (one, next) = (circles[turn as usize], circles[turn as usize + 1]);
+        // Each leads over to the next: no two laps are the same.
+        let part = smooth(turn.fract());
+        let mix = |from: f64, to: f64| from + (to - from) * part;
+        // A hand is not steady: some percent of the radius.
+        let hand = 1.0 + 0.04 * (2.3 * at + wobble[0]).sin() + 0.03 * (3.7 * at + wobble[1]).sin();
+        let b1 = mix(one.middle[0], next.middle[0]) + hand * mix(one.half[0], next.half[0]) * at.cos();
+        let b2 = mix(one.middle[1], next.middle[1]) + hand * mix(one.half[1], next.half[1]) * at.sin();
+        let flange = one.world_from_flange.slerp(&next.world_from_flange, part);
+        let [b3, b4, b5] = cardan(&(zyz(b1, b2, 0.0).transpose() * flange).into_inner(), &sweep.middle);
+        [b1, b2, b3, b4, b5]
+    })
+}
+
+/// Angles of joints 3 to 5 that turn the rod's frame into the flange's, on the side and turn that are nearest to `middle`.
+fn cardan(rod_from_flange: &Matrix3<f64>, middle: &[f64; 5]) -> [f64; 3] {
+    let m = rod_from_flange;
+    let side = middle[3].signum();
+    let near = |angle: f64, middle: f64| angle - ((angle - middle) / TAU).round() * TAU;
+    let b4 = side * (m[(0, 2)].hypot(m[(1, 2)])).atan2(m[(2, 2)]);
+    let b3 = (side * m[(1, 2)]).atan2(side * m[(0, 2)]);
+    let b5 = (side * m[(2, 1)]).atan2(-side * m[(2, 0)]);
+    [near(b3, middle[2]), b4, near(b5, middle[4])]
+}
+
+/// From 0 to 1 with no speed or acceleration at the ends, and no jerk that jumps.
+fn smooth(x: f64) -> f64 {
+    x.powi(4) * (35.0 - 84.0 * x + 70.0 * x.powi(2) - 20.0 * x.powi(3))
+}
+
+/// One move along the path.
+#[derive(Debug, Clone, Copy)]
+struct Move {
+    start_s: f64,
+    duration_s: f64,
+    from: f64,
+    speed: f64,
+}
+
+impl Move {
+    /// Time to get to full speed \[s\].
+    fn ramp_s(&self) -> f64 {
+        (self.duration_s / 2.0).min(1.5)
+    }
+
+    /// Way after so much time, at full speed 1; a ramp's speed is 3x^2 - 2x^3.
+    fn way(&self, time_s: f64) -> f64 {
+        let ramp_s = self.ramp_s();
+        let of_ramp = |time_s: f64| {
+            let x = time_s / ramp_s;
+            ramp_s * (x.powi(3) - x.powi(4) / 2.0)
+        };
+        let time_s = time_s.clamp(0.0, self.duration_s);
+        let left_s = self.duration_s - time_s;
+        if time_s < ramp_s {
+            of_ramp(time_s)
+        } else if left_s < ramp_s {
+            self.duration_s - ramp_s - of_ramp(left_s)
+        } else {
+            time_s - ramp_s / 2.0
+        }
+    }
+}
+
+/// Path coordinate over time: moves, between them rests.
+#[derive(Debug, Clone)]
+pub struct Schedule {
+    moves: Vec<Move>,
+}
+
+impl Schedule {
+    /// One move or, for bursts, many short ones, all within `duration_s` with a rest at both ends.
+    pub fn new(family: Family, duration_s: f64, speed: f64, random: &mut ChaCha8Rng) -> Self {
+        let mut moves = Vec::new();
+        let end_s = duration_s - random.random_range(1.0..2.5);
+        let mut start_s = random.random_range(1.0..2.5);
+        let mut from = 0.0;
+        while start_s < end_s - 2.0 {
+            let longest_s =
+                if family == Family::Bursts { random.random_range(2.5..6.0) } else { f64::INFINITY };
+            let one = Move { start_s, duration_s: f64::min(end_s - start_s, longest_s), from, speed };
+            from += one.speed * one.way(one.duration_s);
+            start_s += one.duration_s + random.random_range(4.0..14.0);
+            moves.push(one);
+        }
+        Self { moves }
+    }
+
+    /// Path coordinate.
+    pub fn at(&self, time_s: f64) -> f64 {
+        let index = self.moves.partition_point(|one| one.start_s <= time_s);
+        let Some(one) = index.checked_sub(1).map(|index| &self.moves[index]) else { return 0.0 };
+        one.from + one.speed * one.way(time_s - one.start_s)
+    }
+
+    /// Where the last move ends.
+    pub fn length(&self) -> f64 {
+        self.at(f64::MAX)
+    }
+
+    /// Whether the robot is on its way.
+    pub fn moves(&self, time_s: f64) -> bool {
+        self.moves.iter().any(|one| (one.start_s..one.start_s + one.duration_s).contains(&time_s))
+    }
+}
+
+/// Angles of a turn that cables allow \[rad\].
+pub const CABLE_RAD: f64 = 2.0 * PI;
