@@ -154,7 +154,7 @@ fn a_run_exported_as_a_table_of_counters_calibrates_as_the_recording_does() {
         cycle.flags |= flags::NO_REPLY;
         cycle.encoders.iter_mut().for_each(|sample| sample.valid = false);
     }
-    simulated.cycles[5030].flags |= flags::ORIGIN_CHANGED;
+    simulated.cycles[5030..].iter_mut().for_each(|cycle| cycle.origin = 1);
     for sample in simulated.cycles[5030..].iter_mut().flat_map(|cycle| &mut cycle.encoders) {
         sample.count = sample.count.wrapping_add(123_456_789 * u32::from(sample.joint));
     }

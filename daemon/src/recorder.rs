@@ -8,7 +8,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use rtrb::{Consumer, Producer, PushError, RingBuffer};
-use shared::recording::schema::{CycleRecord, EncoderSample, Event, EventKind, RunMetadata, flags};
+use shared::recording::schema::{CycleRecord, Event, EventKind, RunMetadata};
 use shared::recording::{RecordingWriter, RunFile, TimingSummary, WriteError};
 use shared::time::UtcNs;
 
@@ -207,7 +207,10 @@ impl Recorder {
         if until <= first {
             return Ok(());
         }
-        let lost_at = |cycle| Self::lost_record(&last, cycle, self.cycle_period_ns);
+        let lost_at = |cycle: u64| {
+            let since_ns = (cycle - last.cycle) as i64 * self.cycle_period_ns;
+            CycleRecord::lost(cycle, last.sample_time.plus_ns(since_ns), &last)
+        };
         for cycle in first..until {
             self.writer.write_cycle(&lost_at(cycle))?;
         }
@@ -217,22 +220,6 @@ impl Recorder {
         self.lost += missing;
         self.last = Some(lost_at(until - 1));
         self.writer.write_event(&Event { time, cycle: first, kind: EventKind::Gap, text })
-    }
-
-    /// What is known of a lost cycle: when it was due, and that it was.
-    fn lost_record(last: &CycleRecord, cycle: u64, cycle_period_ns: i64) -> CycleRecord {
-        let since_ns = (cycle - last.cycle) as i64 * cycle_period_ns;
-        let mut record = CycleRecord {
-            cycle,
-            sample_time: last.sample_time.plus_ns(since_ns),
-            flags: flags::LOST,
-            working_counter: 0,
-            ..*last
-        };
-        for encoder in &mut record.encoders {
-            *encoder = EncoderSample { joint: encoder.joint, ..EncoderSample::default() };
-        }
-        record
     }
 
     fn sync(&mut self, synced_at: &mut Instant, synced_cycles: &mut u64) -> Result<(), WriteError> {

@@ -6,7 +6,6 @@ use identify::inspect::{self, curves};
 use identify::logs::{Origin, RobotLog};
 use identify::simulate::{self, Experiment, Simulated};
 use shared::recording::Recording;
-use shared::recording::schema::flags;
 
 fn simulated() -> Simulated {
     simulate::run(&Experiment::new(&irb2400(), &bar())).unwrap()
@@ -48,7 +47,7 @@ fn counts_that_jump_are_suspected_by_the_encoder_s_name() {
 fn clocks_that_jump_and_counters_with_a_new_origin_are_suspected() {
     let mut odd = recording();
     odd.cycles[4000].sample_time = odd.cycles[3990].sample_time;
-    odd.cycles[8000].flags |= flags::ORIGIN_CHANGED;
+    odd.cycles[8000..].iter_mut().for_each(|cycle| cycle.origin = 1);
     let told = sentences(&odd);
     assert!(told.contains("time does not increase at 1") && told.contains("new origin at 1"), "{told}");
 }

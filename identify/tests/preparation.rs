@@ -190,11 +190,9 @@ fn bad_cycles_are_dropped_and_counted_and_a_new_origin_begins_a_new_run() {
         cycle.encoders[1].valid = false;
     }
     run.cycles[900].sample_time = run.cycles[899].sample_time;
-    for (k, cycle) in run.cycles.iter_mut().enumerate().skip(4500) {
+    for cycle in run.cycles.iter_mut().skip(4500) {
         cycle.encoders[0].count = cycle.encoders[0].count.wrapping_add(123_456);
-        if k == 4500 {
-            cycle.flags = flags::ORIGIN_CHANGED;
-        }
+        cycle.origin = 1;
     }
     let found = prepared(&run, &robot, &bar).unwrap();
     check(&found, &run, "with losses");

@@ -8,7 +8,6 @@ use identify::calibrate::{IdentifyConfig, ball_bar};
 use identify::model::ParameterId;
 use identify::prepare::Fate;
 use identify::simulate::{self, Design, Effects, Experiment, Simulated};
-use shared::recording::schema::flags;
 
 /// A path on which the rod passes along the base axis.
 fn crossing(effects: Effects) -> Simulated {
@@ -37,7 +36,6 @@ fn robot_error(found: &BallBarCalibration, run: &Simulated) -> f64 {
 
 /// From cycle `at` on, counters go on from elsewhere.
 fn new_origin(run: &mut Simulated, at: usize) {
-    run.cycles[at].flags |= flags::ORIGIN_CHANGED;
     for (k, cycle) in run.cycles.iter_mut().enumerate().skip(at) {
         for (place, encoder) in cycle.encoders.iter_mut().enumerate() {
             encoder.count = encoder.count.wrapping_add((1 + place as u32) * 123_457 * (at as u32 / 100));
@@ -46,9 +44,8 @@ fn new_origin(run: &mut Simulated, at: usize) {
             cycle.encoders[0].valid = false;
         }
     }
-    // The first valid record carries the flag, as the daemon has it.
-    run.cycles[at].flags = 0;
-    run.cycles[at + 30].flags |= flags::ORIGIN_CHANGED;
+    // It counts from the first valid record on, as the daemon has it.
+    run.cycles[at + 30..].iter_mut().for_each(|cycle| cycle.origin += 1);
 }
 
 #[test]
@@ -109,7 +106,7 @@ fn a_run_with_lost_origins_is_used_whole_and_calibrates_as_well_as_a_clean_one()
             new_origin(&mut lossy, at);
         }
         // An origin that may have changed and did not.
-        lossy.cycles[10_500].flags |= flags::ORIGIN_CHANGED;
+        lossy.cycles[10_500..].iter_mut().for_each(|cycle| cycle.origin += 1);
         let [of_clean, of_lossy] = [&clean, &lossy].map(calibrated);
         let errors = [robot_error(&of_clean, &clean), robot_error(&of_lossy, &clean)];
         let origins = &of_lossy.prepared.origins;

@@ -3,8 +3,8 @@
 
 use std::io::Cursor;
 
-use shared::recording::schema::{Event, EventKind};
-use shared::recording::{ReadErrorKind, Recording, RecordingWriter, WriteError};
+use shared::recording::schema::{CycleRecord, Event, EventKind, flags};
+use shared::recording::{ReadErrorKind, Recording, RecordingWriter, WriteError, salvage};
 
 use crate::support::run::{START, cycle, run, timing};
 
@@ -115,4 +115,31 @@ fn encoders_that_no_configuration_allows_are_refused() {
         let refused = Recording::read(&bytes[..]).unwrap_err().to_string();
         assert!(refused.contains("joint 1") && refused.contains(&lines.to_string()), "{refused}");
     }
+}
+
+/// Written before records carried the number of their origin: cycle 6 has the flag of a new one, 12 to 14 are lost.
+const FLAGGED_ORIGINS: &[u8] = include_bytes!("data/flagged_origins.mcap");
+
+#[test]
+fn in_a_file_that_only_flags_new_origins_lost_records_may_have_been_one() {
+    let recording = Recording::read(FLAGGED_ORIGINS).unwrap();
+    let origins: Vec<u32> = recording.cycles.iter().map(|cycle| cycle.origin).collect();
+    assert_eq!(origins[..15], [[0; 6].as_slice(), &[1; 9]].concat());
+    assert_eq!(origins[15..], [2; 9]);
+    assert_eq!(recording.events.len(), 1);
+    for cycle in recording.cycles.iter().filter(|cycle| cycle.flags & flags::LOST == 0) {
+        let CycleRecord { origin, .. } = *cycle;
+        assert_eq!(*cycle, CycleRecord { origin, ..support::cycle(cycle.cycle) });
+    }
+}
+
+#[test]
+fn such_a_file_is_recovered_with_what_its_cycles_said() {
+    // Its schemas are gone: a byte of their chunk, which is its first.
+    let mut damaged = FLAGGED_ORIGINS.to_vec();
+    let at = damaged.windows(4).position(|window| window == b"zstd").unwrap();
+    damaged[at + 40] ^= 1;
+    let (_, recovered) = salvage(Cursor::new(&damaged), Cursor::new(Vec::new())).unwrap();
+    let (before, after) = (Recording::read(FLAGGED_ORIGINS).unwrap(), recovered.into_inner());
+    assert_eq!(Recording::read(&after[..]).unwrap().cycles, before.cycles);
 }

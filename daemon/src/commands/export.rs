@@ -53,7 +53,9 @@ pub fn write_csv(recording: &Recording, sink: impl Write) -> anyhow::Result<()> 
     table.write_record(&header)?;
 
     let mut unwrappers: Vec<_> = encoders.iter().map(|encoder| encoder.scale.unwrapper()).collect();
+    let mut origin = recording.cycles.first().map_or(0, |record| record.origin);
     for record in &recording.cycles {
+        let changed = std::mem::replace(&mut origin, record.origin) != record.origin;
         let seen = record.flags & (flags::LOST | flags::NO_REPLY | flags::DEADLINE_MISSED) == 0;
         let samples = record.encoders();
         let mut row = vec![record.sample_time.to_string()];
@@ -68,7 +70,7 @@ pub fn write_csv(recording: &Recording, sink: impl Write) -> anyhow::Result<()> 
             },
         ));
         row.extend(samples.iter().map(|sample| u8::from(sample.valid).to_string()));
-        row.extend([record.cycle.to_string(), flag_names(record.flags)]);
+        row.extend([record.cycle.to_string(), flag_names(record.flags | if changed { flags::ORIGIN_CHANGED } else { 0 })]);
         table.write_record(&row)?;
     }
     table.flush()?;

@@ -24,8 +24,8 @@ pub fn run(arguments: &RecoverArguments) -> anyhow::Result<()> {
             if let Some(timing) = &content.timing {
                 println!("{timing}");
             }
-            if let Some(damage) = &content.cut {
-                println!("what followed could not be read: {damage}");
+            if let Some(damage) = content.damage {
+                println!("{damage}");
             }
             if let Some(torn) = torn {
                 println!("the original is kept as {}", torn.display());
@@ -38,7 +38,13 @@ pub fn run(arguments: &RecoverArguments) -> anyhow::Result<()> {
 fn kept(content: &Salvaged) -> String {
     match content.last_good {
         Some(last) => {
-            format!("recovered {} cycles, {} valid, the last of {last}", content.cycles, content.cycles_valid)
+            let Salvaged { cycles, cycles_valid, cycles_lost, .. } = content;
+            let whole = cycles - cycles_lost;
+            let lost = match cycles_lost {
+                0 => String::new(),
+                lost => format!("; {lost} cycles between them are lost"),
+            };
+            format!("recovered {whole} cycles, {cycles_valid} valid, the last of {last}{lost}")
         }
         None => "recovered, but no cycle was whole".into(),
     }

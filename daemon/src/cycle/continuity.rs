@@ -1,7 +1,7 @@
 //! Whether counts go on from where they were, or have a new origin.
 
 use shared::config::EncoderConfig;
-use shared::recording::schema::{CycleRecord, MAX_ENCODERS, flags};
+use shared::recording::schema::{CycleRecord, MAX_ENCODERS};
 use shared::time::UtcNs;
 
 use super::events::Origin;
@@ -19,6 +19,8 @@ pub struct Continuity {
     powered_off: bool,
     /// When the bus was first sent through INIT since the last valid record.
     reset_at: Option<UtcNs>,
+    /// Number of the origin in this run.
+    origin: u32,
 }
 
 impl Continuity {
@@ -28,13 +30,13 @@ impl Continuity {
         for (counts, encoder) in counts_per_rev.iter_mut().zip(encoders) {
             *counts = encoder.scale().counts_per_revolution() as f64;
         }
-        Self { counts_per_rev, last: None, powered_off: false, reset_at: None }
+        Self { counts_per_rev, last: None, powered_off: false, reset_at: None, origin: 0 }
     }
 
     /// What was counted before belongs to no run.
     pub fn begin_run(&mut self) {
         self.last = None;
-        (self.powered_off, self.reset_at) = (false, None);
+        (self.powered_off, self.reset_at, self.origin) = (false, None, 0);
     }
 
     /// A device was without power: what it counts from now on has nothing to do with what it counted.
@@ -47,9 +49,11 @@ impl Continuity {
         self.reset_at.get_or_insert(at);
     }
 
-    /// Flags the first valid record whose counts may have another origin than those before, and says why. Until that one
-    /// nobody knows, so counts of a bus that came up without some of its terminals are not used.
+    /// Numbers the origin of a record: from the first valid one on whose counts may have another than those before it is a
+    /// new one, and says why. Until that one nobody knows, so counts of a bus that came up without some of its terminals are
+    /// not used.
     pub fn check(&mut self, record: &mut CycleRecord) -> Option<Origin> {
+        record.origin = self.origin;
         if !record.is_valid() {
             if self.powered_off || self.reset_at.is_some() {
                 record.encoders.iter_mut().for_each(|encoder| encoder.valid = false);
@@ -63,7 +67,8 @@ impl Continuity {
             self.last.as_ref().and_then(|last| self.compare(last, record, reset_at))
         };
         if changed.is_some() {
-            record.flags |= flags::ORIGIN_CHANGED;
+            self.origin += 1;
+            record.origin = self.origin;
         }
         self.last = Some(*record);
         changed
@@ -126,7 +131,7 @@ mod tests {
         for (ms, count) in [(0, u32::MAX - 20_000), (10, 10_000), (20, 50_000)] {
             let mut record = record(ms, [count, FAR], true);
             assert_eq!(continuity.check(&mut record), None);
-            assert_eq!(record.flags, 0);
+            assert_eq!(record.origin, 0);
         }
     }
 
@@ -137,8 +142,12 @@ mod tests {
         assert_eq!(continuity.check(&mut record(10, [0, 0], false)), None);
         let mut jumped = record(20, [FAR, FAR + 200_000], true);
         assert_eq!(continuity.check(&mut jumped), Some(Origin::Jumped { joint: 2 }));
-        assert_eq!(jumped.flags, flags::ORIGIN_CHANGED);
-        assert_eq!(continuity.check(&mut record(30, [FAR, FAR + 201_000], true)), None);
+        assert_eq!(jumped.origin, 1);
+        // Whichever record of the new origin is lost on its way, the next one says the same.
+        for (ms, valid) in [(30, true), (40, false)] {
+            let mut next = record(ms, [FAR, FAR + 201_000], valid);
+            assert_eq!((continuity.check(&mut next), next.origin), (None, 1));
+        }
         // In a second it can turn that far.
         assert_eq!(continuity.check(&mut record(1030, [FAR + 4_000_000, FAR], true)), None);
     }

@@ -26,6 +26,9 @@ const LIFT_PERIOD_NS: i64 = NS_PER_S / 20;
 const SILENCE_NS_MAX: i64 = NS_PER_S;
 /// Between two looks whether terminals that are missing are back \[ns\].
 const LOOK_PERIOD_NS: i64 = NS_PER_S / 20;
+/// A bus that was brought up shows the time that it was set to, but for this \[ns\]: what a few frames take that a busy machine
+/// repeats. A time that is further off was misread, and would be believed for as many cycles as it is ahead.
+const SET_TIME_NS_MAX: i64 = NS_PER_S / 10;
 /// Between two attempts to bring the bus up \[ns\].
 const RETRY_PERIOD_NS: i64 = NS_PER_S / 5;
 
@@ -95,7 +98,7 @@ impl Acquisition {
             return;
         }
         // A broken signal is not mended by bringing up the bus.
-        let matter = record.flags & !(flags::TERMINAL_ERROR | flags::DEADLINE_MISSED | flags::ORIGIN_CHANGED);
+        let matter = record.flags & !(flags::TERMINAL_ERROR | flags::DEADLINE_MISSED);
         if record.is_valid() || (matter & !self.sampler.flags_always()) == 0 {
             (self.health.bad, self.health.lifting, self.health.missing) = (0, None, None);
             return;
@@ -179,12 +182,14 @@ impl Acquisition {
         self.health.attempts += 1;
         match self.try_bring_up_again() {
             Some(operational) => self.go_on(operational, sink),
-            None => {
-                let now = self.clock.now();
-                self.health.retry_at = Some(now.plus_ns(RETRY_PERIOD_NS));
-                self.catch_up(now, sink);
-            }
+            None => self.retry_later(sink),
         }
+    }
+
+    fn retry_later(&mut self, sink: &mut dyn FnMut(&CycleRecord)) {
+        let now = self.clock.now();
+        self.health.retry_at = Some(now.plus_ns(RETRY_PERIOD_NS));
+        self.catch_up(now, sink);
     }
 
     fn note_incomplete(&mut self, answering: usize) {
@@ -228,6 +233,11 @@ impl Acquisition {
         let bus_time = exchange.reply.and_then(|reply| reply.dc_time);
         if exchange.reply.is_none() || (self.distributed_clocks && bus_time.is_none()) {
             return self.catch_up(self.clock.now(), sink);
+        }
+        let off_ns = bus_time.map_or(0, |time| time.0 - exchange.sent.0 - self.bus_minus_monotonic_ns());
+        if off_ns.abs() > SET_TIME_NS_MAX {
+            tracing::warn!(off_ns, "the bus does not show the time that it was set to; it is brought up again");
+            return self.retry_later(sink);
         }
         let attempts = self.health.attempts;
         self.operational = Some(operational);

@@ -58,17 +58,29 @@ impl Sampler {
         let mut record = self.blank(cycle, time, exchange);
         match &exchange.reply {
             Some(reply) => self.judge(&mut record, reply),
-            None => record.flags |= flags::NO_REPLY,
+            None => {
+                self.pass_over();
+                record.flags |= flags::NO_REPLY;
+            }
         }
         record
     }
 
     /// One record of a cycle whose sample was overwritten before `exchange` could fetch it.
-    pub fn missed(&self, cycle: u64, time: SampleTime, exchange: &CyclicExchange) -> CycleRecord {
+    pub fn missed(&mut self, cycle: u64, time: SampleTime, exchange: &CyclicExchange) -> CycleRecord {
+        self.pass_over();
         let mut record = self.blank(cycle, time, exchange);
         record.working_counter = 0;
         record.flags |= flags::DEADLINE_MISSED;
         record
+    }
+
+    /// With distributed clocks terminals sample, and toggle, also in a cycle whose reply nobody saw. Without them only a frame
+    /// makes them, and whether that came to them nobody knows.
+    fn pass_over(&mut self) {
+        if self.always & flags::NO_DC == 0 {
+            self.toggles.iter_mut().flatten().for_each(|toggle| *toggle = !*toggle);
+        }
     }
 
     fn blank(&self, cycle: u64, time: SampleTime, exchange: &CyclicExchange) -> CycleRecord {
@@ -82,6 +94,7 @@ impl Sampler {
             working_counter: exchange.reply.map_or(0, |reply| reply.working_counter),
             working_counter_expected: self.working_counter_expected,
             flags: self.always,
+            origin: 0,
             encoder_count: self.encoder_count as u8,
             encoders: [EncoderSample::default(); MAX_ENCODERS],
         };
@@ -189,6 +202,24 @@ mod tests {
         let record = sampler.sample(1, TIME, &exchange(Some(second)));
         assert_eq!(record.flags, flags::STALE_INPUT);
         assert_eq!(record.encoders().iter().map(|encoder| encoder.valid).collect::<Vec<_>>(), [false, true]);
+    }
+
+    #[test]
+    fn what_toggled_in_a_cycle_that_nobody_saw_is_counted() {
+        let lost: [fn(&mut Sampler); 2] = [
+            |sampler| assert_eq!(sampler.sample(1, TIME, &exchange(None)).flags, flags::NO_REPLY),
+            |sampler| assert_eq!(sampler.missed(1, TIME, &exchange(None)).cycle, 1),
+        ];
+        for lose in lost {
+            let after = |toggle: bool| {
+                let mut sampler = sampler();
+                sampler.sample(0, TIME, &exchange(Some(reply(true))));
+                lose(&mut sampler);
+                sampler.sample(2, TIME, &exchange(Some(reply(toggle)))).flags
+            };
+            assert_eq!(after(true), 0, "toggled twice");
+            assert_eq!(after(false), flags::STALE_INPUT, "toggled once: the sample is that of the cycle before");
+        }
     }
 
     #[test]

@@ -4,8 +4,9 @@ use std::io::Cursor;
 use std::path::Path;
 
 use shared::encoder::EncoderScale;
-use shared::recording::schema::EncoderInfo;
+use shared::recording::schema::{EncoderInfo, EncoderSample, flags};
 use shared::recording::{Recording, salvage};
+use shared::time::{DcNs, MonoNs};
 
 use super::*;
 
@@ -28,10 +29,17 @@ fn metadata() -> RunMetadata {
     }
 }
 
+/// The counters' origin of all its cycles.
+const ORIGIN: u32 = 2;
+
 fn cycle(cycle: u64) -> CycleRecord {
     let mut record = CycleRecord {
         cycle,
         sample_time: UtcNs(1_000_000_000 + cycle as i64 * 10_000_000),
+        dc_time: DcNs(1 + cycle as i64 * 10_000_000),
+        send_time: MonoNs(2 + cycle as i64 * 10_000_000),
+        receive_time: MonoNs(3 + cycle as i64 * 10_000_000),
+        origin: ORIGIN,
         encoder_count: 1,
         ..CycleRecord::default()
     };
@@ -93,6 +101,12 @@ fn cycles_that_a_full_ring_refused_are_in_the_file_as_lost() {
         .collect();
     assert_eq!(lost, (32..50).collect::<Vec<_>>());
     assert!(recording.cycles[32..].iter().all(|record| !record.is_valid()));
+    // Nothing of another cycle stands in them.
+    for record in &recording.cycles[32..] {
+        assert_eq!((record.dc_time.0, record.send_time.0, record.receive_time.0), (0, 0, 0));
+        assert_eq!(record.sample_time, cycle(record.cycle).sample_time);
+        assert_eq!(record.origin, ORIGIN);
+    }
     assert!(recording.events.iter().any(|event| event.kind == EventKind::Gap));
 }
 
@@ -141,7 +155,7 @@ fn wherever_a_run_is_cut_its_file_knows_how_late_it_was_up_to_a_minute_before() 
     let name = b"ballbard.timing";
     let records = (0..bytes.len()).filter(|at| bytes[*at..].starts_with(name));
     let cuts: Vec<_> = records
-        .map(|at| salvage(&bytes[..at], Cursor::new(Vec::new())).unwrap().0)
+        .map(|at| salvage(Cursor::new(&bytes[..at]), Cursor::new(Vec::new())).unwrap().0)
         .take_while(|cut| cut.end.is_none())
         .collect();
     let told_at: Vec<u64> = cuts.iter().map(|cut| cut.cycles).collect();

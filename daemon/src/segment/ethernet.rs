@@ -128,7 +128,7 @@ impl Wire for EthernetWire {
 fn open_socket(name: &str) -> Result<OwnedFd, OpenError> {
     let index = if_nametoindex(name)
         .map_err(|_| OpenError::NoSuchInterface { name: name.to_owned(), available: interfaces() })?;
-    bind_raw_socket(index).map_err(|source| {
+    deaf_socket().and_then(|socket| bind(socket, index)).map_err(|source| {
         if matches!(source.raw_os_error(), Some(libc::EPERM | libc::EACCES)) {
             OpenError::Permission { name: name.to_owned() }
         } else {
@@ -144,25 +144,61 @@ fn interfaces() -> Vec<String> {
         .unwrap_or_default()
 }
 
-/// A packet socket that receives EtherCAT frames of one interface.
-#[allow(unsafe_code, reason = "neither std nor nix binds a packet socket to an interface and an EtherType")]
-fn bind_raw_socket(index: libc::c_uint) -> io::Result<OwnedFd> {
-    let protocol = ETHERTYPE_ETHERCAT.to_be();
+/// A packet socket that hears nothing yet: one that is made for a protocol hears it on every interface until it is bound, and
+/// keeps what it heard.
+#[allow(unsafe_code, reason = "nix makes no packet socket without a protocol")]
+fn deaf_socket() -> io::Result<OwnedFd> {
     // SAFETY: plain system call; the descriptor is checked before it is owned.
-    let descriptor =
-        unsafe { libc::socket(libc::AF_PACKET, libc::SOCK_RAW | libc::SOCK_CLOEXEC, i32::from(protocol)) };
+    let descriptor = unsafe { libc::socket(libc::AF_PACKET, libc::SOCK_RAW | libc::SOCK_CLOEXEC, 0) };
     if descriptor < 0 {
         return Err(io::Error::last_os_error());
     }
     // SAFETY: the descriptor was just made and nobody else owns it.
-    let socket = unsafe { OwnedFd::from_raw_fd(descriptor) };
+    Ok(unsafe { OwnedFd::from_raw_fd(descriptor) })
+}
+
+/// Lets a packet socket receive EtherCAT frames of one interface.
+#[allow(unsafe_code, reason = "neither std nor nix binds a packet socket to an interface and an EtherType")]
+fn bind(socket: OwnedFd, index: libc::c_uint) -> io::Result<OwnedFd> {
     // SAFETY: all bytes zero is a valid sockaddr_ll.
     let mut address: libc::sockaddr_ll = unsafe { std::mem::zeroed() };
     address.sll_family = libc::AF_PACKET as u16;
-    address.sll_protocol = protocol;
+    address.sll_protocol = ETHERTYPE_ETHERCAT.to_be();
     address.sll_ifindex = i32::try_from(index).map_err(io::Error::other)?;
     let length = size_of::<libc::sockaddr_ll>() as libc::socklen_t;
     // SAFETY: the address lives across the call and its length is its own.
     let bound = unsafe { libc::bind(socket.as_raw_fd(), (&raw const address).cast(), length) };
     if bound < 0 { Err(io::Error::last_os_error()) } else { Ok(socket) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Needs CAP_NET_RAW; the loopback interface is there on every machine.
+    #[test]
+    fn before_it_is_bound_a_socket_hears_no_interface() {
+        let Ok(mut other) = EthernetWire::open("lo") else {
+            println!("skipped: no permission to open raw sockets");
+            return;
+        };
+        let deaf = deaf_socket().unwrap();
+        let mut frame = [0; 60];
+        frame[12..14].copy_from_slice(&ETHERTYPE_ETHERCAT.to_be_bytes());
+        frame[20..28].copy_from_slice(b"from lo!");
+        other.send(&frame).unwrap();
+        let heard = |socket: OwnedFd, name: &str| {
+            let clock = Clock::Real;
+            let until = clock.now().plus_ns(NS_PER_S / 2);
+            let mut wire = EthernetWire { name: name.into(), socket, clock, gone_since: None };
+            let mut buffer = [0; FRAME_BYTES_MAX];
+            // Other tests of this machine may send, too.
+            std::iter::from_fn(|| wire.receive(&mut buffer, until).unwrap().map(|_| buffer[20..28] == *b"from lo!"))
+                .any(|ours| ours)
+        };
+        // It was sent: whoever was bound to the interface has it.
+        assert!(heard(other.socket, "lo"));
+        let bound = bind(deaf, if_nametoindex("lo").unwrap()).unwrap();
+        assert!(!heard(bound, "lo"));
+    }
 }

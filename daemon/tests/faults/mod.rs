@@ -1,6 +1,7 @@
 //! Faults of the simulated segment, and the acquisition that survives them. All on virtual time.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
+mod bus_time;
 mod matrix;
 mod random;
 mod rig;

@@ -11,7 +11,7 @@ use ballbard::segment::faults::{FaultHandle, FaultySegment};
 use ballbard::segment::simulated::{Periods, SegmentConfig, SimulatedSegment, SmoothMotion};
 use shared::config::EncoderConfig;
 use shared::encoder::Direction;
-use shared::recording::schema::{CycleRecord, flags};
+use shared::recording::schema::CycleRecord;
 use shared::time::UtcNs;
 
 const TERMINALS: usize = 5;
@@ -30,7 +30,7 @@ pub struct Rig {
     period_ns: i64,
 }
 
-fn plan(period_ns: i64, distributed_clocks: bool) -> BusPlan {
+pub fn plan(period_ns: i64, distributed_clocks: bool) -> BusPlan {
     let encoder = |joint| EncoderConfig {
         joint,
         lines: LINES,
@@ -100,9 +100,9 @@ impl Rig {
     /// to have changed, up to whole periods that stay the same from there on. Returns how many were valid.
     pub fn assert_true(&self) -> usize {
         let mut origins = [Some(0i64); TERMINALS];
-        let mut valid = 0;
+        let (mut valid, mut origin) = (0, 0);
         for record in &self.records {
-            if record.flags & flags::ORIGIN_CHANGED != 0 {
+            if std::mem::replace(&mut origin, record.origin) != record.origin {
                 origins = [None; TERMINALS];
             }
             valid += usize::from(record.is_valid());

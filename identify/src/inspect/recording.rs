@@ -78,7 +78,7 @@ pub(super) fn quality(inspection: &mut Inspection, cycles: &[CycleRecord]) {
         inspection
             .suspect(format!("only {percent:.1} % of the cycles are valid: look at its flags and events"));
     }
-    let origins = cycles.iter().filter(|cycle| cycle.flags & flags::ORIGIN_CHANGED != 0).count();
+    let origins = cycles.windows(2).filter(|pair| pair[1].origin != pair[0].origin).count();
     if origins > 0 {
         inspection.suspect(format!(
             "the counters may have a new origin at {origins} places: each part has encoder offsets of its own"

@@ -3,7 +3,7 @@
 use std::f64::consts::TAU;
 
 use shared::encoder::Unwrapper;
-use shared::recording::schema::{CycleRecord, EncoderInfo, flags};
+use shared::recording::schema::{CycleRecord, EncoderInfo};
 use shared::time::UtcNs;
 
 use super::{Fate, PrepareError};
@@ -38,8 +38,9 @@ pub struct BarAngles {
 pub fn bar_angles(cycles: &[CycleRecord], encoders: &[EncoderInfo]) -> Result<BarAngles, PrepareError> {
     let mut angles = BarAngles { measured: measured(encoders)?, ..BarAngles::default() };
     let mut segment = SegmentBuilder::new(encoders);
+    let mut origin = cycles.first().map_or(0, |cycle| cycle.origin);
     for (index, cycle) in cycles.iter().enumerate() {
-        if cycle.flags & flags::ORIGIN_CHANGED != 0 {
+        if std::mem::replace(&mut origin, cycle.origin) != cycle.origin {
             let ended = std::mem::replace(&mut segment, SegmentBuilder::new(encoders));
             angles.segments.extend(ended.finish());
         }

@@ -151,6 +151,7 @@ fn record(
         working_counter,
         working_counter_expected: working_counter,
         flags: 0,
+        origin: 0,
         encoder_count: encoders.len() as u8,
         encoders: samples,
     }

@@ -3,23 +3,29 @@
 use std::collections::{BTreeMap, HashMap};
 
 use mcap::records::{Channel, Metadata, Record, SchemaHeader};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde::de::DeserializeOwned;
 
-use super::messages::{self, Topic};
+use super::messages::{self, CycleLayout};
 use super::reader::ReadErrorKind;
-use super::schema::{CycleRecord, EncoderInfo, Event, MAX_ENCODERS, RunEnd, RunMetadata};
+use super::schema::{CycleRecord, EncoderInfo, Event, MAX_ENCODERS, RunEnd, RunMetadata, flags};
 use super::timing::TimingSummary;
 use crate::encoder::{EncoderScale, INTERPOLATION_BITS};
 
 /// What a recording calls the library that wrote it, before its version.
 pub(super) const LIBRARY_NAME: &str = "ballbard ";
 
+/// Numbers that a recording's channels of cycles and of events have: they are the first that the writer adds.
+pub(super) const USUAL_CHANNELS: [u16; 2] = [1, 2];
+
 /// Names of the metadata records at the beginning and the end of a run.
 pub(super) const RUN_METADATA: &str = "ballbard.run";
 pub(super) const END_METADATA: &str = "ballbard.end";
 /// Name of the metadata records of the loop's timing; each replaces those before it.
 pub(super) const TIMING_METADATA: &str = "ballbard.timing";
+
+/// Names of all metadata records with a checksum of their own.
+pub(super) const OUR_METADATA: [&str; 3] = [RUN_METADATA, END_METADATA, TIMING_METADATA];
 
 /// Key under which those records hold their content as JSON.
 const CONTENT_KEY: &str = "json";
@@ -35,18 +41,46 @@ pub(super) fn metadata_of(name: &str, content: &impl Serialize) -> Result<Metada
     Ok(Metadata { name: name.to_owned(), metadata })
 }
 
+/// The run's metadata as they lie in the file.
+#[derive(Serialize, Deserialize)]
+struct StoredRun<Run> {
+    #[serde(flatten)]
+    run: Run,
+    /// Each cycle carries the number of its origin: what the schema says, for a file that has lost it.
+    #[serde(default)]
+    origin_numbers: bool,
+}
+
+/// The metadata record of a run.
+pub(super) fn metadata_of_run(run: &RunMetadata) -> Result<Metadata, serde_json::Error> {
+    metadata_of(RUN_METADATA, &StoredRun { run, origin_numbers: true })
+}
+
+/// The run that a metadata record is about, and how its cycles are laid out.
+pub(super) fn run_of(metadata: &Metadata) -> Result<(RunMetadata, CycleLayout), ReadErrorKind> {
+    let StoredRun { run, origin_numbers } = content_of(RUN_METADATA, metadata)?;
+    check_encoders(&run)?;
+    Ok((run, if origin_numbers { CycleLayout::OriginNumber } else { CycleLayout::OriginFlag }))
+}
+
 /// The content of a metadata record, if it is what was written.
 pub(super) fn content_of<T: DeserializeOwned>(
     name: &'static str,
     metadata: &Metadata,
 ) -> Result<T, ReadErrorKind> {
     let problem = |problem: String| ReadErrorKind::Metadata { name, problem };
-    let value = |key| metadata.metadata.get(key).ok_or_else(|| problem(format!("no `{key}`")));
-    let json = value(CONTENT_KEY)?;
-    if *value(CHECKSUM_KEY)? != checksum_of(json) {
+    let json = metadata.metadata.get(CONTENT_KEY);
+    let json = json.ok_or_else(|| problem(format!("no `{CONTENT_KEY}`")))?;
+    if !is_proven(metadata) {
         return Err(problem("its checksum differs".into()));
     }
     serde_json::from_str(json).map_err(|error| problem(error.to_string()))
+}
+
+/// Whether a metadata record has its own checksum, and that is right.
+pub(super) fn is_proven(metadata: &Metadata) -> bool {
+    let value = |key| metadata.metadata.get(key);
+    value(CONTENT_KEY).zip(value(CHECKSUM_KEY)).is_some_and(|(json, checksum)| *checksum == checksum_of(json))
 }
 
 /// Encoders as no configuration allows them would make nonsense of every count.
@@ -78,23 +112,39 @@ pub(super) enum Item {
     End(RunEnd),
 }
 
+/// A channel of ours.
+#[derive(Debug, Clone, Copy)]
+enum Ours {
+    Cycles(CycleLayout),
+    Events,
+}
+
 /// Understands the records of one recording, in the order in which they come.
 #[derive(Default)]
 pub(super) struct Decoder {
-    schemas: HashMap<u16, String>,
+    /// Name of each schema, and how it says that counts have a new origin.
+    schemas: HashMap<u16, (String, CycleLayout)>,
     /// Every channel that is declared; none for those that are not ours (added by another tool).
-    channels: HashMap<u16, Option<&'static Topic>>,
-    next_cycle: u64,
+    channels: HashMap<u16, Option<Ours>>,
+    /// Messages may be on channels whose declaration is lost.
+    beginning_may_be_lost: bool,
+    origins: FlaggedOrigins,
 }
 
 impl Decoder {
+    /// For files whose beginning may be lost: until they declare their channels these are taken for those that
+    /// [`RecordingWriter`](super::RecordingWriter) gives them.
+    pub fn with_usual_channels(layout: CycleLayout) -> Self {
+        let [cycles, events] = USUAL_CHANNELS;
+        let channels = HashMap::from([(cycles, Some(Ours::Cycles(layout))), (events, Some(Ours::Events))]);
+        Self { channels, beginning_may_be_lost: true, ..Self::default() }
+    }
+
     /// What the record says; none where it is not ours or only prepares others.
     pub fn decode(&mut self, record: Record<'_>) -> Result<Option<Item>, ReadErrorKind> {
         Ok(match record {
             Record::Metadata(metadata) if metadata.name == RUN_METADATA => {
-                let run: RunMetadata = content_of(RUN_METADATA, &metadata)?;
-                check_encoders(&run)?;
-                Some(Item::Run(Box::new(run)))
+                Some(Item::Run(Box::new(run_of(&metadata)?.0)))
             }
             Record::Metadata(metadata) if metadata.name == END_METADATA => {
                 Some(Item::End(content_of(END_METADATA, &metadata)?))
@@ -102,8 +152,8 @@ impl Decoder {
             Record::Metadata(metadata) if metadata.name == TIMING_METADATA => {
                 Some(Item::Timing(Box::new(content_of(TIMING_METADATA, &metadata)?)))
             }
-            Record::Schema { header: SchemaHeader { id, name, .. }, .. } => {
-                self.schemas.insert(id, name);
+            Record::Schema { header: SchemaHeader { id, name, .. }, data } => {
+                self.schemas.insert(id, (name, CycleLayout::of_schema(&data)));
                 None
             }
             Record::Channel(channel) => {
@@ -119,9 +169,10 @@ impl Decoder {
 
     /// Remembers a channel, and which of ours it is.
     fn take_channel(&mut self, channel: &Channel) {
-        let schema = self.schemas.get(&channel.schema_id);
-        let ours = [&messages::CYCLE, &messages::EVENT].into_iter().find(|topic| {
-            channel.topic == topic.topic && schema.is_some_and(|name| name == topic.schema_name)
+        let ours = self.schemas.get(&channel.schema_id).and_then(|(name, layout)| {
+            let is = |topic: &messages::Topic| channel.topic == topic.topic && name == topic.schema_name;
+            let cycles = is(&messages::CYCLE).then_some(Ours::Cycles(*layout));
+            cycles.or_else(|| is(&messages::EVENT).then_some(Ours::Events))
         });
         self.channels.insert(channel.id, ours);
     }
@@ -132,18 +183,50 @@ impl Decoder {
         sequence: u32,
         data: &[u8],
     ) -> Result<Option<Item>, ReadErrorKind> {
-        let undeclared =
-            || ReadErrorKind::Misplaced(format!("a message on channel {channel_id}, which is not declared"));
-        let Some(topic) = self.channels.get(&channel_id).ok_or_else(undeclared)? else { return Ok(None) };
-        let error = |source| ReadErrorKind::Message { topic: topic.topic, sequence, source };
-        if topic.topic == messages::EVENT.topic {
-            return Ok(Some(Item::Event(messages::decode_event(data).map_err(error)?)));
+        let ours = match self.channels.get(&channel_id) {
+            Some(Some(ours)) => *ours,
+            None if !self.beginning_may_be_lost => {
+                let problem = format!("a message on channel {channel_id}, which is not declared");
+                return Err(ReadErrorKind::Misplaced(problem));
+            }
+            Some(None) | None => return Ok(None),
+        };
+        let error = |topic, source| ReadErrorKind::Message { topic, sequence, source };
+        Ok(Some(match ours {
+            Ours::Events => {
+                let event = messages::decode_event(data);
+                Item::Event(event.map_err(|source| error(messages::EVENT.topic, source))?)
+            }
+            Ours::Cycles(layout) => {
+                let decoded = messages::decode_cycle(data, layout);
+                let record = decoded.map_err(|source| error(messages::CYCLE.topic, source))?;
+                Item::Cycle(match layout {
+                    CycleLayout::OriginNumber => record,
+                    CycleLayout::OriginFlag => self.origins.number(record),
+                })
+            }
+        }))
+    }
+}
+
+/// Numbers the origins of a file that only flags the first record of each. Records that were lost may have been such ones, so
+/// that what follows them has an origin of its own: a needless one costs a few parameters, a missed one spoils the calibration.
+#[derive(Default)]
+struct FlaggedOrigins {
+    origin: u32,
+    next_cycle: u64,
+    lost: bool,
+}
+
+impl FlaggedOrigins {
+    fn number(&mut self, record: CycleRecord) -> CycleRecord {
+        self.lost |= record.cycle != self.next_cycle;
+        self.next_cycle = record.cycle.wrapping_add(1);
+        if record.flags & flags::LOST != 0 {
+            self.lost = true;
+        } else if std::mem::take(&mut self.lost) || record.flags & flags::ORIGIN_CHANGED != 0 {
+            self.origin = self.origin.wrapping_add(1);
         }
-        let record = messages::decode_cycle(data).map_err(error)?;
-        if record.cycle != self.next_cycle {
-            return Err(ReadErrorKind::Hole { expected: self.next_cycle, found: record.cycle });
-        }
-        self.next_cycle += 1;
-        Ok(Some(Item::Cycle(record)))
+        CycleRecord { origin: self.origin, flags: record.flags & !flags::ORIGIN_CHANGED, ..record }
     }
 }

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 
 use super::recover::{self, SalvageError, Salvaged};
 use super::run_file::{ACTIVE_ENDING, FINISHED_ENDING, TORN_ENDING, io_error, lock, rename, sync_directory};
+use super::schema::RunMetadata;
 use super::writer::WriteError;
 
 /// Ending of a recovered file that has not been read back yet.
@@ -94,8 +95,7 @@ pub fn recover_file(path: &Path) -> Result<Recovery, RecoverError> {
     })?;
     let finished = path.with_file_name(format!("{stem}.{FINISHED_ENDING}"));
     let salvage = |source| RecoverError::Salvage { path: path.to_owned(), source };
-    let content = recover::check(BufReader::new(&*original)).map_err(salvage)?;
-    if content.is_whole() {
+    if let Ok(content) = recover::check(BufReader::new(&*original)) {
         let content = Box::new(content);
         if active.is_none() {
             return Ok(Recovery::Whole { content });
@@ -105,9 +105,9 @@ pub fn recover_file(path: &Path) -> Result<Recovery, RecoverError> {
         return Ok(Recovery::Renamed { file: finished, content });
     }
     if active.is_some() && finished.exists() {
-        return settle_with_existing(path, finished, content);
+        let (run, _) = recover::find_run(&*original).map_err(salvage)?;
+        return settle_with_existing(path, finished, &run);
     }
-    (&*original).rewind().map_err(io)?;
     let recovering = path.with_file_name(format!("{stem}.{RECOVERING_ENDING}"));
     let content = rewrite(&original, &recovering).map_err(salvage)?;
     replace(path, &recovering, &finished, content)
@@ -141,7 +141,7 @@ pub fn recover_leftovers(directory: &Path) -> Vec<Leftover> {
 fn rewrite(original: &File, recovering: &Path) -> Result<Salvaged, SalvageError> {
     let created = OpenOptions::new().read(true).write(true).create(true).truncate(true).open(recovering);
     let outcome = created.map_err(|error| io_error(recovering)(error).into()).and_then(|file| {
-        let (content, written) = recover::salvage(BufReader::new(original), BufWriter::new(file))?;
+        let (content, written) = recover::salvage(original, BufWriter::new(file))?;
         let mut file = written.into_inner().map_err(|error| io_error(recovering)(error.into_error()))?;
         file.sync_all().and_then(|()| file.rewind()).map_err(io_error(recovering))?;
         recover::verify(BufReader::new(file), &content)?;
@@ -169,7 +169,8 @@ fn replace(
         Some(torn)
     } else {
         rename(recovering, finished)?;
-        if content.cut.is_some() {
+        // Of a run that had ended something is not as it was written, or it would be whole.
+        if content.damage.is_some() || content.end.is_some() {
             Some(set_aside(path)?)
         } else {
             std::fs::remove_file(path).map_err(io_error(path))?;
@@ -181,16 +182,14 @@ fn replace(
 }
 
 /// A crash during an earlier recovery left both; if the finished one is whole and of this run, it stands.
-fn settle_with_existing(path: &Path, finished: PathBuf, content: Salvaged) -> Result<Recovery, RecoverError> {
+fn settle_with_existing(path: &Path, finished: PathBuf, run: &RunMetadata) -> Result<Recovery, RecoverError> {
     let existing = File::open(&finished).ok().and_then(|file| recover::check(BufReader::new(file)).ok());
-    match existing {
-        Some(existing)
-            if existing.is_whole() && existing.run == content.run && existing.cycles == content.cycles =>
-        {
+    match existing.filter(|existing| existing.run == *run) {
+        Some(existing) => {
             let torn = set_aside(path)?;
             Ok(Recovery::Recovered { file: finished, torn: Some(torn), content: Box::new(existing) })
         }
-        _ => Err(WriteError::Exists(finished).into()),
+        None => Err(WriteError::Exists(finished).into()),
     }
 }
 

@@ -26,6 +26,12 @@ pub fn parse_record(opcode: u8, data: &[u8]) -> Result<Record<'_>, McapError> {
     mcap::parse_record(opcode, data)
 }
 
+/// Whether a record ends with the last length in it, so that its own length is right, too. Of records that have fixed parts
+/// behind their lengths it is not.
+pub(super) fn ends_with_its_content(opcode: u8, data: &[u8]) -> bool {
+    pass(data, layout(opcode)).is_some_and(<[u8]>::is_empty)
+}
+
 /// Whether the records of an uncompressed chunk end with it; the library would go on behind its end. What a compressed
 /// one holds it looks at itself.
 pub fn chunk_is_whole(header: &ChunkHeader, records: &[u8]) -> bool {
@@ -75,7 +81,8 @@ const fn layout(opcode: u8) -> &'static [Part] {
     }
 }
 
-fn pass(mut data: &[u8], parts: &[Part]) -> Option<()> {
+/// What lies behind these parts.
+fn pass<'a>(mut data: &'a [u8], parts: &[Part]) -> Option<&'a [u8]> {
     for part in parts {
         match part {
             Part::Fixed(bytes) => data = data.get(*bytes..)?,
@@ -89,7 +96,7 @@ fn pass(mut data: &[u8], parts: &[Part]) -> Option<()> {
             }
         }
     }
-    Some(())
+    Some(data)
 }
 
 /// A block, and what follows it.

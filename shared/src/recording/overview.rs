@@ -5,11 +5,10 @@ use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
 use crc32fast::Hasher;
-use mcap::records::{Footer, MetadataIndex, Record, op};
+use mcap::records::{Footer, Metadata, MetadataIndex, Record, op};
 use mcap::{MAGIC, McapError};
-use serde::de::DeserializeOwned;
 
-use super::content::{END_METADATA, RUN_METADATA, content_of};
+use super::content::{END_METADATA, RUN_METADATA, content_of, run_of};
 use super::lengths::parse_record;
 use super::reader::{ReadError, ReadErrorKind};
 use super::records::RECORD_LENGTH_BYTES_MAX;
@@ -41,8 +40,9 @@ impl RunOverview {
 
     fn read(file: &mut File) -> Result<Self, ReadErrorKind> {
         let indexes = metadata_indexes(file)?;
-        let run = metadata(file, &indexes, RUN_METADATA)?;
-        Ok(Self { run, end: metadata(file, &indexes, END_METADATA)? })
+        let run = run_of(&metadata(file, &indexes, RUN_METADATA)?)?.0;
+        let end = content_of(END_METADATA, &metadata(file, &indexes, END_METADATA)?)?;
+        Ok(Self { run, end })
     }
 }
 
@@ -99,11 +99,11 @@ fn summary_of(file: &mut File) -> Result<Vec<u8>, ReadErrorKind> {
     }
 }
 
-fn metadata<T: DeserializeOwned>(
+fn metadata(
     file: &mut File,
     indexes: &[MetadataIndex],
     name: &'static str,
-) -> Result<T, ReadErrorKind> {
+) -> Result<Metadata, ReadErrorKind> {
     let broken = |problem: &str| ReadErrorKind::Metadata { name, problem: problem.into() };
     let index = indexes.iter().find(|index| index.name == name);
     let MetadataIndex { offset, length, .. } = index.ok_or_else(|| broken("missing"))?;
@@ -115,7 +115,7 @@ fn metadata<T: DeserializeOwned>(
     let mut bytes = vec![0; length];
     file.read_exact(&mut bytes)?;
     match parse_record(op::METADATA, &bytes[PREFIX_BYTES..])? {
-        Record::Metadata(record) if record.name == name => content_of(name, &record),
+        Record::Metadata(record) if record.name == name => Ok(record),
         _ => Err(broken("not where the summary says")),
     }
 }

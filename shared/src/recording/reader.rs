@@ -12,7 +12,7 @@ use mcap::McapError;
 
 use super::content::{Decoder, Item, LIBRARY_NAME, RUN_METADATA};
 use super::messages::MessageError;
-use super::records::{Ending, for_each_record};
+use super::records::for_each_record;
 use super::schema::{CycleRecord, Event, RunEnd, RunMetadata};
 use super::timing::TimingSummary;
 
@@ -38,12 +38,6 @@ pub enum ReadErrorKind {
     /// A chunk has no checksum, so nothing in it can be trusted.
     #[error("damaged: a chunk without a checksum; if a run was cut short, run `ballbard recover` on it")]
     NoChecksum,
-    /// A record of a kind that a recording does not have there.
-    #[error("damaged: a record of kind {opcode:#04x} where none can be")]
-    UnexpectedRecord {
-        /// Its kind.
-        opcode: u8,
-    },
     /// A record is where it cannot be.
     #[error("damaged: {0}")]
     Misplaced(String),
@@ -115,11 +109,24 @@ impl Recording {
     /// Reads a finished recording from any source of bytes.
     pub fn read(source: impl Read) -> Result<Self, ReadErrorKind> {
         let (mut decoder, mut content) = (Decoder::default(), Content::default());
-        for_each_record(source, Ending::Whole, &mut |record| {
-            decoder.decode(record)?.into_iter().for_each(|item| content.take(item));
-            Ok::<_, ReadErrorKind>(())
+        for_each_record(source, &mut |record| {
+            decoder.decode(record)?.map_or(Ok(()), |item| content.take(item))
         })?;
         content.finish()
+    }
+}
+
+/// The run's metadata stand twice in a file, and say the same.
+pub(super) fn take_run(known: &mut Option<RunMetadata>, run: RunMetadata) -> Result<(), ReadErrorKind> {
+    match known {
+        Some(known) if *known != run => {
+            Err(ReadErrorKind::Misplaced("metadata of a second run in it".into()))
+        }
+        Some(_) => Ok(()),
+        None => {
+            *known = Some(run);
+            Ok(())
+        }
     }
 }
 
@@ -134,14 +141,21 @@ struct Content {
 }
 
 impl Content {
-    fn take(&mut self, item: Item) {
+    fn take(&mut self, item: Item) -> Result<(), ReadErrorKind> {
         match item {
-            Item::Run(run) => self.run = Some(*run),
-            Item::Cycle(cycle) => self.cycles.push(cycle),
+            Item::Run(run) => take_run(&mut self.run, *run)?,
+            Item::Cycle(cycle) => {
+                let expected = self.cycles.len() as u64;
+                if cycle.cycle != expected {
+                    return Err(ReadErrorKind::Hole { expected, found: cycle.cycle });
+                }
+                self.cycles.push(cycle);
+            }
             Item::Event(event) => self.events.push(event),
             Item::Timing(timing) => self.timing = Some(*timing),
             Item::End(end) => self.end = Some(end),
         }
+        Ok(())
     }
 
     fn finish(self) -> Result<Recording, ReadErrorKind> {

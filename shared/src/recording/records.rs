@@ -1,4 +1,4 @@
-//! The MCAP layer: hands out each record of a file, or says where the file stops being whole.
+//! The MCAP layer: hands out each record of a whole file, or says where the file stops being whole.
 //!
 //! Chunks are opened here and not by the MCAP library, because it lets a chunk pass whose checksum field is zero,
 //! as it is where a power cut left zeros.
@@ -15,21 +15,11 @@ use super::reader::ReadErrorKind;
 /// Longest record that a recording has: far above a second of 1 kHz cycles, far below memory.
 pub(super) const RECORD_LENGTH_BYTES_MAX: usize = 64 << 20;
 /// Opcode and length before each record.
-const PREFIX_BYTES: usize = 9;
-
-/// What the end of the file must be.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Ending {
-    /// Footer and magic: a finished file.
-    Whole,
-    /// The end of any record.
-    AnyRecord,
-}
+pub(super) const PREFIX_BYTES: usize = 9;
 
 /// Hands every record of the file, chunks unpacked, to `sink`.
 pub(super) fn for_each_record<E: From<ReadErrorKind>>(
     source: impl Read,
-    ending: Ending,
     sink: &mut dyn FnMut(Record<'_>) -> Result<(), E>,
 ) -> Result<(), E> {
     let reader = LinearReader::new_with_options(
@@ -37,8 +27,7 @@ pub(super) fn for_each_record<E: From<ReadErrorKind>>(
             .with_emit_chunks(true)
             .with_validate_data_section_crc(true)
             .with_validate_summary_section_crc(true)
-            .with_check_finishes_after_end_magic(true)
-            .with_skip_end_magic(ending == Ending::AnyRecord),
+            .with_check_finishes_after_end_magic(true),
     );
     drive(reader, source, &mut |opcode, data| {
         if opcode == op::CHUNK { open_chunk(data, sink) } else { sink(parse(opcode, data)?) }
@@ -50,7 +39,7 @@ fn options() -> LinearReaderOptions {
 }
 
 /// Checks a chunk as a whole, then hands out its records.
-fn open_chunk<E: From<ReadErrorKind>>(
+pub(super) fn open_chunk<E: From<ReadErrorKind>>(
     chunk: &[u8],
     sink: &mut dyn FnMut(Record<'_>) -> Result<(), E>,
 ) -> Result<(), E> {

@@ -1,71 +1,82 @@
-//! Takes what is whole out of a recording that was cut short and writes it as a finished one.
+//! Takes what is whole out of a recording that was cut short or damaged and writes it as a finished one.
 //!
-//! Reading stops at the first thing that is not as it was written: what comes after cannot be placed, and a
-//! doubtful sample is worth less than none. Works on any source and sink; files are in `leftover`.
+//! Whatever a checksum proves is kept, wherever it lies in the file. What lay between is given back as lost cycles, so that
+//! numbers stay without a hole and no value is made up. Works on any source and sink; files are in `leftover`.
 
-use std::collections::BTreeMap;
-use std::io::{Read, Seek, Write};
+use std::io::{self, Read, Seek, Write};
 
 use crc32fast::Hasher;
-use mcap::records::{Record, op};
+use mcap::records::Record;
 
-use super::content::{Decoder, Item, RUN_METADATA};
-use super::messages;
-use super::reader::ReadErrorKind;
-use super::records::{Ending, for_each_record};
-use super::schema::{CycleRecord, Event, RunEnd, RunMetadata};
+use super::content::{Decoder, Item, RUN_METADATA, run_of};
+use super::messages::{self, CycleLayout, MessageError};
+use super::reader::{ReadErrorKind, take_run};
+use super::records::for_each_record;
+use super::resync::{Damage, Refused, for_each_proven_record};
+use super::schema::{CycleRecord, Event, EventKind, RunEnd, RunMetadata, flags};
 use super::timing::TimingSummary;
 use super::writer::{RecordingWriter, WriteError};
-use crate::time::UtcNs;
+use crate::time::{NS_PER_S, UtcNs};
+
+/// Bytes that a cycle takes in a file at least: its entry in the index of its chunk.
+const CYCLE_BYTES_MIN: u64 = 16;
+/// As many cycles may be missing though no byte is damaged: a write that never reached the disk left no trace.
+const UNTRACED_CYCLES_MAX: u64 = 100_000;
+/// What follows a hole was sampled when its number says, but for this \[ns\] ...
+const TIME_SLACK_NS: i128 = 10 * NS_PER_S as i128;
+/// ... and this share of the time between: crystals differ by less. Old blocks of another run's file do not pass.
+const TIME_SHARE_MAX: i128 = 1000;
 
 /// What was taken out of a recording.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Salvaged {
     /// Who, what, with which settings.
     pub run: RunMetadata,
-    /// Whole cycles, from the first on without a hole.
+    /// Cycles, numbered without a hole, the lost ones among them.
     pub cycles: u64,
     /// Cycles among them in which every encoder is valid.
     pub cycles_valid: u64,
-    /// When the last of them was sampled.
+    /// Cycles among them of which only the number is known.
+    pub cycles_lost: u64,
+    /// When the last cycle that is whole was sampled.
     pub last_good: Option<UtcNs>,
     /// How well the loop kept its time, as far as that is known: a run that was cut short says it of its beginning only.
     pub timing: Option<TimingSummary>,
     /// How the run ended, if it did.
     pub end: Option<RunEnd>,
-    /// Why reading stopped before the end of the file; none if the file is whole up to its end.
-    pub cut: Option<String>,
+    /// What could not be read; none of a file that was only cut short between two records.
+    pub damage: Option<Damage>,
     /// CRC-32 over all cycles and events as they are encoded.
     checksum: u32,
 }
 
 impl Salvaged {
-    /// The file is finished, whole, and says how the run ended.
-    pub fn is_whole(&self) -> bool {
-        self.cut.is_none() && self.end.as_ref().is_some_and(|end| end.cycles == self.cycles)
-    }
-
-    /// In words: that the run was cut short, what is there, how it would have ended.
+    /// In words: what happened to the run, what is there, how it would have ended.
     fn cause(&self) -> String {
+        let cut = if self.end.is_none() { ": the run was cut short" } else { "" };
+        let damage = self.damage.map_or(String::new(), |damage| format!("; {damage}"));
+        let lost = match self.cycles_lost {
+            0 => String::new(),
+            lost => format!("; {lost} cycles are lost"),
+        };
         let kept = match self.last_good {
-            Some(last) => format!("{} cycles are whole, the last of {last}", self.cycles),
+            Some(last) => format!("{} cycles are whole, the last of {last}", self.cycles - self.cycles_lost),
             None => "no cycle is whole".to_owned(),
         };
-        let end = match &self.end {
-            Some(end) if end.cycles == self.cycles => format!("; the run had ended: {}", end.cause),
-            Some(end) => format!("; the run had ended with {} cycles: {}", end.cycles, end.cause),
-            None => String::new(),
-        };
-        format!("recovered: the run was cut short; {kept}{end}")
+        let end = self.end.as_ref().map_or(String::new(), |end| format!("; the run had ended: {}", end.cause));
+        format!("recovered{cut}{damage}{lost}; {kept}{end}")
     }
 }
 
 /// Why nothing could be salvaged.
 #[derive(Debug, thiserror::Error)]
 pub enum SalvageError {
-    /// Not even the run's metadata are whole.
-    #[error("nothing can be recovered, the beginning is not whole: {0}")]
+    /// The run's metadata are whole nowhere in the file.
+    #[error("nothing can be recovered: {0}")]
     NothingWhole(ReadErrorKind),
+    /// The system could not read it.
+    #[error("cannot be read: {0}; check the path and its permissions")]
+    Io(#[from] io::Error),
     /// The finished recording cannot be written.
     #[error(transparent)]
     Write(#[from] WriteError),
@@ -74,28 +85,64 @@ pub enum SalvageError {
     Verification(String),
 }
 
+impl From<MessageError> for SalvageError {
+    fn from(error: MessageError) -> Self {
+        WriteError::from(error).into()
+    }
+}
+
 /// Writes what is whole in `source` into `sink` as a finished recording whose end says that it was recovered.
-pub fn salvage<W: Write + Seek>(source: impl Read, sink: W) -> Result<(Salvaged, W), SalvageError> {
-    let mut writing = Writing { sink: Some(sink), writer: None };
-    let salvaged = scan(source, Ending::AnyRecord, &mut |part| writing.take(part))?;
-    let Some(writer) = writing.writer else {
-        return Err(SalvageError::NothingWhole(no_metadata()));
+pub fn salvage<W: Write + Seek>(
+    mut source: impl Read + Seek,
+    sink: W,
+) -> Result<(Salvaged, W), SalvageError> {
+    let (run, layout) = find_run(&mut source)?;
+    let mut decoder = Decoder::with_usual_channels(layout);
+    let mut rewriting = Rewriting {
+        writer: RecordingWriter::begin(sink, &run)?,
+        seen: Seen { run: Some(run.clone()), ..Seen::default() },
+        run,
+        last: None,
+        damaged_bytes: 0,
     };
-    let ended = salvaged.last_good.unwrap_or(salvaged.run.started);
-    let end = RunEnd { recovered: true, ..writer.end_record(&salvaged.cause(), ended) };
-    Ok((salvaged, writer.end_with(&end)?))
+    let damage = for_each_proven_record(source, &mut |record, damage| {
+        decoder.decode(record)?.map_or(Ok(()), |item| rewriting.take(item, damage))
+    })?;
+    rewriting.finish(damage)
+}
+
+/// Metadata of the run that `source` is about: the first that are whole.
+pub(super) fn find_run(source: impl Read + Seek) -> Result<(RunMetadata, CycleLayout), SalvageError> {
+    /// Not an error: reading on makes no sense.
+    enum Found {
+        Run(Box<(RunMetadata, CycleLayout)>),
+        Io(io::Error),
+    }
+    impl From<io::Error> for Found {
+        fn from(error: io::Error) -> Self {
+            Self::Io(error)
+        }
+    }
+    let outcome = for_each_proven_record(source, &mut |record, _| match record {
+        Record::Metadata(metadata) if metadata.name == RUN_METADATA => {
+            Err(Refused::Stop(Found::Run(Box::new(run_of(&metadata)?))))
+        }
+        _ => Ok(()),
+    });
+    match outcome {
+        Err(Found::Run(run)) => Ok(*run),
+        Err(Found::Io(error)) => Err(error.into()),
+        Ok(_) => Err(SalvageError::NothingWhole(no_metadata())),
+    }
 }
 
 /// Reads a recovered recording back: it must be finished, and hold what `salvaged` says, bit for bit.
 pub fn verify(source: impl Read, salvaged: &Salvaged) -> Result<(), SalvageError> {
     let differs = |what: &str| Err(SalvageError::Verification(what.to_owned()));
-    let written = check(source)?;
+    let written = check(source).map_err(|damage| SalvageError::Verification(damage.to_string()))?;
     match written.end {
         Some(end) if end.recovered && end.cycles == salvaged.cycles => {}
         _ => return differs("its end is not what was written"),
-    }
-    if let Some(damage) = written.cut {
-        return Err(SalvageError::Verification(damage));
     }
     if written.checksum != salvaged.checksum || written.cycles != salvaged.cycles {
         return differs("cycles or events differ");
@@ -106,174 +153,203 @@ pub fn verify(source: impl Read, salvaged: &Salvaged) -> Result<(), SalvageError
     Ok(())
 }
 
-/// Reads a file through without keeping it, to know whether it is whole.
-pub(super) fn check(source: impl Read) -> Result<Salvaged, SalvageError> {
-    scan(source, Ending::Whole, &mut |_| Ok(()))
+/// Reads a file through without keeping it: it is finished and whole, or the error says why not.
+pub(super) fn check(source: impl Read) -> Result<Salvaged, ReadErrorKind> {
+    let (mut decoder, mut seen) = (Decoder::default(), Seen::default());
+    for_each_record(source, &mut |record| {
+        decoder.decode(record)?.map_or(Ok(()), |item| seen.take(item).map(drop))
+    })?;
+    let cycles = seen.cycles;
+    match &seen.end {
+        Some(end) if end.cycles == cycles => seen.finish(None),
+        Some(end) => Err(ReadErrorKind::Hole { expected: cycles, found: end.cycles }),
+        None => Err(ReadErrorKind::Unfinished),
+    }
 }
 
-/// Begins the output as soon as it is known what it is about.
-struct Writing<W: Write + Seek> {
-    sink: Option<W>,
-    writer: Option<RecordingWriter<W>>,
+/// Puts what is found into the new file.
+struct Rewriting<W: Write + Seek> {
+    writer: RecordingWriter<W>,
+    seen: Seen,
+    run: RunMetadata,
+    /// The last cycle that is whole.
+    last: Option<CycleRecord>,
+    /// Damage before it.
+    damaged_bytes: u64,
 }
 
-/// What a scan hands out.
-enum Part<'a> {
-    Run(&'a RunMetadata),
-    Cycle(&'a CycleRecord),
-    Event(&'a Event),
-    Timing(&'a TimingSummary),
-}
+impl<W: Write + Seek> Rewriting<W> {
+    fn take(&mut self, item: Item, damage: &Damage) -> Result<(), Refused<SalvageError>> {
+        if let Item::Cycle(cycle) = &item {
+            self.fill_hole_before(cycle, damage)?;
+            (self.last, self.damaged_bytes) = (Some(*cycle), damage.bytes);
+        }
+        self.put(item)
+    }
 
-impl<W: Write + Seek> Writing<W> {
-    fn take(&mut self, part: Part<'_>) -> Result<(), WriteError> {
-        match (part, &mut self.writer) {
-            (Part::Run(run), writer) => {
-                if let Some(sink) = self.sink.take() {
-                    *writer = Some(RecordingWriter::begin(sink, run)?);
-                }
-                Ok(())
+    fn put(&mut self, item: Item) -> Result<(), Refused<SalvageError>> {
+        let item = self.seen.take(item)?;
+        let written = match &item {
+            Item::Run(_) | Item::End(_) => Ok(()),
+            Item::Cycle(cycle) => self.writer.write_cycle(cycle),
+            Item::Event(event) => self.writer.write_event(event),
+            Item::Timing(timing) => self.writer.write_timing(timing),
+        };
+        written.map_err(|error| Refused::Stop(error.into()))
+    }
+
+    /// Cycles between the last whole one and `next`, if this belongs there, were in a part of the file that is not whole.
+    fn fill_hole_before(
+        &mut self,
+        next: &CycleRecord,
+        damage: &Damage,
+    ) -> Result<(), Refused<SalvageError>> {
+        let first = self.seen.cycles;
+        if next.cycle == first && damage.bytes == self.damaged_bytes {
+            return Ok(());
+        }
+        let due_ns = |cycle: u64| match &self.last {
+            Some(last) => i128::from(last.sample_time.0) + self.cycles_ns(cycle - last.cycle),
+            None => i128::from(self.run.started.0) + self.cycles_ns(cycle),
+        };
+        // Out of place: written twice, or by another run that had these blocks of the disk before.
+        if next.cycle < first || next.cycle - first > self.hole_cycles_max(damage) {
+            return Err(Refused::Damage);
+        }
+        let since_ns = self.cycles_ns(next.cycle - self.last.map_or(0, |last| last.cycle));
+        let off_ns = (i128::from(next.sample_time.0) - due_ns(next.cycle)).abs();
+        if off_ns > TIME_SLACK_NS + since_ns / TIME_SHARE_MAX {
+            return Err(Refused::Damage);
+        }
+        if next.cycle == first {
+            return Ok(());
+        }
+        let (until_ns, last) = (i128::from(next.sample_time.0), self.last);
+        let period_ns = self.cycles_ns(1);
+        self.fill(first..next.cycle, last.as_ref().unwrap_or(next), |cycle| match &last {
+            Some(last) => {
+                let from_ns = i128::from(last.sample_time.0);
+                from_ns + (until_ns - from_ns) * i128::from(cycle - last.cycle) / i128::from(next.cycle - last.cycle)
             }
-            (Part::Cycle(cycle), Some(writer)) => writer.write_cycle(cycle),
-            (Part::Event(event), Some(writer)) => writer.write_event(event),
-            (Part::Timing(timing), Some(writer)) => writer.write_timing(timing),
-            // A scan hands out nothing before the metadata.
-            (_, None) => Ok(()),
+            None => until_ns - period_ns * i128::from(next.cycle - cycle),
+        })
+    }
+
+    /// Cycles that the run had behind the last whole one, as its end says.
+    fn fill_to_end(&mut self, damage: &Damage) -> Result<(), Refused<SalvageError>> {
+        let (Some(last), Some(end)) = (self.last, &self.seen.end) else { return Ok(()) };
+        let missing = self.seen.cycles..end.cycles;
+        if missing.is_empty() || end.cycles - missing.start > self.hole_cycles_max(damage) {
+            return Ok(());
         }
+        let period_ns = self.cycles_ns(1);
+        let end = self.seen.end.take();
+        let filled = self.fill(missing, &last, |cycle| {
+            i128::from(last.sample_time.0) + period_ns * i128::from(cycle - last.cycle)
+        });
+        self.seen.end = end;
+        filled
+    }
+
+    fn fill(
+        &mut self,
+        missing: std::ops::Range<u64>,
+        near: &CycleRecord,
+        time_ns: impl Fn(u64) -> i128,
+    ) -> Result<(), Refused<SalvageError>> {
+        let time_of = |cycle| UtcNs(i64::try_from(time_ns(cycle)).unwrap_or(near.sample_time.0));
+        let text = format!("{} cycles lost: their part of the file was damaged", missing.end - missing.start);
+        let (time, cycle) = (time_of(missing.start), missing.start);
+        for cycle in missing {
+            self.put(Item::Cycle(CycleRecord::lost(cycle, time_of(cycle), near)))?;
+        }
+        self.put(Item::Event(Event { time, cycle, kind: EventKind::Gap, text }))
+    }
+
+    /// More cannot have been in what was damaged since the last whole cycle.
+    fn hole_cycles_max(&self, damage: &Damage) -> u64 {
+        UNTRACED_CYCLES_MAX.max((damage.bytes - self.damaged_bytes) / CYCLE_BYTES_MIN)
+    }
+
+    fn cycles_ns(&self, cycles: u64) -> i128 {
+        i128::from(cycles) * i128::from(self.run.cycle_period_ns)
+    }
+
+    fn finish(mut self, damage: Damage) -> Result<(Salvaged, W), SalvageError> {
+        match self.fill_to_end(&damage) {
+            Err(Refused::Stop(error)) => return Err(error),
+            // What cannot be filled is missing at the end.
+            Err(Refused::Damage) | Ok(()) => {}
+        }
+        let Self { writer, seen, run, .. } = self;
+        let salvaged = seen.finish((damage.bytes > 0).then_some(damage)).map_err(SalvageError::NothingWhole)?;
+        let ended = salvaged.last_good.unwrap_or(run.started);
+        let end = RunEnd { recovered: true, ..writer.end_record(&salvaged.cause(), ended) };
+        Ok((salvaged, writer.end_with(&end)?))
     }
 }
 
-/// Why a scan stops.
-enum Halt {
-    Damage(ReadErrorKind),
-    Write(WriteError),
-}
-
-impl From<ReadErrorKind> for Halt {
-    fn from(damage: ReadErrorKind) -> Self {
-        Self::Damage(damage)
-    }
-}
-
-/// Hands out what is whole, in order, and says what that was.
-fn scan(
-    source: impl Read,
-    ending: Ending,
-    sink: &mut dyn FnMut(Part<'_>) -> Result<(), WriteError>,
-) -> Result<Salvaged, SalvageError> {
-    let (mut decoder, mut scan) = (Decoder::default(), Scan::default());
-    let outcome = for_each_record(source, ending, &mut |record| {
-        if ending == Ending::AnyRecord {
-            scan.expect(&record)?;
-        }
-        match decoder.decode(record)? {
-            Some(item) => scan.take(item, sink),
-            None => Ok(()),
-        }
-    });
-    match outcome {
-        Err(Halt::Write(error)) => Err(error.into()),
-        Err(Halt::Damage(damage)) => scan.finish(Some(damage)),
-        Ok(()) => scan.finish(None),
-    }
-}
-
-/// What a scan has seen.
+/// What has been seen of a recording, in order.
 #[derive(Default)]
-struct Scan {
-    run: Option<Box<RunMetadata>>,
+struct Seen {
+    run: Option<RunMetadata>,
     end: Option<RunEnd>,
     timing: Option<TimingSummary>,
     cycles: u64,
     cycles_valid: u64,
+    cycles_lost: u64,
     last_good: Option<UtcNs>,
     hasher: Hasher,
-    in_summary: bool,
-    /// Messages of each channel that no index has listed yet.
-    unlisted: BTreeMap<u16, usize>,
 }
 
-impl Scan {
-    /// A flipped bit can make a chunk pass for a record that readers skip. Where no checksum over the file says
-    /// otherwise, only what the writer puts there is believed.
-    fn expect(&mut self, record: &Record<'_>) -> Result<(), ReadErrorKind> {
-        let opcode = record.opcode();
-        let expected = match opcode {
-            op::HEADER | op::SCHEMA | op::CHANNEL | op::MESSAGE | op::METADATA => true,
-            // One bit away from a chunk: it must list just what lies before it.
-            op::MESSAGE_INDEX => self.is_listed(record),
-            op::DATA_END => !std::mem::replace(&mut self.in_summary, true),
-            op::STATISTICS | op::CHUNK_INDEX | op::METADATA_INDEX | op::SUMMARY_OFFSET | op::FOOTER => {
-                self.in_summary
-            }
-            _ => false,
-        };
-        if let Record::Message { header, .. } = record {
-            *self.unlisted.entry(header.channel_id).or_default() += 1;
+impl Seen {
+    /// Takes note of an item, which is given back, or says why it cannot be there.
+    fn take(&mut self, item: Item) -> Result<Item, ReadErrorKind> {
+        let misplaced = |what: &str| Err(ReadErrorKind::Misplaced(what.to_owned()));
+        match (&item, &self.run, &self.end) {
+            (Item::Run(_), _, _) | (_, Some(_), None) => {}
+            (_, None, _) => return misplaced("a record before the run's metadata"),
+            (_, Some(_), Some(_)) => return misplaced("a record after the run's end"),
         }
-        if expected { Ok(()) } else { Err(ReadErrorKind::UnexpectedRecord { opcode }) }
-    }
-
-    fn is_listed(&mut self, index: &Record<'_>) -> bool {
-        matches!(index, Record::MessageIndex(index)
-            if self.unlisted.remove(&index.channel_id) == Some(index.records.len()))
-    }
-
-    fn take(
-        &mut self,
-        item: Item,
-        sink: &mut dyn FnMut(Part<'_>) -> Result<(), WriteError>,
-    ) -> Result<(), Halt> {
-        let misplaced = |what: &str| Halt::Damage(ReadErrorKind::Misplaced(what.to_owned()));
-        match (&item, self.run.is_some(), self.end.is_some()) {
-            (Item::Run(_), true, _) => return Err(misplaced("a second beginning")),
-            (Item::Run(_), false, _) | (_, true, false) => {}
-            (_, false, _) => return Err(misplaced("a record before the run's metadata")),
-            (_, true, true) => return Err(misplaced("a record after the run's end")),
-        }
-        match item {
-            Item::Run(run) => {
-                sink(Part::Run(&run)).map_err(Halt::Write)?;
-                self.run = Some(run);
-            }
+        match &item {
+            Item::Run(run) => take_run(&mut self.run, (**run).clone())?,
             Item::Cycle(cycle) => {
-                self.hasher
-                    .update(&messages::encode_cycle(&cycle).map_err(|error| Halt::Write(error.into()))?);
-                sink(Part::Cycle(&cycle)).map_err(Halt::Write)?;
+                if cycle.cycle != self.cycles {
+                    return Err(ReadErrorKind::Hole { expected: self.cycles, found: cycle.cycle });
+                }
+                self.hasher.update(&messages::encode_cycle(cycle).map_err(undecodable)?);
                 self.cycles += 1;
                 self.cycles_valid += u64::from(cycle.is_valid());
-                self.last_good = Some(cycle.sample_time);
+                if cycle.flags & flags::LOST == 0 {
+                    self.last_good = Some(cycle.sample_time);
+                } else {
+                    self.cycles_lost += 1;
+                }
             }
-            Item::Event(event) => {
-                self.hasher
-                    .update(&messages::encode_event(&event).map_err(|error| Halt::Write(error.into()))?);
-                sink(Part::Event(&event)).map_err(Halt::Write)?;
-            }
-            Item::Timing(timing) => {
-                sink(Part::Timing(&timing)).map_err(Halt::Write)?;
-                self.timing = Some(*timing);
-            }
-            Item::End(end) => self.end = Some(end),
+            Item::Event(event) => self.hasher.update(&messages::encode_event(event).map_err(undecodable)?),
+            Item::Timing(timing) => self.timing = Some((**timing).clone()),
+            Item::End(end) => self.end = Some(end.clone()),
         }
-        Ok(())
+        Ok(item)
     }
 
-    fn finish(self, damage: Option<ReadErrorKind>) -> Result<Salvaged, SalvageError> {
-        let cut = damage.as_ref().map(ToString::to_string);
-        let Some(run) = self.run else {
-            return Err(SalvageError::NothingWhole(damage.unwrap_or_else(no_metadata)));
-        };
+    fn finish(self, damage: Option<Damage>) -> Result<Salvaged, ReadErrorKind> {
         Ok(Salvaged {
-            run: *run,
+            run: self.run.ok_or_else(no_metadata)?,
             cycles: self.cycles,
             cycles_valid: self.cycles_valid,
+            cycles_lost: self.cycles_lost,
             last_good: self.last_good,
             timing: self.timing,
             end: self.end,
-            cut,
+            damage,
             checksum: self.hasher.finalize(),
         })
     }
+}
+
+fn undecodable(error: MessageError) -> ReadErrorKind {
+    ReadErrorKind::Misplaced(error.to_string())
 }
 
 fn no_metadata() -> ReadErrorKind {

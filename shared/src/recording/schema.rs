@@ -43,7 +43,8 @@ pub mod flags {
     pub const NO_DC: u32 = 1 << 7;
     /// The cycle was lost between bus and file (ring overflow); only its number is known.
     pub const LOST: u32 = 1 << 8;
-    /// Counters may have a new origin since the cycle before.
+    /// Counters may have a new origin since the cycle before: in tables, and in files whose records had no number of their
+    /// origin. A [`CycleRecord`](super::CycleRecord) never has it.
     pub const ORIGIN_CHANGED: u32 = 1 << 9;
 
     /// Each bit and its name, as reports and exports show it.
@@ -82,6 +83,8 @@ pub struct CycleRecord {
     pub working_counter_expected: u16,
     /// Reasons, see [`flags`]; 0 for a good cycle.
     pub flags: u32,
+    /// Number of the counters' origin in this run: counts of two cycles belong together where it is the same.
+    pub origin: u32,
     /// How many of `encoders` are used.
     pub encoder_count: u8,
     /// The encoders, in bus order.
@@ -89,6 +92,25 @@ pub struct CycleRecord {
 }
 
 impl CycleRecord {
+    /// What is known of a cycle whose record was lost: its number, about when it was due, and that it was. Encoders and origin
+    /// are those of `near`, a record of the same run.
+    pub fn lost(cycle: u64, sample_time: UtcNs, near: &Self) -> Self {
+        let mut record = Self {
+            cycle,
+            sample_time,
+            sample_time_uncertainty_ns: u32::MAX,
+            working_counter_expected: near.working_counter_expected,
+            flags: flags::LOST,
+            origin: near.origin,
+            encoder_count: near.encoder_count,
+            ..Self::default()
+        };
+        for (encoder, known) in record.encoders.iter_mut().zip(near.encoders()) {
+            encoder.joint = known.joint;
+        }
+        record
+    }
+
     /// The encoders of this bus, in bus order.
     pub fn encoders(&self) -> &[EncoderSample] {
         &self.encoders[..usize::from(self.encoder_count).min(MAX_ENCODERS)]

@@ -7,10 +7,10 @@ use std::collections::BTreeMap;
 use std::io::{self, Seek, Write};
 use std::path::{Path, PathBuf};
 
-use mcap::records::MessageHeader;
+use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, McapError, WriteOptions, Writer};
 
-use super::content::{END_METADATA, LIBRARY_NAME, RUN_METADATA, TIMING_METADATA, metadata_of};
+use super::content::{END_METADATA, LIBRARY_NAME, TIMING_METADATA, metadata_of, metadata_of_run};
 use super::messages::{self, MessageError, Topic};
 use super::run_file::RunFile;
 use super::schema::{CycleRecord, Event, RunEnd, RunMetadata};
@@ -65,6 +65,8 @@ pub struct RecordingWriter<W: Write + Seek> {
     cycles_lost: u64,
     events: u32,
     time_last: UtcNs,
+    /// The run's metadata until they stand in the file a second time.
+    run_again: Option<Metadata>,
 }
 
 impl RecordingWriter<RunFile> {
@@ -89,7 +91,8 @@ impl<W: Write + Seek> RecordingWriter<W> {
             .compression_threads(0)
             .disable_seeking(true)
             .create(sink)?;
-        writer.write_metadata(&metadata_of(RUN_METADATA, run)?)?;
+        let run_metadata = metadata_of_run(run)?;
+        writer.write_metadata(&run_metadata)?;
         let cycle_channel = add_topic(&mut writer, &messages::CYCLE)?;
         let event_channel = add_topic(&mut writer, &messages::EVENT)?;
         let joint_state_channel = add_topic(&mut writer, &messages::JOINT_STATE)?;
@@ -109,6 +112,7 @@ impl<W: Write + Seek> RecordingWriter<W> {
             cycles_lost: 0,
             events: 0,
             time_last: run.started,
+            run_again: Some(run_metadata),
         };
         // Schemas and channels sit in the first chunk: without it nothing after it can be decoded.
         recording.sync()?;
@@ -155,7 +159,15 @@ impl<W: Write + Seek> RecordingWriter<W> {
 
     /// Cuts the chunk and flushes the sink: with a [`RunFile`] everything so far survives a power cut.
     pub fn sync(&mut self) -> Result<(), WriteError> {
+        if self.cycles > 0 {
+            self.repeat_run()?;
+        }
         Ok(self.writer.flush()?)
+    }
+
+    /// Behind the first cycles, so that damage in one place leaves one of the two or nothing to keep.
+    fn repeat_run(&mut self) -> Result<(), WriteError> {
+        Ok(self.run_again.take().map_or(Ok(()), |run| self.writer.write_metadata(&run))?)
     }
 
     /// Cycles written so far.
@@ -187,6 +199,7 @@ impl<W: Write + Seek> RecordingWriter<W> {
     }
 
     pub(super) fn end_with(mut self, end: &RunEnd) -> Result<W, WriteError> {
+        self.repeat_run()?;
         self.writer.write_metadata(&metadata_of(END_METADATA, end)?)?;
         self.writer.finish()?;
         Ok(self.writer.into_inner())

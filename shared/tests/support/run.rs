@@ -73,6 +73,7 @@ pub fn cycle(number: u64) -> CycleRecord {
         working_counter: 15,
         working_counter_expected: 15,
         flags: if number % 17 == 5 { flags::STALE_INPUT } else { 0 },
+        origin: 3,
         encoder_count: MAX_ENCODERS as u8,
         encoders,
     }

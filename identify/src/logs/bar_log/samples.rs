@@ -199,7 +199,9 @@ impl RawBarLog {
 
     fn cycles(&mut self) -> Vec<CycleRecord> {
         let mut cycles = Vec::with_capacity(self.rows.len());
+        let mut origin = 0;
         for (row, cycle) in self.rows.iter().zip(0..) {
+            origin += u32::from(row.flags & flags::ORIGIN_CHANGED != 0);
             let mut encoders = [EncoderSample::default(); MAX_ENCODERS];
             for (place, (sample, reading)) in encoders.iter_mut().zip(&mut self.readings).enumerate() {
                 let shown = row.counts[place];
@@ -210,7 +212,8 @@ impl RawBarLog {
             cycles.push(CycleRecord {
                 cycle,
                 sample_time: UtcNs(row.stamp_ns),
-                flags: row.flags,
+                flags: row.flags & !flags::ORIGIN_CHANGED,
+                origin,
                 encoder_count: self.readings.len() as u8,
                 encoders,
                 ..CycleRecord::default()
@@ -262,15 +265,20 @@ impl RawBarLog {
     /// A terminal that lost power begins anew at some count: all its neighbours do, too. One encoder alone that jumps has
     /// slipped, which is not a thing to be mended here.
     fn mark_origins(&mut self, cycles: &mut [CycleRecord]) {
-        let mut places = Vec::new();
+        let (mut places, mut begins) = (Vec::new(), vec![false; cycles.len()]);
         for (before, after, step) in self.steps(cycles) {
             let apart_s = cycles[after].sample_time.seconds_since(cycles[before].sample_time);
             let limit_rad = JUMP_RAD_MIN.max(SPEED_RAD_S_MAX * apart_s);
             let jumps = step.iter().filter(|step| step.abs() > limit_rad).count();
             if jumps >= 2 {
-                cycles[after].flags |= flags::ORIGIN_CHANGED;
                 places.push(self.rows[after].place);
+                begins[after] = true;
             }
+        }
+        let mut origin = 0;
+        for (cycle, begins) in cycles.iter_mut().zip(begins) {
+            origin += u32::from(begins);
+            cycle.origin = origin;
         }
         self.tell_origins(&places);
     }
@@ -345,7 +353,7 @@ impl RawBarLog {
                 Unwrapped::of(format!("b{}", reading.info.joint), period_rad, points.len(), |at| points[at])
             };
             // A counter that lost its origin goes on anywhere.
-            let goes_on = |_: &CycleRecord, next: &CycleRecord| next.flags & flags::ORIGIN_CHANGED == 0;
+            let goes_on = |one: &CycleRecord, next: &CycleRecord| one.origin == next.origin;
             Unwrapped::of_parts(cycles.chunk_by(goes_on).map(part))
         };
         self.readings.iter().enumerate().filter_map(of_place).collect()

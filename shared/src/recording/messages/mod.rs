@@ -104,9 +104,64 @@ struct CycleMessage {
     receive_monotonic_ns: i64,
     sample_time_uncertainty_ns: u32,
     flags: u32,
+    origin: u32,
     working_counter: u16,
     working_counter_expected: u16,
     encoders: Vec<EncoderMessage>,
+}
+
+/// The same as files had it before each record carried the number of its origin.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct FlaggedCycleMessage {
+    header: Header,
+    cycle: u64,
+    dc_time_ns: i64,
+    send_monotonic_ns: i64,
+    receive_monotonic_ns: i64,
+    sample_time_uncertainty_ns: u32,
+    flags: u32,
+    working_counter: u16,
+    working_counter_expected: u16,
+    encoders: Vec<EncoderMessage>,
+}
+
+impl From<FlaggedCycleMessage> for CycleMessage {
+    fn from(message: FlaggedCycleMessage) -> Self {
+        Self {
+            header: message.header,
+            cycle: message.cycle,
+            dc_time_ns: message.dc_time_ns,
+            send_monotonic_ns: message.send_monotonic_ns,
+            receive_monotonic_ns: message.receive_monotonic_ns,
+            sample_time_uncertainty_ns: message.sample_time_uncertainty_ns,
+            flags: message.flags,
+            origin: 0,
+            working_counter: message.working_counter,
+            working_counter_expected: message.working_counter_expected,
+            encoders: message.encoders,
+        }
+    }
+}
+
+/// How a file says that counts have a new origin.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum CycleLayout {
+    /// By a bit of the first record only; if that one is lost nobody knows.
+    OriginFlag,
+    /// By a number in each record.
+    OriginNumber,
+}
+
+impl CycleLayout {
+    /// From the schema that the file declares.
+    pub fn of_schema(text: &[u8]) -> Self {
+        const FIELD: &[u8] = b"uint32 origin ";
+        if text.windows(FIELD.len()).any(|window| window == FIELD) {
+            Self::OriginNumber
+        } else {
+            Self::OriginFlag
+        }
+    }
 }
 
 /// `ballbard_msgs/Event`.
@@ -156,6 +211,7 @@ pub(super) fn encode_cycle(record: &CycleRecord) -> Result<Vec<u8>, MessageError
         receive_monotonic_ns: record.receive_time.0,
         sample_time_uncertainty_ns: record.sample_time_uncertainty_ns,
         flags: record.flags,
+        origin: record.origin,
         working_counter: record.working_counter,
         working_counter_expected: record.working_counter_expected,
         encoders: record
@@ -172,9 +228,12 @@ pub(super) fn encode_cycle(record: &CycleRecord) -> Result<Vec<u8>, MessageError
     })
 }
 
-/// One bus cycle from CDR.
-pub(super) fn decode_cycle(bytes: &[u8]) -> Result<CycleRecord, MessageError> {
-    let message: CycleMessage = from_cdr(bytes)?;
+/// One bus cycle from CDR. Where the file has no number of the origin it is 0.
+pub(super) fn decode_cycle(bytes: &[u8], layout: CycleLayout) -> Result<CycleRecord, MessageError> {
+    let message: CycleMessage = match layout {
+        CycleLayout::OriginNumber => from_cdr(bytes)?,
+        CycleLayout::OriginFlag => from_cdr::<FlaggedCycleMessage>(bytes)?.into(),
+    };
     let mut encoders = [EncoderSample::default(); MAX_ENCODERS];
     if message.encoders.len() > MAX_ENCODERS {
         return Err(MessageError::Content(format!(
@@ -201,6 +260,7 @@ pub(super) fn decode_cycle(bytes: &[u8]) -> Result<CycleRecord, MessageError> {
         working_counter: message.working_counter,
         working_counter_expected: message.working_counter_expected,
         flags: message.flags,
+        origin: message.origin,
         encoder_count: message.encoders.len() as u8,
         encoders,
     })
@@ -245,13 +305,15 @@ mod tests {
 
     use super::*;
 
+    const NUMBER: CycleLayout = CycleLayout::OriginNumber;
+
     prop_compose! {
         fn any_cycle()(
             cycle in any::<u64>(),
             seconds in i64::from(i32::MIN)..i64::from(i32::MAX),
             nanoseconds in 0..NS_PER_S,
             times in any::<[i64; 3]>(),
-            words in any::<(u32, u32, u16, u16)>(),
+            words in any::<(u32, u32, u32, u16, u16)>(),
             samples in prop::collection::vec(any::<(u8, u32, u32, u16, bool)>(), 0..=MAX_ENCODERS),
         ) -> CycleRecord {
             let mut encoders = [EncoderSample::default(); MAX_ENCODERS];
@@ -265,9 +327,10 @@ mod tests {
                 dc_time: DcNs(times[0]),
                 send_time: MonoNs(times[1]),
                 receive_time: MonoNs(times[2]),
-                working_counter: words.2,
-                working_counter_expected: words.3,
+                working_counter: words.3,
+                working_counter_expected: words.4,
                 flags: words.1,
+                origin: words.2,
                 encoder_count: samples.len() as u8,
                 encoders,
             }
@@ -277,19 +340,20 @@ mod tests {
     proptest! {
         #[test]
         fn a_cycle_survives_the_file(record in any_cycle()) {
-            prop_assert_eq!(decode_cycle(&encode_cycle(&record).unwrap()), Ok(record));
+            prop_assert_eq!(decode_cycle(&encode_cycle(&record).unwrap(), NUMBER), Ok(record));
         }
 
         #[test]
         fn a_cut_cycle_is_refused(record in any_cycle(), cut in any::<prop::sample::Index>()) {
             let bytes = encode_cycle(&record).unwrap();
-            prop_assert!(decode_cycle(&bytes[..cut.index(bytes.len())]).is_err());
+            prop_assert!(decode_cycle(&bytes[..cut.index(bytes.len())], NUMBER).is_err());
         }
 
         #[test]
         fn any_bytes_are_decoded_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
             let framed = [&CDR_LITTLE_ENDIAN[..], &bytes].concat();
-            let _ = decode_cycle(&framed);
+            let _ = decode_cycle(&framed, NUMBER);
+            let _ = decode_cycle(&framed, CycleLayout::OriginFlag);
             let _ = decode_event(&framed);
         }
     }

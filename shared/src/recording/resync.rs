@@ -1,0 +1,299 @@
+//! Finds what is whole in a damaged MCAP file, wherever it lies.
+//!
+//! A chunk, an attachment and each of our metadata records bring their own checksum, so they are believed at whatever byte they
+//! begin. All else only says where they lie; it is passed over where it is as the writer puts it there, and where it is not,
+//! the next record with a checksum is searched byte by byte. Memory stays bounded by the longest record that there may be.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::io::{self, Read, Seek, SeekFrom};
+
+use mcap::MAGIC;
+use mcap::records::{Record, op};
+
+use super::content::{OUR_METADATA, is_proven};
+use super::lengths::{ends_with_its_content, parse_record};
+use super::reader::ReadErrorKind;
+use super::records::{PREFIX_BYTES, RECORD_LENGTH_BYTES_MAX, open_chunk};
+
+/// First bytes of the records that are searched behind damage.
+const BEGINNINGS: [u8; 4] = [op::CHUNK, op::METADATA, op::ATTACHMENT, op::DATA_END];
+/// Enough of a record to know whether its lengths agree with each other.
+const HEAD_BYTES: usize = 64;
+/// Read from the source at once.
+const READ_BYTES: usize = 256 << 10;
+/// What a disk gives or refuses at once.
+const SECTOR_BYTES: u64 = 4096;
+/// A chunk's times, sizes and checksum, before the name of its compression.
+const CHUNK_FIXED_BYTES: usize = 28;
+/// Longest name of a compression.
+const COMPRESSION_NAME_BYTES_MAX: usize = 4;
+
+/// Bytes of a file that could not be used.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Damage {
+    /// How many bytes.
+    pub bytes: u64,
+    /// In how many places.
+    pub places: u64,
+    /// Where the first of them begins \[bytes\].
+    pub first_at: u64,
+}
+
+impl fmt::Display for Damage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { bytes, places, first_at } = self;
+        let places = if *places == 1 { "1 place".to_owned() } else { format!("{places} places") };
+        write!(f, "{bytes} bytes in {places} could not be read, the first at byte {first_at}")
+    }
+}
+
+/// Why what a chunk or a metadata record holds was not taken.
+pub(super) enum Refused<E> {
+    /// It is not what can be there: it counts as damage.
+    Damage,
+    /// Reading makes no sense any more.
+    Stop(E),
+}
+
+impl<E> From<ReadErrorKind> for Refused<E> {
+    fn from(_: ReadErrorKind) -> Self {
+        Self::Damage
+    }
+}
+
+/// Takes a record, and what was damaged before it.
+type Sink<'a, E> = dyn FnMut(Record<'_>, &Damage) -> Result<(), Refused<E>> + 'a;
+
+/// Hands every record of the data section that a checksum proves to `sink`, chunks unpacked, and says what was damaged.
+pub(super) fn for_each_proven_record<E: From<io::Error>>(
+    source: impl Read + Seek,
+    sink: &mut Sink<'_, E>,
+) -> Result<Damage, E> {
+    let mut file = Window::new(source)?;
+    let mut around = Surroundings::default();
+    let mut damage = Damage::default();
+    let mut damaged_until = None;
+    while !file.peek(1)?.is_empty() {
+        let proven = match proven_length(file.peek(HEAD_BYTES)?) {
+            Some(length) => take_proven(file.peek(length)?, length, &mut around, &damage, sink)?,
+            None => None,
+        };
+        let length = match proven {
+            Some(length) => Some(length),
+            None => around.passed_over(&mut file)?,
+        };
+        let Some(length) = length else {
+            if damaged_until != Some(file.at) {
+                damage.first_at = if damage.places == 0 { file.at } else { damage.first_at };
+                damage.places += 1;
+            }
+            let rest = file.peek(READ_BYTES)?;
+            let bytes = rest.iter().skip(1).position(|byte| BEGINNINGS.contains(byte)).map_or(rest.len(), |at| at + 1);
+            damage.bytes += bytes as u64;
+            file.skip(bytes);
+            damaged_until = Some(file.at);
+            continue;
+        };
+        file.skip(length);
+    }
+    Ok(damage)
+}
+
+/// Length of the record with a checksum that seems to begin here, with its prefix.
+fn proven_length(head: &[u8]) -> Option<usize> {
+    let (&[opcode, ref length @ ..], content) = head.split_first_chunk::<PREFIX_BYTES>()?;
+    let length = usize::try_from(u64::from_le_bytes(*length)).ok()?;
+    let seems = length <= RECORD_LENGTH_BYTES_MAX
+        && match opcode {
+            op::CHUNK => chunk_length(content) == Some(length as u64),
+            op::METADATA => text(content).is_some_and(|name| OUR_METADATA.iter().any(|ours| ours.as_bytes() == name)),
+            op::ATTACHMENT => true,
+            _ => false,
+        };
+    seems.then(|| PREFIX_BYTES + length)
+}
+
+/// What a chunk's own lengths add up to.
+fn chunk_length(content: &[u8]) -> Option<u64> {
+    let compression = text(content.get(CHUNK_FIXED_BYTES..)?)?;
+    let before = CHUNK_FIXED_BYTES + size_of::<u32>() + compression.len();
+    let records = content.get(before..)?.first_chunk::<8>()?;
+    let all = u64::from_le_bytes(*records).checked_add((before + 8) as u64);
+    all.filter(|_| compression.len() <= COMPRESSION_NAME_BYTES_MAX)
+}
+
+/// The text that a record begins with.
+fn text(bytes: &[u8]) -> Option<&[u8]> {
+    let (length, rest) = bytes.split_first_chunk::<4>()?;
+    rest.get(..usize::try_from(u32::from_le_bytes(*length)).ok()?)
+}
+
+/// Hands out a record if all of it is there and its checksum is right; its length then.
+fn take_proven<E>(
+    bytes: &[u8],
+    length: usize,
+    around: &mut Surroundings,
+    damage: &Damage,
+    sink: &mut Sink<'_, E>,
+) -> Result<Option<usize>, E> {
+    let Some((&[opcode, ..], content)) = bytes.split_first_chunk::<PREFIX_BYTES>() else { return Ok(None) };
+    if bytes.len() != length {
+        return Ok(None);
+    }
+    let mut listed = BTreeMap::new();
+    let outcome = match opcode {
+        op::CHUNK => open_chunk(content, &mut |record| {
+            if let Record::Message { header, .. } = &record {
+                *listed.entry(header.channel_id).or_default() += 1;
+            }
+            sink(record, damage)
+        }),
+        op::METADATA => match parse_record(opcode, content) {
+            Ok(Record::Metadata(metadata)) if ends_with_its_content(opcode, content) && is_proven(&metadata) => {
+                sink(Record::Metadata(metadata), damage)
+            }
+            _ => Err(Refused::Damage),
+        },
+        _ => attachment(content),
+    };
+    match outcome {
+        Ok(()) => {
+            around.unlisted = listed;
+            Ok(Some(length))
+        }
+        Err(Refused::Damage) => Ok(None),
+        Err(Refused::Stop(error)) => Err(error),
+    }
+}
+
+/// What is attached is in the metadata, too; it only has to be whole.
+fn attachment<E>(content: &[u8]) -> Result<(), Refused<E>> {
+    let whole = matches!(parse_record(op::ATTACHMENT, content), Ok(Record::Attachment { crc, .. })
+        if content.split_last_chunk::<4>().is_some_and(|(before, _)| crc32fast::hash(before) == crc));
+    if whole { Ok(()) } else { Err(Refused::Damage) }
+}
+
+/// Where in a file the search is: what may stand there without a checksum of its own.
+#[derive(Default)]
+struct Surroundings {
+    /// Messages of each channel in the last chunk that no index has listed yet.
+    unlisted: BTreeMap<u16, usize>,
+    in_summary: bool,
+    after_footer: bool,
+}
+
+impl Surroundings {
+    /// Length of what stands here as the writer puts it there, though nothing proves it.
+    fn passed_over<R: Read + Seek>(&mut self, file: &mut Window<R>) -> io::Result<Option<usize>> {
+        if (file.at == 0 || self.after_footer) && file.peek(MAGIC.len())? == MAGIC {
+            return Ok(Some(MAGIC.len()));
+        }
+        let follows_magic = file.at == MAGIC.len() as u64;
+        let Some(&[opcode, ref length @ ..]) = file.peek(PREFIX_BYTES)?.first_chunk::<PREFIX_BYTES>() else {
+            return Ok(None);
+        };
+        let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
+        if !self.may_have(opcode, follows_magic) || length > RECORD_LENGTH_BYTES_MAX {
+            return Ok(None);
+        }
+        let bytes = file.peek(PREFIX_BYTES + length)?;
+        if bytes.len() != PREFIX_BYTES + length {
+            return Ok(None);
+        }
+        let Ok(record) = parse_record(opcode, &bytes[PREFIX_BYTES..]) else { return Ok(None) };
+        Ok(self.expects(&record, &bytes[PREFIX_BYTES..]).then_some(bytes.len()))
+    }
+
+    fn may_have(&self, opcode: u8, follows_magic: bool) -> bool {
+        match opcode {
+            op::HEADER => follows_magic,
+            op::MESSAGE_INDEX => !self.unlisted.is_empty(),
+            op::DATA_END => !self.in_summary,
+            op::SCHEMA | op::CHANNEL | op::STATISTICS | op::CHUNK_INDEX | op::METADATA_INDEX => self.in_summary,
+            op::ATTACHMENT_INDEX | op::SUMMARY_OFFSET | op::FOOTER => self.in_summary,
+            _ => false,
+        }
+    }
+
+    /// Whether a record is one that can be here. In the data section its length must be that of what is in it, or one wrong bit
+    /// would hide what comes after.
+    fn expects(&mut self, record: &Record<'_>, content: &[u8]) -> bool {
+        match record {
+            Record::Header(_) => ends_with_its_content(op::HEADER, content),
+            // One bit away from a chunk: it must list just what lies before it.
+            Record::MessageIndex(index) => {
+                let listed = index.records.len();
+                content.len() == size_of::<u16>() + size_of::<u32>() + listed * 2 * size_of::<u64>()
+                    && self.unlisted.remove(&index.channel_id) == Some(listed)
+            }
+            Record::DataEnd(_) => {
+                self.in_summary = content.len() == size_of::<u32>();
+                self.in_summary
+            }
+            Record::Footer(_) => {
+                self.after_footer = true;
+                true
+            }
+            _ => true,
+        }
+    }
+}
+
+/// A part of a source, kept as long as somebody may want to look at it again.
+struct Window<R> {
+    source: R,
+    source_bytes: u64,
+    buffer: Vec<u8>,
+    start: usize,
+    /// Where in the source the window begins \[bytes\].
+    at: u64,
+}
+
+impl<R: Read + Seek> Window<R> {
+    fn new(mut source: R) -> io::Result<Self> {
+        let source_bytes = source.seek(SeekFrom::End(0))?;
+        source.rewind()?;
+        Ok(Self { source, source_bytes, buffer: Vec::new(), start: 0, at: 0 })
+    }
+
+    /// The next bytes: as many, or all that are left.
+    fn peek(&mut self, bytes: usize) -> io::Result<&[u8]> {
+        while self.buffer.len() - self.start < bytes {
+            if self.start > READ_BYTES {
+                self.buffer.drain(..self.start);
+                self.start = 0;
+            }
+            let missing = bytes - (self.buffer.len() - self.start);
+            let length = self.buffer.len();
+            match (&mut self.source).take(missing.max(READ_BYTES) as u64).read_to_end(&mut self.buffer) {
+                Ok(0) => break,
+                Err(error) if error.raw_os_error() == Some(nix::libc::EIO) => {
+                    let read = self.buffer.len() > length;
+                    if !read && !self.pass_bad_sector()? {
+                        break;
+                    }
+                }
+                Ok(_) => {}
+                Err(error) => return Err(error),
+            }
+        }
+        let end = self.buffer.len().min(self.start + bytes);
+        Ok(&self.buffer[self.start..end])
+    }
+
+    /// A sector that the disk cannot read any more is as good as one of zeros; false where it is the last one.
+    fn pass_bad_sector(&mut self) -> io::Result<bool> {
+        let at = self.at + (self.buffer.len() - self.start) as u64;
+        let next = (at / SECTOR_BYTES + 1) * SECTOR_BYTES;
+        let end = next.min(self.source_bytes);
+        self.source.seek(SeekFrom::Start(end))?;
+        self.buffer.resize(self.buffer.len() + end.saturating_sub(at) as usize, 0);
+        Ok(end > at)
+    }
+
+    fn skip(&mut self, bytes: usize) {
+        self.start += bytes;
+        self.at += bytes as u64;
+    }
+}
