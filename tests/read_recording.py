@@ -20,13 +20,21 @@ def with_mcap(path):
             yield channel.topic, message.log_time, decoded
 
 
-def timing_of(path):
-    """How well the loop kept its time: metadata records, which only the first of them reads; the last one counts."""
+def beside_messages(path):
+    """Metadata records and attachments, which only the first of them reads."""
     from mcap.reader import make_reader
 
     with open(path, "rb") as stream:
-        records = [record for record in make_reader(stream).iter_metadata() if record.name == "ballbard.timing"]
-    return json.loads(records[-1].metadata["json"]) if records else None
+        records = list(make_reader(stream).iter_metadata())
+    timing = [record for record in records if record.name == "ballbard.timing"]
+    with open(path, "rb") as stream:
+        attachments = {one.name: one.data.decode() for one in make_reader(stream, validate_crcs=True).iter_attachments()}
+    return {
+        # How well the loop kept its time: the last one counts.
+        "timing": json.loads(timing[-1].metadata["json"]) if timing else None,
+        "runs": [json.loads(record.metadata["json"]) for record in records if record.name == "ballbard.run"],
+        "attachments": attachments,
+    }
 
 
 def with_rosbags(path):
@@ -40,9 +48,11 @@ def with_rosbags(path):
 
 def content_of(path, reader):
     read = {"mcap": with_mcap, "rosbags": with_rosbags}[reader]
-    result = {"cycles": [], "joint_states": [], "events": []}
+    result = {"cycles": [], "joint_states": [], "events": [], "log": [], "diagnostics": []}
+    # JSON knows no NaN, which stands for a joint without a valid sample.
+    numbers = lambda values: [None if math.isnan(value) else float(value) for value in values]
     for topic, log_time, message in read(path):
-        stamp = message.header.stamp
+        stamp = message.stamp if topic == "/ballbard/log" else message.header.stamp
         stamp_ns = stamp.sec * 1_000_000_000 + stamp.nanosec
         if topic == "/ballbard/cycle":
             result["cycles"].append({
@@ -52,6 +62,7 @@ def content_of(path, reader):
                 "dc_time_ns": message.dc_time_ns,
                 "working_counter": message.working_counter,
                 "flags": message.flags,
+                "origin": message.origin,
                 "joints": [encoder.joint for encoder in message.encoders],
                 "counts": [encoder.count for encoder in message.encoders],
                 "valid": [bool(encoder.valid) for encoder in message.encoders],
@@ -59,14 +70,30 @@ def content_of(path, reader):
         elif topic == "/ballbard/joint_states":
             result["joint_states"].append({
                 "stamp_ns": stamp_ns,
+                "frame_id": message.header.frame_id,
                 "name": list(message.name),
-                # JSON knows no NaN, which stands for a joint without a valid sample.
-                "position": [None if math.isnan(value) else float(value) for value in message.position],
+                "position": numbers(message.position),
+                "velocity": numbers(message.velocity),
+            })
+        elif topic == "/ballbard/log":
+            result["log"].append({"stamp_ns": stamp_ns, "level": int(message.level), "msg": message.msg})
+        elif topic == "/diagnostics":
+            result["diagnostics"].append({
+                "stamp_ns": stamp_ns,
+                "status": [
+                    {
+                        "level": status.level[0] if isinstance(status.level, bytes) else int(status.level),
+                        "name": status.name,
+                        "message": status.message,
+                        "values": {one.key: one.value for one in status.values},
+                    }
+                    for status in message.status
+                ],
             })
         else:
             result["events"].append({"stamp_ns": stamp_ns, "kind": message.kind, "text": message.text})
     if reader == "mcap":
-        result["timing"] = timing_of(path)
+        result |= beside_messages(path)
     return result
 
 

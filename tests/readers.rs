@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use ballbard::run::BusChoice;
 use serde_json::Value;
-use shared::recording::schema::flags;
+use shared::recording::schema::{EventKind, flags};
 use shared::recording::{ACTIVE_ENDING, Recording, Recovery, recover_file};
 use system_tests::{ball_bar, python_with, record, request};
 
@@ -83,7 +83,55 @@ fn compare(python: &Path, reader: &str, path: &Path, ours: &Recording) {
     let theirs = read_with(python, reader, path);
     compare_cycles(ours, theirs["cycles"].as_array().unwrap());
     compare_joint_states(ours, theirs["joint_states"].as_array().unwrap());
-    assert_eq!(theirs["events"].as_array().unwrap().len(), ours.events.len());
+    compare_events(ours, &theirs);
+    compare_diagnostics(ours, theirs["diagnostics"].as_array().unwrap());
+    if reader == "mcap" {
+        let files = &theirs["attachments"];
+        assert_eq!(files["daemon.toml"].as_str(), Some(ours.run.daemon_config.as_str()));
+        assert_eq!(files["ball_bar.toml"].as_str(), Some(ours.run.ball_bar_config.as_str()));
+        let names: Vec<_> = theirs["runs"].as_array().unwrap().iter().map(|run| &run["name"]).collect();
+        assert_eq!(names, [&ours.run.name; 2]);
+    }
+}
+
+/// Each event is a line of the log, too.
+fn compare_events(ours: &Recording, theirs: &Value) {
+    let [events, log] = ["events", "log"].map(|key| theirs[key].as_array().unwrap());
+    assert_eq!((events.len(), log.len()), (ours.events.len(), ours.events.len()));
+    for ((one, event), line) in ours.events.iter().zip(events).zip(log) {
+        assert_eq!((event["text"].as_str(), line["msg"].as_str()), (Some(&*one.text), Some(&*one.text)));
+        assert_eq!(line["stamp_ns"], event["stamp_ns"]);
+        let level = if one.kind == EventKind::Marker { 20 } else { 30 };
+        assert_eq!(line["level"].as_u64(), Some(level));
+    }
+}
+
+/// One a second, which says how many of its cycles were valid: of all, and of each encoder.
+fn compare_diagnostics(ours: &Recording, theirs: &[Value]) {
+    let seconds = ours.cycles.chunks_exact(100);
+    assert_eq!(theirs.len(), seconds.len());
+    for (cycles, said) in seconds.zip(theirs) {
+        assert_eq!(said["stamp_ns"].as_i64(), Some(cycles[99].sample_time.0));
+        let of_encoder = |index: usize| cycles.iter().filter(|cycle| cycle.encoders[index].valid).count();
+        let all = cycles.iter().filter(|cycle| cycle.is_valid()).count();
+        let valid: Vec<usize> = std::iter::once(all).chain((0..5).map(of_encoder)).collect();
+        let status = said["status"].as_array().unwrap();
+        assert_eq!(status.len(), 6);
+        for (valid, status) in valid.into_iter().zip(status) {
+            assert_eq!(status["message"].as_str(), Some(&*format!("{valid} of 100 cycles valid")));
+            let level = if valid == 100 {
+                0
+            } else if valid == 0 {
+                2
+            } else {
+                1
+            };
+            assert_eq!(status["level"].as_u64(), Some(level), "{status}");
+        }
+        let lost = cycles.iter().filter(|cycle| cycle.flags & flags::LOST != 0).count();
+        let told = status[0]["values"]["lost"].as_str().map_or(0, |lost| lost.parse().unwrap());
+        assert_eq!(told, lost);
+    }
 }
 
 fn compare_cycles(ours: &Recording, theirs: &[Value]) {
@@ -99,6 +147,7 @@ fn compare_cycles(ours: &Recording, theirs: &[Value]) {
         assert_eq!(other["dc_time_ns"].as_i64(), Some(one.dc_time.0));
         assert_eq!(other["working_counter"].as_u64(), Some(one.working_counter.into()));
         assert_eq!(other["flags"].as_u64(), Some(one.flags.into()));
+        assert_eq!(other["origin"].as_u64(), Some(one.origin.into()));
         assert_eq!(
             numbers("joints"),
             encoders.iter().map(|encoder| encoder.joint.into()).collect::<Vec<u64>>()
@@ -113,17 +162,29 @@ fn compare_cycles(ours: &Recording, theirs: &[Value]) {
     }
 }
 
-/// Positions of the plotted joint states turn by 2 pi / 14 745 600 a count.
+/// Positions of the plotted joint states turn by 2 pi / 14 745 600 a count; velocities are that over the bus' time, from one
+/// valid cycle to the next.
 fn compare_joint_states(ours: &Recording, theirs: &[Value]) {
     assert_eq!(ours.cycles.len(), theirs.len());
-    let position = |index: usize, joint: usize| theirs[index]["position"][joint].as_f64().unwrap();
+    let number = |key: &str, index: usize, joint: usize| theirs[index][key][joint].as_f64();
     for joint in 0..5 {
         assert_eq!(theirs[0]["name"][joint], format!("bar_joint_{}", joint + 1));
-        let count = |index: usize| ours.cycles[index].encoders[joint].count;
+        assert_eq!(theirs[0]["frame_id"], "ball_bar_base");
+        assert_eq!(number("velocity", 0, joint), None);
         for index in 1..theirs.len() {
-            let turned = f64::from(count(index).wrapping_sub(count(index - 1)) as i32);
+            let pair = &ours.cycles[index - 1..=index];
+            let [before, now] = [0, 1].map(|at| pair[at].encoders[joint]);
+            assert_eq!(number("position", index, joint).is_some(), now.valid);
+            if !(before.valid && now.valid && pair[0].origin == pair[1].origin) {
+                assert_eq!(number("velocity", index, joint), None);
+                continue;
+            }
+            let turned = f64::from(now.count.wrapping_sub(before.count) as i32);
             let expected_rad = turned * std::f64::consts::TAU / 14_745_600.0;
-            assert!((position(index, joint) - position(index - 1, joint) - expected_rad).abs() < 1e-9);
+            let [from, to] = [index - 1, index].map(|at| number("position", at, joint).unwrap());
+            assert!((to - from - expected_rad).abs() < 1e-9);
+            let expected_rad_s = expected_rad / pair[1].dc_time.seconds_since(pair[0].dc_time);
+            assert!((number("velocity", index, joint).unwrap() - expected_rad_s).abs() < 1e-9);
         }
     }
 }

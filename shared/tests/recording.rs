@@ -127,9 +127,9 @@ fn in_a_file_that_only_flags_new_origins_lost_records_may_have_been_one() {
     assert_eq!(origins[..15], [[0; 6].as_slice(), &[1; 9]].concat());
     assert_eq!(origins[15..], [2; 9]);
     assert_eq!(recording.events.len(), 1);
-    for cycle in recording.cycles.iter().filter(|cycle| cycle.flags & flags::LOST == 0) {
-        let CycleRecord { origin, .. } = *cycle;
-        assert_eq!(*cycle, CycleRecord { origin, ..support::cycle(cycle.cycle) });
+    for record in recording.cycles.iter().filter(|record| record.flags & flags::LOST == 0) {
+        let CycleRecord { origin, .. } = *record;
+        assert_eq!(*record, CycleRecord { origin, ..cycle(record.cycle) });
     }
 }
 

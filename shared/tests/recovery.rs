@@ -161,7 +161,11 @@ fn every_prefix_gives_all_that_was_synchronised_in_it() {
 
 /// Calls `look` with each single bit of `bytes` flipped, one after the other, beginning with byte `from`.
 fn for_each_flipped_bit(bytes: &[u8], from: usize, look: &mut dyn FnMut(&[u8], &str)) {
-    for_flipped_bits(bytes, (from..bytes.len()).flat_map(|position| (0..8).map(move |bit| (position, bit))), look);
+    for_flipped_bits(
+        bytes,
+        (from..bytes.len()).flat_map(|position| (0..8).map(move |bit| (position, bit))),
+        look,
+    );
 }
 
 /// The same with one bit of each byte, another one each time.
@@ -296,7 +300,10 @@ fn a_beginning_that_is_lost_costs_only_the_cycles_in_it() {
 fn old_blocks_of_another_run_behind_the_end_add_nothing() {
     let (bytes, synced) = unfinished();
     let disk = DiskFile::default();
-    let earlier = |number| CycleRecord { sample_time: small_cycle(number).sample_time.plus_ns(-3_600_000_000_000), ..small_cycle(number) };
+    let earlier = |number| CycleRecord {
+        sample_time: small_cycle(number).sample_time.plus_ns(-3_600_000_000_000),
+        ..small_cycle(number)
+    };
     let mut writer = RecordingWriter::begin(disk.clone(), &small_run()).unwrap();
     for number in 0..CYCLES {
         writer.write_cycle(&earlier(number)).unwrap();
@@ -322,7 +329,8 @@ impl Read for BadSector {
         if self.bad.contains(&at) {
             return Err(io::Error::from_raw_os_error(nix::libc::EIO));
         }
-        let room = self.bad.start.checked_sub(at).map_or(buffer.len(), |before| buffer.len().min(before as usize));
+        let room =
+            self.bad.start.checked_sub(at).map_or(buffer.len(), |before| buffer.len().min(before as usize));
         self.bytes.read(&mut buffer[..room])
     }
 }
@@ -507,7 +515,10 @@ fn recovering_onto_a_full_disk_is_an_error_and_never_a_short_file() {
     let (_, whole) = salvage(Cursor::new(&bytes[..]), Cursor::new(Vec::new())).unwrap();
     for capacity in 0..whole.get_ref().len() {
         let disk = DiskFile::full_at(capacity, nix::libc::ENOSPC);
-        assert!(matches!(salvage(Cursor::new(&bytes[..]), disk), Err(SalvageError::Write(_))), "{capacity} bytes");
+        assert!(
+            matches!(salvage(Cursor::new(&bytes[..]), disk), Err(SalvageError::Write(_))),
+            "{capacity} bytes"
+        );
     }
 }
 

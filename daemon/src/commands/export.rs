@@ -70,7 +70,10 @@ pub fn write_csv(recording: &Recording, sink: impl Write) -> anyhow::Result<()> 
             },
         ));
         row.extend(samples.iter().map(|sample| u8::from(sample.valid).to_string()));
-        row.extend([record.cycle.to_string(), flag_names(record.flags | if changed { flags::ORIGIN_CHANGED } else { 0 })]);
+        row.extend([
+            record.cycle.to_string(),
+            flag_names(record.flags | if changed { flags::ORIGIN_CHANGED } else { 0 }),
+        ]);
         table.write_record(&row)?;
     }
     table.flush()?;

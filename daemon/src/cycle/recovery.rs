@@ -236,7 +236,10 @@ impl Acquisition {
         }
         let off_ns = bus_time.map_or(0, |time| time.0 - exchange.sent.0 - self.bus_minus_monotonic_ns());
         if off_ns.abs() > SET_TIME_NS_MAX {
-            tracing::warn!(off_ns, "the bus does not show the time that it was set to; it is brought up again");
+            tracing::warn!(
+                off_ns,
+                "the bus does not show the time that it was set to; it is brought up again"
+            );
             return self.retry_later(sink);
         }
         let attempts = self.health.attempts;

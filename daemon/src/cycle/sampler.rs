@@ -218,7 +218,11 @@ mod tests {
                 sampler.sample(2, TIME, &exchange(Some(reply(toggle)))).flags
             };
             assert_eq!(after(true), 0, "toggled twice");
-            assert_eq!(after(false), flags::STALE_INPUT, "toggled once: the sample is that of the cycle before");
+            assert_eq!(
+                after(false),
+                flags::STALE_INPUT,
+                "toggled once: the sample is that of the cycle before"
+            );
         }
     }
 

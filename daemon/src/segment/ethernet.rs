@@ -193,8 +193,10 @@ mod tests {
             let mut wire = EthernetWire { name: name.into(), socket, clock, gone_since: None };
             let mut buffer = [0; FRAME_BYTES_MAX];
             // Other tests of this machine may send, too.
-            std::iter::from_fn(|| wire.receive(&mut buffer, until).unwrap().map(|_| buffer[20..28] == *b"from lo!"))
-                .any(|ours| ours)
+            std::iter::from_fn(|| {
+                wire.receive(&mut buffer, until).unwrap().map(|_| buffer[20..28] == *b"from lo!")
+            })
+            .any(|ours| ours)
         };
         // It was sent: whoever was bound to the interface has it.
         assert!(heard(other.socket, "lo"));

@@ -50,7 +50,8 @@ fn a_bus_that_shows_a_time_it_was_not_set_to_is_brought_up_again_and_no_cycle_is
     let (segment, faults) = FaultySegment::new(segment, 1);
     let clock = Clock::virtual_from(UtcNs(0));
     let misread = Arc::new(AtomicBool::new(false));
-    let wire = HourAhead { wire: InProcessWire::with_faults(segment, clock.clone()), misread: misread.clone() };
+    let wire =
+        HourAhead { wire: InProcessWire::with_faults(segment, clock.clone()), misread: misread.clone() };
     let plan = plan(PERIOD_NS, true);
     let bus = Bus::new(Box::new(wire), clock.clone(), plan.reply_timeout);
     let mut acquisition = Acquisition::start(bus, &plan, clock.clone()).unwrap();

@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, HashMap};
 
 use mcap::records::{Channel, Metadata, Record, SchemaHeader};
-use serde::{Deserialize, Serialize};
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 
 use super::messages::{self, CycleLayout};
 use super::reader::ReadErrorKind;

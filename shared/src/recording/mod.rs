@@ -1,4 +1,5 @@
-//! The recording: an MCAP file with one record per bus cycle, valid or not.
+//! The recording: an MCAP file with one record per bus cycle, valid or not, and what other programs
+//! show of them: joint states, a log, diagnostics.
 //!
 //! Profile `ros2`, CDR messages with `ros2msg` schemas, so that Foxglove, PlotJuggler, `ros2 bag` and
 //! Python read it without our software. While a run goes on its file ends in `.mcap.active` and is locked; only a
@@ -16,6 +17,7 @@ mod recover;
 mod resync;
 mod run_file;
 pub mod schema;
+mod shown;
 mod timing;
 mod writer;
 

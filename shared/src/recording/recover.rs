@@ -63,7 +63,8 @@ impl Salvaged {
             Some(last) => format!("{} cycles are whole, the last of {last}", self.cycles - self.cycles_lost),
             None => "no cycle is whole".to_owned(),
         };
-        let end = self.end.as_ref().map_or(String::new(), |end| format!("; the run had ended: {}", end.cause));
+        let end =
+            self.end.as_ref().map_or(String::new(), |end| format!("; the run had ended: {}", end.cause));
         format!("recovered{cut}{damage}{lost}; {kept}{end}")
     }
 }
@@ -199,11 +200,7 @@ impl<W: Write + Seek> Rewriting<W> {
     }
 
     /// Cycles between the last whole one and `next`, if this belongs there, were in a part of the file that is not whole.
-    fn fill_hole_before(
-        &mut self,
-        next: &CycleRecord,
-        damage: &Damage,
-    ) -> Result<(), Refused<SalvageError>> {
+    fn fill_hole_before(&mut self, next: &CycleRecord, damage: &Damage) -> Result<(), Refused<SalvageError>> {
         let first = self.seen.cycles;
         if next.cycle == first && damage.bytes == self.damaged_bytes {
             return Ok(());
@@ -229,7 +226,9 @@ impl<W: Write + Seek> Rewriting<W> {
         self.fill(first..next.cycle, last.as_ref().unwrap_or(next), |cycle| match &last {
             Some(last) => {
                 let from_ns = i128::from(last.sample_time.0);
-                from_ns + (until_ns - from_ns) * i128::from(cycle - last.cycle) / i128::from(next.cycle - last.cycle)
+                from_ns
+                    + (until_ns - from_ns) * i128::from(cycle - last.cycle)
+                        / i128::from(next.cycle - last.cycle)
             }
             None => until_ns - period_ns * i128::from(next.cycle - cycle),
         })
@@ -282,7 +281,8 @@ impl<W: Write + Seek> Rewriting<W> {
             Err(Refused::Damage) | Ok(()) => {}
         }
         let Self { writer, seen, run, .. } = self;
-        let salvaged = seen.finish((damage.bytes > 0).then_some(damage)).map_err(SalvageError::NothingWhole)?;
+        let salvaged =
+            seen.finish((damage.bytes > 0).then_some(damage)).map_err(SalvageError::NothingWhole)?;
         let ended = salvaged.last_good.unwrap_or(run.started);
         let end = RunEnd { recovered: true, ..writer.end_record(&salvaged.cause(), ended) };
         Ok((salvaged, writer.end_with(&end)?))

@@ -89,7 +89,11 @@ pub(super) fn for_each_proven_record<E: From<io::Error>>(
                 damage.places += 1;
             }
             let rest = file.peek(READ_BYTES)?;
-            let bytes = rest.iter().skip(1).position(|byte| BEGINNINGS.contains(byte)).map_or(rest.len(), |at| at + 1);
+            let bytes = rest
+                .iter()
+                .skip(1)
+                .position(|byte| BEGINNINGS.contains(byte))
+                .map_or(rest.len(), |at| at + 1);
             damage.bytes += bytes as u64;
             file.skip(bytes);
             damaged_until = Some(file.at);
@@ -107,7 +111,9 @@ fn proven_length(head: &[u8]) -> Option<usize> {
     let seems = length <= RECORD_LENGTH_BYTES_MAX
         && match opcode {
             op::CHUNK => chunk_length(content) == Some(length as u64),
-            op::METADATA => text(content).is_some_and(|name| OUR_METADATA.iter().any(|ours| ours.as_bytes() == name)),
+            op::METADATA => {
+                text(content).is_some_and(|name| OUR_METADATA.iter().any(|ours| ours.as_bytes() == name))
+            }
             op::ATTACHMENT => true,
             _ => false,
         };
@@ -150,7 +156,9 @@ fn take_proven<E>(
             sink(record, damage)
         }),
         op::METADATA => match parse_record(opcode, content) {
-            Ok(Record::Metadata(metadata)) if ends_with_its_content(opcode, content) && is_proven(&metadata) => {
+            Ok(Record::Metadata(metadata))
+                if ends_with_its_content(opcode, content) && is_proven(&metadata) =>
+            {
                 sink(Record::Metadata(metadata), damage)
             }
             _ => Err(Refused::Damage),
@@ -210,7 +218,9 @@ impl Surroundings {
             op::HEADER => follows_magic,
             op::MESSAGE_INDEX => !self.unlisted.is_empty(),
             op::DATA_END => !self.in_summary,
-            op::SCHEMA | op::CHANNEL | op::STATISTICS | op::CHUNK_INDEX | op::METADATA_INDEX => self.in_summary,
+            op::SCHEMA | op::CHANNEL | op::STATISTICS | op::CHUNK_INDEX | op::METADATA_INDEX => {
+                self.in_summary
+            }
             op::ATTACHMENT_INDEX | op::SUMMARY_OFFSET | op::FOOTER => self.in_summary,
             _ => false,
         }

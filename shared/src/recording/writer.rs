@@ -8,14 +8,14 @@ use std::io::{self, Seek, Write};
 use std::path::{Path, PathBuf};
 
 use mcap::records::{MessageHeader, Metadata};
-use mcap::{Compression, McapError, WriteOptions, Writer};
+use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 
 use super::content::{END_METADATA, LIBRARY_NAME, TIMING_METADATA, metadata_of, metadata_of_run};
 use super::messages::{self, MessageError, Topic};
 use super::run_file::RunFile;
 use super::schema::{CycleRecord, Event, RunEnd, RunMetadata};
+use super::shown::Shown;
 use super::timing::TimingSummary;
-use crate::encoder::Unwrapper;
 use crate::time::UtcNs;
 
 /// Why a recording cannot be written.
@@ -46,20 +46,15 @@ pub enum WriteError {
     Metadata(#[from] serde_json::Error),
 }
 
-/// One joint of the plotted joint states.
-struct PlottedJoint {
-    scale: crate::encoder::EncoderScale,
-    unwrapper: Unwrapper,
-}
-
 /// Writes one run. Calls block on the disk: never use it from the real-time thread.
 pub struct RecordingWriter<W: Write + Seek> {
     writer: Writer<W>,
     cycle_channel: u16,
     event_channel: u16,
     joint_state_channel: u16,
-    joint_names: Vec<String>,
-    joints: Vec<PlottedJoint>,
+    log_channel: u16,
+    diagnostics_channel: u16,
+    shown: Shown,
     cycles: u64,
     cycles_valid: u64,
     cycles_lost: u64,
@@ -93,20 +88,20 @@ impl<W: Write + Seek> RecordingWriter<W> {
             .create(sink)?;
         let run_metadata = metadata_of_run(run)?;
         writer.write_metadata(&run_metadata)?;
+        attach_configuration(&mut writer, run)?;
         let cycle_channel = add_topic(&mut writer, &messages::CYCLE)?;
         let event_channel = add_topic(&mut writer, &messages::EVENT)?;
         let joint_state_channel = add_topic(&mut writer, &messages::JOINT_STATE)?;
+        let log_channel = add_topic(&mut writer, &messages::LOG)?;
+        let diagnostics_channel = add_topic(&mut writer, &messages::DIAGNOSTICS)?;
         let mut recording = Self {
             writer,
             cycle_channel,
             event_channel,
             joint_state_channel,
-            joint_names: run.encoders.iter().map(|encoder| format!("bar_joint_{}", encoder.joint)).collect(),
-            joints: run
-                .encoders
-                .iter()
-                .map(|encoder| PlottedJoint { scale: encoder.scale, unwrapper: encoder.scale.unwrapper() })
-                .collect(),
+            log_channel,
+            diagnostics_channel,
+            shown: Shown::new(run),
             cycles: 0,
             cycles_valid: 0,
             cycles_lost: 0,
@@ -119,37 +114,28 @@ impl<W: Write + Seek> RecordingWriter<W> {
         Ok(recording)
     }
 
-    /// Appends one bus cycle and its plotted joint state.
+    /// Appends one bus cycle, and what other programs show of it.
     pub fn write_cycle(&mut self, record: &CycleRecord) -> Result<(), WriteError> {
         let sequence = record.cycle as u32;
         let data = messages::encode_cycle(record)?;
         self.write_message(self.cycle_channel, sequence, record.sample_time, &data)?;
-        let position_rad: Vec<f64> = self
-            .joints
-            .iter_mut()
-            .zip(record.encoders())
-            .map(|(joint, encoder)| {
-                if encoder.valid {
-                    joint.scale.counts_to_rad(joint.unwrapper.next(encoder.count))
-                } else {
-                    f64::NAN
-                }
-            })
-            .collect();
-        let names = &self.joint_names[..position_rad.len()];
-        let data = messages::encode_joint_state(record.sample_time, names, &position_rad)?;
+        let data = self.shown.joint_state(record)?;
         self.write_message(self.joint_state_channel, sequence, record.sample_time, &data)?;
+        if let Some(data) = self.shown.diagnostics(record) {
+            self.write_message(self.diagnostics_channel, sequence, record.sample_time, &data?)?;
+        }
         self.cycles += 1;
         self.cycles_valid += u64::from(record.is_valid());
         self.cycles_lost += u64::from(record.flags & super::schema::flags::LOST != 0);
         Ok(())
     }
 
-    /// Appends an event.
+    /// Appends an event, which is a line of the log, too.
     pub fn write_event(&mut self, event: &Event) -> Result<(), WriteError> {
         let data = messages::encode_event(event)?;
         self.events = self.events.wrapping_add(1);
-        self.write_message(self.event_channel, self.events, event.time, &data)
+        self.write_message(self.event_channel, self.events, event.time, &data)?;
+        self.write_message(self.log_channel, self.events, event.time, &messages::encode_log(event)?)
     }
 
     /// Says how well the loop kept its time so far; the last one said counts. Cuts the chunk.
@@ -218,6 +204,26 @@ impl<W: Write + Seek> RecordingWriter<W> {
         let header = MessageHeader { channel_id, sequence, log_time, publish_time: log_time };
         Ok(self.writer.write_to_known_channel(&header, data)?)
     }
+}
+
+/// The configuration as the files that it was, which any reader of MCAP can take out again.
+fn attach_configuration<W: Write + Seek>(
+    writer: &mut Writer<W>,
+    run: &RunMetadata,
+) -> Result<(), WriteError> {
+    let time = run.started.0.max(0) as u64;
+    for (name, text) in [("daemon.toml", &run.daemon_config), ("ball_bar.toml", &run.ball_bar_config)] {
+        if !text.is_empty() {
+            writer.attach(&Attachment {
+                log_time: time,
+                create_time: time,
+                name: name.into(),
+                media_type: "application/toml".into(),
+                data: text.as_bytes().into(),
+            })?;
+        }
+    }
+    Ok(())
 }
 
 /// Adds schema and channel of a topic, with the QoS profile that `ros2 bag play` asks for.

@@ -37,6 +37,22 @@ pub(super) const JOINT_STATE: Topic = Topic {
     schema_text: include_str!("joint_state.ros2msg"),
 };
 
+pub(super) const LOG: Topic = Topic {
+    topic: "/ballbard/log",
+    schema_name: "rcl_interfaces/msg/Log",
+    schema_text: include_str!("log.ros2msg"),
+};
+
+/// Where every reader of such messages looks for them.
+pub(super) const DIAGNOSTICS: Topic = Topic {
+    topic: "/diagnostics",
+    schema_name: "diagnostic_msgs/msg/DiagnosticArray",
+    schema_text: include_str!("diagnostic_array.ros2msg"),
+};
+
+/// Frame of all that is recorded: where the bar stands.
+const FRAME_ID: &str = "ball_bar_base";
+
 /// Why bytes are not the message that their topic promises.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum MessageError {
@@ -80,7 +96,7 @@ struct Header {
 
 impl Header {
     fn at(time: UtcNs) -> Self {
-        Self { stamp: time.into(), frame_id: String::new() }
+        Self { stamp: time.into(), frame_id: FRAME_ID.to_owned() }
     }
 }
 
@@ -171,6 +187,43 @@ struct EventMessage {
     cycle: u64,
     kind: u8,
     text: String,
+}
+
+/// `rcl_interfaces/Log`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct LogMessage {
+    stamp: Time,
+    level: u8,
+    name: String,
+    msg: String,
+    file: String,
+    function: String,
+    line: u32,
+}
+
+/// `diagnostic_msgs/DiagnosticArray`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct DiagnosticsMessage {
+    header: Header,
+    status: Vec<DiagnosticStatus>,
+}
+
+/// `diagnostic_msgs/DiagnosticStatus`: how one thing does.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct DiagnosticStatus {
+    /// 0 for good, 1 for a warning, 2 for an error.
+    pub level: u8,
+    pub name: String,
+    pub message: String,
+    pub hardware_id: String,
+    pub values: Vec<KeyValue>,
+}
+
+/// `diagnostic_msgs/KeyValue`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(super) struct KeyValue {
+    pub key: String,
+    pub value: String,
 }
 
 /// `sensor_msgs/JointState`.
@@ -284,19 +337,50 @@ pub(super) fn decode_event(bytes: &[u8]) -> Result<Event, MessageError> {
     Ok(Event { time: message.header.stamp.to_utc(), cycle: message.cycle, kind, text: message.text })
 }
 
-/// Joint angles for plotting: one name and position \[rad\] per encoder, NaN where a count is not valid.
+/// Joint angles for plotting: one name, position \[rad\] and velocity \[rad/s\] per encoder, NaN where it is not known: viewers
+/// leave a gap there, as they do in the positions.
 pub(super) fn encode_joint_state(
     time: UtcNs,
     names: &[String],
-    position_rad: &[f64],
+    position_rad: Vec<f64>,
+    velocity_rad_s: Vec<f64>,
 ) -> Result<Vec<u8>, MessageError> {
     to_cdr(&JointStateMessage {
         header: Header::at(time),
         name: names.to_vec(),
-        position: position_rad.to_vec(),
-        velocity: Vec::new(),
+        position: position_rad,
+        velocity: velocity_rad_s,
         effort: Vec::new(),
     })
+}
+
+/// An event as a line of a log.
+pub(super) fn encode_log(event: &Event) -> Result<Vec<u8>, MessageError> {
+    const INFO: u8 = 20;
+    const WARN: u8 = 30;
+    let (level, function) = match event.kind {
+        EventKind::Marker => (INFO, "marker"),
+        EventKind::Gap => (WARN, "gap"),
+        EventKind::Bus => (WARN, "bus"),
+        EventKind::Clock => (WARN, "clock"),
+    };
+    to_cdr(&LogMessage {
+        stamp: event.time.into(),
+        level,
+        name: "ballbard".into(),
+        msg: event.text.clone(),
+        file: String::new(),
+        function: function.into(),
+        line: 0,
+    })
+}
+
+/// How things did in the second before `time`.
+pub(super) fn encode_diagnostics(
+    time: UtcNs,
+    status: Vec<DiagnosticStatus>,
+) -> Result<Vec<u8>, MessageError> {
+    to_cdr(&DiagnosticsMessage { header: Header::at(time), status })
 }
 
 #[cfg(test)]

@@ -1,0 +1,141 @@
+//! What other programs show of a run, derived from its records: joint states to plot, and once a second how the acquisition
+//! did.
+
+use super::messages::{self, DiagnosticStatus, KeyValue, MessageError};
+use super::schema::{CycleRecord, EncoderInfo, EncoderSample, MAX_ENCODERS, RunMetadata, flags};
+use crate::encoder::Unwrapper;
+use crate::time::NS_PER_S;
+
+/// Derives from one cycle after the other.
+pub(super) struct Shown {
+    encoders: Vec<EncoderInfo>,
+    names: Vec<String>,
+    bus: String,
+    unwrappers: Vec<Unwrapper>,
+    last: Option<CycleRecord>,
+    cycles_per_second: u64,
+    second: Second,
+}
+
+/// The cycles since something was last said of them.
+#[derive(Default)]
+struct Second {
+    cycles: u64,
+    valid: u64,
+    flagged: [u64; flags::NAMES.len()],
+    encoders_valid: [u64; MAX_ENCODERS],
+    uncertainty_ns_max: u32,
+}
+
+impl Shown {
+    pub fn new(run: &RunMetadata) -> Self {
+        Self {
+            names: run.encoders.iter().map(|encoder| format!("bar_joint_{}", encoder.joint)).collect(),
+            unwrappers: run.encoders.iter().map(|encoder| encoder.scale.unwrapper()).collect(),
+            encoders: run.encoders.clone(),
+            bus: run.bus.clone(),
+            last: None,
+            cycles_per_second: (NS_PER_S as u64 / run.cycle_period_ns.max(1)).max(1),
+            second: Second::default(),
+        }
+    }
+
+    /// The joint states of the next cycle.
+    pub fn joint_state(&mut self, record: &CycleRecord) -> Result<Vec<u8>, MessageError> {
+        let velocity_rad_s = self.velocities_rad_s(record);
+        let joints = self.encoders.iter().zip(&mut self.unwrappers).zip(record.encoders());
+        let position_rad: Vec<f64> = joints
+            .map(|((encoder, unwrapper), sample)| {
+                if sample.valid {
+                    encoder.scale.counts_to_rad(unwrapper.next(sample.count))
+                } else {
+                    f64::NAN
+                }
+            })
+            .collect();
+        self.last = Some(*record);
+        let names = &self.names[..position_rad.len()];
+        messages::encode_joint_state(record.sample_time, names, position_rad, velocity_rad_s)
+    }
+
+    /// Counts since the cycle before, over the time on the bus' clock, which knows when both were sampled to some ns. Without
+    /// that clock, over a hole or from one origin to another nobody knows.
+    fn velocities_rad_s(&self, record: &CycleRecord) -> Vec<f64> {
+        let before = self.last.as_ref().filter(|last| {
+            last.cycle + 1 == record.cycle && last.origin == record.origin && last.dc_time.0 != 0
+        });
+        let since_s = before.map(|last| record.dc_time.seconds_since(last.dc_time));
+        let since_s = since_s.filter(|since_s| record.dc_time.0 != 0 && *since_s > 0.0);
+        let of = |(place, (encoder, sample)): (usize, (&EncoderInfo, &EncoderSample))| {
+            let earlier = before.and_then(|last| last.encoders().get(place)).filter(|earlier| earlier.valid);
+            earlier.zip(since_s).filter(|_| sample.valid).map_or(f64::NAN, |(earlier, since_s)| {
+                let turned = i64::from(sample.count.wrapping_sub(earlier.count) as i32);
+                (encoder.scale.direction.sign() * turned) as f64 * encoder.scale.rad_per_count() / since_s
+            })
+        };
+        self.encoders.iter().zip(record.encoders()).enumerate().map(of).collect()
+    }
+
+    /// After the last cycle of each second: how all of them were.
+    pub fn diagnostics(&mut self, record: &CycleRecord) -> Option<Result<Vec<u8>, MessageError>> {
+        self.second.take(record);
+        if self.second.cycles < self.cycles_per_second {
+            return None;
+        }
+        let second = std::mem::take(&mut self.second);
+        let mut status = vec![self.cycles_status(&second)];
+        status.extend(record.encoders().iter().zip(second.encoders_valid).map(|(sample, valid)| {
+            let values = [("count", sample.count.to_string()), ("status", format!("{:#06x}", sample.status))];
+            let name = format!("ballbard: encoder of joint {}", sample.joint);
+            self.status(name, valid, second.cycles, values.into_iter())
+        }));
+        Some(messages::encode_diagnostics(record.sample_time, status))
+    }
+
+    fn cycles_status(&self, second: &Second) -> DiagnosticStatus {
+        let flagged = flags::NAMES.iter().zip(second.flagged).filter(|(_, count)| *count > 0);
+        let values = flagged
+            .map(|((_, name), count)| (*name, count.to_string()))
+            .chain([("time_uncertainty_ns_max", second.uncertainty_ns_max.to_string())]);
+        self.status("ballbard: cycles".into(), second.valid, second.cycles, values)
+    }
+
+    fn status<'a>(
+        &self,
+        name: String,
+        valid: u64,
+        cycles: u64,
+        values: impl Iterator<Item = (&'a str, String)>,
+    ) -> DiagnosticStatus {
+        const OK: u8 = 0;
+        const WARN: u8 = 1;
+        const ERROR: u8 = 2;
+        DiagnosticStatus {
+            level: match valid {
+                0 => ERROR,
+                valid if valid < cycles => WARN,
+                _ => OK,
+            },
+            name,
+            message: format!("{valid} of {cycles} cycles valid"),
+            hardware_id: self.bus.clone(),
+            values: values.map(|(key, value)| KeyValue { key: key.into(), value }).collect(),
+        }
+    }
+}
+
+impl Second {
+    fn take(&mut self, record: &CycleRecord) {
+        self.cycles += 1;
+        self.valid += u64::from(record.is_valid());
+        for ((flag, _), count) in flags::NAMES.iter().zip(&mut self.flagged) {
+            *count += u64::from(record.flags & flag != 0);
+        }
+        for (sample, valid) in record.encoders().iter().zip(&mut self.encoders_valid) {
+            *valid += u64::from(sample.valid);
+        }
+        if record.is_valid() {
+            self.uncertainty_ns_max = self.uncertainty_ns_max.max(record.sample_time_uncertainty_ns);
+        }
+    }
+}
