@@ -1,33 +1,17 @@
 //! Everything that fuzzing found worth keeping goes through the same functions again, without a fuzzer.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use system_tests::fuzzing::{TARGETS, Target};
-
-fn corpus(target: &Target) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz/corpus").join(target.name)
-}
-
-/// Files of a target's corpus, in a fixed order.
-fn files(target: &Target) -> Vec<PathBuf> {
-    let entries = std::fs::read_dir(corpus(target)).unwrap();
-    let mut files: Vec<PathBuf> = entries.map(|entry| entry.unwrap().path()).collect();
-    files.sort();
-    files
-}
+use system_tests::fuzzing::TARGETS;
 
 fn run_all(name: &str) {
     let target = TARGETS.iter().find(|target| target.name == name).unwrap();
-    for seed in (target.seeds)() {
-        (target.run)(&seed);
-    }
-    let files = files(target);
-    assert!(!files.is_empty(), "no corpus for {name}");
-    for file in files {
+    assert!(!target.archived().unwrap().is_empty(), "no corpus for {name}");
+    for (input, bytes) in target.inputs().unwrap() {
         // Printed if the test fails: the last one is to blame.
-        println!("{}", file.display());
-        (target.run)(&std::fs::read(&file).unwrap());
+        println!("{name}/{input}");
+        (target.run)(&bytes);
     }
 }
 
@@ -38,8 +22,13 @@ macro_rules! corpora {
         #[test]
         fn every_target_has_its_corpus_test_and_its_fuzz_target() {
             assert_eq!(TARGETS.iter().map(|target| target.name).collect::<Vec<_>>(), [$($name),*]);
+            let fuzz = Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz");
+            for folder in fuzz.join("regressions").read_dir().unwrap() {
+                let name = folder.unwrap().file_name();
+                assert!(TARGETS.iter().any(|target| *target.name == name), "{name:?} is no target");
+            }
             for target in TARGETS {
-                let file = corpus(target).join(format!("../../targets/{}.rs", target.name));
+                let file = fuzz.join(format!("targets/{}.rs", target.name));
                 assert!(file.exists(), "{}", file.display());
             }
         }
@@ -65,16 +54,4 @@ corpora! {
     no_force_log_of_the_corpus_breaks_a_promise: "force_log",
     no_calibration_of_the_corpus_breaks_a_promise: "calibration",
     no_http_request_of_the_corpus_breaks_a_promise: "api",
-}
-
-/// Not a test: writes the seeds into the corpus, for a new target or after a format has changed.
-#[test]
-#[ignore = "writes into the source tree"]
-fn write_seeds() {
-    for target in TARGETS {
-        std::fs::create_dir_all(corpus(target)).unwrap();
-        for (index, seed) in (target.seeds)().iter().enumerate() {
-            std::fs::write(corpus(target).join(format!("seed-{index}")), seed).unwrap();
-        }
-    }
 }

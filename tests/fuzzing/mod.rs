@@ -1,13 +1,14 @@
 //! What fuzzing feeds: each [`Target`] takes any bytes and panics where a promise is broken.
 //!
 //! The same functions serve `cargo fuzz` (`tests/fuzz`, needs nightly) and the ordinary test `corpus`, which runs
-//! everything that fuzzing has found worth keeping. Errors are asked for their message: that must not fail either.
+//! everything that fuzzing has found worth keeping (`corpus.rs` says where that is and how it is kept). Errors are asked for their message: that must not fail either.
 
 mod api;
 mod bar_log;
 mod bring_up;
 mod calibration;
 mod config;
+mod corpus;
 mod cycle;
 mod force_log;
 mod input;
@@ -18,11 +19,12 @@ mod replies;
 mod robot_log;
 mod segment;
 
+pub use corpus::unpack;
 use input::Input;
 
 /// One way in for bytes from outside.
 pub struct Target {
-    /// Name of the fuzz target and of its folder in `tests/fuzz/corpus`.
+    /// Name of the fuzz target and of what is kept of it.
     pub name: &'static str,
     /// Takes any bytes; panics where a promise is broken.
     pub run: fn(&[u8]),

@@ -137,7 +137,7 @@ pub fn mcap_bags() -> Vec<Vec<u8>> {
     bags
 }
 
-/// None: `small.db3` in the corpus was written by another program.
+/// None: `small.db3` in the archive was written by another program.
 pub fn sqlite_bags() -> Vec<Vec<u8>> {
     Vec::new()
 }

@@ -2,6 +2,7 @@
 
 libfuzzer_sys::fuzz_target!(
     init: {
+        system_tests::fuzzing::unpack("cycle_replies");
         // The bus catches panics of ethercrab; the fuzzer's hook would abort before that. Those that nobody catches
         // still end the fuzzer.
         std::panic::set_hook(Box::new(|_| {}));

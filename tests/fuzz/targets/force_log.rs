@@ -1,3 +1,6 @@
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| system_tests::fuzzing::run("force_log", bytes));
+libfuzzer_sys::fuzz_target!(
+    init: system_tests::fuzzing::unpack("force_log"),
+    |bytes: &[u8]| system_tests::fuzzing::run("force_log", bytes)
+);

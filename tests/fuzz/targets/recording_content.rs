@@ -1,3 +1,6 @@
 #![no_main]
 
-libfuzzer_sys::fuzz_target!(|bytes: &[u8]| system_tests::fuzzing::run("recording_content", bytes));
+libfuzzer_sys::fuzz_target!(
+    init: system_tests::fuzzing::unpack("recording_content"),
+    |bytes: &[u8]| system_tests::fuzzing::run("recording_content", bytes)
+);
