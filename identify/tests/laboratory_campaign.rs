@@ -149,7 +149,7 @@ fn a_few_runs_of_each_kind_calibrate_without_a_hand() {
 }
 
 #[test]
-#[ignore = "minutes; the command above"]
+#[ignore = "130 calibrations: minutes"]
 fn ten_runs_of_each_kind_with_both_robots() {
     let five = bar();
     let kinds: [(&str, &BallBarConfig, Make); 6] = [
