@@ -3,13 +3,18 @@
 //! The way of the data: [`segment`] (wire) -> [`bus`] -> [`cycle`] -> ring -> [`recorder`] -> file; [`run`] ties
 //! them together, [`control`] keeps them going as a service, [`commands`] is what a person types.
 
+// A reader of standard output that has gone must end nothing: commands print with `say`.
+#![warn(clippy::print_stdout)]
+
 pub mod bus;
+pub mod claim;
 pub mod clock;
 pub mod commands;
 pub mod control;
 pub mod cycle;
 pub mod devices;
 pub mod homing;
+pub mod log;
 pub mod recorder;
 pub mod run;
 pub mod segment;

@@ -1,26 +1,18 @@
 //! `ballbard`: parses the command line, runs, maps errors to exit codes.
 
-use std::io::IsTerminal;
 use std::process::ExitCode;
 
 use ballbard::commands::{self, Arguments};
+use ballbard::log::Log;
 use clap::Parser;
-use tracing_subscriber::filter::{LevelFilter, Targets};
-use tracing_subscriber::fmt;
-use tracing_subscriber::prelude::*;
 
-#[allow(clippy::print_stderr, reason = "the last word of a command-line program")]
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
-    let wanted = std::env::var("RUST_LOG").ok().and_then(|text| text.parse::<Targets>().ok());
-    let filter = wanted.unwrap_or_else(|| Targets::new().with_default(LevelFilter::INFO));
-    let colours = std::io::stderr().is_terminal();
-    let lines = fmt::layer().with_target(false).with_ansi(colours).with_writer(std::io::stderr);
-    tracing_subscriber::registry().with(lines).with(filter).init();
+    let Ok(log) = Log::start() else { return ExitCode::FAILURE };
     match commands::run(arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error:#}");
+            log.line(&format!("error: {error:#}"));
             ExitCode::FAILURE
         }
     }

@@ -67,7 +67,7 @@ fn an_older_recording_is_never_overwritten() {
 #[test]
 fn names_that_leave_the_directory_are_refused() {
     let directory = tempfile::tempdir().unwrap();
-    for name in ["", "../up", "a/b", ".hidden", "nul\0"] {
+    for name in ["", "../up", "a/b", ".hidden", "nul\0", "-x", "a.mcap", "a.mcap.active", "a.torn"] {
         assert!(
             matches!(RecordingWriter::create(directory.path(), &run(name)), Err(WriteError::Name(_))),
             "{name}"

@@ -10,6 +10,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use shared::config::{self, DaemonConfig};
 
+use super::output::say;
 use crate::control::runs::{self, RunLine};
 use crate::control::status::{
     CheckLine, LastRun, MarkRequest, Refusal, Reply, RunStatus, StartRequest, Status, StopRequest,
@@ -85,53 +86,50 @@ pub fn start(arguments: StartArguments) -> anyhow::Result<()> {
     let reply: Reply = service.post("start", &request)?;
     let run = reply.run.unwrap_or_default();
     match reply.answer.as_str() {
-        "running" => println!("run `{run}` goes on already"),
-        _ => println!("run `{run}` has begun"),
+        "running" => say(format_args!("run `{run}` goes on already")),
+        _ => say(format_args!("run `{run}` has begun")),
     }
-    Ok(())
 }
 
 pub fn stop(arguments: &AskArguments) -> anyhow::Result<()> {
     let request = StopRequest { cause: Some("stopped by `ballbard stop`".into()) };
     let reply: Reply = arguments.service.post("stop", &request)?;
     match (reply.answer.as_str(), reply.last) {
-        ("stopped", Some(last)) => println!("{}", last_run(&last)),
-        ("homing", _) => println!("the homing ends"),
-        _ => println!("no run goes on"),
+        ("stopped", Some(last)) => {
+            say(last_run(&last))?;
+            unless_blind(last.cycles, last.cycles_valid)
+        }
+        ("homing", _) => say("the homing ends"),
+        _ => say("no run goes on"),
     }
-    Ok(())
 }
 
 pub fn mark(arguments: &MarkArguments) -> anyhow::Result<()> {
     let reply: Reply = arguments.service.post("mark", &MarkRequest { text: arguments.text.clone() })?;
-    println!("marked in run `{}`", reply.run.unwrap_or_default());
-    Ok(())
+    say(format_args!("marked in run `{}`", reply.run.unwrap_or_default()))
 }
 
 pub fn status(arguments: &AskArguments) -> anyhow::Result<()> {
     let status: Status = arguments.service.get("status")?;
-    println!(
-        "{}{}",
-        status.state.to_uppercase(),
-        status.reason.map_or(String::new(), |why| format!(": {why}"))
-    );
+    let reason = status.reason.map_or(String::new(), |why| format!(": {why}"));
+    say(format_args!("{}{reason}", status.state.to_uppercase()))?;
     if let Some(run) = &status.run {
-        println!("{}", running(run));
+        say(running(run))?;
     }
-    println!("bus {}: {}", status.bus, status.devices.join(", "));
+    say(format_args!("bus {}: {}", status.bus, status.devices.join(", ")))?;
     for encoder in &status.encoders {
         let valid = if encoder.valid { "valid" } else { "NOT VALID" };
-        println!("  joint {}: {:>10}  {valid}", encoder.joint, encoder.count);
+        say(format_args!("  joint {}: {:>10}  {valid}", encoder.joint, encoder.count))?;
     }
     if let Some(usable) = status.disk_usable_mb {
-        println!("disk: {usable} MB above the floor");
+        say(format_args!("disk: {usable} MB above the floor"))?;
     }
     if let Some(last) = &status.last {
-        println!("last run: {}", last_run(last));
+        say(format_args!("last run: {}", last_run(last)))?;
     }
     let run = status.run.as_ref().and_then(|run| run.timing.as_ref());
     if let Some(timing) = run.or(status.last.as_ref().and_then(|last| last.timing.as_ref())) {
-        println!("{timing}");
+        say(timing)?;
     }
     Ok(())
 }
@@ -140,9 +138,9 @@ pub fn check(arguments: &AskArguments) -> anyhow::Result<()> {
     let lines: Vec<CheckLine> = arguments.service.get("check")?;
     for CheckLine { subject, finding, remedy } in &lines {
         match remedy {
-            None => println!("ok       {subject}: {finding}"),
-            Some(remedy) => println!("PROBLEM  {subject}: {finding}\n         {remedy}"),
-        }
+            None => say(format_args!("ok       {subject}: {finding}")),
+            Some(remedy) => say(format_args!("PROBLEM  {subject}: {finding}\n         {remedy}")),
+        }?;
     }
     let problems = lines.iter().filter(|line| line.remedy.is_some()).count();
     if problems > 0 {
@@ -159,10 +157,10 @@ pub fn list(arguments: &RunsArguments) -> anyhow::Result<()> {
     let lines = runs::list(&directory)
         .with_context(|| format!("cannot list recordings in {}", directory.display()))?;
     for line in &lines {
-        println!("{}", listed(line));
+        say(listed(line))?;
     }
     if lines.is_empty() {
-        println!("no recordings in {}", directory.display());
+        say(format_args!("no recordings in {}", directory.display()))?;
     }
     Ok(())
 }
@@ -194,6 +192,16 @@ impl ServiceArguments {
         };
         Ok(format!("http://127.0.0.1:{port}/{path}"))
     }
+}
+
+/// A run without a single valid cycle is no success, although its file is whole.
+pub(super) fn unless_blind(cycles: u64, cycles_valid: u64) -> anyhow::Result<()> {
+    if cycles > 0 && cycles_valid == 0 {
+        bail!(
+            "none of the {cycles} cycles is valid; `ballbard check` says what is wrong with bus and encoders"
+        );
+    }
+    Ok(())
 }
 
 fn agent() -> ureq::Agent {
@@ -247,10 +255,11 @@ fn last_run(last: &LastRun) -> String {
 }
 
 fn listed(line: &RunLine) -> String {
-    let started =
-        line.started.map_or(String::from("?"), |at| at.to_datetime().format("%Y-%m-%d %H:%M:%S").to_string());
+    let started = line.started.map_or(String::from("?"), |at| {
+        at.to_datetime().with_timezone(&chrono::Local).format("%Y-%m-%d %H:%M:%S %:z").to_string()
+    });
     let mut text = format!(
-        "{:<28} {started:<19}  {:>8.1} s {:>8} cycles  {}",
+        "{:<28} {started:<26}  {:>8.1} s {:>8} cycles  {}",
         line.name, line.length_s, line.cycles, line.verdict
     );
     if line.recovered {

@@ -9,6 +9,8 @@ use clap::Args;
 use shared::recording::Recording;
 use shared::recording::schema::{EncoderInfo, flags};
 
+use super::output::{say, unless_gone};
+
 #[derive(Debug, Args)]
 pub struct ExportArguments {
     /// The recording
@@ -25,7 +27,10 @@ pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     let recording = Recording::open(&arguments.file)?;
     let out = arguments.out.clone().unwrap_or_else(|| arguments.file.with_extension("csv"));
     if out == Path::new("-") {
-        return write_csv(&recording, std::io::stdout().lock()).context("cannot write to standard output");
+        let mut table = Vec::new();
+        write_csv(&recording, &mut table)?;
+        let written = std::io::stdout().lock().write_all(&table);
+        return unless_gone(written).context("cannot write to standard output");
     }
     // Under its final name the table is whole, or it is not there.
     let part = out.with_extension("csv.part");
@@ -33,8 +38,7 @@ pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     write_csv(&recording, BufWriter::new(file))
         .and_then(|()| Ok(std::fs::rename(&part, &out)?))
         .with_context(|| format!("cannot write {}; check free space", out.display()))?;
-    println!("{}: {} rows", out.display(), recording.cycles.len());
-    Ok(())
+    say(format_args!("{}: {} rows", out.display(), recording.cycles.len()))
 }
 
 /// One row per cycle: `time_utc`, a `count` per encoder (the thesis' columns), then `angle` \[rad\] per encoder

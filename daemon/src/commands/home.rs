@@ -9,6 +9,7 @@ use clap::Args;
 use shared::config::{self, BallBarConfig, DaemonConfig, HomingConfig};
 
 use super::client::ServiceArguments;
+use super::output::say;
 use super::{bus_choice, on_signal};
 use crate::control::homing;
 use crate::control::status::{HomeRequest, HomingStatus, Reply, Status, StopRequest};
@@ -46,7 +47,11 @@ fn by_service(service: &ServiceArguments, stop: &Stop) -> anyhow::Result<()> {
         let Some(homing) = status.homing else {
             bail!("the service has forgotten the homing; was it restarted?")
         };
-        if printer.print(&homing) {
+        // Without a reader nobody is told what to turn.
+        if let Err(error) = printer.print(&homing) {
+            stop.stop(&format!("{error:#}"));
+        }
+        if homing.is_over {
             return outcome(homing);
         }
         if stop.is_stopped() && !asked_to_stop {
@@ -66,14 +71,17 @@ fn on_own_bus(bus: &str, config: &std::path::Path, stop: &Stop) -> anyhow::Resul
     let mut active = session.begin_homing();
     let (mut printer, mut status) = (Printer::default(), HomingStatus::default());
     while !homing::look(&mut active, &mut status, &bar.encoders, &file) {
-        printer.print(&status);
+        if let Err(error) = printer.print(&status) {
+            stop.stop(&format!("{error:#}"));
+        }
         if stop.is_stopped() {
             active.stop.stop(&stop.cause());
         }
         thread::sleep(POLL);
     }
-    printer.print(&status);
+    let printed = printer.print(&status);
     session.close()?;
+    printed?;
     outcome(status)
 }
 
@@ -92,17 +100,16 @@ struct Printer {
 }
 
 impl Printer {
-    /// Whether it is over.
-    fn print(&mut self, status: &HomingStatus) -> bool {
+    fn print(&mut self, status: &HomingStatus) -> anyhow::Result<()> {
         for line in status.lines.iter().skip(self.lines) {
-            println!("{line}");
+            say(line)?;
         }
         self.lines = self.lines.max(status.lines.len());
         if let Some(turned_deg) = status.turned_deg.filter(|turned_deg| Some(*turned_deg) != self.turned_deg)
         {
-            println!("  turned {turned_deg:+.1} degrees");
+            say(format_args!("  turned {turned_deg:+.1} degrees"))?;
         }
         self.turned_deg = status.turned_deg;
-        status.is_over
+        Ok(())
     }
 }

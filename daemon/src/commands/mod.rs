@@ -3,19 +3,20 @@
 mod client;
 mod export;
 mod home;
+mod output;
 mod record;
 mod recover;
 mod segment;
 mod serve;
+mod signals;
 mod tune;
 
 pub use export::write_csv;
 
+use self::signals::Signals;
+use crate::run::BusChoice;
 use anyhow::Context;
 use clap::{Parser, Subcommand};
-use tokio::signal::unix::{SignalKind, signal};
-
-use crate::run::BusChoice;
 
 /// Records a sensed double ball-bar over EtherCAT.
 #[derive(Debug, Parser)]
@@ -82,7 +83,7 @@ fn bus_choice(name: &str) -> BusChoice {
     }
 }
 
-/// Runs blocking work; Ctrl-C and SIGTERM call `stop` with their name, and the work is waited for.
+/// Runs blocking work; each signal that ends programs calls `stop` with its name, and the work is waited for.
 fn on_signal<T: Send + 'static>(
     work: impl FnOnce() -> anyhow::Result<T> + Send + 'static,
     stop: impl Fn(&str),
@@ -92,14 +93,12 @@ fn on_signal<T: Send + 'static>(
         .build()
         .context("cannot start the signal handling")?;
     runtime.block_on(async {
-        let mut interrupt = signal(SignalKind::interrupt())?;
-        let mut terminate = signal(SignalKind::terminate())?;
+        let mut signals = Signals::new()?;
         let mut work = tokio::task::spawn_blocking(work);
         loop {
             tokio::select! {
                 result = &mut work => return result?,
-                _ = interrupt.recv() => stop("Ctrl-C"),
-                _ = terminate.recv() => stop("SIGTERM"),
+                name = signals.next() => stop(name),
             }
         }
     })

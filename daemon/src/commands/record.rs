@@ -6,6 +6,8 @@ use std::time::Duration;
 use clap::Args;
 use shared::config::{self, BallBarConfig, DaemonConfig, HomingConfig};
 
+use super::client::unless_blind;
+use super::output::say;
 use super::{bus_choice, on_signal};
 use crate::homing;
 use crate::recorder::RunSummary;
@@ -66,8 +68,8 @@ pub fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
         move || Ok(run::record(&request, &daemon, &bar, &working)?),
         |signal| stop.stop(&format!("stopped by {signal}")),
     )?;
-    print(&summary);
-    Ok(())
+    print(&summary)?;
+    unless_blind(summary.cycles, summary.cycles_valid)
 }
 
 fn request(arguments: &RecordArguments) -> anyhow::Result<RunRequest> {
@@ -80,7 +82,7 @@ fn request(arguments: &RecordArguments) -> anyhow::Result<RunRequest> {
     };
     let name = arguments.name.clone();
     Ok(RunRequest {
-        name: name.unwrap_or_else(|| chrono::Local::now().format("%Y-%m-%d_%H-%M-%S").to_string()),
+        name: name.unwrap_or_else(run::name_by_time),
         operator: arguments.operator.clone(),
         robot: arguments.robot.clone(),
         note: arguments.note.clone(),
@@ -93,12 +95,12 @@ fn request(arguments: &RecordArguments) -> anyhow::Result<RunRequest> {
     })
 }
 
-fn print(summary: &RunSummary) {
+fn print(summary: &RunSummary) -> anyhow::Result<()> {
     let RunSummary { path, cycles, cycles_valid, cycles_lost, cause, timing } = summary;
     let flagged = cycles - cycles_valid;
-    println!("{}", path.display());
-    println!("{cycles} cycles, {cycles_valid} valid, {flagged} flagged, {cycles_lost} lost; {cause}");
-    if let Some(timing) = timing {
-        println!("{timing}");
-    }
+    say(path.display())?;
+    say(format_args!(
+        "{cycles} cycles, {cycles_valid} valid, {flagged} flagged, {cycles_lost} lost; {cause}"
+    ))?;
+    timing.iter().try_for_each(say)
 }

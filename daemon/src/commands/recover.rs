@@ -5,6 +5,8 @@ use std::path::PathBuf;
 use clap::Args;
 use shared::recording::{Recovery, Salvaged, recover_file};
 
+use super::output::say;
+
 #[derive(Debug, Args)]
 pub struct RecoverArguments {
     /// The recording, `.mcap.active` or `.mcap`
@@ -14,21 +16,26 @@ pub struct RecoverArguments {
 pub fn run(arguments: &RecoverArguments) -> anyhow::Result<()> {
     match recover_file(&arguments.file)? {
         Recovery::Whole { content } => {
-            println!("{}: whole, {} cycles; nothing to recover", arguments.file.display(), content.cycles);
+            let file = arguments.file.display();
+            say(format_args!("{file}: whole, {} cycles; nothing to recover", content.cycles))?;
         }
         Recovery::Renamed { file, content } => {
-            println!("{}: was finished, {} cycles; it has its name now", file.display(), content.cycles);
+            say(format_args!(
+                "{}: was finished, {} cycles; it has its name now",
+                file.display(),
+                content.cycles
+            ))?;
         }
         Recovery::Recovered { file, torn, content } => {
-            println!("{}: {}", file.display(), kept(&content));
+            say(format_args!("{}: {}", file.display(), kept(&content)))?;
             if let Some(timing) = &content.timing {
-                println!("{timing}");
+                say(timing)?;
             }
             if let Some(damage) = content.damage {
-                println!("{damage}");
+                say(damage)?;
             }
             if let Some(torn) = torn {
-                println!("the original is kept as {}", torn.display());
+                say(format_args!("the original is kept as {}", torn.display()))?;
             }
         }
     }

@@ -10,6 +10,7 @@ use clap::Args;
 use shared::time::{MonoNs, NS_PER_S};
 
 use super::on_signal;
+use super::output::say;
 use crate::clock::Clock;
 use crate::segment::faults::{FaultHandle, FaultSwitch, FaultWindow, FaultySegment};
 use crate::segment::simulated::{Revision, SegmentConfig, SimulatedSegment, SmoothMotion};
@@ -52,7 +53,7 @@ pub fn run(arguments: &SegmentArguments) -> anyhow::Result<()> {
     let wire = EthernetWire::open(&arguments.interface)?;
     let stop = Arc::new(AtomicBool::new(false));
     let serving = Arc::clone(&stop);
-    println!("serving an EK1100 with {} EL5021 on {}", config.terminals, arguments.interface);
+    say(format_args!("serving an EK1100 with {} EL5021 on {}", config.terminals, arguments.interface))?;
     // It ends with its input or with this program, whichever is first.
     thread::Builder::new().name("switches".into()).spawn(move || switch_by_lines(&faults))?;
     on_signal(move || serve(segment, wire, &serving), |_| stop.store(true, Ordering::Release))

@@ -1,18 +1,25 @@
 //! `ballbard run`: the acquisition service.
 
+use std::future::Future;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
+use std::time::Duration;
 
 use anyhow::{Context, bail};
 use clap::Args;
 use shared::config::{self, BallBarConfig, DaemonConfig, HomingConfig};
 use tokio::net::TcpListener;
-use tokio::signal::unix::{SignalKind, signal};
 
 use super::bus_choice;
+use super::output::say;
+use super::signals::Signals;
 use crate::control::api;
-use crate::control::service::{Service, Settings};
+use crate::control::service::{Died, Service, Settings};
 use crate::run::BusChoice;
 use crate::segment::faults::FaultWindow;
+
+/// An end that takes longer is explained, and again after as long.
+const PATIENCE: Duration = Duration::from_secs(2);
 
 #[derive(Debug, Args)]
 pub struct RunArguments {
@@ -50,36 +57,103 @@ pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
         );
     }
     let homing_file = arguments.config.join(HomingConfig::FILE_NAME);
+    let settings = Settings { bus, faults, daemon, bar, homing_file };
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()
         .context("cannot start the service")?;
-    runtime.block_on(serve(port, Settings { bus, faults, daemon, bar, homing_file }))
+    let listener = runtime.block_on(listen(port))?;
+    let signals = runtime.block_on(async { Signals::new() })?;
+    let service = Service::start(settings)?;
+    let outcome = supervise(&runtime, &service, serve(listener, service.clone(), signals));
+    // What still reads a slow disk for a client that has gone is not waited for.
+    runtime.shutdown_background();
+    outcome
 }
 
-async fn serve(port: u16, settings: Settings) -> anyhow::Result<()> {
+async fn listen(port: u16) -> anyhow::Result<TcpListener> {
     let listener = TcpListener::bind(("127.0.0.1", port)).await.with_context(|| {
         format!(
             "cannot listen on 127.0.0.1:{port}; is another `ballbard run` there? stop it, or choose another port with \
              --port or in daemon.toml"
         )
     })?;
-    println!("listening on http://{}", listener.local_addr()?);
-    let mut interrupt = signal(SignalKind::interrupt())?;
-    let mut terminate = signal(SignalKind::terminate())?;
-    let service = Service::start(settings).context("cannot start the service's thread")?;
+    let address = listener.local_addr()?;
+    // Whoever has standard output may not read it; the service waits for nobody.
+    tokio::task::spawn_blocking(move || {
+        if let Err(error) = say(format_args!("listening on http://{address}")) {
+            tracing::warn!("{error:#}");
+        }
+    });
+    Ok(listener)
+}
+
+/// Serves until the service has ended: asked to by a signal, or by itself.
+async fn serve(listener: TcpListener, service: Service, mut signals: Signals) {
     let ending = service.clone();
     let end = async move {
-        let name = tokio::select! {
-            _ = interrupt.recv() => "Ctrl-C",
-            _ = terminate.recv() => "SIGTERM",
-        };
-        ending.shutdown(&format!("stopped by {name}"));
+        tokio::select! {
+            () = ending.ended() => return,
+            name = signals.next() => ending.shutdown(&format!("stopped by {name}")),
+        }
         // The file comes before the answers: requests are served until it is finished.
-        let joining = tokio::task::spawn_blocking(move || ending.join());
-        if joining.await.is_err() {
-            tracing::error!("the service did not end as it should");
+        while tokio::time::timeout(PATIENCE, ending.ended()).await.is_err() {
+            let run = ending.status().run;
+            let what = run.map_or("the bus ends".into(), |run| {
+                format!("the disk takes run `{}`, of which {} cycles are on it", run.name, run.cycles)
+            });
+            tracing::warn!("not ended yet: waiting until {what}");
         }
     };
-    Ok(api::serve(listener, service, end).await?)
+    api::serve(listener, service, end).await;
+}
+
+/// Sees to it that a run's file is finished whatever dies, and that the program then ends as one that failed: a service
+/// manager starts it again.
+fn supervise(
+    runtime: &tokio::runtime::Runtime,
+    service: &Service,
+    serving: impl Future<Output = ()>,
+) -> anyhow::Result<()> {
+    let served = catch_unwind(AssertUnwindSafe(|| runtime.block_on(serving)));
+    if served.is_err() {
+        service.shutdown("full fault: the thread that answers requests has ended; its cause is in the log");
+    }
+    service.join()?;
+    served.map_err(|_| Died.into())
+}
+
+#[cfg(test)]
+mod tests {
+    use shared::recording::Recording;
+
+    use super::*;
+    use crate::control::service::tests::{record, simulated};
+
+    fn runtime() -> tokio::runtime::Runtime {
+        tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap()
+    }
+
+    #[test]
+    fn when_the_thread_that_answers_dies_the_file_is_finished_and_the_program_fails() {
+        let directory = tempfile::tempdir().unwrap();
+        let (service, _) = simulated(directory.path());
+        record(&service, "cut");
+        assert!(supervise(&runtime(), &service, async { panic!("the test ends this thread") }).is_err());
+        let recording = Recording::open(&directory.path().join("cut.mcap")).unwrap();
+        assert!(recording.end.cause.contains("thread that answers"), "{}", recording.end.cause);
+    }
+
+    #[test]
+    fn when_the_control_dies_serving_ends_and_the_program_fails() {
+        let directory = tempfile::tempdir().unwrap();
+        let (service, _) = simulated(directory.path());
+        record(&service, "cut");
+        let runtime = runtime();
+        let listener = runtime.block_on(TcpListener::bind(("127.0.0.1", 0))).unwrap();
+        let signals = runtime.block_on(async { Signals::new() }).unwrap();
+        service.kill_control();
+        assert!(supervise(&runtime, &service, serve(listener, service.clone(), signals)).is_err());
+        assert!(directory.path().join("cut.mcap").exists());
+    }
 }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use shared::config::{self, DaemonConfig};
 
+use super::output::say;
 use crate::tuning::{self, Machine, Verdict};
 
 #[derive(Debug, Args)]
@@ -21,9 +22,8 @@ pub fn run(arguments: &TuneArguments) -> anyhow::Result<()> {
     let daemon: DaemonConfig = config::load(&arguments.config.join("daemon.toml"))?;
     let machine = Machine::read(Path::new("/"), daemon.realtime.core, arguments.interface.as_deref());
     let findings = tuning::findings(&machine);
-    findings.iter().for_each(|finding| println!("{finding}"));
+    findings.iter().try_for_each(say)?;
     let count = |verdict| findings.iter().filter(|finding| finding.verdict == verdict).count();
     let (problems, unknown) = (count(Verdict::Problem), count(Verdict::Unknown));
-    println!("{problems} problems, {unknown} unknown of {}", findings.len());
-    Ok(())
+    say(format_args!("{problems} problems, {unknown} unknown of {}", findings.len()))
 }

@@ -7,33 +7,46 @@ use std::future::Future;
 use std::time::Duration;
 
 use axum::extract::rejection::JsonRejection;
-use axum::extract::{DefaultBodyLimit, Request, State};
-use axum::http::{HeaderMap, StatusCode, header};
+use axum::extract::{Request, State};
+use axum::http::{HeaderMap, HeaderName, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Json, Router};
 use tokio::net::TcpListener;
 
+use super::connections::Connections;
 use super::machine::Answer;
 use super::runs;
 use super::service::Service;
 use super::status::{HomeRequest, LastRun, MarkRequest, Refusal, Reply, StartRequest, Status, StopRequest};
+use crate::run::check_text;
 
-/// Longest request.
-const BODY_BYTES_MAX: usize = 64 * 1024;
-/// Longest name, note and so on \[bytes\].
-const TEXT_BYTES_MAX: usize = 4000;
 /// How long `stop` waits for the finished file.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(20);
+/// After an error of the listener, such as too many open files.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
-/// Serves until `end` comes, then finishes the requests that are being answered.
-pub async fn serve(
-    listener: TcpListener,
-    service: Service,
-    end: impl Future<Output = ()> + Send + 'static,
-) -> std::io::Result<()> {
-    axum::serve(listener, router(service)).with_graceful_shutdown(end).await
+/// Serves until `end` comes, then finishes the requests that are being answered, as far as their clients let it.
+pub async fn serve(listener: TcpListener, service: Service, end: impl Future<Output = ()>) {
+    let mut connections = Connections::new(router(service));
+    tokio::pin!(end);
+    loop {
+        tokio::select! {
+            () = &mut end => break,
+            accepted = listener.accept() => match accepted {
+                Ok((stream, _)) => connections.add(stream),
+                Err(error) => {
+                    tracing::warn!("a client cannot be served: {error}");
+                    tokio::time::sleep(ACCEPT_PAUSE).await;
+                }
+            },
+        }
+        // Requests that are there already are read before many new connections push theirs out.
+        tokio::task::yield_now().await;
+    }
+    drop(listener);
+    connections.finish().await;
 }
 
 /// All routes.
@@ -47,7 +60,6 @@ pub fn router(service: Service) -> Router {
         .route("/home", post(home))
         .route("/mark", post(mark))
         .fallback(|| async { refusal(StatusCode::NOT_FOUND, "no such path") })
-        .layer(DefaultBodyLimit::max(BODY_BYTES_MAX))
         .layer(middleware::from_fn(only_this_machine))
         .with_state(service)
 }
@@ -84,8 +96,8 @@ async fn start(State(service): State<Service>, body: Body<StartRequest>) -> Resp
         Err(rejection) => return rejected(&rejection),
     };
     let texts = [&request.operator, &request.robot, &request.note];
-    if texts.iter().any(|text| text.len() > TEXT_BYTES_MAX) {
-        return refusal(StatusCode::UNPROCESSABLE_ENTITY, "a text is longer than 4000 bytes; shorten it");
+    if let Err(problem) = texts.iter().try_for_each(|text| check_text(text)) {
+        return refusal(StatusCode::UNPROCESSABLE_ENTITY, problem);
     }
     let named = request.name.clone();
     match service.begin(request).await {
@@ -106,8 +118,8 @@ async fn stop(State(service): State<Service>, body: Body<StopRequest>) -> Respon
         Ok(Json(request)) => request.cause.unwrap_or_else(|| "stopped".into()),
         Err(rejection) => return rejected(&rejection),
     };
-    if cause.is_empty() || cause.len() > TEXT_BYTES_MAX {
-        return refusal(StatusCode::UNPROCESSABLE_ENTITY, "the cause must have 1 to 4000 bytes");
+    if let Err(problem) = some_text(&cause) {
+        return refusal(StatusCode::UNPROCESSABLE_ENTITY, problem);
     }
     match service.stop(cause).await {
         Ok(Answer::Stopping(run)) => match finished(&service, &run).await {
@@ -143,14 +155,18 @@ async fn mark(State(service): State<Service>, body: Body<MarkRequest>) -> Respon
         Ok(Json(MarkRequest { text })) => text,
         Err(rejection) => return rejected(&rejection),
     };
-    if text.is_empty() || text.len() > TEXT_BYTES_MAX {
-        return refusal(StatusCode::UNPROCESSABLE_ENTITY, "a marker must have 1 to 4000 bytes");
+    if let Err(problem) = some_text(&text) {
+        return refusal(StatusCode::UNPROCESSABLE_ENTITY, problem);
     }
     match service.mark(text).await {
         Ok(Some(run)) => reply("marked", Some(run), None),
         Ok(None) => refusal(StatusCode::CONFLICT, "no run goes on, so there is nothing to mark"),
         Err(Refusal { error }) => refusal(StatusCode::SERVICE_UNAVAILABLE, &error),
     }
+}
+
+fn some_text(text: &str) -> Result<(), &'static str> {
+    if text.is_empty() { Err("the text is empty; say something") } else { check_text(text) }
 }
 
 /// Waits until `run` is over.
@@ -171,13 +187,17 @@ async fn only_this_machine(request: Request, next: Next) -> Response {
 }
 
 fn is_local(headers: &HeaderMap) -> bool {
-    let text = |name| headers.get(name).map(|value: &header::HeaderValue| value.to_str().unwrap_or_default());
     let loopback = |authority: &str| {
         let host = authority.rsplit_once(':').map_or(authority, |(host, _)| host);
         ["127.0.0.1", "localhost", "[::1]"].contains(&host)
     };
-    text(header::HOST).is_some_and(loopback)
-        && text(header::ORIGIN).is_none_or(|origin| origin.strip_prefix("http://").is_some_and(loopback))
+    // What one reader takes from the first of two headers another takes from the last: none may be foreign.
+    let all = |name: HeaderName, is_ours: &dyn Fn(&str) -> bool| {
+        headers.get_all(name).iter().all(|value| value.to_str().is_ok_and(is_ours))
+    };
+    headers.contains_key(header::HOST)
+        && all(header::HOST, &loopback)
+        && all(header::ORIGIN, &|origin| origin.strip_prefix("http://").is_some_and(loopback))
 }
 
 fn reply(answer: &str, run: Option<String>, last: Option<LastRun>) -> Response {
@@ -188,6 +208,6 @@ fn rejected(rejection: &JsonRejection) -> Response {
     refusal(rejection.status(), &rejection.body_text())
 }
 
-fn refusal(status: StatusCode, error: &str) -> Response {
+pub(super) fn refusal(status: StatusCode, error: &str) -> Response {
     (status, Json(Refusal { error: error.into() })).into_response()
 }

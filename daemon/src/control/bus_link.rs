@@ -1,7 +1,7 @@
 //! The bus, or the attempt to bring it into operation.
 
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, channel};
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -10,15 +10,18 @@ use shared::recording::schema::flags;
 use super::machine::Event;
 use super::service::Connect;
 use crate::clock::Clock;
-use crate::run::{RunError, Session};
+use crate::run::{BUS_FLAGS, RunError, Session};
 
 /// Pauses between attempts to bring the bus up.
 const RETRY_FIRST: Duration = Duration::from_secs(1);
 const RETRY_LONGEST: Duration = Duration::from_secs(30);
-/// A bus that gave no sample for longer is in trouble: what works on it needs less for most faults.
-const TROUBLED_AFTER: Duration = Duration::from_secs(2);
-/// Reasons that stand for the bus itself, and not for one encoder or this PC.
-const BUS_FLAGS: u32 = flags::NO_REPLY | flags::WORKING_COUNTER | flags::NOT_OPERATIONAL | flags::BUS_DOWN;
+/// Without a cycle for longer the thread of the cycle is in trouble, or this PC.
+const CYCLE_AGE_MAX: Duration = Duration::from_secs(2);
+/// A bus or an encoder that gave nothing for as many cycles is in trouble: where one frame in a hundred is lost, so many
+/// in a row are once in a million cycles.
+const SILENT_CYCLES: u32 = 3;
+/// The same in time, for fast cycles: a device that was away for less is no news for people.
+const SILENT_MIN: Duration = Duration::from_millis(50);
 
 /// Keeps a bus in operation, and tells what becomes of it.
 pub(super) struct BusLink {
@@ -35,11 +38,10 @@ enum State {
         attempt: Receiver<Result<Session, RunError>>,
         pause: Duration,
     },
-    /// With the trouble that was told, while there is one.
+    /// With the trouble that was told and its begin, while there is one.
     Up {
         session: Box<Session>,
-        well_at: Instant,
-        trouble: Option<String>,
+        trouble: Option<(String, Instant)>,
     },
 }
 
@@ -68,22 +70,34 @@ impl BusLink {
                 self.try_to_connect(pause)
             }
             State::Connecting { attempt, pause } => {
-                let (outcome, pause) = (attempt.try_recv().ok()?, *pause);
-                Some(self.connected(outcome, pause))
+                let pause = *pause;
+                match attempt.try_recv() {
+                    Ok(outcome) => Some(self.connected(outcome, pause)),
+                    Err(TryRecvError::Empty) => None,
+                    Err(TryRecvError::Disconnected) => {
+                        let reason = "the thread that brings the bus up has ended; its cause is in the log";
+                        Some(self.failed(reason, pause))
+                    }
+                }
             }
             State::Up { session, .. } if !session.is_alive() => {
                 self.close();
                 Some(self.failed("the thread of the cycle has ended; its cause is in the log", RETRY_FIRST))
             }
-            State::Up { session, well_at, trouble } => {
+            State::Up { session, trouble } => {
                 let now = trouble_of(session);
-                if now.is_none() {
-                    *well_at = Instant::now();
-                }
-                if now == *trouble || (now.is_some() && well_at.elapsed() <= TROUBLED_AFTER) {
+                if now.as_deref() == trouble.as_ref().map(|(told, _)| told.as_str()) {
                     return None;
                 }
-                trouble.clone_from(&now);
+                let since = trouble.as_ref().map_or_else(Instant::now, |(_, since)| *since);
+                match (&now, &trouble) {
+                    (Some(reason), None) => tracing::warn!("bus: {reason}"),
+                    (None, _) => {
+                        tracing::info!("bus: whole again after {:.1} s", since.elapsed().as_secs_f64());
+                    }
+                    (Some(_), Some(_)) => {}
+                }
+                *trouble = now.clone().map(|reason| (reason, since));
                 Some(now.map_or(Event::BusUp, Event::BusTroubled))
             }
         }
@@ -120,7 +134,7 @@ impl BusLink {
             Ok(session) => {
                 session.log();
                 let session = Box::new(session);
-                self.state = State::Up { session, well_at: Instant::now(), trouble: None };
+                self.state = State::Up { session, trouble: None };
                 Event::BusUp
             }
             Err(error) => self.failed(&error.to_string(), pause),
@@ -138,11 +152,13 @@ impl BusLink {
 fn trouble_of(session: &Session) -> Option<String> {
     let live = session.live();
     let age = Clock::Real.now().ns_since(live.at());
-    if age > TROUBLED_AFTER.as_nanos() as i64 {
-        return Some(format!(
-            "no bus cycle for {:.1} s; its thread hangs or is not let run",
-            age as f64 * 1e-9
-        ));
+    if age > CYCLE_AGE_MAX.as_nanos() as i64 {
+        let age_s = age / 1_000_000_000;
+        return Some(format!("no bus cycle for {age_s} s; its thread hangs or is not let run"));
+    }
+    // Against the latest cycle: what holds up the cycles themselves is no fault of the bus.
+    if live.at().ns_since(live.whole_at()) <= silent_ns(session) {
+        return None;
     }
     let reasons = live.flags() & BUS_FLAGS;
     (reasons != 0).then(|| {
@@ -154,6 +170,27 @@ fn trouble_of(session: &Session) -> Option<String> {
             "{} ({}); it comes back by itself as soon as cable, power and every terminal are as they should be",
             silent_text(joints.zip(is_valid), session.outage()),
             names.join(", ")
+        )
+    })
+}
+
+fn silent_ns(session: &Session) -> i64 {
+    (session.period() * SILENT_CYCLES).max(SILENT_MIN).as_nanos() as i64
+}
+
+/// Which encoders give no valid sample although the bus is whole, and what to do.
+pub(super) fn silent_encoders(session: &Session) -> Option<String> {
+    let live = session.live();
+    let (at, silent_ns) = (live.at(), silent_ns(session));
+    let readings = session.encoders().iter().zip(live.encoders()).zip(live.valid_at());
+    let silent: Vec<_> = readings
+        .filter(|(_, valid_at)| at.ns_since(*valid_at) > silent_ns)
+        .map(|((info, encoder), _)| format!("joint {} (status {:#06x})", info.joint, encoder.status))
+        .collect();
+    (!silent.is_empty()).then(|| {
+        format!(
+            "no valid sample from {}; check the encoder's cable and plug, and its signal amplitude",
+            silent.join(", ")
         )
     })
 }

@@ -20,6 +20,8 @@ use crate::run::{self, ActiveRun, RunDetails, Stop};
 
 /// How often bus and recorder are looked at while nobody asks for anything.
 const POLL: Duration = Duration::from_millis(100);
+/// Why a run ends when this thread does.
+const CONTROL_DIED: &str = "full fault: the thread of the control has ended; its cause is in the log";
 /// Without anything new on disk for this long a run is not writing \[sync periods\].
 const STALLED_SYNC_PERIODS: i64 = 3;
 
@@ -31,6 +33,9 @@ pub(super) enum Command {
     Mark(String, oneshot::Sender<Option<String>>),
     Check(oneshot::Sender<Vec<CheckLine>>),
     Shutdown(String),
+    /// Takes the thread with it.
+    #[cfg(test)]
+    Panic,
 }
 
 /// Does what the machine decides.
@@ -76,12 +81,25 @@ impl Controller {
                     self.handle(Event::Shutdown("the service was dropped".into()));
                 }
             }
-            if let Some(event) = self.bus.look() {
-                self.handle(event);
-            }
+            self.look_at_bus();
             self.look_at_homing();
             self.look_at_run();
             self.publish();
+        }
+        self.bus.close();
+    }
+
+    /// After a panic of this thread: nothing is decided any more, but a run's file is finished and states the cause.
+    pub fn abandon(&mut self) {
+        self.status.send_modify(|status| {
+            (status.state, status.reason) = ("fault".into(), Some(CONTROL_DIED.into()));
+        });
+        if let Some(run) = self.run.take() {
+            run.stop.stop(CONTROL_DIED);
+            match run.join() {
+                Ok(summary) => tracing::info!(file = %summary.path.display(), "the run's file is finished"),
+                Err(error) => tracing::error!("recording failed: {error}"),
+            }
         }
         self.bus.close();
     }
@@ -90,6 +108,8 @@ impl Controller {
         // Whoever asked may have gone away meanwhile; what was asked is done all the same.
         match command {
             Command::Start(details, named, reply) => {
+                // A cable that was pulled since the last look is no bus to begin on.
+                self.look_at_bus();
                 self.wanted = *details;
                 if !named {
                     self.wanted.name = self.free_name();
@@ -121,6 +141,8 @@ impl Controller {
             Command::Shutdown(cause) => {
                 self.handle(Event::Shutdown(cause));
             }
+            #[cfg(test)]
+            Command::Panic => panic!("the test ends this thread"),
         }
     }
 
@@ -203,6 +225,12 @@ impl Controller {
         });
     }
 
+    fn look_at_bus(&mut self) {
+        if let Some(event) = self.bus.look() {
+            self.handle(event);
+        }
+    }
+
     fn look_at_homing(&mut self) {
         let Some(homing) = &mut self.homing else { return };
         if homing.look(&self.settings) {
@@ -250,7 +278,7 @@ impl Controller {
 
     /// A name of date and time that no file bears.
     fn free_name(&self) -> String {
-        let base = chrono::Local::now().format("%Y-%m-%d_%H-%M-%S").to_string();
+        let base = run::name_by_time();
         let taken = |name: &str| {
             let directory = &self.settings.daemon.directory;
             ["mcap", "mcap.active"].iter().any(|ending| directory.join(format!("{name}.{ending}")).exists())

@@ -1,10 +1,12 @@
 //! The acquisition service: keeps the bus in operation, starts and stops runs, homes the encoders, answers people.
 //!
 //! [`machine`] decides and does nothing; `controller` does and decides nothing, with `bus_link` and `homing`; `view` says
-//! what people see of it; [`service`] is the way to it from other threads, [`api`] the one over HTTP.
+//! what people see of it; [`service`] is the way to it from other threads, [`api`] the one over HTTP,
+//! whose `connections` are bounded in number and time.
 
 pub mod api;
 mod bus_link;
+mod connections;
 mod controller;
 pub mod homing;
 pub mod machine;

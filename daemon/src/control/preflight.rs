@@ -5,8 +5,8 @@ use nix::unistd::{AccessFlags, access};
 use super::runs;
 use super::status::{CheckLine, Status};
 use super::view::View;
-use crate::homing;
 use crate::run::Session;
+use crate::{homing, log};
 
 /// A live sample older than this is not live \[ms\].
 const SAMPLE_AGE_MS_MAX: i64 = 1000;
@@ -21,6 +21,7 @@ pub(super) fn check(view: &View<'_>, status: &Status) -> Vec<CheckLine> {
         realtime(view),
         clock(),
         leftovers(view),
+        log(),
     ]
 }
 
@@ -80,6 +81,10 @@ fn reference_marks(view: &View<'_>) -> CheckLine {
 
 fn disk(view: &View<'_>) -> CheckLine {
     const SUBJECT: &str = "disk";
+    if view.settings.daemon.directory.metadata().is_ok_and(|found| !found.is_dir()) {
+        let finding = format!("{} is no directory", view.settings.daemon.directory.display());
+        return problem(SUBJECT, finding, "move that file away, or correct `directory` in daemon.toml");
+    }
     let writable = access(&view.settings.daemon.directory, AccessFlags::W_OK).is_ok()
         || !view.settings.daemon.directory.exists();
     if !writable {
@@ -131,6 +136,18 @@ fn clock_is_synchronised() -> bool {
         libc::adjtimex(&raw mut query)
     };
     state >= 0 && state != libc::TIME_ERROR
+}
+
+fn log() -> CheckLine {
+    const SUBJECT: &str = "log";
+    match log::lines_lost() {
+        0 => good(SUBJECT, "every line was written"),
+        lost => problem(
+            SUBJECT,
+            format!("{lost} lines were lost: standard error did not take them"),
+            "see where it leads: a full disk, a closed terminal, a reader that does not read; the recording goes on",
+        ),
+    }
 }
 
 fn leftovers(view: &View<'_>) -> CheckLine {

@@ -1,6 +1,7 @@
 //! The service from outside: what can be asked of it. What it then does is the business of the
 //! [`controller`](super::controller).
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,6 +14,7 @@ use tokio::sync::{oneshot, watch};
 use super::controller::{Command, Controller};
 use super::machine::Answer;
 use super::status::{CheckLine, Refusal, StartRequest, Status};
+use crate::claim::Claim;
 use crate::run::{self, BusChoice, RunDetails, RunError, Session};
 use crate::segment::faults::FaultWindow;
 
@@ -32,7 +34,7 @@ pub struct Settings {
 }
 
 /// Brings the bus into operation; tried again and again until it is.
-pub(super) type Connect = dyn Fn() -> Result<Session, RunError> + Send + Sync;
+pub(crate) type Connect = dyn Fn() -> Result<Session, RunError> + Send + Sync;
 
 /// The way to the service's thread. Clones reach the same service.
 #[derive(Clone)]
@@ -40,27 +42,52 @@ pub struct Service {
     commands: Sender<Command>,
     status: watch::Receiver<Status>,
     settings: Arc<Settings>,
-    thread: Arc<Mutex<Option<thread::JoinHandle<()>>>>,
+    thread: Arc<Mutex<Option<thread::JoinHandle<bool>>>>,
+    _claim: Arc<Option<Claim>>,
 }
+
+/// Why the service cannot start.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// Another process records into its directory.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// The system refused its thread.
+    #[error("cannot start the service's thread: {0}")]
+    Thread(#[from] std::io::Error),
+}
+
+/// A thread of the service has died.
+#[derive(Debug, thiserror::Error)]
+#[error("a thread of the service has ended; its cause is in the log")]
+pub struct Died;
 
 impl Service {
     /// Starts the service: left-over runs are finished, the bus is brought up and kept up.
-    pub fn start(settings: Settings) -> std::io::Result<Self> {
+    pub fn start(settings: Settings) -> Result<Self, StartError> {
         let (bus, faults) = (settings.bus.clone(), settings.faults.clone());
         let (daemon, bar) = (settings.daemon.clone(), settings.bar.clone());
         Self::start_on(settings, Arc::new(move || run::open(&bus, &faults, &daemon, &bar)))
     }
 
     /// [`start`](Self::start) with another way to the bus.
-    pub(super) fn start_on(settings: Settings, connect: Arc<Connect>) -> std::io::Result<Self> {
+    pub(crate) fn start_on(settings: Settings, connect: Arc<Connect>) -> Result<Self, StartError> {
+        let claim = Arc::new(run::claim_directory(&settings.daemon.directory)?);
         run::finish_leftovers(&settings.daemon.directory);
         let settings = Arc::new(settings);
         let (commands, commands_rx) = channel();
         let (status_tx, status) = watch::channel(Status::default());
         let mut controller = Controller::new(Arc::clone(&settings), connect, status_tx);
-        let thread =
-            thread::Builder::new().name("control".into()).spawn(move || controller.run(&commands_rx))?;
-        Ok(Self { commands, status, settings, thread: Arc::new(Mutex::new(Some(thread))) })
+        let body = move || {
+            let is_well = catch_unwind(AssertUnwindSafe(|| controller.run(&commands_rx))).is_ok();
+            if !is_well {
+                controller.abandon();
+            }
+            is_well
+        };
+        let thread = thread::Builder::new().name("control".into()).spawn(body)?;
+        let thread = Arc::new(Mutex::new(Some(thread)));
+        Ok(Self { commands, status, settings, thread, _claim: claim })
     }
 
     /// What it is doing.
@@ -108,12 +135,23 @@ impl Service {
         let _ = self.commands.send(Command::Shutdown(cause.to_owned()));
     }
 
-    /// Waits for the end of the service.
-    pub fn join(&self) {
+    /// Waits for the end of the service; its file is finished then, also where its thread died.
+    pub fn join(&self) -> Result<(), Died> {
         let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
-        if thread.is_some_and(|thread| thread.join().is_err()) {
-            tracing::error!("the service's thread panicked");
-        }
+        let is_well = thread.is_none_or(|thread| thread.join().unwrap_or(false));
+        if is_well { Ok(()) } else { Err(Died) }
+    }
+
+    /// Returns when the service has ended, for whatever reason.
+    pub async fn ended(&self) {
+        // Never true: it returns when nobody is left who could say anything.
+        let _ = self.watch().wait_for(|_| false).await;
+    }
+
+    /// Ends the thread of the control.
+    #[cfg(test)]
+    pub(crate) fn kill_control(&self) {
+        let _ = self.commands.send(Command::Panic);
     }
 
     async fn ask<T>(&self, command: impl FnOnce(oneshot::Sender<T>) -> Command) -> Result<T, Refusal> {
@@ -124,13 +162,22 @@ impl Service {
     }
 }
 
+/// Longer is a slip of the finger.
+const DURATION_MAX: Duration = Duration::from_secs(366 * 86_400);
+
 fn details(request: StartRequest, daemon: &DaemonConfig) -> Result<RunDetails, Refusal> {
     let duration = request
         .duration_s
         .map(|seconds| {
-            Duration::try_from_secs_f64(seconds).ok().filter(|duration| *duration >= daemon.cycle_period()).ok_or(
-                Refusal { error: format!("duration of {seconds} s: must be at least one cycle; leave it out to record until stopped") },
-            )
+            let possible = daemon.cycle_period()..=DURATION_MAX;
+            Duration::try_from_secs_f64(seconds).ok().filter(|duration| possible.contains(duration)).ok_or_else(|| {
+                let cycle_s = daemon.cycle_period().as_secs_f64();
+                let error = format!(
+                    "duration of {seconds:?} s: must be one cycle ({cycle_s} s) to a year; leave it out to record until \
+                     stopped"
+                );
+                Refusal { error }
+            })
         })
         .transpose()?;
     Ok(RunDetails {
@@ -144,7 +191,7 @@ fn details(request: StartRequest, daemon: &DaemonConfig) -> Result<RunDetails, R
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use std::io;
     use std::path::Path;
     use std::sync::atomic::{AtomicBool, Ordering};
@@ -189,16 +236,23 @@ mod tests {
         }
     }
 
-    #[test]
-    fn a_cycle_thread_that_dies_leaves_a_finished_file_with_the_cause_and_is_replaced() {
-        let directory = tempfile::tempdir().unwrap();
+    /// A service on the simulated bus in `directory`; what is stored into the flag ends the thread of the cycle.
+    pub(crate) fn simulated(directory: &Path) -> (Service, Arc<AtomicBool>) {
+        simulated_after(directory, || {})
+    }
+
+    fn simulated_after(
+        directory: &Path,
+        first: impl Fn() + Send + Sync + 'static,
+    ) -> (Service, Arc<AtomicBool>) {
         let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
         let daemon: DaemonConfig = config::load(&shipped.join("daemon.toml")).unwrap();
-        let daemon = DaemonConfig { directory: directory.path().to_owned(), ..daemon };
+        let daemon = DaemonConfig { directory: directory.to_owned(), ..daemon };
         let bar: BallBarConfig = config::load(&shipped.join("ball_bar.toml")).unwrap();
         let deadly = Arc::new(AtomicBool::new(false));
         let (armed, on_daemon, on_bar) = (Arc::clone(&deadly), daemon.clone(), bar.clone());
         let connect = move || {
+            first();
             let motion = SmoothMotion::new(on_bar.encoders.len(), 3600, 1);
             let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(motion));
             let wire = Deadly(InProcessWire::new(segment, Clock::Real), Arc::clone(&armed));
@@ -209,17 +263,25 @@ mod tests {
             faults: Vec::new(),
             daemon,
             bar,
-            homing_file: directory.path().join("homing.toml"),
+            homing_file: directory.join("homing.toml"),
         };
-        let service = Service::start_on(settings, Arc::new(connect)).unwrap();
+        (Service::start_on(settings, Arc::new(connect)).unwrap(), deadly)
+    }
+
+    /// Begins a run and waits until it is being written.
+    pub(crate) fn record(service: &Service, name: &str) {
+        wait_until(service, "the bus", |status| status.state == "waiting");
         let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
-        let start = |name: &str| {
-            let request = StartRequest { name: Some(name.into()), ..StartRequest::default() };
-            assert_eq!(runtime.block_on(service.begin(request)).unwrap(), Answer::Beginning);
-        };
-        wait_until(&service, "the bus", |status| status.state == "waiting");
-        start("cut");
-        wait_until(&service, "writing", |status| status.state == "writing");
+        let request = StartRequest { name: Some(name.into()), ..StartRequest::default() };
+        assert_eq!(runtime.block_on(service.begin(request)).unwrap(), Answer::Beginning);
+        wait_until(service, "writing", |status| status.state == "writing");
+    }
+
+    #[test]
+    fn a_cycle_thread_that_dies_leaves_a_finished_file_with_the_cause_and_is_replaced() {
+        let directory = tempfile::tempdir().unwrap();
+        let (service, deadly) = simulated(directory.path());
+        record(&service, "cut");
         deadly.store(true, Ordering::Release);
         let fault = wait_until(&service, "the fault", |status| status.last.is_some());
         let last = fault.last.unwrap();
@@ -229,11 +291,36 @@ mod tests {
         assert!(recording.cycles.len() > 50);
         assert_eq!(fault.state, "fault");
         deadly.store(false, Ordering::Release);
-        wait_until(&service, "the bus again", |status| status.state == "waiting");
-        start("next");
-        wait_until(&service, "writing again", |status| status.state == "writing");
+        record(&service, "next");
         service.shutdown("test over");
-        service.join();
+        service.join().unwrap();
         assert!(directory.path().join("next.mcap").exists());
+    }
+
+    #[test]
+    fn a_control_thread_that_dies_leaves_a_finished_file_with_the_cause_and_ends_the_service() {
+        let directory = tempfile::tempdir().unwrap();
+        let (service, _) = simulated(directory.path());
+        record(&service, "cut");
+        service.kill_control();
+        assert!(service.join().is_err());
+        assert_eq!(service.status().state, "fault");
+        let recording = Recording::open(&directory.path().join("cut.mcap")).unwrap();
+        assert!(recording.end.cause.contains("thread of the control"), "{}", recording.end.cause);
+        assert!(recording.cycles.len() > 50 && !recording.end.recovered);
+    }
+
+    #[test]
+    fn a_thread_that_dies_bringing_the_bus_up_is_followed_by_another() {
+        let directory = tempfile::tempdir().unwrap();
+        let died = AtomicBool::new(false);
+        let first = move || assert!(died.swap(true, Ordering::AcqRel), "the test ends this thread");
+        let (service, _) = simulated_after(directory.path(), first);
+        wait_until(&service, "the fault", |status| {
+            status.reason.as_ref().is_some_and(|reason| reason.contains("the thread that brings the bus up"))
+        });
+        record(&service, "next");
+        service.shutdown("test over");
+        service.join().unwrap();
     }
 }

@@ -9,8 +9,8 @@ use shared::time::UtcNs;
 pub struct Status {
     /// `fault`, `waiting`, `homing`, `opening`, `sampling`, `writing` or `closing`.
     pub state: String,
-    /// Why nothing can be recorded, in a fault; why the run ends, when closing; what is wrong with the bus, while a run
-    /// goes on.
+    /// Why nothing can be recorded, in a fault; why the run ends, when closing; else what is wrong with the bus or an
+    /// encoder.
     pub reason: Option<String>,
     /// The run that goes on.
     pub run: Option<RunStatus>,

@@ -2,6 +2,7 @@
 
 use shared::time::MonoNs;
 
+use super::bus_link::silent_encoders;
 use super::homing::Homing;
 use super::machine::{Machine, State};
 use super::service::Settings;
@@ -38,8 +39,11 @@ impl View<'_> {
         };
         let mut status = Status {
             state: state.into(),
-            // A run goes on while its bus is brought back, and whoever looks should know.
-            reason: reason.or(self.machine.bus_fault()).map(str::to_owned),
+            // A run goes on while its bus is brought back or an encoder is silent, and whoever looks should know.
+            reason: reason
+                .or(self.machine.bus_fault())
+                .map(str::to_owned)
+                .or_else(|| self.session.and_then(silent_encoders)),
             run: self.run_status(),
             last: self.last.cloned(),
             homing: self.homing.map(|homing| homing.status().clone()),

@@ -8,6 +8,7 @@ use shared::encoder::Direction;
 
 use super::Stop;
 use super::progress::Live;
+use crate::claim;
 use crate::cycle::Acquisition;
 use crate::homing::{self, Found, HomingError, HomingStep};
 use crate::segment::simulated::Hand;
@@ -76,6 +77,7 @@ impl ActiveHoming {
         match self.told.try_recv() {
             Ok(Told::Step(step)) => return Some(step),
             Ok(Told::Over(outcome)) => {
+                claim::tell("between runs");
                 self.outcome = Some(outcome);
                 self.is_over = true;
             }

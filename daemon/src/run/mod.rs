@@ -21,11 +21,12 @@ use shared::recording::{Leftover, ReadError, Recovery, WriteError, recover_lefto
 
 pub use disk::DiskFloor;
 pub use homing::ActiveHoming;
-pub use progress::{Live, LiveEncoder, Progress, Synced};
+pub use progress::{BUS_FLAGS, Live, LiveEncoder, Progress, Synced};
 pub use session::{ActiveRun, Session};
 pub use stop::Stop;
 
 use crate::bus::BusError;
+use crate::claim::{Claim, Holder};
 use crate::recorder::RunSummary;
 use crate::segment::OpenError;
 use crate::segment::faults::FaultWindow;
@@ -90,6 +91,32 @@ pub struct RunDetails {
     pub homing: Option<HomingConfig>,
 }
 
+impl RunDetails {
+    /// Refuses texts that would play with the terminals of those who read them.
+    pub fn check(&self) -> Result<(), &'static str> {
+        [&self.operator, &self.robot, &self.note].into_iter().try_for_each(|text| check_text(text))
+    }
+}
+
+/// A run's name where nobody chose one: the date and time of this place.
+pub fn name_by_time() -> String {
+    chrono::Local::now().format("%Y-%m-%d_%H-%M-%S").to_string()
+}
+
+/// Longest name, note and so on \[bytes\].
+const TEXT_BYTES_MAX: usize = 4000;
+
+/// Text that people give with a run: no longer than anybody reads, and nothing but text.
+pub fn check_text(text: &str) -> Result<(), &'static str> {
+    if text.len() > TEXT_BYTES_MAX {
+        return Err("a text is longer than 4000 bytes; shorten it");
+    }
+    if text.chars().any(|c| c.is_control() && c != '\n' && c != '\t') {
+        return Err("a text has control characters; leave them out");
+    }
+    Ok(())
+}
+
 impl RunRequest {
     fn details(&self) -> RunDetails {
         RunDetails {
@@ -129,6 +156,14 @@ pub enum RunError {
     /// The recording cannot be written.
     #[error(transparent)]
     Write(#[from] WriteError),
+    /// Another process records into the directory.
+    #[error("{} is in use by {holder}; stop that, or choose another directory", directory.display())]
+    InUse {
+        /// The directory.
+        directory: PathBuf,
+        /// Who has it.
+        holder: Holder,
+    },
     /// The disk is too full to begin.
     #[error("{0}")]
     Disk(String),
@@ -158,7 +193,10 @@ impl RunError {
     fn may_pass(&self) -> bool {
         matches!(
             self,
-            Self::Bus(_) | Self::Open(OpenError::NoSuchInterface { .. } | OpenError::System { .. })
+            Self::Bus(_)
+                | Self::Open(
+                    OpenError::NoSuchInterface { .. } | OpenError::InUse { .. } | OpenError::System { .. }
+                )
         )
     }
 }
@@ -192,6 +230,7 @@ pub fn record(
     stop: &Stop,
 ) -> Result<RunSummary, RunError> {
     source::check(request)?;
+    let _claim = claim_directory(&daemon.directory)?;
     finish_leftovers(&daemon.directory);
     let session = connect(request, daemon, bar, stop)?;
     session.log();
@@ -228,6 +267,15 @@ fn connect(
             thread::sleep(STOP_PERIOD);
         }
     }
+}
+
+/// Keeps other processes from recording into `directory`, which is made where it is missing. One that cannot be made
+/// is not claimed: whoever records into it is told why it cannot.
+pub(crate) fn claim_directory(directory: &Path) -> Result<Option<Claim>, RunError> {
+    if std::fs::create_dir_all(directory).is_err() {
+        return Ok(None);
+    }
+    Claim::directory(directory).map_err(|holder| RunError::InUse { directory: directory.to_owned(), holder })
 }
 
 /// Makes finished recordings of what earlier crashes left in `directory`, and says so in the log.

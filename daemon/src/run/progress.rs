@@ -68,10 +68,18 @@ impl Progress {
     }
 }
 
+/// Reasons that stand for the bus itself, and not for one encoder or this PC.
+pub const BUS_FLAGS: u32 =
+    flags::NO_REPLY | flags::WORKING_COUNTER | flags::NOT_OPERATIONAL | flags::BUS_DOWN;
+
 /// The latest sample of each encoder, for people. Each encoder is consistent in itself, not with the others.
 #[derive(Debug, Default)]
 pub struct Live {
     at_ns: AtomicI64,
+    /// Of the latest cycle without any of [`BUS_FLAGS`].
+    whole_at_ns: AtomicI64,
+    /// Of the latest valid sample of each encoder.
+    valid_at_ns: [AtomicI64; MAX_ENCODERS],
     flags: AtomicU64,
     encoders: [AtomicU64; MAX_ENCODERS],
     latches: [AtomicU32; MAX_ENCODERS],
@@ -99,6 +107,14 @@ impl Live {
                 | u64::from(encoder.status) << 32
                 | u64::from(u8::from(encoder.valid)) << 48;
             place.store(packed, Ordering::Relaxed);
+        }
+        for (place, encoder) in self.valid_at_ns.iter().zip(record.encoders()) {
+            if encoder.valid {
+                place.store(record.send_time.0, Ordering::Relaxed);
+            }
+        }
+        if record.flags & BUS_FLAGS == 0 {
+            self.whole_at_ns.store(record.send_time.0, Ordering::Relaxed);
         }
         if record.is_valid() {
             for (place, encoder) in self.latches.iter().zip(record.encoders()) {
@@ -136,6 +152,16 @@ impl Live {
     /// When the latest cycle was, 0 before the first.
     pub fn at(&self) -> MonoNs {
         MonoNs(self.at_ns.load(Ordering::Acquire))
+    }
+
+    /// When the latest cycle was that the whole bus answered, 0 before the first.
+    pub fn whole_at(&self) -> MonoNs {
+        MonoNs(self.whole_at_ns.load(Ordering::Relaxed))
+    }
+
+    /// When each encoder gave its latest valid sample, 0 before the first, in bus order.
+    pub fn valid_at(&self) -> [MonoNs; MAX_ENCODERS] {
+        std::array::from_fn(|index| MonoNs(self.valid_at_ns[index].load(Ordering::Relaxed)))
     }
 
     /// What the terminals' latches showed in the latest cycle in which every encoder was valid, in bus order.

@@ -18,6 +18,7 @@ use super::progress::{Live, Progress};
 use super::source::Prepared;
 use super::{RunDetails, RunError, Stop};
 use crate::bus::BusError;
+use crate::claim;
 use crate::clock::Clock;
 use crate::cycle::RealtimeRequest;
 use crate::recorder::{self, Recorder, RunLink, RunSummary};
@@ -92,8 +93,11 @@ impl Session {
         if let Some(problem) = floor.problem() {
             return Err(RunError::Disk(problem));
         }
+        details.check().map_err(RunError::Request)?;
         let metadata = self.metadata(details);
-        let writer = RecordingWriter::<RunFile>::create(&self.daemon.directory, &metadata)?;
+        claim::tell(format!("recording run `{}`", details.name));
+        let writer = RecordingWriter::<RunFile>::create(&self.daemon.directory, &metadata)
+            .inspect_err(|_| claim::tell("between runs"))?;
         let (sink, ring) = recorder::ring(self.daemon.ring_cycles(self.period), &self.clock);
         let (marks, marks_rx) = channel();
         let progress = Arc::new(Progress::default());
@@ -127,6 +131,7 @@ impl Session {
 
     /// Begins to look for the encoders' reference marks, while a person turns one joint at a time.
     pub fn begin_homing(&self) -> ActiveHoming {
+        claim::tell("homing the encoders");
         let (job, active) = homing::begin();
         // If the cycle has died the homing is over at once.
         let _ = self.jobs.send(Job::Home(job));
@@ -202,7 +207,7 @@ impl Session {
     }
 
     fn cycles_of_time(&self, time: Duration) -> u64 {
-        (time.as_nanos() / self.period.as_nanos().max(1)) as u64
+        u64::try_from(time.as_nanos() / self.period.as_nanos().max(1)).unwrap_or(u64::MAX)
     }
 
     fn cycles_of(&self, duration: Option<Duration>) -> Option<u64> {
@@ -251,7 +256,9 @@ impl ActiveRun {
     /// Waits for the finished file.
     pub fn join(self) -> Result<RunSummary, RunError> {
         drop(self.marks);
-        join(self.recorder)?
+        let outcome = join(self.recorder);
+        claim::tell("between runs");
+        outcome?
     }
 }
 

@@ -11,6 +11,7 @@ use nix::sys::time::TimeSpec;
 use shared::time::{MonoNs, NS_PER_S};
 
 use super::{FRAME_BYTES_MAX, Wire};
+use crate::claim::{Claim, Holder};
 use crate::clock::Clock;
 
 /// EtherType of EtherCAT (IEEE, ETG.1000.4).
@@ -39,6 +40,14 @@ pub enum OpenError {
         /// The interface.
         name: String,
     },
+    /// Another `ballbard` has it; two MainDevices on one segment ruin both runs.
+    #[error("network interface `{name}` is in use by {holder}; stop that, or choose another interface")]
+    InUse {
+        /// The interface.
+        name: String,
+        /// Who has it.
+        holder: Holder,
+    },
     /// Anything else that the system says.
     #[error("cannot open network interface `{name}`: {source}; is it up (`ip link set {name} up`)?")]
     System {
@@ -55,6 +64,7 @@ pub struct EthernetWire {
     name: String,
     socket: OwnedFd,
     clock: Clock,
+    _claim: Option<Claim>,
     /// Since when the interface has been gone, or the last time that it was looked for.
     gone_since: Option<MonoNs>,
 }
@@ -63,7 +73,9 @@ impl EthernetWire {
     /// Opens an interface by name. Frames then live on real time.
     pub fn open(name: &str) -> Result<Self, OpenError> {
         let socket = open_socket(name)?;
-        Ok(Self { name: name.to_owned(), socket, clock: Clock::Real, gone_since: None })
+        let claim =
+            Claim::interface(name).map_err(|holder| OpenError::InUse { name: name.to_owned(), holder })?;
+        Ok(Self { name: name.to_owned(), socket, clock: Clock::Real, _claim: claim, gone_since: None })
     }
 
     /// After an interface was unplugged and is back under its name, the old socket belongs to nothing. Looked for not
@@ -190,7 +202,7 @@ mod tests {
         let heard = |socket: OwnedFd, name: &str| {
             let clock = Clock::Real;
             let until = clock.now().plus_ns(NS_PER_S / 2);
-            let mut wire = EthernetWire { name: name.into(), socket, clock, gone_since: None };
+            let mut wire = EthernetWire { name: name.into(), socket, clock, _claim: None, gone_since: None };
             let mut buffer = [0; FRAME_BYTES_MAX];
             // Other tests of this machine may send, too.
             std::iter::from_fn(|| {

@@ -147,7 +147,9 @@ fn a_short_fault_leaves_the_run_as_it_is_and_the_status_says_so() {
     let service = Running::with(tempfile::tempdir().unwrap(), &shipped(), &faults);
     service.wait_for("waiting");
     service.granted("start", &json!({"name": "short"}));
-    let troubled = service.wait_until("trouble", |status| status.reason.is_some());
+    let troubled = service.wait_until("trouble and its place", |status| {
+        status.reason.as_ref().is_some_and(|reason| reason.contains("bus position 3"))
+    });
     assert!(troubled.state == "writing" || troubled.state == "sampling", "{troubled:?}");
     // What is before the missing terminals stays in use.
     let valid: Vec<bool> = troubled.encoders.iter().map(|encoder| encoder.valid).collect();

@@ -1,8 +1,11 @@
 //! The service over loopback: idempotent, one run at a time, deaf to nonsense, and always a closed file.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+mod clients;
 mod ends;
 mod homing;
+mod outputs;
 mod requests;
 mod rig;
 mod runs;
+mod truth;

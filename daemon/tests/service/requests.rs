@@ -13,8 +13,22 @@ use super::rig::Running;
 fn hostile_requests_are_refused_and_leave_nothing() {
     let service = Running::start();
     service.wait_for("waiting");
-    let names = ["../up", "a/b", "/etc/passwd", ".hidden", "a\u{0}b", "a b", "%2e%2e", "", "..", "\u{202e}x"];
-    for name in names.iter().map(|name| (*name).to_owned()).chain(["x".repeat(201), "x".repeat(60_000)]) {
+    let names = [
+        "../up",
+        "a/b",
+        "/etc/passwd",
+        ".hidden",
+        "a\u{0}b",
+        "a b",
+        "%2e%2e",
+        "",
+        "..",
+        "\u{202e}x",
+        "-x",
+        "a.mcap.active",
+        "a.mcap",
+    ];
+    for name in names.iter().map(|name| (*name).to_owned()).chain(["x".repeat(121), "x".repeat(60_000)]) {
         let (status, reply) = service.post("start", &json!({"name": name}));
         assert_eq!(status, 409, "{name}: {reply}");
         assert!(reply["error"].as_str().unwrap().contains("run name"), "{reply}");
@@ -23,7 +37,9 @@ fn hostile_requests_are_refused_and_leave_nothing() {
         json!({"name": 5}),
         json!({"nmae": "x"}),
         json!({"duration_s": -1}),
-        json!({"duration_s": 1e300}),
+        json!({"duration_s": 1e308}),
+        json!({"duration_s": 1e9}),
+        json!({"note": "\u{1b}[2J"}),
         json!({"duration_s": 0.0}),
         json!({"note": "x".repeat(5000)}),
         json!([1]),
@@ -33,7 +49,12 @@ fn hostile_requests_are_refused_and_leave_nothing() {
         assert_eq!(status, 422, "{body}: {reply}");
         assert!(!reply["error"].as_str().unwrap().is_empty());
     }
-    for (path, body) in [("mark", json!({"text": ""})), ("mark", json!({})), ("stop", json!({"cause": ""}))] {
+    for (path, body) in [
+        ("mark", json!({"text": ""})),
+        ("mark", json!({})),
+        ("stop", json!({"cause": ""})),
+        ("stop", json!({"cause": "\u{1b}]0;x\u{7}"})),
+    ] {
         assert_eq!(service.post(path, &body).0, 422);
     }
     assert_eq!(service.post("mark", &json!({"text": "x"})).0, 409);
@@ -72,6 +93,11 @@ fn what_a_foreign_web_page_could_send_is_refused() {
         format!("Host: 127.0.0.1:{port}\r\nOrigin: http://evil.example\r\n{json}"),
         format!("Host: 127.0.0.1.evil.example\r\n{json}"),
         format!("Host: 127.0.0.1:{port}\r\nOrigin: null\r\n{json}"),
+        // What stands behind one of ours counts, too.
+        format!("Host: 127.0.0.1:{port}\r\nHost: evil.example\r\n{json}"),
+        format!(
+            "Host: 127.0.0.1:{port}\r\nOrigin: http://127.0.0.1:{port}\r\nOrigin: http://evil.example\r\n{json}"
+        ),
     ] {
         let answer = raw_post(port, &headers, "{}");
         assert!(answer.contains("403"), "{headers}: {answer}");

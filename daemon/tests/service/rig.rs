@@ -2,7 +2,7 @@
 
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use ballbard::control::status::{Reply, Status};
@@ -31,14 +31,25 @@ impl Running {
 
     /// With further arguments.
     pub fn with(directory: tempfile::TempDir, config: &Path, arguments: &[&str]) -> Self {
+        Self::logging_to(Stdio::null(), directory, config, arguments)
+    }
+
+    /// With its log where it may fail.
+    pub fn logging_to(
+        stderr: Stdio,
+        directory: tempfile::TempDir,
+        config: &Path,
+        arguments: &[&str],
+    ) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_ballbard"))
-            .env("RUST_LOG", "off")
+            .env_remove("RUST_LOG")
             .args(["run", "--port", "0", "--config"])
             .arg(config)
             .arg("--out")
             .arg(directory.path())
             .args(arguments)
             .stdout(Stdio::piped())
+            .stderr(stderr)
             .spawn()
             .unwrap();
         let mut line = String::new();
@@ -92,6 +103,18 @@ impl Running {
     pub fn signal(&self, signal: nix::sys::signal::Signal) {
         let pid = nix::unistd::Pid::from_raw(i32::try_from(self.child.id()).unwrap());
         nix::sys::signal::kill(pid, signal).unwrap();
+    }
+
+    /// Waits for the end of its process, which must come by itself.
+    pub fn ended(&mut self, within: Duration) -> ExitStatus {
+        let begun = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                return status;
+            }
+            assert!(begun.elapsed() < within, "the service is still there after {within:?}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
     }
 
     pub fn recording(&self, name: &str) -> Recording {

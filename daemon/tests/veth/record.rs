@@ -44,6 +44,29 @@ fn a_run_over_a_raw_socket_is_complete() {
 
 #[test]
 #[ignore = "needs root and iproute2 for a network namespace"]
+fn a_second_master_on_an_interface_is_told_who_has_it_and_ruins_nothing() {
+    let namespace = Namespace::new("second");
+    let _segment = serve_segment(&namespace, &[]);
+    let out = tempfile::tempdir().unwrap();
+    let first = record(&namespace, out.path(), "5s").stderr(Stdio::null()).spawn().unwrap();
+    while !out.path().join("veth.mcap.active").exists() {
+        thread::sleep(Duration::from_millis(20));
+    }
+    let elsewhere = tempfile::tempdir().unwrap();
+    let second = record(&namespace, elsewhere.path(), "1s").output().unwrap();
+    assert!(!second.status.success());
+    let told = String::from_utf8_lossy(&second.stderr);
+    let holder =
+        format!("`near` is in use by process {} (`ballbard record`, recording run `veth`)", first.id());
+    assert!(told.contains(&holder), "{told}");
+    assert!(first.wait_with_output().unwrap().status.success());
+    let recording = Recording::open(&out.path().join("veth.mcap")).unwrap();
+    let valid = recording.cycles.iter().filter(|cycle| cycle.is_valid()).count();
+    assert!(valid >= 250, "{valid} of {} cycles valid", recording.cycles.len());
+}
+
+#[test]
+#[ignore = "needs root and iproute2 for a network namespace"]
 fn an_interface_that_is_unplugged_and_plugged_in_again_is_found_again() {
     let namespace = Namespace::new("unplugged");
     let _segment = serve_segment(&namespace, &[]);

@@ -21,7 +21,7 @@ pub struct RealtimeConfig {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct DaemonConfig {
-    /// Cycles per second \[Hz\].
+    /// Cycles per second, 10 or more: a terminal gives up before the first SYNC0 of a slower bus \[Hz\].
     pub rate_hz: u32,
     /// Sample on SYNC0 of the distributed clocks: one instant for all encoders, known to microseconds.
     pub distributed_clocks: bool,
@@ -106,7 +106,7 @@ impl Validate for DaemonConfig {
     fn validate(&self) -> Result<(), Violation> {
         let period_us = 1_000_000 / self.rate_hz.max(1);
         let ranges = [
-            ("rate_hz", i64::from(self.rate_hz), 1, 1000, "100 is usual; an EL5021 on DC does up to 1000"),
+            ("rate_hz", i64::from(self.rate_hz), 10, 1000, "100 is usual; an EL5021 on DC does 10 to 1000"),
             (
                 "reply_timeout_us",
                 self.reply_timeout().as_micros() as i64,
@@ -134,15 +134,21 @@ mod tests {
 
     #[test]
     fn any_rate_up_to_1_khz_is_valid_by_itself_and_its_ring_holds_a_minute() {
-        for rate_hz in [1, 3, 100, 250, 333, 1000] {
+        for rate_hz in [10, 30, 100, 250, 333, 1000] {
             let config = DaemonConfig { rate_hz, ..DaemonConfig::default() };
             assert_eq!(config.validate(), Ok(()), "{rate_hz} Hz");
             assert!(config.reply_timeout() < config.cycle_period() / 2);
             assert!(config.ring_cycles(config.cycle_period()) >= 60 * rate_hz as usize);
         }
-        for rate_hz in [0, 1001] {
+        for rate_hz in [0, 3, 9, 1001] {
             assert!(DaemonConfig { rate_hz, ..DaemonConfig::default() }.validate().is_err());
         }
+    }
+
+    #[test]
+    fn the_shipped_file_has_the_defaults() {
+        let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/daemon.toml");
+        assert_eq!(super::super::load::<DaemonConfig>(&file).unwrap(), DaemonConfig::default());
     }
 
     #[test]

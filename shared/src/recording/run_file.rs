@@ -17,6 +17,9 @@ pub const ACTIVE_ENDING: &str = "mcap.active";
 /// Ending of the original of a recovered recording, kept where a part of it could not be read.
 pub const TORN_ENDING: &str = "mcap.torn";
 
+/// Longest name: with the longest ending it fits into the 143 bytes that encrypted file systems leave of 255.
+const NAME_BYTES_MAX: usize = 120;
+
 /// A run's file on disk, `.mcap.active` until it is finished. Whoever has one holds the lock on the file, which
 /// ends with the process however it ends: a file without the lock has been left behind.
 #[derive(Debug)]
@@ -55,10 +58,18 @@ impl RunFile {
     }
 }
 
-/// Refuses names that are not plain file names.
+/// Refuses names that are not plain file names, that a command would take for an option, or that say what state a
+/// file is in.
 fn check_name(name: &str) -> Result<(), WriteError> {
     let plain = |c: char| c.is_alphanumeric() || "-_.+".contains(c);
-    if name.is_empty() || name.starts_with('.') || name.len() > 200 || !name.chars().all(plain) {
+    let endings = [FINISHED_ENDING, "active", "torn", "recovering"];
+    let has_ending = endings.iter().any(|ending| name.split('.').skip(1).any(|part| part == *ending));
+    if name.is_empty()
+        || name.starts_with(['.', '-'])
+        || name.len() > NAME_BYTES_MAX
+        || has_ending
+        || !name.chars().all(plain)
+    {
         return Err(WriteError::Name(name.to_owned()));
     }
     Ok(())

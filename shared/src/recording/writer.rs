@@ -22,7 +22,10 @@ use crate::time::UtcNs;
 #[derive(Debug, thiserror::Error)]
 pub enum WriteError {
     /// The run's name would not be a plain file name.
-    #[error("run name `{0}` is not usable as a file name; use letters, digits, `-`, `_` and `.`")]
+    #[error(
+        "run name `{0}` is not usable as a file name; use up to 120 bytes of letters, digits, `-`, `_`, `+` and `.`, \
+         neither `.` nor `-` first, and no ending such as .mcap"
+    )]
     Name(String),
     /// A file of that name is there already.
     #[error("{} exists already and is never overwritten; choose another run name or directory", .0.display())]

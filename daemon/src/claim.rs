@@ -1,0 +1,159 @@
+//! Who has an interface or a directory: one process at a time, and whoever comes second is told which and what it does.
+//!
+//! A claim is a listening socket in the kernel's abstract namespace. It needs no file that every user may write, ends
+//! with its process however that ends, and lets others ask the holder. It reaches as far as interface names do: the
+//! network namespace. It is advisory: a MainDevice of another make knows nothing of it.
+
+use std::fmt;
+use std::io::{self, ErrorKind, Read, Write};
+use std::os::fd::AsRawFd;
+use std::os::linux::fs::MetadataExt;
+use std::os::linux::net::SocketAddrExt;
+use std::os::unix::net::{SocketAddr, UnixListener, UnixStream};
+use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+use std::time::Duration;
+
+use nix::sys::socket::{Shutdown, getsockopt, shutdown, sockopt::PeerCredentials};
+
+/// How long a holder may take to say what it does.
+const ANSWER_TIMEOUT: Duration = Duration::from_millis(500);
+/// Longest answer that is listened to \[bytes\].
+const ANSWER_BYTES_MAX: u64 = 300;
+/// A holder that ends while it is asked leaves the claim to who asked.
+const ATTEMPTS: usize = 3;
+
+static DOING: Mutex<String> = Mutex::new(String::new());
+
+/// What others are told that this process does: "records run `x`".
+pub fn tell(doing: impl Into<String>) {
+    *DOING.lock().unwrap_or_else(PoisonError::into_inner) = doing.into();
+}
+
+fn doing() -> String {
+    let doing = DOING.lock().unwrap_or_else(PoisonError::into_inner).clone();
+    let command = std::env::args().nth(1).unwrap_or_default();
+    format!("`ballbard {command}`, {}", if doing.is_empty() { "between runs" } else { &doing })
+}
+
+/// Who has what was claimed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Holder {
+    /// Process; none where it is in another container.
+    pub pid: Option<i32>,
+    /// What it says of itself.
+    pub doing: String,
+}
+
+impl fmt::Display for Holder {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.pid {
+            Some(pid) => write!(formatter, "process {pid} ({})", self.doing),
+            None => write!(formatter, "a process of another container ({})", self.doing),
+        }
+    }
+}
+
+/// Holds something for this process until it is dropped.
+#[derive(Debug)]
+pub struct Claim {
+    listener: Arc<UnixListener>,
+    answering: Option<thread::JoinHandle<()>>,
+}
+
+impl Claim {
+    /// Claims a network interface; none where the system has no such claims, which the log says.
+    pub fn interface(name: &str) -> Result<Option<Self>, Holder> {
+        Self::take(&format!("ballbard/interface/{name}"))
+    }
+
+    /// Claims a directory that is there, by whichever path.
+    pub fn directory(path: &Path) -> Result<Option<Self>, Holder> {
+        match std::fs::metadata(path) {
+            Ok(found) => Self::take(&format!("ballbard/directory/{}:{}", found.st_dev(), found.st_ino())),
+            Err(error) => Ok(unclaimed(&path.display().to_string(), &error)),
+        }
+    }
+
+    fn take(name: &str) -> Result<Option<Self>, Holder> {
+        let mut problem = ErrorKind::AddrInUse.into();
+        for _ in 0..ATTEMPTS {
+            problem = match Self::listen(name) {
+                Ok(claim) => return Ok(Some(claim)),
+                Err(error) => error,
+            };
+            if let Ok(holder) = ask(name) {
+                return Err(holder);
+            }
+        }
+        Ok(unclaimed(name, &problem))
+    }
+
+    fn listen(name: &str) -> io::Result<Self> {
+        Self::hold(UnixListener::bind_addr(&SocketAddr::from_abstract_name(name)?)?)
+    }
+
+    fn hold(listener: UnixListener) -> io::Result<Self> {
+        let listener = Arc::new(listener);
+        let asked = Arc::clone(&listener);
+        let answer = move || {
+            while let Ok((mut stream, _)) = asked.accept() {
+                // It fits into any socket's buffer; whoever asked may have gone.
+                let _ = stream.write_all(doing().as_bytes());
+            }
+        };
+        let answering = thread::Builder::new().name("claim".into()).spawn(answer)?;
+        Ok(Self { listener, answering: Some(answering) })
+    }
+}
+
+impl Drop for Claim {
+    fn drop(&mut self) {
+        // Wakes the thread that answers; the name is free when it has let go of the socket.
+        let _ = shutdown(self.listener.as_raw_fd(), Shutdown::Both);
+        if let Some(answering) = self.answering.take() {
+            let _ = answering.join();
+        }
+    }
+}
+
+fn unclaimed(name: &str, error: &io::Error) -> Option<Claim> {
+    tracing::warn!("{name} cannot be claimed: {error}; take care that nobody else uses it");
+    None
+}
+
+fn ask(name: &str) -> io::Result<Holder> {
+    let stream = UnixStream::connect_addr(&SocketAddr::from_abstract_name(name)?)?;
+    stream.set_read_timeout(Some(ANSWER_TIMEOUT))?;
+    let pid = getsockopt(&stream, PeerCredentials).ok().map(|peer| peer.pid()).filter(|pid| *pid > 0);
+    let mut answer = Vec::new();
+    let answered = stream.take(ANSWER_BYTES_MAX).read_to_end(&mut answer);
+    let doing = match answered {
+        Ok(_) if !answer.is_empty() => String::from_utf8_lossy(&answer).replace(char::is_control, " "),
+        _ => "it does not answer".into(),
+    };
+    Ok(Holder { pid, doing })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_has_it_at_a_time_and_the_others_are_told_who() {
+        let directory = tempfile::tempdir().unwrap();
+        let elsewhere = tempfile::tempdir().unwrap();
+        let claim = Claim::directory(directory.path()).unwrap();
+        let same = elsewhere.path().join("link");
+        std::os::unix::fs::symlink(directory.path(), &same).unwrap();
+        for path in [directory.path(), &same] {
+            let holder = Claim::directory(path).unwrap_err();
+            assert_eq!(holder.pid, i32::try_from(std::process::id()).ok());
+            assert!(holder.doing.contains("ballbard"), "{holder}");
+        }
+        assert!(Claim::directory(elsewhere.path()).unwrap().is_some());
+        drop(claim);
+        assert!(Claim::directory(&same).unwrap().is_some());
+    }
+}

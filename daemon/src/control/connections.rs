@@ -1,0 +1,109 @@
+//! The service's clients, none of which can keep it from its work or from its end.
+//!
+//! One request for each connection, so that a time and a place are given for each: a client has five seconds to say what
+//! it wants, and gives up its place before that if others need it. Few connections are open at a time, because files
+//! need descriptors, too.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use axum::Router;
+use axum::body::{Body, to_bytes};
+use axum::extract::Request;
+use axum::http::StatusCode;
+use axum::response::Response;
+use hyper::body::Incoming;
+use hyper::server::conn::http1;
+use hyper::service::service_fn;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use tokio::net::TcpStream;
+use tokio::task::JoinHandle;
+use tokio::time::timeout;
+use tower::ServiceExt;
+
+use super::api::refusal;
+
+/// Connections at a time: some people and programs, and far fewer than a process may have files.
+const CONNECTIONS_MAX: usize = 64;
+/// Longest request \[bytes\].
+const BODY_BYTES_MAX: usize = 64 * 1024;
+/// How long a client may take to send its header, and as long for the rest.
+const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
+/// How long a connection may last altogether: more than `stop` waits for the disk.
+const CONNECTION_TIMEOUT: Duration = Duration::from_secs(40);
+/// How long the end of the service waits for clients that are being answered.
+const FAREWELL: Duration = Duration::from_secs(1);
+
+/// Those that are open, the oldest first.
+pub(super) struct Connections {
+    routes: Router,
+    open: Vec<Connection>,
+}
+
+struct Connection {
+    task: JoinHandle<()>,
+    /// Its whole request is there.
+    has_asked: Arc<AtomicBool>,
+}
+
+impl Connections {
+    pub fn new(routes: Router) -> Self {
+        Self { routes, open: Vec::new() }
+    }
+
+    /// Serves one more client. Where there are too many the oldest that has not asked yet goes; where all have
+    /// asked, the new one.
+    pub fn add(&mut self, stream: TcpStream) {
+        self.open.retain(|connection| !connection.task.is_finished());
+        if self.open.len() >= CONNECTIONS_MAX {
+            let idle = self.open.iter().position(|connection| !connection.has_asked.load(Ordering::Relaxed));
+            let Some(idle) = idle else { return };
+            self.open.remove(idle).task.abort();
+        }
+        let has_asked = Arc::new(AtomicBool::new(false));
+        let (routes, asked) = (self.routes.clone(), Arc::clone(&has_asked));
+        let service = service_fn(move |request| answer(request, routes.clone(), Arc::clone(&asked)));
+        let connection = http1::Builder::new()
+            .timer(TokioTimer::new())
+            .header_read_timeout(REQUEST_TIMEOUT)
+            .keep_alive(false)
+            .serve_connection(TokioIo::new(stream), service);
+        let task = tokio::spawn(async move {
+            // Whatever a client does wrong is its own loss.
+            let _ = timeout(CONNECTION_TIMEOUT, connection).await;
+        });
+        self.open.push(Connection { task, has_asked });
+    }
+
+    /// Lets those who have asked have their answer, for a moment.
+    pub async fn finish(self) {
+        let answers = async {
+            for connection in self.open {
+                if connection.has_asked.load(Ordering::Relaxed) {
+                    let _ = connection.task.await;
+                }
+            }
+        };
+        // Who takes no answer within that time takes none; the tasks end with the runtime.
+        let _ = timeout(FAREWELL, answers).await;
+    }
+}
+
+async fn answer(
+    request: hyper::Request<Incoming>,
+    routes: Router,
+    has_asked: Arc<AtomicBool>,
+) -> Result<Response, std::convert::Infallible> {
+    let (head, body) = request.into_parts();
+    match timeout(REQUEST_TIMEOUT, to_bytes(Body::new(body), BODY_BYTES_MAX)).await {
+        Err(_) => Ok(refusal(StatusCode::REQUEST_TIMEOUT, "the request did not come within 5 seconds")),
+        Ok(Err(_)) => {
+            Ok(refusal(StatusCode::PAYLOAD_TOO_LARGE, "the request is longer than 64 kB, or was cut"))
+        }
+        Ok(Ok(body)) => {
+            has_asked.store(true, Ordering::Relaxed);
+            routes.oneshot(Request::from_parts(head, Body::from(body))).await
+        }
+    }
+}

@@ -1,0 +1,159 @@
+//! Standard error and standard output that are full, closed, or read by nobody.
+
+use std::fs::{File, OpenOptions};
+use std::io::{PipeReader, Write, pipe};
+use std::os::fd::OwnedFd;
+use std::os::unix::net::UnixStream;
+use std::process::{Command, Output, Stdio};
+use std::time::Duration;
+
+use ballbard::control::status::CheckLine;
+use nix::fcntl::{FcntlArg, fcntl};
+use nix::sys::signal::Signal;
+use serde_json::json;
+
+use super::rig::{Running, shipped, text};
+
+/// What a service's standard error may be; the reader lives as long as this does.
+struct Broken {
+    name: &'static str,
+    stderr: Stdio,
+    _reader: Option<PipeReader>,
+}
+
+fn full() -> Stdio {
+    OpenOptions::new().write(true).open("/dev/full").unwrap().into()
+}
+
+/// A pipe whose reader has gone.
+fn gone() -> Stdio {
+    pipe().unwrap().1.into()
+}
+
+/// A pipe whose reader reads nothing and that takes no byte more.
+fn blocked() -> (PipeReader, Stdio) {
+    let (reader, mut writer) = pipe().unwrap();
+    let bytes = fcntl(&writer, FcntlArg::F_SETPIPE_SZ(4096)).unwrap();
+    writer.write_all(&vec![b'.'; usize::try_from(bytes).unwrap()]).unwrap();
+    (reader, writer.into())
+}
+
+fn broken_logs() -> Vec<Broken> {
+    let (reader, stderr) = blocked();
+    // What a service manager's journal is when it has died.
+    let (journal, ours) = UnixStream::pair().unwrap();
+    drop(journal);
+    let broken = |name, stderr| Broken { name, stderr, _reader: None };
+    vec![
+        broken("closed", File::open("/dev/null").unwrap().into()),
+        broken("full", full()),
+        broken("its reader gone", gone()),
+        broken("without a journal", OwnedFd::from(ours).into()),
+        Broken { name: "read by nobody", stderr, _reader: Some(reader) },
+    ]
+}
+
+#[test]
+fn a_log_that_cannot_be_written_costs_lines_and_nothing_else() {
+    for Broken { name, stderr, _reader } in broken_logs() {
+        let mut service = Running::logging_to(stderr, tempfile::tempdir().unwrap(), &shipped(), &[]);
+        service.wait_for("waiting");
+        service.granted("start", &json!({"name": "logged"}));
+        service.wait_for("writing");
+        let last = service.granted("stop", &json!({})).last.unwrap();
+        assert_eq!(service.recording("logged").cycles.len() as u64, last.cycles, "{name}");
+        let lines: Vec<CheckLine> = service.get("check");
+        let log = lines.iter().find(|line| line.subject == "log").unwrap();
+        // A queue that nobody reads holds its lines for the time being: none is lost before it is full.
+        assert_eq!(log.remedy.is_some(), name != "read by nobody", "{name}: {log:?}");
+        service.signal(Signal::SIGTERM);
+        assert!(service.ended(Duration::from_secs(5)).success(), "{name}");
+    }
+}
+
+#[test]
+fn a_run_is_recorded_whatever_becomes_of_the_log() {
+    for Broken { name, stderr, _reader } in broken_logs() {
+        let out = tempfile::tempdir().unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+        command.args(["record", "--name", "logged", "--duration", "1s", "--fast", "--config"]);
+        command.arg(shipped()).arg("--out").arg(out.path()).stderr(stderr).stdout(Stdio::null());
+        assert!(command.status().unwrap().success(), "{name}");
+        assert!(out.path().join("logged.mcap").exists(), "{name}");
+        // The last word of a command that fails is no reason to stay, either.
+        command.arg("--bus").arg("eth99");
+        assert_eq!(command.status().unwrap().code(), Some(1), "{name}");
+    }
+}
+
+#[test]
+fn a_service_whose_standard_output_fails_serves() {
+    for (name, stdout) in [("full", full()), ("its reader gone", gone())] {
+        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        let directory = tempfile::tempdir().unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+        command.args(["run", "--port", &port.to_string(), "--config"]).arg(shipped());
+        let command = command.arg("--out").arg(directory.path()).stdout(stdout).stderr(Stdio::null());
+        let mut service = Running { child: command.spawn().unwrap(), port: port.to_string(), directory };
+        while std::net::TcpStream::connect(("127.0.0.1", port)).is_err() {
+            assert!(service.child.try_wait().unwrap().is_none(), "{name}: the service has ended");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+        service.wait_for("waiting");
+        service.signal(Signal::SIGTERM);
+        assert!(service.ended(Duration::from_secs(5)).success(), "{name}");
+    }
+}
+
+/// Every command that prints, on a service that records.
+fn typed(service: &Running, arguments: &[&str], stdout: Stdio) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    command.env("RUST_LOG", "off").args(arguments).stdout(stdout).stderr(Stdio::piped());
+    if !["runs", "record", "export", "recover", "tune"].contains(&arguments[0]) {
+        command.args(["--port", &service.port]);
+    }
+    command.spawn().unwrap().wait_with_output().unwrap()
+}
+
+#[test]
+fn commands_whose_reader_has_gone_end_quietly_and_a_full_disk_is_an_error() {
+    let service = Running::start();
+    service.wait_for("waiting");
+    let directory = service.directory.path().to_str().unwrap().to_owned();
+    let out = tempfile::tempdir().unwrap();
+    let (config, out) = (shipped(), out.path().to_str().unwrap().to_owned());
+    let config = config.to_str().unwrap();
+    let recording = format!("{out}/piped.mcap");
+    let record = ["record", "--duration", "1s", "--fast", "--config", config, "--out", &out, "--name"];
+    let of = |name| record.into_iter().chain([name]).collect::<Vec<_>>();
+    let commands = |run| -> [Vec<&str>; 10] {
+        [
+            vec!["start", "--name", run],
+            vec!["mark", "here"],
+            vec!["status"],
+            vec!["runs", &directory],
+            vec!["stop"],
+            of("piped"),
+            vec!["export", "--csv", "--out", "-", &recording],
+            vec!["export", "--csv", &recording],
+            vec!["recover", &recording],
+            vec!["tune", "--config", config],
+        ]
+    };
+    for arguments in &commands("one") {
+        let output = typed(&service, arguments, gone());
+        assert!(output.status.success() && output.stderr.is_empty(), "{arguments:?}: {}", text(&output));
+    }
+    // Its verdict stands, whether anybody reads how it came about.
+    let verdicts = [gone(), Stdio::null()].map(|stdout| typed(&service, &["check"], stdout));
+    assert_eq!(verdicts[0].status, verdicts[1].status, "{}", text(&verdicts[0]));
+    assert_eq!(verdicts[0].stderr, verdicts[1].stderr);
+    for arguments in commands("two").iter().filter(|arguments| arguments[0] != "record") {
+        let output = typed(&service, arguments, full());
+        assert_eq!(output.status.code(), Some(1), "{arguments:?}");
+        assert!(text(&output).contains("cannot write to standard output: No space"), "{}", text(&output));
+    }
+    let output = typed(&service, &of("full"), full());
+    assert_eq!(output.status.code(), Some(1));
+    assert!(std::path::Path::new(&out).join("full.mcap").exists());
+}

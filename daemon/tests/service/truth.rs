@@ -1,0 +1,145 @@
+//! What the service says while bus, encoders, or another process are not as they should be.
+
+use std::fs::File;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use ballbard::control::status::{CheckLine, Status};
+use nix::sys::signal::Signal;
+use serde_json::json;
+
+use super::rig::{Running, shipped, text};
+
+#[test]
+fn terminals_that_are_gone_are_a_fault_at_once_and_no_run_begins() {
+    let directory = tempfile::tempdir().unwrap();
+    let log = directory.path().join("log");
+    let stderr: Stdio = File::create(&log).unwrap().into();
+    let faults = ["--fault", "gone:3@4s-9s"];
+    let service = Running::logging_to(stderr, tempfile::tempdir().unwrap(), &shipped(), &faults);
+    service.wait_for("waiting");
+    let mut silent_since: Option<Instant> = None;
+    let told_after = loop {
+        let status: Status = service.get("status");
+        if status.state == "fault" {
+            break silent_since.map_or(Duration::ZERO, |since| since.elapsed());
+        }
+        if status.encoders.iter().any(|encoder| !encoder.valid) {
+            silent_since.get_or_insert_with(Instant::now);
+        }
+        std::thread::sleep(Duration::from_millis(10));
+    };
+    // 50 ms until it is a fault, 100 ms until it is looked at, and what a busy machine adds.
+    assert!(told_after < Duration::from_millis(800), "told after {told_after:?}");
+    let (code, refused) = service.post("start", &json!({"name": "refused"}));
+    assert_eq!(code, 409, "{refused}");
+    let lines: Vec<CheckLine> = service.get("check");
+    assert!(lines.iter().any(|line| line.subject == "bus" && line.remedy.is_some()), "{lines:?}");
+    service.wait_for("waiting");
+    // Whoever looks into the log tomorrow finds it.
+    let log = std::fs::read_to_string(log).unwrap();
+    assert!(log.contains("WARN bus: no samples from"), "{log}");
+    assert!(log.contains("INFO bus: whole again after"), "{log}");
+}
+
+#[test]
+fn an_encoder_without_signal_is_in_the_headline_before_and_during_a_run() {
+    let faults = ["--fault", "no-signal:2@4s"];
+    let service = Running::with(tempfile::tempdir().unwrap(), &shipped(), &faults);
+    let named = |status: &Status| {
+        status.reason.as_ref().is_some_and(|reason| reason.contains("no valid sample from joint 2 "))
+    };
+    let waiting = service.wait_until("the headline", named);
+    assert_eq!(waiting.state, "waiting");
+    let typed = text(&service.command(&["status"]));
+    assert!(typed.starts_with("WAITING: no valid sample from joint 2 ("), "{typed}");
+    // Four encoders are worth a run.
+    service.granted("start", &json!({"name": "four"}));
+    assert!(named(&service.wait_for("writing")));
+}
+
+#[test]
+fn a_run_without_a_valid_cycle_is_no_success() {
+    let faults: Vec<String> = (1..=5).map(|position| format!("no-signal:{position}")).collect();
+    let faults: Vec<&str> = faults.iter().flat_map(|fault| ["--fault", fault]).collect();
+    let out = tempfile::tempdir().unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    command.args(["record", "--name", "blind", "--duration", "2s", "--fast", "--config"]);
+    let output = command.arg(shipped()).arg("--out").arg(out.path()).args(&faults).output().unwrap();
+    assert_eq!(output.status.code(), Some(1), "{}", text(&output));
+    assert!(text(&output).contains("none of the 200 cycles is valid"), "{}", text(&output));
+    assert!(out.path().join("blind.mcap").exists());
+    let service = Running::with(tempfile::tempdir().unwrap(), &shipped(), &faults);
+    service.wait_for("waiting");
+    service.granted("start", &json!({"name": "blind"}));
+    service.wait_for("writing");
+    let output = service.command(&["stop"]);
+    assert_eq!(output.status.code(), Some(1), "{}", text(&output));
+    assert!(text(&output).contains("blind.mcap") && text(&output).contains("is valid"), "{}", text(&output));
+}
+
+#[test]
+fn a_terminal_that_is_closed_ends_service_and_run_with_a_finished_file() {
+    let mut service = Running::start();
+    service.wait_for("waiting");
+    service.granted("start", &json!({"name": "hangup"}));
+    service.wait_for("writing");
+    service.signal(Signal::SIGHUP);
+    assert!(service.ended(Duration::from_secs(5)).success());
+    assert!(service.recording("hangup").end.cause.contains("SIGHUP"));
+}
+
+#[test]
+fn a_service_under_nohup_outlives_its_terminal() {
+    let out = tempfile::tempdir().unwrap();
+    let mut command = Command::new("nohup");
+    command.arg(env!("CARGO_BIN_EXE_ballbard")).args(["record", "--name", "nohup", "--duration", "2s"]);
+    command.arg("--config").arg(shipped()).arg("--out").arg(out.path());
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    while !out.path().join("nohup.mcap.active").exists() {
+        assert!(child.try_wait().unwrap().is_none());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let pid = nix::unistd::Pid::from_raw(i32::try_from(child.id()).unwrap());
+    nix::sys::signal::kill(pid, Signal::SIGHUP).unwrap();
+    assert!(child.wait().unwrap().success());
+    let recording = shared::recording::Recording::open(&out.path().join("nohup.mcap")).unwrap();
+    assert_eq!(recording.end.cause, "duration reached");
+}
+
+#[test]
+fn a_second_process_in_a_directory_is_told_who_has_it() {
+    let mut service = Running::start();
+    service.wait_for("waiting");
+    service.granted("start", &json!({"name": "first"}));
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    command.args(["record", "--name", "second", "--duration", "1s", "--fast", "--config"]).arg(shipped());
+    command.arg("--out").arg(service.directory.path());
+    let refused = command.output().unwrap();
+    assert_eq!(refused.status.code(), Some(1), "{}", text(&refused));
+    let pid = format!("process {} (`ballbard run`, recording run `first`)", service.child.id());
+    assert!(text(&refused).contains(&pid), "{}", text(&refused));
+    // The claim is gone with its process, however that ends.
+    service.signal(Signal::SIGKILL);
+    service.child.wait().unwrap();
+    let output = command.output().unwrap();
+    assert!(output.status.success(), "{}", text(&output));
+    assert!(service.recording("first").end.recovered);
+}
+
+#[test]
+fn a_directory_that_is_a_file_is_a_problem_before_a_run() {
+    let mut service = Running::start();
+    service.wait_for("waiting");
+    let directory = service.directory.path().to_owned();
+    std::fs::remove_dir(&directory).unwrap();
+    std::fs::write(&directory, "a file").unwrap();
+    service.wait_until("the disk's problem", |_| {
+        let lines: Vec<CheckLine> = service.get("check");
+        let disk = lines.iter().find(|line| line.subject == "disk").unwrap();
+        disk.finding.contains("is no directory") && disk.remedy.is_some()
+    });
+    std::fs::remove_file(&directory).unwrap();
+    service.signal(Signal::SIGTERM);
+    assert!(service.ended(Duration::from_secs(5)).success());
+}
