@@ -3,6 +3,7 @@
 mod bring_up;
 mod error;
 mod exchange;
+mod ports;
 mod recovery;
 mod stack;
 mod timers;
@@ -17,6 +18,7 @@ use shared::time::{DcNs, MonoNs};
 
 pub use error::{BusError, DeviceName};
 pub use exchange::{Exchange, WireCounters};
+pub use ports::{PORTS, PortCounters};
 pub use recovery::Lift;
 pub use timers::use_clock;
 
@@ -26,7 +28,7 @@ use crate::segment::Wire;
 use stack::Stack;
 
 /// More devices than a ball-bar has; ethercrab wants a power of two.
-const DEVICES_MAX: usize = 16;
+pub const DEVICES_MAX: usize = 16;
 /// ethercrab gives this station address to the first device and the next ones to those behind it.
 const STATION_ADDRESS_FIRST: u16 = 0x1000;
 /// Room for the process data of all terminals.

@@ -121,6 +121,9 @@ pub fn status(arguments: &AskArguments) -> anyhow::Result<()> {
         let valid = if encoder.valid { "valid" } else { "NOT VALID" };
         say(format_args!("  joint {}: {:>10}  {valid}", encoder.joint, encoder.count))?;
     }
+    for cable in &status.bad_cables {
+        println!("{cable}");
+    }
     if let Some(usable) = status.disk_usable_mb {
         say(format_args!("disk: {usable} MB above the floor"))?;
     }

@@ -16,6 +16,7 @@ pub(super) fn check(view: &View<'_>, status: &Status) -> Vec<CheckLine> {
     vec![
         bus(view, status),
         encoders(status),
+        cables(status),
         reference_marks(view),
         disk(view),
         realtime(view),
@@ -59,6 +60,18 @@ fn encoders(status: &Status) -> CheckLine {
         let finding = format!("not valid: {}", bad.join(", "));
         problem(SUBJECT, finding, "check the encoder's cable and plug, and its signal amplitude")
     }
+}
+
+fn cables(status: &Status) -> CheckLine {
+    const SUBJECT: &str = "cables";
+    if status.bad_cables.is_empty() {
+        return good(SUBJECT, "no port has counted an error");
+    }
+    problem(
+        SUBJECT,
+        status.bad_cables.join("; "),
+        "push the plug in, or replace the cable, before it costs cycles",
+    )
 }
 
 /// A run needs no marks: calibration finds the offsets. But marks that hold no more would be missed.

@@ -24,6 +24,9 @@ pub struct Status {
     pub devices: Vec<String>,
     /// The latest sample of each encoder.
     pub encoders: Vec<EncoderStatus>,
+    /// Cables and plugs that have shown errors since the run began, or since the bus came up.
+    #[serde(default)]
+    pub bad_cables: Vec<String>,
     /// Age of that sample \[ms\]; none before the first.
     pub sample_age_ms: Option<i64>,
     /// Space above the floor \[MB\]; 0 at the floor.

@@ -8,6 +8,7 @@ use super::machine::{Machine, State};
 use super::service::Settings;
 use super::status::{EncoderStatus, LastRun, RunStatus, Status};
 use crate::clock::Clock;
+use crate::cycle::link_errors;
 use crate::run::{ActiveRun, BusChoice, DiskFloor, Session};
 
 /// The service at one moment.
@@ -77,6 +78,9 @@ fn add_bus(status: &mut Status, session: &Session) {
     let live = session.live();
     status.devices = session.devices().iter().map(|device| device.name.clone()).collect();
     status.sample_age_ms = age_ms(live.at());
+    let bad_ports = live.bad_ports().into_iter();
+    status.bad_cables =
+        bad_ports.map(|(position, port, errors)| link_errors(position, port, errors)).collect();
     status.encoders = session
         .encoders()
         .iter()

@@ -3,6 +3,8 @@
 use shared::recording::schema::{Event, EventKind, flags};
 use shared::time::UtcNs;
 
+use super::links::PortErrors;
+
 /// Something that happened on the bus. `Copy`: it crosses a ring from the real-time thread.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CycleEvent {
@@ -52,6 +54,15 @@ pub enum Happening {
     },
     /// Counts may have a new origin from this cycle on.
     OriginChanged(Origin),
+    /// A port counted errors.
+    LinkErrors {
+        /// Position on the bus of its device.
+        position: u8,
+        /// Which of its ports.
+        port: u8,
+        /// Since the run began.
+        errors: PortErrors,
+    },
 }
 
 /// Why the bus is given up.
@@ -118,6 +129,7 @@ impl Happening {
                 format!("the reference clock jumped by {:.3} ms", by_ns as f64 * 1e-6)
             }
             Self::OriginChanged(how) => format!("counts may have a new origin: {}", how.text()),
+            Self::LinkErrors { position, port, errors } => link_errors(position.into(), port.into(), errors),
         }
     }
 }
@@ -143,6 +155,20 @@ impl Origin {
             }
         }
     }
+}
+
+/// Which cable or plug is bad, and how that is known.
+pub fn link_errors(position: usize, port: usize, errors: PortErrors) -> String {
+    let PortErrors { invalid_frames, receive_errors, lost_links } = errors;
+    let cable = match (position, port) {
+        (0, 0) => "between this PC and the coupler".to_owned(),
+        (_, 0) => format!("between devices {} and {position}", position - 1),
+        _ => format!("behind device {position}"),
+    };
+    format!(
+        "bad cable or plug {cable}: port {port} of device {position} has counted {receive_errors} receive errors, \
+         {invalid_frames} invalid frames and {lost_links} lost links"
+    )
 }
 
 fn names(set: u32) -> String {

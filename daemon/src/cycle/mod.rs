@@ -8,6 +8,7 @@
 mod clock_fit;
 mod continuity;
 mod events;
+mod links;
 mod realtime;
 mod recovery;
 mod sampler;
@@ -21,7 +22,8 @@ use shared::time::{DcNs, MonoNs, UtcNs};
 
 pub use clock_fit::{ClockFit, ClockPair, Observation};
 pub use continuity::Continuity;
-pub use events::{CycleEvent, Down, Happening, Origin};
+pub use events::{CycleEvent, Down, Happening, Origin, link_errors};
+pub use links::{Links, PortErrors};
 pub use realtime::{RealtimeReport, RealtimeRequest};
 pub use recovery::BusState;
 pub use sampler::{SampleTime, Sampler};
@@ -59,6 +61,7 @@ pub struct Acquisition {
     sampler: Sampler,
     continuity: Continuity,
     health: Health,
+    links: Links,
     events: VecDeque<CycleEvent>,
     /// Sampling instant of cycle 0 on the bus' clock, or of its frame on the host's without DC.
     origin_ns: i64,
@@ -91,6 +94,7 @@ impl Acquisition {
             bus_lead_ns: 0,
             continuity: Continuity::new(&plan.encoders),
             health: Health::default(),
+            links: Links::default(),
             events: VecDeque::with_capacity(EVENTS_MAX),
             origin_ns: 0,
             next_cycle: 0,
@@ -170,6 +174,7 @@ impl Acquisition {
         self.time_last = None;
         self.continuity.begin_run();
         self.health.begin_run();
+        self.links.begin_run();
         self.events.clear();
     }
 
@@ -188,6 +193,7 @@ impl Acquisition {
             round_trip_ns: exchange.reply.map(|_| exchange.received.ns_since(exchange.sent)),
             duration_ns: self.clock.now().ns_since(woken),
         });
+        self.look_at_links(&exchange);
     }
 
     /// From a frame to the records of all cycles that were due, and to what is to be done about them.

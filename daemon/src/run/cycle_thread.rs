@@ -107,6 +107,7 @@ fn serve(
             }
         });
         live.publish_bus(&acquisition.bus_state());
+        live.publish_links(acquisition.links());
         if let Some(timing) = acquisition.last_timing() {
             sink.push_timing(timing);
         }
@@ -156,6 +157,7 @@ fn wait_for_job(
             Err(TryRecvError::Empty) => {
                 acquisition.next_cycle(&mut |record| live.publish(record));
                 live.publish_bus(&acquisition.bus_state());
+                live.publish_links(acquisition.links());
             }
         }
     }

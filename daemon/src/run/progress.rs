@@ -7,7 +7,8 @@ use shared::recording::TimingSummary;
 use shared::recording::schema::{CycleRecord, MAX_ENCODERS, flags};
 use shared::time::MonoNs;
 
-use crate::cycle::BusState;
+use crate::bus::{DEVICES_MAX, PORTS};
+use crate::cycle::{BusState, Links, PortErrors};
 
 /// What of a run is really on disk.
 #[derive(Debug, Default)]
@@ -86,6 +87,16 @@ pub struct Live {
     /// 0 where no device is missing: before the coupler there is nothing that could stay in use.
     missing_from: AtomicU32,
     outage: Mutex<Option<String>>,
+    links_revision: AtomicU64,
+    links: [[LivePort; PORTS]; DEVICES_MAX],
+}
+
+/// Errors of one port.
+#[derive(Debug, Default)]
+struct LivePort {
+    invalid_frames: AtomicU32,
+    receive_errors: AtomicU32,
+    lost_links: AtomicU32,
 }
 
 /// The latest sample of one encoder.
@@ -135,6 +146,33 @@ impl Live {
         if let BusState::Down(why) = state {
             *self.outage.lock().unwrap_or_else(PoisonError::into_inner) = why.map(ToString::to_string);
         }
+    }
+
+    /// Says what the ports have counted. Wait-free.
+    pub fn publish_links(&self, links: &Links) {
+        if self.links_revision.swap(links.revision(), Ordering::Relaxed) == links.revision() {
+            return;
+        }
+        for (place, errors) in self.links.iter().flatten().zip(links.errors().iter().flatten()) {
+            place.invalid_frames.store(errors.invalid_frames, Ordering::Relaxed);
+            place.receive_errors.store(errors.receive_errors, Ordering::Relaxed);
+            place.lost_links.store(errors.lost_links, Ordering::Relaxed);
+        }
+    }
+
+    /// Ports that have counted errors since the run began: position of the device, port, and how many.
+    pub fn bad_ports(&self) -> Vec<(usize, usize, PortErrors)> {
+        let ports = self.links.iter().enumerate().flat_map(|(position, ports)| {
+            ports.iter().enumerate().map(move |(port, errors)| {
+                let errors = PortErrors {
+                    invalid_frames: errors.invalid_frames.load(Ordering::Relaxed),
+                    receive_errors: errors.receive_errors.load(Ordering::Relaxed),
+                    lost_links: errors.lost_links.load(Ordering::Relaxed),
+                };
+                (position, port, errors)
+            })
+        });
+        ports.filter(|(_, _, errors)| errors.all() > 0).collect()
     }
 
     /// First position whose device does not answer while those before it stay in use.

@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 mod bus_time;
+mod links;
 mod matrix;
 mod random;
 mod rig;

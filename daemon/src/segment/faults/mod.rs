@@ -46,6 +46,13 @@ pub enum Fault {
         /// Of all frames.
         share: f64,
     },
+    /// A bad cable: the receiver of a device sees disturbances and counts them, though no frame is hit yet.
+    NoisyCable {
+        /// The device behind the cable.
+        position: usize,
+        /// Of all pauses between two frames.
+        share: f64,
+    },
     /// Logical datagrams come back with a working counter that is too low, and with inputs that nobody wrote.
     WorkingCounterShort {
         /// Of all frames.
@@ -230,7 +237,7 @@ impl FaultySegment {
     }
 
     fn draw(&mut self) -> Fate {
-        let Self { active, random, .. } = self;
+        let Self { active, random, segment, .. } = self;
         let mut fate = Fate::default();
         if active.is_empty() {
             return fate;
@@ -243,6 +250,7 @@ impl FaultySegment {
                 Fault::FrameDuplicated { share } => fate.duplicated |= hit(share),
                 Fault::FrameCorrupted { share } => fate.corrupted |= hit(share),
                 Fault::WorkingCounterShort { share, by } if hit(share) => fate.short_by = by,
+                Fault::NoisyCable { position, share } if hit(share) => segment.disturb(position),
                 _ => {}
             }
         }

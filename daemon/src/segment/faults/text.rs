@@ -29,7 +29,7 @@ pub struct FaultSwitch {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "`{0}` is no fault; write one of lost:SHARE, late:SHARE,TIME, duplicated:SHARE, corrupted:SHARE, \
-     short:SHARE,BY, gone:POSITION, safe-op:POSITION,CODE, \
+     short:SHARE,BY, noise:POSITION,SHARE, gone:POSITION, safe-op:POSITION,CODE, \
      no-signal:POSITION, too-fast:POSITION, abort:POSITION,CODE, silent:POSITION, \
      emergency:POSITION,CODE, link-down, clock-step:TIME, each with @FROM-UNTIL or @FROM behind it if it is not \
      always there, such as gone:3@10s-15s, or `on` or `off` before it to switch it now"
@@ -82,6 +82,9 @@ fn named(name: &str, values: &[&str]) -> Option<Fault> {
         ("duplicated", [of]) => Fault::FrameDuplicated { share: share(of)? },
         ("corrupted", [of]) => Fault::FrameCorrupted { share: share(of)? },
         ("short", [of, by]) => Fault::WorkingCounterShort { share: share(of)?, by: by.parse().ok()? },
+        ("noise", [position, of]) => {
+            Fault::NoisyCable { position: position.parse().ok()?, share: share(of)? }
+        }
         ("gone", [from]) => Fault::DevicesGone { from: from.parse().ok()? },
         ("safe-op", [position, with]) => {
             Fault::FallToSafeOp { position: position.parse().ok()?, code: code(with)?.try_into().ok()? }

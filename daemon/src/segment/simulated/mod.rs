@@ -141,6 +141,10 @@ impl SimulatedSegment {
 
     /// The devices from `position` on lose power or their cable; 0 takes the coupler too.
     pub fn cut_from(&mut self, position: usize) {
+        let before = position.checked_sub(1).filter(|_| position < self.reach);
+        if let Some(before) = before.and_then(|before| self.nodes.get_mut(before)) {
+            before.esc.count_lost_link();
+        }
         self.reach = self.reach.min(position);
         self.show_links();
     }
@@ -186,6 +190,13 @@ impl SimulatedSegment {
     pub fn count_invalid_frame(&mut self) {
         if let Some(node) = self.nodes.first_mut() {
             node.esc.count_invalid_frame();
+        }
+    }
+
+    /// The cable towards the device at `position` disturbs its receiver between two frames, which none of them notices.
+    pub fn disturb(&mut self, position: usize) {
+        if let Some(node) = self.nodes.get_mut(position) {
+            node.esc.count_receive_error();
         }
     }
 

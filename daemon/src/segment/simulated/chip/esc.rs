@@ -139,6 +139,18 @@ impl Esc {
         self.put(reg::ERROR_COUNTERS, &[frames.saturating_add(1), errors.saturating_add(1)]);
     }
 
+    /// Port 0 saw a symbol that is none, between two frames.
+    pub fn count_receive_error(&mut self) {
+        let [errors] = self.get(reg::ERROR_COUNTERS + 1);
+        self.put(reg::ERROR_COUNTERS + 1, &[errors.saturating_add(1)]);
+    }
+
+    /// Port 1 lost its link.
+    pub fn count_lost_link(&mut self) {
+        let [lost] = self.get(reg::LOST_LINKS + 1);
+        self.put(reg::LOST_LINKS + 1, &[lost.saturating_add(1)]);
+    }
+
     /// Whether the mailbox to the master still holds something.
     pub fn is_answer_waiting(&self) -> bool {
         self.sync_managers[MAILBOX_IN].is_full()

@@ -15,6 +15,7 @@ pub const AL_CONTROL: u16 = 0x0120;
 pub const AL_STATUS: u16 = 0x0130;
 pub const AL_STATUS_CODE: u16 = 0x0134;
 pub const ERROR_COUNTERS: u16 = 0x0300;
+pub const LOST_LINKS: u16 = 0x0310;
 pub const WATCHDOG_DIVIDER: u16 = 0x0400;
 pub const WATCHDOG_TIME_PDI: u16 = 0x0410;
 pub const WATCHDOG_TIME_PROCESS_DATA: u16 = 0x0420;

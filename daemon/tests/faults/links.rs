@@ -1,0 +1,50 @@
+//! A bad cable is seen in the counters of the ports before it costs a cycle.
+
+use ballbard::segment::faults::Fault;
+use shared::recording::schema::EventKind;
+
+use super::rig::Rig;
+
+#[test]
+fn a_noisy_cable_is_told_with_its_place_while_every_cycle_is_still_valid() {
+    let mut rig = Rig::new(5);
+    rig.run_to(500);
+    assert!(rig.events.is_empty(), "{:?}", rig.events);
+    rig.faults.begin(Fault::NoisyCable { position: 3, share: 0.05 });
+    rig.run_to(1000);
+    rig.assert_true();
+    assert!(rig.records.iter().all(|record| record.is_valid()));
+    let told: Vec<_> = rig.events.iter().map(|event| event.to_event()).collect();
+    assert!(told.iter().all(|event| event.kind == EventKind::Bus), "{told:?}");
+    assert!(told[0].text.contains("between devices 2 and 3"), "{told:?}");
+    let errors = rig.acquisition.links().errors()[3][0];
+    assert!((15..40).contains(&errors.receive_errors), "{errors:?}");
+    // As often as they doubled, not as often as they were looked at.
+    assert!((2..=5).contains(&told.len()), "{told:?}");
+}
+
+#[test]
+fn counters_that_would_stop_are_cleared_and_counted_on() {
+    let mut rig = Rig::new(6);
+    rig.faults.begin(Fault::NoisyCable { position: 1, share: 1.0 });
+    rig.run_to(2000);
+    let errors = rig.acquisition.links().errors()[1][0].receive_errors;
+    // Some 106 frames a second, 20 s of them.
+    assert!((1700..2300).contains(&errors), "{errors}");
+}
+
+#[test]
+fn a_terminal_that_comes_and_goes_is_a_lost_link_of_the_one_before() {
+    let mut rig = Rig::new(7);
+    rig.run_to(300);
+    rig.faults.begin(Fault::DevicesGone { from: 4 });
+    rig.run_to(400);
+    rig.faults.end(Fault::DevicesGone { from: 4 });
+    rig.run_to(1000);
+    assert_eq!(rig.acquisition.links().errors()[3][1].lost_links, 1);
+    let told: Vec<_> = rig.events.iter().map(|event| event.to_event().text).collect();
+    assert!(
+        told.iter().any(|text| text.contains("behind device 3") && text.contains("1 lost links")),
+        "{told:?}"
+    );
+}
