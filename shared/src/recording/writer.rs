@@ -209,7 +209,7 @@ impl<W: Write + Seek> RecordingWriter<W> {
     }
 }
 
-/// The configuration as the files that it was, which any reader of MCAP can take out again.
+/// The configuration that was in use as files, which any reader of MCAP can take out again.
 fn attach_configuration<W: Write + Seek>(
     writer: &mut Writer<W>,
     run: &RunMetadata,
