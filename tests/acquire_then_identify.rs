@@ -114,7 +114,8 @@ fn errors_clean_and_faulty(seed: u64) -> [f64; 2] {
         record(directory.path(), &RunRequest { faults, ..request("faulty", simulated, None, true) }, &bar);
     let is_valid = |cycle: &&CycleRecord| cycle.encoders.iter().all(|encoder| encoder.valid);
     let valid = faulty.cycles.iter().filter(is_valid).count();
-    assert!(valid < clean.cycles.len() - 500, "{valid} of {}", clean.cycles.len());
+    // Some 480: those that the faults hit, and none because the one before it was lost.
+    assert!(valid < clean.cycles.len() - 400, "{valid} of {}", clean.cycles.len());
     // As many cycles out of the middle of the clean run.
     let skipped = (clean.cycles.len() - valid) / 2;
     let error = |cycles: &[CycleRecord], encoders: &[EncoderInfo]| {
