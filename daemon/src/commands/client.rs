@@ -122,7 +122,7 @@ pub fn status(arguments: &AskArguments) -> anyhow::Result<()> {
         say(format_args!("  joint {}: {:>10}  {valid}", encoder.joint, encoder.count))?;
     }
     for cable in &status.bad_cables {
-        println!("{cable}");
+        say(cable)?;
     }
     if let Some(usable) = status.disk_usable_mb {
         say(format_args!("disk: {usable} MB above the floor"))?;

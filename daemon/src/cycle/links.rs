@@ -98,7 +98,7 @@ impl Links {
     }
 
     /// A port of a device that has twice the errors that were told of it: a cable that is bad all day fills no file.
-    fn to_tell(&mut self, position: usize) -> Option<(usize, PortErrors)> {
+    fn take_news(&mut self, position: usize) -> Option<(usize, PortErrors)> {
         let ports = self.errors[position].iter().zip(&mut self.told[position]).enumerate();
         ports.into_iter().find_map(|(port, (errors, told))| {
             let news = errors.all() > 0 && errors.all() >= 2 * *told;
@@ -130,7 +130,7 @@ impl Acquisition {
         if counters.iter().any(PortCounters::are_high) && self.bus.clear_port_counters(position, until) {
             self.links.shown[position] = Some(Default::default());
         }
-        while let Some((port, errors)) = self.links.to_tell(position) {
+        while let Some((port, errors)) = self.links.take_news(position) {
             self.tell(Happening::LinkErrors { position: position as u8, port: port as u8, errors });
         }
     }
