@@ -1,25 +1,32 @@
 //! From the ring to the file: a thread that may wait for the disk, so that the cycle never does.
 
+use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::mpsc::Receiver;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, sync_channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use rtrb::{Consumer, Producer, PushError, RingBuffer};
 use shared::recording::schema::{CycleRecord, Event, EventKind, RunMetadata};
-use shared::recording::{RecordingWriter, RunFile, TimingSummary, WriteError};
-use shared::time::UtcNs;
+use shared::recording::{RecordingWriter, RunFile, RunSync, TimingSummary, WriteError};
+use shared::time::{MonoNs, UtcNs};
 
 use crate::clock::Clock;
 use crate::cycle::{CycleEvent, CycleTiming, TimingSink, TimingSource, timing_ring};
-use crate::run::{DiskFloor, Progress, Stop, Synced};
+use crate::run::{Handed, Progress, STACK_BYTES, Storage, Synced};
 
 /// Events that may wait for the recorder; cycles carry their reasons themselves, so that one too many is no harm.
 const EVENTS_MAX: usize = 1024;
 /// How often the ring is emptied.
 const DRAIN_PERIOD: Duration = Duration::from_millis(20);
+/// Times that a run is taken to another place before it is given up.
+const MOVES_MAX: u32 = 8;
+/// A synchronisation that goes on when its recorder ends may still take this long.
+const LETS_GO_WITHIN: Duration = Duration::from_secs(1);
+/// A synchronisation that takes no longer is not worth a record of its own \[ns\].
+const SYNC_USUAL_NS: u64 = 100_000_000;
 /// How well the loop kept its time is put into the file at least this often, for a run that is killed.
 const TIMING_PERIOD: Duration = Duration::from_secs(60);
 /// UTC that moved by more than this against the monotonic clock was stepped \[ns\].
@@ -30,7 +37,7 @@ pub struct CycleSink {
     ring: Producer<CycleRecord>,
     events: Producer<CycleEvent>,
     timing: TimingSink,
-    due: Arc<AtomicU64>,
+    handed: Arc<Handed>,
     /// On virtual time the cycle waits for the recorder; on real time it never waits and the loss is recorded.
     waits: bool,
 }
@@ -40,7 +47,7 @@ pub struct CycleSource {
     ring: Consumer<CycleRecord>,
     events: Consumer<CycleEvent>,
     timing: TimingSource,
-    due: Arc<AtomicU64>,
+    handed: Arc<Handed>,
 }
 
 /// What a finished run holds.
@@ -65,18 +72,31 @@ pub fn ring(capacity: usize, clock: &Clock) -> (CycleSink, CycleSource) {
     let (producer, consumer) = RingBuffer::new(capacity);
     let (events_in, events_out) = RingBuffer::new(EVENTS_MAX);
     let (timing_in, timing_out) = timing_ring(capacity);
-    let (due, waits) = (Arc::new(AtomicU64::new(0)), !clock.is_real());
-    let sink =
-        CycleSink { ring: producer, events: events_in, timing: timing_in, due: Arc::clone(&due), waits };
-    (sink, CycleSource { ring: consumer, events: events_out, timing: timing_out, due })
+    let (handed, waits) = (Arc::<Handed>::default(), !clock.is_real());
+    let sink = CycleSink {
+        ring: producer,
+        events: events_in,
+        timing: timing_in,
+        handed: Arc::clone(&handed),
+        waits,
+    };
+    (sink, CycleSource { ring: consumer, events: events_out, timing: timing_out, handed })
+}
+
+impl CycleSource {
+    /// What the cycle handed over, whether it was taken or not.
+    pub fn handed(&self) -> &Arc<Handed> {
+        &self.handed
+    }
 }
 
 impl CycleSink {
-    /// Hands over one cycle. Wait-free on real time; a full ring costs the record but not its number.
+    /// Hands over one cycle. Wait-free on real time; a full ring costs the record but not its number, and is counted.
     pub fn push(&mut self, record: &CycleRecord) {
-        self.due.store(record.cycle + 1, Ordering::Release);
+        self.handed.due.store(record.cycle + 1, Ordering::Release);
         while let Err(PushError::Full(_)) = self.ring.push(*record) {
             if !self.waits || self.ring.is_abandoned() {
+                self.handed.lost.fetch_add(1, Ordering::Relaxed);
                 return;
             }
             thread::yield_now();
@@ -101,42 +121,57 @@ impl CycleSink {
     }
 }
 
-/// What ties a recorder to the rest while it runs.
-pub struct RunLink {
-    /// Ends the run when the disk gets full.
-    pub stop: Stop,
-    /// Markers that people set.
-    pub marks: Receiver<String>,
-    /// Told after each synchronisation.
-    pub progress: Arc<Progress>,
-    /// Space that must stay free.
-    pub floor: DiskFloor,
-    /// The file that is being written.
-    pub file: PathBuf,
+/// Something that a person said of the run.
+#[derive(Debug)]
+pub struct Mark {
+    /// When.
+    pub at: MonoNs,
+    /// What.
+    pub text: String,
 }
 
-/// Writes what comes out of the ring until its other end is dropped, then finishes the file.
+/// What ties a recorder to the rest while it runs.
+pub struct RunLink {
+    /// Markers that people set.
+    pub marks: Receiver<Mark>,
+    /// Told whatever becomes of the run's cycles.
+    pub progress: Arc<Progress>,
+    /// Where the run goes on if it has no place any more.
+    pub storage: Storage,
+}
+
+/// Writes what comes out of the ring until its other end is dropped, then finishes the file. What was taken is written
+/// each period, which a kill of the program survives; another thread synchronises it, which a power cut survives. While
+/// the disk takes nothing the cycles wait in the ring.
 pub struct Recorder {
     source: CycleSource,
     writer: RecordingWriter<RunFile>,
+    synchroniser: Synchroniser,
     clock: Clock,
-    sync_period: Duration,
-    sync_cycles: u64,
+    period: Duration,
+    /// Cycles that are written in one go.
+    cut_cycles: u64,
     /// That of the run's sample times \[ns\].
     utc_minus_monotonic_ns: i64,
     /// That of the host when it was looked at last \[ns\].
     host_offset_ns: i64,
     cycle_period_ns: i64,
     lost: u64,
-    /// Cycles written when the file was last told how well the loop kept its time.
-    timed_cycles: u64,
+    /// Cycles written when the file was last told how well loop and disk kept their time, and the longest
+    /// synchronisation until then.
+    timed: (u64, u64),
+    /// Cycles written when the last chunk was cut, and when that was.
+    cut: (u64, Instant),
+    /// Events and markers that wait for the cycle before which they happened.
+    notes: Vec<Event>,
+    moves: u32,
     link: RunLink,
     /// The last cycle written; its number is that of the one that should come next, less one.
     last: Option<CycleRecord>,
 }
 
 impl Recorder {
-    /// A recorder of the run that `writer` began with `run`; a kill costs the last `sync_period` at most.
+    /// A recorder of the run that `writer` began with `run`.
     pub fn new(
         source: CycleSource,
         writer: RecordingWriter<RunFile>,
@@ -146,19 +181,23 @@ impl Recorder {
         link: RunLink,
     ) -> Self {
         // The other half is for a disk or a processor that is late: the period is a promise.
-        let sync_period = sync_period / 2;
+        let period = sync_period / 2;
         Self {
             source,
+            synchroniser: Synchroniser::new(&link.progress),
             writer,
             host_offset_ns: clock.utc_minus_monotonic_ns(),
             clock,
-            sync_period,
-            // On virtual time a second of cycles passes in no time at all.
-            sync_cycles: (sync_period.as_nanos() as u64 / run.cycle_period_ns.max(1)).max(1),
+            period,
+            // On virtual time, and after a wait, a second of cycles passes in no time at all.
+            cut_cycles: (period.as_nanos() as u64 / run.cycle_period_ns.max(1)).max(1),
             utc_minus_monotonic_ns: run.utc_minus_monotonic_ns,
             cycle_period_ns: run.cycle_period_ns as i64,
             lost: 0,
-            timed_cycles: 0,
+            timed: (0, 0),
+            cut: (0, Instant::now()),
+            notes: Vec::new(),
+            moves: 0,
             link,
             last: None,
         }
@@ -166,27 +205,30 @@ impl Recorder {
 
     /// Runs until the ring's other end is dropped; `cause` is asked for then.
     pub fn run(mut self, cause: impl FnOnce() -> String) -> Result<RunSummary, WriteError> {
-        let mut synced_at = Instant::now();
-        let mut synced_cycles = 0;
         loop {
             // Asked before emptying: what was pushed before the other end was dropped is still taken.
             let last_round = self.source.ring.is_abandoned();
+            self.take_notes();
             while let Ok(record) = self.source.ring.pop() {
                 self.take(&record)?;
-                if self.writer.cycles() >= synced_cycles + self.sync_cycles {
-                    self.sync(&mut synced_at, &mut synced_cycles)?;
+                if self.writer.cycles() >= self.cut.0 + self.cut_cycles {
+                    self.cut()?;
                 }
             }
-            while let Ok(event) = self.source.events.pop() {
-                self.writer.write_event(&event.to_event())?;
-            }
             self.source.timing.drain();
-            self.take_marks()?;
             if last_round {
                 break;
             }
-            if synced_at.elapsed() >= self.sync_period {
-                self.sync(&mut synced_at, &mut synced_cycles)?;
+            if self.cut.1.elapsed() >= self.period {
+                self.cut()?;
+            }
+            if let Some(problem) = self.synchroniser.problem() {
+                self.move_elsewhere(WriteError::Sink(problem))?;
+            }
+            if self.link.progress.lost().is_some()
+                && let Err(lost) = self.writer.sink().place().check()
+            {
+                self.move_elsewhere(lost)?;
             }
             thread::sleep(DRAIN_PERIOD);
         }
@@ -195,9 +237,10 @@ impl Recorder {
 
     fn take(&mut self, record: &CycleRecord) -> Result<(), WriteError> {
         self.fill_lost(record.cycle)?;
-        self.writer.write_cycle(record)?;
+        self.write_notes(record.sample_time)?;
+        let written = self.writer.write_cycle(record);
         self.last = Some(*record);
-        Ok(())
+        self.mended(written)
     }
 
     /// Cycles before `until` that the full ring could not take are in the file by number and reason.
@@ -207,75 +250,163 @@ impl Recorder {
         if until <= first {
             return Ok(());
         }
+        let cycle_period_ns = self.cycle_period_ns;
         let lost_at = |cycle: u64| {
-            let since_ns = (cycle - last.cycle) as i64 * self.cycle_period_ns;
+            let since_ns = (cycle - last.cycle) as i64 * cycle_period_ns;
             CycleRecord::lost(cycle, last.sample_time.plus_ns(since_ns), &last)
         };
         for cycle in first..until {
-            self.writer.write_cycle(&lost_at(cycle))?;
+            let written = self.writer.write_cycle(&lost_at(cycle));
+            self.mended(written)?;
         }
         let missing = until - first;
         let text = format!("{missing} cycles lost: the disk did not keep up and the ring was full");
         let time = lost_at(first).sample_time;
         self.lost += missing;
         self.last = Some(lost_at(until - 1));
-        self.writer.write_event(&Event { time, cycle: first, kind: EventKind::Gap, text })
-    }
-
-    fn sync(&mut self, synced_at: &mut Instant, synced_cycles: &mut u64) -> Result<(), WriteError> {
-        // What comes while the disk works waits for the next time, so that the period counts from here.
-        *synced_at = Instant::now();
-        self.note_clock_step()?;
-        self.write_timing_if_due()?;
-        self.writer.sync()?;
-        *synced_cycles = self.writer.cycles();
-        self.link.progress.set(Synced {
-            cycles: self.writer.cycles(),
-            cycles_valid: self.writer.cycles_valid(),
-            cycles_lost: self.lost,
-            bytes: std::fs::metadata(&self.link.file).map_or(0, |file| file.len()),
-            at: self.clock.now(),
-        });
-        self.link.progress.set_timing(self.source.timing.summary());
-        if let Some(problem) = self.link.floor.problem() {
-            self.link.stop.stop(&problem);
-        }
+        self.note(Event { time, cycle: first, kind: EventKind::Gap, text });
         Ok(())
     }
 
-    /// Often at first, so that a short run has it too: whenever it has become twice as long, later in each period.
+    /// Writes what was taken, and has it synchronised unless the disk is still at the time before.
+    fn cut(&mut self) -> Result<(), WriteError> {
+        // What comes while the disk works waits for the next time, so that the period counts from here.
+        self.cut = (self.writer.cycles(), Instant::now());
+        self.link.progress.writing();
+        self.note_clock_step();
+        self.write_notes(self.last.map_or(UtcNs(i64::MIN), |last| last.sample_time))?;
+        self.write_timing_if_due()?;
+        let written = self.writer.cut();
+        self.mended(written)?;
+        self.link.progress.wrote(self.writer.cycles());
+        let mut timing = self.source.timing.summary();
+        timing.iter_mut().for_each(|timing| timing.disk = self.link.progress.longest());
+        self.link.progress.set_timing(timing);
+        self.synchroniser.begin(self.writer.sink().synchroniser(), self.as_synced());
+        Ok(())
+    }
+
+    /// What will be synchronised if the file is now.
+    fn as_synced(&self) -> Synced {
+        Synced {
+            cycles: self.writer.cycles(),
+            cycles_valid: self.writer.cycles_valid(),
+            bytes: self.writer.sink().length(),
+            at: Some(Instant::now()),
+        }
+    }
+
+    /// A run whose file the disk gave up on goes on elsewhere.
+    fn mended(&mut self, outcome: Result<(), WriteError>) -> Result<(), WriteError> {
+        match outcome {
+            Err(error @ (WriteError::Sink(_) | WriteError::Io { .. } | WriteError::Lost(_))) => {
+                self.move_elsewhere(error)
+            }
+            outcome => outcome,
+        }
+    }
+
+    /// Takes the run with all that it has to the first place that takes it. A file that is lost may begin anew where it
+    /// was; a disk that refuses is not asked again.
+    fn move_elsewhere(&mut self, why: WriteError) -> Result<(), WriteError> {
+        self.moves += 1;
+        if self.moves > MOVES_MAX {
+            return Err(why);
+        }
+        // Until it is somewhere else nothing is said to be safe.
+        self.link.progress.set_lost(self.writer.sink().place(), why.to_string());
+        let storage = &self.link.storage;
+        let (home, spare) = (storage.directory().to_owned(), storage.spare().to_owned());
+        let places = [matches!(why, WriteError::Lost(_)).then_some(home), Some(spare)];
+        for place in places.into_iter().flatten() {
+            if storage.is_full(&place) {
+                tracing::warn!("{why}; {} has no room for the run either", place.display());
+                continue;
+            }
+            let moved = self.writer.sink_mut().move_to(&place).and_then(|()| self.writer.write_out());
+            match moved {
+                Ok(()) => {
+                    self.has_moved(&why);
+                    return Ok(());
+                }
+                Err(error) => tracing::warn!("{why}; nor does the run go on elsewhere: {error}"),
+            }
+        }
+        Err(why)
+    }
+
+    fn has_moved(&mut self, why: &WriteError) {
+        let place = self.writer.sink().place().clone();
+        let text = format!("the run goes on in {}, because: {why}", place.path().display());
+        // The one before may hang on the disk that is gone.
+        self.synchroniser = Synchroniser::new(&self.link.progress);
+        self.link.progress.moved(place, why.to_string());
+        let time = UtcNs(self.clock.now().0 + self.utc_minus_monotonic_ns);
+        self.note(Event { time, cycle: self.cycle_at(time), kind: EventKind::Disk, text });
+    }
+
+    /// Often at first, so that a short run has it too: whenever it has become twice as long, later in each period; and
+    /// whenever a synchronisation took twice as long as any before.
     fn write_timing_if_due(&mut self) -> Result<(), WriteError> {
         let period_cycles = TIMING_PERIOD.as_nanos() as u64 / self.cycle_period_ns.max(1) as u64;
-        let cycles = self.writer.cycles();
-        if cycles - self.timed_cycles < self.timed_cycles.min(period_cycles) {
+        let (cycles, sync_ns) = (self.writer.cycles(), self.link.progress.longest().sync_longest_ns);
+        let (timed_cycles, timed_sync_ns) = self.timed;
+        let is_slower = sync_ns > 2 * timed_sync_ns.max(SYNC_USUAL_NS);
+        if cycles - timed_cycles < timed_cycles.min(period_cycles) && !is_slower {
             return Ok(());
         }
-        self.timed_cycles = cycles;
+        self.timed = (cycles, sync_ns);
         self.write_timing().map(drop)
     }
 
     fn write_timing(&mut self) -> Result<Option<TimingSummary>, WriteError> {
         self.source.timing.drain();
-        let timing = self.source.timing.summary();
-        timing.iter().try_for_each(|timing| self.writer.write_timing(timing))?;
-        Ok(timing)
+        let Some(mut timing) = self.source.timing.summary() else { return Ok(None) };
+        timing.disk = self.link.progress.longest();
+        let written = self.writer.write_timing(&timing);
+        self.mended(written)?;
+        Ok(Some(timing))
     }
 
-    fn take_marks(&mut self) -> Result<(), WriteError> {
-        while let Ok(text) = self.link.marks.try_recv() {
-            let time = UtcNs(self.clock.now().0 + self.utc_minus_monotonic_ns);
-            let cycle = self.last.map_or(0, |last| last.cycle);
-            self.writer.write_event(&Event { time, cycle, kind: EventKind::Marker, text })?;
+    /// Takes what happened on the bus and what people said, each with its own time.
+    fn take_notes(&mut self) {
+        while let Ok(event) = self.source.events.pop() {
+            self.note(event.to_event());
+        }
+        while let Ok(Mark { at, text }) = self.link.marks.try_recv() {
+            let time = UtcNs(at.0 + self.utc_minus_monotonic_ns);
+            self.note(Event { time, cycle: self.cycle_at(time), kind: EventKind::Marker, text });
+        }
+    }
+
+    /// The cycle during which it was `time`: they are due one period after the other.
+    fn cycle_at(&self, time: UtcNs) -> u64 {
+        let Some(last) = self.last else { return 0 };
+        let since = time.ns_since(last.sample_time).div_euclid(self.cycle_period_ns.max(1));
+        last.cycle.saturating_add_signed(since)
+    }
+
+    fn note(&mut self, event: Event) {
+        let at = self.notes.partition_point(|other| other.time <= event.time);
+        self.notes.insert(at, event);
+    }
+
+    /// Writes what happened up to `until`: readers find it among the cycles of its time.
+    fn write_notes(&mut self, until: UtcNs) -> Result<(), WriteError> {
+        while self.notes.first().is_some_and(|note| note.time <= until) {
+            let note = self.notes.remove(0);
+            let written = self.writer.write_event(&note);
+            self.mended(written)?;
         }
         Ok(())
     }
 
     /// Sample times keep to the offset of the run's beginning; when the host's UTC leaves it, the file says so.
-    fn note_clock_step(&mut self) -> Result<(), WriteError> {
+    fn note_clock_step(&mut self) {
         let offset_ns = self.clock.utc_minus_monotonic_ns();
         let moved_ns = offset_ns - self.host_offset_ns;
         if moved_ns.abs() <= CLOCK_STEP_NS {
-            return Ok(());
+            return;
         }
         self.host_offset_ns = offset_ns;
         let text = format!(
@@ -283,19 +414,94 @@ impl Recorder {
             moved_ns as f64 * 1e-6
         );
         let (cycle, time) = self.last.map_or((0, UtcNs(0)), |last| (last.cycle, last.sample_time));
-        self.writer.write_event(&Event { time, cycle, kind: EventKind::Clock, text })
+        self.note(Event { time, cycle, kind: EventKind::Clock, text });
     }
 
     fn finish(mut self, cause: String) -> Result<RunSummary, WriteError> {
-        let due = self.source.due.load(Ordering::Acquire);
+        let due = self.source.handed.due.load(Ordering::Acquire);
         self.fill_lost(due)?;
+        self.take_notes();
+        self.note_clock_step();
+        self.write_notes(UtcNs(i64::MAX))?;
+        let timing = self.write_timing()?;
         let (cycles, cycles_valid, cycles_lost) =
             (self.writer.cycles(), self.writer.cycles_valid(), self.lost);
-        self.note_clock_step()?;
-        let timing = self.write_timing()?;
         let ended = self.clock.now().plus_ns(self.utc_minus_monotonic_ns);
-        let path = self.writer.finish(&cause, UtcNs(ended.0))?;
+        self.link.progress.writing();
+        let closed = self.writer.close(&cause, UtcNs(ended.0));
+        self.mended(closed)?;
+        self.link.progress.wrote(cycles);
+        let path = loop {
+            match self.writer.sink().publish() {
+                Ok(path) => break path,
+                outcome => self.mended(outcome.map(drop))?,
+            }
+        };
+        self.link.progress.synced(0, Some(self.as_synced()));
         Ok(RunSummary { path, cycles, cycles_valid, cycles_lost, cause, timing })
+    }
+}
+
+/// A thread that waits for the disk to have what was written, while more is written. It ends with the recorder.
+struct Synchroniser {
+    jobs: SyncSender<(RunSync, Synced)>,
+    outcomes: Receiver<io::Result<()>>,
+    is_busy: bool,
+}
+
+impl Synchroniser {
+    fn new(progress: &Arc<Progress>) -> Self {
+        static NUMBER: AtomicU32 = AtomicU32::new(1);
+        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
+        let (jobs, waiting) = sync_channel::<(RunSync, Synced)>(1);
+        let (outcome, outcomes) = sync_channel(1);
+        let progress = Arc::clone(progress);
+        let body = move || {
+            while let Ok((file, covered)) = waiting.recv() {
+                progress.syncing(number);
+                let synced = file.sync();
+                progress.synced(number, synced.is_ok().then_some(covered));
+                // Let go of the file before its recorder may.
+                drop(file);
+                if outcome.send(synced).is_err() {
+                    return;
+                }
+            }
+        };
+        // Where there is no thread to be had nobody takes jobs, and each fails.
+        let _ = thread::Builder::new().name("synchroniser".into()).stack_size(STACK_BYTES).spawn(body);
+        Self { jobs, outcomes, is_busy: false }
+    }
+
+    /// Synchronises `file`, unless it is still at it.
+    fn begin(&mut self, file: RunSync, covers: Synced) {
+        if !self.is_busy {
+            self.is_busy = true;
+            let _ = self.jobs.send((file, covers));
+        }
+    }
+
+    /// Why the last synchronisation failed; told once.
+    fn problem(&mut self) -> Option<io::Error> {
+        if !self.is_busy {
+            return None;
+        }
+        let outcome = match self.outcomes.try_recv() {
+            Ok(outcome) => outcome,
+            Err(TryRecvError::Empty) => return None,
+            Err(TryRecvError::Disconnected) => Err(io::Error::other("no thread to synchronise the file")),
+        };
+        self.is_busy = false;
+        outcome.err()
+    }
+}
+
+impl Drop for Synchroniser {
+    /// Whoever recovers the file should find it unlocked; one that hangs is not waited for.
+    fn drop(&mut self) {
+        if self.is_busy {
+            let _ = self.outcomes.recv_timeout(LETS_GO_WITHIN);
+        }
     }
 }
 

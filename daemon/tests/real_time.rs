@@ -2,6 +2,7 @@
 
 mod support;
 
+mod disk;
 mod kill;
 mod no_allocation;
 mod service;

@@ -138,9 +138,21 @@ fn another_run_of_the_same_name_is_never_replaced() {
 #[test]
 fn what_was_never_a_recording_is_set_aside_once() {
     let directory = tempfile::tempdir().unwrap();
-    std::fs::write(directory.path().join("empty.mcap.active"), "").unwrap();
+    std::fs::write(directory.path().join("notes.mcap.active"), "not a recording").unwrap();
     assert!(recover_leftovers(directory.path())[0].outcome.is_err());
-    assert_eq!(names(directory.path()), ["empty.mcap.torn"]);
+    assert_eq!(names(directory.path()), ["notes.mcap.torn"]);
     assert!(recover_leftovers(directory.path()).is_empty());
     assert!(matches!(recover_file(Path::new("notes.txt")), Err(RecoverError::NotARecording(_))));
+}
+
+#[test]
+fn of_files_without_a_byte_nothing_is_kept() {
+    let directory = tempfile::tempdir().unwrap();
+    // Of a kill between name and first byte, of one between creation and name, and of a process that is about to.
+    let living = format!(".{}-0.new", std::process::id());
+    for name in ["empty.mcap.active", ".999999999-0.new", &living] {
+        std::fs::write(directory.path().join(name), "").unwrap();
+    }
+    assert!(recover_leftovers(directory.path()).is_empty());
+    assert_eq!(names(directory.path()), [living]);
 }

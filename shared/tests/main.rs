@@ -5,3 +5,4 @@ mod support;
 mod leftovers;
 mod recording;
 mod recovery;
+mod run_file;

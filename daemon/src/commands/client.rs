@@ -153,14 +153,19 @@ pub fn check(arguments: &AskArguments) -> anyhow::Result<()> {
 }
 
 pub fn list(arguments: &RunsArguments) -> anyhow::Result<()> {
-    let directory = match &arguments.directory {
-        Some(directory) => directory.clone(),
-        None => config::load::<DaemonConfig>(&arguments.config.join("daemon.toml"))?.directory,
+    let (directory, spare) = match &arguments.directory {
+        Some(directory) => (directory.clone(), None),
+        None => {
+            let daemon: DaemonConfig = config::load(&arguments.config.join("daemon.toml"))?;
+            (daemon.directory, Some(daemon.spare_directory))
+        }
     };
-    let lines = runs::list(&directory)
+    let lines = runs::list(&directory, spare.as_deref())
         .with_context(|| format!("cannot list recordings in {}", directory.display()))?;
     for line in &lines {
-        say(listed(line))?;
+        let elsewhere = line.file.parent().filter(|parent| *parent != directory);
+        let place = elsewhere.map_or(String::new(), |parent| format!("  [in {}]", parent.display()));
+        say(format_args!("{}{place}", listed(line)))?;
     }
     if lines.is_empty() {
         say(format_args!("no recordings in {}", directory.display()))?;
@@ -232,20 +237,24 @@ fn understood<T: DeserializeOwned>(mut response: ureq::http::Response<ureq::Body
 }
 
 fn running(run: &RunStatus) -> String {
-    let age =
-        run.sync_age_ms.map_or("nothing on disk yet".into(), |age| format!("synchronised {age} ms ago"));
+    let age = run.sync_age_ms.map_or("nothing on disk yet".into(), |age| format!("all up to {age} ms ago"));
     format!(
-        "run `{}`: {} cycles on disk, {} valid, {} lost, {:.1} MB, {age}",
+        "run `{}`: {} cycles on disk, {} valid, {} lost, {:.1} MB, {age}\n{}; {:.1} s not synchronised yet, {:.1} s not \
+         written yet (at {:.0} s cycles are lost)",
         run.name,
         run.cycles,
         run.cycles_valid,
         run.cycles_lost,
-        run.bytes as f64 * 1e-6
+        run.bytes as f64 * 1e-6,
+        run.file,
+        run.unsynced_s,
+        run.backlog_s,
+        run.backlog_limit_s
     )
 }
 
 fn last_run(last: &LastRun) -> String {
-    let LastRun { name, file, cycles, cycles_valid, cycles_lost, cause, timing: _ } = last;
+    let LastRun { name, file, cycles, cycles_valid, cycles_lost, cause, error: _, timing: _ } = last;
     let flagged = cycles - cycles_valid.min(cycles);
     match file {
         Some(file) => {

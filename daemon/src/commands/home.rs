@@ -13,7 +13,7 @@ use super::output::say;
 use super::{bus_choice, on_signal};
 use crate::control::homing;
 use crate::control::status::{HomeRequest, HomingStatus, Reply, Status, StopRequest};
-use crate::run::{self, Stop};
+use crate::run::{self, Stop, Storage};
 
 /// How often progress is looked at.
 const POLL: Duration = Duration::from_millis(200);
@@ -66,7 +66,7 @@ fn on_own_bus(bus: &str, config: &std::path::Path, stop: &Stop) -> anyhow::Resul
     let daemon: DaemonConfig = config::load(&config.join("daemon.toml"))?;
     let bar: BallBarConfig = config::load(&config.join("ball_bar.toml"))?;
     let file: PathBuf = config.join(HomingConfig::FILE_NAME);
-    let session = run::open(&bus_choice(bus), &[], &daemon, &bar)?;
+    let session = run::open(&bus_choice(bus), &[], &daemon, &bar, &Storage::new(&daemon)?)?;
     session.log();
     let mut active = session.begin_homing();
     let (mut printer, mut status) = (Printer::default(), HomingStatus::default());

@@ -13,6 +13,7 @@ use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Json, Router};
+use shared::config::DaemonConfig;
 use tokio::net::TcpListener;
 
 use super::connections::Connections;
@@ -78,8 +79,8 @@ async fn check(State(service): State<Service>) -> Response {
 }
 
 async fn list_runs(State(service): State<Service>) -> Response {
-    let directory = service.settings().daemon.directory.clone();
-    match tokio::task::spawn_blocking(move || runs::list(&directory)).await {
+    let DaemonConfig { directory, spare_directory, .. } = service.settings().daemon.clone();
+    match tokio::task::spawn_blocking(move || runs::list(&directory, Some(&spare_directory))).await {
         Ok(Ok(lines)) => Json(lines).into_response(),
         // A directory that is not there yet holds no runs.
         Ok(Err(error)) if error.kind() == std::io::ErrorKind::NotFound => {
@@ -122,14 +123,18 @@ async fn stop(State(service): State<Service>, body: Body<StopRequest>) -> Respon
         return refusal(StatusCode::UNPROCESSABLE_ENTITY, problem);
     }
     match service.stop(cause).await {
-        Ok(Answer::Stopping(run)) => match finished(&service, &run).await {
+        Ok((Answer::Stopping(run), runs_over)) => match finished(&service, runs_over).await {
+            // A run whose file could not be finished is no success.
+            Some(last) if last.error.is_some() => {
+                refusal(StatusCode::INTERNAL_SERVER_ERROR, &format!("run `{run}`: {}", last.cause))
+            }
             Some(last) => reply("stopped", Some(run), Some(last)),
             None => refusal(
                 StatusCode::GATEWAY_TIMEOUT,
                 &format!("run `{run}` is ending, but the disk has not taken it yet; ask for the status"),
             ),
         },
-        Ok(Answer::Homing) => reply("homing", None, None),
+        Ok((Answer::Homing, _)) => reply("homing", None, None),
         Ok(_) => reply("idle", None, service.status().last),
         Err(Refusal { error }) => refusal(StatusCode::SERVICE_UNAVAILABLE, &error),
     }
@@ -169,10 +174,10 @@ fn some_text(text: &str) -> Result<(), &'static str> {
     if text.is_empty() { Err("the text is empty; say something") } else { check_text(text) }
 }
 
-/// Waits until `run` is over.
-async fn finished(service: &Service, run: &str) -> Option<LastRun> {
+/// Waits until one more run is over than were.
+async fn finished(service: &Service, runs_over: u64) -> Option<LastRun> {
     let mut status = service.watch();
-    let over = |status: &Status| status.last.as_ref().is_some_and(|last| last.name == run);
+    let over = |status: &Status| status.runs_over > runs_over;
     let wait = async { status.wait_for(over).await.ok().and_then(|status| status.last.clone()) };
     tokio::time::timeout(CLOSE_TIMEOUT, wait).await.ok().flatten()
 }

@@ -4,6 +4,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Duration;
 
+use shared::time::MonoNs;
 use tokio::sync::{oneshot, watch};
 
 use super::bus_link::BusLink;
@@ -13,24 +14,24 @@ use super::preflight;
 use super::service::{Connect, Settings};
 use super::status::{CheckLine, LastRun, Status};
 use super::view::View;
-use crate::clock::Clock;
 use crate::homing;
 use crate::recorder::RunSummary;
-use crate::run::{self, ActiveRun, RunDetails, Stop};
+use crate::run::{self, ActiveRun, RunDetails, RunError, Stop, Storage};
 
 /// How often bus and recorder are looked at while nobody asks for anything.
 const POLL: Duration = Duration::from_millis(100);
 /// Why a run ends when this thread does.
 const CONTROL_DIED: &str = "full fault: the thread of the control has ended; its cause is in the log";
 /// Without anything new on disk for this long a run is not writing \[sync periods\].
-const STALLED_SYNC_PERIODS: i64 = 3;
+const STALLED_SYNC_PERIODS: u32 = 3;
 
 /// What somebody asks of the service.
 pub(super) enum Command {
     Start(Box<RunDetails>, bool, oneshot::Sender<Answer>),
-    Stop(String, oneshot::Sender<Answer>),
+    /// Answered with how many runs were over when it was asked.
+    Stop(String, oneshot::Sender<(Answer, u64)>),
     Home(oneshot::Sender<Answer>),
-    Mark(String, oneshot::Sender<Option<String>>),
+    Mark(String, MonoNs, oneshot::Sender<Result<Option<String>, String>>),
     Check(oneshot::Sender<Vec<CheckLine>>),
     Shutdown(String),
     /// Takes the thread with it.
@@ -49,13 +50,22 @@ pub(super) struct Controller {
     wanted: RunDetails,
     run: Option<ActiveRun>,
     summary: Option<RunSummary>,
+    /// Why the file of the run that ends could not be finished in the ordinary way.
+    failure: Option<String>,
     last: Option<LastRun>,
+    runs_over: u64,
+    storage: Storage,
     cycles_seen: u64,
     exit: bool,
 }
 
 impl Controller {
-    pub fn new(settings: Arc<Settings>, connect: Arc<Connect>, status: watch::Sender<Status>) -> Self {
+    pub fn new(
+        settings: Arc<Settings>,
+        connect: Arc<Connect>,
+        storage: Storage,
+        status: watch::Sender<Status>,
+    ) -> Self {
         Self {
             settings,
             machine: Machine::default(),
@@ -65,7 +75,10 @@ impl Controller {
             wanted: RunDetails::default(),
             run: None,
             summary: None,
+            failure: None,
             last: None,
+            runs_over: 0,
+            storage,
             cycles_seen: 0,
             exit: false,
         }
@@ -120,19 +133,23 @@ impl Controller {
                 let _ = reply.send(answer.unwrap_or(Answer::Idle));
             }
             Command::Stop(cause, reply) => {
+                let runs_over = self.runs_over;
                 let answer = self.handle(Event::Stop(cause));
                 self.publish();
-                let _ = reply.send(answer.unwrap_or(Answer::Idle));
+                let _ = reply.send((answer.unwrap_or(Answer::Idle), runs_over));
             }
             Command::Home(reply) => {
                 let answer = self.handle(Event::Home);
                 self.publish();
                 let _ = reply.send(answer.unwrap_or(Answer::Idle));
             }
-            Command::Mark(text, reply) => {
+            Command::Mark(text, at, reply) => {
                 let marked = self.run.as_ref().filter(|run| !run.stop.is_stopped());
-                marked.inspect(|run| run.mark(&text));
-                let _ = reply.send(marked.and_then(|_| self.machine.run().map(str::to_owned)));
+                let _ = reply.send(match marked.map(|run| run.mark(at, text)) {
+                    Some(false) => Err("the disk takes no more markers; see `ballbard status`".into()),
+                    Some(true) => Ok(self.machine.run().map(str::to_owned)),
+                    None => Ok(None),
+                });
             }
             Command::Check(reply) => {
                 let view = self.view();
@@ -153,6 +170,8 @@ impl Controller {
             match action {
                 Action::Answer(given) => answer = answer.or(Some(given)),
                 Action::Open(_) => {
+                    // It takes as long as the disk takes, and whoever asks meanwhile should know.
+                    self.publish();
                     if let Err(refusal) = self.open() {
                         answer = Some(Answer::Refused(refusal));
                     }
@@ -171,7 +190,7 @@ impl Controller {
                 }
                 Action::EndHoming(cause) => self.homing.iter().for_each(|homing| homing.stop(&cause)),
                 Action::Recover => {
-                    run::finish_leftovers(&self.settings.daemon.directory);
+                    run::finish_leftovers(&self.storage);
                     self.handle(Event::Recovered);
                 }
                 Action::Exit => self.exit = true,
@@ -205,8 +224,11 @@ impl Controller {
 
     fn finished(&mut self, name: String, cause: String) {
         let summary = self.summary.take();
+        let error = self.failure.take().or_else(|| summary.is_none().then(|| cause.clone()));
         // What the file states is what everybody is told.
-        let cause = summary.as_ref().map_or(cause, |summary| summary.cause.clone());
+        let cause =
+            summary.as_ref().filter(|_| error.is_none()).map_or(cause, |summary| summary.cause.clone());
+        self.runs_over += 1;
         tracing::info!(
             run = name,
             cause,
@@ -220,6 +242,7 @@ impl Controller {
             cycles: count(|summary| summary.cycles),
             cycles_valid: count(|summary| summary.cycles_valid),
             cycles_lost: count(|summary| summary.cycles_lost),
+            error,
             file: summary.as_ref().map(|summary| summary.path.display().to_string()),
             timing: summary.and_then(|summary| summary.timing),
         });
@@ -251,27 +274,32 @@ impl Controller {
             self.handle(Event::Ended(cause));
             return;
         }
-        let synced = run.progress.get();
-        let age_ns = Clock::Real.now().ns_since(synced.at);
+        let synced = run.progress.get().synced;
+        let stalled_after = self.settings.daemon.sync_period() * STALLED_SYNC_PERIODS;
         if synced.cycles > self.cycles_seen {
             self.cycles_seen = synced.cycles;
             self.handle(Event::Synced);
-        } else if age_ns > STALLED_SYNC_PERIODS * self.settings.daemon.sync_period().as_nanos() as i64 {
+        } else if synced.at.is_none_or(|at| at.elapsed() > stalled_after) {
             self.handle(Event::Stalled);
         }
     }
 
     fn run_is_over(&mut self, run: ActiveRun) {
-        let cause = run.stop.cause();
-        match run.join() {
+        let outcome = run.join();
+        match outcome {
             Ok(summary) => {
+                self.handle(Event::Ended(summary.cause.clone()));
                 self.summary = Some(summary);
-                self.handle(Event::Ended(cause));
                 self.handle(Event::Closed);
             }
             Err(error) => {
                 tracing::error!("recording failed: {error}");
-                self.handle(Event::CloseFailed(error.to_string()));
+                let told = error.to_string();
+                if let RunError::Broken { content, .. } = error {
+                    self.summary = content.map(|summary| *summary);
+                }
+                self.failure = Some(told.clone());
+                self.handle(Event::CloseFailed(told));
             }
         }
     }
@@ -295,6 +323,8 @@ impl Controller {
             run: self.run.as_ref(),
             homing: self.homing.as_ref(),
             last: self.last.as_ref(),
+            runs_over: self.runs_over,
+            storage: &self.storage,
         }
     }
 

@@ -1,6 +1,6 @@
 //! What should be true before a run begins, each with what to do where it is not.
 
-use nix::unistd::{AccessFlags, access};
+use shared::config::DaemonConfig;
 
 use super::runs;
 use super::status::{CheckLine, Status};
@@ -94,25 +94,21 @@ fn reference_marks(view: &View<'_>) -> CheckLine {
 
 fn disk(view: &View<'_>) -> CheckLine {
     const SUBJECT: &str = "disk";
-    if view.settings.daemon.directory.metadata().is_ok_and(|found| !found.is_dir()) {
-        let finding = format!("{} is no directory", view.settings.daemon.directory.display());
-        return problem(SUBJECT, finding, "move that file away, or correct `directory` in daemon.toml");
+    if let Some(finding) = view.disk_problem() {
+        return problem(
+            SUBJECT,
+            finding,
+            "set right what it says; `ballbard status` shows what of a run is safe",
+        );
     }
-    let writable = access(&view.settings.daemon.directory, AccessFlags::W_OK).is_ok()
-        || !view.settings.daemon.directory.exists();
-    if !writable {
-        let finding = format!("{} cannot be written", view.settings.daemon.directory.display());
-        return problem(SUBJECT, finding, "correct its permissions, or `directory` in daemon.toml");
-    }
-    match view.floor().problem() {
-        Some(finding) => problem(SUBJECT, finding, "delete or move recordings"),
-        None => {
-            let usable = view.floor().usable_bytes().ok().flatten().unwrap_or(0);
-            // Measured: 11.5 kB a second at 100 Hz with five encoders.
-            let hours = usable / 42_000_000;
-            good(SUBJECT, format!("{} MB above the floor, some {hours} hours at 100 Hz", usable / 1_000_000))
-        }
-    }
+    let usable = view.storage.usable_bytes().unwrap_or(0);
+    // Measured: 11.5 kB a second at 100 Hz with five encoders.
+    let hours = usable / 42_000_000;
+    let waited = view.run.map_or(String::new(), |run| {
+        let progress = run.progress.get();
+        format!("; {:.1} s wait to be written, {}", progress.backlog_s, progress.longest)
+    });
+    good(SUBJECT, format!("{} MB above the floor, some {hours} hours at 100 Hz{waited}", usable / 1_000_000))
 }
 
 fn realtime(view: &View<'_>) -> CheckLine {
@@ -165,7 +161,8 @@ fn log() -> CheckLine {
 
 fn leftovers(view: &View<'_>) -> CheckLine {
     const SUBJECT: &str = "left-over files";
-    let files = runs::left_behind(&view.settings.daemon.directory);
+    let DaemonConfig { directory, spare_directory, .. } = &view.settings.daemon;
+    let files = [runs::left_behind(directory), runs::left_behind(spare_directory)].concat();
     if files.is_empty() {
         return good(SUBJECT, "none");
     }

@@ -29,10 +29,13 @@ pub struct RunLine {
     pub note: String,
 }
 
-/// Recordings of a directory, the latest first; those that do not tell when they began come last.
-pub fn list(directory: &Path) -> std::io::Result<Vec<RunLine>> {
-    let mut lines: Vec<_> =
-        std::fs::read_dir(directory)?.flatten().filter_map(|entry| line(entry.path())).collect();
+/// Recordings of a directory, the latest first; those that do not tell when they began come last. With those of runs
+/// that had to go on in `spare`.
+pub fn list(directory: &Path, spare: Option<&Path>) -> std::io::Result<Vec<RunLine>> {
+    // It is there only if a run needed it.
+    let elsewhere = spare.and_then(|spare| std::fs::read_dir(spare).ok()).into_iter().flatten();
+    let entries = std::fs::read_dir(directory)?.chain(elsewhere).flatten();
+    let mut lines: Vec<_> = entries.filter_map(|entry| line(entry.path())).collect();
     lines.sort_by(|one, other| other.started.cmp(&one.started).then_with(|| one.name.cmp(&other.name)));
     Ok(lines)
 }
@@ -54,7 +57,7 @@ fn line(file: PathBuf) -> Option<RunLine> {
         let verdict = if is_in_use(&file) {
             "is being recorded"
         } else {
-            "left behind by a crash; it is recovered when the service starts, or with `ballbard recover`"
+            "left behind by a crash; it is recovered when the next run or the service starts"
         };
         return Some(RunLine { verdict: verdict.into(), ..unknown(name, file) });
     }

@@ -9,13 +9,15 @@ use std::thread;
 use std::time::Duration;
 
 use shared::config::{BallBarConfig, DaemonConfig};
+use shared::time::MonoNs;
 use tokio::sync::{oneshot, watch};
 
 use super::controller::{Command, Controller};
 use super::machine::Answer;
 use super::status::{CheckLine, Refusal, StartRequest, Status};
 use crate::claim::Claim;
-use crate::run::{self, BusChoice, RunDetails, RunError, Session};
+use crate::clock::Clock;
+use crate::run::{self, BusChoice, RunDetails, RunError, Session, Storage};
 use crate::segment::faults::FaultWindow;
 
 /// What the service is made of.
@@ -67,17 +69,23 @@ impl Service {
     pub fn start(settings: Settings) -> Result<Self, StartError> {
         let (bus, faults) = (settings.bus.clone(), settings.faults.clone());
         let (daemon, bar) = (settings.daemon.clone(), settings.bar.clone());
-        Self::start_on(settings, Arc::new(move || run::open(&bus, &faults, &daemon, &bar)))
+        let storage = Storage::new(&daemon)?;
+        let places = storage.clone();
+        Self::start_on(settings, storage, Arc::new(move || run::open(&bus, &faults, &daemon, &bar, &places)))
     }
 
-    /// [`start`](Self::start) with another way to the bus.
-    pub(crate) fn start_on(settings: Settings, connect: Arc<Connect>) -> Result<Self, StartError> {
+    /// [`start`](Self::start) with another disk and another way to the bus.
+    pub(crate) fn start_on(
+        settings: Settings,
+        storage: Storage,
+        connect: Arc<Connect>,
+    ) -> Result<Self, StartError> {
         let claim = Arc::new(run::claim_directory(&settings.daemon.directory)?);
-        run::finish_leftovers(&settings.daemon.directory);
+        run::finish_leftovers(&storage);
         let settings = Arc::new(settings);
         let (commands, commands_rx) = channel();
         let (status_tx, status) = watch::channel(Status::default());
-        let mut controller = Controller::new(Arc::clone(&settings), connect, status_tx);
+        let mut controller = Controller::new(Arc::clone(&settings), connect, storage, status_tx);
         let body = move || {
             let is_well = catch_unwind(AssertUnwindSafe(|| controller.run(&commands_rx))).is_ok();
             if !is_well {
@@ -111,7 +119,8 @@ impl Service {
         self.ask(|reply| Command::Start(details, named, reply)).await
     }
 
-    pub(super) async fn stop(&self, cause: String) -> Result<Answer, Refusal> {
+    /// With how many runs were over when it was asked.
+    pub(super) async fn stop(&self, cause: String) -> Result<(Answer, u64), Refusal> {
         self.ask(|reply| Command::Stop(cause, reply)).await
     }
 
@@ -121,7 +130,9 @@ impl Service {
 
     /// The run that was marked; none if none goes on.
     pub(super) async fn mark(&self, text: String) -> Result<Option<String>, Refusal> {
-        self.ask(|reply| Command::Mark(text, reply)).await
+        let at: MonoNs = Clock::Real.now();
+        let marked = self.ask(|reply| Command::Mark(text, at, reply)).await?;
+        marked.map_err(|error| Refusal { error })
     }
 
     /// The preflight check.
@@ -202,7 +213,6 @@ pub(crate) mod tests {
     use shared::time::MonoNs;
 
     use super::*;
-    use crate::clock::Clock;
     use crate::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
     use crate::segment::{FRAME_BYTES_MAX, InProcessWire, Wire};
 
@@ -250,13 +260,15 @@ pub(crate) mod tests {
         let daemon = DaemonConfig { directory: directory.to_owned(), ..daemon };
         let bar: BallBarConfig = config::load(&shipped.join("ball_bar.toml")).unwrap();
         let deadly = Arc::new(AtomicBool::new(false));
+        let storage = Storage::new(&daemon).unwrap();
+        let places = storage.clone();
         let (armed, on_daemon, on_bar) = (Arc::clone(&deadly), daemon.clone(), bar.clone());
         let connect = move || {
             first();
             let motion = SmoothMotion::new(on_bar.encoders.len(), 3600, 1);
             let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(motion));
             let wire = Deadly(InProcessWire::new(segment, Clock::Real), Arc::clone(&armed));
-            run::open_on(Box::new(wire), &on_daemon, &on_bar)
+            run::open_on(Box::new(wire), &on_daemon, &on_bar, &places)
         };
         let settings = Settings {
             bus: BusChoice::Simulated,
@@ -265,7 +277,7 @@ pub(crate) mod tests {
             bar,
             homing_file: directory.join("homing.toml"),
         };
-        (Service::start_on(settings, Arc::new(connect)).unwrap(), deadly)
+        (Service::start_on(settings, storage, Arc::new(connect)).unwrap(), deadly)
     }
 
     /// Begins a run and waits until it is being written.

@@ -1,7 +1,7 @@
 //! What the service says of itself: the words of the API and of the commands.
 
 use serde::{Deserialize, Serialize};
-use shared::recording::TimingSummary;
+use shared::recording::{DiskTiming, TimingSummary};
 use shared::time::UtcNs;
 
 /// What the service is doing, as far as it is on disk.
@@ -16,6 +16,9 @@ pub struct Status {
     pub run: Option<RunStatus>,
     /// The run before.
     pub last: Option<LastRun>,
+    /// Runs that are over since the service began.
+    #[serde(default)]
+    pub runs_over: u64,
     /// The homing that goes on, or the last one.
     pub homing: Option<HomingStatus>,
     /// Network interface, or `simulated`.
@@ -40,16 +43,30 @@ pub struct RunStatus {
     pub name: String,
     /// When it began, ns since 1970.
     pub started: UtcNs,
-    /// Cycles on disk.
+    /// Where it is written.
+    pub file: String,
+    /// Cycles on disk: synchronised, so that a power cut leaves them.
     pub cycles: u64,
     /// Cycles among them in which every encoder is valid.
     pub cycles_valid: u64,
-    /// Cycles that were lost between bus and file.
+    /// Cycles that are written, so that a kill of the program leaves them.
+    pub cycles_written: u64,
+    /// Cycles that were due.
+    pub cycles_taken: u64,
+    /// Cycles that were lost between bus and file, up to now.
     pub cycles_lost: u64,
-    /// Length of its file \[bytes\].
+    /// Length of the file when it was synchronised \[bytes\].
     pub bytes: u64,
-    /// How long ago it was last synchronised \[ms\]; none before the first time.
+    /// All that was written so long ago is on disk \[ms\]; none before the first time.
     pub sync_age_ms: Option<i64>,
+    /// What is taken and not synchronised: the cost of a power cut \[s\].
+    pub unsynced_s: f64,
+    /// What is taken and not written: the cost of a kill \[s\].
+    pub backlog_s: f64,
+    /// Cycles are lost from this backlog on \[s\].
+    pub backlog_limit_s: f64,
+    /// How long the disk kept the recorder waiting.
+    pub disk: DiskTiming,
     /// How well the loop kept its time so far.
     #[serde(default)]
     pub timing: Option<TimingSummary>,
@@ -60,7 +77,7 @@ pub struct RunStatus {
 pub struct LastRun {
     /// Its name.
     pub name: String,
-    /// Its finished file; none where it could not be finished in the ordinary way.
+    /// Its finished file; none where there is none.
     pub file: Option<String>,
     /// Cycles in it.
     pub cycles: u64,
@@ -70,6 +87,9 @@ pub struct LastRun {
     pub cycles_lost: u64,
     /// Why it ended.
     pub cause: String,
+    /// Why its file could not be finished in the ordinary way; the cycles are then those that could be saved.
+    #[serde(default)]
+    pub error: Option<String>,
     /// How well the loop kept its time.
     #[serde(default)]
     pub timing: Option<TimingSummary>,

@@ -9,7 +9,7 @@ use super::service::Settings;
 use super::status::{EncoderStatus, LastRun, RunStatus, Status};
 use crate::clock::Clock;
 use crate::cycle::link_errors;
-use crate::run::{ActiveRun, BusChoice, DiskFloor, Session};
+use crate::run::{ActiveRun, BusChoice, Session, Storage};
 
 /// The service at one moment.
 pub(super) struct View<'a> {
@@ -19,12 +19,15 @@ pub(super) struct View<'a> {
     pub run: Option<&'a ActiveRun>,
     pub homing: Option<&'a Homing>,
     pub last: Option<&'a LastRun>,
+    pub runs_over: u64,
+    pub storage: &'a Storage,
 }
 
 impl View<'_> {
-    /// The space that recordings leave free.
-    pub fn floor(&self) -> DiskFloor {
-        DiskFloor::new(&self.settings.daemon.directory, self.settings.daemon.disk_floor_mb)
+    /// What is wrong with the disk, as far as the run that goes on or the next one is concerned.
+    pub fn disk_problem(&self) -> Option<String> {
+        let warning = self.run.and_then(|run| run.progress.get().warning());
+        warning.into_iter().chain(self.storage.problem()).reduce(|one, other| format!("{one}; {other}"))
     }
 
     /// In the words of the API.
@@ -38,18 +41,20 @@ impl View<'_> {
             State::Writing { .. } => ("writing", None),
             State::Closing { cause, .. } => ("closing", Some(cause.as_str())),
         };
+        // A run goes on while its bus is brought back, an encoder is silent or its disk hangs, and whoever looks should
+        // know.
+        let bus = reason.or(self.machine.bus_fault()).map(str::to_owned);
+        let bus = bus.or_else(|| self.session.and_then(silent_encoders));
+        let reasons = bus.into_iter().chain(self.disk_problem());
         let mut status = Status {
             state: state.into(),
-            // A run goes on while its bus is brought back or an encoder is silent, and whoever looks should know.
-            reason: reason
-                .or(self.machine.bus_fault())
-                .map(str::to_owned)
-                .or_else(|| self.session.and_then(silent_encoders)),
+            reason: reasons.reduce(|one, other| format!("{one}; {other}")),
             run: self.run_status(),
             last: self.last.cloned(),
+            runs_over: self.runs_over,
             homing: self.homing.map(|homing| homing.status().clone()),
             bus: bus_name(&self.settings.bus),
-            disk_usable_mb: self.floor().usable_bytes().ok().map(|bytes| bytes.unwrap_or(0) / 1_000_000),
+            disk_usable_mb: self.storage.usable_bytes().map(|bytes| bytes / 1_000_000),
             ..Status::default()
         };
         if let Some(session) = self.session {
@@ -60,16 +65,23 @@ impl View<'_> {
 
     fn run_status(&self) -> Option<RunStatus> {
         let (name, run) = (self.machine.run()?, self.run?);
-        let synced = run.progress.get();
+        let progress = run.progress.get();
         Some(RunStatus {
             name: name.to_owned(),
             started: run.started,
-            cycles: synced.cycles,
-            cycles_valid: synced.cycles_valid,
-            cycles_lost: synced.cycles_lost,
-            bytes: synced.bytes,
-            sync_age_ms: age_ms(synced.at),
-            timing: run.progress.timing(),
+            file: progress.file.display().to_string(),
+            cycles: progress.synced.cycles,
+            cycles_valid: progress.synced.cycles_valid,
+            cycles_written: progress.written,
+            cycles_taken: progress.taken,
+            cycles_lost: progress.lost,
+            bytes: progress.synced.bytes,
+            sync_age_ms: progress.synced.at.map(|at| at.elapsed().as_millis() as i64),
+            unsynced_s: progress.unsynced_s,
+            backlog_s: progress.backlog_s,
+            backlog_limit_s: progress.backlog_limit_s,
+            disk: progress.longest,
+            timing: progress.timing,
         })
     }
 }

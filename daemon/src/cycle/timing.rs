@@ -5,7 +5,7 @@
 
 use hdrhistogram::Histogram;
 use rtrb::{Consumer, Producer, RingBuffer};
-use shared::recording::{Bin, Durations, TimingSummary};
+use shared::recording::{Bin, DiskTiming, Durations, TimingSummary};
 
 /// Longest duration that is told apart \[ns\]: a minute.
 const LONGEST_NS: u64 = 60_000_000_000;
@@ -94,6 +94,7 @@ impl Timings {
             lateness: durations(&self.lateness),
             round_trip: durations(&self.round_trip),
             duration: durations(&self.duration),
+            disk: DiskTiming::default(),
         })
     }
 }

@@ -3,12 +3,14 @@
 use std::io::Cursor;
 use std::path::Path;
 
+use shared::config::DaemonConfig;
 use shared::encoder::EncoderScale;
 use shared::recording::schema::{EncoderInfo, EncoderSample, flags};
-use shared::recording::{Recording, salvage};
-use shared::time::{DcNs, MonoNs};
+use shared::recording::{Disk, Recording, SystemDisk, salvage};
+use shared::time::DcNs;
 
 use super::*;
+use crate::run::{Limits, Stop};
 
 fn metadata() -> RunMetadata {
     RunMetadata {
@@ -48,36 +50,44 @@ fn cycle(cycle: u64) -> CycleRecord {
     record
 }
 
-fn link_to(directory: &Path, floor_mb: u32) -> RunLink {
-    RunLink {
-        stop: Stop::default(),
-        marks: std::sync::mpsc::channel().1,
-        progress: Arc::default(),
-        floor: DiskFloor::new(directory, floor_mb),
-        file: directory.join("ring.mcap.active"),
+/// A recorder, and what ends its run.
+fn rig(disk: Arc<dyn Disk>, source: CycleSource, daemon: &DaemonConfig, clock: &Clock) -> (Recorder, Stop) {
+    let run = metadata();
+    let storage = Storage::on(disk, daemon).unwrap();
+    let writer = RecordingWriter::create_on(storage.disk(), storage.directory(), &run).unwrap();
+    let limits = Limits {
+        cycle_period: Duration::from_millis(10),
+        sync_period: daemon.sync_period(),
+        ring_cycles: source.ring.buffer().capacity(),
+    };
+    let place = writer.sink().place().clone();
+    let progress = Arc::new(Progress::new(Arc::clone(source.handed()), limits, place));
+    let stop = Stop::default();
+    storage.watch(&progress, &stop);
+    let link = RunLink { marks: sync_channel(1).1, progress, storage };
+    let recorder = Recorder::new(source, writer, clock.clone(), daemon.sync_period(), &run, link);
+    (recorder, stop)
+}
+
+fn configured(directory: &Path) -> DaemonConfig {
+    DaemonConfig {
+        directory: directory.join("runs"),
+        spare_directory: directory.join("spare"),
+        disk_floor_mb: 0,
+        ..DaemonConfig::default()
     }
 }
 
-fn record_through_ring(capacity: usize, cycles: u64) -> (Recording, RunSummary) {
-    record_above_floor(capacity, cycles, 0)
+fn plain(directory: &Path, source: CycleSource) -> Recorder {
+    rig(Arc::new(SystemDisk), source, &configured(directory), &Clock::Real).0
 }
 
-fn record_above_floor(capacity: usize, cycles: u64, floor_mb: u32) -> (Recording, RunSummary) {
+fn record_through_ring(capacity: usize, cycles: u64) -> (Recording, RunSummary) {
     let directory = tempfile::tempdir().unwrap();
     let (mut sink, source) = ring(capacity, &Clock::Real);
     (0..cycles).for_each(|number| sink.push(&cycle(number)));
     drop(sink);
-    let run = metadata();
-    let writer = RecordingWriter::create(directory.path(), &run).unwrap();
-    let link = link_to(directory.path(), floor_mb);
-    let stop = link.stop.clone();
-    let recorder = Recorder::new(source, writer, Clock::Real, Duration::from_secs(1), &run, link);
-    let summary = recorder
-        .run(|| {
-            stop.stop("test over");
-            stop.cause()
-        })
-        .unwrap();
+    let summary = plain(directory.path(), source).run(|| "test over".into()).unwrap();
     (Recording::open(&summary.path).unwrap(), summary)
 }
 
@@ -117,10 +127,7 @@ fn the_hosts_utc_may_be_stepped_and_the_file_says_so() {
     let (mut sink, source) = ring(1000, &Clock::Real);
     (0..300).for_each(|number| sink.push(&cycle(number)));
     drop(sink);
-    let run = metadata();
-    let writer = RecordingWriter::create(directory.path(), &run).unwrap();
-    let link = link_to(directory.path(), 0);
-    let recorder = Recorder::new(source, writer, clock.clone(), Duration::from_secs(1), &run, link);
+    let (recorder, _) = rig(Arc::new(SystemDisk), source, &configured(directory.path()), &clock);
     clock.step_utc(-2_000_000_000);
     let recording = Recording::open(&recorder.run(String::new).unwrap().path).unwrap();
     let told: Vec<_> = recording.events.iter().map(|event| (event.kind, event.text.as_str())).collect();
@@ -130,10 +137,22 @@ fn the_hosts_utc_may_be_stepped_and_the_file_says_so() {
 
 #[test]
 fn at_the_disk_floor_the_run_is_asked_to_end_and_its_file_says_why() {
-    // Longer than a synchronisation period, and more than any disk has.
-    let (recording, summary) = record_above_floor(256, 150, 4_000_000_000);
-    assert_eq!(recording.cycles.len(), 150);
-    assert!(summary.cause.contains("disk floor"), "{}", summary.cause);
+    let directory = tempfile::tempdir().unwrap();
+    let (mut sink, source) = ring(256, &Clock::Real);
+    // More than any disk has.
+    let daemon = DaemonConfig { disk_floor_mb: 4_000_000_000, ..configured(directory.path()) };
+    let (recorder, stop) = rig(Arc::new(SystemDisk), source, &daemon, &Clock::Real);
+    (0..150).for_each(|number| sink.push(&cycle(number)));
+    let begun = Instant::now();
+    while !stop.is_stopped() {
+        assert!(begun.elapsed() < Duration::from_secs(10), "the floor was not seen");
+        thread::sleep(DRAIN_PERIOD);
+    }
+    drop(sink);
+    let summary = recorder.run(|| stop.cause()).unwrap();
+    assert_eq!(summary.cycles, 150);
+    let cause = Recording::open(&summary.path).unwrap().end.cause;
+    assert!(cause.contains("disk floor"), "{cause}");
 }
 
 #[test]
@@ -146,10 +165,7 @@ fn wherever_a_run_is_cut_its_file_knows_how_late_it_was_up_to_a_minute_before() 
         sink.push_timing(CycleTiming { late_ns: 5_000, round_trip_ns: Some(1), duration_ns: 1 });
     }
     drop(sink);
-    let run = metadata();
-    let writer = RecordingWriter::create(directory.path(), &run).unwrap();
-    let link = link_to(directory.path(), 0);
-    let recorder = Recorder::new(source, writer, Clock::Real, Duration::from_secs(1), &run, link);
+    let recorder = plain(directory.path(), source);
     let bytes = std::fs::read(recorder.run(String::new).unwrap().path).unwrap();
     // Cut just before each of the metadata records, and at the end.
     let name = b"ballbard.timing";

@@ -118,7 +118,11 @@ fn serve(
             sink.push_event(event);
         }
     }
-    stop.stop(if replay.is_some() { "end of the replayed recording" } else { "duration reached" });
+    stop.stop(match replay {
+        _ if sink.is_abandoned() => "the recorder has ended",
+        Some(_) => "end of the replayed recording",
+        None => "duration reached",
+    });
     tracing::info!(wire = ?acquisition.wire_counters(), "run ended");
 }
 

@@ -1,45 +1,196 @@
-//! Free space, and the floor at which recording stops while there is still room to finish the file.
+//! Where recordings go. A thread of its own looks at it all the time, so that a disk that hangs holds up nobody who asks.
 
-use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::mpsc::sync_channel;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::thread;
+use std::time::{Duration, Instant};
 
-use nix::sys::statvfs::statvfs;
+use shared::config::DaemonConfig;
+use shared::recording::{Disk, Space, SystemDisk};
+
+use super::{Progress, Stop};
 
 const BYTES_PER_MB: u64 = 1_000_000;
+/// How often it is looked at: loss is told within a second.
+const LOOK_PERIOD: Duration = Duration::from_millis(200);
+/// A look that takes longer is told.
+const ANSWERS_WITHIN: Duration = Duration::from_secs(1);
 
-/// The space that recordings leave free on their file system.
+/// The places for recordings, and what is known of them now. Clones are the same.
 #[derive(Debug, Clone)]
-pub struct DiskFloor {
+pub struct Storage(Arc<Shared>);
+
+#[derive(Debug)]
+struct Shared {
+    disk: Arc<dyn Disk>,
     directory: PathBuf,
+    spare: PathBuf,
     floor_bytes: u64,
+    seen: Mutex<Seen>,
+    run: Mutex<Option<WatchedRun>>,
 }
 
-impl DiskFloor {
-    /// Leaves `floor_mb` free where `directory` is or will be \[MB\].
-    pub fn new(directory: &Path, floor_mb: u32) -> Self {
-        Self { directory: directory.to_owned(), floor_bytes: u64::from(floor_mb) * BYTES_PER_MB }
+#[derive(Debug, Clone)]
+struct WatchedRun {
+    progress: Weak<Progress>,
+    stop: Stop,
+    told: Vec<&'static str>,
+}
+
+/// The last look.
+#[derive(Debug)]
+struct Seen {
+    begun: Instant,
+    is_over: bool,
+    usable_bytes: Option<u64>,
+    problem: Option<String>,
+}
+
+impl Storage {
+    /// As configured, on the system's disk.
+    pub fn new(daemon: &DaemonConfig) -> std::io::Result<Self> {
+        Self::on(Arc::new(SystemDisk), daemon)
     }
 
-    /// Space that a recording may still use: free space above the floor; none where the floor is reached \[bytes\].
-    pub fn usable_bytes(&self) -> io::Result<Option<u64>> {
-        // A directory that is not there yet will be made on the file system of the nearest one that is.
-        let existing = self.directory.ancestors().find(|path| path.exists()).unwrap_or(Path::new("."));
-        let existing = if existing.as_os_str().is_empty() { Path::new(".") } else { existing };
-        let system = statvfs(existing)?;
-        let free_bytes = system.blocks_available() as u64 * system.fragment_size() as u64;
-        Ok(free_bytes.checked_sub(self.floor_bytes))
+    /// As configured, on another disk.
+    pub fn on(disk: Arc<dyn Disk>, daemon: &DaemonConfig) -> std::io::Result<Self> {
+        let seen = Seen { begun: Instant::now(), is_over: false, usable_bytes: None, problem: None };
+        let shared = Arc::new(Shared {
+            disk,
+            directory: daemon.directory.clone(),
+            spare: daemon.spare_directory.clone(),
+            floor_bytes: u64::from(daemon.disk_floor_mb) * BYTES_PER_MB,
+            seen: Mutex::new(seen),
+            run: Mutex::new(None),
+        });
+        let (first, looked) = sync_channel(1);
+        let watched = Arc::downgrade(&shared);
+        thread::Builder::new().name("disk".into()).spawn(move || {
+            while let Some(shared) = watched.upgrade() {
+                shared.look();
+                drop(shared);
+                let _ = first.try_send(());
+                thread::sleep(LOOK_PERIOD);
+            }
+        })?;
+        // One that hangs is told whoever asks.
+        let _ = looked.recv_timeout(ANSWERS_WITHIN);
+        Ok(Self(shared))
     }
 
-    /// Why nothing may be recorded now; none if it may. A file system that does not tell is trusted.
+    /// The disk, call by call.
+    pub fn disk(&self) -> Arc<dyn Disk> {
+        Arc::clone(&self.0.disk)
+    }
+
+    /// Where recordings go.
+    pub fn directory(&self) -> &Path {
+        &self.0.directory
+    }
+
+    /// Where a run goes on that has no place there any more.
+    pub fn spare(&self) -> &Path {
+        &self.0.spare
+    }
+
+    /// Watches a run's file until the run is over, and ends the run where the disk gets full.
+    pub fn watch(&self, progress: &Arc<Progress>, stop: &Stop) {
+        let run = WatchedRun { progress: Arc::downgrade(progress), stop: stop.clone(), told: Vec::new() };
+        *lock(&self.0.run) = Some(run);
+    }
+
+    /// Space that recordings may still use: free space above the floor; 0 at the floor, none where it is not known
+    /// \[bytes\].
+    pub fn usable_bytes(&self) -> Option<u64> {
+        lock(&self.0.seen).usable_bytes
+    }
+
+    /// Why nothing may be recorded now, and what to do; none if it may.
     pub fn problem(&self) -> Option<String> {
-        match self.usable_bytes() {
-            Ok(None) => Some(format!(
-                "disk floor: less than {} MB are free where {} is; delete or move recordings, or lower `disk_floor_mb` \
-                 in daemon.toml",
-                self.floor_bytes / BYTES_PER_MB,
-                self.directory.display()
+        let seen = lock(&self.0.seen);
+        let silent = seen.begun.elapsed();
+        if !seen.is_over && silent > ANSWERS_WITHIN {
+            return Some(format!(
+                "the disk of {} has not answered for {:.1} s; look at its cable, its power, or the network it is on",
+                self.0.directory.display(),
+                silent.as_secs_f64()
+            ));
+        }
+        seen.problem.clone()
+    }
+
+    /// There is no room for a run in `directory`.
+    pub fn is_full(&self, directory: &Path) -> bool {
+        self.0.disk.space(directory).is_ok_and(|space| space.free_bytes < self.0.floor_bytes)
+    }
+}
+
+impl Shared {
+    fn look(&self) {
+        {
+            let mut seen = lock(&self.seen);
+            (seen.begun, seen.is_over) = (Instant::now(), false);
+        }
+        let run = lock(&self.run).clone().and_then(|run| Some((run.progress.upgrade()?, run)));
+        let place = run.as_ref().map(|(progress, _)| progress.place());
+        let directory = place.as_ref().and_then(|place| place.path().parent()).unwrap_or(&self.directory);
+        let space = self.disk.space(directory);
+        let problem = self.problem_of(directory, &space);
+        // A file system that does not tell is trusted.
+        let usable_bytes = space.ok().map(|space| space.free_bytes.saturating_sub(self.floor_bytes));
+        if let (Some((progress, mut run)), Some(place)) = (run, &place) {
+            if !run.stop.is_stopped() {
+                if let Err(lost) = place.check() {
+                    progress.set_lost(place, lost.to_string());
+                }
+                if usable_bytes == Some(0) {
+                    run.stop.stop(&self.floor_text(directory));
+                }
+            }
+            self.tell(&progress, &mut run);
+        }
+        let mut seen = lock(&self.seen);
+        (seen.usable_bytes, seen.problem, seen.is_over) = (usable_bytes, problem, true);
+    }
+
+    fn problem_of(&self, directory: &Path, space: &std::io::Result<Space>) -> Option<String> {
+        match space {
+            Ok(space) if !space.is_writable => Some(format!(
+                "{} cannot be written: it is no directory, is read-only, or belongs to somebody else; correct that, or \
+                 `directory` in daemon.toml",
+                directory.display()
             )),
-            _ => None,
+            Ok(space) if space.free_bytes <= self.floor_bytes => Some(self.floor_text(directory)),
+            Ok(_) => None,
+            Err(error) => Some(format!("{}: {error}; look at its disk", directory.display())),
         }
     }
+
+    fn floor_text(&self, directory: &Path) -> String {
+        format!(
+            "disk floor: less than {} MB are free where {} is; delete or move recordings, or lower `disk_floor_mb` in \
+             daemon.toml",
+            self.floor_bytes / BYTES_PER_MB,
+            directory.display()
+        )
+    }
+
+    /// Says in the log what is new.
+    fn tell(&self, progress: &Progress, run: &mut WatchedRun) {
+        let warnings = progress.get().warnings;
+        for warning in warnings.iter().filter(|warning| !run.told.contains(&warning.what)) {
+            tracing::warn!("{}", warning.text);
+        }
+        run.told = warnings.iter().map(|warning| warning.what).collect();
+        if let Some(watched) = &mut *lock(&self.run)
+            && Weak::ptr_eq(&watched.progress, &run.progress)
+        {
+            watched.told.clone_from(&run.told);
+        }
+    }
+}
+
+fn lock<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {
+    of.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,7 +1,7 @@
 //! One recording run, from the request to the finished file.
 //!
-//! Two threads: the cycle (real time, no disk) and the recorder (disk, no bus), with a ring between them. A [`Session`]
-//! keeps the cycle going between runs.
+//! The cycle (real time, no disk) and the recorder (disk, no bus) have a ring between them; a third thread synchronises
+//! what the recorder wrote, a fourth looks at the disk ([`Storage`]). A [`Session`] keeps the cycle going between runs.
 //! The file is begun only when the bus is in operation, so a bus that does not come up leaves no file.
 
 mod cycle_thread;
@@ -19,9 +19,10 @@ use std::time::{Duration, Instant};
 use shared::config::{BallBarConfig, DaemonConfig, HomingConfig};
 use shared::recording::{Leftover, ReadError, Recovery, WriteError, recover_leftovers};
 
-pub use disk::DiskFloor;
+pub use disk::Storage;
 pub use homing::ActiveHoming;
-pub use progress::{BUS_FLAGS, Live, LiveEncoder, Progress, Synced};
+pub use progress::{BUS_FLAGS, Handed, Limits, Live, LiveEncoder, Progress, Snapshot, Synced, Warning};
+pub(crate) use session::STACK_BYTES;
 pub use session::{ActiveRun, Session};
 pub use stop::Stop;
 
@@ -167,13 +168,15 @@ pub enum RunError {
     /// The disk is too full to begin.
     #[error("{0}")]
     Disk(String),
-    /// The disk refused while the run went on.
+    /// The disk refused while the run went on, and so did the spare place.
     #[error("{source}; {saved}")]
     Broken {
         /// What went wrong.
         source: WriteError,
         /// What became of the cycles before.
         saved: String,
+        /// The file that has them, if there is one.
+        content: Option<Box<RunSummary>>,
     },
     /// Asked to end before the bus was there.
     #[error("{cause} while waiting for the bus; nothing was recorded: {missing}")]
@@ -207,9 +210,10 @@ pub fn open(
     faults: &[FaultWindow],
     daemon: &DaemonConfig,
     bar: &BallBarConfig,
+    storage: &Storage,
 ) -> Result<Session, RunError> {
     let request = RunRequest { bus: bus.clone(), faults: faults.to_vec(), ..RunRequest::default() };
-    Session::open(source::prepare(&request, daemon, bar)?, daemon, bar)
+    Session::open(source::prepare(&request, daemon, bar)?, daemon, bar, storage)
 }
 
 /// A bus in operation over another wire, for tests of what stands above it.
@@ -218,8 +222,9 @@ pub(crate) fn open_on(
     wire: Box<dyn crate::segment::Wire>,
     daemon: &DaemonConfig,
     bar: &BallBarConfig,
+    storage: &Storage,
 ) -> Result<Session, RunError> {
-    Session::open(source::on_wire(wire, daemon, bar), daemon, bar)
+    Session::open(source::on_wire(wire, daemon, bar), daemon, bar, storage)
 }
 
 /// Records one run and returns when its file is finished.
@@ -229,10 +234,21 @@ pub fn record(
     bar: &BallBarConfig,
     stop: &Stop,
 ) -> Result<RunSummary, RunError> {
+    let storage = Storage::new(daemon).map_err(|error| RunError::Thread(error.to_string()))?;
+    record_on(&storage, request, daemon, bar, stop)
+}
+
+/// [`record`] on another disk.
+pub fn record_on(
+    storage: &Storage,
+    request: &RunRequest,
+    daemon: &DaemonConfig,
+    bar: &BallBarConfig,
+    stop: &Stop,
+) -> Result<RunSummary, RunError> {
     source::check(request)?;
     let _claim = claim_directory(&daemon.directory)?;
-    finish_leftovers(&daemon.directory);
-    let session = connect(request, daemon, bar, stop)?;
+    let session = connect(request, daemon, bar, storage, stop)?;
     session.log();
     let outcome = session.begin(&request.details(), stop).and_then(ActiveRun::join);
     session.close()?;
@@ -245,12 +261,13 @@ fn connect(
     request: &RunRequest,
     daemon: &DaemonConfig,
     bar: &BallBarConfig,
+    storage: &Storage,
     stop: &Stop,
 ) -> Result<Session, RunError> {
     let mut said = String::new();
     loop {
-        let outcome =
-            source::prepare(request, daemon, bar).and_then(|prepared| Session::open(prepared, daemon, bar));
+        let outcome = source::prepare(request, daemon, bar)
+            .and_then(|prepared| Session::open(prepared, daemon, bar, storage));
         let missing = match outcome {
             Err(error) if request.wait && error.may_pass() => error.to_string(),
             outcome => return outcome,
@@ -278,9 +295,10 @@ pub(crate) fn claim_directory(directory: &Path) -> Result<Option<Claim>, RunErro
     Claim::directory(directory).map_err(|holder| RunError::InUse { directory: directory.to_owned(), holder })
 }
 
-/// Makes finished recordings of what earlier crashes left in `directory`, and says so in the log.
-pub fn finish_leftovers(directory: &Path) {
-    for Leftover { file, outcome } in recover_leftovers(directory) {
+/// Makes finished recordings of what earlier crashes left where recordings go, and says so in the log.
+pub fn finish_leftovers(storage: &Storage) {
+    let places = [storage.directory(), storage.spare()];
+    for Leftover { file, outcome } in places.into_iter().flat_map(recover_leftovers) {
         match outcome {
             Ok(Recovery::Recovered { file, content, .. } | Recovery::Renamed { file, content }) => {
                 tracing::warn!(

@@ -1,70 +1,244 @@
 //! What other threads see of a run and of the bus while they go on, without making them wait.
 
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicI64, AtomicU32, AtomicU64, Ordering};
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
-use shared::recording::TimingSummary;
 use shared::recording::schema::{CycleRecord, MAX_ENCODERS, flags};
+use shared::recording::{DiskTiming, RunPlace, TimingSummary};
 use shared::time::MonoNs;
 
 use crate::bus::{DEVICES_MAX, PORTS};
 use crate::cycle::{BusState, Links, PortErrors};
 
-/// What of a run is really on disk.
+/// What the cycle handed over, written by it alone.
 #[derive(Debug, Default)]
-pub struct Progress {
-    cycles: AtomicU64,
-    cycles_valid: AtomicU64,
-    cycles_lost: AtomicU64,
-    bytes: AtomicU64,
-    synced_at_ns: AtomicI64,
-    /// Shared by the recorder and those who ask; the cycle knows nothing of it.
-    timing: Mutex<Option<TimingSummary>>,
+pub struct Handed {
+    /// Cycles that were due so far.
+    pub due: AtomicU64,
+    /// Cycles among them that found the ring full.
+    pub lost: AtomicU64,
 }
 
-/// [`Progress`] at one moment.
+/// How far a run is: taken from the bus, written, synchronised. Nobody who asks waits for the disk.
+#[derive(Debug)]
+pub struct Progress {
+    handed: Arc<Handed>,
+    limits: Limits,
+    disk: Mutex<OnDisk>,
+}
+
+/// What a run was promised.
+#[derive(Debug, Clone, Copy)]
+pub struct Limits {
+    /// Time between two cycles.
+    pub cycle_period: Duration,
+    /// How often what was taken is written and synchronised.
+    pub sync_period: Duration,
+    /// Cycles that may wait to be written.
+    pub ring_cycles: usize,
+}
+
+#[derive(Debug)]
+struct OnDisk {
+    written: u64,
+    synced: Synced,
+    writing_since: Option<Instant>,
+    /// With the number of the synchroniser that is at it.
+    syncing_since: Option<(u32, Instant)>,
+    longest: DiskTiming,
+    place: RunPlace,
+    /// Why the file is not where it should be, until it is moved.
+    lost: Option<String>,
+    moved: Option<String>,
+    timing: Option<TimingSummary>,
+}
+
+/// What survives a power cut.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Synced {
-    /// Cycles on disk.
+    /// Cycles.
     pub cycles: u64,
     /// Cycles among them in which every encoder is valid.
     pub cycles_valid: u64,
-    /// Cycles among them that were lost between bus and file.
-    pub cycles_lost: u64,
     /// Length of the file \[bytes\].
     pub bytes: u64,
-    /// When it was synchronised.
-    pub at: MonoNs,
+    /// All that was written before is in it; none before the first time.
+    pub at: Option<Instant>,
+}
+
+/// [`Progress`] at one moment.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Snapshot {
+    /// What survives a power cut.
+    pub synced: Synced,
+    /// Cycles that survive a kill of the program.
+    pub written: u64,
+    /// Cycles that were due.
+    pub taken: u64,
+    /// Cycles among them that were lost between bus and file.
+    pub lost: u64,
+    /// Cycles that wait to be written, as time \[s\].
+    pub backlog_s: f64,
+    /// From there on cycles are lost \[s\].
+    pub backlog_limit_s: f64,
+    /// What a power cut would cost now \[s\].
+    pub unsynced_s: f64,
+    /// How long the disk kept the recorder waiting, what it is at included.
+    pub longest: DiskTiming,
+    /// Where the run is written.
+    pub file: PathBuf,
+    /// What is wrong with the disk.
+    pub warnings: Vec<Warning>,
+    /// How well the loop kept its time; none on virtual time.
+    pub timing: Option<TimingSummary>,
+}
+
+/// Something that is wrong with a run's disk.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Warning {
+    /// What, without figures.
+    pub what: &'static str,
+    /// In words, with them.
+    pub text: String,
 }
 
 impl Progress {
-    /// The recorder has synchronised the file.
-    pub fn set(&self, synced: Synced) {
-        self.cycles_valid.store(synced.cycles_valid, Ordering::Relaxed);
-        self.cycles_lost.store(synced.cycles_lost, Ordering::Relaxed);
-        self.bytes.store(synced.bytes, Ordering::Relaxed);
-        self.synced_at_ns.store(synced.at.0, Ordering::Relaxed);
-        self.cycles.store(synced.cycles, Ordering::Release);
+    /// Of a run that begins in the file at `place`.
+    pub fn new(handed: Arc<Handed>, limits: Limits, place: RunPlace) -> Self {
+        let disk = OnDisk {
+            written: 0,
+            synced: Synced::default(),
+            writing_since: None,
+            syncing_since: None,
+            longest: DiskTiming::default(),
+            place,
+            lost: None,
+            moved: None,
+            timing: None,
+        };
+        Self { handed, limits, disk: Mutex::new(disk) }
+    }
+
+    fn disk(&self) -> MutexGuard<'_, OnDisk> {
+        self.disk.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The recorder is about to write.
+    pub fn writing(&self) {
+        let mut disk = self.disk();
+        let waiting_ns = self.ns_of(self.backlog(&disk));
+        disk.longest.backlog_longest_ns = disk.longest.backlog_longest_ns.max(waiting_ns);
+        disk.writing_since = Some(Instant::now());
+    }
+
+    /// So many cycles are written; or fewer, where the disk refused.
+    pub fn wrote(&self, cycles: u64) {
+        let mut disk = self.disk();
+        disk.longest = disk.longest_now();
+        disk.writing_since = None;
+        disk.written = cycles;
+    }
+
+    /// A synchroniser is at it.
+    pub fn syncing(&self, number: u32) {
+        self.disk().syncing_since = Some((number, Instant::now()));
+    }
+
+    /// It is done with it, and has synchronised this; none where the disk refused.
+    pub fn synced(&self, number: u32, synced: Option<Synced>) {
+        let mut disk = self.disk();
+        if disk.syncing_since.is_some_and(|(other, _)| other == number) {
+            disk.longest = disk.longest_now();
+            disk.syncing_since = None;
+        }
+        if let Some(synced) = synced.filter(|synced| synced.cycles >= disk.synced.cycles) {
+            disk.synced = synced;
+        }
     }
 
     /// How well the loop kept its time so far.
     pub fn set_timing(&self, timing: Option<TimingSummary>) {
-        *self.timing.lock().unwrap_or_else(PoisonError::into_inner) = timing;
+        self.disk().timing = timing;
     }
 
-    /// How well the loop kept its time up to the last synchronisation; none on virtual time.
-    pub fn timing(&self) -> Option<TimingSummary> {
-        self.timing.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    /// How long the disk kept the recorder waiting so far.
+    pub fn longest(&self) -> DiskTiming {
+        self.disk().longest_now()
+    }
+
+    /// Where the run is written.
+    pub fn place(&self) -> RunPlace {
+        self.disk().place.clone()
+    }
+
+    /// The file is not where it should be; the recorder will look.
+    pub fn set_lost(&self, place: &RunPlace, why: String) {
+        let mut disk = self.disk();
+        if disk.place.path() == place.path() {
+            disk.lost = Some(why);
+        }
+    }
+
+    /// Why the file is not where it should be.
+    pub fn lost(&self) -> Option<String> {
+        self.disk().lost.clone()
+    }
+
+    /// The run goes on in another place, and why.
+    pub fn moved(&self, place: RunPlace, why: String) {
+        let mut disk = self.disk();
+        disk.place = place;
+        disk.syncing_since = None;
+        disk.lost = None;
+        disk.moved = Some(why);
+    }
+
+    fn backlog(&self, disk: &OnDisk) -> u64 {
+        let (due, lost) = (self.handed.due.load(Ordering::Acquire), self.handed.lost.load(Ordering::Relaxed));
+        due.saturating_sub(disk.written.saturating_add(lost)).min(self.limits.ring_cycles as u64)
+    }
+
+    fn ns_of(&self, cycles: u64) -> u64 {
+        cycles.saturating_mul(self.limits.cycle_period.as_nanos() as u64)
     }
 
     /// As of now.
-    pub fn get(&self) -> Synced {
-        Synced {
-            cycles: self.cycles.load(Ordering::Acquire),
-            cycles_valid: self.cycles_valid.load(Ordering::Relaxed),
-            cycles_lost: self.cycles_lost.load(Ordering::Relaxed),
-            bytes: self.bytes.load(Ordering::Relaxed),
-            at: MonoNs(self.synced_at_ns.load(Ordering::Relaxed)),
+    pub fn get(&self) -> Snapshot {
+        let disk = self.disk();
+        let seconds = |cycles: u64| self.ns_of(cycles) as f64 * 1e-9;
+        let (taken, lost) =
+            (self.handed.due.load(Ordering::Acquire), self.handed.lost.load(Ordering::Relaxed));
+        // A file that is gone keeps nothing safe.
+        let is_there = disk.lost.is_none();
+        let (synced, written) = if is_there { (disk.synced, disk.written) } else { Default::default() };
+        let mut snapshot = Snapshot {
+            synced,
+            written,
+            taken,
+            lost,
+            backlog_s: seconds(self.backlog(&disk)),
+            backlog_limit_s: seconds(self.limits.ring_cycles as u64),
+            unsynced_s: seconds(taken.saturating_sub(synced.cycles)),
+            longest: disk.longest_now(),
+            file: disk.place.path().to_owned(),
+            warnings: Vec::new(),
+            timing: disk.timing.clone(),
+        };
+        snapshot.warnings = snapshot.find_warnings(self.limits.sync_period, &disk);
+        snapshot
+    }
+}
+
+impl OnDisk {
+    /// What the disk is at counts already: it will not become shorter.
+    fn longest_now(&self) -> DiskTiming {
+        let since = |at: Option<Instant>| at.map_or(0, |at| at.elapsed().as_nanos() as u64);
+        DiskTiming {
+            sync_longest_ns: self.longest.sync_longest_ns.max(since(self.syncing_since.map(|(_, at)| at))),
+            write_longest_ns: self.longest.write_longest_ns.max(since(self.writing_since)),
+            ..self.longest
         }
     }
 }
@@ -72,6 +246,48 @@ impl Progress {
 /// Reasons that stand for the bus itself, and not for one encoder or this PC.
 pub const BUS_FLAGS: u32 =
     flags::NO_REPLY | flags::WORKING_COUNTER | flags::NOT_OPERATIONAL | flags::BUS_DOWN;
+
+/// Synchronisation periods that may wait before that is worth a word: one is usual, the other for a busy disk.
+const WARNING_PERIODS: u32 = 2;
+
+impl Snapshot {
+    fn find_warnings(&self, sync_period: Duration, disk: &OnDisk) -> Vec<Warning> {
+        let Self { lost, backlog_s, backlog_limit_s, unsynced_s, file, .. } = self;
+        let usual_s = (sync_period * WARNING_PERIODS).as_secs_f64();
+        let mut warnings = Vec::new();
+        let mut warn = |what, text| warnings.push(Warning { what, text });
+        if let Some(why) = &disk.lost {
+            warn("lost file", format!("{why}; what was taken is being brought to another place"));
+        }
+        if let Some(why) = &disk.moved {
+            warn("moved", format!("the run goes on in {}, because: {why}", file.display()));
+        }
+        if *lost > 0 {
+            warn("lost cycles", format!("{lost} cycles are lost: the disk did not take them in time"));
+        }
+        if *backlog_s > usual_s {
+            warn(
+                "backlog",
+                format!(
+                    "the disk takes nothing: {backlog_s:.1} s of cycles wait to be written, from {backlog_limit_s:.0} s on \
+                     they are lost; see what keeps it busy"
+                ),
+            );
+        } else if *unsynced_s > usual_s {
+            warn(
+                "slow",
+                format!("the disk is slow: a power cut now would cost the last {unsynced_s:.1} s of the run"),
+            );
+        }
+        warnings
+    }
+
+    /// All that is wrong, in one line.
+    pub fn warning(&self) -> Option<String> {
+        let texts: Vec<_> = self.warnings.iter().map(|warning| warning.text.as_str()).collect();
+        (!texts.is_empty()).then(|| texts.join("; "))
+    }
+}
 
 /// The latest sample of each encoder, for people. Each encoder is consistent in itself, not with the others.
 #[derive(Debug, Default)]

@@ -1,30 +1,31 @@
 //! A bus in operation, which serves one run after the other without being brought up again.
 
-use std::path::Path;
 use std::sync::Arc;
-use std::sync::mpsc::{Sender, SyncSender, channel, sync_channel};
+use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread;
 use std::time::Duration;
 
 use shared::config::{BallBarConfig, DaemonConfig};
 use shared::recording::schema::{DeviceInfo, EncoderInfo, RunMetadata};
-use shared::recording::{ACTIVE_ENDING, RecordingWriter, Recovery, RunFile, recover_file};
-use shared::time::UtcNs;
+use shared::recording::{RecordingWriter, Recovery, RunFile, Salvaged, WriteError, recover_file};
+use shared::time::{MonoNs, UtcNs};
 
 use super::cycle_thread::{self, Job, Ready, RunJob};
-use super::disk::DiskFloor;
+use super::disk::Storage;
 use super::homing::{self, ActiveHoming};
-use super::progress::{Live, Progress};
+use super::progress::{Limits, Live, Progress};
 use super::source::Prepared;
-use super::{RunDetails, RunError, Stop};
+use super::{RunDetails, RunError, Stop, finish_leftovers};
 use crate::bus::BusError;
 use crate::claim;
 use crate::clock::Clock;
 use crate::cycle::RealtimeRequest;
-use crate::recorder::{self, Recorder, RunLink, RunSummary};
+use crate::recorder::{self, Mark, Recorder, RunLink, RunSummary};
 
 /// Locked memory is really there, all of it: several times what these threads use.
-const STACK_BYTES: usize = 512 << 10;
+pub(crate) const STACK_BYTES: usize = 512 << 10;
+/// Markers that may wait for the disk.
+const MARKS_MAX: usize = 1000;
 
 /// A bus in operation.
 pub struct Session {
@@ -39,17 +40,18 @@ pub struct Session {
     cycles: Option<u64>,
     daemon: DaemonConfig,
     bar: BallBarConfig,
+    storage: Storage,
 }
 
 /// A run that is being recorded.
 pub struct ActiveRun {
     /// Ends it.
     pub stop: Stop,
-    /// What of it is on disk.
+    /// How far it is.
     pub progress: Arc<Progress>,
     /// When it began.
     pub started: UtcNs,
-    marks: Sender<String>,
+    marks: SyncSender<Mark>,
     recorder: thread::JoinHandle<Result<RunSummary, RunError>>,
 }
 
@@ -59,6 +61,7 @@ impl Session {
         prepared: Prepared,
         daemon: &DaemonConfig,
         bar: &BallBarConfig,
+        storage: &Storage,
     ) -> Result<Self, RunError> {
         let (clock, encoders) = (prepared.clock.clone(), prepared.encoders.clone());
         let (bus, period) = (prepared.plan.name.clone(), prepared.plan.cycle_period);
@@ -75,11 +78,22 @@ impl Session {
             join(cycle)?;
             return Err(RunError::Thread("the cycle ended while the bus came up".into()));
         };
-        let (daemon, bar) = (daemon.clone(), bar.clone());
+        let (daemon, bar, storage) = (daemon.clone(), bar.clone(), storage.clone());
         match ready {
-            Ok(ready) => {
-                Ok(Self { jobs, cycle, ready, live, clock, bus, period, encoders, cycles, daemon, bar })
-            }
+            Ok(ready) => Ok(Self {
+                jobs,
+                cycle,
+                ready,
+                live,
+                clock,
+                bus,
+                period,
+                encoders,
+                cycles,
+                daemon,
+                bar,
+                storage,
+            }),
             Err(error) => {
                 join(cycle)?;
                 Err(error)
@@ -87,33 +101,34 @@ impl Session {
         }
     }
 
-    /// Begins a run; its file is on disk when this returns. One run at a time: the one before must be joined.
+    /// Begins a run; its file is on disk when this returns. One run at a time: the one before must be joined. What
+    /// earlier crashes left is recovered first.
     pub fn begin(&self, details: &RunDetails, stop: &Stop) -> Result<ActiveRun, RunError> {
-        let floor = DiskFloor::new(&self.daemon.directory, self.daemon.disk_floor_mb);
-        if let Some(problem) = floor.problem() {
+        if let Some(problem) = self.storage.problem() {
             return Err(RunError::Disk(problem));
         }
         details.check().map_err(RunError::Request)?;
+        finish_leftovers(&self.storage);
         let metadata = self.metadata(details);
         claim::tell(format!("recording run `{}`", details.name));
-        let writer = RecordingWriter::<RunFile>::create(&self.daemon.directory, &metadata)
-            .inspect_err(|_| claim::tell("between runs"))?;
-        let (sink, ring) = recorder::ring(self.daemon.ring_cycles(self.period), &self.clock);
-        let (marks, marks_rx) = channel();
-        let progress = Arc::new(Progress::default());
-        let active = self.daemon.directory.join(format!("{}.{ACTIVE_ENDING}", details.name));
-        let link = RunLink {
-            stop: stop.clone(),
-            marks: marks_rx,
-            progress: Arc::clone(&progress),
-            floor,
-            file: active.clone(),
-        };
+        let writer =
+            RecordingWriter::<RunFile>::create_on(self.storage.disk(), self.storage.directory(), &metadata)
+                .inspect_err(|_| claim::tell("between runs"))?;
+        let ring_cycles = self.daemon.ring_cycles(self.period);
+        let (sink, ring) = recorder::ring(ring_cycles, &self.clock);
+        let (marks, marks_rx) = sync_channel(MARKS_MAX);
+        let limits =
+            Limits { cycle_period: self.period, sync_period: self.daemon.sync_period(), ring_cycles };
+        let place = writer.sink().place().clone();
+        let progress = Arc::new(Progress::new(Arc::clone(ring.handed()), limits, place));
+        self.storage.watch(&progress, stop);
+        let link =
+            RunLink { marks: marks_rx, progress: Arc::clone(&progress), storage: self.storage.clone() };
         let recorder =
             Recorder::new(ring, writer, self.clock.clone(), self.daemon.sync_period(), &metadata, link);
-        let cause = stop.clone();
+        let (cause, written) = (stop.clone(), Arc::clone(&progress));
         let recorder = spawn("recorder", move || {
-            recorder.run(|| cause.cause()).map_err(|source| RunError::Broken { saved: save(&active), source })
+            recorder.run(|| cause.cause()).map_err(|source| broken(source, &written, cause.cause()))
         })?;
         let job = RunJob {
             sink,
@@ -242,10 +257,9 @@ impl Session {
 }
 
 impl ActiveRun {
-    /// Puts a marker into the file, with the time of the cycle that is being written.
-    pub fn mark(&self, text: &str) {
-        // A recorder that has ended takes no more marks; its run is over.
-        let _ = self.marks.send(text.to_owned());
+    /// Puts a marker of this instant into the file; whether there is room for it.
+    pub fn mark(&self, at: MonoNs, text: String) -> bool {
+        self.marks.try_send(Mark { at, text }).is_ok()
     }
 
     /// The file is finished, or will never be.
@@ -262,18 +276,30 @@ impl ActiveRun {
     }
 }
 
-/// A disk that refused: what was synchronised before is made a finished file, if there is room for that.
-fn save(active: &Path) -> String {
-    match recover_file(active) {
+/// A disk that refused: what was written before is made a finished file, if there is room for that.
+fn broken(source: WriteError, progress: &Progress, cause: String) -> RunError {
+    let place = progress.place();
+    let (file, content) = match recover_file(place.path()) {
         Ok(Recovery::Recovered { file, content, .. } | Recovery::Renamed { file, content }) => {
-            format!("{} cycles are saved in {}", content.cycles, file.display())
+            (file, content)
         }
-        Ok(Recovery::Whole { .. }) => format!("{} is whole", active.display()),
-        Err(error) => format!(
-            "what was written before is in {} and will be recovered at the next start ({error})",
-            active.display()
-        ),
-    }
+        Ok(Recovery::Whole { content }) => (place.path().to_owned(), content),
+        Err(_) if place.check().is_err() => {
+            return RunError::Broken { source, saved: "nothing of the run is left".into(), content: None };
+        }
+        Err(error) => {
+            let saved = format!(
+                "what was written before is in {} and will be recovered when the next run starts ({error})",
+                place.path().display()
+            );
+            return RunError::Broken { source, saved, content: None };
+        }
+    };
+    let lost = progress.get().taken.saturating_sub(content.cycles);
+    let saved = format!("{} cycles are saved in {}, the last {lost} are not", content.cycles, file.display());
+    let Salvaged { cycles, cycles_valid, timing, .. } = *content;
+    let summary = RunSummary { path: file, cycles, cycles_valid, cycles_lost: lost, cause, timing };
+    RunError::Broken { source, saved, content: Some(Box::new(summary)) }
 }
 
 fn spawn<T: Send + 'static>(

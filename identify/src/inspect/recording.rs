@@ -25,6 +25,7 @@ pub fn recording(recording: &Recording) -> Inspection {
             EventKind::Gap => "gap",
             EventKind::Bus => "bus",
             EventKind::Clock => "clock",
+            EventKind::Disk => "disk",
         };
         inspection.fact(kind, format!("{} (cycle {}): {}", event.time, event.cycle, event.text));
     }

@@ -29,7 +29,8 @@ pub struct DaemonConfig {
     pub reply_timeout_us: Option<u32>,
     /// Seconds of cycles that fit between bus and disk before any is lost \[s\]; see [`DaemonConfig::ring_cycles`].
     pub ring_s: u32,
-    /// A kill loses at most this much of a run \[ms\].
+    /// How often the recording is written and synchronised: a kill of the program loses at most this much, and as long
+    /// as the disk lets a write wait; a power cut what was not synchronised yet \[ms\].
     pub sync_period_ms: u32,
     /// Space that recordings leave free on their file system: below it none begins, and a running one ends \[MB\].
     #[serde(default = "default_disk_floor_mb")]
@@ -42,6 +43,9 @@ pub struct DaemonConfig {
     pub port: u16,
     /// Where recordings go; relative to the working directory.
     pub directory: PathBuf,
+    /// Where a run goes on whose directory or disk is lost or refuses; best on another disk.
+    #[serde(default = "default_spare_directory")]
+    pub spare_directory: PathBuf,
     /// The cycle's thread.
     pub realtime: RealtimeConfig,
 }
@@ -61,13 +65,18 @@ const fn default_port() -> u16 {
     7311
 }
 
+/// It survives a restart, and users may write there.
+fn default_spare_directory() -> PathBuf {
+    "/var/tmp/ballbard".into()
+}
+
 impl DaemonConfig {
     /// Time between two cycles.
     pub fn cycle_period(&self) -> Duration {
         Duration::from_nanos(1_000_000_000 / u64::from(self.rate_hz.max(1)))
     }
 
-    /// A kill loses at most this much of a run.
+    /// How often the recording is written and synchronised.
     pub fn sync_period(&self) -> Duration {
         Duration::from_millis(self.sync_period_ms.into())
     }
@@ -97,6 +106,7 @@ impl Default for DaemonConfig {
             full_fault_s: default_full_fault_s(),
             port: default_port(),
             directory: "runs".into(),
+            spare_directory: default_spare_directory(),
             realtime: RealtimeConfig { core: None, fifo_priority: 80 },
         }
     }

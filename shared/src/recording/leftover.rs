@@ -8,7 +8,9 @@ use std::io::{self, BufReader, BufWriter, Seek};
 use std::path::{Path, PathBuf};
 
 use super::recover::{self, SalvageError, Salvaged};
-use super::run_file::{ACTIVE_ENDING, FINISHED_ENDING, TORN_ENDING, io_error, lock, rename, sync_directory};
+use super::run_file::{
+    ACTIVE_ENDING, FINISHED_ENDING, TORN_ENDING, UNNAMED_ENDING, io_error, lock, rename, sync_directory,
+};
 use super::schema::RunMetadata;
 use super::writer::WriteError;
 
@@ -114,16 +116,12 @@ pub fn recover_file(path: &Path) -> Result<Recovery, RecoverError> {
 }
 
 /// Recovers every file of a directory that was left behind; those of running processes are not touched. What
-/// cannot be recovered is renamed, so that it is not tried again.
+/// cannot be recovered is renamed, so that it is not tried again; of a file without a byte nothing is kept.
 pub fn recover_leftovers(directory: &Path) -> Vec<Leftover> {
     let Ok(entries) = std::fs::read_dir(directory) else { return Vec::new() };
-    let is_active = |path: &PathBuf| {
-        path.file_name()
-            .and_then(|name| name.to_str())
-            .is_some_and(|name| !name.starts_with('.') && name.ends_with(&format!(".{ACTIVE_ENDING}")))
-    };
-    let mut files: Vec<_> = entries.flatten().map(|entry| entry.path()).filter(is_active).collect();
+    let mut files: Vec<_> = entries.flatten().map(|entry| entry.path()).collect();
     files.sort();
+    files.retain(|path| is_left_over(path) && !remove_if_empty(path) && !is_unnamed(path));
     let outcomes = files.into_iter().map(|file| Leftover { outcome: recover_file(&file), file });
     outcomes
         .filter(|leftover| !matches!(leftover.outcome, Err(RecoverError::Busy(_))))
@@ -135,6 +133,30 @@ pub fn recover_leftovers(directory: &Path) -> Vec<Leftover> {
             }
         })
         .collect()
+}
+
+/// The name is one that a crash leaves: of a run that was being written, or of a file that had no name yet.
+fn is_left_over(path: &Path) -> bool {
+    let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+    let is_active = !name.starts_with('.') && name.ends_with(&format!(".{ACTIVE_ENDING}"));
+    is_active || unnamed_by(path).is_some_and(|process| !Path::new("/proc").join(process).exists())
+}
+
+fn is_unnamed(path: &Path) -> bool {
+    unnamed_by(path).is_some()
+}
+
+/// The process that was about to name this file.
+fn unnamed_by(path: &Path) -> Option<&str> {
+    let name = path.file_name()?.to_str()?.strip_prefix('.')?.strip_suffix(UNNAMED_ENDING)?;
+    name.split_once('-').map(|(process, _)| process)
+}
+
+/// Removes a file in which there is nothing, and which nobody is about to fill.
+fn remove_if_empty(path: &Path) -> bool {
+    let is_empty = |file: &File| file.metadata().is_ok_and(|found| found.len() == 0);
+    let unused = File::open(path).ok().filter(is_empty).and_then(|file| lock(file).ok());
+    unused.is_some_and(|unused| is_empty(&unused) && std::fs::remove_file(path).is_ok())
 }
 
 /// Writes what is whole beside the original and reads it back.

@@ -7,6 +7,7 @@
 //! [`recover_leftovers`].
 
 mod content;
+mod disk;
 mod leftover;
 mod lengths;
 mod messages;
@@ -21,6 +22,7 @@ mod shown;
 mod timing;
 mod writer;
 
+pub use disk::{Disk, FileId, Space, SystemDisk};
 pub use leftover::{Leftover, RecoverError, Recovery, is_in_use, recover_file, recover_leftovers};
 pub use lengths::{parse_record, up_to_broken_chunk};
 pub use messages::MessageError;
@@ -28,6 +30,6 @@ pub use overview::RunOverview;
 pub use reader::{ReadError, ReadErrorKind, Recording};
 pub use recover::{SalvageError, Salvaged, salvage, verify};
 pub use resync::Damage;
-pub use run_file::{ACTIVE_ENDING, FINISHED_ENDING, RunFile, TORN_ENDING};
-pub use timing::{Bin, Durations, TimingSummary};
+pub use run_file::{ACTIVE_ENDING, FINISHED_ENDING, RunFile, RunPlace, RunSync, TORN_ENDING};
+pub use timing::{Bin, DiskTiming, Durations, TimingSummary};
 pub use writer::{RecordingWriter, WriteError};

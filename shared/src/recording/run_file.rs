@@ -1,13 +1,15 @@
 //! A run's file on disk: created locked, published by a rename, never replacing another.
 
-use std::fs::{File, OpenOptions};
-use std::io::{self, Seek, SeekFrom, Write};
+use std::fs::File;
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use nix::errno::Errno;
-use nix::fcntl::{AT_FDCWD, Flock, FlockArg, RenameFlags, renameat2};
+use crc32fast::Hasher;
+use nix::fcntl::Flock;
 
+use super::disk::{Disk, FileId, SystemDisk};
 use super::writer::WriteError;
 
 /// Ending of a finished recording.
@@ -19,42 +21,171 @@ pub const TORN_ENDING: &str = "mcap.torn";
 
 /// Longest name: with the longest ending it fits into the 143 bytes that encrypted file systems leave of 255.
 const NAME_BYTES_MAX: usize = 120;
+/// Bytes that are copied at once.
+const COPY_BYTES: usize = 1 << 20;
+/// Names that are tried for the copy of a run in another directory.
+const COPY_NAMES: u32 = 100;
 
 /// A run's file on disk, `.mcap.active` until it is finished. Whoever has one holds the lock on the file, which
 /// ends with the process however it ends: a file without the lock has been left behind.
 #[derive(Debug)]
 pub struct RunFile {
-    file: Flock<File>,
-    active: PathBuf,
+    place: RunPlace,
+    file: Arc<Flock<File>>,
     finished: PathBuf,
+    /// Bytes that the disk has taken.
+    length: u64,
+    /// Over these bytes.
+    checksum: Hasher,
+}
+
+/// Where the file of a run should be, for whoever looks whether it still is.
+#[derive(Debug, Clone)]
+pub struct RunPlace {
+    disk: Arc<dyn Disk>,
+    path: PathBuf,
+    id: FileId,
+}
+
+/// Synchronises a run's file from another thread while more is written to it.
+#[derive(Debug, Clone)]
+pub struct RunSync {
+    place: RunPlace,
+    file: Arc<Flock<File>>,
 }
 
 impl RunFile {
-    /// Creates `<directory>/<name>.mcap.active`; the directory is made where it is missing.
-    pub fn create(directory: &Path, name: &str) -> Result<Self, WriteError> {
+    /// Creates `<directory>/<name>.mcap.active`; the directory is made where it is missing. Leaves nothing where it
+    /// fails.
+    pub fn create(disk: Arc<dyn Disk>, directory: &Path, name: &str) -> Result<Self, WriteError> {
         check_name(name)?;
-        std::fs::create_dir_all(directory).map_err(io_error(directory))?;
-        let active = directory.join(format!("{name}.{ACTIVE_ENDING}"));
+        disk.make_directory(directory).map_err(io_error(directory))?;
+        let path = directory.join(format!("{name}.{ACTIVE_ENDING}"));
         let finished = directory.join(format!("{name}.{FINISHED_ENDING}"));
         if finished.exists() {
             return Err(WriteError::Exists(finished));
         }
-        let file = create_locked(directory, &active)?;
-        sync_directory(directory).map_err(io_error(directory))?;
-        Ok(Self { file, active, finished })
+        let file = create_locked(&*disk, directory, &path)?;
+        let named = disk.sync_directory(directory).and_then(|()| disk.id_of(&file));
+        let id = named.map_err(|source| {
+            // It is empty; what went wrong is reported, not this.
+            let _ = disk.remove(&path);
+            io_error(directory)(source)
+        })?;
+        let place = RunPlace { disk, path, id };
+        Ok(Self { place, file: Arc::new(file), finished, length: 0, checksum: Hasher::new() })
     }
 
     /// Where the bytes are while the run goes on.
-    pub fn active_path(&self) -> &Path {
-        &self.active
+    pub fn place(&self) -> &RunPlace {
+        &self.place
     }
 
-    /// Gives the file its final name, without ever replacing another.
-    pub(super) fn publish(self) -> Result<PathBuf, WriteError> {
-        let Self { file, active, finished } = self;
-        file.sync_all().map_err(io_error(&finished))?;
-        rename(&active, &finished)?;
-        Ok(finished)
+    /// Bytes that the disk has taken.
+    pub fn length(&self) -> u64 {
+        self.length
+    }
+
+    /// For a thread that synchronises it.
+    pub fn synchroniser(&self) -> RunSync {
+        RunSync { place: self.place.clone(), file: Arc::clone(&self.file) }
+    }
+
+    /// Goes on in a copy of itself in `directory`, under its name or, where that is taken, a numbered one. The file
+    /// it had goes if it is still where it was: the copy has all of it. After an error it is what it was.
+    pub fn move_to(&mut self, directory: &Path) -> Result<(), WriteError> {
+        let stem = self.finished.file_stem().and_then(|stem| stem.to_str()).unwrap_or_default();
+        let numbered = (2..COPY_NAMES).map(|number| format!("{stem}-{number}"));
+        let mut copy = Err(WriteError::Exists(directory.join(stem)));
+        for name in std::iter::once(stem.to_owned()).chain(numbered) {
+            copy = Self::create(Arc::clone(&self.place.disk), directory, &name);
+            if !matches!(copy, Err(WriteError::Exists(_))) {
+                break;
+            }
+        }
+        let mut copy = copy?;
+        if let Err(error) = copy.take_over(self) {
+            copy.place.remove();
+            return Err(error);
+        }
+        let old = std::mem::replace(self, copy);
+        if old.place.check().is_ok() {
+            old.place.remove();
+        }
+        Ok(())
+    }
+
+    /// Copies what another has, and makes sure that it is what was written.
+    fn take_over(&mut self, other: &Self) -> Result<(), WriteError> {
+        let disk = Arc::clone(&self.place.disk);
+        let unreadable = io_error(&other.place.path);
+        let mut buffer = vec![0; COPY_BYTES];
+        let read = |buffer: &mut [u8], at: u64| match disk.read_at(&other.file, buffer, at) {
+            Ok(0) => Err(io::ErrorKind::UnexpectedEof.into()),
+            result => result,
+        };
+        while self.length < other.length {
+            let wanted = COPY_BYTES.min((other.length - self.length) as usize);
+            let count = match read(&mut buffer[..wanted], self.length) {
+                Ok(count) => count,
+                Err(error) => return Err(unreadable(error)),
+            };
+            self.write_all(&buffer[..count]).map_err(io_error(&self.place.path))?;
+        }
+        if self.checksum.clone().finalize() != other.checksum.clone().finalize() {
+            return Err(unreadable(io::Error::other("it does not read back as it was written")));
+        }
+        disk.sync(&self.file).map_err(io_error(&self.place.path))
+    }
+
+    /// Gives the file its final name, without ever replacing another. It is on disk under that name when this
+    /// returns it.
+    pub fn publish(&self) -> Result<PathBuf, WriteError> {
+        let RunPlace { disk, path, id } = &self.place;
+        disk.sync(&self.file).map_err(io_error(path))?;
+        self.place.check()?;
+        disk.rename(path, &self.finished).map_err(exists_or_io(&self.finished))?;
+        let directory = self.finished.parent().unwrap_or(Path::new("."));
+        disk.sync_directory(directory).map_err(io_error(directory))?;
+        RunPlace { disk: Arc::clone(disk), path: self.finished.clone(), id: *id }.check()?;
+        Ok(self.finished.clone())
+    }
+}
+
+impl RunPlace {
+    /// Path of the file.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Whether the file of this path is still the run's.
+    pub fn check(&self) -> Result<(), WriteError> {
+        match self.disk.id_at(&self.path) {
+            Ok(id) if id == self.id => Ok(()),
+            Ok(_) => Err(WriteError::Lost(self.path.clone())),
+            Err(error) if matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => {
+                Err(WriteError::Lost(self.path.clone()))
+            }
+            Err(error) => Err(io_error(&self.path)(error)),
+        }
+    }
+
+    /// An error that says which file it is about.
+    fn named(&self, error: &io::Error) -> io::Error {
+        io::Error::new(error.kind(), format!("{}: {error}", self.path.display()))
+    }
+
+    /// Removes the file: nothing of it is needed.
+    pub(super) fn remove(&self) {
+        // What led here is reported; an empty file more or less changes nothing.
+        let _ = self.disk.remove(&self.path);
+    }
+}
+
+impl RunSync {
+    /// Returns when everything written before survives a power cut.
+    pub fn sync(&self) -> io::Result<()> {
+        self.place.disk.sync(&self.file).map_err(|error| self.place.named(&error))
     }
 }
 
@@ -76,59 +207,47 @@ fn check_name(name: &str) -> Result<(), WriteError> {
 }
 
 /// A new file that bears its name only once it is locked, so that nobody takes it for one left behind.
-fn create_locked(directory: &Path, active: &Path) -> Result<Flock<File>, WriteError> {
+fn create_locked(disk: &dyn Disk, directory: &Path, active: &Path) -> Result<Flock<File>, WriteError> {
     static NUMBER: AtomicU32 = AtomicU32::new(0);
     let number = NUMBER.fetch_add(1, Ordering::Relaxed);
-    let hidden = directory.join(format!(".{}-{number}.new", std::process::id()));
-    let file = OpenOptions::new()
-        .read(true)
-        .write(true)
-        .create(true)
-        .truncate(true)
-        .open(&hidden)
-        .map_err(io_error(&hidden))?;
-    let named = lock(file).map_err(io_error(&hidden)).and_then(|file| {
-        rename_without_replacing(&hidden, active).map_err(exists_or_io(active))?;
+    let hidden = directory.join(format!(".{}-{number}{UNNAMED_ENDING}", std::process::id()));
+    let file = disk.create(&hidden).map_err(io_error(&hidden))?;
+    let named = disk.lock(file).map_err(io_error(&hidden)).and_then(|file| {
+        disk.rename(&hidden, active).map_err(exists_or_io(active))?;
         Ok(file)
     });
     if named.is_err() {
         // It is empty; what went wrong is reported, not this.
-        let _ = std::fs::remove_file(&hidden);
+        let _ = disk.remove(&hidden);
     }
     named
 }
 
+/// Ending of a file that is not locked yet, and so not named; its name begins with a dot.
+pub(super) const UNNAMED_ENDING: &str = ".new";
+
 /// Locks a file against every other process; `WouldBlock` where one has it.
 pub(super) fn lock(file: File) -> io::Result<Flock<File>> {
-    Flock::lock(file, FlockArg::LockExclusiveNonblock).map_err(|(_, error)| error.into())
+    SystemDisk.lock(file)
 }
 
 /// Renames without replacing, and makes the new name survive a power cut.
 pub(super) fn rename(from: &Path, to: &Path) -> Result<(), WriteError> {
-    rename_without_replacing(from, to).map_err(exists_or_io(to))?;
+    SystemDisk.rename(from, to).map_err(exists_or_io(to))?;
     let directory = to.parent().unwrap_or(Path::new("."));
     sync_directory(directory).map_err(io_error(directory))
 }
 
-fn rename_without_replacing(from: &Path, to: &Path) -> io::Result<()> {
-    match renameat2(AT_FDCWD, from, AT_FDCWD, to, RenameFlags::RENAME_NOREPLACE) {
-        // Some file systems know no such rename; the name was free when the run began.
-        Err(Errno::EINVAL | Errno::ENOSYS) if !to.exists() => std::fs::rename(from, to),
-        result => result.map_err(io::Error::from),
-    }
-}
-
 pub(super) fn sync_directory(directory: &Path) -> io::Result<()> {
-    let directory = if directory.as_os_str().is_empty() { Path::new(".") } else { directory };
-    File::open(directory)?.sync_all()
+    SystemDisk.sync_directory(directory)
 }
 
-pub(super) fn io_error(path: &Path) -> impl FnOnce(io::Error) -> WriteError {
+pub(super) fn io_error(path: &Path) -> impl Fn(io::Error) -> WriteError + use<> {
     let path = path.to_owned();
-    move |source| WriteError::Io { path, source }
+    move |source| WriteError::Io { path: path.clone(), source }
 }
 
-fn exists_or_io(path: &Path) -> impl FnOnce(io::Error) -> WriteError {
+fn exists_or_io(path: &Path) -> impl FnOnce(io::Error) -> WriteError + use<> {
     let path = path.to_owned();
     move |source| {
         if source.kind() == io::ErrorKind::AlreadyExists {
@@ -141,17 +260,15 @@ fn exists_or_io(path: &Path) -> impl FnOnce(io::Error) -> WriteError {
 
 impl Write for RunFile {
     fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
-        self.file.write(buffer)
+        let written = self.place.disk.write_at(&self.file, buffer, self.length);
+        let count = written.map_err(|error| self.place.named(&error))?;
+        self.length += count as u64;
+        self.checksum.update(&buffer[..count]);
+        Ok(count)
     }
 
     /// Returns when everything written so far survives a power cut.
     fn flush(&mut self) -> io::Result<()> {
-        self.file.sync_data()
-    }
-}
-
-impl Seek for RunFile {
-    fn seek(&mut self, position: SeekFrom) -> io::Result<u64> {
-        self.file.seek(position)
+        self.synchroniser().sync()
     }
 }

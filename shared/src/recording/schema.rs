@@ -134,6 +134,8 @@ pub enum EventKind {
     Bus = 3,
     /// A clock was stepped or lost.
     Clock = 4,
+    /// The run's file had to go on in another place.
+    Disk = 5,
 }
 
 impl EventKind {
@@ -144,6 +146,7 @@ impl EventKind {
             2 => Some(Self::Gap),
             3 => Some(Self::Bus),
             4 => Some(Self::Clock),
+            5 => Some(Self::Disk),
             _ => None,
         }
     }

@@ -28,6 +28,18 @@ pub struct Bin {
     pub cycles: u64,
 }
 
+/// How long the disk kept the recorder waiting.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct DiskTiming {
+    /// Longest synchronisation: what a power cut may cost beyond a period \[ns\].
+    pub sync_longest_ns: u64,
+    /// Longest write: what a kill of the program may cost beyond a period \[ns\].
+    pub write_longest_ns: u64,
+    /// Most cycles that waited to be written, as time \[ns\].
+    pub backlog_longest_ns: u64,
+}
+
 /// How well the loop kept its time. Runs on virtual time have none.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TimingSummary {
@@ -39,6 +51,9 @@ pub struct TimingSummary {
     pub round_trip: Durations,
     /// From waking up until the cycle's record was handed over.
     pub duration: Durations,
+    /// How long the disk kept the recorder waiting.
+    #[serde(default)]
+    pub disk: DiskTiming,
 }
 
 impl Bin {
@@ -60,16 +75,31 @@ impl fmt::Display for Durations {
     }
 }
 
+impl fmt::Display for DiskTiming {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let s = |ns: u64| ns as f64 * 1e-9;
+        let Self { sync_longest_ns, write_longest_ns, backlog_longest_ns } = *self;
+        write!(
+            f,
+            "disk: longest synchronisation {:.3} s, longest write {:.3} s, at most {:.3} s of cycles waiting",
+            s(sync_longest_ns),
+            s(write_longest_ns),
+            s(backlog_longest_ns)
+        )
+    }
+}
+
 impl fmt::Display for TimingSummary {
     /// Percentiles, then the three histograms side by side.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { cycles, lateness, round_trip, duration } = self;
+        let Self { cycles, lateness, round_trip, duration, disk } = self;
         writeln!(f, "{:15} {:>10} {:>10} {:>10} {:>10}", "time [us]", "p50", "p99", "p99.9", "max")?;
         for (name, durations) in
             [("wake-up late", lateness), ("round trip", round_trip), ("cycle duration", duration)]
         {
             writeln!(f, "{name:15} {durations}")?;
         }
+        writeln!(f, "{disk}")?;
         write!(
             f,
             "{:15} {:>14} {:>14} {:>14}  of {cycles} cycles",
@@ -134,10 +164,11 @@ mod tests {
             lateness: of(64_000, 7),
             round_trip: of(96_000, 6),
             duration: of(64_000, 7),
+            disk: DiskTiming::default(),
         };
         let text = timing.to_string();
         let rows: Vec<Vec<&str>> =
-            text.lines().skip(5).map(|line| line.split_whitespace().collect()).collect();
+            text.lines().skip(6).map(|line| line.split_whitespace().collect()).collect();
         assert_eq!(rows, [["64", "7", "0", "7"], ["96", "0", "6", "0"]]);
     }
 }

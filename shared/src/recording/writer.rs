@@ -1,16 +1,20 @@
 //! Writes a recording so that a kill loses at most what came since the last [`RecordingWriter::sync`].
 //!
 //! Each chunk is built in memory and appended in one go with a right header (`disable_seeking`): a file that
-//! was cut ends at a chunk's border or in a torn chunk, never in a record of bogus length.
+//! was cut ends at a chunk's border or in a torn chunk, never in a record of bogus length. What a sink refused stays in
+//! memory, so that whoever mends or replaces the sink goes on without a hole.
 
 use std::collections::BTreeMap;
-use std::io::{self, Seek, Write};
+use std::io::{self, Write};
 use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use mcap::records::{MessageHeader, Metadata};
+use mcap::write::NoSeek;
 use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 
 use super::content::{END_METADATA, LIBRARY_NAME, TIMING_METADATA, metadata_of, metadata_of_run};
+use super::disk::{Disk, SystemDisk};
 use super::messages::{self, MessageError, Topic};
 use super::run_file::RunFile;
 use super::schema::{CycleRecord, Event, RunEnd, RunMetadata};
@@ -38,8 +42,14 @@ pub enum WriteError {
         /// What the system said.
         source: io::Error,
     },
-    /// The MCAP layer failed, usually because the disk did.
-    #[error("cannot write to the recording: {0}; what was synchronised before is kept in the .active file")]
+    /// The run's file was removed, replaced or moved away, or its file system is there no more.
+    #[error("{}: the run's file is not there any more; somebody removed or moved it, or its disk is gone", .0.display())]
+    Lost(PathBuf),
+    /// The sink refused bytes. They are kept, and go out first once it takes them.
+    #[error("cannot write the recording: {0}; check free space and permissions")]
+    Sink(#[from] io::Error),
+    /// The MCAP layer refused a record.
+    #[error("cannot build the recording: {0}")]
     Container(#[from] McapError),
     /// A record could not be encoded.
     #[error("cannot encode a record: {0}")]
@@ -49,9 +59,35 @@ pub enum WriteError {
     Metadata(#[from] serde_json::Error),
 }
 
+/// What is built and not yet written out.
+#[derive(Clone, Default)]
+struct Spool(Arc<Mutex<Vec<u8>>>);
+
+impl Spool {
+    fn bytes(&self) -> MutexGuard<'_, Vec<u8>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Write for Spool {
+    fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
+        self.bytes().extend_from_slice(buffer);
+        Ok(buffer.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
 /// Writes one run. Calls block on the disk: never use it from the real-time thread.
-pub struct RecordingWriter<W: Write + Seek> {
-    writer: Writer<W>,
+///
+/// Whatever call returns [`WriteError::Sink`] has taken its record all the same: once the sink is mended or replaced,
+/// [`RecordingWriter::write_out`] goes on where it stopped.
+pub struct RecordingWriter<W: Write> {
+    writer: Writer<NoSeek<Spool>>,
+    spool: Spool,
+    sink: W,
     cycle_channel: u16,
     event_channel: u16,
     joint_state_channel: u16,
@@ -70,7 +106,14 @@ pub struct RecordingWriter<W: Write + Seek> {
 impl RecordingWriter<RunFile> {
     /// Begins a run in a directory; metadata and schemas are on disk when this returns.
     pub fn create(directory: &Path, run: &RunMetadata) -> Result<Self, WriteError> {
-        Self::begin(RunFile::create(directory, &run.name)?, run)
+        Self::create_on(Arc::new(SystemDisk), directory, run)
+    }
+
+    /// [`create`](Self::create) on another disk. Leaves no file where it fails.
+    pub fn create_on(disk: Arc<dyn Disk>, directory: &Path, run: &RunMetadata) -> Result<Self, WriteError> {
+        let file = RunFile::create(disk, directory, &run.name)?;
+        let place = file.place().clone();
+        Self::begin(file, run).inspect_err(|_| place.remove())
     }
 
     /// Ends the run and gives the file its final name, which is returned.
@@ -79,16 +122,17 @@ impl RecordingWriter<RunFile> {
     }
 }
 
-impl<W: Write + Seek> RecordingWriter<W> {
+impl<W: Write> RecordingWriter<W> {
     /// Begins a run on any sink; its `flush` decides how safe [`RecordingWriter::sync`] is.
     pub fn begin(sink: W, run: &RunMetadata) -> Result<Self, WriteError> {
+        let spool = Spool::default();
         let mut writer = WriteOptions::new()
             .profile("ros2")
             .library(format!("{LIBRARY_NAME}{}", env!("CARGO_PKG_VERSION")))
             .compression(Some(Compression::Zstd))
             .compression_threads(0)
             .disable_seeking(true)
-            .create(sink)?;
+            .create(NoSeek::new(spool.clone()))?;
         let run_metadata = metadata_of_run(run)?;
         writer.write_metadata(&run_metadata)?;
         attach_configuration(&mut writer, run)?;
@@ -99,6 +143,8 @@ impl<W: Write + Seek> RecordingWriter<W> {
         let diagnostics_channel = add_topic(&mut writer, &messages::DIAGNOSTICS)?;
         let mut recording = Self {
             writer,
+            spool,
+            sink,
             cycle_channel,
             event_channel,
             joint_state_channel,
@@ -121,37 +167,70 @@ impl<W: Write + Seek> RecordingWriter<W> {
     pub fn write_cycle(&mut self, record: &CycleRecord) -> Result<(), WriteError> {
         let sequence = record.cycle as u32;
         let data = messages::encode_cycle(record)?;
-        self.write_message(self.cycle_channel, sequence, record.sample_time, &data)?;
+        self.add_message(self.cycle_channel, sequence, record.sample_time, &data)?;
         let data = self.shown.joint_state(record)?;
-        self.write_message(self.joint_state_channel, sequence, record.sample_time, &data)?;
+        self.add_message(self.joint_state_channel, sequence, record.sample_time, &data)?;
         if let Some(data) = self.shown.diagnostics(record) {
-            self.write_message(self.diagnostics_channel, sequence, record.sample_time, &data?)?;
+            self.add_message(self.diagnostics_channel, sequence, record.sample_time, &data?)?;
         }
         self.cycles += 1;
         self.cycles_valid += u64::from(record.is_valid());
         self.cycles_lost += u64::from(record.flags & super::schema::flags::LOST != 0);
-        Ok(())
+        self.write_out()
     }
 
     /// Appends an event, which is a line of the log, too.
     pub fn write_event(&mut self, event: &Event) -> Result<(), WriteError> {
         let data = messages::encode_event(event)?;
         self.events = self.events.wrapping_add(1);
-        self.write_message(self.event_channel, self.events, event.time, &data)?;
-        self.write_message(self.log_channel, self.events, event.time, &messages::encode_log(event)?)
+        self.add_message(self.event_channel, self.events, event.time, &data)?;
+        self.add_message(self.log_channel, self.events, event.time, &messages::encode_log(event)?)?;
+        self.write_out()
     }
 
     /// Says how well the loop kept its time so far; the last one said counts. Cuts the chunk.
     pub fn write_timing(&mut self, timing: &TimingSummary) -> Result<(), WriteError> {
-        Ok(self.writer.write_metadata(&metadata_of(TIMING_METADATA, timing)?)?)
+        self.writer.write_metadata(&metadata_of(TIMING_METADATA, timing)?)?;
+        self.write_out()
+    }
+
+    /// Cuts the chunk and hands it to the sink: with a [`RunFile`] everything so far survives a kill of the process.
+    pub fn cut(&mut self) -> Result<(), WriteError> {
+        if self.cycles > 0 {
+            self.repeat_run()?;
+        }
+        self.writer.flush()?;
+        self.write_out()
     }
 
     /// Cuts the chunk and flushes the sink: with a [`RunFile`] everything so far survives a power cut.
     pub fn sync(&mut self) -> Result<(), WriteError> {
-        if self.cycles > 0 {
-            self.repeat_run()?;
+        self.cut()?;
+        Ok(self.sink.flush()?)
+    }
+
+    /// Hands the sink what it has not taken yet.
+    pub fn write_out(&mut self) -> Result<(), WriteError> {
+        let mut bytes = self.spool.bytes();
+        while !bytes.is_empty() {
+            match self.sink.write(&bytes) {
+                Ok(0) => return Err(io::Error::from(io::ErrorKind::WriteZero).into()),
+                Ok(count) => drop(bytes.drain(..count)),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error.into()),
+            }
         }
-        Ok(self.writer.flush()?)
+        Ok(())
+    }
+
+    /// What takes the bytes.
+    pub fn sink(&self) -> &W {
+        &self.sink
+    }
+
+    /// What takes the bytes, to be mended or replaced.
+    pub fn sink_mut(&mut self) -> &mut W {
+        &mut self.sink
     }
 
     /// Behind the first cycles, so that damage in one place leaves one of the two or nothing to keep.
@@ -170,9 +249,15 @@ impl<W: Write + Seek> RecordingWriter<W> {
     }
 
     /// Ends the run on any sink: how it ended, summary, footer.
-    pub fn end(self, cause: &str, ended: UtcNs) -> Result<W, WriteError> {
+    pub fn end(mut self, cause: &str, ended: UtcNs) -> Result<W, WriteError> {
+        self.close(cause, ended)?;
+        Ok(self.sink)
+    }
+
+    /// [`end`](Self::end) for a sink that may have to be mended before it takes all; nothing can be added any more.
+    pub fn close(&mut self, cause: &str, ended: UtcNs) -> Result<(), WriteError> {
         let end = self.end_record(cause, ended);
-        self.end_with(&end)
+        self.close_with(&end)
     }
 
     /// How the run ends if it ends now.
@@ -188,13 +273,18 @@ impl<W: Write + Seek> RecordingWriter<W> {
     }
 
     pub(super) fn end_with(mut self, end: &RunEnd) -> Result<W, WriteError> {
+        self.close_with(end)?;
+        Ok(self.sink)
+    }
+
+    fn close_with(&mut self, end: &RunEnd) -> Result<(), WriteError> {
         self.repeat_run()?;
         self.writer.write_metadata(&metadata_of(END_METADATA, end)?)?;
         self.writer.finish()?;
-        Ok(self.writer.into_inner())
+        self.write_out()
     }
 
-    fn write_message(
+    fn add_message(
         &mut self,
         channel_id: u16,
         sequence: u32,
@@ -210,10 +300,7 @@ impl<W: Write + Seek> RecordingWriter<W> {
 }
 
 /// The configuration that was in use as files, which any reader of MCAP can take out again.
-fn attach_configuration<W: Write + Seek>(
-    writer: &mut Writer<W>,
-    run: &RunMetadata,
-) -> Result<(), WriteError> {
+fn attach_configuration(writer: &mut Writer<NoSeek<Spool>>, run: &RunMetadata) -> Result<(), WriteError> {
     let time = run.started.0.max(0) as u64;
     for (name, text) in [("daemon.toml", &run.daemon_config), ("ball_bar.toml", &run.ball_bar_config)] {
         if !text.is_empty() {
@@ -230,7 +317,7 @@ fn attach_configuration<W: Write + Seek>(
 }
 
 /// Adds schema and channel of a topic, with the QoS profile that `ros2 bag play` asks for.
-fn add_topic<W: Write + Seek>(writer: &mut Writer<W>, topic: &Topic) -> Result<u16, WriteError> {
+fn add_topic(writer: &mut Writer<NoSeek<Spool>>, topic: &Topic) -> Result<u16, WriteError> {
     const QOS: &str = "- history: 1\n  depth: 10\n  reliability: 1\n  durability: 2\n  deadline:\n    sec: 9223372036\n    \
         nsec: 854775807\n  lifespan:\n    sec: 9223372036\n    nsec: 854775807\n  liveliness: 1\n  \
         liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n  avoid_ros_namespace_conventions: false";

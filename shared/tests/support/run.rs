@@ -4,7 +4,7 @@ use shared::encoder::EncoderScale;
 use shared::recording::schema::{
     CycleRecord, DeviceInfo, EncoderInfo, EncoderSample, MAX_ENCODERS, RunMetadata, flags,
 };
-use shared::recording::{Bin, Durations, TimingSummary};
+use shared::recording::{Bin, DiskTiming, Durations, TimingSummary};
 use shared::time::{DcNs, MonoNs, UtcNs};
 
 /// When the made-up run began.
@@ -50,7 +50,8 @@ pub fn timing() -> TimingSummary {
         histogram: vec![Bin { up_to_ns: 48_000, cycles: 9 }, Bin { up_to_ns: u64::MAX, cycles: 1 }],
     };
     let (lateness, round_trip, duration) = (durations(40_000), durations(43_000), durations(66_000));
-    TimingSummary { cycles: 10, lateness, round_trip, duration }
+    let disk = DiskTiming { sync_longest_ns: 30_000_000, ..DiskTiming::default() };
+    TimingSummary { cycles: 10, lateness, round_trip, duration, disk }
 }
 
 /// Its cycles, each different from every other.

@@ -363,6 +363,7 @@ pub(super) fn encode_log(event: &Event) -> Result<Vec<u8>, MessageError> {
         EventKind::Gap => (WARN, "gap"),
         EventKind::Bus => (WARN, "bus"),
         EventKind::Clock => (WARN, "clock"),
+        EventKind::Disk => (WARN, "disk"),
     };
     to_cdr(&LogMessage {
         stamp: event.time.into(),

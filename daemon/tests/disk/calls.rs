@@ -1,0 +1,140 @@
+//! Every call that a recorder puts to the disk fails, hangs, is cut short, or is the last that the disk answers.
+//!
+//! After SQLite's tests of I/O errors: the calls of a run without faults are counted, then each gets its fault, one run
+//! each.
+
+use std::path::Path;
+use std::time::Duration;
+
+use shared::recording::Recording;
+use shared::recording::schema::flags;
+
+use super::rig::{Look, Outcome, Plan, in_parallel, record};
+use super::wall::{Call, Fault, Wall};
+
+/// Longer than a look at the disk may take.
+const HANG: Duration = Duration::from_millis(1300);
+/// Runs at once: they wait for the disk, not for the processor.
+const AT_ONCE: usize = 12;
+
+fn plan(cycles: u64) -> Plan {
+    Plan {
+        period: Duration::from_millis(5),
+        cycles,
+        sync_period: Duration::from_millis(100),
+        ring_cycles: 4000,
+        marks: Vec::new(),
+        interfere: None,
+    }
+}
+
+/// Somebody removes the run's file, so that it is copied.
+fn remove(home: &Path) {
+    // A fault may have moved it already.
+    let _ = std::fs::remove_file(home.join("run.mcap.active"));
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Case {
+    call: Call,
+    nth: usize,
+    fault: Fault,
+    is_removed: bool,
+}
+
+fn cases(cycles: u64) -> Vec<Case> {
+    let mut cases = Vec::new();
+    for is_removed in [false, true] {
+        let clean = run_of(cycles, is_removed, None);
+        clean.result.as_ref().unwrap();
+        for (call, count) in clean.wall.calls() {
+            for nth in 0..count {
+                for fault in
+                    [Fault::Fails, Fault::Dies, Fault::DiesEverywhere, Fault::Hangs(HANG), Fault::CutsShort]
+                {
+                    if fault != Fault::CutsShort || matches!(call, Call::Write | Call::Read) {
+                        cases.push(Case { call, nth, fault, is_removed });
+                    }
+                }
+            }
+        }
+    }
+    cases
+}
+
+fn run_of(cycles: u64, is_removed: bool, fault: Option<(Call, usize, Fault)>) -> Outcome {
+    let interfere = is_removed.then_some((cycles / 2, remove as fn(&Path)));
+    record(&Plan { interfere, ..plan(cycles) }, |home| Wall::new(home, fault))
+}
+
+/// Nothing that was said to be safe is lost, nothing wrong is said, the run goes on or ends as stated.
+fn check(case: &Case, cycles: u64) {
+    let Case { call, nth, fault, is_removed } = *case;
+    // A run long enough to be told of what hangs.
+    let cycles = if matches!(fault, Fault::Hangs(_)) { cycles.max(320) } else { cycles };
+    let outcome = run_of(cycles, is_removed, Some((call, nth, fault)));
+    match &outcome.result {
+        Ok(summary) => {
+            let bytes = std::fs::read(&summary.path).unwrap();
+            let recording = Recording::read(&bytes[..]).unwrap();
+            assert_eq!((summary.cycles, summary.cycles_valid, summary.cycles_lost), (cycles, cycles, 0));
+            assert!(recording.cycles.iter().all(|cycle| cycle.is_valid() && cycle.flags & flags::LOST == 0));
+            assert_eq!(recording.cycles.len() as u64, cycles);
+            assert!(!summary.path.with_extension("mcap.active").exists());
+            // Whoever saw it in another place was told why.
+            let is_elsewhere = |look: &Look| look.snapshot.file.starts_with(outcome.spare());
+            assert!(!outcome.looks.iter().any(is_elsewhere) || outcome.was_told("the run goes on in"));
+            outcome.check_claims(&bytes);
+        }
+        Err(error) => {
+            let text = error.to_string();
+            assert!(text.contains("run"), "no word of which file: {text}");
+            if outcome.looks.is_empty() {
+                // It did not even begin, and leaves nothing that it could remove.
+                let left = std::fs::read_dir(outcome.home()).map_or(0, Iterator::count);
+                assert!(left == 0 || fault != Fault::Fails || call == Call::Remove, "{left} files left");
+            } else {
+                assert_eq!(fault, Fault::DiesEverywhere, "the spare place was there: {text}");
+                let left = [outcome.home(), outcome.spare()]
+                    .iter()
+                    .flat_map(|place| [place.join("run.mcap"), place.join("run.mcap.active")])
+                    .find(|path| path.exists());
+                // Otherwise somebody has removed it.
+                if !is_removed {
+                    outcome.check_claims(&std::fs::read(left.unwrap()).unwrap());
+                }
+            }
+        }
+    }
+    if let (Fault::Hangs(_), Some(struck)) = (fault, outcome.wall.struck()) {
+        let (since, last) = (struck.saturating_duration_since(outcome.begun), plan(1).period * cycles as u32);
+        let is_in_mid_run = struck > outcome.begun && since + Duration::from_millis(500) < last;
+        let word = match call {
+            Call::Write | Call::Read => "wait to be written",
+            Call::Sync => "a power cut now",
+            _ => return,
+        };
+        assert!(!is_in_mid_run || outcome.was_told(word), "nobody was told of {call:?} that hung");
+    }
+}
+
+fn check_all(cycles: u64) {
+    let cases = cases(cycles);
+    let calls = cases.iter().filter(|case| case.fault == Fault::Fails).count();
+    in_parallel(&cases, AT_ONCE, |case| {
+        let outcome = std::panic::catch_unwind(|| check(case, cycles));
+        assert!(outcome.is_ok(), "{case:?}");
+    });
+    println!("{calls} calls, {} cases, 0 failures", cases.len());
+}
+
+#[test]
+fn whichever_call_to_the_disk_goes_wrong_nothing_that_was_said_to_be_safe_is_lost() {
+    check_all(60);
+}
+
+#[test]
+#[ignore = "takes minutes: the same with a run ten times as long"]
+fn whichever_call_of_a_long_run_goes_wrong_nothing_that_was_said_to_be_safe_is_lost() {
+    check_all(600);
+}

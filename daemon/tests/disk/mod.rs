@@ -1,0 +1,8 @@
+//! The recorder on disks that are slow, hang, fill, refuse or vanish: nothing that was said to be safe is lost, nothing
+//! wrong is said, and the run goes on or ends as stated.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+
+mod calls;
+mod rig;
+mod slow;
+mod wall;

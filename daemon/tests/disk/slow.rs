@@ -1,0 +1,147 @@
+//! Disks that are slow: what that costs, when, and what people are told of it.
+
+use std::path::Path;
+use std::time::Duration;
+
+use shared::recording::Recording;
+use shared::recording::schema::{EventKind, flags};
+
+use super::rig::{Outcome, Plan, Way, in_parallel, record};
+use super::wall::{Call, Fault, Wall};
+
+/// What a busy machine adds to anything.
+const SLACK_S: f64 = 0.3;
+
+fn plan(rate_hz: u32, seconds: f64) -> Plan {
+    Plan {
+        period: Duration::from_secs(1) / rate_hz,
+        cycles: (seconds * f64::from(rate_hz)) as u64,
+        sync_period: Duration::from_secs(1),
+        ring_cycles: 60 * rate_hz as usize,
+        marks: Vec::new(),
+        interfere: None,
+    }
+}
+
+fn recording_of(outcome: &Outcome) -> Recording {
+    Recording::open(&outcome.result.as_ref().unwrap().path).unwrap()
+}
+
+/// Every marker has the instant at which it was set, and the cycle of that instant.
+fn check_marks(plan: &Plan, outcome: &Outcome, recording: &Recording) {
+    let found: Vec<_> = recording.events.iter().filter(|event| event.kind == EventKind::Marker).collect();
+    assert_eq!(found.len(), plan.marks.len());
+    let period_ns = plan.period.as_nanos() as i64;
+    for (mark, cycle) in found.iter().zip(&plan.marks) {
+        let time = outcome.first.plus_ns(*cycle as i64 * period_ns + period_ns / 2);
+        assert_eq!((mark.cycle, mark.time), (*cycle, time), "{mark:?}");
+    }
+}
+
+fn check_slow_sync(rate_hz: u32, sync: Duration) {
+    let sync_s = sync.as_secs_f64();
+    let mut plan = plan(rate_hz, 4.0 + 2.0 * sync_s);
+    plan.marks = vec![0, plan.cycles / 3, plan.cycles / 2, plan.cycles / 2 + 1];
+    let outcome = record(&plan, |home| Wall::slow(home, sync));
+    let recording = recording_of(&outcome);
+    let lost = recording.cycles.iter().filter(|cycle| cycle.flags & flags::LOST != 0).count();
+    assert_eq!((recording.cycles.len() as u64, lost), (plan.cycles, 0));
+    outcome.check_claims(&std::fs::read(&outcome.result.as_ref().unwrap().path).unwrap());
+    check_marks(&plan, &outcome, &recording);
+    let period_s = plan.sync_period.as_secs_f64();
+    // The loss of a kill does not depend on the disk's synchronisation, that of a power cut does.
+    let (kill_s, cut_s) = (outcome.worst(|seen| seen.backlog_s), outcome.worst(|seen| seen.unsynced_s));
+    assert!(kill_s <= period_s + SLACK_S, "a kill costs {kill_s} s");
+    assert!(cut_s <= period_s + 2.0 * sync_s + SLACK_S, "a power cut costs {cut_s} s");
+    // More than two periods.
+    assert_eq!(outcome.was_told("a power cut now would cost"), sync_s >= 1.0, "{sync_s} s");
+    let longest_s = recording.timing.unwrap().disk.sync_longest_ns as f64 * 1e-9;
+    assert!(longest_s >= sync_s, "the file says {longest_s} s");
+    // The one that goes on, and the last.
+    let finishing_s = outcome.finishing.as_secs_f64();
+    assert!(finishing_s < 2.0 * sync_s + 2.0, "finished {finishing_s} s after the end");
+    println!(
+        "{rate_hz:4} Hz, sync {sync_s:.1} s: {} cycles, {lost} lost; a kill costs {kill_s:.2} s, a power cut {cut_s:.2} s; \
+         longest sync in the file {longest_s:.2} s; finished after {finishing_s:.2} s",
+        plan.cycles
+    );
+}
+
+#[test]
+fn however_long_synchronisations_take_no_cycle_is_lost_and_what_is_said_to_be_safe_is() {
+    let cases: Vec<_> = [0, 600, 1000, 3000]
+        .into_iter()
+        .flat_map(|sync_ms| [100, 1000].map(|rate_hz| (rate_hz, Duration::from_millis(sync_ms))))
+        .collect();
+    in_parallel(&cases, cases.len(), |(rate_hz, sync)| check_slow_sync(*rate_hz, *sync));
+}
+
+#[test]
+#[ignore = "takes a minute"]
+fn synchronisations_of_up_to_five_seconds() {
+    let cases: Vec<_> = (0..=10).map(|halves| (1000, Duration::from_millis(500 * halves))).collect();
+    in_parallel(&cases, 6, |(rate_hz, sync)| check_slow_sync(*rate_hz, *sync));
+}
+
+#[test]
+fn while_a_write_hangs_cycles_and_markers_wait_and_people_are_told() {
+    let mut plan = plan(100, 5.0);
+    // Before, during and after it.
+    plan.marks = vec![50, 150, 250, 251, 450];
+    let hang = Fault::Hangs(Duration::from_secs(3));
+    let outcome = record(&plan, |home| Wall::new(home, Some((Call::Write, 3, hang))));
+    let recording = recording_of(&outcome);
+    assert!(recording.cycles.iter().all(|cycle| cycle.is_valid()) && recording.cycles.len() == 500);
+    check_marks(&plan, &outcome, &recording);
+    // With words before it matters, and a figure that is true.
+    assert!(outcome.was_told("wait to be written, from 60 s on they are lost"));
+    let backlog_s = outcome.worst(|seen| seen.backlog_s);
+    assert!((2.9..3.5 + SLACK_S).contains(&backlog_s), "{backlog_s} s");
+    let told = recording.timing.unwrap().disk;
+    assert!(told.write_longest_ns >= 3_000_000_000 && told.backlog_longest_ns > 2_500_000_000, "{told:?}");
+}
+
+#[test]
+fn cycles_that_a_full_ring_refuses_are_counted_at_once() {
+    let plan = Plan { ring_cycles: 64, ..plan(100, 4.0) };
+    let hang = Fault::Hangs(Duration::from_secs(2));
+    let outcome = record(&plan, |home| Wall::new(home, Some((Call::Write, 3, hang))));
+    let summary = outcome.result.as_ref().unwrap();
+    assert!(summary.cycles_lost > 50, "{summary:?}");
+    let struck = outcome.wall.struck().unwrap().duration_since(outcome.begun);
+    let while_it_hung = |at: Duration| at > struck && at < struck + Duration::from_secs(2);
+    let told: Vec<u64> =
+        outcome.looks.iter().filter(|look| while_it_hung(look.at)).map(|look| look.snapshot.lost).collect();
+    // They rise while the disk hangs, and end at what the file says.
+    assert!(told.first() == Some(&0) && told.iter().any(|lost| (20..100).contains(lost)), "{told:?}");
+    assert_eq!(outcome.looks.last().unwrap().snapshot.lost, summary.cycles_lost);
+    assert!(outcome.was_told("cycles are lost"));
+    let recording = recording_of(&outcome);
+    let lost = recording.cycles.iter().filter(|cycle| cycle.flags & flags::LOST != 0).count() as u64;
+    assert_eq!((recording.cycles.len() as u64, lost), (400, summary.cycles_lost));
+}
+
+#[test]
+fn a_file_or_directory_that_vanishes_is_told_within_a_second_and_the_run_goes_on() {
+    let file = |home: &Path| std::fs::remove_file(home.join("run.mcap.active")).unwrap();
+    let directory = |home: &Path| std::fs::remove_dir_all(home).unwrap();
+    let moved = |home: &Path| std::fs::rename(home, home.with_file_name("elsewhere")).unwrap();
+    let replaced = |home: &Path| {
+        std::fs::remove_dir_all(home).unwrap();
+        // What is no directory takes no files: only the spare place is left.
+        std::fs::write(home, "in the way").unwrap();
+    };
+    let ways: [(Way, &str); 4] = [(file, "runs"), (directory, "runs"), (moved, "runs"), (replaced, "spare")];
+    in_parallel(&ways, ways.len(), |(way, place)| {
+        let plan = Plan { interfere: Some((200, *way)), ..plan(100, 4.0) };
+        let outcome = record(&plan, |home| Wall::new(home, None));
+        let summary = outcome.result.as_ref().unwrap();
+        assert_eq!(summary.path, outcome.directory.path().join(place).join("run.mcap"));
+        let recording = recording_of(&outcome);
+        assert!(recording.cycles.iter().all(|cycle| cycle.is_valid()) && recording.cycles.len() == 400);
+        assert!(recording.events.iter().any(|event| event.kind == EventKind::Disk));
+        let told = |text: Option<String>| text.is_some_and(|text| text.contains("not there any more"));
+        let first = outcome.looks.iter().find(|look| told(look.snapshot.warning())).unwrap();
+        assert!(first.at < Duration::from_secs(3), "told at {:?}", first.at);
+    });
+}

@@ -1,0 +1,225 @@
+//! A disk that does on purpose what disks do, and remembers what of each file would survive a power cut.
+
+use std::collections::{BTreeMap, HashMap};
+use std::fs::File;
+use std::io;
+use std::os::unix::fs::{FileExt, MetadataExt};
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use nix::fcntl::Flock;
+use shared::recording::{Disk, FileId, Space, SystemDisk};
+
+/// A call that the disk is put to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Call {
+    MakeDirectory,
+    Create,
+    Lock,
+    Rename,
+    Remove,
+    SyncDirectory,
+    Write,
+    Read,
+    Sync,
+    IdOf,
+    IdAt,
+    Space,
+}
+
+/// What it does instead of what it should.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Fault {
+    /// Refuses this once.
+    Fails,
+    /// Refuses this and everything after it that reaches the run's own directory.
+    Dies,
+    /// Refuses this and everything after it, wherever.
+    DiesEverywhere,
+    /// Takes so long, this once.
+    Hangs(Duration),
+    /// Takes or gives a single byte, this once.
+    CutsShort,
+}
+
+/// The disk.
+#[derive(Debug)]
+pub struct Wall {
+    /// Which call is met by which fault: the first is number 0.
+    fault: Option<(Call, usize, Fault)>,
+    /// How long each synchronisation takes.
+    sync_takes: Duration,
+    /// The run's own directory.
+    home: PathBuf,
+    state: Mutex<State>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    calls: BTreeMap<Call, usize>,
+    /// By inode: bytes written, and bytes that were written when a synchronisation that is over began.
+    written: HashMap<u64, u64>,
+    synced: HashMap<u64, u64>,
+    inodes: HashMap<u64, bool>,
+    is_dead: bool,
+    struck: Option<Instant>,
+}
+
+/// What a call may do.
+enum Permit {
+    All,
+    OneByte,
+}
+
+impl Wall {
+    pub fn new(home: &Path, fault: Option<(Call, usize, Fault)>) -> Self {
+        Self { fault, sync_takes: Duration::ZERO, home: home.to_owned(), state: Mutex::default() }
+    }
+
+    /// One on which each synchronisation takes so long.
+    pub fn slow(home: &Path, sync_takes: Duration) -> Self {
+        Self { sync_takes, ..Self::new(home, None) }
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap()
+    }
+
+    /// How often each call was made.
+    pub fn calls(&self) -> BTreeMap<Call, usize> {
+        self.state().calls.clone()
+    }
+
+    /// When the fault was met.
+    pub fn struck(&self) -> Option<Instant> {
+        self.state().struck
+    }
+
+    /// Bytes of a file that survive a power cut.
+    pub fn synced_bytes(&self, path: &Path) -> u64 {
+        let inode = std::fs::metadata(path).map_or(0, |found| found.ino());
+        self.state().synced.get(&inode).copied().unwrap_or(0)
+    }
+
+    fn enter(&self, call: Call, is_home: bool) -> io::Result<Permit> {
+        let mut state = self.state();
+        let count = state.calls.entry(call).or_default();
+        let number = *count;
+        *count += 1;
+        let refusal = || Err(io::Error::from_raw_os_error(nix::libc::EIO));
+        let Some((at, nth, fault)) = self.fault else { return Ok(Permit::All) };
+        let strikes = call == at && number == nth;
+        if strikes {
+            state.struck = Some(Instant::now());
+        }
+        match fault {
+            Fault::Dies | Fault::DiesEverywhere => {
+                state.is_dead |= strikes;
+                let is_hit = state.is_dead && (is_home || fault == Fault::DiesEverywhere);
+                // What is in memory is still given, and a name that is there is still there.
+                let is_spared = matches!(call, Call::Read | Call::IdAt | Call::IdOf | Call::Space);
+                if strikes || (is_hit && !is_spared) { refusal() } else { Ok(Permit::All) }
+            }
+            _ if !strikes => Ok(Permit::All),
+            Fault::Fails => refusal(),
+            Fault::CutsShort => Ok(Permit::OneByte),
+            Fault::Hangs(time) => {
+                drop(state);
+                thread::sleep(time);
+                Ok(Permit::All)
+            }
+        }
+    }
+
+    fn at(&self, call: Call, path: &Path) -> io::Result<Permit> {
+        self.enter(call, path.starts_with(&self.home))
+    }
+
+    fn on(&self, call: Call, file: &File) -> io::Result<Permit> {
+        let is_home = file.metadata().is_ok_and(|found| self.state().inodes.get(&found.ino()) == Some(&true));
+        self.enter(call, is_home)
+    }
+}
+
+fn allowed(permit: &Permit, bytes: usize) -> usize {
+    match permit {
+        Permit::All => bytes,
+        Permit::OneByte => bytes.min(1),
+    }
+}
+
+impl Disk for Wall {
+    fn make_directory(&self, directory: &Path) -> io::Result<()> {
+        self.at(Call::MakeDirectory, directory)?;
+        SystemDisk.make_directory(directory)
+    }
+
+    fn create(&self, path: &Path) -> io::Result<File> {
+        self.at(Call::Create, path)?;
+        let file = SystemDisk.create(path)?;
+        self.state().inodes.insert(file.metadata()?.ino(), path.starts_with(&self.home));
+        Ok(file)
+    }
+
+    fn lock(&self, file: File) -> io::Result<Flock<File>> {
+        self.on(Call::Lock, &file)?;
+        SystemDisk.lock(file)
+    }
+
+    fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
+        self.at(Call::Rename, to)?;
+        SystemDisk.rename(from, to)
+    }
+
+    fn remove(&self, path: &Path) -> io::Result<()> {
+        self.at(Call::Remove, path)?;
+        SystemDisk.remove(path)
+    }
+
+    fn sync_directory(&self, directory: &Path) -> io::Result<()> {
+        self.at(Call::SyncDirectory, directory)?;
+        SystemDisk.sync_directory(directory)
+    }
+
+    fn write_at(&self, file: &File, bytes: &[u8], offset: u64) -> io::Result<usize> {
+        let permit = self.on(Call::Write, file)?;
+        let count = file.write_at(&bytes[..allowed(&permit, bytes.len())], offset)?;
+        self.state().written.insert(file.metadata()?.ino(), offset + count as u64);
+        Ok(count)
+    }
+
+    fn read_at(&self, file: &File, buffer: &mut [u8], offset: u64) -> io::Result<usize> {
+        let permit = self.on(Call::Read, file)?;
+        let length = allowed(&permit, buffer.len());
+        file.read_at(&mut buffer[..length], offset)
+    }
+
+    /// What is written meanwhile is not covered, and nothing is by one that fails.
+    fn sync(&self, file: &File) -> io::Result<()> {
+        let inode = file.metadata()?.ino();
+        let covered = self.state().written.get(&inode).copied().unwrap_or(0);
+        self.on(Call::Sync, file)?;
+        thread::sleep(self.sync_takes);
+        let mut state = self.state();
+        let synced = state.synced.entry(inode).or_default();
+        *synced = covered.max(*synced);
+        Ok(())
+    }
+
+    fn id_of(&self, file: &File) -> io::Result<FileId> {
+        self.on(Call::IdOf, file)?;
+        SystemDisk.id_of(file)
+    }
+
+    fn id_at(&self, path: &Path) -> io::Result<FileId> {
+        self.at(Call::IdAt, path)?;
+        SystemDisk.id_at(path)
+    }
+
+    fn space(&self, directory: &Path) -> io::Result<Space> {
+        self.at(Call::Space, directory)?;
+        SystemDisk.space(directory)
+    }
+}
