@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 use crate::support::laboratory::{self, Level};
 use crate::support::{Cell, bar, irb2400, spread_poses};
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
-use identify::calibrate::candidates::TermGroup;
+use identify::calibrate::terms::TermGroup;
 use identify::calibrate::structure::identifiable;
 use identify::calibrate::{CostName, IdentifyConfig, SelectionName};
 use identify::model::{ParameterId, Phase, Role, THESIS_FIXED};

@@ -334,3 +334,25 @@ fn an_iteration_limit_is_not_called_convergence() {
     assert_eq!(solution.summary.termination, Termination::IterationLimit);
     assert!(!solution.summary.termination.converged());
 }
+
+/// Derivatives with the wrong sign: every step climbs.
+#[test]
+fn steps_that_were_all_refused_are_not_called_convergence() {
+    let climbing = |x: &[f64], k: usize| (x[0] - k as f64, vec![-1.0]);
+    let solution = solve(&Rows::new(1, 5, &climbing), &[9.0], &Options::default()).unwrap();
+    assert_eq!(solution.summary.termination, Termination::NoDecrease);
+    assert!(!solution.summary.termination.converged());
+    assert_eq!((solution.x[0], solution.summary.iterations), (9.0, 0));
+}
+
+/// The minimum lies where one sample has no value: beyond the end of a log.
+#[test]
+fn a_minimum_that_costs_a_sample_is_not_called_convergence() {
+    let row = |x: &[f64], k: usize| {
+        let beyond = k == 0 && x[0] > 2.0;
+        (if beyond { f64::INFINITY } else { x[0] - 5.0 + 0.1 * k as f64 }, vec![1.0])
+    };
+    let solution = solve(&Rows::new(1, 5, &row), &[0.0], &Options::default()).unwrap();
+    assert!(!solution.summary.termination.converged(), "{}", solution.summary.termination);
+    assert!(solution.x[0] <= 2.0);
+}

@@ -4,7 +4,7 @@ use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 
 use super::by_cost::WithResidual;
-use super::candidates::Candidate;
+use super::terms::Candidate;
 use super::config::{CostName, IdentifyConfig};
 use super::several::{self, Run};
 use super::structure::StructureError;
@@ -13,7 +13,7 @@ use crate::kinematics::{BAR_JOINTS, LinkParameter, ball_bar_chain, robot_chain};
 use crate::logs::{RobotLog, Unwrapped};
 use crate::model::{Axis, DriveTrain, Geometry, Model, ModelError, ParameterId};
 use crate::prepare::{PrepareError, Prepared, prepare};
-use crate::solver::{Solution, SolveError, Summary, Unidentifiable, Watch};
+use crate::solver::{NotConverged, Solution, SolveError, Unidentifiable, Watch};
 
 /// Why there is no calibration.
 #[derive(Debug, thiserror::Error)]
@@ -45,15 +45,8 @@ pub enum CalibrateError {
     #[error(transparent)]
     Unidentifiable(#[from] Unidentifiable),
     /// The solve ended elsewhere than at a minimum.
-    #[error(
-        "the solve did not converge ({}, {} iterations, residual RMS {:.3e}); robot, bar or log may be the wrong one, \
-         or its motion too small; check them, or record more of the sphere",
-        summary.termination, summary.iterations, summary.residual_rms
-    )]
-    NotConverged {
-        /// How it went.
-        summary: Summary,
-    },
+    #[error(transparent)]
+    NotConverged(#[from] NotConverged),
 }
 
 /// A calibrated robot.

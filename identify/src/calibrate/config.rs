@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 
-use super::candidates::TermGroup;
+use super::terms::TermGroup;
 use super::robust::LossName;
 use crate::cost::AngleNoise;
 use crate::kinematics::{BAR_JOINTS, LinkParameter};

@@ -3,11 +3,11 @@
 use std::ops::Range;
 
 use super::ball_bar::{BallBarCalibration, CalibrateError};
-use super::blocks::stretches;
 use super::by_cost::WithResidual;
 use super::config::IdentifyConfig;
 use super::robust::{HALF, TWO_FIFTHS, settled};
 use super::several::{Run, problem, residual_sigma};
+use super::split::segments;
 use crate::cost::{Residual, SharedColumns};
 use crate::model::{Geometry, Model, Observation, ParameterId};
 use crate::prepare::Prepared;
@@ -68,7 +68,7 @@ impl<'a> WithResidual for Refit<'a> {
         let loss = self.config.loss_for(*cost);
         let good = if self.config.ransac { TWO_FIFTHS } else { HALF };
         let mut all = Vec::new();
-        for left_out in stretches(problem.starts(), count) {
+        for left_out in segments(problem.starts(), count) {
             let samples = (0..problem.samples()).filter(|sample| !left_out.contains(sample));
             let others = Subset { of: &problem, samples: samples.collect() };
             let options = Options {

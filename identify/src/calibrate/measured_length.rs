@@ -16,8 +16,7 @@ mod start;
 
 use nalgebra::Vector3;
 
-use super::measured_pose::HoldOut;
-use super::measured_pose::split;
+use super::split::{self, HoldOut};
 use crate::cost::{LoopProblem, MeasuredLength};
 use crate::kinematics::{Chain, LinkParameter};
 use crate::model::{Axis, Model, Observation, ParameterId, PerObservation, Role, Unit};
@@ -337,6 +336,7 @@ pub fn calibrate(
         Some(Drifted { drift, solution, .. }) => (solution, drift.white_m, Some(drift)),
         None => (solution, sigma_m, None),
     };
+    solution.summary.require_converged()?;
     Ok(report::assemble(report::Outcome {
         model,
         solution,

@@ -1,11 +1,8 @@
 //! The way from measurements to a calibration, in one call each.
 
 pub mod ball_bar;
-pub mod blocks;
 mod by_cost;
-pub mod candidates;
 mod config;
-pub mod cross_validation;
 pub mod held_out;
 pub mod measured_length;
 pub mod measured_pose;
@@ -16,8 +13,10 @@ mod ripple;
 mod robust;
 mod rows;
 pub mod several;
+mod split;
 pub mod structure;
 mod sudden;
+pub mod terms;
 pub mod truth;
 
 pub use config::{CostName, IdentifyConfig, JointTermsConfig, NoiseConfig, SelectionName};

@@ -1,7 +1,7 @@
 //! The same runs by the other costs that their encoders allow: what each would have said of the robot.
 
 use super::ball_bar::{BallBarCalibration, CalibrateError, solve_by};
-use super::candidates::TermGroup;
+use super::terms::TermGroup;
 use super::config::{CostName, IdentifyConfig, SelectionName};
 use super::several::{Run, Solved};
 use crate::kinematics::LinkParameter;

@@ -3,8 +3,8 @@
 
 use std::ops::Range;
 
-use super::blocks::stretches;
 use super::several::Run;
+use super::split::segments;
 use crate::model::{JointState, RobotMotion};
 
 /// Samples of a run that are compared with each other, at most.
@@ -17,15 +17,15 @@ const ALIKE_RAD: f64 = 0.1;
 const SAME_RAD: f64 = 2e-3;
 /// Periods are counted in bins of this width \[s\].
 const BIN_S: f64 = 0.5;
-/// So many stretches there are in any case.
-const STRETCHES_MIN: usize = 8;
+/// So many segments there are in any case.
+const SEGMENTS_MIN: usize = 8;
 /// Part of the samples that must have their like one period away.
 const SHARE: f64 = 0.4;
 
-/// Samples of each stretch, numbered over all runs, of which `starts` gives the first samples and the total: at most `count`
-/// stretches in each run, a motion that comes again with all of its repetitions in one. It has fewer of them, so that they
+/// Samples of each segment, numbered over all runs, of which `starts` gives the first samples and the total: at most `count`
+/// segments in each run, a motion that comes again with all of its repetitions in one. It has fewer of them, so that they
 /// last as long as those of a run that does not repeat: errors of gears and bearings go on for seconds.
-pub fn independent_stretches(runs: &[Run], starts: &[usize], count: usize) -> Vec<Vec<usize>> {
+pub fn independent_segments(runs: &[Run], starts: &[usize], count: usize) -> Vec<Vec<usize>> {
     let of_run = |(run, start): (&Run, &[usize])| {
         let samples: Vec<usize> = (start[0]..start[1]).collect();
         let times_s: Vec<f64> = run.prepared.observations.iter().map(|one| one.t_s).collect();
@@ -35,8 +35,8 @@ pub fn independent_stretches(runs: &[Run], starts: &[usize], count: usize) -> Ve
             None => (samples, span_s),
         };
         let distinct = if span_s > 0.0 { distinct_s / span_s } else { 1.0 };
-        let count = count.min(((count as f64 * distinct) as usize).max(STRETCHES_MIN));
-        let parts = stretches(&[0, in_order.len()], count);
+        let count = count.min(((count as f64 * distinct) as usize).max(SEGMENTS_MIN));
+        let parts = segments(&[0, in_order.len()], count);
         parts.into_iter().map(|part: Range<usize>| in_order[part].to_vec()).collect::<Vec<_>>()
     };
     runs.iter().zip(starts.windows(2)).flat_map(of_run).collect()

@@ -1,20 +1,19 @@
 //! The solve of one or several runs: what is free, which terms stay, and how far to trust the result.
 
 use super::ball_bar::CalibrateError;
-use super::blocks::Blocks;
-use super::candidates::{Candidate, TermGroup, choose, prior_scale};
 use super::config::{CostName, IdentifyConfig, SelectionName};
-use super::repetition::independent_stretches;
+use super::repetition::independent_segments;
 use super::ripple::Ripple;
 use super::robust::{LossName, solve_from_subsets, solve_robust};
 use super::rows::Rows;
 use super::structure::identifiable;
 use super::sudden;
+use super::terms::{Candidate, Offer, TermGroup, prior_scale, select};
 use crate::cost::{CostError, LoopProblem, Residual, SeveralRuns, SharedColumns, fill_in};
 use crate::kinematics::{BAR_JOINTS, LinkParameter};
 use crate::model::{Geometry, Model, ModelError, ParameterId, Role};
 use crate::prepare::{AlignedLog, PrepareOptions, Prepared};
-use crate::solver::{Options, Solution, Watch};
+use crate::solver::{Loss, Normals, Options, Solution, Watch};
 
 /// The thesis' residuals enter as it defines them; `pose` is whitened by itself.
 const UNWEIGHTED: f64 = 1.0;
@@ -22,9 +21,9 @@ const UNWEIGHTED: f64 = 1.0;
 const SIGMA_MIN: f64 = 1e-9;
 /// Whitened residuals below this are rounding: there is nothing left that a term could explain.
 const RESIDUAL_MIN: f64 = 1e-3;
-/// Stretches of each run that are held out in turn to choose terms.
+/// Segments of each run that are held out in turn to choose terms.
 const HELD_OUT: usize = 8;
-/// Stretches of each run that are left out in turn for the covariance.
+/// Segments of each run that are left out in turn for the covariance.
 const LEFT_OUT: usize = 30;
 
 /// One run and its parameters.
@@ -133,10 +132,10 @@ pub fn solve<R: Residual>(
     }
     solution.summary.residual_rms_start = first.summary.residual_rms_start;
     solver.check_changes(sigma, &solution.sample_weights, &config.prepare)?;
-    if let Some(blocks) = solver.blocks(&columns, sigma, &solution.sample_weights, LEFT_OUT)?
-        && let Some(covariance) = blocks.jackknife()
+    if let Some(normals) = solver.normals(&columns, sigma, solution.loss, LEFT_OUT)?
+        && let Some(covariance) = normals.jackknife()
     {
-        solution.covariance = solution.covariance.replaced(covariance);
+        solution.covariance = solution.covariance.by_jackknife(covariance, normals.folds());
     }
     Ok(Solved { columns, solution, candidates, prior_scale: scale })
 }
@@ -192,29 +191,28 @@ impl<R: Residual, F: Fn(&Prepared, &Geometry) -> R> Solver<'_, F> {
         let mut solution = solve_by(&problem, &start, self.loss, &options)?.identified()?;
         solution.summary.residual_rms_start *= sigma;
         solution.summary.residual_rms *= sigma;
-        if !solution.summary.termination.converged() {
-            return Err(CalibrateError::NotConverged { summary: solution.summary });
-        }
+        solution.summary.require_converged()?;
         for (number, run) in self.runs.iter_mut().enumerate() {
             run.model.adopt(&columns.values(number, &solution.x));
         }
         Ok((columns, solution))
     }
 
-    /// Stretches of all runs where the models are; none where residuals are not finite.
-    fn blocks(
+    /// Normal equations of the segments of all runs where the models are; none where residuals are not finite.
+    fn normals(
         &self,
         columns: &SharedColumns,
         sigma: f64,
-        weights: &[f64],
+        loss: Loss,
         count: usize,
-    ) -> Result<Option<Blocks>, CostError> {
+    ) -> Result<Option<Normals>, CostError> {
         let problem = self.problem(columns, sigma)?;
-        let stretches = independent_stretches(self.runs, problem.starts(), count);
-        Ok(Blocks::new(&problem, &self.start(columns), weights, &stretches))
+        let segments = independent_segments(self.runs, problem.starts(), count);
+        let options = Options { loss, ..Options::default() };
+        Ok(Normals::new(&problem, &self.start(columns), &options, &segments))
     }
 
-    /// Tries each kind of terms on held-out stretches, gives those that stay their priors, and finds the priors' scale.
+    /// Tries each group of terms on held-out segments, gives those that stay their priors, and finds the priors' scale.
     fn choose_terms(
         &mut self,
         sigma: f64,
@@ -230,7 +228,7 @@ impl<R: Residual, F: Fn(&Prepared, &Geometry) -> R> Solver<'_, F> {
             |id: ParameterId| TermGroup::of(id).is_some_and(|group| groups.contains(&group)) && tells(id);
         self.set_terms(config, |model, id| offered(id) && is_fixed(model, id))?;
         let columns = self.columns();
-        let blocks = self.blocks(&columns, sigma, &solution.sample_weights, HELD_OUT)?;
+        let normals = self.normals(&columns, sigma, solution.loss, HELD_OUT)?;
         let ids = columns.gather(&self.ids());
         let of_group = |group: Option<TermGroup>| -> Vec<usize> {
             let offered = |id: ParameterId| TermGroup::of(id).filter(|of| groups.contains(of));
@@ -240,16 +238,31 @@ impl<R: Residual, F: Fn(&Prepared, &Geometry) -> R> Solver<'_, F> {
                 .map(|(column, _)| column)
                 .collect()
         };
-        let offers: Vec<(TermGroup, Vec<usize>)> = groups
+        let (kinds, offers): (Vec<TermGroup>, Vec<Offer>) = groups
             .iter()
-            .map(|group| (*group, of_group(Some(*group))))
-            .filter(|(_, own)| !own.is_empty())
-            .collect();
-        let Some(blocks) = blocks else {
+            .map(|group| (*group, Offer { columns: of_group(Some(*group)), scales: vec![1.0] }))
+            .filter(|(_, offer)| !offer.columns.is_empty())
+            .unzip();
+        let Some(normals) = normals else {
             self.leave_out(|group| groups.contains(&group))?;
             return Ok((Vec::new(), 1.0));
         };
-        let (report, kept) = choose(&blocks, &of_group(None), &offers);
+        let mut kept = of_group(None);
+        let verdicts = select(&normals, &kept, &offers);
+        let report = verdicts.into_iter().map(|verdict| {
+            let columns = &offers[verdict.offer].columns;
+            if verdict.accepted {
+                kept.extend(columns);
+            }
+            Candidate {
+                group: kinds[verdict.offer],
+                parameters: columns.len(),
+                held_out_before: verdict.before.sqrt(),
+                held_out_after: verdict.after.sqrt(),
+                accepted: verdict.accepted,
+            }
+        });
+        let report: Vec<Candidate> = report.collect();
         let accepted = |group| report.iter().any(|candidate| candidate.accepted && candidate.group == group);
         self.leave_out(|group| groups.contains(&group) && !accepted(group))?;
         if config.selection != SelectionName::Automatic {
@@ -260,7 +273,7 @@ impl<R: Residual, F: Fn(&Prepared, &Geometry) -> R> Solver<'_, F> {
             let of_link = matches!(id, ParameterId::Robot { .. } | ParameterId::Bar { .. });
             of_link && !config.priors.contains_key(&id.to_string())
         };
-        let scale = prior_scale(&blocks, &kept, |column| ids.get(column).copied().is_some_and(tolerance));
+        let scale = prior_scale(&normals, &kept, |column| ids.get(column).copied().is_some_and(tolerance));
         self.scale_priors(scale, tolerance)?;
         Ok((report, scale))
     }

@@ -13,7 +13,7 @@ use super::force::ForceEntry;
 use super::knowledge::{CovarianceEntry, Knowledge};
 use super::validation::{HeldOutEntry, OtherCostEntry};
 use crate::calibrate::ball_bar::BallBarCalibration;
-use crate::calibrate::candidates::Candidate;
+use crate::calibrate::terms::Candidate;
 use crate::model::{Model, Parameter, ParameterId, Role, link_parameter_name};
 use crate::solver::{Identifiability, Summary};
 

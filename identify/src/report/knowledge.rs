@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::file::CalibrationFile;
 use crate::model::{Model, ParameterId};
-use crate::solver::{Observability, Solution};
+use crate::solver::{Observability, SigmasFrom, Solution};
 
 /// Correlations above this are named.
 const NAMED_ABOVE: f64 = 0.8;
@@ -54,6 +54,9 @@ pub struct Knowledge {
     pub singular_values: Vec<f64>,
     /// With columns in mm, mrad, ms and ppm; all zero where priors are needed.
     pub observability: ObservabilityEntry,
+    /// What sigmas and covariance rest on.
+    #[serde(default)]
+    pub sigmas_from: SigmasFrom,
     /// Pairs that are correlated most, the strongest first.
     pub correlations: Vec<CorrelationEntry>,
 }
@@ -85,6 +88,7 @@ impl CalibrationFile {
             rank_of_samples: found.rank_of_samples,
             singular_values: found.singular_values.clone(),
             observability: found.observability(&units).into(),
+            sigmas_from: solution.covariance.sigmas_from,
             correlations: named
                 .map(|(a, b, correlation)| CorrelationEntry { first: name(a), second: name(b), correlation })
                 .collect(),
@@ -111,6 +115,8 @@ impl Knowledge {
             self.rank_of_samples,
             weakest / strongest,
         );
+        let (from, of_95) = (self.sigmas_from, self.sigmas_from.sigmas_of_95());
+        let _ = writeln!(text, "sigmas from {from}; 95 % lie within {of_95:.2} of them");
         let o = &self.observability;
         let _ = writeln!(
             text,

@@ -8,7 +8,7 @@ use super::page::document;
 use super::page::intervals::Intervals;
 use super::page::plot::{COLOURS, PlotError};
 use crate::model::Unit;
-use crate::study::{Compared, Consistency, SIGMAS_OF_95};
+use crate::study::{Compared, Consistency};
 
 /// The table on a terminal.
 pub fn table(consistency: &Consistency, names: &[String]) -> String {
@@ -95,8 +95,8 @@ fn intervals(title: &str, unit: Unit, parameters: &[&Compared], files: usize) ->
     let factor = unit.display_factor();
     let bar = |file: usize| {
         let of = |one: &&Compared| {
-            let (value, sigma) = (*one.corrections.get(file)?)?;
-            Some(((value - one.mean) * factor, SIGMAS_OF_95 * sigma * factor))
+            let (value, _) = (*one.corrections.get(file)?)?;
+            Some(((value - one.mean) * factor, (*one.half_widths.get(file)?)? * factor))
         };
         parameters.iter().map(of).collect()
     };

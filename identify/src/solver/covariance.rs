@@ -4,7 +4,11 @@
 //! `s^2 (J^T J)^-1`, from singular values, never from the inverted normal matrix. It tells nothing of effects that
 //! the model leaves out. Priors count as measurements. Parameters that only appear in combinations have none.
 
+use std::fmt;
+
 use nalgebra::DMatrix;
+use serde::{Deserialize, Serialize};
+use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::Problem;
 use super::identifiability::ScaledSpectrum;
@@ -39,11 +43,56 @@ impl Noise {
     }
 }
 
+/// What standard deviations rest on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum SigmasFrom {
+    /// Noise that is independent from sample to sample: too small where errors last for many samples.
+    #[default]
+    IndependentNoise,
+    /// How much the solution moves where one of so many folds is left out.
+    Jackknife {
+        /// Folds that were left out in turn.
+        folds: usize,
+    },
+}
+
+impl SigmasFrom {
+    /// Degrees of freedom of Student's t; none where sigmas are as good as known.
+    pub fn freedom(self) -> Option<f64> {
+        match self {
+            Self::IndependentNoise => None,
+            Self::Jackknife { folds } => Some(folds.saturating_sub(1).max(1) as f64),
+        }
+    }
+
+    /// Standard deviations on either side of a value between which the true one lies with 95 %: 1.96, more where few folds
+    /// tell the sigma.
+    pub fn sigmas_of_95(self) -> f64 {
+        const NORMAL: f64 = 1.96;
+        let student = self.freedom().and_then(|freedom| StudentsT::new(0.0, 1.0, freedom).ok());
+        student.map_or(NORMAL, |student| student.inverse_cdf(0.975))
+    }
+}
+
+impl fmt::Display for SigmasFrom {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::IndependentNoise => {
+                f.write_str("noise independent from sample to sample; errors that last make them larger")
+            }
+            Self::Jackknife { folds } => write!(f, "solutions without each of {folds} segments"),
+        }
+    }
+}
+
 /// Covariance of the free parameters that are identified.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Covariance {
     matrix: DMatrix<f64>,
     determined: Vec<bool>,
+    /// What it rests on.
+    pub sigmas_from: SigmasFrom,
     /// The factor on the unit covariance: one for known noise, the estimated variance of a residual row otherwise.
     pub variance_factor: f64,
 }
@@ -60,12 +109,15 @@ impl Covariance {
         }
         let matrix = &factor * factor.transpose() * variance_factor;
         let determined = (0..columns).map(|column| !undetermined.contains(&column)).collect();
-        Self { matrix, determined, variance_factor }
+        Self { matrix, determined, sigmas_from: SigmasFrom::IndependentNoise, variance_factor }
     }
 
-    /// The same columns with a covariance from elsewhere, such as one that knows of correlated errors.
-    pub fn replaced(self, matrix: DMatrix<f64>) -> Self {
-        if matrix.shape() == self.matrix.shape() { Self { matrix, ..self } } else { self }
+    /// The same columns with the covariance that the jackknife over `folds` gave.
+    pub fn by_jackknife(self, matrix: DMatrix<f64>, folds: usize) -> Self {
+        if matrix.shape() != self.matrix.shape() {
+            return self;
+        }
+        Self { matrix, sigmas_from: SigmasFrom::Jackknife { folds }, ..self }
     }
 
     fn is_determined(&self, column: usize) -> bool {

@@ -3,33 +3,26 @@
 //! References: Marquardt 1963; More 1978 (scaling that only grows); Nielsen, IMM-REP-1999-05 (damping by the gain
 //! ratio); Madsen, Nielsen, Tingleff 2004.
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::DVector;
 
 use super::identifiability::{at_solution, require_start};
 use super::pass::{Pass, PassError, Products, SampleFit, Taking};
-use super::{Options, Problem, Solution, SolveError, Summary, Termination};
+use super::{Normal, Options, Problem, ScaledCholesky, Solution, SolveError, Summary, Termination};
 
-/// Normal equations at a point.
+/// Normal equations at a point, with the priors.
 struct Linearization {
     cost: f64,
-    normal: DMatrix<f64>,
-    gradient: DVector<f64>,
+    normal: Normal,
     fits: Vec<SampleFit>,
 }
 
 fn linearize<P: Problem>(pass: &Pass<'_, P>) -> Result<Linearization, PassError> {
     let Pass { problem, x, loss, .. } = *pass;
     let (products, fits) = pass.run(|| Products::new(problem.columns()))?;
-    let (mut normal, mut gradient) = products.normal_equations();
-    let mut twice: f64 = fits.iter().filter(|fit| fit.present).map(|fit| loss.rho(fit.squared)).sum();
-    for prior in problem.priors() {
-        let (column, weight) = (prior.column, prior.sigma.powi(-2));
-        let error = x[column] - prior.value;
-        normal[(column, column)] += weight;
-        gradient[column] += weight * error;
-        twice += weight * error * error;
-    }
-    Ok(Linearization { cost: 0.5 * twice, normal, gradient, fits })
+    let mut normal = products.normal(0.0);
+    let of_samples: f64 = fits.iter().filter(|fit| fit.present).map(|fit| loss.rho(fit.squared)).sum();
+    let of_priors = normal.add_priors(problem.priors(), x);
+    Ok(Linearization { cost: 0.5 * (of_samples + of_priors), normal, fits })
 }
 
 /// Damping and scaling between steps.
@@ -41,14 +34,14 @@ struct Damping {
 }
 
 impl Damping {
-    fn new(lambda: f64, normal: &DMatrix<f64>) -> Self {
-        let mut damping = Self { lambda, growth: 2.0, scale_squared: DVector::zeros(normal.nrows()) };
+    fn new(lambda: f64, normal: &Normal) -> Self {
+        let mut damping = Self { lambda, growth: 2.0, scale_squared: DVector::zeros(normal.gradient.len()) };
         damping.rescale(normal);
         damping
     }
 
-    fn rescale(&mut self, normal: &DMatrix<f64>) {
-        for (scale, found) in self.scale_squared.iter_mut().zip(normal.diagonal().iter()) {
+    fn rescale(&mut self, normal: &Normal) {
+        for (scale, found) in self.scale_squared.iter_mut().zip(normal.matrix.diagonal().iter()) {
             *scale = scale.max(*found);
         }
     }
@@ -56,18 +49,11 @@ impl Damping {
     /// Step of `(H + lambda D) step = -g` and the decrease it promises.
     ///
     /// A column that does nothing gets no step, rather than a singular matrix: it is named afterwards.
-    fn step(&self, at: &Linearization) -> Option<(DVector<f64>, f64)> {
-        let inverse_scale = self.scale_squared.map(|s| if s > 0.0 { s.sqrt().recip() } else { 0.0 });
-        let mut scaled = at.normal.clone();
-        for (j, mut column) in scaled.column_iter_mut().enumerate() {
-            column.component_mul_assign(&inverse_scale);
-            column *= inverse_scale[j];
-            column[j] += if self.scale_squared[j] > 0.0 { self.lambda } else { 1.0 };
-        }
-        let scaled_gradient = at.gradient.component_mul(&inverse_scale);
-        let scaled_step = scaled.cholesky()?.solve(&-&scaled_gradient);
-        let predicted = 0.5 * (self.lambda * scaled_step.norm_squared() - scaled_step.dot(&scaled_gradient));
-        Some((scaled_step.component_mul(&inverse_scale), predicted))
+    fn step(&self, at: &Linearization, lambda: f64) -> Option<(DVector<f64>, f64)> {
+        let Normal { matrix, gradient, .. } = &at.normal;
+        let step = -ScaledCholesky::damped(matrix.clone(), &self.scale_squared, lambda)?.solve(gradient);
+        let predicted = 0.5 * (lambda * self.scaled_norm(&step).powi(2) - step.dot(gradient));
+        Some((step, predicted))
     }
 
     fn accept(&mut self, gain: f64) {
@@ -105,8 +91,8 @@ fn gradient_cosine(at: &Linearization) -> f64 {
     if norm == 0.0 {
         return 0.0;
     }
-    let diagonal = at.normal.diagonal();
-    let cosines = at.gradient.iter().zip(diagonal.iter()).filter(|(_, d)| **d > 0.0);
+    let diagonal = at.normal.matrix.diagonal();
+    let cosines = at.normal.gradient.iter().zip(diagonal.iter()).filter(|(_, d)| **d > 0.0);
     cosines.map(|(g, d)| (g / (d.sqrt() * norm)).abs()).fold(0.0, f64::max)
 }
 
@@ -119,7 +105,38 @@ struct Descent {
     evaluations: usize,
 }
 
-/// The iteration itself.
+/// Where no step lowers the cost any more the solve has converged all the same if the best step promises less than this part
+/// of a residual's variance: every parameter is then within a thousandth of its standard deviation of the minimum, and what
+/// is left is rounding.
+const NEGLIGIBLE: f64 = 1e-6;
+
+/// Where the descent stands is a minimum, as far as the step says that hardly any damping holds back: neither a trial that
+/// was refused nor heavy damping can pass for one.
+fn at_minimum(now: &Descent, damping: &Damping, options: &Options<'_>) -> Option<Termination> {
+    if now.at.cost == 0.0 {
+        return Some(Termination::ZeroResidual);
+    }
+    if gradient_cosine(&now.at) <= options.gradient_tolerance {
+        return Some(Termination::SmallGradient);
+    }
+    let (step, promised) = damping.step(&now.at, options.damping_start)?;
+    if damping.scaled_norm(&step) <= options.step_tolerance * damping.scaled_norm(&now.x) {
+        return Some(Termination::SmallStep);
+    }
+    (promised <= options.cost_tolerance * now.at.cost).then_some(Termination::SmallDecrease)
+}
+
+/// No step lowers the cost: what the best one promised.
+fn without_decrease(now: &Descent, damping: &Damping, options: &Options<'_>, rows: usize) -> Termination {
+    let used = now.at.fits.iter().filter(|fit| fit.present).count() * rows;
+    let variance = 2.0 * now.at.cost / used.max(1) as f64;
+    match damping.step(&now.at, options.damping_start) {
+        Some((_, promised)) if promised <= NEGLIGIBLE * variance => Termination::SmallDecrease,
+        _ => Termination::NoDecrease,
+    }
+}
+
+/// The iteration itself. Only the start and accepted steps can end it at a minimum.
 fn descend<P: Problem>(
     problem: &P,
     start: Linearization,
@@ -129,53 +146,56 @@ fn descend<P: Problem>(
     let mut damping = Damping::new(options.damping_start, &start.normal);
     let mut now =
         Descent { x, at: start, termination: Termination::IterationLimit, iterations: 0, evaluations: 1 };
-    while now.iterations < options.iterations_max {
-        if now.at.cost == 0.0 {
-            now.termination = Termination::ZeroResidual;
+    loop {
+        if let Some(termination) = at_minimum(&now, &damping, options) {
+            now.termination = termination;
             return Ok(now);
         }
-        if gradient_cosine(&now.at) <= options.gradient_tolerance {
-            now.termination = Termination::SmallGradient;
+        if now.iterations == options.iterations_max {
             return Ok(now);
         }
-        if damping.exhausted() {
-            now.termination = Termination::NoDecrease;
-            return Ok(now);
-        }
-        let Some((step, predicted)) = damping.step(&now.at) else {
-            damping.refuse();
-            continue;
-        };
-        let small_step = damping.scaled_norm(&step) <= options.step_tolerance * damping.scaled_norm(&now.x);
-        let trial_x = &now.x + &step;
-        let taking = Taking::These(&now.at.fits);
-        let mut pass = Pass::new(problem, trial_x.as_slice(), options, taking);
-        pass.progress = (now.iterations, options.iterations_max, Some(now.at.cost));
-        let trial = linearize(&pass);
-        now.evaluations += 1;
-        if matches!(trial, Err(PassError::Cancelled)) {
-            return Err(SolveError::Cancelled { iterations: now.iterations });
-        }
-        let decrease = trial.as_ref().map_or(f64::NEG_INFINITY, |trial| now.at.cost - trial.cost);
-        let negligible = options.cost_tolerance * now.at.cost;
-        let small_decrease = decrease.abs() <= negligible && predicted <= negligible;
-        if let Ok(trial) = trial
-            && decrease > 0.0
-        {
-            damping.accept(decrease / predicted);
-            damping.rescale(&trial.normal);
-            now.x = trial_x;
-            now.at = trial;
-            now.iterations += 1;
-        } else {
-            damping.refuse();
-        }
-        if small_step || small_decrease {
-            now.termination = if small_step { Termination::SmallStep } else { Termination::SmallDecrease };
+        if !accept_step(problem, &mut now, &mut damping, options)? {
+            now.termination = without_decrease(&now, &damping, options, problem.rows());
             return Ok(now);
         }
     }
-    Ok(now)
+}
+
+/// Tries shorter and shorter steps until one lowers the cost; false where none does.
+fn accept_step<P: Problem>(
+    problem: &P,
+    now: &mut Descent,
+    damping: &mut Damping,
+    options: &Options<'_>,
+) -> Result<bool, SolveError> {
+    while !damping.exhausted() {
+        let Some((step, predicted)) = damping.step(&now.at, damping.lambda) else {
+            damping.refuse();
+            continue;
+        };
+        if predicted <= options.cost_tolerance * now.at.cost {
+            // Shorter steps promise nothing that could be told from rounding.
+            return Ok(false);
+        }
+        let trial_x = &now.x + &step;
+        let mut pass = Pass::new(problem, trial_x.as_slice(), options, Taking::These(&now.at.fits));
+        pass.progress = (now.iterations, options.iterations_max, Some(now.at.cost));
+        let trial = linearize(&pass);
+        now.evaluations += 1;
+        match trial {
+            Err(PassError::Cancelled) => return Err(SolveError::Cancelled { iterations: now.iterations }),
+            Ok(trial) if trial.cost < now.at.cost => {
+                damping.accept((now.at.cost - trial.cost) / predicted);
+                damping.rescale(&trial.normal);
+                now.x = trial_x;
+                now.at = trial;
+                now.iterations += 1;
+                return Ok(true);
+            }
+            _ => damping.refuse(),
+        }
+    }
+    Ok(false)
 }
 
 /// The descent of [`solve`] alone, without a word on rank and covariance: for studies that solve thousands of times.
@@ -235,5 +255,6 @@ pub fn solve<P: Problem>(problem: &P, start: &[f64], options: &Options<'_>) -> R
     let (x, summary, fits) = descended(problem, start, options)?;
     let (identifiability, covariance) = at_solution(problem, x.as_slice(), options, &fits)?;
     let sample_weights = fits.iter().map(|fit| fit.weight).collect();
-    Ok(Solution { x: x.as_slice().to_vec(), summary, identifiability, covariance, sample_weights })
+    let x = x.as_slice().to_vec();
+    Ok(Solution { x, summary, identifiability, covariance, loss: options.loss, sample_weights })
 }

@@ -16,7 +16,7 @@ pub struct Options<'a> {
     pub iterations_max: usize,
     /// Stop where the scaled step is this part of the scaled parameters.
     pub step_tolerance: f64,
-    /// Stop where actual and predicted decrease are this part of the cost.
+    /// Stop where the decrease that a step promises is this part of the cost.
     pub cost_tolerance: f64,
     /// Stop where the cosine between residual and every column is below this.
     pub gradient_tolerance: f64,
@@ -110,6 +110,28 @@ pub struct Summary {
     pub samples_left_out: usize,
 }
 
+/// A solve ended elsewhere than at a minimum.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[error(
+    "the solve did not converge ({}, {} iterations, residual RMS {:.3e}); the robot, the instrument or the log may be \
+     the wrong one, or its motion too small; check them, or measure more varied poses",
+    summary.termination, summary.iterations, summary.residual_rms
+)]
+pub struct NotConverged {
+    /// How it went.
+    pub summary: Summary,
+}
+
+impl Summary {
+    /// Nothing, if the solve ended at a minimum.
+    ///
+    /// # Errors
+    /// [`NotConverged`].
+    pub fn require_converged(&self) -> Result<(), NotConverged> {
+        if self.termination.converged() { Ok(()) } else { Err(NotConverged { summary: *self }) }
+    }
+}
+
 /// A solve's outcome.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Solution {
@@ -121,6 +143,8 @@ pub struct Solution {
     pub identifiability: Identifiability,
     /// How well.
     pub covariance: Covariance,
+    /// The loss that had the last word.
+    pub loss: Loss,
     /// Weight that the loss gave each sample, zero where left out.
     pub sample_weights: Vec<f64>,
 }

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use nalgebra::{DMatrix, DVector};
 
 use super::panel::{Panel, fold_triangles, width};
-use super::{Loss, Options, Problem, Progress, SolveError, Watch};
+use super::{Loss, Normal, Options, Problem, Progress, SolveError, Watch};
 
 /// Samples of a part, at least: about a millisecond.
 const PART_SAMPLES_MIN: usize = 1024;
@@ -89,12 +89,17 @@ impl Products {
         Self { columns, sums: vec![0.0; width(columns).pow(2)] }
     }
 
-    /// `J^T J`, of which the lower triangle counts, and `J^T r`.
-    pub(super) fn normal_equations(&self) -> (DMatrix<f64>, DVector<f64>) {
+    /// The normal equations of rows that count as `rows` entries.
+    pub(super) fn normal(&self, rows: f64) -> Normal {
         let side = width(self.columns);
-        let normal = DMatrix::from_fn(self.columns, self.columns, |i, j| self.sums[j * side + i]);
-        let gradient = DVector::from_fn(self.columns, |i, _| self.sums[i * side + self.columns]);
-        (normal, gradient)
+        let product = |i: usize, j: usize| self.sums[i.min(j) * side + i.max(j)];
+        let residual = self.columns;
+        Normal {
+            matrix: DMatrix::from_fn(self.columns, self.columns, product),
+            gradient: DVector::from_fn(self.columns, |i, _| product(i, residual)),
+            squared: product(residual, residual),
+            rows,
+        }
     }
 }
 

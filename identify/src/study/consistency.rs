@@ -21,6 +21,8 @@ pub struct Compared {
     pub unit: Unit,
     /// Correction and sigma in each calibration, SI; none where it was fixed there.
     pub corrections: Vec<Option<(f64, f64)>>,
+    /// Half the width of the 95 % interval in each calibration, SI.
+    pub half_widths: Vec<Option<f64>>,
     /// Mean weighted by the inverse variances.
     pub mean: f64,
     /// Probability of differences at least so large if all measured the same robot; none for a single one.
@@ -98,6 +100,12 @@ fn compared(name: String, files: &[CalibrationFile]) -> Compared {
         Some((entry.correction, sigma))
     };
     let corrections: Vec<Option<(f64, f64)>> = files.iter().map(of).collect();
+    let of_95 = |file: &CalibrationFile| {
+        let from = file.knowledge.as_ref().map(|knowledge| knowledge.sigmas_from).unwrap_or_default();
+        from.sigmas_of_95()
+    };
+    let half_widths =
+        corrections.iter().zip(files).map(|(one, file)| one.map(|(_, sigma)| of_95(file) * sigma)).collect();
     let known: Vec<(f64, f64)> = corrections.iter().copied().flatten().collect();
     let weight: f64 = known.iter().map(|(_, sigma)| sigma.powi(-2)).sum();
     let mean = known.iter().map(|(value, sigma)| value * sigma.powi(-2)).sum::<f64>() / weight;
@@ -106,5 +114,5 @@ fn compared(name: String, files: &[CalibrationFile]) -> Compared {
     // Half of it must be more than zero there.
     let chi_squared = if chi_squared < f64::MIN_POSITIVE { 0.0 } else { chi_squared };
     let p = ChiSquared::new(freedom as f64).ok().map(|distribution| distribution.sf(chi_squared));
-    Compared { name, unit, corrections, mean, p }
+    Compared { name, unit, corrections, half_widths, mean, p }
 }

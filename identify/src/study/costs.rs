@@ -27,6 +27,8 @@ pub struct CostFigures {
     pub difference_mm_mrad: f64,
     /// Euclidean norm of the sigmas of the robot's parameters \[mm|mrad\].
     pub sigma_mm_mrad: f64,
+    /// Sigmas on either side of a parameter that hold 95 %.
+    pub sigmas_of_95: f64,
     /// Mean distance of this robot's positions from the calibrated robot's, over the workspace \[m\].
     pub from_calibrated_m: f64,
     /// Expected position error over the workspace.
@@ -116,6 +118,7 @@ fn figures(
         sigma_mm_mrad: shown(&|_, (_, sigma)| Some(sigma)),
         from_calibrated_m: distance_m(model, &calibration.model, joint_limits_deg),
         expected: workspace_error(model, &solution.covariance, joint_limits_deg).after,
+        sigmas_of_95: solution.covariance.sigmas_from.sigmas_of_95(),
         robot,
     }
 }

@@ -24,5 +24,3 @@ pub use shift::{ShiftCurve, shift_curve};
 pub use sphere_deviation::{Deviation, OffSphere, PositiveForce, SphereDeviation, Stretch};
 pub use workspace::{Expected, WorkspaceError, workspace_error};
 
-/// Standard deviations on either side of its mean between which 95 % of a normal distribution lie.
-pub const SIGMAS_OF_95: f64 = 1.96;

@@ -6,7 +6,7 @@
 use nalgebra::Vector3;
 
 use super::figures::rms;
-use super::{Quantiles, RunEvidence, SIGMAS_OF_95};
+use super::{Quantiles, RunEvidence};
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::cost::Closure;
 use crate::model::{Model, ParameterId};
@@ -113,7 +113,8 @@ impl Stretch {
         let found = model.parameter(parameter)?;
         let column = model.column_of(parameter).and_then(|own| columns.of_run(run).get(own));
         let sigma = column.and_then(|column| solution.covariance.sigma(*column));
-        let told = sigma.is_none_or(|sigma| found.value.abs() > SIGMAS_OF_95 * sigma) && found.value != 0.0;
+        let of_95 = solution.covariance.sigmas_from.sigmas_of_95();
+        let told = sigma.is_none_or(|sigma| found.value.abs() > of_95 * sigma) && found.value != 0.0;
         let positive = match told {
             false => PositiveForce::NotTold,
             true if found.value > 0.0 => PositiveForce::Tension,

@@ -4,7 +4,7 @@ use nalgebra::{DMatrix, SymmetricEigen, Vector3};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use rand_distr::{Distribution, StandardNormal};
+use rand_distr::{ChiSquared, Distribution, StandardNormal};
 
 use super::figures::quantile;
 use crate::kinematics::{Chain, ROBOT_JOINTS, Trace, Tracer};
@@ -66,9 +66,17 @@ pub fn workspace_error(
     let postures = postures(model, &columns, joint_limits_deg);
     let root = root(covariance, &columns);
     let mut random = ChaCha8Rng::seed_from_u64(0);
-    let normal = DMatrix::from_fn(columns.len(), DRAWS, |_, _| StandardNormal.sample(&mut random));
+    let mut drawn = DMatrix::from_fn(columns.len(), DRAWS, |_, _| StandardNormal.sample(&mut random));
+    // Sigmas from few folds are uncertain themselves: multivariate t (Kotz and Nadarajah 2004).
+    if let Some((freedom, chi_squared)) =
+        covariance.sigmas_from.freedom().and_then(|freedom| Some((freedom, ChiSquared::new(freedom).ok()?)))
+    {
+        for mut draw in drawn.column_iter_mut() {
+            draw *= (freedom / chi_squared.sample(&mut random)).sqrt();
+        }
+    }
     // All postures of all robots in one product: a draw in each column.
-    let left_m = &postures.by_parameter * (&root * normal);
+    let left_m = &postures.by_parameter * (&root * drawn);
     let (mut before, mut after) = (Vec::new(), Vec::new());
     for draw in left_m.column_iter() {
         let left = |posture: usize| Vector3::from(draw.fixed_rows::<3>(3 * posture));

@@ -11,10 +11,10 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::{LengthError, LengthRow, Samples};
-use crate::calibrate::cross_validation::{Normal, StepPrior, step};
+use crate::calibrate::terms::{falls, mean};
 use crate::cost::{LoopProblem, MeasuredLength};
-use crate::model::{Model, Role};
-use crate::solver::{Loss, stacked};
+use crate::model::Model;
+use crate::solver::{Loss, Normal, Prior, ScaledCholesky, stacked};
 
 /// Size and memory of a drift.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -32,9 +32,7 @@ pub struct Drift {
 }
 
 /// Parts of the fitting rows that are left out in turn.
-pub(super) const FOLDS: usize = 5;
-/// A drift is taken where it lowers the root mean square of rows left out by this part.
-const GAIN_MIN: f64 = 0.05;
+pub(super) const FOLDS: usize = 8;
 /// Steps of the generalised least squares; the third changes nothing that is printed.
 const STEPS: usize = 8;
 /// Beyond this many standard deviations a row pulls no harder.
@@ -107,7 +105,8 @@ struct Linear {
     residuals: Vec<f64>,
     /// A column for each free parameter.
     columns: Vec<Vec<f64>>,
-    priors: Vec<StepPrior>,
+    /// On the step.
+    priors: Vec<Prior>,
 }
 
 impl Linear {
@@ -122,14 +121,12 @@ impl Linear {
             }
             all
         };
-        let prior = |(column, parameter): (usize, &crate::model::Parameter)| match parameter.role {
-            Role::Prior { value, sigma } => StepPrior { column, expected: value - parameter.value, sigma },
-            Role::Free | Role::Fixed => StepPrior { column, expected: 0.0, sigma: f64::INFINITY },
-        };
+        let start = model.start();
+        let of_step = |prior: Prior| Prior { value: prior.value - start[prior.column], ..prior };
         Ok(Some(Self {
             residuals: spread(&mut residual.iter().copied()),
             columns: jacobian.column_iter().map(|column| spread(&mut column.iter().copied())).collect(),
-            priors: model.columns().enumerate().map(prior).collect(),
+            priors: model.priors().into_iter().map(of_step).collect(),
         }))
     }
 
@@ -139,12 +136,14 @@ impl Linear {
         let whitened: Vec<Vec<f64>> = self.columns.iter().map(|column| sweep.whitened(column)).collect();
         let residual = sweep.whitened(&self.residuals);
         let size = self.columns.len();
-        let normal = Normal {
+        let mut normal = Normal {
             matrix: DMatrix::from_fn(size, size, |i, j| dot(&self.columns[i], &whitened[j])),
             gradient: DVector::from_fn(size, |i, _| dot(&self.columns[i], &residual)),
             squared: dot(&self.residuals, &residual),
+            rows: self.residuals.len() as f64,
         };
-        step(&normal, &self.priors)
+        normal.add_priors(&self.priors, &vec![0.0; size]);
+        Some(-ScaledCholesky::new(normal.matrix)?.solve(&normal.gradient))
     }
 
     /// Residuals after a step.
@@ -156,40 +155,36 @@ impl Linear {
         after
     }
 
-    /// Root mean square of rows left out in turn \[m\].
-    fn left_out(&self, drift: &Drift, folds: &[Option<usize>]) -> Option<f64> {
-        let (mut squared, mut count) = (0.0, 0);
-        for fold in 0..FOLDS {
-            let counts = |of: &Option<usize>| f64::from(u8::from(of.is_some_and(|of| of != fold)));
-            let sweep = Sweep::new(drift, &folds.iter().map(counts).collect::<Vec<f64>>());
+    /// Mean squared error of each fold, left out in turn \[m^2\].
+    fn left_out(&self, drift: &Drift, folds: &[Vec<usize>]) -> Option<Vec<f64>> {
+        let error = |fold: &Vec<usize>| {
+            let mut weights = vec![0.0; self.residuals.len()];
+            let others = folds.iter().filter(|other| *other != fold).flatten();
+            others.for_each(|&row| weights[row] = 1.0);
+            let sweep = Sweep::new(drift, &weights);
             let after = self.after(&self.step(&sweep)?);
             let known = sweep.drift(&after);
-            let left = folds.iter().zip(after.iter().zip(known)).filter(|(of, _)| **of == Some(fold));
-            for (_, (residual, known)) in left {
-                squared += (residual - known).powi(2);
-                count += 1;
-            }
-        }
-        Some((squared / f64::from(count.max(1))).sqrt())
+            let squared: f64 = fold.iter().map(|&row| (after[row] - known[row]).powi(2)).sum();
+            Some(squared / fold.len() as f64)
+        };
+        folds.iter().map(error).collect()
     }
 }
 
 /// The drift that predicts left-out fitting rows best, none where it is not clearly better than none. The model stands at
-/// its fit without drift; `fold_of` is the fold of each fitting row.
+/// its fit without drift; `folds` are places among the fitting rows.
 pub(super) fn choose(
     model: &Model,
     rows: &[LengthRow],
     fitting: &[usize],
-    fold_of: &[usize],
+    folds: &[Vec<usize>],
     sigma_m: f64,
 ) -> Result<Option<Drift>, LengthError> {
     /// So small that it is none.
     const NONE: f64 = 1e-6;
     let Some(linear) = Linear::at(model, rows, fitting)? else { return Ok(None) };
-    let mut folds = vec![None; rows.len()];
-    for (&row, &fold) in fitting.iter().zip(fold_of) {
-        folds[row] = Some(fold);
-    }
+    let of_fold = |fold: &Vec<usize>| fold.iter().filter_map(|&place| fitting.get(place).copied()).collect();
+    let folds: Vec<Vec<usize>> = folds.iter().filter(|fold| !fold.is_empty()).map(of_fold).collect();
     let none = Drift {
         size_m: NONE * sigma_m,
         memory_rows: 1.0,
@@ -197,12 +192,14 @@ pub(super) fn choose(
         rms_without_m: 0.0,
         rms_with_m: 0.0,
     };
-    let Some(rms_without_m) = linear.left_out(&none, &folds) else { return Ok(None) };
+    let Some(without) = linear.left_out(&none, &folds) else { return Ok(None) };
+    let rms_without_m = mean(&without).sqrt();
     let judged = candidates(sigma_m).filter_map(|drift| {
-        Some(Drift { rms_without_m, rms_with_m: linear.left_out(&drift, &folds)?, ..drift })
+        let with = linear.left_out(&drift, &folds)?;
+        Some((Drift { rms_without_m, rms_with_m: mean(&with).sqrt(), ..drift }, with))
     });
-    let best = judged.min_by(|a, b| a.rms_with_m.total_cmp(&b.rms_with_m));
-    Ok(best.filter(|best| best.rms_with_m < (1.0 - GAIN_MIN) * rms_without_m))
+    let best = judged.min_by(|a, b| a.0.rms_with_m.total_cmp(&b.0.rms_with_m));
+    Ok(best.filter(|(_, with)| falls(&without, with)).map(|(best, _)| best))
 }
 
 /// Fits the model with the drift taken out of its residuals. The drift of every row \[m\], also of rows that did not take

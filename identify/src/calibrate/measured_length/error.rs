@@ -2,7 +2,7 @@
 
 use crate::cost::CostError;
 use crate::model::ModelError;
-use crate::solver::{SolveError, Unidentifiable};
+use crate::solver::{NotConverged, SolveError, Unidentifiable};
 
 /// Why lengths cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -61,4 +61,7 @@ pub enum LengthError {
     /// Some parameter is not determined.
     #[error(transparent)]
     Unidentifiable(#[from] Unidentifiable),
+    /// The solve ended elsewhere than at a minimum.
+    #[error(transparent)]
+    NotConverged(#[from] NotConverged),
 }

@@ -2,7 +2,7 @@
 
 use super::figures::{ErrorFigures, Figures, pick};
 use super::{Drift, FaultyRun, screen};
-use crate::calibrate::measured_pose::split::Split;
+use crate::calibrate::split::Split;
 use crate::model::{Model, ParameterId, Role};
 use crate::solver::{Identifiability, Solution, Summary};
 

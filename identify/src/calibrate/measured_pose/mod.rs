@@ -9,7 +9,6 @@ mod error;
 mod figures;
 mod report;
 mod samples;
-pub(super) mod split;
 mod start;
 mod terms;
 mod validate;
@@ -17,17 +16,17 @@ mod validate;
 use nalgebra::{Rotation3, Vector3};
 
 use super::LossName;
+use super::split::{self, Split};
 use crate::kinematics::{Chain, LinkParameter, Pose, ROBOT_JOINTS};
 use crate::model::{Axis, Model, ParameterId, Role, Unit};
 use crate::solver::{Solution, Summary};
 use samples::{Samples, Weighing};
-use split::Split;
 
 pub use error::PoseError;
 pub(super) use figures::quantile;
 pub use figures::{Apart, PoseFigures, Sizes, Stages};
 pub use report::PoseReport;
-pub use split::HoldOut;
+pub use super::split::HoldOut;
 pub use terms::TermReport;
 pub use validate::validate;
 
@@ -233,20 +232,19 @@ impl<'a> Fit<'a> {
     fn joints(
         &self,
         model: &mut Model,
-        folds: &[usize],
+        folds: &[Vec<usize>],
         options: &PoseOptions,
     ) -> Result<(Vec<TermReport>, Summary), PoseError> {
         let kinds = terms::kinds(options.waves_per_turn_max);
         *model = model.clone().with_joint_waves(ParameterId::joint_waves(options.waves_per_turn_max));
         let choose = |model: &mut Model| {
             for kind in &kinds {
-                // A column of each; the prior is chosen below.
-                model.set_roles(kind.ids.iter().copied(), Role::Free)?;
+                // A column of each; the scale of the prior is chosen below.
+                let prior = Role::Prior { value: 0.0, sigma: kind.sigmas[0] };
+                model.set_roles(kind.ids.iter().copied(), prior)?;
             }
             let weighing = self.weighing(model);
-            let (rows, directions, fitting) = (self.rows, self.directions, self.fitting);
-            let left = terms::Left { rows, directions, fitting, folds, weighing };
-            let reports = left.choose(model, &kinds)?;
+            let reports = terms::choose(self, model, &kinds, folds, weighing)?;
             let summary = self.samples.minimise(model, weighing)?;
             Ok::<_, PoseError>((reports, summary))
         };
@@ -286,6 +284,7 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &PoseOptions) -> Resu
         let folds = split::folds(&groups, &fitting, terms::FOLDS, options.seed.wrapping_add(1));
         (terms, summary) = fit.joints(&mut model, &folds, options)?;
     }
+    summary.require_converged()?;
     let joints = fit.errors(&model);
     let sigmas = report::sigmas(&fit, &model)?;
     let weighing = fit.weighing(&model);

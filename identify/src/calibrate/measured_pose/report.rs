@@ -1,12 +1,8 @@
 //! What a calibration by measured poses found.
 
-use nalgebra::DVector;
-
-use super::terms::{self, Left};
 use super::{Apart, Fit, PoseError, PoseFigures, Stages, TermReport};
-use crate::calibrate::cross_validation::Normal;
 use crate::cost::PoseNoise;
-use crate::model::{Model, ParameterId};
+use crate::model::{Model, Parameter, ParameterId};
 use crate::solver::{Identifiability, Summary};
 
 /// Outcome of a calibration by measured poses.
@@ -41,32 +37,12 @@ pub(super) fn stages([nominal, links, joints]: [&[Apart]; 3], chosen: &[usize]) 
     Stages { nominal: figures(nominal), links: figures(links), joints: figures(joints) }
 }
 
-/// Standard deviations at the solution: of the inverse of the normal matrix with the priors, column-scaled.
+/// Standard deviations at the solution for noise that is independent from row to row.
 pub(super) fn sigmas(fit: &Fit<'_>, model: &Model) -> Result<Vec<(ParameterId, f64)>, PoseError> {
-    let folds: Vec<usize> = (0..fit.fitting.len()).map(|row| row % terms::FOLDS).collect();
-    let left = Left {
-        rows: fit.rows,
-        directions: fit.directions,
-        fitting: fit.fitting,
-        folds: &folds,
-        weighing: fit.weighing(model),
-    };
-    let mut normal = Normal::zeros(model.columns().len());
-    left.normals(model)?.iter().for_each(|fold| normal += fold);
-    for prior in model.priors() {
-        normal.matrix[(prior.column, prior.column)] += prior.sigma.powi(-2);
-    }
-    let scale: DVector<f64> =
-        normal.matrix.diagonal().map(|entry| if entry > 0.0 { entry.sqrt().recip() } else { 0.0 });
-    let mut scaled = normal.matrix;
-    for (j, mut column) in scaled.column_iter_mut().enumerate() {
-        column.component_mul_assign(&scale);
-        column *= scale[j];
-    }
-    let Some(factor) = scaled.cholesky() else { return Ok(Vec::new()) };
-    let variances = factor.inverse().diagonal();
-    let sigma = |(column, parameter): (usize, &crate::model::Parameter)| {
-        (parameter.id, variances[column].max(0.0).sqrt() * scale[column])
-    };
-    Ok(model.columns().enumerate().map(sigma).collect())
+    let all: Vec<usize> = (0..fit.fitting.len()).collect();
+    let normals = fit.samples.normals(model, fit.weighing(model), &[all])?;
+    let Some(covariance) = normals.and_then(|normals| normals.covariance()) else { return Ok(Vec::new()) };
+    let variances = covariance.diagonal();
+    let sigma = |(parameter, variance): (&Parameter, &f64)| (parameter.id, variance.max(0.0).sqrt());
+    Ok(model.columns().zip(variances.iter()).map(sigma).collect())
 }

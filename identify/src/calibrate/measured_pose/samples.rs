@@ -4,11 +4,10 @@ use nalgebra::{Rotation3, Vector3};
 
 use super::figures::{Apart, quantile};
 use super::{PoseError, PoseRow};
-use crate::calibrate::cross_validation::Normal;
 use crate::cost::{LoopProblem, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
 use crate::kinematics::{Pose, ROBOT_JOINTS, rotation_vector};
 use crate::model::{Geometry, JointState, Model, Observation, PerObservation, RobotMotion};
-use crate::solver::{self, Loss, Options, Solution, Summary, stacked};
+use crate::solver::{self, Loss, Normals, Options, Solution, Summary};
 
 /// A joint that moved less than this since the pose before keeps the direction that it had \[rad\].
 const MOVED_RAD_MIN: f64 = 1e-3;
@@ -143,44 +142,36 @@ impl Samples {
         Ok(solver::minimise(&problem, &model.start(), &options)?)
     }
 
-    /// Adds the normal equations of all samples at the model's values, weighed by the loss. Samples with a number that is
-    /// not finite are left out.
-    pub(super) fn add_to(
+    /// Normal equations of each fold (places among the samples) at the model's values, weighed by the loss. None where a
+    /// number is not finite.
+    pub(super) fn normals(
         &self,
-        normal: &mut Normal,
         model: &Model,
         weighing: Weighing,
-    ) -> Result<(), PoseError> {
+        folds: &[Vec<usize>],
+    ) -> Result<Option<Normals>, PoseError> {
         match &self.poses {
-            Some(measured) => self.added(
-                normal,
-                model,
-                MeasuredPose { measured, noise: weighing.noise },
-                1.0,
-                weighing.loss,
-            ),
-            None => self.added(normal, model, self.position(), weighing.noise.position_m, weighing.loss),
+            Some(measured) => {
+                let residual = MeasuredPose { measured, noise: weighing.noise };
+                self.normals_of(model, residual, 1.0, weighing.loss, folds)
+            }
+            None => {
+                self.normals_of(model, self.position(), weighing.noise.position_m, weighing.loss, folds)
+            }
         }
     }
 
-    fn added<R: Residual + Sync>(
+    fn normals_of<R: Residual + Sync>(
         &self,
-        normal: &mut Normal,
         model: &Model,
         residual: R,
         sigma: f64,
         loss: Loss,
-    ) -> Result<(), PoseError> {
+        folds: &[Vec<usize>],
+    ) -> Result<Option<Normals>, PoseError> {
         let problem = LoopProblem::new(model, &self.motion, &self.observations, residual, sigma)?;
-        let Some((mut residual, mut jacobian)) = stacked(&problem, &model.start()) else { return Ok(()) };
-        for first in (0..residual.len()).step_by(R::ROWS) {
-            let mut of_sample = residual.rows_mut(first, R::ROWS);
-            let weight = loss.weight(of_sample.norm_squared()).sqrt();
-            of_sample *= weight;
-            jacobian.rows_mut(first, R::ROWS).scale_mut(weight);
-        }
-        normal.add(&residual, &jacobian);
-        Ok(())
+        let options = Options { loss, ..Options::default() };
+        Ok(Normals::new(&problem, &model.start(), &options, folds))
     }
 }
 

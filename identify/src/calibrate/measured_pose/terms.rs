@@ -1,17 +1,12 @@
 //! Errors of the robot's joints: which are taken, decided by fitting rows that were left out.
 
-use nalgebra::DVector;
-
-use super::samples::{Samples, Weighing};
-use super::{PoseError, PoseRow};
-use crate::calibrate::cross_validation::{Candidate, CrossValidation, Normal, StepPrior};
-use crate::kinematics::ROBOT_JOINTS;
+use super::samples::Weighing;
+use super::{Fit, PoseError};
+use crate::calibrate::terms::{Offer, select};
 use crate::model::{JointTerm, JointWaves, Model, ParameterId, Period, Role};
 
 /// Parts that the fitting rows are dealt into.
-pub(super) const FOLDS: usize = 5;
-/// Rows that are linearised at once: some megabytes.
-const ROWS_AT_ONCE: usize = 128;
+pub(super) const FOLDS: usize = 8;
 
 /// A kind of joint error, the same for all axes.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,7 +27,8 @@ pub struct TermReport {
 pub(super) struct Kind {
     pub(super) name: String,
     pub(super) ids: Vec<ParameterId>,
-    sigmas: &'static [f64],
+    /// Standard deviations to choose from.
+    pub(super) sigmas: &'static [f64],
 }
 
 fn joint_terms(wanted: fn(JointTerm) -> bool) -> Vec<ParameterId> {
@@ -79,85 +75,48 @@ fn waves(band: &std::ops::RangeInclusive<u8>, last: u8) -> Option<Kind> {
     (!ids.is_empty()).then_some(Kind { name, ids, sigmas: SIGMAS_RAD })
 }
 
-/// Everything that the choice needs of one linearisation.
-pub(super) struct Left<'a> {
-    pub(super) rows: &'a [PoseRow],
-    pub(super) directions: &'a [[f64; ROBOT_JOINTS]],
-    pub(super) fitting: &'a [usize],
-    /// Fold of each fitting row.
-    pub(super) folds: &'a [usize],
-    pub(super) weighing: Weighing,
-}
-
-impl Left<'_> {
-    /// Normal equations of each fold at the model's values.
-    pub(super) fn normals(&self, model: &Model) -> Result<Vec<Normal>, PoseError> {
-        let of_fold = |fold: usize| -> Result<Normal, PoseError> {
-            let mut normal = Normal::zeros(model.columns().len());
-            let chosen: Vec<usize> = self.of_fold(fold).collect();
-            for some in chosen.chunks(ROWS_AT_ONCE) {
-                Samples::of(self.rows, self.directions, some).add_to(&mut normal, model, self.weighing)?;
-            }
-            Ok(normal)
-        };
-        (0..FOLDS).map(of_fold).collect()
-    }
-
-    fn of_fold(&self, fold: usize) -> impl Iterator<Item = usize> {
-        let mine = self.folds.iter().zip(self.fitting).filter(move |(of, _)| **of == fold);
-        mine.map(|(_, &row)| row)
-    }
-
-    /// Chooses among `kinds`, all of which are columns of `model` at its values, and gives the model their roles.
-    pub(super) fn choose(&self, model: &mut Model, kinds: &[Kind]) -> Result<Vec<TermReport>, PoseError> {
-        let candidates: Vec<Candidate> = kinds.iter().map(|kind| candidate(model, kind)).collect();
-        let of_candidate = |column: usize| candidates.iter().any(|one| one.columns.contains(&column));
-        let always = model.columns().enumerate().filter(|(column, _)| !of_candidate(*column));
-        let prior = |(column, parameter): (usize, &crate::model::Parameter)| match parameter.role {
-            Role::Prior { value, sigma } => StepPrior { column, expected: value - parameter.value, sigma },
-            Role::Free | Role::Fixed => StepPrior { column, expected: 0.0, sigma: f64::INFINITY },
-        };
-        let always = always.map(prior).collect();
-        let rows_each = Samples::of(self.rows, self.directions, self.fitting).rows();
-        // About the model without any of them, weighed as they are.
-        let away = model.columns().enumerate().map(
-            |(column, parameter)| {
-                if of_candidate(column) { -parameter.value } else { 0.0 }
-            },
-        );
-        let away = DVector::from_iterator(model.columns().len(), away);
-        let cross_validation = CrossValidation {
-            folds: self.normals(model)?.iter().map(|fold| fold.about(&away)).collect(),
-            always,
-            residuals: rows_each * self.fitting.len(),
-        };
-        let chosen = cross_validation.choose(&candidates);
-        let mut reports = Vec::new();
-        for (index, kind) in kinds.iter().enumerate() {
-            let taken = chosen.iter().find(|one| one.candidate == index);
-            let role = taken.map_or(Role::Fixed, |one| Role::Prior { value: 0.0, sigma: one.sigma });
-            model.set_roles(kind.ids.iter().copied(), role)?;
-            if taken.is_none() {
-                kind.ids.iter().try_for_each(|&id| model.set_value(id, 0.0))?;
-            }
-            let last = chosen.last().map_or(0.0, |one| one.rms_after);
-            reports.push(TermReport {
-                name: kind.name.clone(),
-                parameters: kind.ids.len(),
-                sigma: taken.map(|one| one.sigma),
-                rms_before: taken.map_or(last, |one| one.rms_before),
-                rms_after: taken.map_or(last, |one| one.rms_after),
-            });
+/// Chooses among `kinds`, all of which are columns of `model` at its values, by the folds of the fit's samples, and gives
+/// the model their roles.
+pub(super) fn choose(
+    fit: &Fit<'_>,
+    model: &mut Model,
+    kinds: &[Kind],
+    folds: &[Vec<usize>],
+    weighing: Weighing,
+) -> Result<Vec<TermReport>, PoseError> {
+    let columns = |kind: &Kind| {
+        let own = model.columns().enumerate().filter(|(_, parameter)| kind.ids.contains(&parameter.id));
+        own.map(|(column, _)| column).collect()
+    };
+    let scales = |kind: &Kind| kind.sigmas.iter().map(|sigma| sigma / kind.sigmas[0]).collect();
+    let offers: Vec<Offer> =
+        kinds.iter().map(|kind| Offer { columns: columns(kind), scales: scales(kind) }).collect();
+    let offered = |column: &usize| offers.iter().any(|offer| offer.columns.contains(column));
+    let (own, always): (Vec<usize>, Vec<usize>) = (0..model.columns().len()).partition(offered);
+    // About the model without any of them, weighed as they are.
+    let mut without = model.start();
+    own.iter().for_each(|&column| without[column] = 0.0);
+    let verdicts = match fit.samples.normals(model, weighing, folds)? {
+        Some(normals) => select(&normals.about(&without), &always, &offers),
+        None => Vec::new(),
+    };
+    let last = verdicts.iter().rev().find(|one| one.accepted).map_or(0.0, |one| one.after);
+    let mut reports = Vec::new();
+    for (index, kind) in kinds.iter().enumerate() {
+        let taken = verdicts.iter().find(|one| one.offer == index && one.accepted);
+        let sigma = taken.map(|one| one.scale * kind.sigmas[0]);
+        let role = sigma.map_or(Role::Fixed, |sigma| Role::Prior { value: 0.0, sigma });
+        model.set_roles(kind.ids.iter().copied(), role)?;
+        if taken.is_none() {
+            kind.ids.iter().try_for_each(|&id| model.set_value(id, 0.0))?;
         }
-        Ok(reports)
+        reports.push(TermReport {
+            name: kind.name.clone(),
+            parameters: kind.ids.len(),
+            sigma,
+            rms_before: taken.map_or(last, |one| one.before).sqrt(),
+            rms_after: taken.map_or(last, |one| one.after).sqrt(),
+        });
     }
-}
-
-fn candidate(model: &Model, kind: &Kind) -> Candidate {
-    let columns = model.columns().enumerate().filter(|(_, parameter)| kind.ids.contains(&parameter.id));
-    Candidate {
-        name: kind.name.clone(),
-        columns: columns.map(|(column, _)| column).collect(),
-        sigmas: kind.sigmas.to_vec(),
-    }
+    Ok(reports)
 }

@@ -1,7 +1,7 @@
 //! A calibrated robot on rows of another day: only tracker and probe are found anew.
 
-use super::{Apart, Fit, PoseError, PoseFigures, PoseRow, ROWS_MIN, check_rows, samples, split};
-use crate::calibrate::LossName;
+use super::{Apart, Fit, PoseError, PoseFigures, PoseRow, ROWS_MIN, check_rows, samples};
+use crate::calibrate::{LossName, split};
 use crate::kinematics::Chain;
 use crate::model::{Model, ParameterId, Role};
 
@@ -31,10 +31,9 @@ pub fn validate(
 fn judged(rows: &[PoseRow], robot: &Model, seed: u64) -> Result<PoseFigures, PoseError> {
     let directions = samples::directions(rows);
     let all: Vec<usize> = (0..rows.len()).collect();
-    let hands = split::folds(&all, &all, FOLDS, seed);
     let mut errors: Vec<Apart> = Vec::new();
-    for fold in 0..FOLDS {
-        let (judged, fitting): (Vec<usize>, Vec<usize>) = all.iter().partition(|&&row| hands[row] == fold);
+    for judged in split::folds(&all, &all, FOLDS, seed) {
+        let fitting: Vec<usize> = all.iter().copied().filter(|row| !judged.contains(row)).collect();
         if fitting.len() < ROWS_MIN {
             return Err(PoseError::TooFewRows { rows: fitting.len(), needed: ROWS_MIN });
         }

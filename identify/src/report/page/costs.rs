@@ -8,7 +8,7 @@ use super::intervals::Intervals;
 use super::plot::{COLOURS, PlotError};
 use super::sections::{figure, svg};
 use crate::model::Unit;
-use crate::study::{CostComparison, CostEntry, CostFigures, SIGMAS_OF_95};
+use crate::study::{CostComparison, CostEntry, CostFigures};
 
 /// So many names of parameters fit into a cell.
 const NAMES_MAX: usize = 8;
@@ -101,9 +101,10 @@ fn intervals(costs: &CostComparison, unit: Unit, title: &str) -> Intervals {
     let own = costs.entries.first().and_then(|entry| entry.figures.as_ref().ok());
     let set = |entry: &CostEntry| {
         let of = |&at: &usize| {
-            let (correction, sigma) = (*entry.figures.as_ref().ok()?.robot.get(at)?)?;
+            let figures = entry.figures.as_ref().ok()?;
+            let (correction, sigma) = (*figures.robot.get(at)?)?;
             let reference = own.and_then(|own| *own.robot.get(at)?).map_or(0.0, |(correction, _)| correction);
-            Some(((correction - reference) * factor, SIGMAS_OF_95 * sigma * factor))
+            Some(((correction - reference) * factor, figures.sigmas_of_95 * sigma * factor))
         };
         of_unit.iter().map(of).collect()
     };

@@ -1,6 +1,7 @@
-//! Which rows the fit sees and which judge it.
+//! Which samples are held out together: the fit sees some, the others judge it.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use nalgebra::Vector3;
 use rand::SeedableRng;
@@ -12,20 +13,20 @@ use rand::seq::SliceRandom;
 pub enum HoldOut {
     /// Single rows: between their neighbours, which the fit has seen.
     Rows,
-    /// Stretches of the file, a twenty-fifth of it each: other times, mostly other poses.
+    /// Segments of the file, a twenty-fifth of it each: other times, mostly other poses.
     Blocks,
     /// Boxes of the workspace, a fifth of its longest side wide: places where the fit has seen nothing.
     #[default]
     Regions,
 }
 
-/// Stretches that a file is cut into.
+/// Segments that a file is cut into.
 const BLOCKS: usize = 25;
 /// Boxes along the longest side of the workspace.
 const BOXES: f64 = 5.0;
 
 /// The group of each row: rows of one group are held out together.
-pub(in crate::calibrate) fn groups(hold_out: HoldOut, positions_m: &[Vector3<f64>]) -> Vec<usize> {
+pub(super) fn groups(hold_out: HoldOut, positions_m: &[Vector3<f64>]) -> Vec<usize> {
     let rows = positions_m.len();
     match hold_out {
         HoldOut::Rows => (0..rows).collect(),
@@ -48,33 +49,41 @@ fn boxes(positions_m: &[Vector3<f64>]) -> Vec<usize> {
     numbered.collect()
 }
 
-/// Deals the groups of the chosen rows out to `folds` hands of about equal size; the hand of each chosen row.
-pub(in crate::calibrate) fn folds(groups: &[usize], chosen: &[usize], folds: usize, seed: u64) -> Vec<usize> {
-    let mut sizes: BTreeMap<usize, usize> = BTreeMap::new();
-    for &row in chosen {
-        *sizes.entry(groups[row]).or_default() += 1;
+/// `count` segments of nearly equal length in each run, of which `starts` gives the first samples and the total.
+pub(super) fn segments(starts: &[usize], count: usize) -> Vec<Range<usize>> {
+    let of_run = |run: &[usize]| {
+        let (start, length) = (run[0], run[1] - run[0]);
+        (0..count).map(move |i| start + i * length / count..start + (i + 1) * length / count)
+    };
+    starts.windows(2).flat_map(of_run).filter(|segment| !segment.is_empty()).collect()
+}
+
+/// Deals the groups of the chosen rows out to `count` folds of about equal size: the places among the chosen rows that each has.
+pub(super) fn folds(groups: &[usize], chosen: &[usize], count: usize, seed: u64) -> Vec<Vec<usize>> {
+    let mut of_group: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for (place, &row) in chosen.iter().enumerate() {
+        of_group.entry(groups[row]).or_default().push(place);
     }
-    let mut order: Vec<(usize, usize)> = sizes.into_iter().collect();
+    let mut order: Vec<Vec<usize>> = of_group.into_values().collect();
     order.shuffle(&mut StdRng::seed_from_u64(seed));
-    let mut filled = vec![0; folds.max(1)];
-    let mut hand_of: BTreeMap<usize, usize> = BTreeMap::new();
-    for (group, size) in order {
-        let least = (0..filled.len()).min_by_key(|&hand| filled[hand]).unwrap_or(0);
-        filled[least] += size;
-        hand_of.insert(group, least);
+    let mut folds = vec![Vec::new(); count.max(1)];
+    for group in order {
+        if let Some(least) = folds.iter_mut().min_by_key(|fold| fold.len()) {
+            least.extend(group);
+        }
     }
-    chosen.iter().map(|&row| hand_of.get(&groups[row]).copied().unwrap_or(0)).collect()
+    folds
 }
 
 /// Row numbers for fitting and for judging, both ascending.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(in crate::calibrate) struct Split {
-    pub(in crate::calibrate) fitting: Vec<usize>,
-    pub(in crate::calibrate) held_out: Vec<usize>,
+pub(super) struct Split {
+    pub(super) fitting: Vec<usize>,
+    pub(super) held_out: Vec<usize>,
 }
 
 /// Holds out whole groups until they make up a part of the rows.
-pub(in crate::calibrate) fn split(groups: &[usize], part: f64, seed: u64) -> Split {
+pub(super) fn split(groups: &[usize], part: f64, seed: u64) -> Split {
     let mut order: Vec<usize> = groups.to_vec();
     order.sort_unstable();
     order.dedup();
@@ -120,13 +129,13 @@ mod tests {
     fn folds_share_no_group_and_are_about_equal() {
         let groups = groups(HoldOut::Regions, &positions());
         let chosen: Vec<usize> = (0..1000).step_by(2).collect();
-        let hands = folds(&groups, &chosen, 5, 1);
-        for hand in 0..5 {
-            let size = hands.iter().filter(|h| **h == hand).count();
-            assert!((80..=120).contains(&size), "{size}");
-        }
-        for (a, row) in hands.iter().zip(&chosen) {
-            assert!(hands.iter().zip(&chosen).all(|(b, other)| groups[*row] != groups[*other] || a == b));
+        let folds = folds(&groups, &chosen, 5, 1);
+        assert_eq!(folds.iter().map(Vec::len).sum::<usize>(), 500);
+        for fold in &folds {
+            assert!((80..=120).contains(&fold.len()), "{}", fold.len());
+            let of = |place: &usize| groups[chosen[*place]];
+            let others = || folds.iter().filter(|other| *other != fold).flatten();
+            assert!(fold.iter().all(|place| others().all(|other| of(place) != of(other))));
         }
     }
 }

@@ -1,0 +1,315 @@
+//! Normal equations by fold: what the samples of each fold say, linearised at a point.
+//!
+//! `|r + J dx|^2 = r^T r + 2 (J^T r) dx + dx (J^T J) dx`: one pass over the samples gives the three sums of each fold with
+//! the columns of every term that may be wanted. Steps, covariances, jackknife, choice of terms, scales of priors and
+//! predictions of left-out folds are then small linear algebra, and no sample is looked at again. Errors of gears and
+//! encoders last for seconds, so folds of several seconds are nearly independent where single samples are far from it.
+
+use std::ops::{AddAssign, Sub};
+
+use nalgebra::{DMatrix, DVector};
+
+use super::pass::{Pass, Products, Taking};
+use super::{Options, Prior, Problem, ScaledCholesky, Subset};
+
+/// Normal equations of some samples about a point.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Normal {
+    /// `J^T W J`
+    pub matrix: DMatrix<f64>,
+    /// `J^T W r`
+    pub gradient: DVector<f64>,
+    /// `r^T W r`
+    pub squared: f64,
+    /// Residual entries, each as much as its weight.
+    pub rows: f64,
+}
+
+impl Normal {
+    /// Of no rows.
+    pub fn zeros(columns: usize) -> Self {
+        Self {
+            matrix: DMatrix::zeros(columns, columns),
+            gradient: DVector::zeros(columns),
+            squared: 0.0,
+            rows: 0.0,
+        }
+    }
+
+    /// Sum of squares after a step.
+    pub fn after(&self, step: &DVector<f64>) -> f64 {
+        self.squared + 2.0 * self.gradient.dot(step) + step.dot(&(&self.matrix * step))
+    }
+
+    /// The same rows about a point that is a step away.
+    #[must_use]
+    fn moved(&self, step: &DVector<f64>) -> Self {
+        Self {
+            gradient: &self.gradient + &self.matrix * step,
+            squared: self.after(step),
+            ..self.clone()
+        }
+    }
+
+    /// The same rows with some of the columns, in this order.
+    fn only(&self, columns: &[usize]) -> Self {
+        Self {
+            matrix: self.matrix.select_rows(columns).select_columns(columns),
+            gradient: self.gradient.select_rows(columns),
+            ..*self
+        }
+    }
+
+    /// Adds what is known of some columns at `x`; returns the sum of its squares, which stays apart from that of the rows.
+    pub fn add_priors(&mut self, priors: &[Prior], x: &[f64]) -> f64 {
+        let mut squared = 0.0;
+        for prior in priors {
+            let (column, weight) = (prior.column, prior.sigma.powi(-2));
+            let error = x[column] - prior.value;
+            self.matrix[(column, column)] += weight;
+            self.gradient[column] += weight * error;
+            squared += weight * error * error;
+        }
+        squared
+    }
+}
+
+impl AddAssign<&Self> for Normal {
+    fn add_assign(&mut self, other: &Self) {
+        self.matrix += &other.matrix;
+        self.gradient += &other.gradient;
+        self.squared += other.squared;
+        self.rows += other.rows;
+    }
+}
+
+impl Sub for &Normal {
+    type Output = Normal;
+
+    fn sub(self, other: Self) -> Normal {
+        Normal {
+            matrix: &self.matrix - &other.matrix,
+            gradient: &self.gradient - &other.gradient,
+            squared: self.squared - other.squared,
+            rows: self.rows - other.rows,
+        }
+    }
+}
+
+/// Normal equations of every fold about one point, and what is known of the columns apart from the samples.
+#[derive(Debug, Clone)]
+pub struct Normals {
+    folds: Vec<Normal>,
+    total: Normal,
+    priors: Vec<Prior>,
+    x: Vec<f64>,
+}
+
+impl Normals {
+    /// One pass over the samples of all folds at `x`, each weighed by the options' loss there; samples without a value are
+    /// left out. None where a residual or derivative is not finite, or the pass was cancelled.
+    pub fn new<P: Problem>(
+        problem: &P,
+        x: &[f64],
+        options: &Options<'_>,
+        folds: &[Vec<usize>],
+    ) -> Option<Self> {
+        let mut total = Normal::zeros(problem.columns());
+        let mut of_folds = Vec::with_capacity(folds.len());
+        for samples in folds {
+            let fold = Subset { of: problem, samples: samples.clone() };
+            let pass = Pass::new(&fold, x, options, Taking::WhatIsThere);
+            let (products, fits) = pass.run(|| Products::new(problem.columns())).ok()?;
+            let weight: f64 = fits.iter().filter(|fit| fit.present).map(|fit| fit.weight).sum();
+            let normal = products.normal(weight * problem.rows() as f64);
+            total += &normal;
+            of_folds.push(normal);
+        }
+        Some(Self { folds: of_folds, total, priors: problem.priors().to_vec(), x: x.to_vec() })
+    }
+
+    /// What is known of the columns.
+    pub fn priors(&self) -> &[Prior] {
+        &self.priors
+    }
+
+    /// Folds that have samples.
+    pub fn folds(&self) -> usize {
+        self.folds.iter().filter(|fold| fold.rows > 0.0).count()
+    }
+
+    /// The same about another point: exact where residuals are linear between the two, as they are in small terms.
+    #[must_use]
+    pub fn about(&self, x: &[f64]) -> Self {
+        let step = DVector::from_column_slice(x) - DVector::from_column_slice(&self.x);
+        Self {
+            folds: self.folds.iter().map(|fold| fold.moved(&step)).collect(),
+            total: self.total.moved(&step),
+            priors: self.priors.clone(),
+            x: x.to_vec(),
+        }
+    }
+
+    /// Mean squared residual of each fold, predicted by a solution for `columns` from all other folds; the other columns
+    /// stay where they are. None where the others do not determine the columns.
+    pub fn held_out(&self, columns: &[usize], priors: &[Prior]) -> Option<Vec<f64>> {
+        let place = |prior: &Prior| {
+            let column = columns.iter().position(|column| *column == prior.column)?;
+            Some(Prior { column, ..*prior })
+        };
+        let known: Vec<Prior> = priors.iter().filter_map(place).collect();
+        let x: Vec<f64> = columns.iter().map(|&column| self.x[column]).collect();
+        let mut total = self.total.only(columns);
+        total.add_priors(&known, &x);
+        let error = |fold: &Normal| {
+            let fold = fold.only(columns);
+            let others = &total - &fold;
+            let step = -ScaledCholesky::new(others.matrix)?.solve(&others.gradient);
+            Some(fold.after(&step) / fold.rows)
+        };
+        self.folds.iter().filter(|fold| fold.rows > 0.0).map(error).collect()
+    }
+
+    /// All folds with the priors, factored. None where columns depend on each other.
+    fn whole(&self) -> Option<(DMatrix<f64>, ScaledCholesky)> {
+        let mut whole = self.total.clone();
+        whole.add_priors(&self.priors, &self.x);
+        let factor = ScaledCholesky::new(whole.matrix.clone()).filter(ScaledCholesky::is_complete)?;
+        Some((whole.matrix, factor))
+    }
+
+    /// Covariance of the solution `x` for independent noise of variance one on every residual entry. None where the
+    /// samples and priors do not determine every column.
+    pub fn covariance(&self) -> Option<DMatrix<f64>> {
+        Some(self.whole()?.1.inverse())
+    }
+
+    /// Covariance of the solution `x` by the jackknife over folds: how much it moves where one is left out. It holds
+    /// whatever errors the residuals have within a fold, as long as folds are independent; what priors contribute is
+    /// added. Approximately `H^-1 (sum g g') H^-1` (a sandwich, Liang and Zeger 1986) with the correction that a fold
+    /// pulls the solution towards itself (Bell and McCaffrey 2002, CR3). None with fewer than two folds, or where the
+    /// others do not determine every column.
+    pub fn jackknife(&self) -> Option<DMatrix<f64>> {
+        let count = self.folds() as f64;
+        if count < 2.0 {
+            return None;
+        }
+        let (whole, factor) = self.whole()?;
+        let mut covariance = DMatrix::zeros(self.x.len(), self.x.len());
+        for fold in self.folds.iter().filter(|fold| fold.rows > 0.0) {
+            let others = ScaledCholesky::new(&whole - &fold.matrix).filter(ScaledCholesky::is_complete)?;
+            let moved = others.solve(&fold.gradient);
+            covariance.ger((count - 1.0) / count, &moved, &moved, 1.0);
+        }
+        // `H^-1 P H^-1`, of which the prior weights `P` are a diagonal.
+        let inverse = factor.inverse();
+        for prior in &self.priors {
+            let column = inverse.column(prior.column);
+            covariance.ger(prior.sigma.powi(-2), &column, &column, 1.0);
+        }
+        Some(covariance)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::solver::{Block, minimise};
+
+    /// Lines with noise that is the same within a fold: `r = a + b t - y`.
+    struct Line {
+        y: Vec<f64>,
+        priors: Vec<Prior>,
+    }
+
+    impl Problem for Line {
+        type Point = Vec<f64>;
+
+        fn columns(&self) -> usize {
+            2
+        }
+
+        fn column_name(&self, column: usize) -> String {
+            column.to_string()
+        }
+
+        fn samples(&self) -> usize {
+            self.y.len()
+        }
+
+        fn rows(&self) -> usize {
+            1
+        }
+
+        fn priors(&self) -> &[Prior] {
+            &self.priors
+        }
+
+        fn point(&self, x: &[f64]) -> Vec<f64> {
+            x.to_vec()
+        }
+
+        fn sample(&self, x: &mut Vec<f64>, sample: usize, r: &mut [f64], block: &mut Block<'_>) -> bool {
+            let t = sample as f64;
+            r[0] = x[0] + x[1] * t - self.y[sample];
+            block.column_mut(0)[0] = 1.0;
+            block.column_mut(1)[0] = t;
+            true
+        }
+    }
+
+    fn line() -> (Line, Vec<Vec<usize>>) {
+        let y = (0..40).map(|k| 1.0 + 0.3 * f64::from(k) + f64::from((k / 8 * 7) % 5)).collect();
+        let priors = vec![Prior { column: 1, value: 0.2, sigma: 0.05 }];
+        (Line { y, priors }, (0..5).map(|fold| (8 * fold..8 * (fold + 1)).collect()).collect())
+    }
+
+    fn solved(problem: &impl Problem) -> Vec<f64> {
+        minimise(problem, &[0.0, 0.0], &Options::default()).map(|(x, _)| x).unwrap_or_default()
+    }
+
+    #[test]
+    fn a_fold_is_predicted_as_by_a_solve_without_it() {
+        let (line, folds) = line();
+        // Far from the solution: the problem is linear.
+        let Some(normals) = Normals::new(&line, &[0.5, -1.0], &Options::default(), &folds) else {
+            panic!("finite residuals")
+        };
+        let predicted = normals.held_out(&[0, 1], normals.priors()).unwrap_or_default();
+        for (fold, found) in folds.iter().zip(&predicted) {
+            let samples = (0..40).filter(|sample| !fold.contains(sample)).collect();
+            let x = solved(&Subset { of: &line, samples });
+            let squares = fold.iter().map(|&k| (x[0] + x[1] * k as f64 - line.y[k]).powi(2));
+            let expected = squares.sum::<f64>() / 8.0;
+            assert!((found - expected).abs() < 1e-9, "{found} {expected}");
+        }
+        assert_eq!(predicted.len(), 5);
+    }
+
+    #[test]
+    fn the_jackknife_is_the_spread_of_solutions_without_each_fold() {
+        let (mut line, folds) = line();
+        line.priors.clear();
+        let x = solved(&line);
+        let Some(found) =
+            Normals::new(&line, &x, &Options::default(), &folds).and_then(|normals| normals.jackknife())
+        else {
+            panic!("the line is determined")
+        };
+        let mut expected = DMatrix::zeros(2, 2);
+        for fold in &folds {
+            let samples = (0..40).filter(|sample| !fold.contains(sample)).collect();
+            let moved = DVector::from_vec(solved(&Subset { of: &line, samples })) - DVector::from_vec(x.clone());
+            expected += 0.8 * &moved * moved.transpose();
+        }
+        assert!((found - &expected).amax() < 1e-9 * expected.amax());
+    }
+
+    #[test]
+    fn what_no_sample_and_no_prior_shows_has_no_covariance() {
+        let line = Line { y: vec![1.0], priors: Vec::new() };
+        let normals = Normals::new(&line, &[0.0, 0.0], &Options::default(), &[vec![0]]);
+        // One sample at t = 0 leaves the slope open.
+        assert_eq!(normals.and_then(|normals| normals.covariance()), None);
+    }
+}
