@@ -324,8 +324,7 @@ fn measured_lengths_calibrate_from_a_csv_with_a_mapping() {
     let path = inputs.path().join("lengths.csv");
     std::fs::write(&path, &csv).unwrap();
     let mapping = config("measured_length.toml");
-    let arguments =
-        ["calibrate", "--measured-lengths", path.to_str().unwrap(), "--mapping", mapping.to_str().unwrap()];
+    let arguments = ["calibrate", "wire", path.to_str().unwrap(), "--mapping", mapping.to_str().unwrap()];
     let output = identify(&arguments, "irb120_3.toml", out.path());
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let text = String::from_utf8_lossy(&output.stdout);
@@ -341,6 +340,23 @@ fn measured_lengths_calibrate_from_a_csv_with_a_mapping() {
     let [x_m, y_m, _] = lengths::ANCHOR_M;
     assert!((value("anchor_x") - x_m).abs() < 1e-3 && (value("anchor_y") - y_m).abs() < 1e-3);
     assert!((value("length_offset") - 0.012).abs() < 1e-3);
+
+    for bar_only in [["--cost", "length"], ["--selection", "cell"], ["--config", "identify.toml"]] {
+        let out = tempfile::tempdir().unwrap();
+        let output = identify(&[&arguments[..], &bar_only].concat(), "irb120_3.toml", out.path());
+        refused(&output, &["unexpected argument", bar_only[0]], out.path());
+    }
+    let out = tempfile::tempdir().unwrap();
+    let output =
+        identify(&[&arguments[..], &["--fix", "ra2,length_offset"]].concat(), "irb120_3.toml", out.path());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let written = std::fs::read_to_string(out.path().join("calibration.toml")).unwrap();
+    let file: toml::Table = written.parse().unwrap();
+    let entries = file["parameters"].as_array().unwrap();
+    for name in ["ra2", "length_offset"] {
+        let entry = entries.iter().find(|entry| entry["name"].as_str() == Some(name)).unwrap();
+        assert_eq!((entry["status"].as_str(), entry["correction"].as_float()), (Some("fixed"), Some(0.0)));
+    }
 
     let broken = csv.replace("cable_mm", "wire_mm");
     let out = tempfile::tempdir().unwrap();

@@ -2,10 +2,10 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
+use identify::calibrate::HoldOut;
 use identify::calibrate::measured_length::{
     ErrorFigures, LengthOptions, LengthRow, Rejection, RunCause, calibrate,
 };
-use identify::calibrate::measured_pose::HoldOut;
 use identify::kinematics::{Chain, flange_chain};
 use identify::model::{Axis, ParameterId};
 use nalgebra::Vector3;
@@ -123,8 +123,8 @@ fn rows_and_options_that_make_no_sense_are_errors() {
     };
     let options = LengthOptions::default();
     assert!(text(&rows[..12], &options).contains("at least 14"));
-    assert!(text(&rows, &LengthOptions { held_out: 1.0, ..options }).contains("held_out"));
-    assert!(text(&rows, &LengthOptions { link_sigma_m: 0.0, ..options }).contains("link_sigma_m"));
+    assert!(text(&rows, &LengthOptions { held_out: 1.0, ..options.clone() }).contains("held_out"));
+    assert!(text(&rows, &LengthOptions { link_sigma_m: 0.0, ..options.clone() }).contains("link_sigma_m"));
     rows[7].length_m = -1.0;
     assert!(text(&rows, &options).contains("row 8"));
     rows[7].length_m = f64::NAN;

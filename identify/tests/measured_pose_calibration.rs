@@ -4,12 +4,13 @@
 
 use std::path::Path;
 
+use identify::calibrate::HoldOut;
 use identify::calibrate::measured_pose::{
-    HoldOut, PoseFigures, PoseOptions, PoseReport, PoseRow, Stages, calibrate, validate,
+    PoseFigures, PoseOptions, PoseReport, PoseRow, Stages, calibrate, validate,
 };
 use identify::kinematics::{Chain, Pose, flange_chain};
 use identify::logs::{MeasuredPoseMapping, MeasuredPoses};
-use identify::model::{JointState, ParameterId};
+use identify::model::{JointState, ParameterId, Role};
 use identify::report::poses;
 use nalgebra::{Rotation3, Vector3};
 use rand::rngs::StdRng;
@@ -145,8 +146,8 @@ fn rows_and_options_that_make_no_sense_are_errors() {
         |rows: &[PoseRow], options: &PoseOptions| calibrate(rows, &ur10(), options).unwrap_err().to_string();
     let options = quick();
     assert!(text(&rows[..20], &options).contains("at least 20"));
-    assert!(text(&rows, &PoseOptions { held_out: 1.0, ..options }).contains("held_out"));
-    assert!(text(&rows, &PoseOptions { link_sigma_m: 0.0, ..options }).contains("link_sigma_m"));
+    assert!(text(&rows, &PoseOptions { held_out: 1.0, ..options.clone() }).contains("held_out"));
+    assert!(text(&rows, &PoseOptions { link_sigma_m: 0.0, ..options.clone() }).contains("link_sigma_m"));
     assert!(text(&vec![rows[0]; 50], &options).contains("on a line"));
     rows[7].position_m.x = f64::NAN;
     assert!(text(&rows, &options).contains("row 8"));
@@ -178,7 +179,7 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     std::fs::write(folder.path().join("other.csv"), csv(&rows[400..])).unwrap();
     let command = |extra: &[&str]| {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_identify"));
-        command.args(["calibrate", "--measured-poses", "poses.csv", "--out", "out", "--joint-waves", "20"]);
+        command.args(["calibrate", "tracker", "poses.csv", "--out", "out", "--joint-waves", "20"]);
         command.arg("--robot").arg(crate::support::repository("config/robots/ur10.toml"));
         command.args(extra).current_dir(folder.path()).output().unwrap()
     };
@@ -194,8 +195,35 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     }
     let written = std::fs::read_to_string(folder.path().join("out/calibration.toml")).unwrap();
     assert!(written.contains("rsin17_2") && written.contains("tracker_rx"));
-    let refused = command(&[]);
-    assert!(!refused.status.success() && String::from_utf8_lossy(&refused.stderr).contains("--mapping"));
+    let refused = |extra: &[&str]| {
+        let output = command(extra);
+        assert!(!output.status.success(), "{extra:?}");
+        String::from_utf8(output.stderr).unwrap()
+    };
+    assert!(refused(&[]).contains("--mapping"));
+    // What a calibration with a tracker does not know is no option of it.
+    for bar_only in
+        [["--cost", "length"], ["--selection", "cell"], ["--free", "rbeta2"], ["--truth", "truth.toml"]]
+    {
+        let said = refused(&[&mapping[..], &bar_only].concat());
+        assert!(said.contains("unexpected argument") && said.contains(bar_only[0]), "{said}");
+    }
+    assert!(refused(&[&mapping[..2], &["--fix", "bd3"]].concat()).contains("bd3"));
+    // A file that is missing is said before the fit, and nothing is written.
+    std::fs::remove_dir_all(folder.path().join("out")).unwrap();
+    assert!(refused(&[&mapping[..2], &["--validate", "missing.csv"]].concat()).contains("missing.csv"));
+    assert!(!folder.path().join("out").exists());
+}
+
+#[test]
+fn what_is_fixed_by_name_stays_where_it_starts() {
+    let (rows, ..) = made_up(300, 2e-5, 3e-4);
+    let fixed = ["ra2", "probe_x", "rsin1_3"].map(|name| name.parse::<ParameterId>().unwrap());
+    let report = calibrate(&rows, &ur10(), &PoseOptions { fix: fixed.to_vec(), ..quick() }).unwrap();
+    for id in fixed {
+        let parameter = report.model.parameter(id).unwrap();
+        assert_eq!((parameter.value, parameter.role), (parameter.nominal, Role::Fixed), "{id}");
+    }
 }
 
 /// Mean, p95 and max of the position \[mm\] are below these.

@@ -191,8 +191,7 @@ fn calibrated_from_lengths(rows: u32, out: &Path) -> Output {
     let path = inputs.path().join("lengths.csv");
     std::fs::write(&path, lengths::table(&robot, rows, 0.0)).unwrap();
     let mapping = repository("config/measured_length.toml");
-    let arguments =
-        ["calibrate", "--measured-lengths", path.to_str().unwrap(), "--mapping", mapping.to_str().unwrap()];
+    let arguments = ["calibrate", "wire", path.to_str().unwrap(), "--mapping", mapping.to_str().unwrap()];
     identify(&arguments, ROBOT, out)
 }
 

@@ -4,10 +4,10 @@ use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 
 use super::by_cost::WithResidual;
-use super::terms::Candidate;
 use super::config::{CostName, IdentifyConfig};
 use super::several::{self, Run};
 use super::structure::StructureError;
+use super::terms::Candidate;
 use crate::cost::{CostError, Residual, SharedColumns};
 use crate::kinematics::{BAR_JOINTS, LinkParameter, ball_bar_chain, robot_chain};
 use crate::logs::{RobotLog, Unwrapped};

@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 
-use super::terms::TermGroup;
 use super::robust::LossName;
+use super::terms::TermGroup;
 use crate::cost::AngleNoise;
 use crate::kinematics::{BAR_JOINTS, LinkParameter};
 use crate::model::{JointTerm, Model, ModelError, ParameterId, Role, Selection};
@@ -66,6 +66,7 @@ impl CostName {
 /// Named sets of free parameters.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
 pub enum SelectionName {
     /// The thesis' 38 and the clocks.
     Thesis,
@@ -73,6 +74,7 @@ pub enum SelectionName {
     #[default]
     Cell,
     /// All that the poses determine: of each dependent group the parameter that is best fixed is left out.
+    #[value(alias = "all-identifiable")]
     AllIdentifiable,
     /// The same, each number of the links expected at its nominal value within a tolerance, which is scaled until
     /// held-out stretches of the run are predicted best.

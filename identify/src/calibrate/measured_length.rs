@@ -19,7 +19,7 @@ use nalgebra::Vector3;
 use super::split::{self, HoldOut};
 use crate::cost::{LoopProblem, MeasuredLength};
 use crate::kinematics::{Chain, LinkParameter};
-use crate::model::{Axis, Model, Observation, ParameterId, PerObservation, Role, Unit};
+use crate::model::{Axis, Model, ModelError, Observation, ParameterId, PerObservation, Role, Unit};
 use crate::solver::{GraduatedOptions, Loss, Noise, Options, Solution, solve_graduated};
 
 pub use drift::Drift;
@@ -40,7 +40,7 @@ pub struct LengthRow {
 }
 
 /// How the calibration is done.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct LengthOptions {
     /// What is held out together, from the figures and from each fold of the choice of a drift.
     pub hold_out: HoldOut,
@@ -65,6 +65,8 @@ pub struct LengthOptions {
     pub run_limit: Option<f64>,
     /// A drift of the instrument's zero along the file may be taken.
     pub drift: bool,
+    /// Parameters that stay where they start: links at nominal, the wire attached at the flange's origin, no offset.
+    pub fix: Vec<ParameterId>,
 }
 
 impl Default for LengthOptions {
@@ -81,6 +83,7 @@ impl Default for LengthOptions {
             residual_limit: 8.0,
             run_limit: Some(3.0),
             drift: true,
+            fix: Vec::new(),
         }
     }
 }
@@ -188,7 +191,7 @@ fn fit_wire(
     for axis in Axis::ALL {
         model.set_value(ParameterId::Anchor(axis), anchor_m[axis.index()])?;
     }
-    model.set_roles(wire_ids(), Role::Free)?;
+    model.set_roles(wire_ids().filter(|id| !options.fix.contains(id)), Role::Free)?;
     // A first fit with nothing called an outlier, only to learn the scale.
     fit(model, rows, chosen, Loss::Squared, 1e-3)?;
     let sigma_m = scale_m(model, rows, chosen, options);
@@ -197,7 +200,12 @@ fn fit_wire(
 
 /// Priors on the links around nominal.
 fn free_links(model: &mut Model, options: &LengthOptions) -> Result<(), LengthError> {
-    let links: Vec<_> = model.parameters().iter().filter(|p| is_link(p.id)).copied().collect();
+    let links: Vec<_> = model
+        .parameters()
+        .iter()
+        .filter(|one| is_link(one.id) && !options.fix.contains(&one.id))
+        .copied()
+        .collect();
     for link in links {
         let sigma = match link.id.unit() {
             Unit::Metre => options.link_sigma_m,
@@ -322,6 +330,9 @@ pub fn calibrate(
         return Err(LengthError::TooFewRows { rows: fitting.len(), needed: ROWS_MIN });
     }
     let mut model = Model::measured_length(robot);
+    if let Some(&id) = options.fix.iter().find(|id| model.parameter(**id).is_none()) {
+        return Err(ModelError::NotInModel { id }.into());
+    }
     fit_wire(&mut model, rows, &fitting, options)?;
     let before = residuals_m(&model, rows);
     let LinkFit { solution, sigma_m, rejected: faulty } = fit_links(&mut model, rows, &fitting, options)?;

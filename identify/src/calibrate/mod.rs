@@ -21,3 +21,4 @@ pub mod truth;
 
 pub use config::{CostName, IdentifyConfig, JointTermsConfig, NoiseConfig, SelectionName};
 pub use robust::{LossName, solve_from_subsets, solve_robust};
+pub use split::HoldOut;

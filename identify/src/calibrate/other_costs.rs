@@ -1,9 +1,9 @@
 //! The same runs by the other costs that their encoders allow: what each would have said of the robot.
 
 use super::ball_bar::{BallBarCalibration, CalibrateError, solve_by};
-use super::terms::TermGroup;
 use super::config::{CostName, IdentifyConfig, SelectionName};
 use super::several::{Run, Solved};
+use super::terms::TermGroup;
 use crate::kinematics::LinkParameter;
 use crate::model::{Model, ModelError, ParameterId, Role};
 use crate::solver::{SolveError, Watch};

@@ -123,9 +123,10 @@ pub struct Verdict {
     pub accepted: bool,
 }
 
-/// How often terms that are not there are taken, at most: one in so many offers. Terms that fit nothing but noise make
-/// predictions worse on average, so the true rate is well below.
-const FALSE_ALARMS: f64 = 0.05;
+/// One-sided level of the test whether left-out folds are predicted better. Terms that fit nothing but noise make predictions
+/// worse, so that of terms that are not there far fewer are taken: simulated, 3 to 4 of 100 groups of one parameter, 1 to 4
+/// of groups of twelve, with noise that is white and with noise that lasts for ten samples.
+const LEVEL: f64 = 0.15;
 /// A fall of less than this part of the mean squared residual changes nothing that is reported.
 const TRIFLE: f64 = 1e-3;
 
@@ -145,8 +146,7 @@ pub(super) fn falls(before: &[f64], after: &[f64]) -> bool {
     let Ok(student) = StudentsT::new(0.0, 1.0, freedom) else { return false };
     let variance = fall.iter().map(|one| (one - by).powi(2)).sum::<f64>() / freedom;
     let standard_error = (variance / fall.len() as f64).sqrt();
-    by > student.inverse_cdf(1.0 - FALSE_ALARMS) * standard_error
-        && mean(after) < (1.0 - TRIFLE) * mean(before)
+    by > student.inverse_cdf(1.0 - LEVEL) * standard_error && mean(after) < (1.0 - TRIFLE) * mean(before)
 }
 
 /// Forward selection: of all offers the one that predicts left-out folds best is taken, then the best of the rest beside
@@ -325,10 +325,10 @@ mod tests {
     }
 
     #[test]
-    fn terms_that_are_not_there_are_taken_no_more_often_than_stated() {
+    fn of_a_hundred_terms_that_are_not_there_fewer_than_five_are_taken() {
         let trials = 400;
         let taken = |seed| Waves::new(seed, 0.0).verdicts().iter().filter(|one| one.accepted).count();
         let rate = (0..trials).map(taken).sum::<usize>() as f64 / (2.0 * trials as f64);
-        assert!(rate < FALSE_ALARMS, "{rate}");
+        assert!(rate < 0.05, "{rate}");
     }
 }

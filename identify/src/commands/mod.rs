@@ -7,6 +7,8 @@ mod inspect;
 mod on_terminal;
 mod simulate;
 
+use std::ffi::OsString;
+
 use clap::{Parser, Subcommand};
 
 /// Calibrates a robot from a ball-bar recording and the robot's own log.
@@ -29,6 +31,20 @@ enum Command {
     Compare(compare::CompareArguments),
     /// Make an experiment with known errors: a recording, a robot log, and the truth beside them.
     Simulate(simulate::SimulateArguments),
+}
+
+impl Arguments {
+    /// What was typed, or clap's own message and exit. `identify calibrate --recording ..` means the ball-bar.
+    pub fn typed() -> Self {
+        let mut words: Vec<OsString> = std::env::args_os().collect();
+        let is_option = |word: &OsString| word.to_str().is_some_and(|word| word.starts_with("--"));
+        let bar = words.get(1).is_some_and(|word| word == "calibrate")
+            && words.get(2).is_some_and(|word| is_option(word) && word != "--help");
+        if bar {
+            words.insert(2, "bar".into());
+        }
+        Self::parse_from(words)
+    }
 }
 
 /// Does what was typed; an error's text is meant for a person.

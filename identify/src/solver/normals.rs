@@ -44,11 +44,7 @@ impl Normal {
     /// The same rows about a point that is a step away.
     #[must_use]
     fn moved(&self, step: &DVector<f64>) -> Self {
-        Self {
-            gradient: &self.gradient + &self.matrix * step,
-            squared: self.after(step),
-            ..self.clone()
-        }
+        Self { gradient: &self.gradient + &self.matrix * step, squared: self.after(step), ..self.clone() }
     }
 
     /// The same rows with some of the columns, in this order.
@@ -299,7 +295,8 @@ mod tests {
         let mut expected = DMatrix::zeros(2, 2);
         for fold in &folds {
             let samples = (0..40).filter(|sample| !fold.contains(sample)).collect();
-            let moved = DVector::from_vec(solved(&Subset { of: &line, samples })) - DVector::from_vec(x.clone());
+            let moved =
+                DVector::from_vec(solved(&Subset { of: &line, samples })) - DVector::from_vec(x.clone());
             expected += 0.8 * &moved * moved.transpose();
         }
         assert!((found - &expected).amax() < 1e-9 * expected.amax());

@@ -23,4 +23,3 @@ pub use nominal::uncalibrated;
 pub use shift::{ShiftCurve, shift_curve};
 pub use sphere_deviation::{Deviation, OffSphere, PositiveForce, SphereDeviation, Stretch};
 pub use workspace::{Expected, WorkspaceError, workspace_error};
-

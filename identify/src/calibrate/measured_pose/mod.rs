@@ -16,9 +16,9 @@ mod validate;
 use nalgebra::{Rotation3, Vector3};
 
 use super::LossName;
-use super::split::{self, Split};
+use super::split::{self, HoldOut, Split};
 use crate::kinematics::{Chain, LinkParameter, Pose, ROBOT_JOINTS};
-use crate::model::{Axis, Model, ParameterId, Role, Unit};
+use crate::model::{Axis, Model, ModelError, ParameterId, Role, Unit};
 use crate::solver::{Solution, Summary};
 use samples::{Samples, Weighing};
 
@@ -26,7 +26,6 @@ pub use error::PoseError;
 pub(super) use figures::quantile;
 pub use figures::{Apart, PoseFigures, Sizes, Stages};
 pub use report::PoseReport;
-pub use super::split::HoldOut;
 pub use terms::TermReport;
 pub use validate::validate;
 
@@ -45,7 +44,7 @@ pub struct PoseRow {
 pub const WAVES_PER_TURN_MAX: u8 = 64;
 
 /// How the calibration is done.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct PoseOptions {
     /// What is held out together, from the figures and from each fold of the choice of joint errors.
     pub hold_out: HoldOut,
@@ -63,6 +62,8 @@ pub struct PoseOptions {
     pub waves_per_turn_max: u8,
     /// Joint errors may be taken.
     pub joint_errors: bool,
+    /// Parameters that stay where they start: links at nominal, the probe on the flange, no joint error.
+    pub fix: Vec<ParameterId>,
 }
 
 impl Default for PoseOptions {
@@ -76,6 +77,7 @@ impl Default for PoseOptions {
             link_sigma_rad: 2e-2,
             waves_per_turn_max: WAVES_PER_TURN_MAX,
             joint_errors: true,
+            fix: Vec::new(),
         }
     }
 }
@@ -147,6 +149,7 @@ struct Fit<'a> {
     fitting: &'a [usize],
     samples: Samples,
     loss: LossName,
+    fix: &'a [ParameterId],
 }
 
 impl<'a> Fit<'a> {
@@ -155,8 +158,9 @@ impl<'a> Fit<'a> {
         directions: &'a [[f64; ROBOT_JOINTS]],
         fitting: &'a [usize],
         loss: LossName,
+        fix: &'a [ParameterId],
     ) -> Self {
-        Self { rows, directions, fitting, samples: Samples::of(rows, directions, fitting), loss }
+        Self { rows, directions, fitting, samples: Samples::of(rows, directions, fitting), loss, fix }
     }
 
     fn errors(&self, model: &Model) -> Vec<Apart> {
@@ -182,7 +186,9 @@ impl<'a> Fit<'a> {
                 (ParameterId::Probe(axis), tracker.probe.position_m),
                 (ParameterId::ProbeRotation(axis), tracker.probe.rotation_rad),
             ] {
-                model.set_value(id, value[axis.index()])?;
+                if !self.fix.contains(&id) {
+                    model.set_value(id, value[axis.index()])?;
+                }
                 model.set_role(id, self.placement_role(id))?;
             }
         }
@@ -207,6 +213,7 @@ impl<'a> Fit<'a> {
 
     fn placement_role(&self, id: ParameterId) -> Role {
         match id {
+            id if self.fix.contains(&id) => Role::Fixed,
             ParameterId::Probe(_) => Role::Prior { value: 0.0, sigma: PROBE_SIGMA_M },
             // Positions alone do not tell how the probe is turned.
             ParameterId::ProbeRotation(_) if self.samples.cost() == "measured_position" => Role::Fixed,
@@ -216,7 +223,7 @@ impl<'a> Fit<'a> {
 
     /// The links as well, with their priors.
     fn links(&self, model: &mut Model, robot: &Chain, options: &PoseOptions) -> Result<Solution, PoseError> {
-        for id in link_ids(robot) {
+        for id in link_ids(robot).into_iter().filter(|id| !self.fix.contains(id)) {
             let Some(nominal) = model.parameter(id).map(|parameter| parameter.nominal) else { continue };
             let sigma = match id.unit() {
                 Unit::Metre => options.link_sigma_m,
@@ -235,7 +242,7 @@ impl<'a> Fit<'a> {
         folds: &[Vec<usize>],
         options: &PoseOptions,
     ) -> Result<(Vec<TermReport>, Summary), PoseError> {
-        let kinds = terms::kinds(options.waves_per_turn_max);
+        let kinds = terms::kinds(options.waves_per_turn_max, self.fix);
         *model = model.clone().with_joint_waves(ParameterId::joint_waves(options.waves_per_turn_max));
         let choose = |model: &mut Model| {
             for kind in &kinds {
@@ -272,8 +279,14 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &PoseOptions) -> Resu
         return Err(PoseError::TooFewRows { rows: fitting.len(), needed: ROWS_MIN });
     }
     let directions = samples::directions(rows);
-    let fit = Fit::new(rows, &directions, &fitting, options.loss);
+    let fit = Fit::new(rows, &directions, &fitting, options.loss, &options.fix);
     let mut model = Model::measured_pose(robot);
+    let waves = || ParameterId::joint_waves(options.waves_per_turn_max);
+    if let Some(&id) =
+        options.fix.iter().find(|id| model.parameter(**id).is_none() && waves().all(|one| one != **id))
+    {
+        return Err(ModelError::NotInModel { id }.into());
+    }
     fit.place(&mut model)?;
     let nominal = fit.errors(&model);
     let solution = fit.links(&mut model, robot, options)?;

@@ -155,9 +155,7 @@ impl Samples {
                 let residual = MeasuredPose { measured, noise: weighing.noise };
                 self.normals_of(model, residual, 1.0, weighing.loss, folds)
             }
-            None => {
-                self.normals_of(model, self.position(), weighing.noise.position_m, weighing.loss, folds)
-            }
+            None => self.normals_of(model, self.position(), weighing.noise.position_m, weighing.loss, folds),
         }
     }
 

@@ -36,8 +36,8 @@ fn joint_terms(wanted: fn(JointTerm) -> bool) -> Vec<ParameterId> {
     ParameterId::joint_terms().filter(term).collect()
 }
 
-/// What a robot's joints can be wrong by.
-pub(super) fn kinds(waves_last: u8) -> Vec<Kind> {
+/// What a robot's joints can be wrong by, but for parameters that are fixed.
+pub(super) fn kinds(waves_last: u8, fix: &[ParameterId]) -> Vec<Kind> {
     const ANGLES_RAD: &[f64] = &[20e-6, 100e-6, 500e-6];
     const SHARES: &[f64] = &[20e-6, 100e-6, 500e-6];
     use JointTerm::{Backlash, Compliance, Cosine, Ratio, Sine};
@@ -59,6 +59,8 @@ pub(super) fn kinds(waves_last: u8) -> Vec<Kind> {
         ),
     ];
     kinds.extend(BANDS.iter().filter_map(|band| waves(band, waves_last)));
+    kinds.iter_mut().for_each(|kind| kind.ids.retain(|id| !fix.contains(id)));
+    kinds.retain(|kind| !kind.ids.is_empty());
     kinds
 }
 

@@ -37,7 +37,7 @@ fn judged(rows: &[PoseRow], robot: &Model, seed: u64) -> Result<PoseFigures, Pos
         if fitting.len() < ROWS_MIN {
             return Err(PoseError::TooFewRows { rows: fitting.len(), needed: ROWS_MIN });
         }
-        let fit = Fit::new(rows, &directions, &fitting, LossName::Huber);
+        let fit = Fit::new(rows, &directions, &fitting, LossName::Huber, &[]);
         let mut model = robot.clone();
         fit.place(&mut model)?;
         let found = fit.errors(&model);

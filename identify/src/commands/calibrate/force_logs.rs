@@ -4,15 +4,15 @@ use std::path::PathBuf;
 
 use shared::config::{self, RobotConfig};
 
-use super::CalibrateArguments;
+use super::bar::BarArguments;
 use crate::logs::{ForceLog, ForceLogMapping};
 
 /// The force of each recording, where there is a file of it.
 pub(super) fn force_logs(
-    arguments: &CalibrateArguments,
+    arguments: &BarArguments,
     robot: &RobotConfig,
 ) -> anyhow::Result<Vec<Option<ForceLog>>> {
-    let CalibrateArguments { recording, force_log, force_mapping, .. } = arguments;
+    let BarArguments { recording, force_log, force_mapping, .. } = arguments;
     if force_log.is_empty() {
         return Ok(vec![None; recording.len()]);
     }

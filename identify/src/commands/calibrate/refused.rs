@@ -5,7 +5,8 @@ use std::path::Path;
 use anyhow::Context;
 use shared::config::RobotConfig;
 
-use super::{CalibrateArguments, RunFiles, input_files, inputs, sources};
+use super::bar::{BarArguments, RunFiles, input_files};
+use super::{CommonArguments, inputs, sources};
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::ball_bar::CalibrateError;
 use crate::calibrate::refusal::{Refusal, Refuses};
@@ -25,7 +26,7 @@ struct Attempt<'a> {
 
 /// The error of a calibration from measured rows, as the terminal tells it; `files` begin with that of the rows.
 pub(super) fn of_rows<E>(
-    arguments: &CalibrateArguments,
+    arguments: &CommonArguments,
     robot: &RobotConfig,
     files: &[(&'static str, &Path)],
     options: &dyn std::fmt::Debug,
@@ -47,7 +48,7 @@ where
 
 /// The error of a calibration from runs with the ball-bar, as the terminal tells it.
 pub(super) fn of_runs(
-    arguments: &CalibrateArguments,
+    arguments: &BarArguments,
     robot: &RobotConfig,
     runs: &[RunFiles<'_>],
     config: &IdentifyConfig,
@@ -59,7 +60,7 @@ pub(super) fn of_runs(
         files: &input_files(arguments, runs),
         // Without its configuration a page is still of use.
         configuration: toml::to_string(config).unwrap_or_else(|error| error.to_string()),
-        directory: &arguments.out,
+        directory: &arguments.common.out,
     };
     let of_one = match &error {
         CalibrateError::Prepare { run, .. } => runs.get(*run..=*run),

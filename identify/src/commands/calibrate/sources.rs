@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::RunFiles;
+use super::bar::RunFiles;
 use crate::inspect::{self, Inspection};
 use crate::logs::BarLog;
 use crate::report::page::Source;

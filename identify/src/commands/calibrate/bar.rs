@@ -1,0 +1,295 @@
+//! `identify calibrate bar`: recordings of the ball-bar with the robot's logs.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use clap::Args;
+use shared::config::{self, BallBarConfig, RobotConfig};
+
+use super::force_logs::force_logs;
+use super::sources::sources;
+use super::{CommonArguments, inputs, refused};
+use crate::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
+use crate::calibrate::truth::Comparison;
+use crate::calibrate::{CostName, IdentifyConfig, LossName, SelectionName};
+use crate::commands::on_terminal::OnTerminal;
+use crate::logs::{self, BarLog, BarLogMapping, LogFormat, LogOptions, RobotLog, RobotLogMapping};
+use crate::model::{Model, ParameterId};
+use crate::prepare::{Prepared, WiringChoice};
+use crate::report::file::{CalibrationFile, ClockEntry, ParameterEntry, SolveEntry};
+use crate::report::force::ForceEntry;
+use crate::report::page::Page;
+use crate::report::table;
+use crate::simulate::Truth;
+use crate::study::evidence;
+
+/// What a calibration with the ball-bar is told.
+#[derive(Debug, Args)]
+pub struct BarArguments {
+    /// Recording of the ball-bar (.mcap; or a CSV of counters, or a ROS 2 bag); several runs of one robot are solved together
+    #[arg(long, value_name = "FILE", required = true)]
+    pub(super) recording: Vec<PathBuf>,
+    /// Which column or joint of recordings of other programs is what, such as config/bar_log.toml
+    #[arg(long, value_name = "FILE")]
+    recording_mapping: Option<PathBuf>,
+    /// The robot's own log (CSV, ROS 2 bag, UR RTDE, ABB EGM, KUKA RSI), one for each recording in the same order
+    #[arg(long, value_name = "FILE", required = true)]
+    pub(super) robot_log: Vec<PathBuf>,
+    /// Kind of the robot's logs; default: told by their content
+    #[arg(long, value_name = "KIND")]
+    log_format: Option<LogFormat>,
+    /// Which column or joint of the robot's logs is what, such as config/robot_log.toml
+    #[arg(long, value_name = "FILE")]
+    log_mapping: Option<PathBuf>,
+    /// Force on the bar (.csv with t_s and force_N), one for each recording, on the robot's clock or the bar's; a force in the
+    /// robot's log is then not read
+    #[arg(long, value_name = "FILE")]
+    pub(super) force_log: Vec<PathBuf>,
+    /// Which column of the force logs is what, such as config/force_log.toml
+    #[arg(long, value_name = "FILE", requires = "force_log")]
+    pub(super) force_mapping: Option<PathBuf>,
+    /// Take the bar as rigid although the robot's log has a force
+    #[arg(long, conflicts_with = "force_log")]
+    ignore_force: bool,
+    /// The bar's configuration, such as config/ball_bar.toml: one for all recordings, or one for each
+    #[arg(long, value_name = "FILE", required = true)]
+    bar: Vec<PathBuf>,
+    #[command(flatten)]
+    pub(super) common: CommonArguments,
+    /// What to minimise, what is free; default: see config/identify.toml
+    #[arg(long, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Cost; default: the best that the encoders allow
+    #[arg(long)]
+    cost: Option<CostName>,
+    /// How much samples count that do not fit; default: huber with pose, none with the others
+    #[arg(long)]
+    loss: Option<LossName>,
+    /// Start from random subsets of the samples: where more than a fifth of them may be wrong
+    #[arg(long)]
+    ransac: bool,
+    /// Free parameters
+    #[arg(long)]
+    selection: Option<SelectionName>,
+    /// Also free these parameters
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    free: Vec<String>,
+    /// Fix these parameters
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    fix: Vec<String>,
+    /// Which encoder sits on which joint: find, recorded, or for each encoder of the recording its joint, negative where
+    /// it counts the other way, such as 1,2,-3,5,4; default: find
+    #[arg(long, value_name = "WIRING", allow_hyphen_values = true)]
+    encoders: Option<WiringChoice>,
+    /// True parameters of a simulated experiment (the first one), to compare with
+    #[arg(long, value_name = "FILE")]
+    truth: Option<PathBuf>,
+}
+
+/// The configuration file with what was typed on top of it.
+fn identify_config(arguments: &BarArguments) -> anyhow::Result<IdentifyConfig> {
+    let file = arguments.config.as_deref();
+    let mut config: IdentifyConfig = file.map_or_else(|| Ok(IdentifyConfig::default()), config::load)?;
+    config.cost = arguments.cost.or(config.cost);
+    config.loss = arguments.loss.or(config.loss);
+    config.ransac |= arguments.ransac;
+    config.selection = arguments.selection.unwrap_or(config.selection);
+    config.free.extend_from_slice(&arguments.free);
+    config.fix.extend_from_slice(&arguments.fix);
+    if let Some(encoders) = &arguments.encoders {
+        config.prepare.encoders.clone_from(encoders);
+    }
+    Ok(config)
+}
+
+/// One run as it was read.
+pub(super) struct RunFiles<'a> {
+    pub(super) recording_path: &'a Path,
+    pub(super) log_path: &'a Path,
+    bar_path: &'a Path,
+    pub(super) recording: BarLog,
+    pub(super) log: RobotLog,
+    pub(super) bar: BallBarConfig,
+}
+
+fn runs<'a>(arguments: &'a BarArguments, robot: &RobotConfig) -> anyhow::Result<Vec<RunFiles<'a>>> {
+    let log_mapping: Option<RobotLogMapping> =
+        arguments.log_mapping.as_deref().map(config::load).transpose()?;
+    let log_options = LogOptions { format: arguments.log_format, mapping: log_mapping };
+    let bar_mapping: Option<BarLogMapping> =
+        arguments.recording_mapping.as_deref().map(config::load).transpose()?;
+    let BarArguments { recording, robot_log, bar, .. } = arguments;
+    anyhow::ensure!(
+        recording.len() == robot_log.len(),
+        "{} recordings and {} robot logs; give one --robot-log for each --recording, in the same order",
+        recording.len(),
+        robot_log.len()
+    );
+    anyhow::ensure!(
+        bar.len() == 1 || bar.len() == recording.len(),
+        "{} recordings and {} bars; give one --bar for all, or one for each --recording",
+        recording.len(),
+        bar.len()
+    );
+    let forces = force_logs(arguments, robot)?;
+    let bars = bar.iter().cycle();
+    let read =
+        |(((recording_path, log_path), bar_path), force): (((&'a PathBuf, &'a PathBuf), &'a PathBuf), _)| {
+            let bar: BallBarConfig = config::load(bar_path)?;
+            let mut log = load_log(log_path, robot, &log_options)?;
+            log.force = if arguments.ignore_force { None } else { Option::or(force, log.force) };
+            Ok(RunFiles {
+                recording: load_recording(recording_path, &bar, bar_mapping.as_ref())?,
+                log,
+                bar,
+                recording_path,
+                log_path,
+                bar_path,
+            })
+        };
+    recording.iter().zip(robot_log).zip(bars).zip(forces).map(read).collect()
+}
+
+/// Reads the bar's side of a run and says what is odd about it, and what its file cannot say.
+fn load_recording(
+    path: &Path,
+    bar: &BallBarConfig,
+    mapping: Option<&BarLogMapping>,
+) -> anyhow::Result<BarLog> {
+    let log = BarLog::load(path, bar, mapping)?;
+    if let BarLog::Other(other) = &log {
+        tracing::info!("{}: {}; it does not say {}", path.display(), other.kind, other.unknown.join(", "));
+        for remark in &other.quality.remarks {
+            tracing::warn!("{}: {remark}", path.display());
+        }
+    }
+    Ok(log)
+}
+
+/// Reads a robot's log and says what is odd about it.
+fn load_log(path: &Path, robot: &RobotConfig, options: &LogOptions) -> anyhow::Result<RobotLog> {
+    let log = logs::load_with(path, robot, options)?;
+    for remark in &log.quality.remarks {
+        tracing::warn!("{}: {remark}", path.display());
+    }
+    Ok(log)
+}
+
+/// Reads, calibrates, writes and prints.
+pub(super) fn run(arguments: &BarArguments) -> anyhow::Result<()> {
+    let robot = &arguments.common.robot()?;
+    let config = identify_config(arguments)?;
+    let truth = arguments.truth.as_deref().map(load_truth).transpose()?;
+    let runs = runs(arguments, robot)?;
+    let inputs: Vec<RunInput<'_>> = runs
+        .iter()
+        .map(|run| RunInput {
+            cycles: run.recording.cycles(),
+            encoders: run.recording.encoders(),
+            unwrapped: run.recording.unwrapped(),
+            log: &run.log,
+            bar: &run.bar,
+        })
+        .collect();
+    let on_terminal = OnTerminal::new();
+    let calibration = ball_bar::calibrate_runs(&inputs, robot, &config, Some(&on_terminal));
+    let limits_deg = &robot.joint_limits_deg;
+    let studied = calibration.and_then(|calibration| {
+        let evidence = evidence(&calibration, limits_deg);
+        let evidence = evidence.with_validation(&calibration, &config, limits_deg, Some(&on_terminal))?;
+        Ok((calibration, evidence))
+    });
+    on_terminal.finish();
+    let (calibration, evidence) =
+        studied.map_err(|error| refused::of_runs(arguments, robot, &runs, &config, error))?;
+    let mut file = calibration_file(arguments, robot, &runs, &calibration)?.with_validation(&evidence);
+    let mut forces = ForceEntry::all(&evidence.spheres).into_iter();
+    (file.force, file.other_forces) = (forces.next(), forces.collect());
+    let written = file.write(&arguments.common.out)?;
+    file.write_robot(robot, runs.first().map(|run| &run.bar), &arguments.common.out)?;
+    let page = Page {
+        file: &file,
+        calibration: &calibration,
+        evidence: &evidence,
+        sources: &sources(&runs),
+        configuration: &toml::to_string(&config)?,
+    };
+    let page = page.write(&arguments.common.out)?;
+    print!("{}", table::calibration(&file));
+    for limit in evidence.limits.iter().filter(|limit| limit.serious) {
+        println!("! {}", limit.sentence);
+    }
+    if let Some(truth) = &truth {
+        print!("\n{}", table::comparison(&Comparison::new(&calibration, truth)));
+    }
+    println!("\n{}\n{}", written.display(), page.display());
+    Ok(())
+}
+
+/// Every file that was read, with what it is.
+pub(super) fn input_files<'a>(
+    arguments: &'a BarArguments,
+    runs: &'a [RunFiles<'_>],
+) -> Vec<(&'static str, &'a Path)> {
+    let mut files = vec![("robot", arguments.common.robot.as_path())];
+    for run in runs {
+        files.extend([("recording", run.recording_path), ("robot log", run.log_path), ("bar", run.bar_path)]);
+    }
+    let mappings = [
+        ("recording mapping", &arguments.recording_mapping),
+        ("robot log mapping", &arguments.log_mapping),
+        ("force log mapping", &arguments.force_mapping),
+    ];
+    for (role, path) in mappings {
+        files.extend(path.as_deref().map(|path| (role, path)));
+    }
+    files.extend(arguments.force_log.iter().map(|path| ("force log", path.as_path())));
+    files
+}
+
+fn calibration_file(
+    arguments: &BarArguments,
+    robot: &RobotConfig,
+    runs: &[RunFiles<'_>],
+    calibration: &BallBarCalibration,
+) -> anyhow::Result<CalibrationFile> {
+    let solution = &calibration.solution;
+    let bar = runs.first().map_or("", |run| run.bar.name.as_str());
+    let mut clocks = (runs.iter().zip(calibration.runs()))
+        .map(|(run, (prepared, model))| clock_entry(&run.recording, prepared, model));
+    let mut file = CalibrationFile::new(
+        &robot.name,
+        bar,
+        SolveEntry::new(calibration.cost.name(), &solution.summary, &solution.identifiability),
+        clocks.next(),
+        inputs(&input_files(arguments, runs))?,
+        ParameterEntry::of_runs(calibration),
+    )
+    .with_knowledge(&calibration.model, solution);
+    file.other_clocks = clocks.collect();
+    file.candidates.clone_from(&calibration.candidates);
+    Ok(file)
+}
+
+/// `recording` is the one whose clock it is.
+fn clock_entry(recording: &BarLog, prepared: &Prepared, model: &Model) -> ClockEntry {
+    let has_date = !matches!(recording, BarLog::Other(other) if !other.is_dated);
+    let value = |id| model.parameter(id).map_or(0.0, |parameter| parameter.value);
+    ClockEntry {
+        reference_utc: if has_date {
+            prepared.t_ref.to_string()
+        } else {
+            format!("{:.3} s (the recording's clock, zero unknown)", prepared.t_ref.0 as f64 * 1e-9)
+        },
+        robot_minus_bar_ns: prepared.clock_difference_ns(value(ParameterId::ClockShift)),
+        skew_ppm: value(ParameterId::ClockSkew) * 1e6,
+        correlation: prepared.alignment.correlation,
+        overlap_s: prepared.alignment.overlap_s,
+    }
+}
+
+fn load_truth(path: &Path) -> anyhow::Result<Truth> {
+    let text = std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+    toml::from_str(&text)
+        .with_context(|| format!("{} is no truth.toml of `identify simulate`", path.display()))
+}

@@ -1,0 +1,112 @@
+//! `identify calibrate tracker`: positions or poses measured by a tracker.
+
+use std::path::{Path, PathBuf};
+
+use anyhow::Context;
+use clap::Args;
+use shared::config;
+
+use super::{CommonArguments, RowArguments, inputs, refused};
+use crate::calibrate::LossName;
+use crate::calibrate::measured_pose::{self, PoseOptions, PoseReport, PoseRow, WAVES_PER_TURN_MAX};
+use crate::kinematics::{Chain, flange_chain};
+use crate::logs::{MeasuredPoseMapping, MeasuredPoses};
+use crate::model::{JointWaves, ParameterId};
+use crate::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
+use crate::report::{poses, table};
+
+/// What a calibration with a tracker is told.
+#[derive(Debug, Args)]
+pub struct TrackerArguments {
+    /// Poses measured by a tracker (.csv), rows in the order of the robot's motion
+    #[arg(value_name = "FILE")]
+    poses: PathBuf,
+    #[command(flatten)]
+    rows: RowArguments,
+    /// Other files of measured poses that judge the robot; tracker and probe may be elsewhere
+    #[arg(long, value_name = "FILES", value_delimiter = ',')]
+    validate: Vec<PathBuf>,
+    /// Highest number of waves per turn that the errors of joints may have; 3 to 127
+    #[arg(long, value_name = "N", default_value_t = WAVES_PER_TURN_MAX,
+          value_parser = clap::value_parser!(u8).range(i64::from(JointWaves::FIRST)..=i64::from(JointWaves::LAST)))]
+    joint_waves: u8,
+    /// How much rows count that do not fit; default: huber
+    #[arg(long)]
+    loss: Option<LossName>,
+    #[command(flatten)]
+    common: CommonArguments,
+}
+
+fn rows(path: &Path, mapping: &MeasuredPoseMapping) -> anyhow::Result<Vec<PoseRow>> {
+    let row = |row: &crate::logs::MeasuredPose| PoseRow {
+        joints_rad: row.q_rad,
+        position_m: row.position_m,
+        rotation: row.rotation,
+    };
+    Ok(MeasuredPoses::load(path, mapping)?.rows.iter().map(row).collect())
+}
+
+fn is_wave(name: &str) -> bool {
+    matches!(name.parse::<ParameterId>(), Ok(ParameterId::JointWave { .. }))
+}
+
+/// The calibrated robot on rows of other files.
+fn validations(
+    others: &[(&PathBuf, Vec<PoseRow>)],
+    robot: &Chain,
+    report: &PoseReport,
+    seed: u64,
+) -> anyhow::Result<Vec<poses::Validation>> {
+    let one = |(path, rows): &(&PathBuf, Vec<PoseRow>)| {
+        let figures = measured_pose::validate(rows, robot, &report.model, seed)
+            .with_context(|| path.display().to_string())?;
+        Ok(poses::Validation { name: path.display().to_string(), figures })
+    };
+    others.iter().map(one).collect()
+}
+
+/// Reads, calibrates, writes and prints.
+pub(super) fn run(arguments: &TrackerArguments) -> anyhow::Result<()> {
+    let TrackerArguments { poses: path, validate, joint_waves, loss, common, .. } = arguments;
+    let RowArguments { mapping: mapping_path, hold_out, seed, fix } = &arguments.rows;
+    let robot = &common.robot()?;
+    let mapping: MeasuredPoseMapping = config::load(mapping_path)?;
+    let measured = rows(path, &mapping)?;
+    // Read before the fit: a file that is missing is said at once.
+    let others = validate.iter().map(|path| Ok((path, rows(path, &mapping)?)));
+    let others = others.collect::<anyhow::Result<Vec<_>>>()?;
+    let usual = PoseOptions::default();
+    let options = PoseOptions {
+        hold_out: hold_out.unwrap_or(usual.hold_out),
+        seed: *seed,
+        waves_per_turn_max: *joint_waves,
+        loss: loss.unwrap_or(usual.loss),
+        fix: fix.clone(),
+        ..usual
+    };
+    let chain = flange_chain(robot);
+    let files: [(&str, &Path); 3] =
+        [("measured poses", path), ("mapping", mapping_path), ("robot", &common.robot)];
+    let report = measured_pose::calibrate(&measured, &chain, &options)
+        .map_err(|error| refused::of_rows(common, robot, &files, &options, error))?;
+    let validations = validations(&others, &chain, &report, *seed)?;
+    let sigma = |id| report.sigmas.iter().find(|one| one.0 == id).map(|one| one.1);
+    let mut solve = SolveEntry::new(report.cost, &report.summary, &report.identifiability);
+    solve.parameters = report.model.columns().len();
+    let file = CalibrationFile::new(
+        &robot.name,
+        "measured poses",
+        solve,
+        None,
+        inputs(&files)?,
+        ParameterEntry::all(&report.model, sigma),
+    );
+    let written = file.write(&common.out)?;
+    file.write_robot(robot, None, &common.out)?;
+    let mut without_waves = file;
+    without_waves.parameters.retain(|entry| !is_wave(&entry.name));
+    print!("{}", table::calibration(&without_waves));
+    print!("\n{}", poses::table(&report, &validations));
+    println!("\n{}", written.display());
+    Ok(())
+}
