@@ -10,6 +10,7 @@ mod compare;
 mod draw_wire;
 mod efficiency;
 mod examination;
+mod healthy_runs;
 mod identifiability;
 mod independent;
 mod inspection;

@@ -109,9 +109,13 @@ impl Search<'_> {
                 }
             }
         }
-        hypotheses.sort_by(|a, b| a.spread_rad.total_cmp(&b.spread_rad));
-        let best_rad = hypotheses.first().map_or(0.0, |best| best.spread_rad);
-        hypotheses.retain(|one| one.spread_rad <= NEAR_BEST * best_rad);
+        let best_rad = hypotheses.iter().map(|one| one.spread_rad).fold(f64::INFINITY, f64::min);
+        let closest = hypotheses.iter().map(|one| one.matched.correlation).fold(0.0, f64::max);
+        let is_closest = |one: &Hypothesis| one.matched.correlation >= closest;
+        hypotheses.retain(|one| is_closest(one) || one.spread_rad <= NEAR_BEST * best_rad);
+        // The one whose speeds match best is never left out: where laps repeat each other nearly, many fit nearly.
+        hypotheses
+            .sort_by(|a, b| is_closest(b).cmp(&is_closest(a)).then(a.spread_rad.total_cmp(&b.spread_rad)));
         hypotheses.truncate(FITTED_MAX);
         let mut fitted: Vec<(Hypothesis, Fit)> = Vec::new();
         for hypothesis in hypotheses {
@@ -120,8 +124,9 @@ impl Search<'_> {
             let fit = self.refined(&settled, &measured, hypothesis.clock);
             fitted.extend(fit.map(|fit| (hypothesis, fit)));
         }
-        let sharpest = fitted.iter().map(|(_, fit)| fit.sigma_rad).fold(f64::INFINITY, f64::min);
-        fitted.retain(|(_, fit)| fit.sigma_rad <= TIE * sharpest);
+        // By most of the samples, not by half: another lap fits well wherever it is like the right one.
+        let sharpest = fitted.iter().map(|(_, fit)| fit.sigma_of_most_rad).fold(f64::INFINITY, f64::min);
+        fitted.retain(|(_, fit)| fit.sigma_of_most_rad <= TIE * sharpest);
         let ambiguous = fitted.len() > 1;
         // Equally good ones: the motion repeats itself, and the longest overlap is most likely.
         let longest = fitted.into_iter().reduce(|best, other| {

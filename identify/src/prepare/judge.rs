@@ -104,6 +104,9 @@ const BESIDE: usize = 5;
 const LASTING: usize = 100;
 /// Part of the step that must last.
 const LASTING_PART: f64 = 0.6;
+/// What lasts must be so many times larger than changes between such halves usually are: errors of gears and of the geometry
+/// last, too. Less than one in 10 000 runs of an hour has a change of six standard deviations among its halves.
+const TIMES_USUAL_LASTING: f64 = 6.0;
 /// Samples further apart are compared with more caution \[s\].
 const NEIGHBOURS_S: f64 = 0.5;
 
@@ -112,6 +115,8 @@ struct Steps {
     /// Change of the error at each sample of an origin, and by how much it exceeds what is usual.
     steps: Vec<(f64, f64)>,
     errors: Vec<f64>,
+    /// How much the error usually changes from [`LASTING`] samples to as many after them, standard deviation \[rad\].
+    usual_lasting_rad: f64,
 }
 
 impl Steps {
@@ -126,12 +131,18 @@ impl Steps {
             let limit_rad = (options.slip_min_mrad * 1e-3).max(1.5 * TIMES_USUAL * caution_rad);
             (*by_rad, by_rad.abs() / limit_rad)
         };
-        Self { steps: steps.iter().enumerate().map(times_usual).collect(), errors }
+        let lasting = (0..errors.len()).step_by(BESIDE).map(|at| step(&errors, at, LASTING).abs());
+        Self {
+            usual_lasting_rad: spread_of(lasting.collect()),
+            steps: steps.iter().enumerate().map(times_usual).collect(),
+            errors,
+        }
     }
 
     /// The step at `at` is there long before and after.
     fn lasts(&self, at: usize, by_rad: f64) -> bool {
-        step(&self.errors, at, LASTING) * by_rad.signum() > LASTING_PART * by_rad.abs()
+        let lasting_rad = step(&self.errors, at, LASTING) * by_rad.signum();
+        lasting_rad > (LASTING_PART * by_rad.abs()).max(TIMES_USUAL_LASTING * self.usual_lasting_rad)
     }
 }
 

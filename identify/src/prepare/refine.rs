@@ -7,7 +7,7 @@
 
 use nalgebra::{Vector3, Vector5};
 
-use super::circular::{median, wrapped};
+use super::circular::wrapped;
 use super::clock::ClockFit;
 use crate::cost::{LoopProblem, Movement, Residual, Scene};
 use crate::kinematics::{
@@ -16,7 +16,7 @@ use crate::kinematics::{
 use crate::logs::InterpolatedLog;
 use crate::model::{Geometry, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
 use crate::prepare::AlignedLog;
-use crate::solver::{Block, Loss, Options, Prior, Problem, minimise};
+use crate::solver::{Block, Loss, Options, Prior, Problem, Summary, minimise};
 
 /// How far the numbers of the nominal chains are expected to be off, one standard deviation \[m, rad\].
 const CHAIN_SIGMA: f64 = 2e-3;
@@ -28,19 +28,42 @@ const TILT_SIGMA_RAD: f64 = 0.01;
 const HARMONIC_SIGMA_RAD: f64 = 50e-6;
 /// The correlation of speeds gives the shift this well \[s\].
 const SHIFT_SIGMA_S: f64 = 0.05;
+/// A step that takes a sample out of the robot's log is refused as a whole, and the fit ends where the first sample stands at
+/// the log's end: samples that such a shift could take out do not take part \[s\].
+const EDGE_S: f64 = 2.0 * SHIFT_SIGMA_S;
 /// Clocks of controllers differ by this much.
 const SKEW_SIGMA: f64 = 100e-6;
 /// Zeros are found on nominal geometry this well \[rad\].
 const ZERO_SIGMA_RAD: f64 = 0.05;
-/// Rounds of looking at the spread and solving with it.
-const ROUNDS: usize = 6;
-/// Steps in each.
-const STEPS: usize = 4;
-/// Of a squared norm of five normal numbers: its median, and the square root of its 95th percentile.
-const MEDIAN_OF_5: f64 = 4.35;
+/// The scale of the loss falls by at most this factor from round to round: a faster fall ends with those samples that fit
+/// by chance, and calls the others outliers.
+const NARROWING: f64 = 0.5;
+/// The scale has settled where the spread is within this part of it.
+const SETTLED: f64 = 0.02;
+/// A narrower loss found another minimum where it lowers the spread to this part: of one kind of samples it lowers it hardly.
+const SHARPER: f64 = 0.8;
+/// Rounds of narrowing at most: enough from a radian to a microradian.
+const ROUNDS_MAX: usize = 30;
+/// A round ends where the cost falls by less than this part: what it leaves the next one takes.
+const ROUND_TOLERANCE: f64 = 1e-3;
+/// The last one ends where what is left to gain moves no parameter by a tenth of its standard deviation: the cost of some
+/// thousand samples is some thousand.
+const LAST_TOLERANCE: f64 = 1e-6;
+/// Square root of the 95th percentile of a squared norm of five normal numbers.
 const CAUCHY_SCALE: f64 = 3.3;
+/// Samples that may be wrong and still leave the spread as it is.
+const HALF: GoodShare = GoodShare { share: 0.5, square_of_5: 4.35 };
+/// The spread of all but gross outliers.
+const NINE_TENTHS: GoodShare = GoodShare { share: 0.9, square_of_5: 9.24 };
 /// Residuals below this are rounding \[rad\].
 const SIGMA_MIN_RAD: f64 = 1e-7;
+
+/// A share of the samples that is taken as good, and that quantile of a squared norm of five normal numbers.
+#[derive(Debug, Clone, Copy)]
+struct GoodShare {
+    share: f64,
+    square_of_5: f64,
+}
 
 /// A sample as the refinement gets it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -64,6 +87,10 @@ pub(super) struct Fit {
     pub zeros_by_rad: Vec<[f64; BAR_JOINTS]>,
     /// Standard deviation of an angle's residual, from the median \[rad\].
     pub sigma_rad: f64,
+    /// The same from nine tenths of the samples: where more than a tenth do not fit, it shows them \[rad\].
+    pub sigma_of_most_rad: f64,
+    /// Whether the fit ended at a minimum: only then what it leaves says something about the run.
+    pub converged: bool,
 }
 
 /// Implied less measured joints, weighed down near singular poses where errors of the geometry grow.
@@ -228,6 +255,12 @@ pub(super) fn refine(
 ) -> Option<Fit> {
     // Times about their middle: shift and skew are then nearly independent.
     let middle_s = samples.iter().map(|sample| sample.t_s).sum::<f64>() / samples.len().max(1) as f64;
+    let motion = AlignedLog::new(log.clone(), coarse.tau_s(middle_s));
+    let stays = |sample: &&FitSample| {
+        let tau_s = (1.0 + coarse.skew) * (sample.t_s - middle_s);
+        [-EDGE_S, 0.0, EDGE_S].iter().all(|by_s| motion.at(tau_s + by_s).is_some())
+    };
+    let samples: Vec<&FitSample> = samples.iter().filter(stays).collect();
     let observations: Vec<Observation> = samples
         .iter()
         .map(|sample| Observation {
@@ -237,19 +270,16 @@ pub(super) fn refine(
         .collect();
     let origins: Vec<usize> = samples.iter().map(|sample| sample.origin).collect();
     let origin_count = origins.iter().max().map_or(0, |most| most + 1);
-    let motion = AlignedLog::new(log.clone(), coarse.tau_s(middle_s));
     let model = model(robot, bar, base_m, coarse.skew).ok()?;
     let residual = ImpliedAngles { measured: *measured };
     let chain_columns = model.columns().len();
     let mut x = model.start();
     x.resize(chain_columns + origin_count * BAR_JOINTS, 0.0);
-    let mut sigma_rad = f64::INFINITY;
-    for _ in 0..ROUNDS {
-        let spread = spread_rad(&model, &motion, &observations, &origins, residual, &x)?.max(SIGMA_MIN_RAD);
-        if spread > 0.98 * sigma_rad {
-            break;
-        }
-        sigma_rad = spread;
+    let spread_rad = |x: &[f64], of: GoodShare| -> Option<f64> {
+        let spread = spread_rad(&model, &motion, &observations, &origins, residual, x, of)?;
+        Some(spread.max(SIGMA_MIN_RAD))
+    };
+    let solve = |x: &[f64], sigma_rad: f64, cost_tolerance: f64| -> Option<(Vec<f64>, Summary)> {
         let problem = WithZeros {
             chain: LoopProblem::new(&model, &motion, &observations, residual, sigma_rad).ok()?,
             residual,
@@ -261,9 +291,25 @@ pub(super) fn refine(
             priors: priors(&model, origin_count),
         };
         let loss = Loss::Cauchy { scale: CAUCHY_SCALE };
-        let options = Options { loss, iterations_max: STEPS, ..Options::default() };
-        x = minimise(&problem, &x, &options).ok()?.0;
+        minimise(&problem, x, &Options { loss, cost_tolerance, ..Options::default() }).ok()
+    };
+    // Graduated non-convexity (Blake and Zisserman 1987): wide enough at first that nearly all samples pull. Where that ends
+    // between two sides of a clock that jumps, a narrower loss finds the larger side.
+    let mut sigma_rad = spread_rad(&x, NINE_TENTHS)?;
+    for _ in 0..ROUNDS_MAX {
+        x = solve(&x, sigma_rad, ROUND_TOLERANCE)?.0;
+        let mut spread = spread_rad(&x, HALF)?;
+        if spread > (1.0 - SETTLED) * sigma_rad {
+            let narrower = solve(&x, NARROWING * sigma_rad, ROUND_TOLERANCE)?.0;
+            spread = spread_rad(&narrower, HALF)?;
+            if spread > SHARPER * sigma_rad {
+                break;
+            }
+            x = narrower;
+        }
+        sigma_rad = spread.max(NARROWING * sigma_rad);
     }
+    let (x, summary) = solve(&x, sigma_rad, LAST_TOLERANCE)?;
     let (chain, zeros) = x.split_at(chain_columns);
     let geometry = model.geometry(chain);
     let (shift_s, skew) = (geometry.clock.shift_s, geometry.clock.skew);
@@ -273,6 +319,8 @@ pub(super) fn refine(
         geometry,
         zeros_by_rad: zeros.chunks_exact(BAR_JOINTS).map(|of| std::array::from_fn(|j| of[j])).collect(),
         sigma_rad,
+        sigma_of_most_rad: spread_rad(&x, NINE_TENTHS)?,
+        converged: summary.termination.converged(),
     })
 }
 
@@ -301,7 +349,7 @@ fn priors(model: &Model, origin_count: usize) -> Vec<Prior> {
     model.priors().into_iter().chain(zeros).collect()
 }
 
-/// Standard deviation of a residual, from the median of the samples that have one.
+/// Standard deviation of a residual, from the good share of the samples that have one.
 fn spread_rad(
     model: &Model,
     motion: &AlignedLog,
@@ -309,6 +357,7 @@ fn spread_rad(
     origins: &[usize],
     residual: ImpliedAngles,
     x: &[f64],
+    good: GoodShare,
 ) -> Option<f64> {
     let (chain, zeros) = x.split_at(model.columns().len().min(x.len()));
     let judge = Judge::new(motion, model.geometry(chain), residual.measured);
@@ -326,7 +375,9 @@ fn spread_rad(
         })
         .collect();
     let count = residual.measured.iter().filter(|measured| **measured).count() as f64;
-    Some((median(&mut squares) / (MEDIAN_OF_5 * count / BAR_JOINTS as f64)).sqrt()).filter(|s| s.is_finite())
+    let last = ((squares.len() as f64 * good.share) as usize).min(squares.len().checked_sub(1)?);
+    let quantile = *squares.select_nth_unstable_by(last, f64::total_cmp).1;
+    Some((quantile / (good.square_of_5 * count / BAR_JOINTS as f64)).sqrt()).filter(|s| s.is_finite())
 }
 
 /// Compares single samples with a fitted geometry.

@@ -80,13 +80,12 @@ pub(super) fn sort(
     let (mut fates, judged) = look_at_all(raw, &joints, found, motion, options);
     let local_shifts = local_shifts(&judged);
     let spread_rad = spreads_rad(&judged);
-    check_steps(&judged, &measured, t_ref_s, options)
-        .and_then(|()| check_clock(&local_shifts, t_ref_s))
-        .and_then(|()| check_fit(&spread_rad, options))
-        .map_err(|error| {
+    check(found.fit.converged, &judged, &local_shifts, &spread_rad, &measured, t_ref_s, options).map_err(
+        |error| {
             let clock = found.fit.clock;
             error.resting_on(Deviations::new(&judged, &local_shifts, measured, t_ref_s, clock))
-        })?;
+        },
+    )?;
     for sample in outliers(&judged, &spread_rad) {
         fates[sample] = Fate::Outlier;
     }
@@ -158,6 +157,29 @@ fn look_at_all(
         });
     }
     (fates, judged)
+}
+
+/// What a fit that has converged leaves may refuse a run. One that has not says nothing: the solve, which looks for the same
+/// changes once more, has the last word.
+fn check(
+    converged: bool,
+    judged: &[Judged],
+    local_shifts: &[LocalShift],
+    spread_rad: &[f64; BAR_JOINTS],
+    measured: &[bool; BAR_JOINTS],
+    t_ref_s: f64,
+    options: &PrepareOptions,
+) -> Result<(), PrepareError> {
+    if !converged {
+        tracing::warn!(
+            "the preliminary fit of the angles has not converged: slipped encoders and clocks that jump are looked for \
+             only once the robot is calibrated"
+        );
+        return Ok(());
+    }
+    check_steps(judged, measured, t_ref_s, options)?;
+    check_clock(local_shifts, t_ref_s)?;
+    check_fit(spread_rad, options)
 }
 
 fn check_fit(spread_rad: &[f64; BAR_JOINTS], options: &PrepareOptions) -> Result<(), PrepareError> {

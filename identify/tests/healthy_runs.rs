@@ -1,0 +1,81 @@
+//! Runs in which nothing is wrong, in cells that the preparation was not made with: none may be refused.
+#![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
+
+use crate::support::{bar, irb2400, nj220};
+use identify::prepare::{PrepareOptions, prepare};
+use identify::simulate::{self, Clocks, Design, Effects, Experiment, Simulated, StaticErrors};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use shared::config::{BallBarConfig, RobotConfig};
+use shared::time::UtcNs;
+
+/// Other errors of the links, another place and lean of the base, other clocks; gears and gratings four times as bad as usual.
+fn worn(robot: &RobotConfig, bar: &BallBarConfig, seed: u64) -> Simulated {
+    let mut random = ChaCha8Rng::seed_from_u64(77_000 + seed);
+    let mut between = |low: f64, high: f64| random.random_range(low..high);
+    let effects = Effects {
+        robot_noise_urad: between(5.0, 30.0),
+        encoder_noise_urad: between(2.0, 15.0),
+        gear_sine_urad: 4.0 * between(20.0, 80.0),
+        cycloid_urad: 4.0 * between(0.0, 40.0),
+        encoder_eccentricity_urad: 4.0 * between(20.0, 80.0),
+        encoder_ellipticity_urad: 4.0 * between(0.0, 30.0),
+        base_tilt_urad: between(-10_000.0, 10_000.0).abs(),
+        ..Effects::NONE
+    };
+    let clocks = Clocks {
+        bar_start: UtcNs(1_780_000_000_000_000_000),
+        robot_at_bar_start_ns: between(0.0, 7e12) as i64,
+        skew: between(-80e-6, 80e-6),
+    };
+    let mut design = Design::for_robot(robot);
+    for base_m in &mut design.base_m {
+        *base_m += between(-0.1, 0.1);
+    }
+    let errors = StaticErrors::Drawn { seed: 500 + seed };
+    let experiment =
+        Experiment { seed: 900 + seed, errors, effects, clocks, design, ..Experiment::new(robot, bar) };
+    simulate::run(&experiment).unwrap()
+}
+
+#[test]
+fn what_worn_gears_do_to_the_angles_is_no_slip() {
+    let bar = bar();
+    for robot in [irb2400(), nj220()] {
+        for seed in 1..=3 {
+            let run = worn(&robot, &bar, seed);
+            let found =
+                prepare(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &PrepareOptions::default());
+            assert!(found.is_ok(), "{} {seed}: {}", robot.name, found.unwrap_err());
+        }
+    }
+}
+
+/// The robot's log begins after the recording and ends before it, as when somebody starts one after the other: where the
+/// shift is sought the first samples leave the log.
+#[test]
+fn a_robot_log_that_is_shorter_than_the_recording_is_aligned_as_well() {
+    let bar = bar();
+    for robot in [irb2400(), nj220()] {
+        for seed in 1..=4 {
+            let design = Design { duration_s: 60.0, ..Design::for_robot(&robot) };
+            let errors = StaticErrors::Drawn { seed };
+            let mut run =
+                simulate::run(&Experiment { seed, errors, design, ..Experiment::new(&robot, &bar) }).unwrap();
+            let log = &mut run.robot_log;
+            let kept = 250 + 7 * seed as usize..log.t_s.len() - 500;
+            log.first_stamp_ns += (log.t_s[kept.start] * 1e9) as i64;
+            let first_s = log.t_s[kept.start];
+            log.t_s = log.t_s[kept.clone()].iter().map(|t_s| t_s - first_s).collect();
+            log.q_rad = log.q_rad[kept].to_vec();
+            let found =
+                prepare(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &PrepareOptions::default())
+                    .unwrap();
+            let bar_ns = found.t_ref.0 as f64;
+            let truth_ns = run.truth.clock.robot_ns(found.t_ref) - bar_ns;
+            let error_ms = (found.alignment.clock_difference_ns as f64 - truth_ns) * 1e-6;
+            assert!(error_ms.abs() < 0.2, "{} {seed}: {error_ms} ms", robot.name);
+            assert!(found.offsets.iter().all(|one| one.spread_rad < 50e-6), "{:?}", found.offsets);
+        }
+    }
+}
