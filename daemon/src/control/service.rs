@@ -203,13 +203,14 @@ fn details(request: StartRequest, daemon: &DaemonConfig) -> Result<RunDetails, R
 
 #[cfg(test)]
 pub(crate) mod tests {
+    use std::fs::File;
     use std::io;
     use std::path::Path;
     use std::sync::atomic::{AtomicBool, Ordering};
     use std::time::Instant;
 
     use shared::config;
-    use shared::recording::Recording;
+    use shared::recording::{Disk, Recording, SystemDisk};
     use shared::time::MonoNs;
 
     use super::*;
@@ -246,13 +247,26 @@ pub(crate) mod tests {
         }
     }
 
+    /// A disk whose driver takes the recorder with it when it is told to.
+    #[derive(Debug, Default)]
+    struct DeadlyDisk(AtomicBool);
+
+    impl Disk for DeadlyDisk {
+        fn write_at(&self, file: &File, bytes: &[u8], offset: u64) -> io::Result<usize> {
+            let recorder = thread::current().name() == Some("recorder");
+            assert!(!(recorder && self.0.load(Ordering::Acquire)), "the test ends this thread");
+            SystemDisk.write_at(file, bytes, offset)
+        }
+    }
+
     /// A service on the simulated bus in `directory`; what is stored into the flag ends the thread of the cycle.
     pub(crate) fn simulated(directory: &Path) -> (Service, Arc<AtomicBool>) {
-        simulated_after(directory, || {})
+        simulated_after(directory, Arc::new(SystemDisk), || {})
     }
 
     fn simulated_after(
         directory: &Path,
+        disk: Arc<dyn Disk>,
         first: impl Fn() + Send + Sync + 'static,
     ) -> (Service, Arc<AtomicBool>) {
         let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
@@ -260,7 +274,7 @@ pub(crate) mod tests {
         let daemon = DaemonConfig { directory: directory.to_owned(), ..daemon };
         let bar: BallBarConfig = config::load(&shipped.join("ball_bar.toml")).unwrap();
         let deadly = Arc::new(AtomicBool::new(false));
-        let storage = Storage::new(&daemon).unwrap();
+        let storage = Storage::on(disk, &daemon).unwrap();
         let places = storage.clone();
         let (armed, on_daemon, on_bar) = (Arc::clone(&deadly), daemon.clone(), bar.clone());
         let connect = move || {
@@ -323,11 +337,27 @@ pub(crate) mod tests {
     }
 
     #[test]
+    fn a_recorder_that_dies_leaves_what_is_on_disk_finished_and_the_service_ready() {
+        let directory = tempfile::tempdir().unwrap();
+        let disk = Arc::new(DeadlyDisk::default());
+        let (service, _) = simulated_after(directory.path(), disk.clone(), || {});
+        record(&service, "cut");
+        disk.0.store(true, Ordering::Release);
+        let last = wait_until(&service, "its end", |status| status.last.is_some()).last.unwrap();
+        assert!(last.cause.contains("recorder panicked") && last.error.is_some(), "{last:?}");
+        disk.0.store(false, Ordering::Release);
+        record(&service, "next");
+        assert!(!Recording::open(&directory.path().join("cut.mcap")).unwrap().cycles.is_empty());
+        service.shutdown("test over");
+        service.join().unwrap();
+    }
+
+    #[test]
     fn a_thread_that_dies_bringing_the_bus_up_is_followed_by_another() {
         let directory = tempfile::tempdir().unwrap();
         let died = AtomicBool::new(false);
         let first = move || assert!(died.swap(true, Ordering::AcqRel), "the test ends this thread");
-        let (service, _) = simulated_after(directory.path(), first);
+        let (service, _) = simulated_after(directory.path(), Arc::new(SystemDisk), first);
         wait_until(&service, "the fault", |status| {
             status.reason.as_ref().is_some_and(|reason| reason.contains("the thread that brings the bus up"))
         });
