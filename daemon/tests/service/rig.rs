@@ -13,6 +13,19 @@ pub fn shipped() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../config")
 }
 
+/// A program that heeds SIGHUP even where these tests run under `nohup`, whose children would inherit what it ignores.
+fn heeding_hangups(program: &str) -> Command {
+    let ignored = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored = ignored.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    let ignored = ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);
+    if ignored & 1 == 0 {
+        return Command::new(program);
+    }
+    let mut command = Command::new("env");
+    command.args(["--default-signal=HUP", program]);
+    command
+}
+
 /// A service on the simulated bus, on a port of its own.
 pub struct Running {
     pub child: Child,
@@ -41,7 +54,7 @@ impl Running {
         config: &Path,
         arguments: &[&str],
     ) -> Self {
-        let mut child = Command::new(env!("CARGO_BIN_EXE_ballbard"))
+        let mut child = heeding_hangups(env!("CARGO_BIN_EXE_ballbard"))
             .env_remove("RUST_LOG")
             .args(["run", "--port", "0", "--config"])
             .arg(config)
