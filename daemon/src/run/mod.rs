@@ -247,10 +247,11 @@ pub fn record_on(
     stop: &Stop,
 ) -> Result<RunSummary, RunError> {
     source::check(request)?;
-    let _claim = claim_directory(&daemon.directory)?;
     let session = connect(request, daemon, bar, storage, stop)?;
     session.log();
-    let outcome = session.begin(&request.details(), stop).and_then(ActiveRun::join);
+    // Only now: what does not come to record leaves no directory.
+    let outcome = claim_directory(&daemon.directory)
+        .and_then(|_claim| session.begin(&request.details(), stop).and_then(ActiveRun::join));
     session.close()?;
     outcome
 }
