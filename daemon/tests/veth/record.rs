@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::Path;
 use std::process::{Command, Stdio};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use shared::recording::Recording;
 use shared::recording::schema::flags;
@@ -16,6 +16,15 @@ fn record(namespace: &Namespace, out: &Path, duration: &str) -> Command {
     record.args(["record", "--bus", "near", "--name", "veth", "--duration", duration, "--config"]);
     record.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("../config")).arg("--out").arg(out);
     record
+}
+
+/// Waits until the run of `record` has its file: bringing the bus up takes a loaded machine several seconds.
+fn wait_until_begun(out: &Path) {
+    let deadline = Instant::now() + Duration::from_secs(60);
+    while !out.join("veth.mcap.active").exists() {
+        assert!(Instant::now() < deadline, "no run within a minute");
+        thread::sleep(Duration::from_millis(20));
+    }
 }
 
 #[test]
@@ -49,9 +58,7 @@ fn a_second_master_on_an_interface_is_told_who_has_it_and_ruins_nothing() {
     let _segment = serve_segment(&namespace, &[]);
     let out = tempfile::tempdir().unwrap();
     let first = record(&namespace, out.path(), "5s").stderr(Stdio::null()).spawn().unwrap();
-    while !out.path().join("veth.mcap.active").exists() {
-        thread::sleep(Duration::from_millis(20));
-    }
+    wait_until_begun(out.path());
     let elsewhere = tempfile::tempdir().unwrap();
     let second = record(&namespace, elsewhere.path(), "1s").output().unwrap();
     assert!(!second.status.success());
@@ -72,7 +79,8 @@ fn an_interface_that_is_unplugged_and_plugged_in_again_is_found_again() {
     let _segment = serve_segment(&namespace, &[]);
     let out = tempfile::tempdir().unwrap();
     let running = record(&namespace, out.path(), "14s").spawn().unwrap();
-    thread::sleep(Duration::from_secs(4));
+    wait_until_begun(out.path());
+    thread::sleep(Duration::from_secs(2));
     // Both interfaces are gone; those that come have the same names and other numbers.
     namespace.link(&["delete", "near"]);
     thread::sleep(Duration::from_secs(2));
@@ -98,7 +106,8 @@ fn faults_are_switched_by_lines_while_the_segment_is_served() {
     let mut switches = segment.0.stdin.take().unwrap();
     let out = tempfile::tempdir().unwrap();
     let running = record(&namespace, out.path(), "8s").spawn().unwrap();
-    thread::sleep(Duration::from_secs(4));
+    wait_until_begun(out.path());
+    thread::sleep(Duration::from_secs(2));
     switches.write_all(b"on gone:4\n").unwrap();
     thread::sleep(Duration::from_secs(2));
     switches.write_all(b"nonsense\noff gone:4\n").unwrap();
