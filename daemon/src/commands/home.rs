@@ -11,7 +11,7 @@ use shared::config::{self, BallBarConfig, DaemonConfig, HomingConfig};
 use super::client::ServiceArguments;
 use super::output::say;
 use super::{bus_choice, on_signal};
-use crate::control::homing;
+use crate::control::homing::Homing;
 use crate::control::status::{HomeRequest, HomingStatus, Reply, Status, StopRequest};
 use crate::run::{self, Stop, Storage};
 
@@ -68,21 +68,20 @@ fn on_own_bus(bus: &str, config: &std::path::Path, stop: &Stop) -> anyhow::Resul
     let file: PathBuf = config.join(HomingConfig::FILE_NAME);
     let session = run::open(&bus_choice(bus), &[], &daemon, &bar, &Storage::new(&daemon)?)?;
     session.log();
-    let mut active = session.begin_homing();
-    let (mut printer, mut status) = (Printer::default(), HomingStatus::default());
-    while !homing::look(&mut active, &mut status, &bar.encoders, &file) {
-        if let Err(error) = printer.print(&status) {
+    let (mut printer, mut homing) = (Printer::default(), Homing::begin(&session));
+    while !homing.look(&bar.encoders, &file) {
+        if let Err(error) = printer.print(homing.status()) {
             stop.stop(&format!("{error:#}"));
         }
         if stop.is_stopped() {
-            active.stop.stop(&stop.cause());
+            homing.stop(&stop.cause());
         }
         thread::sleep(POLL);
     }
-    let printed = printer.print(&status);
+    let printed = printer.print(homing.status());
     session.close()?;
     printed?;
-    outcome(status)
+    outcome(homing.status().clone())
 }
 
 fn outcome(status: HomingStatus) -> anyhow::Result<()> {

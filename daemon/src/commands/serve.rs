@@ -14,7 +14,8 @@ use super::bus_choice;
 use super::output::say;
 use super::signals::Signals;
 use crate::control::api;
-use crate::control::service::{Died, Service, Settings};
+use crate::control::service::{Service, ServiceError, Settings};
+use crate::control::status::Status;
 use crate::run::BusChoice;
 use crate::segment::faults::FaultWindow;
 
@@ -98,11 +99,11 @@ async fn serve(listener: TcpListener, service: Service, mut signals: Signals) {
         }
         // The file comes before the answers: requests are served until it is finished.
         while tokio::time::timeout(PATIENCE, ending.ended()).await.is_err() {
-            let run = ending.status().run;
+            let Status { run, reason, .. } = ending.status();
             let what = run.map_or("the bus ends".into(), |run| {
                 format!("the disk takes run `{}`, of which {} cycles are on it", run.name, run.cycles)
             });
-            tracing::warn!("not ended yet: waiting until {what}");
+            tracing::warn!("not ended yet: waiting until {what}; {}", reason.unwrap_or_default());
         }
     };
     api::serve(listener, service, end).await;
@@ -120,7 +121,7 @@ fn supervise(
         service.shutdown("full fault: the thread that answers requests has ended; its cause is in the log");
     }
     service.join()?;
-    served.map_err(|_| Died.into())
+    served.map_err(|_| ServiceError::Died.into())
 }
 
 #[cfg(test)]

@@ -13,7 +13,6 @@ use axum::middleware::{self, Next};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Json, Router};
-use shared::config::DaemonConfig;
 use tokio::net::TcpListener;
 
 use super::connections::Connections;
@@ -23,8 +22,8 @@ use super::service::Service;
 use super::status::{HomeRequest, LastRun, MarkRequest, Refusal, Reply, StartRequest, Status, StopRequest};
 use crate::run::check_text;
 
-/// How long `stop` waits for the finished file.
-const CLOSE_TIMEOUT: Duration = Duration::from_secs(20);
+/// How long `start` waits for the run's file, and `stop` for the finished one.
+const FILE_TIMEOUT: Duration = Duration::from_secs(20);
 /// After an error of the listener, such as too many open files.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
@@ -79,15 +78,14 @@ async fn check(State(service): State<Service>) -> Response {
 }
 
 async fn list_runs(State(service): State<Service>) -> Response {
-    let DaemonConfig { directory, spare_directory, .. } = service.settings().daemon.clone();
-    match tokio::task::spawn_blocking(move || runs::list(&directory, Some(&spare_directory))).await {
-        Ok(Ok(lines)) => Json(lines).into_response(),
+    match service.runs().await {
+        Some(Ok(lines)) => Json(lines).into_response(),
         // A directory that is not there yet holds no runs.
-        Ok(Err(error)) if error.kind() == std::io::ErrorKind::NotFound => {
+        Some(Err(error)) if error.kind() == std::io::ErrorKind::NotFound => {
             Json(Vec::<runs::RunLine>::new()).into_response()
         }
-        Ok(Err(error)) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &format!("cannot list runs: {error}")),
-        Err(error) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &error.to_string()),
+        Some(Err(error)) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &format!("cannot list runs: {error}")),
+        None => refusal(StatusCode::GATEWAY_TIMEOUT, "cannot list runs: the disk does not answer"),
     }
 }
 
@@ -101,7 +99,12 @@ async fn start(State(service): State<Service>, body: Body<StartRequest>) -> Resp
         return refusal(StatusCode::UNPROCESSABLE_ENTITY, problem);
     }
     let named = request.name.clone();
-    match service.begin(request).await {
+    let Ok(answer) = tokio::time::timeout(FILE_TIMEOUT, service.begin(request)).await else {
+        let why = service.status().reason.unwrap_or_default();
+        let error = format!("the run waits for its file; `ballbard stop` calls it off: {why}");
+        return refusal(StatusCode::GATEWAY_TIMEOUT, &error);
+    };
+    match answer {
         Ok(Answer::Beginning) => reply("begun", service.status().run.map(|run| run.name).or(named), None),
         Ok(Answer::Running(run)) => reply("running", Some(run), None),
         Ok(Answer::Busy(run)) => refusal(
@@ -179,7 +182,7 @@ async fn finished(service: &Service, runs_over: u64) -> Option<LastRun> {
     let mut status = service.watch();
     let over = |status: &Status| status.runs_over > runs_over;
     let wait = async { status.wait_for(over).await.ok().and_then(|status| status.last.clone()) };
-    tokio::time::timeout(CLOSE_TIMEOUT, wait).await.ok().flatten()
+    tokio::time::timeout(FILE_TIMEOUT, wait).await.ok().flatten()
 }
 
 /// Turns away what a foreign web page could send.

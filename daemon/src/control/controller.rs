@@ -2,24 +2,29 @@
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use shared::time::MonoNs;
 use tokio::sync::{oneshot, watch};
 
 use super::bus_link::BusLink;
 use super::homing::Homing;
-use super::machine::{Action, Answer, Event, Machine};
-use super::preflight;
+use super::machine::{Action, Answer, Event, Machine, State};
+use super::preflight::{self, Found};
 use super::service::{Connect, Settings};
 use super::status::{CheckLine, LastRun, Status};
+use super::tending::Tending;
 use super::view::View;
-use crate::homing;
+use crate::claim::Claim;
 use crate::recorder::RunSummary;
-use crate::run::{self, ActiveRun, RunDetails, RunError, Stop, Storage};
+use crate::run::{ActiveRun, RunDetails, RunError, Stop, Storage};
 
 /// How often bus and recorder are looked at while nobody asks for anything.
 const POLL: Duration = Duration::from_millis(100);
+/// The same while somebody waits for the file of a run.
+const OPENING_POLL: Duration = Duration::from_millis(5);
+/// The end of the service waits so long for what the next one would do as well.
+const LEAVES_WITHIN: Duration = Duration::from_millis(1500);
 /// Why a run ends when this thread does.
 const CONTROL_DIED: &str = "full fault: the thread of the control has ended; its cause is in the log";
 /// Without anything new on disk for this long a run is not writing \[sync periods\].
@@ -32,23 +37,28 @@ pub(super) enum Command {
     Stop(String, oneshot::Sender<(Answer, u64)>),
     Home(oneshot::Sender<Answer>),
     Mark(String, MonoNs, oneshot::Sender<Result<Option<String>, String>>),
-    Check(oneshot::Sender<Vec<CheckLine>>),
+    /// With what was found on disk; none where that did not answer.
+    Check(Option<Found>, oneshot::Sender<Vec<CheckLine>>),
     Shutdown(String),
     /// Takes the thread with it.
     #[cfg(test)]
     Panic,
 }
 
-/// Does what the machine decides.
+/// Does what the machine decides. It never waits for the disk.
 pub(super) struct Controller {
     settings: Arc<Settings>,
     machine: Machine,
     status: watch::Sender<Status>,
     bus: BusLink,
     homing: Option<Homing>,
-    /// The run that is asked for, until it is opened.
+    /// The run that was asked for last.
     wanted: RunDetails,
     run: Option<ActiveRun>,
+    /// Who asked for the run that is being opened, and what they are told when its file is there.
+    asked: Vec<(oneshot::Sender<Answer>, Answer)>,
+    tending: Option<Tending>,
+    claim: Option<Claim>,
     summary: Option<RunSummary>,
     /// Why the file of the run that ends could not be finished in the ordinary way.
     failure: Option<String>,
@@ -57,6 +67,8 @@ pub(super) struct Controller {
     storage: Storage,
     cycles_seen: u64,
     exit: bool,
+    /// Since when the service has been asked to end.
+    leaving: Option<Instant>,
 }
 
 impl Controller {
@@ -74,6 +86,9 @@ impl Controller {
             homing: None,
             wanted: RunDetails::default(),
             run: None,
+            asked: Vec::new(),
+            tending: None,
+            claim: None,
             summary: None,
             failure: None,
             last: None,
@@ -81,25 +96,57 @@ impl Controller {
             storage,
             cycles_seen: 0,
             exit: false,
+            leaving: None,
         }
     }
 
-    /// Until the service is asked to end.
-    pub fn run(&mut self, commands: &Receiver<Command>) {
-        while !self.exit {
-            match commands.recv_timeout(POLL) {
+    /// Until the service is asked to end, or has no place to record to.
+    pub fn run(&mut self, commands: &Receiver<Command>) -> Result<(), RunError> {
+        self.tend();
+        let outcome = loop {
+            let poll = if self.is_opening() { OPENING_POLL } else { POLL };
+            match commands.recv_timeout(poll) {
                 Ok(command) => self.obey(command),
                 Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => {
-                    self.handle(Event::Shutdown("the service was dropped".into()));
-                }
+                Err(RecvTimeoutError::Disconnected) => self.shutdown("the service was dropped"),
+            }
+            if let Err(error) = self.look_at_place() {
+                break Err(error);
             }
             self.look_at_bus();
             self.look_at_homing();
             self.look_at_run();
             self.publish();
-        }
+            if self.is_over() {
+                break Ok(());
+            }
+        };
         self.bus.close();
+        outcome
+    }
+
+    /// The file of a run comes before the end. What the next service finds as it is does not: one that is not there yet,
+    /// what earlier runs left, and reference marks.
+    fn is_over(&self) -> bool {
+        let Some(since) = self.leaving else { return false };
+        let keeping = self.homing.as_ref().and_then(Homing::keeping_since);
+        if self.tending.is_none() && !self.is_opening() && keeping.is_none() {
+            return self.exit;
+        }
+        let is_over = since.elapsed() > LEAVES_WITHIN;
+        if is_over {
+            tracing::warn!("the disk is not waited for: {}", self.view().disk_problem().unwrap_or_default());
+        }
+        is_over
+    }
+
+    fn is_opening(&self) -> bool {
+        matches!(self.machine.state(), State::Opening { .. })
+    }
+
+    fn shutdown(&mut self, cause: &str) {
+        self.leaving.get_or_insert_with(Instant::now);
+        self.handle(Event::Shutdown(cause.to_owned()));
     }
 
     /// After a panic of this thread: nothing is decided any more, but a run's file is finished and states the cause.
@@ -124,13 +171,14 @@ impl Controller {
                 // A cable that was pulled since the last look is no bus to begin on.
                 self.look_at_bus();
                 self.wanted = *details;
-                if !named {
-                    self.wanted.name = self.free_name();
-                }
                 let run = self.wanted.name.clone();
-                let answer = self.handle(Event::Start { run, named });
+                let answer = self.handle(Event::Start { run, named }).unwrap_or(Answer::Idle);
                 self.publish();
-                let _ = reply.send(answer.unwrap_or(Answer::Idle));
+                if self.is_opening() && matches!(answer, Answer::Beginning | Answer::Running(_)) {
+                    self.asked.push((reply, answer));
+                } else {
+                    let _ = reply.send(answer);
+                }
             }
             Command::Stop(cause, reply) => {
                 let runs_over = self.runs_over;
@@ -151,13 +199,11 @@ impl Controller {
                     None => Ok(None),
                 });
             }
-            Command::Check(reply) => {
+            Command::Check(found, reply) => {
                 let view = self.view();
-                let _ = reply.send(preflight::check(&view, &view.status()));
+                let _ = reply.send(preflight::check(&view, &view.status(), found.as_ref()));
             }
-            Command::Shutdown(cause) => {
-                self.handle(Event::Shutdown(cause));
-            }
+            Command::Shutdown(cause) => self.shutdown(&cause),
             #[cfg(test)]
             Command::Panic => panic!("the test ends this thread"),
         }
@@ -170,8 +216,6 @@ impl Controller {
             match action {
                 Action::Answer(given) => answer = answer.or(Some(given)),
                 Action::Open(_) => {
-                    // It takes as long as the disk takes, and whoever asks meanwhile should know.
-                    self.publish();
                     if let Err(refusal) = self.open() {
                         answer = Some(Answer::Refused(refusal));
                     }
@@ -189,10 +233,7 @@ impl Controller {
                     }
                 }
                 Action::EndHoming(cause) => self.homing.iter().for_each(|homing| homing.stop(&cause)),
-                Action::Recover => {
-                    run::finish_leftovers(&self.storage);
-                    self.handle(Event::Recovered);
-                }
+                Action::Recover => self.tend(),
                 Action::Exit => self.exit = true,
             }
         }
@@ -200,12 +241,14 @@ impl Controller {
     }
 
     fn open(&mut self) -> Result<(), String> {
-        match self.begin() {
+        let session = self.bus.session().ok_or_else(|| "the bus is not in operation".to_owned());
+        let begun = session.and_then(|session| {
+            session.begin(&self.wanted, &Stop::default()).map_err(|error| error.to_string())
+        });
+        match begun {
             Ok(run) => {
-                tracing::info!(run = self.wanted.name, "run begins");
                 self.run = Some(run);
                 self.cycles_seen = 0;
-                self.handle(Event::Opened);
                 Ok(())
             }
             Err(reason) => {
@@ -215,11 +258,30 @@ impl Controller {
         }
     }
 
-    fn begin(&mut self) -> Result<ActiveRun, String> {
-        let session = self.bus.session().ok_or("the bus is not in operation")?;
-        self.wanted.homing =
-            homing::file::read(&self.settings.homing_file).map_err(|error| error.to_string())?;
-        session.begin(&self.wanted, &Stop::default()).map_err(|error| error.to_string())
+    /// Tells who asked for the run that it has its file, or why it gets none.
+    fn opened(&mut self, outcome: Result<(), String>) {
+        self.handle(match &outcome {
+            Ok(()) => Event::Opened,
+            Err(reason) => Event::OpenFailed(reason.clone()),
+        });
+        self.publish();
+        for (reply, answer) in std::mem::take(&mut self.asked) {
+            let refused = outcome.as_ref().err().map(|reason| Answer::Refused(reason.clone()));
+            let _ = reply.send(refused.unwrap_or(answer));
+        }
+    }
+
+    fn tend(&mut self) {
+        self.tending = Some(Tending::begin(&self.storage, self.claim.is_some()));
+    }
+
+    fn look_at_place(&mut self) -> Result<(), RunError> {
+        let Some(outcome) = self.tending.as_ref().and_then(Tending::look) else { return Ok(()) };
+        self.tending = None;
+        let claim = outcome?;
+        self.claim = self.claim.take().or(claim);
+        self.handle(Event::Recovered);
+        Ok(())
     }
 
     fn finished(&mut self, name: String, cause: String) {
@@ -256,12 +318,17 @@ impl Controller {
 
     fn look_at_homing(&mut self) {
         let Some(homing) = &mut self.homing else { return };
-        if homing.look(&self.settings) {
+        if homing.look(&self.settings.bar.encoders, &self.settings.homing_file) {
             self.handle(Event::HomingOver);
         }
     }
 
     fn look_at_run(&mut self) {
+        let Some(run) = &self.run else { return };
+        if self.is_opening() && run.progress.is_open() {
+            tracing::info!(run = self.wanted.name, "run begins");
+            self.opened(Ok(()));
+        }
         let Some(run) = &self.run else { return };
         if run.is_finished() {
             if let Some(run) = self.run.take() {
@@ -292,6 +359,7 @@ impl Controller {
                 self.summary = Some(summary);
                 self.handle(Event::Closed);
             }
+            Err(error) if self.is_opening() => self.opened(Err(error.to_string())),
             Err(error) => {
                 tracing::error!("recording failed: {error}");
                 let told = error.to_string();
@@ -304,17 +372,6 @@ impl Controller {
         }
     }
 
-    /// A name of date and time that no file bears.
-    fn free_name(&self) -> String {
-        let base = run::name_by_time();
-        let taken = |name: &str| {
-            let directory = &self.settings.daemon.directory;
-            ["mcap", "mcap.active"].iter().any(|ending| directory.join(format!("{name}.{ending}")).exists())
-        };
-        let numbered = (2..1000).map(|number| format!("{base}-{number}"));
-        std::iter::once(base.clone()).chain(numbered).find(|name| !taken(name)).unwrap_or(base)
-    }
-
     fn view(&self) -> View<'_> {
         View {
             settings: &self.settings,
@@ -325,6 +382,7 @@ impl Controller {
             last: self.last.as_ref(),
             runs_over: self.runs_over,
             storage: &self.storage,
+            tending: self.tending.as_ref(),
         }
     }
 

@@ -1,24 +1,28 @@
 //! Homing as the service does it: the steps in words, and the file at the end.
 
 use std::path::Path;
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
+use std::thread;
+use std::time::Instant;
 
 use shared::config::{EncoderConfig, bar_joint_name};
 
-use super::service::Settings;
 use super::status::HomingStatus;
 use crate::homing::{self, Found, HomingError, HomingStep};
 use crate::run::{ActiveHoming, Session};
 
 /// A homing, until the next one.
-pub(super) struct Homing {
+pub struct Homing {
     active: ActiveHoming,
     status: HomingStatus,
+    /// What was found is being written, since when.
+    keeping: Option<(Receiver<Result<(), HomingError>>, Instant)>,
 }
 
 impl Homing {
     /// Begins.
     pub fn begin(session: &Session) -> Self {
-        Self { active: session.begin_homing(), status: HomingStatus::default() }
+        Self { active: session.begin_homing(), status: HomingStatus::default(), keeping: None }
     }
 
     /// Asks it to end.
@@ -31,39 +35,62 @@ impl Homing {
         &self.status
     }
 
-    /// Takes what was told since the last look; whether it is over now. What was found is written then.
-    pub fn look(&mut self, settings: &Settings) -> bool {
-        look(&mut self.active, &mut self.status, &settings.bar.encoders, &settings.homing_file)
+    /// Since when the disk has been asked to take what was found.
+    pub fn keeping_since(&self) -> Option<Instant> {
+        self.keeping.as_ref().map(|(_, since)| *since)
     }
-}
 
-/// Takes what `active` told since the last look into `status`; whether it has just ended, with its outcome in
-/// `status` and, if it went well, in `file`.
-pub fn look(
-    active: &mut ActiveHoming,
-    status: &mut HomingStatus,
-    encoders: &[EncoderConfig],
-    file: &Path,
-) -> bool {
-    while let Some(step) = active.take_step() {
-        note(status, step);
+    /// Takes what was told since the last look; whether it has just ended, with its outcome in the status and, if it went
+    /// well, in `file`, which a thread of its own writes.
+    pub fn look(&mut self, encoders: &[EncoderConfig], file: &Path) -> bool {
+        while let Some(step) = self.active.take_step() {
+            note(&mut self.status, step);
+        }
+        match self.active.outcome() {
+            Some(Ok(found)) => self.keep(encoders.to_vec(), found, file),
+            Some(Err(error)) => return self.over(file, Err(error)),
+            None => {}
+        }
+        match self.keeping.as_ref().map(|(kept, _)| kept.try_recv()) {
+            Some(Ok(kept)) => self.over(file, kept),
+            Some(Err(TryRecvError::Disconnected)) => {
+                self.over(file, Err(HomingError::Stopped("no thread to write it; see the log".into())))
+            }
+            Some(Err(TryRecvError::Empty)) | None => false,
+        }
     }
-    let Some(outcome) = active.outcome() else { return false };
-    status.is_over = true;
-    (status.joint, status.turned_deg) = (None, None);
-    match outcome.and_then(|found| keep(encoders, &found, file)) {
-        Ok(()) => status.lines.push(format!(
-            "{}: runs count angles from these marks until the terminals lose power; then home again",
-            file.display()
-        )),
-        Err(error) => status.error = Some(error.to_string()),
-    }
-    true
-}
 
-fn keep(encoders: &[EncoderConfig], found: &[Found], file: &Path) -> Result<(), HomingError> {
-    let marks = homing::verify(encoders, found)?;
-    homing::file::write(file, encoders, &marks).map_err(|error| HomingError::Stopped(error.to_string()))
+    fn keep(&mut self, encoders: Vec<EncoderConfig>, found: Vec<Found>, file: &Path) {
+        (self.status.joint, self.status.turned_deg) = (None, None);
+        let (result, kept) = channel();
+        self.keeping = Some((kept, Instant::now()));
+        let file = file.to_owned();
+        let keep = move || {
+            let marks = homing::verify(&encoders, &found).map_err(HomingError::from);
+            let kept = marks.and_then(|marks| {
+                homing::file::write(&file, &encoders, &marks)
+                    .map_err(|error| HomingError::Stopped(error.to_string()))
+            });
+            // Nobody waits any more if the service has ended meanwhile.
+            let _ = result.send(kept);
+        };
+        // Without a thread nobody sends, and the homing is over.
+        let _ = thread::Builder::new().name("homing".into()).spawn(keep);
+    }
+
+    fn over(&mut self, file: &Path, kept: Result<(), HomingError>) -> bool {
+        self.keeping = None;
+        self.status.is_over = true;
+        (self.status.joint, self.status.turned_deg) = (None, None);
+        match kept {
+            Ok(()) => self.status.lines.push(format!(
+                "{}: runs count angles from these marks until the terminals lose power; then home again",
+                file.display()
+            )),
+            Err(error) => self.status.error = Some(error.to_string()),
+        }
+        true
+    }
 }
 
 fn note(status: &mut HomingStatus, step: HomingStep) {

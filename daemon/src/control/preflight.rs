@@ -1,8 +1,11 @@
 //! What should be true before a run begins, each with what to do where it is not.
 
-use shared::config::DaemonConfig;
+use std::path::PathBuf;
+
+use shared::config::{DaemonConfig, HomingConfig};
 
 use super::runs;
+use super::service::Settings;
 use super::status::{CheckLine, Status};
 use super::view::View;
 use crate::run::Session;
@@ -11,17 +14,34 @@ use crate::{homing, log};
 /// A live sample older than this is not live \[ms\].
 const SAMPLE_AGE_MS_MAX: i64 = 1000;
 
-/// All lines; each is independent of the others.
-pub(super) fn check(view: &View<'_>, status: &Status) -> Vec<CheckLine> {
+/// What a check needs to know of the disk, found by a thread that may wait for it.
+pub(super) struct Found {
+    homing: Result<Option<HomingConfig>, String>,
+    left_behind: Vec<PathBuf>,
+}
+
+impl Found {
+    /// As of now.
+    pub fn now(settings: &Settings) -> Self {
+        let DaemonConfig { directory, spare_directory, .. } = &settings.daemon;
+        Self {
+            homing: homing::file::read(&settings.homing_file).map_err(|error| error.to_string()),
+            left_behind: [runs::left_behind(directory), runs::left_behind(spare_directory)].concat(),
+        }
+    }
+}
+
+/// All lines; each is independent of the others. Nothing was found where the disk did not answer.
+pub(super) fn check(view: &View<'_>, status: &Status, found: Option<&Found>) -> Vec<CheckLine> {
     vec![
         bus(view, status),
         encoders(status),
         cables(status),
-        reference_marks(view),
+        reference_marks(view, found),
         disk(view),
         realtime(view),
         clock(),
-        leftovers(view),
+        leftovers(found),
         log(),
     ]
 }
@@ -75,12 +95,13 @@ fn cables(status: &Status) -> CheckLine {
 }
 
 /// A run needs no marks: calibration finds the offsets. But marks that hold no more would be missed.
-fn reference_marks(view: &View<'_>) -> CheckLine {
+fn reference_marks(view: &View<'_>, found: Option<&Found>) -> CheckLine {
     const SUBJECT: &str = "reference marks";
-    let homing = match homing::file::read(&view.settings.homing_file) {
+    let Some(found) = found else { return unanswered(SUBJECT) };
+    let homing = match &found.homing {
         Ok(None) => return good(SUBJECT, "not homed; calibration finds the offsets of this power cycle"),
         Ok(Some(homing)) => homing,
-        Err(error) => return problem(SUBJECT, error.to_string(), "correct the file, or home again"),
+        Err(error) => return problem(SUBJECT, error.as_str(), "correct the file, or home again"),
     };
     let Some(session) = view.session else { return good(SUBJECT, "to be seen when the bus is in operation") };
     let stale = homing.apply(&mut session.encoders().to_vec(), &session.live().latches());
@@ -159,13 +180,16 @@ fn log() -> CheckLine {
     }
 }
 
-fn leftovers(view: &View<'_>) -> CheckLine {
+fn leftovers(found: Option<&Found>) -> CheckLine {
     const SUBJECT: &str = "left-over files";
-    let DaemonConfig { directory, spare_directory, .. } = &view.settings.daemon;
-    let files = [runs::left_behind(directory), runs::left_behind(spare_directory)].concat();
-    if files.is_empty() {
+    let Some(Found { left_behind, .. }) = found else { return unanswered(SUBJECT) };
+    if left_behind.is_empty() {
         return good(SUBJECT, "none");
     }
-    let names: Vec<_> = files.iter().map(|file| file.display().to_string()).collect();
+    let names: Vec<_> = left_behind.iter().map(|file| file.display().to_string()).collect();
     problem(SUBJECT, names.join(", "), "run `ballbard recover` on each")
+}
+
+fn unanswered(subject: &str) -> CheckLine {
+    problem(subject, "the disk does not answer", "look at its cable, its power, or the network it is on")
 }

@@ -2,21 +2,24 @@
 //! [`controller`](super::controller).
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
 use shared::config::{BallBarConfig, DaemonConfig};
+use shared::recording::{ACTIVE_ENDING, FINISHED_ENDING};
 use shared::time::MonoNs;
-use tokio::sync::{oneshot, watch};
+use tokio::sync::{Semaphore, oneshot, watch};
 
 use super::controller::{Command, Controller};
 use super::machine::Answer;
+use super::preflight::Found;
+use super::runs::{self, RunLine};
 use super::status::{CheckLine, Refusal, StartRequest, Status};
-use crate::claim::Claim;
 use crate::clock::Clock;
+use crate::homing;
 use crate::run::{self, BusChoice, RunDetails, RunError, Session, Storage};
 use crate::segment::faults::FaultWindow;
 
@@ -44,29 +47,35 @@ pub struct Service {
     commands: Sender<Command>,
     status: watch::Receiver<Status>,
     settings: Arc<Settings>,
-    thread: Arc<Mutex<Option<thread::JoinHandle<bool>>>>,
-    _claim: Arc<Option<Claim>>,
+    thread: Arc<Mutex<Option<thread::JoinHandle<Result<(), ServiceError>>>>>,
+    looks: Arc<Semaphore>,
 }
 
-/// Why the service cannot start.
+/// Questions that may wait for the disk at a time.
+const LOOKS_MAX: usize = 4;
+/// How long each may: who asks is told sooner or later what is known without it.
+const LOOK_WITHIN: Duration = Duration::from_secs(1);
+/// The same for a list of hundreds of recordings.
+const LIST_WITHIN: Duration = Duration::from_secs(10);
+
+/// Why the service cannot start, or has ended by itself.
 #[derive(Debug, thiserror::Error)]
-pub enum StartError {
+pub enum ServiceError {
     /// Another process records into its directory.
     #[error(transparent)]
     Run(#[from] RunError),
     /// The system refused its thread.
     #[error("cannot start the service's thread: {0}")]
     Thread(#[from] std::io::Error),
+    /// One of its threads has died.
+    #[error("a thread of the service has ended; its cause is in the log")]
+    Died,
 }
 
-/// A thread of the service has died.
-#[derive(Debug, thiserror::Error)]
-#[error("a thread of the service has ended; its cause is in the log")]
-pub struct Died;
-
 impl Service {
-    /// Starts the service: left-over runs are finished, the bus is brought up and kept up.
-    pub fn start(settings: Settings) -> Result<Self, StartError> {
+    /// Starts the service: left-over runs are finished, the bus is brought up and kept up. Where another process has its
+    /// directory it ends, as [`join`](Self::join) says.
+    pub fn start(settings: Settings) -> Result<Self, ServiceError> {
         let (bus, faults) = (settings.bus.clone(), settings.faults.clone());
         let (daemon, bar) = (settings.daemon.clone(), settings.bar.clone());
         let storage = Storage::new(&daemon)?;
@@ -79,23 +88,21 @@ impl Service {
         settings: Settings,
         storage: Storage,
         connect: Arc<Connect>,
-    ) -> Result<Self, StartError> {
-        let claim = Arc::new(run::claim_directory(&settings.daemon.directory)?);
-        run::finish_leftovers(&storage);
+    ) -> Result<Self, ServiceError> {
         let settings = Arc::new(settings);
         let (commands, commands_rx) = channel();
         let (status_tx, status) = watch::channel(Status::default());
         let mut controller = Controller::new(Arc::clone(&settings), connect, storage, status_tx);
         let body = move || {
-            let is_well = catch_unwind(AssertUnwindSafe(|| controller.run(&commands_rx))).is_ok();
-            if !is_well {
+            let outcome = catch_unwind(AssertUnwindSafe(|| controller.run(&commands_rx)));
+            outcome.map(|ended| ended.map_err(ServiceError::Run)).unwrap_or_else(|_| {
                 controller.abandon();
-            }
-            is_well
+                Err(ServiceError::Died)
+            })
         };
         let thread = thread::Builder::new().name("control".into()).spawn(body)?;
         let thread = Arc::new(Mutex::new(Some(thread)));
-        Ok(Self { commands, status, settings, thread, _claim: claim })
+        Ok(Self { commands, status, settings, thread, looks: Arc::new(Semaphore::new(LOOKS_MAX)) })
     }
 
     /// What it is doing.
@@ -113,9 +120,16 @@ impl Service {
         &self.settings
     }
 
+    /// Answered when the run's file is there, or why it gets none.
     pub(super) async fn begin(&self, request: StartRequest) -> Result<Answer, Refusal> {
         let named = request.name.is_some();
-        let details = Box::new(details(request, &self.settings.daemon)?);
+        let settings = Arc::clone(&self.settings);
+        let Some(details) = self.look(LOOK_WITHIN, move || details(request, &settings)).await else {
+            return Ok(Answer::Refused(
+                "the disk does not answer; `ballbard status` says what is known of it".into(),
+            ));
+        };
+        let details = Box::new(details?);
         self.ask(|reply| Command::Start(details, named, reply)).await
     }
 
@@ -137,7 +151,32 @@ impl Service {
 
     /// The preflight check.
     pub async fn check(&self) -> Result<Vec<CheckLine>, Refusal> {
-        self.ask(Command::Check).await
+        let settings = Arc::clone(&self.settings);
+        let found = self.look(LOOK_WITHIN, move || Found::now(&settings)).await;
+        self.ask(|reply| Command::Check(found, reply)).await
+    }
+
+    /// The recordings; none where the disk does not answer.
+    pub(super) async fn runs(&self) -> Option<std::io::Result<Vec<RunLine>>> {
+        let DaemonConfig { directory, spare_directory, .. } = self.settings.daemon.clone();
+        self.look(LIST_WITHIN, move || runs::list(&directory, Some(&spare_directory))).await
+    }
+
+    /// What a thread finds that may wait for the disk; none where that takes longer than `within`.
+    async fn look<T: Send + 'static>(
+        &self,
+        within: Duration,
+        find: impl FnOnce() -> T + Send + 'static,
+    ) -> Option<T> {
+        let found = async {
+            let place = Arc::clone(&self.looks).acquire_owned().await.ok()?;
+            let find = move || {
+                let _place = place;
+                find()
+            };
+            tokio::task::spawn_blocking(find).await.ok()
+        };
+        tokio::time::timeout(within, found).await.ok().flatten()
     }
 
     /// Ends a running run with `cause` and its file finished, then the service. Does not wait.
@@ -147,10 +186,9 @@ impl Service {
     }
 
     /// Waits for the end of the service; its file is finished then, also where its thread died.
-    pub fn join(&self) -> Result<(), Died> {
+    pub fn join(&self) -> Result<(), ServiceError> {
         let thread = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take();
-        let is_well = thread.is_none_or(|thread| thread.join().unwrap_or(false));
-        if is_well { Ok(()) } else { Err(Died) }
+        thread.map_or(Ok(()), |thread| thread.join().unwrap_or(Err(ServiceError::Died)))
     }
 
     /// Returns when the service has ended, for whatever reason.
@@ -176,7 +214,9 @@ impl Service {
 /// Longer is a slip of the finger.
 const DURATION_MAX: Duration = Duration::from_secs(366 * 86_400);
 
-fn details(request: StartRequest, daemon: &DaemonConfig) -> Result<RunDetails, Refusal> {
+fn details(request: StartRequest, settings: &Settings) -> Result<RunDetails, Refusal> {
+    let Settings { daemon, homing_file, .. } = settings;
+    let homing = homing::file::read(homing_file).map_err(|error| Refusal { error: error.to_string() })?;
     let duration = request
         .duration_s
         .map(|seconds| {
@@ -192,20 +232,31 @@ fn details(request: StartRequest, daemon: &DaemonConfig) -> Result<RunDetails, R
         })
         .transpose()?;
     Ok(RunDetails {
-        name: request.name.unwrap_or_default(),
+        name: request.name.unwrap_or_else(|| free_name(&daemon.directory)),
         operator: request.operator,
         robot: request.robot,
         note: request.note,
         duration,
-        homing: None,
+        homing,
     })
+}
+
+/// A name of date and time that no file bears.
+fn free_name(directory: &Path) -> String {
+    let base = run::name_by_time();
+    let taken = |name: &str| {
+        [FINISHED_ENDING, ACTIVE_ENDING]
+            .iter()
+            .any(|ending| directory.join(format!("{name}.{ending}")).exists())
+    };
+    let numbered = (2..1000).map(|number| format!("{base}-{number}"));
+    std::iter::once(base.clone()).chain(numbered).find(|name| !taken(name)).unwrap_or(base)
 }
 
 #[cfg(test)]
 pub(crate) mod tests {
     use std::fs::File;
     use std::io;
-    use std::path::Path;
     use std::sync::atomic::{AtomicBool, Ordering};
     use std::time::Instant;
 
@@ -259,6 +310,87 @@ pub(crate) mod tests {
         }
     }
 
+    /// A disk that hangs while it is told to, wherever a run's file or what earlier runs left is made.
+    #[derive(Debug, Default)]
+    struct HangingDisk(AtomicBool);
+
+    impl Disk for HangingDisk {
+        fn create(&self, path: &Path) -> io::Result<File> {
+            while self.0.load(Ordering::Acquire) {
+                thread::sleep(Duration::from_millis(10));
+            }
+            SystemDisk.create(path)
+        }
+    }
+
+    fn runtime() -> tokio::runtime::Runtime {
+        tokio::runtime::Builder::new_current_thread().enable_time().build().unwrap()
+    }
+
+    /// Begins a run whose file the disk does not make; with the thread of who asked for it.
+    fn begin_on_hanging_disk(directory: &Path) -> (Service, Arc<HangingDisk>, thread::JoinHandle<Answer>) {
+        let disk = Arc::new(HangingDisk::default());
+        let (service, _) = simulated_after(directory, disk.clone(), || {});
+        wait_until(&service, "the bus", |status| status.state == "waiting");
+        disk.0.store(true, Ordering::Release);
+        let asking = service.clone();
+        let request = StartRequest { name: Some("late".into()), ..StartRequest::default() };
+        let asked = thread::spawn(move || runtime().block_on(asking.begin(request)).unwrap());
+        let told = wait_until(&service, "what the run waits for", |status| {
+            status
+                .reason
+                .as_ref()
+                .is_some_and(|reason| reason.contains("the disk has been asked to create it"))
+        });
+        assert_eq!(told.state, "opening");
+        (service, disk, asked)
+    }
+
+    #[test]
+    fn while_the_disk_makes_no_file_everybody_is_answered_and_no_cycle_is_lost() {
+        let directory = tempfile::tempdir().unwrap();
+        let (service, disk, asked) = begin_on_hanging_disk(directory.path());
+        let begun = Instant::now();
+        let lines = runtime().block_on(service.check()).unwrap();
+        assert!(begun.elapsed() < Duration::from_secs(2), "{:?}", begun.elapsed());
+        assert!(lines.iter().any(|line| line.subject == "disk" && line.finding.contains("no file yet")));
+        assert!(!asked.is_finished());
+        disk.0.store(false, Ordering::Release);
+        assert_eq!(asked.join().unwrap(), Answer::Beginning);
+        wait_until(&service, "writing", |status| status.state == "writing");
+        service.shutdown("test over");
+        service.join().unwrap();
+        let recording = Recording::open(&directory.path().join("late.mcap")).unwrap();
+        // From the instant at which it was asked for, more than a second before there was a file.
+        assert!(recording.cycles.len() > 100 && recording.end.cycles_lost == 0, "{:?}", recording.end);
+    }
+
+    #[test]
+    fn a_run_that_is_called_off_before_it_has_its_file_ends_with_the_file() {
+        let directory = tempfile::tempdir().unwrap();
+        let (service, disk, asked) = begin_on_hanging_disk(directory.path());
+        let (answer, runs_over) = runtime().block_on(service.stop("called off".into())).unwrap();
+        assert_eq!((answer, runs_over), (Answer::Stopping("late".into()), 0));
+        disk.0.store(false, Ordering::Release);
+        assert_eq!(asked.join().unwrap(), Answer::Beginning);
+        let last = wait_until(&service, "its end", |status| status.runs_over == 1).last.unwrap();
+        assert_eq!((last.cause.as_str(), last.error), ("called off", None));
+        service.shutdown("test over");
+        service.join().unwrap();
+    }
+
+    #[test]
+    fn a_disk_that_makes_no_file_keeps_no_service_from_its_end() {
+        let directory = tempfile::tempdir().unwrap();
+        let (service, disk, asked) = begin_on_hanging_disk(directory.path());
+        let begun = Instant::now();
+        service.shutdown("test over");
+        service.join().unwrap();
+        assert!(begun.elapsed() < Duration::from_secs(2), "{:?}", begun.elapsed());
+        assert!(asked.join().is_err(), "nobody is told that the run has begun");
+        disk.0.store(false, Ordering::Release);
+    }
+
     /// A service on the simulated bus in `directory`; what is stored into the flag ends the thread of the cycle.
     pub(crate) fn simulated(directory: &Path) -> (Service, Arc<AtomicBool>) {
         simulated_after(directory, Arc::new(SystemDisk), || {})
@@ -297,9 +429,8 @@ pub(crate) mod tests {
     /// Begins a run and waits until it is being written.
     pub(crate) fn record(service: &Service, name: &str) {
         wait_until(service, "the bus", |status| status.state == "waiting");
-        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
         let request = StartRequest { name: Some(name.into()), ..StartRequest::default() };
-        assert_eq!(runtime.block_on(service.begin(request)).unwrap(), Answer::Beginning);
+        assert_eq!(runtime().block_on(service.begin(request)).unwrap(), Answer::Beginning);
         wait_until(service, "writing", |status| status.state == "writing");
     }
 

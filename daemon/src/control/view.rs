@@ -7,6 +7,7 @@ use super::homing::Homing;
 use super::machine::{Machine, State};
 use super::service::Settings;
 use super::status::{EncoderStatus, LastRun, RunStatus, Status};
+use super::tending::Tending;
 use crate::clock::Clock;
 use crate::cycle::link_errors;
 use crate::run::{ActiveRun, BusChoice, Session, Storage};
@@ -21,13 +22,19 @@ pub(super) struct View<'a> {
     pub last: Option<&'a LastRun>,
     pub runs_over: u64,
     pub storage: &'a Storage,
+    pub tending: Option<&'a Tending>,
 }
 
 impl View<'_> {
     /// What is wrong with the disk, as far as the run that goes on or the next one is concerned.
     pub fn disk_problem(&self) -> Option<String> {
         let warning = self.run.and_then(|run| run.progress.get().warning());
-        warning.into_iter().chain(self.storage.problem()).reduce(|one, other| format!("{one}; {other}"))
+        let tending = self.tending.map(Tending::text);
+        warning
+            .into_iter()
+            .chain(self.storage.problem())
+            .chain(tending)
+            .reduce(|one, other| format!("{one}; {other}"))
     }
 
     /// In the words of the API.

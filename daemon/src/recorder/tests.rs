@@ -61,7 +61,8 @@ fn rig(disk: Arc<dyn Disk>, source: CycleSource, daemon: &DaemonConfig, clock: &
         ring_cycles: source.ring.buffer().capacity(),
     };
     let place = writer.sink().place().clone();
-    let progress = Arc::new(Progress::new(Arc::clone(source.handed()), limits, place));
+    let progress = Arc::new(Progress::new(Arc::clone(source.handed()), limits));
+    progress.opened(place);
     let stop = Stop::default();
     storage.watch(&progress, &stop);
     let link = RunLink { marks: sync_channel(1).1, progress, storage };

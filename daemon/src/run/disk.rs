@@ -133,15 +133,17 @@ impl Shared {
             (seen.begun, seen.is_over) = (Instant::now(), false);
         }
         let run = lock(&self.run).clone().and_then(|run| Some((run.progress.upgrade()?, run)));
-        let place = run.as_ref().map(|(progress, _)| progress.place());
+        let place = run.as_ref().and_then(|(progress, _)| progress.place());
         let directory = place.as_ref().and_then(|place| place.path().parent()).unwrap_or(&self.directory);
         let space = self.disk.space(directory);
         let problem = self.problem_of(directory, &space);
         // A file system that does not tell is trusted.
         let usable_bytes = space.ok().map(|space| space.free_bytes.saturating_sub(self.floor_bytes));
-        if let (Some((progress, mut run)), Some(place)) = (run, &place) {
+        if let Some((progress, mut run)) = run {
             if !run.stop.is_stopped() {
-                if let Err(lost) = place.check() {
+                if let Some(place) = &place
+                    && let Err(lost) = place.check()
+                {
                     progress.set_lost(place, lost.to_string());
                 }
                 if usable_bytes == Some(0) {

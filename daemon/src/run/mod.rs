@@ -12,7 +12,7 @@ mod session;
 mod source;
 mod stop;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -250,7 +250,7 @@ pub fn record_on(
     let session = connect(request, daemon, bar, storage, stop)?;
     session.log();
     // Only now: what does not come to record leaves no directory.
-    let outcome = claim_directory(&daemon.directory)
+    let outcome = claim_directory(storage)
         .and_then(|_claim| session.begin(&request.details(), stop).and_then(ActiveRun::join));
     session.close()?;
     outcome
@@ -287,9 +287,10 @@ fn connect(
     }
 }
 
-/// Keeps other processes from recording into `directory`, which is made where it is missing. One that cannot be made
+/// Keeps other processes from recording into the directory, which is made where it is missing. One that cannot be made
 /// is not claimed: whoever records into it is told why it cannot.
-pub(crate) fn claim_directory(directory: &Path) -> Result<Option<Claim>, RunError> {
+pub(crate) fn claim_directory(storage: &Storage) -> Result<Option<Claim>, RunError> {
+    let directory = storage.directory();
     if std::fs::create_dir_all(directory).is_err() {
         return Ok(None);
     }

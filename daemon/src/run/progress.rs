@@ -48,11 +48,27 @@ struct OnDisk {
     /// With the number of the synchroniser that is at it.
     syncing_since: Option<(u32, Instant)>,
     longest: DiskTiming,
-    place: RunPlace,
+    /// What the run waits for before it has a file.
+    opening: Opening,
+    /// None before that.
+    place: Option<RunPlace>,
     /// Why the file is not where it should be, until it is moved.
     lost: Option<String>,
     moved: Option<String>,
     timing: Option<TimingSummary>,
+}
+
+/// What the disk does before a run has its file, and since when.
+#[derive(Debug)]
+struct Opening {
+    what: &'static str,
+    since: Instant,
+}
+
+impl Opening {
+    fn now(what: &'static str) -> Self {
+        Self { what, since: Instant::now() }
+    }
 }
 
 /// What survives a power cut.
@@ -87,7 +103,7 @@ pub struct Snapshot {
     pub unsynced_s: f64,
     /// How long the disk kept the recorder waiting, what it is at included.
     pub longest: DiskTiming,
-    /// Where the run is written.
+    /// Where the run is written; empty until its file is there.
     pub file: PathBuf,
     /// What is wrong with the disk.
     pub warnings: Vec<Warning>,
@@ -105,15 +121,16 @@ pub struct Warning {
 }
 
 impl Progress {
-    /// Of a run that begins in the file at `place`.
-    pub fn new(handed: Arc<Handed>, limits: Limits, place: RunPlace) -> Self {
+    /// Of a run that has no file yet.
+    pub fn new(handed: Arc<Handed>, limits: Limits) -> Self {
         let disk = OnDisk {
             written: 0,
             synced: Synced::default(),
             writing_since: None,
             syncing_since: None,
             longest: DiskTiming::default(),
-            place,
+            opening: Opening::now("to begin with it"),
+            place: None,
             lost: None,
             moved: None,
             timing: None,
@@ -123,6 +140,21 @@ impl Progress {
 
     fn disk(&self) -> MutexGuard<'_, OnDisk> {
         self.disk.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What the disk does now so that the run gets its file.
+    pub fn opening(&self, what: &'static str) {
+        self.disk().opening = Opening::now(what);
+    }
+
+    /// The run's file is there.
+    pub fn opened(&self, place: RunPlace) {
+        self.disk().place = Some(place);
+    }
+
+    /// Whether it is.
+    pub fn is_open(&self) -> bool {
+        self.disk().place.is_some()
     }
 
     /// The recorder is about to write.
@@ -168,15 +200,15 @@ impl Progress {
         self.disk().longest_now()
     }
 
-    /// Where the run is written.
-    pub fn place(&self) -> RunPlace {
+    /// Where the run is written; none before its file is there.
+    pub fn place(&self) -> Option<RunPlace> {
         self.disk().place.clone()
     }
 
     /// The file is not where it should be; the recorder will look.
     pub fn set_lost(&self, place: &RunPlace, why: String) {
         let mut disk = self.disk();
-        if disk.place.path() == place.path() {
+        if disk.place.as_ref().is_some_and(|own| own.path() == place.path()) {
             disk.lost = Some(why);
         }
     }
@@ -189,7 +221,7 @@ impl Progress {
     /// The run goes on in another place, and why.
     pub fn moved(&self, place: RunPlace, why: String) {
         let mut disk = self.disk();
-        disk.place = place;
+        disk.place = Some(place);
         disk.syncing_since = None;
         disk.lost = None;
         disk.moved = Some(why);
@@ -222,7 +254,7 @@ impl Progress {
             backlog_limit_s: seconds(self.limits.ring_cycles as u64),
             unsynced_s: seconds(taken.saturating_sub(synced.cycles)),
             longest: disk.longest_now(),
-            file: disk.place.path().to_owned(),
+            file: disk.place.as_ref().map(|place| place.path().to_owned()).unwrap_or_default(),
             warnings: Vec::new(),
             timing: disk.timing.clone(),
         };
@@ -247,6 +279,8 @@ impl OnDisk {
 pub const BUS_FLAGS: u32 =
     flags::NO_REPLY | flags::WORKING_COUNTER | flags::NOT_OPERATIONAL | flags::BUS_DOWN;
 
+/// A disk that takes longer to give a run its file is told.
+const OPENS_WITHIN: Duration = Duration::from_secs(1);
 /// Synchronisation periods that may wait before that is worth a word: one is usual, the other for a busy disk.
 const WARNING_PERIODS: u32 = 2;
 
@@ -256,6 +290,15 @@ impl Snapshot {
         let usual_s = (sync_period * WARNING_PERIODS).as_secs_f64();
         let mut warnings = Vec::new();
         let mut warn = |what, text| warnings.push(Warning { what, text });
+        let opening = disk.opening.since.elapsed();
+        if disk.place.is_none() && opening > OPENS_WITHIN {
+            let text = format!(
+                "the run has no file yet: for {:.1} s the disk has been asked {}",
+                opening.as_secs_f64(),
+                disk.opening.what
+            );
+            warn("opening", text);
+        }
         if let Some(why) = &disk.lost {
             warn("lost file", format!("{why}; what was taken is being brought to another place"));
         }

@@ -101,35 +101,35 @@ impl Session {
         }
     }
 
-    /// Begins a run; its file is on disk when this returns. One run at a time: the one before must be joined. What
-    /// earlier crashes left is recovered first.
+    /// Begins a run without waiting for the disk. Its recorder recovers what earlier crashes left, then makes the run's
+    /// file, while the cycles wait in the ring; [`Progress::is_open`] once it is there. One run at a time: the one before
+    /// must be joined.
     pub fn begin(&self, details: &RunDetails, stop: &Stop) -> Result<ActiveRun, RunError> {
         if let Some(problem) = self.storage.problem() {
             return Err(RunError::Disk(problem));
         }
         details.check().map_err(RunError::Request)?;
-        finish_leftovers(&self.storage);
         let metadata = self.metadata(details);
-        claim::tell(format!("recording run `{}`", details.name));
-        let writer =
-            RecordingWriter::<RunFile>::create_on(self.storage.disk(), self.storage.directory(), &metadata)
-                .inspect_err(|_| claim::tell("between runs"))?;
+        let started = metadata.started;
         let ring_cycles = self.daemon.ring_cycles(self.period);
         let (sink, ring) = recorder::ring(ring_cycles, &self.clock);
         let (marks, marks_rx) = sync_channel(MARKS_MAX);
         let limits =
             Limits { cycle_period: self.period, sync_period: self.daemon.sync_period(), ring_cycles };
-        let place = writer.sink().place().clone();
-        let progress = Arc::new(Progress::new(Arc::clone(ring.handed()), limits, place));
+        let progress = Arc::new(Progress::new(Arc::clone(ring.handed()), limits));
         self.storage.watch(&progress, stop);
         let link =
             RunLink { marks: marks_rx, progress: Arc::clone(&progress), storage: self.storage.clone() };
-        let recorder =
-            Recorder::new(ring, writer, self.clock.clone(), self.daemon.sync_period(), &metadata, link);
-        let (cause, written) = (stop.clone(), Arc::clone(&progress));
-        let recorder = spawn("recorder", move || {
-            recorder.run(|| cause.cause()).map_err(|source| broken(source, &written, cause.cause()))
-        })?;
+        let (clock, sync_period, cause) = (self.clock.clone(), self.daemon.sync_period(), stop.clone());
+        let utc_minus_monotonic_ns = metadata.utc_minus_monotonic_ns;
+        let record = move || {
+            let writer = create(&link, &metadata)?;
+            let progress = Arc::clone(&link.progress);
+            let recorder = Recorder::new(ring, writer, clock, sync_period, &metadata, link);
+            recorder.run(|| cause.cause()).map_err(|source| broken(source, &progress, cause.cause()))
+        };
+        let recorder = spawn("recorder", record)?;
+        claim::tell(format!("recording run `{}`", details.name));
         let job = RunJob {
             sink,
             stop: stop.clone(),
@@ -137,11 +137,11 @@ impl Session {
             full_fault_cycles: self
                 .cycles_of_time(Duration::from_secs(self.daemon.full_fault_s.into()))
                 .max(1),
-            utc_minus_monotonic_ns: metadata.utc_minus_monotonic_ns,
+            utc_minus_monotonic_ns,
         };
         // If the cycle has died the recorder finds the ring abandoned and finishes an empty file.
         let _ = self.jobs.send(Job::Run(job));
-        Ok(ActiveRun { stop: stop.clone(), progress, started: metadata.started, marks, recorder })
+        Ok(ActiveRun { stop: stop.clone(), progress, started, marks, recorder })
     }
 
     /// Begins to look for the encoders' reference marks, while a person turns one joint at a time.
@@ -276,9 +276,20 @@ impl ActiveRun {
     }
 }
 
+/// The run's file, when what earlier crashes left is recovered: one of them may have had its name.
+fn create(link: &RunLink, run: &RunMetadata) -> Result<RecordingWriter<RunFile>, RunError> {
+    let RunLink { progress, storage, .. } = link;
+    progress.opening("to recover what earlier runs left");
+    finish_leftovers(storage);
+    progress.opening("to create it");
+    let writer = RecordingWriter::create_on(storage.disk(), storage.directory(), run)?;
+    progress.opened(writer.sink().place().clone());
+    Ok(writer)
+}
+
 /// A disk that refused: what was written before is made a finished file, if there is room for that.
 fn broken(source: WriteError, progress: &Progress, cause: String) -> RunError {
-    let place = progress.place();
+    let Some(place) = progress.place() else { return source.into() };
     let (file, content) = match recover_file(place.path()) {
         Ok(Recovery::Recovered { file, content, .. } | Recovery::Renamed { file, content }) => {
             (file, content)

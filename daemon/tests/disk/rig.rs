@@ -170,7 +170,8 @@ pub fn record(plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Outcome {
     let limits =
         Limits { cycle_period: plan.period, sync_period: plan.sync_period, ring_cycles: plan.ring_cycles };
     let place = writer.sink().place().clone();
-    let progress = Arc::new(Progress::new(Arc::clone(source.handed()), limits, place));
+    let progress = Arc::new(Progress::new(Arc::clone(source.handed()), limits));
+    progress.opened(place);
     let stop = Stop::default();
     storage.watch(&progress, &stop);
     let (marks, marks_rx) = sync_channel(100);

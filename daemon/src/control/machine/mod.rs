@@ -36,7 +36,7 @@ pub enum State {
     Waiting,
     /// The encoders' reference marks are being looked for.
     Homing,
-    /// A run's file is being created.
+    /// A run's file is being created; its cycles wait in memory.
     Opening {
         /// Its name.
         run: String,
@@ -98,7 +98,7 @@ pub enum Event {
     Closed,
     /// The run's file could not be finished in the ordinary way.
     CloseFailed(String),
-    /// What a failed run left has been looked after.
+    /// What earlier runs left has been looked after: those before the service, or one that failed.
     Recovered,
     /// The service is asked to end, and by what.
     Shutdown(String),

@@ -10,6 +10,7 @@ fn started(run: &str) -> Event {
 
 fn after(events: impl IntoIterator<Item = Event>) -> (Machine, Vec<Action>) {
     let mut machine = Machine::default();
+    machine.handle(Event::Recovered);
     let actions = events.into_iter().flat_map(|event| machine.handle(event)).collect();
     (machine, actions)
 }
@@ -138,6 +139,24 @@ fn a_disk_that_fails_is_a_fault_until_it_is_looked_after() {
     assert_eq!(machine.handle(started("b")), [Action::Answer(Answer::Refused("no space".into()))]);
     machine.handle(Event::Recovered);
     assert_eq!(*machine.state(), State::Waiting);
+}
+
+#[test]
+fn nothing_begins_before_what_earlier_runs_left_is_looked_after() {
+    let mut machine = Machine::default();
+    machine.handle(Event::BusUp);
+    assert!(matches!(machine.handle(started("a"))[..], [Action::Answer(Answer::Refused(_))]));
+    machine.handle(Event::Recovered);
+    assert_eq!(*machine.state(), State::Waiting);
+}
+
+#[test]
+fn a_run_that_is_stopped_before_its_file_is_there_takes_no_more_cycles_and_ends_with_the_file() {
+    let (mut machine, _) = after([Event::BusUp, started("a")]);
+    let stopped = machine.handle(Event::Stop("enough".into()));
+    assert_eq!(stopped, [Action::End("enough".into()), Action::Answer(Answer::Stopping("a".into()))]);
+    machine.handle(Event::Opened);
+    assert_eq!(*machine.state(), State::Closing { run: "a".into(), cause: "enough".into() });
 }
 
 #[test]

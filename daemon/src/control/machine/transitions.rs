@@ -8,7 +8,7 @@ pub struct Machine {
     state: State,
     /// Why the bus is not in operation; none if it is.
     bus_fault: Option<String>,
-    /// Why a run could not be finished, until that is looked after.
+    /// Why nothing can be recorded before the place for it is looked after.
     disk_fault: Option<String>,
     leaving: bool,
 }
@@ -19,7 +19,7 @@ impl Default for Machine {
         Self {
             state: State::Fault { reason: reason.clone() },
             bus_fault: Some(reason),
-            disk_fault: None,
+            disk_fault: Some("what earlier runs left is being recovered".into()),
             leaving: false,
         }
     }
@@ -192,9 +192,10 @@ impl Machine {
     /// The first cause stands.
     fn end_run(&mut self, cause: &str) -> Vec<Action> {
         match &mut self.state {
+            State::Opening { stop: Some(_), .. } => Vec::new(),
             State::Opening { stop, .. } => {
-                stop.get_or_insert_with(|| cause.to_owned());
-                Vec::new()
+                *stop = Some(cause.to_owned());
+                vec![Action::End(cause.to_owned())]
             }
             State::Sampling { run } | State::Writing { run } => {
                 let run = std::mem::take(run);

@@ -1,0 +1,49 @@
+//! The place for recordings made ready by a thread that may wait for the disk, so that nobody else does.
+
+use std::sync::mpsc::{Receiver, TryRecvError, channel};
+use std::thread;
+use std::time::Instant;
+
+use crate::claim::Claim;
+use crate::run::{self, RunError, Storage};
+
+/// Work of this kind that goes on.
+pub(super) struct Tending {
+    since: Instant,
+    outcome: Receiver<Result<Option<Claim>, RunError>>,
+}
+
+impl Tending {
+    /// Claims the place unless that is done, and finishes what earlier runs left there.
+    pub fn begin(storage: &Storage, is_claimed: bool) -> Self {
+        let (result, outcome) = channel();
+        let storage = storage.clone();
+        let tend = move || {
+            let claimed = if is_claimed { Ok(None) } else { run::claim_directory(&storage) };
+            if claimed.is_ok() {
+                run::finish_leftovers(&storage);
+            }
+            // Nobody waits any more if the service has ended meanwhile.
+            let _ = result.send(claimed);
+        };
+        // Without a thread nobody sends, and the place is as it is.
+        let _ = thread::Builder::new().name("leftovers".into()).spawn(tend);
+        Self { since: Instant::now(), outcome }
+    }
+
+    /// What became of it; none while it goes on.
+    pub fn look(&self) -> Option<Result<Option<Claim>, RunError>> {
+        match self.outcome.try_recv() {
+            Ok(outcome) => Some(outcome),
+            Err(TryRecvError::Empty) => None,
+            // Its cause is in the log, and what it did not finish is still there.
+            Err(TryRecvError::Disconnected) => Some(Ok(None)),
+        }
+    }
+
+    /// For those who ask why nothing can begin.
+    pub fn text(&self) -> String {
+        let asked_s = self.since.elapsed().as_secs_f64();
+        format!("for {asked_s:.1} s the disk has been asked to recover what earlier runs left")
+    }
+}
