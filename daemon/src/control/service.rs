@@ -41,13 +41,16 @@ pub struct Settings {
 /// Brings the bus into operation; tried again and again until it is.
 pub(crate) type Connect = dyn Fn() -> Result<Session, RunError> + Send + Sync;
 
+/// The service's thread, and why it has ended.
+type Control = thread::JoinHandle<Result<(), ServiceError>>;
+
 /// The way to the service's thread. Clones reach the same service.
 #[derive(Clone)]
 pub struct Service {
     commands: Sender<Command>,
     status: watch::Receiver<Status>,
     settings: Arc<Settings>,
-    thread: Arc<Mutex<Option<thread::JoinHandle<Result<(), ServiceError>>>>>,
+    thread: Arc<Mutex<Option<Control>>>,
     looks: Arc<Semaphore>,
 }
 

@@ -52,7 +52,8 @@ fn a_run_that_has_no_place_left_is_no_success_for_whoever_stops_it() {
     let last = service.wait_until("the end", |status| status.last.is_some()).last.unwrap();
     assert!(last.error.as_ref().unwrap().contains("nothing of the run is left"), "{last:?}");
     assert_eq!((last.file, last.cycles), (None, 0));
-    // A directory that takes no file is no place for the next.
+    // A directory that takes no file is no place for the next, also when what the run left was looked after.
+    service.wait_for("waiting");
     let (status, refused) = service.post("start", &json!({"name": "next"}));
     assert_eq!(status, 409);
     assert!(refused["error"].as_str().unwrap().contains("cannot be written"), "{refused}");
