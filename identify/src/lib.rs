@@ -4,6 +4,9 @@
 //! [`calibrate`] ties them together -> [`study`] looks at the result -> [`report`]; [`simulate`] makes experiments with
 //! known truth, [`commands`] is what a person types.
 
+// A reader of standard output that has gone must end nothing: commands print with `say` and `show`.
+#![warn(clippy::print_stdout)]
+
 pub mod calibrate;
 pub mod commands;
 pub mod cost;

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 use std::sync::OnceLock;
 
 use crate::support::command::identify;
@@ -362,4 +362,39 @@ fn measured_lengths_calibrate_from_a_csv_with_a_mapping() {
     let out = tempfile::tempdir().unwrap();
     std::fs::write(&path, broken).unwrap();
     refused(&identify(&arguments, "irb120_3.toml", out.path()), &["cable_mm", "wire_mm"], out.path());
+}
+
+#[test]
+fn a_reader_that_has_gone_ends_nothing() {
+    let mut inspecting = Command::new(env!("CARGO_BIN_EXE_identify"))
+        .arg("inspect")
+        .arg(experiment().join("recording.mcap"))
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(inspecting.stdout.take());
+    let output = inspecting.wait_with_output().unwrap();
+    assert_eq!((output.status.code(), String::from_utf8_lossy(&output.stderr).as_ref()), (Some(0), ""));
+}
+
+#[test]
+fn an_experiment_is_simulated_where_the_bar_stands() {
+    let bar = config("ball_bar.toml");
+    let at = |base: &str| {
+        let out = tempfile::tempdir().unwrap();
+        let arguments = ["simulate", "--duration", "20s", "--base", base, "--bar", bar.to_str().unwrap()];
+        (identify(&arguments, IRB, out.path()), out)
+    };
+    let (output, out) = at("0.9,-0.3,0.4");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let truth: toml::Table = std::fs::read_to_string(out.path().join("truth.toml")).unwrap().parse().unwrap();
+    let base_m: Vec<f64> =
+        truth["design"]["base_m"].as_array().unwrap().iter().filter_map(toml::Value::as_float).collect();
+    assert_eq!(base_m, [0.9, -0.3, 0.4]);
+
+    let (output, out) = at("9,0,0");
+    refused(&output, &["no pose of the robot holds the bar", "--base"], out.path());
+    let (output, out) = at("1,2");
+    refused(&output, &["2 numbers are given, 3 belong here"], out.path());
 }

@@ -1,7 +1,8 @@
-//! Tests of the recording's format, in one program.
+//! Tests of the recording's format and of configuration files, in one program.
 
 mod support;
 
+mod configuration;
 mod leftovers;
 mod recording;
 mod recovery;

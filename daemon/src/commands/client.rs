@@ -9,8 +9,8 @@ use clap::Args;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use shared::config::{self, DaemonConfig};
+use shared::output::say;
 
-use super::output::say;
 use crate::control::runs::{self, RunLine};
 use crate::control::status::{
     CheckLine, LastRun, MarkRequest, Refusal, Reply, RunStatus, StartRequest, Status, StopRequest,
@@ -86,9 +86,10 @@ pub fn start(arguments: StartArguments) -> anyhow::Result<()> {
     let reply: Reply = service.post("start", &request)?;
     let run = reply.run.unwrap_or_default();
     match reply.answer.as_str() {
-        "running" => say(format_args!("run `{run}` goes on already")),
-        _ => say(format_args!("run `{run}` has begun")),
+        "running" => say(format_args!("run `{run}` goes on already"))?,
+        _ => say(format_args!("run `{run}` has begun"))?,
     }
+    Ok(())
 }
 
 pub fn stop(arguments: &AskArguments) -> anyhow::Result<()> {
@@ -97,16 +98,17 @@ pub fn stop(arguments: &AskArguments) -> anyhow::Result<()> {
     match (reply.answer.as_str(), reply.last) {
         ("stopped", Some(last)) => {
             say(last_run(&last))?;
-            unless_blind(last.cycles, last.cycles_valid)
+            unless_blind(last.cycles, last.cycles_valid)?;
         }
-        ("homing", _) => say("the homing ends"),
-        _ => say("no run goes on"),
+        ("homing", _) => say("the homing ends")?,
+        _ => say("no run goes on")?,
     }
+    Ok(())
 }
 
 pub fn mark(arguments: &MarkArguments) -> anyhow::Result<()> {
     let reply: Reply = arguments.service.post("mark", &MarkRequest { text: arguments.text.clone() })?;
-    say(format_args!("marked in run `{}`", reply.run.unwrap_or_default()))
+    Ok(say(format_args!("marked in run `{}`", reply.run.unwrap_or_default()))?)
 }
 
 pub fn status(arguments: &AskArguments) -> anyhow::Result<()> {

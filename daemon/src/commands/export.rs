@@ -6,10 +6,9 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::Args;
+use shared::output::{say, unless_gone};
 use shared::recording::Recording;
 use shared::recording::schema::{EncoderInfo, flags};
-
-use super::output::{say, unless_gone};
 
 #[derive(Debug, Args)]
 pub struct ExportArguments {
@@ -30,7 +29,7 @@ pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
         let mut table = Vec::new();
         write_csv(&recording, &mut table)?;
         let written = std::io::stdout().lock().write_all(&table);
-        return unless_gone(written).context("cannot write to standard output");
+        return Ok(unless_gone(written)?);
     }
     // Under its final name the table is whole, or it is not there.
     let part = out.with_extension("csv.part");
@@ -38,7 +37,7 @@ pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     write_csv(&recording, BufWriter::new(file))
         .and_then(|()| Ok(std::fs::rename(&part, &out)?))
         .with_context(|| format!("cannot write {}; check free space", out.display()))?;
-    say(format_args!("{}: {} rows", out.display(), recording.cycles.len()))
+    Ok(say(format_args!("{}: {} rows", out.display(), recording.cycles.len()))?)
 }
 
 /// One row per cycle: `time_utc`, a `count` per encoder (the thesis' columns), then `angle` \[rad\] per encoder

@@ -7,9 +7,9 @@ use std::time::Duration;
 use anyhow::bail;
 use clap::Args;
 use shared::config::{self, BallBarConfig, DaemonConfig, HomingConfig};
+use shared::output::say;
 
 use super::client::ServiceArguments;
-use super::output::say;
 use super::{bus_choice, on_signal};
 use crate::control::homing::Homing;
 use crate::control::status::{HomeRequest, HomingStatus, Reply, Status, StopRequest};

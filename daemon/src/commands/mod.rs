@@ -3,7 +3,6 @@
 mod client;
 mod export;
 mod home;
-mod output;
 mod record;
 mod recover;
 mod segment;

@@ -5,9 +5,9 @@ use std::time::Duration;
 
 use clap::Args;
 use shared::config::{self, BallBarConfig, DaemonConfig, HomingConfig};
+use shared::output::say;
 
 use super::client::unless_blind;
-use super::output::say;
 use super::{bus_choice, on_signal};
 use crate::homing;
 use crate::recorder::RunSummary;
@@ -102,5 +102,5 @@ fn print(summary: &RunSummary) -> anyhow::Result<()> {
     say(format_args!(
         "{cycles} cycles, {cycles_valid} valid, {flagged} flagged, {cycles_lost} lost; {cause}"
     ))?;
-    timing.iter().try_for_each(say)
+    Ok(timing.iter().try_for_each(say)?)
 }

@@ -3,9 +3,8 @@
 use std::path::PathBuf;
 
 use clap::Args;
+use shared::output::say;
 use shared::recording::{Recovery, Salvaged, recover_file};
-
-use super::output::say;
 
 #[derive(Debug, Args)]
 pub struct RecoverArguments {

@@ -7,10 +7,10 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 
 use clap::Args;
+use shared::output::say;
 use shared::time::{MonoNs, NS_PER_S};
 
 use super::on_signal;
-use super::output::say;
 use crate::clock::Clock;
 use crate::segment::faults::{FaultHandle, FaultSwitch, FaultWindow, FaultySegment};
 use crate::segment::simulated::{Revision, SegmentConfig, SimulatedSegment, SmoothMotion};

@@ -8,10 +8,10 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use clap::Args;
 use shared::config::{self, BallBarConfig, DaemonConfig, HomingConfig};
+use shared::output::say;
 use tokio::net::TcpListener;
 
 use super::bus_choice;
-use super::output::say;
 use super::signals::Signals;
 use crate::control::api;
 use crate::control::service::{Service, ServiceError, Settings};

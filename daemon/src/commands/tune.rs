@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use shared::config::{self, DaemonConfig};
+use shared::output::say;
 
-use super::output::say;
 use crate::tuning::{self, Machine, Verdict};
 
 #[derive(Debug, Args)]
@@ -25,5 +25,5 @@ pub fn run(arguments: &TuneArguments) -> anyhow::Result<()> {
     findings.iter().try_for_each(say)?;
     let count = |verdict| findings.iter().filter(|finding| finding.verdict == verdict).count();
     let (problems, unknown) = (count(Verdict::Problem), count(Verdict::Unknown));
-    say(format_args!("{problems} problems, {unknown} unknown of {}", findings.len()))
+    Ok(say(format_args!("{problems} problems, {unknown} unknown of {}", findings.len()))?)
 }

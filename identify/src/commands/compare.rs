@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use anyhow::Context;
 use clap::Args;
+use shared::output::{say, show};
 
 use crate::report::file::CalibrationFile;
 use crate::report::side_by_side;
@@ -29,12 +30,12 @@ pub fn run(arguments: &CompareArguments) -> anyhow::Result<()> {
         .zip(&files)
         .map(|(path, file)| format!("{} ({}, {})", path.display(), file.solve.cost, file.created))
         .collect();
-    print!("{}", side_by_side::table(&consistency, &names));
+    show(side_by_side::table(&consistency, &names))?;
     if let Some(out) = &arguments.out {
         let robot = files.first().map_or("", |file| file.robot.as_str());
         let text = side_by_side::page(&consistency, robot, &names)?.into_string();
         std::fs::write(out, text).with_context(|| format!("cannot write {}", out.display()))?;
-        println!("{}", out.display());
+        say(out.display())?;
     }
     Ok(())
 }

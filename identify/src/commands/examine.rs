@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use shared::config::{self, BallBarConfig, RobotConfig};
+use shared::output::{say, show};
 
 use crate::calibrate::CostName;
 use crate::examine::examine;
@@ -40,7 +41,7 @@ pub fn run(arguments: &ExamineArguments) -> anyhow::Result<()> {
         .iter()
         .map(|&cost| examine(&robot, &bar, cost, arguments.poses, arguments.seed))
         .collect::<Result<Vec<_>, _>>()?;
-    println!("{} with {}, {} random poses\n", robot.name, bar.name, arguments.poses);
-    print!("{}", examinations(&found));
+    say(format_args!("{} with {}, {} random poses\n", robot.name, bar.name, arguments.poses))?;
+    show(examinations(&found))?;
     Ok(())
 }

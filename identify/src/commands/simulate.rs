@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use clap::{Args, ValueEnum};
 use shared::config::{self, BallBarConfig, RobotConfig};
+use shared::output::say;
 
 use crate::simulate::{self, BarLoad, Effects, Experiment, StaticErrors};
 
@@ -35,6 +36,12 @@ pub struct SimulateArguments {
     /// Errors of robot and bar
     #[arg(long, value_enum, default_value = "thesis")]
     errors: Errors,
+    /// Centre of the bar's gimbal in the robot's base frame [m]; default: by the robot's size
+    #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
+    base: Option<[f64; 3]>,
+    /// Posture of the robot near which the motion begins [deg]; it selects elbow and wrist
+    #[arg(long, value_name = "Q1,..,Q6", value_parser = numbers::<6>, allow_hyphen_values = true)]
+    posture: Option<[f64; 6]>,
     /// Length of the run
     #[arg(long, default_value = "2m", value_parser = humantime::parse_duration)]
     duration: Duration,
@@ -82,6 +89,16 @@ pub struct SimulateArguments {
     force_noise_n: f64,
 }
 
+/// `N` numbers between commas.
+fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
+    let numbers: Vec<f64> = text
+        .split(',')
+        .map(|number| number.trim().parse().map_err(|_| format!("`{number}` is no number")))
+        .collect::<Result<_, String>>()?;
+    let count = numbers.len();
+    numbers.try_into().map_err(|_| format!("{count} numbers are given, {N} belong here"))
+}
+
 pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
     let robot: RobotConfig = config::load(&arguments.robot)?;
     let bar: BallBarConfig = config::load(&arguments.bar)?;
@@ -92,6 +109,8 @@ pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
         Errors::Drawn => StaticErrors::Drawn { seed: arguments.seed },
         Errors::None => StaticErrors::None,
     };
+    experiment.design.base_m = arguments.base.unwrap_or(experiment.design.base_m);
+    experiment.design.posture_deg = arguments.posture.unwrap_or(experiment.design.posture_deg);
     experiment.design.duration_s = arguments.duration.as_secs_f64();
     experiment.clocks.skew = arguments.skew_ppm * 1e-6;
     if let Some(clock_s) = arguments.robot_clock_s {
@@ -116,7 +135,7 @@ pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
     let simulated = simulate::run(&experiment)?;
     let files = simulate::write(&arguments.out, &simulated, &robot, &bar)?;
     for path in [&files.recording, &files.robot_log, &files.truth] {
-        println!("{}", path.display());
+        say(path.display())?;
     }
     Ok(())
 }

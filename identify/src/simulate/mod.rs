@@ -115,7 +115,7 @@ pub enum SimulateError {
     Plan(#[from] PlanError),
     /// The true robot cannot follow the path.
     #[error(
-        "the robot cannot follow the bar {t_s:.3} s after the start: {source}; use smaller errors or another base"
+        "the robot cannot follow the bar {t_s:.3} s after the start: {source}; give smaller errors or another --base"
     )]
     Follow {
         /// Time on the path \[s\].

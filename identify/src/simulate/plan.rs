@@ -36,7 +36,7 @@ pub enum PlanError {
     /// Nowhere on the sphere can the robot hold the bar.
     #[error(
         "no pose of the robot holds the bar of {length_m} m at base {base_m:?} m ({obstacle} in the way most often); \
-         choose another design.base_m, posture_deg or bar length"
+         give another --base, --posture or bar length"
     )]
     NoStart {
         /// Length of the bar.
@@ -49,7 +49,7 @@ pub enum PlanError {
     /// The path ends in a corner.
     #[error(
         "the path gets stuck after {moves} moves, {time_s:.1} of {duration_s} s ({obstacle} in the way most often); \
-         choose another seed, base, bar length or duration"
+         give another --seed, --base, bar length or --duration"
     )]
     Stuck {
         /// Moves found.

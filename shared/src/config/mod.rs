@@ -1,8 +1,9 @@
-//! Configuration from TOML files. An error names the file, the key, what is wrong and what to do.
+//! Configuration from TOML files. An error names the file, the line, the key, what is wrong and what to do.
 
 mod ball_bar;
 mod daemon;
 mod homing;
+mod malformed;
 mod robot;
 
 use std::path::{Path, PathBuf};
@@ -26,13 +27,13 @@ pub enum ConfigError {
         source: std::io::Error,
     },
     /// The text is not TOML, or a key has the wrong name or type.
-    #[error("{}: key `{key}`: {message}", path.display())]
+    #[error("{}{}: {message}", path.display(), line.map(|line| format!(", line {line}")).unwrap_or_default())]
     Malformed {
         /// The file.
         path: PathBuf,
-        /// Dotted path of the key, `.` for the whole file.
-        key: String,
-        /// What is wrong, with line and column where known.
+        /// From 1; none where the fault is that something is absent.
+        line: Option<usize>,
+        /// Which key, what is wrong with it, and what was expected.
         message: String,
     },
     /// A value is outside what makes sense.
@@ -82,13 +83,14 @@ pub fn load<T: DeserializeOwned + Validate>(path: &Path) -> Result<T, ConfigErro
 
 /// [`load`] on text already in memory; `path` is only named in errors.
 pub fn parse<T: DeserializeOwned + Validate>(text: &str, path: &Path) -> Result<T, ConfigError> {
-    let malformed =
-        |key: String, message: String| ConfigError::Malformed { path: path.to_owned(), key, message };
-    let deserializer = toml::Deserializer::parse(text)
-        .map_err(|error| malformed(".".into(), error.to_string().trim_end().to_owned()))?;
-    let value: T = serde_path_to_error::deserialize(deserializer).map_err(|error| {
-        malformed(error.path().to_string(), error.inner().to_string().trim_end().to_owned())
-    })?;
+    let malformed = |key: Option<String>, error: &toml::de::Error| ConfigError::Malformed {
+        path: path.to_owned(),
+        line: malformed::line(text, error),
+        message: malformed::message(key.as_deref(), error.message()),
+    };
+    let deserializer = toml::Deserializer::parse(text).map_err(|error| malformed(None, &error))?;
+    let value: T = serde_path_to_error::deserialize(deserializer)
+        .map_err(|error| malformed(Some(error.path().to_string()), error.inner()))?;
     value.validate().map_err(|Violation { key, problem, remedy }| ConfigError::Invalid {
         path: path.to_owned(),
         key,

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::Args;
 use shared::config::{self, BallBarConfig, RobotConfig};
+use shared::output::{say, show};
 
 use super::force_logs::force_logs;
 use super::sources::sources;
@@ -215,14 +216,14 @@ pub(super) fn run(arguments: &BarArguments) -> anyhow::Result<()> {
         configuration: &toml::to_string(&config)?,
     };
     let page = page.write(&arguments.common.out)?;
-    print!("{}", table::calibration(&file));
+    show(table::calibration(&file))?;
     for limit in evidence.limits.iter().filter(|limit| limit.serious) {
-        println!("! {}", limit.sentence);
+        say(format_args!("! {}", limit.sentence))?;
     }
     if let Some(truth) = &truth {
-        print!("\n{}", table::comparison(&Comparison::new(&calibration, truth)));
+        show(format_args!("\n{}", table::comparison(&Comparison::new(&calibration, truth))))?;
     }
-    println!("\n{}\n{}", written.display(), page.display());
+    say(format_args!("\n{}\n{}", written.display(), page.display()))?;
     Ok(())
 }
 

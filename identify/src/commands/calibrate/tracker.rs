@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::Args;
 use shared::config;
+use shared::output::{say, show};
 
 use super::{CommonArguments, RowArguments, inputs, refused};
 use crate::calibrate::LossName;
@@ -105,8 +106,8 @@ pub(super) fn run(arguments: &TrackerArguments) -> anyhow::Result<()> {
     file.write_robot(robot, None, &common.out)?;
     let mut without_waves = file;
     without_waves.parameters.retain(|entry| !is_wave(&entry.name));
-    print!("{}", table::calibration(&without_waves));
-    print!("\n{}", poses::table(&report, &validations));
-    println!("\n{}", written.display());
+    show(table::calibration(&without_waves))?;
+    show(format_args!("\n{}", poses::table(&report, &validations)))?;
+    say(format_args!("\n{}", written.display()))?;
     Ok(())
 }

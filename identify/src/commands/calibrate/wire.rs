@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use shared::config;
+use shared::output::{say, show};
 
 use super::{CommonArguments, RowArguments, inputs, refused};
 use crate::calibrate::measured_length::{self, LengthOptions, LengthRow};
@@ -58,9 +59,9 @@ pub(super) fn run(arguments: &WireArguments) -> anyhow::Result<()> {
     );
     let written = file.write(&common.out)?;
     file.write_robot(robot, None, &common.out)?;
-    print!("{}", table::calibration(&file));
+    show(table::calibration(&file))?;
     let lines: Vec<u64> = measured.rows.iter().map(|row| row.line).collect();
-    print!("\n{}", table::lengths(&report, &lines));
-    println!("\n{}", written.display());
+    show(format_args!("\n{}", table::lengths(&report, &lines)))?;
+    say(format_args!("\n{}", written.display()))?;
     Ok(())
 }

@@ -1,0 +1,43 @@
+//! What a person is told of a key that cannot be read.
+
+/// A name this near to one that is known is taken for a slip of the pen (Jaro and Winkler; 1 is the same).
+const ALIKE: f64 = 0.8;
+
+/// The line that an error is about, from 1; none where it is about the whole file.
+pub(super) fn line(text: &str, error: &toml::de::Error) -> Option<usize> {
+    let before = text.get(..error.span()?.start)?;
+    // What is absent is absent from a table, and the first one begins where the file does.
+    let absent = error.message().starts_with("missing field");
+    (!absent || !before.is_empty()).then(|| before.matches('\n').count() + 1)
+}
+
+/// The sentence about `key`, its dotted path, from what serde and toml say.
+pub(super) fn message(key: Option<&str>, said: &str) -> String {
+    let Some(key) = key else { return format!("this is not TOML: {}", said.trim_end()) };
+    let named: Vec<&str> = said.split('`').skip(1).step_by(2).collect();
+    let of_table = |name: &str| match key.rsplit_once('.') {
+        Some((table, last)) if last == name => format!("`{table}.{name}`"),
+        _ if matches!(key, "." | "") || key == name => format!("`{name}`"),
+        _ => format!("`{key}.{name}`"),
+    };
+    let meant = |wrong: &str, known: &[&str]| {
+        let alike = |name: &&str| strsim::jaro_winkler(&wrong.to_lowercase(), &name.to_lowercase());
+        let nearest = known.iter().max_by(|a, b| alike(a).total_cmp(&alike(b)));
+        let nearest = nearest.filter(|name| alike(name) >= ALIKE);
+        nearest.map_or_else(|| ".".to_owned(), |name| format!("; did you mean `{name}`?"))
+    };
+    match named.as_slice() {
+        [wrong, known @ ..] if said.starts_with("unknown field") => {
+            let (key, meant) = (of_table(wrong), meant(wrong, known));
+            format!("there is no key {key}{meant} Keys here: {}", known.join(", "))
+        }
+        [wrong, known @ ..] if said.starts_with("unknown variant") => {
+            let meant = meant(wrong, known);
+            format!("key `{key}` cannot be `{wrong}`{meant} It is one of: {}", known.join(", "))
+        }
+        [missing] if said.starts_with("missing field") => {
+            format!("key {} is missing; add it", of_table(missing))
+        }
+        _ => format!("key `{key}`: {}", said.trim_end()),
+    }
+}

@@ -1,0 +1,94 @@
+//! What a person is told whose configuration file cannot be read.
+
+use std::path::Path;
+
+use proptest::prelude::*;
+use shared::config::{self, BallBarConfig, DaemonConfig, RobotConfig, Validate};
+
+fn shipped(name: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config").join(name);
+    std::fs::read_to_string(path).unwrap()
+}
+
+fn told<T: serde::de::DeserializeOwned + Validate>(text: &str) -> String {
+    match config::parse::<T>(text, Path::new("cell.toml")) {
+        Ok(_) => "accepted".to_owned(),
+        Err(error) => error.to_string(),
+    }
+}
+
+#[test]
+fn a_key_that_does_not_exist_is_named_with_its_line_and_the_nearest_that_does() {
+    let text = shipped("daemon.toml").replace("rate_hz", "rate_Hz");
+    let line = 1 + text.lines().position(|line| line.contains("rate_Hz")).unwrap();
+    let told = told::<DaemonConfig>(&text);
+    let begin =
+        format!("cell.toml, line {line}: there is no key `rate_Hz`; did you mean `rate_hz`? Keys here: ");
+    assert!(told.starts_with(&begin), "{told}");
+    assert!(!told.contains("TOML parse error"), "{told}");
+}
+
+#[test]
+fn a_key_of_a_table_is_named_with_the_table() {
+    let told = told::<DaemonConfig>("\n[realtime]\nfifo_prioritty = 3\n");
+    assert!(
+        told.starts_with(
+            "cell.toml, line 3: there is no key `realtime.fifo_prioritty`; did you mean `fifo_priority`?"
+        ),
+        "{told}"
+    );
+}
+
+#[test]
+fn a_key_like_no_other_gets_no_guess() {
+    let told = told::<DaemonConfig>("zzz = 1\n");
+    assert!(told.starts_with("cell.toml, line 1: there is no key `zzz`. Keys here: "), "{told}");
+}
+
+#[test]
+fn a_value_of_another_type_is_told_with_what_was_expected() {
+    let told = told::<DaemonConfig>("# cell\nrate_hz = \"fast\"\n");
+    assert!(
+        told.starts_with("cell.toml, line 2: key `rate_hz`: invalid type: string \"fast\", expected"),
+        "{told}"
+    );
+}
+
+#[test]
+fn a_key_that_is_missing_is_named() {
+    let text = shipped("robots/ur10.toml");
+    let without: String =
+        text.lines().filter(|line| !line.starts_with("name")).map(|line| format!("{line}\n")).collect();
+    let told = told::<RobotConfig>(&without);
+    assert_eq!(told, "cell.toml: key `name` is missing; add it");
+}
+
+#[test]
+fn text_that_is_no_toml_is_told_with_its_line() {
+    let told = told::<BallBarConfig>("length_m = 0.6\nplate_m 0.1\n");
+    assert!(told.starts_with("cell.toml, line 2: this is not TOML: "), "{told}");
+}
+
+proptest! {
+    #[test]
+    fn one_letter_too_many_in_any_key_names_its_line_and_the_key(which in 0_usize..100, letter in "[a-z]") {
+        let text = shipped("daemon.toml");
+        let keys: Vec<(usize, &str)> = text
+            .lines()
+            .enumerate()
+            .filter_map(|(number, line)| Some((number, line.split_once(" = ")?.0)))
+            .filter(|(_, key)| !key.contains(' '))
+            .collect();
+        let (number, key) = keys[which % keys.len()];
+        let wrong = format!("{}{letter}{}", &key[..2], &key[2..]);
+        let told = told::<DaemonConfig>(&text.replacen(&format!("{key} = "), &format!("{wrong} = "), 1));
+        prop_assert!(told.starts_with(&format!("cell.toml, line {}: there is no key", number + 1)), "{told}");
+        prop_assert!(told.contains(&format!("{wrong}`; did you mean `{key}`?")), "{told}");
+    }
+
+    #[test]
+    fn no_text_is_a_panic(text in "\\PC{0,200}") {
+        told::<DaemonConfig>(&text);
+        told::<RobotConfig>(&text);
+    }
+}
