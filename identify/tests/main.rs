@@ -44,4 +44,5 @@ mod simulated_experiment;
 mod simulation;
 mod solver;
 mod solver_threads;
+mod unknown_tables;
 mod wrong_robot;

@@ -43,8 +43,9 @@ fn semicolons_decimal_commas_signs_and_offsets_follow_the_mapping() {
             format!("[[joints]]\ncolumn = \"j{joint}\"\nunit = \"rad\"\nsign = -1\noffset_deg = 90\n")
         })
         .collect();
-    let text =
-        format!("delimiter = \";\"\ndecimal_comma = true\n[length]\ncolumn = \"L\"\nunit = \"m\"\n{joints}");
+    let text = format!(
+        "[csv]\ndelimiter = \";\"\ndecimal_comma = true\n[length]\ncolumn = \"L\"\nunit = \"m\"\n{joints}"
+    );
     let mapping = mapping(&text).unwrap();
     let csv = format!("j1;j2;j3;j4;j5;j6;L\n{}", "0,5;1;1;1;1;1;0,75\r\n".repeat(10));
     let row = read(&csv, &mapping).unwrap().rows[0];

@@ -1,10 +1,10 @@
 //! Poses measured by a tracker: mapping, reading and refusals.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use identify::logs::{LogError, MeasuredPoseMapping, MeasuredPoses};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use shared::config::{self, ConfigError};
 
@@ -68,6 +68,98 @@ fn orders_of_turns_and_their_frames_follow_the_mapping() {
     }
 }
 
+/// The example with its block of the orientation replaced.
+fn with_rotation(rotation: &str) -> MeasuredPoseMapping {
+    let text = example_text();
+    let (before, block) = text.split_once("[rotation]\n").unwrap();
+    let (_, after) = block.split_once("\n\n").unwrap();
+    mapping(&format!("{before}[rotation]\n{rotation}\n\n{after}")).unwrap()
+}
+
+#[test]
+fn an_orientation_reads_the_same_however_it_is_written() {
+    let expected = about(2, 50.0) * about(1, -30.0) * about(0, 20.0);
+    let rotation = Rotation3::from_matrix_unchecked(expected);
+    let quaternion = UnitQuaternion::from_rotation_matrix(&rotation);
+    let [x, y, z] = quaternion.imag().into();
+    let vector_deg = rotation.scaled_axis().map(f64::to_degrees);
+    for (block, numbers) in [
+        (
+            r#"as = "quaternion"
+columns = ["a", "b", "c", "d"]"#,
+            vec![x, y, z, quaternion.w],
+        ),
+        (
+            r#"as = "quaternion"
+columns = ["a", "b", "c", "d"]"#,
+            vec![-x, -y, -z, -quaternion.w],
+        ),
+        (
+            r#"as = "rotation_vector"
+columns = ["a", "b", "c"]
+unit = "deg""#,
+            vec![vector_deg.x, vector_deg.y, vector_deg.z],
+        ),
+        (
+            r#"as = "matrix"
+columns = ["a", "b", "c", "d", "e", "f", "g", "h", "i"]"#,
+            expected.transpose().iter().copied().collect(),
+        ),
+    ] {
+        let names: String = "abcdefghi".chars().take(numbers.len()).map(|name| format!(";{name}")).collect();
+        let header = HEADER.replace(";measurement_rx;measurement_ry;measurement_rz", &names);
+        let cells: String = numbers.iter().map(|number| format!(";{number:.9}")).collect();
+        let row = format!("1;0;0;0;0;0;0;1;2;3{}\n", cells.replace('.', ","));
+        let read = |rows: String| self::read(&format!("{header}\n{rows}"), &with_rotation(block));
+        let found = read(row.repeat(10)).unwrap().rows[0].rotation.unwrap();
+        assert!((found.matrix() - expected).amax() < 1e-8, "{block}");
+        if block.contains("deg") {
+            continue;
+        }
+        // Two columns exchanged by their sign: no rotation any more, or numbers of another kind.
+        let spoiled = format!("1;0;0;0;0;0;0;1;2;3{}\n", ";0,9".repeat(numbers.len()));
+        let error = read(spoiled.repeat(10)).unwrap_err().to_string();
+        assert!(error.contains("is no rotation") && error.contains("order of the columns"), "{error}");
+    }
+}
+
+fn workbook(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/workbooks").join(name)
+}
+
+#[test]
+fn a_workbook_is_read_as_a_table_with_its_own_row_numbers() {
+    let rows = MeasuredPoses::load(&workbook("poses.xlsx"), &example()).unwrap().rows;
+    assert_eq!((rows.len(), rows[0].line), (12, 4));
+    assert_eq!(rows[3].q_rad, [0.5, -1.5, 0.0, 0.0, 0.0, 3.103]);
+    assert!((rows[3].position_m - Vector3::new(2.3619, -1.3685, 0.1194)).norm() < 1e-12);
+}
+
+#[test]
+fn a_workbook_with_two_tables_is_refused_by_their_names() {
+    let error = MeasuredPoses::load(&workbook("two_sheets.xlsx"), &example()).unwrap_err().to_string();
+    assert!(error.contains("several sheets: first, second"), "{error}");
+}
+
+#[test]
+fn a_damaged_workbook_is_an_error_or_the_same_numbers() {
+    let whole = std::fs::read(workbook("poses.xlsx")).unwrap();
+    let expected = MeasuredPoses::read(&whole, Path::new("poses.xlsx"), &example()).unwrap();
+    for at in 0..whole.len() {
+        let mut damaged = whole.clone();
+        damaged[at] ^= 1 << (at % 8);
+        if let Ok(read) = MeasuredPoses::read(&damaged, Path::new("poses.xlsx"), &example()) {
+            assert_eq!(read, expected, "byte {at}");
+        }
+        if at % 16 == 0 {
+            assert!(
+                MeasuredPoses::read(&whole[..at], Path::new("poses.xlsx"), &example()).is_err(),
+                "{at} bytes"
+            );
+        }
+    }
+}
+
 #[test]
 fn positions_alone_are_read_where_the_mapping_has_no_orientation() {
     let mut mapping = example();
@@ -104,6 +196,9 @@ fn a_mapping_that_cannot_work_is_refused_by_key() {
         ("order = \"xyz\"", "order = \"xy\"", "rotation.order"),
         ("order = \"xyz\"", "order = \"rpy\"", "rotation.order"),
         ("frame = \"moving\"", "frame = \"turning\"", "frame"),
+        ("frame = \"moving\"", "", "rotation.frame"),
+        ("as = \"euler\"", "as = \"rotation_vector\"", "rotation.order"),
+        ("as = \"euler\"", "as = \"matrix\"", "rotation.columns"),
         (
             "column = \"elbow_joint\"\nunit = \"rad\"",
             "column = \"elbow_joint\"\nunit = \"rad\"\nsign = 0",
@@ -125,7 +220,7 @@ proptest! {
     #[test]
     fn no_order_of_turns_makes_the_mapping_panic(order in "\\PC*") {
         let mut mapping = example();
-        mapping.rotation.as_mut().unwrap().order = order;
+        mapping.rotation.as_mut().unwrap().order = Some(order);
         let _ = read(&table("1;0;0;0;0;0;0;1;2;3;4;5;6"), &mapping);
     }
 

@@ -4,7 +4,9 @@
 use std::path::Path;
 
 use crate::support::{irb2400 as irb, nj220 as nj};
-use identify::logs::{JointConversion, LogError, Origin, RobotLog, read, write};
+use identify::logs::{
+    JointConversion, LogError, LogOptions, Origin, RobotLog, RobotLogMapping, load_with, read, write,
+};
 use proptest::prelude::*;
 use shared::config::RobotConfig;
 
@@ -226,11 +228,40 @@ fn exchanged_columns_are_suspected_where_they_explain_the_limits() {
 }
 
 #[test]
-fn other_encodings_are_refused_by_name() {
-    let utf16: Vec<u8> = "\u{feff}t_s".encode_utf16().flat_map(u16::to_le_bytes).collect();
-    let error = read(&utf16, Path::new("log.csv"), &irb()).unwrap_err().to_string();
-    assert!(error.contains("UTF-16") && error.contains("CSV UTF-8"), "{error}");
-    assert!(matches!(read(b"t_s\xb0", Path::new("log.csv"), &irb()), Err(LogError::NotText { .. })));
+fn a_log_reads_the_same_in_every_encoding() {
+    let text = text_of(&sample_log(), &irb());
+    let expected = parse(&text, &irb()).unwrap();
+    let text = format!("# micro \u{b5}, degree \u{b0}\n{text}");
+    let latin_1: Vec<u8> = text.chars().map(|character| character as u32 as u8).collect();
+    let utf_16 =
+        |bytes: fn(u16) -> [u8; 2]| format!("\u{feff}{text}").encode_utf16().flat_map(bytes).collect();
+    let in_utf_8 = format!("\u{feff}{text}").into_bytes();
+    for bytes in [latin_1, utf_16(u16::to_le_bytes), utf_16(u16::to_be_bytes), in_utf_8] {
+        let read = read(&bytes, Path::new("log.csv"), &irb()).unwrap();
+        assert_eq!((read.t_s, read.q_rad), (expected.t_s.clone(), expected.q_rad.clone()));
+    }
+}
+
+#[test]
+fn a_workbook_with_dates_and_units_is_a_log() {
+    let joints: String =
+        (1..=6).map(|joint| format!("[[joints]]\ncolumn = \"A{joint}\"\nunit = \"deg\"\n")).collect();
+    let text = format!("[csv]\nunit_lines = 1\n[time]\ncolumn = \"Zeit\"\nunit = \"date_time\"\n{joints}");
+    let mapping: RobotLogMapping = shared::config::parse(&text, Path::new("mapping.toml")).unwrap();
+    let options = LogOptions { mapping: Some(mapping), ..LogOptions::default() };
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/workbooks/robot_log.xlsx");
+    let log = load_with(&path, &irb(), &options).unwrap();
+    assert_eq!(log.t_s.len(), 200);
+    assert!(log.t_s.windows(2).all(|pair| (pair[1] - pair[0] - 0.02).abs() < 1e-3));
+    assert!((log.q_rad[100][2] - 7.0_f64.to_radians()).abs() < 1e-9, "{}", log.q_rad[100][2].to_degrees());
+}
+
+#[test]
+fn what_is_no_text_is_refused() {
+    for bytes in [&b"t_s\0"[..], &[0xff, 0xfe, 0x00, 0xd8, 0x00, 0x00], b"PK\x03\x04 no workbook"] {
+        let error = read(bytes, Path::new("log.csv"), &irb()).unwrap_err();
+        assert!(matches!(error, LogError::NotText { .. } | LogError::UnknownFormat { .. }), "{error}");
+    }
 }
 
 #[test]

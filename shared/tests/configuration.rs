@@ -1,4 +1,5 @@
 //! What a person is told whose configuration file cannot be read.
+#![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::path::Path;
 

@@ -1,10 +1,13 @@
 //! `identify inspect`.
 
+use std::fs::File;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::Args;
 use shared::config::{self, BallBarConfig, RobotConfig};
+use shared::output::{say, show};
 use shared::recording::Recording;
 
 use crate::inspect::{self, Inspection};
@@ -31,6 +34,9 @@ pub struct InspectArguments {
     /// Which column or joint of recordings of other programs is what, such as config/bar_log.toml
     #[arg(long, value_name = "FILE", requires = "bar")]
     recording_mapping: Option<PathBuf>,
+    /// Look for what the columns of a table of joints are, and write a mapping for it into this file
+    #[arg(long, value_name = "FILE", requires = "robot", conflicts_with_all = ["log_mapping", "log_format"])]
+    propose: Option<PathBuf>,
 }
 
 /// What was read of the arguments' files.
@@ -51,14 +57,35 @@ pub fn run(arguments: &InspectArguments) -> anyhow::Result<()> {
         bar: arguments.bar.as_deref().map(config::load).transpose()?,
         recording_mapping: arguments.recording_mapping.as_deref().map(config::load).transpose()?,
     };
+    if let (Some(out), Some(robot)) = (&arguments.propose, &settings.robot) {
+        let [path] = arguments.files.as_slice() else {
+            anyhow::bail!("a mapping is proposed for one table at a time");
+        };
+        return propose(path, robot, out);
+    }
     for path in &arguments.files {
-        println!("{}", path.display());
+        say(path.display())?;
         let inspections = settings.inspected(path);
         for inspection in inspections.with_context(|| format!("cannot inspect {}", path.display()))? {
-            println!("{}", table::inspection(&inspection));
+            say(table::inspection(&inspection))?;
         }
     }
     Ok(())
+}
+
+/// Writes a mapping for a table and says what it rests on.
+fn propose(path: &Path, robot: &RobotConfig, out: &Path) -> anyhow::Result<()> {
+    let bytes = std::fs::read(path).with_context(|| format!("cannot read {}", path.display()))?;
+    let text = inspect::propose(&bytes, path, robot)?.to_toml()?;
+    let mut file = File::create_new(out).with_context(|| format!("cannot create {}", out.display()))?;
+    file.write_all(text.as_bytes()).with_context(|| format!("cannot write {}", out.display()))?;
+    show(
+        text.lines()
+            .take_while(|line| line.starts_with('#'))
+            .map(|line| format!("{line}\n"))
+            .collect::<String>(),
+    )?;
+    Ok(say(out.display())?)
 }
 
 impl Settings {
@@ -86,7 +113,10 @@ impl Settings {
         }
         match (found.is_empty(), refusals.is_empty()) {
             (false, _) => Ok(found),
-            (true, false) => anyhow::bail!(refusals.join("; ")),
+            (true, false) => anyhow::bail!(
+                "{}; if it is a table of another layout, --propose FILE writes a mapping for it",
+                refusals.join("; ")
+            ),
             _ if is_of_bar => anyhow::bail!("it has counters of the bar; say with --bar which bar's"),
             _ => anyhow::bail!(
                 "it is no recording; if it is a log, say with --robot which robot's, or with --bar which bar's"

@@ -4,10 +4,12 @@ mod bar_log;
 pub mod curves;
 mod recording;
 mod robot_log;
+mod unknown_table;
 
 pub use bar_log::bar_log;
 pub use recording::recording;
 pub use robot_log::robot_log;
+pub use unknown_table::{Mapping, Proposal, ProposeError, propose};
 
 use crate::logs::{LogQuality, Unwrapped};
 

@@ -1,4 +1,4 @@
-//! What the readers of CSV files share: encoding, comments, header, cells.
+//! What the readers of tables share: comments, header, cells.
 
 use std::path::{Path, PathBuf};
 
@@ -26,22 +26,18 @@ pub(super) struct Row {
     cells: csv::StringRecord,
 }
 
+impl Row {
+    /// The cells in their order.
+    pub fn cells(&self) -> impl Iterator<Item = &str> {
+        self.cells.iter()
+    }
+}
+
 /// A column that the header names.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Column {
     pub index: usize,
     pub name: String,
-}
-
-/// The text of a file without byte order mark; UTF-16 and other encodings are refused by name.
-pub(super) fn decode<'a>(bytes: &'a [u8], path: &Path) -> Result<&'a str, LogError> {
-    let not_text = |problem: &str| LogError::NotText { path: path.to_owned(), problem: problem.to_owned() };
-    if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
-        return Err(not_text("it starts like UTF-16, as \"Unicode text\" exports do"));
-    }
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    std::str::from_utf8(bytes)
-        .map_err(|error| not_text(&format!("bad byte at offset {}", error.valid_up_to())))
 }
 
 /// The comment lines `# key: value` of a text, keys in lower case.
@@ -64,6 +60,8 @@ pub(super) fn open_mapped<'a>(text: &'a str, path: &Path, layout: &CsvLayout) ->
     let from = text.split_inclusive('\n').take(layout.skip_lines).map(str::len).sum::<usize>();
     let body = text.get(from..).unwrap_or_default();
     let delimiter = match (layout.delimiter, delimiter_of_header(body)) {
+        // A workbook has no delimiter of its own.
+        (Some(delimiter), b'\t') if !header_line(body).contains(delimiter) => b'\t',
         (Some(delimiter), _) => delimiter as u8,
         // Those commas are in numbers.
         (None, b',') if layout.decimal_comma => {

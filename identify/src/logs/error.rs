@@ -40,8 +40,8 @@ pub enum LogError {
         /// What the system said.
         source: std::io::Error,
     },
-    /// The bytes are not UTF-8 text.
-    #[error("{}: not UTF-8 text ({problem}); save it as \"CSV UTF-8\"", path.display())]
+    /// The bytes are neither text nor a workbook with one table.
+    #[error("{}: no table of text ({problem}); save the table alone, as \"CSV UTF-8\"", path.display())]
     NotText {
         /// The file.
         path: PathBuf,

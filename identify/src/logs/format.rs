@@ -4,6 +4,7 @@ use std::path::Path;
 
 use super::LogError;
 use super::csv_text::header_line;
+use super::text::is_workbook;
 
 /// Kinds of robot logs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -33,6 +34,9 @@ impl LogFormat {
         }
         if bytes.starts_with(b"SQLite format 3\0") {
             return Ok(Self::Ros2Db3);
+        }
+        if is_workbook(bytes) {
+            return Ok(Self::Csv);
         }
         let ending = path.extension().and_then(|ending| ending.to_str()).unwrap_or_default().to_lowercase();
         if ending == "egm" {

@@ -8,9 +8,9 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 
-use super::csv_text::{Column, Format, Row, Table};
-use super::pose_rows::{JointColumns, check_format, check_joints, comma, mapped, rows};
-use super::{JointColumn, LengthUnit, LogError, bytes_of};
+use super::csv_text::{Column, Row, Table};
+use super::pose_rows::{JointColumns, check_joints, mapped, rows};
+use super::{CsvLayout, JointColumn, LengthUnit, LogError, bytes_of};
 
 /// No wire or bar is longer \[m\]; more means a wrong unit.
 const LENGTH_M_MAX: f64 = 20.0;
@@ -39,12 +39,9 @@ pub struct FlangeColumns {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MeasuredLengthMapping {
-    /// Character between cells; one ASCII character.
-    #[serde(default = "comma")]
-    pub delimiter: char,
-    /// Numbers are written `1,5`.
+    /// Layout of the table.
     #[serde(default)]
-    pub decimal_comma: bool,
+    pub csv: CsvLayout,
     /// The measured length.
     pub length: LengthColumn,
     /// Joints 1 to 6, in this order.
@@ -55,7 +52,7 @@ pub struct MeasuredLengthMapping {
 
 impl Validate for MeasuredLengthMapping {
     fn validate(&self) -> Result<(), Violation> {
-        check_format("delimiter", self.delimiter, self.decimal_comma)?;
+        self.csv.check()?;
         check_joints(&self.joints)
     }
 }
@@ -94,9 +91,8 @@ impl MeasuredLengths {
     /// # Errors
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredLengthMapping) -> Result<Self, LogError> {
-        let format = Format { delimiter: mapping.delimiter as u8, decimal_comma: mapping.decimal_comma };
         let find = |table: &Table<'_>| Columns::find(table, mapping);
-        rows(bytes, path, format, find, Columns::read).map(|rows| Self { rows })
+        rows(bytes, path, &mapping.csv, find, Columns::read).map(|rows| Self { rows })
     }
 }
 

@@ -5,13 +5,13 @@
 
 use std::path::Path;
 
-use nalgebra::{Rotation3, Vector3};
+use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, Validate, Violation};
 
-use super::csv_text::{Column, Format, Row, Table};
-use super::pose_rows::{JointColumns, check_format, check_joints, comma, mapped, rows};
-use super::{JointColumn, LengthUnit, LogError, bytes_of};
+use super::csv_text::{Column, Row, Table};
+use super::pose_rows::{JointColumns, check_joints, mapped, rows};
+use super::{CsvLayout, JointColumn, LengthUnit, LogError, bytes_of};
 
 /// No tracker sees further \[m\]; more means a wrong unit.
 const POSITION_M_MAX: f64 = 100.0;
@@ -38,45 +38,123 @@ pub enum EulerFrame {
     Fixed,
 }
 
+/// How an orientation is written.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RotationForm {
+    /// Three turns one after the other: `unit`, `order` and `frame` say which.
+    #[default]
+    Euler,
+    /// Axis times angle, x, y, z, in `unit`.
+    RotationVector,
+    /// A unit quaternion, x, y, z and then w, the real part; its sign does not matter.
+    Quaternion,
+    /// A rotation matrix, row by row: r11, r12, r13, r21 and so on.
+    Matrix,
+}
+
 /// The columns of the measured orientation.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RotationColumns {
-    /// Names in the header: the first, second and third turn.
-    pub columns: [String; 3],
-    /// Unit of their values.
-    pub unit: AngleUnit,
-    /// Axes of the turns in the order of the columns, such as `xyz` or `zyz`.
-    pub order: String,
-    /// Whether the turns carry the axes along.
-    pub frame: EulerFrame,
+    /// What the columns are.
+    #[serde(default, rename = "as")]
+    pub form: RotationForm,
+    /// Names in the header.
+    pub columns: Vec<String>,
+    /// Unit of angles.
+    pub unit: Option<AngleUnit>,
+    /// Axes of Euler's turns in the order of the columns, such as `xyz` or `zyz`.
+    pub order: Option<String>,
+    /// Whether Euler's turns carry the axes along.
+    pub frame: Option<EulerFrame>,
+}
+
+/// Rounded numbers of an orientation are this far from one at most; more means that they are something else.
+const NOT_A_ROTATION: f64 = 1e-2;
+
+/// Axes of three turns; none where `order` is not an order.
+fn axes(order: &str) -> Option<[Vector3<f64>; 3]> {
+    let axis = |letter: u8| match letter {
+        b'x' => Some(Vector3::x()),
+        b'y' => Some(Vector3::y()),
+        b'z' => Some(Vector3::z()),
+        _ => None,
+    };
+    let &[a, b, c] = order.as_bytes() else { return None };
+    if a == b || b == c {
+        return None;
+    }
+    Some([axis(a)?, axis(b)?, axis(c)?])
 }
 
 impl RotationColumns {
-    /// Axes of the three turns; none where `order` is not an order.
-    fn axes(&self) -> Option<[Vector3<f64>; 3]> {
-        let axis = |letter: u8| match letter {
-            b'x' => Some(Vector3::x()),
-            b'y' => Some(Vector3::y()),
-            b'z' => Some(Vector3::z()),
-            _ => None,
+    /// Everything is there that the form needs, and nothing that it has no use for.
+    fn check(&self) -> Result<(), Violation> {
+        use RotationForm::{Euler, Matrix, Quaternion, RotationVector};
+        let columns = match self.form {
+            Euler | RotationVector => 3,
+            Quaternion => 4,
+            Matrix => 9,
         };
-        let &[a, b, c] = self.order.as_bytes() else { return None };
-        if a == b || b == c {
-            return None;
+        if self.columns.len() != columns {
+            let problem = format!("{} columns are given", self.columns.len());
+            return Err(Violation::new("rotation.columns", problem, format!("write {columns}")));
         }
-        Some([axis(a)?, axis(b)?, axis(c)?])
+        let has_angles = matches!(self.form, Euler | RotationVector);
+        let is_euler = self.form == Euler;
+        for (key, given, needed, example) in [
+            ("unit", self.unit.is_some(), has_angles, "\"deg\" or \"rad\""),
+            ("order", self.order.is_some(), is_euler, "\"xyz\", the axes of the turns"),
+            ("frame", self.frame.is_some(), is_euler, "\"moving\" or \"fixed\""),
+        ] {
+            let (problem, remedy) = match (given, needed) {
+                (false, true) => ("it is missing", format!("write {example}")),
+                (true, false) => ("an orientation of this form has none", "take it out".to_owned()),
+                _ => continue,
+            };
+            return Err(Violation::new(format!("rotation.{key}"), problem, remedy));
+        }
+        match &self.order {
+            Some(order) if axes(order).is_none() => Err(Violation::new(
+                "rotation.order",
+                format!("`{order}` is no order of turns"),
+                "write three letters of x, y, z with different neighbours, such as \"xyz\"",
+            )),
+            _ => Ok(()),
+        }
     }
 
-    /// `tracker_from_probe` of three angles \[rad\].
-    fn rotation(&self, angles_rad: [f64; 3]) -> Option<Rotation3<f64>> {
-        let [first, second, third] = self.axes()?;
-        let turn = |axis: Vector3<f64>, angle_rad: f64| Rotation3::new(axis * angle_rad);
-        let [a, b, c] = [turn(first, angles_rad[0]), turn(second, angles_rad[1]), turn(third, angles_rad[2])];
-        Some(match self.frame {
-            EulerFrame::Moving => a * b * c,
-            EulerFrame::Fixed => c * b * a,
-        })
+    /// Radians in a unit of the columns, and the largest value that makes sense.
+    fn scale(&self) -> (f64, f64) {
+        self.unit.map_or((1.0, 1.0 + NOT_A_ROTATION), |unit| (unit.to_rad(), ANGLE_RAD_MAX))
+    }
+
+    /// `tracker_from_probe` of the columns' values, angles in radians; none where they are no rotation.
+    fn rotation(&self, values: &[f64]) -> Option<Rotation3<f64>> {
+        match (self.form, values) {
+            (RotationForm::Euler, &[first, second, third]) => {
+                let [a, b, c] = axes(self.order.as_deref()?)?;
+                let turn = |axis: Vector3<f64>, angle_rad: f64| Rotation3::new(axis * angle_rad);
+                let (a, b, c) = (turn(a, first), turn(b, second), turn(c, third));
+                Some(match self.frame? {
+                    EulerFrame::Moving => a * b * c,
+                    EulerFrame::Fixed => c * b * a,
+                })
+            }
+            (RotationForm::RotationVector, &[x, y, z]) => Some(Rotation3::new(Vector3::new(x, y, z))),
+            (RotationForm::Quaternion, &[x, y, z, w]) => {
+                let quaternion = Quaternion::new(w, x, y, z);
+                let is_unit = (quaternion.norm() - 1.0).abs() < NOT_A_ROTATION;
+                is_unit.then(|| UnitQuaternion::new_normalize(quaternion).to_rotation_matrix())
+            }
+            (RotationForm::Matrix, values) if values.len() == 9 => {
+                let given = Matrix3::from_row_slice(values);
+                let nearest = Rotation3::from_matrix(&given);
+                ((nearest.matrix() - given).amax() < NOT_A_ROTATION).then_some(nearest)
+            }
+            _ => None,
+        }
     }
 }
 
@@ -84,12 +162,9 @@ impl RotationColumns {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MeasuredPoseMapping {
-    /// Character between cells; one ASCII character.
-    #[serde(default = "comma")]
-    pub delimiter: char,
-    /// Numbers are written `1,5`.
+    /// Layout of the table.
     #[serde(default)]
-    pub decimal_comma: bool,
+    pub csv: CsvLayout,
     /// The measured position.
     pub position: PositionColumns,
     /// The measured orientation; absent where only positions were measured.
@@ -100,16 +175,8 @@ pub struct MeasuredPoseMapping {
 
 impl Validate for MeasuredPoseMapping {
     fn validate(&self) -> Result<(), Violation> {
-        check_format("delimiter", self.delimiter, self.decimal_comma)?;
-        if let Some(rotation) = &self.rotation
-            && rotation.axes().is_none()
-        {
-            return Err(Violation::new(
-                "rotation.order",
-                format!("`{}` is no order of turns", rotation.order),
-                "write three letters of x, y, z with different neighbours, such as \"xyz\"",
-            ));
-        }
+        self.csv.check()?;
+        self.rotation.as_ref().map_or(Ok(()), RotationColumns::check)?;
         check_joints(&self.joints)
     }
 }
@@ -148,55 +215,49 @@ impl MeasuredPoses {
     /// # Errors
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredPoseMapping) -> Result<Self, LogError> {
-        let format = Format { delimiter: mapping.delimiter as u8, decimal_comma: mapping.decimal_comma };
         let find = |table: &Table<'_>| Columns::find(table, mapping);
-        rows(bytes, path, format, find, Columns::read).map(|rows| Self { rows })
+        rows(bytes, path, &mapping.csv, find, Columns::read).map(|rows| Self { rows })
     }
 }
 
 /// The mapping's columns, found in a file.
 struct Columns<'a> {
-    position: ([Column; 3], LengthUnit),
-    rotation: Option<([Column; 3], &'a RotationColumns)>,
+    position: (Vec<Column>, LengthUnit),
+    rotation: Option<(Vec<Column>, &'a RotationColumns)>,
     joints: JointColumns<'a>,
 }
 
-fn three(table: &Table<'_>, [a, b, c]: &[String; 3]) -> Result<[Column; 3], LogError> {
-    Ok([mapped(table, a)?, mapped(table, b)?, mapped(table, c)?])
+fn all(table: &Table<'_>, names: &[String]) -> Result<Vec<Column>, LogError> {
+    names.iter().map(|name| mapped(table, name)).collect()
 }
 
-/// Three numbers of a row in SI units, none of them larger than `largest`.
+/// Numbers of a row times `to_si`, none of them larger than `largest`.
 fn numbers(
     table: &Table<'_>,
     row: &Row,
-    columns: &[Column; 3],
+    columns: &[Column],
     (to_si, si): (f64, &str),
     largest: f64,
-) -> Result<[f64; 3], LogError> {
-    let mut values = [0.0; 3];
-    for (value, column) in values.iter_mut().zip(columns) {
-        *value = table.number(row, column)? * to_si;
-        if value.abs() > largest {
-            return Err(table.bad(
-                row,
-                column,
-                format!("{value:.3} {si} is more than anything measured here (at most {largest:.1} {si})"),
-                "check the column's unit in the mapping file",
-            ));
+) -> Result<Vec<f64>, LogError> {
+    let number = |column: &Column| {
+        let value = table.number(row, column)? * to_si;
+        if value.abs() <= largest {
+            return Ok(value);
         }
-    }
-    Ok(values)
+        let problem =
+            format!("{value:.3} {si} is more than anything measured here (at most {largest:.1} {si})");
+        Err(table.bad(row, column, problem, "check the column's unit in the mapping file"))
+    };
+    columns.iter().map(number).collect()
 }
 
 impl<'a> Columns<'a> {
     fn find(table: &Table<'_>, mapping: &'a MeasuredPoseMapping) -> Result<Self, LogError> {
-        let rotation = match &mapping.rotation {
-            Some(rotation) => Some((three(table, &rotation.columns)?, rotation)),
-            None => None,
-        };
+        let rotation =
+            mapping.rotation.as_ref().map(|rotation| Ok((all(table, &rotation.columns)?, rotation)));
         Ok(Self {
-            position: (three(table, &mapping.position.columns)?, mapping.position.unit),
-            rotation,
+            position: (all(table, &mapping.position.columns)?, mapping.position.unit),
+            rotation: rotation.transpose()?,
             joints: JointColumns::find(table, &mapping.joints)?,
         })
     }
@@ -204,14 +265,28 @@ impl<'a> Columns<'a> {
     fn read(&self, table: &Table<'_>, row: &Row) -> Result<MeasuredPose, LogError> {
         let (columns, unit) = &self.position;
         let position_m = numbers(table, row, columns, (unit.to_m(), "m"), POSITION_M_MAX)?;
-        let rotation = match &self.rotation {
-            Some((columns, how)) => {
-                let unit = (how.unit.to_rad(), "rad");
-                how.rotation(numbers(table, row, columns, unit, ANGLE_RAD_MAX)?)
-            }
-            None => None,
-        };
-        let q_rad = self.joints.read(table, row)?;
-        Ok(MeasuredPose { q_rad, position_m: position_m.into(), rotation, line: row.line })
+        let rotation = self.rotation.as_ref().map(|(columns, how)| rotation(table, row, columns, how));
+        Ok(MeasuredPose {
+            q_rad: self.joints.read(table, row)?,
+            position_m: Vector3::from_iterator(position_m),
+            rotation: rotation.transpose()?,
+            line: row.line,
+        })
     }
+}
+
+fn rotation(
+    table: &Table<'_>,
+    row: &Row,
+    columns: &[Column],
+    how: &RotationColumns,
+) -> Result<Rotation3<f64>, LogError> {
+    let (to_si, largest) = how.scale();
+    let values = numbers(table, row, columns, (to_si, "rad"), largest)?;
+    how.rotation(&values).ok_or_else(|| {
+        let names: Vec<&str> = columns.iter().map(|column| column.name.as_str()).collect();
+        let cell = Column { index: 0, name: names.join(", ") };
+        let problem = format!("{values:.3?} is no rotation");
+        table.bad(row, &cell, problem, "check `as` and the order of the columns in the mapping file")
+    })
 }

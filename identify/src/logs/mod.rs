@@ -29,6 +29,7 @@ mod rsi;
 mod spline;
 mod stamp;
 mod table;
+mod text;
 mod unwrapped;
 mod writer;
 
@@ -46,10 +47,12 @@ pub use measured_length::{
 };
 pub use measured_pose::{
     EulerFrame, MeasuredPose, MeasuredPoseMapping, MeasuredPoses, PositionColumns, RotationColumns,
+    RotationForm,
 };
 pub use pose_rows::{JointColumn, LengthUnit};
 pub use reader::{LogOptions, load, load_with, read, read_with};
 pub use spline::{CubicSpline, SplinePoint};
+pub use text::{Cells, RowsAsText};
 pub use unwrapped::{Unwrapped, UnwrappedPoint};
 pub use writer::write;
 

@@ -6,8 +6,9 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, Violation};
 
-use super::LogError;
-use super::csv_text::{Column, Format, Row, Table, decode};
+use super::csv_text::{Column, Row, Table, open_mapped};
+use super::text::decode;
+use super::{CsvLayout, LogError};
 
 /// Fewest rows that make a table.
 const ROWS_MIN: usize = 10;
@@ -52,11 +53,6 @@ pub struct JointColumn {
 
 fn positive() -> f64 {
     1.0
-}
-
-/// The usual delimiter.
-pub(super) fn comma() -> char {
-    ','
 }
 
 /// A delimiter that can separate the cells; `key` is where it was written.
@@ -110,11 +106,12 @@ pub(super) fn check_joints(joints: &[JointColumn]) -> Result<(), Violation> {
 pub(super) fn rows<C, R>(
     bytes: &[u8],
     path: &Path,
-    format: Format,
+    layout: &CsvLayout,
     find: impl FnOnce(&Table<'_>) -> Result<C, LogError>,
     read: impl Fn(&C, &Table<'_>, &Row) -> Result<R, LogError>,
 ) -> Result<Vec<R>, LogError> {
-    let mut table = Table::open(decode(bytes, path)?, path, format)?;
+    let text = decode(bytes, path)?;
+    let mut table = open_mapped(&text, path, layout)?;
     let columns = find(&table)?;
     let mut rows = Vec::new();
     while let Some(row) = table.next_row() {

@@ -10,9 +10,9 @@ use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 use shared::config::{AngleUnit, RobotConfig};
 
-use super::csv_text::decode;
 use super::mapping::{RobotLogMapping, TimeUnit};
 use super::raw::{Meaning, RawLog, RawRow};
+use super::text::decode;
 use super::{LogError, LogFormat, Origin, RobotLog};
 
 /// Attributes of `AIPos` and `ASPos`.
@@ -32,7 +32,7 @@ pub(super) fn read(
     robot: &RobotConfig,
     mapping: Option<&RobotLogMapping>,
 ) -> Result<RobotLog, LogError> {
-    let text = decode(bytes, path)?;
+    let text = &*decode(bytes, path)?;
     let names = AXES.map(str::to_owned);
     let (meaning, to_unit) = match mapping {
         Some(mapping) => (Meaning::new(robot, &mapping.conversion(), names)?, AngleUnit::Deg.to_rad()),

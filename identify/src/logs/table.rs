@@ -4,11 +4,12 @@ use std::path::Path;
 
 use shared::config::{AngleUnit, RobotConfig};
 
-use super::csv_text::{Column, Format, Table, comments, decode, delimiter_of_header, open_mapped};
+use super::csv_text::{Column, Format, Table, comments, delimiter_of_header, open_mapped};
 use super::force::ForceLayout;
 use super::mapping::{Columns, RobotLogMapping, TimeColumn, TimeUnit};
 use super::raw::{Meaning, RawLog, RawRow};
 use super::stamp::stamp_ns;
+use super::text::decode;
 use super::{ForceColumns, LogError, LogFormat, Origin, RobotLog};
 
 /// Name of the column with time stamps \[s\].
@@ -32,7 +33,7 @@ struct Layout {
 
 /// The robot's own columns: `t_s` and the six that its configuration names; other columns are passed over.
 pub(super) fn read_own(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<RobotLog, LogError> {
-    let text = decode(bytes, path)?;
+    let text = &*decode(bytes, path)?;
     let names = std::array::from_fn(|index| column_name(robot, index, robot.log.unit));
     let meaning = Meaning::new(robot, &robot.log, names)?;
     let format = Format { delimiter: delimiter_of_header(text), decimal_comma: false };
@@ -78,7 +79,7 @@ fn own_layout(table: &Table<'_>, path: &Path, robot: &RobotConfig) -> Result<Lay
 
 /// What `record.py` of the RTDE client writes, joints in radians.
 pub(super) fn read_rtde(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<RobotLog, LogError> {
-    let text = decode(bytes, path)?;
+    let text = &*decode(bytes, path)?;
     let table = &mut Table::open(text, path, Format { delimiter: b' ', decimal_comma: false })?;
     let origin = if table.has("actual_q_0") { Origin::Measured } else { Origin::Commanded };
     let kind = if origin == Origin::Measured { "actual" } else { "target" };
@@ -111,7 +112,7 @@ pub(super) fn read_mapped(
     robot: &RobotConfig,
     mapping: &RobotLogMapping,
 ) -> Result<RobotLog, LogError> {
-    let text = decode(bytes, path)?;
+    let text = &*decode(bytes, path)?;
     let mut table = open_mapped(text, path, &mapping.csv)?;
     let columns = mapped_layout(&table, path, mapping)?;
     let names: Vec<String> = mapping.joints.iter().map(|joint| joint.column.clone()).collect();

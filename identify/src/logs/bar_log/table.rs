@@ -10,10 +10,11 @@ use super::samples::{Kind, RawBarLog, RawRow, Reading};
 use super::{LogError, OtherBarLog};
 use crate::kinematics::BAR_JOINTS;
 use crate::logs::csv_text::{
-    Column, Format, Row, Table, comments, decode, delimiter_of_header, header_line, open_mapped,
+    Column, Format, Row, Table, comments, delimiter_of_header, header_line, open_mapped,
 };
 use crate::logs::mapping::{TimeColumn, TimeUnit};
 use crate::logs::stamp::stamp_ns;
+use crate::logs::text::decode;
 
 /// Usual names of the time column and what is in it.
 const TIMES: [(&str, TimeUnit); 2] = [("time_utc", TimeUnit::DateTime), ("t_s", TimeUnit::S)];
@@ -48,7 +49,7 @@ pub(super) fn read(
     bar: &BallBarConfig,
     mapping: Option<&BarLogMapping>,
 ) -> Result<OtherBarLog, LogError> {
-    let text = decode(bytes, path)?;
+    let text = &*decode(bytes, path)?;
     let (mut table, layout) = match mapping {
         Some(mapping) => {
             let table = open_mapped(text, path, &mapping.csv)?;
@@ -82,7 +83,7 @@ pub(super) fn read(
 /// Whether the header of a text names a counter or angle of the bar.
 pub(super) fn has_usual_columns(bytes: &[u8]) -> bool {
     let Ok(text) = decode(bytes, Path::new("")) else { return false };
-    let header = header_line(text);
+    let header = header_line(&text);
     let mut cells = header.split([',', ';', '\t']).map(|cell| cell.trim().trim_matches('"'));
     let is_value = |cell: &str| (1..=BAR_JOINTS).any(|joint| value_of(cell, joint).is_some());
     cells.any(is_value)

@@ -10,10 +10,11 @@ use shared::config::{RobotConfig, Validate, Violation};
 
 use super::columns::{ForceColumns, ForceLayout, unknown};
 use super::{ForceClock, ForceKind, ForceLog};
-use crate::logs::csv_text::{Format, Table, comments, decode, delimiter_of_header, open_mapped};
+use crate::logs::csv_text::{Format, Table, comments, delimiter_of_header, open_mapped};
 use crate::logs::mapping::{CsvLayout, TimeColumn, TimeUnit};
 use crate::logs::stamp::stamp_ns;
 use crate::logs::table::TIME_COLUMN;
+use crate::logs::text::decode;
 use crate::logs::{JointConversion, LogError, ROWS_MIN, bytes_of};
 
 /// How to read a force from a table: `config/force_log.toml` explains each key.
@@ -67,7 +68,7 @@ impl ForceLog {
         robot: &RobotConfig,
         mapping: Option<&ForceLogMapping>,
     ) -> Result<Self, LogError> {
-        let text = decode(bytes, path)?;
+        let text = &*decode(bytes, path)?;
         let Some(mapping) = mapping else {
             let format = Format { delimiter: delimiter_of_header(text), decimal_comma: false };
             let table = Table::open(text, path, format)?;

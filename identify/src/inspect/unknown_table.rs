@@ -1,0 +1,734 @@
+//! A mapping for a table that none was written for: what its columns are by name, unit and range, tried on the robot.
+//!
+//! Nothing here is certain, so all of it is said: the mapping carries what each choice rests on, and a person reads it.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use shared::config::{AngleUnit, RobotConfig};
+
+use crate::calibrate::measured_pose::{PoseRow, validate};
+use crate::kinematics::{ROBOT_JOINTS, flange_chain};
+use crate::logs::{
+    CsvLayout, EulerFrame, JointColumn, LengthColumn, LengthUnit, LogError, MeasuredLengthMapping,
+    MeasuredPoseMapping, MeasuredPoses, PositionColumns, RobotLogMapping, RotationColumns, RotationForm,
+    RowsAsText, TimeColumn, TimeUnit,
+};
+use crate::model::Model;
+
+/// What a table holds, with the mapping that reads it.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Mapping {
+    /// Joints over time.
+    RobotLog(Box<RobotLogMapping>),
+    /// Joints and where a tracker saw the flange.
+    MeasuredPoses(MeasuredPoseMapping),
+    /// Joints and a length.
+    MeasuredLengths(MeasuredLengthMapping),
+}
+
+/// A mapping and what it rests on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Proposal {
+    /// The mapping.
+    pub mapping: Mapping,
+    /// What each choice rests on.
+    pub reasons: Vec<String>,
+    /// What looks wrong, and what to try.
+    pub doubts: Vec<String>,
+}
+
+impl Proposal {
+    /// The mapping as the text of a file, reasons and doubts as its comments.
+    ///
+    /// # Errors
+    /// Where a value cannot be written as TOML.
+    pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
+        let body = match &self.mapping {
+            Mapping::RobotLog(mapping) => toml::to_string(mapping),
+            Mapping::MeasuredPoses(mapping) => toml::to_string(mapping),
+            Mapping::MeasuredLengths(mapping) => toml::to_string(mapping),
+        }?;
+        let what = match self.mapping {
+            Mapping::RobotLog(_) => "a robot's log, for --log-mapping",
+            Mapping::MeasuredPoses(_) => "measured poses, for `identify calibrate tracker --mapping`",
+            Mapping::MeasuredLengths(_) => "measured lengths, for `identify calibrate wire --mapping`",
+        };
+        let mut text = format!("# Proposed by `identify inspect`: {what}. Read it before you use it.\n");
+        for reason in &self.reasons {
+            text += &format!("# - {reason}\n");
+        }
+        for doubt in &self.doubts {
+            text += &format!("# ! {doubt}\n");
+        }
+        Ok(text + "\n" + &body)
+    }
+}
+
+/// Why nothing can be proposed.
+#[derive(Debug, thiserror::Error)]
+pub enum ProposeError {
+    /// The file cannot be read as a table.
+    #[error(transparent)]
+    Log(#[from] LogError),
+    /// No rows of numbers.
+    #[error(
+        "{path}: no rows of numbers with a column for each of {joints} joints; it is no table of this robot's joints"
+    )]
+    NoTable {
+        /// The file.
+        path: String,
+        /// Joints of the robot.
+        joints: usize,
+    },
+    /// No columns look like joints.
+    #[error(
+        "{path}: no {joints} columns look like the robot's joints; found {found}. Write a mapping as config/robot_log.toml explains"
+    )]
+    NoJoints {
+        /// The file.
+        path: String,
+        /// Joints of the robot.
+        joints: usize,
+        /// Columns that are there.
+        found: String,
+    },
+    /// Joints, but neither times nor anything measured.
+    #[error("{path}: joints, but neither time stamps nor a measured position or length; found {found}")]
+    NothingMeasured {
+        /// The file.
+        path: String,
+        /// Columns that are there.
+        found: String,
+    },
+}
+
+/// Proposes a mapping for a table of `robot`; `path` is only named.
+///
+/// # Errors
+/// [`ProposeError`].
+pub fn propose(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<Proposal, ProposeError> {
+    let text = RowsAsText::new(bytes, path)?;
+    let shown = path.display().to_string();
+    let no_table = || ProposeError::NoTable { path: shown.clone(), joints: ROBOT_JOINTS };
+    let csv = layout(&text).ok_or_else(no_table)?;
+    let columns = columns(&text, &csv)?;
+    let found = || columns.iter().map(|column| column.name.as_str()).collect::<Vec<_>>().join(", ");
+    let mut reasons = Vec::new();
+    let mut doubts = Vec::new();
+    let joints = joints(&columns, robot, csv.header, &mut reasons, &mut doubts).ok_or_else(|| {
+        ProposeError::NoJoints { path: shown.clone(), joints: ROBOT_JOINTS, found: found() }
+    })?;
+    let taken = |column: &Column| joints.iter().any(|joint| joint.column == column.name);
+    let others: Vec<&Column> = columns.iter().filter(|column| !taken(column)).collect();
+    let time = time(&others, &mut reasons);
+    let length = others.iter().find(|column| column.has_word(LENGTHS)).copied();
+    let position = triple(&others, &["x", "y", "z"]);
+    let of_tracker = position.is_some_and(|xyz| xyz[0].has_word(TRACKERS));
+    let mapping = match (time, length, position) {
+        (_, Some(length), _) => {
+            let unit = length.length_unit();
+            reasons.push(format!("`{}` is the measured length, by its name; {}", length.name, unit.1));
+            let length = LengthColumn { column: length.name.clone(), unit: unit.0 };
+            Mapping::MeasuredLengths(MeasuredLengthMapping { csv, length, joints, flange: None })
+        }
+        (Some(time), _, _) if !of_tracker => Mapping::RobotLog(Box::new(RobotLogMapping {
+            csv,
+            time: Some(time),
+            joints,
+            clock: None,
+            values: None,
+            topic: None,
+            speeds: None,
+            torques: None,
+            force: None,
+            coupling: Vec::new(),
+        })),
+        (_, _, Some(xyz)) => {
+            let names = xyz.map(|column| column.name.clone());
+            let (unit, why) = xyz[0].length_unit();
+            reasons.push(format!("{} are what the tracker measured, by their names; {why}", listed(&names)));
+            let position = PositionColumns { columns: names, unit };
+            let mapping = MeasuredPoseMapping { csv, position, rotation: None, joints };
+            let mapping = Trial { bytes, path, robot }.settled(mapping, &others, &mut reasons, &mut doubts);
+            Mapping::MeasuredPoses(mapping)
+        }
+        _ => return Err(ProposeError::NothingMeasured { path: shown, found: found() }),
+    };
+    Ok(Proposal { mapping, reasons, doubts })
+}
+
+fn listed<S: AsRef<str>>(names: &[S]) -> String {
+    names.iter().map(|name| format!("`{}`", name.as_ref())).collect::<Vec<_>>().join(", ")
+}
+
+/// Words by which a length is recognised.
+const LENGTHS: &[&str] = &["length", "cable", "wire", "rope", "distance", "laenge", "länge", "seil", "draw"];
+/// Words by which positions are a tracker's and not the controller's own.
+const TRACKERS: &[&str] =
+    &["tracker", "meas", "measured", "measurement", "laser", "probe", "smr", "leica", "api", "faro"];
+/// Words of columns that go with joints and are none.
+const NOT_ANGLES: &[&str] = &[
+    "vel",
+    "velocity",
+    "speed",
+    "qd",
+    "dq",
+    "qdd",
+    "acc",
+    "tau",
+    "torque",
+    "moment",
+    "effort",
+    "current",
+    "strom",
+    "amp",
+    "temp",
+    "temperature",
+    "force",
+    "error",
+    "dev",
+];
+/// Words of angles that the controller asked for.
+const COMMANDED: &[&str] =
+    &["cmd", "command", "commanded", "target", "soll", "desired", "ref", "reference", "planned", "set"];
+/// Words of time stamps.
+const TIMES: &[&str] =
+    &["t", "time", "timestamp", "stamp", "zeit", "clock", "ipoc", "utc", "date", "datetime", "tick", "ticks"];
+
+/// One column of a table, with its numbers where they are some.
+struct Column {
+    name: String,
+    /// The name in lower case, without unit.
+    plain: String,
+    unit: Option<String>,
+    numbers: Vec<f64>,
+    is_date: bool,
+}
+
+impl Column {
+    fn words(&self) -> impl Iterator<Item = &str> {
+        self.plain.split(|character: char| !character.is_alphanumeric()).filter(|word| !word.is_empty())
+    }
+
+    fn has_word(&self, words: &[&str]) -> bool {
+        let bare =
+            |word: &str| word.trim_end_matches(|character: char| character.is_ascii_digit()).to_owned();
+        self.words().any(|word| words.contains(&word) || words.contains(&bare(word).as_str()))
+    }
+
+    fn largest(&self) -> f64 {
+        self.numbers.iter().fold(0.0, |most, number| most.max(number.abs()))
+    }
+
+    fn is_number(&self) -> bool {
+        !self.numbers.is_empty() && !self.is_date
+    }
+
+    fn length_unit(&self) -> (LengthUnit, String) {
+        /// No arm reaches so far in metres, and none measures so little in millimetres.
+        const M_MAX: f64 = 20.0;
+        match self.unit.as_deref() {
+            Some("mm") => (LengthUnit::Mm, "the header says mm".into()),
+            Some("m") => (LengthUnit::M, "the header says m".into()),
+            _ if self.largest() > M_MAX => (LengthUnit::Mm, format!("up to {:.0}, so mm", self.largest())),
+            _ => (LengthUnit::M, format!("up to {:.2}, so m", self.largest())),
+        }
+    }
+}
+
+/// A cell as a number; dates are some too.
+fn number(cell: &str, decimal_comma: bool) -> Option<f64> {
+    let cell = if decimal_comma { cell.replace(',', ".") } else { cell.to_owned() };
+    cell.parse::<f64>().ok().filter(|number| number.is_finite())
+}
+
+fn is_date(cell: &str) -> bool {
+    let digits = cell.bytes().filter(u8::is_ascii_digit).count();
+    digits >= 12 && cell.contains(':') && cell.contains('-')
+}
+
+fn cells(line: &str, delimiter: char) -> Vec<&str> {
+    line.split(delimiter).map(|cell| cell.trim().trim_matches('"')).collect()
+}
+
+/// How the rows of numbers are written: the delimiter and decimal sign that give most numbers in rows of equal length.
+fn layout(text: &RowsAsText<'_>) -> Option<CsvLayout> {
+    let lines: Vec<&str> = text.lines().collect();
+    let choices =
+        [(';', false), (';', true), ('\t', false), ('\t', true), (',', false), ('|', false), (' ', false)];
+    let best = choices.into_iter().filter_map(|(delimiter, decimal_comma)| {
+        let numbers = |line: &str| {
+            let cells = cells(line, delimiter);
+            let numbers =
+                cells.iter().filter(|cell| number(cell, decimal_comma).is_some() || is_date(cell)).count();
+            (numbers >= ROBOT_JOINTS && 10 * numbers >= 7 * cells.len()).then_some((cells.len(), numbers))
+        };
+        let first = lines.iter().position(|line| numbers(line).is_some())?;
+        let (width, _) = numbers(lines.get(first)?)?;
+        let rows = lines.iter().filter_map(|line| numbers(line)).filter(|(cells, _)| *cells == width);
+        let total: usize = rows.map(|(_, numbers)| numbers).sum();
+        Some((total, delimiter, decimal_comma, first, width))
+    });
+    // Of equals the first: what reads as numbers both ways has no decimal comma.
+    let (_, delimiter, decimal_comma, first, width) =
+        best.fold(None, |best: Option<(usize, char, bool, usize, usize)>, one| match best {
+            Some(best) if best.0 >= one.0 => Some(best),
+            _ => Some(one),
+        })?;
+    // Above the numbers: a header, then lines of units.
+    let above: Vec<usize> = (0..first)
+        .rev()
+        .filter(|&line| !lines[line].trim().is_empty() && !lines[line].starts_with('#'))
+        .take_while(|&line| cells(lines[line], delimiter).len() == width)
+        .collect();
+    let is_title = |line: &&usize| {
+        cells(lines[**line], delimiter).iter().filter(|cell| cell.is_empty()).count() * 2 > width
+    };
+    let above: Vec<usize> = above.iter().take_while(|line| !is_title(line)).copied().collect();
+    let header = above.last().copied();
+    let begin = header.unwrap_or(first);
+    let skipped = lines.iter().take(begin).any(|line| !line.trim().is_empty() && !line.starts_with('#'));
+    Some(CsvLayout {
+        delimiter: (!text.is_workbook()).then_some(delimiter),
+        decimal_comma,
+        skip_lines: if skipped || header.is_none() { begin } else { 0 },
+        header: header.is_some(),
+        unit_lines: above.len().saturating_sub(1),
+    })
+}
+
+/// Units as people write them, and what they are.
+const UNITS: &[(&str, &str)] = &[
+    ("deg", "deg"),
+    ("degree", "deg"),
+    ("degrees", "deg"),
+    ("°", "deg"),
+    ("grad", "deg"),
+    ("rad", "rad"),
+    ("radian", "rad"),
+    ("radians", "rad"),
+    ("mm", "mm"),
+    ("m", "m"),
+    ("s", "s"),
+    ("sec", "s"),
+    ("seconds", "s"),
+    ("ms", "ms"),
+    ("msec", "ms"),
+    ("us", "us"),
+    ("µs", "us"),
+    ("ns", "ns"),
+    ("nm", "nm"),
+    ("a", "a"),
+    ("n", "n"),
+    ("deg/s", "deg/s"),
+    ("rad/s", "rad/s"),
+];
+
+fn unit_named(text: &str) -> Option<String> {
+    let text = text.trim().trim_matches(['[', ']', '(', ')']).trim().to_lowercase().replace('μ', "µ");
+    UNITS.iter().find(|(written, _)| *written == text).map(|(_, unit)| (*unit).to_owned())
+}
+
+/// A name in lower case without unit, and the unit: `J1 [deg]`, `q1_deg`, `x(mm)`.
+fn plain_and_unit(name: &str) -> (String, Option<String>) {
+    let spaced: String = name.chars().fold(String::new(), |mut out, character| {
+        // A capital after a small letter begins a word: TrackerX.
+        if character.is_uppercase() && out.chars().last().is_some_and(char::is_lowercase) {
+            out.push('_');
+        }
+        out.push(character);
+        out
+    });
+    let name = spaced.to_lowercase();
+    if let Some(open) = name.find(['[', '(']) {
+        let (before, unit) = name.split_at(open);
+        if let Some(unit) = unit_named(unit) {
+            return (before.trim().to_owned(), Some(unit));
+        }
+    }
+    if let Some((before, last)) = name.rsplit_once(['_', ' ', '.'])
+        && last.len() > 1
+        && let Some(unit) = unit_named(last)
+    {
+        return (before.trim().to_owned(), Some(unit));
+    }
+    (name, None)
+}
+
+/// The columns with their numbers, as the reader of such tables gives them.
+fn columns(text: &RowsAsText<'_>, csv: &CsvLayout) -> Result<Vec<Column>, LogError> {
+    /// Enough to see ranges and steps.
+    const ROWS_MAX: usize = 20_000;
+    let (header, units, rows) = text.rows(csv, ROWS_MAX)?;
+    let column = |(index, name): (usize, &String)| {
+        let (plain, unit) = plain_and_unit(name);
+        let cells = || rows.iter().filter_map(|row| row.get(index)).map(String::as_str);
+        let is_date = cells().next().is_some_and(is_date);
+        let unit = unit
+            .or_else(|| units.iter().filter_map(|line| line.get(index)).find_map(|unit| unit_named(unit)));
+        let numbers = cells().filter_map(|cell| number(cell, csv.decimal_comma)).collect();
+        Column { name: name.clone(), plain, unit, numbers, is_date }
+    };
+    Ok(header.iter().enumerate().map(column).collect())
+}
+
+/// Names of joints that have no numbers.
+const NAMED_JOINTS: &[[&str; ROBOT_JOINTS]] = &[
+    ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"],
+    ["base", "shoulder", "elbow", "wrist1", "wrist2", "wrist3"],
+    ["s", "l", "u", "r", "b", "t"],
+];
+
+/// Columns whose names differ in nothing but the joint.
+fn families<'c>(columns: &'c [Column]) -> Vec<[&'c Column; ROBOT_JOINTS]> {
+    let mut by_pattern: BTreeMap<String, BTreeMap<usize, &Column>> = BTreeMap::new();
+    for column in columns.iter().filter(|column| column.is_number()) {
+        let bytes = column.plain.as_bytes();
+        for (at, byte) in bytes.iter().enumerate().filter(|(_, byte)| byte.is_ascii_digit()) {
+            let alone = |index: Option<usize>| {
+                !index.and_then(|index| bytes.get(index)).is_some_and(u8::is_ascii_digit)
+            };
+            if alone(at.checked_sub(1)) && alone(Some(at + 1)) {
+                let pattern = format!("{}#{}", &column.plain[..at], &column.plain[at + 1..]);
+                by_pattern.entry(pattern).or_default().entry(usize::from(byte - b'0')).or_insert(column);
+            }
+        }
+        for (set, names) in NAMED_JOINTS.iter().enumerate() {
+            for (joint, name) in names.iter().enumerate() {
+                let is_whole = name.len() > 1 || column.words().any(|word| word == *name);
+                if let (true, Some(at)) = (is_whole, column.plain.find(name)) {
+                    let pattern =
+                        format!("{set}{}#{}", &column.plain[..at], &column.plain[at + name.len()..]);
+                    by_pattern.entry(pattern).or_default().entry(joint + 1).or_insert(column);
+                }
+            }
+        }
+    }
+    let consecutive = |of: &BTreeMap<usize, &'c Column>| {
+        // From 0 or from 1; what has 0 and 6 is numbered from 0.
+        let first = usize::from(!of.contains_key(&0));
+        let all: Option<Vec<&Column>> =
+            (first..first + ROBOT_JOINTS).map(|joint| of.get(&joint).copied()).collect();
+        all.and_then(|all| <[&Column; ROBOT_JOINTS]>::try_from(all).ok())
+    };
+    by_pattern.values().filter_map(consecutive).collect()
+}
+
+/// Whether a joint's values are angles of it in this unit.
+fn within(column: &Column, limits_deg: [f64; 2], unit: AngleUnit) -> bool {
+    /// Zeros of controllers and models differ by quarter turns.
+    const MARGIN_DEG: f64 = 190.0;
+    let deg = |number: f64| (number * unit.to_rad()).to_degrees();
+    column
+        .numbers
+        .iter()
+        .all(|number| (limits_deg[0] - MARGIN_DEG..=limits_deg[1] + MARGIN_DEG).contains(&deg(*number)))
+}
+
+/// The joints' columns and their unit.
+fn joints(
+    columns: &[Column],
+    robot: &RobotConfig,
+    header: bool,
+    reasons: &mut Vec<String>,
+    doubts: &mut Vec<String>,
+) -> Option<Vec<JointColumn>> {
+    let suits = |family: &[&Column; ROBOT_JOINTS], unit| {
+        family.iter().zip(&robot.joint_limits_deg).all(|(column, limits)| within(column, *limits, unit))
+    };
+    let score = |family: &[&Column; ROBOT_JOINTS]| {
+        let has = |words| i32::from(family.iter().any(|column| column.has_word(words)));
+        let still = family.iter().all(|column| column.numbers.windows(2).all(|pair| pair[0] == pair[1]));
+        let rate = family
+            .iter()
+            .any(|column| column.unit.as_deref().is_some_and(|unit| !["deg", "rad"].contains(&unit)));
+        let angle =
+            i32::from(family.iter().all(|column| matches!(column.unit.as_deref(), Some("deg" | "rad"))));
+        let possible = suits(family, AngleUnit::Deg);
+        2 * angle
+            - has(COMMANDED)
+            - 5 * has(NOT_ANGLES)
+            - 5 * i32::from(rate)
+            - 3 * i32::from(still)
+            - 9 * i32::from(!possible)
+    };
+    let mut choices = families(columns);
+    if choices.is_empty() && !header {
+        let numeric: Vec<&Column> = columns.iter().filter(|column| column.is_number()).collect();
+        choices = numeric.windows(ROBOT_JOINTS).filter_map(|window| window.try_into().ok()).collect();
+        // Six in a row that are neither times nor millimetres; the first such.
+        choices.retain(|family| suits(family, AngleUnit::Deg) && !family.iter().any(|column| rises(column)));
+        choices.truncate(1);
+        if !choices.is_empty() {
+            doubts.push(
+                "there is no header: the first six columns that can be angles are taken for the joints"
+                    .into(),
+            );
+        }
+    }
+    let best = choices.iter().map(|family| (score(family), family)).filter(|(score, _)| *score > -5);
+    let (_, family) = best.fold(None, |best: Option<(i32, &[&Column; ROBOT_JOINTS])>, one| match best {
+        Some(best) if best.0 >= one.0 => Some(best),
+        _ => Some(one),
+    })?;
+    let unit = angle_unit(family, reasons, doubts);
+    if !suits(family, unit) {
+        doubts.push(format!(
+            "some joints leave the robot's limits by more than half a turn: is this a log of {}?",
+            robot.name
+        ));
+    }
+    if family.iter().any(|column| column.has_word(COMMANDED)) {
+        doubts.push(
+            "by their names these are angles that the controller asked for; measured ones are better".into(),
+        );
+    }
+    let names: Vec<&str> = family.iter().map(|column| column.name.as_str()).collect();
+    reasons
+        .insert(0, format!("{} are joints 1 to {ROBOT_JOINTS}, by their names and ranges", listed(&names)));
+    let joint =
+        |column: &&Column| JointColumn { column: column.name.clone(), unit, sign: 1.0, offset_deg: 0.0 };
+    Some(family.iter().map(joint).collect())
+}
+
+/// The unit that header and values agree on.
+fn angle_unit(family: &[&Column], reasons: &mut Vec<String>, doubts: &mut Vec<String>) -> AngleUnit {
+    /// A robot's joints turn by at most a turn and a bit either way, mostly less.
+    const RAD_MAX: f64 = 6.7;
+    let said = family.iter().find_map(|column| match column.unit.as_deref() {
+        Some("deg") => Some(AngleUnit::Deg),
+        Some("rad") => Some(AngleUnit::Rad),
+        _ => None,
+    });
+    let largest = family.iter().map(|column| column.largest()).fold(0.0, f64::max);
+    let seen = if largest > RAD_MAX { AngleUnit::Deg } else { AngleUnit::Rad };
+    match said {
+        Some(said) if said == seen => reasons
+            .push(format!("angles in {}: so says the header, and they reach {largest:.1}", said.suffix())),
+        Some(said) => doubts.push(format!(
+            "the header says {}, but the angles reach {largest:.1}, as {} would; {} is written here",
+            said.suffix(),
+            seen.suffix(),
+            seen.suffix()
+        )),
+        None => reasons.push(format!("angles in {}: they reach {largest:.1}", seen.suffix())),
+    }
+    seen
+}
+
+/// Never falls, and mostly rises.
+fn rises(column: &Column) -> bool {
+    let steps = column.numbers.windows(2).map(|pair| pair[1] - pair[0]);
+    let (mut rising, mut falling, mut all) = (0, 0, 0);
+    for step in steps {
+        all += 1;
+        rising += usize::from(step > 0.0);
+        falling += usize::from(step < 0.0);
+    }
+    all > 0 && 2 * rising > all && 100 * falling <= all
+}
+
+/// The time stamps, if there are some.
+fn time(columns: &[&Column], reasons: &mut Vec<String>) -> Option<TimeColumn> {
+    let dated = columns.iter().find(|column| column.is_date && column.has_word(TIMES));
+    if let Some(column) = dated.or_else(|| columns.iter().find(|column| column.is_date)) {
+        reasons.push(format!("`{}` has dates", column.name));
+        return Some(TimeColumn { column: column.name.clone(), unit: TimeUnit::DateTime });
+    }
+    let rising: Vec<&&Column> = columns.iter().filter(|column| column.is_number() && rises(column)).collect();
+    let said = rising.iter().find(|column| matches!(column.unit.as_deref(), Some("s" | "ms" | "us" | "ns")));
+    let named = rising.iter().find(|column| column.has_word(TIMES));
+    let column = said.or(named)?;
+    let mut steps: Vec<f64> =
+        column.numbers.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).collect();
+    steps.sort_by(f64::total_cmp);
+    let step = steps.get(steps.len() / 2).copied()?;
+    /// FILETIME of the years 1980 to 2100.
+    const FILETIME: std::ops::Range<f64> = 1.19e17..1.58e17;
+    let (unit, why) = match column.unit.as_deref() {
+        Some("s") => (TimeUnit::S, "the header says so".to_owned()),
+        Some("ms") => (TimeUnit::Ms, "the header says so".into()),
+        Some("us") => (TimeUnit::Us, "the header says so".into()),
+        Some("ns") => (TimeUnit::Ns, "the header says so".into()),
+        _ if FILETIME.contains(&column.numbers[0]) => (TimeUnit::Filetime, "by its size".into()),
+        // Robots log at 1 Hz to 1 kHz and stamps hardly have more digits than that.
+        _ if step < 0.9 => (TimeUnit::S, format!("stamps are {step:.4} apart")),
+        _ if step < 900.0 => (TimeUnit::Ms, format!("stamps are {step:.1} apart")),
+        _ if step < 9e5 => (TimeUnit::Us, format!("stamps are {step:.0} apart")),
+        _ => (TimeUnit::Ns, format!("stamps are {step:.0} apart")),
+    };
+    reasons.push(format!("`{}` is the time in {}: {why}", column.name, format!("{unit:?}").to_lowercase()));
+    Some(TimeColumn { column: column.name.clone(), unit })
+}
+
+/// Columns whose names differ in one word that is the wanted one; those of a tracker before others.
+fn group<'c>(columns: &[&'c Column], words: &[&str]) -> Option<Vec<&'c Column>> {
+    let mut found: Vec<Vec<&Column>> = Vec::new();
+    for first in columns.iter().filter(|column| column.is_number()) {
+        for at in first.plain.match_indices(words[0]).map(|(at, _)| at) {
+            let (before, after) = (&first.plain[..at], &first.plain[at + words[0].len()..]);
+            let ends = |text: Option<char>| !text.is_some_and(char::is_alphanumeric);
+            if !ends(before.chars().last()) || !ends(after.chars().next()) {
+                continue;
+            }
+            let named = |word: &&str| {
+                let name = format!("{before}{word}{after}");
+                columns.iter().find(|column| column.plain == name && column.is_number()).copied()
+            };
+            found.extend(words.iter().map(named).collect::<Option<Vec<_>>>());
+        }
+    }
+    let of_tracker = found.iter().position(|group| group[0].has_word(TRACKERS)).unwrap_or(0);
+    (of_tracker < found.len()).then(|| found.swap_remove(of_tracker))
+}
+
+fn triple<'c>(columns: &[&'c Column], words: &[&str; 3]) -> Option<[&'c Column; 3]> {
+    group(columns, words).and_then(|group| group.try_into().ok())
+}
+
+/// Tries on the nominal robot what names alone do not tell.
+struct Trial<'a> {
+    bytes: &'a [u8],
+    path: &'a Path,
+    robot: &'a RobotConfig,
+}
+
+impl Trial<'_> {
+    /// Root mean squares of position \[m\] and rotation \[rad\] of the nominal robot against the rows so read.
+    fn misfit(&self, mapping: &MeasuredPoseMapping) -> Option<(f64, f64)> {
+        /// Enough to tell radians from degrees.
+        const ROWS: usize = 60;
+        let rows = MeasuredPoses::read(self.bytes, self.path, mapping).ok()?.rows;
+        let every = rows.len().div_ceil(ROWS).max(1);
+        let row = |row: &crate::logs::MeasuredPose| PoseRow {
+            joints_rad: row.q_rad,
+            position_m: row.position_m,
+            rotation: row.rotation,
+        };
+        let rows: Vec<PoseRow> = rows.iter().step_by(every).map(row).collect();
+        let chain = flange_chain(self.robot);
+        let [nominal, _] = validate(&rows, &chain, &Model::measured_pose(&chain), 1).ok()?;
+        Some((nominal.position_m.rms, nominal.rotation_rad.map_or(0.0, |sizes| sizes.rms)))
+    }
+
+    /// The mapping whose signs, order and orientation fit the robot, with what was found.
+    fn settled(
+        &self,
+        mut mapping: MeasuredPoseMapping,
+        others: &[&Column],
+        reasons: &mut Vec<String>,
+        doubts: &mut Vec<String>,
+    ) -> MeasuredPoseMapping {
+        /// A change that is right leaves less than this part of the misfit.
+        const BETTER: f64 = 0.3;
+        // A change that is right shows in the positions; what the orientation means is looked for after that.
+        if let Some((as_named, _)) = self.misfit(&mapping) {
+            let tried = changes().into_iter().filter_map(|(what, change)| {
+                let mut changed = mapping.clone();
+                change(&mut changed.joints);
+                Some((self.misfit(&changed)?.0, what, changed))
+            });
+            let best = tried.min_by(|a, b| a.0.total_cmp(&b.0));
+            match best {
+                Some((left, what, changed)) if left < BETTER * as_named => {
+                    doubts.push(format!(
+                        "{what}: as named the robot is {:.1} mm from the positions, so {:.1} mm; it is written so",
+                        as_named * 1e3, left * 1e3
+                    ));
+                    mapping = changed;
+                }
+                _ => {
+                    reasons.push(format!("the nominal robot is {:.1} mm from the positions", as_named * 1e3))
+                }
+            }
+        }
+        let with =
+            |rotation: RotationColumns| MeasuredPoseMapping { rotation: Some(rotation), ..mapping.clone() };
+        let tried = orientations(others).into_iter().filter_map(|rotation| {
+            let mapping = with(rotation);
+            Some((self.misfit(&mapping)?.1, mapping))
+        });
+        /// The nominal robot's orientation is better than this, any wrong order is worse \[rad\].
+        const FITS_RAD: f64 = 0.1;
+        match tried.min_by(|a, b| a.0.total_cmp(&b.0)) {
+            Some((left, found)) if left < FITS_RAD => {
+                reasons.push(format!("the orientation is what fits the robot best, {:.1} mrad", left * 1e3));
+                found
+            }
+            Some((left, _)) => {
+                doubts.push(format!(
+                    "no reading of the orientation fits the robot ({:.0} mrad at best): left out",
+                    left * 1e3
+                ));
+                mapping
+            }
+            None => mapping,
+        }
+    }
+}
+
+/// A change of the joints' columns.
+type Change = Box<dyn Fn(&mut Vec<JointColumn>)>;
+
+/// What goes wrong with joints: two exchanged, one that counts the other way, the other unit.
+fn changes() -> Vec<(String, Change)> {
+    let mut all: Vec<(String, Change)> = Vec::new();
+    for joint in 0..ROBOT_JOINTS {
+        let reverse: Change = Box::new(move |joints| joints[joint].sign = -joints[joint].sign);
+        all.push((format!("joint {} counts the other way", joint + 1), reverse));
+        for other in joint + 1..ROBOT_JOINTS {
+            all.push((
+                format!("joints {} and {} are exchanged", joint + 1, other + 1),
+                Box::new(move |joints| joints.swap(joint, other)),
+            ));
+        }
+    }
+    let other_unit: Change = Box::new(|joints| {
+        for joint in joints {
+            joint.unit = if joint.unit == AngleUnit::Deg { AngleUnit::Rad } else { AngleUnit::Deg };
+        }
+    });
+    all.push(("the joints are in the other unit".into(), other_unit));
+    all
+}
+
+/// What columns named like an orientation can mean.
+fn orientations(columns: &[&Column]) -> Vec<RotationColumns> {
+    const THREE: [[&str; 3]; 5] = [
+        ["rx", "ry", "rz"],
+        ["roll", "pitch", "yaw"],
+        ["a", "b", "c"],
+        ["w", "p", "r"],
+        ["rotx", "roty", "rotz"],
+    ];
+    const FOUR: [[&str; 4]; 2] = [["qx", "qy", "qz", "qw"], ["q_x", "q_y", "q_z", "q_w"]];
+    const NINE: [&str; 9] = ["r11", "r12", "r13", "r21", "r22", "r23", "r31", "r32", "r33"];
+    const ORDERS: [&str; 12] =
+        ["xyz", "xzy", "yxz", "yzx", "zxy", "zyx", "xyx", "xzx", "yxy", "yzy", "zxz", "zyz"];
+    let of = |form, group: Vec<&Column>| RotationColumns {
+        form,
+        columns: group.iter().map(|column| column.name.clone()).collect(),
+        unit: None,
+        order: None,
+        frame: None,
+    };
+    let mut all = Vec::new();
+    all.extend(group(columns, &NINE).map(|group| of(RotationForm::Matrix, group)));
+    let four = FOUR.iter().filter_map(|words| group(columns, words));
+    all.extend(four.map(|group| of(RotationForm::Quaternion, group)));
+    for three in THREE.iter().filter_map(|words| group(columns, words)) {
+        let unit = Some(angle_unit(&three, &mut Vec::new(), &mut Vec::new()));
+        let vector = RotationColumns { unit, ..of(RotationForm::RotationVector, three) };
+        let euler = |order: &str, frame| RotationColumns {
+            form: RotationForm::Euler,
+            order: Some(order.to_owned()),
+            frame: Some(frame),
+            ..vector.clone()
+        };
+        let frames = [EulerFrame::Moving, EulerFrame::Fixed];
+        all.extend(ORDERS.iter().flat_map(|order| frames.map(|frame| euler(order, frame))));
+        all.push(vector);
+    }
+    all
+}

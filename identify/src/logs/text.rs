@@ -1,0 +1,174 @@
+//! Bytes of a table as text, however the program that made it saves: UTF-8, UTF-16, Windows-1252 (Latin-1) or a spreadsheet.
+
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::io::Cursor;
+use std::path::Path;
+
+use calamine::{Data, Reader, Xlsx};
+use encoding_rs::{Encoding, WINDOWS_1252};
+use zip::ZipArchive;
+
+use super::csv_text::open_mapped;
+use super::{CsvLayout, LogError};
+
+/// An Excel workbook is a ZIP archive; no text begins so.
+const ZIP: &[u8] = b"PK\x03\x04";
+
+/// Whether the bytes are a workbook, which only looks binary.
+pub(super) fn is_workbook(bytes: &[u8]) -> bool {
+    bytes.starts_with(ZIP)
+}
+
+/// The text of a file without byte order mark. Of a workbook its sheet, one line for each row, cells between tabs.
+///
+/// What is not UTF-8 and has no byte order mark is Windows-1252, as instruments export a micro or degree sign; a damaged
+/// digit is no digit in any of them.
+///
+/// # Errors
+/// [`LogError::NotText`] for anything else, such as binary data or a workbook with several sheets.
+pub(super) fn decode<'a>(bytes: &'a [u8], path: &Path) -> Result<Cow<'a, str>, LogError> {
+    let not_text = |problem: String| LogError::NotText { path: path.to_owned(), problem };
+    if is_workbook(bytes) {
+        return sheet(bytes).map(Cow::Owned).map_err(not_text);
+    }
+    let (encoding, bytes) = match Encoding::for_bom(bytes) {
+        Some((encoding, mark)) => (Some(encoding), bytes.get(mark..).unwrap_or_default()),
+        None => (None, bytes),
+    };
+    let (text, damaged) = match (encoding, std::str::from_utf8(bytes)) {
+        (None, Ok(text)) => (Cow::Borrowed(text), false),
+        (encoding, _) => encoding.unwrap_or(WINDOWS_1252).decode_without_bom_handling(bytes),
+    };
+    let control = |character: char| character.is_control() && !character.is_whitespace();
+    match text.char_indices().find(|(_, character)| control(*character)) {
+        _ if damaged => Err(not_text("its byte order mark promises another encoding than it has".into())),
+        Some((at, character)) => Err(not_text(format!("character {character:?} at offset {at}"))),
+        None => Ok(text),
+    }
+}
+
+/// The rows of the one sheet that has any, as lines with the numbers of the rows.
+fn sheet(bytes: &[u8]) -> Result<String, String> {
+    // The parser takes what it unpacks as sound: the checksums of the archive are seen to first.
+    checked(bytes).map_err(|error| format!("a damaged workbook: {error}"))?;
+    let unreadable = |error: calamine::XlsxError| format!("a workbook that cannot be read: {error}");
+    let mut workbook = Xlsx::new(Cursor::new(bytes)).map_err(unreadable)?;
+    let mut sheets = Vec::new();
+    for name in workbook.sheet_names() {
+        let rows = rows(&mut workbook, &name).map_err(unreadable)?;
+        if !rows.is_empty() {
+            sheets.push((name, rows));
+        }
+    }
+    match sheets.as_slice() {
+        [(_, rows)] => lines(rows),
+        [] => Err("a workbook without any cell".into()),
+        several => {
+            let names: Vec<&str> = several.iter().map(|(name, _)| name.as_str()).collect();
+            Err(format!("a workbook with several sheets: {}; keep the one with the table", names.join(", ")))
+        }
+    }
+}
+
+/// Everything in an archive unpacks to its checksum.
+fn checked(bytes: &[u8]) -> Result<(), zip::result::ZipError> {
+    let mut archive = ZipArchive::new(Cursor::new(bytes))?;
+    for index in 0..archive.len() {
+        std::io::copy(&mut archive.by_index(index)?, &mut std::io::sink())?;
+    }
+    Ok(())
+}
+
+/// Cells by row and column, from 0.
+type Rows = BTreeMap<u32, BTreeMap<u32, String>>;
+
+fn rows(workbook: &mut Xlsx<Cursor<&[u8]>>, sheet: &str) -> Result<Rows, calamine::XlsxError> {
+    let mut rows = Rows::new();
+    let mut cells = workbook.worksheet_cells_reader(sheet)?;
+    while let Some(cell) = cells.next_cell()? {
+        let (row, column) = cell.get_position();
+        let value = Data::from(cell.get_value().clone());
+        if value != Data::Empty {
+            rows.entry(row).or_default().insert(column, shown(&value));
+        }
+    }
+    Ok(rows)
+}
+
+fn lines(rows: &Rows) -> Result<String, String> {
+    /// No table of joints is wider.
+    const COLUMNS_MAX: u32 = 1000;
+    let width = rows.values().filter_map(|row| row.last_key_value()).map(|(column, _)| column + 1).max();
+    let width = width.unwrap_or(0);
+    if width > COLUMNS_MAX {
+        return Err(format!("a workbook with a cell in column {width}"));
+    }
+    let mut text = String::new();
+    let mut next = 0;
+    for (&row, cells) in rows {
+        text.extend((next..row).map(|_| '\n'));
+        let cell = |column: u32| cells.get(&column).map_or("", String::as_str);
+        text += &(0..width).map(cell).collect::<Vec<_>>().join("\t");
+        text.push('\n');
+        next = row + 1;
+    }
+    Ok(text)
+}
+
+/// A cell as a table would have it: numbers with all their digits, dates as text.
+fn shown(cell: &Data) -> String {
+    match cell {
+        Data::DateTime(date) => {
+            date.as_datetime().map_or_else(|| cell.to_string(), |date| date.format("%FT%T%.f").to_string())
+        }
+        _ => cell.to_string().replace(['\t', '\n', '\r'], " "),
+    }
+}
+
+/// A table's text, line by line and row by row, for who does not know yet what it holds.
+pub struct RowsAsText<'a> {
+    text: Cow<'a, str>,
+    path: &'a Path,
+    is_workbook: bool,
+}
+
+/// Names of the columns, lines of units, and rows of cells.
+pub type Cells = (Vec<String>, Vec<Vec<String>>, Vec<Vec<String>>);
+
+impl<'a> RowsAsText<'a> {
+    /// Decodes a file.
+    ///
+    /// # Errors
+    /// [`LogError::NotText`].
+    pub fn new(bytes: &'a [u8], path: &'a Path) -> Result<Self, LogError> {
+        Ok(Self { text: decode(bytes, path)?, path, is_workbook: is_workbook(bytes) })
+    }
+
+    /// The lines of the file.
+    pub fn lines(&self) -> impl Iterator<Item = &str> {
+        self.text.lines()
+    }
+
+    /// The file is a workbook, whose cells need no delimiter.
+    pub fn is_workbook(&self) -> bool {
+        self.is_workbook
+    }
+
+    /// The first rows in a layout.
+    ///
+    /// # Errors
+    /// [`LogError`] where the layout does not suit them.
+    pub fn rows(&self, layout: &CsvLayout, rows_max: usize) -> Result<Cells, LogError> {
+        let mut table = open_mapped(&self.text, self.path, &CsvLayout { unit_lines: 0, ..layout.clone() })?;
+        let header = table.header().to_vec();
+        let mut rows = Vec::new();
+        while rows.len() < rows_max + layout.unit_lines
+            && let Some(row) = table.next_row()
+        {
+            rows.push(row?.cells().map(str::to_owned).collect());
+        }
+        let values = rows.split_off(layout.unit_lines.min(rows.len()));
+        Ok((header, rows, values))
+    }
+}
