@@ -12,6 +12,7 @@ pub mod commands;
 pub mod cost;
 pub mod examine;
 pub mod inspect;
+pub mod instrument;
 pub mod kinematics;
 pub mod logs;
 pub mod model;

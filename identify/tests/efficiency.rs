@@ -4,11 +4,12 @@
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
 use crate::support::{Cell, spread_poses};
-use identify::calibrate::{LossName, solve_from_subsets, solve_robust};
 use identify::cost::{AngleNoise, LoopProblem, Residual, Transform, WhitenedPose};
 use identify::model::{Model, Observation, ParameterId, PerObservation, Selection};
 use identify::simulate::THESIS_ERRORS;
-use identify::solver::{Noise, Options, Solution, minimise, solve};
+use identify::solver::{
+    LossName, Noise, Options, Solution, minimise, solve, solve_from_subsets, solve_robust,
+};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;

@@ -3,15 +3,15 @@
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 
-use super::by_cost::WithResidual;
 use super::config::{CostName, IdentifyConfig};
-use super::several::{self, Run};
+use super::pipeline::{self, Solved};
 use super::structure::StructureError;
 use super::terms::Candidate;
-use crate::cost::{CostError, Residual, SharedColumns};
+use crate::cost::{CostError, SharedColumns};
+use crate::instrument::{BallBar, Instrument, Run};
 use crate::kinematics::{BAR_JOINTS, LinkParameter, ball_bar_chain, robot_chain};
 use crate::logs::{RobotLog, Unwrapped};
-use crate::model::{Axis, DriveTrain, Geometry, Model, ModelError, ParameterId};
+use crate::model::{Axis, DriveTrain, Model, ModelError, ParameterId};
 use crate::prepare::{PrepareError, Prepared, prepare};
 use crate::solver::{NotConverged, Solution, SolveError, Unidentifiable, Watch};
 
@@ -54,8 +54,8 @@ pub enum CalibrateError {
 pub struct BallBarCalibration {
     /// Cost that was minimised.
     pub cost: CostName,
-    /// How the logs of the first run were brought together.
-    pub prepared: Prepared,
+    /// What was measured in the first run.
+    pub instrument: Instrument,
     /// Parameters of robot and first run, at the solution. Their columns come first in `solution`.
     pub model: Model,
     /// The other runs; the robot is that of `model`.
@@ -73,25 +73,41 @@ pub struct BallBarCalibration {
 impl BallBarCalibration {
     /// Preparation and parameters of each run, the first one first.
     pub fn runs(&self) -> impl Iterator<Item = (&Prepared, &Model)> {
-        let others = self.others.iter().map(|run| (&run.prepared, &run.model));
-        std::iter::once((&self.prepared, &self.model)).chain(others)
+        std::iter::once((&self.instrument, &self.model))
+            .chain(self.others.iter().map(|run| (&run.instrument, &run.model)))
+            .map(|(Instrument::BallBar(bar), model)| (&bar.prepared, model))
+    }
+
+    /// How the logs of the first run were brought together.
+    pub fn prepared(&self) -> &Prepared {
+        let Instrument::BallBar(bar) = &self.instrument;
+        &bar.prepared
     }
 
     /// Bar joints with an encoder in every run.
     pub fn measured(&self) -> [bool; BAR_JOINTS] {
-        several::measured_in_all(self.runs().map(|(prepared, _)| prepared))
+        measured(self.runs().map(|(prepared, _)| prepared))
     }
 
     /// Copies of the runs with at most so many samples in all, evenly taken: for figures that need no more.
     pub(super) fn thinned(&self, samples_max: usize) -> Vec<Run> {
-        let samples: usize = self.runs().map(|(prepared, _)| prepared.observations.len()).sum();
-        let every = samples.div_ceil(samples_max.max(1)).max(1);
-        let thinned = |(prepared, model): (&Prepared, &Model)| {
-            let observations = prepared.observations.iter().step_by(every).copied().collect();
-            Run { prepared: Prepared { observations, ..prepared.clone() }, model: model.clone() }
+        let all = || {
+            let others = self.others.iter().map(|run| (&run.instrument, &run.model));
+            std::iter::once((&self.instrument, &self.model)).chain(others)
         };
-        self.runs().map(thinned).collect()
+        let samples: usize = all().map(|(instrument, _)| instrument.samples()).sum();
+        let every = samples.div_ceil(samples_max.max(1)).max(1);
+        let thinned = |(instrument, model): (&Instrument, &Model)| Run {
+            instrument: instrument.thinned(every),
+            model: model.clone(),
+        };
+        all().map(thinned).collect()
     }
+}
+
+/// Bar joints whose encoder all runs have.
+fn measured<'p>(runs: impl Iterator<Item = &'p Prepared>) -> [bool; BAR_JOINTS] {
+    runs.fold([true; BAR_JOINTS], |all, run| std::array::from_fn(|joint| all[joint] && run.measured[joint]))
 }
 
 /// What one run left behind.
@@ -137,53 +153,30 @@ pub fn calibrate_runs(
     config: &IdentifyConfig,
     watch: Option<&dyn Watch>,
 ) -> Result<BallBarCalibration, CalibrateError> {
-    let run = |(run, input): (usize, &RunInput<'_>)| {
+    let prepare = |(run, input): (usize, &RunInput<'_>)| {
         let mut prepared =
             prepare(input.cycles, input.encoders, input.log, robot, input.bar, &config.prepare)
                 .map_err(|error| CalibrateError::Prepare { run, error: Box::new(error) })?;
         if let Some(unwrapped) = input.unwrapped {
             prepared.timeline.unwrapped_encoders = unwrapped.to_vec();
         }
+        Ok(prepared)
+    };
+    let all = inputs.iter().enumerate().map(prepare).collect::<Result<Vec<_>, CalibrateError>>()?;
+    let measured = measured(all.iter());
+    let cost = config.cost.unwrap_or_else(|| CostName::for_encoders(&measured));
+    let run = |(prepared, input): (Prepared, &RunInput<'_>)| {
         // Hundreds of waves have a name: a model has those that somebody means, and later those that are found.
         let model = start_model(&prepared, robot, input.bar)?.with_joint_waves(config.named());
-        Ok(Run { prepared, model })
+        let bar = BallBar { prepared, cost, noise: config.noise, measured };
+        Ok(Run { instrument: Instrument::BallBar(bar), model })
     };
-    let mut runs = inputs.iter().enumerate().map(run).collect::<Result<Vec<Run>, CalibrateError>>()?;
-    let measured = several::measured(&runs);
-    let cost = config.cost.unwrap_or_else(|| CostName::for_encoders(&measured));
-    let solved = solve_by(cost, &mut runs, config, watch)?;
+    let mut runs = all.into_iter().zip(inputs).map(run).collect::<Result<Vec<_>, CalibrateError>>()?;
+    let Solved { columns, solution, candidates, prior_scale } = pipeline::solve(&mut runs, config, watch)?;
     let mut runs = runs.into_iter();
-    let Run { prepared, model } = runs.next().ok_or(CalibrateError::NoRun)?;
-    let several::Solved { columns, solution, candidates, prior_scale } = solved;
+    let Run { instrument, model } = runs.next().ok_or(CalibrateError::NoRun)?;
     let others = runs.collect();
-    Ok(BallBarCalibration { cost, prepared, model, others, columns, solution, candidates, prior_scale })
-}
-
-/// [`several::solve`] with a cost by its name.
-///
-/// # Errors
-/// As [`several::solve`].
-pub(super) fn solve_by(
-    cost: CostName,
-    runs: &mut [Run],
-    config: &IdentifyConfig,
-    watch: Option<&dyn Watch>,
-) -> Result<several::Solved, CalibrateError> {
-    struct Solve<'a> {
-        cost: CostName,
-        runs: &'a mut [Run],
-        config: &'a IdentifyConfig,
-        watch: Option<&'a dyn Watch>,
-    }
-    impl WithResidual for Solve<'_> {
-        type Output = Result<several::Solved, CalibrateError>;
-
-        fn with<R: Residual>(self, residual: impl Fn(&Prepared, &Geometry) -> R) -> Self::Output {
-            several::solve(self.runs, self.cost, residual, self.config, self.watch)
-        }
-    }
-    let measured = several::measured(runs);
-    cost.run(&measured, config.noise, Solve { cost, runs, config, watch })
+    Ok(BallBarCalibration { cost, instrument, model, others, columns, solution, candidates, prior_scale })
 }
 
 /// Nominal robot and bar, at the place and with the encoder offsets that the preparation found.

@@ -5,12 +5,12 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 
-use super::robust::LossName;
 use super::terms::TermGroup;
 use crate::cost::AngleNoise;
 use crate::kinematics::{BAR_JOINTS, LinkParameter};
 use crate::model::{JointTerm, Model, ModelError, ParameterId, Role, Selection};
 use crate::prepare::PrepareOptions;
+use crate::solver::LossName;
 
 /// Zeros after a loss of a counter's origin start where the preparation found them, on nominal geometry. Far more than it
 /// errs, so that samples decide; a stretch that is held out with all samples of an origin leaves them there \[rad\].

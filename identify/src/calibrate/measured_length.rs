@@ -20,7 +20,7 @@ use super::split::{self, HoldOut};
 use crate::cost::{LoopProblem, MeasuredLength};
 use crate::kinematics::{Chain, LinkParameter};
 use crate::model::{Axis, Model, ModelError, Observation, ParameterId, PerObservation, Role, Unit};
-use crate::solver::{GraduatedOptions, Loss, Noise, Options, Solution, solve_graduated};
+use crate::solver::{LossName, Options, Solution, solve_robust};
 
 pub use drift::Drift;
 pub use error::LengthError;
@@ -48,8 +48,8 @@ pub struct LengthOptions {
     pub held_out: f64,
     /// Seed of the choice of rows.
     pub seed: u64,
-    /// Loss of the last solve, its scale in standard deviations of a length.
-    pub loss: Loss,
+    /// How much rows count that do not fit.
+    pub loss: LossName,
     /// Standard deviation of a length \[m\]; none takes it from the spread of the residuals before the robot is fitted.
     pub length_sigma_m: Option<f64>,
     /// Prior of the links' lengths around nominal, one standard deviation \[m\].
@@ -75,7 +75,7 @@ impl Default for LengthOptions {
             hold_out: HoldOut::Rows,
             held_out: 0.2,
             seed: 1042,
-            loss: Loss::Cauchy { scale: 2.0 },
+            loss: LossName::Cauchy,
             length_sigma_m: None,
             link_sigma_m: 1e-2,
             link_sigma_rad: 1e-2,
@@ -108,7 +108,6 @@ fn check(rows: &[LengthRow], options: &LengthOptions) -> Result<(), LengthError>
         ("flange_tolerance_m", options.flange_tolerance_m),
         ("residual_limit", options.residual_limit),
         ("run_limit", options.run_limit.unwrap_or(1.0)),
-        ("loss.scale", options.loss.scale().unwrap_or(1.0)),
     ];
     for (option, value) in positive {
         if !(value.is_finite() && value > 0.0) {
@@ -156,14 +155,12 @@ fn fit(
     model: &mut Model,
     rows: &[LengthRow],
     chosen: &[usize],
-    loss: Loss,
+    loss: LossName,
     sigma_m: f64,
 ) -> Result<Solution, LengthError> {
     let samples = Samples::of(rows, chosen);
     let problem = LoopProblem::new(model, &samples.motion, &samples.observations, MeasuredLength, sigma_m)?;
-    let options = Options { loss, noise: Noise::Estimated, ..Options::default() };
-    let solution = solve_graduated(&problem, &model.start(), &GraduatedOptions::new(options))?;
-    let solution = solution.identified()?;
+    let solution = solve_robust(&problem, &model.start(), loss, &Options::default())?.identified()?;
     model.adopt(&solution.x);
     Ok(solution)
 }
@@ -192,10 +189,7 @@ fn fit_wire(
         model.set_value(ParameterId::Anchor(axis), anchor_m[axis.index()])?;
     }
     model.set_roles(wire_ids().filter(|id| !options.fix.contains(id)), Role::Free)?;
-    // A first fit with nothing called an outlier, only to learn the scale.
-    fit(model, rows, chosen, Loss::Squared, 1e-3)?;
-    let sigma_m = scale_m(model, rows, chosen, options);
-    fit(model, rows, chosen, options.loss, sigma_m).map(drop)
+    fit(model, rows, chosen, options.loss, 1.0).map(drop)
 }
 
 /// Priors on the links around nominal.
@@ -290,7 +284,7 @@ impl Drifted {
         // Once more with the drift as known: it stays where it is, and the solver tells of rank and covariance.
         let mut steady = rows.to_vec();
         steady.iter_mut().zip(&drift_m).for_each(|(row, drift_m)| row.length_m += drift_m);
-        let solution = fit(model, &steady, &fitting, Loss::Huber { scale: 3.0 }, drift.white_m)?;
+        let solution = fit(model, &steady, &fitting, LossName::Huber, drift.white_m)?;
         Ok(Some(Self { drift, drift_m, solution }))
     }
 

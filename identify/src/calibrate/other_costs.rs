@@ -1,9 +1,10 @@
 //! The same runs by the other costs that their encoders allow: what each would have said of the robot.
 
-use super::ball_bar::{BallBarCalibration, CalibrateError, solve_by};
+use super::ball_bar::{BallBarCalibration, CalibrateError};
 use super::config::{CostName, IdentifyConfig, SelectionName};
-use super::several::{Run, Solved};
+use super::pipeline::{self, Solved};
 use super::terms::TermGroup;
+use crate::instrument::{Instrument, Run};
 use crate::kinematics::LinkParameter;
 use crate::model::{Model, ModelError, ParameterId, Role};
 use crate::solver::{SolveError, Watch};
@@ -37,7 +38,10 @@ pub fn other_costs(
     let mut all = Vec::new();
     for cost in CostName::ALL.into_iter().filter(|cost| *cost != calibration.cost).filter(allowed) {
         let mut runs: Vec<Run> = runs.clone();
-        let solved = solve_by(cost, &mut runs, &same_terms(calibration, config, cost), watch);
+        for Run { instrument: Instrument::BallBar(bar), .. } in &mut runs {
+            bar.cost = cost;
+        }
+        let solved = pipeline::solve(&mut runs, &same_terms(calibration, config, cost), watch);
         let found = match solved {
             Err(error @ CalibrateError::Solve(SolveError::Cancelled { .. })) => return Err(error),
             Err(error) => Err(error),

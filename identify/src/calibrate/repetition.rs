@@ -3,7 +3,6 @@
 
 use std::ops::Range;
 
-use super::several::Run;
 use super::split::segments;
 use crate::model::{JointState, RobotMotion};
 
@@ -22,31 +21,25 @@ const SEGMENTS_MIN: usize = 8;
 /// Part of the samples that must have their like one period away.
 const SHARE: f64 = 0.4;
 
-/// Samples of each segment, numbered over all runs, of which `starts` gives the first samples and the total: at most `count`
-/// segments in each run, a motion that comes again with all of its repetitions in one. It has fewer of them, so that they
-/// last as long as those of a run that does not repeat: errors of gears and bearings go on for seconds.
-pub fn independent_segments(runs: &[Run], starts: &[usize], count: usize) -> Vec<Vec<usize>> {
-    let of_run = |(run, start): (&Run, &[usize])| {
-        let samples: Vec<usize> = (start[0]..start[1]).collect();
-        let times_s: Vec<f64> = run.prepared.observations.iter().map(|one| one.t_s).collect();
-        let span_s = times_s.last().zip(times_s.first()).map_or(0.0, |(last, first)| last - first);
-        let (in_order, distinct_s) = match period_s(&run.prepared.motion, &times_s) {
-            Some(period_s) => (by_phase(samples, &times_s, period_s), period_s.min(span_s)),
-            None => (samples, span_s),
-        };
-        let distinct = if span_s > 0.0 { distinct_s / span_s } else { 1.0 };
-        let count = count.min(((count as f64 * distinct) as usize).max(SEGMENTS_MIN));
-        let parts = segments(&[0, in_order.len()], count);
-        parts.into_iter().map(|part: Range<usize>| in_order[part].to_vec()).collect::<Vec<_>>()
+/// Samples of each segment of a run seen at `times_s`: at most `count` segments, a motion that comes again with all of its
+/// repetitions in one. It has fewer of them, so that they last as long as those of a run that does not repeat: errors of gears
+/// and bearings go on for seconds.
+pub fn independent_segments(motion: &impl RobotMotion, times_s: &[f64], count: usize) -> Vec<Vec<usize>> {
+    let samples: Vec<usize> = (0..times_s.len()).collect();
+    let span_s = times_s.last().zip(times_s.first()).map_or(0.0, |(last, first)| last - first);
+    let (in_order, distinct_s) = match period_s(motion, times_s) {
+        Some(period_s) => (by_phase(samples, times_s, period_s), period_s.min(span_s)),
+        None => (samples, span_s),
     };
-    runs.iter().zip(starts.windows(2)).flat_map(of_run).collect()
+    let distinct = if span_s > 0.0 { distinct_s / span_s } else { 1.0 };
+    let count = count.min(((count as f64 * distinct) as usize).max(SEGMENTS_MIN));
+    let parts = segments(&[0, in_order.len()], count);
+    parts.into_iter().map(|part: Range<usize>| in_order[part].to_vec()).collect()
 }
 
 fn by_phase(mut samples: Vec<usize>, times_s: &[f64], period_s: f64) -> Vec<usize> {
-    let (Some(&begin), Some(&begin_s)) = (samples.first(), times_s.first()) else { return samples };
-    let phase_s = |sample: usize| {
-        times_s.get(sample - begin).map_or(0.0, |time_s| (time_s - begin_s).rem_euclid(period_s))
-    };
+    let Some(&begin_s) = times_s.first() else { return samples };
+    let phase_s = |sample: usize| times_s.get(sample).map_or(0.0, |t_s| (t_s - begin_s).rem_euclid(period_s));
     samples.sort_by(|&a, &b| phase_s(a).total_cmp(&phase_s(b)));
     samples
 }

@@ -9,16 +9,18 @@
 
 use std::collections::BTreeSet;
 use std::f64::consts::TAU;
+use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
 
-use super::rows::Rows;
-use crate::cost::{CostError, Residual};
+use crate::cost::{CostError, DataSets, SharedColumns};
+use crate::instrument::Run;
 use crate::kinematics::{LinkParameter, ROBOT_JOINTS};
-use crate::model::{
-    DriveTrain, JointTerm, JointWaves, Model, Observation, ParameterId, Period, Phase, RobotMotion, Role,
-};
+use crate::model::{DriveTrain, JointState, JointTerm, JointWaves, Model, ParameterId, Period, Phase, Role};
+use crate::solver::{Problem, Subset, stacked};
 
+/// Samples of a run that are looked at, at most: what only more would show is too small to matter.
+const SAMPLES_MAX: usize = 3000;
 const ORDERS: usize = (JointWaves::LAST - JointWaves::FIRST + 1) as usize;
 /// What a wave takes away of noise of variance one is chi-squared with two degrees of freedom. Beyond this it stands out:
 /// that none of some 700 tries gets there by chance is certain to one in ten thousand.
@@ -39,10 +41,12 @@ type Normal = [f64; 3];
 /// Samples of all runs, each multiplied by the root of its weight.
 #[derive(Debug, Default)]
 pub(super) struct Ripple {
-    /// One for each row; every sample has as many rows.
+    /// One for each row.
     residuals: Vec<f64>,
     /// What a turn of each drive does to each row.
     by_drives: Vec<[f64; ROBOT_JOINTS]>,
+    /// Rows of each sample.
+    rows: Vec<Range<usize>>,
     /// Of the drives at each sample \[rad\].
     angles_rad: Vec<[f64; ROBOT_JOINTS]>,
     /// Orders that are terms of their own.
@@ -53,13 +57,10 @@ impl Ripple {
     /// Adds the samples of a run where its model is, with their weights.
     ///
     /// # Errors
-    /// [`CostError`] where the observations are not what the cost needs.
-    pub fn add<R: Residual>(
+    /// [`CostError`] where the samples are not what the cost needs.
+    pub fn add(
         &mut self,
-        model: &Model,
-        motion: &impl RobotMotion,
-        observations: &[Observation],
-        residual: R,
+        Run { instrument, model }: &Run,
         sigma: f64,
         weights: &[f64],
     ) -> Result<(), CostError> {
@@ -67,18 +68,34 @@ impl Ripple {
         let drives = &geometry.joints.drives;
         self.known.extend(known(drives));
         let Some(of_joints) = joints_only(model) else { return Ok(()) };
-        let rows = Rows::new(&of_joints, motion, observations, residual, sigma, weights)?;
-        let Some(Rows { samples, residuals, jacobian }) = rows else { return Ok(()) };
-        self.angles_rad.extend(
-            samples.iter().map(|(_, state)| std::array::from_fn(|axis| drives.of_drive(axis, &state.q))),
-        );
-        for (residual, by) in residuals.iter().zip(jacobian.row_iter()) {
-            let by_drive = |axis: usize| {
-                let turned = drives.joint_from_drive[axis].iter().zip(&by);
-                turned.map(|(part, by_joint)| part * by_joint).sum()
-            };
-            self.residuals.push(*residual);
-            self.by_drives.push(std::array::from_fn(by_drive));
+        let columns = SharedColumns::new([&of_joints], |_| false);
+        let problem = DataSets::new(vec![instrument.data_set(&of_joints, sigma)?], &columns);
+        // Samples without a value have no weight.
+        let every = problem.samples().div_ceil(SAMPLES_MAX).max(1);
+        let present = (0..problem.samples()).step_by(every).filter_map(|sample| {
+            let weight = weights.get(sample).copied().filter(|weight| *weight > 0.0)?;
+            Some((sample, weight, instrument.reported(sample, &geometry.clock)?))
+        });
+        let present: Vec<(usize, f64, JointState)> = present.collect();
+        let subset = Subset { of: &problem, samples: present.iter().map(|(sample, ..)| *sample).collect() };
+        let Some((residuals, jacobian)) = stacked(&subset, &of_joints.start()) else { return Ok(()) };
+        let per_sample = problem.rows();
+        if residuals.len() != per_sample * present.len() {
+            return Ok(());
+        }
+        for (sample, (_, weight, state)) in present.iter().enumerate() {
+            let begin = self.residuals.len();
+            for row in sample * per_sample..(sample + 1) * per_sample {
+                let (by, root) = (jacobian.row(row), weight.sqrt());
+                let by_drive = |axis: usize| {
+                    let turned = drives.joint_from_drive[axis].iter().zip(&by);
+                    turned.map(|(part, by_joint)| part * by_joint * root).sum()
+                };
+                self.residuals.push(residuals[row] * root);
+                self.by_drives.push(std::array::from_fn(by_drive));
+            }
+            self.rows.push(begin..self.residuals.len());
+            self.angles_rad.push(std::array::from_fn(|axis| drives.of_drive(axis, &state.q)));
         }
         Ok(())
     }
@@ -113,11 +130,6 @@ impl Ripple {
             .collect()
     }
 
-    /// Rows of each sample.
-    fn rows(&self) -> usize {
-        (self.residuals.len() / self.angles_rad.len().max(1)).max(1)
-    }
-
     /// Orders that are told apart over the travel of a drive.
     fn resolved(&self, axis: usize) -> f64 {
         let angles = self.angles_rad.iter().map(|angles| angles[axis]);
@@ -129,7 +141,8 @@ impl Ripple {
     /// What all waves of an axis do to the residuals: the same whatever is left of these.
     fn normals(&self, axis: usize) -> [Normal; ORDERS] {
         let mut normals = [[0.0; 3]; ORDERS];
-        for (by, angles) in self.by_drives.chunks_exact(self.rows()).zip(&self.angles_rad) {
+        for (rows, angles) in self.rows.iter().zip(&self.angles_rad) {
+            let by = &self.by_drives[rows.clone()];
             // All rows of a sample share its waves.
             let stiffness: f64 = by.iter().map(|by| by[axis] * by[axis]).sum();
             for (normal, (sin, cos)) in normals.iter_mut().zip(waves(angles[axis])) {
@@ -150,8 +163,8 @@ impl Ripple {
         variance: f64,
     ) -> Vec<(f64, Wave)> {
         let mut gradients = [[0.0; 2]; ORDERS];
-        let samples = left.chunks_exact(self.rows()).zip(self.by_drives.chunks_exact(self.rows()));
-        for ((residuals, by), angles) in samples.zip(&self.angles_rad) {
+        for (rows, angles) in self.rows.iter().zip(&self.angles_rad) {
+            let (residuals, by) = (&left[rows.clone()], &self.by_drives[rows.clone()]);
             let pull: f64 = residuals.iter().zip(by).map(|(residual, by)| by[axis] * residual).sum();
             for (gradient, (sin, cos)) in gradients.iter_mut().zip(waves(angles[axis])) {
                 gradient[0] += pull * sin;
@@ -175,7 +188,8 @@ impl Ripple {
             waves.iter().flat_map(|wave| Phase::ALL.map(|phase| (*wave, phase))).collect();
         let by = DMatrix::from_fn(self.residuals.len(), columns.len(), |row, column| {
             let ((axis, order), phase) = columns[column];
-            let angle_rad = self.angles_rad[row / self.rows()][axis];
+            let sample = self.rows.partition_point(|rows| rows.end <= row);
+            let angle_rad = self.angles_rad[sample][axis];
             self.by_drives[row][axis] * JointWaves::wave(order, phase, angle_rad)
         });
         let residuals = DVector::from_column_slice(&self.residuals);

@@ -4,17 +4,20 @@
 //! A change of a parameter from an instant on is one more column of the problem: the parameter's own, zero before the
 //! instant. How much the sum of squares would fall with it, everything else solved anew, follows from the normal
 //! equations: `fall = (p - n' N^-1 g)^2 / (s - n' N^-1 n)` with `n = J' c`, `s = c' c`, `p = c' r`, `g = J' r`
-//! (score test, Rao 1948).
+//! (score test, Rao 1948). `n`, `s` and `p` are sums over the folds from the instant on.
 
-use nalgebra::linalg::Cholesky;
-use nalgebra::{DMatrix, DVector, Dyn};
+use std::iter;
+use std::ops::Range;
 
-use super::rows::Rows;
+use nalgebra::DVector;
+
 use crate::kinematics::{BAR_JOINTS, LinkParameter};
 use crate::model::{Model, ParameterId};
 use crate::prepare::{PrepareError, PrepareOptions, Prepared};
-use crate::solver::Prior;
+use crate::solver::{Loss, Normal, Normals, Options, Problem, ScaledCholesky};
 
+/// Samples of a run that are looked at, at most: what only more would show is too small to matter.
+const SAMPLES_MAX: usize = 3000;
 /// Samples to either side of an instant.
 const BESIDE: usize = 20;
 /// Instants that are tried at first; then all samples about the best.
@@ -44,23 +47,33 @@ struct Change {
     by: f64,
     /// Of the squared residuals.
     fall: f64,
+    /// The squared residuals.
+    squared: f64,
 }
 
-/// The change that a run shows, as what the preparation would have said of it.
+/// The change that a run shows, as what the preparation would have said of it. `problem` is the run alone, with the columns
+/// of its model.
 pub(super) fn change(
     model: &Model,
     prepared: &Prepared,
-    rows: &Rows,
+    problem: &impl Problem,
+    loss: Loss,
     options: &PrepareOptions,
 ) -> Option<PrepareError> {
-    let system = System::new(model, rows)?;
-    let stride = (rows.samples.len() / COARSE).max(1);
-    let coarse = system.best(|at| at.is_multiple_of(stride))?;
-    let found = system.best(|at| at.abs_diff(coarse.at) <= stride)?;
-    let time_s = |at: usize| Some(prepared.observations.get(rows.samples.get(at)?.0)?.t_s);
-    if found.fall < EXPLAINED * rows.residuals.norm_squared() {
+    let every = problem.samples().div_ceil(SAMPLES_MAX).max(1);
+    let samples: Vec<usize> = (0..problem.samples()).step_by(every).collect();
+    let best = |folds: Vec<Range<usize>>| best(model, problem, loss, &samples, &folds);
+    let stride = (samples.len() / COARSE).max(1);
+    let borders = (0..samples.len()).step_by(stride);
+    let coarse = best(borders.map(|from| from..(from + stride).min(samples.len())).collect())?;
+    let near = coarse.at.saturating_sub(stride)..(coarse.at + stride + 1).min(samples.len());
+    let singles = near.clone().map(|at| at..at + 1);
+    let (before, after) = (0..near.start, near.end..samples.len());
+    let found = best(iter::once(before).chain(singles).chain(iter::once(after)).collect())?;
+    if found.fall < EXPLAINED * found.squared {
         return None;
     }
+    let time_s = |at: usize| Some(prepared.observations.get(*samples.get(at)?)?.t_s);
     // Somewhere between two samples that may be apart.
     let at_s = 0.5 * (time_s(found.at - 1)? + time_s(found.at)?) - prepared.timeline.points.first()?.t_s;
     match found.what {
@@ -73,106 +86,48 @@ pub(super) fn change(
     }
 }
 
-/// The normal equations of a run.
-struct System<'r> {
-    rows: &'r Rows,
-    /// A column for each row, so that a row's entries lie together.
-    by_row: DMatrix<f64>,
-    /// What can change, with its column.
-    candidates: Vec<(What, usize)>,
-    /// Of the normal matrix with columns of length one.
-    factor: Cholesky<f64, Dyn>,
-    lengths: DVector<f64>,
-    /// `L^-1 g` of the same.
-    gradient: DVector<f64>,
-}
-
-impl<'r> System<'r> {
-    /// None where the run does not determine its columns.
-    fn new(model: &Model, rows: &'r Rows) -> Option<Self> {
-        /// Keeps combinations that only other runs determine from dividing by zero.
-        const RIDGE: f64 = 1e-12;
-        let candidates = candidates(model);
-        let by_row = rows.jacobian.transpose();
-        let mut normal = rows.jacobian.tr_mul(&rows.jacobian);
-        let mut gradient = rows.jacobian.tr_mul(&rows.residuals);
-        let start = model.start();
-        for Prior { column, value, sigma, .. } in model.priors() {
-            normal[(column, column)] += sigma.powi(-2);
-            gradient[column] += (start.get(column)? - value) / sigma.powi(2);
-        }
-        let lengths = normal.diagonal().map(|squared| squared.sqrt().max(f64::MIN_POSITIVE));
-        for (column, length) in lengths.iter().enumerate() {
-            normal.column_mut(column).scale_mut(length.recip());
-            normal.row_mut(column).scale_mut(length.recip());
-            normal[(column, column)] += RIDGE;
-        }
-        let factor = normal.cholesky()?;
-        let mut system = Self { rows, by_row, candidates, factor, lengths, gradient: DVector::zeros(0) };
-        system.gradient = system.reduced(&gradient)?;
-        Some(system)
-    }
-
-    /// `L^-1 v` for a vector of the unscaled columns.
-    fn reduced(&self, v: &DVector<f64>) -> Option<DVector<f64>> {
-        self.factor.l_dirty().solve_lower_triangular(&v.component_div(&self.lengths))
-    }
-
-    /// The change that takes most away, over the instants that are wanted.
-    fn best(&self, wanted: impl Fn(usize) -> bool) -> Option<Change> {
-        let rows_per_sample = self.rows.per_sample();
-        let samples = self.rows.samples.len();
-        let mut sums: Vec<Sums> = self.candidates.iter().map(|_| Sums::new(self.by_row.nrows())).collect();
-        let mut best: Option<Change> = None;
+/// The change that takes most away, over the instants where a fold begins.
+fn best(
+    model: &Model,
+    problem: &impl Problem,
+    loss: Loss,
+    samples: &[usize],
+    folds: &[Range<usize>],
+) -> Option<Change> {
+    /// Keeps combinations that only other runs determine from dividing by zero.
+    const RIDGE: f64 = 1e-12;
+    let of_fold: Vec<Vec<usize>> = folds.iter().map(|fold| samples[fold.clone()].to_vec()).collect();
+    let options = Options { loss, ..Options::default() };
+    let normals = Normals::new(problem, &model.start(), &options, &of_fold)?;
+    let Normal { matrix, gradient, squared, .. } = normals.whole();
+    let factor = ScaledCholesky::damped(matrix.clone(), &matrix.diagonal(), RIDGE)?;
+    let pulled = factor.solve(&gradient);
+    let mut best: Option<Change> = None;
+    for (what, column) in candidates(model) {
+        let (mut n, mut s, mut p) = (DVector::zeros(gradient.len()), 0.0, 0.0);
         // From the end, so that the rows from an instant on are those that have been added.
-        for at in (BESIDE..samples).rev() {
-            for row in at * rows_per_sample..(at + 1) * rows_per_sample {
-                let entries = self.by_row.column(row);
-                for (sums, (_, column)) in sums.iter_mut().zip(&self.candidates) {
-                    let own = entries[*column];
-                    sums.n.axpy(own, &entries, 1.0);
-                    sums.s += own * own;
-                    sums.p += own * self.rows.residuals[row];
-                }
-            }
-            if samples - at < BESIDE || !wanted(at) {
+        for (range, fold) in folds.iter().zip(normals.of_folds()).rev() {
+            n += fold.matrix.column(column);
+            s += fold.matrix[(column, column)];
+            p += fold.gradient[column];
+            let at = range.start;
+            if at < BESIDE || samples.len() - at < BESIDE {
                 continue;
             }
-            let changes = sums.iter().zip(&self.candidates).filter_map(|(sums, (what, _))| {
-                let (by, fall) = self.fall(sums)?;
-                Some(Change { what: *what, at, by, fall })
-            });
-            best = changes.chain(best).max_by(|a, b| a.fall.total_cmp(&b.fall));
+            let stiffness = s - n.dot(&factor.solve(&n));
+            let pull = p - n.dot(&pulled);
+            let fall = pull * pull / stiffness;
+            if stiffness > INDEPENDENT * s && best.is_none_or(|best| fall > best.fall) {
+                best = Some(Change { what, at, by: -pull / stiffness, fall, squared });
+            }
         }
-        best
     }
-
-    /// The best change, and by how much the sum of squares falls.
-    fn fall(&self, Sums { n, s, p }: &Sums) -> Option<(f64, f64)> {
-        let reduced = self.reduced(n)?;
-        let stiffness = s - reduced.norm_squared();
-        let pull = p - reduced.dot(&self.gradient);
-        (stiffness > INDEPENDENT * s).then(|| (-pull / stiffness, pull * pull / stiffness))
-    }
-}
-
-/// `n`, `s` and `p` of a column that is zero before an instant.
-struct Sums {
-    n: DVector<f64>,
-    s: f64,
-    p: f64,
-}
-
-impl Sums {
-    fn new(columns: usize) -> Self {
-        Self { n: DVector::zeros(columns), s: 0.0, p: 0.0 }
-    }
+    best
 }
 
 fn candidates(model: &Model) -> Vec<(What, usize)> {
     let zeros = (0..BAR_JOINTS)
         .map(|joint| (What::Zero(joint), ParameterId::Bar { link: joint, parameter: LinkParameter::Theta }));
     let all = zeros.chain([(What::Clock, ParameterId::ClockShift)]);
-    let column = |id: ParameterId| model.columns().position(|parameter| parameter.id == id);
-    all.filter_map(|(what, id)| Some((what, column(id)?))).collect()
+    all.filter_map(|(what, id)| Some((what, model.column_of(id)?))).collect()
 }

@@ -54,7 +54,7 @@ impl Comparison {
             })
             .collect();
         let value = |id| calibration.model.parameter(id).map_or(0.0, |parameter| parameter.value);
-        let prepared = &calibration.prepared;
+        let prepared = calibration.prepared();
         let identified_ns = prepared.clock_difference_ns(value(ParameterId::ClockShift));
         let true_robot_ns = truth.clock.robot_ns(prepared.t_ref);
         // Both are differences of large numbers: subtract the integers first.

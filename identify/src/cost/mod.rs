@@ -4,6 +4,7 @@
 //! each parameter's twist comes from is said once, in [`Scene`]. A new cost is a new [`Residual`].
 
 mod closure;
+mod data_sets;
 mod fill_in;
 mod length;
 mod measured_length;
@@ -14,10 +15,10 @@ mod position;
 mod position_angles;
 mod problem;
 mod scene;
-mod several;
 mod transform;
 
 pub use closure::{Closure, closures};
+pub use data_sets::{DataSet, DataSets, SharedColumns};
 pub use fill_in::fill_in;
 pub use length::Length;
 pub use measured_length::MeasuredLength;
@@ -29,5 +30,4 @@ pub use position_angles::PositionAngles;
 pub use problem::{CostError, LoopProblem};
 pub(crate) use scene::TORSION;
 pub use scene::{Movement, Residual, Scene};
-pub use several::{SeveralRuns, SharedColumns};
 pub use transform::Transform;

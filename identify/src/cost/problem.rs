@@ -86,6 +86,11 @@ impl<'a, R: Residual, M: RobotMotion> LoopProblem<'a, R, M> {
         Ok(Self { model, motion, observations, readings, residual, ids, own_columns, priors, whitening })
     }
 
+    /// Parameters of its columns.
+    pub(super) fn ids(&self) -> &[ParameterId] {
+        &self.ids
+    }
+
     /// [`Problem::sample`] with the derivatives of each parameter in a column of the caller's choice.
     pub(super) fn sample_into(
         &self,

@@ -16,7 +16,7 @@ use crate::kinematics::{
 use crate::logs::InterpolatedLog;
 use crate::model::{Geometry, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
 use crate::prepare::AlignedLog;
-use crate::solver::{Block, Loss, Options, Prior, Problem, Summary, minimise};
+use crate::solver::{Block, GoodShare, Loss, Options, Prior, Problem, Schedule, Summary, minimise};
 
 /// How far the numbers of the nominal chains are expected to be off, one standard deviation \[m, rad\].
 const CHAIN_SIGMA: f64 = 2e-3;
@@ -35,35 +35,21 @@ const EDGE_S: f64 = 2.0 * SHIFT_SIGMA_S;
 const SKEW_SIGMA: f64 = 100e-6;
 /// Zeros are found on nominal geometry this well \[rad\].
 const ZERO_SIGMA_RAD: f64 = 0.05;
-/// The scale of the loss falls by at most this factor from round to round: a faster fall ends with those samples that fit
-/// by chance, and calls the others outliers.
-const NARROWING: f64 = 0.5;
-/// The scale has settled where the spread is within this part of it.
-const SETTLED: f64 = 0.02;
-/// A narrower loss found another minimum where it lowers the spread to this part: of one kind of samples it lowers it hardly.
-const SHARPER: f64 = 0.8;
-/// Rounds of narrowing at most: enough from a radian to a microradian.
-const ROUNDS_MAX: usize = 30;
+/// Wide enough at first that nearly all samples pull; where that ends between two sides of a clock that jumps, a narrower
+/// loss finds the larger side. Rounds enough from a radian to a microradian.
+const SCHEDULE: Schedule = Schedule {
+    good: [GoodShare::NINE_TENTHS, GoodShare::HALF],
+    narrowing: 0.5,
+    sharper: Some(0.8),
+    rounds_max: 30,
+};
 /// A round ends where the cost falls by less than this part: what it leaves the next one takes.
 const ROUND_TOLERANCE: f64 = 1e-3;
 /// The last one ends where what is left to gain moves no parameter by a tenth of its standard deviation: the cost of some
 /// thousand samples is some thousand.
 const LAST_TOLERANCE: f64 = 1e-6;
-/// Square root of the 95th percentile of a squared norm of five normal numbers.
-const CAUCHY_SCALE: f64 = 3.3;
-/// Samples that may be wrong and still leave the spread as it is.
-const HALF: GoodShare = GoodShare { share: 0.5, square_of_5: 4.35 };
-/// The spread of all but gross outliers.
-const NINE_TENTHS: GoodShare = GoodShare { share: 0.9, square_of_5: 9.24 };
 /// Residuals below this are rounding \[rad\].
 const SIGMA_MIN_RAD: f64 = 1e-7;
-
-/// A share of the samples that is taken as good, and that quantile of a squared norm of five normal numbers.
-#[derive(Debug, Clone, Copy)]
-struct GoodShare {
-    share: f64,
-    square_of_5: f64,
-}
 
 /// A sample as the refinement gets it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -275,9 +261,8 @@ pub(super) fn refine(
     let chain_columns = model.columns().len();
     let mut x = model.start();
     x.resize(chain_columns + origin_count * BAR_JOINTS, 0.0);
-    let spread_rad = |x: &[f64], of: GoodShare| -> Option<f64> {
-        let spread = spread_rad(&model, &motion, &observations, &origins, residual, x, of)?;
-        Some(spread.max(SIGMA_MIN_RAD))
+    let spread_rad = |x: &[f64], good: GoodShare| {
+        spread_rad(&model, &motion, &observations, &origins, residual, x, good).max(SIGMA_MIN_RAD)
     };
     let solve = |x: &[f64], sigma_rad: f64, cost_tolerance: f64| -> Option<(Vec<f64>, Summary)> {
         let problem = WithZeros {
@@ -290,25 +275,11 @@ pub(super) fn refine(
             sigma_rad,
             priors: priors(&model, origin_count),
         };
-        let loss = Loss::Cauchy { scale: CAUCHY_SCALE };
+        let loss = Loss::on_the_way(1.0, BAR_JOINTS);
         minimise(&problem, x, &Options { loss, cost_tolerance, ..Options::default() }).ok()
     };
-    // Graduated non-convexity (Blake and Zisserman 1987): wide enough at first that nearly all samples pull. Where that ends
-    // between two sides of a clock that jumps, a narrower loss finds the larger side.
-    let mut sigma_rad = spread_rad(&x, NINE_TENTHS)?;
-    for _ in 0..ROUNDS_MAX {
-        x = solve(&x, sigma_rad, ROUND_TOLERANCE)?.0;
-        let mut spread = spread_rad(&x, HALF)?;
-        if spread > (1.0 - SETTLED) * sigma_rad {
-            let narrower = solve(&x, NARROWING * sigma_rad, ROUND_TOLERANCE)?.0;
-            spread = spread_rad(&narrower, HALF)?;
-            if spread > SHARPER * sigma_rad {
-                break;
-            }
-            x = narrower;
-        }
-        sigma_rad = spread.max(NARROWING * sigma_rad);
-    }
+    let round = |x: &[f64], sigma_rad: f64| solve(x, sigma_rad, ROUND_TOLERANCE).map(|(x, _)| x).ok_or(());
+    let (x, sigma_rad) = SCHEDULE.settle(x, spread_rad, round).ok()?;
     let (x, summary) = solve(&x, sigma_rad, LAST_TOLERANCE)?;
     let (chain, zeros) = x.split_at(chain_columns);
     let geometry = model.geometry(chain);
@@ -319,7 +290,7 @@ pub(super) fn refine(
         geometry,
         zeros_by_rad: zeros.chunks_exact(BAR_JOINTS).map(|of| std::array::from_fn(|j| of[j])).collect(),
         sigma_rad,
-        sigma_of_most_rad: spread_rad(&x, NINE_TENTHS)?,
+        sigma_of_most_rad: spread_rad(&x, GoodShare::NINE_TENTHS),
         converged: summary.termination.converged(),
     })
 }
@@ -358,26 +329,20 @@ fn spread_rad(
     residual: ImpliedAngles,
     x: &[f64],
     good: GoodShare,
-) -> Option<f64> {
+) -> f64 {
     let (chain, zeros) = x.split_at(model.columns().len().min(x.len()));
     let judge = Judge::new(motion, model.geometry(chain), residual.measured);
-    let mut squares: Vec<f64> = observations
-        .iter()
-        .zip(origins)
-        .filter_map(|(observation, origin)| {
-            let mut bar_rad = observation.bar_rad;
-            for (joint, angle) in bar_rad.iter_mut().enumerate() {
-                *angle += zeros.get(origin * BAR_JOINTS + joint).copied().unwrap_or(0.0);
-            }
-            let errors = judge.errors(observation.t_s, &bar_rad)?;
-            let trust = residual.trust(&bar_rad);
-            Some(errors.error_rad.iter().zip(trust).map(|(error, trust)| (trust * error).powi(2)).sum())
-        })
-        .collect();
-    let count = residual.measured.iter().filter(|measured| **measured).count() as f64;
-    let last = ((squares.len() as f64 * good.share) as usize).min(squares.len().checked_sub(1)?);
-    let quantile = *squares.select_nth_unstable_by(last, f64::total_cmp).1;
-    Some((quantile / (good.square_of_5 * count / BAR_JOINTS as f64)).sqrt()).filter(|s| s.is_finite())
+    let angles = residual.measured.iter().filter(|measured| **measured).count();
+    good.spread(observations.iter().zip(origins).filter_map(|(observation, origin)| {
+        let mut bar_rad = observation.bar_rad;
+        for (joint, angle) in bar_rad.iter_mut().enumerate() {
+            *angle += zeros.get(origin * BAR_JOINTS + joint).copied().unwrap_or(0.0);
+        }
+        let errors = judge.errors(observation.t_s, &bar_rad)?;
+        let trust = residual.trust(&bar_rad);
+        let squared = errors.error_rad.iter().zip(trust).map(|(error, trust)| (trust * error).powi(2));
+        Some((squared.sum(), angles))
+    }))
 }
 
 /// Compares single samples with a fitted geometry.

@@ -12,7 +12,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::Problem;
 use super::identifiability::ScaledSpectrum;
-use super::pass::SampleFit;
+use super::pass::{SampleFit, weighed_rows};
 
 /// What a residual row is worth.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,8 +35,7 @@ impl Noise {
                 let of_samples = fits.iter().filter(|fit| fit.present).map(|fit| fit.weight * fit.squared);
                 let sum: f64 = of_samples.chain(of_priors).sum();
                 // A sample of weight w counts as w samples.
-                let rows: f64 = fits.iter().map(|fit| fit.weight).sum::<f64>() * problem.rows() as f64;
-                let freedom = rows + priors.len() as f64 - problem.columns() as f64;
+                let freedom = weighed_rows(fits) + priors.len() as f64 - problem.columns() as f64;
                 if freedom > 0.0 { sum / freedom } else { f64::NAN }
             }
         }

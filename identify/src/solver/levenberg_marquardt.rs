@@ -17,10 +17,10 @@ struct Linearization {
 }
 
 fn linearize<P: Problem>(pass: &Pass<'_, P>) -> Result<Linearization, PassError> {
-    let Pass { problem, x, loss, .. } = *pass;
+    let Pass { problem, x, .. } = *pass;
     let (products, fits) = pass.run(|| Products::new(problem.columns()))?;
     let mut normal = products.normal(0.0);
-    let of_samples: f64 = fits.iter().filter(|fit| fit.present).map(|fit| loss.rho(fit.squared)).sum();
+    let of_samples: f64 = fits.iter().map(|fit| fit.cost).sum();
     let of_priors = normal.add_priors(problem.priors(), x);
     Ok(Linearization { cost: 0.5 * (of_samples + of_priors), normal, fits })
 }
@@ -77,11 +77,9 @@ impl Damping {
 }
 
 /// Root mean square of the residual entries of the samples that take part.
-fn residual_rms(fits: &[SampleFit], rows: usize) -> f64 {
-    let (count, sum) = fits
-        .iter()
-        .filter(|fit| fit.present)
-        .fold((0usize, 0.0), |(count, sum), fit| (count + rows, sum + fit.squared));
+fn residual_rms(fits: &[SampleFit]) -> f64 {
+    let (count, sum) =
+        fits.iter().fold((0usize, 0.0), |(count, sum), fit| (count + fit.rows, sum + fit.squared));
     if count == 0 { 0.0 } else { (sum / count as f64).sqrt() }
 }
 
@@ -111,8 +109,13 @@ struct Descent {
 const NEGLIGIBLE: f64 = 1e-6;
 
 /// Where the descent stands is a minimum, as far as the step says that hardly any damping holds back: neither a trial that
-/// was refused nor heavy damping can pass for one.
-fn at_minimum(now: &Descent, damping: &Damping, options: &Options<'_>) -> Option<Termination> {
+/// was refused nor heavy damping can pass for one. A step that promises no more than `negligible` is none.
+fn at_minimum(
+    now: &Descent,
+    damping: &Damping,
+    options: &Options<'_>,
+    negligible: f64,
+) -> Option<Termination> {
     if now.at.cost == 0.0 {
         return Some(Termination::ZeroResidual);
     }
@@ -123,17 +126,7 @@ fn at_minimum(now: &Descent, damping: &Damping, options: &Options<'_>) -> Option
     if damping.scaled_norm(&step) <= options.step_tolerance * damping.scaled_norm(&now.x) {
         return Some(Termination::SmallStep);
     }
-    (promised <= options.cost_tolerance * now.at.cost).then_some(Termination::SmallDecrease)
-}
-
-/// No step lowers the cost: what the best one promised.
-fn without_decrease(now: &Descent, damping: &Damping, options: &Options<'_>, rows: usize) -> Termination {
-    let used = now.at.fits.iter().filter(|fit| fit.present).count() * rows;
-    let variance = 2.0 * now.at.cost / used.max(1) as f64;
-    match damping.step(&now.at, options.damping_start) {
-        Some((_, promised)) if promised <= NEGLIGIBLE * variance => Termination::SmallDecrease,
-        _ => Termination::NoDecrease,
-    }
+    (promised <= negligible).then_some(Termination::SmallDecrease)
 }
 
 /// The iteration itself. Only the start and accepted steps can end it at a minimum.
@@ -147,7 +140,8 @@ fn descend<P: Problem>(
     let mut now =
         Descent { x, at: start, termination: Termination::IterationLimit, iterations: 0, evaluations: 1 };
     loop {
-        if let Some(termination) = at_minimum(&now, &damping, options) {
+        let negligible = options.cost_tolerance * now.at.cost;
+        if let Some(termination) = at_minimum(&now, &damping, options, negligible) {
             now.termination = termination;
             return Ok(now);
         }
@@ -155,7 +149,10 @@ fn descend<P: Problem>(
             return Ok(now);
         }
         if !accept_step(problem, &mut now, &mut damping, options)? {
-            now.termination = without_decrease(&now, &damping, options, problem.rows());
+            let used: usize = now.at.fits.iter().map(|fit| fit.rows).sum();
+            let variance = 2.0 * now.at.cost / used.max(1) as f64;
+            now.termination =
+                at_minimum(&now, &damping, options, NEGLIGIBLE * variance).unwrap_or(Termination::NoDecrease);
             return Ok(now);
         }
     }
@@ -228,7 +225,7 @@ fn descended<P: Problem>(
     if samples_used == 0 {
         return Err(SolveError::NoSamples { samples: problem.samples() });
     }
-    let (cost_start, residual_rms_start) = (first.cost, residual_rms(&first.fits, problem.rows()));
+    let (cost_start, residual_rms_start) = (first.cost, residual_rms(&first.fits));
     let end = descend(problem, first, x, options)?;
     let summary = Summary {
         termination: end.termination,
@@ -237,7 +234,7 @@ fn descended<P: Problem>(
         cost_start,
         cost_end: end.at.cost,
         residual_rms_start,
-        residual_rms: residual_rms(&end.at.fits, problem.rows()),
+        residual_rms: residual_rms(&end.at.fits),
         samples_used,
         samples_left_out: problem.samples() - samples_used,
     };

@@ -1,5 +1,29 @@
 //! Robust losses `rho(s)` of the squared residual norm `s = |r|^2` of a sample, and their weights `rho'(s)`.
 
+use serde::{Deserialize, Serialize};
+
+/// How much a sample counts that does not fit. Scales are such that one clean sample in a hundred is beyond them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "snake_case")]
+#[value(rename_all = "snake_case")]
+pub enum LossName {
+    /// Every sample counts fully.
+    None,
+    /// Beyond the scale a sample pulls no harder: costs nothing where there are no outliers.
+    Huber,
+    /// Beyond the scale a sample pulls ever less.
+    Cauchy,
+    /// A gross outlier has no pull: for many of them.
+    GemanMcclure,
+}
+
+/// Quantile of the squared norm of `rows` standard normal numbers, by that of a single one (Wilson and Hilferty 1931).
+pub(super) fn squared_norm_quantile(rows: usize, normal: f64) -> f64 {
+    let n = rows as f64;
+    let ninth = 2.0 / (9.0 * n);
+    n * (1.0 - ninth + normal * ninth.sqrt()).powi(3)
+}
+
 /// How a sample's squared norm enters the cost. Scales are in the residual's own (whitened) unit.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub enum Loss {
@@ -44,6 +68,14 @@ impl Loss {
             Self::Cauchy { scale } => 1.0 / (1.0 + s / (scale * scale)),
             Self::GemanMcClure { scale } => (scale * scale / (scale * scale + s)).powi(2),
         }
+    }
+
+    /// The loss of a sample of `rows` residuals where this one is that of samples of `usual`: as few clean ones are beyond its
+    /// scale.
+    pub(super) fn of_rows(self, rows: usize, usual: usize) -> Self {
+        /// Standard normal quantile of 0.99.
+        const BEYOND: f64 = 2.326;
+        self.widened((squared_norm_quantile(rows, BEYOND) / squared_norm_quantile(usual, BEYOND)).sqrt())
     }
 
     /// The same loss with its scale multiplied.

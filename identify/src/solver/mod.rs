@@ -27,14 +27,14 @@ pub use covariance::{Covariance, Noise, SigmasFrom};
 pub use identifiability::{DependentGroup, Identifiability, Unidentifiable, identifiability};
 pub use influence::{Influence, influence};
 pub use levenberg_marquardt::{minimise, solve};
-pub use loss::Loss;
+pub use loss::{Loss, LossName};
 pub use normals::{Normal, Normals};
 pub use observability::Observability;
 pub use outcome::{NotConverged, Options, Solution, Summary, Termination};
 pub use panel::Block;
 pub use pass::{squared_norms, stacked};
 pub use ransac::{RansacOptions, ransac};
-pub use robust::{GraduatedOptions, solve_graduated};
+pub use robust::{GoodShare, Schedule, solve_from_subsets, solve_robust};
 pub use scaled_cholesky::ScaledCholesky;
 pub use subset::Subset;
 pub use watch::{Progress, Watch};
@@ -64,8 +64,13 @@ pub trait Problem: Sync {
     /// Number of samples.
     fn samples(&self) -> usize;
 
-    /// Residual rows of each sample.
+    /// Residual rows of a sample, at most. Scales of losses are those of a sample with as many.
     fn rows(&self) -> usize;
+
+    /// Residual rows of one sample.
+    fn rows_of(&self, _sample: usize) -> usize {
+        self.rows()
+    }
 
     /// Priors on columns.
     fn priors(&self) -> &[Prior] {

@@ -9,7 +9,7 @@ use std::ops::{AddAssign, Sub};
 
 use nalgebra::{DMatrix, DVector};
 
-use super::pass::{Pass, Products, Taking};
+use super::pass::{Pass, Products, Taking, weighed_rows};
 use super::{Options, Prior, Problem, ScaledCholesky, Subset};
 
 /// Normal equations of some samples about a point.
@@ -116,8 +116,7 @@ impl Normals {
             let fold = Subset { of: problem, samples: samples.clone() };
             let pass = Pass::new(&fold, x, options, Taking::WhatIsThere);
             let (products, fits) = pass.run(|| Products::new(problem.columns())).ok()?;
-            let weight: f64 = fits.iter().filter(|fit| fit.present).map(|fit| fit.weight).sum();
-            let normal = products.normal(weight * problem.rows() as f64);
+            let normal = products.normal(weighed_rows(&fits));
             total += &normal;
             of_folds.push(normal);
         }
@@ -127,6 +126,18 @@ impl Normals {
     /// What is known of the columns.
     pub fn priors(&self) -> &[Prior] {
         &self.priors
+    }
+
+    /// Those of each fold, without priors.
+    pub fn of_folds(&self) -> &[Normal] {
+        &self.folds
+    }
+
+    /// All folds with the priors.
+    pub fn whole(&self) -> Normal {
+        let mut whole = self.total.clone();
+        whole.add_priors(&self.priors, &self.x);
+        whole
     }
 
     /// Folds that have samples.
@@ -166,18 +177,17 @@ impl Normals {
         self.folds.iter().filter(|fold| fold.rows > 0.0).map(error).collect()
     }
 
-    /// All folds with the priors, factored. None where columns depend on each other.
-    fn whole(&self) -> Option<(DMatrix<f64>, ScaledCholesky)> {
-        let mut whole = self.total.clone();
-        whole.add_priors(&self.priors, &self.x);
-        let factor = ScaledCholesky::new(whole.matrix.clone()).filter(ScaledCholesky::is_complete)?;
-        Some((whole.matrix, factor))
+    /// [`Self::whole`] and its factor. None where columns depend on each other.
+    fn factored(&self) -> Option<(DMatrix<f64>, ScaledCholesky)> {
+        let matrix = self.whole().matrix;
+        let factor = ScaledCholesky::new(matrix.clone()).filter(ScaledCholesky::is_complete)?;
+        Some((matrix, factor))
     }
 
     /// Covariance of the solution `x` for independent noise of variance one on every residual entry. None where the
     /// samples and priors do not determine every column.
     pub fn covariance(&self) -> Option<DMatrix<f64>> {
-        Some(self.whole()?.1.inverse())
+        Some(self.factored()?.1.inverse())
     }
 
     /// Covariance of the solution `x` by the jackknife over folds: how much it moves where one is left out. It holds
@@ -190,7 +200,7 @@ impl Normals {
         if count < 2.0 {
             return None;
         }
-        let (whole, factor) = self.whole()?;
+        let (whole, factor) = self.factored()?;
         let mut covariance = DMatrix::zeros(self.x.len(), self.x.len());
         for fold in self.folds.iter().filter(|fold| fold.rows > 0.0) {
             let others = ScaledCholesky::new(&whole - &fold.matrix).filter(ScaledCholesky::is_complete)?;

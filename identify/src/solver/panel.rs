@@ -49,19 +49,20 @@ pub(super) struct Panel {
     /// Columns of the Jacobian.
     columns: usize,
     width: usize,
-    rows_per_sample: usize,
-    samples_max: usize,
-    /// Sample of each group of rows in use.
-    samples: Vec<usize>,
+    /// Rows that a sample has at most.
+    rows_max: usize,
+    capacity: usize,
+    used: usize,
+    /// Each sample in use with the row after its last.
+    samples: Vec<(usize, usize)>,
 }
 
 impl Panel {
-    pub(super) fn new(columns: usize, rows_per_sample: usize) -> Self {
-        let samples_max = (PANEL_ROWS / rows_per_sample.max(1)).max(1);
-        let stride = (samples_max * rows_per_sample).next_multiple_of(ROW_STEP);
-        let width = width(columns);
-        let (data, samples) = (vec![0.0; stride * width], Vec::with_capacity(samples_max));
-        Self { data, stride, columns, width, rows_per_sample, samples_max, samples }
+    pub(super) fn new(columns: usize, rows_max: usize) -> Self {
+        let capacity = PANEL_ROWS.max(rows_max);
+        let (stride, width) = (capacity.next_multiple_of(ROW_STEP), width(columns));
+        let data = vec![0.0; stride * width];
+        Self { data, stride, columns, width, rows_max, capacity, used: 0, samples: Vec::new() }
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -69,33 +70,31 @@ impl Panel {
     }
 
     pub(super) fn is_full(&self) -> bool {
-        self.samples.len() == self.samples_max
+        self.used + self.rows_max > self.capacity
     }
 
     pub(super) fn clear(&mut self) {
         self.data.fill(0.0);
         self.samples.clear();
+        self.used = 0;
     }
 
-    /// Residual and Jacobian of the next sample, zeros. They count once [`Panel::keep`] says so.
-    pub(super) fn next(&mut self) -> (&mut [f64], Block<'_>) {
-        let (offset, rows) = (self.used(), self.rows_per_sample);
+    /// Residual and Jacobian of the next sample, so many rows of zeros. They count once [`Panel::keep`] says so.
+    pub(super) fn next(&mut self, rows: usize) -> (&mut [f64], Block<'_>) {
+        let offset = self.used;
         let (jacobian, rest) = self.data.split_at_mut(self.columns * self.stride);
         let residual = &mut rest[offset..offset + rows];
         (residual, Block { data: jacobian, stride: self.stride, offset, rows })
     }
 
-    pub(super) fn keep(&mut self, sample: usize) {
-        self.samples.push(sample);
-    }
-
-    fn used(&self) -> usize {
-        self.samples.len() * self.rows_per_sample
+    pub(super) fn keep(&mut self, sample: usize, rows: usize) {
+        self.used += rows;
+        self.samples.push((sample, self.used));
     }
 
     /// Rows in use and zeros up to a full step; Jacobian and residual, without the columns of zeros.
     fn shape(&self) -> Shape {
-        let rows = self.used().next_multiple_of(ROW_STEP);
+        let rows = self.used.next_multiple_of(ROW_STEP);
         Shape { stride: self.stride, rows, columns: self.columns + 1 }
     }
 
@@ -105,8 +104,8 @@ impl Panel {
             return None;
         }
         let is_finite = |row: usize| (0..=self.columns).all(|c| self.data[c * self.stride + row].is_finite());
-        let row = (0..self.used()).find(|&row| !is_finite(row))?;
-        self.samples.get(row / self.rows_per_sample).copied()
+        let row = (0..self.used).find(|&row| !is_finite(row))?;
+        self.samples.iter().find(|(_, end)| row < *end).map(|(sample, _)| *sample)
     }
 
     /// Adds the products of all columns to a square matrix of [`width`] columns.
@@ -122,7 +121,7 @@ impl Panel {
 
     /// Appends the residual, and the Jacobian row by row.
     pub(super) fn append_to(&self, residual: &mut Vec<f64>, gradients: &mut Vec<f64>) {
-        for row in 0..self.used() {
+        for row in 0..self.used {
             residual.push(self.data[self.columns * self.stride + row]);
             gradients.extend((0..self.columns).map(|c| self.data[c * self.stride + row]));
         }

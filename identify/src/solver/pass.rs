@@ -25,8 +25,17 @@ pub(super) struct SampleFit {
     pub(super) present: bool,
     /// Squared norm of its residual, unweighted.
     pub(super) squared: f64,
+    /// What the robust loss makes of it.
+    pub(super) cost: f64,
     /// Weight of the robust loss.
     pub(super) weight: f64,
+    /// Entries of its residual.
+    pub(super) rows: usize,
+}
+
+/// Entries of the residuals that take part, each as much as its weight.
+pub(super) fn weighed_rows(fits: &[SampleFit]) -> f64 {
+    fits.iter().map(|fit| fit.weight * fit.rows as f64).sum()
 }
 
 /// Why a pass over the samples was given up.
@@ -269,7 +278,8 @@ impl<'a, P: Problem> Pass<'a, P> {
         {
             return Ok(SampleFit::default());
         }
-        let (residual, mut block) = panel.next();
+        let rows = self.problem.rows_of(sample);
+        let (residual, mut block) = panel.next(rows);
         if !self.problem.sample(point, sample, residual, &mut block) {
             residual.fill(0.0);
             block.clear();
@@ -282,14 +292,19 @@ impl<'a, P: Problem> Pass<'a, P> {
         if !squared.is_finite() {
             return Err(PassError::NotFinite(sample));
         }
-        let weight = self.loss.weight(squared);
+        let loss = if rows == self.problem.rows() {
+            self.loss
+        } else {
+            self.loss.of_rows(rows, self.problem.rows())
+        };
+        let weight = loss.weight(squared);
         if weight != 1.0 {
             let factor = weight.sqrt();
             residual.iter_mut().for_each(|r| *r *= factor);
             block.scale(factor);
         }
-        panel.keep(sample);
-        Ok(SampleFit { present: true, squared, weight })
+        panel.keep(sample, rows);
+        Ok(SampleFit { present: true, squared, cost: loss.rho(squared), weight, rows })
     }
 }
 
@@ -337,6 +352,11 @@ fn plain<'a, P: Problem>(problem: &'a P, x: &'a [f64]) -> Pass<'a, P> {
     Pass { problem, x, loss: Loss::Squared, taking, threads: None, watch: None, progress: (0, 0, None) }
 }
 
+/// The fit of each sample at `x`, without loss. Empty where one is not finite.
+pub(super) fn fits<P: Problem>(problem: &P, x: &[f64]) -> Vec<SampleFit> {
+    plain(problem, x).run(|| ()).map(|((), fits)| fits).unwrap_or_default()
+}
+
 /// Squared residual norm of each sample that has a value at `x`, without loss. Empty where one is not finite.
 pub fn squared_norms<P: Problem>(problem: &P, x: &[f64]) -> Vec<f64> {
     squared_norms_of_all(problem, x).into_iter().filter(|squared| squared.is_finite()).collect()
@@ -344,8 +364,7 @@ pub fn squared_norms<P: Problem>(problem: &P, x: &[f64]) -> Vec<f64> {
 
 /// The same for all samples: infinite for one without a value.
 pub(super) fn squared_norms_of_all<P: Problem>(problem: &P, x: &[f64]) -> Vec<f64> {
-    let fits = plain(problem, x).run(|| ()).map(|((), fits)| fits).unwrap_or_default();
-    fits.iter().map(|fit| if fit.present { fit.squared } else { f64::INFINITY }).collect()
+    fits(problem, x).iter().map(|fit| if fit.present { fit.squared } else { f64::INFINITY }).collect()
 }
 
 /// Residuals and Jacobian of all samples that have a value at `x`, stacked, without loss and priors: for looking at,

@@ -1,50 +1,182 @@
-//! Graduated robust solves: from a wide, nearly quadratic loss to the narrow one that is wanted.
+//! The one robust schedule: a loss whose scale follows the spread of the residuals down.
 //!
-//! A narrow bounded loss has a minimum at every wrong start. Widening its scale until nothing is an outlier gives a
-//! good start, and each narrowing keeps it (graduated non-convexity, Blake and Zisserman 1987; the schedule factor is
-//! that of Yang, Antonante, Tzoumas, Carlone 2020).
+//! At the start residuals show errors of the model, not outliers, and a narrow bounded loss has a minimum at every wrong
+//! start. A Cauchy loss at the scale of what most samples leave, narrowed as that falls, keeps outliers behind (graduated
+//! non-convexity, Blake and Zisserman 1987, with the data's own schedule). The loss asked for has the last word.
 
-use super::{Options, Problem, Solution, SolveError, minimise, solve};
+use super::loss::squared_norm_quantile;
+use super::pass::fits;
+use super::{Loss, LossName, Options, Problem, RansacOptions, Solution, SolveError, minimise, ransac, solve};
 
-/// How the loss is narrowed.
-#[derive(Debug, Clone, Copy)]
-pub struct GraduatedOptions<'a> {
-    /// The solve, with the final loss.
-    pub solve: Options<'a>,
-    /// First scale in multiples of the final one.
-    pub widening_start: f64,
-    /// Division of the scale from solve to solve.
-    pub narrowing: f64,
-    /// Iterations of each solve before the last.
-    pub iterations_between: usize,
+/// Standard normal quantiles of 0.95 and 0.99: beyond the scale of a loss on the way, and of the last one.
+const ON_THE_WAY: f64 = 1.645;
+const LAST: f64 = 2.326;
+/// Accepted steps between two looks at the spread.
+const STEPS_BETWEEN: usize = 2;
+/// The spread has settled when it falls by less than this part.
+const SETTLED: f64 = 0.02;
+/// Residuals below this are rounding: there is nothing to be robust against.
+const SPREAD_MIN: f64 = 1e-12;
+
+/// A share of the samples that is taken as good, with its standard normal quantile.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct GoodShare {
+    share: f64,
+    normal: f64,
 }
 
-impl<'a> GraduatedOptions<'a> {
-    /// The usual schedule for a solve.
-    pub fn new(solve: Options<'a>) -> Self {
-        Self { solve, widening_start: 50.0, narrowing: 1.4, iterations_between: 5 }
+impl GoodShare {
+    /// Half of the samples may be wrong.
+    pub const HALF: Self = Self { share: 0.5, normal: 0.0 };
+    /// More than half may be.
+    pub const TWO_FIFTHS: Self = Self { share: 0.4, normal: -0.2533 };
+    /// All but gross outliers.
+    pub const NINE_TENTHS: Self = Self { share: 0.9, normal: 1.2816 };
+
+    /// Standard deviation of a residual, from samples given by their squared norm and how many residuals they have; zero of
+    /// none.
+    pub fn spread(self, samples: impl Iterator<Item = (f64, usize)>) -> f64 {
+        let mut variances: Vec<f64> =
+            samples.map(|(squared, rows)| squared / squared_norm_quantile(rows, self.normal)).collect();
+        if variances.is_empty() {
+            return 0.0;
+        }
+        let last = ((variances.len() as f64 * self.share) as usize).min(variances.len() - 1);
+        variances.select_nth_unstable_by(last, f64::total_cmp).1.sqrt()
+    }
+
+    fn spread_at<P: Problem>(self, problem: &P, x: &[f64]) -> f64 {
+        self.spread(fits(problem, x).iter().filter(|fit| fit.present).map(|fit| (fit.squared, fit.rows)))
     }
 }
 
-/// Solves with ever narrower losses; the outcome is that of the final loss. A plain squared loss is solved once.
+/// How the scale is narrowed.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Schedule {
+    /// Samples taken as good at the start, and later.
+    pub good: [GoodShare; 2],
+    /// The scale falls by at most this factor from round to round: a faster fall ends with those samples that fit by chance.
+    pub narrowing: f64,
+    /// Where the scale has settled, a loss narrower by `narrowing` is tried: it found another minimum where it lowers the
+    /// spread to this part. None: it is not tried.
+    pub sharper: Option<f64>,
+    /// Rounds at most.
+    pub rounds_max: usize,
+}
+
+impl Schedule {
+    const fn of(good: GoodShare) -> Self {
+        Self { good: [good; 2], narrowing: 0.0, sharper: None, rounds_max: 20 }
+    }
+
+    /// Parameters and standard deviation of a residual where the spread has settled. `solve` improves parameters with a loss
+    /// for that standard deviation ([`LossName::Cauchy`], [`Loss::on_the_way`]).
+    ///
+    /// # Errors
+    /// As `solve`.
+    pub fn settle<E>(
+        &self,
+        mut x: Vec<f64>,
+        spread: impl Fn(&[f64], GoodShare) -> f64,
+        solve: impl Fn(&[f64], f64) -> Result<Vec<f64>, E>,
+    ) -> Result<(Vec<f64>, f64), E> {
+        let [first, later] = self.good;
+        let mut sigma = spread(&x, first);
+        for _ in 0..self.rounds_max {
+            if sigma <= SPREAD_MIN {
+                break;
+            }
+            x = solve(&x, sigma)?;
+            let mut found = spread(&x, later);
+            if found > (1.0 - SETTLED) * sigma {
+                let Some(sharper) = self.sharper else { return Ok((x, found)) };
+                let narrower = solve(&x, self.narrowing * sigma)?;
+                found = spread(&narrower, later);
+                if found > sharper * sigma {
+                    break;
+                }
+                x = narrower;
+            }
+            sigma = found.max(self.narrowing * sigma);
+        }
+        Ok((x, sigma))
+    }
+}
+
+impl Loss {
+    /// The loss of a schedule's rounds, for samples of `rows` residuals of this standard deviation.
+    pub fn on_the_way(sigma: f64, rows: usize) -> Self {
+        Self::Cauchy { scale: sigma * squared_norm_quantile(rows, ON_THE_WAY).sqrt() }
+    }
+}
+
+impl LossName {
+    /// The loss for samples of `rows` residuals of this standard deviation: one clean sample in a hundred is beyond its scale.
+    pub fn for_spread(self, sigma: f64, rows: usize) -> Loss {
+        let scale = sigma * squared_norm_quantile(rows, LAST).sqrt();
+        match self {
+            _ if sigma <= SPREAD_MIN => Loss::Squared,
+            Self::None => Loss::Squared,
+            Self::Huber => Loss::Huber { scale },
+            Self::Cauchy => Loss::Cauchy { scale },
+            Self::GemanMcclure => Loss::GemanMcClure { scale },
+        }
+    }
+
+    /// The loss with the scale of the residuals at `x`, where the spread has settled already.
+    pub fn settled<P: Problem>(self, problem: &P, x: &[f64], good: GoodShare) -> Loss {
+        self.for_spread(good.spread_at(problem, x), problem.rows())
+    }
+}
+
+/// Solves with a loss whose scale is found on the way.
 ///
 /// # Errors
 /// As [`solve`].
-pub fn solve_graduated<P: Problem>(
+pub fn solve_robust<P: Problem>(
     problem: &P,
     start: &[f64],
-    options: &GraduatedOptions<'_>,
+    loss: LossName,
+    options: &Options<'_>,
 ) -> Result<Solution, SolveError> {
-    let mut x = start.to_vec();
-    let mut widening = options.widening_start;
-    while options.solve.loss.scale().is_some() && widening > 1.0 {
-        let between = Options {
-            loss: options.solve.loss.widened(widening),
-            iterations_max: options.iterations_between,
-            ..options.solve
-        };
-        x = minimise(problem, &x, &between)?.0;
-        widening /= options.narrowing.max(1.01);
+    narrowed(problem, start.to_vec(), loss, options, GoodShare::HALF)
+}
+
+/// The same where up to three fifths of the samples may be wrong however far: a start from random subsets ([`ransac`]), then
+/// the loss, whose scale follows the best two fifths.
+///
+/// # Errors
+/// As [`solve`].
+pub fn solve_from_subsets<P: Problem>(
+    problem: &P,
+    start: &[f64],
+    loss: LossName,
+    options: &Options<'_>,
+) -> Result<Solution, SolveError> {
+    let good = GoodShare::TWO_FIFTHS;
+    let choice = RansacOptions { good_share: good.share, ..RansacOptions::default() };
+    let x = ransac(problem, start, &choice, options)?;
+    narrowed(problem, x, loss, options, good)
+}
+
+fn narrowed<P: Problem>(
+    problem: &P,
+    x: Vec<f64>,
+    loss: LossName,
+    options: &Options<'_>,
+    good: GoodShare,
+) -> Result<Solution, SolveError> {
+    if loss == LossName::None {
+        return solve(problem, &x, options);
     }
-    solve(problem, &x, &options.solve)
+    let spread = |x: &[f64], good: GoodShare| good.spread_at(problem, x);
+    let (x, sigma) = Schedule::of(good).settle(x, spread, |x, sigma| {
+        let between = Options {
+            loss: Loss::on_the_way(sigma, problem.rows()),
+            iterations_max: STEPS_BETWEEN,
+            ..*options
+        };
+        Ok(minimise(problem, x, &between)?.0)
+    })?;
+    solve(problem, &x, &Options { loss: loss.for_spread(sigma, problem.rows()), ..*options })
 }

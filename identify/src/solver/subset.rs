@@ -30,6 +30,10 @@ impl<P: Problem> Problem for Subset<'_, P> {
         self.of.rows()
     }
 
+    fn rows_of(&self, sample: usize) -> usize {
+        self.samples.get(sample).map_or(0, |&sample| self.of.rows_of(sample))
+    }
+
     fn priors(&self) -> &[Prior] {
         self.of.priors()
     }

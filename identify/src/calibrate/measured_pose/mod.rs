@@ -15,11 +15,10 @@ mod validate;
 
 use nalgebra::{Rotation3, Vector3};
 
-use super::LossName;
 use super::split::{self, HoldOut, Split};
 use crate::kinematics::{Chain, LinkParameter, Pose, ROBOT_JOINTS};
 use crate::model::{Axis, Model, ModelError, ParameterId, Role, Unit};
-use crate::solver::{Solution, Summary};
+use crate::solver::{LossName, Solution, Summary};
 use samples::{Samples, Weighing};
 
 pub use error::PoseError;
@@ -170,7 +169,7 @@ impl<'a> Fit<'a> {
     /// Noise by the rows as they fit now.
     fn weighing(&self, model: &Model) -> Weighing {
         let noise = samples::noise(&self.errors(model), self.fitting);
-        Weighing { noise, loss: self.loss.for_whitened(self.samples.rows()) }
+        Weighing { noise, loss: self.loss.for_spread(1.0, self.samples.rows()) }
     }
 
     /// Tracker and probe for the robot as the model has it.
@@ -202,7 +201,7 @@ impl<'a> Fit<'a> {
         const SETTLED: f64 = 0.98;
         for _ in 0..ROUNDS_MAX {
             let weighing = self.weighing(model);
-            let loss = LossName::Cauchy.for_whitened(self.samples.rows());
+            let loss = LossName::Cauchy.for_spread(1.0, self.samples.rows());
             self.samples.minimise(model, Weighing { loss, ..weighing })?;
             if self.weighing(model).noise.position_m > SETTLED * weighing.noise.position_m {
                 break;

@@ -1,9 +1,10 @@
 //! A calibrated robot on rows of another day: only tracker and probe are found anew.
 
 use super::{Apart, Fit, PoseError, PoseFigures, PoseRow, ROWS_MIN, check_rows, samples};
-use crate::calibrate::{LossName, split};
+use crate::calibrate::split;
 use crate::kinematics::Chain;
 use crate::model::{Model, ParameterId, Role};
+use crate::solver::LossName;
 
 /// Parts of the rows, each judged by a place that the others gave.
 const FOLDS: usize = 5;

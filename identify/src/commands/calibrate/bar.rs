@@ -12,7 +12,7 @@ use super::sources::sources;
 use super::{CommonArguments, inputs, refused};
 use crate::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
 use crate::calibrate::truth::Comparison;
-use crate::calibrate::{CostName, IdentifyConfig, LossName, SelectionName};
+use crate::calibrate::{CostName, IdentifyConfig, SelectionName};
 use crate::commands::on_terminal::OnTerminal;
 use crate::logs::{self, BarLog, BarLogMapping, LogFormat, LogOptions, RobotLog, RobotLogMapping};
 use crate::model::{Model, ParameterId};
@@ -22,6 +22,7 @@ use crate::report::force::ForceEntry;
 use crate::report::page::Page;
 use crate::report::table;
 use crate::simulate::Truth;
+use crate::solver::LossName;
 use crate::study::evidence;
 
 /// What a calibration with the ball-bar is told.

@@ -8,13 +8,13 @@ use shared::config;
 use shared::output::{say, show};
 
 use super::{CommonArguments, RowArguments, inputs, refused};
-use crate::calibrate::LossName;
 use crate::calibrate::measured_pose::{self, PoseOptions, PoseReport, PoseRow, WAVES_PER_TURN_MAX};
 use crate::kinematics::{Chain, flange_chain};
 use crate::logs::{MeasuredPoseMapping, MeasuredPoses};
 use crate::model::{JointWaves, ParameterId};
 use crate::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use crate::report::{poses, table};
+use crate::solver::LossName;
 
 /// What a calibration with a tracker is told.
 #[derive(Debug, Args)]

@@ -2,18 +2,16 @@
 
 use super::ball_bar::CalibrateError;
 use super::config::{CostName, IdentifyConfig, SelectionName};
-use super::repetition::independent_segments;
 use super::ripple::Ripple;
-use super::robust::{LossName, solve_from_subsets, solve_robust};
-use super::rows::Rows;
 use super::structure::identifiable;
 use super::sudden;
 use super::terms::{Candidate, Offer, TermGroup, prior_scale, select};
-use crate::cost::{CostError, LoopProblem, Residual, SeveralRuns, SharedColumns, fill_in};
-use crate::kinematics::{BAR_JOINTS, LinkParameter};
-use crate::model::{Geometry, Model, ModelError, ParameterId, Role};
-use crate::prepare::{AlignedLog, PrepareOptions, Prepared};
-use crate::solver::{Loss, Normals, Options, Solution, Watch};
+use crate::cost::{CostError, DataSets, SharedColumns};
+use crate::instrument::{BallBar, Instrument, Measures, Run};
+use crate::kinematics::LinkParameter;
+use crate::model::{Model, ModelError, ParameterId, Role};
+use crate::prepare::PrepareOptions;
+use crate::solver::{Loss, LossName, Normals, Options, Solution, Watch, solve_from_subsets, solve_robust};
 
 /// The thesis' residuals enter as it defines them; `pose` is whitened by itself.
 const UNWEIGHTED: f64 = 1.0;
@@ -25,15 +23,6 @@ const RESIDUAL_MIN: f64 = 1e-3;
 const HELD_OUT: usize = 8;
 /// Segments of each run that are left out in turn for the covariance.
 const LEFT_OUT: usize = 30;
-
-/// One run and its parameters.
-#[derive(Debug, Clone)]
-pub struct Run {
-    /// How its logs were brought together.
-    pub prepared: Prepared,
-    /// Its parameters.
-    pub model: Model,
-}
 
 /// A solve of all runs.
 #[derive(Debug, Clone)]
@@ -48,40 +37,24 @@ pub struct Solved {
     pub prior_scale: f64,
 }
 
-/// Bar joints whose encoder all runs have.
-pub(super) fn measured(runs: &[Run]) -> [bool; BAR_JOINTS] {
-    measured_in_all(runs.iter().map(|run| &run.prepared))
-}
-
-/// [`measured`] of runs that are not together.
-pub(super) fn measured_in_all<'p>(runs: impl Iterator<Item = &'p Prepared>) -> [bool; BAR_JOINTS] {
-    runs.fold([true; BAR_JOINTS], |all, run| std::array::from_fn(|joint| all[joint] && run.measured[joint]))
-}
-
 /// What a residual of a solve is worth against priors, one standard deviation: `pose` is whitened by itself.
 pub(super) fn residual_sigma(cost: CostName, solution: &Solution) -> f64 {
     if cost == CostName::Pose { UNWEIGHTED } else { solution.summary.residual_rms.max(SIGMA_MIN) }
 }
 
-/// All runs where their models are; `residual` makes the cost for a run on a geometry.
-pub(super) fn problem<'p, R: Residual>(
+/// All runs where their models are.
+pub(super) fn problem<'p>(
     runs: &'p [Run],
     columns: &'p SharedColumns,
-    residual: impl Fn(&Prepared, &Geometry) -> R,
     sigma: f64,
-) -> Result<SeveralRuns<'p, R, AlignedLog>, CostError> {
-    let of_run = |Run { prepared, model }: &'p Run| {
-        let residual = residual(prepared, &model.geometry(&[]));
-        LoopProblem::new(model, &prepared.motion, &prepared.observations, residual, sigma)
-    };
-    let problems = runs.iter().map(of_run).collect::<Result<Vec<_>, CostError>>()?;
-    Ok(SeveralRuns::new(problems, columns))
+) -> Result<DataSets<'p>, CostError> {
+    let sets = runs.iter().map(|run| run.instrument.data_set(&run.model, sigma));
+    Ok(DataSets::new(sets.collect::<Result<_, _>>()?, columns))
 }
 
-/// Runs with a cost: `residual` makes it for a run on a geometry.
-struct Solver<'a, F> {
+/// Runs that are solved together.
+struct Solver<'a> {
     runs: &'a mut [Run],
-    residual: F,
     loss: LossName,
     ransac: bool,
     watch: Option<&'a dyn Watch>,
@@ -93,30 +66,30 @@ struct Solver<'a, F> {
 ///
 /// # Errors
 /// [`CalibrateError`] where the runs do not suit the cost or do not determine what is free.
-pub fn solve<R: Residual>(
+pub fn solve(
     runs: &mut [Run],
-    cost: CostName,
-    residual: impl Fn(&Prepared, &Geometry) -> R,
     config: &IdentifyConfig,
     watch: Option<&dyn Watch>,
 ) -> Result<Solved, CalibrateError> {
     let first = runs.first().ok_or(CalibrateError::NoRun)?;
+    let Instrument::BallBar(BallBar { prepared, cost, measured, .. }) = &first.instrument;
+    let cost = *cost;
     let free = match config.selection.fixed() {
         Some(_) => Vec::new(),
         None => {
-            let Prepared { motion, observations, .. } = &first.prepared;
-            identifiable(&first.model, motion, observations, cost.unweighed(&measured(runs)))?
+            identifiable(&first.model, &prepared.motion, &prepared.observations, cost.unweighed(measured))?
         }
     };
-    for run in &mut *runs {
-        config.set_roles(&mut run.model, &free, R::tells)?;
-        if let Some(force) = &run.prepared.force {
-            config.free_for_force(&mut run.model, force.parameter())?;
+    for Run { instrument, model } in &mut *runs {
+        config.set_roles(model, &free, |id| instrument.tells(id))?;
+        let Instrument::BallBar(BallBar { prepared, .. }) = instrument;
+        if let Some(force) = &prepared.force {
+            config.free_for_force(model, force.parameter())?;
         }
     }
     let loss = config.loss_for(cost);
     let lengths_differ = lengths_differ(runs);
-    let mut solver = Solver { runs, residual, loss, ransac: config.ransac, watch, lengths_differ };
+    let mut solver = Solver { runs, loss, ransac: config.ransac, watch, lengths_differ };
     let (_, first) = solver.solve(UNWEIGHTED)?;
     // Whitening, angles without encoder and the worth of a residual against priors were those of the nominal geometry;
     // now they are those of the solution.
@@ -125,13 +98,13 @@ pub fn solve<R: Residual>(
     let mut candidates = Vec::new();
     let mut scale = 1.0;
     if solution.summary.residual_rms > RESIDUAL_MIN * sigma {
-        (candidates, scale) = solver.choose_terms(sigma, &solution, config, R::tells)?;
+        (candidates, scale) = solver.choose_terms(sigma, &solution, config)?;
         if scale != 1.0 || candidates.iter().any(|candidate| candidate.accepted) {
             (columns, solution) = solver.solve(sigma)?;
         }
     }
     solution.summary.residual_rms_start = first.summary.residual_rms_start;
-    solver.check_changes(sigma, &solution.sample_weights, &config.prepare)?;
+    solver.check_changes(sigma, solution.loss, &config.prepare)?;
     if let Some(normals) = solver.normals(&columns, sigma, solution.loss, LEFT_OUT)?
         && let Some(covariance) = normals.jackknife()
     {
@@ -159,7 +132,7 @@ fn is_own(id: ParameterId, lengths_differ: bool) -> bool {
     }
 }
 
-impl<R: Residual, F: Fn(&Prepared, &Geometry) -> R> Solver<'_, F> {
+impl Solver<'_> {
     fn columns(&self) -> SharedColumns {
         SharedColumns::new(self.runs.iter().map(|run| &run.model), |id| is_own(id, self.lengths_differ))
     }
@@ -168,27 +141,17 @@ impl<R: Residual, F: Fn(&Prepared, &Geometry) -> R> Solver<'_, F> {
         columns.gather(&self.runs.iter().map(|run| run.model.start()).collect::<Vec<_>>())
     }
 
-    fn problem<'p>(
-        &'p self,
-        columns: &'p SharedColumns,
-        sigma: f64,
-    ) -> Result<SeveralRuns<'p, R, AlignedLog>, CostError> {
-        problem(self.runs, columns, &self.residual, sigma)
-    }
-
     /// One solve from where the models are; they are left at its solution.
     fn solve(&mut self, sigma: f64) -> Result<(SharedColumns, Solution), CalibrateError> {
-        if !R::ENCODERS.is_empty() {
-            for Run { prepared, model } in &mut *self.runs {
-                fill_in(&model.geometry(&[]), &prepared.motion, &mut prepared.observations);
-            }
+        for Run { instrument, model } in &mut *self.runs {
+            instrument.adapt(model);
         }
         let columns = self.columns();
         let start = self.start(&columns);
-        let problem = self.problem(&columns, sigma)?;
         let solve_by = if self.ransac { solve_from_subsets } else { solve_robust };
         let options = Options { watch: self.watch, ..Options::default() };
-        let mut solution = solve_by(&problem, &start, self.loss, &options)?.identified()?;
+        let solution = solve_by(&problem(self.runs, &columns, sigma)?, &start, self.loss, &options)?;
+        let mut solution = solution.identified()?;
         solution.summary.residual_rms_start *= sigma;
         solution.summary.residual_rms *= sigma;
         solution.summary.require_converged()?;
@@ -206,8 +169,12 @@ impl<R: Residual, F: Fn(&Prepared, &Geometry) -> R> Solver<'_, F> {
         loss: Loss,
         count: usize,
     ) -> Result<Option<Normals>, CostError> {
-        let problem = self.problem(columns, sigma)?;
-        let segments = independent_segments(self.runs, problem.starts(), count);
+        let problem = problem(self.runs, columns, sigma)?;
+        let of_run = |(run, start): (&Run, &usize)| {
+            let groups = run.instrument.independent(count).into_iter();
+            groups.map(|group| group.into_iter().map(|sample| start + sample).collect()).collect::<Vec<_>>()
+        };
+        let segments: Vec<Vec<usize>> = self.runs.iter().zip(problem.starts()).flat_map(of_run).collect();
         let options = Options { loss, ..Options::default() };
         Ok(Normals::new(&problem, &self.start(columns), &options, &segments))
     }
@@ -218,15 +185,15 @@ impl<R: Residual, F: Fn(&Prepared, &Geometry) -> R> Solver<'_, F> {
         sigma: f64,
         solution: &Solution,
         config: &IdentifyConfig,
-        tells: impl Fn(ParameterId) -> bool,
     ) -> Result<(Vec<Candidate>, f64), CalibrateError> {
         let groups = config.candidates();
         if groups.contains(&TermGroup::Ripple) {
             self.offer_ripple(sigma, &solution.sample_weights)?;
         }
-        let offered =
-            |id: ParameterId| TermGroup::of(id).is_some_and(|group| groups.contains(&group)) && tells(id);
-        self.set_terms(config, |model, id| offered(id) && is_fixed(model, id))?;
+        let offered = |id: ParameterId| TermGroup::of(id).is_some_and(|group| groups.contains(&group));
+        self.set_terms(config, |run, id| {
+            offered(id) && run.instrument.tells(id) && is_fixed(&run.model, id)
+        })?;
         let columns = self.columns();
         let normals = self.normals(&columns, sigma, solution.loss, HELD_OUT)?;
         let ids = columns.gather(&self.ids());
@@ -282,7 +249,7 @@ impl<R: Residual, F: Fn(&Prepared, &Geometry) -> R> Solver<'_, F> {
     fn weighed<'a>(&'a self, weights: &'a [f64]) -> impl Iterator<Item = (&'a Run, &'a [f64])> {
         let mut rest = weights;
         self.runs.iter().map(move |run| {
-            let (own, others) = rest.split_at(run.prepared.observations.len().min(rest.len()));
+            let (own, others) = rest.split_at(run.instrument.samples().min(rest.len()));
             rest = others;
             (run, own)
         })
@@ -293,17 +260,12 @@ impl<R: Residual, F: Fn(&Prepared, &Geometry) -> R> Solver<'_, F> {
     ///
     /// # Errors
     /// [`CalibrateError::Prepare`] for the first run where one does.
-    fn check_changes(
-        &self,
-        sigma: f64,
-        weights: &[f64],
-        options: &PrepareOptions,
-    ) -> Result<(), CalibrateError> {
-        for (number, (Run { prepared, model }, weights)) in self.weighed(weights).enumerate() {
-            let residual = (self.residual)(prepared, &model.geometry(&[]));
-            let rows = Rows::new(model, &prepared.motion, &prepared.observations, residual, sigma, weights)?;
-            let change = rows.and_then(|rows| sudden::change(model, prepared, &rows, options));
-            if let Some(error) = change {
+    fn check_changes(&self, sigma: f64, loss: Loss, options: &PrepareOptions) -> Result<(), CalibrateError> {
+        for (number, Run { instrument, model }) in self.runs.iter().enumerate() {
+            let Instrument::BallBar(bar) = instrument;
+            let columns = SharedColumns::new([model], |_| false);
+            let problem = DataSets::new(vec![bar.data_set(model, sigma)?], &columns);
+            if let Some(error) = sudden::change(model, &bar.prepared, &problem, loss, options) {
                 return Err(CalibrateError::Prepare { run: number, error: Box::new(error) });
             }
         }
@@ -313,9 +275,8 @@ impl<R: Residual, F: Fn(&Prepared, &Geometry) -> R> Solver<'_, F> {
     /// Gives all models the waves of the axes that what is left shows.
     fn offer_ripple(&mut self, sigma: f64, weights: &[f64]) -> Result<(), CalibrateError> {
         let mut ripple = Ripple::default();
-        for (Run { prepared, model }, weights) in self.weighed(weights) {
-            let residual = (self.residual)(prepared, &model.geometry(&[]));
-            ripple.add(model, &prepared.motion, &prepared.observations, residual, sigma, weights)?;
+        for (run, weights) in self.weighed(weights) {
+            ripple.add(run, sigma, weights)?;
         }
         let found = ripple.found();
         for run in &mut *self.runs {
@@ -332,12 +293,12 @@ impl<R: Residual, F: Fn(&Prepared, &Geometry) -> R> Solver<'_, F> {
     fn set_terms(
         &mut self,
         config: &IdentifyConfig,
-        wanted: impl Fn(&Model, ParameterId) -> bool,
+        wanted: impl Fn(&Run, ParameterId) -> bool,
     ) -> Result<(), ModelError> {
         for run in &mut *self.runs {
             let all: Vec<ParameterId> = run.model.parameters().iter().map(|parameter| parameter.id).collect();
             for id in all {
-                if wanted(&run.model, id) && !config.fix.contains(&id.to_string()) {
+                if wanted(run, id) && !config.fix.contains(&id.to_string()) {
                     run.model.set_role(id, config.term_role(id))?;
                 }
             }

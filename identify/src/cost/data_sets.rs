@@ -1,9 +1,72 @@
-//! Several runs of one robot as one problem: other paths, speeds, bar lengths and places of the bar.
+//! Several data sets of one robot as one problem: other paths, bars and places of the bar, other instruments.
+
+use std::fmt;
 
 use super::problem::LoopPoint;
 use super::{LoopProblem, Residual};
 use crate::model::{Model, ParameterId, RobotMotion};
 use crate::solver::{Block, Prior, Problem};
+
+/// Samples of one kind in standard deviations, whatever their residual.
+pub trait DataSet: fmt::Debug + Sync {
+    /// Parameters of its columns.
+    fn ids(&self) -> &[ParameterId];
+
+    /// Number of samples.
+    fn samples(&self) -> usize;
+
+    /// Residuals of each sample.
+    fn rows(&self) -> usize;
+
+    /// What is known of its columns apart from the samples.
+    fn priors(&self) -> &[Prior];
+
+    /// Both chains for values of its columns.
+    fn point(&self, x: &[f64]) -> LoopPoint;
+
+    /// [`Problem::sample`] with the derivatives of each parameter in a column of the caller's choice.
+    fn sample_into(
+        &self,
+        point: &mut LoopPoint,
+        sample: usize,
+        residual: &mut [f64],
+        block: &mut Block<'_>,
+        columns: &[usize],
+    ) -> bool;
+}
+
+impl<R: Residual + fmt::Debug, M: RobotMotion + fmt::Debug> DataSet for LoopProblem<'_, R, M> {
+    fn ids(&self) -> &[ParameterId] {
+        self.ids()
+    }
+
+    fn samples(&self) -> usize {
+        Problem::samples(self)
+    }
+
+    fn rows(&self) -> usize {
+        R::ROWS
+    }
+
+    fn priors(&self) -> &[Prior] {
+        Problem::priors(self)
+    }
+
+    fn point(&self, x: &[f64]) -> LoopPoint {
+        Problem::point(self, x)
+    }
+
+    fn sample_into(
+        &self,
+        point: &mut LoopPoint,
+        sample: usize,
+        residual: &mut [f64],
+        block: &mut Block<'_>,
+        columns: &[usize],
+    ) -> bool {
+        self.sample_into(point, sample, residual, block, columns)
+    }
+}
 
 /// Where the columns of each run are among those of all runs.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -66,26 +129,27 @@ impl SharedColumns {
     }
 }
 
-/// Samples of all runs one after the other.
+/// Samples of all data sets one after the other.
 #[derive(Debug)]
-pub struct SeveralRuns<'a, R, M> {
-    runs: Vec<LoopProblem<'a, R, M>>,
+pub struct DataSets<'a> {
+    sets: Vec<Box<dyn DataSet + 'a>>,
     columns: &'a SharedColumns,
+    rows: usize,
     priors: Vec<Prior>,
-    /// First sample of each run, and their total.
+    /// First sample of each set, and their total.
     starts: Vec<usize>,
 }
 
-impl<'a, R: Residual, M: RobotMotion> SeveralRuns<'a, R, M> {
-    /// `columns` are those of the runs' models.
-    pub fn new(runs: Vec<LoopProblem<'a, R, M>>, columns: &'a SharedColumns) -> Self {
+impl<'a> DataSets<'a> {
+    /// `columns` are those of the sets' models.
+    pub fn new(sets: Vec<Box<dyn DataSet + 'a>>, columns: &'a SharedColumns) -> Self {
         let mut starts = vec![0];
-        for run in &runs {
-            starts.push(starts.last().copied().unwrap_or_default() + run.samples());
+        for set in &sets {
+            starts.push(starts.last().copied().unwrap_or_default() + set.samples());
         }
         let mut priors: Vec<Prior> = Vec::new();
-        for (run, problem) in runs.iter().enumerate() {
-            for prior in problem.priors() {
+        for (run, set) in sets.iter().enumerate() {
+            for prior in set.priors() {
                 let Some(&column) = columns.of_run(run).get(prior.column) else { continue };
                 // What is known of a shared parameter is known once.
                 if priors.iter().all(|known| known.column != column) {
@@ -93,16 +157,21 @@ impl<'a, R: Residual, M: RobotMotion> SeveralRuns<'a, R, M> {
                 }
             }
         }
-        Self { runs, columns, priors, starts }
+        let rows = sets.iter().map(|set| set.rows()).max().unwrap_or_default();
+        Self { sets, columns, rows, priors, starts }
     }
 
-    /// First sample of each run, and their total.
+    /// First sample of each set, and their total.
     pub fn starts(&self) -> &[usize] {
         &self.starts
     }
+
+    fn set_of(&self, sample: usize) -> usize {
+        self.starts.partition_point(|start| *start <= sample).saturating_sub(1)
+    }
 }
 
-impl<R: Residual, M: RobotMotion> Problem for SeveralRuns<'_, R, M> {
+impl Problem for DataSets<'_> {
     type Point = Vec<LoopPoint>;
 
     fn columns(&self) -> usize {
@@ -118,7 +187,11 @@ impl<R: Residual, M: RobotMotion> Problem for SeveralRuns<'_, R, M> {
     }
 
     fn rows(&self) -> usize {
-        R::ROWS
+        self.rows
+    }
+
+    fn rows_of(&self, sample: usize) -> usize {
+        self.sets.get(self.set_of(sample)).map_or(0, |set| set.rows())
     }
 
     fn priors(&self) -> &[Prior] {
@@ -126,11 +199,7 @@ impl<R: Residual, M: RobotMotion> Problem for SeveralRuns<'_, R, M> {
     }
 
     fn point(&self, x: &[f64]) -> Vec<LoopPoint> {
-        self.runs
-            .iter()
-            .enumerate()
-            .map(|(run, problem)| problem.point(&self.columns.values(run, x)))
-            .collect()
+        self.sets.iter().enumerate().map(|(run, set)| set.point(&self.columns.values(run, x))).collect()
     }
 
     fn sample(
@@ -140,8 +209,8 @@ impl<R: Residual, M: RobotMotion> Problem for SeveralRuns<'_, R, M> {
         residual: &mut [f64],
         block: &mut Block<'_>,
     ) -> bool {
-        let run = self.starts.partition_point(|start| *start <= sample).saturating_sub(1);
-        let (Some(problem), Some(point)) = (self.runs.get(run), point.get_mut(run)) else { return false };
-        problem.sample_into(point, sample - self.starts[run], residual, block, self.columns.of_run(run))
+        let run = self.set_of(sample);
+        let (Some(set), Some(point)) = (self.sets.get(run), point.get_mut(run)) else { return false };
+        set.sample_into(point, sample - self.starts[run], residual, block, self.columns.of_run(run))
     }
 }

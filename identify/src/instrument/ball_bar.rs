@@ -1,0 +1,131 @@
+//! The sensed double ball-bar: a run with its cost.
+
+use std::fmt;
+
+use super::{Instrument, Measures};
+use crate::calibrate::{CostName, NoiseConfig, independent_segments};
+use crate::cost::{
+    CostError, DataSet, Length, LoopProblem, Position, PositionAngles, Residual, TORSION, Transform,
+    WhitenedPose, WhitenedPoseOfFour, fill_in,
+};
+use crate::kinematics::BAR_JOINTS;
+use crate::model::{Clock, JointState, Model, ParameterId, RobotMotion};
+use crate::prepare::Prepared;
+
+impl CostName {
+    /// Every cost, the most telling first.
+    pub const ALL: [Self; 5] =
+        [Self::Pose, Self::Transform, Self::PositionAngles, Self::Position, Self::Length];
+
+    /// Bar joints whose encoders it needs, from 0.
+    pub const fn encoders(self) -> &'static [usize] {
+        match self {
+            Self::Pose => WhitenedPoseOfFour::ENCODERS,
+            Self::Transform => Transform::ENCODERS,
+            Self::PositionAngles => PositionAngles::ENCODERS,
+            Self::Position => Position::ENCODERS,
+            Self::Length => Length::ENCODERS,
+        }
+    }
+
+    /// The cost that tells as much where noise is not weighed: which parameters poses can identify at all.
+    pub(crate) fn unweighed(self, measured: &[bool; BAR_JOINTS]) -> Self {
+        match self {
+            Self::Pose if is_of_four(measured) => Self::PositionAngles,
+            Self::Pose => Self::Transform,
+            other => other,
+        }
+    }
+
+    /// [`Residual::tells`] of its residual with the encoders that there are.
+    pub fn tells(self, measured: &[bool; BAR_JOINTS], id: ParameterId) -> bool {
+        match self {
+            Self::Pose if is_of_four(measured) => WhitenedPoseOfFour::tells(id),
+            Self::Pose => WhitenedPose::tells(id),
+            Self::Transform => Transform::tells(id),
+            Self::PositionAngles => PositionAngles::tells(id),
+            Self::Position => Position::tells(id),
+            Self::Length => Length::tells(id),
+        }
+    }
+}
+
+/// Encoder 3 is missing, which the whitened pose can do without.
+const fn is_of_four(measured: &[bool; BAR_JOINTS]) -> bool {
+    !measured[TORSION]
+}
+
+/// One run.
+#[derive(Debug, Clone)]
+pub struct BallBar {
+    /// How its logs were brought together.
+    pub prepared: Prepared,
+    /// Cost that is minimised.
+    pub cost: CostName,
+    /// What angles are worth to the cost `pose`.
+    pub noise: NoiseConfig,
+    /// Bar joints with an encoder, in all runs that are solved together.
+    pub measured: [bool; BAR_JOINTS],
+}
+
+impl BallBar {
+    fn boxed<'a, R: Residual + fmt::Debug + 'a>(
+        &'a self,
+        model: &'a Model,
+        residual: R,
+        sigma: f64,
+    ) -> Result<Box<dyn DataSet + 'a>, CostError> {
+        let Prepared { motion, observations, .. } = &self.prepared;
+        Ok(Box::new(LoopProblem::new(model, motion, observations, residual, sigma)?))
+    }
+}
+
+impl Measures for BallBar {
+    fn samples(&self) -> usize {
+        self.prepared.observations.len()
+    }
+
+    fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
+        let Prepared { motion, observations, .. } = &self.prepared;
+        let (geometry, noise) = (|| model.geometry(&[]), self.noise.into());
+        match self.cost {
+            CostName::Pose if is_of_four(&self.measured) => {
+                let residual = WhitenedPoseOfFour::new(&geometry(), motion, observations, noise);
+                self.boxed(model, residual, sigma)
+            }
+            CostName::Pose => {
+                self.boxed(model, WhitenedPose::new(&geometry(), motion, observations, noise), sigma)
+            }
+            CostName::Transform => self.boxed(model, Transform, sigma),
+            CostName::PositionAngles => self.boxed(model, PositionAngles, sigma),
+            CostName::Position => self.boxed(model, Position, sigma),
+            CostName::Length => self.boxed(model, Length, sigma),
+        }
+    }
+
+    fn reported(&self, sample: usize, clock: &Clock) -> Option<JointState> {
+        let t_s = self.prepared.observations.get(sample)?.t_s;
+        self.prepared.motion.at(clock.robot_time_s(t_s))
+    }
+
+    fn tells(&self, id: ParameterId) -> bool {
+        self.cost.tells(&self.measured, id)
+    }
+
+    fn adapt(&mut self, model: &Model) {
+        if !self.cost.encoders().is_empty() {
+            fill_in(&model.geometry(&[]), &self.prepared.motion, &mut self.prepared.observations);
+        }
+    }
+
+    fn independent(&self, count: usize) -> Vec<Vec<usize>> {
+        let times_s: Vec<f64> = self.prepared.observations.iter().map(|one| one.t_s).collect();
+        independent_segments(&self.prepared.motion, &times_s, count)
+    }
+
+    fn thinned(&self, every: usize) -> Instrument {
+        let observations = self.prepared.observations.iter().step_by(every).copied().collect();
+        let prepared = Prepared { observations, ..self.prepared.clone() };
+        Instrument::BallBar(Self { prepared, ..self.clone() })
+    }
+}
