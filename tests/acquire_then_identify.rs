@@ -4,7 +4,7 @@
 
 use std::path::Path;
 
-use ballbard::commands::write_csv;
+use ballbard::commands::{Layout, write_csv};
 use ballbard::run::{BusChoice, RunRequest};
 use identify::calibrate::ball_bar::{self, CalibrateError};
 use identify::calibrate::truth::Comparison;
@@ -166,7 +166,7 @@ fn a_run_exported_as_a_table_of_counters_calibrates_as_the_recording_does() {
     let files = simulate::write(directory.path(), &simulated, &robot, &bar).unwrap();
     let recording = Recording::open(&files.recording).unwrap();
     let table = directory.path().join("exported.csv");
-    write_csv(&recording, std::fs::File::create(&table).unwrap()).unwrap();
+    write_csv(&recording, Layout::default(), std::fs::File::create(&table).unwrap()).unwrap();
 
     let of_table = BarLog::load(&table, &bar, None).unwrap();
     let BarLog::Other(other) = &of_table else { panic!("a table is no recording") };

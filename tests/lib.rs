@@ -6,7 +6,7 @@ pub mod fuzzing;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use ballbard::run::{self, BusChoice, RunRequest, Stop};
+use ballbard::run::{self, About, BusChoice, RunRequest, Stop};
 use shared::config::{self, BallBarConfig, DaemonConfig};
 use shared::recording::Recording;
 
@@ -30,9 +30,7 @@ pub fn daemon(directory: &Path) -> DaemonConfig {
 pub fn request(name: &str, bus: BusChoice, duration: Option<Duration>, fast: bool) -> RunRequest {
     RunRequest {
         name: name.into(),
-        operator: "test".into(),
-        robot: "none".into(),
-        note: String::new(),
+        about: About { operator: "test".into(), robot: "none".into(), ..About::default() },
         duration,
         bus,
         fast,

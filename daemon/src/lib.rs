@@ -15,6 +15,7 @@ pub mod cycle;
 pub mod devices;
 pub mod homing;
 pub mod log;
+pub mod page;
 pub mod recorder;
 pub mod run;
 pub mod segment;

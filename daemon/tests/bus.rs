@@ -13,8 +13,13 @@ use shared::encoder::Direction;
 use shared::time::{MonoNs, UtcNs};
 
 fn plan(terminals: u8) -> BusPlan {
-    let encoder =
-        |joint| EncoderConfig { joint, lines: 3600, interpolation_bits: 12, direction: Direction::Positive };
+    let encoder = |joint| EncoderConfig {
+        joint,
+        lines: 3600,
+        interpolation_bits: 12,
+        direction: Direction::Positive,
+        mark_deg: None,
+    };
     BusPlan {
         name: "simulated".into(),
         encoders: (1..=terminals).map(encoder).collect(),

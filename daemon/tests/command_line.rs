@@ -255,3 +255,84 @@ fn tune_says_how_each_setting_stands() {
         assert!(text.contains(subject), "`{subject}` is missing in: {text}");
     }
 }
+
+/// In an empty directory, where no configuration and no service is.
+fn nowhere(arguments: &[&str]) -> (tempfile::TempDir, Output) {
+    let directory = tempfile::tempdir().unwrap();
+    let output = ballbard().current_dir(&directory).args(arguments).output().unwrap();
+    (directory, output)
+}
+
+fn said(output: &Output) -> String {
+    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+}
+
+#[test]
+fn a_run_is_recorded_from_any_directory_and_a_bare_number_is_seconds() {
+    let (directory, output) =
+        nowhere(&["record", "--name", "bare", "--duration", "2", "--fast", "--out", "here"]);
+    assert!(output.status.success(), "{}", said(&output));
+    let file = directory.path().join("here/bare.mcap");
+    assert_eq!(Recording::open(&file).unwrap().cycles.len(), 200);
+    let wrong = ballbard().args(["record", "--duration", "2 parsecs", "--fast"]).output().unwrap();
+    assert_eq!(wrong.status.code(), Some(2), "{}", said(&wrong));
+}
+
+#[test]
+fn a_directory_that_was_typed_is_meant_and_what_is_missing_in_it_is_named() {
+    let (_directory, output) = nowhere(&["record", "--config", "nothing-here", "--fast", "--duration", "1"]);
+    assert!(
+        !output.status.success() && said(&output).contains("nothing-here/daemon.toml"),
+        "{}",
+        said(&output)
+    );
+    // Without one, who asks is told once where the port came from.
+    let (_directory, output) = nowhere(&["status"]);
+    let text = said(&output);
+    let counts = ["no daemon.toml in config or /etc/ballbard", "7311"].map(|part| text.matches(part).count());
+    assert!(!output.status.success(), "{text}");
+    assert_eq!(counts, [1, 1], "{text}");
+}
+
+#[test]
+fn an_export_replaces_nothing_unasked_and_has_marks_relative_seconds_and_continental_numbers() {
+    let out = tempfile::tempdir().unwrap();
+    let about = ["--robot", "IRB 2400", "--note", "=cmd()", "--fault", "gone:3@1s-1500ms"];
+    let arguments = ["--name", "trial", "--duration", "4s", "--fast"];
+    assert!(record(out.path(), &[&arguments[..], &about].concat()).status.success());
+    let (file, table) = (out.path().join("trial.mcap"), out.path().join("trial.csv"));
+    let export = |arguments: &[&str]| {
+        ballbard().arg("export").arg("--csv").args(arguments).arg(&file).output().unwrap()
+    };
+    assert!(export(&[]).status.success());
+    let first = std::fs::read_to_string(&table).unwrap();
+    assert!(first.lines().next().unwrap().ends_with(",cycle,flags,event"), "{}", &first[..200]);
+    assert!(
+        first.lines().nth(1).unwrap().ends_with(",robot: IRB 2400; note: =cmd()"),
+        "{:?}",
+        first.lines().nth(1)
+    );
+    assert!(
+        first.contains(",gap: ") || first.contains("; gap: ") || first.contains("bus: "),
+        "no event is in it"
+    );
+    let again = export(&["--excel", "--relative"]);
+    assert!(!again.status.success() && said(&again).contains("--force"), "{}", said(&again));
+    assert_eq!(std::fs::read_to_string(&table).unwrap(), first);
+    assert!(export(&["--excel", "--relative", "--force"]).status.success());
+    let excel = std::fs::read_to_string(&table).unwrap();
+    let row: Vec<&str> = excel.lines().nth(2).unwrap().split(';').collect();
+    assert!(excel.starts_with("\u{feff}t_s;count1;") && row[0].starts_with("0,01"), "{row:?}");
+    assert_eq!(row.len(), excel.lines().next().unwrap().split(';').count());
+}
+
+#[test]
+fn completions_and_man_pages_know_every_command() {
+    let bash = ballbard().args(["generate", "completions", "bash"]).output().unwrap();
+    let pages = tempfile::tempdir().unwrap();
+    assert!(ballbard().args(["generate", "man"]).arg(pages.path()).status().unwrap().success());
+    for command in ["run", "start", "stop", "export", "home"] {
+        assert!(said(&bash).contains(command), "{command}");
+        assert!(pages.path().join(format!("ballbard-{command}.1")).exists(), "{command}");
+    }
+}

@@ -25,8 +25,13 @@ const TERMINALS: usize = 5;
 const COUNTS_PER_REVOLUTION: u32 = 3600 << 12;
 
 fn encoders() -> Vec<EncoderConfig> {
-    let encoder =
-        |joint| EncoderConfig { joint, lines: 3600, interpolation_bits: 12, direction: Direction::Positive };
+    let encoder = |joint| EncoderConfig {
+        joint,
+        lines: 3600,
+        interpolation_bits: 12,
+        direction: Direction::Positive,
+        mark_deg: None,
+    };
     (1..=TERMINALS as u8).map(encoder).collect()
 }
 

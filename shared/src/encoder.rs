@@ -111,9 +111,14 @@ pub struct Unwrapper {
 }
 
 impl Unwrapper {
+    /// Counts from the last counter value to this one.
+    pub const fn distance(&self, counter: u32) -> i32 {
+        counter.wrapping_sub(self.last) as i32
+    }
+
     /// Next counter value to unwrapped counts.
     pub fn next(&mut self, counter: u32) -> i64 {
-        self.unwrapped += i64::from(counter.wrapping_sub(self.last) as i32);
+        self.unwrapped += i64::from(self.distance(counter));
         self.last = counter;
         self.unwrapped
     }

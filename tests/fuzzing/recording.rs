@@ -128,6 +128,8 @@ fn run() -> RunMetadata {
         name: "seed".into(),
         operator: String::new(),
         robot: String::new(),
+        bar: String::new(),
+        payload: String::new(),
         note: "ü".into(),
         started: START,
         software: "test".into(),

@@ -8,13 +8,16 @@ use anyhow::{Context, bail};
 use clap::Args;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use shared::config::{self, DaemonConfig};
+use shared::config::DaemonConfig;
 use shared::output::say;
 
+use super::configuration::Configuration;
 use crate::control::runs::{self, RunLine};
 use crate::control::status::{
-    CheckLine, LastRun, MarkRequest, Refusal, Reply, RunStatus, StartRequest, Status, StopRequest,
+    CheckLine, LastRun, Level, MarkRequest, Refusal, Reply, RunStatus, StartRequest, Status, StopRequest,
 };
+use crate::control::verdict::Verdict;
+use crate::run::About;
 
 /// Longer than the service takes to finish a file on a slow disk.
 const TIMEOUT: Duration = Duration::from_secs(30);
@@ -22,12 +25,14 @@ const TIMEOUT: Duration = Duration::from_secs(30);
 /// Where the service is.
 #[derive(Debug, Args)]
 pub struct ServiceArguments {
-    /// Directory with daemon.toml
-    #[arg(long, value_name = "DIR", default_value = "config")]
-    config: PathBuf,
+    #[command(flatten)]
+    configuration: Configuration,
     /// Port of the service; default: `port` of daemon.toml
     #[arg(long)]
     port: Option<u16>,
+    /// Print the service's answer as JSON
+    #[arg(long)]
+    json: bool,
 }
 
 #[derive(Debug, Args)]
@@ -35,18 +40,14 @@ pub struct StartArguments {
     /// Name of the run and of its file; default: date and time
     #[arg(long)]
     name: Option<String>,
-    /// How long, such as 60s or 2m; default: until stopped
-    #[arg(long, value_parser = humantime::parse_duration)]
+    /// How long: 90 (seconds), 90s or 2m; default: until stopped
+    #[arg(long, value_parser = super::duration)]
     duration: Option<Duration>,
-    /// Who records
-    #[arg(long, default_value = "")]
-    operator: String,
-    /// Which robot
-    #[arg(long, default_value = "")]
-    robot: String,
-    /// Free text, kept in the file
-    #[arg(long, default_value = "")]
-    note: String,
+    /// Why the run begins in spite of a problem that stops it; goes into the file
+    #[arg(long)]
+    reason: Option<String>,
+    #[command(flatten)]
+    about: About,
     #[command(flatten)]
     service: ServiceArguments,
 }
@@ -67,23 +68,21 @@ pub struct MarkArguments {
 
 #[derive(Debug, Args)]
 pub struct RunsArguments {
-    /// Directory of the recordings; default: `directory` of daemon.toml
+    /// Directory of the recordings; default: those of the running service, or `directory` of daemon.toml
     directory: Option<PathBuf>,
-    /// Directory with daemon.toml
-    #[arg(long, value_name = "DIR", default_value = "config")]
-    config: PathBuf,
+    #[command(flatten)]
+    service: ServiceArguments,
 }
 
 pub fn start(arguments: StartArguments) -> anyhow::Result<()> {
-    let StartArguments { name, duration, operator, robot, note, service } = arguments;
-    let request = StartRequest {
-        name,
-        operator,
-        robot,
-        note,
-        duration_s: duration.map(|duration| duration.as_secs_f64()),
-    };
+    let StartArguments { name, duration, reason, about, service } = arguments;
+    let About { operator, robot, bar, payload, note } = about;
+    let duration_s = duration.map(|duration| duration.as_secs_f64());
+    let request = StartRequest { name, operator, robot, bar, payload, note, duration_s, reason };
     let reply: Reply = service.post("start", &request)?;
+    if service.prints(&reply)? {
+        return Ok(());
+    }
     let run = reply.run.unwrap_or_default();
     match reply.answer.as_str() {
         "running" => say(format_args!("run `{run}` goes on already"))?,
@@ -95,11 +94,19 @@ pub fn start(arguments: StartArguments) -> anyhow::Result<()> {
 pub fn stop(arguments: &AskArguments) -> anyhow::Result<()> {
     let request = StopRequest { cause: Some("stopped by `ballbard stop`".into()) };
     let reply: Reply = arguments.service.post("stop", &request)?;
-    match (reply.answer.as_str(), reply.last) {
+    let Reply { answer, last, verdict, .. } = &reply;
+    let printed = arguments.service.prints(&reply)?;
+    match (answer.as_str(), last) {
         ("stopped", Some(last)) => {
-            say(last_run(&last))?;
-            unless_blind(last.cycles, last.cycles_valid)?;
+            if !printed {
+                say(last_run(last))?;
+                verdict.iter().try_for_each(say)?;
+            }
+            if let Some(Verdict { level: Level::Bad, reasons }) = verdict {
+                bail!("run `{}` is of no use: {}", last.name, reasons.join("; "));
+            }
         }
+        _ if printed => {}
         ("homing", _) => say("the homing ends")?,
         _ => say("no run goes on")?,
     }
@@ -107,14 +114,21 @@ pub fn stop(arguments: &AskArguments) -> anyhow::Result<()> {
 }
 
 pub fn mark(arguments: &MarkArguments) -> anyhow::Result<()> {
-    let reply: Reply = arguments.service.post("mark", &MarkRequest { text: arguments.text.clone() })?;
+    let reply: Reply =
+        arguments.service.post("mark", &MarkRequest { text: arguments.text.clone(), ago_ms: 0 })?;
+    if arguments.service.prints(&reply)? {
+        return Ok(());
+    }
     Ok(say(format_args!("marked in run `{}`", reply.run.unwrap_or_default()))?)
 }
 
 pub fn status(arguments: &AskArguments) -> anyhow::Result<()> {
     let status: Status = arguments.service.get("status")?;
-    let reason = status.reason.map_or(String::new(), |why| format!(": {why}"));
-    say(format_args!("{}{reason}", status.state.to_uppercase()))?;
+    if arguments.service.prints(&status)? {
+        return Ok(());
+    }
+    let reason = status.reason.as_ref().map_or(String::new(), |why| format!(": {why}"));
+    say(format_args!("{}{reason}", status.headline().word))?;
     if let Some(run) = &status.run {
         say(running(run))?;
     }
@@ -141,7 +155,8 @@ pub fn status(arguments: &AskArguments) -> anyhow::Result<()> {
 
 pub fn check(arguments: &AskArguments) -> anyhow::Result<()> {
     let lines: Vec<CheckLine> = arguments.service.get("check")?;
-    for CheckLine { subject, finding, remedy } in &lines {
+    let printed = arguments.service.prints(&lines)?;
+    for CheckLine { subject, finding, remedy, stops: _ } in lines.iter().filter(|_| !printed) {
         match remedy {
             None => say(format_args!("ok       {subject}: {finding}")),
             Some(remedy) => say(format_args!("PROBLEM  {subject}: {finding}\n         {remedy}")),
@@ -155,52 +170,95 @@ pub fn check(arguments: &AskArguments) -> anyhow::Result<()> {
 }
 
 pub fn list(arguments: &RunsArguments) -> anyhow::Result<()> {
-    let (directory, spare) = match &arguments.directory {
-        Some(directory) => (directory.clone(), None),
-        None => {
-            let daemon: DaemonConfig = config::load(&arguments.config.join("daemon.toml"))?;
-            (daemon.directory, Some(daemon.spare_directory))
-        }
+    let RunsArguments { directory, service } = arguments;
+    let lines = match directory {
+        Some(directory) => listed_in(directory, None)?,
+        None => service.runs()?,
     };
-    let lines = runs::list(&directory, spare.as_deref())
-        .with_context(|| format!("cannot list recordings in {}", directory.display()))?;
+    if service.prints(&lines)? {
+        return Ok(());
+    }
+    // Where they are, once, as far as it is the same.
+    let mut place = None;
     for line in &lines {
-        let elsewhere = line.file.parent().filter(|parent| *parent != directory);
-        let place = elsewhere.map_or(String::new(), |parent| format!("  [in {}]", parent.display()));
-        say(format_args!("{}{place}", listed(line)))?;
+        let parent = line.file.parent();
+        if place != parent {
+            place = parent;
+            say(format_args!("in {}:", parent.unwrap_or(Path::new(".")).display()))?;
+        }
+        say(listed(line))?;
     }
     if lines.is_empty() {
-        say(format_args!("no recordings in {}", directory.display()))?;
+        say("no recordings")?;
     }
     Ok(())
 }
 
+fn listed_in(directory: &Path, spare: Option<&Path>) -> anyhow::Result<Vec<RunLine>> {
+    runs::list(directory, spare).with_context(|| format!("cannot list recordings in {}", directory.display()))
+}
+
+/// Nobody answers where the service should be.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "no answer from {url}; is the service running? start it with `ballbard run` (the port is that of {from}; --port takes \
+     another)"
+)]
+struct NoService {
+    url: String,
+    from: String,
+}
+
 impl ServiceArguments {
-    /// Directory of the configuration.
-    pub fn config(&self) -> &Path {
-        &self.config
+    /// Where the configuration comes from.
+    pub fn configuration(&self) -> &Configuration {
+        &self.configuration
+    }
+
+    /// Recordings of the running service; of the configured directory where none runs.
+    pub fn runs(&self) -> anyhow::Result<Vec<RunLine>> {
+        match self.get("runs") {
+            Err(error) if self.port.is_none() && error.is::<NoService>() => {
+                let DaemonConfig { directory, spare_directory, .. } = self.configuration.daemon()?;
+                listed_in(&directory, Some(&spare_directory))
+            }
+            outcome => outcome,
+        }
+    }
+
+    /// Prints what the service answered if that is asked for, and says whether it was.
+    fn prints(&self, answer: &impl Serialize) -> anyhow::Result<bool> {
+        if self.json {
+            say(serde_json::to_string_pretty(answer)?)?;
+        }
+        Ok(self.json)
     }
 
     /// Asks the service for something that changes nothing.
     pub fn get<T: DeserializeOwned>(&self, path: &str) -> anyhow::Result<T> {
         let url = self.url(path)?;
-        let response = agent().get(&url).call().with_context(|| not_there(&url))?;
+        let response = agent().get(&url).call().map_err(|_| self.not_there(url))?;
         understood(response)
     }
 
     /// Asks the service to do something.
     pub fn post<T: DeserializeOwned>(&self, path: &str, body: &impl Serialize) -> anyhow::Result<T> {
         let url = self.url(path)?;
-        let response = agent().post(&url).send_json(body).with_context(|| not_there(&url))?;
+        let response = agent().post(&url).send_json(body).map_err(|_| self.not_there(url))?;
         understood(response)
     }
 
     fn url(&self, path: &str) -> anyhow::Result<String> {
         let port = match self.port {
             Some(port) => port,
-            None => config::load::<DaemonConfig>(&self.config.join("daemon.toml"))?.port,
+            None => self.configuration.daemon()?.port,
         };
-        Ok(format!("http://127.0.0.1:{port}/{path}"))
+        Ok(format!("http://127.0.0.1:{port}/api/{path}"))
+    }
+
+    fn not_there(&self, url: String) -> NoService {
+        let from = self.port.map_or_else(|| self.configuration.origin(), |_| "--port".into());
+        NoService { url, from }
     }
 }
 
@@ -218,10 +276,6 @@ fn agent() -> ureq::Agent {
     let config =
         ureq::Agent::config_builder().http_status_as_error(false).proxy(None).timeout_global(Some(TIMEOUT));
     config.build().into()
-}
-
-fn not_there(url: &str) -> String {
-    format!("no answer from {url}; is the service running? start it with `ballbard run`")
 }
 
 fn understood<T: DeserializeOwned>(mut response: ureq::http::Response<ureq::Body>) -> anyhow::Result<T> {
@@ -272,9 +326,10 @@ fn listed(line: &RunLine) -> String {
     let started = line.started.map_or(String::from("?"), |at| {
         at.to_datetime().with_timezone(&chrono::Local).format("%Y-%m-%d %H:%M:%S %:z").to_string()
     });
+    let verdict = line.verdict.as_ref().map_or_else(|| line.cause.clone(), ToString::to_string);
     let mut text = format!(
-        "{:<28} {started:<26}  {:>8.1} s {:>8} cycles  {}",
-        line.name, line.length_s, line.cycles, line.verdict
+        "{:<28} {started:<26}  {:>8.1} s {:>8} cycles  {verdict}",
+        line.name, line.length_s, line.cycles
     );
     if line.recovered {
         text.push_str("  [recovered]");

@@ -1,15 +1,14 @@
 //! `ballbard home`: reference marks of all encoders, with a person who turns one joint at a time.
 
-use std::path::PathBuf;
 use std::thread;
 use std::time::Duration;
 
 use anyhow::bail;
 use clap::Args;
-use shared::config::{self, BallBarConfig, DaemonConfig, HomingConfig};
 use shared::output::say;
 
 use super::client::ServiceArguments;
+use super::configuration::Configuration;
 use super::{bus_choice, on_signal};
 use crate::control::homing::Homing;
 use crate::control::status::{HomeRequest, HomingStatus, Reply, Status, StopRequest};
@@ -32,7 +31,7 @@ pub fn run(arguments: HomeArguments) -> anyhow::Result<()> {
     let stop = Stop::default();
     let stopping = stop.clone();
     let work = move || match &arguments.bus {
-        Some(bus) => on_own_bus(bus, arguments.service.config(), &stop),
+        Some(bus) => on_own_bus(bus, arguments.service.configuration(), &stop),
         None => by_service(&arguments.service, &stop),
     };
     on_signal(work, |signal| stopping.stop(signal))
@@ -62,10 +61,9 @@ fn by_service(service: &ServiceArguments, stop: &Stop) -> anyhow::Result<()> {
     }
 }
 
-fn on_own_bus(bus: &str, config: &std::path::Path, stop: &Stop) -> anyhow::Result<()> {
-    let daemon: DaemonConfig = config::load(&config.join("daemon.toml"))?;
-    let bar: BallBarConfig = config::load(&config.join("ball_bar.toml"))?;
-    let file: PathBuf = config.join(HomingConfig::FILE_NAME);
+fn on_own_bus(bus: &str, configuration: &Configuration, stop: &Stop) -> anyhow::Result<()> {
+    let (daemon, bar) = (configuration.daemon()?, configuration.ball_bar()?);
+    let file = configuration.homing_file(&daemon);
     let session = run::open(&bus_choice(bus), &[], &daemon, &bar, &Storage::new(&daemon)?)?;
     session.log();
     let (mut printer, mut homing) = (Printer::default(), Homing::begin(&session));

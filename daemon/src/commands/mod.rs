@@ -1,7 +1,9 @@
 //! What a person types.
 
 mod client;
+mod configuration;
 mod export;
+mod generate;
 mod home;
 mod record;
 mod recover;
@@ -10,16 +12,20 @@ mod serve;
 mod signals;
 mod tune;
 
-pub use export::write_csv;
+pub use export::{Layout, write_csv};
 
 use self::signals::Signals;
 use crate::run::BusChoice;
 use anyhow::Context;
 use clap::{Parser, Subcommand};
+use std::time::Duration;
+
+const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed, or what was asked for is bad: a check with problems, a run that is \
+    BAD; 2 not understood.";
 
 /// Records a sensed double ball-bar over EtherCAT.
 #[derive(Debug, Parser)]
-#[command(name = "ballbard", version, about)]
+#[command(name = "ballbard", version, about, after_help = EXIT_CODES)]
 pub struct Arguments {
     #[command(subcommand)]
     command: Command,
@@ -51,6 +57,8 @@ enum Command {
     Export(export::ExportArguments),
     /// Make a finished recording of one that was cut short or damaged.
     Recover(recover::RecoverArguments),
+    /// Write completions for a shell, or man pages.
+    Generate(generate::GenerateArguments),
     /// Serve a simulated EK1100 with EL5021 terminals on a network interface.
     Segment(segment::SegmentArguments),
 }
@@ -70,7 +78,17 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
         Command::Tune(arguments) => tune::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
         Command::Recover(arguments) => recover::run(&arguments),
+        Command::Generate(arguments) => generate::run(&arguments),
         Command::Segment(arguments) => segment::run(&arguments),
+    }
+}
+
+/// A duration as a person types it: `90` and `90s` are seconds, `2m` minutes.
+fn duration(text: &str) -> Result<Duration, String> {
+    let seconds = text.trim().parse::<f64>().ok().map(Duration::try_from_secs_f64);
+    match seconds {
+        Some(seconds) => seconds.map_err(|error| error.to_string()),
+        None => humantime::parse_duration(text).map_err(|error| error.to_string()),
     }
 }
 

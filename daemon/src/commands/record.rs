@@ -4,14 +4,15 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use clap::Args;
-use shared::config::{self, BallBarConfig, DaemonConfig, HomingConfig};
+use shared::config::HomingConfig;
 use shared::output::say;
 
 use super::client::unless_blind;
+use super::configuration::Configuration;
 use super::{bus_choice, on_signal};
 use crate::homing;
 use crate::recorder::RunSummary;
-use crate::run::{self, BusChoice, RunRequest, Stop};
+use crate::run::{self, About, BusChoice, RunRequest, Stop};
 use crate::segment::faults::FaultWindow;
 
 #[derive(Debug, Args)]
@@ -19,8 +20,8 @@ pub struct RecordArguments {
     /// Name of the run and of its file; default: date and time
     #[arg(long)]
     name: Option<String>,
-    /// How long, such as 60s or 2m; default: until Ctrl-C, or to the end of a replay
-    #[arg(long, value_parser = humantime::parse_duration)]
+    /// How long: 90 (seconds), 90s or 2m; default: until Ctrl-C, or to the end of a replay
+    #[arg(long, value_parser = super::duration)]
     duration: Option<Duration>,
     /// `simulated`, or a network interface such as eth1
     #[arg(long, default_value = "simulated")]
@@ -38,30 +39,22 @@ pub struct RecordArguments {
     /// Virtual time: as fast as the machine allows (simulated bus only)
     #[arg(long)]
     fast: bool,
-    /// Who records
-    #[arg(long, default_value = "")]
-    operator: String,
-    /// Which robot
-    #[arg(long, default_value = "")]
-    robot: String,
-    /// Free text, kept in the file
-    #[arg(long, default_value = "")]
-    note: String,
+    #[command(flatten)]
+    about: About,
     /// Directory for the recording; default: `directory` of daemon.toml
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
-    /// Directory with daemon.toml and ball_bar.toml
-    #[arg(long, value_name = "DIR", default_value = "config")]
-    config: PathBuf,
+    #[command(flatten)]
+    configuration: Configuration,
 }
 
 pub fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
-    let mut daemon: DaemonConfig = config::load(&arguments.config.join("daemon.toml"))?;
-    let bar: BallBarConfig = config::load(&arguments.config.join("ball_bar.toml"))?;
+    let (mut daemon, bar) = (arguments.configuration.daemon()?, arguments.configuration.ball_bar()?);
+    let homing = homing::file::read(&arguments.configuration.homing_file(&daemon))?;
     if let Some(directory) = &arguments.out {
         daemon.directory.clone_from(directory);
     }
-    let request = request(arguments)?;
+    let request = request(arguments, homing)?;
     let stop = Stop::default();
     let working = stop.clone();
     let summary = on_signal(
@@ -72,7 +65,7 @@ pub fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
     unless_blind(summary.cycles, summary.cycles_valid)
 }
 
-fn request(arguments: &RecordArguments) -> anyhow::Result<RunRequest> {
+fn request(arguments: &RecordArguments, homing: Option<HomingConfig>) -> anyhow::Result<RunRequest> {
     let bus = match (&arguments.replay, arguments.bus.as_str()) {
         (Some(file), "simulated") => BusChoice::Replay(file.clone()),
         (Some(_), interface) => {
@@ -83,14 +76,12 @@ fn request(arguments: &RecordArguments) -> anyhow::Result<RunRequest> {
     let name = arguments.name.clone();
     Ok(RunRequest {
         name: name.unwrap_or_else(run::name_by_time),
-        operator: arguments.operator.clone(),
-        robot: arguments.robot.clone(),
-        note: arguments.note.clone(),
+        about: arguments.about.clone(),
         duration: arguments.duration,
         bus,
         faults: arguments.faults.clone(),
         wait: arguments.wait,
-        homing: homing::file::read(&arguments.config.join(HomingConfig::FILE_NAME))?,
+        homing,
         fast: arguments.fast,
     })
 }

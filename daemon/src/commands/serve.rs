@@ -7,11 +7,11 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use clap::Args;
-use shared::config::{self, BallBarConfig, DaemonConfig, HomingConfig};
 use shared::output::say;
 use tokio::net::TcpListener;
 
 use super::bus_choice;
+use super::configuration::Configuration;
 use super::signals::Signals;
 use crate::control::api;
 use crate::control::service::{Service, ServiceError, Settings};
@@ -37,16 +37,20 @@ pub struct RunArguments {
     /// Port on 127.0.0.1, 0 for any that is free; default: `port` of daemon.toml
     #[arg(long)]
     port: Option<u16>,
-    /// Directory with daemon.toml and ball_bar.toml
-    #[arg(long, value_name = "DIR", default_value = "config")]
-    config: PathBuf,
+    #[command(flatten)]
+    configuration: Configuration,
 }
 
 pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
-    let mut daemon: DaemonConfig = config::load(&arguments.config.join("daemon.toml"))?;
-    let bar: BallBarConfig = config::load(&arguments.config.join("ball_bar.toml"))?;
+    let (mut daemon, bar) = (arguments.configuration.daemon()?, arguments.configuration.ball_bar()?);
+    let homing_file = arguments.configuration.homing_file(&daemon);
+    tracing::info!("configuration: {}", arguments.configuration.origin());
     if let Some(directory) = &arguments.out {
         daemon.directory.clone_from(directory);
+    }
+    // Whoever asks where a file is may be in another directory.
+    for directory in [&mut daemon.directory, &mut daemon.spare_directory] {
+        *directory = std::path::absolute(&directory).context("cannot tell the working directory")?;
     }
     let port = arguments.port.unwrap_or(daemon.port);
     let bus = bus_choice(&arguments.bus);
@@ -57,7 +61,6 @@ pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
             arguments.bus
         );
     }
-    let homing_file = arguments.config.join(HomingConfig::FILE_NAME);
     let settings = Settings { bus, faults, daemon, bar, homing_file };
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()

@@ -1,11 +1,11 @@
 //! `ballbard tune`: what of this machine's settings makes the cycle late, and what to type.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use clap::Args;
-use shared::config::{self, DaemonConfig};
 use shared::output::say;
 
+use super::configuration::Configuration;
 use crate::tuning::{self, Machine, Verdict};
 
 #[derive(Debug, Args)]
@@ -13,13 +13,12 @@ pub struct TuneArguments {
     /// Network interface of the bus, such as eth1
     #[arg(long)]
     interface: Option<String>,
-    /// Directory with daemon.toml, which says the core
-    #[arg(long, value_name = "DIR", default_value = "config")]
-    config: PathBuf,
+    #[command(flatten)]
+    configuration: Configuration,
 }
 
 pub fn run(arguments: &TuneArguments) -> anyhow::Result<()> {
-    let daemon: DaemonConfig = config::load(&arguments.config.join("daemon.toml"))?;
+    let daemon = arguments.configuration.daemon()?;
     let machine = Machine::read(Path::new("/"), daemon.realtime.core, arguments.interface.as_deref());
     let findings = tuning::findings(&machine);
     findings.iter().try_for_each(say)?;

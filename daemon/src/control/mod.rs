@@ -3,17 +3,19 @@
 //! [`machine`] decides and does nothing; `controller` does and decides nothing, with `bus_link`, `homing` and
 //! `tending`, which waits for the disk in its stead; `view` says
 //! what people see of it; [`service`] is the way to it from other threads, [`api`] the one over HTTP,
-//! whose `connections` are bounded in number and time.
+//! whose `connections` are bounded in number and time. [`live`] is what a page shows ten times a second, [`verdict`] what a
+//! run is worth.
 
 pub mod api;
 mod bus_link;
-mod connections;
 mod controller;
 pub mod homing;
+pub mod live;
 pub mod machine;
 pub mod preflight;
 pub mod runs;
 pub mod service;
 pub mod status;
 mod tending;
+pub mod verdict;
 mod view;

@@ -47,17 +47,24 @@ pub(super) fn check(view: &View<'_>, status: &Status, found: Option<&Found>) -> 
 }
 
 fn good(subject: &str, finding: impl Into<String>) -> CheckLine {
-    CheckLine { subject: subject.into(), finding: finding.into(), remedy: None }
+    CheckLine { subject: subject.into(), finding: finding.into(), remedy: None, stops: false }
 }
 
 fn problem(subject: &str, finding: impl Into<String>, remedy: &str) -> CheckLine {
-    CheckLine { subject: subject.into(), finding: finding.into(), remedy: Some(remedy.into()) }
+    CheckLine { subject: subject.into(), finding: finding.into(), remedy: Some(remedy.into()), stops: false }
+}
+
+/// A problem that would cost the run.
+fn stopping(subject: &str, finding: impl Into<String>, remedy: &str) -> CheckLine {
+    CheckLine { stops: true, ..problem(subject, finding, remedy) }
 }
 
 fn bus(view: &View<'_>, status: &Status) -> CheckLine {
     const SUBJECT: &str = "bus";
     match view.machine.bus_fault() {
-        Some(reason) => problem(SUBJECT, reason, "set right what it says; the service tries again by itself"),
+        Some(reason) => {
+            stopping(SUBJECT, reason, "set right what it says; the service tries again by itself")
+        }
         None => good(SUBJECT, format!("in operation on {}: {}", status.bus, status.devices.join(", "))),
     }
 }
@@ -65,7 +72,7 @@ fn bus(view: &View<'_>, status: &Status) -> CheckLine {
 fn encoders(status: &Status) -> CheckLine {
     const SUBJECT: &str = "encoders";
     if status.sample_age_ms.is_none_or(|age| age > SAMPLE_AGE_MS_MAX) {
-        return problem(SUBJECT, "no sample in the last second", "bring the bus into operation first");
+        return stopping(SUBJECT, "no sample in the last second", "bring the bus into operation first");
     }
     let bad: Vec<_> = status
         .encoders
@@ -78,7 +85,7 @@ fn encoders(status: &Status) -> CheckLine {
         good(SUBJECT, format!("all valid, at {}", counts.join(", ")))
     } else {
         let finding = format!("not valid: {}", bad.join(", "));
-        problem(SUBJECT, finding, "check the encoder's cable and plug, and its signal amplitude")
+        stopping(SUBJECT, finding, "check the encoder's cable and plug, and its signal amplitude")
     }
 }
 
@@ -113,23 +120,34 @@ fn reference_marks(view: &View<'_>, found: Option<&Found>) -> CheckLine {
     problem(SUBJECT, finding, "run `ballbard home`, or remove homing.toml if runs need no marks")
 }
 
+/// Measured with five encoders: 11.5 kB a second at 100 Hz.
+const BYTES_PER_CYCLE: f64 = 115.0;
+
+/// How long runs may last in this space \[h\].
+pub(super) fn hours_left(usable_bytes: u64, rate_hz: u32) -> f64 {
+    usable_bytes as f64 / (BYTES_PER_CYCLE * f64::from(rate_hz.max(1)) * 3600.0)
+}
+
 fn disk(view: &View<'_>) -> CheckLine {
     const SUBJECT: &str = "disk";
     if let Some(finding) = view.disk_problem() {
-        return problem(
+        return stopping(
             SUBJECT,
             finding,
             "set right what it says; `ballbard status` shows what of a run is safe",
         );
     }
     let usable = view.storage.usable_bytes().unwrap_or(0);
-    // Measured: 11.5 kB a second at 100 Hz with five encoders.
-    let hours = usable / 42_000_000;
+    let rate_hz = view.settings.daemon.rate_hz;
+    let hours = hours_left(usable, rate_hz);
     let waited = view.run.map_or(String::new(), |run| {
         let progress = run.progress.get();
         format!("; {:.1} s wait to be written, {}", progress.backlog_s, progress.longest)
     });
-    good(SUBJECT, format!("{} MB above the floor, some {hours} hours at 100 Hz{waited}", usable / 1_000_000))
+    good(
+        SUBJECT,
+        format!("{} MB above the floor, some {hours:.0} hours at {rate_hz} Hz{waited}", usable / 1_000_000),
+    )
 }
 
 fn realtime(view: &View<'_>) -> CheckLine {

@@ -1,13 +1,16 @@
-//! The recordings of a directory: how long, how good, and which of them were recovered.
+//! The recordings of a directory: how long, what they are worth, and which of them were recovered.
 
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use shared::recording::{ACTIVE_ENDING, FINISHED_ENDING, RunOverview, is_in_use};
+use shared::recording::schema::EncoderSample;
+use shared::recording::{ACTIVE_ENDING, FINISHED_ENDING, ReadError, Recording, RunOverview, is_in_use};
 use shared::time::UtcNs;
 
+use super::verdict::Verdict;
+
 /// One recording of the list.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct RunLine {
     /// Its name.
     pub name: String,
@@ -21,10 +24,24 @@ pub struct RunLine {
     pub cycles: u64,
     /// Cycles in which every encoder is valid.
     pub cycles_valid: u64,
-    /// In words.
-    pub verdict: String,
+    /// Cycles that were lost between bus and file.
+    pub cycles_lost: u64,
+    /// What it is worth; none before it is finished.
+    pub verdict: Option<Verdict>,
+    /// Why it has no verdict, or why it ended.
+    pub cause: String,
     /// It was cut short and recovered.
     pub recovered: bool,
+    /// Length of the file \[bytes\].
+    pub bytes: u64,
+    /// Who recorded it.
+    pub operator: String,
+    /// Which robot.
+    pub robot: String,
+    /// Which bar.
+    pub bar: String,
+    /// What the robot carried.
+    pub payload: String,
     /// Free text that was given with it.
     pub note: String,
 }
@@ -32,12 +49,22 @@ pub struct RunLine {
 /// Recordings of a directory, the latest first; those that do not tell when they began come last. With those of runs
 /// that had to go on in `spare`.
 pub fn list(directory: &Path, spare: Option<&Path>) -> std::io::Result<Vec<RunLine>> {
-    // It is there only if a run needed it.
-    let elsewhere = spare.and_then(|spare| std::fs::read_dir(spare).ok()).into_iter().flatten();
-    let entries = std::fs::read_dir(directory)?.chain(elsewhere).flatten();
-    let mut lines: Vec<_> = entries.filter_map(|entry| line(entry.path())).collect();
+    let mut lines: Vec<_> = files(directory, spare)?.filter_map(line).collect();
     lines.sort_by(|one, other| other.started.cmp(&one.started).then_with(|| one.name.cmp(&other.name)));
     Ok(lines)
+}
+
+/// The finished recording of this name. The name is compared with those that are there and never made a path of.
+pub fn find(directory: &Path, spare: Option<&Path>, name: &str) -> std::io::Result<Option<PathBuf>> {
+    let is_it =
+        |file: &PathBuf| stem(file, FINISHED_ENDING).is_some_and(|stem| stem == name) && file.is_file();
+    Ok(files(directory, spare)?.find(is_it))
+}
+
+fn files(directory: &Path, spare: Option<&Path>) -> std::io::Result<impl Iterator<Item = PathBuf>> {
+    // It is there only if a run needed it.
+    let elsewhere = spare.and_then(|spare| std::fs::read_dir(spare).ok()).into_iter().flatten();
+    Ok(std::fs::read_dir(directory)?.chain(elsewhere).flatten().map(|entry| entry.path()))
 }
 
 /// Files of runs that no living process writes.
@@ -54,48 +81,94 @@ fn stem(path: &Path, ending: &str) -> Option<String> {
 
 fn line(file: PathBuf) -> Option<RunLine> {
     if let Some(name) = stem(&file, ACTIVE_ENDING) {
-        let verdict = if is_in_use(&file) {
+        let cause = if is_in_use(&file) {
             "is being recorded"
         } else {
             "left behind by a crash; it is recovered when the next run or the service starts"
         };
-        return Some(RunLine { verdict: verdict.into(), ..unknown(name, file) });
+        return Some(RunLine { name, file, cause: cause.into(), ..RunLine::default() });
     }
     let name = stem(&file, FINISHED_ENDING)?;
-    Some(match RunOverview::open(&file) {
-        Ok(RunOverview { run, end }) => RunLine {
-            started: Some(run.started),
-            length_s: end.cycles as f64 * run.cycle_period_ns as f64 * 1e-9,
-            cycles: end.cycles,
-            cycles_valid: end.cycles_valid,
-            verdict: verdict(end.cycles, end.cycles_valid, end.cycles_lost),
-            recovered: end.recovered,
-            note: run.note,
-            ..unknown(name, file)
-        },
-        Err(error) => RunLine { verdict: error.kind.to_string(), ..unknown(name, file) },
-    })
+    Some(finished(name, file))
 }
 
-fn unknown(name: String, file: PathBuf) -> RunLine {
-    RunLine {
-        name,
-        file,
-        started: None,
-        length_s: 0.0,
-        cycles: 0,
-        cycles_valid: 0,
-        verdict: String::new(),
-        recovered: false,
-        note: String::new(),
+/// The line of a finished recording.
+pub fn finished(name: String, file: PathBuf) -> RunLine {
+    let bytes = std::fs::metadata(&file).map_or(0, |metadata| metadata.len());
+    match RunOverview::open(&file) {
+        Ok(overview) => {
+            let verdict = Some(Verdict::of_file(&overview));
+            let RunOverview { run, end } = overview;
+            RunLine {
+                name,
+                file,
+                started: Some(run.started),
+                length_s: end.cycles as f64 * run.cycle_period_ns as f64 * 1e-9,
+                cycles: end.cycles,
+                cycles_valid: end.cycles_valid,
+                cycles_lost: end.cycles_lost,
+                verdict,
+                cause: end.cause,
+                recovered: end.recovered,
+                bytes,
+                operator: run.operator,
+                robot: run.robot,
+                bar: run.bar,
+                payload: run.payload,
+                note: run.note,
+            }
+        }
+        Err(error) => {
+            let verdict = Some(Verdict::bad(error.kind.to_string()));
+            RunLine { name, file, verdict, bytes, ..RunLine::default() }
+        }
     }
 }
 
-fn verdict(cycles: u64, valid: u64, lost: u64) -> String {
-    match (cycles, cycles - valid.min(cycles), lost) {
-        (0, ..) => "empty".into(),
-        (_, 0, 0) => "good".into(),
-        (_, flagged, 0) => format!("{flagged} cycles flagged"),
-        (_, flagged, lost) => format!("{flagged} cycles flagged, {lost} of them lost"),
-    }
+/// Moments of a run that are drawn.
+const CURVE_POINTS: usize = 1500;
+
+/// A run as a whole, for people to look at.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Curves {
+    /// Since its first cycle \[s\].
+    pub t_s: Vec<f64>,
+    /// The encoders, in bus order.
+    pub joints: Vec<Curve>,
+}
+
+/// One encoder.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Curve {
+    /// Bar joint, 1 to 5.
+    pub joint: u8,
+    /// Its angle since its first sample; none where it gave none \[deg\].
+    pub angle_deg: Vec<Option<f64>>,
+}
+
+/// Reads the whole file. Of each part of it the worst cycle is shown: a gap stays one, however short.
+pub fn curves(file: &Path) -> Result<Curves, ReadError> {
+    let Recording { run, cycles, .. } = Recording::open(file)?;
+    let each = cycles.len().div_ceil(CURVE_POINTS).max(1);
+    let Some(first) = cycles.first() else { return Ok(Curves::default()) };
+    let t_s = cycles.iter().step_by(each).map(|cycle| cycle.sample_time.seconds_since(first.sample_time));
+    let joints = run.encoders.iter().enumerate().map(|(place, encoder)| {
+        let mut unwrapper = encoder.scale.unwrapper();
+        let mut begin = None;
+        let mut angle = |sample: EncoderSample| {
+            let counts = unwrapper.next(sample.count);
+            let from = *begin.get_or_insert(counts);
+            (encoder.scale.direction.sign() * (counts - from)) as f64
+                * encoder.scale.rad_per_count().to_degrees()
+        };
+        let angles = cycles.iter().map(|cycle| {
+            let sample = cycle.encoders().get(place).copied().unwrap_or_default();
+            sample.valid.then(|| angle(sample))
+        });
+        let angles: Vec<_> = angles.collect();
+        let of_part =
+            |part: &[Option<f64>]| if part.contains(&None) { None } else { part.first().copied().flatten() };
+        Curve { joint: encoder.joint, angle_deg: angles.chunks(each).map(of_part).collect() }
+    });
+    Ok(Curves { t_s: t_s.collect(), joints: joints.collect() })
 }

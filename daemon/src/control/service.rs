@@ -14,9 +14,9 @@ use shared::time::MonoNs;
 use tokio::sync::{Semaphore, oneshot, watch};
 
 use super::controller::{Command, Controller};
+use super::live::{self, Moment};
 use super::machine::Answer;
 use super::preflight::Found;
-use super::runs::{self, RunLine};
 use super::status::{CheckLine, Refusal, StartRequest, Status};
 use crate::clock::Clock;
 use crate::homing;
@@ -49,6 +49,7 @@ type Control = thread::JoinHandle<Result<(), ServiceError>>;
 pub struct Service {
     commands: Sender<Command>,
     status: watch::Receiver<Status>,
+    live: watch::Receiver<Arc<Moment>>,
     settings: Arc<Settings>,
     thread: Arc<Mutex<Option<Control>>>,
     looks: Arc<Semaphore>,
@@ -59,7 +60,7 @@ const LOOKS_MAX: usize = 4;
 /// How long each may: who asks is told sooner or later what is known without it.
 const LOOK_WITHIN: Duration = Duration::from_secs(1);
 /// The same for a list of hundreds of recordings.
-const LIST_WITHIN: Duration = Duration::from_secs(10);
+pub(super) const LIST_WITHIN: Duration = Duration::from_secs(10);
 
 /// Why the service cannot start, or has ended by itself.
 #[derive(Debug, thiserror::Error)]
@@ -95,6 +96,7 @@ impl Service {
         let settings = Arc::new(settings);
         let (commands, commands_rx) = channel();
         let (status_tx, status) = watch::channel(Status::default());
+        let live = live::watch(Arc::clone(&settings), status.clone())?;
         let mut controller = Controller::new(Arc::clone(&settings), connect, storage, status_tx);
         let body = move || {
             let outcome = catch_unwind(AssertUnwindSafe(|| controller.run(&commands_rx)));
@@ -105,12 +107,17 @@ impl Service {
         };
         let thread = thread::Builder::new().name("control".into()).spawn(body)?;
         let thread = Arc::new(Mutex::new(Some(thread)));
-        Ok(Self { commands, status, settings, thread, looks: Arc::new(Semaphore::new(LOOKS_MAX)) })
+        Ok(Self { commands, status, live, settings, thread, looks: Arc::new(Semaphore::new(LOOKS_MAX)) })
     }
 
     /// What it is doing.
     pub fn status(&self) -> Status {
         self.status.borrow().clone()
+    }
+
+    /// What a page shows, ten times a second.
+    pub fn live(&self) -> watch::Receiver<Arc<Moment>> {
+        self.live.clone()
     }
 
     /// Told whenever the status changes.
@@ -146,8 +153,8 @@ impl Service {
     }
 
     /// The run that was marked; none if none goes on.
-    pub(super) async fn mark(&self, text: String) -> Result<Option<String>, Refusal> {
-        let at: MonoNs = Clock::Real.now();
+    pub(super) async fn mark(&self, text: String, ago_ms: u32) -> Result<Option<String>, Refusal> {
+        let at: MonoNs = Clock::Real.now().plus_ns(-1_000_000 * i64::from(ago_ms));
         let marked = self.ask(|reply| Command::Mark(text, at, reply)).await?;
         marked.map_err(|error| Refusal { error })
     }
@@ -159,14 +166,8 @@ impl Service {
         self.ask(|reply| Command::Check(found, reply)).await
     }
 
-    /// The recordings; none where the disk does not answer.
-    pub(super) async fn runs(&self) -> Option<std::io::Result<Vec<RunLine>>> {
-        let DaemonConfig { directory, spare_directory, .. } = self.settings.daemon.clone();
-        self.look(LIST_WITHIN, move || runs::list(&directory, Some(&spare_directory))).await
-    }
-
     /// What a thread finds that may wait for the disk; none where that takes longer than `within`.
-    async fn look<T: Send + 'static>(
+    pub(super) async fn look<T: Send + 'static>(
         &self,
         within: Duration,
         find: impl FnOnce() -> T + Send + 'static,
@@ -235,10 +236,8 @@ fn details(request: StartRequest, settings: &Settings) -> Result<RunDetails, Ref
         })
         .transpose()?;
     Ok(RunDetails {
+        about: request.about(),
         name: request.name.unwrap_or_else(|| free_name(&daemon.directory)),
-        operator: request.operator,
-        robot: request.robot,
-        note: request.note,
         duration,
         homing,
     })

@@ -2,7 +2,10 @@
 
 use serde::{Deserialize, Serialize};
 use shared::recording::{DiskTiming, TimingSummary};
-use shared::time::UtcNs;
+use shared::time::{MonoNs, UtcNs};
+
+use super::verdict::Verdict;
+use crate::run::About;
 
 /// What the service is doing, as far as it is on disk.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -32,12 +35,58 @@ pub struct Status {
     pub bad_cables: Vec<String>,
     /// Age of that sample \[ms\]; none before the first.
     pub sample_age_ms: Option<i64>,
+    /// When that sample was fetched, 0 before the first.
+    #[serde(default)]
+    pub sampled: MonoNs,
+    /// Number of the counters' origin in it: it grows when a terminal that lost power counts anew.
+    #[serde(default)]
+    pub origin: u32,
     /// Space above the floor \[MB\]; 0 at the floor.
     pub disk_usable_mb: Option<u64>,
 }
 
+/// How grave what is said is.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Level {
+    /// As it should be.
+    #[default]
+    Good,
+    /// Somebody should look.
+    Check,
+    /// Nothing can be recorded, or it is not safe.
+    Bad,
+}
+
+/// The state in one or two words, for people.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Headline {
+    /// What the commands print and the page shows.
+    pub word: String,
+    /// How grave it is.
+    pub level: Level,
+}
+
+impl Status {
+    /// The state in the words that page and commands share. It follows what is on disk: a run whose cycles do not reach
+    /// the disk is no recording.
+    pub fn headline(&self) -> Headline {
+        let (word, level) = match self.state.as_str() {
+            "waiting" => ("READY", Level::Good),
+            "homing" => ("HOMING", Level::Good),
+            "opening" => ("STARTING", Level::Good),
+            "sampling" => ("NOT ON DISK YET", Level::Check),
+            "writing" => ("RECORDING", Level::Good),
+            "closing" => ("STOPPING", Level::Good),
+            _ => ("NOT READY", Level::Bad),
+        };
+        let level = if self.reason.is_some() { level.max(Level::Check) } else { level };
+        Headline { word: word.into(), level }
+    }
+}
+
 /// The run that goes on.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct RunStatus {
     /// Its name.
     pub name: String,
@@ -117,6 +166,9 @@ pub struct EncoderStatus {
     pub joint: u8,
     /// Counter.
     pub count: u32,
+    /// Count at the last reference mark that its terminal latched.
+    #[serde(default)]
+    pub latch: u32,
     /// Status word of its terminal.
     pub status: u16,
     /// Fresh and without error.
@@ -133,10 +185,24 @@ pub struct StartRequest {
     pub operator: String,
     /// Which robot.
     pub robot: String,
+    /// Which bar and ball pair.
+    pub bar: String,
+    /// What the robot carries beside the bar.
+    pub payload: String,
     /// Free text.
     pub note: String,
     /// How long \[s\]; without it until stopped.
     pub duration_s: Option<f64>,
+    /// Why it begins in spite of a line of the check that stops it; goes into the file.
+    pub reason: Option<String>,
+}
+
+impl StartRequest {
+    /// What it says of the run.
+    pub fn about(&self) -> About {
+        let Self { operator, robot, bar, payload, note, .. } = self.clone();
+        About { operator, robot, bar, payload, note }
+    }
 }
 
 /// What is asked for with `stop`.
@@ -158,17 +224,31 @@ pub struct HomeRequest {}
 pub struct MarkRequest {
     /// Text of the marker.
     pub text: String,
+    /// How long ago it happened: who writes a text takes a while \[ms\].
+    #[serde(default)]
+    pub ago_ms: u32,
+}
+
+/// What is asked for with `delete`: a finished recording.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DeleteRequest {
+    /// Its name.
+    pub name: String,
 }
 
 /// What became of a request.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Reply {
-    /// In one word: `begun`, `running`, `stopped`, `idle`, `homing` or `marked`.
+    /// In one word: `begun`, `running`, `stopped`, `idle`, `homing`, `marked` or `deleted`.
     pub answer: String,
     /// The run that it is about.
     pub run: Option<String>,
     /// The run that has ended.
     pub last: Option<LastRun>,
+    /// What its file is worth.
+    #[serde(default)]
+    pub verdict: Option<Verdict>,
 }
 
 /// Why a request was not granted.
@@ -187,4 +267,7 @@ pub struct CheckLine {
     pub finding: String,
     /// What to do; none if all is well.
     pub remedy: Option<String>,
+    /// No run begins before that is done, unless somebody gives a reason.
+    #[serde(default)]
+    pub stops: bool,
 }

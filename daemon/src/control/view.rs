@@ -96,17 +96,20 @@ impl View<'_> {
 fn add_bus(status: &mut Status, session: &Session) {
     let live = session.live();
     status.devices = session.devices().iter().map(|device| device.name.clone()).collect();
-    status.sample_age_ms = age_ms(live.at());
+    status.sampled = live.at();
+    status.origin = live.origin();
+    status.sample_age_ms = age_ms(status.sampled);
     let bad_ports = live.bad_ports().into_iter();
     status.bad_cables =
         bad_ports.map(|(position, port, errors)| link_errors(position, port, errors)).collect();
     status.encoders = session
         .encoders()
         .iter()
-        .zip(live.encoders())
-        .map(|(info, encoder)| EncoderStatus {
+        .zip(live.encoders().into_iter().zip(live.latches()))
+        .map(|(info, (encoder, latch))| EncoderStatus {
             joint: info.joint,
             count: encoder.count,
+            latch,
             status: encoder.status,
             valid: encoder.valid,
         })

@@ -110,6 +110,7 @@ mod tests {
             lines: 3600,
             interpolation_bits: 12,
             direction: Direction::Positive,
+            mark_deg: None,
         };
         Continuity::new(&[encoder(1), encoder(2)])
     }

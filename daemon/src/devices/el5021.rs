@@ -32,6 +32,16 @@ impl Status {
         self.0 & (Self::FREQUENCY_ERROR | Self::AMPLITUDE_ERROR | Self::SYNC_ERROR | Self::TXPDO_STATE) != 0
     }
 
+    /// The signal is too low: a broken wire, a loose plug, no supply.
+    pub const fn amplitude_error(self) -> bool {
+        self.0 & Self::AMPLITUDE_ERROR != 0
+    }
+
+    /// The signal changes faster than the terminal can follow.
+    pub const fn frequency_error(self) -> bool {
+        self.0 & Self::FREQUENCY_ERROR != 0
+    }
+
     /// The latch holds the count at a reference mark that was passed since it was armed.
     pub const fn latch_valid(self) -> bool {
         self.0 & Self::LATCH_VALID != 0

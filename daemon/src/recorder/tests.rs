@@ -17,6 +17,8 @@ fn metadata() -> RunMetadata {
         name: "ring".into(),
         operator: String::new(),
         robot: String::new(),
+        bar: String::new(),
+        payload: String::new(),
         note: String::new(),
         started: UtcNs(0),
         software: String::new(),

@@ -49,17 +49,33 @@ pub enum BusChoice {
     Interface(String),
 }
 
+/// What people say of a run, for its file.
+#[derive(Debug, Clone, Default, PartialEq, Eq, clap::Args)]
+pub struct About {
+    /// Who records
+    #[arg(long, default_value = "")]
+    pub operator: String,
+    /// Which robot
+    #[arg(long, default_value = "")]
+    pub robot: String,
+    /// Which bar and ball pair
+    #[arg(long, default_value = "")]
+    pub bar: String,
+    /// What the robot carries beside the bar
+    #[arg(long, default_value = "")]
+    pub payload: String,
+    /// Free text
+    #[arg(long, default_value = "")]
+    pub note: String,
+}
+
 /// What to record, and from where.
 #[derive(Debug, Clone, Default)]
 pub struct RunRequest {
     /// Name of the run, and of its file.
     pub name: String,
-    /// Who records.
-    pub operator: String,
-    /// Which robot.
-    pub robot: String,
-    /// Free text.
-    pub note: String,
+    /// What people say of it.
+    pub about: About,
     /// How long; none: until stopped, or to the end of a replay.
     pub duration: Option<Duration>,
     /// Which bus.
@@ -80,12 +96,8 @@ pub struct RunRequest {
 pub struct RunDetails {
     /// Name of the run, and of its file.
     pub name: String,
-    /// Who records.
-    pub operator: String,
-    /// Which robot.
-    pub robot: String,
-    /// Free text.
-    pub note: String,
+    /// What people say of it.
+    pub about: About,
     /// How long; none: until stopped.
     pub duration: Option<Duration>,
     /// Reference marks of the encoders, used where the terminals still show them.
@@ -95,7 +107,8 @@ pub struct RunDetails {
 impl RunDetails {
     /// Refuses texts that would play with the terminals of those who read them.
     pub fn check(&self) -> Result<(), &'static str> {
-        [&self.operator, &self.robot, &self.note].into_iter().try_for_each(|text| check_text(text))
+        let About { operator, robot, bar, payload, note } = &self.about;
+        [operator, robot, bar, payload, note].into_iter().try_for_each(|text| check_text(text))
     }
 }
 
@@ -122,9 +135,7 @@ impl RunRequest {
     fn details(&self) -> RunDetails {
         RunDetails {
             name: self.name.clone(),
-            operator: self.operator.clone(),
-            robot: self.robot.clone(),
-            note: self.note.clone(),
+            about: self.about.clone(),
             duration: self.duration,
             homing: self.homing.clone().filter(|_| !matches!(self.bus, BusChoice::Replay(_))),
         }

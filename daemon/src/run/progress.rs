@@ -341,6 +341,7 @@ pub struct Live {
     /// Of the latest valid sample of each encoder.
     valid_at_ns: [AtomicI64; MAX_ENCODERS],
     flags: AtomicU64,
+    origin: AtomicU32,
     encoders: [AtomicU64; MAX_ENCODERS],
     latches: [AtomicU32; MAX_ENCODERS],
     /// 0 where no device is missing: before the coupler there is nothing that could stay in use.
@@ -392,6 +393,7 @@ impl Live {
             }
         }
         self.flags.store(record.flags.into(), Ordering::Relaxed);
+        self.origin.store(record.origin, Ordering::Relaxed);
         self.at_ns.store(record.send_time.0, Ordering::Release);
     }
 
@@ -469,6 +471,11 @@ impl Live {
     /// Reasons of the latest cycle, see `schema::flags`.
     pub fn flags(&self) -> u32 {
         self.flags.load(Ordering::Relaxed) as u32
+    }
+
+    /// Number of the counters' origin in the latest cycle.
+    pub fn origin(&self) -> u32 {
+        self.origin.load(Ordering::Relaxed)
     }
 
     /// The encoders, in bus order.

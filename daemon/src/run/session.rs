@@ -237,11 +237,14 @@ impl Session {
         } else {
             self.ready.utc_minus_monotonic_ns
         };
+        let about = details.about.clone();
         RunMetadata {
             name: details.name.clone(),
-            operator: details.operator.clone(),
-            robot: details.robot.clone(),
-            note: details.note.clone(),
+            operator: about.operator,
+            robot: about.robot,
+            bar: about.bar,
+            payload: about.payload,
+            note: about.note,
             started: UtcNs(self.clock.now().0 + utc_minus_monotonic_ns),
             software: concat!("ballbard ", env!("CARGO_PKG_VERSION")).into(),
             bus: self.bus.clone(),

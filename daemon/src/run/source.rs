@@ -154,6 +154,7 @@ fn follow(
             lines: info.scale.lines,
             interpolation_bits: info.scale.interpolation_bits,
             direction: info.scale.direction,
+            mark_deg: None,
         })
         .collect();
     prepared.plan.cycle_period = Duration::from_nanos(recording.run.cycle_period_ns);

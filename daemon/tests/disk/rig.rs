@@ -120,6 +120,8 @@ pub fn metadata(period: Duration) -> RunMetadata {
         name: "run".into(),
         operator: String::new(),
         robot: String::new(),
+        bar: String::new(),
+        payload: String::new(),
         note: String::new(),
         started: UtcNs(0),
         software: String::new(),

@@ -36,6 +36,7 @@ pub fn plan(period_ns: i64, distributed_clocks: bool) -> BusPlan {
         lines: LINES,
         interpolation_bits: BITS,
         direction: Direction::Positive,
+        mark_deg: None,
     };
     BusPlan {
         name: "simulated".into(),

@@ -49,10 +49,10 @@ fn half_a_request_keeps_no_service_from_its_end() {
     let _held = [
         connect(&service),
         sent(&service, "G"),
-        sent(&service, "GET /status HTTP/1.1\r\nHost: 127"),
-        sent(&service, &format!("{}{{", head(&service, "POST /start", 100))),
+        sent(&service, "GET /api/status HTTP/1.1\r\nHost: 127"),
+        sent(&service, &format!("{}{{", head(&service, "POST /api/start", 100))),
         // Its answer is read by nobody.
-        sent(&service, &head(&service, "GET /runs", 0)),
+        sent(&service, &head(&service, "GET /api/runs", 0)),
     ];
     std::thread::sleep(Duration::from_millis(300));
     service.signal(Signal::SIGTERM);
@@ -66,8 +66,8 @@ fn a_client_that_does_not_say_what_it_wants_is_sent_away() {
     service.wait_for("waiting");
     let silent = [
         connect(&service),
-        sent(&service, "GET /status HTTP/1.1\r\nHost: 127"),
-        sent(&service, &format!("{}{{", head(&service, "POST /start", 100))),
+        sent(&service, "GET /api/status HTTP/1.1\r\nHost: 127"),
+        sent(&service, &format!("{}{{", head(&service, "POST /api/start", 100))),
     ];
     // One byte after the other, as long as it is let.
     let mut slow = connect(&service);
@@ -91,7 +91,7 @@ fn more_clients_than_a_process_has_files_for_change_nothing_for_a_run() {
     service.wait_for("writing");
     let (soft, hard) = getrlimit(Resource::RLIMIT_NOFILE).unwrap();
     setrlimit(Resource::RLIMIT_NOFILE, soft.max(hard.min(CLIENTS + 500)), hard).unwrap();
-    let crowd: Vec<TcpStream> = (0..CLIENTS).map(|_| sent(&service, "GET /status HTT")).collect();
+    let crowd: Vec<TcpStream> = (0..CLIENTS).map(|_| sent(&service, "GET /api/status HTT")).collect();
     assert_eq!(service.granted("mark", &json!({"text": "crowded"})).run.as_deref(), Some("crowded"));
     assert!(service.get::<Status>("status").run.is_some());
     let last = service.granted("stop", &json!({})).last.unwrap();

@@ -193,6 +193,8 @@ fn status_and_check_say_what_the_last_attempt_to_bring_the_bus_up_met() {
             && reason.contains("bus_down")
     };
     refusing.wait_until("the refused setting", told);
-    assert!(text(&refusing.command(&["status"])).contains("FAULT: no samples from any encoder: terminal at"));
+    assert!(
+        text(&refusing.command(&["status"])).contains("NOT READY: no samples from any encoder: terminal at")
+    );
     refusing.wait_for("waiting");
 }

@@ -6,6 +6,7 @@ mod disk;
 mod ends;
 mod homing;
 mod outputs;
+mod page;
 mod requests;
 mod rig;
 mod runs;

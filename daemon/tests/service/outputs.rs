@@ -109,7 +109,7 @@ fn a_service_whose_standard_output_fails_serves() {
 fn typed(service: &Running, arguments: &[&str], stdout: Stdio) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
     command.env("RUST_LOG", "off").args(arguments).stdout(stdout).stderr(Stdio::piped());
-    if !["runs", "record", "export", "recover", "tune"].contains(&arguments[0]) {
+    if !["runs", "record", "export", "recover", "tune", "generate"].contains(&arguments[0]) {
         command.args(["--port", &service.port]);
     }
     command.spawn().unwrap().wait_with_output().unwrap()
@@ -126,7 +126,7 @@ fn commands_whose_reader_has_gone_end_quietly_and_a_full_disk_is_an_error() {
     let recording = format!("{out}/piped.mcap");
     let record = ["record", "--duration", "1s", "--fast", "--config", config, "--out", &out, "--name"];
     let of = |name| record.into_iter().chain([name]).collect::<Vec<_>>();
-    let commands = |run| -> [Vec<&str>; 10] {
+    let commands = |run| -> [Vec<&str>; 11] {
         [
             vec!["start", "--name", run],
             vec!["mark", "here"],
@@ -135,9 +135,10 @@ fn commands_whose_reader_has_gone_end_quietly_and_a_full_disk_is_an_error() {
             vec!["stop"],
             of("piped"),
             vec!["export", "--csv", "--out", "-", &recording],
-            vec!["export", "--csv", &recording],
+            vec!["export", "--csv", "--force", &recording],
             vec!["recover", &recording],
             vec!["tune", "--config", config],
+            vec!["generate", "completions", "bash"],
         ]
     };
     for arguments in &commands("one") {

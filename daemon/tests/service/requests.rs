@@ -52,6 +52,8 @@ fn hostile_requests_are_refused_and_leave_nothing() {
     for (path, body) in [
         ("mark", json!({"text": ""})),
         ("mark", json!({})),
+        ("mark", json!({"text": "x", "ago_ms": 600_001})),
+        ("mark", json!({"text": "x", "ago_ms": -1})),
         ("stop", json!({"cause": ""})),
         ("stop", json!({"cause": "\u{1b}]0;x\u{7}"})),
     ] {
@@ -77,7 +79,7 @@ fn raw(port: &str, request: &[u8]) -> String {
 fn raw_post(port: &str, headers: &str, body: &str) -> String {
     let length = body.len();
     let request = format!(
-        "POST /start HTTP/1.1\r\nConnection: close\r\nContent-Length: {length}\r\n{headers}\r\n{body}"
+        "POST /api/start HTTP/1.1\r\nConnection: close\r\nContent-Length: {length}\r\n{headers}\r\n{body}"
     );
     raw(port, request.as_bytes())
 }
@@ -101,6 +103,11 @@ fn what_a_foreign_web_page_could_send_is_refused() {
     ] {
         let answer = raw_post(port, &headers, "{}");
         assert!(answer.contains("403"), "{headers}: {answer}");
+    }
+    // A name that was made to point here gets neither the page nor what it shows.
+    for path in ["/", "/app.js", "/api/live", "/api/events", "/api/runs/x/mcap"] {
+        let request = format!("GET {path} HTTP/1.1\r\nHost: evil.example:{port}\r\n\r\n");
+        assert!(raw(port, request.as_bytes()).contains("403"), "{path}");
     }
     let host = format!("Host: 127.0.0.1:{port}\r\n");
     assert!(raw_post(port, &format!("{host}Content-Type: text/plain\r\n"), "{}").contains("415"));

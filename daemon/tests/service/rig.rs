@@ -72,7 +72,7 @@ impl Running {
     }
 
     pub fn url(&self, path: &str) -> String {
-        format!("http://127.0.0.1:{}/{path}", self.port)
+        format!("http://127.0.0.1:{}/api/{path}", self.port)
     }
 
     pub fn get<T: serde::de::DeserializeOwned>(&self, path: &str) -> T {

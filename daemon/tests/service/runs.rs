@@ -100,7 +100,7 @@ fn the_commands_say_what_they_did() {
     service.wait_for("writing");
     assert!(text(&service.command(&["mark", "a mark"])).contains("marked in run `typed`"));
     let status = service.command(&["status"]);
-    assert!(text(&status).contains("WRITING") && text(&status).contains("`typed`"), "{}", text(&status));
+    assert!(text(&status).contains("RECORDING") && text(&status).contains("`typed`"), "{}", text(&status));
     let stopped = service.command(&["stop"]);
     assert!(text(&stopped).contains("typed.mcap"), "{}", text(&stopped));
     assert!(text(&service.command(&["stop"])).contains("no run goes on"));
@@ -141,4 +141,32 @@ fn the_check_has_a_line_for_each_thing_and_a_remedy_for_each_problem() {
             assert_eq!(before.remedy, after.remedy);
         }
     }
+}
+
+#[test]
+fn what_the_service_knows_is_asked_for_by_name_and_as_json() {
+    let service = Running::start();
+    service.wait_for("waiting");
+    let json = |arguments: &[&str]| -> serde_json::Value {
+        let output = service.command(&[arguments, &["--json"]].concat());
+        serde_json::from_slice(&output.stdout).unwrap_or_else(|_| panic!("{arguments:?}: {}", text(&output)))
+    };
+    assert_eq!(json(&["start", "--name", "asked"])["answer"], "begun");
+    service.wait_for("writing");
+    assert_eq!(json(&["status"])["run"]["name"], "asked");
+    assert_eq!(json(&["mark", "here"])["answer"], "marked");
+    let (stopped, listed) = (json(&["stop"]), json(&["runs"]));
+    assert!(stopped["verdict"]["level"].is_string(), "{stopped}");
+    assert_eq!((&listed[0]["name"], &listed[0]["verdict"]), (&"asked".into(), &stopped["verdict"]));
+    assert!(json(&["check"]).as_array().unwrap().len() > 5);
+    // By its name alone, from wherever somebody is.
+    let elsewhere = tempfile::tempdir().unwrap();
+    let mut export = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    export.current_dir(&elsewhere).args(["export", "--csv", "asked", "--port", &service.port]);
+    let output = export.output().unwrap();
+    assert!(output.status.success(), "{}", text(&output));
+    let table = std::fs::read_to_string(elsewhere.path().join("asked.csv")).unwrap();
+    assert!(table.contains("mark: here"));
+    let unknown = service.command(&["export", "--csv", "unknown"]);
+    assert!(!unknown.status.success() && text(&unknown).contains("`unknown`"), "{}", text(&unknown));
 }

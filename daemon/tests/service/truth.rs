@@ -4,9 +4,11 @@ use std::fs::File;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use ballbard::control::status::{CheckLine, Status};
+use ballbard::control::runs::RunLine;
+use ballbard::control::status::{CheckLine, Level, Status};
 use nix::sys::signal::Signal;
 use serde_json::json;
+use shared::recording::schema::EventKind;
 
 use super::rig::{Running, shipped, text};
 
@@ -52,10 +54,22 @@ fn an_encoder_without_signal_is_in_the_headline_before_and_during_a_run() {
     let waiting = service.wait_until("the headline", named);
     assert_eq!(waiting.state, "waiting");
     let typed = text(&service.command(&["status"]));
-    assert!(typed.starts_with("WAITING: no valid sample from joint 2 ("), "{typed}");
-    // Four encoders are worth a run.
-    service.granted("start", &json!({"name": "four"}));
+    assert!(typed.starts_with("READY: no valid sample from joint 2 ("), "{typed}");
+    // Four encoders may be worth a run: somebody has to say why.
+    let (code, refused) = service.post("start", &json!({"name": "four"}));
+    let why = refused["error"].as_str().unwrap();
+    assert!(code == 409 && why.contains("not valid: joint 2") && why.contains("`reason`"), "{code}: {why}");
+    service.granted("start", &json!({"name": "four", "reason": "joint 2 is not needed"}));
     assert!(named(&service.wait_for("writing")));
+    let again = service.granted("start", &json!({"name": "four"}));
+    assert_eq!(again.answer, "running");
+    service.granted("stop", &json!({}));
+    let events = service.recording("four").events;
+    let said = events.iter().find(|event| event.kind == EventKind::Marker).unwrap();
+    assert!(
+        said.text.contains("not valid: joint 2") && said.text.contains("joint 2 is not needed"),
+        "{said:?}"
+    );
 }
 
 #[test]
@@ -71,11 +85,16 @@ fn a_run_without_a_valid_cycle_is_no_success() {
     assert!(out.path().join("blind.mcap").exists());
     let service = Running::with(tempfile::tempdir().unwrap(), &shipped(), &faults);
     service.wait_for("waiting");
-    service.granted("start", &json!({"name": "blind"}));
+    let refused = service.command(&["start", "--name", "blind"]);
+    assert!(!refused.status.success() && text(&refused).contains("--reason"), "{}", text(&refused));
+    assert!(service.command(&["start", "--name", "blind", "--reason", "a test"]).status.success());
     service.wait_for("writing");
     let output = service.command(&["stop"]);
     assert_eq!(output.status.code(), Some(1), "{}", text(&output));
     assert!(text(&output).contains("blind.mcap") && text(&output).contains("is valid"), "{}", text(&output));
+    assert!(text(&output).contains("BAD: none of the"), "{}", text(&output));
+    let lines: Vec<RunLine> = service.get("runs");
+    assert_eq!(lines[0].verdict.as_ref().unwrap().level, Level::Bad);
 }
 
 #[test]

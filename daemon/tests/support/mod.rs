@@ -13,8 +13,13 @@ use shared::recording::schema::CycleRecord;
 
 /// Five terminals on distributed clocks, the frame half a period after the sample.
 pub fn plan(rate_hz: u64) -> BusPlan {
-    let encoder =
-        |joint| EncoderConfig { joint, lines: 3600, interpolation_bits: 12, direction: Direction::Positive };
+    let encoder = |joint| EncoderConfig {
+        joint,
+        lines: 3600,
+        interpolation_bits: 12,
+        direction: Direction::Positive,
+        mark_deg: None,
+    };
     let period = Duration::from_nanos(1_000_000_000 / rate_hz);
     BusPlan {
         name: "simulated".into(),

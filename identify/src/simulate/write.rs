@@ -81,6 +81,8 @@ fn metadata(
         name: name.to_owned(),
         operator: String::new(),
         robot: robot.name.clone(),
+        bar: String::new(),
+        payload: String::new(),
         note: format!("simulated from known parameters, seed {}", simulated.truth.seed),
         started,
         software: format!("identify {}", env!("CARGO_PKG_VERSION")),

@@ -34,6 +34,10 @@ pub struct EncoderConfig {
     pub interpolation_bits: u8,
     /// Which way its counts run.
     pub direction: Direction,
+    /// Joint angle at the reference mark, roughly, as an earlier calibration found it: with it a homed encoder shows how near
+    /// the bar is to a singular pose. Changes no angle that is recorded \[deg\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mark_deg: Option<f64>,
 }
 
 impl EncoderConfig {
@@ -89,6 +93,13 @@ impl BallBarConfig {
                 key("lines"),
                 format!("{} lines per revolution", encoder.lines),
                 "take it from the encoder's label (ERN 1080: 3600)",
+            ));
+        }
+        if encoder.mark_deg.is_some_and(|mark_deg| !(-360.0..=360.0).contains(&mark_deg)) {
+            return Err(Violation::new(
+                key("mark_deg"),
+                format!("{:?} is outside -360 to 360", encoder.mark_deg.unwrap_or_default()),
+                "give the joint's angle at the reference mark in degrees, or leave it out",
             ));
         }
         if !INTERPOLATION_BITS.contains(&encoder.interpolation_bits) {

@@ -106,6 +106,7 @@ mod tests {
             lines: 3600,
             interpolation_bits: 12,
             direction: Direction::Positive,
+            mark_deg: None,
         };
         (1..=3).map(encoder).collect()
     }

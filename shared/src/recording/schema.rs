@@ -200,6 +200,12 @@ pub struct RunMetadata {
     pub operator: String,
     /// Which robot.
     pub robot: String,
+    /// Which bar and ball pair.
+    #[serde(default)]
+    pub bar: String,
+    /// What the robot carried beside the bar.
+    #[serde(default)]
+    pub payload: String,
     /// Free text.
     pub note: String,
     /// When it began.
@@ -225,7 +231,7 @@ pub struct RunMetadata {
 }
 
 /// How a run ended: written after the last cycle.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunEnd {
     /// Why it ended, in words.
     pub cause: String,
@@ -240,4 +246,8 @@ pub struct RunEnd {
     /// The run was cut short, and this file holds what was whole of it.
     #[serde(default)]
     pub recovered: bool,
+    /// How far each encoder turned, in bus order: the widest range of its angle while its counter kept one origin. Empty
+    /// where an older program wrote the file \[deg\].
+    #[serde(default)]
+    pub turned_deg: Vec<f64>,
 }

@@ -12,6 +12,7 @@ pub(super) struct Shown {
     names: Vec<String>,
     bus: String,
     unwrappers: Vec<Unwrapper>,
+    travels: Vec<Travel>,
     last: Option<CycleRecord>,
     cycles_per_second: u64,
     second: Second,
@@ -32,6 +33,7 @@ impl Shown {
         Self {
             names: run.encoders.iter().map(|encoder| format!("bar_joint_{}", encoder.joint)).collect(),
             unwrappers: run.encoders.iter().map(|encoder| encoder.scale.unwrapper()).collect(),
+            travels: vec![Travel::default(); run.encoders.len()],
             encoders: run.encoders.clone(),
             bus: run.bus.clone(),
             last: None,
@@ -43,11 +45,14 @@ impl Shown {
     /// The joint states of the next cycle.
     pub fn joint_state(&mut self, record: &CycleRecord) -> Result<Vec<u8>, MessageError> {
         let velocity_rad_s = self.velocities_rad_s(record);
-        let joints = self.encoders.iter().zip(&mut self.unwrappers).zip(record.encoders());
+        let joints = self.encoders.iter().zip(&mut self.unwrappers).zip(&mut self.travels);
         let position_rad: Vec<f64> = joints
-            .map(|((encoder, unwrapper), sample)| {
+            .zip(record.encoders())
+            .map(|(((encoder, unwrapper), travel), sample)| {
                 if sample.valid {
-                    encoder.scale.counts_to_rad(unwrapper.next(sample.count))
+                    let angle_rad = encoder.scale.counts_to_rad(unwrapper.next(sample.count));
+                    travel.take(record.origin, angle_rad);
+                    angle_rad
                 } else {
                     f64::NAN
                 }
@@ -74,6 +79,11 @@ impl Shown {
             })
         };
         self.encoders.iter().zip(record.encoders()).enumerate().map(of).collect()
+    }
+
+    /// How far each joint has turned, see `RunEnd`.
+    pub fn turned_deg(&self) -> Vec<f64> {
+        self.travels.iter().map(|travel| travel.widest_rad.to_degrees()).collect()
     }
 
     /// After the last cycle of each second: how all of them were.
@@ -121,6 +131,25 @@ impl Shown {
             hardware_id: self.bus.clone(),
             values: values.map(|(key, value)| KeyValue { key: key.into(), value }).collect(),
         }
+    }
+}
+
+/// The range of one joint's angle, and the widest of all origins.
+#[derive(Debug, Clone, Default)]
+struct Travel {
+    /// Origin, lowest and highest angle since it began.
+    range: Option<(u32, f64, f64)>,
+    widest_rad: f64,
+}
+
+impl Travel {
+    fn take(&mut self, origin: u32, angle_rad: f64) {
+        let (low, high) = match self.range {
+            Some((of, low, high)) if of == origin => (low.min(angle_rad), high.max(angle_rad)),
+            _ => (angle_rad, angle_rad),
+        };
+        self.range = Some((origin, low, high));
+        self.widest_rad = self.widest_rad.max(high - low);
     }
 }
 

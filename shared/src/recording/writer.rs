@@ -269,6 +269,7 @@ impl<W: Write> RecordingWriter<W> {
             cycles_valid: self.cycles_valid,
             cycles_lost: self.cycles_lost,
             recovered: false,
+            turned_deg: self.shown.turned_deg(),
         }
     }
 

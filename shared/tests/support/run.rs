@@ -16,6 +16,8 @@ pub fn run(name: &str) -> RunMetadata {
         name: name.into(),
         operator: "technician".into(),
         robot: "irb2400_16".into(),
+        bar: String::new(),
+        payload: String::new(),
         note: "first run, ümlaut".into(),
         started: START,
         software: "test".into(),

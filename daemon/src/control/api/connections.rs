@@ -1,7 +1,7 @@
 //! The service's clients, none of which can keep it from its work or from its end.
 //!
 //! One request for each connection, so that a time and a place are given for each: a client has five seconds to say what
-//! it wants, and gives up its place before that if others need it. Few connections are open at a time, because files
+//! it wants, gives up its place before that if others need it, and loses it when it takes nothing of its answer. Few connections are open at a time, because files
 //! need descriptors, too.
 
 use std::sync::Arc;
@@ -17,12 +17,14 @@ use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
+use nix::sys::socket::setsockopt;
+use nix::sys::socket::sockopt::TcpUserTimeout;
 use tokio::net::TcpStream;
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
 use tower::ServiceExt;
 
-use super::api::refusal;
+use super::refusal;
 
 /// Connections at a time: some people and programs, and far fewer than a process may have files.
 const CONNECTIONS_MAX: usize = 64;
@@ -30,8 +32,10 @@ const CONNECTIONS_MAX: usize = 64;
 const BODY_BYTES_MAX: usize = 64 * 1024;
 /// How long a client may take to send its header, and as long for the rest.
 const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
-/// How long a connection may last altogether: more than `stop` waits for the disk.
-const CONNECTION_TIMEOUT: Duration = Duration::from_secs(40);
+/// How long an answer may take to begin: more than `stop` waits for the disk.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(40);
+/// A client that takes nothing of its answer for as long has none \[ms\].
+const TAKES_NOTHING_MS: u32 = 10_000;
 /// How long the end of the service waits for clients that are being answered.
 const FAREWELL: Duration = Duration::from_secs(1);
 
@@ -61,6 +65,8 @@ impl Connections {
             let Some(idle) = idle else { return };
             self.open.remove(idle).task.abort();
         }
+        // What is sent waits in the kernel, which alone knows whether the client takes it. A stream without it serves, too.
+        let _ = setsockopt(&stream, TcpUserTimeout, &TAKES_NOTHING_MS);
         let has_asked = Arc::new(AtomicBool::new(false));
         let (routes, asked) = (self.routes.clone(), Arc::clone(&has_asked));
         let service = service_fn(move |request| answer(request, routes.clone(), Arc::clone(&asked)));
@@ -71,7 +77,7 @@ impl Connections {
             .serve_connection(TokioIo::new(stream), service);
         let task = tokio::spawn(async move {
             // Whatever a client does wrong is its own loss.
-            let _ = timeout(CONNECTION_TIMEOUT, connection).await;
+            let _ = connection.await;
         });
         self.open.push(Connection { task, has_asked });
     }
@@ -103,7 +109,10 @@ async fn answer(
         }
         Ok(Ok(body)) => {
             has_asked.store(true, Ordering::Relaxed);
-            routes.oneshot(Request::from_parts(head, Body::from(body))).await
+            let answer = routes.oneshot(Request::from_parts(head, Body::from(body)));
+            timeout(ANSWER_TIMEOUT, answer).await.unwrap_or_else(|_| {
+                Ok(refusal(StatusCode::GATEWAY_TIMEOUT, "no answer within 40 seconds; ask for the status"))
+            })
         }
     }
 }

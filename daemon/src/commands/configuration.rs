@@ -1,0 +1,65 @@
+//! Where the configuration comes from: what was typed, this directory, the machine, or what the program brings along.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde::de::DeserializeOwned;
+use shared::config::{self, BallBarConfig, ConfigError, DaemonConfig, HomingConfig, Validate};
+
+/// Where it is looked for, in this order.
+const PLACES: [&str; 2] = ["config", "/etc/ballbard"];
+const DAEMON: (&str, &str) = ("daemon.toml", include_str!("../../../config/daemon.toml"));
+const BALL_BAR: (&str, &str) = ("ball_bar.toml", include_str!("../../../config/ball_bar.toml"));
+
+#[derive(Debug, Clone, Args)]
+pub struct Configuration {
+    /// Directory with daemon.toml and ball_bar.toml; default: `config` in this directory, then /etc/ballbard, then what
+    /// the program brings along
+    #[arg(long, value_name = "DIR")]
+    config: Option<PathBuf>,
+}
+
+impl Configuration {
+    /// `daemon.toml`.
+    pub fn daemon(&self) -> Result<DaemonConfig, ConfigError> {
+        self.load(DAEMON)
+    }
+
+    /// `ball_bar.toml`.
+    pub fn ball_bar(&self) -> Result<BallBarConfig, ConfigError> {
+        self.load(BALL_BAR)
+    }
+
+    /// Where reference marks are kept: beside `ball_bar.toml`, or with the recordings where nobody has written one.
+    pub fn homing_file(&self, daemon: &DaemonConfig) -> PathBuf {
+        let beside = self.find(BALL_BAR.0).and_then(|file| file.parent().map(Path::to_owned));
+        beside.unwrap_or_else(|| daemon.directory.clone()).join(HomingConfig::FILE_NAME)
+    }
+
+    /// Where a file came from, for people.
+    pub fn origin(&self) -> String {
+        match self.find(DAEMON.0) {
+            Some(file) => file.display().to_string(),
+            None => format!(
+                "what the program brings along, as there is no daemon.toml in {}",
+                PLACES.join(" or ")
+            ),
+        }
+    }
+
+    /// None where what the program brings along is used.
+    fn find(&self, name: &str) -> Option<PathBuf> {
+        match &self.config {
+            // What was typed is meant, whether it is there or not.
+            Some(directory) => Some(directory.join(name)),
+            None => PLACES.iter().map(|place| Path::new(place).join(name)).find(|file| file.is_file()),
+        }
+    }
+
+    fn load<T: DeserializeOwned + Validate>(&self, (name, shipped): (&str, &str)) -> Result<T, ConfigError> {
+        match self.find(name) {
+            Some(file) => config::load(&file),
+            None => config::parse(shipped, Path::new(name)),
+        }
+    }
+}

@@ -1,0 +1,84 @@
+//! The latest moment for Prometheus.
+
+use std::fmt;
+use std::sync::atomic::AtomicU64;
+
+use prometheus_client::encoding::text::encode;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::{ConstGauge, Gauge};
+use prometheus_client::registry::Registry;
+
+use crate::control::live::{Joint, Live};
+use crate::control::status::{Level, Status};
+
+/// What [`text`] is.
+pub(super) const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+/// In the OpenMetrics format. What is not known is left out.
+pub(super) fn text(live: &Live) -> Result<String, fmt::Error> {
+    let mut registry = Registry::with_prefix("ballbard");
+    let Live { status, warnings, disk_hours, joints, .. } = live;
+    add(
+        &mut registry,
+        "recording",
+        "A run's cycles reach the disk: 1, else 0",
+        is(status.state == "writing"),
+    );
+    add(&mut registry, "ready", "A run can begin: 1, else 0", is(status.state == "waiting"));
+    add(&mut registry, "warnings", "Warnings on the page", warnings.len() as f64);
+    if let Some(hours) = disk_hours {
+        add(&mut registry, "disk_left_hours", "How long runs may last before the disk is full", *hours);
+    }
+    add_run(&mut registry, status);
+    add_joints(&mut registry, joints);
+    let mut text = String::new();
+    encode(&mut text, &registry)?;
+    Ok(text)
+}
+
+fn add_run(registry: &mut Registry, status: &Status) {
+    let Some(run) = &status.run else { return };
+    let counts = [
+        ("run_cycles_taken", "Cycles that were due", run.cycles_taken),
+        ("run_cycles_synced", "Cycles on disk, synchronised", run.cycles),
+        ("run_cycles_valid", "Cycles among them in which every encoder is valid", run.cycles_valid),
+        ("run_cycles_lost", "Cycles lost between bus and file", run.cycles_lost),
+        ("run_file_bytes", "Length of the file", run.bytes),
+    ];
+    for (name, help, count) in counts {
+        add(registry, name, help, count as f64);
+    }
+    add(registry, "run_unsynced_seconds", "What a power cut would cost", run.unsynced_s);
+    if let Some(timing) = &run.timing {
+        let seconds = |ns: u64| ns as f64 * 1e-9;
+        add(
+            registry,
+            "run_late_p99_seconds",
+            "99 of 100 wake-ups were no later",
+            seconds(timing.lateness.p99_ns),
+        );
+        add(registry, "run_late_max_seconds", "The latest wake-up", seconds(timing.lateness.max_ns));
+    }
+}
+
+fn add_joints(registry: &mut Registry, joints: &[Joint]) {
+    type OfJoint = Family<[(&'static str, String); 1], Gauge<f64, AtomicU64>>;
+    let (angle, good) = (OfJoint::default(), OfJoint::default());
+    for joint in joints {
+        let label = [("joint", joint.joint.to_string())];
+        good.get_or_create(&label).set(is(joint.level == Level::Good));
+        if let Some(angle_deg) = joint.angle_deg {
+            angle.get_or_create(&label).set(angle_deg);
+        }
+    }
+    registry.register("encoder_good", "The encoder gives valid samples: 1, else 0", good);
+    registry.register("encoder_angle_degrees", "Its angle, as on the page", angle);
+}
+
+fn add(registry: &mut Registry, name: &str, help: &str, value: f64) {
+    registry.register(name, help, ConstGauge::new(value));
+}
+
+fn is(it: bool) -> f64 {
+    f64::from(u8::from(it))
+}

@@ -1,0 +1,430 @@
+//! The service over HTTP on 127.0.0.1: a page for people, JSON for programs.
+//!
+//! Only programs of this machine reach it. Web pages of others do not, although a browser runs here: requests must name
+//! a loopback host (no rebinding of names), come from no foreign origin, and carry JSON (no plain forms).
+
+mod connections;
+mod downloads;
+mod metrics;
+
+use std::convert::Infallible;
+use std::future::Future;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::extract::rejection::{JsonRejection, PathRejection};
+use axum::extract::{self, FromRef, Request, State};
+use axum::http::{HeaderMap, HeaderName, StatusCode, header};
+use axum::middleware::{self, Next};
+use axum::response::sse::{self, Sse};
+use axum::response::{IntoResponse, Response};
+use axum::routing::{get, post};
+use axum::{Json, Router};
+use futures_util::stream;
+use shared::recording::Recording;
+use tokio::net::TcpListener;
+use tokio::sync::Semaphore;
+
+use self::connections::Connections;
+use self::downloads::{Download, Downloads};
+use super::machine::Answer;
+use super::runs::{self, RunLine};
+use super::service::{LIST_WITHIN, Service};
+use super::status::{
+    CheckLine, DeleteRequest, HomeRequest, LastRun, MarkRequest, Refusal, Reply, StartRequest, Status,
+    StopRequest,
+};
+use super::verdict::Verdict;
+use crate::commands::{Layout, write_csv};
+use crate::page;
+use crate::run::{About, check_text};
+
+/// How long `start` waits for the run's file, and `stop` for the finished one.
+const FILE_TIMEOUT: Duration = Duration::from_secs(20);
+/// Pages that may be told of every moment; more ask for it themselves. Fewer than connections, so that who wants to stop a
+/// run always finds one.
+const VIEWERS_MAX: usize = 32;
+/// What is longer ago nobody remembers to the second \[ms\].
+const AGO_MS_MAX: u32 = 600_000;
+/// After an error of the listener, such as too many open files.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
+
+/// Serves until `end` comes, then finishes the requests that are being answered, as far as their clients let it.
+pub async fn serve(listener: TcpListener, service: Service, end: impl Future<Output = ()>) {
+    let mut connections = Connections::new(router(service));
+    tokio::pin!(end);
+    loop {
+        tokio::select! {
+            () = &mut end => break,
+            accepted = listener.accept() => match accepted {
+                Ok((stream, _)) => connections.add(stream),
+                Err(error) => {
+                    tracing::warn!("a client cannot be served: {error}");
+                    tokio::time::sleep(ACCEPT_PAUSE).await;
+                }
+            },
+        }
+        // Requests that are there already are read before many new connections push theirs out.
+        tokio::task::yield_now().await;
+    }
+    drop(listener);
+    connections.finish().await;
+}
+
+/// What requests need.
+#[derive(Clone)]
+struct Shared {
+    service: Service,
+    downloads: Downloads,
+    viewers: Arc<Semaphore>,
+}
+
+impl FromRef<Shared> for Service {
+    fn from_ref(shared: &Shared) -> Self {
+        shared.service.clone()
+    }
+}
+
+/// All routes.
+pub fn router(service: Service) -> Router {
+    let viewers = Arc::new(Semaphore::new(VIEWERS_MAX));
+    let shared = Shared { service, downloads: Downloads::default(), viewers };
+    let api = Router::new()
+        .route("/status", get(status))
+        .route("/live", get(live))
+        .route("/events", get(events))
+        .route("/check", get(check))
+        .route("/runs", get(list_runs))
+        .route("/runs/{name}/mcap", get(download_mcap))
+        .route("/runs/{name}/csv", get(download_csv))
+        .route("/runs/{name}/plot", get(curves))
+        .route("/start", post(start))
+        .route("/stop", post(stop))
+        .route("/home", post(home))
+        .route("/mark", post(mark))
+        .route("/delete", post(delete));
+    Router::new()
+        .nest("/api", api)
+        .route("/metrics", get(prometheus))
+        .merge(page::routes())
+        .fallback(|| async {
+            refusal(
+                StatusCode::NOT_FOUND,
+                "no such path; the page is at /, what programs may ask for below /api/",
+            )
+        })
+        .layer(middleware::from_fn(only_this_machine))
+        .with_state(shared)
+}
+
+type Body<T> = Result<Json<T>, JsonRejection>;
+
+async fn status(State(service): State<Service>) -> Response {
+    Json(service.status()).into_response()
+}
+
+async fn check(State(service): State<Service>) -> Response {
+    match service.check().await {
+        Ok(lines) => Json(lines).into_response(),
+        Err(Refusal { error }) => refusal(StatusCode::SERVICE_UNAVAILABLE, &error),
+    }
+}
+
+/// The moment, for who does not listen.
+async fn live(State(service): State<Service>) -> Response {
+    let moment = Arc::clone(&service.live().borrow());
+    ([(header::CONTENT_TYPE, "application/json")], moment.json.clone()).into_response()
+}
+
+async fn prometheus(State(service): State<Service>) -> Response {
+    let moment = Arc::clone(&service.live().borrow());
+    match metrics::text(&moment.live) {
+        Ok(text) => ([(header::CONTENT_TYPE, metrics::MEDIA_TYPE)], text).into_response(),
+        Err(error) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &format!("no metrics: {error}")),
+    }
+}
+
+/// Every moment. A client that is slow misses some and holds up nobody.
+async fn events(State(Shared { service, viewers, .. }): State<Shared>) -> Response {
+    let Ok(permit) = viewers.try_acquire_owned() else {
+        return refusal(
+            StatusCode::SERVICE_UNAVAILABLE,
+            "too many pages listen at a time; ask for /api/live now and then, or close one of them",
+        );
+    };
+    // It ends with the service, and so does the connection.
+    let moments = stream::unfold((service.live(), permit), async |(mut latest, permit)| {
+        latest.changed().await.ok()?;
+        let moment = Arc::clone(&latest.borrow_and_update());
+        Some((Ok::<_, Infallible>(sse::Event::default().data(&moment.json)), (latest, permit)))
+    });
+    Sse::new(moments).into_response()
+}
+
+/// The directory of the recordings and the spare one.
+fn places(service: &Service) -> (PathBuf, PathBuf) {
+    let daemon = &service.settings().daemon;
+    (daemon.directory.clone(), daemon.spare_directory.clone())
+}
+
+/// Does what the disk may hold up; its own failure is told as such.
+async fn on_disk<T: Send + 'static>(
+    service: &Service,
+    work: impl FnOnce() -> std::io::Result<T> + Send + 'static,
+) -> Result<T, Response> {
+    match service.look(LIST_WITHIN, work).await {
+        Some(Ok(found)) => Ok(found),
+        Some(Err(error)) => Err(refusal(
+            StatusCode::INTERNAL_SERVER_ERROR,
+            &format!("the disk refused: {error}; look at its directory"),
+        )),
+        None => Err(refusal(StatusCode::GATEWAY_TIMEOUT, "the disk does not answer; ask for the status")),
+    }
+}
+
+/// A directory that is not there yet holds no runs.
+fn unless_missing<T: Default>(outcome: std::io::Result<T>) -> std::io::Result<T> {
+    outcome.or_else(
+        |error| {
+            if error.kind() == std::io::ErrorKind::NotFound { Ok(T::default()) } else { Err(error) }
+        },
+    )
+}
+
+async fn list_runs(State(service): State<Service>) -> Result<Json<Vec<RunLine>>, Response> {
+    let (directory, spare) = places(&service);
+    on_disk(&service, move || unless_missing(runs::list(&directory, Some(&spare)))).await.map(Json)
+}
+
+/// A run's name in a path.
+type Name = Result<extract::Path<String>, PathRejection>;
+
+/// The finished recording of this name, and the name.
+async fn found(service: &Service, name: Name) -> Result<(PathBuf, String), Response> {
+    let unknown =
+        || refusal(StatusCode::NOT_FOUND, "no finished recording of that name; see the list of runs");
+    let extract::Path(name) = name.map_err(|_| unknown())?;
+    let ((directory, spare), wanted) = (places(service), name.clone());
+    let file =
+        on_disk(service, move || unless_missing(runs::find(&directory, Some(&spare), &wanted))).await?;
+    file.map(|file| (file, name)).ok_or_else(unknown)
+}
+
+async fn download_mcap(
+    State(Shared { service, downloads, .. }): State<Shared>,
+    name: Name,
+) -> Result<Response, Response> {
+    let (file, name) = found(&service, name).await?;
+    on_disk(&service, move || downloads.send_file(&file, format!("{name}.mcap"), "application/octet-stream"))
+        .await
+}
+
+async fn download_csv(
+    State(Shared { service, downloads, .. }): State<Shared>,
+    name: Name,
+) -> Result<Response, Response> {
+    let (file, name) = found(&service, name).await?;
+    let what =
+        Download { file_name: format!("{name}.csv"), media_type: "text/csv; charset=utf-8", length: None };
+    Ok(downloads.send(&what, move |sink| write_csv(&Recording::open(&file)?, Layout::default(), sink)))
+}
+
+async fn curves(
+    State(Shared { service, downloads, .. }): State<Shared>,
+    name: Name,
+) -> Result<Response, Response> {
+    let (file, name) = found(&service, name).await?;
+    let what = Download { file_name: format!("{name}.json"), media_type: "application/json", length: None };
+    Ok(downloads.send(&what, move |sink| Ok(serde_json::to_writer(sink, &runs::curves(&file)?)?)))
+}
+
+async fn delete(State(service): State<Service>, body: Body<DeleteRequest>) -> Result<Response, Response> {
+    let DeleteRequest { name } = body.map_err(|rejection| rejected(&rejection))?.0;
+    let (file, name) = found(&service, Ok(extract::Path(name))).await?;
+    tracing::warn!(file = %file.display(), "recording deleted, as somebody asked");
+    on_disk(&service, move || std::fs::remove_file(file)).await?;
+    Ok(reply("deleted", Some(name), None))
+}
+
+/// Lines of the check that stop a run.
+async fn stopping(service: &Service) -> Result<Vec<CheckLine>, Refusal> {
+    let lines = service.check().await?;
+    Ok(lines.into_iter().filter(|line| line.stops).collect())
+}
+
+async fn start(State(service): State<Service>, body: Body<StartRequest>) -> Response {
+    let request = match body {
+        Ok(Json(request)) => request,
+        Err(rejection) => return rejected(&rejection),
+    };
+    let About { operator, robot, bar, payload, note } = request.about();
+    let texts = [operator, robot, bar, payload, note];
+    let checked = texts.iter().try_for_each(|text| check_text(text));
+    if let Err(problem) = checked.and(request.reason.as_deref().map_or(Ok(()), some_text)) {
+        return refusal(StatusCode::UNPROCESSABLE_ENTITY, problem);
+    }
+    let (named, reason) = (request.name.clone(), request.reason.clone());
+    // In any other state the answer does not depend on the check: a run goes on, or none can.
+    let problems = if service.status().state == "waiting" {
+        stopping(&service).await.unwrap_or_default()
+    } else {
+        Vec::new()
+    };
+    let told: Vec<_> = problems.iter().map(|line| format!("{}: {}", line.subject, line.finding)).collect();
+    let told = told.join("; ");
+    if !problems.is_empty() && reason.is_none() {
+        let remedies: Vec<_> = problems.iter().filter_map(|line| line.remedy.as_deref()).collect();
+        let remedies = remedies.join("; ");
+        return refusal(
+            StatusCode::CONFLICT,
+            &format!("{told}; {remedies}, or give a `reason` (--reason) to begin all the same"),
+        );
+    }
+    let begins = service.clone();
+    // It goes on where the client or our patience does not: the file says under what circumstances it began.
+    let begun = tokio::spawn(async move {
+        let answer = begins.begin(request).await;
+        if let (Ok(Answer::Beginning), Some(reason)) = (&answer, reason) {
+            let told = if told.is_empty() { "nothing that stops a run" } else { &told };
+            let _ = begins.mark(format!("begun in spite of: {told}; reason: {reason}"), 0).await;
+        }
+        answer
+    });
+    let Ok(answer) = tokio::time::timeout(FILE_TIMEOUT, begun).await else {
+        let why = service.status().reason.unwrap_or_default();
+        let error = format!("the run waits for its file; `ballbard stop` calls it off: {why}");
+        return refusal(StatusCode::GATEWAY_TIMEOUT, &error);
+    };
+    let ended = |_| Err(Refusal { error: "the service is ending".into() });
+    match answer.unwrap_or_else(ended) {
+        Ok(Answer::Beginning) => reply("begun", service.status().run.map(|run| run.name).or(named), None),
+        Ok(Answer::Running(run)) => reply("running", Some(run), None),
+        Ok(Answer::Busy(run)) => refusal(
+            StatusCode::CONFLICT,
+            &format!("run `{run}` goes on; stop it first, or wait until its file is finished"),
+        ),
+        Ok(Answer::Refused(reason)) => refusal(StatusCode::CONFLICT, &reason),
+        Ok(other) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &format!("unexpected answer {other:?}")),
+        Err(Refusal { error }) => refusal(StatusCode::UNPROCESSABLE_ENTITY, &error),
+    }
+}
+
+async fn stop(State(service): State<Service>, body: Body<StopRequest>) -> Response {
+    let cause = match body {
+        Ok(Json(request)) => request.cause.unwrap_or_else(|| "stopped".into()),
+        Err(rejection) => return rejected(&rejection),
+    };
+    if let Err(problem) = some_text(&cause) {
+        return refusal(StatusCode::UNPROCESSABLE_ENTITY, problem);
+    }
+    match service.stop(cause).await {
+        Ok((Answer::Stopping(run), runs_over)) => match finished(&service, runs_over).await {
+            // A run whose file could not be finished is no success.
+            Some(last) if last.error.is_some() => {
+                refusal(StatusCode::INTERNAL_SERVER_ERROR, &format!("run `{run}`: {}", last.cause))
+            }
+            Some(last) => {
+                let verdict = verdict(&service, &last).await;
+                let reply = Reply { answer: "stopped".into(), run: Some(run), last: Some(last), verdict };
+                Json(reply).into_response()
+            }
+            None => refusal(
+                StatusCode::GATEWAY_TIMEOUT,
+                &format!("run `{run}` is ending, but the disk has not taken it yet; ask for the status"),
+            ),
+        },
+        Ok((Answer::Homing, _)) => reply("homing", None, None),
+        Ok(_) => reply("idle", None, service.status().last),
+        Err(Refusal { error }) => refusal(StatusCode::SERVICE_UNAVAILABLE, &error),
+    }
+}
+
+async fn home(State(service): State<Service>, body: Body<HomeRequest>) -> Response {
+    if let Err(rejection) = body {
+        return rejected(&rejection);
+    }
+    match service.home().await {
+        Ok(Answer::Beginning | Answer::Homing) => reply("homing", None, None),
+        Ok(Answer::Busy(run)) => {
+            refusal(StatusCode::CONFLICT, &format!("run `{run}` goes on; encoders are homed between runs"))
+        }
+        Ok(Answer::Refused(reason)) => refusal(StatusCode::CONFLICT, &reason),
+        Ok(other) => refusal(StatusCode::INTERNAL_SERVER_ERROR, &format!("unexpected answer {other:?}")),
+        Err(Refusal { error }) => refusal(StatusCode::SERVICE_UNAVAILABLE, &error),
+    }
+}
+
+async fn mark(State(service): State<Service>, body: Body<MarkRequest>) -> Response {
+    let MarkRequest { text, ago_ms } = match body {
+        Ok(Json(request)) => request,
+        Err(rejection) => return rejected(&rejection),
+    };
+    let when = if ago_ms > AGO_MS_MAX {
+        Err("`ago_ms` is more than 600000; mark it within ten minutes")
+    } else {
+        Ok(())
+    };
+    if let Err(problem) = some_text(&text).and(when) {
+        return refusal(StatusCode::UNPROCESSABLE_ENTITY, problem);
+    }
+    match service.mark(text, ago_ms).await {
+        Ok(Some(run)) => reply("marked", Some(run), None),
+        Ok(None) => refusal(StatusCode::CONFLICT, "no run goes on, so there is nothing to mark"),
+        Err(Refusal { error }) => refusal(StatusCode::SERVICE_UNAVAILABLE, &error),
+    }
+}
+
+fn some_text(text: &str) -> Result<(), &'static str> {
+    if text.is_empty() { Err("the text is empty; say something") } else { check_text(text) }
+}
+
+/// What a run's file is worth, read from it.
+async fn verdict(service: &Service, last: &LastRun) -> Option<Verdict> {
+    let file = PathBuf::from(last.file.clone()?);
+    let name = last.name.clone();
+    on_disk(service, move || Ok(runs::finished(name, file).verdict)).await.ok().flatten()
+}
+
+/// Waits until one more run is over than were.
+async fn finished(service: &Service, runs_over: u64) -> Option<LastRun> {
+    let mut status = service.watch();
+    let over = |status: &Status| status.runs_over > runs_over;
+    let wait = async { status.wait_for(over).await.ok().and_then(|status| status.last.clone()) };
+    tokio::time::timeout(FILE_TIMEOUT, wait).await.ok().flatten()
+}
+
+/// Turns away what a foreign web page could send.
+async fn only_this_machine(request: Request, next: Next) -> Response {
+    if is_local(request.headers()) {
+        next.run(request).await
+    } else {
+        refusal(StatusCode::FORBIDDEN, "only programs of this machine may use this")
+    }
+}
+
+fn is_local(headers: &HeaderMap) -> bool {
+    let loopback = |authority: &str| {
+        let host = authority.rsplit_once(':').map_or(authority, |(host, _)| host);
+        ["127.0.0.1", "localhost", "[::1]"].contains(&host)
+    };
+    // What one reader takes from the first of two headers another takes from the last: none may be foreign.
+    let all = |name: HeaderName, is_ours: &dyn Fn(&str) -> bool| {
+        headers.get_all(name).iter().all(|value| value.to_str().is_ok_and(is_ours))
+    };
+    headers.contains_key(header::HOST)
+        && all(header::HOST, &loopback)
+        && all(header::ORIGIN, &|origin| origin.strip_prefix("http://").is_some_and(loopback))
+}
+
+fn reply(answer: &str, run: Option<String>, last: Option<LastRun>) -> Response {
+    Json(Reply { answer: answer.into(), run, last, verdict: None }).into_response()
+}
+
+fn rejected(rejection: &JsonRejection) -> Response {
+    refusal(rejection.status(), &rejection.body_text())
+}
+
+fn refusal(status: StatusCode, error: &str) -> Response {
+    (status, Json(Refusal { error: error.into() })).into_response()
+}

@@ -1,0 +1,742 @@
+//! What a page shows ten times a second: angles, speeds, health and warnings, from one status after the other.
+//!
+//! A thread of its own looks, so that a page costs the same however many watch, and neither the control nor the cycle
+//! knows of it. Who watches gets the latest moment and may miss others: nothing is queued.
+
+use std::collections::VecDeque;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, channel};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use serde::{Deserialize, Serialize};
+use shared::config::{EncoderConfig, HomingConfig, bar_joint_name};
+use shared::encoder::{EncoderScale, Unwrapper};
+use shared::recording::schema::EncoderInfo;
+use shared::time::{MonoNs, NS_PER_S};
+use tokio::sync::watch;
+
+use super::preflight::hours_left;
+use super::service::Settings;
+use super::status::{EncoderStatus, Headline, Level, RunStatus, Status};
+use super::verdict::{Content, MOVED_MIN_DEG, Verdict};
+use crate::clock::Clock;
+use crate::devices::el5021;
+use crate::homing;
+
+/// How often a page is given something new.
+const PERIOD: Duration = Duration::from_millis(100);
+/// An encoder without a valid sample for longer is stale: its last value is no value any more \[ns\].
+const STALE_NS: i64 = NS_PER_S;
+/// Speeds are taken over this time: a bus cycle more or less at its ends is 2 % \[ns\].
+const SPEED_NS: i64 = NS_PER_S / 2;
+/// A cable turned further from where it was is wound up \[deg\].
+const WOUND_DEG: f64 = 360.0;
+/// Nearer to a singular pose errors of two joints are those of the pose, magnified six times and more \[deg\].
+const SINGULAR_DEG: f64 = 10.0;
+/// A joint gets this long to move before that is worth a word \[s\].
+const MOVE_WITHIN_S: f64 = 15.0;
+/// Less space than for this long is said \[h\].
+const DISK_HOURS_MIN: f64 = 4.0;
+/// Above the frequency error of an EL5021 no counter is followed, so that a larger step is another origin \[1/s\].
+const LINES_PER_S_MAX: f64 = 250_000.0;
+/// Cells of the sphere in each direction.
+const CELLS: usize = 36;
+const CELL_DEG: f64 = 360.0 / CELLS as f64;
+
+/// Everything, at one moment.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Live {
+    /// When, on the host's monotonic clock \[ms\].
+    pub at_ms: i64,
+    /// The state, for people.
+    pub headline: Headline,
+    /// The state, for programs.
+    pub status: Status,
+    /// One for each encoder, in bus order.
+    pub joints: Vec<Joint>,
+    /// What somebody should do something about while there is time.
+    pub warnings: Vec<Warning>,
+    /// How long runs may last before the disk is full \[h\].
+    pub disk_hours: Option<f64>,
+    /// What the run would be worth if it ended now.
+    pub verdict: Option<Verdict>,
+    /// How long the run lasts \[s\].
+    pub run_s: Option<f64>,
+    /// Where the rod has pointed since the run began.
+    pub coverage: Coverage,
+}
+
+/// One encoder.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Joint {
+    /// Bar joint, 1 to 5.
+    pub joint: u8,
+    /// What it is.
+    pub name: String,
+    /// Its angle; none while it is stale \[deg\].
+    pub angle_deg: Option<f64>,
+    /// The angle counts from the reference mark; otherwise from where it was when it was seen first.
+    pub from_mark: bool,
+    /// Its speed; none while it is stale or new \[deg/s\].
+    pub speed_deg_per_s: Option<f64>,
+    /// How grave its state is.
+    pub level: Level,
+    /// What is wrong with it, in a few words.
+    pub problem: Option<String>,
+    /// It has moved since the run began, or since it was seen first.
+    pub has_moved: bool,
+    /// How far it has turned since then: highest less lowest angle while its counter had one origin \[deg\].
+    pub range_deg: f64,
+}
+
+/// Something that costs data if it goes on.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Warning {
+    /// Which kind; stays the same while figures change.
+    pub subject: String,
+    /// What is wrong.
+    pub text: String,
+    /// What to do.
+    pub remedy: String,
+}
+
+/// Directions of the rod, in cells of 10 degrees of joint 1 (columns) and joint 2 (rows).
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Coverage {
+    /// Row after row from -180 degrees on, four cells to a hexadecimal digit.
+    pub cells: String,
+    /// Cells that were visited.
+    pub visited: usize,
+    /// Since the last new one \[s\]; none before the first.
+    pub newest_s: Option<f64>,
+    /// The cell that the rod is in now, column and row.
+    pub here: Option<(usize, usize)>,
+    /// Angles of both joints are known: homed, and `mark_deg` is in `ball_bar.toml`. Otherwise rows and columns begin
+    /// anywhere.
+    pub absolute: bool,
+}
+
+/// The moment as it is, and as text.
+#[derive(Debug, Default)]
+pub struct Moment {
+    /// As it is.
+    pub live: Live,
+    /// As JSON.
+    pub json: String,
+}
+
+/// Starts to look; ends by itself with whoever gives the status.
+pub(super) fn watch(
+    settings: Arc<Settings>,
+    status: watch::Receiver<Status>,
+) -> std::io::Result<watch::Receiver<Arc<Moment>>> {
+    let (moments, latest) = watch::channel(Arc::default());
+    let mut observer = Observer::new(&settings);
+    let mut reading = read(settings.homing_file.clone())?;
+    let mut was_homed = true;
+    thread::Builder::new().name("live".into()).spawn(move || {
+        let mut next = Instant::now();
+        while status.has_changed().is_ok() {
+            let now = status.borrow().clone();
+            // Marks change only when a homing ends.
+            let is_homed = now.homing.as_ref().is_none_or(|homing| homing.is_over);
+            if is_homed && !was_homed {
+                reading = read(settings.homing_file.clone()).unwrap_or(reading);
+            }
+            was_homed = is_homed;
+            if let Ok(marks) = reading.try_recv() {
+                observer.homing = marks;
+            }
+            let live = observer.next(&now, Clock::Real.now());
+            // A number that JSON cannot say would be a mistake of ours; better an old moment than none.
+            if let Ok(json) = serde_json::to_string(&live) {
+                moments.send_replace(Arc::new(Moment { live, json }));
+            }
+            next = (next + PERIOD).max(Instant::now());
+            thread::sleep(next.saturating_duration_since(Instant::now()));
+        }
+    })?;
+    Ok(latest)
+}
+
+/// Follows the counters.
+pub struct Observer {
+    tracks: Vec<Track>,
+    /// Reference marks, as far as they are known.
+    pub homing: Option<HomingConfig>,
+    rate_hz: u32,
+    run: Option<String>,
+    begun: MonoNs,
+    origin: u32,
+    coverage: Visited,
+}
+
+impl Observer {
+    /// Of a service's encoders.
+    pub fn new(settings: &Settings) -> Self {
+        Self {
+            tracks: settings.bar.encoders.iter().map(Track::new).collect(),
+            homing: None,
+            rate_hz: settings.daemon.rate_hz,
+            run: None,
+            begun: MonoNs(0),
+            origin: 0,
+            coverage: Visited::default(),
+        }
+    }
+
+    /// The next moment, of which `status` is known.
+    pub fn next(&mut self, status: &Status, now: MonoNs) -> Live {
+        self.follow_run(status, now);
+        // A run begins with origin 0 again, and no counter with it.
+        if status.origin > self.origin {
+            self.tracks.iter_mut().for_each(|track| track.counter = None);
+            // Where the rod was before is not known any more, unless the marks say so.
+            if !self.is_absolute() {
+                self.coverage = Visited::default();
+            }
+        }
+        self.origin = status.origin;
+        let marks = self.marks(status);
+        for (index, track) in self.tracks.iter_mut().enumerate() {
+            let sample = status.encoders.get(index).filter(|encoder| encoder.valid);
+            track.take(sample, status.sampled, marks.get(index).copied().flatten());
+        }
+        self.cover(now);
+        let run_s = status.run.is_some().then(|| now.seconds_since(self.begun));
+        let joints: Vec<Joint> = self
+            .tracks
+            .iter()
+            .enumerate()
+            .map(|(index, track)| track.joint(status.encoders.get(index), now))
+            .collect();
+        let disk_hours =
+            status.disk_usable_mb.map(|usable_mb| hours_left(usable_mb * 1_000_000, self.rate_hz));
+        let mut live = Live {
+            at_ms: now.0 / 1_000_000,
+            headline: status.headline(),
+            warnings: Vec::new(),
+            disk_hours,
+            verdict: status.run.as_ref().zip(run_s).and_then(|(run, run_s)| so_far(run, &joints, run_s)),
+            run_s,
+            coverage: self.coverage.told(now, self.is_absolute()),
+            joints,
+            status: without_histograms(status),
+        };
+        live.warnings = self.warnings(&live, now);
+        live
+    }
+
+    /// What is said of a run counts from its beginning.
+    fn follow_run(&mut self, status: &Status, now: MonoNs) {
+        let run = status.run.as_ref().map(|run| run.name.clone());
+        if run != self.run && run.is_some() {
+            self.begun = now;
+            self.coverage = Visited::default();
+            self.tracks.iter_mut().for_each(Track::begin_run);
+        }
+        self.run = run;
+    }
+
+    /// The reference mark of each encoder that its terminal still shows.
+    fn marks(&self, status: &Status) -> Vec<Option<u32>> {
+        let Some(homing) = &self.homing else { return Vec::new() };
+        let info = |track: &Track| EncoderInfo { joint: track.config.joint, scale: track.config.scale() };
+        let mut infos: Vec<_> = self.tracks.iter().map(info).collect();
+        let latches: Vec<_> = status.encoders.iter().map(|encoder| encoder.latch).collect();
+        let stale = homing.apply(&mut infos, &latches);
+        let mark =
+            |info: &EncoderInfo| Some(info.scale.reference_counts).filter(|_| !stale.contains(&info.joint));
+        infos.iter().map(mark).collect()
+    }
+
+    fn track(&self, joint: u8) -> Option<&Track> {
+        self.tracks.iter().find(|track| track.config.joint == joint)
+    }
+
+    fn is_absolute(&self) -> bool {
+        [1, 2].iter().all(|joint| self.track(*joint).is_some_and(|track| track.bar_angle_deg().is_some()))
+    }
+
+    fn cover(&mut self, now: MonoNs) {
+        let angle = |joint| {
+            let track = self.track(joint)?;
+            track.bar_angle_deg().or(track.angle_deg).filter(|_| track.is_fresh(now))
+        };
+        let here = angle(1).zip(angle(2)).map(|(one, two)| (cell(one), cell(two)));
+        self.coverage.visit(here, now);
+    }
+
+    fn warnings(&self, live: &Live, now: MonoNs) -> Vec<Warning> {
+        let mut warnings: Vec<Warning> =
+            self.tracks.iter().filter(|track| track.is_fresh(now)).flat_map(Track::warnings).collect();
+        let mut warn = |subject: String, text: String, remedy: &str| {
+            warnings.push(Warning { subject, text, remedy: remedy.into() });
+        };
+        if live.run_s.is_some_and(|run_s| run_s > MOVE_WITHIN_S) {
+            for joint in live.joints.iter().filter(|joint| !joint.has_moved && joint.level == Level::Good) {
+                warn(
+                    format!("still {}", joint.joint),
+                    format!("joint {} has not moved since the run began", joint.joint),
+                    "see whether its coupling has come loose, or let the path turn it",
+                );
+            }
+        }
+        if self.homing.is_some() && !live.status.encoders.is_empty() {
+            for joint in live.joints.iter().filter(|joint| !joint.from_mark) {
+                warn(
+                    format!("mark {}", joint.joint),
+                    format!("the reference mark of joint {} does not hold any more", joint.joint),
+                    "home again, or remove homing.toml if runs need no marks",
+                );
+            }
+        }
+        for cable in &live.status.bad_cables {
+            warn("cable".into(), cable.clone(), "push the plug in, or replace the cable");
+        }
+        if let Some(hours) = live.disk_hours.filter(|hours| *hours < DISK_HOURS_MIN) {
+            warn(
+                "disk".into(),
+                format!("the disk has room for {hours:.1} hours"),
+                "delete or move recordings before the run needs the space",
+            );
+        }
+        warnings
+    }
+}
+
+/// Reads `homing.toml` in a thread of its own, because its disk may hang. A file that cannot be read is told by the check.
+fn read(file: PathBuf) -> std::io::Result<Receiver<Option<HomingConfig>>> {
+    let (found, reading) = channel();
+    thread::Builder::new().name("marks".into()).spawn(move || {
+        let _ = found.send(homing::file::read(&file).ok().flatten());
+    })?;
+    Ok(reading)
+}
+
+/// None before anything is on disk; joints get their time to move.
+fn so_far(run: &RunStatus, joints: &[Joint], run_s: f64) -> Option<Verdict> {
+    let has_had_time = run_s > MOVE_WITHIN_S;
+    let moved = joints.iter().filter(|_| has_had_time).map(|joint| (joint.joint, joint.range_deg));
+    (run.cycles > 0).then(|| {
+        Verdict::of(&Content {
+            cycles: run.cycles,
+            cycles_valid: run.cycles_valid,
+            cycles_lost: run.cycles_lost,
+            turned_deg: &moved.collect::<Vec<_>>(),
+            ..Content::default()
+        })
+    })
+}
+
+/// They are long, and nobody looks at them ten times a second.
+fn without_histograms(status: &Status) -> Status {
+    let mut status = status.clone();
+    let timings = [
+        status.run.as_mut().and_then(|run| run.timing.as_mut()),
+        status.last.as_mut().and_then(|last| last.timing.as_mut()),
+    ];
+    for timing in timings.into_iter().flatten() {
+        for durations in [&mut timing.lateness, &mut timing.round_trip, &mut timing.duration] {
+            durations.histogram.clear();
+        }
+    }
+    status
+}
+
+/// One encoder's counter.
+struct Track {
+    config: EncoderConfig,
+    scale: EncoderScale,
+    from_mark: bool,
+    counter: Option<(Unwrapper, i64)>,
+    taken: MonoNs,
+    angle_deg: Option<f64>,
+    recent: VecDeque<(MonoNs, f64)>,
+    range: Option<(f64, f64)>,
+    /// Of all ranges since the run began.
+    widest_deg: f64,
+}
+
+impl Track {
+    fn new(config: &EncoderConfig) -> Self {
+        Self {
+            config: config.clone(),
+            scale: config.scale(),
+            from_mark: false,
+            counter: None,
+            taken: MonoNs(0),
+            angle_deg: None,
+            recent: VecDeque::new(),
+            range: None,
+            widest_deg: 0.0,
+        }
+    }
+
+    fn begin_run(&mut self) {
+        (self.range, self.widest_deg) = (None, 0.0);
+    }
+
+    fn take(&mut self, sample: Option<&EncoderStatus>, at: MonoNs, mark: Option<u32>) {
+        let Some(sample) = sample.filter(|_| at.0 != 0 && at != self.taken) else { return };
+        if !self.is_followed(sample.count, at) || mark.is_some() != self.from_mark {
+            self.restart(sample.count, mark);
+        }
+        let Some((unwrapper, first)) = &mut self.counter else { return };
+        let counts = unwrapper.next(sample.count);
+        let from = if self.from_mark { 0 } else { *first - i64::from(self.scale.reference_counts) };
+        let angle_deg = self.scale.counts_to_rad(counts - from).to_degrees();
+        (self.taken, self.angle_deg) = (at, Some(angle_deg));
+        self.recent.push_back((at, angle_deg));
+        while self.recent.front().is_some_and(|(begun, _)| at.ns_since(*begun) > SPEED_NS) {
+            self.recent.pop_front();
+        }
+        let (low, high) = self.range.unwrap_or((angle_deg, angle_deg));
+        let (low, high) = (low.min(angle_deg), high.max(angle_deg));
+        (self.range, self.widest_deg) = (Some((low, high)), self.widest_deg.max(high - low));
+    }
+
+    /// The joint can have turned so far since the last sample; otherwise the counter has begun anew.
+    fn is_followed(&self, count: u32, at: MonoNs) -> bool {
+        let Some((unwrapper, _)) = &self.counter else { return false };
+        let turned = f64::from(unwrapper.distance(count).unsigned_abs());
+        let lines = turned / f64::from(1u32 << self.config.interpolation_bits);
+        lines <= LINES_PER_S_MAX * at.seconds_since(self.taken).max(0.0)
+    }
+
+    fn restart(&mut self, count: u32, mark: Option<u32>) {
+        self.from_mark = mark.is_some();
+        self.scale.reference_counts = mark.unwrap_or(0);
+        let unwrapper = self.scale.unwrapper();
+        let first = {
+            let mut unwrapper = unwrapper;
+            unwrapper.next(count)
+        };
+        self.counter = Some((unwrapper, first));
+        self.recent.clear();
+        self.range = None;
+    }
+
+    fn is_fresh(&self, now: MonoNs) -> bool {
+        self.angle_deg.is_some() && now.ns_since(self.taken) <= STALE_NS
+    }
+
+    fn speed_deg_per_s(&self) -> Option<f64> {
+        let ((begun, from), (ended, to)) = (*self.recent.front()?, *self.recent.back()?);
+        let lasted_s = ended.seconds_since(begun);
+        (lasted_s > 0.0).then(|| (to - from) / lasted_s)
+    }
+
+    /// The joint's angle in the bar's model; none where it is not known.
+    fn bar_angle_deg(&self) -> Option<f64> {
+        let mark_deg = self.config.mark_deg.filter(|_| self.from_mark)?;
+        Some(self.angle_deg? + mark_deg)
+    }
+
+    fn joint(&self, sample: Option<&EncoderStatus>, now: MonoNs) -> Joint {
+        let is_fresh = self.is_fresh(now);
+        let problem = if is_fresh { None } else { Some(silence(sample)) };
+        Joint {
+            joint: self.config.joint,
+            name: bar_joint_name(self.config.joint).into(),
+            angle_deg: self.angle_deg.filter(|_| is_fresh),
+            from_mark: self.from_mark,
+            speed_deg_per_s: self.speed_deg_per_s().filter(|_| is_fresh),
+            level: if is_fresh { Level::Good } else { Level::Bad },
+            problem,
+            has_moved: self.widest_deg >= MOVED_MIN_DEG,
+            range_deg: self.widest_deg,
+        }
+    }
+
+    fn warnings(&self) -> Vec<Warning> {
+        let joint = self.config.joint;
+        let mut warnings = Vec::new();
+        let mut warn = |kind: &str, text: String, remedy: &str| {
+            warnings.push(Warning { subject: format!("{kind} {joint}"), text, remedy: remedy.into() });
+        };
+        if let Some(turned_deg) = self.angle_deg.filter(|angle_deg| angle_deg.abs() > WOUND_DEG) {
+            let from = if self.from_mark { "its reference mark" } else { "where it was seen first" };
+            warn(
+                "wound",
+                format!("joint {joint} is turned by {turned_deg:.0} degrees from {from}"),
+                "unwind its cable before it is torn",
+            );
+        }
+        let distance_deg = self.bar_angle_deg().filter(|_| [2, 4].contains(&joint)).map(from_singular_deg);
+        if let Some(distance_deg) = distance_deg.filter(|distance_deg| *distance_deg < SINGULAR_DEG) {
+            warn(
+                "singular",
+                format!("joint {joint} is {distance_deg:.1} degrees from a singular pose of the bar"),
+                "move the path away: rod and axis must not align",
+            );
+        }
+        let limit_deg_per_s = full_resolution_deg_per_s(&self.config);
+        if let Some(speed) = self.speed_deg_per_s().filter(|speed| speed.abs() > limit_deg_per_s) {
+            warn(
+                "fast",
+                format!(
+                    "joint {joint} turns at {:.0} degrees/s; above {limit_deg_per_s:.0} its terminal leaves out the \
+                     finest steps",
+                    speed.abs()
+                ),
+                "let the robot move more slowly",
+            );
+        }
+        warnings
+    }
+}
+
+/// Why an encoder says nothing, from the status word of its terminal.
+fn silence(sample: Option<&EncoderStatus>) -> String {
+    let Some(sample) = sample else { return "no bus".into() };
+    let status = el5021::Status(sample.status);
+    let text = match (sample.valid, status.amplitude_error(), status.frequency_error()) {
+        (true, ..) => "no new sample",
+        (_, true, _) => "signal too low: cable, plug or supply",
+        (_, _, true) => "turned too fast",
+        _ => "no valid sample",
+    };
+    text.into()
+}
+
+/// Distance to the nearest multiple of half a turn, where sin = 0.
+fn from_singular_deg(angle_deg: f64) -> f64 {
+    let within = angle_deg.rem_euclid(180.0);
+    within.min(180.0 - within)
+}
+
+/// Where an EL5021 begins to leave out the finest steps (Beckhoff, each +-15 %), as speed of the joint.
+fn full_resolution_deg_per_s(encoder: &EncoderConfig) -> f64 {
+    let lines_per_s = match encoder.interpolation_bits {
+        ..=8 => 9000.0,
+        9 => 4500.0,
+        10 => 2500.0,
+        11 => 1500.0,
+        12 => 750.0,
+        13.. => 650.0,
+    };
+    360.0 * lines_per_s / f64::from(encoder.lines.max(1))
+}
+
+fn cell(angle_deg: f64) -> usize {
+    (((angle_deg + 180.0).rem_euclid(360.0) / CELL_DEG) as usize).min(CELLS - 1)
+}
+
+/// Cells that were visited.
+struct Visited {
+    cells: Box<[[bool; CELLS]; CELLS]>,
+    newest: Option<MonoNs>,
+    here: Option<(usize, usize)>,
+}
+
+impl Default for Visited {
+    fn default() -> Self {
+        Self { cells: Box::new([[false; CELLS]; CELLS]), newest: None, here: None }
+    }
+}
+
+impl Visited {
+    fn visit(&mut self, here: Option<(usize, usize)>, now: MonoNs) {
+        self.here = here;
+        let Some((column, row)) = here else { return };
+        if !std::mem::replace(&mut self.cells[row][column], true) {
+            self.newest = Some(now);
+        }
+    }
+
+    fn told(&self, now: MonoNs, absolute: bool) -> Coverage {
+        let digit = |four: &[bool]| {
+            let bits = four.iter().fold(0, |bits, visited| bits << 1 | u32::from(*visited));
+            char::from_digit(bits, 16).unwrap_or('0')
+        };
+        let flat: Vec<bool> = self.cells.iter().flatten().copied().collect();
+        Coverage {
+            cells: flat.chunks(4).map(digit).collect(),
+            visited: flat.iter().filter(|visited| **visited).count(),
+            newest_s: self.newest.map(|newest| now.seconds_since(newest)),
+            here: self.here,
+            absolute,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use shared::config::{self, BallBarConfig, DaemonConfig};
+    use shared::encoder::wrap;
+    use shared::time::UtcNs;
+
+    use super::*;
+    use crate::run::BusChoice;
+
+    const COUNTS_PER_DEG: f64 = 14_745_600.0 / 360.0;
+    const START: i64 = 5_000_000;
+
+    /// An observer of the shipped bar and the time since it began to look.
+    struct Bench {
+        observer: Observer,
+        now: MonoNs,
+        origin: u32,
+    }
+
+    impl Bench {
+        fn new(change: impl FnOnce(&mut Settings)) -> Self {
+            let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
+            let bar: BallBarConfig = config::load(&shipped.join("ball_bar.toml")).unwrap();
+            let mut settings = Settings {
+                bus: BusChoice::Simulated,
+                faults: Vec::new(),
+                daemon: DaemonConfig::default(),
+                bar,
+                homing_file: "homing.toml".into(),
+            };
+            change(&mut settings);
+            Self { observer: Observer::new(&settings), now: MonoNs(NS_PER_S), origin: 0 }
+        }
+
+        /// A tenth of a second later, all joints at these angles; without one it is not valid.
+        fn at(&mut self, angles_deg: [Option<f64>; 5], run: Option<&str>) -> Live {
+            self.now = self.now.plus_ns(NS_PER_S / 10);
+            let encoder = |(index, angle_deg): (usize, &Option<f64>)| EncoderStatus {
+                joint: index as u8 + 1,
+                count: wrap(START + (angle_deg.unwrap_or(0.0) * COUNTS_PER_DEG) as i64),
+                latch: START as u32,
+                status: if angle_deg.is_some() { 0 } else { 1 << 4 },
+                valid: angle_deg.is_some(),
+            };
+            let run = run.map(|name| RunStatus {
+                name: name.into(),
+                cycles: 100,
+                cycles_valid: 100,
+                ..RunStatus::default()
+            });
+            let status = Status {
+                state: "writing".into(),
+                encoders: angles_deg.iter().enumerate().map(encoder).collect(),
+                sampled: self.now,
+                origin: self.origin,
+                run,
+                ..Status::default()
+            };
+            self.observer.next(&status, self.now)
+        }
+
+        fn turn(&mut self, joint: usize, to_deg: f64, deg_per_s: f64) -> Live {
+            let steps = (to_deg / deg_per_s * 10.0) as usize;
+            let at = |step: usize| {
+                let mut angles = [Some(0.0); 5];
+                angles[joint - 1] = Some(step as f64 * deg_per_s / 10.0);
+                angles
+            };
+            (0..=steps).map(|step| self.at(at(step), None)).last().unwrap()
+        }
+    }
+
+    fn subjects(live: &Live) -> Vec<&str> {
+        live.warnings.iter().map(|warning| warning.subject.as_str()).collect()
+    }
+
+    #[test]
+    fn angles_and_speeds_are_those_of_the_joints_across_the_wrap_of_the_counter() {
+        let mut bench = Bench::new(|_| {});
+        let live = bench.turn(3, 300.0, 30.0);
+        let joint = &live.joints[2];
+        assert!((joint.angle_deg.unwrap() - 300.0).abs() < 1e-3, "{joint:?}");
+        assert!((joint.speed_deg_per_s.unwrap() - 30.0).abs() < 1e-3, "{joint:?}");
+        assert!(joint.has_moved && !live.joints[0].has_moved && live.warnings.is_empty(), "{live:?}");
+    }
+
+    #[test]
+    fn what_is_older_than_a_second_is_stale_and_shows_no_value() {
+        let mut bench = Bench::new(|_| {});
+        bench.at([Some(1.0); 5], None);
+        for _ in 0..9 {
+            let live = bench.at([Some(1.0), None, Some(1.0), Some(1.0), Some(1.0)], None);
+            assert_eq!(live.joints[1].level, Level::Good);
+        }
+        let live = (0..3)
+            .map(|_| bench.at([Some(1.0), None, Some(1.0), Some(1.0), Some(1.0)], None))
+            .last()
+            .unwrap();
+        assert_eq!((live.joints[1].angle_deg, live.joints[1].level), (None, Level::Bad));
+        assert!(live.joints[1].problem.as_ref().unwrap().contains("signal too low"), "{live:?}");
+        assert_eq!(live.joints[0].level, Level::Good);
+    }
+
+    #[test]
+    fn a_status_that_is_not_renewed_is_stale() {
+        let mut bench = Bench::new(|_| {});
+        bench.at([Some(1.0); 5], None);
+        let old = Status { sampled: bench.now, ..Status::default() };
+        let live = bench.observer.next(&old, bench.now.plus_ns(2 * NS_PER_S));
+        assert!(live.joints.iter().all(|joint| joint.angle_deg.is_none() && joint.level == Level::Bad));
+    }
+
+    #[test]
+    fn a_wound_cable_and_a_fast_joint_are_warned_of() {
+        let mut bench = Bench::new(|_| {});
+        assert_eq!(subjects(&bench.turn(1, 365.0, 50.0)), ["wound 1"]);
+        let mut bench = Bench::new(|_| {});
+        assert_eq!(subjects(&bench.turn(2, 200.0, 80.0)), ["fast 2"]);
+    }
+
+    #[test]
+    fn a_counter_that_begins_anew_turns_no_joint() {
+        let mut bench = Bench::new(|_| {});
+        bench.turn(1, 100.0, 50.0);
+        bench.at([None; 5], None);
+        bench.origin += 1;
+        let live = bench.at([Some(1000.0); 5], None);
+        assert_eq!(live.joints[0].angle_deg, Some(0.0));
+        assert!(subjects(&live).is_empty() && live.joints[0].has_moved, "{live:?}");
+        // A run begins with origin 0: nothing has happened to the counters.
+        bench.origin = 0;
+        let live = bench.at([Some(1010.0); 5], Some("one"));
+        assert!((live.joints[0].angle_deg.unwrap() - 10.0).abs() < 1e-3, "{live:?}");
+    }
+
+    #[test]
+    fn a_joint_that_stands_still_in_a_run_is_warned_of_and_counts_from_its_beginning() {
+        let mut bench = Bench::new(|_| {});
+        bench.turn(1, 20.0, 20.0);
+        let moving = |step: i32| [20.0, 0.2 * f64::from(step), 1.0, 1.0, 1.0].map(Some);
+        let live = (0..160).map(|step| bench.at(moving(step), Some("one"))).last().unwrap();
+        assert_eq!(subjects(&live), ["still 1", "still 3", "still 4", "still 5"]);
+        assert_eq!(live.verdict.unwrap().to_string(), "CHECK: joint 1, 3, 4, 5 has not moved");
+    }
+
+    #[test]
+    fn near_a_singular_pose_is_said_where_the_angles_are_known() {
+        let mut bench = Bench::new(|settings| settings.bar.encoders[1].mark_deg = Some(170.0));
+        let encoders: Vec<_> = bench.observer.tracks.iter().map(|track| track.config.clone()).collect();
+        bench.observer.homing = Some(HomingConfig::new(UtcNs(0), &encoders, &[START as u32; 5]));
+        assert!(subjects(&bench.at([Some(0.0); 5], None)).is_empty());
+        let live = bench.at([Some(0.0), Some(4.0), Some(0.0), Some(0.0), Some(0.0)], None);
+        assert_eq!(subjects(&live), ["singular 2"]);
+        assert!(live.joints.iter().all(|joint| joint.from_mark));
+        assert!(live.warnings[0].text.contains("6.0 degrees"), "{:?}", live.warnings);
+    }
+
+    #[test]
+    fn coverage_grows_with_the_directions_of_the_rod_and_begins_with_the_run() {
+        let mut bench = Bench::new(|_| {});
+        bench.turn(1, 95.0, 50.0);
+        let live = bench.at([Some(0.0); 5], Some("one"));
+        assert_eq!((live.coverage.visited, live.coverage.here), (1, Some((18, 18))));
+        let live =
+            (0..30).map(|step| bench.at([3.0 * f64::from(step), 0.0, 0.0, 0.0, 0.0].map(Some), Some("one")));
+        let live = live.last().unwrap();
+        assert_eq!(live.coverage.visited, 9);
+        let set: u32 =
+            live.coverage.cells.chars().map(|digit| digit.to_digit(16).unwrap().count_ones()).sum();
+        assert_eq!((live.coverage.cells.len(), set), (CELLS * CELLS / 4, 9));
+        // With counters that begin anew nobody knows where that was.
+        bench.origin += 1;
+        assert_eq!(bench.at([Some(0.0); 5], Some("one")).coverage.visited, 1);
+    }
+}

@@ -1,0 +1,296 @@
+// The page: shows each moment, asks for runs.
+
+import { $, ask, duration, el, listen, text, verdict_word } from "./live.js";
+import { Strip, cover } from "./charts.js";
+import { Homing, choose, say } from "./dialogs.js";
+import { names, refresh } from "./runs.js";
+
+const CHECK_EVERY_MS = 3000;
+const FIELDS = ["robot", "operator", "bar", "payload", "note"];
+const strip = new Strip();
+const homing = new Homing();
+const form = $("run-form");
+let latest;
+let checks = [];
+let runs_over;
+
+// ---- what is shown
+
+function joint_card(joint) {
+  return el("article", { className: "joint", id: `joint${joint.joint}` },
+    el("h2", {}, `Joint ${joint.joint} `, el("span", { textContent: joint.name })),
+    el("div", { className: "angle" }),
+    el("div", { className: "speed figure" }),
+    el("div", { className: "lights" }, el("span", { className: "light health" }), el("span", { className: "light moved" })));
+}
+
+function show_joints(joints) {
+  const place = $("encoders");
+  if (place.children.length !== joints.length) place.replaceChildren(...joints.map(joint_card));
+  joints.forEach((joint, index) => {
+    const card = place.children[index];
+    const [, angle, speed, lights] = card.children;
+    card.dataset.level = joint.level;
+    const degrees = joint.angle_deg;
+    // A value that is old is none: nobody reads it as the present.
+    text(angle, degrees === null ? "stale" : `${degrees.toFixed(2).replace("-", "−")}°`);
+    const per_s = joint.speed_deg_per_s;
+    text(speed, per_s === null ? "– °/s" : `${per_s >= 0 ? "+" : "−"}${Math.abs(per_s).toFixed(1)} °/s`);
+    card.title = joint.from_mark ? "from its reference mark" : "from where it was seen first";
+    const [health, moved] = lights.children;
+    health.className = `light health ${joint.level === "good" ? "on" : "off"}`;
+    text(health, joint.problem ?? "signal good");
+    moved.className = `light moved ${joint.has_moved ? "on" : ""}`;
+    text(moved, joint.has_moved ? "has moved" : "not moved yet");
+  });
+}
+
+function show_state({ headline, status, run_s }) {
+  const header = $("state");
+  header.dataset.level = headline.level;
+  header.dataset.state = status.state;
+  text($("word"), headline.word);
+  text($("reason"), status.reason ?? (status.run ? "" : `bus ${status.bus}: ${status.devices.length} devices`));
+  const running = Boolean(status.run);
+  document.title = `${headline.word}${running ? ` ${status.run.name}` : ""} – ballbard`;
+  $("run-facts").hidden = !running;
+  $("mark").hidden = $("note").hidden = $("stop").hidden = !running || status.state === "closing";
+  $("start").hidden = $("preflight").hidden = running;
+  $("progress").hidden = !running;
+  if (!running) return;
+  text($("run-name"), status.run.name);
+  text($("run-time"), duration(run_s ?? 0));
+  text($("run-disk"), `${status.run.cycles}`);
+}
+
+function counter(label, value, level) {
+  return el("div", { level }, el("dt", { textContent: label }), el("dd", { textContent: value }));
+}
+
+function show_progress({ status: { run }, verdict, disk_hours }) {
+  if (!run) return;
+  const flagged = run.cycles - run.cycles_valid;
+  const us = (ns) => `${(ns / 1000).toFixed(0)} µs`;
+  const late = run.timing?.lateness;
+  $("so-far").dataset.level = verdict?.level ?? "good";
+  $("so-far").replaceChildren(
+    el("span", { className: "verdict", textContent: verdict ? `${verdict_word(verdict)} so far` : "nothing on disk yet" }),
+    verdict?.reasons.length ? `: ${verdict.reasons.join("; ")}` : "");
+  $("counters").replaceChildren(
+    counter("cycles due", `${run.cycles_taken}`),
+    counter("on disk", `${run.cycles}`),
+    counter("flagged", `${flagged}`),
+    counter("lost", `${run.cycles_lost}`),
+    counter("not safe yet", `${run.unsynced_s.toFixed(1)} s`),
+    counter("late, 99 % below", late ? us(late.p99_ns) : "–"),
+    counter("latest", late ? us(late.max_ns) : "–"),
+    counter("file", `${(run.bytes / 1e6).toFixed(1)} MB`),
+    counter("disk left", hours(disk_hours)));
+  text($("file"), run.file);
+}
+
+const hours = (left) => (left === null ? "–" : left < 100 ? `${left.toFixed(1)} h` : `${Math.round(left)} h`);
+
+function show_warnings(warnings) {
+  const list = $("warnings").firstElementChild;
+  const said = warnings.map((warning) => `${warning.text}|${warning.remedy}`).join("\n");
+  if (list.dataset.said === said) return;
+  list.dataset.said = said;
+  $("warnings").hidden = !warnings.length;
+  list.replaceChildren(...warnings.map((warning) => {
+    const line = el("li", {}, el("b", { textContent: warning.text }), warning.remedy);
+    line.dataset.subject = warning.subject;
+    return line;
+  }));
+}
+
+let drawn = 0;
+
+function show(moment) {
+  latest = moment;
+  show_state(moment);
+  show_joints(moment.joints);
+  show_progress(moment);
+  show_warnings(moment.warnings);
+  homing.show(moment.status, moment.joints);
+  strip.add(moment);
+  if (moment.at_ms - drawn > 500 || moment.at_ms < drawn) {
+    drawn = moment.at_ms;
+    text($("cover-text"), cover(moment.coverage));
+  }
+  show_begin();
+  if (moment.status.runs_over !== runs_over) {
+    runs_over = moment.status.runs_over;
+    refresh();
+  }
+}
+
+function silent() {
+  latest = undefined;
+  const header = $("state");
+  header.dataset.level = "bad";
+  header.dataset.state = "";
+  text($("word"), "NO CONNECTION");
+  text($("reason"), "The service does not answer: what it does is not known. See whether it runs (ballbard run).");
+  document.title = "NO CONNECTION – ballbard";
+  for (const card of $("encoders").children) {
+    card.dataset.level = "bad";
+    text(card.children[1], "stale");
+    text(card.children[2], "– °/s");
+  }
+  $("mark").hidden = $("note").hidden = $("stop").hidden = true;
+  show_begin();
+}
+
+// ---- before a run
+
+function check_line({ subject, finding, remedy, stops }) {
+  const level = remedy ? (stops ? "bad" : "check") : "good";
+  const word = { good: "✓", check: "!", bad: "✗" }[level];
+  const line = el("li", { level }, el("b", { textContent: `${word} ${subject}: ` }), el("small", { textContent: finding }));
+  if (remedy) line.append(el("div", { className: "remedy", textContent: remedy }));
+  line.dataset.subject = subject;
+  return line;
+}
+
+async function check() {
+  if (document.hidden || !latest || latest.status.run) return;
+  try {
+    checks = await ask("check");
+  } catch {
+    return;
+  }
+  // What needs somebody comes first.
+  const rank = (line) => (line.stops ? 0 : line.remedy ? 1 : 2);
+  const sorted = [...checks].sort((one, other) => rank(one) - rank(other));
+  const said = JSON.stringify(sorted);
+  if ($("checks").dataset.said !== said) {
+    $("checks").dataset.said = said;
+    $("checks").replaceChildren(...sorted.map(check_line));
+  }
+  show_begin();
+}
+
+const stopping = () => checks.filter((line) => line.stops);
+
+function show_begin() {
+  const state = latest?.status.state;
+  const red = stopping();
+  const button = $("begin");
+  button.disabled = state !== "waiting" || !checks.length;
+  button.classList.toggle("reluctant", red.length > 0);
+  text(button, red.length ? "Start in spite of it …" : "Start");
+  const why = state === undefined ? "no connection" : state !== "waiting" ? latest.headline.word.toLowerCase()
+    : red.length ? `stopped by: ${red.map((line) => line.subject).join(", ")}` : "";
+  text($("begin-why"), why);
+  $("home").disabled = state !== "waiting";
+  form.elements.name.placeholder = automatic_name();
+}
+
+// Date, robot, bar and a number that no recording has.
+function automatic_name() {
+  const plain = (said) => said.normalize("NFD").replace(/[^A-Za-z0-9]+/g, "-").replace(/^-+|-+$/g, "").slice(0, 30).toLowerCase();
+  const now = new Date();
+  const date = [now.getFullYear(), now.getMonth() + 1, now.getDate()].map((n) => String(n).padStart(2, "0")).join("-");
+  const base = [date, plain(form.elements.robot.value), plain(form.elements.bar.value)].filter(Boolean).join("_");
+  const taken = names();
+  for (let number = 1; ; number += 1) {
+    const name = `${base}_${String(number).padStart(2, "0")}`;
+    if (!taken.has(name)) return name;
+  }
+}
+
+form.addEventListener("submit", async (event) => {
+  event.preventDefault();
+  const request = { name: form.elements.name.value.trim() || automatic_name() };
+  for (const field of FIELDS) request[field] = form.elements[field].value.trim();
+  const red = stopping();
+  if (red.length) {
+    const reason = await choose({
+      title: "Start in spite of it?",
+      text: red.map((line) => `${line.subject}: ${line.finding}\n${line.remedy}`).join("\n\n"),
+      label: "Why? It is written into the file.", required: true, yes: "Start", danger: true,
+    });
+    if (!reason) return;
+    request.reason = reason;
+  }
+  for (const field of FIELDS) localStorage.setItem(`ballbard.${field}`, request[field]);
+  $("begin").disabled = true;
+  try {
+    const reply = await ask("start", request);
+    form.elements.name.value = "";
+    if (reply.answer === "running") say("check", `run ${reply.run} goes on already`);
+  } catch (error) {
+    say("bad", error.message);
+    refresh();
+  }
+});
+
+for (const field of FIELDS) form.elements[field].value = localStorage.getItem(`ballbard.${field}`) ?? "";
+
+// ---- during a run
+
+let marks = 0;
+
+async function put_mark(said, since_ms) {
+  try {
+    const reply = await ask("mark", { text: said, ago_ms: Math.min(600000, Math.round(performance.now() - since_ms)) });
+    say("good", `marked in run ${reply.run}: ${said}`);
+  } catch (error) {
+    say("bad", error.message);
+  }
+}
+
+const can_mark = () => Boolean(latest?.status.run) && !$("mark").hidden;
+
+// At once: what happened is over before anybody has typed what it was.
+function mark() {
+  if (!can_mark()) return;
+  marks += 1;
+  put_mark(`mark ${marks}`, performance.now());
+}
+
+// With a text, but of the instant at which it was asked for.
+async function note() {
+  if (!can_mark()) return;
+  const since_ms = performance.now();
+  const said = await choose({ title: "Note of this instant", label: "Text", required: true, yes: "Put into the run" });
+  if (said) put_mark(said, since_ms);
+}
+
+async function stop() {
+  const run = latest?.status.run;
+  if (!run) return;
+  const yes = await choose({
+    title: `Stop ${run.name}?`, text: `After ${duration(latest.run_s ?? 0)}; its file is finished then.`, yes: "Stop the run", danger: true,
+  });
+  if (!yes) return;
+  try {
+    const { last, verdict } = await ask("stop", { cause: "stopped on the page" });
+    if (!last) return;
+    const why = verdict?.reasons.length ? `: ${verdict.reasons.join("; ")}` : "";
+    say(verdict?.level ?? "check", `${last.name} is ${verdict_word(verdict)}${why}. ${last.cycles} cycles, ${last.cycles_valid} valid, in ${last.file}`);
+  } catch (error) {
+    say("bad", error.message);
+  }
+  refresh();
+}
+
+$("mark").addEventListener("click", mark);
+$("note").addEventListener("click", note);
+$("stop").addEventListener("click", stop);
+document.addEventListener("keydown", (event) => {
+  const typing = event.target.closest("input, select, textarea, dialog");
+  if (typing || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.key === "m" || event.key === "n") {
+    event.preventDefault();
+    (event.key === "m" ? mark : note)();
+  } else if (event.key === "/") {
+    event.preventDefault();
+    $("search").focus();
+  }
+});
+
+listen(show, silent);
+setInterval(check, CHECK_EVERY_MS);
+setTimeout(check, 400);

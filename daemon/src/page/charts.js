@@ -1,0 +1,126 @@
+// The strip chart of the last minute, a run as a whole, and the part of the sphere that was covered.
+/* global uPlot */
+
+import { $ } from "./live.js";
+
+const MINUTE_S = 60;
+const CELLS = 36;
+// A gap in the moments is drawn as one [s].
+const GAP_S = 1;
+
+const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+// `light-dark()` is resolved only where it is used.
+function resolved(name) {
+  const probe = document.createElement("i");
+  probe.style.color = colour(name);
+  document.body.append(probe);
+  const value = getComputedStyle(probe).color;
+  probe.remove();
+  return value;
+}
+
+function options(joints, width, height, time) {
+  const axis = { stroke: resolved("--quiet"), grid: { stroke: resolved("--line") }, ticks: { stroke: resolved("--line") } };
+  const degrees = (_, value) => (value === null || value === undefined ? "–" : `${value.toFixed(1)}°`);
+  return {
+    width,
+    height,
+    cursor: { y: false },
+    legend: { live: time.live },
+    scales: { x: { time: false, range: time.range } },
+    axes: [{ ...axis, values: (_, splits) => splits.map((s) => `${s} s`) }, { ...axis, size: 60 }],
+    series: [
+      { label: "time", value: (_, value) => (value === null || value === undefined ? "–" : `${value.toFixed(1)} s`) },
+      ...joints.map((joint) => ({
+        label: `joint ${joint}`, stroke: resolved(`--joint${joint}`), width: 2, points: { show: false }, value: degrees,
+      })),
+    ],
+  };
+}
+
+// A chart that fills its place, also after that or the colours changed.
+function chart(place, joints, time) {
+  let data = [[], ...joints.map(() => [])];
+  let drawn;
+  const build = () => {
+    drawn?.destroy();
+    const width = Math.max(place.clientWidth, 200);
+    drawn = new uPlot(options(joints, width, Math.min(360, Math.max(220, width * 0.3)), time), data, place);
+  };
+  const resize = new ResizeObserver(() => { if (drawn && Math.abs(drawn.width - place.clientWidth) > 4) build(); });
+  const dark = matchMedia("(prefers-color-scheme: dark)");
+  resize.observe(place);
+  dark.addEventListener("change", build);
+  build();
+  return {
+    show(next) { data = next; drawn.setData(data); },
+    close() { resize.disconnect(); dark.removeEventListener("change", build); drawn.destroy(); },
+  };
+}
+
+export class Strip {
+  points = [];
+
+  add(moment) {
+    const at_s = moment.at_ms / 1000;
+    const joints = moment.joints.map((joint) => joint.joint);
+    if (joints.join() !== this.joints?.join()) {
+      if (!joints.length) return;
+      this.joints = joints;
+      this.points = [];
+      this.drawn?.close();
+      this.drawn = chart($("strip"), joints, { live: false, range: [-MINUTE_S, 0] });
+    }
+    const last = this.points.at(-1);
+    if (last && at_s - last.at_s > GAP_S) this.points.push({ at_s: last.at_s + 0.001, angles: joints.map(() => null) });
+    if (last && at_s <= last.at_s) this.points = [];
+    this.points.push({ at_s, angles: moment.joints.map((joint) => joint.angle_deg) });
+    while (at_s - this.points[0].at_s > MINUTE_S) this.points.shift();
+    if (document.hidden) return;
+    this.drawn.show([
+      this.points.map((point) => point.at_s - at_s),
+      ...joints.map((_, index) => this.points.map((point) => point.angles[index])),
+    ]);
+  }
+}
+
+// A finished run in a dialog.
+export function plot({ t_s, joints }) {
+  const place = $("plot-chart");
+  const numbers = joints.map((joint) => joint.joint);
+  const drawn = chart(place, numbers, { live: true, range: (_, low, high) => [low, Math.max(high, low + 1)] });
+  drawn.show([t_s, ...joints.map((joint) => joint.angle_deg)]);
+  $("plot").addEventListener("close", () => drawn.close(), { once: true });
+}
+
+export function cover({ cells, here, visited, newest_s, absolute }) {
+  const canvas = $("cover");
+  const context = canvas.getContext("2d");
+  const size = canvas.width / CELLS;
+  context.clearRect(0, 0, canvas.width, canvas.height);
+  context.fillStyle = resolved("--line");
+  for (let line = 0; line <= CELLS; line += 9) {
+    context.fillRect(line * size, 0, 1, canvas.height);
+    context.fillRect(0, line * size, canvas.width, 1);
+  }
+  context.fillStyle = resolved("--good");
+  [...cells].forEach((digit, index) => {
+    const bits = parseInt(digit, 16);
+    for (let bit = 0; bit < 4; bit += 1) {
+      if (!(bits & (8 >> bit))) continue;
+      const cell = index * 4 + bit;
+      context.fillRect((cell % CELLS) * size + 0.5, (CELLS - 1 - Math.floor(cell / CELLS)) * size + 0.5, size - 1, size - 1);
+    }
+  });
+  if (here) {
+    context.strokeStyle = resolved("--ink");
+    context.lineWidth = 3;
+    context.strokeRect(here[0] * size - 2, (CELLS - 1 - here[1]) * size - 2, size + 4, size + 4);
+  }
+  const newest = newest_s === null ? "" : newest_s < 5 ? "It still grows." : `Nothing new for ${Math.round(newest_s)} s.`;
+  const axes = absolute
+    ? "Joint 1 across, joint 2 up, -180 to 180 degrees."
+    : "Joint 1 across, joint 2 up; where zero lies is not known (home, and give mark_deg in ball_bar.toml).";
+  return `${visited} cells of 10 degrees. ${newest}\n${axes}`;
+}

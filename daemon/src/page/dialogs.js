@@ -1,0 +1,103 @@
+// Questions to the person, and what becomes of them.
+
+import { $, ask, el, text } from "./live.js";
+
+const SAID_MS = 6000;
+
+// A line at the bottom; what is bad stays until it is taken away.
+export function say(level, said) {
+  const line = el("p", { level }, el("span", { textContent: said }));
+  line.append(el("button", { type: "button", textContent: "Close", onclick: () => line.remove() }));
+  $("said").append(line);
+  if (level !== "bad") setTimeout(() => line.remove(), SAID_MS);
+  while ($("said").children.length > 4) $("said").firstChild.remove();
+}
+
+// Asks; gives what was typed (or `true` where there is nothing to type), or null.
+export function choose({ title, text: said = "", label, value = "", required = false, yes, danger = false }) {
+  text($("ask-title"), title);
+  text($("ask-text"), said);
+  $("ask-label").hidden = !label;
+  text($("ask-label").firstElementChild, label ?? "");
+  const input = $("ask-input");
+  input.value = value;
+  input.required = Boolean(label) && required;
+  const button = $("ask-yes");
+  text(button, yes);
+  button.className = danger ? "danger" : "primary";
+  const dialog = $("ask");
+  dialog.returnValue = "no";
+  dialog.showModal();
+  if (label) input.focus();
+  return new Promise((resolve) => {
+    dialog.addEventListener("close", () => {
+      resolve(dialog.returnValue === "yes" ? (label ? input.value.trim() : true) : null);
+    }, { once: true });
+  });
+}
+
+// Positive is counter-clockwise while the axis points at who looks: the right-hand rule of the bar's links.
+const WAYS = {
+  1: "Counter-clockwise, seen from above the base.",
+  2: "Counter-clockwise, seen against the axis of the fork, so that the rod tilts forward.",
+  3: "Counter-clockwise, seen from the flange end along the rod.",
+  4: "Counter-clockwise, seen against the axis of the cardan's fork.",
+  5: "Counter-clockwise, seen against the axis of the flange side.",
+};
+
+export class Homing {
+  was_over = true;
+
+  constructor() {
+    $("home").addEventListener("click", () => this.begin());
+    $("homing-stop").addEventListener("click", () => this.stop());
+    $("homing").addEventListener("cancel", (event) => { if (!this.was_over) event.preventDefault(); });
+  }
+
+  async begin() {
+    const yes = await choose({
+      title: "Home encoders",
+      text: "Turn one joint after the other, alone, slowly and in its positive direction over its reference mark. It takes "
+        + "two minutes at most for each joint.",
+      yes: "Begin",
+    });
+    if (!yes) return;
+    try {
+      await ask("home", {});
+    } catch (error) {
+      say("bad", error.message);
+    }
+  }
+
+  async stop() {
+    if (this.was_over) {
+      $("homing").close();
+      return;
+    }
+    await ask("stop", { cause: "stopped on the page" }).catch((error) => say("bad", error.message));
+  }
+
+  show({ state, homing }, joints) {
+    const goes_on = state === "homing";
+    const dialog = $("homing");
+    if (goes_on && !dialog.open) dialog.showModal();
+    if (!homing || !dialog.open) {
+      this.was_over = !goes_on;
+      return;
+    }
+    this.was_over = homing.is_over;
+    const joint = joints.find((one) => one.joint === homing.joint);
+    $("homing-now").hidden = !joint;
+    if (joint) {
+      text($("homing-joint"), `Turn joint ${joint.joint}: ${joint.name}`);
+      text($("homing-way"), WAYS[joint.joint] ?? "");
+      const turned = homing.turned_deg;
+      text($("homing-turned"), turned === null ? "found" : `${turned >= 0 ? "+" : "−"}${Math.abs(turned).toFixed(1)}°`);
+    }
+    const lines = $("homing-lines");
+    for (const line of homing.lines.slice(lines.children.length)) lines.append(el("li", { textContent: line }));
+    while (lines.children.length > homing.lines.length) lines.lastChild.remove();
+    text($("homing-error"), homing.error ?? "");
+    text($("homing-stop"), homing.is_over ? "Close" : "Stop homing");
+  }
+}

@@ -1,0 +1,124 @@
+//! The page in a real browser.
+
+use std::io::{BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::{Arc, Mutex};
+use std::thread;
+
+use shared::config::{self, BallBarConfig, DaemonConfig};
+use tokio::sync::oneshot;
+
+use crate::clock::Clock;
+use crate::control::api;
+use crate::control::service::{Service, Settings};
+use crate::run::{self, BusChoice, Storage};
+use crate::segment::InProcessWire;
+use crate::segment::faults::{FaultHandle, FaultSwitch, FaultySegment};
+use crate::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
+
+/// A service on a simulated bus whose faults are switched by hand.
+struct Bench {
+    service: Service,
+    faults: Arc<Mutex<Option<FaultHandle>>>,
+    directory: tempfile::TempDir,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let directory = tempfile::tempdir().unwrap();
+        let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
+        let daemon: DaemonConfig = config::load(&shipped.join("daemon.toml")).unwrap();
+        let daemon = DaemonConfig { directory: directory.path().join("runs"), ..daemon };
+        let bar: BallBarConfig = config::load(&shipped.join("ball_bar.toml")).unwrap();
+        let storage = Storage::new(&daemon).unwrap();
+        let faults = Arc::new(Mutex::new(None));
+        let (places, switch, on_daemon, on_bar) =
+            (storage.clone(), Arc::clone(&faults), daemon.clone(), bar.clone());
+        let connect = move || {
+            let motion = SmoothMotion::new(on_bar.encoders.len(), 3600, 1);
+            let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(motion));
+            let (segment, handle) = FaultySegment::new(segment, 1);
+            *switch.lock().unwrap() = Some(handle);
+            let wire = InProcessWire::with_faults(segment, Clock::Real);
+            run::open_on(Box::new(wire), &on_daemon, &on_bar, &places)
+        };
+        let settings = Settings {
+            bus: BusChoice::Simulated,
+            faults: Vec::new(),
+            daemon,
+            bar,
+            homing_file: directory.path().join("homing.toml"),
+        };
+        Self { service: Service::start_on(settings, storage, Arc::new(connect)).unwrap(), faults, directory }
+    }
+
+    fn switch(&self, line: &str) {
+        let FaultSwitch { fault, on } = line.parse().unwrap();
+        let faults = self.faults.lock().unwrap();
+        let faults = faults.as_ref().unwrap();
+        if on { faults.begin(fault) } else { faults.end(fault) }
+    }
+
+    /// Serves until the sender is dropped; gives where.
+    fn serve(&self) -> (String, oneshot::Sender<()>) {
+        let (end, ended) = oneshot::channel::<()>();
+        let (address, at) = std::sync::mpsc::channel();
+        let service = self.service.clone();
+        thread::spawn(move || {
+            let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+            runtime.block_on(async {
+                let listener = tokio::net::TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
+                address.send(listener.local_addr().unwrap()).unwrap();
+                api::serve(listener, service, async { drop(ended.await) }).await;
+            });
+        });
+        (format!("http://{}/", at.recv().unwrap()), end)
+    }
+}
+
+/// Where a program is.
+fn found(names: &[&str]) -> Option<PathBuf> {
+    let paths = std::env::var_os("PATH").unwrap_or_default();
+    let at =
+        |name: &&str| std::env::split_paths(&paths).map(|path| path.join(name)).find(|path| path.is_file());
+    names.iter().find_map(at)
+}
+
+#[test]
+#[ignore = "needs chromium, and Python with tests/requirements.txt"]
+fn a_technician_records_finds_a_fault_and_downloads_the_file() {
+    let chromium = found(&["chromium", "chromium-browser", "google-chrome"]);
+    let chromium = chromium.expect("chromium is missing: apt-get install chromium");
+    let python = std::env::var_os("BALLBAR_PYTHON").unwrap_or_else(|| "python3".into());
+    let tests = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let bench = Bench::new();
+    let (url, end) = bench.serve();
+    // Whoever wants to look at the pictures says where they go.
+    let pictures =
+        std::env::var_os("BALLBAR_PICTURES").map_or_else(|| bench.directory.path().into(), PathBuf::from);
+    std::fs::create_dir_all(&pictures).unwrap();
+    let mut story = Command::new(python)
+        .arg(tests.join("tests/page_story.py"))
+        .args([chromium.as_os_str(), url.as_ref(), pictures.as_os_str(), tests.join("../tests").as_os_str()])
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut told = story.stdin.take().unwrap();
+    let mut end = Some(end);
+    for line in BufReader::new(story.stdout.take().unwrap()).lines().map_while(Result::ok) {
+        match line.strip_prefix("> ") {
+            Some("end") => drop(end.take()),
+            Some(switch) => bench.switch(switch),
+            None => {
+                println!("{line}");
+                continue;
+            }
+        }
+        writeln!(told, "done").unwrap();
+    }
+    assert!(story.wait().unwrap().success(), "the story above went wrong");
+    bench.service.shutdown("test over");
+    bench.service.join().unwrap();
+}

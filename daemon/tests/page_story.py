@@ -1,0 +1,290 @@
+"""The technician's page in a real browser, from a red preflight to the downloaded file.
+
+usage: page_story.py CHROMIUM URL SCREENSHOTS READERS
+
+Drives the browser over its DevTools protocol. A line `> TEXT` on standard output asks the test that started this to do
+something with the service; it answers with a line on standard input. Whatever is not as it should be ends with an error.
+"""
+
+import base64
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import websocket
+
+WAIT_S = 30
+
+
+class Page:
+    """One page of one browser."""
+
+    def __init__(self, chromium, directory):
+        self.downloads = directory / "downloads"
+        self.downloads.mkdir()
+        self.browser = subprocess.Popen(
+            [chromium, "--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0", "--no-first-run",
+             "--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage",
+             f"--user-data-dir={directory / 'profile'}", "about:blank"],
+            stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        for line in self.browser.stderr:
+            if "DevTools listening on " in line:
+                address = line.split("DevTools listening on ")[1].strip()
+                break
+        self.socket = websocket.create_connection(address, timeout=WAIT_S, suppress_origin=True)
+        self.number, self.session, self.complaints = 0, None, []
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        self.session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        for domain in ["Page", "Runtime", "Log"]:
+            self.call(f"{domain}.enable")
+        self.call("Page.setDownloadBehavior", behavior="allow", downloadPath=str(self.downloads))
+
+    def call(self, method, **parameters):
+        self.number += 1
+        message = {"id": self.number, "method": method, "params": parameters}
+        if self.session:
+            message["sessionId"] = self.session
+        self.socket.send(json.dumps(message))
+        while True:
+            said = json.loads(self.socket.recv())
+            if said.get("id") == self.number:
+                if "error" in said:
+                    raise RuntimeError(f"{method}: {said['error']}")
+                return said["result"]
+            self.note(said)
+
+    def note(self, said):
+        """What the page complains of; refusals that are part of the story are none."""
+        if said.get("method") == "Runtime.exceptionThrown":
+            self.complaints.append(json.dumps(said["params"]["exceptionDetails"]))
+        entry = said.get("params", {}).get("entry", {})
+        if entry.get("level") == "error" and entry.get("source") != "network":
+            self.complaints.append(entry["text"])
+
+    def run(self, script):
+        result = self.call("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)
+        if "exceptionDetails" in result:
+            raise RuntimeError(f"{script}: {result['exceptionDetails']}")
+        return result["result"].get("value")
+
+    def wait(self, script, what, within_s=WAIT_S):
+        begun = time.monotonic()
+        while time.monotonic() - begun < within_s:
+            if self.run(f"Boolean({script})"):
+                return
+            time.sleep(0.05)
+        seen = self.run("document.body.innerText")
+        raise AssertionError(f"{what} never came within {within_s} s; the page shows:\n{seen}")
+
+    def click(self, selector):
+        """As a person does: where the element is, and only if nothing lies over it."""
+        place = self.run(f"""(() => {{
+            const element = document.querySelector({json.dumps(selector)});
+            element.scrollIntoView({{block: "center"}});
+            const box = element.getBoundingClientRect();
+            const [x, y] = [box.x + box.width / 2, box.y + box.height / 2];
+            const top = document.elementFromPoint(x, y);
+            return element === top || element.contains(top) ? [x, y] : `${{top?.outerHTML?.slice(0, 200)}} lies over it`;
+        }})()""")
+        assert isinstance(place, list), f"{selector}: {place}"
+        for kind in ["mousePressed", "mouseReleased"]:
+            self.call("Input.dispatchMouseEvent", type=kind, x=place[0], y=place[1], button="left", clickCount=1)
+
+    def key(self, key):
+        for kind in ["keyDown", "keyUp"]:
+            text = {"text": key} if kind == "keyDown" and len(key) == 1 else {}
+            self.call("Input.dispatchKeyEvent", type=kind, key=key, **text)
+
+    def type(self, selector, said):
+        self.run(f"document.querySelector({json.dumps(selector)}).select()")
+        self.call("Input.insertText", text=said)
+
+    def shown(self, selector):
+        return self.run(f"document.querySelector({json.dumps(selector)})?.innerText ?? ''")
+
+    def pictures(self, directory, name):
+        """At the widths of a phone, a tablet and a desktop, light and dark; nothing may stick out to the side."""
+        for width, height in [(375, 812), (820, 1180), (1440, 900)]:
+            for scheme in ["light", "dark"]:
+                self.call("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600)
+                self.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+                self.run("scrollTo(0, 0)")
+                time.sleep(0.4)
+                wide = self.run("document.documentElement.scrollWidth")
+                assert wide <= width, f"{name}: {wide} px wide on a screen of {width}"
+                picture = self.call("Page.captureScreenshot", format="png", captureBeyondViewport=True)
+                (directory / f"{name}-{width}-{scheme}.png").write_bytes(base64.b64decode(picture["data"]))
+        self.call("Emulation.setDeviceMetricsOverride", width=1440, height=900, deviceScaleFactor=1, mobile=False)
+
+    def close(self):
+        self.socket.close()
+        self.browser.kill()
+        self.browser.wait()
+
+
+def service(asked):
+    print(f"> {asked}", flush=True)
+    answer = sys.stdin.readline().strip()
+    assert answer == "done", f"{asked}: {answer}"
+
+
+def word(page, wanted, within_s=WAIT_S):
+    page.wait(f"document.getElementById('word')?.textContent === {json.dumps(wanted)}", wanted, within_s)
+
+
+def preflight(page, pictures):
+    service("on no-signal:2")
+    page.wait("document.querySelector('#checks [data-subject=encoders][data-level=bad]')", "a red line for the encoders")
+    red = page.run("[...document.querySelectorAll('#checks [data-level=bad]')].map(line => line.dataset.subject)")
+    assert red == ["encoders"], f"red beside the encoders: {red}"
+    assert "cable" in page.shown("#checks [data-subject=encoders] .remedy")
+    page.wait("document.getElementById('begin').textContent.includes('in spite')", "a start that wants a reason")
+    page.pictures(pictures, "red")
+    page.click("#begin")
+    page.wait("document.getElementById('ask').open", "the question for the reason")
+    # Nothing begins without one.
+    page.click("#ask-yes")
+    time.sleep(0.5)
+    assert page.run("document.getElementById('ask').open") and page.shown("#word") == "READY"
+    page.key("Escape")
+    page.run("document.getElementById('ask').close()")
+    service("off no-signal:2")
+    page.wait("document.querySelector('#checks [data-subject=encoders][data-level=good]')", "green again")
+    page.wait("document.getElementById('begin').textContent === 'Start' && !document.getElementById('begin').disabled", "a free start")
+
+
+def live_values(page):
+    angles = lambda: page.run("[...document.querySelectorAll('.joint .angle')].map(angle => angle.textContent)")
+    before = angles()
+    time.sleep(1)
+    after = angles()
+    assert len(before) == 5 and all(one != other and one.endswith("°") for one, other in zip(before, after)), (before, after)
+    height = page.run("document.querySelector('.joint .angle').getBoundingClientRect().height")
+    assert height >= 40, f"digits of {height} px cannot be read from three metres"
+
+
+def first_run(page, pictures):
+    for field, said in [("robot", "IRB 2400"), ("operator", "A. Nilsson"), ("bar", "short"), ("payload", "12 kg"),
+                        ("note", "<img src=x onerror=window.hacked=1>")]:
+        page.type(f"#run-form [name={field}]", said)
+    page.pictures(pictures, "ready")
+    page.click("#begin")
+    word(page, "RECORDING")
+    assert page.run("document.title").startswith("RECORDING ")
+    page.run("document.activeElement.blur()")
+    page.key("m")
+    page.wait("document.getElementById('said').innerText.includes('mark 1')", "the mark")
+    # A fault that lasts, seen while it does, and over when it is.
+    service("on no-signal:3")
+    page.wait("document.getElementById('joint3').dataset.level === 'bad'", "the silent encoder")
+    assert "stale" in page.shown("#joint3 .angle") and "signal too low" in page.shown("#joint3")
+    page.wait("document.getElementById('reason').textContent.includes('joint 3')", "the fault in the headline")
+    assert page.shown("#word") == "RECORDING"
+    page.pictures(pictures, "fault")
+    service("off no-signal:3")
+    page.wait("document.getElementById('joint3').dataset.level === 'good'", "the recovery")
+    page.wait("document.getElementById('reason').textContent === ''", "a headline without it")
+    service("on gone:3")
+    page.wait("document.getElementById('reason').textContent.includes('no samples from')", "the lost terminals in the headline")
+    service("off gone:3")
+    page.wait("document.getElementById('reason').textContent === ''", "the bus back")
+    page.pictures(pictures, "recording")
+    return stop(page)
+
+
+def stop(page):
+    name = page.shown("#run-name")
+    page.click("#stop")
+    page.wait("document.getElementById('ask').open", "the question")
+    page.click("#ask-yes")
+    word(page, "READY")
+    page.wait(f"document.querySelector('#runs [data-run={json.dumps(name)}] .verdict')", "the run in the list")
+    return name
+
+
+def second_run(page):
+    page.wait("document.getElementById('begin').textContent === 'Start' && !document.getElementById('begin').disabled", "a free start")
+    page.click("#begin")
+    word(page, "RECORDING")
+    page.wait("[...document.querySelectorAll('.joint .moved')].every(light => light.classList.contains('on'))", "every joint moved")
+    page.wait("Number(document.getElementById('run-disk').textContent) > 300", "three seconds on disk")
+    return stop(page)
+
+
+def judged(page, name, reason):
+    """The line of a run whose verdict is that of its cycles."""
+    line = page.shown(f"#runs [data-run={json.dumps(name)}]")
+    valid, total = map(int, line.split(" cycles valid")[0].split(", ")[-1].split(" of "))
+    wanted = "GOOD" if valid >= 0.99 * total else "CHECK" if valid >= 0.5 * total else "BAD"
+    assert page.shown(f"#runs [data-run={json.dumps(name)}] .verdict") == wanted and reason in line, line
+    return line, wanted, total
+
+
+def downloaded(page, name, counted, readers):
+    sys.path.insert(0, readers)
+    import read_recording
+
+    page.click(f"#runs [data-run={json.dumps(name)}] [download]")
+    file = page.downloads / f"{name}.mcap"
+    begun = time.monotonic()
+    while not file.exists():
+        assert time.monotonic() - begun < WAIT_S, "the file was never downloaded"
+        time.sleep(0.1)
+    for reader in ["mcap", "rosbags"]:
+        content = read_recording.content_of(file, reader)
+        assert len(content["cycles"]) == counted, f"{reader}: {len(content['cycles'])} cycles, the page says {counted}"
+    return content
+
+
+def main():
+    chromium, url, pictures, readers = sys.argv[1:]
+    pictures = Path(pictures)
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as directory:
+        page = Page(chromium, Path(directory))
+        try:
+            page.call("Emulation.setDeviceMetricsOverride", width=1440, height=900, deviceScaleFactor=1, mobile=False)
+            page.call("Page.navigate", url=url)
+            page.wait("document.readyState === 'complete' && document.getElementById('word')", "the page")
+            word(page, "READY")
+            live_values(page)
+            preflight(page, pictures)
+            first = first_run(page, pictures)
+            assert first.endswith("_irb-2400_short_01"), first
+            line, verdict, total = judged(page, first, "cycles are flagged")
+            assert verdict != "GOOD"
+            assert "IRB 2400" in line and "12 kg" in line and "A. Nilsson" in line, line
+            # Text of people is text.
+            assert "<img src=x" in line and page.run("window.hacked === undefined")
+            content = downloaded(page, first, total, readers)
+            assert any(event["text"] == "mark 1" for event in content["events"]), content["events"]
+            second = second_run(page)
+            assert second.endswith("_02"), second
+            _, verdict_too, total_too = judged(page, second, "")
+            assert verdict_too == "GOOD"
+            downloaded(page, second, total_too, readers)
+            page.click(f"#runs [data-run={json.dumps(second)}] .tools button")
+            page.wait("document.querySelector('#plot-chart canvas')", "the plot")
+            page.pictures(pictures, "plot")
+            page.run("document.getElementById('plot').close()")
+            page.type("#search", "nothing like that")
+            page.wait("document.querySelectorAll('#runs li').length === 0", "an empty search")
+            page.type("#search", f"12 kg {verdict}")
+            page.wait("document.querySelectorAll('#runs li').length === 1", "the run that is searched")
+            # What was typed is there tomorrow.
+            page.call("Page.reload")
+            word(page, "READY")
+            assert page.run("document.querySelector('#run-form [name=robot]').value") == "IRB 2400"
+            service("end")
+            word(page, "NO CONNECTION", within_s=5)
+            assert page.run("[...document.querySelectorAll('.joint .angle')].every(angle => angle.textContent === 'stale')")
+            assert not page.complaints, page.complaints
+            print(json.dumps({"first": [first, verdict, total], "second": [second, verdict_too, total_too]}))
+        finally:
+            page.close()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,184 @@
+//! What a page asks for: the moment, recordings, deletion.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+use ballbard::control::live::Live;
+use ballbard::control::runs::{Curves, RunLine};
+use serde_json::json;
+
+use super::rig::{Running, agent};
+
+/// Listens to events.
+fn listen(service: &Running) -> BufReader<TcpStream> {
+    let mut stream = TcpStream::connect(format!("127.0.0.1:{}", service.port)).unwrap();
+    let port = &service.port;
+    write!(stream, "GET /api/events HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n").unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+    BufReader::new(stream)
+}
+
+fn next(events: &mut impl BufRead) -> Option<Live> {
+    let mut line = String::new();
+    while events.read_line(&mut line).ok()? > 0 {
+        if let Some(json) = line.strip_prefix("data: ") {
+            return Some(serde_json::from_str(json).unwrap());
+        }
+        line.clear();
+    }
+    None
+}
+
+fn fetch(service: &Running, path: &str) -> (u16, String, Vec<u8>) {
+    let mut response = agent().get(&service.url(path)).call().unwrap();
+    let named = response.headers().get("content-disposition").map(|name| name.to_str().unwrap().to_owned());
+    let body = response.body_mut().read_to_vec().unwrap();
+    (response.status().as_u16(), named.unwrap_or_default(), body)
+}
+
+#[test]
+fn events_come_ten_times_a_second_with_what_moves_and_end_with_the_service() {
+    let mut service = Running::start();
+    service.wait_for("waiting");
+    let mut events = listen(&service);
+    while next(&mut events).unwrap().joints.iter().any(|joint| joint.speed_deg_per_s.is_none()) {}
+    let moments: Vec<Live> = (0..20).map(|_| next(&mut events).unwrap()).collect();
+    let lasted_ms = moments[19].at_ms - moments[0].at_ms;
+    assert!((1_800..4_000).contains(&lasted_ms), "20 events in {lasted_ms} ms");
+    let (first, last) = (&moments[0], &moments[19]);
+    assert_eq!((last.headline.word.as_str(), last.joints.len()), ("READY", 5));
+    for (before, after) in first.joints.iter().zip(&last.joints) {
+        assert_ne!(before.angle_deg.unwrap(), after.angle_deg.unwrap());
+        assert!(after.speed_deg_per_s.unwrap().abs() < 30.0);
+    }
+    assert!(last.disk_hours.unwrap() > 0.0);
+    service.signal(nix::sys::signal::Signal::SIGTERM);
+    assert!(service.ended(Duration::from_secs(4)).success());
+    while next(&mut events).is_some() {}
+}
+
+#[test]
+fn clients_that_take_no_event_hold_up_nobody_and_leave_places_for_others() {
+    let service = Running::start();
+    service.wait_for("waiting");
+    service.granted("start", &json!({"name": "watched"}));
+    service.wait_for("writing");
+    let stuck: Vec<_> = (0..50).map(|_| listen(&service)).collect();
+    std::thread::sleep(Duration::from_millis(500));
+    // More than may listen are told what to do instead.
+    let mut refused = listen(&service);
+    let mut line = String::new();
+    refused.read_line(&mut line).unwrap();
+    assert!(line.contains("503"), "{line}");
+    let asked = Instant::now();
+    let live: Live = service.get("live");
+    assert!(live.headline.word == "RECORDING" && asked.elapsed() < Duration::from_secs(2), "{live:?}");
+    let last = service.granted("stop", &json!({})).last.unwrap();
+    assert_eq!(service.recording("watched").cycles.len() as u64, last.cycles);
+    drop(stuck);
+}
+
+#[test]
+fn a_recording_is_downloaded_as_it_is_and_as_a_table_and_deleted_by_its_name_alone() {
+    let service = Running::start();
+    service.wait_for("waiting");
+    let about =
+        json!({"name": "monday-1", "robot": "IRB 2400", "operator": "A", "bar": "short", "payload": "12 kg"});
+    service.granted("start", &about);
+    service.wait_for("writing");
+    assert_eq!(fetch(&service, "runs/monday-1/mcap").0, 404, "a run that goes on is no file yet");
+    let last = service.granted("stop", &json!({})).last.unwrap();
+    let (code, named, bytes) = fetch(&service, "runs/monday-1/mcap");
+    assert_eq!((code, named.as_str()), (200, "attachment; filename=\"monday-1.mcap\""));
+    assert_eq!(bytes, std::fs::read(service.directory.path().join("monday-1.mcap")).unwrap());
+    let (code, _, table) = fetch(&service, "runs/monday-1/csv");
+    let rows = String::from_utf8(table).unwrap().lines().count() as u64;
+    assert_eq!((code, rows), (200, last.cycles + 1));
+    let Curves { t_s, joints } = service.get("runs/monday-1/plot");
+    assert!(
+        t_s.len() > 50 && joints.len() == 5 && joints.iter().all(|joint| joint.angle_deg.len() == t_s.len())
+    );
+    let lines: Vec<RunLine> = service.get("runs");
+    let RunLine { robot, operator, bar, payload, .. } = &lines[0];
+    assert_eq!([robot, operator, bar, payload], ["IRB 2400", "A", "short", "12 kg"]);
+    // What lies elsewhere is none of its business.
+    let secret = service.directory.path().parent().unwrap().join("secret.mcap");
+    std::fs::write(&secret, "secret").unwrap();
+    for name in [
+        "..%2Fsecret",
+        "%2E%2E%2Fsecret",
+        "..",
+        "secret",
+        "%00",
+        "monday-1.mcap",
+        "monday-1%2F..%2Fmonday-1",
+        "%ff",
+    ] {
+        for kind in ["mcap", "csv"] {
+            let (code, _, body) = fetch(&service, &format!("runs/{name}/{kind}"));
+            assert!(matches!(code, 400 | 404), "{name}: {code}");
+            assert!(!String::from_utf8_lossy(&body).contains("secret\n"), "{name}");
+        }
+    }
+    for name in ["../secret", "/etc/passwd", "monday-1.mcap", ""] {
+        assert_eq!(service.post("delete", &json!({"name": name})).0, 404, "{name}");
+    }
+    assert!(secret.exists());
+    std::fs::remove_file(secret).unwrap();
+    assert_eq!(service.granted("delete", &json!({"name": "monday-1"})).answer, "deleted");
+    assert_eq!(service.get::<Vec<RunLine>>("runs"), []);
+}
+
+#[test]
+fn the_page_is_served_with_all_that_it_needs() {
+    let service = Running::start();
+    let mut seen = vec![String::from("/")];
+    let mut next = 0;
+    while let Some(path) = seen.get(next).cloned() {
+        let url = format!("http://127.0.0.1:{}{path}", service.port);
+        let mut response = agent().get(&url).call().unwrap();
+        assert_eq!(response.status(), 200, "{path}");
+        let policy = response.headers().get("content-security-policy").unwrap().to_str().unwrap().to_owned();
+        assert!(
+            policy.contains("default-src 'none'") && policy.contains("frame-ancestors 'none'"),
+            "{policy}"
+        );
+        let mut text = String::new();
+        response.body_mut().as_reader().read_to_string(&mut text).unwrap();
+        if !path.contains("uplot") {
+            let named =
+                text.split(['"', '\'']).filter(|word| word.ends_with(".js") || word.ends_with(".css"));
+            for file in
+                named.map(|word| format!("/{}", word.trim_start_matches("./").trim_start_matches('/')))
+            {
+                if !seen.contains(&file) {
+                    seen.push(file);
+                }
+            }
+            // Nothing from anywhere else.
+            assert!(!text.contains("https://") && !text.contains("//cdn"), "{path}");
+        }
+        next += 1;
+    }
+    assert!(seen.len() >= 9, "{seen:?}");
+}
+
+#[test]
+fn prometheus_reads_what_the_page_shows() {
+    let service = Running::start();
+    service.wait_for("waiting");
+    service.granted("start", &json!({"name": "measured"}));
+    service.wait_for("writing");
+    std::thread::sleep(Duration::from_millis(300));
+    let url = format!("http://127.0.0.1:{}/metrics", service.port);
+    let text = agent().get(&url).call().unwrap().body_mut().read_to_string().unwrap();
+    let value = |name: &str| -> f64 {
+        let line = text.lines().find(|line| line.starts_with(name) && !line.starts_with('#'));
+        line.unwrap_or_else(|| panic!("no {name} in {text}")).rsplit(' ').next().unwrap().parse().unwrap()
+    };
+    assert_eq!((value("ballbard_recording "), value("ballbard_ready ")), (1.0, 0.0));
+    assert!(value("ballbard_run_cycles_synced ") > 0.0 && value("ballbard_run_cycles_lost ") == 0.0);
+    assert_eq!(value("ballbard_encoder_good{joint=\"3\"} "), 1.0);
+    assert!(value("ballbard_disk_left_hours ") > 0.0 && text.ends_with("# EOF\n"));
+}
