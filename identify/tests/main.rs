@@ -7,6 +7,7 @@ mod support;
 mod bar_force;
 mod command_line;
 mod compare;
+mod configuration;
 mod draw_wire;
 mod efficiency;
 mod examination;

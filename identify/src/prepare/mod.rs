@@ -133,7 +133,7 @@ pub struct EncoderOffset {
 impl Default for PrepareOptions {
     fn default() -> Self {
         Self {
-            correlation_min: 0.9,
+            correlation_min: 0.85,
             overlap_min_s: 10.0,
             overlap_min_part: 0.25,
             spread_max_mrad: 50.0,
