@@ -5,6 +5,7 @@
 mod acquire;
 mod acquire_then_identify;
 mod corpus;
+mod documents;
 mod forces;
 mod readers;
 mod replay;

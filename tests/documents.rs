@@ -1,0 +1,72 @@
+//! The documents say what the programs do.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::path::{Path, PathBuf};
+
+use identify::model::ParameterId;
+use shared::recording::schema::flags;
+
+fn repository(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..").join(path)
+}
+
+fn text(path: &Path) -> String {
+    std::fs::read_to_string(path).unwrap()
+}
+
+fn page(name: &str) -> String {
+    text(&repository("docs/src").join(name))
+}
+
+/// Where the links of a Markdown text lead.
+fn links(text: &str) -> impl Iterator<Item = &str> {
+    text.split("](").skip(1).filter_map(|rest| rest.split_once(')').map(|(link, _)| link))
+}
+
+#[test]
+fn every_link_between_documents_leads_to_a_file_and_the_summary_has_every_page() {
+    let mut pages: Vec<PathBuf> = ["README.md", "ARCHITECTURE.md", "CHANGELOG.md"].map(repository).to_vec();
+    let book = std::fs::read_dir(repository("docs/src")).unwrap().map(|entry| entry.unwrap().path());
+    pages.extend(book.filter(|path| path.extension().is_some_and(|ending| ending == "md")));
+    for page in &pages {
+        let text = text(page);
+        for link in links(&text).filter(|link| !link.contains("://") && !link.starts_with('#')) {
+            let file = link.split('#').next().unwrap_or(link);
+            assert!(page.with_file_name(file).exists(), "{}: {link}", page.display());
+        }
+    }
+    let summary = page("SUMMARY.md");
+    for page in pages.iter().filter(|page| page.parent().is_some_and(|folder| folder.ends_with("src"))) {
+        let name = page.file_name().unwrap().to_str().unwrap();
+        assert!(name == "SUMMARY.md" || summary.contains(&format!("]({name})")), "{name}");
+    }
+}
+
+#[test]
+fn the_page_on_recordings_names_every_field_and_flag_of_a_cycle() {
+    let page = page("recording.md");
+    for (bit, name) in flags::NAMES {
+        assert!(page.contains(&format!("| `{name}` | {} |", bit.trailing_zeros())), "{name}");
+    }
+    let schema = text(&repository("shared/src/recording/messages/bus_cycle.ros2msg"));
+    let own = schema.split("====").next().unwrap_or_default();
+    for line in own.lines().map(|line| line.split('#').next().unwrap_or_default().trim()) {
+        // Constants are the flags, which are looked for above.
+        let Some((_, field)) = line.split_once(' ').filter(|(_, field)| !field.contains('=')) else {
+            continue;
+        };
+        assert!(page.contains(&format!("`{field}")), "{field}");
+    }
+}
+
+#[test]
+fn the_page_on_the_method_names_every_kind_of_parameter() {
+    let page = page("method.md");
+    for name in ParameterId::all().map(|id| id.to_string()) {
+        let kind = name.split(|character: char| character.is_ascii_digit()).next().unwrap_or_default();
+        // Vectors are named by their first coordinate.
+        let first =
+            kind.strip_suffix(['y', 'z']).map_or_else(|| kind.to_owned(), |vector| format!("{vector}x"));
+        assert!(page.contains(kind) || page.contains(&first), "{name}");
+    }
+}
