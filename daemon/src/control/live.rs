@@ -285,7 +285,7 @@ impl Observer {
             }
         }
         if self.homing.is_some() && !live.status.encoders.is_empty() {
-            for joint in live.joints.iter().filter(|joint| !joint.from_mark) {
+            for joint in live.joints.iter().filter(|joint| !joint.from_mark && joint.angle_deg.is_some()) {
                 warn(
                     format!("mark {}", joint.joint),
                     format!("the reference mark of joint {} does not hold any more", joint.joint),
@@ -381,7 +381,7 @@ impl Track {
 
     fn take(&mut self, sample: Option<&EncoderStatus>, at: MonoNs, mark: Option<u32>) {
         let Some(sample) = sample.filter(|_| at.0 != 0 && at != self.taken) else { return };
-        if !self.is_followed(sample.count, at) || mark.is_some() != self.from_mark {
+        if !self.is_followed(sample.count, at) || mark != self.mark() {
             self.restart(sample.count, mark);
         }
         let Some((unwrapper, first)) = &mut self.counter else { return };
@@ -417,6 +417,11 @@ impl Track {
         self.counter = Some((unwrapper, first));
         self.recent.clear();
         self.range = None;
+    }
+
+    /// The reference mark that its angle counts from.
+    fn mark(&self) -> Option<u32> {
+        self.from_mark.then_some(self.scale.reference_counts)
     }
 
     fn is_fresh(&self, now: MonoNs) -> bool {
@@ -582,6 +587,7 @@ mod tests {
         observer: Observer,
         now: MonoNs,
         origin: u32,
+        latch: u32,
     }
 
     impl Bench {
@@ -596,16 +602,17 @@ mod tests {
                 homing_file: "homing.toml".into(),
             };
             change(&mut settings);
-            Self { observer: Observer::new(&settings), now: MonoNs(NS_PER_S), origin: 0 }
+            Self { observer: Observer::new(&settings), now: MonoNs(NS_PER_S), origin: 0, latch: START as u32 }
         }
 
         /// A tenth of a second later, all joints at these angles; without one it is not valid.
         fn at(&mut self, angles_deg: [Option<f64>; 5], run: Option<&str>) -> Live {
             self.now = self.now.plus_ns(NS_PER_S / 10);
+            let latch = self.latch;
             let encoder = |(index, angle_deg): (usize, &Option<f64>)| EncoderStatus {
                 joint: index as u8 + 1,
                 count: wrap(START + (angle_deg.unwrap_or(0.0) * COUNTS_PER_DEG) as i64),
-                latch: START as u32,
+                latch,
                 status: if angle_deg.is_some() { 0 } else { 1 << 4 },
                 valid: angle_deg.is_some(),
             };
@@ -720,6 +727,12 @@ mod tests {
         assert_eq!(subjects(&live), ["singular 2"]);
         assert!(live.joints.iter().all(|joint| joint.from_mark));
         assert!(live.warnings[0].text.contains("6.0 degrees"), "{:?}", live.warnings);
+        // Homed anew, at a mark 40 degrees further.
+        let further = START as u32 + (40.0 * COUNTS_PER_DEG) as u32;
+        (bench.latch, bench.observer.homing) =
+            (further, Some(HomingConfig::new(UtcNs(0), &encoders, &[further; 5])));
+        let live = bench.at([Some(4.0); 5], None);
+        assert!((live.joints[1].angle_deg.unwrap() + 36.0).abs() < 1e-3, "{:?}", live.joints[1]);
     }
 
     #[test]
