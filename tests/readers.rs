@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::Duration;
 
-use ballbard::run::BusChoice;
+use ballbard::run::{BusChoice, RunRequest};
 use serde_json::Value;
 use shared::recording::schema::{EventKind, flags};
 use shared::recording::{ACTIVE_ENDING, Recording, Recovery, recover_file};
@@ -37,6 +37,39 @@ fn python_mcap_reads_how_the_loop_kept_its_time() {
         assert_eq!(durations.histogram.iter().map(|bin| bin.cycles).sum::<u64>(), timing.cycles);
     }
     assert!(timing.cycles > 150 && timing.duration.p50_ns >= timing.round_trip.p50_ns, "{timing}");
+}
+
+#[test]
+#[ignore = "needs Python with tests/requirements.txt"]
+fn python_mcap_plots_what_the_ports_have_counted() {
+    let python = python_with(&["mcap", "mcap_ros2"]);
+    let directory = tempfile::tempdir().unwrap();
+    let noisy = RunRequest {
+        faults: vec!["noise:3,0.05@5s-11s".parse().unwrap()],
+        ..request("noisy", BusChoice::Simulated, Some(Duration::from_secs(20)), true)
+    };
+    let (path, ours) = record(directory.path(), &noisy, &ball_bar());
+    assert!(ours.cycles.iter().all(|cycle| cycle.is_valid()), "it costs no cycle");
+    let theirs = read_with(&python, "mcap", &path);
+    let counted: Vec<(u64, u64)> = theirs["diagnostics"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|second| {
+            let status = second["status"].as_array().unwrap();
+            let ports = status.iter().find(|one| one["name"] == "ballbard: ports of EL5021 at position 3");
+            let errors = ports.map_or("0", |ports| ports["values"]["port0_receive_errors"].as_str().unwrap());
+            (errors.parse().unwrap(), ports.map_or(0, |ports| ports["level"].as_u64().unwrap()))
+        })
+        .collect();
+    // None before, more each second while it lasts, the same afterwards.
+    assert_eq!((counted.len(), counted[0]), (20, (0, 0)), "{counted:?}");
+    assert!(counted.is_sorted_by_key(|(errors, _)| *errors), "{counted:?}");
+    assert!(counted.windows(2).filter(|pair| pair[0].0 < pair[1].0).count() >= 4, "{counted:?}");
+    assert!(counted[12..].iter().all(|last| *last == (counted[19].0, 0)), "{counted:?}");
+    let warned = counted.iter().filter(|(_, level)| *level == 1).count();
+    assert!((4..=8).contains(&warned), "{counted:?}");
+    assert!(ours.events.iter().any(|event| event.text.contains("port 0 of device 3")), "{:?}", ours.events);
 }
 
 fn read_with(python: &Path, reader: &str, recording: &Path) -> Value {

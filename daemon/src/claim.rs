@@ -7,7 +7,6 @@
 use std::fmt;
 use std::io::{self, ErrorKind, Read, Write};
 use std::os::fd::AsRawFd;
-use std::os::linux::fs::MetadataExt;
 use std::os::linux::net::SocketAddrExt;
 use std::os::unix::net::{SocketAddr, UnixListener, UnixStream};
 use std::path::Path;
@@ -16,6 +15,7 @@ use std::thread;
 use std::time::Duration;
 
 use nix::sys::socket::{Shutdown, getsockopt, shutdown, sockopt::PeerCredentials};
+use shared::recording::Disk;
 
 /// How long a holder may take to say what it does.
 const ANSWER_TIMEOUT: Duration = Duration::from_millis(500);
@@ -69,9 +69,9 @@ impl Claim {
     }
 
     /// Claims a directory that is there, by whichever path.
-    pub fn directory(path: &Path) -> Result<Option<Self>, Holder> {
-        match std::fs::metadata(path) {
-            Ok(found) => Self::take(&format!("ballbard/directory/{}:{}", found.st_dev(), found.st_ino())),
+    pub fn directory(disk: &dyn Disk, path: &Path) -> Result<Option<Self>, Holder> {
+        match disk.id_at(path) {
+            Ok(id) => Self::take(&format!("ballbard/directory/{id}")),
             Err(error) => Ok(unclaimed(&path.display().to_string(), &error)),
         }
     }
@@ -138,22 +138,24 @@ fn ask(name: &str) -> io::Result<Holder> {
 
 #[cfg(test)]
 mod tests {
+    use shared::recording::SystemDisk;
+
     use super::*;
 
     #[test]
     fn one_has_it_at_a_time_and_the_others_are_told_who() {
         let directory = tempfile::tempdir().unwrap();
         let elsewhere = tempfile::tempdir().unwrap();
-        let claim = Claim::directory(directory.path()).unwrap();
+        let claim = Claim::directory(&SystemDisk, directory.path()).unwrap();
         let same = elsewhere.path().join("link");
         std::os::unix::fs::symlink(directory.path(), &same).unwrap();
         for path in [directory.path(), &same] {
-            let holder = Claim::directory(path).unwrap_err();
+            let holder = Claim::directory(&SystemDisk, path).unwrap_err();
             assert_eq!(holder.pid, i32::try_from(std::process::id()).ok());
             assert!(holder.doing.contains("ballbard"), "{holder}");
         }
-        assert!(Claim::directory(elsewhere.path()).unwrap().is_some());
+        assert!(Claim::directory(&SystemDisk, elsewhere.path()).unwrap().is_some());
         drop(claim);
-        assert!(Claim::directory(&same).unwrap().is_some());
+        assert!(Claim::directory(&SystemDisk, &same).unwrap().is_some());
     }
 }

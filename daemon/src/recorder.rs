@@ -1,5 +1,6 @@
 //! From the ring to the file: a thread that may wait for the disk, so that the cycle never does.
 
+use std::collections::VecDeque;
 use std::io;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -9,7 +10,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use rtrb::{Consumer, Producer, PushError, RingBuffer};
-use shared::recording::schema::{CycleRecord, Event, EventKind, RunMetadata};
+use shared::recording::schema::{CycleRecord, Event, EventKind, PortCounts, RunMetadata};
 use shared::recording::{RecordingWriter, RunFile, RunSync, TimingSummary, WriteError};
 use shared::time::{MonoNs, UtcNs};
 
@@ -164,6 +165,8 @@ pub struct Recorder {
     cut: (u64, Instant),
     /// Events and markers that wait for the cycle before which they happened.
     notes: Vec<Event>,
+    /// What ports have counted, with the cycle from which on that is so.
+    counted: VecDeque<(u64, PortCounts)>,
     moves: u32,
     link: RunLink,
     /// The last cycle written; its number is that of the one that should come next, less one.
@@ -197,6 +200,7 @@ impl Recorder {
             timed: (0, 0),
             cut: (0, Instant::now()),
             notes: Vec::new(),
+            counted: VecDeque::new(),
             moves: 0,
             link,
             last: None,
@@ -210,6 +214,8 @@ impl Recorder {
             let last_round = self.source.ring.is_abandoned();
             self.take_notes();
             while let Ok(record) = self.source.ring.pop() {
+                // What happened before it was handed over before it, however many wait here.
+                self.take_notes();
                 self.take(&record)?;
                 if self.writer.cycles() >= self.cut.0 + self.cut_cycles {
                     self.cut()?;
@@ -238,6 +244,12 @@ impl Recorder {
     fn take(&mut self, record: &CycleRecord) -> Result<(), WriteError> {
         self.fill_lost(record.cycle)?;
         self.write_notes(record.sample_time)?;
+        while let Some((cycle, counts)) = self.counted.front()
+            && *cycle <= record.cycle
+        {
+            self.writer.set_port_counts(*counts);
+            self.counted.pop_front();
+        }
         let written = self.writer.write_cycle(record);
         self.last = Some(*record);
         self.mended(written)
@@ -371,7 +383,10 @@ impl Recorder {
     /// Takes what happened on the bus and what people said, each with its own time.
     fn take_notes(&mut self) {
         while let Ok(event) = self.source.events.pop() {
-            self.note(event.to_event());
+            self.counted.extend(event.port_counts().map(|counts| (event.cycle, counts)));
+            if event.is_news() {
+                self.note(event.to_event());
+            }
         }
         while let Ok(Mark { at, text }) = self.link.marks.try_recv() {
             let time = UtcNs(at.0 + self.utc_minus_monotonic_ns);
@@ -432,7 +447,7 @@ impl Recorder {
         self.mended(closed)?;
         self.link.progress.wrote(cycles);
         let path = loop {
-            match self.writer.sink().publish() {
+            match self.writer.sink_mut().publish() {
                 Ok(path) => break path,
                 outcome => self.mended(outcome.map(drop))?,
             }

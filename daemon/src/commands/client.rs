@@ -10,6 +10,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use shared::config::DaemonConfig;
 use shared::output::say;
+use shared::recording::SystemDisk;
 
 use super::configuration::Configuration;
 use crate::control::runs::{self, RunLine};
@@ -195,7 +196,8 @@ pub fn list(arguments: &RunsArguments) -> anyhow::Result<()> {
 }
 
 fn listed_in(directory: &Path, spare: Option<&Path>) -> anyhow::Result<Vec<RunLine>> {
-    runs::list(directory, spare).with_context(|| format!("cannot list recordings in {}", directory.display()))
+    runs::list(&SystemDisk, directory, spare)
+        .with_context(|| format!("cannot list recordings in {}", directory.display()))
 }
 
 /// Nobody answers where the service should be.
@@ -302,7 +304,7 @@ fn running(run: &RunStatus) -> String {
         run.cycles_valid,
         run.cycles_lost,
         run.bytes as f64 * 1e-6,
-        run.file,
+        if run.file.is_empty() { "no file yet" } else { &run.file },
         run.unsynced_s,
         run.backlog_s,
         run.backlog_limit_s

@@ -6,6 +6,7 @@ use std::time::Duration;
 use clap::Args;
 use shared::config::HomingConfig;
 use shared::output::say;
+use shared::recording::SystemDisk;
 
 use super::client::unless_blind;
 use super::configuration::Configuration;
@@ -50,7 +51,7 @@ pub struct RecordArguments {
 
 pub fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
     let (mut daemon, bar) = (arguments.configuration.daemon()?, arguments.configuration.ball_bar()?);
-    let homing = homing::file::read(&arguments.configuration.homing_file(&daemon))?;
+    let homing = homing::file::read(&SystemDisk, &arguments.configuration.homing_file(&daemon))?;
     if let Some(directory) = &arguments.out {
         daemon.directory.clone_from(directory);
     }

@@ -1,11 +1,13 @@
 //! Homing as the service does it: the steps in words, and the file at the end.
 
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::thread;
 use std::time::Instant;
 
 use shared::config::{EncoderConfig, bar_joint_name};
+use shared::recording::Disk;
 
 use super::status::HomingStatus;
 use crate::homing::{self, Found, HomingError, HomingStep};
@@ -14,6 +16,7 @@ use crate::run::{ActiveHoming, Session};
 /// A homing, until the next one.
 pub struct Homing {
     active: ActiveHoming,
+    disk: Arc<dyn Disk>,
     status: HomingStatus,
     /// What was found is being written, since when.
     keeping: Option<(Receiver<Result<(), HomingError>>, Instant)>,
@@ -22,7 +25,12 @@ pub struct Homing {
 impl Homing {
     /// Begins.
     pub fn begin(session: &Session) -> Self {
-        Self { active: session.begin_homing(), status: HomingStatus::default(), keeping: None }
+        Self {
+            active: session.begin_homing(),
+            disk: session.disk(),
+            status: HomingStatus::default(),
+            keeping: None,
+        }
     }
 
     /// Asks it to end.
@@ -64,11 +72,11 @@ impl Homing {
         (self.status.joint, self.status.turned_deg) = (None, None);
         let (result, kept) = channel();
         self.keeping = Some((kept, Instant::now()));
-        let file = file.to_owned();
+        let (disk, file) = (Arc::clone(&self.disk), file.to_owned());
         let keep = move || {
             let marks = homing::verify(&encoders, &found).map_err(HomingError::from);
             let kept = marks.and_then(|marks| {
-                homing::file::write(&file, &encoders, &marks)
+                homing::file::write(&*disk, &file, &encoders, &marks)
                     .map_err(|error| HomingError::Stopped(error.to_string()))
             });
             // Nobody waits any more if the service has ended meanwhile.

@@ -13,6 +13,7 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 use shared::config::{EncoderConfig, HomingConfig, bar_joint_name};
 use shared::encoder::{EncoderScale, Unwrapper};
+use shared::recording::SystemDisk;
 use shared::recording::schema::EncoderInfo;
 use shared::time::{MonoNs, NS_PER_S};
 use tokio::sync::watch;
@@ -311,7 +312,7 @@ impl Observer {
 fn read(file: PathBuf) -> std::io::Result<Receiver<Option<HomingConfig>>> {
     let (found, reading) = channel();
     thread::Builder::new().name("marks".into()).spawn(move || {
-        let _ = found.send(homing::file::read(&file).ok().flatten());
+        let _ = found.send(homing::file::read(&SystemDisk, &file).ok().flatten());
     })?;
     Ok(reading)
 }

@@ -1,8 +1,10 @@
 //! What should be true before a run begins, each with what to do where it is not.
 
+use std::io;
 use std::path::PathBuf;
 
 use shared::config::{DaemonConfig, HomingConfig};
+use shared::recording::Disk;
 
 use super::runs;
 use super::service::Settings;
@@ -17,16 +19,19 @@ const SAMPLE_AGE_MS_MAX: i64 = 1000;
 /// What a check needs to know of the disk, found by a thread that may wait for it.
 pub(super) struct Found {
     homing: Result<Option<HomingConfig>, String>,
-    left_behind: Vec<PathBuf>,
+    left_behind: Result<Vec<PathBuf>, String>,
 }
 
 impl Found {
     /// As of now.
-    pub fn now(settings: &Settings) -> Self {
+    pub fn now(settings: &Settings, disk: &dyn Disk) -> Self {
         let DaemonConfig { directory, spare_directory, .. } = &settings.daemon;
+        let left_behind = || -> io::Result<_> {
+            Ok([runs::left_behind(disk, directory)?, runs::left_behind(disk, spare_directory)?].concat())
+        };
         Self {
-            homing: homing::file::read(&settings.homing_file).map_err(|error| error.to_string()),
-            left_behind: [runs::left_behind(directory), runs::left_behind(spare_directory)].concat(),
+            homing: homing::file::read(disk, &settings.homing_file).map_err(|error| error.to_string()),
+            left_behind: left_behind().map_err(|error| error.to_string()),
         }
     }
 }
@@ -200,7 +205,11 @@ fn log() -> CheckLine {
 
 fn leftovers(found: Option<&Found>) -> CheckLine {
     const SUBJECT: &str = "left-over files";
-    let Some(Found { left_behind, .. }) = found else { return unanswered(SUBJECT) };
+    let left_behind = match found.map(|found| &found.left_behind) {
+        None => return unanswered(SUBJECT),
+        Some(Err(error)) => return problem(SUBJECT, error.as_str(), "look at the disk of the recordings"),
+        Some(Ok(left_behind)) => left_behind,
+    };
     if left_behind.is_empty() {
         return good(SUBJECT, "none");
     }

@@ -1,10 +1,13 @@
 //! The recordings of a directory: how long, what they are worth, and which of them were recovered.
 
+use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use shared::recording::schema::EncoderSample;
-use shared::recording::{ACTIVE_ENDING, FINISHED_ENDING, ReadError, Recording, RunOverview, is_in_use};
+use shared::recording::{
+    ACTIVE_ENDING, Disk, FINISHED_ENDING, ReadError, Recording, RunOverview, is_absent, is_in_use,
+};
 use shared::time::UtcNs;
 
 use super::verdict::Verdict;
@@ -48,30 +51,49 @@ pub struct RunLine {
 
 /// Recordings of a directory, the latest first; those that do not tell when they began come last. With those of runs
 /// that had to go on in `spare`.
-pub fn list(directory: &Path, spare: Option<&Path>) -> std::io::Result<Vec<RunLine>> {
-    let mut lines: Vec<_> = files(directory, spare)?.filter_map(line).collect();
+pub fn list(disk: &dyn Disk, directory: &Path, spare: Option<&Path>) -> io::Result<Vec<RunLine>> {
+    let files = files(disk, directory, spare)?;
+    let mut lines: Vec<_> = files.into_iter().filter_map(|file| line(disk, file)).collect();
     lines.sort_by(|one, other| other.started.cmp(&one.started).then_with(|| one.name.cmp(&other.name)));
     Ok(lines)
 }
 
 /// The finished recording of this name. The name is compared with those that are there and never made a path of.
-pub fn find(directory: &Path, spare: Option<&Path>, name: &str) -> std::io::Result<Option<PathBuf>> {
+pub fn find(
+    disk: &dyn Disk,
+    directory: &Path,
+    spare: Option<&Path>,
+    name: &str,
+) -> io::Result<Option<PathBuf>> {
     let is_it =
         |file: &PathBuf| stem(file, FINISHED_ENDING).is_some_and(|stem| stem == name) && file.is_file();
-    Ok(files(directory, spare)?.find(is_it))
+    Ok(files(disk, directory, spare)?.into_iter().find(is_it))
 }
 
-fn files(directory: &Path, spare: Option<&Path>) -> std::io::Result<impl Iterator<Item = PathBuf>> {
-    // It is there only if a run needed it.
-    let elsewhere = spare.and_then(|spare| std::fs::read_dir(spare).ok()).into_iter().flatten();
-    Ok(std::fs::read_dir(directory)?.chain(elsewhere).flatten().map(|entry| entry.path()))
+fn files(disk: &dyn Disk, directory: &Path, spare: Option<&Path>) -> io::Result<Vec<PathBuf>> {
+    let mut files = disk.list(directory)?;
+    files.extend(spare.map_or(Ok(Vec::new()), |spare| list_if_there(disk, spare))?);
+    Ok(files)
 }
 
 /// Files of runs that no living process writes.
-pub fn left_behind(directory: &Path) -> Vec<PathBuf> {
-    let Ok(entries) = std::fs::read_dir(directory) else { return Vec::new() };
-    let active = |path: &PathBuf| stem(path, ACTIVE_ENDING).is_some() && !is_in_use(path);
-    entries.flatten().map(|entry| entry.path()).filter(active).collect()
+pub fn left_behind(disk: &dyn Disk, directory: &Path) -> io::Result<Vec<PathBuf>> {
+    let mut files = list_if_there(disk, directory)?;
+    files.retain(|path| stem(path, ACTIVE_ENDING).is_some());
+    // One that cannot be asked is not in use, and one that has just been finished is not there any more.
+    files.retain(|path| match is_in_use(disk, path) {
+        Ok(is_in_use) => !is_in_use,
+        Err(error) => !is_absent(&error),
+    });
+    Ok(files)
+}
+
+/// A directory is made when a run needs it.
+fn list_if_there(disk: &dyn Disk, directory: &Path) -> io::Result<Vec<PathBuf>> {
+    match disk.list(directory) {
+        Err(error) if is_absent(&error) => Ok(Vec::new()),
+        listed => listed,
+    }
 }
 
 fn stem(path: &Path, ending: &str) -> Option<String> {
@@ -79,23 +101,25 @@ fn stem(path: &Path, ending: &str) -> Option<String> {
     Some(name.strip_suffix(ending)?.strip_suffix('.')?.to_owned()).filter(|stem| !stem.is_empty())
 }
 
-fn line(file: PathBuf) -> Option<RunLine> {
+fn line(disk: &dyn Disk, file: PathBuf) -> Option<RunLine> {
     if let Some(name) = stem(&file, ACTIVE_ENDING) {
-        let cause = if is_in_use(&file) {
-            "is being recorded"
-        } else {
-            "left behind by a crash; it is recovered when the next run or the service starts"
+        let cause = match is_in_use(disk, &file) {
+            Ok(true) => "is being recorded".into(),
+            Ok(false) => {
+                "left behind by a crash; it is recovered when the next run or the service starts".into()
+            }
+            Err(error) => format!("cannot be read: {error}"),
         };
-        return Some(RunLine { name, file, cause: cause.into(), ..RunLine::default() });
+        return Some(RunLine { name, file, cause, ..RunLine::default() });
     }
     let name = stem(&file, FINISHED_ENDING)?;
-    Some(finished(name, file))
+    Some(finished(disk, name, file))
 }
 
 /// The line of a finished recording.
-pub fn finished(name: String, file: PathBuf) -> RunLine {
-    let bytes = std::fs::metadata(&file).map_or(0, |metadata| metadata.len());
-    match RunOverview::open(&file) {
+pub fn finished(disk: &dyn Disk, name: String, file: PathBuf) -> RunLine {
+    let bytes = disk.open(&file).and_then(|opened| disk.length(&opened)).unwrap_or(0);
+    match RunOverview::open_on(disk, &file) {
         Ok(overview) => {
             let verdict = Some(Verdict::of_file(&overview));
             let RunOverview { run, end } = overview;

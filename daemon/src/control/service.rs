@@ -9,7 +9,7 @@ use std::thread;
 use std::time::Duration;
 
 use shared::config::{BallBarConfig, DaemonConfig};
-use shared::recording::{ACTIVE_ENDING, FINISHED_ENDING};
+use shared::recording::{ACTIVE_ENDING, Disk, FINISHED_ENDING, SystemDisk};
 use shared::time::MonoNs;
 use tokio::sync::{Semaphore, oneshot, watch};
 
@@ -51,13 +51,14 @@ pub struct Service {
     status: watch::Receiver<Status>,
     live: watch::Receiver<Arc<Moment>>,
     settings: Arc<Settings>,
+    disk: Arc<dyn Disk>,
     thread: Arc<Mutex<Option<Control>>>,
     looks: Arc<Semaphore>,
 }
 
 /// Questions that may wait for the disk at a time.
 const LOOKS_MAX: usize = 4;
-/// How long each may: who asks is told sooner or later what is known without it.
+/// How long each may; after that who asks is told what is known without it.
 const LOOK_WITHIN: Duration = Duration::from_secs(1);
 /// The same for a list of hundreds of recordings.
 pub(super) const LIST_WITHIN: Duration = Duration::from_secs(10);
@@ -80,19 +81,26 @@ impl Service {
     /// Starts the service: left-over runs are finished, the bus is brought up and kept up. Where another process has its
     /// directory it ends, as [`join`](Self::join) says.
     pub fn start(settings: Settings) -> Result<Self, ServiceError> {
-        let (bus, faults) = (settings.bus.clone(), settings.faults.clone());
-        let (daemon, bar) = (settings.daemon.clone(), settings.bar.clone());
-        let storage = Storage::new(&daemon)?;
-        let places = storage.clone();
-        Self::start_on(settings, storage, Arc::new(move || run::open(&bus, &faults, &daemon, &bar, &places)))
+        Self::start_on(Arc::new(SystemDisk), settings)
     }
 
-    /// [`start`](Self::start) with another disk and another way to the bus.
-    pub(crate) fn start_on(
+    /// [`start`](Self::start) on another disk.
+    pub fn start_on(disk: Arc<dyn Disk>, settings: Settings) -> Result<Self, ServiceError> {
+        let (bus, faults) = (settings.bus.clone(), settings.faults.clone());
+        let (daemon, bar) = (settings.daemon.clone(), settings.bar.clone());
+        let storage = Storage::on(disk, &daemon)?;
+        let places = storage.clone();
+        let connect = move || run::open(&bus, &faults, &daemon, &bar, &places);
+        Self::start_with(settings, storage, Arc::new(connect))
+    }
+
+    /// [`start`](Self::start) with another way to the bus.
+    pub(crate) fn start_with(
         settings: Settings,
         storage: Storage,
         connect: Arc<Connect>,
     ) -> Result<Self, ServiceError> {
+        let disk = storage.disk();
         let settings = Arc::new(settings);
         let (commands, commands_rx) = channel();
         let (status_tx, status) = watch::channel(Status::default());
@@ -107,7 +115,8 @@ impl Service {
         };
         let thread = thread::Builder::new().name("control".into()).spawn(body)?;
         let thread = Arc::new(Mutex::new(Some(thread)));
-        Ok(Self { commands, status, live, settings, thread, looks: Arc::new(Semaphore::new(LOOKS_MAX)) })
+        let looks = Arc::new(Semaphore::new(LOOKS_MAX));
+        Ok(Self { commands, status, live, settings, disk, thread, looks })
     }
 
     /// What it is doing.
@@ -133,8 +142,9 @@ impl Service {
     /// Answered when the run's file is there, or why it gets none.
     pub(super) async fn begin(&self, request: StartRequest) -> Result<Answer, Refusal> {
         let named = request.name.is_some();
-        let settings = Arc::clone(&self.settings);
-        let Some(details) = self.look(LOOK_WITHIN, move || details(request, &settings)).await else {
+        let (settings, disk) = (Arc::clone(&self.settings), Arc::clone(&self.disk));
+        let details = self.look(LOOK_WITHIN, move || details(request, &settings, &*disk)).await;
+        let Some(details) = details else {
             return Ok(Answer::Refused(
                 "the disk does not answer; `ballbard status` says what is known of it".into(),
             ));
@@ -161,9 +171,14 @@ impl Service {
 
     /// The preflight check.
     pub async fn check(&self) -> Result<Vec<CheckLine>, Refusal> {
-        let settings = Arc::clone(&self.settings);
-        let found = self.look(LOOK_WITHIN, move || Found::now(&settings)).await;
+        let (settings, disk) = (Arc::clone(&self.settings), Arc::clone(&self.disk));
+        let found = self.look(LOOK_WITHIN, move || Found::now(&settings, &*disk)).await;
         self.ask(|reply| Command::Check(found, reply)).await
+    }
+
+    /// Where recordings are.
+    pub(super) fn disk(&self) -> Arc<dyn Disk> {
+        Arc::clone(&self.disk)
     }
 
     /// What a thread finds that may wait for the disk; none where that takes longer than `within`.
@@ -218,9 +233,10 @@ impl Service {
 /// Longer is a slip of the finger.
 const DURATION_MAX: Duration = Duration::from_secs(366 * 86_400);
 
-fn details(request: StartRequest, settings: &Settings) -> Result<RunDetails, Refusal> {
+fn details(request: StartRequest, settings: &Settings, disk: &dyn Disk) -> Result<RunDetails, Refusal> {
     let Settings { daemon, homing_file, .. } = settings;
-    let homing = homing::file::read(homing_file).map_err(|error| Refusal { error: error.to_string() })?;
+    let homing =
+        homing::file::read(disk, homing_file).map_err(|error| Refusal { error: error.to_string() })?;
     let duration = request
         .duration_s
         .map(|seconds| {
@@ -237,19 +253,21 @@ fn details(request: StartRequest, settings: &Settings) -> Result<RunDetails, Ref
         .transpose()?;
     Ok(RunDetails {
         about: request.about(),
-        name: request.name.unwrap_or_else(|| free_name(&daemon.directory)),
+        name: request.name.unwrap_or_else(|| free_name(disk, &daemon.directory)),
         duration,
         homing,
     })
 }
 
 /// A name of date and time that no file bears.
-fn free_name(directory: &Path) -> String {
+fn free_name(disk: &dyn Disk, directory: &Path) -> String {
     let base = run::name_by_time();
+    let is_there = |file: &Path| disk.has(file).unwrap_or(false);
+    // Where the disk does not say, the run's file is refused if its name is taken.
     let taken = |name: &str| {
         [FINISHED_ENDING, ACTIVE_ENDING]
             .iter()
-            .any(|ending| directory.join(format!("{name}.{ending}")).exists())
+            .any(|ending| is_there(&directory.join(format!("{name}.{ending}"))))
     };
     let numbered = (2..1000).map(|number| format!("{base}-{number}"));
     std::iter::once(base.clone()).chain(numbered).find(|name| !taken(name)).unwrap_or(base)
@@ -259,11 +277,11 @@ fn free_name(directory: &Path) -> String {
 pub(crate) mod tests {
     use std::fs::File;
     use std::io;
-    use std::sync::atomic::{AtomicBool, Ordering};
+    use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
     use std::time::Instant;
 
     use shared::config;
-    use shared::recording::{Disk, Recording, SystemDisk};
+    use shared::recording::Recording;
     use shared::time::MonoNs;
 
     use super::*;
@@ -310,6 +328,41 @@ pub(crate) mod tests {
             assert!(!(recorder && self.0.load(Ordering::Acquire)), "the test ends this thread");
             SystemDisk.write_at(file, bytes, offset)
         }
+    }
+
+    /// A disk that is full for as many writes of the recorder as it is told.
+    #[derive(Debug, Default)]
+    struct FullDisk(AtomicU32);
+
+    impl Disk for FullDisk {
+        fn write_at(&self, file: &File, bytes: &[u8], offset: u64) -> io::Result<usize> {
+            let is_full = |left: u32| left.checked_sub(1);
+            let refuses = thread::current().name() == Some("recorder")
+                && self.0.fetch_update(Ordering::AcqRel, Ordering::Acquire, is_full).is_ok();
+            if refuses {
+                return Err(io::Error::from_raw_os_error(libc::ENOSPC));
+            }
+            SystemDisk.write_at(file, bytes, offset)
+        }
+    }
+
+    #[test]
+    fn a_run_that_no_disk_takes_any_more_says_why_and_how_much_of_it_is_saved() {
+        let directory = tempfile::tempdir().unwrap();
+        let disk = Arc::new(FullDisk::default());
+        let (service, _) = simulated_after(directory.path(), disk.clone(), || {});
+        record(&service, "full");
+        // Once in the run's place, once in the spare one.
+        disk.0.store(2, Ordering::Release);
+        let last = wait_until(&service, "its end", |status| status.last.is_some()).last.unwrap();
+        let error = last.error.unwrap();
+        assert!(error.contains("No space left") && error.contains("check free space"), "{error}");
+        let file = last.file.unwrap();
+        let recording = Recording::open(Path::new(&file)).unwrap();
+        assert!(last.cycles > 0 && recording.cycles.len() as u64 == last.cycles, "{} cycles", last.cycles);
+        assert!(error.contains(&format!("{} cycles are saved in {file}", last.cycles)), "{error}");
+        service.shutdown("test over");
+        service.join().unwrap();
     }
 
     /// A disk that hangs while it is told to, wherever a run's file or what earlier runs left is made.
@@ -405,7 +458,8 @@ pub(crate) mod tests {
     ) -> (Service, Arc<AtomicBool>) {
         let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
         let daemon: DaemonConfig = config::load(&shipped.join("daemon.toml")).unwrap();
-        let daemon = DaemonConfig { directory: directory.to_owned(), ..daemon };
+        let (home, spare_directory) = (directory.to_owned(), directory.join("spare"));
+        let daemon = DaemonConfig { directory: home, spare_directory, ..daemon };
         let bar: BallBarConfig = config::load(&shipped.join("ball_bar.toml")).unwrap();
         let deadly = Arc::new(AtomicBool::new(false));
         let storage = Storage::on(disk, &daemon).unwrap();
@@ -425,7 +479,7 @@ pub(crate) mod tests {
             bar,
             homing_file: directory.join("homing.toml"),
         };
-        (Service::start_on(settings, storage, Arc::new(connect)).unwrap(), deadly)
+        (Service::start_with(settings, storage, Arc::new(connect)).unwrap(), deadly)
     }
 
     /// Begins a run and waits until it is being written.

@@ -92,7 +92,7 @@ pub struct RunStatus {
     pub name: String,
     /// When it began, ns since 1970.
     pub started: UtcNs,
-    /// Where it is written.
+    /// Where it is written; empty until its file is there.
     pub file: String,
     /// Cycles on disk: synchronised, so that a power cut leaves them.
     pub cycles: u64,

@@ -1,6 +1,6 @@
 //! What the cycle has to say besides its records: small, fixed in size, put into words by whoever writes the file.
 
-use shared::recording::schema::{Event, EventKind, flags};
+use shared::recording::schema::{Event, EventKind, PortCounts, flags};
 use shared::time::UtcNs;
 
 use super::links::PortErrors;
@@ -62,6 +62,8 @@ pub enum Happening {
         port: u8,
         /// Since the run began.
         errors: PortErrors,
+        /// Worth words; otherwise only the figures go into the file.
+        is_news: bool,
     },
 }
 
@@ -99,6 +101,18 @@ pub enum Origin {
 }
 
 impl CycleEvent {
+    /// Worth words; otherwise it only brings figures.
+    pub fn is_news(&self) -> bool {
+        !matches!(self.what, Happening::LinkErrors { is_news: false, .. })
+    }
+
+    /// What a port has counted.
+    pub fn port_counts(&self) -> Option<PortCounts> {
+        let Happening::LinkErrors { position, port, errors, .. } = self.what else { return None };
+        let PortErrors { invalid_frames, receive_errors, lost_links } = errors;
+        Some(PortCounts { position, port, invalid_frames, receive_errors, lost_links })
+    }
+
     /// As the file tells it.
     pub fn to_event(&self) -> Event {
         let kind = match self.what {
@@ -129,7 +143,9 @@ impl Happening {
                 format!("the reference clock jumped by {:.3} ms", by_ns as f64 * 1e-6)
             }
             Self::OriginChanged(how) => format!("counts may have a new origin: {}", how.text()),
-            Self::LinkErrors { position, port, errors } => link_errors(position.into(), port.into(), errors),
+            Self::LinkErrors { position, port, errors, .. } => {
+                link_errors(position.into(), port.into(), errors)
+            }
         }
     }
 }

@@ -36,7 +36,9 @@ pub struct Links {
     /// What each device showed last; none before the first look.
     shown: [Option<[PortCounters; PORTS]>; DEVICES_MAX],
     errors: [[PortErrors; PORTS]; DEVICES_MAX],
-    /// Of each port, as many as were told last.
+    /// As the recorder knows them.
+    given: [[PortErrors; PORTS]; DEVICES_MAX],
+    /// Of each port, as many as were told last in words.
     told: [[u32; PORTS]; DEVICES_MAX],
     /// Rises with every change of the errors.
     revision: u64,
@@ -49,6 +51,7 @@ impl Default for Links {
             next: 0,
             shown: [None; DEVICES_MAX],
             errors: Default::default(),
+            given: Default::default(),
             told: Default::default(),
             revision: 0,
         }
@@ -58,7 +61,7 @@ impl Default for Links {
 impl Links {
     /// Counts from zero.
     pub(super) fn begin_run(&mut self) {
-        (self.errors, self.told) = Default::default();
+        (self.errors, self.given, self.told) = Default::default();
         self.revision += 1;
     }
 
@@ -97,15 +100,17 @@ impl Links {
         }
     }
 
-    /// A port of a device that has twice the errors that were told of it: a cable that is bad all day fills no file.
-    fn take_news(&mut self, position: usize) -> Option<(usize, PortErrors)> {
-        let ports = self.errors[position].iter().zip(&mut self.told[position]).enumerate();
-        ports.into_iter().find_map(|(port, (errors, told))| {
-            let news = errors.all() > 0 && errors.all() >= 2 * *told;
-            news.then(|| {
-                *told = errors.all();
-                (port, *errors)
-            })
+    /// A port of a device that has counted since the recorder was given its errors, and whether they are worth words: they
+    /// are twice those that were told last. A cable that is bad all day fills no log.
+    fn take_change(&mut self, position: usize) -> Option<(usize, PortErrors, bool)> {
+        let ports = self.errors[position].iter().zip(&mut self.given[position]).zip(&mut self.told[position]);
+        let changed =
+            |(_, ((errors, given), _)): &(usize, ((&PortErrors, &mut PortErrors), &mut u32))| errors != given;
+        ports.enumerate().find(changed).map(|(port, ((errors, given), told))| {
+            *given = *errors;
+            let is_news = errors.all() >= 2 * *told;
+            *told = if is_news { errors.all() } else { *told };
+            (port, *errors, is_news)
         })
     }
 }
@@ -130,8 +135,9 @@ impl Acquisition {
         if counters.iter().any(PortCounters::are_high) && self.bus.clear_port_counters(position, until) {
             self.links.shown[position] = Some(Default::default());
         }
-        while let Some((port, errors)) = self.links.take_news(position) {
-            self.tell(Happening::LinkErrors { position: position as u8, port: port as u8, errors });
+        while let Some((port, errors, is_news)) = self.links.take_change(position) {
+            let (position, port) = (position as u8, port as u8);
+            self.tell(Happening::LinkErrors { position, port, errors, is_news });
         }
     }
 }

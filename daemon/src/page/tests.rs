@@ -50,7 +50,11 @@ impl Bench {
             bar,
             homing_file: directory.path().join("homing.toml"),
         };
-        Self { service: Service::start_on(settings, storage, Arc::new(connect)).unwrap(), faults, directory }
+        Self {
+            service: Service::start_with(settings, storage, Arc::new(connect)).unwrap(),
+            faults,
+            directory,
+        }
     }
 
     fn switch(&self, line: &str) {

@@ -61,6 +61,7 @@ fn rig(disk: Arc<dyn Disk>, source: CycleSource, daemon: &DaemonConfig, clock: &
         cycle_period: Duration::from_millis(10),
         sync_period: daemon.sync_period(),
         ring_cycles: source.ring.buffer().capacity(),
+        cycle_waits: false,
     };
     let place = writer.sink().place().clone();
     let progress = Arc::new(Progress::new(Arc::clone(source.handed()), limits));

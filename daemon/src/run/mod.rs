@@ -17,7 +17,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use shared::config::{BallBarConfig, DaemonConfig, HomingConfig};
-use shared::recording::{Leftover, ReadError, Recovery, WriteError, recover_leftovers};
+use shared::recording::{Leftover, ReadError, Recovery, WriteError, recover_leftovers_on};
 
 pub use disk::Storage;
 pub use homing::ActiveHoming;
@@ -176,6 +176,9 @@ pub enum RunError {
         /// Who has it.
         holder: Holder,
     },
+    /// The name that was asked for is that of a run that a crash left behind.
+    #[error("{}: a run of this name was left behind by a crash and has just been recovered; choose another name", .0.display())]
+    NameRecovered(PathBuf),
     /// The disk is too full to begin.
     #[error("{0}")]
     Disk(String),
@@ -302,16 +305,20 @@ fn connect(
 /// is not claimed: whoever records into it is told why it cannot.
 pub(crate) fn claim_directory(storage: &Storage) -> Result<Option<Claim>, RunError> {
     let directory = storage.directory();
-    if std::fs::create_dir_all(directory).is_err() {
+    let disk = storage.disk();
+    if disk.make_directory(directory).is_err() {
         return Ok(None);
     }
-    Claim::directory(directory).map_err(|holder| RunError::InUse { directory: directory.to_owned(), holder })
+    Claim::directory(&*disk, directory)
+        .map_err(|holder| RunError::InUse { directory: directory.to_owned(), holder })
 }
 
-/// Makes finished recordings of what earlier crashes left where recordings go, and says so in the log.
-pub fn finish_leftovers(storage: &Storage) {
-    let places = [storage.directory(), storage.spare()];
-    for Leftover { file, outcome } in places.into_iter().flat_map(recover_leftovers) {
+/// Makes finished recordings of what earlier crashes left where recordings go, and says so in the log. Gives their files.
+pub fn finish_leftovers(storage: &Storage) -> Vec<PathBuf> {
+    let (disk, places) = (storage.disk(), [storage.directory(), storage.spare()]);
+    let leftovers = places.into_iter().flat_map(|place| recover_leftovers_on(&*disk, place));
+    let mut finished = Vec::new();
+    for Leftover { file, outcome } in leftovers {
         match outcome {
             Ok(Recovery::Recovered { file, content, .. } | Recovery::Renamed { file, content }) => {
                 tracing::warn!(
@@ -319,9 +326,11 @@ pub fn finish_leftovers(storage: &Storage) {
                     cycles = content.cycles,
                     "a run left behind by a crash was recovered"
                 );
+                finished.push(file);
             }
             Ok(Recovery::Whole { .. }) => {}
             Err(error) => tracing::warn!(file = %file.display(), "a file left behind: {error}"),
         }
     }
+    finished
 }

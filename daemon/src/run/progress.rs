@@ -38,6 +38,8 @@ pub struct Limits {
     pub sync_period: Duration,
     /// Cycles that may wait to be written.
     pub ring_cycles: usize,
+    /// The cycle waits for the disk, as it does on virtual time: many cycles that wait are no news.
+    pub cycle_waits: bool,
 }
 
 #[derive(Debug)]
@@ -258,7 +260,7 @@ impl Progress {
             warnings: Vec::new(),
             timing: disk.timing.clone(),
         };
-        snapshot.warnings = snapshot.find_warnings(self.limits.sync_period, &disk);
+        snapshot.warnings = snapshot.find_warnings(&self.limits, &disk);
         snapshot
     }
 }
@@ -285,9 +287,9 @@ const OPENS_WITHIN: Duration = Duration::from_secs(1);
 const WARNING_PERIODS: u32 = 2;
 
 impl Snapshot {
-    fn find_warnings(&self, sync_period: Duration, disk: &OnDisk) -> Vec<Warning> {
+    fn find_warnings(&self, limits: &Limits, disk: &OnDisk) -> Vec<Warning> {
         let Self { lost, backlog_s, backlog_limit_s, unsynced_s, file, .. } = self;
-        let usual_s = (sync_period * WARNING_PERIODS).as_secs_f64();
+        let usual_s = (limits.sync_period * WARNING_PERIODS).as_secs_f64();
         let mut warnings = Vec::new();
         let mut warn = |what, text| warnings.push(Warning { what, text });
         let opening = disk.opening.since.elapsed();
@@ -307,6 +309,9 @@ impl Snapshot {
         }
         if *lost > 0 {
             warn("lost cycles", format!("{lost} cycles are lost: the disk did not take them in time"));
+        }
+        if limits.cycle_waits {
+            return warnings;
         }
         if *backlog_s > usual_s {
             warn(

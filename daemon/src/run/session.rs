@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use shared::config::{BallBarConfig, DaemonConfig};
 use shared::recording::schema::{DeviceInfo, EncoderInfo, RunMetadata};
-use shared::recording::{RecordingWriter, Recovery, RunFile, Salvaged, WriteError, recover_file};
+use shared::recording::{Disk, RecordingWriter, Recovery, RunFile, Salvaged, WriteError, recover_file_on};
 use shared::time::{MonoNs, UtcNs};
 
 use super::cycle_thread::{self, Job, Ready, RunJob};
@@ -114,8 +114,12 @@ impl Session {
         let ring_cycles = self.daemon.ring_cycles(self.period);
         let (sink, ring) = recorder::ring(ring_cycles, &self.clock);
         let (marks, marks_rx) = sync_channel(MARKS_MAX);
-        let limits =
-            Limits { cycle_period: self.period, sync_period: self.daemon.sync_period(), ring_cycles };
+        let limits = Limits {
+            cycle_period: self.period,
+            sync_period: self.daemon.sync_period(),
+            ring_cycles,
+            cycle_waits: !self.clock.is_real(),
+        };
         let progress = Arc::new(Progress::new(Arc::clone(ring.handed()), limits));
         self.storage.watch(&progress, stop);
         let link =
@@ -124,9 +128,9 @@ impl Session {
         let utc_minus_monotonic_ns = metadata.utc_minus_monotonic_ns;
         let record = move || {
             let writer = create(&link, &metadata)?;
-            let progress = Arc::clone(&link.progress);
+            let (progress, disk) = (Arc::clone(&link.progress), link.storage.disk());
             let recorder = Recorder::new(ring, writer, clock, sync_period, &metadata, link);
-            recorder.run(|| cause.cause()).map_err(|source| broken(source, &progress, cause.cause()))
+            recorder.run(|| cause.cause()).map_err(|source| broken(source, &progress, &*disk, cause.cause()))
         };
         let recorder = spawn("recorder", record)?;
         claim::tell(format!("recording run `{}`", details.name));
@@ -165,6 +169,11 @@ impl Session {
             );
         }
         encoders
+    }
+
+    /// Where runs and reference marks go.
+    pub fn disk(&self) -> Arc<dyn Disk> {
+        self.storage.disk()
     }
 
     /// The cycle's thread lives.
@@ -283,17 +292,21 @@ impl ActiveRun {
 fn create(link: &RunLink, run: &RunMetadata) -> Result<RecordingWriter<RunFile>, RunError> {
     let RunLink { progress, storage, .. } = link;
     progress.opening("to recover what earlier runs left");
-    finish_leftovers(storage);
+    let recovered = finish_leftovers(storage);
     progress.opening("to create it");
-    let writer = RecordingWriter::create_on(storage.disk(), storage.directory(), run)?;
+    let created = RecordingWriter::create_on(storage.disk(), storage.directory(), run);
+    let writer = created.map_err(|error| match error {
+        WriteError::Exists(file) if recovered.contains(&file) => RunError::NameRecovered(file),
+        error => error.into(),
+    })?;
     progress.opened(writer.sink().place().clone());
     Ok(writer)
 }
 
 /// A disk that refused: what was written before is made a finished file, if there is room for that.
-fn broken(source: WriteError, progress: &Progress, cause: String) -> RunError {
+fn broken(source: WriteError, progress: &Progress, disk: &dyn Disk, cause: String) -> RunError {
     let Some(place) = progress.place() else { return source.into() };
-    let (file, content) = match recover_file(place.path()) {
+    let (file, content) = match recover_file_on(disk, place.path()) {
         Ok(Recovery::Recovered { file, content, .. } | Recovery::Renamed { file, content }) => {
             (file, content)
         }

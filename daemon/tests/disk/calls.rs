@@ -52,7 +52,7 @@ fn cases(cycles: u64) -> Vec<Case> {
                 for fault in
                     [Fault::Fails, Fault::Dies, Fault::DiesEverywhere, Fault::Hangs(HANG), Fault::CutsShort]
                 {
-                    if fault != Fault::CutsShort || matches!(call, Call::Write | Call::Read) {
+                    if fault != Fault::CutsShort || call.moves_bytes() {
                         cases.push(Case { call, nth, fault, is_removed });
                     }
                 }
@@ -121,10 +121,7 @@ fn check(case: &Case, cycles: u64) {
 fn check_all(cycles: u64) {
     let cases = cases(cycles);
     let calls = cases.iter().filter(|case| case.fault == Fault::Fails).count();
-    in_parallel(&cases, AT_ONCE, |case| {
-        let outcome = std::panic::catch_unwind(|| check(case, cycles));
-        assert!(outcome.is_ok(), "{case:?}");
-    });
+    in_parallel(&cases, AT_ONCE, |case| check(case, cycles));
     println!("{calls} calls, {} cases, 0 failures", cases.len());
 }
 

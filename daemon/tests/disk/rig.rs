@@ -1,9 +1,12 @@
 //! A recorder between a cycle that goes on whatever happens and a disk, and somebody who looks at it.
 
+use std::fmt::Debug;
 use std::io::Cursor;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -143,6 +146,27 @@ fn record_of(cycle: u64, time: UtcNs) -> CycleRecord {
     record
 }
 
+/// A run of so many cycles as a crash leaves it, or finished.
+pub fn leave(directory: &Path, name: &str, cycles: u64, is_finished: bool) {
+    let period = Duration::from_millis(10);
+    let run = RunMetadata { name: name.into(), ..metadata(period) };
+    let elsewhere = tempfile::tempdir().unwrap();
+    let mut writer = RecordingWriter::create(elsewhere.path(), &run).unwrap();
+    for cycle in 0..cycles {
+        writer.write_cycle(&record_of(cycle, UtcNs(0).plus_ns(cycle as i64 * 10_000_000))).unwrap();
+        if cycle % 20 == 19 {
+            writer.cut().unwrap();
+        }
+    }
+    // Copied while it is locked: whoever has the lock is not killed with it.
+    let (file, _writer) = if is_finished {
+        (writer.finish("test over", UtcNs(0)).unwrap(), None)
+    } else {
+        (writer.sink().place().path().to_owned(), Some(writer))
+    };
+    std::fs::copy(&file, directory.join(file.file_name().unwrap())).unwrap();
+}
+
 /// Records on a disk; the file cannot even be begun where the result says so and nobody looked.
 pub fn record(plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Outcome {
     let directory = tempfile::tempdir().unwrap();
@@ -169,8 +193,12 @@ pub fn record(plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Outcome {
         Err(error) => return Outcome { result: Err(error), ..outcome },
     };
     let (sink, source) = recorder::ring(plan.ring_cycles, &Clock::Real);
-    let limits =
-        Limits { cycle_period: plan.period, sync_period: plan.sync_period, ring_cycles: plan.ring_cycles };
+    let limits = Limits {
+        cycle_period: plan.period,
+        sync_period: plan.sync_period,
+        ring_cycles: plan.ring_cycles,
+        cycle_waits: false,
+    };
     let place = writer.sink().place().clone();
     let progress = Arc::new(Progress::new(Arc::clone(source.handed()), limits));
     progress.opened(place);
@@ -249,16 +277,21 @@ fn produce(
     Instant::now()
 }
 
-/// Takes what is to be done from `cases`, so many at once.
-pub fn in_parallel<T: Sync>(cases: &[T], at_once: usize, body: impl Fn(&T) + Sync) {
-    let next = std::sync::atomic::AtomicUsize::new(0);
+/// Takes what is to be done from `cases`, so many at once; all of them, and what failed is named at the end.
+pub fn in_parallel<T: Sync + Debug>(cases: &[T], at_once: usize, body: impl Fn(&T) + Sync) {
+    let (next, failed) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
+    let work = || {
+        while let Some(case) = cases.get(next.fetch_add(1, Ordering::Relaxed)) {
+            if catch_unwind(AssertUnwindSafe(|| body(case))).is_err() {
+                failed.lock().unwrap().push(format!("{case:?}"));
+            }
+        }
+    };
     thread::scope(|scope| {
         for _ in 0..at_once {
-            scope.spawn(|| {
-                while let Some(case) = cases.get(next.fetch_add(1, std::sync::atomic::Ordering::Relaxed)) {
-                    body(case);
-                }
-            });
+            scope.spawn(work);
         }
     });
+    let failed = failed.into_inner().unwrap();
+    assert!(failed.is_empty(), "{} of {} cases: {failed:#?}", failed.len(), cases.len());
 }

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io;
+use std::os::fd::BorrowedFd;
 use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard};
@@ -17,16 +18,35 @@ use shared::recording::{Disk, FileId, Space, SystemDisk};
 pub enum Call {
     MakeDirectory,
     Create,
+    Open,
+    List,
     Lock,
     Rename,
+    Replace,
+    Link,
     Remove,
     SyncDirectory,
     Write,
     Read,
     Sync,
+    Length,
     IdOf,
     IdAt,
     Space,
+    Append,
+}
+
+impl Call {
+    /// What is in memory is still given, and a name that is there is still there.
+    fn asks_only(self) -> bool {
+        use Call::{IdAt, IdOf, Length, List, Open, Read, Space};
+        matches!(self, Open | List | Read | Length | IdAt | IdOf | Space)
+    }
+
+    /// It takes or gives bytes.
+    pub fn moves_bytes(self) -> bool {
+        matches!(self, Self::Write | Self::Read | Self::Append)
+    }
 }
 
 /// What it does instead of what it should.
@@ -118,9 +138,7 @@ impl Wall {
             Fault::Dies | Fault::DiesEverywhere => {
                 state.is_dead |= strikes;
                 let is_hit = state.is_dead && (is_home || fault == Fault::DiesEverywhere);
-                // What is in memory is still given, and a name that is there is still there.
-                let is_spared = matches!(call, Call::Read | Call::IdAt | Call::IdOf | Call::Space);
-                if strikes || (is_hit && !is_spared) { refusal() } else { Ok(Permit::All) }
+                if strikes || (is_hit && !call.asks_only()) { refusal() } else { Ok(Permit::All) }
             }
             _ if !strikes => Ok(Permit::All),
             Fault::Fails => refusal(),
@@ -161,6 +179,38 @@ impl Disk for Wall {
         let file = SystemDisk.create(path)?;
         self.state().inodes.insert(file.metadata()?.ino(), path.starts_with(&self.home));
         Ok(file)
+    }
+
+    fn open(&self, path: &Path) -> io::Result<File> {
+        self.at(Call::Open, path)?;
+        let file = SystemDisk.open(path)?;
+        self.state().inodes.insert(file.metadata()?.ino(), path.starts_with(&self.home));
+        Ok(file)
+    }
+
+    fn list(&self, directory: &Path) -> io::Result<Vec<PathBuf>> {
+        self.at(Call::List, directory)?;
+        SystemDisk.list(directory)
+    }
+
+    fn replace(&self, from: &Path, to: &Path) -> io::Result<()> {
+        self.at(Call::Replace, to)?;
+        SystemDisk.replace(from, to)
+    }
+
+    fn link(&self, path: &Path, name: &Path) -> io::Result<()> {
+        self.at(Call::Link, name)?;
+        SystemDisk.link(path, name)
+    }
+
+    fn length(&self, file: &File) -> io::Result<u64> {
+        self.on(Call::Length, file)?;
+        SystemDisk.length(file)
+    }
+
+    fn append(&self, stream: BorrowedFd<'_>, bytes: &[u8]) -> io::Result<usize> {
+        let permit = self.enter(Call::Append, false)?;
+        SystemDisk.append(stream, &bytes[..allowed(&permit, bytes.len())])
     }
 
     fn lock(&self, file: File) -> io::Result<Flock<File>> {

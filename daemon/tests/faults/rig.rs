@@ -74,7 +74,8 @@ impl Rig {
         while self.records.len() < cycles {
             let records = &mut self.records;
             self.acquisition.next_cycle(&mut |record| records.push(*record));
-            self.events.extend(std::iter::from_fn(|| self.acquisition.take_event()));
+            let told = std::iter::from_fn(|| self.acquisition.take_event());
+            self.events.extend(told.filter(CycleEvent::is_news));
         }
     }
 

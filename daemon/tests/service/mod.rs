@@ -5,6 +5,7 @@ mod clients;
 mod disk;
 mod ends;
 mod homing;
+mod mounts;
 mod outputs;
 mod page;
 mod requests;

@@ -54,17 +54,16 @@ impl Running {
         config: &Path,
         arguments: &[&str],
     ) -> Self {
-        let mut child = heeding_hangups(env!("CARGO_BIN_EXE_ballbard"))
-            .env_remove("RUST_LOG")
-            .args(["run", "--port", "0", "--config"])
-            .arg(config)
-            .arg("--out")
-            .arg(directory.path())
-            .args(arguments)
-            .stdout(Stdio::piped())
-            .stderr(stderr)
-            .spawn()
-            .unwrap();
+        let mut command = heeding_hangups(env!("CARGO_BIN_EXE_ballbard"));
+        command.stderr(stderr);
+        Self::by(command, directory, config, arguments)
+    }
+
+    /// Started by a command that ends as the program.
+    pub fn by(mut command: Command, directory: tempfile::TempDir, config: &Path, arguments: &[&str]) -> Self {
+        command.env_remove("RUST_LOG").args(["run", "--port", "0", "--config"]).arg(config);
+        command.arg("--out").arg(directory.path()).args(arguments).stdout(Stdio::piped());
+        let mut child = command.spawn().unwrap();
         let mut line = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
         let port = line.trim().rsplit_once(':').unwrap().1.to_owned();

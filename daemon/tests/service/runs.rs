@@ -108,6 +108,9 @@ fn the_commands_say_what_they_did() {
         Command::new(env!("CARGO_BIN_EXE_ballbard")).arg("runs").arg(service.directory.path()).output();
     let runs = text(&runs.unwrap());
     assert!(runs.contains("typed") && runs.contains("by hand") && !runs.contains("recovered"), "{runs}");
+    // In the time of this place, as default names are, and with what that is.
+    let started = service.recording("typed").run.started.to_datetime().with_timezone(&chrono::Local);
+    assert!(runs.contains(&started.format("%Y-%m-%d %H:%M:%S %:z").to_string()), "{runs}");
 }
 
 #[test]

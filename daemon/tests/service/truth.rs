@@ -138,6 +138,11 @@ fn a_second_process_in_a_directory_is_told_who_has_it() {
     assert_eq!(refused.status.code(), Some(1), "{}", text(&refused));
     let pid = format!("process {} (`ballbard run`, recording run `first`)", service.child.id());
     assert!(text(&refused).contains(&pid), "{}", text(&refused));
+    let mut other = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    other.args(["run", "--port", "0", "--config"]).arg(shipped()).arg("--out").arg(service.directory.path());
+    let refused = other.output().unwrap();
+    assert_eq!(refused.status.code(), Some(1), "{}", text(&refused));
+    assert!(text(&refused).contains(&pid), "{}", text(&refused));
     // The claim is gone with its process, however that ends.
     service.signal(Signal::SIGKILL);
     service.child.wait().unwrap();

@@ -1,23 +1,30 @@
-//! Where the disk enters: every call that a recording in the making puts to it.
+//! Where the disk enters: every call that recording, recovering and listing, claims, reference marks and the log put to it.
 //!
 //! The methods are the system's own; a test overrides them to refuse, delay or cut short any call.
 
-use std::fmt::Debug;
+use std::fmt::{self, Debug};
 use std::fs::{File, OpenOptions};
-use std::io;
+use std::io::{self, Read, Seek, SeekFrom, Write};
+use std::os::fd::BorrowedFd;
 use std::os::unix::fs::{FileExt, MetadataExt};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use nix::errno::Errno;
 use nix::fcntl::{AT_FDCWD, Flock, FlockArg, RenameFlags, renameat2};
 use nix::sys::statvfs::statvfs;
-use nix::unistd::{AccessFlags, access};
+use nix::unistd::{AccessFlags, access, write};
 
 /// Device and inode: which file it is, whatever its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FileId {
     device: u64,
     inode: u64,
+}
+
+impl fmt::Display for FileId {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{}:{}", self.device, self.inode)
+    }
 }
 
 /// What a file system has left.
@@ -41,6 +48,16 @@ pub trait Disk: Debug + Send + Sync {
         OpenOptions::new().read(true).write(true).create(true).truncate(true).open(path)
     }
 
+    /// A file that is there, for reading.
+    fn open(&self, path: &Path) -> io::Result<File> {
+        File::open(path)
+    }
+
+    /// What is in a directory, in no order.
+    fn list(&self, directory: &Path) -> io::Result<Vec<PathBuf>> {
+        std::fs::read_dir(directory)?.map(|entry| Ok(entry?.path())).collect()
+    }
+
     /// Locks a file against every other process; `WouldBlock` where one has it.
     fn lock(&self, file: File) -> io::Result<Flock<File>> {
         Flock::lock(file, FlockArg::LockExclusiveNonblock).map_err(|(_, error)| error.into())
@@ -53,6 +70,16 @@ pub trait Disk: Debug + Send + Sync {
             Err(Errno::EINVAL | Errno::ENOSYS) if !to.exists() => std::fs::rename(from, to),
             result => result.map_err(io::Error::from),
         }
+    }
+
+    /// Renames, and what had that name is gone.
+    fn replace(&self, from: &Path, to: &Path) -> io::Result<()> {
+        std::fs::rename(from, to)
+    }
+
+    /// Gives a file a second name, which no other may have.
+    fn link(&self, path: &Path, name: &Path) -> io::Result<()> {
+        std::fs::hard_link(path, name)
     }
 
     /// Removes a file.
@@ -81,6 +108,16 @@ pub trait Disk: Debug + Send + Sync {
         file.sync_data()
     }
 
+    /// Length of an open file \[bytes\].
+    fn length(&self, file: &File) -> io::Result<u64> {
+        file.metadata().map(|found| found.len())
+    }
+
+    /// Appends to a stream, such as the log's; how many bytes it took.
+    fn append(&self, stream: BorrowedFd<'_>, bytes: &[u8]) -> io::Result<usize> {
+        Ok(write(stream, bytes)?)
+    }
+
     /// Which file an open one is.
     fn id_of(&self, file: &File) -> io::Result<FileId> {
         file.metadata().map(|found| FileId { device: found.dev(), inode: found.ino() })
@@ -89,6 +126,15 @@ pub trait Disk: Debug + Send + Sync {
     /// Which file has this name.
     fn id_at(&self, path: &Path) -> io::Result<FileId> {
         std::fs::metadata(path).map(|found| FileId { device: found.dev(), inode: found.ino() })
+    }
+
+    /// Whether anything has this name.
+    fn has(&self, path: &Path) -> io::Result<bool> {
+        match self.id_at(path) {
+            Ok(_) => Ok(true),
+            Err(error) if is_absent(&error) => Ok(false),
+            Err(error) => Err(error),
+        }
     }
 
     /// What is left where a directory is or will be.
@@ -101,6 +147,59 @@ pub trait Disk: Debug + Send + Sync {
             free_bytes: system.blocks_available() as u64 * system.fragment_size() as u64,
             is_writable: existing.is_dir() && access(existing, AccessFlags::W_OK).is_ok(),
         })
+    }
+}
+
+/// An error that says that nothing has the name.
+pub fn is_absent(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
+}
+
+/// An open file from its beginning, each call through its disk.
+#[derive(Debug)]
+pub struct OpenFile<'a> {
+    disk: &'a dyn Disk,
+    file: &'a File,
+    at: u64,
+}
+
+impl<'a> OpenFile<'a> {
+    /// At its beginning.
+    pub fn new(disk: &'a dyn Disk, file: &'a File) -> Self {
+        Self { disk, file, at: 0 }
+    }
+}
+
+impl Read for OpenFile<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let count = self.disk.read_at(self.file, buffer, self.at)?;
+        self.at += count as u64;
+        Ok(count)
+    }
+}
+
+impl Write for OpenFile<'_> {
+    fn write(&mut self, buffer: &[u8]) -> io::Result<usize> {
+        let count = self.disk.write_at(self.file, buffer, self.at)?;
+        self.at += count as u64;
+        Ok(count)
+    }
+
+    /// Returns when everything written so far survives a power cut.
+    fn flush(&mut self) -> io::Result<()> {
+        self.disk.sync(self.file)
+    }
+}
+
+impl Seek for OpenFile<'_> {
+    fn seek(&mut self, position: SeekFrom) -> io::Result<u64> {
+        let (from, by) = match position {
+            SeekFrom::Start(at) => (at, 0),
+            SeekFrom::Current(by) => (self.at, by),
+            SeekFrom::End(by) => (self.disk.length(self.file)?, by),
+        };
+        self.at = from.checked_add_signed(by).ok_or(io::ErrorKind::InvalidInput)?;
+        Ok(self.at)
     }
 }
 

@@ -3,13 +3,14 @@
 //! The original goes only when its successor has been read back, and stays as `.mcap.torn` if any of its bytes
 //! could not be used. At every moment one of the two is there under a name that says what it is.
 
-use std::fs::{File, OpenOptions};
-use std::io::{self, BufReader, BufWriter, Seek};
+use std::fs::File;
+use std::io::{self, BufReader, BufWriter};
 use std::path::{Path, PathBuf};
 
+use super::disk::{Disk, OpenFile, SystemDisk, is_absent};
 use super::recover::{self, SalvageError, Salvaged};
 use super::run_file::{
-    ACTIVE_ENDING, FINISHED_ENDING, TORN_ENDING, UNNAMED_ENDING, io_error, lock, rename, sync_directory,
+    ACTIVE_ENDING, FINISHED_ENDING, TORN_ENDING, UNNAMED_ENDING, io_error, rename, sync_parent,
 };
 use super::schema::RunMetadata;
 use super::writer::WriteError;
@@ -86,50 +87,69 @@ pub struct Leftover {
 
 /// Makes a finished recording out of a file, whatever is wrong with it.
 pub fn recover_file(path: &Path) -> Result<Recovery, RecoverError> {
+    recover_file_on(&SystemDisk, path)
+}
+
+/// [`recover_file`] on another disk.
+pub fn recover_file_on(disk: &dyn Disk, path: &Path) -> Result<Recovery, RecoverError> {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let active = name.strip_suffix(&format!(".{ACTIVE_ENDING}"));
     let stem = active.or_else(|| name.strip_suffix(&format!(".{FINISHED_ENDING}")));
     let stem = stem.ok_or_else(|| RecoverError::NotARecording(path.to_owned()))?;
     let io = |source| RecoverError::Io { path: path.to_owned(), source };
-    let original = lock(File::open(path).map_err(io)?).map_err(|error| match error.kind() {
+    let original = disk.lock(disk.open(path).map_err(io)?).map_err(|error| match error.kind() {
         io::ErrorKind::WouldBlock => RecoverError::Busy(path.to_owned()),
         _ => io(error),
     })?;
     let finished = path.with_file_name(format!("{stem}.{FINISHED_ENDING}"));
     let salvage = |source| RecoverError::Salvage { path: path.to_owned(), source };
-    if let Ok(content) = recover::check(BufReader::new(&*original)) {
+    if let Ok(content) = recover::check(BufReader::new(OpenFile::new(disk, &original))) {
         let content = Box::new(content);
         if active.is_none() {
             return Ok(Recovery::Whole { content });
         }
-        original.sync_all().map_err(io)?;
-        rename(path, &finished)?;
+        disk.sync(&original).map_err(io)?;
+        rename(disk, path, &finished)?;
         return Ok(Recovery::Renamed { file: finished, content });
     }
-    if active.is_some() && finished.exists() {
-        let (run, _) = recover::find_run(&*original).map_err(salvage)?;
-        return settle_with_existing(path, finished, &run);
+    if active.is_some() && disk.has(&finished).map_err(io)? {
+        let (run, _) = recover::find_run(OpenFile::new(disk, &original)).map_err(salvage)?;
+        return settle_with_existing(disk, path, finished, &run);
     }
     let recovering = path.with_file_name(format!("{stem}.{RECOVERING_ENDING}"));
-    let content = rewrite(&original, &recovering).map_err(salvage)?;
-    replace(path, &recovering, &finished, content)
+    let content = rewrite(disk, &original, &recovering).map_err(salvage)?;
+    replace(disk, path, &recovering, &finished, content)
 }
 
 /// Recovers every file of a directory that was left behind; those of running processes are not touched. What
 /// cannot be recovered is renamed, so that it is not tried again; of a file without a byte nothing is kept.
 pub fn recover_leftovers(directory: &Path) -> Vec<Leftover> {
-    let Ok(entries) = std::fs::read_dir(directory) else { return Vec::new() };
-    let mut files: Vec<_> = entries.flatten().map(|entry| entry.path()).collect();
+    recover_leftovers_on(&SystemDisk, directory)
+}
+
+/// [`recover_leftovers`] on another disk.
+pub fn recover_leftovers_on(disk: &dyn Disk, directory: &Path) -> Vec<Leftover> {
+    let mut files = match disk.list(directory) {
+        Ok(files) => files,
+        // Nothing was ever recorded there.
+        Err(error) if is_absent(&error) => return Vec::new(),
+        Err(source) => {
+            let file = directory.to_owned();
+            let outcome = Err(RecoverError::Io { path: file.clone(), source });
+            return vec![Leftover { file, outcome }];
+        }
+    };
     files.sort();
-    files.retain(|path| is_left_over(path) && !remove_if_empty(path) && !is_unnamed(path));
-    let outcomes = files.into_iter().map(|file| Leftover { outcome: recover_file(&file), file });
+    files.retain(|path| is_left_over(path) && !remove_if_empty(disk, path) && !is_unnamed(path));
+    let outcomes = files.into_iter().map(|file| Leftover { outcome: recover_file_on(disk, &file), file });
     outcomes
         .filter(|leftover| !matches!(leftover.outcome, Err(RecoverError::Busy(_))))
         .inspect(|leftover| {
             if let Err(RecoverError::Salvage { source: SalvageError::NothingWhole(_), .. }) = leftover.outcome
             {
-                // Its outcome is reported; that it keeps its name would only be tried again.
-                let _ = set_aside(&leftover.file);
+                // Its outcome is reported; that it keeps its name would only be tried again. There may be nothing in it after
+                // all, which the disk did not say before.
+                let _ = remove_if_empty(disk, &leftover.file) || set_aside(disk, &leftover.file).is_ok();
             }
         })
         .collect()
@@ -153,50 +173,52 @@ fn unnamed_by(path: &Path) -> Option<&str> {
 }
 
 /// Removes a file in which there is nothing, and which nobody is about to fill.
-fn remove_if_empty(path: &Path) -> bool {
-    let is_empty = |file: &File| file.metadata().is_ok_and(|found| found.len() == 0);
-    let unused = File::open(path).ok().filter(is_empty).and_then(|file| lock(file).ok());
-    unused.is_some_and(|unused| is_empty(&unused) && std::fs::remove_file(path).is_ok())
+fn remove_if_empty(disk: &dyn Disk, path: &Path) -> bool {
+    let is_empty = |file: &File| disk.length(file).is_ok_and(|length| length == 0);
+    let unused = disk.open(path).ok().filter(is_empty).and_then(|file| disk.lock(file).ok());
+    unused.is_some_and(|unused| is_empty(&unused) && disk.remove(path).is_ok())
 }
 
 /// Writes what is whole beside the original and reads it back.
-fn rewrite(original: &File, recovering: &Path) -> Result<Salvaged, SalvageError> {
-    let created = OpenOptions::new().read(true).write(true).create(true).truncate(true).open(recovering);
-    let outcome = created.map_err(|error| io_error(recovering)(error).into()).and_then(|file| {
-        let (content, written) = recover::salvage(original, BufWriter::new(file))?;
-        let mut file = written.into_inner().map_err(|error| io_error(recovering)(error.into_error()))?;
-        file.sync_all().and_then(|()| file.rewind()).map_err(io_error(recovering))?;
-        recover::verify(BufReader::new(file), &content)?;
+fn rewrite(disk: &dyn Disk, original: &File, recovering: &Path) -> Result<Salvaged, SalvageError> {
+    let created = disk.create(recovering).map_err(io_error(recovering));
+    let outcome = created.map_err(SalvageError::from).and_then(|file| {
+        let sink = BufWriter::new(OpenFile::new(disk, &file));
+        let (content, written) = recover::salvage(OpenFile::new(disk, original), sink)?;
+        written.into_inner().map_err(|error| io_error(recovering)(error.into_error()))?;
+        disk.sync(&file).map_err(io_error(recovering))?;
+        recover::verify(BufReader::new(OpenFile::new(disk, &file)), &content)?;
         Ok(content)
     });
     if outcome.is_err() {
         // The original is untouched; half a copy is of no use to anybody.
-        let _ = std::fs::remove_file(recovering);
+        let _ = disk.remove(recovering);
     }
     outcome
 }
 
 /// Gives the recovered file its final name; then the original goes, or is kept where bytes of it were not used.
 fn replace(
+    disk: &dyn Disk,
     path: &Path,
     recovering: &Path,
     finished: &Path,
     content: Salvaged,
 ) -> Result<Recovery, RecoverError> {
     let torn = if path == finished {
-        let torn = free_torn_name(path)?;
-        std::fs::hard_link(path, &torn).map_err(io_error(&torn))?;
-        std::fs::rename(recovering, finished).map_err(io_error(finished))?;
-        sync_parent(finished)?;
+        let torn = free_torn_name(disk, path)?;
+        disk.link(path, &torn).map_err(io_error(&torn))?;
+        disk.replace(recovering, finished).map_err(io_error(finished))?;
+        sync_parent(disk, finished)?;
         Some(torn)
     } else {
-        rename(recovering, finished)?;
+        rename(disk, recovering, finished)?;
         // Of a run that had ended something is not as it was written, or it would be whole.
         if content.damage.is_some() || content.end.is_some() {
-            Some(set_aside(path)?)
+            Some(set_aside(disk, path)?)
         } else {
-            std::fs::remove_file(path).map_err(io_error(path))?;
-            sync_parent(path)?;
+            disk.remove(path).map_err(io_error(path))?;
+            sync_parent(disk, path)?;
             None
         }
     };
@@ -204,11 +226,17 @@ fn replace(
 }
 
 /// A crash during an earlier recovery left both; if the finished one is whole and of this run, it stands.
-fn settle_with_existing(path: &Path, finished: PathBuf, run: &RunMetadata) -> Result<Recovery, RecoverError> {
-    let existing = File::open(&finished).ok().and_then(|file| recover::check(BufReader::new(file)).ok());
+fn settle_with_existing(
+    disk: &dyn Disk,
+    path: &Path,
+    finished: PathBuf,
+    run: &RunMetadata,
+) -> Result<Recovery, RecoverError> {
+    let existing = disk.open(&finished).ok();
+    let existing = existing.and_then(|file| recover::check(BufReader::new(OpenFile::new(disk, &file))).ok());
     match existing.filter(|existing| existing.run == *run) {
         Some(existing) => {
-            let torn = set_aside(path)?;
+            let torn = set_aside(disk, path)?;
             Ok(Recovery::Recovered { file: finished, torn: Some(torn), content: Box::new(existing) })
         }
         None => Err(WriteError::Exists(finished).into()),
@@ -216,29 +244,30 @@ fn settle_with_existing(path: &Path, finished: PathBuf, run: &RunMetadata) -> Re
 }
 
 /// Renames a file to `.mcap.torn`.
-fn set_aside(path: &Path) -> Result<PathBuf, WriteError> {
-    let torn = free_torn_name(path)?;
-    rename(path, &torn)?;
+fn set_aside(disk: &dyn Disk, path: &Path) -> Result<PathBuf, WriteError> {
+    let torn = free_torn_name(disk, path)?;
+    rename(disk, path, &torn)?;
     Ok(torn)
 }
 
-fn free_torn_name(path: &Path) -> Result<PathBuf, WriteError> {
+fn free_torn_name(disk: &dyn Disk, path: &Path) -> Result<PathBuf, WriteError> {
     let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
     let stem = name.trim_end_matches(".active").trim_end_matches(".mcap");
     let numbered = (1..TORN_MAX).map(|number| format!("{stem}-{number}.{TORN_ENDING}"));
     let first = path.with_file_name(format!("{stem}.{TORN_ENDING}"));
-    std::iter::once(first.clone())
-        .chain(numbered.map(|name| path.with_file_name(name)))
-        .find(|candidate| !candidate.exists())
-        .ok_or(WriteError::Exists(first))
+    for candidate in std::iter::once(first.clone()).chain(numbered.map(|name| path.with_file_name(name))) {
+        if !disk.has(&candidate).map_err(io_error(&candidate))? {
+            return Ok(candidate);
+        }
+    }
+    Err(WriteError::Exists(first))
 }
 
-fn sync_parent(path: &Path) -> Result<(), WriteError> {
-    let directory = path.parent().unwrap_or(Path::new("."));
-    sync_directory(directory).map_err(io_error(directory))
-}
-
-/// A living process writes the file, or it cannot be asked.
-pub fn is_in_use(path: &Path) -> bool {
-    File::open(path).and_then(lock).is_err()
+/// A living process writes the file.
+pub fn is_in_use(disk: &dyn Disk, path: &Path) -> io::Result<bool> {
+    match disk.open(path).and_then(|file| disk.lock(file)) {
+        Ok(_) => Ok(false),
+        Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(true),
+        Err(error) => Err(error),
+    }
 }

@@ -22,8 +22,11 @@ mod shown;
 mod timing;
 mod writer;
 
-pub use disk::{Disk, FileId, Space, SystemDisk};
-pub use leftover::{Leftover, RecoverError, Recovery, is_in_use, recover_file, recover_leftovers};
+pub use disk::{Disk, FileId, OpenFile, Space, SystemDisk, is_absent};
+pub use leftover::{
+    Leftover, RecoverError, Recovery, is_in_use, recover_file, recover_file_on, recover_leftovers,
+    recover_leftovers_on,
+};
 pub use lengths::{parse_record, up_to_broken_chunk};
 pub use messages::MessageError;
 pub use overview::RunOverview;

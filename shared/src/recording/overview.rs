@@ -1,6 +1,5 @@
 //! What a finished recording is about, from its ends alone: a directory of many is listed at once.
 
-use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
@@ -9,6 +8,7 @@ use mcap::records::{Footer, Metadata, MetadataIndex, Record, op};
 use mcap::{MAGIC, McapError};
 
 use super::content::{END_METADATA, RUN_METADATA, content_of, run_of};
+use super::disk::{Disk, OpenFile, SystemDisk};
 use super::lengths::parse_record;
 use super::reader::{ReadError, ReadErrorKind};
 use super::records::RECORD_LENGTH_BYTES_MAX;
@@ -33,12 +33,17 @@ pub struct RunOverview {
 impl RunOverview {
     /// Reads the two metadata records that the file's summary points at.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
-        let error = |kind| ReadError { path: path.to_owned(), kind };
-        let mut file = File::open(path).map_err(|source| error(source.into()))?;
-        Self::read(&mut file).map_err(error)
+        Self::open_on(&SystemDisk, path)
     }
 
-    fn read(file: &mut File) -> Result<Self, ReadErrorKind> {
+    /// [`open`](Self::open) on another disk.
+    pub fn open_on(disk: &dyn Disk, path: &Path) -> Result<Self, ReadError> {
+        let error = |kind| ReadError { path: path.to_owned(), kind };
+        let file = disk.open(path).map_err(|source| error(source.into()))?;
+        Self::read(&mut OpenFile::new(disk, &file)).map_err(error)
+    }
+
+    fn read(file: &mut OpenFile<'_>) -> Result<Self, ReadErrorKind> {
         let indexes = metadata_indexes(file)?;
         let run = run_of(&metadata(file, &indexes, RUN_METADATA)?)?.0;
         let end = content_of(END_METADATA, &metadata(file, &indexes, END_METADATA)?)?;
@@ -48,7 +53,7 @@ impl RunOverview {
 
 /// Where the summary says that metadata are. Read here and not by the MCAP library, which looks at lengths too late (see
 /// [`parse_record`]).
-fn metadata_indexes(file: &mut File) -> Result<Vec<MetadataIndex>, ReadErrorKind> {
+fn metadata_indexes(file: &mut OpenFile<'_>) -> Result<Vec<MetadataIndex>, ReadErrorKind> {
     let summary = summary_of(file)?;
     let mut rest = &summary[..];
     let mut indexes = Vec::new();
@@ -64,7 +69,7 @@ fn metadata_indexes(file: &mut File) -> Result<Vec<MetadataIndex>, ReadErrorKind
 }
 
 /// The bytes of the summary, whose checksum is right.
-fn summary_of(file: &mut File) -> Result<Vec<u8>, ReadErrorKind> {
+fn summary_of(file: &mut OpenFile<'_>) -> Result<Vec<u8>, ReadErrorKind> {
     let end = file.seek(SeekFrom::End(0))?;
     let footer_at = end.checked_sub((FOOTER_BYTES + MAGIC.len()) as u64).ok_or(McapError::UnexpectedEof)?;
     file.seek(SeekFrom::Start(footer_at))?;
@@ -100,7 +105,7 @@ fn summary_of(file: &mut File) -> Result<Vec<u8>, ReadErrorKind> {
 }
 
 fn metadata(
-    file: &mut File,
+    file: &mut OpenFile<'_>,
     indexes: &[MetadataIndex],
     name: &'static str,
 ) -> Result<Metadata, ReadErrorKind> {

@@ -258,13 +258,15 @@ struct Window<R> {
     start: usize,
     /// Where in the source the window begins \[bytes\].
     at: u64,
+    /// Where the disk has refused once \[bytes\].
+    refused_at: Option<u64>,
 }
 
 impl<R: Read + Seek> Window<R> {
     fn new(mut source: R) -> io::Result<Self> {
         let source_bytes = source.seek(SeekFrom::End(0))?;
         source.rewind()?;
-        Ok(Self { source, source_bytes, buffer: Vec::new(), start: 0, at: 0 })
+        Ok(Self { source, source_bytes, buffer: Vec::new(), start: 0, at: 0, refused_at: None })
     }
 
     /// The next bytes: as many, or all that are left.
@@ -292,9 +294,14 @@ impl<R: Read + Seek> Window<R> {
         Ok(&self.buffer[self.start..end])
     }
 
-    /// A sector that the disk cannot read any more is as good as one of zeros; false where it is the last one.
+    /// A sector that the disk cannot read any more is as good as one of zeros; false where it is the last one. A disk may
+    /// refuse once and then give it.
     fn pass_bad_sector(&mut self) -> io::Result<bool> {
         let at = self.at + (self.buffer.len() - self.start) as u64;
+        if self.refused_at.replace(at) != Some(at) {
+            self.source.seek(SeekFrom::Start(at))?;
+            return Ok(true);
+        }
         let next = (at / SECTOR_BYTES + 1) * SECTOR_BYTES;
         let end = next.min(self.source_bytes);
         self.source.seek(SeekFrom::Start(end))?;

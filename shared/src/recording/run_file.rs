@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use crc32fast::Hasher;
 use nix::fcntl::Flock;
 
-use super::disk::{Disk, FileId, SystemDisk};
+use super::disk::{Disk, FileId, is_absent};
 use super::writer::WriteError;
 
 /// Ending of a finished recording.
@@ -62,7 +62,7 @@ impl RunFile {
         disk.make_directory(directory).map_err(io_error(directory))?;
         let path = directory.join(format!("{name}.{ACTIVE_ENDING}"));
         let finished = directory.join(format!("{name}.{FINISHED_ENDING}"));
-        if finished.exists() {
+        if disk.has(&finished).map_err(io_error(&finished))? {
             return Err(WriteError::Exists(finished));
         }
         let file = create_locked(&*disk, directory, &path)?;
@@ -140,14 +140,15 @@ impl RunFile {
 
     /// Gives the file its final name, without ever replacing another. It is on disk under that name when this
     /// returns it.
-    pub fn publish(&self) -> Result<PathBuf, WriteError> {
-        let RunPlace { disk, path, id } = &self.place;
-        disk.sync(&self.file).map_err(io_error(path))?;
+    pub fn publish(&mut self) -> Result<PathBuf, WriteError> {
+        let disk = Arc::clone(&self.place.disk);
+        disk.sync(&self.file).map_err(io_error(&self.place.path))?;
         self.place.check()?;
-        disk.rename(path, &self.finished).map_err(exists_or_io(&self.finished))?;
-        let directory = self.finished.parent().unwrap_or(Path::new("."));
-        disk.sync_directory(directory).map_err(io_error(directory))?;
-        RunPlace { disk: Arc::clone(disk), path: self.finished.clone(), id: *id }.check()?;
+        disk.rename(&self.place.path, &self.finished).map_err(exists_or_io(&self.finished))?;
+        // From here on whoever moves the run has to take it away from there.
+        self.place.path.clone_from(&self.finished);
+        sync_parent(&*disk, &self.finished)?;
+        self.place.check()?;
         Ok(self.finished.clone())
     }
 }
@@ -163,9 +164,7 @@ impl RunPlace {
         match self.disk.id_at(&self.path) {
             Ok(id) if id == self.id => Ok(()),
             Ok(_) => Err(WriteError::Lost(self.path.clone())),
-            Err(error) if matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory) => {
-                Err(WriteError::Lost(self.path.clone()))
-            }
+            Err(error) if is_absent(&error) => Err(WriteError::Lost(self.path.clone())),
             Err(error) => Err(io_error(&self.path)(error)),
         }
     }
@@ -226,20 +225,16 @@ fn create_locked(disk: &dyn Disk, directory: &Path, active: &Path) -> Result<Flo
 /// Ending of a file that is not locked yet, and so not named; its name begins with a dot.
 pub(super) const UNNAMED_ENDING: &str = ".new";
 
-/// Locks a file against every other process; `WouldBlock` where one has it.
-pub(super) fn lock(file: File) -> io::Result<Flock<File>> {
-    SystemDisk.lock(file)
-}
-
 /// Renames without replacing, and makes the new name survive a power cut.
-pub(super) fn rename(from: &Path, to: &Path) -> Result<(), WriteError> {
-    SystemDisk.rename(from, to).map_err(exists_or_io(to))?;
-    let directory = to.parent().unwrap_or(Path::new("."));
-    sync_directory(directory).map_err(io_error(directory))
+pub(super) fn rename(disk: &dyn Disk, from: &Path, to: &Path) -> Result<(), WriteError> {
+    disk.rename(from, to).map_err(exists_or_io(to))?;
+    sync_parent(disk, to)
 }
 
-pub(super) fn sync_directory(directory: &Path) -> io::Result<()> {
-    SystemDisk.sync_directory(directory)
+/// Makes a name survive a power cut.
+pub(super) fn sync_parent(disk: &dyn Disk, path: &Path) -> Result<(), WriteError> {
+    let directory = path.parent().unwrap_or(Path::new("."));
+    disk.sync_directory(directory).map_err(io_error(directory))
 }
 
 pub(super) fn io_error(path: &Path) -> impl Fn(io::Error) -> WriteError + use<> {

@@ -230,6 +230,21 @@ pub struct RunMetadata {
     pub ball_bar_config: String,
 }
 
+/// What a port of a device has counted since the run began.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct PortCounts {
+    /// Position of the device on the bus.
+    pub position: u8,
+    /// Which of its ports: 0 leads to the device before.
+    pub port: u8,
+    /// Frames with a wrong check sequence.
+    pub invalid_frames: u32,
+    /// Symbols that were none, inside frames or between them.
+    pub receive_errors: u32,
+    /// How often the link was lost.
+    pub lost_links: u32,
+}
+
 /// How a run ended: written after the last cycle.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct RunEnd {

@@ -1,10 +1,19 @@
 //! What other programs show of a run, derived from its records: joint states to plot, and once a second how the acquisition
 //! did.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use super::messages::{self, DiagnosticStatus, KeyValue, MessageError};
-use super::schema::{CycleRecord, EncoderInfo, EncoderSample, MAX_ENCODERS, RunMetadata, flags};
+use super::schema::{
+    CycleRecord, DeviceInfo, EncoderInfo, EncoderSample, MAX_ENCODERS, PortCounts, RunMetadata, flags,
+};
 use crate::encoder::Unwrapper;
 use crate::time::NS_PER_S;
+
+/// Levels of `diagnostic_msgs/DiagnosticStatus`.
+const OK: u8 = 0;
+const WARN: u8 = 1;
+const ERROR: u8 = 2;
 
 /// Derives from one cycle after the other.
 pub(super) struct Shown {
@@ -16,9 +25,12 @@ pub(super) struct Shown {
     last: Option<CycleRecord>,
     cycles_per_second: u64,
     second: Second,
+    devices: Vec<DeviceInfo>,
+    /// By position and port, those that have counted anything.
+    ports: BTreeMap<(u8, u8), PortCounts>,
 }
 
-/// The cycles since something was last said of them.
+/// What came since something was last said of it.
 #[derive(Default)]
 struct Second {
     cycles: u64,
@@ -26,6 +38,8 @@ struct Second {
     flagged: [u64; flags::NAMES.len()],
     encoders_valid: [u64; MAX_ENCODERS],
     uncertainty_ns_max: u32,
+    /// Positions of devices whose ports have counted.
+    counted: BTreeSet<u8>,
 }
 
 impl Shown {
@@ -39,7 +53,15 @@ impl Shown {
             last: None,
             cycles_per_second: (NS_PER_S as u64 / run.cycle_period_ns.max(1)).max(1),
             second: Second::default(),
+            devices: run.devices.clone(),
+            ports: BTreeMap::new(),
         }
+    }
+
+    /// What a port has counted by now.
+    pub fn set_port_counts(&mut self, counts: PortCounts) {
+        self.ports.insert((counts.position, counts.port), counts);
+        self.second.counted.insert(counts.position);
     }
 
     /// The joint states of the next cycle.
@@ -99,6 +121,8 @@ impl Shown {
             let name = format!("ballbard: encoder of joint {}", sample.joint);
             self.status(name, valid, second.cycles, values.into_iter())
         }));
+        let bad = self.ports.keys().map(|(position, _)| *position).collect::<BTreeSet<_>>();
+        status.extend(bad.into_iter().map(|position| self.ports_status(position, &second)));
         Some(messages::encode_diagnostics(record.sample_time, status))
     }
 
@@ -110,6 +134,32 @@ impl Shown {
         self.status("ballbard: cycles".into(), second.valid, second.cycles, values)
     }
 
+    /// Of a device one of whose cables or plugs has shown errors.
+    fn ports_status(&self, position: u8, second: &Second) -> DiagnosticStatus {
+        let device = self.devices.iter().find(|device| device.position == u16::from(position));
+        let name = device.map_or("device", |device| &device.name);
+        let ports = self.ports.range((position, 0)..=(position, u8::MAX)).map(|(_, counts)| counts);
+        let values = ports.flat_map(|counts| {
+            let value = |what: &str, count: u32| KeyValue {
+                key: format!("port{}_{what}", counts.port),
+                value: count.to_string(),
+            };
+            [
+                value("receive_errors", counts.receive_errors),
+                value("invalid_frames", counts.invalid_frames),
+                value("lost_links", counts.lost_links),
+            ]
+        });
+        let is_counting = second.counted.contains(&position);
+        DiagnosticStatus {
+            level: if is_counting { WARN } else { OK },
+            name: format!("ballbard: ports of {name} at position {position}"),
+            message: if is_counting { "errors in the last second" } else { "errors before" }.into(),
+            hardware_id: self.bus.clone(),
+            values: values.collect(),
+        }
+    }
+
     fn status<'a>(
         &self,
         name: String,
@@ -117,9 +167,6 @@ impl Shown {
         cycles: u64,
         values: impl Iterator<Item = (&'a str, String)>,
     ) -> DiagnosticStatus {
-        const OK: u8 = 0;
-        const WARN: u8 = 1;
-        const ERROR: u8 = 2;
         DiagnosticStatus {
             level: match valid {
                 0 => ERROR,

@@ -17,7 +17,7 @@ use super::content::{END_METADATA, LIBRARY_NAME, TIMING_METADATA, metadata_of, m
 use super::disk::{Disk, SystemDisk};
 use super::messages::{self, MessageError, Topic};
 use super::run_file::RunFile;
-use super::schema::{CycleRecord, Event, RunEnd, RunMetadata};
+use super::schema::{CycleRecord, Event, PortCounts, RunEnd, RunMetadata};
 use super::shown::Shown;
 use super::timing::TimingSummary;
 use crate::time::UtcNs;
@@ -118,7 +118,8 @@ impl RecordingWriter<RunFile> {
 
     /// Ends the run and gives the file its final name, which is returned.
     pub fn finish(self, cause: &str, ended: UtcNs) -> Result<PathBuf, WriteError> {
-        self.end(cause, ended)?.publish()
+        let mut file = self.end(cause, ended)?;
+        file.publish()
     }
 }
 
@@ -177,6 +178,11 @@ impl<W: Write> RecordingWriter<W> {
         self.cycles_valid += u64::from(record.is_valid());
         self.cycles_lost += u64::from(record.flags & super::schema::flags::LOST != 0);
         self.write_out()
+    }
+
+    /// Says what a port has counted, for the diagnostics from the next cycle on.
+    pub fn set_port_counts(&mut self, counts: PortCounts) {
+        self.shown.set_port_counts(counts);
     }
 
     /// Appends an event, which is a line of the log, too.

@@ -22,7 +22,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Json, Router};
 use futures_util::stream;
-use shared::recording::Recording;
+use shared::recording::{Disk, Recording};
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 
@@ -171,9 +171,10 @@ fn places(service: &Service) -> (PathBuf, PathBuf) {
 /// Does what the disk may hold up; its own failure is told as such.
 async fn on_disk<T: Send + 'static>(
     service: &Service,
-    work: impl FnOnce() -> std::io::Result<T> + Send + 'static,
+    work: impl FnOnce(&dyn Disk) -> std::io::Result<T> + Send + 'static,
 ) -> Result<T, Response> {
-    match service.look(LIST_WITHIN, work).await {
+    let disk = service.disk();
+    match service.look(LIST_WITHIN, move || work(&*disk)).await {
         Some(Ok(found)) => Ok(found),
         Some(Err(error)) => Err(refusal(
             StatusCode::INTERNAL_SERVER_ERROR,
@@ -194,7 +195,7 @@ fn unless_missing<T: Default>(outcome: std::io::Result<T>) -> std::io::Result<T>
 
 async fn list_runs(State(service): State<Service>) -> Result<Json<Vec<RunLine>>, Response> {
     let (directory, spare) = places(&service);
-    on_disk(&service, move || unless_missing(runs::list(&directory, Some(&spare)))).await.map(Json)
+    on_disk(&service, move |disk| unless_missing(runs::list(disk, &directory, Some(&spare)))).await.map(Json)
 }
 
 /// A run's name in a path.
@@ -207,7 +208,8 @@ async fn found(service: &Service, name: Name) -> Result<(PathBuf, String), Respo
     let extract::Path(name) = name.map_err(|_| unknown())?;
     let ((directory, spare), wanted) = (places(service), name.clone());
     let file =
-        on_disk(service, move || unless_missing(runs::find(&directory, Some(&spare), &wanted))).await?;
+        on_disk(service, move |disk| unless_missing(runs::find(disk, &directory, Some(&spare), &wanted)))
+            .await?;
     file.map(|file| (file, name)).ok_or_else(unknown)
 }
 
@@ -216,7 +218,7 @@ async fn download_mcap(
     name: Name,
 ) -> Result<Response, Response> {
     let (file, name) = found(&service, name).await?;
-    on_disk(&service, move || downloads.send_file(&file, format!("{name}.mcap"), "application/octet-stream"))
+    on_disk(&service, move |_| downloads.send_file(&file, format!("{name}.mcap"), "application/octet-stream"))
         .await
 }
 
@@ -243,7 +245,7 @@ async fn delete(State(service): State<Service>, body: Body<DeleteRequest>) -> Re
     let DeleteRequest { name } = body.map_err(|rejection| rejected(&rejection))?.0;
     let (file, name) = found(&service, Ok(extract::Path(name))).await?;
     tracing::warn!(file = %file.display(), "recording deleted, as somebody asked");
-    on_disk(&service, move || std::fs::remove_file(file)).await?;
+    on_disk(&service, move |disk| disk.remove(&file)).await?;
     Ok(reply("deleted", Some(name), None))
 }
 
@@ -383,7 +385,7 @@ fn some_text(text: &str) -> Result<(), &'static str> {
 async fn verdict(service: &Service, last: &LastRun) -> Option<Verdict> {
     let file = PathBuf::from(last.file.clone()?);
     let name = last.name.clone();
-    on_disk(service, move || Ok(runs::finished(name, file).verdict)).await.ok().flatten()
+    on_disk(service, move |disk| Ok(runs::finished(disk, name, file).verdict)).await.ok().flatten()
 }
 
 /// Waits until one more run is over than were.

@@ -1,0 +1,53 @@
+//! Every write of the log fails, hangs, is cut short, or is the last that anybody takes: whoever logs never waits, and what is
+//! missing is counted, and said where it is missing.
+
+use std::fs::File;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use ballbard::log::Lines;
+
+use super::rig::in_parallel;
+use super::wall::{Call, Fault, Wall};
+
+const LINES: usize = 20;
+/// Longer than the end of the program waits.
+const HANG: Duration = Duration::from_millis(1300);
+
+fn check(nth: usize, fault: Fault) {
+    let directory = tempfile::tempdir().unwrap();
+    let path = directory.path().join("log");
+    let wall = Arc::new(Wall::new(Path::new("/"), Some((Call::Append, nth, fault))));
+    let lines = Lines::start(wall, File::create(&path).unwrap().into()).unwrap();
+    let begun = Instant::now();
+    (0..LINES).for_each(|number| lines.line(&format!("line {number}")));
+    assert!(begun.elapsed() < Duration::from_millis(300), "it waited {:?}", begun.elapsed());
+    lines.flush();
+    assert!(begun.elapsed() < HANG, "its end waited {:?}", begun.elapsed());
+    if let Fault::Hangs(time) = fault {
+        // Nobody waits for it but this test.
+        std::thread::sleep(time);
+        lines.flush();
+    }
+    let text = std::fs::read_to_string(path).unwrap();
+    let is_there = |number: &usize| text.lines().any(|line| line == format!("line {number}"));
+    let missing = (0..LINES).filter(|number| !is_there(number)).count();
+    assert_eq!(lines.lost(), missing as u64, "{text}");
+    let expected = match fault {
+        Fault::Hangs(_) | Fault::CutsShort => 0,
+        Fault::Fails => 1,
+        Fault::Dies | Fault::DiesEverywhere => LINES - nth,
+    };
+    assert_eq!(missing, expected, "{text}");
+    let is_told = text.contains(&format!("({missing} lines of the log are missing here)"));
+    assert_eq!(is_told, fault == Fault::Fails && nth + 1 < LINES, "{text}");
+}
+
+#[test]
+fn whichever_write_of_the_log_goes_wrong_nobody_waits_and_what_is_missing_is_said() {
+    let faults = [Fault::Fails, Fault::DiesEverywhere, Fault::Hangs(HANG), Fault::CutsShort];
+    let cases: Vec<_> = (0..LINES).flat_map(|nth| faults.map(|fault| (nth, fault))).collect();
+    in_parallel(&cases, LINES, |(nth, fault)| check(*nth, *fault));
+    println!("{LINES} calls, {} cases, 0 failures", cases.len());
+}
