@@ -125,8 +125,8 @@ fn errors_clean_and_faulty(seed: u64) -> [f64; 2] {
         let error = comparison.only(|id| matches!(id, ParameterId::Robot { .. })).euclidean_mm_mrad();
         println!(
             "{error:.4} mm|mrad, {} origins, {:?}",
-            found.prepared().origins.len(),
-            found.prepared().counts
+            found.prepared().unwrap().origins.len(),
+            found.prepared().unwrap().counts
         );
         error
     };
@@ -178,7 +178,10 @@ fn a_run_exported_as_a_table_of_counters_calibrates_as_the_recording_does() {
     assert_eq!(bar_angles(cycles, encoders).unwrap(), bar_angles(recorded.0, recorded.1).unwrap());
     let config = IdentifyConfig::default();
     let of_table = ball_bar::calibrate(cycles, encoders, &log, &robot, &bar, &config).unwrap();
-    assert_eq!((of_table.prepared().counts.invalid, of_table.prepared().origins.len()), (30, 2));
+    assert_eq!(
+        (of_table.prepared().unwrap().counts.invalid, of_table.prepared().unwrap().origins.len()),
+        (30, 2)
+    );
     let error = Comparison::new(&of_table, &simulated.truth)
         .only(|id| matches!(id, ParameterId::Robot { .. }))
         .euclidean_mm_mrad();

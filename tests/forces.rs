@@ -91,9 +91,9 @@ fn calibrated(run: &Simulated, log: &RobotLog) -> BallBarCalibration {
 fn force_error_n(found: &BallBarCalibration, run: &Simulated, sign: f64) -> f64 {
     let (start, truth) = (run.truth.clock, run.robot_log.force.as_ref().unwrap());
     let lead_s = (start.robot_at_bar_start_ns - truth.first_stamp_ns) as f64 * 1e-9;
-    let samples = &found.prepared().observations;
+    let samples = &found.prepared().unwrap().observations;
     let squares = samples.iter().map(|sample| {
-        let passed_s = found.prepared().t_ref.seconds_since(start.bar_start) + sample.t_s;
+        let passed_s = found.prepared().unwrap().t_ref.seconds_since(start.bar_start) + sample.t_s;
         let true_n = truth.at(lead_s + passed_s * (1.0 + start.skew), 0.1).unwrap()[0];
         (sample.force.along_n - sign * true_n).powi(2)
     });

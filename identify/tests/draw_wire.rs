@@ -3,9 +3,8 @@
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
 use identify::calibrate::HoldOut;
-use identify::calibrate::measured_length::{
-    ErrorFigures, LengthOptions, LengthRow, Rejection, RunCause, calibrate,
-};
+use identify::calibrate::measured_length::{ErrorFigures, LengthOptions, Rejection, RunCause, calibrate};
+use identify::instrument::LengthRow;
 use identify::kinematics::{Chain, flange_chain};
 use identify::model::{Axis, ParameterId};
 use nalgebra::Vector3;

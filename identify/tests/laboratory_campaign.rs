@@ -43,7 +43,7 @@ fn calibrated(run: &Simulated, robot: &RobotConfig, bar: &BallBarConfig, config:
     let of_robot = comparison.only(|id| matches!(id, ParameterId::Robot { .. }));
     let of_part =
         |part: &[LocalShift]| part.iter().map(|one| one.shift_s * 1e3).sum::<f64>() / part.len() as f64;
-    let shifts: Vec<f64> = found.prepared().local_shifts.chunks_exact(4).map(of_part).collect();
+    let shifts: Vec<f64> = found.prepared().unwrap().local_shifts.chunks_exact(4).map(of_part).collect();
     let mean = shifts.iter().sum::<f64>() / shifts.len() as f64;
     let variance = shifts.iter().map(|shift| (shift - mean).powi(2)).sum::<f64>() / (shifts.len() - 1) as f64;
     let expected = workspace_error(&found.model, &found.solution.covariance, &robot.joint_limits_deg).after;

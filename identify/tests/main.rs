@@ -26,6 +26,7 @@ mod measured_jacobians;
 mod measured_lengths;
 mod measured_pose_calibration;
 mod measured_poses;
+mod mixed;
 mod preparation;
 mod preparation_crossing;
 mod preparation_readings;

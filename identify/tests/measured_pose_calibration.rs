@@ -5,12 +5,12 @@
 use std::path::Path;
 
 use identify::calibrate::HoldOut;
-use identify::calibrate::measured_pose::{
-    PoseFigures, PoseOptions, PoseReport, PoseRow, Stages, calibrate, validate,
-};
+use identify::calibrate::measured_pose::{PoseFigures, PoseOptions, PoseReport, Stages, calibrate, validate};
+use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Pose, flange_chain};
 use identify::logs::{MeasuredPoseMapping, MeasuredPoses};
 use identify::model::{JointState, ParameterId, Role};
+use identify::report::file::CalibrationFile;
 use identify::report::poses;
 use nalgebra::{Rotation3, Vector3};
 use rand::rngs::StdRng;
@@ -107,7 +107,7 @@ fn tracker_probe_robot_and_joint_waves_are_found_and_what_is_not_there_is_left_o
     let tracker = geometry.tracker.place.pose();
     assert!((tracker.translation.vector - place.translation.vector).norm() < 2e-2);
     assert!((value("ra2") - truth.links[1].a_m).abs() < 5e-5);
-    let sigma = report.sigmas.iter().find(|(id, _)| *id == "ra2".parse::<ParameterId>().unwrap()).unwrap().1;
+    let sigma = report.sigma("ra2".parse().unwrap()).unwrap();
     assert!((value("ra2") - truth.links[1].a_m).abs() < 4.0 * sigma && sigma < 5e-5, "{sigma}");
 }
 
@@ -195,6 +195,35 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     }
     let written = std::fs::read_to_string(folder.path().join("out/calibration.toml")).unwrap();
     assert!(written.contains("rsin17_2") && written.contains("tracker_rx"));
+    // What is written beside the result repeats it, from anywhere.
+    let experiment = |file: &Path| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_identify"));
+        command.args(["calibrate", "--out", "again", "--experiment"]).arg(file);
+        let output = command.current_dir(folder.path()).output().unwrap();
+        (output.status.success(), String::from_utf8(output.stderr).unwrap())
+    };
+    let found = |name: &str| CalibrationFile::open(&folder.path().join(name)).unwrap();
+    let (repeated, err) = experiment(&folder.path().join("out/experiment.toml"));
+    assert!(repeated, "{err}");
+    assert_eq!(found("out").parameters, found("again").parameters);
+    // Two files of one robot in one solve, each with its own tracker and probe.
+    let text = std::fs::read_to_string(folder.path().join("out/experiment.toml")).unwrap();
+    let second =
+        "\n[[tracker]]\nfile = \"other.csv\"\nmapping = \"MAPPING\"\n".replace("MAPPING", mapping[1]);
+    let of_alone = |line: &&str| !line.starts_with("joint_waves") && !line.starts_with("validate");
+    let two = text.lines().filter(of_alone).collect::<Vec<_>>().join("\n") + &second;
+    let path = folder.path().join("two.toml");
+    std::fs::write(&path, &two).unwrap();
+    let (solved, err) = experiment(&path);
+    assert!(solved, "{err}");
+    let names: Vec<String> = found("again").parameters.into_iter().map(|one| one.name).collect();
+    assert!(["ra2", "tracker_x", "tracker_x@2"].iter().all(|name| names.iter().any(|one| one == name)));
+    for (wrong, said) in [("recrding = 1\n".to_owned() + &two, "recrding"), (text + &second, "tracker alone")]
+    {
+        std::fs::write(&path, wrong).unwrap();
+        let (solved, err) = experiment(&path);
+        assert!(!solved && err.contains(said), "{err}");
+    }
     let refused = |extra: &[&str]| {
         let output = command(extra);
         assert!(!output.status.success(), "{extra:?}");

@@ -53,16 +53,17 @@ fn samples_of_all_configurations_are_used_and_those_near_singular_poses_left_out
     let run = crossing(Effects::default());
     let found = calibrated(&run);
     let path = &run.motion.path;
-    let since_start_s = found.prepared().t_ref.seconds_since(run.truth.clock.bar_start);
+    let since_start_s = found.prepared().unwrap().t_ref.seconds_since(run.truth.clock.bar_start);
     let mut sides = [0usize; 2];
-    for observation in &found.prepared().observations {
+    for observation in &found.prepared().unwrap().observations {
         let joints = path.at(since_start_s + observation.t_s);
         sides[usize::from(joints[1].sin() > 0.0)] += 1;
         assert!(joints[1].sin().abs() > 0.08 && joints[3].sin().abs() > 0.08, "{joints:?}");
     }
-    println!("{sides:?} {:?}", found.prepared().counts);
+    println!("{sides:?} {:?}", found.prepared().unwrap().counts);
     assert!(sides.iter().all(|count| *count > 50), "{sides:?}");
-    let singular = found.prepared().timeline.points.iter().filter(|point| point.fate == Fate::Singular);
+    let singular =
+        found.prepared().unwrap().timeline.points.iter().filter(|point| point.fate == Fate::Singular);
     assert!(singular.count() > 10);
     let error = robot_error(&found, &run);
     println!("{error:.5} mm|mrad");
@@ -74,17 +75,17 @@ fn a_cardan_that_passes_its_singular_pose_calibrates_from_both_sides() {
     let effects = Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, ..Effects::default() };
     let run = crossing_with(effects, 3, [100.0, 230.0]);
     let found = calibrated(&run);
-    let since_start_s = found.prepared().t_ref.seconds_since(run.truth.clock.bar_start);
+    let since_start_s = found.prepared().unwrap().t_ref.seconds_since(run.truth.clock.bar_start);
     let mut sides = [0usize; 2];
-    for observation in &found.prepared().observations {
+    for observation in &found.prepared().unwrap().observations {
         let joints = run.motion.path.at(since_start_s + observation.t_s);
         sides[usize::from(joints[3].sin() > 0.0)] += 1;
         assert!(joints[3].sin().abs() > 0.08, "{joints:?}");
     }
     let error = robot_error(&found, &run);
-    println!("{sides:?}, {error:.5} mm|mrad, {:?}", found.prepared().counts);
+    println!("{sides:?}, {error:.5} mm|mrad, {:?}", found.prepared().unwrap().counts);
     assert!(sides.iter().all(|count| *count > 50), "{sides:?}");
-    assert!(found.prepared().counts.singular > 10);
+    assert!(found.prepared().unwrap().counts.singular > 10);
     assert!(error < 0.1, "{error}");
 }
 
@@ -109,11 +110,11 @@ fn a_run_with_lost_origins_is_used_whole_and_calibrates_as_well_as_a_clean_one()
         lossy.cycles[10_500..].iter_mut().for_each(|cycle| cycle.origin += 1);
         let [of_clean, of_lossy] = [&clean, &lossy].map(calibrated);
         let errors = [robot_error(&of_clean, &clean), robot_error(&of_lossy, &clean)];
-        let origins = &of_lossy.prepared().origins;
+        let origins = &of_lossy.prepared().unwrap().origins;
         println!("clean {:.3}, with four origins {:.3} mm|mrad; {origins:#?}", errors[0], errors[1]);
         assert_eq!(origins.len(), 5);
         assert!(origins.iter().all(|origin| origin.used));
-        assert!(of_lossy.prepared().counts.other_origin == 0);
+        assert!(of_lossy.prepared().unwrap().counts.other_origin == 0);
         assert!(errors[1] < 1.5 * errors[0] + 0.002, "{errors:?}");
     }
 }
@@ -126,6 +127,6 @@ fn origins_change_where_configurations_do() {
     }
     let found = calibrated(&run);
     let error = robot_error(&found, &run);
-    println!("{error:.5} mm|mrad, {:#?}", found.prepared().origins);
+    println!("{error:.5} mm|mrad, {:#?}", found.prepared().unwrap().origins);
     assert!(error < 0.1, "{error}");
 }

@@ -24,7 +24,7 @@ fn file(model: &Model, solution: &Solution) -> CalibrationFile {
     let solve = SolveEntry::new("transform", &solution.summary, &solution.identifiability);
     let sigma = |id| model.column_of(id).and_then(|column| solution.covariance.sigma(column));
     CalibrationFile::new("robot", "bar", solve, None, Vec::new(), ParameterEntry::all(model, sigma))
-        .with_knowledge(model, solution)
+        .with_knowledge(solution)
 }
 
 /// Robot and bar (standing at the root) of a table of links.

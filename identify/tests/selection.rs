@@ -127,7 +127,11 @@ fn lobes_of_gears_that_nobody_has_counted_are_found() {
     assert!(waves.iter().all(is_true), "{waves:?}");
 
     // What a calibration is compared with is the robot as its maker sold it.
-    let mut nominal = uncalibrated(&found.model, &found.prepared().motion, &found.prepared().observations);
+    let mut nominal = uncalibrated(
+        &found.model,
+        &found.prepared().unwrap().motion,
+        &found.prepared().unwrap().observations,
+    );
     for wave in found.model.parameters().iter().map(|parameter| parameter.id) {
         if matches!(wave, ParameterId::JointWave { .. }) {
             assert_eq!(nominal.parameter_mut(wave), Some(&mut 0.0), "{wave}");

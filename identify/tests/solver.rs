@@ -354,3 +354,60 @@ fn a_minimum_that_costs_a_sample_is_not_called_convergence() {
     assert!(!solution.summary.termination.converged(), "{}", solution.summary.termination);
     assert!(solution.x[0] <= 2.0);
 }
+
+/// A line by samples of one, two and three rows in turn.
+struct Ragged<'a>(&'a [f64]);
+
+impl Problem for Ragged<'_> {
+    type Point = Vec<f64>;
+
+    fn columns(&self) -> usize {
+        2
+    }
+
+    fn column_name(&self, column: usize) -> String {
+        format!("x{column}")
+    }
+
+    fn samples(&self) -> usize {
+        self.0.len() / 2
+    }
+
+    fn rows(&self) -> usize {
+        3
+    }
+
+    fn rows_of(&self, sample: usize) -> usize {
+        sample % 3 + 1
+    }
+
+    fn point(&self, x: &[f64]) -> Vec<f64> {
+        x.to_vec()
+    }
+
+    fn sample(&self, x: &mut Vec<f64>, sample: usize, residual: &mut [f64], block: &mut Block<'_>) -> bool {
+        let first = sample / 3 * 6 + [0, 1, 3][sample % 3];
+        for (row, r) in residual.iter_mut().enumerate() {
+            let t = (first + row) as f64;
+            *r = x[0] + x[1] * t - self.0[first + row];
+            block.column_mut(0)[row] = 1.0;
+            block.column_mut(1)[row] = t;
+        }
+        true
+    }
+}
+
+#[test]
+fn samples_of_different_numbers_of_residuals_count_by_each_of_them() {
+    let mut random = StdRng::seed_from_u64(17);
+    let noisy = |k: i32| 1.0 + 0.3 * f64::from(k) + random.sample::<f64, _>(StandardNormal);
+    let data: Vec<f64> = (0..600).map(noisy).collect();
+    let row = |x: &[f64], k: usize| (x[0] + x[1] * k as f64 - data[k], vec![1.0, k as f64]);
+    let options = Options::default();
+    let ragged = solve(&Ragged(&data), &[0.0, 0.0], &options).unwrap();
+    let single = solve(&Rows::new(2, 600, &row), &[0.0, 0.0], &options).unwrap();
+    close(&ragged.x, &single.x, 1e-9);
+    let sigmas = |of: &identify::solver::Solution| [0, 1].map(|column| of.covariance.sigma(column).unwrap());
+    close(&sigmas(&ragged), &sigmas(&single), 1e-9);
+    close(&[ragged.summary.residual_rms], &[single.summary.residual_rms], 1e-9);
+}

@@ -3,9 +3,9 @@
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 
-use super::config::{CostName, IdentifyConfig};
-use super::pipeline::{self, Solved};
-use super::structure::StructureError;
+use super::config::{CostName, IdentifyConfig, SelectionName};
+use super::pipeline::{Plan, Solved, estimate};
+use super::structure::{StructureError, identifiable};
 use super::terms::Candidate;
 use crate::cost::{CostError, SharedColumns};
 use crate::instrument::{BallBar, Instrument, Run};
@@ -41,6 +41,23 @@ pub enum CalibrateError {
     /// Nothing was given.
     #[error("there is no run to calibrate from; give at least one recording with its robot log")]
     NoRun,
+    /// An option that a mix of instruments cannot follow.
+    #[error(
+        "option `{option}` is for the ball-bar alone; leave it out, or calibrate from runs with the ball-bar only"
+    )]
+    Mixed {
+        /// In the configuration.
+        option: &'static str,
+    },
+    /// Where an instrument stands does not follow from its rows.
+    #[error(
+        "data set {data_set}: where the instrument stands does not follow from its rows, which lie in a plane, on a line or \
+         in a point; measure poses further apart"
+    )]
+    NoPlace {
+        /// From 1: ball-bars, trackers, wires, each in their order.
+        data_set: usize,
+    },
     /// The samples do not determine what is free.
     #[error(transparent)]
     Unidentifiable(#[from] Unidentifiable),
@@ -68,6 +85,8 @@ pub struct BallBarCalibration {
     pub candidates: Vec<Candidate>,
     /// Tolerances of the links were multiplied by this: one but with selection `automatic`.
     pub prior_scale: f64,
+    /// What a residual of each run is worth against priors, one standard deviation.
+    pub sigmas: Vec<f64>,
 }
 
 impl BallBarCalibration {
@@ -75,13 +94,12 @@ impl BallBarCalibration {
     pub fn runs(&self) -> impl Iterator<Item = (&Prepared, &Model)> {
         std::iter::once((&self.instrument, &self.model))
             .chain(self.others.iter().map(|run| (&run.instrument, &run.model)))
-            .map(|(Instrument::BallBar(bar), model)| (&bar.prepared, model))
+            .filter_map(|(instrument, model)| Some((&instrument.bar()?.prepared, model)))
     }
 
-    /// How the logs of the first run were brought together.
-    pub fn prepared(&self) -> &Prepared {
-        let Instrument::BallBar(bar) = &self.instrument;
-        &bar.prepared
+    /// How the logs of the first run with a ball-bar were brought together; none without any.
+    pub fn prepared(&self) -> Option<&Prepared> {
+        self.runs().next().map(|(prepared, _)| prepared)
     }
 
     /// Bar joints with an encoder in every run.
@@ -153,6 +171,34 @@ pub fn calibrate_runs(
     config: &IdentifyConfig,
     watch: Option<&dyn Watch>,
 ) -> Result<BallBarCalibration, CalibrateError> {
+    let mut runs = prepared_runs(inputs, robot, config)?;
+    let cost = runs.first().and_then(|run| run.instrument.bar()).ok_or(CalibrateError::NoRun)?.cost;
+    let Solved { columns, solution, candidates, prior_scale, sigmas, .. } = solve(&mut runs, config, watch)?;
+    let mut runs = runs.into_iter();
+    let Run { instrument, model } = runs.next().ok_or(CalibrateError::NoRun)?;
+    let others = runs.collect();
+    Ok(BallBarCalibration {
+        cost,
+        instrument,
+        model,
+        others,
+        columns,
+        solution,
+        candidates,
+        prior_scale,
+        sigmas,
+    })
+}
+
+/// Each run with its logs brought together and its parameters where the preparation found them.
+///
+/// # Errors
+/// [`CalibrateError`].
+pub(super) fn prepared_runs(
+    inputs: &[RunInput<'_>],
+    robot: &RobotConfig,
+    config: &IdentifyConfig,
+) -> Result<Vec<Run>, CalibrateError> {
     let prepare = |(run, input): (usize, &RunInput<'_>)| {
         let mut prepared =
             prepare(input.cycles, input.encoders, input.log, robot, input.bar, &config.prepare)
@@ -169,14 +215,52 @@ pub fn calibrate_runs(
         // Hundreds of waves have a name: a model has those that somebody means, and later those that are found.
         let model = start_model(&prepared, robot, input.bar)?.with_joint_waves(config.named());
         let bar = BallBar { prepared, cost, noise: config.noise, measured };
-        Ok(Run { instrument: Instrument::BallBar(bar), model })
+        Ok(Run { instrument: Instrument::BallBar(Box::new(bar)), model })
     };
-    let mut runs = all.into_iter().zip(inputs).map(run).collect::<Result<Vec<_>, CalibrateError>>()?;
-    let Solved { columns, solution, candidates, prior_scale } = pipeline::solve(&mut runs, config, watch)?;
-    let mut runs = runs.into_iter();
-    let Run { instrument, model } = runs.next().ok_or(CalibrateError::NoRun)?;
-    let others = runs.collect();
-    Ok(BallBarCalibration { cost, instrument, model, others, columns, solution, candidates, prior_scale })
+    all.into_iter().zip(inputs).map(run).collect()
+}
+
+/// Gives the parameters of runs with the ball-bar their roles and estimates them.
+///
+/// # Errors
+/// [`CalibrateError`].
+pub(super) fn solve(
+    runs: &mut [Run],
+    config: &IdentifyConfig,
+    watch: Option<&dyn Watch>,
+) -> Result<Solved, CalibrateError> {
+    let first = runs.first().ok_or(CalibrateError::NoRun)?;
+    let BallBar { prepared, cost, measured, .. } = first.instrument.bar().ok_or(CalibrateError::NoRun)?;
+    let (cost, measured) = (*cost, *measured);
+    let free = match config.selection.fixed() {
+        Some(_) => Vec::new(),
+        None => {
+            let Prepared { motion, observations, .. } = prepared;
+            identifiable(&first.model, motion, observations, cost.unweighed(&measured))?
+        }
+    };
+    for Run { instrument, model } in &mut *runs {
+        config.set_roles(model, &free, |id| instrument.tells(id))?;
+        if let Some(force) = instrument.bar().and_then(|bar| bar.prepared.force.as_ref()) {
+            config.free_for_force(model, force.parameter())?;
+        }
+    }
+    let Some(Run { instrument, model }) = runs.first() else { return Err(CalibrateError::NoRun) };
+    let of_link = |id: &ParameterId| {
+        let is_link = matches!(id, ParameterId::Robot { .. } | ParameterId::Bar { .. });
+        is_link && !config.priors.contains_key(&id.to_string())
+    };
+    let scaled = config.selection == SelectionName::Automatic;
+    let plan = Plan {
+        loss: config.loss_for(cost),
+        ransac: config.ransac,
+        kinds: config.kinds(model, |id| instrument.tells(id)),
+        fix: config.fix.iter().filter_map(|name| name.parse().ok()).collect(),
+        tolerances: model.columns().map(|one| one.id).filter(of_link).filter(|_| scaled).collect(),
+        prepare: config.prepare.clone(),
+        watch,
+    };
+    estimate(runs, &plan)
 }
 
 /// Nominal robot and bar, at the place and with the encoder offsets that the preparation found.

@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 
-use super::terms::TermGroup;
+use super::terms::{Kind, TermGroup};
 use crate::cost::AngleNoise;
 use crate::kinematics::{BAR_JOINTS, LinkParameter};
-use crate::model::{JointTerm, Model, ModelError, ParameterId, Role, Selection};
+use crate::model::{Model, ModelError, ParameterId, Role, Selection};
 use crate::prepare::PrepareOptions;
 use crate::solver::LossName;
 
@@ -113,16 +113,6 @@ impl Default for JointTermsConfig {
             amplitude_urad: 30.0,
             ratio_ppm: 50.0,
             compliance_urad_per_m: 200.0,
-        }
-    }
-}
-
-impl JointTermsConfig {
-    fn sigma(&self, term: JointTerm) -> f64 {
-        1e-6 * match term {
-            JointTerm::Ratio => self.ratio_ppm,
-            JointTerm::Compliance(_) => self.compliance_urad_per_m,
-            _ => self.amplitude_urad,
         }
     }
 }
@@ -234,7 +224,8 @@ impl IdentifyConfig {
         let always = matches!(self.selection, SelectionName::Cell | SelectionName::AllIdentifiable);
         if always && self.encoder_harmonics_urad > 0.0 {
             for id in ParameterId::harmonics().filter(|id| tells(*id)) {
-                model.set_role(id, self.term_role(id))?;
+                let sigma = self.sigma(TermGroup::EncoderHarmonics);
+                model.set_role(id, Role::Prior { value: 0.0, sigma })?;
             }
         }
         for (name, sigma) in &self.priors {
@@ -315,15 +306,32 @@ impl IdentifyConfig {
         groups
     }
 
-    /// The prior of a term of the robot's axes, of an encoder or of the bar's length.
-    pub fn term_role(&self, id: ParameterId) -> Role {
-        let sigma = match id {
-            ParameterId::Joint { term, .. } => self.joint_terms.sigma(term),
-            ParameterId::JointWave { .. } => self.joint_terms.amplitude_urad * 1e-6,
-            ParameterId::BarWave { .. } => self.bar_length_um * 1e-6,
-            _ => self.encoder_harmonics_urad * 1e-6,
+    /// [`Self::candidates`] with those of a model's parameters that its samples tell and nobody has freed or fixed by name.
+    pub fn kinds(&self, model: &Model, tells: impl Fn(ParameterId) -> bool) -> Vec<Kind> {
+        let kind = |group: TermGroup| {
+            let open = model.parameters().iter().filter(|one| {
+                TermGroup::of(one.id) == Some(group) && one.role == Role::Fixed && tells(one.id)
+            });
+            let ids = open.map(|one| one.id).filter(|id| !self.fix.contains(&id.to_string())).collect();
+            Kind { group, name: group.name().into(), ids, sigma: self.sigma(group), scales: vec![1.0] }
         };
-        Role::Prior { value: 0.0, sigma }
+        self.candidates()
+            .into_iter()
+            .map(kind)
+            .filter(|kind| kind.group == TermGroup::Ripple || !kind.ids.is_empty())
+            .collect()
+    }
+
+    /// Standard deviation of the prior of a term, SI.
+    fn sigma(&self, group: TermGroup) -> f64 {
+        let terms = &self.joint_terms;
+        1e-6 * match group {
+            TermGroup::Ratio => terms.ratio_ppm,
+            TermGroup::Compliance => terms.compliance_urad_per_m,
+            TermGroup::BarLength => self.bar_length_um,
+            TermGroup::EncoderHarmonics => self.encoder_harmonics_urad,
+            _ => terms.amplitude_urad,
+        }
     }
 }
 

@@ -4,10 +4,10 @@ use std::ops::Range;
 
 use super::ball_bar::{BallBarCalibration, CalibrateError};
 use super::config::IdentifyConfig;
-use super::pipeline::{problem, residual_sigma};
+use super::pipeline::problem;
 use super::split::segments;
 use crate::cost::SharedColumns;
-use crate::instrument::{Instrument, Run};
+use crate::instrument::Run;
 use crate::model::{Model, Observation, ParameterId};
 use crate::solver::{GoodShare, Options, Problem, SolveError, Subset, Watch, solve};
 
@@ -43,8 +43,8 @@ pub fn without_each_stretch(
     watch: Option<&dyn Watch>,
 ) -> Result<Vec<Stretch>, CalibrateError> {
     let runs = calibration.thinned(SAMPLES_MAX);
-    let BallBarCalibration { columns, solution, cost, .. } = calibration;
-    let problem = problem(&runs, columns, residual_sigma(*cost, solution))?;
+    let BallBarCalibration { columns, solution, cost, sigmas, .. } = calibration;
+    let problem = problem(&runs, columns, sigmas)?;
     let count = (STRETCHES_OF_ALL / runs.len().max(1)).clamp(2, STRETCHES);
     let loss = config.loss_for(*cost);
     let good = if config.ransac { GoodShare::TWO_FIFTHS } else { GoodShare::HALF };
@@ -77,7 +77,8 @@ fn stretch(
     x: Option<Vec<f64>>,
 ) -> Option<Stretch> {
     let number = starts.partition_point(|start| *start <= left_out.start).checked_sub(1)?;
-    let Run { instrument: Instrument::BallBar(bar), model } = runs.get(number)?;
+    let Run { instrument, model } = runs.get(number)?;
+    let bar = instrument.bar()?;
     let start = starts.get(number)?;
     let samples = left_out.start - start..left_out.end - start;
     let observations = &bar.prepared.observations;

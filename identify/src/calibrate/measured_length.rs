@@ -12,14 +12,14 @@ mod figures;
 mod report;
 mod runs;
 mod screen;
-mod start;
 
-use nalgebra::Vector3;
-
+use super::ball_bar::CalibrateError;
+use super::links::{free_links, standard_ids};
 use super::split::{self, HoldOut};
-use crate::cost::{LoopProblem, MeasuredLength};
-use crate::kinematics::{Chain, LinkParameter};
-use crate::model::{Axis, Model, ModelError, Observation, ParameterId, PerObservation, Role, Unit};
+use crate::cost::{DataSets, SharedColumns};
+use crate::instrument::{LengthRow, Measures, Wire};
+use crate::kinematics::Chain;
+use crate::model::{JointState, Model, ModelError, ParameterId};
 use crate::solver::{LossName, Options, Solution, solve_robust};
 
 pub use drift::Drift;
@@ -27,17 +27,6 @@ pub use error::LengthError;
 pub use figures::{ErrorFigures, Figures};
 pub use report::{LengthReport, ParameterEstimate, RejectedRow, Rejection};
 pub use runs::{FaultyRun, RunCause};
-
-/// One pose and its length.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct LengthRow {
-    /// Joint variables of the model \[rad\].
-    pub joints_rad: [f64; 6],
-    /// Measured length \[m\].
-    pub length_m: f64,
-    /// Where the controller says the flange is \[m\]; used to find rows whose parts do not belong together.
-    pub flange_m: Option<[f64; 3]>,
-}
 
 /// How the calibration is done.
 #[derive(Debug, Clone, PartialEq)]
@@ -121,33 +110,12 @@ fn check(rows: &[LengthRow], options: &LengthOptions) -> Result<(), LengthError>
     Ok(())
 }
 
-/// The parameters of the wire.
-fn wire_ids() -> impl Iterator<Item = ParameterId> {
-    let attachment = Axis::ALL.into_iter().map(ParameterId::Attachment);
-    attachment.chain(Axis::ALL.into_iter().map(ParameterId::Anchor)).chain([ParameterId::LengthOffset])
-}
-
-/// The standard numbers of the robot's links.
-fn is_link(id: ParameterId) -> bool {
-    matches!(id, ParameterId::Robot { parameter, .. } if parameter != LinkParameter::Beta)
-}
-
-/// Rows of a fit in the form that the problem takes.
-struct Samples {
-    observations: Vec<Observation>,
-    motion: PerObservation,
-}
-
-impl Samples {
-    fn of(rows: &[LengthRow], chosen: &[usize]) -> Self {
-        let chosen = || chosen.iter().filter_map(|&row| rows.get(row));
-        let observation =
-            |(i, row): (usize, &LengthRow)| Observation::length(PerObservation::time_s(i), row.length_m);
-        Self {
-            observations: chosen().enumerate().map(observation).collect(),
-            motion: PerObservation(chosen().map(|row| row.joints_rad).collect()),
-        }
-    }
+/// Chosen rows.
+fn wire(rows: &[LengthRow], chosen: &[usize]) -> Wire {
+    let chosen: Vec<LengthRow> = chosen.iter().filter_map(|&row| rows.get(row).copied()).collect();
+    let at_rest = |row: &LengthRow| JointState { q: row.joints_rad, ..JointState::default() };
+    let states: Vec<JointState> = chosen.iter().map(at_rest).collect();
+    Wire::new(&chosen, &states, &vec![0; chosen.len()], 0)
 }
 
 /// Solves for what is free in the model and takes the solution over.
@@ -158,23 +126,19 @@ fn fit(
     loss: LossName,
     sigma_m: f64,
 ) -> Result<Solution, LengthError> {
-    let samples = Samples::of(rows, chosen);
-    let problem = LoopProblem::new(model, &samples.motion, &samples.observations, MeasuredLength, sigma_m)?;
-    let solution = solve_robust(&problem, &model.start(), loss, &Options::default())?.identified()?;
+    let (wire, columns) = (wire(rows, chosen), SharedColumns::new([&*model], |_| false));
+    let problem = DataSets::new(vec![wire.data_set(model, sigma_m).map_err(CalibrateError::from)?], &columns);
+    let solution =
+        solve_robust(&problem, &model.start(), loss, &Options::default()).map_err(CalibrateError::from)?;
+    let solution = solution.identified().map_err(CalibrateError::from)?;
+    drop(problem);
     model.adopt(&solution.x);
     Ok(solution)
 }
 
 /// Residual of every row \[m\].
 fn residuals_m(model: &Model, rows: &[LengthRow]) -> Vec<f64> {
-    let geometry = model.geometry(&model.start());
-    let wire = geometry.wire;
-    let predicted = |row: &LengthRow| {
-        let root_from_flange = geometry.robot.forward(&row.joints_rad);
-        let attachment = root_from_flange.translation.vector + root_from_flange.rotation * wire.attachment_m;
-        (attachment - wire.anchor_m).norm() + wire.offset_m
-    };
-    rows.iter().map(|row| predicted(row) - row.length_m).collect()
+    wire(rows, &(0..rows.len()).collect::<Vec<_>>()).residuals_m(&model.geometry(&[]))
 }
 
 /// Anchor, attachment and offset with the robot as it is.
@@ -184,30 +148,10 @@ fn fit_wire(
     chosen: &[usize],
     options: &LengthOptions,
 ) -> Result<(), LengthError> {
-    let anchor_m = start::anchor_by_sphere(&model.geometry(&[]).robot, rows, chosen)?;
-    for axis in Axis::ALL {
-        model.set_value(ParameterId::Anchor(axis), anchor_m[axis.index()])?;
+    if !wire(rows, chosen).place(model, &options.fix)? {
+        return Err(LengthError::NoAnchor);
     }
-    model.set_roles(wire_ids().filter(|id| !options.fix.contains(id)), Role::Free)?;
     fit(model, rows, chosen, options.loss, 1.0).map(drop)
-}
-
-/// Priors on the links around nominal.
-fn free_links(model: &mut Model, options: &LengthOptions) -> Result<(), LengthError> {
-    let links: Vec<_> = model
-        .parameters()
-        .iter()
-        .filter(|one| is_link(one.id) && !options.fix.contains(&one.id))
-        .copied()
-        .collect();
-    for link in links {
-        let sigma = match link.id.unit() {
-            Unit::Metre => options.link_sigma_m,
-            _ => options.link_sigma_rad,
-        };
-        model.set_role(link.id, Role::Prior { value: link.nominal, sigma })?;
-    }
-    Ok(())
 }
 
 /// Fits wire and links, each round without the rows that the round before found faulty, until none changes.
@@ -224,7 +168,8 @@ fn fit_links(
     /// The scale changes less than this from round to round.
     const SCALE_SETTLED: f64 = 0.02;
     let mut found = screen::faulty(&residuals_m(model, rows), fitting, fitting, options);
-    free_links(model, options)?;
+    let links = standard_ids(model);
+    free_links(model, &links, &options.fix, [options.link_sigma_m, options.link_sigma_rad])?;
     for _ in 0..ROUNDS_MAX {
         let kept = screen::without(fitting, &found);
         if kept.len() < ROWS_MIN.max(fitting.len() / 2) {
@@ -314,9 +259,7 @@ pub fn calibrate(
     options: &LengthOptions,
 ) -> Result<LengthReport, LengthError> {
     check(rows, options)?;
-    let positions_m: Vec<Vector3<f64>> =
-        rows.iter().map(|row| robot.forward(&row.joints_rad).translation.vector).collect();
-    let groups = split::groups(options.hold_out, &positions_m);
+    let groups = options.hold_out.groups(robot, rows.iter().map(|row| row.joints_rad));
     let split = split::split(&groups, options.held_out, options.seed);
     let mut rejected = screen::contradicting(rows, robot, options.flange_tolerance_m);
     let fitting = screen::without(&split.fitting, &rejected);
@@ -341,7 +284,7 @@ pub fn calibrate(
         Some(Drifted { drift, solution, .. }) => (solution, drift.white_m, Some(drift)),
         None => (solution, sigma_m, None),
     };
-    solution.summary.require_converged()?;
+    solution.summary.require_converged().map_err(CalibrateError::from)?;
     Ok(report::assemble(report::Outcome {
         model,
         solution,

@@ -3,14 +3,16 @@
 pub mod ball_bar;
 mod config;
 pub mod held_out;
+mod links;
 pub mod measured_length;
 pub mod measured_pose;
+pub mod mix;
 pub mod other_costs;
 pub mod pipeline;
 pub mod refusal;
 mod repetition;
 mod ripple;
-mod split;
+pub(crate) mod split;
 pub mod structure;
 mod sudden;
 pub mod terms;

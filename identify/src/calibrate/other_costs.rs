@@ -1,8 +1,8 @@
 //! The same runs by the other costs that their encoders allow: what each would have said of the robot.
 
-use super::ball_bar::{BallBarCalibration, CalibrateError};
+use super::ball_bar::{BallBarCalibration, CalibrateError, solve};
 use super::config::{CostName, IdentifyConfig, SelectionName};
-use super::pipeline::{self, Solved};
+use super::pipeline::Solved;
 use super::terms::TermGroup;
 use crate::instrument::{Instrument, Run};
 use crate::kinematics::LinkParameter;
@@ -38,10 +38,12 @@ pub fn other_costs(
     let mut all = Vec::new();
     for cost in CostName::ALL.into_iter().filter(|cost| *cost != calibration.cost).filter(allowed) {
         let mut runs: Vec<Run> = runs.clone();
-        for Run { instrument: Instrument::BallBar(bar), .. } in &mut runs {
-            bar.cost = cost;
+        for run in &mut runs {
+            if let Instrument::BallBar(bar) = &mut run.instrument {
+                bar.cost = cost;
+            }
         }
-        let solved = pipeline::solve(&mut runs, &same_terms(calibration, config, cost), watch);
+        let solved = solve(&mut runs, &same_terms(calibration, config, cost), watch);
         let found = match solved {
             Err(error @ CalibrateError::Solve(SolveError::Cancelled { .. })) => return Err(error),
             Err(error) => Err(error),

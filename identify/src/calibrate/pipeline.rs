@@ -1,28 +1,50 @@
-//! The solve of one or several runs: what is free, which terms stay, and how far to trust the result.
+//! The one way from data sets to parameters, for any mix of instruments on one robot: solve until each data set counts as much
+//! as it is worth, choose terms on left-out groups of samples, solve again, and say how far to trust the result.
 
 use super::ball_bar::CalibrateError;
-use super::config::{CostName, IdentifyConfig, SelectionName};
+use super::config::CostName;
 use super::ripple::Ripple;
-use super::structure::identifiable;
 use super::sudden;
-use super::terms::{Candidate, Offer, TermGroup, prior_scale, select};
+use super::terms::{Candidate, Kind, Offer, TermGroup, prior_scale, select};
 use crate::cost::{CostError, DataSets, SharedColumns};
-use crate::instrument::{BallBar, Instrument, Measures, Run};
+use crate::instrument::{Measures, Run};
 use crate::kinematics::LinkParameter;
 use crate::model::{Model, ModelError, ParameterId, Role};
 use crate::prepare::PrepareOptions;
-use crate::solver::{Loss, LossName, Normals, Options, Solution, Watch, solve_from_subsets, solve_robust};
+use crate::solver::{
+    GoodShare, Loss, LossName, Normals, Options, Problem, Solution, Watch, minimise, solve,
+    solve_from_subsets, solve_robust,
+};
 
 /// The thesis' residuals enter as it defines them; `pose` is whitened by itself.
 const UNWEIGHTED: f64 = 1.0;
-/// Residuals without any error still count as this uncertain against priors \[m, m^2 or matrix entry\].
+/// Residuals without any error still count as this uncertain against priors, in the unit of the residual.
 const SIGMA_MIN: f64 = 1e-9;
 /// Whitened residuals below this are rounding: there is nothing left that a term could explain.
 const RESIDUAL_MIN: f64 = 1e-3;
-/// Segments of each run that are held out in turn to choose terms.
+/// Groups of each data set that are held out in turn to choose terms.
 const HELD_OUT: usize = 8;
-/// Segments of each run that are left out in turn for the covariance.
+/// Groups of each data set that are left out in turn for the covariance.
 const LEFT_OUT: usize = 30;
+
+/// What a solve is told beside the data sets, whose models have their roles and start values.
+#[derive(Debug, Clone)]
+pub struct Plan<'a> {
+    /// How much samples count that do not fit.
+    pub loss: LossName,
+    /// Start from random subsets of the samples.
+    pub ransac: bool,
+    /// Terms that are tried; orders of ripple without parameters are found in what is left.
+    pub kinds: Vec<Kind>,
+    /// Parameters that stay where they are.
+    pub fix: Vec<ParameterId>,
+    /// Parameters whose priors are scaled until left-out groups are predicted best.
+    pub tolerances: Vec<ParameterId>,
+    /// What counts as a slipped encoder.
+    pub prepare: PrepareOptions,
+    /// Sees each solve and may end it.
+    pub watch: Option<&'a dyn Watch>,
+}
 
 /// A solve of all runs.
 #[derive(Debug, Clone)]
@@ -31,14 +53,18 @@ pub struct Solved {
     pub columns: SharedColumns,
     /// The solve.
     pub solution: Solution,
+    /// The runs' models before any of the terms was taken.
+    pub without_terms: Vec<Model>,
     /// Kinds of terms that were tried.
     pub candidates: Vec<Candidate>,
     /// Scale of the links' tolerances.
     pub prior_scale: f64,
+    /// What a residual of each run is worth, one standard deviation.
+    pub sigmas: Vec<f64>,
 }
 
 /// What a residual of a solve is worth against priors, one standard deviation: `pose` is whitened by itself.
-pub(super) fn residual_sigma(cost: CostName, solution: &Solution) -> f64 {
+fn residual_sigma(cost: CostName, solution: &Solution) -> f64 {
     if cost == CostName::Pose { UNWEIGHTED } else { solution.summary.residual_rms.max(SIGMA_MIN) }
 }
 
@@ -46,80 +72,72 @@ pub(super) fn residual_sigma(cost: CostName, solution: &Solution) -> f64 {
 pub(super) fn problem<'p>(
     runs: &'p [Run],
     columns: &'p SharedColumns,
-    sigma: f64,
+    sigmas: &[f64],
 ) -> Result<DataSets<'p>, CostError> {
-    let sets = runs.iter().map(|run| run.instrument.data_set(&run.model, sigma));
+    let sets = runs.iter().zip(sigmas).map(|(run, sigma)| run.instrument.data_set(&run.model, *sigma));
     Ok(DataSets::new(sets.collect::<Result<_, _>>()?, columns))
 }
 
 /// Runs that are solved together.
 struct Solver<'a> {
     runs: &'a mut [Run],
-    loss: LossName,
-    ransac: bool,
-    watch: Option<&'a dyn Watch>,
+    plan: &'a Plan<'a>,
+    /// What a residual of each run is worth.
+    sigmas: Vec<f64>,
     /// The runs' bars differ in length.
     lengths_differ: bool,
 }
 
-/// Selects, solves, chooses terms, solves again and leaves the models at the solution.
+/// Solves, chooses terms, solves again and leaves the models at the solution.
 ///
 /// # Errors
-/// [`CalibrateError`] where the runs do not suit the cost or do not determine what is free.
-pub fn solve(
-    runs: &mut [Run],
-    config: &IdentifyConfig,
-    watch: Option<&dyn Watch>,
-) -> Result<Solved, CalibrateError> {
-    let first = runs.first().ok_or(CalibrateError::NoRun)?;
-    let Instrument::BallBar(BallBar { prepared, cost, measured, .. }) = &first.instrument;
-    let cost = *cost;
-    let free = match config.selection.fixed() {
-        Some(_) => Vec::new(),
-        None => {
-            identifiable(&first.model, &prepared.motion, &prepared.observations, cost.unweighed(measured))?
-        }
-    };
-    for Run { instrument, model } in &mut *runs {
-        config.set_roles(model, &free, |id| instrument.tells(id))?;
-        let Instrument::BallBar(BallBar { prepared, .. }) = instrument;
-        if let Some(force) = &prepared.force {
-            config.free_for_force(model, force.parameter())?;
-        }
-    }
-    let loss = config.loss_for(cost);
+/// [`CalibrateError`] where the runs do not suit their residuals or do not determine what is free.
+pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError> {
     let lengths_differ = lengths_differ(runs);
-    let mut solver = Solver { runs, loss, ransac: config.ransac, watch, lengths_differ };
-    let (_, first) = solver.solve(UNWEIGHTED)?;
-    // Whitening, angles without encoder and the worth of a residual against priors were those of the nominal geometry;
-    // now they are those of the solution.
-    let sigma = residual_sigma(cost, &first);
-    let (mut columns, mut solution) = solver.solve(sigma)?;
+    let sigmas = vec![UNWEIGHTED; runs.len()];
+    let mut solver = Solver { runs, plan, sigmas, lengths_differ };
+    let (mut columns, mut solution) = solver.settle()?;
+    let rms_start = solution.summary.residual_rms_start;
+    let without_terms = solver.runs.iter().map(|run| run.model.clone()).collect();
     let mut candidates = Vec::new();
     let mut scale = 1.0;
-    if solution.summary.residual_rms > RESIDUAL_MIN * sigma {
-        (candidates, scale) = solver.choose_terms(sigma, &solution, config)?;
+    let to_choose = !plan.kinds.is_empty() || !plan.tolerances.is_empty();
+    if to_choose && solution.summary.residual_rms > RESIDUAL_MIN * solver.unit() {
+        // Known terms leave less noise: the second choice weighs their priors by it.
+        let rounds = if solver.bars().is_some() { 1 } else { 2 };
+        for _ in 0..rounds {
+            let scaled;
+            (candidates, scaled) = solver.choose_terms(&solution)?;
+            scale *= scaled;
+            if solver.bars().is_none() {
+                solution.loss = solver.descend(plan.loss)?;
+                solver.weigh()?;
+            }
+        }
         if scale != 1.0 || candidates.iter().any(|candidate| candidate.accepted) {
-            (columns, solution) = solver.solve(sigma)?;
+            (columns, solution) = if solver.bars().is_some() { solver.solve()? } else { solver.settle()? };
         }
     }
-    solution.summary.residual_rms_start = first.summary.residual_rms_start;
-    solver.check_changes(sigma, solution.loss, &config.prepare)?;
-    if let Some(normals) = solver.normals(&columns, sigma, solution.loss, LEFT_OUT)?
+    solution.summary.residual_rms_start = rms_start;
+    solver.check_changes(solution.loss)?;
+    if let Some(normals) = solver.normals(&columns, solution.loss, LEFT_OUT)?
         && let Some(covariance) = normals.jackknife()
     {
         solution.covariance = solution.covariance.by_jackknife(covariance, normals.folds());
     }
-    Ok(Solved { columns, solution, candidates, prior_scale: scale })
+    let sigmas = solver.sigmas;
+    Ok(Solved { columns, solution, without_terms, candidates, prior_scale: scale, sigmas })
 }
 
 fn lengths_differ(runs: &[Run]) -> bool {
     let length = |run: &Run| run.model.parameter(ParameterId::ROD).map(|rod| rod.nominal);
-    runs.windows(2).any(|pair| length(&pair[0]) != length(&pair[1]))
+    let mut bars = runs.iter().filter_map(length);
+    let first = bars.next();
+    bars.any(|length| Some(length) != first)
 }
 
-/// What a run has for itself: robot and bar are those of all runs, but the bar is set up anew and its encoders count from
-/// new zeros.
+/// What a data set has for itself: the robot is that of all and the bar that of all runs with one, but instruments are set up
+/// anew and encoders count from new zeros.
 fn is_own(id: ParameterId, lengths_differ: bool) -> bool {
     match id {
         ParameterId::Base(_) | ParameterId::BaseRotation(_) => true,
@@ -128,6 +146,9 @@ fn is_own(id: ParameterId, lengths_differ: bool) -> bool {
         ParameterId::Bar { parameter: LinkParameter::Theta, .. } => true,
         // Another bar gives way by another amount.
         ParameterId::ROD | ParameterId::BarCompliance | ParameterId::BarPlay => lengths_differ,
+        ParameterId::Attachment(_) | ParameterId::Anchor(_) | ParameterId::LengthOffset => true,
+        ParameterId::Tracker(_) | ParameterId::TrackerRotation(_) => true,
+        ParameterId::Probe(_) | ParameterId::ProbeRotation(_) => true,
         _ => false,
     }
 }
@@ -141,118 +162,202 @@ impl Solver<'_> {
         columns.gather(&self.runs.iter().map(|run| run.model.start()).collect::<Vec<_>>())
     }
 
+    fn adopt(&mut self, columns: &SharedColumns, x: &[f64]) {
+        for (number, run) in self.runs.iter_mut().enumerate() {
+            run.model.adopt(&columns.values(number, x));
+        }
+    }
+
+    /// The cost, where all runs are those of a ball-bar: what their noise is, is configured.
+    fn bars(&self) -> Option<CostName> {
+        let mut costs = self.runs.iter().map(|run| run.instrument.bar().map(|bar| bar.cost));
+        let first = costs.next()??;
+        costs.all(|cost| cost == Some(first)).then_some(first)
+    }
+
+    /// What residuals in reports are multiplied by: those of the ball-bar alone are in the cost's own unit.
+    fn unit(&self) -> f64 {
+        let first = self.sigmas.first().copied().unwrap_or(UNWEIGHTED);
+        if self.bars().is_some() { first } else { UNWEIGHTED }
+    }
+
+    /// Solves until residuals count as much as they are worth.
+    fn settle(&mut self) -> Result<(SharedColumns, Solution), CalibrateError> {
+        /// The noise has settled when it falls by less than this part.
+        const SETTLED: f64 = 0.02;
+        const ROUNDS_MAX: usize = 20;
+        if let Some(cost) = self.bars() {
+            self.sigmas.fill(UNWEIGHTED);
+            let (_, first) = self.solve()?;
+            // Whitening, angles without encoder and the worth of a residual against priors were those of the nominal geometry;
+            // now they are those of the solution.
+            self.sigmas.fill(residual_sigma(cost, &first));
+            let (columns, mut solution) = self.solve()?;
+            solution.summary.residual_rms_start = first.summary.residual_rms_start;
+            return Ok((columns, solution));
+        }
+        let mut noise = self.weigh()?;
+        for _ in 0..ROUNDS_MAX {
+            // Samples that do not fit lose their pull on the way.
+            self.descend(LossName::Cauchy)?;
+            let before = std::mem::replace(&mut noise, self.weigh()?);
+            if noise.iter().zip(&before).all(|(now, before)| *now > (1.0 - SETTLED) * before) {
+                break;
+            }
+        }
+        self.solve()
+    }
+
+    /// Takes the noise of each data set from what is left at its model: variance components, each from its own residuals.
+    /// Returns the noise, in units of each.
+    fn weigh(&mut self) -> Result<Vec<f64>, CostError> {
+        let (several, mut all) = (self.runs.len() > 1, Vec::new());
+        for (Run { instrument, model }, sigma) in self.runs.iter_mut().zip(&mut self.sigmas) {
+            let own = instrument.adapt(model);
+            let columns = SharedColumns::new([&*model], |_| false);
+            let alone = DataSets::new(vec![instrument.data_set(model, UNWEIGHTED)?], &columns);
+            *sigma = match own {
+                Some(_) => UNWEIGHTED,
+                None => GoodShare::HALF.spread_at(&alone, &model.start()).max(SIGMA_MIN),
+            };
+            if several {
+                // Errors that last for many samples make these worth less than as many independent ones.
+                let groups = instrument.independent(LEFT_OUT);
+                let loss = LossName::Cauchy.for_spread(*sigma, alone.rows());
+                let options = Options { loss, ..Options::default() };
+                let normals = Normals::new(&alone, &model.start(), &options, &groups);
+                let factor = normals.and_then(|normals| normals.overdispersion());
+                *sigma *= (factor.unwrap_or(1.0) / sigma.powi(2)).max(1.0).sqrt();
+            }
+            all.push(own.unwrap_or(1.0) * *sigma);
+        }
+        Ok(all)
+    }
+
+    /// Improves the models with residuals in standard deviations, without a word on rank and covariance: for hundreds of
+    /// columns, and solves that are not the last. Returns the loss.
+    fn descend(&mut self, loss: LossName) -> Result<Loss, CalibrateError> {
+        /// Nothing that is reported changes by more.
+        const COST_TOLERANCE: f64 = 1e-6;
+        let columns = self.columns();
+        let problem = problem(self.runs, &columns, &self.sigmas)?;
+        let loss = loss.for_spread(1.0, problem.rows());
+        let watch = self.plan.watch;
+        let options = Options { loss, cost_tolerance: COST_TOLERANCE, watch, ..Options::default() };
+        let (x, _) = minimise(&problem, &self.start(&columns), &options)?;
+        drop(problem);
+        self.adopt(&columns, &x);
+        Ok(loss)
+    }
+
     /// One solve from where the models are; they are left at its solution.
-    fn solve(&mut self, sigma: f64) -> Result<(SharedColumns, Solution), CalibrateError> {
-        for Run { instrument, model } in &mut *self.runs {
-            instrument.adapt(model);
+    fn solve(&mut self) -> Result<(SharedColumns, Solution), CalibrateError> {
+        let of_bars = self.bars().is_some();
+        if of_bars {
+            for Run { instrument, model } in &mut *self.runs {
+                instrument.adapt(model);
+            }
         }
         let columns = self.columns();
         let start = self.start(&columns);
-        let solve_by = if self.ransac { solve_from_subsets } else { solve_robust };
-        let options = Options { watch: self.watch, ..Options::default() };
-        let solution = solve_by(&problem(self.runs, &columns, sigma)?, &start, self.loss, &options)?;
-        let mut solution = solution.identified()?;
-        solution.summary.residual_rms_start *= sigma;
-        solution.summary.residual_rms *= sigma;
+        let Plan { loss, ransac, watch, .. } = *self.plan;
+        let options = Options { watch, ..Options::default() };
+        let problem = problem(self.runs, &columns, &self.sigmas)?;
+        let solution = match (of_bars, ransac) {
+            (true, true) => solve_from_subsets(&problem, &start, loss, &options),
+            (true, false) => solve_robust(&problem, &start, loss, &options),
+            // The noise has settled, and every residual is in standard deviations.
+            (false, _) => {
+                let loss = loss.for_spread(1.0, problem.rows());
+                solve(&problem, &start, &Options { loss, ..options })
+            }
+        };
+        drop(problem);
+        let mut solution = solution?.identified()?;
+        solution.summary.residual_rms_start *= self.unit();
+        solution.summary.residual_rms *= self.unit();
         solution.summary.require_converged()?;
-        for (number, run) in self.runs.iter_mut().enumerate() {
-            run.model.adopt(&columns.values(number, &solution.x));
-        }
+        self.adopt(&columns, &solution.x);
         Ok((columns, solution))
     }
 
-    /// Normal equations of the segments of all runs where the models are; none where residuals are not finite.
+    /// Normal equations of the independent groups of all runs where the models are; none where residuals are not finite.
     fn normals(
         &self,
         columns: &SharedColumns,
-        sigma: f64,
         loss: Loss,
         count: usize,
     ) -> Result<Option<Normals>, CostError> {
-        let problem = problem(self.runs, columns, sigma)?;
+        let problem = problem(self.runs, columns, &self.sigmas)?;
         let of_run = |(run, start): (&Run, &usize)| {
             let groups = run.instrument.independent(count).into_iter();
             groups.map(|group| group.into_iter().map(|sample| start + sample).collect()).collect::<Vec<_>>()
         };
-        let segments: Vec<Vec<usize>> = self.runs.iter().zip(problem.starts()).flat_map(of_run).collect();
+        let groups: Vec<Vec<usize>> = self.runs.iter().zip(problem.starts()).flat_map(of_run).collect();
         let options = Options { loss, ..Options::default() };
-        Ok(Normals::new(&problem, &self.start(columns), &options, &segments))
+        Ok(Normals::new(&problem, &self.start(columns), &options, &groups))
     }
 
-    /// Tries each group of terms on held-out segments, gives those that stay their priors, and finds the priors' scale.
-    fn choose_terms(
-        &mut self,
-        sigma: f64,
-        solution: &Solution,
-        config: &IdentifyConfig,
-    ) -> Result<(Vec<Candidate>, f64), CalibrateError> {
-        let groups = config.candidates();
-        if groups.contains(&TermGroup::Ripple) {
-            self.offer_ripple(sigma, &solution.sample_weights)?;
+    /// Tries each kind of terms on held-out groups, gives those that stay their priors, and finds the scale of tolerances.
+    fn choose_terms(&mut self, solution: &Solution) -> Result<(Vec<Candidate>, f64), CalibrateError> {
+        let mut kinds = self.plan.kinds.clone();
+        let is_open = |kind: &&mut Kind| kind.group == TermGroup::Ripple && kind.ids.is_empty();
+        if let Some(ripple) = kinds.iter_mut().find(is_open) {
+            ripple.ids = self.offer_ripple(&solution.sample_weights)?;
         }
-        let offered = |id: ParameterId| TermGroup::of(id).is_some_and(|group| groups.contains(&group));
-        self.set_terms(config, |run, id| {
-            offered(id) && run.instrument.tells(id) && is_fixed(&run.model, id)
-        })?;
+        for kind in &kinds {
+            self.set_roles(&kind.ids, Role::Prior { value: 0.0, sigma: kind.sigma })?;
+        }
         let columns = self.columns();
-        let normals = self.normals(&columns, sigma, solution.loss, HELD_OUT)?;
         let ids = columns.gather(&self.ids());
-        let of_group = |group: Option<TermGroup>| -> Vec<usize> {
-            let offered = |id: ParameterId| TermGroup::of(id).filter(|of| groups.contains(of));
-            ids.iter()
-                .enumerate()
-                .filter(|(_, id)| offered(**id) == group)
-                .map(|(column, _)| column)
-                .collect()
+        let columns_of = |kind: &Kind| -> Vec<usize> {
+            (0..ids.len()).filter(|column| kind.ids.contains(&ids[*column])).collect()
         };
-        let (kinds, offers): (Vec<TermGroup>, Vec<Offer>) = groups
+        let offers: Vec<Offer> = kinds
             .iter()
-            .map(|group| (*group, Offer { columns: of_group(Some(*group)), scales: vec![1.0] }))
-            .filter(|(_, offer)| !offer.columns.is_empty())
-            .unzip();
-        let Some(normals) = normals else {
-            self.leave_out(|group| groups.contains(&group))?;
-            return Ok((Vec::new(), 1.0));
-        };
-        let mut kept = of_group(None);
-        let verdicts = select(&normals, &kept, &offers);
-        let report = verdicts.into_iter().map(|verdict| {
-            let columns = &offers[verdict.offer].columns;
-            if verdict.accepted {
+            .map(|kind| Offer { columns: columns_of(kind), scales: kind.scales.to_vec() })
+            .collect();
+        let (kinds, offers): (Vec<Kind>, Vec<Offer>) =
+            kinds.into_iter().zip(offers).filter(|(_, offer)| !offer.columns.is_empty()).unzip();
+        let offered = |column: &usize| offers.iter().any(|offer| offer.columns.contains(column));
+        let (own, mut kept): (Vec<usize>, Vec<usize>) = (0..ids.len()).partition(offered);
+        // About the models without any of them, weighed as they are.
+        let mut without = self.start(&columns);
+        own.iter().for_each(|&column| without[column] = 0.0);
+        let normals = self.normals(&columns, solution.loss, HELD_OUT)?.map(|normals| normals.about(&without));
+        let verdicts = normals.as_ref().map_or_else(Vec::new, |normals| select(normals, &kept, &offers));
+        let mut report = Vec::new();
+        for verdict in verdicts {
+            let (kind, columns) = (&kinds[verdict.offer], &offers[verdict.offer].columns);
+            let sigma = verdict.accepted.then_some(kind.sigma * verdict.scale);
+            if let Some(sigma) = sigma {
                 kept.extend(columns);
+                self.set_roles(&kind.ids, Role::Prior { value: 0.0, sigma })?;
             }
-            Candidate {
-                group: kinds[verdict.offer],
+            report.push(Candidate {
+                group: kind.group,
+                name: kind.name.clone(),
                 parameters: columns.len(),
+                sigma,
                 held_out_before: verdict.before.sqrt(),
                 held_out_after: verdict.after.sqrt(),
                 accepted: verdict.accepted,
-            }
-        });
-        let report: Vec<Candidate> = report.collect();
-        let accepted = |group| report.iter().any(|candidate| candidate.accepted && candidate.group == group);
-        self.leave_out(|group| groups.contains(&group) && !accepted(group))?;
-        if config.selection != SelectionName::Automatic {
-            return Ok((report, 1.0));
+            });
         }
-        // Terms were weighed above, and what a person gave stays as it is.
-        let tolerance = |id: ParameterId| {
-            let of_link = matches!(id, ParameterId::Robot { .. } | ParameterId::Bar { .. });
-            of_link && !config.priors.contains_key(&id.to_string())
+        for kind in
+            kinds.iter().filter(|kind| !report.iter().any(|one| one.accepted && one.name == kind.name))
+        {
+            self.set_roles(&kind.ids, Role::Fixed)?;
+            self.set_to_zero(&kind.ids)?;
+        }
+        let Some(normals) = normals.filter(|_| !self.plan.tolerances.is_empty()) else {
+            return Ok((report, 1.0));
         };
+        // Terms were weighed above, and what a person gave stays as it is.
+        let tolerance = |id: ParameterId| self.plan.tolerances.contains(&id);
         let scale = prior_scale(&normals, &kept, |column| ids.get(column).copied().is_some_and(tolerance));
-        self.scale_priors(scale, tolerance)?;
+        self.scale_priors(scale)?;
         Ok((report, scale))
-    }
-
-    /// Each run with the weights of its samples.
-    fn weighed<'a>(&'a self, weights: &'a [f64]) -> impl Iterator<Item = (&'a Run, &'a [f64])> {
-        let mut rest = weights;
-        self.runs.iter().map(move |run| {
-            let (own, others) = rest.split_at(run.instrument.samples().min(rest.len()));
-            rest = others;
-            (run, own)
-        })
     }
 
     /// No encoder slips and no clock jumps, as far as the solution with all of its terms tells: what these could bend towards
@@ -260,12 +365,12 @@ impl Solver<'_> {
     ///
     /// # Errors
     /// [`CalibrateError::Prepare`] for the first run where one does.
-    fn check_changes(&self, sigma: f64, loss: Loss, options: &PrepareOptions) -> Result<(), CalibrateError> {
-        for (number, Run { instrument, model }) in self.runs.iter().enumerate() {
-            let Instrument::BallBar(bar) = instrument;
+    fn check_changes(&self, loss: Loss) -> Result<(), CalibrateError> {
+        for (number, (Run { instrument, model }, sigma)) in self.runs.iter().zip(&self.sigmas).enumerate() {
+            let Some(bar) = instrument.bar() else { continue };
             let columns = SharedColumns::new([model], |_| false);
-            let problem = DataSets::new(vec![bar.data_set(model, sigma)?], &columns);
-            if let Some(error) = sudden::change(model, &bar.prepared, &problem, loss, options) {
+            let problem = DataSets::new(vec![bar.data_set(model, *sigma)?], &columns);
+            if let Some(error) = sudden::change(model, &bar.prepared, &problem, loss, &self.plan.prepare) {
                 return Err(CalibrateError::Prepare { run: number, error: Box::new(error) });
             }
         }
@@ -273,66 +378,63 @@ impl Solver<'_> {
     }
 
     /// Gives all models the waves of the axes that what is left shows.
-    fn offer_ripple(&mut self, sigma: f64, weights: &[f64]) -> Result<(), CalibrateError> {
+    fn offer_ripple(&mut self, weights: &[f64]) -> Result<Vec<ParameterId>, CalibrateError> {
         let mut ripple = Ripple::default();
-        for (run, weights) in self.weighed(weights) {
-            ripple.add(run, sigma, weights)?;
+        let mut rest = weights;
+        for (run, sigma) in self.runs.iter().zip(&self.sigmas) {
+            let (own, others) = rest.split_at(run.instrument.samples().min(rest.len()));
+            rest = others;
+            ripple.add(run, *sigma, own)?;
         }
-        let found = ripple.found();
+        let mut found = ripple.found();
+        let is_asked_for = |id: &ParameterId| {
+            let role = |run: &Run| run.model.parameter(*id).map(|parameter| parameter.role);
+            self.runs.iter().any(|run| role(run).is_some_and(|role| role != Role::Fixed))
+        };
+        found.retain(|id| !self.plan.fix.contains(id) && !is_asked_for(id));
         for run in &mut *self.runs {
             run.model = run.model.clone().with_joint_waves(found.iter().copied());
         }
-        Ok(())
+        Ok(found)
     }
 
     fn ids(&self) -> Vec<Vec<ParameterId>> {
         self.runs.iter().map(|run| run.model.columns().map(|parameter| parameter.id).collect()).collect()
     }
 
-    /// Gives terms their priors.
-    fn set_terms(
-        &mut self,
-        config: &IdentifyConfig,
-        wanted: impl Fn(&Run, ParameterId) -> bool,
-    ) -> Result<(), ModelError> {
-        for run in &mut *self.runs {
-            let all: Vec<ParameterId> = run.model.parameters().iter().map(|parameter| parameter.id).collect();
-            for id in all {
-                if wanted(run, id) && !config.fix.contains(&id.to_string()) {
-                    run.model.set_role(id, config.term_role(id))?;
+    /// Gives parameters a role in every model that has them and whose samples show them.
+    fn set_roles(&mut self, ids: &[ParameterId], role: Role) -> Result<(), ModelError> {
+        for Run { instrument, model } in &mut *self.runs {
+            for &id in ids.iter().filter(|id| instrument.tells(**id)) {
+                if model.parameter(id).is_some() {
+                    model.set_role(id, role)?;
                 }
             }
         }
         Ok(())
     }
 
-    /// Fixes the terms of some groups at zero, but those that were asked for by name.
-    fn leave_out(&mut self, group: impl Fn(TermGroup) -> bool) -> Result<(), ModelError> {
-        for run in &mut *self.runs {
-            let all: Vec<ParameterId> = run.model.columns().map(|parameter| parameter.id).collect();
-            for id in all.into_iter().filter(|id| TermGroup::of(*id).is_some_and(&group)) {
-                if run.model.parameter(id).is_some_and(|parameter| parameter.value == 0.0) {
-                    run.model.set_role(id, Role::Fixed)?;
+    fn set_to_zero(&mut self, ids: &[ParameterId]) -> Result<(), ModelError> {
+        for Run { model, .. } in &mut *self.runs {
+            for &id in ids {
+                if model.parameter(id).is_some() {
+                    model.set_value(id, 0.0)?;
                 }
             }
         }
         Ok(())
     }
 
-    fn scale_priors(&mut self, scale: f64, which: impl Fn(ParameterId) -> bool) -> Result<(), ModelError> {
-        for run in &mut *self.runs {
+    fn scale_priors(&mut self, scale: f64) -> Result<(), ModelError> {
+        for Run { model, .. } in &mut *self.runs {
             let priors: Vec<(ParameterId, Role)> =
-                run.model.columns().map(|parameter| (parameter.id, parameter.role)).collect();
-            for (id, role) in priors.into_iter().filter(|(id, _)| which(*id)) {
+                model.columns().map(|parameter| (parameter.id, parameter.role)).collect();
+            for (id, role) in priors.into_iter().filter(|(id, _)| self.plan.tolerances.contains(id)) {
                 if let Role::Prior { value, sigma } = role {
-                    run.model.set_role(id, Role::Prior { value, sigma: sigma * scale })?;
+                    model.set_role(id, Role::Prior { value, sigma: sigma * scale })?;
                 }
             }
         }
         Ok(())
     }
-}
-
-fn is_fixed(model: &Model, id: ParameterId) -> bool {
-    model.parameter(id).is_some_and(|parameter| parameter.role == Role::Fixed)
 }

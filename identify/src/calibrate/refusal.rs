@@ -30,11 +30,12 @@ pub trait Refuses {
 impl Refuses for CalibrateError {
     fn refusal(&self) -> Option<Refusal<'_>> {
         let of_data = match self {
-            Self::Model(_) | Self::Structure(StructureError::Model(_)) | Self::NoRun => false,
+            Self::Model(_) | Self::Structure(StructureError::Model(_)) => false,
+            Self::NoRun | Self::Mixed { .. } => false,
             Self::Prepare { error, .. } => !error.is_mistyped(),
             Self::Cost(error) | Self::Structure(StructureError::Cost(error)) => cost_is_of_data(error),
             Self::Solve(error) | Self::Structure(StructureError::Solve(error)) => solve_is_of_data(error),
-            Self::Unidentifiable(_) | Self::NotConverged { .. } => true,
+            Self::NoPlace { .. } | Self::Unidentifiable(_) | Self::NotConverged { .. } => true,
         };
         let of_all = of_data.then(|| of_all(self.to_string()))?;
         Some(match self {
@@ -51,13 +52,11 @@ macro_rules! refuse_rows {
     ($($error:ty),*) => { $(
         impl Refuses for $error {
             fn refusal(&self) -> Option<Refusal<'_>> {
-                let of_data = match self {
-                    Self::BadOption { .. } | Self::Model(_) => false,
-                    Self::Cost(error) => cost_is_of_data(error),
-                    Self::Solve(error) => solve_is_of_data(error),
-                    _ => true,
-                };
-                of_data.then(|| of_all(self.to_string()))
+                match self {
+                    Self::BadOption { .. } | Self::Model(_) => None,
+                    Self::Calibrate(error) => error.refusal(),
+                    _ => Some(of_all(self.to_string())),
+                }
             }
         }
     )* };

@@ -7,9 +7,13 @@ use nalgebra::Vector3;
 use rand::SeedableRng;
 use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
+use serde::{Deserialize, Serialize};
+
+use crate::kinematics::{Chain, ROBOT_JOINTS};
 
 /// What is held out together.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum HoldOut {
     /// Single rows: between their neighbours, which the fit has seen.
     Rows,
@@ -25,8 +29,21 @@ const BLOCKS: usize = 25;
 /// Boxes along the longest side of the workspace.
 const BOXES: f64 = 5.0;
 
+impl HoldOut {
+    /// The group of each pose: those of one group are held out together. `robot` is the nominal chain.
+    pub(crate) fn groups(
+        self,
+        robot: &Chain,
+        joints_rad: impl Iterator<Item = [f64; ROBOT_JOINTS]>,
+    ) -> Vec<usize> {
+        let positions_m: Vec<Vector3<f64>> =
+            joints_rad.map(|q| robot.forward(&q).translation.vector).collect();
+        groups(self, &positions_m)
+    }
+}
+
 /// The group of each row: rows of one group are held out together.
-pub(super) fn groups(hold_out: HoldOut, positions_m: &[Vector3<f64>]) -> Vec<usize> {
+fn groups(hold_out: HoldOut, positions_m: &[Vector3<f64>]) -> Vec<usize> {
     let rows = positions_m.len();
     match hold_out {
         HoldOut::Rows => (0..rows).collect(),
@@ -72,6 +89,14 @@ pub(super) fn folds(groups: &[usize], chosen: &[usize], count: usize, seed: u64)
             least.extend(group);
         }
     }
+    folds
+}
+
+/// All rows by their groups in at most `count` folds.
+pub(crate) fn all_in_folds(groups: &[usize], count: usize, seed: u64) -> Vec<Vec<usize>> {
+    let all: Vec<usize> = (0..groups.len()).collect();
+    let mut folds = folds(groups, &all, count, seed.wrapping_add(1));
+    folds.retain(|fold| !fold.is_empty());
     folds
 }
 

@@ -84,11 +84,32 @@ impl TermGroup {
     }
 }
 
+/// Terms that are tried together, the same for all axes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Kind {
+    /// Which.
+    pub group: TermGroup,
+    /// Name in reports.
+    pub name: String,
+    /// Its parameters.
+    pub ids: Vec<ParameterId>,
+    /// Standard deviation of their prior around zero, SI.
+    pub sigma: f64,
+    /// What it may be multiplied by.
+    pub scales: Vec<f64>,
+}
+
 /// What became of one kind of terms.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Candidate {
     /// Which.
     pub group: TermGroup,
+    /// Name in reports.
+    #[serde(default)]
+    pub name: String,
+    /// Standard deviation of its prior around zero, in the parameters' SI unit; absent where it was not taken.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sigma: Option<f64>,
     /// How many parameters it has.
     pub parameters: usize,
     /// Root mean square residual of held-out stretches without it, in standard deviations of the cost.
@@ -97,6 +118,13 @@ pub struct Candidate {
     pub held_out_after: f64,
     /// It predicts held-out stretches better by more than chance.
     pub accepted: bool,
+}
+
+impl Candidate {
+    /// For a person.
+    pub fn name(&self) -> &str {
+        if self.name.is_empty() { self.group.name() } else { &self.name }
+    }
 }
 
 /// Terms that come together or not at all.

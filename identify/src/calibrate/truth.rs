@@ -54,14 +54,15 @@ impl Comparison {
             })
             .collect();
         let value = |id| calibration.model.parameter(id).map_or(0.0, |parameter| parameter.value);
-        let prepared = calibration.prepared();
-        let identified_ns = prepared.clock_difference_ns(value(ParameterId::ClockShift));
-        let true_robot_ns = truth.clock.robot_ns(prepared.t_ref);
-        // Both are differences of large numbers: subtract the integers first.
-        let robot_ns = prepared.t_ref.0.saturating_add(identified_ns);
+        let shift_error_ns = calibration.prepared().map(|prepared| {
+            let identified_ns = prepared.clock_difference_ns(value(ParameterId::ClockShift));
+            // Both are differences of large numbers: subtract the integers first.
+            let robot_ns = prepared.t_ref.0.saturating_add(identified_ns);
+            robot_ns as f64 - truth.clock.robot_ns(prepared.t_ref)
+        });
         Self {
             parameters,
-            clock_shift_error_s: (robot_ns as f64 - true_robot_ns) * 1e-9,
+            clock_shift_error_s: shift_error_ns.unwrap_or(0.0) * 1e-9,
             clock_skew_error: value(ParameterId::ClockSkew) - truth.clock.skew,
         }
     }

@@ -1,6 +1,7 @@
 //! `identify calibrate`: one instrument, one set of options, so that none can be accepted and ignored.
 
 mod bar;
+mod experiment;
 mod force_logs;
 mod refused;
 mod sources;
@@ -33,6 +34,9 @@ enum Instrument {
     Wire(wire::WireArguments),
     /// From positions or poses measured by a tracker
     Tracker(tracker::TrackerArguments),
+    /// From any mix of them: --experiment FILE, without this word
+    #[command(hide = true)]
+    Experiment(experiment::ExperimentArguments),
 }
 
 /// What every calibration needs.
@@ -62,11 +66,15 @@ pub struct RowArguments {
     #[arg(long, value_enum)]
     hold_out: Option<HoldOut>,
     /// Decides which rows are held out
-    #[arg(long, default_value_t = LengthOptions::default().seed)]
+    #[arg(long, default_value_t = usual_seed())]
     seed: u64,
     /// Fix these parameters where they start
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     fix: Vec<ParameterId>,
+}
+
+fn usual_seed() -> u64 {
+    LengthOptions::default().seed
 }
 
 pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
@@ -74,6 +82,7 @@ pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
         Instrument::Bar(arguments) => bar::run(arguments),
         Instrument::Wire(arguments) => wire::run(arguments),
         Instrument::Tracker(arguments) => tracker::run(arguments),
+        Instrument::Experiment(arguments) => experiment::run(arguments),
     }
 }
 

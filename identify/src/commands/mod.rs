@@ -34,14 +34,18 @@ enum Command {
 }
 
 impl Arguments {
-    /// What was typed, or clap's own message and exit. `identify calibrate --recording ..` means the ball-bar.
+    /// What was typed, or clap's own message and exit. `identify calibrate --recording ..` means the ball-bar,
+    /// `identify calibrate --experiment ..` whatever the file says.
     pub fn typed() -> Self {
         let mut words: Vec<OsString> = std::env::args_os().collect();
         let is_option = |word: &OsString| word.to_str().is_some_and(|word| word.starts_with("--"));
         let bar = words.get(1).is_some_and(|word| word == "calibrate")
             && words.get(2).is_some_and(|word| is_option(word) && word != "--help");
         if bar {
-            words.insert(2, "bar".into());
+            let mixed = words.iter().any(|word| {
+                word.to_str().is_some_and(|word| word == "--experiment" || word.starts_with("--experiment="))
+            });
+            words.insert(2, if mixed { "experiment".into() } else { "bar".into() });
         }
         Self::parse_from(words)
     }

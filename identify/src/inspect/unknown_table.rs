@@ -7,7 +7,8 @@ use std::path::Path;
 
 use shared::config::{AngleUnit, RobotConfig};
 
-use crate::calibrate::measured_pose::{PoseRow, validate};
+use crate::calibrate::measured_pose::validate;
+use crate::instrument::PoseRow;
 use crate::kinematics::{ROBOT_JOINTS, flange_chain};
 use crate::logs::{
     CsvLayout, EulerFrame, JointColumn, LengthColumn, LengthUnit, LogError, MeasuredLengthMapping,

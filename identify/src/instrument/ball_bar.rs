@@ -9,7 +9,7 @@ use crate::cost::{
     WhitenedPose, WhitenedPoseOfFour, fill_in,
 };
 use crate::kinematics::BAR_JOINTS;
-use crate::model::{Clock, JointState, Model, ParameterId, RobotMotion};
+use crate::model::{Clock, JointState, Model, ModelError, ParameterId, RobotMotion};
 use crate::prepare::Prepared;
 
 impl CostName {
@@ -85,6 +85,11 @@ impl Measures for BallBar {
         self.prepared.observations.len()
     }
 
+    /// The preparation has done so, and the configuration says what is free.
+    fn place(&self, _: &mut Model, _: &[ParameterId]) -> Result<bool, ModelError> {
+        Ok(true)
+    }
+
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
         let Prepared { motion, observations, .. } = &self.prepared;
         let (geometry, noise) = (|| model.geometry(&[]), self.noise.into());
@@ -112,10 +117,11 @@ impl Measures for BallBar {
         self.cost.tells(&self.measured, id)
     }
 
-    fn adapt(&mut self, model: &Model) {
+    fn adapt(&mut self, model: &Model) -> Option<f64> {
         if !self.cost.encoders().is_empty() {
             fill_in(&model.geometry(&[]), &self.prepared.motion, &mut self.prepared.observations);
         }
+        None
     }
 
     fn independent(&self, count: usize) -> Vec<Vec<usize>> {
@@ -126,6 +132,6 @@ impl Measures for BallBar {
     fn thinned(&self, every: usize) -> Instrument {
         let observations = self.prepared.observations.iter().step_by(every).copied().collect();
         let prepared = Prepared { observations, ..self.prepared.clone() };
-        Instrument::BallBar(Self { prepared, ..self.clone() })
+        Instrument::BallBar(Box::new(Self { prepared, ..self.clone() }))
     }
 }

@@ -2,19 +2,31 @@
 //! knows no instrument, and no instrument knows how robots are estimated.
 
 mod ball_bar;
+mod tracker;
+mod wire;
 
 use std::fmt;
 use std::ops::{Deref, DerefMut};
 
 pub use ball_bar::BallBar;
+pub(crate) use tracker::quantile;
+pub use tracker::{Apart, PoseRow, Tracker, standing};
+pub use wire::{LengthRow, Wire};
 
 use crate::cost::{CostError, DataSet};
-use crate::model::{Clock, JointState, Model, ParameterId};
+use crate::model::{Clock, JointState, Model, ModelError, ParameterId};
 
 /// What an estimator asks of an instrument.
 pub trait Measures: fmt::Debug + Sync {
     /// Number of samples.
     fn samples(&self) -> usize;
+
+    /// Sets where the instrument stands for the robot as the model has it, and frees what is its own but for parameters in
+    /// `fix`. False where that does not follow from the samples.
+    ///
+    /// # Errors
+    /// [`ModelError`] where the model is that of another instrument.
+    fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError>;
 
     /// The samples where the model is, residuals over `sigma`.
     ///
@@ -28,8 +40,9 @@ pub trait Measures: fmt::Debug + Sync {
     /// The samples can tell the parameter from the others that are usually free.
     fn tells(&self, id: ParameterId) -> bool;
 
-    /// Takes over what hangs on the geometry, before a solve from where the model is.
-    fn adapt(&mut self, model: &Model);
+    /// Takes over what hangs on the geometry, before a solve from where the model is. The noise of a measurement, in its unit,
+    /// where the instrument estimates that by itself: its residuals are then in standard deviations.
+    fn adapt(&mut self, model: &Model) -> Option<f64>;
 
     /// At most `count` groups of samples, with errors that have nothing in common.
     fn independent(&self, count: usize) -> Vec<Vec<usize>>;
@@ -42,7 +55,30 @@ pub trait Measures: fmt::Debug + Sync {
 #[derive(Debug, Clone)]
 pub enum Instrument {
     /// The sensed double ball-bar.
-    BallBar(BallBar),
+    BallBar(Box<BallBar>),
+    /// Positions or poses of a probe.
+    Tracker(Tracker),
+    /// Lengths of a draw-wire or a telescoping bar.
+    Wire(Wire),
+}
+
+impl Instrument {
+    /// For a person.
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::BallBar(_) => "ball-bar",
+            Self::Tracker(_) => "tracker",
+            Self::Wire(_) => "wire",
+        }
+    }
+
+    /// The run of a ball-bar.
+    pub fn bar(&self) -> Option<&BallBar> {
+        match self {
+            Self::BallBar(bar) => Some(bar),
+            _ => None,
+        }
+    }
 }
 
 impl Deref for Instrument {
@@ -50,7 +86,9 @@ impl Deref for Instrument {
 
     fn deref(&self) -> &Self::Target {
         match self {
-            Self::BallBar(of) => of,
+            Self::BallBar(of) => of.as_ref(),
+            Self::Tracker(of) => of,
+            Self::Wire(of) => of,
         }
     }
 }
@@ -58,7 +96,9 @@ impl Deref for Instrument {
 impl DerefMut for Instrument {
     fn deref_mut(&mut self) -> &mut Self::Target {
         match self {
-            Self::BallBar(of) => of,
+            Self::BallBar(of) => of.as_mut(),
+            Self::Tracker(of) => of,
+            Self::Wire(of) => of,
         }
     }
 }

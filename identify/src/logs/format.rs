@@ -7,7 +7,8 @@ use super::csv_text::header_line;
 use super::text::is_workbook;
 
 /// Kinds of robot logs.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "kebab-case")]
 pub enum LogFormat {
     /// Text table with a header: the robot's own columns, or what a mapping names.
     Csv,

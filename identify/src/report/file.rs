@@ -14,8 +14,9 @@ use super::knowledge::{CovarianceEntry, Knowledge};
 use super::validation::{HeldOutEntry, OtherCostEntry};
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::calibrate::terms::Candidate;
+use crate::cost::SharedColumns;
 use crate::model::{Model, Parameter, ParameterId, Role, link_parameter_name};
-use crate::solver::{Identifiability, Summary};
+use crate::solver::{Covariance, Identifiability, Summary};
 
 /// Version of the file's structure; it rises when a key changes its meaning.
 pub const SCHEMA: u32 = 1;
@@ -113,15 +114,32 @@ impl ParameterEntry {
 
     /// Those of a calibration: all of the first run, then those that each other run has for itself.
     pub fn of_runs(calibration: &BallBarCalibration) -> Vec<Self> {
-        let covariance = &calibration.solution.covariance;
-        let sigma = |id| calibration.model.column_of(id).and_then(|column| covariance.sigma(column));
-        let mut entries = Self::all(&calibration.model, sigma);
-        for (run, other) in calibration.others.iter().enumerate().map(|(index, other)| (index + 1, other)) {
-            let columns = calibration.columns.of_run(run);
-            for (parameter, &column) in other.model.columns().zip(columns) {
-                let name = calibration.columns.names().get(column).filter(|name| name.contains('@'));
-                let Some(name) = name else { continue };
-                entries.push(Self { name: name.clone(), ..Self::new(parameter, covariance.sigma(column)) });
+        let others = calibration.others.iter().map(|run| &run.model);
+        let models = std::iter::once(&calibration.model).chain(others);
+        Self::of_all(models, &calibration.columns, &calibration.solution.covariance)
+    }
+
+    /// Those of several models: all of the first one, then what no model before has.
+    pub fn of_all<'m>(
+        models: impl IntoIterator<Item = &'m Model>,
+        columns: &SharedColumns,
+        covariance: &Covariance,
+    ) -> Vec<Self> {
+        let mut entries: Vec<Self> = Vec::new();
+        for (run, model) in models.into_iter().enumerate() {
+            let columns_of = columns.of_run(run);
+            let sigma = |id| covariance.sigma(*columns_of.get(model.column_of(id)?)?);
+            if run == 0 {
+                entries = Self::all(model, sigma);
+                continue;
+            }
+            for (parameter, &column) in model.columns().zip(columns_of) {
+                let Some(name) = columns.names().get(column) else { continue };
+                if entries.iter().all(|entry| entry.name != *name || entry.status == Status::Fixed) {
+                    entries.retain(|entry| entry.name != *name);
+                    entries
+                        .push(Self { name: name.clone(), ..Self::new(parameter, covariance.sigma(column)) });
+                }
             }
         }
         entries

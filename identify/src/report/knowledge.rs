@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::file::CalibrationFile;
-use crate::model::{Model, ParameterId};
+use crate::model::ParameterId;
 use crate::solver::{Observability, SigmasFrom, Solution};
 
 /// Correlations above this are named.
@@ -71,16 +71,17 @@ pub struct CovarianceEntry {
 }
 
 impl CalibrationFile {
-    /// Adds what the solution of a model says of itself. The covariance goes into `calibration.json` alone.
-    pub fn with_knowledge(mut self, model: &Model, solution: &Solution) -> Self {
+    /// Adds what a solution says of itself. The covariance goes into `calibration.json` alone.
+    pub fn with_knowledge(mut self, solution: &Solution) -> Self {
         let found = &solution.identifiability;
         let name = |column: usize| found.names.get(column).cloned().unwrap_or_default();
-        let of_model = model.columns().map(|p| p.id);
         // Columns of other runs are called as those of the first, with the run's number.
-        let of_others = found.names.iter().skip(of_model.len());
-        let of_others = of_others.filter_map(|name| name.split('@').next()?.parse::<ParameterId>().ok());
-        let units: Vec<f64> =
-            of_model.chain(of_others).map(|id| id.unit().display_factor().recip()).collect();
+        let unit = |name: &String| name.split('@').next()?.parse::<ParameterId>().ok().map(ParameterId::unit);
+        let units: Vec<f64> = found
+            .names
+            .iter()
+            .map(|name| unit(name).map_or(1.0, |unit| unit.display_factor().recip()))
+            .collect();
         let strongest = solution.covariance.strongest_correlations(NAMED_ABOVE);
         let named = strongest.into_iter().take(NAMED_MAX);
         self.knowledge = Some(Knowledge {

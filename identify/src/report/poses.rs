@@ -77,13 +77,13 @@ fn terms(report: &PoseReport) -> String {
             Some(sigma) => writeln!(
                 text,
                 "  {}: taken, {} parameters, prior {:.0} urad|ppm|urad/m, {:.4} -> {:.4}",
-                term.name,
+                term.name(),
                 term.parameters,
                 sigma * 1e6,
-                term.rms_before,
-                term.rms_after,
+                term.held_out_before,
+                term.held_out_after,
             ),
-            None => writeln!(text, "  {}: left out, nothing gained", term.name),
+            None => writeln!(text, "  {}: left out, nothing gained", term.name()),
         };
     }
     for joint in 0..ROBOT_JOINTS {

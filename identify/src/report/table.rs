@@ -4,8 +4,10 @@ use std::fmt::Write;
 
 use super::file::{CalibrationFile, ParameterEntry, Status};
 use crate::calibrate::measured_length::{ErrorFigures, Figures, LengthReport, Rejection, RunCause};
+use crate::calibrate::mix::MixedCalibration;
 use crate::calibrate::truth::Comparison;
 use crate::inspect::{Inspection, JointLine};
+use crate::instrument::{Instrument, Run};
 use crate::kinematics::LinkParameter;
 use crate::model::{ParameterId, Unit};
 
@@ -63,6 +65,23 @@ pub fn calibration(file: &CalibrationFile) -> String {
     text
 }
 
+/// What each data set of a mix is worth: its samples, the noise that the solve gave it, and what is left.
+pub fn data_sets(found: &MixedCalibration) -> String {
+    let mut text = format!("{:<12}{:>8}{:>24}\n", "instrument", "samples", "noise");
+    for (Run { instrument, .. }, sigma) in found.runs.iter().zip(&found.solved.sigmas) {
+        let (name, samples) = (instrument.name(), instrument.samples());
+        // Writing to a string cannot fail.
+        let _ = match instrument {
+            Instrument::BallBar(_) => writeln!(text, "{name:<12}{samples:>8}{sigma:>14.2} times configured"),
+            Instrument::Tracker(tracker) => {
+                writeln!(text, "{name:<12}{samples:>8}{:>21.4} mm", sigma * tracker.noise.position_m * 1e3)
+            }
+            Instrument::Wire(_) => writeln!(text, "{name:<12}{samples:>8}{:>21.4} mm", sigma * 1e3),
+        };
+    }
+    text
+}
+
 /// Every identified parameter, and the names of the others.
 fn parameters(file: &CalibrationFile) -> String {
     let mut text = String::new();
@@ -102,7 +121,7 @@ fn candidates(file: &CalibrationFile) -> String {
         let _ = writeln!(
             text,
             "  {:<40}{:>4} parameters{:>12.4} -> {:.4}  {}",
-            candidate.group.name(),
+            candidate.name(),
             candidate.parameters,
             candidate.held_out_before,
             candidate.held_out_after,

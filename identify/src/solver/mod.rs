@@ -32,7 +32,7 @@ pub use normals::{Normal, Normals};
 pub use observability::Observability;
 pub use outcome::{NotConverged, Options, Solution, Summary, Termination};
 pub use panel::Block;
-pub use pass::{squared_norms, stacked};
+pub use pass::stacked;
 pub use ransac::{RansacOptions, ransac};
 pub use robust::{GoodShare, Schedule, solve_from_subsets, solve_robust};
 pub use scaled_cholesky::ScaledCholesky;

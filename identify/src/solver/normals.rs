@@ -140,6 +140,23 @@ impl Normals {
         whole
     }
 
+    /// How much more the folds' gradients scatter than independent noise of variance one lets them, as variances, in the mean
+    /// over all directions: 1 where errors do not last within a fold (design effect, Kish 1965). None with fewer than two
+    /// folds.
+    pub fn overdispersion(&self) -> Option<f64> {
+        /// Keeps directions that only other samples determine from dividing by zero.
+        const RIDGE: f64 = 1e-12;
+        let (whole, count) = (self.whole().matrix, self.folds() as f64);
+        if count < 2.0 {
+            return None;
+        }
+        let factor = ScaledCholesky::damped(whole.clone(), &whole.diagonal(), RIDGE)?;
+        let scatter: f64 =
+            self.folds.iter().map(|fold| fold.gradient.dot(&factor.solve(&fold.gradient))).sum();
+        let expected = (factor.inverse() * &self.total.matrix).trace();
+        Some(scatter * count / ((count - 1.0) * expected)).filter(|found| found.is_finite())
+    }
+
     /// Folds that have samples.
     pub fn folds(&self) -> usize {
         self.folds.iter().filter(|fold| fold.rows > 0.0).count()

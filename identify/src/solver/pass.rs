@@ -358,7 +358,7 @@ pub(super) fn fits<P: Problem>(problem: &P, x: &[f64]) -> Vec<SampleFit> {
 }
 
 /// Squared residual norm of each sample that has a value at `x`, without loss. Empty where one is not finite.
-pub fn squared_norms<P: Problem>(problem: &P, x: &[f64]) -> Vec<f64> {
+pub(super) fn squared_norms<P: Problem>(problem: &P, x: &[f64]) -> Vec<f64> {
     squared_norms_of_all(problem, x).into_iter().filter(|squared| squared.is_finite()).collect()
 }
 

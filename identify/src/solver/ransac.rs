@@ -9,8 +9,8 @@ use rand::seq::index;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
-use super::pass::squared_norms_of_all;
-use super::{Loss, Options, Problem, SolveError, Subset, minimise, squared_norms};
+use super::pass::{squared_norms, squared_norms_of_all};
+use super::{Loss, Options, Problem, SolveError, Subset, minimise};
 
 /// How to look for a start.
 #[derive(Debug, Clone, Copy, PartialEq)]

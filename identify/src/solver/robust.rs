@@ -45,7 +45,8 @@ impl GoodShare {
         variances.select_nth_unstable_by(last, f64::total_cmp).1.sqrt()
     }
 
-    fn spread_at<P: Problem>(self, problem: &P, x: &[f64]) -> f64 {
+    /// [`Self::spread`] of the samples that have a value at `x`.
+    pub fn spread_at<P: Problem>(self, problem: &P, x: &[f64]) -> f64 {
         self.spread(fits(problem, x).iter().filter(|fit| fit.present).map(|fit| (fit.squared, fit.rows)))
     }
 }

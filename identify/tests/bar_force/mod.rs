@@ -191,14 +191,14 @@ fn torques_of_the_joints_give_the_force_behind_gravity_and_friction() {
     let found = calibrated(&run, CostName::Length).unwrap();
     let start = run.truth.clock;
     let mut squares = 0.0;
-    for observation in &found.prepared().observations {
-        let passed_s = found.prepared().t_ref.seconds_since(start.bar_start) + observation.t_s;
+    for observation in &found.prepared().unwrap().observations {
+        let passed_s = found.prepared().unwrap().t_ref.seconds_since(start.bar_start) + observation.t_s;
         let lead_s = (start.robot_at_bar_start_ns - truth.first_stamp_ns) as f64 * 1e-9;
         let true_n = truth.at(lead_s + passed_s * (1.0 + start.skew), 0.1).unwrap()[0];
         squares += (observation.force.along_n - true_n).powi(2);
     }
-    let rms_n = (squares / found.prepared().observations.len() as f64).sqrt();
-    println!("force from torques: RMS error {rms_n:.2} N; {:?}", found.prepared().force);
+    let rms_n = (squares / found.prepared().unwrap().observations.len() as f64).sqrt();
+    println!("force from torques: RMS error {rms_n:.2} N; {:?}", found.prepared().unwrap().force);
     assert!(rms_n < 10.0, "{rms_n}");
     let stretch = Stretch::of(&found).unwrap();
     assert_eq!(stretch.positive, PositiveForce::Tension);

@@ -10,9 +10,11 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::{LengthError, LengthRow, Samples};
+use super::{LengthError, wire};
+use crate::calibrate::ball_bar::CalibrateError;
 use crate::calibrate::terms::{falls, mean};
-use crate::cost::{LoopProblem, MeasuredLength};
+use crate::cost::{DataSets, SharedColumns};
+use crate::instrument::{LengthRow, Measures};
 use crate::model::Model;
 use crate::solver::{Loss, Normal, Prior, ScaledCholesky, stacked};
 
@@ -111,8 +113,8 @@ struct Linear {
 
 impl Linear {
     fn at(model: &Model, rows: &[LengthRow], chosen: &[usize]) -> Result<Option<Self>, LengthError> {
-        let samples = Samples::of(rows, chosen);
-        let problem = LoopProblem::new(model, &samples.motion, &samples.observations, MeasuredLength, 1.0)?;
+        let (wire, own) = (wire(rows, chosen), SharedColumns::new([model], |_| false));
+        let problem = DataSets::new(vec![wire.data_set(model, 1.0).map_err(CalibrateError::from)?], &own);
         let Some((residual, jacobian)) = stacked(&problem, &model.start()) else { return Ok(None) };
         let spread = |values: &mut dyn Iterator<Item = f64>| {
             let mut all = vec![0.0; rows.len()];

@@ -1,8 +1,7 @@
 //! Why measured lengths cannot be used.
 
-use crate::cost::CostError;
+use crate::calibrate::ball_bar::CalibrateError;
 use crate::model::ModelError;
-use crate::solver::{NotConverged, SolveError, Unidentifiable};
 
 /// Why lengths cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -49,19 +48,10 @@ pub enum LengthError {
         "no anchor fits the lengths: the poses lie in a plane or too close together; measure poses further apart"
     )]
     NoAnchor,
-    /// From the cost.
-    #[error(transparent)]
-    Cost(#[from] CostError),
     /// From the model.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// From the solver.
+    /// From the estimate.
     #[error(transparent)]
-    Solve(#[from] SolveError),
-    /// Some parameter is not determined.
-    #[error(transparent)]
-    Unidentifiable(#[from] Unidentifiable),
-    /// The solve ended elsewhere than at a minimum.
-    #[error(transparent)]
-    NotConverged(#[from] NotConverged),
+    Calibrate(#[from] CalibrateError),
 }

@@ -1,6 +1,6 @@
 //! Figures of length errors.
 
-use crate::calibrate::measured_pose::quantile;
+use crate::instrument::quantile;
 
 /// Size of errors over some rows.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]

@@ -1,7 +1,8 @@
 //! What would explain a run of rows that is off as a whole: hints for whoever mends the data. Nothing is repaired here.
 
 use super::figures::{median, pick};
-use super::{LengthRow, RejectedRow, Rejection, residuals_m};
+use super::{RejectedRow, Rejection, residuals_m};
+use crate::instrument::LengthRow;
 use crate::kinematics::ROBOT_JOINTS;
 use crate::model::Model;
 

@@ -3,7 +3,8 @@
 use nalgebra::Vector3;
 
 use super::figures::{median, pick};
-use super::{LengthOptions, LengthRow, RejectedRow, Rejection};
+use super::{LengthOptions, RejectedRow, Rejection};
+use crate::instrument::LengthRow;
 use crate::kinematics::Chain;
 
 /// Median absolute deviation from zero to standard deviation of a normal distribution.

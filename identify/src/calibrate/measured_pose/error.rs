@@ -1,8 +1,7 @@
 //! Why measured poses cannot be used.
 
-use crate::cost::CostError;
+use crate::calibrate::ball_bar::CalibrateError;
 use crate::model::ModelError;
-use crate::solver::{NotConverged, SolveError, Unidentifiable};
 
 /// Why measured poses cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -37,19 +36,10 @@ pub enum PoseError {
          measure poses further apart"
     )]
     PosesOnALine,
-    /// From the cost.
-    #[error(transparent)]
-    Cost(#[from] CostError),
     /// From the model.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// From the solver.
+    /// From the estimate.
     #[error(transparent)]
-    Solve(#[from] SolveError),
-    /// Some parameter is not determined.
-    #[error(transparent)]
-    Unidentifiable(#[from] Unidentifiable),
-    /// The solve ended elsewhere than at a minimum.
-    #[error(transparent)]
-    NotConverged(#[from] NotConverged),
+    Calibrate(#[from] CalibrateError),
 }

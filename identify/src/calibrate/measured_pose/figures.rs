@@ -1,5 +1,7 @@
 //! Figures of position and orientation errors.
 
+use crate::instrument::{Apart, quantile};
+
 /// Sizes of errors over some rows, all in one unit.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Sizes {
@@ -26,23 +28,6 @@ impl Sizes {
             max: sorted.last().copied().unwrap_or(0.0),
         }
     }
-}
-
-/// Quantile of sorted numbers, linear between them; zero of none.
-pub(in crate::calibrate) fn quantile(sorted: &[f64], part: f64) -> f64 {
-    let place = part * sorted.len().saturating_sub(1) as f64;
-    let at = |index: usize| sorted.get(index).copied().unwrap_or(0.0);
-    let below = place.floor();
-    at(below as usize) + (place - below) * (at(place.ceil() as usize) - at(below as usize))
-}
-
-/// Distance between where the robot holds the probe and where the tracker sees it.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Apart {
-    /// \[m\]
-    pub position_m: f64,
-    /// Angle \[rad\]; none where only positions were measured.
-    pub rotation_rad: Option<f64>,
 }
 
 /// Figures over some rows.
@@ -77,4 +62,15 @@ pub struct Stages {
     pub links: PoseFigures,
     /// And the errors of its joints.
     pub joints: PoseFigures,
+}
+
+impl Stages {
+    /// Of chosen rows.
+    pub(super) fn of(stages: [&[Apart]; 3], chosen: &[usize]) -> Self {
+        let [nominal, links, joints] = stages.map(|errors| {
+            let chosen = chosen.iter().filter_map(|&row| errors.get(row).copied());
+            PoseFigures::of(&chosen.collect::<Vec<_>>())
+        });
+        Self { nominal, links, joints }
+    }
 }

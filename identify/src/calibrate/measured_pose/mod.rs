@@ -1,43 +1,30 @@
 //! Calibration from poses with a position or a whole pose measured at each: a tracker and its probe on the flange.
 //!
-//! Unknown are the place of the tracker, the mounting of the probe, the robot's links, and the errors of its joints. They
-//! come in this order, each stage from the one before: tracker and probe with the nominal robot; links, with priors from
-//! tolerances; joint errors, each kind only if fitting rows left out are predicted better with it. Held-out rows take no
-//! part in any of this; the figures on them are what counts.
+//! Unknown are the place of the tracker, the mounting of the probe, the robot's links, with priors from tolerances, and the
+//! errors of its joints, each kind only if fitting rows left out are predicted better with it. Held-out rows take no part in
+//! any of this; the figures on them are what counts.
 
 mod error;
 mod figures;
-mod report;
-mod samples;
-mod start;
 mod terms;
 mod validate;
 
-use nalgebra::{Rotation3, Vector3};
-
+use super::ball_bar::CalibrateError;
+use super::links::{free_links, link_ids};
+use super::pipeline::{Plan, Solved, estimate};
 use super::split::{self, HoldOut, Split};
-use crate::kinematics::{Chain, LinkParameter, Pose, ROBOT_JOINTS};
-use crate::model::{Axis, Model, ModelError, ParameterId, Role, Unit};
-use crate::solver::{LossName, Solution, Summary};
-use samples::{Samples, Weighing};
+use super::terms::{Candidate, Kind};
+use crate::cost::PoseNoise;
+use crate::instrument::{Instrument, Measures, PoseRow, Run, Tracker, standing};
+use crate::kinematics::Chain;
+use crate::model::{Model, ModelError, ParameterId};
+use crate::prepare::PrepareOptions;
+use crate::solver::{LossName, Solution};
 
 pub use error::PoseError;
-pub(super) use figures::quantile;
-pub use figures::{Apart, PoseFigures, Sizes, Stages};
-pub use report::PoseReport;
-pub use terms::TermReport;
+pub use figures::{PoseFigures, Sizes, Stages};
+pub(super) use terms::kinds;
 pub use validate::validate;
-
-/// A pose of the robot and what the tracker measured there.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PoseRow {
-    /// Joint variables of the model \[rad\].
-    pub joints_rad: [f64; ROBOT_JOINTS],
-    /// Of the probe, in the tracker's frame \[m\].
-    pub position_m: Vector3<f64>,
-    /// `tracker_from_probe`; used where every row has it.
-    pub rotation: Option<Rotation3<f64>>,
-}
 
 /// Highest order of the joints' waves that is tried as a rule: there is no finer tooth near the output of a strain wave gear.
 pub const WAVES_PER_TURN_MAX: u8 = 64;
@@ -83,8 +70,6 @@ impl Default for PoseOptions {
 
 /// Fewest rows of a fit: as many numbers as tracker, probe and links together, twice.
 const ROWS_MIN: usize = 20;
-/// The probe is expected within this of the flange \[m\]: decides only where the poses do not tell.
-const PROBE_SIGMA_M: f64 = 1.0;
 
 fn check(rows: &[PoseRow], options: &PoseOptions) -> Result<(), PoseError> {
     check_rows(rows)?;
@@ -113,153 +98,46 @@ fn check_rows(rows: &[PoseRow]) -> Result<(), PoseError> {
     Ok(())
 }
 
-/// What the links are freed to do: 4 numbers of each, by the two axes that it joins.
-///
-/// The first link's `d` and `theta` are the tracker's place, the last link is the probe's mounting. Between nearly
-/// parallel axes `d` has no value and Hayati's `beta` takes its place; a length along such axes is told once, by the `d`
-/// of the link after them.
-fn link_parameters(link: usize, links: usize, alpha_rad: f64) -> &'static [LinkParameter] {
-    use LinkParameter::{A, Alpha, Beta, D, Theta};
-    /// Less than this from parallel.
-    const PARALLEL: f64 = 0.1;
-    if link + 1 == links {
-        return &[];
-    }
-    match (link, alpha_rad.sin().abs() < PARALLEL) {
-        (0, false) => &[A, Alpha],
-        (0, true) => &[A, Alpha, Beta],
-        (_, false) => &[A, D, Alpha, Theta],
-        (_, true) => &[A, Alpha, Theta, Beta],
+/// Outcome of a calibration by measured poses.
+#[derive(Debug, Clone)]
+pub struct PoseReport {
+    /// Name of the cost: positions alone or whole poses.
+    pub cost: &'static str,
+    /// Rows that the fit saw.
+    pub fitted: Stages,
+    /// Rows that it did not see.
+    pub held_out: Stages,
+    /// Kinds of joint errors, taken or not.
+    pub terms: Vec<Candidate>,
+    /// Standard deviations that the last solve assumed, from the spread of the residuals.
+    pub noise: PoseNoise,
+    /// The last solve.
+    pub solution: Solution,
+    /// The calibrated model.
+    pub model: Model,
+}
+
+impl PoseReport {
+    /// Standard deviation of a parameter, SI; none where it was fixed.
+    pub fn sigma(&self, id: ParameterId) -> Option<f64> {
+        self.solution.covariance.sigma(self.model.column_of(id)?)
     }
 }
 
-fn link_ids(robot: &Chain) -> Vec<ParameterId> {
-    let of = |(link, at): (usize, &crate::kinematics::DhLink)| {
-        let free = link_parameters(link, robot.links.len(), at.alpha_rad);
-        free.iter().map(move |&parameter| ParameterId::Robot { link, parameter })
-    };
-    robot.links.iter().enumerate().flat_map(of).collect()
+/// The model with tracker and probe where they are for its robot, which stays.
+fn placed(tracker: &Tracker, mut model: Model, fix: &[ParameterId]) -> Result<Model, PoseError> {
+    if !tracker.place(&mut model, fix)? {
+        return Err(PoseError::PosesOnALine);
+    }
+    let mut runs = [Run { instrument: Instrument::Tracker(tracker.clone()), model }];
+    estimate(&mut runs, &plan(LossName::Huber, Vec::new()))?;
+    let [Run { model, .. }] = runs;
+    Ok(model)
 }
 
-/// Everything that the stages share.
-struct Fit<'a> {
-    rows: &'a [PoseRow],
-    directions: &'a [[f64; ROBOT_JOINTS]],
-    fitting: &'a [usize],
-    samples: Samples,
-    loss: LossName,
-    fix: &'a [ParameterId],
-}
-
-impl<'a> Fit<'a> {
-    fn new(
-        rows: &'a [PoseRow],
-        directions: &'a [[f64; ROBOT_JOINTS]],
-        fitting: &'a [usize],
-        loss: LossName,
-        fix: &'a [ParameterId],
-    ) -> Self {
-        Self { rows, directions, fitting, samples: Samples::of(rows, directions, fitting), loss, fix }
-    }
-
-    fn errors(&self, model: &Model) -> Vec<Apart> {
-        samples::apart(&model.geometry(&model.start()), self.rows, self.directions)
-    }
-
-    /// Noise by the rows as they fit now.
-    fn weighing(&self, model: &Model) -> Weighing {
-        let noise = samples::noise(&self.errors(model), self.fitting);
-        Weighing { noise, loss: self.loss.for_spread(1.0, self.samples.rows()) }
-    }
-
-    /// Tracker and probe for the robot as the model has it.
-    fn place(&self, model: &mut Model) -> Result<(), PoseError> {
-        let geometry = model.geometry(&model.start());
-        let chosen: Vec<&PoseRow> = self.fitting.iter().filter_map(|&row| self.rows.get(row)).collect();
-        let flanges: Vec<Pose> = chosen.iter().map(|row| geometry.robot.forward(&row.joints_rad)).collect();
-        let tracker = start::place(&flanges, &chosen)?;
-        for axis in Axis::ALL {
-            for (id, value) in [
-                (ParameterId::Tracker(axis), tracker.place.position_m),
-                (ParameterId::TrackerRotation(axis), tracker.place.rotation_rad),
-                (ParameterId::Probe(axis), tracker.probe.position_m),
-                (ParameterId::ProbeRotation(axis), tracker.probe.rotation_rad),
-            ] {
-                if !self.fix.contains(&id) {
-                    model.set_value(id, value[axis.index()])?;
-                }
-                model.set_role(id, self.placement_role(id))?;
-            }
-        }
-        self.settle(model)
-    }
-
-    /// Solves until the noise that a solve assumes is the one that it leaves. Rows that do not fit lose their pull on the
-    /// way (Cauchy); the loss that was asked for has the last word.
-    fn settle(&self, model: &mut Model) -> Result<(), PoseError> {
-        const ROUNDS_MAX: usize = 20;
-        const SETTLED: f64 = 0.98;
-        for _ in 0..ROUNDS_MAX {
-            let weighing = self.weighing(model);
-            let loss = LossName::Cauchy.for_spread(1.0, self.samples.rows());
-            self.samples.minimise(model, Weighing { loss, ..weighing })?;
-            if self.weighing(model).noise.position_m > SETTLED * weighing.noise.position_m {
-                break;
-            }
-        }
-        self.samples.minimise(model, self.weighing(model)).map(drop)
-    }
-
-    fn placement_role(&self, id: ParameterId) -> Role {
-        match id {
-            id if self.fix.contains(&id) => Role::Fixed,
-            ParameterId::Probe(_) => Role::Prior { value: 0.0, sigma: PROBE_SIGMA_M },
-            // Positions alone do not tell how the probe is turned.
-            ParameterId::ProbeRotation(_) if self.samples.cost() == "measured_position" => Role::Fixed,
-            _ => Role::Free,
-        }
-    }
-
-    /// The links as well, with their priors.
-    fn links(&self, model: &mut Model, robot: &Chain, options: &PoseOptions) -> Result<Solution, PoseError> {
-        for id in link_ids(robot).into_iter().filter(|id| !self.fix.contains(id)) {
-            let Some(nominal) = model.parameter(id).map(|parameter| parameter.nominal) else { continue };
-            let sigma = match id.unit() {
-                Unit::Metre => options.link_sigma_m,
-                _ => options.link_sigma_rad,
-            };
-            model.set_role(id, Role::Prior { value: nominal, sigma })?;
-        }
-        self.settle(model)?;
-        self.samples.solve(model, self.weighing(model))
-    }
-
-    /// Joint errors, as far as left-out rows ask for them.
-    fn joints(
-        &self,
-        model: &mut Model,
-        folds: &[Vec<usize>],
-        options: &PoseOptions,
-    ) -> Result<(Vec<TermReport>, Summary), PoseError> {
-        let kinds = terms::kinds(options.waves_per_turn_max, self.fix);
-        *model = model.clone().with_joint_waves(ParameterId::joint_waves(options.waves_per_turn_max));
-        let choose = |model: &mut Model| {
-            for kind in &kinds {
-                // A column of each; the scale of the prior is chosen below.
-                let prior = Role::Prior { value: 0.0, sigma: kind.sigmas[0] };
-                model.set_roles(kind.ids.iter().copied(), prior)?;
-            }
-            let weighing = self.weighing(model);
-            let reports = terms::choose(self, model, &kinds, folds, weighing)?;
-            let summary = self.samples.minimise(model, weighing)?;
-            Ok::<_, PoseError>((reports, summary))
-        };
-        // The noise is a fifth of what it was once the joints are known: the second choice weighs priors by it.
-        choose(model)?;
-        let (reports, _) = choose(model)?;
-        let summary = self.samples.minimise(model, self.weighing(model))?;
-        Ok((reports, summary))
-    }
+fn plan(loss: LossName, kinds: Vec<Kind>) -> Plan<'static> {
+    let prepare = PrepareOptions::default();
+    Plan { loss, ransac: false, kinds, fix: Vec::new(), tolerances: Vec::new(), prepare, watch: None }
 }
 
 /// Calibrates a robot from poses measured by a tracker; rows in the order in which the robot went there.
@@ -270,15 +148,12 @@ impl<'a> Fit<'a> {
 /// [`PoseError`] for rows, options or geometry that allow no calibration.
 pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &PoseOptions) -> Result<PoseReport, PoseError> {
     check(rows, options)?;
-    let positions_m: Vec<Vector3<f64>> =
-        rows.iter().map(|row| robot.forward(&row.joints_rad).translation.vector).collect();
-    let groups = split::groups(options.hold_out, &positions_m);
+    let joints = || rows.iter().map(|row| row.joints_rad);
+    let (groups, states) = (options.hold_out.groups(robot, joints()), standing(joints()));
     let Split { fitting, held_out } = split::split(&groups, options.held_out, options.seed);
     if fitting.len() < ROWS_MIN {
         return Err(PoseError::TooFewRows { rows: fitting.len(), needed: ROWS_MIN });
     }
-    let directions = samples::directions(rows);
-    let fit = Fit::new(rows, &directions, &fitting, options.loss, &options.fix);
     let mut model = Model::measured_pose(robot);
     let waves = || ParameterId::joint_waves(options.waves_per_turn_max);
     if let Some(&id) =
@@ -286,30 +161,32 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &PoseOptions) -> Resu
     {
         return Err(ModelError::NotInModel { id }.into());
     }
-    fit.place(&mut model)?;
-    let nominal = fit.errors(&model);
-    let solution = fit.links(&mut model, robot, options)?;
-    let links = fit.errors(&model);
-    let mut terms = Vec::new();
-    let mut summary = solution.summary;
-    if options.joint_errors {
-        let folds = split::folds(&groups, &fitting, terms::FOLDS, options.seed.wrapping_add(1));
-        (terms, summary) = fit.joints(&mut model, &folds, options)?;
-    }
-    summary.require_converged()?;
-    let joints = fit.errors(&model);
-    let sigmas = report::sigmas(&fit, &model)?;
-    let weighing = fit.weighing(&model);
-    let of = |chosen: &[usize]| report::stages([&nominal, &links, &joints], chosen);
+    let all = Tracker::new(rows, &states, &groups, options.seed);
+    let chosen = all.chosen(&fitting);
+    model = placed(&chosen, model, &options.fix)?;
+    let nominal = all.apart(&model.geometry(&[]));
+    let sigmas = [options.link_sigma_m, options.link_sigma_rad];
+    free_links(&mut model, &link_ids(robot), &options.fix, sigmas)?;
+    let kinds = if options.joint_errors {
+        model = model.with_joint_waves(waves());
+        terms::kinds(options.waves_per_turn_max, &options.fix)
+    } else {
+        Vec::new()
+    };
+    let mut runs = [Run { instrument: Instrument::Tracker(chosen), model }];
+    let Solved { solution, without_terms, candidates, .. } = estimate(&mut runs, &plan(options.loss, kinds))?;
+    let [Run { instrument, model }] = runs;
+    let Instrument::Tracker(tracker) = instrument else { return Err(CalibrateError::NoRun.into()) };
+    let links = without_terms.first().map_or_else(Vec::new, |model| all.apart(&model.geometry(&[])));
+    let joints = all.apart(&model.geometry(&[]));
+    let of = |chosen: &[usize]| Stages::of([&nominal, &links, &joints], chosen);
     Ok(PoseReport {
-        cost: fit.samples.cost(),
+        cost: tracker.cost(),
         fitted: of(&fitting),
         held_out: of(&held_out),
-        terms,
-        noise: weighing.noise,
-        sigmas,
-        summary,
-        identifiability: solution.identifiability,
+        terms: candidates,
+        noise: tracker.noise,
+        solution,
         model,
     })
 }

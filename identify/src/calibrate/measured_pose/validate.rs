@@ -1,10 +1,10 @@
 //! A calibrated robot on rows of another day: only tracker and probe are found anew.
 
-use super::{Apart, Fit, PoseError, PoseFigures, PoseRow, ROWS_MIN, check_rows, samples};
+use super::{PoseError, PoseFigures, ROWS_MIN, check_rows, placed};
 use crate::calibrate::split;
+use crate::instrument::{Apart, PoseRow, Tracker, standing};
 use crate::kinematics::Chain;
 use crate::model::{Model, ParameterId, Role};
-use crate::solver::LossName;
 
 /// Parts of the rows, each judged by a place that the others gave.
 const FOLDS: usize = 5;
@@ -30,18 +30,16 @@ pub fn validate(
 }
 
 fn judged(rows: &[PoseRow], robot: &Model, seed: u64) -> Result<PoseFigures, PoseError> {
-    let directions = samples::directions(rows);
     let all: Vec<usize> = (0..rows.len()).collect();
+    let tracker = Tracker::new(rows, &standing(rows.iter().map(|row| row.joints_rad)), &all, seed);
     let mut errors: Vec<Apart> = Vec::new();
     for judged in split::folds(&all, &all, FOLDS, seed) {
         let fitting: Vec<usize> = all.iter().copied().filter(|row| !judged.contains(row)).collect();
         if fitting.len() < ROWS_MIN {
             return Err(PoseError::TooFewRows { rows: fitting.len(), needed: ROWS_MIN });
         }
-        let fit = Fit::new(rows, &directions, &fitting, LossName::Huber, &[]);
-        let mut model = robot.clone();
-        fit.place(&mut model)?;
-        let found = fit.errors(&model);
+        let model = placed(&tracker.chosen(&fitting), robot.clone(), &[])?;
+        let found = tracker.apart(&model.geometry(&[]));
         errors.extend(judged.iter().filter_map(|&row| found.get(row)));
     }
     Ok(PoseFigures::of(&errors))

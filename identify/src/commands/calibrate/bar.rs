@@ -7,6 +7,7 @@ use clap::Args;
 use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::output::{say, show};
 
+use super::experiment::Experiment;
 use super::force_logs::force_logs;
 use super::sources::sources;
 use super::{CommonArguments, inputs, refused};
@@ -33,16 +34,16 @@ pub struct BarArguments {
     pub(super) recording: Vec<PathBuf>,
     /// Which column or joint of recordings of other programs is what, such as config/bar_log.toml
     #[arg(long, value_name = "FILE")]
-    recording_mapping: Option<PathBuf>,
+    pub(super) recording_mapping: Option<PathBuf>,
     /// The robot's own log (CSV, ROS 2 bag, UR RTDE, ABB EGM, KUKA RSI), one for each recording in the same order
     #[arg(long, value_name = "FILE", required = true)]
     pub(super) robot_log: Vec<PathBuf>,
     /// Kind of the robot's logs; default: told by their content
     #[arg(long, value_name = "KIND")]
-    log_format: Option<LogFormat>,
+    pub(super) log_format: Option<LogFormat>,
     /// Which column or joint of the robot's logs is what, such as config/robot_log.toml
     #[arg(long, value_name = "FILE")]
-    log_mapping: Option<PathBuf>,
+    pub(super) log_mapping: Option<PathBuf>,
     /// Force on the bar (.csv with t_s and force_N), one for each recording, on the robot's clock or the bar's; a force in the
     /// robot's log is then not read
     #[arg(long, value_name = "FILE")]
@@ -52,40 +53,40 @@ pub struct BarArguments {
     pub(super) force_mapping: Option<PathBuf>,
     /// Take the bar as rigid although the robot's log has a force
     #[arg(long, conflicts_with = "force_log")]
-    ignore_force: bool,
+    pub(super) ignore_force: bool,
     /// The bar's configuration, such as config/ball_bar.toml: one for all recordings, or one for each
     #[arg(long, value_name = "FILE", required = true)]
-    bar: Vec<PathBuf>,
+    pub(super) bar: Vec<PathBuf>,
     #[command(flatten)]
     pub(super) common: CommonArguments,
     /// What to minimise, what is free; default: see config/identify.toml
     #[arg(long, value_name = "FILE")]
-    config: Option<PathBuf>,
+    pub(super) config: Option<PathBuf>,
     /// Cost; default: the best that the encoders allow
     #[arg(long)]
-    cost: Option<CostName>,
+    pub(super) cost: Option<CostName>,
     /// How much samples count that do not fit; default: huber with pose, none with the others
     #[arg(long)]
-    loss: Option<LossName>,
+    pub(super) loss: Option<LossName>,
     /// Start from random subsets of the samples: where more than a fifth of them may be wrong
     #[arg(long)]
-    ransac: bool,
+    pub(super) ransac: bool,
     /// Free parameters
     #[arg(long)]
-    selection: Option<SelectionName>,
+    pub(super) selection: Option<SelectionName>,
     /// Also free these parameters
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
-    free: Vec<String>,
+    pub(super) free: Vec<String>,
     /// Fix these parameters
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
-    fix: Vec<String>,
+    pub(super) fix: Vec<String>,
     /// Which encoder sits on which joint: find, recorded, or for each encoder of the recording its joint, negative where
     /// it counts the other way, such as 1,2,-3,5,4; default: find
     #[arg(long, value_name = "WIRING", allow_hyphen_values = true)]
-    encoders: Option<WiringChoice>,
+    pub(super) encoders: Option<WiringChoice>,
     /// True parameters of a simulated experiment (the first one), to compare with
     #[arg(long, value_name = "FILE")]
-    truth: Option<PathBuf>,
+    pub(super) truth: Option<PathBuf>,
 }
 
 /// The configuration file with what was typed on top of it.
@@ -114,7 +115,22 @@ pub(super) struct RunFiles<'a> {
     pub(super) bar: BallBarConfig,
 }
 
-fn runs<'a>(arguments: &'a BarArguments, robot: &RobotConfig) -> anyhow::Result<Vec<RunFiles<'a>>> {
+impl RunFiles<'_> {
+    pub(super) fn input(&self) -> RunInput<'_> {
+        RunInput {
+            cycles: self.recording.cycles(),
+            encoders: self.recording.encoders(),
+            unwrapped: self.recording.unwrapped(),
+            log: &self.log,
+            bar: &self.bar,
+        }
+    }
+}
+
+pub(super) fn runs<'a>(
+    arguments: &'a BarArguments,
+    robot: &RobotConfig,
+) -> anyhow::Result<Vec<RunFiles<'a>>> {
     let log_mapping: Option<RobotLogMapping> =
         arguments.log_mapping.as_deref().map(config::load).transpose()?;
     let log_options = LogOptions { format: arguments.log_format, mapping: log_mapping };
@@ -179,31 +195,26 @@ fn load_log(path: &Path, robot: &RobotConfig, options: &LogOptions) -> anyhow::R
 
 /// Reads, calibrates, writes and prints.
 pub(super) fn run(arguments: &BarArguments) -> anyhow::Result<()> {
+    calibrate(arguments, &identify_config(arguments)?)
+}
+
+/// The same with this configuration.
+pub(super) fn calibrate(arguments: &BarArguments, config: &IdentifyConfig) -> anyhow::Result<()> {
     let robot = &arguments.common.robot()?;
-    let config = identify_config(arguments)?;
     let truth = arguments.truth.as_deref().map(load_truth).transpose()?;
     let runs = runs(arguments, robot)?;
-    let inputs: Vec<RunInput<'_>> = runs
-        .iter()
-        .map(|run| RunInput {
-            cycles: run.recording.cycles(),
-            encoders: run.recording.encoders(),
-            unwrapped: run.recording.unwrapped(),
-            log: &run.log,
-            bar: &run.bar,
-        })
-        .collect();
+    let inputs: Vec<RunInput<'_>> = runs.iter().map(RunFiles::input).collect();
     let on_terminal = OnTerminal::new();
-    let calibration = ball_bar::calibrate_runs(&inputs, robot, &config, Some(&on_terminal));
+    let calibration = ball_bar::calibrate_runs(&inputs, robot, config, Some(&on_terminal));
     let limits_deg = &robot.joint_limits_deg;
     let studied = calibration.and_then(|calibration| {
         let evidence = evidence(&calibration, limits_deg);
-        let evidence = evidence.with_validation(&calibration, &config, limits_deg, Some(&on_terminal))?;
+        let evidence = evidence.with_validation(&calibration, config, limits_deg, Some(&on_terminal))?;
         Ok((calibration, evidence))
     });
     on_terminal.finish();
     let (calibration, evidence) =
-        studied.map_err(|error| refused::of_runs(arguments, robot, &runs, &config, error))?;
+        studied.map_err(|error| refused::of_runs(arguments, robot, &runs, config, error))?;
     let mut file = calibration_file(arguments, robot, &runs, &calibration)?.with_validation(&evidence);
     let mut forces = ForceEntry::all(&evidence.spheres).into_iter();
     (file.force, file.other_forces) = (forces.next(), forces.collect());
@@ -214,9 +225,10 @@ pub(super) fn run(arguments: &BarArguments) -> anyhow::Result<()> {
         calibration: &calibration,
         evidence: &evidence,
         sources: &sources(&runs),
-        configuration: &toml::to_string(&config)?,
+        configuration: &toml::to_string(config)?,
     };
     let page = page.write(&arguments.common.out)?;
+    Experiment::of_bars(arguments, config).write(&arguments.common.out)?;
     show(table::calibration(&file))?;
     for limit in evidence.limits.iter().filter(|limit| limit.serious) {
         say(format_args!("! {}", limit.sentence))?;
@@ -267,7 +279,7 @@ fn calibration_file(
         inputs(&input_files(arguments, runs))?,
         ParameterEntry::of_runs(calibration),
     )
-    .with_knowledge(&calibration.model, solution);
+    .with_knowledge(solution);
     file.other_clocks = clocks.collect();
     file.candidates.clone_from(&calibration.candidates);
     Ok(file)

@@ -7,8 +7,11 @@ use clap::Args;
 use shared::config;
 use shared::output::{say, show};
 
+use super::experiment::{Experiment, RowFile};
 use super::{CommonArguments, RowArguments, inputs, refused};
-use crate::calibrate::measured_pose::{self, PoseOptions, PoseReport, PoseRow, WAVES_PER_TURN_MAX};
+use crate::calibrate::IdentifyConfig;
+use crate::calibrate::measured_pose::{self, PoseOptions, PoseReport, WAVES_PER_TURN_MAX};
+use crate::instrument::PoseRow;
 use crate::kinematics::{Chain, flange_chain};
 use crate::logs::{MeasuredPoseMapping, MeasuredPoses};
 use crate::model::{JointWaves, ParameterId};
@@ -38,7 +41,7 @@ pub struct TrackerArguments {
     common: CommonArguments,
 }
 
-fn rows(path: &Path, mapping: &MeasuredPoseMapping) -> anyhow::Result<Vec<PoseRow>> {
+pub(super) fn rows(path: &Path, mapping: &MeasuredPoseMapping) -> anyhow::Result<Vec<PoseRow>> {
     let row = |row: &crate::logs::MeasuredPose| PoseRow {
         joints_rad: row.q_rad,
         position_m: row.position_m,
@@ -49,6 +52,33 @@ fn rows(path: &Path, mapping: &MeasuredPoseMapping) -> anyhow::Result<Vec<PoseRo
 
 fn is_wave(name: &str) -> bool {
     matches!(name.parse::<ParameterId>(), Ok(ParameterId::JointWave { .. }))
+}
+
+impl TrackerArguments {
+    /// As an experiment's file says.
+    pub(super) fn of(
+        of: &RowFile,
+        rows: RowArguments,
+        config: &IdentifyConfig,
+        common: CommonArguments,
+    ) -> Self {
+        Self {
+            poses: of.file.clone(),
+            rows,
+            validate: of.validate.clone(),
+            joint_waves: of.joint_waves.unwrap_or(WAVES_PER_TURN_MAX),
+            loss: config.loss,
+            common,
+        }
+    }
+
+    fn experiment(&self) -> Experiment {
+        let (mut experiment, rows) = Experiment::of_rows(&self.common, &self.rows, &self.poses);
+        experiment.identify.loss = self.loss;
+        let (joint_waves, validate) = (Some(self.joint_waves), self.validate.clone());
+        experiment.trackers.push(RowFile { joint_waves, validate, ..rows });
+        experiment
+    }
 }
 
 /// The calibrated robot on rows of other files.
@@ -91,19 +121,20 @@ pub(super) fn run(arguments: &TrackerArguments) -> anyhow::Result<()> {
     let report = measured_pose::calibrate(&measured, &chain, &options)
         .map_err(|error| refused::of_rows(common, robot, &files, &options, error))?;
     let validations = validations(&others, &chain, &report, *seed)?;
-    let sigma = |id| report.sigmas.iter().find(|one| one.0 == id).map(|one| one.1);
-    let mut solve = SolveEntry::new(report.cost, &report.summary, &report.identifiability);
-    solve.parameters = report.model.columns().len();
-    let file = CalibrationFile::new(
+    let solution = &report.solution;
+    let mut file = CalibrationFile::new(
         &robot.name,
         "measured poses",
-        solve,
+        SolveEntry::new(report.cost, &solution.summary, &solution.identifiability),
         None,
         inputs(&files)?,
-        ParameterEntry::all(&report.model, sigma),
-    );
+        ParameterEntry::all(&report.model, |id| report.sigma(id)),
+    )
+    .with_knowledge(solution);
+    file.candidates.clone_from(&report.terms);
     let written = file.write(&common.out)?;
     file.write_robot(robot, None, &common.out)?;
+    arguments.experiment().write(&common.out)?;
     let mut without_waves = file;
     without_waves.parameters.retain(|entry| !is_wave(&entry.name));
     show(table::calibration(&without_waves))?;

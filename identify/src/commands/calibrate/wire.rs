@@ -6,10 +6,12 @@ use clap::Args;
 use shared::config;
 use shared::output::{say, show};
 
+use super::experiment::{Experiment, RowFile};
 use super::{CommonArguments, RowArguments, inputs, refused};
-use crate::calibrate::measured_length::{self, LengthOptions, LengthRow};
+use crate::calibrate::measured_length::{self, LengthOptions};
+use crate::instrument::LengthRow;
 use crate::kinematics::flange_chain;
-use crate::logs::{MeasuredLengthMapping, MeasuredLengths};
+use crate::logs::{MeasuredLength, MeasuredLengthMapping, MeasuredLengths};
 use crate::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use crate::report::table;
 
@@ -25,18 +27,31 @@ pub struct WireArguments {
     common: CommonArguments,
 }
 
+impl WireArguments {
+    /// As an experiment's file says.
+    pub(super) fn of(of: &RowFile, rows: RowArguments, common: CommonArguments) -> Self {
+        Self { lengths: of.file.clone(), rows, common }
+    }
+}
+
+/// The rows of a file, and the line of each.
+pub(super) fn rows(
+    path: &Path,
+    mapping: &MeasuredLengthMapping,
+) -> anyhow::Result<(Vec<LengthRow>, Vec<u64>)> {
+    let row = |row: &MeasuredLength| {
+        (LengthRow { joints_rad: row.q_rad, length_m: row.length_m, flange_m: row.flange_m }, row.line)
+    };
+    Ok(MeasuredLengths::load(path, mapping)?.rows.iter().map(row).unzip())
+}
+
 /// Reads, calibrates, writes and prints.
 pub(super) fn run(arguments: &WireArguments) -> anyhow::Result<()> {
     let WireArguments { lengths, rows: RowArguments { mapping: mapping_path, hold_out, seed, fix }, common } =
         arguments;
     let robot = &common.robot()?;
     let mapping: MeasuredLengthMapping = config::load(mapping_path)?;
-    let measured = MeasuredLengths::load(lengths, &mapping)?;
-    let rows: Vec<LengthRow> = measured
-        .rows
-        .iter()
-        .map(|row| LengthRow { joints_rad: row.q_rad, length_m: row.length_m, flange_m: row.flange_m })
-        .collect();
+    let (rows, lines) = rows(lengths, &mapping)?;
     let usual = LengthOptions::default();
     let options = LengthOptions {
         seed: *seed,
@@ -59,8 +74,10 @@ pub(super) fn run(arguments: &WireArguments) -> anyhow::Result<()> {
     );
     let written = file.write(&common.out)?;
     file.write_robot(robot, None, &common.out)?;
+    let (mut experiment, row_file) = Experiment::of_rows(common, &arguments.rows, lengths);
+    experiment.wires.push(row_file);
+    experiment.write(&common.out)?;
     show(table::calibration(&file))?;
-    let lines: Vec<u64> = measured.rows.iter().map(|row| row.line).collect();
     show(format_args!("\n{}", table::lengths(&report, &lines)))?;
     say(format_args!("\n{}", written.display()))?;
     Ok(())

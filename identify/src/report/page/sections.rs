@@ -113,7 +113,7 @@ pub(super) fn candidates(page: &Page<'_>) -> Markup {
                 th { "kind" } th { "parameters" } th { "RMS residual without" } th { "with" } th.text { "" }
             } }
             tbody { @for one in candidates { tr {
-                td { (one.group.name()) }
+                td { (one.name()) }
                 td { (one.parameters) }
                 td { (figure(one.held_out_before)) }
                 td { (figure(one.held_out_after)) }
