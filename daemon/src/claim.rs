@@ -143,6 +143,18 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_directory_that_is_made_after_a_claimed_one_was_removed_is_free() {
+        let home = tempfile::tempdir().unwrap();
+        let (first, second) = (home.path().join("first"), home.path().join("second"));
+        std::fs::create_dir(&first).unwrap();
+        let _claim = Claim::directory(&SystemDisk, &first).unwrap();
+        std::fs::remove_dir(&first).unwrap();
+        // On most file systems it gets the same number.
+        std::fs::create_dir(&second).unwrap();
+        assert!(Claim::directory(&SystemDisk, &second).unwrap().is_some());
+    }
+
+    #[test]
     fn one_has_it_at_a_time_and_the_others_are_told_who() {
         let directory = tempfile::tempdir().unwrap();
         let elsewhere = tempfile::tempdir().unwrap();

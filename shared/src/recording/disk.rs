@@ -3,27 +3,38 @@
 //! The methods are the system's own; a test overrides them to refuse, delay or cut short any call.
 
 use std::fmt::{self, Debug};
-use std::fs::{File, OpenOptions};
+use std::fs::{File, Metadata, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::os::fd::BorrowedFd;
 use std::os::unix::fs::{FileExt, MetadataExt};
 use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use nix::errno::Errno;
 use nix::fcntl::{AT_FDCWD, Flock, FlockArg, RenameFlags, renameat2};
 use nix::sys::statvfs::statvfs;
 use nix::unistd::{AccessFlags, access, write};
 
-/// Device and inode: which file it is, whatever its name.
+/// Device, inode and when it was made: which file it is, whatever its name. The number of one that is removed goes to the
+/// next that is made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FileId {
     device: u64,
     inode: u64,
+    /// None where the file system does not say.
+    made: Option<SystemTime>,
+}
+
+impl From<Metadata> for FileId {
+    fn from(found: Metadata) -> Self {
+        Self { device: found.dev(), inode: found.ino(), made: found.created().ok() }
+    }
 }
 
 impl fmt::Display for FileId {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(formatter, "{}:{}", self.device, self.inode)
+        let made = self.made.and_then(|made| made.duration_since(UNIX_EPOCH).ok());
+        write!(formatter, "{}:{}:{}", self.device, self.inode, made.map_or(0, |made| made.as_nanos()))
     }
 }
 
@@ -120,12 +131,12 @@ pub trait Disk: Debug + Send + Sync {
 
     /// Which file an open one is.
     fn id_of(&self, file: &File) -> io::Result<FileId> {
-        file.metadata().map(|found| FileId { device: found.dev(), inode: found.ino() })
+        file.metadata().map(FileId::from)
     }
 
     /// Which file has this name.
     fn id_at(&self, path: &Path) -> io::Result<FileId> {
-        std::fs::metadata(path).map(|found| FileId { device: found.dev(), inode: found.ino() })
+        std::fs::metadata(path).map(FileId::from)
     }
 
     /// Whether anything has this name.
