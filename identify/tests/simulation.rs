@@ -180,7 +180,7 @@ fn a_bar_out_of_reach_is_refused_with_what_to_change() {
     let design = Design { base_m: [4.0, 0.0, 0.0], ..Design::IRB_2400 };
     let error =
         simulate::run(&Experiment { design, ..Experiment::new(robot, &bar) }).unwrap_err().to_string();
-    assert!(error.contains("reach") && error.contains("base_m"), "{error}");
+    assert!(error.contains("reach") && error.contains("--base"), "{error}");
 }
 
 #[test]
