@@ -136,10 +136,13 @@ def word(page, wanted, within_s=WAIT_S):
 
 
 def preflight(page, pictures):
+    # While the bus comes up it is red as well, and so are its encoders.
+    page.wait("document.querySelector('#checks [data-subject=encoders][data-level=good]')", "a bus in operation")
     service("on no-signal:2")
-    page.wait("document.querySelector('#checks [data-subject=encoders][data-level=bad]')", "a red line for the encoders")
-    red = page.run("[...document.querySelectorAll('#checks [data-level=bad]')].map(line => line.dataset.subject)")
-    assert red == ["encoders"], f"red beside the encoders: {red}"
+    page.wait(
+        "String([...document.querySelectorAll('#checks [data-level=bad]')].map(line => line.dataset.subject)) === 'encoders'",
+        "a red line for the encoders alone",
+    )
     assert "cable" in page.shown("#checks [data-subject=encoders] .remedy")
     page.wait("document.getElementById('begin').textContent.includes('in spite')", "a start that wants a reason")
     page.pictures(pictures, "red")
