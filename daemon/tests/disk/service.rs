@@ -28,8 +28,8 @@ const HANG: Duration = Duration::from_millis(1300);
 const EVER: Duration = Duration::from_secs(8);
 /// What a busy machine adds to anything.
 const SLACK: Duration = Duration::from_secs(2);
-/// Services at once: they wait for the disk and the clock, not for the processor.
-const AT_ONCE: usize = 16;
+/// Services at once: they mostly wait for the disk and the clock, but more of them keep two processors from answering in time.
+const AT_ONCE: usize = 8;
 const LEFT_CYCLES: u64 = 40;
 
 struct Day {
@@ -218,15 +218,20 @@ fn check_all(faults: &[Fault]) {
     clean.service.join().unwrap();
     clean.check_files();
     let calls = clean.wall.calls();
-    let of = |(call, count): (&Call, &usize)| {
-        let call = *call;
-        (0..*count).flat_map(move |nth| faults.iter().map(move |fault| (call, nth, *fault)))
-    };
-    let cases: Vec<_> = calls.iter().flat_map(of).collect();
-    let cases: Vec<_> = cases
-        .into_iter()
-        .filter(|(call, _, fault)| *fault != Fault::CutsShort || call.moves_bytes())
-        .collect();
+    let mut cases = Vec::new();
+    for (&call, &count) in &calls {
+        for (nth, &fault) in (0..count).flat_map(|nth| faults.iter().map(move |fault| (nth, fault))) {
+            // Hanging takes seconds each time: the first and the last call of a kind do.
+            let is_tried = match fault {
+                Fault::CutsShort => call.moves_bytes(),
+                Fault::Hangs(_) => nth == 0 || nth + 1 == count,
+                _ => true,
+            };
+            if is_tried {
+                cases.push((call, nth, fault));
+            }
+        }
+    }
     in_parallel(&cases, AT_ONCE, |(call, nth, fault)| match fault {
         Fault::Hangs(EVER) => check_for_ever(*call, *nth),
         fault => check(*call, *nth, *fault),
@@ -240,7 +245,7 @@ fn whichever_call_of_a_service_fails_what_it_answers_is_true_and_it_ends() {
 }
 
 #[test]
-#[ignore = "takes minutes: every call with every fault"]
+#[ignore = "takes minutes: dying, cut short and hanging calls"]
 fn whatever_becomes_of_any_call_of_a_service_what_it_answers_is_true_and_it_ends() {
     check_all(&[Fault::DiesEverywhere, Fault::CutsShort, Fault::Hangs(HANG), Fault::Hangs(EVER)]);
 }
