@@ -8,7 +8,7 @@ use std::process::Command;
 
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
-use identify::kinematics::Chain;
+use identify::kinematics::{Chain, Joints};
 use identify::logs::{ForceClock, ForceKind, LogOptions, RobotLog, RobotLogMapping, load, load_with};
 use identify::simulate::{self, BarLoad, Design, Effects, Experiment, Simulated};
 use identify::study::{PositiveForce, Stretch};
@@ -23,15 +23,7 @@ const GRAVITY_M_PER_S2: f64 = 9.80665;
 /// The robot of the reference set-up, as a controller sees it that logs joints.
 fn robot() -> RobotConfig {
     let robot: RobotConfig = config::load(&config_directory().join("robots/irb2400_16.toml")).unwrap();
-    let raw_to_joint =
-        std::array::from_fn(|row| std::array::from_fn(|column| f64::from(u8::from(row == column))));
-    let log = LogConversion {
-        column: "joint".into(),
-        unit: AngleUnit::Rad,
-        raw_offset_rad: [0.0; 6],
-        raw_to_joint,
-    };
-    RobotConfig { log, ..robot }
+    RobotConfig { log: LogConversion::direct(AngleUnit::Rad, 6), ..robot }
 }
 
 fn simulated() -> Simulated {
@@ -45,9 +37,9 @@ fn simulated() -> Simulated {
 
 /// One row of a table for `write_robot_log.py`: stamp, joints, and what a sensor says of the force that the robot puts on
 /// the bar, in the axes of its base \[N\].
-type Row = (i64, [f64; 6], Vec<f64>);
+type Row = (i64, Joints, Vec<f64>);
 
-fn rows(run: &Simulated, sensor: impl Fn(&Chain, &[f64; 6], [f64; 3]) -> Vec<f64>) -> Vec<Row> {
+fn rows(run: &Simulated, sensor: impl Fn(&Chain, &Joints, [f64; 3]) -> Vec<f64>) -> Vec<Row> {
     let (robot, log) = (&run.motion.robot, &run.robot_log);
     let centre_m = run.motion.bar.root_from_base.translation.vector;
     let force = log.force.as_ref().unwrap();
@@ -127,11 +119,10 @@ fn the_tcp_force_of_a_rtde_client_is_the_one_on_the_bar_with_its_sign() {
 
 /// Torques that hold arm and bar \[N m\]: what the potential energy of two masses on the arm, and the work at the flange,
 /// change with each joint.
-fn holding_torques_nm(robot: &Chain, q: &[f64; 6], force_n: [f64; 3]) -> Vec<f64> {
-    let masses = [(2, 80.0, [-0.3, 0.02, 0.1]), (4, 60.0, [0.03, 0.05, -0.2])].map(|(links, kg, at)| {
-        (Chain { root_from_base: robot.root_from_base, links: robot.links[..links].to_vec() }, kg, at)
-    });
-    let energy_j = |q: &[f64; 6]| {
+fn holding_torques_nm(robot: &Chain, q: &Joints, force_n: [f64; 3]) -> Vec<f64> {
+    let masses = [(2, 80.0, [-0.3, 0.02, 0.1]), (4, 60.0, [0.03, 0.05, -0.2])]
+        .map(|(links, kg, at)| (Chain::new(robot.root_from_base, robot.links[..links].to_vec()), kg, at));
+    let energy_j = |q: &Joints| {
         let flange = robot.forward(q).translation.vector;
         let work: f64 = (0..3).map(|axis| force_n[axis] * flange[axis]).sum();
         let heights = masses

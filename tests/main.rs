@@ -4,6 +4,7 @@
 
 mod acquire;
 mod acquire_then_identify;
+mod arms;
 mod corpus;
 mod documents;
 mod forces;

@@ -2,7 +2,7 @@
 //!
 //! The way of the data: [`logs`] and the recording -> [`prepare`] -> [`model`] and [`cost`] -> [`solver`] ->
 //! [`calibrate`] ties them together -> [`study`] looks at the result -> [`report`]; [`simulate`] makes experiments with
-//! known truth, [`commands`] is what a person types.
+//! known truth, [`robot`] takes a robot from a URDF and checks it, [`commands`] is what a person types.
 
 // A reader of standard output that has gone must end nothing: commands print with `say` and `show`.
 #![warn(clippy::print_stdout)]
@@ -18,6 +18,7 @@ pub mod logs;
 pub mod model;
 pub mod prepare;
 pub mod report;
+pub mod robot;
 pub mod simulate;
 pub mod solver;
 pub mod study;

@@ -5,7 +5,7 @@
 use identify::calibrate::HoldOut;
 use identify::calibrate::measured_length::{ErrorFigures, LengthOptions, Rejection, RunCause, calibrate};
 use identify::instrument::LengthRow;
-use identify::kinematics::{Chain, flange_chain};
+use identify::kinematics::{Chain, Joints, flange_chain};
 use identify::model::{Axis, ParameterId};
 use nalgebra::Vector3;
 use rand::rngs::StdRng;
@@ -25,7 +25,7 @@ fn real_rows() -> Vec<LengthRow> {
     let rows = csv::Reader::from_path(&path).unwrap().into_deserialize::<[f64; 10]>().map(|row| {
         let row = row.unwrap();
         LengthRow {
-            joints_rad: std::array::from_fn(|i| row[3 + i].to_radians()),
+            joints_rad: row[3..9].iter().map(|deg| deg.to_radians()).collect(),
             length_m: row[9] * 1e-3,
             flange_m: Some(std::array::from_fn(|i| row[i] * 1e-3)),
         }
@@ -56,7 +56,7 @@ fn made_up(count: usize) -> (Vec<LengthRow>, Vector3<f64>) {
     }
     let (anchor_m, attachment_m) = (Vector3::new(0.3, -0.9, 0.1), Vector3::new(0.02, -0.01, 0.05));
     let rows = (0..count).map(|_| {
-        let joints_rad: [f64; 6] = std::array::from_fn(|_| random.random_range(-1.2..1.2));
+        let joints_rad = Joints::from_fn(6, |_| random.random_range(-1.2..1.2));
         let pose = truth.forward(&joints_rad);
         let distance = (pose.translation.vector + pose.rotation * attachment_m - anchor_m).norm();
         let noise = 1e-4 * random.sample::<f64, _>(StandardNormal);

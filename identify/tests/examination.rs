@@ -41,7 +41,7 @@ fn solves_show_the_influence<R: Residual>(residual: R, cost: CostName) {
     let examined = examine(&robot, &bar, cost, 300, 1).unwrap();
     let cell = Cell::irb2400();
     let design = Design::for_robot(&robot);
-    let poses = Poses::spread(&cell.robot, &cell.bar, &robot.joint_limits_deg, &design, 300, 1).unwrap();
+    let poses = Poses::spread(&cell.robot, &cell.bar, &robot.joint_limits(), &design, 300, 1).unwrap();
     for (column, held) in examined.influence.held.iter().enumerate() {
         let mut model = cell.model();
         model.select(Selection::Thesis, R::tells).unwrap();

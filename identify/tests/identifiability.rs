@@ -6,7 +6,7 @@ use std::num::NonZeroUsize;
 
 use crate::support::{Cell, spread_poses};
 use identify::cost::{Length, LoopProblem, Position, PositionAngles, Residual, Transform};
-use identify::kinematics::{Chain, robot_inverse};
+use identify::kinematics::{Chain, Joints, robot_inverse};
 use identify::model::{JointState, Model, Observation, ParameterId, RobotMotion, Role, Selection};
 use identify::simulate::THESIS_ERRORS;
 use identify::solver::{Identifiability, Options, Solution, identifiability, minimise, solve};
@@ -251,7 +251,7 @@ fn bar_path(t_s: f64) -> [f64; 5] {
 }
 
 impl Following<'_> {
-    fn joints(&self, tau_s: f64) -> Option<[f64; 6]> {
+    fn joints(&self, tau_s: f64) -> Option<Joints> {
         let t_s = (tau_s - self.shift_s) / (1.0 + self.skew);
         let home = [0.0, 0.2, 0.2, 0.0, 0.8, 0.0];
         robot_inverse(self.robot, &self.bar.forward(&bar_path(t_s)), &home).ok()
@@ -262,8 +262,8 @@ impl RobotMotion for Following<'_> {
     fn at(&self, tau_s: f64) -> Option<JointState> {
         let h = 1e-4;
         let (q, before, after) = (self.joints(tau_s)?, self.joints(tau_s - h)?, self.joints(tau_s + h)?);
-        let qd = std::array::from_fn(|i| (after[i] - before[i]) / (2.0 * h));
-        let qdd = std::array::from_fn(|i| (after[i] - 2.0 * q[i] + before[i]) / (h * h));
+        let qd = Joints::from_fn(6, |i| (after[i] - before[i]) / (2.0 * h));
+        let qdd = Joints::from_fn(6, |i| (after[i] - 2.0 * q[i] + before[i]) / (h * h));
         Some(JointState { q, qd, qdd })
     }
 }

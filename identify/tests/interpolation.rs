@@ -1,6 +1,7 @@
 //! Interpolated logs against analytic motion.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use identify::kinematics::Joints;
 use identify::logs::{CubicSpline, InterpolatedLog, LogError, LogQuality, RobotLog, default_gap_limit_s};
 
 /// Stamps of a 250 Hz log whose intervals vary by +-40 %.
@@ -20,7 +21,7 @@ fn joint(t: f64, j: usize) -> (f64, f64) {
 }
 
 fn log(t_s: Vec<f64>) -> RobotLog {
-    let q_rad = t_s.iter().map(|&t| std::array::from_fn(|j| joint(t, j).0)).collect();
+    let q_rad = t_s.iter().map(|&t| Joints::from_fn(6, |j| joint(t, j).0)).collect();
     RobotLog {
         t_s,
         q_rad,
@@ -49,7 +50,7 @@ fn value_and_rate_follow_the_motion_between_uneven_stamps_and_at_the_ends() {
 fn a_cubic_is_reproduced_exactly() {
     let t = [0.0, 0.1, 0.35, 0.4, 0.9, 1.0];
     let cubic = |t: f64| 1.0 - 2.0 * t + 3.0 * t * t - 4.0 * t * t * t;
-    let spline = CubicSpline::<1>::new(&t, &t.map(|t| [cubic(t)]), 1.0).unwrap();
+    let spline = CubicSpline::new(&t, &t.map(|t| [cubic(t)]), 1.0).unwrap();
     for k in 0..=100 {
         let t = f64::from(k) / 100.0;
         let point = spline.at(t).unwrap();
@@ -62,7 +63,7 @@ fn a_cubic_is_reproduced_exactly() {
 fn value_rate_and_acceleration_are_continuous_at_the_knots() {
     let t: Vec<f64> = (0..9).map(f64::from).collect();
     let values = [0.0, 1.0, -1.0, 3.0, 0.5, 0.2, 4.0, 4.0, 0.0].map(|v| [v]);
-    let spline = CubicSpline::<1>::new(&t, &values, 2.0).unwrap();
+    let spline = CubicSpline::new(&t, &values, 2.0).unwrap();
     for knot in 1..8 {
         let (h, knot) = (1e-5, f64::from(knot));
         let [before, at, after] = [knot - h, knot, knot + h].map(|t| spline.at(t).unwrap());

@@ -4,6 +4,7 @@
 
 mod support;
 
+mod any_arm;
 mod bar_force;
 mod command_line;
 mod compare;

@@ -29,7 +29,11 @@ fn sines(tau: Dual64) -> [Dual64; 6] {
 impl RobotMotion for Sines {
     fn at(&self, tau_s: f64) -> Option<JointState> {
         let moved = sines(Dual64::new(tau_s, 1.0));
-        Some(JointState { q: moved.map(|q| q.re), qd: moved.map(|q| q.eps), qdd: [0.0; 6] })
+        Some(JointState {
+            q: moved.map(|q| q.re).into(),
+            qd: moved.map(|q| q.eps).into(),
+            qdd: [0.0; 6].into(),
+        })
     }
 }
 

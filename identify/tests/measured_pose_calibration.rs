@@ -63,7 +63,11 @@ fn made_up(count: usize, noise: f64, wave_rad: f64) -> (Vec<PoseRow>, Chain, Pos
         let mut white = || noise * random.sample::<f64, _>(StandardNormal);
         seen.translation.vector += Vector3::new(white(), white(), white());
         seen.rotation = Rotation3::new(Vector3::new(white(), white(), white())) * seen.rotation;
-        PoseRow { joints_rad, position_m: seen.translation.vector, rotation: Some(seen.rotation) }
+        PoseRow {
+            joints_rad: joints_rad.into(),
+            position_m: seen.translation.vector,
+            rotation: Some(seen.rotation),
+        }
     });
     (rows.collect(), truth, place, probe)
 }
@@ -72,7 +76,7 @@ fn made_up(count: usize, noise: f64, wave_rad: f64) -> (Vec<PoseRow>, Chain, Pos
 fn wave_error_rad(geometry: &identify::model::Geometry) -> f64 {
     let wrong = |k: i32| {
         let angle = 0.01 * f64::from(k);
-        let reported = JointState { q: [0.0, angle, 0.0, 0.0, 0.0, 0.0], qd: [0.0; 6], qdd: [0.0; 6] };
+        let reported = JointState::at_rest([0.0, angle, 0.0, 0.0, 0.0, 0.0]);
         geometry.corrected(&reported).q[1] - angle - 3e-4 * (17.0 * angle + 0.4).sin()
     };
     let wrong: Vec<f64> = (-140..=140).map(wrong).collect();

@@ -70,10 +70,10 @@ impl Cell {
             if row < ROWS {
                 let noise_m = Vector3::new(normal(5e-5), normal(5e-5), normal(5e-5));
                 let position_m = (place.inverse() * nalgebra::Point3::from(held_m)).coords + noise_m;
-                poses.push(PoseRow { joints_rad, position_m, rotation: None });
+                poses.push(PoseRow { joints_rad: joints_rad.into(), position_m, rotation: None });
             } else {
                 let length_m = (held_m - anchor_m).norm() - 0.02 + normal(1e-4);
-                lengths.push(LengthRow { joints_rad, length_m, flange_m: None });
+                lengths.push(LengthRow { joints_rad: joints_rad.into(), length_m, flange_m: None });
             }
         }
         Self { run, poses, lengths, truth }
@@ -100,7 +100,7 @@ impl Cell {
     fn error_m(&self, found: &MixedCalibration) -> f64 {
         const POSTURES: usize = 400;
         let identified = found.runs[0].model.geometry(&[]).robot;
-        let wrist = |chain: &Chain, q: &[f64; 6]| {
+        let wrist = |chain: &Chain, q: &[f64]| {
             let mut chain = chain.clone();
             *chain.links.last_mut().unwrap() = DhLink::default();
             chain.forward(q).translation.vector
@@ -108,7 +108,8 @@ impl Cell {
         let limits = irb2400().joint_limits_deg;
         let mut random = StdRng::seed_from_u64(7);
         let distances = (0..POSTURES).map(|_| {
-            let q = limits.map(|[low, high]| random.random_range(low..high).to_radians());
+            let angle = |[low, high]: &[f64; 2]| random.random_range(*low..*high).to_radians();
+            let q: Vec<f64> = limits.iter().map(angle).collect();
             (wrist(&identified, &q) - wrist(&self.truth, &q)).norm()
         });
         distances.sum::<f64>() / POSTURES as f64

@@ -5,7 +5,7 @@
 use std::f64::consts::TAU;
 
 use crate::support::{bar, irb2400, nj220};
-use identify::kinematics::{Configuration, Side};
+use identify::kinematics::{Configuration, Joints, Side};
 use identify::logs::{LogQuality, RobotLog};
 use identify::model::RobotMotion;
 use identify::prepare::{PrepareError, PrepareOptions, Prepared, prepare};
@@ -316,10 +316,10 @@ fn a_log_that_also_holds_the_way_to_the_bar_is_used() {
     let mut run = run(&robot, &bar, |_| {});
     // 20 s of swinging far from the sphere before the run.
     let start = run.robot_log.q_rad[0];
-    let way: Vec<[f64; 6]> = (0..5000)
+    let way: Vec<Joints> = (0..5000)
         .map(|k| {
             let s = 0.5 * (1.0 - (TAU * f64::from(k) / 5000.0).cos());
-            std::array::from_fn(|j| start[j] + s * [0.5, -0.6, 0.3, 0.2, 0.4, 1.0][j])
+            Joints::from_fn(6, |j| start[j] + s * [0.5, -0.6, 0.3, 0.2, 0.4, 1.0][j])
         })
         .collect();
     let log = RobotLog {

@@ -52,9 +52,9 @@ fn validated() -> &'static (Simulated, BallBarCalibration, Evidence) {
 }
 
 fn evidence_of(found: &BallBarCalibration, robot: &RobotConfig) -> Evidence {
-    let limits_deg = &robot.joint_limits_deg;
-    let seen = evidence(found, limits_deg);
-    seen.with_validation(found, &config(Some(found.cost)), limits_deg, None).unwrap()
+    let limits = &robot.joint_limits();
+    let seen = evidence(found, limits);
+    seen.with_validation(found, &config(Some(found.cost)), limits, None).unwrap()
 }
 
 pub fn page_text(calibration: &BallBarCalibration, evidence: &Evidence, robot: &RobotConfig) -> String {
@@ -79,8 +79,7 @@ fn the_error_that_the_page_expects_is_the_error_that_the_robot_has() {
     const SEEDS: u64 = 8;
     for seed in 1..=SEEDS {
         let (run, found) = calibrated(&robot, seed, None);
-        let expected =
-            workspace_error(&found.model, &found.solution.covariance, &robot.joint_limits_deg).after;
+        let expected = workspace_error(&found.model, &found.solution.covariance, &robot.joint_limits()).after;
         let truth_m = position_error_m(&run, &found, &robot);
         println!(
             "seed {seed}: true {:.4} mm, expected {:.4} ({:.4} to {:.4})",

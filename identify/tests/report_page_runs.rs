@@ -45,7 +45,7 @@ fn calibrated(runs: &[&Simulated], prepare: PrepareOptions) -> BallBarCalibratio
 
 fn shown(found: &BallBarCalibration) -> String {
     let robot = irb2400();
-    page_text(found, &evidence(found, &robot.joint_limits_deg), &robot)
+    page_text(found, &evidence(found, &robot.joint_limits()), &robot)
 }
 
 /// Pages of a run, and of the same with a counter that wraps and an average over it.
@@ -124,8 +124,8 @@ fn a_calibration_of_the_bar_alone_expects_of_the_robot_what_it_was_before() {
     };
     let found = ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config);
     let found = found.unwrap();
-    let limits_deg = &robot.joint_limits_deg;
-    let evidence = evidence(&found, limits_deg).with_validation(&found, &config, limits_deg, None).unwrap();
+    let limits = &robot.joint_limits();
+    let evidence = evidence(&found, limits).with_validation(&found, &config, limits, None).unwrap();
     assert_eq!(evidence.workspace, WorkspaceError::default());
     assert!(page_text(&found, &evidence, &robot).contains("Calibrated. "));
 }

@@ -29,7 +29,7 @@ fn file(model: &Model, solution: &Solution) -> CalibrationFile {
 
 /// Robot and bar (standing at the root) of a table of links.
 fn chain(rows: &[DhRow], name: &str, links: usize) -> Chain {
-    let mut chain = Chain { root_from_base: Pose::identity(), links: vec![DhLink::default(); links] };
+    let mut chain = Chain::new(Pose::identity(), vec![DhLink::default(); links]);
     for row in rows.iter().filter(|row| row.chain == name) {
         let link = &mut chain.links[row.link - 1];
         assert_eq!(row.unit, if row.parameter.len() == 1 { "m" } else { "rad" });

@@ -4,7 +4,7 @@
 use std::f64::consts::FRAC_PI_2;
 
 use crate::support::independent::{Matrix, identity, product, shift, turn};
-use identify::kinematics::{Chain, robot_chain};
+use identify::kinematics::{Chain, Joints, robot_chain};
 use identify::logs::JointConversion;
 use identify::model::Model;
 use identify::report::corrections::{Correction, corrections, csv};
@@ -152,9 +152,9 @@ fn corrections_read_back_and_applied_to_joints_or_to_the_log_give_the_identified
         let conversion = JointConversion::new(&config.log).unwrap();
         let (to_joints, to_log) = (add("joint "), add(&config.log.column));
         for joints in &JOINTS {
-            let by_joints: [f64; 6] = std::array::from_fn(|i| joints[i] + to_joints[i].to_radians());
+            let by_joints = Joints::from_fn(6, |i| joints[i] + to_joints[i].to_radians());
             let logged = conversion.to_raw(joints);
-            let by_log = conversion.to_joint(&std::array::from_fn(|i| logged[i] + to_log[i]));
+            let by_log = conversion.to_joint(&Joints::from_fn(6, |i| logged[i] + to_log[i]));
             for corrected in [by_joints, by_log] {
                 let found = links.forward(&corrected).to_homogeneous();
                 assert!((found - chain.forward(joints).to_homogeneous()).amax() < 1e-12);
@@ -172,7 +172,7 @@ fn a_written_calibration_is_read_from_either_file_and_gives_the_same_robot() {
     for path in [toml.clone(), directory.path().join("calibration.json")] {
         let read = CalibrationFile::open(&path).unwrap();
         assert_eq!(read, written);
-        assert_eq!(read.robot_chain(), identified(&config));
+        assert_eq!(read.robot_chain(&config, Some(&crate::support::bar())), identified(&config));
     }
     let newer = std::fs::read_to_string(&toml).unwrap().replace("schema = 1", "schema = 99");
     std::fs::write(&toml, newer).unwrap();

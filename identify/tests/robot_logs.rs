@@ -1,6 +1,7 @@
 //! Robot logs in and out: conversions, round trips and every refusal.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use identify::kinematics::Joints;
 use std::path::Path;
 
 use crate::support::{irb2400 as irb, nj220 as nj};
@@ -14,7 +15,7 @@ use shared::config::RobotConfig;
 fn sample_log() -> RobotLog {
     let t_s: Vec<f64> = (0..60).map(|k| f64::from(k) * 0.004).collect();
     let q_rad =
-        t_s.iter().map(|t| std::array::from_fn(|j| 0.5 * (t * (j as f64 + 2.0) + j as f64).sin())).collect();
+        t_s.iter().map(|t| Joints::from_fn(6, |j| 0.5 * (t * (j as f64 + 2.0) + j as f64).sin())).collect();
     RobotLog {
         robot: Some("left arm".into()),
         clock: "controller".into(),
@@ -216,7 +217,7 @@ fn degrees_under_a_header_of_radians_are_recognised() {
 fn exchanged_columns_are_suspected_where_they_explain_the_limits() {
     let mut log = sample_log();
     for q in &mut log.q_rad {
-        *q = [2.5 + 0.1 * q[0], 0.5, 0.3, 0.2, 0.1, -3.0];
+        *q = [2.5 + 0.1 * q[0], 0.5, 0.3, 0.2, 0.1, -3.0].into();
     }
     let text = text_of(&log, &nj());
     let text = text
@@ -295,7 +296,7 @@ proptest! {
         let t_s: Vec<f64> = std::iter::once(0.0)
             .chain(steps_ns.iter().map(|step| { at_ns += step; at_ns as f64 * 1e-9 }))
             .collect();
-        let q_rad = t_s.iter().map(|t| std::array::from_fn(|j| seed[j] * (t + j as f64).cos())).collect();
+        let q_rad = t_s.iter().map(|t| Joints::from_fn(6, |j| seed[j] * (t + j as f64).cos())).collect();
         let log = RobotLog { first_stamp_ns, t_s, q_rad, clock: "c".into(), ..RobotLog::default() };
         for robot in [irb(), nj()] {
             let back = parse(&text_of(&log, &robot), &robot).unwrap();

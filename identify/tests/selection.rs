@@ -91,11 +91,11 @@ const LOBES: [f64; 6] = [57.0, 31.0, 44.0, 63.0, 52.0, 35.0];
 /// The gears have 57, 31, 44 .. lobes; the file that the calibration gets knows of none, or guesses wrongly.
 fn with_lobes(config: &IdentifyConfig) -> BallBarCalibration {
     let (mut robot, bar) = (irb2400(), bar());
-    robot.drives.cycloid_lobes = LOBES;
+    robot.drives.cycloid_lobes = LOBES.to_vec();
     let effects =
         Effects { cycloid_urad: 20.0, robot_noise_urad: 15.0, encoder_noise_urad: 5.0, ..Effects::default() };
     let run = simulate::run(&Experiment { effects, ..Experiment::new(&robot, &bar) }).unwrap();
-    robot.drives.cycloid_lobes = [39.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+    robot.drives.cycloid_lobes = vec![39.0, 0.0, 0.0, 0.0, 0.0, 0.0];
     ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, config).unwrap()
 }
 
@@ -184,6 +184,6 @@ fn how_the_length_of_the_bar_follows_its_direction_is_found() {
         assert!((um - expected_um).abs() < 4.0, "joint {}, {order} per turn: {um}", joint + 1);
     }
     // Nothing of that is the work of a force.
-    let sphere = evidence(&found, &robot.joint_limits_deg).spheres.remove(0).after;
+    let sphere = evidence(&found, &robot.joint_limits()).spheres.remove(0).after;
     assert!(sphere.rms_m > 0.0 && sphere.rms_m == sphere.unexplained_rms_m, "{sphere:?}");
 }

@@ -43,8 +43,8 @@ fn the_motion_keeps_away_from_limits_and_singular_poses_and_is_smooth() {
             let bar = bar();
             let run = simulate::run(&Experiment { seed, ..Experiment::new(&robot, &bar) }).unwrap();
             let log = &run.robot_log;
-            for (q, [low, high]) in log.q_rad.iter().flat_map(|q| q.iter().zip(robot.joint_limits_deg)) {
-                assert!((low..=high).contains(&q.to_degrees()));
+            for (q, [low, high]) in log.q_rad.iter().flat_map(|q| q.iter().zip(robot.joint_limits())) {
+                assert!((low..=high).contains(q));
             }
             assert!(log.q_rad.iter().all(|q| q[4].sin().abs() > 10_f64.to_radians().sin()));
             for window in log.q_rad.windows(4) {

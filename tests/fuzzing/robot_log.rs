@@ -20,7 +20,7 @@ static SETTING: LazyLock<Setting> = LazyLock::new(|| {
     // Limits that nothing reaches, so that most logs come through.
     let mut robot: RobotConfig =
         config::load(&directory.join("robots/irb120_3.toml")).expect("a shipped file");
-    robot.joint_limits_deg = [[-1e6, 1e6]; 6];
+    robot.joint_limits_deg = vec![[-1e6, 1e6]; 6];
     let shipped: RobotLogMapping = config::load(&directory.join("robot_log.toml")).expect("a shipped file");
     let torques = ForceColumns { columns: Vec::new(), unit: ForceUnit::Nm, frame: ForceFrame::Flange };
     Setting { robot, mapping: RobotLogMapping { force: Some(torques), ..shipped } }

@@ -11,7 +11,7 @@ use super::measured_pose::{self, WAVES_PER_TURN_MAX};
 use super::pipeline::{Plan, Solved, estimate};
 use super::split::HoldOut;
 use crate::instrument::{Instrument, LengthRow, PoseRow, Run, Tracker, Wire};
-use crate::kinematics::{Chain, LinkParameter, ROBOT_JOINTS, flange_chain};
+use crate::kinematics::{Chain, LinkParameter, flange_chain};
 use crate::model::{DriveTrain, Model, ModelError, ParameterId, Phase, Role};
 use crate::solver::{LossName, Watch};
 
@@ -127,11 +127,12 @@ pub fn calibrate(
         let Run { instrument, model } = &runs[0];
         config.kinds(model, |id| instrument.tells(id))
     } else {
-        let last = waves_per_turn(&runs)?;
+        let last = waves_per_turn(&runs, flange.links.len())?;
         for run in &mut runs {
             run.model = run.model.clone().with_joint_waves(ParameterId::joint_waves(last));
         }
-        measured_pose::kinds(last, &fix)
+        let known = |id: &ParameterId| runs.iter().any(|run| run.model.parameter(*id).is_some());
+        measured_pose::kinds(last, |id| known(id) && !fix.contains(id))
     };
     let plan = Plan {
         loss: config.loss.unwrap_or(LossName::Huber),
@@ -147,13 +148,13 @@ pub fn calibrate(
 }
 
 /// Highest order of the joints' waves that is tried: no left-out group could support more than one wave's number for four
-/// measured ones.
-fn waves_per_turn(runs: &[Run]) -> Result<u8, CalibrateError> {
+/// measured ones of each axis.
+fn waves_per_turn(runs: &[Run], axes: usize) -> Result<u8, CalibrateError> {
     const MEASURED_PER_WAVE: usize = 4;
     let measured =
         |run: &Run| Ok(run.instrument.samples() * run.instrument.data_set(&run.model, 1.0)?.rows());
     let measured: usize = runs.iter().map(measured).sum::<Result<_, CalibrateError>>()?;
-    let orders = measured / (MEASURED_PER_WAVE * Phase::ALL.len() * ROBOT_JOINTS);
+    let orders = measured / (MEASURED_PER_WAVE * Phase::ALL.len() * axes.max(1));
     Ok(u8::try_from(orders).unwrap_or(u8::MAX).min(WAVES_PER_TURN_MAX))
 }
 

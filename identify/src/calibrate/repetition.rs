@@ -106,9 +106,9 @@ mod tests {
         fn at(&self, tau_s: f64) -> Option<JointState> {
             let angle = |hz: f64| std::f64::consts::TAU * hz * tau_s;
             (0.0..=120.0).contains(&tau_s).then(|| JointState {
-                q: self.0.map(|hz| angle(hz).sin()),
-                qd: self.0.map(|hz| std::f64::consts::TAU * hz * angle(hz).cos()),
-                qdd: [0.0; 6],
+                q: self.0.map(|hz| angle(hz).sin()).into(),
+                qd: self.0.map(|hz| std::f64::consts::TAU * hz * angle(hz).cos()).into(),
+                qdd: [0.0; 6].into(),
             })
         }
     }

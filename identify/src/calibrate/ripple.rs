@@ -15,7 +15,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::cost::{CostError, DataSets, SharedColumns};
 use crate::instrument::Run;
-use crate::kinematics::{LinkParameter, ROBOT_JOINTS};
+use crate::kinematics::{Joints, LinkParameter};
 use crate::model::{DriveTrain, JointState, JointTerm, JointWaves, Model, ParameterId, Period, Phase, Role};
 use crate::solver::{Problem, Subset, stacked};
 
@@ -44,11 +44,11 @@ pub(super) struct Ripple {
     /// One for each row.
     residuals: Vec<f64>,
     /// What a turn of each drive does to each row.
-    by_drives: Vec<[f64; ROBOT_JOINTS]>,
+    by_drives: Vec<Joints>,
     /// Rows of each sample.
     rows: Vec<Range<usize>>,
     /// Of the drives at each sample \[rad\].
-    angles_rad: Vec<[f64; ROBOT_JOINTS]>,
+    angles_rad: Vec<Joints>,
     /// Orders that are terms of their own.
     known: BTreeSet<Wave>,
 }
@@ -92,18 +92,19 @@ impl Ripple {
                     turned.map(|(part, by_joint)| part * by_joint * root).sum()
                 };
                 self.residuals.push(residuals[row] * root);
-                self.by_drives.push(std::array::from_fn(by_drive));
+                self.by_drives.push(Joints::from_fn(drives.axes(), by_drive));
             }
             self.rows.push(begin..self.residuals.len());
-            self.angles_rad.push(std::array::from_fn(|axis| drives.of_drive(axis, &state.q)));
+            self.angles_rad.push(Joints::from_fn(drives.axes(), |axis| drives.of_drive(axis, &state.q)));
         }
         Ok(())
     }
 
     /// The waves that stand out of the noise and of each axis' other waves, sine and cosine of each.
     pub fn found(&self) -> Vec<ParameterId> {
-        let resolved: [f64; ROBOT_JOINTS] = std::array::from_fn(|axis| self.resolved(axis));
-        let normals: [[Normal; ORDERS]; ROBOT_JOINTS] = std::array::from_fn(|axis| self.normals(axis));
+        let axes = self.angles_rad.first().map_or(0, |angles| angles.len());
+        let resolved: Vec<f64> = (0..axes).map(|axis| self.resolved(axis)).collect();
+        let normals: Vec<[Normal; ORDERS]> = (0..axes).map(|axis| self.normals(axis)).collect();
         let mut found: Vec<Wave> = Vec::new();
         let mut left = DVector::from_column_slice(&self.residuals);
         loop {
@@ -213,7 +214,7 @@ fn known(drives: &DriveTrain) -> impl Iterator<Item = (usize, u8)> + '_ {
     let turns = [(Period::Cycloid, &drives.cycloid_lobes), (Period::Motor, &drives.motor_turns)];
     turns.into_iter().flat_map(move |(period, numbers)| {
         let has = move |axis: &usize| drives.has(*axis, JointTerm::Sine(period));
-        (0..ROBOT_JOINTS).filter(has).filter_map(move |axis| {
+        (0..drives.axes()).filter(has).filter_map(move |axis| {
             let number = numbers.get(axis).copied().flatten()?.round();
             (number <= f64::from(JointWaves::LAST)).then_some((axis, number as u8))
         })
@@ -228,7 +229,7 @@ fn joints_only(model: &Model) -> Option<Model> {
     for id in all {
         model.set_role(id, if turn(id) { Role::Free } else { Role::Fixed }).ok()?;
     }
-    let complete = model.columns().len() == ROBOT_JOINTS;
+    let complete = model.columns().len() == model.axes();
     complete.then_some(model)
 }
 

@@ -9,7 +9,7 @@ use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
 
-use crate::kinematics::{Chain, ROBOT_JOINTS};
+use crate::kinematics::{Chain, Joints};
 
 /// What is held out together.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
@@ -31,11 +31,7 @@ const BOXES: f64 = 5.0;
 
 impl HoldOut {
     /// The group of each pose: those of one group are held out together. `robot` is the nominal chain.
-    pub(crate) fn groups(
-        self,
-        robot: &Chain,
-        joints_rad: impl Iterator<Item = [f64; ROBOT_JOINTS]>,
-    ) -> Vec<usize> {
+    pub(crate) fn groups(self, robot: &Chain, joints_rad: impl Iterator<Item = Joints>) -> Vec<usize> {
         let positions_m: Vec<Vector3<f64>> =
             joints_rad.map(|q| robot.forward(&q).translation.vector).collect();
         groups(self, &positions_m)

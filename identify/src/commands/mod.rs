@@ -5,11 +5,13 @@ mod compare;
 mod examine;
 mod inspect;
 mod on_terminal;
+mod robot;
 mod simulate;
 
 use std::ffi::OsString;
 
 use clap::{Parser, Subcommand};
+use shared::config::{JointKind, RobotConfig};
 
 /// Calibrates a robot from a ball-bar recording and the robot's own log.
 #[derive(Debug, Parser)]
@@ -29,6 +31,8 @@ enum Command {
     Inspect(inspect::InspectArguments),
     /// Put several calibrations of one robot side by side: do they agree within their uncertainty?
     Compare(compare::CompareArguments),
+    /// Take a robot's configuration from a URDF, or check and draw one.
+    Robot(robot::RobotArguments),
     /// Make an experiment with known errors: a recording, a robot log, and the truth beside them.
     Simulate(simulate::SimulateArguments),
 }
@@ -51,6 +55,16 @@ impl Arguments {
     }
 }
 
+/// The ball-bar has been shown to calibrate such arms only: the parameters that it cannot tell from its own are theirs.
+fn ensure_six_revolute_axes(robot: &RobotConfig) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        robot.joint_kinds().eq([JointKind::Revolute; 6]),
+        "{} is no arm of six revolute axes, which the ball-bar needs; use `identify calibrate tracker` or `wire`",
+        robot.name
+    );
+    Ok(())
+}
+
 /// Does what was typed; an error's text is meant for a person.
 pub fn run(arguments: Arguments) -> anyhow::Result<()> {
     match arguments.command {
@@ -58,6 +72,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
         Command::Examine(arguments) => examine::run(&arguments),
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Compare(arguments) => compare::run(&arguments),
+        Command::Robot(arguments) => robot::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
     }
 }

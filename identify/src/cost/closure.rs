@@ -3,11 +3,11 @@
 use nalgebra::Vector3;
 
 use super::problem::{LoopPoint, readings};
-use crate::kinematics::{ROBOT_JOINTS, Twist, rotation_vector, singularity_margin_rad};
+use crate::kinematics::{Twist, rotation_vector, singularity_margin_rad};
 use crate::model::{BarForce, Geometry, JointState, Observation, RobotMotion};
 
 /// The closed chain at one sample.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone)]
 pub struct Closure {
     /// Bar clock, since the reference time \[s\].
     pub t_s: f64,
@@ -28,7 +28,7 @@ pub struct Closure {
     /// Distance from the bar's nearest singular pose \[rad\].
     pub margin_rad: f64,
     /// How the robot's end moves with each joint.
-    pub joint_twists: [Twist; ROBOT_JOINTS],
+    pub joint_twists: Vec<Twist>,
 }
 
 impl Closure {
@@ -51,11 +51,6 @@ pub fn closures(
         let readings = readings(observation);
         let scene = point.scene(motion, sample, observation, &readings)?;
         let out_m = scene.robot.position_m() - geometry.base.origin_m;
-        let still = Twist { angular: Vector3::zeros(), linear: Vector3::zeros() };
-        let mut joint_twists = [still; ROBOT_JOINTS];
-        for (kept, twist) in joint_twists.iter_mut().zip(scene.robot.joint_twists()) {
-            *kept = twist;
-        }
         let mut bar_rad = scene.bar_rad;
         for (angle, link) in bar_rad.iter_mut().zip(&geometry.bar_links) {
             *angle += link.theta_rad;
@@ -70,7 +65,7 @@ pub fn closures(
             force: observation.force,
             direction: out_m / out_m.norm().max(f64::MIN_POSITIVE),
             margin_rad: singularity_margin_rad(&bar_rad),
-            joint_twists,
+            joint_twists: scene.robot.joint_twists().collect(),
         })
     };
     observations.iter().enumerate().filter_map(at).collect()

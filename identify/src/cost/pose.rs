@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 use super::problem::{LoopPoint, readings};
 use super::scene::{ALL_BUT_TORSION, ALL_ENCODERS, TORSION, of_other_instrument, sees_encoder};
 use super::{Movement, Residual, Scene};
-use crate::kinematics::{BAR_JOINTS, LinkParameter, ROBOT_JOINTS, Trace, Twist, rotation_vector};
+use crate::kinematics::{AXES_MAX, BAR_JOINTS, LinkParameter, Trace, Twist, rotation_vector};
 use crate::model::{Geometry, Observation, ParameterId, RobotMotion};
 
 /// White noise of the angles, one standard deviation.
@@ -119,7 +119,7 @@ fn covariance(scene: &Scene<'_>, robot_rad: f64, encoder_rad: &[f64; BAR_JOINTS]
             sum + moved * moved.transpose()
         })
     };
-    of(scene.robot, &seen.by_robot, &[robot_rad; ROBOT_JOINTS])
+    of(scene.robot, &seen.by_robot, &[robot_rad; AXES_MAX])
         + of(scene.bar, &seen.by_bar, encoder_rad)
         + Matrix6::identity() * (FLOOR * FLOOR)
 }

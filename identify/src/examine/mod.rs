@@ -71,7 +71,7 @@ pub fn examine(
     let robot_chain = robot_chain(robot, bar);
     let mut bar_chain = ball_bar_chain(bar);
     bar_chain.root_from_base.translation.vector = design.base_m.into();
-    let poses = Poses::spread(&robot_chain, &bar_chain, &robot.joint_limits_deg, &design, count, seed)?;
+    let poses = Poses::spread(&robot_chain, &bar_chain, &robot.joint_limits(), &design, count, seed)?;
     let model = Model::ball_bar(&robot_chain, &bar_chain);
     match cost {
         CostName::Pose => {

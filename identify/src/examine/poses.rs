@@ -4,7 +4,7 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 
-use crate::kinematics::{BAR_JOINTS, Chain, ROBOT_JOINTS, robot_inverse, singularity_margin_rad};
+use crate::kinematics::{BAR_JOINTS, Chain, robot_inverse, singularity_margin_rad};
 use crate::model::{Observation, PerObservation};
 use crate::simulate::Design;
 
@@ -36,14 +36,14 @@ pub struct Poses {
 }
 
 impl Poses {
-    /// Poses spread over all joints of the bar, within the robot's limits \[deg\] and the margins of the design.
+    /// Poses spread over all joints of the bar, within the robot's limits \[rad\] and the margins of the design.
     ///
     /// # Errors
     /// [`PoseError`].
     pub fn spread(
         robot: &Chain,
         bar: &Chain,
-        limits_deg: &[[f64; 2]],
+        limits: &[[f64; 2]],
         design: &Design,
         count: usize,
         seed: u64,
@@ -61,7 +61,7 @@ impl Poses {
                 continue;
             }
             let Ok(q) = robot_inverse(robot, &bar.forward(&bar_rad), &near) else { continue };
-            if is_regular(&q, limits_deg, design) {
+            if is_regular(&q, limits, design) {
                 let index = poses.joints.0.len();
                 poses.observations.push(Observation::bar(PerObservation::time_s(index), bar_rad));
                 poses.joints.0.push(q);
@@ -75,9 +75,8 @@ impl Poses {
     }
 }
 
-fn is_regular(q: &[f64; ROBOT_JOINTS], limits_deg: &[[f64; 2]], design: &Design) -> bool {
-    let margin = design.limit_margin_deg;
-    let within =
-        |(q, [low, high]): (&f64, &[f64; 2])| (low + margin..high - margin).contains(&q.to_degrees());
-    q.iter().zip(limits_deg).all(within) && q[4].sin().abs() > design.wrist_margin_deg.to_radians().sin()
+fn is_regular(q: &[f64], limits: &[[f64; 2]], design: &Design) -> bool {
+    let margin = design.limit_margin_deg.to_radians();
+    let within = |(q, [low, high]): (&f64, &[f64; 2])| (low + margin..high - margin).contains(q);
+    q.iter().zip(limits).all(within) && design.wrist_is_bent(q)
 }

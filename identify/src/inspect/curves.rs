@@ -2,7 +2,7 @@
 
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 
-use crate::kinematics::{BAR_JOINTS, ROBOT_JOINTS};
+use crate::kinematics::BAR_JOINTS;
 use crate::logs::RobotLog;
 use crate::prepare::{BarAngles, bar_angles};
 
@@ -48,7 +48,7 @@ pub fn of_robot(log: &RobotLog) -> Vec<Curve> {
         name: format!("q{}", joint + 1),
         parts: steps.parts(&log.t_s, |row| log.q_rad[row][joint]),
     };
-    (0..ROBOT_JOINTS).map(curve).collect()
+    (0..log.axes()).map(curve).collect()
 }
 
 /// Which steps of time matter to a figure \[s\].

@@ -80,14 +80,14 @@ fn unwrapped(inspection: &mut Inspection, all: &[Unwrapped]) {
 }
 
 /// Range and speed of each joint; `t_s` and `angles_rad` belong together.
-fn joint_lines<const N: usize>(prefix: char, t_s: &[f64], angles_rad: &[[f64; N]]) -> Vec<JointLine> {
+fn joint_lines<R: AsRef<[f64]>>(prefix: char, t_s: &[f64], angles_rad: &[R]) -> Vec<JointLine> {
     let line = |joint: usize| {
-        let angles = angles_rad.iter().map(|row| row[joint]);
+        let angles = angles_rad.iter().map(|row| row.as_ref()[joint]);
         let (low, high) = angles
             .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), angle| (low.min(angle), high.max(angle)));
         let speeds = t_s.windows(2).zip(angles_rad.windows(2)).map(|(t, a)| {
             let step_s = t[1] - t[0];
-            if step_s > 0.0 { (a[1][joint] - a[0][joint]).abs() / step_s } else { 0.0 }
+            if step_s > 0.0 { (a[1].as_ref()[joint] - a[0].as_ref()[joint]).abs() / step_s } else { 0.0 }
         });
         JointLine {
             name: format!("{prefix}{}", joint + 1),
@@ -95,7 +95,7 @@ fn joint_lines<const N: usize>(prefix: char, t_s: &[f64], angles_rad: &[[f64; N]
             speed_max_deg_s: speeds.fold(0.0, f64::max).to_degrees(),
         }
     };
-    (0..N).map(line).collect()
+    (0..angles_rad.first().map_or(0, |row| row.as_ref().len())).map(line).collect()
 }
 
 /// Joints that hardly move say nothing of their link.

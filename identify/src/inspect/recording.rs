@@ -4,7 +4,6 @@ use shared::recording::Recording;
 use shared::recording::schema::{CycleRecord, EncoderInfo, EventKind, flags};
 
 use super::{Inspection, joint_lines, suspect_still};
-use crate::kinematics::BAR_JOINTS;
 use crate::prepare::{BarAngles, bar_angles};
 
 /// Faster than this no bar is moved by a robot; counts that jump are \[deg/s\].
@@ -123,7 +122,7 @@ fn of_angles(inspection: &mut Inspection, angles: &BarAngles) {
     let Some(longest) = angles.segments.iter().max_by_key(|segment| segment.times.len()) else { return };
     let Some(&first) = longest.times.first() else { return };
     let t_s: Vec<f64> = longest.times.iter().map(|time| time.seconds_since(first)).collect();
-    let lines = joint_lines::<BAR_JOINTS>('b', &t_s, &longest.angles_rad);
+    let lines = joint_lines('b', &t_s, &longest.angles_rad);
     inspection.joints = lines
         .into_iter()
         .zip(angles.measured)

@@ -1,6 +1,7 @@
 //! A robot's own log.
 
 use super::{Inspection, joint_lines, stamps, suspect_still, unwrapped};
+use crate::kinematics::Joints;
 use crate::logs::{Origin, RobotLog};
 use crate::prepare::unwrapped_log;
 
@@ -19,7 +20,7 @@ pub fn robot_log(log: &RobotLog) -> Inspection {
     inspection.fact("clock", format!("{}, first stamp {} ns", log.clock, log.first_stamp_ns));
     inspection.fact("angles", log.origin.name());
     if let Some(force) = &log.force {
-        let numbers = force.values.iter().flat_map(|row| row.iter().take(force.kind.values()));
+        let numbers = force.values.iter().flat_map(|row| row.iter());
         let most = numbers.fold(0.0_f64, |most, value| most.max(value.abs()));
         inspection.fact("force on the bar", format!("{}, up to {most:.1}", force.kind.describe()));
     }
@@ -47,7 +48,7 @@ pub fn robot_log(log: &RobotLog) -> Inspection {
 }
 
 /// Rows in stretches where every joint repeats itself exactly, and that end in a jump.
-fn frozen_rows(rows: &[[f64; 6]]) -> usize {
+fn frozen_rows(rows: &[Joints]) -> usize {
     let mut frozen = 0;
     let mut start = 0;
     for index in 1..rows.len() {

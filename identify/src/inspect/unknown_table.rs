@@ -9,9 +9,9 @@ use shared::config::{AngleUnit, RobotConfig};
 
 use crate::calibrate::measured_pose::validate;
 use crate::instrument::PoseRow;
-use crate::kinematics::{ROBOT_JOINTS, flange_chain};
+use crate::kinematics::flange_chain;
 use crate::logs::{
-    CsvLayout, EulerFrame, JointColumn, LengthColumn, LengthUnit, LogError, MeasuredLengthMapping,
+    CsvLayout, EulerFrame, JointColumn, JointUnit, LengthColumn, LengthUnit, LogError, MeasuredLengthMapping,
     MeasuredPoseMapping, MeasuredPoses, PositionColumns, RobotLogMapping, RotationColumns, RotationForm,
     RowsAsText, TimeColumn, TimeUnit,
 };
@@ -111,14 +111,14 @@ pub enum ProposeError {
 pub fn propose(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<Proposal, ProposeError> {
     let text = RowsAsText::new(bytes, path)?;
     let shown = path.display().to_string();
-    let no_table = || ProposeError::NoTable { path: shown.clone(), joints: ROBOT_JOINTS };
-    let csv = layout(&text).ok_or_else(no_table)?;
+    let no_table = || ProposeError::NoTable { path: shown.clone(), joints: robot.axes() };
+    let csv = layout(&text, robot.axes()).ok_or_else(no_table)?;
     let columns = columns(&text, &csv)?;
     let found = || columns.iter().map(|column| column.name.as_str()).collect::<Vec<_>>().join(", ");
     let mut reasons = Vec::new();
     let mut doubts = Vec::new();
     let joints = joints(&columns, robot, csv.header, &mut reasons, &mut doubts).ok_or_else(|| {
-        ProposeError::NoJoints { path: shown.clone(), joints: ROBOT_JOINTS, found: found() }
+        ProposeError::NoJoints { path: shown.clone(), joints: robot.axes(), found: found() }
     })?;
     let taken = |column: &Column| joints.iter().any(|joint| joint.column == column.name);
     let others: Vec<&Column> = columns.iter().filter(|column| !taken(column)).collect();
@@ -254,7 +254,7 @@ fn cells(line: &str, delimiter: char) -> Vec<&str> {
 }
 
 /// How the rows of numbers are written: the delimiter and decimal sign that give most numbers in rows of equal length.
-fn layout(text: &RowsAsText<'_>) -> Option<CsvLayout> {
+fn layout(text: &RowsAsText<'_>, axes: usize) -> Option<CsvLayout> {
     let lines: Vec<&str> = text.lines().collect();
     let choices =
         [(';', false), (';', true), ('\t', false), ('\t', true), (',', false), ('|', false), (' ', false)];
@@ -263,7 +263,7 @@ fn layout(text: &RowsAsText<'_>) -> Option<CsvLayout> {
             let cells = cells(line, delimiter);
             let numbers =
                 cells.iter().filter(|cell| number(cell, decimal_comma).is_some() || is_date(cell)).count();
-            (numbers >= ROBOT_JOINTS && 10 * numbers >= 7 * cells.len()).then_some((cells.len(), numbers))
+            (numbers >= axes && 10 * numbers >= 7 * cells.len()).then_some((cells.len(), numbers))
         };
         let first = lines.iter().position(|line| numbers(line).is_some())?;
         let (width, _) = numbers(lines.get(first)?)?;
@@ -375,14 +375,14 @@ fn columns(text: &RowsAsText<'_>, csv: &CsvLayout) -> Result<Vec<Column>, LogErr
 }
 
 /// Names of joints that have no numbers.
-const NAMED_JOINTS: &[[&str; ROBOT_JOINTS]] = &[
+const NAMED_JOINTS: &[[&str; 6]] = &[
     ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"],
     ["base", "shoulder", "elbow", "wrist1", "wrist2", "wrist3"],
     ["s", "l", "u", "r", "b", "t"],
 ];
 
-/// Columns whose names differ in nothing but the joint.
-fn families<'c>(columns: &'c [Column]) -> Vec<[&'c Column; ROBOT_JOINTS]> {
+/// Columns whose names differ in nothing but the joint, `axes` of them.
+fn families(columns: &[Column], axes: usize) -> Vec<Vec<&Column>> {
     let mut by_pattern: BTreeMap<String, BTreeMap<usize, &Column>> = BTreeMap::new();
     for column in columns.iter().filter(|column| column.is_number()) {
         let bytes = column.plain.as_bytes();
@@ -406,12 +406,10 @@ fn families<'c>(columns: &'c [Column]) -> Vec<[&'c Column; ROBOT_JOINTS]> {
             }
         }
     }
-    let consecutive = |of: &BTreeMap<usize, &'c Column>| {
+    let consecutive = |of: &BTreeMap<usize, _>| {
         // From 0 or from 1; what has 0 and 6 is numbered from 0.
         let first = usize::from(!of.contains_key(&0));
-        let all: Option<Vec<&Column>> =
-            (first..first + ROBOT_JOINTS).map(|joint| of.get(&joint).copied()).collect();
-        all.and_then(|all| <[&Column; ROBOT_JOINTS]>::try_from(all).ok())
+        (first..first + axes).map(|joint| of.get(&joint).copied()).collect::<Option<Vec<&Column>>>()
     };
     by_pattern.values().filter_map(consecutive).collect()
 }
@@ -435,10 +433,15 @@ fn joints(
     reasons: &mut Vec<String>,
     doubts: &mut Vec<String>,
 ) -> Option<Vec<JointColumn>> {
-    let suits = |family: &[&Column; ROBOT_JOINTS], unit| {
+    // Names and ranges of lengths are those of anything.
+    let axes = robot.joint_limits_deg.len();
+    if axes < robot.axes() {
+        return None;
+    }
+    let suits = |family: &[&Column], unit| {
         family.iter().zip(&robot.joint_limits_deg).all(|(column, limits)| within(column, *limits, unit))
     };
-    let score = |family: &[&Column; ROBOT_JOINTS]| {
+    let score = |family: &[&Column]| {
         let has = |words| i32::from(family.iter().any(|column| column.has_word(words)));
         let still = family.iter().all(|column| column.numbers.windows(2).all(|pair| pair[0] == pair[1]));
         let rate = family
@@ -454,22 +457,21 @@ fn joints(
             - 3 * i32::from(still)
             - 9 * i32::from(!possible)
     };
-    let mut choices = families(columns);
+    let mut choices = families(columns, axes);
     if choices.is_empty() && !header {
         let numeric: Vec<&Column> = columns.iter().filter(|column| column.is_number()).collect();
-        choices = numeric.windows(ROBOT_JOINTS).filter_map(|window| window.try_into().ok()).collect();
-        // Six in a row that are neither times nor millimetres; the first such.
+        choices = numeric.windows(axes).map(<[&Column]>::to_vec).collect();
+        // As many in a row that are neither times nor millimetres; the first such.
         choices.retain(|family| suits(family, AngleUnit::Deg) && !family.iter().any(|column| rises(column)));
         choices.truncate(1);
         if !choices.is_empty() {
-            doubts.push(
-                "there is no header: the first six columns that can be angles are taken for the joints"
-                    .into(),
-            );
+            doubts.push(format!(
+                "there is no header: the first {axes} columns that can be angles are taken for the joints"
+            ));
         }
     }
     let best = choices.iter().map(|family| (score(family), family)).filter(|(score, _)| *score > -5);
-    let (_, family) = best.fold(None, |best: Option<(i32, &[&Column; ROBOT_JOINTS])>, one| match best {
+    let (_, family) = best.fold(None, |best: Option<(i32, &Vec<&Column>)>, one| match best {
         Some(best) if best.0 >= one.0 => Some(best),
         _ => Some(one),
     })?;
@@ -486,10 +488,11 @@ fn joints(
         );
     }
     let names: Vec<&str> = family.iter().map(|column| column.name.as_str()).collect();
-    reasons
-        .insert(0, format!("{} are joints 1 to {ROBOT_JOINTS}, by their names and ranges", listed(&names)));
+    reasons.insert(0, format!("{} are joints 1 to {axes}, by their names and ranges", listed(&names)));
+    let unit = if unit == AngleUnit::Deg { JointUnit::Deg } else { JointUnit::Rad };
+    let column = |column: &&Column| column.name.clone();
     let joint =
-        |column: &&Column| JointColumn { column: column.name.clone(), unit, sign: 1.0, offset_deg: 0.0 };
+        |of: &&Column| JointColumn { column: column(of), unit, sign: 1.0, offset_deg: 0.0, offset_m: 0.0 };
     Some(family.iter().map(joint).collect())
 }
 
@@ -625,7 +628,7 @@ impl Trial<'_> {
         const BETTER: f64 = 0.3;
         // A change that is right shows in the positions; what the orientation means is looked for after that.
         if let Some((as_named, _)) = self.misfit(&mapping) {
-            let tried = changes().into_iter().filter_map(|(what, change)| {
+            let tried = changes(mapping.joints.len()).into_iter().filter_map(|(what, change)| {
                 let mut changed = mapping.clone();
                 change(&mut changed.joints);
                 Some((self.misfit(&changed)?.0, what, changed))
@@ -673,12 +676,12 @@ impl Trial<'_> {
 type Change = Box<dyn Fn(&mut Vec<JointColumn>)>;
 
 /// What goes wrong with joints: two exchanged, one that counts the other way, the other unit.
-fn changes() -> Vec<(String, Change)> {
+fn changes(axes: usize) -> Vec<(String, Change)> {
     let mut all: Vec<(String, Change)> = Vec::new();
-    for joint in 0..ROBOT_JOINTS {
+    for joint in 0..axes {
         let reverse: Change = Box::new(move |joints| joints[joint].sign = -joints[joint].sign);
         all.push((format!("joint {} counts the other way", joint + 1), reverse));
-        for other in joint + 1..ROBOT_JOINTS {
+        for other in joint + 1..axes {
             all.push((
                 format!("joints {} and {} are exchanged", joint + 1, other + 1),
                 Box::new(move |joints| joints.swap(joint, other)),
@@ -687,7 +690,7 @@ fn changes() -> Vec<(String, Change)> {
     }
     let other_unit: Change = Box::new(|joints| {
         for joint in joints {
-            joint.unit = if joint.unit == AngleUnit::Deg { AngleUnit::Rad } else { AngleUnit::Deg };
+            joint.unit = if joint.unit == JointUnit::Deg { JointUnit::Rad } else { JointUnit::Deg };
         }
     });
     all.push(("the joints are in the other unit".into(), other_unit));

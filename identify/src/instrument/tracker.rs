@@ -7,7 +7,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, SVector, Vector3};
 use super::{Instrument, Measures};
 use crate::calibrate::{HoldOut, split};
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
-use crate::kinematics::{Chain, Pose, ROBOT_JOINTS, rotation_vector};
+use crate::kinematics::{Chain, Joints, Pose, rotation_vector};
 use crate::model::{
     Axis, Clock, Geometry, JointState, Model, ModelError, Observation, ParameterId, PerObservation,
     Placement, RobotMotion, Role,
@@ -16,8 +16,8 @@ use crate::model::{
 /// A pose of the robot and what the tracker measured there.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PoseRow {
-    /// Joint variables of the model \[rad\].
-    pub joints_rad: [f64; ROBOT_JOINTS],
+    /// Joint variables of the model \[rad, m\].
+    pub joints_rad: Joints,
     /// Of the probe, in the tracker's frame \[m\].
     pub position_m: Vector3<f64>,
     /// `tracker_from_probe`; used where every row has it.
@@ -40,19 +40,22 @@ const PROBE_SIGMA_M: f64 = 1.0;
 
 /// Each pose as its robot stands there: rates are the way each joint last moved, by the poses in the order in which the robot
 /// went there, at one radian per second; 0 where it has not yet moved.
-pub fn standing(joints_rad: impl Iterator<Item = [f64; ROBOT_JOINTS]>) -> Vec<JointState> {
-    let mut qd = [0.0; ROBOT_JOINTS];
-    let mut before: Option<[f64; ROBOT_JOINTS]> = None;
+pub fn standing(joints_rad: impl Iterator<Item = Joints>) -> Vec<JointState> {
+    let mut ways = Joints::default();
+    let mut before: Option<Joints> = None;
     let each = joints_rad.map(|q| {
+        let at_rest = JointState::at_rest(q);
         if let Some(before) = before.replace(q) {
-            for (joint, way) in qd.iter_mut().enumerate() {
+            for (joint, way) in ways.iter_mut().enumerate() {
                 let moved = q[joint] - before[joint];
                 if moved.abs() > MOVED_RAD_MIN {
                     *way = moved.signum();
                 }
             }
+        } else {
+            ways = at_rest.qd;
         }
-        JointState { q, qd, qdd: [0.0; ROBOT_JOINTS] }
+        JointState { qd: ways, ..at_rest }
     });
     each.collect()
 }

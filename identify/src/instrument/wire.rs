@@ -6,7 +6,7 @@ use super::tracker::Standing;
 use super::{Instrument, Measures, standing};
 use crate::calibrate::{HoldOut, split};
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredLength, Residual};
-use crate::kinematics::{Chain, ROBOT_JOINTS};
+use crate::kinematics::{Chain, Joints};
 use crate::model::{
     Axis, Clock, Geometry, JointState, Model, ModelError, Observation, ParameterId, PerObservation, Role,
 };
@@ -14,8 +14,8 @@ use crate::model::{
 /// One pose and its length.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LengthRow {
-    /// Joint variables of the model \[rad\].
-    pub joints_rad: [f64; ROBOT_JOINTS],
+    /// Joint variables of the model \[rad, m\].
+    pub joints_rad: Joints,
     /// Measured length \[m\].
     pub length_m: f64,
     /// Where the controller says the flange is \[m\]; used to find rows whose parts do not belong together.

@@ -1,16 +1,29 @@
 //! A chain of Denavit-Hartenberg links on a base.
 
 use nalgebra::{Rotation3, Translation3, Vector3};
+use shared::config::JointKind;
 
 /// A rigid transform `a_from_b`: takes coordinates in frame b to frame a.
 pub type Pose = nalgebra::IsometryMatrix3<f64>;
 
-/// One link, `Rz(theta + joint) Tz(d) Tx(a) Rx(alpha) Ry(beta)`.
+/// `R = Rz(yaw) Ry(pitch) Rx(roll)`, as URDF has it. Roll is what yaw and pitch leave over: where a pitch of a quarter turn
+/// makes the two one, their sum is still exact.
+pub(crate) fn roll_pitch_yaw(rotation: &Rotation3<f64>) -> [f64; 3] {
+    let r = rotation.matrix();
+    let yaw = r[(1, 0)].atan2(r[(0, 0)]);
+    let pitch = (-r[(2, 0)]).atan2(r[(0, 0)].hypot(r[(1, 0)]));
+    let rest = Rotation3::from_euler_angles(0.0, pitch, yaw).inverse() * rotation;
+    [rest[(2, 1)].atan2(rest[(1, 1)]), pitch, yaw]
+}
+
+/// One link, `Rz(theta + joint) Tz(d) Tx(a) Rx(alpha) Ry(beta)`, or with `d + joint` where its joint is prismatic.
 ///
 /// With `beta` zero it is the standard Denavit-Hartenberg link; with `d` fixed and `beta` free it is Hayati's link
 /// for an axis nearly parallel to the one before (Hayati and Mirmirani 1985).
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct DhLink {
+    /// How its joint moves.
+    pub joint: JointKind,
     /// Length along x \[m\].
     pub a_m: f64,
     /// Twist about x \[rad\].
@@ -31,10 +44,14 @@ impl DhLink {
         Pose::from_parts(Translation3::new(self.a_m, 0.0, self.d_m), twist * hayati)
     }
 
-    /// The whole link at a joint angle \[rad\].
-    pub fn transform(&self, joint_rad: f64) -> Pose {
-        let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), self.theta_rad + joint_rad);
-        Pose::from_parts(Translation3::identity(), turn) * self.after_joint()
+    /// The whole link at a joint variable \[rad, m\].
+    pub fn transform(&self, joint: f64) -> Pose {
+        let (turn_rad, slide_m) = match self.joint {
+            JointKind::Revolute => (joint, 0.0),
+            JointKind::Prismatic => (0.0, joint),
+        };
+        let turn = Rotation3::from_axis_angle(&Vector3::z_axis(), self.theta_rad + turn_rad);
+        Pose::from_parts(Translation3::new(0.0, 0.0, slide_m), turn) * self.after_joint()
     }
 }
 
@@ -45,18 +62,27 @@ pub struct Chain {
     pub root_from_base: Pose,
     /// Base to end.
     pub links: Vec<DhLink>,
+    /// From where the last link ends to the chain's end: identity where the last link can hold it.
+    pub last_from_end: Pose,
 }
 
 impl Chain {
-    /// `root_from_end` at joint angles \[rad\], one per link.
-    ///
-    /// A link beyond the last angle given stands at joint angle zero; angles beyond the last link are not used.
-    pub fn forward(&self, joints_rad: &[f64]) -> Pose {
-        self.joined(joints_rad).fold(self.root_from_base, |pose, (link, joint)| pose * link.transform(joint))
+    /// Links on a base, ending where the last link ends.
+    pub fn new(root_from_base: Pose, links: Vec<DhLink>) -> Self {
+        Self { root_from_base, links, last_from_end: Pose::identity() }
     }
 
-    /// Each link with its joint angle.
-    pub(crate) fn joined<'a>(&'a self, joints_rad: &'a [f64]) -> impl Iterator<Item = (&'a DhLink, f64)> {
-        self.links.iter().zip(joints_rad.iter().copied().chain(std::iter::repeat(0.0)))
+    /// `root_from_end` at joint variables \[rad, m\], one per link.
+    ///
+    /// A link beyond the last one given stands at zero; those beyond the last link are not used.
+    pub fn forward(&self, joints: &[f64]) -> Pose {
+        let start = self.root_from_base;
+        self.joined(joints).fold(start, |pose, (link, joint)| pose * link.transform(joint))
+            * self.last_from_end
+    }
+
+    /// Each link with its joint variable.
+    pub(crate) fn joined<'a>(&'a self, joints: &'a [f64]) -> impl Iterator<Item = (&'a DhLink, f64)> {
+        self.links.iter().zip(joints.iter().copied().chain(std::iter::repeat(0.0)))
     }
 }

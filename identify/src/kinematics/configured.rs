@@ -1,43 +1,66 @@
 //! Nominal chains from configuration.
 
-use shared::config::{BallBarConfig, LinkConfig, RobotConfig};
+use nalgebra::{Rotation3, Vector3};
+use shared::config::{BallBarConfig, Convention, LinkConfig, RobotConfig, TransformConfig};
 
 use super::{Chain, DhLink, Pose};
 
 fn link(config: &LinkConfig) -> DhLink {
     DhLink {
+        joint: config.joint,
         a_m: config.a_m,
         alpha_rad: config.alpha_deg.to_radians(),
         d_m: config.d_m,
         theta_rad: config.theta_deg.to_radians(),
-        beta_rad: 0.0,
+        beta_rad: config.beta_deg.to_radians(),
     }
 }
 
-fn chain(links: &[LinkConfig]) -> Chain {
-    Chain { root_from_base: Pose::identity(), links: links.iter().map(link).collect() }
+fn pose(config: &TransformConfig) -> Pose {
+    let [roll, pitch, yaw] = config.rpy_deg.map(f64::to_radians);
+    Pose::from_parts(Vector3::from(config.xyz_m).into(), Rotation3::from_euler_angles(roll, pitch, yaw))
 }
 
-/// The robot with the bar's tool and offset plate folded into its last link (`d` and `a`).
+/// The robot with the bar's tool and offset plate: in its last link (`d` and `a`), or behind the flange where that does not
+/// continue the last link.
 pub fn robot_chain(robot: &RobotConfig, bar: &BallBarConfig) -> Chain {
-    let mut chain = chain(&robot.links);
-    if let Some(last) = chain.links.last_mut() {
-        last.a_m += bar.plate_m;
-        last.d_m += bar.tool_m;
+    let mut chain = flange_chain(robot);
+    let end = DhLink { a_m: bar.plate_m, d_m: bar.tool_m, ..DhLink::default() };
+    match chain.links.last_mut() {
+        Some(last) if last.alpha_rad == 0.0 && chain.last_from_end == Pose::identity() => {
+            last.a_m += bar.plate_m;
+            last.d_m += bar.tool_m;
+        }
+        _ => chain.last_from_end *= end.transform(0.0),
     }
     chain
 }
 
-/// The robot by itself, to its flange.
+/// The robot by itself, to its flange, as standard links.
+///
+/// A modified table says the same with the way to the next axis, `Tx(a) Rx(alpha)`, at the beginning of the next row; the
+/// first row's belongs to the base.
 pub fn flange_chain(robot: &RobotConfig) -> Chain {
-    chain(&robot.links)
+    let mut chain = Chain::new(pose(&robot.base), robot.links.iter().map(link).collect());
+    chain.last_from_end = pose(&robot.flange);
+    if robot.convention == Convention::Modified {
+        // After the last axis comes nothing; before the first, what the first row begins with.
+        let mut after = DhLink::default();
+        for link in chain.links.iter_mut().rev() {
+            let before = DhLink { theta_rad: 0.0, d_m: 0.0, ..*link };
+            *link = DhLink { joint: link.joint, theta_rad: link.theta_rad, d_m: link.d_m, ..after };
+            after = before;
+        }
+        chain.root_from_base *= after.transform(0.0);
+    }
+    chain
 }
 
 /// The ball-bar with its length in `d` of link 3, standing at the root's origin: its base is found by calibration.
 pub fn ball_bar_chain(bar: &BallBarConfig) -> Chain {
     /// The rod lies along z of frame 2.
     const ROD_LINK: usize = 2;
-    let mut chain = chain(&bar.links);
+    let mut chain = Chain::new(Pose::identity(), bar.links.iter().map(link).collect());
     if let Some(rod) = chain.links.get_mut(ROD_LINK) {
         rod.d_m += bar.length_m;
     }

@@ -77,7 +77,7 @@ impl DhLink {
         // Rx(alpha) Ry(beta) z = (sin beta, -sin alpha cos beta, cos alpha cos beta)
         let seen = Rotation3::from_axis_angle(&Vector3::z_axis(), -theta_rad) * axis.direction;
         let beta_rad = seen.x.atan2(seen.y.hypot(seen.z));
-        Some(Self { a_m, alpha_rad: (-seen.y).atan2(seen.z), d_m, theta_rad, beta_rad })
+        Some(Self { a_m, alpha_rad: (-seen.y).atan2(seen.z), d_m, theta_rad, beta_rad, ..*self })
     }
 
     /// The standard link to the same axis. None where the axes are parallel.
@@ -101,6 +101,7 @@ impl DhLink {
             d_m: foot.z,
             theta_rad: x.y.atan2(x.x),
             beta_rad: 0.0,
+            ..*self
         })
     }
 }

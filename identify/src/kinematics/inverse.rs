@@ -3,6 +3,7 @@
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, Vector3};
+use shared::config::JointKind;
 
 use super::{Chain, Pose, Trace, Tracer};
 
@@ -21,6 +22,14 @@ pub enum InverseError {
         alpha_deg: f64,
         /// What it should be.
         expected: &'static str,
+    },
+    /// The closed form is of arms without.
+    #[error(
+        "axis {link} is prismatic, the closed form needs revolute axes; check `joint` in the configuration"
+    )]
+    Prismatic {
+        /// Link, from 1.
+        link: usize,
     },
     /// The chain has another number of links.
     #[error("the chain has {found} links, {expected} are needed; check the links in the configuration")]
@@ -64,6 +73,12 @@ impl InverseError {
 
 /// How far a twist may be from a multiple of 90 degrees and still count as one \[rad\].
 const TWIST_TOLERANCE_RAD: f64 = 0.1;
+
+/// Checks that no axis is prismatic.
+pub(super) fn revolute(chain: &Chain) -> Result<(), InverseError> {
+    let prismatic = chain.links.iter().position(|link| link.joint == JointKind::Prismatic);
+    prismatic.map_or(Ok(()), |index| Err(InverseError::Prismatic { link: index + 1 }))
+}
 
 /// The sign of a twist of +-90 degrees.
 pub(super) fn right_angle(chain: &Chain, index: usize) -> Result<f64, InverseError> {
@@ -131,7 +146,7 @@ pub(super) fn wrapped(angle_rad: f64) -> f64 {
 }
 
 /// Sum of squared differences.
-pub(super) fn distance_squared<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
+pub(super) fn distance_squared(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum()
 }
 
@@ -154,7 +169,8 @@ pub(crate) fn rotation_vector(rotation: &Matrix3<f64>) -> Vector3<f64> {
     if sine < 1e-9 { 0.5 * twice_sine } else { twice_sine * (0.5 * angle / sine) }
 }
 
-/// Gauss-Newton on the chain as it is; with six joints it is Newton's method. Metres and radians weigh the same.
+/// Gauss-Newton on the chain as it is; with six joints it is Newton's method, with more the joints move no further than
+/// they must. Metres and radians weigh the same.
 pub(super) fn refine<const N: usize>(
     chain: &Chain,
     target: &Pose,
@@ -165,6 +181,8 @@ pub(super) fn refine<const N: usize>(
     /// Accepted where rounding keeps the steps from shrinking further.
     const STEP_RAD_SETTLED: f64 = 1e-10;
     const ITERATIONS_MAX: usize = 30;
+    /// Largest step: far from the target a linear prediction is worth no more.
+    const STEP_RAD_MAX: f64 = 0.5;
 
     let tracer = Tracer::new(chain);
     let mut trace = Trace::default();
@@ -180,7 +198,7 @@ pub(super) fn refine<const N: usize>(
         let Some(step) = least_squares_step(jacobian, pose_error(target, trace.end())) else { break };
         let previous = step_rad;
         step_rad = step.amax();
-        joints += step;
+        joints += step * (STEP_RAD_MAX / step_rad.max(STEP_RAD_MAX));
         if step_rad < STEP_RAD_MIN || (step_rad < STEP_RAD_SETTLED && step_rad > 0.5 * previous) {
             return Ok(joints.into());
         }
@@ -194,13 +212,19 @@ pub(super) fn refine<const N: usize>(
     Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad })
 }
 
-/// `argmin |J x - e|` by Householder QR of `[J e]`; none where J is singular.
+/// `argmin |J x - e|` by Householder QR of `[J e]`, with more than six joints the shortest `x` with `J x = e`; none where J
+/// is singular.
 fn least_squares_step<const N: usize>(
     jacobian: SMatrix<f64, 6, N>,
     error: SVector<f64, 6>,
 ) -> Option<SVector<f64, N>> {
     /// Smallest pivot that still gives a usable step.
     const PIVOT_MIN: f64 = 1e-9;
+    if N > 6 {
+        let squares = (jacobian * jacobian.transpose()).cholesky()?;
+        let regular = squares.l_dirty().diagonal().min() > PIVOT_MIN;
+        return regular.then(|| jacobian.tr_mul(&squares.solve(&error)));
+    }
     let mut triangle = jacobian;
     let mut rhs = error;
     for k in 0..N {

@@ -1,26 +1,31 @@
 //! Geometry of the robot and of the ball-bar: forward kinematics, derivatives by every parameter, and inverses.
 //!
-//! Both are chains of standard Denavit-Hartenberg links that end in the same frame: the robot's link 6 carries tool
-//! and offset plate, the bar's link 5 ends where the plate ends. Each link may carry Hayati's extra rotation about y
+//! Both are chains of standard Denavit-Hartenberg links that end in the same frame: the robot's last link carries tool
+//! and offset plate, the bar's link 5 ends where the plate ends. A robot has two to eight axes, revolute or prismatic. Each link may carry Hayati's extra rotation about y
 //! for nearly parallel neighbours (Hayati and Mirmirani 1985).
 
 mod ball_bar_inverse;
 mod chain;
 mod configured;
+mod from_axes;
 mod hayati;
 mod implied_bar;
 mod inverse;
+mod joints;
 mod robot_inverse;
 mod trace;
 
 pub use ball_bar_inverse::{
     BAR_JOINTS, Configuration, Side, ball_bar_inverse, ball_bar_inverse_refined, singularity_margin_rad,
 };
+pub(crate) use chain::roll_pitch_yaw;
 pub use chain::{Chain, DhLink, Pose};
 pub use configured::{ball_bar_chain, flange_chain, robot_chain};
+pub use from_axes::AxisLine;
 pub use hayati::ConversionError;
 pub use implied_bar::{ImpliedBar, ROD_LINK};
 pub use inverse::InverseError;
 pub(crate) use inverse::rotation_vector;
-pub use robot_inverse::{ROBOT_JOINTS, robot_inverse, robot_inverse_all};
+pub use joints::{AXES_MAX, Joints};
+pub use robot_inverse::{robot_inverse, robot_inverse_all};
 pub use trace::{LinkParameter, Trace, Tracer, Turn, Twist};

@@ -1,14 +1,16 @@
-//! Inverse kinematics of a six-axis arm with a spherical wrist, also when it has errors everywhere.
+//! Inverse kinematics: closed form for a six-axis arm with a spherical wrist, numerical for every other arm that can take
+//! any pose; also when it has errors everywhere.
 
 use nalgebra::Matrix3;
 
 use super::inverse::{
-    distance_squared, nearest_turn, parallel, refine, right_angle, turn_and_twist, wrapped, wrist_angles,
+    distance_squared, nearest_turn, parallel, refine, revolute, right_angle, turn_and_twist, wrapped,
+    wrist_angles,
 };
-use super::{Chain, InverseError, Pose};
+use super::{Chain, InverseError, Joints, Pose};
 
-/// Joints of the robot.
-pub const ROBOT_JOINTS: usize = 6;
+/// Axes without which an arm cannot take any pose.
+const AXES: usize = 6;
 
 /// What the closed form needs: twists snapped to right angles, offsets that the structure does not have dropped.
 struct Arm {
@@ -21,14 +23,15 @@ struct Arm {
     a3_m: f64,
     d4_m: f64,
     /// Joint variable = link angle - this.
-    theta_rad: [f64; ROBOT_JOINTS],
+    theta_rad: [f64; AXES],
 }
 
 impl Arm {
     fn new(chain: &Chain) -> Result<Self, InverseError> {
         let &[l1, l2, l3, l4, l5, l6] = chain.links.as_slice() else {
-            return Err(InverseError::Links { found: chain.links.len(), expected: ROBOT_JOINTS });
+            return Err(InverseError::Links { found: chain.links.len(), expected: AXES });
         };
+        revolute(chain)?;
         parallel(chain, 1)?;
         let signs =
             [right_angle(chain, 0)?, right_angle(chain, 2)?, right_angle(chain, 3)?, right_angle(chain, 4)?];
@@ -85,14 +88,11 @@ fn clamped(value: f64) -> Option<f64> {
 }
 
 /// The closed form on the nominal structure: up to eight solutions, each joint within half a turn of `near`.
-fn closed_form(
-    chain: &Chain,
-    target: &Pose,
-    near: &[f64; ROBOT_JOINTS],
-) -> Result<Vec<[f64; ROBOT_JOINTS]>, InverseError> {
+fn closed_form(chain: &Chain, target: &Pose, near: &[f64; AXES]) -> Result<Vec<[f64; AXES]>, InverseError> {
     let arm = Arm::new(chain)?;
     let after_joint6 = chain.links.last().map_or_else(Pose::identity, |link| link.after_joint());
-    let base_from_wrist = chain.root_from_base.inverse() * target * after_joint6.inverse();
+    let base_from_wrist =
+        chain.root_from_base.inverse() * target * (after_joint6 * chain.last_from_end).inverse();
     let wrist_rotation = base_from_wrist.rotation.matrix();
     let mut solutions = Vec::with_capacity(8);
     for reach in arm.reach(base_from_wrist.translation.vector.into()) {
@@ -107,41 +107,65 @@ fn closed_form(
     if solutions.is_empty() { Err(InverseError::unreachable(target)) } else { Ok(solutions) }
 }
 
-/// Joint angles \[rad\] that bring the end of `chain` to `target`, of all solutions the one nearest to `near`.
+/// Joint variables \[rad, m\] that bring the end of `chain` to `target`, of all solutions the one nearest to `near`, which
+/// has one for each axis.
 ///
-/// The closed form of the spherical-wrist arm (twists of links 1, 3, 4, 5 at right angles, axes 2 and 3 parallel)
-/// starts Newton's method on the chain as it is, which may have errors of some mm and mrad in every parameter.
+/// The closed form of the spherical-wrist arm (six revolute axes, twists of links 1, 3, 4, 5 at right angles, axes 2 and 3
+/// parallel) starts Newton's method on the chain as it is, which may have errors of some mm and mrad in every parameter.
+/// Other arms start at `near`, so that they find a solution where it is not far; seven and eight axes leave it no
+/// further than they must.
 ///
 /// # Errors
-/// [`InverseError::Unreachable`] outside the workspace, [`InverseError::NotConverged`] at a singularity,
-/// [`InverseError::Structure`] and [`InverseError::Links`] for another kind of robot.
-pub fn robot_inverse(
-    chain: &Chain,
-    target: &Pose,
-    near: &[f64; ROBOT_JOINTS],
-) -> Result<[f64; ROBOT_JOINTS], InverseError> {
-    let mut starts = closed_form(chain, target, near)?;
+/// [`InverseError::Unreachable`] outside the workspace, [`InverseError::NotConverged`] at a singularity or too far from
+/// `near`, [`InverseError::Links`] where there are fewer than six axes or `near` has not one number for each.
+pub fn robot_inverse(chain: &Chain, target: &Pose, near: &[f64]) -> Result<Joints, InverseError> {
+    if near.len() != chain.links.len() {
+        return Err(InverseError::Links { found: chain.links.len(), expected: near.len() });
+    }
+    match near.len() {
+        6 => six_axes(chain, target, near),
+        7 => from_near::<7>(chain, target, near),
+        8 => from_near::<8>(chain, target, near),
+        found => Err(InverseError::Links { found, expected: AXES }),
+    }
+}
+
+fn from_near<const N: usize>(chain: &Chain, target: &Pose, near: &[f64]) -> Result<Joints, InverseError> {
+    let start = std::array::from_fn(|axis| near[axis]);
+    refine::<N>(chain, target, start).map(Joints::from)
+}
+
+fn six_axes(chain: &Chain, target: &Pose, near: &[f64]) -> Result<Joints, InverseError> {
+    let mut starts = match closed_form(chain, target, &std::array::from_fn(|axis| near[axis])) {
+        Ok(starts) => starts,
+        Err(InverseError::Structure { .. } | InverseError::Prismatic { .. }) => {
+            return from_near::<AXES>(chain, target, near);
+        }
+        Err(error) => return Err(error),
+    };
     starts.sort_by(|a, b| distance_squared(a, near).total_cmp(&distance_squared(b, near)));
     let mut failure = InverseError::unreachable(target);
     for start in starts {
         match refine(chain, target, start) {
-            Ok(joints) => return Ok(joints),
+            Ok(joints) => return Ok(joints.into()),
             Err(error) => failure = error,
         }
     }
     Err(failure)
 }
 
-/// All solutions, up to eight, each joint in (-pi, pi]; those that do not settle on the given chain are left out.
+/// All solutions of a six-axis arm with a spherical wrist, up to eight, each joint in (-pi, pi]; those that do not settle on
+/// the given chain are left out.
 ///
 /// # Errors
-/// As [`robot_inverse`], where none is left.
-pub fn robot_inverse_all(chain: &Chain, target: &Pose) -> Result<Vec<[f64; ROBOT_JOINTS]>, InverseError> {
+/// As [`robot_inverse`], where none is left; [`InverseError::Structure`], [`InverseError::Prismatic`] and [`InverseError::Links`] for
+/// another kind of arm, which may have more solutions than can be listed.
+pub fn robot_inverse_all(chain: &Chain, target: &Pose) -> Result<Vec<Joints>, InverseError> {
     let mut failure = InverseError::unreachable(target);
     let mut solutions = Vec::with_capacity(8);
-    for start in closed_form(chain, target, &[0.0; ROBOT_JOINTS])? {
+    for start in closed_form(chain, target, &[0.0; AXES])? {
         match refine(chain, target, start) {
-            Ok(joints) => solutions.push(joints.map(wrapped)),
+            Ok(joints) => solutions.push(joints.map(wrapped).into()),
             Err(error) => failure = error,
         }
     }

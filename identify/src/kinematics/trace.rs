@@ -5,6 +5,7 @@
 //! about y of frame i. No differences, no symbolic expressions.
 
 use nalgebra::{Matrix3, Vector3};
+use shared::config::JointKind;
 
 use super::{Chain, Pose};
 
@@ -75,7 +76,7 @@ impl Turn {
     }
 }
 
-/// The five numbers of a link, and its joint (which moves the end as `theta` does).
+/// The five numbers of a link; its joint moves the end as `theta` does, or `d` where it is prismatic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum LinkParameter {
     /// Length along x.
@@ -84,7 +85,7 @@ pub enum LinkParameter {
     D,
     /// Twist about x.
     Alpha,
-    /// Turn about z, also the joint variable.
+    /// Turn about z.
     Theta,
     /// Hayati's rotation about y.
     Beta,
@@ -93,11 +94,23 @@ pub enum LinkParameter {
 /// What a forward pass met at one link, in root coordinates.
 #[derive(Debug, Clone, Copy)]
 struct LinkAxes {
+    joint: JointKind,
     z_before: Vector3<f64>,
     origin_before: Vector3<f64>,
     x: Vector3<f64>,
     y_after: Vector3<f64>,
     origin_after: Vector3<f64>,
+}
+
+impl LinkAxes {
+    /// How a point beyond the joint moves with it.
+    #[inline]
+    fn twist(&self, point: Vector3<f64>) -> Twist {
+        match self.joint {
+            JointKind::Revolute => Twist::rotation(self.z_before, self.origin_before, point),
+            JointKind::Prismatic => Twist::translation(self.z_before),
+        }
+    }
 }
 
 /// A forward pass: end pose and the axes that derivatives need. Reused from sample to sample.
@@ -150,6 +163,11 @@ impl Trace {
         self.axes.iter().map(|at| (at.origin_before, at.z_before))
     }
 
+    /// How a point that the first `joints` joints carry moves with each of them.
+    pub fn point_twists(&self, point: Vector3<f64>, joints: usize) -> impl Iterator<Item = Twist> {
+        self.axes.iter().take(joints).map(move |at| at.twist(point))
+    }
+
     /// Velocity of the end at joint rates, base to end.
     pub fn moved_by(&self, rates: &[f64]) -> Twist {
         let rest = Twist { angular: Vector3::zeros(), linear: Vector3::zeros() };
@@ -160,8 +178,7 @@ impl Trace {
 
     /// Twists of all joints, base to end.
     pub fn joint_twists(&self) -> impl Iterator<Item = Twist> {
-        let end = self.position_m();
-        self.axes.iter().map(move |at| Twist::rotation(at.z_before, at.origin_before, end))
+        self.point_twists(self.position_m(), self.axes.len())
     }
 }
 
@@ -170,10 +187,13 @@ impl Trace {
 pub struct Tracer {
     root_from_base: Pose,
     links: Vec<PreparedLink>,
+    /// None for the identity.
+    last_from_end: Option<Pose>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct PreparedLink {
+    joint: JointKind,
     theta: Turn,
     alpha: Turn,
     /// Hayati's; none where the link is a standard one.
@@ -196,13 +216,15 @@ impl Tracer {
     /// Prepares a chain.
     pub fn new(chain: &Chain) -> Self {
         let links = chain.links.iter().map(|link| PreparedLink {
+            joint: link.joint,
             theta: Turn::of(link.theta_rad),
             alpha: Turn::of(link.alpha_rad),
             beta: (link.beta_rad != 0.0).then(|| Turn::of(link.beta_rad)),
             a_m: link.a_m,
             d_m: link.d_m,
         });
-        Self { root_from_base: chain.root_from_base, links: links.collect() }
+        let last_from_end = (chain.last_from_end != Pose::identity()).then_some(chain.last_from_end);
+        Self { root_from_base: chain.root_from_base, links: links.collect(), last_from_end }
     }
 
     /// Sets `d` of one link (from 0) \[m\]; nothing for a link that is not there.
@@ -213,25 +235,40 @@ impl Tracer {
         }
     }
 
-    /// Forward pass at joint angles \[rad\] (missing ones count as zero), into a trace that is overwritten.
-    pub fn trace(&self, joints_rad: &[f64], trace: &mut Trace) {
-        let joints = joints_rad.iter().copied().chain(std::iter::repeat(0.0));
-        self.trace_turns(joints.map(Turn::of), trace);
+    /// Forward pass at joint variables \[rad, m\] (missing ones count as zero), into a trace that is overwritten.
+    pub fn trace(&self, joints: &[f64], trace: &mut Trace) {
+        let joints = joints.iter().copied().chain(std::iter::repeat(0.0));
+        self.pass(trace, joints, |link, joint| match link.joint {
+            JointKind::Revolute => (link.theta.and(Turn::of(joint)), link.d_m),
+            JointKind::Prismatic => (link.theta, link.d_m + joint),
+        });
     }
 
-    /// The same where sines and cosines of the joint angles are known, one for each link.
+    /// The same where all joints are revolute and sines and cosines of their angles are known, one for each link.
     pub fn trace_turns(&self, joints: impl IntoIterator<Item = Turn>, trace: &mut Trace) {
+        self.pass(trace, joints, |link, joint| (link.theta.and(joint), link.d_m));
+    }
+
+    /// `about_z` gives turn and offset of a link at its joint variable.
+    #[inline]
+    fn pass<J>(
+        &self,
+        trace: &mut Trace,
+        joints: impl IntoIterator<Item = J>,
+        about_z: impl Fn(&PreparedLink, J) -> (Turn, f64),
+    ) {
         let mut rotation = *self.root_from_base.rotation.matrix();
         let mut origin = self.root_from_base.translation.vector;
         trace.axes.clear();
         for (link, joint) in self.links.iter().zip(joints) {
-            let Turn { sin, cos } = link.theta.and(joint);
+            let (Turn { sin, cos }, d_m) = about_z(link, joint);
             let z_before: Vector3<f64> = rotation.column(2).into();
             let x = rotation.column(0) * cos + rotation.column(1) * sin;
             let y = rotation.column(1) * cos - rotation.column(0) * sin;
-            let origin_after = origin + x * link.a_m + z_before * link.d_m;
+            let origin_after = origin + x * link.a_m + z_before * d_m;
             rotation = link.after_turn(x, y, z_before);
             trace.axes.push(LinkAxes {
+                joint: link.joint,
                 z_before,
                 origin_before: origin,
                 x,
@@ -240,6 +277,7 @@ impl Tracer {
             });
             origin = origin_after;
         }
-        trace.end = Pose::from_parts(origin.into(), nalgebra::Rotation3::from_matrix_unchecked(rotation));
+        let last = Pose::from_parts(origin.into(), nalgebra::Rotation3::from_matrix_unchecked(rotation));
+        trace.end = self.last_from_end.map_or(last, |last_from_end| last * last_from_end);
     }
 }

@@ -1,9 +1,10 @@
 //! From the numbers that a controller logs to the joint variables of the model, and back.
 
-use nalgebra::{Matrix6, RowVector6, Vector6};
-use shared::config::{AngleUnit, LogConversion};
+use nalgebra::DMatrix;
+use shared::config::{AngleUnit, JointKind, LogConversion, RobotConfig};
 
 use super::LogError;
+use crate::kinematics::{AXES_MAX, Joints};
 
 /// `q = (raw * unit - offset) * T`, row vector times matrix, and its inverse.
 ///
@@ -11,54 +12,97 @@ use super::LogError;
 #[derive(Debug, Clone, PartialEq)]
 pub struct JointConversion {
     unit: AngleUnit,
-    raw_offset_rad: RowVector6<f64>,
-    raw_to_joint: Matrix6<f64>,
-    joint_to_raw: Matrix6<f64>,
+    /// Columns in metres: the unit of angles is not theirs.
+    prismatic: [bool; AXES_MAX],
+    raw_offset: Joints,
+    raw_to_joint: Vec<Joints>,
+    joint_to_raw: Vec<Joints>,
+}
+
+/// Row vector times matrix.
+fn times(row: &[f64], matrix: &[Joints]) -> Joints {
+    Joints::from_fn(matrix.len(), |j| row.iter().zip(matrix).map(|(value, of_row)| value * of_row[j]).sum())
 }
 
 impl JointConversion {
-    /// From a robot's configuration.
+    /// Of a log whose columns are all angles, or in SI units.
     ///
     /// # Errors
     /// [`LogError::SingularConversion`] where some joint does not follow from the log.
     pub fn new(config: &LogConversion) -> Result<Self, LogError> {
-        let raw_to_joint = Matrix6::from_fn(|row, column| config.raw_to_joint[row][column]);
-        let joint_to_raw = raw_to_joint.try_inverse().ok_or(LogError::SingularConversion)?;
+        let axes = config.raw_to_joint.len();
+        let square = config.raw_to_joint.iter().all(|row| row.len() == axes) && axes <= AXES_MAX;
+        let matrix = DMatrix::from_fn(axes, axes, |i, j| {
+            config.raw_to_joint[i].get(j).copied().filter(|_| square).unwrap_or_default()
+        });
+        let inverse = matrix.clone().try_inverse().ok_or(LogError::SingularConversion)?;
+        let rows =
+            |matrix: &DMatrix<f64>| matrix.row_iter().map(|row| row.iter().copied().collect()).collect();
         Ok(Self {
             unit: config.unit,
-            raw_offset_rad: RowVector6::from(config.raw_offset_rad),
-            raw_to_joint,
-            joint_to_raw,
+            prismatic: [false; AXES_MAX],
+            raw_offset: (0..axes)
+                .map(|i| config.raw_offset_rad.get(i).copied().unwrap_or_default())
+                .collect(),
+            raw_to_joint: rows(&matrix),
+            joint_to_raw: rows(&inverse),
         })
     }
 
-    /// One row of the log, in the log's unit, to joint variables \[rad\].
-    pub fn to_joint(&self, raw: &[f64; 6]) -> [f64; 6] {
+    /// Of the robot's own log, where columns of prismatic axes are in metres.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn of(robot: &RobotConfig) -> Result<Self, LogError> {
+        let mut conversion = Self::new(&robot.log)?;
+        for (prismatic, kind) in conversion.prismatic.iter_mut().zip(robot.joint_kinds()) {
+            *prismatic = kind == JointKind::Prismatic;
+        }
+        Ok(conversion)
+    }
+
+    /// Number of columns and of axes.
+    pub fn axes(&self) -> usize {
+        self.raw_offset.len()
+    }
+
+    fn to_si(&self, raw: &[f64], unit: AngleUnit) -> Joints {
+        let factor = |axis: usize| if self.prismatic[axis] { 1.0 } else { unit.to_rad() };
+        raw.iter().take(self.axes()).enumerate().map(|(axis, value)| value * factor(axis)).collect()
+    }
+
+    /// One row of the log, in the log's units, to joint variables \[rad, m\].
+    pub fn to_joint(&self, raw: &[f64]) -> Joints {
         self.to_joint_with_unit(raw, self.unit)
     }
 
-    /// [`Self::to_joint`] as if the log were in `unit`: tells whether a log makes sense in the other unit.
-    pub(super) fn to_joint_with_unit(&self, raw: &[f64; 6], unit: AngleUnit) -> [f64; 6] {
-        let raw_rad = RowVector6::from(*raw) * unit.to_rad();
-        let joint: RowVector6<f64> = (raw_rad - self.raw_offset_rad) * self.raw_to_joint;
-        std::array::from_fn(|index| joint[index])
+    /// [`Self::to_joint`] as if the log's angles were in `unit`: tells whether a log makes sense in the other unit.
+    pub(super) fn to_joint_with_unit(&self, raw: &[f64], unit: AngleUnit) -> Joints {
+        let mut from_offset = self.to_si(raw, unit);
+        from_offset.iter_mut().zip(self.raw_offset).for_each(|(value, offset)| *value -= offset);
+        times(&from_offset, &self.raw_to_joint)
     }
 
-    /// Speeds of one row, in the log's unit per second, to joint rates \[rad/s\].
-    pub fn to_joint_rate(&self, raw_per_s: &[f64; 6]) -> [f64; 6] {
-        let joint: RowVector6<f64> = RowVector6::from(*raw_per_s) * self.unit.to_rad() * self.raw_to_joint;
-        std::array::from_fn(|index| joint[index])
+    /// Speeds of one row, in the log's units per second, to joint rates \[rad/s, m/s\].
+    pub fn to_joint_rate(&self, raw_per_s: &[f64]) -> Joints {
+        times(&self.to_si(raw_per_s, self.unit), &self.raw_to_joint)
     }
 
     /// Torques \[N m\] on the axes of one row of the log to torques of the joints: both do the same work.
-    pub fn to_joint_torque(&self, raw_nm: &[f64; 6]) -> [f64; 6] {
-        let joint: Vector6<f64> = self.joint_to_raw * Vector6::from(*raw_nm);
-        joint.into()
+    pub fn to_joint_torque(&self, raw_nm: &[f64]) -> Joints {
+        self.joint_to_raw
+            .iter()
+            .map(|row| row.iter().zip(raw_nm).map(|(part, torque)| part * torque).sum())
+            .collect()
     }
 
-    /// Joint variables \[rad\] to one row of the log, in the log's unit.
-    pub fn to_raw(&self, joint_rad: &[f64; 6]) -> [f64; 6] {
-        let raw_rad: RowVector6<f64> = RowVector6::from(*joint_rad) * self.joint_to_raw + self.raw_offset_rad;
-        std::array::from_fn(|index| raw_rad[index] / self.unit.to_rad())
+    /// Joint variables \[rad, m\] to one row of the log, in the log's units.
+    pub fn to_raw(&self, joint: &[f64]) -> Joints {
+        let mut raw = times(joint, &self.joint_to_raw);
+        for (axis, value) in raw.iter_mut().enumerate() {
+            let factor = if self.prismatic[axis] { 1.0 } else { self.unit.to_rad() };
+            *value = (*value + self.raw_offset[axis]) / factor;
+        }
+        raw
     }
 }

@@ -13,6 +13,7 @@ use shared::config::{AngleUnit, RobotConfig};
 use super::mapping::RobotLogMapping;
 use super::raw::{Meaning, RawLog, RawRow};
 use super::{LogError, LogFormat, Origin, RobotLog};
+use crate::kinematics::Joints;
 
 #[derive(Clone, PartialEq, Message)]
 struct EgmHeader {
@@ -73,9 +74,9 @@ pub(super) fn read(
     mapping: Option<&RobotLogMapping>,
 ) -> Result<RobotLog, LogError> {
     let messages = decode(bytes, path)?;
-    let names = std::array::from_fn(|index| format!("joint {}", index + 1));
+    let names = (1..=robot.axes()).map(|joint| format!("joint {joint}")).collect();
     let (meaning, to_unit) = match mapping {
-        Some(mapping) => (Meaning::new(robot, &mapping.conversion(), names)?, AngleUnit::Deg.to_rad()),
+        Some(mapping) => (Meaning::mapped(robot, mapping, names, path)?, AngleUnit::Deg.to_rad()),
         None => (Meaning::of_controller(robot, AngleUnit::Deg, names, LogFormat::Egm, path)?, 1.0),
     };
     let mut raw = RawLog::new(path, "message");
@@ -93,7 +94,8 @@ pub(super) fn read(
         let position = if commanded { &message.planned } else { &message.feed_back };
         let joints = position.as_ref().and_then(|position| position.joints.as_ref());
         let values = joints.map_or(&[][..], |joints| &joints.joints);
-        let joints = std::array::from_fn(|joint| values.get(joint).map_or(f64::NAN, |value| value * to_unit));
+        let value = |joint: usize| values.get(joint).map_or(f64::NAN, |value| value * to_unit);
+        let joints = Joints::from_fn(robot.axes(), value);
         raw.push(RawRow { place: number, stamp_ns, joints, ..RawRow::default() })?;
     }
     raw.finish(&meaning)

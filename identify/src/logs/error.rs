@@ -142,7 +142,7 @@ pub enum LogError {
     },
     /// Joint values that the robot cannot reach.
     #[error(
-        "{} {what} {line}: joint {joint} would be at {value_deg:.1} deg, outside {low_deg} to {high_deg} deg \
+        "{} {what} {line}: joint {joint} would be at {value} \
          ({rows_beyond} of {rows} rows beyond a limit); {remedy}", path.display()
     )]
     BeyondLimits {
@@ -152,14 +152,10 @@ pub enum LogError {
         what: &'static str,
         /// Line of the first such row.
         line: u64,
-        /// Joint, 1 to 6.
+        /// Joint from 1.
         joint: usize,
-        /// Its value \[deg\].
-        value_deg: f64,
-        /// Lower limit of the configuration \[deg\].
-        low_deg: f64,
-        /// Upper limit of the configuration \[deg\].
-        high_deg: f64,
+        /// Its value and the limits of the configuration, with their unit.
+        value: String,
         /// Rows with a joint beyond a limit.
         rows_beyond: usize,
         /// All rows.

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use super::spline::{CubicSpline, KNOTS_MIN, SplinePoint};
 use super::{LogError, RobotLog};
+use crate::kinematics::Joints;
 
 /// Cubic spline through a robot log: joint variables and their rates at any time of the log's clock.
 ///
@@ -11,7 +12,7 @@ use super::{LogError, RobotLog};
 /// hours takes a gigabyte.
 #[derive(Debug, Clone, PartialEq)]
 pub struct InterpolatedLog {
-    spline: Arc<CubicSpline<6>>,
+    spline: Arc<CubicSpline<Joints>>,
 }
 
 /// Longest distance of two stamps that is bridged \[s\]: 50 ms, or 3.5 periods of a slower log. A joint that swings by
@@ -32,7 +33,7 @@ impl InterpolatedLog {
     }
 
     /// Joint variables \[rad\] and rates \[rad/s\] at `tau_s`, seconds after the log's first stamp.
-    pub fn joints(&self, tau_s: f64) -> Option<SplinePoint<6>> {
+    pub fn joints(&self, tau_s: f64) -> Option<SplinePoint<Joints>> {
         self.spline.at(tau_s)
     }
 

@@ -8,9 +8,6 @@ use shared::config::{AngleUnit, LogConversion, Validate, Violation};
 use super::pose_rows::{JointColumn, check_format, check_joints};
 use super::{ForceColumns, LogError, Origin};
 
-/// Joints of a robot.
-const ROBOT_JOINTS: usize = 6;
-
 /// Unit of a time column.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -100,16 +97,16 @@ impl TimeColumn {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Coupling {
-    /// Joint that is corrected, 1 to 6.
+    /// Joint that is corrected, from 1.
     pub joint: usize,
-    /// Joint that it moves with, 1 to 6.
+    /// Joint that it moves with, from 1.
     pub from: usize,
     /// By how much of it.
     pub factor: f64,
 }
 
-/// Names of further columns, joints 1 to 6.
-pub type Columns = [String; ROBOT_JOINTS];
+/// Names of further columns, one for each joint.
+pub type Columns = Vec<String>;
 
 /// How to read a robot log.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -126,7 +123,7 @@ pub struct RobotLogMapping {
     pub csv: CsvLayout,
     /// Where the stamps are.
     pub time: Option<TimeColumn>,
-    /// Joints 1 to 6, in this order: `q = sign * (value - offset)`.
+    /// All joints, base to flange: `q = sign * (value - offset)`.
     pub joints: Vec<JointColumn>,
     /// Columns with joint speeds, in the joints' unit per second.
     pub speeds: Option<Columns>,
@@ -140,12 +137,10 @@ pub struct RobotLogMapping {
 }
 
 impl RobotLogMapping {
-    /// Values of the file in radians to joint variables of the model.
+    /// Values of the file in radians or metres to joint variables of the model.
     pub(super) fn conversion(&self) -> LogConversion {
-        let mut coupled = [[0.0; ROBOT_JOINTS]; ROBOT_JOINTS];
-        for (index, row) in coupled.iter_mut().enumerate() {
-            row[index] = 1.0;
-        }
+        let mut conversion = LogConversion::direct(AngleUnit::Rad, self.joints.len());
+        let coupled = &mut conversion.raw_to_joint;
         for Coupling { joint, from, factor } in &self.coupling {
             if let Some(cell) =
                 coupled.get_mut(from.wrapping_sub(1)).and_then(|row| row.get_mut(joint.wrapping_sub(1)))
@@ -153,12 +148,12 @@ impl RobotLogMapping {
                 *cell += factor;
             }
         }
-        let mut raw_offset_rad = [0.0; ROBOT_JOINTS];
-        for ((row, offset_rad), joint) in coupled.iter_mut().zip(&mut raw_offset_rad).zip(&self.joints) {
+        for ((row, offset), joint) in coupled.iter_mut().zip(&mut conversion.raw_offset_rad).zip(&self.joints)
+        {
             row.iter_mut().for_each(|cell| *cell *= joint.sign);
-            *offset_rad = joint.offset_deg.to_radians();
+            *offset = joint.offset();
         }
-        LogConversion { column: "joint".into(), unit: AngleUnit::Rad, raw_offset_rad, raw_to_joint: coupled }
+        conversion
     }
 }
 
@@ -166,14 +161,21 @@ impl Validate for RobotLogMapping {
     fn validate(&self) -> Result<(), Violation> {
         self.csv.check()?;
         check_joints(&self.joints)?;
+        let axes = self.joints.len();
+        for (key, columns) in [("speeds", &self.speeds), ("torques", &self.torques)] {
+            if let Some(columns) = columns.as_ref().filter(|columns| columns.len() != axes) {
+                let problem = format!("{} columns for {axes} joints", columns.len());
+                return Err(Violation::new(key, problem, "name one for each joint, base to flange"));
+            }
+        }
         self.force.as_ref().map_or(Ok(()), ForceColumns::check)?;
         for (index, Coupling { joint, from, factor }) in self.coupling.iter().enumerate() {
-            let known = |joint: &usize| (1..=ROBOT_JOINTS).contains(joint);
+            let known = |joint: &usize| (1..=axes).contains(joint);
             if !known(joint) || !known(from) || joint == from || !(-10.0..=10.0).contains(factor) {
                 return Err(Violation::new(
                     format!("coupling[{index}]"),
                     format!("joint {joint} from {from} by {factor} is no coupling"),
-                    "write two different joints of 1 to 6 and a factor such as 1 or -1",
+                    "write two different joints, counted from 1, and a factor such as 1 or -1",
                 ));
             }
         }

@@ -11,6 +11,7 @@ use shared::config::{Validate, Violation};
 use super::csv_text::{Column, Row, Table};
 use super::pose_rows::{JointColumns, check_joints, mapped, rows};
 use super::{CsvLayout, JointColumn, LengthUnit, LogError, bytes_of};
+use crate::kinematics::Joints;
 
 /// No wire or bar is longer \[m\]; more means a wrong unit.
 const LENGTH_M_MAX: f64 = 20.0;
@@ -61,7 +62,7 @@ impl Validate for MeasuredLengthMapping {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeasuredLength {
     /// Joint variables of the model \[rad\].
-    pub q_rad: [f64; 6],
+    pub q_rad: Joints,
     /// The measured length \[m\].
     pub length_m: f64,
     /// Where the controller says the flange is \[m\].

@@ -12,6 +12,7 @@ use shared::config::{AngleUnit, Validate, Violation};
 use super::csv_text::{Column, Row, Table};
 use super::pose_rows::{JointColumns, check_joints, mapped, rows};
 use super::{CsvLayout, JointColumn, LengthUnit, LogError, bytes_of};
+use crate::kinematics::Joints;
 
 /// No tracker sees further \[m\]; more means a wrong unit.
 const POSITION_M_MAX: f64 = 100.0;
@@ -185,7 +186,7 @@ impl Validate for MeasuredPoseMapping {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct MeasuredPose {
     /// Joint variables of the model \[rad\].
-    pub q_rad: [f64; 6],
+    pub q_rad: Joints,
     /// Of the probe, in the tracker's frame \[m\].
     pub position_m: Vector3<f64>,
     /// `tracker_from_probe`, where the file has it.

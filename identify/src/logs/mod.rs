@@ -49,9 +49,9 @@ pub use measured_pose::{
     EulerFrame, MeasuredPose, MeasuredPoseMapping, MeasuredPoses, PositionColumns, RotationColumns,
     RotationForm,
 };
-pub use pose_rows::{JointColumn, LengthUnit};
+pub use pose_rows::{JointColumn, JointUnit, LengthUnit, joints_of_robot};
 pub use reader::{LogOptions, load, load_with, read, read_with};
-pub use spline::{CubicSpline, SplinePoint};
+pub use spline::{CubicSpline, Row, SplinePoint};
 pub use text::{Cells, RowsAsText};
 pub use unwrapped::{Unwrapped, UnwrappedPoint};
 pub use writer::write;
@@ -59,6 +59,8 @@ pub use writer::write;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
+
+use crate::kinematics::Joints;
 
 /// Fewest rows that make a log.
 const ROWS_MIN: usize = 50;
@@ -123,12 +125,12 @@ pub struct RobotLog {
     pub first_stamp_ns: i64,
     /// Stamps relative to the first \[s\], strictly increasing, the first is 0.
     pub t_s: Vec<f64>,
-    /// Joint variables of the model, one row per stamp \[rad\].
-    pub q_rad: Vec<[f64; 6]>,
-    /// Rates of those joint variables where the log has them, one row per stamp \[rad/s\].
-    pub speed_rad_s: Option<Vec<[f64; 6]>>,
+    /// Joint variables of the model, one row per stamp \[rad, m\].
+    pub q_rad: Vec<Joints>,
+    /// Rates of those joint variables where the log has them, one row per stamp \[rad/s, m/s\].
+    pub speed_rad_s: Option<Vec<Joints>>,
     /// Torques or motor currents where the log has them, in the unit and on the axes of the file.
-    pub torque: Option<Vec<[f64; 6]>>,
+    pub torque: Option<Vec<Joints>>,
     /// Force on the ball-bar, from this log or from a file of its own.
     pub force: Option<ForceLog>,
     /// Quality of the log.
@@ -136,6 +138,11 @@ pub struct RobotLog {
 }
 
 impl RobotLog {
+    /// Joints of each row.
+    pub fn axes(&self) -> usize {
+        self.q_rad.first().map_or(0, |q| q.len())
+    }
+
     /// From first to last stamp \[s\].
     pub fn duration_s(&self) -> f64 {
         self.t_s.last().copied().unwrap_or(0.0)

@@ -4,11 +4,12 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use shared::config::{AngleUnit, Violation};
+use shared::config::{AXES_MAX, AXES_MIN, JointKind, RobotConfig, Violation};
 
 use super::csv_text::{Column, Row, Table, open_mapped};
 use super::text::decode;
 use super::{CsvLayout, LogError};
+use crate::kinematics::Joints;
 
 /// Fewest rows that make a table.
 const ROWS_MIN: usize = 10;
@@ -35,6 +36,38 @@ impl LengthUnit {
     }
 }
 
+/// Unit of a joint's column.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum JointUnit {
+    /// Radians.
+    Rad,
+    /// Degrees.
+    Deg,
+    /// Metres, of a prismatic joint.
+    M,
+    /// Millimetres, of a prismatic joint.
+    Mm,
+}
+
+impl JointUnit {
+    /// Radians or metres in one unit.
+    pub fn to_si(self) -> f64 {
+        match self {
+            Self::Rad | Self::M => 1.0,
+            Self::Deg => 1f64.to_radians(),
+            Self::Mm => 1e-3,
+        }
+    }
+
+    const fn kind(self) -> JointKind {
+        match self {
+            Self::Rad | Self::Deg => JointKind::Revolute,
+            Self::M | Self::Mm => JointKind::Prismatic,
+        }
+    }
+}
+
 /// The column of one joint: `q = sign * (value * unit - offset)`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -42,13 +75,30 @@ pub struct JointColumn {
     /// Name in the header.
     pub column: String,
     /// Unit of its values.
-    pub unit: AngleUnit,
+    pub unit: JointUnit,
     /// +1, or -1 where the file counts the other way than the model.
     #[serde(default = "positive")]
     pub sign: f64,
     /// Value of the file at the model's zero \[deg\].
     #[serde(default)]
     pub offset_deg: f64,
+    /// Of a prismatic joint \[m\].
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub offset_m: f64,
+}
+
+impl JointColumn {
+    /// Value of the file at the model's zero \[rad, m\].
+    pub(super) fn offset(&self) -> f64 {
+        match self.unit.kind() {
+            JointKind::Revolute => self.offset_deg.to_radians(),
+            JointKind::Prismatic => self.offset_m,
+        }
+    }
+}
+
+fn is_zero(number: &f64) -> bool {
+    *number == 0.0
 }
 
 fn positive() -> f64 {
@@ -74,13 +124,33 @@ pub(super) fn check_format(key: &str, delimiter: char, decimal_comma: bool) -> R
     Ok(())
 }
 
-/// Six joints with signs and offsets that are some.
+/// The joints of a mapping are those of the robot.
+///
+/// # Errors
+/// [`LogError::Content`] where they are not as many, or not of the same kinds.
+pub fn joints_of_robot(joints: &[JointColumn], robot: &RobotConfig, path: &Path) -> Result<(), LogError> {
+    let kinds = joints.iter().map(|joint| joint.unit.kind());
+    if kinds.eq(robot.joint_kinds()) {
+        return Ok(());
+    }
+    let units: Vec<&str> = robot.joint_kinds().map(JointKind::si_symbol).collect();
+    Err(LogError::Content {
+        path: path.to_owned(),
+        problem: format!("the mapping's {} joints are not the axes of {}", joints.len(), robot.name),
+        remedy: format!(
+            "write one [[joints]] block for each axis, base to flange, in units like {}",
+            units.join(", ")
+        ),
+    })
+}
+
+/// As many joints as a robot may have, with signs and offsets that are some.
 pub(super) fn check_joints(joints: &[JointColumn]) -> Result<(), Violation> {
-    if joints.len() != 6 {
+    if !(AXES_MIN..=AXES_MAX).contains(&joints.len()) {
         return Err(Violation::new(
             "joints",
             format!("{} joints are given", joints.len()),
-            "write one [[joints]] block for each of the six joints",
+            "write one [[joints]] block for each joint of the robot",
         ));
     }
     for (index, joint) in joints.iter().enumerate() {
@@ -89,6 +159,17 @@ pub(super) fn check_joints(joints: &[JointColumn]) -> Result<(), Violation> {
                 format!("joints[{index}].sign"),
                 format!("{} is no sign", joint.sign),
                 "write 1 or -1",
+            ));
+        }
+        let (offset, key) = match joint.unit.kind() {
+            JointKind::Revolute => (joint.offset_m, "offset_m"),
+            JointKind::Prismatic => (joint.offset_deg, "offset_deg"),
+        };
+        if offset != 0.0 || !joint.offset_m.is_finite() {
+            return Err(Violation::new(
+                format!("joints[{index}].{key}"),
+                format!("{offset} does not go with the unit of the joint"),
+                "write offset_deg for angles, offset_m for lengths",
             ));
         }
         if !(-360.0..=360.0).contains(&joint.offset_deg) {
@@ -132,13 +213,12 @@ impl<'a> JointColumns<'a> {
         found.collect::<Result<_, LogError>>().map(Self)
     }
 
-    /// Joint variables of a row \[rad\].
-    pub(super) fn read(&self, table: &Table<'_>, row: &Row) -> Result<[f64; 6], LogError> {
-        let mut q_rad = [0.0; 6];
+    /// Joint variables of a row \[rad, m\].
+    pub(super) fn read(&self, table: &Table<'_>, row: &Row) -> Result<Joints, LogError> {
+        let mut q_rad = Joints::zeros(self.0.len());
         for (q, (column, joint)) in q_rad.iter_mut().zip(&self.0) {
-            let value_rad = table.number(row, column)? * joint.unit.to_rad();
-            *q = joint.sign * (value_rad - joint.offset_deg.to_radians());
-            if q.abs() > JOINT_RAD_MAX {
+            *q = joint.sign * (table.number(row, column)? * joint.unit.to_si() - joint.offset());
+            if joint.unit.kind() == JointKind::Revolute && q.abs() > JOINT_RAD_MAX {
                 return Err(table.bad(
                     row,
                     column,

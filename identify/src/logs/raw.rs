@@ -2,17 +2,19 @@
 
 use std::path::{Path, PathBuf};
 
-use shared::config::{AngleUnit, LogConversion, RobotConfig};
+use shared::config::{AngleUnit, JointKind, LogConversion, RobotConfig};
 
 use super::force::FORCE_MAX;
 use super::mapping::RobotLogMapping;
+use super::pose_rows::joints_of_robot;
 use super::{
     ForceClock, ForceKind, ForceLog, JointConversion, LogError, LogFormat, LogQuality, Origin, ROWS_MIN,
     RobotLog,
 };
+use crate::kinematics::Joints;
 
 /// Joint values may pass the nominal limits by this much before a log is refused \[deg\]: zero positions of real
-/// robots differ a little from the data sheet.
+/// robots differ a little from the data sheet. Prismatic axes by as much times one metre.
 const LIMIT_SLACK_DEG: f64 = 2.0;
 /// A log whose joints all move less than this \[deg\] cannot identify anything.
 const MOTION_DEG_MIN: f64 = 5.0;
@@ -26,26 +28,26 @@ pub(super) struct RawRow {
     pub place: u64,
     pub stamp_ns: i64,
     /// NaN where the file has no value.
-    pub joints: [f64; 6],
-    pub speeds: Option<[f64; 6]>,
-    pub torques: Option<[f64; 6]>,
+    pub joints: Joints,
+    pub speeds: Option<Joints>,
+    pub torques: Option<Joints>,
     /// Force on the bar, see [`RawLog::force`] \[N or N m\].
-    pub force: Option<[f64; 6]>,
+    pub force: Option<Joints>,
 }
 
 /// A row that is kept: ten hours have ten million of them, most logs neither speeds nor torques.
 struct KeptRow {
     place: u64,
     stamp_ns: i64,
-    joints: [f64; 6],
+    joints: Joints,
     more: Option<Box<More>>,
 }
 
 /// What some logs have besides.
 struct More {
-    speeds: Option<[f64; 6]>,
-    torques: Option<[f64; 6]>,
-    force: Option<[f64; 6]>,
+    speeds: Option<Joints>,
+    torques: Option<Joints>,
+    force: Option<Joints>,
 }
 
 impl From<RawRow> for KeptRow {
@@ -76,19 +78,35 @@ pub(super) struct Meaning<'a> {
     robot: &'a RobotConfig,
     unit: AngleUnit,
     conversion: JointConversion,
-    names: [String; 6],
+    names: Vec<String>,
 }
 
 impl<'a> Meaning<'a> {
-    pub fn new(robot: &'a RobotConfig, log: &LogConversion, names: [String; 6]) -> Result<Self, LogError> {
+    fn new(robot: &'a RobotConfig, log: &LogConversion, names: Vec<String>) -> Result<Self, LogError> {
         Ok(Self { robot, unit: log.unit, conversion: JointConversion::new(log)?, names })
+    }
+
+    /// What a mapping says of this robot.
+    pub fn mapped(
+        robot: &'a RobotConfig,
+        mapping: &RobotLogMapping,
+        names: Vec<String>,
+        path: &Path,
+    ) -> Result<Self, LogError> {
+        joints_of_robot(&mapping.joints, robot, path)?;
+        Self::new(robot, &mapping.conversion(), names)
+    }
+
+    /// The robot's own log.
+    pub fn own(robot: &'a RobotConfig, names: Vec<String>) -> Result<Self, LogError> {
+        Ok(Self { conversion: JointConversion::of(robot)?, ..Self::new(robot, &robot.log, names)? })
     }
 
     /// Joint angles of the controller, as the robot's configuration converts them, in the unit that the format has.
     pub fn of_controller(
         robot: &'a RobotConfig,
         unit: AngleUnit,
-        names: [String; 6],
+        names: Vec<String>,
         format: LogFormat,
         path: &Path,
     ) -> Result<Self, LogError> {
@@ -152,7 +170,7 @@ impl RawLog {
         if self.rows.len() < ROWS_MIN {
             return Err(self.too_few());
         }
-        let q_rad: Vec<[f64; 6]> =
+        let q_rad: Vec<Joints> =
             self.rows.iter().map(|row| meaning.conversion.to_joint(&row.joints)).collect();
         self.check_limits(&q_rad, meaning)?;
         let first_stamp_ns = self.rows.first().map_or(0, |row| row.stamp_ns);
@@ -160,13 +178,13 @@ impl RawLog {
         let since_first_s =
             |row: &KeptRow| (i128::from(row.stamp_ns) - i128::from(first_stamp_ns)) as f64 * 1e-9;
         let t_s: Vec<f64> = self.rows.iter().map(since_first_s).collect();
-        let all = |of: fn(&More) -> Option<[f64; 6]>| {
+        let all = |of: fn(&More) -> Option<Joints>| {
             self.rows.iter().map(|row| of(row.more.as_ref()?)).collect::<Option<Vec<_>>>()
         };
         let speed_rad_s = all(|more| more.speeds)
             .map(|speeds| speeds.iter().map(|row| meaning.conversion.to_joint_rate(row)).collect());
         let torque = all(|more| more.torques);
-        let on_joints = |rows: &Vec<[f64; 6]>| -> Vec<[f64; 6]> {
+        let on_joints = |rows: &Vec<Joints>| -> Vec<Joints> {
             rows.iter().map(|row| meaning.conversion.to_joint_torque(row)).collect()
         };
         let of_bar = self.force.and_then(|kind| {
@@ -230,29 +248,29 @@ impl RawLog {
             return LogError::Content {
                 path,
                 problem: format!("{incomplete} of {} {}s lack a joint", rows + incomplete, self.what),
-                remedy: "check that the log has all six joints of this robot".into(),
+                remedy: "check that the log has all joints of this robot".into(),
             };
         }
         LogError::TooFewRows { path, rows, needed: ROWS_MIN }
     }
 
-    fn check_limits(&self, q_rad: &[[f64; 6]], meaning: &Meaning<'_>) -> Result<(), LogError> {
-        let limits = &meaning.robot.joint_limits_deg;
-        let rows_beyond = q_rad.iter().filter(|q| beyond_limits(q, limits).is_some()).count();
+    fn check_limits(&self, q_rad: &[Joints], meaning: &Meaning<'_>) -> Result<(), LogError> {
+        let limits = meaning.robot.joint_limits();
+        let rows_beyond = q_rad.iter().filter(|q| beyond_limits(q, &limits).is_some()).count();
         let first = q_rad
             .iter()
             .zip(&self.rows)
-            .find_map(|(q, row)| beyond_limits(q, limits).map(|joint| (q, row.place, joint)));
+            .find_map(|(q, row)| beyond_limits(q, &limits).map(|joint| (q, row.place, joint)));
         let Some((q, line, joint)) = first else { return Ok(()) };
-        let [low_deg, high_deg] = limits[joint];
+        let prismatic = meaning.robot.joint_kinds().nth(joint) == Some(JointKind::Prismatic);
+        let (factor, unit) = if prismatic { (1.0, "m") } else { (1f64.to_degrees(), "deg") };
+        let [low, high] = limits[joint].map(|limit| (limit * factor * 1e6).round() / 1e6);
         Err(LogError::BeyondLimits {
             path: self.path.clone(),
             what: self.what,
             line,
             joint: joint + 1,
-            value_deg: q[joint].to_degrees(),
-            low_deg,
-            high_deg,
+            value: format!("{:.1} {unit}, outside {low} to {high} {unit}", q[joint] * factor),
             rows_beyond,
             rows: q_rad.len(),
             remedy: self.likely_cause(meaning),
@@ -261,10 +279,9 @@ impl RawLog {
 
     /// Tries the usual mistakes on the whole log and names the one that would bring every row within the limits.
     fn likely_cause(&self, meaning: &Meaning<'_>) -> String {
-        let fits = |to_joint: &dyn Fn(&[f64; 6]) -> [f64; 6]| {
-            self.rows
-                .iter()
-                .all(|row| beyond_limits(&to_joint(&row.joints), &meaning.robot.joint_limits_deg).is_none())
+        let limits = meaning.robot.joint_limits();
+        let fits = |to_joint: &dyn Fn(&Joints) -> Joints| {
+            self.rows.iter().all(|row| beyond_limits(&to_joint(&row.joints), &limits).is_none())
         };
         let conversion = &meaning.conversion;
         if meaning.unit == AngleUnit::Rad && fits(&|row| conversion.to_joint_with_unit(row, AngleUnit::Deg)) {
@@ -272,8 +289,9 @@ impl RawLog {
                     radians, or name the columns `_deg` and set log.unit = \"deg\" in the robot's configuration"
                 .into();
         }
-        for (i, j) in (0..6).flat_map(|i| (i + 1..6).map(move |j| (i, j))) {
-            let swapped = |row: &[f64; 6]| {
+        let axes = conversion.axes();
+        for (i, j) in (0..axes).flat_map(|i| (i + 1..axes).map(move |j| (i, j))) {
+            let swapped = |row: &Joints| {
                 let mut row = *row;
                 row.swap(i, j);
                 conversion.to_joint(&row)
@@ -290,7 +308,7 @@ impl RawLog {
             .into()
     }
 
-    fn judge(&mut self, t_s: &[f64], q_rad: &[[f64; 6]]) -> LogQuality {
+    fn judge(&mut self, t_s: &[f64], q_rad: &[Joints]) -> LogQuality {
         let mut steps_s: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
         steps_s.sort_by(f64::total_cmp);
         let span_deg = |joint: usize| {
@@ -303,7 +321,7 @@ impl RawLog {
         quality.period_s = steps_s.get(steps_s.len() / 2).copied().unwrap_or_default();
         quality.longest_gap_s = steps_s.last().copied().unwrap_or_default();
         quality.remarks.append(&mut self.remarks);
-        if (0..6).all(|joint| span_deg(joint) < MOTION_DEG_MIN) {
+        if (0..q_rad.first().map_or(0, |q| q.len())).all(|joint| span_deg(joint) < MOTION_DEG_MIN) {
             quality.remarks.push(format!(
                 "no joint moves by {MOTION_DEG_MIN} deg in the whole log: radians in columns named as degrees, or the \
                  wrong part of a log?"
@@ -328,8 +346,7 @@ impl RawLog {
 }
 
 /// The first joint beyond its limits.
-fn beyond_limits(q_rad: &[f64; 6], limits_deg: &[[f64; 2]; 6]) -> Option<usize> {
-    q_rad.iter().zip(limits_deg).position(|(q, [low, high])| {
-        !(low - LIMIT_SLACK_DEG..=high + LIMIT_SLACK_DEG).contains(&q.to_degrees())
-    })
+fn beyond_limits(q_rad: &Joints, limits: &[[f64; 2]]) -> Option<usize> {
+    let slack = LIMIT_SLACK_DEG.to_radians();
+    q_rad.iter().zip(limits).position(|(q, [low, high])| !(low - slack..=high + slack).contains(q))
 }

@@ -14,6 +14,7 @@ use super::mapping::{RobotLogMapping, TimeUnit};
 use super::raw::{Meaning, RawLog, RawRow};
 use super::text::decode;
 use super::{LogError, LogFormat, Origin, RobotLog};
+use crate::kinematics::Joints;
 
 /// Attributes of `AIPos` and `ASPos`.
 const AXES: [&str; 6] = ["A1", "A2", "A3", "A4", "A5", "A6"];
@@ -21,7 +22,7 @@ const AXES: [&str; 6] = ["A1", "A2", "A3", "A4", "A5", "A6"];
 /// One telegram.
 #[derive(Default)]
 struct Telegram {
-    joints_deg: Option<[f64; 6]>,
+    joints_deg: Option<[f64; AXES.len()]>,
     ipoc: Option<i64>,
 }
 
@@ -33,9 +34,9 @@ pub(super) fn read(
     mapping: Option<&RobotLogMapping>,
 ) -> Result<RobotLog, LogError> {
     let text = &*decode(bytes, path)?;
-    let names = AXES.map(str::to_owned);
+    let names = AXES.map(str::to_owned).to_vec();
     let (meaning, to_unit) = match mapping {
-        Some(mapping) => (Meaning::new(robot, &mapping.conversion(), names)?, AngleUnit::Deg.to_rad()),
+        Some(mapping) => (Meaning::mapped(robot, mapping, names, path)?, AngleUnit::Deg.to_rad()),
         None => (Meaning::of_controller(robot, AngleUnit::Deg, names, LogFormat::Rsi, path)?, 1.0),
     };
     let mut raw = RawLog::new(path, "telegram");
@@ -55,7 +56,10 @@ pub(super) fn read(
                 problem: "no IPOC".into(),
                 remedy: "telegrams without their counter cannot be placed in time; log IPOC too",
             })?;
-        let joints = telegram.joints_deg.unwrap_or([f64::NAN; 6]).map(|value| value * to_unit);
+        // An axis that telegrams do not have is missing in every row.
+        let joints_deg = telegram.joints_deg.unwrap_or([f64::NAN; AXES.len()]);
+        let joint = |axis: usize| joints_deg.get(axis).map_or(f64::NAN, |value| value * to_unit);
+        let joints = Joints::from_fn(robot.axes(), joint);
         raw.push(RawRow { place: number, stamp_ns: ipoc, joints, ..RawRow::default() })?;
     }
     raw.finish(&meaning)
@@ -117,8 +121,8 @@ fn is(tag: &BytesStart<'_>, name: &str) -> bool {
 }
 
 /// The six axes of a position; one that is absent is NaN.
-fn axes(tag: &BytesStart<'_>) -> Result<[f64; 6], String> {
-    let mut joints_deg = [f64::NAN; 6];
+fn axes(tag: &BytesStart<'_>) -> Result<[f64; AXES.len()], String> {
+    let mut joints_deg = [f64::NAN; AXES.len()];
     for attribute in tag.attributes() {
         let attribute = attribute.map_err(|error| error.to_string())?;
         let key = attribute.key.as_ref();

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use shared::config::{AngleUnit, RobotConfig};
+use shared::config::{AngleUnit, JointKind, RobotConfig};
 
 use super::csv_text::{Column, Format, Table, comments, delimiter_of_header, open_mapped};
 use super::force::ForceLayout;
@@ -11,13 +11,16 @@ use super::raw::{Meaning, RawLog, RawRow};
 use super::stamp::stamp_ns;
 use super::text::decode;
 use super::{ForceColumns, LogError, LogFormat, Origin, RobotLog};
+use crate::kinematics::Joints;
 
 /// Name of the column with time stamps \[s\].
 pub(super) const TIME_COLUMN: &str = "t_s";
 
 /// Name of the column of motor or joint `index` (from 0).
 pub(super) fn column_name(robot: &RobotConfig, index: usize, unit: AngleUnit) -> String {
-    format!("{}{}_{}", robot.log.column, index + 1, unit.suffix())
+    let prismatic = robot.joint_kinds().nth(index) == Some(JointKind::Prismatic);
+    let suffix = if prismatic { JointKind::Prismatic.si_symbol() } else { unit.suffix() };
+    format!("{}{}_{suffix}", robot.log.column, index + 1)
 }
 
 /// The columns of a table that are read.
@@ -31,11 +34,11 @@ struct Layout {
     force: Option<ForceLayout>,
 }
 
-/// The robot's own columns: `t_s` and the six that its configuration names; other columns are passed over.
+/// The robot's own columns: `t_s` and those that its configuration names; other columns are passed over.
 pub(super) fn read_own(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<RobotLog, LogError> {
     let text = &*decode(bytes, path)?;
-    let names = std::array::from_fn(|index| column_name(robot, index, robot.log.unit));
-    let meaning = Meaning::new(robot, &robot.log, names)?;
+    let names = (0..robot.axes()).map(|index| column_name(robot, index, robot.log.unit)).collect();
+    let meaning = Meaning::own(robot, names)?;
     let format = Format { delimiter: delimiter_of_header(text), decimal_comma: false };
     let mut table = Table::open(text, path, format)?;
     let layout = Layout { force: ForceLayout::own(&table, text, robot)?, ..own_layout(&table, path, robot)? };
@@ -53,8 +56,8 @@ fn own_layout(table: &Table<'_>, path: &Path, robot: &RobotConfig) -> Result<Lay
         AngleUnit::Rad => AngleUnit::Deg,
         AngleUnit::Deg => AngleUnit::Rad,
     };
-    let mut joints = Vec::with_capacity(6);
-    for index in 0..6 {
+    let mut joints = Vec::with_capacity(robot.axes());
+    for index in 0..robot.axes() {
         let name = column_name(robot, index, unit);
         let in_other_unit = column_name(robot, index, other);
         if !table.has(&name) && table.has(&in_other_unit) {
@@ -70,7 +73,7 @@ fn own_layout(table: &Table<'_>, path: &Path, robot: &RobotConfig) -> Result<Lay
             "A log of {} has {} to {}; rename the columns, say with --log-mapping which hold what, or correct `log` in the robot's configuration.",
             robot.name,
             column_name(robot, 0, unit),
-            column_name(robot, 5, unit)
+            column_name(robot, robot.axes() - 1, unit)
         );
         joints.push((table.column(&name, &remedy)?, 1.0));
     }
@@ -83,17 +86,19 @@ pub(super) fn read_rtde(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Resul
     let table = &mut Table::open(text, path, Format { delimiter: b' ', decimal_comma: false })?;
     let origin = if table.has("actual_q_0") { Origin::Measured } else { Origin::Commanded };
     let kind = if origin == Origin::Measured { "actual" } else { "target" };
-    let columns =
-        |quantity: &str| -> [String; 6] { std::array::from_fn(|joint| format!("{kind}_{quantity}_{joint}")) };
+    let columns = |quantity: &str| -> Columns {
+        (0..robot.axes()).map(|joint| format!("{kind}_{quantity}_{joint}")).collect()
+    };
+    let as_is = vec![1.0; robot.axes()];
     let remedy = "Record timestamp and actual_q; add actual_qd and actual_current if you like.";
-    let optional = |names: &[String; 6]| {
-        names.iter().all(|name| table.has(name)).then(|| named(table, names, &[1.0; 6], remedy)).transpose()
+    let optional = |names: &Columns| {
+        names.iter().all(|name| table.has(name)).then(|| named(table, names, &as_is, remedy)).transpose()
     };
     let meaning = Meaning::of_controller(robot, AngleUnit::Rad, columns("q"), LogFormat::UrRtde, path)?;
     let layout = Layout {
         time: table.column("timestamp", remedy)?,
         time_unit: TimeUnit::S,
-        joints: named(table, &columns("q"), &[1.0; 6], remedy)?,
+        joints: named(table, &columns("q"), &as_is, remedy)?,
         speeds: optional(&columns("qd"))?,
         torques: optional(&columns("current"))?,
         force: ForceLayout::own(table, text, robot)?,
@@ -116,7 +121,7 @@ pub(super) fn read_mapped(
     let mut table = open_mapped(text, path, &mapping.csv)?;
     let columns = mapped_layout(&table, path, mapping)?;
     let names: Vec<String> = mapping.joints.iter().map(|joint| joint.column.clone()).collect();
-    let meaning = Meaning::new(robot, &mapping.conversion(), names.try_into().unwrap_or_default())?;
+    let meaning = Meaning::mapped(robot, mapping, names, path)?;
     let mut raw = RawLog::new(path, "line");
     declare(&mut raw, text);
     raw.clock = mapping.clock.clone().unwrap_or(raw.clock);
@@ -129,14 +134,8 @@ pub(super) fn read_mapped(
 fn mapped_layout(table: &Table<'_>, path: &Path, mapping: &RobotLogMapping) -> Result<Layout, LogError> {
     let remedy = "Correct the name in the mapping file.";
     let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
-    let to_rad: Vec<f64> = mapping.joints.iter().map(|joint| joint.unit.to_rad()).collect();
-    let joints: Columns = mapping
-        .joints
-        .iter()
-        .map(|joint| joint.column.clone())
-        .collect::<Vec<_>>()
-        .try_into()
-        .unwrap_or_default();
+    let to_rad: Vec<f64> = mapping.joints.iter().map(|joint| joint.unit.to_si()).collect();
+    let joints: Columns = mapping.joints.iter().map(|joint| joint.column.clone()).collect();
     let optional = |names: &Option<Columns>, factors: &[f64]| {
         names.as_ref().map(|names| named(table, names, factors, remedy)).transpose()
     };
@@ -145,7 +144,7 @@ fn mapped_layout(table: &Table<'_>, path: &Path, mapping: &RobotLogMapping) -> R
         time_unit: time.unit,
         joints: named(table, &joints, &to_rad, remedy)?,
         speeds: optional(&mapping.speeds, &to_rad)?,
-        torques: optional(&mapping.torques, &[1.0; 6])?,
+        torques: optional(&mapping.torques, &vec![1.0; mapping.joints.len()])?,
         force: mapping
             .force
             .as_ref()
@@ -183,19 +182,15 @@ fn declare(raw: &mut RawLog, text: &str) {
 fn read_rows(table: &mut Table<'_>, layout: &Layout, raw: &mut RawLog) -> Result<(), LogError> {
     while let Some(row) = table.next_row() {
         let row = row?;
-        let six = |columns: &[(Column, f64)]| -> Result<[f64; 6], LogError> {
-            let mut values = [0.0; 6];
-            for (value, (column, factor)) in values.iter_mut().zip(columns) {
-                *value = table.number(&row, column)? * factor;
-            }
-            Ok(values)
+        let all = |columns: &[(Column, f64)]| -> Result<Joints, LogError> {
+            columns.iter().map(|(column, factor)| Ok(table.number(&row, column)? * factor)).collect()
         };
         raw.push(RawRow {
             place: row.line,
             stamp_ns: stamp_ns(table, &row, &layout.time, layout.time_unit)?,
-            joints: six(&layout.joints)?,
-            speeds: layout.speeds.as_deref().map(six).transpose()?,
-            torques: layout.torques.as_deref().map(six).transpose()?,
+            joints: all(&layout.joints)?,
+            speeds: layout.speeds.as_deref().map(all).transpose()?,
+            torques: layout.torques.as_deref().map(all).transpose()?,
             force: layout.force.as_ref().map(|force| force.row(table, &row)).transpose()?,
         })?;
     }

@@ -14,7 +14,7 @@ use super::{ForceKind, JointConversion, RobotLog};
 /// # Errors
 /// Those of the sink, and `InvalidInput` where the robot's conversion cannot be inverted.
 pub fn write(log: &RobotLog, robot: &RobotConfig, sink: impl Write) -> std::io::Result<()> {
-    let conversion = JointConversion::new(&robot.log).map_err(std::io::Error::other)?;
+    let conversion = JointConversion::of(robot).map_err(std::io::Error::other)?;
     let mut sink = std::io::BufWriter::new(sink);
     for (key, value) in [
         ("robot", log.robot.as_deref().unwrap_or(&robot.name)),
@@ -28,14 +28,14 @@ pub fn write(log: &RobotLog, robot: &RobotConfig, sink: impl Write) -> std::io::
         force.kind == ForceKind::Along && force.first_stamp_ns == log.first_stamp_ns && force.t_s == log.t_s
     });
     let header: Vec<String> = std::iter::once(TIME_COLUMN.to_owned())
-        .chain((0..6).map(|index| column_name(robot, index, robot.log.unit)))
+        .chain((0..robot.axes()).map(|index| column_name(robot, index, robot.log.unit)))
         .chain(along.map(|_| ALONG_COLUMN.to_owned()))
         .collect();
     csv.write_record(&header)?;
     for (index, q_rad) in log.q_rad.iter().enumerate() {
         let Some(stamp_ns) = log.stamp_ns(index) else { break };
         let mut row = vec![seconds_text(stamp_ns)];
-        row.extend(conversion.to_raw(q_rad).map(|value| value.to_string()));
+        row.extend(conversion.to_raw(q_rad).into_iter().map(|value| value.to_string()));
         row.extend(along.and_then(|force| force.values.get(index)).map(|values| values[0].to_string()));
         csv.write_record(&row)?;
     }

@@ -159,7 +159,7 @@ impl Geometry {
 
     /// The ball-bar on its base, without any force on it.
     pub fn bar(&self) -> Chain {
-        Chain { root_from_base: self.base.pose(), links: self.bar_links.clone() }
+        Chain::new(self.base.pose(), self.bar_links.clone())
     }
 
     /// The number that a parameter names; none for a link that is not there.
@@ -184,6 +184,7 @@ impl Geometry {
                 self.zeros_rad.get_mut(origin.checked_sub(1)?)?.get_mut(joint)
             }
             ParameterId::Joint { axis, term } => self.joints.amplitude_mut(axis, term),
+            ParameterId::JointWave { axis, .. } if !self.joints.drives.turns(axis) => None,
             ParameterId::JointWave { axis, order, phase } => self.waves.amplitude_mut(axis, order, phase),
             ParameterId::ClockShift => Some(&mut self.clock.shift_s),
             ParameterId::ClockSkew => Some(&mut self.clock.skew),

@@ -8,11 +8,11 @@
 //!
 //! Shapes are functions of what was reported, so that errors enter linearly: `dq'/da_it = s_t(g_i) C_i`.
 
-use nalgebra::{Matrix6, Vector3};
-use shared::config::RobotConfig;
+use nalgebra::{DMatrix, Vector3};
+use shared::config::{JointKind, RobotConfig};
 
 use super::{JointState, JointTerm, Load, Period};
-use crate::kinematics::{Chain, ROBOT_JOINTS, Trace, Tracer};
+use crate::kinematics::{AXES_MAX, Chain, Joints, Trace, Tracer, Twist};
 
 /// Speed at which backlash has changed sides by three quarters \[rad/s\]: the shape is `tanh(rate / speed)`. Slower than
 /// any motion that is calibrated on, faster than what is left of a standstill in a noisy log. At a standstill the shape
@@ -22,23 +22,24 @@ pub const BACKLASH_SPEED_RAD_S: f64 = 0.01;
 /// Logs whose columns turn faster than the joint by this factor are of motors.
 const GEAR_RATIO_MIN: f64 = 2.0;
 
-fn rows(matrix: &Matrix6<f64>) -> [[f64; ROBOT_JOINTS]; ROBOT_JOINTS] {
-    std::array::from_fn(|i| std::array::from_fn(|j| matrix[(i, j)]))
+fn rows(matrix: &DMatrix<f64>) -> Vec<Joints> {
+    matrix.row_iter().map(|row| row.iter().copied().collect()).collect()
 }
 
 /// How drives move joints, and what errors they can have.
 #[derive(Debug, Clone, PartialEq)]
 pub struct DriveTrain {
     /// Row i: what one radian of drive i's output does to each joint.
-    pub joint_from_drive: [[f64; ROBOT_JOINTS]; ROBOT_JOINTS],
+    pub joint_from_drive: Vec<Joints>,
     /// Row i: how much each drive turns for one radian of joint i; the inverse.
-    pub drive_from_joint: [[f64; ROBOT_JOINTS]; ROBOT_JOINTS],
+    pub drive_from_joint: Vec<Joints>,
     /// Lobes of each drive's cycloid gear; none where there is no such gear or its number is not known.
-    pub cycloid_lobes: [Option<f64>; ROBOT_JOINTS],
+    pub cycloid_lobes: Vec<Option<f64>>,
     /// Turns of each motor for one turn of its drive's output; none where not known.
-    pub motor_turns: [Option<f64>; ROBOT_JOINTS],
+    pub motor_turns: Vec<Option<f64>>,
     /// Direction of gravity in the robot's base.
     pub gravity: Vector3<f64>,
+    joints: Vec<JointKind>,
     arm: Tracer,
 }
 
@@ -46,12 +47,14 @@ impl DriveTrain {
     /// One drive for each joint, the robot standing upright. `arm` is the nominal chain, from which levers of weights are
     /// computed: millimetres make no difference to them.
     pub fn direct(arm: &Chain) -> Self {
-        let identity = std::array::from_fn(|i| std::array::from_fn(|j| f64::from(u8::from(i == j))));
+        let axes = arm.links.len();
+        let identity = rows(&DMatrix::identity(axes, axes));
         Self {
-            joint_from_drive: identity,
+            joint_from_drive: identity.clone(),
             drive_from_joint: identity,
-            cycloid_lobes: [None; ROBOT_JOINTS],
-            motor_turns: [None; ROBOT_JOINTS],
+            cycloid_lobes: vec![None; axes],
+            motor_turns: vec![None; axes],
+            joints: arm.links.iter().map(|link| link.joint).collect(),
             gravity: -Vector3::z(),
             arm: Tracer::new(arm),
         }
@@ -61,23 +64,25 @@ impl DriveTrain {
     /// motors' turns too where it is a log of motors.
     pub fn of(robot: &RobotConfig, arm: &Chain) -> Self {
         let table = &robot.log.raw_to_joint;
-        let ratio: [f64; ROBOT_JOINTS] = std::array::from_fn(|i| table[i][i]);
-        let coupled = Matrix6::from_fn(|i, j| table[i][j] / ratio[i]);
-        let known = |number: f64| (number > 0.0).then_some(number);
+        let axes = table.len();
+        let coupled = DMatrix::from_fn(axes, axes, |i, j| table[i][j] / table[i][i]);
+        let known = |numbers: &[f64], axis: usize| numbers.get(axis).copied().filter(|number| *number > 0.0);
         let turns = |axis: usize| {
-            let of_log = ratio[axis].abs().recip();
-            known(robot.drives.motor_turns[axis]).or(Some(of_log).filter(|turns| *turns > GEAR_RATIO_MIN))
+            let of_log = table[axis][axis].abs().recip();
+            known(&robot.drives.motor_turns, axis).or(Some(of_log).filter(|turns| *turns > GEAR_RATIO_MIN))
         };
         let mut drives = Self {
-            cycloid_lobes: robot.drives.cycloid_lobes.map(known),
-            motor_turns: std::array::from_fn(turns),
+            cycloid_lobes: (0..axes).map(|axis| known(&robot.drives.cycloid_lobes, axis)).collect(),
+            motor_turns: (0..axes).map(turns).collect(),
             ..Self::direct(arm)
         };
         if let Some(gravity) = robot.drives.gravity {
             drives.gravity = Vector3::from(gravity).normalize();
         }
         // A log whose columns are in another order says nothing of couplings.
-        if let Some(inverse) = coupled.try_inverse().filter(|m| m.iter().all(|entry| entry.is_finite())) {
+        if let Some(inverse) =
+            coupled.clone().try_inverse().filter(|m| m.iter().all(|entry| entry.is_finite()))
+        {
             drives.joint_from_drive = rows(&coupled);
             drives.drive_from_joint = rows(&inverse);
         }
@@ -93,18 +98,35 @@ impl DriveTrain {
         }
     }
 
-    /// This robot's axis (from 0) can have the term: for waves, because their number is known.
+    /// Number of drives, and of axes.
+    pub fn axes(&self) -> usize {
+        self.joints.len()
+    }
+
+    /// This robot's axis (from 0) can have the term: a prismatic one another ratio; a revolute one waves whose number is known,
+    /// and a load that it moves up and down. Which those are is known of arms of six revolute axes ([`Load::acts_on`]); of
+    /// others the tool is taken, on every axis after the first.
     pub fn has(&self, axis: usize, term: JointTerm) -> bool {
+        if !self.turns(axis) {
+            return axis < self.axes() && term == JointTerm::Ratio;
+        }
         match term {
             JointTerm::Sine(period) | JointTerm::Cosine(period) => {
                 self.waves_per_turn(axis, period).is_some()
             }
-            _ => term.acts_on(axis),
+            JointTerm::Compliance(load) if self.joints == [JointKind::Revolute; 6] => load.acts_on(axis),
+            JointTerm::Compliance(load) => axis > 0 && load == Load::Tool,
+            JointTerm::Backlash | JointTerm::Ratio => true,
         }
     }
 
+    /// The axis is there and revolute.
+    pub fn turns(&self, axis: usize) -> bool {
+        self.joints.get(axis) == Some(&JointKind::Revolute)
+    }
+
     /// A drive's angle or speed from those of the joints.
-    pub fn of_drive(&self, axis: usize, joints: &[f64; ROBOT_JOINTS]) -> f64 {
+    pub fn of_drive(&self, axis: usize, joints: &Joints) -> f64 {
         joints.iter().zip(&self.drive_from_joint).map(|(joint, row)| joint * row[axis]).sum()
     }
 
@@ -145,16 +167,16 @@ impl DriveTrain {
         let (point, before) = match load {
             Load::Elbow => (axes.get(2).map(|at| at.0), 2),
             Load::Wrist => (axes.get(4).map(|at| at.0), 4),
-            Load::Tool => (Some(trace.position_m()), ROBOT_JOINTS),
+            Load::Tool => (Some(trace.position_m()), axes.len()),
         };
         let Some(point) = point else { return (0.0, 0.0) };
-        let turning = |joints: usize| axes.iter().zip(reported.qd).take(joints);
-        let velocity = |of: Vector3<f64>, joints: usize| {
-            turning(joints).map(|((from, z), rate)| z.cross(&(of - from)) * rate).sum::<Vector3<f64>>()
+        let moved = |point: Vector3<f64>, joints: usize, of: fn(&Twist) -> Vector3<f64>| {
+            let twists = trace.point_twists(point, joints).zip(reported.qd);
+            twists.map(|(twist, rate)| of(&twist) * rate).sum::<Vector3<f64>>()
         };
-        let turn: Vector3<f64> = turning(axis).map(|((_, z), rate)| z * rate).sum();
+        let turn = moved(origin, axis, |twist| twist.angular);
         let arm = point - origin;
-        let arm_rate = velocity(point, before) - velocity(origin, axis);
+        let arm_rate = moved(point, before, |twist| twist.linear) - moved(origin, axis, |twist| twist.linear);
         let torque = arm.cross(&self.gravity);
         (z.dot(&torque), turn.cross(&z).dot(&torque) + z.dot(&arm_rate.cross(&self.gravity)))
     }
@@ -165,7 +187,7 @@ impl DriveTrain {
 pub struct JointErrors {
     /// How drives move joints.
     pub drives: DriveTrain,
-    amplitudes: [[f64; JointTerm::ALL.len()]; ROBOT_JOINTS],
+    amplitudes: [[f64; JointTerm::ALL.len()]; AXES_MAX],
 }
 
 impl JointErrors {
@@ -183,9 +205,12 @@ impl JointErrors {
     }
 
     /// How each joint moves with one amplitude.
-    pub fn by_amplitude(&self, axis: usize, term: JointTerm, reported: &JointState) -> [f64; ROBOT_JOINTS] {
+    pub fn by_amplitude(&self, axis: usize, term: JointTerm, reported: &JointState) -> Joints {
         let shape = self.drives.shape(axis, term, reported).0;
-        self.drives.joint_from_drive.get(axis).map_or([0.0; ROBOT_JOINTS], |row| row.map(|part| part * shape))
+        self.drives
+            .joint_from_drive
+            .get(axis)
+            .map_or_else(Joints::default, |row| row.map(|part| part * shape))
     }
 
     /// Joints and rates without their errors. Accelerations are passed on as they are.

@@ -9,7 +9,7 @@
 use std::fmt;
 
 use super::{DriveTrain, JointState};
-use crate::kinematics::ROBOT_JOINTS;
+use crate::kinematics::AXES_MAX;
 
 /// Which part of a wave.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -38,7 +38,7 @@ impl fmt::Display for Phase {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct JointWaves {
     /// Of each axis, sine and cosine by order from [`Self::FIRST`] up to the highest that was asked for.
-    amplitudes_rad: [Vec<[f64; 2]>; ROBOT_JOINTS],
+    amplitudes_rad: [Vec<[f64; 2]>; AXES_MAX],
 }
 
 impl JointWaves {

@@ -1,6 +1,6 @@
 //! Samples of the bar and motion of the robot, each on its own clock.
 
-use crate::kinematics::{BAR_JOINTS, ROBOT_JOINTS};
+use crate::kinematics::{BAR_JOINTS, Joints};
 
 /// What pulls or presses on the ball-bar, counted as its log counts it: which sign is tension is not known.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -45,12 +45,21 @@ impl Observation {
 /// Robot joints at one instant.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct JointState {
-    /// Joint variables \[rad\].
-    pub q: [f64; ROBOT_JOINTS],
-    /// Joint rates \[rad/s\].
-    pub qd: [f64; ROBOT_JOINTS],
-    /// Joint accelerations \[rad/s²\].
-    pub qdd: [f64; ROBOT_JOINTS],
+    /// Joint variables \[rad, m\].
+    pub q: Joints,
+    /// Joint rates \[rad/s, m/s\].
+    pub qd: Joints,
+    /// Joint accelerations \[rad/s², m/s²\].
+    pub qdd: Joints,
+}
+
+impl JointState {
+    /// Standing still.
+    pub fn at_rest(q: impl Into<Joints>) -> Self {
+        let q = q.into();
+        let rest = Joints::zeros(q.len());
+        Self { q, qd: rest, qdd: rest }
+    }
 }
 
 /// The robot's motion on its own clock, smooth enough to be differentiated.
@@ -61,7 +70,7 @@ pub trait RobotMotion: Sync {
 
 /// Joints given per observation, for data without clocks: observation `i` has time `i`.
 #[derive(Debug, Clone, PartialEq)]
-pub struct PerObservation(pub Vec<[f64; ROBOT_JOINTS]>);
+pub struct PerObservation(pub Vec<Joints>);
 
 impl PerObservation {
     /// Time of observation `index` \[s\].
@@ -75,7 +84,6 @@ impl RobotMotion for PerObservation {
         if !(tau_s > -0.5 && tau_s < self.0.len() as f64) {
             return None;
         }
-        let q = *self.0.get(tau_s.round() as usize)?;
-        Some(JointState { q, qd: [0.0; ROBOT_JOINTS], qdd: [0.0; ROBOT_JOINTS] })
+        self.0.get(tau_s.round() as usize).map(|q| JointState::at_rest(*q))
     }
 }

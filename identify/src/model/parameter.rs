@@ -4,7 +4,7 @@ use std::fmt;
 use std::str::FromStr;
 
 use super::{BarWaves, Harmonic, JointTerm, JointWaves, ModelError, Phase};
-use crate::kinematics::{BAR_JOINTS, LinkParameter, ROBOT_JOINTS, ROD_LINK};
+use crate::kinematics::{AXES_MAX, BAR_JOINTS, LinkParameter, ROD_LINK};
 
 /// A coordinate axis of the root frame or of the flange.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -261,21 +261,18 @@ impl ParameterId {
 
     /// Terms of all robot axes, whether a robot has them or not.
     pub fn joint_terms() -> impl Iterator<Item = Self> {
-        let of = |axis| {
-            let acting = JointTerm::ALL.into_iter().filter(move |term| term.acts_on(axis));
-            acting.map(move |term| Self::Joint { axis, term })
-        };
-        (0..ROBOT_JOINTS).flat_map(of)
+        let of = |axis| JointTerm::ALL.into_iter().map(move |term| Self::Joint { axis, term });
+        (0..AXES_MAX).flat_map(of)
     }
 
-    /// Waves of all robot axes, from [`JointWaves::FIRST`] up to `last` per turn.
+    /// Waves of all robot axes, whether a robot has them or not, from [`JointWaves::FIRST`] up to `last` per turn.
     pub fn joint_waves(last: u8) -> impl Iterator<Item = Self> {
         let of = move |axis| {
             (JointWaves::FIRST..=last.min(JointWaves::LAST)).flat_map(move |order| {
                 Phase::ALL.into_iter().map(move |phase| Self::JointWave { axis, order, phase })
             })
         };
-        (0..ROBOT_JOINTS).flat_map(of)
+        (0..AXES_MAX).flat_map(of)
     }
 
     /// The wave of an axis with this name; none for any other name. There are too many to look through.
@@ -285,7 +282,7 @@ impl ParameterId {
             Some((phase, rest.split_once('_')?))
         })?;
         let (order, axis) = (numbers.0.parse().ok()?, numbers.1.parse::<usize>().ok()?.checked_sub(1)?);
-        let known = (JointWaves::FIRST..=JointWaves::LAST).contains(&order) && axis < ROBOT_JOINTS;
+        let known = (JointWaves::FIRST..=JointWaves::LAST).contains(&order) && axis < AXES_MAX;
         let id = Self::JointWave { axis, order, phase };
         // Numbers can be written in other ways.
         (known && id.to_string() == name).then_some(id)
@@ -293,7 +290,7 @@ impl ParameterId {
 
     /// Every parameter that has a name, but waves of the robot's axes.
     fn all_but_joint_waves() -> impl Iterator<Item = Self> {
-        let robot = (0..ROBOT_JOINTS).flat_map(|link| {
+        let robot = (0..AXES_MAX).flat_map(|link| {
             let with_hayati = Self::STANDARD.into_iter().chain([LinkParameter::Beta]);
             with_hayati.map(move |parameter| Self::Robot { link, parameter })
         });

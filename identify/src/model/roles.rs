@@ -40,7 +40,7 @@ pub enum ModelError {
     #[error(
         "no parameter is called `{name}`; names are ra1 rd1 ralpha1 rtheta1 .. 6, rbeta1 .. 6, ba1 bd1 balpha1 \
          btheta1 .. 5, ox oy oz orx ory, bcompliance bplay, bdsin2_1 bdcos2_1 .. bdcos3_2, bsin1_1 bcos1_1 bsin2_1 bcos2_1 bzero1_1 .. 5, rsin1_1 rcos1_1 rsin2_1 rcos2_1 \
-         rsinc_1 rcosc_1 rsinm_1 rcosm_1 rsin3_1 rcos3_1 .. rcos127_1 rbacklash_1 rratio_1 .. 6, relbow_2 rwrist_2 rwrist_3 rtool_2 rtool_3 rtool_5, \
+         rsinc_1 rcosc_1 rsinm_1 rcosm_1 rsin3_1 rcos3_1 .. rcos127_1 rbacklash_1 rratio_1 .. 6, relbow_2 rwrist_2 rwrist_3 rtool_2 rtool_3 rtool_5 (axes up to 8 where the robot has them), \
          clock_shift clock_skew, attachment_x anchor_x .. z, length_offset, \
          tracker_x tracker_rx probe_x probe_rx .. z"
     )]
@@ -150,12 +150,13 @@ impl Model {
         Self::new(structure, all)
     }
 
-    /// The same with waves of the robot's axes ([`ParameterId::JointWave`]) among the parameters, fixed at zero; values and
-    /// roles stay.
+    /// The same with waves of the robot's axes ([`ParameterId::JointWave`]) among the parameters, fixed at zero, where it has
+    /// such an axis; values and roles stay.
     #[must_use]
     pub fn with_joint_waves(mut self, waves: impl IntoIterator<Item = ParameterId>) -> Self {
         for id in waves {
-            if matches!(id, ParameterId::JointWave { .. }) && self.parameter(id).is_none() {
+            let known = self.structure.parameter_mut(id).is_some() && self.parameter(id).is_none();
+            if matches!(id, ParameterId::JointWave { .. }) && known {
                 self.parameters.push(Parameter { id, nominal: 0.0, value: 0.0, role: Role::Fixed });
             }
         }
@@ -172,6 +173,11 @@ impl Model {
             self.parameters.push(Parameter { id, nominal: 0.0, value: 0.0, role: Role::Fixed });
         }
         self
+    }
+
+    /// Axes of the robot.
+    pub fn axes(&self) -> usize {
+        self.structure.robot.links.len()
     }
 
     /// All parameters in the order of their blocks.

@@ -6,8 +6,8 @@ use super::bar_angles::BarSegment;
 use super::smooth::{BAR_GAP_S, moving_average};
 use super::standstill::Standstill;
 use super::wiring::Wiring;
-use crate::kinematics::{BAR_JOINTS, ROBOT_JOINTS};
-use crate::logs::{RobotLog, default_gap_limit_s};
+use crate::kinematics::BAR_JOINTS;
+use crate::logs::{RobotLog, Row, default_gap_limit_s};
 
 /// A picture spans so many widths of the average to either side...
 const WIDTHS_ASIDE: f64 = 5.0;
@@ -68,14 +68,14 @@ pub(super) struct BeforeAverage<'a> {
 impl BeforeAverage<'_> {
     /// Averages both once more and compares.
     pub fn compared(&self) -> Averaged {
-        let mut bar = Comparison::<BAR_JOINTS>::default();
+        let mut bar = Comparison::new(BAR_JOINTS);
         for segment in self.segments {
             let t_s: Vec<f64> = (0..segment.times.len()).map(|at| (self.bar_time_s)(segment, at)).collect();
             let angles: Vec<[f64; BAR_JOINTS]> =
                 segment.angles_rad.iter().map(|recorded| self.wiring.applied(recorded)).collect();
             bar.add(&t_s, &angles, self.width_s, BAR_GAP_S, self.standstills);
         }
-        let mut robot = Comparison::<ROBOT_JOINTS>::default();
+        let mut robot = Comparison::new(self.log.axes());
         let t_s: Vec<f64> = self.log.t_s.iter().map(|tau_s| (self.robot_time_s)(*tau_s)).collect();
         let gap_s = default_gap_limit_s(self.log);
         robot.add(&t_s, &self.log.q_rad, self.width_s, gap_s, self.standstills);
@@ -112,27 +112,25 @@ impl Squares {
 
 /// Readings beside their averages, part by part of a log.
 #[derive(Debug, Clone)]
-struct Comparison<const N: usize> {
-    still: [Squares; N],
-    moving: [Squares; N],
+struct Comparison {
+    still: Vec<Squares>,
+    moving: Vec<Squares>,
     fastest_rad_s: f64,
     fastest_joint: usize,
     fastest: Vec<AveragedPoint>,
 }
 
-impl<const N: usize> Default for Comparison<N> {
-    fn default() -> Self {
-        let none = [Squares::default(); N];
-        Self { still: none, moving: none, fastest_rad_s: 0.0, fastest_joint: 0, fastest: Vec::new() }
+impl Comparison {
+    fn new(joints: usize) -> Self {
+        let none = vec![Squares::default(); joints];
+        Self { still: none.clone(), moving: none, fastest_rad_s: 0.0, fastest_joint: 0, fastest: Vec::new() }
     }
-}
 
-impl<const N: usize> Comparison<N> {
     /// Adds a part; `standstills` are in the order of time.
-    fn add(
+    fn add<R: Row>(
         &mut self,
         t_s: &[f64],
-        values: &[[f64; N]],
+        values: &[R],
         width_s: f64,
         gap_s: f64,
         standstills: &[Standstill],
@@ -143,13 +141,14 @@ impl<const N: usize> Comparison<N> {
             let next = standstills.partition_point(|one| one.to_s < *t_s);
             let still = standstills.get(next).is_some_and(|one| one.from_s <= *t_s);
             let squares = if still { &mut self.still } else { &mut self.moving };
-            for ((squares, value), average) in squares.iter_mut().zip(value).zip(average) {
-                squares.add(value - average);
+            for (joint, squares) in squares.iter_mut().enumerate() {
+                squares.add(value[joint] - average[joint]);
             }
         }
+        let joints = self.still.len();
         let point = |at: usize, joint: usize| point(t_s, values, &averages, at, joint);
         let fastest = (1..averages.len().saturating_sub(1))
-            .flat_map(|at| (0..N).map(move |joint| (at, joint)))
+            .flat_map(|at| (0..joints).map(move |joint| (at, joint)))
             .filter_map(|(at, joint)| Some((point(at, joint)?.averaged_rad_s.abs(), at, joint)))
             .max_by(|a, b| a.0.total_cmp(&b.0));
         let Some((speed_rad_s, at, joint)) = fastest.filter(|one| one.0 > self.fastest_rad_s) else { return };
@@ -161,7 +160,7 @@ impl<const N: usize> Comparison<N> {
     }
 
     fn finish(self) -> AveragedJoints {
-        let rms = |of_joints: [Squares; N]| of_joints.map(Squares::rms).to_vec();
+        let rms = |of_joints: Vec<Squares>| of_joints.into_iter().map(Squares::rms).collect();
         AveragedJoints {
             still_rad: rms(self.still),
             moving_rad: rms(self.moving),
@@ -172,10 +171,10 @@ impl<const N: usize> Comparison<N> {
 }
 
 /// A reading of one joint between its neighbours; none beside a hole.
-fn point<const N: usize>(
+fn point<R: Row>(
     t_s: &[f64],
-    values: &[[f64; N]],
-    averages: &[Option<[f64; N]>],
+    values: &[R],
+    averages: &[Option<R>],
     at: usize,
     joint: usize,
 ) -> Option<AveragedPoint> {

@@ -9,8 +9,8 @@ use shared::time::UtcNs;
 
 use super::Alignment;
 use super::torque::{TorqueSample, forces_from_torques};
-use crate::kinematics::Chain;
-use crate::logs::{ForceClock, ForceKind, ForceLog};
+use crate::kinematics::{Chain, Joints};
+use crate::logs::{ForceClock, ForceKind, ForceLog, Row};
 use crate::model::{BarForce, JointState, Observation, ParameterId, RobotMotion};
 
 /// Force at which the bar has changed sides of its play by three quarters \[N\].
@@ -141,7 +141,7 @@ pub(super) fn put_on<M: RobotMotion>(
 ) -> Result<(BarForces, Vec<bool>), ForceError> {
     let gap_limit_s = log.gap_limit_s();
     let value = |observation: &Observation| log.at(around.log_time_s(log, observation.t_s), gap_limit_s);
-    let rows: Vec<Option<[f64; 6]>> = observations.iter().map(value).collect();
+    let rows: Vec<Option<Joints>> = observations.iter().map(value).collect();
     let covered = rows.iter().flatten().count();
     let samples = observations.len();
     if (covered as f64) < COVERED_MIN * samples as f64 {
@@ -150,7 +150,7 @@ pub(super) fn put_on<M: RobotMotion>(
     let has_force: Vec<bool> = rows.iter().map(Option::is_some).collect();
     let mut given = has_force.iter();
     observations.retain(|_| given.next().is_some_and(|has_force| *has_force));
-    let rows: Vec<[f64; 6]> = rows.into_iter().flatten().collect();
+    let rows: Vec<Joints> = rows.into_iter().flatten().collect();
     let (along, torque_rms_nm) = around.along_bar(log.kind, observations, &rows)?;
     let range = check(log.kind, &along)?;
     for (observation, &along) in observations.iter_mut().zip(&along) {
@@ -218,7 +218,7 @@ impl<'a, M: RobotMotion> Surroundings<'a, M> {
         let (Some(before), Some(after)) = (at(-RATE_REACH_S), at(RATE_REACH_S)) else { return here };
         let rate = |i: usize| (after.q[i] - before.q[i]) / (2.0 * RATE_REACH_S);
         let bend = |i: usize| (after.q[i] - 2.0 * here.q[i] + before.q[i]) / (RATE_REACH_S * RATE_REACH_S);
-        JointState { q: here.q, qd: std::array::from_fn(rate), qdd: std::array::from_fn(bend) }
+        JointState { q: here.q, qd: here.q.like(rate), qdd: here.q.like(bend) }
     }
 
     fn not_covered(&self, log: &ForceLog, observations: &[Observation], covered: usize) -> ForceError {
@@ -239,7 +239,7 @@ impl<'a, M: RobotMotion> Surroundings<'a, M> {
         &self,
         kind: ForceKind,
         observations: &[Observation],
-        rows: &[[f64; 6]],
+        rows: &[Joints],
     ) -> Result<(Vec<f64>, Option<f64>), ForceError> {
         let samples = observations.iter().zip(rows);
         if kind == ForceKind::JointTorques {
@@ -257,11 +257,9 @@ impl<'a, M: RobotMotion> Surroundings<'a, M> {
             let found = forces_from_torques(&torques).ok_or(ForceError::Torques)?;
             return Ok((found.along_n, Some(found.rms_nm)));
         }
-        let along = |(observation, row): (&Observation, &[f64; 6])| {
-            let force = Vector3::new(row[0], row[1], row[2]);
-            if kind.values() == 1 {
-                return row[0];
-            }
+        let along = |(observation, row): (&Observation, &Joints)| {
+            let &[x, y, z] = row.as_ref() else { return row[0] };
+            let force = Vector3::new(x, y, z);
             let end = self.robot.forward(&self.state(observation.t_s).q);
             let out = (end.translation.vector - self.base_m).normalize();
             if kind == ForceKind::InFlange { out.dot(&(end.rotation * force)) } else { out.dot(&force) }

@@ -3,7 +3,7 @@
 use nalgebra::{Translation3, Vector3};
 
 use crate::kinematics::{
-    BAR_JOINTS, Chain, Configuration, InverseError, ROBOT_JOINTS, Trace, Tracer, ball_bar_inverse,
+    BAR_JOINTS, Chain, Configuration, InverseError, Joints, Trace, Tracer, ball_bar_inverse,
     singularity_margin_rad,
 };
 use crate::logs::InterpolatedLog;
@@ -41,7 +41,7 @@ impl<'a> Predictor<'a> {
         bar: &Chain,
         base_m: Vector3<f64>,
     ) -> Result<Self, InverseError> {
-        let bar = Chain { root_from_base: Translation3::from(base_m).into(), links: bar.links.clone() };
+        let bar = Chain::new(Translation3::from(base_m).into(), bar.links.clone());
         // Any pose tells whether the structure is right; a prediction then cannot fail.
         ball_bar_inverse(&bar, &bar.forward(&[0.1; BAR_JOINTS]))?;
         Ok(Self { log, robot: Tracer::new(robot), bar })
@@ -62,7 +62,7 @@ impl<'a> Predictor<'a> {
     }
 
     /// The robot's joints at `tau_s` \[rad\].
-    pub fn robot_at(&self, tau_s: f64) -> Option<[f64; ROBOT_JOINTS]> {
+    pub fn robot_at(&self, tau_s: f64) -> Option<Joints> {
         self.log.joints(tau_s).map(|joints| joints.value)
     }
 }

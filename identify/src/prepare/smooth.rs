@@ -1,7 +1,8 @@
 //! A centred moving average, the same for both logs.
 
 use super::bar_angles::BarSegment;
-use crate::logs::{CubicSpline, RobotLog};
+use crate::kinematics::Joints;
+use crate::logs::{CubicSpline, RobotLog, Row};
 
 /// Bar samples further apart are not averaged across \[s\].
 pub(super) const BAR_GAP_S: f64 = 0.05;
@@ -28,7 +29,7 @@ pub(super) fn smoothed_segments(segments: &[BarSegment], width_s: f64) -> Vec<Ba
 /// The robot's log in the same way.
 pub(super) fn smoothed_log(log: &RobotLog, width_s: f64, gap_s: f64) -> RobotLog {
     let averages = moving_average(&log.t_s, &log.q_rad, width_s, gap_s);
-    let kept: Vec<(f64, [f64; 6])> =
+    let kept: Vec<(f64, Joints)> =
         log.t_s.iter().zip(averages).filter_map(|(t_s, average)| Some((*t_s, average?))).collect();
     let first_s = kept.first().map_or(0.0, |(t_s, _)| *t_s);
     RobotLog {
@@ -50,12 +51,7 @@ pub(super) fn smoothed_log(log: &RobotLog, width_s: f64, gap_s: f64) -> RobotLog
 ///
 /// A mean of splines, not of samples: eleven samples at 100 Hz and twenty-five at 250 Hz span different widths, and the
 /// difference would stay in the result wherever the motion is curved.
-pub fn moving_average<const N: usize>(
-    t_s: &[f64],
-    values: &[[f64; N]],
-    width_s: f64,
-    gap_s: f64,
-) -> Vec<Option<[f64; N]>> {
+pub fn moving_average<R: Row>(t_s: &[f64], values: &[R], width_s: f64, gap_s: f64) -> Vec<Option<R>> {
     let mut averages = Vec::with_capacity(t_s.len());
     let mut from = 0;
     for to in 1..=t_s.len().min(values.len()) {
@@ -65,7 +61,7 @@ pub fn moving_average<const N: usize>(
             averages.extend(t_s[from..to].iter().map(|t| {
                 let integral = integral.as_ref()?;
                 let (mean, wider) = (integral.mean(*t, width_s)?, integral.mean(*t, 2.0 * width_s)?);
-                Some(std::array::from_fn(|i| (4.0 * mean[i] - wider[i]) / 3.0))
+                Some(mean.like(|i| (4.0 * mean[i] - wider[i]) / 3.0))
             }));
             from = to;
         }
@@ -74,41 +70,39 @@ pub fn moving_average<const N: usize>(
 }
 
 /// Integral of the spline through values, each about its mean so that little is lost to rounding.
-struct Integral<'a, const N: usize> {
+struct Integral<'a, R> {
     t_s: &'a [f64],
-    spline: CubicSpline<N>,
-    middle: [f64; N],
+    spline: CubicSpline<R>,
+    middle: R,
     /// From the first stamp to each.
-    until: Vec<[f64; N]>,
+    until: Vec<R>,
 }
 
-impl<'a, const N: usize> Integral<'a, N> {
+impl<'a, R: Row> Integral<'a, R> {
     /// None where the values are too few for a spline.
-    fn new(t_s: &'a [f64], values: &[[f64; N]]) -> Option<Self> {
+    fn new(t_s: &'a [f64], values: &[R]) -> Option<Self> {
         let count = values.len().max(1) as f64;
-        let middle: [f64; N] =
-            std::array::from_fn(|i| values.iter().map(|value| value[i]).sum::<f64>() / count);
-        let about: Vec<[f64; N]> =
-            values.iter().map(|value| std::array::from_fn(|i| value[i] - middle[i])).collect();
+        let middle = values.first()?.like(|i| values.iter().map(|value| value[i]).sum::<f64>() / count);
+        let about: Vec<R> = values.iter().map(|value| value.like(|i| value[i] - middle[i])).collect();
         let spline = CubicSpline::new(t_s, &about, f64::INFINITY)?;
-        let mut sum = [0.0; N];
+        let mut sum = middle.like(|_| 0.0);
         let mut until = vec![sum];
         for interval in 0..t_s.len() - 1 {
             let by = spline.integral_within(interval, 1.0)?;
-            sum = std::array::from_fn(|i| sum[i] + by[i]);
+            sum = sum.like(|i| sum[i] + by[i]);
             until.push(sum);
         }
         Some(Self { t_s, spline, middle, until })
     }
 
     /// Over `width_s` about `t_s`; none where that reaches beyond an end.
-    fn mean(&self, t_s: f64, width_s: f64) -> Option<[f64; N]> {
+    fn mean(&self, t_s: f64, width_s: f64) -> Option<R> {
         let (before, after) = (self.at(t_s - 0.5 * width_s)?, self.at(t_s + 0.5 * width_s)?);
-        Some(std::array::from_fn(|i| (after[i] - before[i]) / width_s + self.middle[i]))
+        Some(after.like(|i| (after[i] - before[i]) / width_s + self.middle[i]))
     }
 
     /// From the first stamp to `t_s`; none outside.
-    fn at(&self, t_s: f64) -> Option<[f64; N]> {
+    fn at(&self, t_s: f64) -> Option<R> {
         /// Stamps that stand for decimal numbers are off by as much \[s\].
         const ROUNDING_S: f64 = 1e-9;
         let (first, last) = (*self.t_s.first()?, *self.t_s.last()?);
@@ -119,6 +113,6 @@ impl<'a, const N: usize> Integral<'a, N> {
         let from = after - 1;
         let u = (t_s - self.t_s[from]) / (self.t_s[after] - self.t_s[from]);
         let within = self.spline.integral_within(from, u)?;
-        Some(std::array::from_fn(|i| self.until[from][i] + within[i]))
+        Some(within.like(|i| self.until[from][i] + within[i]))
     }
 }

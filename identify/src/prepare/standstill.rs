@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crate::kinematics::{BAR_JOINTS, ROBOT_JOINTS};
+use crate::kinematics::{BAR_JOINTS, Joints};
 
 /// Joints slower than this stand still \[rad/s\]: noise of 75 urad, differenced over 0.1 s, stays below.
 pub const MOVING_RAD_S: f64 = 3e-3;
@@ -33,12 +33,12 @@ impl Standstill {
 
 /// Standard deviation of the readings about the straight line through each standstill, over all standstills; none
 /// without encoder or where nothing stands still long enough.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Jitter {
     /// Each bar encoder \[urad\].
     pub bar_urad: [Option<f64>; BAR_JOINTS],
     /// Each robot joint, at the bar's sample times \[urad\].
-    pub robot_urad: [Option<f64>; ROBOT_JOINTS],
+    pub robot_urad: Vec<Option<f64>>,
 }
 
 /// Readings at one instant.
@@ -49,14 +49,14 @@ pub(super) struct Readings {
     /// Bar joints \[rad\].
     pub bar_rad: [f64; BAR_JOINTS],
     /// Robot joints \[rad\].
-    pub robot_rad: [f64; ROBOT_JOINTS],
+    pub robot_rad: Joints,
 }
 
 /// Standstills, and the jitter in them. `still` are the readings at which nothing moves, in the order of time.
 pub(super) fn standstills(still: &[Readings], measured: &[bool; BAR_JOINTS]) -> (Vec<Standstill>, Jitter) {
     let mut found = Vec::new();
     let mut bar = [Spread::default(); BAR_JOINTS];
-    let mut robot = [Spread::default(); ROBOT_JOINTS];
+    let mut robot = vec![Spread::default(); still.first().map_or(0, |reading| reading.robot_rad.len())];
     for stretch in still.chunk_by(|a, b| b.t_s - a.t_s < BREAK_S) {
         let (Some(first), Some(last)) = (stretch.first(), stretch.last()) else { continue };
         let standstill = Standstill { from_s: first.t_s, to_s: last.t_s };
@@ -79,7 +79,7 @@ pub(super) fn standstills(still: &[Readings], measured: &[bool; BAR_JOINTS]) -> 
     for (deviation, measured) in bar_urad.iter_mut().zip(measured) {
         *deviation = deviation.filter(|_| *measured);
     }
-    (found, Jitter { bar_urad, robot_urad: robot.map(|spread| spread.deviation_urad()) })
+    (found, Jitter { bar_urad, robot_urad: robot.into_iter().map(Spread::deviation_urad).collect() })
 }
 
 /// Squared deviations from straight lines, and their degrees of freedom.

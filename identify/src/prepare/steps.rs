@@ -16,7 +16,7 @@ use super::{
     AlignedLog, Alignment, BarForces, ClockFit, EncoderOffset, Fate, InitialValues, Predictor, PrepareError,
     PrepareOptions, Prepared, SampleCounts, SphereFit, fit_sphere,
 };
-use crate::kinematics::{BAR_JOINTS, Chain, ball_bar_chain, robot_chain};
+use crate::kinematics::{AXES_MAX, BAR_JOINTS, Chain, ball_bar_chain, robot_chain};
 use crate::logs::{InterpolatedLog, RobotLog, default_gap_limit_s};
 use crate::model::{DriveTrain, Observation};
 
@@ -224,11 +224,11 @@ fn alignment(found: &Found, clock: ClockFit, log: &RobotLog, t_ref: UtcNs, overl
 }
 
 /// Largest travel of any joint \[deg\].
-fn travel_deg<const N: usize>(rows: impl Iterator<Item = [f64; N]>) -> f64 {
-    let mut range = [(f64::INFINITY, f64::NEG_INFINITY); N];
+fn travel_deg<'a>(rows: impl Iterator<Item = &'a [f64]>) -> f64 {
+    let mut range = [(f64::INFINITY, f64::NEG_INFINITY); AXES_MAX];
     for row in rows {
         for ((low, high), value) in range.iter_mut().zip(row) {
-            (*low, *high) = (low.min(value), high.max(value));
+            (*low, *high) = (low.min(*value), high.max(*value));
         }
     }
     range.iter().fold(0.0_f64, |most, (low, high)| most.max(high - low)).to_degrees()
@@ -245,8 +245,10 @@ fn check_motion(raw: &[Raw], cycles: usize, log: &RobotLog) -> Result<(), Prepar
         return Err(PrepareError::NoValidCycle { cycles });
     }
     let of_bar = raw.chunk_by(|a, b| a.origin == b.origin);
-    let of_bar = of_bar.map(|part| travel_deg(part.iter().map(|raw| raw.recorded_rad))).fold(0.0, f64::max);
-    let moves = [("the recording", of_bar), ("the robot log", travel_deg(log.q_rad.iter().copied()))];
+    let of_bar =
+        of_bar.map(|part| travel_deg(part.iter().map(|raw| raw.recorded_rad.as_ref()))).fold(0.0, f64::max);
+    let moves =
+        [("the recording", of_bar), ("the robot log", travel_deg(log.q_rad.iter().map(AsRef::as_ref)))];
     match moves.into_iter().find(|(_, travel_deg)| *travel_deg < TRAVEL_DEG_MIN) {
         Some((what, travel_deg)) => Err(PrepareError::NoMotion { what, travel_deg }),
         None => Ok(()),

@@ -8,7 +8,7 @@ use super::both_logs::BothLogs;
 use super::circular::wrapped;
 use super::standstill::{Jitter, MOVING_RAD_S, Readings, Standstill, standstills};
 use super::{Averaged, ClockFit, Predictor, Wiring};
-use crate::kinematics::{BAR_JOINTS, Configuration, ROBOT_JOINTS};
+use crate::kinematics::{BAR_JOINTS, Configuration, Joints};
 use crate::logs::Unwrapped;
 
 /// What became of a bus cycle.
@@ -62,7 +62,7 @@ pub struct TimelinePoint {
     /// Bar joints that the robot's log implies, in the same configuration \[rad\]; none outside the log.
     pub predicted_rad: Option<[f64; BAR_JOINTS]>,
     /// Robot joints at this instant \[rad\]; none outside its log.
-    pub robot_rad: Option<[f64; ROBOT_JOINTS]>,
+    pub robot_rad: Option<Joints>,
     /// Distance to the bar's nearest singular pose, predicted \[rad\].
     pub margin_rad: Option<f64>,
 }
@@ -234,6 +234,6 @@ impl Run<'_> {
     }
 }
 
-fn largest_difference<const N: usize>(a: &[f64; N], b: &[f64; N]) -> f64 {
+fn largest_difference(a: &[f64], b: &[f64]) -> f64 {
     a.iter().zip(b).fold(0.0, |most, (a, b)| most.max((a - b).abs()))
 }

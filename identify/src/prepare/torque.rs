@@ -2,18 +2,19 @@
 //!
 //! Held by the bar the robot feels one unknown force `F` along it: `tau = n F + Y p`, with `n = J^T u` for the direction
 //! `u` of the bar. `Y p` is linear in few numbers `p` that hold for the whole run: mass and first moments of each link
-//! (gravity), and Coulomb friction, viscous friction and inertia of each axis. A sample has six torques and one force; what
+//! (gravity), and Coulomb friction, viscous friction and inertia of each axis. A sample has a torque for each axis and one force; what
 //! is left of it across `n` gives `p` by least squares, then each sample gives its force. The torques may be those of
 //! the motors or external ones: then `p` comes out near zero.
 
-use nalgebra::{DMatrix, DVector, SMatrix, SVector, Vector3, Vector6};
+use nalgebra::{DMatrix, DVector, Vector3};
 
-use crate::kinematics::{Chain, ROBOT_JOINTS, Trace, Tracer};
+use crate::kinematics::{Chain, Joints, Trace, Tracer};
 use crate::model::{BACKLASH_SPEED_RAD_S, JointState};
 
-/// Mass and three first moments of each link; three terms of each axis.
-const GRAVITY: usize = 4 * ROBOT_JOINTS;
-const TERMS: usize = GRAVITY + 3 * ROBOT_JOINTS;
+/// Mass and three first moments of each link.
+const OF_LINK: usize = 4;
+/// Coulomb friction, viscous friction and inertia.
+const OF_AXIS: usize = 3;
 /// Weight of one kilogram \[N\].
 const STANDARD_GRAVITY: f64 = 9.806_65;
 /// Combinations of terms that do less than this part of the strongest, in squares, are none: links' masses are not told
@@ -26,15 +27,12 @@ const SIGMA_MIN_NM: f64 = 1e-3;
 /// Samples for each term, at least.
 const SAMPLES_PER_TERM: usize = 5;
 
-type Regressors = SMatrix<f64, ROBOT_JOINTS, TERMS>;
-type Terms = SVector<f64, TERMS>;
-
 /// One sample as the solve needs it.
 pub(super) struct TorqueSample {
-    torque_nm: Vector6<f64>,
+    torque_nm: DVector<f64>,
     /// Torques of one newton along the bar.
-    by_force: Vector6<f64>,
-    by_term: Box<Regressors>,
+    by_force: DVector<f64>,
+    by_term: DMatrix<f64>,
 }
 
 /// What torques say.
@@ -51,60 +49,57 @@ impl TorqueSample {
         base_m: Vector3<f64>,
         gravity: Vector3<f64>,
         state: &JointState,
-        torque_nm: [f64; ROBOT_JOINTS],
+        torque_nm: Joints,
     ) -> Self {
         let mut trace = Trace::default();
         Tracer::new(robot).trace(&state.q, &mut trace);
         let out = (trace.position_m() - base_m).normalize();
-        let mut by_force = Vector6::zeros();
-        for (entry, twist) in by_force.iter_mut().zip(trace.joint_twists()) {
-            *entry = out.dot(&twist.linear);
-        }
-        let mut by_term = Box::new(Regressors::zeros());
+        let axes = robot.links.len();
+        let by_force = trace.joint_twists().map(|twist| out.dot(&twist.linear));
+        let by_force = DVector::from_iterator(axes, by_force);
+        let mut by_term = DMatrix::zeros(axes, (OF_LINK + OF_AXIS) * axes);
         let weight = gravity * STANDARD_GRAVITY;
-        let axes: Vec<(Vector3<f64>, Vector3<f64>)> = trace.joint_axes().collect();
         let mut frame = robot.root_from_base;
-        for (link, (of_link, joint_rad)) in robot.joined(&state.q).enumerate().take(ROBOT_JOINTS) {
-            frame *= of_link.transform(joint_rad);
-            let turns = frame.rotation.matrix();
+        for (link, (of_link, joint)) in robot.joined(&state.q).enumerate() {
+            frame *= of_link.transform(joint);
             // Motors hold against gravity; those beyond the link do not feel it.
-            for (joint, (origin, z)) in axes.iter().enumerate().take(link + 1) {
-                let lever = frame.translation.vector - origin;
-                by_term[(joint, 4 * link)] = -z.dot(&lever.cross(&weight));
+            for (joint, twist) in trace.point_twists(frame.translation.vector, link + 1).enumerate() {
+                by_term[(joint, OF_LINK * link)] = -twist.linear.dot(&weight);
                 for axis in 0..3 {
-                    let moment: Vector3<f64> = turns.column(axis).into();
-                    by_term[(joint, 4 * link + 1 + axis)] = -z.dot(&moment.cross(&weight));
+                    let moment: Vector3<f64> = frame.rotation.matrix().column(axis).into();
+                    by_term[(joint, OF_LINK * link + 1 + axis)] = -twist.angular.dot(&moment.cross(&weight));
                 }
             }
         }
-        for axis in 0..ROBOT_JOINTS {
+        for axis in 0..axes {
             let terms = [(state.qd[axis] / BACKLASH_SPEED_RAD_S).tanh(), state.qd[axis], state.qdd[axis]];
             for (kind, term) in terms.into_iter().enumerate() {
-                by_term[(axis, GRAVITY + 3 * axis + kind)] = term;
+                by_term[(axis, OF_LINK * axes + OF_AXIS * axis + kind)] = term;
             }
         }
-        Self { torque_nm: Vector6::from(torque_nm), by_force, by_term }
+        Self { torque_nm: DVector::from_iterator(axes, torque_nm), by_force, by_term }
     }
 
     /// The force that fits best to what is left of the torques, each axis with its weight.
-    fn force(&self, left_nm: &Vector6<f64>, weights: &Vector6<f64>) -> f64 {
+    fn force(&self, left_nm: &DVector<f64>, weights: &DVector<f64>) -> f64 {
         let weighed = self.by_force.component_mul(weights);
         weighed.dot(left_nm) / weighed.dot(&self.by_force).max(f64::MIN_POSITIVE)
     }
 
-    fn left_nm(&self, terms: &Terms) -> Vector6<f64> {
-        self.torque_nm - *self.by_term * terms
+    fn left_nm(&self, terms: &DVector<f64>) -> DVector<f64> {
+        &self.torque_nm - &self.by_term * terms
     }
 }
 
 /// The force of each sample; none where the samples are too few or not finite.
 pub(super) fn forces_from_torques(samples: &[TorqueSample]) -> Option<FromTorques> {
-    if samples.len() < SAMPLES_PER_TERM * TERMS {
+    let (axes, terms) = samples.first()?.by_term.shape();
+    if samples.len() < SAMPLES_PER_TERM * terms {
         return None;
     }
-    let mut weights = Vector6::repeat(1.0);
-    let mut terms = Terms::zeros();
-    let mut sigma_nm = Vector6::zeros();
+    let mut weights = DVector::repeat(axes, 1.0);
+    let mut terms = DVector::zeros(terms);
+    let mut sigma_nm = DVector::zeros(axes);
     for _ in 0..ROUNDS {
         terms = solved(samples, &weights)?;
         sigma_nm = spread_nm(samples, &terms, &weights);
@@ -112,47 +107,46 @@ pub(super) fn forces_from_torques(samples: &[TorqueSample]) -> Option<FromTorque
     }
     let along_n: Vec<f64> =
         samples.iter().map(|sample| sample.force(&sample.left_nm(&terms), &weights)).collect();
-    let rms_nm = (sigma_nm.norm_squared() / ROBOT_JOINTS as f64).sqrt();
+    let rms_nm = (sigma_nm.norm_squared() / axes as f64).sqrt();
     along_n.iter().all(|force| force.is_finite()).then_some(FromTorques { along_n, rms_nm })
 }
 
 /// Root mean square of what is left of each axis.
-fn spread_nm(samples: &[TorqueSample], terms: &Terms, weights: &Vector6<f64>) -> Vector6<f64> {
-    let squares: Vector6<f64> = samples
-        .iter()
-        .map(|sample| {
-            let left = sample.left_nm(terms);
-            let rest = left - sample.by_force * sample.force(&left, weights);
-            rest.component_mul(&rest)
-        })
-        .sum();
-    // One of six torques went into the force.
-    let count = samples.len() as f64 * (ROBOT_JOINTS - 1) as f64 / ROBOT_JOINTS as f64;
+fn spread_nm(samples: &[TorqueSample], terms: &DVector<f64>, weights: &DVector<f64>) -> DVector<f64> {
+    let axes = weights.len();
+    let squares = samples.iter().fold(DVector::zeros(axes), |sum: DVector<f64>, sample| {
+        let left = sample.left_nm(terms);
+        let rest = &left - &sample.by_force * sample.force(&left, weights);
+        sum + rest.component_mul(&rest)
+    });
+    // One of the torques went into the force.
+    let count = samples.len() as f64 * (axes - 1) as f64 / axes as f64;
     squares.map(|sum| (sum / count).sqrt())
 }
 
 /// Least squares across the force in each sample, of smallest norm where terms are not told apart: those combinations do
 /// nothing to any torque of the run.
-fn solved(samples: &[TorqueSample], weights: &Vector6<f64>) -> Option<Terms> {
-    let mut normal = DMatrix::zeros(TERMS, TERMS);
-    let mut right = DVector::zeros(TERMS);
+fn solved(samples: &[TorqueSample], weights: &DVector<f64>) -> Option<DVector<f64>> {
+    let terms = samples.first()?.by_term.ncols();
+    let mut normal = DMatrix::zeros(terms, terms);
+    let mut right = DVector::zeros(terms);
     for sample in samples {
         // Y and tau without their parts along n, in the metric of the weights.
-        let mut across = sample.by_term.clone_owned();
+        let mut across = sample.by_term.clone();
         for mut column in across.column_iter_mut() {
             let column_force = sample.force(&column.clone_owned(), weights);
-            column -= sample.by_force * column_force;
+            column -= &sample.by_force * column_force;
         }
-        let torque = sample.torque_nm - sample.by_force * sample.force(&sample.torque_nm, weights);
-        let mut weighed = across;
+        let torque = &sample.torque_nm - &sample.by_force * sample.force(&sample.torque_nm, weights);
+        let mut weighed = across.clone();
         for mut column in weighed.column_iter_mut() {
             column.component_mul_assign(weights);
         }
-        normal += weighed.transpose() * across;
-        right += weighed.transpose() * torque;
+        normal += weighed.tr_mul(&across);
+        right += weighed.tr_mul(&torque);
     }
     let scale = normal.diagonal().map(|entry: f64| if entry > 0.0 { entry.sqrt().recip() } else { 0.0 });
-    let scaled = DMatrix::from_fn(TERMS, TERMS, |i, j| normal[(i, j)] * scale[i] * scale[j]);
+    let scaled = DMatrix::from_fn(terms, terms, |i, j| normal[(i, j)] * scale[i] * scale[j]);
     let eigen = scaled.symmetric_eigen();
     let most = eigen.eigenvalues.max();
     if !(most.is_finite() && most > 0.0) {
@@ -162,6 +156,5 @@ fn solved(samples: &[TorqueSample], weights: &Vector6<f64>) -> Option<Terms> {
     for (entry, value) in turned.iter_mut().zip(eigen.eigenvalues.iter()) {
         *entry = if *value > RANK_TOLERANCE * most { *entry / value } else { 0.0 };
     }
-    let terms = (eigen.eigenvectors * turned).component_mul(&scale);
-    Some(Terms::from_iterator(terms.iter().copied()))
+    Some((eigen.eigenvectors * turned).component_mul(&scale))
 }

@@ -6,7 +6,6 @@ use std::f64::consts::{PI, TAU};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 
 use super::bar_angles::{BarAngles, BarSegment};
-use crate::kinematics::ROBOT_JOINTS;
 use crate::logs::{RobotLog, Unwrapped, UnwrappedPoint, default_gap_limit_s};
 
 /// Values of a terminal's counter.
@@ -52,7 +51,7 @@ pub fn unwrapped_log(log: &RobotLog) -> (Cow<'_, RobotLog>, Vec<Unwrapped>) {
         times.zip(steps).map(|(follows, step_rad)| if follows { step_rad } else { 0.0 })
     };
     let jumps = |joint: &usize| steps(*joint).any(|step_rad| step_rad.abs() > PI);
-    let joints: Vec<usize> = (0..ROBOT_JOINTS).filter(jumps).collect();
+    let joints: Vec<usize> = (0..log.axes()).filter(jumps).collect();
     if joints.is_empty() {
         return (Cow::Borrowed(log), Vec::new());
     }

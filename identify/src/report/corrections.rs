@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, RobotConfig};
 
 use super::file::CalibrationFile;
-use crate::kinematics::{LinkParameter, ROBOT_JOINTS};
+use crate::kinematics::{Joints, LinkParameter};
 use crate::logs::{JointConversion, LogError};
 use crate::model::{ParameterId, Unit, link_parameter_name};
 
@@ -33,12 +33,12 @@ const TO_LINK: &str = "the nominal Denavit-Hartenberg number of the link";
 /// # Errors
 /// [`LogError::SingularConversion`].
 pub fn corrections(file: &CalibrationFile, robot: &RobotConfig) -> Result<Vec<Correction>, LogError> {
-    let mut offsets_rad = [0.0; ROBOT_JOINTS];
+    let mut offsets = Joints::zeros(robot.axes());
     let (mut joints, mut links) = (Vec::new(), Vec::new());
     for entry in &file.parameters {
         let Ok(ParameterId::Robot { link, parameter }) = entry.name.parse() else { continue };
         if parameter == LinkParameter::Theta {
-            if let Some(offset) = offsets_rad.get_mut(link) {
+            if let Some(offset) = offsets.get_mut(link) {
                 *offset = entry.correction;
             }
             joints.push(Correction {
@@ -63,15 +63,15 @@ pub fn corrections(file: &CalibrationFile, robot: &RobotConfig) -> Result<Vec<Co
         }
     }
     let mut rows = joints;
-    rows.extend(of_the_log(robot, &offsets_rad)?);
+    rows.extend(of_the_log(robot, &offsets)?);
     rows.extend(links);
     Ok(rows)
 }
 
 /// `q + offset = (raw + change - raw_offset) T`: what the joint offsets are in the log's own columns.
-fn of_the_log(robot: &RobotConfig, offsets_rad: &[f64; ROBOT_JOINTS]) -> Result<Vec<Correction>, LogError> {
-    let conversion = JointConversion::new(&robot.log)?;
-    let (with, without) = (conversion.to_raw(offsets_rad), conversion.to_raw(&[0.0; ROBOT_JOINTS]));
+fn of_the_log(robot: &RobotConfig, offsets: &Joints) -> Result<Vec<Correction>, LogError> {
+    let conversion = JointConversion::of(robot)?;
+    let (with, without) = (conversion.to_raw(offsets), conversion.to_raw(&Joints::zeros(offsets.len())));
     let unit = match robot.log.unit {
         AngleUnit::Deg => "deg",
         AngleUnit::Rad => "rad",
@@ -83,7 +83,7 @@ fn of_the_log(robot: &RobotConfig, offsets_rad: &[f64; ROBOT_JOINTS]) -> Result<
         to: TO_LOG.into(),
         sigma: None,
     };
-    Ok((0..ROBOT_JOINTS).map(row).collect())
+    Ok((0..offsets.len()).map(row).collect())
 }
 
 /// The rows as text.

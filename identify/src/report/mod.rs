@@ -9,11 +9,14 @@ pub mod knowledge;
 pub mod page;
 pub mod poses;
 mod read;
+mod robot_check;
 mod robot_files;
 pub mod side_by_side;
 pub mod table;
 pub mod urdf;
 pub mod validation;
 
+pub use page::picture;
 pub use read::CalibrationReadError;
+pub use robot_check::robot_check;
 pub use robot_files::RobotFileError;

@@ -3,7 +3,6 @@
 use std::fmt::Write;
 
 use crate::calibrate::measured_pose::{PoseFigures, PoseReport, Sizes, Stages};
-use crate::kinematics::ROBOT_JOINTS;
 use crate::model::{JointWaves, Model, ParameterId, Phase};
 
 /// The calibrated robot on another file.
@@ -86,7 +85,7 @@ fn terms(report: &PoseReport) -> String {
             None => writeln!(text, "  {}: left out, nothing gained", term.name()),
         };
     }
-    for joint in 0..ROBOT_JOINTS {
+    for joint in 0..report.model.axes() {
         let strongest = strongest_waves(&report.model, joint);
         if !strongest.is_empty() {
             let _ = writeln!(text, "  strongest waves of joint {}: {strongest}", joint + 1);

@@ -7,7 +7,7 @@ use shared::config::{BallBarConfig, RobotConfig};
 use super::corrections::{corrections, csv};
 use super::file::{CalibrationFile, FileError, replace};
 use super::urdf::urdf;
-use crate::kinematics::{Chain, DhLink, LinkParameter, Pose, ROBOT_JOINTS};
+use crate::kinematics::{Chain, LinkParameter, flange_chain, robot_chain};
 use crate::logs::LogError;
 use crate::model::ParameterId;
 
@@ -23,12 +23,12 @@ pub enum RobotFileError {
 }
 
 impl CalibrationFile {
-    /// The identified robot, to the frame where the calibration's last link ends.
-    pub fn robot_chain(&self) -> Chain {
-        let mut links = vec![DhLink::default(); ROBOT_JOINTS];
+    /// The identified robot, to the frame where the calibration's last link ends: the flange, or the end of the ball-bar.
+    pub fn robot_chain(&self, robot: &RobotConfig, bar: Option<&BallBarConfig>) -> Chain {
+        let mut chain = bar.map_or_else(|| flange_chain(robot), |bar| robot_chain(robot, bar));
         for entry in &self.parameters {
             let Ok(ParameterId::Robot { link, parameter }) = entry.name.parse() else { continue };
-            let Some(link) = links.get_mut(link) else { continue };
+            let Some(link) = chain.links.get_mut(link) else { continue };
             *match parameter {
                 LinkParameter::A => &mut link.a_m,
                 LinkParameter::D => &mut link.d_m,
@@ -37,7 +37,7 @@ impl CalibrationFile {
                 LinkParameter::Beta => &mut link.beta_rad,
             } = entry.value;
         }
-        Chain { root_from_base: Pose::identity(), links }
+        chain
     }
 
     /// Writes `robot.urdf` and `corrections.csv` into the directory, each whole or not at all.
@@ -51,7 +51,7 @@ impl CalibrationFile {
         directory: &Path,
     ) -> Result<(), RobotFileError> {
         let table = csv(&corrections(self, robot)?).map_err(FileError::from)?;
-        replace(directory, "robot.urdf", &urdf(robot, &self.robot_chain(), bar))?;
+        replace(directory, "robot.urdf", &urdf(robot, &self.robot_chain(robot, bar), bar))?;
         replace(directory, "corrections.csv", &table)?;
         Ok(())
     }

@@ -52,6 +52,12 @@ impl Design {
     /// Comau NJ 220-2.7 with a bar of 0.5 to 1.0 m.
     pub const NJ_220: Self = Self { base_m: [1.7, 0.05, 0.6], ..Self::IRB_2400 };
 
+    /// A posture of a six-axis arm keeps its distance from the straight wrist.
+    pub(crate) fn wrist_is_bent(&self, joints_rad: &[f64]) -> bool {
+        let margin = self.wrist_margin_deg.to_radians().sin();
+        joints_rad.get(4).is_none_or(|wrist| wrist.sin().abs() >= margin)
+    }
+
     /// The layout for a robot, by its reach: the upper arm of large robots is longer than a metre.
     pub fn for_robot(robot: &RobotConfig) -> Self {
         let upper_arm_m = robot.links.get(1).map_or(0.0, |link| link.a_m);

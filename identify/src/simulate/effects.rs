@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 use shared::config::RobotConfig;
 
 use super::SimulateError;
+use crate::kinematics::Joints;
 
 /// Sizes of the effects \[urad\]; zero is none.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
@@ -160,11 +161,11 @@ impl RobotReading {
         let usable = joints_from_gears.try_inverse().filter(|inverse| inverse.iter().all(|x| x.is_finite()));
         let (joints_from_gears, gears_from_joints) =
             usable.map_or((Matrix6::identity(), Matrix6::identity()), |inverse| (joints_from_gears, inverse));
-        let lobes = robot.drives.cycloid_lobes;
+        let lobes = std::array::from_fn(|axis| robot.drives.cycloid_lobes.get(axis).copied().unwrap_or(0.0));
         let waves = vec![
             waves(effects.gear_sine_urad, [GEAR_PERIODS; 6], &mut random),
             waves(effects.cycloid_urad, lobes, &mut random),
-            waves(CYCLOID_SECOND * effects.cycloid_urad, lobes.map(|lobes| 2.0 * lobes), &mut random),
+            waves(CYCLOID_SECOND * effects.cycloid_urad, lobes.map(|lobes: f64| 2.0 * lobes), &mut random),
         ];
         let noisy = Noisy { waves, noise_rad: effects.robot_noise_urad * 1e-6, random };
         let play_rad = effects.backlash_urad * 1e-6;
@@ -172,7 +173,7 @@ impl RobotReading {
     }
 
     /// Where the joints are at `true_rad`, after they were where it was asked before.
-    pub fn of(&mut self, true_rad: &[f64; 6]) -> [f64; 6] {
+    pub fn of(&mut self, true_rad: &Joints) -> Joints {
         let gears = RowVector6::from_row_slice(true_rad) * self.gears_from_joints;
         let gears: [f64; 6] = std::array::from_fn(|i| gears[i]);
         let before = self.motors_rad.unwrap_or(gears);
@@ -182,6 +183,6 @@ impl RobotReading {
         let (error, noise) = (self.noisy.error_rad(&gears), self.noisy.noise_rad());
         let off: [f64; 6] = std::array::from_fn(|i| motors[i] - gears[i] + error[i]);
         let off = RowVector6::from_row_slice(&off) * self.joints_from_gears;
-        std::array::from_fn(|i| true_rad[i] + off[i] + noise[i])
+        Joints::from_fn(true_rad.len(), |i| true_rad[i] + off[i] + noise[i])
     }
 }

@@ -25,7 +25,7 @@ pub use write::{SimulationFiles, WriteError, write};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use serde::{Deserialize, Serialize};
-use shared::config::{BallBarConfig, RobotConfig};
+use shared::config::{BallBarConfig, JointKind, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 use shared::time::UtcNs;
 
@@ -110,6 +110,16 @@ pub struct Simulated {
 /// Why an experiment cannot be simulated.
 #[derive(Debug, thiserror::Error)]
 pub enum SimulateError {
+    /// Layouts and effects are those of other arms.
+    #[error(
+        "{robot} has {axes} axes; experiments with the ball-bar are simulated for arms of six revolute axes"
+    )]
+    Axes {
+        /// Its name.
+        robot: String,
+        /// How many.
+        axes: usize,
+    },
     /// No path.
     #[error(transparent)]
     Plan(#[from] PlanError),
@@ -164,6 +174,10 @@ fn random(seed: u64, stream: Stream) -> ChaCha8Rng {
 /// [`SimulateError`] where base, length and robot do not allow a path, or an effect is no number.
 pub fn run(experiment: &Experiment<'_>) -> Result<Simulated, SimulateError> {
     experiment.effects.check()?;
+    let (axes, mut kinds) = (experiment.robot.axes(), experiment.robot.joint_kinds());
+    if axes != 6 || kinds.any(|kind| kind == JointKind::Prismatic) {
+        return Err(SimulateError::Axes { robot: experiment.robot.name.clone(), axes });
+    }
     let sizes = experiment.load.sizes();
     if let Some(&(name, value)) = sizes.iter().find(|(_, size)| !(size.is_finite() && *size >= 0.0)) {
         return Err(SimulateError::Load { name, value });
@@ -174,7 +188,7 @@ pub fn run(experiment: &Experiment<'_>) -> Result<Simulated, SimulateError> {
     nominal_bar.root_from_base = nalgebra::Translation3::from(design.base_m).into();
     let mut path_random = random(experiment.seed, Stream::Path);
     let (path, start_rad) =
-        plan(&nominal_robot, &nominal_bar, &robot.joint_limits_deg, design, &mut path_random)?;
+        plan(&nominal_robot, &nominal_bar, &robot.joint_limits(), design, &mut path_random)?;
 
     let truth = Truth::new(experiment, &nominal_robot, &nominal_bar);
     let mut load_random = random(experiment.seed, Stream::Load);

@@ -1,7 +1,7 @@
 //! Motion of the bar's joints, smooth to the second derivative, and of the robot that follows.
 
 use super::Pull;
-use crate::kinematics::{Chain, InverseError, Pose, ROD_LINK, robot_inverse};
+use crate::kinematics::{Chain, InverseError, Joints, Pose, ROD_LINK, robot_inverse};
 
 /// One move from point to point along the minimum-jerk profile `10 u^3 - 15 u^4 + 6 u^5`: speed and acceleration are
 /// zero at both ends (Flash and Hogan 1985).
@@ -75,7 +75,7 @@ pub struct Motion {
     /// The true bar on its true base.
     pub bar: Chain,
     /// Joints of the nominal robot at the start of the path \[rad\].
-    pub start_rad: [f64; 6],
+    pub start_rad: Joints,
     /// What makes the bar longer and shorter; none leaves it rigid.
     pub pull: Option<Pull>,
 }
@@ -101,7 +101,7 @@ impl Motion {
     ///
     /// # Errors
     /// Those of the inverse kinematics.
-    pub fn robot_joints(&self, t_s: f64, near_rad: &[f64; 6]) -> Result<[f64; 6], InverseError> {
+    pub fn robot_joints(&self, t_s: f64, near_rad: &[f64]) -> Result<Joints, InverseError> {
         robot_inverse(&self.robot, &self.pose(t_s), near_rad)
     }
 }

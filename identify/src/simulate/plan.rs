@@ -7,7 +7,7 @@ use nalgebra::Matrix6;
 use rand::Rng;
 
 use super::{Design, Move, Path};
-use crate::kinematics::{Chain, Trace, Tracer, robot_inverse, singularity_margin_rad};
+use crate::kinematics::{Chain, Joints, Trace, Tracer, robot_inverse, singularity_margin_rad};
 
 /// Time between two looks at a move \[s\].
 const LOOK_S: f64 = 0.05;
@@ -119,7 +119,7 @@ struct Planner<'a> {
     robot: &'a Chain,
     tracer: Tracer,
     bar: &'a Chain,
-    limits_rad: [[f64; 2]; 6],
+    limits_rad: Vec<[f64; 2]>,
     design: &'a Design,
 }
 
@@ -137,13 +137,12 @@ enum Extension {
 pub fn plan(
     robot: &Chain,
     bar: &Chain,
-    limits_deg: &[[f64; 2]; 6],
+    limits: &[[f64; 2]],
     design: &Design,
     random: &mut impl Rng,
-) -> Result<(Path, [f64; 6]), PlanError> {
-    let limits_rad = limits_deg.map(|[low, high]| {
-        [low + design.limit_margin_deg, high - design.limit_margin_deg].map(f64::to_radians)
-    });
+) -> Result<(Path, Joints), PlanError> {
+    let margin_rad = design.limit_margin_deg.to_radians();
+    let limits_rad = limits.iter().map(|[low, high]| [low + margin_rad, high - margin_rad]).collect();
     let planner = Planner { robot, tracer: Tracer::new(robot), bar, limits_rad, design };
     let (start_rad, robot_rad) = planner.start(random)?;
     let mut path = Path { start_rad, moves: Vec::new(), duration_s: design.duration_s };
@@ -155,7 +154,7 @@ pub fn plan(
 #[derive(Clone, Copy)]
 struct Waypoint {
     bar_rad: [f64; 5],
-    robot_rad: [f64; 6],
+    robot_rad: Joints,
 }
 
 impl Planner<'_> {
@@ -166,7 +165,7 @@ impl Planner<'_> {
             .map(|[low, high]| (low + (high - low) * random.random::<f64>()).to_radians())
     }
 
-    fn start(&self, random: &mut impl Rng) -> Result<([f64; 5], [f64; 6]), PlanError> {
+    fn start(&self, random: &mut impl Rng) -> Result<([f64; 5], Joints), PlanError> {
         let posture_rad = self.design.posture_deg.map(f64::to_radians);
         let mut obstacles = Obstacles::default();
         for _ in 0..TRIES {
@@ -263,7 +262,7 @@ impl Planner<'_> {
 
     /// Adds the move and looks at the motion from its beginning to its end; takes it away again where something is in
     /// the way. Returns the robot's joints at the end.
-    fn follow(&self, path: &mut Path, step: Move, before_rad: &[f64; 6]) -> Result<[f64; 6], Obstacle> {
+    fn follow(&self, path: &mut Path, step: Move, before_rad: &Joints) -> Result<Joints, Obstacle> {
         path.moves.push(step);
         let looks = (step.duration_s / LOOK_S).ceil();
         // The robot's joints are known at the former move's end; the nearest solution at this move's beginning is
@@ -285,16 +284,16 @@ impl Planner<'_> {
     }
 
     /// The robot's joints at a bar posture, if both are comfortable there.
-    fn robot_at(&self, bar_rad: &[f64; 5], near_rad: &[f64; 6]) -> Result<[f64; 6], Obstacle> {
+    fn robot_at(&self, bar_rad: &[f64; 5], near_rad: &[f64]) -> Result<Joints, Obstacle> {
         if singularity_margin_rad(bar_rad) < self.design.bar_margin_deg.to_radians() {
             return Err(Obstacle::BarSingularity);
         }
         let robot =
             robot_inverse(self.robot, &self.bar.forward(bar_rad), near_rad).map_err(|_| Obstacle::Reach)?;
-        if !robot.iter().zip(self.limits_rad).all(|(q, [low, high])| (low..=high).contains(q)) {
+        if !robot.iter().zip(&self.limits_rad).all(|(q, [low, high])| (*low..=*high).contains(q)) {
             return Err(Obstacle::JointLimit);
         }
-        if robot[4].sin().abs() < self.design.wrist_margin_deg.to_radians().sin() {
+        if !self.design.wrist_is_bent(&robot) {
             return Err(Obstacle::Wrist);
         }
         if dexterity(&self.tracer, &robot) < self.design.dexterity_min {
@@ -305,7 +304,7 @@ impl Planner<'_> {
 }
 
 /// Smallest singular value of the robot's Jacobian, position in m and rotation in rad.
-fn dexterity(robot: &Tracer, joints_rad: &[f64; 6]) -> f64 {
+fn dexterity(robot: &Tracer, joints_rad: &[f64]) -> f64 {
     let mut trace = Trace::default();
     robot.trace(joints_rad, &mut trace);
     let mut jacobian = Matrix6::zeros();

@@ -64,7 +64,7 @@ pub(super) fn robot_log(
         log.q_rad.push(reading.of(&near_rad));
         let noise: f64 = force_random.sample(StandardNormal);
         let force_n = motion.force_n(t_s) + experiment.load.noise_n * noise;
-        forces.push([force_n, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        forces.push([force_n].into());
     }
     log.force = motion.pull.map(|_| ForceLog {
         clock: ForceClock::Robot,

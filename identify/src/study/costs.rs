@@ -4,7 +4,6 @@ use super::workspace::{Expected, distance_m, workspace_error};
 use crate::calibrate::CostName;
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::calibrate::other_costs::OtherCost;
-use crate::kinematics::ROBOT_JOINTS;
 use crate::model::{Model, ParameterId, Role, Unit};
 use crate::solver::{Solution, Summary};
 
@@ -57,7 +56,7 @@ pub struct CostComparison {
 pub fn compare_costs(
     calibration: &BallBarCalibration,
     others: &[OtherCost],
-    joint_limits_deg: &[[f64; 2]; ROBOT_JOINTS],
+    joint_limits: &[[f64; 2]],
 ) -> CostComparison {
     let found = others.iter().filter_map(|other| other.found.as_ref().ok());
     let models: Vec<&Model> =
@@ -68,7 +67,7 @@ pub fn compare_costs(
     let ids = calibration.model.parameters().iter().map(|parameter| parameter.id);
     let ids: Vec<ParameterId> = ids.filter(named).collect();
     let figures =
-        |model: &Model, solution: &Solution| figures(calibration, &ids, model, solution, joint_limits_deg);
+        |model: &Model, solution: &Solution| figures(calibration, &ids, model, solution, joint_limits);
     let mut entries = vec![CostEntry {
         cost: calibration.cost,
         figures: Ok(figures(&calibration.model, &calibration.solution)),
@@ -88,7 +87,7 @@ fn figures(
     ids: &[ParameterId],
     model: &Model,
     solution: &Solution,
-    joint_limits_deg: &[[f64; 2]; ROBOT_JOINTS],
+    joint_limits: &[[f64; 2]],
 ) -> CostFigures {
     let found = |id: ParameterId| {
         let sigma = solution.covariance.sigma(model.column_of(id)?)?;
@@ -116,8 +115,8 @@ fn figures(
         not_told: not_told.map(|parameter| parameter.id.to_string()).collect(),
         difference_mm_mrad: shown(&|id, (correction, _)| Some(correction - reference(id)?)),
         sigma_mm_mrad: shown(&|_, (_, sigma)| Some(sigma)),
-        from_calibrated_m: distance_m(model, &calibration.model, joint_limits_deg),
-        expected: workspace_error(model, &solution.covariance, joint_limits_deg).after,
+        from_calibrated_m: distance_m(model, &calibration.model, joint_limits),
+        expected: workspace_error(model, &solution.covariance, joint_limits).after,
         sigmas_of_95: solution.covariance.sigmas_from.sigmas_of_95(),
         robot,
     }

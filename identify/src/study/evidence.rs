@@ -10,7 +10,6 @@ use crate::calibrate::ball_bar::{BallBarCalibration, CalibrateError};
 use crate::calibrate::held_out::without_each_stretch;
 use crate::calibrate::other_costs::other_costs;
 use crate::cost::{Closure, closures};
-use crate::kinematics::ROBOT_JOINTS;
 use crate::model::Model;
 use crate::prepare::Prepared;
 use crate::solver::Watch;
@@ -60,7 +59,7 @@ pub struct Evidence {
     /// Gap at the solution, all runs \[m\].
     pub gap_after_m: Quantiles,
     /// The samples of all runs at the solution, from each joint.
-    pub joints: [Vec<JointGap>; ROBOT_JOINTS],
+    pub joints: Vec<Vec<JointGap>>,
     /// How far the robot's end is from the bar's sphere, in each run.
     pub spheres: Vec<SphereDeviation>,
     /// Expected error over the workspace.
@@ -76,19 +75,19 @@ pub struct Evidence {
 }
 
 /// Looks at a calibration.
-pub fn evidence(calibration: &BallBarCalibration, joint_limits_deg: &[[f64; 2]; ROBOT_JOINTS]) -> Evidence {
+pub fn evidence(calibration: &BallBarCalibration, joint_limits: &[[f64; 2]]) -> Evidence {
     let runs: Vec<RunEvidence> =
         calibration.runs().map(|(prepared, model)| RunEvidence::new(prepared, model)).collect();
     let measured = calibration.measured();
     let by_encoders = measured.contains(&true);
     let all = |of: fn(&RunEvidence) -> &Vec<Closure>| runs.iter().flat_map(of);
-    let workspace = workspace_error(&calibration.model, &calibration.solution.covariance, joint_limits_deg);
+    let workspace = workspace_error(&calibration.model, &calibration.solution.covariance, joint_limits);
     Evidence {
         by_encoders,
         rotations: measured == [true; 5],
         gap_before_m: gap_m(all(|run| &run.before), by_encoders),
         gap_after_m: gap_m(all(|run| &run.after), by_encoders),
-        joints: joint_gaps(all(|run| &run.after)),
+        joints: joint_gaps(calibration.model.axes(), all(|run| &run.after)),
         correlations: correlations(calibration),
         limits: limits(calibration, &runs, &workspace),
         spheres: SphereDeviation::all(calibration, &runs),
@@ -108,14 +107,14 @@ impl Evidence {
         mut self,
         calibration: &BallBarCalibration,
         config: &IdentifyConfig,
-        joint_limits_deg: &[[f64; 2]; ROBOT_JOINTS],
+        joint_limits: &[[f64; 2]],
         watch: Option<&dyn Watch>,
     ) -> Result<Self, CalibrateError> {
         // Neither needs the other, and each is as long as the calibration.
         let (held_out, costs) = std::thread::scope(|scope| {
             let costs = scope.spawn(|| {
                 let others = other_costs(calibration, config, watch)?;
-                Ok::<_, CalibrateError>(compare_costs(calibration, &others, joint_limits_deg))
+                Ok::<_, CalibrateError>(compare_costs(calibration, &others, joint_limits))
             });
             let stretches = without_each_stretch(calibration, config, watch);
             let held_out = stretches.map(|stretches| held_out(calibration, &stretches));

@@ -1,7 +1,6 @@
 //! Residuals by joint: which turn of one robot joint would close most of the gap between robot and bar.
 
 use crate::cost::Closure;
-use crate::kinematics::ROBOT_JOINTS;
 
 /// One sample seen from one joint.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -14,14 +13,17 @@ pub struct JointGap {
     pub turn_rad: f64,
 }
 
-/// Per robot joint and sample: the least-squares turn of this joint alone.
+/// Per robot joint (of so many) and sample: the least-squares turn of this joint alone.
 ///
 /// Position only; joints that hardly move the end at a sample (lever arm below a tenth of a metre) have no say there.
 /// An error of the joint's gear shows as a wave over its angle, backlash as two branches by direction.
-pub fn joint_gaps<'a>(closures: impl Iterator<Item = &'a Closure> + Clone) -> [Vec<JointGap>; ROBOT_JOINTS] {
+pub fn joint_gaps<'a>(
+    axes: usize,
+    closures: impl Iterator<Item = &'a Closure> + Clone,
+) -> Vec<Vec<JointGap>> {
     /// \[m\]
     const LEVER_MIN_M: f64 = 0.1;
-    std::array::from_fn(|joint| {
+    let of_joint = |joint: usize| {
         let seen = |closure: &Closure| {
             let arm = closure.joint_twists[joint].linear;
             let lever_m = arm.norm();
@@ -32,5 +34,6 @@ pub fn joint_gaps<'a>(closures: impl Iterator<Item = &'a Closure> + Clone) -> [V
             })
         };
         closures.clone().filter_map(seen).collect()
-    })
+    };
+    (0..axes).map(of_joint).collect()
 }

@@ -4,7 +4,7 @@ use super::{PositiveForce, Quantiles, RunEvidence, Stretch, WorkspaceError};
 use crate::calibrate::CostName;
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::cost::Closure;
-use crate::kinematics::{LinkParameter, ROBOT_JOINTS};
+use crate::kinematics::LinkParameter;
 use crate::model::ParameterId;
 use crate::prepare::Prepared;
 
@@ -146,13 +146,15 @@ fn of_run(prepared: &Prepared) -> impl Iterator<Item = String> {
 }
 
 /// Widest range of each robot joint over the samples \[deg\].
-fn travel_deg(runs: &[RunEvidence]) -> [f64; ROBOT_JOINTS] {
-    std::array::from_fn(|joint| {
+fn travel_deg(runs: &[RunEvidence]) -> Vec<f64> {
+    let first = runs.iter().find_map(|run| run.after.first());
+    let of_joint = |joint: usize| {
         let angles = runs.iter().flat_map(|run| &run.after).map(|closure| closure.joints.q[joint]);
         let (low, high) =
             angles.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| (low.min(q), high.max(q)));
         (high - low).max(0.0).to_degrees()
-    })
+    };
+    (0..first.map_or(0, |closure| closure.joints.q.len())).map(of_joint).collect()
 }
 
 /// Distances of robot and bar \[m\].

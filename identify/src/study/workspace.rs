@@ -7,7 +7,7 @@ use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{ChiSquared, Distribution, StandardNormal};
 
 use super::figures::quantile;
-use crate::kinematics::{Chain, ROBOT_JOINTS, Trace, Tracer};
+use crate::kinematics::{Chain, Joints, Trace, Tracer};
 use crate::model::{Model, ParameterId};
 use crate::solver::Covariance;
 
@@ -48,13 +48,9 @@ struct Postures {
 
 /// Expected position errors: nominal robot against robots drawn from the solution's covariance.
 ///
-/// `joint_limits_deg` are those of the model's joints. Only the links' parameters are drawn; the robot's base frame is
+/// `joint_limits` are those of the model's joints. Only the links' parameters are drawn; the robot's base frame is
 /// defined by those that stay fixed.
-pub fn workspace_error(
-    model: &Model,
-    covariance: &Covariance,
-    joint_limits_deg: &[[f64; 2]; ROBOT_JOINTS],
-) -> WorkspaceError {
+pub fn workspace_error(model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> WorkspaceError {
     let columns: Vec<(usize, ParameterId)> = model
         .columns()
         .enumerate()
@@ -63,7 +59,7 @@ pub fn workspace_error(
         })
         .map(|(column, parameter)| (column, parameter.id))
         .collect();
-    let postures = postures(model, &columns, joint_limits_deg);
+    let postures = postures(model, &columns, joint_limits);
     let root = root(covariance, &columns);
     let mut random = ChaCha8Rng::seed_from_u64(0);
     let mut drawn = DMatrix::from_fn(columns.len(), DRAWS, |_, _| StandardNormal.sample(&mut random));
@@ -103,10 +99,10 @@ fn root(covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f6
 }
 
 /// Mean distance between the positions of two robots, over postures within the joint limits \[m\].
-pub(super) fn distance_m(one: &Model, other: &Model, joint_limits_deg: &[[f64; 2]; ROBOT_JOINTS]) -> f64 {
+pub(super) fn distance_m(one: &Model, other: &Model, joint_limits: &[[f64; 2]]) -> f64 {
     let [one, other] = [one, other].map(|model| Tracer::new(&model.geometry(&[]).robot));
     let (mut here, mut there) = (Trace::default(), Trace::default());
-    let distances = random_postures(joint_limits_deg).map(|q| {
+    let distances = random_postures(joint_limits).map(|q| {
         one.trace(&q, &mut here);
         other.trace(&q, &mut there);
         (here.position_m() - there.position_m()).norm()
@@ -114,22 +110,15 @@ pub(super) fn distance_m(one: &Model, other: &Model, joint_limits_deg: &[[f64; 2
     distances.sum::<f64>() / POSTURES as f64
 }
 
-/// Joint angles evenly spread over the limits \[rad\].
-fn random_postures(
-    joint_limits_deg: &[[f64; 2]; ROBOT_JOINTS],
-) -> impl Iterator<Item = [f64; ROBOT_JOINTS]> + '_ {
+/// Joint variables evenly spread over the limits \[rad, m\].
+fn random_postures(joint_limits: &[[f64; 2]]) -> impl Iterator<Item = Joints> + '_ {
     let mut random = ChaCha8Rng::seed_from_u64(1);
-    let posture = move |_| {
-        joint_limits_deg.map(|[low, high]| (low + (high - low) * random.random::<f64>()).to_radians())
-    };
+    let posture =
+        move |_| joint_limits.iter().map(|[low, high]| low + (high - low) * random.random::<f64>()).collect();
     (0..POSTURES).map(posture)
 }
 
-fn postures(
-    model: &Model,
-    columns: &[(usize, ParameterId)],
-    joint_limits_deg: &[[f64; 2]; ROBOT_JOINTS],
-) -> Postures {
+fn postures(model: &Model, columns: &[(usize, ParameterId)], joint_limits: &[[f64; 2]]) -> Postures {
     let mut nominal = model.clone();
     for parameter in model.parameters() {
         // The model has each of its own parameters.
@@ -140,7 +129,7 @@ fn postures(
     let (mut here, mut there) = (Trace::default(), Trace::default());
     let by_parameter = DMatrix::zeros(3 * POSTURES, columns.len());
     let mut postures = Postures { corrected_m: Vec::new(), by_parameter };
-    for (posture, q) in random_postures(joint_limits_deg).enumerate() {
+    for (posture, q) in random_postures(joint_limits).enumerate() {
         calibrated.trace(&q, &mut here);
         nominal.trace(&q, &mut there);
         postures.corrected_m.push(here.position_m() - there.position_m());

@@ -1,5 +1,6 @@
 //! Forces in robot logs and in files of their own: read as they are meant, or refused with what to do.
 
+use identify::kinematics::Joints;
 use std::path::Path;
 
 use identify::logs::{
@@ -19,7 +20,7 @@ fn joints(row: usize) -> [f64; 6] {
 fn log() -> RobotLog {
     let t_s: Vec<f64> = (0..60).map(|row| f64::from(row) * 0.004).collect();
     let first_stamp_ns = 1_795_000_000_123_456_789;
-    let values = (0..60).map(|row| [100.0 * (0.1 * f64::from(row)).sin(), 0.0, 0.0, 0.0, 0.0, 0.0]).collect();
+    let values = (0..60).map(|row| [100.0 * (0.1 * f64::from(row)).sin()].into()).collect();
     let force = ForceLog {
         clock: ForceClock::Robot,
         kind: ForceKind::Along,
@@ -27,7 +28,7 @@ fn log() -> RobotLog {
         t_s: t_s.clone(),
         values,
     };
-    let q_rad = (0..60).map(joints).collect();
+    let q_rad = (0..60).map(|row| joints(row).into()).collect();
     RobotLog {
         first_stamp_ns,
         t_s,
@@ -82,7 +83,7 @@ fn columns_say_what_they_hold_on_which_clock_and_in_which_axes() {
     let vector = table("force_x_N,force_y_N,force_z_N", |row| format!("{row},1,-2"));
     let flange = parse_force(&vector, None).unwrap();
     assert_eq!((flange.kind, flange.clock), (ForceKind::InFlange, ForceClock::Robot));
-    assert_eq!(flange.values[3], [3.0, 1.0, -2.0, 0.0, 0.0, 0.0]);
+    assert_eq!(flange.values[3], [3.0, 1.0, -2.0]);
     let base = parse_force(&format!("# force_frame: base\n{vector}"), None).unwrap();
     assert_eq!(base.kind, ForceKind::InBase);
 }
@@ -100,7 +101,7 @@ fn torques_of_motors_do_the_work_of_those_of_the_joints() {
         assert_eq!(force.kind, ForceKind::JointTorques);
         let conversion = JointConversion::new(&robot.log).unwrap();
         for moved in 0..6 {
-            let raw = |by: f64| std::array::from_fn(|axis| if axis == moved { by } else { 0.0 });
+            let raw = |by: f64| Joints::from_fn(6, |axis| if axis == moved { by } else { 0.0 });
             let (from, to) = (conversion.to_joint(&raw(0.0)), conversion.to_joint(&raw(1.0)));
             let work: f64 = (0..6).map(|joint| force.values[0][joint] * (to[joint] - from[joint])).sum();
             let expected = torque(moved) * robot.log.unit.to_rad();

@@ -8,7 +8,7 @@ use crate::support::{bar, irb2400};
 use identify::calibrate::ball_bar::{self, BallBarCalibration, CalibrateError};
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
-use identify::kinematics::{Chain, Trace, Tracer};
+use identify::kinematics::{Chain, Joints, Trace, Tracer};
 use identify::logs::{ForceClock, ForceKind, ForceLog};
 use identify::model::ParameterId;
 use identify::prepare::{Fate, ForceError, PrepareError, PrepareOptions, Prepared, prepare};
@@ -80,7 +80,7 @@ fn the_sign_of_the_logs_force_is_found_and_told() {
     let stretch = Stretch::of(&found).unwrap();
     assert_eq!(stretch.positive, PositiveForce::Compression);
     assert!(in_sigmas(&stretch, -0.17e-6).abs() < 1.96, "{stretch:?}");
-    let sphere = evidence(&found, &irb2400().joint_limits_deg).spheres.remove(0);
+    let sphere = evidence(&found, &irb2400().joint_limits()).spheres.remove(0);
     assert!(sphere.before.rms_m > sphere.after.rms_m);
     assert!(sphere.after.unexplained_rms_m < 0.8 * sphere.after.rms_m, "{sphere:?}");
 }
@@ -91,7 +91,7 @@ fn a_force_that_has_nothing_to_do_with_the_bar_is_told_to_be_none() {
     let found = calibrated(&run, CostName::Pose).unwrap();
     let stretch = Stretch::of(&found).unwrap();
     assert_eq!(stretch.positive, PositiveForce::NotTold, "{stretch:?}");
-    let limits = evidence(&found, &irb2400().joint_limits_deg).limits;
+    let limits = evidence(&found, &irb2400().joint_limits()).limits;
     assert!(limits.iter().any(|limit| limit.sentence.contains("not told from zero")), "{limits:?}");
 }
 
@@ -111,15 +111,15 @@ fn where_only_the_sign_of_the_force_is_known_the_play_of_the_bar_follows() {
 fn seen_by(
     run: &mut Simulated,
     kind: ForceKind,
-    sensor: impl Fn(&Chain, &[f64; 6], [f64; 6], Vector3<f64>) -> [f64; 6],
+    sensor: impl Fn(&Chain, &Joints, Joints, Vector3<f64>) -> Joints,
 ) {
     let robot = run.motion.robot.clone();
     let centre_m = run.motion.bar.root_from_base.translation.vector;
-    let rates: Vec<[f64; 6]> = run
+    let rates: Vec<Joints> = run
         .robot_log
         .q_rad
         .windows(21)
-        .map(|rows| std::array::from_fn(|joint| (rows[20][joint] - rows[0][joint]) / 0.08))
+        .map(|rows| Joints::from_fn(6, |joint| (rows[20][joint] - rows[0][joint]) / 0.08))
         .collect();
     let force = run.robot_log.force.as_mut().unwrap();
     force.kind = kind;
@@ -131,8 +131,8 @@ fn seen_by(
     }
 }
 
-fn padded(force: Vector3<f64>) -> [f64; 6] {
-    [force.x, force.y, force.z, 0.0, 0.0, 0.0]
+fn of_three(force: Vector3<f64>) -> Joints {
+    [force.x, force.y, force.z].into()
 }
 
 /// The samples of a run, each with its force along the bar.
@@ -152,9 +152,9 @@ fn a_sensor_at_the_flange_says_the_same_as_one_in_the_bar() {
     let run = simulated(THESIS, 2);
     let along = prepared(&run).unwrap();
     let (mut flange, mut base) = (run.clone(), run);
-    let turned = |robot: &Chain, q: &[f64; 6], force| padded(robot.forward(q).rotation.inverse() * force);
+    let turned = |robot: &Chain, q: &Joints, force| of_three(robot.forward(q).rotation.inverse() * force);
     seen_by(&mut flange, ForceKind::InFlange, |robot, q, _, force| turned(robot, q, force));
-    seen_by(&mut base, ForceKind::InBase, |_, _, _, force| padded(force));
+    seen_by(&mut base, ForceKind::InBase, |_, _, _, force| of_three(force));
     for run in [flange, base] {
         // Of 150 N, by millimetres and milliradians of the nominal geometry.
         assert_alike(&prepared(&run).unwrap(), &along, 0.5);
@@ -168,7 +168,7 @@ fn torques_of_the_joints_give_the_force_behind_gravity_and_friction() {
     seen_by(&mut run, ForceKind::JointTorques, |robot, q, qd, force| {
         let mut trace = Trace::default();
         Tracer::new(robot).trace(q, &mut trace);
-        let mut torques: [f64; 6] = [0.0; 6];
+        let mut torques = Joints::zeros(6);
         for (torque, twist) in torques.iter_mut().zip(trace.joint_twists()) {
             *torque = twist.linear.dot(&force);
         }
@@ -177,14 +177,14 @@ fn torques_of_the_joints_give_the_force_behind_gravity_and_friction() {
         for (link, mass_kg, at) in
             [(2, 80.0, [-0.3, 0.02, 0.1]), (4, 60.0, [0.03, 0.05, -0.2]), (6, 25.0, [0.0, 0.04, 0.1])]
         {
-            let part = Chain { root_from_base: robot.root_from_base, links: robot.links[..link].to_vec() };
+            let part = Chain::new(robot.root_from_base, robot.links[..link].to_vec());
             let weight_at = part.forward(q).transform_point(&at.into()).coords;
             for (torque, (origin, z)) in torques.iter_mut().zip(&axes).take(link) {
                 *torque += z.dot(&(weight_at - origin).cross(&Vector3::new(0.0, 0.0, 9.80665 * mass_kg)));
             }
         }
         let friction = [90.0, 110.0, 70.0, 20.0, 15.0, 8.0];
-        std::array::from_fn(|axis| {
+        Joints::from_fn(6, |axis| {
             torques[axis] + friction[axis] * ((qd[axis] / 0.01).tanh() + 0.4 * qd[axis])
         })
     });

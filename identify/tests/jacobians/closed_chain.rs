@@ -33,7 +33,11 @@ impl RobotMotion for Sines {
     fn at(&self, tau_s: f64) -> Option<JointState> {
         let moved = sines(Dual64::new(tau_s, 1.0));
         let rates = sines_rates(Dual64::new(tau_s, 1.0));
-        Some(JointState { q: moved.map(|q| q.re), qd: moved.map(|q| q.eps), qdd: rates.map(|qd| qd.eps) })
+        Some(JointState {
+            q: moved.map(|q| q.re).into(),
+            qd: moved.map(|q| q.eps).into(),
+            qdd: rates.map(|qd| qd.eps).into(),
+        })
     }
 }
 
@@ -103,9 +107,9 @@ pub fn coupled_drives(arm: &Chain) -> DriveTrain {
     }
     let matrix = nalgebra::Matrix6::from_fn(|i, j| drives.joint_from_drive[i][j]);
     let inverse = matrix.try_inverse().unwrap();
-    drives.drive_from_joint = std::array::from_fn(|i| std::array::from_fn(|j| inverse[(i, j)]));
-    drives.cycloid_lobes = [7.0, 11.0, 9.0, 5.0, 6.0, 4.0].map(Some);
-    drives.motor_turns = [3.5, 6.1, 4.2, 3.3, 5.7, 2.9].map(Some);
+    drives.drive_from_joint = inverse.row_iter().map(|row| row.iter().copied().collect()).collect();
+    drives.cycloid_lobes = [7.0, 11.0, 9.0, 5.0, 6.0, 4.0].map(Some).to_vec();
+    drives.motor_turns = [3.5, 6.1, 4.2, 3.3, 5.7, 2.9].map(Some).to_vec();
     drives.gravity = nalgebra::Vector3::new(0.36, -0.48, -0.8);
     drives
 }
@@ -291,6 +295,7 @@ impl Numbers<Dual64> {
                 d_m: l[2].re,
                 theta_rad: l[3].re,
                 beta_rad: l[4].re,
+                ..DhLink::default()
             };
             links.iter().map(link).collect()
         };
@@ -299,9 +304,6 @@ impl Numbers<Dual64> {
             rx_rad: self.tilt[0].re,
             ry_rad: self.tilt[1].re,
         };
-        (
-            Chain { root_from_base: Pose::identity(), links: links(&self.robot) },
-            Chain { root_from_base: base.pose(), links: links(&self.bar) },
-        )
+        (Chain::new(Pose::identity(), links(&self.robot)), Chain::new(base.pose(), links(&self.bar)))
     }
 }

@@ -301,7 +301,8 @@ fn names_and_parameters_are_one_to_one() {
         assert_eq!(name.parse::<ParameterId>().unwrap(), id);
         assert_eq!(names.iter().filter(|other| *other == name).count(), 1);
     }
-    assert!("ra7".parse::<ParameterId>().is_err());
+    assert!("ra9".parse::<ParameterId>().is_err());
     let chain: &Chain = &Cell::irb2400().robot;
+    assert!(Model::measured_length(chain).set_role("ra7".parse().unwrap(), Role::Free).is_err());
     assert!(Model::measured_length(chain).set_role("ba1".parse().unwrap(), Role::Free).is_err());
 }

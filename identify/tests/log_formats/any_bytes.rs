@@ -92,7 +92,7 @@ fn config<T: serde::de::DeserializeOwned + config::Validate>(name: &str) -> T {
 fn read_as_robot(bytes: &[u8], format: LogFormat) -> bool {
     let mut robot = irb120();
     // Limits that nothing reaches, so that most logs come through.
-    robot.joint_limits_deg = [[-1e6, 1e6]; 6];
+    robot.joint_limits_deg = vec![[-1e6, 1e6]; 6];
     let mut taken = false;
     for mapping in [None, Some(shipped_mapping())] {
         match read_with(bytes, Path::new("log"), &robot, &LogOptions { format: Some(format), mapping }) {

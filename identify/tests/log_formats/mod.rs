@@ -124,7 +124,7 @@ fn what_record_py_of_the_rtde_client_writes_is_recognised() {
         .collect();
     let log = read_as(&(header("actual") + &body), None).unwrap();
     assert_follows(&log, 60, angle_deg);
-    assert_eq!((log.origin, log.speed_rad_s.unwrap()[3]), (Origin::Measured, [0.25; 6]));
+    assert_eq!((log.origin, log.speed_rad_s.unwrap()[3]), (Origin::Measured, [0.25; 6].into()));
     let log = read_as(&(header("target") + &body), None).unwrap();
     assert!(
         log.origin == Origin::Commanded

@@ -19,11 +19,12 @@ pub fn position_error_m(run: &Simulated, found: &BallBarCalibration, robot: &Rob
     }
     let [identified, truth] = [&found.model, &true_model].map(|model| model.geometry(&model.start()).robot);
     let end_m = |chain: &Chain, q: &[f64; 6]| chain.forward(q).translation.vector;
+    let limits = robot.joint_limits();
     let distance = |posture: usize| {
         let q: [f64; 6] = std::array::from_fn(|joint| {
-            let [low, high] = robot.joint_limits_deg[joint];
+            let [low, high] = limits[joint];
             let part = (posture % STEPS[joint]) as f64 / (STEPS[joint] - 1) as f64;
-            (low + (high - low) * part).to_radians()
+            low + (high - low) * part
         });
         (end_m(&identified, &q) - end_m(&truth, &q)).norm()
     };

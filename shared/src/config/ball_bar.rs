@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::robot::validate_links;
-use super::{LinkConfig, Validate, Violation};
+use super::{JointKind, LinkConfig, Validate, Violation};
 use crate::encoder::{Direction, EncoderScale, INTERPOLATION_BITS};
 use crate::recording::schema::MAX_ENCODERS;
 
@@ -136,6 +136,14 @@ impl Validate for BallBarConfig {
             ));
         }
         validate_links("links", &self.links)?;
+        if let Some(link) = self.links.iter().position(|link| link.joint == JointKind::Prismatic) {
+            let (key, problem) = (format!("links[{link}].joint"), "the bar's joints are revolute");
+            return Err(Violation::new(
+                key,
+                problem,
+                "leave `joint` out; a telescoping bar is a measured length",
+            ));
+        }
         if self.encoders.is_empty() || self.encoders.len() > MAX_ENCODERS {
             return Err(Violation::new(
                 "encoders",

@@ -13,7 +13,10 @@ use serde::de::DeserializeOwned;
 pub use ball_bar::{BallBarConfig, EncoderConfig, bar_joint_name};
 pub use daemon::{DaemonConfig, RealtimeConfig};
 pub use homing::{HomedEncoder, HomingConfig};
-pub use robot::{AngleUnit, DrivesConfig, LinkConfig, LogConversion, RobotConfig};
+pub use robot::{
+    AXES_MAX, AXES_MIN, AngleUnit, Convention, DrivesConfig, JointKind, LinkConfig, LogConversion,
+    RobotConfig, TransformConfig,
+};
 
 /// Why a configuration file cannot be used.
 #[derive(Debug, thiserror::Error)]

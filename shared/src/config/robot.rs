@@ -4,13 +4,84 @@ use serde::{Deserialize, Serialize};
 
 use super::{Validate, Violation};
 
-/// Joints of every robot that this project calibrates.
-pub const ROBOT_JOINTS: usize = 6;
+/// Axes of a robot, at least; the last two cannot be told from where an instrument is mounted.
+pub const AXES_MIN: usize = 2;
+/// At most: seven of an arm and a track or turntable before it.
+pub const AXES_MAX: usize = 8;
 
-/// One link in the standard Denavit-Hartenberg convention, `Rz(theta) Tz(d) Tx(a) Rx(alpha)`.
+/// How an axis moves.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum JointKind {
+    /// About z: the joint variable is added to `theta`.
+    #[default]
+    Revolute,
+    /// Along z: the joint variable is added to `d`.
+    Prismatic,
+}
+
+impl JointKind {
+    fn is_revolute(&self) -> bool {
+        *self == Self::Revolute
+    }
+
+    /// Symbol of the joint variable's SI unit.
+    pub const fn si_symbol(self) -> &'static str {
+        match self {
+            Self::Revolute => "rad",
+            Self::Prismatic => "m",
+        }
+    }
+}
+
+/// Which way the rows of a Denavit-Hartenberg table are read.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Convention {
+    /// `Rz(theta) Tz(d) Tx(a) Rx(alpha)`: a row ends with the way to the next axis.
+    #[default]
+    Standard,
+    /// `Rx(alpha) Tx(a) Rz(theta) Tz(d)` (Craig): a row begins with the way from the axis before.
+    Modified,
+}
+
+/// A fixed transform, `T(xyz) Rz(yaw) Ry(pitch) Rx(roll)` as URDF has it.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct TransformConfig {
+    /// Position \[m\].
+    pub xyz_m: [f64; 3],
+    /// Roll, pitch and yaw \[deg\].
+    pub rpy_deg: [f64; 3],
+}
+
+impl TransformConfig {
+    fn is_identity(&self) -> bool {
+        *self == Self::default()
+    }
+
+    fn validate(&self, key: &str) -> Result<(), Violation> {
+        let within = |numbers: [f64; 3], limit: f64| numbers.iter().all(|number| number.abs() <= limit);
+        if within(self.xyz_m, LENGTH_M_MAX) && within(self.rpy_deg, ANGLE_DEG_MAX) {
+            return Ok(());
+        }
+        let problem = format!("{:?} m, {:?} deg is no place on a robot", self.xyz_m, self.rpy_deg);
+        Err(Violation::new(key, problem, "lengths are in metres, angles in degrees"))
+    }
+}
+
+/// Longest length of a link or transform \[m\].
+const LENGTH_M_MAX: f64 = 10.0;
+/// Largest angle of one \[deg\].
+const ANGLE_DEG_MAX: f64 = 360.0;
+
+/// One link, a row of a Denavit-Hartenberg table ([`Convention`]).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LinkConfig {
+    /// How its axis moves.
+    #[serde(default, skip_serializing_if = "JointKind::is_revolute")]
+    pub joint: JointKind,
     /// Length along x \[m\].
     pub a_m: f64,
     /// Twist about x \[deg\].
@@ -19,6 +90,13 @@ pub struct LinkConfig {
     pub d_m: f64,
     /// Joint angle at which the model's joint variable is zero \[deg\].
     pub theta_deg: f64,
+    /// Hayati's rotation about y after `alpha` \[deg\], for an axis nearly parallel to the one before.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub beta_deg: f64,
+}
+
+fn is_zero(number: &f64) -> bool {
+    *number == 0.0
 }
 
 /// Unit of the angles in a robot's log.
@@ -57,14 +135,45 @@ impl AngleUnit {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LogConversion {
-    /// Prefix of the six columns in the log, so that `motor` reads `motor1_rad` to `motor6_rad`.
+    /// Prefix of the columns in the log, so that `motor` reads `motor1_rad` to `motor6_rad`.
     pub column: String,
-    /// Unit of the log.
+    /// Unit of the log's angles; columns of prismatic axes are in metres (`joint1_m`).
     pub unit: AngleUnit,
-    /// Value of each column where the robot is at its mechanical zero \[rad\].
-    pub raw_offset_rad: [f64; ROBOT_JOINTS],
-    /// 6 x 6; row i is what column i of the log contributes to each joint.
-    pub raw_to_joint: [[f64; ROBOT_JOINTS]; ROBOT_JOINTS],
+    /// Value of each column where the robot is at its mechanical zero \[rad, m\].
+    pub raw_offset_rad: Vec<f64>,
+    /// As many rows and columns as axes; row i is what column i of the log contributes to each joint.
+    pub raw_to_joint: Vec<Vec<f64>>,
+}
+
+impl LogConversion {
+    /// Joint variables as the model takes them.
+    pub fn direct(unit: AngleUnit, axes: usize) -> Self {
+        let row = |i: usize| (0..axes).map(|j| f64::from(u8::from(i == j))).collect();
+        let raw_to_joint = (0..axes).map(row).collect();
+        Self { column: "joint".into(), unit, raw_offset_rad: vec![0.0; axes], raw_to_joint }
+    }
+
+    fn validate(&self, axes: usize) -> Result<(), Violation> {
+        let square = self.raw_to_joint.len() == axes && self.raw_to_joint.iter().all(|row| row.len() == axes);
+        if !square || self.raw_offset_rad.len() != axes {
+            return Err(Violation::new(
+                "log",
+                format!("raw_offset_rad or raw_to_joint has not {axes} rows and columns"),
+                "give one number for each axis, and for each pair of axes",
+            ));
+        }
+        if !self.raw_offset_rad.iter().chain(self.raw_to_joint.iter().flatten()).all(|x| x.is_finite()) {
+            return Err(Violation::new("log", "a number is not finite", "write ordinary numbers"));
+        }
+        if determinant(&self.raw_to_joint) == 0.0 {
+            return Err(Violation::new(
+                "log.raw_to_joint",
+                "the matrix is singular: some joint does not follow from the log",
+                "check rows (log columns) and columns (joints)",
+            ));
+        }
+        Ok(())
+    }
 }
 
 /// What is known of a robot's gears. Everything may be absent.
@@ -72,16 +181,23 @@ pub struct LogConversion {
 #[serde(default, deny_unknown_fields)]
 pub struct DrivesConfig {
     /// Lobes of the cycloid gear of each axis: ripples of its error in one turn; 0 where it has none or they are unknown.
-    pub cycloid_lobes: [f64; ROBOT_JOINTS],
+    pub cycloid_lobes: Vec<f64>,
     /// Turns of the motor for one turn of each axis; 0 where unknown. A motor log says it by itself.
-    pub motor_turns: [f64; ROBOT_JOINTS],
+    pub motor_turns: Vec<f64>,
     /// Direction of gravity in the robot's base, of any length; absent: a robot that stands upright.
     pub gravity: Option<[f64; 3]>,
 }
 
 impl DrivesConfig {
-    fn validate(&self) -> Result<(), Violation> {
+    fn validate(&self, axes: usize) -> Result<(), Violation> {
         for (key, numbers) in [("cycloid_lobes", &self.cycloid_lobes), ("motor_turns", &self.motor_turns)] {
+            if !numbers.is_empty() && numbers.len() != axes {
+                return Err(Violation::new(
+                    format!("drives.{key}"),
+                    format!("{} numbers for {axes} axes", numbers.len()),
+                    "give one for each axis, 0 where it is unknown",
+                ));
+            }
             for (axis, number) in numbers.iter().enumerate() {
                 if !(0.0..=1e4).contains(number) {
                     return Err(Violation::new(
@@ -107,16 +223,29 @@ impl DrivesConfig {
     }
 }
 
-/// A robot: six links, nominal values from its data sheet.
+/// A robot: two to eight axes in a row, nominal values from its data sheet.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotConfig {
     /// Maker and model.
     pub name: String,
-    /// Links 1 to 6. Link 6 ends at the flange; plate and tool of the ball-bar are added to it.
+    /// How the links are read.
+    #[serde(default)]
+    pub convention: Convention,
+    /// From the robot's base frame to where link 1 begins.
+    #[serde(default, skip_serializing_if = "TransformConfig::is_identity")]
+    pub base: TransformConfig,
+    /// From where the last link ends to the flange.
+    #[serde(default, skip_serializing_if = "TransformConfig::is_identity")]
+    pub flange: TransformConfig,
+    /// Base to flange, one for each axis; plate and tool of the ball-bar follow after the flange.
     pub links: Vec<LinkConfig>,
-    /// Lower and upper limit of each joint variable of the model \[deg\].
-    pub joint_limits_deg: [[f64; 2]; ROBOT_JOINTS],
+    /// Lower and upper limit of each revolute joint variable of the model \[deg\].
+    #[serde(default)]
+    pub joint_limits_deg: Vec<[f64; 2]>,
+    /// Of each prismatic one \[m\].
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub joint_limits_m: Vec<[f64; 2]>,
     /// How the log becomes joint variables.
     pub log: LogConversion,
     /// Its gears.
@@ -124,48 +253,74 @@ pub struct RobotConfig {
     pub drives: DrivesConfig,
 }
 
+impl RobotConfig {
+    /// Number of axes.
+    pub fn axes(&self) -> usize {
+        self.links.len()
+    }
+
+    /// How each axis moves.
+    pub fn joint_kinds(&self) -> impl Iterator<Item = JointKind> + Clone + '_ {
+        self.links.iter().map(|link| link.joint)
+    }
+
+    /// Lower and upper limit of each joint variable \[rad, m\], base to flange.
+    pub fn joint_limits(&self) -> Vec<[f64; 2]> {
+        let (mut turns, mut slides) = (self.joint_limits_deg.iter(), self.joint_limits_m.iter());
+        let limits = self.joint_kinds().map_while(|kind| match kind {
+            JointKind::Revolute => turns.next().map(|limits| limits.map(f64::to_radians)),
+            JointKind::Prismatic => slides.next().copied(),
+        });
+        limits.collect()
+    }
+}
+
 impl Validate for RobotConfig {
     fn validate(&self) -> Result<(), Violation> {
-        if self.links.len() != ROBOT_JOINTS {
+        let axes = self.axes();
+        if !(AXES_MIN..=AXES_MAX).contains(&axes) {
             return Err(Violation::new(
                 "links",
-                format!("{} links are given", self.links.len()),
-                "give the six links of the robot, base to flange",
+                format!("{axes} links are given"),
+                format!("give the {AXES_MIN} to {AXES_MAX} links of the robot, base to flange"),
             ));
         }
         validate_links("links", &self.links)?;
-        for (joint, [low, high]) in self.joint_limits_deg.iter().enumerate() {
-            if !(low.is_finite() && high.is_finite() && low < high) {
+        self.base.validate("base")?;
+        self.flange.validate("flange")?;
+        for (key, kind, limits) in [
+            ("joint_limits_deg", JointKind::Revolute, &self.joint_limits_deg),
+            ("joint_limits_m", JointKind::Prismatic, &self.joint_limits_m),
+        ] {
+            let needed = self.joint_kinds().filter(|other| *other == kind).count();
+            if limits.len() != needed {
                 return Err(Violation::new(
-                    format!("joint_limits_deg[{joint}]"),
-                    format!("[{low}, {high}] is not a range"),
-                    "write [lower, upper] in degrees",
+                    key,
+                    format!("{} ranges for {needed} {kind:?} axes", limits.len()).to_lowercase(),
+                    "write one [lower, upper] for each",
                 ));
             }
+            for (joint, [low, high]) in limits.iter().enumerate() {
+                if !(low.is_finite() && high.is_finite() && low < high) {
+                    return Err(Violation::new(
+                        format!("{key}[{joint}]"),
+                        format!("[{low}, {high}] is not a range"),
+                        "write [lower, upper], angles in degrees, lengths in metres",
+                    ));
+                }
+            }
         }
-        self.drives.validate()?;
-        let numbers = self.log.raw_offset_rad.iter().chain(self.log.raw_to_joint.iter().flatten());
-        if !numbers.copied().all(f64::is_finite) {
-            return Err(Violation::new("log", "a number is not finite", "write ordinary numbers"));
-        }
-        if determinant(&self.log.raw_to_joint) == 0.0 {
-            return Err(Violation::new(
-                "log.raw_to_joint",
-                "the matrix is singular: some joint does not follow from the log",
-                "check rows (log columns) and columns (joints)",
-            ));
-        }
-        Ok(())
+        self.drives.validate(axes)?;
+        self.log.validate(axes)
     }
 }
 
 /// Every number of every link is finite and every length is one of a robot, not of a field.
 pub(super) fn validate_links(key: &str, links: &[LinkConfig]) -> Result<(), Violation> {
-    const LENGTH_M_MAX: f64 = 10.0;
-    const ANGLE_DEG_MAX: f64 = 360.0;
     for (index, link) in links.iter().enumerate() {
         let lengths = [("a_m", link.a_m), ("d_m", link.d_m)];
-        let angles = [("alpha_deg", link.alpha_deg), ("theta_deg", link.theta_deg)];
+        let angles =
+            [("alpha_deg", link.alpha_deg), ("theta_deg", link.theta_deg), ("beta_deg", link.beta_deg)];
         let checks = lengths
             .map(|(name, value)| (name, value, LENGTH_M_MAX, "lengths are in metres"))
             .into_iter()
@@ -185,11 +340,11 @@ pub(super) fn validate_links(key: &str, links: &[LinkConfig]) -> Result<(), Viol
 }
 
 /// Determinant by elimination with row pivoting; small and only asked whether it is zero.
-fn determinant(matrix: &[[f64; ROBOT_JOINTS]; ROBOT_JOINTS]) -> f64 {
-    let mut m = *matrix;
+fn determinant(matrix: &[Vec<f64>]) -> f64 {
+    let mut m = matrix.to_vec();
     let mut determinant = 1.0;
-    for column in 0..ROBOT_JOINTS {
-        let pivot = (column..ROBOT_JOINTS)
+    for column in 0..m.len() {
+        let pivot = (column..m.len())
             .max_by(|&a, &b| m[a][column].abs().total_cmp(&m[b][column].abs()))
             .unwrap_or(column);
         if m[pivot][column] == 0.0 {
@@ -197,8 +352,9 @@ fn determinant(matrix: &[[f64; ROBOT_JOINTS]; ROBOT_JOINTS]) -> f64 {
         }
         m.swap(column, pivot);
         determinant *= m[column][column];
-        let pivot_row = m[column];
-        for row in m.iter_mut().skip(column + 1) {
+        let (above, below) = m.split_at_mut(column + 1);
+        let pivot_row = &above[column];
+        for row in below {
             let factor = row[column] / pivot_row[column];
             for (value, pivot_value) in row.iter_mut().zip(pivot_row) {
                 *value -= factor * pivot_value;

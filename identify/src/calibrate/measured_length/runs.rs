@@ -3,7 +3,6 @@
 use super::figures::{median, pick};
 use super::{RejectedRow, Rejection, residuals_m};
 use crate::instrument::LengthRow;
-use crate::kinematics::ROBOT_JOINTS;
 use crate::model::Model;
 
 /// What would explain a run.
@@ -63,7 +62,7 @@ fn sign_reversed(model: &Model, rows: &[LengthRow], joint: usize) -> (f64, RunCa
 fn explain(model: &Model, rows: &[LengthRow], residuals_m: &[f64], median_m: f64) -> Option<RunCause> {
     /// A cause must leave no more than this part of the residuals.
     const PART_LEFT: f64 = 1.0 / 3.0;
-    (0..ROBOT_JOINTS)
+    (0..model.axes())
         .map(|joint| sign_reversed(model, rows, joint))
         .chain([zero_moved(residuals_m)])
         .min_by(|a, b| a.0.total_cmp(&b.0))

@@ -155,10 +155,8 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &PoseOptions) -> Resu
         return Err(PoseError::TooFewRows { rows: fitting.len(), needed: ROWS_MIN });
     }
     let mut model = Model::measured_pose(robot);
-    let waves = || ParameterId::joint_waves(options.waves_per_turn_max);
-    if let Some(&id) =
-        options.fix.iter().find(|id| model.parameter(**id).is_none() && waves().all(|one| one != **id))
-    {
+    let with_waves = model.clone().with_joint_waves(ParameterId::joint_waves(options.waves_per_turn_max));
+    if let Some(&id) = options.fix.iter().find(|id| with_waves.parameter(**id).is_none()) {
         return Err(ModelError::NotInModel { id }.into());
     }
     let all = Tracker::new(rows, &states, &groups, options.seed);
@@ -168,8 +166,10 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &PoseOptions) -> Resu
     let sigmas = [options.link_sigma_m, options.link_sigma_rad];
     free_links(&mut model, &link_ids(robot), &options.fix, sigmas)?;
     let kinds = if options.joint_errors {
-        model = model.with_joint_waves(waves());
-        terms::kinds(options.waves_per_turn_max, &options.fix)
+        model = model.with_joint_waves(ParameterId::joint_waves(options.waves_per_turn_max));
+        terms::kinds(options.waves_per_turn_max, |id| {
+            with_waves.parameter(*id).is_some() && !options.fix.contains(id)
+        })
     } else {
         Vec::new()
     };

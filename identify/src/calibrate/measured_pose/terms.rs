@@ -8,8 +8,8 @@ fn joint_terms(wanted: fn(JointTerm) -> bool) -> Vec<ParameterId> {
     ParameterId::joint_terms().filter(term).collect()
 }
 
-/// What a robot's joints can be wrong by, but for parameters that are fixed.
-pub(in crate::calibrate) fn kinds(waves_last: u8, fix: &[ParameterId]) -> Vec<Kind> {
+/// What a robot's joints can be wrong by, of the parameters that are offered.
+pub(in crate::calibrate) fn kinds(waves_last: u8, offered: impl Fn(&ParameterId) -> bool) -> Vec<Kind> {
     const ANGLES_RAD: &[f64] = &[20e-6, 100e-6, 500e-6];
     const SHARES: &[f64] = &[20e-6, 100e-6, 500e-6];
     use JointTerm::{Backlash, Compliance, Cosine, Ratio, Sine};
@@ -38,7 +38,7 @@ pub(in crate::calibrate) fn kinds(waves_last: u8, fix: &[ParameterId]) -> Vec<Ki
         ),
     ];
     kinds.extend(BANDS.iter().filter_map(|band| waves(band, waves_last)));
-    kinds.iter_mut().for_each(|kind| kind.ids.retain(|id| !fix.contains(id)));
+    kinds.iter_mut().for_each(|kind| kind.ids.retain(&offered));
     kinds.retain(|kind| !kind.ids.is_empty());
     kinds
 }

@@ -201,15 +201,16 @@ pub(super) fn run(arguments: &BarArguments) -> anyhow::Result<()> {
 /// The same with this configuration.
 pub(super) fn calibrate(arguments: &BarArguments, config: &IdentifyConfig) -> anyhow::Result<()> {
     let robot = &arguments.common.robot()?;
+    crate::commands::ensure_six_revolute_axes(robot)?;
     let truth = arguments.truth.as_deref().map(load_truth).transpose()?;
     let runs = runs(arguments, robot)?;
     let inputs: Vec<RunInput<'_>> = runs.iter().map(RunFiles::input).collect();
     let on_terminal = OnTerminal::new();
     let calibration = ball_bar::calibrate_runs(&inputs, robot, config, Some(&on_terminal));
-    let limits_deg = &robot.joint_limits_deg;
+    let limits = &robot.joint_limits();
     let studied = calibration.and_then(|calibration| {
-        let evidence = evidence(&calibration, limits_deg);
-        let evidence = evidence.with_validation(&calibration, config, limits_deg, Some(&on_terminal))?;
+        let evidence = evidence(&calibration, limits);
+        let evidence = evidence.with_validation(&calibration, config, limits, Some(&on_terminal))?;
         Ok((calibration, evidence))
     });
     on_terminal.finish();

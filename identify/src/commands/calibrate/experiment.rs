@@ -14,6 +14,7 @@ use super::{CommonArguments, RowArguments, inputs, tracker, wire};
 use crate::calibrate::ball_bar::RunInput;
 use crate::calibrate::mix::{self, DataSets};
 use crate::calibrate::{HoldOut, IdentifyConfig};
+use crate::commands::ensure_six_revolute_axes;
 use crate::commands::on_terminal::OnTerminal;
 use crate::instrument::{LengthRow, PoseRow};
 use crate::logs::LogFormat;
@@ -310,10 +311,15 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
 fn mixed(experiment: Experiment, out: &Path) -> anyhow::Result<()> {
     let (bar_arguments, config) = (experiment.bar_arguments(out), &experiment.identify);
     let robot = &experiment.common(out).robot()?;
-    let bars = if experiment.bars.is_empty() { Vec::new() } else { bar::runs(&bar_arguments, robot)? };
-    let read = |rows: &RowFile| tracker::rows(&rows.file, &config::load(&rows.mapping)?);
+    let bars = if experiment.bars.is_empty() {
+        Vec::new()
+    } else {
+        ensure_six_revolute_axes(robot)?;
+        bar::runs(&bar_arguments, robot)?
+    };
+    let read = |rows: &RowFile| tracker::rows(&rows.file, &rows.mapping, robot);
     let trackers: Vec<Vec<PoseRow>> = experiment.trackers.iter().map(read).collect::<anyhow::Result<_>>()?;
-    let read = |rows: &RowFile| wire::rows(&rows.file, &config::load(&rows.mapping)?).map(|(rows, _)| rows);
+    let read = |rows: &RowFile| wire::rows(&rows.file, &rows.mapping, robot).map(|(rows, _)| rows);
     let wires: Vec<Vec<LengthRow>> = experiment.wires.iter().map(read).collect::<anyhow::Result<_>>()?;
     let data = DataSets {
         bars: bars.iter().map(bar::RunFiles::input).collect::<Vec<RunInput<'_>>>(),

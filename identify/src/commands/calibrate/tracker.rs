@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::Args;
-use shared::config;
+use shared::config::{self, RobotConfig};
 use shared::output::{say, show};
 
 use super::experiment::{Experiment, RowFile};
@@ -13,7 +13,7 @@ use crate::calibrate::IdentifyConfig;
 use crate::calibrate::measured_pose::{self, PoseOptions, PoseReport, WAVES_PER_TURN_MAX};
 use crate::instrument::PoseRow;
 use crate::kinematics::{Chain, flange_chain};
-use crate::logs::{MeasuredPoseMapping, MeasuredPoses};
+use crate::logs::{MeasuredPoseMapping, MeasuredPoses, joints_of_robot};
 use crate::model::{JointWaves, ParameterId};
 use crate::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use crate::report::{poses, table};
@@ -41,13 +41,16 @@ pub struct TrackerArguments {
     common: CommonArguments,
 }
 
-pub(super) fn rows(path: &Path, mapping: &MeasuredPoseMapping) -> anyhow::Result<Vec<PoseRow>> {
+/// The rows of a file, read as the file of its mapping says.
+pub(super) fn rows(path: &Path, mapping: &Path, robot: &RobotConfig) -> anyhow::Result<Vec<PoseRow>> {
+    let of_file: MeasuredPoseMapping = config::load(mapping)?;
+    joints_of_robot(&of_file.joints, robot, mapping)?;
     let row = |row: &crate::logs::MeasuredPose| PoseRow {
         joints_rad: row.q_rad,
         position_m: row.position_m,
         rotation: row.rotation,
     };
-    Ok(MeasuredPoses::load(path, mapping)?.rows.iter().map(row).collect())
+    Ok(MeasuredPoses::load(path, &of_file)?.rows.iter().map(row).collect())
 }
 
 fn is_wave(name: &str) -> bool {
@@ -101,10 +104,9 @@ pub(super) fn run(arguments: &TrackerArguments) -> anyhow::Result<()> {
     let TrackerArguments { poses: path, validate, joint_waves, loss, common, .. } = arguments;
     let RowArguments { mapping: mapping_path, hold_out, seed, fix } = &arguments.rows;
     let robot = &common.robot()?;
-    let mapping: MeasuredPoseMapping = config::load(mapping_path)?;
-    let measured = rows(path, &mapping)?;
+    let measured = rows(path, mapping_path, robot)?;
     // Read before the fit: a file that is missing is said at once.
-    let others = validate.iter().map(|path| Ok((path, rows(path, &mapping)?)));
+    let others = validate.iter().map(|path| Ok((path, rows(path, mapping_path, robot)?)));
     let others = others.collect::<anyhow::Result<Vec<_>>>()?;
     let usual = PoseOptions::default();
     let options = PoseOptions {

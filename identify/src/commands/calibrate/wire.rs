@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use shared::config;
+use shared::config::{self, RobotConfig};
 use shared::output::{say, show};
 
 use super::experiment::{Experiment, RowFile};
@@ -11,7 +11,7 @@ use super::{CommonArguments, RowArguments, inputs, refused};
 use crate::calibrate::measured_length::{self, LengthOptions};
 use crate::instrument::LengthRow;
 use crate::kinematics::flange_chain;
-use crate::logs::{MeasuredLength, MeasuredLengthMapping, MeasuredLengths};
+use crate::logs::{MeasuredLength, MeasuredLengthMapping, MeasuredLengths, joints_of_robot};
 use crate::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use crate::report::table;
 
@@ -34,15 +34,18 @@ impl WireArguments {
     }
 }
 
-/// The rows of a file, and the line of each.
+/// The rows of a file, read as the file of its mapping says, and the line of each.
 pub(super) fn rows(
     path: &Path,
-    mapping: &MeasuredLengthMapping,
+    mapping: &Path,
+    robot: &RobotConfig,
 ) -> anyhow::Result<(Vec<LengthRow>, Vec<u64>)> {
+    let of_file: MeasuredLengthMapping = config::load(mapping)?;
+    joints_of_robot(&of_file.joints, robot, mapping)?;
     let row = |row: &MeasuredLength| {
         (LengthRow { joints_rad: row.q_rad, length_m: row.length_m, flange_m: row.flange_m }, row.line)
     };
-    Ok(MeasuredLengths::load(path, mapping)?.rows.iter().map(row).unzip())
+    Ok(MeasuredLengths::load(path, &of_file)?.rows.iter().map(row).unzip())
 }
 
 /// Reads, calibrates, writes and prints.
@@ -50,8 +53,7 @@ pub(super) fn run(arguments: &WireArguments) -> anyhow::Result<()> {
     let WireArguments { lengths, rows: RowArguments { mapping: mapping_path, hold_out, seed, fix }, common } =
         arguments;
     let robot = &common.robot()?;
-    let mapping: MeasuredLengthMapping = config::load(mapping_path)?;
-    let (rows, lines) = rows(lengths, &mapping)?;
+    let (rows, lines) = rows(lengths, mapping_path, robot)?;
     let usual = LengthOptions::default();
     let options = LengthOptions {
         seed: *seed,

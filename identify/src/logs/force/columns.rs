@@ -3,9 +3,10 @@
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use shared::config::{RobotConfig, Violation};
+use shared::config::{AXES_MAX, AXES_MIN, RobotConfig, Violation};
 
 use super::{ALONG_COLUMN, FORCE_MAX, ForceKind};
+use crate::kinematics::Joints;
 use crate::logs::LogError;
 use crate::logs::csv_text::{Column, Row, Table, comments};
 
@@ -59,7 +60,7 @@ pub enum ForceFrame {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct ForceColumns {
-    /// One: along the bar. Three: its components x, y, z. Six: torques of the joints, in their order. None: the torques
+    /// One: along the bar. Three: its components x, y, z. In Nm: torques of the joints, in their order. None: the torques
     /// that the log has anyway (columns `torques`, or `effort` of ROS 2).
     #[serde(default)]
     pub columns: Vec<String>,
@@ -74,6 +75,7 @@ impl ForceColumns {
     /// What the columns hold.
     pub fn kind(&self) -> ForceKind {
         match (self.columns.len(), self.frame) {
+            _ if self.unit == ForceUnit::Nm => ForceKind::JointTorques,
             (1, _) if self.unit == ForceUnit::Sign => ForceKind::Sign,
             (1, _) => ForceKind::Along,
             (3, ForceFrame::Flange) => ForceKind::InFlange,
@@ -85,9 +87,9 @@ impl ForceColumns {
     /// Number of columns and unit go together.
     pub(in crate::logs) fn check(&self) -> Result<(), Violation> {
         let fits = match (self.columns.len(), self.unit) {
-            (1, unit) => unit != ForceUnit::Nm,
-            (3, unit) => !matches!(unit, ForceUnit::Nm | ForceUnit::Sign),
-            (0 | 6, unit) => unit == ForceUnit::Nm,
+            (columns, ForceUnit::Nm) => columns == 0 || (AXES_MIN..=AXES_MAX).contains(&columns),
+            (1, _) => true,
+            (3, unit) => unit != ForceUnit::Sign,
             _ => false,
         };
         if fits {
@@ -96,7 +98,7 @@ impl ForceColumns {
         Err(Violation::new(
             "force",
             format!("{} columns in {:?} are no force", self.columns.len(), self.unit),
-            "write one column along the bar (N, kN, lbf or sign), three components (N, kN, lbf), or six torques of the \
+            "write one column along the bar (N, kN, lbf or sign), three components (N, kN, lbf), or torques of all \
              joints (Nm)",
         ))
     }
@@ -120,9 +122,9 @@ impl ForceLayout {
     /// Those that say themselves what they are: `force_N`, `force_sign`, `force_x_N` .. `force_z_N` (in the axes of the
     /// flange unless a comment says `# force_frame: base`), torques such as `joint1_Nm`, or the force of a UR.
     pub fn own(table: &Table<'_>, text: &str, robot: &RobotConfig) -> Result<Option<Self>, LogError> {
-        let torques: [String; 6] =
-            std::array::from_fn(|joint| format!("{}{}_Nm", robot.log.column, joint + 1));
-        let torques = torques.each_ref().map(String::as_str);
+        let torques: Vec<String> =
+            (1..=robot.axes()).map(|joint| format!("{}{joint}_Nm", robot.log.column)).collect();
+        let torques: Vec<&str> = torques.iter().map(String::as_str).collect();
         let in_base =
             comments(text).any(|(key, value)| key == "force_frame" && value.eq_ignore_ascii_case("base"));
         let vector = if in_base { ForceKind::InBase } else { ForceKind::InFlange };
@@ -144,8 +146,8 @@ impl ForceLayout {
     }
 
     /// The numbers of one row \[N or N m\].
-    pub fn row(&self, table: &Table<'_>, row: &Row) -> Result<[f64; 6], LogError> {
-        let mut values = [0.0; 6];
+    pub fn row(&self, table: &Table<'_>, row: &Row) -> Result<Joints, LogError> {
+        let mut values = Joints::zeros(self.columns.len());
         for (value, (column, factor)) in values.iter_mut().zip(&self.columns) {
             *value = table.number(row, column)? * factor;
             if value.abs() > FORCE_MAX {

@@ -84,7 +84,7 @@ impl ForceLog {
     /// Torques of what the robot's log has to those of the model's joints.
     fn on_joints(mut self, robot: &RobotConfig) -> Result<Self, LogError> {
         if self.kind == ForceKind::JointTorques {
-            let conversion = JointConversion::new(&robot.log)?;
+            let conversion = JointConversion::of(robot)?;
             self.values.iter_mut().for_each(|row| *row = conversion.to_joint_torque(row));
         }
         Ok(self)

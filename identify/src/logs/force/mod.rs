@@ -9,6 +9,8 @@ pub use file::ForceLogMapping;
 
 use serde::{Deserialize, Serialize};
 
+use crate::kinematics::Joints;
+
 /// Column of a force along the bar \[N\].
 pub(super) const ALONG_COLUMN: &str = "force_N";
 /// No robot meets a force \[N\] or gives a torque \[N m\] beyond this; more means a damaged file, and would overflow later.
@@ -52,15 +54,6 @@ pub enum ForceKind {
 }
 
 impl ForceKind {
-    /// Numbers in each row.
-    pub const fn values(self) -> usize {
-        match self {
-            Self::Along | Self::Sign => 1,
-            Self::InFlange | Self::InBase => 3,
-            Self::JointTorques => 6,
-        }
-    }
-
     /// In words.
     pub const fn describe(self) -> &'static str {
         match self {
@@ -84,8 +77,8 @@ pub struct ForceLog {
     pub first_stamp_ns: i64,
     /// Stamps relative to the first \[s\], strictly increasing, the first is 0.
     pub t_s: Vec<f64>,
-    /// One row per stamp, [`ForceKind::values`] numbers of it count \[N or N m\].
-    pub values: Vec<[f64; 6]>,
+    /// One row per stamp, as many numbers as its kind has \[N or N m\].
+    pub values: Vec<Joints>,
 }
 
 impl ForceLog {
@@ -98,7 +91,7 @@ impl ForceLog {
 
     /// The numbers at a time after the first stamp, on a straight line between two rows: forces jump where friction changes
     /// sides, and a smooth curve would swing there. None beyond the ends and in holes longer than `gap_limit_s`.
-    pub fn at(&self, since_first_s: f64, gap_limit_s: f64) -> Option<[f64; 6]> {
+    pub fn at(&self, since_first_s: f64, gap_limit_s: f64) -> Option<Joints> {
         let after = self.t_s.partition_point(|stamp| *stamp < since_first_s).max(1);
         let (from_s, to_s) = (*self.t_s.get(after - 1)?, *self.t_s.get(after)?);
         let (from, to) = (self.values.get(after - 1)?, self.values.get(after)?);
@@ -106,6 +99,6 @@ impl ForceLog {
             return None;
         }
         let part = (since_first_s - from_s) / (to_s - from_s);
-        Some(std::array::from_fn(|i| from[i] + part * (to[i] - from[i])))
+        Some(from.iter().zip(to).map(|(from, to)| from + part * (to - from)).collect())
     }
 }

@@ -16,28 +16,32 @@ use shared::config::{AngleUnit, RobotConfig};
 use super::mapping::RobotLogMapping;
 use super::raw::{Meaning, RawLog, RawRow};
 use super::{ForceColumns, ForceKind, LogError, LogFormat, Origin, RobotLog};
+use crate::kinematics::Joints;
 use bag::Message;
 
 pub(super) use bag::{Bag, UNSTAMPED, Wanted, clock_name};
 
-/// Names that drivers give the six joints, from base to flange; a prefix such as `left_` may stand before all six.
-const FAMILIES: [[&str; 6]; 4] = [
-    ["joint_1", "joint_2", "joint_3", "joint_4", "joint_5", "joint_6"],
-    ["joint1", "joint2", "joint3", "joint4", "joint5", "joint6"],
-    ["joint_a1", "joint_a2", "joint_a3", "joint_a4", "joint_a5", "joint_a6"],
-    [
+/// Names that drivers give the joints, from base to flange; a prefix such as `left_` may stand before all of them.
+fn families(axes: usize) -> Vec<Vec<String>> {
+    const UR: [&str; 6] = [
         "shoulder_pan_joint",
         "shoulder_lift_joint",
         "elbow_joint",
         "wrist_1_joint",
         "wrist_2_joint",
         "wrist_3_joint",
-    ],
-];
+    ];
+    let numbered = |stem: &str| (1..=axes).map(|joint| format!("{stem}{joint}")).collect();
+    let mut families = vec![numbered("joint_"), numbered("joint"), numbered("joint_a")];
+    if axes == UR.len() {
+        families.push(UR.map(str::to_owned).to_vec());
+    }
+    families
+}
 
-const SIX_JOINTS: Wanted = Wanted {
-    what: "the six joints of one robot",
-    remedy: "name joints 1 to 6 with [[joints]] column = \"...\" in a mapping file (--log-mapping)",
+const JOINTS: Wanted = Wanted {
+    what: "the joints of one robot",
+    remedy: "name its joints with [[joints]] column = \"...\" in a mapping file (--log-mapping)",
     choose: "choose with topic = \"...\" in a mapping file (--log-mapping)",
     record: "record the topic /joint_states",
 };
@@ -52,9 +56,10 @@ pub(super) fn read(
 ) -> Result<RobotLog, LogError> {
     let bag = Bag::open(bytes, path, format)?;
     let topic = mapping.and_then(|mapping| mapping.topic.as_deref());
-    let (topic, names) = bag.choose(path, topic, &SIX_JOINTS, |found| six_joints(found, mapping))?;
+    let (topic, names) =
+        bag.choose(path, topic, &JOINTS, |found| joints_among(found, robot.axes(), mapping))?;
     let meaning = match mapping {
-        Some(mapping) => Meaning::new(robot, &mapping.conversion(), names.clone())?,
+        Some(mapping) => Meaning::mapped(robot, mapping, names.clone(), path)?,
         None => Meaning::of_controller(robot, AngleUnit::Rad, names.clone(), format, path)?,
     };
     let mut raw = RawLog::new(path, "message");
@@ -70,7 +75,7 @@ pub(super) fn read(
     if !stamped {
         raw.remarks.push(UNSTAMPED.into());
     }
-    let to_rad = units(mapping);
+    let to_rad = units(mapping, robot.axes());
     for message in &topic.messages {
         raw.push(row(message, &names, &to_rad, stamped))?;
     }
@@ -92,25 +97,20 @@ fn of_efforts(force: &ForceColumns, path: &Path) -> Result<ForceKind, LogError> 
 }
 
 /// What values of the joints are multiplied by: a mapping may say that they are degrees, against REP 103.
-fn units(mapping: Option<&RobotLogMapping>) -> [f64; 6] {
-    let mut to_rad = [1.0; 6];
-    if let Some(mapping) = mapping {
-        to_rad.iter_mut().zip(&mapping.joints).for_each(|(factor, joint)| *factor = joint.unit.to_rad());
-    }
-    to_rad
+fn units(mapping: Option<&RobotLogMapping>, axes: usize) -> Vec<f64> {
+    mapping.map_or(vec![1.0; axes], |mapping| mapping.joints.iter().map(|joint| joint.unit.to_si()).collect())
 }
 
-fn row(message: &Message, names: &[String; 6], to_rad: &[f64; 6], stamped: bool) -> RawRow {
+fn row(message: &Message, names: &[String], to_rad: &[f64], stamped: bool) -> RawRow {
     let state = &message.state;
-    let place = names.each_ref().map(|name| state.names.iter().position(|other| other == name));
-    let values = |of: &[f64]| -> [f64; 6] {
-        std::array::from_fn(|joint| place[joint].and_then(|place| of.get(place)).copied().unwrap_or(f64::NAN))
+    let value = |name: &String, of: &[f64]| {
+        let place = state.names.iter().position(|other| other == name);
+        place.and_then(|place| of.get(place)).copied().unwrap_or(f64::NAN)
     };
-    let scaled = |of: &[f64]| {
-        let values = values(of);
-        std::array::from_fn(|joint| values[joint] * to_rad[joint])
-    };
-    let whole = |values: [f64; 6]| values.iter().all(|value| value.is_finite()).then_some(values);
+    let values = |of: &[f64]| -> Joints { names.iter().map(|name| value(name, of)).collect() };
+    let scaled =
+        |of: &[f64]| -> Joints { values(of).iter().zip(to_rad).map(|(value, unit)| value * unit).collect() };
+    let whole = |values: Joints| values.iter().all(|value| value.is_finite()).then_some(values);
     RawRow {
         place: message.number,
         stamp_ns: message.stamp_ns(stamped),
@@ -121,19 +121,19 @@ fn row(message: &Message, names: &[String; 6], to_rad: &[f64; 6], stamped: bool)
     }
 }
 
-/// The names of joints 1 to 6 among those found: the mapping's, or a family with one and the same prefix.
-fn six_joints(found: &[&str], mapping: Option<&RobotLogMapping>) -> Option<[String; 6]> {
+/// The names of the joints among those found: the mapping's, or a family with one and the same prefix.
+fn joints_among(found: &[&str], axes: usize, mapping: Option<&RobotLogMapping>) -> Option<Vec<String>> {
+    let are_found = |names: &Vec<String>| names.iter().all(|name| found.contains(&name.as_str()));
     if let Some(mapping) = mapping {
         let names: Vec<String> = mapping.joints.iter().map(|joint| joint.column.clone()).collect();
-        let all = names.iter().all(|name| found.contains(&name.as_str()));
-        return names.try_into().ok().filter(|_| all);
+        return Some(names).filter(are_found);
     }
-    let mut candidates = FAMILIES.iter().flat_map(|family| {
-        let prefixes = found.iter().filter_map(|name| name.strip_suffix(family[0]));
-        prefixes.map(|prefix| family.map(|name| format!("{prefix}{name}"))).collect::<Vec<_>>()
+    let families = families(axes);
+    let candidates = families.iter().flat_map(|family| {
+        let prefixes = found.iter().filter_map(|name| name.strip_suffix(family[0].as_str()));
+        prefixes.map(|prefix| family.iter().map(|name| format!("{prefix}{name}")).collect::<Vec<_>>())
     });
-    let mut complete =
-        candidates.by_ref().filter(|names| names.iter().all(|name| found.contains(&name.as_str())));
+    let mut complete = candidates.filter(are_found);
     let first = complete.next();
     // Two robots in one topic: which is meant must be said.
     first.filter(|_| complete.next().is_none())

@@ -4,7 +4,6 @@ use plotters::prelude::RGBColor;
 
 use super::plot::{BLUE, COLOURS, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
 use crate::cost::Closure;
-use crate::kinematics::ROBOT_JOINTS;
 use crate::prepare::LocalShift;
 use crate::study::{Evidence, JointGap, RunEvidence, ShiftCurve};
 
@@ -130,7 +129,7 @@ pub(super) fn by_joint(evidence: &Evidence) -> Result<Vec<String>, PlotError> {
             from_zero: false,
         }
     };
-    (0..ROBOT_JOINTS).map(|joint| panel(joint).draw()).collect()
+    (0..evidence.joints.len()).map(|joint| panel(joint).draw()).collect()
 }
 
 /// What becomes of the gap when one log is moved in time.

@@ -1,5 +1,6 @@
 //! `report.html`: one file without scripts or links to anything else, that a browser shows and a printer prints.
 
+mod arm;
 mod correlations;
 mod costs;
 mod figures;
@@ -23,6 +24,7 @@ use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::report::file::{CalibrationFile, FileError, replace};
 use crate::study::Evidence;
 
+pub use arm::picture;
 pub use inputs::Source;
 pub use plot::PlotError;
 pub use refused::{InspectedLog, InspectedRun, RefusedPage, WrittenRefusal};

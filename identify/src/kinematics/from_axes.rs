@@ -1,0 +1,128 @@
+//! Denavit-Hartenberg links of an arm that is given by the lines of its axes, as a URDF gives it.
+//!
+//! At joint zero an axis is a point and a direction. What the arm does follows from these lines and from where its end then
+//! is (product of exponentials, Brockett 1984), so that links along the same lines move the end in the same way. Each
+//! link leads from one line to the next: by their common normal, or, where the two are nearly parallel and that is far
+//! away or not unique, by Hayati's link to the point where the next line crosses the plane across the one before.
+
+use nalgebra::{Matrix3, Rotation3, Vector3};
+use shared::config::JointKind;
+
+use super::{Chain, DhLink, Pose, rotation_vector};
+
+/// An axis at joint zero, in the root frame.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AxisLine {
+    /// How it moves.
+    pub joint: JointKind,
+    /// A point on it \[m\]; any where it is prismatic.
+    pub point_m: Vector3<f64>,
+    /// Its direction, unit length.
+    pub direction: Vector3<f64>,
+}
+
+/// Directions whose sine is less are nearly parallel: a common normal would be more than the link's length times 1000 away.
+const NEARLY_PARALLEL: f64 = 1e-3;
+/// Lengths \[m\] and angles \[rad\] below this are rounding.
+const ROUNDING: f64 = 1e-12;
+
+impl Chain {
+    /// Links along `axes`, base to end, that end at `end` when all joints are zero.
+    pub fn from_axes(axes: &[AxisLine], end: &Pose) -> Self {
+        let Some(first) = axes.first() else {
+            return Self { last_from_end: *end, ..Self::new(Pose::identity(), vec![]) };
+        };
+        let root_from_base = start(first);
+        let (mut at, mut links) = (root_from_base, Vec::with_capacity(axes.len()));
+        let last = AxisLine {
+            joint: JointKind::Revolute,
+            point_m: end.translation.vector,
+            direction: end.rotation * Vector3::z(),
+        };
+        for (axis, next) in axes.iter().zip(axes.iter().skip(1).map(Some).chain([None])) {
+            // Of planes across parallel axes one is as good as another, but at the end.
+            let link = next.map_or_else(
+                || link_to(&at, &last, at.inverse_transform_point(&last.point_m.into()).z),
+                |next| link_to(&at, next, 0.0),
+            );
+            let link = DhLink { joint: axis.joint, ..link };
+            at *= link.transform(0.0);
+            links.push(link);
+        }
+        // What is left is a turn about the end's z and a shift along it; the last link has room for neither.
+        let rest = at.inverse() * end;
+        Self {
+            root_from_base,
+            links,
+            last_from_end: if is_identity(&rest) { Pose::identity() } else { rest },
+        }
+    }
+}
+
+fn is_identity(pose: &Pose) -> bool {
+    pose.translation.vector.norm() < ROUNDING
+        && rotation_vector(pose.rotation.matrix()).norm() < ROUNDING
+        && pose.rotation.matrix().trace() > 0.0
+}
+
+/// z along the first axis, at its point nearest to the root, x as near to the root's as can be.
+fn start(first: &AxisLine) -> Pose {
+    let z = first.direction;
+    let origin_m = match first.joint {
+        JointKind::Revolute => first.point_m - z * z.dot(&first.point_m),
+        JointKind::Prismatic => Vector3::zeros(),
+    };
+    let across = |axis: Vector3<f64>| axis - z * z.dot(&axis);
+    let x = across(Vector3::x());
+    let x = if x.norm() > 0.1 { x } else { across(Vector3::y()) }.normalize();
+    let rotation = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[x, z.cross(&x), z]));
+    let pose = Pose::from_parts(origin_m.into(), rotation);
+    if is_identity(&pose) { Pose::identity() } else { pose }
+}
+
+/// The link from a frame, whose z is an axis, to the next axis; to where that crosses the plane at this height where the two
+/// are nearly parallel.
+fn link_to(at: &Pose, next: &AxisLine, plane_m: f64) -> DhLink {
+    let u = at.rotation.inverse() * next.direction;
+    // A prismatic axis is where it is wanted.
+    let p = match next.joint {
+        JointKind::Revolute => at.inverse_transform_point(&next.point_m.into()).coords,
+        JointKind::Prismatic => Vector3::zeros(),
+    };
+    let sine = u.x.hypot(u.y);
+    let snapped = |value: f64| if value.abs() < ROUNDING { 0.0 } else { value };
+    let angle = |y: f64, x: f64| snapped(y.atan2(x));
+    if sine < NEARLY_PARALLEL {
+        // Where the next axis crosses the plane.
+        let crossing = p - u * ((p.z - plane_m) / u.z);
+        let a_m = snapped(crossing.x.hypot(crossing.y));
+        let theta_rad = if a_m > 0.0 { angle(crossing.y, crossing.x) } else { 0.0 };
+        let seen = Rotation3::from_axis_angle(&Vector3::z_axis(), -theta_rad) * u;
+        // Rx(alpha) Ry(beta) z = (sin beta, -sin alpha cos beta, cos alpha cos beta)
+        let beta_rad = angle(seen.x, seen.y.hypot(seen.z));
+        return DhLink {
+            a_m,
+            alpha_rad: angle(-seen.y, seen.z),
+            d_m: plane_m,
+            theta_rad,
+            beta_rad,
+            ..DhLink::default()
+        };
+    }
+    // The foot of the common normal on the next axis; it runs along x. Of two lines that meet, x with the smaller turn.
+    let foot = p - u * ((p.x * u.x + p.y * u.y) / (sine * sine));
+    let normal = Vector3::new(-u.y, u.x, 0.0) / sine;
+    let length = normal.dot(&foot);
+    let x = match snapped(length) {
+        0.0 if normal.x < -ROUNDING || (normal.x <= ROUNDING && normal.y < 0.0) => -normal,
+        length if length < 0.0 => -normal,
+        _ => normal,
+    };
+    DhLink {
+        a_m: snapped(x.dot(&foot)),
+        alpha_rad: angle(-u.dot(&Vector3::z().cross(&x)), u.z),
+        d_m: snapped(foot.z),
+        theta_rad: angle(x.y, x.x),
+        ..DhLink::default()
+    }
+}

@@ -1,0 +1,133 @@
+//! One number for each axis of an arm.
+
+use std::ops::{Deref, DerefMut, Index, IndexMut};
+
+use serde::Serialize;
+
+pub use shared::config::AXES_MAX;
+
+/// One number for each of an arm's axes, base to flange: joint variables (\[rad\], of prismatic axes \[m\]), their rates,
+/// torques. A slice of as many numbers as the robot has axes, kept in place: ten hours of log have millions of them.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Joints {
+    /// Those beyond `count` are zero.
+    values: [f64; AXES_MAX],
+    count: usize,
+}
+
+impl Joints {
+    /// All zero.
+    pub const fn zeros(count: usize) -> Self {
+        let count = if count < AXES_MAX { count } else { AXES_MAX };
+        Self { values: [0.0; AXES_MAX], count }
+    }
+
+    /// From a function of the axis, from 0.
+    #[inline]
+    pub fn from_fn(count: usize, of: impl FnMut(usize) -> f64) -> Self {
+        (0..count).map(of).collect()
+    }
+
+    /// The same function of each number.
+    #[must_use]
+    pub fn map(mut self, of: impl FnMut(f64) -> f64 + Copy) -> Self {
+        self.iter_mut().for_each(|value| *value = { of }(*value));
+        self
+    }
+}
+
+impl Serialize for Joints {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        (**self).serialize(serializer)
+    }
+}
+
+impl Deref for Joints {
+    type Target = [f64];
+
+    #[inline]
+    fn deref(&self) -> &[f64] {
+        &self.values[..self.count]
+    }
+}
+
+impl Index<usize> for Joints {
+    type Output = f64;
+
+    #[inline]
+    fn index(&self, axis: usize) -> &f64 {
+        &(**self)[axis]
+    }
+}
+
+impl IndexMut<usize> for Joints {
+    #[inline]
+    fn index_mut(&mut self, axis: usize) -> &mut f64 {
+        &mut (**self)[axis]
+    }
+}
+
+impl AsRef<[f64]> for Joints {
+    fn as_ref(&self) -> &[f64] {
+        self
+    }
+}
+
+impl DerefMut for Joints {
+    #[inline]
+    fn deref_mut(&mut self) -> &mut [f64] {
+        &mut self.values[..self.count]
+    }
+}
+
+/// Numbers beyond [`AXES_MAX`] are left out.
+impl FromIterator<f64> for Joints {
+    #[inline]
+    fn from_iter<I: IntoIterator<Item = f64>>(numbers: I) -> Self {
+        let mut joints = Self::default();
+        for (value, number) in joints.values.iter_mut().zip(numbers) {
+            *value = number;
+            joints.count += 1;
+        }
+        joints
+    }
+}
+
+impl<const N: usize> From<[f64; N]> for Joints {
+    fn from(numbers: [f64; N]) -> Self {
+        numbers.into_iter().collect()
+    }
+}
+
+impl<const N: usize> PartialEq<[f64; N]> for Joints {
+    fn eq(&self, other: &[f64; N]) -> bool {
+        **self == other[..]
+    }
+}
+
+impl IntoIterator for Joints {
+    type Item = f64;
+    type IntoIter = std::iter::Take<std::array::IntoIter<f64, AXES_MAX>>;
+
+    fn into_iter(self) -> Self::IntoIter {
+        self.values.into_iter().take(self.count)
+    }
+}
+
+impl<'a> IntoIterator for &'a mut Joints {
+    type Item = &'a mut f64;
+    type IntoIter = std::slice::IterMut<'a, f64>;
+
+    fn into_iter(self) -> Self::IntoIter {
+        self.iter_mut()
+    }
+}
+
+impl<'a> IntoIterator for &'a Joints {
+    type Item = &'a f64;
+    type IntoIter = std::slice::Iter<'a, f64>;
+
+    fn into_iter(self) -> Self::IntoIter {
+        self.iter()
+    }
+}

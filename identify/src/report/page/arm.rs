@@ -1,0 +1,75 @@
+//! An arm from the side and from above: its axes, two postures, and where its flange can be.
+
+use nalgebra::Vector3;
+use shared::config::JointKind;
+
+use super::plot::{BLUE, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
+use crate::robot::RobotCheck;
+
+/// Width of the picture without the labels of its axes \[px\].
+const WIDTH_PX: f64 = 620.0;
+/// What a panel has beside and above its axes \[px\].
+const LABELS_PX: (f64, f64) = (76.0, 100.0);
+/// An axis is drawn this long, as a part of the arm's reach.
+const AXIS_PART: f64 = 0.07;
+
+/// Both views as one SVG.
+///
+/// # Errors
+/// [`PlotError`].
+pub fn picture(check: &RobotCheck) -> Result<String, PlotError> {
+    let side = view(check, "from the side", ["x [m]", "z [m]"], |p| (p.x, p.z))?;
+    let above = view(check, "from above", ["x [m]", "y [m]"], |p| (p.x, p.y))?;
+    let ((side, side_px), (above, above_px)) = (side, above);
+    let width_px = side_px.0 + above_px.0;
+    let height_px = side_px.1.max(above_px.1);
+    Ok(format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width_px}\" height=\"{height_px}\">\n\
+         <rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n{}{}</svg>\n",
+        placed(&side, 0, side_px),
+        placed(&above, side_px.0, above_px)
+    ))
+}
+
+/// A picture within the picture.
+fn placed(svg: &str, x_px: u32, (width_px, height_px): (u32, u32)) -> String {
+    let inner = svg.split_once('>').map_or(svg, |(_, inner)| inner);
+    let view = format!("0 0 {} {}", width_px * super::plot::FINE, height_px * super::plot::FINE);
+    format!("<svg x=\"{x_px}\" width=\"{width_px}\" height=\"{height_px}\" viewBox=\"{view}\">{inner}")
+}
+
+fn view(
+    check: &RobotCheck,
+    from: &str,
+    [x, y]: [&'static str; 2],
+    project: fn(&Vector3<f64>) -> (f64, f64),
+) -> Result<(String, (u32, u32)), PlotError> {
+    let reach_m = check.reached_m.iter().map(|p| p.norm()).fold(0.0, f64::max);
+    let mut series = vec![Series::new(
+        "flange, random postures",
+        GREY,
+        Mark::Dots,
+        check.reached_m.iter().take(3000).map(project).collect(),
+    )];
+    for ((name, points), colour) in check.postures.iter().zip([BLUE, GREEN]) {
+        series.push(Series::new(*name, colour, Mark::Line, points.iter().map(project).collect()));
+    }
+    let ends = |(kind, point, along): &(JointKind, Vector3<f64>, Vector3<f64>)| {
+        let half = along * AXIS_PART * reach_m;
+        let from = if *kind == JointKind::Prismatic { *point } else { point - half };
+        [from, point + half]
+    };
+    let axes = check.axes.iter().flat_map(ends);
+    series.push(Series::new("axes at zero", ORANGE, Mark::Segments, axes.map(|p| project(&p)).collect()));
+    // A metre is as long across as up.
+    let span = |of: fn(&(f64, f64)) -> f64| {
+        let values = || series.iter().flat_map(|one| &one.points).map(of);
+        (values().fold(f64::NEG_INFINITY, f64::max) - values().fold(f64::INFINITY, f64::min)).max(1e-3)
+    };
+    let (across_m, up_m) = (span(|p| p.0), span(|p| p.1));
+    let scale = WIDTH_PX / across_m.max(up_m);
+    let size = ((across_m * scale + LABELS_PX.0) as u32, (up_m * scale + LABELS_PX.1) as u32);
+    let title = format!("{} {from}", check.facts.first().map_or("", |(_, name)| name));
+    let panel = Panel { title, x, y: y.into(), size, series, from_zero: false };
+    Ok((panel.draw()?, size))
+}

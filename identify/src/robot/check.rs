@@ -1,0 +1,204 @@
+//! What a robot's configuration describes, and what looks wrong in it.
+
+use nalgebra::{DMatrix, Vector3};
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use shared::config::{JointKind, RobotConfig};
+
+use crate::kinematics::{Chain, InverseError, Joints, Trace, Tracer, flange_chain, robot_inverse_all};
+
+/// Random postures within the limits that reach and rank are looked for in.
+const POSTURES: usize = 20_000;
+/// The rank of the Jacobian is looked for in so many of them.
+const RANK_POSTURES: usize = 50;
+/// Singular values that are less, beside the largest, are none: two axes do the same.
+const RANK_TOLERANCE: f64 = 1e-6;
+/// Axes that are less apart from parallel, but are not, mostly come from rounded angles \[deg\].
+const NEARLY_PARALLEL_DEG: f64 = 0.1;
+/// Less is rounding of the sine of half a turn \[deg\].
+const ROUNDING_DEG: f64 = 1e-9;
+/// Angles in degrees that are so near to a part of a turn in radians were mostly meant as radians \[deg\].
+const AS_RADIANS: f64 = 1e-3;
+/// A revolute axis turns by this at most; more is no data sheet's \[deg\].
+const RANGE_DEG_MAX: f64 = 1440.0;
+/// The longest part of a robot \[m\]; beyond, lengths are mostly millimetres or wrong.
+const LENGTH_M_MAX: f64 = 4.0;
+
+/// What a configuration describes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RobotCheck {
+    /// Facts: what and how much.
+    pub facts: Vec<(&'static str, String)>,
+    /// What looks wrong, and what to do.
+    pub suspicious: Vec<String>,
+    /// Points along the arm, base to flange, in two postures: all joints at zero, all in the middle of their range \[m\].
+    pub postures: [(&'static str, Vec<Vector3<f64>>); 2],
+    /// Each axis with all joints at zero: a point \[m\] and its direction.
+    pub axes: Vec<(JointKind, Vector3<f64>, Vector3<f64>)>,
+    /// Places of the flange, random postures within the limits \[m\].
+    pub reached_m: Vec<Vector3<f64>>,
+}
+
+/// Looks at a configuration.
+pub fn check(robot: &RobotConfig) -> RobotCheck {
+    let (chain, limits) = (flange_chain(robot), robot.joint_limits());
+    let zero = Joints::zeros(limits.len());
+    let middle: Joints = limits.iter().map(|[low, high]| 0.5 * (low + high)).collect();
+    let mut trace = Trace::default();
+    let tracer = Tracer::new(&chain);
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let mut rank = 0;
+    let reached_m: Vec<Vector3<f64>> = (0..POSTURES)
+        .map(|posture| {
+            let joints: Joints = limits.iter().map(|&[low, high]| random.random_range(low..high)).collect();
+            tracer.trace(&joints, &mut trace);
+            if posture < RANK_POSTURES {
+                rank = rank.max(jacobian_rank(&trace));
+            }
+            trace.position_m()
+        })
+        .collect();
+    tracer.trace(&zero, &mut trace);
+    let axes: Vec<_> = robot
+        .joint_kinds()
+        .zip(trace.joint_axes())
+        .map(|(kind, (point, along))| (kind, point, along))
+        .collect();
+    RobotCheck {
+        facts: facts(robot, &chain, &trace, &reached_m),
+        suspicious: suspicious(robot, &chain, rank),
+        postures: [
+            ("all joints at zero", arm(&chain, &zero)),
+            ("middle of all ranges", arm(&chain, &middle)),
+        ],
+        axes,
+        reached_m,
+    }
+}
+
+/// Origins of the frames of all links and, between two, the corner where the common normal leaves the axis.
+fn arm(chain: &Chain, joints: &[f64]) -> Vec<Vector3<f64>> {
+    let mut frame = chain.root_from_base;
+    let mut points = vec![Vector3::zeros(), frame.translation.vector];
+    for (link, joint) in chain.joined(joints) {
+        let next = frame * link.transform(joint);
+        let along = frame.rotation * Vector3::z();
+        let from = frame.translation.vector;
+        points.push(from + along * along.dot(&(next.translation.vector - from)));
+        points.push(next.translation.vector);
+        frame = next;
+    }
+    points.push((frame * chain.last_from_end).translation.vector);
+    points
+}
+
+/// Metres and radians weigh the same.
+fn jacobian_rank(trace: &Trace) -> usize {
+    let columns: Vec<_> = trace.joint_twists().collect();
+    let part = |row: usize, column: usize| match row {
+        0..3 => columns[column].linear[row],
+        _ => columns[column].angular[row - 3],
+    };
+    let values = DMatrix::from_fn(6, columns.len(), part).singular_values();
+    values.iter().filter(|value| **value > RANK_TOLERANCE * values.max()).count()
+}
+
+fn facts(
+    robot: &RobotConfig,
+    chain: &Chain,
+    at_zero: &Trace,
+    reached_m: &[Vector3<f64>],
+) -> Vec<(&'static str, String)> {
+    let kinds: Vec<JointKind> = robot.joint_kinds().collect();
+    let prismatic = kinds.iter().filter(|kind| **kind == JointKind::Prismatic).count();
+    let range = |of: fn(&Vector3<f64>) -> f64| {
+        let values = || reached_m.iter().map(of);
+        format!(
+            "{:.3} to {:.3} m",
+            values().fold(f64::INFINITY, f64::min),
+            values().fold(f64::NEG_INFINITY, f64::max)
+        )
+    };
+    let p = at_zero.position_m();
+    let inverse = match (kinds.len(), robot_inverse_all(chain, at_zero.end())) {
+        (..6, _) => "none: fewer than six axes cannot take any pose",
+        (6, Err(InverseError::Structure { .. } | InverseError::Prismatic { .. })) => {
+            "numerical: no spherical wrist behind two parallel axes"
+        }
+        (6, _) => "closed form, up to eight solutions",
+        _ => "numerical: more than six axes, the solution nearest to the posture before",
+    };
+    vec![
+        ("robot", robot.name.clone()),
+        ("axes", format!("{}, {prismatic} of them prismatic", kinds.len())),
+        ("convention", format!("{:?} Denavit-Hartenberg", robot.convention).to_lowercase()),
+        ("inverse kinematics", inverse.into()),
+        ("flange at zero", format!("x {:.4}, y {:.4}, z {:.4} m", p.x, p.y, p.z)),
+        ("flange from the base", range(|p| p.norm())),
+        ("flange from the z axis", range(|p| p.x.hypot(p.y))),
+        ("flange above the base", range(|p| p.z)),
+        ("log columns", format!("{}1 to {}{}", robot.log.column, robot.log.column, kinds.len())),
+    ]
+}
+
+fn suspicious(robot: &RobotConfig, chain: &Chain, rank: usize) -> Vec<String> {
+    let mut found = Vec::new();
+    let mut tell = |sentence: String| found.push(sentence);
+    let wanted = robot.axes().min(6);
+    if rank < wanted {
+        tell(format!(
+            "the axes move the flange in {rank} independent directions, {wanted} are expected: two axes are one and the same \
+             line, or more than three are parallel; check alpha_deg and a_m"
+        ));
+    }
+    let from_axis = robot.links.iter().zip(1..);
+    for (link, number) in from_axis.clone() {
+        for (key, degrees) in [("alpha_deg", link.alpha_deg), ("theta_deg", link.theta_deg)] {
+            let quarters = degrees.abs() / std::f64::consts::FRAC_PI_2;
+            if (0.5..2.5).contains(&quarters) && (quarters - quarters.round()).abs() < AS_RADIANS {
+                tell(format!("link {number}: {key} = {degrees} looks like radians; write degrees"));
+            }
+        }
+        let from_parallel = (link.alpha_deg.to_radians().sin().abs()).asin().to_degrees();
+        if (ROUNDING_DEG..NEARLY_PARALLEL_DEG).contains(&from_parallel) {
+            tell(format!(
+                "link {number}: alpha_deg = {} is {from_parallel:.1e} deg from parallel, probably a rounded angle: its d_m is \
+                 hardly defined; write 0 or 180",
+                link.alpha_deg
+            ));
+        }
+        for (key, length_m) in [("a_m", link.a_m), ("d_m", link.d_m)] {
+            if length_m.abs() > LENGTH_M_MAX {
+                tell(format!(
+                    "link {number}: {key} = {length_m} m is longer than robots are; is it correct?"
+                ));
+            }
+        }
+    }
+    for ((kind, [low, high]), number) in robot.joint_kinds().zip(robot.joint_limits()).zip(1..) {
+        if kind == JointKind::Revolute {
+            let (low, high) = (low.to_degrees(), high.to_degrees());
+            if high - low > RANGE_DEG_MAX {
+                tell(format!("axis {number}: a range of {low:.0} to {high:.0} deg is more than four turns"));
+            } else if high - low < 4.0 * std::f64::consts::PI && high - low > 1.0 {
+                tell(format!(
+                    "axis {number}: limits of {low:.4} to {high:.4} look like radians; write degrees"
+                ));
+            }
+        }
+        if low > 0.0 || high < 0.0 {
+            tell(format!("axis {number}: zero is outside its limits; check the sign, or theta_deg"));
+        }
+    }
+    if chain.links.iter().all(|link| link.a_m == 0.0 && link.d_m == 0.0) {
+        tell("all lengths are zero".into());
+    }
+    if robot.axes() > 6 {
+        tell(format!(
+            "{} axes: nothing is wrong, but a calibration needs postures that differ in all of them, not only poses that do",
+            robot.axes()
+        ));
+    }
+    found
+}

@@ -1,0 +1,7 @@
+//! A robot's configuration before anything is measured: taken from a URDF, checked and drawn.
+
+mod check;
+mod import;
+
+pub use check::{RobotCheck, check};
+pub use import::{ImportError, Imported, import};

@@ -1,0 +1,416 @@
+//! Arms of any number of axes, revolute or prismatic: taken from a URDF, in either convention, inverted, calibrated, checked.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+#![allow(clippy::approx_constant, reason = "as people write it who mean radians")]
+
+use std::path::PathBuf;
+use std::process::Command;
+
+use identify::calibrate::HoldOut;
+use identify::calibrate::measured_pose::{PoseOptions, PoseReport, calibrate};
+use identify::instrument::PoseRow;
+use identify::kinematics::{
+    Chain, InverseError, Joints, LinkParameter, Pose, Trace, Tracer, flange_chain, robot_inverse,
+    robot_inverse_all,
+};
+use identify::model::{DriveTrain, JointTerm, Load, Model, ParameterId, Period};
+use identify::report::urdf::urdf;
+use identify::robot::{ImportError, Imported, check, import};
+use nalgebra::{Rotation3, Vector3};
+use rand::rngs::StdRng;
+use rand::{Rng, SeedableRng};
+use rand_distr::StandardNormal;
+use shared::config::{self, JointKind, RobotConfig, Validate};
+
+use crate::support::independent::{Matrix, identity, product, shift, turn};
+use crate::support::repository;
+
+/// File, base and tip.
+const ARMS: [(&str, &str, &str); 3] =
+    [("ur10", "base_link", "tool0"), ("seven_axes", "base", "flange"), ("on_a_track", "cell", "tool")];
+
+fn text(name: &str) -> String {
+    std::fs::read_to_string(repository("identify/tests/data").join(format!("{name}.urdf"))).unwrap()
+}
+
+fn imported((name, base, tip): (&str, &str, &str)) -> Imported {
+    import(&text(name), Some(base), Some(tip)).unwrap()
+}
+
+fn parsed(toml: &str) -> RobotConfig {
+    let robot: RobotConfig = toml::from_str(toml).unwrap();
+    robot.validate().unwrap();
+    robot
+}
+
+/// Forward kinematics of a URDF as its specification says, on `urdf-rs`' reading of it.
+fn by_urdf(text: &str, base: &str, tip: &str, joints: &[f64]) -> Matrix<f64> {
+    let robot = urdf_rs::read_from_string(text).unwrap();
+    let mut path = Vec::new();
+    let mut link = tip;
+    while link != base {
+        let joint = robot.joints.iter().find(|joint| joint.child.link == link).unwrap();
+        path.push(joint);
+        link = &joint.parent.link;
+    }
+    let mut variables = joints.iter();
+    path.iter().rev().fold(identity(), |pose, joint| {
+        let ([x, y, z], [roll, pitch, yaw]) = (joint.origin.xyz.0, joint.origin.rpy.0);
+        let origin = [shift(x, y, z), turn(0, 1, yaw), turn(2, 0, pitch), turn(1, 2, roll)];
+        let pose = origin.iter().fold(pose, |pose, factor| product(&pose, factor));
+        let [x, y, z] = joint.axis.xyz.0;
+        let axis = Vector3::new(x, y, z).normalize();
+        match joint.joint_type {
+            urdf_rs::JointType::Fixed => pose,
+            urdf_rs::JointType::Prismatic => {
+                let way = axis * *variables.next().unwrap();
+                product(&pose, &shift(way.x, way.y, way.z))
+            }
+            _ => {
+                // Rodrigues' formula.
+                let (sin, cos) = variables.next().unwrap().sin_cos();
+                let k = axis.cross_matrix();
+                let turned = nalgebra::Matrix3::identity() + k * sin + k * k * (1.0 - cos);
+                let mut matrix = identity();
+                (0..9).for_each(|at| matrix[at / 3][at % 3] = turned[(at / 3, at % 3)]);
+                product(&pose, &matrix)
+            }
+        }
+    })
+}
+
+/// Largest difference of two poses' entries.
+fn apart(found: &Pose, expected: &Matrix<f64>) -> f64 {
+    let found = found.to_homogeneous();
+    (0..16).map(|at| (found[(at / 4, at % 4)] - expected[at / 4][at % 4]).abs()).fold(0.0, f64::max)
+}
+
+fn random_joints(robot: &RobotConfig, random: &mut StdRng) -> Joints {
+    robot.joint_limits().iter().map(|&[low, high]| random.random_range(low..high)).collect()
+}
+
+#[test]
+fn a_urdf_becomes_a_configuration_with_the_same_forward_kinematics() {
+    let mut random = StdRng::seed_from_u64(1);
+    for arm in ARMS {
+        let imported = imported(arm);
+        let written = imported.to_toml(arm.0);
+        let robot = parsed(&written);
+        assert_eq!(robot, imported.config, "{written}");
+        assert_eq!(flange_chain(&robot).forward(&[]).rotation.matrix().determinant().round(), 1.0);
+        for _ in 0..50 {
+            let joints = random_joints(&robot, &mut random);
+            let off =
+                apart(&flange_chain(&robot).forward(&joints), &by_urdf(&text(arm.0), arm.1, arm.2, &joints));
+            assert!(off < 1e-12, "{}: {off:e}", arm.0);
+        }
+    }
+}
+
+#[test]
+fn links_of_a_urdf_are_those_of_the_data_sheet_where_it_has_any() {
+    let robot = imported(ARMS[0]).config;
+    let lengths: Vec<[f64; 2]> = robot.links.iter().map(|link| [link.a_m, link.d_m]).collect();
+    let rounded = lengths.iter().flatten().map(|length| (length.abs() * 1e6).round() / 1e6);
+    // Which of three parallel axes has the offset along them is free; its sum is the shoulder's.
+    let expected = [0.0, 0.1273, 0.612, 0.0, 0.5723, 0.0, 0.0, 0.163941, 0.0, 0.1157, 0.0, 0.0922];
+    assert_eq!(rounded.collect::<Vec<f64>>(), expected);
+    assert_eq!(imported(ARMS[1]).joints, ["a1", "a2", "a3", "a4", "a5", "a6", "a7"]);
+    let on_track = imported(ARMS[2]);
+    assert_eq!(on_track.config.links[0].joint, JointKind::Prismatic);
+    assert_eq!(on_track.config.joint_limits_m, [[0.0, 3.0]]);
+    assert!(on_track.assumed[0].contains("`turntable` has no limits"), "{:?}", on_track.assumed);
+    assert!(on_track.to_toml("x").contains("# Please correct: joint `turntable`"));
+}
+
+#[test]
+fn a_urdf_that_gives_no_serial_arm_is_refused_with_what_to_do() {
+    let refusal = |text: &str, base: Option<&str>, tip: Option<&str>| import(text, base, tip).unwrap_err();
+    let ur10 = text("ur10");
+    assert!(matches!(refusal("<robot", None, None), ImportError::NotUrdf(_)));
+    let told = refusal(&ur10, None, None).to_string();
+    assert!(told.contains("ee_link, tool0") && told.contains("--tip"), "{told}");
+    let told = refusal(&ur10, Some("nowhere"), Some("tool0")).to_string();
+    assert!(told.contains("no link `nowhere`") && told.contains("base_link"), "{told}");
+    assert!(matches!(refusal(&ur10, Some("ee_link"), Some("tool0")), ImportError::NotConnected { .. }));
+    assert!(matches!(refusal(&ur10, Some("wrist_2_link"), Some("tool0")), ImportError::Axes { axes: 1, .. }));
+    let seven = text("seven_axes");
+    let floating = seven.replace("name=\"a3\" type=\"revolute\"", "name=\"a3\" type=\"floating\"");
+    assert!(refusal(&floating, None, None).to_string().contains("joint `a3` is floating"));
+    let mimic = seven.replacen("<axis", "<mimic joint=\"a2\"/><axis", 1);
+    assert!(refusal(&mimic, None, None).to_string().contains("follows joint `a2`"));
+    let nowhere = seven.replacen("<axis xyz=\"0 0 1\"/>", "<axis xyz=\"0 0 0\"/>", 1);
+    assert!(refusal(&nowhere, None, None).to_string().contains("axis without direction"));
+}
+
+/// Franka Emika Panda, Craig's convention as its maker prints it, on a track.
+const MODIFIED: &str = r#"
+name = "seven axes on a track"
+convention = "modified"
+joint_limits_deg = [[-166, 166], [-101, 101], [-166, 166], [-176, -4], [-166, 166], [-1, 215], [-166, 166]]
+joint_limits_m = [[0, 2]]
+base = { xyz_m = [0.1, 0.2, 0.3], rpy_deg = [10, 20, 30] }
+flange = { xyz_m = [0, 0, 0.107], rpy_deg = [0, 0, -45] }
+links = [
+    { joint = "prismatic", a_m = 0.05, alpha_deg = -90, d_m = 0.1, theta_deg = 15 },
+    { a_m = 0, alpha_deg = 90, d_m = 0.333, theta_deg = 0 },
+    { a_m = 0, alpha_deg = -90, d_m = 0, theta_deg = 0 },
+    { a_m = 0, alpha_deg = 90, d_m = 0.316, theta_deg = 0 },
+    { a_m = 0.0825, alpha_deg = 90, d_m = 0, theta_deg = 0 },
+    { a_m = -0.0825, alpha_deg = -90, d_m = 0.384, theta_deg = 0 },
+    { a_m = 0, alpha_deg = 90, d_m = 0, theta_deg = 0 },
+    { a_m = 0.088, alpha_deg = 90, d_m = 0, theta_deg = 0 },
+]
+log = { column = "joint", unit = "rad", raw_offset_rad = [0, 0, 0, 0, 0, 0, 0, 0], raw_to_joint = [
+    [1, 0, 0, 0, 0, 0, 0, 0], [0, 1, 0, 0, 0, 0, 0, 0], [0, 0, 1, 0, 0, 0, 0, 0], [0, 0, 0, 1, 0, 0, 0, 0],
+    [0, 0, 0, 0, 1, 0, 0, 0], [0, 0, 0, 0, 0, 1, 0, 0], [0, 0, 0, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 0, 0, 1]] }
+"#;
+
+#[test]
+fn a_table_is_read_in_either_convention_with_prismatic_axes() {
+    let mut random = StdRng::seed_from_u64(2);
+    for convention in ["modified", "standard"] {
+        let robot = parsed(&MODIFIED.replace("\"modified\"", &format!("\"{convention}\"")));
+        let place = |[x, y, z]: [f64; 3], [roll, pitch, yaw]: [f64; 3]| {
+            let turns = [(0, 1, yaw), (2, 0, pitch), (1, 2, roll)];
+            turns
+                .iter()
+                .fold(shift(x, y, z), |pose, &(i, j, deg)| product(&pose, &turn(i, j, f64::to_radians(deg))))
+        };
+        for _ in 0..20 {
+            let joints = random_joints(&robot, &mut random);
+            let base = place(robot.base.xyz_m, robot.base.rpy_deg);
+            let last = robot.links.iter().zip(&joints).fold(base, |pose, (link, &q)| {
+                let (slide, turned) = if link.joint == JointKind::Prismatic { (q, 0.0) } else { (0.0, q) };
+                let about_z = product(
+                    &turn(0, 1, link.theta_deg.to_radians() + turned),
+                    &shift(0.0, 0.0, link.d_m + slide),
+                );
+                let about_x = product(&turn(1, 2, link.alpha_deg.to_radians()), &shift(link.a_m, 0.0, 0.0));
+                let link = if convention == "modified" {
+                    product(&about_x, &about_z)
+                } else {
+                    product(&about_z, &about_x)
+                };
+                product(&pose, &link)
+            });
+            let expected = product(&last, &place(robot.flange.xyz_m, robot.flange.rpy_deg));
+            let off = apart(&flange_chain(&robot).forward(&joints), &expected);
+            assert!(off < 1e-13, "{convention}: {off:e}");
+        }
+    }
+}
+
+#[test]
+fn twists_of_prismatic_axes_and_of_links_behind_them_are_the_derivatives() {
+    let chain = flange_chain(&parsed(MODIFIED));
+    let joints = Joints::from([0.7, 0.3, -0.4, 0.5, -1.2, 0.6, 0.9, -0.2]);
+    let mut trace = Trace::default();
+    Tracer::new(&chain).trace(&joints, &mut trace);
+    assert!((trace.end().to_homogeneous() - chain.forward(&joints).to_homogeneous()).amax() < 1e-14);
+    let moved = |change: &dyn Fn(&mut Chain, &mut Joints, f64)| {
+        let end = |by: f64| {
+            let (mut chain, mut joints) = (chain.clone(), joints);
+            change(&mut chain, &mut joints, by);
+            chain.forward(&joints)
+        };
+        let (before, after) = (end(-1e-6), end(1e-6));
+        // The arc cosine in nalgebra's own logarithm loses half the digits.
+        let turn = *(after.rotation * before.rotation.inverse()).matrix();
+        let turned = 0.5
+            * Vector3::new(
+                turn[(2, 1)] - turn[(1, 2)],
+                turn[(0, 2)] - turn[(2, 0)],
+                turn[(1, 0)] - turn[(0, 1)],
+            );
+        ((after.translation.vector - before.translation.vector) / 2e-6, turned / 2e-6)
+    };
+    for (axis, twist) in trace.joint_twists().enumerate() {
+        let (linear, angular) = moved(&|_, joints, by| joints[axis] += by);
+        assert!((twist.linear - linear).norm() < 1e-8 && (twist.angular - angular).norm() < 1e-8, "{axis}");
+    }
+    for (link, parameter) in (0..8).flat_map(|link| [(link, LinkParameter::A), (link, LinkParameter::Alpha)])
+    {
+        let (linear, angular) = moved(&|chain, _, by| match parameter {
+            LinkParameter::A => chain.links[link].a_m += by,
+            _ => chain.links[link].alpha_rad += by,
+        });
+        let twist = trace.twist(link, parameter).unwrap();
+        assert!((twist.linear - linear).norm() < 1e-8 && (twist.angular - angular).norm() < 1e-8, "{link}");
+    }
+}
+
+#[test]
+fn arms_without_a_closed_form_are_inverted_from_near_and_move_no_further_than_they_must() {
+    let mut random = StdRng::seed_from_u64(3);
+    for arm in ARMS {
+        let robot = imported(arm).config;
+        let chain = flange_chain(&robot);
+        for _ in 0..20 {
+            let joints = random_joints(&robot, &mut random).map(|q| 0.6 * q);
+            let by: Joints = joints.iter().map(|_| random.random_range(-0.02..0.02)).collect();
+            let target = chain.forward(&Joints::from_fn(joints.len(), |axis| joints[axis] + by[axis]));
+            let Ok(found) = robot_inverse(&chain, &target, &joints) else { continue };
+            assert!((chain.forward(&found).to_homogeneous() - target.to_homogeneous()).amax() < 1e-9);
+            let moved = found.iter().zip(&joints).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+            let known = by.iter().map(|by| by * by).sum::<f64>().sqrt();
+            // More axes than six find a shorter way than the one that is known; a little longer where it bends.
+            assert!(moved < 1.05 * known + 1e-9, "{}: {moved} {known}", arm.0);
+        }
+        let regular = Joints::from_fn(robot.axes(), |axis| 0.4 + 0.1 * axis as f64);
+        let found = robot_inverse(&chain, &chain.forward(&regular.map(|q| q + 0.01)), &regular).unwrap();
+        assert_eq!(found.len(), robot.axes());
+        let all = robot_inverse_all(&chain, &chain.forward(&regular));
+        assert!(matches!(all, Err(InverseError::Structure { .. } | InverseError::Links { .. })), "{all:?}");
+    }
+    let scara = flange_chain(&imported(ARMS[0]).config);
+    let three = Chain::new(Pose::identity(), scara.links[..3].to_vec());
+    let refused = robot_inverse(&three, &Pose::identity(), &[0.0; 3]).unwrap_err();
+    assert_eq!(refused, InverseError::Links { found: 3, expected: 6 });
+}
+
+/// Rows of a tracker that follows an arm with errors in all its links, noise of 20 um and urad.
+fn tracked(robot: &RobotConfig, count: usize) -> (Vec<PoseRow>, Chain) {
+    const NOISE: f64 = 2e-5;
+    let mut random = StdRng::seed_from_u64(5);
+    let mut truth = flange_chain(robot);
+    for link in &mut truth.links {
+        link.a_m += random.random_range(-1e-3..1e-3);
+        link.d_m += random.random_range(-1e-3..1e-3);
+        link.theta_rad += random.random_range(-3e-3..3e-3);
+        link.alpha_rad += random.random_range(-2e-3..2e-3);
+    }
+    let place =
+        Pose::from_parts(Vector3::new(-3.0, 0.5, 1.3).into(), Rotation3::new(Vector3::new(0.4, 1.9, -2.1)));
+    let probe = Pose::from_parts(
+        Vector3::new(0.02, -0.03, 0.09).into(),
+        Rotation3::new(Vector3::new(0.1, -1.5, 0.3)),
+    );
+    let rows = (0..count).map(|_| {
+        let joints_rad = random_joints(robot, &mut random);
+        let mut seen = place.inverse() * truth.forward(&joints_rad) * probe;
+        let mut white = || NOISE * random.sample::<f64, _>(StandardNormal);
+        seen.translation.vector += Vector3::new(white(), white(), white());
+        seen.rotation = Rotation3::new(Vector3::new(white(), white(), white())) * seen.rotation;
+        PoseRow { joints_rad, position_m: seen.translation.vector, rotation: Some(seen.rotation) }
+    });
+    (rows.collect(), truth)
+}
+
+fn calibrated(robot: &RobotConfig) -> PoseReport {
+    let (rows, _) = tracked(robot, 500);
+    let options = PoseOptions { waves_per_turn_max: 6, hold_out: HoldOut::Rows, ..PoseOptions::default() };
+    calibrate(&rows, &flange_chain(robot), &options).unwrap()
+}
+
+#[test]
+fn seven_axes_and_an_arm_on_a_track_are_calibrated_by_a_tracker_and_written_as_urdf() {
+    for (arm, free) in [(ARMS[1], 4 * 7 + 6 - 12), (ARMS[2], 4 * 7 + 2 + 6 - 12)] {
+        let robot = imported(arm).config;
+        let report = calibrated(&robot);
+        let (nominal, found) = (report.held_out.nominal.position_m, report.held_out.joints.position_m);
+        // Noise of three coordinates is 35 um.
+        assert!(nominal.rms > 1e-3 && found.rms < 4.2e-5, "{}: {nominal:?} {found:?}", arm.0);
+        assert!(report.held_out.joints.rotation_rad.unwrap().rms < 4.2e-5, "{}", arm.0);
+        // 4 numbers of each revolute axis, 2 of a prismatic one and 6, of which tracker and probe have 12; every one is
+        // identified far better than its prior knows it.
+        let links = report.model.parameters().iter().map(|parameter| parameter.id);
+        let links = links.filter(|id| matches!(id, ParameterId::Robot { .. }));
+        let sigmas: Vec<_> = links.filter_map(|id| Some((id, report.sigma(id)?))).collect();
+        assert_eq!(sigmas.len(), free, "{}: {sigmas:?}", arm.0);
+        assert!(sigmas.iter().all(|(_, sigma)| *sigma < 1e-3), "{}: {sigmas:?}", arm.0);
+        let chain = report.model.geometry(&report.model.start()).robot;
+        let written = urdf(&robot, &chain, None);
+        let mut random = StdRng::seed_from_u64(6);
+        for _ in 0..20 {
+            let joints = random_joints(&robot, &mut random);
+            let off = apart(&chain.forward(&joints), &by_urdf(&written, "base", "flange", &joints));
+            assert!(off < 1e-12, "{}: {off:e}", arm.0);
+        }
+        // And back again.
+        let again = import(&written, None, None).unwrap().config;
+        assert!(
+            (flange_chain(&again).forward(&[]).to_homogeneous() - chain.forward(&[]).to_homogeneous()).amax()
+                < 1e-12
+        );
+    }
+}
+
+#[test]
+fn a_prismatic_axis_has_a_scale_but_no_waves_and_other_arms_have_loads_of_the_tool() {
+    let robot = imported(ARMS[2]).config;
+    let chain = flange_chain(&robot);
+    let drives = DriveTrain::of(&robot, &chain);
+    assert!(drives.has(0, JointTerm::Ratio) && !drives.has(0, JointTerm::Backlash));
+    assert!(!drives.has(0, JointTerm::Sine(Period::Once)) && drives.has(1, JointTerm::Sine(Period::Once)));
+    assert!(
+        drives.has(3, JointTerm::Compliance(Load::Tool))
+            && !drives.has(3, JointTerm::Compliance(Load::Wrist))
+    );
+    assert!(!drives.has(8, JointTerm::Ratio));
+    let model = Model::measured_pose(&chain).with_joint_waves(ParameterId::joint_waves(3));
+    let has = |name: &str| model.parameter(name.parse().unwrap()).is_some();
+    assert!(has("rsin3_2") && !has("rsin3_1") && has("ra8") && has("rratio_1") && !has("rsin1_1"));
+}
+
+#[test]
+fn a_check_states_what_an_arm_is_and_what_looks_wrong() {
+    for name in ["irb120_3", "irb2400_16", "nj220_2_7", "ur10"] {
+        let robot: RobotConfig =
+            config::load(&repository("config/robots").join(format!("{name}.toml"))).unwrap();
+        assert_eq!(check(&robot).suspicious, Vec::<String>::new(), "{name}");
+    }
+    let ur10 = check(&imported(ARMS[0]).config);
+    let fact = |what: &str| ur10.facts.iter().find(|fact| fact.0 == what).unwrap().1.clone();
+    assert!(fact("inverse kinematics").contains("numerical"), "{}", fact("inverse kinematics"));
+    // Both arms stretched out, and the shoulder's and wrist's offsets.
+    let reach_m: f64 = fact("flange from the z axis").split(' ').nth(2).unwrap().parse().unwrap();
+    assert!((1.25..1.40).contains(&reach_m), "{reach_m}");
+    let on_a_track = check(&imported(ARMS[2]).config).suspicious;
+    assert!(on_a_track.len() == 1 && on_a_track[0].starts_with("8 axes"), "{on_a_track:?}");
+    let wrong = |change: &dyn Fn(&mut RobotConfig), told: &str| {
+        let mut robot: RobotConfig = config::load(&repository("config/robots/ur10.toml")).unwrap();
+        change(&mut robot);
+        let found = check(&robot).suspicious;
+        assert!(found.iter().any(|sentence| sentence.contains(told)), "{told}: {found:?}");
+    };
+    wrong(&|robot| robot.links[0].alpha_deg = 1.5708, "alpha_deg = 1.5708 looks like radians");
+    wrong(&|robot| robot.links[1].alpha_deg = 0.001, "from parallel");
+    wrong(
+        &|robot| robot.joint_limits_deg[2] = [-3.1416, 3.1416],
+        "axis 3: limits of -3.1416 to 3.1416 look like radians",
+    );
+    wrong(&|robot| robot.joint_limits_deg[4] = [10.0, 50.0], "axis 5: zero is outside");
+    wrong(&|robot| robot.links[3] = robot.links[1], "independent directions");
+    wrong(&|robot| robot.links[2].a_m = 5.7, "longer than robots are");
+}
+
+#[test]
+fn import_and_check_on_the_command_line() {
+    let directory = tempfile::tempdir().unwrap();
+    let identify = |arguments: &[&str]| {
+        let output = Command::new(env!("CARGO_BIN_EXE_identify"))
+            .current_dir(directory.path())
+            .args(arguments)
+            .env("RUST_LOG", "off")
+            .output()
+            .unwrap();
+        let texts = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+        (output.status.success(), texts.concat())
+    };
+    let run = |arguments: &[&str]| identify(&[&["robot"], arguments].concat());
+    let urdf: PathBuf = repository("identify/tests/data/seven_axes.urdf");
+    let urdf = urdf.to_str().unwrap();
+    let (done, told) = run(&["import", urdf, "--base", "base", "--tip", "flange"]);
+    assert!(done && told.contains("7 axes from link `base` to link `flange`"), "{told}");
+    // Nothing is overwritten unless it is named.
+    let (done, told) = run(&["import", urdf]);
+    assert!(!done && told.contains("seven_axes.toml exists already"), "{told}");
+    let (done, told) = run(&["check", "seven_axes.toml"]);
+    assert!(done && told.contains("7, 0 of them prismatic") && told.contains("seven_axes.svg"), "{told}");
+    let picture = std::fs::read_to_string(directory.path().join("seven_axes.svg")).unwrap();
+    assert!(picture.starts_with("<svg") && picture.contains("from above"));
+    // The ball-bar takes six axes, and says so.
+    let bar = repository("config/ball_bar.toml");
+    let (done, told) = identify(&["examine", "--robot", "seven_axes.toml", "--bar", bar.to_str().unwrap()]);
+    assert!(!done && told.contains("is no arm of six revolute axes"), "{told}");
+}
