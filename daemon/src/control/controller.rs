@@ -17,14 +17,12 @@ use super::tending::Tending;
 use super::view::View;
 use crate::claim::Claim;
 use crate::recorder::RunSummary;
-use crate::run::{ActiveRun, RunDetails, RunError, Stop, Storage};
+use crate::run::{ActiveRun, LEAVES_WITHIN, RunDetails, RunError, Stop, Storage};
 
 /// How often bus and recorder are looked at while nobody asks for anything.
 const POLL: Duration = Duration::from_millis(100);
 /// The same while somebody waits for the file of a run.
 const OPENING_POLL: Duration = Duration::from_millis(5);
-/// The end of the service waits so long for what the next one would do as well.
-const LEAVES_WITHIN: Duration = Duration::from_millis(1500);
 /// Why a run ends when this thread does.
 const CONTROL_DIED: &str = "full fault: the thread of the control has ended; its cause is in the log";
 /// Without anything new on disk for this long a run is not writing \[sync periods\].

@@ -4,7 +4,7 @@
 //! knows of it. Who watches gets the latest moment and may miss others: nothing is queued.
 
 use std::collections::VecDeque;
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, channel};
 use std::thread;
@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use serde::{Deserialize, Serialize};
 use shared::config::{EncoderConfig, HomingConfig, bar_joint_name};
 use shared::encoder::{EncoderScale, Unwrapper};
-use shared::recording::SystemDisk;
+use shared::recording::Disk;
 use shared::recording::schema::EncoderInfo;
 use shared::time::{MonoNs, NS_PER_S};
 use tokio::sync::watch;
@@ -131,11 +131,12 @@ pub struct Moment {
 /// Starts to look; ends by itself with whoever gives the status.
 pub(super) fn watch(
     settings: Arc<Settings>,
+    disk: Arc<dyn Disk>,
     status: watch::Receiver<Status>,
 ) -> std::io::Result<watch::Receiver<Arc<Moment>>> {
     let (moments, latest) = watch::channel(Arc::default());
     let mut observer = Observer::new(&settings);
-    let mut reading = read(settings.homing_file.clone())?;
+    let mut reading = read(&disk, &settings.homing_file)?;
     let mut was_homed = true;
     thread::Builder::new().name("live".into()).spawn(move || {
         let mut next = Instant::now();
@@ -144,7 +145,7 @@ pub(super) fn watch(
             // Marks change only when a homing ends.
             let is_homed = now.homing.as_ref().is_none_or(|homing| homing.is_over);
             if is_homed && !was_homed {
-                reading = read(settings.homing_file.clone()).unwrap_or(reading);
+                reading = read(&disk, &settings.homing_file).unwrap_or(reading);
             }
             was_homed = is_homed;
             if let Ok(marks) = reading.try_recv() {
@@ -309,10 +310,11 @@ impl Observer {
 }
 
 /// Reads `homing.toml` in a thread of its own, because its disk may hang. A file that cannot be read is told by the check.
-fn read(file: PathBuf) -> std::io::Result<Receiver<Option<HomingConfig>>> {
+fn read(disk: &Arc<dyn Disk>, file: &Path) -> std::io::Result<Receiver<Option<HomingConfig>>> {
     let (found, reading) = channel();
+    let (disk, file) = (Arc::clone(disk), file.to_owned());
     thread::Builder::new().name("marks".into()).spawn(move || {
-        let _ = found.send(homing::file::read(&SystemDisk, &file).ok().flatten());
+        let _ = found.send(homing::file::read(&*disk, &file).ok().flatten());
     })?;
     Ok(reading)
 }

@@ -65,8 +65,7 @@ pub fn find(
     spare: Option<&Path>,
     name: &str,
 ) -> io::Result<Option<PathBuf>> {
-    let is_it =
-        |file: &PathBuf| stem(file, FINISHED_ENDING).is_some_and(|stem| stem == name) && file.is_file();
+    let is_it = |file: &PathBuf| stem(file, FINISHED_ENDING).is_some_and(|stem| stem == name);
     Ok(files(disk, directory, spare)?.into_iter().find(is_it))
 }
 
@@ -171,8 +170,8 @@ pub struct Curve {
 }
 
 /// Reads the whole file. Of each part of it the worst cycle is shown: a gap stays one, however short.
-pub fn curves(file: &Path) -> Result<Curves, ReadError> {
-    let Recording { run, cycles, .. } = Recording::open(file)?;
+pub fn curves(disk: &dyn Disk, file: &Path) -> Result<Curves, ReadError> {
+    let Recording { run, cycles, .. } = Recording::open_on(disk, file)?;
     let each = cycles.len().div_ceil(CURVE_POINTS).max(1);
     let Some(first) = cycles.first() else { return Ok(Curves::default()) };
     let t_s = cycles.iter().step_by(each).map(|cycle| cycle.sample_time.seconds_since(first.sample_time));

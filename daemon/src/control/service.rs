@@ -104,7 +104,7 @@ impl Service {
         let settings = Arc::new(settings);
         let (commands, commands_rx) = channel();
         let (status_tx, status) = watch::channel(Status::default());
-        let live = live::watch(Arc::clone(&settings), status.clone())?;
+        let live = live::watch(Arc::clone(&settings), Arc::clone(&disk), status.clone())?;
         let mut controller = Controller::new(Arc::clone(&settings), connect, storage, status_tx);
         let body = move || {
             let outcome = catch_unwind(AssertUnwindSafe(|| controller.run(&commands_rx)));

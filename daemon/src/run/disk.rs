@@ -1,4 +1,5 @@
-//! Where recordings go. A thread of its own looks at it all the time, so that a disk that hangs holds up nobody who asks.
+//! Where recordings go. A thread of its own looks at it all the time, so that a disk that hangs holds up nobody who asks, and
+//! another says in the log what is wrong with it, also while the first hangs.
 
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::sync_channel;
@@ -9,13 +10,13 @@ use std::time::{Duration, Instant};
 use shared::config::DaemonConfig;
 use shared::recording::{Disk, Space, SystemDisk};
 
-use super::{Progress, Stop};
+use super::{Progress, Stop, Warning};
 
 const BYTES_PER_MB: u64 = 1_000_000;
-/// How often it is looked at: loss is told within a second.
-const LOOK_PERIOD: Duration = Duration::from_millis(200);
-/// A look that takes longer is told.
-const ANSWERS_WITHIN: Duration = Duration::from_secs(1);
+/// How often it is looked at. Loss is reported within a second: this period and those of whoever reports are a third of it.
+const LOOK_PERIOD: Duration = Duration::from_millis(100);
+/// A look that takes longer is reported, within the same second.
+const ANSWERS_WITHIN: Duration = Duration::from_millis(700);
 
 /// The places for recordings, and what is known of them now. Clones are the same.
 #[derive(Debug, Clone)]
@@ -35,7 +36,6 @@ struct Shared {
 struct WatchedRun {
     progress: Weak<Progress>,
     stop: Stop,
-    told: Vec<&'static str>,
 }
 
 /// The last look.
@@ -65,16 +65,13 @@ impl Storage {
             run: Mutex::new(None),
         });
         let (first, looked) = sync_channel(1);
-        let watched = Arc::downgrade(&shared);
-        thread::Builder::new().name("disk".into()).spawn(move || {
-            while let Some(shared) = watched.upgrade() {
-                shared.look();
-                drop(shared);
-                let _ = first.try_send(());
-                thread::sleep(LOOK_PERIOD);
-            }
+        repeat("disk", &shared, move |shared| {
+            shared.look();
+            let _ = first.try_send(());
         })?;
-        // One that hangs is told whoever asks.
+        let mut logged = Vec::new();
+        repeat("disk log", &shared, move |shared| logged = shared.log(&logged))?;
+        // One that hangs is reported to whoever asks.
         let _ = looked.recv_timeout(ANSWERS_WITHIN);
         Ok(Self(shared))
     }
@@ -96,7 +93,7 @@ impl Storage {
 
     /// Watches a run's file until the run is over, and ends the run where the disk gets full.
     pub fn watch(&self, progress: &Arc<Progress>, stop: &Stop) {
-        let run = WatchedRun { progress: Arc::downgrade(progress), stop: stop.clone(), told: Vec::new() };
+        let run = WatchedRun { progress: Arc::downgrade(progress), stop: stop.clone() };
         *lock(&self.0.run) = Some(run);
     }
 
@@ -108,16 +105,7 @@ impl Storage {
 
     /// Why nothing may be recorded now, and what to do; none if it may.
     pub fn problem(&self) -> Option<String> {
-        let seen = lock(&self.0.seen);
-        let silent = seen.begun.elapsed();
-        if !seen.is_over && silent > ANSWERS_WITHIN {
-            return Some(format!(
-                "the disk of {} has not answered for {:.1} s; look at its cable, its power, or the network it is on",
-                self.0.directory.display(),
-                silent.as_secs_f64()
-            ));
-        }
-        seen.problem.clone()
+        self.0.silence().or_else(|| lock(&self.0.seen).problem.clone())
     }
 
     /// There is no room for a run in `directory`.
@@ -132,25 +120,22 @@ impl Shared {
             let mut seen = lock(&self.seen);
             (seen.begun, seen.is_over) = (Instant::now(), false);
         }
-        let run = lock(&self.run).clone().and_then(|run| Some((run.progress.upgrade()?, run)));
+        let run = self.watched();
         let place = run.as_ref().and_then(|(progress, _)| progress.place());
         let directory = place.as_ref().and_then(|place| place.path().parent()).unwrap_or(&self.directory);
         let space = self.disk.space(directory);
         let problem = self.problem_of(directory, &space);
         // A file system that does not tell is trusted.
         let usable_bytes = space.ok().map(|space| space.free_bytes.saturating_sub(self.floor_bytes));
-        if let Some((progress, mut run)) = run {
-            if !run.stop.is_stopped() {
-                if let Some(place) = &place
-                    && let Err(lost) = place.check()
-                {
-                    progress.set_lost(place, lost.to_string());
-                }
-                if usable_bytes == Some(0) {
-                    run.stop.stop(&self.floor_text(directory));
-                }
+        if let Some((progress, stop)) = run.filter(|(_, stop)| !stop.is_stopped()) {
+            if let Some(place) = &place
+                && let Err(lost) = place.check()
+            {
+                progress.set_lost(place, lost.to_string());
             }
-            self.tell(&progress, &mut run);
+            if usable_bytes == Some(0) {
+                stop.stop(&self.floor_text(directory));
+            }
         }
         let mut seen = lock(&self.seen);
         (seen.usable_bytes, seen.problem, seen.is_over) = (usable_bytes, problem, true);
@@ -178,19 +163,57 @@ impl Shared {
         )
     }
 
-    /// Says in the log what is new.
-    fn tell(&self, progress: &Progress, run: &mut WatchedRun) {
-        let warnings = progress.get().warnings;
-        for warning in warnings.iter().filter(|warning| !run.told.contains(&warning.what)) {
+    /// The run that goes on.
+    fn watched(&self) -> Option<(Arc<Progress>, Stop)> {
+        lock(&self.run).as_ref().and_then(|run| Some((run.progress.upgrade()?, run.stop.clone())))
+    }
+
+    /// What is said while a look takes too long.
+    fn silence(&self) -> Option<String> {
+        let seen = lock(&self.seen);
+        let silent = seen.begun.elapsed();
+        (!seen.is_over && silent > ANSWERS_WITHIN).then(|| {
+            format!(
+                "the disk of {} has not answered for {:.1} s; look at its cable, its power, or the network it is on",
+                self.directory.display(),
+                silent.as_secs_f64()
+            )
+        })
+    }
+
+    /// What is wrong, of the disk and of the run that goes on. Does not ask the disk.
+    fn warnings(&self) -> Vec<Warning> {
+        let silence = self.silence().map(|text| Warning { what: "silence", text });
+        let problem = lock(&self.seen).problem.clone().map(|text| Warning { what: "problem", text });
+        let of_run = self.watched().map(|(progress, _)| progress.get().warnings).unwrap_or_default();
+        silence.or(problem).into_iter().chain(of_run).collect()
+    }
+
+    /// Says in the log what was not wrong before; gives what is now.
+    fn log(&self, before: &[&'static str]) -> Vec<&'static str> {
+        let warnings = self.warnings();
+        for warning in warnings.iter().filter(|warning| !before.contains(&warning.what)) {
             tracing::warn!("{}", warning.text);
         }
-        run.told = warnings.iter().map(|warning| warning.what).collect();
-        if let Some(watched) = &mut *lock(&self.run)
-            && Weak::ptr_eq(&watched.progress, &run.progress)
-        {
-            watched.told.clone_from(&run.told);
-        }
+        warnings.iter().map(|warning| warning.what).collect()
     }
+}
+
+/// Does it each period, in a thread of its own, until nobody needs the disk any more.
+fn repeat(
+    name: &str,
+    shared: &Arc<Shared>,
+    mut work: impl FnMut(&Shared) + Send + 'static,
+) -> std::io::Result<()> {
+    let watched = Arc::downgrade(shared);
+    let body = move || {
+        while let Some(shared) = watched.upgrade() {
+            work(&shared);
+            drop(shared);
+            thread::sleep(LOOK_PERIOD);
+        }
+    };
+    thread::Builder::new().name(name.into()).spawn(body).map(drop)
 }
 
 fn lock<T>(of: &Mutex<T>) -> MutexGuard<'_, T> {

@@ -329,7 +329,7 @@ fn broken(source: WriteError, progress: &Progress, disk: &dyn Disk, cause: Strin
     RunError::Broken { source, saved, content: Some(Box::new(summary)) }
 }
 
-fn spawn<T: Send + 'static>(
+pub(super) fn spawn<T: Send + 'static>(
     name: &str,
     body: impl FnOnce() -> T + Send + 'static,
 ) -> Result<thread::JoinHandle<T>, RunError> {
@@ -337,7 +337,7 @@ fn spawn<T: Send + 'static>(
     thread.spawn(body).map_err(|error| RunError::Thread(error.to_string()))
 }
 
-fn join<T>(handle: thread::JoinHandle<T>) -> Result<T, RunError> {
+pub(super) fn join<T>(handle: thread::JoinHandle<T>) -> Result<T, RunError> {
     let name = handle.thread().name().unwrap_or("a thread").to_owned();
     handle.join().map_err(|_| RunError::Thread(format!("{name} panicked; its cause is in the log")))
 }

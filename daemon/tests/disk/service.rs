@@ -7,12 +7,12 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use axum::Router;
-use axum::body::{Body, to_bytes};
+use axum::body::{Body, Bytes, to_bytes};
 use axum::http::{Request, header};
 use ballbard::control::api;
 use ballbard::control::service::{Service, Settings};
 use ballbard::control::status::Status;
-use ballbard::run::BusChoice;
+use ballbard::run::{BusChoice, RunRequest, Stop, Storage, record_on};
 use serde_json::{Value, json};
 use shared::config::{self, BallBarConfig, DaemonConfig};
 use shared::recording::schema::EventKind;
@@ -69,16 +69,20 @@ impl Day {
     }
 
     fn ask(&self, method: &str, path: &str, body: &Value) -> (u16, Value) {
+        let (status, answer) = self.send(method, path, body);
+        (status, serde_json::from_slice(&answer).unwrap())
+    }
+
+    fn send(&self, method: &str, path: &str, body: &Value) -> (u16, Bytes) {
         let path = format!("/api{path}");
         let request = Request::builder().method(method).uri(path).header(header::HOST, "127.0.0.1");
         let request = request.header(header::CONTENT_TYPE, "application/json");
         let request = request.body(Body::from(body.to_string())).unwrap();
-        let answered = runtime().block_on(async {
+        runtime().block_on(async {
             let response = self.routes.clone().oneshot(request).await.unwrap();
             let status = response.status().as_u16();
             (status, to_bytes(response.into_body(), 1 << 20).await.unwrap())
-        });
-        (answered.0, serde_json::from_slice(&answered.1).unwrap())
+        })
     }
 
     fn get(&self, path: &str) -> (u16, Value) {
@@ -207,6 +211,99 @@ fn check_for_ever(call: Call, nth: usize) {
         let status = day.service.status();
         assert!(has_ended || (status.run.is_some() && status.reason.is_some()), "{status:?}");
     });
+}
+
+/// Somebody downloads one run while another goes on.
+fn check_download(call: Call, what: &str) {
+    const HANG: Duration = Duration::from_secs(3);
+    let day = Day::begin(None);
+    assert_eq!(day.live()["stop"].0, 200);
+    let start = json!({"name": "next", "reason": "the disk is what is tried"});
+    assert_eq!(day.post("/start", &start).0, 200);
+    day.wait(Duration::from_secs(5), |status| status.state == "writing");
+    day.wall.strike_next(call, Fault::Hangs(HANG));
+    std::thread::scope(|scope| {
+        let download = scope.spawn(|| day.send("GET", &format!("/runs/day/{what}"), &json!({})));
+        while day.wall.struck().is_none() {
+            assert!(!download.is_finished(), "{call:?} of /runs/day/{what} never reached the disk");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        let asked = Instant::now();
+        let shown = [(); 2].map(|()| {
+            std::thread::sleep(Duration::from_millis(300));
+            day.get("/live").1["at_ms"].as_i64().unwrap()
+        });
+        assert!(shown[1] > shown[0], "the page stands still");
+        let cycles = day.service.status().run.unwrap().cycles_taken;
+        for (status, answer) in
+            [day.get("/check"), day.get("/runs"), day.post("/mark", &json!({"text": "meanwhile"}))]
+        {
+            assert_eq!(status, 200, "{answer}");
+        }
+        assert!(day.service.status().run.unwrap().cycles_taken >= cycles);
+        let (status, stopped) = day.post("/stop", &json!({}));
+        assert!(status == 200 && stopped["last"]["cycles_lost"] == 0, "{stopped}");
+        assert!(asked.elapsed() < HANG && !download.is_finished(), "somebody waited for the download");
+        let (status, bytes) = download.join().unwrap();
+        assert!(status == 200 && !bytes.is_empty());
+        assert!(what != "mcap" || bytes == std::fs::read(day.home().join("day.mcap")).unwrap());
+    });
+    day.service.shutdown("test over");
+    day.service.join().unwrap();
+}
+
+#[test]
+fn a_download_that_waits_for_the_disk_holds_up_nobody_else() {
+    let of_file = [Call::Open, Call::Length, Call::Read].map(|call| (call, "mcap"));
+    let of_content = [(Call::Read, "csv"), (Call::Read, "plot")];
+    let cases: Vec<_> = of_file.into_iter().chain(of_content).collect();
+    in_parallel(&cases, cases.len(), |(call, what)| check_download(*call, what));
+}
+
+/// What a command that records one run answers, asked to end while the disk hangs at `call` before the run has a file.
+fn check_record(call: Call, nth: usize, is_fast: bool) {
+    let directory = tempfile::tempdir().unwrap();
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
+    let bar: BallBarConfig = config::load(&shipped.join("ball_bar.toml")).unwrap();
+    let daemon = DaemonConfig {
+        directory: directory.path().join("runs"),
+        spare_directory: directory.path().join("spare"),
+        disk_floor_mb: 0,
+        ..DaemonConfig::default()
+    };
+    let wall = Arc::new(Wall::new(&daemon.directory, Some((call, nth, Fault::Hangs(EVER)))));
+    let storage = Storage::on(wall.clone(), &daemon).unwrap();
+    let request = RunRequest { name: "day".into(), duration: None, fast: is_fast, ..RunRequest::default() };
+    let request = RunRequest { duration: is_fast.then_some(Duration::from_secs(3600)), ..request };
+    let stop = Stop::default();
+    std::thread::scope(|scope| {
+        let recording = scope.spawn(|| {
+            let outcome = record_on(&storage, &request, &daemon, &bar, &stop);
+            (outcome, Instant::now())
+        });
+        while wall.struck().is_none() {
+            assert!(!recording.is_finished(), "it never came to {call:?} number {nth}");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        std::thread::sleep(Duration::from_millis(800));
+        let asked = Instant::now();
+        stop.stop("stopped by SIGTERM");
+        let (outcome, ended) = recording.join().unwrap();
+        assert!(ended - asked < Duration::from_secs(2), "{call:?}: ended after {:?}", ended - asked);
+        let error = outcome.unwrap_err().to_string();
+        for word in ["stopped by SIGTERM", "nothing was recorded", "disk"] {
+            assert!(error.contains(word), "`{word}` is missing in: {error}");
+        }
+    });
+}
+
+#[test]
+fn a_command_that_is_asked_to_end_before_the_disk_gave_its_run_a_file_ends_within_two_seconds() {
+    // Before the claim, its lock, and what gives the run its file.
+    let calls = [Call::MakeDirectory, Call::Lock, Call::List, Call::Rename, Call::SyncDirectory];
+    let mut cases: Vec<_> = calls.map(|call| (call, 0, false)).into();
+    cases.extend([(Call::Create, 0, false), (Call::Create, 0, true), (Call::List, 0, true)]);
+    in_parallel(&cases, cases.len(), |(call, nth, is_fast)| check_record(*call, *nth, *is_fast));
 }
 
 fn check_all(faults: &[Fault]) {

@@ -1,8 +1,12 @@
 //! Disks that are slow: what that costs, when, and what people are told of it.
 
+use std::io::{self, Write};
 use std::path::Path;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use ballbard::run::Storage;
+use shared::config::DaemonConfig;
 use shared::recording::Recording;
 use shared::recording::schema::{EventKind, flags};
 
@@ -11,6 +15,8 @@ use super::wall::{Call, Fault, Wall};
 
 /// What a busy machine adds to anything.
 const SLACK_S: f64 = 0.3;
+/// Longer than a look at the disk may take.
+const HANG: Duration = Duration::from_secs(3);
 
 fn plan(rate_hz: u32, seconds: f64) -> Plan {
     Plan {
@@ -119,6 +125,43 @@ fn cycles_that_a_full_ring_refuses_are_counted_at_once() {
     let recording = recording_of(&outcome);
     let lost = recording.cycles.iter().filter(|cycle| cycle.flags & flags::LOST != 0).count() as u64;
     assert_eq!((recording.cycles.len() as u64, lost), (400, summary.cycles_lost));
+}
+
+#[test]
+fn a_disk_that_does_not_answer_is_reported_within_a_second_to_who_asks_and_in_the_log() {
+    let log = Arc::<Mutex<Vec<u8>>>::default();
+    let lines = Arc::clone(&log);
+    let subscriber = tracing_subscriber::fmt().with_writer(move || Log(Arc::clone(&lines))).finish();
+    tracing::subscriber::set_global_default(subscriber).unwrap();
+    let directory = tempfile::tempdir().unwrap();
+    let daemon = DaemonConfig { directory: directory.path().to_owned(), ..DaemonConfig::default() };
+    let wall = Arc::new(Wall::new(directory.path(), Some((Call::Space, 3, Fault::Hangs(HANG)))));
+    let storage = Storage::on(wall.clone(), &daemon).unwrap();
+    let struck = loop {
+        if let Some(struck) = wall.struck() {
+            break struck;
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    };
+    let text = format!("the disk of {} has not answered for", directory.path().display());
+    let is_logged = || String::from_utf8_lossy(&log.lock().unwrap()).contains(&text);
+    while !is_logged() || !storage.problem().is_some_and(|problem| problem.contains(&text)) {
+        assert!(struck.elapsed() < Duration::from_secs(1), "nobody is told");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+/// What is logged.
+struct Log(Arc<Mutex<Vec<u8>>>);
+
+impl Write for Log {
+    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
+        self.0.lock().unwrap().write(line)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
 }
 
 #[test]

@@ -67,8 +67,6 @@ pub enum Fault {
 /// The disk.
 #[derive(Debug)]
 pub struct Wall {
-    /// Which call is met by which fault: the first is number 0.
-    fault: Option<(Call, usize, Fault)>,
     /// How long each synchronisation takes.
     sync_takes: Duration,
     /// The run's own directory.
@@ -78,6 +76,8 @@ pub struct Wall {
 
 #[derive(Debug, Default)]
 struct State {
+    /// Which call is met by which fault: the first is number 0.
+    fault: Option<(Call, usize, Fault)>,
     calls: BTreeMap<Call, usize>,
     /// By inode: bytes written, and bytes that were written when a synchronisation that is over began.
     written: HashMap<u64, u64>,
@@ -95,7 +95,8 @@ enum Permit {
 
 impl Wall {
     pub fn new(home: &Path, fault: Option<(Call, usize, Fault)>) -> Self {
-        Self { fault, sync_takes: Duration::ZERO, home: home.to_owned(), state: Mutex::default() }
+        let state = Mutex::new(State { fault, ..State::default() });
+        Self { sync_takes: Duration::ZERO, home: home.to_owned(), state }
     }
 
     /// One on which each synchronisation takes so long.
@@ -110,6 +111,13 @@ impl Wall {
     /// How often each call was made.
     pub fn calls(&self) -> BTreeMap<Call, usize> {
         self.state().calls.clone()
+    }
+
+    /// The next call of this kind meets this fault.
+    pub fn strike_next(&self, call: Call, fault: Fault) {
+        let mut state = self.state();
+        let nth = state.calls.get(&call).copied().unwrap_or(0);
+        (state.fault, state.struck) = (Some((call, nth, fault)), None);
     }
 
     /// When the fault was met.
@@ -129,7 +137,7 @@ impl Wall {
         let number = *count;
         *count += 1;
         let refusal = || Err(io::Error::from_raw_os_error(nix::libc::EIO));
-        let Some((at, nth, fault)) = self.fault else { return Ok(Permit::All) };
+        let Some((at, nth, fault)) = state.fault else { return Ok(Permit::All) };
         let strikes = call == at && number == nth;
         if strikes {
             state.struck = Some(Instant::now());

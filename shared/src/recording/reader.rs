@@ -4,13 +4,13 @@
 //! are bounded (a flipped bit in a length would otherwise ask for the whole address space), the CRC over the
 //! data section and cycle numbers without a hole prove that nothing was skipped.
 
-use std::fs::File;
 use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use mcap::McapError;
 
 use super::content::{Decoder, Item, LIBRARY_NAME, RUN_METADATA};
+use super::disk::{Disk, OpenFile, SystemDisk};
 use super::messages::MessageError;
 use super::records::for_each_record;
 use super::schema::{CycleRecord, Event, RunEnd, RunMetadata};
@@ -101,9 +101,14 @@ impl Recording {
 
     /// Reads a finished recording from a file.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
+        Self::open_on(&SystemDisk, path)
+    }
+
+    /// [`open`](Self::open) on another disk.
+    pub fn open_on(disk: &dyn Disk, path: &Path) -> Result<Self, ReadError> {
         let error = |kind| ReadError { path: path.to_owned(), kind };
-        let file = File::open(path).map_err(|source| error(source.into()))?;
-        Self::read(BufReader::new(file)).map_err(error)
+        let file = disk.open(path).map_err(|source| error(source.into()))?;
+        Self::read(BufReader::new(OpenFile::new(disk, &file))).map_err(error)
     }
 
     /// Reads a finished recording from any source of bytes.

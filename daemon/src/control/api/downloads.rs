@@ -3,15 +3,15 @@
 //! A thread for each reads the disk and waits for the client; few may go on at a time, and nothing is held in memory for a
 //! client that is slow.
 
-use std::fs::File;
 use std::io::{self, BufWriter, Write};
-use std::path::PathBuf;
+use std::path::Path;
 use std::sync::Arc;
 
 use axum::body::{Body, Bytes};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use futures_util::stream;
+use shared::recording::{Disk, OpenFile};
 use tokio::sync::{Semaphore, mpsc};
 
 use super::refusal;
@@ -82,16 +82,17 @@ impl Downloads {
     /// Sends a file as it is.
     pub fn send_file(
         &self,
-        path: &PathBuf,
+        disk: Arc<dyn Disk>,
+        path: &Path,
         file_name: String,
         media_type: &'static str,
     ) -> io::Result<Response> {
-        let mut file = File::open(path)?;
-        let length = file.metadata()?.len();
+        let file = disk.open(path)?;
+        let length = disk.length(&file)?;
         let what = Download { file_name, media_type, length: Some(length) };
         Ok(self.send(&what, move |mut sink| {
             // Never more than was promised, whatever happens to the file.
-            let copied = io::copy(&mut io::Read::take(&mut file, length), &mut sink)?;
+            let copied = io::copy(&mut io::Read::take(OpenFile::new(&*disk, &file), length), &mut sink)?;
             anyhow::ensure!(copied == length, "the file has become shorter");
             Ok(())
         }))

@@ -218,8 +218,11 @@ async fn download_mcap(
     name: Name,
 ) -> Result<Response, Response> {
     let (file, name) = found(&service, name).await?;
-    on_disk(&service, move |_| downloads.send_file(&file, format!("{name}.mcap"), "application/octet-stream"))
-        .await
+    let disk = service.disk();
+    on_disk(&service, move |_| {
+        downloads.send_file(disk, &file, format!("{name}.mcap"), "application/octet-stream")
+    })
+    .await
 }
 
 async fn download_csv(
@@ -229,7 +232,9 @@ async fn download_csv(
     let (file, name) = found(&service, name).await?;
     let what =
         Download { file_name: format!("{name}.csv"), media_type: "text/csv; charset=utf-8", length: None };
-    Ok(downloads.send(&what, move |sink| write_csv(&Recording::open(&file)?, Layout::default(), sink)))
+    let disk = service.disk();
+    Ok(downloads
+        .send(&what, move |sink| write_csv(&Recording::open_on(&*disk, &file)?, Layout::default(), sink)))
 }
 
 async fn curves(
@@ -238,7 +243,8 @@ async fn curves(
 ) -> Result<Response, Response> {
     let (file, name) = found(&service, name).await?;
     let what = Download { file_name: format!("{name}.json"), media_type: "application/json", length: None };
-    Ok(downloads.send(&what, move |sink| Ok(serde_json::to_writer(sink, &runs::curves(&file)?)?)))
+    let disk = service.disk();
+    Ok(downloads.send(&what, move |sink| Ok(serde_json::to_writer(sink, &runs::curves(&*disk, &file)?)?)))
 }
 
 async fn delete(State(service): State<Service>, body: Body<DeleteRequest>) -> Result<Response, Response> {
