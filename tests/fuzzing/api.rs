@@ -8,6 +8,7 @@ use axum::body::{Body, to_bytes};
 use axum::http::{Method, Request, header};
 use ballbard::control::api;
 use ballbard::control::service::{Service, Settings};
+use ballbard::homing::MarksFile;
 use ballbard::run::BusChoice;
 use tower::ServiceExt;
 
@@ -27,7 +28,7 @@ static SERVED: LazyLock<Served> = LazyLock::new(|| {
         faults: Vec::new(),
         daemon: crate::daemon(Path::new(&directory)),
         bar: crate::ball_bar(),
-        homing_file: directory.join("homing.toml"),
+        marks: MarksFile::new(directory.clone(), None),
     };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
     Served { router: api::router(Service::start(settings).expect("a service")), runtime }

@@ -6,8 +6,12 @@ use clap::Args;
 use serde::de::DeserializeOwned;
 use shared::config::{self, BallBarConfig, ConfigError, DaemonConfig, HomingConfig, Validate};
 
+use crate::homing::MarksFile;
+
 /// Where it is looked for, in this order.
 const PLACES: [&str; 2] = ["config", "/etc/ballbard"];
+/// Where a packaged service keeps what it finds out.
+const STATE: &str = "/var/lib/ballbard";
 const DAEMON: (&str, &str) = ("daemon.toml", include_str!("../../../config/daemon.toml"));
 const BALL_BAR: (&str, &str) = ("ball_bar.toml", include_str!("../../../config/ball_bar.toml"));
 
@@ -30,10 +34,12 @@ impl Configuration {
         self.load(BALL_BAR)
     }
 
-    /// Where reference marks are kept: beside `ball_bar.toml`, or with the recordings where nobody has written one.
-    pub fn homing_file(&self, daemon: &DaemonConfig) -> PathBuf {
+    /// Where reference marks are kept. They used to be beside `ball_bar.toml`, or with the recordings where nobody has
+    /// written one.
+    pub fn marks_file(&self, state: &State, daemon: &DaemonConfig) -> MarksFile {
         let beside = self.find(BALL_BAR.0).and_then(|file| file.parent().map(Path::to_owned));
-        beside.unwrap_or_else(|| daemon.directory.clone()).join(HomingConfig::FILE_NAME)
+        let older = beside.unwrap_or_else(|| daemon.directory.clone()).join(HomingConfig::FILE_NAME);
+        MarksFile::new(state.directory(), Some(older))
     }
 
     /// Where a file came from, for people.
@@ -61,5 +67,29 @@ impl Configuration {
             Some(file) => config::load(&file),
             None => config::parse(shipped, Path::new(name)),
         }
+    }
+}
+
+/// Where the program keeps what it finds out by itself.
+#[derive(Debug, Clone, Args)]
+pub struct State {
+    /// Directory for reference marks; default: $STATE_DIRECTORY as systemd sets it, /var/lib/ballbard where that is there,
+    /// else `ballbard` in $XDG_STATE_HOME or ~/.local/state
+    #[arg(long = "state", value_name = "DIR")]
+    directory: Option<PathBuf>,
+}
+
+impl State {
+    fn directory(&self) -> PathBuf {
+        let variable = |name| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
+        let of_user = || {
+            let local = || Some(std::env::home_dir()?.join(".local/state"));
+            Some(variable("XDG_STATE_HOME").or_else(local)?.join("ballbard"))
+        };
+        let installed = Some(PathBuf::from(STATE)).filter(|path| path.is_dir());
+        let chosen = self.directory.clone().or_else(|| variable("STATE_DIRECTORY")).or(installed);
+        let directory = chosen.or_else(of_user).unwrap_or_else(|| STATE.into());
+        // Whoever is told where it is may be in another directory.
+        std::path::absolute(&directory).unwrap_or(directory)
     }
 }

@@ -6,12 +6,14 @@ use std::time::Duration;
 use anyhow::bail;
 use clap::Args;
 use shared::output::say;
+use shared::recording::SystemDisk;
 
 use super::client::ServiceArguments;
-use super::configuration::Configuration;
+use super::configuration::{Configuration, State};
 use super::{bus_choice, on_signal};
 use crate::control::homing::Homing;
 use crate::control::status::{HomeRequest, HomingStatus, Reply, Status, StopRequest};
+use crate::homing;
 use crate::run::{self, Stop, Storage};
 
 /// How often progress is looked at.
@@ -24,6 +26,8 @@ pub struct HomeArguments {
     #[arg(long)]
     bus: Option<String>,
     #[command(flatten)]
+    state: State,
+    #[command(flatten)]
     service: ServiceArguments,
 }
 
@@ -31,7 +35,7 @@ pub fn run(arguments: HomeArguments) -> anyhow::Result<()> {
     let stop = Stop::default();
     let stopping = stop.clone();
     let work = move || match &arguments.bus {
-        Some(bus) => on_own_bus(bus, arguments.service.configuration(), &stop),
+        Some(bus) => on_own_bus(bus, arguments.service.configuration(), &arguments.state, &stop),
         None => by_service(&arguments.service, &stop),
     };
     on_signal(work, |signal| stopping.stop(signal))
@@ -61,13 +65,16 @@ fn by_service(service: &ServiceArguments, stop: &Stop) -> anyhow::Result<()> {
     }
 }
 
-fn on_own_bus(bus: &str, configuration: &Configuration, stop: &Stop) -> anyhow::Result<()> {
+fn on_own_bus(bus: &str, configuration: &Configuration, state: &State, stop: &Stop) -> anyhow::Result<()> {
     let (daemon, bar) = (configuration.daemon()?, configuration.ball_bar()?);
-    let file = configuration.homing_file(&daemon);
+    let marks = configuration.marks_file(state, &daemon);
+    if let Some(problem) = marks.problem(&SystemDisk) {
+        bail!("{problem}; {}", homing::REMEDY);
+    }
     let session = run::open(&bus_choice(bus), &[], &daemon, &bar, &Storage::new(&daemon)?)?;
     session.log();
     let (mut printer, mut homing) = (Printer::default(), Homing::begin(&session));
-    while !homing.look(&bar.encoders, &file) {
+    while !homing.look(&bar.encoders, &marks) {
         if let Err(error) = printer.print(homing.status()) {
             stop.stop(&format!("{error:#}"));
         }

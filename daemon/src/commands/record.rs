@@ -9,9 +9,8 @@ use shared::output::say;
 use shared::recording::SystemDisk;
 
 use super::client::unless_blind;
-use super::configuration::Configuration;
+use super::configuration::{Configuration, State};
 use super::{bus_choice, on_signal};
-use crate::homing;
 use crate::recorder::RunSummary;
 use crate::run::{self, About, BusChoice, RunRequest, Stop};
 use crate::segment::faults::FaultWindow;
@@ -46,12 +45,14 @@ pub struct RecordArguments {
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
     #[command(flatten)]
+    state: State,
+    #[command(flatten)]
     configuration: Configuration,
 }
 
 pub fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
     let (mut daemon, bar) = (arguments.configuration.daemon()?, arguments.configuration.ball_bar()?);
-    let homing = homing::file::read(&SystemDisk, &arguments.configuration.homing_file(&daemon))?;
+    let homing = arguments.configuration.marks_file(&arguments.state, &daemon).read(&SystemDisk)?;
     if let Some(directory) = &arguments.out {
         daemon.directory.clone_from(directory);
     }

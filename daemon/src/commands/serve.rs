@@ -11,7 +11,7 @@ use shared::output::say;
 use tokio::net::TcpListener;
 
 use super::bus_choice;
-use super::configuration::Configuration;
+use super::configuration::{Configuration, State};
 use super::signals::Signals;
 use crate::control::api;
 use crate::control::service::{Service, ServiceError, Settings};
@@ -38,12 +38,14 @@ pub struct RunArguments {
     #[arg(long)]
     port: Option<u16>,
     #[command(flatten)]
+    state: State,
+    #[command(flatten)]
     configuration: Configuration,
 }
 
 pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
     let (mut daemon, bar) = (arguments.configuration.daemon()?, arguments.configuration.ball_bar()?);
-    let homing_file = arguments.configuration.homing_file(&daemon);
+    let marks = arguments.configuration.marks_file(&arguments.state, &daemon);
     tracing::info!("configuration: {}", arguments.configuration.origin());
     if let Some(directory) = &arguments.out {
         daemon.directory.clone_from(directory);
@@ -61,7 +63,7 @@ pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
             arguments.bus
         );
     }
-    let settings = Settings { bus, faults, daemon, bar, homing_file };
+    let settings = Settings { bus, faults, daemon, bar, marks };
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()

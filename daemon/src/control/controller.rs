@@ -316,7 +316,7 @@ impl Controller {
 
     fn look_at_homing(&mut self) {
         let Some(homing) = &mut self.homing else { return };
-        if homing.look(&self.settings.bar.encoders, &self.settings.homing_file) {
+        if homing.look(&self.settings.bar.encoders, &self.settings.marks) {
             self.handle(Event::HomingOver);
         }
     }

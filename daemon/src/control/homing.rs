@@ -1,6 +1,5 @@
 //! Homing as the service does it: the steps in words, and the file at the end.
 
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::thread;
@@ -10,7 +9,7 @@ use shared::config::{EncoderConfig, bar_joint_name};
 use shared::recording::Disk;
 
 use super::status::HomingStatus;
-use crate::homing::{self, Found, HomingError, HomingStep};
+use crate::homing::{self, Found, HomingError, HomingStep, MarksFile};
 use crate::run::{ActiveHoming, Session};
 
 /// A homing, until the next one.
@@ -49,35 +48,35 @@ impl Homing {
     }
 
     /// Takes what was told since the last look; whether it has just ended, with its outcome in the status and, if it went
-    /// well, in `file`, which a thread of its own writes.
-    pub fn look(&mut self, encoders: &[EncoderConfig], file: &Path) -> bool {
+    /// well, in `marks`, which a thread of its own writes.
+    pub fn look(&mut self, encoders: &[EncoderConfig], marks: &MarksFile) -> bool {
         while let Some(step) = self.active.take_step() {
             note(&mut self.status, step);
         }
         match self.active.outcome() {
-            Some(Ok(found)) => self.keep(encoders.to_vec(), found, file),
-            Some(Err(error)) => return self.over(file, Err(error)),
+            Some(Ok(found)) => self.keep(encoders.to_vec(), found, marks),
+            Some(Err(error)) => return self.over(marks, Err(error)),
             None => {}
         }
         match self.keeping.as_ref().map(|(kept, _)| kept.try_recv()) {
-            Some(Ok(kept)) => self.over(file, kept),
+            Some(Ok(kept)) => self.over(marks, kept),
             Some(Err(TryRecvError::Disconnected)) => {
-                self.over(file, Err(HomingError::Stopped("no thread to write it; see the log".into())))
+                self.over(marks, Err(HomingError::Stopped("no thread to write it; see the log".into())))
             }
             Some(Err(TryRecvError::Empty)) | None => false,
         }
     }
 
-    fn keep(&mut self, encoders: Vec<EncoderConfig>, found: Vec<Found>, file: &Path) {
+    fn keep(&mut self, encoders: Vec<EncoderConfig>, found: Vec<Found>, marks: &MarksFile) {
         (self.status.joint, self.status.turned_deg) = (None, None);
         let (result, kept) = channel();
         self.keeping = Some((kept, Instant::now()));
-        let (disk, file) = (Arc::clone(&self.disk), file.to_owned());
+        let (disk, file) = (Arc::clone(&self.disk), marks.clone());
         let keep = move || {
             let marks = homing::verify(&encoders, &found).map_err(HomingError::from);
             let kept = marks.and_then(|marks| {
-                homing::file::write(&*disk, &file, &encoders, &marks)
-                    .map_err(|error| HomingError::Stopped(error.to_string()))
+                let written = file.write(&*disk, &encoders, &marks);
+                written.map_err(|error| HomingError::Stopped(error.to_string()))
             });
             // Nobody waits any more if the service has ended meanwhile.
             let _ = result.send(kept);
@@ -86,14 +85,14 @@ impl Homing {
         let _ = thread::Builder::new().name("homing".into()).spawn(keep);
     }
 
-    fn over(&mut self, file: &Path, kept: Result<(), HomingError>) -> bool {
+    fn over(&mut self, marks: &MarksFile, kept: Result<(), HomingError>) -> bool {
         self.keeping = None;
         self.status.is_over = true;
         (self.status.joint, self.status.turned_deg) = (None, None);
         match kept {
             Ok(()) => self.status.lines.push(format!(
                 "{}: runs count angles from these marks until the terminals lose power; then home again",
-                file.display()
+                marks.path().display()
             )),
             Err(error) => self.status.error = Some(error.to_string()),
         }

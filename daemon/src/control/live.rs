@@ -4,7 +4,6 @@
 //! knows of it. Who watches gets the latest moment and may miss others: nothing is queued.
 
 use std::collections::VecDeque;
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, channel};
 use std::thread;
@@ -24,7 +23,7 @@ use super::status::{EncoderStatus, Headline, Level, RunStatus, Status};
 use super::verdict::{Content, MOVED_MIN_DEG, Verdict};
 use crate::clock::Clock;
 use crate::devices::el5021;
-use crate::homing;
+use crate::homing::MarksFile;
 
 /// How often a page is given something new.
 const PERIOD: Duration = Duration::from_millis(100);
@@ -136,7 +135,7 @@ pub(super) fn watch(
 ) -> std::io::Result<watch::Receiver<Arc<Moment>>> {
     let (moments, latest) = watch::channel(Arc::default());
     let mut observer = Observer::new(&settings);
-    let mut reading = read(&disk, &settings.homing_file)?;
+    let mut reading = read(&disk, &settings.marks)?;
     let mut was_homed = true;
     thread::Builder::new().name("live".into()).spawn(move || {
         let mut next = Instant::now();
@@ -145,7 +144,7 @@ pub(super) fn watch(
             // Marks change only when a homing ends.
             let is_homed = now.homing.as_ref().is_none_or(|homing| homing.is_over);
             if is_homed && !was_homed {
-                reading = read(&disk, &settings.homing_file).unwrap_or(reading);
+                reading = read(&disk, &settings.marks).unwrap_or(reading);
             }
             was_homed = is_homed;
             if let Ok(marks) = reading.try_recv() {
@@ -310,11 +309,11 @@ impl Observer {
 }
 
 /// Reads `homing.toml` in a thread of its own, because its disk may hang. A file that cannot be read is told by the check.
-fn read(disk: &Arc<dyn Disk>, file: &Path) -> std::io::Result<Receiver<Option<HomingConfig>>> {
+fn read(disk: &Arc<dyn Disk>, marks: &MarksFile) -> std::io::Result<Receiver<Option<HomingConfig>>> {
     let (found, reading) = channel();
-    let (disk, file) = (Arc::clone(disk), file.to_owned());
+    let (disk, marks) = (Arc::clone(disk), marks.clone());
     thread::Builder::new().name("marks".into()).spawn(move || {
-        let _ = found.send(homing::file::read(&*disk, &file).ok().flatten());
+        let _ = found.send(marks.read(&*disk).ok().flatten());
     })?;
     Ok(reading)
 }
@@ -602,7 +601,7 @@ mod tests {
                 faults: Vec::new(),
                 daemon: DaemonConfig::default(),
                 bar,
-                homing_file: "homing.toml".into(),
+                marks: MarksFile::new("state".into(), None),
             };
             change(&mut settings);
             Self { observer: Observer::new(&settings), now: MonoNs(NS_PER_S), origin: 0, latch: START as u32 }

@@ -20,6 +20,8 @@ const SAMPLE_AGE_MS_MAX: i64 = 1000;
 pub(super) struct Found {
     homing: Result<Option<HomingConfig>, String>,
     left_behind: Result<Vec<PathBuf>, String>,
+    /// Why a homing could not be kept.
+    unkept: Option<String>,
 }
 
 impl Found {
@@ -30,8 +32,9 @@ impl Found {
             Ok([runs::left_behind(disk, directory)?, runs::left_behind(disk, spare_directory)?].concat())
         };
         Self {
-            homing: homing::file::read(disk, &settings.homing_file).map_err(|error| error.to_string()),
+            homing: settings.marks.read(disk).map_err(|error| error.to_string()),
             left_behind: left_behind().map_err(|error| error.to_string()),
+            unkept: settings.marks.problem(disk),
         }
     }
 }
@@ -43,6 +46,7 @@ pub(super) fn check(view: &View<'_>, status: &Status, found: Option<&Found>) -> 
         encoders(status),
         cables(status),
         reference_marks(view, found),
+        state(view, found),
         disk(view),
         realtime(view),
         clock(),
@@ -123,6 +127,16 @@ fn reference_marks(view: &View<'_>, found: Option<&Found>) -> CheckLine {
     let joints: Vec<_> = stale.iter().map(u8::to_string).collect();
     let finding = format!("those of joint {} do not hold any more", joints.join(", "));
     problem(SUBJECT, finding, "run `ballbard home`, or remove homing.toml if runs need no marks")
+}
+
+/// A homing takes minutes of somebody's time: whether its outcome can be kept is seen before.
+fn state(view: &View<'_>, found: Option<&Found>) -> CheckLine {
+    const SUBJECT: &str = "state";
+    let Some(found) = found else { return unanswered(SUBJECT) };
+    match &found.unkept {
+        None => good(SUBJECT, format!("a homing is kept in {}", view.settings.marks.path().display())),
+        Some(finding) => problem(SUBJECT, finding.as_str(), homing::REMEDY),
+    }
 }
 
 /// Measured with five encoders: 11.5 kB a second at 100 Hz.

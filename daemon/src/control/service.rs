@@ -2,7 +2,7 @@
 //! [`controller`](super::controller).
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
@@ -19,7 +19,7 @@ use super::machine::Answer;
 use super::preflight::Found;
 use super::status::{CheckLine, Refusal, StartRequest, Status};
 use crate::clock::Clock;
-use crate::homing;
+use crate::homing::{self, MarksFile};
 use crate::run::{self, BusChoice, RunDetails, RunError, Session, Storage};
 use crate::segment::faults::FaultWindow;
 
@@ -35,7 +35,7 @@ pub struct Settings {
     /// `ball_bar.toml`.
     pub bar: BallBarConfig,
     /// `homing.toml`, which need not be there.
-    pub homing_file: PathBuf,
+    pub marks: MarksFile,
 }
 
 /// Brings the bus into operation; tried again and again until it is.
@@ -62,6 +62,8 @@ const LOOKS_MAX: usize = 4;
 const LOOK_WITHIN: Duration = Duration::from_secs(1);
 /// The same for a list of hundreds of recordings.
 pub(super) const LIST_WITHIN: Duration = Duration::from_secs(10);
+/// What they are told where nothing can be said without it.
+const DISK_SILENT: &str = "the disk does not answer; `ballbard status` says what is known of it";
 
 /// Why the service cannot start, or has ended by itself.
 #[derive(Debug, thiserror::Error)]
@@ -145,9 +147,7 @@ impl Service {
         let (settings, disk) = (Arc::clone(&self.settings), Arc::clone(&self.disk));
         let details = self.look(LOOK_WITHIN, move || details(request, &settings, &*disk)).await;
         let Some(details) = details else {
-            return Ok(Answer::Refused(
-                "the disk does not answer; `ballbard status` says what is known of it".into(),
-            ));
+            return Ok(Answer::Refused(DISK_SILENT.into()));
         };
         let details = Box::new(details?);
         self.ask(|reply| Command::Start(details, named, reply)).await
@@ -158,8 +158,14 @@ impl Service {
         self.ask(|reply| Command::Stop(cause, reply)).await
     }
 
+    /// Refused where the marks could not be kept: whoever turns the joints is told before, and not at the end.
     pub(super) async fn home(&self) -> Result<Answer, Refusal> {
-        self.ask(Command::Home).await
+        let (settings, disk) = (Arc::clone(&self.settings), Arc::clone(&self.disk));
+        match self.look(LOOK_WITHIN, move || settings.marks.problem(&*disk)).await {
+            Some(None) => self.ask(Command::Home).await,
+            Some(Some(problem)) => Ok(Answer::Refused(format!("{problem}; {}", homing::REMEDY))),
+            None => Ok(Answer::Refused(DISK_SILENT.into())),
+        }
     }
 
     /// The run that was marked; none if none goes on.
@@ -234,9 +240,8 @@ impl Service {
 const DURATION_MAX: Duration = Duration::from_secs(366 * 86_400);
 
 fn details(request: StartRequest, settings: &Settings, disk: &dyn Disk) -> Result<RunDetails, Refusal> {
-    let Settings { daemon, homing_file, .. } = settings;
-    let homing =
-        homing::file::read(disk, homing_file).map_err(|error| Refusal { error: error.to_string() })?;
+    let Settings { daemon, marks, .. } = settings;
+    let homing = marks.read(disk).map_err(|error| Refusal { error: error.to_string() })?;
     let duration = request
         .duration_s
         .map(|seconds| {
@@ -477,7 +482,7 @@ pub(crate) mod tests {
             faults: Vec::new(),
             daemon,
             bar,
-            homing_file: directory.join("homing.toml"),
+            marks: MarksFile::new(directory.to_owned(), None),
         };
         (Service::start_with(settings, storage, Arc::new(connect)).unwrap(), deadly)
     }

@@ -1,14 +1,89 @@
-//! `homing.toml`: what was found, kept beside `ball_bar.toml`.
+//! `homing.toml`: what was found, kept in the state directory.
 
 use std::io::{self, Read, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use shared::config::{self, ConfigError, EncoderConfig, HomingConfig};
 use shared::recording::{Disk, OpenFile, is_absent};
 use shared::time::UtcNs;
 
-/// What was found last; none if nothing ever was.
-pub fn read(disk: &dyn Disk, file: &Path) -> Result<Option<HomingConfig>, ConfigError> {
+/// Where reference marks are kept. The program finds them out by itself, so they are state and no configuration, which
+/// may be another user's.
+#[derive(Debug, Clone)]
+pub struct MarksFile {
+    directory: PathBuf,
+    file: PathBuf,
+    /// Where earlier versions kept them; read while there is no `file`.
+    older: Option<PathBuf>,
+}
+
+/// What to do where marks cannot be kept.
+pub const REMEDY: &str = "let this user write there, or choose another directory with --state";
+
+impl MarksFile {
+    /// In this state directory.
+    pub fn new(directory: PathBuf, older: Option<PathBuf>) -> Self {
+        Self { file: directory.join(HomingConfig::FILE_NAME), directory, older }
+    }
+
+    /// Where it is written.
+    pub fn path(&self) -> &Path {
+        &self.file
+    }
+
+    /// What was found last; none if nothing ever was.
+    pub fn read(&self, disk: &dyn Disk) -> Result<Option<HomingConfig>, ConfigError> {
+        for file in std::iter::once(&self.file).chain(&self.older) {
+            if let Some(homing) = read(disk, file)? {
+                return Ok(Some(homing));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Why a homing could not be kept, as far as that can be seen beforehand; what to do is [`REMEDY`].
+    pub fn problem(&self, disk: &dyn Disk) -> Option<String> {
+        let directory = self.directory.display();
+        let why = match disk.space(&self.directory) {
+            Ok(space) if !space.is_writable => format!("{directory} cannot be written"),
+            Ok(space) if space.free_bytes == 0 => format!("{directory} is on a full disk"),
+            Ok(_) => return None,
+            Err(error) => format!("{directory}: {error}"),
+        };
+        Some(format!("{why}, so reference marks could not be kept"))
+    }
+
+    /// Keeps the counts at the marks, in the order of `encoders`. Under its final name the file is whole, or it is the one
+    /// before.
+    pub fn write(
+        &self,
+        disk: &dyn Disk,
+        encoders: &[EncoderConfig],
+        reference_counts: &[u32],
+    ) -> io::Result<()> {
+        let Self { directory, file, .. } = self;
+        let now = UtcNs::from_datetime(chrono::Utc::now());
+        let homing = HomingConfig::new(now, encoders, reference_counts);
+        let text = toml::to_string(&homing).map_err(io::Error::other)?;
+        let part = file.with_extension("toml.part");
+        let explain = |error: io::Error| {
+            let advice =
+                format!("cannot write {}: {error}; check free space and permissions", file.display());
+            io::Error::new(error.kind(), advice)
+        };
+        let create = || {
+            disk.make_directory(directory)?;
+            let created = disk.create(&part)?;
+            let mut created = OpenFile::new(disk, &created);
+            created.write_all(format!("# Written by `ballbard home`.\n{text}").as_bytes())?;
+            created.flush()?;
+            disk.replace(&part, file)
+        };
+        create().map_err(explain)
+    }
+}
+
+fn read(disk: &dyn Disk, file: &Path) -> Result<Option<HomingConfig>, ConfigError> {
     let unreadable = |source| ConfigError::Unreadable { path: file.to_owned(), source };
     let opened = match disk.open(file) {
         Err(error) if is_absent(&error) => return Ok(None),
@@ -17,29 +92,4 @@ pub fn read(disk: &dyn Disk, file: &Path) -> Result<Option<HomingConfig>, Config
     let mut text = String::new();
     OpenFile::new(disk, &opened).read_to_string(&mut text).map_err(unreadable)?;
     config::parse(&text, file).map(Some)
-}
-
-/// Keeps the counts at the marks, in the order of `encoders`. Under its final name the file is whole, or it is the one
-/// before.
-pub fn write(
-    disk: &dyn Disk,
-    file: &Path,
-    encoders: &[EncoderConfig],
-    reference_counts: &[u32],
-) -> io::Result<()> {
-    let homing = HomingConfig::new(UtcNs::from_datetime(chrono::Utc::now()), encoders, reference_counts);
-    let text = toml::to_string(&homing).map_err(io::Error::other)?;
-    let part = file.with_extension("toml.part");
-    let explain = |error: io::Error| {
-        let advice = format!("cannot write {}: {error}; check free space and permissions", file.display());
-        io::Error::new(error.kind(), advice)
-    };
-    let create = || {
-        let created = disk.create(&part)?;
-        let mut created = OpenFile::new(disk, &created);
-        created.write_all(format!("# Written by `ballbard home`.\n{text}").as_bytes())?;
-        created.flush()?;
-        disk.replace(&part, file)
-    };
-    create().map_err(explain)
 }

@@ -7,10 +7,11 @@
 //!
 //! [`home`] finds what is there, whatever the configuration says; [`verify`] compares the two.
 
-pub mod file;
+mod file;
 mod search;
 mod wiring;
 
+pub use file::{MarksFile, REMEDY};
 pub use wiring::{Miswired, verify};
 
 use shared::config::EncoderConfig;

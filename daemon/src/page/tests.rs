@@ -12,6 +12,7 @@ use tokio::sync::oneshot;
 use crate::clock::Clock;
 use crate::control::api;
 use crate::control::service::{Service, Settings};
+use crate::homing::MarksFile;
 use crate::run::{self, BusChoice, Storage};
 use crate::segment::InProcessWire;
 use crate::segment::faults::{FaultHandle, FaultSwitch, FaultySegment};
@@ -48,7 +49,7 @@ impl Bench {
             faults: Vec::new(),
             daemon,
             bar,
-            homing_file: directory.path().join("homing.toml"),
+            marks: MarksFile::new(directory.path().to_owned(), None),
         };
         Self {
             service: Service::start_with(settings, storage, Arc::new(connect)).unwrap(),

@@ -12,6 +12,7 @@ use axum::http::{Request, header};
 use ballbard::control::api;
 use ballbard::control::service::{Service, Settings};
 use ballbard::control::status::Status;
+use ballbard::homing::MarksFile;
 use ballbard::run::{BusChoice, RunRequest, Stop, Storage, record_on};
 use serde_json::{Value, json};
 use shared::config::{self, BallBarConfig, DaemonConfig};
@@ -60,7 +61,7 @@ impl Day {
             faults: Vec::new(),
             daemon,
             bar,
-            homing_file: home.join("homing.toml"),
+            marks: MarksFile::new(home.clone(), None),
         };
         let wall = Arc::new(Wall::new(&home, fault));
         let service = Service::start_on(wall.clone(), settings).unwrap();

@@ -1,10 +1,12 @@
 //! Homing through the service: what a person types, reads, and finds in the files.
 
-use ballbard::control::status::CheckLine;
+use std::process::Command;
+
+use ballbard::control::status::{CheckLine, Status};
 use serde_json::json;
 use shared::config::{self, HomingConfig};
 
-use super::rig::{Running, copied, text};
+use super::rig::{Running, copied, shipped, text};
 
 fn marks_line(service: &Running) -> CheckLine {
     let lines: Vec<CheckLine> = service.get("check");
@@ -29,11 +31,14 @@ fn marks_are_found_used_by_runs_and_forgotten_with_the_terminals_power() {
     for told in ["joint 1 (gimbal", "joint 5 (cardan", "joint 5: on terminal 5, counts up", "homing.toml"] {
         assert!(text(&output).contains(told), "`{told}` is missing in: {}", text(&output));
     }
-    let homing: HomingConfig = config::load(&config.path().join("homing.toml")).unwrap();
+    let homing: HomingConfig = config::load(&service.directory.path().join("homing.toml")).unwrap();
     let marks: Vec<u32> = homing.encoders.iter().map(|encoder| encoder.reference_counts).collect();
     assert_eq!(recorded_marks(&service, "homed"), marks);
     assert_eq!(marks_line(&service).remedy, None);
-    // The simulated terminals lose power with their process.
+    assert!(!config.path().join("homing.toml").exists(), "configuration is only read");
+    // The simulated terminals lose power with their process. What earlier versions kept beside the configuration counts
+    // while there is nothing else.
+    std::fs::copy(service.directory.path().join("homing.toml"), config.path().join("homing.toml")).unwrap();
     let directory = tempfile::tempdir().unwrap();
     drop(service);
     let again = Running::in_directory(directory, config.path());
@@ -55,5 +60,30 @@ fn homing_is_stopped_like_a_run_and_keeps_runs_out() {
     assert_eq!(service.granted("stop", &json!({"cause": "enough"})).answer, "homing");
     let homing = service.wait_for("waiting").homing.unwrap();
     assert!(homing.is_over && homing.error.unwrap().contains("enough"));
-    assert!(!config.path().join("homing.toml").exists());
+    assert!(!service.directory.path().join("homing.toml").exists());
+}
+
+#[test]
+fn a_homing_whose_marks_could_not_be_kept_is_refused_before_anybody_turns_a_joint() {
+    let elsewhere = tempfile::tempdir().unwrap();
+    let file = elsewhere.path().join("file");
+    std::fs::write(&file, "").unwrap();
+    let state = file.join("state");
+    let service =
+        Running::with(tempfile::tempdir().unwrap(), &shipped(), &["--state", state.to_str().unwrap()]);
+    service.wait_for("waiting");
+    let lines: Vec<CheckLine> = service.get("check");
+    let line = lines.into_iter().find(|line| line.subject == "state").unwrap();
+    assert!(line.finding.contains("file/state cannot be written"), "{line:?}");
+    assert!(line.remedy.unwrap().contains("--state") && !line.stops);
+    let (status, refused) = service.post("home", &json!({}));
+    assert_eq!(status, 409);
+    assert!(refused["error"].as_str().unwrap().contains("cannot be written"), "{refused}");
+    assert!(service.get::<Status>("status").homing.is_none());
+    // Without a service the same.
+    let mut alone = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    alone.args(["home", "--bus", "simulated", "--state"]).arg(&state).arg("--config").arg(shipped());
+    let output = alone.output().unwrap();
+    assert!(!output.status.success() && text(&output).contains("cannot be written"), "{}", text(&output));
+    assert!(!text(&output).contains("turn it"), "{}", text(&output));
 }

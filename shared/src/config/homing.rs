@@ -1,4 +1,4 @@
-//! `homing.toml`, written by `ballbard home` beside `ball_bar.toml`: where each encoder's reference mark lies on its
+//! `homing.toml`, written by `ballbard home` into the state directory: where each encoder's reference mark lies on its
 //! terminal's counter.
 //!
 //! A counter begins anew when its terminal loses power. What stays is the mark on the encoder's disc: angles are counted
@@ -40,7 +40,7 @@ pub struct HomingConfig {
 }
 
 impl HomingConfig {
-    /// The file's name beside `ball_bar.toml`.
+    /// The file's name.
     pub const FILE_NAME: &'static str = "homing.toml";
 
     /// Reference marks found at `homed`, in the order of the encoders.
