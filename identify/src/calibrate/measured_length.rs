@@ -17,7 +17,7 @@ use super::ball_bar::CalibrateError;
 use super::links::{free_links, standard_ids};
 use super::split::{self, HoldOut};
 use crate::cost::{DataSets, SharedColumns};
-use crate::instrument::{LengthRow, Measures, Wire};
+use crate::instrument::{LengthRow, Measures, Standing, Wire};
 use crate::kinematics::Chain;
 use crate::model::{JointState, Model, ModelError, ParameterId};
 use crate::solver::{LossName, Options, Solution, solve_robust};
@@ -113,9 +113,8 @@ fn check(rows: &[LengthRow], options: &LengthOptions) -> Result<(), LengthError>
 /// Chosen rows.
 fn wire(rows: &[LengthRow], chosen: &[usize]) -> Wire {
     let chosen: Vec<LengthRow> = chosen.iter().filter_map(|&row| rows.get(row).copied()).collect();
-    let at_rest = |row: &LengthRow| JointState { q: row.joints_rad, ..JointState::default() };
-    let states: Vec<JointState> = chosen.iter().map(at_rest).collect();
-    Wire::new(&chosen, &states, &vec![0; chosen.len()], 0)
+    let states: Vec<JointState> = chosen.iter().map(|row| JointState::at_rest(row.joints_rad)).collect();
+    Wire::new(Standing::new(&chosen, &states, &vec![0; chosen.len()], 0))
 }
 
 /// Solves for what is free in the model and takes the solution over.

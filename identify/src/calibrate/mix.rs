@@ -10,7 +10,7 @@ use super::links::{free_links, link_ids};
 use super::measured_pose::{self, WAVES_PER_TURN_MAX};
 use super::pipeline::{Plan, Solved, estimate};
 use super::split::HoldOut;
-use crate::instrument::{Instrument, LengthRow, PoseRow, Run, Tracker, Wire};
+use crate::instrument::{Instrument, LengthRow, PoseRow, Run, Standing, Tracker, Wire};
 use crate::kinematics::{Chain, LinkParameter, flange_chain};
 use crate::model::{DriveTrain, Model, ModelError, ParameterId, Phase, Role};
 use crate::solver::{LossName, Watch};
@@ -108,12 +108,14 @@ pub fn calibrate(
     let bars = runs.len();
     runs.extend(data.trackers.iter().map(|Rows { rows, hold_out, seed }| {
         let (hold_out, seed) = (hold_out.unwrap_or(HoldOut::Regions), seed.unwrap_or(SEED));
-        let instrument = Instrument::Tracker(Tracker::of_file(rows, &flange, hold_out, seed));
+        let at = Standing::of_file(rows, |row| row.joints_rad, &flange, hold_out, seed);
+        let instrument = Instrument::Tracker(Tracker::new(at));
         Run { instrument, model: Model::measured_pose(&flange).with_drives(DriveTrain::of(robot, &flange)) }
     }));
     runs.extend(data.wires.iter().map(|Rows { rows, hold_out, seed }| {
         let (hold_out, seed) = (hold_out.unwrap_or(HoldOut::Blocks), seed.unwrap_or(SEED));
-        let instrument = Instrument::Wire(Wire::of_file(rows, &flange, hold_out, seed));
+        let at = Standing::of_file(rows, |row| row.joints_rad, &flange, hold_out, seed);
+        let instrument = Instrument::Wire(Wire::new(at));
         Run { instrument, model: Model::measured_length(&flange).with_drives(DriveTrain::of(robot, &flange)) }
     }));
     for (number, Run { instrument, model }) in runs.iter_mut().enumerate() {

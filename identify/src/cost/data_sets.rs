@@ -1,29 +1,11 @@
 //! Several data sets of one robot as one problem: other paths, bars and places of the bar, other instruments.
 
-use std::fmt;
-
 use super::problem::LoopPoint;
-use super::{LoopProblem, Residual};
-use crate::model::{Model, ParameterId, RobotMotion};
+use crate::model::{Model, ParameterId};
 use crate::solver::{Block, Prior, Problem};
 
 /// Samples of one kind in standard deviations, whatever their residual.
-pub trait DataSet: fmt::Debug + Sync {
-    /// Parameters of its columns.
-    fn ids(&self) -> &[ParameterId];
-
-    /// Number of samples.
-    fn samples(&self) -> usize;
-
-    /// Residuals of each sample.
-    fn rows(&self) -> usize;
-
-    /// What is known of its columns apart from the samples.
-    fn priors(&self) -> &[Prior];
-
-    /// Both chains for values of its columns.
-    fn point(&self, x: &[f64]) -> LoopPoint;
-
+pub trait DataSet: Problem<Point = LoopPoint> {
     /// [`Problem::sample`] with the derivatives of each parameter in a column of the caller's choice.
     fn sample_into(
         &self,
@@ -33,39 +15,6 @@ pub trait DataSet: fmt::Debug + Sync {
         block: &mut Block<'_>,
         columns: &[usize],
     ) -> bool;
-}
-
-impl<R: Residual + fmt::Debug, M: RobotMotion + fmt::Debug> DataSet for LoopProblem<'_, R, M> {
-    fn ids(&self) -> &[ParameterId] {
-        self.ids()
-    }
-
-    fn samples(&self) -> usize {
-        Problem::samples(self)
-    }
-
-    fn rows(&self) -> usize {
-        R::ROWS
-    }
-
-    fn priors(&self) -> &[Prior] {
-        Problem::priors(self)
-    }
-
-    fn point(&self, x: &[f64]) -> LoopPoint {
-        Problem::point(self, x)
-    }
-
-    fn sample_into(
-        &self,
-        point: &mut LoopPoint,
-        sample: usize,
-        residual: &mut [f64],
-        block: &mut Block<'_>,
-        columns: &[usize],
-    ) -> bool {
-        self.sample_into(point, sample, residual, block, columns)
-    }
 }
 
 /// Where the columns of each run are among those of all runs.
@@ -130,7 +79,6 @@ impl SharedColumns {
 }
 
 /// Samples of all data sets one after the other.
-#[derive(Debug)]
 pub struct DataSets<'a> {
     sets: Vec<Box<dyn DataSet + 'a>>,
     columns: &'a SharedColumns,

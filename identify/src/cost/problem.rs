@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::{Residual, Scene};
+use super::{DataSet, Residual, Scene};
 use crate::kinematics::{BAR_JOINTS, Chain, ROD_LINK, Trace, Tracer, Turn};
 use crate::model::{Geometry, Model, Observation, ParameterId, RobotMotion};
 use crate::solver::{Block, Prior, Problem};
@@ -84,37 +84,6 @@ impl<'a, R: Residual, M: RobotMotion> LoopProblem<'a, R, M> {
         let own_columns = (0..model.columns().len()).collect();
         let (priors, whitening) = (model.priors(), sigma.recip());
         Ok(Self { model, motion, observations, readings, residual, ids, own_columns, priors, whitening })
-    }
-
-    /// Parameters of its columns.
-    pub(super) fn ids(&self) -> &[ParameterId] {
-        &self.ids
-    }
-
-    /// [`Problem::sample`] with the derivatives of each parameter in a column of the caller's choice.
-    pub(super) fn sample_into(
-        &self,
-        point: &mut LoopPoint,
-        sample: usize,
-        residual: &mut [f64],
-        block: &mut Block<'_>,
-        columns: &[usize],
-    ) -> bool {
-        let (Some(observation), Some(readings)) = (self.observations.get(sample), self.readings.get(sample))
-        else {
-            return false;
-        };
-        let Some(scene) = point.scene(self.motion, sample, observation, readings) else { return false };
-        let Some(local) = self.residual.local(&scene) else { return false };
-        self.residual.residual(&scene, &local, residual);
-        for (&column, &id) in columns.iter().zip(&self.ids) {
-            self.residual.derivative(&scene, &local, id, block.column_mut(column));
-        }
-        if self.whitening != 1.0 {
-            residual.iter_mut().for_each(|r| *r *= self.whitening);
-            block.scale(self.whitening);
-        }
-        true
     }
 }
 
@@ -202,6 +171,33 @@ impl LoopPoint {
             robot_rate: self.robot.moved_by(&state.qd),
             base_y: self.base_y,
         })
+    }
+}
+
+impl<R: Residual, M: RobotMotion> DataSet for LoopProblem<'_, R, M> {
+    fn sample_into(
+        &self,
+        point: &mut LoopPoint,
+        sample: usize,
+        residual: &mut [f64],
+        block: &mut Block<'_>,
+        columns: &[usize],
+    ) -> bool {
+        let (Some(observation), Some(readings)) = (self.observations.get(sample), self.readings.get(sample))
+        else {
+            return false;
+        };
+        let Some(scene) = point.scene(self.motion, sample, observation, readings) else { return false };
+        let Some(local) = self.residual.local(&scene) else { return false };
+        self.residual.residual(&scene, &local, residual);
+        for (&column, &id) in columns.iter().zip(&self.ids) {
+            self.residual.derivative(&scene, &local, id, block.column_mut(column));
+        }
+        if self.whitening != 1.0 {
+            residual.iter_mut().for_each(|r| *r *= self.whitening);
+            block.scale(self.whitening);
+        }
+        true
     }
 }
 

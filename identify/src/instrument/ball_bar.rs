@@ -1,7 +1,5 @@
 //! The sensed double ball-bar: a run with its cost.
 
-use std::fmt;
-
 use super::{Instrument, Measures};
 use crate::calibrate::{CostName, NoiseConfig, independent_segments};
 use crate::cost::{
@@ -69,7 +67,7 @@ pub struct BallBar {
 }
 
 impl BallBar {
-    fn boxed<'a, R: Residual + fmt::Debug + 'a>(
+    fn boxed<'a, R: Residual + 'a>(
         &'a self,
         model: &'a Model,
         residual: R,

@@ -2,6 +2,7 @@
 //! knows no instrument, and no instrument knows how robots are estimated.
 
 mod ball_bar;
+mod standing;
 mod tracker;
 mod wire;
 
@@ -9,8 +10,9 @@ use std::fmt;
 use std::ops::{Deref, DerefMut};
 
 pub use ball_bar::BallBar;
+pub use standing::{Standing, standing};
 pub(crate) use tracker::quantile;
-pub use tracker::{Apart, PoseRow, Tracker, standing};
+pub use tracker::{Apart, PoseRow, Tracker};
 pub use wire::{LengthRow, Wire};
 
 use crate::cost::{CostError, DataSet};

@@ -1,16 +1,14 @@
 //! A tracker that measures the position or the whole pose of a probe on the flange, row by row.
 
-use std::fmt;
-
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, SVector, Vector3};
 
-use super::{Instrument, Measures};
-use crate::calibrate::{HoldOut, split};
+use super::{Instrument, Measures, Standing};
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
-use crate::kinematics::{Chain, Joints, Pose, rotation_vector};
+use crate::kinematics::{Joints, Pose, rotation_vector};
+use crate::logs;
 use crate::model::{
     Axis, Clock, Geometry, JointState, Model, ModelError, Observation, ParameterId, PerObservation,
-    Placement, RobotMotion, Role,
+    Placement, Role,
 };
 
 /// A pose of the robot and what the tracker measured there.
@@ -24,6 +22,12 @@ pub struct PoseRow {
     pub rotation: Option<Rotation3<f64>>,
 }
 
+impl From<&logs::MeasuredPose> for PoseRow {
+    fn from(read: &logs::MeasuredPose) -> Self {
+        Self { joints_rad: read.q_rad, position_m: read.position_m, rotation: read.rotation }
+    }
+}
+
 /// Distance between where the robot holds the probe and where the tracker sees it.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Apart {
@@ -33,94 +37,48 @@ pub struct Apart {
     pub rotation_rad: Option<f64>,
 }
 
-/// A joint that moved less than this since the pose before keeps the direction that it had \[rad\].
-const MOVED_RAD_MIN: f64 = 1e-3;
 /// The probe is expected within this of the flange \[m\]: decides only where the poses do not tell.
 const PROBE_SIGMA_M: f64 = 1.0;
-
-/// Each pose as its robot stands there: rates are the way each joint last moved, by the poses in the order in which the robot
-/// went there, at one radian per second; 0 where it has not yet moved.
-pub fn standing(joints_rad: impl Iterator<Item = Joints>) -> Vec<JointState> {
-    let mut ways = Joints::default();
-    let mut before: Option<Joints> = None;
-    let each = joints_rad.map(|q| {
-        let at_rest = JointState::at_rest(q);
-        if let Some(before) = before.replace(q) {
-            for (joint, way) in ways.iter_mut().enumerate() {
-                let moved = q[joint] - before[joint];
-                if moved.abs() > MOVED_RAD_MIN {
-                    *way = moved.signum();
-                }
-            }
-        } else {
-            ways = at_rest.qd;
-        }
-        JointState { qd: ways, ..at_rest }
-    });
-    each.collect()
-}
-
-/// Joints at rest: sample `i` has time `i`.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Standing(pub Vec<JointState>);
-
-impl RobotMotion for Standing {
-    fn at(&self, tau_s: f64) -> Option<JointState> {
-        if !(tau_s > -0.5 && tau_s < self.0.len() as f64) {
-            return None;
-        }
-        self.0.get(tau_s.round() as usize).copied()
-    }
-}
 
 /// Rows of one set-up.
 #[derive(Debug, Clone)]
 pub struct Tracker {
-    rows: Vec<PoseRow>,
-    motion: Standing,
+    at: Standing<PoseRow>,
     observations: Vec<Observation>,
     positions_m: Vec<Vector3<f64>>,
     poses: Option<Vec<Pose>>,
-    /// Group of each row: rows of one group are held out together.
-    groups: Vec<usize>,
-    seed: u64,
     /// What a measurement is worth, from the spread of the residuals.
     pub noise: PoseNoise,
 }
 
 impl Tracker {
-    /// Rows with how the robot stood at each, and their groups; `seed` decides which groups come together.
-    pub fn new(rows: &[PoseRow], states: &[JointState], groups: &[usize], seed: u64) -> Self {
+    /// Of rows with how the robot stood at each.
+    pub fn new(at: Standing<PoseRow>) -> Self {
         let pose = |row: &PoseRow| Some(Pose::from_parts(row.position_m.into(), row.rotation?));
         let observation = |row| Observation::bar(PerObservation::time_s(row), Default::default());
         Self {
-            motion: Standing(states.to_vec()),
-            observations: (0..rows.len()).map(observation).collect(),
-            positions_m: rows.iter().map(|row| row.position_m).collect(),
-            poses: rows.iter().map(pose).collect(),
-            rows: rows.to_vec(),
-            groups: groups.to_vec(),
-            seed,
+            observations: (0..at.rows.len()).map(observation).collect(),
+            positions_m: at.rows.iter().map(|row| row.position_m).collect(),
+            poses: at.rows.iter().map(pose).collect(),
             noise: PoseNoise { position_m: 1.0, rotation_rad: 1.0 },
+            at,
         }
-    }
-
-    /// All rows of a file; those of one region of the workspace go together.
-    pub fn of_file(rows: &[PoseRow], robot: &Chain, hold_out: HoldOut, seed: u64) -> Self {
-        let joints = || rows.iter().map(|row| row.joints_rad);
-        Self::new(rows, &standing(joints()), &hold_out.groups(robot, joints()), seed)
     }
 
     /// Some of the rows.
     #[must_use]
     pub fn chosen(&self, rows: &[usize]) -> Self {
-        let (mut chosen, mut states, mut groups) = (Vec::new(), Vec::new(), Vec::new());
-        for &row in rows {
-            chosen.push(self.rows[row]);
-            states.push(self.motion.0[row]);
-            groups.push(self.groups[row]);
-        }
-        Self { noise: self.noise, ..Self::new(&chosen, &states, &groups, self.seed) }
+        Self { noise: self.noise, ..Self::new(self.at.chosen(rows)) }
+    }
+
+    /// Where the robot holds the probe minus where it was seen, at each row, along the root's axes \[m\].
+    pub fn errors_m(&self, geometry: &Geometry) -> Vec<Vector3<f64>> {
+        let (place, probe) = (geometry.tracker.place.pose(), geometry.tracker.probe.pose());
+        let one = |(row, state): (&PoseRow, &JointState)| {
+            let held_m = (geometry.robot_end(state) * probe).translation.vector;
+            held_m - place.transform_point(&row.position_m.into()).coords
+        };
+        self.at.rows.iter().zip(&self.at.states).map(one).collect()
     }
 
     /// Name of the cost: positions alone or whole poses.
@@ -142,29 +100,29 @@ impl Tracker {
                 rotation_rad: row.rotation.map(angle),
             }
         };
-        self.rows.iter().zip(&self.motion.0).map(one).collect()
+        self.at.rows.iter().zip(&self.at.states).map(one).collect()
     }
 
-    fn boxed<'a, R: Residual + fmt::Debug + 'a>(
+    fn boxed<'a, R: Residual + 'a>(
         &'a self,
         model: &'a Model,
         residual: R,
         sigma: f64,
     ) -> Result<Box<dyn DataSet + 'a>, CostError> {
-        Ok(Box::new(LoopProblem::new(model, &self.motion, &self.observations, residual, sigma)?))
+        Ok(Box::new(LoopProblem::new(model, &self.at, &self.observations, residual, sigma)?))
     }
 }
 
 impl Measures for Tracker {
     fn samples(&self) -> usize {
-        self.rows.len()
+        self.at.rows.len()
     }
 
     /// Not where the positions lie on a line.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
         let geometry = model.geometry(&[]);
-        let flanges: Vec<Pose> = self.motion.0.iter().map(|state| geometry.robot_end(state)).collect();
-        let Some([place, probe]) = placements(&flanges, &self.rows) else { return Ok(false) };
+        let flanges: Vec<Pose> = self.at.states.iter().map(|state| geometry.robot_end(state)).collect();
+        let Some([place, probe]) = placements(&flanges, &self.at.rows) else { return Ok(false) };
         for axis in Axis::ALL {
             for (id, value) in [
                 (ParameterId::Tracker(axis), place.position_m),
@@ -199,7 +157,7 @@ impl Measures for Tracker {
     }
 
     fn reported(&self, sample: usize, _: &Clock) -> Option<JointState> {
-        self.motion.0.get(sample).copied()
+        self.at.states.get(sample).copied()
     }
 
     fn tells(&self, id: ParameterId) -> bool {
@@ -228,11 +186,11 @@ impl Measures for Tracker {
     }
 
     fn independent(&self, count: usize) -> Vec<Vec<usize>> {
-        split::all_in_folds(&self.groups, count, self.seed)
+        self.at.independent(count)
     }
 
     fn thinned(&self, every: usize) -> Instrument {
-        Instrument::Tracker(self.chosen(&(0..self.rows.len()).step_by(every).collect::<Vec<_>>()))
+        Instrument::Tracker(self.chosen(&self.at.every(every)))
     }
 }
 

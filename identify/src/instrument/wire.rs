@@ -2,11 +2,9 @@
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
-use super::tracker::Standing;
-use super::{Instrument, Measures, standing};
-use crate::calibrate::{HoldOut, split};
+use super::{Instrument, Measures, Standing};
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredLength, Residual};
-use crate::kinematics::{Chain, Joints};
+use crate::kinematics::Joints;
 use crate::model::{
     Axis, Clock, Geometry, JointState, Model, ModelError, Observation, ParameterId, PerObservation, Role,
 };
@@ -25,45 +23,17 @@ pub struct LengthRow {
 /// Rows of one set-up.
 #[derive(Debug, Clone)]
 pub struct Wire {
-    rows: Vec<LengthRow>,
-    motion: Standing,
+    at: Standing<LengthRow>,
     observations: Vec<Observation>,
-    /// Group of each row: rows of one group are held out together.
-    groups: Vec<usize>,
-    seed: u64,
 }
 
 impl Wire {
-    /// Rows with how the robot stood at each, and their groups; `seed` decides which groups come together.
-    pub fn new(rows: &[LengthRow], states: &[JointState], groups: &[usize], seed: u64) -> Self {
+    /// Of rows with how the robot stood at each.
+    pub fn new(at: Standing<LengthRow>) -> Self {
         let observation = |(index, row): (usize, &LengthRow)| {
             Observation::length(PerObservation::time_s(index), row.length_m)
         };
-        Self {
-            observations: rows.iter().enumerate().map(observation).collect(),
-            motion: Standing(states.to_vec()),
-            rows: rows.to_vec(),
-            groups: groups.to_vec(),
-            seed,
-        }
-    }
-
-    /// All rows of a file.
-    pub fn of_file(rows: &[LengthRow], robot: &Chain, hold_out: HoldOut, seed: u64) -> Self {
-        let joints = || rows.iter().map(|row| row.joints_rad);
-        Self::new(rows, &standing(joints()), &hold_out.groups(robot, joints()), seed)
-    }
-
-    /// Some of the rows.
-    #[must_use]
-    pub fn chosen(&self, rows: &[usize]) -> Self {
-        let (mut chosen, mut states, mut groups) = (Vec::new(), Vec::new(), Vec::new());
-        for &row in rows {
-            chosen.push(self.rows[row]);
-            states.push(self.motion.0[row]);
-            groups.push(self.groups[row]);
-        }
-        Self::new(&chosen, &states, &groups, self.seed)
+        Self { observations: at.rows.iter().enumerate().map(observation).collect(), at }
     }
 
     /// Predicted minus measured length of every row \[m\].
@@ -75,13 +45,13 @@ impl Wire {
                 root_from_flange.translation.vector + root_from_flange.rotation * wire.attachment_m;
             (attachment - wire.anchor_m).norm() + wire.offset_m - row.length_m
         };
-        self.rows.iter().zip(&self.motion.0).map(residual).collect()
+        self.at.rows.iter().zip(&self.at.states).map(residual).collect()
     }
 }
 
 impl Measures for Wire {
     fn samples(&self) -> usize {
-        self.rows.len()
+        self.at.rows.len()
     }
 
     /// A first anchor, the wire attached near the flange's origin; not where the positions do not span space.
@@ -92,12 +62,12 @@ impl Measures for Wire {
         const FLATNESS: f64 = 1e-6;
         let geometry = model.geometry(&[]);
         let positions: Vec<Vector3<f64>> =
-            self.motion.0.iter().map(|state| geometry.robot_end(state).translation.vector).collect();
+            self.at.states.iter().map(|state| geometry.robot_end(state).translation.vector).collect();
         let matrix =
             DMatrix::from_fn(positions.len(), 4, |i, j| if j < 3 { 2.0 * positions[i][j] } else { -1.0 });
         let right = DVector::from_iterator(
             positions.len(),
-            positions.iter().zip(&self.rows).map(|(p, row)| p.norm_squared() - row.length_m.powi(2)),
+            positions.iter().zip(&self.at.rows).map(|(p, row)| p.norm_squared() - row.length_m.powi(2)),
         );
         let svd = matrix.svd(true, true);
         if svd.singular_values.min() <= FLATNESS * svd.singular_values.max() {
@@ -115,11 +85,11 @@ impl Measures for Wire {
     }
 
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
-        Ok(Box::new(LoopProblem::new(model, &self.motion, &self.observations, MeasuredLength, sigma)?))
+        Ok(Box::new(LoopProblem::new(model, &self.at, &self.observations, MeasuredLength, sigma)?))
     }
 
     fn reported(&self, sample: usize, _: &Clock) -> Option<JointState> {
-        self.motion.0.get(sample).copied()
+        self.at.states.get(sample).copied()
     }
 
     fn tells(&self, id: ParameterId) -> bool {
@@ -132,10 +102,10 @@ impl Measures for Wire {
     }
 
     fn independent(&self, count: usize) -> Vec<Vec<usize>> {
-        split::all_in_folds(&self.groups, count, self.seed)
+        self.at.independent(count)
     }
 
     fn thinned(&self, every: usize) -> Instrument {
-        Instrument::Wire(self.chosen(&(0..self.rows.len()).step_by(every).collect::<Vec<_>>()))
+        Instrument::Wire(Self::new(self.at.chosen(&self.at.every(every))))
     }
 }

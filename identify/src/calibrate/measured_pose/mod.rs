@@ -15,7 +15,7 @@ use super::pipeline::{Plan, Solved, estimate};
 use super::split::{self, HoldOut, Split};
 use super::terms::{Candidate, Kind};
 use crate::cost::PoseNoise;
-use crate::instrument::{Instrument, Measures, PoseRow, Run, Tracker, standing};
+use crate::instrument::{Instrument, Measures, PoseRow, Run, Standing, Tracker, standing};
 use crate::kinematics::Chain;
 use crate::model::{Model, ModelError, ParameterId};
 use crate::prepare::PrepareOptions;
@@ -159,7 +159,7 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &PoseOptions) -> Resu
     if let Some(&id) = options.fix.iter().find(|id| with_waves.parameter(**id).is_none()) {
         return Err(ModelError::NotInModel { id }.into());
     }
-    let all = Tracker::new(rows, &states, &groups, options.seed);
+    let all = Tracker::new(Standing::new(rows, &states, &groups, options.seed));
     let chosen = all.chosen(&fitting);
     model = placed(&chosen, model, &options.fix)?;
     let nominal = all.apart(&model.geometry(&[]));

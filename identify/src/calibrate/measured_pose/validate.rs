@@ -2,7 +2,7 @@
 
 use super::{PoseError, PoseFigures, ROWS_MIN, check_rows, placed};
 use crate::calibrate::split;
-use crate::instrument::{Apart, PoseRow, Tracker, standing};
+use crate::instrument::{Apart, PoseRow, Standing, Tracker, standing};
 use crate::kinematics::Chain;
 use crate::model::{Model, ParameterId, Role};
 
@@ -31,7 +31,8 @@ pub fn validate(
 
 fn judged(rows: &[PoseRow], robot: &Model, seed: u64) -> Result<PoseFigures, PoseError> {
     let all: Vec<usize> = (0..rows.len()).collect();
-    let tracker = Tracker::new(rows, &standing(rows.iter().map(|row| row.joints_rad)), &all, seed);
+    let tracker =
+        Tracker::new(Standing::new(rows, &standing(rows.iter().map(|row| row.joints_rad)), &all, seed));
     let mut errors: Vec<Apart> = Vec::new();
     for judged in split::folds(&all, &all, FOLDS, seed) {
         let fitting: Vec<usize> = all.iter().copied().filter(|row| !judged.contains(row)).collect();

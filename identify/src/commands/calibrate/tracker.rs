@@ -45,12 +45,7 @@ pub struct TrackerArguments {
 pub(super) fn rows(path: &Path, mapping: &Path, robot: &RobotConfig) -> anyhow::Result<Vec<PoseRow>> {
     let of_file: MeasuredPoseMapping = config::load(mapping)?;
     joints_of_robot(&of_file.joints, robot, mapping)?;
-    let row = |row: &crate::logs::MeasuredPose| PoseRow {
-        joints_rad: row.q_rad,
-        position_m: row.position_m,
-        rotation: row.rotation,
-    };
-    Ok(MeasuredPoses::load(path, &of_file)?.rows.iter().map(row).collect())
+    Ok(MeasuredPoses::load(path, &of_file)?.rows.iter().map(PoseRow::from).collect())
 }
 
 fn is_wave(name: &str) -> bool {
