@@ -9,20 +9,12 @@ use ballbard::clock::Clock;
 use ballbard::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
 use ballbard::segment::{FRAME_BYTES_MAX, InProcessWire, Wire};
 use shared::config::EncoderConfig;
-use shared::encoder::Direction;
 use shared::time::{MonoNs, UtcNs};
 
 fn plan(terminals: u8) -> BusPlan {
-    let encoder = |joint| EncoderConfig {
-        joint,
-        lines: 3600,
-        interpolation_bits: 12,
-        direction: Direction::Positive,
-        mark_deg: None,
-    };
     BusPlan {
         name: "simulated".into(),
-        encoders: (1..=terminals).map(encoder).collect(),
+        encoders: (1..=terminals).map(EncoderConfig::ern_1080).collect(),
         cycle_period: Duration::from_millis(10),
         distributed_clocks: true,
         sync0_shift: Duration::from_millis(5),

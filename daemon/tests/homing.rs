@@ -25,14 +25,7 @@ const TERMINALS: usize = 5;
 const COUNTS_PER_REVOLUTION: u32 = 3600 << 12;
 
 fn encoders() -> Vec<EncoderConfig> {
-    let encoder = |joint| EncoderConfig {
-        joint,
-        lines: 3600,
-        interpolation_bits: 12,
-        direction: Direction::Positive,
-        mark_deg: None,
-    };
-    (1..=TERMINALS as u8).map(encoder).collect()
+    (1..=TERMINALS as u8).map(EncoderConfig::ern_1080).collect()
 }
 
 /// A bus whose joints stand still until the hand turns one.

@@ -144,6 +144,8 @@ def preflight(page, pictures):
         "a red line for the encoders alone",
     )
     assert "cable" in page.shown("#checks [data-subject=encoders] .remedy")
+    word(page, "CHECK")
+    assert page.run("document.getElementById('state').dataset.level") == "bad"
     page.wait("document.getElementById('begin').textContent.includes('in spite')", "a start that wants a reason")
     page.pictures(pictures, "red")
     page.click("#begin")
@@ -151,7 +153,7 @@ def preflight(page, pictures):
     # Nothing begins without one.
     page.click("#ask-yes")
     time.sleep(0.5)
-    assert page.run("document.getElementById('ask').open") and page.shown("#word") == "READY"
+    assert page.run("document.getElementById('ask').open") and page.shown("#word") == "CHECK"
     page.key("Escape")
     page.run("document.getElementById('ask').close()")
     service("off no-signal:2")

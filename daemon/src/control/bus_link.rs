@@ -1,11 +1,12 @@
 //! The bus, or the attempt to bring it into operation.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, TryRecvError, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use shared::recording::schema::flags;
+use shared::recording::schema::{MAX_ENCODERS, flags};
 
 use super::machine::Event;
 use super::service::Connect;
@@ -42,7 +43,35 @@ enum State {
     Up {
         session: Box<Session>,
         trouble: Option<(String, Instant)>,
+        recent: Recent,
     },
+}
+
+/// How many cycles there were, and how many of each encoder were valid, at each look of the last [`WINDOW`].
+#[derive(Default)]
+struct Recent(VecDeque<(Instant, (u64, Counts))>);
+
+type Counts = [u64; MAX_ENCODERS];
+
+/// One sample says nothing: over this time an encoder is judged before a run begins.
+const WINDOW: Duration = Duration::from_secs(1);
+
+impl Recent {
+    fn add(&mut self, now: Instant, counted: (u64, Counts)) {
+        self.0.push_back((now, counted));
+        // The look before the window is its beginning.
+        while self.0.get(1).is_some_and(|(at, _)| now.duration_since(*at) >= WINDOW) {
+            self.0.pop_front();
+        }
+    }
+
+    /// Of each encoder the share of valid cycles; none before there was a cycle.
+    fn valid_shares(&self) -> Option<[f64; MAX_ENCODERS]> {
+        let ((_, (before, valid_before)), (_, (cycles, valid))) = (self.0.front()?, self.0.back()?);
+        let cycles = cycles.checked_sub(*before).filter(|cycles| *cycles > 0)?;
+        let share = |index: usize| valid[index].saturating_sub(valid_before[index]) as f64 / cycles as f64;
+        Some(std::array::from_fn(share))
+    }
 }
 
 impl BusLink {
@@ -55,6 +84,14 @@ impl BusLink {
     pub fn session(&self) -> Option<&Session> {
         match &self.state {
             State::Up { session, .. } => Some(session),
+            State::Down { .. } | State::Connecting { .. } => None,
+        }
+    }
+
+    /// Of each encoder, in bus order, the share of valid cycles in the last second; none before there was one.
+    pub fn valid_shares(&self) -> Option<[f64; MAX_ENCODERS]> {
+        match &self.state {
+            State::Up { recent, .. } => recent.valid_shares(),
             State::Down { .. } | State::Connecting { .. } => None,
         }
     }
@@ -84,7 +121,8 @@ impl BusLink {
                 self.close();
                 Some(self.failed("the thread of the cycle has ended; its cause is in the log", RETRY_FIRST))
             }
-            State::Up { session, trouble } => {
+            State::Up { session, trouble, recent } => {
+                recent.add(Instant::now(), session.live().counted());
                 let now = trouble_of(session);
                 if now.as_deref() == trouble.as_ref().map(|(told, _)| told.as_str()) {
                     return None;
@@ -93,6 +131,8 @@ impl BusLink {
                 match (&now, &trouble) {
                     (Some(reason), None) => tracing::warn!("bus: {reason}"),
                     (None, _) => {
+                        // Encoders are not blamed for what the bus did.
+                        *recent = Recent::default();
                         tracing::info!("bus: whole again after {:.1} s", since.elapsed().as_secs_f64());
                     }
                     (Some(_), Some(_)) => {}
@@ -134,7 +174,7 @@ impl BusLink {
             Ok(session) => {
                 session.log();
                 let session = Box::new(session);
-                self.state = State::Up { session, trouble: None };
+                self.state = State::Up { session, trouble: None, recent: Recent::default() };
                 Event::BusUp
             }
             Err(error) => self.failed(&error.to_string(), pause),
@@ -178,13 +218,18 @@ fn silent_ns(session: &Session) -> i64 {
     (session.period() * SILENT_CYCLES).max(SILENT_MIN).as_nanos() as i64
 }
 
-/// Which encoders give no valid sample although the bus is whole, and what to do.
-pub(super) fn silent_encoders(session: &Session) -> Option<String> {
+/// Of each encoder, in bus order, whether it gives no valid sample.
+pub(super) fn are_silent(session: &Session) -> [bool; MAX_ENCODERS] {
     let live = session.live();
     let (at, silent_ns) = (live.at(), silent_ns(session));
-    let readings = session.encoders().iter().zip(live.encoders()).zip(live.valid_at());
+    live.valid_at().map(|valid_at| at.ns_since(valid_at) > silent_ns)
+}
+
+/// Which encoders give no valid sample although the bus is whole, and what to do.
+pub(super) fn silent_encoders(session: &Session) -> Option<String> {
+    let readings = session.encoders().iter().zip(session.live().encoders()).zip(are_silent(session));
     let silent: Vec<_> = readings
-        .filter(|(_, valid_at)| at.ns_since(*valid_at) > silent_ns)
+        .filter(|(_, is_silent)| *is_silent)
         .map(|((info, encoder), _)| format!("joint {} (status {:#06x})", info.joint, encoder.status))
         .collect();
     (!silent.is_empty()).then(|| {
@@ -216,6 +261,30 @@ fn silent_text(joints: impl Iterator<Item = (u8, bool)>, why: Option<String>) ->
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn shares_of_valid_cycles_are_those_of_the_last_second() {
+        let begun = Instant::now();
+        let mut recent = Recent::default();
+        assert_eq!(recent.valid_shares(), None);
+        let mut at = |tenth: u32, cycles: u64, valid: u64| {
+            recent.add(begun + Duration::from_millis(100) * tenth, (cycles, [valid; MAX_ENCODERS]));
+            recent.valid_shares().map(|shares| shares[MAX_ENCODERS - 1])
+        };
+        assert_eq!(at(0, 5, 5), None);
+        for tenth in 1..20 {
+            assert_eq!(at(tenth, 5 + 10 * u64::from(tenth), 5 + 10 * u64::from(tenth)), Some(1.0));
+        }
+        // Silent for half a second, then back for as long: a good sample ends nothing, and a bad one begins nothing.
+        let shares: Vec<f64> = (20..41)
+            .map(|tenth| {
+                let silent = u64::from(tenth.min(25) - 20);
+                at(tenth, 5 + 10 * u64::from(tenth), 5 + 10 * (u64::from(tenth) - silent)).unwrap()
+            })
+            .collect();
+        assert_eq!([shares[0], shares[1], shares[5], shares[10], shares[14]], [1.0, 0.9, 0.5, 0.5, 0.9]);
+        assert_eq!(shares[16..], [1.0; 5]);
+    }
 
     #[test]
     fn the_first_terminal_that_is_missing_is_where_to_look() {

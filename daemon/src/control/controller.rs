@@ -375,6 +375,7 @@ impl Controller {
             settings: &self.settings,
             machine: &self.machine,
             session: self.bus.session(),
+            valid_shares: self.bus.valid_shares(),
             run: self.run.as_ref(),
             homing: self.homing.as_ref(),
             last: self.last.as_ref(),

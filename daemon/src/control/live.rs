@@ -617,6 +617,7 @@ mod tests {
                 latch,
                 status: if angle_deg.is_some() { 0 } else { 1 << 4 },
                 valid: angle_deg.is_some(),
+                ..EncoderStatus::default()
             };
             let run = run.map(|name| RunStatus {
                 name: name.into(),

@@ -8,7 +8,8 @@ use shared::recording::Disk;
 
 use super::runs;
 use super::service::Settings;
-use super::status::{CheckLine, Status};
+use super::status::{CheckLine, EncoderStatus, Status};
+use super::verdict::{VALID_SHARE_BAD, VALID_SHARE_GOOD};
 use super::view::View;
 use crate::run::Session;
 use crate::{homing, log};
@@ -83,19 +84,22 @@ fn encoders(status: &Status) -> CheckLine {
     if status.sample_age_ms.is_none_or(|age| age > SAMPLE_AGE_MS_MAX) {
         return stopping(SUBJECT, "no sample in the last second", "bring the bus into operation first");
     }
-    let bad: Vec<_> = status
-        .encoders
-        .iter()
-        .filter(|encoder| !encoder.valid)
-        .map(|encoder| format!("joint {} (status {:#06x})", encoder.joint, encoder.status))
-        .collect();
+    // What a run like the last second would be worth; whoever is silent now gives nothing at all.
+    let share =
+        |encoder: &EncoderStatus| if encoder.silent { 0.0 } else { encoder.valid_share.unwrap_or(1.0) };
+    let bad: Vec<_> = status.encoders.iter().filter(|encoder| share(encoder) < VALID_SHARE_GOOD).collect();
     if bad.is_empty() {
         let counts: Vec<_> = status.encoders.iter().map(|encoder| encoder.count.to_string()).collect();
-        good(SUBJECT, format!("all valid, at {}", counts.join(", ")))
-    } else {
-        let finding = format!("not valid: {}", bad.join(", "));
-        stopping(SUBJECT, finding, "check the encoder's cable and plug, and its signal amplitude")
+        return good(SUBJECT, format!("all valid, at {}", counts.join(", ")));
     }
+    let told = bad.iter().map(|encoder| {
+        let EncoderStatus { joint, status, .. } = encoder;
+        format!("joint {joint} (status {status:#06x}, {:.0} % of the last second)", 100.0 * share(encoder))
+    });
+    let finding = format!("not valid: {}", told.collect::<Vec<_>>().join(", "));
+    let stops = bad.iter().any(|encoder| share(encoder) < VALID_SHARE_BAD);
+    let remedy = "check the encoder's cable and plug, and its signal amplitude";
+    CheckLine { stops, ..problem(SUBJECT, finding, remedy) }
 }
 
 fn cables(status: &Status) -> CheckLine {
@@ -233,4 +237,31 @@ fn leftovers(found: Option<&Found>) -> CheckLine {
 
 fn unanswered(subject: &str) -> CheckLine {
     problem(subject, "the disk does not answer", "look at its cable, its power, or the network it is on")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The line of the encoders, of which joint 2 gave so many valid samples in the last second.
+    fn line(valid: bool, silent: bool, valid_share: f64) -> CheckLine {
+        let good =
+            EncoderStatus { joint: 1, valid: true, valid_share: Some(1.0), ..EncoderStatus::default() };
+        let other = EncoderStatus { joint: 2, valid, silent, valid_share: Some(valid_share), ..good };
+        encoders(&Status { sample_age_ms: Some(1), encoders: vec![good, other], ..Status::default() })
+    }
+
+    #[test]
+    fn the_last_second_of_an_encoder_decides_and_not_its_last_sample() {
+        // One bad sample among a hundred.
+        assert_eq!(line(false, false, 0.99).remedy, None);
+        // One good sample after a second without.
+        assert!(line(true, false, 0.01).stops);
+        // One that is silent now, however good it was.
+        assert!(line(false, true, 0.9).stops);
+        // A bad contact: worth a look, and a run.
+        let contact = line(true, false, 0.9);
+        assert!(contact.remedy.is_some() && !contact.stops, "{contact:?}");
+        assert!(contact.finding.contains("joint 2") && contact.finding.contains("90 %"), "{contact:?}");
+    }
 }

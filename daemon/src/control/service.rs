@@ -451,6 +451,20 @@ pub(crate) mod tests {
         disk.0.store(false, Ordering::Release);
     }
 
+    /// As shipped, with everything that is written in `directory`.
+    pub(crate) fn settings(directory: &Path) -> Settings {
+        let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
+        let daemon: DaemonConfig = config::load(&shipped.join("daemon.toml")).unwrap();
+        let (home, spare_directory) = (directory.to_owned(), directory.join("spare"));
+        Settings {
+            bus: BusChoice::Simulated,
+            faults: Vec::new(),
+            daemon: DaemonConfig { directory: home, spare_directory, ..daemon },
+            bar: config::load(&shipped.join("ball_bar.toml")).unwrap(),
+            marks: MarksFile::new(directory.to_owned(), None),
+        }
+    }
+
     /// A service on the simulated bus in `directory`; what is stored into the flag ends the thread of the cycle.
     pub(crate) fn simulated(directory: &Path) -> (Service, Arc<AtomicBool>) {
         simulated_after(directory, Arc::new(SystemDisk), || {})
@@ -461,28 +475,17 @@ pub(crate) mod tests {
         disk: Arc<dyn Disk>,
         first: impl Fn() + Send + Sync + 'static,
     ) -> (Service, Arc<AtomicBool>) {
-        let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
-        let daemon: DaemonConfig = config::load(&shipped.join("daemon.toml")).unwrap();
-        let (home, spare_directory) = (directory.to_owned(), directory.join("spare"));
-        let daemon = DaemonConfig { directory: home, spare_directory, ..daemon };
-        let bar: BallBarConfig = config::load(&shipped.join("ball_bar.toml")).unwrap();
+        let settings = settings(directory);
         let deadly = Arc::new(AtomicBool::new(false));
-        let storage = Storage::on(disk, &daemon).unwrap();
+        let storage = Storage::on(disk, &settings.daemon).unwrap();
         let places = storage.clone();
-        let (armed, on_daemon, on_bar) = (Arc::clone(&deadly), daemon.clone(), bar.clone());
+        let (armed, on_daemon, on_bar) = (Arc::clone(&deadly), settings.daemon.clone(), settings.bar.clone());
         let connect = move || {
             first();
             let motion = SmoothMotion::new(on_bar.encoders.len(), 3600, 1);
             let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(motion));
             let wire = Deadly(InProcessWire::new(segment, Clock::Real), Arc::clone(&armed));
             run::open_on(Box::new(wire), &on_daemon, &on_bar, &places)
-        };
-        let settings = Settings {
-            bus: BusChoice::Simulated,
-            faults: Vec::new(),
-            daemon,
-            bar,
-            marks: MarksFile::new(directory.to_owned(), None),
         };
         (Service::start_with(settings, storage, Arc::new(connect)).unwrap(), deadly)
     }

@@ -15,6 +15,9 @@ pub struct Status {
     /// Why nothing can be recorded, in a fault; why the run ends, when closing; else what is wrong with the bus or an
     /// encoder.
     pub reason: Option<String>,
+    /// How grave it is that something is wrong.
+    #[serde(default)]
+    pub severity: Level,
     /// The run that goes on.
     pub run: Option<RunStatus>,
     /// The run before.
@@ -72,6 +75,7 @@ impl Status {
     /// the disk is no recording.
     pub fn headline(&self) -> Headline {
         let (word, level) = match self.state.as_str() {
+            "waiting" if self.severity > Level::Good => ("CHECK", self.severity),
             "waiting" => ("READY", Level::Good),
             "homing" => ("HOMING", Level::Good),
             "opening" => ("STARTING", Level::Good),
@@ -80,8 +84,7 @@ impl Status {
             "closing" => ("STOPPING", Level::Good),
             _ => ("NOT READY", Level::Bad),
         };
-        let level = if self.reason.is_some() { level.max(Level::Check) } else { level };
-        Headline { word: word.into(), level }
+        Headline { word: word.into(), level: level.max(self.severity) }
     }
 }
 
@@ -160,7 +163,7 @@ pub struct HomingStatus {
 }
 
 /// One encoder, now.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct EncoderStatus {
     /// Bar joint, 1 to 5.
     pub joint: u8,
@@ -173,6 +176,12 @@ pub struct EncoderStatus {
     pub status: u16,
     /// Fresh and without error.
     pub valid: bool,
+    /// No sample has been for several cycles.
+    #[serde(default)]
+    pub silent: bool,
+    /// Share of the cycles of the last second in which it was; none before the first.
+    #[serde(default)]
+    pub valid_share: Option<f64>,
 }
 
 /// What is asked for with `start`.

@@ -9,9 +9,9 @@ use super::status::Level;
 
 /// From this share of valid cycles on a run is good: the sigma of every parameter grows with one over the root of their
 /// number, by 0.5 % here.
-const VALID_SHARE_GOOD: f64 = 0.99;
+pub const VALID_SHARE_GOOD: f64 = 0.99;
 /// Below this share a run is bad: sigmas are 41 % larger, and what is left lies in pieces.
-const VALID_SHARE_BAD: f64 = 0.5;
+pub const VALID_SHARE_BAD: f64 = 0.5;
 /// A joint that turned less has not moved: the play of a coupling is less, any path that calibrates is far more \[deg\].
 pub const MOVED_MIN_DEG: f64 = 1.0;
 

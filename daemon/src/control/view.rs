@@ -1,22 +1,25 @@
 //! What people see of the service: the status from what it holds.
 
+use shared::recording::schema::MAX_ENCODERS;
 use shared::time::MonoNs;
 
-use super::bus_link::silent_encoders;
+use super::bus_link::{are_silent, silent_encoders};
 use super::homing::Homing;
 use super::machine::{Machine, State};
 use super::service::Settings;
-use super::status::{EncoderStatus, LastRun, RunStatus, Status};
+use super::status::{EncoderStatus, LastRun, Level, RunStatus, Status};
 use super::tending::Tending;
 use crate::clock::Clock;
 use crate::cycle::link_errors;
-use crate::run::{ActiveRun, BusChoice, Session, Storage};
+use crate::run::{ActiveRun, BusChoice, Session, Storage, Warning};
 
 /// The service at one moment.
 pub(super) struct View<'a> {
     pub settings: &'a Settings,
     pub machine: &'a Machine,
     pub session: Option<&'a Session>,
+    /// Of each encoder, in the last second.
+    pub valid_shares: Option<[f64; MAX_ENCODERS]>,
     pub run: Option<&'a ActiveRun>,
     pub homing: Option<&'a Homing>,
     pub last: Option<&'a LastRun>,
@@ -37,6 +40,18 @@ impl View<'_> {
             .reduce(|one, other| format!("{one}; {other}"))
     }
 
+    /// How grave that is: a run that loses what it has, or cannot begin, against one that is slow or has found its way.
+    fn disk_severity(&self) -> Level {
+        let warnings = self.run.map(|run| run.progress.get().warnings).unwrap_or_default();
+        if self.storage.problem().is_some() || warnings.iter().any(Warning::costs_data) {
+            Level::Bad
+        } else if self.tending.is_some() || !warnings.is_empty() {
+            Level::Check
+        } else {
+            Level::Good
+        }
+    }
+
     /// In the words of the API.
     pub fn status(&self) -> Status {
         let (state, reason) = match self.machine.state() {
@@ -52,10 +67,13 @@ impl View<'_> {
         // know.
         let bus = reason.or(self.machine.bus_fault()).map(str::to_owned);
         let bus = bus.or_else(|| self.session.and_then(silent_encoders));
+        let ending = matches!(self.machine.state(), State::Closing { .. });
+        let severity = if bus.is_some() && !ending { Level::Bad } else { self.disk_severity() };
         let reasons = bus.into_iter().chain(self.disk_problem());
         let mut status = Status {
             state: state.into(),
             reason: reasons.reduce(|one, other| format!("{one}; {other}")),
+            severity,
             run: self.run_status(),
             last: self.last.cloned(),
             runs_over: self.runs_over,
@@ -65,7 +83,7 @@ impl View<'_> {
             ..Status::default()
         };
         if let Some(session) = self.session {
-            add_bus(&mut status, session);
+            add_bus(&mut status, session, self.valid_shares);
         }
         status
     }
@@ -93,7 +111,7 @@ impl View<'_> {
     }
 }
 
-fn add_bus(status: &mut Status, session: &Session) {
+fn add_bus(status: &mut Status, session: &Session, valid_shares: Option<[f64; MAX_ENCODERS]>) {
     let live = session.live();
     status.devices = session.devices().iter().map(|device| device.name.clone()).collect();
     status.sampled = live.at();
@@ -106,12 +124,16 @@ fn add_bus(status: &mut Status, session: &Session) {
         .encoders()
         .iter()
         .zip(live.encoders().into_iter().zip(live.latches()))
-        .map(|(info, (encoder, latch))| EncoderStatus {
+        .zip(are_silent(session))
+        .enumerate()
+        .map(|(index, ((info, (encoder, latch)), silent))| EncoderStatus {
             joint: info.joint,
             count: encoder.count,
             latch,
             status: encoder.status,
             valid: encoder.valid,
+            silent,
+            valid_share: valid_shares.map(|shares| shares[index]),
         })
         .collect();
 }

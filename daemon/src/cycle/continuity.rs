@@ -99,20 +99,12 @@ impl Continuity {
 
 #[cfg(test)]
 mod tests {
-    use shared::encoder::Direction;
     use shared::recording::schema::EncoderSample;
 
     use super::*;
 
     fn continuity() -> Continuity {
-        let encoder = |joint| EncoderConfig {
-            joint,
-            lines: 3600,
-            interpolation_bits: 12,
-            direction: Direction::Positive,
-            mark_deg: None,
-        };
-        Continuity::new(&[encoder(1), encoder(2)])
+        Continuity::new(&[1, 2].map(EncoderConfig::ern_1080))
     }
 
     fn record(ms: i64, counts: [u32; 2], valid: bool) -> CycleRecord {

@@ -6,14 +6,13 @@ use std::process::{Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread;
 
-use shared::config::{self, BallBarConfig, DaemonConfig};
 use tokio::sync::oneshot;
 
 use crate::clock::Clock;
 use crate::control::api;
-use crate::control::service::{Service, Settings};
-use crate::homing::MarksFile;
-use crate::run::{self, BusChoice, Storage};
+use crate::control::service::Service;
+use crate::control::service::tests::settings;
+use crate::run::{self, Storage};
 use crate::segment::InProcessWire;
 use crate::segment::faults::{FaultHandle, FaultSwitch, FaultySegment};
 use crate::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
@@ -28,14 +27,11 @@ struct Bench {
 impl Bench {
     fn new() -> Self {
         let directory = tempfile::tempdir().unwrap();
-        let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
-        let daemon: DaemonConfig = config::load(&shipped.join("daemon.toml")).unwrap();
-        let daemon = DaemonConfig { directory: directory.path().join("runs"), ..daemon };
-        let bar: BallBarConfig = config::load(&shipped.join("ball_bar.toml")).unwrap();
-        let storage = Storage::new(&daemon).unwrap();
+        let settings = settings(directory.path());
+        let storage = Storage::new(&settings.daemon).unwrap();
         let faults = Arc::new(Mutex::new(None));
         let (places, switch, on_daemon, on_bar) =
-            (storage.clone(), Arc::clone(&faults), daemon.clone(), bar.clone());
+            (storage.clone(), Arc::clone(&faults), settings.daemon.clone(), settings.bar.clone());
         let connect = move || {
             let motion = SmoothMotion::new(on_bar.encoders.len(), 3600, 1);
             let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(motion));
@@ -43,13 +39,6 @@ impl Bench {
             *switch.lock().unwrap() = Some(handle);
             let wire = InProcessWire::with_faults(segment, Clock::Real);
             run::open_on(Box::new(wire), &on_daemon, &on_bar, &places)
-        };
-        let settings = Settings {
-            bus: BusChoice::Simulated,
-            faults: Vec::new(),
-            daemon,
-            bar,
-            marks: MarksFile::new(directory.path().to_owned(), None),
         };
         Self {
             service: Service::start_with(settings, storage, Arc::new(connect)).unwrap(),

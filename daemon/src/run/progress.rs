@@ -122,6 +122,13 @@ pub struct Warning {
     pub text: String,
 }
 
+impl Warning {
+    /// Cycles are lost, or will be if it goes on.
+    pub fn costs_data(&self) -> bool {
+        ["opening", "lost file", "lost cycles", "backlog"].contains(&self.what)
+    }
+}
+
 impl Progress {
     /// Of a run that has no file yet.
     pub fn new(handed: Arc<Handed>, limits: Limits) -> Self {
@@ -345,6 +352,9 @@ pub struct Live {
     whole_at_ns: AtomicI64,
     /// Of the latest valid sample of each encoder.
     valid_at_ns: [AtomicI64; MAX_ENCODERS],
+    /// Cycles so far, and those of each encoder that were valid.
+    counted: AtomicU64,
+    counted_valid: [AtomicU64; MAX_ENCODERS],
     flags: AtomicU64,
     origin: AtomicU32,
     encoders: [AtomicU64; MAX_ENCODERS],
@@ -384,11 +394,12 @@ impl Live {
                 | u64::from(u8::from(encoder.valid)) << 48;
             place.store(packed, Ordering::Relaxed);
         }
-        for (place, encoder) in self.valid_at_ns.iter().zip(record.encoders()) {
-            if encoder.valid {
-                place.store(record.send_time.0, Ordering::Relaxed);
-            }
+        let valid = self.valid_at_ns.iter().zip(&self.counted_valid).zip(record.encoders());
+        for ((at, counted), _) in valid.filter(|(_, encoder)| encoder.valid) {
+            at.store(record.send_time.0, Ordering::Relaxed);
+            counted.fetch_add(1, Ordering::Relaxed);
         }
+        self.counted.fetch_add(1, Ordering::Relaxed);
         if record.flags & BUS_FLAGS == 0 {
             self.whole_at_ns.store(record.send_time.0, Ordering::Relaxed);
         }
@@ -466,6 +477,12 @@ impl Live {
     /// When each encoder gave its latest valid sample, 0 before the first, in bus order.
     pub fn valid_at(&self) -> [MonoNs; MAX_ENCODERS] {
         std::array::from_fn(|index| MonoNs(self.valid_at_ns[index].load(Ordering::Relaxed)))
+    }
+
+    /// Cycles so far, and those of each encoder that were valid, in bus order.
+    pub fn counted(&self) -> (u64, [u64; MAX_ENCODERS]) {
+        let valid = std::array::from_fn(|index| self.counted_valid[index].load(Ordering::Relaxed));
+        (self.counted.load(Ordering::Relaxed), valid)
     }
 
     /// What the terminals' latches showed in the latest cycle in which every encoder was valid, in bus order.

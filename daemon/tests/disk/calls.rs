@@ -15,7 +15,7 @@ use super::wall::{Call, Fault, Wall};
 /// Longer than a look at the disk may take.
 const HANG: Duration = Duration::from_millis(1300);
 /// Runs at once: they wait for the disk, not for the processor.
-const AT_ONCE: usize = 32;
+const AT_ONCE: usize = 20;
 
 fn plan(cycles: u64) -> Plan {
     Plan {

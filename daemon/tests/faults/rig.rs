@@ -10,7 +10,6 @@ use ballbard::segment::InProcessWire;
 use ballbard::segment::faults::{FaultHandle, FaultySegment};
 use ballbard::segment::simulated::{Periods, SegmentConfig, SimulatedSegment, SmoothMotion};
 use shared::config::EncoderConfig;
-use shared::encoder::Direction;
 use shared::recording::schema::CycleRecord;
 use shared::time::UtcNs;
 
@@ -31,16 +30,9 @@ pub struct Rig {
 }
 
 pub fn plan(period_ns: i64, distributed_clocks: bool) -> BusPlan {
-    let encoder = |joint| EncoderConfig {
-        joint,
-        lines: LINES,
-        interpolation_bits: BITS,
-        direction: Direction::Positive,
-        mark_deg: None,
-    };
     BusPlan {
         name: "simulated".into(),
-        encoders: (1..=TERMINALS as u8).map(encoder).collect(),
+        encoders: (1..=TERMINALS as u8).map(EncoderConfig::ern_1080).collect(),
         cycle_period: Duration::from_nanos(period_ns as u64),
         distributed_clocks,
         sync0_shift: Duration::from_nanos(period_ns as u64 / 2),

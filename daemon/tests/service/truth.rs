@@ -54,7 +54,7 @@ fn an_encoder_without_signal_is_in_the_headline_before_and_during_a_run() {
     let waiting = service.wait_until("the headline", named);
     assert_eq!(waiting.state, "waiting");
     let typed = text(&service.command(&["status"]));
-    assert!(typed.starts_with("READY: no valid sample from joint 2 ("), "{typed}");
+    assert!(typed.starts_with("CHECK: no valid sample from joint 2 ("), "{typed}");
     // Four encoders may be worth a run: somebody has to say why.
     let (code, refused) = service.post("start", &json!({"name": "four"}));
     let why = refused["error"].as_str().unwrap();

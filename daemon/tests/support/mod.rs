@@ -8,22 +8,14 @@ use std::time::Duration;
 use ballbard::bus::BusPlan;
 use ballbard::segment::simulated::{Conversion, EncoderSource, Signal};
 use shared::config::EncoderConfig;
-use shared::encoder::Direction;
 use shared::recording::schema::CycleRecord;
 
 /// Five terminals on distributed clocks, the frame half a period after the sample.
 pub fn plan(rate_hz: u64) -> BusPlan {
-    let encoder = |joint| EncoderConfig {
-        joint,
-        lines: 3600,
-        interpolation_bits: 12,
-        direction: Direction::Positive,
-        mark_deg: None,
-    };
     let period = Duration::from_nanos(1_000_000_000 / rate_hz);
     BusPlan {
         name: "simulated".into(),
-        encoders: (1..=5).map(encoder).collect(),
+        encoders: (1..=5).map(EncoderConfig::ern_1080).collect(),
         cycle_period: period,
         distributed_clocks: true,
         sync0_shift: period / 2,

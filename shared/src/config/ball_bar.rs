@@ -41,6 +41,12 @@ pub struct EncoderConfig {
 }
 
 impl EncoderConfig {
+    /// A Heidenhain ERN 1080 on an EL5021, as `config/ball_bar.toml` has them.
+    pub fn ern_1080(joint: u8) -> Self {
+        let EncoderScale { lines, interpolation_bits, direction, .. } = EncoderScale::default();
+        Self { joint, lines, interpolation_bits, direction, mark_deg: None }
+    }
+
     /// Counts to angle with unknown zero: offset and reference mark are found later.
     pub fn scale(&self) -> EncoderScale {
         EncoderScale {

@@ -98,17 +98,10 @@ impl Validate for HomingConfig {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::encoder::{Direction, EncoderScale};
+    use crate::encoder::EncoderScale;
 
     fn encoders() -> Vec<EncoderConfig> {
-        let encoder = |joint| EncoderConfig {
-            joint,
-            lines: 3600,
-            interpolation_bits: 12,
-            direction: Direction::Positive,
-            mark_deg: None,
-        };
-        (1..=3).map(encoder).collect()
+        (1..=3).map(EncoderConfig::ern_1080).collect()
     }
 
     fn infos() -> Vec<EncoderInfo> {
