@@ -7,17 +7,21 @@
 
 use std::backtrace::{Backtrace, BacktraceStatus};
 use std::io::{self, ErrorKind, IsTerminal, Write};
+use std::collections::HashMap;
 use std::os::fd::{AsFd, OwnedFd};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
-use std::sync::{Arc, OnceLock};
+use std::sync::{Arc, Mutex, OnceLock};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use nix::poll::{PollFd, PollFlags, PollTimeout, poll};
 use shared::recording::{Disk, SystemDisk};
+use tracing::callsite::Identifier;
+use tracing::{Level, Metadata};
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::fmt;
+use tracing_subscriber::fmt::MakeWriter;
 use tracing_subscriber::prelude::*;
 
 /// Lines that may wait to be written; a chatty minute.
@@ -26,6 +30,10 @@ const LINES_MAX: usize = 4096;
 const FLUSH_TIMEOUT: Duration = Duration::from_millis(500);
 /// How often whoever flushes tries again to get a place in a full queue.
 const RETRY: Duration = Duration::from_millis(10);
+
+/// Of the lines that one place of the program logs, so many are written in a [`MINUTE`]: more than anybody reads.
+const ALIKE_MAX: u32 = 20;
+const MINUTE: Duration = Duration::from_secs(60);
 
 static LINES_LOST: OnceLock<Arc<AtomicU64>> = OnceLock::new();
 
@@ -44,19 +52,22 @@ enum Entry {
 /// The log of the program; dropping it waits a moment for the last lines.
 pub struct Log {
     lines: Lines,
+    is_journal: bool,
 }
 
 impl Log {
     /// Sends what is logged, and every panic, to standard error.
     pub fn start() -> io::Result<Self> {
         let stderr = io::stderr().as_fd().try_clone_to_owned()?;
-        let log = Self { lines: Lines::start(Arc::new(SystemDisk), stderr)? };
+        let is_journal = leads_to_journal(&stderr);
+        let log = Self { lines: Lines::start(Arc::new(SystemDisk), stderr)?, is_journal };
         let _ = LINES_LOST.set(Arc::clone(&log.lines.lost));
-        let lines = log.lines.clone();
+        let sink = Sink { lines: log.lines.clone(), is_journal, alike: Mutex::default() };
         let wanted = std::env::var("RUST_LOG").ok().and_then(|text| text.parse::<Targets>().ok());
         let filter = wanted.unwrap_or_else(|| Targets::new().with_default(LevelFilter::INFO));
         let colours = io::stderr().is_terminal();
-        let layer = fmt::layer().with_target(false).with_ansi(colours).with_writer(move || lines.clone());
+        let layer = fmt::layer().with_target(false).with_ansi(colours).with_writer(sink);
+        let layer = if is_journal { layer.without_time().with_level(false).boxed() } else { layer.boxed() };
         tracing_subscriber::registry().with(layer).with(filter).init();
         let panics = log.lines.clone();
         std::panic::set_hook(Box::new(move |panic| {
@@ -66,14 +77,100 @@ impl Log {
                 BacktraceStatus::Captured => format!("\n{backtrace}"),
                 _ => String::new(),
             };
-            panics.line(&format!("thread `{}` {panic}{backtrace}", current.name().unwrap_or("?")));
+            let text = format!("thread `{}` {panic}{backtrace}", current.name().unwrap_or("?"));
+            panics.line(&with_priority(&text, is_journal.then_some(Level::ERROR)));
         }));
         Ok(log)
     }
 
     /// Writes a line whatever is filtered: the last word of a command.
     pub fn line(&self, text: &str) {
-        self.lines.line(text);
+        self.lines.line(&with_priority(text, self.is_journal.then_some(Level::ERROR)));
+    }
+}
+
+/// As systemd says which file its journal reads.
+fn leads_to_journal(stream: &OwnedFd) -> bool {
+    let told = std::env::var("JOURNAL_STREAM").unwrap_or_default();
+    nix::sys::stat::fstat(stream).is_ok_and(|found| told == format!("{}:{}", found.st_dev, found.st_ino))
+}
+
+/// Before each line what syslog(3) calls its priority, as sd-daemon(3) has it.
+fn with_priority(text: &str, level: Option<Level>) -> String {
+    let priority = match level {
+        None => return text.into(),
+        Some(Level::ERROR) => "<3>",
+        Some(Level::WARN) => "<4>",
+        Some(Level::INFO) => "<6>",
+        Some(_) => "<7>",
+    };
+    let lines: Vec<_> = text.lines().map(|line| format!("{priority}{line}")).collect();
+    lines.join("\n")
+}
+
+/// Gives what is logged to the [`Lines`], unless there was too much alike.
+struct Sink {
+    lines: Lines,
+    is_journal: bool,
+    alike: Mutex<HashMap<Identifier, Alike>>,
+}
+
+/// What one place of the program has logged since a moment.
+struct Alike {
+    since: Instant,
+    lines: u32,
+}
+
+impl Alike {
+    /// Lines of this minute, with this one.
+    fn count(&mut self, now: Instant) -> u32 {
+        if now.duration_since(self.since) >= MINUTE {
+            *self = Self { since: now, lines: 0 };
+        }
+        self.lines = self.lines.saturating_add(1);
+        self.lines
+    }
+}
+
+/// One event on its way into a [`Sink`].
+struct Event {
+    lines: Lines,
+    priority: Option<Level>,
+    alike: u32,
+}
+
+impl<'a> MakeWriter<'a> for Sink {
+    type Writer = Event;
+
+    fn make_writer(&'a self) -> Event {
+        Event { lines: self.lines.clone(), priority: None, alike: 0 }
+    }
+
+    fn make_writer_for(&'a self, event: &Metadata<'_>) -> Event {
+        let now = Instant::now();
+        // Nobody waits for the log, also not for this.
+        let alike = self.alike.try_lock().map_or(0, |mut alike| {
+            alike.entry(event.callsite()).or_insert(Alike { since: now, lines: 0 }).count(now)
+        });
+        Event { lines: self.lines.clone(), priority: self.is_journal.then_some(*event.level()), alike }
+    }
+}
+
+/// Takes whole events.
+impl Write for Event {
+    fn write(&mut self, event: &[u8]) -> io::Result<usize> {
+        if self.alike <= ALIKE_MAX {
+            let mut text = String::from_utf8_lossy(event).trim_end().to_owned();
+            if self.alike == ALIKE_MAX {
+                text.push_str(" (more lines like this are left out for a minute)");
+            }
+            self.lines.line(&with_priority(&text, self.priority));
+        }
+        Ok(event.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
     }
 }
 
@@ -133,18 +230,6 @@ impl Lines {
     }
 }
 
-/// Takes whole lines.
-impl Write for Lines {
-    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
-        self.send(line.to_vec());
-        Ok(line.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
 /// What the thread of the log has.
 struct Drain {
     disk: Arc<dyn Disk>,
@@ -198,5 +283,25 @@ impl Drain {
     fn wait(&self) -> bool {
         let mut stream = [PollFd::new(self.stream.as_fd(), PollFlags::POLLOUT)];
         poll(&mut stream, PollTimeout::NONE).is_ok()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_line_has_its_priority_in_the_journal_and_none_elsewhere() {
+        assert_eq!(with_priority("one\ntwo", Some(Level::WARN)), "<4>one\n<4>two");
+        assert_eq!(with_priority("one\ntwo", None), "one\ntwo");
+    }
+
+    #[test]
+    fn what_is_logged_all_the_time_is_counted_by_the_minute() {
+        let begin = Instant::now();
+        let mut alike = Alike { since: begin, lines: 0 };
+        let counted: Vec<u32> = (0..25).map(|_| alike.count(begin)).collect();
+        assert_eq!(counted.last(), Some(&25));
+        assert_eq!(alike.count(begin + MINUTE), 1);
     }
 }

@@ -10,6 +10,7 @@ mod recover;
 mod segment;
 mod serve;
 mod signals;
+mod systemd;
 mod tune;
 
 pub use export::{Layout, write_csv};

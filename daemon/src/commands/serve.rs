@@ -96,6 +96,7 @@ async fn listen(port: u16) -> anyhow::Result<TcpListener> {
 
 /// Serves until the service has ended: asked to by a signal, or by itself.
 async fn serve(listener: TcpListener, service: Service, mut signals: Signals) {
+    tokio::spawn(super::systemd::tell(service.clone()));
     let ending = service.clone();
     let end = async move {
         tokio::select! {

@@ -11,4 +11,5 @@ mod page;
 mod requests;
 mod rig;
 mod runs;
+mod systemd;
 mod truth;

@@ -20,7 +20,7 @@ use axum::middleware::{self, Next};
 use axum::response::sse::{self, Sse};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
-use axum::{Json, Router};
+use axum::{Extension, Json, Router};
 use futures_util::stream;
 use shared::recording::{Disk, Recording};
 use tokio::net::TcpListener;
@@ -47,6 +47,8 @@ const FILE_TIMEOUT: Duration = Duration::from_secs(20);
 const VIEWERS_MAX: usize = 32;
 /// What is longer ago nobody remembers to the second \[ms\].
 const AGO_MS_MAX: u32 = 600_000;
+/// Longer lines are of no use in a log.
+const REFUSAL_CHARS_MAX: usize = 300;
 /// After an error of the listener, such as too many open files.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
@@ -115,6 +117,7 @@ pub fn router(service: Service) -> Router {
             )
         })
         .layer(middleware::from_fn(only_this_machine))
+        .layer(middleware::from_fn(logged))
         .with_state(shared)
 }
 
@@ -402,6 +405,17 @@ async fn finished(service: &Service, runs_over: u64) -> Option<LastRun> {
     tokio::time::timeout(FILE_TIMEOUT, wait).await.ok().flatten()
 }
 
+/// What was refused is in the log, with who is told why.
+async fn logged(request: Request, next: Next) -> Response {
+    let asked = format!("{} {}", request.method(), request.uri().path());
+    let response = next.run(request).await;
+    if let Some(Refusal { error }) = response.extensions().get() {
+        let line: String = format!("refused: {asked}: {error}").chars().take(REFUSAL_CHARS_MAX).collect();
+        tracing::warn!("{}", line.replace(char::is_control, " "));
+    }
+    response
+}
+
 /// Turns away what a foreign web page could send.
 async fn only_this_machine(request: Request, next: Next) -> Response {
     if is_local(request.headers()) {
@@ -434,5 +448,7 @@ fn rejected(rejection: &JsonRejection) -> Response {
 }
 
 fn refusal(status: StatusCode, error: &str) -> Response {
-    (status, Json(Refusal { error: error.into() })).into_response()
+    let refusal = Refusal { error: error.into() };
+    // Once for the client, once for the log.
+    (status, Extension(refusal.clone()), Json(refusal)).into_response()
 }
