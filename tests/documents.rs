@@ -25,7 +25,8 @@ fn links(text: &str) -> impl Iterator<Item = &str> {
 
 #[test]
 fn every_link_between_documents_leads_to_a_file_and_the_summary_has_every_page() {
-    let mut pages: Vec<PathBuf> = ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md"].map(repository).to_vec();
+    let mut pages: Vec<PathBuf> =
+        ["README.md", "ARCHITECTURE.md", "CHANGELOG.md", "CONTRIBUTING.md"].map(repository).to_vec();
     let book = std::fs::read_dir(repository("docs/src")).unwrap().map(|entry| entry.unwrap().path());
     pages.extend(book.filter(|path| path.extension().is_some_and(|ending| ending == "md")));
     for page in &pages {

@@ -9,6 +9,7 @@ use std::sync::mpsc::{Receiver, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use shared::config::{EncoderConfig, HomingConfig, bar_joint_name};
 use shared::encoder::{EncoderScale, Unwrapper};
@@ -46,7 +47,7 @@ const CELLS: usize = 36;
 const CELL_DEG: f64 = 360.0 / CELLS as f64;
 
 /// Everything, at one moment.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Live {
     /// When, on the host's monotonic clock \[ms\].
     pub at_ms: i64,
@@ -69,7 +70,7 @@ pub struct Live {
 }
 
 /// One encoder.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Joint {
     /// Bar joint, 1 to 5.
     pub joint: u8,
@@ -92,7 +93,7 @@ pub struct Joint {
 }
 
 /// Something that costs data if it goes on.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Warning {
     /// Which kind; stays the same while figures change.
     pub subject: String,
@@ -103,7 +104,7 @@ pub struct Warning {
 }
 
 /// Directions of the rod, in cells of 10 degrees of joint 1 (columns) and joint 2 (rows).
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Coverage {
     /// Row after row from -180 degrees on, four cells to a hexadecimal digit.
     pub cells: String,

@@ -3,6 +3,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use shared::recording::schema::EncoderSample;
 use shared::recording::{
@@ -13,7 +14,7 @@ use shared::time::UtcNs;
 use super::verdict::Verdict;
 
 /// One recording of the list.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RunLine {
     /// Its name.
     pub name: String,
@@ -152,7 +153,7 @@ pub fn finished(disk: &dyn Disk, name: String, file: PathBuf) -> RunLine {
 const CURVE_POINTS: usize = 1500;
 
 /// A run as a whole, for people to look at.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Curves {
     /// Since its first cycle \[s\].
     pub t_s: Vec<f64>,
@@ -161,7 +162,7 @@ pub struct Curves {
 }
 
 /// One encoder.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Curve {
     /// Bar joint, 1 to 5.
     pub joint: u8,

@@ -1,5 +1,6 @@
 //! What the service says of itself: the words of the API and of the commands.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use shared::recording::{DiskTiming, TimingSummary};
 use shared::time::{MonoNs, UtcNs};
@@ -8,7 +9,7 @@ use super::verdict::Verdict;
 use crate::run::About;
 
 /// What the service is doing, as far as it is on disk.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Status {
     /// `fault`, `waiting`, `homing`, `opening`, `sampling`, `writing` or `closing`.
     pub state: String,
@@ -49,7 +50,7 @@ pub struct Status {
 }
 
 /// How grave what is said is.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Level {
     /// As it should be.
@@ -62,7 +63,7 @@ pub enum Level {
 }
 
 /// The state in one or two words, for people.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Headline {
     /// What the commands print and the page shows.
     pub word: String,
@@ -89,7 +90,7 @@ impl Status {
 }
 
 /// The run that goes on.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RunStatus {
     /// Its name.
     pub name: String,
@@ -125,7 +126,7 @@ pub struct RunStatus {
 }
 
 /// A run that is over.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct LastRun {
     /// Its name.
     pub name: String,
@@ -148,7 +149,7 @@ pub struct LastRun {
 }
 
 /// How far a homing is.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct HomingStatus {
     /// What was asked and found so far, for people.
     pub lines: Vec<String>,
@@ -163,7 +164,7 @@ pub struct HomingStatus {
 }
 
 /// One encoder, now.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct EncoderStatus {
     /// Bar joint, 1 to 5.
     pub joint: u8,
@@ -185,7 +186,7 @@ pub struct EncoderStatus {
 }
 
 /// What is asked for with `start`.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct StartRequest {
     /// Name of the run and of its file; without one the service makes one of date and time.
@@ -215,7 +216,7 @@ impl StartRequest {
 }
 
 /// What is asked for with `stop`.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct StopRequest {
     /// Why, for the file.
@@ -223,12 +224,12 @@ pub struct StopRequest {
 }
 
 /// What is asked for with `home`: nothing in particular.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct HomeRequest {}
 
 /// What is asked for with `mark`.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MarkRequest {
     /// Text of the marker.
@@ -239,7 +240,7 @@ pub struct MarkRequest {
 }
 
 /// What is asked for with `delete`: a finished recording.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DeleteRequest {
     /// Its name.
@@ -247,7 +248,7 @@ pub struct DeleteRequest {
 }
 
 /// What became of a request.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Reply {
     /// In one word: `begun`, `running`, `stopped`, `idle`, `homing`, `marked` or `deleted`.
     pub answer: String,
@@ -261,14 +262,14 @@ pub struct Reply {
 }
 
 /// Why a request was not granted.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Refusal {
     /// What is wrong and what to do.
     pub error: String,
 }
 
 /// One line of the preflight check.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct CheckLine {
     /// What was looked at.
     pub subject: String,

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use shared::recording::RunOverview;
 
@@ -16,7 +17,7 @@ pub const VALID_SHARE_BAD: f64 = 0.5;
 pub const MOVED_MIN_DEG: f64 = 1.0;
 
 /// A word and its reasons.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Verdict {
     /// How grave it is.
     pub level: Level,

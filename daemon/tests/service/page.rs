@@ -2,13 +2,15 @@
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
+use std::path::Path;
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 use ballbard::control::live::Live;
 use ballbard::control::runs::{Curves, RunLine};
 use serde_json::json;
 
-use super::rig::{Running, agent};
+use super::rig::{Running, agent, text};
 
 /// Listens to events.
 fn listen(service: &Running) -> BufReader<TcpStream> {
@@ -181,4 +183,18 @@ fn prometheus_reads_what_the_page_shows() {
     assert!(value("ballbard_run_cycles_synced ") > 0.0 && value("ballbard_run_cycles_lost ") == 0.0);
     assert_eq!(value("ballbard_encoder_good{joint=\"3\"} "), 1.0);
     assert!(value("ballbard_disk_left_hours ") > 0.0 && text.ends_with("# EOF\n"));
+}
+
+#[test]
+#[ignore = "needs Python with openapi-spec-validator and jsonschema: set BALLBAR_PYTHON"]
+fn every_answer_is_as_the_openapi_document_says_for_independent_validators() {
+    let service = Running::start();
+    service.wait_for("waiting");
+    let python =
+        std::env::var_os("BALLBAR_PYTHON").expect("BALLBAR_PYTHON: a Python with tests/requirements.txt");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/service/openapi.py");
+    let mut command = Command::new(python);
+    let output = command.arg(script).arg(format!("http://127.0.0.1:{}", service.port)).output().unwrap();
+    assert!(output.status.success(), "{}", text(&output));
+    assert!(text(&output).contains("13 paths hold"), "{}", text(&output));
 }

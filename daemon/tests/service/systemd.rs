@@ -23,8 +23,7 @@ fn systemd_is_told_that_the_service_is_ready_and_lives() {
     let path = home.path().join("notify");
     let socket = UnixDatagram::bind(&path).unwrap();
     socket.set_read_timeout(Some(Duration::from_secs(20))).unwrap();
-    let environment =
-        [("NOTIFY_SOCKET", path.display().to_string()), ("WATCHDOG_USEC", "900000".to_owned())];
+    let environment = [("NOTIFY_SOCKET", path.display().to_string()), ("WATCHDOG_USEC", "900000".to_owned())];
     let service = under_systemd(Stdio::null(), &environment);
     let mut told = Vec::new();
     let is_fed = |told: &[String]| told.iter().filter(|line| *line == "WATCHDOG=1").count() >= 5;

@@ -2,10 +2,11 @@
 
 use std::fmt;
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// One duration over all cycles of a run \[ns\].
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Durations {
     /// Half of all cycles took no longer.
     pub p50_ns: u64,
@@ -20,7 +21,7 @@ pub struct Durations {
 }
 
 /// One bin of a histogram: longer than the limit of the bin before, up to its own.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Bin {
     /// Limit, included \[ns\]; see [`Bin::limit_of`].
     pub up_to_ns: u64,
@@ -29,7 +30,7 @@ pub struct Bin {
 }
 
 /// How long the disk kept the recorder waiting.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(default)]
 pub struct DiskTiming {
     /// Longest synchronisation: what a power cut may cost beyond a period \[ns\].
@@ -41,7 +42,7 @@ pub struct DiskTiming {
 }
 
 /// How well the loop kept its time. Runs on virtual time have none.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct TimingSummary {
     /// Cycles measured.
     pub cycles: u64,

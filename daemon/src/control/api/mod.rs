@@ -6,6 +6,7 @@
 mod connections;
 mod downloads;
 mod metrics;
+mod openapi;
 
 use std::convert::Infallible;
 use std::future::Future;
@@ -19,7 +20,7 @@ use axum::http::{HeaderMap, HeaderName, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::sse::{self, Sse};
 use axum::response::{IntoResponse, Response};
-use axum::routing::{get, post};
+use axum::routing::{MethodRouter, get, post};
 use axum::{Extension, Json, Router};
 use futures_util::stream;
 use shared::recording::{Disk, Recording};
@@ -28,8 +29,10 @@ use tokio::sync::Semaphore;
 
 use self::connections::Connections;
 use self::downloads::{Download, Downloads};
+use self::openapi::Operation;
+use super::live::Live;
 use super::machine::Answer;
-use super::runs::{self, RunLine};
+use super::runs::{self, Curves, RunLine};
 use super::service::{LIST_WITHIN, Service};
 use super::status::{
     CheckLine, DeleteRequest, HomeRequest, LastRun, MarkRequest, Refusal, Reply, StartRequest, Status,
@@ -88,24 +91,75 @@ impl FromRef<Shared> for Service {
     }
 }
 
+/// Below `/api`, each with what the OpenAPI document says of it.
+fn operations() -> Vec<(Operation, MethodRouter<Shared>)> {
+    vec![
+        (
+            Operation::get::<Status>("/status", "What the service is doing, as far as it is on disk."),
+            get(status),
+        ),
+        (Operation::get::<Live>("/live", "What a page shows, at this moment."), get(live)),
+        (
+            Operation::get_other(
+                "/events",
+                "text/event-stream",
+                "Every moment, ten a second: server-sent events whose data are those of `/live`.",
+            ),
+            get(events),
+        ),
+        (
+            Operation::get::<Vec<CheckLine>>("/check", "Whether all is as it should be before a run."),
+            get(check),
+        ),
+        (Operation::get::<Vec<RunLine>>("/runs", "Recordings, the latest first."), get(list_runs)),
+        (
+            Operation::get_other(
+                "/runs/{name}/mcap",
+                "application/octet-stream",
+                "A finished recording as it is.",
+            ),
+            get(download_mcap),
+        ),
+        (
+            Operation::get_other("/runs/{name}/csv", "text/csv", "A finished recording as a table."),
+            get(download_csv),
+        ),
+        (Operation::get::<Curves>("/runs/{name}/plot", "Its angles, thinned, to be drawn."), get(curves)),
+        (
+            Operation::post::<StartRequest, Reply>(
+                "/start",
+                "Begins a run; answered when its file is there.",
+            ),
+            post(start),
+        ),
+        (
+            Operation::post::<StopRequest, Reply>(
+                "/stop",
+                "Ends the run; answered when its file is finished.",
+            ),
+            post(stop),
+        ),
+        (
+            Operation::post::<HomeRequest, Reply>("/home", "Begins to look for the reference marks."),
+            post(home),
+        ),
+        (Operation::post::<MarkRequest, Reply>("/mark", "Puts a marker into the run."), post(mark)),
+        (Operation::post::<DeleteRequest, Reply>("/delete", "Deletes a finished recording."), post(delete)),
+    ]
+}
+
 /// All routes.
 pub fn router(service: Service) -> Router {
     let viewers = Arc::new(Semaphore::new(VIEWERS_MAX));
     let shared = Shared { service, downloads: Downloads::default(), viewers };
-    let api = Router::new()
-        .route("/status", get(status))
-        .route("/live", get(live))
-        .route("/events", get(events))
-        .route("/check", get(check))
-        .route("/runs", get(list_runs))
-        .route("/runs/{name}/mcap", get(download_mcap))
-        .route("/runs/{name}/csv", get(download_csv))
-        .route("/runs/{name}/plot", get(curves))
-        .route("/start", post(start))
-        .route("/stop", post(stop))
-        .route("/home", post(home))
-        .route("/mark", post(mark))
-        .route("/delete", post(delete));
+    let operations = operations();
+    let (described, handlers): (Vec<_>, Vec<_>) = operations.into_iter().unzip();
+    let document = openapi::document(&described);
+    let api = described
+        .iter()
+        .zip(handlers)
+        .fold(Router::new(), |api, (operation, handler)| api.route(operation.path, handler));
+    let api = api.route("/openapi.json", get(move || async move { Json(document) }));
     Router::new()
         .nest("/api", api)
         .route("/metrics", get(prometheus))
