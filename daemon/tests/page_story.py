@@ -245,6 +245,18 @@ def downloaded(page, name, counted, readers):
     return content
 
 
+# In the left half of the strip, where a page that knows only itself draws nothing for half a minute, something is drawn
+# besides the grid: more than its two colours.
+LINE_BEGINS_LEFT = """(() => {
+  const canvas = document.querySelector('#strip canvas');
+  if (!canvas) return false;
+  const { data } = canvas.getContext('2d').getImageData(canvas.width * 0.1, 0, canvas.width * 0.35, canvas.height);
+  const seen = new Set();
+  for (let at = 0; at < data.length; at += 4) if (data[at + 3] === 255) seen.add(`${data[at]},${data[at + 1]},${data[at + 2]}`);
+  return seen.size >= 5;
+})()"""
+
+
 def main():
     chromium, url, pictures, readers = sys.argv[1:]
     pictures = Path(pictures)
@@ -283,6 +295,8 @@ def main():
             page.call("Page.reload")
             word(page, "READY")
             assert page.run("document.querySelector('#run-form [name=robot]').value") == "IRB 2400"
+            # Nor is the chart of the last minute empty: the line of the first joint begins far left.
+            page.wait(LINE_BEGINS_LEFT, "the last minute in the chart", within_s=3)
             service("end")
             word(page, "NO CONNECTION", within_s=5)
             assert page.run("[...document.querySelectorAll('.joint .angle')].every(angle => angle.textContent === 'stale')")

@@ -4,8 +4,8 @@
 //! knows of it. Who watches gets the latest moment and may miss others: nothing is queued.
 
 use std::collections::VecDeque;
-use std::sync::Arc;
 use std::sync::mpsc::{Receiver, channel};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -128,13 +128,58 @@ pub struct Moment {
     pub json: String,
 }
 
+/// How far back a page sees that begins now \[ms\].
+const MINUTE_MS: i64 = 60_000;
+
+/// Angles of the last minute, for a page that begins.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Minute {
+    /// When, on the host's monotonic clock \[ms\].
+    pub at_ms: VecDeque<i64>,
+    /// Of each encoder, in bus order, to a hundredth; none while it was stale \[deg\].
+    pub angles_deg: Vec<VecDeque<Option<f64>>>,
+}
+
+impl Minute {
+    fn add(&mut self, live: &Live) {
+        self.at_ms.push_back(live.at_ms);
+        self.angles_deg.resize_with(live.joints.len(), VecDeque::new);
+        for (angles, joint) in self.angles_deg.iter_mut().zip(&live.joints) {
+            angles.push_back(joint.angle_deg.map(|angle_deg| (angle_deg * 100.0).round() / 100.0));
+        }
+        while self.at_ms.front().is_some_and(|begun| live.at_ms - begun > MINUTE_MS) {
+            self.at_ms.pop_front();
+            for angles in &mut self.angles_deg {
+                angles.pop_front();
+            }
+        }
+    }
+}
+
+/// What is looked at, for whoever asks.
+#[derive(Debug, Clone)]
+pub(super) struct Watched {
+    /// The latest moment.
+    pub latest: watch::Receiver<Arc<Moment>>,
+    minute: Arc<Mutex<Minute>>,
+}
+
+impl Watched {
+    /// Those before it.
+    pub fn minute(&self) -> Minute {
+        self.minute.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
 /// Starts to look; ends by itself with whoever gives the status.
 pub(super) fn watch(
     settings: Arc<Settings>,
     disk: Arc<dyn Disk>,
     status: watch::Receiver<Status>,
-) -> std::io::Result<watch::Receiver<Arc<Moment>>> {
+) -> std::io::Result<Watched> {
     let (moments, latest) = watch::channel(Arc::default());
+    let minute = Arc::<Mutex<Minute>>::default();
+    let watched = Watched { latest, minute: Arc::clone(&minute) };
     let mut observer = Observer::new(&settings);
     let mut reading = read(&disk, &settings.marks)?;
     let mut was_homed = true;
@@ -152,6 +197,7 @@ pub(super) fn watch(
                 observer.homing = marks;
             }
             let live = observer.next(&now, Clock::Real.now());
+            minute.lock().unwrap_or_else(PoisonError::into_inner).add(&live);
             // A number that JSON cannot say would be a mistake of ours; better an old moment than none.
             if let Ok(json) = serde_json::to_string(&live) {
                 moments.send_replace(Arc::new(Moment { live, json }));
@@ -160,7 +206,7 @@ pub(super) fn watch(
             thread::sleep(next.saturating_duration_since(Instant::now()));
         }
     })?;
-    Ok(latest)
+    Ok(watched)
 }
 
 /// Follows the counters.
@@ -737,6 +783,20 @@ mod tests {
             (further, Some(HomingConfig::new(UtcNs(0), &encoders, &[further; 5])));
         let live = bench.at([Some(4.0); 5], None);
         assert!((live.joints[1].angle_deg.unwrap() + 36.0).abs() < 1e-3, "{:?}", live.joints[1]);
+    }
+
+    #[test]
+    fn a_page_that_begins_gets_the_last_minute_and_no_more() {
+        let (mut bench, mut minute) = (Bench::new(|_| {}), Minute::default());
+        for step in 0..700 {
+            let angle_deg = (step != 650).then_some(f64::from(step) * 0.01);
+            // Stale only after a second: one sample that is missing is no gap.
+            minute.add(&bench.at([angle_deg; 5], None));
+        }
+        let last_ms = *minute.at_ms.back().unwrap();
+        assert_eq!((minute.at_ms.len(), last_ms - minute.at_ms[0]), (601, MINUTE_MS));
+        assert!(minute.angles_deg.len() == 5 && minute.angles_deg.iter().all(|angles| angles.len() == 601));
+        assert_eq!((minute.angles_deg[4][0], minute.angles_deg[4][600]), (Some(0.99), Some(6.99)));
     }
 
     #[test]

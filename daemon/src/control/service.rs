@@ -14,7 +14,7 @@ use shared::time::MonoNs;
 use tokio::sync::{Semaphore, oneshot, watch};
 
 use super::controller::{Command, Controller};
-use super::live::{self, Moment};
+use super::live::{self, Minute, Moment, Watched};
 use super::machine::Answer;
 use super::preflight::Found;
 use super::status::{CheckLine, Refusal, StartRequest, Status};
@@ -49,7 +49,7 @@ type Control = thread::JoinHandle<Result<(), ServiceError>>;
 pub struct Service {
     commands: Sender<Command>,
     status: watch::Receiver<Status>,
-    live: watch::Receiver<Arc<Moment>>,
+    live: Watched,
     settings: Arc<Settings>,
     disk: Arc<dyn Disk>,
     thread: Arc<Mutex<Option<Control>>>,
@@ -128,7 +128,12 @@ impl Service {
 
     /// What a page shows, ten times a second.
     pub fn live(&self) -> watch::Receiver<Arc<Moment>> {
-        self.live.clone()
+        self.live.latest.clone()
+    }
+
+    /// What it showed in the last minute.
+    pub(super) fn minute(&self) -> Minute {
+        self.live.minute()
     }
 
     /// Told whenever the status changes.

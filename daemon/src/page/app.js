@@ -291,6 +291,6 @@ document.addEventListener("keydown", (event) => {
   }
 });
 
-listen(show, silent);
+listen((minute) => strip.recall(minute), show, silent);
 setInterval(check, CHECK_EVERY_MS);
 setTimeout(check, 400);

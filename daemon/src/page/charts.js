@@ -62,19 +62,26 @@ function chart(place, joints, time) {
 export class Strip {
   points = [];
 
+  // What was before this page, or before its connection came back.
+  recall({ at_ms, angles_deg }) {
+    this.points = at_ms.map((ms, at) => ({ at_s: ms / 1000, angles: angles_deg.map((angles) => angles[at]) }));
+  }
+
   add(moment) {
     const at_s = moment.at_ms / 1000;
     const joints = moment.joints.map((joint) => joint.joint);
     if (joints.join() !== this.joints?.join()) {
       if (!joints.length) return;
       this.joints = joints;
-      this.points = [];
+      if (this.points[0]?.angles.length !== joints.length) this.points = [];
       this.drawn?.close();
       this.drawn = chart($("strip"), joints, { live: false, range: [-MINUTE_S, 0] });
     }
     const last = this.points.at(-1);
     if (last && at_s - last.at_s > GAP_S) this.points.push({ at_s: last.at_s + 0.001, angles: joints.map(() => null) });
-    if (last && at_s <= last.at_s) this.points = [];
+    // On another clock all begins anew; what was recalled comes again as the first moment.
+    if (last && last.at_s - at_s > GAP_S) this.points = [];
+    else if (last && at_s <= last.at_s) return;
     this.points.push({ at_s, angles: moment.joints.map((joint) => joint.angle_deg) });
     while (at_s - this.points[0].at_s > MINUTE_S) this.points.shift();
     if (document.hidden) return;

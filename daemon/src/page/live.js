@@ -5,8 +5,9 @@ const SILENT_MS = 1500;
 const POLL_MS = 1000;
 const RETRY_EVENTS_MS = 15000;
 
-// Calls `on_moment` with each moment, `on_silence` when none has come for a while.
-export function listen(on_moment, on_silence) {
+// Calls `on_minute` with the angles of the last minute, `on_moment` with each moment, `on_silence` when none has come for a
+// while.
+export function listen(on_minute, on_moment, on_silence) {
   let silence;
   const heard = (text) => {
     clearTimeout(silence);
@@ -27,6 +28,7 @@ export function listen(on_moment, on_silence) {
     clearInterval(polling);
     polling = undefined;
     const events = new EventSource("/api/events");
+    events.addEventListener("minute", (event) => on_minute(JSON.parse(event.data)));
     events.onmessage = (event) => heard(event.data);
     events.onerror = () => {
       // It tries again by itself where the service went away; where it was refused a place we ask now and then.

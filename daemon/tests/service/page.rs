@@ -6,8 +6,9 @@ use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use ballbard::control::live::Live;
+use ballbard::control::live::{Live, Minute};
 use ballbard::control::runs::{Curves, RunLine};
+use serde::de::DeserializeOwned;
 use serde_json::json;
 
 use super::rig::{Running, agent, text};
@@ -21,7 +22,7 @@ fn listen(service: &Running) -> BufReader<TcpStream> {
     BufReader::new(stream)
 }
 
-fn next(events: &mut impl BufRead) -> Option<Live> {
+fn next<T: DeserializeOwned>(events: &mut impl BufRead) -> Option<T> {
     let mut line = String::new();
     while events.read_line(&mut line).ok()? > 0 {
         if let Some(json) = line.strip_prefix("data: ") {
@@ -44,7 +45,8 @@ fn events_come_ten_times_a_second_with_what_moves_and_end_with_the_service() {
     let mut service = Running::start();
     service.wait_for("waiting");
     let mut events = listen(&service);
-    while next(&mut events).unwrap().joints.iter().any(|joint| joint.speed_deg_per_s.is_none()) {}
+    next::<Minute>(&mut events).unwrap();
+    while next::<Live>(&mut events).unwrap().joints.iter().any(|joint| joint.speed_deg_per_s.is_none()) {}
     let moments: Vec<Live> = (0..20).map(|_| next(&mut events).unwrap()).collect();
     let lasted_ms = moments[19].at_ms - moments[0].at_ms;
     assert!((1_800..4_000).contains(&lasted_ms), "20 events in {lasted_ms} ms");
@@ -55,9 +57,16 @@ fn events_come_ten_times_a_second_with_what_moves_and_end_with_the_service() {
         assert!(after.speed_deg_per_s.unwrap().abs() < 30.0);
     }
     assert!(last.disk_hours.unwrap() > 0.0);
+    // Who comes now sees what has been.
+    let Minute { at_ms, angles_deg } = next(&mut listen(&service)).unwrap();
+    assert!(at_ms.iter().rev().zip(at_ms.iter().rev().skip(1)).all(|(after, before)| after > before));
+    let place = at_ms.iter().position(|at| *at == first.at_ms).unwrap();
+    for (angles, joint) in angles_deg.iter().zip(&first.joints) {
+        assert!((angles[place].unwrap() - joint.angle_deg.unwrap()).abs() < 0.006, "{joint:?}");
+    }
     service.signal(nix::sys::signal::Signal::SIGTERM);
     assert!(service.ended(Duration::from_secs(4)).success());
-    while next(&mut events).is_some() {}
+    while next::<Live>(&mut events).is_some() {}
 }
 
 #[test]

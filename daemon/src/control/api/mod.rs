@@ -22,7 +22,7 @@ use axum::response::sse::{self, Sse};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, get, post};
 use axum::{Extension, Json, Router};
-use futures_util::stream;
+use futures_util::{StreamExt, stream};
 use shared::recording::{Disk, Recording};
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
@@ -103,7 +103,8 @@ fn operations() -> Vec<(Operation, MethodRouter<Shared>)> {
             Operation::get_other(
                 "/events",
                 "text/event-stream",
-                "Every moment, ten a second: server-sent events whose data are those of `/live`.",
+                "Server-sent events: one named `minute` with the angles of the last minute, then ten a second whose data are \
+                 those of `/live`.",
             ),
             get(events),
         ),
@@ -202,7 +203,7 @@ async fn prometheus(State(service): State<Service>) -> Response {
     }
 }
 
-/// Every moment. A client that is slow misses some and holds up nobody.
+/// The last minute, then every moment. A client that is slow misses some and holds up nobody.
 async fn events(State(Shared { service, viewers, .. }): State<Shared>) -> Response {
     let Ok(permit) = viewers.try_acquire_owned() else {
         return refusal(
@@ -210,13 +211,15 @@ async fn events(State(Shared { service, viewers, .. }): State<Shared>) -> Respon
             "too many pages listen at a time; ask for /api/live now and then, or close one of them",
         );
     };
+    let minute = sse::Event::default().event("minute").json_data(service.minute());
+    let minute = stream::iter(minute.ok().map(Ok::<_, Infallible>));
     // It ends with the service, and so does the connection.
     let moments = stream::unfold((service.live(), permit), async |(mut latest, permit)| {
         latest.changed().await.ok()?;
         let moment = Arc::clone(&latest.borrow_and_update());
-        Some((Ok::<_, Infallible>(sse::Event::default().data(&moment.json)), (latest, permit)))
+        Some((Ok(sse::Event::default().data(&moment.json)), (latest, permit)))
     });
-    Sse::new(moments).into_response()
+    Sse::new(minute.chain(moments)).into_response()
 }
 
 /// The directory of the recordings and the spare one.
