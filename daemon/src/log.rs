@@ -89,6 +89,12 @@ impl Log {
     }
 }
 
+impl Drop for Log {
+    fn drop(&mut self) {
+        self.lines.flush();
+    }
+}
+
 /// As systemd says which file its journal reads.
 fn leads_to_journal(stream: &OwnedFd) -> bool {
     let told = std::env::var("JOURNAL_STREAM").unwrap_or_default();
@@ -171,12 +177,6 @@ impl Write for Event {
 
     fn flush(&mut self) -> io::Result<()> {
         Ok(())
-    }
-}
-
-impl Drop for Log {
-    fn drop(&mut self) {
-        self.lines.flush();
     }
 }
 

@@ -190,6 +190,8 @@ fn homing_without_a_service_or_a_bus_says_what_to_do() {
     assert!(String::from_utf8_lossy(&alone.stderr).contains("ballbard run"), "{alone:?}");
     let unknown = home(&["--bus", "eth99", "--config", config().to_str().unwrap()]);
     assert!(String::from_utf8_lossy(&unknown.stderr).contains("no network interface"), "{unknown:?}");
+    let elsewhere = home(&["--state", "elsewhere"]);
+    assert!(String::from_utf8_lossy(&elsewhere.stderr).contains("--state is for --bus"), "{elsewhere:?}");
     assert!(!config().join("homing.toml").exists());
 }
 

@@ -80,6 +80,11 @@ pub struct State {
 }
 
 impl State {
+    /// Somebody typed one.
+    pub fn is_given(&self) -> bool {
+        self.directory.is_some()
+    }
+
     fn directory(&self) -> PathBuf {
         let variable = |name| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
         let of_user = || {

@@ -36,6 +36,9 @@ pub fn run(arguments: HomeArguments) -> anyhow::Result<()> {
     let stopping = stop.clone();
     let work = move || match &arguments.bus {
         Some(bus) => on_own_bus(bus, arguments.service.configuration(), &arguments.state, &stop),
+        None if arguments.state.is_given() => {
+            bail!("--state is for --bus; the running service keeps marks where its own --state says")
+        }
         None => by_service(&arguments.service, &stop),
     };
     on_signal(work, |signal| stopping.stop(signal))

@@ -2,6 +2,7 @@
 
 use std::io::{Read, Write};
 use std::net::TcpStream;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use ballbard::control::status::Status;
@@ -103,4 +104,72 @@ fn more_clients_than_a_process_has_files_for_change_nothing_for_a_run() {
     assert!(service.ended(END_WITHIN).success());
     assert!(!service.recording("next").end.recovered);
     drop(crowd);
+}
+
+/// Resident memory of a process \[kB\].
+fn resident_kb(pid: u32) -> u64 {
+    let status = std::fs::read_to_string(format!("/proc/{pid}/status")).unwrap();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
+    line.trim_end_matches("kB").trim().parse().unwrap()
+}
+
+#[test]
+#[ignore = "takes 20 seconds, or as many as BALLBAR_SOAK_S says"]
+fn fifty_stuck_and_fifty_fast_clients_cost_a_run_no_cycle_and_the_service_no_memory() {
+    const CLIENTS: usize = 50;
+    /// What buffers and threads of the first clients take is there after this.
+    const WARM_UP: Duration = Duration::from_secs(8);
+    /// Less than what one answer left behind in a thousand would come to.
+    const GROWTH_KB_MAX: u64 = 16 << 10;
+    let soak_s = std::env::var("BALLBAR_SOAK_S").ok().and_then(|text| text.parse().ok()).unwrap_or(10);
+    let mut service = Running::start();
+    service.wait_for("waiting");
+    service.granted("start", &json!({"name": "soaked"}));
+    service.wait_for("writing");
+    let over = AtomicBool::new(false);
+    let answers = AtomicU64::new(0);
+    std::thread::scope(|scope| {
+        for number in 0..2 * CLIENTS {
+            let (service, over, answers) = (&service, &over, &answers);
+            scope.spawn(move || {
+                while !over.load(Ordering::Relaxed) {
+                    let first =
+                        ["GET /api/events", "GET /api/runs", "GET /api/live", "GET /api/st"][number % 4];
+                    let asked = if number % 8 == 3 { first.into() } else { head(service, first, 0) };
+                    let mut stream = connect(service);
+                    // A client that is sent away comes again.
+                    let _ = stream.write_all(asked.as_bytes());
+                    if number < CLIENTS {
+                        std::thread::sleep(Duration::from_secs(3));
+                        continue;
+                    }
+                    stream.set_read_timeout(Some(Duration::from_secs(1))).unwrap();
+                    let mut answer = [0; 4096];
+                    if stream
+                        .read(&mut answer)
+                        .is_ok_and(|length| answer[..length].starts_with(b"HTTP/1.1 200"))
+                    {
+                        answers.fetch_add(1, Ordering::Relaxed);
+                    }
+                    std::thread::sleep(Duration::from_millis(100));
+                }
+            });
+        }
+        std::thread::sleep(WARM_UP);
+        let before_kb = resident_kb(service.child.id());
+        std::thread::sleep(Duration::from_secs(soak_s));
+        let after_kb = resident_kb(service.child.id());
+        over.store(true, Ordering::Relaxed);
+        println!("{} answers, {before_kb} kB, then {after_kb} kB", answers.load(Ordering::Relaxed));
+        assert!(after_kb < before_kb + GROWTH_KB_MAX, "{before_kb} kB became {after_kb} kB");
+    });
+    assert!(answers.load(Ordering::Relaxed) > 100, "fast clients are not served");
+    let last = service.granted("stop", &json!({})).last.unwrap();
+    assert_eq!(last.cycles_lost, 0);
+    let recording = service.recording("soaked");
+    let (first, end) = (recording.cycles.first().unwrap(), recording.cycles.last().unwrap());
+    assert_eq!(end.cycle - first.cycle + 1, last.cycles);
+    assert!(last.cycles >= (soak_s + WARM_UP.as_secs()) * 100, "{} cycles", last.cycles);
+    service.signal(Signal::SIGTERM);
+    assert!(service.ended(END_WITHIN).success());
 }
