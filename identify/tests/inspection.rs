@@ -74,6 +74,31 @@ fn a_joint_that_does_not_move_is_suspected() {
 }
 
 #[test]
+fn a_column_that_freezes_for_a_while_is_suspected_by_name_and_a_joint_that_stands_is_not() {
+    let mut log = simulated().robot_log;
+    let (from, to) = (log.q_rad.len() / 4, log.q_rad.len() / 2);
+    let held = log.q_rad[from][1];
+    log.q_rad[from..to].iter_mut().for_each(|q| q[1] = held);
+    let told = inspect::robot_log(&log).suspicious.join("\n");
+    assert!(told.contains("q2 has the same number in every row from"), "{told}");
+    assert!(!told.contains("q1 has") && !told.contains("q3 has"), "{told}");
+    // One that stands goes on from there.
+    let by = log.q_rad[to][1] - held;
+    log.q_rad[to..].iter_mut().for_each(|q| q[1] -= by);
+    let told = inspect::robot_log(&log).suspicious.join("\n");
+    assert!(!told.contains("same number"), "{told}");
+}
+
+#[test]
+fn a_joint_that_is_faster_than_any_robot_is_suspected_with_its_speed() {
+    let mut log = simulated().robot_log;
+    let middle = log.q_rad.len() / 2;
+    log.q_rad[middle][2] += 1.0;
+    let told = inspect::robot_log(&log).suspicious.join("\n");
+    assert!(told.contains("q3 reaches 1") && told.contains("no robot is so fast"), "{told}");
+}
+
+#[test]
 fn joints_that_begin_anew_after_a_turn_are_as_fast_as_they_were() {
     let mut log = simulated().robot_log;
     let speed = |log: &RobotLog| inspect::robot_log(log).joints[5].speed_max_deg_s;

@@ -47,5 +47,6 @@ mod simulated_experiment;
 mod simulation;
 mod solver;
 mod solver_threads;
+mod stamps;
 mod unknown_tables;
 mod wrong_robot;

@@ -86,7 +86,9 @@ fn a_clock_that_jumps_is_told_with_time_and_size() {
             run.robot_log.q_rad.drain(at..at + surplus);
         }
         let told = refused(&run);
-        if jump_s == 0.3 {
+        // Read from a file, stamps that step while the motion goes on are none the worse; rows that are missing without a
+        // hole in the stamps are.
+        if jump_s == -0.04 {
             leaves_a_page(&run, &bar(), "a clock jumps during the run", &[]);
         }
         assert!(told.contains("a clock jumps during the run"), "{told}");

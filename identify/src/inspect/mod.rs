@@ -56,6 +56,14 @@ fn stamps(inspection: &mut Inspection, quality: &LogQuality) {
         "stamps",
         format!("every {:.2} ms, longest gap {:.1} ms", quality.period_s * 1e3, quality.longest_gap_s * 1e3),
     );
+    if let Some(stamps) = quality.stamps.as_ref().filter(|stamps| stamps.evened) {
+        let scatter =
+            format!("{:.2} ms from it, {:.1} ms at most", stamps.jitter_s * 1e3, stamps.jitter_max_s * 1e3);
+        inspection.fact(
+            "clock of the rows",
+            format!("every {:.4} ms; stamps are {scatter}", stamps.period_s * 1e3),
+        );
+    }
     if quality.duplicates_dropped > 0 {
         inspection.fact("repeated rows", format!("{} dropped", quality.duplicates_dropped));
     }

@@ -44,7 +44,62 @@ pub fn robot_log(log: &RobotLog) -> Inspection {
     unwrapped(&mut inspection, &begun_anew);
     inspection.joints = joint_lines('q', &log.t_s, &continuous.q_rad);
     suspect_still(&mut inspection);
+    suspect_frozen_columns(&mut inspection, log);
+    suspect_fast(&mut inspection);
     inspection
+}
+
+/// A joint that repeats itself exactly while others move was not read.
+fn suspect_frozen_columns(inspection: &mut Inspection, log: &RobotLog) {
+    /// How far another joint moves meanwhile \[rad\].
+    const OTHERS_RAD: f64 = 0.1;
+    /// A joint that stood goes on from where it stood, a column that froze leaps to where the joint is by now \[rad\].
+    const LEAP_RAD: f64 = 0.02;
+    let rows = &log.q_rad;
+    for joint in 0..log.axes() {
+        let of_joint = |row: usize| rows.get(row).map(|q| q[joint]);
+        let mut first = 0;
+        let frozen = rows.chunk_by(|a, b| a[joint] == b[joint]).find_map(|part| {
+            let (from, to) = (first, first + part.len());
+            first = to;
+            let moves = |other: usize| {
+                let ends = part.iter().map(|q| q[other]);
+                let (low, high) =
+                    ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| (low.min(q), high.max(q)));
+                high - low > OTHERS_RAD
+            };
+            let leaps = of_joint(to).is_none_or(|after| (after - part[0][joint]).abs() > LEAP_RAD);
+            let is_frozen = part.len() >= FROZEN_ROWS_MIN
+                && leaps
+                && (0..log.axes()).any(|other| other != joint && moves(other));
+            is_frozen.then(|| (log.t_s[from], log.t_s[to - 1]))
+        });
+        if let Some((from_s, to_s)) = frozen {
+            inspection.suspect(format!(
+                "q{} has the same number in every row from {from_s:.2} s to {to_s:.2} s while other joints move: its column is \
+                 frozen; check what the logger reads for it",
+                joint + 1
+            ));
+        }
+    }
+}
+
+/// Stamps or values are wrong where a joint is faster than any robot's.
+fn suspect_fast(inspection: &mut Inspection) {
+    /// Hands of small robots reach 1500 deg/s \[deg/s\].
+    const SPEED_MAX_DEG_S: f64 = 3000.0;
+    let fast: Vec<String> = inspection
+        .joints
+        .iter()
+        .filter(|joint| joint.speed_max_deg_s > SPEED_MAX_DEG_S)
+        .map(|joint| format!("{} reaches {:.0} deg/s", joint.name, joint.speed_max_deg_s))
+        .collect();
+    if !fast.is_empty() {
+        inspection.suspect(format!(
+            "{}: no robot is so fast; look for rows with a wrong stamp or a wrong angle",
+            fast.join(", ")
+        ));
+    }
 }
 
 /// Rows in stretches where every joint repeats itself exactly, and that end in a jump.

@@ -26,6 +26,7 @@ mod raw;
 mod reader;
 mod ros;
 mod rsi;
+mod sampling;
 mod spline;
 mod stamp;
 mod table;
@@ -51,6 +52,7 @@ pub use measured_pose::{
 };
 pub use pose_rows::{JointColumn, JointUnit, LengthUnit, joints_of_robot};
 pub use reader::{LogOptions, load, load_with, read, read_with};
+pub use sampling::{StampStep, Stamps};
 pub use spline::{CubicSpline, Row, SplinePoint};
 pub use text::{Cells, RowsAsText};
 pub use unwrapped::{Unwrapped, UnwrappedPoint};
@@ -103,9 +105,11 @@ pub struct LogQuality {
     pub frozen_dropped: usize,
     /// Rows in which a joint is missing or not a number; they are not used.
     pub incomplete_dropped: usize,
-    /// Median distance of two stamps \[s\].
+    /// The regular clock behind the stamps, where there is one.
+    pub stamps: Option<Stamps>,
+    /// Median distance of two rows \[s\].
     pub period_s: f64,
-    /// Longest distance of two stamps \[s\].
+    /// Longest distance of two rows \[s\].
     pub longest_gap_s: f64,
     /// What looks odd but is not wrong by itself, in sentences.
     pub remarks: Vec<String>,
@@ -120,7 +124,7 @@ pub struct RobotLog {
     pub clock: String,
     /// Measured or commanded values.
     pub origin: Origin,
-    /// First stamp as the file gives it \[ns on the log's clock\]. Its zero may be 1970, the controller's start or
+    /// Time of the first row \[ns on the log's clock\], as the file gives it but for jitter of the stamps. Its zero may be 1970, the controller's start or
     /// anything else.
     pub first_stamp_ns: i64,
     /// Stamps relative to the first \[s\], strictly increasing, the first is 0.
@@ -148,7 +152,7 @@ impl RobotLog {
         self.t_s.last().copied().unwrap_or(0.0)
     }
 
-    /// Stamp of row `index` as its file gives it \[ns\], if there is such a row.
+    /// Time of row `index` on the log's clock \[ns\], if there is such a row.
     pub fn stamp_ns(&self, index: usize) -> Option<i64> {
         self.t_s.get(index).map(|t_s| self.first_stamp_ns + (t_s * 1e9).round() as i64)
     }

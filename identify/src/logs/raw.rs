@@ -7,6 +7,7 @@ use shared::config::{AngleUnit, JointKind, LogConversion, RobotConfig};
 use super::force::FORCE_MAX;
 use super::mapping::RobotLogMapping;
 use super::pose_rows::joints_of_robot;
+use super::sampling::{Sampling, Stamps, sampling};
 use super::{
     ForceClock, ForceKind, ForceLog, JointConversion, LogError, LogFormat, LogQuality, Origin, ROWS_MIN,
     RobotLog,
@@ -58,7 +59,7 @@ impl From<RawRow> for KeptRow {
     }
 }
 
-/// Rows in the order of the file, stamps increasing.
+/// Rows in the order of the file, stamps not decreasing.
 pub(super) struct RawLog {
     path: PathBuf,
     /// What rows are called: `line`, `message` or `telegram`.
@@ -144,7 +145,7 @@ impl RawLog {
                 self.quality.duplicates_dropped += 1;
                 return Ok(());
             }
-            if row.stamp_ns <= before.stamp_ns {
+            if row.stamp_ns < before.stamp_ns {
                 let stamps = [(before.place, before.stamp_ns), (row.place, row.stamp_ns)];
                 return Err(LogError::time_not_increasing(&self.path, self.what, stamps[0], stamps[1]));
             }
@@ -170,14 +171,27 @@ impl RawLog {
         if self.rows.len() < ROWS_MIN {
             return Err(self.too_few());
         }
-        let q_rad: Vec<Joints> =
-            self.rows.iter().map(|row| meaning.conversion.to_joint(&row.joints)).collect();
+        let converted = |rows: &[KeptRow]| -> Vec<Joints> {
+            rows.iter().map(|row| meaning.conversion.to_joint(&row.joints)).collect()
+        };
+        let mut q_rad = converted(&self.rows);
         self.check_limits(&q_rad, meaning)?;
+        let sampled = sampling(&self.stamps_s(), &q_rad);
+        if sampled.is_none() && self.drop_equal() {
+            q_rad = converted(&self.rows);
+        }
+        if self.rows.len() < ROWS_MIN {
+            return Err(self.too_few());
+        }
+        let (mut t_s, stamps) = match sampled {
+            Some(Sampling { t_s, stamps }) => (t_s, Some(stamps)),
+            None => (self.stamps_s(), None),
+        };
+        self.quality.stamps = stamps;
+        let begins_s = t_s.first().copied().unwrap_or_default();
+        t_s.iter_mut().for_each(|t_s| *t_s -= begins_s);
         let first_stamp_ns = self.rows.first().map_or(0, |row| row.stamp_ns);
-        // 128 bits: two stamps may be further apart than 292 years.
-        let since_first_s =
-            |row: &KeptRow| (i128::from(row.stamp_ns) - i128::from(first_stamp_ns)) as f64 * 1e-9;
-        let t_s: Vec<f64> = self.rows.iter().map(since_first_s).collect();
+        let first_stamp_ns = first_stamp_ns.saturating_add((begins_s * 1e9).round() as i64);
         let all = |of: fn(&More) -> Option<Joints>| {
             self.rows.iter().map(|row| of(row.more.as_ref()?)).collect::<Option<Vec<_>>>()
         };
@@ -240,6 +254,28 @@ impl RawLog {
         self.quality.frozen_dropped = frozen.iter().filter(|&&frozen| frozen).count();
         let mut frozen = frozen.into_iter();
         self.rows.retain(|_| !frozen.next().unwrap_or(false));
+    }
+
+    /// Stamps since the first \[s\].
+    fn stamps_s(&self) -> Vec<f64> {
+        let first_ns = self.rows.first().map_or(0, |row| row.stamp_ns);
+        // 128 bits: two stamps may be further apart than 292 years.
+        let since_first_s = |row: &KeptRow| (i128::from(row.stamp_ns) - i128::from(first_ns)) as f64 * 1e-9;
+        self.rows.iter().map(since_first_s).collect()
+    }
+
+    /// Of rows with one stamp only the first has a time, where no clock says more; whether there were any.
+    fn drop_equal(&mut self) -> bool {
+        let rows = self.rows.len();
+        self.rows.dedup_by(|row, before| row.stamp_ns <= before.stamp_ns);
+        let dropped = rows - self.rows.len();
+        if dropped > 0 {
+            self.remarks.push(format!(
+                "{dropped} {}s have the stamp of the one before, and no regular clock is behind the stamps; they are left out",
+                self.what
+            ));
+        }
+        dropped > 0
     }
 
     fn too_few(&self) -> LogError {
@@ -321,6 +357,7 @@ impl RawLog {
         quality.period_s = steps_s.get(steps_s.len() / 2).copied().unwrap_or_default();
         quality.longest_gap_s = steps_s.last().copied().unwrap_or_default();
         quality.remarks.append(&mut self.remarks);
+        quality.remarks.extend(quality.stamps.iter().flat_map(Stamps::remarks).collect::<Vec<_>>());
         if (0..q_rad.first().map_or(0, |q| q.len())).all(|joint| span_deg(joint) < MOTION_DEG_MIN) {
             quality.remarks.push(format!(
                 "no joint moves by {MOTION_DEG_MIN} deg in the whole log: radians in columns named as degrees, or the \

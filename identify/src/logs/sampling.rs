@@ -1,0 +1,518 @@
+//! The regular clock behind the stamps of a log.
+//!
+//! Controllers sample by a clock that is even to microseconds, and stamp by one that may be rounded, read late, or once for
+//! several rows. The stamp of row `k` is `offset + n_k period + steps + jitter`, with whole `n_k` that leaves out lost rows.
+//! How many periods lie between two rows the motion says better than the stamps, as long as the robot moves evenly: a row
+//! that is missing leaves a step of twice the usual size. The rest is least squares with a robust loss.
+
+use std::ops::Range;
+
+use nalgebra::{DMatrix, DVector};
+
+use super::ROWS_MIN;
+use crate::kinematics::Joints;
+
+/// The stamps of a log against the regular clock behind them.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Stamps {
+    /// Rows have the times of the clock, not their stamps.
+    pub evened: bool,
+    /// Period of the clock \[s\].
+    pub period_s: f64,
+    /// How far stamps are from it, root mean square \[s\].
+    pub jitter_s: f64,
+    /// ...and at most \[s\].
+    pub jitter_max_s: f64,
+    /// Stamps are whole multiples of this \[s\], coarser than they scatter.
+    pub rounded_to_s: Option<f64>,
+    /// Rows with the stamp of the row before.
+    pub equal: usize,
+    /// Periods of the clock without a row.
+    pub missing: usize,
+    /// Where the stamps step although the motion goes on.
+    pub steps: Vec<StampStep>,
+}
+
+/// A step of the stamps that the motion does not share.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StampStep {
+    /// Stamp of the first row after it, since the first of the log \[s\].
+    pub at_s: f64,
+    /// Later rows are stamped so much too late \[s\].
+    pub by_s: f64,
+}
+
+/// Stamps that scatter by less than this are taken as they are \[s\]: the fastest joint of a calibration turns by 5 urad in it,
+/// less than any encoder of it resolves.
+const EVEN_S: f64 = 5e-6;
+/// Steps of the clock smaller than this are not looked for \[s\].
+const STEP_S_MIN: f64 = 1e-4;
+/// A step is larger than so many standard deviations of the jitter: of means of [`BESIDE`] rows this is ten.
+const STEP_SIGMAS: f64 = 3.0;
+/// A step is seen by at least so many rows to either side...
+const BESIDE: usize = 25;
+/// ...and by this time \[s\]: rows that are held up come later, but not for so long.
+const BESIDE_S: f64 = 0.5;
+/// A log with more steps than this has no regular clock.
+const STEPS_MAX: usize = 40;
+/// Rows to either side whose joint steps say how far the robot goes in one period.
+const NEIGHBOURS: usize = 6;
+/// Steps are a multiple of the usual one within this part of it, and the usual one changes by no more.
+const WHOLE: f64 = 0.2;
+/// Of more periods than these the motion does not say how many they are.
+const PERIODS_MAX: f64 = 4.0;
+/// So many of the neighbours must be whole: steps that only rounding makes would be so once in a thousand rows.
+const NEIGHBOURS_WHOLE: usize = 10;
+/// Smaller steps of all joints are standstill \[rad, m\].
+const STEP_RAD_MIN: f64 = 50e-6;
+/// Rows over which the period is measured at first, and the part of such stretches at either end that has a step of the clock.
+const LAG: usize = 32;
+const STEPS_PART: f64 = 0.02;
+/// The rate of a clock follows temperature over minutes: it is free to change at this distance \[s\].
+const KNOTS_S: f64 = 60.0;
+/// Knots at most.
+const KNOTS_MAX: usize = 200;
+/// Rounded stamps are off by 0.29 of their step, root mean square; where the clock keeps to the steps they are not off at all.
+const ROUNDED_SIGMA: f64 = 0.1;
+/// Finer steps of stamps are those of the format \[s\].
+const ROUNDED_S_MIN: f64 = 2e-4;
+/// Even times are right where they make the motion as smooth as the stamps do, but for this factor.
+const AS_SMOOTH: f64 = 1.1;
+
+/// Scatter of less is not worth a word \[s\]: the fastest joint of a calibration turns by 50 urad in it.
+const SCATTER_S: f64 = 5e-5;
+
+impl Stamps {
+    /// What to know of rows that have the times of the clock, in sentences.
+    pub(super) fn remarks(&self) -> Vec<String> {
+        let Self { evened, jitter_s, rounded_to_s, equal, missing, steps, .. } = self;
+        if !evened {
+            return Vec::new();
+        }
+        let mut how = Vec::new();
+        match rounded_to_s {
+            Some(step_s) => how.push(format!("the stamps are rounded to {:.1} ms", step_s * 1e3)),
+            None if *jitter_s > SCATTER_S => {
+                how.push(format!("the stamps scatter by {:.2} ms", jitter_s * 1e3))
+            }
+            None => {}
+        }
+        for (count, what) in [(equal, "rows have the stamp of the one before"), (missing, "rows are missing")]
+        {
+            if *count > 0 {
+                how.push(format!("{count} {what}"));
+            }
+        }
+        let rows = (!how.is_empty()).then(|| {
+            let how = how.join(", ");
+            format!("{how}: rows have the times of the regular clock behind them; log the controller's sampling time if possible")
+        });
+        let steps = steps.iter().map(|StampStep { at_s, by_s }| {
+            format!(
+                "the stamps step by {:+.2} ms at {at_s:.2} s although the motion goes on evenly: later rows have times \
+                 without it; find out what sets the clock",
+                by_s * 1e3
+            )
+        });
+        rows.into_iter().chain(steps).collect()
+    }
+}
+
+/// The times of a log.
+pub(super) struct Sampling {
+    /// Time of each row \[s\], strictly increasing; the first need not be 0.
+    pub t_s: Vec<f64>,
+    pub stamps: Stamps,
+}
+
+/// The regular clock behind the stamps `t_s`, which must not decrease; none where there is none.
+pub(super) fn sampling(t_s: &[f64], rows: &[Joints]) -> Option<Sampling> {
+    let as_it_is = |stamps: Stamps| Sampling { t_s: t_s.to_vec(), stamps };
+    // The motion is asked only where there is something to ask: long logs have millions of rows.
+    let even = even_already(t_s);
+    if let Some((stamps, _)) = even.as_ref().filter(|(stamps, _)| stamps.missing == 0) {
+        return Some(as_it_is(stamps.clone()));
+    }
+    let motion = by_motion(rows);
+    let agrees =
+        |periods: &[f64]| motion.iter().zip(periods).all(|(one, other)| one.is_none_or(|one| one == *other));
+    if let Some((stamps, _)) = even.filter(|(_, periods)| agrees(periods)) {
+        return Some(as_it_is(stamps));
+    }
+    // Of a robot that hardly moves nobody can tell whether its stamps are right.
+    if motion.iter().flatten().count() < ROWS_MIN {
+        return None;
+    }
+    let period_s = period(t_s, &motion)?;
+    let mut numbers = numbers(t_s, &motion, period_s);
+    let rest = |numbers: &[f64]| -> Vec<f64> {
+        t_s.iter().zip(numbers).map(|(t_s, number)| t_s - period_s * number).collect()
+    };
+    let mut rest_s = rest(&numbers);
+    let mut breaks_at = breaks(&rest_s, period_s)?;
+    let mut fit = Fit::new(&rest_s, &numbers, period_s, &breaks_at)?;
+    if recounted(&mut numbers, &motion, &breaks_at, &fit.steps_s, period_s) {
+        rest_s = rest(&numbers);
+        breaks_at = breaks(&rest_s, period_s)?;
+        fit = Fit::new(&rest_s, &numbers, period_s, &breaks_at)?;
+    }
+    let rounded_to_s = rounded_to(t_s);
+    // Where the period is a multiple of what stamps are rounded to they step by one such part now and then.
+    let is_step = |by_s: &f64| rounded_to_s.is_none_or(|part_s| (by_s.abs() - part_s).abs() > STEP_S_MIN);
+    if !fit.steps_s.iter().all(is_step) {
+        let mut kept = fit.steps_s.iter().map(is_step);
+        breaks_at.retain(|_| kept.next().unwrap_or(true));
+        fit = Fit::new(&rest_s, &numbers, period_s, &breaks_at)?;
+    }
+    // About a hole of the log the motion says nothing, and where a step is, is known to some rows.
+    let sure = |at: usize| {
+        let about = motion.get(at.saturating_sub(NEIGHBOURS)..at + NEIGHBOURS);
+        about.is_some_and(|about| about.iter().all(Option::is_some))
+    };
+    let (mut steps, mut stays_s) = (Vec::new(), vec![0.0; breaks_at.len()]);
+    for (place, (&at, &by_s)) in breaks_at.iter().zip(&fit.steps_s).enumerate() {
+        // Where the robot stands nobody knows how long: the stamps are believed.
+        if sure(at) { steps.push(StampStep { at_s: t_s[at], by_s }) } else { stays_s[place] = by_s }
+    }
+    let even = |row: usize| {
+        let stays: f64 =
+            breaks_at.iter().zip(&stays_s).filter(|(at, _)| **at <= row).map(|(_, by_s)| by_s).sum();
+        period_s * numbers[row] + fit.smooth_s[row] + stays
+    };
+    let even_s: Vec<f64> = (0..t_s.len()).map(even).collect();
+    let mut scatter_s: Vec<f64> = (0..t_s.len()).map(|row| (rest_s[row] - fit.whole_s[row]).abs()).collect();
+    scatter_s.sort_by(f64::total_cmp);
+    let jitter_s = rms(&scatter_s);
+    let equal = t_s.windows(2).filter(|pair| pair[1] <= pair[0]).count();
+    let stamps = Stamps {
+        evened: jitter_s > EVEN_S || equal > 0 || !steps.is_empty(),
+        period_s: period_s + fit.slope_s,
+        jitter_s,
+        jitter_max_s: scatter_s.last().copied().unwrap_or_default(),
+        rounded_to_s: rounded_to_s.filter(|step_s| jitter_s > ROUNDED_SIGMA * step_s),
+        equal,
+        missing: numbers.windows(2).map(|pair| pair[1] - pair[0] - 1.0).sum::<f64>() as usize,
+        steps,
+    };
+    if !stamps.evened {
+        return Some(as_it_is(stamps));
+    }
+    let increases = even_s.windows(2).all(|pair| pair[1] > pair[0]);
+    let is_right = increases && roughness(&even_s, rows) <= AS_SMOOTH * roughness(t_s, rows);
+    is_right.then_some(Sampling { t_s: even_s, stamps })
+}
+
+/// What stamps are whose distances are all whole multiples of the usual one, and these.
+fn even_already(t_s: &[f64]) -> Option<(Stamps, Vec<f64>)> {
+    let mut steps_s: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let usual_s = median(&mut steps_s.clone())?;
+    let periods: Vec<f64> = steps_s.iter().map(|step_s| (step_s / usual_s).round()).collect();
+    steps_s
+        .iter_mut()
+        .zip(&periods)
+        .for_each(|(step_s, periods)| *step_s = (*step_s - periods * usual_s).abs());
+    let is_even =
+        periods.iter().all(|periods| *periods >= 1.0) && steps_s.iter().all(|off_s| *off_s <= EVEN_S);
+    let missing = periods.iter().map(|periods| periods - 1.0).sum::<f64>();
+    // A clock that has no row at most of its instants is none.
+    (is_even && missing < periods.len() as f64).then(|| {
+        let jitter_max_s = steps_s.iter().copied().fold(0.0, f64::max);
+        let (jitter_s, missing) = (rms(&steps_s), missing as usize);
+        (Stamps { period_s: usual_s, jitter_s, jitter_max_s, missing, ..Stamps::default() }, periods)
+    })
+}
+
+/// The step of which all stamps are multiples, beside one offset.
+fn rounded_to(t_s: &[f64]) -> Option<f64> {
+    /// Stamps are written to microseconds or better.
+    const WRITTEN_S: f64 = 1.5e-6;
+    /// Parts that the least distance has at most.
+    const PARTS_MAX: u32 = 32;
+    let first_s = *t_s.first()?;
+    let steps_s = t_s.windows(2).map(|pair| pair[1] - pair[0]).filter(|step_s| *step_s > WRITTEN_S);
+    let least_s = steps_s.fold(f64::INFINITY, f64::min);
+    let mut multiples =
+        (1..=PARTS_MAX).map(|part| least_s / f64::from(part)).filter(|step_s| *step_s > ROUNDED_S_MIN);
+    multiples.find_map(|step_s| {
+        // The last stamp of all gives the step as finely as it can be told.
+        let whole_s = (t_s.last()? - first_s) / ((t_s.last()? - first_s) / step_s).round();
+        let off =
+            |t_s: &f64| ((t_s - first_s) / whole_s - ((t_s - first_s) / whole_s).round()).abs() * whole_s;
+        t_s.iter().all(|t_s| off(t_s) < WRITTEN_S).then_some(whole_s)
+    })
+}
+
+fn rms(values: &[f64]) -> f64 {
+    (values.iter().map(|value| value * value).sum::<f64>() / values.len().max(1) as f64).sqrt()
+}
+
+fn median(values: &mut [f64]) -> Option<f64> {
+    let middle = values.len() / 2;
+    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
+}
+
+/// Periods from each row to the next as far as the motion says.
+fn by_motion(rows: &[Joints]) -> Vec<Option<f64>> {
+    /// Where many rows are missing, those that are known show what is usual about the others.
+    const PASSES: usize = 3;
+    let steps: Vec<Joints> = rows.windows(2).map(|pair| difference(&pair[1], &pair[0])).collect();
+    let mut periods = vec![Some(1.0); steps.len()];
+    for _ in 0..PASSES {
+        periods = (0..steps.len()).map(|at| periods_at(&steps, &periods, at)).collect();
+    }
+    periods
+}
+
+fn difference(a: &Joints, b: &Joints) -> Joints {
+    a.iter().zip(b).map(|(a, b)| a - b).collect()
+}
+
+fn squared(step: &Joints) -> f64 {
+    step.iter().map(|one| one * one).sum()
+}
+
+/// How many of the usual steps about it a step is; `periods` says what is known of those.
+fn periods_at(steps: &[Joints], periods: &[Option<f64>], at: usize) -> Option<f64> {
+    let sides = [at.checked_sub(NEIGHBOURS)?..at, at + 1..at + 1 + NEIGHBOURS];
+    let usual = |side: &Range<usize>| -> Option<Joints> {
+        let known = steps.get(side.clone())?.iter().zip(&periods[side.clone()]);
+        let known: Vec<(&Joints, f64)> =
+            known.filter_map(|(step, periods)| Some((step, (*periods)?))).collect();
+        let of = |axis: usize| {
+            median(&mut known.iter().map(|(step, periods)| step[axis] / periods).collect::<Vec<_>>())
+        };
+        (known.len() > NEIGHBOURS / 2)
+            .then(|| Joints::from_fn(steps[at].len(), |axis| of(axis).unwrap_or_default()))
+    };
+    let [one, other] = [usual(&sides[0])?, usual(&sides[1])?];
+    let unit: Joints = one.iter().zip(&other).map(|(a, b)| 0.5 * (a + b)).collect();
+    let unit_squared = squared(&unit);
+    let whole = |step: &Joints| {
+        let times = step.iter().zip(&unit).map(|(a, b)| a * b).sum::<f64>() / unit_squared;
+        let aside = squared(&difference(step, &unit.map(|one| times * one)));
+        let is_whole =
+            (1.0 - WHOLE..PERIODS_MAX + WHOLE).contains(&times) && (times - times.round()).abs() < WHOLE;
+        (is_whole && aside < WHOLE * WHOLE * squared(step)).then(|| times.round())
+    };
+    let is_even = unit_squared > STEP_RAD_MIN.powi(2)
+        && squared(&difference(&one, &other)) < WHOLE * WHOLE * unit_squared;
+    let neighbours =
+        || sides.iter().flat_map(|side| &steps[side.clone()]).filter(|step| whole(step).is_some()).count();
+    if is_even && neighbours() >= NEIGHBOURS_WHOLE { whole(&steps[at]) } else { None }
+}
+
+/// Mean of the values but for this part of them at either end.
+fn trimmed_mean(mut values: Vec<f64>, part: f64) -> Option<f64> {
+    values.sort_by(f64::total_cmp);
+    let ends = (part * values.len() as f64) as usize;
+    let kept = values.get(ends..values.len() - ends).filter(|kept| !kept.is_empty())?;
+    Some(kept.iter().sum::<f64>() / kept.len() as f64)
+}
+
+/// The period \[s\], from stretches in which the motion says how many there are; without motion from the stamps alone.
+fn period(t_s: &[f64], motion: &[Option<f64>]) -> Option<f64> {
+    let of = |from: usize| {
+        let periods: Option<f64> = motion.get(from..from + LAG)?.iter().copied().sum();
+        Some((t_s[from + LAG] - t_s[from]) / periods?)
+    };
+    let sure: Vec<f64> = (0..t_s.len()).filter_map(of).collect();
+    let period_s = if sure.len() > LAG {
+        trimmed_mean(sure, STEPS_PART)
+    } else {
+        let each = median(&mut t_s.windows(2).map(|pair| pair[1] - pair[0]).collect::<Vec<_>>());
+        let over = |pair: &[f64]| (pair[LAG] - pair[0]) / LAG as f64;
+        each.filter(|each| *each > 0.0)
+            .or_else(|| trimmed_mean(t_s.windows(LAG + 1).map(over).collect(), STEPS_PART))
+    };
+    period_s.filter(|period_s| *period_s > 0.0)
+}
+
+/// Number of each row on the clock, from 0. Where the motion is silent a row follows the one before it, but where it and those
+/// after it are further away than jitter explains.
+fn numbers(t_s: &[f64], motion: &[Option<f64>], period_s: f64) -> Vec<f64> {
+    /// The phase follows the stamps over so many rows: the period is known to a thousandth, so that it lags by less than
+    /// half of one, and rows that are missing do not draw it along.
+    const PHASE_ROWS: f64 = 200.0;
+    /// A row is further away where three quarters of those that follow for so long are, too \[s\]: rows that are held up are
+    /// late, but not for so long.
+    const LASTS_S: f64 = 0.1;
+    let lasts = ((LASTS_S / period_s) as usize).max(5);
+    let scatter_s = |from: usize| {
+        let mut at = 0.0;
+        let known = motion.get(from..from + LAG)?.iter().zip(&t_s[from + 1..]);
+        let rest: Option<Vec<f64>> = known
+            .map(|(periods, t_s)| {
+                at += (*periods)?;
+                Some(t_s - period_s * at)
+            })
+            .collect();
+        let rest = rest?;
+        let mean = rest.iter().sum::<f64>() / rest.len() as f64;
+        Some(rest.iter().map(|rest| (rest - mean).abs()).sum::<f64>() / rest.len() as f64)
+    };
+    let mut scatters: Vec<f64> = (0..t_s.len()).step_by(LAG).filter_map(scatter_s).collect();
+    // Twice the standard deviation: of a normal distribution the mean size is 0.8 of it.
+    let beyond = (2.5 * median(&mut scatters).unwrap_or_default() / period_s).max(0.5);
+    let first = t_s.iter().take(lasts).zip(0..).map(|(t_s, number)| t_s - period_s * f64::from(number));
+    let mut phase_s = median(&mut first.collect::<Vec<_>>()).unwrap_or_default();
+    let mut numbers = vec![0.0];
+    for (row, motion) in (1..t_s.len()).zip(motion) {
+        let before = numbers.last().copied().unwrap_or_default();
+        let further = || {
+            let next = t_s[row..].iter().take(lasts).zip(1..);
+            let mut late: Vec<f64> =
+                next.map(|(t_s, periods)| (t_s - phase_s) / period_s - before - f64::from(periods)).collect();
+            if late.len() < lasts {
+                return 0.0;
+            }
+            let itself = late.first().copied().unwrap_or_default();
+            late.sort_by(f64::total_cmp);
+            late.get(late.len() / 4).copied().unwrap_or_default().min(itself)
+        };
+        let periods = motion.unwrap_or_else(|| {
+            let late = further();
+            if late > beyond { 1.0 + late.round() } else { 1.0 }
+        });
+        let number = before + periods;
+        let error_s = t_s[row] - phase_s - period_s * number;
+        phase_s += error_s.clamp(-beyond * period_s, beyond * period_s) / PHASE_ROWS;
+        numbers.push(number);
+    }
+    numbers
+}
+
+/// First rows after a step of what the stamps have beside a regular clock; none where it steps all the time.
+fn breaks(rest_s: &[f64], period_s: f64) -> Option<Vec<usize>> {
+    /// Part of the largest difference that places near the step have, too.
+    const NEARLY: f64 = 0.9;
+    let beside = BESIDE.max((BESIDE_S / period_s) as usize);
+    // The mean of the middle half: a median of stamps that are rounded leaps from one multiple to the next.
+    let middle = |range: Range<usize>| trimmed_mean(rest_s[range].to_vec(), 0.25).unwrap_or_default();
+    let step_s = |at: usize| (middle(at..at + beside) - middle(at - beside..at)).abs();
+    let scatter = |from: usize| {
+        let middle_s = middle(from..from + beside);
+        rest_s[from..from + beside].iter().map(|rest| (rest - middle_s).abs()).sum::<f64>() / beside as f64
+    };
+    let end = (rest_s.len() + 1).saturating_sub(beside);
+    let mut scatters: Vec<f64> = (0..end).step_by(beside).map(scatter).collect();
+    // Of a normal distribution the mean size is 0.8 standard deviations.
+    let limit_s = (STEP_SIGMAS * 1.25 * median(&mut scatters)?).max(STEP_S_MIN);
+    let mut found: Vec<usize> = Vec::new();
+    let mut at = beside;
+    while at < end {
+        if step_s(at) <= limit_s {
+            at += (beside / 5).max(1);
+            continue;
+        }
+        let sizes: Vec<(usize, f64)> = (at..(at + 2 * beside).min(end)).map(|at| (at, step_s(at))).collect();
+        let largest_s = sizes.iter().map(|(_, size_s)| *size_s).fold(0.0, f64::max);
+        // Means of many rows say the place by a few rows only; the step itself is between two.
+        let sharp = |at: usize| (rest_s[at] - rest_s[at - 1]).abs();
+        let near = sizes.iter().filter(|(_, size_s)| *size_s > NEARLY * largest_s).map(|(at, _)| *at);
+        let best = near.max_by(|a, b| sharp(*a).total_cmp(&sharp(*b)))?;
+        found.push(best);
+        if found.len() > STEPS_MAX {
+            return None;
+        }
+        at = best + beside;
+    }
+    Some(found)
+}
+
+/// Steps of whole periods near rows of which the motion is silent: rows were missing there, or were not.
+fn recounted(
+    numbers: &mut [f64],
+    motion: &[Option<f64>],
+    breaks: &[usize],
+    steps_s: &[f64],
+    period_s: f64,
+) -> bool {
+    let near = BESIDE.max((BESIDE_S / period_s) as usize);
+    let mut any = false;
+    for (&at, step_s) in breaks.iter().zip(steps_s) {
+        let by = (step_s / period_s).round();
+        if by == 0.0 || (step_s / period_s - by).abs() > WHOLE {
+            continue;
+        }
+        let silent = (at.saturating_sub(near).max(1)..(at + near).min(numbers.len()))
+            .filter(|row| motion[row - 1].is_none() && numbers[*row] - numbers[row - 1] + by >= 1.0);
+        if let Some(row) = silent.min_by_key(|row| row.abs_diff(at)) {
+            numbers[row..].iter_mut().for_each(|number| *number += by);
+            any = true;
+        }
+    }
+    any
+}
+
+/// The rest of the stamps as a line with a bend at each knot, and a step at each break.
+struct Fit {
+    /// Without and with the steps, row by row \[s\].
+    smooth_s: Vec<f64>,
+    whole_s: Vec<f64>,
+    steps_s: Vec<f64>,
+    /// How much longer than assumed a period is \[s\].
+    slope_s: f64,
+}
+
+impl Fit {
+    fn new(rest_s: &[f64], numbers: &[f64], period_s: f64, breaks: &[usize]) -> Option<Self> {
+        /// Residuals beyond so many standard deviations are drawn in (Huber).
+        const HUBER: f64 = 1.345;
+        const ROUNDS: usize = 8;
+        let last = numbers.last()?.max(1.0);
+        let pieces = ((last * period_s / KNOTS_S).ceil() as usize).clamp(1, KNOTS_MAX);
+        let columns = pieces + 1 + breaks.len();
+        let entries = |row: usize| {
+            let at = numbers[row] / last * pieces as f64;
+            let knot = (at as usize).min(pieces - 1);
+            let part = at - knot as f64;
+            let stepped = breaks.partition_point(|first| *first <= row);
+            (knot, part, stepped)
+        };
+        let mut x = DVector::<f64>::zeros(columns);
+        let value = |x: &DVector<f64>, row: usize| {
+            let (knot, part, stepped) = entries(row);
+            let smooth = (1.0 - part) * x[knot] + part * x[knot + 1];
+            (smooth, smooth + x.rows(pieces + 1, stepped).sum())
+        };
+        let mut sigma_s = f64::INFINITY;
+        for _ in 0..ROUNDS {
+            let (mut matrix, mut right) =
+                (DMatrix::<f64>::zeros(columns, columns), DVector::<f64>::zeros(columns));
+            for (row, rest) in rest_s.iter().enumerate() {
+                let weight = (HUBER * sigma_s / (rest - value(&x, row).1).abs()).min(1.0);
+                let weight = if weight.is_finite() { weight } else { 1.0 };
+                let (knot, part, stepped) = entries(row);
+                let mut all = vec![(knot, 1.0 - part), (knot + 1, part)];
+                all.extend((0..stepped).map(|step| (pieces + 1 + step, 1.0)));
+                for &(i, a) in &all {
+                    right[i] += weight * a * rest;
+                    all.iter().for_each(|&(j, b)| matrix[(i, j)] += weight * a * b);
+                }
+            }
+            // A piece without rows follows its neighbours.
+            (0..columns).for_each(|i| matrix[(i, i)] += 1e-9 * (1.0 + matrix[(i, i)]));
+            x = matrix.cholesky()?.solve(&right);
+            let mut left: Vec<f64> =
+                rest_s.iter().enumerate().map(|(row, rest)| (rest - value(&x, row).1).abs()).collect();
+            sigma_s = (1.48 * median(&mut left)?).max(1e-9);
+        }
+        let values: Vec<(f64, f64)> = (0..rest_s.len()).map(|row| value(&x, row)).collect();
+        let slope_s = (x[pieces] - x[0]) / last;
+        let steps_s = x.rows(pieces + 1, breaks.len()).iter().copied().collect();
+        let (smooth_s, whole_s) = values.into_iter().unzip();
+        Some(Self { smooth_s, whole_s, steps_s, slope_s })
+    }
+}
+
+/// How far rows are from the straight lines between their neighbours, root mean square over all that have some time between
+/// these.
+fn roughness(t_s: &[f64], rows: &[Joints]) -> f64 {
+    let off = |(t, q): (&[f64], &[Joints])| -> f64 {
+        let span_s = t[2] - t[0];
+        let part = if span_s > 0.0 { (t[1] - t[0]) / span_s } else { 0.5 };
+        (0..q[0].len()).map(|axis| (q[1][axis] - (1.0 - part) * q[0][axis] - part * q[2][axis]).powi(2)).sum()
+    };
+    let squares: Vec<f64> = t_s.windows(3).zip(rows.windows(3)).map(off).collect();
+    (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt()
+}

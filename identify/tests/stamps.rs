@@ -1,0 +1,186 @@
+//! Logs whose stamps are written as controllers write them: rows get the times of the regular clock behind the stamps.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::path::Path;
+
+use identify::inspect;
+use identify::kinematics::Joints;
+use identify::logs::{RobotLog, Stamps, read, write};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
+
+use crate::support::irb2400;
+
+/// Five joints in smooth motion between rests, for a minute.
+fn log(rate_hz: f64) -> RobotLog {
+    let t_s: Vec<f64> = (0..(60.0 * rate_hz) as usize).map(|row| row as f64 / rate_hz).collect();
+    let at = |t_s: f64| {
+        // Rests of a second every 20 s.
+        let along = t_s - (std::f64::consts::TAU * t_s / 20.0).sin() * 20.0 / std::f64::consts::TAU;
+        Joints::from_fn(6, |joint| 0.4 * (along * (0.5 + 0.13 * joint as f64) + joint as f64).sin())
+    };
+    RobotLog { q_rad: t_s.iter().map(|t_s| at(*t_s)).collect(), t_s, ..RobotLog::default() }
+}
+
+/// The log as it comes back from a file with these stamps \[s\].
+fn read_back(log: &RobotLog, stamps_s: Vec<f64>) -> RobotLog {
+    let mut text = String::from_utf8({
+        let mut bytes = Vec::new();
+        write(log, &irb2400(), &mut bytes).unwrap();
+        bytes
+    })
+    .unwrap();
+    let mut stamps_s = stamps_s.into_iter();
+    let begins = |line: &str| line.starts_with(|first: char| first.is_ascii_digit() || first == '-');
+    let lines = text.lines().map(|line| match line.split_once(',') {
+        Some((_, rest)) if begins(line) => format!("{:.6},{rest}\n", stamps_s.next().unwrap() + 100.0),
+        _ => format!("{line}\n"),
+    });
+    text = lines.collect();
+    read(text.as_bytes(), Path::new("log.csv"), &irb2400()).unwrap()
+}
+
+/// Largest difference of two clocks but for shift and rate, which a calibration finds \[s\].
+fn apart_s(a: &[f64], b: &[f64]) -> f64 {
+    assert_eq!(a.len(), b.len());
+    let middle = 0.5 * (a.len() - 1) as f64;
+    let by: Vec<f64> = a.iter().zip(b).map(|(a, b)| a - b).collect();
+    let mean = by.iter().sum::<f64>() / by.len() as f64;
+    let (mut along, mut squares) = (0.0, 0.0);
+    for (row, by) in by.iter().enumerate() {
+        along += (row as f64 - middle) * (by - mean);
+        squares += (row as f64 - middle).powi(2);
+    }
+    let left = |(row, by): (usize, &f64)| by - mean - along / squares * (row as f64 - middle);
+    by.iter().enumerate().map(left).fold(0.0, |most, left| most.max(left.abs()))
+}
+
+fn never_back(mut stamps_s: Vec<f64>) -> Vec<f64> {
+    (1..stamps_s.len()).for_each(|row| stamps_s[row] = stamps_s[row].max(stamps_s[row - 1] + 1e-6));
+    stamps_s
+}
+
+fn jittered(times_s: &[f64], sigma_s: f64, random: &mut ChaCha8Rng) -> Vec<f64> {
+    let noise = Normal::new(0.0, sigma_s).unwrap();
+    never_back(times_s.iter().map(|t_s| t_s + noise.sample(random)).collect())
+}
+
+fn stamps(log: &RobotLog) -> &Stamps {
+    log.quality.stamps.as_ref().unwrap()
+}
+
+#[test]
+fn stamps_of_every_kind_lead_back_to_the_clock_behind_them() {
+    for rate_hz in [50.0, 250.0, 1000.0] {
+        let log = log(rate_hz);
+        let mut random = ChaCha8Rng::seed_from_u64(7);
+        // The controller's clock is 37 ppm fast.
+        let times_s: Vec<f64> = log.t_s.iter().map(|t_s| t_s * (1.0 + 37e-6)).collect();
+        let rounded = |step_ms: f64| {
+            let step_s = step_ms * 1e-3;
+            times_s.iter().map(|t_s| (t_s / step_s).round() * step_s).collect::<Vec<f64>>()
+        };
+        let batched: Vec<f64> = (0..times_s.len())
+            .map(|row| times_s[(row / 5 * 5 + 4).min(times_s.len() - 1)] + (row % 5) as f64 * 20e-6)
+            .collect();
+        let mut equal = times_s.clone();
+        (1..equal.len()).filter(|_| random.random_bool(0.05)).for_each(|row| equal[row] = equal[row - 1]);
+        let late = times_s.iter().map(|t_s| t_s + if random.random_bool(0.02) { 0.01 } else { 0.0 });
+        let late = never_back(late.collect());
+        let kinds = [
+            ("perfect", times_s.clone(), 2e-6),
+            ("rounded to 1 ms", rounded(1.0), 8e-4),
+            ("rounded to 4 ms", rounded(4.0), 1.2e-3),
+            ("rounded to 10 ms", rounded(10.0), 1.5e-3),
+            ("rounded to 15.6 ms", rounded(15.6), 1.5e-3),
+            ("jitter of 0.5 ms", jittered(&times_s, 5e-4, &mut random), 1e-4),
+            ("jitter of 2 ms", jittered(&times_s, 2e-3, &mut random), 3e-4),
+            ("batched", batched, 2e-4),
+            ("equal", equal, 1e-4),
+            ("late", late, 1e-4),
+        ];
+        for (what, stamps_s, limit_s) in kinds {
+            let back = read_back(&log, stamps_s);
+            let error_s = apart_s(&back.t_s, &times_s);
+            assert!(error_s < limit_s, "{what}, {rate_hz} Hz: {:.4} ms", error_s * 1e3);
+        }
+    }
+}
+
+#[test]
+fn what_stamps_scatter_by_is_measured_and_said() {
+    let log = log(250.0);
+    let mut random = ChaCha8Rng::seed_from_u64(3);
+    let back = read_back(&log, jittered(&log.t_s, 1e-3, &mut random));
+    assert!((stamps(&back).jitter_s - 1e-3).abs() < 5e-5, "{:?}", stamps(&back));
+    let told = inspect::robot_log(&back).suspicious.join("\n");
+    assert!(
+        told.contains("the stamps scatter by 1.0") || told.contains("the stamps scatter by 0.9"),
+        "{told}"
+    );
+    let rounded: Vec<f64> = log.t_s.iter().map(|t_s| (t_s * 1.00003 / 0.01).round() * 0.01).collect();
+    let told = inspect::robot_log(&read_back(&log, rounded)).suspicious.join("\n");
+    assert!(
+        told.contains("rounded to 10.0 ms") && told.contains("rows have the stamp of the one before"),
+        "{told}"
+    );
+    // A sound one is not slandered.
+    let perfect = read_back(&log, log.t_s.clone());
+    assert!(!stamps(&perfect).evened);
+    assert_eq!(inspect::robot_log(&perfect).suspicious, Vec::<String>::new());
+}
+
+#[test]
+fn rows_that_are_missing_leave_the_others_where_they_were() {
+    let whole = log(250.0);
+    let mut random = ChaCha8Rng::seed_from_u64(5);
+    let kept: Vec<usize> = (0..whole.t_s.len()).filter(|_| random.random_bool(0.85)).collect();
+    let log = RobotLog {
+        t_s: kept.iter().map(|&row| whole.t_s[row]).collect(),
+        q_rad: kept.iter().map(|&row| whole.q_rad[row]).collect(),
+        ..RobotLog::default()
+    };
+    let exact = read_back(&log, log.t_s.clone());
+    assert!(apart_s(&exact.t_s, &log.t_s) < 2e-6);
+    let jittered = read_back(&log, jittered(&log.t_s, 1e-3, &mut random));
+    // Where the robot rests nobody can tell which rows are missing, and it does not matter.
+    let moves = |t_s: f64| (std::f64::consts::TAU * t_s / 20.0).cos() < 0.7;
+    let off = jittered.t_s.iter().zip(&log.t_s).filter(|(_, t_s)| moves(**t_s)).map(|(a, b)| a - b);
+    let off: Vec<f64> = off.collect();
+    let mean = off.iter().sum::<f64>() / off.len() as f64;
+    let rms_s = (off.iter().map(|off| (off - mean).powi(2)).sum::<f64>() / off.len() as f64).sqrt();
+    assert!(rms_s < 1e-3, "{rms_s}");
+}
+
+#[test]
+fn a_step_of_the_stamps_that_the_motion_does_not_share_is_taken_out_and_said() {
+    let log = log(250.0);
+    for by_s in [0.0005, 0.002, 0.004, 0.05] {
+        let stamp = |t_s: f64| t_s * (1.0 + 37e-6) + if t_s > 33.0 { by_s } else { 0.0 };
+        let stepped = log.t_s.iter().map(|t_s| stamp(*t_s));
+        let back = read_back(&log, stepped.collect());
+        assert!(apart_s(&back.t_s, &log.t_s) < 2e-5, "{by_s}: {:?}", stamps(&back));
+        let step = stamps(&back).steps[0];
+        assert!((step.by_s - by_s).abs() < 2e-5 && (step.at_s - 33.0).abs() < 0.1, "{step:?}");
+        assert!(inspect::robot_log(&back).suspicious.join("\n").contains("the stamps step by +"));
+    }
+}
+
+/// A program that samples when it gets round to it and stamps rightly has no regular clock.
+#[test]
+fn stamps_that_are_right_stay_as_they_are_even_if_rows_come_as_they_like() {
+    let even = log(100.0);
+    let mut random = ChaCha8Rng::seed_from_u64(9);
+    let mut t_s = 0.0;
+    let mut uneven = RobotLog::default();
+    let dense = log(10_000.0);
+    while t_s < even.duration_s() {
+        uneven.t_s.push(t_s);
+        uneven.q_rad.push(dense.q_rad[(t_s * 10_000.0).round() as usize]);
+        t_s += (random.random_range(0.004..0.016_f64) * 10_000.0).round() / 10_000.0;
+    }
+    let back = read_back(&uneven, uneven.t_s.clone());
+    assert!(apart_s(&back.t_s, &uneven.t_s) < 2e-6, "{:?}", back.quality.stamps);
+    assert!(!inspect::robot_log(&back).suspicious.join("\n").contains("clock"));
+}
