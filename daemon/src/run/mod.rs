@@ -287,6 +287,7 @@ fn record_from(
     let _claim = session::join(claim)??;
     // What ends the run by itself leaves the disk its time.
     let run = session.begin(details, &Stop::default())?;
+    // Asked each time: it passes on what ends the run as well.
     let is_open = || {
         if stop.is_stopped() {
             run.stop.stop(&stop.cause());
@@ -297,7 +298,7 @@ fn record_from(
     run.join()
 }
 
-/// Waits until the disk is done, or until it has had its time since `stop` while nothing is `worth` waiting for.
+/// Waits until the disk is done. Since `stop` it has only its time, unless what it does is worth waiting for.
 fn wait(
     storage: &Storage,
     stop: &Stop,
