@@ -4,7 +4,7 @@
 use std::sync::OnceLock;
 
 use crate::support::truth::position_error_m;
-use crate::support::{bar, browser, irb2400};
+use crate::support::{browser, irb2400};
 use identify::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
 use identify::calibrate::held_out::without_each_stretch;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
@@ -13,7 +13,7 @@ use identify::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use identify::report::page::Page;
 use identify::simulate::{self, Design, Effects, Experiment, Simulated, StaticErrors};
 use identify::study::{Evidence, evidence, held_out, workspace_error};
-use shared::config::RobotConfig;
+use shared::config::{BallBarConfig, RobotConfig};
 
 const NOISE: Effects =
     Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, base_tilt_urad: 5000.0, ..Effects::NONE };
@@ -26,6 +26,11 @@ fn config(cost: Option<CostName>) -> IdentifyConfig {
 fn quick() -> IdentifyConfig {
     let prepare = PrepareOptions { points_max: 500, ..PrepareOptions::default() };
     IdentifyConfig { prepare, ..config(None) }
+}
+
+/// As it is simulated: its plate is exact.
+fn bar() -> BallBarConfig {
+    BallBarConfig { plate_u_um: 0.0, ..crate::support::bar() }
 }
 
 fn simulated(robot: &RobotConfig, seed: u64) -> Simulated {

@@ -214,7 +214,8 @@ pub(super) fn prepared_runs(
     let run = |(prepared, input): (Prepared, &RunInput<'_>)| {
         // Hundreds of waves have a name: a model has those that somebody means, and later those that are found.
         let model = start_model(&prepared, robot, input.bar)?.with_joint_waves(config.named());
-        let bar = BallBar { prepared, cost, noise: config.noise, measured };
+        let plate_u_m = input.bar.plate_u_um * 1e-6;
+        let bar = BallBar { prepared, cost, noise: config.noise, measured, plate_u_m };
         Ok(Run { instrument: Instrument::BallBar(Box::new(bar)), model })
     };
     all.into_iter().zip(inputs).map(run).collect()
@@ -239,8 +240,12 @@ pub(super) fn solve(
             identifiable(&first.model, motion, observations, cost.unweighed(&measured))?
         }
     };
+    let fix: Vec<ParameterId> = config.fix.iter().filter_map(|name| name.parse().ok()).collect();
     for Run { instrument, model } in &mut *runs {
         config.set_roles(model, &free, |id| instrument.tells(id))?;
+        if config.selection != SelectionName::Thesis {
+            instrument.place(model, &fix)?;
+        }
         if let Some(force) = instrument.bar().and_then(|bar| bar.prepared.force.as_ref()) {
             config.free_for_force(model, force.parameter())?;
         }
@@ -248,14 +253,14 @@ pub(super) fn solve(
     let Some(Run { instrument, model }) = runs.first() else { return Err(CalibrateError::NoRun) };
     let of_link = |id: &ParameterId| {
         let is_link = matches!(id, ParameterId::Robot { .. } | ParameterId::Bar { .. });
-        is_link && !config.priors.contains_key(&id.to_string())
+        is_link && *id != ParameterId::PLATE && !config.priors.contains_key(&id.to_string())
     };
     let scaled = config.selection == SelectionName::Automatic;
     let plan = Plan {
         loss: config.loss_for(cost),
         ransac: config.ransac,
         kinds: config.kinds(model, |id| instrument.tells(id)),
-        fix: config.fix.iter().filter_map(|name| name.parse().ok()).collect(),
+        fix,
         tolerances: model.columns().map(|one| one.id).filter(of_link).filter(|_| scaled).collect(),
         prepare: config.prepare.clone(),
         watch,

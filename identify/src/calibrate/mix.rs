@@ -11,7 +11,7 @@ use super::measured_pose::{self, WAVES_PER_TURN_MAX};
 use super::pipeline::{Plan, Solved, estimate};
 use super::split::HoldOut;
 use crate::instrument::{Instrument, LengthRow, PoseRow, Run, Standing, Tracker, Wire};
-use crate::kinematics::{Chain, LinkParameter, flange_chain};
+use crate::kinematics::{Chain, flange_chain};
 use crate::model::{DriveTrain, Model, ModelError, ParameterId, Phase, Role};
 use crate::solver::{LossName, Watch};
 
@@ -96,11 +96,6 @@ pub fn calibrate(
     for Run { instrument, model } in &mut runs {
         let named = IdentifyConfig { fix: Vec::new(), ..config.clone() };
         named.set_roles(model, &[], |id| instrument.tells(id))?;
-        // The scale comes from all instruments: none of them is exact.
-        let plate =
-            ParameterId::Robot { link: flange.links.len().saturating_sub(1), parameter: LinkParameter::A };
-        let nominal = model.parameter(plate).map_or(0.0, |parameter| parameter.nominal);
-        model.set_role(plate, Role::Prior { value: nominal, sigma: config.tolerance_mm_mrad * 1e-3 })?;
         if let Some(force) = instrument.bar().and_then(|bar| bar.prepared.force.as_ref()) {
             config.free_for_force(model, force.parameter())?;
         }

@@ -84,8 +84,8 @@ struct Solver<'a> {
     plan: &'a Plan<'a>,
     /// What a residual of each run is worth.
     sigmas: Vec<f64>,
-    /// The runs' bars differ in length.
-    lengths_differ: bool,
+    /// Of rod and plate those that are not the same in all runs.
+    differ: Vec<ParameterId>,
 }
 
 /// Solves, chooses terms, solves again and leaves the models at the solution.
@@ -93,9 +93,9 @@ struct Solver<'a> {
 /// # Errors
 /// [`CalibrateError`] where the runs do not suit their residuals or do not determine what is free.
 pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError> {
-    let lengths_differ = lengths_differ(runs);
+    let differ = differ(runs);
     let sigmas = vec![UNWEIGHTED; runs.len()];
-    let mut solver = Solver { runs, plan, sigmas, lengths_differ };
+    let mut solver = Solver { runs, plan, sigmas, differ };
     let (mut columns, mut solution) = solver.settle()?;
     let rms_start = solution.summary.residual_rms_start;
     let without_terms = solver.runs.iter().map(|run| run.model.clone()).collect();
@@ -129,23 +129,30 @@ pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateEr
     Ok(Solved { columns, solution, without_terms, candidates, prior_scale: scale, sigmas })
 }
 
-fn lengths_differ(runs: &[Run]) -> bool {
-    let length = |run: &Run| run.model.parameter(ParameterId::ROD).map(|rod| rod.nominal);
-    let mut bars = runs.iter().filter_map(length);
-    let first = bars.next();
-    bars.any(|length| Some(length) != first)
+/// Of rod and plate those that are not the same in all runs with a bar.
+fn differ(runs: &[Run]) -> Vec<ParameterId> {
+    let differs = |id: &ParameterId| {
+        let bars = runs.iter().filter(|run| run.instrument.bar().is_some());
+        let mut lengths = bars.filter_map(|run| run.model.parameter(*id).map(|length| length.nominal));
+        let first = lengths.next();
+        lengths.any(|length| Some(length) != first)
+    };
+    [ParameterId::ROD, ParameterId::PLATE].into_iter().filter(differs).collect()
 }
 
 /// What a data set has for itself: the robot is that of all and the bar that of all runs with one, but instruments are set up
 /// anew and encoders count from new zeros.
-fn is_own(id: ParameterId, lengths_differ: bool) -> bool {
+fn is_own(id: ParameterId, differ: &[ParameterId]) -> bool {
     match id {
         ParameterId::Base(_) | ParameterId::BaseRotation(_) => true,
         ParameterId::Harmonic { .. } | ParameterId::Zero { .. } | ParameterId::BarWave { .. } => true,
         ParameterId::ClockShift | ParameterId::ClockSkew => true,
         ParameterId::Bar { parameter: LinkParameter::Theta, .. } => true,
         // Another bar gives way by another amount.
-        ParameterId::ROD | ParameterId::BarCompliance | ParameterId::BarPlay => lengths_differ,
+        ParameterId::ROD | ParameterId::BarCompliance | ParameterId::BarPlay => {
+            differ.contains(&ParameterId::ROD)
+        }
+        ParameterId::PLATE => differ.contains(&id),
         ParameterId::Attachment(_) | ParameterId::Anchor(_) | ParameterId::LengthOffset => true,
         ParameterId::Tracker(_) | ParameterId::TrackerRotation(_) => true,
         ParameterId::Probe(_) | ParameterId::ProbeRotation(_) => true,
@@ -155,7 +162,7 @@ fn is_own(id: ParameterId, lengths_differ: bool) -> bool {
 
 impl Solver<'_> {
     fn columns(&self) -> SharedColumns {
-        SharedColumns::new(self.runs.iter().map(|run| &run.model), |id| is_own(id, self.lengths_differ))
+        SharedColumns::new(self.runs.iter().map(|run| &run.model), |id| is_own(id, &self.differ))
     }
 
     fn start(&self, columns: &SharedColumns) -> Vec<f64> {

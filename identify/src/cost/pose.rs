@@ -5,7 +5,7 @@ use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 use super::problem::{LoopPoint, readings};
 use super::scene::{ALL_BUT_TORSION, ALL_ENCODERS, TORSION, of_other_instrument, sees_encoder};
 use super::{Movement, Residual, Scene};
-use crate::kinematics::{AXES_MAX, BAR_JOINTS, LinkParameter, Trace, Twist, rotation_vector};
+use crate::kinematics::{AXES_MAX, BAR_JOINTS, LinkParameter, ROD_LINK, Trace, Twist, rotation_vector};
 use crate::model::{Geometry, Observation, ParameterId, RobotMotion};
 
 /// White noise of the angles, one standard deviation.
@@ -31,11 +31,16 @@ const UNKNOWN_RAD: f64 = 0.1;
 /// belong to one function. Errors of millimetres change it by thousandths; whiten again at the solution and solve once
 /// more where that matters.
 ///
+/// Weights in metres that are frozen would reward a smaller world, whose positions are nearer to each other: by sigmas, where
+/// nothing but a prior fixes the scale. So the weights of positions follow the length of the rod.
+///
 /// Without encoder 3 the turn about the rod is not known, and what it moves has no weight.
 #[derive(Debug, Clone)]
 pub struct PoseByNoise<const ENCODER_3: bool> {
     /// Inverse of the Cholesky factor of each sample's covariance; none where the sample has no value.
     whitening: Vec<Option<Matrix6<f64>>>,
+    /// Length of the rod for which that is \[m\].
+    rod_m: f64,
 }
 
 /// With all five encoders.
@@ -63,8 +68,13 @@ impl<const ENCODER_3: bool> PoseByNoise<ENCODER_3> {
             let lower = covariance.cholesky()?.l();
             lower.solve_lower_triangular(&Matrix6::identity())
         });
-        Self { whitening: whitening.collect() }
+        Self { whitening: whitening.collect(), rod_m: rod_m(geometry) }
     }
+}
+
+/// Length of the rod, by which positions scale \[m\].
+fn rod_m(geometry: &Geometry) -> f64 {
+    geometry.bar_links.get(ROD_LINK).map_or(1.0, |rod| rod.d_m)
 }
 
 /// Pose of the robot's end seen from the bar's, and how it moves with either.
@@ -130,6 +140,8 @@ pub struct Whitened {
     residual: Vector6<f64>,
     by_robot: Matrix6<f64>,
     by_bar: Matrix6<f64>,
+    /// What a longer rod makes of the weights.
+    by_scale: Vector6<f64>,
 }
 
 impl<const ENCODER_3: bool> Residual for PoseByNoise<ENCODER_3> {
@@ -145,12 +157,15 @@ impl<const ENCODER_3: bool> Residual for PoseByNoise<ENCODER_3> {
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Whitened> {
-        let whitening = self.whitening.get(scene.sample)?.as_ref()?;
+        let (mut whitening, rod_m) = (self.whitening.get(scene.sample).copied()??, rod_m(scene.geometry));
+        let mut of_positions = whitening.fixed_columns_mut::<3>(0);
+        of_positions *= self.rod_m / rod_m;
         let seen = Seen::new(scene);
         Some(Whitened {
             residual: whitening * seen.value,
             by_robot: whitening * seen.by_robot,
             by_bar: whitening * seen.by_bar,
+            by_scale: whitening.fixed_columns::<3>(0) * seen.value.fixed_rows::<3>(0) / -rod_m,
         })
     }
 
@@ -167,6 +182,9 @@ impl<const ENCODER_3: bool> Residual for PoseByNoise<ENCODER_3> {
         let mut moved = by.fixed_columns::<3>(0) * twist.linear;
         if twist.angular != Vector3::zeros() {
             moved += by.fixed_columns::<3>(3) * twist.angular;
+        }
+        if id == ParameterId::ROD {
+            moved += whitened.by_scale;
         }
         out.copy_from_slice(moved.as_slice());
     }

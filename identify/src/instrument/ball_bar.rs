@@ -7,7 +7,7 @@ use crate::cost::{
     WhitenedPose, WhitenedPoseOfFour, fill_in,
 };
 use crate::kinematics::BAR_JOINTS;
-use crate::model::{Clock, JointState, Model, ModelError, ParameterId, RobotMotion};
+use crate::model::{Clock, JointState, Model, ModelError, ParameterId, RobotMotion, Role};
 use crate::prepare::Prepared;
 
 impl CostName {
@@ -64,6 +64,8 @@ pub struct BallBar {
     pub noise: NoiseConfig,
     /// Bar joints with an encoder, in all runs that are solved together.
     pub measured: [bool; BAR_JOINTS],
+    /// Standard uncertainty of the offset plate, which fixes the scale \[m\].
+    pub plate_u_m: f64,
 }
 
 impl BallBar {
@@ -83,8 +85,16 @@ impl Measures for BallBar {
         self.prepared.observations.len()
     }
 
-    /// The preparation has done so, and the configuration says what is free.
-    fn place(&self, _: &mut Model, _: &[ParameterId]) -> Result<bool, ModelError> {
+    /// The preparation has done so, and the configuration says what is free but for the plate. That stays exact with costs
+    /// whose residuals a smaller world makes smaller.
+    fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
+        let exact = self.plate_u_m == 0.0 || self.cost != CostName::Pose || fix.contains(&ParameterId::PLATE);
+        if let Some(plate) =
+            model.parameter(ParameterId::PLATE).filter(|plate| !exact && plate.role == Role::Fixed)
+        {
+            let (value, sigma) = (plate.nominal, self.plate_u_m);
+            model.set_role(ParameterId::PLATE, Role::Prior { value, sigma })?;
+        }
         Ok(true)
     }
 

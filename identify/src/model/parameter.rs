@@ -195,6 +195,9 @@ impl ParameterId {
     /// Length of the ball-bar: `bd3`.
     pub const ROD: Self = Self::Bar { link: ROD_LINK, parameter: LinkParameter::D };
 
+    /// Offset plate between axis 6 of the robot and axis 5 of the ball-bar: `ra6`.
+    pub const PLATE: Self = Self::Robot { link: 5, parameter: LinkParameter::A };
+
     /// What the bar's length owes to a force along it.
     pub const OF_FORCE: [Self; 2] = [Self::BarCompliance, Self::BarPlay];
 

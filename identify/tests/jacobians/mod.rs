@@ -180,8 +180,8 @@ fn independent_pose(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
     pose
 }
 
-/// The whitening is frozen: on the same parameters, one matrix for each sample takes all derivatives of the plain pose to
-/// those of the cost.
+/// The whitening is frozen but for the scale: on the same parameters, one matrix for each sample takes all derivatives of the
+/// plain pose, its position in lengths of the rod, to those of the cost.
 #[test]
 fn pose_has_the_derivatives_of_the_plain_pose_times_one_matrix_for_each_sample() {
     for cell in [Cell::irb2400(), Cell::nj220()] {
@@ -198,8 +198,11 @@ fn pose_has_the_derivatives_of_the_plain_pose_times_one_matrix_for_each_sample()
                 let mut numbers = Numbers::<Dual64>::new(&cell.robot, &geometry);
                 let number = numbers.number(parameter.id);
                 *number = number.derivative();
+                let rod = *numbers.number(ParameterId::ROD);
+                let scale = [Dual64::from(rod.re) / rod, Dual64::from(1.0)];
                 let numbers = numbers.with_length_at(observation);
                 for (i, value) in independent_pose(&numbers, observation).into_iter().enumerate() {
+                    let value = value * scale[i / 3];
                     plain[(i, column)] = value.eps;
                     plain[(i, model.columns().len())] = value.re;
                 }
