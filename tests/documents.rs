@@ -71,3 +71,30 @@ fn the_page_on_the_method_names_every_kind_of_parameter() {
         assert!(page.contains(kind) || page.contains(&first), "{name}");
     }
 }
+
+#[test]
+fn the_page_on_judgements_has_the_numbers_of_the_program_and_every_key_of_the_configuration() {
+    let page = page("judgements.md");
+    let constants = page.lines().filter_map(|line| {
+        let mut cells = line.split('|').map(|cell| cell.trim().trim_matches('`'));
+        let (_, name, value, file) = (cells.next()?, cells.next()?, cells.next()?, cells.next()?);
+        file.ends_with(".rs").then_some((name, value, file))
+    });
+    let mut count = 0;
+    for (name, value, file) in constants {
+        let of_program = text(&repository(file));
+        let defined = of_program.lines().map(|line| line.trim().trim_start_matches("pub ")).any(|line| {
+            line.starts_with(&format!("const {name}: ")) && line.ends_with(&format!(" = {value};"))
+        });
+        assert!(defined, "{file}: const {name} = {value}");
+        count += 1;
+    }
+    assert!(count > 0);
+    let shipped: toml::Table = toml::from_str(&text(&repository("config/identify.toml"))).unwrap();
+    let limits =
+        |key: &String| ["_min", "_max", "_tolerance", "_margin"].iter().any(|part| key.contains(part));
+    for key in shipped["prepare"].as_table().unwrap().keys().filter(|key| limits(key) && *key != "points_max")
+    {
+        assert!(page.contains(&format!("`{key}`")), "{key}");
+    }
+}

@@ -47,6 +47,7 @@ mod simulated_experiment;
 mod simulation;
 mod solver;
 mod solver_threads;
+mod spoiled_rows;
 mod stamps;
 mod unknown_tables;
 mod wrong_robot;

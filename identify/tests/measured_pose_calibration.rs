@@ -32,12 +32,7 @@ fn fixture(name: &str) -> Vec<PoseRow> {
 fn real_rows(path: &Path) -> Vec<PoseRow> {
     let mapping: MeasuredPoseMapping =
         config::load(&crate::support::repository("config/measured_pose.toml")).unwrap();
-    let row = |row: &identify::logs::MeasuredPose| PoseRow {
-        joints_rad: row.q_rad,
-        position_m: row.position_m,
-        rotation: row.rotation,
-    };
-    MeasuredPoses::load(path, &mapping).unwrap().rows.iter().map(row).collect()
+    MeasuredPoses::load(path, &mapping).unwrap().rows.iter().map(PoseRow::from).collect()
 }
 
 /// A robot with errors of some mm and mrad and a wave of 17 per turn on joint 2, seen by a tracker that stands anywhere.
@@ -51,10 +46,8 @@ fn made_up(count: usize, noise: f64, wave_rad: f64) -> (Vec<PoseRow>, Chain, Pos
     }
     let place =
         Pose::from_parts(Vector3::new(-3.0, 0.5, 1.3).into(), Rotation3::new(Vector3::new(0.4, 1.9, -2.1)));
-    let probe = Pose::from_parts(
-        Vector3::new(0.02, -0.03, 0.09).into(),
-        Rotation3::new(Vector3::new(0.1, -1.5, 0.3)),
-    );
+    let probe =
+        Pose::from_parts(Vector3::new(0.0, -0.03, 0.09).into(), Rotation3::new(Vector3::new(0.1, -1.5, 0.3)));
     let rows = (0..count).map(|_| {
         let joints_rad: [f64; 6] = std::array::from_fn(|_| random.random_range(-1.5..1.5));
         let mut moved = joints_rad;

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use shared::config::{AngleUnit, RobotConfig};
 
-use crate::calibrate::measured_pose::validate;
+use crate::calibrate::measured_pose::{Mistake, likely, misfit};
 use crate::instrument::PoseRow;
 use crate::kinematics::flange_chain;
 use crate::logs::{
@@ -15,7 +15,6 @@ use crate::logs::{
     MeasuredPoseMapping, MeasuredPoses, PositionColumns, RobotLogMapping, RotationColumns, RotationForm,
     RowsAsText, TimeColumn, TimeUnit,
 };
-use crate::model::Model;
 
 /// What a table holds, with the mapping that reads it.
 #[derive(Debug, Clone, PartialEq)]
@@ -599,20 +598,21 @@ struct Trial<'a> {
 }
 
 impl Trial<'_> {
+    /// The rows so read.
+    fn rows(&self, mapping: &MeasuredPoseMapping) -> Option<Vec<PoseRow>> {
+        Some(
+            MeasuredPoses::read(self.bytes, self.path, mapping)
+                .ok()?
+                .rows
+                .iter()
+                .map(PoseRow::from)
+                .collect(),
+        )
+    }
+
     /// Root mean squares of position \[m\] and rotation \[rad\] of the nominal robot against the rows so read.
     fn misfit(&self, mapping: &MeasuredPoseMapping) -> Option<(f64, f64)> {
-        /// Enough to tell radians from degrees.
-        const ROWS: usize = 60;
-        let rows = MeasuredPoses::read(self.bytes, self.path, mapping).ok()?.rows;
-        let every = rows.len().div_ceil(ROWS).max(1);
-        let row = |row: &crate::logs::MeasuredPose| PoseRow {
-            joints_rad: row.q_rad,
-            position_m: row.position_m,
-            rotation: row.rotation,
-        };
-        let rows: Vec<PoseRow> = rows.iter().step_by(every).map(row).collect();
-        let chain = flange_chain(self.robot);
-        let [nominal, _] = validate(&rows, &chain, &Model::measured_pose(&chain), 1).ok()?;
+        let nominal = misfit(&self.rows(mapping)?, &flange_chain(self.robot))?;
         Some((nominal.position_m.rms, nominal.rotation_rad.map_or(0.0, |sizes| sizes.rms)))
     }
 
@@ -624,27 +624,17 @@ impl Trial<'_> {
         reasons: &mut Vec<String>,
         doubts: &mut Vec<String>,
     ) -> MeasuredPoseMapping {
-        /// A change that is right leaves less than this part of the misfit.
-        const BETTER: f64 = 0.3;
         // A change that is right shows in the positions; what the orientation means is looked for after that.
-        if let Some((as_named, _)) = self.misfit(&mapping) {
-            let tried = changes(mapping.joints.len()).into_iter().filter_map(|(what, change)| {
-                let mut changed = mapping.clone();
-                change(&mut changed.joints);
-                Some((self.misfit(&changed)?.0, what, changed))
-            });
-            let best = tried.min_by(|a, b| a.0.total_cmp(&b.0));
-            match best {
-                Some((left, what, changed)) if left < BETTER * as_named => {
-                    doubts.push(format!(
-                        "{what}: as named the robot is {:.1} mm from the positions, so {:.1} mm; it is written so",
-                        as_named * 1e3, left * 1e3
-                    ));
-                    mapping = changed;
+        if let Some(rows) = self.rows(&mapping) {
+            let chain = flange_chain(self.robot);
+            match likely(&rows, &chain, &Mistake::of_joints(mapping.joints.len())) {
+                Some(likely) => {
+                    mend(&mut mapping.joints, likely.mistake);
+                    doubts.push(format!("{likely}; it is written so"));
                 }
-                _ => {
-                    reasons.push(format!("the nominal robot is {:.1} mm from the positions", as_named * 1e3))
-                }
+                None => reasons.extend(self.misfit(&mapping).map(|(position_m, _)| {
+                    format!("the nominal robot is {:.1} mm from the positions", position_m * 1e3)
+                })),
             }
         }
         let with =
@@ -672,29 +662,18 @@ impl Trial<'_> {
     }
 }
 
-/// A change of the joints' columns.
-type Change = Box<dyn Fn(&mut Vec<JointColumn>)>;
-
-/// What goes wrong with joints: two exchanged, one that counts the other way, the other unit.
-fn changes(axes: usize) -> Vec<(String, Change)> {
-    let mut all: Vec<(String, Change)> = Vec::new();
-    for joint in 0..axes {
-        let reverse: Change = Box::new(move |joints| joints[joint].sign = -joints[joint].sign);
-        all.push((format!("joint {} counts the other way", joint + 1), reverse));
-        for other in joint + 1..axes {
-            all.push((
-                format!("joints {} and {} are exchanged", joint + 1, other + 1),
-                Box::new(move |joints| joints.swap(joint, other)),
-            ));
+/// Undoes a mistake in the columns of the joints.
+fn mend(joints: &mut [JointColumn], mistake: Mistake) {
+    match mistake {
+        Mistake::JointReversed(joint) => joints[joint].sign = -joints[joint].sign,
+        Mistake::JointsExchanged(one, other) => joints.swap(one, other),
+        Mistake::JointsInOtherUnit => {
+            for joint in joints {
+                joint.unit = if joint.unit == JointUnit::Deg { JointUnit::Rad } else { JointUnit::Deg };
+            }
         }
+        _ => {}
     }
-    let other_unit: Change = Box::new(|joints| {
-        for joint in joints {
-            joint.unit = if joint.unit == JointUnit::Deg { JointUnit::Rad } else { JointUnit::Deg };
-        }
-    });
-    all.push(("the joints are in the other unit".into(), other_unit));
-    all
 }
 
 /// What columns named like an orientation can mean.

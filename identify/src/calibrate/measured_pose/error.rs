@@ -1,5 +1,6 @@
 //! Why measured poses cannot be used.
 
+use super::implausible::Likely;
 use crate::calibrate::ball_bar::CalibrateError;
 use crate::model::ModelError;
 
@@ -36,6 +37,17 @@ pub enum PoseError {
          measure poses further apart"
     )]
     PosesOnALine,
+    /// No robot like the configured one gives such rows.
+    #[error("{found}; {}", .likely.map_or_else(
+        || "rows, their mapping or the robot's file are wrong; see `identify inspect --propose`".to_owned(),
+        |likely| format!("most likely {likely}; mend the mapping or the robot's file"),
+    ))]
+    Implausible {
+        /// What gave it away.
+        found: String,
+        /// What went wrong.
+        likely: Option<Likely>,
+    },
     /// From the model.
     #[error(transparent)]
     Model(#[from] ModelError),

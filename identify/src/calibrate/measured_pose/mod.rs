@@ -6,6 +6,7 @@
 
 mod error;
 mod figures;
+mod implausible;
 mod terms;
 mod validate;
 
@@ -23,6 +24,7 @@ use crate::solver::{LossName, Solution};
 
 pub use error::PoseError;
 pub use figures::{PoseFigures, Sizes, Stages};
+pub use implausible::{Likely, Mistake, Step, likely, misfit};
 pub(super) use terms::kinds;
 pub use validate::validate;
 
@@ -161,8 +163,10 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &PoseOptions) -> Resu
     }
     let all = Tracker::new(Standing::new(rows, &states, &groups, options.seed));
     let chosen = all.chosen(&fitting);
-    model = placed(&chosen, model, &options.fix)?;
+    let placed = placed(&chosen, model, &options.fix);
+    model = placed.map_err(|error| explained(error, rows, robot))?;
     let nominal = all.apart(&model.geometry(&[]));
+    let nominal_step = implausible::step(&all, &model);
     let sigmas = [options.link_sigma_m, options.link_sigma_rad];
     free_links(&mut model, &link_ids(robot), &options.fix, sigmas)?;
     let kinds = if options.joint_errors {
@@ -174,13 +178,16 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &PoseOptions) -> Resu
         Vec::new()
     };
     let mut runs = [Run { instrument: Instrument::Tracker(chosen), model }];
-    let Solved { solution, without_terms, candidates, .. } = estimate(&mut runs, &plan(options.loss, kinds))?;
+    let estimated = estimate(&mut runs, &plan(options.loss, kinds));
+    let Solved { solution, without_terms, candidates, .. } =
+        estimated.map_err(|error| explained(error.into(), rows, robot))?;
     let [Run { instrument, model }] = runs;
     let Instrument::Tracker(tracker) = instrument else { return Err(CalibrateError::NoRun.into()) };
     let links = without_terms.first().map_or_else(Vec::new, |model| all.apart(&model.geometry(&[])));
     let joints = all.apart(&model.geometry(&[]));
+    let steps = [implausible::step(&all, &model), nominal_step];
     let of = |chosen: &[usize]| Stages::of([&nominal, &links, &joints], chosen);
-    Ok(PoseReport {
+    let report = PoseReport {
         cost: tracker.cost(),
         fitted: of(&fitting),
         held_out: of(&held_out),
@@ -188,5 +195,20 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &PoseOptions) -> Resu
         noise: tracker.noise,
         solution,
         model,
-    })
+    };
+    let reasons = implausible::reasons(&report, steps, rows, robot, options);
+    if reasons.is_empty() {
+        return Ok(report);
+    }
+    let found = reasons.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
+    Err(PoseError::Implausible { found, likely: implausible::likely_of_all(rows, robot) })
+}
+
+/// A solve that failed, with the mistake that explains it, where one does.
+fn explained(error: PoseError, rows: &[PoseRow], robot: &Chain) -> PoseError {
+    let PoseError::Calibrate(error) = error else { return error };
+    match implausible::likely_of_all(rows, robot) {
+        Some(likely) => PoseError::Implausible { found: error.to_string(), likely: Some(likely) },
+        None => error.into(),
+    }
 }

@@ -1,0 +1,417 @@
+//! Rows that no robot like the configured one can have given: refused, with what most likely went wrong.
+//!
+//! A fit with priors always ends somewhere. What gives a mistake away is where it ends: beyond the links' tolerances, no
+//! better on rows that it has not seen, further from the rows than joints are ever off, or with a step in time.
+
+use std::fmt;
+
+use nalgebra::Vector3;
+use statrs::distribution::{ContinuousCDF, StudentsT};
+
+use super::{PoseFigures, PoseOptions, PoseReport, ROWS_MIN, check_rows, placed};
+use crate::instrument::{PoseRow, Standing, Tracker, quantile, standing};
+use crate::kinematics::{Chain, Joints};
+use crate::model::{Model, ParameterId, Role};
+
+/// What the rows cannot be.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Reason {
+    /// A link is further from nominal than tolerances allow.
+    Link {
+        /// Which number.
+        id: ParameterId,
+        /// Off nominal \[m, rad\].
+        correction: f64,
+        /// Its tolerance, one standard deviation \[m, rad\].
+        sigma: f64,
+    },
+    /// The robot is further from the rows than its joints can be off.
+    TooFar {
+        /// Median distance \[m\].
+        median_m: f64,
+        /// What joints of this arm can make of it \[m\].
+        limit_m: f64,
+    },
+    /// Rows that the fit has not seen are further from the calibrated robot than from the nominal one.
+    WorseThanNominal {
+        /// Root mean squares \[m\].
+        nominal_m: f64,
+        /// Root mean squares \[m\].
+        calibrated_m: f64,
+    },
+    /// Positions fit where orientations are beyond what any robot is off.
+    Turned {
+        /// Mean angle between the nominal robot and what was measured \[rad\].
+        mean_rad: f64,
+    },
+    /// Tracker, probe or robot were moved.
+    Moved(Step),
+}
+
+impl fmt::Display for Reason {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Link { id, correction, sigma } => {
+                let unit = id.unit();
+                write!(
+                    f,
+                    "{id} would be {:.1} {} from nominal, {:.0} times its tolerance",
+                    correction * unit.display_factor(),
+                    unit.display_symbol(),
+                    (correction / sigma).abs()
+                )
+            }
+            Self::TooFar { median_m, limit_m } => write!(
+                f,
+                "the calibrated robot stays {:.1} mm from the rows, and joints that turn wrong explain {:.1} mm",
+                median_m * 1e3,
+                limit_m * 1e3
+            ),
+            Self::WorseThanNominal { nominal_m, calibrated_m } => write!(
+                f,
+                "held-out rows are {:.3} mm from the calibrated robot and {:.3} mm from the nominal one",
+                calibrated_m * 1e3,
+                nominal_m * 1e3
+            ),
+            Self::Turned { mean_rad } => write!(
+                f,
+                "the nominal robot fits the positions, and its orientation is {mean_rad:.2} rad off, as if angles were in \
+                 another order, frame or unit than [rotation] of the mapping says"
+            ),
+            Self::Moved(step) => write!(f, "{step}"),
+        }
+    }
+}
+
+/// A sudden change of where the robot is seen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Step {
+    /// First row after it, from 1.
+    pub row: usize,
+    /// Its size \[m\].
+    pub moved_m: f64,
+}
+
+impl Step {
+    /// The nominal robot fits the rows before and after it far better than all of them: its own errors step where the path
+    /// goes to another place, by less.
+    fn explains(&self, rows: &[PoseRow], robot: &Chain) -> bool {
+        likely(rows, robot, &[Mistake::Moved(self.row - 1)]).is_some()
+    }
+}
+
+impl fmt::Display for Step {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { row, moved_m } = self;
+        write!(
+            f,
+            "near row {row} the positions step by {:.2} mm: tracker, target or robot were moved; make two files of the \
+             rows before and after it and calibrate them in one solve, each a [[tracker]] of an --experiment",
+            moved_m * 1e3
+        )
+    }
+}
+
+/// What goes wrong between robot, tracker and file before anybody calibrates.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mistake {
+    /// A joint counts the other way.
+    JointReversed(usize),
+    /// The columns of two joints.
+    JointsExchanged(usize, usize),
+    /// All joints are in radians and read as degrees, or the other way round.
+    JointsInOtherUnit,
+    /// Joints stand in the row before or after what was measured there.
+    RowsShifted,
+    /// Two axes of the positions are exchanged, or one has the other sign.
+    Mirrored,
+    /// From this row on, from 0, tracker, target or robot stand elsewhere.
+    Moved(usize),
+    /// Lengths and twists stand in the row of the next joint: Craig's convention, read as the standard one.
+    ModifiedTable,
+}
+
+impl fmt::Display for Mistake {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::JointReversed(joint) => write!(f, "joint {} counts the other way", joint + 1),
+            Self::JointsExchanged(one, other) => {
+                write!(f, "joints {} and {} are exchanged", one + 1, other + 1)
+            }
+            Self::JointsInOtherUnit => write!(f, "the joints are in the other unit"),
+            Self::RowsShifted => {
+                write!(f, "each row's joints belong to the measurement of the row before or after it")
+            }
+            Self::Mirrored => {
+                write!(f, "two axes of the positions are exchanged or one has the other sign")
+            }
+            Self::Moved(row) => write!(f, "tracker, target or robot were moved near row {}", row + 1),
+            Self::ModifiedTable => write!(
+                f,
+                "the robot's table is in the modified convention and read as the standard one (convention = \"modified\")"
+            ),
+        }
+    }
+}
+
+impl Mistake {
+    /// All that can be made with the joints of an arm.
+    pub fn of_joints(axes: usize) -> Vec<Self> {
+        let exchanged =
+            (0..axes).flat_map(|one| (one + 1..axes).map(move |other| Self::JointsExchanged(one, other)));
+        let mut all: Vec<Self> = (0..axes).map(Self::JointReversed).collect();
+        all.extend(exchanged);
+        all.push(Self::JointsInOtherUnit);
+        all
+    }
+
+    fn all(axes: usize, rows: usize) -> Vec<Self> {
+        let others = [Self::RowsShifted, Self::Mirrored, Self::ModifiedTable];
+        let moved = (1..BLOCKS).map(|block| Self::Moved(block * rows / BLOCKS));
+        [Self::of_joints(axes), others.to_vec(), moved.collect()].concat()
+    }
+
+    /// Distance of the nominal robot from the rows without the mistake \[m\]; none where nothing can be placed.
+    fn undone_m(self, rows: &[PoseRow], robot: &Chain) -> Option<f64> {
+        if let Self::Moved(row) = self {
+            let (before, after) = rows.split_at_checked(row)?;
+            let part = |rows: &[PoseRow]| Some(misfit_m(rows, robot)?.powi(2) * rows.len() as f64);
+            return Some(((part(before)? + part(after)?) / rows.len() as f64).sqrt());
+        }
+        let ways = self.undone(rows, robot);
+        ways.iter().filter_map(|(rows, robot)| misfit_m(rows, robot)).min_by(f64::total_cmp)
+    }
+
+    /// The rows and the robot without the mistake: more than one way where it has a direction.
+    fn undone(self, rows: &[PoseRow], robot: &Chain) -> Vec<(Vec<PoseRow>, Chain)> {
+        let joints = |of: &dyn Fn(&mut Joints)| {
+            let changed = |row: &PoseRow| {
+                let mut row = *row;
+                of(&mut row.joints_rad);
+                row
+            };
+            vec![(rows.iter().map(changed).collect(), robot.clone())]
+        };
+        let shifted = |joints: &[PoseRow], measured: &[PoseRow]| {
+            let pair = |(at, seen): (&PoseRow, &PoseRow)| PoseRow { joints_rad: at.joints_rad, ..*seen };
+            (joints.iter().zip(measured).map(pair).collect(), robot.clone())
+        };
+        match self {
+            Self::JointReversed(joint) => joints(&|q| q[joint] = -q[joint]),
+            Self::JointsExchanged(one, other) => joints(&|q| q.swap(one, other)),
+            Self::JointsInOtherUnit => {
+                [joints(&|q| *q = q.map(f64::to_degrees)), joints(&|q| *q = q.map(f64::to_radians))].concat()
+            }
+            Self::RowsShifted => {
+                let later = rows.get(1..).unwrap_or_default();
+                vec![shifted(rows, later), shifted(later, rows)]
+            }
+            Self::Mirrored => {
+                let mirrored = |row: &PoseRow| PoseRow {
+                    position_m: row.position_m.component_mul(&Vector3::new(1.0, 1.0, -1.0)),
+                    rotation: None,
+                    ..*row
+                };
+                vec![(rows.iter().map(mirrored).collect(), robot.clone())]
+            }
+            Self::Moved(_) => Vec::new(),
+            Self::ModifiedTable => {
+                let mut read = robot.clone();
+                let next = robot.links.iter().skip(1).map(|link| (link.a_m, link.alpha_rad));
+                for (link, (a_m, alpha_rad)) in read.links.iter_mut().zip(next.chain([(0.0, 0.0)])) {
+                    (link.a_m, link.alpha_rad) = (a_m, alpha_rad);
+                }
+                vec![(rows.to_vec(), read)]
+            }
+        }
+    }
+}
+
+/// A mistake whose undoing brings the nominal robot to the rows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Likely {
+    /// What went wrong.
+    pub mistake: Mistake,
+    /// Root mean square distance of the nominal robot from the rows as they are \[m\].
+    pub as_read_m: f64,
+    /// And without the mistake \[m\].
+    pub undone_m: f64,
+}
+
+impl fmt::Display for Likely {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { mistake, as_read_m, undone_m } = self;
+        write!(
+            f,
+            "{mistake}: so the nominal robot is {:.1} mm from the rows, as read {:.1} mm",
+            undone_m * 1e3,
+            as_read_m * 1e3
+        )
+    }
+}
+
+/// Rows that tell one robot from another: what is wrong is wrong in all.
+const TRIED: usize = 60;
+
+/// How far a robot is from some of the rows, tracker and probe placed by the same; none where they cannot be.
+pub fn misfit(rows: &[PoseRow], robot: &Chain) -> Option<PoseFigures> {
+    let every = rows.len().div_ceil(TRIED).max(1);
+    let some: Vec<PoseRow> = rows.iter().step_by(every).copied().collect();
+    check_rows(&some).ok().filter(|()| some.len() >= ROWS_MIN)?;
+    let all: Vec<usize> = (0..some.len()).collect();
+    let states = standing(some.iter().map(|row| row.joints_rad));
+    let tracker = Tracker::new(Standing::new(&some, &states, &all, 0));
+    let model = placed(&tracker, Model::measured_pose(robot), &[]).ok()?;
+    Some(PoseFigures::of(&tracker.apart(&model.geometry(&[]))))
+}
+
+/// Root mean square distance of a robot from the rows at the end of a tool \[m\].
+fn misfit_m(rows: &[PoseRow], robot: &Chain) -> Option<f64> {
+    /// Length of the tool: orientations count by where it ends.
+    const TOOL_M: f64 = 0.1;
+    let figures = misfit(rows, robot)?;
+    Some(figures.position_m.rms.hypot(TOOL_M * figures.rotation_rad.map_or(0.0, |sizes| sizes.rms)))
+}
+
+/// The mistake among these that brings the nominal robot to the rows, where one does.
+pub fn likely(rows: &[PoseRow], robot: &Chain, mistakes: &[Mistake]) -> Option<Likely> {
+    /// Undoing a mistake leaves less than this part of the distance: what is left is the robot's own error, millimetres
+    /// where mistakes make centimetres.
+    const LEFT: f64 = 0.3;
+    /// Nominal arms are nearer to rows that are read right \[m\].
+    const NEAR_M: f64 = 0.05;
+    // Where no place of the tracker can be found, any is better.
+    let as_read_m = misfit_m(rows, robot).unwrap_or(f64::INFINITY);
+    let of =
+        |&mistake: &Mistake| Some(Likely { mistake, as_read_m, undone_m: mistake.undone_m(rows, robot)? });
+    let best = mistakes.iter().filter_map(of).min_by(|a, b| a.undone_m.total_cmp(&b.undone_m))?;
+    (best.undone_m < NEAR_M.min(LEFT * as_read_m)).then_some(best)
+}
+
+/// The most likely of all mistakes.
+pub(super) fn likely_of_all(rows: &[PoseRow], robot: &Chain) -> Option<Likely> {
+    likely(rows, robot, &Mistake::all(robot.links.len(), rows.len()))
+}
+
+/// What of a calibration no robot like the nominal one explains; `steps` are those that its positions may have.
+pub(super) fn reasons(
+    report: &PoseReport,
+    steps: [Option<Step>; 2],
+    rows: &[PoseRow],
+    robot: &Chain,
+    options: &PoseOptions,
+) -> Vec<Reason> {
+    let step = steps.into_iter().flatten().find(|step| step.explains(rows, robot));
+    let found = [
+        turned(report, options),
+        furthest_link(&report.model),
+        too_far(report, robot),
+        worse_than_nominal(report, options),
+        step.map(Reason::Moved),
+    ];
+    found.into_iter().flatten().collect()
+}
+
+/// Tolerances are standard deviations: of 30 numbers one is beyond this by chance once in 50 000 robots.
+const SIGMAS_MAX: f64 = 5.0;
+
+fn furthest_link(model: &Model) -> Option<Reason> {
+    let link = |id: ParameterId| {
+        let parameter = model.parameter(id)?;
+        let Role::Prior { value, sigma } = parameter.role else { return None };
+        Some((id, parameter.value - value, sigma))
+    };
+    let links = model.parameters().iter().map(|parameter| parameter.id);
+    let links = links.filter(|id| matches!(id, ParameterId::Robot { .. })).filter_map(link);
+    let size = |(_, correction, sigma): &(ParameterId, f64, f64)| (correction / sigma).abs();
+    let (id, correction, sigma) = links.max_by(|a, b| size(a).total_cmp(&size(b)))?;
+    (correction.abs() > SIGMAS_MAX * sigma).then_some(Reason::Link { id, correction, sigma })
+}
+
+fn turned(report: &PoseReport, options: &PoseOptions) -> Option<Reason> {
+    /// The nominal robot's orientation is better than this, any wrong order is worse \[rad\].
+    const WRONG_RAD: f64 = 0.1;
+    let nominal = &report.fitted.nominal;
+    let mean_rad = nominal.rotation_rad?.mean;
+    let fits = nominal.position_m.mean < SIGMAS_MAX * options.link_sigma_m;
+    (fits && mean_rad > WRONG_RAD).then_some(Reason::Turned { mean_rad })
+}
+
+/// What joints of industrial arms are off at most once their links are known: gears, resolvers, and commanded angles rounded to a
+/// tenth of a degree \[rad\].
+const JOINT_ERROR_RAD_MAX: f64 = 2e-3;
+
+fn too_far(report: &PoseReport, robot: &Chain) -> Option<Reason> {
+    /// Median of the norm of three standard normal numbers, by their root mean square.
+    const MEDIAN_BY_RMS: f64 = 1.538 / 1.732;
+    let reach_m: f64 = robot.links.iter().map(|link| link.a_m.hypot(link.d_m)).sum();
+    let limit_m = JOINT_ERROR_RAD_MAX * reach_m;
+    let median_m = report.noise.position_m * 3f64.sqrt() * MEDIAN_BY_RMS;
+    (median_m > limit_m).then_some(Reason::TooFar { median_m, limit_m })
+}
+
+/// Only where enough rows were held out for the comparison to mean something.
+fn worse_than_nominal(report: &PoseReport, options: &PoseOptions) -> Option<Reason> {
+    /// By chance a robot that is as its table says gets worse by the part of the noise that its free numbers take in, far less.
+    const WORSE: f64 = 1.1;
+    let held_out = &report.held_out;
+    let [nominal_m, calibrated_m] = [held_out.nominal.position_m.rms, held_out.joints.position_m.rms];
+    let judged = options.held_out > 0.0 && held_out.nominal.rows >= ROWS_MIN;
+    (judged && calibrated_m > WORSE * nominal_m)
+        .then_some(Reason::WorseThanNominal { nominal_m, calibrated_m })
+}
+
+/// Blocks of the rows, in their order.
+const BLOCKS: usize = 40;
+
+/// Median error of each block of rows, by axis, with its first row.
+fn blocks(errors_m: &[Vector3<f64>]) -> Vec<(usize, Vector3<f64>)> {
+    let size = errors_m.len().div_ceil(BLOCKS).max(1);
+    let median = |(number, block): (usize, &[Vector3<f64>])| {
+        let of_axis = |axis: usize| {
+            let mut sorted: Vec<f64> = block.iter().map(|error| error[axis]).collect();
+            sorted.sort_by(f64::total_cmp);
+            quantile(&sorted, 0.5)
+        };
+        (number * size, Vector3::new(of_axis(0), of_axis(1), of_axis(2)))
+    };
+    errors_m.chunks(size).enumerate().map(median).collect()
+}
+
+/// The most certain step in time that is left of the positions beside a linear drift, if one is certain.
+///
+/// Medians of blocks of rows, so that single rows that are wrong make none; Student's t of the step's three coordinates in a
+/// line with a step, over all places of the step (Bonferroni). What blocks scatter by includes errors that last.
+pub(super) fn step(tracker: &Tracker, model: &Model) -> Option<Step> {
+    /// Of runs without a step one in so many has one by chance.
+    const FALSE_ALARMS: f64 = 1e-4;
+    /// Blocks before and after.
+    const BESIDE: usize = 3;
+    let blocks = blocks(&tracker.errors_m(&model.geometry(&[])));
+    let count = blocks.len();
+    let freedom = count.checked_sub(3).filter(|freedom| *freedom > 2 * BESIDE)? as f64;
+    let places = BESIDE..=count - BESIDE;
+    let tests = 2.0 * 3.0 * places.clone().count() as f64;
+    let certain = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(1.0 - FALSE_ALARMS / tests);
+    let at = |place: usize| {
+        let design = nalgebra::DMatrix::from_fn(count, 3, |block, column| match column {
+            0 => 1.0,
+            1 => block as f64 / count as f64,
+            _ => f64::from(u8::from(block >= place)),
+        });
+        let inverse = design.tr_mul(&design).try_inverse()?;
+        let mut moved_m = Vector3::zeros();
+        let mut student: f64 = 0.0;
+        for axis in 0..3 {
+            let medians =
+                nalgebra::DVector::from_iterator(count, blocks.iter().map(|(_, median)| median[axis]));
+            let line = &inverse * design.tr_mul(&medians);
+            let left = (&medians - &design * &line).norm_squared() / freedom;
+            moved_m[axis] = line[2];
+            student = student.max(line[2].abs() / (left * inverse[(2, 2)]).sqrt().max(f64::MIN_POSITIVE));
+        }
+        Some((student, Step { row: blocks[place].0 + 1, moved_m: moved_m.norm() }))
+    };
+    let (student, step) = places.filter_map(at).max_by(|a, b| a.0.total_cmp(&b.0))?;
+    (student > certain).then_some(step)
+}

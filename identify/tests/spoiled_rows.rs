@@ -1,0 +1,212 @@
+//! Measured poses that were spoiled on their way are refused, and what went wrong is named.
+#![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
+#![allow(clippy::print_stdout, reason = "figures of a run")]
+
+use identify::calibrate::HoldOut;
+use identify::calibrate::measured_pose::{PoseOptions, PoseReport, calibrate};
+use identify::instrument::PoseRow;
+use identify::kinematics::{Chain, Joints, flange_chain};
+use identify::logs::{MeasuredPoseMapping, MeasuredPoses};
+use nalgebra::{Rotation3, Vector3};
+use shared::config::{self, RobotConfig};
+
+const FILES: [&str; 2] = ["iso_cubes.csv", "grid.csv"];
+
+fn robot(name: &str) -> Chain {
+    let file = crate::support::repository("config/robots").join(name);
+    flange_chain(&config::load::<RobotConfig>(&file).unwrap())
+}
+
+fn ur10() -> Chain {
+    robot("ur10.toml")
+}
+
+/// Rows of a real UR10.
+fn measured(name: &str) -> Vec<PoseRow> {
+    let mapping: MeasuredPoseMapping =
+        config::load(&crate::support::repository("config/measured_pose.toml")).unwrap();
+    let path = crate::support::repository("identify/tests/data/ur10").join(name);
+    MeasuredPoses::load(&path, &mapping).unwrap().rows.iter().map(PoseRow::from).collect()
+}
+
+/// Links alone: what is spoiled shows there.
+fn quick() -> PoseOptions {
+    PoseOptions { joint_errors: false, hold_out: HoldOut::Rows, ..PoseOptions::default() }
+}
+
+fn calibrated(rows: &[PoseRow], robot: &Chain) -> Result<PoseReport, String> {
+    calibrate(rows, robot, &quick()).map_err(|error| error.to_string())
+}
+
+/// What is said of rows of each file so changed.
+fn said(change: impl Fn(Vec<PoseRow>) -> Vec<PoseRow>) -> Vec<String> {
+    let of = |name: &&str| {
+        calibrated(&change(measured(name)), &ur10()).map_or_else(|said| said, |_| "accepted".into())
+    };
+    let said: Vec<String> = FILES.iter().map(of).collect();
+    println!("{}", said.join("\n"));
+    said
+}
+
+fn joints(change: impl Fn(&mut Joints)) -> impl Fn(Vec<PoseRow>) -> Vec<PoseRow> {
+    move |mut rows| {
+        rows.iter_mut().for_each(|row| change(&mut row.joints_rad));
+        rows
+    }
+}
+
+fn all_say(said: &[String], words: &str) {
+    assert!(said.iter().all(|said| said.contains(words)), "not {words:?}: {said:#?}");
+}
+
+#[test]
+fn rows_as_they_were_measured_are_accepted() {
+    for name in FILES {
+        calibrated(&measured(name), &ur10()).unwrap();
+        let half: Vec<PoseRow> = measured(name).into_iter().step_by(2).collect();
+        calibrated(&half, &ur10()).unwrap();
+    }
+}
+
+#[test]
+#[ignore = "needs the whole measured data in the folder BALLBAR_DATA"]
+fn all_rows_of_the_real_ur10_are_accepted_in_each_of_twenty_parts() {
+    let mapping: MeasuredPoseMapping =
+        config::load(&crate::support::repository("config/measured_pose.toml")).unwrap();
+    let folder = std::path::PathBuf::from(std::env::var_os("BALLBAR_DATA").unwrap());
+    let rows = MeasuredPoses::load(&folder.join("ur10-tracker/grid_11911.csv"), &mapping).unwrap().rows;
+    let rows: Vec<PoseRow> = rows.iter().map(PoseRow::from).collect();
+    for part in rows.chunks_exact(rows.len() / 20) {
+        calibrated(part, &ur10()).unwrap();
+    }
+}
+
+#[test]
+fn a_joint_that_counts_the_other_way_is_named() {
+    for joint in 0..6 {
+        all_say(&said(joints(|q| q[joint] = -q[joint])), &format!("most likely joint {} counts", joint + 1));
+    }
+}
+
+fn are_named(exchanged: impl Iterator<Item = (usize, usize)>) {
+    for (one, other) in exchanged {
+        let words = format!("most likely joints {} and {} are exchanged", one + 1, other + 1);
+        all_say(&said(joints(|q| q.swap(one, other))), &words);
+    }
+}
+
+#[test]
+fn exchanged_joints_are_named() {
+    are_named([(0, 3), (3, 4), (3, 5)].into_iter());
+}
+
+#[test]
+#[ignore = "takes a minute"]
+fn any_exchanged_joints_are_named() {
+    are_named((0..6).flat_map(|one| (one + 1..6).map(move |other| (one, other))));
+}
+
+#[test]
+fn joints_in_the_other_unit_are_named() {
+    all_say(&said(joints(|q| *q = q.map(f64::to_radians))), "most likely the joints are in the other unit");
+}
+
+#[test]
+fn rows_that_are_shifted_against_the_measurements_are_named() {
+    let words = "each row's joints belong to the measurement of the row before or after it";
+    let later = |rows: Vec<PoseRow>| {
+        let pairs = rows.windows(2).map(|pair| PoseRow { joints_rad: pair[1].joints_rad, ..pair[0] });
+        pairs.collect()
+    };
+    let earlier = |rows: Vec<PoseRow>| {
+        let pairs = rows.windows(2).map(|pair| PoseRow { joints_rad: pair[0].joints_rad, ..pair[1] });
+        pairs.collect()
+    };
+    all_say(&said(later), words);
+    all_say(&said(earlier), words);
+}
+
+#[test]
+fn exchanged_axes_of_the_positions_are_named() {
+    for (one, other) in [(0, 1), (1, 2)] {
+        let exchanged = |mut rows: Vec<PoseRow>| {
+            rows.iter_mut().for_each(|row| row.position_m.swap_rows(one, other));
+            rows
+        };
+        all_say(&said(exchanged), "two axes of the positions are exchanged");
+    }
+}
+
+#[test]
+fn angles_of_orientation_in_another_order_or_unit_are_named() {
+    let words = "as if angles were in another order, frame or unit";
+    let read = |other: fn(f64, f64, f64) -> Rotation3<f64>| {
+        move |mut rows: Vec<PoseRow>| {
+            for row in &mut rows {
+                row.rotation = row.rotation.map(|rotation| {
+                    let (x, y, z) = rotation.euler_angles();
+                    other(x, y, z)
+                });
+            }
+            rows
+        }
+    };
+    all_say(&said(read(|x, y, z| Rotation3::from_euler_angles(z, y, x))), words);
+    all_say(&said(read(|x, y, z| Rotation3::from_euler_angles(-x, -y, -z).inverse())), words);
+    all_say(
+        &said(read(|x, y, z| Rotation3::from_euler_angles(x.to_radians(), y.to_radians(), z.to_radians()))),
+        words,
+    );
+}
+
+#[test]
+fn a_table_in_the_other_convention_is_named() {
+    // As a table in the modified convention would be typed: lengths and twists a row later.
+    let mut typed = ur10();
+    let links = typed.links.clone();
+    for (link, before) in typed.links.iter_mut().skip(1).zip(&links) {
+        (link.a_m, link.alpha_rad) = (before.a_m, before.alpha_rad);
+    }
+    (typed.links[0].a_m, typed.links[0].alpha_rad) = (0.0, 0.0);
+    for name in FILES {
+        let said = calibrated(&measured(name), &typed).unwrap_err();
+        assert!(said.contains("most likely the robot's table is in the modified convention"), "{said}");
+    }
+}
+
+#[test]
+fn rows_of_another_robot_are_refused_without_a_guess() {
+    for other in ["irb2400_16.toml", "irb120_3.toml"] {
+        for name in FILES {
+            let said = calibrated(&measured(name), &robot(other)).map(|_| ()).unwrap_err();
+            println!("{said}");
+            assert!(!said.contains("most likely"), "{said}");
+        }
+    }
+}
+
+#[test]
+fn a_tracker_that_was_moved_is_refused_with_the_row() {
+    for name in FILES {
+        let rows = measured(name);
+        for (moved_mm, at) in [(30.0, 0.5), (10.0, 0.3)] {
+            let from = (at * rows.len() as f64) as usize;
+            let mut moved = rows.clone();
+            moved[from..]
+                .iter_mut()
+                .for_each(|row| row.position_m += Vector3::new(0.6, -0.64, 0.48) * moved_mm * 1e-3);
+            let said = calibrated(&moved, &ur10()).map(|_| ()).unwrap_err();
+            println!("{name} {moved_mm} mm from row {}: {said}", from + 1);
+            let near = said
+                .split("near row ")
+                .nth(1)
+                .unwrap()
+                .split([' ', ':'])
+                .next()
+                .unwrap()
+                .parse::<usize>()
+                .unwrap();
+            assert!(near.abs_diff(from + 1) <= rows.len() / 20, "{said}");
+        }
+    }
+}
