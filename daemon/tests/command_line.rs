@@ -73,6 +73,8 @@ fn without_permission_the_message_says_what_to_type() {
     let mut command = if root { Command::new("setpriv") } else { Command::new(program) };
     if root {
         command.args(["--reuid=65534", "--regid=65534", "--clear-groups", "--inh-caps=-all", program]);
+        // The home of root is closed to others, and they have their own.
+        command.env("HOME", "/nonexistent").env_remove("XDG_STATE_HOME");
     }
     command.args(["record", "--bus", "lo", "--config"]).arg(config()).arg("--out").arg(out.path());
     refused(&command.output().expect("setpriv of util-linux"), &["no permission", "setcap"], out.path());
