@@ -331,8 +331,8 @@ impl Recorder {
         let (home, spare) = (storage.directory().to_owned(), storage.spare().to_owned());
         let places = [matches!(why, WriteError::Lost(_)).then_some(home), Some(spare)];
         for place in places.into_iter().flatten() {
-            if storage.is_full(&place) {
-                tracing::warn!("{why}; {} has no room for the run either", place.display());
+            if let Some(full) = storage.full(&place) {
+                tracing::warn!("{why}; nor does the run go on elsewhere: {full}");
                 continue;
             }
             let moved = self.writer.sink_mut().move_to(&place).and_then(|()| self.writer.write_out());

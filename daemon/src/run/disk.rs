@@ -108,9 +108,10 @@ impl Storage {
         self.0.silence().or_else(|| lock(&self.0.seen).problem.clone())
     }
 
-    /// There is no room for a run in `directory`.
-    pub fn is_full(&self, directory: &Path) -> bool {
-        self.0.disk.space(directory).is_ok_and(|space| space.free_bytes < self.0.floor_bytes)
+    /// Why there is no room for a run in `directory`, and what to do; none if there is. Asks the disk.
+    pub fn full(&self, directory: &Path) -> Option<String> {
+        let space = self.0.disk.space(directory);
+        space.is_ok_and(|space| self.0.is_full(space)).then(|| self.0.floor_text(directory))
     }
 }
 
@@ -148,10 +149,14 @@ impl Shared {
                  `directory` in daemon.toml",
                 directory.display()
             )),
-            Ok(space) if space.free_bytes <= self.floor_bytes => Some(self.floor_text(directory)),
+            Ok(space) if self.is_full(*space) => Some(self.floor_text(directory)),
             Ok(_) => None,
             Err(error) => Some(format!("{}: {error}; look at its disk", directory.display())),
         }
+    }
+
+    fn is_full(&self, space: Space) -> bool {
+        space.free_bytes <= self.floor_bytes
     }
 
     fn floor_text(&self, directory: &Path) -> String {

@@ -294,6 +294,10 @@ fn create(link: &RunLink, run: &RunMetadata) -> Result<RecordingWriter<RunFile>,
     progress.opening("to recover what earlier runs left");
     let recovered = finish_leftovers(storage);
     progress.opening("to create it");
+    // What is known of the disk may be of the place where the run before went on.
+    if let Some(full) = storage.full(storage.directory()) {
+        return Err(RunError::Disk(full));
+    }
     let created = RecordingWriter::create_on(storage.disk(), storage.directory(), run);
     let writer = created.map_err(|error| match error {
         WriteError::Exists(file) if recovered.contains(&file) => RunError::NameRecovered(file),

@@ -54,18 +54,24 @@ fn check_slow_sync(rate_hz: u32, sync: Duration) {
     assert_eq!((recording.cycles.len() as u64, lost), (plan.cycles, 0));
     outcome.check_claims(&std::fs::read(&outcome.result.as_ref().unwrap().path).unwrap());
     check_marks(&plan, &outcome, &recording);
+    // The machine's own disk adds its time to each synchronisation; the file has what they took.
+    let disk = recording.timing.unwrap().disk;
+    let [longest_s, write_s] = [disk.sync_longest_ns, disk.write_longest_ns].map(|ns| ns as f64 * 1e-9);
+    assert!(longest_s >= sync_s, "the file says {longest_s} s");
     let period_s = plan.sync_period.as_secs_f64();
     // The loss of a kill does not depend on the disk's synchronisation, that of a power cut does.
     let (kill_s, cut_s) = (outcome.worst(|seen| seen.backlog_s), outcome.worst(|seen| seen.unsynced_s));
-    assert!(kill_s <= period_s + SLACK_S, "a kill costs {kill_s} s");
-    assert!(cut_s <= period_s + 2.0 * sync_s + SLACK_S, "a power cut costs {cut_s} s");
-    // More than two periods.
-    assert_eq!(outcome.was_told("a power cut now would cost"), sync_s >= 1.0, "{sync_s} s");
-    let longest_s = recording.timing.unwrap().disk.sync_longest_ns as f64 * 1e-9;
-    assert!(longest_s >= sync_s, "the file says {longest_s} s");
+    assert!(kill_s <= period_s + write_s + SLACK_S, "a kill costs {kill_s} s, a write {write_s} s");
+    assert!(
+        cut_s <= period_s + 2.0 * longest_s + SLACK_S,
+        "a power cut costs {cut_s} s, a sync {longest_s} s"
+    );
+    let is_reported = outcome.was_told("a power cut now would cost");
+    assert_eq!(is_reported, cut_s > 2.0 * period_s, "{sync_s} s, a power cut costs {cut_s} s");
+    assert!(is_reported || sync_s < 1.0, "{sync_s} s");
     // The one that goes on, and the last.
     let finishing_s = outcome.finishing.as_secs_f64();
-    assert!(finishing_s < 2.0 * sync_s + 2.0, "finished {finishing_s} s after the end");
+    assert!(finishing_s < 2.0 * longest_s + 2.0, "finished {finishing_s} s after the end");
     println!(
         "{rate_hz:4} Hz, sync {sync_s:.1} s: {} cycles, {lost} lost; a kill costs {kill_s:.2} s, a power cut {cut_s:.2} s; \
          longest sync in the file {longest_s:.2} s; finished after {finishing_s:.2} s",

@@ -108,6 +108,10 @@ fn a_service_whose_standard_output_fails_serves() {
 /// Every command that prints, on a service that records.
 fn typed(service: &Running, arguments: &[&str], stdout: Stdio) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    if arguments[0] == "stop" {
+        // A run that is stopped before its first cycle is of no use, and `stop` says that.
+        service.wait_until("a cycle", |status| status.run.as_ref().is_some_and(|run| run.cycles > 0));
+    }
     command.env("RUST_LOG", "off").args(arguments).stdout(stdout).stderr(Stdio::piped());
     if !["runs", "record", "export", "recover", "tune", "generate"].contains(&arguments[0]) {
         command.args(["--port", &service.port]);
