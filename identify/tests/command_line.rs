@@ -342,6 +342,11 @@ fn measured_lengths_calibrate_from_a_csv_with_a_mapping() {
     let [x_m, y_m, _] = lengths::ANCHOR_M;
     assert!((value("anchor_x") - x_m).abs() < 1e-3 && (value("anchor_y") - y_m).abs() < 1e-3);
     assert!((value("length_offset") - 0.012).abs() < 1e-3);
+    let rows = &file["rows"].as_array().unwrap()[0];
+    assert_eq!((rows["hold_out"].as_str(), rows["seed"].as_integer()), (Some("rows"), Some(1042)));
+    assert_eq!(rows["held_out"]["joints"]["rows"].as_integer(), Some(40));
+    let page = std::fs::read_to_string(out.path().join("report.html")).unwrap();
+    assert!(page.contains("On 40 rows that the fit has not seen (wire)") && page.contains("anchor_x"));
 
     for bar_only in [["--cost", "length"], ["--selection", "cell"], ["--config", "identify.toml"]] {
         let out = tempfile::tempdir().unwrap();

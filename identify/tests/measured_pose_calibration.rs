@@ -11,7 +11,7 @@ use identify::kinematics::{Chain, Pose, flange_chain};
 use identify::logs::{MeasuredPoseMapping, MeasuredPoses};
 use identify::model::{JointState, ParameterId, Role};
 use identify::report::file::CalibrationFile;
-use identify::report::poses;
+use identify::report::rows;
 use nalgebra::{Rotation3, Vector3};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
@@ -86,7 +86,7 @@ fn quick() -> PoseOptions {
 fn tracker_probe_robot_and_joint_waves_are_found_and_what_is_not_there_is_left_out() {
     let (rows, truth, place, _) = made_up(800, 2e-5, 3e-4);
     let report = calibrate(&rows, &ur10(), &quick()).unwrap();
-    println!("{}", poses::table(&report, &[]));
+    println!("{}", rows::poses(&report, &[]));
     let Stages { nominal, links, joints } = report.held_out;
     assert_eq!((nominal.rows, report.fitted.joints.rows), (160, 640));
     assert!(nominal.position_m.rms > 1e-3 && links.position_m.rms > 1e-4);
@@ -192,6 +192,14 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     }
     let written = std::fs::read_to_string(folder.path().join("out/calibration.toml")).unwrap();
     assert!(written.contains("rsin17_2") && written.contains("tracker_rx"));
+    let page = std::fs::read_to_string(folder.path().join("out/report.html")).unwrap();
+    let shown = crate::support::browser::shown(&page);
+    assert!(shown.foreign.is_empty(), "{:?}", shown.foreign);
+    for part in
+        ["On 80 rows that the fit has not seen (tracker)", "Rotation, calibrated", "tracker_rx", "other.csv"]
+    {
+        assert!(shown.document.contains(part), "{part}");
+    }
     // What is written beside the result repeats it, from anywhere.
     let experiment = |file: &Path| {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_identify"));
@@ -214,6 +222,13 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     let (solved, err) = experiment(&path);
     assert!(solved, "{err}");
     let names: Vec<String> = found("again").parameters.into_iter().map(|one| one.name).collect();
+    // A fifth of single rows; whole regions come as near to it as they can.
+    let held_out: Vec<(usize, u64)> =
+        found("again").rows.iter().map(|rows| (rows.held_out.joints.rows, rows.seed)).collect();
+    assert!(held_out[0] == (80, 1042) && (15..=25).contains(&held_out[1].0), "{held_out:?}");
+    assert_eq!(held_out[1].1, 1);
+    let page = std::fs::read_to_string(folder.path().join("again/report.html")).unwrap();
+    assert!(page.contains("tracker (data set 2)") && page.contains("tracker_x@2"));
     assert!(["ra2", "tracker_x", "tracker_x@2"].iter().all(|name| names.iter().any(|one| one == name)));
     for (wrong, said) in [("recrding = 1\n".to_owned() + &two, "recrding"), (text + &second, "tracker alone")]
     {
@@ -274,7 +289,7 @@ fn grid_and_from_grid_to_cubes(grid: &[PoseRow], cubes: &[PoseRow]) {
     let options = PoseOptions { waves_per_turn_max: 40, ..PoseOptions::default() };
     let report = calibrate(grid, &ur10(), &options).unwrap();
     let figures = validate(cubes, &ur10(), &report.model, 1).unwrap();
-    println!("{}", poses::table(&report, &[poses::Validation { name: "cubes".into(), figures }]));
+    println!("{}", rows::poses(&report, &[rows::Validation { name: "cubes".into(), figures }]));
     below(&report.held_out.joints, GRID);
     below(&figures[1], CUBES);
 }
@@ -290,7 +305,7 @@ fn cubes_whatever_is_held_out(cubes: &[PoseRow]) {
         for seed in 1..=seeds {
             let options = PoseOptions { waves_per_turn_max: 40, hold_out, seed, ..PoseOptions::default() };
             let report = calibrate(cubes, &ur10(), &options).unwrap();
-            println!("{hold_out:?}, seed {seed}\n{}", poses::table(&report, &[]));
+            println!("{hold_out:?}, seed {seed}\n{}", rows::poses(&report, &[]));
             let of = report.held_out.joints.position_m;
             worst = std::array::from_fn(|i| worst[i].max(1e3 * [of.mean, of.p95, of.max][i]));
         }

@@ -6,7 +6,7 @@
 use identify::calibrate::IdentifyConfig;
 use identify::calibrate::ball_bar::RunInput;
 use identify::calibrate::mix::{DataSets, MixedCalibration, calibrate};
-use identify::instrument::{LengthRow, PoseRow};
+use identify::instrument::{Instrument, LengthRow, PoseRow};
 use identify::kinematics::{Chain, DhLink, Joints, Pose, flange_chain, robot_chain};
 use identify::model::{DriveTrain, Model, ParameterId, Role};
 use identify::simulate::{Design, Simulated};
@@ -231,6 +231,25 @@ fn over_twenty_robots_a_mix_is_nearer_than_each_alone_and_its_intervals_hold() {
     assert!(alone.iter().all(|alone| all < *alone), "{all} {alone:?}");
     // Coordinates of one robot err together, so that twenty robots leave a spread of some hundredths.
     assert!(within > 0.85, "{within}");
+}
+
+#[test]
+fn lengths_that_do_not_belong_with_the_rest_take_no_part_in_a_mix() {
+    let mut cell = Cell::new(1);
+    let without_m = cell.error_m(&cell.calibrated(ALL));
+    for row in &mut cell.lengths[40..60] {
+        row.length_m += 0.02;
+    }
+    let found = cell.calibrated(ALL);
+    let Instrument::Wire(wire) = &found.runs[2].instrument else {
+        panic!("{}", found.runs[2].instrument.name())
+    };
+    let rejected: Vec<usize> = wire.rejected().iter().map(|one| one.row).collect();
+    assert!((40..60).all(|row| rejected.contains(&row)), "{rejected:?}");
+    assert!(rejected.iter().all(|row| (35..65).contains(row)), "{rejected:?}");
+    let with_m = cell.error_m(&found);
+    println!("{} um without, {} um with faulty rows", without_m * 1e6, with_m * 1e6);
+    assert!(with_m < 1.2 * without_m, "{with_m} {without_m}");
 }
 
 #[test]

@@ -54,12 +54,6 @@ pub(super) fn link_ids(robot: &Chain) -> Vec<ParameterId> {
     (0..robot.links.len()).flat_map(of).collect()
 }
 
-/// The standard numbers of all links, also of those that lengths alone hardly tell apart.
-pub(super) fn standard_ids(model: &Model) -> Vec<ParameterId> {
-    let is_standard = |id: &ParameterId| matches!(id, ParameterId::Robot { parameter, .. } if *parameter != LinkParameter::Beta);
-    model.parameters().iter().map(|parameter| parameter.id).filter(is_standard).collect()
-}
-
 /// Frees numbers of links, expected at nominal within these standard deviations \[m, rad\], but for those in `fix`.
 ///
 /// # Errors

@@ -1,37 +1,37 @@
 //! Calibration from poses with a measured length each: a draw-wire or a telescoping bar between robot and cell.
 //!
-//! Unknown are the anchor in the cell, the attachment on the flange, a constant length offset, and the robot's links.
-//! The links get priors from tolerances instead of being dropped by hand: one length per pose leaves many directions
-//! weak. Lengths have heavy tails (the wire sags, catches, is read late), so the loss is robust and narrowed step by
-//! step. What rows next to each other are off by together is a drift of the instrument's zero ([`Drift`]), which is taken
-//! into the solve where left-out rows ask for it. Rows are held out by a fixed seed and never seen by the fit; the figures on them are what counts.
+//! Unknown are the anchor in the cell, the attachment on the flange, a constant length offset, the robot's links, with priors
+//! from tolerances, and the errors of its joints, each kind only if fitting rows left out are predicted better with it. What
+//! rows next to each other are off by together is a drift of the instrument's zero ([`Drift`]), which is taken where left-out
+//! rows ask for it. Held-out rows take no part in any of this; the figures on them are what counts.
 
 mod drift;
 mod error;
-mod figures;
-mod report;
 mod runs;
-mod screen;
+
+use nalgebra::Vector3;
 
 use super::ball_bar::CalibrateError;
-use super::links::{free_links, standard_ids};
-use super::split::{self, HoldOut};
-use crate::cost::{DataSets, SharedColumns};
-use crate::instrument::{LengthRow, Measures, Standing, Wire};
+use super::links::{free_links, link_ids};
+use super::measured_pose::{RowErrors, Stages, kinds};
+use super::pipeline::{Plan, Solved, estimate, waves_per_turn};
+use super::split::{self, HoldOut, Split};
+use super::terms::{Candidate, Kind};
+use crate::instrument::{
+    Instrument, LengthRow, Measures, RejectedRow, Rejection, Run, Standing, Wire, faulty, standing, without,
+};
 use crate::kinematics::Chain;
-use crate::model::{JointState, Model, ModelError, ParameterId};
-use crate::solver::{LossName, Options, Solution, solve_robust};
+use crate::model::{Model, ModelError, ParameterId};
+use crate::solver::{LossName, Solution};
 
 pub use drift::Drift;
 pub use error::LengthError;
-pub use figures::{ErrorFigures, Figures};
-pub use report::{LengthReport, ParameterEstimate, RejectedRow, Rejection};
 pub use runs::{FaultyRun, RunCause};
 
 /// How the calibration is done.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LengthOptions {
-    /// What is held out together, from the figures and from each fold of the choice of a drift.
+    /// What is held out together, from the figures and from each fold of the choice of terms.
     pub hold_out: HoldOut,
     /// Part of the rows that the fit never sees.
     pub held_out: f64,
@@ -39,21 +39,10 @@ pub struct LengthOptions {
     pub seed: u64,
     /// How much rows count that do not fit.
     pub loss: LossName,
-    /// Standard deviation of a length \[m\]; none takes it from the spread of the residuals before the robot is fitted.
-    pub length_sigma_m: Option<f64>,
     /// Prior of the links' lengths around nominal, one standard deviation \[m\].
     pub link_sigma_m: f64,
     /// Prior of the links' angles around nominal, one standard deviation \[rad\].
     pub link_sigma_rad: f64,
-    /// A row is rejected where controller and joint angles place the flange further apart than this \[m\].
-    pub flange_tolerance_m: f64,
-    /// A fitting row is rejected where its residual exceeds this many robust standard deviations.
-    pub residual_limit: f64,
-    /// A run of rows is rejected where the median residual of neighbouring fitting rows exceeds this many robust
-    /// standard deviations: a slipped zero, a joint logged with another sign. None keeps them.
-    pub run_limit: Option<f64>,
-    /// A drift of the instrument's zero along the file may be taken.
-    pub drift: bool,
     /// Parameters that stay where they start: links at nominal, the wire attached at the flange's origin, no offset.
     pub fix: Vec<ParameterId>,
 }
@@ -65,13 +54,8 @@ impl Default for LengthOptions {
             held_out: 0.2,
             seed: 1042,
             loss: LossName::Cauchy,
-            length_sigma_m: None,
             link_sigma_m: 1e-2,
             link_sigma_rad: 1e-2,
-            flange_tolerance_m: 5e-3,
-            residual_limit: 8.0,
-            run_limit: Some(3.0),
-            drift: true,
             fix: Vec::new(),
         }
     }
@@ -90,15 +74,9 @@ fn check(rows: &[LengthRow], options: &LengthOptions) -> Result<(), LengthError>
             return bad("a length that is not above zero");
         }
     }
-    let positive = [
-        ("link_sigma_m", options.link_sigma_m),
-        ("link_sigma_rad", options.link_sigma_rad),
-        ("length_sigma_m", options.length_sigma_m.unwrap_or(1.0)),
-        ("flange_tolerance_m", options.flange_tolerance_m),
-        ("residual_limit", options.residual_limit),
-        ("run_limit", options.run_limit.unwrap_or(1.0)),
-    ];
-    for (option, value) in positive {
+    for (option, value) in
+        [("link_sigma_m", options.link_sigma_m), ("link_sigma_rad", options.link_sigma_rad)]
+    {
         if !(value.is_finite() && value > 0.0) {
             return Err(LengthError::BadOption { option, value, remedy: "give a number above zero" });
         }
@@ -110,138 +88,68 @@ fn check(rows: &[LengthRow], options: &LengthOptions) -> Result<(), LengthError>
     Ok(())
 }
 
-/// Chosen rows.
-fn wire(rows: &[LengthRow], chosen: &[usize]) -> Wire {
-    let chosen: Vec<LengthRow> = chosen.iter().filter_map(|&row| rows.get(row).copied()).collect();
-    let states: Vec<JointState> = chosen.iter().map(|row| JointState::at_rest(row.joints_rad)).collect();
-    Wire::new(Standing::new(&chosen, &states, &vec![0; chosen.len()], 0))
+/// Outcome of a calibration by measured lengths.
+#[derive(Debug, Clone)]
+pub struct LengthReport {
+    /// Rows that the fit saw, without rejected ones.
+    pub fitted: Stages,
+    /// Held-out rows, without those whose own data contradict each other and those in faulty runs.
+    pub held_out: Stages,
+    /// All held-out rows.
+    pub held_out_with_rejected: Stages,
+    /// Each row, rejected or not.
+    pub errors: RowErrors,
+    /// Drift of the instrument's zero, where left-out rows asked for it; it is part of the last stage of all figures.
+    pub drift: Option<Drift>,
+    /// Kinds of joint errors, taken or not.
+    pub terms: Vec<Candidate>,
+    /// Rows that did not take part, and why.
+    pub rejected: Vec<RejectedRow>,
+    /// Faulty runs, with what would explain them.
+    pub runs: Vec<FaultyRun>,
+    /// Standard deviation of a length, from the spread of the residuals \[m\].
+    pub length_sigma_m: f64,
+    /// The last solve.
+    pub solution: Solution,
+    /// The calibrated model.
+    pub model: Model,
 }
 
-/// Solves for what is free in the model and takes the solution over.
-fn fit(
+impl LengthReport {
+    /// Standard deviation of a parameter, SI; none where it was fixed.
+    pub fn sigma(&self, id: ParameterId) -> Option<f64> {
+        self.solution.covariance.sigma(self.model.column_of(id)?)
+    }
+}
+
+/// Rows whose controller position is not where their joint angles put the flange.
+fn contradicting(rows: &[LengthRow], robot: &Chain) -> Vec<RejectedRow> {
+    /// Above what controllers round, and nominal links they know better \[m\].
+    const TOLERANCE_M: f64 = 5e-3;
+    let distance_m = |row: &LengthRow| {
+        let claimed_m = row.flange_m.map(Vector3::from)?;
+        Some((robot.forward(&row.joints_rad).translation.vector - claimed_m).norm())
+    };
+    let rejected = |(index, row): (usize, &LengthRow)| {
+        let distance_m = distance_m(row).filter(|distance_m| *distance_m > TOLERANCE_M)?;
+        Some(RejectedRow { row: index, why: Rejection::FlangeContradicts { distance_m } })
+    };
+    rows.iter().enumerate().filter_map(rejected).collect()
+}
+
+/// The rows of a wire solved with what is free in the model, which is left at the solution.
+fn solved(
+    wire: Wire,
     model: &mut Model,
-    rows: &[LengthRow],
-    chosen: &[usize],
     loss: LossName,
-    sigma_m: f64,
-) -> Result<Solution, LengthError> {
-    let (wire, columns) = (wire(rows, chosen), SharedColumns::new([&*model], |_| false));
-    let problem = DataSets::new(vec![wire.data_set(model, sigma_m).map_err(CalibrateError::from)?], &columns);
-    let solution =
-        solve_robust(&problem, &model.start(), loss, &Options::default()).map_err(CalibrateError::from)?;
-    let solution = solution.identified().map_err(CalibrateError::from)?;
-    drop(problem);
-    model.adopt(&solution.x);
-    Ok(solution)
-}
-
-/// Residual of every row \[m\].
-fn residuals_m(model: &Model, rows: &[LengthRow]) -> Vec<f64> {
-    wire(rows, &(0..rows.len()).collect::<Vec<_>>()).residuals_m(&model.geometry(&[]))
-}
-
-/// Anchor, attachment and offset with the robot as it is.
-fn fit_wire(
-    model: &mut Model,
-    rows: &[LengthRow],
-    chosen: &[usize],
-    options: &LengthOptions,
-) -> Result<(), LengthError> {
-    if !wire(rows, chosen).place(model, &options.fix)? {
-        return Err(LengthError::NoAnchor);
-    }
-    fit(model, rows, chosen, options.loss, 1.0).map(drop)
-}
-
-/// Fits wire and links, each round without the rows that the round before found faulty, until none changes.
-///
-/// Every round judges all fitting rows anew: as the fit improves, smaller faults show, and rows rejected too early
-/// come back.
-fn fit_links(
-    model: &mut Model,
-    rows: &[LengthRow],
-    fitting: &[usize],
-    options: &LengthOptions,
-) -> Result<LinkFit, LengthError> {
-    const ROUNDS_MAX: usize = 20;
-    /// The scale changes less than this from round to round.
-    const SCALE_SETTLED: f64 = 0.02;
-    let mut found = screen::faulty(&residuals_m(model, rows), fitting, fitting, options);
-    let links = standard_ids(model);
-    free_links(model, &links, &options.fix, [options.link_sigma_m, options.link_sigma_rad])?;
-    for _ in 0..ROUNDS_MAX {
-        let kept = screen::without(fitting, &found);
-        if kept.len() < ROWS_MIN.max(fitting.len() / 2) {
-            return Err(LengthError::TooManyRejected { kept: kept.len(), rows: fitting.len() });
-        }
-        let sigma_m = scale_m(model, rows, &kept, options);
-        let solution = fit(model, rows, &kept, options.loss, sigma_m)?;
-        let again = screen::faulty(&residuals_m(model, rows), fitting, &kept, options);
-        let rescaled = scale_m(model, rows, &kept, options) / sigma_m - 1.0;
-        let settled = screen::same_rows(&again, &found) && rescaled.abs() < SCALE_SETTLED;
-        let rejected = std::mem::replace(&mut found, again);
-        if settled {
-            return Ok(LinkFit { solution, sigma_m, rejected });
-        }
-    }
-    // Rows at the limit may change places for ever; the last choice is as good as any.
-    let kept = screen::without(fitting, &found);
-    let sigma_m = scale_m(model, rows, &kept, options);
-    let solution = fit(model, rows, &kept, options.loss, sigma_m)?;
-    Ok(LinkFit { solution, sigma_m, rejected: found })
-}
-
-/// Outcome of [`fit_links`].
-struct LinkFit {
-    solution: Solution,
-    sigma_m: f64,
-    rejected: Vec<RejectedRow>,
-}
-
-/// A fit with a drift.
-struct Drifted {
-    drift: Drift,
-    drift_m: Vec<f64>,
-    solution: Solution,
-}
-
-impl Drifted {
-    /// Takes a drift into the fit if left-out rows ask for it. Faulty runs take part: what moved their zero is part of it.
-    fn find(
-        model: &mut Model,
-        rows: &[LengthRow],
-        fitting: &[usize],
-        faulty: &[RejectedRow],
-        sigma_m: f64,
-        groups: &[usize],
-        options: &LengthOptions,
-    ) -> Result<Option<Self>, LengthError> {
-        if !options.drift {
-            return Ok(None);
-        }
-        let single = |r: &&RejectedRow| matches!(r.why, Rejection::GrossResidual { .. });
-        let singles: Vec<RejectedRow> = faulty.iter().filter(single).copied().collect();
-        let fitting = screen::without(fitting, &singles);
-        let folds = split::folds(groups, &fitting, drift::FOLDS, options.seed.wrapping_add(1));
-        let Some(drift) = drift::choose(model, rows, &fitting, &folds, sigma_m)? else { return Ok(None) };
-        let drift_m = drift::fit(model, rows, &fitting, &drift)?;
-        // Once more with the drift as known: it stays where it is, and the solver tells of rank and covariance.
-        let mut steady = rows.to_vec();
-        steady.iter_mut().zip(&drift_m).for_each(|(row, drift_m)| row.length_m += drift_m);
-        let solution = fit(model, &steady, &fitting, LossName::Huber, drift.white_m)?;
-        Ok(Some(Self { drift, drift_m, solution }))
-    }
-
-    /// Residual of every row without the drift there \[m\].
-    fn residuals_m(&self, model: &Model, rows: &[LengthRow]) -> Vec<f64> {
-        residuals_m(model, rows).iter().zip(&self.drift_m).map(|(r, drift)| r - drift).collect()
-    }
-}
-
-/// Standard deviation of a length \[m\]: given, or from the rows as they fit now.
-fn scale_m(model: &Model, rows: &[LengthRow], kept: &[usize], options: &LengthOptions) -> f64 {
-    let estimated = || screen::robust_sigma(&figures::pick(&residuals_m(model, rows), kept));
-    options.length_sigma_m.unwrap_or_else(estimated)
+    kinds: Vec<Kind>,
+) -> Result<(Solved, Wire), CalibrateError> {
+    let mut runs = [Run { instrument: Instrument::Wire(wire), model: model.clone() }];
+    let solved = estimate(&mut runs, &Plan::new(loss, kinds))?;
+    let [Run { instrument, model: found }] = runs;
+    let Instrument::Wire(wire) = instrument else { return Err(CalibrateError::NoRun) };
+    *model = found;
+    Ok((solved, wire))
 }
 
 /// Calibrates a robot from poses with a measured length each; rows in the order in which they were measured.
@@ -258,42 +166,74 @@ pub fn calibrate(
     options: &LengthOptions,
 ) -> Result<LengthReport, LengthError> {
     check(rows, options)?;
-    let groups = options.hold_out.groups(robot, rows.iter().map(|row| row.joints_rad));
+    let joints = || rows.iter().map(|row| row.joints_rad);
+    let (groups, states) = (options.hold_out.groups(robot, joints()), standing(joints()));
     let split = split::split(&groups, options.held_out, options.seed);
-    let mut rejected = screen::contradicting(rows, robot, options.flange_tolerance_m);
-    let fitting = screen::without(&split.fitting, &rejected);
+    let mut rejected = contradicting(rows, robot);
+    let fitting = without(&split.fitting, &rejected);
     if fitting.len() < ROWS_MIN {
         return Err(LengthError::TooFewRows { rows: fitting.len(), needed: ROWS_MIN });
     }
+    let all = Wire::new(Standing::new(rows, &states, &groups, options.seed));
+    let chosen = all.chosen(&fitting);
     let mut model = Model::measured_length(robot);
-    if let Some(&id) = options.fix.iter().find(|id| model.parameter(**id).is_none()) {
+    let waves = waves_per_turn(fitting.len(), robot.links.len());
+    let with_waves = model.clone().with_joint_waves(ParameterId::joint_waves(waves));
+    if let Some(&id) = options.fix.iter().find(|id| with_waves.parameter(**id).is_none()) {
         return Err(ModelError::NotInModel { id }.into());
     }
-    fit_wire(&mut model, rows, &fitting, options)?;
-    let before = residuals_m(&model, rows);
-    let LinkFit { solution, sigma_m, rejected: faulty } = fit_links(&mut model, rows, &fitting, options)?;
-    let robot_alone = residuals_m(&model, rows);
-    let drifted = Drifted::find(&mut model, rows, &fitting, &faulty, sigma_m, &groups, options)?;
-    let after = drifted.as_ref().map_or_else(|| robot_alone.clone(), |found| found.residuals_m(&model, rows));
-    let known: Vec<usize> = rejected.iter().map(|r| r.row).collect();
-    rejected.extend(faulty.into_iter().filter(|r| !known.contains(&r.row)));
-    rejected.sort_by_key(|r| r.row);
-    let runs = runs::runs(&model, rows, &rejected);
-    let (solution, sigma_m, drift) = match drifted {
-        Some(Drifted { drift, solution, .. }) => (solution, drift.white_m, Some(drift)),
-        None => (solution, sigma_m, None),
+    if !chosen.place(&mut model, &options.fix)? {
+        return Err(LengthError::NoAnchor);
+    }
+    solved(chosen.clone(), &mut model, options.loss, Vec::new())?;
+    let nominal = all.errors(&model.geometry(&[]));
+    free_links(&mut model, &link_ids(robot), &options.fix, [options.link_sigma_m, options.link_sigma_rad])?;
+    let (of_links, wire) = solved(chosen.clone(), &mut model, options.loss, Vec::new())?;
+    let links = all.errors(&model.geometry(&[]));
+    let row_of = |one: &RejectedRow| RejectedRow { row: fitting[one.row], ..*one };
+    let kept = without(&fitting, &wire.rejected().iter().map(row_of).collect::<Vec<_>>());
+    let faulty = faulty(&all.residuals_m(&model.geometry(&[])), &fitting, &kept);
+    let kept = without(&fitting, &faulty);
+    if kept.len() < ROWS_MIN.max(fitting.len() / 2) {
+        return Err(LengthError::TooManyRejected { kept: kept.len(), rows: fitting.len() });
+    }
+    let known: Vec<usize> = rejected.iter().map(|one| one.row).collect();
+    rejected.extend(faulty.iter().filter(|one| !known.contains(&one.row)));
+    rejected.sort_by_key(|one| one.row);
+
+    let sigma_m = of_links.sigmas.first().copied().unwrap_or_default();
+    // Faulty runs take part: what moved their zero is part of a drift.
+    let single = |one: &&RejectedRow| matches!(one.why, Rejection::GrossResidual { .. });
+    let singles: Vec<RejectedRow> = faulty.iter().filter(single).copied().collect();
+    let fitting = without(&fitting, &singles);
+    let drift = drift::find(&mut model, &all, &fitting, &groups, sigma_m, options.seed)?;
+    let offered = |id: &ParameterId| with_waves.parameter(*id).is_some() && !options.fix.contains(id);
+    model = model.with_joint_waves(ParameterId::joint_waves(waves));
+    let (drift, drift_m, chosen, loss) = match drift {
+        // From here on the drift is known.
+        Some((drift, drift_m)) => {
+            let chosen = all.plus(&drift_m).chosen(&fitting);
+            (Some(drift), drift_m, chosen, LossName::Huber)
+        }
+        None => (None, vec![0.0; rows.len()], chosen, options.loss),
     };
-    solution.summary.require_converged().map_err(CalibrateError::from)?;
-    Ok(report::assemble(report::Outcome {
-        model,
-        solution,
-        before,
-        robot_alone,
-        after,
-        split,
-        rejected,
-        runs,
-        sigma_m,
+    let (Solved { solution, candidates, sigmas, .. }, _) =
+        solved(chosen, &mut model, loss, kinds(waves, offered))?;
+    // Without the drift there.
+    let steady = all.plus(&drift_m).errors(&model.geometry(&[]));
+    let Split { fitting: fitted, held_out } = split;
+    let errors = RowErrors { stages: [nominal, links, steady], fitted, held_out };
+    Ok(LengthReport {
+        fitted: errors.of(&without(&errors.fitted, &rejected)),
+        held_out: errors.of(&without(&errors.held_out, &rejected)),
+        held_out_with_rejected: errors.of(&errors.held_out),
+        errors,
         drift,
-    }))
+        terms: candidates,
+        runs: runs::runs(&model, &all, &rejected),
+        rejected,
+        length_sigma_m: sigmas.first().copied().unwrap_or_default(),
+        solution,
+        model,
+    })
 }

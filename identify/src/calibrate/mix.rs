@@ -7,16 +7,16 @@ use super::IdentifyConfig;
 use super::ball_bar::{CalibrateError, RunInput, prepared_runs, solve};
 use super::config::SelectionName;
 use super::links::{free_links, link_ids};
-use super::measured_pose::{self, WAVES_PER_TURN_MAX};
-use super::pipeline::{Plan, Solved, estimate};
+use super::measured_pose::{self, RowErrors};
+use super::pipeline::{Plan, Solved, estimate, waves_per_turn};
 use super::split::HoldOut;
 use crate::instrument::{Instrument, LengthRow, PoseRow, Run, Standing, Tracker, Wire};
 use crate::kinematics::{Chain, flange_chain};
-use crate::model::{DriveTrain, Model, ModelError, ParameterId, Phase, Role};
+use crate::model::{DriveTrain, Model, ModelError, ParameterId, Role};
 use crate::solver::{LossName, Watch};
 
 /// Decides which groups of rows come together where nobody says so.
-const SEED: u64 = 1;
+pub const SEED: u64 = 1;
 
 /// What was measured on one robot.
 #[derive(Debug, Clone, Default)]
@@ -72,23 +72,13 @@ fn check(config: &IdentifyConfig) -> Result<(), CalibrateError> {
     }
 }
 
-/// Estimates the robot from all data sets together, each number of its links expected at nominal within the configured
-/// tolerance, which is scaled until left-out groups of samples are predicted best; runs with the ball-bar alone as
-/// [`super::ball_bar::calibrate_runs`] does. `watch` sees each solve and may end it.
-///
-/// # Errors
-/// [`CalibrateError`].
-pub fn calibrate(
+/// Data sets with their models at the nominal robot, what is free in them, and how they are solved.
+fn laid_out<'w>(
     data: &DataSets<'_>,
     robot: &RobotConfig,
     config: &IdentifyConfig,
-    watch: Option<&dyn Watch>,
-) -> Result<MixedCalibration, CalibrateError> {
-    if data.trackers.is_empty() && data.wires.is_empty() {
-        let mut runs = prepared_runs(&data.bars, robot, config)?;
-        let solved = solve(&mut runs, config, watch)?;
-        return Ok(MixedCalibration { runs, solved });
-    }
+    watch: Option<&'w dyn Watch>,
+) -> Result<(Vec<Run>, Plan<'w>), CalibrateError> {
     check(config)?;
     let fix = config.fix.iter().map(|name| name.parse()).collect::<Result<Vec<ParameterId>, ModelError>>()?;
     let flange = flange_chain(robot);
@@ -124,7 +114,10 @@ pub fn calibrate(
         let Run { instrument, model } = &runs[0];
         config.kinds(model, |id| instrument.tells(id))
     } else {
-        let last = waves_per_turn(&runs, flange.links.len())?;
+        let measured =
+            |run: &Run| Ok(run.instrument.samples() * run.instrument.data_set(&run.model, 1.0)?.rows());
+        let measured = runs.iter().map(measured).sum::<Result<_, CalibrateError>>()?;
+        let last = waves_per_turn(measured, flange.links.len());
         for run in &mut runs {
             run.model = run.model.clone().with_joint_waves(ParameterId::joint_waves(last));
         }
@@ -140,19 +133,72 @@ pub fn calibrate(
         prepare: config.prepare.clone(),
         watch,
     };
+    Ok((runs, plan))
+}
+
+/// Estimates the robot from all data sets together, each number of its links expected at nominal within the configured
+/// tolerance, which is scaled until left-out groups of samples are predicted best; runs with the ball-bar alone as
+/// [`super::ball_bar::calibrate_runs`] does. `watch` sees each solve and may end it.
+///
+/// # Errors
+/// [`CalibrateError`].
+pub fn calibrate(
+    data: &DataSets<'_>,
+    robot: &RobotConfig,
+    config: &IdentifyConfig,
+    watch: Option<&dyn Watch>,
+) -> Result<MixedCalibration, CalibrateError> {
+    if data.trackers.is_empty() && data.wires.is_empty() {
+        let mut runs = prepared_runs(&data.bars, robot, config)?;
+        let solved = solve(&mut runs, config, watch)?;
+        return Ok(MixedCalibration { runs, solved });
+    }
+    let (mut runs, plan) = laid_out(data, robot, config, watch)?;
     let solved = estimate(&mut runs, &plan)?;
     Ok(MixedCalibration { runs, solved })
 }
 
-/// Highest order of the joints' waves that is tried: no left-out group could support more than one wave's number for four
-/// measured ones of each axis.
-fn waves_per_turn(runs: &[Run], axes: usize) -> Result<u8, CalibrateError> {
-    const MEASURED_PER_WAVE: usize = 4;
-    let measured =
-        |run: &Run| Ok(run.instrument.samples() * run.instrument.data_set(&run.model, 1.0)?.rows());
-    let measured: usize = runs.iter().map(measured).sum::<Result<_, CalibrateError>>()?;
-    let orders = measured / (MEASURED_PER_WAVE * Phase::ALL.len() * axes.max(1));
-    Ok(u8::try_from(orders).unwrap_or(u8::MAX).min(WAVES_PER_TURN_MAX))
+/// Rows of trackers and wires as predicted by a solve of everything but a fifth of each file's, for each data set in their
+/// order; of runs with the ball-bar, which are whole in that solve, nothing.
+///
+/// # Errors
+/// [`CalibrateError`].
+pub fn held_out(
+    data: &DataSets<'_>,
+    robot: &RobotConfig,
+    config: &IdentifyConfig,
+    watch: Option<&dyn Watch>,
+) -> Result<Vec<RowErrors>, CalibrateError> {
+    const PARTS: usize = 5;
+    let (mut runs, plan) = laid_out(data, robot, config, watch)?;
+    let (mut all, mut errors) = (Vec::new(), Vec::new());
+    for run in &mut runs {
+        let whole = run.instrument.clone();
+        let mut of_run = RowErrors::default();
+        if whole.bar().is_none() {
+            of_run.held_out = whole.independent(PARTS).into_iter().next().unwrap_or_default();
+            of_run.held_out.sort_unstable();
+            of_run.fitted = (0..whole.samples())
+                .filter(|sample| of_run.held_out.binary_search(sample).is_err())
+                .collect();
+            run.instrument = whole.part(&of_run.fitted);
+            let mut nominal = Run { instrument: whole.clone(), model: run.model.clone() };
+            nominal.model.set_roles(link_ids(&flange_chain(robot)), Role::Fixed)?;
+            if nominal.model.columns().len() > 0 {
+                estimate(std::slice::from_mut(&mut nominal), &Plan::new(LossName::Huber, Vec::new()))?;
+            }
+            of_run.stages[0] = whole.errors(&nominal.model.geometry(&[]));
+        }
+        all.push(whole);
+        errors.push(of_run);
+    }
+    let solved = estimate(&mut runs, &plan)?;
+    let models = solved.without_terms.iter().zip(&runs);
+    for ((whole, of_run), (links, run)) in all.iter().zip(&mut errors).zip(models) {
+        of_run.stages[1] = whole.errors(&links.geometry(&[]));
+        of_run.stages[2] = whole.errors(&run.model.geometry(&[]));
+    }
+    Ok(errors)
 }
 
 /// The same numbers of the robot's links are free in every model; those of the last one belong to what is mounted there.

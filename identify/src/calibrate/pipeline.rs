@@ -1,15 +1,17 @@
 //! The one way from data sets to parameters, for any mix of instruments on one robot: solve until each data set counts as much
-//! as it is worth, choose terms on left-out groups of samples, solve again, and say how far to trust the result.
+//! as it is worth, without the samples that do not belong with its rest; choose terms on left-out groups of samples, solve
+//! again, and say how far to trust the result.
 
 use super::ball_bar::CalibrateError;
 use super::config::CostName;
+use super::measured_pose::WAVES_PER_TURN_MAX;
 use super::ripple::Ripple;
 use super::sudden;
 use super::terms::{Candidate, Kind, Offer, TermGroup, prior_scale, select};
 use crate::cost::{CostError, DataSets, SharedColumns};
 use crate::instrument::{Measures, Run};
 use crate::kinematics::LinkParameter;
-use crate::model::{Model, ModelError, ParameterId, Role};
+use crate::model::{Model, ModelError, ParameterId, Phase, Role};
 use crate::prepare::PrepareOptions;
 use crate::solver::{
     GoodShare, Loss, LossName, Normals, Options, Problem, Solution, Watch, minimise, solve,
@@ -44,6 +46,22 @@ pub struct Plan<'a> {
     pub prepare: PrepareOptions,
     /// Sees each solve and may end it.
     pub watch: Option<&'a dyn Watch>,
+}
+
+impl Plan<'_> {
+    /// Of rows of one instrument.
+    pub fn new(loss: LossName, kinds: Vec<Kind>) -> Self {
+        let prepare = PrepareOptions::default();
+        Plan { loss, ransac: false, kinds, fix: Vec::new(), tolerances: Vec::new(), prepare, watch: None }
+    }
+}
+
+/// Highest order of the joints' waves that is tried: no left-out group could support more than one wave's number for four
+/// measured ones of each axis.
+pub(super) fn waves_per_turn(measured: usize, axes: usize) -> u8 {
+    const MEASURED_PER_WAVE: usize = 4;
+    let orders = measured / (MEASURED_PER_WAVE * Phase::ALL.len() * axes.max(1));
+    u8::try_from(orders).unwrap_or(u8::MAX).min(WAVES_PER_TURN_MAX)
 }
 
 /// A solve of all runs.
@@ -207,12 +225,19 @@ impl Solver<'_> {
         for _ in 0..ROUNDS_MAX {
             // Samples that do not fit lose their pull on the way.
             self.descend(LossName::Cauchy)?;
+            let screened = self.screen();
             let before = std::mem::replace(&mut noise, self.weigh()?);
-            if noise.iter().zip(&before).all(|(now, before)| *now > (1.0 - SETTLED) * before) {
+            if !screened && noise.iter().zip(&before).all(|(now, before)| *now > (1.0 - SETTLED) * before) {
                 break;
             }
         }
         self.solve()
+    }
+
+    /// Each data set without the samples that do not belong with its rest; whether other ones take part than before.
+    fn screen(&mut self) -> bool {
+        let runs = self.runs.iter_mut();
+        runs.fold(false, |others, Run { instrument, model }| instrument.screen(model) || others)
     }
 
     /// Takes the noise of each data set from what is left at its model: variance components, each from its own residuals.

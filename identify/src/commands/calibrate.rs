@@ -4,6 +4,7 @@ mod bar;
 mod experiment;
 mod force_logs;
 mod refused;
+mod result;
 mod sources;
 mod tracker;
 mod wire;

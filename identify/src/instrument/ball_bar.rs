@@ -137,8 +137,8 @@ impl Measures for BallBar {
         independent_segments(&self.prepared.motion, &times_s, count)
     }
 
-    fn thinned(&self, every: usize) -> Instrument {
-        let observations = self.prepared.observations.iter().step_by(every).copied().collect();
+    fn part(&self, samples: &[usize]) -> Instrument {
+        let observations = samples.iter().map(|&sample| self.prepared.observations[sample]).collect();
         let prepared = Prepared { observations, ..self.prepared.clone() };
         Instrument::BallBar(Box::new(Self { prepared, ..self.clone() }))
     }

@@ -13,10 +13,11 @@ pub use ball_bar::BallBar;
 pub use standing::{Standing, standing};
 pub(crate) use tracker::quantile;
 pub use tracker::{Apart, PoseRow, Tracker};
-pub use wire::{LengthRow, Wire};
+pub use wire::{LengthRow, RejectedRow, Rejection, Wire};
+pub(crate) use wire::{faulty, median_size, without};
 
 use crate::cost::{CostError, DataSet};
-use crate::model::{Clock, JointState, Model, ModelError, ParameterId};
+use crate::model::{Clock, Geometry, JointState, Model, ModelError, ParameterId};
 
 /// What an estimator asks of an instrument.
 pub trait Measures: fmt::Debug + Sync {
@@ -46,11 +47,23 @@ pub trait Measures: fmt::Debug + Sync {
     /// where the instrument estimates that by itself: its residuals are then in standard deviations.
     fn adapt(&mut self, model: &Model) -> Option<f64>;
 
+    /// Leaves out samples that do not belong with the rest where the model is, and takes back those that do; whether other ones
+    /// take part now.
+    fn screen(&mut self, _model: &Model) -> bool {
+        false
+    }
+
     /// At most `count` groups of samples, with errors that have nothing in common.
     fn independent(&self, count: usize) -> Vec<Vec<usize>>;
 
-    /// Every so manieth sample.
-    fn thinned(&self, every: usize) -> Instrument;
+    /// Some of the samples.
+    fn part(&self, samples: &[usize]) -> Instrument;
+
+    /// How far robot and measurement are apart in every sample, whether it takes part or not; none where that is no matter of
+    /// a distance each.
+    fn errors(&self, _geometry: &Geometry) -> Vec<Apart> {
+        Vec::new()
+    }
 }
 
 /// The instruments.

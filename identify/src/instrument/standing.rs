@@ -69,11 +69,6 @@ impl<R: Copy> Standing<R> {
         }
     }
 
-    /// Every so manieth row.
-    pub(super) fn every(&self, every: usize) -> Vec<usize> {
-        (0..self.rows.len()).step_by(every).collect()
-    }
-
     /// At most `count` folds of the rows by their groups.
     pub(super) fn independent(&self, count: usize) -> Vec<Vec<usize>> {
         split::all_in_folds(&self.groups, count, self.seed)

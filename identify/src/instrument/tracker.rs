@@ -28,7 +28,8 @@ impl From<&logs::MeasuredPose> for PoseRow {
     }
 }
 
-/// Distance between where the robot holds the probe and where the tracker sees it.
+/// How far what the robot says is from what was measured: between where it holds the probe and where the tracker sees it, or
+/// of two lengths.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Apart {
     /// \[m\]
@@ -189,8 +190,12 @@ impl Measures for Tracker {
         self.at.independent(count)
     }
 
-    fn thinned(&self, every: usize) -> Instrument {
-        Instrument::Tracker(self.chosen(&self.at.every(every)))
+    fn part(&self, samples: &[usize]) -> Instrument {
+        Instrument::Tracker(self.chosen(samples))
+    }
+
+    fn errors(&self, geometry: &Geometry) -> Vec<Apart> {
+        self.apart(geometry)
     }
 }
 

@@ -51,8 +51,8 @@ impl<'d> Earlier<'d> {
     }
 }
 
-/// Takes the page of a refusal, or of an older calibration, out of a directory into which a calibration is written that may
-/// have none: it would belie it. What another program calls so stays.
+/// Takes the page of a refusal, or of an older calibration, out of a directory into which a calibration is written: until its
+/// own page is there, it would belie it. What another program calls so stays.
 ///
 /// # Errors
 /// [`FileError::Io`].

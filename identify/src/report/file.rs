@@ -11,7 +11,7 @@ use shared::time::UtcNs;
 use super::earlier::remove_page;
 use super::force::ForceEntry;
 use super::knowledge::{CovarianceEntry, Knowledge};
-use super::validation::{HeldOutEntry, OtherCostEntry};
+use super::validation::{HeldOutEntry, OtherCostEntry, RowsEntry};
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::calibrate::terms::Candidate;
 use crate::cost::SharedColumns;
@@ -254,6 +254,9 @@ pub struct CalibrationFile {
     /// How well held-out stretches of the runs were predicted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub held_out: Option<HeldOutEntry>,
+    /// How well rows of trackers and wires were predicted that the fit did not see.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub rows: Vec<RowsEntry>,
     /// What the other costs that the encoders allow say of the same samples.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub other_costs: Vec<OtherCostEntry>,
@@ -291,11 +294,22 @@ impl CalibrationFile {
             inputs,
             candidates: Vec::new(),
             held_out: None,
+            rows: Vec::new(),
             other_costs: Vec::new(),
             parameters,
             knowledge: None,
             covariance: None,
         }
+    }
+
+    /// Parameters for a person, and how many amplitudes of waves of the axes are not among them: more than forty would fill a
+    /// page and say nothing.
+    pub fn told(&self) -> (Vec<&ParameterEntry>, usize) {
+        const WAVES_MAX: usize = 40;
+        let is_wave = |entry: &ParameterEntry| matches!(entry.id(), Some(ParameterId::JointWave { .. }));
+        let waves = self.parameters.iter().filter(|entry| is_wave(entry)).count();
+        let untold = if waves > WAVES_MAX { waves } else { 0 };
+        (self.parameters.iter().filter(|entry| untold == 0 || !is_wave(entry)).collect(), untold)
     }
 
     /// Writes `calibration.toml`, the same with the covariance as `calibration.json`, and `dh.csv` (see [`CalibrationFile::dh_csv`]) into the

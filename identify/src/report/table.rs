@@ -3,7 +3,6 @@
 use std::fmt::Write;
 
 use super::file::{CalibrationFile, ParameterEntry, Status};
-use crate::calibrate::measured_length::{ErrorFigures, Figures, LengthReport, Rejection, RunCause};
 use crate::calibrate::mix::MixedCalibration;
 use crate::calibrate::truth::Comparison;
 use crate::inspect::{Inspection, JointLine};
@@ -76,7 +75,12 @@ pub fn data_sets(found: &MixedCalibration) -> String {
             Instrument::Tracker(tracker) => {
                 writeln!(text, "{name:<12}{samples:>8}{:>21.4} mm", sigma * tracker.noise.position_m * 1e3)
             }
-            Instrument::Wire(_) => writeln!(text, "{name:<12}{samples:>8}{:>21.4} mm", sigma * 1e3),
+            Instrument::Wire(wire) => writeln!(
+                text,
+                "{name:<12}{samples:>8}{:>21.4} mm, {} rows that do not belong with the rest take no part",
+                sigma * 1e3,
+                wire.rejected().len()
+            ),
         };
     }
     text
@@ -87,7 +91,8 @@ fn parameters(file: &CalibrationFile) -> String {
     let mut text = String::new();
     let _ = writeln!(text, "\n{:<16}{:>14}{:>12}{:>10}  unit", "parameter", "nominal", "correction", "sigma");
     let mut fixed = Vec::new();
-    for entry in &file.parameters {
+    let (told, waves) = file.told();
+    for entry in told {
         if entry.status == Status::Fixed {
             fixed.push(entry.name.as_str());
             continue;
@@ -106,6 +111,9 @@ fn parameters(file: &CalibrationFile) -> String {
             unit.display_symbol(),
         );
     }
+    if waves > 0 {
+        let _ = writeln!(text, "and {waves} amplitudes of waves of the axes");
+    }
     let _ = writeln!(text, "fixed: {}", fixed.join(" "));
     text
 }
@@ -115,17 +123,21 @@ fn candidates(file: &CalibrationFile) -> String {
     if file.candidates.is_empty() {
         return String::new();
     }
-    let mut text =
-        String::from("terms tried on held-out stretches of the run (residual RMS without and with):\n");
+    let mut text = String::from(
+        "terms, tried on left-out samples (residual RMS without -> with them, in standard deviations of the cost):\n",
+    );
     for candidate in &file.candidates {
+        let verdict = candidate.sigma.map_or_else(
+            || "left out".into(),
+            |sigma| format!("taken, expected within {:.0} urad|um|ppm", sigma * 1e6),
+        );
         let _ = writeln!(
             text,
-            "  {:<40}{:>4} parameters{:>12.4} -> {:.4}  {}",
+            "  {}: {verdict}, {} parameters, {:.4} -> {:.4}",
             candidate.name(),
             candidate.parameters,
             candidate.held_out_before,
             candidate.held_out_after,
-            if candidate.accepted { "taken" } else { "left out" },
         );
     }
     text
@@ -180,94 +192,6 @@ pub fn comparison(comparison: &Comparison) -> String {
         comparison.clock_shift_error_s * 1e6,
         comparison.clock_skew_error * 1e6,
     );
-    text
-}
-
-/// Length errors before and after on rows that the fit saw and on rows that it did not, and what was rejected. `lines`
-/// gives each row's line in its file.
-pub fn lengths(report: &LengthReport, lines: &[u64]) -> String {
-    let mut text = length_errors(report);
-    if let Some(drift) = &report.drift {
-        let _ = writeln!(
-            text,
-            "drift of the zero along the file: {:.2} mm over {:.0} rows, beside {:.2} mm white; fitting rows left out in \
-             turn: RMS {:.3} -> {:.3} mm",
-            drift.size_m * 1e3,
-            drift.memory_rows,
-            drift.white_m * 1e3,
-            drift.rms_without_m * 1e3,
-            drift.rms_with_m * 1e3,
-        );
-    }
-    text.push_str(&rejected_rows(report, lines));
-    text
-}
-
-fn length_errors(report: &LengthReport) -> String {
-    let mut text = String::new();
-    let _ = writeln!(
-        text,
-        "{:<30}{:>6}{:>18}{:>18}{:>18}{:>18}",
-        "length error [mm]", "rows", "mean", "RMS", "p95", "max"
-    );
-    for (name, Figures { before, after }) in [
-        ("fitted", &report.fitted),
-        ("held out", &report.held_out),
-        ("held out, with faulty rows", &report.held_out_with_rejected),
-        ("the same, robot alone", &report.held_out_robot_alone),
-    ] {
-        let change =
-            |of: fn(&ErrorFigures) -> f64| format!("{:.3} -> {:.3}", of(before) * 1e3, of(after) * 1e3);
-        let _ = writeln!(
-            text,
-            "{name:<30}{:>6}{:>18}{:>18}{:>18}{:>18}",
-            after.rows,
-            change(|figures| figures.mean_m),
-            change(|figures| figures.rms_m),
-            change(|figures| figures.p95_m),
-            change(|figures| figures.max_m),
-        );
-    }
-    text
-}
-
-fn rejected_rows(report: &LengthReport, lines: &[u64]) -> String {
-    let mut text = String::new();
-    let line = |row: usize| lines.get(row).copied().unwrap_or_default();
-    let _ = writeln!(text, "{} of {} rows rejected:", report.rejected.len(), lines.len());
-    for rejected in &report.rejected {
-        let _ = match rejected.why {
-            Rejection::FlangeContradicts { distance_m } => writeln!(
-                text,
-                "  line {}: the controller's position is {:.1} mm from its joint angles",
-                line(rejected.row),
-                distance_m * 1e3
-            ),
-            Rejection::GrossResidual { residual_m } => {
-                writeln!(text, "  line {}: length off by {:.1} mm", line(rejected.row), residual_m * 1e3)
-            }
-            // Told as a run below.
-            Rejection::FaultyRun { .. } => Ok(()),
-        };
-    }
-    for run in &report.runs {
-        let cause = match run.cause {
-            Some(RunCause::ZeroMoved { by_m }) => {
-                format!("; a zero moved by {:+.1} mm would explain it", by_m * 1e3)
-            }
-            Some(RunCause::SignReversed { joint }) => {
-                format!("; joint {joint} logged with the other sign would explain it")
-            }
-            None => String::new(),
-        };
-        let _ = writeln!(
-            text,
-            "  lines {} to {}: off together by {:.1} mm{cause}",
-            line(run.first),
-            line(run.last),
-            run.median_m * 1e3
-        );
-    }
     text
 }
 

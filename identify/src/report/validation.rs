@@ -5,6 +5,8 @@ use std::fmt::Write;
 use serde::{Deserialize, Serialize};
 
 use super::file::CalibrationFile;
+use crate::calibrate::HoldOut;
+use crate::calibrate::measured_pose::Stages;
 use crate::study::{ApartRms, Evidence};
 
 /// Robot against bar, root mean square.
@@ -28,6 +30,21 @@ pub struct HeldOutEntry {
     pub calibrated: ApartEntry,
     /// The calibration, which has seen the stretch.
     pub fitted: ApartEntry,
+}
+
+/// Rows of a tracker or a wire, each a stage further: instrument alone, the robot's links, errors of its joints.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RowsEntry {
+    /// Which, from 1 in the order of the data sets.
+    pub data_set: usize,
+    /// What was held out together.
+    pub hold_out: HoldOut,
+    /// Decided which rows.
+    pub seed: u64,
+    /// Rows that the fit saw, but those that were rejected.
+    pub fitted: Stages,
+    /// Rows that it did not see.
+    pub held_out: Stages,
 }
 
 /// What another cost says of the same samples.

@@ -28,7 +28,8 @@ pub struct RunEvidence {
 }
 
 impl RunEvidence {
-    fn new(prepared: &Prepared, model: &Model) -> Self {
+    /// Of a run whose model is at the solution.
+    pub fn new(prepared: &Prepared, model: &Model) -> Self {
         /// Reach of the two curves \[s\]: that of the thesis' figure 5.5, and the neighbourhood of the minimum.
         const WIDE_S: f64 = 0.2;
         const NEAR_S: f64 = 0.005;
@@ -64,8 +65,6 @@ pub struct Evidence {
     pub spheres: Vec<SphereDeviation>,
     /// Expected error over the workspace.
     pub workspace: WorkspaceError,
-    /// Names of the free parameters of robot and first run, and their correlations row by row.
-    pub correlations: (Vec<String>, Vec<Vec<f64>>),
     /// What limits the result.
     pub limits: Vec<Limit>,
     /// Prediction of stretches that no fit has seen, where somebody asked for it.
@@ -88,7 +87,6 @@ pub fn evidence(calibration: &BallBarCalibration, joint_limits: &[[f64; 2]]) -> 
         gap_before_m: gap_m(all(|run| &run.before), by_encoders),
         gap_after_m: gap_m(all(|run| &run.after), by_encoders),
         joints: joint_gaps(calibration.model.axes(), all(|run| &run.after)),
-        correlations: correlations(calibration),
         limits: limits(calibration, &runs, &workspace),
         spheres: SphereDeviation::all(calibration, &runs),
         runs,
@@ -124,12 +122,4 @@ impl Evidence {
         self.costs = Some(costs?);
         Ok(self)
     }
-}
-
-fn correlations(calibration: &BallBarCalibration) -> (Vec<String>, Vec<Vec<f64>>) {
-    let covariance = &calibration.solution.covariance;
-    let names: Vec<String> = calibration.model.columns().map(|parameter| parameter.id.to_string()).collect();
-    let row = |a: usize| (0..names.len()).map(|b| covariance.correlation(a, b).unwrap_or(0.0)).collect();
-    let rows = (0..names.len()).map(row).collect();
-    (names, rows)
 }

@@ -10,11 +10,11 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::{LengthError, wire};
 use crate::calibrate::ball_bar::CalibrateError;
+use crate::calibrate::split;
 use crate::calibrate::terms::{falls, mean};
 use crate::cost::{DataSets, SharedColumns};
-use crate::instrument::{LengthRow, Measures};
+use crate::instrument::{Measures, Wire};
 use crate::model::Model;
 use crate::solver::{Loss, Normal, Prior, ScaledCholesky, stacked};
 
@@ -34,7 +34,7 @@ pub struct Drift {
 }
 
 /// Parts of the fitting rows that are left out in turn.
-pub(super) const FOLDS: usize = 8;
+const FOLDS: usize = 8;
 /// Steps of the generalised least squares; the third changes nothing that is printed.
 const STEPS: usize = 8;
 /// Beyond this many standard deviations a row pulls no harder.
@@ -112,16 +112,16 @@ struct Linear {
 }
 
 impl Linear {
-    fn at(model: &Model, rows: &[LengthRow], chosen: &[usize]) -> Result<Option<Self>, LengthError> {
-        let (wire, own) = (wire(rows, chosen), SharedColumns::new([model], |_| false));
-        let problem = DataSets::new(vec![wire.data_set(model, 1.0).map_err(CalibrateError::from)?], &own);
+    fn at(model: &Model, all: &Wire, chosen: &[usize]) -> Result<Option<Self>, CalibrateError> {
+        let (wire, own) = (all.chosen(chosen), SharedColumns::new([model], |_| false));
+        let problem = DataSets::new(vec![wire.data_set(model, 1.0)?], &own);
         let Some((residual, jacobian)) = stacked(&problem, &model.start()) else { return Ok(None) };
         let spread = |values: &mut dyn Iterator<Item = f64>| {
-            let mut all = vec![0.0; rows.len()];
+            let mut of_file = vec![0.0; all.samples()];
             for (&row, value) in chosen.iter().zip(values) {
-                all[row] = value;
+                of_file[row] = value;
             }
-            all
+            of_file
         };
         let start = model.start();
         let of_step = |prior: Prior| Prior { value: prior.value - start[prior.column], ..prior };
@@ -173,18 +173,37 @@ impl Linear {
     }
 }
 
+/// Takes a drift where left-out fitting rows ask for it, with that of every row \[m\], also of rows that did not take part:
+/// there it is what their neighbours say. The model, which stands at its fit without one, is then at that with it.
+///
+/// # Errors
+/// [`CalibrateError::Cost`].
+pub(super) fn find(
+    model: &mut Model,
+    all: &Wire,
+    fitting: &[usize],
+    groups: &[usize],
+    sigma_m: f64,
+    seed: u64,
+) -> Result<Option<(Drift, Vec<f64>)>, CalibrateError> {
+    let folds = split::folds(groups, fitting, FOLDS, seed.wrapping_add(1));
+    let Some(drift) = choose(model, all, fitting, &folds, sigma_m)? else { return Ok(None) };
+    let drift_m = fit(model, all, fitting, &drift)?;
+    Ok(Some((drift, drift_m)))
+}
+
 /// The drift that predicts left-out fitting rows best, none where it is not clearly better than none. The model stands at
 /// its fit without drift; `folds` are places among the fitting rows.
-pub(super) fn choose(
+fn choose(
     model: &Model,
-    rows: &[LengthRow],
+    all: &Wire,
     fitting: &[usize],
     folds: &[Vec<usize>],
     sigma_m: f64,
-) -> Result<Option<Drift>, LengthError> {
+) -> Result<Option<Drift>, CalibrateError> {
     /// So small that it is none.
     const NONE: f64 = 1e-6;
-    let Some(linear) = Linear::at(model, rows, fitting)? else { return Ok(None) };
+    let Some(linear) = Linear::at(model, all, fitting)? else { return Ok(None) };
     let of_fold = |fold: &Vec<usize>| fold.iter().filter_map(|&place| fitting.get(place).copied()).collect();
     let folds: Vec<Vec<usize>> = folds.iter().filter(|fold| !fold.is_empty()).map(of_fold).collect();
     let none = Drift {
@@ -204,19 +223,13 @@ pub(super) fn choose(
     Ok(best.filter(|(_, with)| falls(&without, with)).map(|(best, _)| best))
 }
 
-/// Fits the model with the drift taken out of its residuals. The drift of every row \[m\], also of rows that did not take
-/// part: there it is what their neighbours say.
-pub(super) fn fit(
-    model: &mut Model,
-    rows: &[LengthRow],
-    fitting: &[usize],
-    drift: &Drift,
-) -> Result<Vec<f64>, LengthError> {
-    let mut weights = vec![0.0; rows.len()];
+/// Fits the model with the drift taken out of its residuals; the drift of every row \[m\].
+fn fit(model: &mut Model, all: &Wire, fitting: &[usize], drift: &Drift) -> Result<Vec<f64>, CalibrateError> {
+    let mut weights = vec![0.0; all.samples()];
     fitting.iter().for_each(|&row| weights[row] = 1.0);
-    let mut known = vec![0.0; rows.len()];
+    let mut known = vec![0.0; all.samples()];
     for _ in 0..STEPS {
-        let Some(linear) = Linear::at(model, rows, fitting)? else { break };
+        let Some(linear) = Linear::at(model, all, fitting)? else { break };
         let sweep = Sweep::new(drift, &weights);
         let Some(step) = linear.step(&sweep) else { break };
         let after = linear.after(&step);

@@ -1,8 +1,6 @@
 //! What would explain a run of rows that is off as a whole: hints for whoever mends the data. Nothing is repaired here.
 
-use super::figures::{median, pick};
-use super::{RejectedRow, Rejection, residuals_m};
-use crate::instrument::LengthRow;
+use crate::instrument::{RejectedRow, Rejection, Wire, median_size, quantile};
 use crate::model::Model;
 
 /// What would explain a run.
@@ -33,33 +31,19 @@ pub struct FaultyRun {
     pub cause: Option<RunCause>,
 }
 
-fn median_size(residuals_m: impl Iterator<Item = f64>) -> f64 {
-    let mut sizes: Vec<f64> = residuals_m.map(f64::abs).collect();
-    sizes.sort_by(f64::total_cmp);
-    median(&sizes)
-}
-
 fn zero_moved(residuals_m: &[f64]) -> (f64, RunCause) {
     let mut sorted = residuals_m.to_vec();
     sorted.sort_by(f64::total_cmp);
-    let by_m = median(&sorted);
+    let by_m = quantile(&sorted, 0.5);
     (median_size(residuals_m.iter().map(|r| r - by_m)), RunCause::ZeroMoved { by_m: -by_m })
 }
 
-fn sign_reversed(model: &Model, rows: &[LengthRow], joint: usize) -> (f64, RunCause) {
-    let reversed: Vec<LengthRow> = rows
-        .iter()
-        .map(|row| {
-            let mut row = *row;
-            row.joints_rad[joint] = -row.joints_rad[joint];
-            row
-        })
-        .collect();
-    let left = median_size(residuals_m(model, &reversed).into_iter());
+fn sign_reversed(model: &Model, rows: &Wire, joint: usize) -> (f64, RunCause) {
+    let left = median_size(rows.with_sign_reversed(joint).residuals_m(&model.geometry(&[])).into_iter());
     (left, RunCause::SignReversed { joint: joint + 1 })
 }
 
-fn explain(model: &Model, rows: &[LengthRow], residuals_m: &[f64], median_m: f64) -> Option<RunCause> {
+fn explain(model: &Model, rows: &Wire, residuals_m: &[f64], median_m: f64) -> Option<RunCause> {
     /// A cause must leave no more than this part of the residuals.
     const PART_LEFT: f64 = 1.0 / 3.0;
     (0..model.axes())
@@ -71,16 +55,16 @@ fn explain(model: &Model, rows: &[LengthRow], residuals_m: &[f64], median_m: f64
 }
 
 /// Runs among rejected rows (ascending).
-pub(super) fn runs(model: &Model, rows: &[LengthRow], rejected: &[RejectedRow]) -> Vec<FaultyRun> {
+pub(super) fn runs(model: &Model, all: &Wire, rejected: &[RejectedRow]) -> Vec<FaultyRun> {
     let faulty: Vec<usize> =
         rejected.iter().filter(|r| matches!(r.why, Rejection::FaultyRun { .. })).map(|r| r.row).collect();
-    let residuals_m = residuals_m(model, rows);
+    let residuals_m = all.residuals_m(&model.geometry(&[]));
     let consecutive = faulty.chunk_by(|a, b| a + 1 == *b);
     let run = |members: &[usize]| {
         let (&first, &last) = (members.first()?, members.last()?);
-        let own = pick(&residuals_m, members);
+        let own = residuals_m.get(first..=last)?;
         let median_m = median_size(own.iter().copied());
-        let cause = explain(model, rows.get(first..=last)?, &own, median_m);
+        let cause = explain(model, &all.chosen(members), own, median_m);
         Some(FaultyRun { first, last, median_m, cause })
     };
     consecutive.filter_map(run).collect()

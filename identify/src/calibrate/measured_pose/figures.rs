@@ -1,9 +1,11 @@
-//! Figures of position and orientation errors.
+//! Figures of position, orientation and length errors.
+
+use serde::{Deserialize, Serialize};
 
 use crate::instrument::{Apart, quantile};
 
 /// Sizes of errors over some rows, all in one unit.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Sizes {
     /// Mean.
     pub mean: f64,
@@ -31,13 +33,14 @@ impl Sizes {
 }
 
 /// Figures over some rows.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct PoseFigures {
     /// Rows.
     pub rows: usize,
-    /// Distances \[m\].
+    /// Distances, or sizes of the errors of lengths \[m\].
     pub position_m: Sizes,
     /// Angles \[rad\]; none where only positions were measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rotation_rad: Option<Sizes>,
 }
 
@@ -54,23 +57,34 @@ impl PoseFigures {
 }
 
 /// The same rows in three stages, each fitted to the fitting rows.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Stages {
-    /// Tracker and probe, the robot nominal.
+    /// Tracker and probe, or the wire; the robot nominal.
     pub nominal: PoseFigures,
     /// And the robot's links.
     pub links: PoseFigures,
-    /// And the errors of its joints.
+    /// And the errors of its joints, and of the wire's zero.
     pub joints: PoseFigures,
 }
 
-impl Stages {
-    /// Of chosen rows.
-    pub(super) fn of(stages: [&[Apart]; 3], chosen: &[usize]) -> Self {
-        let [nominal, links, joints] = stages.map(|errors| {
-            let chosen = chosen.iter().filter_map(|&row| errors.get(row).copied());
-            PoseFigures::of(&chosen.collect::<Vec<_>>())
-        });
-        Self { nominal, links, joints }
+/// Errors of each row of a file in the stages of [`Stages`], and which rows the fit saw.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct RowErrors {
+    /// Of all rows, stage by stage.
+    pub stages: [Vec<Apart>; 3],
+    /// Rows that the fit saw.
+    pub fitted: Vec<usize>,
+    /// Rows that it did not see.
+    pub held_out: Vec<usize>,
+}
+
+impl RowErrors {
+    /// Figures of chosen rows.
+    pub fn of(&self, chosen: &[usize]) -> Stages {
+        let of_stage = |errors: &Vec<Apart>| {
+            PoseFigures::of(&chosen.iter().filter_map(|&row| errors.get(row).copied()).collect::<Vec<_>>())
+        };
+        let [nominal, links, joints] = self.stages.each_ref().map(of_stage);
+        Stages { nominal, links, joints }
     }
 }

@@ -14,16 +14,15 @@ use super::ball_bar::CalibrateError;
 use super::links::{free_links, link_ids};
 use super::pipeline::{Plan, Solved, estimate};
 use super::split::{self, HoldOut, Split};
-use super::terms::{Candidate, Kind};
+use super::terms::Candidate;
 use crate::cost::PoseNoise;
 use crate::instrument::{Instrument, Measures, PoseRow, Run, Standing, Tracker, standing};
 use crate::kinematics::Chain;
 use crate::model::{Model, ModelError, ParameterId};
-use crate::prepare::PrepareOptions;
 use crate::solver::{LossName, Solution};
 
 pub use error::PoseError;
-pub use figures::{PoseFigures, Sizes, Stages};
+pub use figures::{PoseFigures, RowErrors, Sizes, Stages};
 pub use implausible::{Likely, Mistake, Step, likely, misfit};
 pub(super) use terms::kinds;
 pub use validate::validate;
@@ -109,6 +108,8 @@ pub struct PoseReport {
     pub fitted: Stages,
     /// Rows that it did not see.
     pub held_out: Stages,
+    /// Each row.
+    pub errors: RowErrors,
     /// Kinds of joint errors, taken or not.
     pub terms: Vec<Candidate>,
     /// Standard deviations that the last solve assumed, from the spread of the residuals.
@@ -132,14 +133,9 @@ fn placed(tracker: &Tracker, mut model: Model, fix: &[ParameterId]) -> Result<Mo
         return Err(PoseError::PosesOnALine);
     }
     let mut runs = [Run { instrument: Instrument::Tracker(tracker.clone()), model }];
-    estimate(&mut runs, &plan(LossName::Huber, Vec::new()))?;
+    estimate(&mut runs, &Plan::new(LossName::Huber, Vec::new()))?;
     let [Run { model, .. }] = runs;
     Ok(model)
-}
-
-fn plan(loss: LossName, kinds: Vec<Kind>) -> Plan<'static> {
-    let prepare = PrepareOptions::default();
-    Plan { loss, ransac: false, kinds, fix: Vec::new(), tolerances: Vec::new(), prepare, watch: None }
 }
 
 /// Calibrates a robot from poses measured by a tracker; rows in the order in which the robot went there.
@@ -178,7 +174,7 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &PoseOptions) -> Resu
         Vec::new()
     };
     let mut runs = [Run { instrument: Instrument::Tracker(chosen), model }];
-    let estimated = estimate(&mut runs, &plan(options.loss, kinds));
+    let estimated = estimate(&mut runs, &Plan::new(options.loss, kinds));
     let Solved { solution, without_terms, candidates, .. } =
         estimated.map_err(|error| explained(error.into(), rows, robot))?;
     let [Run { instrument, model }] = runs;
@@ -186,11 +182,12 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &PoseOptions) -> Resu
     let links = without_terms.first().map_or_else(Vec::new, |model| all.apart(&model.geometry(&[])));
     let joints = all.apart(&model.geometry(&[]));
     let steps = [implausible::step(&all, &model), nominal_step];
-    let of = |chosen: &[usize]| Stages::of([&nominal, &links, &joints], chosen);
+    let errors = RowErrors { stages: [nominal, links, joints], fitted: fitting, held_out };
     let report = PoseReport {
         cost: tracker.cost(),
-        fitted: of(&fitting),
-        held_out: of(&held_out),
+        fitted: errors.of(&errors.fitted),
+        held_out: errors.of(&errors.held_out),
+        errors,
         terms: candidates,
         noise: tracker.noise,
         solution,

@@ -7,19 +7,24 @@ use anyhow::Context;
 use clap::Args;
 use serde::{Deserialize, Serialize};
 use shared::config::{self, Validate, Violation};
-use shared::output::{say, show};
 
 use super::bar::{self, BarArguments};
-use super::{CommonArguments, RowArguments, inputs, tracker, wire};
+use super::result::Told;
+use super::{CommonArguments, RowArguments, inputs, refused, tracker, wire};
 use crate::calibrate::ball_bar::RunInput;
+use crate::calibrate::measured_pose::RowErrors;
 use crate::calibrate::mix::{self, DataSets};
+use crate::calibrate::refusal::Refuses;
 use crate::calibrate::{HoldOut, IdentifyConfig};
 use crate::commands::ensure_six_revolute_axes;
 use crate::commands::on_terminal::OnTerminal;
-use crate::instrument::{LengthRow, PoseRow};
+use crate::instrument::{BallBar, LengthRow, PoseRow, Run};
 use crate::logs::LogFormat;
 use crate::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
+use crate::report::page::Measured;
 use crate::report::table;
+use crate::report::validation::RowsEntry;
+use crate::study::RunEvidence;
 
 /// Name of the file beside a result.
 const NAME: &str = "experiment.toml";
@@ -226,13 +231,14 @@ impl Experiment {
         paths
     }
 
-    /// Writes it beside a result, so that it can be repeated from anywhere.
-    pub(super) fn write(mut self, directory: &Path) -> anyhow::Result<()> {
+    /// Writes it beside a result, so that it can be repeated from anywhere; its text.
+    pub(super) fn write(mut self, directory: &Path) -> anyhow::Result<String> {
         for path in self.paths() {
             *path = std::path::absolute(&*path).with_context(|| path.display().to_string())?;
         }
-        let to = directory.join(NAME);
-        std::fs::write(&to, toml::to_string(&self)?).with_context(|| to.display().to_string())
+        let (to, text) = (directory.join(NAME), toml::to_string(&self)?);
+        std::fs::write(&to, &text).with_context(|| to.display().to_string())?;
+        Ok(text)
     }
 
     fn load(path: &Path) -> anyhow::Result<Self> {
@@ -327,14 +333,26 @@ fn mixed(experiment: Experiment, out: &Path) -> anyhow::Result<()> {
         wires: experiment.wires.iter().zip(&wires).map(|(of, rows)| of.data(rows)).collect(),
     };
     let on_terminal = OnTerminal::new();
-    let found = mix::calibrate(&data, robot, config, Some(&on_terminal));
+    let found = mix::calibrate(&data, robot, config, Some(&on_terminal)).and_then(|found| {
+        match mix::held_out(&data, robot, config, Some(&on_terminal)) {
+            // The rest is too little for a solve: the calibration stands, without these figures.
+            Err(error) if error.refusal().is_some() => {
+                tracing::warn!("no rows are predicted by a solve without them: {error}");
+                let none = vec![RowErrors::default(); found.runs.len()];
+                Ok((found, none))
+            }
+            errors => Ok((found, errors?)),
+        }
+    });
     on_terminal.finish();
-    let found = found.with_context(|| experiment.robot.display().to_string())?;
-    let solution = &found.solved.solution;
-    let mut files = bar::input_files(&bar_arguments, &bars);
+    let mut files: Vec<(&str, &Path)> = Vec::new();
     for (role, rows) in [("measured poses", &experiment.trackers), ("measured lengths", &experiment.wires)] {
         files.extend(rows.iter().flat_map(|of| [(role, of.file.as_path()), ("mapping", &of.mapping)]));
     }
+    files.extend(bar::input_files(&bar_arguments, &bars));
+    let (found, errors) =
+        found.map_err(|error| refused::of_rows(&experiment.common(out), robot, &files, config, error))?;
+    let solution = &found.solved.solution;
     let mut file = CalibrationFile::new(
         &robot.name,
         &format!(
@@ -354,13 +372,40 @@ fn mixed(experiment: Experiment, out: &Path) -> anyhow::Result<()> {
     )
     .with_knowledge(solution);
     file.candidates.clone_from(&found.solved.candidates);
-    let written = file.write(out)?;
-    file.write_robot(robot, bars.first().map(|run| &run.bar), out)?;
-    experiment.write(out)?;
-    show(table::calibration(&file))?;
-    show(format_args!("\n{}", table::data_sets(&found)))?;
-    say(format_args!("\n{}", written.display()))?;
-    Ok(())
+    let of_rows = experiment.trackers.iter().map(|of| (of, HoldOut::Regions));
+    let of_rows = of_rows.chain(experiment.wires.iter().map(|of| (of, HoldOut::Blocks))).enumerate();
+    let entry = |(number, (of, usual)): (usize, (&RowFile, HoldOut))| {
+        let number = bars.len() + number;
+        let errors = errors.get(number).filter(|errors| !errors.held_out.is_empty())?;
+        Some(RowsEntry {
+            data_set: number + 1,
+            hold_out: of.hold_out.unwrap_or(usual),
+            seed: of.seed.unwrap_or(mix::SEED),
+            fitted: errors.of(&errors.fitted),
+            held_out: errors.of(&errors.held_out),
+        })
+    };
+    file.rows = of_rows.filter_map(entry).collect();
+    let name = |number: usize, run: &Run| format!("{} (data set {})", run.instrument.name(), number + 1);
+    let data_sets = found.runs.iter().zip(&errors).enumerate().map(|(number, (run, errors))| {
+        let of_bar = |bar: &BallBar| Measured::Bar {
+            evidence: Box::new(RunEvidence::new(&bar.prepared, &run.model)),
+            by_encoders: bar.measured.contains(&true),
+        };
+        (name(number, run), run.instrument.bar().map_or(Measured::Rows(errors), of_bar))
+    });
+    let first = found.runs.first().context("there is no data set")?;
+    let told = Told {
+        robot,
+        bar: bars.first().map(|run| &run.bar),
+        file,
+        model: &first.model,
+        solution,
+        data_sets: data_sets.collect(),
+        tables: table::data_sets(&found),
+        experiment,
+    };
+    told.write(out)
 }
 
 impl RowFile {

@@ -5,18 +5,20 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::Args;
 use shared::config::{self, RobotConfig};
-use shared::output::{say, show};
 
 use super::experiment::{Experiment, RowFile};
+use super::result::Told;
 use super::{CommonArguments, RowArguments, inputs, refused};
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::measured_pose::{self, PoseOptions, PoseReport, WAVES_PER_TURN_MAX};
 use crate::instrument::PoseRow;
 use crate::kinematics::{Chain, flange_chain};
 use crate::logs::{MeasuredPoseMapping, MeasuredPoses, joints_of_robot};
-use crate::model::{JointWaves, ParameterId};
+use crate::model::JointWaves;
 use crate::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
-use crate::report::{poses, table};
+use crate::report::page::Measured;
+use crate::report::rows as of_rows;
+use crate::report::validation::RowsEntry;
 use crate::solver::LossName;
 
 /// What a calibration with a tracker is told.
@@ -46,10 +48,6 @@ pub(super) fn rows(path: &Path, mapping: &Path, robot: &RobotConfig) -> anyhow::
     let of_file: MeasuredPoseMapping = config::load(mapping)?;
     joints_of_robot(&of_file.joints, robot, mapping)?;
     Ok(MeasuredPoses::load(path, &of_file)?.rows.iter().map(PoseRow::from).collect())
-}
-
-fn is_wave(name: &str) -> bool {
-    matches!(name.parse::<ParameterId>(), Ok(ParameterId::JointWave { .. }))
 }
 
 impl TrackerArguments {
@@ -85,11 +83,11 @@ fn validations(
     robot: &Chain,
     report: &PoseReport,
     seed: u64,
-) -> anyhow::Result<Vec<poses::Validation>> {
+) -> anyhow::Result<Vec<of_rows::Validation>> {
     let one = |(path, rows): &(&PathBuf, Vec<PoseRow>)| {
         let figures = measured_pose::validate(rows, robot, &report.model, seed)
             .with_context(|| path.display().to_string())?;
-        Ok(poses::Validation { name: path.display().to_string(), figures })
+        Ok(of_rows::Validation { name: path.display().to_string(), figures })
     };
     others.iter().map(one).collect()
 }
@@ -129,13 +127,22 @@ pub(super) fn run(arguments: &TrackerArguments) -> anyhow::Result<()> {
     )
     .with_knowledge(solution);
     file.candidates.clone_from(&report.terms);
-    let written = file.write(&common.out)?;
-    file.write_robot(robot, None, &common.out)?;
-    arguments.experiment().write(&common.out)?;
-    let mut without_waves = file;
-    without_waves.parameters.retain(|entry| !is_wave(&entry.name));
-    show(table::calibration(&without_waves))?;
-    show(format_args!("\n{}", poses::table(&report, &validations)))?;
-    say(format_args!("\n{}", written.display()))?;
-    Ok(())
+    file.rows = vec![RowsEntry {
+        data_set: 1,
+        hold_out: options.hold_out,
+        seed: options.seed,
+        fitted: report.fitted,
+        held_out: report.held_out,
+    }];
+    let told = Told {
+        robot,
+        bar: None,
+        file,
+        model: &report.model,
+        solution,
+        data_sets: vec![("tracker".into(), Measured::Rows(&report.errors))],
+        tables: of_rows::poses(&report, &validations),
+        experiment: arguments.experiment(),
+    };
+    told.write(&common.out)
 }

@@ -4,16 +4,18 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use shared::config::{self, RobotConfig};
-use shared::output::{say, show};
 
 use super::experiment::{Experiment, RowFile};
+use super::result::Told;
 use super::{CommonArguments, RowArguments, inputs, refused};
 use crate::calibrate::measured_length::{self, LengthOptions};
 use crate::instrument::LengthRow;
 use crate::kinematics::flange_chain;
 use crate::logs::{MeasuredLength, MeasuredLengthMapping, MeasuredLengths, joints_of_robot};
 use crate::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
-use crate::report::table;
+use crate::report::page::Measured;
+use crate::report::rows as of_rows;
+use crate::report::validation::RowsEntry;
 
 /// What a calibration with a draw-wire or a telescoping bar is told.
 #[derive(Debug, Args)]
@@ -65,22 +67,35 @@ pub(super) fn run(arguments: &WireArguments) -> anyhow::Result<()> {
         [("measured lengths", lengths), ("mapping", mapping_path), ("robot", &common.robot)];
     let report = measured_length::calibrate(&rows, &flange_chain(robot), &options)
         .map_err(|error| refused::of_rows(common, robot, &files, &options, error))?;
-    let sigma = |id| report.parameters.iter().find(|one| one.id == id).and_then(|one| one.sigma);
-    let file = CalibrationFile::new(
+    let solution = &report.solution;
+    let mut file = CalibrationFile::new(
         &robot.name,
         "measured lengths",
-        SolveEntry::new("measured_length", &report.summary, &report.identifiability),
+        SolveEntry::new("measured_length", &solution.summary, &solution.identifiability),
         None,
         inputs(&files)?,
-        ParameterEntry::all(&report.model, sigma),
-    );
-    let written = file.write(&common.out)?;
-    file.write_robot(robot, None, &common.out)?;
+        ParameterEntry::all(&report.model, |id| report.sigma(id)),
+    )
+    .with_knowledge(solution);
+    file.candidates.clone_from(&report.terms);
+    file.rows = vec![RowsEntry {
+        data_set: 1,
+        hold_out: options.hold_out,
+        seed: options.seed,
+        fitted: report.fitted,
+        held_out: report.held_out_with_rejected,
+    }];
     let (mut experiment, row_file) = Experiment::of_rows(common, &arguments.rows, lengths);
     experiment.wires.push(row_file);
-    experiment.write(&common.out)?;
-    show(table::calibration(&file))?;
-    show(format_args!("\n{}", table::lengths(&report, &lines)))?;
-    say(format_args!("\n{}", written.display()))?;
-    Ok(())
+    let told = Told {
+        robot,
+        bar: None,
+        file,
+        model: &report.model,
+        solution,
+        data_sets: vec![("wire".into(), Measured::Rows(&report.errors))],
+        tables: of_rows::lengths(&report, &lines),
+        experiment,
+    };
+    told.write(&common.out)
 }

@@ -5,7 +5,8 @@ use std::fmt::Write;
 use plotters::prelude::RGBColor;
 
 use super::plot::{BLUE, FONT, ORANGE};
-use crate::study::Evidence;
+use crate::model::ParameterId;
+use crate::report::knowledge::CovarianceEntry;
 
 /// Weaker ones are left white.
 const LEAST: f64 = 0.1;
@@ -15,9 +16,17 @@ const STEPS: i32 = 20;
 const CELL: usize = 12;
 const NAMES: usize = 84;
 
-/// Blue together, orange against each other.
-pub(super) fn figure(evidence: &Evidence) -> String {
-    let (names, rows) = &evidence.correlations;
+/// Of the free parameters of robot and first data set, but waves of axes, which are many and hang together with nothing: blue
+/// together, orange against each other.
+pub(super) fn figure(covariance: &CovarianceEntry) -> String {
+    let is_shown = |name: &&String| name.parse().is_ok_and(|id| !matches!(id, ParameterId::JointWave { .. }));
+    let names: Vec<&String> = covariance.names.iter().filter(is_shown).collect();
+    let columns: Vec<usize> =
+        (0..covariance.names.len()).filter(|&column| is_shown(&&covariance.names[column])).collect();
+    let between = |a: usize, b: usize| covariance.rows.get(a)?.get(b).copied().flatten();
+    let correlation = |a: usize, b: usize| Some(between(a, b)? / (between(a, a)? * between(b, b)?).sqrt());
+    let row = |a: &usize| columns.iter().map(|b| correlation(*a, *b).unwrap_or(0.0)).collect();
+    let rows: Vec<Vec<f64>> = columns.iter().map(row).collect();
     let side = NAMES + names.len() * CELL;
     let mut svg = format!("<svg viewBox=\"0 0 {side} {side}\" role=\"img\" aria-label=\"correlations\">");
     let label = format!("font-size=\"9\" fill=\"#46505c\" font-family=\"{FONT}\"");
@@ -40,7 +49,7 @@ pub(super) fn figure(evidence: &Evidence) -> String {
     }
     // One path for all cells of a colour: as elements of their own they would be a third of the page.
     for step in (-STEPS..=STEPS).filter(|step| *step != 0) {
-        let path = cells(rows, step);
+        let path = cells(&rows, step);
         let RGBColor(r, g, b) = if step > 0 { BLUE } else { ORANGE };
         if !path.is_empty() {
             let opacity = f64::from(step.abs()) / f64::from(STEPS);

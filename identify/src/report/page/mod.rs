@@ -11,6 +11,7 @@ pub(super) mod plot;
 mod preparation;
 mod readings;
 mod refused;
+mod rows;
 mod runs;
 mod sections;
 mod sphere;
@@ -28,6 +29,7 @@ pub use arm::picture;
 pub use inputs::Source;
 pub use plot::PlotError;
 pub use refused::{InspectedLog, InspectedRun, RefusedPage, WrittenRefusal};
+pub use rows::{Measured, MeasuredPage};
 
 /// Everything that the page shows.
 #[derive(Debug)]
@@ -71,6 +73,7 @@ impl Page<'_> {
     /// [`PlotError`].
     pub fn render(&self) -> Result<Markup, PlotError> {
         let title = format!("Calibration of {}", self.file.robot);
+        let others: Vec<String> = runs::names(self).into_iter().skip(1).flatten().collect();
         Ok(document(
             &title,
             &html! {
@@ -85,13 +88,13 @@ impl Page<'_> {
                     (held_out::section(self)?)
                     (runs::gaps(self)?)
                     (sphere::section(self)?)
-                    (sections::parameters(self))
-                    (sections::candidates(self))
+                    (sections::parameters(self.file, "Place of the bar, clocks", &others))
+                    (sections::candidates(self.file))
                     (costs::section(self)?)
                     (sections::joints(self)?)
                     (sections::coverage(self)?)
                     (runs::alignments(self)?)
-                    (sections::dependence(self)?)
+                    (sections::dependence(self.file))
                     (inputs::section(self.sources))
                     (sections::origin(self))
                 }

@@ -3,13 +3,13 @@
 use maud::{Markup, PreEscaped, html};
 
 use super::plot::PlotError;
-use super::{Page, correlations, figures, runs};
+use super::{Page, correlations, figures};
 use crate::model::{ParameterId, Unit};
-use crate::report::file::{Input, ParameterEntry, Status};
+use crate::report::file::{CalibrationFile, Input, ParameterEntry, Status};
 use crate::study::{Expected, Quantiles};
 
 /// mm with as many digits as mean something.
-fn mm(metres: f64) -> String {
+pub(super) fn mm(metres: f64) -> String {
     let mm = metres * 1e3;
     if mm.abs() < 0.1 { format!("{mm:.4}") } else { format!("{mm:.3}") }
 }
@@ -23,18 +23,20 @@ pub(super) fn svg(text: String) -> PreEscaped<String> {
     PreEscaped(text)
 }
 
+/// An expected error over the workspace.
+pub(super) fn expected(label: &str, expected: &Expected) -> Markup {
+    let [low, high] = expected.interval_m.map(mm);
+    html! { div.number {
+        b { (mm(expected.mean_m)) " mm" }
+        span { (label) ", mean over the workspace; 95 % interval " (low) " to " (high) " mm; 95 % of all postures below "
+            (mm(expected.p95_m)) " mm" }
+    } }
+}
+
 pub(super) fn verdict(page: &Page<'_>) -> Markup {
     let workspace = &page.evidence.workspace;
     let limits = &page.evidence.limits;
     let (before, after) = (&workspace.before, &workspace.after);
-    let number = |label: &str, expected: &Expected| {
-        let [low, high] = expected.interval_m.map(mm);
-        html! { div.number {
-            b { (mm(expected.mean_m)) " mm" }
-            span { (label) ", mean over the workspace; 95 % interval " (low) " to " (high) " mm; 95 % of all postures below "
-                (mm(expected.p95_m)) " mm" }
-        } }
-    };
     let gap = |label: &str, gap: &Quantiles| {
         html! { div.number {
             b { (mm(gap.mean)) " mm" }
@@ -54,8 +56,8 @@ pub(super) fn verdict(page: &Page<'_>) -> Markup {
             @if !limits.is_empty() { ul { @for limit in limits { li { (limit.sentence) } } } }
         }
         div.numbers {
-            (number("before", before))
-            (number("after", after))
+            (expected("before", before))
+            (expected("after", after))
             (gap("nominal", &page.evidence.gap_before_m))
             (gap("calibrated", &page.evidence.gap_after_m))
         }
@@ -72,8 +74,9 @@ fn unit_of(entry: &ParameterEntry) -> Unit {
     entry.id().map_or(Unit::Ratio, ParameterId::unit)
 }
 
-pub(super) fn parameters(page: &Page<'_>) -> Markup {
-    let entries = &page.file.parameters;
+/// `place` is what the first data set has for itself, `others` the names of the data sets after it.
+pub(super) fn parameters(file: &CalibrationFile, place: &str, others: &[String]) -> Markup {
+    let (entries, waves) = file.told();
     let fixed: Vec<&str> = entries
         .iter()
         .filter(|entry| entry.status == Status::Fixed)
@@ -85,29 +88,31 @@ pub(super) fn parameters(page: &Page<'_>) -> Markup {
         None => run == 0,
     };
     let of = |wanted: &dyn Fn(&ParameterEntry) -> bool| -> Vec<&ParameterEntry> {
-        entries.iter().filter(|entry| shown(entry) && wanted(entry)).collect()
+        entries.iter().copied().filter(|entry| shown(entry) && wanted(entry)).collect()
     };
-    let place = |entry: &ParameterEntry| !entry.name.starts_with(['r', 'b']);
-    let others = runs::names(page).into_iter().enumerate().skip(1);
+    let is_place = |entry: &ParameterEntry| !entry.name.starts_with(['r', 'b']);
     html! {
         h2 { "Parameters" }
         div.columns {
             (table("Robot", &of(&|entry| entry.name.starts_with('r'))))
             (table("Ball-bar and encoders", &of(&|entry| entry.name.starts_with('b') && own(entry, 0))))
-            (table("Place of the bar, clocks", &of(&|entry| place(entry) && own(entry, 0))))
-            @for (run, name) in others {
-                (table(&name.unwrap_or_default(), &of(&|entry| own(entry, run))))
+            (table(place, &of(&|entry| is_place(entry) && own(entry, 0))))
+            @for (run, name) in others.iter().enumerate() {
+                (table(name, &of(&|entry| own(entry, run + 1))))
             }
         }
-        p.note { "sigma: one standard deviation. (p): data and prior. Fixed at nominal: " (fixed.join(", ")) "." }
+        p.note {
+            @if waves > 0 { (waves) " amplitudes of waves of the axes are in calibration.toml. " }
+            "sigma: one standard deviation. (p): data and prior. Fixed at nominal: " (fixed.join(", ")) "."
+        }
     }
 }
 
-/// Terms of robot and bar that were tried, and what held-out stretches said.
-pub(super) fn candidates(page: &Page<'_>) -> Markup {
-    let candidates = &page.file.candidates;
+/// Terms of robot and instruments that were tried, and what held-out groups of samples said.
+pub(super) fn candidates(file: &CalibrationFile) -> Markup {
+    let candidates = &file.candidates;
     html! { @if !candidates.is_empty() {
-        h2 { "Errors of axes, encoders and bar: what held-out stretches of the run support" }
+        h2 { "Errors of axes and instruments: what held-out samples support" }
         table {
             thead { tr {
                 th { "kind" } th { "parameters" } th { "RMS residual without" } th { "with" } th.text { "" }
@@ -120,7 +125,7 @@ pub(super) fn candidates(page: &Page<'_>) -> Markup {
                 td.unit { @if one.accepted { "taken" } @else { "left out" } }
             } } }
         }
-        p.note { "Each stretch was predicted from a fit that had not seen it. Residuals in standard deviations of the cost." }
+        p.note { "Each of eight groups of samples was predicted from a fit that had not seen it. Residuals in standard deviations of the cost." }
     } }
 }
 
@@ -130,7 +135,7 @@ fn shown(entry: &ParameterEntry) -> bool {
 }
 
 fn table(caption: &str, entries: &[&ParameterEntry]) -> Markup {
-    html! {
+    html! { @if !entries.is_empty() {
         table {
             caption { (caption) }
             thead { tr { th { "name" } th { "nominal" } th { "correction" } th { "sigma" } th.text { "" } } }
@@ -148,7 +153,7 @@ fn table(caption: &str, entries: &[&ParameterEntry]) -> Markup {
                 }
             }
         }
-    }
+    } }
 }
 
 pub(super) fn joints(page: &Page<'_>) -> Result<Markup, PlotError> {
@@ -179,12 +184,11 @@ pub(super) fn coverage(page: &Page<'_>) -> Result<Markup, PlotError> {
     })
 }
 
-pub(super) fn dependence(page: &Page<'_>) -> Result<Markup, PlotError> {
-    let strongest = page.calibration.solution.covariance.strongest_correlations(0.9);
-    let names = page.calibration.columns.names();
-    let name = |column: usize| names.get(column).map_or("?", String::as_str);
-    let solve = &page.file.solve;
-    Ok(html! {
+pub(super) fn dependence(file: &CalibrationFile) -> Markup {
+    let named = file.knowledge.iter().flat_map(|knowledge| &knowledge.correlations);
+    let strongest: Vec<_> = named.filter(|one| one.correlation.abs() > 0.9).take(12).collect();
+    let solve = &file.solve;
+    html! {
         h2 { "How well the parameters are told apart" }
         p {
             "Cost " code { (solve.cost) } ": " (solve.ended) " after " (solve.iterations) " iterations, " (solve.samples)
@@ -195,18 +199,20 @@ pub(super) fn dependence(page: &Page<'_>) -> Result<Markup, PlotError> {
         @if !strongest.is_empty() {
             p {
                 "Strongly correlated: "
-                @for (index, (a, b, correlation)) in strongest.iter().take(12).enumerate() {
+                @for (index, one) in strongest.iter().enumerate() {
                     @if index > 0 { ", " }
-                    (name(*a)) "–" (name(*b)) " " (format!("{correlation:+.3}"))
+                    (one.first) "–" (one.second) " " (format!("{:+.3}", one.correlation))
                 }
                 "."
             }
         }
-        figure {
-            (svg(correlations::figure(page.evidence)))
-            figcaption { "Correlations above 0.1: blue together, orange against each other." }
+        @if let Some(covariance) = &file.covariance {
+            figure {
+                (svg(correlations::figure(covariance)))
+                figcaption { "Correlations above 0.1: blue together, orange against each other." }
+            }
         }
-    })
+    }
 }
 
 pub(super) fn origin(page: &Page<'_>) -> Markup {

@@ -1,0 +1,171 @@
+//! Tables of a calibration by rows that a tracker or a wire measured.
+
+use std::fmt::Write;
+
+use crate::calibrate::measured_length::{LengthReport, RunCause};
+use crate::calibrate::measured_pose::{PoseFigures, PoseReport, Sizes, Stages};
+use crate::instrument::Rejection;
+use crate::model::{JointWaves, Model, ParameterId, Phase};
+
+/// The calibrated robot on another file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Validation {
+    /// The file.
+    pub name: String,
+    /// With the nominal and with the calibrated robot.
+    pub figures: [PoseFigures; 2],
+}
+
+fn line(text: &mut String, name: &str, figures: &PoseFigures) {
+    let sizes = |sizes: &Sizes| {
+        let Sizes { mean, rms, p95, max } = sizes;
+        format!("{:>8.3} {:>8.3} {:>8.3} {:>8.3}", mean * 1e3, rms * 1e3, p95 * 1e3, max * 1e3)
+    };
+    let rotation = figures.rotation_rad.as_ref().map(sizes).unwrap_or_default();
+    // Writing to a string cannot fail.
+    let _ = writeln!(text, "{name:<44}{:>6} {}   {rotation}", figures.rows, sizes(&figures.position_m));
+}
+
+/// `what` was fitted to the nominal robot, and what comes last beside the links.
+fn stages(text: &mut String, name: &str, [what, last]: [&str; 2], stages: &Stages) {
+    let _ = writeln!(text, "{name}");
+    line(text, &format!("  nominal robot, {what} fitted"), &stages.nominal);
+    line(text, "  and links", &stages.links);
+    line(text, &format!("  and {last}"), &stages.joints);
+}
+
+/// Length errors of rows that the fit saw and of rows that it did not, and what was rejected. `lines` gives each
+/// row's line in its file.
+pub fn lengths(report: &LengthReport, lines: &[u64]) -> String {
+    let mut text = String::new();
+    let _ = writeln!(
+        text,
+        "{:<44}{:>6} {:>8} {:>8} {:>8} {:>8}",
+        "length error [mm]", "rows", "mean", "RMS", "p95", "max"
+    );
+    for (name, figures) in [
+        ("fitted", &report.fitted),
+        ("held out", &report.held_out),
+        ("held out, with faulty rows", &report.held_out_with_rejected),
+    ] {
+        let last = if report.drift.is_some() { "joint errors and drift" } else { "joint errors" };
+        stages(&mut text, name, ["wire", last], figures);
+    }
+    if let Some(drift) = &report.drift {
+        let _ = writeln!(
+            text,
+            "drift of the zero along the file: {:.2} mm over {:.0} rows, beside {:.2} mm white; fitting rows left out in \
+             turn: RMS {:.3} -> {:.3} mm",
+            drift.size_m * 1e3,
+            drift.memory_rows,
+            drift.white_m * 1e3,
+            drift.rms_without_m * 1e3,
+            drift.rms_with_m * 1e3,
+        );
+    }
+    text.push_str(&waves(&report.model));
+    text.push_str(&rejected_rows(report, lines));
+    text
+}
+
+fn rejected_rows(report: &LengthReport, lines: &[u64]) -> String {
+    let mut text = String::new();
+    let line = |row: usize| lines.get(row).copied().unwrap_or_default();
+    let _ = writeln!(text, "{} of {} rows rejected:", report.rejected.len(), lines.len());
+    for rejected in &report.rejected {
+        let _ = match rejected.why {
+            Rejection::FlangeContradicts { distance_m } => writeln!(
+                text,
+                "  line {}: the controller's position is {:.1} mm from its joint angles",
+                line(rejected.row),
+                distance_m * 1e3
+            ),
+            Rejection::GrossResidual { residual_m } => {
+                writeln!(text, "  line {}: length off by {:.1} mm", line(rejected.row), residual_m * 1e3)
+            }
+            // Told as a run below.
+            Rejection::FaultyRun { .. } => Ok(()),
+        };
+    }
+    for run in &report.runs {
+        let cause = match run.cause {
+            Some(RunCause::ZeroMoved { by_m }) => {
+                format!("; a zero moved by {:+.1} mm would explain it", by_m * 1e3)
+            }
+            Some(RunCause::SignReversed { joint }) => {
+                format!("; joint {joint} logged with the other sign would explain it")
+            }
+            None => String::new(),
+        };
+        let _ = writeln!(
+            text,
+            "  lines {} to {}: off together by {:.1} mm{cause}",
+            line(run.first),
+            line(run.last),
+            run.median_m * 1e3
+        );
+    }
+    text
+}
+
+/// Position and orientation errors of fitted, held-out and other rows.
+pub fn poses(report: &PoseReport, validations: &[Validation]) -> String {
+    let mut text = String::new();
+    let _ = writeln!(
+        text,
+        "{:<44}{:>6} {:>35}   {:>35}\n{:<44}{:>6} {:>8} {:>8} {:>8} {:>8}   {:>8} {:>8} {:>8} {:>8}",
+        "error",
+        "",
+        "position [mm]",
+        "orientation [mrad]",
+        "",
+        "rows",
+        "mean",
+        "RMS",
+        "p95",
+        "max",
+        "mean",
+        "RMS",
+        "p95",
+        "max",
+    );
+    let named = ["tracker and probe", "joint errors"];
+    stages(&mut text, "fitted", named, &report.fitted);
+    stages(&mut text, "held out", named, &report.held_out);
+    for Validation { name, figures: [nominal, calibrated] } in validations {
+        let _ = writeln!(text, "{name}, tracker and probe fitted to other rows of it");
+        line(&mut text, "  nominal robot", nominal);
+        line(&mut text, "  calibrated robot", calibrated);
+    }
+    text.push_str(&waves(&report.model));
+    text
+}
+
+/// The strongest waves of each axis.
+fn waves(model: &Model) -> String {
+    let mut text = String::new();
+    for joint in 0..model.axes() {
+        let strongest = strongest_waves(model, joint);
+        if !strongest.is_empty() {
+            let _ = writeln!(text, "strongest waves of joint {}: {strongest}", joint + 1);
+        }
+    }
+    text
+}
+
+/// The five largest waves of a joint with their amplitudes.
+fn strongest_waves(model: &Model, joint: usize) -> String {
+    const SHOWN: usize = 5;
+    let amplitude = |order| {
+        let value = |phase| {
+            model.parameter(ParameterId::JointWave { axis: joint, order, phase }).map_or(0.0, |one| one.value)
+        };
+        (order, f64::hypot(value(Phase::Sine), value(Phase::Cosine)))
+    };
+    let mut waves: Vec<(u8, f64)> = (JointWaves::FIRST..=JointWaves::LAST).map(amplitude).collect();
+    waves.retain(|wave| wave.1 > 0.0);
+    waves.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let shown =
+        waves.iter().take(SHOWN).map(|(order, rad)| format!("{order} per turn {:.0} urad", rad * 1e6));
+    shown.collect::<Vec<_>>().join(", ")
+}
