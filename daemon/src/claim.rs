@@ -155,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn one_has_it_at_a_time_and_the_others_are_told_who() {
+    fn one_has_it_at_a_time_and_the_others_get_to_know_who() {
         let directory = tempfile::tempdir().unwrap();
         let elsewhere = tempfile::tempdir().unwrap();
         let claim = Claim::directory(&SystemDisk, directory.path()).unwrap();

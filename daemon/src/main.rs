@@ -5,6 +5,7 @@ use std::process::ExitCode;
 use ballbard::commands::{self, Arguments};
 use ballbard::log::Log;
 use clap::Parser;
+use shared::output::explained;
 
 fn main() -> ExitCode {
     let arguments = Arguments::parse();
@@ -12,7 +13,7 @@ fn main() -> ExitCode {
     match commands::run(arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            log.line(&format!("error: {error:#}"));
+            log.line(&format!("error: {}", explained(error.as_ref())));
             ExitCode::FAILURE
         }
     }

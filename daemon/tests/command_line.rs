@@ -233,6 +233,39 @@ fn a_wrong_key_in_the_configuration_is_named_with_its_file() {
 }
 
 #[test]
+fn a_configuration_that_cannot_be_read_is_named_with_its_cause_once() {
+    let (directory, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    std::fs::create_dir(directory.path().join("daemon.toml")).unwrap();
+    let mut command = ballbard();
+    command.args(["record", "--fast", "--duration", "1s", "--config"]).arg(directory.path());
+    let output = command.arg("--out").arg(out.path()).output().unwrap();
+    refused(&output, &["daemon.toml", "check the path"], out.path());
+    assert_eq!(said(&output).matches("Is a directory").count(), 1, "{}", said(&output));
+}
+
+#[test]
+fn default_names_and_lists_are_in_the_time_of_the_place_and_lists_say_which() {
+    let out = tempfile::tempdir().unwrap();
+    let there = |mut command: Command| command.env("TZ", "JST-9").output().unwrap();
+    let mut record = ballbard();
+    record.args(["record", "--duration", "1s", "--fast", "--config"]).arg(config());
+    record.arg("--out").arg(out.path());
+    let before = chrono::Utc::now().timestamp();
+    let recorded = there(record);
+    assert!(recorded.status.success(), "{}", said(&recorded));
+    let file = std::fs::read_dir(out.path()).unwrap().next().unwrap().unwrap().path();
+    let name = file.file_stem().unwrap().to_str().unwrap();
+    let named = chrono::NaiveDateTime::parse_from_str(name, "%Y-%m-%d_%H-%M-%S").unwrap().and_utc();
+    let named = named.timestamp() - 9 * 3600;
+    assert!((before..=chrono::Utc::now().timestamp()).contains(&named), "{name}");
+    let mut list = ballbard();
+    list.arg("runs").arg(out.path());
+    let listed = said(&there(list));
+    let started = Recording::open(&file).unwrap().run.started.to_datetime() + chrono::TimeDelta::hours(9);
+    assert!(listed.contains(&started.format("%Y-%m-%d %H:%M:%S +09:00").to_string()), "{listed}");
+}
+
+#[test]
 fn a_signal_ends_a_run_with_a_finished_file_that_states_it() {
     let out = tempfile::tempdir().unwrap();
     let mut command = ballbard();

@@ -196,7 +196,7 @@ fn at_250_hz_and_1_khz_every_cycle_is_sampled_and_stamped_like_at_100() {
 }
 
 #[test]
-fn a_step_of_the_reference_clock_is_told_whatever_its_size_and_no_time_is_wrong_unsaid() {
+fn a_step_of_the_reference_clock_is_reported_whatever_its_size_and_no_time_is_wrong_unsaid() {
     for step_ns in [15_000, -50_000, 90_000, -300_000, 3_000_000, -2_000_000_000] {
         let mut experiment = Experiment::new(&plan(100), QUIET, 2);
         let mut records = experiment.cycles(500);

@@ -1,5 +1,6 @@
 //! Standard output of both programs.
 
+use std::error::Error;
 use std::fmt;
 use std::io::{self, Write};
 
@@ -28,4 +29,37 @@ pub fn unless_gone(written: io::Result<()>) -> io::Result<()> {
         io::ErrorKind::BrokenPipe => Ok(()),
         kind => Err(io::Error::new(kind, format!("cannot write to standard output: {error}"))),
     })
+}
+
+/// An error with its causes, each once: most of ours name theirs already, so that who has only the error has all of it.
+pub fn explained(error: &(dyn Error + 'static)) -> String {
+    let (mut text, mut next) = (error.to_string(), error.source());
+    while let Some(error) = next {
+        let cause = error.to_string();
+        if !text.contains(&cause) {
+            text = format!("{text}: {cause}");
+        }
+        next = error.source();
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::WriteError;
+
+    #[derive(Debug, thiserror::Error)]
+    #[error("the run failed")]
+    struct Silent(#[source] WriteError);
+
+    #[test]
+    fn each_cause_of_an_error_is_named_once() {
+        let refused =
+            || WriteError::Io { path: "runs".into(), source: io::Error::other("Permission denied") };
+        let named = refused().to_string();
+        assert_eq!(explained(&refused()), named);
+        assert_eq!(named.matches("Permission denied").count(), 1);
+        assert_eq!(explained(&Silent(refused())), format!("the run failed: {named}"));
+    }
 }

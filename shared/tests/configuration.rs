@@ -47,7 +47,7 @@ fn a_key_like_no_other_gets_no_guess() {
 }
 
 #[test]
-fn a_value_of_another_type_is_told_with_what_was_expected() {
+fn a_value_of_another_type_is_reported_with_what_was_expected() {
     let told = told::<DaemonConfig>("# cell\nrate_hz = \"fast\"\n");
     assert!(
         told.starts_with("cell.toml, line 2: key `rate_hz`: invalid type: string \"fast\", expected"),
@@ -65,7 +65,7 @@ fn a_key_that_is_missing_is_named() {
 }
 
 #[test]
-fn text_that_is_no_toml_is_told_with_its_line() {
+fn text_that_is_no_toml_is_reported_with_its_line() {
     let told = told::<BallBarConfig>("length_m = 0.6\nplate_m 0.1\n");
     assert!(told.starts_with("cell.toml, line 2: this is not TOML: "), "{told}");
 }

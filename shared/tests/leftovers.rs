@@ -1,10 +1,14 @@
 //! Files left behind in a directory: found, made whole, labelled; those in use are left alone.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
+use std::fs::File;
+use std::io;
+use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
 
 use shared::recording::{
-    Recording, RecordingWriter, RecoverError, Recovery, RunFile, RunOverview, recover_file, recover_leftovers,
+    Disk, Recording, RecordingWriter, RecoverError, Recovery, RunFile, RunOverview, recover_file,
+    recover_file_on, recover_leftovers,
 };
 
 use crate::support::run::{START, cycle, run};
@@ -155,4 +159,25 @@ fn of_files_without_a_byte_nothing_is_kept() {
     }
     assert!(recover_leftovers(directory.path()).is_empty());
     assert_eq!(names(directory.path()), [living]);
+}
+
+/// A disk that keeps something else than it was given, and says nothing.
+#[derive(Debug)]
+struct Forgetful;
+
+impl Disk for Forgetful {
+    fn write_at(&self, file: &File, bytes: &[u8], offset: u64) -> io::Result<usize> {
+        file.write_at(&vec![0; bytes.len()], offset)
+    }
+}
+
+#[test]
+fn a_recovered_file_that_does_not_read_back_is_refused_and_the_original_stays() {
+    let directory = tempfile::tempdir().unwrap();
+    let left = left_behind(directory.path(), "crashed");
+    let before = std::fs::read(&left).unwrap();
+    let refused = recover_file_on(&Forgetful, &left).unwrap_err().to_string();
+    assert!(refused.contains("does not read back"), "{refused}");
+    assert_eq!(names(directory.path()), ["crashed.mcap.active"]);
+    assert_eq!(std::fs::read(&left).unwrap(), before);
 }

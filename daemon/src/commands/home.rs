@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use anyhow::bail;
 use clap::Args;
-use shared::output::say;
+use shared::output::{explained, say};
 use shared::recording::SystemDisk;
 
 use super::client::ServiceArguments;
@@ -55,7 +55,7 @@ fn by_service(service: &ServiceArguments, stop: &Stop) -> anyhow::Result<()> {
         };
         // Without a reader nobody is told what to turn.
         if let Err(error) = printer.print(&homing) {
-            stop.stop(&format!("{error:#}"));
+            stop.stop(&explained(error.as_ref()));
         }
         if homing.is_over {
             return outcome(homing);
@@ -79,7 +79,7 @@ fn on_own_bus(bus: &str, configuration: &Configuration, state: &State, stop: &St
     let (mut printer, mut homing) = (Printer::default(), Homing::begin(&session));
     while !homing.look(&bar.encoders, &marks) {
         if let Err(error) = printer.print(homing.status()) {
-            stop.stop(&format!("{error:#}"));
+            stop.stop(&explained(error.as_ref()));
         }
         if stop.is_stopped() {
             homing.stop(&stop.cause());

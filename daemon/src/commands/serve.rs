@@ -88,7 +88,7 @@ async fn listen(port: u16) -> anyhow::Result<TcpListener> {
     // Whoever has standard output may not read it; the service waits for nobody.
     tokio::task::spawn_blocking(move || {
         if let Err(error) = say(format_args!("listening on http://{address}")) {
-            tracing::warn!("{error:#}");
+            tracing::warn!("{error}");
         }
     });
     Ok(listener)

@@ -166,3 +166,40 @@ fn wait_for_job(
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use shared::config::{self, DaemonConfig};
+
+    use super::*;
+    use crate::recorder;
+    use crate::run::source;
+    use crate::segment::InProcessWire;
+    use crate::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
+
+    #[test]
+    fn a_run_whose_recorder_has_died_did_not_reach_its_duration() {
+        let bar = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/ball_bar.toml");
+        let clock = Clock::virtual_from(UtcNs(0));
+        let motion = SmoothMotion::new(5, 3600, 1);
+        let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(motion));
+        let wire = Box::new(InProcessWire::new(segment, clock.clone()));
+        let prepared = source::on_wire(wire, &DaemonConfig::default(), &config::load(&bar).unwrap());
+        let bus = Bus::new(prepared.wire, clock.clone(), prepared.plan.reply_timeout);
+        let mut acquisition = Acquisition::start(bus, &prepared.plan, clock.clone()).unwrap();
+        let (sink, recorder) = recorder::ring(64, &clock);
+        drop(recorder);
+        let stop = Stop::default();
+        let job = RunJob {
+            sink,
+            stop: stop.clone(),
+            cycles: Some(1),
+            full_fault_cycles: 1000,
+            utc_minus_monotonic_ns: 0,
+        };
+        serve(&mut acquisition, job, None, &Arc::default());
+        assert_eq!(stop.cause(), "the recorder has ended");
+    }
+}

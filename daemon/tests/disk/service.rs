@@ -18,6 +18,7 @@ use serde_json::{Value, json};
 use shared::config::{self, BallBarConfig, DaemonConfig};
 use shared::recording::schema::EventKind;
 use shared::recording::{Recording, recover_leftovers};
+use shared::time::UtcNs;
 use tower::ServiceExt;
 
 use super::rig::{in_parallel, leave};
@@ -259,6 +260,92 @@ fn a_download_that_waits_for_the_disk_holds_up_nobody_else() {
     let of_content = [(Call::Read, "csv"), (Call::Read, "plot")];
     let cases: Vec<_> = of_file.into_iter().chain(of_content).collect();
     in_parallel(&cases, cases.len(), |(call, what)| check_download(*call, what));
+}
+
+/// A day on which a run is being written.
+fn recording() -> Day {
+    let day = Day::begin(None);
+    day.wait(Duration::from_secs(15), |status| status.state == "waiting");
+    let start = json!({"name": "day", "reason": "the disk is what is tried"});
+    assert_eq!(day.post("/start", &start).0, 200);
+    assert_eq!(day.wait(Duration::from_secs(10), |status| status.state == "writing").state, "writing");
+    day
+}
+
+fn wait_until_struck(day: &Day) {
+    while day.wall.struck().is_none() {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+#[test]
+fn a_marker_that_is_set_while_the_disk_hangs_is_answered_at_once_and_has_its_instant() {
+    const HANG: Duration = Duration::from_secs(3);
+    // However the disk keeps the recorder waiting.
+    let cases = [Call::Write, Call::Sync];
+    in_parallel(&cases, cases.len(), |call| {
+        let day = recording();
+        day.wall.strike_next(*call, Fault::Hangs(HANG));
+        wait_until_struck(&day);
+        std::thread::sleep(Duration::from_millis(500));
+        let now = || UtcNs::from_datetime(chrono::Utc::now());
+        let (before, asked) = (now(), Instant::now());
+        assert_eq!(day.post("/mark", &json!({"text": "noon"})).0, 200);
+        assert!(asked.elapsed() < HANG / 2, "{call:?}: answered after {:?}", asked.elapsed());
+        let after = now();
+        assert_eq!(day.post("/stop", &json!({})).0, 200);
+        let recording = Recording::open(&day.home().join("day.mcap")).unwrap();
+        let mark = recording.events.iter().find(|event| event.text == "noon").unwrap();
+        assert!(before <= mark.time && mark.time <= after, "{call:?}: {before:?} {mark:?} {after:?}");
+        let of_mark = recording.cycles.iter().rfind(|cycle| cycle.sample_time <= mark.time).unwrap();
+        assert!(of_mark.cycle.abs_diff(mark.cycle) <= 1, "{mark:?}, in cycle {}", of_mark.cycle);
+        day.service.shutdown("test over");
+        day.service.join().unwrap();
+    });
+}
+
+#[test]
+fn cycles_that_are_not_synchronised_are_not_said_to_be_on_disk() {
+    let day = recording();
+    day.wall.strike_next(Call::Sync, Fault::Hangs(Duration::from_secs(3)));
+    wait_until_struck(&day);
+    let run = || day.service.status().run.unwrap();
+    let before = run();
+    std::thread::sleep(Duration::from_secs(1));
+    let meanwhile = run();
+    assert_eq!(meanwhile.cycles, before.cycles);
+    assert!(meanwhile.cycles_written > before.cycles && meanwhile.cycles_taken > before.cycles_taken);
+    day.service.shutdown("test over");
+    day.service.join().unwrap();
+}
+
+#[test]
+fn a_run_whose_file_cannot_be_finished_is_no_success_for_who_stops_it() {
+    let day = recording();
+    day.wall.strike_next(Call::Rename, Fault::DiesEverywhere);
+    let (status, answer) = day.post("/stop", &json!({}));
+    assert!(status == 500 && answer["error"].as_str().unwrap().contains("run `day`"), "{status} {answer}");
+    day.service.shutdown("test over");
+    day.service.join().unwrap();
+}
+
+#[test]
+fn a_disk_that_does_not_take_reference_marks_holds_up_nobody() {
+    let day = Day::begin(None);
+    day.wait(Duration::from_secs(15), |status| status.state == "waiting");
+    day.wall.strike_next(Call::Replace, Fault::Hangs(EVER));
+    assert_eq!(day.post("/home", &json!({})).0, 200);
+    while day.wall.struck().is_none() {
+        let status = day.service.status();
+        assert!(status.homing.is_some_and(|homing| !homing.is_over), "nothing was kept");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    assert_eq!(day.get("/check").0, 200);
+    assert_eq!(day.post("/start", &json!({})).0, 409);
+    day.service.shutdown("test over");
+    assert!(day.has_ended(Duration::from_secs(2) + SLACK), "{:?}", day.service.status());
+    assert!(!day.home().join("homing.toml").exists());
+    day.service.join().unwrap();
 }
 
 /// What a command that records one run answers, asked to end while the disk hangs at `call` before the run has a file.

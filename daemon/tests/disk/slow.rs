@@ -96,7 +96,7 @@ fn synchronisations_of_up_to_five_seconds() {
 }
 
 #[test]
-fn while_a_write_hangs_cycles_and_markers_wait_and_people_are_told() {
+fn while_a_write_hangs_cycles_and_markers_wait_and_that_is_reported() {
     let mut plan = plan(100, 5.0);
     // Before, during and after it.
     plan.marks = vec![50, 150, 250, 251, 450];
@@ -171,7 +171,7 @@ impl Write for Log {
 }
 
 #[test]
-fn a_file_or_directory_that_vanishes_is_told_within_a_second_and_the_run_goes_on() {
+fn a_file_or_directory_that_vanishes_is_reported_within_a_second_and_the_run_goes_on() {
     let file = |home: &Path| std::fs::remove_file(home.join("run.mcap.active")).unwrap();
     let directory = |home: &Path| std::fs::remove_dir_all(home).unwrap();
     let moved = |home: &Path| std::fs::rename(home, home.with_file_name("elsewhere")).unwrap();

@@ -6,7 +6,7 @@ use shared::recording::schema::EventKind;
 use super::rig::Rig;
 
 #[test]
-fn a_noisy_cable_is_told_with_its_place_while_every_cycle_is_still_valid() {
+fn a_noisy_cable_is_reported_with_its_place_while_every_cycle_is_still_valid() {
     let mut rig = Rig::new(5);
     rig.run_to(500);
     assert!(rig.events.is_empty(), "{:?}", rig.events);

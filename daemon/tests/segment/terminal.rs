@@ -74,7 +74,7 @@ fn the_counter_is_set_once_for_each_request_and_says_so() {
 }
 
 #[test]
-fn c_resets_the_counter_only_where_it_is_told_to_and_the_latch_shows_where_c_was() {
+fn c_resets_the_counter_only_where_it_is_set_to_and_the_latch_shows_where_c_was() {
     let mark = || Still { mark: true, ..Still::default() };
     let mut wire = operating(mark(), &[]);
     // Level of C, latch valid.

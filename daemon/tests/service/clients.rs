@@ -90,9 +90,17 @@ fn more_clients_than_a_process_has_files_for_change_nothing_for_a_run() {
     service.wait_for("waiting");
     service.granted("start", &json!({"name": "crowded"}));
     service.wait_for("writing");
+    // As many as a process usually may have.
+    let mut limit = std::process::Command::new("prlimit");
+    let limit = limit.args(["--nofile=1024:1024", "--pid", &service.child.id().to_string()]).status();
+    assert!(limit.unwrap().success(), "prlimit of util-linux");
     let (soft, hard) = getrlimit(Resource::RLIMIT_NOFILE).unwrap();
     setrlimit(Resource::RLIMIT_NOFILE, soft.max(hard.min(CLIENTS + 500)), hard).unwrap();
     let crowd: Vec<TcpStream> = (0..CLIENTS).map(|_| sent(&service, "GET /api/status HTT")).collect();
+    // Those that it has not taken yet wait in the kernel.
+    std::thread::sleep(Duration::from_millis(300));
+    let open = std::fs::read_dir(format!("/proc/{}/fd", service.child.id())).unwrap().count();
+    assert!(open < 200, "{open} files are open");
     assert_eq!(service.granted("mark", &json!({"text": "crowded"})).run.as_deref(), Some("crowded"));
     assert!(service.get::<Status>("status").run.is_some());
     let last = service.granted("stop", &json!({})).last.unwrap();
@@ -172,4 +180,28 @@ fn fifty_stuck_and_fifty_fast_clients_cost_a_run_no_cycle_and_the_service_no_mem
     assert!(last.cycles >= (soak_s + WARM_UP.as_secs()) * 100, "{} cycles", last.cycles);
     service.signal(Signal::SIGTERM);
     assert!(service.ended(END_WITHIN).success());
+}
+
+#[test]
+#[ignore = "takes 12 seconds: so long a client may take nothing"]
+fn a_client_that_takes_nothing_of_its_download_loses_its_place() {
+    let service = Running::start();
+    service.wait_for("waiting");
+    // Far more than sockets hold by themselves.
+    let big = std::fs::File::create(service.directory.path().join("big.mcap")).unwrap();
+    big.set_len(100 << 20).unwrap();
+    let ask = || sent(&service, &head(&service, "GET /api/runs/big/mcap", 0));
+    let first_line = |mut stream: TcpStream| {
+        let mut answer = [0; 12];
+        stream.read_exact(&mut answer).unwrap();
+        String::from_utf8_lossy(&answer).into_owned()
+    };
+    let begun = Instant::now();
+    let _stuck = [ask(), ask()];
+    std::thread::sleep(Duration::from_secs(1));
+    assert_eq!(first_line(ask()), "HTTP/1.1 503");
+    while first_line(ask()) != "HTTP/1.1 200" {
+        assert!(begun.elapsed() < Duration::from_secs(20), "who takes nothing keeps its place for ever");
+        std::thread::sleep(Duration::from_millis(200));
+    }
 }

@@ -19,7 +19,7 @@ fn service(directory: &Path) -> Running {
 }
 
 #[test]
-fn a_directory_removed_in_mid_run_is_told_and_stop_names_a_file_that_is_there() {
+fn a_directory_removed_in_mid_run_is_reported_and_stop_names_a_file_that_is_there() {
     let directory = tempfile::tempdir().unwrap();
     let service = service(directory.path());
     service.wait_for("waiting");

@@ -96,7 +96,7 @@ const EXT4: &str = "truncate -s 16M \"$2\"; mkfs.ext4 -q -F \"$2\"; mount -o loo
 
 #[test]
 #[ignore = "needs root for a mount namespace"]
-fn a_file_system_that_is_unmounted_in_mid_run_is_told_and_no_cycle_is_lost() {
+fn a_file_system_that_is_unmounted_in_mid_run_is_reported_and_no_cycle_is_lost() {
     let mounted = Mounted::begin(TMPFS);
     let told = mounted.reported_after("umount --lazy \"$1\"", &["not there any more"]);
     assert!(told.last.is_none(), "{told:?}");
@@ -106,7 +106,7 @@ fn a_file_system_that_is_unmounted_in_mid_run_is_told_and_no_cycle_is_lost() {
 
 #[test]
 #[ignore = "needs root for a mount namespace and a loop device"]
-fn a_file_system_that_becomes_read_only_in_mid_run_is_told_and_the_run_goes_on_in_the_spare_place() {
+fn a_file_system_that_becomes_read_only_in_mid_run_is_reported_and_the_run_goes_on_in_the_spare_place() {
     let mounted = Mounted::begin(EXT4);
     // As the kernel does where it finds the file system damaged.
     let told = mounted.reported_after("mount -o remount,abort \"$1\"", &["the run goes on in"]);

@@ -14,7 +14,7 @@ pub fn shipped() -> PathBuf {
 }
 
 /// A program that heeds SIGHUP even where these tests run under `nohup`, whose children would inherit what it ignores.
-fn heeding_hangups(program: &str) -> Command {
+pub fn heeding_hangups(program: &str) -> Command {
     let ignored = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
     let ignored = ignored.lines().find_map(|line| line.strip_prefix("SigIgn:"));
     let ignored = ignored.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0);

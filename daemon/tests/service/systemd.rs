@@ -18,7 +18,7 @@ fn under_systemd(stderr: Stdio, environment: &[(&str, String)]) -> Running {
 }
 
 #[test]
-fn systemd_is_told_that_the_service_is_ready_and_lives() {
+fn systemd_is_notified_that_the_service_is_ready_and_lives() {
     let home = tempfile::tempdir().unwrap();
     let path = home.path().join("notify");
     let socket = UnixDatagram::bind(&path).unwrap();

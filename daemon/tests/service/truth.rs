@@ -10,7 +10,7 @@ use nix::sys::signal::Signal;
 use serde_json::json;
 use shared::recording::schema::EventKind;
 
-use super::rig::{Running, shipped, text};
+use super::rig::{Running, heeding_hangups, shipped, text};
 
 #[test]
 fn terminals_that_are_gone_are_a_fault_at_once_and_no_run_begins() {
@@ -98,7 +98,7 @@ fn a_run_without_a_valid_cycle_is_no_success() {
 }
 
 #[test]
-fn a_terminal_that_is_closed_ends_service_and_run_with_a_finished_file() {
+fn a_terminal_that_is_closed_ends_a_service_with_its_run_finished() {
     let mut service = Running::start();
     service.wait_for("waiting");
     service.granted("start", &json!({"name": "hangup"}));
@@ -108,26 +108,33 @@ fn a_terminal_that_is_closed_ends_service_and_run_with_a_finished_file() {
     assert!(service.recording("hangup").end.cause.contains("SIGHUP"));
 }
 
-#[test]
-fn a_service_under_nohup_outlives_its_terminal() {
+/// How a run of two seconds ended whose terminal is closed as soon as it has its file.
+fn cause_after_hangup(mut command: Command) -> String {
     let out = tempfile::tempdir().unwrap();
-    let mut command = Command::new("nohup");
-    command.arg(env!("CARGO_BIN_EXE_ballbard")).args(["record", "--name", "nohup", "--duration", "2s"]);
+    command.args(["record", "--name", "hangup", "--duration", "2s"]);
     command.arg("--config").arg(shipped()).arg("--out").arg(out.path());
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
-    while !out.path().join("nohup.mcap.active").exists() {
+    while !out.path().join("hangup.mcap.active").exists() {
         assert!(child.try_wait().unwrap().is_none());
         std::thread::sleep(Duration::from_millis(20));
     }
     let pid = nix::unistd::Pid::from_raw(i32::try_from(child.id()).unwrap());
     nix::sys::signal::kill(pid, Signal::SIGHUP).unwrap();
     assert!(child.wait().unwrap().success());
-    let recording = shared::recording::Recording::open(&out.path().join("nohup.mcap")).unwrap();
-    assert_eq!(recording.end.cause, "duration reached");
+    shared::recording::Recording::open(&out.path().join("hangup.mcap")).unwrap().end.cause
 }
 
 #[test]
-fn a_second_process_in_a_directory_is_told_who_has_it() {
+fn a_terminal_that_is_closed_ends_a_recording_command_with_a_finished_file_unless_nohup_says_otherwise() {
+    const PROGRAM: &str = env!("CARGO_BIN_EXE_ballbard");
+    assert!(cause_after_hangup(heeding_hangups(PROGRAM)).contains("SIGHUP"));
+    let mut outliving = Command::new("nohup");
+    outliving.arg(PROGRAM);
+    assert_eq!(cause_after_hangup(outliving), "duration reached");
+}
+
+#[test]
+fn a_second_process_in_a_directory_is_refused_with_who_has_it() {
     let mut service = Running::start();
     service.wait_for("waiting");
     service.granted("start", &json!({"name": "first"}));

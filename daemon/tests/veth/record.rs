@@ -53,7 +53,7 @@ fn a_run_over_a_raw_socket_is_complete() {
 
 #[test]
 #[ignore = "needs root and iproute2 for a network namespace"]
-fn a_second_master_on_an_interface_is_told_who_has_it_and_ruins_nothing() {
+fn a_second_master_on_an_interface_is_refused_with_who_has_it_and_ruins_nothing() {
     let namespace = Namespace::new("second");
     let _segment = serve_segment(&namespace, &[]);
     let out = tempfile::tempdir().unwrap();

@@ -11,6 +11,7 @@ use axum::body::{Body, Bytes};
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use futures_util::stream;
+use shared::output::explained;
 use shared::recording::{Disk, OpenFile};
 use tokio::sync::{Semaphore, mpsc};
 
@@ -61,7 +62,7 @@ impl Downloads {
             let written = write(&mut sink).and_then(|()| Ok(sink.flush()?));
             if let Err(error) = written {
                 // Nobody is there to be told where the client has gone.
-                let _ = pieces.blocking_send(Err(io::Error::other(format!("{error:#}"))));
+                let _ = pieces.blocking_send(Err(io::Error::other(explained(error.as_ref()))));
             }
             drop(permit);
         });

@@ -139,7 +139,7 @@ fn resolve(
 }
 
 #[test]
-fn a_step_either_way_is_told_within_five_readings_and_never_followed() {
+fn a_step_either_way_is_reported_within_five_readings_and_never_followed() {
     let hour_ns = 3_600_000_000_000;
     for size_ns in [12_000, 50_000, 90_000, 100_000, 3_000_000, 370_000_000, hour_ns] {
         for step_ns in [size_ns, -size_ns] {

@@ -4,6 +4,7 @@ use std::path::Path;
 
 use anyhow::Context;
 use shared::config::RobotConfig;
+use shared::output::explained;
 
 use super::bar::{BarArguments, RunFiles, input_files};
 use super::{CommonArguments, inputs, sources};
@@ -86,11 +87,14 @@ impl Attempt<'_> {
     {
         let page = error.refusal().map(|refusal| self.page(&refusal, &runs()));
         let page = page.and_then(|page| {
-            page.inspect_err(|why| tracing::warn!("there is no page of this refusal: {why:#}")).ok()
+            page.inspect_err(|why| {
+                tracing::warn!("there is no page of this refusal: {}", explained(why.as_ref()))
+            })
+            .ok()
         });
         let refused = anyhow::Error::new(error).context(names.to_owned());
         match page {
-            Some(page) => anyhow::anyhow!("{refused:#}\n{}", self.whereabouts(&page)),
+            Some(page) => anyhow::anyhow!("{}\n{}", explained(refused.as_ref()), self.whereabouts(&page)),
             None => refused,
         }
     }

@@ -232,7 +232,7 @@ mod tests {
     }
 
     #[test]
-    fn frozen_bits_keep_what_they_showed_and_no_status_bit_tells() {
+    fn frozen_bits_keep_what_they_showed_and_no_status_bit_reports_it() {
         let mut terminal = Terminal::with_bits(12);
         let slow = terminal.convert(at(1.0 + 5.0 / 4096.0, 100.0, None));
         let fast = terminal.convert(at(2.0 + 2.0 / 4096.0, 4000.0, None));
