@@ -26,7 +26,7 @@ fn experiment() -> &'static Path {
             let directory = tempfile::tempdir().unwrap();
             let bar = config("ball_bar.toml");
             let output = identify(
-                &["simulate", "--duration", "60s", "--bar", bar.to_str().unwrap()],
+                &["simulate", "--exact", "--duration", "60s", "--bar", bar.to_str().unwrap()],
                 IRB,
                 directory.path(),
             );
@@ -299,7 +299,8 @@ fn logs_without_overlap_in_time_are_refused() {
     let other = tempfile::tempdir().unwrap();
     let out = tempfile::tempdir().unwrap();
     let bar = config("ball_bar.toml");
-    let another_run = ["simulate", "--seed", "9", "--duration", "60s", "--bar", bar.to_str().unwrap()];
+    let another_run =
+        ["simulate", "--exact", "--seed", "9", "--duration", "60s", "--bar", bar.to_str().unwrap()];
     assert!(identify(&another_run, IRB, other.path()).status.success());
     let recording = experiment().join("recording.mcap");
     let output = calibrate(&recording, &other.path().join("robot_log.csv"), &[], out.path());
@@ -390,7 +391,8 @@ fn an_experiment_is_simulated_where_the_bar_stands() {
     let bar = config("ball_bar.toml");
     let at = |base: &str| {
         let out = tempfile::tempdir().unwrap();
-        let arguments = ["simulate", "--duration", "20s", "--base", base, "--bar", bar.to_str().unwrap()];
+        let arguments =
+            ["simulate", "--exact", "--duration", "20s", "--base", base, "--bar", bar.to_str().unwrap()];
         (identify(&arguments, IRB, out.path()), out)
     };
     let (output, out) = at("0.9,-0.3,0.4");

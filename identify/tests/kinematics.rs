@@ -4,7 +4,7 @@
 use crate::support::independent::{self, Link};
 use identify::kinematics::{
     Chain, Configuration, InverseError, LinkParameter, Pose, Trace, Tracer, ball_bar_chain, ball_bar_inverse,
-    ball_bar_inverse_refined, flange_chain, robot_chain, robot_inverse, robot_inverse_all,
+    ball_bar_inverse_refined, flange_chain, mirroring_joints, robot_chain, robot_inverse, robot_inverse_all,
     singularity_margin_rad,
 };
 use num_dual::Dual64;
@@ -231,4 +231,15 @@ proptest! {
             prop_assert!((found - b).abs() < 1e-9, "{found} instead of {b}");
         }
     }
+}
+
+#[test]
+fn signs_that_mirror_an_arm_are_found_where_there_are_any() {
+    for robot in [crate::support::irb2400(), crate::support::nj220()] {
+        assert_eq!(mirroring_joints(&flange_chain(&robot)), Some(vec![0, 3, 5]), "{}", robot.name);
+    }
+    // Its wrist lies beside the plane of its arm.
+    let [mut beside, ..] = nominal();
+    beside.links[1].d_m = 0.16;
+    assert_eq!(mirroring_joints(&beside), None);
 }

@@ -12,18 +12,6 @@ use identify::model::ParameterId;
 use identify::simulate::{self, Effects, Experiment, Simulated};
 use shared::config::{BallBarConfig, RobotConfig};
 
-/// 25 ppm skew is the experiment's own.
-pub(crate) const LABORATORY: Effects = Effects {
-    robot_noise_urad: 15.0,
-    encoder_noise_urad: 5.0,
-    gear_sine_urad: 30.0,
-    cycloid_urad: 20.0,
-    encoder_eccentricity_urad: 40.0,
-    encoder_ellipticity_urad: 15.0,
-    base_tilt_urad: 5000.0,
-    ..Effects::NONE
-};
-
 fn calibrated(
     run: &Simulated,
     robot: &RobotConfig,
@@ -111,7 +99,8 @@ fn every_part_of_the_model_that_the_laboratory_has_brings_the_robot_nearer_to_th
         let ways = ways();
         let mut scores: Vec<Score> = ways.iter().map(|_| Score::default()).collect();
         for seed in 1..=seeds() {
-            let experiment = Experiment { seed, effects: LABORATORY, ..Experiment::new(&robot, &bar) };
+            let experiment =
+                Experiment { seed, effects: Effects::LABORATORY, ..Experiment::new(&robot, &bar) };
             let run = simulate::run(&experiment).unwrap();
             for (score, (_, config)) in scores.iter_mut().zip(&ways) {
                 score.add(&calibrated(&run, &robot, &bar, config), &run);
@@ -140,7 +129,11 @@ fn a_moving_average_over_both_logs_costs_no_accuracy() {
     averaged.prepare.moving_average_ms = 100.0;
     let mut scores = [Score::default(), Score::default()];
     for seed in 1..=seeds() {
-        let run = simulate::run(&Experiment { seed, effects: LABORATORY, ..Experiment::new(&robot, &bar) });
+        let run = simulate::run(&Experiment {
+            seed,
+            effects: Effects::LABORATORY,
+            ..Experiment::new(&robot, &bar)
+        });
         let run = run.unwrap();
         for (score, config) in scores.iter_mut().zip([&IdentifyConfig::default(), &averaged]) {
             score.add(&calibrated(&run, &robot, &bar, config), &run);

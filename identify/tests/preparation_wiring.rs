@@ -1,7 +1,7 @@
 //! Encoders in any order, counting either way: found, told, or asked for.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use crate::support::{bar, irb2400};
+use crate::support::{bar, irb2400, nj220};
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, ball_bar};
 use identify::model::ParameterId;
@@ -55,7 +55,9 @@ fn shuffled_and_reversed_encoders_calibrate_without_a_hand() {
         let mut run = run(&robot, &bar);
         let order: &[usize] = if four { &[3, 0, 2, 1] } else { &[4, 2, 0, 3, 1] };
         let true_joints: Vec<u8> = run.encoders.iter().map(|encoder| encoder.joint).collect();
-        reversed(&mut run, &[0, 1, order.len() - 1]);
+        // All of joints 1, 3 and 5 would be the mirror image.
+        let places: &[usize] = if four { &[0, 1, 2] } else { &[0, 1, 4] };
+        reversed(&mut run, places);
         exchanged(&mut run, order);
         let found = prepared(&run, WiringChoice::Find).unwrap();
         let used = &found.wiring.used;
@@ -64,7 +66,7 @@ fn shuffled_and_reversed_encoders_calibrate_without_a_hand() {
         for (place, joint) in used.encoders.iter().zip(&true_joints) {
             assert_eq!(place.joint, *joint);
             // On joints 2 and 4 the direction is one with the bar's configuration.
-            let negative = [true_joints[0], true_joints[1], *true_joints.last().unwrap()].contains(joint);
+            let negative = places.iter().any(|place| true_joints[*place] == *joint);
             assert!(matches!(joint, 2 | 4) || place.reversed == negative, "{used}");
         }
         assert!(found.wiring.others.is_empty());
@@ -76,6 +78,35 @@ fn shuffled_and_reversed_encoders_calibrate_without_a_hand() {
         let error = of_robot.euclidean_mm_mrad();
         println!("{} encoders: {error:.5} mm|mrad", order.len());
         assert!(error < 0.05, "{error}");
+    }
+}
+
+#[test]
+fn a_mirrored_robot_fits_reversed_encoders_and_which_of_both_it_is_gets_asked() {
+    for robot in [irb2400(), nj220()] {
+        let (bar, config) = (bar(), IdentifyConfig::default());
+        let calibrated = |run: &Simulated, encoders: WiringChoice| {
+            let mut config = config.clone();
+            config.prepare.encoders = encoders;
+            ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config)
+        };
+        let mut mirrored = run(&robot, &bar);
+        for joints in &mut mirrored.robot_log.q_rad {
+            for joint in [0, 3, 5] {
+                joints[joint] = -joints[joint];
+            }
+        }
+        let refusal = calibrated(&mirrored, WiringChoice::Find).unwrap_err().to_string();
+        println!("{refusal}");
+        assert!(refusal.contains("signs of the robot's joints 1, 4 and 6 reversed"), "{refusal}");
+        // The encoders are reversed instead: the same question, and the answer is what is to be typed.
+        let mut run = run(&robot, &bar);
+        reversed(&mut run, &[0, 2, 4]);
+        let refusal = calibrated(&run, WiringChoice::Find).unwrap_err().to_string();
+        assert!(refusal.contains("type --encoders -1,2,-3,4,-5"), "{refusal}");
+        let found = calibrated(&run, "-1,2,-3,4,-5".parse().unwrap()).unwrap();
+        let error = Comparison::new(&found, &run.truth).only(|id| matches!(id, ParameterId::Robot { .. }));
+        assert!(error.euclidean_mm_mrad() < 0.05, "{}", error.euclidean_mm_mrad());
     }
 }
 

@@ -154,7 +154,7 @@ fn typed(arguments: &[&str], out: &Path) {
 fn what_a_recording_of_another_program_leaves_unsaid_stands_in_the_page() {
     let directory = tempfile::tempdir().unwrap();
     let at = |name: &str| directory.path().join(name).display().to_string();
-    typed(&["simulate", "--duration", "40s"], directory.path());
+    typed(&["simulate", "--exact", "--duration", "40s"], directory.path());
     std::fs::write(at("plc.csv"), table(&directory.path().join("recording.mcap"))).unwrap();
     let columns: String =
         (1..=5).map(|joint| format!("[[encoders]]\njoint = {joint}\ncolumn = \"count{joint}\"\n")).collect();

@@ -1,18 +1,18 @@
 //! A run calibrated with the configuration of another robot or bar: told as that and as nothing else, or found all the same.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use crate::laboratory::LABORATORY;
 use crate::support::{bar, irb2400, nj220};
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, JointTermsConfig};
 use identify::prepare::{PrepareOptions, prepare};
-use identify::simulate::{self, Experiment, Simulated};
+use identify::simulate::{self, Effects, Experiment, Simulated};
 use identify::study::{WorkspaceError, limits};
 use shared::config::{BallBarConfig, RobotConfig};
 
 fn laboratory(robot: &RobotConfig, seed: u64) -> Simulated {
-    simulate::run(&Experiment { seed, effects: LABORATORY, ..Experiment::new(robot, &bar()) }).unwrap()
+    simulate::run(&Experiment { seed, effects: Effects::LABORATORY, ..Experiment::new(robot, &bar()) })
+        .unwrap()
 }
 
 /// Lengths of a robot's links that a bar can see.
@@ -130,4 +130,23 @@ fn centimetres_are_found_and_told() {
     for (name, length_mm) in [("ra2", 705.0), ("rd4", 755.0), ("bd3", 600.0)] {
         assert!((part(name, length_mm) - 0.02).abs() < 1e-3, "{name}: {scaled:?}");
     }
+}
+
+#[test]
+fn a_wrong_ratio_contradicts_what_is_expected_and_is_reported_and_expectations_that_hold_are_not() {
+    let (robot, bar) = (irb2400(), bar());
+    let mut run = laboratory(&robot, 1);
+    let told = |run: &Simulated| {
+        let config = IdentifyConfig::default();
+        let found =
+            ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
+        let all = limits(&found, &[], &WorkspaceError::default());
+        all.into_iter().find(|limit| limit.sentence.starts_with("The run contradicts"))
+    };
+    assert_eq!(told(&run), None);
+    for joints in &mut run.robot_log.q_rad {
+        joints[2] *= 1.001;
+    }
+    let strained = told(&run).unwrap();
+    assert!(strained.serious, "{}", strained.sentence);
 }

@@ -19,6 +19,20 @@ enum Errors {
     None,
 }
 
+/// What is simulated unless something else is asked for.
+const LABORATORY: Effects = Effects::LABORATORY;
+/// The arguments that set a size of them.
+const EFFECTS: [&str; 8] = [
+    "robot_noise_urad",
+    "encoder_noise_urad",
+    "gear_sine_urad",
+    "cycloid_urad",
+    "backlash_urad",
+    "encoder_eccentricity_urad",
+    "encoder_ellipticity_urad",
+    "base_tilt_urad",
+];
+
 #[derive(Debug, Args)]
 pub struct SimulateArguments {
     /// The robot's configuration, such as config/robots/irb2400_16.toml
@@ -51,29 +65,32 @@ pub struct SimulateArguments {
     /// How much faster the robot's clock runs [ppm]
     #[arg(long, value_name = "PPM", default_value_t = 25.0, allow_hyphen_values = true)]
     skew_ppm: f64,
+    /// None of the effects below: what is left of the errors is the estimator's own
+    #[arg(long, conflicts_with_all = EFFECTS)]
+    exact: bool,
     /// White noise of each robot joint [urad]
-    #[arg(long, value_name = "URAD", default_value_t = 0.0)]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.robot_noise_urad)]
     robot_noise_urad: f64,
     /// White noise of each bar encoder [urad]
-    #[arg(long, value_name = "URAD", default_value_t = 0.0)]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.encoder_noise_urad)]
     encoder_noise_urad: f64,
     /// Sinusoidal error of each robot gear, amplitude [urad]
-    #[arg(long, value_name = "URAD", default_value_t = 0.0)]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.gear_sine_urad)]
     gear_sine_urad: f64,
     /// Ripple of each cycloid gear, amplitude [urad]
-    #[arg(long, value_name = "URAD", default_value_t = 0.0)]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.cycloid_urad)]
     cycloid_urad: f64,
     /// Half of the play of each robot gear [urad]
-    #[arg(long, value_name = "URAD", default_value_t = 0.0)]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.backlash_urad)]
     backlash_urad: f64,
     /// Eccentricity of each bar encoder, amplitude [urad]
-    #[arg(long, value_name = "URAD", default_value_t = 0.0)]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.encoder_eccentricity_urad)]
     encoder_eccentricity_urad: f64,
     /// The same twice per turn, amplitude [urad]
-    #[arg(long, value_name = "URAD", default_value_t = 0.0)]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.encoder_ellipticity_urad)]
     encoder_ellipticity_urad: f64,
     /// Tilt of the bar's base against the robot's [urad]
-    #[arg(long, value_name = "URAD", default_value_t = 0.0)]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.base_tilt_urad)]
     base_tilt_urad: f64,
     /// Largest force along the bar, which the robot's log then has as `force_N` [N]
     #[arg(long, value_name = "N", default_value_t = 0.0)]
@@ -116,7 +133,7 @@ pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
     if let Some(clock_s) = arguments.robot_clock_s {
         experiment.clocks.robot_at_bar_start_ns = (clock_s * 1e9).round() as i64;
     }
-    experiment.effects = Effects {
+    let sizes = Effects {
         robot_noise_urad: arguments.robot_noise_urad,
         encoder_noise_urad: arguments.encoder_noise_urad,
         gear_sine_urad: arguments.gear_sine_urad,
@@ -126,6 +143,7 @@ pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
         encoder_eccentricity_urad: arguments.encoder_eccentricity_urad,
         base_tilt_urad: arguments.base_tilt_urad,
     };
+    experiment.effects = if arguments.exact { Effects::NONE } else { sizes };
     experiment.load = BarLoad {
         force_n: arguments.force_n,
         compliance_um_per_n: arguments.compliance_um_per_n,

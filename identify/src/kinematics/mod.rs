@@ -12,6 +12,7 @@ mod hayati;
 mod implied_bar;
 mod inverse;
 mod joints;
+mod mirror;
 mod robot_inverse;
 mod trace;
 
@@ -27,5 +28,6 @@ pub use implied_bar::{ImpliedBar, ROD_LINK};
 pub use inverse::InverseError;
 pub(crate) use inverse::rotation_vector;
 pub use joints::{AXES_MAX, Joints};
+pub use mirror::mirroring_joints;
 pub use robot_inverse::{robot_inverse, robot_inverse_all};
 pub use trace::{LinkParameter, Trace, Tracer, Turn, Twist};

@@ -135,6 +135,21 @@ pub enum PrepareError {
         /// Those that fit.
         fits: String,
     },
+    /// The encoders see the mirror image of the robot in the log.
+    #[error(
+        "the encoders see the mirror image of the motion in the robot's log: either the log has the signs of the robot's {} \
+         reversed, or all encoders on the bar's joints 1, 3 and 5 count the other way than recorded; the angles do not say which, and \
+         the wrong choice calibrates a mirrored robot. Turn joint 1 of the robot towards plus and look which way it turns; correct \
+         the signs in the robot log's mapping, or, if they are right, type --encoders {stated} (or put `encoders = [{stated}]` \
+         under [prepare] of the configuration)",
+        of_joints(joints.as_deref())
+    )]
+    Mirrored {
+        /// The robot's joints that mirror it, from 0, if signs alone do.
+        joints: Option<Vec<usize>>,
+        /// The encoders' places as `--encoders` takes them.
+        stated: String,
+    },
     /// Another order or direction fits than the recording states, and it is not to be taken.
     #[error(
         "the encoders do not fit as recorded (encoder -> joint): {recorded}, but as {found}; correct order or \
@@ -245,4 +260,14 @@ pub enum PrepareError {
         /// Samples without motion.
         standstill: usize,
     },
+}
+
+/// `joints 1, 4 and 6`, from joints counted from 0.
+fn of_joints(joints: Option<&[usize]>) -> String {
+    let names: Vec<String> = joints.unwrap_or_default().iter().map(|joint| (joint + 1).to_string()).collect();
+    match names.split_last() {
+        None => "joints as they mirror it".into(),
+        Some((only, [])) => format!("joint {only}"),
+        Some((last, others)) => format!("joints {} and {last}", others.join(", ")),
+    }
 }

@@ -9,7 +9,7 @@ use super::speeds::{STEP_S, measured_speeds, predicted_speeds, without_order};
 use super::stretches::{Pair, Settled, settle};
 use super::wiring::{AnglePair, Wiring, WiringReport, find_wiring};
 use super::{Channels, Predictor, PrepareError, PrepareOptions};
-use crate::kinematics::{BAR_JOINTS, Chain};
+use crate::kinematics::{BAR_JOINTS, Chain, mirroring_joints};
 use crate::logs::InterpolatedLog;
 
 /// A valid sample of the recording.
@@ -227,7 +227,13 @@ impl Search<'_> {
             let time_s = |sample: usize| self.samples.get(sample).map_or(0.0, |raw| raw.t_s);
             let timed: Vec<_> = of_samples.iter().map(|(sample, pair)| (time_s(*sample), *pair)).collect();
             let slip = || large_slip(&timed, self.recorded_joints, self.options);
-            if matches!(error, PrepareError::NoWiring { .. }) { slip().unwrap_or(error) } else { error }
+            match error {
+                PrepareError::NoWiring { .. } => slip().unwrap_or(error),
+                PrepareError::Mirrored { stated, .. } => {
+                    PrepareError::Mirrored { joints: mirroring_joints(self.chains[0]), stated }
+                }
+                error => error,
+            }
         })?;
         let settled = self.settled(window, clock, &wiring.used);
         let squares: f64 = settled.spread_rad.iter().map(|spread| spread * spread).sum();

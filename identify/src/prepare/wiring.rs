@@ -6,6 +6,9 @@
 //!
 //! One thing no data can tell: an encoder on joint 2 (or 4) that counts the other way is the same as the gimbal (the
 //! cardan) in its other configuration. Both describe the same robot, so the recorded direction stands there.
+//!
+//! Another it cannot tell either: encoders on joints 1, 3 and 5 that all count the other way see the mirror image of the
+//! robot. Where only that fits, encoders and robot log contradict each other and one of them is wrong; which one is asked.
 
 use std::fmt;
 use std::str::FromStr;
@@ -75,6 +78,13 @@ impl Wiring {
     /// Order and directions are those that the recording states.
     pub fn is_as_recorded(&self) -> bool {
         self.encoders.iter().all(|place| place.joint == place.recorded_joint && !place.reversed)
+    }
+
+    /// Every encoder on joints 1, 3 and 5 counts the other way: so the bar sees the mirror image of the motion, in a plane
+    /// through the gimbal's vertical axis, in which these joints turn the other way and 2 and 4 as before.
+    fn is_mirrored(&self) -> bool {
+        let mut odd = self.encoders.iter().filter(|place| place.joint % 2 == 1).peekable();
+        odd.peek().is_some() && odd.all(|place| place.reversed)
     }
 
     /// Joints with an encoder.
@@ -156,7 +166,7 @@ const TOLD_MAX: usize = 8;
 ///
 /// # Errors
 /// [`PrepareError::NoWiring`] where none fits, [`PrepareError::AmbiguousWiring`] where several do and the recorded one is
-/// not among them, [`PrepareError::OtherWiring`] where only the recorded one is allowed.
+/// not among them, [`PrepareError::Mirrored`] where they see the robot's mirror image, [`PrepareError::OtherWiring`] where only the recorded one is allowed.
 pub fn find_wiring(
     pairs: &[AnglePair],
     recorded_joints: &[u8],
@@ -189,6 +199,9 @@ pub fn find_wiring(
             let equals: Vec<String> = fitting.iter().filter(|wiring| as_good(wiring)).map(told).collect();
             if equals.len() > 1 {
                 return Err(PrepareError::AmbiguousWiring { fits: equals.concat() });
+            }
+            if best.is_mirrored() {
+                return Err(PrepareError::Mirrored { joints: None, stated: best.stated() });
             }
             best
         }

@@ -53,6 +53,19 @@ impl Effects {
         base_tilt_urad: 0.0,
     };
 
+    /// As in a laboratory with a robot in good repair: gears by the thesis (2.3), encoders of 18 arc-sec behind couplings,
+    /// a base set up by eye.
+    pub const LABORATORY: Self = Self {
+        robot_noise_urad: 15.0,
+        encoder_noise_urad: 5.0,
+        gear_sine_urad: 30.0,
+        cycloid_urad: 20.0,
+        encoder_eccentricity_urad: 40.0,
+        encoder_ellipticity_urad: 15.0,
+        base_tilt_urad: 5000.0,
+        ..Self::NONE
+    };
+
     /// All sizes with their keys.
     fn sizes(&self) -> [(&'static str, f64); 8] {
         [

@@ -1,12 +1,15 @@
 //! What limits a calibration, in sentences that a person can act on.
 
+use statrs::distribution::{ContinuousCDF, Normal};
+
 use super::{PositiveForce, Quantiles, RunEvidence, Stretch, WorkspaceError};
 use crate::calibrate::CostName;
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::cost::Closure;
 use crate::kinematics::LinkParameter;
-use crate::model::ParameterId;
+use crate::model::{ParameterId, Role};
 use crate::prepare::Prepared;
+use crate::solver::Solution;
 
 /// A joint that turned less than this tells little of its link \[deg\].
 const TRAVEL_MIN_DEG: f64 = 20.0;
@@ -17,6 +20,9 @@ const WEIGHT_MIN: f64 = 0.5;
 
 /// No robot is built and no bar measured so badly \[m\].
 const LENGTH_OFF_M: f64 = 5e-3;
+
+/// Chance that something is said of a prior although all of them hold.
+const STRAINED_BY_CHANCE: f64 = 1e-3;
 
 /// One thing that limits a calibration.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -40,6 +46,7 @@ pub fn limits(
             of_run(prepared).map(|sentence| Limit { sentence: place.clone() + &sentence, serious: true }),
         );
     }
+    limits.extend(strained_priors(calibration));
     limits.extend(other_lengths(calibration).map(|sentence| Limit { sentence, serious: true }));
     let mut tell = |serious: bool, sentence: String| limits.push(Limit { sentence, serious });
     let noise_ratio = calibration.solution.summary.residual_rms;
@@ -104,6 +111,47 @@ fn untold_forces(calibration: &BallBarCalibration) -> impl Iterator<Item = Limit
             stretch.sentence()
         ),
         serious: true,
+    })
+}
+
+/// Parameters that the samples want where their priors hardly let them: the test of Evans and Moshonov (2006) for each of the
+/// `n` priors, at a chance of [`STRAINED_BY_CHANCE`] for all.
+///
+/// A prior of `x0` with sigma `s0` that holds makes what is found, `x` with sigma `s`, differ from `x0` by no more than
+/// `sqrt(s0^2 - s^2)` times a standard normal number, and pulls it by `(x - x0) s^2 / (s0^2 - s^2)`.
+fn strained_priors(calibration: &BallBarCalibration) -> Option<Limit> {
+    let Solution { x, covariance, .. } = &calibration.solution;
+    let priors =
+        calibration.model.columns().enumerate().filter_map(|(column, parameter)| match parameter.role {
+            Role::Prior { value, sigma } => {
+                Some((parameter.id, x.get(column)? - value, sigma, covariance.sigma(column)?))
+            }
+            _ => None,
+        });
+    let priors: Vec<(ParameterId, f64, f64, f64)> = priors.collect();
+    let certain = 1.0 - STRAINED_BY_CHANCE / (2.0 * priors.len().max(1) as f64);
+    let most = Normal::standard().inverse_cdf(certain);
+    let mut strained = Vec::new();
+    for (id, off, expected, sigma) in priors {
+        let learnt = expected.powi(2) - sigma.powi(2);
+        if learnt > 0.0 && off.abs() > most * learnt.sqrt() {
+            let pull = off * sigma.powi(2) / learnt;
+            let unit = id.unit();
+            let [off, expected] = [off, expected].map(|value| value * unit.display_factor());
+            let sentence =
+                format!("{id} by {off:+.3} {} (expected within {expected:.3})", unit.display_symbol());
+            strained.push((sentence, pull.abs() > sigma));
+        }
+    }
+    let names: Vec<&str> = strained.iter().map(|(sentence, _)| sentence.as_str()).collect();
+    (!names.is_empty()).then(|| Limit {
+        sentence: format!(
+            "The run contradicts what was expected of {}. Look for the cause (the ratio in the controller, a worn gear or \
+             grating, a plate or rod of another length), or expect more under [priors] or [joint_terms] of the configuration: \
+             so tight, the expectation pulls the result towards it.",
+            names.join(", ")
+        ),
+        serious: strained.iter().any(|(_, pulls)| *pulls),
     })
 }
 
