@@ -296,7 +296,10 @@ fn a_marker_that_is_set_while_the_disk_hangs_is_answered_at_once_and_has_its_ins
         assert_eq!(day.post("/stop", &json!({})).0, 200);
         let recording = Recording::open(&day.home().join("day.mcap")).unwrap();
         let mark = recording.events.iter().find(|event| event.text == "noon").unwrap();
-        assert!(before <= mark.time && mark.time <= after, "{call:?}: {before:?} {mark:?} {after:?}");
+        // Its time keeps to the run's first offset, which the host's may have left meanwhile.
+        let slack_ns = 5_000_000;
+        let is_then = before.plus_ns(-slack_ns) <= mark.time && mark.time <= after.plus_ns(slack_ns);
+        assert!(is_then, "{call:?}: {before:?} {mark:?} {after:?}");
         let of_mark = recording.cycles.iter().rfind(|cycle| cycle.sample_time <= mark.time).unwrap();
         assert!(of_mark.cycle.abs_diff(mark.cycle) <= 1, "{mark:?}, in cycle {}", of_mark.cycle);
         day.service.shutdown("test over");

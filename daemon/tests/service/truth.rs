@@ -73,6 +73,16 @@ fn an_encoder_without_signal_is_in_the_headline_before_and_during_a_run() {
 }
 
 #[test]
+fn a_bad_cable_is_in_status_and_check_before_it_costs_a_cycle() {
+    let faults = ["--fault", "noise:3,0.05@1s"];
+    let service = Running::with(tempfile::tempdir().unwrap(), &shipped(), &faults);
+    let status = service.wait_until("the cable", |status| !status.bad_cables.is_empty());
+    assert!(status.bad_cables[0].contains("between devices 2 and 3"), "{:?}", status.bad_cables);
+    let lines: Vec<CheckLine> = service.get("check");
+    assert!(lines.iter().any(|line| line.subject == "cables" && line.remedy.is_some()), "{lines:?}");
+}
+
+#[test]
 fn a_run_without_a_valid_cycle_is_no_success() {
     let faults: Vec<String> = (1..=5).map(|position| format!("no-signal:{position}")).collect();
     let faults: Vec<&str> = faults.iter().flat_map(|fault| ["--fault", fault]).collect();
