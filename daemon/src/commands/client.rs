@@ -144,6 +144,9 @@ pub fn status(arguments: &AskArguments) -> anyhow::Result<()> {
     if let Some(usable) = status.disk_usable_mb {
         say(format_args!("disk: {usable} MB above the floor"))?;
     }
+    if let Some(remote) = &status.remote {
+        say(format_args!("for other machines: {remote}"))?;
+    }
     if let Some(last) = &status.last {
         say(format_args!("last run: {}", last_run(last)))?;
     }

@@ -73,8 +73,8 @@ impl Configuration {
 /// Where the program keeps what it finds out by itself.
 #[derive(Debug, Clone, Args)]
 pub struct State {
-    /// Directory for reference marks; default: $STATE_DIRECTORY as systemd sets it, /var/lib/ballbard where that is there,
-    /// else `ballbard` in $XDG_STATE_HOME or ~/.local/state
+    /// Directory for reference marks, token and certificate; default: $STATE_DIRECTORY as systemd sets it,
+    /// /var/lib/ballbard where that is there, else `ballbard` in $XDG_STATE_HOME or ~/.local/state
     #[arg(long = "state", value_name = "DIR")]
     directory: Option<PathBuf>,
 }
@@ -85,7 +85,8 @@ impl State {
         self.directory.is_some()
     }
 
-    fn directory(&self) -> PathBuf {
+    /// What was typed, or where it is by default.
+    pub fn directory(&self) -> PathBuf {
         let variable = |name| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
         let of_user = || {
             let local = || Some(std::env::home_dir()?.join(".local/state"));

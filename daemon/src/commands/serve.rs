@@ -1,6 +1,7 @@
 //! `ballbard run`: the acquisition service.
 
 use std::future::Future;
+use std::net::SocketAddr;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -13,7 +14,7 @@ use tokio::net::TcpListener;
 use super::bus_choice;
 use super::configuration::{Configuration, State};
 use super::signals::Signals;
-use crate::control::api;
+use crate::control::api::{self, Remote, RemoteSettings};
 use crate::control::service::{Service, ServiceError, Settings};
 use crate::control::status::Status;
 use crate::run::BusChoice;
@@ -37,6 +38,18 @@ pub struct RunArguments {
     /// Port on 127.0.0.1, 0 for any that is free; default: `port` of daemon.toml
     #[arg(long)]
     port: Option<u16>,
+    /// Let other machines in at this address, over TLS and with the token that is made in the state directory
+    #[arg(long, value_name = "ADDRESS:PORT")]
+    listen: Option<SocketAddr>,
+    /// Certificates for --listen, PEM; default: one that is made once in the state directory
+    #[arg(long, value_name = "FILE", requires_all = ["listen", "key"])]
+    certificate: Option<PathBuf>,
+    /// Private key of --certificate, PEM
+    #[arg(long, value_name = "FILE", requires = "certificate")]
+    key: Option<PathBuf>,
+    /// Let a reverse proxy of this machine in that speaks TLS and is reached under this name; clients show the token
+    #[arg(long, value_name = "HOST[:PORT]")]
+    behind_proxy: Option<String>,
     #[command(flatten)]
     state: State,
     #[command(flatten)]
@@ -69,12 +82,28 @@ pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
         .build()
         .context("cannot start the service")?;
     let listener = runtime.block_on(listen(port))?;
+    let remote = runtime.block_on(arguments.remote())?;
     let signals = runtime.block_on(async { Signals::new() })?;
     let service = Service::start(settings)?;
-    let outcome = supervise(&runtime, &service, serve(listener, service.clone(), signals));
+    let outcome = supervise(&runtime, &service, serve(listener, remote, service.clone(), signals));
     // What still reads a slow disk for a client that has gone is not waited for.
     runtime.shutdown_background();
     outcome
+}
+
+impl RunArguments {
+    /// The way in for other machines, where one is asked for.
+    async fn remote(&self) -> anyhow::Result<Option<Remote>> {
+        if self.listen.is_none() && self.behind_proxy.is_none() {
+            return Ok(None);
+        }
+        let certificate = self.certificate.clone().zip(self.key.clone());
+        let settings =
+            RemoteSettings { listen: self.listen, certificate, proxy_host: self.behind_proxy.clone() };
+        let remote = Remote::open(settings, &self.state.directory()).await?;
+        tracing::info!("other machines are let in: {}", remote.words());
+        Ok(Some(remote))
+    }
 }
 
 async fn listen(port: u16) -> anyhow::Result<TcpListener> {
@@ -95,7 +124,7 @@ async fn listen(port: u16) -> anyhow::Result<TcpListener> {
 }
 
 /// Serves until the service has ended: asked to by a signal, or by itself.
-async fn serve(listener: TcpListener, service: Service, mut signals: Signals) {
+async fn serve(listener: TcpListener, remote: Option<Remote>, service: Service, mut signals: Signals) {
     tokio::spawn(super::systemd::tell(service.clone()));
     let ending = service.clone();
     let end = async move {
@@ -112,7 +141,7 @@ async fn serve(listener: TcpListener, service: Service, mut signals: Signals) {
             tracing::warn!("not ended yet: waiting until {what}; {}", reason.unwrap_or_default());
         }
     };
-    api::serve(listener, service, end).await;
+    api::serve(listener, remote, service, end).await;
 }
 
 /// Sees to it that a run's file is finished whatever dies, and that the program then ends as one that failed: a service
@@ -160,7 +189,7 @@ mod tests {
         let listener = runtime.block_on(TcpListener::bind(("127.0.0.1", 0))).unwrap();
         let signals = runtime.block_on(async { Signals::new() }).unwrap();
         service.kill_control();
-        assert!(supervise(&runtime, &service, serve(listener, service.clone(), signals)).is_err());
+        assert!(supervise(&runtime, &service, serve(listener, None, service.clone(), signals)).is_err());
         assert!(directory.path().join("cut.mcap").exists());
     }
 }

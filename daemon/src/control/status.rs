@@ -47,6 +47,9 @@ pub struct Status {
     pub origin: u32,
     /// Space above the floor \[MB\]; 0 at the floor.
     pub disk_usable_mb: Option<u64>,
+    /// How other machines reach the service, with the fingerprint of its certificate; none where they do not.
+    #[serde(default)]
+    pub remote: Option<String>,
 }
 
 /// How grave what is said is.

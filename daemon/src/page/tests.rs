@@ -64,7 +64,7 @@ impl Bench {
             runtime.block_on(async {
                 let listener = tokio::net::TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
                 address.send(listener.local_addr().unwrap()).unwrap();
-                api::serve(listener, service, async { drop(ended.await) }).await;
+                api::serve(listener, None, service, async { drop(ended.await) }).await;
             });
         });
         (format!("http://{}/", at.recv().unwrap()), end)

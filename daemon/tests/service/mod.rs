@@ -8,6 +8,7 @@ mod homing;
 mod mounts;
 mod outputs;
 mod page;
+mod remote;
 mod requests;
 mod rig;
 mod runs;

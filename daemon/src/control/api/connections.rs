@@ -8,23 +8,26 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use axum::Router;
 use axum::body::{Body, to_bytes};
 use axum::extract::Request;
 use axum::http::StatusCode;
 use axum::response::Response;
+use axum::{Extension, Router};
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use nix::sys::socket::setsockopt;
 use nix::sys::socket::sockopt::TcpUserTimeout;
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::TcpStream;
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
+use tokio_rustls::TlsAcceptor;
 use tower::ServiceExt;
 
 use super::refusal;
+use super::remote::OverTls;
 
 /// Connections at a time: some people and programs, and far fewer than a process may have files.
 const CONNECTIONS_MAX: usize = 64;
@@ -42,6 +45,7 @@ const FAREWELL: Duration = Duration::from_secs(1);
 /// Those that are open, the oldest first.
 pub(super) struct Connections {
     routes: Router,
+    routes_over_tls: Router,
     open: Vec<Connection>,
 }
 
@@ -53,12 +57,13 @@ struct Connection {
 
 impl Connections {
     pub fn new(routes: Router) -> Self {
-        Self { routes, open: Vec::new() }
+        let routes_over_tls = routes.clone().layer(Extension(OverTls));
+        Self { routes, routes_over_tls, open: Vec::new() }
     }
 
     /// Serves one more client. Where there are too many the oldest that has not asked yet goes; where all have
     /// asked, the new one.
-    pub fn add(&mut self, stream: TcpStream) {
+    pub fn add(&mut self, stream: TcpStream, tls: Option<&TlsAcceptor>) {
         self.open.retain(|connection| !connection.task.is_finished());
         if self.open.len() >= CONNECTIONS_MAX {
             let idle = self.open.iter().position(|connection| !connection.has_asked.load(Ordering::Relaxed));
@@ -68,17 +73,19 @@ impl Connections {
         // What is sent waits in the kernel, which alone knows whether the client takes it. A stream without it serves, too.
         let _ = setsockopt(&stream, TcpUserTimeout, &TAKES_NOTHING_MS);
         let has_asked = Arc::new(AtomicBool::new(false));
-        let (routes, asked) = (self.routes.clone(), Arc::clone(&has_asked));
-        let service = service_fn(move |request| answer(request, routes.clone(), Arc::clone(&asked)));
-        let connection = http1::Builder::new()
-            .timer(TokioTimer::new())
-            .header_read_timeout(REQUEST_TIMEOUT)
-            .keep_alive(false)
-            .serve_connection(TokioIo::new(stream), service);
-        let task = tokio::spawn(async move {
-            // Whatever a client does wrong is its own loss.
-            let _ = connection.await;
-        });
+        let asked = Arc::clone(&has_asked);
+        let task = match tls {
+            None => tokio::spawn(converse(stream, self.routes.clone(), asked)),
+            Some(tls) => {
+                let (tls, routes) = (tls.clone(), self.routes_over_tls.clone());
+                tokio::spawn(async move {
+                    // Who does not agree on TLS in time goes.
+                    if let Ok(Ok(stream)) = timeout(REQUEST_TIMEOUT, tls.accept(stream)).await {
+                        converse(stream, routes, asked).await;
+                    }
+                })
+            }
+        };
         self.open.push(Connection { task, has_asked });
     }
 
@@ -94,6 +101,17 @@ impl Connections {
         // Who takes no answer within that time takes none; the tasks end with the runtime.
         let _ = timeout(FAREWELL, answers).await;
     }
+}
+
+async fn converse(stream: impl AsyncRead + AsyncWrite + Unpin, routes: Router, asked: Arc<AtomicBool>) {
+    let service = service_fn(move |request| answer(request, routes.clone(), Arc::clone(&asked)));
+    let connection = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(REQUEST_TIMEOUT)
+        .keep_alive(false)
+        .serve_connection(TokioIo::new(stream), service);
+    // Whatever a client does wrong is its own loss.
+    let _ = connection.await;
 }
 
 async fn answer(

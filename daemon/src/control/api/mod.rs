@@ -1,12 +1,15 @@
-//! The service over HTTP on 127.0.0.1: a page for people, JSON for programs.
+//! The service over HTTP on 127.0.0.1: a page for people, JSON for programs; for other machines over TLS where that is
+//! asked for.
 //!
-//! Only programs of this machine reach it. Web pages of others do not, although a browser runs here: requests must name
-//! a loopback host (no rebinding of names), come from no foreign origin, and carry JSON (no plain forms).
+//! Programs of this machine need no token. Web pages of others do not reach it, although a browser runs here: requests must
+//! name a loopback host (no rebinding of names), come from no foreign origin, and carry JSON (no plain forms). Whoever
+//! comes from elsewhere shows the token ([`remote`]).
 
 mod connections;
 mod downloads;
 mod metrics;
 mod openapi;
+mod remote;
 
 use std::convert::Infallible;
 use std::future::Future;
@@ -30,6 +33,8 @@ use tokio::sync::Semaphore;
 use self::connections::Connections;
 use self::downloads::{Download, Downloads};
 use self::openapi::Operation;
+use self::remote::{Gate, OverTls};
+pub use self::remote::{Remote, RemoteError, RemoteSettings};
 use super::live::Live;
 use super::machine::Answer;
 use super::runs::{self, Curves, RunLine};
@@ -55,25 +60,42 @@ const REFUSAL_CHARS_MAX: usize = 300;
 /// After an error of the listener, such as too many open files.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
-/// Serves until `end` comes, then finishes the requests that are being answered, as far as their clients let it.
-pub async fn serve(listener: TcpListener, service: Service, end: impl Future<Output = ()>) {
-    let mut connections = Connections::new(router(service));
+/// Serves until `end` comes, then finishes the requests that are being answered, as far as their clients let it. Other
+/// machines are let in as `remote` says.
+pub async fn serve(
+    listener: TcpListener,
+    remote: Option<Remote>,
+    service: Service,
+    end: impl Future<Output = ()>,
+) {
+    let words = remote.as_ref().map(|remote| remote.words().to_owned());
+    let (gate, door) = remote.map(Remote::into_parts).unzip();
+    let door = door.flatten();
+    let mut connections = Connections::new(routes(service, gate, words));
     tokio::pin!(end);
     loop {
-        tokio::select! {
+        let from_elsewhere = async {
+            match &door {
+                Some(door) => (door.listener.accept().await, Some(&door.acceptor)),
+                None => std::future::pending().await,
+            }
+        };
+        let (accepted, tls) = tokio::select! {
             () = &mut end => break,
-            accepted = listener.accept() => match accepted {
-                Ok((stream, _)) => connections.add(stream),
-                Err(error) => {
-                    tracing::warn!("a client cannot be served: {error}");
-                    tokio::time::sleep(ACCEPT_PAUSE).await;
-                }
-            },
+            accepted = listener.accept() => (accepted, None),
+            accepted = from_elsewhere => accepted,
+        };
+        match accepted {
+            Ok((stream, _)) => connections.add(stream, tls),
+            Err(error) => {
+                tracing::warn!("a client cannot be served: {error}");
+                tokio::time::sleep(ACCEPT_PAUSE).await;
+            }
         }
         // Requests that are there already are read before many new connections push theirs out.
         tokio::task::yield_now().await;
     }
-    drop(listener);
+    drop((listener, door));
     connections.finish().await;
 }
 
@@ -83,6 +105,8 @@ struct Shared {
     service: Service,
     downloads: Downloads,
     viewers: Arc<Semaphore>,
+    /// How other machines reach the service.
+    remote: Option<String>,
 }
 
 impl FromRef<Shared> for Service {
@@ -149,10 +173,14 @@ fn operations() -> Vec<(Operation, MethodRouter<Shared>)> {
     ]
 }
 
-/// All routes.
+/// All routes, for programs of this machine.
 pub fn router(service: Service) -> Router {
+    routes(service, None, None)
+}
+
+fn routes(service: Service, gate: Option<Gate>, remote: Option<String>) -> Router {
     let viewers = Arc::new(Semaphore::new(VIEWERS_MAX));
-    let shared = Shared { service, downloads: Downloads::default(), viewers };
+    let shared = Shared { service, downloads: Downloads::default(), viewers, remote };
     let operations = operations();
     let (described, handlers): (Vec<_>, Vec<_>) = operations.into_iter().unzip();
     let document = openapi::document(&described);
@@ -171,15 +199,15 @@ pub fn router(service: Service) -> Router {
                 "no such path; the page is at /, what programs may ask for below /api/",
             )
         })
-        .layer(middleware::from_fn(only_this_machine))
+        .layer(middleware::from_fn_with_state(Arc::new(gate), admitted))
         .layer(middleware::from_fn(logged))
         .with_state(shared)
 }
 
 type Body<T> = Result<Json<T>, JsonRejection>;
 
-async fn status(State(service): State<Service>) -> Response {
-    Json(service.status()).into_response()
+async fn status(State(Shared { service, remote, .. }): State<Shared>) -> Json<Status> {
+    Json(Status { remote, ..service.status() })
 }
 
 async fn check(State(service): State<Service>) -> Response {
@@ -473,12 +501,18 @@ async fn logged(request: Request, next: Next) -> Response {
     response
 }
 
-/// Turns away what a foreign web page could send.
-async fn only_this_machine(request: Request, next: Next) -> Response {
-    if is_local(request.headers()) {
-        next.run(request).await
-    } else {
-        refusal(StatusCode::FORBIDDEN, "only programs of this machine may use this")
+/// Turns away what a foreign web page could send, and who comes from elsewhere without the token.
+async fn admitted(State(gate): State<Arc<Option<Gate>>>, request: Request, next: Next) -> Response {
+    if request.extensions().get::<OverTls>().is_none() && is_local(request.headers()) {
+        return next.run(request).await;
+    }
+    let turned_away = match &*gate {
+        Some(gate) => gate.turns_away(&request),
+        None => Some(refusal(StatusCode::FORBIDDEN, "only programs of this machine may use this")),
+    };
+    match turned_away {
+        Some(response) => response,
+        None => next.run(request).await,
     }
 }
 

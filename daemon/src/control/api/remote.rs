@@ -1,0 +1,315 @@
+//! The way in for others than programs of this machine: TLS and a token, or a reverse proxy and a token.
+//!
+//! The token is 256 random bits, so that nobody guesses it; wrong ones are counted to keep answers and log small. No route is
+//! reached without. A browser gets it as a cookie that no script reads and no other site's page sends along.
+
+use std::fs::{self, OpenOptions};
+use std::io::{self, Write};
+use std::net::SocketAddr;
+use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use axum::extract::Request;
+use axum::http::{HeaderMap, HeaderName, Method, StatusCode, header};
+use axum::response::{Html, IntoResponse, Response};
+use rand::Rng;
+use rcgen::{CertifiedKey, generate_simple_self_signed};
+use sha2::{Digest, Sha256};
+use subtle::ConstantTimeEq;
+use tokio::net::TcpListener;
+use tokio_rustls::TlsAcceptor;
+use tokio_rustls::rustls::pki_types::pem::PemObject;
+use tokio_rustls::rustls::pki_types::{CertificateDer, PrivateKeyDer, pem};
+use tokio_rustls::rustls::{self, ServerConfig};
+
+use super::refusal;
+
+/// Where the token is, in the state directory.
+const TOKEN_FILE: &str = "token";
+/// The certificate that the program makes for itself, and its key.
+const OWN_FILES: [&str; 2] = ["certificate.pem", "key.pem"];
+const TOKEN_BYTES: usize = 32;
+/// Wrong tokens within [`WRONG_WITHIN`] that are each told so; what comes after is told to wait.
+const WRONG_MAX: usize = 10;
+const WRONG_WITHIN: Duration = Duration::from_secs(60);
+/// The prefix binds the cookie to this host, this path and TLS.
+const COOKIE: &str = "__Host-ballbard";
+/// As long as a browser remembers the token \[s\]: 30 days.
+const COOKIE_AGE_S: u32 = 30 * 86_400;
+const FORM: &str = include_str!("../../page/token.html");
+
+/// What somebody asked for.
+#[derive(Debug, Clone, Default)]
+pub struct RemoteSettings {
+    /// Where TLS is spoken.
+    pub listen: Option<SocketAddr>,
+    /// Certificates and key \[PEM\]; absent: what the program makes for itself.
+    pub certificate: Option<(PathBuf, PathBuf)>,
+    /// The name under which a reverse proxy of this machine is reached.
+    pub proxy_host: Option<String>,
+}
+
+/// Why nobody else is let in.
+#[derive(Debug, thiserror::Error)]
+pub enum RemoteError {
+    /// Token or certificate of its own can be neither read nor made.
+    #[error(
+        "{0}: {1}; the service keeps token and certificate there: look at the permissions of its directory"
+    )]
+    State(PathBuf, io::Error),
+    /// Not what the service has made.
+    #[error(
+        "{0} is no token of 64 hexadecimal digits that only its owner may read; remove it, and the next start makes one"
+    )]
+    Token(PathBuf),
+    /// Certificate or key cannot be read.
+    #[error("{0}: {1}; give PEM files that this user may read with --certificate and --key")]
+    Pem(PathBuf, pem::Error),
+    /// They do not fit.
+    #[error("certificate and key are refused: {0}; give two that belong together")]
+    Tls(#[from] rustls::Error),
+    /// None could be made.
+    #[error("no certificate can be made: {0}; give one with --certificate and --key")]
+    Made(#[from] rcgen::Error),
+    /// The address is not to be had.
+    #[error("cannot listen on {0}: {1}; choose another address or port with --listen")]
+    Listen(SocketAddr, io::Error),
+}
+
+/// Who else may come in, and how.
+pub struct Remote {
+    gate: Gate,
+    door: Option<Door>,
+    /// For people.
+    words: String,
+}
+
+/// TLS on an address of its own.
+pub(super) struct Door {
+    pub listener: TcpListener,
+    pub acceptor: TlsAcceptor,
+}
+
+/// Came over TLS; everything else came to the loopback address.
+#[derive(Clone, Copy)]
+pub(super) struct OverTls;
+
+impl Remote {
+    /// Listens, with a token and a certificate that are made once into `state`.
+    pub async fn open(settings: RemoteSettings, state: &Path) -> Result<Self, RemoteError> {
+        let RemoteSettings { listen, certificate, proxy_host } = settings;
+        let token_file = state.join(TOKEN_FILE);
+        let gate = Gate { token: token(&token_file)?, proxy_host, wrong: Mutex::default() };
+        let mut words = Vec::new();
+        let door = match listen {
+            Some(address) => {
+                let refused = |error| RemoteError::Listen(address, error);
+                let listener = TcpListener::bind(address).await.map_err(refused)?;
+                let address = listener.local_addr().map_err(refused)?;
+                let (acceptor, fingerprint) = tls(certificate, state)?;
+                words.push(format!("https://{address}, certificate SHA-256 {fingerprint}"));
+                Some(Door { listener, acceptor })
+            }
+            None => None,
+        };
+        words.extend(gate.proxy_host.iter().map(|host| format!("https://{host} through a reverse proxy")));
+        let words = format!("{}; the token is in {}", words.join(", and "), token_file.display());
+        Ok(Self { gate, door, words })
+    }
+
+    /// Where it is reached, the certificate's fingerprint and where the token is.
+    pub fn words(&self) -> &str {
+        &self.words
+    }
+
+    pub(super) fn into_parts(self) -> (Gate, Option<Door>) {
+        (self.gate, self.door)
+    }
+}
+
+/// What is asked of each request.
+pub(super) struct Gate {
+    token: String,
+    proxy_host: Option<String>,
+    /// When the latest wrong tokens came.
+    wrong: Mutex<Vec<Instant>>,
+}
+
+impl Gate {
+    /// What a page or program of another machine is answered unless it asks under its name, from no foreign origin, and with
+    /// the token.
+    pub fn turns_away(&self, request: &Request) -> Option<Response> {
+        let headers = request.headers();
+        let host = only(headers, header::HOST).filter(|host| {
+            request.extensions().get::<OverTls>().is_some()
+                || self.proxy_host.as_ref().is_some_and(|proxy| host.eq_ignore_ascii_case(proxy))
+        });
+        let is_own = |host: &str| {
+            let ours = format!("https://{host}");
+            headers.get_all(header::ORIGIN).iter().all(|origin| origin.as_bytes() == ours.as_bytes())
+        };
+        if !host.is_some_and(is_own) {
+            return Some(refusal(
+                StatusCode::FORBIDDEN,
+                "another site's page may not use this; open its own",
+            ));
+        }
+        let asks_for_page = request.method() == Method::GET && request.uri().path() == "/";
+        let typed = asks_for_page.then(|| typed_token(request.uri().query().unwrap_or_default())).flatten();
+        match typed.or_else(|| sent_token(headers)) {
+            Some(token) if bool::from(token.as_bytes().ct_eq(self.token.as_bytes())) => {
+                typed.map(|_| self.welcome())
+            }
+            told => Some(self.refused(told.is_some(), asks_for_page)),
+        }
+    }
+
+    /// Leaves the token with the browser and sends it to the page, whose address is without.
+    fn welcome(&self) -> Response {
+        let cookie = format!(
+            "{COOKIE}={}; Path=/; Max-Age={COOKIE_AGE_S}; Secure; HttpOnly; SameSite=Strict",
+            self.token
+        );
+        // Not a redirection: after one that began on another site the browser would keep the cookie back.
+        let headers = [
+            (header::SET_COOKIE, cookie),
+            (header::REFRESH, "0; url=/".into()),
+            (header::CACHE_CONTROL, "no-store".into()),
+            (header::REFERRER_POLICY, "no-referrer".into()),
+        ];
+        (headers, Html("<a href=\"/\">The page</a>")).into_response()
+    }
+
+    fn refused(&self, is_wrong: bool, asks_for_page: bool) -> Response {
+        const WHERE: &str = "it is in the file `token` of the service's state directory (`ballbard status` on its machine \
+             names it); open the page with /?token=TOKEN, or send it as `Authorization: Bearer TOKEN`";
+        if is_wrong && self.too_many() {
+            return refusal(
+                StatusCode::TOO_MANY_REQUESTS,
+                &format!(
+                    "too many wrong tokens within a minute; wait for one, then send the right one: {WHERE}"
+                ),
+            );
+        }
+        let error = if is_wrong { "the token is wrong" } else { "the token is missing" };
+        let mut response = refusal(StatusCode::UNAUTHORIZED, &format!("{error}; {WHERE}"));
+        if asks_for_page {
+            // Its extensions stay, for the log.
+            let form = Html(FORM.replace("{error}", error)).into_response();
+            let (parts, body) = form.into_parts();
+            response.headers_mut().extend(parts.headers);
+            response.headers_mut().remove(header::CONTENT_LENGTH);
+            *response.body_mut() = body;
+            const POLICY: header::HeaderValue = header::HeaderValue::from_static(
+                "default-src 'none'; style-src 'unsafe-inline'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'",
+            );
+            response.headers_mut().insert(header::CONTENT_SECURITY_POLICY, POLICY);
+        }
+        response.headers_mut().insert(header::WWW_AUTHENTICATE, header::HeaderValue::from_static("Bearer"));
+        response
+    }
+
+    fn too_many(&self) -> bool {
+        let mut wrong = self.wrong.lock().unwrap_or_else(PoisonError::into_inner);
+        wrong.retain(|at| at.elapsed() < WRONG_WITHIN);
+        let are = wrong.len() >= WRONG_MAX;
+        if !are {
+            wrong.push(Instant::now());
+        }
+        are
+    }
+}
+
+/// The value of a header that is there once.
+fn only(headers: &HeaderMap, name: HeaderName) -> Option<&str> {
+    let mut values = headers.get_all(name).iter();
+    let value = values.next()?.to_str().ok()?;
+    values.next().is_none().then_some(value)
+}
+
+fn typed_token(query: &str) -> Option<&str> {
+    query.split('&').find_map(|pair| pair.strip_prefix("token="))
+}
+
+fn sent_token(headers: &HeaderMap) -> Option<&str> {
+    let bearer = only(headers, header::AUTHORIZATION).and_then(|value| value.strip_prefix("Bearer "));
+    let cookies = headers.get_all(header::COOKIE).iter().filter_map(|value| value.to_str().ok());
+    let mut cookies =
+        cookies.flat_map(|value| value.split(';')).filter_map(|pair| pair.trim().split_once('='));
+    bearer.or_else(|| cookies.find_map(|(name, value)| (name == COOKIE).then_some(value)))
+}
+
+/// The token, made where there is none.
+fn token(file: &Path) -> Result<String, RemoteError> {
+    let failed = |error| RemoteError::State(file.into(), error);
+    if !file.try_exists().map_err(failed)? {
+        let bytes: [u8; TOKEN_BYTES] = rand::rng().random();
+        private(file, &hex(&bytes, "")).map_err(failed)?;
+    }
+    let text = fs::read_to_string(file).map_err(failed)?;
+    let mode = fs::metadata(file).map_err(failed)?.permissions().mode();
+    let token = text.trim();
+    let is_whole = token.len() == 2 * TOKEN_BYTES && token.bytes().all(|byte| byte.is_ascii_hexdigit());
+    if is_whole && mode & 0o077 == 0 { Ok(token.into()) } else { Err(RemoteError::Token(file.into())) }
+}
+
+/// Ready to speak TLS, and the fingerprint by which people recognise it.
+fn tls(certificate: Option<(PathBuf, PathBuf)>, state: &Path) -> Result<(TlsAcceptor, String), RemoteError> {
+    let (certificate_file, key_file) = match certificate {
+        Some(files) => files,
+        None => own_certificate(state)?,
+    };
+    let unread = |file: &Path, error| RemoteError::Pem(file.into(), error);
+    let certificates = CertificateDer::pem_file_iter(&certificate_file)
+        .and_then(Iterator::collect::<Result<Vec<_>, _>>)
+        .map_err(|error| unread(&certificate_file, error))?;
+    let first = certificates.first().ok_or_else(|| unread(&certificate_file, pem::Error::NoItemsFound))?;
+    let fingerprint = hex(&Sha256::digest(first), ":");
+    let key = PrivateKeyDer::from_pem_file(&key_file).map_err(|error| unread(&key_file, error))?;
+    let provider = Arc::new(rustls::crypto::ring::default_provider());
+    let config = ServerConfig::builder_with_provider(provider)
+        .with_safe_default_protocol_versions()?
+        .with_no_client_auth()
+        .with_single_cert(certificates, key)?;
+    Ok((TlsAcceptor::from(Arc::new(config)), fingerprint))
+}
+
+/// A certificate that vouches for itself, made once: who has seen its fingerprint recognises it.
+fn own_certificate(state: &Path) -> Result<(PathBuf, PathBuf), RemoteError> {
+    let [certificate, key] = OWN_FILES.map(|name| state.join(name));
+    let failed = |file: &Path| {
+        let file = file.to_owned();
+        move |error| RemoteError::State(file, error)
+    };
+    // The key is written first: where the certificate is, both are.
+    if !certificate.try_exists().map_err(failed(&certificate))? {
+        let CertifiedKey { cert, signing_key } = generate_simple_self_signed(["ballbard".to_owned()])?;
+        private(&key, &signing_key.serialize_pem()).map_err(failed(&key))?;
+        private(&certificate, &cert.pem()).map_err(failed(&certificate))?;
+    }
+    Ok((certificate, key))
+}
+
+/// Writes a file that only its owner may read, whole or not at all.
+fn private(file: &Path, text: &str) -> io::Result<()> {
+    if let Some(directory) = file.parent() {
+        fs::create_dir_all(directory)?;
+    }
+    let begun = file.with_extension("new");
+    match fs::remove_file(&begun) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+        _ => {}
+    }
+    let mut open = OpenOptions::new();
+    let mut written = open.write(true).create_new(true).mode(0o600).open(&begun)?;
+    written.write_all(text.as_bytes())?;
+    written.sync_all()?;
+    fs::rename(&begun, file)
+}
+
+fn hex(bytes: &[u8], between: &str) -> String {
+    let digits: Vec<_> = bytes.iter().map(|byte| format!("{byte:02x}")).collect();
+    digits.join(between)
+}

@@ -1,0 +1,92 @@
+"""What a client on another machine may do, with TLS as Python speaks it.
+
+usage: remote.py PORT STATE WORDS
+
+STATE has certificate and token, WORDS is how the service says that it is reached. Ends with an error if anything is not as
+it should be.
+"""
+
+import hashlib
+import http.client
+import json
+import socket
+import ssl
+import sys
+from pathlib import Path
+
+port, state, words = int(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
+token = (state / "token").read_text()
+# The certificate is verified, its name, too.
+trusting = ssl.create_default_context(cafile=state / "certificate.pem")
+
+
+class Connection(http.client.HTTPSConnection):
+    def connect(self):
+        raw = socket.create_connection(("127.0.0.1", port), timeout=20)
+        self.sock = trusting.wrap_socket(raw, server_hostname="ballbard")
+
+
+def asked(path="/api/status", method="GET", body=None, **headers):
+    connection = Connection("ballbard", port)
+    connection.request(method, path, body=body, headers={name.replace("_", "-"): value for name, value in headers.items()})
+    answer = connection.getresponse()
+    return answer.status, answer.headers, answer.read().decode()
+
+
+bearer = f"Bearer {token}"
+with socket.create_connection(("127.0.0.1", port)) as raw, trusting.wrap_socket(raw, server_hostname="ballbard") as tls:
+    assert tls.version() == "TLSv1.3", tls.version()
+    digest = hashlib.sha256(tls.getpeercert(binary_form=True)).hexdigest()
+    assert ":".join(digest[at:at + 2] for at in range(0, 64, 2)) in words, words
+
+# The right token, in each of its ways.
+status, _, said = asked(Authorization=bearer)
+assert status == 200 and json.loads(said)["state"] == "waiting", said
+status, headers, _ = asked(f"/?token={token}")
+cookie = headers["Set-Cookie"]
+assert status == 200 and headers["Refresh"] == "0; url=/", headers
+for word in ["HttpOnly", "Secure", "SameSite=Strict", "Path=/", "__Host-"]:
+    assert word in cookie, cookie
+status, _, said = asked("/", Cookie="other=1; " + cookie.split(";")[0])
+assert status == 200 and "app.js" in said, said
+own = f"https://ballbard:{port}"
+status, _, said = asked("/api/stop", "POST", "{}", Cookie=cookie.split(";")[0], Origin=own, Content_Type="application/json")
+assert status == 200, said
+
+# None: neither the page nor a file of it nor anything that is asked for or done.
+for method, path in [("GET", "/api/status"), ("GET", "/api/events"), ("GET", "/metrics"), ("GET", "/app.js"),
+                     ("GET", "/api/runs/x/mcap"), ("POST", "/api/start"), ("POST", "/api/delete"), ("GET", "/nowhere")]:
+    status, headers, said = asked(path, method, "{}" if method == "POST" else None, Content_Type="application/json")
+    assert status == 401 and headers["WWW-Authenticate"] == "Bearer", (path, status)
+    assert "missing" in said and "Bearer TOKEN" in said, said
+status, _, said = asked("/")
+assert status == 401 and "<form" in said and "missing" in said, said
+
+# The right one with a foreign origin, or from a host that is named twice.
+assert asked(Authorization=bearer, Origin="https://evil.example")[0] == 403
+assert asked(Authorization=bearer, Origin=own.replace("https", "http"))[0] == 403
+twice = Connection("ballbard", port)
+twice.putrequest("GET", "/api/status")
+twice.putheader("Host", "evil.example")
+twice.putheader("Authorization", bearer)
+twice.endheaders()
+assert twice.getresponse().status in (400, 403)
+
+# Wrong ones, each refused; too many are told to wait, and who has the right one is served all the same.
+wrong = [token[:-1], token + "0", token[:-1] + ("1" if token[-1] == "0" else "0"), token.upper() + "x", "a" * 4000]
+for attempt in wrong:
+    status, _, said = asked(Authorization=f"Bearer {attempt}")
+    assert status == 401 and "wrong" in said and "Bearer TOKEN" in said, (attempt, status, said)
+assert asked(f"/?token={wrong[0]}")[0] == 401
+assert asked(Cookie=f"__Host-ballbard={wrong[0]}")[0] == 401
+assert asked("/api/status?token=" + token)[0] == 401
+told = [asked(Authorization="Bearer x")[0] for _ in range(8)]
+assert told[0] == 401 and told[-1] == 429, told
+assert asked(Authorization=bearer)[0] == 200
+
+# What is no TLS, and who says nothing, gets nothing.
+with socket.create_connection(("127.0.0.1", port), timeout=20) as plain:
+    plain.sendall(b"GET /api/status HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+    assert b"HTTP" not in plain.recv(4096)
+with socket.create_connection(("127.0.0.1", port), timeout=20) as silent:
+    assert silent.recv(1) == b"", "a client that says nothing is never let go"
