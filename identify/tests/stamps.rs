@@ -167,6 +167,18 @@ fn a_step_of_the_stamps_that_the_motion_does_not_share_is_taken_out_and_said() {
     }
 }
 
+#[test]
+fn no_step_is_said_of_stamps_that_only_scatter() {
+    let log = log(100.0);
+    for seed in 0..60 {
+        let mut random = ChaCha8Rng::seed_from_u64(1000 + seed);
+        let sigma_s = [1e-4, 5e-4, 2e-3][seed as usize % 3];
+        let back = read_back(&log, jittered(&log.t_s, sigma_s, &mut random));
+        assert_eq!(stamps(&back).steps, Vec::new(), "{seed}, {sigma_s} s");
+        assert!(stamps(&back).evened);
+    }
+}
+
 /// A program that samples when it gets round to it and stamps rightly has no regular clock.
 #[test]
 fn stamps_that_are_right_stay_as_they_are_even_if_rows_come_as_they_like() {

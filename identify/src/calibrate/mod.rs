@@ -14,7 +14,6 @@ mod repetition;
 mod ripple;
 pub(crate) mod split;
 pub mod structure;
-mod sudden;
 pub mod terms;
 pub mod truth;
 
