@@ -6,7 +6,6 @@ mod support;
 
 mod any_arm;
 mod bar_force;
-mod change_points;
 mod command_line;
 mod compare;
 mod configuration;

@@ -14,6 +14,7 @@ mod repetition;
 mod ripple;
 pub(crate) mod split;
 pub mod structure;
+mod sudden;
 pub mod terms;
 pub mod truth;
 

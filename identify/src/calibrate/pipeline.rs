@@ -6,12 +6,13 @@ use super::ball_bar::CalibrateError;
 use super::config::CostName;
 use super::measured_pose::WAVES_PER_TURN_MAX;
 use super::ripple::Ripple;
+use super::sudden;
 use super::terms::{Candidate, Kind, Offer, TermGroup, prior_scale, select};
 use crate::cost::{CostError, DataSets, SharedColumns};
 use crate::instrument::{Measures, Run};
 use crate::kinematics::LinkParameter;
 use crate::model::{Model, ModelError, ParameterId, Phase, Role};
-use crate::prepare::{PrepareOptions, changed, changing};
+use crate::prepare::PrepareOptions;
 use crate::solver::{
     GoodShare, Loss, LossName, Normals, Options, Problem, Solution, Watch, minimise, solve,
     solve_from_subsets, solve_robust,
@@ -391,37 +392,19 @@ impl Solver<'_> {
         Ok((report, scale))
     }
 
-    /// No encoder slips, no clock jumps and nothing moves, as far as the solution with all of its terms shows: against nominal
-    /// links a small change drowns in the errors of the geometry, against the calibrated ones it stands out.
+    /// No encoder slips and no clock jumps, as far as the solution with all of its terms tells: what these could bend towards
+    /// is not told.
     ///
     /// # Errors
     /// [`CalibrateError::Prepare`] for the first run where one does.
     fn check_changes(&self, loss: Loss) -> Result<(), CalibrateError> {
-        /// A parameter that stays where it is may still change during a run; to be a column it gets so little freedom.
-        const STAYS: f64 = 1e-9;
         for (number, (Run { instrument, model }, sigma)) in self.runs.iter().zip(&self.sigmas).enumerate() {
             let Some(bar) = instrument.bar() else { continue };
-            let mut model = model.clone();
-            for id in changing().filter(|id| instrument.tells(*id)) {
-                if let Some(value) =
-                    model.parameter(id).filter(|one| one.role == Role::Fixed).map(|one| one.value)
-                {
-                    model.set_role(id, Role::Prior { value, sigma: STAYS })?;
-                }
-            }
-            let columns = SharedColumns::new([&model], |_| false);
-            let problem = DataSets::new(vec![bar.data_set(&model, *sigma)?], &columns);
-            let column = |id: ParameterId| model.column_of(id).into_iter().collect();
-            let first_s = bar.prepared.timeline.points.first().map_or(0.0, |point| point.t_s);
-            let time_s = |sample: usize| Some(bar.prepared.observations.get(sample)?.t_s - first_s);
-            let Some(changed) = changed(&problem, &model.start(), loss, column, time_s) else { continue };
-            if let Some(error) = changed.refusal(&self.plan.prepare) {
+            let columns = SharedColumns::new([model], |_| false);
+            let problem = DataSets::new(vec![bar.data_set(model, *sigma)?], &columns);
+            if let Some(error) = sudden::change(model, &bar.prepared, &problem, loss, &self.plan.prepare) {
                 return Err(CalibrateError::Prepare { run: number, error: Box::new(error) });
             }
-            tracing::warn!(
-                "run {}: {changed}: too little to refuse it, but intervals do not contain what it bends; find the cause",
-                number + 1
-            );
         }
         Ok(())
     }

@@ -57,9 +57,7 @@ impl PrepareError {
     /// Where it is.
     pub fn place(&self) -> Place {
         match self {
-            Self::ClockJump { at_s, .. } | Self::RobotStep { at_s, .. } | Self::BaseMoved { at_s, .. } => {
-                Place { bar_s: Some(*at_s), ..Place::default() }
-            }
+            Self::ClockJump { at_s, .. } => Place { bar_s: Some(*at_s), ..Place::default() },
             Self::EncoderSlip { joint, at_s, .. } => {
                 Place { joint: Some(*joint), bar_s: Some(*at_s), robot_s: None }
             }

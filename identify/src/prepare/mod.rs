@@ -15,8 +15,7 @@
 //!    zeros and configurations follow, stretch by stretch between singular poses and origins (`stretches`). The shift
 //!    whose angles fit best wins.
 //! 6. `refine` fits clocks, base and zeros to the angles while all numbers of both chains may move within their
-//!    tolerances. By this fit every sample is judged (`judge`): outliers; and what changed during the run is sought
-//!    (`changes`), here where it is large, and once more where the robot is calibrated.
+//!    tolerances. By this fit every sample is judged (`judge`): outliers, a slipped encoder, a clock that jumped.
 //! 7. [`select`], [`spread_over_sphere`]: standstill, singular poses and surplus samples are left out.
 //! 8. Where a force was measured, each sample gets its component along the bar (`forces`).
 //!
@@ -29,7 +28,6 @@ mod aligned;
 mod averaged;
 mod bar_angles;
 mod both_logs;
-mod changes;
 mod circular;
 mod clock;
 mod correlate;
@@ -38,6 +36,7 @@ mod find;
 mod findings;
 mod forces;
 mod judge;
+mod jump;
 mod origins;
 mod parts;
 mod predict;
@@ -59,7 +58,6 @@ mod wiring;
 pub use aligned::AlignedLog;
 pub use averaged::{Averaged, AveragedJoints, AveragedPoint};
 pub use bar_angles::{BarAngles, BarSegment, bar_angles};
-pub(crate) use changes::{changed, changing};
 pub use clock::ClockFit;
 pub use correlate::{Channels, Match, candidates, correlate};
 pub use error::PrepareError;
@@ -117,7 +115,7 @@ pub struct PrepareOptions {
     pub fit_max_mrad: f64,
     /// Every measured joint of the bar must travel at least this far \[deg\].
     pub joint_travel_min_deg: f64,
-    /// Smaller steps of an encoder or of a joint of the robot are said and do not refuse a run \[mrad\].
+    /// Smaller steps of an encoder's zero are not looked for \[mrad\].
     pub slip_min_mrad: f64,
 }
 

@@ -7,7 +7,6 @@
 
 use nalgebra::{Vector3, Vector5};
 
-use super::changes::{Changed, changed};
 use super::circular::wrapped;
 use super::clock::ClockFit;
 use crate::cost::{LoopProblem, Movement, Residual, Scene};
@@ -15,7 +14,7 @@ use crate::kinematics::{
     BAR_JOINTS, Chain, ImpliedBar, LinkParameter, Trace, Tracer, Turn, singularity_margin_rad,
 };
 use crate::logs::InterpolatedLog;
-use crate::model::{Clock, Geometry, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
+use crate::model::{Geometry, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
 use crate::prepare::AlignedLog;
 use crate::solver::{Block, GoodShare, Loss, Options, Prior, Problem, Schedule, Summary, minimise};
 
@@ -68,8 +67,8 @@ pub(super) struct FitSample {
 pub(super) struct Fit {
     /// The clocks, for bar times as the samples had them.
     pub clock: ClockFit,
-    /// Both chains and the base, so that the angles fit, with what is known of each number.
-    pub model: Model,
+    /// Both chains and the base, so that the angles fit.
+    pub geometry: Geometry,
     /// To be added to the zeros, by origin \[rad\].
     pub zeros_by_rad: Vec<[f64; BAR_JOINTS]>,
     /// Standard deviation of an angle's residual, from the median \[rad\].
@@ -283,59 +282,17 @@ pub(super) fn refine(
     let (x, sigma_rad) = SCHEDULE.settle(x, spread_rad, round).ok()?;
     let (x, summary) = solve(&x, sigma_rad, LAST_TOLERANCE)?;
     let (chain, zeros) = x.split_at(chain_columns);
-    let mut solved = model.clone();
-    solved.adopt(chain);
-    let Clock { shift_s, skew } = solved.geometry(&[]).clock;
+    let geometry = model.geometry(chain);
+    let (shift_s, skew) = (geometry.clock.shift_s, geometry.clock.skew);
     let tau_at_middle_s = motion.origin_s() + shift_s;
     Some(Fit {
         clock: ClockFit { shift_s: tau_at_middle_s - (1.0 + skew) * middle_s, skew },
-        model: solved,
+        geometry,
         zeros_by_rad: zeros.chunks_exact(BAR_JOINTS).map(|of| std::array::from_fn(|j| of[j])).collect(),
         sigma_rad,
         sigma_of_most_rad: spread_rad(&x, GoodShare::NINE_TENTHS),
         converged: summary.termination.converged(),
     })
-}
-
-/// What changed during a run that a fit describes otherwise. `samples` have the fit's zeros added and the times of `motion`,
-/// which is aligned by it, after the reference; that is `t_ref_s` after the first sample.
-pub(super) fn changed_since(
-    fit: &Fit,
-    motion: &AlignedLog,
-    measured: [bool; BAR_JOINTS],
-    samples: &[FitSample],
-    t_ref_s: f64,
-) -> Option<Changed> {
-    let mut model = fit.model.clone();
-    model.set_value(ParameterId::ClockShift, 0.0).ok()?;
-    let observation =
-        |sample: &FitSample| Observation { measured, ..Observation::bar(sample.t_s, sample.bar_rad) };
-    let observations: Vec<Observation> = samples.iter().map(observation).collect();
-    let origins: Vec<usize> = samples.iter().map(|sample| sample.origin).collect();
-    let origin_count = origins.iter().max()? + 1;
-    let residual = ImpliedAngles { measured };
-    let chain_columns = model.columns().len();
-    let mut x = model.start();
-    x.resize(chain_columns + origin_count * BAR_JOINTS, 0.0);
-    let problem = WithZeros {
-        chain: LoopProblem::new(&model, motion, &observations, residual, fit.sigma_rad).ok()?,
-        residual,
-        observations: &observations,
-        origins: &origins,
-        chain_columns,
-        origin_count,
-        sigma_rad: fit.sigma_rad,
-        priors: priors(&model, origin_count),
-    };
-    // An encoder slips in whatever origin.
-    let columns = |id: ParameterId| match id {
-        ParameterId::Bar { link, parameter: LinkParameter::Theta } if measured[link] => {
-            (0..origin_count).map(|origin| chain_columns + origin * BAR_JOINTS + link).collect()
-        }
-        _ => model.column_of(id).into_iter().collect(),
-    };
-    let time_s = |sample: usize| Some(samples.get(sample)?.t_s + t_ref_s);
-    changed(&problem, &x, Loss::on_the_way(1.0, BAR_JOINTS), columns, time_s)
 }
 
 fn model(robot: &Chain, bar: &Chain, base_m: Vector3<f64>, skew: f64) -> Result<Model, ModelError> {

@@ -3,11 +3,10 @@
 use nalgebra::Vector3;
 
 use super::bar_angles::BarSegment;
-use super::changes::SAMPLES_MAX;
 use super::find::{Found, Raw};
-use super::judge::{Judged, LocalShift, local_shifts, outliers, spreads_rad};
-use super::refine::{FitSample, Judge, changed_since};
-use super::select::{apart, select, spread_over_sphere};
+use super::judge::{Judged, LocalShift, check_clock, check_steps, local_shifts, outliers, spreads_rad};
+use super::refine::Judge;
+use super::select::{apart, spread_over_sphere};
 use super::timeline::Sample;
 use super::{AlignedLog, Deviations, Fate, PrepareError, PrepareOptions, SampleCounts};
 use crate::kinematics::{BAR_JOINTS, singularity_margin_rad};
@@ -55,7 +54,7 @@ pub(super) struct Sorted {
 /// observations have, `numbers` what they call each origin.
 ///
 /// # Errors
-/// [`PrepareError::Judged`] with what changed during the run or [`PrepareError::PoorFit`];
+/// [`PrepareError::Judged`] with [`PrepareError::ClockJump`], [`PrepareError::EncoderSlip`] or [`PrepareError::PoorFit`];
 /// [`PrepareError::NothingLeft`], [`PrepareError::LittleTravel`].
 pub(super) fn sort(
     raw: &[Raw],
@@ -81,10 +80,12 @@ pub(super) fn sort(
     let (mut fates, judged) = look_at_all(raw, &joints, found, motion, options);
     let local_shifts = local_shifts(&judged);
     let spread_rad = spreads_rad(&judged);
-    check(found, motion, &judged, &spread_rad, t_ref_s, options).map_err(|error| {
-        let clock = found.fit.clock;
-        error.resting_on(Deviations::new(&judged, &local_shifts, measured, t_ref_s, clock))
-    })?;
+    check(found.fit.converged, &judged, &local_shifts, &spread_rad, &measured, t_ref_s, options).map_err(
+        |error| {
+            let clock = found.fit.clock;
+            error.resting_on(Deviations::new(&judged, &local_shifts, measured, t_ref_s, clock))
+        },
+    )?;
     for sample in outliers(&judged, &spread_rad) {
         fates[sample] = Fate::Outlier;
     }
@@ -111,7 +112,7 @@ fn look_at_all(
     motion: &AlignedLog,
     options: &PrepareOptions,
 ) -> (Vec<Fate>, Vec<Judged>) {
-    let mut geometry = found.fit.model.geometry(&[]);
+    let mut geometry = found.fit.geometry.clone();
     // The motion's own time is aligned already.
     (geometry.clock.shift_s, geometry.clock.skew) = (0.0, found.fit.clock.skew);
     let measured = found.wiring.used.measured();
@@ -146,9 +147,6 @@ fn look_at_all(
             sample: index,
             t_s: sample.t_s,
             origin: raw.origin,
-            bar_rad: std::array::from_fn(
-                |j| if measured[j] { sample.bar_rad[j] } else { errors.implied_rad[j] },
-            ),
             trust,
             error_rad: errors.error_rad.map(|error| error * trust),
             speed_rad_s: std::array::from_fn(
@@ -164,32 +162,23 @@ fn look_at_all(
 /// What a fit that has converged leaves may refuse a run. One that has not says nothing: the solve, which looks for the same
 /// changes once more, has the last word.
 fn check(
-    found: &Found,
-    motion: &AlignedLog,
+    converged: bool,
     judged: &[Judged],
+    local_shifts: &[LocalShift],
     spread_rad: &[f64; BAR_JOINTS],
+    measured: &[bool; BAR_JOINTS],
     t_ref_s: f64,
     options: &PrepareOptions,
 ) -> Result<(), PrepareError> {
-    if !found.fit.converged {
+    if !converged {
         tracing::warn!(
             "the preliminary fit of the angles has not converged: slipped encoders and clocks that jump are looked for \
              only once the robot is calibrated"
         );
         return Ok(());
     }
-    // At rest an error of the geometry stays as it is, and would pass for a step.
-    let angles: Vec<[f64; BAR_JOINTS]> = judged.iter().map(|one| one.bar_rad).collect();
-    let moving = select(&angles, options.motion_min_mrad * 1e-3, SAMPLES_MAX);
-    let sample = |Judged { t_s, origin, bar_rad, .. }: &Judged| FitSample {
-        t_s: *t_s,
-        origin: *origin,
-        bar_rad: *bar_rad,
-    };
-    let samples: Vec<FitSample> = moving.into_iter().map(|place| sample(&judged[place])).collect();
-    let refusal = changed_since(&found.fit, motion, found.wiring.used.measured(), &samples, t_ref_s)
-        .and_then(|changed| changed.refusal(options));
-    refusal.map_or(Ok(()), Err)?;
+    check_steps(judged, measured, t_ref_s, options)?;
+    check_clock(local_shifts, t_ref_s)?;
     check_fit(spread_rad, options)
 }
 

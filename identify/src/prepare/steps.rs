@@ -61,7 +61,7 @@ pub fn prepare(
     let numbers: Vec<usize> = origins.iter().map(|span| span.number).collect();
     let mut sorted = sort(&raw, &found, &motion, t_ref_s, reference, &numbers, options)?;
     let offsets = offsets(&found, reference, &sorted);
-    let initial = initial(found.fit.model.geometry(&[]).base.origin_m, &sphere, clock, &offsets);
+    let initial = initial(found.fit.geometry.base.origin_m, &sphere, clock, &offsets);
     let alignment = alignment(&found, clock, log, t_ref, overlap_s);
     let mut fates = fates_of_all(angles, &raw, &sorted.fates);
     let around = Surroundings::new(t_ref, &alignment, &motion, &robot, initial.base_m, gravity);

@@ -5,7 +5,6 @@
 //! triangle by orthogonal transformations, from which rank, dependent groups and covariance are read: the normal
 //! matrix itself would square the condition number.
 
-mod change_point;
 mod covariance;
 mod identifiability;
 mod influence;
@@ -24,7 +23,6 @@ mod scaled_cholesky;
 mod subset;
 mod watch;
 
-pub use change_point::{Change, Course, change_point};
 pub use covariance::{Covariance, Noise, SigmasFrom};
 pub use identifiability::{DependentGroup, Identifiability, Unidentifiable, identifiability};
 pub use influence::{Influence, influence};

@@ -2,11 +2,10 @@
 //!
 //! `cargo test -p identify --test all independent_campaign -- --ignored --nocapture`; `IDENTIFY_SEEDS=10` runs so many of
 //! each, `IDENTIFY_FIRST_SEED=100` begins with another, `IDENTIFY_ROBOTS=irb2400,nj220` and `IDENTIFY_PATHS=bursts` choose,
-//! `IDENTIFY_STAMPS=jittered` spoils the stamps of the robot's log, `IDENTIFY_KEEP=directory` keeps the files, `IDENTIFY_PROGRAM=path`
-//! asks another build.
+//! `IDENTIFY_STAMPS=jittered` spoils the stamps of the robot's log, `IDENTIFY_KEEP=directory` keeps the files.
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
-use std::process::{Command, Output};
+use std::process::Command;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -18,18 +17,17 @@ enum Outcome {
     Calibrated { identified: usize, error_mm_mrad: f64, largest: String },
 }
 
-/// Whether the environment chooses a name; `usual` where it says nothing.
-pub(super) fn chosen(variable: &str, usual: &str, name: &str) -> bool {
-    let names = std::env::var(variable).unwrap_or(usual.to_owned());
+fn chosen(variable: &str, name: &str) -> bool {
+    let Ok(names) = std::env::var(variable) else { return true };
     names.to_lowercase().split(',').any(|one| name.to_lowercase().contains(one))
 }
 
-pub(super) fn number(variable: &str, otherwise: u64) -> u64 {
+fn number(variable: &str, otherwise: u64) -> u64 {
     std::env::var(variable).map_or(otherwise, |value| value.parse().unwrap())
 }
 
 /// Sizes of a run: rates of all kinds of controllers, as fast as the path needs; stamps as the environment says.
-pub(super) fn sizes(family: Family, seed: u64) -> Sizes {
+fn sizes(family: Family, seed: u64) -> Sizes {
     let rates_hz =
         if family == Family::Fast { &[250.0, 500.0, 1000.0][..] } else { &[100.0, 250.0, 50.0, 125.0][..] };
     let stamps = match std::env::var("IDENTIFY_STAMPS").as_deref() {
@@ -47,28 +45,23 @@ pub(super) fn sizes(family: Family, seed: u64) -> Sizes {
     }
 }
 
-/// `identify calibrate` on files of a run, by another build of it where the environment says so. Where the arm has parallel axes
-/// whose offsets only their sum determines, the user fixes one more, as the program asks for.
-pub(super) fn calibrate(run: &Run, files: &Files, out: &Path) -> Output {
-    let program = std::env::var("IDENTIFY_PROGRAM").unwrap_or(env!("CARGO_BIN_EXE_identify").to_owned());
-    let mut command = Command::new(program);
+/// `identify calibrate` on the files of a run. Where the arm has parallel axes whose offsets only their sum determines, the
+/// user fixes one more, as the program asks for.
+fn calibrated(run: &Run, directory: &Path) -> Outcome {
+    let files = run.write(directory);
+    let out = directory.join("out");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_identify"));
     command
         .arg("calibrate")
         .arg("--recording")
         .arg(&files.recording)
         .arg("--robot-log")
         .arg(&files.robot_log);
-    command.arg("--robot").arg(&files.robot).arg("--bar").arg(&files.bar).arg("--out").arg(out);
+    command.arg("--robot").arg(&files.robot).arg("--bar").arg(&files.bar).arg("--out").arg(&out);
     for name in run.robot.undetermined.iter().filter(|name| !["rd1", "rd3", "rtheta1"].contains(name)) {
         command.args(["--fix", name]);
     }
-    command.output().unwrap()
-}
-
-fn calibrated(run: &Run, directory: &Path) -> Outcome {
-    let files = run.write(directory);
-    let out = directory.join("out");
-    let output = calibrate(run, &files, &out);
+    let output = command.output().unwrap();
     if !output.status.success() {
         let text = String::from_utf8_lossy(&output.stderr).replace(&format!("{}/", directory.display()), "");
         let why = text.lines().find(|line| line.starts_with("error:")).unwrap_or(&text);
@@ -100,9 +93,9 @@ fn calibrated(run: &Run, directory: &Path) -> Outcome {
 fn independent_campaign() {
     let (first, seeds) = (number("IDENTIFY_FIRST_SEED", 1), number("IDENTIFY_SEEDS", 1));
     let mut jobs = Vec::new();
-    for robot in Robot::all().into_iter().filter(|robot| chosen("IDENTIFY_ROBOTS", "", robot.name)) {
+    for robot in Robot::all().into_iter().filter(|robot| chosen("IDENTIFY_ROBOTS", robot.name)) {
         for family in
-            Family::ALL.into_iter().filter(|family| chosen("IDENTIFY_PATHS", "", &format!("{family:?}")))
+            Family::ALL.into_iter().filter(|family| chosen("IDENTIFY_PATHS", &format!("{family:?}")))
         {
             jobs.extend((first..first + seeds).map(|seed| (robot.clone(), family, seed)));
         }
