@@ -415,6 +415,9 @@ pub(crate) mod tests {
     fn while_the_disk_makes_no_file_everybody_is_answered_and_no_cycle_is_lost() {
         let directory = tempfile::tempdir().unwrap();
         let (service, disk, asked) = begin_on_hanging_disk(directory.path());
+        wait_until(&service, "a second of cycles", |status| {
+            status.run.as_ref().is_some_and(|run| run.cycles_taken > 100)
+        });
         let begun = Instant::now();
         let lines = runtime().block_on(service.check()).unwrap();
         assert!(begun.elapsed() < Duration::from_secs(2), "{:?}", begun.elapsed());
@@ -500,7 +503,8 @@ pub(crate) mod tests {
         wait_until(service, "the bus", |status| status.state == "waiting");
         let request = StartRequest { name: Some(name.into()), ..StartRequest::default() };
         assert_eq!(runtime().block_on(service.begin(request)).unwrap(), Answer::Beginning);
-        wait_until(service, "writing", |status| status.state == "writing");
+        let has_enough = |status: &Status| status.run.as_ref().is_some_and(|run| run.cycles_taken > 50);
+        wait_until(service, "writing", |status| status.state == "writing" && has_enough(status));
     }
 
     #[test]
