@@ -122,10 +122,11 @@ fn cycles_that_a_full_ring_refuses_are_counted_at_once() {
     assert!(summary.cycles_lost > 50, "{summary:?}");
     let struck = outcome.wall.struck().unwrap().duration_since(outcome.begun);
     let while_it_hung = |at: Duration| at > struck && at < struck + Duration::from_secs(2);
-    let told: Vec<u64> =
+    let mut told: Vec<u64> =
         outcome.looks.iter().filter(|look| while_it_hung(look.at)).map(|look| look.snapshot.lost).collect();
-    // They rise while the disk hangs, and end at what the file says.
-    assert!(told.first() == Some(&0) && told.iter().any(|lost| (20..100).contains(lost)), "{told:?}");
+    // They rise one by one while the disk hangs, and end at what the file says. A busy machine may have lost some before.
+    told.dedup();
+    assert!(told.len() > 20 && told.is_sorted(), "{told:?}");
     assert_eq!(outcome.looks.last().unwrap().snapshot.lost, summary.cycles_lost);
     assert!(outcome.was_told("cycles are lost"));
     let recording = recording_of(&outcome);
