@@ -28,6 +28,7 @@ mod measured_lengths;
 mod measured_pose_calibration;
 mod measured_poses;
 mod mixed;
+mod planning;
 mod preparation;
 mod preparation_crossing;
 mod preparation_readings;

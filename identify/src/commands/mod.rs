@@ -5,6 +5,7 @@ mod compare;
 mod examine;
 mod inspect;
 mod on_terminal;
+mod plan;
 mod robot;
 mod simulate;
 
@@ -33,19 +34,22 @@ enum Command {
     Compare(compare::CompareArguments),
     /// Take a robot's configuration from a URDF, or check and draw one.
     Robot(robot::RobotArguments),
+    /// Plan a path that tells much and that the robot can drive, or check one.
+    Plan(Box<plan::PlanArguments>),
     /// Make an experiment with known errors: a recording, a robot log, and the truth beside them.
     Simulate(simulate::SimulateArguments),
 }
 
 impl Arguments {
     /// What was typed, or clap's own message and exit. `identify calibrate --recording ..` means the ball-bar,
-    /// `identify calibrate --experiment ..` whatever the file says.
+    /// `identify calibrate --experiment ..` whatever the file says, `identify plan --robot ..` a path.
     pub fn typed() -> Self {
         let mut words: Vec<OsString> = std::env::args_os().collect();
         let is_option = |word: &OsString| word.to_str().is_some_and(|word| word.starts_with("--"));
-        let bar = words.get(1).is_some_and(|word| word == "calibrate")
-            && words.get(2).is_some_and(|word| is_option(word) && word != "--help");
-        if bar {
+        let option_first = words.get(2).is_some_and(|word| is_option(word) && word != "--help");
+        if option_first && words.get(1).is_some_and(|word| word == "plan") {
+            words.insert(2, "path".into());
+        } else if option_first && words.get(1).is_some_and(|word| word == "calibrate") {
             let mixed = words.iter().any(|word| {
                 word.to_str().is_some_and(|word| word == "--experiment" || word.starts_with("--experiment="))
             });
@@ -73,6 +77,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
         Command::Inspect(arguments) => inspect::run(&arguments),
         Command::Compare(arguments) => compare::run(&arguments),
         Command::Robot(arguments) => robot::run(&arguments),
+        Command::Plan(arguments) => plan::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
     }
 }

@@ -42,6 +42,17 @@ impl OnTerminal {
         }
     }
 
+    /// Shows a sentence about work that has no known end; false once Ctrl-C was pressed.
+    pub fn says(&self, sentence: impl FnOnce() -> String) -> bool {
+        if self.began.elapsed() > PATIENCE {
+            if let Ok(style) = ProgressStyle::with_template("{msg}") {
+                self.bar.set_style(style);
+            }
+            self.bar.set_message(sentence());
+        }
+        !INTERRUPTED.load(Ordering::Relaxed)
+    }
+
     /// Takes the bar off the terminal.
     pub fn finish(&self) {
         self.bar.finish_and_clear();

@@ -7,6 +7,7 @@ use clap::{Args, ValueEnum};
 use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::output::say;
 
+use crate::plan::PlannedPath;
 use crate::simulate::{self, BarLoad, Effects, Experiment, StaticErrors};
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -59,6 +60,9 @@ pub struct SimulateArguments {
     /// Length of the run
     #[arg(long, default_value = "2m", value_parser = humantime::parse_duration)]
     duration: Duration,
+    /// The path that the robot drives, such as path.toml of `identify plan`; default: a random one
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["base", "posture", "duration"])]
+    path: Option<PathBuf>,
     /// What the robot's clock shows when the recording begins [s]
     #[arg(long, value_name = "S", allow_hyphen_values = true)]
     robot_clock_s: Option<f64>,
@@ -107,7 +111,7 @@ pub struct SimulateArguments {
 }
 
 /// `N` numbers between commas.
-fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
+pub(super) fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
     let numbers: Vec<f64> = text
         .split(',')
         .map(|number| number.trim().parse().map_err(|_| format!("`{number}` is no number")))
@@ -129,6 +133,19 @@ pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
     experiment.design.base_m = arguments.base.unwrap_or(experiment.design.base_m);
     experiment.design.posture_deg = arguments.posture.unwrap_or(experiment.design.posture_deg);
     experiment.design.duration_s = arguments.duration.as_secs_f64();
+    if let Some(file) = &arguments.path {
+        let planned: PlannedPath = config::load(file)?;
+        anyhow::ensure!(
+            planned.robot == robot.name,
+            "{} is a path of {}, not of {}; give the robot's own",
+            file.display(),
+            planned.robot,
+            robot.name
+        );
+        experiment.design.base_m = planned.base_m;
+        experiment.design.duration_s = planned.path.duration_s;
+        experiment.path = Some(planned);
+    }
     experiment.clocks.skew = arguments.skew_ppm * 1e-6;
     if let Some(clock_s) = arguments.robot_clock_s {
         experiment.clocks.robot_at_bar_start_ns = (clock_s * 1e9).round() as i64;

@@ -7,6 +7,7 @@ pub mod file;
 pub mod force;
 pub mod knowledge;
 pub mod page;
+pub mod path;
 mod read;
 mod robot_check;
 mod robot_files;

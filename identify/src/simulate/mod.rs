@@ -1,23 +1,19 @@
 //! Experiments from known true parameters: what the bar's encoders and the robot's log would have said.
 //!
-//! A path is chosen in the bar's joints ([`plan`]), so the robot moves on the bar's sphere by construction; the robot's
+//! A path is chosen in the bar's joints ([`crate::plan`]), so the robot moves on the bar's sphere by construction; the robot's
 //! joints follow from the inverse kinematics of its *true* chain. Encoder counts and robot log are then taken of that
 //! motion as the real things would, each on its own clock, with [`Effects`] that no estimator models. Nothing here is
 //! shared with the estimator but kinematics and names: otherwise a simulation would only prove that a model inverts itself.
 
-mod design;
 mod effects;
-mod path;
-mod plan;
+mod motion;
 mod pull;
 mod sample;
 mod truth;
 mod write;
 
-pub use design::Design;
 pub use effects::Effects;
-pub use path::{Motion, Move, Path};
-pub use plan::{PlanError, plan};
+pub use motion::Motion;
 pub use pull::{BarLoad, Pull};
 pub use truth::{ClockTruth, EncoderTruth, StaticErrors, THESIS_ERRORS, Truth, parameter_names};
 pub use write::{SimulationFiles, WriteError, write};
@@ -31,6 +27,8 @@ use shared::time::UtcNs;
 
 use crate::kinematics::{InverseError, ball_bar_chain, robot_chain};
 use crate::logs::RobotLog;
+pub use crate::plan::Design;
+use crate::plan::{Constraints, PlanError, PlannedPath, Route, random_route};
 
 /// How the robot's clock relates to the bar's.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -72,6 +70,8 @@ pub struct Experiment<'a> {
     pub load: BarLoad,
     /// The two clocks.
     pub clocks: Clocks,
+    /// The path that is driven; none: a random one.
+    pub path: Option<PlannedPath>,
     /// Seed of path, encoder zeros and noise.
     pub seed: u64,
 }
@@ -87,6 +87,7 @@ impl<'a> Experiment<'a> {
             effects: Effects::default(),
             load: BarLoad::default(),
             clocks: Clocks::default(),
+            path: None,
             seed: 1,
         }
     }
@@ -186,9 +187,15 @@ pub fn run(experiment: &Experiment<'_>) -> Result<Simulated, SimulateError> {
     let nominal_robot = robot_chain(robot, bar);
     let mut nominal_bar = ball_bar_chain(bar);
     nominal_bar.root_from_base = nalgebra::Translation3::from(design.base_m).into();
-    let mut path_random = random(experiment.seed, Stream::Path);
-    let (path, start_rad) =
-        plan(&nominal_robot, &nominal_bar, &robot.joint_limits(), design, &mut path_random)?;
+    let (path, start_rad) = match &experiment.path {
+        Some(planned) => (planned.path.clone(), planned.robot_start()),
+        None => {
+            let constraints = Constraints::new(&nominal_robot, &nominal_bar, &robot.joint_limits(), design);
+            let Route { path, robot_rad } =
+                random_route(&constraints, &mut random(experiment.seed, Stream::Path))?;
+            (path, robot_rad.first().copied().unwrap_or_default())
+        }
+    };
 
     let truth = Truth::new(experiment, &nominal_robot, &nominal_bar);
     let mut load_random = random(experiment.seed, Stream::Load);

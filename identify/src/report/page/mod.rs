@@ -7,6 +7,7 @@ mod figures;
 mod held_out;
 mod inputs;
 pub(super) mod intervals;
+mod path;
 pub(super) mod plot;
 mod preparation;
 mod readings;
@@ -27,6 +28,7 @@ use crate::study::Evidence;
 
 pub use arm::picture;
 pub use inputs::Source;
+pub use path::PathPage;
 pub use plot::PlotError;
 pub use refused::{InspectedLog, InspectedRun, RefusedPage, WrittenRefusal};
 pub use rows::{Measured, MeasuredPage};

@@ -1,0 +1,247 @@
+//! `identify plan`.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use anyhow::Context;
+use clap::{Args, Subcommand};
+use shared::config::{self, BallBarConfig, RobotConfig};
+use shared::output::{say, show};
+
+use super::on_terminal::OnTerminal;
+use super::simulate::numbers;
+use crate::kinematics::{Chain, ball_bar_chain, robot_chain};
+use crate::logs;
+use crate::plan::{
+    self, Bodies, Constraints, Criterion, Design, Found, Information, Language, PlannedPath, Progress,
+};
+use crate::report::page::PathPage;
+use crate::report::path;
+
+#[derive(Debug, Args)]
+pub struct PlanArguments {
+    #[command(subcommand)]
+    command: PlanCommand,
+}
+
+#[derive(Debug, Subcommand)]
+enum PlanCommand {
+    /// Find a path; the word may be left out.
+    Path(PathArguments),
+    /// Check a path of the robot: constraints at 1 kHz with the first violation in time, and what it tells.
+    Check(CheckArguments),
+}
+
+#[derive(Debug, Args)]
+struct Cell {
+    /// The robot's configuration, such as config/robots/irb2400_16.toml
+    #[arg(long, value_name = "FILE")]
+    robot: PathBuf,
+    /// The bar's configuration, such as config/ball_bar.toml
+    #[arg(long, value_name = "FILE")]
+    bar: PathBuf,
+    /// Centre of the bar's gimbal in the robot's base frame [m]; default: by the robot's size
+    #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
+    base: Option<[f64; 3]>,
+    /// Highest speed of a robot joint [rad/s]
+    #[arg(long, value_name = "RAD_S", default_value_t = Design::IRB_2400.robot_speed_rad_s)]
+    speed: f64,
+    /// Highest acceleration of a robot joint [rad/s^2]
+    #[arg(long, value_name = "RAD_S2", default_value_t = 5.0)]
+    acceleration: f64,
+    /// Something in the cell, a box with edges along the robot's base frame: two opposite corners [m]
+    #[arg(long = "box", value_name = "X,Y,Z,X,Y,Z", value_parser = numbers::<6>, allow_hyphen_values = true)]
+    boxes: Vec<[f64; 6]>,
+    /// Height of the floor in the robot's base frame [m]
+    #[arg(long, value_name = "Z", allow_hyphen_values = true)]
+    floor: Option<f64>,
+    /// Radius of the robot's links [mm]; default: a twentieth of its reach
+    #[arg(long, value_name = "MM")]
+    link_radius_mm: Option<f64>,
+    /// What the path is to be best at
+    #[arg(long, value_enum, default_value_t)]
+    criterion: Criterion,
+}
+
+#[derive(Debug, Args)]
+struct PathArguments {
+    #[command(flatten)]
+    cell: Cell,
+    /// Directory for the path: path.toml, robot_path.csv, path.html, a program for the robot's controller
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// A posture of the robot near which the motion begins [deg]; it selects elbow and wrist
+    #[arg(long, value_name = "Q1,..,Q6", value_parser = numbers::<6>, allow_hyphen_values = true)]
+    posture: Option<[f64; 6]>,
+    /// Length of the run
+    #[arg(long, default_value = "2m", value_parser = humantime::parse_duration)]
+    duration: Duration,
+    /// How long to look for better paths
+    #[arg(long, default_value = "60s", value_parser = humantime::parse_duration)]
+    budget: Duration,
+    /// Programs for controllers; default: that of the robot's maker, by its name
+    #[arg(long, value_enum, value_delimiter = ',')]
+    program: Vec<Language>,
+    /// Decides the paths that are tried
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+#[derive(Debug, Args)]
+struct CheckArguments {
+    /// The robot's joints on the path, of any kind that `calibrate` reads
+    #[arg(value_name = "PATH")]
+    path: PathBuf,
+    #[command(flatten)]
+    cell: Cell,
+}
+
+/// Robot, bar and what is in the way, as configured.
+struct Loaded {
+    robot: RobotConfig,
+    bar: BallBarConfig,
+    arm: Chain,
+    bar_chain: Chain,
+    design: Design,
+    bodies: Bodies,
+    acceleration_rad_s2: f64,
+    criterion: Criterion,
+}
+
+impl Cell {
+    fn load(&self) -> anyhow::Result<Loaded> {
+        let robot: RobotConfig = config::load(&self.robot)?;
+        super::ensure_six_revolute_axes(&robot)?;
+        let bar: BallBarConfig = config::load(&self.bar)?;
+        for (name, value) in [("speed", self.speed), ("acceleration", self.acceleration)] {
+            anyhow::ensure!(
+                value.is_finite() && value > 0.0,
+                "--{name} is {value}; give a number above zero"
+            );
+        }
+        let arm = robot_chain(&robot, &bar);
+        let reach_m = arm.links.iter().map(|link| link.a_m.hypot(link.d_m)).sum();
+        let mut bodies = Bodies::for_reach(reach_m);
+        bodies.link_radius_m = self.link_radius_mm.map_or(bodies.link_radius_m, |mm| mm * 1e-3);
+        bodies.boxes_m = self.boxes.iter().map(|&[a, b, c, d, e, f]| [[a, b, c], [d, e, f]]).collect();
+        bodies.floor_m = self.floor;
+        let mut design = Design::for_robot(&robot);
+        design.base_m = self.base.unwrap_or(design.base_m);
+        design.robot_speed_rad_s = self.speed;
+        let mut bar_chain = ball_bar_chain(&bar);
+        bar_chain.root_from_base = nalgebra::Translation3::from(design.base_m).into();
+        Ok(Loaded {
+            robot,
+            bar,
+            arm,
+            bar_chain,
+            design,
+            bodies,
+            acceleration_rad_s2: self.acceleration,
+            criterion: self.criterion,
+        })
+    }
+}
+
+impl Loaded {
+    fn constraints(&self) -> Constraints<'_> {
+        let limits = self.robot.joint_limits();
+        let mut constraints = Constraints::new(&self.arm, &self.bar_chain, &limits, &self.design);
+        constraints.bodies = Some(self.bodies.clone());
+        constraints.acceleration_rad_s2 = self.acceleration_rad_s2;
+        constraints
+    }
+
+    fn information(&self) -> anyhow::Result<Information> {
+        let chains = (&self.arm, &self.bar_chain);
+        Ok(Information::new((&self.robot, &self.bar), chains, self.criterion)?)
+    }
+}
+
+pub fn run(arguments: &PlanArguments) -> anyhow::Result<()> {
+    match &arguments.command {
+        PlanCommand::Path(arguments) => find(arguments),
+        PlanCommand::Check(arguments) => check(arguments),
+    }
+}
+
+fn find(arguments: &PathArguments) -> anyhow::Result<()> {
+    let mut loaded = arguments.cell.load()?;
+    loaded.design.posture_deg = arguments.posture.unwrap_or(loaded.design.posture_deg);
+    loaded.design.duration_s = arguments.duration.as_secs_f64();
+    let (constraints, information) = (loaded.constraints(), loaded.information()?);
+
+    let terminal = OnTerminal::new();
+    let found = plan::search(&constraints, &information, arguments.seed, arguments.budget, |progress| {
+        let Progress { tried, taken, score } = *progress;
+        !terminal.says(|| {
+            format!(
+                "{tried} changes tried, {taken} taken, criterion {score:.3e}; Ctrl-C takes the path as it is"
+            )
+        })
+    });
+    terminal.finish();
+    let found = found?;
+    let robot_path = plan::robot_path(&loaded.robot.name, &constraints, &found.route)
+        .map_err(|(t_s, error)| anyhow::anyhow!("the robot cannot follow the path at {t_s:.3} s: {error}"))?;
+    let checked = plan::check(&robot_path, &constraints, &information)?;
+    let summary = path::summary(&checked, &information, Some(&found));
+    show(&summary)?;
+    anyhow::ensure!(
+        checked.violations.is_empty(),
+        "the path that was found does not keep to its constraints; give another --seed, or a lower --speed"
+    );
+    let out = &arguments.out;
+    fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display()))?;
+    let Found { route, .. } = &found;
+    let start = route.robot_rad.first().copied().unwrap_or_default();
+    let planned_path = PlannedPath {
+        robot: loaded.robot.name.clone(),
+        base_m: loaded.design.base_m,
+        robot_start_rad: std::array::from_fn(|axis| start[axis]),
+        path: route.path.clone(),
+    };
+    write(&out.join("path.toml"), &toml::to_string(&planned_path)?)?;
+    let csv = out.join("robot_path.csv");
+    let sink = fs::File::create(&csv).with_context(|| format!("cannot create {}", csv.display()))?;
+    logs::write(&robot_path, &loaded.robot, sink)
+        .with_context(|| format!("cannot write {}", csv.display()))?;
+    say(csv.display())?;
+    let page = PathPage {
+        robot: &loaded.robot.name,
+        bar: &loaded.bar_chain,
+        path: &route.path,
+        robot_path: &robot_path,
+        checked: &checked,
+        bodies: constraints.bodies.as_ref(),
+        summary: &summary,
+        sigmas: &information.sigmas(&checked.normal),
+    };
+    say(page.write(out)?.display())?;
+    // What was asked for must be there; what goes without saying is left out with its reason.
+    let by_itself = Language::of(&loaded.robot).filter(|_| arguments.program.is_empty());
+    for &language in arguments.program.iter().chain(&by_itself) {
+        match plan::program(language, &robot_path, &loaded.robot, &constraints) {
+            Ok(text) => write(&out.join(language.file_name()), &text)?,
+            Err(error) if by_itself.is_some() => say(format_args!("no program: {error}"))?,
+            Err(error) => return Err(error.into()),
+        }
+    }
+    Ok(())
+}
+
+fn write(path: &Path, text: &str) -> anyhow::Result<()> {
+    fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))?;
+    Ok(say(path.display())?)
+}
+
+fn check(arguments: &CheckArguments) -> anyhow::Result<()> {
+    let loaded = arguments.cell.load()?;
+    let log = logs::load(&arguments.path, &loaded.robot)?;
+    let information = loaded.information()?;
+    let checked = plan::check(&log, &loaded.constraints(), &information)?;
+    show(path::summary(&checked, &information, None))?;
+    anyhow::ensure!(checked.violations.is_empty(), "the path does not keep to its constraints");
+    Ok(())
+}

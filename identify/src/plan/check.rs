@@ -1,0 +1,191 @@
+//! Judges a path by the robot's joints alone, whoever made it: constraints at 1 kHz, the first violation of each in time, and
+//! what the path would tell.
+
+use crate::kinematics::{BAR_JOINTS, Joints, ball_bar_inverse_refined, singularity_margin_rad};
+use crate::logs::{CubicSpline, RobotLog};
+use crate::model::JointState;
+use crate::solver::Normal;
+
+use super::{Constraints, Information, Obstacle};
+
+/// Time between two poses that are checked \[s\].
+const CHECK_S: f64 = 1e-3;
+/// A cable may be wound so far from where the path begins \[rad\].
+const WINDING_RAD_MAX: f64 = std::f64::consts::TAU;
+/// The nominal robot's end may be so far from where the bar lets it be \[m\]: robots err by more without calibration.
+const OFF_SPHERE_M_MAX: f64 = 0.5e-3;
+/// Every how many poses that are checked one counts for what the path tells.
+const CHECKS_PER_POSE: usize = 100;
+/// Rows of a path further apart than this leave open what the robot does between them \[s\].
+const GAP_S_MAX: f64 = 1.0;
+
+/// A path that cannot be judged.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum CheckError {
+    /// No continuous part.
+    #[error(
+        "the path has rows more than {GAP_S_MAX} s apart, at {t_s:.3} s; give its joints at least so often"
+    )]
+    Gap {
+        /// Where the gap begins \[s\].
+        t_s: f64,
+    },
+    /// The bar cannot be where the robot's end is.
+    #[error("the bar does not reach the robot's end at {t_s:.3} s; check --base and the lengths of the bar")]
+    NoBar {
+        /// When \[s\].
+        t_s: f64,
+    },
+}
+
+/// Something that a path must not do.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Violation {
+    /// What.
+    pub obstacle: Obstacle,
+    /// When it begins for the first time \[s\].
+    pub first_s: f64,
+    /// For how long in all \[s\].
+    pub duration_s: f64,
+}
+
+/// What a path does at its worst.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Checked {
+    /// From its first row to its last \[s\].
+    pub duration_s: f64,
+    /// What it must not do, in the order of time.
+    pub violations: Vec<Violation>,
+    /// Highest speed of each robot joint \[rad/s\].
+    pub speed_rad_s: Joints,
+    /// Highest acceleration of each robot joint \[rad/s²\].
+    pub acceleration_rad_s2: Joints,
+    /// Highest jerk of each robot joint \[rad/s³\].
+    pub jerk_rad_s3: Joints,
+    /// Lowest and highest angle of each robot joint \[rad\].
+    pub joint_range_rad: Vec<[f64; 2]>,
+    /// Lowest and highest angle of each bar joint from where the path begins \[rad\].
+    pub winding_rad: [[f64; 2]; BAR_JOINTS],
+    /// Nearest to a singular pose of the bar \[rad\].
+    pub bar_margin_rad: f64,
+    /// Smallest singular value of the robot's Jacobian (m and rad alike).
+    pub dexterity: f64,
+    /// Smallest distance of what must not touch \[m\]; none where nothing is known of it.
+    pub clearance_m: Option<f64>,
+    /// Largest distance of the robot's end from where the bar lets it be \[m\].
+    pub off_sphere_m: f64,
+    /// What the path tells.
+    pub normal: Normal,
+}
+
+/// The curve through the rows of a path.
+///
+/// # Errors
+/// [`CheckError::Gap`].
+pub(super) fn curve(path: &RobotLog) -> Result<CubicSpline<Joints>, CheckError> {
+    let gap = path.t_s.windows(2).find(|pair| pair[1] - pair[0] > GAP_S_MAX);
+    let curve = CubicSpline::new(&path.t_s, &path.q_rad, GAP_S_MAX);
+    match (gap, curve) {
+        (None, Some(curve)) => Ok(curve),
+        (gap, _) => Err(CheckError::Gap { t_s: gap.map_or(0.0, |pair| pair[0]) }),
+    }
+}
+
+/// Checks a path of the nominal robot.
+///
+/// # Errors
+/// [`CheckError`] where the path has gaps or the bar cannot follow at all.
+pub fn check(
+    path: &RobotLog,
+    constraints: &Constraints<'_>,
+    information: &Information,
+) -> Result<Checked, CheckError> {
+    let curve = curve(path)?;
+    let (robot, bar, design) = (constraints.robot(), constraints.bar(), constraints.design);
+    let duration_s = path.duration_s();
+    let axes = path.axes();
+    let mut checked = Checked {
+        duration_s,
+        violations: Vec::new(),
+        speed_rad_s: Joints::zeros(axes),
+        acceleration_rad_s2: Joints::zeros(axes),
+        jerk_rad_s3: Joints::zeros(axes),
+        joint_range_rad: vec![[f64::INFINITY, f64::NEG_INFINITY]; axes],
+        winding_rad: [[0.0; 2]; BAR_JOINTS],
+        bar_margin_rad: f64::INFINITY,
+        dexterity: f64::INFINITY,
+        clearance_m: None,
+        off_sphere_m: 0.0,
+        normal: Normal::zeros(information.columns()),
+    };
+    let mut bar_rad: [f64; BAR_JOINTS] =
+        design.bar_range_deg.map(|[low, high]| (0.5 * (low + high)).to_radians());
+    let mut start_rad = None;
+    let mut before: Option<Joints> = None;
+    let (mut told_bar, mut told_robot) = (Vec::new(), Vec::new());
+    for step in 0..=(duration_s / CHECK_S).floor() as usize {
+        let t_s = step as f64 * CHECK_S;
+        let Some(point) = curve.at(t_s) else { return Err(CheckError::Gap { t_s }) };
+        let target = robot.forward(&point.value);
+        bar_rad = ball_bar_inverse_refined(bar, &target, &bar_rad).map_err(|_| CheckError::NoBar { t_s })?;
+        let start_rad = *start_rad.get_or_insert(bar_rad);
+        let off_m = (bar.forward(&bar_rad).translation.vector - target.translation.vector).norm();
+        let mut violated = |obstacle: Obstacle, is: bool| {
+            if is {
+                checked.count(obstacle, t_s);
+            }
+        };
+        violated(Obstacle::OffSphere, off_m > OFF_SPHERE_M_MAX);
+        violated(
+            Obstacle::BarSingularity,
+            singularity_margin_rad(&bar_rad) < design.bar_margin_deg.to_radians(),
+        );
+        if let Err(obstacle) = constraints.robot_is_comfortable(&point.value) {
+            violated(obstacle, true);
+        }
+        let most = |row: &Joints| row.iter().fold(0.0_f64, |most, one| most.max(one.abs()));
+        violated(Obstacle::Speed, most(&point.rate) > design.robot_speed_rad_s);
+        violated(Obstacle::Acceleration, most(&point.acceleration) > constraints.acceleration_rad_s2);
+        let wound: [f64; BAR_JOINTS] = std::array::from_fn(|joint| bar_rad[joint] - start_rad[joint]);
+        violated(Obstacle::Cable, wound.iter().any(|wound| wound.abs() > WINDING_RAD_MAX));
+
+        checked.off_sphere_m = checked.off_sphere_m.max(off_m);
+        checked.bar_margin_rad = checked.bar_margin_rad.min(singularity_margin_rad(&bar_rad));
+        checked.dexterity = checked.dexterity.min(constraints.dexterity(&point.value));
+        if let Some(bodies) = &constraints.bodies {
+            let clearance_m = bodies.clearance_m(robot, bar, &point.value);
+            checked.clearance_m =
+                Some(checked.clearance_m.map_or(clearance_m, |least| least.min(clearance_m)));
+        }
+        for ([low, high], wound) in checked.winding_rad.iter_mut().zip(wound) {
+            (*low, *high) = (low.min(wound), high.max(wound));
+        }
+        for axis in 0..axes {
+            let [low, high] = checked.joint_range_rad[axis];
+            checked.joint_range_rad[axis] = [low.min(point.value[axis]), high.max(point.value[axis])];
+            checked.speed_rad_s[axis] = checked.speed_rad_s[axis].max(point.rate[axis].abs());
+            let acceleration = point.acceleration[axis];
+            checked.acceleration_rad_s2[axis] = checked.acceleration_rad_s2[axis].max(acceleration.abs());
+            if let Some(before) = before {
+                let jerk = (acceleration - before[axis]) / CHECK_S;
+                checked.jerk_rad_s3[axis] = checked.jerk_rad_s3[axis].max(jerk.abs());
+            }
+        }
+        before = Some(point.acceleration);
+        if step % CHECKS_PER_POSE == 0 {
+            told_bar.push(bar_rad);
+            told_robot.push(JointState { q: point.value, qd: point.rate, qdd: point.acceleration });
+        }
+    }
+    checked.normal = information.of(&told_bar, &told_robot, CHECK_S * CHECKS_PER_POSE as f64);
+    Ok(checked)
+}
+
+impl Checked {
+    fn count(&mut self, obstacle: Obstacle, t_s: f64) {
+        match self.violations.iter_mut().find(|one| one.obstacle == obstacle) {
+            Some(known) => known.duration_s += CHECK_S,
+            None => self.violations.push(Violation { obstacle, first_s: t_s, duration_s: CHECK_S }),
+        }
+    }
+}

@@ -1,0 +1,198 @@
+//! What a path must keep to: where robot and bar are comfortable, how fast and hard the robot may move, and what must not
+//! touch.
+
+use nalgebra::Matrix6;
+
+use super::{Bodies, Design, Path};
+use crate::kinematics::{Chain, Joints, Trace, Tracer, robot_inverse, singularity_margin_rad};
+
+/// Time between two poses of a path that are looked at while it is planned \[s\].
+pub const LOOK_S: f64 = 0.05;
+
+/// What makes a pose or a motion unusable.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Obstacle {
+    /// The bar is near a singular pose.
+    BarSingularity,
+    /// The robot does not reach the pose.
+    Reach,
+    /// A joint limit of the robot.
+    JointLimit,
+    /// The robot's wrist is nearly straight.
+    Wrist,
+    /// The robot is near another singular posture.
+    RobotSingularity,
+    /// A robot joint would have to move too fast.
+    Speed,
+    /// A robot joint would have to gain speed too fast.
+    Acceleration,
+    /// Rod or plate come too near to the robot or to something in the cell.
+    Collision,
+    /// A cable is wound further than it may be.
+    Cable,
+    /// The robot's end is not where the bar lets it be.
+    OffSphere,
+}
+
+impl Obstacle {
+    /// All, in their order.
+    pub const ALL: [Self; 10] = [
+        Self::BarSingularity,
+        Self::Reach,
+        Self::JointLimit,
+        Self::Wrist,
+        Self::RobotSingularity,
+        Self::Speed,
+        Self::Acceleration,
+        Self::Collision,
+        Self::Cable,
+        Self::OffSphere,
+    ];
+}
+
+impl std::fmt::Display for Obstacle {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::BarSingularity => "singular poses of the bar",
+            Self::Reach => "the robot's reach",
+            Self::JointLimit => "joint limits of the robot",
+            Self::Wrist => "the straight wrist",
+            Self::RobotSingularity => "singular postures of the robot",
+            Self::Speed => "the robot's joint speed",
+            Self::Acceleration => "the robot's joint acceleration",
+            Self::Collision => "collisions",
+            Self::Cable => "the encoder cables",
+            Self::OffSphere => "the bar's sphere",
+        })
+    }
+}
+
+/// Nominal robot and bar, and what their motion must keep to.
+#[derive(Debug, Clone)]
+pub struct Constraints<'a> {
+    robot: &'a Chain,
+    tracer: Tracer,
+    bar: &'a Chain,
+    /// Joint limits of the robot \[rad\].
+    pub limits: Vec<[f64; 2]>,
+    /// With the design's margin taken off.
+    limits_rad: Vec<[f64; 2]>,
+    /// Margins and speeds.
+    pub design: &'a Design,
+    /// Highest acceleration of a robot joint \[rad/s²\]; infinite where none is asked for.
+    pub acceleration_rad_s2: f64,
+    /// What must not touch; none where nothing is known of it.
+    pub bodies: Option<Bodies>,
+}
+
+impl<'a> Constraints<'a> {
+    /// Margins and speeds of a design, for a bar that stands where the design has it.
+    pub fn new(robot: &'a Chain, bar: &'a Chain, limits: &[[f64; 2]], design: &'a Design) -> Self {
+        let margin_rad = design.limit_margin_deg.to_radians();
+        let limits_rad = limits.iter().map(|[low, high]| [low + margin_rad, high - margin_rad]).collect();
+        let tracer = Tracer::new(robot);
+        let limits = limits.to_vec();
+        Self {
+            robot,
+            tracer,
+            bar,
+            limits,
+            limits_rad,
+            design,
+            acceleration_rad_s2: f64::INFINITY,
+            bodies: None,
+        }
+    }
+
+    /// The nominal robot.
+    pub fn robot(&self) -> &'a Chain {
+        self.robot
+    }
+
+    /// The nominal bar.
+    pub fn bar(&self) -> &'a Chain {
+        self.bar
+    }
+
+    /// The robot's joints at a bar posture, the solution nearest to `near_rad`, if both are comfortable there.
+    ///
+    /// # Errors
+    /// What is in the way.
+    pub fn robot_at(&self, bar_rad: &[f64; 5], near_rad: &[f64]) -> Result<Joints, Obstacle> {
+        if singularity_margin_rad(bar_rad) < self.design.bar_margin_deg.to_radians() {
+            return Err(Obstacle::BarSingularity);
+        }
+        let robot =
+            robot_inverse(self.robot, &self.bar.forward(bar_rad), near_rad).map_err(|_| Obstacle::Reach)?;
+        self.robot_is_comfortable(&robot).map(|()| robot)
+    }
+
+    /// Joint limits, singular postures and bodies.
+    ///
+    /// # Errors
+    /// What is in the way.
+    pub fn robot_is_comfortable(&self, robot_rad: &Joints) -> Result<(), Obstacle> {
+        if !robot_rad.iter().zip(&self.limits_rad).all(|(q, [low, high])| (*low..=*high).contains(q)) {
+            return Err(Obstacle::JointLimit);
+        }
+        if !self.design.wrist_is_bent(robot_rad) {
+            return Err(Obstacle::Wrist);
+        }
+        if self.dexterity(robot_rad) < self.design.dexterity_min {
+            return Err(Obstacle::RobotSingularity);
+        }
+        match &self.bodies {
+            Some(bodies) if bodies.clearance_m(self.robot, self.bar, robot_rad) < bodies.clearance_m_min => {
+                Err(Obstacle::Collision)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Smallest singular value of the robot's Jacobian, position in m and rotation in rad.
+    pub fn dexterity(&self, robot_rad: &[f64]) -> f64 {
+        let mut trace = Trace::default();
+        self.tracer.trace(robot_rad, &mut trace);
+        let mut jacobian = Matrix6::zeros();
+        for (mut column, twist) in jacobian.column_iter_mut().zip(trace.joint_twists()) {
+            column.fixed_rows_mut::<3>(0).copy_from(&twist.linear);
+            column.fixed_rows_mut::<3>(3).copy_from(&twist.angular);
+        }
+        (jacobian * jacobian.transpose()).symmetric_eigenvalues().min().max(0.0).sqrt()
+    }
+
+    /// The robot's joints on a part of a path, from `from_s` to `until_s` at equal steps of about [`LOOK_S`], the first
+    /// nearest to `near_rad`.
+    ///
+    /// # Errors
+    /// What is in the way first.
+    pub fn follow(
+        &self,
+        path: &Path,
+        from_s: f64,
+        until_s: f64,
+        near_rad: &[f64],
+    ) -> Result<Vec<Joints>, Obstacle> {
+        let looks = ((until_s - from_s) / LOOK_S).ceil().max(1.0);
+        let step_s = (until_s - from_s) / looks;
+        let mut robot = vec![self.robot_at(&path.at(from_s), near_rad)?];
+        for look in 1..=looks as usize {
+            let before = robot[look - 1];
+            let now = self.robot_at(&path.at(from_s + step_s * look as f64), &before)?;
+            let largest = |of: &dyn Fn(usize) -> f64| {
+                (0..now.len()).map(of).fold(0.0_f64, |most, one| most.max(one.abs()))
+            };
+            if largest(&|i| now[i] - before[i]) > self.design.robot_speed_rad_s * step_s {
+                return Err(Obstacle::Speed);
+            }
+            if let Some(first) = look.checked_sub(2).and_then(|first| robot.get(first))
+                && largest(&|i| now[i] - 2.0 * before[i] + first[i])
+                    > self.acceleration_rad_s2 * step_s * step_s
+            {
+                return Err(Obstacle::Acceleration);
+            }
+            robot.push(now);
+        }
+        Ok(robot)
+    }
+}

@@ -1,0 +1,199 @@
+//! What a path can tell: the normal equations of the parameters that a calibration of it would estimate, and one number
+//! for how good they are.
+//!
+//! Each pose counts with the whitened residual of the `pose` cost at the nominal geometry, for noise that is white from
+//! sample to sample. Encoder harmonics and terms of the robot's axes take part with their priors, all of them: a
+//! calibration takes only those that held-out data support, so that it knows a little more than is expected here. What
+//! no parameter describes is not in it.
+
+use nalgebra::DMatrix;
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use shared::config::{BallBarConfig, RobotConfig};
+
+use crate::calibrate::IdentifyConfig;
+use crate::cost::{AngleNoise, LoopProblem, Residual, WhitenedPose};
+use crate::kinematics::{Chain, Joints, Trace, Tracer};
+use crate::model::{DriveTrain, JointState, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
+use crate::solver::{Normal, Normals, Options, ScaledCholesky};
+
+/// Postures over which position errors are averaged.
+const POSTURES: usize = 300;
+/// Rate of the recording \[1/s\]: every sample counts.
+const SAMPLES_PER_S: f64 = 100.0;
+
+/// Uncertainty of a plate's length that counts as known \[m\].
+const KNOWN_SIGMA_M: f64 = 1e-9;
+
+/// What the plate's length, which fixes the scale of all others, is worth.
+#[derive(Debug, Clone, Copy)]
+enum Scale {
+    Known,
+    AsMeasured,
+}
+
+/// What a plan is to be best at.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Criterion {
+    /// RMS position error over the robot's workspace (I-optimal)
+    #[default]
+    Position,
+    /// Volume of the ellipsoid of the robot's parameters (D-optimal)
+    Determinant,
+    /// The robot's parameter that is known worst, position errors of the workspace for comparison
+    Worst,
+}
+
+/// The parameters of a calibration, and what their errors do to positions.
+#[derive(Debug, Clone)]
+pub struct Information {
+    model: Model,
+    noise: AngleNoise,
+    /// Columns of the robot's links.
+    robot: Vec<usize>,
+    /// Mean of `J^T J` of positions over the workspace, of those columns \[m²\].
+    weight: DMatrix<f64>,
+    criterion: Criterion,
+    /// The plate's length, which no path tells: all lengths are as uncertain as it is.
+    scale: Option<usize>,
+}
+
+/// Joint states of single poses: pose `i` has time `i`.
+struct States<'a>(&'a [JointState]);
+
+impl RobotMotion for States<'_> {
+    fn at(&self, tau_s: f64) -> Option<JointState> {
+        (tau_s > -0.5).then(|| self.0.get(tau_s.round() as usize).copied()).flatten()
+    }
+}
+
+impl Information {
+    /// For a bar at `base_m`, with what a calibration with default settings estimates.
+    ///
+    /// # Errors
+    /// [`ModelError`] where the model lacks a parameter.
+    pub fn new(
+        (robot, bar): (&RobotConfig, &BallBarConfig),
+        (arm, bar_chain): (&Chain, &Chain),
+        criterion: Criterion,
+    ) -> Result<Self, ModelError> {
+        let config = IdentifyConfig::default();
+        let mut model = Model::ball_bar(arm, bar_chain).with_drives(DriveTrain::of(robot, arm));
+        let tells = WhitenedPose::tells;
+        config.set_roles(&mut model, &[], tells)?;
+        for kind in config.kinds(&model, tells) {
+            model.set_roles(kind.ids, Role::Prior { value: 0.0, sigma: kind.sigma })?;
+        }
+        // The whole run fixes it well, whatever the path.
+        model.set_role(ParameterId::ClockSkew, Role::Fixed)?;
+        if bar.plate_u_um > 0.0 {
+            let value = model.parameter(ParameterId::PLATE).map_or(bar.plate_m, |plate| plate.nominal);
+            model.set_role(ParameterId::PLATE, Role::Prior { value, sigma: bar.plate_u_um * 1e-6 })?;
+        }
+        let robot_columns: Vec<(usize, ParameterId)> = model
+            .columns()
+            .enumerate()
+            .filter(|(_, parameter)| matches!(parameter.id, ParameterId::Robot { .. }))
+            .map(|(column, parameter)| (column, parameter.id))
+            .collect();
+        let weight = position_weight(arm, &robot_columns, &robot.joint_limits());
+        let robot_columns = robot_columns.into_iter().map(|(column, _)| column).collect();
+        let scale = model.column_of(ParameterId::PLATE);
+        Ok(Self { model, noise: config.noise.into(), robot: robot_columns, weight, criterion, scale })
+    }
+
+    /// Normal equations of poses that are `period_s` apart, each counting as all samples of that time.
+    pub fn of(&self, bar_rad: &[[f64; 5]], states: &[JointState], period_s: f64) -> Normal {
+        let motion = States(states);
+        let observations: Vec<Observation> =
+            bar_rad.iter().enumerate().map(|(i, bar)| Observation::bar(i as f64, *bar)).collect();
+        let residual = WhitenedPose::new(&self.model.geometry(&[]), &motion, &observations, self.noise);
+        let columns = self.model.columns().len();
+        let folds = [(0..observations.len()).collect()];
+        let options = Options::default();
+        let normals = LoopProblem::new(&self.model, &motion, &observations, residual, 1.0)
+            .ok()
+            .and_then(|problem| Normals::new(&problem, &self.model.start(), &options, &folds));
+        let mut normal = normals.map_or_else(
+            || Normal::zeros(columns),
+            |normals| normals.of_folds().first().cloned().unwrap_or_else(|| Normal::zeros(columns)),
+        );
+        normal.matrix *= period_s * SAMPLES_PER_S;
+        normal
+    }
+
+    /// Columns of the normal equations.
+    pub fn columns(&self) -> usize {
+        self.model.columns().len()
+    }
+
+    /// Expected covariance of all columns with the priors; none where the poses leave one open.
+    fn covariance(&self, normal: &Normal, scale: Scale) -> Option<DMatrix<f64>> {
+        let mut normal = normal.clone();
+        normal.add_priors(&self.model.priors(), &self.model.start());
+        if let (Scale::Known, Some(column)) = (scale, self.scale) {
+            normal.matrix[(column, column)] += KNOWN_SIGMA_M.powi(-2);
+        }
+        let factor = ScaledCholesky::new(normal.matrix)?;
+        factor.is_complete().then(|| factor.inverse())
+    }
+
+    /// How good normal equations are, smaller is better; infinite where a parameter stays open. The plate counts as known:
+    /// its part is the same for all paths.
+    pub fn score(&self, normal: &Normal) -> f64 {
+        self.worth(normal, self.criterion, Scale::Known)
+    }
+
+    fn worth(&self, normal: &Normal, criterion: Criterion, scale: Scale) -> f64 {
+        let Some(covariance) = self.covariance(normal, scale) else { return f64::INFINITY };
+        let of_robot = covariance.select_rows(&self.robot).select_columns(&self.robot);
+        match criterion {
+            Criterion::Position => (&self.weight * of_robot).trace().max(0.0).sqrt(),
+            Criterion::Determinant => {
+                let Some(factor) = of_robot.cholesky() else { return f64::INFINITY };
+                let log: f64 = factor.l().diagonal().iter().map(|one| one.ln()).sum();
+                (log / self.robot.len().max(1) as f64).exp()
+            }
+            Criterion::Worst => {
+                let effect = |i: usize| (self.weight[(i, i)] * of_robot[(i, i)]).max(0.0).sqrt();
+                (0..self.robot.len()).map(effect).fold(0.0, f64::max)
+            }
+        }
+    }
+
+    /// RMS position error over the robot's workspace that is expected \[m\], without and with that of the plate's length;
+    /// infinite where a parameter stays open.
+    pub fn position_m(&self, normal: &Normal) -> [f64; 2] {
+        [Scale::Known, Scale::AsMeasured].map(|scale| self.worth(normal, Criterion::Position, scale))
+    }
+
+    /// Name and expected standard deviation of each parameter, SI, in the order of the columns.
+    pub fn sigmas(&self, normal: &Normal) -> Vec<(ParameterId, f64)> {
+        let Some(covariance) = self.covariance(normal, Scale::AsMeasured) else { return Vec::new() };
+        let sigma = |column: usize| covariance[(column, column)].max(0.0).sqrt();
+        self.model.columns().enumerate().map(|(column, parameter)| (parameter.id, sigma(column))).collect()
+    }
+}
+
+/// Mean of `J^T J` of the end's position over postures within the joint limits \[m²\].
+fn position_weight(arm: &Chain, columns: &[(usize, ParameterId)], joint_limits: &[[f64; 2]]) -> DMatrix<f64> {
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let tracer = Tracer::new(arm);
+    let mut trace = Trace::default();
+    let mut rows = DMatrix::zeros(3 * POSTURES, columns.len());
+    for posture in 0..POSTURES {
+        let q: Joints =
+            joint_limits.iter().map(|[low, high]| low + (high - low) * random.random::<f64>()).collect();
+        tracer.trace(&q, &mut trace);
+        let mut by = rows.rows_mut(3 * posture, 3);
+        for (mut column, (_, id)) in by.column_iter_mut().zip(columns) {
+            if let ParameterId::Robot { link, parameter } = *id
+                && let Some(twist) = trace.twist(link, parameter)
+            {
+                column.copy_from(&twist.linear);
+            }
+        }
+    }
+    rows.tr_mul(&rows) / POSTURES as f64
+}

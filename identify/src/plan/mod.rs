@@ -1,0 +1,100 @@
+//! Paths over the bar's sphere: random ones for simulated experiments, and the ones that are worth driving.
+//!
+//! `random` finds a path that keeps to the `constraints` (which know `bodies`), `search` makes it better by what
+//! `information` says that a calibration learns from it, `check` judges any path by the robot's joints alone, `programs`
+//! writes it for robot controllers.
+
+mod bodies;
+mod check;
+mod constraints;
+mod design;
+mod information;
+mod path;
+mod programs;
+mod random;
+mod search;
+
+pub use bodies::Bodies;
+pub use check::{CheckError, Checked, Violation, check};
+pub use constraints::{Constraints, Obstacle};
+pub use design::Design;
+pub use information::{Criterion, Information};
+pub use path::{Move, Path};
+pub use programs::{Language, ProgramError, program};
+pub use random::{PlanError, Route, random_route};
+pub use search::{Found, Progress, search};
+
+use serde::{Deserialize, Serialize};
+
+use crate::kinematics::{InverseError, Joints, robot_inverse};
+use crate::logs::{LogQuality, Origin, RobotLog};
+
+/// Time between two rows of a planned path \[s\].
+const ROW_S: f64 = 0.004;
+
+/// `path.toml`: a path of the bar that `identify simulate --path` drives.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlannedPath {
+    /// The robot that it was planned for.
+    pub robot: String,
+    /// Centre of the gimbal in the robot's base frame \[m\].
+    pub base_m: [f64; 3],
+    /// Joints of the nominal robot at the start \[rad\].
+    pub robot_start_rad: [f64; 6],
+    /// Of the bar.
+    pub path: Path,
+}
+
+impl shared::config::Validate for PlannedPath {
+    fn validate(&self) -> Result<(), shared::config::Violation> {
+        let numbers = self.base_m.iter().chain(&self.robot_start_rad).chain(&self.path.start_rad);
+        let moves = self.path.moves.iter();
+        let moves = moves.flat_map(|step| step.by_rad.iter().chain(&step.from_rad).chain([&step.start_s]));
+        let is_timed = |step: &Move| step.duration_s.is_finite() && step.duration_s > 0.0;
+        let length = self.path.duration_s.is_finite() && self.path.duration_s > 0.0;
+        if numbers.chain(moves).all(|number| number.is_finite())
+            && length
+            && self.path.moves.iter().all(is_timed)
+        {
+            return Ok(());
+        }
+        let found = "a number is not finite, or a duration is not above zero".to_owned();
+        Err(shared::config::Violation::new("path", found, "take the file that `identify plan` wrote"))
+    }
+}
+
+/// The nominal robot's joints along a path, as a log on the path's own clock.
+///
+/// # Errors
+/// Those of the inverse kinematics, with the time \[s\].
+pub fn robot_path(
+    robot: &str,
+    constraints: &Constraints<'_>,
+    route: &Route,
+) -> Result<RobotLog, (f64, InverseError)> {
+    let rows = (route.path.duration_s / ROW_S).round() as usize;
+    let mut near_rad = route.robot_rad.first().copied().unwrap_or_default();
+    let mut log = RobotLog {
+        robot: Some(robot.to_owned()),
+        clock: "planned".into(),
+        origin: Origin::Commanded,
+        quality: LogQuality { period_s: ROW_S, longest_gap_s: ROW_S, ..LogQuality::default() },
+        ..RobotLog::default()
+    };
+    for row in 0..=rows {
+        let t_s = row as f64 * ROW_S;
+        let target = constraints.bar().forward(&route.path.at(t_s));
+        near_rad = robot_inverse(constraints.robot(), &target, &near_rad).map_err(|error| (t_s, error))?;
+        log.t_s.push(t_s);
+        log.q_rad.push(near_rad);
+    }
+    Ok(log)
+}
+
+impl PlannedPath {
+    /// Where the robot is at the start.
+    pub fn robot_start(&self) -> Joints {
+        self.robot_start_rad.into()
+    }
+}

@@ -1,0 +1,117 @@
+//! Motion of the bar's joints, smooth to the second derivative.
+
+use serde::{Deserialize, Serialize};
+
+use super::Design;
+
+/// Every how many points the robot stands still.
+const MOVES_PER_STOP: usize = 3;
+/// A move begins this part of its own or the former's duration before the former ends, whichever is shorter.
+const OVERLAP: f64 = 0.3;
+/// Standstill before the first and after the last move, in units of the design's.
+const END_STANDSTILLS: f64 = 2.0;
+
+/// One move from point to point along the minimum-jerk profile `10 u^3 - 15 u^4 + 6 u^5`: speed and acceleration are
+/// zero at both ends (Flash and Hogan 1985).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Move {
+    /// When it begins \[s\].
+    pub start_s: f64,
+    /// How long it takes \[s\].
+    pub duration_s: f64,
+    /// By how much each joint moves \[rad\].
+    pub by_rad: [f64; 5],
+    /// Bar joints when all moves before it are over \[rad\].
+    pub from_rad: [f64; 5],
+}
+
+impl Move {
+    /// Peak of the profile's speed over its mean.
+    const PEAK_SPEED: f64 = 1.875;
+    /// Short moves too take some time: no jerks \[s\].
+    const DURATION_S_MIN: f64 = 0.5;
+
+    /// When it ends \[s\].
+    pub fn end_s(&self) -> f64 {
+        self.start_s + self.duration_s
+    }
+
+    /// Bar joints when it and all moves before it are over \[rad\].
+    pub(super) fn end_rad(&self) -> [f64; 5] {
+        std::array::from_fn(|joint| self.from_rad[joint] + self.by_rad[joint])
+    }
+
+    /// Highest speed of its fastest joint \[rad/s\].
+    pub(super) fn peak_speed_rad_s(&self) -> f64 {
+        let farthest_rad = self.by_rad.iter().fold(0.0_f64, |most, by| most.max(by.abs()));
+        Self::PEAK_SPEED * farthest_rad / self.duration_s
+    }
+
+    fn progress(&self, t_s: f64) -> f64 {
+        let u = ((t_s - self.start_s) / self.duration_s).clamp(0.0, 1.0);
+        u * u * u * (10.0 + u * (6.0 * u - 15.0))
+    }
+}
+
+/// A start and moves that are added up: where two overlap in time the corner between them is rounded.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Path {
+    /// Bar joints before the first move \[rad\].
+    pub start_rad: [f64; 5],
+    /// In the order of their beginning; at most neighbours overlap.
+    pub moves: Vec<Move>,
+    /// Length of the recording that is taken of it \[s\]; the path holds still before 0 and after its last move.
+    pub duration_s: f64,
+}
+
+impl Path {
+    /// Stands still for as long as the design's run takes.
+    pub fn at_rest(start_rad: [f64; 5], design: &Design) -> Self {
+        Self { start_rad, moves: Vec::new(), duration_s: design.duration_s }
+    }
+
+    /// Bar joints at its end \[rad\].
+    pub fn end_rad(&self) -> [f64; 5] {
+        self.moves.last().map_or(self.start_rad, Move::end_rad)
+    }
+
+    /// Adds a move to `to_rad`, whose fastest joint reaches `speed_rad_s`, timed so that it joins the path.
+    pub fn push(&mut self, to_rad: &[f64; 5], speed_rad_s: f64, design: &Design) -> Move {
+        let from_rad = self.end_rad();
+        let by_rad: [f64; 5] = std::array::from_fn(|i| to_rad[i] - from_rad[i]);
+        let farthest_rad = by_rad.iter().fold(0.0_f64, |most, by| most.max(by.abs()));
+        let duration_s = (Move::PEAK_SPEED * farthest_rad / speed_rad_s).max(Move::DURATION_S_MIN);
+        let start_s = match self.moves.last() {
+            None => END_STANDSTILLS * design.standstill_s,
+            Some(last) if self.moves.len().is_multiple_of(MOVES_PER_STOP) => {
+                last.end_s() + design.standstill_s
+            }
+            Some(last) => last.end_s() - OVERLAP * last.duration_s.min(duration_s),
+        };
+        let step = Move { start_s, duration_s, by_rad, from_rad };
+        self.moves.push(step);
+        step
+    }
+
+    /// Its last move is over in time for the standstill at the end.
+    pub fn is_in_time(&self, design: &Design) -> bool {
+        self.moves.last().map_or(0.0, Move::end_s) <= self.duration_s - END_STANDSTILLS * design.standstill_s
+    }
+
+    /// Bar joints at `t_s` \[rad\].
+    pub fn at(&self, t_s: f64) -> [f64; 5] {
+        let begun = self.moves.partition_point(|step| step.start_s <= t_s);
+        // All but the last two are over: a path of ten hours costs as little as one of two minutes.
+        let going_on = self.moves.get(begun.saturating_sub(2)..begun).unwrap_or_default();
+        let mut joints = going_on.first().map_or(self.start_rad, |step| step.from_rad);
+        for step in going_on {
+            let progress = step.progress(t_s);
+            for (joint, by) in joints.iter_mut().zip(step.by_rad) {
+                *joint += progress * by;
+            }
+        }
+        joints
+    }
+}

@@ -1,0 +1,276 @@
+//! A path as programs of robot controllers.
+//!
+//! Points are so close that the robot leaves the sphere by no more than [`OFF_SPHERE_M_MAX`] between them, as each
+//! controller interpolates: joints along lines (RAPID), or along curves (KRL's splines, URScript's servo loop).
+//! Sources: ABB, Technical reference manual RAPID (3HAC050917), `MoveAbsJ`; KUKA System Software 8.3, Operating and
+//! Programming Instructions for System Integrators, `PTP_SPLINE` with `TIME_BLOCK`; Universal Robots, Script Manual,
+//! `servoj`, `get_steptime`.
+
+use std::fmt::Write;
+
+use shared::config::{AngleUnit, LogConversion, RobotConfig};
+
+use super::check::curve;
+use super::{CheckError, Constraints};
+use crate::kinematics::Joints;
+use crate::logs::{CubicSpline, JointConversion, LogError, RobotLog};
+
+/// Times between two points that are tried, longest first \[s\].
+const PERIODS_S: [f64; 6] = [0.2, 0.1, 0.05, 0.04, 0.02, 0.01];
+/// How far the robot may leave the sphere between two points \[m\].
+const OFF_SPHERE_M_MAX: f64 = 0.1e-3;
+/// Points of a spline block that a KUKA controller takes.
+const BLOCK_POINTS_MAX: usize = 1000;
+
+/// A controller's language.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Language {
+    /// ABB
+    Rapid,
+    /// KUKA
+    Krl,
+    /// Universal Robots
+    Urscript,
+}
+
+/// Why there is no program.
+#[derive(Debug, thiserror::Error)]
+pub enum ProgramError {
+    /// The path has gaps.
+    #[error(transparent)]
+    Path(#[from] CheckError),
+    /// Joints do not become the controller's numbers.
+    #[error(transparent)]
+    Log(#[from] LogError),
+    /// The log has something else than what a controller is told.
+    #[error(
+        "how the controller of {robot} counts its joints is not known: `raw_to_joint` of its configuration has gear ratios, so \
+         its log has motor angles; take the joints from robot_path.csv, or configure a log of joint angles"
+    )]
+    Motors {
+        /// Its name.
+        robot: String,
+    },
+    /// Even the closest points leave the sphere.
+    #[error(
+        "between points {period_s} s apart the robot leaves the sphere by {off_mm:.3} mm; plan with a lower \
+         --speed or --acceleration"
+    )]
+    Coarse {
+        /// Time between points \[s\].
+        period_s: f64,
+        /// Distance from the sphere \[mm\].
+        off_mm: f64,
+    },
+}
+
+/// A path at equal times.
+struct Points {
+    period_s: f64,
+    off_sphere_m: f64,
+    /// The controller's numbers, angles in radians.
+    raw_rad: Vec<Joints>,
+    rate_rad_s: Vec<Joints>,
+}
+
+impl Language {
+    /// That of a robot's maker, by the robot's name.
+    pub fn of(robot: &RobotConfig) -> Option<Self> {
+        let first = robot.name.split_whitespace().next()?;
+        match first {
+            "ABB" => Some(Self::Rapid),
+            "KUKA" => Some(Self::Krl),
+            "UR" | "Universal" => Some(Self::Urscript),
+            _ => first
+                .strip_prefix("UR")
+                .filter(|model| model.starts_with(|c: char| c.is_ascii_digit()))
+                .map(|_| Self::Urscript),
+        }
+    }
+
+    /// Name of the file that a controller takes.
+    pub const fn file_name(self) -> &'static str {
+        match self {
+            Self::Rapid => "BallBarPath.mod",
+            Self::Krl => "ballbar_path.src",
+            Self::Urscript => "ballbar_path.script",
+        }
+    }
+
+    /// The controller goes from point to point along curves that pass their speeds.
+    const fn is_smooth(self) -> bool {
+        !matches!(self, Self::Rapid)
+    }
+}
+
+/// The program of a path.
+///
+/// # Errors
+/// [`ProgramError`].
+pub fn program(
+    language: Language,
+    path: &RobotLog,
+    robot: &RobotConfig,
+    constraints: &Constraints<'_>,
+) -> Result<String, ProgramError> {
+    let points = points(language, path, robot, constraints)?;
+    let about = format!(
+        "{}: path with the ball-bar, {:.1} s, points {} s apart, at most {:.3} mm off the sphere between them",
+        robot.name,
+        path.duration_s(),
+        points.period_s,
+        points.off_sphere_m * 1e3
+    );
+    Ok(match language {
+        Language::Rapid => rapid(&about, &points),
+        Language::Krl => krl(&about, &points),
+        Language::Urscript => ur_script(&about, &points),
+    })
+}
+
+fn points(
+    language: Language,
+    path: &RobotLog,
+    robot: &RobotConfig,
+    constraints: &Constraints<'_>,
+) -> Result<Points, ProgramError> {
+    // A controller is told the angles that its log has where these are joint angles, whatever their signs and coupling.
+    let is_joint = |entry: &f64| [-1.0, 0.0, 1.0].contains(entry);
+    if !robot.log.raw_to_joint.iter().flatten().all(is_joint) {
+        return Err(ProgramError::Motors { robot: robot.name.clone() });
+    }
+    let curve = curve(path)?;
+    let conversion = JointConversion::new(&LogConversion { unit: AngleUnit::Rad, ..robot.log.clone() })?;
+    let mut off_sphere_m = 0.0;
+    for period_s in PERIODS_S {
+        off_sphere_m = off_sphere(language, &curve, period_s, constraints);
+        if off_sphere_m <= OFF_SPHERE_M_MAX {
+            let at: Vec<_> = times(&curve, period_s).filter_map(|t_s| curve.at(t_s)).collect();
+            let raw_rad: Vec<Joints> = at.iter().map(|point| conversion.to_raw(&point.value)).collect();
+            let none = conversion.to_raw(&Joints::zeros(robot.axes()));
+            let rate = |rate: &Joints| {
+                let raw = conversion.to_raw(rate);
+                Joints::from_fn(raw.len(), |axis| raw[axis] - none[axis])
+            };
+            let rate_rad_s = at.iter().map(|point| rate(&point.rate)).collect();
+            return Ok(Points { period_s, off_sphere_m, raw_rad, rate_rad_s });
+        }
+    }
+    let period_s = PERIODS_S.last().copied().unwrap_or_default();
+    Err(ProgramError::Coarse { period_s, off_mm: off_sphere_m * 1e3 })
+}
+
+fn times(curve: &CubicSpline<Joints>, period_s: f64) -> impl Iterator<Item = f64> {
+    let (start_s, end_s) = curve.range_s();
+    let count = ((end_s - start_s) / period_s + 1e-9).floor() as usize;
+    (0..=count).map(move |point| start_s + point as f64 * period_s)
+}
+
+/// Largest distance from the sphere between points \[m\].
+fn off_sphere(
+    language: Language,
+    curve: &CubicSpline<Joints>,
+    period_s: f64,
+    constraints: &Constraints<'_>,
+) -> f64 {
+    let gimbal = constraints.bar().root_from_base.translation.vector;
+    let radius_m = |q: &Joints| (constraints.robot().forward(q).translation.vector - gimbal).norm();
+    let at: Vec<_> = times(curve, period_s).filter_map(|t_s| curve.at(t_s)).collect();
+    let start_m = at.first().map_or(0.0, |point| radius_m(&point.value));
+    let mut most_m = 0.0_f64;
+    for pair in at.windows(2) {
+        for part in [0.25, 0.5, 0.75] {
+            let q = Joints::from_fn(pair[0].value.len(), |axis| {
+                let (a, b) = (pair[0].value[axis], pair[1].value[axis]);
+                let line = a + part * (b - a);
+                if !language.is_smooth() {
+                    return line;
+                }
+                hermite(part, [a, b], [pair[0].rate[axis] * period_s, pair[1].rate[axis] * period_s])
+            });
+            most_m = most_m.max((radius_m(&q) - start_m).abs());
+        }
+    }
+    most_m
+}
+
+/// Cubic from `a` to `b` with these slopes for a part of the way.
+fn hermite(u: f64, [a, b]: [f64; 2], [slope_a, slope_b]: [f64; 2]) -> f64 {
+    let (u2, u3) = (u * u, u * u * u);
+    (2.0 * u3 - 3.0 * u2 + 1.0) * a
+        + (3.0 * u2 - 2.0 * u3) * b
+        + (u3 - 2.0 * u2 + u) * slope_a
+        + (u3 - u2) * slope_b
+}
+
+fn list(numbers: &[f64], factor: f64) -> String {
+    numbers.iter().map(|number| format!("{:.6}", number * factor)).collect::<Vec<_>>().join(",")
+}
+
+fn rapid(about: &str, points: &Points) -> String {
+    let mut text = format!("MODULE BallBarPath\n  ! {about}\n  PROC BallBarPath()\n");
+    for (index, raw_rad) in points.raw_rad.iter().enumerate() {
+        let target = format!("[[{}],[9E9,9E9,9E9,9E9,9E9,9E9]]", list(raw_rad, 1f64.to_degrees()));
+        // Writing to a string cannot fail.
+        let _ = match index {
+            0 => write!(text, "    MoveAbsJ {target}\\NoEOffs,v50,fine,tool0;\n    WaitTime 1;\n"),
+            _ => writeln!(text, "    MoveAbsJ {target}\\NoEOffs,v1000\\T:={},z1,tool0;", points.period_s),
+        };
+    }
+    text.push_str("  ENDPROC\nENDMODULE\n");
+    text
+}
+
+fn krl(about: &str, points: &Points) -> String {
+    let target = |raw_rad: &Joints| {
+        let axes = raw_rad.iter().enumerate();
+        let axes: Vec<String> =
+            axes.map(|(axis, angle)| format!("A{} {:.6}", axis + 1, angle.to_degrees())).collect();
+        format!("{{{}}}", axes.join(","))
+    };
+    let mut text = format!("&ACCESS RVP\nDEF ballbar_path()\n; {about}\nBAS(#INITMOV,0)\n");
+    let Some((first, others)) = points.raw_rad.split_first() else { return text };
+    let _ = write!(text, "BAS(#VEL_PTP,10)\nPTP {}\nWAIT SEC 1\n", target(first));
+    for block in others.chunks(BLOCK_POINTS_MAX) {
+        text.push_str("PTP_SPLINE\n  TIME_BLOCK START\n");
+        for (index, raw_rad) in block.iter().enumerate() {
+            let _ = writeln!(text, "  SPTP {}", target(raw_rad));
+            if index + 1 < block.len() {
+                text.push_str("  TIME_BLOCK PART = 1\n");
+            }
+        }
+        let _ = write!(text, "  TIME_BLOCK END = {:.3}\nENDSPLINE\n", points.period_s * block.len() as f64);
+    }
+    text.push_str("END\n");
+    text
+}
+
+fn ur_script(about: &str, points: &Points) -> String {
+    let Some(first) = points.raw_rad.first() else { return String::new() };
+    let axes = first.len();
+    let mut text = format!("def ballbar_path():\n  # {about}\n");
+    let _ = write!(
+        text,
+        "  global q0 = [{}]\n  global v0 = [{}]\n  movej(q0, a=0.3, v=0.2)\n  sleep(1)\n",
+        list(first, 1.0),
+        list(&Joints::zeros(axes), 1.0)
+    );
+    // A cubic between two points with the path's speeds at both, one step of the controller at a time.
+    let entries: Vec<String> =
+        (0..axes).map(|i| format!("a*q0[{i}]+b*q1[{i}]+c*v0[{i}]+d*v1[{i}]")).collect();
+    let _ = write!(
+        text,
+        "  def go(q1, v1):\n    local t = 0\n    local dt = get_steptime()\n    while t < {period}:\n      t = t + dt\n      \
+         local u = t / {period}\n      if u > 1:\n        u = 1\n      end\n      local a = 2*u*u*u - 3*u*u + 1\n      \
+         local b = 3*u*u - 2*u*u*u\n      local c = (u*u*u - 2*u*u + u) * {period}\n      \
+         local d = (u*u*u - u*u) * {period}\n      servoj([{entries}], t=dt, lookahead_time=0.03, gain=500)\n    end\n    \
+         q0 = q1\n    v0 = v1\n  end\n",
+        period = points.period_s,
+        entries = entries.join(", ")
+    );
+    for (raw_rad, rate_rad_s) in points.raw_rad.iter().zip(&points.rate_rad_s).skip(1) {
+        let _ = writeln!(text, "  go([{}], [{}])", list(raw_rad, 1.0), list(rate_rad_s, 1.0));
+    }
+    text.push_str("  stopj(2)\nend\nballbar_path()\n");
+    text
+}

@@ -1,0 +1,190 @@
+//! Finds a path over the bar's sphere that robot and bar can follow: random points, each move tried before it is taken.
+//!
+//! Random points in all five bar joints excite every direction of the pose, which a hand-made path seldom does; the
+//! seed makes another path of the same experiment.
+
+use rand::Rng;
+
+use super::{Constraints, Design, Move, Obstacle, Path};
+use crate::kinematics::Joints;
+
+/// Points tried before giving up.
+const TRIES: usize = 300;
+/// How often corners without a way out may be left again before the path grows.
+const RETREATS: usize = 60;
+/// Moves given up then.
+const MOVES_GIVEN_UP: usize = 4;
+/// A move goes this part of the way to a random point.
+const PART_OF_WAY: std::ops::Range<f64> = 0.3..1.0;
+/// Fewest moves of a path that excites all joints.
+const MOVES_MIN: usize = 4;
+/// Range of a move's peak speed, in parts of the design's.
+const SPEED_RANGE: std::ops::Range<f64> = 0.5..1.0;
+
+/// Why no path was found.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum PlanError {
+    /// Nowhere on the sphere can the robot hold the bar.
+    #[error(
+        "no pose of the robot holds the bar of {length_m} m at base {base_m:?} m ({obstacle} in the way most often); \
+         give another --base, --posture or bar length"
+    )]
+    NoStart {
+        /// Length of the bar.
+        length_m: f64,
+        /// Base of the bar.
+        base_m: [f64; 3],
+        /// What stood in the way most often.
+        obstacle: Obstacle,
+    },
+    /// The path ends in a corner.
+    #[error(
+        "the path gets stuck after {moves} moves, {time_s:.1} of {duration_s} s ({obstacle} in the way most often); \
+         give another --seed, --base, bar length or --duration"
+    )]
+    Stuck {
+        /// Moves found.
+        moves: usize,
+        /// Duration of the path so far \[s\].
+        time_s: f64,
+        /// Duration asked for \[s\].
+        duration_s: f64,
+        /// What stood in the way most often.
+        obstacle: Obstacle,
+    },
+}
+
+/// How often each obstacle was met.
+#[derive(Default)]
+struct Obstacles([usize; Obstacle::ALL.len()]);
+
+impl Obstacles {
+    fn count(&mut self, obstacle: Obstacle) {
+        self.0[obstacle as usize] += 1;
+    }
+
+    fn worst(&self) -> Obstacle {
+        let most = Obstacle::ALL.into_iter().max_by_key(|&obstacle| self.0[obstacle as usize]);
+        most.unwrap_or(Obstacle::Reach)
+    }
+}
+
+/// A path that keeps to the constraints.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Route {
+    /// Of the bar.
+    pub path: Path,
+    /// The robot's joints at its start and after each move \[rad\].
+    pub robot_rad: Vec<Joints>,
+}
+
+/// A path through random points, as long as the design's run.
+///
+/// # Errors
+/// [`PlanError`] where base, length, ranges and robot do not go together.
+pub fn random_route(constraints: &Constraints<'_>, random: &mut impl Rng) -> Result<Route, PlanError> {
+    let (start_rad, robot_rad) = start(constraints, random)?;
+    let mut route = Route { path: Path::at_rest(start_rad, constraints.design), robot_rad: vec![robot_rad] };
+    fill(constraints, &mut route, random)?;
+    Ok(route)
+}
+
+/// Any bar posture within the design's ranges \[rad\].
+pub(super) fn point(design: &Design, random: &mut impl Rng) -> [f64; 5] {
+    design.bar_range_deg.map(|[low, high]| (low + (high - low) * random.random::<f64>()).to_radians())
+}
+
+/// A peak speed of the bar's fastest joint \[rad/s\].
+pub(super) fn speed_rad_s(design: &Design, random: &mut impl Rng) -> f64 {
+    design.bar_speed_rad_s * random.random_range(SPEED_RANGE)
+}
+
+fn start(constraints: &Constraints<'_>, random: &mut impl Rng) -> Result<([f64; 5], Joints), PlanError> {
+    let design = constraints.design;
+    let posture_rad = design.posture_deg.map(f64::to_radians);
+    let mut obstacles = Obstacles::default();
+    for _ in 0..TRIES {
+        let point = point(design, random);
+        match constraints.robot_at(&point, &posture_rad) {
+            Ok(robot) => return Ok((point, robot)),
+            Err(obstacle) => obstacles.count(obstacle),
+        }
+    }
+    Err(PlanError::NoStart {
+        length_m: constraints.bar().links.iter().map(|link| link.d_m).sum(),
+        base_m: design.base_m,
+        obstacle: obstacles.worst(),
+    })
+}
+
+/// What trying to add a move came to.
+enum Extension {
+    Reached,
+    TimeIsUp,
+    None,
+}
+
+/// Adds moves until the time is used up. Where no next move is found the last few are given up: a joint near its limit may
+/// leave no way on.
+fn fill(constraints: &Constraints<'_>, route: &mut Route, random: &mut impl Rng) -> Result<(), PlanError> {
+    let mut obstacles = Obstacles::default();
+    let (mut retreats, mut longest) = (0, 0);
+    loop {
+        match extend(constraints, route, &mut obstacles, random) {
+            Extension::Reached => {
+                if route.path.moves.len() > longest {
+                    (retreats, longest) = (0, route.path.moves.len());
+                }
+            }
+            Extension::TimeIsUp if route.path.moves.len() >= MOVES_MIN => return Ok(()),
+            Extension::TimeIsUp | Extension::None => {
+                retreats += 1;
+                if retreats > RETREATS {
+                    break;
+                }
+                let kept = route.path.moves.len().saturating_sub(MOVES_GIVEN_UP);
+                route.path.moves.truncate(kept);
+                route.robot_rad.truncate(kept + 1);
+            }
+        }
+    }
+    Err(PlanError::Stuck {
+        moves: route.path.moves.len(),
+        time_s: route.path.moves.last().map_or(0.0, Move::end_s),
+        duration_s: constraints.design.duration_s,
+        obstacle: obstacles.worst(),
+    })
+}
+
+/// Tries moves from the last point until one is found.
+fn extend(
+    constraints: &Constraints<'_>,
+    route: &mut Route,
+    obstacles: &mut Obstacles,
+    random: &mut impl Rng,
+) -> Extension {
+    let design = constraints.design;
+    let from_rad = route.path.end_rad();
+    for _ in 0..TRIES {
+        // Part of the way to a point anywhere: a line stays within the ranges, and a short one is found more easily.
+        let (goal, part) = (point(design, random), random.random_range(PART_OF_WAY));
+        let to_rad = std::array::from_fn(|i| from_rad[i] + part * (goal[i] - from_rad[i]));
+        let step = route.path.push(&to_rad, speed_rad_s(design, random), design);
+        if !route.path.is_in_time(design) {
+            route.path.moves.pop();
+            return Extension::TimeIsUp;
+        }
+        // The robot's joints are known at the former move's end; the nearest solution at this move's beginning is the same
+        // branch, because the path between the two was looked at with the former move.
+        let Some(near_rad) = route.robot_rad.last() else { return Extension::None };
+        match constraints.follow(&route.path, step.start_s, step.end_s(), near_rad) {
+            Ok(robot) => {
+                route.robot_rad.extend(robot.last());
+                return Extension::Reached;
+            }
+            Err(obstacle) => obstacles.count(obstacle),
+        }
+        route.path.moves.pop();
+    }
+    Extension::None
+}

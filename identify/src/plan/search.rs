@@ -1,0 +1,260 @@
+//! Makes a path better, one point at a time, for as long as there is time: a first path at once, better ones until the
+//! budget ends.
+//!
+//! A point of the path is moved, or its moves made faster or slower; what two moves and their neighbours tell is computed
+//! again, the rest is kept. A change stays where it makes the criterion better and the path still keeps to all constraints.
+
+use std::time::{Duration, Instant};
+
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::{Distribution, StandardNormal};
+
+use super::random::{point, random_route, speed_rad_s};
+use super::{Bodies, Constraints, Design, Information, Obstacle, Path, PlanError, Route};
+use crate::kinematics::Joints;
+use crate::model::JointState;
+use crate::solver::Normal;
+
+/// Paths through random points to begin with, the best of which is made better.
+const STARTS: u64 = 8;
+/// How far a point is moved, one standard deviation of each joint of the bar \[rad\].
+const NUDGE_RAD: f64 = 0.3;
+/// Every how many poses that were looked at one counts for the criterion.
+const LOOKS_PER_POSE: usize = 2;
+/// The robot comes back to where it was by so much after a change \[rad\]: the same solution of its inverse kinematics.
+const SAME_RAD: f64 = 1e-3;
+
+/// Between two poses that are looked at, [`LOOK_S`] apart, an extreme lies beyond both by the acceleration times `LOOK_S^2 / 8`:
+/// 2 mrad at 5 rad/s², 3 mm at the end of an arm. The search keeps so much more away.
+///
+/// [`LOOK_S`]: super::constraints::LOOK_S
+const ANGLE_ROOM_DEG: f64 = 0.2;
+const CLEARANCE_ROOM_M: f64 = 0.004;
+const SPEED_PART: f64 = 0.95;
+const ACCELERATION_PART: f64 = 0.85;
+const DEXTERITY_PART: f64 = 1.03;
+
+/// How a search went.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Progress {
+    /// Changes tried.
+    pub tried: usize,
+    /// Changes that stayed.
+    pub taken: usize,
+    /// The criterion now.
+    pub score: f64,
+}
+
+/// The best path that was found.
+#[derive(Debug, Clone)]
+pub struct Found {
+    /// It.
+    pub route: Route,
+    /// What it tells.
+    pub normal: Normal,
+    /// The criterion of each random path, in the order of their seeds.
+    pub random_scores: Vec<f64>,
+    /// What the search did.
+    pub progress: Progress,
+}
+
+/// A path in pieces, each from the beginning of a move to that of the next.
+struct Pieces {
+    path: Path,
+    /// Robot at the start of the path and at the beginning of each move.
+    robot_rad: Vec<Joints>,
+    normals: Vec<Normal>,
+}
+
+/// Searches until `budget` is over or `is_over` says so, whichever is first; at least one random path is looked at.
+///
+/// # Errors
+/// [`PlanError`] where there is no path at all.
+pub fn search(
+    constraints: &Constraints<'_>,
+    information: &Information,
+    seed: u64,
+    budget: Duration,
+    mut is_over: impl FnMut(&Progress) -> bool,
+) -> Result<Found, PlanError> {
+    let begun = Instant::now();
+    let design = Design {
+        robot_speed_rad_s: SPEED_PART * constraints.design.robot_speed_rad_s,
+        bar_margin_deg: constraints.design.bar_margin_deg + ANGLE_ROOM_DEG,
+        wrist_margin_deg: constraints.design.wrist_margin_deg + ANGLE_ROOM_DEG,
+        limit_margin_deg: constraints.design.limit_margin_deg + ANGLE_ROOM_DEG,
+        dexterity_min: DEXTERITY_PART * constraints.design.dexterity_min,
+        ..constraints.design.clone()
+    };
+    let mut tight = Constraints::new(constraints.robot(), constraints.bar(), &constraints.limits, &design);
+    tight.acceleration_rad_s2 = ACCELERATION_PART * constraints.acceleration_rad_s2;
+    tight.bodies = constraints
+        .bodies
+        .clone()
+        .map(|bodies| Bodies { clearance_m_min: bodies.clearance_m_min + CLEARANCE_ROOM_M, ..bodies });
+    let constraints = &tight;
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let (mut best, mut random_scores) = (None, Vec::new());
+    let mut refused = None;
+    for _ in 0..STARTS {
+        match random_route(constraints, &mut random) {
+            Ok(route) => {
+                if let Ok(pieces) = Pieces::of(constraints, information, &route) {
+                    let score = information.score(&pieces.total(information));
+                    random_scores.push(score);
+                    if best.as_ref().is_none_or(|(least, _)| score < *least) {
+                        best = Some((score, pieces));
+                    }
+                }
+            }
+            Err(error) => refused = Some(error),
+        }
+        if best.is_some() && begun.elapsed() > budget / 4 {
+            break;
+        }
+    }
+    let Some((mut score, mut pieces)) = best else {
+        let stuck = PlanError::Stuck {
+            moves: 0,
+            time_s: 0.0,
+            duration_s: constraints.design.duration_s,
+            obstacle: Obstacle::Reach,
+        };
+        return Err(refused.unwrap_or(stuck));
+    };
+    let mut progress = Progress { tried: 0, taken: 0, score };
+    let mut total = pieces.total(information);
+    while begun.elapsed() < budget && !is_over(&progress) {
+        progress.tried += 1;
+        let Some(change) = pieces.changed(constraints, information, &mut random) else { continue };
+        let new = change.total(information);
+        let new_score = information.score(&new);
+        if new_score < score {
+            (score, total, pieces) = (new_score, new, change);
+            progress = Progress { taken: progress.taken + 1, score, ..progress };
+        }
+    }
+    let route = Route { path: pieces.path, robot_rad: pieces.robot_rad };
+    Ok(Found { route, normal: total, random_scores, progress })
+}
+
+impl Pieces {
+    fn of(constraints: &Constraints<'_>, information: &Information, route: &Route) -> Result<Self, Obstacle> {
+        let mut pieces = Self { path: route.path.clone(), robot_rad: Vec::new(), normals: Vec::new() };
+        pieces.robot_rad.extend(route.robot_rad.first());
+        let count = pieces.path.moves.len();
+        pieces.redo(constraints, information, 0..count)?;
+        Ok(pieces)
+    }
+
+    /// Where piece `index` begins and ends \[s\].
+    fn span_s(&self, index: usize) -> (f64, f64) {
+        let start_s = |index: usize| self.path.moves.get(index).map(|step| step.start_s);
+        let end_s = start_s(index + 1).unwrap_or(self.path.duration_s);
+        (start_s(index).unwrap_or(0.0), end_s)
+    }
+
+    /// Follows some pieces again, each from where the one before it ends.
+    fn redo(
+        &mut self,
+        constraints: &Constraints<'_>,
+        information: &Information,
+        pieces: std::ops::Range<usize>,
+    ) -> Result<(), Obstacle> {
+        for index in pieces {
+            let (from_s, until_s) = self.span_s(index);
+            let near_rad = self.robot_rad.get(index).copied().unwrap_or_default();
+            let robot = constraints.follow(&self.path, from_s, until_s, &near_rad)?;
+            let last = *robot.last().unwrap_or(&near_rad);
+            match self.robot_rad.get_mut(index + 1) {
+                Some(next) => *next = last,
+                None => self.robot_rad.push(last),
+            }
+            let normal = piece_information(&self.path, information, from_s, until_s, &robot);
+            match self.normals.get_mut(index) {
+                Some(known) => *known = normal,
+                None => self.normals.push(normal),
+            }
+        }
+        Ok(())
+    }
+
+    fn total(&self, information: &Information) -> Normal {
+        let mut total = Normal::zeros(information.columns());
+        self.normals.iter().for_each(|normal| total += normal);
+        total
+    }
+
+    /// The same with one point moved or one move's speed changed; none where something is in the way.
+    fn changed(
+        &self,
+        constraints: &Constraints<'_>,
+        information: &Information,
+        random: &mut ChaCha8Rng,
+    ) -> Option<Self> {
+        let design = constraints.design;
+        let count = self.path.moves.len();
+        // One beyond the last: a move that is added.
+        let index = random.random_range(0..=count);
+        let old_rad = self.path.moves.get(index).map_or_else(|| self.path.end_rad(), |step| step.end_rad());
+        let to_rad = match random.random_range(0..4) {
+            0 if index < count => old_rad,
+            1 => {
+                let (goal, part) = (point(design, random), random.random_range(0.2..1.0));
+                std::array::from_fn(|i| old_rad[i] + part * (goal[i] - old_rad[i]))
+            }
+            _ => std::array::from_fn(|i| {
+                let by: f64 = StandardNormal.sample(random);
+                let [low, high] = design.bar_range_deg[i].map(f64::to_radians);
+                (old_rad[i] + NUDGE_RAD * by).clamp(low, high)
+            }),
+        };
+        let mut path = Path::at_rest(self.path.start_rad, design);
+        for (at, step) in self.path.moves.iter().enumerate() {
+            let (to, speed) = if at == index {
+                (to_rad, speed_rad_s(design, random))
+            } else {
+                (step.end_rad(), step.peak_speed_rad_s())
+            };
+            path.push(&to, speed, design);
+        }
+        if index == count {
+            path.push(&to_rad, speed_rad_s(design, random), design);
+        }
+        if !path.is_in_time(design) {
+            return None;
+        }
+        let mut changed = Self { path, robot_rad: self.robot_rad.clone(), normals: self.normals.clone() };
+        // Where the move before begins nothing has changed yet, and two moves later nothing does any more.
+        let first = index.saturating_sub(1);
+        let last = (index + 3).min(changed.path.moves.len());
+        changed.redo(constraints, information, first..last).ok()?;
+        let same = |a: &Joints, b: &Joints| a.iter().zip(b.iter()).all(|(a, b)| (a - b).abs() < SAME_RAD);
+        let goes_on =
+            last == changed.path.moves.len() || same(changed.robot_rad.get(last)?, self.robot_rad.get(last)?);
+        goes_on.then_some(changed)
+    }
+}
+
+/// What a followed piece tells, with the robot's speeds from neighbouring poses.
+fn piece_information(
+    path: &Path,
+    information: &Information,
+    from_s: f64,
+    until_s: f64,
+    robot: &[Joints],
+) -> Normal {
+    let step_s = (until_s - from_s) / (robot.len().max(2) - 1) as f64;
+    let state = |look: usize| {
+        let (before, after) = (look.saturating_sub(1), (look + 1).min(robot.len() - 1));
+        let apart_s = (after - before).max(1) as f64 * step_s;
+        let qd = Joints::from_fn(robot[look].len(), |i| (robot[after][i] - robot[before][i]) / apart_s);
+        JointState { qd, ..JointState::at_rest(robot[look]) }
+    };
+    let looks = (0..robot.len()).step_by(LOOKS_PER_POSE);
+    let states: Vec<JointState> = looks.clone().map(state).collect();
+    let bar_rad: Vec<[f64; 5]> = looks.map(|look| path.at(from_s + step_s * look as f64)).collect();
+    information.of(&bar_rad, &states, (until_s - from_s) / bar_rad.len().max(1) as f64)
+}

@@ -1,0 +1,291 @@
+//! Paths that are planned: each constraint checked by other means than those of the planner, and worth more than random ones.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::f64::consts::TAU;
+use std::time::Duration;
+
+use identify::kinematics::{Chain, ball_bar_chain, robot_chain};
+use identify::logs::RobotLog;
+use identify::plan::{
+    Bodies, Checked, Constraints, Criterion, Design, Found, Information, Language, Obstacle, PlannedPath,
+    check, program, robot_path, search,
+};
+use identify::simulate::{self, Effects, Experiment, StaticErrors};
+use nalgebra::Vector3;
+use shared::config::{self, AngleUnit, BallBarConfig, RobotConfig};
+
+use crate::support::command::identify;
+use crate::support::truth::position_error_m;
+use crate::support::{bar, irb2400, nj220};
+
+/// A robot with its bar where the built-in layout has it.
+struct Cell {
+    robot: RobotConfig,
+    bar: BallBarConfig,
+    arm: Chain,
+    bar_chain: Chain,
+    design: Design,
+}
+
+impl Cell {
+    fn new(robot: RobotConfig, duration_s: f64) -> Self {
+        let bar = bar();
+        let design = Design { duration_s, ..Design::for_robot(&robot) };
+        let mut bar_chain = ball_bar_chain(&bar);
+        bar_chain.root_from_base.translation.vector = design.base_m.into();
+        Self { arm: robot_chain(&robot, &bar), bar_chain, design, robot, bar }
+    }
+
+    fn constraints(&self) -> Constraints<'_> {
+        let limits = self.robot.joint_limits();
+        let mut constraints = Constraints::new(&self.arm, &self.bar_chain, &limits, &self.design);
+        constraints.acceleration_rad_s2 = 5.0;
+        constraints.bodies = Some(Bodies::for_reach(1.5));
+        constraints
+    }
+
+    fn information(&self) -> Information {
+        Information::new((&self.robot, &self.bar), (&self.arm, &self.bar_chain), Criterion::Position).unwrap()
+    }
+
+    /// After so many changes, however long they take.
+    fn search(&self, seed: u64, changes: usize) -> Found {
+        let budget = Duration::from_secs(3600);
+        search(&self.constraints(), &self.information(), seed, budget, |progress| progress.tried >= changes)
+            .unwrap()
+    }
+
+    fn robot_path(&self, found: &Found) -> RobotLog {
+        robot_path(&self.robot.name, &self.constraints(), &found.route).unwrap()
+    }
+
+    fn check(&self, path: &RobotLog) -> Checked {
+        check(path, &self.constraints(), &self.information()).unwrap()
+    }
+}
+
+#[test]
+fn a_planned_path_keeps_the_sphere_limits_speeds_and_margins_at_every_millisecond() {
+    for cell in [Cell::new(irb2400(), 40.0), Cell::new(nj220(), 40.0)] {
+        let path = cell.robot_path(&cell.search(1, 60));
+        assert!((path.duration_s() - 40.0).abs() < 0.01);
+        // By the rows alone, which are 4 ms apart.
+        let base_m = Vector3::from(cell.design.base_m);
+        for q in &path.q_rad {
+            let radius_m = (cell.arm.forward(q).translation.vector - base_m).norm();
+            assert!((radius_m - 0.6).abs() < 1e-9, "{radius_m}");
+            for (q, [low, high]) in q.iter().zip(cell.robot.joint_limits()) {
+                assert!((low..=high).contains(q));
+            }
+            assert!(q[4].sin().abs() > 11.9_f64.to_radians().sin());
+        }
+        for rows in path.q_rad.windows(3) {
+            let [before, now, after] = [rows[0], rows[1], rows[2]];
+            for ((before, now), after) in before.into_iter().zip(now).zip(after) {
+                let (speed, change) = ((now - before) / 0.004, after - 2.0 * now + before);
+                assert!(speed.abs() < 1.2 && change.abs() < 5.0 * 0.004_f64.powi(2), "{speed} {change}");
+            }
+        }
+        let checked = cell.check(&path);
+        assert_eq!(checked.violations, [], "{}", cell.robot.name);
+        assert!(checked.off_sphere_m < 1e-6 && checked.clearance_m.unwrap() >= 0.02);
+        assert!(checked.winding_rad.iter().flatten().all(|angle| angle.abs() < TAU));
+    }
+}
+
+#[test]
+fn a_search_makes_paths_better_and_is_the_same_for_the_same_seed() {
+    let cell = Cell::new(irb2400(), 60.0);
+    let [few, many, again] = [20, 400, 400].map(|changes| cell.search(3, changes));
+    let best_random = few.random_scores.iter().copied().fold(f64::INFINITY, f64::min);
+    assert!(few.progress.score <= best_random && many.progress.score < 0.8 * best_random);
+    assert_eq!(many.route, again.route);
+    assert_ne!(few.route, many.route);
+}
+
+#[test]
+fn what_a_path_must_not_do_is_named_with_the_first_time() {
+    let cell = Cell::new(irb2400(), 40.0);
+    let sound = cell.robot_path(&cell.search(1, 0));
+    let first = |path: &RobotLog, constraints: &Constraints<'_>, obstacle: Obstacle| {
+        let checked = check(path, constraints, &cell.information()).unwrap();
+        let found = checked.violations.iter().find(|one| one.obstacle == obstacle);
+        found.unwrap_or_else(|| panic!("{obstacle} not among {:?}", checked.violations)).first_s
+    };
+    // The robot's base is turned by a degree from 20 s on.
+    let mut turned = sound.clone();
+    turned
+        .t_s
+        .iter()
+        .zip(&mut turned.q_rad)
+        .filter(|(t_s, _)| **t_s >= 20.0)
+        .for_each(|(_, q)| q[0] += 0.017);
+    let at_s = first(&turned, &cell.constraints(), Obstacle::OffSphere);
+    assert!((at_s - 20.0).abs() < 0.02, "{at_s}");
+    // Twice as fast.
+    let mut fast = sound.clone();
+    fast.t_s.iter_mut().for_each(|t_s| *t_s *= 0.5);
+    first(&fast, &cell.constraints(), Obstacle::Acceleration);
+    // Stricter in one respect each.
+    let checked = cell.check(&sound);
+    let mut boxed = cell.constraints();
+    let end_m = cell.arm.forward(&sound.q_rad[5000]).translation.vector;
+    let corners = [-0.05, 0.05].map(|by| [end_m.x + by, end_m.y + by, end_m.z + by]);
+    boxed.bodies.as_mut().unwrap().boxes_m.push(corners);
+    assert!(first(&sound, &boxed, Obstacle::Collision) <= 20.0);
+    let mut floored = cell.constraints();
+    floored.bodies.as_mut().unwrap().floor_m = Some(end_m.z);
+    first(&sound, &floored, Obstacle::Collision);
+    let narrow = Design {
+        bar_margin_deg: checked.bar_margin_rad.to_degrees() + 0.1,
+        limit_margin_deg: 60.0,
+        dexterity_min: checked.dexterity + 0.001,
+        ..cell.design.clone()
+    };
+    let limits = cell.robot.joint_limits();
+    let strict = Constraints::new(&cell.arm, &cell.bar_chain, &limits, &narrow);
+    first(&sound, &strict, Obstacle::BarSingularity);
+    first(&sound, &strict, Obstacle::JointLimit);
+    // A pause that nobody describes.
+    let mut torn = sound;
+    torn.t_s.iter_mut().skip(3000).for_each(|t_s| *t_s += 2.0);
+    let error = check(&torn, &cell.constraints(), &cell.information()).unwrap_err().to_string();
+    assert!(error.contains("11.996 s"), "{error}");
+}
+
+#[test]
+fn thicker_links_come_nearer_to_the_rod_by_as_much() {
+    let cell = Cell::new(irb2400(), 40.0);
+    let q = cell.search(1, 0).route.robot_rad[0];
+    let clearance_m = |link_radius_m: f64| {
+        let bodies = Bodies { link_radius_m, ..Bodies::for_reach(1.5) };
+        bodies.clearance_m(&cell.arm, &cell.bar_chain, &q)
+    };
+    assert!((clearance_m(0.05) - clearance_m(0.06) - 0.01).abs() < 1e-6);
+    assert_eq!(clearance_m(2.0), 0.0);
+}
+
+/// Numbers between the first pair of these brackets in each line that has `word`.
+fn numbers(program: &str, word: &str, [open, close]: [&str; 2]) -> Vec<Vec<f64>> {
+    let lines = program.lines().filter_map(|line| line.trim_start().strip_prefix(word));
+    lines
+        .map(|line| {
+            let inside = line.split_once(open).unwrap().1.split_once(close).unwrap().0;
+            let number = |text: &str| {
+                let text = text.trim().trim_start_matches('A').trim();
+                text.split_once(' ').map_or(text, |(_, number)| number).parse().unwrap()
+            };
+            inside.split(',').map(number).collect()
+        })
+        .collect()
+}
+
+#[test]
+fn programs_of_controllers_have_the_joints_of_the_path() {
+    let mut cell = Cell::new(irb2400(), 40.0);
+    let path = cell.robot_path(&cell.search(1, 0));
+    let refused = program(Language::Rapid, &path, &cell.robot, &cell.constraints()).unwrap_err();
+    assert!(refused.to_string().contains("motor angles"), "{refused}");
+    // A controller that logs joint angles: joint 2 counts the other way, joint 3 from the horizontal, joint 5 from its middle.
+    cell.robot.log.unit = AngleUnit::Deg;
+    cell.robot.log.raw_offset_rad[4] = 0.5;
+    for (i, row) in cell.robot.log.raw_to_joint.iter_mut().enumerate() {
+        row.iter_mut().enumerate().for_each(|(j, entry)| *entry = if i == j { 1.0 } else { 0.0 });
+    }
+    cell.robot.log.raw_to_joint[1][1] = -1.0;
+    cell.robot.log.raw_to_joint[1][2] = 1.0;
+    // What the controller's own log would show at these times.
+    let mut csv = Vec::new();
+    identify::logs::write(&path, &cell.robot, &mut csv).unwrap();
+    let csv = String::from_utf8(csv).unwrap();
+    let rows = csv.lines().filter(|line| line.starts_with(|c: char| c.is_ascii_digit()));
+    let rows: Vec<Vec<f64>> =
+        rows.map(|row| row.split(',').map(|cell| cell.parse().unwrap()).collect()).collect();
+    for language in [Language::Rapid, Language::Krl, Language::Urscript] {
+        let text = program(language, &path, &cell.robot, &cell.constraints()).unwrap();
+        let (points, to_deg) = match language {
+            Language::Rapid => (numbers(&text, "MoveAbsJ ", ["[[", "]"]), 1.0),
+            Language::Krl => (numbers(&text, "SPTP ", ["{", "}"]), 1.0),
+            Language::Urscript => (numbers(&text, "go(", ["[", "]"]), 1f64.to_degrees()),
+        };
+        let about = text.lines().find(|line| line.contains("points ")).unwrap();
+        let period_s: f64 =
+            about.split("points ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
+        let skipped = if language == Language::Rapid { 0 } else { 1 };
+        assert_eq!(points.len() + skipped, (40.0 / period_s).round() as usize + 1);
+        for (index, point) in points.iter().enumerate() {
+            let row = (index + skipped) as f64 * period_s / 0.004;
+            if (row - row.round()).abs() > 1e-6 {
+                continue;
+            }
+            let row = &rows[row.round() as usize];
+            let same = |(angle, logged): (&f64, &f64)| (angle * to_deg - logged).abs() < 1e-4;
+            assert!(point.iter().zip(&row[1..]).all(same), "{language:?} {index}: {point:?} {row:?}");
+        }
+    }
+}
+
+#[test]
+fn the_command_plans_checks_and_simulates_what_it_planned() {
+    let directory = tempfile::tempdir().unwrap();
+    let out = directory.path();
+    let bar = crate::support::repository("config/ball_bar.toml");
+    let bar = bar.to_str().unwrap();
+    let robot = "irb2400_16.toml";
+    let planned = identify(&["plan", "--bar", bar, "--duration", "40s", "--budget", "2s"], robot, out);
+    assert!(planned.status.success(), "{}", String::from_utf8_lossy(&planned.stderr));
+    let said = String::from_utf8(planned.stdout).unwrap();
+    assert!(said.contains("all constraints are kept"), "{said}");
+    let path: PlannedPath = config::load(&out.join("path.toml")).unwrap();
+    assert_eq!(path.path.duration_s, 40.0);
+    let file = out.join("path.toml");
+    let run = directory.path().join("run");
+    let simulated = identify(&["simulate", "--bar", bar, "--path", file.to_str().unwrap()], robot, &run);
+    assert!(simulated.status.success(), "{}", String::from_utf8_lossy(&simulated.stderr));
+    let other =
+        identify(&["simulate", "--bar", bar, "--path", file.to_str().unwrap()], "nj220_2_7.toml", &run);
+    assert!(!other.status.success() && String::from_utf8_lossy(&other.stderr).contains("is a path of ABB"));
+    let nowhere = identify(&["plan", "--bar", bar, "--base", "9,0,0"], robot, out);
+    assert!(String::from_utf8_lossy(&nowhere.stderr).contains("no pose of the robot holds the bar"));
+}
+
+#[test]
+#[ignore = "plans for a minute and calibrates twelve runs"]
+fn a_planned_path_calibrates_better_than_random_ones_in_the_simulated_laboratory() {
+    let cell = Cell::new(irb2400(), 120.0);
+    let found = cell.search(1, 4000);
+    let start = found.route.robot_rad[0];
+    let planned = PlannedPath {
+        robot: cell.robot.name.clone(),
+        base_m: cell.design.base_m,
+        robot_start_rad: std::array::from_fn(|axis| start[axis]),
+        path: found.route.path.clone(),
+    };
+    let rms = |path: Option<&PlannedPath>| {
+        let squared = (1..=6).map(|seed| {
+            let mut experiment = Experiment::new(&cell.robot, &cell.bar);
+            experiment.errors = StaticErrors::Drawn { seed };
+            experiment.effects = Effects::LABORATORY;
+            experiment.seed = seed;
+            experiment.path = path.cloned();
+            let run = simulate::run(&experiment).unwrap();
+            let config = identify::calibrate::IdentifyConfig::default();
+            let calibration = identify::calibrate::ball_bar::calibrate(
+                &run.cycles,
+                run.encoders.as_slice(),
+                &run.robot_log,
+                &cell.robot,
+                &cell.bar,
+                &config,
+            );
+            position_error_m(&run, &calibration.unwrap(), &cell.robot).powi(2)
+        });
+        (squared.sum::<f64>() / 6.0).sqrt()
+    };
+    let (random_m, planned_m) = (rms(None), rms(Some(&planned)));
+    let expected_m = cell.information().position_m(&found.normal)[0];
+    println!(
+        "position error of the robot: random {random_m:.2e} m, planned {planned_m:.2e}, expected {expected_m:.2e}"
+    );
+    assert!(planned_m < 0.7 * random_m, "{planned_m} {random_m}");
+}
