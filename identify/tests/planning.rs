@@ -283,9 +283,7 @@ fn a_planned_path_calibrates_better_than_random_ones_in_the_simulated_laboratory
         (squared.sum::<f64>() / 6.0).sqrt()
     };
     let (random_m, planned_m) = (rms(None), rms(Some(&planned)));
-    let expected_m = cell.information().position_m(&found.normal)[0];
-    println!(
-        "position error of the robot: random {random_m:.2e} m, planned {planned_m:.2e}, expected {expected_m:.2e}"
-    );
+    let expected = cell.information().position(&found.normal);
+    println!("position error of the robot: random {random_m:.2e} m, planned {planned_m:.2e}, {expected:?}");
     assert!(planned_m < 0.7 * random_m, "{planned_m} {random_m}");
 }

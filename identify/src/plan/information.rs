@@ -23,14 +23,19 @@ const POSTURES: usize = 300;
 /// Rate of the recording \[1/s\]: every sample counts.
 const SAMPLES_PER_S: f64 = 100.0;
 
-/// Uncertainty of a plate's length that counts as known \[m\].
-const KNOWN_SIGMA_M: f64 = 1e-9;
+/// Standard deviation of what counts as known, SI.
+const KNOWN_SIGMA: f64 = 1e-9;
 
-/// What the plate's length, which fixes the scale of all others, is worth.
-#[derive(Debug, Clone, Copy)]
-enum Scale {
-    Known,
-    AsMeasured,
+/// RMS position errors over the robot's workspace that are expected after a calibration \[m\]; infinite where a parameter stays
+/// open.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ExpectedPosition {
+    /// Of an arm whose axes have no errors of their own.
+    pub axes_exact_m: f64,
+    /// With all terms of the axes as wide as their priors.
+    pub with_terms_m: f64,
+    /// And with the uncertainty of the plate's length, to which all lengths are in proportion.
+    pub with_plate_m: f64,
 }
 
 /// What a plan is to be best at.
@@ -55,7 +60,9 @@ pub struct Information {
     /// Mean of `J^T J` of positions over the workspace, of those columns \[m²\].
     weight: DMatrix<f64>,
     criterion: Criterion,
-    /// The plate's length, which no path tells: all lengths are as uncertain as it is.
+    /// Columns of errors of the robot's axes and of the bar's length.
+    terms: Vec<usize>,
+    /// Column of the plate's length, which no path tells: all lengths are as uncertain as it is.
     scale: Option<usize>,
 }
 
@@ -82,7 +89,9 @@ impl Information {
         let mut model = Model::ball_bar(arm, bar_chain).with_drives(DriveTrain::of(robot, arm));
         let tells = WhitenedPose::tells;
         config.set_roles(&mut model, &[], tells)?;
+        let mut terms = Vec::new();
         for kind in config.kinds(&model, tells) {
+            terms.extend_from_slice(&kind.ids);
             model.set_roles(kind.ids, Role::Prior { value: 0.0, sigma: kind.sigma })?;
         }
         // The whole run fixes it well, whatever the path.
@@ -99,8 +108,9 @@ impl Information {
             .collect();
         let weight = position_weight(arm, &robot_columns, &robot.joint_limits());
         let robot_columns = robot_columns.into_iter().map(|(column, _)| column).collect();
+        let terms = terms.into_iter().filter_map(|id| model.column_of(id)).collect();
         let scale = model.column_of(ParameterId::PLATE);
-        Ok(Self { model, noise: config.noise.into(), robot: robot_columns, weight, criterion, scale })
+        Ok(Self { model, noise: config.noise.into(), robot: robot_columns, weight, criterion, terms, scale })
     }
 
     /// Normal equations of poses that are `period_s` apart, each counting as all samples of that time.
@@ -128,12 +138,16 @@ impl Information {
         self.model.columns().len()
     }
 
-    /// Expected covariance of all columns with the priors; none where the poses leave one open.
-    fn covariance(&self, normal: &Normal, scale: Scale) -> Option<DMatrix<f64>> {
+    /// Expected covariance of all columns with the priors, some counting as known; none where the poses leave one open.
+    fn covariance<'c>(
+        &self,
+        normal: &Normal,
+        known: impl IntoIterator<Item = &'c usize>,
+    ) -> Option<DMatrix<f64>> {
         let mut normal = normal.clone();
         normal.add_priors(&self.model.priors(), &self.model.start());
-        if let (Scale::Known, Some(column)) = (scale, self.scale) {
-            normal.matrix[(column, column)] += KNOWN_SIGMA_M.powi(-2);
+        for &column in known {
+            normal.matrix[(column, column)] += KNOWN_SIGMA.powi(-2);
         }
         let factor = ScaledCholesky::new(normal.matrix)?;
         factor.is_complete().then(|| factor.inverse())
@@ -142,11 +156,16 @@ impl Information {
     /// How good normal equations are, smaller is better; infinite where a parameter stays open. The plate counts as known:
     /// its part is the same for all paths.
     pub fn score(&self, normal: &Normal) -> f64 {
-        self.worth(normal, self.criterion, Scale::Known)
+        self.worth(normal, self.criterion, &self.scale)
     }
 
-    fn worth(&self, normal: &Normal, criterion: Criterion, scale: Scale) -> f64 {
-        let Some(covariance) = self.covariance(normal, scale) else { return f64::INFINITY };
+    fn worth<'c>(
+        &self,
+        normal: &Normal,
+        criterion: Criterion,
+        known: impl IntoIterator<Item = &'c usize>,
+    ) -> f64 {
+        let Some(covariance) = self.covariance(normal, known) else { return f64::INFINITY };
         let of_robot = covariance.select_rows(&self.robot).select_columns(&self.robot);
         match criterion {
             Criterion::Position => (&self.weight * of_robot).trace().max(0.0).sqrt(),
@@ -162,15 +181,18 @@ impl Information {
         }
     }
 
-    /// RMS position error over the robot's workspace that is expected \[m\], without and with that of the plate's length;
-    /// infinite where a parameter stays open.
-    pub fn position_m(&self, normal: &Normal) -> [f64; 2] {
-        [Scale::Known, Scale::AsMeasured].map(|scale| self.worth(normal, Criterion::Position, scale))
+    /// What a calibration of a path is expected to leave of position errors.
+    pub fn position(&self, normal: &Normal) -> ExpectedPosition {
+        ExpectedPosition {
+            axes_exact_m: self.worth(normal, Criterion::Position, self.terms.iter().chain(&self.scale)),
+            with_terms_m: self.worth(normal, Criterion::Position, &self.scale),
+            with_plate_m: self.worth(normal, Criterion::Position, []),
+        }
     }
 
     /// Name and expected standard deviation of each parameter, SI, in the order of the columns.
     pub fn sigmas(&self, normal: &Normal) -> Vec<(ParameterId, f64)> {
-        let Some(covariance) = self.covariance(normal, Scale::AsMeasured) else { return Vec::new() };
+        let Some(covariance) = self.covariance(normal, []) else { return Vec::new() };
         let sigma = |column: usize| covariance[(column, column)].max(0.0).sqrt();
         self.model.columns().enumerate().map(|(column, parameter)| (parameter.id, sigma(column))).collect()
     }

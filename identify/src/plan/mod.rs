@@ -18,7 +18,7 @@ pub use bodies::Bodies;
 pub use check::{CheckError, Checked, Violation, check};
 pub use constraints::{Constraints, Obstacle};
 pub use design::Design;
-pub use information::{Criterion, Information};
+pub use information::{Criterion, ExpectedPosition, Information};
 pub use path::{Move, Path};
 pub use programs::{Language, ProgramError, program};
 pub use random::{PlanError, Route, random_route};

@@ -211,6 +211,8 @@ impl Pieces {
                 (old_rad[i] + NUDGE_RAD * by).clamp(low, high)
             }),
         };
+        // Most points that are tried are out of reach: that is known at once.
+        constraints.robot_at(&to_rad, self.robot_rad.get(index + 1).or(self.robot_rad.last())?).ok()?;
         let mut path = Path::at_rest(self.path.start_rad, design);
         for (at, step) in self.path.moves.iter().enumerate() {
             let (to, speed) = if at == index {

@@ -9,12 +9,15 @@ pub fn summary(checked: &Checked, information: &Information, found: Option<&Foun
     let mut text = String::new();
     let mm = |m: f64| format!("{:.4} mm", m * 1e3);
     // Writing to a string cannot fail.
-    let [of_path, with_plate] = information.position_m(&checked.normal).map(mm);
+    let expected = information.position(&checked.normal);
     let _ = writeln!(
         text,
-        "{:.1} s; expected RMS position error over the workspace after a calibration: {of_path},\n\
-         with the uncertainty of the plate {with_plate}; errors that no parameter describes come on top",
+        "{:.1} s; expected RMS position error over the workspace after a calibration, from white noise:\n\
+         {} where the axes have no errors, {} with all terms of the axes, {} with the plate's length, too",
         checked.duration_s,
+        mm(expected.axes_exact_m),
+        mm(expected.with_terms_m),
+        mm(expected.with_plate_m)
     );
     if let Some(found) = found {
         let best = found.random_scores.iter().copied().fold(f64::INFINITY, f64::min);
