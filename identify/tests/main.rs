@@ -51,4 +51,5 @@ mod solver_threads;
 mod spoiled_rows;
 mod stamps;
 mod unknown_tables;
+mod verdict;
 mod wrong_robot;

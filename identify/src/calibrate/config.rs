@@ -167,6 +167,8 @@ pub struct IdentifyConfig {
     pub joint_terms: JointTermsConfig,
     /// With selection `automatic`, the tolerance of the links' numbers \[mm|mrad\].
     pub tolerance_mm_mrad: f64,
+    /// Position error that the calibrated robot may have at most; absent: none is required \[mm\].
+    pub require_mm: Option<f64>,
     /// Parameters expected at their starting value within a standard deviation \[mm, mrad, ms or ppm\].
     pub priors: BTreeMap<String, f64>,
     /// What angles are worth.
@@ -188,6 +190,7 @@ impl Default for IdentifyConfig {
             bar_length_um: 10.0,
             joint_terms: JointTermsConfig::default(),
             tolerance_mm_mrad: 1.0,
+            require_mm: None,
             priors: BTreeMap::new(),
             noise: NoiseConfig::default(),
             prepare: PrepareOptions::default(),
@@ -358,6 +361,15 @@ impl Validate for IdentifyConfig {
             positive(format!("priors.{name}"), sigma)?;
         }
         positive("tolerance_mm_mrad".into(), self.tolerance_mm_mrad)?;
+        if let Some(require_mm) =
+            self.require_mm.filter(|require_mm| !(require_mm.is_finite() && *require_mm > 0.0))
+        {
+            return Err(Violation::new(
+                "require_mm",
+                format!("{require_mm} is no error"),
+                "give millimetres above zero",
+            ));
+        }
         let terms = &self.joint_terms;
         positive("joint_terms.amplitude_urad".into(), terms.amplitude_urad)?;
         positive("joint_terms.ratio_ppm".into(), terms.ratio_ppm)?;

@@ -49,6 +49,17 @@ pub struct CommonArguments {
     /// Directory for calibration.toml
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// Position error that the calibrated robot may have at most, such as 0.2mm; the verdict says whether it is met
+    #[arg(long, value_name = "MM", value_parser = millimetres)]
+    require: Option<f64>,
+}
+
+/// A length above zero, with or without its unit \[mm\].
+fn millimetres(text: &str) -> Result<f64, String> {
+    let number = text.strip_suffix("mm").unwrap_or(text).trim().parse::<f64>().ok();
+    number
+        .filter(|mm| mm.is_finite() && *mm > 0.0)
+        .ok_or_else(|| format!("`{text}` is no length above zero; give millimetres, such as 0.2mm"))
 }
 
 impl CommonArguments {

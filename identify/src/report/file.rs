@@ -12,6 +12,7 @@ use super::earlier::remove_page;
 use super::force::ForceEntry;
 use super::knowledge::{CovarianceEntry, Knowledge};
 use super::validation::{HeldOutEntry, OtherCostEntry, RowsEntry};
+use super::verdict::Verdict;
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::calibrate::terms::Candidate;
 use crate::cost::SharedColumns;
@@ -233,6 +234,9 @@ pub struct CalibrationFile {
     pub robot: String,
     /// What it was measured with.
     pub instrument: String,
+    /// What it is worth; files of earlier versions have none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub verdict: Option<Verdict>,
     /// Solve.
     pub solve: SolveEntry,
     /// Clocks, where there are two.
@@ -286,6 +290,7 @@ impl CalibrationFile {
             software: software().into(),
             robot: robot.to_owned(),
             instrument: instrument.to_owned(),
+            verdict: None,
             solve,
             clock,
             other_clocks: Vec::new(),
@@ -312,8 +317,8 @@ impl CalibrationFile {
         (self.parameters.iter().filter(|entry| untold == 0 || !is_wave(entry)).collect(), untold)
     }
 
-    /// Writes `calibration.toml`, the same with the covariance as `calibration.json`, and `dh.csv` (see [`CalibrationFile::dh_csv`]) into the
-    /// directory, each whole under its name or not at all. A `report.html` of ours that is there is removed. Returns the path
+    /// Writes `calibration.toml`, the same with the covariance as `calibration.json`, and, where it may be applied, `dh.csv`
+    /// (see [`CalibrationFile::dh_csv`]) into the directory, each whole under its name or not at all. A `report.html` of ours that is there is removed. Returns the path
     /// of the first.
     ///
     /// # Errors
@@ -324,7 +329,9 @@ impl CalibrationFile {
         let table = self.dh_csv()?;
         remove_page(directory)?;
         replace(directory, "calibration.json", &json)?;
-        replace(directory, "dh.csv", &table)?;
+        if self.may_be_applied() {
+            replace(directory, "dh.csv", &table)?;
+        }
         replace(directory, "calibration.toml", &text)
     }
 

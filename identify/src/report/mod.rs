@@ -16,6 +16,7 @@ pub mod side_by_side;
 pub mod table;
 pub mod urdf;
 pub mod validation;
+pub mod verdict;
 
 pub use page::picture;
 pub use read::CalibrationReadError;

@@ -1,6 +1,6 @@
 //! Files about the identified robot for other programs, beside a calibration.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use shared::config::{BallBarConfig, RobotConfig};
 
@@ -40,7 +40,8 @@ impl CalibrationFile {
         chain
     }
 
-    /// Writes `robot.urdf` and `corrections.csv` into the directory, each whole or not at all.
+    /// Writes `robot.urdf` and `corrections.csv` into the directory, each whole or not at all. Returns their
+    /// paths.
     ///
     /// # Errors
     /// [`RobotFileError`].
@@ -49,10 +50,9 @@ impl CalibrationFile {
         robot: &RobotConfig,
         bar: Option<&BallBarConfig>,
         directory: &Path,
-    ) -> Result<(), RobotFileError> {
+    ) -> Result<[PathBuf; 2], RobotFileError> {
         let table = csv(&corrections(self, robot)?).map_err(FileError::from)?;
-        replace(directory, "robot.urdf", &urdf(robot, &self.robot_chain(robot, bar), bar))?;
-        replace(directory, "corrections.csv", &table)?;
-        Ok(())
+        let urdf = replace(directory, "robot.urdf", &urdf(robot, &self.robot_chain(robot, bar), bar))?;
+        Ok([urdf, replace(directory, "corrections.csv", &table)?])
     }
 }

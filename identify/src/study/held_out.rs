@@ -1,10 +1,12 @@
 //! Robot against bar on stretches of time that no fit has seen, before and after calibration.
 
+use super::nominal::bar_fitted;
 use super::{rms, uncalibrated};
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::calibrate::held_out::Stretch;
 use crate::cost::{Closure, closures};
-use crate::model::Geometry;
+use crate::kinematics::LinkParameter;
+use crate::model::{Geometry, Model, Observation, ParameterId};
 
 /// Robot against bar at one sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -42,7 +44,8 @@ pub struct HeldOutStretch {
     pub run: usize,
     /// Nominal robot, the bar fitted to it on the rest of the run.
     pub nominal: Vec<Apart>,
-    /// Robot, bar and clocks as fitted to everything else.
+    /// Robot, bar and clocks as fitted to everything else; with a cost that leaves encoders out, the bar fitted as to the nominal
+    /// robot.
     pub predicted: Vec<Apart>,
     /// The whole fit, which has seen the stretch.
     pub fitted: Vec<Apart>,
@@ -80,7 +83,15 @@ impl HeldOut {
 
 /// Looks at each stretch with the parameters that were found without it.
 pub fn held_out(calibration: &BallBarCalibration, stretches: &[Stretch]) -> HeldOut {
-    let by_encoders = calibration.measured().contains(&true);
+    let measured = calibration.measured();
+    let by_encoders = measured.contains(&true);
+    let is_estimated =
+        |link| calibration.cost.tells(&measured, ParameterId::Bar { link, parameter: LinkParameter::Theta });
+    // A cost without some of the encoders leaves their offsets as they were: robots are compared, each with its bar fitted.
+    let all_estimated = measured.iter().enumerate().all(|(link, measured)| !measured || is_estimated(link));
+    let geometry = |model: &Model, motion: &_, observations: &[Observation]| {
+        if all_estimated { model.geometry(&[]) } else { bar_fitted(model.clone(), motion, observations) }
+    };
     let runs: Vec<_> = calibration.runs().collect();
     let mut all = HeldOut::default();
     for stretch in stretches {
@@ -96,8 +107,8 @@ pub fn held_out(calibration: &BallBarCalibration, stretches: &[Stretch]) -> Held
         all.stretches.push(HeldOutStretch {
             run: stretch.run,
             nominal: at(&uncalibrated(model, &prepared.motion, &stretch.others)),
-            predicted: at(&model.geometry(&[])),
-            fitted: at(&whole.geometry(&[])),
+            predicted: at(&geometry(model, &prepared.motion, &stretch.others)),
+            fitted: at(&geometry(whole, &prepared.motion, &prepared.observations)),
         });
     }
     all

@@ -16,12 +16,23 @@ pub fn uncalibrated(model: &Model, motion: &impl RobotMotion, observations: &[Ob
     let mut nominal = model.clone();
     let all: Vec<_> = model.parameters().iter().map(|parameter| (parameter.id, parameter.nominal)).collect();
     for (id, value) in all {
-        // The model has each of its own parameters.
-        let _ = nominal.set_role(id, Role::Fixed);
         if of_robot(id) {
+            // The model has each of its own parameters.
             let _ = nominal.set_value(id, value);
         }
     }
+    bar_fitted(nominal, motion, observations)
+}
+
+/// The model's robot as it is, and the bar's place and encoder offsets fitted to that. Where the fit fails the bar stays.
+pub(super) fn bar_fitted(
+    mut model: Model,
+    motion: &impl RobotMotion,
+    observations: &[Observation],
+) -> Geometry {
+    let all: Vec<_> = model.parameters().iter().map(|parameter| parameter.id).collect();
+    // The model has each of its own parameters.
+    let _ = model.set_roles(all.iter().copied(), Role::Fixed);
     let five = observations.iter().all(|observation| observation.measured == [true; 5]);
     let fitted = |id: ParameterId| match id {
         ParameterId::Base(_) | ParameterId::BaseRotation(_) => true,
@@ -31,18 +42,16 @@ pub fn uncalibrated(model: &Model, motion: &impl RobotMotion, observations: &[Ob
         }
         _ => false,
     };
-    let ids: Vec<_> =
-        model.parameters().iter().map(|parameter| parameter.id).filter(|id| fitted(*id)).collect();
-    let _ = nominal.set_roles(ids, Role::Free);
+    let _ = model.set_roles(all.into_iter().filter(|id| fitted(*id)), Role::Free);
     let x = if five {
-        fit(&nominal, motion, observations, Transform)
+        fit(&model, motion, observations, Transform)
     } else {
-        fit(&nominal, motion, observations, Position)
+        fit(&model, motion, observations, Position)
     };
     if let Some(x) = x {
-        nominal.adopt(&x);
+        model.adopt(&x);
     }
-    nominal.geometry(&nominal.start())
+    model.geometry(&model.start())
 }
 
 fn fit<R: Residual>(

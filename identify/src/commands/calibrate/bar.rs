@@ -9,6 +9,7 @@ use shared::output::{say, show};
 
 use super::experiment::Experiment;
 use super::force_logs::force_logs;
+use super::result::{conclude, write_files};
 use super::sources::sources;
 use super::{CommonArguments, inputs, refused};
 use crate::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
@@ -96,6 +97,7 @@ fn identify_config(arguments: &BarArguments) -> anyhow::Result<IdentifyConfig> {
     config.cost = arguments.cost.or(config.cost);
     config.loss = arguments.loss.or(config.loss);
     config.ransac |= arguments.ransac;
+    config.require_mm = arguments.common.require.or(config.require_mm);
     config.selection = arguments.selection.unwrap_or(config.selection);
     config.free.extend_from_slice(&arguments.free);
     config.fix.extend_from_slice(&arguments.fix);
@@ -219,8 +221,9 @@ pub(super) fn calibrate(arguments: &BarArguments, config: &IdentifyConfig) -> an
     let mut file = calibration_file(arguments, robot, &runs, &calibration)?.with_validation(&evidence);
     let mut forces = ForceEntry::all(&evidence.spheres).into_iter();
     (file.force, file.other_forces) = (forces.next(), forces.collect());
-    let written = file.write(&arguments.common.out)?;
-    file.write_robot(robot, runs.first().map(|run| &run.bar), &arguments.common.out)?;
+    let file =
+        file.with_verdict(&evidence.workspace, &evidence.limits, config.require_mm.map(|mm| mm * 1e-3));
+    let written = write_files(&file, robot, runs.first().map(|run| &run.bar), &arguments.common.out)?;
     let page = Page {
         file: &file,
         calibration: &calibration,
@@ -231,14 +234,14 @@ pub(super) fn calibrate(arguments: &BarArguments, config: &IdentifyConfig) -> an
     let page = page.write(&arguments.common.out)?;
     Experiment::of_bars(arguments, config).write(&arguments.common.out)?;
     show(table::calibration(&file))?;
-    for limit in evidence.limits.iter().filter(|limit| limit.serious) {
+    let reason = file.verdict.as_ref().and_then(|verdict| verdict.reason.as_ref());
+    for limit in evidence.limits.iter().filter(|limit| limit.serious && Some(&limit.sentence) != reason) {
         say(format_args!("! {}", limit.sentence))?;
     }
     if let Some(truth) = &truth {
         show(format_args!("\n{}", table::comparison(&Comparison::new(&calibration, truth))))?;
     }
-    say(format_args!("\n{}\n{}", written.display(), page.display()))?;
-    Ok(())
+    conclude(&file, &written, &page)
 }
 
 /// Every file that was read, with what it is.

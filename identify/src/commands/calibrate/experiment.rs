@@ -143,10 +143,13 @@ impl Validate for Experiment {
             }
         }
         // What rows alone are told; a mix refuses what it cannot follow by itself.
-        let taken = IdentifyConfig { fix: self.identify.fix.clone(), ..IdentifyConfig::default() };
+        let IdentifyConfig { fix, require_mm, .. } = self.identify.clone();
+        let taken = IdentifyConfig { fix, require_mm, ..IdentifyConfig::default() };
         let taken = match (&self.trackers[..], &self.wires[..]) {
-            ([_], []) => Some((IdentifyConfig { loss: self.identify.loss, ..taken }, "fix and loss")),
-            ([], [_]) => Some((taken, "fix")),
+            ([_], []) => {
+                Some((IdentifyConfig { loss: self.identify.loss, ..taken }, "fix, loss and require_mm"))
+            }
+            ([], [_]) => Some((taken, "fix and require_mm")),
             _ => None,
         };
         if let Some((_, keys)) = taken.filter(|(taken, _)| self.bars.is_empty() && *taken != self.identify) {
@@ -212,7 +215,8 @@ impl Experiment {
             joint_waves: None,
             validate: Vec::new(),
         };
-        (Self::new(&common.robot, IdentifyConfig { fix, ..IdentifyConfig::default() }), row_file)
+        let identify = IdentifyConfig { fix, require_mm: common.require, ..IdentifyConfig::default() };
+        (Self::new(&common.robot, identify), row_file)
     }
 
     /// All of its paths.
@@ -276,7 +280,8 @@ impl Experiment {
     }
 
     fn common(&self, out: &Path) -> CommonArguments {
-        CommonArguments { robot: self.robot.clone(), out: out.to_owned() }
+        let require = self.identify.require_mm;
+        CommonArguments { robot: self.robot.clone(), out: out.to_owned(), require }
     }
 
     fn row_arguments(&self, rows: &RowFile) -> anyhow::Result<RowArguments> {

@@ -1,5 +1,7 @@
 //! What is written and printed of a calibration from rows or from a mix.
 
+use std::path::{Path, PathBuf};
+
 use anyhow::Context;
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::output::{say, show};
@@ -9,6 +11,7 @@ use crate::model::Model;
 use crate::report::file::CalibrationFile;
 use crate::report::page::{Measured, MeasuredPage};
 use crate::report::table;
+use crate::report::verdict::Grade;
 use crate::solver::Solution;
 use crate::study::workspace_error;
 
@@ -30,13 +33,14 @@ pub(super) struct Told<'a> {
 
 impl Told<'_> {
     /// Writes all files and the page into the directory and prints what a person needs at once.
-    pub(super) fn write(self, directory: &std::path::Path) -> anyhow::Result<()> {
+    pub(super) fn write(self, directory: &Path) -> anyhow::Result<()> {
         let Self { robot, bar, file, model, solution, data_sets, tables, experiment } = self;
-        let written = file.write(directory)?;
-        file.write_robot(robot, bar, directory)?;
+        let workspace = workspace_error(model, &solution.covariance, &robot.joint_limits());
+        let file = file.with_verdict(&workspace, &[], experiment.identify.require_mm.map(|mm| mm * 1e-3));
+        let written = write_files(&file, robot, bar, directory)?;
         let page = MeasuredPage {
             file: &file,
-            workspace: &workspace_error(model, &solution.covariance, &robot.joint_limits()),
+            workspace: &workspace,
             data_sets: &data_sets,
             tables: &tables,
             configuration: &experiment.write(directory)?,
@@ -44,7 +48,43 @@ impl Told<'_> {
         let page = page.write(directory).with_context(|| directory.display().to_string())?;
         show(table::calibration(&file))?;
         show(format_args!("\n{tables}"))?;
-        say(format_args!("\n{}\n{}", written.display(), page.display()))?;
-        Ok(())
+        conclude(&file, &written, &page)
     }
+}
+
+/// Writes what the verdict allows and returns the paths: nothing where held-out data are predicted worse than by the nominal
+/// robot, and nothing that could be applied where they are predicted no better. What an earlier calibration left of it is
+/// set aside.
+pub(super) fn write_files(
+    file: &CalibrationFile,
+    robot: &RobotConfig,
+    bar: Option<&BallBarConfig>,
+    directory: &Path,
+) -> anyhow::Result<Vec<PathBuf>> {
+    if !file.may_be_applied() {
+        file.set_earlier_aside(directory)?;
+    }
+    if is_red(file) {
+        return Ok(Vec::new());
+    }
+    let mut written = vec![file.write(directory)?];
+    if file.may_be_applied() {
+        written.extend(file.write_robot(robot, bar, directory)?);
+    }
+    Ok(written)
+}
+
+fn is_red(file: &CalibrationFile) -> bool {
+    file.verdict.as_ref().is_some_and(|verdict| verdict.grade == Grade::Red)
+}
+
+/// The last lines: verdict and files.
+pub(super) fn conclude(file: &CalibrationFile, written: &[PathBuf], page: &Path) -> anyhow::Result<()> {
+    let verdict = file.verdict.as_ref().map(ToString::to_string).unwrap_or_default();
+    anyhow::ensure!(!is_red(file), "{verdict}\nnot calibrated: {} shows what was found", page.display());
+    say(format_args!("\n{verdict}"))?;
+    for path in written.iter().map(PathBuf::as_path).chain([page]) {
+        say(format_args!("{}", path.display()))?;
+    }
+    Ok(())
 }

@@ -6,7 +6,7 @@ use maud::{Markup, html};
 
 use super::figures::{WIDE, dots, gap_over_time};
 use super::plot::{BLUE, GREY, ORANGE, Panel, PlotError};
-use super::sections::{candidates, dependence, expected, mm, parameters, repeated_with, svg};
+use super::sections::{candidates, colour, dependence, expected, judged, mm, parameters, repeated_with, svg};
 use super::{PageError, document};
 use crate::calibrate::measured_pose::{PoseFigures, RowErrors, Sizes};
 use crate::instrument::Apart;
@@ -110,8 +110,8 @@ impl MeasuredPage<'_> {
             format!("mean {} mm, 95 % {} mm, largest {} mm", mm(mean), mm(p95), mm(max))
         };
         html! {
-            div.verdict {
-                strong { "Calibrated. " }
+            div class=(colour(self.file)) {
+                (judged(self.file))
                 "The expected position error of the robot over its workspace falls from "
                 b { (mm(before.mean_m)) " mm" } " to " b { (mm(after.mean_m)) " mm" } "."
                 @for (name, nominal, calibrated) in &held_out {

@@ -6,7 +6,8 @@ use super::plot::PlotError;
 use super::{Page, correlations, figures};
 use crate::model::{ParameterId, Unit};
 use crate::report::file::{CalibrationFile, Input, ParameterEntry, Status};
-use crate::study::{Expected, Quantiles};
+use crate::report::verdict::Grade;
+use crate::study::{Expected, Limit, Quantiles};
 
 /// mm with as many digits as mean something.
 pub(super) fn mm(metres: f64) -> String {
@@ -33,9 +34,33 @@ pub(super) fn expected(label: &str, expected: &Expected) -> Markup {
     } }
 }
 
+/// The colour of a verdict, as its class of the page's style.
+pub(super) fn colour(file: &CalibrationFile) -> &'static str {
+    match file.verdict.as_ref().map(|verdict| verdict.grade) {
+        Some(Grade::Red) => "verdict refused",
+        Some(Grade::Amber) => "verdict doubt",
+        Some(Grade::Green) | None => "verdict",
+    }
+}
+
+/// Whether it is calibrated, and the one reason for doubt.
+pub(super) fn judged(file: &CalibrationFile) -> Markup {
+    let verdict = file.verdict.as_ref();
+    let red = verdict.is_some_and(|verdict| verdict.grade == Grade::Red);
+    html! {
+        strong { @if red { "Not calibrated. " } @else { "Calibrated. " } }
+        @if let Some(reason) = verdict.and_then(|verdict| verdict.reason.as_ref()) { b { (reason) } " " }
+        @else if let Some(required_m) = verdict.and_then(|verdict| verdict.required_m) {
+            "The required " (mm(required_m)) " mm are met. "
+        }
+    }
+}
+
 pub(super) fn verdict(page: &Page<'_>) -> Markup {
     let workspace = &page.evidence.workspace;
-    let limits = &page.evidence.limits;
+    let reason = page.file.verdict.as_ref().and_then(|verdict| verdict.reason.as_ref());
+    let limits = page.evidence.limits.iter().filter(|limit| Some(&limit.sentence) != reason);
+    let limits: Vec<&Limit> = limits.collect();
     let (before, after) = (&workspace.before, &workspace.after);
     let gap = |label: &str, gap: &Quantiles| {
         html! { div.number {
@@ -44,8 +69,8 @@ pub(super) fn verdict(page: &Page<'_>) -> Markup {
         } }
     };
     html! {
-        div.verdict.doubt[limits.iter().any(|limit| limit.serious)] {
-            strong { "Calibrated. " }
+        div class=(colour(page.file)) {
+            (judged(page.file))
             "The expected position error of the robot over its workspace falls from "
             b { (mm(before.mean_m)) " mm" } " to " b { (mm(after.mean_m)) " mm" } "."
             @if let Some(held_out) = page.evidence.held_out.as_ref().filter(|one| !one.stretches.is_empty()) {

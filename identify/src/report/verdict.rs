@@ -1,0 +1,190 @@
+//! What a calibration is worth, by two questions: does it predict data that no fit has seen better than the nominal robot, in
+//! position and in rotation; and is the robot then as accurate as it must be?
+
+use std::fmt;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use statrs::distribution::{ContinuousCDF, Normal};
+
+use super::earlier::Earlier;
+use super::file::{CalibrationFile, FileError};
+use crate::study::{Limit, WorkspaceError};
+
+/// Chance that a calibration that is as good as the nominal robot is called worse.
+const WORSE_BY_CHANCE: f64 = 1e-3;
+/// Samples of a segment share their errors: it counts as one independent error along each axis.
+const INDEPENDENT_OF_SEGMENT: usize = 3;
+
+/// In the colours of a page.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Grade {
+    /// Better than the nominal robot and, where an accuracy is required, as accurate.
+    Green,
+    /// One of both is open or missed.
+    Amber,
+    /// Worse than the nominal robot: nothing of it may be applied.
+    Red,
+}
+
+/// What a calibration is worth.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Verdict {
+    /// Both questions in one word.
+    pub grade: Grade,
+    /// Held-out data are predicted better than with the nominal robot; absent where nothing was held out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub better: Option<bool>,
+    /// Position error that was required \[m\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub required_m: Option<f64>,
+    /// The one thing that limits most, as a sentence.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reason: Option<String>,
+}
+
+impl fmt::Display for Verdict {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let grade = match self.grade {
+            Grade::Green => "green",
+            Grade::Amber => "amber",
+            Grade::Red => "red",
+        };
+        write!(f, "verdict {grade}: ")?;
+        match (&self.reason, self.required_m) {
+            (Some(reason), _) => f.write_str(reason),
+            (None, Some(required_m)) => write!(
+                f,
+                "better than the nominal robot on data that no fit has seen, and within the required {:.3} mm",
+                required_m * 1e3
+            ),
+            (None, None) => f.write_str(
+                "better than the nominal robot on data that no fit has seen; --require 0.2mm also asks whether that is enough",
+            ),
+        }
+    }
+}
+
+/// Root mean square of held-out errors.
+struct Predicted {
+    what: String,
+    nominal: f64,
+    calibrated: f64,
+    /// Independent numbers behind each of both.
+    independent: usize,
+    unit: &'static str,
+    is_position: bool,
+}
+
+impl Predicted {
+    fn is_better(&self) -> bool {
+        self.calibrated < self.nominal
+    }
+
+    /// The logarithm of a root mean square of `n` normal errors has a variance of `1 / 2n`, the difference of two `1 / n` at
+    /// most: they are of the same rows.
+    fn is_worse_beyond_chance(&self) -> bool {
+        let sigma = (self.independent.max(1) as f64).sqrt().recip();
+        self.calibrated > self.nominal * (Normal::standard().inverse_cdf(1.0 - WORSE_BY_CHANCE) * sigma).exp()
+    }
+
+    fn sentence(&self) -> String {
+        let Self { what, nominal, calibrated, unit, .. } = self;
+        format!(
+            "{what} are {:.3} {unit} off (RMS), with the nominal robot {:.3} {unit}",
+            calibrated * 1e3,
+            nominal * 1e3
+        )
+    }
+}
+
+impl CalibrationFile {
+    /// Adds the verdict of what is in the file, of the error that is expected over the workspace, and of what limits it.
+    pub fn with_verdict(
+        mut self,
+        workspace: &WorkspaceError,
+        limits: &[Limit],
+        required_m: Option<f64>,
+    ) -> Self {
+        let predicted = self.predicted();
+        let better = (!predicted.is_empty()).then(|| predicted.iter().all(Predicted::is_better));
+        let worse = predicted.iter().find(|one| one.is_worse_beyond_chance());
+        let (grade, reason) = if let Some(worse) = worse {
+            let reason = format!(
+                "It predicts worse than the nominal robot what it has not seen: {}. Free fewer parameters, measure poses that are \
+                 spread further, or take the usual cost.",
+                worse.sentence()
+            );
+            (Grade::Red, Some(reason))
+        } else {
+            let same = predicted.iter().find(|one| !one.is_better()).map(|same| {
+                format!(
+                    "It predicts what it has not seen no better than the nominal robot: {}.",
+                    same.sentence()
+                )
+            });
+            let serious = || limits.iter().find(|limit| limit.serious).map(|limit| limit.sentence.clone());
+            let unknown = || better.is_none().then(|| "Nothing was held out to judge it by.".to_owned());
+            let missed = || missed(workspace, &predicted, required_m);
+            let reason = same.or_else(missed).or_else(serious).or_else(unknown);
+            (if reason.is_some() { Grade::Amber } else { Grade::Green }, reason)
+        };
+        self.verdict = Some(Verdict { grade, better, required_m, reason });
+        self
+    }
+
+    /// Held-out data do not say that the nominal robot is as good.
+    pub fn may_be_applied(&self) -> bool {
+        self.verdict.as_ref().and_then(|verdict| verdict.better) != Some(false)
+    }
+
+    /// Moves the files of an earlier calibration that is in the directory to a place of their own.
+    ///
+    /// # Errors
+    /// [`FileError::Io`].
+    pub fn set_earlier_aside(&self, directory: &Path) -> Result<(), FileError> {
+        Earlier::in_directory(directory).map_or(Ok(()), |earlier| earlier.set_aside().map(drop))
+    }
+
+    /// Held-out errors of each data set.
+    fn predicted(&self) -> Vec<Predicted> {
+        let mut all = Vec::new();
+        let mut add = |what: &str, independent: usize, position: [f64; 2], rotation: Option<[f64; 2]>| {
+            let position = (format!("Positions of {what}"), "mm", position, true);
+            let rotation = rotation.map(|rotation| (format!("Rotations of {what}"), "mrad", rotation, false));
+            for (what, unit, [nominal, calibrated], is_position) in std::iter::once(position).chain(rotation)
+            {
+                all.push(Predicted { what, nominal, calibrated, independent, unit, is_position });
+            }
+        };
+        if let Some(held_out) = &self.held_out {
+            let [before, after] = [held_out.nominal, held_out.calibrated];
+            let rotation = before.rotation_rad.zip(after.rotation_rad).map(<[f64; 2]>::from);
+            let independent = INDEPENDENT_OF_SEGMENT * held_out.stretches;
+            add("held-out segments", independent, [before.position_m, after.position_m], rotation);
+        }
+        for rows in &self.rows {
+            let [before, after] = [&rows.held_out.nominal, &rows.held_out.joints];
+            let rotations = before.rotation_rad.as_ref().zip(after.rotation_rad.as_ref());
+            let rotation = rotations.map(|(before, after)| [before.rms, after.rms]);
+            let what = format!("held-out rows of data set {}", rows.data_set);
+            add(&what, after.rows, [before.position_m.rms, after.position_m.rms], rotation);
+        }
+        all
+    }
+}
+
+/// Why the requirement is not met.
+fn missed(workspace: &WorkspaceError, predicted: &[Predicted], required_m: Option<f64>) -> Option<String> {
+    let required_m = required_m?;
+    let expected_m = workspace.after.p95_m;
+    let of_workspace = (expected_m > required_m).then(|| {
+        format!("the expected error is below {:.3} mm over 95 % of the workspace", expected_m * 1e3)
+    });
+    let missed = of_workspace.or_else(|| {
+        let one = predicted.iter().find(|one| one.is_position && one.calibrated > required_m)?;
+        Some(one.sentence())
+    })?;
+    Some(format!("The required {:.3} mm are not met: {missed}.", required_m * 1e3))
+}

@@ -1,0 +1,136 @@
+//! What a calibration is worth: green, amber or red, and which files a person gets to apply.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use std::path::Path;
+
+use crate::support::command::identify;
+use crate::support::{irb2400, lengths, repository};
+use identify::report::file::{CalibrationFile, SolveEntry};
+use identify::report::validation::{ApartEntry, HeldOutEntry};
+use identify::report::verdict::{Grade, Verdict};
+use identify::study::{Expected, Limit, WorkspaceError};
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+
+/// Root mean squares \[mm, mrad\], nominal and calibrated.
+fn judged(position: [f64; 2], rotation: [f64; 2], limits: &[Limit], required_m: Option<f64>) -> Verdict {
+    let solve = SolveEntry {
+        cost: "pose".into(),
+        ended: String::new(),
+        iterations: 1,
+        samples: 1500,
+        parameters: 40,
+        condition: 1.0,
+        residual_rms_start: 1.0,
+        residual_rms: 1.0,
+    };
+    let mut file = CalibrationFile::new("robot", "bar", solve, None, Vec::new(), Vec::new());
+    let entry =
+        |at: usize| ApartEntry { position_m: position[at] * 1e-3, rotation_rad: Some(rotation[at] * 1e-3) };
+    file.held_out =
+        Some(HeldOutEntry { stretches: 8, nominal: entry(0), calibrated: entry(1), fitted: entry(1) });
+    let after = Expected { mean_m: 0.05e-3, p95_m: 0.1e-3, interval_m: [0.02e-3, 0.08e-3] };
+    let workspace = WorkspaceError { after, ..WorkspaceError::default() };
+    file.with_verdict(&workspace, limits, required_m).verdict.unwrap()
+}
+
+#[test]
+fn a_rotation_that_is_predicted_worse_than_by_the_nominal_robot_is_red_however_good_the_position() {
+    let red = judged([1.0, 0.2], [1.33, 3.07], &[], Some(0.5e-3));
+    assert_eq!((red.grade, red.better), (Grade::Red, Some(false)));
+    let reason = red.reason.unwrap();
+    assert!(reason.contains("3.070 mrad") && reason.contains("1.330 mrad"), "{reason}");
+    assert_eq!(judged([0.2, 1.0], [1.0, 0.5], &[], None).grade, Grade::Red);
+}
+
+#[test]
+fn as_good_as_the_nominal_robot_but_for_chance_is_amber_and_not_for_use() {
+    let same = judged([0.020, 0.021], [0.5, 0.4], &[], None);
+    assert_eq!((same.grade, same.better), (Grade::Amber, Some(false)));
+}
+
+#[test]
+fn green_needs_both_answers_and_amber_names_what_is_missed() {
+    let good = |limits: &[Limit], required_m| judged([1.0, 0.05], [1.0, 0.1], limits, required_m);
+    assert_eq!(good(&[], None).grade, Grade::Green);
+    assert_eq!(good(&[], Some(0.2e-3)).grade, Grade::Green);
+    for (required_m, why) in [(0.08e-3, "95 % of the workspace"), (0.04e-3, "95 % of the workspace")] {
+        let missed = good(&[], Some(required_m));
+        assert_eq!(missed.grade, Grade::Amber);
+        assert!(missed.reason.unwrap().contains(why));
+    }
+    // The covariance promises what held-out data do not hold.
+    let belied = judged([1.0, 0.4], [1.0, 0.1], &[], Some(0.2e-3)).reason.unwrap();
+    assert!(belied.contains("0.200 mm") && belied.contains("0.400 mm"), "{belied}");
+    let limit = |serious| Limit { sentence: "Joint 3 turned by 2 degrees only.".into(), serious };
+    assert_eq!(good(&[limit(false)], None).grade, Grade::Green);
+    assert_eq!(good(&[limit(true)], None).reason.unwrap(), limit(true).sentence);
+}
+
+fn wire(csv: &str, extra: &[&str], out: &Path) -> (std::process::Output, Vec<String>) {
+    let inputs = tempfile::tempdir().unwrap();
+    let path = inputs.path().join("lengths.csv");
+    std::fs::write(&path, csv).unwrap();
+    let mapping = repository("config/measured_length.toml");
+    let arguments = ["calibrate", "wire", path.to_str().unwrap(), "--mapping", mapping.to_str().unwrap()];
+    let output = identify(&[&arguments[..], extra].concat(), "irb2400_16.toml", out);
+    let mut files: Vec<String> = std::fs::read_dir(out)
+        .unwrap()
+        .map(|one| one.unwrap().file_name().to_string_lossy().into_owned())
+        .collect();
+    files.sort();
+    (output, files)
+}
+
+/// Lengths of a robot with millimetres of error in two of its links, and noise of 20 um.
+fn of_another_robot() -> String {
+    let mut robot = irb2400();
+    robot.links[1].a_m += 2e-3;
+    robot.links[3].d_m += 3e-3;
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    // The controller's own positions would be those of the nominal robot.
+    let csv = lengths::table(&robot, 300, 12.0);
+    let nominal = lengths::table(&irb2400(), 300, 12.0);
+    let rows = csv.lines().zip(nominal.lines()).map(|(measured, row)| {
+        let (row, length) = (row.rsplit_once(',').unwrap().0, measured.rsplit_once(',').unwrap().1);
+        match length.parse::<f64>() {
+            Ok(length) => format!("{row},{:.3}\n", length + 0.02 * (2.0 * random.random::<f64>() - 1.0)),
+            Err(_) => format!("{measured}\n"),
+        }
+    });
+    rows.collect()
+}
+
+#[test]
+fn a_required_accuracy_is_judged_and_repeated_for_every_instrument() {
+    let csv = of_another_robot();
+    for (required, grade) in [("10mm", "green"), ("0.001mm", "amber")] {
+        let out = tempfile::tempdir().unwrap();
+        let (output, files) = wire(&csv, &["--require", required], out.path());
+        let text = String::from_utf8_lossy(&output.stdout);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        assert!(text.contains(&format!("verdict {grade}: ")), "{text}");
+        assert!(files.iter().any(|file| file == "robot.urdf"), "{files:?}");
+        let experiment = std::fs::read_to_string(out.path().join("experiment.toml")).unwrap();
+        assert!(experiment.contains("require_mm"), "{experiment}");
+        let page = std::fs::read_to_string(out.path().join("report.html")).unwrap();
+        assert_eq!(page.contains("<div class=\"verdict doubt\">"), grade == "amber");
+    }
+    let out = tempfile::tempdir().unwrap();
+    let (output, files) = wire(&csv, &["--require", "0"], out.path());
+    assert!(!output.status.success() && files.is_empty());
+    assert!(String::from_utf8_lossy(&output.stderr).contains("no length above zero"));
+}
+
+#[test]
+fn nothing_to_apply_is_written_where_the_nominal_robot_is_as_good_and_what_was_there_is_set_aside() {
+    let out = tempfile::tempdir().unwrap();
+    let (_, files) = wire(&of_another_robot(), &[], out.path());
+    assert!(files.iter().any(|file| file == "corrections.csv"), "{files:?}");
+    let (output, files) = wire(&lengths::table(&irb2400(), 300, 12.0), &[], out.path());
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success() && text.contains("verdict amber: "), "{text}");
+    assert_eq!(files, ["calibration.json", "calibration.toml", "earlier", "experiment.toml", "report.html"]);
+    assert!(out.path().join("earlier/corrections.csv").exists());
+}
