@@ -7,8 +7,8 @@ use std::time::Duration;
 use identify::kinematics::{Chain, ball_bar_chain, robot_chain};
 use identify::logs::RobotLog;
 use identify::plan::{
-    Bodies, Checked, Constraints, Criterion, Design, Found, Information, Language, Obstacle, PlannedPath,
-    check, program, robot_path, search,
+    Bodies, Checked, Constraints, Criterion, Design, Found, Information, Language, Obstacle, PlaceRequest,
+    PlannedPath, check, places, program, robot_path, search,
 };
 use identify::simulate::{self, Effects, Experiment, StaticErrors};
 use nalgebra::Vector3;
@@ -29,8 +29,11 @@ struct Cell {
 
 impl Cell {
     fn new(robot: RobotConfig, duration_s: f64) -> Self {
-        let bar = bar();
         let design = Design { duration_s, ..Design::for_robot(&robot) };
+        Self::with(robot, bar(), design)
+    }
+
+    fn with(robot: RobotConfig, bar: BallBarConfig, design: Design) -> Self {
         let mut bar_chain = ball_bar_chain(&bar);
         bar_chain.root_from_base.translation.vector = design.base_m.into();
         Self { arm: robot_chain(&robot, &bar), bar_chain, design, robot, bar }
@@ -40,7 +43,8 @@ impl Cell {
         let limits = self.robot.joint_limits();
         let mut constraints = Constraints::new(&self.arm, &self.bar_chain, &limits, &self.design);
         constraints.acceleration_rad_s2 = 5.0;
-        constraints.bodies = Some(Bodies::for_reach(1.5));
+        let reach_m = self.robot.links.iter().map(|link| link.a_m.hypot(link.d_m)).sum();
+        constraints.bodies = Some(Bodies::for_reach(reach_m));
         constraints
     }
 
@@ -122,9 +126,10 @@ fn what_a_path_must_not_do_is_named_with_the_first_time() {
         .for_each(|(_, q)| q[0] += 0.017);
     let at_s = first(&turned, &cell.constraints(), Obstacle::OffSphere);
     assert!((at_s - 20.0).abs() < 0.02, "{at_s}");
-    // Twice as fast.
+    // Four times as fast.
     let mut fast = sound.clone();
-    fast.t_s.iter_mut().for_each(|t_s| *t_s *= 0.5);
+    fast.t_s.iter_mut().for_each(|t_s| *t_s *= 0.25);
+    first(&fast, &cell.constraints(), Obstacle::Speed);
     first(&fast, &cell.constraints(), Obstacle::Acceleration);
     // Stricter in one respect each.
     let checked = cell.check(&sound);
@@ -151,6 +156,66 @@ fn what_a_path_must_not_do_is_named_with_the_first_time() {
     torn.t_s.iter_mut().skip(3000).for_each(|t_s| *t_s += 2.0);
     let error = check(&torn, &cell.constraints(), &cell.information()).unwrap_err().to_string();
     assert!(error.contains("11.996 s"), "{error}");
+}
+
+#[test]
+fn what_a_calibration_knows_already_counts() {
+    let cell = Cell::new(irb2400(), 60.0);
+    let information = cell.information();
+    let [first, second] = [1, 2].map(|seed| cell.search(seed, 0).normal);
+    let sigmas = information.sigmas(&first);
+    let covariance = information.covariance_of(&first).unwrap();
+    let place = |id| sigmas.iter().position(|(one, _)| *one == id);
+    let known = information.clone().after(|a, b| Some(covariance[(place(a)?, place(b)?)])).unwrap();
+    let [first_alone, second_alone] = [&first, &second].map(|one| information.score(one));
+    let together = known.score(&second);
+    assert!(together < first_alone && together < second_alone, "{together} {first_alone} {second_alone}");
+    // The same as both runs in one solve where the second stands elsewhere: its base, offsets and clock are its own, so that
+    // it is at most as good as if they were not.
+    let mut both = first;
+    both += &second;
+    assert!(together >= information.score(&both));
+    assert!(information.after(|_, _| None).is_none());
+}
+
+#[test]
+fn proposed_places_of_the_bar_have_paths_for_robots_large_and_small() {
+    let load = |name: &str| -> RobotConfig {
+        config::load(&crate::support::repository("config/robots").join(name)).unwrap()
+    };
+    for (name, reach_m, length_m) in
+        [("irb120_3.toml", 0.6, 0.3), ("ur10.toml", 1.3, 0.6), ("nj220_2_7.toml", 2.7, 0.6)]
+    {
+        let robot = load(name);
+        let bar = BallBarConfig { plate_m: 0.1, ..bar() };
+        let design = Design { duration_s: 40.0, ..Design::for_robot(&robot) };
+        let bodies = Bodies::for_reach(reach_m);
+        let request = PlaceRequest {
+            robot: &robot,
+            bar: &bar,
+            design: &design,
+            bodies: &bodies,
+            acceleration_rad_s2: 5.0,
+            lengths_m: &[length_m],
+            height_m: [0.0, 1.0],
+            criterion: Criterion::Position,
+        };
+        let mut tried = 0;
+        let found = places(&request, 1, Duration::from_secs(3600), |so_far| {
+            tried = so_far;
+            so_far >= 25
+        });
+        let found = found.unwrap();
+        assert_eq!(found.found.len() + found.without_path, tried);
+        assert!(found.found.windows(2).all(|pair| pair[0].score <= pair[1].score));
+        let best = found.found.first().unwrap_or_else(|| panic!("{name}: none of {tried} places has a path"));
+        println!("{name}: {} of {tried} places have a path, best {best:?}", found.found.len());
+        let design = Design { base_m: best.base_m, posture_deg: best.posture_deg, ..design };
+        let bar = BallBarConfig { length_m, ..bar };
+        let cell = Cell::with(robot, bar, design);
+        let path = cell.robot_path(&cell.search(1, 0));
+        assert_eq!(cell.check(&path).violations, [], "{name}");
+    }
 }
 
 #[test]

@@ -13,9 +13,12 @@ use super::on_terminal::OnTerminal;
 use super::simulate::numbers;
 use crate::kinematics::{Chain, ball_bar_chain, robot_chain};
 use crate::logs;
+use crate::model::ParameterId;
 use crate::plan::{
-    self, Bodies, Constraints, Criterion, Design, Found, Information, Language, PlannedPath, Progress,
+    self, Bodies, Constraints, Criterion, Design, Found, Information, Language, PlaceRequest, PlannedPath,
+    Progress,
 };
+use crate::report::file::CalibrationFile;
 use crate::report::page::PathPage;
 use crate::report::path;
 
@@ -29,6 +32,8 @@ pub struct PlanArguments {
 enum PlanCommand {
     /// Find a path; the word may be left out.
     Path(PathArguments),
+    /// Propose where the bar should stand and how long its rod should be.
+    Place(PlaceArguments),
     /// Check a path of the robot: constraints at 1 kHz with the first violation in time, and what it tells.
     Check(CheckArguments),
 }
@@ -59,6 +64,10 @@ struct Cell {
     /// Radius of the robot's links [mm]; default: a twentieth of its reach
     #[arg(long, value_name = "MM")]
     link_radius_mm: Option<f64>,
+    /// A calibration of this robot and bar, or its directory: what it knows already counts, and a path that adds most to it is
+    /// looked for
+    #[arg(long, value_name = "PATH")]
+    calibration: Option<PathBuf>,
     /// What the path is to be best at
     #[arg(long, value_enum, default_value_t)]
     criterion: Criterion,
@@ -89,6 +98,27 @@ struct PathArguments {
 }
 
 #[derive(Debug, Args)]
+struct PlaceArguments {
+    #[command(flatten)]
+    cell: Cell,
+    /// Lengths of the rod to compare [m]; default: that of the bar
+    #[arg(long, value_name = "M", value_delimiter = ',')]
+    lengths: Vec<f64>,
+    /// Lowest and highest gimbal over the robot's base frame [m]
+    #[arg(long, value_name = "LOW,HIGH", value_parser = numbers::<2>, allow_hyphen_values = true, default_value = "0,1")]
+    height: [f64; 2],
+    /// Length of the run
+    #[arg(long, default_value = "2m", value_parser = humantime::parse_duration)]
+    duration: Duration,
+    /// How long to look for places
+    #[arg(long, default_value = "60s", value_parser = humantime::parse_duration)]
+    budget: Duration,
+    /// Decides the places that are tried
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+#[derive(Debug, Args)]
 struct CheckArguments {
     /// The robot's joints on the path, of any kind that `calibrate` reads
     #[arg(value_name = "PATH")]
@@ -107,6 +137,7 @@ struct Loaded {
     bodies: Bodies,
     acceleration_rad_s2: f64,
     criterion: Criterion,
+    calibration: Option<CalibrationFile>,
 }
 
 impl Cell {
@@ -131,7 +162,16 @@ impl Cell {
         design.robot_speed_rad_s = self.speed;
         let mut bar_chain = ball_bar_chain(&bar);
         bar_chain.root_from_base = nalgebra::Translation3::from(design.base_m).into();
+        let calibration = self.calibration.as_deref().map(CalibrationFile::open).transpose()?;
+        if let Some(file) = calibration.as_ref().filter(|file| file.robot != robot.name) {
+            anyhow::bail!(
+                "the calibration is of {}, not of {}; give one of this robot",
+                file.robot,
+                robot.name
+            );
+        }
         Ok(Loaded {
+            calibration,
             robot,
             bar,
             arm,
@@ -155,13 +195,21 @@ impl Loaded {
 
     fn information(&self) -> anyhow::Result<Information> {
         let chains = (&self.arm, &self.bar_chain);
-        Ok(Information::new((&self.robot, &self.bar), chains, self.criterion)?)
+        let information = Information::new((&self.robot, &self.bar), chains, self.criterion)?;
+        let Some(file) = &self.calibration else { return Ok(information) };
+        let known = file.covariance.as_ref().and_then(|covariance| {
+            let place = |id: ParameterId| covariance.names.iter().position(|name| *name == id.to_string());
+            let between = |a, b| *covariance.rows.get(place(a)?)?.get(place(b)?)?;
+            information.after(between)
+        });
+        known.context("the calibration has no covariance of the robot's parameters; give calibration.json or its directory")
     }
 }
 
 pub fn run(arguments: &PlanArguments) -> anyhow::Result<()> {
     match &arguments.command {
         PlanCommand::Path(arguments) => find(arguments),
+        PlanCommand::Place(arguments) => place(arguments),
         PlanCommand::Check(arguments) => check(arguments),
     }
 }
@@ -234,6 +282,44 @@ fn find(arguments: &PathArguments) -> anyhow::Result<()> {
 fn write(path: &Path, text: &str) -> anyhow::Result<()> {
     fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))?;
     Ok(say(path.display())?)
+}
+
+fn place(arguments: &PlaceArguments) -> anyhow::Result<()> {
+    let Cell { base, calibration, .. } = &arguments.cell;
+    anyhow::ensure!(base.is_none(), "--base is what is looked for; leave it out");
+    anyhow::ensure!(
+        calibration.is_none(),
+        "places are compared for a robot that nothing is known of; leave --calibration out"
+    );
+    let mut loaded = arguments.cell.load()?;
+    loaded.design.duration_s = arguments.duration.as_secs_f64();
+    let own = [loaded.bar.length_m];
+    let lengths_m = if arguments.lengths.is_empty() { &own[..] } else { &arguments.lengths };
+    if let Some(length_m) = lengths_m.iter().find(|length_m| !(0.01..=10.0).contains(*length_m)) {
+        anyhow::bail!("--lengths has {length_m} m; give rods of 0.01 to 10 m");
+    }
+    let request = PlaceRequest {
+        robot: &loaded.robot,
+        bar: &loaded.bar,
+        design: &loaded.design,
+        bodies: &loaded.bodies,
+        acceleration_rad_s2: loaded.acceleration_rad_s2,
+        lengths_m,
+        height_m: arguments.height,
+        criterion: loaded.criterion,
+    };
+    let terminal = OnTerminal::new();
+    let places = plan::places(&request, arguments.seed, arguments.budget, |tried| {
+        !terminal.says(|| format!("{tried} places tried; Ctrl-C shows the best so far"))
+    });
+    terminal.finish();
+    let places = places?;
+    show(path::places(&places))?;
+    anyhow::ensure!(
+        !places.found.is_empty(),
+        "no place had a path; give a longer --budget, another --height, other --lengths, or slower motion"
+    );
+    Ok(())
 }
 
 fn check(arguments: &CheckArguments) -> anyhow::Result<()> {

@@ -14,7 +14,7 @@ use shared::config::{BallBarConfig, RobotConfig};
 
 use crate::calibrate::IdentifyConfig;
 use crate::cost::{AngleNoise, LoopProblem, Residual, WhitenedPose};
-use crate::kinematics::{Chain, Joints, Trace, Tracer};
+use crate::kinematics::{Chain, Joints, LinkParameter, Trace, Tracer};
 use crate::model::{DriveTrain, JointState, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
 use crate::solver::{Normal, Normals, Options, ScaledCholesky};
 
@@ -55,6 +55,8 @@ pub enum Criterion {
 pub struct Information {
     model: Model,
     noise: AngleNoise,
+    /// What is known of the columns whatever the path.
+    known: Normal,
     /// Columns of the robot's links.
     robot: Vec<usize>,
     /// Mean of `J^T J` of positions over the workspace, of those columns \[m²\].
@@ -110,7 +112,44 @@ impl Information {
         let robot_columns = robot_columns.into_iter().map(|(column, _)| column).collect();
         let terms = terms.into_iter().filter_map(|id| model.column_of(id)).collect();
         let scale = model.column_of(ParameterId::PLATE);
-        Ok(Self { model, noise: config.noise.into(), robot: robot_columns, weight, criterion, terms, scale })
+        let mut known = Normal::zeros(model.columns().len());
+        known.add_priors(&model.priors(), &model.start());
+        let noise = config.noise.into();
+        Ok(Self { model, noise, known, robot: robot_columns, weight, criterion, terms, scale })
+    }
+
+    /// The same after a calibration, whose covariance this is: `between` of two parameters, none where one was not identified. A
+    /// new run tells anew where the bar stands, how its encoders are mounted and what the clocks show.
+    ///
+    /// None where it knows none of the parameters, or its covariance is none.
+    #[must_use]
+    pub fn after(mut self, between: impl Fn(ParameterId, ParameterId) -> Option<f64>) -> Option<Self> {
+        let lasts = |id: ParameterId| match id {
+            ParameterId::Robot { .. } | ParameterId::Joint { .. } | ParameterId::Harmonic { .. } => true,
+            ParameterId::Bar { parameter, .. } => parameter != LinkParameter::Theta,
+            _ => false,
+        };
+        let columns: Vec<(usize, ParameterId)> = self
+            .model
+            .columns()
+            .enumerate()
+            .map(|(column, parameter)| (column, parameter.id))
+            .filter(|(_, id)| lasts(*id) && between(*id, *id).is_some_and(|variance| variance > 0.0))
+            .collect();
+        if columns.is_empty() {
+            return None;
+        }
+        let covariance = DMatrix::from_fn(columns.len(), columns.len(), |i, j| {
+            between(columns[i].1, columns[j].1).unwrap_or_default()
+        });
+        let information = ScaledCholesky::new(covariance)?.inverse();
+        for (i, (row, _)) in columns.iter().enumerate() {
+            for (j, (column, _)) in columns.iter().enumerate() {
+                // The priors were part of the calibration.
+                self.known.matrix[(*row, *column)] = information[(i, j)];
+            }
+        }
+        Some(self)
     }
 
     /// Normal equations of poses that are `period_s` apart, each counting as all samples of that time.
@@ -145,12 +184,17 @@ impl Information {
         known: impl IntoIterator<Item = &'c usize>,
     ) -> Option<DMatrix<f64>> {
         let mut normal = normal.clone();
-        normal.add_priors(&self.model.priors(), &self.model.start());
+        normal += &self.known;
         for &column in known {
             normal.matrix[(column, column)] += KNOWN_SIGMA.powi(-2);
         }
         let factor = ScaledCholesky::new(normal.matrix)?;
         factor.is_complete().then(|| factor.inverse())
+    }
+
+    /// Expected covariance of all columns, SI; none where a parameter stays open.
+    pub fn covariance_of(&self, normal: &Normal) -> Option<DMatrix<f64>> {
+        self.covariance(normal, [])
     }
 
     /// How good normal equations are, smaller is better; infinite where a parameter stays open. The plate counts as known:
@@ -192,7 +236,7 @@ impl Information {
 
     /// Name and expected standard deviation of each parameter, SI, in the order of the columns.
     pub fn sigmas(&self, normal: &Normal) -> Vec<(ParameterId, f64)> {
-        let Some(covariance) = self.covariance(normal, []) else { return Vec::new() };
+        let Some(covariance) = self.covariance_of(normal) else { return Vec::new() };
         let sigma = |column: usize| covariance[(column, column)].max(0.0).sqrt();
         self.model.columns().enumerate().map(|(column, parameter)| (parameter.id, sigma(column))).collect()
     }

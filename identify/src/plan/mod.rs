@@ -2,7 +2,7 @@
 //!
 //! `random` finds a path that keeps to the `constraints` (which know `bodies`), `search` makes it better by what
 //! `information` says that a calibration learns from it, `check` judges any path by the robot's joints alone, `programs`
-//! writes it for robot controllers.
+//! writes it for robot controllers; `place` looks for where the bar should stand.
 
 mod bodies;
 mod check;
@@ -10,6 +10,7 @@ mod constraints;
 mod design;
 mod information;
 mod path;
+mod place;
 mod programs;
 mod random;
 mod search;
@@ -20,6 +21,7 @@ pub use constraints::{Constraints, Obstacle};
 pub use design::Design;
 pub use information::{Criterion, ExpectedPosition, Information};
 pub use path::{Move, Path};
+pub use place::{Place, PlaceRequest, Places, places};
 pub use programs::{Language, ProgramError, program};
 pub use random::{PlanError, Route, random_route};
 pub use search::{Found, Progress, search};

@@ -27,7 +27,7 @@ pub enum PlanError {
     /// Nowhere on the sphere can the robot hold the bar.
     #[error(
         "no pose of the robot holds the bar of {length_m} m at base {base_m:?} m ({obstacle} in the way most often); \
-         give another --base, --posture or bar length"
+         give another --base, --posture or bar length: `identify plan place` proposes them"
     )]
     NoStart {
         /// Length of the bar.

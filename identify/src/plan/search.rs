@@ -61,7 +61,7 @@ pub struct Found {
 }
 
 /// A path in pieces, each from the beginning of a move to that of the next.
-struct Pieces {
+pub(super) struct Pieces {
     path: Path,
     /// Robot at the start of the path and at the beginning of each move.
     robot_rad: Vec<Joints>,
@@ -80,20 +80,8 @@ pub fn search(
     mut is_over: impl FnMut(&Progress) -> bool,
 ) -> Result<Found, PlanError> {
     let begun = Instant::now();
-    let design = Design {
-        robot_speed_rad_s: SPEED_PART * constraints.design.robot_speed_rad_s,
-        bar_margin_deg: constraints.design.bar_margin_deg + ANGLE_ROOM_DEG,
-        wrist_margin_deg: constraints.design.wrist_margin_deg + ANGLE_ROOM_DEG,
-        limit_margin_deg: constraints.design.limit_margin_deg + ANGLE_ROOM_DEG,
-        dexterity_min: DEXTERITY_PART * constraints.design.dexterity_min,
-        ..constraints.design.clone()
-    };
-    let mut tight = Constraints::new(constraints.robot(), constraints.bar(), &constraints.limits, &design);
-    tight.acceleration_rad_s2 = ACCELERATION_PART * constraints.acceleration_rad_s2;
-    tight.bodies = constraints
-        .bodies
-        .clone()
-        .map(|bodies| Bodies { clearance_m_min: bodies.clearance_m_min + CLEARANCE_ROOM_M, ..bodies });
+    let design = tight_design(constraints.design);
+    let tight = tightened(constraints, &design);
     let constraints = &tight;
     let mut random = ChaCha8Rng::seed_from_u64(seed);
     let (mut best, mut random_scores) = (None, Vec::new());
@@ -140,8 +128,35 @@ pub fn search(
     Ok(Found { route, normal: total, random_scores, progress })
 }
 
+/// The design with room for what happens between two poses that are looked at.
+pub(super) fn tight_design(design: &Design) -> Design {
+    Design {
+        robot_speed_rad_s: SPEED_PART * design.robot_speed_rad_s,
+        bar_margin_deg: design.bar_margin_deg + ANGLE_ROOM_DEG,
+        wrist_margin_deg: design.wrist_margin_deg + ANGLE_ROOM_DEG,
+        limit_margin_deg: design.limit_margin_deg + ANGLE_ROOM_DEG,
+        dexterity_min: DEXTERITY_PART * design.dexterity_min,
+        ..design.clone()
+    }
+}
+
+/// The constraints with that design, and the same room for everything else.
+pub(super) fn tightened<'a>(constraints: &Constraints<'a>, design: &'a Design) -> Constraints<'a> {
+    let mut tight = Constraints::new(constraints.robot(), constraints.bar(), &constraints.limits, design);
+    tight.acceleration_rad_s2 = ACCELERATION_PART * constraints.acceleration_rad_s2;
+    tight.bodies = constraints
+        .bodies
+        .clone()
+        .map(|bodies| Bodies { clearance_m_min: bodies.clearance_m_min + CLEARANCE_ROOM_M, ..bodies });
+    tight
+}
+
 impl Pieces {
-    fn of(constraints: &Constraints<'_>, information: &Information, route: &Route) -> Result<Self, Obstacle> {
+    pub(super) fn of(
+        constraints: &Constraints<'_>,
+        information: &Information,
+        route: &Route,
+    ) -> Result<Self, Obstacle> {
         let mut pieces = Self { path: route.path.clone(), robot_rad: Vec::new(), normals: Vec::new() };
         pieces.robot_rad.extend(route.robot_rad.first());
         let count = pieces.path.moves.len();
@@ -181,7 +196,7 @@ impl Pieces {
         Ok(())
     }
 
-    fn total(&self, information: &Information) -> Normal {
+    pub(super) fn total(&self, information: &Information) -> Normal {
         let mut total = Normal::zeros(information.columns());
         self.normals.iter().for_each(|normal| total += normal);
         total

@@ -1,8 +1,11 @@
-//! What a path does and tells, for a terminal.
+//! What a path does and tells, and where the bar might stand, for a terminal.
 
 use std::fmt::Write;
 
-use crate::plan::{Checked, Found, Information};
+use crate::plan::{Checked, Found, Information, Places};
+
+/// So many places are shown.
+const PLACES_SHOWN: usize = 10;
 
 /// The lines about a path, each ended. `found` is how it was found.
 pub fn summary(checked: &Checked, information: &Information, found: Option<&Found>) -> String {
@@ -64,6 +67,36 @@ pub fn summary(checked: &Checked, information: &Information, found: Option<&Foun
     }
     if checked.violations.is_empty() {
         text.push_str("all constraints are kept, checked every millisecond\n");
+    }
+    text
+}
+
+/// The best places of the bar, a line for each.
+pub fn places(places: &Places) -> String {
+    let mut text = format!(
+        "{} places with a path, {} without; expected RMS position error where the axes have no errors, and with all their terms\n\
+         {:>26}{:>9}{:>12}{:>12}   {}\n",
+        places.found.len(),
+        places.without_path,
+        "--base [m]",
+        "rod [m]",
+        "[mm]",
+        "[mm]",
+        "--posture [deg]"
+    );
+    for place in places.found.iter().take(PLACES_SHOWN) {
+        let base: Vec<String> = place.base_m.iter().map(|x| format!("{:.2}", x + 0.0)).collect();
+        let posture: Vec<String> = place.posture_deg.iter().map(|q| format!("{:.0}", q + 0.0)).collect();
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            text,
+            "{:>26}{:>9.3}{:>12.4}{:>12.4}   {}",
+            base.join(","),
+            place.length_m,
+            place.expected.axes_exact_m * 1e3,
+            place.expected.with_terms_m * 1e3,
+            posture.join(",")
+        );
     }
     text
 }

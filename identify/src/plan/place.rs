@@ -1,0 +1,183 @@
+//! Where the bar should stand and how long its rod should be: places that the robot reaches from many sides, by what a path
+//! there tells.
+
+use std::time::{Duration, Instant};
+
+use nalgebra::Vector3;
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::{Distribution, UnitSphere};
+use shared::config::{BallBarConfig, RobotConfig};
+
+use super::search::{Pieces, tight_design, tightened};
+use super::{Bodies, Constraints, Criterion, Design, ExpectedPosition, Information, random_route};
+use crate::kinematics::{Chain, Joints, ball_bar_chain, ball_bar_inverse, robot_chain};
+use crate::model::ModelError;
+
+/// Random paths at each place; the best counts.
+const PATHS: usize = 2;
+/// Places are given in steps of this \[m\]: nobody bolts a bar down more finely, and its place is estimated.
+const STEP_M: f64 = 0.05;
+
+/// A place of the bar and what a path there tells.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Place {
+    /// Centre of the gimbal in the robot's base frame \[m\].
+    pub base_m: [f64; 3],
+    /// Length of the rod \[m\].
+    pub length_m: f64,
+    /// A posture of the robot on the sphere \[deg\].
+    pub posture_deg: [f64; 6],
+    /// The criterion, smaller is better.
+    pub score: f64,
+    /// Position errors that a calibration leaves.
+    pub expected: ExpectedPosition,
+}
+
+/// What places are looked for.
+#[derive(Debug, Clone)]
+pub struct PlaceRequest<'a> {
+    /// The robot.
+    pub robot: &'a RobotConfig,
+    /// The bar; its length is the first that is tried.
+    pub bar: &'a BallBarConfig,
+    /// Margins, speeds and duration of the paths.
+    pub design: &'a Design,
+    /// What must not touch.
+    pub bodies: &'a Bodies,
+    /// Highest acceleration of a robot joint \[rad/s²\].
+    pub acceleration_rad_s2: f64,
+    /// Lengths of the rod \[m\].
+    pub lengths_m: &'a [f64],
+    /// Lowest and highest gimbal over the robot's base frame \[m\].
+    pub height_m: [f64; 2],
+    /// What a path is to be best at.
+    pub criterion: Criterion,
+}
+
+/// Places that were tried, the best first, and how many had no path.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Places {
+    /// With a path.
+    pub found: Vec<Place>,
+    /// Without.
+    pub without_path: usize,
+}
+
+/// Tries places until `budget` is over or `is_over` says so, which is told how many were tried.
+///
+/// # Errors
+/// [`ModelError`] where the model lacks a parameter.
+pub fn places(
+    request: &PlaceRequest<'_>,
+    seed: u64,
+    budget: Duration,
+    mut is_over: impl FnMut(usize) -> bool,
+) -> Result<Places, ModelError> {
+    let begun = Instant::now();
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut places = Places { found: Vec::new(), without_path: 0 };
+    let mut tried = 0;
+    while begun.elapsed() < budget && !is_over(tried) {
+        let length_m = request.lengths_m.get(tried % request.lengths_m.len().max(1)).copied();
+        let bar = BallBarConfig { length_m: length_m.unwrap_or(request.bar.length_m), ..request.bar.clone() };
+        tried += 1;
+        let Some((base_m, posture_deg)) = request.somewhere(&bar, &mut random) else {
+            places.without_path += 1;
+            continue;
+        };
+        match request.at(&bar, base_m, posture_deg, &mut random)? {
+            Some(place) => places.found.push(place),
+            None => places.without_path += 1,
+        }
+    }
+    places.found.sort_by(|a, b| a.score.total_cmp(&b.score));
+    Ok(places)
+}
+
+impl PlaceRequest<'_> {
+    /// A posture of the robot, and a base from which the bar reaches its end within the design's ranges.
+    fn somewhere(&self, bar: &BallBarConfig, random: &mut ChaCha8Rng) -> Option<([f64; 3], [f64; 6])> {
+        const TRIES: usize = 2000;
+        let (arm, mut chain) = (robot_chain(self.robot, bar), ball_bar_chain(bar));
+        let limits = self.robot.joint_limits();
+        // Within half a turn: a joint that turns further gains nothing here.
+        let range = |[low, high]: [f64; 2]| [low.max(-std::f64::consts::PI), high.min(std::f64::consts::PI)];
+        for _ in 0..TRIES {
+            let q: Joints = limits
+                .iter()
+                .map(|limit| {
+                    let [low, high] = range(*limit);
+                    low + (high - low) * random.random::<f64>()
+                })
+                .collect();
+            let end = arm.forward(&q);
+            let towards: [f64; 3] = UnitSphere.sample(random);
+            let base = end.translation.vector - Vector3::from(towards) * bar.length_m;
+            let base_m: [f64; 3] = base.map(|x| (x / STEP_M).round() * STEP_M).into();
+            if !(self.height_m[0]..=self.height_m[1]).contains(&base_m[2]) {
+                continue;
+            }
+            chain.root_from_base.translation.vector = base_m.into();
+            let Ok(configurations) = ball_bar_inverse(&chain, &end) else { return None };
+            let is_within = |bar_rad: &[f64; 5]| {
+                bar_rad
+                    .iter()
+                    .zip(&self.design.bar_range_deg)
+                    .all(|(angle, [low, high])| (low.to_radians()..high.to_radians()).contains(angle))
+            };
+            let Some((_, bar_rad)) = configurations.iter().find(|(_, bar_rad)| is_within(bar_rad)) else {
+                continue;
+            };
+            let constraints = self.constraints(&arm, &chain, &limits, self.design);
+            // The base was moved to where it can be bolted.
+            if let Ok(q) = constraints.robot_at(bar_rad, &q) {
+                return Some((base_m, std::array::from_fn(|axis| q[axis].to_degrees().round())));
+            }
+        }
+        None
+    }
+
+    fn constraints<'c>(
+        &self,
+        arm: &'c Chain,
+        bar: &'c Chain,
+        limits: &[[f64; 2]],
+        design: &'c Design,
+    ) -> Constraints<'c> {
+        let mut constraints = Constraints::new(arm, bar, limits, design);
+        constraints.acceleration_rad_s2 = self.acceleration_rad_s2;
+        constraints.bodies = Some(self.bodies.clone());
+        constraints
+    }
+
+    fn at(
+        &self,
+        bar: &BallBarConfig,
+        base_m: [f64; 3],
+        posture_deg: [f64; 6],
+        random: &mut ChaCha8Rng,
+    ) -> Result<Option<Place>, ModelError> {
+        let design = Design { base_m, posture_deg, ..self.design.clone() };
+        let (arm, mut chain) = (robot_chain(self.robot, bar), ball_bar_chain(bar));
+        chain.root_from_base.translation.vector = base_m.into();
+        let information = Information::new((self.robot, bar), (&arm, &chain), self.criterion)?;
+        let limits = self.robot.joint_limits();
+        let constraints = self.constraints(&arm, &chain, &limits, &design);
+        let tight_design = tight_design(&design);
+        let tight = tightened(&constraints, &tight_design);
+        let mut best: Option<Place> = None;
+        for _ in 0..PATHS {
+            // A place where the first path gets stuck is cramped.
+            let Ok(route) = random_route(&tight, random) else { break };
+            let Ok(pieces) = Pieces::of(&tight, &information, &route) else { continue };
+            let normal = pieces.total(&information);
+            let (score, expected) = (information.score(&normal), information.position(&normal));
+            if score.is_finite() && best.is_none_or(|best| score < best.score) {
+                best = Some(Place { base_m, length_m: bar.length_m, posture_deg, score, expected });
+            }
+        }
+        Ok(best)
+    }
+}
