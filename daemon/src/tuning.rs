@@ -6,8 +6,11 @@ use std::fmt;
 use std::path::Path;
 use std::process::Command;
 
+use serde::Serialize;
+
 /// How one setting stands.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Verdict {
     /// As it should be.
     Fine,
@@ -18,7 +21,7 @@ pub enum Verdict {
 }
 
 /// One setting.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Finding {
     /// What was looked at.
     pub subject: &'static str,

@@ -283,6 +283,59 @@ fn a_signal_ends_a_run_with_a_finished_file_that_states_it() {
     assert!(!recording.cycles.is_empty() && !active.exists());
 }
 
+/// What a command prints for programs, which is nothing but one value, and its exit code.
+fn json(arguments: &[&str]) -> (serde_json::Value, Option<i32>) {
+    let output = ballbard().args(arguments).arg("--json").output().unwrap();
+    let value = serde_json::from_slice(&output.stdout).unwrap();
+    (value, output.status.code())
+}
+
+#[test]
+fn commands_without_a_service_answer_programs_too() {
+    let (out, config) = (tempfile::tempdir().unwrap(), config());
+    let (directory, config) = (out.path().to_str().unwrap(), config.to_str().unwrap());
+    let recorded = |name: &str, fault: &str| {
+        let arguments = ["record", "--name", name, "--duration", "2s", "--fast", "--fault", fault];
+        json(&[&arguments[..], &["--config", config, "--out", directory]].concat())
+    };
+    // A whole run, and one without a valid cycle, which is a failure with an answer.
+    let (last, code) = recorded("whole", "lost:1@2s-2100ms");
+    let file = out.path().join("whole.mcap");
+    let recording = Recording::open(&file).unwrap();
+    assert_eq!((code, last["name"].as_str(), last["file"].as_str()), (Some(0), Some("whole"), file.to_str()));
+    assert_eq!(last["cycles"], recording.cycles.len());
+    assert_eq!(last["cycles_valid"], recording.cycles.iter().filter(|cycle| cycle.is_valid()).count());
+    assert_ne!(last["cycles_valid"], last["cycles"]);
+    let (blind, code) = recorded("blind", "no-signal:1");
+    assert_eq!((code, &blind["cycles_valid"]), (Some(1), &0.into()), "{blind}");
+
+    let file = file.to_str().unwrap();
+    let (table, _) = json(&["export", "--csv", file]);
+    assert_eq!(
+        (&table["rows"], table["file"].as_str().unwrap()),
+        (&last["cycles"], &*file.replace("mcap", "csv"))
+    );
+    let both = ballbard().args(["export", "--csv", "--out", "-", "--json", file]).output().unwrap();
+    assert!(both.stdout.is_empty() && said(&both).contains("leave out one"), "{both:?}");
+
+    assert_eq!(json(&["recover", file]).0["outcome"], "whole");
+    let torn = out.path().join("torn.mcap");
+    let bytes = std::fs::read(file).unwrap();
+    std::fs::write(&torn, &bytes[..bytes.len() * 3 / 4]).unwrap();
+    let (recovered, code) = json(&["recover", torn.to_str().unwrap()]);
+    let kept = Recording::open(&torn).unwrap();
+    assert_eq!((code, &recovered["outcome"]), (Some(0), &"recovered".into()), "{recovered}");
+    assert_eq!(recovered["cycles"], kept.cycles.len());
+    assert!(recovered["file"] == torn.to_str().unwrap(), "{recovered}");
+
+    let (findings, _) = json(&["tune", "--config", config]);
+    let standing = ["fine", "problem", "unknown"];
+    for finding in findings.as_array().unwrap() {
+        assert!(standing.contains(&finding["verdict"].as_str().unwrap()), "{finding}");
+    }
+    assert!(findings.as_array().unwrap().iter().any(|finding| finding["subject"] == "kernel"), "{findings}");
+}
+
 #[test]
 fn tune_says_how_each_setting_stands() {
     let output = ballbard().args(["tune", "--config"]).arg(config()).output().unwrap();

@@ -12,6 +12,7 @@ use shared::config::DaemonConfig;
 use shared::output::say;
 use shared::recording::SystemDisk;
 
+use super::Format;
 use super::configuration::Configuration;
 use crate::control::runs::{self, RunLine};
 use crate::control::status::{
@@ -31,9 +32,8 @@ pub struct ServiceArguments {
     /// Port of the service; default: `port` of daemon.toml
     #[arg(long)]
     port: Option<u16>,
-    /// Print the service's answer as JSON
-    #[arg(long)]
-    json: bool,
+    #[command(flatten)]
+    pub format: Format,
 }
 
 #[derive(Debug, Args)]
@@ -81,7 +81,7 @@ pub fn start(arguments: StartArguments) -> anyhow::Result<()> {
     let duration_s = duration.map(|duration| duration.as_secs_f64());
     let request = StartRequest { name, operator, robot, bar, payload, note, duration_s, reason };
     let reply: Reply = service.post("start", &request)?;
-    if service.prints(&reply)? {
+    if service.format.prints(&reply)? {
         return Ok(());
     }
     let run = reply.run.unwrap_or_default();
@@ -96,7 +96,7 @@ pub fn stop(arguments: &AskArguments) -> anyhow::Result<()> {
     let request = StopRequest { cause: Some("stopped by `ballbard stop`".into()) };
     let reply: Reply = arguments.service.post("stop", &request)?;
     let Reply { answer, last, verdict, .. } = &reply;
-    let printed = arguments.service.prints(&reply)?;
+    let printed = arguments.service.format.prints(&reply)?;
     match (answer.as_str(), last) {
         ("stopped", Some(last)) => {
             if !printed {
@@ -117,7 +117,7 @@ pub fn stop(arguments: &AskArguments) -> anyhow::Result<()> {
 pub fn mark(arguments: &MarkArguments) -> anyhow::Result<()> {
     let reply: Reply =
         arguments.service.post("mark", &MarkRequest { text: arguments.text.clone(), ago_ms: 0 })?;
-    if arguments.service.prints(&reply)? {
+    if arguments.service.format.prints(&reply)? {
         return Ok(());
     }
     Ok(say(format_args!("marked in run `{}`", reply.run.unwrap_or_default()))?)
@@ -125,7 +125,7 @@ pub fn mark(arguments: &MarkArguments) -> anyhow::Result<()> {
 
 pub fn status(arguments: &AskArguments) -> anyhow::Result<()> {
     let status: Status = arguments.service.get("status")?;
-    if arguments.service.prints(&status)? {
+    if arguments.service.format.prints(&status)? {
         return Ok(());
     }
     let reason = status.reason.as_ref().map_or(String::new(), |why| format!(": {why}"));
@@ -159,7 +159,7 @@ pub fn status(arguments: &AskArguments) -> anyhow::Result<()> {
 
 pub fn check(arguments: &AskArguments) -> anyhow::Result<()> {
     let lines: Vec<CheckLine> = arguments.service.get("check")?;
-    let printed = arguments.service.prints(&lines)?;
+    let printed = arguments.service.format.prints(&lines)?;
     for CheckLine { subject, finding, remedy, stops: _ } in lines.iter().filter(|_| !printed) {
         match remedy {
             None => say(format_args!("ok       {subject}: {finding}")),
@@ -179,7 +179,7 @@ pub fn list(arguments: &RunsArguments) -> anyhow::Result<()> {
         Some(directory) => listed_in(directory, None)?,
         None => service.runs()?,
     };
-    if service.prints(&lines)? {
+    if service.format.prints(&lines)? {
         return Ok(());
     }
     // Where they are, once, as far as it is the same.
@@ -229,14 +229,6 @@ impl ServiceArguments {
             }
             outcome => outcome,
         }
-    }
-
-    /// Prints what the service answered if that is asked for, and says whether it was.
-    fn prints(&self, answer: &impl Serialize) -> anyhow::Result<bool> {
-        if self.json {
-            say(serde_json::to_string_pretty(answer)?)?;
-        }
-        Ok(self.json)
     }
 
     /// Asks the service for something that changes nothing.
@@ -314,7 +306,7 @@ fn running(run: &RunStatus) -> String {
     )
 }
 
-fn last_run(last: &LastRun) -> String {
+pub(super) fn last_run(last: &LastRun) -> String {
     let LastRun { name, file, cycles, cycles_valid, cycles_lost, cause, error: _, timing: _ } = last;
     let flagged = cycles - cycles_valid.min(cycles);
     match file {

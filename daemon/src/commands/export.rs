@@ -47,6 +47,11 @@ pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     let recording = Recording::open(&file)?;
     let out = arguments.out.clone().unwrap_or_else(|| beside.with_extension("csv"));
     if out == Path::new("-") {
+        if arguments.service.format.json {
+            bail!(
+                "--json says what was written to a file, and standard output has the table; leave out one of the two"
+            );
+        }
         let mut table = Vec::new();
         write_csv(&recording, arguments.layout, &mut table)?;
         let written = std::io::stdout().lock().write_all(&table);
@@ -61,7 +66,11 @@ pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     write_csv(&recording, arguments.layout, BufWriter::new(sink))
         .and_then(|()| Ok(std::fs::rename(&part, &out)?))
         .with_context(|| format!("cannot write {}; check free space", out.display()))?;
-    Ok(say(format_args!("{}: {} rows", out.display(), recording.cycles.len()))?)
+    let (file, rows) = (out.display().to_string(), recording.cycles.len());
+    if arguments.service.format.prints(&serde_json::json!({ "file": file, "rows": rows }))? {
+        return Ok(());
+    }
+    Ok(say(format_args!("{file}: {rows} rows"))?)
 }
 
 /// The file that is meant, and what its table is called after.

@@ -9,8 +9,8 @@ use shared::output::{explained, say};
 use shared::recording::SystemDisk;
 
 use super::client::ServiceArguments;
-use super::configuration::{Configuration, State};
-use super::{bus_choice, on_signal};
+use super::configuration::State;
+use super::{Format, bus_choice, on_signal};
 use crate::control::homing::Homing;
 use crate::control::status::{HomeRequest, HomingStatus, Reply, Status, StopRequest};
 use crate::homing;
@@ -35,7 +35,7 @@ pub fn run(arguments: HomeArguments) -> anyhow::Result<()> {
     let stop = Stop::default();
     let stopping = stop.clone();
     let work = move || match &arguments.bus {
-        Some(bus) => on_own_bus(bus, arguments.service.configuration(), &arguments.state, &stop),
+        Some(bus) => on_own_bus(bus, &arguments.service, &arguments.state, &stop),
         None if arguments.state.is_given() => {
             bail!("--state is for --bus; the running service keeps marks where its own --state says")
         }
@@ -46,7 +46,7 @@ pub fn run(arguments: HomeArguments) -> anyhow::Result<()> {
 
 fn by_service(service: &ServiceArguments, stop: &Stop) -> anyhow::Result<()> {
     let _: Reply = service.post("home", &HomeRequest {})?;
-    let mut printer = Printer::default();
+    let mut printer = Printer::new(service.format);
     let mut asked_to_stop = false;
     loop {
         let status: Status = service.get("status")?;
@@ -68,7 +68,8 @@ fn by_service(service: &ServiceArguments, stop: &Stop) -> anyhow::Result<()> {
     }
 }
 
-fn on_own_bus(bus: &str, configuration: &Configuration, state: &State, stop: &Stop) -> anyhow::Result<()> {
+fn on_own_bus(bus: &str, service: &ServiceArguments, state: &State, stop: &Stop) -> anyhow::Result<()> {
+    let configuration = service.configuration();
     let (daemon, bar) = (configuration.daemon()?, configuration.ball_bar()?);
     let marks = configuration.marks_file(state, &daemon);
     if let Some(problem) = marks.problem(&SystemDisk) {
@@ -76,7 +77,7 @@ fn on_own_bus(bus: &str, configuration: &Configuration, state: &State, stop: &St
     }
     let session = run::open(&bus_choice(bus), &[], &daemon, &bar, &Storage::new(&daemon)?)?;
     session.log();
-    let (mut printer, mut homing) = (Printer::default(), Homing::begin(&session));
+    let (mut printer, mut homing) = (Printer::new(service.format), Homing::begin(&session));
     while !homing.look(&bar.encoders, &marks) {
         if let Err(error) = printer.print(homing.status()) {
             stop.stop(&explained(error.as_ref()));
@@ -99,24 +100,33 @@ fn outcome(status: HomingStatus) -> anyhow::Result<()> {
     }
 }
 
-/// Prints what is new.
-#[derive(Default)]
+/// Prints what is new: lines for people, for programs each state in a line of JSON.
 struct Printer {
-    lines: usize,
-    turned_deg: Option<f64>,
+    format: Format,
+    printed: HomingStatus,
 }
 
 impl Printer {
+    fn new(format: Format) -> Self {
+        Self { format, printed: HomingStatus::default() }
+    }
+
     fn print(&mut self, status: &HomingStatus) -> anyhow::Result<()> {
-        for line in status.lines.iter().skip(self.lines) {
+        if *status == self.printed {
+            return Ok(());
+        }
+        let before = std::mem::replace(&mut self.printed, status.clone());
+        if self.format.json {
+            return Ok(say(serde_json::to_string(status)?)?);
+        }
+        for line in status.lines.iter().skip(before.lines.len()) {
             say(line)?;
         }
-        self.lines = self.lines.max(status.lines.len());
-        if let Some(turned_deg) = status.turned_deg.filter(|turned_deg| Some(*turned_deg) != self.turned_deg)
+        if let Some(turned_deg) =
+            status.turned_deg.filter(|turned_deg| Some(*turned_deg) != before.turned_deg)
         {
             say(format_args!("  turned {turned_deg:+.1} degrees"))?;
         }
-        self.turned_deg = status.turned_deg;
         Ok(())
     }
 }

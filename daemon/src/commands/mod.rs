@@ -18,7 +18,9 @@ pub use export::{Layout, write_csv};
 use self::signals::Signals;
 use crate::run::BusChoice;
 use anyhow::Context;
-use clap::{Parser, Subcommand};
+use clap::{Args, Parser, Subcommand};
+use serde::Serialize;
+use shared::output::say;
 use std::time::Duration;
 
 const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed, or what was asked for is bad: a check with problems, a run that is \
@@ -81,6 +83,24 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
         Command::Recover(arguments) => recover::run(&arguments),
         Command::Generate(arguments) => generate::run(&arguments),
         Command::Segment(arguments) => segment::run(&arguments),
+    }
+}
+
+/// Who reads what comes of a command: a person, or a program.
+#[derive(Debug, Clone, Copy, Args)]
+struct Format {
+    /// Print what comes of it as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+impl Format {
+    /// Prints it if a program reads, and says whether it did.
+    fn prints(self, outcome: &impl Serialize) -> anyhow::Result<bool> {
+        if self.json {
+            say(serde_json::to_string_pretty(outcome)?)?;
+        }
+        Ok(self.json)
     }
 }
 

@@ -8,9 +8,10 @@ use shared::config::HomingConfig;
 use shared::output::say;
 use shared::recording::SystemDisk;
 
-use super::client::unless_blind;
+use super::client::{last_run, unless_blind};
 use super::configuration::{Configuration, State};
-use super::{bus_choice, on_signal};
+use super::{Format, bus_choice, on_signal};
+use crate::control::status::LastRun;
 use crate::recorder::RunSummary;
 use crate::run::{self, About, BusChoice, RunRequest, Stop};
 use crate::segment::faults::FaultWindow;
@@ -47,6 +48,8 @@ pub struct RecordArguments {
     #[command(flatten)]
     state: State,
     #[command(flatten)]
+    format: Format,
+    #[command(flatten)]
     configuration: Configuration,
 }
 
@@ -57,14 +60,19 @@ pub fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
         daemon.directory.clone_from(directory);
     }
     let request = request(arguments, homing)?;
+    let name = request.name.clone();
     let stop = Stop::default();
     let working = stop.clone();
     let summary = on_signal(
         move || Ok(run::record(&request, &daemon, &bar, &working)?),
         |signal| stop.stop(&format!("stopped by {signal}")),
     )?;
-    print(&summary)?;
-    unless_blind(summary.cycles, summary.cycles_valid)
+    let last = over(name, summary);
+    if !arguments.format.prints(&last)? {
+        say(last_run(&last))?;
+        last.timing.iter().try_for_each(say)?;
+    }
+    unless_blind(last.cycles, last.cycles_valid)
 }
 
 fn request(arguments: &RecordArguments, homing: Option<HomingConfig>) -> anyhow::Result<RunRequest> {
@@ -88,12 +96,9 @@ fn request(arguments: &RecordArguments, homing: Option<HomingConfig>) -> anyhow:
     })
 }
 
-fn print(summary: &RunSummary) -> anyhow::Result<()> {
+/// What the service says of a run that is over.
+fn over(name: String, summary: RunSummary) -> LastRun {
     let RunSummary { path, cycles, cycles_valid, cycles_lost, cause, timing } = summary;
-    let flagged = cycles - cycles_valid;
-    say(path.display())?;
-    say(format_args!(
-        "{cycles} cycles, {cycles_valid} valid, {flagged} flagged, {cycles_lost} lost; {cause}"
-    ))?;
-    Ok(timing.iter().try_for_each(say)?)
+    let file = Some(path.display().to_string());
+    LastRun { name, file, cycles, cycles_valid, cycles_lost, cause, error: None, timing }
 }

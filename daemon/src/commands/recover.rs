@@ -1,19 +1,71 @@
 //! `ballbard recover`: a finished recording out of one that was cut short or damaged.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::Args;
+use serde::Serialize;
 use shared::output::say;
-use shared::recording::{Recovery, Salvaged, recover_file};
+
+use shared::recording::{Recovery, Salvaged, TimingSummary, recover_file};
+
+use super::Format;
 
 #[derive(Debug, Args)]
 pub struct RecoverArguments {
     /// The recording, `.mcap.active` or `.mcap`
     file: PathBuf,
+    #[command(flatten)]
+    format: Format,
+}
+
+/// What became of the file, for programs.
+#[derive(Serialize)]
+struct Outcome<'a> {
+    /// `whole`, `renamed` or `recovered`.
+    outcome: &'static str,
+    /// The finished recording.
+    file: String,
+    /// The original, where a part of it could not be read.
+    torn: Option<String>,
+    cycles: u64,
+    cycles_valid: u64,
+    cycles_lost: u64,
+    /// When the last whole cycle was sampled.
+    last_good_utc: Option<String>,
+    /// What could not be read.
+    damage: Option<String>,
+    timing: Option<&'a TimingSummary>,
+}
+
+impl<'a> Outcome<'a> {
+    fn of(recovery: &'a Recovery, asked: &Path) -> Self {
+        let (outcome, file, torn, content) = match recovery {
+            Recovery::Whole { content } => ("whole", asked, None, content),
+            Recovery::Renamed { file, content } => ("renamed", file.as_path(), None, content),
+            Recovery::Recovered { file, torn, content } => {
+                ("recovered", file.as_path(), torn.as_ref(), content)
+            }
+        };
+        Self {
+            outcome,
+            file: file.display().to_string(),
+            torn: torn.map(|torn| torn.display().to_string()),
+            cycles: content.cycles,
+            cycles_valid: content.cycles_valid,
+            cycles_lost: content.cycles_lost,
+            last_good_utc: content.last_good.map(|last| last.to_string()),
+            damage: content.damage.map(|damage| damage.to_string()),
+            timing: content.timing.as_ref(),
+        }
+    }
 }
 
 pub fn run(arguments: &RecoverArguments) -> anyhow::Result<()> {
-    match recover_file(&arguments.file)? {
+    let recovery = recover_file(&arguments.file)?;
+    if arguments.format.prints(&Outcome::of(&recovery, &arguments.file))? {
+        return Ok(());
+    }
+    match recovery {
         Recovery::Whole { content } => {
             let file = arguments.file.display();
             say(format_args!("{file}: whole, {} cycles; nothing to recover", content.cycles))?;

@@ -5,6 +5,7 @@ use std::path::Path;
 use clap::Args;
 use shared::output::say;
 
+use super::Format;
 use super::configuration::Configuration;
 use crate::tuning::{self, Machine, Verdict};
 
@@ -14,6 +15,8 @@ pub struct TuneArguments {
     #[arg(long)]
     interface: Option<String>,
     #[command(flatten)]
+    format: Format,
+    #[command(flatten)]
     configuration: Configuration,
 }
 
@@ -21,6 +24,9 @@ pub fn run(arguments: &TuneArguments) -> anyhow::Result<()> {
     let daemon = arguments.configuration.daemon()?;
     let machine = Machine::read(Path::new("/"), daemon.realtime.core, arguments.interface.as_deref());
     let findings = tuning::findings(&machine);
+    if arguments.format.prints(&findings)? {
+        return Ok(());
+    }
     findings.iter().try_for_each(say)?;
     let count = |verdict| findings.iter().filter(|finding| finding.verdict == verdict).count();
     let (problems, unknown) = (count(Verdict::Problem), count(Verdict::Unknown));

@@ -2,7 +2,7 @@
 
 use std::process::Command;
 
-use ballbard::control::status::{CheckLine, Status};
+use ballbard::control::status::{CheckLine, HomingStatus, Status};
 use serde_json::json;
 use shared::config::{self, HomingConfig};
 
@@ -26,6 +26,15 @@ fn marks_are_found_used_by_runs_and_forgotten_with_the_terminals_power() {
     let service = Running::in_directory(tempfile::tempdir().unwrap(), config.path());
     service.wait_for("waiting");
     assert!(marks_line(&service).finding.contains("not homed"));
+    let output = service.command(&["home", "--json"]);
+    assert!(output.status.success(), "{}", text(&output));
+    let states = serde_json::Deserializer::from_slice(&output.stdout).into_iter::<HomingStatus>();
+    let states: Vec<HomingStatus> = states.map(Result::unwrap).collect();
+    assert!(states.len() > 5 && states.windows(2).all(|pair| pair[0] != pair[1]), "{states:?}");
+    let asked: Vec<u8> = states.iter().filter_map(|state| state.joint).collect();
+    assert!(asked.is_sorted() && asked.first() == Some(&1) && asked.last() == Some(&5), "{asked:?}");
+    let end = states.last().unwrap();
+    assert!(end.is_over && end.error.is_none(), "{end:?}");
     let output = service.command(&["home"]);
     assert!(output.status.success(), "{}", text(&output));
     for told in ["joint 1 (gimbal", "joint 5 (cardan", "joint 5: on terminal 5, counts up", "homing.toml"] {
