@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 use shared::output::say;
-
 use shared::recording::{Recovery, Salvaged, TimingSummary, recover_file};
 
 use super::Format;
