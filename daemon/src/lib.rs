@@ -20,3 +20,4 @@ pub mod recorder;
 pub mod run;
 pub mod segment;
 pub mod tuning;
+mod whole_file;

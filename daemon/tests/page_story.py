@@ -287,6 +287,12 @@ def main():
             page.wait("document.querySelector('#plot-chart canvas')", "the plot")
             page.pictures(pictures, "plot")
             page.run("document.getElementById('plot').close()")
+            page.click(f"#runs [data-run={json.dumps(second)}] .tools button[aria-label^=Note]")
+            page.wait("document.getElementById('ask').open", "the question for the note")
+            page.type("#ask-input", "gripper closed <img>")
+            page.click("#ask-yes")
+            page.wait(f"document.querySelector('#runs [data-run={json.dumps(second)}]').innerText.includes('gripper closed <img>')",
+                      "the changed note")
             page.type("#search", "nothing like that")
             page.wait("document.querySelectorAll('#runs li').length === 0", "an empty search")
             page.type("#search", f"12 kg {verdict}")

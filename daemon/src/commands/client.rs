@@ -1,4 +1,4 @@
-//! Commands that ask a running service: `start`, `stop`, `status`, `mark`, `check`, `runs`.
+//! Commands that ask a running service: `start`, `stop`, `status`, `mark`, `note`, `check`, `runs`.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,8 @@ use super::Format;
 use super::configuration::Configuration;
 use crate::control::runs::{self, RunLine};
 use crate::control::status::{
-    CheckLine, LastRun, Level, MarkRequest, Refusal, Reply, RunStatus, StartRequest, Status, StopRequest,
+    CheckLine, LastRun, Level, MarkRequest, NoteRequest, Refusal, Reply, RunStatus, StartRequest, Status,
+    StopRequest,
 };
 use crate::control::verdict::Verdict;
 use crate::run::About;
@@ -63,6 +64,16 @@ pub struct AskArguments {
 pub struct MarkArguments {
     /// Text of the marker
     text: String,
+    #[command(flatten)]
+    service: ServiceArguments,
+}
+
+#[derive(Debug, Args)]
+pub struct NoteArguments {
+    /// Name of the run
+    name: String,
+    /// Its note from now on; "" for none
+    note: String,
     #[command(flatten)]
     service: ServiceArguments,
 }
@@ -121,6 +132,15 @@ pub fn mark(arguments: &MarkArguments) -> anyhow::Result<()> {
         return Ok(());
     }
     Ok(say(format_args!("marked in run `{}`", reply.run.unwrap_or_default()))?)
+}
+
+pub fn note(arguments: NoteArguments) -> anyhow::Result<()> {
+    let NoteArguments { name, note, service } = arguments;
+    let reply: Reply = service.post("note", &NoteRequest { name, note })?;
+    if service.format.prints(&reply)? {
+        return Ok(());
+    }
+    Ok(say(format_args!("run `{}` has this note now", reply.run.unwrap_or_default()))?)
 }
 
 pub fn status(arguments: &AskArguments) -> anyhow::Result<()> {

@@ -7,10 +7,11 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, bail};
 use clap::Args;
 use shared::output::{say, unless_gone};
-use shared::recording::Recording;
 use shared::recording::schema::{CycleRecord, EncoderInfo, Event, EventKind, RunMetadata, flags};
+use shared::recording::{Disk, ReadError, Recording, SystemDisk};
 
 use super::client::ServiceArguments;
+use crate::control::note;
 
 #[derive(Debug, Args)]
 pub struct ExportArguments {
@@ -44,7 +45,7 @@ pub struct Layout {
 
 pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     let (file, beside) = find(&arguments.recording, &arguments.service)?;
-    let recording = Recording::open(&file)?;
+    let recording = open(&SystemDisk, &file)?;
     let out = arguments.out.clone().unwrap_or_else(|| beside.with_extension("csv"));
     if out == Path::new("-") {
         if arguments.service.format.json {
@@ -71,6 +72,13 @@ pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
         return Ok(());
     }
     Ok(say(format_args!("{file}: {rows} rows"))?)
+}
+
+/// A recording as tables show it, with the note that it has by now.
+pub fn open(disk: &dyn Disk, file: &Path) -> Result<Recording, ReadError> {
+    let mut recording = Recording::open_on(disk, file)?;
+    note::apply(disk, file, &mut recording.run);
+    Ok(recording)
 }
 
 /// The file that is meant, and what its table is called after.

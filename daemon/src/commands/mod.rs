@@ -13,7 +13,7 @@ mod signals;
 mod systemd;
 mod tune;
 
-pub use export::{Layout, write_csv};
+pub use export::{Layout, open, write_csv};
 
 use self::signals::Signals;
 use crate::run::BusChoice;
@@ -46,6 +46,8 @@ enum Command {
     Status(client::AskArguments),
     /// Put a marker into the run.
     Mark(client::MarkArguments),
+    /// Change the note of a finished run; the recording itself stays as it is.
+    Note(client::NoteArguments),
     /// Whether everything is as it should be before a run.
     Check(client::AskArguments),
     /// List recordings.
@@ -74,6 +76,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
         Command::Stop(arguments) => client::stop(&arguments),
         Command::Status(arguments) => client::status(&arguments),
         Command::Mark(arguments) => client::mark(&arguments),
+        Command::Note(arguments) => client::note(arguments),
         Command::Check(arguments) => client::check(&arguments),
         Command::Runs(arguments) => client::list(&arguments),
         Command::Record(arguments) => record::run(&arguments),

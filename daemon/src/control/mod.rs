@@ -12,6 +12,7 @@ mod controller;
 pub mod homing;
 pub mod live;
 pub mod machine;
+pub(crate) mod note;
 pub mod preflight;
 pub mod runs;
 pub mod service;

@@ -11,6 +11,7 @@ use shared::recording::{
 };
 use shared::time::UtcNs;
 
+use super::note;
 use super::verdict::Verdict;
 
 /// One recording of the list.
@@ -46,7 +47,7 @@ pub struct RunLine {
     pub bar: String,
     /// What the robot carried.
     pub payload: String,
-    /// Free text that was given with it.
+    /// Free text that was given with it, or since.
     pub note: String,
 }
 
@@ -122,7 +123,8 @@ pub fn finished(disk: &dyn Disk, name: String, file: PathBuf) -> RunLine {
     match RunOverview::open_on(disk, &file) {
         Ok(overview) => {
             let verdict = Some(Verdict::of_file(&overview));
-            let RunOverview { run, end } = overview;
+            let RunOverview { mut run, end } = overview;
+            note::apply(disk, &file, &mut run);
             RunLine {
                 name,
                 file,

@@ -242,6 +242,16 @@ pub struct MarkRequest {
     pub ago_ms: u32,
 }
 
+/// What is asked for with `note`: another note for a finished recording.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct NoteRequest {
+    /// Its name.
+    pub name: String,
+    /// The note that it has from now on; empty for none.
+    pub note: String,
+}
+
 /// What is asked for with `delete`: a finished recording.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -253,7 +263,7 @@ pub struct DeleteRequest {
 /// What became of a request.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Reply {
-    /// In one word: `begun`, `running`, `stopped`, `idle`, `homing`, `marked` or `deleted`.
+    /// In one word: `begun`, `running`, `stopped`, `idle`, `homing`, `marked`, `noted` or `deleted`.
     pub answer: String,
     /// The run that it is about.
     pub run: Option<String>,

@@ -1,11 +1,13 @@
 //! `homing.toml`: what was found, kept in the state directory.
 
-use std::io::{self, Read, Write};
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use shared::config::{self, ConfigError, EncoderConfig, HomingConfig};
 use shared::recording::{Disk, OpenFile, is_absent};
 use shared::time::UtcNs;
+
+use crate::whole_file;
 
 /// Where reference marks are kept. The program finds them out by itself, so they are state and no configuration, which
 /// may be another user's.
@@ -53,33 +55,17 @@ impl MarksFile {
         Some(format!("{why}, so reference marks could not be kept"))
     }
 
-    /// Keeps the counts at the marks, in the order of `encoders`. Under its final name the file is whole, or it is the one
-    /// before.
+    /// Keeps the counts at the marks, in the order of `encoders`.
     pub fn write(
         &self,
         disk: &dyn Disk,
         encoders: &[EncoderConfig],
         reference_counts: &[u32],
     ) -> io::Result<()> {
-        let Self { directory, file, .. } = self;
         let now = UtcNs::from_datetime(chrono::Utc::now());
         let homing = HomingConfig::new(now, encoders, reference_counts);
         let text = toml::to_string(&homing).map_err(io::Error::other)?;
-        let part = file.with_extension("toml.part");
-        let explain = |error: io::Error| {
-            let advice =
-                format!("cannot write {}: {error}; check free space and permissions", file.display());
-            io::Error::new(error.kind(), advice)
-        };
-        let create = || {
-            disk.make_directory(directory)?;
-            let created = disk.create(&part)?;
-            let mut created = OpenFile::new(disk, &created);
-            created.write_all(format!("# Written by `ballbard home`.\n{text}").as_bytes())?;
-            created.flush()?;
-            disk.replace(&part, file)
-        };
-        create().map_err(explain)
+        whole_file::write(disk, &self.file, &format!("# Written by `ballbard home`.\n{text}"))
     }
 }
 

@@ -53,6 +53,17 @@ async function remove(run) {
   refresh();
 }
 
+async function note(run) {
+  const said = await choose({ title: `Note of ${run.name}`, label: "Note", value: run.note, yes: "Keep" });
+  if (said === null) return;
+  try {
+    await ask("note", { name: run.name, note: said });
+  } catch (error) {
+    say("bad", error.message);
+  }
+  refresh();
+}
+
 async function look(run) {
   try {
     const curves = await ask(`runs/${encodeURIComponent(run.name)}/plot`);
@@ -71,7 +82,7 @@ function row(run) {
     className: "button", href: `${path}/${kind.toLowerCase()}`, download: "", textContent: kind, ariaLabel: `Download ${run.name} as ${kind}`,
   });
   const tool = (label, act) => el("button", { type: "button", textContent: label, ariaLabel: `${label} ${run.name}`, onclick: () => act(run) });
-  const tools = run.verdict ? [tool("Plot", look), download("MCAP"), download("CSV"), tool("Delete", remove)] : [];
+  const tools = run.verdict ? [tool("Plot", look), download("MCAP"), download("CSV"), tool("Note", note), tool("Delete", remove)] : [];
   const item = el("li", { level: run.verdict?.level ?? "check" },
     el("span", { className: "verdict", textContent: verdict_word(run.verdict) || "…" }),
     el("span", { className: "name" }, run.name, why(run) ? el("div", { className: "facts", textContent: why(run) }) : null),

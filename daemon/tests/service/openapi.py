@@ -58,6 +58,7 @@ BODIES = {
     "/api/mark": {"text": "here", "ago_ms": 0},
     "/api/stop": {"cause": "enough"},
     "/api/home": {},
+    "/api/note": {"name": "described", "note": "B"},
     "/api/delete": {"name": "described"},
 }
 # A run is begun before what is said of it is asked for, and deleted last.

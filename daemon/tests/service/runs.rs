@@ -9,7 +9,7 @@ use serde_json::json;
 use shared::recording::Recording;
 use shared::recording::schema::EventKind;
 
-use super::rig::{Running, text};
+use super::rig::{Running, agent, text};
 
 #[test]
 fn runs_are_recorded_one_after_the_other_from_one_bus() {
@@ -111,6 +111,57 @@ fn the_commands_say_what_they_did() {
     // In the time of this place, as default names are, and with what that is.
     let started = service.recording("typed").run.started.to_datetime().with_timezone(&chrono::Local);
     assert!(runs.contains(&started.format("%Y-%m-%d %H:%M:%S %:z").to_string()), "{runs}");
+}
+
+#[test]
+fn a_note_is_changed_after_the_run_and_the_recorded_file_is_not() {
+    let service = Running::start();
+    service.wait_for("waiting");
+    let record = |note: &str| {
+        service.granted("start", &json!({"name": "one", "note": note}));
+        service.wait_for("writing");
+        let (status, refused) = service.post("note", &json!({"name": "one", "note": "too early"}));
+        assert_eq!(status, 404, "{refused}");
+        service.granted("stop", &json!({}));
+    };
+    let listed = || service.get::<Vec<RunLine>>("runs").remove(0).note;
+    let table = || text(&service.command(&["export", "--csv", "one", "--out", "-"]));
+    record("typed wrongly");
+    let file = service.directory.path().join("one.mcap");
+    let recorded = std::fs::read(&file).unwrap();
+
+    let said = service.command(&["note", "one", "payload 12 kg"]);
+    assert!(said.status.success() && text(&said).contains("`one`"), "{}", text(&said));
+    assert_eq!(listed(), "payload 12 kg");
+    let csv = agent().get(service.url("runs/one/csv")).call().unwrap().body_mut().read_to_string().unwrap();
+    for table in [table(), csv] {
+        assert!(table.contains("note: payload 12 kg") && !table.contains("typed wrongly"), "{table:.300}");
+    }
+    assert_eq!(service.granted("note", &json!({"name": "one", "note": ""})).answer, "noted");
+    assert_eq!(listed(), "");
+    assert_eq!(std::fs::read(&file).unwrap(), recorded);
+
+    for (body, expected) in [
+        (json!({"name": "one", "note": "\u{1b}[2J"}), 422),
+        (json!({"name": "one", "note": "a".repeat(5000)}), 422),
+        (json!({"name": "../one", "note": "a"}), 404),
+        (json!({"name": "two", "note": "a"}), 404),
+    ] {
+        let (status, refused) = service.post("note", &body);
+        assert_eq!(status, expected, "{refused}");
+    }
+    assert_eq!(listed(), "");
+
+    // A note goes with its recording, and none that was left is taken for that of another with the name.
+    let beside = service.directory.path().join("one.note.json");
+    let left = std::fs::read(&beside).unwrap();
+    service.granted("delete", &json!({"name": "one"}));
+    assert!(!beside.exists());
+    std::fs::write(&beside, left).unwrap();
+    record("another");
+    assert_eq!(listed(), "another");
+    std::fs::write(&beside, "torn").unwrap();
+    assert!(listed().starts_with("another (a later note cannot be read"), "{}", listed());
 }
 
 #[test]

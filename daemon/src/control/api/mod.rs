@@ -26,7 +26,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, get, post};
 use axum::{Extension, Json, Router};
 use futures_util::{StreamExt, stream};
-use shared::recording::{Disk, Recording};
+use shared::recording::Disk;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 
@@ -37,14 +37,15 @@ use self::remote::{Gate, OverTls};
 pub use self::remote::{Remote, RemoteError, RemoteSettings};
 use super::live::Live;
 use super::machine::Answer;
+use super::note;
 use super::runs::{self, Curves, RunLine};
 use super::service::{LIST_WITHIN, Service};
 use super::status::{
-    CheckLine, DeleteRequest, HomeRequest, LastRun, MarkRequest, Refusal, Reply, StartRequest, Status,
-    StopRequest,
+    CheckLine, DeleteRequest, HomeRequest, LastRun, MarkRequest, NoteRequest, Refusal, Reply, StartRequest,
+    Status, StopRequest,
 };
 use super::verdict::Verdict;
-use crate::commands::{Layout, write_csv};
+use crate::commands::{self, Layout, write_csv};
 use crate::page;
 use crate::run::{About, check_text};
 
@@ -169,6 +170,13 @@ fn operations() -> Vec<(Operation, MethodRouter<Shared>)> {
             post(home),
         ),
         (Operation::post::<MarkRequest, Reply>("/mark", "Puts a marker into the run."), post(mark)),
+        (
+            Operation::post::<NoteRequest, Reply>(
+                "/note",
+                "Changes the note of a finished recording; its file stays as it is.",
+            ),
+            post(change_note),
+        ),
         (Operation::post::<DeleteRequest, Reply>("/delete", "Deletes a finished recording."), post(delete)),
     ]
 }
@@ -321,8 +329,7 @@ async fn download_csv(
     let what =
         Download { file_name: format!("{name}.csv"), media_type: "text/csv; charset=utf-8", length: None };
     let disk = service.disk();
-    Ok(downloads
-        .send(&what, move |sink| write_csv(&Recording::open_on(&*disk, &file)?, Layout::default(), sink)))
+    Ok(downloads.send(&what, move |sink| write_csv(&commands::open(&*disk, &file)?, Layout::default(), sink)))
 }
 
 async fn curves(
@@ -339,8 +346,16 @@ async fn delete(State(service): State<Service>, body: Body<DeleteRequest>) -> Re
     let DeleteRequest { name } = body.map_err(|rejection| rejected(&rejection))?.0;
     let (file, name) = found(&service, Ok(extract::Path(name))).await?;
     tracing::warn!(file = %file.display(), "recording deleted, as somebody asked");
-    on_disk(&service, move |disk| disk.remove(&file)).await?;
+    on_disk(&service, move |disk| disk.remove(&file).and_then(|()| note::remove(disk, &file))).await?;
     Ok(reply("deleted", Some(name), None))
+}
+
+async fn change_note(State(service): State<Service>, body: Body<NoteRequest>) -> Result<Response, Response> {
+    let NoteRequest { name, note } = body.map_err(|rejection| rejected(&rejection))?.0;
+    check_text(&note).map_err(|problem| refusal(StatusCode::UNPROCESSABLE_ENTITY, problem))?;
+    let (file, name) = found(&service, Ok(extract::Path(name))).await?;
+    on_disk(&service, move |disk| note::keep(disk, &file, note)).await?;
+    Ok(reply("noted", Some(name), None))
 }
 
 /// Lines of the check that stop a run.
