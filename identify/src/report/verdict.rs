@@ -178,9 +178,12 @@ impl CalibrationFile {
 /// Why the requirement is not met.
 fn missed(workspace: &WorkspaceError, predicted: &[Predicted], required_m: Option<f64>) -> Option<String> {
     let required_m = required_m?;
-    let expected_m = workspace.after.p95_m;
+    let expected_m = workspace.after.p95_upper_m;
     let of_workspace = (expected_m > required_m).then(|| {
-        format!("the expected error is below {:.3} mm over 95 % of the workspace", expected_m * 1e3)
+        format!(
+            "the error in 95 % of the workspace is sure (97.5 %) to be below {:.3} mm only",
+            expected_m * 1e3
+        )
     });
     let missed = of_workspace.or_else(|| {
         let one = predicted.iter().find(|one| one.is_position && one.calibrated > required_m)?;
