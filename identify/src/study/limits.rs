@@ -23,9 +23,8 @@ const LENGTH_OFF_M: f64 = 5e-3;
 
 /// Chance that something is said of a prior although all of them hold.
 const STRAINED_BY_CHANCE: f64 = 1e-3;
-/// Least part of a prior's variance that samples take away before they can contradict it: sigmas of a jackknife over a dozen folds
-/// are right to a fifth, so that of less nothing is known.
-const LEARNT_PART_MIN: f64 = 0.2;
+/// Part by which the variance of a jackknife over a dozen folds may be wrong, one standard deviation.
+const VARIANCE_UNCERTAIN: f64 = 0.4;
 
 /// One thing that limits a calibration.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -121,7 +120,7 @@ fn untold_forces(calibration: &BallBarCalibration) -> impl Iterator<Item = Limit
 /// `n` priors, at a chance of [`STRAINED_BY_CHANCE`] for all.
 ///
 /// A prior of `x0` with sigma `s0` that holds makes what is found, `x` with sigma `s`, differ from `x0` by no more than
-/// `sqrt(s0^2 - s^2)` times a standard normal number, and pulls it by `(x - x0) s^2 / (s0^2 - s^2)`.
+/// `sqrt(s0^2 - s^2)` times a standard normal number ([`VARIANCE_UNCERTAIN`] of `s^2` is left open), and pulls it by `(x - x0) s^2 / (s0^2 - s^2)`.
 fn strained_priors(calibration: &BallBarCalibration) -> Option<Limit> {
     let Solution { x, covariance, .. } = &calibration.solution;
     let priors =
@@ -137,13 +136,15 @@ fn strained_priors(calibration: &BallBarCalibration) -> Option<Limit> {
     let mut strained = Vec::new();
     for (id, off, expected, sigma) in priors {
         let learnt = expected.powi(2) - sigma.powi(2);
-        if learnt > LEARNT_PART_MIN * expected.powi(2) && off.abs() > most * learnt.sqrt() {
-            let pull = off * sigma.powi(2) / learnt;
+        let learnt_at_most = learnt + VARIANCE_UNCERTAIN * sigma.powi(2);
+        if learnt_at_most > 0.0 && off.abs() > most * learnt_at_most.sqrt() {
+            // The pull, |off| sigma^2 / learnt, is beyond one sigma.
+            let pulls = off.abs() * sigma > learnt;
             let unit = id.unit();
             let [off, expected] = [off, expected].map(|value| value * unit.display_factor());
             let sentence =
                 format!("{id} by {off:+.3} {} (expected within {expected:.3})", unit.display_symbol());
-            strained.push((sentence, pull.abs() > sigma));
+            strained.push((sentence, pulls));
         }
     }
     let names: Vec<&str> = strained.iter().map(|(sentence, _)| sentence.as_str()).collect();
