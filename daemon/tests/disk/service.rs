@@ -406,14 +406,16 @@ fn check_all(faults: &[Fault]) {
     clean.service.join().unwrap();
     clean.check_files();
     let calls = clean.wall.calls();
+    let each: usize = std::env::var("CALLS_EACH").map_or(1, |each| each.parse().unwrap());
     let mut cases = Vec::new();
     for (&call, &count) in &calls {
         for (nth, &fault) in (0..count).flat_map(|nth| faults.iter().map(move |fault| (nth, fault))) {
             // Hanging takes seconds each time: the first and the last call of a kind do.
             let is_tried = match fault {
-                Fault::CutsShort => call.moves_bytes(),
+                Fault::CutsShort => call.moves_bytes() && nth % each == 0,
                 Fault::Hangs(_) => nth == 0 || nth + 1 == count,
-                _ => true,
+                Fault::Fails => true,
+                _ => nth % each == 0,
             };
             if is_tried {
                 cases.push((call, nth, fault));
@@ -433,7 +435,7 @@ fn whichever_call_of_a_service_fails_what_it_answers_is_true_and_it_ends() {
 }
 
 #[test]
-#[ignore = "takes minutes: dying, cut short and hanging calls"]
+#[ignore = "takes minutes: dying, cut short and hanging calls; CALLS_EACH=3 takes a third of the former two"]
 fn whatever_becomes_of_any_call_of_a_service_what_it_answers_is_true_and_it_ends() {
     check_all(&[Fault::DiesEverywhere, Fault::CutsShort, Fault::Hangs(HANG), Fault::Hangs(EVER)]);
 }
