@@ -34,6 +34,8 @@ pub fn request(name: &str, bus: BusChoice, duration: Option<Duration>, fast: boo
         duration,
         bus,
         fast,
+        // In real time a busy machine may keep an emulated terminal from answering before its time-out: then it is tried again.
+        wait: !fast,
         ..RunRequest::default()
     }
 }
