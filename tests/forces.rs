@@ -8,10 +8,10 @@ use std::process::Command;
 
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
+use identify::evaluate::{PositiveForce, Stretch};
 use identify::kinematics::{Chain, Joints};
 use identify::logs::{ForceClock, ForceKind, LogOptions, RobotLog, RobotLogMapping, load, load_with};
 use identify::simulate::{self, BarLoad, Design, Effects, Experiment, Simulated};
-use identify::study::{PositiveForce, Stretch};
 use shared::config::{self, AngleUnit, LogConversion, RobotConfig};
 use system_tests::{ball_bar as shipped_bar, config_directory, python_with};
 

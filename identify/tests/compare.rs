@@ -3,10 +3,10 @@
 
 use crate::support::{bar, irb2400};
 use identify::calibrate::{IdentifyConfig, ball_bar};
+use identify::evaluate::{Consistency, ConsistencyError};
 use identify::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use identify::report::side_by_side;
 use identify::simulate::{self, Effects, Experiment, StaticErrors};
-use identify::study::{Consistency, ConsistencyError};
 
 const NOISE: Effects =
     Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, base_tilt_urad: 5000.0, ..Effects::NONE };

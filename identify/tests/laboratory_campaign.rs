@@ -10,10 +10,10 @@ use crate::support::truth::position_error_m;
 use crate::support::{bar, irb2400, nj220};
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, SelectionName, ball_bar};
+use identify::evaluate::workspace_error;
 use identify::model::ParameterId;
 use identify::prepare::LocalShift;
 use identify::simulate::{Design, Simulated};
-use identify::study::workspace_error;
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::encoder::Direction;
 

@@ -8,11 +8,11 @@ use crate::support::{browser, irb2400};
 use identify::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
 use identify::calibrate::held_out::without_each_stretch;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
+use identify::evaluate::{Evidence, evidence, held_out, workspace_error};
 use identify::prepare::PrepareOptions;
 use identify::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use identify::report::page::Page;
 use identify::simulate::{self, Design, Effects, Experiment, Simulated, StaticErrors};
-use identify::study::{Evidence, evidence, held_out, workspace_error};
 use shared::config::{BallBarConfig, RobotConfig};
 
 const NOISE: Effects =

@@ -9,10 +9,10 @@ use crate::support::command::identify;
 use crate::support::{bar, browser, irb2400, repository};
 use identify::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
 use identify::calibrate::{IdentifyConfig, JointTermsConfig};
+use identify::evaluate::{WorkspaceError, evidence};
 use identify::logs::ForceLog;
 use identify::prepare::PrepareOptions;
 use identify::simulate::{self, BarLoad, Design, Effects, Experiment, Simulated};
-use identify::study::{WorkspaceError, evidence};
 use shared::recording::Recording;
 
 const NOISE: Effects = Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, ..Effects::NONE };

@@ -10,9 +10,9 @@ use identify::calibrate::ball_bar::{self, BallBarCalibration};
 use identify::calibrate::structure::identifiable;
 use identify::calibrate::terms::TermGroup;
 use identify::calibrate::{CostName, IdentifyConfig, SelectionName};
+use identify::evaluate::{evidence, uncalibrated};
 use identify::model::{ParameterId, Phase, Role, THESIS_FIXED};
 use identify::simulate::{self, Design, Effects, Experiment};
-use identify::study::{evidence, uncalibrated};
 
 fn calibrated(effects: Effects, selection: SelectionName) -> BallBarCalibration {
     let (robot, bar) = (irb2400(), bar());

@@ -5,10 +5,10 @@ use std::path::Path;
 
 use crate::support::command::identify;
 use crate::support::{irb2400, lengths, repository};
+use identify::evaluate::{Expected, Limit, WorkspaceError};
 use identify::report::file::{CalibrationFile, SolveEntry};
 use identify::report::validation::{ApartEntry, HeldOutEntry};
 use identify::report::verdict::{Grade, Verdict};
-use identify::study::{Expected, Limit, WorkspaceError};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;

@@ -5,9 +5,9 @@ use crate::support::{bar, irb2400, nj220};
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, JointTermsConfig};
+use identify::evaluate::{WorkspaceError, limits};
 use identify::prepare::{PrepareOptions, prepare};
 use identify::simulate::{self, Effects, Experiment, Simulated};
-use identify::study::{WorkspaceError, limits};
 use shared::config::{BallBarConfig, RobotConfig};
 
 fn laboratory(robot: &RobotConfig, seed: u64) -> Simulated {

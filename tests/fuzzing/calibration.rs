@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
+use identify::evaluate::Consistency;
 use identify::report::file::{CalibrationFile, ParameterEntry, SolveEntry, Status};
 use identify::report::side_by_side;
-use identify::study::Consistency;
 
 use super::explained;
 

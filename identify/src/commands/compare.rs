@@ -6,9 +6,9 @@ use anyhow::Context;
 use clap::Args;
 use shared::output::{say, show};
 
+use crate::evaluate::Consistency;
 use crate::report::file::CalibrationFile;
 use crate::report::side_by_side;
-use crate::study::Consistency;
 
 #[derive(Debug, Args)]
 pub struct CompareArguments {

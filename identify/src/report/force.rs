@@ -2,8 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::evaluate::{PositiveForce, SphereDeviation};
 use crate::logs::{ForceClock, ForceKind};
-use crate::study::{PositiveForce, SphereDeviation};
 
 /// The force on the bar in `calibration.toml` and `calibration.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -7,8 +7,8 @@ use maud::{Markup, PreEscaped, html};
 use super::page::document;
 use super::page::intervals::Intervals;
 use super::page::plot::{COLOURS, PlotError};
+use crate::evaluate::{Compared, Consistency};
 use crate::model::Unit;
-use crate::study::{Compared, Consistency};
 
 /// The table on a terminal.
 pub fn table(consistency: &Consistency, names: &[String]) -> String {

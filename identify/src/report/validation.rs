@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::file::CalibrationFile;
 use crate::calibrate::HoldOut;
 use crate::calibrate::measured_pose::Stages;
-use crate::study::{ApartRms, Evidence};
+use crate::evaluate::{ApartRms, Evidence};
 
 /// Robot against bar, root mean square.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]

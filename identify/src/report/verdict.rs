@@ -9,7 +9,7 @@ use statrs::distribution::{ContinuousCDF, Normal};
 
 use super::earlier::Earlier;
 use super::file::{CalibrationFile, FileError};
-use crate::study::{Limit, WorkspaceError};
+use crate::evaluate::{Limit, WorkspaceError};
 
 /// Chance that a calibration that is as good as the nominal robot is called worse.
 const WORSE_BY_CHANCE: f64 = 1e-3;

@@ -8,12 +8,12 @@ use crate::support::{bar, irb2400};
 use identify::calibrate::ball_bar::{self, BallBarCalibration, CalibrateError};
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
+use identify::evaluate::{PositiveForce, Stretch, evidence};
 use identify::kinematics::{Chain, Joints, Trace, Tracer};
 use identify::logs::{ForceClock, ForceKind, ForceLog};
 use identify::model::ParameterId;
 use identify::prepare::{Fate, ForceError, PrepareError, PrepareOptions, Prepared, prepare};
 use identify::simulate::{self, BarLoad, Effects, Experiment, Simulated};
-use identify::study::{PositiveForce, Stretch, evidence};
 use nalgebra::Vector3;
 
 const NOISE: Effects =

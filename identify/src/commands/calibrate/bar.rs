@@ -16,6 +16,7 @@ use crate::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
 use crate::calibrate::truth::Comparison;
 use crate::calibrate::{CostName, IdentifyConfig, SelectionName};
 use crate::commands::on_terminal::OnTerminal;
+use crate::evaluate::evidence;
 use crate::logs::{self, BarLog, BarLogMapping, LogFormat, LogOptions, RobotLog, RobotLogMapping};
 use crate::model::{Model, ParameterId};
 use crate::prepare::{Prepared, WiringChoice};
@@ -25,7 +26,6 @@ use crate::report::page::Page;
 use crate::report::table;
 use crate::simulate::Truth;
 use crate::solver::LossName;
-use crate::study::evidence;
 
 /// What a calibration with the ball-bar is told.
 #[derive(Debug, Args)]

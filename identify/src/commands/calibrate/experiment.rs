@@ -18,13 +18,13 @@ use crate::calibrate::refusal::Refuses;
 use crate::calibrate::{HoldOut, IdentifyConfig};
 use crate::commands::ensure_six_revolute_axes;
 use crate::commands::on_terminal::OnTerminal;
+use crate::evaluate::RunEvidence;
 use crate::instrument::{BallBar, LengthRow, PoseRow, Run};
 use crate::logs::LogFormat;
 use crate::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use crate::report::page::Measured;
 use crate::report::table;
 use crate::report::validation::RowsEntry;
-use crate::study::RunEvidence;
 
 /// Name of the file beside a result.
 const NAME: &str = "experiment.toml";

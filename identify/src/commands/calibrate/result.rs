@@ -7,13 +7,13 @@ use shared::config::{BallBarConfig, RobotConfig};
 use shared::output::{say, show};
 
 use super::experiment::Experiment;
+use crate::evaluate::workspace_error;
 use crate::model::Model;
 use crate::report::file::CalibrationFile;
 use crate::report::page::{Measured, MeasuredPage};
 use crate::report::table;
 use crate::report::verdict::Grade;
 use crate::solver::Solution;
-use crate::study::workspace_error;
 
 /// A calibration with everything that is told of it.
 pub(super) struct Told<'a> {

@@ -7,8 +7,8 @@ use super::Page;
 use super::intervals::Intervals;
 use super::plot::{COLOURS, PlotError};
 use super::sections::{figure, svg};
+use crate::evaluate::{CostComparison, CostEntry, CostFigures};
 use crate::model::Unit;
-use crate::study::{CostComparison, CostEntry, CostFigures};
 
 /// So many names of parameters fit into a cell.
 const NAMES_MAX: usize = 8;

@@ -4,8 +4,8 @@ use plotters::prelude::RGBColor;
 
 use super::plot::{BLUE, COLOURS, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
 use crate::cost::Closure;
+use crate::evaluate::{Evidence, JointGap, RunEvidence, ShiftCurve};
 use crate::prepare::LocalShift;
-use crate::study::{Evidence, JointGap, RunEvidence, ShiftCurve};
 
 pub(super) const WIDE: (u32, u32) = (920, 250);
 pub(super) const HALF: (u32, u32) = (450, 270);

@@ -7,7 +7,7 @@ use super::figures::{HALF, TimeAxis, dots};
 use super::plot::{BLUE, COLOURS, GREEN, GREY, Mark, Panel, PlotError, Series};
 use super::sections::svg;
 use super::{Page, runs};
-use crate::study::{Apart, ApartRms, HeldOut, HeldOutStretch};
+use crate::evaluate::{Apart, ApartRms, HeldOut, HeldOutStretch};
 
 const BLACK: RGBColor = RGBColor(30, 36, 44);
 const RED: RGBColor = COLOURS[5];
@@ -98,7 +98,7 @@ fn panel(
     }
     let level = |of: fn(&HeldOutStretch) -> &Vec<Apart>| {
         let ends = stretches.iter().flat_map(|stretch| {
-            let rms = crate::study::rms(of(stretch).iter().map(&value));
+            let rms = crate::evaluate::rms(of(stretch).iter().map(&value));
             stretch.span_s().map(|t_s| (time.at(t_s), rms))
         });
         ends.collect::<Vec<(f64, f64)>>()

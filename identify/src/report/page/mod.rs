@@ -23,8 +23,8 @@ use std::path::{Path, PathBuf};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use crate::calibrate::ball_bar::BallBarCalibration;
+use crate::evaluate::Evidence;
 use crate::report::file::{CalibrationFile, FileError, replace};
-use crate::study::Evidence;
 
 pub use arm::picture;
 pub use inputs::Source;

@@ -9,9 +9,9 @@ use super::plot::{BLUE, GREY, ORANGE, Panel, PlotError};
 use super::sections::{candidates, colour, dependence, expected, judged, mm, parameters, repeated_with, svg};
 use super::{PageError, document};
 use crate::calibrate::measured_pose::{PoseFigures, RowErrors, Sizes};
+use crate::evaluate::{RunEvidence, WorkspaceError};
 use crate::instrument::Apart;
 use crate::report::file::{CalibrationFile, replace};
-use crate::study::{RunEvidence, WorkspaceError};
 
 /// Everything that the page shows.
 #[derive(Debug)]

@@ -4,10 +4,10 @@ use maud::{Markup, PreEscaped, html};
 
 use super::plot::PlotError;
 use super::{Page, correlations, figures};
+use crate::evaluate::{Expected, Limit, Quantiles};
 use crate::model::{ParameterId, Unit};
 use crate::report::file::{CalibrationFile, Input, ParameterEntry, Status};
 use crate::report::verdict::Grade;
-use crate::study::{Expected, Limit, Quantiles};
 
 /// mm with as many digits as mean something.
 pub(super) fn mm(metres: f64) -> String {

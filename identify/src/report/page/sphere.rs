@@ -8,7 +8,7 @@ use super::figures::{HALF, TimeAxis, WIDE, dots};
 use super::plot::{BLUE, FONT, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
 use super::runs;
 use super::sections::svg;
-use crate::study::{Deviation, OffSphere, SphereDeviation, Stretch};
+use crate::evaluate::{Deviation, OffSphere, SphereDeviation, Stretch};
 
 /// Samples that a map shows, at most.
 const DOTS_MAX: usize = 1500;
