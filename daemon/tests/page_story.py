@@ -8,6 +8,7 @@ something with the service; it answers with a line on standard input. Whatever i
 
 import base64
 import json
+import re
 import subprocess
 import sys
 import tempfile
@@ -220,6 +221,82 @@ def second_run(page):
     return stop(page)
 
 
+def begin_homing(page):
+    page.wait("!document.getElementById('home').disabled", "a free homing")
+    page.click("#home")
+    page.wait("document.getElementById('ask').open", "the question before a homing")
+    page.click("#ask-yes")
+
+
+def joint_asked_for(page, joint):
+    page.wait(f"document.getElementById('homing-joint').textContent.startsWith('Turn joint {joint}:')"
+              " && !document.getElementById('homing-now').hidden", f"the question for joint {joint}")
+    assert page.shown("#homing-stop") == "Stop homing" and page.shown("#homing-error") == ""
+
+
+def homing_ends(page, error):
+    """Said in the dialog, which asks for no joint any more and closes."""
+    page.wait("document.getElementById('homing-stop').textContent === 'Close'", "the end of the homing")
+    said = page.shown("#homing-error")
+    assert bool(said) == bool(error) and (not error or error in said), said
+    assert page.run("document.getElementById('homing').open && document.getElementById('homing-now').hidden")
+
+
+def close_homing(page):
+    page.click("#homing-stop")
+    page.wait("!document.getElementById('homing').open", "a closed dialog")
+
+
+def homing(page, pictures):
+    # It could not be kept: said before anybody turns a joint.
+    service("state in the way")
+    begin_homing(page)
+    page.wait("document.getElementById('said').innerText.includes('could not be kept')", "the refusal")
+    assert not page.run("document.getElementById('homing').open")
+    service("state free")
+    page.click("#said button")
+    # Joints that turn together.
+    begin_homing(page)
+    joint_asked_for(page, 1)
+    word(page, "HOMING")
+    homing_ends(page, "moved together")
+    word(page, "READY")
+    close_homing(page)
+    # Stopped by who began it.
+    service("hold")
+    begin_homing(page)
+    joint_asked_for(page, 1)
+    page.click("#homing-stop")
+    homing_ends(page, "stopped on the page")
+    close_homing(page)
+    assert "not homed" in page.shown("#checks [data-subject='reference marks']")
+    # Joint after joint, as the page asks for them.
+    begin_homing(page)
+    page.run("""window.turned = []; new MutationObserver(([change]) => window.turned.push(change.target.textContent))
+        .observe(document.getElementById('homing-turned'), {childList: true})""")
+    for joint in range(1, 6):
+        joint_asked_for(page, joint)
+        if joint == 1:
+            page.pictures(pictures, "homing")
+        service(f"turn joint {joint}")
+        page.wait(f"document.getElementById('homing-lines').innerText.includes('joint {joint}: on terminal {joint}, counts up')",
+                  f"the mark of joint {joint}")
+        service("hold")
+    homing_ends(page, None)
+    assert "homing.toml" in page.shown("#homing-lines li:last-child"), page.shown("#homing-lines")
+    unseen = "(list => list.scrollHeight - list.clientHeight - list.scrollTop)(document.getElementById('homing-lines'))"
+    assert page.run(unseen) < 2, "the last line lies below what is seen of the list"
+    # How far, and that it is the positive way, while a joint is turned.
+    turned = page.run("window.turned")
+    assert any(re.fullmatch(r"\+[1-9][0-9]*\.[0-9]°", said) for said in turned), turned
+    assert not any(said.startswith("−") for said in turned), turned
+    page.pictures(pictures, "homed")
+    close_homing(page)
+    page.wait("document.querySelector('#checks [data-subject=\"reference marks\"]').innerText.includes('of all joints')", "the marks")
+    word(page, "READY")
+    service("let go")
+
+
 def judged(page, name, reason):
     """The line of a run whose verdict is that of its cycles."""
     line = page.shown(f"#runs [data-run={json.dumps(name)}]")
@@ -269,6 +346,7 @@ def main():
             word(page, "READY")
             live_values(page)
             preflight(page, pictures)
+            homing(page, pictures)
             first = first_run(page, pictures)
             assert first.endswith("_irb-2400_short_01"), first
             line, verdict, total = judged(page, first, "cycles are flagged")
@@ -303,8 +381,14 @@ def main():
             assert page.run("document.querySelector('#run-form [name=robot]').value") == "IRB 2400"
             # Nor is the chart of the last minute empty: the line of the first joint begins far left.
             page.wait(LINE_BEGINS_LEFT, "the last minute in the chart", within_s=3)
+            # In the middle of a homing: nobody is asked to go on with it, and nobody is kept in its dialog.
+            service("hold")
+            begin_homing(page)
+            joint_asked_for(page, 1)
             service("end")
             word(page, "NO CONNECTION", within_s=5)
+            homing_ends(page, "is not known")
+            close_homing(page)
             assert page.run("[...document.querySelectorAll('.joint .angle')].every(angle => angle.textContent === 'stale')")
             assert not page.complaints, page.complaints
             print(json.dumps({"first": [first, verdict, total], "second": [second, verdict_too, total_too]}))

@@ -106,7 +106,7 @@ pub fn start(arguments: StartArguments) -> anyhow::Result<()> {
 pub fn stop(arguments: &AskArguments) -> anyhow::Result<()> {
     let request = StopRequest { cause: Some("stopped by `ballbard stop`".into()) };
     let reply: Reply = arguments.service.post("stop", &request)?;
-    let Reply { answer, last, verdict, .. } = &reply;
+    let Reply { answer, last, verdict, homing, .. } = &reply;
     let printed = arguments.service.format.prints(&reply)?;
     match (answer.as_str(), last) {
         ("stopped", Some(last)) => {
@@ -119,8 +119,7 @@ pub fn stop(arguments: &AskArguments) -> anyhow::Result<()> {
             }
         }
         _ if printed => {}
-        ("homing", _) => say("the homing ends")?,
-        _ => say("no run goes on")?,
+        _ => homing.as_ref().map_or_else(|| say("no run goes on"), say)?,
     }
     Ok(())
 }
@@ -161,6 +160,7 @@ pub fn status(arguments: &AskArguments) -> anyhow::Result<()> {
     for cable in &status.bad_cables {
         say(cable)?;
     }
+    status.homing.iter().try_for_each(say)?;
     if let Some(usable) = status.disk_usable_mb {
         say(format_args!("disk: {usable} MB above the floor"))?;
     }

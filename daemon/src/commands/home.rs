@@ -45,7 +45,11 @@ pub fn run(arguments: HomeArguments) -> anyhow::Result<()> {
 }
 
 fn by_service(service: &ServiceArguments, stop: &Stop) -> anyhow::Result<()> {
-    let _: Reply = service.post("home", &HomeRequest {})?;
+    let reply: Reply = service.post("home", &HomeRequest {})?;
+    let is_ours = reply.answer == "begun";
+    if !is_ours && !service.format.json {
+        say("the encoders are being homed already, as somebody else asked; this is how it goes on")?;
+    }
     let mut printer = Printer::new(service.format);
     let mut asked_to_stop = false;
     loop {
@@ -59,6 +63,12 @@ fn by_service(service: &ServiceArguments, stop: &Stop) -> anyhow::Result<()> {
         }
         if homing.is_over {
             return outcome(homing);
+        }
+        if stop.is_stopped() && !is_ours {
+            bail!(
+                "{}: not looked at any more; the homing that somebody else asked for goes on, `ballbard stop` ends it",
+                stop.cause()
+            );
         }
         if stop.is_stopped() && !asked_to_stop {
             asked_to_stop = true;

@@ -25,6 +25,8 @@ const POLL: Duration = Duration::from_millis(100);
 const OPENING_POLL: Duration = Duration::from_millis(5);
 /// Why a run ends when this thread does.
 const CONTROL_DIED: &str = "full fault: the thread of the control has ended; its cause is in the log";
+/// Why nothing begins that was granted.
+const NO_BUS: &str = "the bus is not in operation; `ballbard status` says why";
 /// Without anything new on disk for this long a run is not writing \[sync periods\].
 const STALLED_SYNC_PERIODS: u32 = 3;
 
@@ -185,6 +187,7 @@ impl Controller {
                 let _ = reply.send((answer.unwrap_or(Answer::Idle), runs_over));
             }
             Command::Home(reply) => {
+                self.look_at_bus();
                 let answer = self.handle(Event::Home);
                 self.publish();
                 let _ = reply.send(answer.unwrap_or(Answer::Idle));
@@ -224,12 +227,13 @@ impl Controller {
                 Action::Finished { run, cause } => self.finished(run, cause),
                 // The link tries by itself whenever it is down.
                 Action::Connect => {}
-                Action::BeginHoming => {
-                    self.homing = self.bus.session().map(Homing::begin);
-                    if self.homing.is_none() {
+                Action::BeginHoming => match self.bus.session() {
+                    Some(session) => self.homing = Some(Homing::begin(session)),
+                    None => {
                         self.handle(Event::HomingOver);
+                        answer = Some(Answer::Refused(NO_BUS.into()));
                     }
-                }
+                },
                 Action::EndHoming(cause) => self.homing.iter().for_each(|homing| homing.stop(&cause)),
                 Action::Recover => self.tend(),
                 Action::Exit => self.exit = true,
@@ -239,7 +243,7 @@ impl Controller {
     }
 
     fn open(&mut self) -> Result<(), String> {
-        let session = self.bus.session().ok_or_else(|| "the bus is not in operation".to_owned());
+        let session = self.bus.session().ok_or_else(|| NO_BUS.to_owned());
         let begun = session.and_then(|session| {
             session.begin(&self.wanted, &Stop::default()).map_err(|error| error.to_string())
         });

@@ -61,7 +61,7 @@ impl Homing {
         match self.keeping.as_ref().map(|(kept, _)| kept.try_recv()) {
             Some(Ok(kept)) => self.over(marks, kept),
             Some(Err(TryRecvError::Disconnected)) => {
-                self.over(marks, Err(HomingError::Stopped("no thread to write it; see the log".into())))
+                self.over(marks, Err(HomingError::NotKept("no thread writes them; see the log".into())))
             }
             Some(Err(TryRecvError::Empty)) | None => false,
         }
@@ -76,13 +76,15 @@ impl Homing {
             let marks = homing::verify(&encoders, &found).map_err(HomingError::from);
             let kept = marks.and_then(|marks| {
                 let written = file.write(&*disk, &encoders, &marks);
-                written.map_err(|error| HomingError::Stopped(error.to_string()))
+                written.map_err(|error| HomingError::NotKept(error.to_string()))
             });
             // Nobody waits any more if the service has ended meanwhile.
             let _ = result.send(kept);
         };
-        // Without a thread nobody sends, and the homing is over.
-        let _ = thread::Builder::new().name("homing".into()).spawn(keep);
+        if let Err(error) = thread::Builder::new().name("homing".into()).spawn(keep) {
+            // Nobody sends, and the homing is over.
+            tracing::error!("cannot start a thread for the reference marks: {error}");
+        }
     }
 
     fn over(&mut self, marks: &MarksFile, kept: Result<(), HomingError>) -> bool {
@@ -96,6 +98,7 @@ impl Homing {
             )),
             Err(error) => self.status.error = Some(error.to_string()),
         }
+        tracing::info!("{}", self.status);
         true
     }
 }

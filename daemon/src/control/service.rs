@@ -528,6 +528,20 @@ pub(crate) mod tests {
     }
 
     #[test]
+    fn a_homing_whose_cycle_thread_dies_says_so() {
+        let directory = tempfile::tempdir().unwrap();
+        let (service, deadly) = simulated(directory.path());
+        wait_until(&service, "the bus", |status| status.state == "waiting");
+        assert_eq!(runtime().block_on(service.home()).unwrap(), Answer::Beginning);
+        deadly.store(true, Ordering::Release);
+        let is_over = |status: &Status| status.homing.as_ref().is_some_and(|homing| homing.is_over);
+        let error = wait_until(&service, "its end", is_over).homing.unwrap().error.unwrap();
+        assert!(error.contains("thread of the cycle has ended") && error.contains("log"), "{error}");
+        service.shutdown("test over");
+        service.join().unwrap();
+    }
+
+    #[test]
     fn a_control_thread_that_dies_leaves_a_finished_file_with_the_cause_and_ends_the_service() {
         let directory = tempfile::tempdir().unwrap();
         let (service, _) = simulated(directory.path());

@@ -1,5 +1,7 @@
 //! What the service says of itself: the words of the API and of the commands.
 
+use std::fmt;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use shared::recording::{DiskTiming, TimingSummary};
@@ -162,8 +164,19 @@ pub struct HomingStatus {
     pub turned_deg: Option<f64>,
     /// It has ended.
     pub is_over: bool,
-    /// Why it found nothing, and what to do.
+    /// Why no marks were kept, and what to do.
     pub error: Option<String>,
+}
+
+impl fmt::Display for HomingStatus {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match (&self.error, self.joint) {
+            (Some(error), _) => write!(f, "not homed: {error}"),
+            (None, _) if self.is_over => write!(f, "homed: {}", self.lines.last().map_or("", String::as_str)),
+            (None, Some(joint)) => write!(f, "homing: joint {joint} is to be turned"),
+            (None, None) => write!(f, "homing: no joint is to be turned now"),
+        }
+    }
 }
 
 /// One encoder, now.
@@ -261,9 +274,10 @@ pub struct DeleteRequest {
 }
 
 /// What became of a request.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Reply {
-    /// In one word: `begun`, `running`, `stopped`, `idle`, `homing`, `marked`, `noted` or `deleted`.
+    /// In one word: `begun`, `running` (a run goes on already), `stopped`, `idle`, `homing` (goes on already, or was what
+    /// there was to stop), `marked`, `noted` or `deleted`.
     pub answer: String,
     /// The run that it is about.
     pub run: Option<String>,
@@ -272,6 +286,9 @@ pub struct Reply {
     /// What its file is worth.
     #[serde(default)]
     pub verdict: Option<Verdict>,
+    /// How the homing ended.
+    #[serde(default)]
+    pub homing: Option<HomingStatus>,
 }
 
 /// Why a request was not granted.

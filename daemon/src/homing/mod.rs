@@ -88,6 +88,9 @@ pub enum HomingError {
     /// Asked to stop.
     #[error("stopped before all joints were homed: {0}; nothing was written")]
     Stopped(String),
+    /// The file of the marks cannot be written.
+    #[error("the marks of all joints were found, but not kept: {0}; then home again")]
+    NotKept(String),
     /// The order or a direction is not that of the configuration.
     #[error(transparent)]
     Miswired(#[from] Miswired),

@@ -138,6 +138,7 @@ function silent() {
     text(card.children[1], "stale");
     text(card.children[2], "– °/s");
   }
+  homing.silent();
   $("mark").hidden = $("note").hidden = $("stop").hidden = true;
   show_begin();
 }

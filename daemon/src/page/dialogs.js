@@ -45,8 +45,13 @@ const WAYS = {
   5: "Counter-clockwise, seen against the axis of the flange side.",
 };
 
+const UNKNOWN = "The service does not answer: how far the homing is, and whether it goes on, is not known.";
+const FORGOTTEN = "The service was started anew: that homing is over. The line of the reference marks says whether they were kept.";
+
 export class Homing {
   was_over = true;
+  // Why it was not stopped as somebody asked.
+  refused = "";
 
   constructor() {
     $("home").addEventListener("click", () => this.begin());
@@ -74,15 +79,33 @@ export class Homing {
       $("homing").close();
       return;
     }
-    await ask("stop", { cause: "stopped on the page" }).catch((error) => say("bad", error.message));
+    // What is said elsewhere lies under the dialog.
+    await ask("stop", { cause: "stopped on the page" }).catch((error) => { this.refused = error.message; });
+  }
+
+  // Nobody is kept in the dialog, or asked to turn a joint, by a service that knows nothing of it.
+  lose(why) {
+    if (!$("homing").open) return;
+    this.was_over = true;
+    $("homing-now").hidden = true;
+    text($("homing-error"), why);
+    text($("homing-stop"), "Close");
+  }
+
+  silent() {
+    this.lose(UNKNOWN);
   }
 
   show({ state, homing }, joints) {
     const goes_on = state === "homing";
     const dialog = $("homing");
-    if (goes_on && !dialog.open) dialog.showModal();
-    if (!homing || !dialog.open) {
-      this.was_over = !goes_on;
+    if (goes_on && !dialog.open) {
+      this.refused = "";
+      dialog.showModal();
+    }
+    if (!dialog.open) return;
+    if (!homing) {
+      this.lose(FORGOTTEN);
       return;
     }
     this.was_over = homing.is_over;
@@ -95,9 +118,12 @@ export class Homing {
       text($("homing-turned"), turned === null ? "found" : `${turned >= 0 ? "+" : "−"}${Math.abs(turned).toFixed(1)}°`);
     }
     const lines = $("homing-lines");
-    for (const line of homing.lines.slice(lines.children.length)) lines.append(el("li", { textContent: line }));
     while (lines.children.length > homing.lines.length) lines.lastChild.remove();
-    text($("homing-error"), homing.error ?? "");
+    const are_new = lines.children.length < homing.lines.length;
+    while (lines.children.length < homing.lines.length) lines.append(el("li"));
+    homing.lines.forEach((line, index) => text(lines.children[index], line));
+    if (are_new) lines.scrollTop = lines.scrollHeight;
+    text($("homing-error"), homing.error ?? (homing.is_over ? "" : this.refused));
     text($("homing-stop"), homing.is_over ? "Close" : "Stop homing");
   }
 }

@@ -10,48 +10,60 @@ use tokio::sync::oneshot;
 
 use crate::clock::Clock;
 use crate::control::api;
-use crate::control::service::Service;
 use crate::control::service::tests::settings;
+use crate::control::service::{Service, Settings};
+use crate::homing::MarksFile;
 use crate::run::{self, Storage};
 use crate::segment::InProcessWire;
 use crate::segment::faults::{FaultHandle, FaultSwitch, FaultySegment};
-use crate::segment::simulated::{SegmentConfig, SimulatedSegment, SmoothMotion};
+use crate::segment::simulated::{Hand, HandTurned, SegmentConfig, SimulatedSegment, SmoothMotion};
 
-/// A service on a simulated bus whose faults are switched by hand.
+/// A service on a simulated bus whose faults are switched by hand, as are its joints turned.
 struct Bench {
     service: Service,
-    faults: Arc<Mutex<Option<FaultHandle>>>,
+    bus: Arc<Mutex<Option<(FaultHandle, Hand)>>>,
     directory: tempfile::TempDir,
 }
 
 impl Bench {
     fn new() -> Self {
         let directory = tempfile::tempdir().unwrap();
-        let settings = settings(directory.path());
+        let state = directory.path().join("state");
+        let settings = Settings { marks: MarksFile::new(state, None), ..settings(directory.path()) };
         let storage = Storage::new(&settings.daemon).unwrap();
-        let faults = Arc::new(Mutex::new(None));
-        let (places, switch, on_daemon, on_bar) =
-            (storage.clone(), Arc::clone(&faults), settings.daemon.clone(), settings.bar.clone());
+        let bus = Arc::new(Mutex::new(None));
+        let (places, by_hand, on_daemon, on_bar) =
+            (storage.clone(), Arc::clone(&bus), settings.daemon.clone(), settings.bar.clone());
         let connect = move || {
             let motion = SmoothMotion::new(on_bar.encoders.len(), 3600, 1);
-            let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(motion));
-            let (segment, handle) = FaultySegment::new(segment, 1);
-            *switch.lock().unwrap() = Some(handle);
+            let (turned, hand) = HandTurned::new(motion);
+            let segment = SimulatedSegment::new(&SegmentConfig::default(), Box::new(turned));
+            let (segment, faults) = FaultySegment::new(segment, 1);
+            *by_hand.lock().unwrap() = Some((faults, hand));
             let wire = InProcessWire::with_faults(segment, Clock::Real);
             run::open_on(Box::new(wire), &on_daemon, &on_bar, &places)
         };
-        Self {
-            service: Service::start_with(settings, storage, Arc::new(connect)).unwrap(),
-            faults,
-            directory,
-        }
+        Self { service: Service::start_with(settings, storage, Arc::new(connect)).unwrap(), bus, directory }
     }
 
-    fn switch(&self, line: &str) {
-        let FaultSwitch { fault, on } = line.parse().unwrap();
-        let faults = self.faults.lock().unwrap();
-        let faults = faults.as_ref().unwrap();
-        if on { faults.begin(fault) } else { faults.end(fault) }
+    /// Does what the story asks for: a joint in a hand, a state directory that cannot be, a fault.
+    fn obey(&self, asked: &str) {
+        let bus = self.bus.lock().unwrap();
+        let (faults, hand) = bus.as_ref().unwrap();
+        let state = self.directory.path().join("state");
+        match asked {
+            "hold" => hand.hold(),
+            "let go" => hand.let_go(),
+            "state in the way" => std::fs::write(state, "").unwrap(),
+            "state free" => std::fs::remove_file(state).unwrap(),
+            _ => match asked.strip_prefix("turn joint ") {
+                Some(joint) => hand.turn(joint.parse::<usize>().unwrap() - 1),
+                None => {
+                    let FaultSwitch { fault, on } = asked.parse().unwrap();
+                    if on { faults.begin(fault) } else { faults.end(fault) }
+                }
+            },
+        }
     }
 
     /// Serves until the sender is dropped; gives where.
@@ -104,7 +116,7 @@ fn a_technician_records_finds_a_fault_and_downloads_the_file() {
     for line in BufReader::new(story.stdout.take().unwrap()).lines().map_while(Result::ok) {
         match line.strip_prefix("> ") {
             Some("end") => drop(end.take()),
-            Some(switch) => bench.switch(switch),
+            Some(asked) => bench.obey(asked),
             None => {
                 println!("{line}");
                 continue;

@@ -13,6 +13,9 @@ use crate::cycle::Acquisition;
 use crate::homing::{self, Found, HomingError, HomingStep};
 use crate::segment::simulated::Hand;
 
+/// Why a homing ends that nobody has ended.
+const CYCLE_ENDED: &str = "the thread of the cycle has ended; its cause is in the log";
+
 /// What of a homing is to be told.
 enum Told {
     Step(HomingStep),
@@ -82,7 +85,8 @@ impl ActiveHoming {
                 self.is_over = true;
             }
             Err(TryRecvError::Disconnected) if !self.is_over => {
-                self.outcome = Some(Err(HomingError::Stopped("the bus failed".into())));
+                let cause = if self.stop.is_stopped() { self.stop.cause() } else { CYCLE_ENDED.into() };
+                self.outcome = Some(Err(HomingError::Stopped(cause)));
                 self.is_over = true;
             }
             Err(_) => {}

@@ -351,6 +351,22 @@ fn a_disk_that_does_not_take_reference_marks_holds_up_nobody() {
     day.service.join().unwrap();
 }
 
+#[test]
+fn marks_that_the_disk_refuses_were_found_but_are_not_kept() {
+    let day = Day::begin(None);
+    day.wait(Duration::from_secs(15), |status| status.state == "waiting");
+    day.wall.strike_next(Call::Replace, Fault::Fails);
+    assert_eq!(day.post("/home", &json!({})).0, 200);
+    let is_over = |status: &Status| status.homing.as_ref().is_some_and(|homing| homing.is_over);
+    let homing = day.wait(Duration::from_secs(40), is_over).homing.unwrap();
+    let error = homing.error.unwrap();
+    for told in ["of all joints were found, but not kept", "homing.toml", "free space", "home again"] {
+        assert!(error.contains(told), "`{told}` is missing in: {error}");
+    }
+    day.service.shutdown("test over");
+    day.service.join().unwrap();
+}
+
 /// What a command that records one run answers, asked to end while the disk hangs at `call` before the run has a file.
 fn check_record(call: Call, nth: usize, is_fast: bool) {
     let directory = tempfile::tempdir().unwrap();

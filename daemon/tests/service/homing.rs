@@ -1,8 +1,11 @@
 //! Homing through the service: what a person types, reads, and finds in the files.
 
-use std::process::Command;
+use std::io::{BufRead, BufReader};
+use std::process::{Command, Stdio};
 
 use ballbard::control::status::{CheckLine, HomingStatus, Status};
+use nix::sys::signal::{Signal, kill};
+use nix::unistd::Pid;
 use serde_json::json;
 use shared::config::{self, HomingConfig};
 
@@ -61,14 +64,31 @@ fn homing_is_stopped_like_a_run_and_keeps_runs_out() {
     let config = copied();
     let service = Running::in_directory(tempfile::tempdir().unwrap(), config.path());
     service.wait_for("waiting");
-    assert_eq!(service.granted("home", &json!({})).answer, "homing");
+    assert_eq!(service.granted("home", &json!({})).answer, "begun");
     service.wait_for("homing");
+    // Who asks for it as well looks on, and ends nothing by going away.
+    assert_eq!(service.granted("home", &json!({})).answer, "homing");
+    let mut other = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    let mut other = other.args(["home", "--port", &service.port]).stdout(Stdio::piped()).spawn().unwrap();
+    let mut told = BufReader::new(other.stdout.take().unwrap()).lines().map(Result::unwrap);
+    assert!(told.next().unwrap().contains("homed already"));
+    told.next().unwrap();
+    kill(Pid::from_raw(other.id().try_into().unwrap()), Signal::SIGINT).unwrap();
+    assert!(!other.wait().unwrap().success());
+    assert!(text(&service.command(&["status"])).contains("is to be turned"));
     let (status, refused) = service.post("start", &json!({}));
     assert_eq!(status, 409);
     assert!(refused["error"].as_str().unwrap().contains("being homed"), "{refused}");
-    assert_eq!(service.granted("stop", &json!({"cause": "enough"})).answer, "homing");
-    let homing = service.wait_for("waiting").homing.unwrap();
+    // Answered when it has ended, with how.
+    let stopped = service.granted("stop", &json!({"cause": "enough"}));
+    assert_eq!(
+        (stopped.answer.as_str(), &stopped.homing),
+        ("homing", &service.get::<Status>("status").homing)
+    );
+    let homing = stopped.homing.unwrap();
     assert!(homing.is_over && homing.error.unwrap().contains("enough"));
+    assert!(text(&service.command(&["status"])).contains("not homed: stopped"));
+    assert_eq!(service.granted("start", &json!({"name": "at-once"})).answer, "begun");
     assert!(!service.directory.path().join("homing.toml").exists());
 }
 

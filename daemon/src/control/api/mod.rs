@@ -41,8 +41,8 @@ use super::note;
 use super::runs::{self, Curves, RunLine};
 use super::service::{LIST_WITHIN, Service};
 use super::status::{
-    CheckLine, DeleteRequest, HomeRequest, LastRun, MarkRequest, NoteRequest, Refusal, Reply, StartRequest,
-    Status, StopRequest,
+    CheckLine, DeleteRequest, HomeRequest, HomingStatus, LastRun, MarkRequest, NoteRequest, Refusal, Reply,
+    StartRequest, Status, StopRequest,
 };
 use super::verdict::Verdict;
 use crate::commands::{self, Layout, write_csv};
@@ -161,12 +161,15 @@ fn operations() -> Vec<(Operation, MethodRouter<Shared>)> {
         (
             Operation::post::<StopRequest, Reply>(
                 "/stop",
-                "Ends the run; answered when its file is finished.",
+                "Ends the run, or the homing; answered when its file is finished, or with how the homing ended.",
             ),
             post(stop),
         ),
         (
-            Operation::post::<HomeRequest, Reply>("/home", "Begins to look for the reference marks."),
+            Operation::post::<HomeRequest, Reply>(
+                "/home",
+                "Begins to look for the reference marks; the status has how far it is, and then how it ended.",
+            ),
             post(home),
         ),
         (Operation::post::<MarkRequest, Reply>("/mark", "Puts a marker into the run."), post(mark)),
@@ -437,15 +440,22 @@ async fn stop(State(service): State<Service>, body: Body<StopRequest>) -> Respon
             }
             Some(last) => {
                 let verdict = verdict(&service, &last).await;
-                let reply = Reply { answer: "stopped".into(), run: Some(run), last: Some(last), verdict };
-                Json(reply).into_response()
+                let (answer, run, last) = ("stopped".into(), Some(run), Some(last));
+                Json(Reply { answer, run, last, verdict, homing: None }).into_response()
             }
             None => refusal(
                 StatusCode::GATEWAY_TIMEOUT,
                 &format!("run `{run}` is ending, but the disk has not taken it yet; ask for the status"),
             ),
         },
-        Ok((Answer::Homing, _)) => reply("homing", None, None),
+        Ok((Answer::Homing, _)) => match homed(&service).await {
+            Some(homing) => Json(Reply { answer: "homing".into(), homing: Some(homing), ..Reply::default() })
+                .into_response(),
+            None => refusal(
+                StatusCode::GATEWAY_TIMEOUT,
+                "the homing is ending, but the disk has not taken its marks yet; ask for the status",
+            ),
+        },
         Ok(_) => reply("idle", None, service.status().last),
         Err(Refusal { error }) => refusal(StatusCode::SERVICE_UNAVAILABLE, &error),
     }
@@ -456,7 +466,8 @@ async fn home(State(service): State<Service>, body: Body<HomeRequest>) -> Respon
         return rejected(&rejection);
     }
     match service.home().await {
-        Ok(Answer::Beginning | Answer::Homing) => reply("homing", None, None),
+        Ok(Answer::Beginning) => reply("begun", None, None),
+        Ok(Answer::Homing) => reply("homing", None, None),
         Ok(Answer::Busy(run)) => {
             refusal(StatusCode::CONFLICT, &format!("run `{run}` goes on; encoders are homed between runs"))
         }
@@ -505,6 +516,14 @@ async fn finished(service: &Service, runs_over: u64) -> Option<LastRun> {
     tokio::time::timeout(FILE_TIMEOUT, wait).await.ok().flatten()
 }
 
+/// Waits for the end of the homing.
+async fn homed(service: &Service) -> Option<HomingStatus> {
+    let mut status = service.watch();
+    let over = |status: &Status| status.homing.as_ref().is_none_or(|homing| homing.is_over);
+    let wait = async { status.wait_for(over).await.ok().and_then(|status| status.homing.clone()) };
+    tokio::time::timeout(FILE_TIMEOUT, wait).await.ok().flatten()
+}
+
 /// What was refused is in the log, with who is told why.
 async fn logged(request: Request, next: Next) -> Response {
     let asked = format!("{} {}", request.method(), request.uri().path());
@@ -546,7 +565,7 @@ fn is_local(headers: &HeaderMap) -> bool {
 }
 
 fn reply(answer: &str, run: Option<String>, last: Option<LastRun>) -> Response {
-    Json(Reply { answer: answer.into(), run, last, verdict: None }).into_response()
+    Json(Reply { answer: answer.into(), run, last, ..Reply::default() }).into_response()
 }
 
 fn rejected(rejection: &JsonRejection) -> Response {

@@ -9,7 +9,7 @@
 //! | fault | bus in operation, disk looked after | waiting |
 //! | waiting | start | opening |
 //! | waiting | home | homing |
-//! | homing | marks found, stop | waiting |
+//! | homing | marks kept, stop, failure | waiting |
 //! | opening | file there; cannot be created | sampling; waiting |
 //! | sampling | a second of it is on disk | writing |
 //! | writing | nothing new on disk for three seconds | sampling |
