@@ -117,11 +117,13 @@ fn a_calibration_prints_a_table_and_writes_every_parameter_with_sigma_and_state(
     let (status, has_sigma, correction) = entry("ra3");
     assert_eq!((status.as_str(), has_sigma), ("identified", true));
     assert!((correction.as_float().unwrap() + 1.52e-3).abs() < 1e-6);
-    // The plate is what its measurement says; balpha4 was fixed by name.
+    // The plate is what its measurement says; balpha4 was fixed by name and has its tolerance; rd1 says where the base is.
     let (status, has_sigma, correction) = entry("ra6");
     assert_eq!((status.as_str(), has_sigma), ("identified_with_prior", true));
     assert!(correction.as_float().unwrap().abs() < 1e-7);
     let (status, has_sigma, _) = entry("balpha4");
+    assert_eq!((status.as_str(), has_sigma), ("fixed", true));
+    let (status, has_sigma, _) = entry("rd1");
     assert_eq!((status.as_str(), has_sigma), ("fixed", false));
 }
 

@@ -9,6 +9,7 @@ mod bar_force;
 mod command_line;
 mod compare;
 mod configuration;
+mod considered;
 mod draw_wire;
 mod efficiency;
 mod examination;

@@ -241,11 +241,11 @@ pub(super) fn solve(
         }
     };
     let fix: Vec<ParameterId> = config.fix.iter().filter_map(|name| name.parse().ok()).collect();
+    let mut held = fix.clone();
+    held.extend((config.selection == SelectionName::Thesis).then_some(ParameterId::PLATE));
     for Run { instrument, model } in &mut *runs {
         config.set_roles(model, &free, |id| instrument.tells(id))?;
-        if config.selection != SelectionName::Thesis {
-            instrument.place(model, &fix)?;
-        }
+        instrument.place(model, &held)?;
         if let Some(force) = instrument.bar().and_then(|bar| bar.prepared.force.as_ref()) {
             config.free_for_force(model, force.parameter())?;
         }

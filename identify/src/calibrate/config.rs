@@ -8,13 +8,15 @@ use shared::config::{Validate, Violation};
 use super::terms::{Kind, TermGroup};
 use crate::cost::AngleNoise;
 use crate::kinematics::{BAR_JOINTS, LinkParameter};
-use crate::model::{Model, ModelError, ParameterId, Role, Selection};
+use crate::model::{Model, ModelError, ParameterId, Role, Selection, THESIS_FIXED};
 use crate::prepare::PrepareOptions;
 use crate::solver::LossName;
 
 /// Zeros after a loss of a counter's origin start where the preparation found them, on nominal geometry. Far more than it
 /// errs, so that samples decide; a stretch that is held out with all samples of an origin leaves them there \[rad\].
 const ZERO_SIGMA_RAD: f64 = 0.01;
+/// How far the bar's base may lean where that is not estimated: one that is set up by eye \[rad\].
+const BASE_TILT_SIGMA_RAD: f64 = 5e-3;
 
 /// Cost functions that need a ball-bar.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
@@ -165,7 +167,8 @@ pub struct IdentifyConfig {
     pub bar_length_um: f64,
     /// Errors of the robot's axes, with any selection but `thesis`.
     pub joint_terms: JointTermsConfig,
-    /// With selection `automatic`, the tolerance of the links' numbers \[mm|mrad\].
+    /// The tolerance of the links' numbers: with selection `automatic` of those that are estimated, with any of those that are
+    /// fixed \[mm|mrad\].
     pub tolerance_mm_mrad: f64,
     /// Position error that the calibrated robot may have at most; absent: none is required \[mm\].
     pub require_mm: Option<f64>,
@@ -241,7 +244,31 @@ impl IdentifyConfig {
                 model.set_role(name.parse()?, role)?;
             }
         }
+        let fixed = model.parameters().iter().filter(|parameter| parameter.role == Role::Fixed);
+        let fixed: Vec<ParameterId> = fixed.map(|parameter| parameter.id).collect();
+        for (id, sigma) in fixed.into_iter().filter_map(|id| Some((id, self.uncertainty(id)?))) {
+            model.set_role(id, Role::Considered { sigma })?;
+        }
         Ok(())
+    }
+
+    /// How uncertain the value of a parameter is that stays fixed, SI; none where nothing is stated, and of those that say
+    /// where frames are, whose values are a matter of choice. The plate's is in the bar's configuration.
+    fn uncertainty(&self, id: ParameterId) -> Option<f64> {
+        let name = id.to_string();
+        if let Some(sigma) = self.priors.get(&name) {
+            return Some(sigma / id.unit().display_factor());
+        }
+        let made = match id {
+            ParameterId::Robot { parameter, .. } => parameter != LinkParameter::Beta,
+            ParameterId::Bar { parameter, .. } => parameter != LinkParameter::Theta,
+            _ => false,
+        };
+        match id {
+            ParameterId::BaseRotation(_) => Some(BASE_TILT_SIGMA_RAD),
+            _ if made && !THESIS_FIXED.contains(&name.as_str()) => Some(self.tolerance_mm_mrad * 1e-3),
+            _ => TermGroup::of(id).filter(|_| self.fix.contains(&name)).map(|group| self.sigma(group)),
+        }
     }
 }
 

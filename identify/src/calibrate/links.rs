@@ -54,7 +54,11 @@ pub(super) fn link_ids(robot: &Chain) -> Vec<ParameterId> {
     (0..robot.links.len()).flat_map(of).collect()
 }
 
-/// Frees numbers of links, expected at nominal within these standard deviations \[m, rad\], but for those in `fix`.
+/// How uncertain numbers of links are that are fixed: a maker's tolerance \[m, rad\].
+pub(super) const TOLERANCE: f64 = 1e-3;
+
+/// Frees numbers of links, expected at nominal within these standard deviations \[m, rad\], but for those in `fix`, which
+/// stay there within `tolerance`.
 ///
 /// # Errors
 /// [`ModelError::BadPrior`].
@@ -63,11 +67,14 @@ pub(super) fn free_links(
     ids: &[ParameterId],
     fix: &[ParameterId],
     [sigma_m, sigma_rad]: [f64; 2],
+    tolerance: f64,
 ) -> Result<(), ModelError> {
-    for &id in ids.iter().filter(|id| !fix.contains(id)) {
-        let Some(nominal) = model.parameter(id).map(|parameter| parameter.nominal) else { continue };
+    for &id in ids {
+        let Some(value) = model.parameter(id).map(|parameter| parameter.nominal) else { continue };
         let sigma = if id.unit() == Unit::Metre { sigma_m } else { sigma_rad };
-        model.set_role(id, Role::Prior { value: nominal, sigma })?;
+        let held = fix.contains(&id);
+        let role = if held { Role::Considered { sigma: tolerance } } else { Role::Prior { value, sigma } };
+        model.set_role(id, role)?;
     }
     Ok(())
 }

@@ -12,7 +12,7 @@ mod runs;
 use nalgebra::Vector3;
 
 use super::ball_bar::CalibrateError;
-use super::links::{free_links, link_ids};
+use super::links::{TOLERANCE, free_links, link_ids};
 use super::measured_pose::{RowErrors, Stages, kinds};
 use super::pipeline::{Plan, Solved, estimate, waves_per_turn};
 use super::split::{self, HoldOut, Split};
@@ -187,7 +187,8 @@ pub fn calibrate(
     }
     solved(chosen.clone(), &mut model, options.loss, Vec::new())?;
     let nominal = all.errors(&model.geometry(&[]));
-    free_links(&mut model, &link_ids(robot), &options.fix, [options.link_sigma_m, options.link_sigma_rad])?;
+    let sigmas = [options.link_sigma_m, options.link_sigma_rad];
+    free_links(&mut model, &link_ids(robot), &options.fix, sigmas, TOLERANCE)?;
     let (of_links, wire) = solved(chosen.clone(), &mut model, options.loss, Vec::new())?;
     let links = all.errors(&model.geometry(&[]));
     let row_of = |one: &RejectedRow| RejectedRow { row: fitting[one.row], ..*one };

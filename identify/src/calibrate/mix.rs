@@ -207,7 +207,7 @@ fn free_robot(model: &mut Model, flange: &Chain, fix: &[ParameterId], sigma: f64
     let all: Vec<ParameterId> = model.parameters().iter().map(|parameter| parameter.id).collect();
     let of_links = |id: &ParameterId| matches!(id, ParameterId::Robot { link, .. } if *link < last);
     model.set_roles(all.into_iter().filter(|id| of_links(id) || fix.contains(id)), Role::Fixed)?;
-    free_links(model, &link_ids(flange), fix, [sigma, sigma])
+    free_links(model, &link_ids(flange), fix, [sigma, sigma], sigma)
 }
 
 /// Every parameter that is fixed by name belongs to some data set.

@@ -2,6 +2,8 @@
 //! as it is worth, without the samples that do not belong with its rest; choose terms on left-out groups of samples, solve
 //! again, and say how far to trust the result.
 
+use nalgebra::DMatrix;
+
 use super::ball_bar::CalibrateError;
 use super::config::CostName;
 use super::measured_pose::WAVES_PER_TURN_MAX;
@@ -14,8 +16,8 @@ use crate::kinematics::LinkParameter;
 use crate::model::{Model, ModelError, ParameterId, Phase, Role};
 use crate::prepare::PrepareOptions;
 use crate::solver::{
-    GoodShare, Loss, LossName, Normals, Options, Problem, Solution, Watch, minimise, solve,
-    solve_from_subsets, solve_robust,
+    Considered, Covariance, GoodShare, Loss, LossName, Normals, Options, Problem, Solution, Watch, influence,
+    minimise, solve, solve_from_subsets, solve_robust,
 };
 
 /// The thesis' residuals enter as it defines them; `pose` is whitened by itself.
@@ -138,11 +140,7 @@ pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateEr
     }
     solution.summary.residual_rms_start = rms_start;
     solver.check_changes(solution.loss)?;
-    if let Some(normals) = solver.normals(&columns, solution.loss, LEFT_OUT)?
-        && let Some(covariance) = normals.jackknife()
-    {
-        solution.covariance = solution.covariance.by_jackknife(covariance, normals.folds());
-    }
+    solution.covariance = solver.covariance(&columns, &solution)?;
     let sigmas = solver.sigmas;
     Ok(Solved { columns, solution, without_terms, candidates, prior_scale: scale, sigmas })
 }
@@ -313,21 +311,74 @@ impl Solver<'_> {
         Ok((columns, solution))
     }
 
-    /// Normal equations of the independent groups of all runs where the models are; none where residuals are not finite.
+    /// Normal equations of the independent groups of all runs where the models are, and the run of each; none where residuals
+    /// are not finite.
     fn normals(
         &self,
         columns: &SharedColumns,
         loss: Loss,
         count: usize,
-    ) -> Result<Option<Normals>, CostError> {
+    ) -> Result<Option<(Normals, Vec<usize>)>, CostError> {
         let problem = problem(self.runs, columns, &self.sigmas)?;
-        let of_run = |(run, start): (&Run, &usize)| {
-            let groups = run.instrument.independent(count).into_iter();
-            groups.map(|group| group.into_iter().map(|sample| start + sample).collect()).collect::<Vec<_>>()
-        };
-        let groups: Vec<Vec<usize>> = self.runs.iter().zip(problem.starts()).flat_map(of_run).collect();
+        let (mut of_run, mut groups) = (Vec::new(), Vec::new());
+        for (number, (run, start)) in self.runs.iter().zip(problem.starts()).enumerate() {
+            for group in run.instrument.independent(count) {
+                of_run.push(number);
+                groups.push(group.into_iter().map(|sample| start + sample).collect());
+            }
+        }
         let options = Options { loss, ..Options::default() };
-        Ok(Normals::new(&problem, &self.start(columns), &options, &groups))
+        let normals = Normals::new(&problem, &self.start(columns), &options, &groups);
+        Ok(normals.map(|normals| (normals, of_run)))
+    }
+
+    /// How sure the solution is: by the jackknife where there are groups enough, with what parameters leave in doubt that
+    /// stayed at uncertain values.
+    fn covariance(&self, columns: &SharedColumns, solution: &Solution) -> Result<Covariance, CalibrateError> {
+        let mut covariance = solution.covariance.clone();
+        if let Some((normals, of_run)) = self.normals(columns, solution.loss, LEFT_OUT)?
+            && let Some(spread) = normals.jackknife(|group| of_run[group])
+        {
+            covariance = covariance.by_jackknife(spread, normals.folds());
+        }
+        Ok(match self.considered(columns, solution.loss)? {
+            Some(considered) => covariance.with_considered(considered),
+            None => covariance,
+        })
+    }
+
+    /// What the errors of [`Role::Considered`] parameters do to the solution; none where there are none.
+    fn considered(&self, columns: &SharedColumns, loss: Loss) -> Result<Option<Considered>, CalibrateError> {
+        let models: Vec<Model> = self.runs.iter().map(|run| run.model.with_considered_free()).collect();
+        let all = SharedColumns::new(&models, |id| is_own(id, &self.differ));
+        let place = |name: &String| columns.names().iter().position(|other| other == name);
+        let held: Vec<usize> =
+            (0..all.names().len()).filter(|column| place(&all.names()[*column]).is_none()).collect();
+        if held.is_empty() {
+            return Ok(None);
+        }
+        let sigma = |(model, run): (&Model, &Run)| -> Vec<f64> {
+            let role = |id| run.model.parameter(id).map(|parameter| parameter.role);
+            let sigma = |id| match role(id) {
+                Some(Role::Considered { sigma }) => sigma,
+                _ => 0.0,
+            };
+            model.columns().map(|parameter| sigma(parameter.id)).collect()
+        };
+        let sigmas = all.gather(&models.iter().zip(&*self.runs).map(sigma).collect::<Vec<_>>());
+        let start = all.gather(&models.iter().map(Model::start).collect::<Vec<_>>());
+        let sets = self.runs.iter().zip(&models).zip(&self.sigmas);
+        let sets = sets.map(|((run, model), sigma)| run.instrument.data_set(model, *sigma));
+        let problem = DataSets::new(sets.collect::<Result<_, _>>()?, &all);
+        let found = influence(&problem, &start, &held, &Options { loss, ..Options::default() })?;
+        let mut change = DMatrix::zeros(columns.names().len(), held.len());
+        for (row, name) in found.estimated.iter().enumerate() {
+            if let Some(column) = place(name) {
+                change.row_mut(column).copy_from(&found.change.row(row));
+            }
+        }
+        let sigmas = held.iter().map(|column| sigmas[*column]).collect();
+        Ok(Some(Considered { names: found.held, sigmas, change }))
     }
 
     /// Tries each kind of terms on held-out groups, gives those that stay their priors, and finds the scale of tolerances.
@@ -356,7 +407,8 @@ impl Solver<'_> {
         // About the models without any of them, weighed as they are.
         let mut without = self.start(&columns);
         own.iter().for_each(|&column| without[column] = 0.0);
-        let normals = self.normals(&columns, solution.loss, HELD_OUT)?.map(|normals| normals.about(&without));
+        let normals = self.normals(&columns, solution.loss, HELD_OUT)?;
+        let normals = normals.map(|(normals, _)| normals.about(&without));
         let verdicts = normals.as_ref().map_or_else(Vec::new, |normals| select(normals, &kept, &offers));
         let mut report = Vec::new();
         for verdict in verdicts {

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use super::ball_bar::BallBarCalibration;
 use crate::kinematics::LinkParameter;
-use crate::model::{ParameterId, Role, Unit};
+use crate::model::{ParameterId, Unit};
 use crate::simulate::Truth;
 
 /// One identified parameter beside its true value.
@@ -42,7 +42,6 @@ impl Comparison {
         let parameters = calibration
             .model
             .columns()
-            .filter(|parameter| parameter.role != Role::Fixed)
             .filter(|parameter| {
                 use ParameterId::{Bar, Base, BaseRotation, Robot};
                 matches!(parameter.id, Robot { .. } | Bar { .. } | Base(_) | BaseRotation(_))

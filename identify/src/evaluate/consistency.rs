@@ -96,7 +96,8 @@ fn compared(name: String, files: &[CalibrationFile]) -> Compared {
     let unit = name.parse::<ParameterId>().map_or(Unit::Ratio, ParameterId::unit);
     let of = |file: &CalibrationFile| {
         let entry = file.parameters.iter().find(|entry| entry.name == name)?;
-        let sigma = entry.sigma.filter(|sigma| *sigma > 0.0 && sigma.is_finite())?;
+        let found = entry.status != Status::Fixed;
+        let sigma = entry.sigma.filter(|sigma| found && *sigma > 0.0 && sigma.is_finite())?;
         Some((entry.correction, sigma))
     };
     let corrections: Vec<Option<(f64, f64)>> = files.iter().map(of).collect();

@@ -4,7 +4,7 @@ use super::workspace::{Expected, distance_m, workspace_error};
 use crate::calibrate::CostName;
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::calibrate::other_costs::OtherCost;
-use crate::model::{Model, ParameterId, Role, Unit};
+use crate::model::{Model, ParameterId, Unit};
 use crate::solver::{Solution, Summary};
 
 /// What one cost gives.
@@ -95,7 +95,7 @@ fn figures(
         Some((parameter.value - parameter.nominal, sigma))
     };
     let reference = |id: ParameterId| {
-        let parameter = calibration.model.parameter(id).filter(|parameter| parameter.role != Role::Fixed)?;
+        let parameter = calibration.model.parameter(id).filter(|parameter| parameter.role.is_estimated())?;
         Some(parameter.value - parameter.nominal)
     };
     let robot: Vec<Option<(f64, f64)>> = ids.iter().map(|id| found(*id)).collect();

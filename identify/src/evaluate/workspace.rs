@@ -9,7 +9,7 @@ use rand_distr::{ChiSquared, Distribution, StandardNormal};
 use super::figures::quantile;
 use crate::kinematics::{Chain, Joints, Trace, Tracer};
 use crate::model::{Model, ParameterId};
-use crate::solver::Covariance;
+use crate::solver::{Covariance, Spread};
 
 /// Postures, evenly spread over the joint limits.
 const POSTURES: usize = 400;
@@ -50,31 +50,34 @@ struct Postures {
 
 /// Expected position errors: nominal robot against robots drawn from the solution's covariance.
 ///
-/// `joint_limits` are those of the model's joints. Only the links' parameters are drawn; the robot's base frame is
-/// defined by those that stay fixed.
+/// `joint_limits` are those of the model's joints. Only the links' parameters are drawn, those among them that stay fixed at
+/// uncertain values, too; the robot's base frame is defined by the others.
 pub fn workspace_error(model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> WorkspaceError {
     let columns: Vec<(usize, ParameterId)> = model
         .columns()
         .enumerate()
-        .filter(|(column, parameter)| {
-            matches!(parameter.id, ParameterId::Robot { .. }) && covariance.sigma(*column).is_some()
-        })
+        .filter(|(column, _)| covariance.sigma(*column).is_some())
         .map(|(column, parameter)| (column, parameter.id))
+        .chain(covariance.considered().filter_map(|(name, column)| Some((column, name.parse().ok()?))))
+        .filter(|(_, id)| matches!(id, ParameterId::Robot { .. }))
         .collect();
     let postures = postures(model, &columns, joint_limits);
-    let root = root(covariance, &columns);
+    let Spread { by_source, sources } = covariance.spread();
+    let spread = by_source.select_rows(columns.iter().map(|(column, _)| column));
     let mut random = ChaCha8Rng::seed_from_u64(0);
-    let mut drawn = DMatrix::from_fn(columns.len(), DRAWS, |_, _| StandardNormal.sample(&mut random));
+    let mut drawn = DMatrix::from_fn(sources.len(), DRAWS, |_, _| StandardNormal.sample(&mut random));
     // Sigmas from few folds are uncertain themselves: multivariate t (Kotz and Nadarajah 2004).
     if let Some((freedom, chi_squared)) =
         covariance.sigmas_from.freedom().and_then(|freedom| Some((freedom, ChiSquared::new(freedom).ok()?)))
     {
         for mut draw in drawn.column_iter_mut() {
-            draw *= (freedom / chi_squared.sample(&mut random)).sqrt();
+            let scale = (freedom / chi_squared.sample(&mut random)).sqrt();
+            let samples = draw.iter_mut().zip(sources).filter(|(_, source)| source.is_statistical());
+            samples.for_each(|(one, _)| *one *= scale);
         }
     }
     // All postures of all robots in one product: a draw in each column.
-    let left_m = &postures.by_parameter * (&root * drawn);
+    let left_m = &postures.by_parameter * (spread * drawn);
     let (mut before, mut after) = (Vec::new(), Vec::new());
     for draw in left_m.column_iter() {
         let left = |posture: usize| Vector3::from(draw.fixed_rows::<3>(3 * posture));
@@ -85,7 +88,7 @@ pub fn workspace_error(model: &Model, covariance: &Covariance, joint_limits: &[[
     WorkspaceError {
         before: expected(before),
         after: expected(after),
-        weakest: weakest(&root, &postures.by_parameter, &columns),
+        weakest: weakest(&root(covariance, &columns), &postures.by_parameter, &columns),
     }
 }
 

@@ -85,15 +85,15 @@ impl Measures for BallBar {
         self.prepared.observations.len()
     }
 
-    /// The preparation has done so, and the configuration says what is free but for the plate. That stays exact with costs
-    /// whose residuals a smaller world makes smaller.
+    /// The preparation has done so, and the configuration says what is free but for the plate. That stays at its value with
+    /// costs whose residuals a smaller world makes smaller.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
-        let exact = self.plate_u_m == 0.0 || self.cost != CostName::Pose || fix.contains(&ParameterId::PLATE);
-        if let Some(plate) =
-            model.parameter(ParameterId::PLATE).filter(|plate| !exact && plate.role == Role::Fixed)
-        {
-            let (value, sigma) = (plate.nominal, self.plate_u_m);
-            model.set_role(ParameterId::PLATE, Role::Prior { value, sigma })?;
+        let (id, sigma) = (ParameterId::PLATE, self.plate_u_m);
+        let fixed = model.parameter(id).filter(|plate| plate.role == Role::Fixed && sigma > 0.0);
+        if let Some(value) = fixed.map(|plate| plate.nominal) {
+            let held = self.cost != CostName::Pose || fix.contains(&id);
+            model
+                .set_role(id, if held { Role::Considered { sigma } } else { Role::Prior { value, sigma } })?;
         }
         Ok(true)
     }

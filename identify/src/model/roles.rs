@@ -9,8 +9,13 @@ use crate::solver::Prior;
 pub enum Role {
     /// Found from the samples alone.
     Free,
-    /// Stays at its value.
+    /// Stays at its value, which is exact or a matter of choice.
     Fixed,
+    /// Stays at its value, which may be wrong: what is estimated beside it is less certain for that.
+    Considered {
+        /// Standard deviation, SI.
+        sigma: f64,
+    },
     /// Found from the samples and from what is known about it.
     Prior {
         /// Expected value, SI.
@@ -18,6 +23,13 @@ pub enum Role {
         /// Standard deviation, SI.
         sigma: f64,
     },
+}
+
+impl Role {
+    /// The solve finds its value.
+    pub const fn is_estimated(self) -> bool {
+        matches!(self, Self::Free | Self::Prior { .. })
+    }
 }
 
 /// One parameter of a model.
@@ -209,15 +221,38 @@ impl Model {
     /// # Errors
     /// [`ModelError::NotInModel`], [`ModelError::BadPrior`].
     pub fn set_role(&mut self, id: ParameterId, role: Role) -> Result<(), ModelError> {
-        if let Role::Prior { value, sigma } = role
+        let parameter = self.parameter_mut(id)?;
+        let known = match role {
+            Role::Free | Role::Fixed => None,
+            Role::Prior { value, sigma } => Some((value, sigma)),
+            Role::Considered { sigma } => Some((parameter.value, sigma)),
+        };
+        if let Some((value, sigma)) = known
             && !(value.is_finite() && sigma.is_finite() && sigma > 0.0)
         {
             return Err(ModelError::BadPrior { id, value, sigma });
         }
-        self.parameter_mut(id)?.role = role;
-        let free = self.parameters.iter().enumerate().filter(|(_, p)| p.role != Role::Fixed);
-        self.columns = free.map(|(index, _)| index).collect();
+        parameter.role = role;
+        self.find_columns();
         Ok(())
+    }
+
+    fn find_columns(&mut self) {
+        let free = self.parameters.iter().enumerate().filter(|(_, one)| one.role.is_estimated());
+        self.columns = free.map(|(index, _)| index).collect();
+    }
+
+    /// The same with all that is [`Role::Considered`] free.
+    #[must_use]
+    pub fn with_considered_free(&self) -> Self {
+        let mut model = self.clone();
+        for parameter in &mut model.parameters {
+            if let Role::Considered { .. } = parameter.role {
+                parameter.role = Role::Free;
+            }
+        }
+        model.find_columns();
+        model
     }
 
     /// [`Model::set_role`] for several parameters at once.
@@ -251,7 +286,7 @@ impl Model {
     pub fn priors(&self) -> Vec<Prior> {
         let prior = |(column, parameter): (usize, &Parameter)| match parameter.role {
             Role::Prior { value, sigma } => Some(Prior { column, value, sigma }),
-            Role::Free | Role::Fixed => None,
+            _ => None,
         };
         self.columns().enumerate().filter_map(prior).collect()
     }

@@ -90,7 +90,7 @@ pub struct ParameterEntry {
     pub value: f64,
     /// Value minus nominal.
     pub correction: f64,
-    /// One standard deviation; absent for fixed parameters.
+    /// One standard deviation; absent for fixed parameters that are taken as exact.
     pub sigma: Option<f64>,
     /// What became of it.
     pub status: Status,
@@ -104,11 +104,14 @@ impl ParameterEntry {
             nominal: parameter.nominal,
             value: parameter.value,
             correction: parameter.value - parameter.nominal,
-            sigma,
+            sigma: match parameter.role {
+                Role::Considered { sigma } => Some(sigma),
+                _ => sigma,
+            },
             status: match parameter.role {
                 Role::Free => Status::Identified,
                 Role::Prior { .. } => Status::IdentifiedWithPrior,
-                Role::Fixed => Status::Fixed,
+                Role::Fixed | Role::Considered { .. } => Status::Fixed,
             },
         }
     }
@@ -269,7 +272,7 @@ pub struct CalibrationFile {
     /// How well they are known together.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub knowledge: Option<Knowledge>,
-    /// Covariance of the free ones; in `calibration.json` alone.
+    /// Covariance of the free ones and of those that were fixed at uncertain values; in `calibration.json` alone.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub covariance: Option<CovarianceEntry>,
 }
@@ -336,7 +339,7 @@ impl CalibrationFile {
     }
 
     /// One row for each number of each link: `chain,link,parameter,unit,nominal,identified,correction,sigma`, SI units,
-    /// links from 1 in the order of the chain. Parameters that were fixed have no sigma.
+    /// links from 1 in the order of the chain. Parameters that were fixed and taken as exact have no sigma.
     ///
     /// # Errors
     /// [`FileError::Csv`].
@@ -381,7 +384,7 @@ pub struct DhRow {
     pub identified: f64,
     /// Identified minus nominal.
     pub correction: f64,
-    /// One standard deviation; absent for fixed parameters.
+    /// One standard deviation; absent for fixed parameters that are taken as exact.
     pub sigma: Option<f64>,
 }
 

@@ -61,7 +61,7 @@ pub struct Knowledge {
     pub correlations: Vec<CorrelationEntry>,
 }
 
-/// The covariance of all free parameters, SI units.
+/// The covariance of all free parameters, and after them of those that were fixed at uncertain values, SI units.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CovarianceEntry {
     /// Parameters in the order of rows and columns.
@@ -74,7 +74,9 @@ impl CalibrationFile {
     /// Adds what a solution says of itself. The covariance goes into `calibration.json` alone.
     pub fn with_knowledge(mut self, solution: &Solution) -> Self {
         let found = &solution.identifiability;
-        let name = |column: usize| found.names.get(column).cloned().unwrap_or_default();
+        let considered = solution.covariance.considered().map(|(name, _)| name.to_owned());
+        let names: Vec<String> = found.names.iter().cloned().chain(considered).collect();
+        let name = |column: usize| names.get(column).cloned().unwrap_or_default();
         // Columns of other runs are called as those of the first, with the run's number.
         let unit = |name: &String| name.split('@').next()?.parse::<ParameterId>().ok().map(ParameterId::unit);
         let units: Vec<f64> = found
@@ -94,10 +96,10 @@ impl CalibrationFile {
                 .map(|(a, b, correlation)| CorrelationEntry { first: name(a), second: name(b), correlation })
                 .collect(),
         });
-        let columns = found.names.len();
+        let columns = names.len();
         let rows =
             (0..columns).map(|a| (0..columns).map(|b| solution.covariance.between(a, b)).collect()).collect();
-        self.covariance = Some(CovarianceEntry { names: found.names.clone(), rows });
+        self.covariance = Some(CovarianceEntry { names, rows });
         self
     }
 }

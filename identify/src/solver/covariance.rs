@@ -3,10 +3,13 @@
 //! First order: the covariance of least squares with independent noise of equal size on the (weighted) residual rows,
 //! `s^2 (J^T J)^-1`, from singular values, never from the inverted normal matrix. It tells nothing of effects that
 //! the model leaves out. Priors count as measurements. Parameters that only appear in combinations have none.
+//!
+//! Whatever it rests on, a covariance is `S S^T`, where each column of `S` is what one source of uncertainty contributes:
+//! the errors of some samples, a prior, or the value of a parameter that was not estimated.
 
 use std::fmt;
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
@@ -85,10 +88,77 @@ impl fmt::Display for SigmasFrom {
     }
 }
 
-/// Covariance of the free parameters that are identified.
+/// What makes a solution uncertain.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Source {
+    /// Errors of all samples, with the priors.
+    Together,
+    /// Errors of the samples of a data set, from 0.
+    Samples {
+        /// Its number.
+        data_set: usize,
+    },
+    /// The prior of a column.
+    Prior {
+        /// Which.
+        column: usize,
+    },
+    /// The value of a parameter that was considered, not estimated.
+    Considered {
+        /// Its column in the covariance, after those of the solution.
+        column: usize,
+    },
+}
+
+impl Source {
+    /// Known from the scatter of samples (type A of the GUM), and not from what somebody states (type B).
+    pub const fn is_statistical(self) -> bool {
+        matches!(self, Self::Together | Self::Samples { .. })
+    }
+}
+
+/// `S` and where its columns come from.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Spread {
+    /// One standard deviation of each source in a column, in the parameters' units.
+    pub by_source: DMatrix<f64>,
+    /// Of each column.
+    pub sources: Vec<Source>,
+}
+
+impl Spread {
+    /// One row for each parameter.
+    pub fn new(parameters: usize, columns: &[(Source, DVector<f64>)]) -> Self {
+        let mut by_source = DMatrix::zeros(parameters, columns.len());
+        for (mut column, (_, one)) in by_source.column_iter_mut().zip(columns) {
+            column.copy_from(one);
+        }
+        Self { by_source, sources: columns.iter().map(|(source, _)| *source).collect() }
+    }
+
+    /// `S S^T`
+    pub fn covariance(&self) -> DMatrix<f64> {
+        &self.by_source * self.by_source.transpose()
+    }
+}
+
+/// Parameters that were considered: their values are uncertain and stayed as they are.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Considered {
+    /// Names.
+    pub names: Vec<String>,
+    /// Standard deviations.
+    pub sigmas: Vec<f64>,
+    /// Row for each column of the solution, column for each of these: change of the estimate over the error of the value.
+    pub change: DMatrix<f64>,
+}
+
+/// Covariance of the free parameters that are identified, and after them of those that were considered.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Covariance {
     matrix: DMatrix<f64>,
+    spread: Spread,
+    considered: Vec<String>,
     determined: Vec<bool>,
     /// What it rests on.
     pub sigmas_from: SigmasFrom,
@@ -107,16 +177,52 @@ impl Covariance {
             row *= if length > 0.0 { length.recip() } else { 0.0 };
         }
         let matrix = &factor * factor.transpose() * variance_factor;
+        let by_source = factor * variance_factor.sqrt();
+        let spread = Spread { sources: vec![Source::Together; by_source.ncols()], by_source };
         let determined = (0..columns).map(|column| !undetermined.contains(&column)).collect();
-        Self { matrix, determined, sigmas_from: SigmasFrom::IndependentNoise, variance_factor }
+        let sigmas_from = SigmasFrom::IndependentNoise;
+        Self { matrix, spread, considered: Vec::new(), determined, sigmas_from, variance_factor }
     }
 
-    /// The same columns with the covariance that the jackknife over `folds` gave.
-    pub fn by_jackknife(self, matrix: DMatrix<f64>, folds: usize) -> Self {
-        if matrix.shape() != self.matrix.shape() {
+    /// The same columns as the jackknife over `folds` has them spread.
+    pub fn by_jackknife(self, spread: Spread, folds: usize) -> Self {
+        if spread.by_source.nrows() != self.determined.len() {
             return self;
         }
-        Self { matrix, sigmas_from: SigmasFrom::Jackknife { folds }, ..self }
+        Self { matrix: spread.covariance(), spread, sigmas_from: SigmasFrom::Jackknife { folds }, ..self }
+    }
+
+    /// The consider covariance (Schmidt 1966): with `x` estimated, `c` considered and `G = dx / dc`, it is
+    /// `[[P_xx + G P_cc G^T, G P_cc], [P_cc G^T, P_cc]]`.
+    pub fn with_considered(mut self, of: Considered) -> Self {
+        let (estimated, known) = (self.spread.by_source.nrows(), self.spread.by_source.ncols());
+        let count = of.names.len();
+        if of.change.shape() != (estimated, count) || of.sigmas.len() != count {
+            return self;
+        }
+        let mut by_source = self.spread.by_source.resize(estimated + count, known + count, 0.0);
+        by_source.view_mut((0, known), (estimated, count)).copy_from(&of.change);
+        for (index, sigma) in of.sigmas.into_iter().enumerate() {
+            by_source[(estimated + index, known + index)] = 1.0;
+            by_source.column_mut(known + index).scale_mut(sigma);
+            self.spread.sources.push(Source::Considered { column: estimated + index });
+        }
+        self.spread.by_source = by_source;
+        self.matrix = self.spread.covariance();
+        self.determined.extend(std::iter::repeat_n(true, count));
+        self.considered.extend(of.names);
+        self
+    }
+
+    /// By its sources.
+    pub fn spread(&self) -> &Spread {
+        &self.spread
+    }
+
+    /// Parameters that were considered, with their columns.
+    pub fn considered(&self) -> impl Iterator<Item = (&str, usize)> {
+        let first = self.determined.len() - self.considered.len();
+        self.considered.iter().enumerate().map(move |(index, name)| (name.as_str(), first + index))
     }
 
     fn is_determined(&self, column: usize) -> bool {
@@ -138,7 +244,7 @@ impl Covariance {
         Some(self.between(a, b)? / (self.sigma(a)? * self.sigma(b)?))
     }
 
-    /// Pairs of columns by the size of their correlation, those above `least`, largest first.
+    /// Pairs of columns, considered ones among them, by the size of their correlation, those above `least`, largest first.
     pub fn strongest_correlations(&self, least: f64) -> Vec<(usize, usize, f64)> {
         let columns = self.determined.len();
         let mut pairs: Vec<(usize, usize, f64)> = (0..columns)

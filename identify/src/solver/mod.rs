@@ -23,7 +23,7 @@ mod scaled_cholesky;
 mod subset;
 mod watch;
 
-pub use covariance::{Covariance, Noise, SigmasFrom};
+pub use covariance::{Considered, Covariance, Noise, SigmasFrom, Source, Spread};
 pub use identifiability::{DependentGroup, Identifiability, Unidentifiable, identifiability};
 pub use influence::{Influence, influence};
 pub use levenberg_marquardt::{minimise, solve};

@@ -9,6 +9,7 @@ use std::ops::{AddAssign, Sub};
 
 use nalgebra::{DMatrix, DVector};
 
+use super::covariance::{Source, Spread};
 use super::pass::{Pass, Products, Taking, weighed_rows};
 use super::{Options, Prior, Problem, ScaledCholesky, Subset};
 
@@ -207,30 +208,29 @@ impl Normals {
         Some(self.factored()?.1.inverse())
     }
 
-    /// Covariance of the solution `x` by the jackknife over folds: how much it moves where one is left out. It holds
+    /// Spread of the solution `x` by the jackknife over folds: how much it moves where one is left out. It holds
     /// whatever errors the residuals have within a fold, as long as folds are independent; what priors contribute is
     /// added. Approximately `H^-1 (sum g g') H^-1` (a sandwich, Liang and Zeger 1986) with the correction that a fold
     /// pulls the solution towards itself (Bell and McCaffrey 2002, CR3). None with fewer than two folds, or where the
-    /// others do not determine every column.
-    pub fn jackknife(&self) -> Option<DMatrix<f64>> {
+    /// others do not determine every column. `data_set` is that of a fold.
+    pub fn jackknife(&self, data_set: impl Fn(usize) -> usize) -> Option<Spread> {
         let count = self.folds() as f64;
         if count < 2.0 {
             return None;
         }
         let (whole, factor) = self.factored()?;
-        let mut covariance = DMatrix::zeros(self.x.len(), self.x.len());
-        for fold in self.folds.iter().filter(|fold| fold.rows > 0.0) {
+        let mut columns = Vec::new();
+        for (number, fold) in self.folds.iter().enumerate().filter(|(_, fold)| fold.rows > 0.0) {
             let others = ScaledCholesky::new(&whole - &fold.matrix).filter(ScaledCholesky::is_complete)?;
-            let moved = others.solve(&fold.gradient);
-            covariance.ger((count - 1.0) / count, &moved, &moved, 1.0);
+            let moved = others.solve(&fold.gradient) * ((count - 1.0) / count).sqrt();
+            columns.push((Source::Samples { data_set: data_set(number) }, moved));
         }
         // `H^-1 P H^-1`, of which the prior weights `P` are a diagonal.
         let inverse = factor.inverse();
-        for prior in &self.priors {
-            let column = inverse.column(prior.column);
-            covariance.ger(prior.sigma.powi(-2), &column, &column, 1.0);
+        for &Prior { column, sigma, .. } in &self.priors {
+            columns.push((Source::Prior { column }, inverse.column(column) / sigma));
         }
-        Some(covariance)
+        Some(Spread::new(self.x.len(), &columns))
     }
 }
 
@@ -315,10 +315,11 @@ mod tests {
         line.priors.clear();
         let x = solved(&line);
         let Some(found) =
-            Normals::new(&line, &x, &Options::default(), &folds).and_then(|normals| normals.jackknife())
+            Normals::new(&line, &x, &Options::default(), &folds).and_then(|normals| normals.jackknife(|_| 0))
         else {
             panic!("the line is determined")
         };
+        let found = found.covariance();
         let mut expected = DMatrix::zeros(2, 2);
         for fold in &folds {
             let samples = (0..40).filter(|sample| !fold.contains(sample)).collect();

@@ -11,7 +11,7 @@ mod terms;
 mod validate;
 
 use super::ball_bar::CalibrateError;
-use super::links::{free_links, link_ids};
+use super::links::{TOLERANCE, free_links, link_ids};
 use super::pipeline::{Plan, Solved, estimate};
 use super::split::{self, HoldOut, Split};
 use super::terms::Candidate;
@@ -164,7 +164,7 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &PoseOptions) -> Resu
     let nominal = all.apart(&model.geometry(&[]));
     let nominal_step = implausible::step(&all, &model);
     let sigmas = [options.link_sigma_m, options.link_sigma_rad];
-    free_links(&mut model, &link_ids(robot), &options.fix, sigmas)?;
+    free_links(&mut model, &link_ids(robot), &options.fix, sigmas, TOLERANCE)?;
     let kinds = if options.joint_errors {
         model = model.with_joint_waves(ParameterId::joint_waves(options.waves_per_turn_max));
         terms::kinds(options.waves_per_turn_max, |id| {

@@ -1,0 +1,132 @@
+//! Parameters that stay at values that are wrong by their tolerance: the error that is claimed over the workspace holds.
+#![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
+#![allow(clippy::print_stdout, reason = "figures of a run")]
+
+use crate::support::truth::position_error_m;
+use crate::support::{bar, irb2400, repository};
+use identify::calibrate::measured_pose::{self, PoseOptions};
+use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig, SelectionName, ball_bar};
+use identify::evaluate::{Expected, workspace_error};
+use identify::instrument::PoseRow;
+use identify::kinematics::{Pose, flange_chain};
+use identify::simulate::{self, Effects, Experiment, StaticErrors};
+use nalgebra::{Rotation3, Vector3};
+use rand::rngs::StdRng;
+use rand::{Rng, SeedableRng};
+use rand_distr::StandardNormal;
+use shared::config::{self, BallBarConfig, RobotConfig};
+
+/// No terms, which would only take time.
+fn quick(fix: &[&str]) -> IdentifyConfig {
+    IdentifyConfig {
+        fix: fix.iter().map(|&name| name.into()).collect(),
+        bar_length_um: 0.0,
+        joint_terms: JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() },
+        ..IdentifyConfig::default()
+    }
+}
+
+/// True mean position error \[m\] and what is claimed, for a robot of which every number is wrong by a millimetre or
+/// milliradian, on a leaning base, with a plate that is wrong by its uncertainty.
+fn with_the_bar(seed: u64, plate_u_um: f64, config: &IdentifyConfig) -> (f64, Expected) {
+    let (robot, mut bar) = (irb2400(), bar());
+    let (errors, effects) = (StaticErrors::Drawn { seed }, Effects::LABORATORY);
+    let run = simulate::run(&Experiment { seed, errors, effects, ..Experiment::new(&robot, &bar) }).unwrap();
+    let off: f64 = StdRng::seed_from_u64(seed).sample(StandardNormal);
+    bar = BallBarConfig { plate_m: bar.plate_m + 1e-6 * plate_u_um * off, plate_u_um, ..bar };
+    let found =
+        ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, config).unwrap();
+    let claimed = workspace_error(&found.model, &found.solution.covariance, &robot.joint_limits()).after;
+    (position_error_m(&run, &found, &robot), claimed)
+}
+
+/// The same of a UR10 before a tracker that measures to 20 um, two of its lengths fixed.
+fn with_a_tracker(seed: u64) -> (f64, Expected) {
+    let robot: RobotConfig = config::load(&repository("config/robots/ur10.toml")).unwrap();
+    let nominal = flange_chain(&robot);
+    let mut random = StdRng::seed_from_u64(seed);
+    let mut truth = nominal.clone();
+    for link in truth.links.iter_mut().take(5) {
+        for number in [&mut link.a_m, &mut link.alpha_rad] {
+            *number += 1e-3 * random.sample::<f64, _>(StandardNormal);
+        }
+    }
+    let place = Pose::translation(-3.0, 0.5, 1.3);
+    let limits = robot.joint_limits();
+    let mut pose = |reach: f64| -> [f64; 6] {
+        std::array::from_fn(|joint| {
+            let [low, high] = limits[joint];
+            random.random_range(low.max(-reach)..high.min(reach))
+        })
+    };
+    let measured: Vec<[f64; 6]> = (0..300).map(|_| pose(1.5)).collect();
+    let postures: Vec<[f64; 6]> = (0..400).map(|_| pose(std::f64::consts::TAU)).collect();
+    let rows = measured.into_iter().map(|joints_rad| {
+        let mut white = || 2e-5 * random.sample::<f64, _>(StandardNormal);
+        let mut seen = place.inverse() * truth.forward(&joints_rad);
+        seen.translation.vector += Vector3::new(white(), white(), white());
+        seen.rotation = Rotation3::new(Vector3::new(white(), white(), white())) * seen.rotation;
+        let (position_m, rotation) = (seen.translation.vector, Some(seen.rotation));
+        PoseRow { joints_rad: joints_rad.into(), position_m, rotation }
+    });
+    let rows: Vec<PoseRow> = rows.collect();
+    let fix = ["ra2", "ralpha3"].map(|name| name.parse().unwrap()).to_vec();
+    let options = PoseOptions { fix, joint_errors: false, ..PoseOptions::default() };
+    let found = measured_pose::calibrate(&rows, &nominal, &options).unwrap();
+    let identified = found.model.geometry(&found.model.start()).robot;
+    let end = |chain: &identify::kinematics::Chain, q: &[f64; 6]| chain.forward(q).translation.vector;
+    let errors_m = postures.iter().map(|q| (end(&identified, q) - end(&truth, q)).norm());
+    let error_m = errors_m.sum::<f64>() / postures.len() as f64;
+    (error_m, workspace_error(&found.model, &found.solution.covariance, &limits).after)
+}
+
+/// How many errors lie within the 95 % interval that is claimed for them, and how many are not above it.
+fn held(name: &str, found: impl Iterator<Item = (f64, Expected)>) -> [usize; 2] {
+    let mut held = [0; 2];
+    for (error_m, Expected { interval_m: [low, high], mean_m, .. }) in found {
+        let [error, mean, low, high] = [error_m, mean_m, low, high].map(|one| one * 1e3);
+        println!("{name}: {error:.3} mm, claimed {mean:.3}, {low:.3} to {high:.3}");
+        held[0] += usize::from((low..=high).contains(&error));
+        held[1] += usize::from(error <= high);
+    }
+    held
+}
+
+/// Errors within and not above their intervals, of so many experiments each: links, plate, base and other costs fixed, and a
+/// tracker.
+fn campaign(seeds: u64) -> Vec<[usize; 2]> {
+    let thesis = IdentifyConfig { selection: SelectionName::Thesis, ..quick(&[]) };
+    let position = IdentifyConfig { cost: Some(CostName::Position), ..quick(&[]) };
+    let bars = [
+        ("links", 10.0, quick(&["ra1", "ra2", "rd2"])),
+        ("plate", 100.0, quick(&["ra6"])),
+        ("base", 10.0, thesis),
+        ("position", 100.0, position),
+    ];
+    let of_bars = bars.iter().map(|(name, plate_u_um, config)| {
+        let held = held(name, (1..=seeds).map(|seed| with_the_bar(seed, *plate_u_um, config)));
+        println!("{name}: {held:?} of {seeds}");
+        held
+    });
+    let of_bars: Vec<[usize; 2]> = of_bars.collect();
+    let of_tracker = held("tracker", (1..=seeds).map(with_a_tracker));
+    println!("tracker: {of_tracker:?} of {seeds}");
+    of_bars.into_iter().chain([of_tracker]).collect()
+}
+
+/// Of three intervals that hold with 95 %, fewer than two do once in 140 times.
+#[test]
+fn what_is_fixed_at_a_wrong_value_is_part_of_the_error_that_is_claimed() {
+    for [within, _] in campaign(3) {
+        assert!(within >= 2, "{within}");
+    }
+}
+
+/// Of forty intervals that hold with 95 %, fewer than 34 do once in 300 times. The base leans by the same in all experiments.
+#[test]
+#[ignore = "200 calibrations: minutes"]
+fn over_forty_experiments_what_is_fixed_at_wrong_values_leaves_claims_that_hold() {
+    for [within, not_above] in campaign(40) {
+        assert!(within >= 34 && not_above >= 36, "{within} {not_above}");
+    }
+}
