@@ -1,7 +1,7 @@
 //! `ballbard export`: a recording as a table for spreadsheets and scripts.
 
 use std::fs::File;
-use std::io::{BufWriter, Write};
+use std::io::{BufReader, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, bail};
@@ -44,8 +44,7 @@ pub struct Layout {
 }
 
 pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
-    let (file, beside) = find(&arguments.recording, &arguments.service)?;
-    let recording = open(&SystemDisk, &file)?;
+    let (recording, beside) = find(&arguments.recording, &arguments.service)?;
     let out = arguments.out.clone().unwrap_or_else(|| beside.with_extension("csv"));
     if out == Path::new("-") {
         if arguments.service.format.json {
@@ -81,17 +80,28 @@ pub fn open(disk: &dyn Disk, file: &Path) -> Result<Recording, ReadError> {
     Ok(recording)
 }
 
-/// The file that is meant, and what its table is called after.
-fn find(recording: &Path, service: &ServiceArguments) -> anyhow::Result<(PathBuf, PathBuf)> {
+/// The recording that is meant, and what its table is called after.
+fn find(recording: &Path, service: &ServiceArguments) -> anyhow::Result<(Recording, PathBuf)> {
     let is_name = recording.components().count() == 1 && recording.extension().is_none();
-    if recording.exists() || !is_name {
-        return Ok((recording.to_owned(), recording.to_owned()));
+    // Files of this machine are none of another's service.
+    if (recording.exists() || !is_name) && !service.is_elsewhere() {
+        return Ok((open(&SystemDisk, recording)?, recording.to_owned()));
     }
     let name = recording.to_string_lossy();
-    match service.runs()?.into_iter().find(|line| line.name == name && line.verdict.is_some()) {
-        Some(line) => Ok((line.file, PathBuf::from(format!("{name}.mcap")))),
-        None => bail!("no file and no finished run is called `{name}`; `ballbard runs` lists them"),
+    let Some(line) = service.runs()?.into_iter().find(|line| line.name == name && line.verdict.is_some())
+    else {
+        bail!("no file and no finished run is called `{name}`; `ballbard runs` lists them")
+    };
+    let beside = PathBuf::from(format!("{name}.mcap"));
+    if !service.is_elsewhere() {
+        return Ok((open(&SystemDisk, &line.file)?, beside));
     }
+    let read = |file: &mut dyn Read| Recording::read(BufReader::new(file)).map_err(anyhow::Error::from);
+    let mut fetched = service
+        .fetch(&format!("runs/{name}/mcap"), read)
+        .with_context(|| format!("cannot fetch run `{name}`; try again"))?;
+    fetched.run.note = line.note;
+    Ok((fetched, beside))
 }
 
 /// One row per cycle: `time_utc` (or `t_s`), a `count` per encoder (the thesis' columns), then `angle` \[rad\] per encoder

@@ -23,7 +23,7 @@ const POLL: Duration = Duration::from_millis(200);
 pub struct HomeArguments {
     /// Without a service: network interface such as eth1, or `simulated`, where the joints turn by themselves.
     /// Default: ask the running service, which has the bus
-    #[arg(long)]
+    #[arg(long, conflicts_with = "service")]
     bus: Option<String>,
     #[command(flatten)]
     state: State,

@@ -2,6 +2,7 @@
 
 mod client;
 mod configuration;
+mod elsewhere;
 mod export;
 mod generate;
 mod home;

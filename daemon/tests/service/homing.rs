@@ -35,9 +35,11 @@ fn marks_are_found_used_by_runs_and_forgotten_with_the_terminals_power() {
     let states: Vec<HomingStatus> = states.map(Result::unwrap).collect();
     assert!(states.len() > 5 && states.windows(2).all(|pair| pair[0] != pair[1]), "{states:?}");
     let asked: Vec<u8> = states.iter().filter_map(|state| state.joint).collect();
-    assert!(asked.is_sorted() && asked.first() == Some(&1) && asked.last() == Some(&5), "{asked:?}");
+    assert!(asked.is_sorted() && asked.first() == Some(&1), "{asked:?}");
+    // A joint whose mark is near is turned for less time than passes between two looks; its lines stay.
     let end = states.last().unwrap();
-    assert!(end.is_over && end.error.is_none(), "{end:?}");
+    let found = end.lines.iter().filter(|line| line.contains("mark at count")).count();
+    assert!(end.is_over && end.error.is_none() && found == 5, "{end:?}");
     let output = service.command(&["home"]);
     assert!(output.status.success(), "{}", text(&output));
     for told in ["joint 1 (gimbal", "joint 5 (cardan", "joint 5: on terminal 5, counts up", "homing.toml"] {

@@ -3,6 +3,7 @@
 
 mod clients;
 mod disk;
+mod elsewhere;
 mod ends;
 mod homing;
 mod mounts;

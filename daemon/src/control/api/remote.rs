@@ -3,11 +3,13 @@
 //! The token is 256 random bits, so that nobody guesses it; wrong ones are counted to keep answers and log small. No route is
 //! reached without. A browser gets it as a cookie that no script reads and no other site's page sends along.
 
+use std::fmt;
 use std::fs::{self, OpenOptions};
 use std::io::{self, Write};
 use std::net::SocketAddr;
 use std::os::unix::fs::{OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -248,15 +250,56 @@ fn token(file: &Path) -> Result<String, RemoteError> {
         let bytes: [u8; TOKEN_BYTES] = rand::rng().random();
         private(file, &hex(&bytes, "")).map_err(failed)?;
     }
-    let text = fs::read_to_string(file).map_err(failed)?;
-    let mode = fs::metadata(file).map_err(failed)?.permissions().mode();
+    token_in(file).map_err(failed)?.ok_or_else(|| RemoteError::Token(file.into()))
+}
+
+/// The token in a file; none where that is no whole one, or others than its owner may read it.
+pub fn token_in(file: &Path) -> io::Result<Option<String>> {
+    let text = fs::read_to_string(file)?;
+    let mode = fs::metadata(file)?.permissions().mode();
     let token = text.trim();
     let is_whole = token.len() == 2 * TOKEN_BYTES && token.bytes().all(|byte| byte.is_ascii_hexdigit());
-    if is_whole && mode & 0o077 == 0 { Ok(token.into()) } else { Err(RemoteError::Token(file.into())) }
+    Ok((is_whole && mode & 0o077 == 0).then(|| token.into()))
+}
+
+/// SHA-256 of a certificate, by which people recognise it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Fingerprint(String);
+
+impl Fingerprint {
+    /// That of this certificate \[DER\].
+    pub fn of(certificate: &[u8]) -> Self {
+        Self(hex(&Sha256::digest(certificate), ":"))
+    }
+}
+
+impl fmt::Display for Fingerprint {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl FromStr for Fingerprint {
+    type Err = &'static str;
+
+    /// Hexadecimal, in either case, with or without colons.
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let digits = text.replace(':', "").to_ascii_lowercase();
+        if digits.len() != 64 || !digits.bytes().all(|byte| byte.is_ascii_hexdigit()) {
+            return Err(
+                "write the 64 hexadecimal digits that `ballbard status` says on the service's machine",
+            );
+        }
+        let pairs: Vec<_> = (0..64).step_by(2).map(|at| &digits[at..at + 2]).collect();
+        Ok(Self(pairs.join(":")))
+    }
 }
 
 /// Ready to speak TLS, and the fingerprint by which people recognise it.
-fn tls(certificate: Option<(PathBuf, PathBuf)>, state: &Path) -> Result<(TlsAcceptor, String), RemoteError> {
+fn tls(
+    certificate: Option<(PathBuf, PathBuf)>,
+    state: &Path,
+) -> Result<(TlsAcceptor, Fingerprint), RemoteError> {
     let (certificate_file, key_file) = match certificate {
         Some(files) => files,
         None => own_certificate(state)?,
@@ -266,7 +309,7 @@ fn tls(certificate: Option<(PathBuf, PathBuf)>, state: &Path) -> Result<(TlsAcce
         .and_then(Iterator::collect::<Result<Vec<_>, _>>)
         .map_err(|error| unread(&certificate_file, error))?;
     let first = certificates.first().ok_or_else(|| unread(&certificate_file, pem::Error::NoItemsFound))?;
-    let fingerprint = hex(&Sha256::digest(first), ":");
+    let fingerprint = Fingerprint::of(first);
     let key = PrivateKeyDer::from_pem_file(&key_file).map_err(|error| unread(&key_file, error))?;
     let provider = Arc::new(rustls::crypto::ring::default_provider());
     let config = ServerConfig::builder_with_provider(provider)
