@@ -1,6 +1,6 @@
 """The technician's page in a real browser, from a red preflight to the downloaded file.
 
-usage: page_story.py CHROMIUM URL SCREENSHOTS READERS
+usage: page_story.py CHROMIUM URL URL_FROM_ELSEWHERE TOKEN_FILE SCREENSHOTS READERS
 
 Drives the browser over its DevTools protocol. A line `> TEXT` on standard output asks the test that started this to do
 something with the service; it answers with a line on standard input. Whatever is not as it should be ends with an error.
@@ -28,7 +28,7 @@ class Page:
         self.downloads.mkdir()
         self.browser = subprocess.Popen(
             [chromium, "--headless=new", "--no-sandbox", "--disable-gpu", "--remote-debugging-port=0", "--no-first-run",
-             "--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage",
+             "--ignore-certificate-errors", "--disable-background-networking", "--disable-component-update", "--disable-dev-shm-usage",
              f"--user-data-dir={directory / 'profile'}", "about:blank"],
             stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         for line in self.browser.stderr:
@@ -94,10 +94,11 @@ class Page:
         for kind in ["mousePressed", "mouseReleased"]:
             self.call("Input.dispatchMouseEvent", type=kind, x=place[0], y=place[1], button="left", clickCount=1)
 
-    def key(self, key):
+    def key(self, key, modifiers=0):
         for kind in ["keyDown", "keyUp"]:
-            text = {"text": key} if kind == "keyDown" and len(key) == 1 else {}
-            self.call("Input.dispatchKeyEvent", type=kind, key=key, **text)
+            types = {"Enter": "\r"}.get(key, key if len(key) == 1 else None)
+            text = {"text": types} if kind == "keyDown" and types else {}
+            self.call("Input.dispatchKeyEvent", type=kind, key=key, modifiers=modifiers, **text)
 
     def type(self, selector, said):
         self.run(f"document.querySelector({json.dumps(selector)}).select()")
@@ -136,6 +137,21 @@ def word(page, wanted, within_s=WAIT_S):
     page.wait(f"document.getElementById('word')?.textContent === {json.dumps(wanted)}", wanted, within_s)
 
 
+def login(page, url, token, pictures):
+    """From another machine: nothing before the token is typed, and then the page."""
+    page.call("Page.navigate", url=url)
+    page.wait("document.readyState === 'complete' && document.querySelector('form')", "the form for the token")
+    assert "token is missing" in page.shown("[role=alert]") and not page.run("document.getElementById('word')")
+    page.pictures(pictures, "login")
+    for typed, seen in [("a" * 64, "document.querySelector('[role=alert]')?.innerText.includes('token is wrong')"),
+                        (token, "document.readyState === 'complete' && document.getElementById('word')")]:
+        page.type("#token", typed)
+        page.click("button")
+        page.wait(seen, seen)
+    word(page, "READY")
+    assert page.run("location.search") == "", "the token stays in the address"
+
+
 def preflight(page, pictures):
     # While the bus comes up it is red as well, and so are its encoders.
     page.wait("document.querySelector('#checks [data-subject=encoders][data-level=good]')", "a bus in operation")
@@ -172,9 +188,12 @@ def live_values(page):
     assert height >= 40, f"digits of {height} px cannot be read from three metres"
 
 
+NOTE = "<img src=x onerror=window.hacked=1>\nsecond line"
+
+
 def first_run(page, pictures):
     for field, said in [("robot", "IRB 2400"), ("operator", "A. Nilsson"), ("bar", "short"), ("payload", "12 kg"),
-                        ("note", "<img src=x onerror=window.hacked=1>")]:
+                        ("note", NOTE)]:
         page.type(f"#run-form [name={field}]", said)
     page.pictures(pictures, "ready")
     page.click("#begin")
@@ -319,7 +338,7 @@ def downloaded(page, name, counted, readers):
     for reader in ["mcap", "rosbags"]:
         content = read_recording.content_of(file, reader)
         assert len(content["cycles"]) == counted, f"{reader}: {len(content['cycles'])} cycles, the page says {counted}"
-    return content
+    return content | read_recording.beside_messages(file)
 
 
 # In the left half of the strip, where a page that knows only itself draws nothing for half a minute, something is drawn
@@ -335,12 +354,13 @@ LINE_BEGINS_LEFT = """(() => {
 
 
 def main():
-    chromium, url, pictures, readers = sys.argv[1:]
+    chromium, url, url_from_elsewhere, token, pictures, readers = sys.argv[1:]
     pictures = Path(pictures)
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as directory:
         page = Page(chromium, Path(directory))
         try:
             page.call("Emulation.setDeviceMetricsOverride", width=1440, height=900, deviceScaleFactor=1, mobile=False)
+            login(page, url_from_elsewhere, Path(token).read_text(), pictures)
             page.call("Page.navigate", url=url)
             page.wait("document.readyState === 'complete' && document.getElementById('word')", "the page")
             word(page, "READY")
@@ -353,9 +373,10 @@ def main():
             assert verdict != "GOOD"
             assert "IRB 2400" in line and "12 kg" in line and "A. Nilsson" in line, line
             # Text of people is text.
-            assert "<img src=x" in line and page.run("window.hacked === undefined")
+            assert NOTE in line and page.run("window.hacked === undefined")
             content = downloaded(page, first, total, readers)
             assert any(event["text"] == "mark 1" for event in content["events"]), content["events"]
+            assert content["runs"][0]["note"] == NOTE, content["runs"]
             second = second_run(page)
             assert second.endswith("_02"), second
             _, verdict_too, total_too = judged(page, second, "")
@@ -367,9 +388,16 @@ def main():
             page.run("document.getElementById('plot').close()")
             page.click(f"#runs [data-run={json.dumps(second)}] .tools button[aria-label^=Note]")
             page.wait("document.getElementById('ask').open", "the question for the note")
-            page.type("#ask-input", "gripper closed <img>")
-            page.click("#ask-yes")
-            page.wait(f"document.querySelector('#runs [data-run={json.dumps(second)}]').innerText.includes('gripper closed <img>')",
+            # What has several lines is shown with them, and kept with them. Enter begins one more, Ctrl and Enter end the last.
+            assert page.run("document.getElementById('ask-input').value") == NOTE
+            page.pictures(pictures, "note")
+            page.type("#ask-input", "gripper closed <img>\nat the")
+            page.key("Enter")
+            page.call("Input.insertText", text="second stop")
+            page.key("Enter", modifiers=2)
+            page.wait("!document.getElementById('ask').open", "the end of the note")
+            changed = json.dumps("gripper closed <img>\nat the\nsecond stop")
+            page.wait(f"document.querySelector('#runs [data-run={json.dumps(second)}]').innerText.includes({changed})",
                       "the changed note")
             page.type("#search", "nothing like that")
             page.wait("document.querySelectorAll('#runs li').length === 0", "an empty search")

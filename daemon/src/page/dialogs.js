@@ -13,14 +13,22 @@ export function say(level, said) {
   while ($("said").children.length > 4) $("said").firstChild.remove();
 }
 
+// Enter ends a text of one line, in one of several lines it begins the next; there Ctrl and Enter end it.
+$("ask-input").addEventListener("keydown", (event) => {
+  if (event.key !== "Enter" || event.isComposing || ($("ask-input").rows > 1 && !event.ctrlKey && !event.metaKey)) return;
+  event.preventDefault();
+  $("ask-yes").click();
+});
+
 // Asks; gives what was typed (or `true` where there is nothing to type), or null.
-export function choose({ title, text: said = "", label, value = "", required = false, yes, danger = false }) {
+export function choose({ title, text: said = "", label, value = "", lines = 1, required = false, yes, danger = false }) {
   text($("ask-title"), title);
   text($("ask-text"), said);
   $("ask-label").hidden = !label;
   text($("ask-label").firstElementChild, label ?? "");
   const input = $("ask-input");
   input.value = value;
+  input.rows = lines;
   input.required = Boolean(label) && required;
   const button = $("ask-yes");
   text(button, yes);

@@ -30,17 +30,19 @@ function begun(started_ns) {
 function facts(run) {
   const people = [run.robot, run.bar, run.payload, run.operator].filter(Boolean).join(", ");
   const valid = `${run.cycles_valid} of ${run.cycles} cycles valid`;
-  const parts = [begun(run.started), run.cycles ? `${duration(run.length_s)}, ${valid}` : null, people, run.note];
+  const parts = [begun(run.started), run.cycles ? `${duration(run.length_s)}, ${valid}` : null, people];
   if (run.recovered) parts.push("recovered");
   return parts.filter(Boolean).join(" · ");
 }
+
+const with_note = (run) => [facts(run), run.note].filter(Boolean).join("\n");
 
 const why = (run) => run.verdict?.reasons.join("; ") || (run.verdict ? "" : run.cause);
 
 async function remove(run) {
   const yes = await choose({
     title: `Delete ${run.name}?`,
-    text: `${facts(run)}\n\n${run.file} is removed from the disk. Nobody can bring it back.`,
+    text: `${with_note(run)}\n\n${run.file} is removed from the disk. Nobody can bring it back.`,
     yes: "Delete", danger: true,
   });
   if (!yes) return;
@@ -54,7 +56,7 @@ async function remove(run) {
 }
 
 async function note(run) {
-  const said = await choose({ title: `Note of ${run.name}`, label: "Note", value: run.note, yes: "Keep" });
+  const said = await choose({ title: `Note of ${run.name}`, label: "Note", value: run.note, lines: 5, yes: "Keep" });
   if (said === null) return;
   try {
     await ask("note", { name: run.name, note: said });
@@ -68,7 +70,7 @@ async function look(run) {
   try {
     const curves = await ask(`runs/${encodeURIComponent(run.name)}/plot`);
     text($("plot-title"), run.name);
-    text($("plot-text"), `${facts(run)} · it ended: ${run.cause}`);
+    text($("plot-text"), `${with_note(run)}\nIt ended: ${run.cause}`);
     $("plot").showModal();
     plot(curves);
   } catch (error) {
@@ -86,7 +88,7 @@ function row(run) {
   const item = el("li", { level: run.verdict?.level ?? "check" },
     el("span", { className: "verdict", textContent: verdict_word(run.verdict) || "…" }),
     el("span", { className: "name" }, run.name, why(run) ? el("div", { className: "facts", textContent: why(run) }) : null),
-    el("span", { className: "facts", textContent: facts(run) }),
+    el("span", { className: "facts" }, facts(run), run.note ? el("div", { className: "note", textContent: run.note }) : null),
     el("span", { className: "tools" }, ...tools));
   item.dataset.run = run.name;
   return item;
@@ -96,7 +98,7 @@ function show() {
   const wanted = $("search").value.toLowerCase().split(/\s+/).filter(Boolean);
   const only = $("only").value;
   const found = runs.filter((run) => {
-    const said = `${run.name} ${facts(run)} ${why(run)} ${verdict_word(run.verdict)}`.toLowerCase();
+    const said = `${run.name} ${with_note(run)} ${why(run)} ${verdict_word(run.verdict)}`.toLowerCase();
     return (!only || verdict_word(run.verdict) === only) && wanted.every((word) => said.includes(word));
   });
   const shown = all ? found : found.slice(0, SHOWN_MAX);

@@ -9,7 +9,7 @@ use std::thread;
 use tokio::sync::oneshot;
 
 use crate::clock::Clock;
-use crate::control::api;
+use crate::control::api::{self, Remote, RemoteSettings};
 use crate::control::service::tests::settings;
 use crate::control::service::{Service, Settings};
 use crate::homing::MarksFile;
@@ -66,20 +66,26 @@ impl Bench {
         }
     }
 
-    /// Serves until the sender is dropped; gives where.
-    fn serve(&self) -> (String, oneshot::Sender<()>) {
+    /// Serves until the sender is dropped; gives where, and where other machines are let in.
+    fn serve(&self) -> ([String; 2], oneshot::Sender<()>) {
         let (end, ended) = oneshot::channel::<()>();
         let (address, at) = std::sync::mpsc::channel();
-        let service = self.service.clone();
+        let (service, state) = (self.service.clone(), self.directory.path().join("remote"));
         thread::spawn(move || {
             let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
             runtime.block_on(async {
                 let listener = tokio::net::TcpListener::bind(("127.0.0.1", 0)).await.unwrap();
-                address.send(listener.local_addr().unwrap()).unwrap();
-                api::serve(listener, None, service, async { drop(ended.await) }).await;
+                let here = format!("http://{}/", listener.local_addr().unwrap());
+                let listen = Some(([127, 0, 0, 1], 0).into());
+                let remote = Remote::open(RemoteSettings { listen, ..RemoteSettings::default() }, &state)
+                    .await
+                    .unwrap();
+                let elsewhere = remote.words().split(',').next().unwrap().to_owned();
+                address.send([here, elsewhere]).unwrap();
+                api::serve(listener, Some(remote), service, async { drop(ended.await) }).await;
             });
         });
-        (format!("http://{}/", at.recv().unwrap()), end)
+        (at.recv().unwrap(), end)
     }
 }
 
@@ -99,14 +105,16 @@ fn a_technician_records_finds_a_fault_and_downloads_the_file() {
     let python = std::env::var_os("BALLBAR_PYTHON").unwrap_or_else(|| "python3".into());
     let tests = Path::new(env!("CARGO_MANIFEST_DIR"));
     let bench = Bench::new();
-    let (url, end) = bench.serve();
+    let (urls, end) = bench.serve();
     // Whoever wants to look at the pictures says where they go.
     let pictures =
         std::env::var_os("BALLBAR_PICTURES").map_or_else(|| bench.directory.path().into(), PathBuf::from);
     std::fs::create_dir_all(&pictures).unwrap();
     let mut story = Command::new(python)
         .arg(tests.join("tests/page_story.py"))
-        .args([chromium.as_os_str(), url.as_ref(), pictures.as_os_str(), tests.join("../tests").as_os_str()])
+        .arg(chromium)
+        .args(urls)
+        .args([bench.directory.path().join("remote/token"), pictures, tests.join("../tests")])
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()

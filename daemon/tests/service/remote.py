@@ -53,6 +53,15 @@ own = f"https://ballbard:{port}"
 status, _, said = asked("/api/stop", "POST", "{}", Cookie=cookie.split(";")[0], Origin=own, Content_Type="application/json")
 assert status == 200, said
 
+# As the description says.
+document = json.loads(asked("/api/openapi.json", Authorization=bearer)[2])
+schemes = document["components"]["securitySchemes"]
+assert {} in document["security"] and "--listen" in document["info"]["description"], document["info"]
+assert all(set(names) <= set(schemes) for names in document["security"])
+assert (schemes["token"]["type"], schemes["token"]["scheme"]) == ("http", "bearer")
+browser = schemes["browser"]
+assert (browser["type"], browser["in"]) == ("apiKey", "cookie") and cookie.startswith(browser["name"] + "="), browser
+
 # None: neither the page nor a file of it nor anything that is asked for or done.
 for method, path in [("GET", "/api/status"), ("GET", "/api/events"), ("GET", "/metrics"), ("GET", "/app.js"),
                      ("GET", "/api/runs/x/mcap"), ("POST", "/api/start"), ("POST", "/api/delete"), ("GET", "/nowhere")]:

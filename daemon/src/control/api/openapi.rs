@@ -8,6 +8,7 @@ use schemars::generate::SchemaSettings;
 use schemars::{JsonSchema, Schema, SchemaGenerator};
 use serde_json::{Map, Value, json};
 
+use super::remote::COOKIE;
 use crate::control::status::Refusal;
 
 /// Where schemas are in the document.
@@ -105,10 +106,29 @@ pub(super) fn document(operations: &[Operation]) -> Value {
         "info": {
             "title": "ballbard",
             "version": env!("CARGO_PKG_VERSION"),
-            "description": "The acquisition service. Requests must name a loopback host and come from no foreign origin; those \
-                that change something carry JSON.",
+            "description": "The acquisition service. Programs of its machine ask 127.0.0.1, under a loopback name, and need no \
+                token. Where it was started with --listen others ask over TLS, and where it was started with --behind-proxy \
+                over a proxy's TLS and under the proxy's name; both show the token. No request comes from a foreign origin; \
+                those that change something carry JSON.",
         },
         "paths": paths,
-        "components": {"schemas": schemas},
+        // None of them, on the service's machine; one of them from elsewhere.
+        "security": [{}, {"token": []}, {"browser": []}],
+        "components": {
+            "schemas": schemas,
+            "securitySchemes": {
+                "token": {
+                    "type": "http",
+                    "scheme": "bearer",
+                    "description": "What is in the file `token` of the service's state directory.",
+                },
+                "browser": {
+                    "type": "apiKey",
+                    "in": "cookie",
+                    "name": COOKIE,
+                    "description": "The same, as a browser has it that has opened the page with /?token=TOKEN.",
+                },
+            },
+        },
     })
 }

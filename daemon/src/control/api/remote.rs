@@ -37,7 +37,7 @@ const TOKEN_BYTES: usize = 32;
 const WRONG_MAX: usize = 10;
 const WRONG_WITHIN: Duration = Duration::from_secs(60);
 /// The prefix binds the cookie to this host, this path and TLS.
-const COOKIE: &str = "__Host-ballbard";
+pub(super) const COOKIE: &str = "__Host-ballbard";
 /// As long as a browser remembers the token \[s\]: 30 days.
 const COOKIE_AGE_S: u32 = 30 * 86_400;
 const FORM: &str = include_str!("../../page/token.html");
