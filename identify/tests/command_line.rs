@@ -99,11 +99,18 @@ fn a_calibration_prints_a_table_and_writes_every_parameter_with_sigma_and_state(
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let text = String::from_utf8_lossy(&output.stdout);
     assert!(text.contains("converged") && text.contains("Euclidean error 0.00"), "{text}");
+    let page = std::fs::read_to_string(out.path().join("report.html")).unwrap();
+    assert!(text.contains("balpha4 within 1 mrad") && page.contains("balpha4 within 1 mrad"), "{text}");
+    assert!(text.contains("(k = 2)") && page.contains("Uncertainty budget"), "{text}");
 
     let written = std::fs::read_to_string(out.path().join("calibration.toml")).unwrap();
     let file: toml::Table = written.parse().unwrap();
     assert_eq!(file["schema"].as_integer(), Some(1));
     assert_eq!(file["inputs"].as_array().unwrap().len(), 4);
+    let budget = &file["budget"];
+    assert_eq!(budget["coverage_factor"].as_float(), Some(2.0));
+    let most = budget["contributions"][0]["source"].as_str().unwrap();
+    assert!(most.starts_with("balpha4, fixed"), "{most}");
     let parameters = file["parameters"].as_array().unwrap();
     let entry = |name: &str| {
         let found = parameters.iter().find(|entry| entry["name"].as_str() == Some(name)).unwrap();

@@ -4,12 +4,13 @@
 
 use crate::support::truth::position_error_m;
 use crate::support::{bar, irb2400, repository};
+use identify::calibrate::ball_bar::{self, BallBarCalibration};
 use identify::calibrate::measured_pose::{self, PoseOptions};
-use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig, SelectionName, ball_bar};
-use identify::evaluate::{Expected, workspace_error};
+use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig, SelectionName};
+use identify::evaluate::{Budget, Evaluation, Expected, workspace_error};
 use identify::instrument::PoseRow;
 use identify::kinematics::{Pose, flange_chain};
-use identify::simulate::{self, Effects, Experiment, StaticErrors};
+use identify::simulate::{self, Effects, Experiment, Simulated, StaticErrors};
 use nalgebra::{Rotation3, Vector3};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
@@ -26,16 +27,27 @@ fn quick(fix: &[&str]) -> IdentifyConfig {
     }
 }
 
-/// True mean position error \[m\] and what is claimed, for a robot of which every number is wrong by a millimetre or
-/// milliradian, on a leaning base, with a plate that is wrong by its uncertainty.
-fn with_the_bar(seed: u64, plate_u_um: f64, config: &IdentifyConfig) -> (f64, Expected) {
-    let (robot, mut bar) = (irb2400(), bar());
+/// A robot of which every number is wrong by a millimetre or milliradian, before a bar on a leaning base.
+fn simulated(seed: u64) -> Simulated {
     let (errors, effects) = (StaticErrors::Drawn { seed }, Effects::LABORATORY);
-    let run = simulate::run(&Experiment { seed, errors, effects, ..Experiment::new(&robot, &bar) }).unwrap();
+    simulate::run(&Experiment { seed, errors, effects, ..Experiment::new(&irb2400(), &bar()) }).unwrap()
+}
+
+fn calibrated(
+    run: &Simulated,
+    robot: &RobotConfig,
+    bar: &BallBarConfig,
+    config: &IdentifyConfig,
+) -> BallBarCalibration {
+    ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, bar, config).unwrap()
+}
+
+/// True mean position error \[m\] and what is claimed, with a plate that is wrong by its uncertainty.
+fn with_the_bar(seed: u64, plate_u_um: f64, config: &IdentifyConfig) -> (f64, Expected) {
+    let (run, robot, mut bar) = (simulated(seed), irb2400(), bar());
     let off: f64 = StdRng::seed_from_u64(seed).sample(StandardNormal);
     bar = BallBarConfig { plate_m: bar.plate_m + 1e-6 * plate_u_um * off, plate_u_um, ..bar };
-    let found =
-        ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, config).unwrap();
+    let found = calibrated(&run, &robot, &bar, config);
     let claimed = workspace_error(&found.model, &found.solution.covariance, &robot.joint_limits()).after;
     (position_error_m(&run, &found, &robot), claimed)
 }
@@ -129,4 +141,76 @@ fn over_forty_experiments_what_is_fixed_at_wrong_values_leaves_claims_that_hold(
     for [within, not_above] in campaign(40) {
         assert!(within >= 34 && not_above >= 36, "{within} {not_above}");
     }
+}
+
+#[test]
+fn a_rod_that_is_known_gives_the_scale_where_the_plate_does_not() {
+    let (run, robot, bar) = (simulated(1), irb2400(), bar());
+    let length_m = run.truth.parameters["bd3"];
+    let plate = BallBarConfig { length_m, plate_m: bar.plate_m + 1e-3, plate_u_um: 1000.0, ..bar };
+    let rod = BallBarConfig { length_u_um: Some(20.0), ..plate.clone() };
+    let [by_plate, by_rod] = [&plate, &rod].map(|bar| {
+        let found = calibrated(&run, &robot, bar, &quick(&[]));
+        let claimed = workspace_error(&found.model, &found.solution.covariance, &robot.joint_limits()).after;
+        (position_error_m(&run, &found, &robot) * 1e3, claimed.interval_m[1] * 1e3)
+    });
+    println!("error and claim [mm]: {by_plate:?} by the plate, {by_rod:?} by the rod");
+    assert!(by_plate.0 > 3.0 && by_plate.1 > by_plate.0, "{by_plate:?}");
+    assert!(by_rod.0 < 0.1 && by_rod.1 < 0.3, "{by_rod:?}");
+}
+
+/// RMS distance of two robots' ends over postures within the limits \[m\].
+fn apart_m(one: &BallBarCalibration, other: &BallBarCalibration, robot: &RobotConfig) -> f64 {
+    const POSTURES: usize = 400;
+    let mut random = StdRng::seed_from_u64(3);
+    let [one, other] = [one, other].map(|found| found.model.geometry(&[]).robot);
+    let squares = (0..POSTURES).map(|_| {
+        let q: Vec<f64> =
+            robot.joint_limits().iter().map(|[low, high]| random.random_range(*low..*high)).collect();
+        (one.forward(&q).translation.vector - other.forward(&q).translation.vector).norm_squared()
+    });
+    (squares.sum::<f64>() / POSTURES as f64).sqrt()
+}
+
+#[test]
+fn each_contribution_of_the_budget_is_what_its_source_does_to_the_robot() {
+    let (run, robot, bar) = (simulated(2), irb2400(), bar());
+    let (bar, config) = (BallBarConfig { plate_u_um: 100.0, ..bar }, quick(&["ralpha3"]));
+    let found = calibrated(&run, &robot, &bar, &config);
+    let claimed = workspace_error(&found.model, &found.solution.covariance, &robot.joint_limits());
+    let Budget { contributions, u_m, expanded_m, .. } = &claimed.budget;
+    let of = |start: &str| {
+        let found = contributions.iter().find(|one| one.source.starts_with(start));
+        found.unwrap_or_else(|| panic!("{start} is not in {contributions:?}"))
+    };
+    let (noise, plate, link) = (of("errors of the samples"), of("ra6"), of("ralpha3"));
+    assert_eq!(noise.evaluation, Evaluation::Statistical);
+    assert_eq!([plate.evaluation, link.evaluation], [Evaluation::Stated; 2]);
+    assert!(
+        plate.source.contains("0.1 mm") && link.source.contains("fixed within 1 mrad"),
+        "{contributions:?}"
+    );
+    // What happens where the value that is stated is wrong by what is stated.
+    let mut other = robot.clone();
+    other.links[2].alpha_deg += 1e-3_f64.to_degrees();
+    let longer = BallBarConfig { plate_m: bar.plate_m + 1e-4, ..bar.clone() };
+    let moved = [
+        (plate, calibrated(&run, &robot, &longer, &config)),
+        (link, calibrated(&run, &other, &bar, &config)),
+    ];
+    for (contribution, moved) in moved {
+        let apart_m = apart_m(&found, &moved, &robot);
+        println!(
+            "{}: {:.4} mm, by another value {:.4} mm",
+            contribution.source,
+            contribution.u_m * 1e3,
+            apart_m * 1e3
+        );
+        assert!((apart_m / contribution.u_m - 1.0).abs() < 0.1, "{} {apart_m}", contribution.source);
+    }
+    let sum: f64 = contributions.iter().map(|one| one.u_m.powi(2)).sum();
+    assert!((sum.sqrt() - u_m).abs() < 1e-9 && (expanded_m - 2.0 * u_m).abs() < 1e-12);
+    // The mean of a length is below its root mean square.
+    let mean_m = claimed.after.mean_m;
+    assert!(mean_m < *u_m && mean_m > 0.7 * u_m, "{mean_m} {u_m}");
 }

@@ -56,6 +56,20 @@ fn a_value_of_another_type_is_reported_with_what_was_expected() {
 }
 
 #[test]
+fn an_uncertainty_of_nothing_is_refused_for_the_rod_whose_length_may_be_left_out() {
+    let with = |line: &str| {
+        shipped("ball_bar.toml").replace("length_m = 0.6\n", &format!("length_m = 0.6\n{line}\n"))
+    };
+    for line in ["", "length_u_um = 20.0"] {
+        assert_eq!(told::<BallBarConfig>(&with(line)), "accepted");
+    }
+    for line in ["length_u_um = 0.0", "length_u_um = -1.0", "length_u_um = nan"] {
+        let told = told::<BallBarConfig>(&with(line));
+        assert!(told.contains("length_u_um") && told.contains("leave it out"), "{told}");
+    }
+}
+
+#[test]
 fn a_key_that_is_missing_is_named() {
     let text = shipped("robots/ur10.toml");
     let without: String =

@@ -214,8 +214,8 @@ pub(super) fn prepared_runs(
     let run = |(prepared, input): (Prepared, &RunInput<'_>)| {
         // Hundreds of waves have a name: a model has those that somebody means, and later those that are found.
         let model = start_model(&prepared, robot, input.bar)?.with_joint_waves(config.named());
-        let plate_u_m = input.bar.plate_u_um * 1e-6;
-        let bar = BallBar { prepared, cost, noise: config.noise, measured, plate_u_m };
+        let known_m = config.known_lengths_m(input.bar);
+        let bar = BallBar { prepared, cost, noise: config.noise, measured, known_m };
         Ok(Run { instrument: Instrument::BallBar(Box::new(bar)), model })
     };
     all.into_iter().zip(inputs).map(run).collect()

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use shared::config::{Validate, Violation};
+use shared::config::{BallBarConfig, Validate, Violation};
 
 use super::terms::{Kind, TermGroup};
 use crate::cost::AngleNoise;
@@ -250,6 +250,15 @@ impl IdentifyConfig {
             model.set_role(id, Role::Considered { sigma })?;
         }
         Ok(())
+    }
+
+    /// Lengths of a bar that are known, with their standard uncertainties \[m\], but for those that are free by name or have
+    /// a prior.
+    pub fn known_lengths_m(&self, bar: &BallBarConfig) -> Vec<(ParameterId, f64)> {
+        let u_um = |id| if id == ParameterId::PLATE { Some(bar.plate_u_um) } else { bar.length_u_um };
+        let is_open = |name: String| !self.free.contains(&name) && !self.priors.contains_key(&name);
+        let known = ParameterId::KNOWN_LENGTHS.into_iter().filter(|id| is_open(id.to_string()));
+        known.filter_map(|id| Some((id, u_um(id).filter(|u_um| *u_um > 0.0)? * 1e-6))).collect()
     }
 
     /// How uncertain the value of a parameter is that stays fixed, SI; none where nothing is stated, and of those that say

@@ -120,26 +120,29 @@ fn untold_forces(calibration: &BallBarCalibration) -> impl Iterator<Item = Limit
 /// `n` priors, at a chance of [`STRAINED_BY_CHANCE`] for all.
 ///
 /// A prior of `x0` with sigma `s0` that holds makes what is found, `x` with sigma `s`, differ from `x0` by no more than
-/// `sqrt(s0^2 - s^2)` times a standard normal number ([`VARIANCE_UNCERTAIN`] of `s^2` is left open), and pulls it by `(x - x0) s^2 / (s0^2 - s^2)`.
+/// `sqrt(s0^2 - s^2)` times a standard normal number ([`VARIANCE_UNCERTAIN`] of `s^2` is left open), and pulls it by
+/// `(x - x0) s^2 / (s0^2 - s^2)`. What fixed parameters that are wrong move it by comes on top.
 fn strained_priors(calibration: &BallBarCalibration) -> Option<Limit> {
     let Solution { x, covariance, .. } = &calibration.solution;
     let priors =
         calibration.model.columns().enumerate().filter_map(|(column, parameter)| match parameter.role {
             Role::Prior { value, sigma } => {
-                Some((parameter.id, x.get(column)? - value, sigma, covariance.sigma(column)?))
+                let moved = covariance.variance_by_considered(column);
+                let found = covariance.sigma(column)?.powi(2) - moved;
+                Some((parameter.id, x.get(column)? - value, sigma, found, moved))
             }
             _ => None,
         });
-    let priors: Vec<(ParameterId, f64, f64, f64)> = priors.collect();
+    let priors: Vec<(ParameterId, f64, f64, f64, f64)> = priors.collect();
     let certain = 1.0 - STRAINED_BY_CHANCE / (2.0 * priors.len().max(1) as f64);
     let most = Normal::standard().inverse_cdf(certain);
     let mut strained = Vec::new();
-    for (id, off, expected, sigma) in priors {
-        let learnt = expected.powi(2) - sigma.powi(2);
-        let learnt_at_most = learnt + VARIANCE_UNCERTAIN * sigma.powi(2);
+    for (id, off, expected, found, moved) in priors {
+        let learnt = expected.powi(2) - found + moved;
+        let learnt_at_most = learnt + VARIANCE_UNCERTAIN * found;
         if learnt_at_most > 0.0 && off.abs() > most * learnt_at_most.sqrt() {
             // The pull, |off| sigma^2 / learnt, is beyond one sigma.
-            let pulls = off.abs() * sigma > learnt;
+            let pulls = off.abs() * found.sqrt() > learnt;
             let unit = id.unit();
             let [off, expected] = [off, expected].map(|value| value * unit.display_factor());
             let sentence =

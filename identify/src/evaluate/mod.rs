@@ -1,5 +1,6 @@
 //! What a calibration shows when one looks at it: figures for the report, computed from a solve and never fed back.
 
+mod budget;
 mod consistency;
 mod costs;
 mod evidence;
@@ -12,6 +13,7 @@ mod shift;
 mod sphere_deviation;
 mod workspace;
 
+pub use budget::{Budget, Contribution, Evaluation};
 pub use consistency::{Compared, Consistency, ConsistencyError};
 pub use costs::{CostComparison, CostEntry, CostFigures, compare_costs};
 pub use evidence::{Evidence, RunEvidence, evidence};

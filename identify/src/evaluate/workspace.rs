@@ -6,13 +6,14 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{ChiSquared, Distribution, StandardNormal};
 
+use super::budget::Budget;
 use super::figures::quantile;
 use crate::kinematics::{Chain, Joints, Trace, Tracer};
 use crate::model::{Model, ParameterId};
 use crate::solver::{Covariance, Spread};
 
 /// Postures, evenly spread over the joint limits.
-const POSTURES: usize = 400;
+pub(super) const POSTURES: usize = 400;
 /// Robots drawn from the covariance.
 const DRAWS: usize = 400;
 
@@ -39,13 +40,15 @@ pub struct WorkspaceError {
     /// The combination of parameters that contributes most to what is left, largest part first: name and its part of
     /// the combination, 0 to 1.
     pub weakest: Vec<(String, f64)>,
+    /// What its uncertainty comes from.
+    pub budget: Budget,
 }
 
 /// Postures with the error that calibration took away, and how what it left depends on the free parameters.
-struct Postures {
+pub(super) struct Postures {
     corrected_m: Vec<Vector3<f64>>,
     /// Three rows for each posture.
-    by_parameter: DMatrix<f64>,
+    pub(super) by_parameter: DMatrix<f64>,
 }
 
 /// Expected position errors: nominal robot against robots drawn from the solution's covariance.
@@ -89,6 +92,7 @@ pub fn workspace_error(model: &Model, covariance: &Covariance, joint_limits: &[[
         before: expected(before),
         after: expected(after),
         weakest: weakest(&root(covariance, &columns), &postures.by_parameter, &columns),
+        budget: Budget::new(model, covariance, &columns, &postures),
     }
 }
 

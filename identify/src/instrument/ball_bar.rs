@@ -7,7 +7,7 @@ use crate::cost::{
     WhitenedPose, WhitenedPoseOfFour, fill_in,
 };
 use crate::kinematics::BAR_JOINTS;
-use crate::model::{Clock, JointState, Model, ModelError, ParameterId, RobotMotion, Role};
+use crate::model::{Clock, JointState, Model, ModelError, Parameter, ParameterId, RobotMotion, Role};
 use crate::prepare::Prepared;
 
 impl CostName {
@@ -64,8 +64,8 @@ pub struct BallBar {
     pub noise: NoiseConfig,
     /// Bar joints with an encoder, in all runs that are solved together.
     pub measured: [bool; BAR_JOINTS],
-    /// Standard uncertainty of the offset plate, which fixes the scale \[m\].
-    pub plate_u_m: f64,
+    /// Lengths of the bar that are known, which give the scale, with their standard uncertainties \[m\].
+    pub known_m: Vec<(ParameterId, f64)>,
 }
 
 impl BallBar {
@@ -85,15 +85,16 @@ impl Measures for BallBar {
         self.prepared.observations.len()
     }
 
-    /// The preparation has done so, and the configuration says what is free but for the plate. That stays at its value with
-    /// costs whose residuals a smaller world makes smaller.
+    /// The preparation has done so, and the configuration says what is free but for known lengths. Costs whose residuals a
+    /// smaller world makes smaller expect none anywhere: there they stay at their values, or are as free as the others.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
-        let (id, sigma) = (ParameterId::PLATE, self.plate_u_m);
-        let fixed = model.parameter(id).filter(|plate| plate.role == Role::Fixed && sigma > 0.0);
-        if let Some(value) = fixed.map(|plate| plate.nominal) {
-            let held = self.cost != CostName::Pose || fix.contains(&id);
-            model
-                .set_role(id, if held { Role::Considered { sigma } } else { Role::Prior { value, sigma } })?;
+        for &(id, sigma) in &self.known_m {
+            let Some(&Parameter { nominal: value, role, .. }) = model.parameter(id) else { continue };
+            if self.cost == CostName::Pose && !fix.contains(&id) {
+                model.set_role(id, Role::Prior { value, sigma })?;
+            } else if !role.is_estimated() {
+                model.set_role(id, Role::Considered { sigma })?;
+            }
         }
         Ok(true)
     }

@@ -161,6 +161,14 @@ impl Unit {
         }
     }
 
+    /// A size for a person, four digits at most, with its unit.
+    pub fn display(self, si: f64) -> String {
+        let displayed = si * self.display_factor();
+        // The shortest text of the number that four digits leave.
+        let rounded = format!("{displayed:.3e}").parse().unwrap_or(displayed);
+        format!("{rounded} {}", self.display_symbol())
+    }
+
     /// Symbol of the SI unit, `1` for ratios.
     pub const fn si_symbol(self) -> &'static str {
         match self {
@@ -194,6 +202,9 @@ impl ParameterId {
     pub const LAST_ORIGIN: usize = 99;
     /// Length of the ball-bar: `bd3`.
     pub const ROD: Self = Self::Bar { link: ROD_LINK, parameter: LinkParameter::D };
+
+    /// Lengths that are measured apart from the robot, each with its own uncertainty.
+    pub const KNOWN_LENGTHS: [Self; 2] = [Self::PLATE, Self::ROD];
 
     /// Offset plate between axis 6 of the robot and axis 5 of the ball-bar: `ra6`.
     pub const PLATE: Self = Self::Robot { link: 5, parameter: LinkParameter::A };

@@ -16,7 +16,8 @@ use super::verdict::Verdict;
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::calibrate::terms::Candidate;
 use crate::cost::SharedColumns;
-use crate::model::{Model, Parameter, ParameterId, Role, link_parameter_name};
+use crate::evaluate::Budget;
+use crate::model::{Model, Parameter, ParameterId, Role, Unit, link_parameter_name};
 use crate::solver::{Covariance, Identifiability, Summary};
 
 /// Version of the file's structure; it rises when a key changes its meaning.
@@ -149,6 +150,15 @@ impl ParameterEntry {
         entries
     }
 
+    /// A fixed one for a person: its name, and within what its value holds where that is not exact.
+    pub(super) fn held(&self) -> String {
+        let unit = self.id().map_or(Unit::Ratio, ParameterId::unit);
+        match self.sigma {
+            Some(sigma) => format!("{} within {}", self.name, unit.display(sigma)),
+            None => self.name.clone(),
+        }
+    }
+
     /// Which parameter it is, of whichever run; none for a name that is not known.
     pub fn id(&self) -> Option<ParameterId> {
         self.name.split('@').next()?.parse().ok()
@@ -269,6 +279,9 @@ pub struct CalibrationFile {
     pub other_costs: Vec<OtherCostEntry>,
     /// Every parameter of the model; those of run 2 alone are called `ox@2`.
     pub parameters: Vec<ParameterEntry>,
+    /// What makes positions uncertain.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub budget: Option<Budget>,
     /// How well they are known together.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub knowledge: Option<Knowledge>,
@@ -305,6 +318,7 @@ impl CalibrationFile {
             rows: Vec::new(),
             other_costs: Vec::new(),
             parameters,
+            budget: None,
             knowledge: None,
             covariance: None,
         }

@@ -74,9 +74,8 @@ impl CalibrationFile {
     /// Adds what a solution says of itself. The covariance goes into `calibration.json` alone.
     pub fn with_knowledge(mut self, solution: &Solution) -> Self {
         let found = &solution.identifiability;
-        let considered = solution.covariance.considered().map(|(name, _)| name.to_owned());
-        let names: Vec<String> = found.names.iter().cloned().chain(considered).collect();
-        let name = |column: usize| names.get(column).cloned().unwrap_or_default();
+        let names = solution.covariance.names();
+        let name = |column: usize| solution.covariance.name(column).to_owned();
         // Columns of other runs are called as those of the first, with the run's number.
         let unit = |name: &String| name.split('@').next()?.parse::<ParameterId>().ok().map(ParameterId::unit);
         let units: Vec<f64> = found
@@ -99,7 +98,7 @@ impl CalibrationFile {
         let columns = names.len();
         let rows =
             (0..columns).map(|a| (0..columns).map(|b| solution.covariance.between(a, b)).collect()).collect();
-        self.covariance = Some(CovarianceEntry { names, rows });
+        self.covariance = Some(CovarianceEntry { names: names.to_vec(), rows });
         self
     }
 }

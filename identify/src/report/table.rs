@@ -58,6 +58,7 @@ pub fn calibration(file: &CalibrationFile) -> String {
     if let Some(knowledge) = &file.knowledge {
         text.push_str(&knowledge.describe(solve.parameters));
     }
+    text.push_str(&budget(file));
     text.push_str(&candidates(file));
     text.push_str(&super::validation::describe(file));
     text.push_str(&joint_offsets(file));
@@ -90,11 +91,11 @@ pub fn data_sets(found: &MixedCalibration) -> String {
 fn parameters(file: &CalibrationFile) -> String {
     let mut text = String::new();
     let _ = writeln!(text, "\n{:<16}{:>14}{:>12}{:>10}  unit", "parameter", "nominal", "correction", "sigma");
-    let mut fixed = Vec::new();
+    let (mut exact, mut held) = (Vec::new(), Vec::new());
     let (told, waves) = file.told();
     for entry in told {
         if entry.status == Status::Fixed {
-            fixed.push(entry.name.as_str());
+            if entry.sigma.is_some() { &mut held } else { &mut exact }.push(entry.held());
             continue;
         }
         let unit = display_unit(entry);
@@ -114,7 +115,26 @@ fn parameters(file: &CalibrationFile) -> String {
     if waves > 0 {
         let _ = writeln!(text, "and {waves} amplitudes of waves of the axes");
     }
-    let _ = writeln!(text, "fixed: {}", fixed.join(" "));
+    let _ = writeln!(text, "fixed: {}", exact.join(" "));
+    if !held.is_empty() {
+        let _ = writeln!(text, "fixed, with an uncertainty that is part of all sigmas: {}", held.join(", "));
+    }
+    text
+}
+
+/// How uncertain positions are, and the contributions that make nearly all of it.
+fn budget(file: &CalibrationFile) -> String {
+    /// Parts of the variance that are worth a line.
+    const PART_MIN: f64 = 0.01;
+    let Some(budget) = file.budget.as_ref().filter(|budget| budget.u_m > 0.0) else { return String::new() };
+    let mut text = format!(
+        "uncertainty of a position by the geometry, RMS over the workspace: {:.4} mm (k = {}), of it\n",
+        budget.expanded_m * 1e3,
+        budget.coverage_factor,
+    );
+    for one in budget.contributions.iter().filter(|one| budget.part(one) > PART_MIN) {
+        let _ = writeln!(text, "  {:>3.0} %  {}", 100.0 * budget.part(one), one.source);
+    }
     text
 }
 

@@ -100,13 +100,15 @@ impl Predicted {
 }
 
 impl CalibrationFile {
-    /// Adds the verdict of what is in the file, of the error that is expected over the workspace, and of what limits it.
+    /// Adds the verdict of what is in the file, of the error that is expected over the workspace, and of what limits it; and
+    /// what makes that error uncertain.
     pub fn with_verdict(
         mut self,
         workspace: &WorkspaceError,
         limits: &[Limit],
         required_m: Option<f64>,
     ) -> Self {
+        self.budget = Some(workspace.budget.clone());
         let predicted = self.predicted();
         let better = (!predicted.is_empty()).then(|| predicted.iter().all(Predicted::is_better));
         let worse = predicted.iter().find(|one| one.is_worse_beyond_chance());

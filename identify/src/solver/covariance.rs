@@ -158,8 +158,10 @@ pub struct Considered {
 pub struct Covariance {
     matrix: DMatrix<f64>,
     spread: Spread,
-    considered: Vec<String>,
+    names: Vec<String>,
     determined: Vec<bool>,
+    /// Columns that were estimated: the first.
+    estimated: usize,
     /// What it rests on.
     pub sigmas_from: SigmasFrom,
     /// The factor on the unit covariance: one for known noise, the estimated variance of a residual row otherwise.
@@ -167,7 +169,12 @@ pub struct Covariance {
 }
 
 impl Covariance {
-    pub(super) fn new(spectrum: &ScaledSpectrum, undetermined: &[usize], variance_factor: f64) -> Self {
+    pub(super) fn new(
+        spectrum: &ScaledSpectrum,
+        names: Vec<String>,
+        undetermined: &[usize],
+        variance_factor: f64,
+    ) -> Self {
         let columns = spectrum.lengths.len();
         let mut factor = spectrum.v_transposed.rows(0, spectrum.rank).transpose();
         for (i, mut column) in factor.column_iter_mut().enumerate() {
@@ -180,8 +187,8 @@ impl Covariance {
         let by_source = factor * variance_factor.sqrt();
         let spread = Spread { sources: vec![Source::Together; by_source.ncols()], by_source };
         let determined = (0..columns).map(|column| !undetermined.contains(&column)).collect();
-        let sigmas_from = SigmasFrom::IndependentNoise;
-        Self { matrix, spread, considered: Vec::new(), determined, sigmas_from, variance_factor }
+        let (sigmas_from, estimated) = (SigmasFrom::IndependentNoise, columns);
+        Self { matrix, spread, names, determined, estimated, sigmas_from, variance_factor }
     }
 
     /// The same columns as the jackknife over `folds` has them spread.
@@ -210,8 +217,15 @@ impl Covariance {
         self.spread.by_source = by_source;
         self.matrix = self.spread.covariance();
         self.determined.extend(std::iter::repeat_n(true, count));
-        self.considered.extend(of.names);
+        self.names.extend(of.names);
         self
+    }
+
+    /// What of a column's variance comes from parameters that were considered.
+    pub fn variance_by_considered(&self, column: usize) -> f64 {
+        let Spread { by_source, sources } = &self.spread;
+        let is_considered = |source: &usize| matches!(sources[*source], Source::Considered { .. });
+        (0..sources.len()).filter(is_considered).map(|source| by_source[(column, source)].powi(2)).sum()
     }
 
     /// By its sources.
@@ -221,8 +235,18 @@ impl Covariance {
 
     /// Parameters that were considered, with their columns.
     pub fn considered(&self) -> impl Iterator<Item = (&str, usize)> {
-        let first = self.determined.len() - self.considered.len();
-        self.considered.iter().enumerate().map(move |(index, name)| (name.as_str(), first + index))
+        let all = self.names.iter().enumerate().skip(self.estimated);
+        all.map(|(column, name)| (name.as_str(), column))
+    }
+
+    /// Names of all columns.
+    pub fn names(&self) -> &[String] {
+        &self.names
+    }
+
+    /// Name of a column.
+    pub fn name(&self, column: usize) -> &str {
+        self.names.get(column).map_or("?", String::as_str)
     }
 
     fn is_determined(&self, column: usize) -> bool {

@@ -270,6 +270,7 @@ pub(super) fn at_solution<P: Problem>(
     };
     let (identifiability, spectrum) = examine(problem, &triangle, fits, options);
     let factor = options.noise.variance_factor(problem, x, fits);
-    let covariance = Covariance::new(&spectrum, &identifiability.undetermined(), factor);
+    let (names, undetermined) = (identifiability.names.clone(), identifiability.undetermined());
+    let covariance = Covariance::new(&spectrum, names, &undetermined, factor);
     Ok((identifiability, covariance))
 }

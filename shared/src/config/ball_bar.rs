@@ -66,6 +66,9 @@ pub struct BallBarConfig {
     pub name: String,
     /// Centre of the gimbal to centre of the cardan \[m\]; it is `d` of link 3.
     pub length_m: f64,
+    /// Standard uncertainty of `length_m`; absent: the length is found from the run alone \[um\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub length_u_um: Option<f64>,
     /// Axis 6 of the robot to axis 5 of the bar, along the offset plate \[m\]; it is added to `a` of the robot's
     /// link 6. It fixes the scale.
     pub plate_m: f64,
@@ -147,6 +150,15 @@ impl Validate for BallBarConfig {
                 "plate_u_um",
                 format!("{} is outside 0 to 10000", self.plate_u_um),
                 "give the standard uncertainty of plate_m in micrometres; 0 takes the plate as exact",
+            ));
+        }
+        if let Some(length_u_um) =
+            self.length_u_um.filter(|length_u_um| !(*length_u_um > 0.0 && *length_u_um <= 10_000.0))
+        {
+            return Err(Violation::new(
+                "length_u_um",
+                format!("{length_u_um} is not above 0 and up to 10000"),
+                "give the standard uncertainty of length_m in micrometres, or leave it out: the length is then found from the run",
             ));
         }
         if self.links.len() != BAR_JOINTS {

@@ -91,6 +91,7 @@ impl Page<'_> {
                     (runs::gaps(self)?)
                     (sphere::section(self)?)
                     (sections::parameters(self.file, "Place of the bar, clocks", &others))
+                    (sections::budget(self.file))
                     (sections::candidates(self.file))
                     (costs::section(self)?)
                     (sections::joints(self)?)

@@ -6,7 +6,9 @@ use maud::{Markup, html};
 
 use super::figures::{WIDE, dots, gap_over_time};
 use super::plot::{BLUE, GREY, ORANGE, Panel, PlotError};
-use super::sections::{candidates, colour, dependence, expected, judged, mm, parameters, repeated_with, svg};
+use super::sections::{
+    budget, candidates, colour, dependence, expected, judged, mm, parameters, repeated_with, svg,
+};
 use super::{PageError, document};
 use crate::calibrate::measured_pose::{PoseFigures, RowErrors, Sizes};
 use crate::evaluate::{RunEvidence, WorkspaceError};
@@ -87,6 +89,7 @@ impl MeasuredPage<'_> {
                     }
                     pre.table { (self.tables) }
                     (parameters(self.file, place, &others))
+                    (budget(self.file))
                     (candidates(self.file))
                     (dependence(self.file))
                     (repeated_with(&self.file.inputs, &self.file.software, self.configuration))

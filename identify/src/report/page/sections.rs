@@ -4,7 +4,7 @@ use maud::{Markup, PreEscaped, html};
 
 use super::plot::PlotError;
 use super::{Page, correlations, figures};
-use crate::evaluate::{Expected, Limit, Quantiles};
+use crate::evaluate::{Evaluation, Expected, Limit, Quantiles};
 use crate::model::{ParameterId, Unit};
 use crate::report::file::{CalibrationFile, Input, ParameterEntry, Status};
 use crate::report::verdict::Grade;
@@ -102,11 +102,12 @@ fn unit_of(entry: &ParameterEntry) -> Unit {
 /// `place` is what the first data set has for itself, `others` the names of the data sets after it.
 pub(super) fn parameters(file: &CalibrationFile, place: &str, others: &[String]) -> Markup {
     let (entries, waves) = file.told();
-    let fixed: Vec<&str> = entries
-        .iter()
-        .filter(|entry| entry.status == Status::Fixed)
-        .map(|entry| entry.name.as_str())
-        .collect();
+    let fixed = |with_sigma: bool| -> Vec<String> {
+        let wanted =
+            |entry: &&&ParameterEntry| entry.status == Status::Fixed && entry.sigma.is_some() == with_sigma;
+        entries.iter().filter(wanted).map(|entry| entry.held()).collect()
+    };
+    let (exact, held) = (fixed(false), fixed(true));
     // What a run after the first has for itself is called `ox@2`.
     let own = |entry: &ParameterEntry, run: usize| match entry.name.split_once('@') {
         Some((_, number)) => number.parse() == Ok(run + 1),
@@ -128,9 +129,48 @@ pub(super) fn parameters(file: &CalibrationFile, place: &str, others: &[String])
         }
         p.note {
             @if waves > 0 { (waves) " amplitudes of waves of the axes are in calibration.toml. " }
-            "sigma: one standard deviation. (p): data and prior. Fixed at nominal: " (fixed.join(", ")) "."
+            "sigma: one standard deviation. (p): data and prior. Fixed at nominal: " (exact.join(", ")) "."
+            @if !held.is_empty() {
+                " Fixed at nominal, with an uncertainty that is part of all sigmas: " (held.join(", ")) "."
+            }
         }
     }
+}
+
+/// What makes positions uncertain, contribution by contribution.
+pub(super) fn budget(file: &CalibrationFile) -> Markup {
+    let evaluation = |of: Evaluation| match of {
+        Evaluation::Statistical => "A",
+        Evaluation::Stated => "B",
+    };
+    html! { @if let Some(budget) = file.budget.as_ref().filter(|budget| budget.u_m > 0.0) {
+        h2 { "Uncertainty budget" }
+        table {
+            thead { tr {
+                th.text { "contribution" } th { "type" } th { "u [mm]" } th { "part of the variance" }
+            } }
+            tbody {
+                @for one in &budget.contributions { tr {
+                    td.text { (one.source) }
+                    td { (evaluation(one.evaluation)) }
+                    td { (mm(one.u_m)) }
+                    td { (format!("{:.1} %", 100.0 * budget.part(one))) }
+                } }
+                tr { td.text { b { "combined" } } td { "" } td { b { (mm(budget.u_m)) } } td { "" } }
+                tr {
+                    td.text { b { "expanded, k = " (budget.coverage_factor) } }
+                    td { "" } td { b { (mm(budget.expanded_m)) } } td { "" }
+                }
+            }
+        }
+        p.note {
+            "Of the position by the calibrated geometry, root mean square over the workspace (GUM, JCGM 100). A: from the scatter "
+            "of samples; B: from what is stated."
+            @if let Some(freedom) = budget.freedom {
+                " Effective degrees of freedom: " (format!("{freedom:.0}")) "."
+            }
+        }
+    } }
 }
 
 /// Terms of robot and instruments that were tried, and what held-out groups of samples said.
