@@ -2,7 +2,7 @@
 //!
 //! The way of the data: [`logs`] and the recording -> [`prepare`] -> [`model`] and [`cost`] -> [`solver`] ->
 //! [`calibrate`] ties them together -> [`evaluate`] looks at the result -> [`report`]; [`plan`] finds paths worth driving,
-//! [`simulate`] makes experiments with known truth, [`robot`] takes a robot from a URDF and checks it, [`commands`] is what a person types.
+//! [`simulate`] makes experiments with known truth, [`study`] makes them by the thousand, [`robot`] takes a robot from a URDF and checks it, [`commands`] is what a person types.
 
 // A reader of standard output that has gone must end nothing: commands print with `say` and `show`.
 #![warn(clippy::print_stdout)]
@@ -23,3 +23,4 @@ pub mod report;
 pub mod robot;
 pub mod simulate;
 pub mod solver;
+pub mod study;

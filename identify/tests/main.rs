@@ -51,6 +51,7 @@ mod solver;
 mod solver_threads;
 mod spoiled_rows;
 mod stamps;
+mod studies;
 mod unknown_tables;
 mod verdict;
 mod wrong_robot;

@@ -171,7 +171,27 @@ pub fn calibrate_runs(
     config: &IdentifyConfig,
     watch: Option<&dyn Watch>,
 ) -> Result<BallBarCalibration, CalibrateError> {
-    let mut runs = prepared_runs(inputs, robot, config)?;
+    solved(prepared_runs(inputs, robot, config)?, config, watch)
+}
+
+/// The same from samples that are prepared already, each of a bar.
+///
+/// # Errors
+/// As [`calibrate`].
+pub fn calibrate_prepared(
+    prepared: Vec<(Prepared, &BallBarConfig)>,
+    robot: &RobotConfig,
+    config: &IdentifyConfig,
+    watch: Option<&dyn Watch>,
+) -> Result<BallBarCalibration, CalibrateError> {
+    solved(runs_at_start(prepared, robot, config)?, config, watch)
+}
+
+fn solved(
+    mut runs: Vec<Run>,
+    config: &IdentifyConfig,
+    watch: Option<&dyn Watch>,
+) -> Result<BallBarCalibration, CalibrateError> {
     let cost = runs.first().and_then(|run| run.instrument.bar()).ok_or(CalibrateError::NoRun)?.cost;
     let Solved { columns, solution, candidates, prior_scale, sigmas, .. } = solve(&mut runs, config, watch)?;
     let mut runs = runs.into_iter();
@@ -194,31 +214,39 @@ pub fn calibrate_runs(
 ///
 /// # Errors
 /// [`CalibrateError`].
-pub(super) fn prepared_runs(
-    inputs: &[RunInput<'_>],
+pub(super) fn prepared_runs<'a>(
+    inputs: &[RunInput<'a>],
     robot: &RobotConfig,
     config: &IdentifyConfig,
 ) -> Result<Vec<Run>, CalibrateError> {
-    let prepare = |(run, input): (usize, &RunInput<'_>)| {
+    let prepare = |(run, input): (usize, &RunInput<'a>)| {
         let mut prepared =
             prepare(input.cycles, input.encoders, input.log, robot, input.bar, &config.prepare)
                 .map_err(|error| CalibrateError::Prepare { run, error: Box::new(error) })?;
         if let Some(unwrapped) = input.unwrapped {
             prepared.timeline.unwrapped_encoders = unwrapped.to_vec();
         }
-        Ok(prepared)
+        Ok((prepared, input.bar))
     };
     let all = inputs.iter().enumerate().map(prepare).collect::<Result<Vec<_>, CalibrateError>>()?;
-    let measured = measured(all.iter());
+    runs_at_start(all, robot, config)
+}
+
+fn runs_at_start(
+    all: Vec<(Prepared, &BallBarConfig)>,
+    robot: &RobotConfig,
+    config: &IdentifyConfig,
+) -> Result<Vec<Run>, CalibrateError> {
+    let measured = measured(all.iter().map(|(prepared, _)| prepared));
     let cost = config.cost.unwrap_or_else(|| CostName::for_encoders(&measured));
-    let run = |(prepared, input): (Prepared, &RunInput<'_>)| {
+    let run = |(prepared, bar): (Prepared, &BallBarConfig)| {
         // Hundreds of waves have a name: a model has those that somebody means, and later those that are found.
-        let model = start_model(&prepared, robot, input.bar)?.with_joint_waves(config.named());
-        let known_m = config.known_lengths_m(input.bar);
+        let model = start_model(&prepared, robot, bar)?.with_joint_waves(config.named());
+        let known_m = config.known_lengths_m(bar);
         let bar = BallBar { prepared, cost, noise: config.noise, measured, known_m };
         Ok(Run { instrument: Instrument::BallBar(Box::new(bar)), model })
     };
-    all.into_iter().zip(inputs).map(run).collect()
+    all.into_iter().map(run).collect()
 }
 
 /// Gives the parameters of runs with the ball-bar their roles and estimates them.

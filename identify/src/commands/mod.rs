@@ -8,6 +8,7 @@ mod on_terminal;
 mod plan;
 mod robot;
 mod simulate;
+mod study;
 
 use std::ffi::OsString;
 
@@ -38,6 +39,8 @@ enum Command {
     Plan(Box<plan::PlanArguments>),
     /// Make an experiment with known errors: a recording, a robot log, and the truth beside them.
     Simulate(simulate::SimulateArguments),
+    /// Simulate experiments by the thousand and show what each estimator makes of them: the thesis' chapter 3.
+    Study(Box<study::StudyArguments>),
 }
 
 impl Arguments {
@@ -79,5 +82,6 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
         Command::Robot(arguments) => robot::run(&arguments),
         Command::Plan(arguments) => plan::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
+        Command::Study(arguments) => study::run(&arguments),
     }
 }

@@ -53,6 +53,19 @@ impl OnTerminal {
         !INTERRUPTED.load(Ordering::Relaxed)
     }
 
+    /// Shows how much of some work is done; false once Ctrl-C was pressed.
+    pub fn counts(&self, done: usize, of: usize, what: &str) -> bool {
+        if self.began.elapsed() > PATIENCE {
+            let template = format!("{{wide_bar}} {{pos}}/{{len}} {what}, {{eta}} left");
+            if let Ok(style) = ProgressStyle::with_template(&template) {
+                self.bar.set_style(style);
+            }
+            self.bar.set_length(of as u64);
+            self.bar.set_position(done as u64);
+        }
+        !INTERRUPTED.load(Ordering::Relaxed)
+    }
+
     /// Takes the bar off the terminal.
     pub fn finish(&self) {
         self.bar.finish_and_clear();

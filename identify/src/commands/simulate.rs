@@ -22,18 +22,6 @@ enum Errors {
 
 /// What is simulated unless something else is asked for.
 const LABORATORY: Effects = Effects::LABORATORY;
-/// The arguments that set a size of them.
-const EFFECTS: [&str; 8] = [
-    "robot_noise_urad",
-    "encoder_noise_urad",
-    "gear_sine_urad",
-    "cycloid_urad",
-    "backlash_urad",
-    "encoder_eccentricity_urad",
-    "encoder_ellipticity_urad",
-    "base_tilt_urad",
-];
-
 #[derive(Debug, Args)]
 pub struct SimulateArguments {
     /// The robot's configuration, such as config/robots/irb2400_16.toml
@@ -70,7 +58,7 @@ pub struct SimulateArguments {
     #[arg(long, value_name = "PPM", default_value_t = 25.0, allow_hyphen_values = true)]
     skew_ppm: f64,
     /// None of the effects below: what is left of the errors is the estimator's own
-    #[arg(long, conflicts_with_all = EFFECTS)]
+    #[arg(long, conflicts_with_all = Effects::KEYS)]
     exact: bool,
     /// White noise of each robot joint [urad]
     #[arg(long, value_name = "URAD", default_value_t = LABORATORY.robot_noise_urad)]
@@ -93,6 +81,9 @@ pub struct SimulateArguments {
     /// The same twice per turn, amplitude [urad]
     #[arg(long, value_name = "URAD", default_value_t = LABORATORY.encoder_ellipticity_urad)]
     encoder_ellipticity_urad: f64,
+    /// Smallest difference of two angles that a bar encoder shows, on top of its counts [urad]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.encoder_step_urad)]
+    encoder_step_urad: f64,
     /// Tilt of the bar's base against the robot's [urad]
     #[arg(long, value_name = "URAD", default_value_t = LABORATORY.base_tilt_urad)]
     base_tilt_urad: f64,
@@ -158,6 +149,7 @@ pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
         backlash_urad: arguments.backlash_urad,
         encoder_ellipticity_urad: arguments.encoder_ellipticity_urad,
         encoder_eccentricity_urad: arguments.encoder_eccentricity_urad,
+        encoder_step_urad: arguments.encoder_step_urad,
         base_tilt_urad: arguments.base_tilt_urad,
     };
     experiment.effects = if arguments.exact { Effects::NONE } else { sizes };

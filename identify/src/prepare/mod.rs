@@ -273,6 +273,52 @@ pub struct Prepared {
 }
 
 impl Prepared {
+    /// Samples that need no preparation: on one clock, angles from the marks of their encoders, near nominal links and a bar at
+    /// `base_m`.
+    pub fn aligned(
+        t_ref: UtcNs,
+        observations: Vec<Observation>,
+        motion: AlignedLog,
+        measured: [bool; BAR_JOINTS],
+        base_m: Vector3<f64>,
+    ) -> Self {
+        let kept = observations.len();
+        let overlap_s =
+            observations.last().zip(observations.first()).map_or(0.0, |(last, first)| last.t_s - first.t_s);
+        let configuration =
+            observations.first().map_or(Configuration::ALL[0], |first| Configuration::of(&first.bar_rad));
+        Self {
+            t_ref,
+            observations,
+            motion,
+            measured,
+            initial: InitialValues {
+                clock_shift_s: 0.0,
+                clock_skew: 0.0,
+                base_m,
+                length_m: 0.0,
+                btheta_rad: [0.0; BAR_JOINTS],
+            },
+            configuration,
+            alignment: Alignment {
+                correlation: 1.0,
+                runner_up: 0.0,
+                ambiguous: false,
+                overlap_s,
+                clock_difference_ns: 0,
+                skew: 0.0,
+            },
+            offsets: Vec::new(),
+            sphere: SphereFit { centre_m: base_m, radius_m: 0.0, rms_m: 0.0, inliers: 1.0 },
+            counts: SampleCounts { recorded: kept, kept, ..SampleCounts::default() },
+            timeline: Timeline::default(),
+            wiring: WiringReport::default(),
+            origins: Vec::new(),
+            local_shifts: Vec::new(),
+            force: None,
+        }
+    }
+
     /// Robot clock minus bar clock at the reference time \[ns\], once a solve has found what is left of the shift.
     pub fn clock_difference_ns(&self, solved_shift_s: f64) -> i64 {
         self.alignment.clock_difference_ns.saturating_add((solved_shift_s * 1e9).round() as i64)

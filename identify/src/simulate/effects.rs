@@ -31,6 +31,9 @@ pub struct Effects {
     pub encoder_eccentricity_urad: f64,
     /// Sine of twice the joint angle on each bar encoder, amplitude: an elliptic one.
     pub encoder_ellipticity_urad: f64,
+    /// Smallest difference of two angles that a bar encoder shows, which gives the middle of each step: the thesis (3.1) cuts off
+    /// what is less, but what all angles are off by is the encoder's zero.
+    pub encoder_step_urad: f64,
     /// How far the bar's base leans, about x and by 0.6 of it about -y.
     pub base_tilt_urad: f64,
 }
@@ -50,6 +53,7 @@ impl Effects {
         backlash_urad: 0.0,
         encoder_eccentricity_urad: 0.0,
         encoder_ellipticity_urad: 0.0,
+        encoder_step_urad: 0.0,
         base_tilt_urad: 0.0,
     };
 
@@ -66,25 +70,44 @@ impl Effects {
         ..Self::NONE
     };
 
-    /// All sizes with their keys.
-    fn sizes(&self) -> [(&'static str, f64); 8] {
-        [
-            ("robot_noise_urad", self.robot_noise_urad),
-            ("encoder_noise_urad", self.encoder_noise_urad),
-            ("gear_sine_urad", self.gear_sine_urad),
-            ("cycloid_urad", self.cycloid_urad),
-            ("backlash_urad", self.backlash_urad),
-            ("encoder_eccentricity_urad", self.encoder_eccentricity_urad),
-            ("encoder_ellipticity_urad", self.encoder_ellipticity_urad),
-            ("base_tilt_urad", self.base_tilt_urad),
-        ]
+    /// Keys of all sizes.
+    pub const KEYS: [&str; 9] = [
+        "robot_noise_urad",
+        "encoder_noise_urad",
+        "gear_sine_urad",
+        "cycloid_urad",
+        "backlash_urad",
+        "encoder_eccentricity_urad",
+        "encoder_ellipticity_urad",
+        "encoder_step_urad",
+        "base_tilt_urad",
+    ];
+
+    /// A size by its key.
+    pub fn size_mut(&mut self, key: &str) -> Option<&mut f64> {
+        Some(match key {
+            "robot_noise_urad" => &mut self.robot_noise_urad,
+            "encoder_noise_urad" => &mut self.encoder_noise_urad,
+            "gear_sine_urad" => &mut self.gear_sine_urad,
+            "cycloid_urad" => &mut self.cycloid_urad,
+            "backlash_urad" => &mut self.backlash_urad,
+            "encoder_eccentricity_urad" => &mut self.encoder_eccentricity_urad,
+            "encoder_ellipticity_urad" => &mut self.encoder_ellipticity_urad,
+            "encoder_step_urad" => &mut self.encoder_step_urad,
+            "base_tilt_urad" => &mut self.base_tilt_urad,
+            _ => return None,
+        })
     }
 
     pub(super) fn check(&self) -> Result<(), SimulateError> {
-        match self.sizes().into_iter().find(|(_, size)| !(size.is_finite() && *size >= 0.0)) {
-            Some((name, value_urad)) => Err(SimulateError::Effect { name, value_urad }),
-            None => Ok(()),
+        let mut sizes = *self;
+        for name in Self::KEYS {
+            let size = sizes.size_mut(name).map_or(0.0, |size| *size);
+            if !(size.is_finite() && size >= 0.0) {
+                return Err(SimulateError::Effect { name, value_urad: size });
+            }
         }
+        Ok(())
     }
 
     /// Rotation of the base about x and y \[rad\].
@@ -138,21 +161,30 @@ impl<const N: usize> Noisy<N> {
 }
 
 /// What the bar's encoders say.
-pub(super) struct BarReading(Noisy<5>);
+pub(super) struct BarReading {
+    noisy: Noisy<5>,
+    step_rad: f64,
+}
 
 impl BarReading {
-    pub fn new(effects: &Effects, mut random: ChaCha8Rng) -> Self {
+    /// `random` makes what the encoders are like and, unless another generator does, their noise.
+    pub fn new(effects: &Effects, mut random: ChaCha8Rng, noise: Option<ChaCha8Rng>) -> Self {
         let waves = vec![
             waves(effects.encoder_eccentricity_urad, [1.0; 5], &mut random),
             waves(effects.encoder_ellipticity_urad, [2.0; 5], &mut random),
         ];
-        Self(Noisy { waves, noise_rad: effects.encoder_noise_urad * 1e-6, random })
+        let random = noise.unwrap_or(random);
+        let noisy = Noisy { waves, noise_rad: effects.encoder_noise_urad * 1e-6, random };
+        Self { noisy, step_rad: effects.encoder_step_urad * 1e-6 }
     }
 
     /// Where the joints are at `true_rad`.
     pub fn of(&mut self, true_rad: &[f64; 5]) -> [f64; 5] {
-        let (error, noise) = (self.0.error_rad(true_rad), self.0.noise_rad());
-        std::array::from_fn(|i| true_rad[i] + error[i] + noise[i])
+        let (error, noise) = (self.noisy.error_rad(true_rad), self.noisy.noise_rad());
+        let step = |rad: f64| {
+            if self.step_rad > 0.0 { ((rad / self.step_rad).floor() + 0.5) * self.step_rad } else { rad }
+        };
+        std::array::from_fn(|i| step(true_rad[i] + error[i] + noise[i]))
     }
 }
 
@@ -167,7 +199,13 @@ pub(super) struct RobotReading {
 }
 
 impl RobotReading {
-    pub fn new(robot: &RobotConfig, effects: &Effects, mut random: ChaCha8Rng) -> Self {
+    /// `random` makes what the gears are like and, unless another generator does, the noise.
+    pub fn new(
+        robot: &RobotConfig,
+        effects: &Effects,
+        mut random: ChaCha8Rng,
+        noise: Option<ChaCha8Rng>,
+    ) -> Self {
         let table = &robot.log.raw_to_joint;
         // A gear's output turns with its own entry of the table; the rest of the row is what it takes along.
         let joints_from_gears = Matrix6::from_fn(|i, j| table[i][j] / table[i][i]);
@@ -180,6 +218,7 @@ impl RobotReading {
             waves(effects.cycloid_urad, lobes, &mut random),
             waves(CYCLOID_SECOND * effects.cycloid_urad, lobes.map(|lobes: f64| 2.0 * lobes), &mut random),
         ];
+        let random = noise.unwrap_or(random);
         let noisy = Noisy { waves, noise_rad: effects.robot_noise_urad * 1e-6, random };
         let play_rad = effects.backlash_urad * 1e-6;
         Self { noisy, joints_from_gears, gears_from_joints, play_rad, motors_rad: None }

@@ -7,16 +7,23 @@
 
 mod effects;
 mod motion;
+mod pairs;
 mod pull;
 mod sample;
 mod truth;
+mod wire;
 mod write;
 
 pub use effects::Effects;
-pub use motion::Motion;
+use effects::{BarReading, RobotReading};
+pub use motion::{BarPath, Motion};
+pub use pairs::{LEAD_ROWS, Pairs, pairs};
 pub use pull::{BarLoad, Pull};
 pub use truth::{ClockTruth, EncoderTruth, StaticErrors, THESIS_ERRORS, Truth, parameter_names};
+pub use wire::{ATTACHMENT_M, wire_rows};
 pub use write::{SimulationFiles, WriteError, write};
+
+use std::collections::BTreeMap;
 
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -25,10 +32,10 @@ use shared::config::{BallBarConfig, JointKind, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 use shared::time::UtcNs;
 
-use crate::kinematics::{InverseError, ball_bar_chain, robot_chain};
+use crate::kinematics::{Chain, InverseError, Joints, ball_bar_chain, robot_chain};
 use crate::logs::RobotLog;
 pub use crate::plan::Design;
-use crate::plan::{Constraints, PlanError, PlannedPath, Route, random_route};
+use crate::plan::{Constraints, Path, PlanError, PlannedPath, Route, random_route};
 
 /// How the robot's clock relates to the bar's.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -64,6 +71,8 @@ pub struct Experiment<'a> {
     pub design: Design,
     /// How the true parameters differ from the nominal ones.
     pub errors: StaticErrors,
+    /// Errors of further parameters by name, on top of these \[mm|mrad\].
+    pub added_errors: BTreeMap<String, f64>,
     /// What no estimator models.
     pub effects: Effects,
     /// Force along the bar, which then gives way and the robot's log has it.
@@ -74,6 +83,8 @@ pub struct Experiment<'a> {
     pub path: Option<PlannedPath>,
     /// Seed of path, encoder zeros and noise.
     pub seed: u64,
+    /// Seed of the noise where it is another one: another run of the same robot and bar.
+    pub noise_seed: Option<u64>,
 }
 
 impl<'a> Experiment<'a> {
@@ -84,11 +95,13 @@ impl<'a> Experiment<'a> {
             bar,
             design: Design::for_robot(robot),
             errors: StaticErrors::Thesis,
+            added_errors: BTreeMap::new(),
             effects: Effects::default(),
             load: BarLoad::default(),
             clocks: Clocks::default(),
             path: None,
             seed: 1,
+            noise_seed: None,
         }
     }
 }
@@ -142,6 +155,9 @@ pub enum SimulateError {
         /// Its value.
         value_urad: f64,
     },
+    /// Nothing is simulated.
+    #[error("there are too few points or rows of a path to simulate; give more")]
+    Empty,
     /// The force is none.
     #[error("load.{name} is {value}; give a finite number that is not negative")]
     Load {
@@ -161,6 +177,8 @@ enum Stream {
     RobotEffects = 4,
     EncoderEffects = 5,
     Load = 6,
+    Postures = 7,
+    Wire = 8,
 }
 
 fn random(seed: u64, stream: Stream) -> ChaCha8Rng {
@@ -174,40 +192,78 @@ fn random(seed: u64, stream: Stream) -> ChaCha8Rng {
 /// # Errors
 /// [`SimulateError`] where base, length and robot do not allow a path, or an effect is no number.
 pub fn run(experiment: &Experiment<'_>) -> Result<Simulated, SimulateError> {
-    experiment.effects.check()?;
-    let (axes, mut kinds) = (experiment.robot.axes(), experiment.robot.joint_kinds());
-    if axes != 6 || kinds.any(|kind| kind == JointKind::Prismatic) {
-        return Err(SimulateError::Axes { robot: experiment.robot.name.clone(), axes });
-    }
-    let sizes = experiment.load.sizes();
-    if let Some(&(name, value)) = sizes.iter().find(|(_, size)| !(size.is_finite() && *size >= 0.0)) {
-        return Err(SimulateError::Load { name, value });
-    }
-    let Experiment { robot, bar, design, .. } = experiment;
-    let nominal_robot = robot_chain(robot, bar);
-    let mut nominal_bar = ball_bar_chain(bar);
-    nominal_bar.root_from_base = nalgebra::Translation3::from(design.base_m).into();
-    let (path, start_rad) = match &experiment.path {
-        Some(planned) => (planned.path.clone(), planned.robot_start()),
-        None => {
-            let constraints = Constraints::new(&nominal_robot, &nominal_bar, &robot.joint_limits(), design);
-            let Route { path, robot_rad } =
-                random_route(&constraints, &mut random(experiment.seed, Stream::Path))?;
-            (path, robot_rad.first().copied().unwrap_or_default())
-        }
-    };
-
-    let truth = Truth::new(experiment, &nominal_robot, &nominal_bar);
-    let mut load_random = random(experiment.seed, Stream::Load);
-    let motion = Motion {
-        path,
-        robot: truth.robot_chain(&nominal_robot),
-        bar: truth.bar_chain(&nominal_bar),
-        start_rad,
-        pull: Pull::new(experiment.load, &mut load_random),
-    };
+    let (path, start_rad) = experiment.drive()?;
+    let (truth, motion, load_random) = experiment.motion(path, start_rad)?;
     let robot_log = sample::robot_log(experiment, &motion, load_random)?;
     let (cycles, encoders, encoder_truth) = sample::recording(experiment, &motion);
     let truth = Truth { encoders: encoder_truth, ..truth };
     Ok(Simulated { cycles, encoders, robot_log, truth, motion })
+}
+
+impl Experiment<'_> {
+    /// The path that is driven, and the nominal robot's joints at its start \[rad\].
+    ///
+    /// # Errors
+    /// [`SimulateError::Plan`] where robot and bar do not allow a random one.
+    pub fn drive(&self) -> Result<(Path, Joints), SimulateError> {
+        self.check()?;
+        if let Some(planned) = &self.path {
+            return Ok((planned.path.clone(), planned.robot_start()));
+        }
+        let Self { robot, design, .. } = self;
+        let [nominal_robot, nominal_bar] = self.nominal();
+        let constraints = Constraints::new(&nominal_robot, &nominal_bar, &robot.joint_limits(), design);
+        let Route { path, robot_rad } = random_route(&constraints, &mut random(self.seed, Stream::Path))?;
+        Ok((path, robot_rad.first().copied().unwrap_or_default()))
+    }
+
+    /// Robot and bar as their files have them, the bar on its base.
+    fn nominal(&self) -> [Chain; 2] {
+        let mut bar = ball_bar_chain(self.bar);
+        bar.root_from_base = nalgebra::Translation3::from(self.design.base_m).into();
+        [robot_chain(self.robot, self.bar), bar]
+    }
+
+    /// What is true, and how true bar and robot go along a path; the last makes the noise of the force.
+    fn motion<P: BarPath>(
+        &self,
+        path: P,
+        start_rad: Joints,
+    ) -> Result<(Truth, Motion<P>, ChaCha8Rng), SimulateError> {
+        self.check()?;
+        let [nominal_robot, nominal_bar] = self.nominal();
+        let truth = Truth::new(self, &nominal_robot, &nominal_bar);
+        let mut load_random = random(self.seed, Stream::Load);
+        let motion = Motion {
+            path,
+            robot: truth.robot_chain(&nominal_robot),
+            bar: truth.bar_chain(&nominal_bar),
+            start_rad,
+            pull: Pull::new(self.load, &mut load_random),
+        };
+        Ok((truth, motion, load_random))
+    }
+
+    fn robot_reading(&self) -> RobotReading {
+        let stream = |seed| random(seed, Stream::RobotEffects);
+        RobotReading::new(self.robot, &self.effects, stream(self.seed), self.noise_seed.map(stream))
+    }
+
+    fn bar_reading(&self) -> BarReading {
+        let stream = |seed| random(seed, Stream::EncoderEffects);
+        BarReading::new(&self.effects, stream(self.seed), self.noise_seed.map(stream))
+    }
+
+    fn check(&self) -> Result<(), SimulateError> {
+        self.effects.check()?;
+        let (axes, mut kinds) = (self.robot.axes(), self.robot.joint_kinds());
+        if axes != 6 || kinds.any(|kind| kind == JointKind::Prismatic) {
+            return Err(SimulateError::Axes { robot: self.robot.name.clone(), axes });
+        }
+        let sizes = self.load.sizes();
+        match sizes.iter().find(|(_, size)| !(size.is_finite() && *size >= 0.0)) {
+            Some(&(name, value)) => Err(SimulateError::Load { name, value }),
+            None => Ok(()),
+        }
+    }
 }

@@ -1,14 +1,57 @@
 //! Motion of the true bar and of the robot that follows.
 
 use super::Pull;
-use crate::kinematics::{Chain, InverseError, Joints, Pose, ROD_LINK, robot_inverse};
+use crate::kinematics::{BAR_JOINTS, Chain, InverseError, Joints, Pose, ROD_LINK, robot_inverse};
+use crate::logs::CubicSpline;
 use crate::plan::Path;
+
+/// Where the bar's joints are, whatever its links are like.
+pub trait BarPath {
+    /// At `t_s`, 0 to [`Self::duration_s`]; it holds still before and after \[rad\].
+    fn bar_rad(&self, t_s: f64) -> [f64; BAR_JOINTS];
+
+    /// \[s\]
+    fn duration_s(&self) -> f64;
+}
+
+impl BarPath for Path {
+    fn bar_rad(&self, t_s: f64) -> [f64; BAR_JOINTS] {
+        self.at(t_s)
+    }
+
+    fn duration_s(&self) -> f64 {
+        self.duration_s
+    }
+}
+
+/// A path that was driven, through samples of it.
+impl BarPath for CubicSpline<[f64; BAR_JOINTS]> {
+    fn bar_rad(&self, t_s: f64) -> [f64; BAR_JOINTS] {
+        let (first_s, last_s) = self.range_s();
+        self.at((first_s + t_s).clamp(first_s, last_s)).map_or([0.0; BAR_JOINTS], |point| point.value)
+    }
+
+    fn duration_s(&self) -> f64 {
+        let (first_s, last_s) = self.range_s();
+        last_s - first_s
+    }
+}
+
+impl<P: BarPath + ?Sized> BarPath for &P {
+    fn bar_rad(&self, t_s: f64) -> [f64; BAR_JOINTS] {
+        (**self).bar_rad(t_s)
+    }
+
+    fn duration_s(&self) -> f64 {
+        (**self).duration_s()
+    }
+}
 
 /// The error-free motion of the true bar and the true robot.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Motion {
+pub struct Motion<P = Path> {
     /// The bar's path.
-    pub path: Path,
+    pub path: P,
     /// The true robot.
     pub robot: Chain,
     /// The true bar on its true base.
@@ -19,10 +62,10 @@ pub struct Motion {
     pub pull: Option<Pull>,
 }
 
-impl Motion {
+impl<P: BarPath> Motion<P> {
     /// Pose of the common end frame at `t_s`.
     pub fn pose(&self, t_s: f64) -> Pose {
-        let joints_rad = self.path.at(t_s);
+        let joints_rad = self.path.bar_rad(t_s);
         let Some(pull) = &self.pull else { return self.bar.forward(&joints_rad) };
         let mut bar = self.bar.clone();
         for rod in bar.links.iter_mut().skip(ROD_LINK).take(1) {
@@ -33,7 +76,7 @@ impl Motion {
 
     /// Force along the bar at `t_s`, tension positive \[N\].
     pub fn force_n(&self, t_s: f64) -> f64 {
-        self.pull.as_ref().map_or(0.0, |pull| pull.force_n(t_s, &self.path.at(t_s)))
+        self.pull.as_ref().map_or(0.0, |pull| pull.force_n(t_s, &self.path.bar_rad(t_s)))
     }
 
     /// Joints of the true robot at `t_s` \[rad\], the solution nearest to `near_rad`.

@@ -7,7 +7,6 @@ use shared::encoder::{EncoderScale, wrap};
 use shared::recording::schema::{CycleRecord, EncoderInfo, EncoderSample, MAX_ENCODERS};
 use shared::time::{DcNs, MonoNs};
 
-use super::effects::{BarReading, RobotReading};
 use super::truth::EncoderTruth;
 use super::{Experiment, Motion, SimulateError, Stream, random};
 use crate::logs::{ForceClock, ForceKind, ForceLog, LogQuality, Origin, RobotLog};
@@ -39,8 +38,7 @@ pub(super) fn robot_log(
     let lead_ns = ((LOG_LEAD_S * rate) * 1e9) as i64;
     let length_s = motion.path.duration_s + 2.0 * LOG_LEAD_S;
     let rows = (length_s * rate * 1e9 / ROBOT_PERIOD_NS as f64) as i64;
-    let random = random(experiment.seed, Stream::RobotEffects);
-    let mut reading = RobotReading::new(experiment.robot, &experiment.effects, random);
+    let mut reading = experiment.robot_reading();
     let mut near_rad = motion.start_rad;
     let mut log = RobotLog {
         robot: Some(experiment.robot.name.clone()),
@@ -87,7 +85,7 @@ pub(super) fn recording(
         .iter()
         .map(|encoder| EncoderInfo { joint: encoder.joint, scale: encoder.scale() })
         .collect();
-    let mut reading = BarReading::new(&experiment.effects, random(experiment.seed, Stream::EncoderEffects));
+    let mut reading = experiment.bar_reading();
     let cycles = (motion.path.duration_s * 1e9 / CYCLE_NS as f64).round() as i64 + 1;
     let angles: Vec<[f64; 5]> =
         (0..cycles).map(|k| reading.of(&motion.path.at((k * CYCLE_NS) as f64 * 1e-9))).collect();

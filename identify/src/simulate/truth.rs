@@ -154,8 +154,12 @@ pub struct Truth {
 
 impl Truth {
     pub(super) fn new(experiment: &Experiment<'_>, robot: &Chain, bar: &Chain) -> Self {
-        let errors = experiment.errors.by_name();
-        let nominal = nominal(robot, bar);
+        let mut errors = experiment.errors.by_name();
+        let mut nominal = nominal(robot, bar);
+        for (name, error) in &experiment.added_errors {
+            *errors.entry(name.clone()).or_default() += error * 1e-3;
+            nominal.entry(name.clone()).or_default();
+        }
         let [orx, ory] = experiment.effects.base_tilt_rad();
         let mut parameters: BTreeMap<String, f64> = nominal
             .iter()
@@ -224,6 +228,7 @@ impl Truth {
             link.d_m += error("d");
             link.alpha_rad += error("alpha");
             link.theta_rad += error("theta");
+            link.beta_rad += error("beta");
         }
         moved
     }

@@ -16,6 +16,7 @@ mod rows;
 mod runs;
 mod sections;
 mod sphere;
+mod study;
 mod thin;
 
 use std::path::{Path, PathBuf};
@@ -32,6 +33,7 @@ pub use path::PathPage;
 pub use plot::PlotError;
 pub use refused::{InspectedLog, InspectedRun, RefusedPage, WrittenRefusal};
 pub use rows::{Measured, MeasuredPage};
+pub use study::StudyPage;
 
 /// Everything that the page shows.
 #[derive(Debug)]

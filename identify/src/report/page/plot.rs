@@ -60,9 +60,9 @@ impl Series {
 
 /// One pair of axes.
 #[derive(Debug, Clone)]
-pub(super) struct Panel {
+pub(super) struct Panel<'a> {
     pub title: String,
-    pub x: &'static str,
+    pub x: &'a str,
     pub y: String,
     /// \[px\]
     pub size: (u32, u32),
@@ -125,7 +125,7 @@ impl Strokes {
     }
 }
 
-impl Panel {
+impl Panel<'_> {
     pub fn draw(&self) -> Result<String, PlotError> {
         let mut text = String::new();
         let strokes = {

@@ -1,0 +1,153 @@
+//! `identify study`.
+
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc;
+
+use clap::{Args, Subcommand};
+use shared::output::say;
+
+use super::on_terminal::OnTerminal;
+use crate::report::page::StudyPage;
+use crate::study::{self, Definition, Results, Share, Summary, Trial, TrialRows, trials};
+
+#[derive(Debug, Args)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+pub struct StudyArguments {
+    /// `thesis` for the shipped study of the thesis' simulations, or the file of another one, such as
+    /// config/studies/thesis.toml
+    #[arg(value_name = "STUDY", required = true)]
+    study: Option<String>,
+    /// Directory for trials.jsonl, points.csv, points.parquet, summary.json and study.html; what is there already of the same
+    /// study is not computed again
+    #[arg(long, value_name = "DIR", required = true)]
+    out: Option<PathBuf>,
+    /// Experiments of each point, instead of those in the file
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    seeds: Option<u32>,
+    /// Only these figures, by their numbers
+    #[arg(long, value_name = "NUMBER", num_args = 1..)]
+    figures: Vec<String>,
+    /// Part of the work for one of several machines, such as 3/16; put together with `identify study merge`
+    #[arg(long, value_name = "K/N")]
+    shard: Option<Share>,
+    /// Experiments at once; default: as many as there are processors. The numbers do not depend on it
+    #[arg(long, value_name = "N")]
+    threads: Option<NonZeroUsize>,
+    #[command(subcommand)]
+    command: Option<StudyCommand>,
+}
+
+#[derive(Debug, Subcommand)]
+enum StudyCommand {
+    /// Put the results of all shards together.
+    Merge(MergeArguments),
+}
+
+#[derive(Debug, Args)]
+struct MergeArguments {
+    /// Directories of all shards
+    #[arg(value_name = "SHARD", required = true)]
+    shards: Vec<PathBuf>,
+    /// Directory for the whole
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+}
+
+pub fn run(arguments: &StudyArguments) -> anyhow::Result<()> {
+    if let Some(StudyCommand::Merge(merge)) = &arguments.command {
+        let (definition, results) = study::merge(&merge.shards, &merge.out)?;
+        return conclude(&merge.out, &definition, &results);
+    }
+    let (Some(study), Some(out)) = (&arguments.study, &arguments.out) else {
+        anyhow::bail!("name a study and --out");
+    };
+    let mut definition = Definition::load(study)?;
+    if let Some(seeds) = arguments.seeds {
+        definition.study.seeds = seeds;
+    }
+    definition.study.keep_figures(&arguments.figures)?;
+    let share = arguments.shard.unwrap_or(Share::WHOLE);
+    let mut results = Results::open(out, &definition)?;
+    let missing: Vec<Trial<'_>> = trials(&definition)
+        .filter(|trial| share.has(trial.number) && !results.done().contains_key(&trial.number))
+        .collect();
+    compute(&definition, &missing, arguments.threads, &mut results)?;
+    if arguments.shard.is_some() {
+        say(format_args!("{}; put all shards together with `identify study merge`", out.display()))?;
+        return Ok(());
+    }
+    conclude(out, &definition, &results)
+}
+
+/// Runs experiments on all processors and keeps each as it comes.
+fn compute(
+    definition: &Definition,
+    missing: &[Trial<'_>],
+    threads: Option<NonZeroUsize>,
+    results: &mut Results,
+) -> anyhow::Result<()> {
+    let there = std::thread::available_parallelism().ok();
+    let threads = threads.or(there).map_or(1, NonZeroUsize::get).min(missing.len().max(1));
+    let on_terminal = OnTerminal::new();
+    let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
+    let (sender, receiver) = mpsc::channel::<TrialRows>();
+    std::thread::scope(|scope| -> anyhow::Result<()> {
+        for _ in 0..threads {
+            let (sender, next, stop) = (sender.clone(), &next, &stop);
+            scope.spawn(move || {
+                while !stop.load(Ordering::Relaxed) {
+                    let Some(trial) = missing.get(next.fetch_add(1, Ordering::Relaxed)) else { return };
+                    if sender.send(study::run(definition, trial)).is_err() {
+                        return;
+                    }
+                }
+            });
+        }
+        drop(sender);
+        let mut done = 0;
+        for rows in receiver {
+            done += 1;
+            let kept = results.add(rows);
+            let goes_on = on_terminal.counts(done, missing.len(), "experiments");
+            if kept.is_err() || !goes_on {
+                stop.store(true, Ordering::Relaxed);
+            }
+            kept?;
+        }
+        on_terminal.finish();
+        let left = missing.len() - done;
+        anyhow::ensure!(
+            left == 0,
+            "stopped with {left} experiments to go; the same command goes on from there"
+        );
+        Ok(())
+    })
+}
+
+/// Puts the results in order and writes all that is seen in them.
+fn conclude(out: &Path, definition: &Definition, results: &Results) -> anyhow::Result<()> {
+    results.require(trials(definition).count())?;
+    results.put_in_order()?;
+    let summary = Summary::new(definition, results);
+    let mut files =
+        vec![study::write_csv(out, definition, results)?, study::write_parquet(out, definition, results)?];
+    files.extend(StudyPage { definition, summary: &summary }.write(out)?);
+    for finding in &summary.findings {
+        let holds = match finding.holds {
+            Some(true) => "holds: ",
+            Some(false) => "DOES NOT HOLD: ",
+            None => "",
+        };
+        say(format_args!("{holds}{}: {}", finding.text, finding.answer))?;
+    }
+    let failed: usize = summary.failures.values().sum();
+    if failed > 0 {
+        say(format_args!("{failed} estimates failed; study.html says why"))?;
+    }
+    for file in files {
+        say(file.display())?;
+    }
+    Ok(())
+}

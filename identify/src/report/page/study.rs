@@ -1,0 +1,242 @@
+//! `study.html`: the figures of a study in their order, beside what was said of them, and the answers.
+
+use std::path::{Path, PathBuf};
+
+use maud::{Markup, html};
+
+use super::plot::{COLOURS, GREY, Mark, Panel, PlotError, Series};
+use super::sections::svg;
+use super::{PageError, document};
+use crate::report::file::{FileError, replace};
+use crate::study::{Curve, Definition, Figure, Finding, Kind, Measure, Reach, Summary, short};
+
+/// \[px\]
+const PANEL: (u32, u32) = (450, 330);
+/// The right panel of a figure shows errors up to so many times the limit.
+const NEAR: f64 = 2.0;
+
+/// Everything that the page shows.
+#[derive(Debug)]
+pub struct StudyPage<'a> {
+    /// What was varied.
+    pub definition: &'a Definition,
+    /// What was found.
+    pub summary: &'a Summary,
+}
+
+impl StudyPage<'_> {
+    /// Writes `summary.json` and `study.html` into the directory, each whole or not at all.
+    ///
+    /// # Errors
+    /// [`PageError`].
+    pub fn write(&self, directory: &Path) -> Result<[PathBuf; 2], PageError> {
+        let summary = serde_json::to_string_pretty(self.summary).map_err(FileError::from)?;
+        let page = self.render()?.into_string();
+        Ok([replace(directory, "summary.json", &summary)?, replace(directory, "study.html", &page)?])
+    }
+
+    /// The page.
+    ///
+    /// # Errors
+    /// [`PlotError`].
+    pub fn render(&self) -> Result<Markup, PlotError> {
+        let study = &self.definition.study;
+        let figures =
+            study.figures.iter().map(|figure| self.figure(figure)).collect::<Result<Vec<_>, _>>()?;
+        let (claims, answers): (Vec<&Finding>, Vec<&Finding>) =
+            self.summary.findings.iter().partition(|finding| finding.holds.is_some());
+        Ok(document(
+            &study.title,
+            &html! {
+                header {
+                    h1 { (study.title) }
+                    p.about {
+                        (self.definition.robot.name) " · " (self.definition.bar.name) " · "
+                        (study.seeds) " experiments a point · " (self.definition.software)
+                    }
+                }
+                main {
+                    p { (study.about) }
+                    (answered(&answers))
+                    (claimed(&claims))
+                    @for figure in figures { (figure) }
+                    (self.failures())
+                }
+            },
+        ))
+    }
+
+    fn curves(&self, figure: &Figure) -> Vec<&Curve> {
+        self.summary.curves.iter().filter(|curve| curve.figure == figure.id).collect()
+    }
+
+    fn figure(&self, figure: &Figure) -> Result<Markup, PlotError> {
+        let shown = match figure.kind {
+            Kind::Curves => self.drawn(figure)?,
+            Kind::Levels | Kind::Affected | Kind::Errors | Kind::Largest => self.tabled(figure),
+        };
+        Ok(html! {
+            h2 id=(figure.id) { (figure.id) ": " (figure.title) }
+            @if !figure.thesis.is_empty() { p.note { "The thesis: " (figure.thesis) } }
+            (shown)
+        })
+    }
+
+    fn tabled(&self, figure: &Figure) -> Markup {
+        let table = self.summary.tables.iter().find(|table| table.figure == figure.id);
+        html! {
+            @if let Some(table) = table {
+                div.wide { table {
+                    thead { tr { @for name in &table.head { th.text { (name) } } } }
+                    tbody { @for row in &table.rows { tr { @for cell in row { td.text { (cell) } } } } }
+                } }
+            }
+        }
+    }
+
+    fn drawn(&self, figure: &Figure) -> Result<Markup, PlotError> {
+        let curves = self.curves(figure);
+        let limit = self.definition.study.limit_mm_mrad;
+        let near = (figure.measure != Measure::Position).then_some(NEAR * limit);
+        let mut panels = vec![svg(panel(figure, &curves, None)?)];
+        if let Some(near) = near {
+            panels.push(svg(panel(figure, &curves, Some((near, limit)))?));
+        }
+        Ok(html! {
+            figure {
+                div.panels { @for panel in panels { (panel) } }
+                figcaption {
+                    (figure.measure.label()) " over " (figure.x) ": median of all experiments."
+                    @if near.is_some() { " Right: the same up to " (short(NEAR * limit)) ", with the limit of " (short(limit)) "." }
+                }
+            }
+            div.wide { table {
+                thead { tr {
+                    th.text { (figure.x) }
+                    @for x in sizes(&curves) { th { (short(x)) } }
+                    th { "reaches " (short(limit)) " at" }
+                } }
+                tbody { @for curve in &curves { tr {
+                    td.text { (name(curve)) }
+                    @for x in sizes(&curves) { (cell(curve, x, figure.measure)) }
+                    td { (reached(curve.limit_at)) }
+                } } }
+            } }
+        })
+    }
+
+    fn failures(&self) -> Markup {
+        html! {
+            @if !self.summary.failures.is_empty() {
+                h2 { "Experiments without an estimate" }
+                table {
+                    thead { tr { th.text { "why" } th { "how often" } } }
+                    tbody { @for (reason, count) in &self.summary.failures {
+                        tr { td.text { (reason) } td { (count) } }
+                    } }
+                }
+            }
+        }
+    }
+}
+
+fn answered(answers: &[&Finding]) -> Markup {
+    html! {
+        @if !answers.is_empty() {
+            h2 { "Answers" }
+            table {
+                thead { tr { th.text { "question" } th.text { "answer" } } }
+                tbody { @for one in answers { tr {
+                    td.text { (one.text) @if !one.why.is_empty() { br; span.about { (one.why) } } }
+                    td.text { (one.answer) }
+                } } }
+            }
+        }
+    }
+}
+
+fn claimed(claims: &[&Finding]) -> Markup {
+    html! {
+        @if !claims.is_empty() {
+            h2 { "What the thesis found, checked" }
+            table {
+                thead { tr { th.text { "claim" } th.text { "here" } th.text { "" } } }
+                tbody { @for one in claims { tr {
+                    td.text { (one.text) @if !one.why.is_empty() { br; span.about { (one.why) } } }
+                    td.text { (one.answer) }
+                    td.text { @if one.holds == Some(true) { "holds" } @else { b { "does not hold" } } }
+                } } }
+            }
+        }
+    }
+}
+
+fn name(curve: &Curve) -> String {
+    if curve.series.is_empty() { curve.label.clone() } else { format!("{}, {}", curve.label, curve.series) }
+}
+
+fn sizes(curves: &[&Curve]) -> Vec<f64> {
+    let mut sizes: Vec<f64> =
+        curves.iter().flat_map(|curve| curve.points.iter().map(|point| point.x)).collect();
+    sizes.sort_by(f64::total_cmp);
+    sizes.dedup();
+    sizes
+}
+
+fn cell(curve: &Curve, x: f64, measure: Measure) -> Markup {
+    let point = curve.points.iter().find(|point| point.x == x);
+    let error = point.and_then(|point| Some(short(point.errors.get(&measure)?.median)));
+    let failed = point.map_or(0, |point| point.failed);
+    html! { td { (error.unwrap_or_default()) @if failed > 0 { " (" (failed) " failed)" } } }
+}
+
+fn reached(at: Reach) -> String {
+    match at {
+        Reach::At(x) => short(x),
+        Reach::BetterUpTo(_) => "never".into(),
+        Reach::WorseDownTo(_) => "always worse".into(),
+        Reach::Unknown => String::new(),
+    }
+}
+
+fn panel(figure: &Figure, curves: &[&Curve], near: Option<(f64, f64)>) -> Result<String, PlotError> {
+    let mut series = Vec::new();
+    for (number, curve) in curves.iter().enumerate() {
+        let mut points: Vec<(f64, f64)> = curve
+            .points
+            .iter()
+            .filter_map(|point| Some((point.x, point.errors.get(&figure.measure)?.median)))
+            .collect();
+        points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some((most, _)) = near {
+            points = clipped(&points, most);
+        }
+        let colour = COLOURS[number % COLOURS.len()];
+        let label = if near.is_some() { String::new() } else { name(curve) };
+        series.push(Series::new(label, colour, Mark::Line, points));
+    }
+    if let Some((_, limit)) = near {
+        let all = sizes(curves);
+        let ends = all.first().zip(all.last());
+        let points = ends.map_or_else(Vec::new, |(first, last)| vec![(*first, limit), (*last, limit)]);
+        series.push(Series::new("limit", GREY, Mark::Segments, points));
+    }
+    let title = if near.is_some() { "Near the limit".to_owned() } else { format!("Figure {}", figure.id) };
+    let x = figure.x.clone();
+    Panel { title, x: &x, y: figure.measure.label().into(), size: PANEL, series, from_zero: true }.draw()
+}
+
+/// The curve up to where it leaves the picture.
+fn clipped(points: &[(f64, f64)], most: f64) -> Vec<(f64, f64)> {
+    let mut clipped: Vec<(f64, f64)> = Vec::new();
+    for (at, &(x, y)) in points.iter().enumerate() {
+        if y <= most {
+            clipped.push((x, y));
+        } else if let Some(&(x0, y0)) = at.checked_sub(1).and_then(|before| points.get(before))
+            && y0 <= most
+        {
+            clipped.push((x0 + (most - y0) / (y - y0) * (x - x0), most));
+        }
+    }
+    clipped
+}

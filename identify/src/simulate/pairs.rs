@@ -1,0 +1,50 @@
+//! Angles of robot and bar of the same instants: an experiment without clocks and counters, as the thesis simulates it.
+
+use super::{BarPath, Experiment, SimulateError, Truth};
+use crate::kinematics::{BAR_JOINTS, Joints};
+
+/// Further rows of the robot before the first pair and after the last: its motion is known a little beyond both.
+pub const LEAD_ROWS: usize = 4;
+
+/// What robot and bar show, seen at once.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Pairs {
+    /// Of each row of the robot \[s\], evenly spaced; the path begins at 0.
+    pub t_s: Vec<f64>,
+    /// The robot's joints, [`LEAD_ROWS`] more than there are pairs at either end \[rad\].
+    pub robot_rad: Vec<Joints>,
+    /// The bar's joints, one row for each pair \[rad\].
+    pub bar_rad: Vec<[f64; BAR_JOINTS]>,
+    /// What an identification should find.
+    pub truth: Truth,
+}
+
+/// `count` pairs, evenly spaced in time along a path. The bar's angles of each are those of `time_difference_s` later than the
+/// robot's.
+///
+/// # Errors
+/// [`SimulateError`].
+pub fn pairs(
+    experiment: &Experiment<'_>,
+    path: &(impl BarPath + ?Sized),
+    start_rad: Joints,
+    count: usize,
+    time_difference_s: f64,
+) -> Result<Pairs, SimulateError> {
+    let (truth, motion, _) = experiment.motion(path, start_rad)?;
+    let step_s = path.duration_s() / count.saturating_sub(1).max(1) as f64;
+    let t_s: Vec<f64> =
+        (0..count + 2 * LEAD_ROWS).map(|row| (row as f64 - LEAD_ROWS as f64) * step_s).collect();
+    let mut reading = experiment.robot_reading();
+    let mut near_rad = motion.start_rad;
+    let mut robot_rad = Vec::with_capacity(t_s.len());
+    for &t_s in &t_s {
+        near_rad =
+            motion.robot_joints(t_s, &near_rad).map_err(|source| SimulateError::Follow { t_s, source })?;
+        robot_rad.push(reading.of(&near_rad));
+    }
+    let mut reading = experiment.bar_reading();
+    let of_pairs = t_s.iter().skip(LEAD_ROWS).take(count);
+    let bar_rad = of_pairs.map(|t_s| reading.of(&path.bar_rad(t_s + time_difference_s))).collect();
+    Ok(Pairs { t_s, robot_rad, bar_rad, truth })
+}

@@ -1,0 +1,153 @@
+//! What spoils one experiment, by keys.
+
+use std::collections::BTreeMap;
+use std::f64::consts::TAU;
+
+use super::{Series, StudyFile};
+use crate::model::ParameterId;
+use crate::simulate::{BarLoad, Effects, StaticErrors};
+
+/// A condition that is none.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ConditionError {
+    /// No such key.
+    #[error(
+        "`{key}` is no condition; there are points, encoders, stations, static_errors, time_difference_ms, encoder_bits, wire_rows, wire_noise_um, \
+         bar_play_um, the effects of `identify simulate` such as robot_noise_urad, and parameters such as rd3 [mm|mrad]"
+    )]
+    Unknown {
+        /// As given.
+        key: String,
+    },
+    /// A number that makes no sense there.
+    #[error("{key} = {value} makes no sense; {expected}")]
+    Value {
+        /// As given.
+        key: String,
+        /// As given.
+        value: f64,
+        /// What does.
+        expected: &'static str,
+    },
+}
+
+/// What is so in one experiment.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Conditions {
+    /// Pairs of robot and bar angles.
+    pub points: usize,
+    /// Bar joints with an encoder.
+    pub measured: [bool; 5],
+    /// Places at which the bar stands one after the other, 1 or 2; each has its share of the points.
+    pub stations: usize,
+    /// Of robot and bar.
+    pub errors: StaticErrors,
+    /// Of single parameters, on top \[mm|mrad\].
+    pub added_errors: BTreeMap<String, f64>,
+    /// On the angles.
+    pub effects: Effects,
+    /// On the bar's length.
+    pub load: BarLoad,
+    /// Postures that a draw-wire measures.
+    pub wire_rows: usize,
+    /// White noise of its lengths, standard deviation \[m\].
+    pub wire_noise_m: f64,
+    /// The bar's angles are those of so much later \[s\].
+    pub time_difference_s: f64,
+}
+
+/// Fewest pairs that are solved: three rows of each have to tell some forty numbers.
+const POINTS_MIN: f64 = 20.0;
+
+impl Conditions {
+    /// Those of a series at a size.
+    ///
+    /// # Errors
+    /// [`ConditionError`].
+    pub fn of(study: &StudyFile, series: &Series, x: f64) -> Result<Self, ConditionError> {
+        let mut conditions = Self {
+            points: 0,
+            measured: [true; 5],
+            stations: 1,
+            errors: StaticErrors::Thesis,
+            added_errors: BTreeMap::new(),
+            effects: Effects::NONE,
+            load: BarLoad::default(),
+            wire_rows: 200,
+            wire_noise_m: 100e-6,
+            time_difference_s: 0.0,
+        };
+        conditions.set("points", f64::from(study.points))?;
+        for (key, &value) in &series.with {
+            conditions.set(key, value)?;
+        }
+        for (key, by) in &series.vary {
+            conditions.set(key, by * x)?;
+        }
+        Ok(conditions)
+    }
+
+    fn set(&mut self, key: &str, value: f64) -> Result<(), ConditionError> {
+        let refuse = |expected| Err(ConditionError::Value { key: key.to_owned(), value, expected });
+        if !value.is_finite() {
+            return refuse("give a finite number");
+        }
+        match key {
+            "points" if value >= POINTS_MIN && value <= 1e6 => self.points = value.round() as usize,
+            "points" => return refuse("give 20 to a million"),
+            "encoders" => {
+                self.measured = match value {
+                    5.0 => [true; 5],
+                    4.0 => [true, true, false, true, true],
+                    2.0 => [true, true, false, false, false],
+                    0.0 => [false; 5],
+                    _ => return refuse("give 5, 4 (all but that of joint 3), 2 (joints 1 and 2) or 0"),
+                };
+            }
+            "stations" if value == 1.0 || value == 2.0 => self.stations = value as usize,
+            "stations" => return refuse("give 1 or 2"),
+            "static_errors" => {
+                self.errors = match value {
+                    0.0 => StaticErrors::None,
+                    1.0 => StaticErrors::Thesis,
+                    _ => return refuse("give 0 (none) or 1 (table 3.1 of the thesis)"),
+                };
+            }
+            "time_difference_ms" => self.time_difference_s = value * 1e-3,
+            "wire_rows" if (POINTS_MIN..=1e6).contains(&value) => self.wire_rows = value.round() as usize,
+            "wire_rows" => return refuse("give 20 to a million"),
+            "wire_noise_um" if value >= 0.0 => self.wire_noise_m = value * 1e-6,
+            "wire_noise_um" => return refuse("give no negative number"),
+            "encoder_bits" if (1.0..=64.0).contains(&value) => {
+                self.effects.encoder_step_urad = TAU / value.exp2() * 1e6;
+            }
+            "encoder_bits" => return refuse("give 1 to 64 bits for each turn"),
+            // Whatever the force is, play makes the bar longer under tension and shorter under compression.
+            "bar_play_um" if value >= 0.0 => {
+                self.load = BarLoad { force_n: 1.0, play_um: value, ..self.load }
+            }
+            "bar_play_um" => return refuse("give no negative number"),
+            _ => return self.set_effect_or_parameter(key, value),
+        }
+        Ok(())
+    }
+
+    fn set_effect_or_parameter(&mut self, key: &str, value: f64) -> Result<(), ConditionError> {
+        if let Some(size) = self.effects.size_mut(key) {
+            if value < 0.0 {
+                let expected = "give no negative number";
+                return Err(ConditionError::Value { key: key.to_owned(), value, expected });
+            }
+            *size = value;
+            return Ok(());
+        }
+        let is_geometry = |id: &ParameterId| {
+            use ParameterId::{Bar, Base, Robot};
+            matches!(id, Robot { .. } | Bar { .. } | Base(_))
+        };
+        let unknown = || ConditionError::Unknown { key: key.to_owned() };
+        let id = key.parse::<ParameterId>().ok().filter(is_geometry).ok_or_else(unknown)?;
+        self.added_errors.insert(id.to_string(), value);
+        Ok(())
+    }
+}

@@ -1,0 +1,355 @@
+//! The file of a study: what is varied, who estimates, and what is asked of the result.
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use serde::{Deserialize, Serialize};
+use shared::config::{Validate, Violation};
+
+use super::Conditions;
+use crate::calibrate::IdentifyConfig;
+
+/// A study.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StudyFile {
+    /// What it is called.
+    pub title: String,
+    /// What it is about, for the head of the page.
+    #[serde(default)]
+    pub about: String,
+    /// The robot's configuration, seen from the study's file.
+    pub robot: PathBuf,
+    /// The bar's configuration, seen from the study's file.
+    pub bar: PathBuf,
+    /// The path that is driven; absent: a random one, another for each seed.
+    #[serde(default)]
+    pub path: PathChoice,
+    /// Experiments of each point.
+    pub seeds: u32,
+    /// Pairs of robot and bar angles in each experiment, where a series does not say otherwise.
+    pub points: u32,
+    /// Length of a random path \[s\].
+    pub duration_s: f64,
+    /// Where the bar stands in the second half of an experiment with two stations \[m\].
+    #[serde(default)]
+    pub second_base_m: Option<[f64; 3]>,
+    /// Error that is still acceptable \[mm|mrad\].
+    pub limit_mm_mrad: f64,
+    /// Who estimates.
+    pub estimators: Vec<Estimator>,
+    /// What is varied.
+    pub figures: Vec<Figure>,
+    /// What is asked of the result.
+    #[serde(default)]
+    pub statements: Vec<Statement>,
+}
+
+/// Where the path comes from; at most one of the three.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PathChoice {
+    /// A random one, the same for all experiments.
+    pub seed: Option<u64>,
+    /// `path.toml` of `identify plan`.
+    pub planned: Option<PathBuf>,
+    /// A log of the robot's joints while it was on the bar.
+    pub log: Option<PathBuf>,
+}
+
+/// A way to estimate.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Estimator {
+    /// By which figures name it.
+    pub name: String,
+    /// For people.
+    pub label: String,
+    /// What it estimates from.
+    #[serde(default)]
+    pub instrument: StudyInstrument,
+    /// As in `config/identify.toml`; a draw-wire has its defaults.
+    #[serde(default)]
+    pub config: IdentifyConfig,
+}
+
+/// What is beside the robot.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StudyInstrument {
+    /// The ball-bar.
+    #[default]
+    BallBar,
+    /// A draw-wire, with `wire_rows` postures anywhere.
+    Wire,
+}
+
+/// How a figure is shown.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// Error over size, a curve for each estimator of each series.
+    #[default]
+    Curves,
+    /// Median and largest error of each estimator.
+    Levels,
+    /// Which parameters are off by more than 0.05 mm|mrad.
+    Affected,
+    /// The error of each parameter in the first experiment.
+    Errors,
+    /// The five largest errors of each experiment.
+    Largest,
+}
+
+/// What is counted as the error of an estimate.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Measure {
+    /// Euclidean norm over the thesis' parameters \[mm|mrad\].
+    #[default]
+    Euclidean,
+    /// The largest of them \[mm|mrad\].
+    Largest,
+    /// Mean distance of the robot's end from where it is believed to be, over all postures \[mm\].
+    Position,
+}
+
+impl Measure {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Euclidean, Self::Largest, Self::Position];
+
+    /// For people, with its unit.
+    pub const fn label(self) -> &'static str {
+        match self {
+            Self::Euclidean => "Euclidean error [mm|mrad]",
+            Self::Largest => "largest error [mm|mrad]",
+            Self::Position => "position error of the robot [mm]",
+        }
+    }
+}
+
+/// A figure or table.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Figure {
+    /// Its number.
+    pub id: String,
+    /// What it shows.
+    pub title: String,
+    /// What the thesis says of it, in our words.
+    #[serde(default)]
+    pub thesis: String,
+    /// How it is shown.
+    #[serde(default)]
+    pub kind: Kind,
+    /// What is drawn.
+    #[serde(default)]
+    pub measure: Measure,
+    /// What is varied, with its unit.
+    #[serde(default)]
+    pub x: String,
+    /// Who estimates, by name.
+    pub estimators: Vec<String>,
+    /// What is varied how.
+    pub series: Vec<Series>,
+}
+
+/// One way to vary.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Series {
+    /// Empty where the figure has only one.
+    #[serde(default)]
+    pub name: String,
+    /// Sizes.
+    pub x: Vec<f64>,
+    /// Condition by key: so much for each unit of the size.
+    #[serde(default)]
+    pub vary: BTreeMap<String, f64>,
+    /// Conditions that stay.
+    #[serde(default)]
+    pub with: BTreeMap<String, f64>,
+    /// Who estimates here; absent: those of the figure.
+    #[serde(default)]
+    pub estimators: Option<Vec<String>>,
+}
+
+/// One curve of a figure.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Choice {
+    /// The figure's number.
+    pub figure: String,
+    /// The series' name; absent: of all.
+    #[serde(default)]
+    pub series: Option<String>,
+    /// The estimator's name.
+    pub estimator: String,
+    /// Of these sizes, from and to; absent: of all.
+    #[serde(default)]
+    pub between: Option<[f64; 2]>,
+    /// What is counted.
+    #[serde(default)]
+    pub measure: Measure,
+}
+
+/// Something that a study is asked: the geometric mean of a curve's medians, or its ratio to that of another one at the same
+/// sizes, or the size at which the curve reaches the limit.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Statement {
+    /// The question, or what is claimed.
+    pub text: String,
+    /// The curve.
+    pub of: Choice,
+    /// Another one to compare with.
+    #[serde(default)]
+    pub against: Option<Choice>,
+    /// The size at which the curve reaches the study's limit is asked for.
+    #[serde(default)]
+    pub reaches_limit: bool,
+    /// It is claimed that the value is at least this.
+    #[serde(default)]
+    pub at_least: Option<f64>,
+    /// It is claimed that the value is at most this.
+    #[serde(default)]
+    pub at_most: Option<f64>,
+    /// What explains the answer.
+    #[serde(default)]
+    pub why: String,
+}
+
+/// A figure that the study does not have.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("the study has no figure `{id}`; there are {known}")]
+pub struct UnknownFigure {
+    id: String,
+    known: String,
+}
+
+fn wrong(key: String, problem: impl Into<String>, remedy: &'static str) -> Violation {
+    Violation::new(key, problem.into(), remedy)
+}
+
+impl StudyFile {
+    /// An estimator by its name.
+    pub fn estimator(&self, name: &str) -> Option<&Estimator> {
+        self.estimators.iter().find(|one| one.name == name)
+    }
+
+    /// Leaves out all other figures, and what is asked of them; all stay where none is named.
+    ///
+    /// # Errors
+    /// [`UnknownFigure`].
+    pub fn keep_figures(&mut self, ids: &[String]) -> Result<(), UnknownFigure> {
+        if ids.is_empty() {
+            return Ok(());
+        }
+        if let Some(id) = ids.iter().find(|id| !self.figures.iter().any(|figure| figure.id == **id)) {
+            let known = self.figures.iter().map(|figure| figure.id.as_str()).collect::<Vec<_>>().join(", ");
+            return Err(UnknownFigure { id: id.clone(), known });
+        }
+        self.figures.retain(|figure| ids.contains(&figure.id));
+        let is_kept = |choice: &Choice| ids.contains(&choice.figure);
+        self.statements.retain(|one| is_kept(&one.of) && one.against.as_ref().is_none_or(is_kept));
+        Ok(())
+    }
+
+    /// Names of those who estimate in a series.
+    pub fn estimators_of<'a>(&'a self, figure: &'a Figure, series: &'a Series) -> &'a [String] {
+        series.estimators.as_deref().unwrap_or(&figure.estimators)
+    }
+
+    fn check_figure(&self, at: usize, figure: &Figure) -> Result<(), Violation> {
+        for (number, series) in figure.series.iter().enumerate() {
+            let key = |name: &str| format!("figures[{at}].series[{number}].{name}");
+            if series.x.is_empty() || series.x.iter().any(|x| !x.is_finite()) {
+                return Err(wrong(key("x"), "no sizes, or one that is no number", "give finite numbers"));
+            }
+            for &x in &series.x {
+                Conditions::of(self, series, x).map_err(|error| {
+                    wrong(key("vary"), error.to_string(), "correct the key or the number")
+                })?;
+            }
+            for name in self.estimators_of(figure, series) {
+                if self.estimator(name).is_none() {
+                    return Err(wrong(
+                        key("estimators"),
+                        format!("no estimator is called `{name}`"),
+                        "give the name of one of [[estimators]]",
+                    ));
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn check_choice(&self, key: &str, choice: &Choice) -> Result<(), Violation> {
+        let known = |figure: &Figure| {
+            let named = |series: &&Series| choice.series.as_ref().is_none_or(|name| *name == series.name);
+            let mut series = figure.series.iter().filter(named);
+            figure.id == choice.figure
+                && series.any(|series| self.estimators_of(figure, series).contains(&choice.estimator))
+        };
+        if self.figures.iter().any(known) {
+            return Ok(());
+        }
+        let problem =
+            format!("no series of figure `{}` is estimated by `{}`", choice.figure, choice.estimator);
+        Err(wrong(key.to_owned(), problem, "name a figure, a series of it and who estimates there"))
+    }
+}
+
+impl Validate for StudyFile {
+    fn validate(&self) -> Result<(), Violation> {
+        if self.seeds == 0 {
+            return Err(wrong("seeds".into(), "0", "give at least 1"));
+        }
+        for (key, value) in [("duration_s", self.duration_s), ("limit_mm_mrad", self.limit_mm_mrad)] {
+            if !(value.is_finite() && value > 0.0) {
+                return Err(wrong(key.into(), value.to_string(), "give a number above zero"));
+            }
+        }
+        let PathChoice { seed, planned, log } = &self.path;
+        if [seed.is_some(), planned.is_some(), log.is_some()].into_iter().filter(|given| *given).count() > 1 {
+            return Err(wrong("path".into(), "more than one path", "give `seed`, `planned` or `log`"));
+        }
+        for (at, estimator) in self.estimators.iter().enumerate() {
+            estimator.config.validate().map_err(|violation| Violation {
+                key: format!("estimators[{at}].config.{}", violation.key),
+                ..violation
+            })?;
+            if estimator.instrument == StudyInstrument::Wire && estimator.config != IdentifyConfig::default()
+            {
+                let problem = "a draw-wire is calibrated with its defaults";
+                return Err(wrong(format!("estimators[{at}].config"), problem, "leave it out"));
+            }
+            if self.estimators.iter().take(at).any(|other| other.name == estimator.name) {
+                let problem = format!("`{}` is there already", estimator.name);
+                return Err(wrong(format!("estimators[{at}].name"), problem, "give each its own name"));
+            }
+        }
+        for (at, figure) in self.figures.iter().enumerate() {
+            if self.figures.iter().take(at).any(|other| other.id == figure.id) {
+                let problem = format!("`{}` is there already", figure.id);
+                return Err(wrong(format!("figures[{at}].id"), problem, "give each its own number"));
+            }
+            self.check_figure(at, figure)?;
+        }
+        for (at, statement) in self.statements.iter().enumerate() {
+            self.check_choice(&format!("statements[{at}].of"), &statement.of)?;
+            if let Some(against) = &statement.against {
+                self.check_choice(&format!("statements[{at}].against"), against)?;
+            }
+            if statement.reaches_limit && statement.against.is_some() {
+                let problem = "two curves have no common size at which they reach the limit";
+                return Err(wrong(
+                    format!("statements[{at}]"),
+                    problem,
+                    "leave out `against`, or `reaches_limit`",
+                ));
+            }
+        }
+        Ok(())
+    }
+}

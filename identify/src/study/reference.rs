@@ -1,0 +1,158 @@
+//! The path that experiments follow before they are spoiled.
+
+use nalgebra::{Translation3, Vector3};
+use serde::{Deserialize, Serialize};
+use shared::config::{BallBarConfig, RobotConfig};
+
+use crate::kinematics::{
+    BAR_JOINTS, Configuration, InverseError, Joints, ball_bar_chain, ball_bar_inverse, robot_chain,
+};
+use crate::logs::{CubicSpline, RobotLog};
+use crate::plan::PlannedPath;
+use crate::prepare::fit_sphere;
+use crate::simulate::{BarPath, Experiment, SimulateError};
+
+/// Time between two rows that are kept of a log, at least \[s\].
+const ROW_S: f64 = 0.02;
+/// Positions this far from the sphere are not on the bar \[m\].
+const ON_SPHERE_M: f64 = 0.02;
+/// Rows on the sphere without a break, at least.
+const ROWS_MIN: usize = 100;
+/// Longest time between two rows of one path \[s\].
+const GAP_S: f64 = 0.5;
+
+/// Where the path comes from.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reference {
+    /// A random one for each seed.
+    Random,
+    /// The random one of this seed for all.
+    Same(u64),
+    /// Planned.
+    Planned(PlannedPath),
+    /// Driven by a real robot.
+    Driven(Driven),
+}
+
+/// Why a log is no path.
+#[derive(Debug, thiserror::Error)]
+pub enum ReferenceError {
+    /// The robot was not on the bar.
+    #[error(
+        "the robot's positions in the log lie on no sphere for long ({rows} rows without a break, {ROWS_MIN} are needed); \
+         give the log of a run on the bar"
+    )]
+    NoSphere {
+        /// Most rows in one go.
+        rows: usize,
+    },
+    /// The bar has no solution.
+    #[error(transparent)]
+    Inverse(#[from] InverseError),
+}
+
+/// The bar's joints while a real robot drove, as the nominal robot has them.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Driven {
+    /// Centre of the gimbal \[m\].
+    pub base_m: [f64; 3],
+    /// Joints of the nominal robot at the start \[rad\].
+    pub start_rad: [f64; 6],
+    /// Since the start \[s\].
+    pub t_s: Vec<f64>,
+    /// Of the bar, continuous \[rad\].
+    pub bar_rad: Vec<[f64; BAR_JOINTS]>,
+}
+
+impl Driven {
+    /// The longest part of a log in which the robot is on a sphere.
+    ///
+    /// # Errors
+    /// [`ReferenceError`].
+    pub fn of(log: &RobotLog, robot: &RobotConfig, bar: &BallBarConfig) -> Result<Self, ReferenceError> {
+        let (arm, mut bar) = (robot_chain(robot, bar), ball_bar_chain(bar));
+        let mut rows: Vec<(f64, Joints)> = Vec::new();
+        for (&t_s, &q_rad) in log.t_s.iter().zip(&log.q_rad) {
+            if rows.last().is_none_or(|(last_s, _)| t_s - last_s >= ROW_S) {
+                rows.push((t_s, q_rad));
+            }
+        }
+        let positions: Vec<Vector3<f64>> =
+            rows.iter().map(|(_, q_rad)| arm.forward(q_rad).translation.vector).collect();
+        let sphere = fit_sphere(&positions, ON_SPHERE_M).ok_or(ReferenceError::NoSphere { rows: 0 })?;
+        let is_on =
+            |row: usize| ((positions[row] - sphere.centre_m).norm() - sphere.radius_m).abs() < ON_SPHERE_M;
+        let follows = |row: usize| row > 0 && rows[row].0 - rows[row - 1].0 <= GAP_S;
+        let (mut longest, mut begin) = (0..0, 0);
+        for row in 0..rows.len() {
+            if !is_on(row) {
+                begin = row + 1;
+                continue;
+            }
+            if !follows(row) {
+                begin = row;
+            }
+            if row + 1 - begin > longest.len() {
+                longest = begin..row + 1;
+            }
+        }
+        if longest.len() < ROWS_MIN {
+            return Err(ReferenceError::NoSphere { rows: longest.len() });
+        }
+        bar.root_from_base = Translation3::from(sphere.centre_m).into();
+        let (start_s, start_rad) = rows[longest.start];
+        let (mut t_s, mut bar_rad): (Vec<f64>, Vec<[f64; BAR_JOINTS]>) = (Vec::new(), Vec::new());
+        for (at_s, q_rad) in &rows[longest] {
+            let [(_, first), ..] = ball_bar_inverse(&bar, &arm.forward(q_rad))?;
+            let near = bar_rad.last().copied().unwrap_or(first);
+            let all = Configuration::ALL.map(|configuration| {
+                let joints = configuration.carry(&first);
+                std::array::from_fn(|i| near[i] + wrapped(joints[i] - near[i]))
+            });
+            let far = |joints: &[f64; BAR_JOINTS]| {
+                joints.iter().zip(&near).map(|(a, b)| (a - b).powi(2)).sum::<f64>()
+            };
+            let nearest = all.into_iter().min_by(|a, b| far(a).total_cmp(&far(b)));
+            bar_rad.extend(nearest);
+            t_s.push(at_s - start_s);
+        }
+        let start_rad = std::array::from_fn(|joint| start_rad[joint]);
+        Ok(Self { base_m: sphere.centre_m.into(), start_rad, t_s, bar_rad })
+    }
+}
+
+/// In (-pi, pi].
+fn wrapped(rad: f64) -> f64 {
+    rad - std::f64::consts::TAU * (rad / std::f64::consts::TAU).round()
+}
+
+/// A path and where the nominal robot is at its start \[rad\].
+pub(super) type Drive = (Box<dyn BarPath>, Joints);
+
+impl Reference {
+    /// Puts the bar of an experiment where the path needs it, and gives that path.
+    ///
+    /// # Errors
+    /// [`SimulateError`] where a random path is not found, or a log cannot be interpolated.
+    pub(super) fn drive(&self, experiment: &mut Experiment<'_>) -> Result<Drive, SimulateError> {
+        let random = |experiment: &Experiment<'_>| -> Result<Drive, SimulateError> {
+            let (path, start_rad) = experiment.drive()?;
+            Ok((Box::new(path), start_rad))
+        };
+        match self {
+            Self::Random => random(experiment),
+            Self::Same(seed) => random(&Experiment { seed: *seed, ..experiment.clone() }),
+            Self::Planned(planned) => {
+                experiment.design.base_m = planned.base_m;
+                Ok((Box::new(planned.path.clone()), planned.robot_start()))
+            }
+            Self::Driven(driven) => {
+                experiment.design.base_m = driven.base_m;
+                let spline = CubicSpline::new(&driven.t_s, &driven.bar_rad, f64::INFINITY);
+                Ok((Box::new(spline.ok_or(SimulateError::Empty)?), driven.start_rad.into()))
+            }
+        }
+    }
+}

@@ -1,0 +1,285 @@
+//! `trials.jsonl`: a first line with the study, then one line for each experiment, in whatever order they came.
+//!
+//! The file only grows while a study runs, so that one which is killed loses the line that was being written. At the end it is
+//! put in order: then it is the same whoever computed what.
+
+use std::collections::BTreeMap;
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufRead, BufReader, Write};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Definition, Measure};
+
+/// Name of the file in a study's directory.
+const NAME: &str = "trials.jsonl";
+
+/// Why results cannot be read or kept.
+#[derive(Debug, thiserror::Error)]
+pub enum ResultsError {
+    /// The system refused.
+    #[error("cannot use {}: {source}; check the directory and free space", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file is none of ours.
+    #[error("{}, line {line}: {reason}; move the file away, or give another --out", path.display())]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// From 1.
+        line: usize,
+        /// What is wrong.
+        reason: String,
+    },
+    /// It is that of something else.
+    #[error("{} has the results of another study or version of this program; give another --out", path.display())]
+    OtherStudy {
+        /// The file.
+        path: PathBuf,
+    },
+    /// Not all shards are there.
+    #[error(
+        "{missing} of {wanted} experiments are missing, the first is number {first}; merge all shards, and let each end first"
+    )]
+    Missing {
+        /// How many.
+        missing: usize,
+        /// Of how many.
+        wanted: usize,
+        /// The first of them.
+        first: usize,
+    },
+    /// Nothing to merge.
+    #[error("no shard was given; name the directories of all")]
+    NoShard,
+    /// A number does not fit JSON.
+    #[error("a result cannot be written as JSON: {0}")]
+    Json(#[from] serde_json::Error),
+}
+
+/// What one estimator made of one experiment.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Row {
+    /// Euclidean norm of the errors of the thesis' parameters \[mm|mrad\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub euclidean_mm_mrad: Option<f64>,
+    /// The largest of them \[mm|mrad\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub largest_mm_mrad: Option<f64>,
+    /// Mean error of the robot's position over all postures \[mm\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub position_mm: Option<f64>,
+    /// 95 % of all postures are better \[mm\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub position_p95_mm: Option<f64>,
+    /// Of each parameter, where the figure shows them \[mm|mrad\].
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub errors: BTreeMap<String, f64>,
+    /// Why there is none of all these.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub failed: Option<String>,
+}
+
+impl Row {
+    /// No estimate, and why.
+    pub fn failed(reason: String) -> Self {
+        Self { failed: Some(reason), ..Self::default() }
+    }
+
+    /// One of the errors.
+    pub const fn error(&self, measure: Measure) -> Option<f64> {
+        match measure {
+            Measure::Euclidean => self.euclidean_mm_mrad,
+            Measure::Largest => self.largest_mm_mrad,
+            Measure::Position => self.position_mm,
+        }
+    }
+}
+
+/// What all estimators of a figure made of one experiment.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrialRows {
+    /// The experiment's number.
+    pub trial: usize,
+    /// In the order of the figure's estimators.
+    pub rows: Vec<Row>,
+}
+
+/// Every `of`-th experiment, beginning with the `number`-th.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Share {
+    number: usize,
+    of: usize,
+}
+
+impl Share {
+    /// All experiments.
+    pub const WHOLE: Self = Self { number: 1, of: 1 };
+
+    /// An experiment belongs to it.
+    pub const fn has(self, trial: usize) -> bool {
+        trial % self.of == self.number - 1
+    }
+}
+
+impl FromStr for Share {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let parsed =
+            text.split_once('/').and_then(|(number, of)| Some((number.parse().ok()?, of.parse().ok()?)));
+        match parsed {
+            Some((number, of)) if number >= 1 && number <= of => Ok(Self { number, of }),
+            _ => Err(format!("`{text}` is no share; give number and count, such as 3/16")),
+        }
+    }
+}
+
+/// The file, open to be added to.
+#[derive(Debug)]
+pub struct Results {
+    path: PathBuf,
+    file: File,
+    header: String,
+    done: BTreeMap<usize, TrialRows>,
+}
+
+impl Results {
+    /// Opens or begins the file of a directory. A last line that was not written to its end is cut off.
+    ///
+    /// # Errors
+    /// [`ResultsError`].
+    pub fn open(directory: &Path, definition: &Definition) -> Result<Self, ResultsError> {
+        let path = directory.join(NAME);
+        let io_error = |source| ResultsError::Io { path: path.clone(), source };
+        let header = serde_json::to_string(definition)?;
+        std::fs::create_dir_all(directory).map_err(io_error)?;
+        let mut file =
+            OpenOptions::new().read(true).append(true).create(true).open(&path).map_err(io_error)?;
+        let (whole_bytes, found) = read(&path, &file)?;
+        file.set_len(whole_bytes).map_err(io_error)?;
+        let done = match found {
+            None => {
+                file.write_all(format!("{header}\n").as_bytes()).map_err(io_error)?;
+                BTreeMap::new()
+            }
+            Some((other, done)) if other == *definition => done,
+            Some(_) => return Err(ResultsError::OtherStudy { path }),
+        };
+        Ok(Self { path, file, header, done })
+    }
+
+    /// What is there so far, by number.
+    pub const fn done(&self) -> &BTreeMap<usize, TrialRows> {
+        &self.done
+    }
+
+    /// Adds an experiment.
+    ///
+    /// # Errors
+    /// [`ResultsError`].
+    pub fn add(&mut self, rows: TrialRows) -> Result<(), ResultsError> {
+        let line = format!("{}\n", serde_json::to_string(&rows)?);
+        self.file
+            .write_all(line.as_bytes())
+            .map_err(|source| ResultsError::Io { path: self.path.clone(), source })?;
+        self.done.insert(rows.trial, rows);
+        Ok(())
+    }
+
+    /// Puts the file in order, in one go.
+    ///
+    /// # Errors
+    /// [`ResultsError`].
+    pub fn put_in_order(&self) -> Result<(), ResultsError> {
+        let mut text = format!("{}\n", self.header);
+        for rows in self.done.values() {
+            text.push_str(&serde_json::to_string(rows)?);
+            text.push('\n');
+        }
+        let part = self.path.with_extension("part");
+        std::fs::write(&part, text)
+            .and_then(|()| std::fs::rename(&part, &self.path))
+            .map_err(|source| ResultsError::Io { path: self.path.clone(), source })
+    }
+
+    /// All experiments of the list are there.
+    ///
+    /// # Errors
+    /// [`ResultsError::Missing`].
+    pub fn require(&self, wanted: usize) -> Result<(), ResultsError> {
+        let mut missing = (0..wanted).filter(|trial| !self.done.contains_key(trial));
+        match missing.next() {
+            Some(first) => Err(ResultsError::Missing { missing: 1 + missing.count(), wanted, first }),
+            None => Ok(()),
+        }
+    }
+}
+
+/// The study of all these directories, and their experiments in the first one's place.
+///
+/// # Errors
+/// [`ResultsError`] where they are not of one study.
+pub fn merge(shards: &[PathBuf], out: &Path) -> Result<(Definition, Results), ResultsError> {
+    let mut all: Option<(Definition, BTreeMap<usize, TrialRows>)> = None;
+    for shard in shards {
+        let path = shard.join(NAME);
+        let file = File::open(&path).map_err(|source| ResultsError::Io { path: path.clone(), source })?;
+        let Some((definition, done)) = read(&path, &file)?.1 else {
+            return Err(ResultsError::Malformed { path, line: 1, reason: "there is no study in it".into() });
+        };
+        match &mut all {
+            None => all = Some((definition, done)),
+            Some((first, _)) if *first != definition => return Err(ResultsError::OtherStudy { path }),
+            Some((_, rows)) => rows.extend(done),
+        }
+    }
+    let (definition, done) = all.ok_or(ResultsError::NoShard)?;
+    let mut results = Results::open(out, &definition)?;
+    results.done.extend(done);
+    Ok((definition, results))
+}
+
+/// Bytes that are whole lines, and what is in them; none of nothing.
+type Found = (u64, Option<(Definition, BTreeMap<usize, TrialRows>)>);
+
+fn read(path: &Path, file: &File) -> Result<Found, ResultsError> {
+    let malformed = |line: usize, reason: &serde_json::Error| ResultsError::Malformed {
+        path: path.to_owned(),
+        line,
+        reason: reason.to_string(),
+    };
+    let (mut lines, mut text) = (BufReader::new(file), Vec::new());
+    let (mut bytes, mut number) = (0, 0);
+    let mut found: Option<(Definition, BTreeMap<usize, TrialRows>)> = None;
+    loop {
+        text.clear();
+        let read = lines
+            .read_until(b'\n', &mut text)
+            .map_err(|source| ResultsError::Io { path: path.to_owned(), source })?;
+        if text.last() != Some(&b'\n') {
+            return Ok((bytes, found));
+        }
+        number += 1;
+        bytes += read as u64;
+        match &mut found {
+            None => {
+                let definition = serde_json::from_slice(&text).map_err(|error| malformed(number, &error))?;
+                found = Some((definition, BTreeMap::new()));
+            }
+            Some((_, done)) => {
+                let rows: TrialRows =
+                    serde_json::from_slice(&text).map_err(|error| malformed(number, &error))?;
+                done.insert(rows.trial, rows);
+            }
+        }
+    }
+}

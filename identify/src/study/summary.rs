@@ -1,0 +1,444 @@
+//! What is seen in the results: curves, tables, and the answers to what the study asks.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+
+use super::{Choice, Definition, Figure, Kind, Measure, Results, Row, Series, Statement, trials};
+use crate::instrument::quantile;
+
+/// A parameter that is off by more is affected (thesis 3.3) \[mm|mrad\].
+const AFFECTED_MM_MRAD: f64 = 0.05;
+/// Parameters that a row of table B.1 names.
+const LARGEST: usize = 5;
+
+/// Errors of all experiments of one point.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Spread {
+    /// Half of them are better.
+    pub median: f64,
+    /// A quarter of them is better.
+    pub lower_quartile: f64,
+    /// Three quarters of them are better.
+    pub upper_quartile: f64,
+    /// The worst.
+    pub worst: f64,
+}
+
+impl Spread {
+    fn of(mut values: Vec<f64>) -> Self {
+        values.sort_by(f64::total_cmp);
+        let at = |part| quantile(&values, part);
+        Self { median: at(0.5), lower_quartile: at(0.25), upper_quartile: at(0.75), worst: at(1.0) }
+    }
+}
+
+/// All experiments of one size.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct CurvePoint {
+    /// The size.
+    pub x: f64,
+    /// How many were made.
+    pub experiments: usize,
+    /// How many of them gave no estimate.
+    pub failed: usize,
+    /// Errors of those that did; none where more than half failed.
+    pub errors: BTreeMap<Measure, Spread>,
+}
+
+/// What one estimator makes of one series.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Curve {
+    /// The figure's number.
+    pub figure: String,
+    /// The series' name.
+    pub series: String,
+    /// Who estimates.
+    pub estimator: String,
+    /// The same for people.
+    pub label: String,
+    /// In the order of the series' sizes.
+    pub points: Vec<CurvePoint>,
+    /// The size at which the Euclidean error reaches the limit.
+    pub limit_at: Reach,
+}
+
+/// Where a curve reaches a limit.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reach {
+    /// There, between two sizes as on a straight line in logarithms.
+    At(f64),
+    /// All sizes are better, up to this one.
+    BetterUpTo(f64),
+    /// All sizes are worse, down to this one.
+    WorseDownTo(f64),
+    /// There is no curve.
+    Unknown,
+}
+
+/// The answer to a [`Statement`].
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Finding {
+    /// What was asked or claimed.
+    pub text: String,
+    /// What was found, as a sentence.
+    pub answer: String,
+    /// The number in it.
+    pub value: Option<f64>,
+    /// The claim holds; none where nothing is claimed.
+    pub holds: Option<bool>,
+    /// What explains it.
+    pub why: String,
+}
+
+/// A table of a figure that is none.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct FigureTable {
+    /// The figure's number.
+    pub figure: String,
+    /// Heads of its columns.
+    pub head: Vec<String>,
+    /// Its rows.
+    pub rows: Vec<Vec<String>>,
+}
+
+/// All that is seen.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Summary {
+    /// The study's name.
+    pub title: String,
+    /// Experiments of each point.
+    pub seeds: u32,
+    /// Every curve, in the order of the study's file.
+    pub curves: Vec<Curve>,
+    /// Tables of figures that are tables.
+    pub tables: Vec<FigureTable>,
+    /// Answers, in the order of the study's file.
+    pub findings: Vec<Finding>,
+    /// Why experiments gave no estimate, and how many of them.
+    pub failures: BTreeMap<String, usize>,
+}
+
+/// One row with where it is.
+struct Placed<'a> {
+    series: &'a Series,
+    x: f64,
+    seed: u32,
+    estimator: &'a str,
+    row: &'a Row,
+}
+
+impl Summary {
+    /// Of all that is there.
+    pub fn new(definition: &Definition, results: &Results) -> Self {
+        let study = &definition.study;
+        let mut placed: Vec<(&Figure, Placed<'_>)> = Vec::new();
+        let mut failures = BTreeMap::new();
+        for trial in trials(definition) {
+            let Some(rows) = results.done().get(&trial.number) else { continue };
+            let names = study.estimators_of(trial.figure, trial.series);
+            for (estimator, row) in names.iter().zip(&rows.rows) {
+                if let Some(reason) = &row.failed {
+                    *failures.entry(format!("{estimator}: {reason}")).or_default() += 1;
+                }
+                let (series, x, seed) = (trial.series, trial.x, trial.seed);
+                placed.push((trial.figure, Placed { series, x, seed, estimator, row }));
+            }
+        }
+        let (mut curves, mut tables) = (Vec::new(), Vec::new());
+        for figure in &study.figures {
+            let own: Vec<&Placed<'_>> =
+                placed.iter().filter(|(of, _)| of.id == figure.id).map(|(_, placed)| placed).collect();
+            curves.extend(self::curves(definition, figure, &own));
+            let table = match figure.kind {
+                Kind::Curves => continue,
+                Kind::Levels => levels(definition, figure, &own),
+                Kind::Affected => affected(&own),
+                Kind::Errors => errors(&own),
+                Kind::Largest => largest(&own),
+            };
+            tables.push(FigureTable { figure: figure.id.clone(), ..table });
+        }
+        let limit = study.limit_mm_mrad;
+        let findings = study.statements.iter().map(|statement| finding(statement, &curves, limit)).collect();
+        Self { title: study.title.clone(), seeds: study.seeds, curves, tables, findings, failures }
+    }
+}
+
+impl Curve {
+    fn medians(&self, choice: &Choice) -> impl Iterator<Item = (f64, f64)> {
+        let between = choice.between.unwrap_or([f64::NEG_INFINITY, f64::INFINITY]);
+        let points = self.points.iter().filter(move |point| between[0] <= point.x && point.x <= between[1]);
+        points.filter_map(|point| Some((point.x, point.errors.get(&choice.measure)?.median)))
+    }
+}
+
+fn curves(definition: &Definition, figure: &Figure, own: &[&Placed<'_>]) -> Vec<Curve> {
+    let study = &definition.study;
+    let mut curves = Vec::new();
+    for series in &figure.series {
+        for estimator in study.estimators_of(figure, series) {
+            let of_curve: Vec<&&Placed<'_>> = own
+                .iter()
+                .filter(|placed| std::ptr::eq(placed.series, series) && placed.estimator == estimator)
+                .collect();
+            let points: Vec<CurvePoint> = series.x.iter().map(|&x| point(x, &of_curve)).collect();
+            let medians = points
+                .iter()
+                .filter_map(|point| Some((point.x, point.errors.get(&Measure::Euclidean)?.median)));
+            curves.push(Curve {
+                figure: figure.id.clone(),
+                series: series.name.clone(),
+                estimator: estimator.clone(),
+                label: study.estimator(estimator).map_or_else(String::new, |one| one.label.clone()),
+                limit_at: reach(&medians.collect::<Vec<_>>(), study.limit_mm_mrad),
+                points,
+            });
+        }
+    }
+    curves
+}
+
+fn point(x: f64, of_curve: &[&&Placed<'_>]) -> CurvePoint {
+    let rows: Vec<&Row> = of_curve.iter().filter(|placed| placed.x == x).map(|placed| placed.row).collect();
+    let failed = rows.iter().filter(|row| row.failed.is_some()).count();
+    let mut errors = BTreeMap::new();
+    if 2 * failed < rows.len() {
+        for measure in Measure::ALL {
+            let values: Vec<f64> = rows.iter().filter_map(|row| row.error(measure)).collect();
+            if !values.is_empty() {
+                errors.insert(measure, Spread::of(values));
+            }
+        }
+    }
+    CurvePoint { x, experiments: rows.len(), failed, errors }
+}
+
+/// The first size, going up, where the curve passes the limit in either direction.
+fn reach(medians: &[(f64, f64)], limit: f64) -> Reach {
+    let mut sorted: Vec<(f64, f64)> = medians.to_vec();
+    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let crossing = sorted.windows(2).find(|pair| (pair[0].1 <= limit) != (pair[1].1 <= limit));
+    if let Some(&[(x0, y0), (x1, y1)]) = crossing {
+        let logarithmic = x0 > 0.0 && y0 > 0.0 && y1 > 0.0;
+        let of = |value: f64| if logarithmic { value.ln() } else { value };
+        let part = (of(limit) - of(y0)) / (of(y1) - of(y0));
+        let x = of(x0) + part * (of(x1) - of(x0));
+        return Reach::At(if logarithmic { x.exp() } else { x });
+    }
+    match (sorted.first(), sorted.last()) {
+        (Some(_), Some((x, y))) if *y <= limit => Reach::BetterUpTo(*x),
+        (Some((x, _)), Some(_)) => Reach::WorseDownTo(*x),
+        _ => Reach::Unknown,
+    }
+}
+
+fn finding(statement: &Statement, curves: &[Curve], limit: f64) -> Finding {
+    let of = chosen(curves, &statement.of);
+    let (value, answer) = match &statement.against {
+        None if statement.reaches_limit => reached(&of, limit),
+        None => {
+            let mean = geometric_mean(of.iter().map(|(_, _, y)| *y));
+            (mean, mean.map(|mean| format!("{} {}", short(mean), unit(statement.of.measure))))
+        }
+        Some(against) => {
+            let ratio = ratio(&of, &chosen(curves, against), &statement.of, against);
+            (ratio, ratio.map(|ratio| format!("{} times as large", short(ratio))))
+        }
+    };
+    let Statement { at_least, at_most, .. } = *statement;
+    let is_within =
+        |value: f64| at_least.is_none_or(|least| value >= least) && at_most.is_none_or(|most| value <= most);
+    let is_claim = at_least.is_some() || at_most.is_some();
+    Finding {
+        text: statement.text.clone(),
+        answer: answer.unwrap_or_else(|| "not found".into()),
+        value,
+        holds: is_claim.then(|| value.is_some_and(is_within)),
+        why: statement.why.clone(),
+    }
+}
+
+/// Series, size and median of all that is meant.
+fn chosen<'a>(curves: &'a [Curve], choice: &Choice) -> Vec<(&'a str, f64, f64)> {
+    let is_meant = |curve: &&Curve| {
+        curve.figure == choice.figure
+            && curve.estimator == choice.estimator
+            && choice.series.as_ref().is_none_or(|series| *series == curve.series)
+    };
+    let of_curve = |curve: &'a Curve| curve.medians(choice).map(|(x, y)| (curve.series.as_str(), x, y));
+    curves.iter().filter(is_meant).flat_map(of_curve).collect()
+}
+
+fn reached(of: &[(&str, f64, f64)], limit: f64) -> (Option<f64>, Option<String>) {
+    let points: Vec<(f64, f64)> = of.iter().map(|(_, x, y)| (*x, *y)).collect();
+    match reach(&points, limit) {
+        Reach::At(x) => (Some(x), Some(format!("{} is reached at {}", short(limit), short(x)))),
+        Reach::BetterUpTo(x) => (None, Some(format!("better than {} up to {}", short(limit), short(x)))),
+        Reach::WorseDownTo(x) => (None, Some(format!("worse than {} down to {}", short(limit), short(x)))),
+        Reach::Unknown => (None, None),
+    }
+}
+
+/// Mean ratio at equal sizes, whatever the series are called; of parts at other sizes the ratio of their means.
+fn ratio(
+    of: &[(&str, f64, f64)],
+    against: &[(&str, f64, f64)],
+    choice: &Choice,
+    other: &Choice,
+) -> Option<f64> {
+    if choice.between != other.between {
+        let mean = |points: &[(&str, f64, f64)]| geometric_mean(points.iter().map(|(_, _, y)| *y));
+        return Some(mean(of)? / mean(against)?);
+    }
+    let same_series = choice.series == other.series;
+    let ratio = |(series, x, y): &(&str, f64, f64)| {
+        let is_beside = |one: &&(&str, f64, f64)| one.1 == *x && (!same_series || one.0 == *series);
+        against.iter().find(is_beside).map(|one| y / one.2)
+    };
+    geometric_mean(of.iter().filter_map(ratio))
+}
+
+const fn unit(measure: Measure) -> &'static str {
+    match measure {
+        Measure::Position => "mm",
+        Measure::Euclidean | Measure::Largest => "mm|mrad",
+    }
+}
+
+fn geometric_mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+    let logarithms = values.filter(|value| *value > 0.0 && value.is_finite()).map(f64::ln);
+    let (count, sum) = logarithms.fold((0usize, 0.0), |(count, sum), value| (count + 1, sum + value));
+    (count > 0).then(|| (sum / count as f64).exp())
+}
+
+/// Three significant digits.
+pub fn short(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return format!("{value}");
+    }
+    let decimals = (2 - value.abs().log10().floor() as i32).clamp(0, 9) as usize;
+    format!("{value:.decimals$}")
+}
+
+fn head(names: &[&str]) -> Vec<String> {
+    names.iter().map(|&name| name.to_owned()).collect()
+}
+
+fn levels(definition: &Definition, figure: &Figure, own: &[&Placed<'_>]) -> FigureTable {
+    let rows = curves(definition, figure, own).into_iter().flat_map(|curve| {
+        let Curve { series, label, points, .. } = curve;
+        points.into_iter().map(move |point| {
+            let cell = |measure, of: fn(&Spread) -> f64| {
+                point.errors.get(&measure).map_or_else(|| "none".into(), |spread| short(of(spread)))
+            };
+            vec![
+                series.clone(),
+                label.clone(),
+                cell(Measure::Euclidean, |spread| spread.median),
+                cell(Measure::Euclidean, |spread| spread.worst),
+                cell(Measure::Largest, |spread| spread.worst),
+                cell(Measure::Position, |spread| spread.median),
+                format!("{} of {}", point.failed, point.experiments),
+            ]
+        })
+    });
+    let head = head(&[
+        "",
+        "estimator",
+        "Euclidean, median [mm|mrad]",
+        "worst",
+        "largest of all",
+        "position, median [mm]",
+        "failed",
+    ]);
+    FigureTable { head, rows: rows.collect(), ..FigureTable::default() }
+}
+
+fn affected(own: &[&Placed<'_>]) -> FigureTable {
+    // By series and estimator, in the order in which they came: each parameter's error, one for each seed.
+    let mut found: Vec<((&str, &str), BTreeMap<&str, Vec<f64>>)> = Vec::new();
+    for placed in own {
+        let key = (placed.series.name.as_str(), placed.estimator);
+        let at = found.iter().position(|(known, _)| *known == key).unwrap_or_else(|| {
+            found.push((key, BTreeMap::new()));
+            found.len() - 1
+        });
+        for (name, error) in &placed.row.errors {
+            found[at].1.entry(name).or_default().push(error.abs());
+        }
+    }
+    let rows = found.into_iter().map(|((series, estimator), errors)| {
+        let medians = errors.into_iter().map(|(name, values)| (name, Spread::of(values).median));
+        let mut off: Vec<(&str, f64)> = medians.filter(|(_, error)| *error > AFFECTED_MM_MRAD).collect();
+        off.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let names = off.iter().map(|(name, error)| format!("{name} ({})", short(*error)));
+        let names = names.collect::<Vec<_>>().join(", ");
+        vec![
+            series.into(),
+            estimator.into(),
+            off.len().to_string(),
+            if names.is_empty() { "none".into() } else { names },
+        ]
+    });
+    let head = head(&["error of 1 in", "estimator", "affected", "which, with their error [mm|mrad]"]);
+    FigureTable { head, rows: rows.collect(), ..FigureTable::default() }
+}
+
+fn errors(own: &[&Placed<'_>]) -> FigureTable {
+    let first: Vec<&&Placed<'_>> = own.iter().filter(|placed| placed.seed == 1).collect();
+    let mut names: Vec<&str> = Vec::new();
+    for placed in &first {
+        for name in placed.row.errors.keys() {
+            if !names.contains(&name.as_str()) {
+                names.push(name);
+            }
+        }
+    }
+    let mut head = head(&["parameter"]);
+    head.extend(first.iter().map(|placed| placed.estimator.to_owned()));
+    let row = |name: &&str| {
+        let cell = |placed: &&&Placed<'_>| {
+            placed.row.errors.get(*name).map_or_else(|| "-".into(), |error| format!("{error:.4}"))
+        };
+        std::iter::once((*name).to_owned()).chain(first.iter().map(|placed| cell(&placed))).collect()
+    };
+    FigureTable { head, rows: names.iter().map(row).collect(), ..FigureTable::default() }
+}
+
+fn largest(own: &[&Placed<'_>]) -> FigureTable {
+    let row = |placed: &&Placed<'_>| {
+        let mut errors: Vec<(&String, f64)> =
+            placed.row.errors.iter().map(|(name, error)| (name, error.abs())).collect();
+        errors.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let names = errors.iter().take(LARGEST).map(|(name, error)| format!("{name} ({})", short(*error)));
+        [placed.seed.to_string(), placed.estimator.to_owned()].into_iter().chain(names).collect()
+    };
+    let head = head(&["experiment", "estimator", "largest [mm|mrad]", "2nd", "3rd", "4th", "5th"]);
+    FigureTable { head, rows: own.iter().map(row).collect(), ..FigureTable::default() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_curve_reaches_a_limit_between_two_sizes_or_never() {
+        let power = |x: f64| (x, 0.01 * x.powi(2));
+        let curve: Vec<(f64, f64)> = [1.0, 3.0, 10.0, 30.0].map(power).to_vec();
+        let Reach::At(x) = reach(&curve, 0.5) else { panic!("{:?}", reach(&curve, 0.5)) };
+        assert!((x - 50.0_f64.sqrt()).abs() < 1e-9, "{x}");
+        assert_eq!(reach(&curve, 100.0), Reach::BetterUpTo(30.0));
+        assert_eq!(reach(&curve, 1e-3), Reach::WorseDownTo(1.0));
+        let falling: Vec<(f64, f64)> = curve.iter().map(|(x, y)| (100.0 / x, *y)).collect();
+        assert!(matches!(reach(&falling, 0.5), Reach::At(_)));
+        assert_eq!(reach(&[], 0.5), Reach::Unknown);
+    }
+
+    #[test]
+    fn numbers_have_three_significant_digits() {
+        let written = [0.012_345, 1.2345, 123.45, 12_345.0, 0.0].map(short);
+        assert_eq!(written, ["0.0123", "1.23", "123", "12345", "0"]);
+    }
+}

@@ -1,0 +1,174 @@
+//! One experiment of a study, and what every estimator makes of it.
+
+use std::collections::BTreeMap;
+
+use nalgebra::Vector3;
+use shared::time::UtcNs;
+
+use super::{Conditions, Definition, Estimator, Figure, Kind, Row, Series, StudyInstrument, TrialRows};
+use crate::calibrate::IdentifyConfig;
+use crate::calibrate::ball_bar::calibrate_prepared;
+use crate::calibrate::measured_length::{self, LengthOptions};
+use crate::calibrate::truth::{Comparison, position_errors_m};
+use crate::kinematics::flange_chain;
+use crate::logs::{InterpolatedLog, LogQuality, RobotLog};
+use crate::model::{Model, Observation, Selection};
+use crate::prepare::{AlignedLog, Prepared};
+use crate::simulate::{
+    ATTACHMENT_M, Design, Experiment, LEAD_ROWS, Pairs, SimulateError, Truth, pairs, wire_rows,
+};
+
+/// One experiment: a place in the study's list of figures, series, sizes and seeds.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Trial<'a> {
+    /// Its place in the list of all.
+    pub number: usize,
+    /// What is shown.
+    pub figure: &'a Figure,
+    /// What is varied.
+    pub series: &'a Series,
+    /// Its size.
+    pub x: f64,
+    /// Seed of path and noise, from 1.
+    pub seed: u32,
+}
+
+/// All experiments of a study, in their order.
+pub fn trials(definition: &Definition) -> impl Iterator<Item = Trial<'_>> {
+    let study = &definition.study;
+    let sizes = study.figures.iter().flat_map(|figure| {
+        figure.series.iter().flat_map(move |series| series.x.iter().map(move |&x| (figure, series, x)))
+    });
+    let all =
+        sizes.flat_map(|(figure, series, x)| (1..=study.seeds).map(move |seed| (figure, series, x, seed)));
+    all.enumerate().map(|(number, (figure, series, x, seed))| Trial { number, figure, series, x, seed })
+}
+
+/// Simulates one and asks its estimators. What cannot be estimated is a row with its reason.
+pub fn run(definition: &Definition, trial: &Trial<'_>) -> TrialRows {
+    let study = &definition.study;
+    let names = study.estimators_of(trial.figure, trial.series);
+    let with_errors = trial.figure.kind != Kind::Curves;
+    let found = || -> Result<Vec<Row>, String> {
+        let conditions = Conditions::of(study, trial.series, trial.x).map_err(|error| error.to_string())?;
+        let estimators = || names.iter().map(|name| study.estimator(name));
+        let of_bar = |one: &Estimator| one.instrument == StudyInstrument::BallBar;
+        let bar = if estimators().flatten().any(of_bar) {
+            Some(simulate(definition, trial.seed, &conditions).map_err(|error| error.to_string())?)
+        } else {
+            None
+        };
+        let row = |estimator: Option<&Estimator>| {
+            let row = match (estimator, &bar) {
+                (Some(Estimator { instrument: StudyInstrument::Wire, .. }), _) => {
+                    by_wire(definition, trial.seed, &conditions)
+                }
+                (Some(estimator), Some(bar)) => by_bar(definition, bar, &estimator.config, with_errors),
+                _ => Err("there is no such estimator".into()),
+            };
+            row.unwrap_or_else(Row::failed)
+        };
+        Ok(estimators().map(row).collect())
+    };
+    let rows = found().unwrap_or_else(|reason| vec![Row::failed(reason); names.len()]);
+    TrialRows { trial: trial.number, rows }
+}
+
+/// What robot and bar showed, station by station.
+struct Simulated {
+    stations: Vec<Prepared>,
+    truth: Truth,
+}
+
+fn experiment<'a>(definition: &'a Definition, seed: u32, conditions: &Conditions) -> Experiment<'a> {
+    let Definition { study, robot, bar, .. } = definition;
+    Experiment {
+        design: Design { duration_s: study.duration_s, ..Design::for_robot(robot) },
+        errors: conditions.errors,
+        added_errors: conditions.added_errors.clone(),
+        effects: conditions.effects,
+        load: conditions.load,
+        seed: u64::from(seed),
+        ..Experiment::new(robot, bar)
+    }
+}
+
+fn simulate(definition: &Definition, seed: u32, conditions: &Conditions) -> Result<Simulated, SimulateError> {
+    let mut stations = Vec::new();
+    let mut truth = None;
+    for station in 0..conditions.stations {
+        let mut experiment = experiment(definition, seed, conditions);
+        let usual_seed = experiment.seed;
+        if station > 0 {
+            // The same robot and bar at another place, on another path, with noise of its own.
+            experiment.seed += (station as u64) << 32;
+            experiment.noise_seed = Some(experiment.seed);
+            experiment.design.base_m = definition.study.second_base_m.unwrap_or(experiment.design.base_m);
+        }
+        let (path, start_rad) = definition.reference.drive(&mut experiment)?;
+        experiment.seed = usual_seed;
+        let count = conditions.points / conditions.stations;
+        let pairs = pairs(&experiment, path.as_ref(), start_rad, count, conditions.time_difference_s)?;
+        stations.push(prepared(&pairs, conditions, experiment.design.base_m)?);
+        truth.get_or_insert(pairs.truth);
+    }
+    Ok(Simulated { stations, truth: truth.ok_or(SimulateError::Empty)? })
+}
+
+/// Pairs as the preparation would have left them: aligned, with angles from the encoders' marks, near nominal links.
+fn prepared(pairs: &Pairs, conditions: &Conditions, base_m: [f64; 3]) -> Result<Prepared, SimulateError> {
+    let period_s = pairs.t_s.get(1).zip(pairs.t_s.first()).map_or(0.0, |(second, first)| second - first);
+    let first_s = pairs.t_s.first().copied().unwrap_or_default();
+    let log = RobotLog {
+        t_s: pairs.t_s.iter().map(|t_s| t_s - first_s).collect(),
+        q_rad: pairs.robot_rad.clone(),
+        quality: LogQuality { period_s, longest_gap_s: period_s, ..LogQuality::default() },
+        ..RobotLog::default()
+    };
+    let motion = InterpolatedLog::new(&log, f64::INFINITY).map_err(|_| SimulateError::Empty)?;
+    let middle_s = pairs.t_s.iter().sum::<f64>() / pairs.t_s.len().max(1) as f64;
+    let observation = |(t_s, bar_rad): (&f64, &[f64; 5])| Observation {
+        measured: conditions.measured,
+        ..Observation::bar(t_s - middle_s, *bar_rad)
+    };
+    let observations = pairs.t_s.iter().skip(LEAD_ROWS).zip(&pairs.bar_rad).map(observation).collect();
+    let motion = AlignedLog::new(motion, middle_s - first_s);
+    Ok(Prepared::aligned(UtcNs(0), observations, motion, conditions.measured, base_m.into()))
+}
+
+fn by_bar(
+    definition: &Definition,
+    simulated: &Simulated,
+    config: &IdentifyConfig,
+    with_errors: bool,
+) -> Result<Row, String> {
+    let bar = &definition.bar;
+    let prepared = simulated.stations.iter().map(|prepared| (prepared.clone(), bar)).collect();
+    let found =
+        calibrate_prepared(prepared, &definition.robot, config, None).map_err(|error| error.to_string())?;
+    let compared = Comparison::new(&found, &simulated.truth).only(|id| Selection::Thesis.contains(id));
+    let errors = compared.parameters.iter().map(|one| (one.id.to_string(), one.error_displayed()));
+    Ok(Row {
+        euclidean_mm_mrad: Some(compared.euclidean_mm_mrad()),
+        largest_mm_mrad: Some(compared.max_mm_mrad()),
+        errors: if with_errors { errors.collect() } else { BTreeMap::new() },
+        ..position(&found.model, &simulated.truth, definition, [Vector3::zeros(); 2])
+    })
+}
+
+fn by_wire(definition: &Definition, seed: u32, conditions: &Conditions) -> Result<Row, String> {
+    let experiment = experiment(definition, seed, conditions);
+    let (rows, truth) = wire_rows(&experiment, conditions.wire_rows, conditions.wire_noise_m)
+        .map_err(|error| error.to_string())?;
+    // The truth is known: no row has to be kept back for judging.
+    let options = LengthOptions { held_out: 0.0, ..LengthOptions::default() };
+    let found = measured_length::calibrate(&rows, &flange_chain(&definition.robot), &options)
+        .map_err(|error| error.to_string())?;
+    let attachment_m = found.model.geometry(&[]).wire.attachment_m;
+    Ok(position(&found.model, &truth, definition, [attachment_m, ATTACHMENT_M.into()]))
+}
+
+fn position(found: &Model, truth: &Truth, definition: &Definition, points_m: [Vector3<f64>; 2]) -> Row {
+    let (mean_m, p95_m) = position_errors_m(found, truth, &definition.robot, points_m);
+    Row { position_mm: Some(mean_m * 1e3), position_p95_mm: Some(p95_m * 1e3), ..Row::default() }
+}
