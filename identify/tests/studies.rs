@@ -1,4 +1,5 @@
 //! `identify study`: its results do not depend on who computed them when, and its answers are right where they are known.
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test stops at the first surprise")]
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -235,6 +236,25 @@ for a, b in zip(table, rows):
 "#;
     let checked = Command::new(python).args(["-c", script]).arg(&out).output().unwrap();
     assert!(checked.status.success(), "{}", said(&checked));
+}
+
+/// What the documentation shows for several machines, as it stands there.
+#[test]
+#[ignore = "computes figure 3.2 twice: half a minute"]
+fn the_documented_shards_give_what_one_machine_gives() {
+    let text = fs::read_to_string(repository("docs/src/study.md")).unwrap();
+    let script = text.split("```sh\n").find(|block| block.starts_with("for k in")).unwrap();
+    let script = script.split("```").next().unwrap();
+    let room = tempfile::tempdir().unwrap();
+    let program = Path::new(env!("CARGO_BIN_EXE_identify")).parent().unwrap();
+    let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap());
+    let done =
+        Command::new("sh").args(["-ec", script]).current_dir(&room).env("PATH", path).output().unwrap();
+    assert!(done.status.success(), "{}", said(&done));
+    let whole = room.path().join("whole");
+    let one = study(&["thesis", "--figures", "3.2", "--seeds", "2", "--out", whole.to_str().unwrap()]);
+    assert!(one.status.success(), "{}", said(&one));
+    assert_same(&whole, &room.path().join("merged"));
 }
 
 #[test]

@@ -93,7 +93,7 @@ impl Conditions {
             return refuse("give a finite number");
         }
         match key {
-            "points" if value >= POINTS_MIN && value <= 1e6 => self.points = value.round() as usize,
+            "points" if (POINTS_MIN..=1e6).contains(&value) => self.points = value.round() as usize,
             "points" => return refuse("give 20 to a million"),
             "encoders" => {
                 self.measured = match value {

@@ -313,12 +313,16 @@ fn geometric_mean(values: impl Iterator<Item = f64>) -> Option<f64> {
     (count > 0).then(|| (sum / count as f64).exp())
 }
 
-/// Three significant digits.
+/// Three significant digits; a power of ten where these would stand far from the point.
 pub fn short(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
         return format!("{value}");
     }
-    let decimals = (2 - value.abs().log10().floor() as i32).clamp(0, 9) as usize;
+    let exponent = value.abs().log10().floor() as i32;
+    if !(-4..6).contains(&exponent) {
+        return format!("{value:.2e}");
+    }
+    let decimals = (2 - exponent).clamp(0, 9) as usize;
     format!("{value:.decimals$}")
 }
 
@@ -358,18 +362,21 @@ fn levels(definition: &Definition, figure: &Figure, own: &[&Placed<'_>]) -> Figu
 
 fn affected(own: &[&Placed<'_>]) -> FigureTable {
     // By series and estimator, in the order in which they came: each parameter's error, one for each seed.
-    let mut found: Vec<((&str, &str), BTreeMap<&str, Vec<f64>>)> = Vec::new();
+    type Errors<'a> = BTreeMap<&'a str, Vec<f64>>;
+    let mut keys: Vec<(&str, &str)> = Vec::new();
+    let mut found: Vec<Errors<'_>> = Vec::new();
     for placed in own {
         let key = (placed.series.name.as_str(), placed.estimator);
-        let at = found.iter().position(|(known, _)| *known == key).unwrap_or_else(|| {
-            found.push((key, BTreeMap::new()));
-            found.len() - 1
+        let at = keys.iter().position(|known| *known == key).unwrap_or_else(|| {
+            keys.push(key);
+            found.push(Errors::new());
+            keys.len() - 1
         });
         for (name, error) in &placed.row.errors {
-            found[at].1.entry(name).or_default().push(error.abs());
+            found[at].entry(name).or_default().push(error.abs());
         }
     }
-    let rows = found.into_iter().map(|((series, estimator), errors)| {
+    let rows = keys.into_iter().zip(found).map(|((series, estimator), errors)| {
         let medians = errors.into_iter().map(|(name, values)| (name, Spread::of(values).median));
         let mut off: Vec<(&str, f64)> = medians.filter(|(_, error)| *error > AFFECTED_MM_MRAD).collect();
         off.sort_by(|a, b| b.1.total_cmp(&a.1));
@@ -402,7 +409,7 @@ fn errors(own: &[&Placed<'_>]) -> FigureTable {
         let cell = |placed: &&&Placed<'_>| {
             placed.row.errors.get(*name).map_or_else(|| "-".into(), |error| format!("{error:.4}"))
         };
-        std::iter::once((*name).to_owned()).chain(first.iter().map(|placed| cell(&placed))).collect()
+        std::iter::once((*name).to_owned()).chain(first.iter().map(cell)).collect()
     };
     FigureTable { head, rows: names.iter().map(row).collect(), ..FigureTable::default() }
 }
@@ -438,7 +445,7 @@ mod tests {
 
     #[test]
     fn numbers_have_three_significant_digits() {
-        let written = [0.012_345, 1.2345, 123.45, 12_345.0, 0.0].map(short);
-        assert_eq!(written, ["0.0123", "1.23", "123", "12345", "0"]);
+        let written = [0.012_345, 1.2345, 123.45, 12_345.0, 0.0, 1.234e-9, -4.56e10].map(short);
+        assert_eq!(written, ["0.0123", "1.23", "123", "12345", "0", "1.23e-9", "-4.56e10"]);
     }
 }

@@ -3,12 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use maud::{Markup, html};
+use plotters::style::RGBColor;
 
 use super::plot::{COLOURS, GREY, Mark, Panel, PlotError, Series};
 use super::sections::svg;
 use super::{PageError, document};
 use crate::report::file::{FileError, replace};
-use crate::study::{Curve, Definition, Figure, Finding, Kind, Measure, Reach, Summary, short};
+use crate::study::{Curve, CurvePoint, Definition, Figure, Finding, Kind, Measure, Reach, Summary, short};
 
 /// \[px\]
 const PANEL: (u32, u32) = (450, 330);
@@ -97,29 +98,69 @@ impl StudyPage<'_> {
     fn drawn(&self, figure: &Figure) -> Result<Markup, PlotError> {
         let curves = self.curves(figure);
         let limit = self.definition.study.limit_mm_mrad;
-        let near = (figure.measure != Measure::Position).then_some(NEAR * limit);
-        let mut panels = vec![svg(panel(figure, &curves, None)?)];
-        if let Some(near) = near {
-            panels.push(svg(panel(figure, &curves, Some((near, limit)))?));
+        let mut estimators: Vec<(&str, &str)> = Vec::new();
+        for curve in &curves {
+            if !estimators.iter().any(|(name, _)| *name == curve.estimator) {
+                estimators.push((&curve.estimator, &curve.label));
+            }
+        }
+        let colour = |estimator: &str| {
+            let at = estimators.iter().position(|(name, _)| *name == estimator).unwrap_or_default();
+            COLOURS[at % COLOURS.len()]
+        };
+        let highest = curves
+            .iter()
+            .flat_map(|curve| medians(curve, figure.measure))
+            .fold(0.0, |most, (_, y)| y.max(most));
+        let mut panels = Vec::new();
+        for series in &figure.series {
+            let own = curves.iter().filter(|curve| curve.series == series.name);
+            let lines = own.map(|curve| {
+                Series::new("", colour(&curve.estimator), Mark::Line, medians(curve, figure.measure))
+            });
+            // All series of a figure have one scale.
+            let most = series.x.first().map(|x| Series::new("", GREY, Mark::Line, vec![(*x, highest)]));
+            let title =
+                if series.name.is_empty() { format!("Figure {}", figure.id) } else { series.name.clone() };
+            panels.push(svg(panel(figure, title, lines.chain(most).collect())?));
+        }
+        // A second picture where one curve hides what all others do near the limit.
+        let near = NEAR * limit;
+        let zoomed = figure.series.len() == 1 && figure.measure != Measure::Position && highest > near;
+        if zoomed {
+            let lines = curves.iter().map(|curve| {
+                let points = clipped(&medians(curve, figure.measure), near);
+                Series::new("", colour(&curve.estimator), Mark::Line, points)
+            });
+            let all = sizes(&curves);
+            let ends = all.first().zip(all.last()).map(|(first, last)| vec![(*first, limit), (*last, limit)]);
+            let line = ends.map(|ends| Series::new("limit", GREY, Mark::Segments, ends));
+            panels.push(svg(panel(figure, "Near the limit".into(), lines.chain(line).collect())?));
         }
         Ok(html! {
             figure {
-                div.panels { @for panel in panels { (panel) } }
+                div class=(if panels.len() == 3 { "panels three" } else { "panels" }) {
+                    @for panel in panels { (panel) }
+                }
+                p.key { @for (name, label) in &estimators {
+                    @let RGBColor(r, g, b) = colour(name);
+                    span style=(format!("color: rgb({r},{g},{b})")) { "\u{25cf} " } (label) " \u{a0} "
+                } }
                 figcaption {
                     (figure.measure.label()) " over " (figure.x) ": median of all experiments."
-                    @if near.is_some() { " Right: the same up to " (short(NEAR * limit)) ", with the limit of " (short(limit)) "." }
+                    @if zoomed { " Right: the same up to " (short(near)) ", with the limit of " (short(limit)) "." }
                 }
             }
             div.wide { table {
                 thead { tr {
                     th.text { (figure.x) }
-                    @for x in sizes(&curves) { th { (short(x)) } }
-                    th { "reaches " (short(limit)) " at" }
+                    @for x in sizes(&curves) { th { (x) } }
+                    @if figure.measure == Measure::Euclidean { th { "reaches " (short(limit)) " at" } }
                 } }
                 tbody { @for curve in &curves { tr {
                     td.text { (name(curve)) }
                     @for x in sizes(&curves) { (cell(curve, x, figure.measure)) }
-                    td { (reached(curve.limit_at)) }
+                    @if figure.measure == Measure::Euclidean { td { (reached(curve.limit_at)) } }
                 } } }
             } }
         })
@@ -199,31 +240,16 @@ fn reached(at: Reach) -> String {
     }
 }
 
-fn panel(figure: &Figure, curves: &[&Curve], near: Option<(f64, f64)>) -> Result<String, PlotError> {
-    let mut series = Vec::new();
-    for (number, curve) in curves.iter().enumerate() {
-        let mut points: Vec<(f64, f64)> = curve
-            .points
-            .iter()
-            .filter_map(|point| Some((point.x, point.errors.get(&figure.measure)?.median)))
-            .collect();
-        points.sort_by(|a, b| a.0.total_cmp(&b.0));
-        if let Some((most, _)) = near {
-            points = clipped(&points, most);
-        }
-        let colour = COLOURS[number % COLOURS.len()];
-        let label = if near.is_some() { String::new() } else { name(curve) };
-        series.push(Series::new(label, colour, Mark::Line, points));
-    }
-    if let Some((_, limit)) = near {
-        let all = sizes(curves);
-        let ends = all.first().zip(all.last());
-        let points = ends.map_or_else(Vec::new, |(first, last)| vec![(*first, limit), (*last, limit)]);
-        series.push(Series::new("limit", GREY, Mark::Segments, points));
-    }
-    let title = if near.is_some() { "Near the limit".to_owned() } else { format!("Figure {}", figure.id) };
-    let x = figure.x.clone();
-    Panel { title, x: &x, y: figure.measure.label().into(), size: PANEL, series, from_zero: true }.draw()
+fn medians(curve: &Curve, measure: Measure) -> Vec<(f64, f64)> {
+    let median = |point: &CurvePoint| Some((point.x, point.errors.get(&measure)?.median));
+    let mut points: Vec<(f64, f64)> = curve.points.iter().filter_map(median).collect();
+    points.sort_by(|a, b| a.0.total_cmp(&b.0));
+    points
+}
+
+fn panel(figure: &Figure, title: String, series: Vec<Series>) -> Result<String, PlotError> {
+    let y = figure.measure.label().into();
+    Panel { title, x: &figure.x, y, size: PANEL, series, from_zero: true }.draw()
 }
 
 /// The curve up to where it leaves the picture.
