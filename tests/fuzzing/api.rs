@@ -29,6 +29,7 @@ static SERVED: LazyLock<Served> = LazyLock::new(|| {
         daemon: crate::daemon(Path::new(&directory)),
         bar: crate::ball_bar(),
         marks: MarksFile::new(directory.clone(), None),
+        live_tap: None,
     };
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
     Served { router: api::router(Service::start(settings).expect("a service")), runtime }

@@ -15,6 +15,7 @@ use super::bus_choice;
 use super::configuration::{Configuration, State};
 use super::signals::Signals;
 use crate::control::api::{self, Remote, RemoteSettings};
+use crate::control::live_tap::LiveTap;
 use crate::control::service::{Service, ServiceError, Settings};
 use crate::control::status::Status;
 use crate::run::BusChoice;
@@ -50,6 +51,13 @@ pub struct RunArguments {
     /// Let a reverse proxy of this machine in that speaks TLS and is reached under this name; clients show the token
     #[arg(long, value_name = "HOST[:PORT]")]
     behind_proxy: Option<String>,
+    /// Let Foxglove show a run while it goes on, at ws://127.0.0.1:PORT/foxglove (wss:// with --listen)
+    #[arg(long)]
+    foxglove: bool,
+    /// From where else than this machine's programs and pages that may be asked for: the origin that a browser or program
+    /// sends, such as https://app.foxglove.dev; may be repeated
+    #[arg(long, value_name = "ORIGIN", requires = "foxglove")]
+    foxglove_origin: Vec<String>,
     #[command(flatten)]
     state: State,
     #[command(flatten)]
@@ -76,7 +84,8 @@ pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
             arguments.bus
         );
     }
-    let settings = Settings { bus, faults, daemon, bar, marks };
+    let live_tap = arguments.foxglove.then(|| LiveTap::new(arguments.foxglove_origin.clone()));
+    let settings = Settings { bus, faults, daemon, bar, marks, live_tap };
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
         .build()

@@ -9,6 +9,7 @@ use tokio::sync::{oneshot, watch};
 
 use super::bus_link::BusLink;
 use super::homing::Homing;
+use super::live_tap::LiveTap;
 use super::machine::{Action, Answer, Event, Machine, State};
 use super::preflight::{self, Found};
 use super::service::{Connect, Settings};
@@ -245,7 +246,8 @@ impl Controller {
     fn open(&mut self) -> Result<(), String> {
         let session = self.bus.session().ok_or_else(|| NO_BUS.to_owned());
         let begun = session.and_then(|session| {
-            session.begin(&self.wanted, &Stop::default()).map_err(|error| error.to_string())
+            let tap = self.settings.live_tap.as_ref().map(LiveTap::writer_end);
+            session.begin(&self.wanted, &Stop::default(), tap).map_err(|error| error.to_string())
         });
         match begun {
             Ok(run) => {

@@ -649,6 +649,7 @@ mod tests {
                 daemon: DaemonConfig::default(),
                 bar,
                 marks: MarksFile::new("state".into(), None),
+                live_tap: None,
             };
             change(&mut settings);
             Self { observer: Observer::new(&settings), now: MonoNs(NS_PER_S), origin: 0, latch: START as u32 }

@@ -11,6 +11,7 @@ mod bus_link;
 mod controller;
 pub mod homing;
 pub mod live;
+pub mod live_tap;
 pub mod machine;
 pub(crate) mod note;
 pub mod preflight;

@@ -15,6 +15,7 @@ use tokio::sync::{Semaphore, oneshot, watch};
 
 use super::controller::{Command, Controller};
 use super::live::{self, Minute, Moment, Watched};
+use super::live_tap::LiveTap;
 use super::machine::Answer;
 use super::preflight::Found;
 use super::status::{CheckLine, Refusal, StartRequest, Status};
@@ -36,6 +37,8 @@ pub struct Settings {
     pub bar: BallBarConfig,
     /// `homing.toml`, which need not be there.
     pub marks: MarksFile,
+    /// Who else is given a run while it goes on; nobody without.
+    pub live_tap: Option<LiveTap>,
 }
 
 /// Brings the bus into operation; tried again and again until it is.
@@ -470,6 +473,7 @@ pub(crate) mod tests {
             daemon: DaemonConfig { directory: home, spare_directory, ..daemon },
             bar: config::load(&shipped.join("ball_bar.toml")).unwrap(),
             marks: MarksFile::new(directory.to_owned(), None),
+            live_tap: None,
         }
     }
 

@@ -286,7 +286,7 @@ fn record_from(
     wait(storage, stop, || claim.is_finished(), || false)?;
     let _claim = session::join(claim)??;
     // What ends the run by itself leaves the disk its time.
-    let run = session.begin(details, &Stop::default())?;
+    let run = session.begin(details, &Stop::default(), None)?;
     // Asked each time: it passes on what ends the run as well.
     let is_open = || {
         if stop.is_stopped() {

@@ -7,7 +7,9 @@ use std::time::Duration;
 
 use shared::config::{BallBarConfig, DaemonConfig};
 use shared::recording::schema::{DeviceInfo, EncoderInfo, RunMetadata};
-use shared::recording::{Disk, RecordingWriter, Recovery, RunFile, Salvaged, WriteError, recover_file_on};
+use shared::recording::{
+    Disk, RecordingWriter, Recovery, RunFile, Salvaged, Tap, WriteError, recover_file_on,
+};
 use shared::time::{MonoNs, UtcNs};
 
 use super::cycle_thread::{self, Job, Ready, RunJob};
@@ -103,8 +105,8 @@ impl Session {
 
     /// Begins a run without waiting for the disk. Its recorder recovers what earlier crashes left, then makes the run's
     /// file, while the cycles wait in the ring; [`Progress::is_open`] once it is there. One run at a time: the one before
-    /// must be joined.
-    pub fn begin(&self, details: &RunDetails, stop: &Stop) -> Result<ActiveRun, RunError> {
+    /// must be joined. `tap` is given what is recorded.
+    pub fn begin(&self, details: &RunDetails, stop: &Stop, tap: Option<Tap>) -> Result<ActiveRun, RunError> {
         if let Some(problem) = self.storage.problem() {
             return Err(RunError::Disk(problem));
         }
@@ -127,7 +129,8 @@ impl Session {
         let (clock, sync_period, cause) = (self.clock.clone(), self.daemon.sync_period(), stop.clone());
         let utc_minus_monotonic_ns = metadata.utc_minus_monotonic_ns;
         let record = move || {
-            let writer = create(&link, &metadata)?;
+            let mut writer = create(&link, &metadata)?;
+            tap.into_iter().for_each(|tap| writer.set_tap(tap));
             let (progress, disk) = (Arc::clone(&link.progress), link.storage.disk());
             let recorder = Recorder::new(ring, writer, clock, sync_period, &metadata, link);
             recorder.run(|| cause.cause()).map_err(|source| broken(source, &progress, &*disk, cause.cause()))

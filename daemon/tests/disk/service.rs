@@ -63,6 +63,7 @@ impl Day {
             daemon,
             bar,
             marks: MarksFile::new(home.clone(), None),
+            live_tap: None,
         };
         let wall = Arc::new(Wall::new(&home, fault));
         let service = Service::start_on(wall.clone(), settings).unwrap();

@@ -5,6 +5,7 @@ mod clients;
 mod disk;
 mod elsewhere;
 mod ends;
+mod foxglove;
 mod homing;
 mod mounts;
 mod outputs;

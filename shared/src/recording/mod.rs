@@ -28,11 +28,11 @@ pub use leftover::{
     recover_leftovers_on,
 };
 pub use lengths::{parse_record, up_to_broken_chunk};
-pub use messages::MessageError;
+pub use messages::{MessageError, TOPICS, Topic};
 pub use overview::RunOverview;
 pub use reader::{ReadError, ReadErrorKind, Recording};
 pub use recover::{SalvageError, Salvaged, salvage, verify};
 pub use resync::Damage;
 pub use run_file::{ACTIVE_ENDING, FINISHED_ENDING, RunFile, RunPlace, RunSync, TORN_ENDING};
 pub use timing::{Bin, DiskTiming, Durations, TimingSummary};
-pub use writer::{RecordingWriter, WriteError};
+pub use writer::{RecordingWriter, Tap, WriteError};

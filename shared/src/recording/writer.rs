@@ -59,6 +59,16 @@ pub enum WriteError {
     Metadata(#[from] serde_json::Error),
 }
 
+/// Given each message as it is written: topic, log time \[ns since 1970\], CDR bytes. The recording waits for it.
+pub type Tap = Box<dyn FnMut(&'static Topic, u64, &[u8]) + Send>;
+
+/// A topic in this file.
+#[derive(Clone, Copy)]
+struct Channel {
+    id: u16,
+    topic: &'static Topic,
+}
+
 /// What is built and not yet written out.
 #[derive(Clone, Default)]
 struct Spool(Arc<Mutex<Vec<u8>>>);
@@ -88,11 +98,11 @@ pub struct RecordingWriter<W: Write> {
     writer: Writer<NoSeek<Spool>>,
     spool: Spool,
     sink: W,
-    cycle_channel: u16,
-    event_channel: u16,
-    joint_state_channel: u16,
-    log_channel: u16,
-    diagnostics_channel: u16,
+    cycle_channel: Channel,
+    event_channel: Channel,
+    joint_state_channel: Channel,
+    log_channel: Channel,
+    diagnostics_channel: Channel,
     shown: Shown,
     cycles: u64,
     cycles_valid: u64,
@@ -101,6 +111,7 @@ pub struct RecordingWriter<W: Write> {
     time_last: UtcNs,
     /// The run's metadata until they stand in the file a second time.
     run_again: Option<Metadata>,
+    tap: Option<Tap>,
 }
 
 impl RecordingWriter<RunFile> {
@@ -158,6 +169,7 @@ impl<W: Write> RecordingWriter<W> {
             events: 0,
             time_last: run.started,
             run_again: Some(run_metadata),
+            tap: None,
         };
         // Schemas and channels sit in the first chunk: without it nothing after it can be decoded.
         recording.sync()?;
@@ -178,6 +190,11 @@ impl<W: Write> RecordingWriter<W> {
         self.cycles_valid += u64::from(record.is_valid());
         self.cycles_lost += u64::from(record.flags & super::schema::flags::LOST != 0);
         self.write_out()
+    }
+
+    /// Gives each message to somebody else as well, from now on.
+    pub fn set_tap(&mut self, tap: Tap) {
+        self.tap = Some(tap);
     }
 
     /// Says what a port has counted, for the diagnostics from the next cycle on.
@@ -293,7 +310,7 @@ impl<W: Write> RecordingWriter<W> {
 
     fn add_message(
         &mut self,
-        channel_id: u16,
+        channel: Channel,
         sequence: u32,
         time: UtcNs,
         data: &[u8],
@@ -301,7 +318,10 @@ impl<W: Write> RecordingWriter<W> {
         // Readers sort by log time: it never runs backwards, whatever an estimate does.
         self.time_last = self.time_last.max(time);
         let log_time = self.time_last.0.max(0) as u64;
-        let header = MessageHeader { channel_id, sequence, log_time, publish_time: log_time };
+        if let Some(tap) = &mut self.tap {
+            tap(channel.topic, log_time, data);
+        }
+        let header = MessageHeader { channel_id: channel.id, sequence, log_time, publish_time: log_time };
         Ok(self.writer.write_to_known_channel(&header, data)?)
     }
 }
@@ -324,7 +344,7 @@ fn attach_configuration(writer: &mut Writer<NoSeek<Spool>>, run: &RunMetadata) -
 }
 
 /// Adds schema and channel of a topic, with the QoS profile that `ros2 bag play` asks for.
-fn add_topic(writer: &mut Writer<NoSeek<Spool>>, topic: &Topic) -> Result<u16, WriteError> {
+fn add_topic(writer: &mut Writer<NoSeek<Spool>>, topic: &'static Topic) -> Result<Channel, WriteError> {
     const QOS: &str = "- history: 1\n  depth: 10\n  reliability: 1\n  durability: 2\n  deadline:\n    sec: 9223372036\n    \
         nsec: 854775807\n  lifespan:\n    sec: 9223372036\n    nsec: 854775807\n  liveliness: 1\n  \
         liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n  avoid_ros_namespace_conventions: false";
@@ -333,5 +353,5 @@ fn add_topic(writer: &mut Writer<NoSeek<Spool>>, topic: &Topic) -> Result<u16, W
         ("offered_qos_profiles".to_owned(), QOS.to_owned()),
         ("topic_type_hash".to_owned(), String::new()),
     ]);
-    Ok(writer.add_channel(schema, topic.topic, "cdr", &metadata)?)
+    Ok(Channel { id: writer.add_channel(schema, topic.topic, "cdr", &metadata)?, topic })
 }

@@ -10,7 +10,7 @@ use std::time::Duration;
 
 use axum::body::{Body, to_bytes};
 use axum::extract::Request;
-use axum::http::StatusCode;
+use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::Response;
 use axum::{Extension, Router};
 use hyper::body::Incoming;
@@ -39,6 +39,7 @@ const REQUEST_TIMEOUT: Duration = Duration::from_secs(5);
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(40);
 /// A client that takes nothing of its answer for as long has none \[ms\].
 const TAKES_NOTHING_MS: u32 = 10_000;
+const CLOSE: HeaderValue = HeaderValue::from_static("close");
 /// How long the end of the service waits for clients that are being answered.
 const FAREWELL: Duration = Duration::from_secs(1);
 
@@ -103,13 +104,17 @@ impl Connections {
     }
 }
 
-async fn converse(stream: impl AsyncRead + AsyncWrite + Unpin, routes: Router, asked: Arc<AtomicBool>) {
+async fn converse(
+    stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
+    routes: Router,
+    asked: Arc<AtomicBool>,
+) {
     let service = service_fn(move |request| answer(request, routes.clone(), Arc::clone(&asked)));
     let connection = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(REQUEST_TIMEOUT)
-        .keep_alive(false)
-        .serve_connection(TokioIo::new(stream), service);
+        .serve_connection(TokioIo::new(stream), service)
+        .with_upgrades();
     // Whatever a client does wrong is its own loss.
     let _ = connection.await;
 }
@@ -120,17 +125,20 @@ async fn answer(
     has_asked: Arc<AtomicBool>,
 ) -> Result<Response, std::convert::Infallible> {
     let (head, body) = request.into_parts();
-    match timeout(REQUEST_TIMEOUT, to_bytes(Body::new(body), BODY_BYTES_MAX)).await {
-        Err(_) => Ok(refusal(StatusCode::REQUEST_TIMEOUT, "the request did not come within 5 seconds")),
-        Ok(Err(_)) => {
-            Ok(refusal(StatusCode::PAYLOAD_TOO_LARGE, "the request is longer than 64 kB, or was cut"))
-        }
+    let mut response = match timeout(REQUEST_TIMEOUT, to_bytes(Body::new(body), BODY_BYTES_MAX)).await {
+        Err(_) => refusal(StatusCode::REQUEST_TIMEOUT, "the request did not come within 5 seconds"),
+        Ok(Err(_)) => refusal(StatusCode::PAYLOAD_TOO_LARGE, "the request is longer than 64 kB, or was cut"),
         Ok(Ok(body)) => {
             has_asked.store(true, Ordering::Relaxed);
             let answer = routes.oneshot(Request::from_parts(head, Body::from(body)));
             timeout(ANSWER_TIMEOUT, answer).await.unwrap_or_else(|_| {
                 Ok(refusal(StatusCode::GATEWAY_TIMEOUT, "no answer within 40 seconds; ask for the status"))
-            })
+            })?
         }
+    };
+    // One that goes on as a WebSocket is not closed; hyper would say so of each if it were asked to close them.
+    if response.status() != StatusCode::SWITCHING_PROTOCOLS {
+        response.headers_mut().insert(header::CONNECTION, CLOSE);
     }
+    Ok(response)
 }

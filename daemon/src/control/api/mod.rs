@@ -7,6 +7,7 @@
 
 mod connections;
 mod downloads;
+mod foxglove;
 mod metrics;
 mod openapi;
 mod remote;
@@ -106,6 +107,7 @@ struct Shared {
     service: Service,
     downloads: Downloads,
     viewers: Arc<Semaphore>,
+    foxgloves: Arc<Semaphore>,
     /// How other machines reach the service.
     remote: Option<String>,
 }
@@ -191,7 +193,10 @@ pub fn router(service: Service) -> Router {
 
 fn routes(service: Service, gate: Option<Gate>, remote: Option<String>) -> Router {
     let viewers = Arc::new(Semaphore::new(VIEWERS_MAX));
-    let shared = Shared { service, downloads: Downloads::default(), viewers, remote };
+    let foxgloves = Arc::new(Semaphore::new(foxglove::CLIENTS_MAX));
+    let origins = service.settings().live_tap.as_ref().map_or_else(Vec::new, |tap| tap.origins().to_vec());
+    let admission = Arc::new(Admission { gate, origins });
+    let shared = Shared { service, downloads: Downloads::default(), viewers, foxgloves, remote };
     let operations = operations();
     let (described, handlers): (Vec<_>, Vec<_>) = operations.into_iter().unzip();
     let document = openapi::document(&described);
@@ -203,6 +208,7 @@ fn routes(service: Service, gate: Option<Gate>, remote: Option<String>) -> Route
     Router::new()
         .nest("/api", api)
         .route("/metrics", get(prometheus))
+        .route(foxglove::PATH, get(foxglove::connect))
         .merge(page::routes())
         .fallback(|| async {
             refusal(
@@ -210,7 +216,7 @@ fn routes(service: Service, gate: Option<Gate>, remote: Option<String>) -> Route
                 "no such path; the page is at /, what programs may ask for below /api/",
             )
         })
-        .layer(middleware::from_fn_with_state(Arc::new(gate), admitted))
+        .layer(middleware::from_fn_with_state(admission, admitted))
         .layer(middleware::from_fn(logged))
         .with_state(shared)
 }
@@ -535,13 +541,27 @@ async fn logged(request: Request, next: Next) -> Response {
     response
 }
 
+/// Who is let in.
+struct Admission {
+    /// From elsewhere; none where nobody is.
+    gate: Option<Gate>,
+    /// Of those who listen to a run, beside this machine's.
+    origins: Vec<String>,
+}
+
 /// Turns away what a foreign web page could send, and who comes from elsewhere without the token.
-async fn admitted(State(gate): State<Arc<Option<Gate>>>, request: Request, next: Next) -> Response {
-    if request.extensions().get::<OverTls>().is_none() && is_local(request.headers()) {
+async fn admitted(State(admission): State<Arc<Admission>>, request: Request, next: Next) -> Response {
+    let Admission { gate, origins } = &*admission;
+    let origins = if request.uri().path() == foxglove::PATH { origins.as_slice() } else { &[] };
+    if request.extensions().get::<OverTls>().is_none() && is_local(request.headers(), origins) {
         return next.run(request).await;
     }
-    let turned_away = match &*gate {
+    let turned_away = match gate {
         Some(gate) => gate.turns_away(&request),
+        None if request.uri().path() == foxglove::PATH => Some(refusal(
+            StatusCode::FORBIDDEN,
+            "only programs and pages of this machine may listen; --foxglove-origin names the origin of another",
+        )),
         None => Some(refusal(StatusCode::FORBIDDEN, "only programs of this machine may use this")),
     };
     match turned_away {
@@ -550,7 +570,8 @@ async fn admitted(State(gate): State<Arc<Option<Gate>>>, request: Request, next:
     }
 }
 
-fn is_local(headers: &HeaderMap) -> bool {
+/// Comes from this machine, or from one of these origins, to a loopback host.
+fn is_local(headers: &HeaderMap, origins: &[String]) -> bool {
     let loopback = |authority: &str| {
         let host = authority.rsplit_once(':').map_or(authority, |(host, _)| host);
         ["127.0.0.1", "localhost", "[::1]"].contains(&host)
@@ -561,7 +582,10 @@ fn is_local(headers: &HeaderMap) -> bool {
     };
     headers.contains_key(header::HOST)
         && all(header::HOST, &loopback)
-        && all(header::ORIGIN, &|origin| origin.strip_prefix("http://").is_some_and(loopback))
+        && all(header::ORIGIN, &|origin| {
+            origin.strip_prefix("http://").is_some_and(loopback)
+                || origins.iter().any(|other| other == origin)
+        })
 }
 
 fn reply(answer: &str, run: Option<String>, last: Option<LastRun>) -> Response {

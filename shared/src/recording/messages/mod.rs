@@ -12,39 +12,46 @@ use crate::time::{DcNs, MonoNs, NS_PER_S, UtcNs};
 /// Encapsulation header of plain little-endian CDR.
 const CDR_LITTLE_ENDIAN: [u8; 4] = [0x00, 0x01, 0x00, 0x00];
 
-/// A topic of the recording.
-pub(super) struct Topic {
+/// A topic of the recording; its messages are CDR.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Topic {
+    /// Its name.
     pub topic: &'static str,
+    /// Name of the messages' type, as ROS 2 has it.
     pub schema_name: &'static str,
+    /// The type and those it is made of, as ros2msg.
     pub schema_text: &'static str,
 }
 
-pub(super) const CYCLE: Topic = Topic {
+/// All of them.
+pub static TOPICS: [&Topic; 5] = [&CYCLE, &EVENT, &JOINT_STATE, &LOG, &DIAGNOSTICS];
+
+pub(super) static CYCLE: Topic = Topic {
     topic: "/ballbard/cycle",
     schema_name: "ballbard_msgs/msg/BusCycle",
     schema_text: include_str!("bus_cycle.ros2msg"),
 };
 
-pub(super) const EVENT: Topic = Topic {
+pub(super) static EVENT: Topic = Topic {
     topic: "/ballbard/event",
     schema_name: "ballbard_msgs/msg/Event",
     schema_text: include_str!("event.ros2msg"),
 };
 
-pub(super) const JOINT_STATE: Topic = Topic {
+pub(super) static JOINT_STATE: Topic = Topic {
     topic: "/ballbard/joint_states",
     schema_name: "sensor_msgs/msg/JointState",
     schema_text: include_str!("joint_state.ros2msg"),
 };
 
-pub(super) const LOG: Topic = Topic {
+pub(super) static LOG: Topic = Topic {
     topic: "/ballbard/log",
     schema_name: "rcl_interfaces/msg/Log",
     schema_text: include_str!("log.ros2msg"),
 };
 
 /// Where every reader of such messages looks for them.
-pub(super) const DIAGNOSTICS: Topic = Topic {
+pub(super) static DIAGNOSTICS: Topic = Topic {
     topic: "/diagnostics",
     schema_name: "diagnostic_msgs/msg/DiagnosticArray",
     schema_text: include_str!("diagnostic_array.ros2msg"),

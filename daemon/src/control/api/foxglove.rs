@@ -1,0 +1,200 @@
+//! A run while it goes on, for Foxglove and what else speaks its WebSocket protocol: the messages of the recording, with its
+//! topics, schemas and times. Clients may subscribe, and change nothing.
+//!
+//! Protocol: github.com/foxglove/ws-protocol, docs/spec.md (`foxglove.websocket.v1`); `foxglove.sdk.v1` has the same messages.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use axum::extract::State;
+use axum::extract::ws::rejection::WebSocketUpgradeRejection;
+use axum::extract::ws::{self, WebSocket, WebSocketUpgrade};
+use axum::http::StatusCode;
+use axum::response::Response;
+use serde::Deserialize;
+use serde_json::{Value, json};
+use shared::recording::TOPICS;
+use tokio::sync::broadcast::error::RecvError;
+
+use super::{Shared, refusal};
+use crate::control::live_tap::{LiveTap, Message};
+use crate::control::service::Service;
+
+/// Where it is.
+pub(super) const PATH: &str = "/foxglove";
+/// Clients at a time.
+pub(super) const CLIENTS_MAX: usize = 8;
+const PROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
+/// Longest message of a client, which has little to say \[bytes\].
+const ASKED_BYTES_MAX: usize = 16 * 1024;
+/// Opcode of a message's data.
+const MESSAGE_DATA: u8 = 1;
+
+/// What clients may ask for.
+#[derive(Debug, Deserialize)]
+#[serde(tag = "op", rename_all = "camelCase", rename_all_fields = "camelCase")]
+enum Asked {
+    Subscribe {
+        subscriptions: Vec<Subscription>,
+    },
+    Unsubscribe {
+        subscription_ids: Vec<u32>,
+    },
+    #[serde(other)]
+    Other,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct Subscription {
+    id: u32,
+    channel_id: usize,
+}
+
+/// How grave a status is, in the protocol's numbers.
+#[derive(Clone, Copy)]
+enum Grave {
+    Warning = 1,
+    Error = 2,
+}
+
+pub(super) async fn connect(
+    State(Shared { service, foxgloves, .. }): State<Shared>,
+    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
+) -> Response {
+    let Some(tap) = service.settings().live_tap.clone() else {
+        return refusal(
+            StatusCode::NOT_FOUND,
+            "no run is shown here while it goes on; start the service with --foxglove",
+        );
+    };
+    let upgrade = match upgrade {
+        Ok(upgrade) => upgrade.protocols(PROTOCOLS).max_message_size(ASKED_BYTES_MAX),
+        Err(rejection) => return refusal(rejection.status(), &rejection.body_text()),
+    };
+    if upgrade.selected_protocol().is_none() {
+        let spoken = PROTOCOLS.join(" or ");
+        return refusal(StatusCode::BAD_REQUEST, &format!("no protocol in common; ask for {spoken}"));
+    }
+    let Ok(place) = foxgloves.try_acquire_owned() else {
+        let error = format!("{CLIENTS_MAX} clients listen already; close one of them");
+        return refusal(StatusCode::SERVICE_UNAVAILABLE, &error);
+    };
+    upgrade.on_upgrade(async move |socket| {
+        // A client that went away is its own loss.
+        let _ = show(socket, &tap, &service).await;
+        drop(place);
+    })
+}
+
+/// Until the client or the service goes. While the client takes nothing, messages are missed and then told as such.
+async fn show(mut socket: WebSocket, tap: &LiveTap, service: &Service) -> Result<(), axum::Error> {
+    let mut messages = tap.listen();
+    let mut client = Client::default();
+    for hello in [json!({"op": "serverInfo", "name": "ballbard", "capabilities": []}), advertised()] {
+        socket.send(text(&hello)).await?;
+    }
+    loop {
+        let answer = tokio::select! {
+            () = service.ended() => return socket.send(ws::Message::Close(None)).await,
+            asked = socket.recv() => match asked {
+                None => return Ok(()),
+                Some(Ok(ws::Message::Text(asked))) => client.obey(&asked),
+                Some(asked) => asked.map(|_| None)?,
+            },
+            message = messages.recv() => match message {
+                Ok(message) => client.data(&message),
+                Err(RecvError::Lagged(missed)) => Some(status(
+                    Grave::Warning,
+                    &format!("{missed} messages were not sent: they were taken too slowly; the recording has them"),
+                )),
+                Err(RecvError::Closed) => return Ok(()),
+            },
+        };
+        if let Some(answer) = answer {
+            socket.send(answer).await?;
+        }
+    }
+}
+
+/// What a client has subscribed to.
+#[derive(Debug, Default)]
+struct Client {
+    /// Its numbers, by channel.
+    subscriptions: BTreeMap<usize, u32>,
+}
+
+impl Client {
+    /// Does what it asks, and gives what it is told where that cannot be.
+    fn obey(&mut self, asked: &str) -> Option<ws::Message> {
+        match serde_json::from_str(asked) {
+            Ok(Asked::Subscribe { subscriptions }) => {
+                let refused =
+                    subscriptions.iter().filter(|one| !self.subscribe(one)).map(|one| one.id.to_string());
+                let refused: Vec<_> = refused.collect();
+                let problem = format!(
+                    "subscription {} is ignored: no such channel, or one that is subscribed to already",
+                    refused.join(", ")
+                );
+                (!refused.is_empty()).then(|| status(Grave::Error, &problem))
+            }
+            Ok(Asked::Unsubscribe { subscription_ids }) => {
+                self.subscriptions.retain(|_, id| !subscription_ids.contains(id));
+                None
+            }
+            Ok(Asked::Other) => {
+                Some(status(Grave::Error, "clients may subscribe and unsubscribe, nothing else"))
+            }
+            Err(error) => Some(status(Grave::Error, &format!("not understood: {error}"))),
+        }
+    }
+
+    fn subscribe(&mut self, &Subscription { id, channel_id }: &Subscription) -> bool {
+        let is_free = channel_id < TOPICS.len()
+            && !self.subscriptions.contains_key(&channel_id)
+            && !self.subscriptions.values().any(|taken| *taken == id);
+        if is_free {
+            self.subscriptions.insert(channel_id, id);
+        }
+        is_free
+    }
+
+    /// A message, if it has subscribed to its channel.
+    fn data(&self, message: &Arc<Message>) -> Option<ws::Message> {
+        let channel = TOPICS.iter().position(|topic| *topic == message.topic)?;
+        let id = self.subscriptions.get(&channel)?;
+        let mut bytes = Vec::with_capacity(13 + message.data.len());
+        bytes.push(MESSAGE_DATA);
+        bytes.extend(id.to_le_bytes());
+        bytes.extend(message.log_time_ns.to_le_bytes());
+        bytes.extend(&message.data);
+        Some(ws::Message::Binary(bytes.into()))
+    }
+}
+
+/// The topics of a recording; a channel's number is its place among them.
+fn advertised() -> Value {
+    let channels: Vec<_> = TOPICS
+        .iter()
+        .enumerate()
+        .map(|(id, topic)| {
+            json!({
+                "id": id,
+                "topic": topic.topic,
+                "encoding": "cdr",
+                "schemaName": topic.schema_name,
+                "schema": topic.schema_text,
+                "schemaEncoding": "ros2msg",
+            })
+        })
+        .collect();
+    json!({"op": "advertise", "channels": channels})
+}
+
+fn status(grave: Grave, message: &str) -> ws::Message {
+    text(&json!({"op": "status", "level": grave as u8, "message": message}))
+}
+
+fn text(value: &Value) -> ws::Message {
+    ws::Message::Text(value.to_string().into())
+}
