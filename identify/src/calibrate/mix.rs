@@ -11,7 +11,7 @@ use super::measured_pose::{self, RowErrors};
 use super::pipeline::{Plan, Solved, estimate, waves_per_turn};
 use super::split::HoldOut;
 use crate::instrument::{Instrument, LengthRow, PoseRow, Run, Standing, Tracker, Wire};
-use crate::kinematics::{Chain, flange_chain};
+use crate::kinematics::{Chain, Joints, flange_chain};
 use crate::model::{DriveTrain, Model, ModelError, ParameterId, Role};
 use crate::solver::{LossName, Watch};
 
@@ -43,6 +43,13 @@ pub struct Rows<'a, R> {
 impl<'a, R> From<&'a [R]> for Rows<'a, R> {
     fn from(rows: &'a [R]) -> Self {
         Self { rows, hold_out: None, seed: None }
+    }
+}
+
+impl<R: Copy> Rows<'_, R> {
+    fn standing(&self, joints: impl Fn(&R) -> Joints, robot: &Chain, usual: HoldOut) -> Standing<R> {
+        let (hold_out, seed) = (self.hold_out.unwrap_or(usual), self.seed.unwrap_or(SEED));
+        Standing::of_file(self.rows, joints, robot, hold_out, seed)
     }
 }
 
@@ -91,18 +98,17 @@ fn laid_out<'w>(
         }
     }
     let bars = runs.len();
-    runs.extend(data.trackers.iter().map(|Rows { rows, hold_out, seed }| {
-        let (hold_out, seed) = (hold_out.unwrap_or(HoldOut::Regions), seed.unwrap_or(SEED));
-        let at = Standing::of_file(rows, |row| row.joints_rad, &flange, hold_out, seed);
-        let instrument = Instrument::Tracker(Tracker::new(at));
-        Run { instrument, model: Model::measured_pose(&flange).with_drives(DriveTrain::of(robot, &flange)) }
-    }));
-    runs.extend(data.wires.iter().map(|Rows { rows, hold_out, seed }| {
-        let (hold_out, seed) = (hold_out.unwrap_or(HoldOut::Blocks), seed.unwrap_or(SEED));
-        let at = Standing::of_file(rows, |row| row.joints_rad, &flange, hold_out, seed);
-        let instrument = Instrument::Wire(Wire::new(at));
-        Run { instrument, model: Model::measured_length(&flange).with_drives(DriveTrain::of(robot, &flange)) }
-    }));
+    let mut add = |instrument, model: Model| {
+        runs.push(Run { instrument, model: model.with_drives(DriveTrain::of(robot, &flange)) });
+    };
+    for rows in &data.trackers {
+        let at = rows.standing(|row| row.joints_rad, &flange, HoldOut::Regions);
+        add(Instrument::Tracker(Tracker::new(at)), Model::measured_pose(&flange));
+    }
+    for rows in &data.wires {
+        let at = rows.standing(|row| row.joints_rad, &flange, HoldOut::Blocks);
+        add(Instrument::Wire(Wire::new(at)), Model::measured_length(&flange));
+    }
     for (number, Run { instrument, model }) in runs.iter_mut().enumerate() {
         if !instrument.place(model, &fix)? {
             return Err(CalibrateError::NoPlace { data_set: number + 1 });

@@ -13,7 +13,7 @@ use super::terms::{Candidate, Kind, Offer, TermGroup, prior_scale, select};
 use crate::cost::{CostError, DataSets, SharedColumns};
 use crate::instrument::{Measures, Run};
 use crate::kinematics::LinkParameter;
-use crate::model::{Model, ModelError, ParameterId, Phase, Role};
+use crate::model::{Model, ModelError, Owner, ParameterId, Phase, Role};
 use crate::prepare::PrepareOptions;
 use crate::solver::{
     Considered, Covariance, GoodShare, Loss, LossName, Normals, Options, Problem, Solution, Watch, influence,
@@ -162,17 +162,13 @@ fn is_own(id: ParameterId, differ: &[ParameterId]) -> bool {
     match id {
         ParameterId::Base(_) | ParameterId::BaseRotation(_) => true,
         ParameterId::Harmonic { .. } | ParameterId::Zero { .. } | ParameterId::BarWave { .. } => true,
-        ParameterId::ClockShift | ParameterId::ClockSkew => true,
         ParameterId::Bar { parameter: LinkParameter::Theta, .. } => true,
         // Another bar gives way by another amount.
         ParameterId::ROD | ParameterId::BarCompliance | ParameterId::BarPlay => {
             differ.contains(&ParameterId::ROD)
         }
         ParameterId::PLATE => differ.contains(&id),
-        ParameterId::Attachment(_) | ParameterId::Anchor(_) | ParameterId::LengthOffset => true,
-        ParameterId::Tracker(_) | ParameterId::TrackerRotation(_) => true,
-        ParameterId::Probe(_) | ParameterId::ProbeRotation(_) => true,
-        _ => false,
+        id => !matches!(id.owner(), Owner::Robot | Owner::BallBar),
     }
 }
 
@@ -464,11 +460,10 @@ impl Solver<'_> {
     /// Gives all models the waves of the axes that what is left shows.
     fn offer_ripple(&mut self, weights: &[f64]) -> Result<Vec<ParameterId>, CalibrateError> {
         let mut ripple = Ripple::default();
-        let mut rest = weights;
-        for (run, sigma) in self.runs.iter().zip(&self.sigmas) {
-            let (own, others) = rest.split_at(run.instrument.samples().min(rest.len()));
-            rest = others;
-            ripple.add(run, *sigma, own)?;
+        let columns = self.columns();
+        let starts = problem(self.runs, &columns, &self.sigmas)?.starts().to_vec();
+        for ((run, sigma), samples) in self.runs.iter().zip(&self.sigmas).zip(starts.windows(2)) {
+            ripple.add(run, *sigma, weights.get(samples[0]..samples[1]).unwrap_or_default())?;
         }
         let mut found = ripple.found();
         let is_asked_for = |id: &ParameterId| {

@@ -2,9 +2,9 @@
 
 use nalgebra::Vector3;
 
-use super::scene::{of_bar, of_tracker, unit};
+use super::scene::unit;
 use super::{Movement, Residual, Scene};
-use crate::model::ParameterId;
+use crate::model::{Owner, ParameterId};
 
 /// `|R attachment - anchor| + offset - measured` \[m\].
 #[derive(Debug, Clone, Copy, Default)]
@@ -26,7 +26,7 @@ impl Residual for MeasuredLength {
     const NEEDS_LENGTH: bool = true;
 
     fn sees(id: ParameterId) -> bool {
-        !of_bar(id) && !of_tracker(id)
+        id.is_seen_by(Owner::Wire)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Vector3<f64>> {

@@ -4,10 +4,9 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::measured_position::Sighting;
 use super::pose::inverse_left_jacobian;
-use super::scene::{of_bar, of_wire};
 use super::{Residual, Scene};
 use crate::kinematics::{Pose, rotation_vector};
-use crate::model::ParameterId;
+use crate::model::{Owner, ParameterId};
 
 /// What a measured pose is worth, one standard deviation of each coordinate.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -47,7 +46,7 @@ impl Residual for MeasuredPose<'_> {
     const ENCODERS: &'static [usize] = &[];
 
     fn sees(id: ParameterId) -> bool {
-        !of_bar(id) && !of_wire(id)
+        id.is_seen_by(Owner::Tracker)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<TurnedSighting> {

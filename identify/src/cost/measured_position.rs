@@ -2,10 +2,10 @@
 
 use nalgebra::Vector3;
 
-use super::scene::{of_bar, of_wire, unit};
+use super::scene::unit;
 use super::{Movement, Residual, Scene};
 use crate::kinematics::{Pose, Twist};
-use crate::model::ParameterId;
+use crate::model::{Owner, ParameterId};
 
 /// `R probe - T measured` \[m\], entries in the robot's base: `R` is the robot's pose, `T` the tracker's place. Divide by
 /// the standard deviation of a coordinate.
@@ -74,7 +74,7 @@ impl Residual for MeasuredPosition<'_> {
     const ENCODERS: &'static [usize] = &[];
 
     fn sees(id: ParameterId) -> bool {
-        !of_bar(id) && !of_wire(id) && !matches!(id, ParameterId::ProbeRotation(_))
+        id.is_seen_by(Owner::Tracker) && !matches!(id, ParameterId::ProbeRotation(_))
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Sighting> {

@@ -3,10 +3,10 @@
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use super::problem::{LoopPoint, readings};
-use super::scene::{ALL_BUT_TORSION, ALL_ENCODERS, TORSION, of_other_instrument, sees_encoder};
+use super::scene::{ALL_BUT_TORSION, ALL_ENCODERS, TORSION, sees_encoder};
 use super::{Movement, Residual, Scene};
 use crate::kinematics::{AXES_MAX, BAR_JOINTS, LinkParameter, ROD_LINK, Trace, Twist, rotation_vector};
-use crate::model::{Geometry, Observation, ParameterId, RobotMotion};
+use crate::model::{Geometry, Observation, Owner, ParameterId, RobotMotion};
 
 /// White noise of the angles, one standard deviation.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -153,7 +153,7 @@ impl<const ENCODER_3: bool> Residual for PoseByNoise<ENCODER_3> {
 
     fn sees(id: ParameterId) -> bool {
         let of_torsion = id == ParameterId::Bar { link: TORSION, parameter: LinkParameter::Theta };
-        !of_other_instrument(id) && sees_encoder(id, Self::ENCODERS) && (ENCODER_3 || !of_torsion)
+        id.is_seen_by(Owner::BallBar) && sees_encoder(id, Self::ENCODERS) && (ENCODER_3 || !of_torsion)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Whitened> {

@@ -2,10 +2,10 @@
 
 use nalgebra::Vector3;
 
-use super::scene::{of_other_instrument, sees_encoder};
+use super::scene::sees_encoder;
 use super::{Movement, Residual, Scene};
 use crate::kinematics::LinkParameter;
-use crate::model::ParameterId;
+use crate::model::{Owner, ParameterId};
 
 /// `R_p - B_p` \[m\] (thesis eq. 2.2).
 ///
@@ -46,7 +46,7 @@ impl Residual for Position {
             ParameterId::Bar { link: 2..=4, parameter } => {
                 matches!(parameter, LinkParameter::A | LinkParameter::D)
             }
-            id => !of_other_instrument(id) && sees_encoder(id, Self::ENCODERS),
+            id => id.is_seen_by(Owner::BallBar) && sees_encoder(id, Self::ENCODERS),
         }
     }
 

@@ -3,10 +3,10 @@
 use nalgebra::Vector5;
 
 use super::position::{derivative, difference};
-use super::scene::{ALL_BUT_TORSION, TORSION, of_other_instrument, sees_encoder};
+use super::scene::{ALL_BUT_TORSION, TORSION, sees_encoder};
 use super::{Movement, Residual, Scene};
 use crate::kinematics::{BAR_JOINTS, ImpliedBar, LinkParameter};
-use crate::model::{Observation, ParameterId};
+use crate::model::{Observation, Owner, ParameterId};
 
 /// `R_p - B_p` \[m\], `sin(b4^ - b4)` and `sin(b5^ - b5)` (thesis eq. 2.3); `b^` are the joints that the robot's pose
 /// implies, see [`ImpliedBar`]. Metres and sines weigh the same, as there.
@@ -31,7 +31,7 @@ impl Residual for PositionAngles {
     fn sees(id: ParameterId) -> bool {
         // Joint 3 is in neither: its zero moves the implied angle 3 alone.
         id != ParameterId::Bar { link: TORSION, parameter: LinkParameter::Theta }
-            && !of_other_instrument(id)
+            && id.is_seen_by(Owner::BallBar)
             && sees_encoder(id, Self::ENCODERS)
     }
 

@@ -78,9 +78,8 @@ impl Scene<'_> {
                 let t_s = self.observation.t_s;
                 Movement::Robot(self.robot_rate.scaled(t_s))
             }
-            ParameterId::Attachment(_) | ParameterId::Anchor(_) | ParameterId::LengthOffset => Movement::None,
-            ParameterId::Tracker(_) | ParameterId::TrackerRotation(_) => Movement::None,
-            ParameterId::Probe(_) | ParameterId::ProbeRotation(_) => Movement::None,
+            // Those of other instruments.
+            _ => Movement::None,
         }
     }
 
@@ -148,42 +147,6 @@ impl Scene<'_> {
 /// Unit vector along an axis.
 pub(super) fn unit(axis: Axis) -> Vector3<f64> {
     Vector3::ith(axis.index(), 1.0)
-}
-
-/// The parameter belongs to a draw-wire or telescoping bar.
-pub(super) fn of_wire(id: ParameterId) -> bool {
-    matches!(id, ParameterId::Attachment(_) | ParameterId::Anchor(_) | ParameterId::LengthOffset)
-}
-
-/// The parameter belongs to a tracker or its probe.
-pub(super) fn of_tracker(id: ParameterId) -> bool {
-    matches!(
-        id,
-        ParameterId::Tracker(_)
-            | ParameterId::TrackerRotation(_)
-            | ParameterId::Probe(_)
-            | ParameterId::ProbeRotation(_)
-    )
-}
-
-/// The parameter belongs to the ball-bar, its base or its encoders.
-pub(super) fn of_bar(id: ParameterId) -> bool {
-    matches!(
-        id,
-        ParameterId::Bar { .. }
-            | ParameterId::Base(_)
-            | ParameterId::BaseRotation(_)
-            | ParameterId::BarCompliance
-            | ParameterId::BarPlay
-            | ParameterId::BarWave { .. }
-            | ParameterId::Harmonic { .. }
-            | ParameterId::Zero { .. }
-    )
-}
-
-/// The parameter belongs to an instrument that no cost of the ball-bar sees.
-pub(super) fn of_other_instrument(id: ParameterId) -> bool {
-    of_wire(id) || of_tracker(id)
 }
 
 /// Harmonics and zeros of an encoder, and what follows its reading, are seen by costs that need the encoder; anything else

@@ -2,10 +2,10 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::scene::{ALL_ENCODERS, of_other_instrument, sees_encoder};
+use super::scene::{ALL_ENCODERS, sees_encoder};
 use super::{Movement, Residual, Scene};
 use crate::kinematics::Twist;
-use crate::model::ParameterId;
+use crate::model::{Owner, ParameterId};
 
 /// The twelve entries of `R - B` (thesis eq. 2.4), columns of the rotation, then the position \[m\]. Metres and matrix
 /// entries weigh the same, as there.
@@ -39,7 +39,7 @@ impl Residual for Transform {
     const ENCODERS: &'static [usize] = ALL_ENCODERS;
 
     fn sees(id: ParameterId) -> bool {
-        !of_other_instrument(id) && sees_encoder(id, Self::ENCODERS)
+        id.is_seen_by(Owner::BallBar) && sees_encoder(id, Self::ENCODERS)
     }
 
     fn local(&self, _: &Scene<'_>) -> Option<()> {

@@ -2,6 +2,7 @@
 //! knows no instrument, and no instrument knows how robots are estimated.
 
 mod ball_bar;
+mod screened;
 mod standing;
 mod tracker;
 mod wire;
@@ -10,11 +11,12 @@ use std::fmt;
 use std::ops::{Deref, DerefMut};
 
 pub use ball_bar::BallBar;
+pub use screened::{RejectedRow, Rejection};
+pub(crate) use screened::{faulty, median_size, without};
 pub use standing::{Standing, standing};
 pub(crate) use tracker::quantile;
 pub use tracker::{Apart, PoseRow, Tracker};
-pub use wire::{LengthRow, RejectedRow, Rejection, Wire};
-pub(crate) use wire::{faulty, median_size, without};
+pub use wire::{LengthRow, Wire};
 
 use crate::cost::{CostError, DataSet};
 use crate::model::{Clock, Geometry, JointState, Model, ModelError, ParameterId};

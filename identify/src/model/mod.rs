@@ -21,7 +21,7 @@ pub use joint_errors::{BACKLASH_SPEED_RAD_S, DriveTrain, JointErrors};
 pub use joint_term::{JointTerm, Load, Period};
 pub use joint_waves::{JointWaves, Phase};
 pub use observation::{BarForce, JointState, Observation, PerObservation, RobotMotion};
-pub use parameter::{Axis, ParameterId, Unit, link_parameter_name};
+pub use parameter::{Axis, Owner, ParameterId, Unit, link_parameter_name};
 pub use roles::{Model, ModelError, Parameter, Role};
 pub use selection::{Selection, THESIS_FIXED};
 pub use tracker::{Placement, Tracker};

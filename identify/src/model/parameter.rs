@@ -122,6 +122,21 @@ pub enum ParameterId {
     ProbeRotation(Axis),
 }
 
+/// What a parameter belongs to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Owner {
+    /// The robot: its links and the errors of its joints.
+    Robot,
+    /// The clocks of two logs.
+    Clocks,
+    /// The ball-bar, its base or its encoders.
+    BallBar,
+    /// A draw-wire or telescoping bar.
+    Wire,
+    /// A tracker or its probe.
+    Tracker,
+}
+
 /// What a parameter is measured in, and how people read it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Unit {
@@ -219,6 +234,26 @@ impl ParameterId {
             Self::BarCompliance | Self::BarPlay | Self::BarWave { .. } => Some(ROD_LINK),
             _ => None,
         }
+    }
+
+    /// What it belongs to.
+    pub const fn owner(self) -> Owner {
+        match self {
+            Self::Robot { .. } | Self::Joint { .. } | Self::JointWave { .. } => Owner::Robot,
+            Self::ClockShift | Self::ClockSkew => Owner::Clocks,
+            Self::Bar { .. } | Self::Base(_) | Self::BaseRotation(_) => Owner::BallBar,
+            Self::BarCompliance | Self::BarPlay | Self::BarWave { .. } => Owner::BallBar,
+            Self::Harmonic { .. } | Self::Zero { .. } => Owner::BallBar,
+            Self::Attachment(_) | Self::Anchor(_) | Self::LengthOffset => Owner::Wire,
+            Self::Tracker(_) | Self::TrackerRotation(_) => Owner::Tracker,
+            Self::Probe(_) | Self::ProbeRotation(_) => Owner::Tracker,
+        }
+    }
+
+    /// It changes what an instrument measures, as far as its owner says: the robot's, the clocks' and the instrument's own.
+    pub fn is_seen_by(self, instrument: Owner) -> bool {
+        let owner = self.owner();
+        owner == instrument || matches!(owner, Owner::Robot | Owner::Clocks)
     }
 
     /// SI unit and display unit.

@@ -34,14 +34,9 @@ impl Selection {
             ParameterId::ClockShift | ParameterId::ClockSkew => {
                 matches!(self, Self::ThesisWithClocks | Self::CellWithClocks)
             }
-            // Nothing without a force: they are freed where one is given.
-            ParameterId::BarCompliance | ParameterId::BarPlay => false,
-            // Not told from the geometry by samples alone: they come with priors.
-            ParameterId::Harmonic { .. } | ParameterId::Zero { .. } | ParameterId::BarWave { .. } => false,
-            ParameterId::Joint { .. } | ParameterId::JointWave { .. } => false,
-            ParameterId::Attachment(_) | ParameterId::Anchor(_) | ParameterId::LengthOffset => false,
-            ParameterId::Tracker(_) | ParameterId::TrackerRotation(_) => false,
-            ParameterId::Probe(_) | ParameterId::ProbeRotation(_) => false,
+            // Not told from the geometry by samples alone, they come with priors; or freed where there is a force; or of
+            // another instrument.
+            _ => false,
         }
     }
 }

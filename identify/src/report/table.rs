@@ -6,7 +6,7 @@ use super::file::{CalibrationFile, ParameterEntry, Status};
 use crate::calibrate::mix::MixedCalibration;
 use crate::calibrate::truth::Comparison;
 use crate::inspect::{Inspection, JointLine};
-use crate::instrument::{Instrument, Run};
+use crate::instrument::{Instrument, RejectedRow, Run};
 use crate::kinematics::LinkParameter;
 use crate::model::{ParameterId, Unit};
 
@@ -70,19 +70,17 @@ pub fn data_sets(found: &MixedCalibration) -> String {
     let mut text = format!("{:<12}{:>8}{:>24}\n", "instrument", "samples", "noise");
     for (Run { instrument, .. }, sigma) in found.runs.iter().zip(&found.solved.sigmas) {
         let (name, samples) = (instrument.name(), instrument.samples());
-        // Writing to a string cannot fail.
-        let _ = match instrument {
-            Instrument::BallBar(_) => writeln!(text, "{name:<12}{samples:>8}{sigma:>14.2} times configured"),
-            Instrument::Tracker(tracker) => {
-                writeln!(text, "{name:<12}{samples:>8}{:>21.4} mm", sigma * tracker.noise.position_m * 1e3)
-            }
-            Instrument::Wire(wire) => writeln!(
-                text,
-                "{name:<12}{samples:>8}{:>21.4} mm, {} rows that do not belong with the rest take no part",
-                sigma * 1e3,
-                wire.rejected().len()
-            ),
+        let mm = |unit_m: f64| format!("{:>21.4} mm", sigma * unit_m * 1e3);
+        let screened = |unit_m: f64, rejected: &[RejectedRow]| {
+            format!("{}, {} rows that do not belong with the rest take no part", mm(unit_m), rejected.len())
         };
+        let noise = match instrument {
+            Instrument::BallBar(_) => format!("{sigma:>14.2} times configured"),
+            Instrument::Tracker(tracker) => mm(tracker.noise.position_m),
+            Instrument::Wire(wire) => screened(1.0, wire.rejected()),
+        };
+        // Writing to a string cannot fail.
+        let _ = writeln!(text, "{name:<12}{samples:>8}{noise}");
     }
     text
 }

@@ -1,0 +1,122 @@
+//! Rows of which those that do not belong with the rest take no part, judged anew wherever a solve has come: single ones with gross
+//! residuals, and runs of rows that are off together.
+
+use super::{Standing, quantile};
+
+/// Why a row takes no part.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum Rejection {
+    /// Controller position and joint angles do not belong together.
+    FlangeContradicts {
+        /// Between the two positions \[m\].
+        distance_m: f64,
+    },
+    /// What was measured is far from what all others say.
+    GrossResidual {
+        /// Predicted minus measured \[m\].
+        residual_m: f64,
+    },
+    /// The rows around it are off together.
+    FaultyRun {
+        /// Median size of the residuals of neighbouring rows \[m\].
+        median_m: f64,
+    },
+}
+
+/// A row that takes no part.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct RejectedRow {
+    /// Row from 0.
+    pub row: usize,
+    /// Why.
+    pub why: Rejection,
+}
+
+/// Rows of one set-up, without those that do not belong with the rest.
+#[derive(Debug, Clone)]
+pub(super) struct Screened<R> {
+    /// All of them.
+    pub(super) all: Standing<R>,
+    /// Rows of `all` that do not belong with the rest, ascending.
+    pub(super) rejected: Vec<RejectedRow>,
+    /// The others.
+    pub(super) at: Standing<R>,
+}
+
+impl<R: Copy> Screened<R> {
+    /// With all rows taking part.
+    pub(super) fn new(all: Standing<R>) -> Self {
+        Self { rejected: Vec::new(), at: all.clone(), all }
+    }
+
+    /// Leaves rows out by the residuals of all of them \[m\], where most agree with each other; whether other ones take part now.
+    pub(super) fn screen(&mut self, residuals_m: &[f64]) -> bool {
+        let fitting: Vec<usize> = (0..residuals_m.len()).collect();
+        let rejected = faulty(residuals_m, &fitting, &without(&fitting, &self.rejected));
+        let row = |one: &RejectedRow| one.row;
+        let same = rejected.iter().map(row).eq(self.rejected.iter().map(row));
+        if same || 2 * rejected.len() > fitting.len() {
+            return false;
+        }
+        self.at = self.all.chosen(&without(&fitting, &rejected));
+        self.rejected = rejected;
+        true
+    }
+}
+
+/// Rows that a fit should not see: single fitting rows with gross residuals, and every row, fitting or not, inside a run of
+/// which the fitting rows are mostly off; by the residuals of all rows \[m\], on the scale of the `kept` ones.
+pub(crate) fn faulty(residuals_m: &[f64], fitting: &[usize], kept: &[usize]) -> Vec<RejectedRow> {
+    /// Standard deviations beyond which a single row is gross: no row of a normal distribution is, and few of a heavy tail.
+    const GROSS: f64 = 8.0;
+    /// And the median of neighbouring rows: what independent ones reach less than once in a million times.
+    const RUN: f64 = 3.0;
+    let sigma_m = robust_sigma(kept.iter().map(|&row| residuals_m[row]));
+    let single = |&row: &usize| {
+        let residual_m = residuals_m[row];
+        let gross = residual_m.abs() > GROSS * sigma_m;
+        gross.then_some(RejectedRow { row, why: Rejection::GrossResidual { residual_m } })
+    };
+    let in_run = |row: usize| {
+        let median_m = neighbours_m(residuals_m, fitting, row);
+        let faulty = median_m > RUN * sigma_m;
+        faulty.then_some(RejectedRow { row, why: Rejection::FaultyRun { median_m } })
+    };
+    let mut found: Vec<RejectedRow> = (0..residuals_m.len()).filter_map(in_run).collect();
+    let alone: Vec<usize> = without(fitting, &found);
+    found.extend(alone.iter().filter_map(single));
+    found.sort_by_key(|rejected| rejected.row);
+    found
+}
+
+/// Standard deviation of residuals that are mostly normal, by their median size.
+fn robust_sigma(residuals: impl Iterator<Item = f64>) -> f64 {
+    /// Median absolute deviation from zero to standard deviation of a normal distribution.
+    const SIGMA_PER_MEDIAN: f64 = 1.4826;
+    // Data without any noise still need a unit.
+    (SIGMA_PER_MEDIAN * median_size(residuals)).max(1e-9)
+}
+
+/// Median of the absolute values; zero of none.
+pub(crate) fn median_size(values: impl Iterator<Item = f64>) -> f64 {
+    let mut sizes: Vec<f64> = values.map(f64::abs).collect();
+    sizes.sort_by(f64::total_cmp);
+    quantile(&sizes, 0.5)
+}
+
+/// Median size of the residuals of the fitting rows just before or just after a row, whichever is larger: a run ends
+/// sharply, and a row at its edge belongs to it.
+fn neighbours_m(residuals_m: &[f64], fitting: &[usize], row: usize) -> f64 {
+    const ROWS_EACH_SIDE: usize = 5;
+    let at = fitting.partition_point(|&f| f < row);
+    let before = at + usize::from(fitting.get(at) == Some(&row));
+    let sides = [before.saturating_sub(ROWS_EACH_SIDE)..before, at..(at + ROWS_EACH_SIDE).min(fitting.len())];
+    // A side with few rows says nothing.
+    let whole = sides.into_iter().filter(|side| side.len() == ROWS_EACH_SIDE);
+    whole.map(|side| median_size(fitting[side].iter().map(|&row| residuals_m[row]))).fold(0.0, f64::max)
+}
+
+/// Rows that are not rejected.
+pub(crate) fn without(rows: &[usize], rejected: &[RejectedRow]) -> Vec<usize> {
+    rows.iter().copied().filter(|row| rejected.binary_search_by_key(row, |one| one.row).is_err()).collect()
+}
