@@ -10,6 +10,7 @@ mod command_line;
 mod compare;
 mod configuration;
 mod considered;
+mod contact;
 mod draw_wire;
 mod efficiency;
 mod examination;

@@ -124,6 +124,7 @@ impl Cell {
             bars: with_bar.then_some(run).into_iter().collect(),
             trackers: tracker.then_some(self.poses.as_slice().into()).into_iter().collect(),
             wires: wire.then_some(self.lengths.as_slice().into()).into_iter().collect(),
+            contacts: Vec::new(),
         };
         calibrate(&data, &robot, &IdentifyConfig::default(), None).unwrap()
     }

@@ -3,15 +3,16 @@
 use std::path::Path;
 
 use identify::calibrate::IdentifyConfig;
+use identify::instrument::SocketTable;
 use identify::logs::{
-    BarLogMapping, ForceLogMapping, JointConversion, MeasuredLengthMapping, MeasuredPoseMapping,
-    RobotLogMapping,
+    BarLogMapping, ContactMapping, ForceLogMapping, JointConversion, MeasuredLengthMapping,
+    MeasuredPoseMapping, RobotLogMapping,
 };
 use shared::config::{BallBarConfig, DaemonConfig, RobotConfig, Validate, parse};
 
 use super::explained;
 
-const FILES: [(u8, &str); 11] = [
+const FILES: [(u8, &str); 13] = [
     (b'd', "daemon.toml"),
     (b'b', "ball_bar.toml"),
     (b'i', "identify.toml"),
@@ -20,6 +21,8 @@ const FILES: [(u8, &str); 11] = [
     (b'p', "measured_pose.toml"),
     (b'e', "bar_log.toml"),
     (b'f', "force_log.toml"),
+    (b'c', "contact.toml"),
+    (b's', "sockets.toml"),
     (b'r', "robots/irb2400_16.toml"),
     (b'r', "robots/nj220_2_7.toml"),
     (b'r', "robots/irb120_3.toml"),
@@ -47,6 +50,12 @@ pub fn any_text(bytes: &[u8]) {
         b'p' => drop(accepted::<MeasuredPoseMapping>(text)),
         b'e' => drop(accepted::<BarLogMapping>(text)),
         b'f' => drop(accepted::<ForceLogMapping>(text)),
+        b'c' => drop(accepted::<ContactMapping>(text)),
+        b's' => {
+            if let Some(table) = accepted::<SocketTable>(text) {
+                assert!(!table.names().is_empty());
+            }
+        }
         _ => {
             if let Some(robot) = accepted::<RobotConfig>(text) {
                 let zero = JointConversion::new(&robot.log).map(|conversion| conversion.to_joint(&[0.0; 6]));

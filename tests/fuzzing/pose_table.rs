@@ -1,9 +1,11 @@
-//! Tables of single poses with a measured length, position or pose, from any bytes.
+//! Tables of single poses with a measured length, position or pose, or the socket of a ball, from any bytes.
 
 use std::path::Path;
 use std::sync::LazyLock;
 
-use identify::logs::{MeasuredLengthMapping, MeasuredLengths, MeasuredPoseMapping, MeasuredPoses};
+use identify::logs::{
+    ContactMapping, Contacts, MeasuredLengthMapping, MeasuredLengths, MeasuredPoseMapping, MeasuredPoses,
+};
 use shared::config;
 
 use super::explained;
@@ -11,6 +13,7 @@ use super::explained;
 struct Setting {
     lengths: MeasuredLengthMapping,
     poses: MeasuredPoseMapping,
+    contacts: ContactMapping,
 }
 
 static SETTING: LazyLock<Setting> = LazyLock::new(|| {
@@ -18,10 +21,11 @@ static SETTING: LazyLock<Setting> = LazyLock::new(|| {
     Setting {
         lengths: config::load(&directory.join("measured_length.toml")).expect("a shipped file"),
         poses: config::load(&directory.join("measured_pose.toml")).expect("a shipped file"),
+        contacts: config::load(&directory.join("contact.toml")).expect("a shipped file"),
     }
 });
 
-/// Reads a table by both shipped mappings: numbers are finite, or it is refused with a reason.
+/// Reads a table by the shipped mappings: numbers are finite, or it is refused with a reason.
 pub fn any_table(bytes: &[u8]) {
     match MeasuredLengths::read(bytes, Path::new("lengths"), &SETTING.lengths) {
         Ok(lengths) => {
@@ -42,6 +46,14 @@ pub fn any_table(bytes: &[u8]) {
         }
         Err(error) => explained(&error),
     }
+    match Contacts::read(bytes, Path::new("contacts"), &SETTING.contacts, &["A", "B"]) {
+        Ok(contacts) => {
+            let usable =
+                |row: &identify::logs::SeatedRow| row.socket < 2 && row.q_rad.iter().all(|q| q.is_finite());
+            assert!(contacts.rows.iter().all(usable));
+        }
+        Err(error) => explained(&error),
+    }
 }
 
 /// One table for each shipped mapping.
@@ -54,6 +66,9 @@ pub fn tables() -> Vec<Vec<u8>> {
         (lengths.to_owned() + &"1,2,3,-74.5,33.9,-30.8,-15.1,80.5,-59.7,509.19\n".repeat(11)).into_bytes(),
         (format!("{joints};{measured}\n")
             + &"0,5;-1,5;0;0;0;3,1;2361,9;-1368,5;119,4;-90,5;-60;10\n".repeat(11))
+            .into_bytes(),
+        ("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg,socket\n".to_owned()
+            + &"-74.5,33.9,-30.8,-15.1,80.5,-59.7,A\n".repeat(11))
             .into_bytes(),
     ]
 }

@@ -8,7 +8,7 @@ use super::pipeline::{Plan, Solved, estimate};
 use super::structure::{StructureError, identifiable};
 use super::terms::Candidate;
 use crate::cost::{CostError, SharedColumns};
-use crate::instrument::{BallBar, Instrument, Run};
+use crate::instrument::{BallBar, ContactError, Instrument, Run};
 use crate::kinematics::{BAR_JOINTS, LinkParameter, ball_bar_chain, robot_chain};
 use crate::logs::{RobotLog, Unwrapped};
 use crate::model::{Axis, DriveTrain, Model, ModelError, ParameterId};
@@ -55,8 +55,16 @@ pub enum CalibrateError {
          in a point; measure poses further apart"
     )]
     NoPlace {
-        /// From 1: ball-bars, trackers, wires, each in their order.
+        /// From 1: ball-bars, trackers, wires, contacts, each in their order.
         data_set: usize,
+    },
+    /// Rows of a ball in sockets that calibrate no robot.
+    #[error("data set {data_set}: {error}")]
+    Contact {
+        /// From 1: ball-bars, trackers, wires, contacts, each in their order.
+        data_set: usize,
+        /// What is wrong with it.
+        error: ContactError,
     },
     /// The samples do not determine what is free.
     #[error(transparent)]

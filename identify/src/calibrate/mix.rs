@@ -10,7 +10,9 @@ use super::links::{free_links, link_ids};
 use super::measured_pose::{self, RowErrors};
 use super::pipeline::{Plan, Solved, estimate, waves_per_turn};
 use super::split::HoldOut;
-use crate::instrument::{Instrument, LengthRow, PoseRow, Run, Standing, Tracker, Wire};
+use crate::instrument::{
+    Contact, ContactRow, Instrument, LengthRow, Measures, PoseRow, Run, SocketTable, Standing, Tracker, Wire,
+};
 use crate::kinematics::{Chain, Joints, flange_chain};
 use crate::model::{DriveTrain, Model, ModelError, ParameterId, Role};
 use crate::solver::{LossName, Watch};
@@ -27,6 +29,8 @@ pub struct DataSets<'a> {
     pub trackers: Vec<Rows<'a, PoseRow>>,
     /// Files of draw-wires or telescoping bars.
     pub wires: Vec<Rows<'a, LengthRow>>,
+    /// Files of a ball in sockets, with what is known of these.
+    pub contacts: Vec<(Rows<'a, ContactRow>, &'a SocketTable)>,
 }
 
 /// Rows of one set-up, in the order in which the robot went there.
@@ -34,7 +38,8 @@ pub struct DataSets<'a> {
 pub struct Rows<'a, R> {
     /// The rows.
     pub rows: &'a [R],
-    /// Which are left out together; none: those of a region where there are poses, of a part of the file where lengths.
+    /// Which are left out together; none: those of a region where there are poses, of a part of the file where lengths, single
+    /// ones of a ball in sockets.
     pub hold_out: Option<HoldOut>,
     /// Decides which groups come together.
     pub seed: Option<u64>,
@@ -56,7 +61,7 @@ impl<R: Copy> Rows<'_, R> {
 /// A robot calibrated from a mix.
 #[derive(Debug, Clone)]
 pub struct MixedCalibration {
-    /// Data sets with their parameters at the solution: ball-bars, trackers, wires, each in their order.
+    /// Data sets with their parameters at the solution: ball-bars, trackers, wires, contacts, each in their order.
     pub runs: Vec<Run>,
     /// The solve of all.
     pub solved: Solved,
@@ -109,6 +114,14 @@ fn laid_out<'w>(
         let at = rows.standing(|row| row.joints_rad, &flange, HoldOut::Blocks);
         add(Instrument::Wire(Wire::new(at)), Model::measured_length(&flange));
     }
+    let first = bars + data.trackers.len() + data.wires.len() + 1;
+    for (data_set, (rows, table)) in (first..).zip(&data.contacts) {
+        let at = rows.standing(|row| row.joints_rad, &flange, HoldOut::Rows);
+        let contact = Contact::new(at, table);
+        let contact = contact.map_err(|error| CalibrateError::Contact { data_set, error })?;
+        let model = Model::contact(&flange, contact.sockets().names().len());
+        add(Instrument::Contact(contact), model);
+    }
     for (number, Run { instrument, model }) in runs.iter_mut().enumerate() {
         if !instrument.place(model, &fix)? {
             return Err(CalibrateError::NoPlace { data_set: number + 1 });
@@ -154,7 +167,7 @@ pub fn calibrate(
     config: &IdentifyConfig,
     watch: Option<&dyn Watch>,
 ) -> Result<MixedCalibration, CalibrateError> {
-    if data.trackers.is_empty() && data.wires.is_empty() {
+    if data.trackers.is_empty() && data.wires.is_empty() && data.contacts.is_empty() {
         let mut runs = prepared_runs(&data.bars, robot, config)?;
         let solved = solve(&mut runs, config, watch)?;
         return Ok(MixedCalibration { runs, solved });
@@ -164,7 +177,7 @@ pub fn calibrate(
     Ok(MixedCalibration { runs, solved })
 }
 
-/// Rows of trackers and wires as predicted by a solve of everything but a fifth of each file's, for each data set in their
+/// Rows of trackers, wires and contacts as predicted by a solve of everything but a fifth of each file's, for each data set in their
 /// order; of runs with the ball-bar, which are whole in that solve, nothing.
 ///
 /// # Errors
@@ -200,9 +213,16 @@ pub fn held_out(
     }
     let solved = estimate(&mut runs, &plan)?;
     let models = solved.without_terms.iter().zip(&runs);
-    for ((whole, of_run), (links, run)) in all.iter().zip(&mut errors).zip(models) {
+    for ((whole, of_run), (links, run)) in all.iter_mut().zip(&mut errors).zip(models) {
         of_run.stages[1] = whole.errors(&links.geometry(&[]));
         of_run.stages[2] = whole.errors(&run.model.geometry(&[]));
+        // A ball in another socket than its row says is no measurement that anything could predict.
+        if let Instrument::Contact(contact) = whole {
+            contact.screen(&run.model);
+            let belongs = |row: &usize| contact.rejected().iter().all(|rejected| rejected.row != *row);
+            of_run.fitted.retain(belongs);
+            of_run.held_out.retain(belongs);
+        }
     }
     Ok(errors)
 }

@@ -35,7 +35,8 @@ impl Refuses for CalibrateError {
             Self::Prepare { error, .. } => !error.is_mistyped(),
             Self::Cost(error) | Self::Structure(StructureError::Cost(error)) => cost_is_of_data(error),
             Self::Solve(error) | Self::Structure(StructureError::Solve(error)) => solve_is_of_data(error),
-            Self::NoPlace { .. } | Self::Unidentifiable(_) | Self::NotConverged { .. } => true,
+            Self::NoPlace { .. } | Self::Contact { .. } => true,
+            Self::Unidentifiable(_) | Self::NotConverged { .. } => true,
         };
         let of_all = of_data.then(|| of_all(self.to_string()))?;
         Some(match self {

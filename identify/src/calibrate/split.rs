@@ -72,13 +72,21 @@ pub(super) fn segments(starts: &[usize], count: usize) -> Vec<Range<usize>> {
 }
 
 /// Deals the groups of the chosen rows out to `count` folds of about equal size: the places among the chosen rows that each has.
-pub(super) fn folds(groups: &[usize], chosen: &[usize], count: usize, seed: u64) -> Vec<Vec<usize>> {
+/// Groups of one `class` of rows are dealt one after the other, so that each fold has its part of them.
+pub(super) fn folds(
+    groups: &[usize],
+    chosen: &[usize],
+    count: usize,
+    seed: u64,
+    class: impl Fn(usize) -> usize,
+) -> Vec<Vec<usize>> {
     let mut of_group: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
     for (place, &row) in chosen.iter().enumerate() {
         of_group.entry(groups[row]).or_default().push(place);
     }
     let mut order: Vec<Vec<usize>> = of_group.into_values().collect();
     order.shuffle(&mut StdRng::seed_from_u64(seed));
+    order.sort_by_key(|group| group.first().map(|&place| class(chosen[place])));
     let mut folds = vec![Vec::new(); count.max(1)];
     for group in order {
         if let Some(least) = folds.iter_mut().min_by_key(|fold| fold.len()) {
@@ -89,9 +97,14 @@ pub(super) fn folds(groups: &[usize], chosen: &[usize], count: usize, seed: u64)
 }
 
 /// All rows by their groups in at most `count` folds.
-pub(crate) fn all_in_folds(groups: &[usize], count: usize, seed: u64) -> Vec<Vec<usize>> {
+pub(crate) fn all_in_folds(
+    groups: &[usize],
+    count: usize,
+    seed: u64,
+    class: impl Fn(usize) -> usize,
+) -> Vec<Vec<usize>> {
     let all: Vec<usize> = (0..groups.len()).collect();
-    let mut folds = folds(groups, &all, count, seed.wrapping_add(1));
+    let mut folds = folds(groups, &all, count, seed.wrapping_add(1), class);
     folds.retain(|fold| !fold.is_empty());
     folds
 }
@@ -150,7 +163,7 @@ mod tests {
     fn folds_share_no_group_and_are_about_equal() {
         let groups = groups(HoldOut::Regions, &positions());
         let chosen: Vec<usize> = (0..1000).step_by(2).collect();
-        let folds = folds(&groups, &chosen, 5, 1);
+        let folds = folds(&groups, &chosen, 5, 1, |_| 0);
         assert_eq!(folds.iter().map(Vec::len).sum::<usize>(), 500);
         for fold in &folds {
             assert!((80..=120).contains(&fold.len()), "{}", fold.len());

@@ -1,6 +1,7 @@
 //! `identify calibrate`: one instrument, one set of options, so that none can be accepted and ignored.
 
 mod bar;
+mod contact;
 mod experiment;
 mod force_logs;
 mod refused;
@@ -35,6 +36,8 @@ enum Instrument {
     Wire(wire::WireArguments),
     /// From positions or poses measured by a tracker
     Tracker(tracker::TrackerArguments),
+    /// From a ball on the flange that is seated in sockets whose distances are known
+    Contact(contact::ContactArguments),
     /// From any mix of them: --experiment FILE, without this word
     #[command(hide = true)]
     Experiment(experiment::ExperimentArguments),
@@ -74,7 +77,7 @@ pub struct RowArguments {
     /// Which column of the file is what, such as config/measured_pose.toml
     #[arg(long, value_name = "FILE")]
     mapping: PathBuf,
-    /// Which rows are held out together; default: rows of lengths, regions of poses
+    /// Which rows are held out together; default: rows of lengths and contacts, regions of poses
     #[arg(long, value_enum)]
     hold_out: Option<HoldOut>,
     /// Decides which rows are held out
@@ -94,6 +97,7 @@ pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
         Instrument::Bar(arguments) => bar::run(arguments),
         Instrument::Wire(arguments) => wire::run(arguments),
         Instrument::Tracker(arguments) => tracker::run(arguments),
+        Instrument::Contact(arguments) => contact::run(arguments),
         Instrument::Experiment(arguments) => experiment::run(arguments),
     }
 }

@@ -37,7 +37,7 @@ enum Command {
     Robot(robot::RobotArguments),
     /// Plan a path that tells much and that the robot can drive, or check one.
     Plan(Box<plan::PlanArguments>),
-    /// Make an experiment with known errors: a recording, a robot log, and the truth beside them.
+    /// Make an experiment with known errors: what was measured, and the truth beside it.
     Simulate(simulate::SimulateArguments),
     /// Simulate experiments by the thousand and show what each estimator makes of them: the thesis' chapter 3.
     Study(Box<study::StudyArguments>),
@@ -45,13 +45,15 @@ enum Command {
 
 impl Arguments {
     /// What was typed, or clap's own message and exit. `identify calibrate --recording ..` means the ball-bar,
-    /// `identify calibrate --experiment ..` whatever the file says, `identify plan --robot ..` a path.
+    /// `identify calibrate --experiment ..` whatever the file says, `identify plan --robot ..` a path, `identify simulate --robot ..` the ball-bar.
     pub fn typed() -> Self {
         let mut words: Vec<OsString> = std::env::args_os().collect();
         let is_option = |word: &OsString| word.to_str().is_some_and(|word| word.starts_with("--"));
         let option_first = words.get(2).is_some_and(|word| is_option(word) && word != "--help");
         if option_first && words.get(1).is_some_and(|word| word == "plan") {
             words.insert(2, "path".into());
+        } else if option_first && words.get(1).is_some_and(|word| word == "simulate") {
+            words.insert(2, "bar".into());
         } else if option_first && words.get(1).is_some_and(|word| word == "calibrate") {
             let mixed = words.iter().any(|word| {
                 word.to_str().is_some_and(|word| word == "--experiment" || word.starts_with("--experiment="))
@@ -66,7 +68,7 @@ impl Arguments {
 fn ensure_six_revolute_axes(robot: &RobotConfig) -> anyhow::Result<()> {
     anyhow::ensure!(
         robot.joint_kinds().eq([JointKind::Revolute; 6]),
-        "{} is no arm of six revolute axes, which the ball-bar needs; use `identify calibrate tracker` or `wire`",
+        "{} is no arm of six revolute axes, which the ball-bar needs; use `identify calibrate tracker`, `wire` or `contact`",
         robot.name
     );
     Ok(())

@@ -3,11 +3,13 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use clap::{Args, ValueEnum};
+use clap::{Args, Subcommand, ValueEnum};
 use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::output::say;
 
+use crate::instrument::SocketTable;
 use crate::plan::PlannedPath;
+use crate::simulate::contact::{self, ContactExperiment};
 use crate::simulate::{self, BarLoad, Effects, Experiment, StaticErrors};
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
@@ -22,8 +24,61 @@ enum Errors {
 
 /// What is simulated unless something else is asked for.
 const LABORATORY: Effects = Effects::LABORATORY;
+
+/// What is simulated; an option without a word before it is one of the ball-bar.
 #[derive(Debug, Args)]
 pub struct SimulateArguments {
+    #[command(subcommand)]
+    instrument: Instrument,
+}
+
+#[derive(Debug, Subcommand)]
+enum Instrument {
+    /// A recording of the ball-bar and the robot's own log
+    Bar(Box<BarArguments>),
+    /// Poses at which a ball on the flange is seated in sockets
+    Contact(ContactArguments),
+}
+
+#[derive(Debug, Args)]
+struct ContactArguments {
+    /// The robot's configuration, such as config/robots/irb2400_16.toml
+    #[arg(long, value_name = "FILE")]
+    robot: PathBuf,
+    /// Directory for contacts.csv, its mapping contact.toml, sockets.toml and truth.toml
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Places of the sockets on their plate, such as config/sockets.toml; default: six on two levels, by the robot's size
+    #[arg(long, value_name = "FILE")]
+    sockets: Option<PathBuf>,
+    /// Where the plate's frame stands in the robot's base [m]; default: where the robot reaches it in most ways
+    #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
+    place: Option<[f64; 3]>,
+    /// Write the sockets' distances into sockets.toml instead of their places
+    #[arg(long)]
+    distances: bool,
+    /// Poses
+    #[arg(long, value_name = "N", default_value_t = 200)]
+    rows: usize,
+    /// Decides errors, poses and noise
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Error of each number of each link, standard deviation [mm|mrad]
+    #[arg(long, value_name = "MM", default_value_t = 1.0)]
+    errors_mm_mrad: f64,
+    /// White noise of each joint [urad|um]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.robot_noise_urad)]
+    robot_noise_urad: f64,
+    /// Sinusoidal error of each robot gear, amplitude [urad]
+    #[arg(long, value_name = "URAD", default_value_t = LABORATORY.gear_sine_urad)]
+    gear_sine_urad: f64,
+    /// How well the ball finds its seat, standard deviation along each axis [um]
+    #[arg(long, value_name = "UM", default_value_t = 5.0)]
+    seating_um: f64,
+}
+
+#[derive(Debug, Args)]
+struct BarArguments {
     /// The robot's configuration, such as config/robots/irb2400_16.toml
     #[arg(long, value_name = "FILE")]
     robot: PathBuf,
@@ -112,6 +167,34 @@ pub(super) fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
 }
 
 pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
+    match &arguments.instrument {
+        Instrument::Bar(arguments) => bar(arguments),
+        Instrument::Contact(arguments) => contacts(arguments),
+    }
+}
+
+fn contacts(arguments: &ContactArguments) -> anyhow::Result<()> {
+    let robot: RobotConfig = config::load(&arguments.robot)?;
+    let sockets: Option<SocketTable> = arguments.sockets.as_deref().map(config::load).transpose()?;
+    let simulated = contact::run(&ContactExperiment {
+        robot: &robot,
+        sockets,
+        place_m: arguments.place,
+        distances: arguments.distances,
+        rows: arguments.rows,
+        errors_mm_mrad: arguments.errors_mm_mrad,
+        robot_noise_urad: arguments.robot_noise_urad,
+        gear_sine_urad: arguments.gear_sine_urad,
+        seating_um: arguments.seating_um,
+        seed: arguments.seed,
+    })?;
+    for path in contact::write(&arguments.out, &simulated, &robot)? {
+        say(path.display())?;
+    }
+    Ok(())
+}
+
+fn bar(arguments: &BarArguments) -> anyhow::Result<()> {
     let robot: RobotConfig = config::load(&arguments.robot)?;
     let bar: BallBarConfig = config::load(&arguments.bar)?;
     let mut experiment = Experiment::new(&robot, &bar);

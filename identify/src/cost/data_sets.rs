@@ -117,6 +117,11 @@ impl<'a> DataSets<'a> {
     fn set_of(&self, sample: usize) -> usize {
         self.starts.partition_point(|start| *start <= sample).saturating_sub(1)
     }
+
+    fn in_set(&self, sample: usize) -> Option<(&(dyn DataSet + 'a), usize)> {
+        let set = self.set_of(sample);
+        Some((self.sets.get(set)?.as_ref(), sample - self.starts[set]))
+    }
 }
 
 impl Problem for DataSets<'_> {
@@ -139,7 +144,11 @@ impl Problem for DataSets<'_> {
     }
 
     fn rows_of(&self, sample: usize) -> usize {
-        self.sets.get(self.set_of(sample)).map_or(0, |set| set.rows())
+        self.in_set(sample).map_or(0, |(set, sample)| set.rows_of(sample))
+    }
+
+    fn is_known(&self, sample: usize) -> bool {
+        self.in_set(sample).is_some_and(|(set, sample)| set.is_known(sample))
     }
 
     fn priors(&self) -> &[Prior] {

@@ -4,6 +4,7 @@
 //! each parameter's twist comes from is said once, in [`Scene`]. A new cost is a new [`Residual`].
 
 mod closure;
+mod contact;
 mod data_sets;
 mod fill_in;
 mod length;
@@ -18,6 +19,7 @@ mod scene;
 mod transform;
 
 pub use closure::{Closure, closures};
+pub use contact::{SeatedBall, SeatedBalls};
 pub use data_sets::{DataSet, DataSets, SharedColumns};
 pub use fill_in::fill_in;
 pub use length::Length;

@@ -87,6 +87,13 @@ impl<'a, R: Residual, M: RobotMotion> LoopProblem<'a, R, M> {
     }
 }
 
+impl<R, M> LoopProblem<'_, R, M> {
+    /// Parameters of the columns.
+    pub(super) fn ids(&self) -> &[ParameterId] {
+        &self.ids
+    }
+}
+
 /// Sines and cosines of what the bar's encoders show.
 pub(super) fn readings(observation: &Observation) -> [Turn; BAR_JOINTS] {
     observation.bar_rad.map(Turn::of)
@@ -135,6 +142,11 @@ impl LoopPoint {
             robot: Trace::default(),
             bar: Trace::default(),
         }
+    }
+
+    /// The parameters.
+    pub(super) fn geometry(&self) -> &Geometry {
+        &self.geometry
     }
 
     /// Both chains at one observation; none where the robot's log does not cover it.

@@ -98,6 +98,7 @@ fn named(source: Source, model: &Model, covariance: &Covariance) -> String {
     let (column, how) = match source {
         Source::Together => return "errors of the samples, with all priors".into(),
         Source::Samples { data_set } => return format!("errors of the samples of data set {}", data_set + 1),
+        Source::Known => return "what is known of the sockets".into(),
         Source::Prior { column } => (column, "estimated, expected"),
         Source::Considered { column } => (column, "fixed"),
     };
@@ -119,6 +120,7 @@ fn named(source: Source, model: &Model, covariance: &Covariance) -> String {
             ParameterId::Robot { .. } | ParameterId::Bar { .. } => "tolerance of the links".into(),
             ParameterId::Zero { .. } => "offsets of encoders that lost their origin".into(),
             ParameterId::Probe(_) | ParameterId::ProbeRotation(_) => "mounting of the probe".into(),
+            ParameterId::Ball(_) => "mounting of the ball".into(),
             _ => format!("{name}, {how}"),
         },
     }

@@ -2,7 +2,9 @@
 //! knows no instrument, and no instrument knows how robots are estimated.
 
 mod ball_bar;
+mod contact;
 mod screened;
+mod sockets;
 mod standing;
 mod tracker;
 mod wire;
@@ -11,8 +13,10 @@ use std::fmt;
 use std::ops::{Deref, DerefMut};
 
 pub use ball_bar::BallBar;
+pub use contact::{Contact, ContactError, ContactRow};
 pub use screened::{RejectedRow, Rejection};
 pub(crate) use screened::{faulty, median_size, without};
+pub use sockets::{KnownDistance, PlacedSocket, SocketTable, Sockets};
 pub use standing::{Standing, standing};
 pub(crate) use tracker::quantile;
 pub use tracker::{Apart, PoseRow, Tracker};
@@ -77,6 +81,8 @@ pub enum Instrument {
     Tracker(Tracker),
     /// Lengths of a draw-wire or a telescoping bar.
     Wire(Wire),
+    /// A ball on the flange in sockets.
+    Contact(Contact),
 }
 
 impl Instrument {
@@ -86,6 +92,7 @@ impl Instrument {
             Self::BallBar(_) => "ball-bar",
             Self::Tracker(_) => "tracker",
             Self::Wire(_) => "wire",
+            Self::Contact(_) => "contact",
         }
     }
 
@@ -106,6 +113,7 @@ impl Deref for Instrument {
             Self::BallBar(of) => of.as_ref(),
             Self::Tracker(of) => of,
             Self::Wire(of) => of,
+            Self::Contact(of) => of,
         }
     }
 }
@@ -116,6 +124,7 @@ impl DerefMut for Instrument {
             Self::BallBar(of) => of.as_mut(),
             Self::Tracker(of) => of,
             Self::Wire(of) => of,
+            Self::Contact(of) => of,
         }
     }
 }

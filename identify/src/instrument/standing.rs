@@ -1,4 +1,4 @@
-//! Poses at which the robot stood still while something was measured: what tracker and wire have in common.
+//! Poses at which the robot stood still while something was measured: what tracker, wire and contact have in common.
 
 use crate::calibrate::{HoldOut, split};
 use crate::kinematics::{Chain, Joints};
@@ -69,9 +69,9 @@ impl<R: Copy> Standing<R> {
         }
     }
 
-    /// At most `count` folds of the rows by their groups.
-    pub(super) fn independent(&self, count: usize) -> Vec<Vec<usize>> {
-        split::all_in_folds(&self.groups, count, self.seed)
+    /// At most `count` folds of the rows by their groups, each with rows of all classes as far as there are enough.
+    pub(super) fn independent(&self, count: usize, class: impl Fn(&R) -> usize) -> Vec<Vec<usize>> {
+        split::all_in_folds(&self.groups, count, self.seed, |row| class(&self.rows[row]))
     }
 }
 

@@ -38,6 +38,8 @@ pub struct Apart {
     pub rotation_rad: Option<f64>,
 }
 
+/// Median of the norm of three standard normal numbers.
+pub(super) const MEDIAN_OF_THREE: f64 = 1.538;
 /// The probe is expected within this of the flange \[m\]: decides only where the poses do not tell.
 const PROBE_SIGMA_M: f64 = 1.0;
 
@@ -169,8 +171,6 @@ impl Measures for Tracker {
 
     /// Standard deviations of a coordinate and of an angle that are behind errors which are mostly normal, by their medians.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
-        /// Median of the norm of three standard normal numbers.
-        const MEDIAN_OF_THREE: f64 = 1.538;
         /// Data without any noise still need a unit.
         const LEAST: f64 = 1e-9;
         let errors = self.apart(&model.geometry(&[]));
@@ -187,7 +187,7 @@ impl Measures for Tracker {
     }
 
     fn independent(&self, count: usize) -> Vec<Vec<usize>> {
-        self.at.independent(count)
+        self.at.independent(count, |_| 0)
     }
 
     fn part(&self, samples: &[usize]) -> Instrument {
@@ -253,7 +253,7 @@ fn rotation_between(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Rotati
 }
 
 /// The rotation nearest to a matrix; identity for one that points nowhere.
-fn nearest_rotation(matrix: &Matrix3<f64>) -> Rotation3<f64> {
+pub(super) fn nearest_rotation(matrix: &Matrix3<f64>) -> Rotation3<f64> {
     let svd = matrix.svd(true, true);
     let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { return Rotation3::identity() };
     let flip = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));

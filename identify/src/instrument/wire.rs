@@ -144,7 +144,7 @@ impl Measures for Wire {
     }
 
     fn independent(&self, count: usize) -> Vec<Vec<usize>> {
-        self.rows.at.independent(count)
+        self.rows.at.independent(count, |_| 0)
     }
 
     fn part(&self, samples: &[usize]) -> Instrument {

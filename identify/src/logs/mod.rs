@@ -11,6 +11,7 @@
 //! length (draw-wire, telescoping bar) or with a measured position or pose (tracker).
 
 mod bar_log;
+mod contact;
 mod conversion;
 mod csv_text;
 mod egm;
@@ -37,6 +38,7 @@ mod writer;
 pub use bar_log::{
     BarLog, BarLogError, BarLogMapping, EncoderColumn, EncoderUnit, OtherBarLog, is_recording,
 };
+pub use contact::{ContactMapping, Contacts, SeatedRow};
 pub use conversion::JointConversion;
 pub use error::{Cell, LogError};
 pub use force::{ForceClock, ForceColumns, ForceFrame, ForceKind, ForceLog, ForceLogMapping, ForceUnit};

@@ -72,6 +72,15 @@ pub struct Wire {
     pub offset_m: f64,
 }
 
+/// A ball on the flange and the sockets that it is seated in.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Contact {
+    /// Centre of the ball in the flange frame \[m\].
+    pub ball_m: Vector3<f64>,
+    /// Where that centre is in each socket, in the robot's base \[m\].
+    pub sockets_m: Vec<Vector3<f64>>,
+}
+
 /// All numbers that residuals are made of.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Geometry {
@@ -99,6 +108,8 @@ pub struct Geometry {
     pub wire: Wire,
     /// For measured positions and poses.
     pub tracker: Tracker,
+    /// For a ball in sockets.
+    pub contact: Contact,
 }
 
 fn field(link: &mut DhLink, parameter: LinkParameter) -> &mut f64 {
@@ -131,6 +142,7 @@ impl Geometry {
             clock: Clock::default(),
             wire: Wire::default(),
             tracker: Tracker::default(),
+            contact: Contact::default(),
         }
     }
 
@@ -195,6 +207,10 @@ impl Geometry {
             ParameterId::TrackerRotation(axis) => self.tracker.place.rotation_rad.get_mut(axis.index()),
             ParameterId::Probe(axis) => self.tracker.probe.position_m.get_mut(axis.index()),
             ParameterId::ProbeRotation(axis) => self.tracker.probe.rotation_rad.get_mut(axis.index()),
+            ParameterId::Ball(axis) => self.contact.ball_m.get_mut(axis.index()),
+            ParameterId::Socket { socket, axis } => {
+                self.contact.sockets_m.get_mut(socket)?.get_mut(axis.index())
+            }
         }
     }
 }

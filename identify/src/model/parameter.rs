@@ -120,6 +120,15 @@ pub enum ParameterId {
     Probe(Axis),
     /// Its rotation vector there: `probe_rx` ...
     ProbeRotation(Axis),
+    /// Centre of a ball that is seated in sockets, in the flange frame: `ball_x` ...
+    Ball(Axis),
+    /// Where the ball's centre is when it is seated in a socket, in the robot's base: `socket1_x` ...
+    Socket {
+        /// Socket from 0, at most [`ParameterId::SOCKETS_MAX`] of them.
+        socket: usize,
+        /// Which coordinate.
+        axis: Axis,
+    },
 }
 
 /// What a parameter belongs to.
@@ -135,6 +144,8 @@ pub enum Owner {
     Wire,
     /// A tracker or its probe.
     Tracker,
+    /// A ball and its sockets.
+    Contact,
 }
 
 /// What a parameter is measured in, and how people read it.
@@ -213,6 +224,8 @@ impl ParameterId {
     pub(super) const STANDARD: [LinkParameter; 4] =
         [LinkParameter::A, LinkParameter::D, LinkParameter::Alpha, LinkParameter::Theta];
 
+    /// Sockets that have parameters.
+    pub const SOCKETS_MAX: usize = 99;
     /// Origins of counters that have parameters of their own: a run that loses more keeps what the preparation found.
     pub const LAST_ORIGIN: usize = 99;
     /// Length of the ball-bar: `bd3`.
@@ -247,6 +260,7 @@ impl ParameterId {
             Self::Attachment(_) | Self::Anchor(_) | Self::LengthOffset => Owner::Wire,
             Self::Tracker(_) | Self::TrackerRotation(_) => Owner::Tracker,
             Self::Probe(_) | Self::ProbeRotation(_) => Owner::Tracker,
+            Self::Ball(_) | Self::Socket { .. } => Owner::Contact,
         }
     }
 
@@ -264,7 +278,7 @@ impl ParameterId {
                 LinkParameter::Alpha | LinkParameter::Theta | LinkParameter::Beta => Unit::Radian,
             },
             Self::Base(_) | Self::Attachment(_) | Self::Anchor(_) | Self::LengthOffset => Unit::Metre,
-            Self::Tracker(_) | Self::Probe(_) => Unit::Metre,
+            Self::Tracker(_) | Self::Probe(_) | Self::Ball(_) | Self::Socket { .. } => Unit::Metre,
             Self::BarPlay | Self::BarWave { .. } => Unit::Metre,
             Self::BarCompliance => Unit::MetrePerNewton,
             Self::BaseRotation(_) | Self::Harmonic { .. } | Self::Zero { .. } => Unit::Radian,
@@ -306,6 +320,12 @@ impl ParameterId {
         [Self::Tracker, Self::TrackerRotation, Self::Probe, Self::ProbeRotation]
             .into_iter()
             .flat_map(|of| Axis::ALL.map(of))
+    }
+
+    /// A ball and the sockets that it is seated in.
+    pub fn contact(sockets: usize) -> impl Iterator<Item = Self> {
+        let of = |socket| Axis::ALL.map(|axis| Self::Socket { socket, axis });
+        Axis::ALL.map(Self::Ball).into_iter().chain((0..sockets.min(Self::SOCKETS_MAX)).flat_map(of))
     }
 
     /// Terms of all robot axes, whether a robot has them or not.
@@ -359,6 +379,7 @@ impl ParameterId {
             .chain(Axis::ALL.map(Self::Anchor))
             .chain([Self::LengthOffset])
             .chain(Self::tracker())
+            .chain(Self::contact(Self::SOCKETS_MAX))
     }
 
     /// Every parameter that has a name.
@@ -390,6 +411,8 @@ impl fmt::Display for ParameterId {
             Self::TrackerRotation(axis) => write!(f, "tracker_r{}", axis.letter()),
             Self::Probe(axis) => write!(f, "probe_{}", axis.letter()),
             Self::ProbeRotation(axis) => write!(f, "probe_r{}", axis.letter()),
+            Self::Ball(axis) => write!(f, "ball_{}", axis.letter()),
+            Self::Socket { socket, axis } => write!(f, "socket{}_{}", socket + 1, axis.letter()),
         }
     }
 }

@@ -1,5 +1,7 @@
 //! Which parameters are free, which are fixed, which have a prior; names to columns and back.
 
+use nalgebra::Vector3;
+
 use super::{Axis, DriveTrain, Geometry, JointErrors, ParameterId};
 use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter};
 use crate::solver::Prior;
@@ -54,7 +56,7 @@ pub enum ModelError {
          btheta1 .. 5, ox oy oz orx ory, bcompliance bplay, bdsin2_1 bdcos2_1 .. bdcos3_2, bsin1_1 bcos1_1 bsin2_1 bcos2_1 bzero1_1 .. 5, rsin1_1 rcos1_1 rsin2_1 rcos2_1 \
          rsinc_1 rcosc_1 rsinm_1 rcosm_1 rsin3_1 rcos3_1 .. rcos127_1 rbacklash_1 rratio_1 .. 6, relbow_2 rwrist_2 rwrist_3 rtool_2 rtool_3 rtool_5 (axes up to 8 where the robot has them), \
          clock_shift clock_skew, attachment_x anchor_x .. z, length_offset, \
-         tracker_x tracker_rx probe_x probe_rx .. z"
+         tracker_x tracker_rx probe_x probe_rx .. z, ball_x .. z, socket1_x .. socket99_z"
     )]
     UnknownName {
         /// As given.
@@ -149,6 +151,14 @@ impl Model {
             .chain(ParameterId::joint_terms())
             .chain([ParameterId::ClockShift, ParameterId::ClockSkew]);
         Self::new(Geometry::new(robot.clone(), None), ids)
+    }
+
+    /// Robot and a ball on its flange that is seated in so many sockets: where the ball and the sockets are.
+    pub fn contact(robot: &Chain, sockets: usize) -> Self {
+        let mut structure = Geometry::new(robot.clone(), None);
+        structure.contact.sockets_m = vec![Vector3::zeros(); sockets];
+        let ids = robot_ids(robot).chain(ParameterId::contact(sockets)).chain(ParameterId::joint_terms());
+        Self::new(structure, ids)
     }
 
     /// The same with drives other than [`DriveTrain::direct`]: terms that they can have join the parameters, fixed at zero.

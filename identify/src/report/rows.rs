@@ -1,10 +1,11 @@
-//! Tables of a calibration by rows that a tracker or a wire measured.
+//! Tables of a calibration by rows of a tracker, a wire or a ball in sockets.
 
 use std::fmt::Write;
 
 use crate::calibrate::measured_length::{LengthReport, RunCause};
 use crate::calibrate::measured_pose::{PoseFigures, PoseReport, Sizes, Stages};
-use crate::instrument::Rejection;
+use crate::evaluate::Limit;
+use crate::instrument::{Contact, Rejection};
 use crate::model::{JointWaves, Model, ParameterId, Phase};
 
 /// The calibrated robot on another file.
@@ -139,6 +140,63 @@ pub fn poses(report: &PoseReport, validations: &[Validation]) -> String {
     }
     text.push_str(&waves(&report.model));
     text
+}
+
+/// The sockets of a file by their names and parameters, the rows that take no part by their lines, and what is known of the
+/// sockets but contradicted.
+pub fn contacts(contact: &Contact, model: &Model, lines: &[u64]) -> String {
+    let mut text = String::new();
+    let (geometry, sockets) = (model.geometry(&[]), contact.sockets());
+    let errors_m = contact.errors_m(&geometry);
+    let rejected = |row: usize| contact.rejected().iter().any(|one| one.row == row);
+    let _ = writeln!(text, "{:<12}{:<12}{:>6}{:>12}", "socket", "parameters", "rows", "RMS [mm]");
+    for (socket, name) in sockets.names().iter().enumerate() {
+        let here = |row: &usize| contact.socket_of_row(*row) == Some(socket) && !rejected(*row);
+        let sizes = Sizes::of((0..errors_m.len()).filter(here).map(|row| errors_m[row].norm()));
+        let rows = (0..errors_m.len()).filter(here).count();
+        let parameters = format!("socket{}", socket + 1);
+        let _ = writeln!(text, "{name:<12}{parameters:<12}{rows:>6}{:>12.4}", sizes.rms * 1e3);
+    }
+    let sockets_m = &geometry.contact.sockets_m;
+    for one in contact.rejected() {
+        let (line, error_m) = (lines.get(one.row).copied().unwrap_or_default(), errors_m[one.row]);
+        let own = contact.socket_of_row(one.row).and_then(|socket| Some((socket, sockets_m.get(socket)?)));
+        let Some((own, own_m)) = own else { continue };
+        let distance_m = |socket: &usize| (own_m + error_m - sockets_m[*socket]).norm();
+        let near = (0..sockets_m.len()).min_by(|a, b| distance_m(a).total_cmp(&distance_m(b)));
+        let other = near.filter(|near| *near != own).map(|near| {
+            format!(
+                ", {:.2} mm from `{}`: look for a wrong name",
+                distance_m(&near) * 1e3,
+                sockets.names()[near]
+            )
+        });
+        let _ = writeln!(
+            text,
+            "  line {line} takes no part: the ball is {:.2} mm from its socket `{}`{}",
+            error_m.norm() * 1e3,
+            sockets.names()[own],
+            other.unwrap_or_default()
+        );
+    }
+    text
+}
+
+/// What is known of sockets but contradicted by their rows.
+pub fn contradicted(contact: &Contact, model: &Model) -> Option<Limit> {
+    let contradicted = contact.sockets().contradicted(&model.geometry(&[]).contact.sockets_m);
+    let of = |(name, off_m, sigma_m): &(String, f64, f64)| {
+        format!("{name} by {:.3} mm (expected within {:.3})", off_m * 1e3, sigma_m * 1e3)
+    };
+    let told: Vec<String> = contradicted.iter().map(of).collect();
+    (!told.is_empty()).then(|| Limit {
+        sentence: format!(
+            "The rows contradict the table of sockets: {}. Correct the table, or give a larger uncertainty: so tight, it pulls the \
+             result towards it.",
+            told.join(", ")
+        ),
+        serious: true,
+    })
 }
 
 /// The strongest waves of each axis.

@@ -78,6 +78,7 @@ pub fn data_sets(found: &MixedCalibration) -> String {
             Instrument::BallBar(_) => format!("{sigma:>14.2} times configured"),
             Instrument::Tracker(tracker) => mm(tracker.noise.position_m),
             Instrument::Wire(wire) => screened(1.0, wire.rejected()),
+            Instrument::Contact(contact) => screened(contact.noise_m, contact.rejected()),
         };
         // Writing to a string cannot fail.
         let _ = writeln!(text, "{name:<12}{samples:>8}{noise}");

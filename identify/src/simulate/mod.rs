@@ -5,6 +5,7 @@
 //! motion as the real things would, each on its own clock, with [`Effects`] that no estimator models. Nothing here is
 //! shared with the estimator but kinematics and names: otherwise a simulation would only prove that a model inverts itself.
 
+pub mod contact;
 mod effects;
 mod motion;
 mod pairs;

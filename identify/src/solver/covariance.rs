@@ -103,6 +103,8 @@ pub enum Source {
         /// Which.
         column: usize,
     },
+    /// What is known from elsewhere and takes part as samples.
+    Known,
     /// The value of a parameter that was considered, not estimated.
     Considered {
         /// Its column in the covariance, after those of the solution.

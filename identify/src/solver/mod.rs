@@ -72,6 +72,11 @@ pub trait Problem: Sync {
         self.rows()
     }
 
+    /// The sample is knowledge from elsewhere: it belongs to no fold, and counts whichever fold is left out.
+    fn is_known(&self, _sample: usize) -> bool {
+        false
+    }
+
     /// Priors on columns.
     fn priors(&self) -> &[Prior] {
         &[]

@@ -7,7 +7,7 @@
 
 use std::ops::{AddAssign, Sub};
 
-use nalgebra::{DMatrix, DVector};
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use super::covariance::{Source, Spread};
 use super::pass::{Pass, Products, Taking, weighed_rows};
@@ -98,6 +98,8 @@ impl Sub for &Normal {
 pub struct Normals {
     folds: Vec<Normal>,
     total: Normal,
+    /// Of samples that are known from elsewhere.
+    known: Normal,
     priors: Vec<Prior>,
     x: Vec<f64>,
 }
@@ -111,17 +113,21 @@ impl Normals {
         options: &Options<'_>,
         folds: &[Vec<usize>],
     ) -> Option<Self> {
+        let of_samples = |samples: Vec<usize>| {
+            let fold = Subset { of: problem, samples };
+            let pass = Pass::new(&fold, x, options, Taking::WhatIsThere);
+            let (products, fits) = pass.run(|| Products::new(problem.columns())).ok()?;
+            Some(products.normal(weighed_rows(&fits)))
+        };
         let mut total = Normal::zeros(problem.columns());
         let mut of_folds = Vec::with_capacity(folds.len());
         for samples in folds {
-            let fold = Subset { of: problem, samples: samples.clone() };
-            let pass = Pass::new(&fold, x, options, Taking::WhatIsThere);
-            let (products, fits) = pass.run(|| Products::new(problem.columns())).ok()?;
-            let normal = products.normal(weighed_rows(&fits));
+            let normal = of_samples(samples.clone())?;
             total += &normal;
             of_folds.push(normal);
         }
-        Some(Self { folds: of_folds, total, priors: problem.priors().to_vec(), x: x.to_vec() })
+        let known = of_samples((0..problem.samples()).filter(|sample| problem.is_known(*sample)).collect())?;
+        Some(Self { folds: of_folds, total, known, priors: problem.priors().to_vec(), x: x.to_vec() })
     }
 
     /// What is known of the columns.
@@ -134,9 +140,10 @@ impl Normals {
         &self.folds
     }
 
-    /// All folds with the priors.
+    /// All folds with what is known and the priors.
     pub fn whole(&self) -> Normal {
         let mut whole = self.total.clone();
+        whole += &self.known;
         whole.add_priors(&self.priors, &self.x);
         whole
     }
@@ -170,6 +177,7 @@ impl Normals {
         Self {
             folds: self.folds.iter().map(|fold| fold.moved(&step)).collect(),
             total: self.total.moved(&step),
+            known: self.known.moved(&step),
             priors: self.priors.clone(),
             x: x.to_vec(),
         }
@@ -185,6 +193,7 @@ impl Normals {
         let known: Vec<Prior> = priors.iter().filter_map(place).collect();
         let x: Vec<f64> = columns.iter().map(|&column| self.x[column]).collect();
         let mut total = self.total.only(columns);
+        total += &self.known.only(columns);
         total.add_priors(&known, &x);
         let error = |fold: &Normal| {
             let fold = fold.only(columns);
@@ -225,10 +234,15 @@ impl Normals {
             let moved = others.solve(&fold.gradient) * ((count - 1.0) / count).sqrt();
             columns.push((Source::Samples { data_set: data_set(number) }, moved));
         }
-        // `H^-1 P H^-1`, of which the prior weights `P` are a diagonal.
+        // `H^-1 P H^-1`, of which the prior weights `P` are a diagonal; what is known has others.
         let inverse = factor.inverse();
         for &Prior { column, sigma, .. } in &self.priors {
             columns.push((Source::Prior { column }, inverse.column(column) / sigma));
+        }
+        let known = SymmetricEigen::new(self.known.matrix.clone());
+        let weighed = known.eigenvectors.column_iter().zip(&known.eigenvalues);
+        for (direction, weight) in weighed.filter(|(_, weight)| **weight > 0.0) {
+            columns.push((Source::Known, &inverse * direction * weight.sqrt()));
         }
         Some(Spread::new(self.x.len(), &columns))
     }

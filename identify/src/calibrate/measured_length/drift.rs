@@ -186,7 +186,7 @@ pub(super) fn find(
     sigma_m: f64,
     seed: u64,
 ) -> Result<Option<(Drift, Vec<f64>)>, CalibrateError> {
-    let folds = split::folds(groups, fitting, FOLDS, seed.wrapping_add(1));
+    let folds = split::folds(groups, fitting, FOLDS, seed.wrapping_add(1), |_| 0);
     let Some(drift) = choose(model, all, fitting, &folds, sigma_m)? else { return Ok(None) };
     let drift_m = fit(model, all, fitting, &drift)?;
     Ok(Some((drift, drift_m)))

@@ -34,7 +34,7 @@ fn judged(rows: &[PoseRow], robot: &Model, seed: u64) -> Result<PoseFigures, Pos
     let tracker =
         Tracker::new(Standing::new(rows, &standing(rows.iter().map(|row| row.joints_rad)), &all, seed));
     let mut errors: Vec<Apart> = Vec::new();
-    for judged in split::folds(&all, &all, FOLDS, seed) {
+    for judged in split::folds(&all, &all, FOLDS, seed, |_| 0) {
         let fitting: Vec<usize> = all.iter().copied().filter(|row| !judged.contains(row)).collect();
         if fitting.len() < ROWS_MIN {
             return Err(PoseError::TooFewRows { rows: fitting.len(), needed: ROWS_MIN });

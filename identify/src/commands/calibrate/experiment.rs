@@ -10,7 +10,7 @@ use shared::config::{self, Validate, Violation};
 
 use super::bar::{self, BarArguments};
 use super::result::Told;
-use super::{CommonArguments, RowArguments, inputs, refused, tracker, wire};
+use super::{CommonArguments, RowArguments, contact, inputs, refused, tracker, wire};
 use crate::calibrate::ball_bar::RunInput;
 use crate::calibrate::measured_pose::RowErrors;
 use crate::calibrate::mix::{self, DataSets};
@@ -19,10 +19,11 @@ use crate::calibrate::{HoldOut, IdentifyConfig};
 use crate::commands::ensure_six_revolute_axes;
 use crate::commands::on_terminal::OnTerminal;
 use crate::evaluate::RunEvidence;
-use crate::instrument::{BallBar, LengthRow, PoseRow, Run};
+use crate::instrument::{BallBar, Instrument, LengthRow, PoseRow, Run};
 use crate::logs::LogFormat;
 use crate::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use crate::report::page::Measured;
+use crate::report::rows as of_rows;
 use crate::report::table;
 use crate::report::validation::RowsEntry;
 
@@ -63,7 +64,10 @@ pub struct RowFile {
     pub file: PathBuf,
     /// Which of its columns is what.
     pub mapping: PathBuf,
-    /// Which rows are held out together; absent: regions of poses, rows of lengths.
+    /// Of a ball in sockets, which needs it: the table of these.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sockets: Option<PathBuf>,
+    /// Which rows are held out together; absent: regions of poses, rows of lengths and contacts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hold_out: Option<HoldOut>,
     /// Decides which; absent: the instrument's usual one.
@@ -107,6 +111,9 @@ pub struct Experiment {
     /// Files of draw-wires or telescoping bars.
     #[serde(default, rename = "wire", skip_serializing_if = "Vec::is_empty")]
     pub wires: Vec<RowFile>,
+    /// Files of a ball in sockets.
+    #[serde(default, rename = "contact", skip_serializing_if = "Vec::is_empty")]
+    pub contacts: Vec<RowFile>,
     /// How to calibrate: the keys of identify.toml.
     #[serde(default)]
     pub identify: IdentifyConfig,
@@ -119,7 +126,7 @@ impl Validate for Experiment {
             return Err(Violation::new(
                 "bar",
                 what,
-                "write a [[bar]], [[tracker]] or [[wire]] block for each file",
+                "write a [[bar]], [[tracker]], [[wire]] or [[contact]] block for each file",
             ));
         }
         let forces = self.bars.iter().filter(|run| run.force_log.is_some()).count();
@@ -131,8 +138,15 @@ impl Validate for Experiment {
             ));
         }
         let of_tracker_alone = self.data_sets() > 1 || self.trackers.is_empty();
-        for (key, rows) in [("tracker", &self.trackers), ("wire", &self.wires)] {
+        for (key, rows) in [("tracker", &self.trackers), ("wire", &self.wires), ("contact", &self.contacts)] {
             for (index, row) in rows.iter().enumerate() {
+                if row.sockets.is_some() != (key == "contact") {
+                    return Err(Violation::new(
+                        format!("{key}[{index}].sockets"),
+                        "a table of sockets goes with each [[contact]] block and with no other",
+                        "write sockets = \"sockets.toml\" there, and there alone",
+                    ));
+                }
                 if of_tracker_alone && (row.joint_waves.is_some() || !row.validate.is_empty()) {
                     return Err(Violation::new(
                         format!("{key}[{index}]"),
@@ -145,11 +159,11 @@ impl Validate for Experiment {
         // What rows alone are told; a mix refuses what it cannot follow by itself.
         let IdentifyConfig { fix, require_mm, .. } = self.identify.clone();
         let taken = IdentifyConfig { fix, require_mm, ..IdentifyConfig::default() };
-        let taken = match (&self.trackers[..], &self.wires[..]) {
-            ([_], []) => {
+        let taken = match (&self.trackers[..], &self.wires[..], &self.contacts[..]) {
+            ([_], [], []) => {
                 Some((IdentifyConfig { loss: self.identify.loss, ..taken }, "fix, loss and require_mm"))
             }
-            ([], [_]) => Some((taken, "fix and require_mm")),
+            ([], [_], []) => Some((taken, "fix and require_mm")),
             _ => None,
         };
         if let Some((_, keys)) = taken.filter(|(taken, _)| self.bars.is_empty() && *taken != self.identify) {
@@ -175,12 +189,13 @@ impl Experiment {
             bars: Vec::new(),
             trackers: Vec::new(),
             wires: Vec::new(),
+            contacts: Vec::new(),
             identify,
         }
     }
 
     fn data_sets(&self) -> usize {
-        self.bars.len() + self.trackers.len() + self.wires.len()
+        self.bars.len() + self.trackers.len() + self.wires.len() + self.contacts.len()
     }
 
     /// That of a calibration from runs with the ball-bar.
@@ -210,6 +225,7 @@ impl Experiment {
         let row_file = RowFile {
             file: file.to_owned(),
             mapping: rows.mapping.clone(),
+            sockets: None,
             hold_out: rows.hold_out,
             seed: Some(rows.seed),
             joint_waves: None,
@@ -228,8 +244,9 @@ impl Experiment {
             paths.extend([&mut run.recording, &mut run.robot_log, &mut run.bar]);
             paths.extend(&mut run.force_log);
         }
-        for rows in self.trackers.iter_mut().chain(&mut self.wires) {
+        for rows in self.trackers.iter_mut().chain(&mut self.wires).chain(&mut self.contacts) {
             paths.extend([&mut rows.file, &mut rows.mapping]);
+            paths.extend(&mut rows.sockets);
             paths.extend(&mut rows.validate);
         }
         paths
@@ -299,10 +316,10 @@ impl Experiment {
 pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     let experiment = Experiment::load(&arguments.experiment)?;
     let out = &arguments.out;
-    let Experiment { bars, trackers, wires, identify, .. } = &experiment;
-    match (&bars[..], &trackers[..], &wires[..]) {
-        (_, [], []) => bar::calibrate(&experiment.bar_arguments(out), identify),
-        ([], [rows], []) => {
+    let Experiment { bars, trackers, wires, contacts, identify, .. } = &experiment;
+    match (&bars[..], &trackers[..], &wires[..], &contacts[..]) {
+        (_, [], [], []) => bar::calibrate(&experiment.bar_arguments(out), identify),
+        ([], [rows], [], []) => {
             let common = experiment.common(out);
             tracker::run(&tracker::TrackerArguments::of(
                 rows,
@@ -311,7 +328,7 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
                 common,
             ))
         }
-        ([], [], [rows]) => {
+        ([], [], [rows], []) => {
             let common = experiment.common(out);
             wire::run(&wire::WireArguments::of(rows, experiment.row_arguments(rows)?, common))
         }
@@ -319,7 +336,8 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
     }
 }
 
-fn mixed(experiment: Experiment, out: &Path) -> anyhow::Result<()> {
+/// The same of any mix, or of instruments that have no way of their own.
+pub(super) fn mixed(experiment: Experiment, out: &Path) -> anyhow::Result<()> {
     let (bar_arguments, config) = (experiment.bar_arguments(out), &experiment.identify);
     let robot = &experiment.common(out).robot()?;
     let bars = if experiment.bars.is_empty() {
@@ -332,7 +350,14 @@ fn mixed(experiment: Experiment, out: &Path) -> anyhow::Result<()> {
     let trackers: Vec<Vec<PoseRow>> = experiment.trackers.iter().map(read).collect::<anyhow::Result<_>>()?;
     let read = |rows: &RowFile| wire::rows(&rows.file, &rows.mapping, robot).map(|(rows, _)| rows);
     let wires: Vec<Vec<LengthRow>> = experiment.wires.iter().map(read).collect::<anyhow::Result<_>>()?;
+    let read = |of: &RowFile| {
+        let sockets = of.sockets.as_deref().context("a table of sockets is missing")?;
+        contact::read(&of.file, &of.mapping, sockets, robot)
+    };
+    let contacts: Vec<contact::Read> = experiment.contacts.iter().map(read).collect::<anyhow::Result<_>>()?;
+    let of_contacts = experiment.contacts.iter().zip(&contacts);
     let data = DataSets {
+        contacts: of_contacts.map(|(of, read)| (of.data(&read.rows), &read.table)).collect(),
         bars: bars.iter().map(bar::RunFiles::input).collect::<Vec<RunInput<'_>>>(),
         trackers: experiment.trackers.iter().zip(&trackers).map(|(of, rows)| of.data(rows)).collect(),
         wires: experiment.wires.iter().zip(&wires).map(|(of, rows)| of.data(rows)).collect(),
@@ -351,8 +376,15 @@ fn mixed(experiment: Experiment, out: &Path) -> anyhow::Result<()> {
     });
     on_terminal.finish();
     let mut files: Vec<(&str, &Path)> = Vec::new();
-    for (role, rows) in [("measured poses", &experiment.trackers), ("measured lengths", &experiment.wires)] {
-        files.extend(rows.iter().flat_map(|of| [(role, of.file.as_path()), ("mapping", &of.mapping)]));
+    for (role, rows) in [
+        ("measured poses", &experiment.trackers),
+        ("measured lengths", &experiment.wires),
+        ("seated balls", &experiment.contacts),
+    ] {
+        for of in rows {
+            files.extend([(role, of.file.as_path()), ("mapping", &of.mapping)]);
+            files.extend(of.sockets.as_deref().map(|sockets| ("sockets", sockets)));
+        }
     }
     files.extend(bar::input_files(&bar_arguments, &bars));
     let (found, errors) =
@@ -361,10 +393,11 @@ fn mixed(experiment: Experiment, out: &Path) -> anyhow::Result<()> {
     let mut file = CalibrationFile::new(
         &robot.name,
         &format!(
-            "{} runs with the ball-bar, {} files of trackers, {} of wires",
+            "{} runs with the ball-bar, {} files of trackers, {} of wires, {} of a ball in sockets",
             bars.len(),
             trackers.len(),
-            wires.len()
+            wires.len(),
+            contacts.len()
         ),
         SolveEntry::new("each instrument's own", &solution.summary, &solution.identifiability),
         None,
@@ -377,8 +410,12 @@ fn mixed(experiment: Experiment, out: &Path) -> anyhow::Result<()> {
     )
     .with_knowledge(solution);
     file.candidates.clone_from(&found.solved.candidates);
-    let of_rows = experiment.trackers.iter().map(|of| (of, HoldOut::Regions));
-    let of_rows = of_rows.chain(experiment.wires.iter().map(|of| (of, HoldOut::Blocks))).enumerate();
+    let row_files = [
+        (&experiment.trackers, HoldOut::Regions),
+        (&experiment.wires, HoldOut::Blocks),
+        (&experiment.contacts, HoldOut::Rows),
+    ];
+    let row_files = row_files.into_iter().flat_map(|(files, usual)| files.iter().map(move |of| (of, usual)));
     let entry = |(number, (of, usual)): (usize, (&RowFile, HoldOut))| {
         let number = bars.len() + number;
         let errors = errors.get(number).filter(|errors| !errors.held_out.is_empty())?;
@@ -390,7 +427,7 @@ fn mixed(experiment: Experiment, out: &Path) -> anyhow::Result<()> {
             held_out: errors.of(&errors.held_out),
         })
     };
-    file.rows = of_rows.filter_map(entry).collect();
+    file.rows = row_files.enumerate().filter_map(entry).collect();
     let name = |number: usize, run: &Run| format!("{} (data set {})", run.instrument.name(), number + 1);
     let data_sets = found.runs.iter().zip(&errors).enumerate().map(|(number, (run, errors))| {
         let of_bar = |bar: &BallBar| Measured::Bar {
@@ -399,6 +436,16 @@ fn mixed(experiment: Experiment, out: &Path) -> anyhow::Result<()> {
         };
         (name(number, run), run.instrument.bar().map_or(Measured::Rows(errors), of_bar))
     });
+    let mut tables = table::data_sets(&found);
+    let mut limits = Vec::new();
+    let of_contacts = found.runs.iter().enumerate().filter_map(|(number, run)| match &run.instrument {
+        Instrument::Contact(contact) => Some((name(number, run), contact, &run.model)),
+        _ => None,
+    });
+    for ((name, contact, model), read) in of_contacts.zip(&contacts) {
+        tables += &format!("\n{name}\n{}", of_rows::contacts(contact, model, &read.lines));
+        limits.extend(of_rows::contradicted(contact, model));
+    }
     let first = found.runs.first().context("there is no data set")?;
     let told = Told {
         robot,
@@ -406,8 +453,9 @@ fn mixed(experiment: Experiment, out: &Path) -> anyhow::Result<()> {
         file,
         model: &first.model,
         solution,
+        limits,
         data_sets: data_sets.collect(),
-        tables: table::data_sets(&found),
+        tables,
         experiment,
     };
     told.write(out)

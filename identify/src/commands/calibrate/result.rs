@@ -7,7 +7,7 @@ use shared::config::{BallBarConfig, RobotConfig};
 use shared::output::{say, show};
 
 use super::experiment::Experiment;
-use crate::evaluate::workspace_error;
+use crate::evaluate::{Limit, workspace_error};
 use crate::model::Model;
 use crate::report::file::CalibrationFile;
 use crate::report::page::{Measured, MeasuredPage};
@@ -24,6 +24,8 @@ pub(super) struct Told<'a> {
     /// Of the first data set.
     pub(super) model: &'a Model,
     pub(super) solution: &'a Solution,
+    /// What limits it.
+    pub(super) limits: Vec<Limit>,
     pub(super) data_sets: Vec<(String, Measured<'a>)>,
     /// For the terminal.
     pub(super) tables: String,
@@ -34,9 +36,9 @@ pub(super) struct Told<'a> {
 impl Told<'_> {
     /// Writes all files and the page into the directory and prints what a person needs at once.
     pub(super) fn write(self, directory: &Path) -> anyhow::Result<()> {
-        let Self { robot, bar, file, model, solution, data_sets, tables, experiment } = self;
+        let Self { robot, bar, file, model, solution, limits, data_sets, tables, experiment } = self;
         let workspace = workspace_error(model, &solution.covariance, &robot.joint_limits());
-        let file = file.with_verdict(&workspace, &[], experiment.identify.require_mm.map(|mm| mm * 1e-3));
+        let file = file.with_verdict(&workspace, &limits, experiment.identify.require_mm.map(|mm| mm * 1e-3));
         let written = write_files(&file, robot, bar, directory)?;
         let page = MeasuredPage {
             file: &file,

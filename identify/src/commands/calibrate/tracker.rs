@@ -140,6 +140,7 @@ pub(super) fn run(arguments: &TrackerArguments) -> anyhow::Result<()> {
         file,
         model: &report.model,
         solution,
+        limits: Vec::new(),
         data_sets: vec![("tracker".into(), Measured::Rows(&report.errors))],
         tables: of_rows::poses(&report, &validations),
         experiment: arguments.experiment(),

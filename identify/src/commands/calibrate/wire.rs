@@ -93,6 +93,7 @@ pub(super) fn run(arguments: &WireArguments) -> anyhow::Result<()> {
         file,
         model: &report.model,
         solution,
+        limits: Vec::new(),
         data_sets: vec![("wire".into(), Measured::Rows(&report.errors))],
         tables: of_rows::lengths(&report, &lines),
         experiment,

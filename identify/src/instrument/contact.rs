@@ -1,0 +1,286 @@
+//! A ball on the flange that is seated in one of several sockets, row by row: the robot's joints and which socket are all that is
+//! read. Poses that put the ball into the same socket close a loop; known distances of the sockets give the scale.
+
+use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
+
+use super::screened::{RejectedRow, Screened};
+use super::tracker::MEDIAN_OF_THREE;
+use super::{Apart, Instrument, Measures, SocketTable, Sockets, Standing, quantile};
+use crate::cost::{CostError, DataSet, Residual, SeatedBall, SeatedBalls};
+use crate::kinematics::Joints;
+use crate::model::{
+    Clock, Geometry, JointState, Model, ModelError, Observation, Owner, ParameterId, PerObservation, Role,
+};
+
+/// A pose of the robot at which the ball is seated.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ContactRow {
+    /// Joint variables of the model \[rad, m\].
+    pub joints_rad: Joints,
+    /// The socket, by its place in [`SocketTable::names`].
+    pub socket: usize,
+}
+
+/// Why rows of a ball in sockets cannot be used.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ContactError {
+    /// A joint is not a number.
+    #[error("row {row} has a joint that is not finite; take it out or mend it")]
+    BadRow {
+        /// From 1.
+        row: usize,
+    },
+    /// The table does not have the socket.
+    #[error("row {row} is of a socket that the table of sockets does not have; correct one of them")]
+    UnknownSocket {
+        /// From 1.
+        row: usize,
+    },
+    /// Only one socket was visited.
+    #[error(
+        "all rows are of socket `{socket}`: nothing then gives the scale of the robot; seat the ball in at least two sockets whose \
+         distance is known"
+    )]
+    OneSocket {
+        /// Its name.
+        socket: String,
+    },
+    /// A socket was visited once.
+    #[error(
+        "socket `{socket}` has one row, which closes no loop; seat the ball in it in at least two postures, or leave the row out"
+    )]
+    VisitedOnce {
+        /// Its name.
+        socket: String,
+    },
+    /// None of the visited sockets has a known distance.
+    #[error(
+        "no distance is known between the sockets of these rows ({}): nothing then gives the scale of the robot; give places \
+         or distances of at least two of them",
+        .sockets.join(", ")
+    )]
+    NoDistance {
+        /// Names of the sockets that were visited.
+        sockets: Vec<String>,
+    },
+    /// Too few rows for the unknowns.
+    #[error(
+        "{rows} rows in {sockets} sockets are too few, at least {needed} are needed; seat the ball in more postures"
+    )]
+    TooFewRows {
+        /// Rows.
+        rows: usize,
+        /// Sockets that they visit.
+        sockets: usize,
+        /// Least number.
+        needed: usize,
+    },
+}
+
+/// The ball is expected within this of the flange \[m\]: decides only where the poses do not tell.
+const BALL_SIGMA_M: f64 = 1.0;
+
+/// Rows of one set-up.
+#[derive(Debug, Clone)]
+pub struct Contact {
+    rows: Screened<ContactRow>,
+    sockets: Sockets,
+    /// Those that take part, and the socket of each.
+    observations: Vec<Observation>,
+    socket_of: Vec<usize>,
+    /// Standard deviation of a coordinate of the seated ball, from the spread of the residuals \[m\].
+    pub noise_m: f64,
+}
+
+impl Contact {
+    /// Of rows with how the robot stood at each.
+    ///
+    /// # Errors
+    /// [`ContactError`] where rows and table calibrate no robot.
+    pub fn new(mut all: Standing<ContactRow>, table: &SocketTable) -> Result<Self, ContactError> {
+        let names = table.names();
+        let mut visits = vec![0; names.len()];
+        for (row, one) in (1..).zip(&all.rows) {
+            if !one.joints_rad.iter().all(|joint| joint.is_finite()) {
+                return Err(ContactError::BadRow { row });
+            }
+            *visits.get_mut(one.socket).ok_or(ContactError::UnknownSocket { row })? += 1;
+        }
+        let visited: Vec<usize> = (0..names.len()).filter(|socket| visits[*socket] > 0).collect();
+        for row in &mut all.rows {
+            row.socket = visited.partition_point(|socket| *socket < row.socket);
+        }
+        let names: Vec<&str> = visited.iter().map(|&socket| names[socket]).collect();
+        let sockets = Sockets::new(table, &names);
+        let axes = all.states.first().map_or(0, |state| state.q.len());
+        let (rows, needed) = (all.rows.len(), rows_min(names.len(), axes));
+        if let [socket] = names[..] {
+            return Err(ContactError::OneSocket { socket: socket.to_owned() });
+        }
+        if sockets.knowns() == 0 {
+            return Err(ContactError::NoDistance { sockets: sockets.names().to_vec() });
+        }
+        if rows < needed {
+            return Err(ContactError::TooFewRows { rows, sockets: names.len(), needed });
+        }
+        if let Some(once) = visited.iter().position(|socket| visits[*socket] == 1) {
+            return Err(ContactError::VisitedOnce { socket: names[once].to_owned() });
+        }
+        Ok(Self::of(all, sockets, BALL_SIGMA_M))
+    }
+
+    fn of(all: Standing<ContactRow>, sockets: Sockets, noise_m: f64) -> Self {
+        let mut contact = Self {
+            rows: Screened::new(all),
+            sockets,
+            observations: Vec::new(),
+            socket_of: Vec::new(),
+            noise_m,
+        };
+        contact.take_part();
+        contact
+    }
+
+    /// Takes over which rows take part.
+    fn take_part(&mut self) {
+        let rows = &self.rows.at.rows;
+        let observation = |row| Observation::bar(PerObservation::time_s(row), Default::default());
+        self.observations = (0..rows.len()).map(observation).collect();
+        self.socket_of = rows.iter().map(|row| row.socket).collect();
+    }
+
+    /// The sockets, in the order of their parameters.
+    pub fn sockets(&self) -> &Sockets {
+        &self.sockets
+    }
+
+    /// Rows that take no part.
+    pub fn rejected(&self) -> &[RejectedRow] {
+        &self.rows.rejected
+    }
+
+    /// Socket of each row, whether it takes part or not.
+    pub fn socket_of_row(&self, row: usize) -> Option<usize> {
+        self.rows.all.rows.get(row).map(|row| row.socket)
+    }
+
+    /// From its socket to where the robot holds the ball, in every row, whether it takes part or not \[m\].
+    pub fn errors_m(&self, geometry: &Geometry) -> Vec<Vector3<f64>> {
+        let of = &geometry.contact;
+        let one = |(row, state): (&ContactRow, &JointState)| {
+            let held_m = geometry.robot_end(state).transform_point(&of.ball_m.into()).coords;
+            of.sockets_m
+                .get(row.socket)
+                .map_or_else(|| Vector3::repeat(f64::NAN), |socket_m| held_m - socket_m)
+        };
+        self.rows.all.rows.iter().zip(&self.rows.all.states).map(one).collect()
+    }
+}
+
+/// Fewest rows: twice as many numbers as ball, sockets and links together.
+fn rows_min(sockets: usize, axes: usize) -> usize {
+    const NUMBERS_OF_LINK: usize = 4;
+    (2 * (3 * (1 + sockets) + NUMBERS_OF_LINK * axes)).div_ceil(SeatedBall::ROWS)
+}
+
+impl Measures for Contact {
+    fn samples(&self) -> usize {
+        self.rows.at.rows.len()
+    }
+
+    /// The ball and the sockets: `p_k + R_k ball = socket` is linear in both.
+    fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
+        let geometry = model.geometry(&[]);
+        let size = 3 * (1 + self.sockets.names().len());
+        let (mut matrix, mut right) = (DMatrix::zeros(size, size), DVector::zeros(size));
+        let weak = self.samples() as f64 * (1e-3 / BALL_SIGMA_M).powi(2);
+        matrix.view_mut((0, 0), (3, 3)).fill_diagonal(weak);
+        for (row, state) in self.rows.at.rows.iter().zip(&self.rows.at.states) {
+            let (flange, at) = (geometry.robot_end(state), 3 * (1 + row.socket));
+            let (turn, from_m) = (flange.rotation.matrix(), flange.translation.vector);
+            let mut add = |place: (usize, usize), by: &Matrix3<f64>| {
+                let mut view = matrix.fixed_view_mut::<3, 3>(place.0, place.1);
+                view += by;
+            };
+            add((0, 0), &Matrix3::identity());
+            add((at, at), &Matrix3::identity());
+            add((0, at), &-turn.transpose());
+            add((at, 0), &-turn);
+            let mut add = |place: usize, by: Vector3<f64>| {
+                let mut view = right.fixed_rows_mut::<3>(place);
+                view += by;
+            };
+            add(0, -turn.transpose() * from_m);
+            add(at, from_m);
+        }
+        let Some(found) = matrix.cholesky().map(|factor| factor.solve(&right)) else { return Ok(false) };
+        for (id, value) in ParameterId::contact(self.sockets.names().len()).zip(found.iter()) {
+            if fix.contains(&id) {
+                continue;
+            }
+            let role = match id {
+                ParameterId::Ball(_) => Role::Prior { value: 0.0, sigma: BALL_SIGMA_M },
+                _ => Role::Free,
+            };
+            model.set_value(id, *value)?;
+            model.set_role(id, role)?;
+        }
+        Ok(true)
+    }
+
+    fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
+        let Self { rows, observations, socket_of, sockets, noise_m } = self;
+        let problem = SeatedBalls::new(model, &rows.at, observations, socket_of, sockets, sigma * noise_m)?;
+        Ok(Box::new(problem))
+    }
+
+    fn reported(&self, sample: usize, _: &Clock) -> Option<JointState> {
+        self.rows.at.states.get(sample).copied()
+    }
+
+    fn tells(&self, id: ParameterId) -> bool {
+        SeatedBall::sees(id) && id.owner() != Owner::Clocks
+    }
+
+    /// Standard deviation of a coordinate that is behind errors which are mostly normal, by their median; ball and sockets have
+    /// taken their numbers of it.
+    fn adapt(&mut self, model: &Model) -> Option<f64> {
+        /// Data without any noise still need a unit.
+        const LEAST_M: f64 = 1e-9;
+        let mut sizes: Vec<f64> =
+            self.errors_m(&model.geometry(&[])).iter().map(|error| error.norm()).collect();
+        sizes.sort_by(f64::total_cmp);
+        let (rows, own) = (sizes.len() as f64, 1.0 + self.sockets.names().len() as f64);
+        let taken = (1.0 - own / rows).max(0.5).sqrt();
+        self.noise_m = (quantile(&sizes, 0.5) / MEDIAN_OF_THREE / taken).max(LEAST_M);
+        Some(self.noise_m)
+    }
+
+    /// Where most rows agree with each other, and each socket keeps a row.
+    fn screen(&mut self, model: &Model) -> bool {
+        let residuals_m: Vec<f64> =
+            self.errors_m(&model.geometry(&[])).iter().map(|error| error.norm()).collect();
+        let before = self.rows.clone();
+        let others = self.rows.screen(&residuals_m);
+        let visited = |socket: usize| self.rows.at.rows.iter().any(|row| row.socket == socket);
+        if !(0..self.sockets.names().len()).all(visited) {
+            self.rows = before;
+            return false;
+        }
+        self.take_part();
+        others
+    }
+
+    fn independent(&self, count: usize) -> Vec<Vec<usize>> {
+        self.rows.at.independent(count, |row| row.socket)
+    }
+
+    fn part(&self, samples: &[usize]) -> Instrument {
+        Instrument::Contact(Self::of(self.rows.at.chosen(samples), self.sockets.clone(), self.noise_m))
+    }
+
+    fn errors(&self, geometry: &Geometry) -> Vec<Apart> {
+        let apart = |error: Vector3<f64>| Apart { position_m: error.norm(), rotation_rad: None };
+        self.errors_m(geometry).into_iter().map(apart).collect()
+    }
+}

@@ -1,0 +1,286 @@
+//! A ball on the flange, seated in sockets whose distances are known: made-up rows with known truth, on arms of six and seven axes.
+#![allow(clippy::unwrap_used, clippy::panic, reason = "a test stops at the first surprise")]
+#![allow(clippy::print_stdout, reason = "figures of a run")]
+
+use std::path::Path;
+
+use identify::calibrate::IdentifyConfig;
+use identify::calibrate::mix::{DataSets, MixedCalibration, calibrate};
+use identify::instrument::{ContactRow, Instrument, KnownDistance, PlacedSocket, SocketTable, Sockets};
+use identify::kinematics::{Chain, DhLink, Joints, LinkParameter, flange_chain};
+use identify::model::ParameterId;
+use identify::robot::import;
+use identify::simulate::contact::{self, ContactExperiment, SimulatedContacts};
+use nalgebra::{DVector, Matrix3, Rotation3, Vector3};
+use rand::rngs::StdRng;
+use rand::{Rng, SeedableRng};
+use shared::config::{self, RobotConfig, Validate};
+
+use crate::support::command::identify;
+use crate::support::{irb2400, repository};
+
+fn irb120() -> RobotConfig {
+    config::load(&repository("config/robots/irb120_3.toml")).unwrap()
+}
+
+fn seven_axes() -> RobotConfig {
+    let text = std::fs::read_to_string(repository("identify/tests/data/seven_axes.urdf")).unwrap();
+    import(&text, Some("base"), Some("flange")).unwrap().config
+}
+
+fn simulated(robot: &RobotConfig, seed: u64) -> SimulatedContacts {
+    contact::run(&ContactExperiment { seed, ..ContactExperiment::new(robot) }).unwrap()
+}
+
+fn calibrated(robot: &RobotConfig, rows: &[ContactRow], table: &SocketTable) -> MixedCalibration {
+    let data = DataSets { contacts: vec![(rows.into(), table)], ..DataSets::default() };
+    calibrate(&data, robot, &IdentifyConfig::default(), None).unwrap()
+}
+
+/// Mean distance of two robots' wrists over postures within the limits, one robot moved as a whole to where it fits the other
+/// best: base and flange are the instrument's \[m\].
+fn apart_m(robot: &RobotConfig, one: &Chain, other: &Chain) -> f64 {
+    const POSTURES: usize = 400;
+    let mut random = StdRng::seed_from_u64(7);
+    let wrists = |chain: &Chain, q: &Joints| {
+        let mut chain = chain.clone();
+        *chain.links.last_mut().unwrap() = DhLink::default();
+        chain.forward(q).translation.vector
+    };
+    let limits = robot.joint_limits();
+    let pairs: Vec<[Vector3<f64>; 2]> = (0..POSTURES)
+        .map(|_| {
+            let q: Joints = limits.iter().map(|&[low, high]| random.random_range(low..high)).collect();
+            [wrists(one, &q), wrists(other, &q)]
+        })
+        .collect();
+    let centre = |which: usize| pairs.iter().map(|pair| pair[which]).sum::<Vector3<f64>>() / POSTURES as f64;
+    let (a, b) = (centre(0), centre(1));
+    let sum: Matrix3<f64> = pairs.iter().map(|[p, q]| (p - a) * (q - b).transpose()).sum();
+    let svd = sum.svd(true, true);
+    let turn = svd.u.unwrap() * svd.v_t.unwrap();
+    pairs.iter().map(|[p, q]| (p - a - turn * (q - b)).norm()).sum::<f64>() / POSTURES as f64
+}
+
+#[test]
+fn robots_of_six_and_seven_axes_are_calibrated_by_a_ball_in_sockets_alone() {
+    for robot in [irb2400(), irb120(), seven_axes()] {
+        let SimulatedContacts { rows, table, robot: truth, .. } = simulated(&robot, 1);
+        let found = calibrated(&robot, &rows, &table);
+        let model = &found.runs[0].model;
+        let before_mm = apart_m(&robot, &flange_chain(&robot), &truth) * 1e3;
+        let after_mm = apart_m(&robot, &model.geometry(&[]).robot, &truth) * 1e3;
+        println!("{}: {before_mm:.3} -> {after_mm:.4} mm", robot.name);
+        assert!(after_mm < 0.1 * before_mm, "{}: {before_mm} -> {after_mm}", robot.name);
+    }
+}
+
+#[test]
+fn distances_serve_as_well_as_places_and_two_sockets_are_enough() {
+    let robot = irb2400();
+    let usual = ContactExperiment::new(&robot);
+    let after_mm = |experiment: &ContactExperiment<'_>| {
+        let SimulatedContacts { rows, table, robot: truth, .. } = contact::run(experiment).unwrap();
+        let model = calibrated(&robot, &rows, &table).runs[0].model.clone();
+        apart_m(&robot, &model.geometry(&[]).robot, &truth) * 1e3
+    };
+    let places = after_mm(&usual);
+    let distances = after_mm(&ContactExperiment { distances: true, ..usual.clone() });
+    let socket = |name: &str, x| PlacedSocket { name: name.into(), position_mm: [x, 0.0, 0.0], u_um: None };
+    let bar = SocketTable {
+        u_um: 5.0,
+        sockets: vec![socket("one", 0.0), socket("two", 500.0)],
+        distances: Vec::new(),
+    };
+    let two = after_mm(&ContactExperiment { sockets: Some(bar), distances: true, ..usual });
+    println!("places {places:.4}, distances {distances:.4}, two sockets {two:.4} mm");
+    assert!(places < 0.1 && distances < 0.1 && two < 0.2, "{places} {distances} {two}");
+}
+
+/// What is known of sockets is differentiated as differences say, on a plate and along distances.
+#[test]
+fn what_is_known_of_sockets_has_the_derivatives_of_their_places() {
+    let placed = |name: &str, at, u_um| PlacedSocket { name: name.into(), position_mm: at, u_um };
+    let distance = KnownDistance { between: ["d".into(), "a".into()], distance_mm: 310.0, u_um: Some(7.0) };
+    let table = SocketTable {
+        u_um: 5.0,
+        sockets: vec![
+            placed("a", [0.0, 0.0, 0.0], None),
+            placed("b", [300.0, 20.0, 0.0], Some(9.0)),
+            placed("c", [80.0, 200.0, 0.0], None),
+            placed("d", [10.0, 30.0, 150.0], Some(3.0)),
+        ],
+        distances: vec![distance],
+    };
+    table.validate().unwrap();
+    let sockets = Sockets::new(&table, &table.names());
+    let turn = Rotation3::new(Vector3::new(0.4, -1.9, 0.7));
+    // Where the plate fits: the derivative leaves out what residuals add to it, as Gauss and Newton do.
+    let at: Vec<Vector3<f64>> = table
+        .sockets
+        .iter()
+        .map(|one| turn * Vector3::from(one.position_mm) * 1e-3 + Vector3::new(0.7, 0.1, 0.4))
+        .collect();
+    assert_eq!(sockets.knowns(), 5);
+    for known in 0..sockets.knowns() {
+        let (residual, by) = sockets.known(known, &at).unwrap();
+        assert_eq!(residual.len(), sockets.rows_of(known));
+        assert!(known == 4 || residual.amax() < 1e-6, "{residual}");
+        for column in 0..12 {
+            let moved = |step: f64| -> DVector<f64> {
+                let mut at = at.clone();
+                at[column / 3][column % 3] += step;
+                sockets.known(known, &at).unwrap().0
+            };
+            let expected = (moved(1e-7) - moved(-1e-7)) / 2e-7;
+            let off = (by.column(column) - expected).amax();
+            assert!(off < 1e-3 * by.amax().max(1.0), "{known} by {column}: {off:e}");
+        }
+    }
+    let mut wrong = at.clone();
+    assert!(sockets.contradicted(&at).iter().all(|one| one.0.contains("distance")));
+    wrong[1] += Vector3::new(1e-3, 0.0, 0.0);
+    assert!(sockets.contradicted(&wrong).iter().any(|(name, ..)| name == "the place of socket `b`"));
+}
+
+#[test]
+fn rows_of_a_wrong_socket_take_no_part() {
+    let robot = irb120();
+    let SimulatedContacts { mut rows, table, robot: truth, .. } = simulated(&robot, 2);
+    for row in [20, 77, 131] {
+        rows[row].socket = (rows[row].socket + 1) % 6;
+    }
+    let found = calibrated(&robot, &rows, &table);
+    let Instrument::Contact(contact) = &found.runs[0].instrument else { panic!() };
+    assert_eq!(contact.rejected().iter().map(|one| one.row).collect::<Vec<_>>(), [20, 77, 131]);
+    let after_m = apart_m(&robot, &found.runs[0].model.geometry(&[]).robot, &truth);
+    assert!(after_m < 1e-4, "{after_m}");
+}
+
+/// The parameters of links, of which `d` is told once of axes that are nearly parallel: true minus found, over its sigma.
+fn pulls(robot: &RobotConfig, seed: u64) -> Vec<(ParameterId, f64)> {
+    let SimulatedContacts { rows, table, truth, .. } = simulated(robot, seed);
+    let found = calibrated(robot, &rows, &table);
+    let (model, covariance) = (&found.runs[0].model, &found.solved.solution.covariance);
+    let sigmas = covariance.sigmas_from.sigmas_of_95();
+    let value = |id: ParameterId| truth.parameters[&id.to_string()];
+    let pull = |(column, parameter): (usize, &identify::model::Parameter)| {
+        let ParameterId::Robot { link, parameter: kind } = parameter.id else { return None };
+        let mut truth = value(parameter.id);
+        let before =
+            ParameterId::Robot { link: link.checked_sub(1).unwrap_or(link), parameter: LinkParameter::D };
+        let parallel = link > 1 && robot.links[link - 1].alpha_deg.to_radians().sin().abs() < 0.1;
+        if kind == LinkParameter::D && parallel {
+            truth += value(before) - model.parameter(before)?.nominal;
+        }
+        Some((parameter.id, (parameter.value - truth) / (sigmas * covariance.sigma(column)?)))
+    };
+    model.columns().enumerate().filter_map(pull).collect()
+}
+
+fn within(robot: &RobotConfig, seeds: u64) -> f64 {
+    let all: Vec<(ParameterId, f64)> = (1..=seeds).flat_map(|seed| pulls(robot, seed)).collect();
+    for (id, pull) in all.iter().filter(|(_, pull)| pull.abs() > 1.5) {
+        println!("{id}: {pull:.2}");
+    }
+    let within = all.iter().filter(|(_, pull)| pull.abs() <= 1.0).count() as f64 / all.len() as f64;
+    println!("{}: {within:.3} of {} within their 95 % intervals", robot.name, all.len());
+    within
+}
+
+#[test]
+#[ignore = "takes minutes"]
+fn intervals_of_links_hold_95_percent_over_robots() {
+    for robot in [irb2400(), irb120(), seven_axes()] {
+        let within = within(&robot, 30);
+        assert!((0.92..=0.99).contains(&within), "{}: {within}", robot.name);
+    }
+}
+
+/// What a person is told by `identify` about the files in a directory, as text, and whether it ended well.
+fn told(directory: &Path, rows: &str, sockets: &str) -> (bool, String) {
+    let [rows, sockets, mapping] = [rows, sockets, "contact.toml"].map(|name| directory.join(name));
+    let [rows, sockets, mapping] = [&rows, &sockets, &mapping].map(|path| path.to_str().unwrap());
+    let arguments = ["calibrate", "contact", rows, "--sockets", sockets, "--mapping", mapping];
+    let output = identify(&arguments, "irb120_3.toml", &directory.join("out"));
+    let texts = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+    (output.status.success(), texts.concat())
+}
+
+#[test]
+fn a_person_simulates_calibrates_and_repeats_it() {
+    let directory = tempfile::tempdir().unwrap();
+    let at = directory.path();
+    assert!(identify(&["simulate", "contact"], "irb120_3.toml", at).status.success());
+    let (done, text) = told(at, "contacts.csv", "sockets.toml");
+    assert!(done && text.contains("verdict green"), "{text}");
+    assert!(text.contains("socket6_z") && text.contains("robot.urdf"), "{text}");
+    let page = std::fs::read_to_string(at.join("out/report.html")).unwrap();
+    assert!(page.contains("contact (data set 1)") && page.contains("held-out rows, calibrated, RMS"));
+    assert!(page.contains("what is known of the sockets") && page.contains("mounting of the ball"));
+    // The experiment beside the result repeats it to the last digit.
+    let again = at.join("again");
+    let run = std::process::Command::new(env!("CARGO_BIN_EXE_identify"))
+        .args(["calibrate", "--experiment"])
+        .arg(at.join("out/experiment.toml"))
+        .arg("--out")
+        .arg(&again)
+        .output()
+        .unwrap();
+    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let [first, second] = [at.join("out"), again].map(|out| {
+        let text = std::fs::read_to_string(out.join("calibration.toml")).unwrap();
+        text.lines().filter(|line| line.starts_with("value")).map(str::to_owned).collect::<Vec<_>>()
+    });
+    assert!(!first.is_empty() && first == second);
+
+    let rows = std::fs::read_to_string(at.join("contacts.csv")).unwrap();
+    let sockets = std::fs::read_to_string(at.join("sockets.toml")).unwrap();
+    let with = |rows: String, sockets: String| {
+        std::fs::write(at.join("rows.csv"), rows).unwrap();
+        std::fs::write(at.join("table.toml"), sockets).unwrap();
+        told(at, "rows.csv", "table.toml")
+    };
+    let header = rows.lines().next().unwrap();
+    let of_sockets = |count: usize, names: &str| {
+        let kept = rows.lines().skip(1).filter(|row| row.ends_with(|end: char| names.contains(end)));
+        let kept = kept.take(count).map(|row| format!("{row}\n"));
+        format!("{header}\n{}", kept.collect::<String>())
+    };
+    let refused = |rows: String, sockets: &str, why: &[&str]| {
+        let (done, text) = with(rows, sockets.to_owned());
+        assert!(!done && why.iter().all(|why| text.contains(why)), "{why:?}: {text}");
+    };
+    let renamed = rows.replacen(",C\n", ",Z\n", 1);
+    refused(renamed, &sockets, &["line 4", "no socket is called `Z`", "A, B, C, D, E, F"]);
+    let second = rows.lines().nth(2).unwrap();
+    let not_a_number = format!("NaN{}", &second[second.find(',').unwrap()..]);
+    refused(rows.replacen(second, &not_a_number, 1), &sockets, &["line 3", "q1_deg", "not a finite number"]);
+    refused(of_sockets(40, "B"), &sockets, &["all rows are of socket `B`", "at least two"]);
+    refused(of_sockets(20, "AB"), &sockets, &["20 rows in 2 sockets are too few, at least 22"]);
+    let once = of_sockets(60, "AB") + rows.lines().nth(4).unwrap() + "\n";
+    refused(once, &sockets, &["socket `D` has one row"]);
+    let apart = "u_um = 5.0\n[[distance]]\nbetween = [\"C\", \"D\"]\ndistance_mm = 250.0\n[[socket]]\nname = \"A\"\n\
+                 position_mm = [0, 0, 0]\n[[distance]]\nbetween = [\"B\", \"E\"]\ndistance_mm = 250.0\n";
+    refused(of_sockets(60, "AB"), apart, &["no distance is known between the sockets of these rows (A, B)"]);
+    refused(rows.clone(), "u_um = 5.0\n", &["key `socket`", "no distance between sockets is known"]);
+    refused(rows.clone(), &sockets.replace("u_um = 5.0", "u_um = 0"), &["key `u_um`", "above zero"]);
+
+    // A place that is wrong is named, and the verdict is not green.
+    let place = sockets
+        .lines()
+        .find(|line| line.starts_with("position_mm = [") && !line.contains("[0.0, 0.0"))
+        .unwrap();
+    let (done, text) = with(rows.clone(), sockets.replacen(place, &place.replacen("0.0,", "1.0,", 1), 1));
+    assert!(
+        done && text
+            .contains("verdict amber: The rows contradict the table of sockets: the place of socket `"),
+        "{text}"
+    );
+    // A row of another socket is named with the right one.
+    let (done, text) = with(rows.replacen(",D\n", ",E\n", 1), sockets.clone());
+    assert!(
+        done && text.contains("line 5 takes no part") && text.contains("from `D`: look for a wrong name"),
+        "{text}"
+    );
+}
