@@ -8,6 +8,7 @@ use identify::calibrate::IdentifyConfig;
 use identify::calibrate::mix::{DataSets, MixedCalibration, calibrate};
 use identify::instrument::{ContactRow, Instrument, KnownDistance, PlacedSocket, SocketTable, Sockets};
 use identify::kinematics::{Chain, DhLink, Joints, LinkParameter, flange_chain};
+use identify::logs::ContactMapping;
 use identify::model::ParameterId;
 use identify::robot::import;
 use identify::simulate::contact::{self, ContactExperiment, SimulatedContacts};
@@ -207,6 +208,39 @@ fn told(directory: &Path, rows: &str, sockets: &str) -> (bool, String) {
     (output.status.success(), texts.concat())
 }
 
+/// What is in the rows, and in rows with one wrong name, is said without any calibration; a mapping is proposed for them.
+fn inspected(at: &Path, rows: &str) {
+    let robot = repository("config/robots/irb120_3.toml");
+    let inspect = |file: &str, more: &[&str]| {
+        let run = std::process::Command::new(env!("CARGO_BIN_EXE_identify"))
+            .current_dir(at)
+            .args(["inspect", file, "--robot", robot.to_str().unwrap()])
+            .args(more)
+            .output()
+            .unwrap();
+        String::from_utf8([run.stdout, run.stderr].concat()).unwrap()
+    };
+    let usual = ["--sockets", "sockets.toml", "--contact-mapping", "contact.toml"];
+    let text = inspect("contacts.csv", &usual);
+    assert!(text.contains("200: A 34, B 34, C 33") && text.contains("nothing suspicious"), "{text}");
+    std::fs::write(at.join("wrong.csv"), rows.replacen(",D\n", ",E\n", 1)).unwrap();
+    let text = inspect("wrong.csv", &usual);
+    assert!(
+        text.contains("! line 5: the ball is") && text.contains("from `D`: look for a wrong name"),
+        "{text}"
+    );
+    let text = inspect("contacts.csv", &["--propose", "proposed.toml"]);
+    assert!(text.contains("`identify calibrate contact --mapping`"), "{text}");
+    let [written, proposed] =
+        ["contact.toml", "proposed.toml"].map(|name| config::load::<ContactMapping>(&at.join(name)).unwrap());
+    let names = |mapping: &ContactMapping| {
+        let joints =
+            mapping.joints.iter().map(|joint| (joint.column.clone(), joint.unit)).collect::<Vec<_>>();
+        (mapping.socket.clone(), joints)
+    };
+    assert_eq!(names(&proposed), names(&written));
+}
+
 #[test]
 fn a_person_simulates_calibrates_and_repeats_it() {
     let directory = tempfile::tempdir().unwrap();
@@ -235,6 +269,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     assert!(!first.is_empty() && first == second);
 
     let rows = std::fs::read_to_string(at.join("contacts.csv")).unwrap();
+    inspected(at, &rows);
     let sockets = std::fs::read_to_string(at.join("sockets.toml")).unwrap();
     let with = |rows: String, sockets: String| {
         std::fs::write(at.join("rows.csv"), rows).unwrap();

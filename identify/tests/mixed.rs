@@ -1,4 +1,4 @@
-//! A ball-bar, a tracker and a draw-wire on one robot, whose gears have errors that no model has: one solve of all is nearer to
+//! A ball-bar, a tracker, a draw-wire and a ball in sockets on one robot, whose gears have errors that no model has: one solve of all is nearer to
 //! the truth than each of them alone, and its intervals hold.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
@@ -6,8 +6,8 @@
 use identify::calibrate::IdentifyConfig;
 use identify::calibrate::ball_bar::RunInput;
 use identify::calibrate::mix::{DataSets, MixedCalibration, calibrate};
-use identify::instrument::{Instrument, LengthRow, PoseRow};
-use identify::kinematics::{Chain, DhLink, Joints, Pose, flange_chain, robot_chain};
+use identify::instrument::{ContactRow, Instrument, LengthRow, PlacedSocket, PoseRow, SocketTable};
+use identify::kinematics::{Chain, DhLink, Joints, Pose, flange_chain, robot_chain, robot_inverse};
 use identify::model::{DriveTrain, Model, ParameterId, Role};
 use identify::simulate::{Design, Simulated};
 use nalgebra::{Rotation3, Vector3};
@@ -26,6 +26,8 @@ struct Cell {
     run: Simulated,
     poses: Vec<PoseRow>,
     lengths: Vec<LengthRow>,
+    contacts: Vec<ContactRow>,
+    sockets: SocketTable,
     truth: Chain,
     /// As configured: the plate is not exactly so.
     bar: BallBarConfig,
@@ -59,7 +61,7 @@ impl Gears {
 }
 
 impl Cell {
-    /// A run of two minutes, 150 poses within 0.05 mm and 150 lengths within 0.1 mm.
+    /// A run of two minutes, 150 poses within 0.05 mm, 150 lengths within 0.1 mm and 150 balls seated within 0.01 mm.
     fn new(seed: u64) -> Self {
         let (robot, bar) = (irb2400(), bar());
         let level = Level { gear_sine_urad: 0.0, cycloid_urad: 0.0, ..Level::USUAL };
@@ -107,11 +109,12 @@ impl Cell {
                 lengths.push(LengthRow { joints_rad: joints_rad.into(), length_m, flange_m: None });
             }
         }
+        let (contacts, sockets) = seated(&truth, &gears, &mut StdRng::seed_from_u64(300 + seed));
         let plate_m = bar.plate_m + normal(bar.plate_u_um * 1e-6);
-        Self { run, poses, lengths, truth, bar: BallBarConfig { plate_m, ..bar } }
+        Self { run, poses, lengths, contacts, sockets, truth, bar: BallBarConfig { plate_m, ..bar } }
     }
 
-    fn calibrated(&self, [with_bar, tracker, wire]: [bool; 3]) -> MixedCalibration {
+    fn calibrated(&self, [with_bar, tracker, wire, contact]: [bool; 4]) -> MixedCalibration {
         let (robot, bar) = (irb2400(), &self.bar);
         let run = RunInput {
             cycles: &self.run.cycles,
@@ -124,7 +127,10 @@ impl Cell {
             bars: with_bar.then_some(run).into_iter().collect(),
             trackers: tracker.then_some(self.poses.as_slice().into()).into_iter().collect(),
             wires: wire.then_some(self.lengths.as_slice().into()).into_iter().collect(),
-            contacts: Vec::new(),
+            contacts: contact
+                .then_some((self.contacts.as_slice().into(), &self.sockets))
+                .into_iter()
+                .collect(),
         };
         calibrate(&data, &robot, &IdentifyConfig::default(), None).unwrap()
     }
@@ -186,18 +192,46 @@ impl Cell {
     }
 }
 
-const ALL: [bool; 3] = [true; 3];
+/// A ball that the robot seats in four sockets from many sides, and what is known of these.
+fn seated(truth: &Chain, gears: &Gears, random: &mut StdRng) -> (Vec<ContactRow>, SocketTable) {
+    let (robot, ball_m) = (irb2400(), Vector3::new(0.03, 0.01, 0.1));
+    let places_mm =
+        [[950.0, -250.0, 500.0], [1250.0, -200.0, 520.0], [1000.0, 200.0, 480.0], [1150.0, 50.0, 700.0]];
+    let mut rows = Vec::new();
+    while rows.len() < ROWS {
+        let socket = rows.len() % places_mm.len();
+        let near: Joints =
+            robot.joint_limits().iter().map(|&[low, high]| 0.7 * random.random_range(low..high)).collect();
+        let turn = truth.forward(&near).rotation;
+        let target = Pose::from_parts((Vector3::from(places_mm[socket]) * 1e-3 - turn * ball_m).into(), turn);
+        let Ok(stands) = robot_inverse(truth, &target, &near) else { continue };
+        let error_rad = gears.error_rad(&stands);
+        let mut noise = || 15e-6 * random.sample::<f64, _>(StandardNormal);
+        let joints_rad = Joints::from_fn(6, |joint| stands[joint] + error_rad[joint] + noise());
+        rows.push(ContactRow { joints_rad, socket });
+    }
+    let socket = |(name, position_mm): (usize, [f64; 3])| PlacedSocket {
+        name: name.to_string(),
+        position_mm,
+        u_um: None,
+    };
+    let sockets = places_mm.into_iter().enumerate().map(socket).collect();
+    (rows, SocketTable { u_um: 5.0, sockets, distances: Vec::new() })
+}
+
+const ALL: [bool; 4] = [true; 4];
 
 /// Mean errors of all together and of each alone \[mm\], and the part of the coordinates of the wrist that are within their
 /// 95 % intervals where all are together.
-fn means_mm(seeds: u64) -> ([f64; 4], f64) {
+fn means_mm(seeds: u64) -> ([f64; 5], f64) {
     let ways = [
         ("all", ALL),
-        ("bar", [true, false, false]),
-        ("tracker", [false, true, false]),
-        ("wire", [false, false, true]),
+        ("bar", [true, false, false, false]),
+        ("tracker", [false, true, false, false]),
+        ("wire", [false, false, true, false]),
+        ("contact", [false, false, false, true]),
     ];
-    let (mut means, mut covered) = ([0.0; 4], [0, 0]);
+    let (mut means, mut covered) = ([0.0; 5], [0, 0]);
     for seed in 1..=seeds {
         let cell = Cell::new(seed);
         for (mean, (name, with)) in means.iter_mut().zip(ways) {
@@ -220,7 +254,7 @@ fn means_mm(seeds: u64) -> ([f64; 4], f64) {
 }
 
 #[test]
-fn a_mix_is_nearer_to_the_truth_than_bar_tracker_or_wire_alone() {
+fn a_mix_is_nearer_to_the_truth_than_bar_tracker_wire_or_contact_alone() {
     let ([all, alone @ ..], _) = means_mm(2);
     assert!(alone.iter().all(|alone| all < *alone), "{all} {alone:?}");
 }
@@ -256,7 +290,7 @@ fn lengths_that_do_not_belong_with_the_rest_take_no_part_in_a_mix() {
 #[test]
 fn a_plate_that_is_hardly_known_does_not_make_the_robot_smaller() {
     let mut cell = Cell::new(1);
-    let bar_alone = |cell: &Cell| cell.calibrated([true, false, false]);
+    let bar_alone = |cell: &Cell| cell.calibrated([true, false, false, false]);
     cell.bar.plate_u_um = 0.0;
     let exact = bar_alone(&cell);
     cell.bar.plate_u_um = 1000.0;

@@ -11,7 +11,10 @@ use shared::output::{say, show};
 use shared::recording::Recording;
 
 use crate::inspect::{self, Inspection};
-use crate::logs::{self, BarLogMapping, LogFormat, LogOptions, OtherBarLog};
+use crate::instrument::SocketTable;
+use crate::logs::{
+    self, BarLogMapping, ContactMapping, Contacts, LogFormat, LogOptions, OtherBarLog, joints_of_robot,
+};
 use crate::report::table;
 
 #[derive(Debug, Args)]
@@ -34,6 +37,12 @@ pub struct InspectArguments {
     /// Which column or joint of recordings of other programs is what, such as config/bar_log.toml
     #[arg(long, value_name = "FILE", requires = "bar")]
     recording_mapping: Option<PathBuf>,
+    /// Table of the sockets that a ball is seated in, such as config/sockets.toml: the files are rows of it
+    #[arg(long, value_name = "FILE", requires = "robot", requires = "contact_mapping")]
+    sockets: Option<PathBuf>,
+    /// Which column of such rows is what, such as config/contact.toml
+    #[arg(long, value_name = "FILE", requires = "sockets")]
+    contact_mapping: Option<PathBuf>,
     /// Look for what the columns of a table of joints are, and write a mapping for it into this file
     #[arg(long, value_name = "FILE", requires = "robot", conflicts_with_all = ["log_mapping", "log_format"])]
     propose: Option<PathBuf>,
@@ -45,10 +54,15 @@ struct Settings {
     log_options: LogOptions,
     bar: Option<BallBarConfig>,
     recording_mapping: Option<BarLogMapping>,
+    contacts: Option<(SocketTable, ContactMapping)>,
 }
 
 pub fn run(arguments: &InspectArguments) -> anyhow::Result<()> {
+    let contacts = arguments.sockets.as_deref().zip(arguments.contact_mapping.as_deref());
     let settings = Settings {
+        contacts: contacts
+            .map(|(sockets, mapping)| anyhow::Ok((config::load(sockets)?, config::load(mapping)?)))
+            .transpose()?,
         robot: arguments.robot.as_deref().map(config::load).transpose()?,
         log_options: LogOptions {
             format: arguments.log_format,
@@ -91,6 +105,11 @@ fn propose(path: &Path, robot: &RobotConfig, out: &Path) -> anyhow::Result<()> {
 impl Settings {
     /// What is in a file: a bag may have both the robot and the bar.
     fn inspected(&self, path: &Path) -> anyhow::Result<Vec<Inspection>> {
+        if let (Some((table, mapping)), Some(robot)) = (&self.contacts, &self.robot) {
+            joints_of_robot(&mapping.joints, robot, path)?;
+            let contacts = Contacts::load(path, mapping, &table.names())?;
+            return Ok(vec![inspect::contacts(&contacts.rows, table, robot)]);
+        }
         if logs::is_recording(path)? {
             return Ok(vec![inspect::recording(&Recording::open(path)?)]);
         }

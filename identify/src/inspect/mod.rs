@@ -1,12 +1,14 @@
 //! What is in a log or a recording, and what is suspicious in it, before anything is solved.
 
 mod bar_log;
+mod contacts;
 pub mod curves;
 mod recording;
 mod robot_log;
 mod unknown_table;
 
 pub use bar_log::bar_log;
+pub use contacts::contacts;
 pub use recording::recording;
 pub use robot_log::robot_log;
 pub use unknown_table::{Mapping, Proposal, ProposeError, propose};

@@ -11,9 +11,9 @@ use crate::calibrate::measured_pose::{Mistake, likely, misfit};
 use crate::instrument::PoseRow;
 use crate::kinematics::flange_chain;
 use crate::logs::{
-    CsvLayout, EulerFrame, JointColumn, JointUnit, LengthColumn, LengthUnit, LogError, MeasuredLengthMapping,
-    MeasuredPoseMapping, MeasuredPoses, PositionColumns, RobotLogMapping, RotationColumns, RotationForm,
-    RowsAsText, TimeColumn, TimeUnit,
+    ContactMapping, CsvLayout, EulerFrame, JointColumn, JointUnit, LengthColumn, LengthUnit, LogError,
+    MeasuredLengthMapping, MeasuredPoseMapping, MeasuredPoses, PositionColumns, RobotLogMapping,
+    RotationColumns, RotationForm, RowsAsText, TimeColumn, TimeUnit,
 };
 
 /// What a table holds, with the mapping that reads it.
@@ -25,6 +25,8 @@ pub enum Mapping {
     MeasuredPoses(MeasuredPoseMapping),
     /// Joints and a length.
     MeasuredLengths(MeasuredLengthMapping),
+    /// Joints and the socket of a ball.
+    Contacts(ContactMapping),
 }
 
 /// A mapping and what it rests on.
@@ -48,11 +50,13 @@ impl Proposal {
             Mapping::RobotLog(mapping) => toml::to_string(mapping),
             Mapping::MeasuredPoses(mapping) => toml::to_string(mapping),
             Mapping::MeasuredLengths(mapping) => toml::to_string(mapping),
+            Mapping::Contacts(mapping) => toml::to_string(mapping),
         }?;
         let what = match self.mapping {
             Mapping::RobotLog(_) => "a robot's log, for --log-mapping",
             Mapping::MeasuredPoses(_) => "measured poses, for `identify calibrate tracker --mapping`",
             Mapping::MeasuredLengths(_) => "measured lengths, for `identify calibrate wire --mapping`",
+            Mapping::Contacts(_) => "a ball in sockets, for `identify calibrate contact --mapping`",
         };
         let mut text = format!("# Proposed by `identify inspect`: {what}. Read it before you use it.\n");
         for reason in &self.reasons {
@@ -94,7 +98,9 @@ pub enum ProposeError {
         found: String,
     },
     /// Joints, but neither times nor anything measured.
-    #[error("{path}: joints, but neither time stamps nor a measured position or length; found {found}")]
+    #[error(
+        "{path}: joints, but neither time stamps nor a measured position, a length or a socket; found {found}"
+    )]
     NothingMeasured {
         /// The file.
         path: String,
@@ -125,14 +131,19 @@ pub fn propose(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<Proposa
     let length = others.iter().find(|column| column.has_word(LENGTHS)).copied();
     let position = triple(&others, &["x", "y", "z"]);
     let of_tracker = position.is_some_and(|xyz| xyz[0].has_word(TRACKERS));
-    let mapping = match (time, length, position) {
-        (_, Some(length), _) => {
+    let socket = others.iter().find(|column| column.has_word(SOCKETS));
+    let mapping = match (time, length, position, socket) {
+        (_, _, _, Some(socket)) => {
+            reasons.push(format!("`{}` is the socket that the ball is seated in, by its name", socket.name));
+            Mapping::Contacts(ContactMapping { csv, socket: socket.name.clone(), joints })
+        }
+        (_, Some(length), _, _) => {
             let unit = length.length_unit();
             reasons.push(format!("`{}` is the measured length, by its name; {}", length.name, unit.1));
             let length = LengthColumn { column: length.name.clone(), unit: unit.0 };
             Mapping::MeasuredLengths(MeasuredLengthMapping { csv, length, joints, flange: None })
         }
-        (Some(time), _, _) if !of_tracker => Mapping::RobotLog(Box::new(RobotLogMapping {
+        (Some(time), _, _, _) if !of_tracker => Mapping::RobotLog(Box::new(RobotLogMapping {
             csv,
             time: Some(time),
             joints,
@@ -144,7 +155,7 @@ pub fn propose(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<Proposa
             force: None,
             coupling: Vec::new(),
         })),
-        (_, _, Some(xyz)) => {
+        (_, _, Some(xyz), _) => {
             let names = xyz.map(|column| column.name.clone());
             let (unit, why) = xyz[0].length_unit();
             reasons.push(format!("{} are what the tracker measured, by their names; {why}", listed(&names)));
@@ -164,6 +175,8 @@ fn listed<S: AsRef<str>>(names: &[S]) -> String {
 
 /// Words by which a length is recognised.
 const LENGTHS: &[&str] = &["length", "cable", "wire", "rope", "distance", "laenge", "länge", "seil", "draw"];
+/// Words by which the socket of a ball is recognised.
+const SOCKETS: &[&str] = &["socket", "nest", "seat", "cone"];
 /// Words by which positions are a tracker's and not the controller's own.
 const TRACKERS: &[&str] =
     &["tracker", "meas", "measured", "measurement", "laser", "probe", "smr", "leica", "api", "faro"];

@@ -8,6 +8,7 @@ use super::tracker::MEDIAN_OF_THREE;
 use super::{Apart, Instrument, Measures, SocketTable, Sockets, Standing, quantile};
 use crate::cost::{CostError, DataSet, Residual, SeatedBall, SeatedBalls};
 use crate::kinematics::Joints;
+use crate::logs;
 use crate::model::{
     Clock, Geometry, JointState, Model, ModelError, Observation, Owner, ParameterId, PerObservation, Role,
 };
@@ -19,6 +20,12 @@ pub struct ContactRow {
     pub joints_rad: Joints,
     /// The socket, by its place in [`SocketTable::names`].
     pub socket: usize,
+}
+
+impl From<&logs::SeatedRow> for ContactRow {
+    fn from(read: &logs::SeatedRow) -> Self {
+        Self { joints_rad: read.q_rad, socket: read.socket }
+    }
 }
 
 /// Why rows of a ball in sockets cannot be used.
@@ -162,6 +169,24 @@ impl Contact {
     /// Socket of each row, whether it takes part or not.
     pub fn socket_of_row(&self, row: usize) -> Option<usize> {
         self.rows.all.rows.get(row).map(|row| row.socket)
+    }
+
+    /// Rows that take no part, with why as a person reads it.
+    pub fn misplaced(&self, geometry: &Geometry) -> Vec<(usize, String)> {
+        let (names, sockets_m) = (self.sockets.names(), &geometry.contact.sockets_m);
+        let errors_m = self.errors_m(geometry);
+        let told = |one: &RejectedRow| {
+            let own = self.socket_of_row(one.row)?;
+            let (own_m, error_m) = (sockets_m.get(own)?, errors_m.get(one.row)?);
+            let distance_m = |socket: &usize| (own_m + error_m - sockets_m[*socket]).norm();
+            let near = (0..sockets_m.len()).min_by(|a, b| distance_m(a).total_cmp(&distance_m(b)));
+            let other = near.filter(|near| *near != own).map(|near| {
+                format!(", {:.2} mm from `{}`: look for a wrong name", distance_m(&near) * 1e3, names[near])
+            });
+            let (off_mm, other) = (error_m.norm() * 1e3, other.unwrap_or_default());
+            Some((one.row, format!("the ball is {off_mm:.2} mm from its socket `{}`{other}", names[own])))
+        };
+        self.rows.rejected.iter().filter_map(told).collect()
     }
 
     /// From its socket to where the robot holds the ball, in every row, whether it takes part or not \[m\].

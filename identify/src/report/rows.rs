@@ -157,27 +157,9 @@ pub fn contacts(contact: &Contact, model: &Model, lines: &[u64]) -> String {
         let parameters = format!("socket{}", socket + 1);
         let _ = writeln!(text, "{name:<12}{parameters:<12}{rows:>6}{:>12.4}", sizes.rms * 1e3);
     }
-    let sockets_m = &geometry.contact.sockets_m;
-    for one in contact.rejected() {
-        let (line, error_m) = (lines.get(one.row).copied().unwrap_or_default(), errors_m[one.row]);
-        let own = contact.socket_of_row(one.row).and_then(|socket| Some((socket, sockets_m.get(socket)?)));
-        let Some((own, own_m)) = own else { continue };
-        let distance_m = |socket: &usize| (own_m + error_m - sockets_m[*socket]).norm();
-        let near = (0..sockets_m.len()).min_by(|a, b| distance_m(a).total_cmp(&distance_m(b)));
-        let other = near.filter(|near| *near != own).map(|near| {
-            format!(
-                ", {:.2} mm from `{}`: look for a wrong name",
-                distance_m(&near) * 1e3,
-                sockets.names()[near]
-            )
-        });
-        let _ = writeln!(
-            text,
-            "  line {line} takes no part: the ball is {:.2} mm from its socket `{}`{}",
-            error_m.norm() * 1e3,
-            sockets.names()[own],
-            other.unwrap_or_default()
-        );
+    for (row, sentence) in contact.misplaced(&geometry) {
+        let line = lines.get(row).copied().unwrap_or_default();
+        let _ = writeln!(text, "  line {line} takes no part: {sentence}");
     }
     text
 }

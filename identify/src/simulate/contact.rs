@@ -15,7 +15,7 @@ use super::{Stream, WriteError, random};
 use crate::instrument::{ContactRow, KnownDistance, PlacedSocket, SocketTable};
 use crate::kinematics::{Chain, DhLink, Joints, Pose, Trace, Tracer, flange_chain};
 use crate::logs::{ContactMapping, CsvLayout, JointColumn, JointUnit, LogError};
-use crate::model::{Model, ParameterId};
+use crate::model::{DriveTrain, Model, ParameterId};
 
 /// Centre of the ball in the flange frame \[m\].
 const BALL_M: [f64; 3] = [0.02, -0.03, 0.12];
@@ -45,7 +45,7 @@ pub struct ContactExperiment<'a> {
     pub errors_mm_mrad: f64,
     /// White noise of each joint \[urad|um\].
     pub robot_noise_urad: f64,
-    /// Sine of twice the angle of each joint, amplitude \[urad\]: an eccentric gear.
+    /// Sine of twice the angle of each drive's output, amplitude \[urad\]: an eccentric gear.
     pub gear_sine_urad: f64,
     /// How well the ball finds its seat, standard deviation along each axis \[um\].
     pub seating_um: f64,
@@ -301,6 +301,7 @@ pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, Cont
     let mut effects = random(seed, Stream::RobotEffects);
     let mut noise = |sigma: f64| -> f64 { sigma * 1e-6 * effects.sample::<f64, _>(StandardNormal) };
     let phases: Vec<f64> = limits.iter().map(|_| poses.random_range(-3.0..3.0)).collect();
+    let drives = DriveTrain::of(robot, &chain);
     let mut rows = Vec::with_capacity(experiment.rows);
     for row in 0..experiment.rows {
         let socket = row % sockets_m.len();
@@ -308,13 +309,15 @@ pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, Cont
         let Some(stands) = arm.seated(there_m, TRIES, &mut poses) else {
             return Err(ContactSimulationError::Unreachable { socket: table.sockets[socket].name.clone() });
         };
-        let reported = |joint: usize| {
-            let q = stands[joint];
-            let turns = robot.links[joint].joint == JointKind::Revolute;
-            let gear = if turns { experiment.gear_sine_urad * 1e-6 } else { 0.0 };
-            q + gear * (2.0 * q + phases[joint]).sin() + noise(experiment.robot_noise_urad)
-        };
-        rows.push(ContactRow { joints_rad: Joints::from_fn(limits.len(), reported), socket });
+        let mut joints_rad =
+            Joints::from_fn(limits.len(), |joint| stands[joint] + noise(experiment.robot_noise_urad));
+        for (drive, phase) in phases.iter().enumerate().filter(|(drive, _)| drives.turns(*drive)) {
+            let error =
+                experiment.gear_sine_urad * 1e-6 * (2.0 * drives.of_drive(drive, &stands) + phase).sin();
+            let turned = joints_rad.iter_mut().zip(&drives.joint_from_drive[drive]);
+            turned.for_each(|(q, part)| *q += part * error);
+        }
+        rows.push(ContactRow { joints_rad, socket });
     }
     let truth = truth(experiment, &table, &chain, &sockets_m);
     let table = if experiment.distances {

@@ -257,6 +257,8 @@ mod tests {
     struct Line {
         y: Vec<f64>,
         priors: Vec<Prior>,
+        /// The slope is known as one more sample, that it is so much with this standard deviation.
+        slope: Option<[f64; 2]>,
     }
 
     impl Problem for Line {
@@ -271,11 +273,15 @@ mod tests {
         }
 
         fn samples(&self) -> usize {
-            self.y.len()
+            self.y.len() + usize::from(self.slope.is_some())
         }
 
         fn rows(&self) -> usize {
             1
+        }
+
+        fn is_known(&self, sample: usize) -> bool {
+            sample == self.y.len()
         }
 
         fn priors(&self) -> &[Prior] {
@@ -287,6 +293,11 @@ mod tests {
         }
 
         fn sample(&self, x: &mut Vec<f64>, sample: usize, r: &mut [f64], block: &mut Block<'_>) -> bool {
+            if let (Some([slope, sigma]), true) = (self.slope, sample == self.y.len()) {
+                r[0] = (x[1] - slope) / sigma;
+                block.column_mut(1)[0] = sigma.recip();
+                return true;
+            }
             let t = sample as f64;
             r[0] = x[0] + x[1] * t - self.y[sample];
             block.column_mut(0)[0] = 1.0;
@@ -298,7 +309,7 @@ mod tests {
     fn line() -> (Line, Vec<Vec<usize>>) {
         let y = (0..40).map(|k| 1.0 + 0.3 * f64::from(k) + f64::from((k / 8 * 7) % 5)).collect();
         let priors = vec![Prior { column: 1, value: 0.2, sigma: 0.05 }];
-        (Line { y, priors }, (0..5).map(|fold| (8 * fold..8 * (fold + 1)).collect()).collect())
+        (Line { y, priors, slope: None }, (0..5).map(|fold| (8 * fold..8 * (fold + 1)).collect()).collect())
     }
 
     fn solved(problem: &impl Problem) -> Vec<f64> {
@@ -345,8 +356,23 @@ mod tests {
     }
 
     #[test]
+    fn what_is_known_as_a_sample_counts_as_a_prior_does() {
+        let (with_prior, folds) = line();
+        let known = Line { slope: Some([0.2, 0.05]), priors: Vec::new(), y: with_prior.y.clone() };
+        let normals = |line: &Line| Normals::new(line, &[0.5, -1.0], &Options::default(), &folds);
+        let (Some(known), Some(prior)) = (normals(&known), normals(&with_prior)) else {
+            panic!("finite residuals")
+        };
+        let [a, b] = [&known, &prior].map(|one| one.held_out(&[0, 1], one.priors()).unwrap_or_default());
+        assert!(a.len() == 5 && a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-9), "{a:?} {b:?}");
+        let [a, b] = [&known, &prior].map(|one| one.jackknife(|_| 0).map(|spread| spread.covariance()));
+        let (Some(a), Some(b)) = (a, b) else { panic!("the line is determined") };
+        assert!((&a - &b).amax() < 1e-12 * b.amax().max(1.0), "{a} {b}");
+    }
+
+    #[test]
     fn what_no_sample_and_no_prior_shows_has_no_covariance() {
-        let line = Line { y: vec![1.0], priors: Vec::new() };
+        let line = Line { y: vec![1.0], priors: Vec::new(), slope: None };
         let normals = Normals::new(&line, &[0.0, 0.0], &Options::default(), &[vec![0]]);
         // One sample at t = 0 leaves the slope open.
         assert_eq!(normals.and_then(|normals| normals.covariance()), None);

@@ -8,7 +8,7 @@ use shared::config::{self, RobotConfig};
 use super::experiment::{Experiment, RowFile};
 use super::{CommonArguments, RowArguments};
 use crate::instrument::{ContactRow, SocketTable};
-use crate::logs::{ContactMapping, Contacts, SeatedRow, joints_of_robot};
+use crate::logs::{ContactMapping, Contacts, joints_of_robot};
 use crate::solver::LossName;
 
 /// What a calibration with a ball in sockets is told.
@@ -43,8 +43,7 @@ pub(super) fn read(path: &Path, mapping: &Path, sockets: &Path, robot: &RobotCon
     let of_file: ContactMapping = config::load(mapping)?;
     joints_of_robot(&of_file.joints, robot, mapping)?;
     let read = Contacts::load(path, &of_file, &table.names())?;
-    let row = |row: &SeatedRow| (ContactRow { joints_rad: row.q_rad, socket: row.socket }, row.line);
-    let (rows, lines) = read.rows.iter().map(row).unzip();
+    let (rows, lines) = read.rows.iter().map(|row| (ContactRow::from(row), row.line)).unzip();
     Ok(Read { rows, lines, table })
 }
 

@@ -1,0 +1,100 @@
+//! Rows of a ball in sockets.
+
+use shared::config::{JointKind, RobotConfig};
+
+use super::Inspection;
+use crate::calibrate::HoldOut;
+use crate::calibrate::measured_pose::Sizes;
+use crate::calibrate::mix::SEED;
+use crate::instrument::{Contact, ContactRow, Measures, SocketTable, Standing};
+use crate::kinematics::{Chain, flange_chain};
+use crate::logs::SeatedRow;
+use crate::model::Model;
+
+/// What rows of a ball in sockets hold, and whether the nominal robot puts the ball into the sockets that they name.
+pub fn contacts(rows: &[SeatedRow], table: &SocketTable, robot: &RobotConfig) -> Inspection {
+    let mut inspection = Inspection::default();
+    let visits = |socket: usize| rows.iter().filter(|row| row.socket == socket).count();
+    let counted =
+        table.names().into_iter().enumerate().map(|(socket, name)| format!("{name} {}", visits(socket)));
+    inspection.fact("rows", format!("{}: {}", rows.len(), counted.collect::<Vec<_>>().join(", ")));
+    let known = [(table.sockets.len(), "places"), (table.distances.len(), "distances")];
+    let known = known.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"));
+    inspection.fact("known of sockets", known.collect::<Vec<_>>().join(", "));
+    ranges(&mut inspection, rows, robot);
+    let chain = flange_chain(robot);
+    few_orientations(&mut inspection, rows, table, &chain);
+    let of_rows: Vec<ContactRow> = rows.iter().map(ContactRow::from).collect();
+    let at = Standing::of_file(&of_rows, |row| row.joints_rad, &chain, HoldOut::Rows, SEED);
+    match Contact::new(at, table) {
+        Ok(contact) => closure(&mut inspection, contact, &chain, rows),
+        Err(error) => inspection.suspect(error.to_string()),
+    }
+    inspection
+}
+
+/// How far each joint goes.
+fn ranges(inspection: &mut Inspection, rows: &[SeatedRow], robot: &RobotConfig) {
+    /// A joint that turned less says nothing of its link \[deg\].
+    const TRAVEL_MIN_DEG: f64 = 5.0;
+    for (joint, kind) in robot.joint_kinds().enumerate() {
+        let (name, unit) =
+            (format!("q{}", joint + 1), if kind == JointKind::Revolute { "deg" } else { "mm" });
+        let number = |q: f64| if kind == JointKind::Revolute { q.to_degrees() } else { q * 1e3 };
+        let ends = rows.iter().map(|row| number(row.q_rad[joint]));
+        let (low, high) = ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), q| (l.min(q), h.max(q)));
+        inspection.fact(&name, format!("{low:.1} to {high:.1} {unit}"));
+        if kind == JointKind::Revolute && high - low < TRAVEL_MIN_DEG {
+            inspection.suspect(format!(
+                "{name} moved by less than {TRAVEL_MIN_DEG} degrees, which says nothing of its link: choose postures that move it"
+            ));
+        }
+    }
+}
+
+/// Sockets that are visited in one orientation only say little: the robot repeats the same error there.
+fn few_orientations(inspection: &mut Inspection, rows: &[SeatedRow], table: &SocketTable, chain: &Chain) {
+    /// \[rad\]
+    const TURN_MIN_RAD: f64 = 0.35;
+    for (socket, name) in table.names().into_iter().enumerate() {
+        let turns: Vec<_> = rows
+            .iter()
+            .filter(|row| row.socket == socket)
+            .map(|row| chain.forward(&row.q_rad).rotation)
+            .collect();
+        let Some(first) = turns.first() else { continue };
+        let most = turns.iter().map(|turn| turn.angle_to(first)).fold(0.0, f64::max);
+        if turns.len() > 1 && most < TURN_MIN_RAD {
+            inspection.suspect(format!(
+                "socket `{name}` is visited with the flange turned by at most {:.0} degrees: tilt it further",
+                most.to_degrees()
+            ));
+        }
+    }
+}
+
+/// How well the nominal robot puts the ball into each socket, where these are placed best for it.
+fn closure(inspection: &mut Inspection, mut contact: Contact, chain: &Chain, rows: &[SeatedRow]) {
+    /// Places without the rows that are left out, which leave out others in turn.
+    const ROUNDS: usize = 4;
+    let mut model = Model::contact(chain, contact.sockets().names().len());
+    for _ in 0..ROUNDS {
+        if !contact.place(&mut model, &[]).unwrap_or(false) {
+            return;
+        }
+        if !contact.screen(&model) {
+            break;
+        }
+    }
+    let geometry = model.geometry(&[]);
+    let errors = contact.errors(&geometry);
+    let belongs = |row: usize| contact.rejected().iter().all(|rejected| rejected.row != row);
+    let sizes = Sizes::of((0..errors.len()).filter(|row| belongs(*row)).map(|row| errors[row].position_m));
+    inspection.fact(
+        "nominal robot",
+        format!("ball {:.2} mm (RMS) from its socket, {:.2} mm at most", sizes.rms * 1e3, sizes.max * 1e3),
+    );
+    for (row, sentence) in contact.misplaced(&geometry) {
+        inspection.suspect(format!("line {}: {sentence}", rows[row].line));
+    }
+}
