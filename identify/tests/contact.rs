@@ -301,6 +301,11 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     refused(rows.clone(), "u_um = 5.0\n", &["key `socket`", "no distance between sockets is known"]);
     refused(rows.clone(), &sockets.replace("u_um = 5.0", "u_um = 0"), &["key `u_um`", "above zero"]);
 
+    let doubled =
+        "u_um = 5.0\n".to_owned() + &"[[socket]]\nname = \"A\"\nposition_mm = [0, 0, 0]\n".repeat(2);
+    refused(rows.clone(), &doubled, &["key `socket[1].name`", "`A` is there twice"]);
+    refused(rows.clone(), &doubled.replacen("\"A\"", "\"B\"", 1), &["`A` is where `B` is"]);
+
     // A place that is wrong is named, and the verdict is not green.
     let place = sockets
         .lines()

@@ -74,9 +74,17 @@ impl Validate for SocketTable {
                 let problem = format!("`{}` is there twice", socket.name);
                 return bad(format!("socket[{i}].name"), problem, "give each socket a name of its own");
             }
-            if let Some(at) = socket.position_mm.iter().find(|at| !(at.abs() <= SPAN_MM_MAX)) {
+            if let Some(at) = socket.position_mm.iter().find(|at| !(-SPAN_MM_MAX..=SPAN_MM_MAX).contains(*at))
+            {
                 let problem = format!("{at} mm is no place on a plate");
                 return bad(format!("socket[{i}].position_mm"), problem, "give three numbers in millimetres");
+            }
+        }
+        for (i, socket) in self.sockets.iter().enumerate() {
+            let same = self.sockets[..i].iter().find(|other| other.position_mm == socket.position_mm);
+            if let Some(other) = same {
+                let problem = format!("`{}` is where `{}` is", socket.name, other.name);
+                return bad(format!("socket[{i}].position_mm"), problem, "give each socket its own place");
             }
         }
         for (i, KnownDistance { between: [from, to], distance_mm, .. }) in self.distances.iter().enumerate() {
