@@ -5,7 +5,9 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::Duration;
 
+use axum::body::Bytes;
 use axum::extract::State;
 use axum::extract::ws::rejection::WebSocketUpgradeRejection;
 use axum::extract::ws::{self, WebSocket, WebSocketUpgrade};
@@ -15,6 +17,7 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 use shared::recording::TOPICS;
 use tokio::sync::broadcast::error::RecvError;
+use tokio::time::MissedTickBehavior;
 
 use super::{Shared, refusal};
 use crate::control::live_tap::{LiveTap, Message};
@@ -27,6 +30,9 @@ pub(super) const CLIENTS_MAX: usize = 8;
 const PROTOCOLS: [&str; 2] = ["foxglove.sdk.v1", "foxglove.websocket.v1"];
 /// Longest message of a client, which has little to say \[bytes\].
 const ASKED_BYTES_MAX: usize = 16 * 1024;
+/// Between two questions whether a client is still there: where no run goes on nothing else is sent, and one that vanished
+/// would keep its place.
+const PING_PERIOD: Duration = Duration::from_secs(5);
 /// Opcode of a message's data.
 const MESSAGE_DATA: u8 = 1;
 
@@ -91,12 +97,15 @@ pub(super) async fn connect(
 async fn show(mut socket: WebSocket, tap: &LiveTap, service: &Service) -> Result<(), axum::Error> {
     let mut messages = tap.listen();
     let mut client = Client::default();
+    let mut pings = tokio::time::interval(PING_PERIOD);
+    pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
     for hello in [json!({"op": "serverInfo", "name": "ballbard", "capabilities": []}), advertised()] {
         socket.send(text(&hello)).await?;
     }
     loop {
         let answer = tokio::select! {
             () = service.ended() => return socket.send(ws::Message::Close(None)).await,
+            _ = pings.tick() => Some(ws::Message::Ping(Bytes::new())),
             asked = socket.recv() => match asked {
                 None => return Ok(()),
                 Some(Ok(ws::Message::Text(asked))) => client.obey(&asked),
