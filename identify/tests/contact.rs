@@ -30,7 +30,7 @@ fn seven_axes() -> RobotConfig {
 }
 
 fn simulated(robot: &RobotConfig, seed: u64) -> SimulatedContacts {
-    contact::run(&ContactExperiment { seed, ..ContactExperiment::new(robot) }).unwrap()
+    contact::run(&ContactExperiment { robot_seed: seed, seed, ..ContactExperiment::new(robot) }).unwrap()
 }
 
 fn calibrated(robot: &RobotConfig, rows: &[ContactRow], table: &SocketTable) -> MixedCalibration {
@@ -208,6 +208,18 @@ fn told(directory: &Path, rows: &str, sockets: &str) -> (bool, String) {
     (output.status.success(), texts.concat())
 }
 
+/// What a person is told of an experiment file.
+fn experiment(file: &Path, out: &Path) -> String {
+    let run = std::process::Command::new(env!("CARGO_BIN_EXE_identify"))
+        .args(["calibrate", "--experiment"])
+        .arg(file)
+        .arg("--out")
+        .arg(out)
+        .output()
+        .unwrap();
+    String::from_utf8([run.stdout, run.stderr].concat()).unwrap()
+}
+
 /// What is in the rows, and in rows with one wrong name, is said without any calibration; a mapping is proposed for them.
 fn inspected(at: &Path, rows: &str) {
     let robot = repository("config/robots/irb120_3.toml");
@@ -252,16 +264,37 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     let page = std::fs::read_to_string(at.join("out/report.html")).unwrap();
     assert!(page.contains("contact (data set 1)") && page.contains("held-out rows, calibrated, RMS"));
     assert!(page.contains("what is known of the sockets") && page.contains("mounting of the ball"));
+    // A name that begins as those of the bar's parameters do is none of them.
+    assert!(page.contains(">ball_x") && !page.contains("Ball-bar and encoders"));
+    // Another plate of the same robot beside it, from one experiment file.
+    let other = at.join("other");
+    let simulated =
+        identify(&["simulate", "contact", "--seed", "2", "--robot-seed", "1"], "irb120_3.toml", &other);
+    assert!(simulated.status.success(), "{}", String::from_utf8_lossy(&simulated.stderr));
+    let block = |place: &str| {
+        format!(
+            "[[contact]]\nfile = \"{place}contacts.csv\"\nmapping = \"{place}contact.toml\"\nsockets = \"{place}sockets.toml\"\n"
+        )
+    };
+    let robot = repository("config/robots/irb120_3.toml");
+    let both = format!("robot = {:?}\n{}{}", robot.to_str().unwrap(), block(""), block("other/"));
+    std::fs::write(at.join("both.toml"), both).unwrap();
+    let text = experiment(&at.join("both.toml"), &at.join("both"));
+    assert!(text.contains("verdict green") && text.contains("contact (data set 2)"), "{text}");
+    let of_both = std::fs::read_to_string(at.join("both/calibration.toml")).unwrap();
+    assert!(
+        of_both.contains("instrument = \"2 times contact\"") && of_both.contains("socket6_z@2"),
+        "{of_both}"
+    );
+    // A table of sockets goes with a ball in sockets, and with nothing else.
+    let without = format!("robot = {:?}\n{}", robot.to_str().unwrap(), block("").replace("sockets =", "#"));
+    std::fs::write(at.join("without.toml"), without).unwrap();
+    let text = experiment(&at.join("without.toml"), &at.join("without"));
+    assert!(text.contains("contact[0].sockets"), "{text}");
     // The experiment beside the result repeats it to the last digit.
     let again = at.join("again");
-    let run = std::process::Command::new(env!("CARGO_BIN_EXE_identify"))
-        .args(["calibrate", "--experiment"])
-        .arg(at.join("out/experiment.toml"))
-        .arg("--out")
-        .arg(&again)
-        .output()
-        .unwrap();
-    assert!(run.status.success(), "{}", String::from_utf8_lossy(&run.stderr));
+    let text = experiment(&at.join("out/experiment.toml"), &again);
+    assert!(text.contains("verdict green"), "{text}");
     let [first, second] = [at.join("out"), again].map(|out| {
         let text = std::fs::read_to_string(out.join("calibration.toml")).unwrap();
         text.lines().filter(|line| line.starts_with("value")).map(str::to_owned).collect::<Vec<_>>()

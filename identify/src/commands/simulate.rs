@@ -60,9 +60,12 @@ struct ContactArguments {
     /// Poses
     #[arg(long, value_name = "N", default_value_t = 200)]
     rows: usize,
-    /// Decides errors, poses and noise
+    /// Decides poses, noise and the sockets' errors
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Decides the robot's errors, the same for another plate of one robot; default: as --seed
+    #[arg(long, value_name = "SEED")]
+    robot_seed: Option<u64>,
     /// Error of each number of each link, standard deviation [mm|mrad]
     #[arg(long, value_name = "MM", default_value_t = 1.0)]
     errors_mm_mrad: f64,
@@ -186,6 +189,7 @@ fn contacts(arguments: &ContactArguments) -> anyhow::Result<()> {
         robot_noise_urad: arguments.robot_noise_urad,
         gear_sine_urad: arguments.gear_sine_urad,
         seating_um: arguments.seating_um,
+        robot_seed: arguments.robot_seed.unwrap_or(arguments.seed),
         seed: arguments.seed,
     })?;
     for path in contact::write(&arguments.out, &simulated, &robot)? {

@@ -1,6 +1,7 @@
 //! A robot with known errors that seats the ball on its flange in the sockets of a plate: what a calibration by contact should find.
 
 use std::collections::BTreeMap;
+use std::f64::consts::TAU;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
@@ -49,7 +50,9 @@ pub struct ContactExperiment<'a> {
     pub gear_sine_urad: f64,
     /// How well the ball finds its seat, standard deviation along each axis \[um\].
     pub seating_um: f64,
-    /// Seed of errors, poses and noise.
+    /// Seed of the robot's errors: another plate of one robot has the same.
+    pub robot_seed: u64,
+    /// Seed of poses, noise and the sockets' errors.
     pub seed: u64,
 }
 
@@ -66,6 +69,7 @@ impl<'a> ContactExperiment<'a> {
             robot_noise_urad: 15.0,
             gear_sine_urad: 30.0,
             seating_um: 5.0,
+            robot_seed: 1,
             seed: 1,
         }
     }
@@ -249,15 +253,16 @@ fn check(experiment: &ContactExperiment<'_>) -> Result<(), ContactSimulationErro
 pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, ContactSimulationError> {
     check(experiment)?;
     let ContactExperiment { robot, seed, .. } = *experiment;
-    let nominal = flange_chain(robot);
-    let mut errors = random(seed, Stream::StaticErrors);
-    let mut normal = |sigma: f64| -> f64 { sigma * 1e-3 * errors.sample::<f64, _>(StandardNormal) };
-    let by = experiment.errors_mm_mrad;
-    let mut chain = nominal;
+    let mut errors = random(experiment.robot_seed, Stream::StaticErrors);
+    let by = experiment.errors_mm_mrad * 1e-3;
+    let mut chain = flange_chain(robot);
     for link in &mut chain.links {
         let DhLink { a_m, d_m, alpha_rad, theta_rad, .. } = link;
-        [a_m, d_m, alpha_rad, theta_rad].into_iter().for_each(|number| *number += normal(by));
+        for number in [a_m, d_m, alpha_rad, theta_rad] {
+            *number += by * errors.sample::<f64, _>(StandardNormal);
+        }
     }
+    let phases: Vec<f64> = chain.links.iter().map(|_| errors.random_range(0.0..TAU)).collect();
     let limits = robot.joint_limits();
     let arm = Arm { tracer: Tracer::new(&chain), limits: &limits, ball_m: BALL_M.into() };
     let mut poses = random(seed, Stream::Path);
@@ -290,17 +295,16 @@ pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, Cont
     let Some(plate) = plate else {
         return Err(ContactSimulationError::Unreachable { socket: out_of_reach.unwrap_or_default() });
     };
+    let mut effects = random(seed, Stream::RobotEffects);
+    let mut noise = |sigma: f64| -> f64 { sigma * 1e-6 * effects.sample::<f64, _>(StandardNormal) };
     let sockets_m: Vec<Vector3<f64>> = table
         .sockets
         .iter()
         .map(|one| {
-            let off_mm = Vector3::from_fn(|_, _| normal(one.u_um.unwrap_or(table.u_um)));
-            (plate * Point3::from((Vector3::from(one.position_mm) + off_mm) * 1e-3)).coords
+            let off_m = Vector3::from_fn(|_, _| noise(one.u_um.unwrap_or(table.u_um)));
+            (plate * Point3::from(Vector3::from(one.position_mm) * 1e-3 + off_m)).coords
         })
         .collect();
-    let mut effects = random(seed, Stream::RobotEffects);
-    let mut noise = |sigma: f64| -> f64 { sigma * 1e-6 * effects.sample::<f64, _>(StandardNormal) };
-    let phases: Vec<f64> = limits.iter().map(|_| poses.random_range(-3.0..3.0)).collect();
     let drives = DriveTrain::of(robot, &chain);
     let mut rows = Vec::with_capacity(experiment.rows);
     for row in 0..experiment.rows {

@@ -392,13 +392,7 @@ pub(super) fn mixed(experiment: Experiment, out: &Path) -> anyhow::Result<()> {
     let solution = &found.solved.solution;
     let mut file = CalibrationFile::new(
         &robot.name,
-        &format!(
-            "{} runs with the ball-bar, {} files of trackers, {} of wires, {} of a ball in sockets",
-            bars.len(),
-            trackers.len(),
-            wires.len(),
-            contacts.len()
-        ),
+        &instruments(&found.runs),
         SolveEntry::new("each instrument's own", &solution.summary, &solution.identifiability),
         None,
         inputs(&files)?,
@@ -459,6 +453,16 @@ pub(super) fn mixed(experiment: Experiment, out: &Path) -> anyhow::Result<()> {
         experiment,
     };
     told.write(out)
+}
+
+/// For a person: each instrument with how many data sets it has.
+fn instruments(runs: &[Run]) -> String {
+    let names: Vec<&str> = runs.iter().map(|run| run.instrument.name()).collect();
+    let told = names.chunk_by(|one, other| one == other).map(|same| match same {
+        [name] => (*name).to_owned(),
+        several => format!("{} times {}", several.len(), several[0]),
+    });
+    told.collect::<Vec<_>>().join(", ")
 }
 
 impl RowFile {

@@ -5,7 +5,7 @@ use maud::{Markup, PreEscaped, html};
 use super::plot::PlotError;
 use super::{Page, correlations, figures};
 use crate::evaluate::{Evaluation, Expected, Limit, Quantiles};
-use crate::model::{ParameterId, Unit};
+use crate::model::{Owner, ParameterId, Unit};
 use crate::report::file::{CalibrationFile, Input, ParameterEntry, Status};
 use crate::report::verdict::Grade;
 
@@ -116,12 +116,14 @@ pub(super) fn parameters(file: &CalibrationFile, place: &str, others: &[String])
     let of = |wanted: &dyn Fn(&ParameterEntry) -> bool| -> Vec<&ParameterEntry> {
         entries.iter().copied().filter(|entry| shown(entry) && wanted(entry)).collect()
     };
-    let is_place = |entry: &ParameterEntry| !entry.name.starts_with(['r', 'b']);
+    let owner = |entry: &ParameterEntry| entry.id().map(ParameterId::owner);
+    let is_bar = |entry: &ParameterEntry| entry.name.starts_with('b') && owner(entry) == Some(Owner::BallBar);
+    let is_place = |entry: &ParameterEntry| owner(entry) != Some(Owner::Robot) && !is_bar(entry);
     html! {
         h2 { "Parameters" }
         div.columns {
-            (table("Robot", &of(&|entry| entry.name.starts_with('r'))))
-            (table("Ball-bar and encoders", &of(&|entry| entry.name.starts_with('b') && own(entry, 0))))
+            (table("Robot", &of(&|entry| owner(entry) == Some(Owner::Robot))))
+            (table("Ball-bar and encoders", &of(&|entry| is_bar(entry) && own(entry, 0))))
             (table(place, &of(&|entry| is_place(entry) && own(entry, 0))))
             @for (run, name) in others.iter().enumerate() {
                 (table(name, &of(&|entry| own(entry, run + 1))))
