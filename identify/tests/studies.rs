@@ -5,9 +5,11 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-use identify::study::{Definition, Results, THESIS, run, trials};
+use identify::calibrate::ball_bar::calibrate_prepared;
+use identify::simulate::{Effects, Experiment, LEAD_ROWS, pairs};
+use identify::study::{Definition, Results, THESIS, prepared, run, trials};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 
@@ -238,6 +240,74 @@ for a, b in zip(table, rows):
     assert!(checked.status.success(), "{}", said(&checked));
 }
 
+/// The transform's residuals from Denavit and Hartenberg's matrices, and their least squares by SciPy.
+const SCIPY: &str = r#"
+import json, sys, time
+import numpy as np
+from scipy.optimize import least_squares
+data = json.load(open(sys.argv[1]))
+robot_rad, bar_rad = np.array(data["robot_rad"]), np.array(data["bar_rad"])
+nominal, free = data["nominal"], data["free"]
+
+def chain(values, letter, angles):
+    pose = np.broadcast_to(np.eye(4), (len(angles), 4, 4))
+    for link in range(angles.shape[1]):
+        a, d, alpha, theta = (values[f"{letter}{kind}{link + 1}"] for kind in ("a", "d", "alpha", "theta"))
+        turn = angles[:, link] + theta
+        c, s, ca, sa, zero = np.cos(turn), np.sin(turn), np.cos(alpha), np.sin(alpha), np.zeros(len(angles))
+        rows = [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s],
+                [zero, zero + sa, zero + ca, zero + d], [zero, zero, zero, zero + 1]]
+        pose = pose @ np.moveaxis(np.array(rows), 2, 0)
+    return pose
+
+def residual(x):
+    values = {**nominal, **dict(zip(free, x))}
+    bar = chain(values, "b", bar_rad).copy()
+    bar[:, :3, 3] += [values["ox"], values["oy"], values["oz"]]
+    return (chain(values, "r", robot_rad) - bar)[:, :3, :].ravel()
+
+began = time.perf_counter()
+found = least_squares(residual, [nominal[name] for name in free], x_scale="jac", xtol=1e-13, ftol=1e-13, gtol=1e-13)
+print(json.dumps({"x": list(found.x), "seconds": time.perf_counter() - began}))
+"#;
+
+#[test]
+#[ignore = "needs Python with scipy: set BALLBAR_PYTHON"]
+fn scipy_finds_the_same_from_the_same_angles_and_takes_longer() {
+    let definition = Definition::load(THESIS).unwrap();
+    let effects = Effects { robot_noise_urad: 10.0, encoder_noise_urad: 10.0, ..Effects::NONE };
+    let experiment = Experiment { effects, ..Experiment::new(&definition.robot, &definition.bar) };
+    let (path, start_rad) = experiment.drive().unwrap();
+    let pairs = pairs(&experiment, &path, start_rad, 1500, 0.0).unwrap();
+    let config = definition.study.estimator("transform").unwrap().config.clone();
+    let began = Instant::now();
+    let prepared = prepared(&pairs, [true; 5], experiment.design.base_m).unwrap();
+    let found =
+        calibrate_prepared(vec![(prepared, &definition.bar)], &definition.robot, &config, None).unwrap();
+    let ours_s = began.elapsed().as_secs_f64();
+    let free: Vec<String> = found.model.columns().map(|parameter| parameter.id.to_string()).collect();
+    let room = tempfile::tempdir().unwrap();
+    let file = room.path().join("pairs.json");
+    let robot_rad = &pairs.robot_rad[LEAD_ROWS..LEAD_ROWS + pairs.bar_rad.len()];
+    let robot_rad: Vec<Vec<f64>> = robot_rad.iter().map(|q_rad| q_rad.to_vec()).collect();
+    let truth = &pairs.truth.nominal;
+    let data = serde_json::json!({
+        "robot_rad": robot_rad, "bar_rad": pairs.bar_rad, "nominal": truth, "free": free,
+    });
+    fs::write(&file, data.to_string()).unwrap();
+    let python =
+        std::env::var_os("BALLBAR_PYTHON").expect("BALLBAR_PYTHON: a Python with tests/requirements.txt");
+    let solved = Command::new(python).args(["-c", SCIPY]).arg(&file).output().unwrap();
+    assert!(solved.status.success(), "{}", said(&solved));
+    let solved: serde_json::Value = serde_json::from_slice(&solved.stdout).unwrap();
+    let theirs_s = solved["seconds"].as_f64().unwrap();
+    println!("one solve of 1500 pairs: {:.0} ms, scipy {:.0} ms", 1e3 * ours_s, 1e3 * theirs_s);
+    for (parameter, x) in found.model.columns().zip(solved["x"].as_array().unwrap()) {
+        let apart = parameter.value - x.as_f64().unwrap();
+        assert!(apart.abs() < 1e-8, "{}: {apart:e}", parameter.id);
+    }
+}
+
 /// What the documentation shows for several machines, as it stands there.
 #[test]
 #[ignore = "computes figure 3.2 twice: half a minute"]
@@ -276,7 +346,7 @@ fn a_study_that_is_killed_ten_times_ends_as_one_that_is_not() {
     let mut lines = 0;
     for _ in 0..10 {
         let mut child = run("killed").stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
-        std::thread::sleep(Duration::from_millis(random.random_range(20..400)));
+        std::thread::sleep(Duration::from_millis(random.random_range(50..900)));
         child.kill().unwrap();
         child.wait().unwrap();
         let text = fs::read_to_string(at("killed").join("trials.jsonl")).unwrap_or_default();

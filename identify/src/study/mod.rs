@@ -24,4 +24,4 @@ pub use reference::{Driven, Reference, ReferenceError};
 pub use results::{Results, ResultsError, Row, Share, TrialRows, merge};
 pub use summary::{Curve, CurvePoint, FigureTable, Finding, Reach, Spread, Summary, short};
 pub use table::{TableError, write_csv, write_parquet};
-pub use trial::{Trial, run, trials};
+pub use trial::{Trial, prepared, run, trials};

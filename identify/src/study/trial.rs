@@ -109,14 +109,18 @@ fn simulate(definition: &Definition, seed: u32, conditions: &Conditions) -> Resu
         experiment.seed = usual_seed;
         let count = conditions.points / conditions.stations;
         let pairs = pairs(&experiment, path.as_ref(), start_rad, count, conditions.time_difference_s)?;
-        stations.push(prepared(&pairs, conditions, experiment.design.base_m)?);
+        stations.push(prepared(&pairs, conditions.measured, experiment.design.base_m)?);
         truth.get_or_insert(pairs.truth);
     }
     Ok(Simulated { stations, truth: truth.ok_or(SimulateError::Empty)? })
 }
 
-/// Pairs as the preparation would have left them: aligned, with angles from the encoders' marks, near nominal links.
-fn prepared(pairs: &Pairs, conditions: &Conditions, base_m: [f64; 3]) -> Result<Prepared, SimulateError> {
+/// Pairs as the preparation would have left them: aligned, with angles from the encoders' marks, near nominal links and a bar at
+/// `base_m`. `measured`: bar joints with an encoder.
+///
+/// # Errors
+/// [`SimulateError::Empty`] of too few pairs to go through.
+pub fn prepared(pairs: &Pairs, measured: [bool; 5], base_m: [f64; 3]) -> Result<Prepared, SimulateError> {
     let period_s = pairs.t_s.get(1).zip(pairs.t_s.first()).map_or(0.0, |(second, first)| second - first);
     let first_s = pairs.t_s.first().copied().unwrap_or_default();
     let log = RobotLog {
@@ -128,12 +132,12 @@ fn prepared(pairs: &Pairs, conditions: &Conditions, base_m: [f64; 3]) -> Result<
     let motion = InterpolatedLog::new(&log, f64::INFINITY).map_err(|_| SimulateError::Empty)?;
     let middle_s = pairs.t_s.iter().sum::<f64>() / pairs.t_s.len().max(1) as f64;
     let observation = |(t_s, bar_rad): (&f64, &[f64; 5])| Observation {
-        measured: conditions.measured,
+        measured,
         ..Observation::bar(t_s - middle_s, *bar_rad)
     };
     let observations = pairs.t_s.iter().skip(LEAD_ROWS).zip(&pairs.bar_rad).map(observation).collect();
     let motion = AlignedLog::new(motion, middle_s - first_s);
-    Ok(Prepared::aligned(UtcNs(0), observations, motion, conditions.measured, base_m.into()))
+    Ok(Prepared::aligned(UtcNs(0), observations, motion, measured, base_m.into()))
 }
 
 fn by_bar(

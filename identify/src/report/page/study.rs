@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use maud::{Markup, html};
 use plotters::style::RGBColor;
 
-use super::plot::{COLOURS, GREY, Mark, Panel, PlotError, Series};
+use super::plot::{COLOURS, GREY, INK, Mark, Panel, PlotError, Series};
 use super::sections::svg;
 use super::{PageError, document};
 use crate::report::file::{FileError, replace};
@@ -134,7 +134,7 @@ impl StudyPage<'_> {
             });
             let all = sizes(&curves);
             let ends = all.first().zip(all.last()).map(|(first, last)| vec![(*first, limit), (*last, limit)]);
-            let line = ends.map(|ends| Series::new("limit", GREY, Mark::Segments, ends));
+            let line = ends.map(|ends| Series::new("limit", INK, Mark::Segments, ends));
             panels.push(svg(panel(figure, "Near the limit".into(), lines.chain(line).collect())?));
         }
         Ok(html! {
