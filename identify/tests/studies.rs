@@ -165,6 +165,7 @@ fn a_study_that_makes_no_sense_is_refused_by_key() {
         ("points = 200", "points = 3", "points = 3 makes no sense"),
         ("title = \"small\"", "title = \"small\"\ntypo = 1", "typo"),
         ("encoder_step_urad = 1", "bar_play_um = -1", "give no negative number"),
+        ("encoder_step_urad = 1", "stations = 0.1", "stations = 2 needs another place"),
         ("id = \"noise\"", "id = \"exact\"", "`exact` is there already"),
     ] {
         assert!(text.contains(from), "{from}");

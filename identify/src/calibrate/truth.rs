@@ -100,11 +100,10 @@ pub fn position_errors_m(
     const STEPS: [usize; 6] = [7, 11, 13, 17, 19, 23];
     const POSTURES: usize = 2000;
     let mut true_model = found.clone();
-    for parameter in found.parameters() {
-        if matches!(parameter.id, ParameterId::Robot { .. }) {
-            let value = parameter.nominal + truth.error(&parameter.id.to_string());
-            // It has the parameter: it is a copy.
-            let _ = true_model.set_value(parameter.id, value);
+    for (name, value) in &truth.parameters {
+        if let Ok(id @ ParameterId::Robot { .. }) = name.parse() {
+            // Only what the model does not have is refused.
+            let _ = true_model.set_value(id, *value);
         }
     }
     let [identified, truth] = [found, &true_model].map(|model| model.geometry(&model.start()).robot);

@@ -16,7 +16,7 @@ const ANCHOR_M: [f64; 3] = [0.6, -1.1, 0.1];
 const OFFSET_M: f64 = 0.15;
 
 /// `count` random postures within the joint limits, each with the length that an instrument with this noise \[m\] shows; and what
-/// is true of the robot.
+/// is true of the robot to its flange.
 ///
 /// # Errors
 /// [`SimulateError`] where the experiment makes no sense.
@@ -26,9 +26,9 @@ pub fn wire_rows(
     noise_m: f64,
 ) -> Result<(Vec<LengthRow>, Truth), SimulateError> {
     experiment.check()?;
-    let [nominal_robot, nominal_bar] = experiment.nominal();
-    let truth = Truth::new(experiment, &nominal_robot, &nominal_bar);
-    let robot = truth.robot_chain(&flange_chain(experiment.robot));
+    let (flange, [_, bar]) = (flange_chain(experiment.robot), experiment.nominal());
+    let truth = Truth::new(experiment, &flange, &bar);
+    let robot = truth.robot_chain(&flange);
     let limits = experiment.robot.joint_limits();
     let mut postures = random(experiment.seed, Stream::Postures);
     let mut noise = random(experiment.seed, Stream::Wire);

@@ -267,9 +267,17 @@ impl StudyFile {
                 return Err(wrong(key("x"), "no sizes, or one that is no number", "give finite numbers"));
             }
             for &x in &series.x {
-                Conditions::of(self, series, x).map_err(|error| {
+                let conditions = Conditions::of(self, series, x).map_err(|error| {
                     wrong(key("vary"), error.to_string(), "correct the key or the number")
                 })?;
+                let one_path = self.path.planned.is_some() || self.path.log.is_some();
+                if conditions.stations > 1 && (self.second_base_m.is_none() || one_path) {
+                    return Err(wrong(
+                        key("with"),
+                        "stations = 2 needs another place and another path",
+                        "give second_base_m, and random paths",
+                    ));
+                }
             }
             for name in self.estimators_of(figure, series) {
                 if self.estimator(name).is_none() {
