@@ -383,7 +383,8 @@ fn check_record(call: Call, nth: usize, is_fast: bool) {
     let storage = Storage::on(wall.clone(), &daemon).unwrap();
     let request = RunRequest { name: "day".into(), duration: None, fast: is_fast, ..RunRequest::default() };
     // A busy machine may keep an emulated terminal from answering in time: then it is tried again.
-    let request = RunRequest { duration: is_fast.then_some(Duration::from_secs(3600)), wait: !is_fast, ..request };
+    let request =
+        RunRequest { duration: is_fast.then_some(Duration::from_secs(3600)), wait: !is_fast, ..request };
     let stop = Stop::default();
     std::thread::scope(|scope| {
         let recording = scope.spawn(|| {
