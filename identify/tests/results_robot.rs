@@ -4,14 +4,16 @@
 use std::f64::consts::FRAC_PI_2;
 
 use crate::support::independent::{Matrix, identity, product, shift, turn};
-use identify::kinematics::{Chain, Joints, robot_chain};
+use identify::evaluate::{CalibratedRobot, CalibratedRobotError};
+use identify::kinematics::{Chain, InverseError, Joints, Pose, robot_chain};
 use identify::logs::JointConversion;
 use identify::model::Model;
 use identify::report::corrections::{Correction, corrections, csv};
-use identify::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
+use identify::report::file::{CalibrationFile, ParameterEntry, SolveEntry, Status};
+use identify::report::knowledge::CovarianceEntry;
 use identify::report::urdf::urdf;
 use identify::solver::{Identifiability, Summary, Termination};
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, Vector3};
 use shared::config::RobotConfig;
 
 /// Every number of the robot wrong by its own amount, Hayati's rotation of link 2 too.
@@ -181,4 +183,108 @@ fn a_written_calibration_is_read_from_either_file_and_gives_the_same_robot() {
     std::fs::write(&toml, "something = \"else\"").unwrap();
     assert!(CalibrationFile::open(&toml).is_err());
     assert!(CalibrationFile::open(&directory.path().join("none.toml")).is_err());
+}
+
+/// The same with errors of gears: of the first joint, of a wrist joint many times a turn, and under the tool's weight.
+const TERMS: [(&str, f64); 3] = [("rsin1_1", 2e-4), ("rcos17_5", 3e-5), ("rtool_2", 1e-4)];
+
+fn file_with_terms(robot: &RobotConfig) -> CalibrationFile {
+    let mut file = file(robot);
+    file.parameters.extend(TERMS.map(|(name, value)| ParameterEntry {
+        name: name.into(),
+        unit: "rad".into(),
+        nominal: 0.0,
+        value,
+        correction: value,
+        sigma: None,
+        status: Status::Identified,
+    }));
+    file
+}
+
+fn calibrated(file: &CalibrationFile, robot: &RobotConfig) -> CalibratedRobot {
+    CalibratedRobot::new(file, robot, Some(&crate::support::bar())).unwrap()
+}
+
+#[test]
+fn a_calibrated_robot_is_where_its_links_and_the_errors_of_its_gears_put_it_and_is_brought_back_there() {
+    // Its drives turn one joint each, so that the errors can be written down here.
+    let config = crate::support::nj220();
+    let robot = calibrated(&file_with_terms(&config), &config);
+    let without_weight = {
+        let mut file = file_with_terms(&config);
+        file.parameters.pop();
+        calibrated(&file, &config)
+    };
+    for q in &JOINTS {
+        let mut moved = *q;
+        moved[0] += 2e-4 * q[0].sin();
+        moved[4] += 3e-5 * (17.0 * q[4]).cos();
+        let expected = identified(&config).forward(&moved);
+        let found = without_weight.forward(q).unwrap();
+        assert!((found.to_homogeneous() - expected.to_homogeneous()).amax() < 1e-12);
+        let pose = robot.forward(q).unwrap();
+        assert_ne!(pose, found);
+        let near: Vec<f64> = q.iter().map(|joint| joint + 0.02).collect();
+        let back = robot.inverse(&pose, &near).unwrap();
+        assert!(back.iter().zip(q).all(|(found, joint)| (found - joint).abs() < 1e-9), "{back:?} for {q:?}");
+    }
+    let away = Pose::translation(9.0, 0.0, 0.0);
+    let error = robot.inverse(&away, &JOINTS[0]).unwrap_err();
+    assert!(matches!(error, CalibratedRobotError::Inverse(InverseError::Unreachable { .. })), "{error}");
+    assert_eq!(robot.forward(&[0.0; 5]).unwrap_err(), CalibratedRobotError::Joints { found: 5, expected: 6 });
+    assert_eq!(robot.covariance(&JOINTS[0]).unwrap_err(), CalibratedRobotError::NoCovariance);
+}
+
+#[test]
+fn the_uncertainty_of_a_pose_is_that_of_moving_each_parameter() {
+    const H: f64 = 1e-6;
+    let config = crate::support::irb2400();
+    let mut file = file_with_terms(&config);
+    // Of another run, and of the bar: they move no robot.
+    let others = ["clock_shift", "btheta2@2"];
+    let links = ["ra2", "rd4", "ralpha1", "rbeta2", "rtheta6"];
+    let names: Vec<String> =
+        links.into_iter().chain(TERMS.map(|(name, _)| name)).chain(others).map(str::to_owned).collect();
+    let root = DMatrix::from_fn(names.len(), names.len(), |i, j| {
+        1e-4 * (1.0 + 3.0 * i as f64 + 7.0 * j as f64).sin()
+    });
+    let covariance = &root * root.transpose();
+    file.covariance = Some(CovarianceEntry {
+        names: names.clone(),
+        rows: covariance.row_iter().map(|row| row.iter().copied().map(Some).collect()).collect(),
+    });
+    let moved = |name: &str, by: f64| {
+        let mut file = file.clone();
+        file.parameters.iter_mut().filter(|entry| entry.name == name).for_each(|entry| entry.value += by);
+        calibrated(&file, &config)
+    };
+    for q in &JOINTS {
+        let mut by_parameter = DMatrix::zeros(6, names.len());
+        for (column, name) in names.iter().enumerate() {
+            let [less, more] = [-H, H].map(|by| moved(name, by).forward(q).unwrap());
+            let linear = (more.translation.vector - less.translation.vector) / (2.0 * H);
+            // Of a small turn; an angle out of a trace has half the digits.
+            let turn = (more.rotation * less.rotation.inverse()).into_inner();
+            let angular = Vector3::new(
+                turn[(2, 1)] - turn[(1, 2)],
+                turn[(0, 2)] - turn[(2, 0)],
+                turn[(1, 0)] - turn[(0, 1)],
+            ) / (4.0 * H);
+            by_parameter.view_mut((0, column), (3, 1)).copy_from(&linear);
+            by_parameter.view_mut((3, column), (3, 1)).copy_from(&angular);
+        }
+        let expected = &by_parameter * &covariance * by_parameter.transpose();
+        let found = calibrated(&file, &config).covariance(q).unwrap();
+        assert!((found - &expected).amax() < 1e-6 * expected.amax(), "{found} for {expected}");
+    }
+}
+
+#[test]
+fn a_calibration_of_an_arm_with_more_axes_is_no_calibration_of_this_one() {
+    let mut config = crate::support::nj220();
+    let file = file(&config);
+    config.links.pop();
+    let error = CalibratedRobot::new(&file, &config, Some(&crate::support::bar())).unwrap_err();
+    assert!(matches!(error, CalibratedRobotError::Parameter { .. }), "{error}");
 }

@@ -1,8 +1,21 @@
 //! Standard output of both programs.
 
+use std::cell::RefCell;
 use std::error::Error;
-use std::fmt;
-use std::io::{self, Write};
+use std::fmt::{self, Write as _};
+use std::io::{self, Write as _};
+
+thread_local! {
+    /// What this thread said, where that is not for standard output.
+    static KEPT: RefCell<Option<String>> = const { RefCell::new(None) };
+}
+
+/// What `work` returns, and what it said in this thread: for programs whose own output is another one.
+pub fn kept<T>(work: impl FnOnce() -> T) -> (T, String) {
+    let before = KEPT.replace(Some(String::new()));
+    let result = work();
+    (result, KEPT.replace(before).unwrap_or_default())
+}
 
 /// Prints a line.
 ///
@@ -17,6 +30,10 @@ pub fn say(line: impl fmt::Display) -> io::Result<()> {
 /// # Errors
 /// As [`say`].
 pub fn show(text: impl fmt::Display) -> io::Result<()> {
+    let is_kept = KEPT.with_borrow_mut(|kept| kept.as_mut().map(|kept| write!(kept, "{text}")));
+    if is_kept.is_some() {
+        return Ok(());
+    }
     unless_gone(write!(io::stdout().lock(), "{text}"))
 }
 

@@ -10,6 +10,8 @@ mod robot;
 mod simulate;
 mod study;
 
+pub use on_terminal::interrupt;
+
 use std::ffi::OsString;
 
 use clap::{Parser, Subcommand};
@@ -44,10 +46,13 @@ enum Command {
 }
 
 impl Arguments {
-    /// What was typed, or clap's own message and exit. `identify calibrate --recording ..` means the ball-bar,
+    /// What was typed, the program's name first. `identify calibrate --recording ..` means the ball-bar,
     /// `identify calibrate --experiment ..` whatever the file says, `identify plan --robot ..` a path, `identify simulate --robot ..` the ball-bar.
-    pub fn typed() -> Self {
-        let mut words: Vec<OsString> = std::env::args_os().collect();
+    ///
+    /// # Errors
+    /// clap's own, with what to type; help and version are errors, too.
+    pub fn typed(words: impl IntoIterator<Item = OsString>) -> Result<Self, clap::Error> {
+        let mut words: Vec<OsString> = words.into_iter().collect();
         let is_option = |word: &OsString| word.to_str().is_some_and(|word| word.starts_with("--"));
         let option_first = words.get(2).is_some_and(|word| is_option(word) && word != "--help");
         if option_first && words.get(1).is_some_and(|word| word == "plan") {
@@ -60,7 +65,7 @@ impl Arguments {
             });
             words.insert(2, if mixed { "experiment".into() } else { "bar".into() });
         }
-        Self::parse_from(words)
+        Self::try_parse_from(words)
     }
 }
 

@@ -17,6 +17,11 @@ const EXIT_INTERRUPTED: i32 = 130;
 /// A solve that is over before this shows nothing.
 const PATIENCE: Duration = Duration::from_millis(500);
 
+/// Ends the command that runs, as Ctrl-C does, or lets the next one go on.
+pub fn interrupt(ends: bool) {
+    INTERRUPTED.store(ends, Ordering::Relaxed);
+}
+
 /// A bar on the terminal, where there is one, that Ctrl-C ends. A second Ctrl-C ends the program at once.
 #[derive(Debug)]
 pub struct OnTerminal {
@@ -27,8 +32,8 @@ pub struct OnTerminal {
 impl OnTerminal {
     pub fn new() -> Self {
         HANDLER.get_or_init(|| {
-            // Without a handler Ctrl-C ends the program, which writes no file either.
-            let _ = ctrlc::set_handler(|| {
+            // Without a handler Ctrl-C ends the program, which writes no file either. A program that has one keeps it.
+            let _ = ctrlc::try_set_handler(|| {
                 if INTERRUPTED.swap(true, Ordering::Relaxed) {
                     std::process::exit(EXIT_INTERRUPTED);
                 }

@@ -1,6 +1,7 @@
 //! What a calibration shows when one looks at it: figures for the report, computed from a solve and never fed back.
 
 mod budget;
+mod calibrated_robot;
 mod consistency;
 mod costs;
 mod evidence;
@@ -14,6 +15,7 @@ mod sphere_deviation;
 mod workspace;
 
 pub use budget::{Budget, Contribution, Evaluation};
+pub use calibrated_robot::{CalibratedRobot, CalibratedRobotError};
 pub use consistency::{Compared, Consistency, ConsistencyError};
 pub use costs::{CostComparison, CostEntry, CostFigures, compare_costs};
 pub use evidence::{Evidence, RunEvidence, evidence};

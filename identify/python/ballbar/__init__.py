@@ -1,0 +1,260 @@
+"""Calibration of industrial robots with a sensed double ball-bar.
+
+The functions run the commands of ``identify`` in this process. Their keywords are the commands' options, ``robot_log=`` for
+``--robot-log``: ``True`` for an option without a value, a list for one that is given several times. What a command prints is
+logged by the logger ``ballbar`` as information, what it warns of as warnings; what it refuses is an :class:`Error`.
+
+Numbers are in SI units: metres, radians, nanoseconds where a name ends in ``_ns``.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import logging
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Union
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from . import _native
+from ._native import Error
+
+__all__ = ["Calibration", "Error", "Event", "Recording", "Study", "calibrate", "read_recording", "simulate", "study"]
+
+File = Union[str, "os.PathLike[str]"]
+Option = Union[File, float, bool, None, Sequence[Union[File, float]]]
+Numbers = NDArray[np.float64]
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened during a run."""
+
+    time_ns: int
+    cycle: int
+    kind: str
+    """``marker``, ``gap``, ``bus``, ``clock`` or ``disk``"""
+    text: str
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A finished recording: a row for each cycle, where there are several encoders a column for each of ``joints``."""
+
+    joints: tuple[int, ...]
+    """The bar's joints that have an encoder, 1 to 5."""
+    cycle: NDArray[np.uint64]
+    time_ns: NDArray[np.int64]
+    """When the encoders were sampled, UTC since 1970."""
+    time_uncertainty_ns: NDArray[np.uint32]
+    """One standard deviation."""
+    flags: NDArray[np.uint32]
+    """Why a cycle cannot be used, as bits; 0 for a good one."""
+    origin: NDArray[np.uint32]
+    """Angles of two cycles belong together where this is the same."""
+    count: NDArray[np.uint32]
+    """Counters as the terminals gave them, wrapping."""
+    valid: NDArray[np.bool_]
+    angle_rad: Numbers
+    """NaN where a count is not valid."""
+    events: tuple[Event, ...]
+    run: dict[str, Any]
+    """Who, what, with which settings."""
+    end: dict[str, Any]
+    """How the run ended."""
+
+
+def read_recording(path: File) -> Recording:
+    """Reads a recording that ``ballbard`` has finished."""
+    found = _native.read_recording(path)
+    encoders = len(found.joints)
+    column = lambda table, kind: np.frombuffer(table, dtype=kind)
+    return Recording(
+        joints=tuple(found.joints),
+        cycle=column(found.cycle, np.uint64),
+        time_ns=column(found.time_ns, np.int64),
+        time_uncertainty_ns=column(found.time_uncertainty_ns, np.uint32),
+        flags=column(found.flags, np.uint32),
+        origin=column(found.origin, np.uint32),
+        count=column(found.count, np.uint32).reshape(-1, encoders),
+        valid=column(found.valid, np.bool_).reshape(-1, encoders),
+        angle_rad=column(found.angle_rad, np.float64).reshape(-1, encoders),
+        events=tuple(Event(*event) for event in found.events),
+        run=json.loads(found.run),
+        end=json.loads(found.end),
+    )
+
+
+def simulate(out: File, *, instrument: str | None = None, **options: Option) -> Path:
+    """``identify simulate``: an experiment with known errors and its truth in the directory ``out``, which is returned."""
+    _run("simulate", *_named(instrument), *_options(out=out, **options))
+    return Path(out)
+
+
+def calibrate(*files: File, instrument: str | None = None, out: File | None = None, **options: Option) -> Calibration:
+    """``identify calibrate``: what was measured to a calibrated robot.
+
+    ``calibrate(recording=.., robot_log=.., robot=.., bar=..)`` is of a ball-bar's run, ``calibrate("grid.csv",
+    instrument="tracker", mapping=.., robot=..)`` of measured poses, ``calibrate(experiment=..)`` of what a file names. The
+    page and all other files are in ``out``; without one they are gone in the end.
+    """
+    with _directory(out) as directory:
+        _run("calibrate", *_named(instrument), *files, *_options(out=directory, **options))
+        return Calibration(directory)
+
+
+class Calibration:
+    """A robot as a calibration found it.
+
+    ``directory`` is that of ``calibration.json``. The configurations of robot and bar are those that it names, where they still
+    are and have not changed, unless they are given.
+
+    Arrays of postures have the robot's joints last, [rad, m], and any shape before; the robot stands still in them. Its end is the
+    flange, or the end of the ball-bar's plate where a ball-bar measured.
+    """
+
+    file: dict[str, Any]
+    """The content of ``calibration.json``."""
+
+    def __init__(self, directory: File, *, robot: File | None = None, bar: File | None = None) -> None:
+        path = Path(directory) / "calibration.json"
+        try:
+            self.file = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise Error(f"{path} is no calibration: {error}; give the directory that `identify calibrate` wrote") from error
+        robot = robot or self._input("robot")
+        if robot is None:
+            raise Error(f"{path} does not name its robot's configuration; give robot=")
+        self._robot = _native.Robot(path, robot, bar or self._input("bar"))
+
+    def _input(self, role: str) -> Path | None:
+        named = next((one for one in self.file["inputs"] if one["role"] == role), None)
+        if named is None:
+            return None
+        path = Path(named["path"])
+        try:
+            same = hashlib.sha256(path.read_bytes()).hexdigest() == named["sha256"]
+        except OSError as error:
+            raise Error(f"{path}: {error.strerror}; give {role}= the {role}'s configuration") from error
+        if not same:
+            raise Error(f"{path} has changed since the calibration; give {role}= the {role}'s configuration as it was")
+        return path
+
+    @property
+    def axes(self) -> int:
+        """Axes of the robot."""
+        return self._robot.axes
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Every parameter's value."""
+        return {one["name"]: one["value"] for one in self.file["parameters"]}
+
+    @property
+    def sigmas(self) -> dict[str, float]:
+        """One standard deviation of each parameter that is not taken as exact."""
+        return {one["name"]: one["sigma"] for one in self.file["parameters"] if one.get("sigma") is not None}
+
+    def forward(self, joints: ArrayLike) -> Numbers:
+        """Poses (.., 4, 4) of the robot's end in its base at postures (.., axes)."""
+        q = self._postures(joints)
+        poses = _table(self._robot.forward(q.tobytes()), 4, 4).swapaxes(-1, -2)
+        return poses.reshape(*q.shape[:-1], 4, 4)
+
+    def inverse(self, poses: ArrayLike, near: ArrayLike) -> Numbers:
+        """Postures (.., axes) that the robot reports at poses (.., 4, 4), of all the ones nearest to ``near`` (.., axes)."""
+        poses = _finite(poses, "poses")
+        if poses.shape[-2:] != (4, 4):
+            raise Error(f"poses have the shape {poses.shape}; give (.., 4, 4)")
+        near = np.broadcast_to(self._postures(near), (*poses.shape[:-2], self.axes))
+        return _table(self._robot.inverse(poses.tobytes(), near.tobytes()), self.axes).reshape(near.shape)
+
+    def uncertainty(self, joints: ArrayLike) -> Numbers:
+        """Covariances (.., 6, 6) of position [m] and rotation vector [rad] in the robot's base at postures (.., axes)."""
+        q = self._postures(joints)
+        return _table(self._robot.covariance(q.tobytes()), 6, 6).reshape(*q.shape[:-1], 6, 6)
+
+    def _postures(self, joints: ArrayLike) -> Numbers:
+        q = _finite(joints, "joints")
+        if q.shape[-1:] != (self.axes,):
+            raise Error(f"joints have the shape {q.shape}; give (.., {self.axes})")
+        return q
+
+
+@dataclass(frozen=True)
+class Study:
+    """What a study found."""
+
+    summary: dict[str, Any]
+    """The content of ``summary.json``: every curve and answer."""
+    points: dict[str, NDArray[Any]]
+    """Every estimate, the columns of ``points.csv``."""
+
+
+def study(*study: File, out: File | None = None, **options: Option) -> Study | None:
+    """``identify study``: ``study("thesis")``, ``study("my.toml", seeds=3)``, ``study("merge", "shard-1", "shard-2", out="all")``.
+
+    None for a shard: what it says is seen when all are merged.
+    """
+    with _directory(out) as directory:
+        _run("study", *study, *_options(out=directory, **options))
+        if options.get("shard") is not None:
+            return None
+        summary = json.loads((directory / "summary.json").read_text(encoding="utf-8"))
+        with open(directory / "points.csv", newline="", encoding="utf-8") as lines:
+            rows = list(csv.DictReader(lines))
+    kinds = {"trial": int, "seed": int, "figure": str, "series": str, "estimator": str, "failed": str}
+    number = lambda text: float(text or "nan")
+    names = rows[0] if rows else []
+    return Study(summary, {name: np.array([kinds.get(name, number)(row[name]) for row in rows]) for name in names})
+
+
+def _run(*words: File) -> None:
+    said, warned = _native.run(["identify", *(os.fspath(word) for word in words)])
+    for level, text in ((logging.INFO, said), (logging.WARNING, warned)):
+        for line in text.splitlines():
+            _log.log(level, line)
+
+
+def _named(instrument: str | None) -> list[str]:
+    return [] if instrument is None else [instrument]
+
+
+def _options(**options: Option) -> Iterator[str]:
+    for name, value in options.items():
+        option = "--" + name.replace("_", "-")
+        if value is True:
+            yield option
+        elif value is not None and value is not False:
+            for one in value if isinstance(value, (list, tuple)) else [value]:
+                yield f"{option}={one if isinstance(one, (int, float)) else os.fspath(one)}"
+
+
+@contextmanager
+def _directory(out: File | None) -> Iterator[Path]:
+    if out is not None:
+        yield Path(out)
+        return
+    with TemporaryDirectory(prefix="ballbar-") as directory:
+        yield Path(directory)
+
+
+def _finite(numbers: ArrayLike, name: str) -> Numbers:
+    array = np.asarray(numbers, dtype=np.float64)
+    if not np.isfinite(array).all():
+        raise Error(f"{name} have numbers that are not finite")
+    return array
+
+
+def _table(table: bytes, *shape: int) -> Numbers:
+    return np.frombuffer(table, dtype=np.float64).reshape(-1, *shape)

@@ -1,0 +1,241 @@
+//! What the Python package `ballbar` is made of: `identify`'s commands, its calibrated robots, and recordings. Tables cross as
+//! bytes in the machine's order, which NumPy takes without a copy.
+
+use std::ffi::OsString;
+use std::io;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use identify::commands::{self, Arguments, interrupt};
+use identify::evaluate::CalibratedRobot;
+use identify::kinematics::Pose;
+use identify::report::file::CalibrationFile;
+use nalgebra::{Matrix3, Rotation3, Vector3};
+use pyo3::create_exception;
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use pyo3::types::PyBytes;
+use shared::config::{self, BallBarConfig, RobotConfig};
+use shared::output::{explained, kept};
+use shared::recording::Recording;
+use shared::recording::schema::CycleRecord;
+
+/// How long the end of a command or Ctrl-C waits to be seen.
+const PATIENCE: Duration = Duration::from_millis(10);
+/// How far the columns of a rotation may be from unit length and right angles.
+const ROTATION_TOLERANCE: f64 = 1e-6;
+
+create_exception!(ballbar, Error, PyValueError, "What is wrong, where, and what to do.");
+
+fn refused(error: impl Into<Box<dyn std::error::Error>>) -> PyErr {
+    Error::new_err(explained(error.into().as_ref()))
+}
+
+/// Runs a command as a terminal would, the program's name first, and returns what it printed and what it warned of. Ctrl-C
+/// ends it.
+#[pyfunction]
+fn run(py: Python<'_>, words: Vec<OsString>) -> PyResult<(String, String)> {
+    let arguments = Arguments::typed(words).map_err(|error| Error::new_err(error.render().to_string()))?;
+    interrupt(false);
+    let warnings = Lines::default();
+    let lines = warnings.clone();
+    let subscriber = tracing_subscriber::fmt()
+        .with_max_level(tracing::Level::WARN)
+        .with_ansi(false)
+        .with_target(false)
+        .with_level(false)
+        .without_time()
+        .with_writer(move || lines.clone())
+        .finish();
+    let work = move || {
+        let (result, said) =
+            kept(|| tracing::subscriber::with_default(subscriber, || commands::run(arguments)));
+        (result.map_err(|error| explained(error.as_ref())), said)
+    };
+    let work = std::thread::Builder::new().name("identify".into()).spawn(work)?;
+    let mut pressed = Ok(());
+    while !work.is_finished() {
+        py.detach(|| std::thread::sleep(PATIENCE));
+        if let Err(signal) = py.check_signals() {
+            interrupt(true);
+            pressed = Err(signal);
+        }
+    }
+    let broke_down = |_| Error::new_err("the command broke down; report it with what you called");
+    let (result, said) = work.join().map_err(broke_down)?;
+    pressed?;
+    result.map_err(Error::new_err)?;
+    Ok((said, warnings.text()))
+}
+
+/// What was written, for whoever asks.
+#[derive(Clone, Default)]
+struct Lines(Arc<Mutex<Vec<u8>>>);
+
+impl Lines {
+    fn text(&self) -> String {
+        String::from_utf8_lossy(&self.0.lock().unwrap_or_else(PoisonError::into_inner)).into_owned()
+    }
+}
+
+impl io::Write for Lines {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+fn bytes<'py, const N: usize>(
+    py: Python<'py>,
+    numbers: impl Iterator<Item = [u8; N]>,
+) -> Bound<'py, PyBytes> {
+    PyBytes::new(py, &numbers.flatten().collect::<Vec<u8>>())
+}
+
+/// Rows of `width` numbers.
+fn rows(bytes: &[u8], width: usize) -> Vec<Vec<f64>> {
+    let (numbers, _) = bytes.as_chunks::<8>();
+    let rows = numbers.chunks_exact(width);
+    rows.map(|row| row.iter().map(|number| f64::from_ne_bytes(*number)).collect()).collect()
+}
+
+/// A robot as a calibration found it.
+#[pyclass(frozen)]
+struct Robot(CalibratedRobot);
+
+impl Robot {
+    /// What each row of joints has as an answer.
+    fn of_each<'py, const N: usize>(
+        &self,
+        py: Python<'py>,
+        joints: &[u8],
+        answer: impl Fn(&[f64]) -> PyResult<[f64; N]>,
+    ) -> PyResult<Bound<'py, PyBytes>> {
+        let answers: Vec<[f64; N]> =
+            rows(joints, self.0.axes()).iter().map(|q| answer(q)).collect::<PyResult<_>>()?;
+        Ok(bytes(py, answers.iter().flatten().map(|number| number.to_ne_bytes())))
+    }
+}
+
+#[pymethods]
+impl Robot {
+    #[new]
+    #[pyo3(signature = (calibration, robot, bar=None))]
+    fn new(calibration: PathBuf, robot: PathBuf, bar: Option<PathBuf>) -> PyResult<Self> {
+        let file = CalibrationFile::open(&calibration).map_err(refused)?;
+        let robot: RobotConfig = config::load(&robot).map_err(refused)?;
+        let bar: Option<BallBarConfig> = bar.map(|path| config::load(&path)).transpose().map_err(refused)?;
+        CalibratedRobot::new(&file, &robot, bar.as_ref()).map(Self).map_err(refused)
+    }
+
+    #[getter]
+    fn axes(&self) -> usize {
+        self.0.axes()
+    }
+
+    /// Rows of joints to homogeneous matrices, column by column.
+    fn forward<'py>(&self, py: Python<'py>, joints: &[u8]) -> PyResult<Bound<'py, PyBytes>> {
+        self.of_each::<16>(py, joints, |q| {
+            let pose = self.0.forward(q).map_err(refused)?.to_homogeneous();
+            Ok(std::array::from_fn(|index| pose[index]))
+        })
+    }
+
+    /// Rows of joints to covariances of position and rotation vector.
+    fn covariance<'py>(&self, py: Python<'py>, joints: &[u8]) -> PyResult<Bound<'py, PyBytes>> {
+        self.of_each::<36>(py, joints, |q| {
+            let covariance = self.0.covariance(q).map_err(refused)?;
+            Ok(std::array::from_fn(|index| covariance[index]))
+        })
+    }
+
+    /// Homogeneous matrices, row by row, and for each the joints near which it is reached, to rows of joints.
+    fn inverse<'py>(&self, py: Python<'py>, poses: &[u8], near: &[u8]) -> PyResult<Bound<'py, PyBytes>> {
+        let mut reached = Vec::new();
+        for (pose, near) in rows(poses, 16).iter().zip(rows(near, self.0.axes())) {
+            reached.extend(&self.0.inverse(&pose_of(pose)?, &near).map_err(refused)?);
+        }
+        Ok(bytes(py, reached.iter().map(|joint: &f64| joint.to_ne_bytes())))
+    }
+}
+
+fn pose_of(matrix: &[f64]) -> PyResult<Pose> {
+    let at = |row: usize, column: usize| matrix.get(4 * row + column).copied().unwrap_or(f64::NAN);
+    let rotation = Matrix3::from_fn(at);
+    let apart = (rotation.transpose() * rotation - Matrix3::identity()).amax();
+    let position = Vector3::from_fn(|row, _| at(row, 3));
+    let is_pose = apart < ROTATION_TOLERANCE
+        && rotation.determinant() > 0.0
+        && position.iter().all(|number| number.is_finite())
+        && (0..4).all(|column| at(3, column) == f64::from(u8::from(column == 3)));
+    if !is_pose {
+        return Err(Error::new_err("a pose is no homogeneous matrix [R p; 0 0 0 1] with a rotation R"));
+    }
+    Ok(Pose::from_parts(position.into(), Rotation3::from_matrix_unchecked(rotation)))
+}
+
+/// A recording, its tables as bytes: a row for each cycle, in it a column for each encoder.
+#[pyclass(frozen, get_all)]
+struct Columns {
+    joints: Vec<u8>,
+    cycle: Py<PyBytes>,
+    time_ns: Py<PyBytes>,
+    time_uncertainty_ns: Py<PyBytes>,
+    flags: Py<PyBytes>,
+    origin: Py<PyBytes>,
+    count: Py<PyBytes>,
+    valid: Py<PyBytes>,
+    angle_rad: Py<PyBytes>,
+    /// Time \[ns\], cycle, kind, words.
+    events: Vec<(i64, u64, String, String)>,
+    /// Metadata as JSON.
+    run: String,
+    /// How it ended, as JSON.
+    end: String,
+}
+
+/// Reads a finished recording.
+#[pyfunction]
+fn read_recording(py: Python<'_>, path: PathBuf) -> PyResult<Columns> {
+    let Recording { run, cycles, events, end, .. } = py.detach(|| Recording::open(&path)).map_err(refused)?;
+    let mut unwrappers: Vec<_> = run.encoders.iter().map(|encoder| encoder.scale.unwrapper()).collect();
+    let mut angles_rad = Vec::with_capacity(cycles.len() * run.encoders.len());
+    for cycle in &cycles {
+        for ((encoder, unwrapper), sample) in run.encoders.iter().zip(&mut unwrappers).zip(cycle.encoders()) {
+            let count = sample.valid.then(|| unwrapper.next(sample.count));
+            angles_rad.push(count.map_or(f64::NAN, |count| encoder.scale.counts_to_rad(count)));
+        }
+    }
+    let encoders = || cycles.iter().flat_map(CycleRecord::encoders);
+    let event_kind = |kind| format!("{kind:?}").to_lowercase();
+    Ok(Columns {
+        joints: run.encoders.iter().map(|encoder| encoder.joint).collect(),
+        cycle: bytes(py, cycles.iter().map(|one| one.cycle.to_ne_bytes())).unbind(),
+        time_ns: bytes(py, cycles.iter().map(|one| one.sample_time.0.to_ne_bytes())).unbind(),
+        time_uncertainty_ns: bytes(py, cycles.iter().map(|one| one.sample_time_uncertainty_ns.to_ne_bytes()))
+            .unbind(),
+        flags: bytes(py, cycles.iter().map(|one| one.flags.to_ne_bytes())).unbind(),
+        origin: bytes(py, cycles.iter().map(|one| one.origin.to_ne_bytes())).unbind(),
+        count: bytes(py, encoders().map(|one| one.count.to_ne_bytes())).unbind(),
+        valid: bytes(py, encoders().map(|one| [u8::from(one.valid)])).unbind(),
+        angle_rad: bytes(py, angles_rad.iter().map(|one| one.to_ne_bytes())).unbind(),
+        events: (events.into_iter())
+            .map(|event| (event.time.0, event.cycle, event_kind(event.kind), event.text))
+            .collect(),
+        run: serde_json::to_string(&run).map_err(refused)?,
+        end: serde_json::to_string(&end).map_err(refused)?,
+    })
+}
+
+#[pymodule]
+fn _native(module: &Bound<'_, PyModule>) -> PyResult<()> {
+    module.add("Error", module.py().get_type::<Error>())?;
+    module.add_class::<Robot>()?;
+    module.add_class::<Columns>()?;
+    module.add_function(wrap_pyfunction!(run, module)?)?;
+    module.add_function(wrap_pyfunction!(read_recording, module)?)
+}
