@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 use identify::calibrate::HoldOut;
-use identify::calibrate::measured_pose::{PoseOptions, calibrate};
+use identify::calibrate::rows::RowOptions;
+use identify::calibrate::rows::tracker::calibrate;
 use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Joints, Pose, flange_chain};
 use identify::report::urdf::urdf;
@@ -107,7 +108,7 @@ fn a_calibrated_arm_is_the_same_for_yourdfpy_in_the_urdf_that_is_written() {
     let directory = tempfile::tempdir().unwrap();
     for arm in ARMS {
         let robot = imported(arm);
-        let options = PoseOptions { joint_errors: false, hold_out: HoldOut::Rows, ..PoseOptions::default() };
+        let options = RowOptions { joint_errors: false, hold_out: HoldOut::Rows, ..RowOptions::tracker() };
         let report = calibrate(&rows(&robot), &flange_chain(&robot), &options).unwrap();
         let chain = report.model.geometry(&report.model.start()).robot;
         let path = directory.path().join("robot.urdf");

@@ -6,7 +6,8 @@ use std::path::PathBuf;
 use std::process::Command;
 
 use identify::calibrate::HoldOut;
-use identify::calibrate::measured_pose::{PoseOptions, PoseReport, calibrate};
+use identify::calibrate::rows::tracker::calibrate;
+use identify::calibrate::rows::{RowCalibration, RowOptions};
 use identify::instrument::PoseRow;
 use identify::kinematics::{
     Chain, InverseError, Joints, LinkParameter, Pose, Trace, Tracer, flange_chain, robot_inverse,
@@ -296,9 +297,9 @@ fn tracked(robot: &RobotConfig, count: usize) -> (Vec<PoseRow>, Chain) {
     (rows.collect(), truth)
 }
 
-fn calibrated(robot: &RobotConfig) -> PoseReport {
+fn calibrated(robot: &RobotConfig) -> RowCalibration {
     let (rows, _) = tracked(robot, 500);
-    let options = PoseOptions { waves_per_turn_max: 6, hold_out: HoldOut::Rows, ..PoseOptions::default() };
+    let options = RowOptions { waves_per_turn_max: 6, hold_out: HoldOut::Rows, ..RowOptions::tracker() };
     calibrate(&rows, &flange_chain(robot), &options).unwrap()
 }
 
@@ -307,10 +308,10 @@ fn seven_axes_and_an_arm_on_a_track_are_calibrated_by_a_tracker_and_written_as_u
     for (arm, free) in [(ARMS[1], 4 * 7 + 6 - 12), (ARMS[2], 4 * 7 + 2 + 6 - 12)] {
         let robot = imported(arm).config;
         let report = calibrated(&robot);
-        let (nominal, found) = (report.held_out.nominal.position_m, report.held_out.joints.position_m);
+        let (nominal, found) = (report.held_out().nominal.position_m, report.held_out().joints.position_m);
         // Noise of three coordinates is 35 um.
         assert!(nominal.rms > 1e-3 && found.rms < 4.2e-5, "{}: {nominal:?} {found:?}", arm.0);
-        assert!(report.held_out.joints.rotation_rad.unwrap().rms < 4.2e-5, "{}", arm.0);
+        assert!(report.held_out().joints.rotation_rad.unwrap().rms < 4.2e-5, "{}", arm.0);
         // 4 numbers of each revolute axis, 2 of a prismatic one and 6, of which tracker and probe have 12; every one is
         // identified far better than its prior knows it.
         let links = report.model.parameters().iter().map(|parameter| parameter.id);

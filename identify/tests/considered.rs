@@ -5,7 +5,7 @@
 use crate::support::truth::position_error_m;
 use crate::support::{bar, irb2400, repository};
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
-use identify::calibrate::measured_pose::{self, PoseOptions};
+use identify::calibrate::rows::{RowOptions, tracker};
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig, SelectionName};
 use identify::evaluate::{Budget, Evaluation, Expected, workspace_error};
 use identify::instrument::PoseRow;
@@ -83,8 +83,8 @@ fn with_a_tracker(seed: u64) -> (f64, Expected) {
     });
     let rows: Vec<PoseRow> = rows.collect();
     let fix = ["ra2", "ralpha3"].map(|name| name.parse().unwrap()).to_vec();
-    let options = PoseOptions { fix, joint_errors: false, ..PoseOptions::default() };
-    let found = measured_pose::calibrate(&rows, &nominal, &options).unwrap();
+    let options = RowOptions { fix, joint_errors: false, ..RowOptions::tracker() };
+    let found = tracker::calibrate(&rows, &nominal, &options).unwrap();
     let identified = found.model.geometry(&found.model.start()).robot;
     let end = |chain: &identify::kinematics::Chain, q: &[f64; 6]| chain.forward(q).translation.vector;
     let errors_m = postures.iter().map(|q| (end(&identified, q) - end(&truth, q)).norm());

@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use identify::calibrate::IdentifyConfig;
-use identify::calibrate::mix::{DataSets, MixedCalibration, calibrate};
+use identify::calibrate::mix::{DataSets, Measured, MixedCalibration, calibrate};
 use identify::instrument::{ContactRow, Instrument, KnownDistance, PlacedSocket, SocketTable, Sockets};
 use identify::kinematics::{Chain, DhLink, Joints, LinkParameter, flange_chain};
 use identify::logs::ContactMapping;
@@ -34,7 +34,10 @@ fn simulated(robot: &RobotConfig, seed: u64) -> SimulatedContacts {
 }
 
 fn calibrated(robot: &RobotConfig, rows: &[ContactRow], table: &SocketTable) -> MixedCalibration {
-    let data = DataSets { contacts: vec![(rows.into(), table)], ..DataSets::default() };
+    let data = DataSets {
+        rows: vec![Measured::Contacts(rows.to_vec(), table.clone()).into()],
+        ..DataSets::default()
+    };
     calibrate(&data, robot, &IdentifyConfig::default(), None).unwrap()
 }
 

@@ -3,8 +3,8 @@
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
 use identify::calibrate::HoldOut;
-use identify::calibrate::measured_length::{LengthOptions, RunCause, calibrate};
-use identify::calibrate::measured_pose::{PoseFigures, Sizes};
+use identify::calibrate::rows::wire::calibrate;
+use identify::calibrate::rows::{PoseFigures, RowOptions, RunCause, Sizes};
 use identify::instrument::{LengthRow, Rejection};
 use identify::kinematics::{Chain, Joints, flange_chain};
 use identify::model::{Axis, ParameterId};
@@ -73,13 +73,13 @@ fn made_up(count: usize) -> (Vec<LengthRow>, Vector3<f64>) {
 #[test]
 fn anchor_offset_and_robot_are_found_from_lengths_alone() {
     let (rows, anchor_m) = made_up(500);
-    let report = calibrate(&rows, &irb120(), &LengthOptions::default()).unwrap();
-    show("made up, before", &report.held_out.nominal);
-    show("made up, after", &report.held_out.joints);
-    assert!(report.held_out.nominal.position_m.rms > 3e-4, "the made-up robot has no errors to find");
-    assert!(report.held_out.joints.position_m.rms < 1.5e-4);
-    assert_eq!((report.held_out.joints.rows, report.fitted.joints.rows), (100, 400));
-    assert!((report.length_sigma_m - 1e-4).abs() < 2e-5);
+    let report = calibrate(&rows, &irb120(), &RowOptions::wire()).unwrap();
+    show("made up, before", &report.held_out().nominal);
+    show("made up, after", &report.held_out().joints);
+    assert!(report.held_out().nominal.position_m.rms > 3e-4, "the made-up robot has no errors to find");
+    assert!(report.held_out().joints.position_m.rms < 1.5e-4);
+    assert_eq!((report.held_out().joints.rows, report.fitted().joints.rows), (100, 400));
+    assert!((report.sigma_m - 1e-4).abs() < 2e-5);
     assert!(report.runs.is_empty() && report.rejected.is_empty());
     let value = |id| report.model.parameter(id).unwrap().value;
     let offset = ParameterId::LengthOffset;
@@ -104,7 +104,7 @@ fn faults_in_the_rows_are_found_named_and_kept_out_of_the_fit() {
         row.length_m -= 2e-2;
     }
     rows[50].flange_m = Some([0.0, 0.0, 0.0]);
-    let report = calibrate(&rows, &irb120(), &LengthOptions::default()).unwrap();
+    let report = calibrate(&rows, &irb120(), &RowOptions::wire()).unwrap();
     let contradicting =
         report.rejected.iter().filter(|r| matches!(r.why, Rejection::FlangeContradicts { .. }));
     assert_eq!(contradicting.map(|r| r.row).collect::<Vec<_>>(), [50]);
@@ -115,19 +115,19 @@ fn faults_in_the_rows_are_found_named_and_kept_out_of_the_fit() {
     let fitting_outliers =
         report.rejected.iter().filter(|r| matches!(r.why, Rejection::GrossResidual { .. })).count();
     assert!((4..=10).contains(&fitting_outliers), "{:?}", report.rejected);
-    assert!(report.fitted.joints.position_m.rms < 1.5e-4, "{:?}", report.fitted.joints);
+    assert!(report.fitted().joints.position_m.rms < 1.5e-4, "{:?}", report.fitted().joints);
 }
 
 #[test]
 fn rows_and_options_that_make_no_sense_are_errors() {
     let (mut rows, _) = made_up(100);
-    let text = |rows: &[LengthRow], options: &LengthOptions| {
+    let text = |rows: &[LengthRow], options: &RowOptions| {
         calibrate(rows, &irb120(), options).unwrap_err().to_string()
     };
-    let options = LengthOptions::default();
+    let options = RowOptions::wire();
     assert!(text(&rows[..12], &options).contains("at least 14"));
-    assert!(text(&rows, &LengthOptions { held_out: 1.0, ..options.clone() }).contains("held_out"));
-    assert!(text(&rows, &LengthOptions { link_sigma_m: 0.0, ..options.clone() }).contains("link_sigma_m"));
+    assert!(text(&rows, &RowOptions { held_out: 1.0, ..options.clone() }).contains("held_out"));
+    assert!(text(&rows, &RowOptions { link_sigma_m: 0.0, ..options.clone() }).contains("link_sigma_m"));
     rows[7].length_m = -1.0;
     assert!(text(&rows, &options).contains("row 8"));
     rows[7].length_m = f64::NAN;
@@ -140,13 +140,13 @@ fn rows_and_options_that_make_no_sense_are_errors() {
 #[ignore = "needs the measured rows in the folder BALLBAR_DATA"]
 fn all_rows_of_the_real_irb_120_predict_rows_that_no_fit_has_seen() {
     let rows = real_rows();
-    let report = calibrate(&rows, &irb120(), &LengthOptions::default()).unwrap();
+    let report = calibrate(&rows, &irb120(), &RowOptions::wire()).unwrap();
     println!("{} | {}", report.solution.summary.termination, report.solution.identifiability);
     println!(
         "{} of {} rows rejected, sigma of a length {:.2} mm",
         report.rejected.len(),
         rows.len(),
-        1e3 * report.length_sigma_m
+        1e3 * report.sigma_m
     );
     for run in &report.runs {
         println!(
@@ -157,15 +157,15 @@ fn all_rows_of_the_real_irb_120_predict_rows_that_no_fit_has_seen() {
             run.cause
         );
     }
-    show("held out, accepted, before", &report.held_out.nominal);
-    show("held out, accepted, after", &report.held_out.joints);
-    show("held out, all, before", &report.held_out_with_rejected.nominal);
-    show("held out, all, after", &report.held_out_with_rejected.joints);
+    show("held out, accepted, before", &report.held_out().nominal);
+    show("held out, accepted, after", &report.held_out().joints);
+    show("held out, all, before", &report.held_out_with_rejected().nominal);
+    show("held out, all, after", &report.held_out_with_rejected().joints);
     // Its controller position is 99 mm from its joint angles.
     assert!(
         report.rejected.iter().any(|r| r.row == 950 && matches!(r.why, Rejection::FlangeContradicts { .. }))
     );
-    let (after, rows) = (report.held_out.joints.position_m, report.held_out.joints.rows);
+    let (after, rows) = (report.held_out().joints.position_m, report.held_out().joints.rows);
     assert!(after.mean < 0.94e-3 && after.rms < 1.60e-3 && after.max < 4.5e-3, "{after:?}");
     assert!(rows >= 140);
 }
@@ -178,14 +178,13 @@ const WIRE: [f64; 3] = [0.94, 1.60, 4.5];
 fn all_rows_of_the_real_irb_120_over_several_splits() {
     let rows = real_rows();
     for seed in 1..=5 {
-        let report =
-            calibrate(&rows, &irb120(), &LengthOptions { seed, ..LengthOptions::default() }).unwrap();
+        let report = calibrate(&rows, &irb120(), &RowOptions { seed, ..RowOptions::wire() }).unwrap();
         println!("seed {seed}: {:?}", report.drift);
-        show("  nominal robot", &report.held_out_with_rejected.nominal);
-        show("  robot alone", &report.held_out_with_rejected.links);
-        show("  with the drift", &report.held_out_with_rejected.joints);
-        let after = report.held_out_with_rejected.joints.position_m;
-        assert_eq!(report.held_out_with_rejected.joints.rows, 208);
+        show("  nominal robot", &report.held_out_with_rejected().nominal);
+        show("  robot alone", &report.held_out_with_rejected().links);
+        show("  with the drift", &report.held_out_with_rejected().joints);
+        let after = report.held_out_with_rejected().joints.position_m;
+        assert_eq!(report.held_out_with_rejected().joints.rows, 208);
         let figures = [after.mean, after.rms, after.max].map(|m| 1e3 * m);
         assert!(figures.iter().zip(WIRE).all(|(found, best)| *found < best), "{figures:?}");
     }
@@ -198,12 +197,12 @@ fn all_rows_of_the_real_irb_120_where_stretches_and_regions_are_held_out() {
     let rows = real_rows();
     for hold_out in [HoldOut::Blocks, HoldOut::Regions] {
         for seed in 1..=3 {
-            let options = LengthOptions { seed, hold_out, ..LengthOptions::default() };
+            let options = RowOptions { seed, hold_out, ..RowOptions::wire() };
             let report = calibrate(&rows, &irb120(), &options).unwrap();
             println!("{hold_out:?}, seed {seed}: {:?}", report.drift);
-            show("  nominal robot", &report.held_out_with_rejected.nominal);
-            show("  robot alone", &report.held_out_with_rejected.links);
-            show("  with the drift", &report.held_out_with_rejected.joints);
+            show("  nominal robot", &report.held_out_with_rejected().nominal);
+            show("  robot alone", &report.held_out_with_rejected().links);
+            show("  with the drift", &report.held_out_with_rejected().joints);
         }
     }
 }
@@ -211,14 +210,14 @@ fn all_rows_of_the_real_irb_120_where_stretches_and_regions_are_held_out() {
 #[test]
 fn a_zero_that_wanders_is_told_from_the_robot_and_one_that_stays_is_not_invented() {
     let (mut rows, _) = made_up(500);
-    assert!(calibrate(&rows, &irb120(), &LengthOptions::default()).unwrap().drift.is_none());
+    assert!(calibrate(&rows, &irb120(), &RowOptions::wire()).unwrap().drift.is_none());
     for (index, row) in rows.iter_mut().enumerate() {
         row.length_m += 2e-3 * (index as f64 / 40.0).sin();
     }
-    let report = calibrate(&rows, &irb120(), &LengthOptions::default()).unwrap();
+    let report = calibrate(&rows, &irb120(), &RowOptions::wire()).unwrap();
     println!("{:?}", report.drift);
-    show("wandering, robot alone", &report.held_out_with_rejected.links);
-    show("wandering, with drift", &report.held_out_with_rejected.joints);
-    assert!(report.held_out_with_rejected.links.position_m.rms > 1e-3);
-    assert!(report.held_out_with_rejected.joints.position_m.rms < 2e-4);
+    show("wandering, robot alone", &report.held_out_with_rejected().links);
+    show("wandering, with drift", &report.held_out_with_rejected().joints);
+    assert!(report.held_out_with_rejected().links.position_m.rms > 1e-3);
+    assert!(report.held_out_with_rejected().joints.position_m.rms < 2e-4);
 }

@@ -5,7 +5,8 @@
 use std::path::Path;
 
 use identify::calibrate::HoldOut;
-use identify::calibrate::measured_pose::{PoseFigures, PoseOptions, PoseReport, Stages, calibrate, validate};
+use identify::calibrate::rows::tracker::{calibrate, validate};
+use identify::calibrate::rows::{PoseFigures, RowCalibration, RowOptions, Stages};
 use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Pose, flange_chain};
 use identify::logs::{MeasuredPoseMapping, MeasuredPoses};
@@ -78,8 +79,8 @@ fn wave_error_rad(geometry: &identify::model::Geometry) -> f64 {
 }
 
 /// Quick: few waves.
-fn quick() -> PoseOptions {
-    PoseOptions { waves_per_turn_max: 20, hold_out: HoldOut::Rows, ..PoseOptions::default() }
+fn quick() -> RowOptions {
+    RowOptions { waves_per_turn_max: 20, hold_out: HoldOut::Rows, ..RowOptions::tracker() }
 }
 
 #[test]
@@ -87,8 +88,8 @@ fn tracker_probe_robot_and_joint_waves_are_found_and_what_is_not_there_is_left_o
     let (rows, truth, place, _) = made_up(800, 2e-5, 3e-4);
     let report = calibrate(&rows, &ur10(), &quick()).unwrap();
     println!("{}", rows::poses(&report, &[]));
-    let Stages { nominal, links, joints } = report.held_out;
-    assert_eq!((nominal.rows, report.fitted.joints.rows), (160, 640));
+    let Stages { nominal, links, joints } = report.held_out();
+    assert_eq!((nominal.rows, report.fitted().joints.rows), (160, 640));
     assert!(nominal.position_m.rms > 1e-3 && links.position_m.rms > 1e-4);
     // Noise of three coordinates is 3.5e-5.
     assert!(joints.position_m.rms < 4.5e-5, "{joints:?}");
@@ -112,16 +113,16 @@ fn tracker_probe_robot_and_joint_waves_are_found_and_what_is_not_there_is_left_o
 fn a_fifth_of_gross_faults_changes_little() {
     let (mut rows, ..) = made_up(600, 2e-5, 0.0);
     let clean =
-        calibrate(&rows, &ur10(), &PoseOptions { held_out: 0.0, joint_errors: false, ..quick() }).unwrap();
+        calibrate(&rows, &ur10(), &RowOptions { held_out: 0.0, joint_errors: false, ..quick() }).unwrap();
     let untouched = rows.clone();
     for row in rows.iter_mut().step_by(5) {
         row.position_m += Vector3::new(0.05, -0.08, 0.02);
         row.rotation = row.rotation.map(|r| Rotation3::new(Vector3::new(0.1, 0.2, 0.0)) * r);
     }
     let faulty =
-        calibrate(&rows, &ur10(), &PoseOptions { held_out: 0.0, joint_errors: false, ..quick() }).unwrap();
+        calibrate(&rows, &ur10(), &RowOptions { held_out: 0.0, joint_errors: false, ..quick() }).unwrap();
     let on_clean =
-        |report: &PoseReport| validate(&untouched, &ur10(), &report.model, 1).unwrap()[1].position_m.rms;
+        |report: &RowCalibration| validate(&untouched, &ur10(), &report.model, 1).unwrap()[1].position_m.rms;
     println!("{:.2e} -> {:.2e}", on_clean(&clean), on_clean(&faulty));
     assert!(on_clean(&faulty) < 1.5 * on_clean(&clean));
 }
@@ -130,21 +131,21 @@ fn a_fifth_of_gross_faults_changes_little() {
 fn positions_alone_calibrate_too() {
     let (mut rows, ..) = made_up(500, 2e-5, 0.0);
     rows.iter_mut().for_each(|row| row.rotation = None);
-    let report = calibrate(&rows, &ur10(), &PoseOptions { joint_errors: false, ..quick() }).unwrap();
+    let report = calibrate(&rows, &ur10(), &RowOptions { joint_errors: false, ..quick() }).unwrap();
     assert_eq!(report.cost, "measured_position");
-    assert!(report.held_out.links.rotation_rad.is_none());
-    assert!(report.held_out.links.position_m.rms < 4.5e-5, "{:?}", report.held_out.links);
+    assert!(report.held_out().links.rotation_rad.is_none());
+    assert!(report.held_out().links.position_m.rms < 4.5e-5, "{:?}", report.held_out().links);
 }
 
 #[test]
 fn rows_and_options_that_make_no_sense_are_errors() {
     let (mut rows, ..) = made_up(100, 2e-5, 0.0);
     let text =
-        |rows: &[PoseRow], options: &PoseOptions| calibrate(rows, &ur10(), options).unwrap_err().to_string();
+        |rows: &[PoseRow], options: &RowOptions| calibrate(rows, &ur10(), options).unwrap_err().to_string();
     let options = quick();
     assert!(text(&rows[..20], &options).contains("at least 20"));
-    assert!(text(&rows, &PoseOptions { held_out: 1.0, ..options.clone() }).contains("held_out"));
-    assert!(text(&rows, &PoseOptions { link_sigma_m: 0.0, ..options.clone() }).contains("link_sigma_m"));
+    assert!(text(&rows, &RowOptions { held_out: 1.0, ..options.clone() }).contains("held_out"));
+    assert!(text(&rows, &RowOptions { link_sigma_m: 0.0, ..options.clone() }).contains("link_sigma_m"));
     assert!(text(&vec![rows[0]; 50], &options).contains("on a line"));
     rows[7].position_m.x = f64::NAN;
     assert!(text(&rows, &options).contains("row 8"));
@@ -260,7 +261,7 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
 fn what_is_fixed_by_name_stays_where_it_starts() {
     let (rows, ..) = made_up(300, 2e-5, 3e-4);
     let fixed = ["ra2", "probe_x", "rsin1_3"].map(|name| name.parse::<ParameterId>().unwrap());
-    let report = calibrate(&rows, &ur10(), &PoseOptions { fix: fixed.to_vec(), ..quick() }).unwrap();
+    let report = calibrate(&rows, &ur10(), &RowOptions { fix: fixed.to_vec(), ..quick() }).unwrap();
     for id in fixed {
         let parameter = report.model.parameter(id).unwrap();
         assert_eq!(parameter.value, parameter.nominal, "{id}");
@@ -287,11 +288,11 @@ fn the_real_ur10_on_its_grid_and_from_its_grid_to_its_cubes() {
 }
 
 fn grid_and_from_grid_to_cubes(grid: &[PoseRow], cubes: &[PoseRow]) {
-    let options = PoseOptions { waves_per_turn_max: 40, ..PoseOptions::default() };
+    let options = RowOptions { waves_per_turn_max: 40, ..RowOptions::tracker() };
     let report = calibrate(grid, &ur10(), &options).unwrap();
     let figures = validate(cubes, &ur10(), &report.model, 1).unwrap();
     println!("{}", rows::poses(&report, &[rows::Validation { name: "cubes".into(), figures }]));
-    below(&report.held_out.joints, GRID);
+    below(&report.held_out().joints, GRID);
     below(&figures[1], CUBES);
 }
 
@@ -304,10 +305,10 @@ fn cubes_whatever_is_held_out(cubes: &[PoseRow]) {
     for (hold_out, seeds) in [(HoldOut::Rows, 2), (HoldOut::Blocks, 1), (HoldOut::Regions, 1)] {
         let mut worst = [0.0_f64; 3];
         for seed in 1..=seeds {
-            let options = PoseOptions { waves_per_turn_max: 40, hold_out, seed, ..PoseOptions::default() };
+            let options = RowOptions { waves_per_turn_max: 40, hold_out, seed, ..RowOptions::tracker() };
             let report = calibrate(cubes, &ur10(), &options).unwrap();
             println!("{hold_out:?}, seed {seed}\n{}", rows::poses(&report, &[]));
-            let of = report.held_out.joints.position_m;
+            let of = report.held_out().joints.position_m;
             worst = std::array::from_fn(|i| worst[i].max(1e3 * [of.mean, of.p95, of.max][i]));
         }
         println!("{hold_out:?}: worst {worst:.3?}");

@@ -5,7 +5,7 @@
 
 use identify::calibrate::IdentifyConfig;
 use identify::calibrate::ball_bar::RunInput;
-use identify::calibrate::mix::{DataSets, MixedCalibration, calibrate};
+use identify::calibrate::mix::{DataSets, Measured, MixedCalibration, calibrate};
 use identify::instrument::{ContactRow, Instrument, LengthRow, PlacedSocket, PoseRow, SocketTable};
 use identify::kinematics::{Chain, DhLink, Joints, Pose, flange_chain, robot_chain, robot_inverse};
 use identify::model::{DriveTrain, Model, ParameterId, Role};
@@ -123,14 +123,14 @@ impl Cell {
             log: &self.run.robot_log,
             bar,
         };
+        let rows = [
+            tracker.then(|| Measured::Poses(self.poses.clone())),
+            wire.then(|| Measured::Lengths(self.lengths.clone())),
+            contact.then(|| Measured::Contacts(self.contacts.clone(), self.sockets.clone())),
+        ];
         let data = DataSets {
             bars: with_bar.then_some(run).into_iter().collect(),
-            trackers: tracker.then_some(self.poses.as_slice().into()).into_iter().collect(),
-            wires: wire.then_some(self.lengths.as_slice().into()).into_iter().collect(),
-            contacts: contact
-                .then_some((self.contacts.as_slice().into(), &self.sockets))
-                .into_iter()
-                .collect(),
+            rows: rows.into_iter().flatten().map(Into::into).collect(),
         };
         calibrate(&data, &robot, &IdentifyConfig::default(), None).unwrap()
     }
@@ -308,12 +308,12 @@ fn a_plate_that_is_hardly_known_does_not_make_the_robot_smaller() {
 #[test]
 fn options_of_the_ball_bar_alone_are_refused_for_a_mix_by_name() {
     let cell = Cell::new(1);
-    let data = DataSets { trackers: vec![cell.poses.as_slice().into()], ..DataSets::default() };
+    let data = DataSets { rows: vec![Measured::Poses(cell.poses.clone()).into()], ..DataSets::default() };
     let config = IdentifyConfig { ransac: true, ..IdentifyConfig::default() };
     let said = calibrate(&data, &irb2400(), &config, None).unwrap_err().to_string();
     assert!(said.contains("`ransac`"), "{said}");
     let still = vec![cell.poses[0]; 50];
-    let data = DataSets { trackers: vec![still.as_slice().into()], ..DataSets::default() };
+    let data = DataSets { rows: vec![Measured::Poses(still).into()], ..DataSets::default() };
     let said = calibrate(&data, &irb2400(), &IdentifyConfig::default(), None).unwrap_err().to_string();
     assert!(said.contains("data set 1") && said.contains("further apart"), "{said}");
 }

@@ -3,7 +3,8 @@
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
 use identify::calibrate::HoldOut;
-use identify::calibrate::measured_pose::{PoseOptions, PoseReport, calibrate};
+use identify::calibrate::rows::tracker::calibrate;
+use identify::calibrate::rows::{RowCalibration, RowOptions};
 use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Joints, flange_chain};
 use identify::logs::{MeasuredPoseMapping, MeasuredPoses};
@@ -30,11 +31,11 @@ fn measured(name: &str) -> Vec<PoseRow> {
 }
 
 /// Links alone: what is spoiled shows there.
-fn quick() -> PoseOptions {
-    PoseOptions { joint_errors: false, hold_out: HoldOut::Rows, ..PoseOptions::default() }
+fn quick() -> RowOptions {
+    RowOptions { joint_errors: false, hold_out: HoldOut::Rows, ..RowOptions::tracker() }
 }
 
-fn calibrated(rows: &[PoseRow], robot: &Chain) -> Result<PoseReport, String> {
+fn calibrated(rows: &[PoseRow], robot: &Chain) -> Result<RowCalibration, String> {
     calibrate(rows, robot, &quick()).map_err(|error| error.to_string())
 }
 

@@ -7,11 +7,12 @@ use super::IdentifyConfig;
 use super::ball_bar::{CalibrateError, RunInput, prepared_runs, solve};
 use super::config::SelectionName;
 use super::links::{free_links, link_ids};
-use super::measured_pose::{self, RowErrors};
 use super::pipeline::{Plan, Solved, estimate, waves_per_turn};
+use super::rows::{self, RowErrors};
 use super::split::HoldOut;
 use crate::instrument::{
-    Contact, ContactRow, Instrument, LengthRow, Measures, PoseRow, Run, SocketTable, Standing, Tracker, Wire,
+    Contact, ContactError, ContactRow, Instrument, LengthRow, Measures, PoseRow, Run, SocketTable, Standing,
+    Tracker, Wire,
 };
 use crate::kinematics::{Chain, Joints, flange_chain};
 use crate::model::{DriveTrain, Model, ModelError, ParameterId, Role};
@@ -25,43 +26,82 @@ pub const SEED: u64 = 1;
 pub struct DataSets<'a> {
     /// Runs with the ball-bar.
     pub bars: Vec<RunInput<'a>>,
-    /// Files of trackers.
-    pub trackers: Vec<Rows<'a, PoseRow>>,
-    /// Files of draw-wires or telescoping bars.
-    pub wires: Vec<Rows<'a, LengthRow>>,
-    /// Files of a ball in sockets, with what is known of these.
-    pub contacts: Vec<(Rows<'a, ContactRow>, &'a SocketTable)>,
+    /// Files of other instruments.
+    pub rows: Vec<Rows>,
 }
 
 /// Rows of one set-up, in the order in which the robot went there.
-#[derive(Debug, Clone, Copy)]
-pub struct Rows<'a, R> {
-    /// The rows.
-    pub rows: &'a [R],
-    /// Which are left out together; none: those of a region where there are poses, of a part of the file where lengths, single
-    /// ones of a ball in sockets.
+#[derive(Debug, Clone)]
+pub struct Rows {
+    /// What was measured.
+    pub measured: Measured,
+    /// Which are left out together; none: as is usual for the instrument.
     pub hold_out: Option<HoldOut>,
     /// Decides which groups come together.
     pub seed: Option<u64>,
 }
 
-impl<'a, R> From<&'a [R]> for Rows<'a, R> {
-    fn from(rows: &'a [R]) -> Self {
-        Self { rows, hold_out: None, seed: None }
+/// What an instrument measured at poses at which the robot stood still.
+#[derive(Debug, Clone)]
+pub enum Measured {
+    /// A tracker.
+    Poses(Vec<PoseRow>),
+    /// A draw-wire or a telescoping bar.
+    Lengths(Vec<LengthRow>),
+    /// A ball in sockets, with what is known of these.
+    Contacts(Vec<ContactRow>, SocketTable),
+}
+
+impl From<Measured> for Rows {
+    fn from(measured: Measured) -> Self {
+        Self { measured, hold_out: None, seed: None }
     }
 }
 
-impl<R: Copy> Rows<'_, R> {
-    fn standing(&self, joints: impl Fn(&R) -> Joints, robot: &Chain, usual: HoldOut) -> Standing<R> {
-        let (hold_out, seed) = (self.hold_out.unwrap_or(usual), self.seed.unwrap_or(SEED));
-        Standing::of_file(self.rows, joints, robot, hold_out, seed)
+impl Rows {
+    /// What is left out together: regions where there are poses, parts of the file where lengths, single rows of a ball in
+    /// sockets, unless somebody says so.
+    pub fn hold_out(&self) -> HoldOut {
+        self.hold_out.unwrap_or(match self.measured {
+            Measured::Poses(_) => HoldOut::Regions,
+            Measured::Lengths(_) => HoldOut::Blocks,
+            Measured::Contacts(..) => HoldOut::Rows,
+        })
+    }
+
+    /// Decides which groups come together.
+    pub fn seed(&self) -> u64 {
+        self.seed.unwrap_or(SEED)
+    }
+
+    /// The instrument with the nominal robot.
+    fn at_nominal(&self, robot: &Chain) -> Result<(Instrument, Model), ContactError> {
+        Ok(match &self.measured {
+            Measured::Poses(rows) => {
+                let tracker = Tracker::new(self.standing(rows, |row| row.joints_rad, robot));
+                (Instrument::Tracker(tracker), Model::measured_pose(robot))
+            }
+            Measured::Lengths(rows) => {
+                let wire = Wire::new(self.standing(rows, |row| row.joints_rad, robot));
+                (Instrument::Wire(wire), Model::measured_length(robot))
+            }
+            Measured::Contacts(rows, table) => {
+                let contact = Contact::new(self.standing(rows, |row| row.joints_rad, robot), table)?;
+                let model = Model::contact(robot, contact.sockets().names().len());
+                (Instrument::Contact(contact), model)
+            }
+        })
+    }
+
+    fn standing<R: Copy>(&self, rows: &[R], joints: impl Fn(&R) -> Joints, robot: &Chain) -> Standing<R> {
+        Standing::of_file(rows, joints, robot, self.hold_out(), self.seed())
     }
 }
 
 /// A robot calibrated from a mix.
 #[derive(Debug, Clone)]
 pub struct MixedCalibration {
-    /// Data sets with their parameters at the solution: ball-bars, trackers, wires, contacts, each in their order.
+    /// Data sets with their parameters at the solution: runs with the ball-bar, then files of rows, each in their order.
     pub runs: Vec<Run>,
     /// The solve of all.
     pub solved: Solved,
@@ -103,24 +143,11 @@ fn laid_out<'w>(
         }
     }
     let bars = runs.len();
-    let mut add = |instrument, model: Model| {
+    for (number, rows) in data.rows.iter().enumerate() {
+        let of_set = rows.at_nominal(&flange);
+        let (instrument, model) =
+            of_set.map_err(|error| CalibrateError::Contact { data_set: bars + number + 1, error })?;
         runs.push(Run { instrument, model: model.with_drives(DriveTrain::of(robot, &flange)) });
-    };
-    for rows in &data.trackers {
-        let at = rows.standing(|row| row.joints_rad, &flange, HoldOut::Regions);
-        add(Instrument::Tracker(Tracker::new(at)), Model::measured_pose(&flange));
-    }
-    for rows in &data.wires {
-        let at = rows.standing(|row| row.joints_rad, &flange, HoldOut::Blocks);
-        add(Instrument::Wire(Wire::new(at)), Model::measured_length(&flange));
-    }
-    let first = bars + data.trackers.len() + data.wires.len() + 1;
-    for (data_set, (rows, table)) in (first..).zip(&data.contacts) {
-        let at = rows.standing(|row| row.joints_rad, &flange, HoldOut::Rows);
-        let contact = Contact::new(at, table);
-        let contact = contact.map_err(|error| CalibrateError::Contact { data_set, error })?;
-        let model = Model::contact(&flange, contact.sockets().names().len());
-        add(Instrument::Contact(contact), model);
     }
     for (number, Run { instrument, model }) in runs.iter_mut().enumerate() {
         if !instrument.place(model, &fix)? {
@@ -141,7 +168,7 @@ fn laid_out<'w>(
             run.model = run.model.clone().with_joint_waves(ParameterId::joint_waves(last));
         }
         let known = |id: &ParameterId| runs.iter().any(|run| run.model.parameter(*id).is_some());
-        measured_pose::kinds(last, |id| known(id) && !fix.contains(id))
+        rows::kinds(last, |id| known(id) && !fix.contains(id))
     };
     let plan = Plan {
         loss: config.loss.unwrap_or(LossName::Huber),
@@ -167,7 +194,7 @@ pub fn calibrate(
     config: &IdentifyConfig,
     watch: Option<&dyn Watch>,
 ) -> Result<MixedCalibration, CalibrateError> {
-    if data.trackers.is_empty() && data.wires.is_empty() && data.contacts.is_empty() {
+    if data.rows.is_empty() {
         let mut runs = prepared_runs(&data.bars, robot, config)?;
         let solved = solve(&mut runs, config, watch)?;
         return Ok(MixedCalibration { runs, solved });

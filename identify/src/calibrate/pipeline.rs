@@ -6,8 +6,8 @@ use nalgebra::DMatrix;
 
 use super::ball_bar::CalibrateError;
 use super::config::CostName;
-use super::measured_pose::WAVES_PER_TURN_MAX;
 use super::ripple::Ripple;
+use super::rows::WAVES_PER_TURN_MAX;
 use super::sudden;
 use super::terms::{Candidate, Kind, Offer, TermGroup, prior_scale, select};
 use crate::cost::{CostError, DataSets, SharedColumns};

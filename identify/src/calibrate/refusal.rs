@@ -1,8 +1,7 @@
 //! Refusals taken apart: a page says more of them than a line on a terminal.
 
 use super::ball_bar::CalibrateError;
-use super::measured_length::LengthError;
-use super::measured_pose::PoseError;
+use super::rows::RowError;
 use super::structure::StructureError;
 use crate::cost::CostError;
 use crate::prepare::{Deviations, Place};
@@ -48,22 +47,15 @@ impl Refuses for CalibrateError {
     }
 }
 
-/// Calibrations from measured rows fail alike.
-macro_rules! refuse_rows {
-    ($($error:ty),*) => { $(
-        impl Refuses for $error {
-            fn refusal(&self) -> Option<Refusal<'_>> {
-                match self {
-                    Self::BadOption { .. } | Self::Model(_) => None,
-                    Self::Calibrate(error) => error.refusal(),
-                    _ => Some(of_all(self.to_string())),
-                }
-            }
+impl Refuses for RowError {
+    fn refusal(&self) -> Option<Refusal<'_>> {
+        match self {
+            Self::BadOption { .. } | Self::Model(_) => None,
+            Self::Calibrate(error) => error.refusal(),
+            _ => Some(of_all(self.to_string())),
         }
-    )* };
+    }
 }
-
-refuse_rows!(LengthError, PoseError);
 
 fn of_all(message: String) -> Refusal<'static> {
     Refusal { message, run: None, place: Place::default(), deviations: None }

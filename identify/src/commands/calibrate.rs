@@ -1,14 +1,12 @@
 //! `identify calibrate`: one instrument, one set of options, so that none can be accepted and ignored.
 
 mod bar;
-mod contact;
 mod experiment;
 mod force_logs;
 mod refused;
 mod result;
+mod rows;
 mod sources;
-mod tracker;
-mod wire;
 
 use std::path::{Path, PathBuf};
 
@@ -17,7 +15,7 @@ use clap::{Args, Subcommand};
 use shared::config::{self, RobotConfig};
 
 use crate::calibrate::HoldOut;
-use crate::calibrate::measured_length::LengthOptions;
+use crate::calibrate::rows::RowOptions;
 use crate::model::ParameterId;
 use crate::report::file::Input;
 
@@ -33,11 +31,11 @@ enum Instrument {
     /// From recordings of the ball-bar and the robot's own logs
     Bar(Box<bar::BarArguments>),
     /// From poses with one measured length each: a draw-wire or a telescoping bar
-    Wire(wire::WireArguments),
+    Wire(rows::WireArguments),
     /// From positions or poses measured by a tracker
-    Tracker(tracker::TrackerArguments),
+    Tracker(rows::TrackerArguments),
     /// From a ball on the flange that is seated in sockets whose distances are known
-    Contact(contact::ContactArguments),
+    Contact(rows::ContactArguments),
     /// From any mix of them: --experiment FILE, without this word
     #[command(hide = true)]
     Experiment(experiment::ExperimentArguments),
@@ -89,15 +87,15 @@ pub struct RowArguments {
 }
 
 fn usual_seed() -> u64 {
-    LengthOptions::default().seed
+    RowOptions::wire().seed
 }
 
 pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {
     match &arguments.instrument {
         Instrument::Bar(arguments) => bar::run(arguments),
-        Instrument::Wire(arguments) => wire::run(arguments),
-        Instrument::Tracker(arguments) => tracker::run(arguments),
-        Instrument::Contact(arguments) => contact::run(arguments),
+        Instrument::Wire(arguments) => rows::run_wire(arguments),
+        Instrument::Tracker(arguments) => rows::run_tracker(arguments),
+        Instrument::Contact(arguments) => rows::run_contact(arguments),
         Instrument::Experiment(arguments) => experiment::run(arguments),
     }
 }

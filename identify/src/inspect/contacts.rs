@@ -4,8 +4,8 @@ use shared::config::{JointKind, RobotConfig};
 
 use super::Inspection;
 use crate::calibrate::HoldOut;
-use crate::calibrate::measured_pose::Sizes;
 use crate::calibrate::mix::SEED;
+use crate::calibrate::rows::Sizes;
 use crate::instrument::{Contact, ContactRow, Measures, SocketTable, Standing};
 use crate::kinematics::{Chain, flange_chain};
 use crate::logs::SeatedRow;

@@ -7,7 +7,7 @@ use std::path::Path;
 
 use shared::config::{AngleUnit, RobotConfig};
 
-use crate::calibrate::measured_pose::{Mistake, likely, misfit};
+use crate::calibrate::rows::{Mistake, likely, misfit};
 use crate::instrument::PoseRow;
 use crate::kinematics::flange_chain;
 use crate::logs::{

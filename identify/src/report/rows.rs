@@ -2,8 +2,7 @@
 
 use std::fmt::Write;
 
-use crate::calibrate::measured_length::{LengthReport, RunCause};
-use crate::calibrate::measured_pose::{PoseFigures, PoseReport, Sizes, Stages};
+use crate::calibrate::rows::{PoseFigures, RowCalibration, RunCause, Sizes, Stages};
 use crate::evaluate::Limit;
 use crate::instrument::{Contact, Rejection};
 use crate::model::{JointWaves, Model, ParameterId, Phase};
@@ -37,7 +36,7 @@ fn stages(text: &mut String, name: &str, [what, last]: [&str; 2], stages: &Stage
 
 /// Length errors of rows that the fit saw and of rows that it did not, and what was rejected. `lines` gives each
 /// row's line in its file.
-pub fn lengths(report: &LengthReport, lines: &[u64]) -> String {
+pub fn lengths(report: &RowCalibration, lines: &[u64]) -> String {
     let mut text = String::new();
     let _ = writeln!(
         text,
@@ -45,12 +44,12 @@ pub fn lengths(report: &LengthReport, lines: &[u64]) -> String {
         "length error [mm]", "rows", "mean", "RMS", "p95", "max"
     );
     for (name, figures) in [
-        ("fitted", &report.fitted),
-        ("held out", &report.held_out),
-        ("held out, with faulty rows", &report.held_out_with_rejected),
+        ("fitted", report.fitted()),
+        ("held out", report.held_out()),
+        ("held out, with faulty rows", report.held_out_with_rejected()),
     ] {
         let last = if report.drift.is_some() { "joint errors and drift" } else { "joint errors" };
-        stages(&mut text, name, ["wire", last], figures);
+        stages(&mut text, name, ["wire", last], &figures);
     }
     if let Some(drift) = &report.drift {
         let _ = writeln!(
@@ -69,7 +68,7 @@ pub fn lengths(report: &LengthReport, lines: &[u64]) -> String {
     text
 }
 
-fn rejected_rows(report: &LengthReport, lines: &[u64]) -> String {
+fn rejected_rows(report: &RowCalibration, lines: &[u64]) -> String {
     let mut text = String::new();
     let line = |row: usize| lines.get(row).copied().unwrap_or_default();
     let _ = writeln!(text, "{} of {} rows rejected:", report.rejected.len(), lines.len());
@@ -110,7 +109,7 @@ fn rejected_rows(report: &LengthReport, lines: &[u64]) -> String {
 }
 
 /// Position and orientation errors of fitted, held-out and other rows.
-pub fn poses(report: &PoseReport, validations: &[Validation]) -> String {
+pub fn poses(report: &RowCalibration, validations: &[Validation]) -> String {
     let mut text = String::new();
     let _ = writeln!(
         text,
@@ -131,8 +130,8 @@ pub fn poses(report: &PoseReport, validations: &[Validation]) -> String {
         "max",
     );
     let named = ["tracker and probe", "joint errors"];
-    stages(&mut text, "fitted", named, &report.fitted);
-    stages(&mut text, "held out", named, &report.held_out);
+    stages(&mut text, "fitted", named, &report.fitted());
+    stages(&mut text, "held out", named, &report.held_out());
     for Validation { name, figures: [nominal, calibrated] } in validations {
         let _ = writeln!(text, "{name}, tracker and probe fitted to other rows of it");
         line(&mut text, "  nominal robot", nominal);

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::file::CalibrationFile;
 use crate::calibrate::HoldOut;
-use crate::calibrate::measured_pose::Stages;
+use crate::calibrate::rows::Stages;
 use crate::evaluate::{ApartRms, Evidence};
 
 /// Robot against bar, root mean square.

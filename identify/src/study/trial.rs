@@ -8,7 +8,7 @@ use shared::time::UtcNs;
 use super::{Conditions, Definition, Estimator, Figure, Kind, Row, Series, StudyInstrument, TrialRows};
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::ball_bar::calibrate_prepared;
-use crate::calibrate::measured_length::{self, LengthOptions};
+use crate::calibrate::rows::{RowOptions, wire};
 use crate::calibrate::truth::{Comparison, position_errors_m};
 use crate::kinematics::flange_chain;
 use crate::logs::{InterpolatedLog, LogQuality, RobotLog};
@@ -165,8 +165,8 @@ fn by_wire(definition: &Definition, seed: u32, conditions: &Conditions) -> Resul
     let (rows, truth) = wire_rows(&experiment, conditions.wire_rows, conditions.wire_noise_m)
         .map_err(|error| error.to_string())?;
     // The truth is known: no row has to be kept back for judging.
-    let options = LengthOptions { held_out: 0.0, ..LengthOptions::default() };
-    let found = measured_length::calibrate(&rows, &flange_chain(&definition.robot), &options)
+    let options = RowOptions { held_out: 0.0, ..RowOptions::wire() };
+    let found = wire::calibrate(&rows, &flange_chain(&definition.robot), &options)
         .map_err(|error| error.to_string())?;
     let attachment_m = found.model.geometry(&[]).wire.attachment_m;
     Ok(position(&found.model, &truth, definition, [attachment_m, ATTACHMENT_M.into()]))

@@ -6,26 +6,28 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::Args;
 use serde::{Deserialize, Serialize};
-use shared::config::{self, Validate, Violation};
+use shared::config::{self, RobotConfig, Validate, Violation};
 
 use super::bar::{self, BarArguments};
 use super::result::Told;
-use super::{CommonArguments, RowArguments, contact, inputs, refused, tracker, wire};
-use crate::calibrate::ball_bar::RunInput;
-use crate::calibrate::measured_pose::RowErrors;
-use crate::calibrate::mix::{self, DataSets};
+use super::rows::{self, Kind, Read, RowFile};
+use super::{CommonArguments, inputs, refused};
+use crate::calibrate::IdentifyConfig;
+use crate::calibrate::mix::{self, DataSets, Rows};
 use crate::calibrate::refusal::Refuses;
-use crate::calibrate::{HoldOut, IdentifyConfig};
+use crate::calibrate::rows::RowErrors;
 use crate::commands::ensure_six_revolute_axes;
 use crate::commands::on_terminal::OnTerminal;
 use crate::evaluate::RunEvidence;
-use crate::instrument::{BallBar, Instrument, LengthRow, PoseRow, Run};
+use crate::instrument::{BallBar, Instrument, Run};
 use crate::logs::LogFormat;
+use crate::model::ParameterId;
 use crate::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use crate::report::page::Measured;
 use crate::report::rows as of_rows;
 use crate::report::table;
 use crate::report::validation::RowsEntry;
+use crate::solver::LossName;
 
 /// Name of the file beside a result.
 const NAME: &str = "experiment.toml";
@@ -54,31 +56,6 @@ pub struct BarRun {
     /// Force on the bar.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub force_log: Option<PathBuf>,
-}
-
-/// A file of rows, each a pose of the robot and what was measured there.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RowFile {
-    /// The rows.
-    pub file: PathBuf,
-    /// Which of its columns is what.
-    pub mapping: PathBuf,
-    /// Of a ball in sockets, which needs it: the table of these.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub sockets: Option<PathBuf>,
-    /// Which rows are held out together; absent: regions of poses, rows of lengths and contacts.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub hold_out: Option<HoldOut>,
-    /// Decides which; absent: the instrument's usual one.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub seed: Option<u64>,
-    /// Of a tracker alone: highest number of waves per turn that the errors of joints may have.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub joint_waves: Option<u8>,
-    /// Of a tracker alone: other files that judge the robot.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub validate: Vec<PathBuf>,
 }
 
 /// Everything that was measured on one robot, and how it is calibrated. Paths count from the file's directory.
@@ -138,9 +115,10 @@ impl Validate for Experiment {
             ));
         }
         let of_tracker_alone = self.data_sets() > 1 || self.trackers.is_empty();
-        for (key, rows) in [("tracker", &self.trackers), ("wire", &self.wires), ("contact", &self.contacts)] {
-            for (index, row) in rows.iter().enumerate() {
-                if row.sockets.is_some() != (key == "contact") {
+        for (kind, files) in self.kinds() {
+            let key = kind.key();
+            for (index, row) in files.iter().enumerate() {
+                if row.sockets.is_some() != (kind == Kind::Contact) {
                     return Err(Violation::new(
                         format!("{key}[{index}].sockets"),
                         "a table of sockets goes with each [[contact]] block and with no other",
@@ -195,7 +173,31 @@ impl Experiment {
     }
 
     fn data_sets(&self) -> usize {
-        self.bars.len() + self.trackers.len() + self.wires.len() + self.contacts.len()
+        self.bars.len() + self.rows().count()
+    }
+
+    fn kinds(&self) -> [(Kind, &[RowFile]); 3] {
+        [(Kind::Tracker, &self.trackers), (Kind::Wire, &self.wires), (Kind::Contact, &self.contacts)]
+    }
+
+    /// All files of rows, in the order of their data sets.
+    pub(super) fn rows(&self) -> impl Iterator<Item = (Kind, &RowFile)> {
+        self.kinds().into_iter().flat_map(|(kind, files)| files.iter().map(move |of| (kind, of)))
+    }
+
+    /// Every file that is read, with what it is, those of rows first.
+    pub(super) fn files<'a>(
+        &'a self,
+        arguments: &'a BarArguments,
+        bars: &'a [bar::RunFiles<'_>],
+    ) -> Vec<(&'static str, &'a Path)> {
+        let mut files: Vec<(&str, &Path)> = Vec::new();
+        for (kind, of) in self.rows() {
+            files.extend([(kind.role(), of.file.as_path()), ("mapping", &of.mapping)]);
+            files.extend(of.sockets.as_deref().map(|sockets| ("sockets", sockets)));
+        }
+        files.extend(bar::input_files(arguments, bars));
+        files
     }
 
     /// That of a calibration from runs with the ball-bar.
@@ -220,19 +222,10 @@ impl Experiment {
     }
 
     /// That of a calibration from rows alone, without its rows.
-    pub(super) fn of_rows(common: &CommonArguments, rows: &RowArguments, file: &Path) -> (Self, RowFile) {
-        let fix = rows.fix.iter().map(ToString::to_string).collect();
-        let row_file = RowFile {
-            file: file.to_owned(),
-            mapping: rows.mapping.clone(),
-            sockets: None,
-            hold_out: rows.hold_out,
-            seed: Some(rows.seed),
-            joint_waves: None,
-            validate: Vec::new(),
-        };
-        let identify = IdentifyConfig { fix, require_mm: common.require, ..IdentifyConfig::default() };
-        (Self::new(&common.robot, identify), row_file)
+    pub(super) fn of_rows(common: &CommonArguments, fix: &[ParameterId], loss: Option<LossName>) -> Self {
+        let fix = fix.iter().map(ToString::to_string).collect();
+        let require_mm = common.require;
+        Self::new(&common.robot, IdentifyConfig { fix, loss, require_mm, ..IdentifyConfig::default() })
     }
 
     /// All of its paths.
@@ -271,7 +264,7 @@ impl Experiment {
         Ok(experiment)
     }
 
-    fn bar_arguments(&self, out: &Path) -> BarArguments {
+    pub(super) fn bar_arguments(&self, out: &Path) -> BarArguments {
         let of = |path: fn(&BarRun) -> &PathBuf| self.bars.iter().map(|run| path(run).clone()).collect();
         BarArguments {
             recording: of(|run| &run.recording),
@@ -300,68 +293,48 @@ impl Experiment {
         let require = self.identify.require_mm;
         CommonArguments { robot: self.robot.clone(), out: out.to_owned(), require }
     }
-
-    fn row_arguments(&self, rows: &RowFile) -> anyhow::Result<RowArguments> {
-        let fix = self.identify.fix.iter().map(|name| name.parse());
-        Ok(RowArguments {
-            mapping: rows.mapping.clone(),
-            hold_out: rows.hold_out,
-            seed: rows.seed.unwrap_or_else(super::usual_seed),
-            fix: fix.collect::<Result<_, _>>()?,
-        })
-    }
 }
 
 /// Reads, calibrates, writes and prints.
 pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
-    let experiment = Experiment::load(&arguments.experiment)?;
-    let out = &arguments.out;
-    let Experiment { bars, trackers, wires, contacts, identify, .. } = &experiment;
-    match (&bars[..], &trackers[..], &wires[..], &contacts[..]) {
-        (_, [], [], []) => bar::calibrate(&experiment.bar_arguments(out), identify),
-        ([], [rows], [], []) => {
-            let common = experiment.common(out);
-            tracker::run(&tracker::TrackerArguments::of(
-                rows,
-                experiment.row_arguments(rows)?,
-                identify,
-                common,
-            ))
+    calibrate(Experiment::load(&arguments.experiment)?, &arguments.out)
+}
+
+/// The same of an experiment that was not read from a file.
+pub(super) fn calibrate(experiment: Experiment, out: &Path) -> anyhow::Result<()> {
+    let Some((kind, _)) = experiment.rows().next() else {
+        return bar::calibrate(&experiment.bar_arguments(out), &experiment.identify);
+    };
+    let robot = &experiment.common(out).robot()?;
+    let read = experiment.rows().map(|(kind, of)| rows::read(kind, of, robot));
+    let mut read = read.collect::<anyhow::Result<Vec<Read>>>()?;
+    match read.pop() {
+        Some(one) if read.is_empty() && experiment.bars.is_empty() => {
+            rows::alone(experiment, kind, robot, one, out)
         }
-        ([], [], [rows], []) => {
-            let common = experiment.common(out);
-            wire::run(&wire::WireArguments::of(rows, experiment.row_arguments(rows)?, common))
+        last => {
+            read.extend(last);
+            mixed(experiment, robot, read, out)
         }
-        _ => mixed(experiment, out),
     }
 }
 
-/// The same of any mix, or of instruments that have no way of their own.
-pub(super) fn mixed(experiment: Experiment, out: &Path) -> anyhow::Result<()> {
+/// Of any mix, or of instruments that have no way of their own.
+pub(super) fn mixed(
+    experiment: Experiment,
+    robot: &RobotConfig,
+    read: Vec<Read>,
+    out: &Path,
+) -> anyhow::Result<()> {
     let (bar_arguments, config) = (experiment.bar_arguments(out), &experiment.identify);
-    let robot = &experiment.common(out).robot()?;
     let bars = if experiment.bars.is_empty() {
         Vec::new()
     } else {
         ensure_six_revolute_axes(robot)?;
         bar::runs(&bar_arguments, robot)?
     };
-    let read = |rows: &RowFile| tracker::rows(&rows.file, &rows.mapping, robot);
-    let trackers: Vec<Vec<PoseRow>> = experiment.trackers.iter().map(read).collect::<anyhow::Result<_>>()?;
-    let read = |rows: &RowFile| wire::rows(&rows.file, &rows.mapping, robot).map(|(rows, _)| rows);
-    let wires: Vec<Vec<LengthRow>> = experiment.wires.iter().map(read).collect::<anyhow::Result<_>>()?;
-    let read = |of: &RowFile| {
-        let sockets = of.sockets.as_deref().context("a table of sockets is missing")?;
-        contact::read(&of.file, &of.mapping, sockets, robot)
-    };
-    let contacts: Vec<contact::Read> = experiment.contacts.iter().map(read).collect::<anyhow::Result<_>>()?;
-    let of_contacts = experiment.contacts.iter().zip(&contacts);
-    let data = DataSets {
-        contacts: of_contacts.map(|(of, read)| (of.data(&read.rows), &read.table)).collect(),
-        bars: bars.iter().map(bar::RunFiles::input).collect::<Vec<RunInput<'_>>>(),
-        trackers: experiment.trackers.iter().zip(&trackers).map(|(of, rows)| of.data(rows)).collect(),
-        wires: experiment.wires.iter().zip(&wires).map(|(of, rows)| of.data(rows)).collect(),
-    };
+    let (rows, lines): (_, Vec<_>) = read.into_iter().map(|read| (read.rows, read.lines)).unzip();
+    let data = DataSets { bars: bars.iter().map(bar::RunFiles::input).collect(), rows };
     let on_terminal = OnTerminal::new();
     let found = mix::calibrate(&data, robot, config, Some(&on_terminal)).and_then(|found| {
         match mix::held_out(&data, robot, config, Some(&on_terminal)) {
@@ -375,20 +348,8 @@ pub(super) fn mixed(experiment: Experiment, out: &Path) -> anyhow::Result<()> {
         }
     });
     on_terminal.finish();
-    let mut files: Vec<(&str, &Path)> = Vec::new();
-    for (role, rows) in [
-        ("measured poses", &experiment.trackers),
-        ("measured lengths", &experiment.wires),
-        ("seated balls", &experiment.contacts),
-    ] {
-        for of in rows {
-            files.extend([(role, of.file.as_path()), ("mapping", &of.mapping)]);
-            files.extend(of.sockets.as_deref().map(|sockets| ("sockets", sockets)));
-        }
-    }
-    files.extend(bar::input_files(&bar_arguments, &bars));
-    let (found, errors) =
-        found.map_err(|error| refused::of_rows(&experiment.common(out), robot, &files, config, error))?;
+    let files = experiment.files(&bar_arguments, &bars);
+    let (found, errors) = found.map_err(|error| refused::of_rows(out, robot, &files, config, error))?;
     let solution = &found.solved.solution;
     let mut file = CalibrationFile::new(
         &robot.name,
@@ -404,24 +365,17 @@ pub(super) fn mixed(experiment: Experiment, out: &Path) -> anyhow::Result<()> {
     )
     .with_knowledge(solution);
     file.candidates.clone_from(&found.solved.candidates);
-    let row_files = [
-        (&experiment.trackers, HoldOut::Regions),
-        (&experiment.wires, HoldOut::Blocks),
-        (&experiment.contacts, HoldOut::Rows),
-    ];
-    let row_files = row_files.into_iter().flat_map(|(files, usual)| files.iter().map(move |of| (of, usual)));
-    let entry = |(number, (of, usual)): (usize, (&RowFile, HoldOut))| {
-        let number = bars.len() + number;
+    let entry = |(number, rows): (usize, &Rows)| {
         let errors = errors.get(number).filter(|errors| !errors.held_out.is_empty())?;
         Some(RowsEntry {
             data_set: number + 1,
-            hold_out: of.hold_out.unwrap_or(usual),
-            seed: of.seed.unwrap_or(mix::SEED),
+            hold_out: rows.hold_out(),
+            seed: rows.seed(),
             fitted: errors.of(&errors.fitted),
             held_out: errors.of(&errors.held_out),
         })
     };
-    file.rows = row_files.enumerate().filter_map(entry).collect();
+    file.rows = (bars.len()..).zip(&data.rows).filter_map(entry).collect();
     let name = |number: usize, run: &Run| format!("{} (data set {})", run.instrument.name(), number + 1);
     let data_sets = found.runs.iter().zip(&errors).enumerate().map(|(number, (run, errors))| {
         let of_bar = |bar: &BallBar| Measured::Bar {
@@ -432,13 +386,13 @@ pub(super) fn mixed(experiment: Experiment, out: &Path) -> anyhow::Result<()> {
     });
     let mut tables = table::data_sets(&found);
     let mut limits = Vec::new();
-    let of_contacts = found.runs.iter().enumerate().filter_map(|(number, run)| match &run.instrument {
-        Instrument::Contact(contact) => Some((name(number, run), contact, &run.model)),
-        _ => None,
-    });
-    for ((name, contact, model), read) in of_contacts.zip(&contacts) {
-        tables += &format!("\n{name}\n{}", of_rows::contacts(contact, model, &read.lines));
-        limits.extend(of_rows::contradicted(contact, model));
+    for (number, run) in found.runs.iter().enumerate() {
+        let lines = number.checked_sub(bars.len()).and_then(|number| lines.get(number));
+        if let (Instrument::Contact(contact), Some(lines)) = (&run.instrument, lines) {
+            let name = name(number, run);
+            tables += &format!("\n{name}\n{}", of_rows::contacts(contact, &run.model, lines));
+            limits.extend(of_rows::contradicted(contact, &run.model));
+        }
     }
     let first = found.runs.first().context("there is no data set")?;
     let told = Told {
@@ -463,10 +417,4 @@ fn instruments(runs: &[Run]) -> String {
         several => format!("{} times {}", several.len(), several[0]),
     });
     told.collect::<Vec<_>>().join(", ")
-}
-
-impl RowFile {
-    fn data<'a, R>(&self, rows: &'a [R]) -> mix::Rows<'a, R> {
-        mix::Rows { rows, hold_out: self.hold_out, seed: self.seed }
-    }
 }

@@ -7,7 +7,7 @@ use shared::config::RobotConfig;
 use shared::output::explained;
 
 use super::bar::{BarArguments, RunFiles, input_files};
-use super::{CommonArguments, inputs, sources};
+use super::{inputs, sources};
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::ball_bar::CalibrateError;
 use crate::calibrate::refusal::{Refusal, Refuses};
@@ -27,7 +27,7 @@ struct Attempt<'a> {
 
 /// The error of a calibration from measured rows, as the terminal tells it; `files` begin with that of the rows.
 pub(super) fn of_rows<E>(
-    arguments: &CommonArguments,
+    directory: &Path,
     robot: &RobotConfig,
     files: &[(&'static str, &Path)],
     options: &dyn std::fmt::Debug,
@@ -37,13 +37,7 @@ where
     E: Refuses + std::error::Error + Send + Sync + 'static,
 {
     let (instrument, path) = files.first().copied().unwrap_or(("", Path::new("")));
-    let attempt = Attempt {
-        robot,
-        instrument,
-        files,
-        configuration: format!("{options:#?}"),
-        directory: &arguments.out,
-    };
+    let attempt = Attempt { robot, instrument, files, configuration: format!("{options:#?}"), directory };
     attempt.told(error, &path.display().to_string(), Vec::new)
 }
 

@@ -10,7 +10,7 @@ use super::sections::{
     budget, candidates, colour, dependence, expected, judged, mm, parameters, repeated_with, svg,
 };
 use super::{PageError, document};
-use crate::calibrate::measured_pose::{PoseFigures, RowErrors, Sizes};
+use crate::calibrate::rows::{PoseFigures, RowErrors, Sizes};
 use crate::evaluate::{RunEvidence, WorkspaceError};
 use crate::instrument::Apart;
 use crate::report::file::{CalibrationFile, replace};

@@ -8,7 +8,8 @@ use std::fmt;
 use nalgebra::Vector3;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
-use super::{PoseFigures, PoseOptions, PoseReport, ROWS_MIN, check_rows, placed};
+use super::tracker::{ROWS_MIN, check_rows, placed};
+use super::{PoseFigures, RowCalibration, RowOptions};
 use crate::instrument::{PoseRow, Standing, Tracker, quantile, standing};
 use crate::kinematics::{Chain, Joints};
 use crate::model::{Model, ParameterId, Role};
@@ -295,11 +296,11 @@ pub(super) fn likely_of_all(rows: &[PoseRow], robot: &Chain) -> Option<Likely> {
 
 /// What of a calibration no robot like the nominal one explains; `steps` are those that its positions may have.
 pub(super) fn reasons(
-    report: &PoseReport,
+    report: &RowCalibration,
     steps: [Option<Step>; 2],
     rows: &[PoseRow],
     robot: &Chain,
-    options: &PoseOptions,
+    options: &RowOptions,
 ) -> Vec<Reason> {
     let step = steps.into_iter().flatten().find(|step| step.explains(rows, robot));
     let found = [
@@ -328,10 +329,10 @@ fn furthest_link(model: &Model) -> Option<Reason> {
     (correction.abs() > SIGMAS_MAX * sigma).then_some(Reason::Link { id, correction, sigma })
 }
 
-fn turned(report: &PoseReport, options: &PoseOptions) -> Option<Reason> {
+fn turned(report: &RowCalibration, options: &RowOptions) -> Option<Reason> {
     /// The nominal robot's orientation is better than this, any wrong order is worse \[rad\].
     const WRONG_RAD: f64 = 0.1;
-    let nominal = &report.fitted.nominal;
+    let nominal = report.fitted().nominal;
     let mean_rad = nominal.rotation_rad?.mean;
     let fits = nominal.position_m.mean < SIGMAS_MAX * options.link_sigma_m;
     (fits && mean_rad > WRONG_RAD).then_some(Reason::Turned { mean_rad })
@@ -341,20 +342,20 @@ fn turned(report: &PoseReport, options: &PoseOptions) -> Option<Reason> {
 /// tenth of a degree \[rad\].
 const JOINT_ERROR_RAD_MAX: f64 = 2e-3;
 
-fn too_far(report: &PoseReport, robot: &Chain) -> Option<Reason> {
+fn too_far(report: &RowCalibration, robot: &Chain) -> Option<Reason> {
     /// Median of the norm of three standard normal numbers, by their root mean square.
     const MEDIAN_BY_RMS: f64 = 1.538 / 1.732;
     let reach_m: f64 = robot.links.iter().map(|link| link.a_m.hypot(link.d_m)).sum();
     let limit_m = JOINT_ERROR_RAD_MAX * reach_m;
-    let median_m = report.noise.position_m * 3f64.sqrt() * MEDIAN_BY_RMS;
+    let median_m = report.sigma_m * 3f64.sqrt() * MEDIAN_BY_RMS;
     (median_m > limit_m).then_some(Reason::TooFar { median_m, limit_m })
 }
 
 /// Only where enough rows were held out for the comparison to mean something.
-fn worse_than_nominal(report: &PoseReport, options: &PoseOptions) -> Option<Reason> {
+fn worse_than_nominal(report: &RowCalibration, options: &RowOptions) -> Option<Reason> {
     /// By chance a robot that is as its table says gets worse by the part of the noise that its free numbers take in, far less.
     const WORSE: f64 = 1.1;
-    let held_out = &report.held_out;
+    let held_out = report.held_out();
     let [nominal_m, calibrated_m] = [held_out.nominal.position_m.rms, held_out.joints.position_m.rms];
     let judged = options.held_out > 0.0 && held_out.nominal.rows >= ROWS_MIN;
     (judged && calibrated_m > WORSE * nominal_m)
