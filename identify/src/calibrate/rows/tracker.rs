@@ -11,7 +11,7 @@ use crate::model::{Model, ParameterId, Role};
 use crate::solver::LossName;
 
 /// Fewest rows of a fit: as many numbers as tracker, probe and links together, twice.
-pub(super) const ROWS_MIN: usize = 20;
+pub const ROWS_MIN: usize = 20;
 
 pub(super) fn check_rows(rows: &[PoseRow]) -> Result<(), RowError> {
     for (index, row) in rows.iter().enumerate() {
