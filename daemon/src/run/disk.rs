@@ -15,8 +15,8 @@ use super::{Progress, Stop, Warning};
 const BYTES_PER_MB: u64 = 1_000_000;
 /// How often it is looked at. Loss is reported within a second: this period and those of whoever reports are a third of it.
 const LOOK_PERIOD: Duration = Duration::from_millis(100);
-/// A look that takes longer is reported, within the same second.
-const ANSWERS_WITHIN: Duration = Duration::from_millis(700);
+/// A look that takes longer is reported. More than half of the same second is left to a machine too busy to run who reports.
+const ANSWERS_WITHIN: Duration = Duration::from_millis(400);
 
 /// The places for recordings, and what is known of them now. Clones are the same.
 #[derive(Debug, Clone)]
