@@ -103,13 +103,16 @@ fn the_covariance_in_the_file_has_the_sigmas_on_its_diagonal_and_names_what_is_c
     let at = |name: &str| covariance.names.iter().position(|other| other == name).unwrap();
     for entry in written.parameters.iter().filter(|entry| entry.sigma.is_some()) {
         let k = at(&entry.name);
-        let variance = covariance.rows[k][k].unwrap();
+        let variance = covariance.between(k, k).unwrap();
         assert!((variance.sqrt() - entry.sigma.unwrap()).abs() < 1e-9 * variance.sqrt(), "{}", entry.name);
     }
+    // Nothing is written twice.
+    assert!(covariance.rows.iter().enumerate().all(|(k, row)| row.len() == k + 1));
     assert!(!knowledge.correlations.is_empty());
     for one in &knowledge.correlations {
         let (a, b) = (at(&one.first), at(&one.second));
-        let entry = |a: usize, b: usize| covariance.rows[a][b].unwrap();
+        let entry = |a: usize, b: usize| covariance.between(a, b).unwrap();
+        assert_eq!(entry(a, b), entry(b, a));
         let expected = entry(a, b) / (entry(a, a) * entry(b, b)).sqrt();
         assert!((one.correlation - expected).abs() < 1e-12 && one.correlation.abs() > 0.8);
     }

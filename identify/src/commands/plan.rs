@@ -199,7 +199,7 @@ impl Loaded {
         let Some(file) = &self.calibration else { return Ok(information) };
         let known = file.covariance.as_ref().and_then(|covariance| {
             let place = |id: ParameterId| covariance.names.iter().position(|name| *name == id.to_string());
-            let between = |a, b| *covariance.rows.get(place(a)?)?.get(place(b)?)?;
+            let between = |a, b| covariance.between(place(a)?, place(b)?);
             information.after(between)
         });
         known.context("the calibration has no covariance of the robot's parameters; give calibration.json or its directory")

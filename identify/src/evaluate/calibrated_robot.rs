@@ -81,9 +81,7 @@ impl CalibratedRobot {
             let names = all.names.iter().enumerate();
             let (columns, ids): (Vec<usize>, Vec<ParameterId>) =
                 names.filter_map(|(column, name)| Some((column, of_robot(name)?))).unzip();
-            let between = |i: usize, j: usize| {
-                all.rows.get(columns[i]).and_then(|row| row.get(columns[j]).copied().flatten()).unwrap_or(0.0)
-            };
+            let between = |i: usize, j: usize| all.between(columns[i], columns[j]).unwrap_or(0.0);
             let matrix = DMatrix::from_fn(columns.len(), columns.len(), between);
             (ids, matrix)
         });

@@ -342,7 +342,7 @@ impl CalibrationFile {
     /// [`FileError`].
     pub fn write(&self, directory: &Path) -> Result<PathBuf, FileError> {
         let text = toml::to_string(&Self { covariance: None, ..self.clone() })?;
-        let json = serde_json::to_string_pretty(self)?;
+        let json = serde_json::to_string(self)?;
         let table = self.dh_csv()?;
         remove_page(directory)?;
         replace(directory, "calibration.json", &json)?;

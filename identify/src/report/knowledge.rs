@@ -66,8 +66,15 @@ pub struct Knowledge {
 pub struct CovarianceEntry {
     /// Parameters in the order of rows and columns.
     pub names: Vec<String>,
-    /// Row by row; absent where a parameter is not identified.
+    /// Row by row up to the diagonal, the rest is the same; absent where a parameter is not identified.
     pub rows: Vec<Vec<Option<f64>>>,
+}
+
+impl CovarianceEntry {
+    /// Of two parameters by their places; none where one is not identified.
+    pub fn between(&self, a: usize, b: usize) -> Option<f64> {
+        self.rows.get(a.max(b))?.get(a.min(b)).copied().flatten()
+    }
 }
 
 impl CalibrationFile {
@@ -97,7 +104,7 @@ impl CalibrationFile {
         });
         let columns = names.len();
         let rows =
-            (0..columns).map(|a| (0..columns).map(|b| solution.covariance.between(a, b)).collect()).collect();
+            (0..columns).map(|a| (0..=a).map(|b| solution.covariance.between(a, b)).collect()).collect();
         self.covariance = Some(CovarianceEntry { names: names.to_vec(), rows });
         self
     }

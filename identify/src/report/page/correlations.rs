@@ -23,8 +23,10 @@ pub(super) fn figure(covariance: &CovarianceEntry) -> String {
     let names: Vec<&String> = covariance.names.iter().filter(is_shown).collect();
     let columns: Vec<usize> =
         (0..covariance.names.len()).filter(|&column| is_shown(&&covariance.names[column])).collect();
-    let between = |a: usize, b: usize| covariance.rows.get(a)?.get(b).copied().flatten();
-    let correlation = |a: usize, b: usize| Some(between(a, b)? / (between(a, a)? * between(b, b)?).sqrt());
+    let correlation = |a: usize, b: usize| {
+        let own = |a| covariance.between(a, a);
+        Some(covariance.between(a, b)? / (own(a)? * own(b)?).sqrt())
+    };
     let row = |a: &usize| columns.iter().map(|b| correlation(*a, *b).unwrap_or(0.0)).collect();
     let rows: Vec<Vec<f64>> = columns.iter().map(row).collect();
     let side = NAMES + names.len() * CELL;
