@@ -37,10 +37,6 @@ fn file(path: u64, errors: u64) -> CalibrationFile {
 fn other_paths_of_one_robot_agree_and_another_robot_does_not() {
     let same = Consistency::new(&[file(1, 9), file(2, 9), file(3, 9)]).unwrap();
     assert!(same.is_consistent(), "{:?}", same.p_corrected);
-    // If the intervals are true, probabilities are evenly spread: half of them above a half.
-    let high = same.parameters.iter().filter(|one| one.p.unwrap() > 0.5).count();
-    assert!((4..=16).contains(&high), "{high} of {}", same.parameters.len());
-
     let files = [file(1, 9), file(2, 10)];
     let other = Consistency::new(&files).unwrap();
     assert!(!other.is_consistent(), "{:?}", other.p_corrected);
@@ -48,6 +44,19 @@ fn other_paths_of_one_robot_agree_and_another_robot_does_not() {
     assert!(side_by_side::table(&other, &names).contains("not consistent"));
     let page = side_by_side::page(&other, "robot", &names).unwrap().into_string();
     assert!(page.contains("not consistent") && page.contains("&lt;tuesday&gt;") && page.contains("<svg"));
+}
+
+/// If the intervals are true, probabilities are evenly spread: half of them above a half. Those of one robot hang together, so that
+/// it takes several; intervals are rather too wide than too narrow.
+#[test]
+#[ignore = "30 calibrations: a minute"]
+fn probabilities_of_ten_robots_are_spread_as_true_intervals_spread_them() {
+    let robots = 9..19;
+    let all =
+        robots.map(|robot| Consistency::new(&[file(1, robot), file(2, robot), file(3, robot)]).unwrap());
+    let p: Vec<f64> = all.flat_map(|one| one.parameters).map(|one| one.p.unwrap()).collect();
+    let high = p.iter().filter(|p| **p > 0.5).count() as f64 / p.len() as f64;
+    assert!(p.len() == 210 && (0.4..0.75).contains(&high), "{high} of {}", p.len());
 }
 
 #[test]

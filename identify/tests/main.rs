@@ -30,6 +30,7 @@ mod measured_lengths;
 mod measured_pose_calibration;
 mod measured_poses;
 mod mixed;
+mod noise;
 mod planning;
 mod preparation;
 mod preparation_crossing;

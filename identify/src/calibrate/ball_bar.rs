@@ -105,6 +105,12 @@ impl BallBarCalibration {
             .filter_map(|(instrument, model)| Some((&instrument.bar()?.prepared, model)))
     }
 
+    /// Runs with a ball-bar, the first one first.
+    pub fn bars(&self) -> impl Iterator<Item = &BallBar> {
+        let others = self.others.iter().map(|run| &run.instrument);
+        std::iter::once(&self.instrument).chain(others).filter_map(Instrument::bar)
+    }
+
     /// How the logs of the first run with a ball-bar were brought together; none without any.
     pub fn prepared(&self) -> Option<&Prepared> {
         self.runs().next().map(|(prepared, _)| prepared)
@@ -251,7 +257,7 @@ fn runs_at_start(
         // Hundreds of waves have a name: a model has those that somebody means, and later those that are found.
         let model = start_model(&prepared, robot, bar)?.with_joint_waves(config.named());
         let known_m = config.known_lengths_m(bar);
-        let bar = BallBar { prepared, cost, noise: config.noise, measured, known_m };
+        let bar = BallBar { prepared, cost, configured: config.noise, found: None, measured, known_m };
         Ok(Run { instrument: Instrument::BallBar(Box::new(bar)), model })
     };
     all.into_iter().map(run).collect()

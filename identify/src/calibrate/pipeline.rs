@@ -106,6 +106,8 @@ struct Solver<'a> {
     sigmas: Vec<f64>,
     /// Of rod and plate those that are not the same in all runs.
     differ: Vec<ParameterId>,
+    /// Waves that residuals have shown.
+    ripple: Vec<ParameterId>,
 }
 
 /// Solves, chooses terms, solves again and leaves the models at the solution.
@@ -115,7 +117,7 @@ struct Solver<'a> {
 pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError> {
     let differ = differ(runs);
     let sigmas = vec![UNWEIGHTED; runs.len()];
-    let mut solver = Solver { runs, plan, sigmas, differ };
+    let mut solver = Solver { runs, plan, sigmas, differ, ripple: Vec::new() };
     let (mut columns, mut solution) = solver.settle()?;
     let rms_start = solution.summary.residual_rms_start;
     let without_terms = solver.runs.iter().map(|run| run.model.clone()).collect();
@@ -123,18 +125,22 @@ pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateEr
     let mut scale = 1.0;
     let to_choose = !plan.kinds.is_empty() || !plan.tolerances.is_empty();
     if to_choose && solution.summary.residual_rms > RESIDUAL_MIN * solver.unit() {
+        let finds_noise = solver.bars().is_none_or(|cost| cost == CostName::Pose);
         // Known terms leave less noise: the second choice weighs their priors by it.
-        let rounds = if solver.bars().is_some() { 1 } else { 2 };
+        let rounds = if finds_noise { 2 } else { 1 };
         for _ in 0..rounds {
             let scaled;
             (candidates, scaled) = solver.choose_terms(&solution)?;
             scale *= scaled;
-            if solver.bars().is_none() {
+            if finds_noise {
                 solution.loss = solver.descend(plan.loss)?;
+                solver.learn_noise();
+            }
+            if solver.bars().is_none() {
                 solver.weigh()?;
             }
         }
-        if scale != 1.0 || candidates.iter().any(|candidate| candidate.accepted) {
+        if finds_noise || scale != 1.0 || candidates.iter().any(|candidate| candidate.accepted) {
             (columns, solution) = if solver.bars().is_some() { solver.solve()? } else { solver.settle()? };
         }
     }
@@ -208,17 +214,22 @@ impl Solver<'_> {
         if let Some(cost) = self.bars() {
             self.sigmas.fill(UNWEIGHTED);
             let (_, first) = self.solve()?;
+            self.learn_noise();
             // Whitening, angles without encoder and the worth of a residual against priors were those of the nominal geometry;
             // now they are those of the solution.
             self.sigmas.fill(residual_sigma(cost, &first));
             let (columns, mut solution) = self.solve()?;
-            solution.summary.residual_rms_start = first.summary.residual_rms_start;
+            // In the unit of the noise that was found.
+            let unit = solution.summary.residual_rms_start / first.summary.residual_rms.max(SIGMA_MIN);
+            let unit = if cost == CostName::Pose { unit } else { UNWEIGHTED };
+            solution.summary.residual_rms_start = unit * first.summary.residual_rms_start;
             return Ok((columns, solution));
         }
         let mut noise = self.weigh()?;
         for _ in 0..ROUNDS_MAX {
             // Samples that do not fit lose their pull on the way.
             self.descend(LossName::Cauchy)?;
+            self.learn_noise();
             let screened = self.screen();
             let before = std::mem::replace(&mut noise, self.weigh()?);
             if !screened && noise.iter().zip(&before).all(|(now, before)| *now > (1.0 - SETTLED) * before) {
@@ -226,6 +237,13 @@ impl Solver<'_> {
             }
         }
         self.solve()
+    }
+
+    /// Takes the noise of readings from what is left at the models.
+    fn learn_noise(&mut self) {
+        for Run { instrument, model } in &mut *self.runs {
+            instrument.learn_noise(model);
+        }
     }
 
     /// Each data set without the samples that do not belong with its rest; whether other ones take part than before.
@@ -382,7 +400,11 @@ impl Solver<'_> {
         let mut kinds = self.plan.kinds.clone();
         let is_open = |kind: &&mut Kind| kind.group == TermGroup::Ripple && kind.ids.is_empty();
         if let Some(ripple) = kinds.iter_mut().find(is_open) {
-            ripple.ids = self.offer_ripple(&solution.sample_weights)?;
+            let new = self.offer_ripple(&solution.sample_weights)?;
+            // What an earlier choice has taken is no longer in what is left.
+            self.ripple.retain(|id| !new.contains(id));
+            self.ripple.extend(new);
+            ripple.ids.clone_from(&self.ripple);
         }
         for kind in &kinds {
             self.set_roles(&kind.ids, Role::Prior { value: 0.0, sigma: kind.sigma })?;

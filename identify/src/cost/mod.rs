@@ -3,6 +3,7 @@
 //! A cost says what its residual is and how it changes when the robot's end or the bar's end moves by a twist; where
 //! each parameter's twist comes from is said once, in [`Scene`]. A new cost is a new [`Residual`].
 
+mod angle_noise;
 mod closure;
 mod contact;
 mod data_sets;
@@ -18,6 +19,7 @@ mod problem;
 mod scene;
 mod transform;
 
+pub use angle_noise::{AngleNoise, FoundNoise};
 pub use closure::{Closure, closures};
 pub use contact::{SeatedBall, SeatedBalls};
 pub use data_sets::{DataSet, DataSets, SharedColumns};
@@ -26,7 +28,7 @@ pub use length::Length;
 pub use measured_length::MeasuredLength;
 pub use measured_pose::{MeasuredPose, PoseNoise};
 pub use measured_position::MeasuredPosition;
-pub use pose::{AngleNoise, PoseByNoise, WhitenedPose, WhitenedPoseOfFour};
+pub use pose::{PoseByNoise, WhitenedPose, WhitenedPoseOfFour};
 pub use position::Position;
 pub use position_angles::PositionAngles;
 pub use problem::{CostError, LoopProblem};

@@ -2,20 +2,12 @@
 
 use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
+use super::angle_noise::NoisySample;
 use super::problem::{LoopPoint, readings};
 use super::scene::{ALL_BUT_TORSION, ALL_ENCODERS, TORSION, sees_encoder};
-use super::{Movement, Residual, Scene};
-use crate::kinematics::{AXES_MAX, BAR_JOINTS, LinkParameter, ROD_LINK, Trace, Twist, rotation_vector};
+use super::{AngleNoise, FoundNoise, Movement, Residual, Scene};
+use crate::kinematics::{LinkParameter, ROD_LINK, Trace, Twist, rotation_vector};
 use crate::model::{Geometry, Observation, Owner, ParameterId, RobotMotion};
-
-/// White noise of the angles, one standard deviation.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct AngleNoise {
-    /// Of each bar encoder \[rad\].
-    pub encoder_rad: f64,
-    /// Of each robot joint \[rad\].
-    pub robot_rad: f64,
-}
 
 /// Standard deviation that is added in each direction \[m, rad\]: keeps a direction that neither chain's noise reaches,
 /// near a singular pose, from weighing without limit.
@@ -56,19 +48,36 @@ impl<const ENCODER_3: bool> PoseByNoise<ENCODER_3> {
         observations: &[Observation],
         noise: AngleNoise,
     ) -> Self {
-        let mut point = LoopPoint::new(geometry.clone());
-        let whitening = observations.iter().enumerate().map(|(sample, observation)| {
-            let readings = readings(observation);
-            let scene = point.scene(motion, sample, observation, &readings)?;
-            let mut encoder_rad = [noise.encoder_rad; BAR_JOINTS];
-            if !ENCODER_3 {
-                encoder_rad[TORSION] = UNKNOWN_RAD;
-            }
-            let covariance = covariance(&scene, noise.robot_rad, &encoder_rad);
-            let lower = covariance.cholesky()?.l();
+        let whitening = Self::noisy(geometry, motion, observations).map(|sample| {
+            let lower = sample?.covariance(noise).cholesky()?.l();
             lower.solve_lower_triangular(&Matrix6::identity())
         });
         Self { whitening: whitening.collect(), rod_m: rod_m(geometry) }
+    }
+
+    /// The noise that the observations show on the geometry of a fit with so many columns, sought from `start` on; none where
+    /// they are too few.
+    pub fn noise(
+        geometry: &Geometry,
+        motion: &impl RobotMotion,
+        observations: &[Observation],
+        columns: usize,
+        start: AngleNoise,
+    ) -> Option<FoundNoise> {
+        let samples: Vec<_> = Self::noisy(geometry, motion, observations).collect();
+        FoundNoise::of(&samples, columns, start)
+    }
+
+    fn noisy(
+        geometry: &Geometry,
+        motion: &impl RobotMotion,
+        observations: &[Observation],
+    ) -> impl Iterator<Item = Option<NoisySample>> {
+        let mut point = LoopPoint::new(geometry.clone());
+        observations.iter().enumerate().map(move |(sample, observation)| {
+            let readings = readings(observation);
+            Some(noisy::<ENCODER_3>(&point.scene(motion, sample, observation, &readings)?))
+        })
     }
 }
 
@@ -121,17 +130,23 @@ fn stacked(twist: &Twist) -> Vector6<f64> {
     Vector6::new(v.x, v.y, v.z, w.x, w.y, w.z)
 }
 
-fn covariance(scene: &Scene<'_>, robot_rad: f64, encoder_rad: &[f64; BAR_JOINTS]) -> Matrix6<f64> {
+fn noisy<const ENCODER_3: bool>(scene: &Scene<'_>) -> NoisySample {
     let seen = Seen::new(scene);
-    let of = |chain: &Trace, by: &Matrix6<f64>, sigmas_rad: &[f64]| {
-        chain.joint_twists().zip(sigmas_rad).fold(Matrix6::zeros(), |sum, (twist, sigma_rad)| {
-            let moved = by * stacked(&twist) * *sigma_rad;
+    let of = |chain: &Trace, by: &Matrix6<f64>, is_measured: fn(usize) -> bool| {
+        let twists = chain.joint_twists().enumerate().filter(|(joint, _)| is_measured(*joint));
+        twists.fold(Matrix6::zeros(), |sum, (_, twist)| {
+            let moved = by * stacked(&twist);
             sum + moved * moved.transpose()
         })
     };
-    of(scene.robot, &seen.by_robot, &[robot_rad; AXES_MAX])
-        + of(scene.bar, &seen.by_bar, encoder_rad)
-        + Matrix6::identity() * (FLOOR * FLOOR)
+    let mut known = Matrix6::identity() * (FLOOR * FLOOR);
+    let mut is_measured: fn(usize) -> bool = |_| true;
+    if !ENCODER_3 {
+        is_measured = |joint| joint != TORSION;
+        known += of(scene.bar, &seen.by_bar, |joint| joint == TORSION) * (UNKNOWN_RAD * UNKNOWN_RAD);
+    }
+    let by_angles = [of(scene.bar, &seen.by_bar, is_measured), of(scene.robot, &seen.by_robot, |_| true)];
+    NoisySample { residual: seen.value, by_angles, known }
 }
 
 /// The whitened residual and what it makes of twists of either end (linear, then angular).

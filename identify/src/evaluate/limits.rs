@@ -3,7 +3,6 @@
 use statrs::distribution::{ContinuousCDF, Normal};
 
 use super::{PositiveForce, Quantiles, RunEvidence, Stretch, WorkspaceError};
-use crate::calibrate::CostName;
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::cost::Closure;
 use crate::kinematics::LinkParameter;
@@ -13,8 +12,10 @@ use crate::solver::Solution;
 
 /// A joint that turned less than this tells little of its link \[deg\].
 const TRAVEL_MIN_DEG: f64 = 20.0;
-/// Residuals this many times the noise are no noise.
-const NOISE_RATIO_MAX: f64 = 1.5;
+/// Where more than half of the variance of what is left lasts from sample to sample, errors of the model limit, not noise.
+const AUTOCORRELATION_MAX: f64 = 0.5;
+/// Standard deviations within which white noise keeps its autocorrelation but once in a thousand runs.
+const BY_CHANCE: f64 = 3.09;
 /// Samples that the loss trusts less than half are outliers.
 const WEIGHT_MIN: f64 = 0.5;
 
@@ -50,17 +51,8 @@ pub fn limits(
     }
     limits.extend(strained_priors(calibration));
     limits.extend(other_lengths(calibration).map(|sentence| Limit { sentence, serious: true }));
+    limits.extend(lasting_errors(calibration));
     let mut tell = |serious: bool, sentence: String| limits.push(Limit { sentence, serious });
-    let noise_ratio = calibration.solution.summary.residual_rms;
-    if calibration.cost == CostName::Pose && noise_ratio > NOISE_RATIO_MAX {
-        tell(
-            true,
-            format!(
-                "What is left is {noise_ratio:.1} times the noise that the angles are configured to have: errors that the \
-             model does not contain (gears, bar, deflection) limit the result. The figures by joint show where."
-            ),
-        );
-    }
     for (joint, travel_deg) in travel_deg(runs).into_iter().enumerate() {
         if travel_deg < TRAVEL_MIN_DEG {
             tell(
@@ -100,6 +92,23 @@ pub fn limits(
 /// Of which run something is said, where there are several.
 fn place(calibration: &BallBarCalibration, run: usize) -> String {
     if calibration.others.is_empty() { String::new() } else { format!("Run {}: ", run + 1) }
+}
+
+/// Runs of which more is left than noise.
+fn lasting_errors(calibration: &BallBarCalibration) -> impl Iterator<Item = Limit> {
+    let found = calibration.bars().enumerate().filter_map(|(run, bar)| Some((run, bar.found?)));
+    let lasting = found.filter(|(_, found)| {
+        found.autocorrelation - BY_CHANCE * found.autocorrelation_sigma > AUTOCORRELATION_MAX
+    });
+    lasting.map(|(run, found)| Limit {
+        sentence: format!(
+            "{}{:.0} % of the variance of what is left lasts from sample to sample and is no noise: errors that the model does \
+             not contain (gears, bar, deflection) limit the result. The figures by joint show where.",
+            place(calibration, run),
+            100.0 * found.autocorrelation
+        ),
+        serious: true,
+    })
 }
 
 /// Forces that explain nothing.

@@ -3,8 +3,8 @@
 use super::{Instrument, Measures};
 use crate::calibrate::{CostName, NoiseConfig, independent_segments};
 use crate::cost::{
-    CostError, DataSet, Length, LoopProblem, Position, PositionAngles, Residual, TORSION, Transform,
-    WhitenedPose, WhitenedPoseOfFour, fill_in,
+    AngleNoise, CostError, DataSet, FoundNoise, Length, LoopProblem, Position, PositionAngles, Residual,
+    TORSION, Transform, WhitenedPose, WhitenedPoseOfFour, fill_in,
 };
 use crate::kinematics::BAR_JOINTS;
 use crate::model::{Clock, JointState, Model, ModelError, Parameter, ParameterId, RobotMotion, Role};
@@ -60,8 +60,10 @@ pub struct BallBar {
     pub prepared: Prepared,
     /// Cost that is minimised.
     pub cost: CostName,
-    /// What angles are worth to the cost `pose`.
-    pub noise: NoiseConfig,
+    /// What angles are configured to be worth to the cost `pose`.
+    pub configured: NoiseConfig,
+    /// What its residuals say of that.
+    pub found: Option<FoundNoise>,
     /// Bar joints with an encoder, in all runs that are solved together.
     pub measured: [bool; BAR_JOINTS],
     /// Lengths of the bar that are known, which give the scale, with their standard uncertainties \[m\].
@@ -69,6 +71,11 @@ pub struct BallBar {
 }
 
 impl BallBar {
+    /// What angles are worth.
+    pub fn noise(&self) -> AngleNoise {
+        self.found.map_or_else(|| self.configured.into(), |found| found.noise)
+    }
+
     fn boxed<'a, R: Residual + 'a>(
         &'a self,
         model: &'a Model,
@@ -101,7 +108,7 @@ impl Measures for BallBar {
 
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
         let Prepared { motion, observations, .. } = &self.prepared;
-        let (geometry, noise) = (|| model.geometry(&[]), self.noise.into());
+        let (geometry, noise) = (|| model.geometry(&[]), self.noise());
         match self.cost {
             CostName::Pose if is_of_four(&self.measured) => {
                 let residual = WhitenedPoseOfFour::new(&geometry(), motion, observations, noise);
@@ -131,6 +138,20 @@ impl Measures for BallBar {
             fill_in(&model.geometry(&[]), &self.prepared.motion, &mut self.prepared.observations);
         }
         None
+    }
+
+    fn learn_noise(&mut self, model: &Model) {
+        if self.cost != CostName::Pose {
+            return;
+        }
+        let Prepared { motion, observations, .. } = &self.prepared;
+        let (geometry, columns) = (model.geometry(&[]), model.columns().count());
+        let start = self.configured.into();
+        self.found = if is_of_four(&self.measured) {
+            WhitenedPoseOfFour::noise(&geometry, motion, observations, columns, start)
+        } else {
+            WhitenedPose::noise(&geometry, motion, observations, columns, start)
+        };
     }
 
     fn independent(&self, count: usize) -> Vec<Vec<usize>> {

@@ -53,6 +53,9 @@ pub trait Measures: fmt::Debug + Sync {
     /// where the instrument estimates that by itself: its residuals are then in standard deviations.
     fn adapt(&mut self, model: &Model) -> Option<f64>;
 
+    /// Finds the noise of its readings in what is left where the model is, which is at a solution, and weighs by that.
+    fn learn_noise(&mut self, _model: &Model) {}
+
     /// Leaves out samples that do not belong with the rest where the model is, and takes back those that do; whether other ones
     /// take part now.
     fn screen(&mut self, _model: &Model) -> bool {

@@ -10,7 +10,7 @@ use shared::time::UtcNs;
 
 use super::earlier::remove_page;
 use super::force::ForceEntry;
-use super::knowledge::{CovarianceEntry, Knowledge};
+use super::knowledge::{CovarianceEntry, Knowledge, NoiseEntry};
 use super::validation::{HeldOutEntry, OtherCostEntry, RowsEntry};
 use super::verdict::Verdict;
 use crate::calibrate::ball_bar::BallBarCalibration;
@@ -263,6 +263,9 @@ pub struct CalibrationFile {
     /// That in the other runs that have one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub other_forces: Vec<ForceEntry>,
+    /// Noise of the angles of each run with a ball-bar, where the cost weighs by it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub noise: Vec<NoiseEntry>,
     /// Files it was made from.
     pub inputs: Vec<Input>,
     /// Kinds of terms that were tried on held-out stretches of the runs.
@@ -312,6 +315,7 @@ impl CalibrationFile {
             other_clocks: Vec::new(),
             force: None,
             other_forces: Vec::new(),
+            noise: Vec::new(),
             inputs,
             candidates: Vec::new(),
             held_out: None,

@@ -3,6 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::file::CalibrationFile;
+use crate::cost::AngleNoise;
+use crate::instrument::BallBar;
 use crate::model::ParameterId;
 use crate::solver::{Observability, SigmasFrom, Solution};
 
@@ -59,6 +61,55 @@ pub struct Knowledge {
     pub sigmas_from: SigmasFrom,
     /// Pairs that are correlated most, the strongest first.
     pub correlations: Vec<CorrelationEntry>,
+}
+
+/// The noise of a run's angles, one standard deviation \[rad\], by which the cost `pose` weighs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NoiseEntry {
+    /// Number of the run, from 1.
+    pub run: usize,
+    /// Of each bar encoder, found in what is left.
+    pub encoder_rad: f64,
+    /// As configured.
+    pub encoder_rad_configured: f64,
+    /// Of each robot joint, found in what is left.
+    pub robot_rad: f64,
+    /// As configured.
+    pub robot_rad_configured: f64,
+    /// Correlation of what is left of neighbouring samples: the part of its variance that is no noise.
+    pub autocorrelation: f64,
+}
+
+impl NoiseEntry {
+    /// Those of all runs whose noise was found.
+    pub fn all<'b>(bars: impl Iterator<Item = &'b BallBar>) -> Vec<Self> {
+        let entry = |(run, bar): (usize, &BallBar)| {
+            let (found, configured) = (bar.found?, AngleNoise::from(bar.configured));
+            Some(Self {
+                run: run + 1,
+                encoder_rad: found.noise.encoder_rad,
+                encoder_rad_configured: configured.encoder_rad,
+                robot_rad: found.noise.robot_rad,
+                robot_rad_configured: configured.robot_rad,
+                autocorrelation: found.autocorrelation,
+            })
+        };
+        bars.enumerate().filter_map(entry).collect()
+    }
+
+    /// For a person.
+    pub(super) fn sentence(&self) -> String {
+        let urad = |found: f64, configured: f64| {
+            format!("{:.1} urad (configured {:.1})", found * 1e6, configured * 1e6)
+        };
+        format!(
+            "noise of run {}: encoders {}, robot joints {}; {:.0} % of its variance lasts from sample to sample",
+            self.run,
+            urad(self.encoder_rad, self.encoder_rad_configured),
+            urad(self.robot_rad, self.robot_rad_configured),
+            100.0 * self.autocorrelation.max(0.0)
+        )
+    }
 }
 
 /// The covariance of all free parameters, and after them of those that were fixed at uncertain values, SI units.

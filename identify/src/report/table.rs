@@ -54,6 +54,9 @@ pub fn calibration(file: &CalibrationFile) -> String {
             force.unexplained_rms_m * 1e6,
         );
     }
+    for noise in &file.noise {
+        let _ = writeln!(text, "{}", noise.sentence());
+    }
     text.push_str(&parameters(file));
     if let Some(knowledge) = &file.knowledge {
         text.push_str(&knowledge.describe(solve.parameters));
@@ -75,7 +78,15 @@ pub fn data_sets(found: &MixedCalibration) -> String {
             format!("{}, {} rows that do not belong with the rest take no part", mm(unit_m), rejected.len())
         };
         let noise = match instrument {
-            Instrument::BallBar(_) => format!("{sigma:>14.2} times configured"),
+            Instrument::BallBar(bar) => {
+                let angles = bar.noise();
+                let urad = |rad: f64| sigma * rad * 1e6;
+                format!(
+                    "{:>12.1} urad (encoders), {:.1} urad (robot)",
+                    urad(angles.encoder_rad),
+                    urad(angles.robot_rad)
+                )
+            }
             Instrument::Tracker(tracker) => mm(tracker.noise.position_m),
             Instrument::Wire(wire) => screened(1.0, wire.rejected()),
             Instrument::Contact(contact) => screened(contact.noise_m, contact.rejected()),

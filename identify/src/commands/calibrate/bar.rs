@@ -22,6 +22,7 @@ use crate::model::{Model, ParameterId};
 use crate::prepare::{Prepared, WiringChoice};
 use crate::report::file::{CalibrationFile, ClockEntry, ParameterEntry, SolveEntry};
 use crate::report::force::ForceEntry;
+use crate::report::knowledge::NoiseEntry;
 use crate::report::page::Page;
 use crate::report::table;
 use crate::simulate::Truth;
@@ -286,6 +287,7 @@ fn calibration_file(
     .with_knowledge(solution);
     file.other_clocks = clocks.collect();
     file.candidates.clone_from(&calibration.candidates);
+    file.noise = NoiseEntry::all(calibration.bars());
     Ok(file)
 }
 

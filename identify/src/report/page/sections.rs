@@ -262,6 +262,7 @@ pub(super) fn dependence(file: &CalibrationFile) -> Markup {
             " samples, " (solve.parameters) " parameters, all identified; condition " (format!("{:.0}", solve.condition))
             "; residual RMS "
             (figure(solve.residual_rms_start)) " to " (figure(solve.residual_rms)) "."
+            @for noise in &file.noise { " Found in what is left: " (noise.sentence()) "." }
         }
         @if !strongest.is_empty() {
             p {

@@ -1,0 +1,96 @@
+//! What angles are worth is found in the data: the configuration starts the estimate, and who configures another noise gets the
+//! same robot. `IDENTIFY_SEEDS=20` repeats the campaign more often.
+#![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
+#![allow(clippy::print_stdout, reason = "figures of a run")]
+
+use crate::support::laboratory::{self, Level};
+use crate::support::truth::position_error_m;
+use crate::support::{bar, irb2400, nj220};
+use identify::calibrate::ball_bar::{self, BallBarCalibration};
+use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig, NoiseConfig};
+use identify::simulate::{self, Design, Effects, Experiment, Simulated};
+use shared::config::RobotConfig;
+
+fn simulated(robot: &RobotConfig, effects: Effects, seed: u64) -> Simulated {
+    simulate::run(&Experiment { effects, seed, ..Experiment::new(robot, &bar()) }).unwrap()
+}
+
+const fn noise(encoder_noise_urad: f64, robot_noise_urad: f64) -> Effects {
+    Effects { encoder_noise_urad, robot_noise_urad, ..Effects::NONE }
+}
+
+fn calibrated(run: &Simulated, robot: &RobotConfig, config: &IdentifyConfig) -> BallBarCalibration {
+    ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), config).unwrap()
+}
+
+fn told(encoder_urad: f64, robot_urad: f64) -> IdentifyConfig {
+    IdentifyConfig { noise: NoiseConfig { encoder_urad, robot_urad }, ..IdentifyConfig::default() }
+}
+
+fn plain(cost: CostName) -> IdentifyConfig {
+    IdentifyConfig {
+        cost: Some(cost),
+        encoder_harmonics_urad: 0.0,
+        bar_length_um: 0.0,
+        joint_terms: JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() },
+        ..IdentifyConfig::default()
+    }
+}
+
+#[test]
+#[ignore = "150 calibrations: minutes"]
+fn campaign_of_noises_with_both_robots() {
+    let seeds: u64 = std::env::var("IDENTIFY_SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(3);
+    for robot in [irb2400(), nj220()] {
+        let spoilt = [(5.0, 15.0), (20.0, 0.0), (200.0, 0.0), (0.0, 200.0), (100.0, 20.0)];
+        let alone = spoilt.map(|(encoder, robot)| (format!("{encoder}/{robot} urad"), noise(encoder, robot)));
+        let mut cases: Vec<(String, Vec<Simulated>)> = alone
+            .into_iter()
+            .chain([("laboratory".into(), Effects::LABORATORY)])
+            .map(|(name, effects)| (name, (1..=seeds).map(|seed| simulated(&robot, effects, seed)).collect()))
+            .collect();
+        let hard = |seed| laboratory::run(&robot, &bar(), seed, &Level::HARD, Design::for_robot(&robot));
+        cases.push(("hard".into(), (1..=seeds).map(hard).collect()));
+        for (name, runs) in cases {
+            let error_um = |config: &IdentifyConfig| {
+                let of =
+                    |run: &Simulated| 1e6 * position_error_m(run, &calibrated(run, &robot, config), &robot);
+                runs.iter().map(of).sum::<f64>() / seeds as f64
+            };
+            let truth = name.split_once(' ').and_then(|(noise, _)| noise.split_once('/'));
+            let truth = truth.map(|(encoder, robot)| {
+                let urad = |text: &str| text.parse::<f64>().unwrap().max(0.5);
+                error_um(&told(urad(encoder), urad(robot)))
+            });
+            let no_harmonics = IdentifyConfig { encoder_harmonics_urad: 0.0, ..IdentifyConfig::default() };
+            println!(
+                "{} {name}: default {:.1} um, true noise configured {:.1?}, without encoders' harmonics {:.1}, without terms {:.1}, \
+                 transform without terms {:.1}",
+                robot.name,
+                error_um(&IdentifyConfig::default()),
+                truth,
+                error_um(&no_harmonics),
+                error_um(&plain(CostName::Pose)),
+                error_um(&plain(CostName::Transform)),
+            );
+        }
+    }
+}
+
+/// Whoever configures another noise than the run has gets the same robot and is told the noise that there was.
+#[test]
+fn the_noise_of_a_run_is_found_whatever_is_configured() {
+    let robot = irb2400();
+    let run = simulated(&robot, noise(100.0, 20.0), 1);
+    let quick = |config: IdentifyConfig| IdentifyConfig { noise: config.noise, ..plain(CostName::Pose) };
+    let [usual, true_noise] =
+        [told(5.0, 15.0), told(100.0, 20.0)].map(|config| calibrated(&run, &robot, &quick(config)));
+    let found = usual.bars().next().unwrap().found.unwrap();
+    let [encoder_urad, robot_urad] = [found.noise.encoder_rad, found.noise.robot_rad].map(|rad| rad * 1e6);
+    assert!((encoder_urad - 100.0).abs() < 5.0, "{encoder_urad}");
+    // The robot's log is interpolated, which averages neighbouring rows.
+    assert!((8.0..22.0).contains(&robot_urad), "{robot_urad}");
+    assert!(found.autocorrelation.abs() < 4.0 * found.autocorrelation_sigma, "{found:?}");
+    let [error_m, least_m] = [&usual, &true_noise].map(|one| position_error_m(&run, one, &robot));
+    assert!(error_m < 1.1 * least_m + 1e-6, "{error_m} {least_m}");
+}
