@@ -142,6 +142,10 @@ pub struct Minute {
 
 impl Minute {
     fn add(&mut self, live: &Live) {
+        // On a busy machine two looks may come at once.
+        if self.at_ms.back() == Some(&live.at_ms) {
+            return;
+        }
         self.at_ms.push_back(live.at_ms);
         self.angles_deg.resize_with(live.joints.len(), VecDeque::new);
         for (angles, joint) in self.angles_deg.iter_mut().zip(&live.joints) {

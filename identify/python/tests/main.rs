@@ -20,6 +20,8 @@ fn the_package_does_what_the_command_does() {
     let tests = Command::new(python)
         .arg(here.join("tests/test_ballbar.py"))
         .env("PYTHONPATH", installed.path())
+        // Not here, where Python would find the package without the module.
+        .current_dir(installed.path())
         .env("BALLBAR_IDENTIFY", built.join("identify"))
         .status();
     assert!(tests.unwrap().success(), "the tests above went wrong");
