@@ -1,9 +1,10 @@
 //! `identify`: parses the command line, runs, maps errors to exit codes.
 
-use std::io::IsTerminal;
+use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
 
 use identify::commands::{self, Arguments};
+use identify::report::summary::wrapped;
 use shared::output::explained;
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::fmt;
@@ -14,13 +15,15 @@ fn main() -> ExitCode {
     let arguments = Arguments::typed(std::env::args_os()).unwrap_or_else(|error| error.exit());
     let wanted = std::env::var("RUST_LOG").ok().and_then(|text| text.parse::<Targets>().ok());
     let filter = wanted.unwrap_or_else(|| Targets::new().with_default(LevelFilter::INFO));
-    let colours = std::io::stderr().is_terminal();
-    let lines = fmt::layer().with_target(false).with_ansi(colours).with_writer(std::io::stderr);
+    let on_terminal = std::io::stderr().is_terminal();
+    let lines = fmt::layer().with_target(false).with_ansi(on_terminal).with_writer(std::io::stderr);
     tracing_subscriber::registry().with(lines).with(filter).init();
     match commands::run(arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {}", explained(error.as_ref()));
+            let told = format!("error: {}", explained(error.as_ref()));
+            // Another program gets each sentence whole; a reader that has gone (`2>&1 | head`) wants none.
+            let _ = writeln!(std::io::stderr(), "{}", if on_terminal { wrapped(&told) } else { told });
             ExitCode::FAILURE
         }
     }

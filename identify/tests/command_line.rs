@@ -93,7 +93,7 @@ fn a_calibration_prints_a_table_and_writes_every_parameter_with_sigma_and_state(
     let out = tempfile::tempdir().unwrap();
     let directory = experiment();
     let truth = directory.join("truth.toml");
-    let extra = ["--fix", "balpha4", "--truth", truth.to_str().unwrap()];
+    let extra = ["--fix", "balpha4", "--truth", truth.to_str().unwrap(), "--verbose"];
     let output =
         calibrate(&directory.join("recording.mcap"), &directory.join("robot_log.csv"), &extra, out.path());
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
@@ -166,7 +166,7 @@ fn a_file_of_counters_without_header_calibrates_with_the_shipped_mapping_and_is_
     let (path, mapping) = counters(inputs.path());
     let mapping: Vec<&str> = mapping.iter().map(String::as_str).collect();
     let (log, truth) = (experiment().join("robot_log.csv"), experiment().join("truth.toml"));
-    let extra = [&mapping[..], &["--truth", truth.to_str().unwrap()]].concat();
+    let extra = [&mapping[..], &["--truth", truth.to_str().unwrap(), "--verbose"]].concat();
     let output = calibrate(&path, &log, &extra, out.path());
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let text = String::from_utf8_lossy(&output.stdout);
@@ -337,7 +337,7 @@ fn measured_lengths_calibrate_from_a_csv_with_a_mapping() {
     std::fs::write(&path, &csv).unwrap();
     let mapping = config("measured_length.toml");
     let arguments = ["calibrate", "wire", path.to_str().unwrap(), "--mapping", mapping.to_str().unwrap()];
-    let output = identify(&arguments, "irb120_3.toml", out.path());
+    let output = identify(&[&arguments[..], &["--verbose"]].concat(), "irb120_3.toml", out.path());
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let text = String::from_utf8_lossy(&output.stdout);
     assert!(text.contains("held out") && text.contains("0 of 200 rows rejected"), "{text}");
@@ -393,6 +393,13 @@ fn a_reader_that_has_gone_ends_nothing() {
     drop(inspecting.stdout.take());
     let output = inspecting.wait_with_output().unwrap();
     assert_eq!((output.status.code(), String::from_utf8_lossy(&output.stderr).as_ref()), (Some(0), ""));
+    let mut failing = Command::new(env!("CARGO_BIN_EXE_identify"))
+        .args(["inspect", "missing.mcap"])
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    drop(failing.stderr.take());
+    assert_eq!(failing.wait().unwrap().code(), Some(1));
 }
 
 #[test]

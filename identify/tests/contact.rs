@@ -205,16 +205,18 @@ fn intervals_of_links_hold_95_percent_over_robots() {
 fn told(directory: &Path, rows: &str, sockets: &str) -> (bool, String) {
     let [rows, sockets, mapping] = [rows, sockets, "contact.toml"].map(|name| directory.join(name));
     let [rows, sockets, mapping] = [&rows, &sockets, &mapping].map(|path| path.to_str().unwrap());
-    let arguments = ["calibrate", "contact", rows, "--sockets", sockets, "--mapping", mapping];
+    let arguments = ["calibrate", "contact", rows, "--sockets", sockets, "--mapping", mapping, "--verbose"];
     let output = identify(&arguments, "irb120_3.toml", &directory.join("out"));
     let texts = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
-    (output.status.success(), texts.concat())
+    // Sentences are wrapped to the width of a terminal.
+    let words: Vec<String> = texts.concat().split_whitespace().map(Into::into).collect();
+    (output.status.success(), words.join(" "))
 }
 
 /// What a person is told of an experiment file.
 fn experiment(file: &Path, out: &Path) -> String {
     let run = std::process::Command::new(env!("CARGO_BIN_EXE_identify"))
-        .args(["calibrate", "--experiment"])
+        .args(["calibrate", "--verbose", "--experiment"])
         .arg(file)
         .arg("--out")
         .arg(out)

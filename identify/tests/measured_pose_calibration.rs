@@ -182,7 +182,15 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
         command.args(extra).current_dir(folder.path()).output().unwrap()
     };
     let mapping = crate::support::repository("config/measured_pose.toml");
-    let mapping = ["--mapping", mapping.to_str().unwrap(), "--validate", "other.csv", "--hold-out", "rows"];
+    let mapping = [
+        "--mapping",
+        mapping.to_str().unwrap(),
+        "--validate",
+        "other.csv",
+        "--hold-out",
+        "rows",
+        "--verbose",
+    ];
     let done = command(&mapping);
     let (out, err) = (String::from_utf8(done.stdout).unwrap(), String::from_utf8(done.stderr).unwrap());
     assert!(done.status.success(), "{err}");

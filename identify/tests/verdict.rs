@@ -111,7 +111,12 @@ fn a_required_accuracy_is_judged_and_repeated_for_every_instrument() {
         let (output, files) = wire(&csv, &["--require", required], out.path());
         let text = String::from_utf8_lossy(&output.stdout);
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        assert!(text.contains(&format!("verdict {grade}: ")), "{text}");
+        assert!(text.starts_with(&format!("verdict {grade}: ")), "{text}");
+        // Verdict, before and after, what limits, files, next step; all else is asked for.
+        let fits = |line: &str| line.chars().count() <= 100 || !line.trim().contains(' ');
+        assert!(text.lines().all(fits), "{text}");
+        assert_eq!(text.lines().filter(|line| !line.starts_with("  ")).count(), 5, "{text}");
+        assert!(text.contains("(k = 2)") && text.contains("robot.urdf, "), "{text}");
         assert!(files.iter().any(|file| file == "robot.urdf"), "{files:?}");
         let experiment = std::fs::read_to_string(out.path().join("experiment.toml")).unwrap();
         assert!(experiment.contains("require_mm"), "{experiment}");

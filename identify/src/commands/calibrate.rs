@@ -47,12 +47,22 @@ pub struct CommonArguments {
     /// The robot's configuration, such as config/robots/irb2400_16.toml
     #[arg(long, value_name = "FILE")]
     robot: PathBuf,
-    /// Directory for calibration.toml
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    #[command(flatten)]
+    result: ResultArguments,
     /// Position error that the calibrated robot may have at most, such as 0.2mm; the verdict says whether it is met
     #[arg(long, value_name = "MM", value_parser = millimetres)]
     require: Option<f64>,
+}
+
+/// Where a result goes, and how much of it is printed.
+#[derive(Debug, Clone, Args)]
+pub struct ResultArguments {
+    /// Directory for calibration.toml
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Print every parameter, what its uncertainty rests on, terms, held-out figures and all that limits
+    #[arg(long)]
+    verbose: bool,
 }
 
 /// A length above zero, with or without its unit \[mm\].

@@ -13,6 +13,7 @@ mod robot_check;
 mod robot_files;
 pub mod rows;
 pub mod side_by_side;
+pub mod summary;
 pub mod table;
 pub mod urdf;
 pub mod validation;

@@ -16,6 +16,20 @@ pub struct Validation {
     pub figures: [PoseFigures; 2],
 }
 
+impl Validation {
+    /// One line for a terminal.
+    pub fn line(&self) -> String {
+        let [nominal, calibrated] = &self.figures;
+        let mm = |figures: &PoseFigures| figures.position_m.rms * 1e3;
+        let name = &self.name;
+        format!(
+            "{name}: {:.4} mm RMS with the nominal robot, {:.4} mm calibrated\n",
+            mm(nominal),
+            mm(calibrated)
+        )
+    }
+}
+
 fn line(text: &mut String, name: &str, figures: &PoseFigures) {
     let sizes = |sizes: &Sizes| {
         let Sizes { mean, rms, p95, max } = sizes;

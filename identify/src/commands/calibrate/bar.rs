@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::Args;
 use shared::config::{self, BallBarConfig, RobotConfig};
-use shared::output::{say, show};
+use shared::output::show;
 
 use super::experiment::Experiment;
 use super::force_logs::force_logs;
-use super::result::{conclude, write_files};
+use super::result::{conclude, limited, write_files};
 use super::sources::sources;
 use super::{CommonArguments, inputs, refused};
 use crate::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
@@ -24,6 +24,7 @@ use crate::report::file::{CalibrationFile, ClockEntry, ParameterEntry, SolveEntr
 use crate::report::force::ForceEntry;
 use crate::report::knowledge::NoiseEntry;
 use crate::report::page::Page;
+use crate::report::summary::{summary, wrapped};
 use crate::report::table;
 use crate::simulate::Truth;
 use crate::solver::LossName;
@@ -224,7 +225,7 @@ pub(super) fn calibrate(arguments: &BarArguments, config: &IdentifyConfig) -> an
     (file.force, file.other_forces) = (forces.next(), forces.collect());
     let file =
         file.with_verdict(&evidence.workspace, &evidence.limits, config.require_mm.map(|mm| mm * 1e-3));
-    let written = write_files(&file, robot, runs.first().map(|run| &run.bar), &arguments.common.out)?;
+    let written = write_files(&file, robot, runs.first().map(|run| &run.bar), &arguments.common.result.out)?;
     let page = Page {
         file: &file,
         calibration: &calibration,
@@ -232,17 +233,18 @@ pub(super) fn calibrate(arguments: &BarArguments, config: &IdentifyConfig) -> an
         sources: &sources(&runs),
         configuration: &toml::to_string(config)?,
     };
-    let page = page.write(&arguments.common.out)?;
-    Experiment::of_bars(arguments, config).write(&arguments.common.out)?;
-    show(table::calibration(&file))?;
-    let reason = file.verdict.as_ref().and_then(|verdict| verdict.reason.as_ref());
-    for limit in evidence.limits.iter().filter(|limit| limit.serious && Some(&limit.sentence) != reason) {
-        say(format_args!("! {}", limit.sentence))?;
-    }
+    let page = page.write(&arguments.common.result.out)?;
+    Experiment::of_bars(arguments, config).write(&arguments.common.result.out)?;
     if let Some(truth) = &truth {
-        show(format_args!("\n{}", table::comparison(&Comparison::new(&calibration, truth))))?;
+        show(wrapped(&(table::comparison(&Comparison::new(&calibration, truth)) + "\n")))?;
     }
-    conclude(&file, &written, &page)
+    let all = arguments
+        .common
+        .result
+        .verbose
+        .then(|| table::calibration(&file) + &limited(&file, &evidence.limits));
+    let summary = summary(&file, &evidence.workspace, &evidence.limits, &written, &page);
+    conclude(&file, all.as_deref(), &summary, &page)
 }
 
 /// Every file that was read, with what it is.

@@ -11,7 +11,7 @@ use shared::config::{self, RobotConfig, Validate, Violation};
 use super::bar::{self, BarArguments};
 use super::result::Told;
 use super::rows::{self, Kind, Read, RowFile};
-use super::{CommonArguments, inputs, refused};
+use super::{CommonArguments, ResultArguments, inputs, refused};
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::mix::{self, DataSets, Rows};
 use crate::calibrate::refusal::Refuses;
@@ -38,9 +38,8 @@ pub struct ExperimentArguments {
     /// Everything that was measured on one robot and how it is calibrated, such as config/experiment.toml
     #[arg(long, value_name = "FILE", required = true)]
     experiment: PathBuf,
-    /// Directory for calibration.toml
-    #[arg(long, value_name = "DIR")]
-    out: PathBuf,
+    #[command(flatten)]
+    result: ResultArguments,
 }
 
 /// A run with the ball-bar.
@@ -264,7 +263,7 @@ impl Experiment {
         Ok(experiment)
     }
 
-    pub(super) fn bar_arguments(&self, out: &Path) -> BarArguments {
+    pub(super) fn bar_arguments(&self, result: &ResultArguments) -> BarArguments {
         let of = |path: fn(&BarRun) -> &PathBuf| self.bars.iter().map(|run| path(run).clone()).collect();
         BarArguments {
             recording: of(|run| &run.recording),
@@ -276,7 +275,7 @@ impl Experiment {
             log_mapping: self.log_mapping.clone(),
             force_mapping: self.force_mapping.clone(),
             ignore_force: self.ignore_force,
-            common: self.common(out),
+            common: self.common(result),
             config: None,
             cost: None,
             loss: None,
@@ -289,32 +288,32 @@ impl Experiment {
         }
     }
 
-    fn common(&self, out: &Path) -> CommonArguments {
+    fn common(&self, result: &ResultArguments) -> CommonArguments {
         let require = self.identify.require_mm;
-        CommonArguments { robot: self.robot.clone(), out: out.to_owned(), require }
+        CommonArguments { robot: self.robot.clone(), result: result.clone(), require }
     }
 }
 
 /// Reads, calibrates, writes and prints.
 pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
-    calibrate(Experiment::load(&arguments.experiment)?, &arguments.out)
+    calibrate(Experiment::load(&arguments.experiment)?, &arguments.result)
 }
 
 /// The same of an experiment that was not read from a file.
-pub(super) fn calibrate(experiment: Experiment, out: &Path) -> anyhow::Result<()> {
+pub(super) fn calibrate(experiment: Experiment, result: &ResultArguments) -> anyhow::Result<()> {
     let Some((kind, _)) = experiment.rows().next() else {
-        return bar::calibrate(&experiment.bar_arguments(out), &experiment.identify);
+        return bar::calibrate(&experiment.bar_arguments(result), &experiment.identify);
     };
-    let robot = &experiment.common(out).robot()?;
+    let robot = &experiment.common(result).robot()?;
     let read = experiment.rows().map(|(kind, of)| rows::read(kind, of, robot));
     let mut read = read.collect::<anyhow::Result<Vec<Read>>>()?;
     match read.pop() {
         Some(one) if read.is_empty() && experiment.bars.is_empty() => {
-            rows::alone(experiment, kind, robot, one, out)
+            rows::alone(experiment, kind, robot, one, result)
         }
         last => {
             read.extend(last);
-            mixed(experiment, robot, read, out)
+            mixed(experiment, robot, read, result)
         }
     }
 }
@@ -324,9 +323,9 @@ pub(super) fn mixed(
     experiment: Experiment,
     robot: &RobotConfig,
     read: Vec<Read>,
-    out: &Path,
+    result: &ResultArguments,
 ) -> anyhow::Result<()> {
-    let (bar_arguments, config) = (experiment.bar_arguments(out), &experiment.identify);
+    let (bar_arguments, config) = (experiment.bar_arguments(result), &experiment.identify);
     let bars = if experiment.bars.is_empty() {
         Vec::new()
     } else {
@@ -349,7 +348,8 @@ pub(super) fn mixed(
     });
     on_terminal.finish();
     let files = experiment.files(&bar_arguments, &bars);
-    let (found, errors) = found.map_err(|error| refused::of_rows(out, robot, &files, config, error))?;
+    let (found, errors) =
+        found.map_err(|error| refused::of_rows(&result.out, robot, &files, config, error))?;
     let solution = &found.solved.solution;
     let mut file = CalibrationFile::new(
         &robot.name,
@@ -404,9 +404,10 @@ pub(super) fn mixed(
         limits,
         data_sets: data_sets.collect(),
         tables,
+        asked: String::new(),
         experiment,
     };
-    told.write(out)
+    told.write(result)
 }
 
 /// For a person: each instrument with how many data sets it has.

@@ -55,7 +55,7 @@ pub(super) fn of_runs(
         files: &input_files(arguments, runs),
         // Without its configuration a page is still of use.
         configuration: toml::to_string(config).unwrap_or_else(|error| error.to_string()),
-        directory: &arguments.common.out,
+        directory: &arguments.common.result.out,
     };
     let of_one = match &error {
         CalibrateError::Prepare { run, .. } => runs.get(*run..=*run),

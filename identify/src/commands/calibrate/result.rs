@@ -6,11 +6,13 @@ use anyhow::Context;
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::output::{say, show};
 
+use super::ResultArguments;
 use super::experiment::Experiment;
 use crate::evaluate::{Limit, workspace_error};
 use crate::model::Model;
 use crate::report::file::CalibrationFile;
 use crate::report::page::{Measured, MeasuredPage};
+use crate::report::summary::{summary, wrapped};
 use crate::report::table;
 use crate::report::verdict::Grade;
 use crate::solver::Solution;
@@ -27,16 +29,19 @@ pub(super) struct Told<'a> {
     /// What limits it.
     pub(super) limits: Vec<Limit>,
     pub(super) data_sets: Vec<(String, Measured<'a>)>,
-    /// For the terminal.
+    /// For the page, and for the terminal where all is printed.
     pub(super) tables: String,
+    /// What a person asked for by an option, as lines of a terminal.
+    pub(super) asked: String,
     /// That repeats it.
     pub(super) experiment: Experiment,
 }
 
 impl Told<'_> {
     /// Writes all files and the page into the directory and prints what a person needs at once.
-    pub(super) fn write(self, directory: &Path) -> anyhow::Result<()> {
-        let Self { robot, bar, file, model, solution, limits, data_sets, tables, experiment } = self;
+    pub(super) fn write(self, result: &ResultArguments) -> anyhow::Result<()> {
+        let directory = &result.out;
+        let Self { robot, bar, file, model, solution, limits, data_sets, tables, asked, experiment } = self;
         let workspace = workspace_error(model, &solution.covariance, &robot.joint_limits());
         let file = file.with_verdict(&workspace, &limits, experiment.identify.require_mm.map(|mm| mm * 1e-3));
         let written = write_files(&file, robot, bar, directory)?;
@@ -48,9 +53,10 @@ impl Told<'_> {
             configuration: &experiment.write(directory)?,
         };
         let page = page.write(directory).with_context(|| directory.display().to_string())?;
-        show(table::calibration(&file))?;
-        show(format_args!("\n{tables}"))?;
-        conclude(&file, &written, &page)
+        show(wrapped(&asked))?;
+        let all =
+            result.verbose.then(|| table::calibration(&file) + "\n" + &tables + &limited(&file, &limits));
+        conclude(&file, all.as_deref(), &summary(&file, &workspace, &limits, &written, &page), &page)
     }
 }
 
@@ -80,13 +86,24 @@ fn is_red(file: &CalibrationFile) -> bool {
     file.verdict.as_ref().is_some_and(|verdict| verdict.grade == Grade::Red)
 }
 
-/// The last lines: verdict and files.
-pub(super) fn conclude(file: &CalibrationFile, written: &[PathBuf], page: &Path) -> anyhow::Result<()> {
+/// Sentences on all that limits a calibration seriously beside what its verdict names.
+pub(super) fn limited(file: &CalibrationFile, limits: &[Limit]) -> String {
+    let reason = file.verdict.as_ref().and_then(|verdict| verdict.reason.as_ref());
+    let others = limits.iter().filter(|limit| limit.serious && Some(&limit.sentence) != reason);
+    others.map(|limit| format!("! {}\n", limit.sentence)).collect()
+}
+
+/// Prints what a person asked for and the last lines.
+pub(super) fn conclude(
+    file: &CalibrationFile,
+    all: Option<&str>,
+    summary: &str,
+    page: &Path,
+) -> anyhow::Result<()> {
+    if let Some(all) = all {
+        say(wrapped(all))?;
+    }
     let verdict = file.verdict.as_ref().map(ToString::to_string).unwrap_or_default();
     anyhow::ensure!(!is_red(file), "{verdict}\nnot calibrated: {} shows what was found", page.display());
-    say(format_args!("\n{verdict}"))?;
-    for path in written.iter().map(PathBuf::as_path).chain([page]) {
-        say(format_args!("{}", path.display()))?;
-    }
-    Ok(())
+    Ok(show(summary)?)
 }

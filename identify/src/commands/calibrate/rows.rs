@@ -8,7 +8,7 @@ use shared::config::{self, RobotConfig};
 
 use super::experiment::{self, Experiment};
 use super::result::Told;
-use super::{CommonArguments, RowArguments, inputs, refused, usual_seed};
+use super::{CommonArguments, ResultArguments, RowArguments, inputs, refused, usual_seed};
 use crate::calibrate::HoldOut;
 use crate::calibrate::mix::{Measured, Rows};
 use crate::calibrate::rows::{RowCalibration, RowOptions, WAVES_PER_TURN_MAX, tracker, wire};
@@ -122,20 +122,20 @@ pub(super) fn run_tracker(arguments: &TrackerArguments) -> anyhow::Result<()> {
     let mut experiment = Experiment::of_rows(common, &rows.fix, *loss);
     let (joint_waves, validate) = (Some(*joint_waves), validate.clone());
     experiment.trackers.push(RowFile { joint_waves, validate, ..RowFile::new(poses, rows) });
-    experiment::calibrate(experiment, &common.out)
+    experiment::calibrate(experiment, &common.result)
 }
 
 pub(super) fn run_wire(WireArguments { lengths, rows, common }: &WireArguments) -> anyhow::Result<()> {
     let mut experiment = Experiment::of_rows(common, &rows.fix, None);
     experiment.wires.push(RowFile::new(lengths, rows));
-    experiment::calibrate(experiment, &common.out)
+    experiment::calibrate(experiment, &common.result)
 }
 
 pub(super) fn run_contact(arguments: &ContactArguments) -> anyhow::Result<()> {
     let ContactArguments { contacts, sockets, rows, loss, common } = arguments;
     let mut experiment = Experiment::of_rows(common, &rows.fix, *loss);
     experiment.contacts.push(RowFile { sockets: Some(sockets.clone()), ..RowFile::new(contacts, rows) });
-    experiment::calibrate(experiment, &common.out)
+    experiment::calibrate(experiment, &common.result)
 }
 
 /// The instruments whose measurements are rows.
@@ -233,7 +233,7 @@ pub(super) fn alone(
     kind: Kind,
     robot: &RobotConfig,
     read: Read,
-    out: &Path,
+    result: &ResultArguments,
 ) -> anyhow::Result<()> {
     let Some(of) = experiment.rows().next().map(|(_, of)| of) else { anyhow::bail!("there are no rows") };
     // Read before the fit: a file that is missing is said at once.
@@ -253,11 +253,11 @@ pub(super) fn alone(
     let found = match &read.rows.measured {
         Measured::Poses(rows) => tracker::calibrate(rows, &chain, &options),
         Measured::Lengths(rows) => wire::calibrate(rows, &chain, &options),
-        Measured::Contacts(..) => return experiment::mixed(experiment, robot, vec![read], out),
+        Measured::Contacts(..) => return experiment::mixed(experiment, robot, vec![read], result),
     };
-    let bar = experiment.bar_arguments(out);
+    let bar = experiment.bar_arguments(result);
     let files = experiment.files(&bar, &[]);
-    let found = found.map_err(|error| refused::of_rows(out, robot, &files, &options, error))?;
+    let found = found.map_err(|error| refused::of_rows(&result.out, robot, &files, &options, error))?;
     let validations = validations(&others, &chain, &found, options.seed)?;
     let solution = &found.solution;
     let mut file = CalibrationFile::new(
@@ -290,7 +290,8 @@ pub(super) fn alone(
         limits: Vec::new(),
         data_sets: vec![(kind.key().into(), page::Measured::Rows(&found.errors))],
         tables,
+        asked: validations.iter().map(of_rows::Validation::line).collect(),
         experiment: experiment.clone(),
     };
-    told.write(out)
+    told.write(result)
 }
