@@ -53,6 +53,7 @@ fn file(robot: &RobotConfig) -> CalibrationFile {
     };
     let identifiability = Identifiability {
         names: Vec::new(),
+        prior_sigmas: Vec::new(),
         rank: 1,
         rank_of_samples: 1,
         singular_values: vec![1.0],

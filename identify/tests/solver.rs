@@ -83,6 +83,28 @@ fn close(found: &[f64], expected: &[f64], relative: f64) {
     }
 }
 
+/// Of two columns that only appear as their sum one has a wide prior: nothing is open then, however exact the samples are.
+#[test]
+fn a_prior_determines_its_parameter_whatever_the_samples_are_worth() {
+    for noise in [1.0, 1e-4, 1e-9] {
+        let row = move |x: &[f64], k: usize| {
+            let t = k as f64 / 40.0;
+            ((x[0] + x[1] + t * x[2] - 3.0) / noise, vec![noise.recip(), noise.recip(), t / noise])
+        };
+        let mut rows = Rows::new(3, 40, &row);
+        let options = Options { noise: Noise::Known, ..Options::default() };
+        let solved = |rows: &Rows<'_>| solve(rows, &[2.0, 0.5, 0.3], &options).unwrap().identified();
+        let error = solved(&rows).unwrap_err().to_string();
+        assert!(error.contains("2 of 3") && error.contains("x0|x1 (fix 1)"), "{error}");
+        rows.priors = vec![Prior { column: 1, value: 0.5, sigma: 2.0 }];
+        let found = solved(&rows).unwrap();
+        assert_eq!((found.identifiability.rank, found.identifiability.rank_of_samples), (3, 2));
+        let sigma = |column| found.covariance.sigma(column).unwrap();
+        close(&[sigma(1)], &[2.0], 1e-6);
+        assert!(sigma(2) < noise, "{} {noise}", sigma(2));
+    }
+}
+
 /// NIST StRD Misra1a, `y = b1 (1 - exp(-b2 x))`.
 const MISRA1A: [(f64, f64); 14] = [
     (10.07, 77.6),

@@ -252,18 +252,35 @@ impl Solver<'_> {
         runs.fold(false, |others, Run { instrument, model }| instrument.screen(model) || others)
     }
 
+    /// By how much the errors of each data set are larger than what is left of them, since parameters bend towards them:
+    /// `sqrt(n / (n - p))`, where `p` of its `n` numbers are taken by the fit. Without it, where terms are as many as numbers,
+    /// each fit would leave less than the last, down to nothing.
+    fn bent(&self) -> Result<Vec<f64>, CostError> {
+        let columns = self.columns();
+        let all = problem(self.runs, &columns, &self.sigmas)?;
+        let of_run: Vec<Vec<usize>> = all.starts().windows(2).map(|run| (run[0]..run[1]).collect()).collect();
+        let normals = Normals::new(&all, &self.start(&columns), &Options::default(), &of_run);
+        let taken = normals.and_then(|normals| {
+            let rows = normals.of_folds().iter().map(|of_run| of_run.rows);
+            Some(normals.taken()?.into_iter().zip(rows).map(|(p, n)| (n / (n - p).max(1.0)).sqrt()).collect())
+        });
+        Ok(taken.unwrap_or_else(|| vec![UNWEIGHTED; self.runs.len()]))
+    }
+
     /// Takes the noise of each data set from what is left at its model: variance components, each from its own residuals.
     /// Returns the noise, in units of each.
     fn weigh(&mut self) -> Result<Vec<f64>, CostError> {
-        let (several, mut all) = (self.runs.len() > 1, Vec::new());
-        for (Run { instrument, model }, sigma) in self.runs.iter_mut().zip(&mut self.sigmas) {
+        let (several, mut all, bent) = (self.runs.len() > 1, Vec::new(), self.bent()?);
+        for ((Run { instrument, model }, sigma), bent) in self.runs.iter_mut().zip(&mut self.sigmas).zip(bent)
+        {
             let own = instrument.adapt(model);
             let columns = SharedColumns::new([&*model], |_| false);
             let alone = DataSets::new(vec![instrument.data_set(model, UNWEIGHTED)?], &columns);
-            *sigma = match own {
-                Some(_) => UNWEIGHTED,
-                None => GoodShare::HALF.spread_at(&alone, &model.start()).max(SIGMA_MIN),
-            };
+            *sigma = bent
+                * match own {
+                    Some(_) => UNWEIGHTED,
+                    None => GoodShare::HALF.spread_at(&alone, &model.start()).max(SIGMA_MIN),
+                };
             if several {
                 // Errors that last for many samples make these worth less than as many independent ones.
                 let groups = instrument.independent(LEFT_OUT);

@@ -267,17 +267,14 @@ impl Measures for Contact {
         SeatedBall::sees(id) && id.owner() != Owner::Clocks
     }
 
-    /// Standard deviation of a coordinate that is behind errors which are mostly normal, by their median; ball and sockets have
-    /// taken their numbers of it.
+    /// Standard deviation of a coordinate that is behind errors which are mostly normal, by their median.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
         /// Data without any noise still need a unit.
         const LEAST_M: f64 = 1e-9;
         let mut sizes: Vec<f64> =
             self.errors_m(&model.geometry(&[])).iter().map(|error| error.norm()).collect();
         sizes.sort_by(f64::total_cmp);
-        let (rows, own) = (sizes.len() as f64, 1.0 + self.sockets.names().len() as f64);
-        let taken = (1.0 - own / rows).max(0.5).sqrt();
-        self.noise_m = (quantile(&sizes, 0.5) / MEDIAN_OF_THREE / taken).max(LEAST_M);
+        self.noise_m = (quantile(&sizes, 0.5) / MEDIAN_OF_THREE).max(LEAST_M);
         Some(self.noise_m)
     }
 

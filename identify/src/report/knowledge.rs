@@ -13,6 +13,9 @@ const NAMED_ABOVE: f64 = 0.8;
 /// So many are named at most.
 const NAMED_MAX: usize = 20;
 
+/// Above this part of its prior's sigma a parameter is known by the prior: the data are worth a tenth of it.
+const BY_PRIOR: f64 = 0.95;
+
 /// Two parameters that the data can hardly tell apart.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CorrelationEntry {
@@ -59,6 +62,9 @@ pub struct Knowledge {
     /// What sigmas and covariance rest on.
     #[serde(default)]
     pub sigmas_from: SigmasFrom,
+    /// Parameters that the data do not determine: known by their priors alone.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub by_prior: Vec<String>,
     /// Pairs that are correlated most, the strongest first.
     pub correlations: Vec<CorrelationEntry>,
 }
@@ -143,12 +149,19 @@ impl CalibrationFile {
             .collect();
         let strongest = solution.covariance.strongest_correlations(NAMED_ABOVE);
         let named = strongest.into_iter().take(NAMED_MAX);
+        let is_by_prior = |(column, prior): &(usize, &Option<f64>)| {
+            prior
+                .zip(solution.covariance.sigma(*column))
+                .is_some_and(|(prior, sigma)| sigma > BY_PRIOR * prior)
+        };
+        let by_prior = found.prior_sigmas.iter().enumerate().filter(is_by_prior);
         self.knowledge = Some(Knowledge {
             rank: found.rank,
             rank_of_samples: found.rank_of_samples,
             singular_values: found.singular_values.clone(),
             observability: found.observability(&units).into(),
             sigmas_from: solution.covariance.sigmas_from,
+            by_prior: by_prior.map(|(column, _)| name(column)).collect(),
             correlations: named
                 .map(|(a, b, correlation)| CorrelationEntry { first: name(a), second: name(b), correlation })
                 .collect(),
@@ -159,6 +172,14 @@ impl CalibrationFile {
         self.covariance = Some(CovarianceEntry { names: names.to_vec(), rows });
         self
     }
+}
+
+/// The first names and the number of the others.
+fn some_of(names: &[String]) -> String {
+    const SHOWN: usize = 8;
+    let others = names.len().saturating_sub(SHOWN);
+    let shown = names.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
+    if others == 0 { shown } else { format!("{shown} and {others} others") }
 }
 
 impl Knowledge {
@@ -175,6 +196,13 @@ impl Knowledge {
             self.rank_of_samples,
             weakest / strongest,
         );
+        if !self.by_prior.is_empty() {
+            let _ = writeln!(
+                text,
+                "not determined by this data, so as uncertain as expected beforehand: {}",
+                some_of(&self.by_prior)
+            );
+        }
         let (from, of_95) = (self.sigmas_from, self.sigmas_from.sigmas_of_95());
         let _ = writeln!(text, "sigmas from {from}; 95 % lie within {of_95:.2} of them");
         let o = &self.observability;

@@ -1,7 +1,10 @@
-//! Which free parameters the samples determine, by an orthogonal factorisation of the Jacobian.
+//! Which free parameters are determined, by an orthogonal factorisation of the Jacobian.
 //!
-//! Columns are scaled to unit length first, so that metres, radians and seconds compare. The singular values of the
-//! scaled triangle show the rank and how clear its gap is; the null space shows who depends on whom.
+//! A prior determines its parameter, however wide it is and however exact the samples are: the rank of `[J_f J_p; 0 P]` is
+//! that of `J_f`, the samples' columns without prior, and the number of the others. So the answer depends neither on the
+//! noise nor on the number of samples; a parameter that the samples hardly tell has a large sigma. Columns are scaled to unit
+//! length first, so that metres, radians and seconds compare. The singular values show the rank and how clear its gap is; the
+//! null space shows who depends on whom.
 
 use std::fmt;
 
@@ -26,6 +29,8 @@ pub struct DependentGroup {
 pub struct Identifiability {
     /// Names of the columns.
     pub names: Vec<String>,
+    /// Standard deviations of their priors; none where they have none.
+    pub prior_sigmas: Vec<Option<f64>>,
     /// Rank with samples and priors.
     pub rank: usize,
     /// Rank with samples alone.
@@ -211,24 +216,78 @@ pub(super) fn require_start<P: Problem>(problem: &P, x: &[f64]) -> Result<(), So
     Err(SolveError::StartLength { found: x.len(), expected: problem.columns() })
 }
 
+/// What samples determine of the columns that have no prior.
+pub(super) struct Open {
+    /// Which these are.
+    columns: Vec<usize>,
+    /// None where there are none.
+    spectrum: Option<ScaledSpectrum>,
+}
+
+impl Open {
+    /// Of the columns without prior among `all`.
+    pub(super) fn new(
+        triangle: &DMatrix<f64>,
+        all: impl Iterator<Item = usize>,
+        priors: &[Prior],
+        tolerance: f64,
+    ) -> Self {
+        let has_prior = |column: usize| priors.iter().any(|prior| prior.column == column);
+        let columns: Vec<usize> = all.filter(|column| !has_prior(*column)).collect();
+        let spectrum =
+            (!columns.is_empty()).then(|| ScaledSpectrum::new(&triangle.select_columns(&columns), tolerance));
+        Self { columns, spectrum }
+    }
+
+    /// Directions that nothing determines.
+    pub(super) fn missing(&self) -> usize {
+        self.spectrum.as_ref().map_or(0, |spectrum| self.columns.len() - spectrum.rank)
+    }
+
+    fn zero_columns(&self) -> Vec<usize> {
+        let of = |spectrum: &ScaledSpectrum| {
+            let places = self.columns.iter().zip(spectrum.lengths.iter());
+            places.filter(|(_, length)| **length == 0.0).map(|(column, _)| *column).collect()
+        };
+        self.spectrum.as_ref().map_or_else(Vec::new, of)
+    }
+
+    fn groups(&self) -> Vec<DependentGroup> {
+        let Some(spectrum) = &self.spectrum else { return Vec::new() };
+        let zero: Vec<usize> =
+            (0..self.columns.len()).filter(|place| spectrum.lengths[*place] == 0.0).collect();
+        let mut groups = dependent_groups(&spectrum.null_basis(), &zero);
+        for column in groups.iter_mut().flat_map(|group| &mut group.columns) {
+            *column = self.columns[*column];
+        }
+        groups
+    }
+}
+
 fn examine<P: Problem>(
     problem: &P,
     triangle: &DMatrix<f64>,
     fits: &[SampleFit],
     options: &Options<'_>,
 ) -> (Identifiability, ScaledSpectrum) {
-    let rank_of_samples = ScaledSpectrum::new(triangle, options.rank_tolerance).rank;
-    let spectrum =
-        ScaledSpectrum::new(&with_priors(problem.priors().iter(), triangle), options.rank_tolerance);
-    let zero_columns: Vec<usize> =
-        (0..problem.columns()).filter(|&column| spectrum.lengths[column] == 0.0).collect();
+    let (columns, priors, tolerance) = (problem.columns(), problem.priors(), options.rank_tolerance);
+    let open = Open::new(triangle, 0..columns, priors, tolerance);
+    let mut spectrum = ScaledSpectrum::new(&with_priors(priors.iter(), triangle), tolerance);
+    spectrum.rank = columns - open.missing();
+    let mut prior_sigmas = vec![None; columns];
+    priors.iter().for_each(|prior| prior_sigmas[prior.column] = Some(prior.sigma));
     let identifiability = Identifiability {
-        names: (0..problem.columns()).map(|column| problem.column_name(column)).collect(),
+        prior_sigmas,
+        names: (0..columns).map(|column| problem.column_name(column)).collect(),
         rank: spectrum.rank,
-        rank_of_samples,
+        rank_of_samples: if priors.is_empty() {
+            spectrum.rank
+        } else {
+            ScaledSpectrum::new(triangle, tolerance).rank
+        },
         singular_values: spectrum.singular_values.iter().copied().collect(),
-        groups: dependent_groups(&spectrum.null_basis(), &zero_columns),
-        zero_columns,
+        groups: open.groups(),
+        zero_columns: open.zero_columns(),
         triangle: triangle.clone(),
         samples: fits.iter().filter(|fit| fit.present).count(),
     };

@@ -2,7 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
-use super::identifiability::{require_start, sample_triangle, with_priors};
+use super::identifiability::{Open, require_start, sample_triangle, with_priors};
 use super::pass::Taking;
 use super::{Options, Problem, SolveError};
 
@@ -36,16 +36,20 @@ pub fn influence<P: Problem>(
     let (triangle, _) = sample_triangle(problem, x, options, Taking::WhatIsThere)
         .map_err(|error| error.at_start(problem.samples()))?;
     let estimated: Vec<usize> = (0..problem.columns()).filter(|column| !held.contains(column)).collect();
+    let all = estimated.iter().copied();
+    if Open::new(&triangle, all, problem.priors(), options.rank_tolerance).missing() > 0 {
+        return Err(SolveError::Dependent);
+    }
     let priors = problem.priors().iter().filter(|prior| estimated.contains(&prior.column));
     let rows = with_priors(priors, &triangle);
     let names = |columns: &[usize]| columns.iter().map(|&column| problem.column_name(column)).collect();
-    let change = -least_squares(&rows.select_columns(&estimated), &rows.select_columns(held), options)
+    let change = -least_squares(&rows.select_columns(&estimated), &rows.select_columns(held))
         .ok_or(SolveError::Dependent)?;
     Ok(Influence { estimated: names(&estimated), held: names(held), change })
 }
 
-/// `argmin |A X - B|` by singular values of the column-scaled matrix; none where columns of `A` depend on each other.
-fn least_squares(a: &DMatrix<f64>, b: &DMatrix<f64>, options: &Options<'_>) -> Option<DMatrix<f64>> {
+/// `argmin |A X - B|` by singular values of the column-scaled matrix; none where columns of `A` are zero.
+fn least_squares(a: &DMatrix<f64>, b: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let lengths = DVector::from_iterator(a.ncols(), a.column_iter().map(|column| column.norm()));
     if a.nrows() < a.ncols() || lengths.iter().any(|length| *length == 0.0) {
         return None;
@@ -53,9 +57,6 @@ fn least_squares(a: &DMatrix<f64>, b: &DMatrix<f64>, options: &Options<'_>) -> O
     let mut scaled = a.clone();
     scaled.column_iter_mut().zip(lengths.iter()).for_each(|(mut column, length)| column /= *length);
     let svd = scaled.svd(true, true);
-    if svd.singular_values.min() <= options.rank_tolerance * svd.singular_values.max() {
-        return None;
-    }
     let mut solved = svd.solve(b, 0.0).ok()?;
     solved.row_iter_mut().zip(lengths.iter()).for_each(|(mut row, length)| row /= *length);
     Some(solved)

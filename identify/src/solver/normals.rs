@@ -161,8 +161,16 @@ impl Normals {
         let factor = ScaledCholesky::damped(whole.clone(), &whole.diagonal(), RIDGE)?;
         let scatter: f64 =
             self.folds.iter().map(|fold| fold.gradient.dot(&factor.solve(&fold.gradient))).sum();
-        let expected = (factor.inverse() * &self.total.matrix).trace();
+        let expected = factor.inverse().dot(&self.total.matrix);
         Some(scatter * count / ((count - 1.0) * expected)).filter(|found| found.is_finite())
+    }
+
+    /// How many numbers the solution `x` takes from each fold: `tr(H^-1 N)` with `H` of all and `N` of the fold, less than its
+    /// parameters where priors or other folds determine them, too (effective degrees of freedom, MacKay 1992). None where
+    /// columns depend on each other.
+    pub fn taken(&self) -> Option<Vec<f64>> {
+        let inverse = self.covariance()?;
+        Some(self.folds.iter().map(|fold| inverse.dot(&fold.matrix)).collect())
     }
 
     /// Folds that have samples.

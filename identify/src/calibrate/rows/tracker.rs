@@ -64,7 +64,7 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &RowOptions) -> Resul
     }
     let mut runs = [Run { instrument: Instrument::Tracker(chosen), model }];
     let estimated = estimate(&mut runs, &Plan::new(options.loss, kinds));
-    let Solved { solution, without_terms, candidates, .. } =
+    let Solved { solution, without_terms, candidates, sigmas, .. } =
         estimated.map_err(|error| explained(error.into(), rows, robot))?;
     let [Run { instrument, model }] = runs;
     let Instrument::Tracker(tracker) = instrument else { return Err(CalibrateError::NoRun.into()) };
@@ -78,7 +78,7 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &RowOptions) -> Resul
         runs: Vec::new(),
         drift: None,
         terms: candidates,
-        sigma_m: tracker.noise.position_m,
+        sigma_m: tracker.noise.position_m * sigmas.first().copied().unwrap_or(1.0),
         solution,
         model,
     };
