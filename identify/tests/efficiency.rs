@@ -7,9 +7,7 @@ use crate::support::{Cell, spread_poses};
 use identify::cost::{AngleNoise, LoopProblem, Residual, Transform, WhitenedPose};
 use identify::model::{Model, Observation, ParameterId, PerObservation, Selection};
 use identify::simulate::THESIS_ERRORS;
-use identify::solver::{
-    LossName, Noise, Options, Solution, minimise, solve, solve_from_subsets, solve_robust,
-};
+use identify::solver::{Begin, LossName, Noise, Options, Solution, minimise, minimise_robust, solve};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
@@ -18,13 +16,6 @@ const NOISE: AngleNoise = AngleNoise { encoder_rad: 10e-6, robot_rad: 10e-6 };
 
 fn seeds() -> u64 {
     std::env::var("IDENTIFY_SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(40)
-}
-
-/// Where a robust solve begins.
-#[derive(Clone, Copy)]
-enum From {
-    Nominal,
-    Subsets,
 }
 
 struct Setup {
@@ -62,12 +53,12 @@ impl Setup {
 
     /// As a calibration does it: whitened on the nominal geometry, then on the first solution.
     fn pose(&self, measured: &(Vec<Observation>, PerObservation), loss: LossName) -> Solution {
-        self.pose_from(From::Nominal, measured, loss)
+        self.pose_from(Begin::Start, measured, loss)
     }
 
     fn pose_from(
         &self,
-        from: From,
+        begin: Begin,
         (observations, joints): &(Vec<Observation>, PerObservation),
         loss: LossName,
     ) -> Solution {
@@ -75,10 +66,9 @@ impl Setup {
             let whitened = WhitenedPose::new(&self.model.geometry(x), joints, observations, NOISE);
             let problem = LoopProblem::new(&self.model, joints, observations, whitened, 1.0).unwrap();
             let options = Options::default();
-            match from {
-                From::Nominal => solve_robust(&problem, x, loss, &options).unwrap(),
-                From::Subsets => solve_from_subsets(&problem, x, loss, &options).unwrap(),
-            }
+            let (x, _) = minimise_robust(&problem, x, loss, begin, &options).unwrap();
+            let loss = loss.settled(&problem, &x, begin.good());
+            solve(&problem, &x, &Options { loss, ..options }).unwrap()
         };
         let first = solve_from(&self.model.start());
         solve_from(&first.x).identified().unwrap()
@@ -188,7 +178,7 @@ fn with_half_of_the_samples_grossly_wrong_random_subsets_still_find_the_robot() 
                 observation.bar_rad[joint] += random.random_range(-1.0..1.0);
             }
         }
-        let found = setup.pose_from(From::Subsets, &measured, LossName::GemanMcclure);
+        let found = setup.pose_from(Begin::Subsets, &measured, LossName::GemanMcclure);
         subsets.push(setup.errors(&found.x));
         graduated.push(setup.errors(&setup.pose(&measured, LossName::GemanMcclure).x));
     }

@@ -16,8 +16,8 @@ use crate::kinematics::LinkParameter;
 use crate::model::{Model, ModelError, Owner, ParameterId, Phase, Role};
 use crate::prepare::PrepareOptions;
 use crate::solver::{
-    Considered, Covariance, GoodShare, Loss, LossName, Normals, Options, Problem, Solution, Watch, influence,
-    minimise, solve, solve_from_subsets, solve_robust,
+    Begin, Considered, Covariance, GoodShare, Loss, LossName, Normals, Options, Problem, Solution, Summary,
+    Watch, influence, minimise, minimise_robust, solve,
 };
 
 /// The thesis' residuals enter as it defines them; `pose` is whitened by itself.
@@ -26,6 +26,11 @@ const UNWEIGHTED: f64 = 1.0;
 const SIGMA_MIN: f64 = 1e-9;
 /// Whitened residuals below this are rounding: there is nothing left that a term could explain.
 const RESIDUAL_MIN: f64 = 1e-3;
+/// Where a solve that is not the last may end, as a part of the cost: nothing that is reported changes by more.
+const COST_TOLERANCE: f64 = 1e-6;
+/// And the last: with ten thousand residuals every parameter is within a ten-thousandth of its standard deviation. What is less
+/// is soon rounding.
+const COST_TOLERANCE_LAST: f64 = 1e-12;
 /// Groups of each data set that are held out in turn to choose terms.
 const HELD_OUT: usize = 8;
 /// Groups of each data set that are left out in turn for the covariance.
@@ -84,8 +89,8 @@ pub struct Solved {
 }
 
 /// What a residual of a solve is worth against priors, one standard deviation: `pose` is whitened by itself.
-fn residual_sigma(cost: CostName, solution: &Solution) -> f64 {
-    if cost == CostName::Pose { UNWEIGHTED } else { solution.summary.residual_rms.max(SIGMA_MIN) }
+fn residual_sigma(cost: CostName, reached: &Summary) -> f64 {
+    if cost == CostName::Pose { UNWEIGHTED } else { reached.residual_rms.max(SIGMA_MIN) }
 }
 
 /// All runs where their models are.
@@ -141,6 +146,9 @@ pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateEr
             }
         }
         if finds_noise || scale != 1.0 || candidates.iter().any(|candidate| candidate.accepted) {
+            if !finds_noise {
+                solver.approach()?;
+            }
             (columns, solution) = if solver.bars().is_some() { solver.solve()? } else { solver.settle()? };
         }
     }
@@ -213,16 +221,16 @@ impl Solver<'_> {
         const ROUNDS_MAX: usize = 20;
         if let Some(cost) = self.bars() {
             self.sigmas.fill(UNWEIGHTED);
-            let (_, first) = self.solve()?;
+            let first = self.approach()?;
             self.learn_noise();
             // Whitening, angles without encoder and the worth of a residual against priors were those of the nominal geometry;
             // now they are those of the solution.
             self.sigmas.fill(residual_sigma(cost, &first));
             let (columns, mut solution) = self.solve()?;
             // In the unit of the noise that was found.
-            let unit = solution.summary.residual_rms_start / first.summary.residual_rms.max(SIGMA_MIN);
+            let unit = solution.summary.residual_rms_start / first.residual_rms.max(SIGMA_MIN);
             let unit = if cost == CostName::Pose { unit } else { UNWEIGHTED };
-            solution.summary.residual_rms_start = unit * first.summary.residual_rms_start;
+            solution.summary.residual_rms_start = unit * first.residual_rms_start;
             return Ok((columns, solution));
         }
         let mut noise = self.weigh()?;
@@ -298,8 +306,6 @@ impl Solver<'_> {
     /// Improves the models with residuals in standard deviations, without a word on rank and covariance: for hundreds of
     /// columns, and solves that are not the last. Returns the loss.
     fn descend(&mut self, loss: LossName) -> Result<Loss, CalibrateError> {
-        /// Nothing that is reported changes by more.
-        const COST_TOLERANCE: f64 = 1e-6;
         let columns = self.columns();
         let problem = problem(self.runs, &columns, &self.sigmas)?;
         let loss = loss.for_spread(1.0, problem.rows());
@@ -311,28 +317,48 @@ impl Solver<'_> {
         Ok(loss)
     }
 
-    /// One solve from where the models are; they are left at its solution.
+    /// Runs of ball-bars weighed anew where the models are.
+    fn adapt(&mut self) {
+        for Run { instrument, model } in &mut *self.runs {
+            instrument.adapt(model);
+        }
+    }
+
+    fn begin(&self) -> Begin {
+        if self.plan.ransac { Begin::Subsets } else { Begin::Start }
+    }
+
+    /// Brings the models of runs of ball-bars near their solution: what is left there says what their residuals are worth.
+    fn approach(&mut self) -> Result<Summary, CalibrateError> {
+        self.adapt();
+        let columns = self.columns();
+        let Plan { loss, watch, .. } = *self.plan;
+        let options = Options { cost_tolerance: COST_TOLERANCE, watch, ..Options::default() };
+        let problem = problem(self.runs, &columns, &self.sigmas)?;
+        let (x, reached) = minimise_robust(&problem, &self.start(&columns), loss, self.begin(), &options)?;
+        drop(problem);
+        self.adopt(&columns, &x);
+        Ok(reached)
+    }
+
+    /// The last solve, from near the solution, where the models are left.
     fn solve(&mut self) -> Result<(SharedColumns, Solution), CalibrateError> {
         let of_bars = self.bars().is_some();
         if of_bars {
-            for Run { instrument, model } in &mut *self.runs {
-                instrument.adapt(model);
-            }
+            self.adapt();
         }
         let columns = self.columns();
         let start = self.start(&columns);
-        let Plan { loss, ransac, watch, .. } = *self.plan;
-        let options = Options { watch, ..Options::default() };
+        let Plan { loss, watch, .. } = *self.plan;
+        let options = Options { cost_tolerance: COST_TOLERANCE_LAST, watch, ..Options::default() };
         let problem = problem(self.runs, &columns, &self.sigmas)?;
-        let solution = match (of_bars, ransac) {
-            (true, true) => solve_from_subsets(&problem, &start, loss, &options),
-            (true, false) => solve_robust(&problem, &start, loss, &options),
-            // The noise has settled, and every residual is in standard deviations.
-            (false, _) => {
-                let loss = loss.for_spread(1.0, problem.rows());
-                solve(&problem, &start, &Options { loss, ..options })
-            }
+        // The noise has settled, and every residual but those of the ball-bar alone is in standard deviations.
+        let loss = if of_bars {
+            loss.settled(&problem, &start, self.begin().good())
+        } else {
+            loss.for_spread(1.0, problem.rows())
         };
+        let solution = solve(&problem, &start, &Options { loss, ..options });
         drop(problem);
         let mut solution = solution?.identified()?;
         solution.summary.residual_rms_start *= self.unit();

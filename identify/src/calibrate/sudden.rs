@@ -24,6 +24,9 @@ const BESIDE: usize = 20;
 const COARSE: usize = 250;
 /// Part of the squared residuals that a change must take away.
 const EXPLAINED: f64 = 0.5;
+/// Part of what the right instant explains that the nearest of those tried at first explains at least: of the samples after
+/// the last change, or before the first, [`BESIDE`] at least, it misses half a step of [`SAMPLES_MAX`] / [`COARSE`].
+const NEAR: f64 = 0.5;
 /// Jumps of a clock smaller than this are not looked for \[s\].
 const JUMP_S_MIN: f64 = 0.002;
 /// Part of a column that other columns must leave of it.
@@ -66,6 +69,9 @@ pub(super) fn change(
     let stride = (samples.len() / COARSE).max(1);
     let borders = (0..samples.len()).step_by(stride);
     let coarse = best(borders.map(|from| from..(from + stride).min(samples.len())).collect())?;
+    if coarse.fall < NEAR * EXPLAINED * coarse.squared {
+        return None;
+    }
     let near = coarse.at.saturating_sub(stride)..(coarse.at + stride + 1).min(samples.len());
     let singles = near.clone().map(|at| at..at + 1);
     let (before, after) = (0..near.start, near.end..samples.len());

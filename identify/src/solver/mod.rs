@@ -34,7 +34,7 @@ pub use outcome::{NotConverged, Options, Solution, Summary, Termination};
 pub use panel::Block;
 pub use pass::stacked;
 pub use ransac::{RansacOptions, ransac};
-pub use robust::{GoodShare, Schedule, solve_from_subsets, solve_robust};
+pub use robust::{Begin, GoodShare, Schedule, minimise_robust};
 pub use scaled_cholesky::ScaledCholesky;
 pub use subset::Subset;
 pub use watch::{Progress, Watch};

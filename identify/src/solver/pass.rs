@@ -234,8 +234,10 @@ impl<'a, P: Problem> Pass<'a, P> {
 
     fn threads(&self, parts: usize) -> usize {
         let entries = self.problem.samples() * self.problem.rows() * self.problem.columns();
+        let pays = entries / ENTRIES_PER_THREAD;
+        // Asked only where it matters: the answer takes reading files, longer than a pass over a few samples.
         let there = || std::thread::available_parallelism().map_or(1, usize::from);
-        let wanted = self.threads.unwrap_or_else(|| there().min(entries / ENTRIES_PER_THREAD));
+        let wanted = self.threads.unwrap_or_else(|| if pays > 1 { there().min(pays) } else { 1 });
         wanted.clamp(1, parts.max(1))
     }
 

@@ -6,7 +6,7 @@
 
 use super::loss::squared_norm_quantile;
 use super::pass::fits;
-use super::{Loss, LossName, Options, Problem, RansacOptions, Solution, SolveError, minimise, ransac, solve};
+use super::{Loss, LossName, Options, Problem, RansacOptions, SolveError, Summary, minimise, ransac};
 
 /// Standard normal quantiles of 0.95 and 0.99: beyond the scale of a loss on the way, and of the last one.
 const ON_THE_WAY: f64 = 1.645;
@@ -126,49 +126,52 @@ impl LossName {
 
     /// The loss with the scale of the residuals at `x`, where the spread has settled already.
     pub fn settled<P: Problem>(self, problem: &P, x: &[f64], good: GoodShare) -> Loss {
+        if self == Self::None {
+            return Loss::Squared;
+        }
         self.for_spread(good.spread_at(problem, x), problem.rows())
     }
 }
 
-/// Solves with a loss whose scale is found on the way.
+/// Where a robust solve begins.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Begin {
+    /// At the values given, which most samples must be near to.
+    Start,
+    /// At what random subsets agree on ([`ransac`]): up to three fifths of the samples may be wrong however far, and the
+    /// scale of the loss follows the best two fifths.
+    Subsets,
+}
+
+impl Begin {
+    /// Samples that are taken as good.
+    pub const fn good(self) -> GoodShare {
+        match self {
+            Self::Start => GoodShare::HALF,
+            Self::Subsets => GoodShare::TWO_FIFTHS,
+        }
+    }
+}
+
+/// Parameters of a solve with a loss whose scale is found on the way, without a word on rank and covariance.
 ///
 /// # Errors
-/// As [`solve`].
-pub fn solve_robust<P: Problem>(
+/// As [`minimise`].
+pub fn minimise_robust<P: Problem>(
     problem: &P,
     start: &[f64],
     loss: LossName,
+    begin: Begin,
     options: &Options<'_>,
-) -> Result<Solution, SolveError> {
-    narrowed(problem, start.to_vec(), loss, options, GoodShare::HALF)
-}
-
-/// The same where up to three fifths of the samples may be wrong however far: a start from random subsets ([`ransac`]), then
-/// the loss, whose scale follows the best two fifths.
-///
-/// # Errors
-/// As [`solve`].
-pub fn solve_from_subsets<P: Problem>(
-    problem: &P,
-    start: &[f64],
-    loss: LossName,
-    options: &Options<'_>,
-) -> Result<Solution, SolveError> {
-    let good = GoodShare::TWO_FIFTHS;
-    let choice = RansacOptions { good_share: good.share, ..RansacOptions::default() };
-    let x = ransac(problem, start, &choice, options)?;
-    narrowed(problem, x, loss, options, good)
-}
-
-fn narrowed<P: Problem>(
-    problem: &P,
-    x: Vec<f64>,
-    loss: LossName,
-    options: &Options<'_>,
-    good: GoodShare,
-) -> Result<Solution, SolveError> {
+) -> Result<(Vec<f64>, Summary), SolveError> {
+    let good = begin.good();
+    let mut x = start.to_vec();
+    if begin == Begin::Subsets {
+        let choice = RansacOptions { good_share: good.share, ..RansacOptions::default() };
+        x = ransac(problem, start, &choice, options)?;
+    }
     if loss == LossName::None {
-        return solve(problem, &x, options);
+        return minimise(problem, &x, options);
     }
     let spread = |x: &[f64], good: GoodShare| good.spread_at(problem, x);
     let (x, sigma) = Schedule::of(good).settle(x, spread, |x, sigma| {
@@ -179,5 +182,5 @@ fn narrowed<P: Problem>(
         };
         Ok(minimise(problem, x, &between)?.0)
     })?;
-    solve(problem, &x, &Options { loss: loss.for_spread(sigma, problem.rows()), ..*options })
+    minimise(problem, &x, &Options { loss: loss.for_spread(sigma, problem.rows()), ..*options })
 }
