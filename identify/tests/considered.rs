@@ -128,6 +128,7 @@ fn campaign(seeds: u64) -> Vec<[usize; 2]> {
 
 /// Of three intervals that hold with 95 %, fewer than two do once in 140 times.
 #[test]
+#[ignore = "several calibrations: a quarter of a minute"]
 fn what_is_fixed_at_a_wrong_value_is_part_of_the_error_that_is_claimed() {
     for [within, _] in campaign(3) {
         assert!(within >= 2, "{within}");

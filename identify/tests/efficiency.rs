@@ -104,6 +104,7 @@ fn over_bound(errors: &[Vec<f64>], bound: &[f64]) -> f64 {
 }
 
 #[test]
+#[ignore = "dozens of solves: a quarter of a minute"]
 fn pose_reaches_the_cramer_rao_bound_and_its_intervals_hold() {
     let setup = Setup::new(1500);
     let bound = setup.bound();

@@ -218,6 +218,7 @@ fn recovered_from_afar<R: Residual>(cell: &Cell, residual: R, seeds: u64) -> usi
 }
 
 #[test]
+#[ignore = "dozens of solves: a quarter of a minute"]
 fn starts_20_mm_and_mrad_away_lead_to_the_truth_with_every_cost() {
     for cell in [Cell::irb2400(), Cell::nj220()] {
         let found = [

@@ -179,6 +179,7 @@ fn what_a_calibration_knows_already_counts() {
 }
 
 #[test]
+#[ignore = "75 paths are sought: a minute"]
 fn proposed_places_of_the_bar_have_paths_for_robots_large_and_small() {
     let load = |name: &str| -> RobotConfig {
         config::load(&crate::support::repository("config/robots").join(name)).unwrap()

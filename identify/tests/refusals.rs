@@ -46,6 +46,7 @@ fn number_before(text: &str, unit: &str) -> f64 {
 }
 
 #[test]
+#[ignore = "twelve runs: a quarter of a minute"]
 fn a_slipped_encoder_is_named_with_time_and_size() {
     let clean = laboratory(|_| {});
     // The smallest drown in the errors of nominal links: only the calibrated ones show them.
@@ -71,6 +72,7 @@ fn a_slipped_encoder_is_named_with_time_and_size() {
 }
 
 #[test]
+#[ignore = "twelve runs: a quarter of a minute"]
 fn a_clock_that_jumps_is_told_with_time_and_size() {
     let clean = laboratory(|_| {});
     let in_the_middle = [0.01, -0.003, 0.05, 0.3, 4.0].map(|jump_s| (jump_s, 0.5));
