@@ -112,7 +112,7 @@ fn a_calibrated_arm_is_the_same_for_yourdfpy_in_the_urdf_that_is_written() {
         let report = calibrate(&rows(&robot), &flange_chain(&robot), &options).unwrap();
         let chain = report.model.geometry(&report.model.start()).robot;
         let path = directory.path().join("robot.urdf");
-        std::fs::write(&path, urdf(&robot, &chain, None)).unwrap();
+        std::fs::write(&path, urdf(&robot, &chain, None, "")).unwrap();
         let postures = postures(&robot, 200);
         let expected = by_python(
             &["yourdfpy"],

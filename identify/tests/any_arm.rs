@@ -320,7 +320,7 @@ fn seven_axes_and_an_arm_on_a_track_are_calibrated_by_a_tracker_and_written_as_u
         assert_eq!(sigmas.len(), free, "{}: {sigmas:?}", arm.0);
         assert!(sigmas.iter().all(|(_, sigma)| *sigma < 1e-3), "{}: {sigmas:?}", arm.0);
         let chain = report.model.geometry(&report.model.start()).robot;
-        let written = urdf(&robot, &chain, None);
+        let written = urdf(&robot, &chain, None, "");
         let mut random = StdRng::seed_from_u64(6);
         for _ in 0..20 {
             let joints = random_joints(&robot, &mut random);

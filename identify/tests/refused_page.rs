@@ -136,8 +136,15 @@ fn of_several_runs_the_one_that_is_refused_is_named() {
 fn an_older_calibration_is_set_aside_and_a_newer_one_takes_the_page_away() {
     let typed = typed(&slipped(simulated(1), 0, 1000, 15.0));
     let out = tempfile::tempdir().unwrap();
-    let older =
-        ["calibration.toml", "calibration.json", "dh.csv", "robot.urdf", "corrections.csv", "report.html"];
+    let older = [
+        "calibration.toml",
+        "calibration.json",
+        "dh.csv",
+        "robot.urdf",
+        "corrections.csv",
+        "offsets.csv",
+        "report.html",
+    ];
     for name in older.iter().chain(&["notes.txt"]) {
         std::fs::write(out.path().join(name), format!("older {name}")).unwrap();
     }

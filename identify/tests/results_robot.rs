@@ -4,6 +4,7 @@
 use std::f64::consts::FRAC_PI_2;
 
 use crate::support::independent::{Matrix, identity, product, shift, turn};
+use identify::calibrate::deployment::Deployment;
 use identify::evaluate::{CalibratedRobot, CalibratedRobotError};
 use identify::kinematics::{Chain, InverseError, Joints, Pose, robot_chain};
 use identify::logs::JointConversion;
@@ -107,7 +108,7 @@ fn a_urdf_read_by_another_library_gives_the_poses_of_the_identified_robot() {
     let bar = crate::support::bar();
     for config in robots() {
         let chain = identified(&config);
-        let robot = urdf_rs::read_from_string(&urdf(&config, &chain, Some(&bar))).unwrap();
+        let robot = urdf_rs::read_from_string(&urdf(&config, &chain, Some(&bar), "")).unwrap();
         assert_eq!(robot.name, config.name);
         let mut flange = chain.clone();
         flange.links[5].a_m -= bar.plate_m;
@@ -146,7 +147,7 @@ fn corrected_links(nominal: &Chain, rows: &[Correction]) -> Chain {
 fn corrections_read_back_and_applied_to_joints_or_to_the_log_give_the_identified_poses() {
     for config in robots() {
         let chain = identified(&config);
-        let rows = read_back(&csv(&corrections(&file(&config), &config).unwrap()).unwrap());
+        let rows = read_back(&csv(&corrections(&file(&config), &config, Deployment::Dh).unwrap()).unwrap());
         let links = corrected_links(&robot_chain(&config, &crate::support::bar()), &rows);
         let add = |prefix: &str| -> [f64; 6] {
             let of = |i: usize| rows.iter().find(|row| row.what.starts_with(&format!("{prefix}{}", i + 1)));

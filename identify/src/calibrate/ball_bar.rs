@@ -9,7 +9,7 @@ use super::structure::{StructureError, identifiable};
 use super::terms::Candidate;
 use crate::cost::{CostError, SharedColumns};
 use crate::instrument::{BallBar, ContactError, Instrument, Run};
-use crate::kinematics::{BAR_JOINTS, LinkParameter, ball_bar_chain, robot_chain};
+use crate::kinematics::{BAR_JOINTS, Joints, LinkParameter, ball_bar_chain, robot_chain};
 use crate::logs::{RobotLog, Unwrapped};
 use crate::model::{Axis, DriveTrain, Model, ModelError, ParameterId};
 use crate::prepare::{PrepareError, Prepared, prepare};
@@ -119,6 +119,14 @@ impl BallBarCalibration {
     /// Bar joints with an encoder in every run.
     pub fn measured(&self) -> [bool; BAR_JOINTS] {
         measured(self.runs().map(|(prepared, _)| prepared))
+    }
+
+    /// What the robot reports at each sample of all runs.
+    pub fn poses(&self) -> impl Iterator<Item = Joints> {
+        let others = self.others.iter().map(|run| (&run.instrument, &run.model));
+        std::iter::once((&self.instrument, &self.model))
+            .chain(others)
+            .flat_map(|(instrument, model)| instrument.poses(model))
     }
 
     /// Copies of the runs with at most so many samples in all, evenly taken: for figures that need no more.

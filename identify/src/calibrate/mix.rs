@@ -6,6 +6,7 @@ use shared::config::RobotConfig;
 use super::IdentifyConfig;
 use super::ball_bar::{CalibrateError, RunInput, prepared_runs, solve};
 use super::config::SelectionName;
+use super::deployment::{Deployed, Deployment, deployed, fitted};
 use super::links::{free_links, link_ids};
 use super::pipeline::{Plan, Solved, estimate, waves_per_turn};
 use super::rows::{self, RowErrors};
@@ -74,6 +75,15 @@ impl Rows {
         self.seed.unwrap_or(SEED)
     }
 
+    /// Joints of each row.
+    pub fn joints(&self) -> Vec<Joints> {
+        match &self.measured {
+            Measured::Poses(rows) => rows.iter().map(|row| row.joints_rad).collect(),
+            Measured::Lengths(rows) => rows.iter().map(|row| row.joints_rad).collect(),
+            Measured::Contacts(rows, _) => rows.iter().map(|row| row.joints_rad).collect(),
+        }
+    }
+
     /// The instrument with the nominal robot.
     fn at_nominal(&self, robot: &Chain) -> Result<(Instrument, Model), ContactError> {
         Ok(match &self.measured {
@@ -105,6 +115,8 @@ pub struct MixedCalibration {
     pub runs: Vec<Run>,
     /// The solve of all.
     pub solved: Solved,
+    /// The best geometry for who applies less than that.
+    pub deployed: Vec<Deployed>,
 }
 
 /// Options of the ball-bar alone that a mix cannot follow.
@@ -197,11 +209,12 @@ pub fn calibrate(
     if data.rows.is_empty() {
         let mut runs = prepared_runs(&data.bars, robot, config)?;
         let solved = solve(&mut runs, config, watch)?;
-        return Ok(MixedCalibration { runs, solved });
+        return Ok(MixedCalibration { runs, solved, deployed: Vec::new() });
     }
     let (mut runs, plan) = laid_out(data, robot, config, watch)?;
     let solved = estimate(&mut runs, &plan)?;
-    Ok(MixedCalibration { runs, solved })
+    let deployed = deployed(&runs, plan.loss)?;
+    Ok(MixedCalibration { runs, solved, deployed })
 }
 
 /// Rows of trackers, wires and contacts as predicted by a solve of everything but a fifth of each file's, for each data set in their
@@ -239,10 +252,14 @@ pub fn held_out(
         errors.push(of_run);
     }
     let solved = estimate(&mut runs, &plan)?;
+    let offsets = fitted(&runs, Deployment::Offsets, plan.loss)?.map_or_else(Vec::new, |(runs, _)| runs);
+    for ((whole, of_run), run) in all.iter().zip(&mut errors).zip(&offsets) {
+        of_run.stages[1] = whole.errors(&run.model.geometry(&[]));
+    }
     let models = solved.without_terms.iter().zip(&runs);
     for ((whole, of_run), (links, run)) in all.iter_mut().zip(&mut errors).zip(models) {
-        of_run.stages[1] = whole.errors(&links.geometry(&[]));
-        of_run.stages[2] = whole.errors(&run.model.geometry(&[]));
+        of_run.stages[2] = whole.errors(&links.geometry(&[]));
+        of_run.stages[3] = whole.errors(&run.model.geometry(&[]));
         // A ball in another socket than its row says is no measurement that anything could predict.
         if let Instrument::Contact(contact) = whole {
             contact.screen(&run.model);

@@ -2,6 +2,7 @@
 
 pub mod ball_bar;
 mod config;
+pub mod deployment;
 pub mod held_out;
 mod links;
 pub mod mix;

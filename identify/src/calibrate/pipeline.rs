@@ -120,9 +120,7 @@ struct Solver<'a> {
 /// # Errors
 /// [`CalibrateError`] where the runs do not suit their residuals or do not determine what is free.
 pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError> {
-    let differ = differ(runs);
-    let sigmas = vec![UNWEIGHTED; runs.len()];
-    let mut solver = Solver { runs, plan, sigmas, differ, ripple: Vec::new() };
+    let mut solver = Solver::new(runs, plan);
     let (mut columns, mut solution) = solver.settle()?;
     let rms_start = solution.summary.residual_rms_start;
     let without_terms = solver.runs.iter().map(|run| run.model.clone()).collect();
@@ -159,6 +157,19 @@ pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateEr
     Ok(Solved { columns, solution, without_terms, candidates, prior_scale: scale, sigmas })
 }
 
+/// Solves for what is free in the models, from where they are, tries no other terms and leaves the models at the solution,
+/// with what a residual of each run is worth there.
+///
+/// # Errors
+/// As [`estimate`].
+pub(super) fn refit(runs: &mut [Run], loss: LossName) -> Result<(Solution, Vec<f64>), CalibrateError> {
+    let plan = Plan::new(loss, Vec::new());
+    let mut solver = Solver::new(runs, &plan);
+    let (columns, mut solution) = solver.settle()?;
+    solution.covariance = solver.covariance(&columns, &solution)?;
+    Ok((solution, solver.sigmas))
+}
+
 /// Of rod and plate those that are not the same in all runs with a bar.
 fn differ(runs: &[Run]) -> Vec<ParameterId> {
     let differs = |id: &ParameterId| {
@@ -186,7 +197,13 @@ fn is_own(id: ParameterId, differ: &[ParameterId]) -> bool {
     }
 }
 
-impl Solver<'_> {
+impl<'a> Solver<'a> {
+    fn new(runs: &'a mut [Run], plan: &'a Plan<'a>) -> Self {
+        let differ = differ(runs);
+        let sigmas = vec![UNWEIGHTED; runs.len()];
+        Self { runs, plan, sigmas, differ, ripple: Vec::new() }
+    }
+
     fn columns(&self) -> SharedColumns {
         SharedColumns::new(self.runs.iter().map(|run| &run.model), |id| is_own(id, &self.differ))
     }

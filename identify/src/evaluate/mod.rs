@@ -12,6 +12,7 @@ mod limits;
 mod nominal;
 mod shift;
 mod sphere_deviation;
+mod validity;
 mod workspace;
 
 pub use budget::{Budget, Contribution, Evaluation};
@@ -26,4 +27,5 @@ pub use limits::{Limit, limits};
 pub use nominal::uncalibrated;
 pub use shift::{ShiftCurve, shift_curve};
 pub use sphere_deviation::{Deviation, OffSphere, PositiveForce, SphereDeviation, Stretch};
+pub use validity::Validity;
 pub use workspace::{Expected, WorkspaceError, workspace_error};

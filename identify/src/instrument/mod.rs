@@ -23,6 +23,7 @@ pub use tracker::{Apart, PoseRow, Tracker};
 pub use wire::{LengthRow, Wire};
 
 use crate::cost::{CostError, DataSet};
+use crate::kinematics::Joints;
 use crate::model::{Clock, Geometry, JointState, Model, ModelError, ParameterId};
 
 /// What an estimator asks of an instrument.
@@ -97,6 +98,12 @@ impl Instrument {
             Self::Wire(_) => "wire",
             Self::Contact(_) => "contact",
         }
+    }
+
+    /// What the robot reports at each sample; the model has the clocks.
+    pub fn poses(&self, model: &Model) -> impl Iterator<Item = Joints> {
+        let clock = model.geometry(&[]).clock;
+        (0..self.samples()).filter_map(move |sample| Some(self.reported(sample, &clock)?.q))
     }
 
     /// The run of a ball-bar.

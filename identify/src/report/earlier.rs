@@ -6,8 +6,15 @@ use super::file::FileError;
 use super::page::is_page;
 
 /// Everything that a calibration writes, what other programs read first.
-const FILES: [&str; 6] =
-    ["calibration.toml", "calibration.json", "corrections.csv", "robot.urdf", "dh.csv", "report.html"];
+const FILES: [&str; 7] = [
+    "calibration.toml",
+    "calibration.json",
+    "corrections.csv",
+    "offsets.csv",
+    "robot.urdf",
+    "dh.csv",
+    "report.html",
+];
 
 /// An earlier calibration.
 #[derive(Debug)]

@@ -8,15 +8,17 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use shared::time::UtcNs;
 
+use super::deployments::DeploymentEntry;
 use super::earlier::remove_page;
 use super::force::ForceEntry;
 use super::knowledge::{CovarianceEntry, Knowledge, NoiseEntry};
 use super::validation::{HeldOutEntry, OtherCostEntry, RowsEntry};
 use super::verdict::Verdict;
 use crate::calibrate::ball_bar::BallBarCalibration;
+use crate::calibrate::deployment::Deployment;
 use crate::calibrate::terms::Candidate;
 use crate::cost::SharedColumns;
-use crate::evaluate::Budget;
+use crate::evaluate::{Budget, Validity};
 use crate::model::{Model, Parameter, ParameterId, Role, Unit, link_parameter_name};
 use crate::solver::{Covariance, Identifiability, Summary};
 
@@ -282,6 +284,12 @@ pub struct CalibrationFile {
     pub other_costs: Vec<OtherCostEntry>,
     /// Every parameter of the model; those of run 2 alone are called `ox@2`.
     pub parameters: Vec<ParameterEntry>,
+    /// The robot for who applies only part of the model.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub deployments: Vec<DeploymentEntry>,
+    /// Where in joint space it is supported.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub validity: Option<Validity>,
     /// What makes positions uncertain.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<Budget>,
@@ -322,6 +330,8 @@ impl CalibrationFile {
             rows: Vec::new(),
             other_costs: Vec::new(),
             parameters,
+            deployments: Vec::new(),
+            validity: None,
             budget: None,
             knowledge: None,
             covariance: None,
@@ -338,7 +348,8 @@ impl CalibrationFile {
         (self.parameters.iter().filter(|entry| untold == 0 || !is_wave(entry)).collect(), untold)
     }
 
-    /// Writes `calibration.toml`, the same with the covariance as `calibration.json`, and, where it may be applied, `dh.csv`
+    /// Writes `calibration.toml`, the same with the covariance as `calibration.json`, and, where links alone predict better than
+    /// the nominal robot, `dh.csv`
     /// (see [`CalibrationFile::dh_csv`]) into the directory, each whole under its name or not at all. A `report.html` of ours that is there is removed. Returns the path
     /// of the first.
     ///
@@ -347,10 +358,10 @@ impl CalibrationFile {
     pub fn write(&self, directory: &Path) -> Result<PathBuf, FileError> {
         let text = toml::to_string(&Self { covariance: None, ..self.clone() })?;
         let json = serde_json::to_string(self)?;
-        let table = self.dh_csv()?;
+        let table = self.deployed(Deployment::Dh).dh_csv()?;
         remove_page(directory)?;
         replace(directory, "calibration.json", &json)?;
-        if self.may_be_applied() {
+        if self.serves(Deployment::Dh) {
             replace(directory, "dh.csv", &table)?;
         }
         replace(directory, "calibration.toml", &text)

@@ -1,6 +1,7 @@
 //! What people and programs get: files, tables on a terminal, and a page.
 
 pub mod corrections;
+pub mod deployments;
 mod earlier;
 pub mod examination;
 pub mod file;

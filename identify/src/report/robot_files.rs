@@ -7,6 +7,7 @@ use shared::config::{BallBarConfig, RobotConfig};
 use super::corrections::{corrections, csv};
 use super::file::{CalibrationFile, FileError, replace};
 use super::urdf::urdf;
+use crate::calibrate::deployment::Deployment;
 use crate::kinematics::{Chain, LinkParameter, flange_chain, robot_chain};
 use crate::logs::LogError;
 use crate::model::ParameterId;
@@ -40,8 +41,9 @@ impl CalibrationFile {
         chain
     }
 
-    /// Writes `robot.urdf` and `corrections.csv` into the directory, each whole or not at all. Returns their
-    /// paths.
+    /// Writes what a controller can take, as far as it predicts held-out data better than the nominal robot: `robot.urdf` and
+    /// `corrections.csv` for links without errors of joints, `offsets.csv` for joint offsets alone where these have a fit of
+    /// their own. Each is written whole or not at all. Returns their paths.
     ///
     /// # Errors
     /// [`RobotFileError`].
@@ -50,9 +52,27 @@ impl CalibrationFile {
         robot: &RobotConfig,
         bar: Option<&BallBarConfig>,
         directory: &Path,
-    ) -> Result<[PathBuf; 2], RobotFileError> {
-        let table = csv(&corrections(self, robot)?).map_err(FileError::from)?;
-        let urdf = replace(directory, "robot.urdf", &urdf(robot, &self.robot_chain(robot, bar), bar))?;
-        Ok([urdf, replace(directory, "corrections.csv", &table)?])
+    ) -> Result<Vec<PathBuf>, RobotFileError> {
+        let table = |of| {
+            let text = csv(&corrections(self, robot, of)?).map_err(FileError::from)?;
+            Ok::<String, RobotFileError>(text)
+        };
+        let mut written = Vec::new();
+        if self.serves(Deployment::Dh) {
+            let links = self.deployed(Deployment::Dh).robot_chain(robot, bar);
+            let about = self.held_out_m(Deployment::Dh).map_or_else(String::new, |[nominal_m, own_m]| {
+                format!(
+                    " Links alone, without errors of joints: held-out positions {:.4} mm RMS, nominal {:.4}.",
+                    own_m * 1e3,
+                    nominal_m * 1e3
+                )
+            });
+            written.push(replace(directory, "robot.urdf", &urdf(robot, &links, bar, &about))?);
+            written.push(replace(directory, "corrections.csv", &table(Deployment::Dh)?)?);
+        }
+        if !self.deployments.is_empty() && self.serves(Deployment::Offsets) {
+            written.push(replace(directory, "offsets.csv", &table(Deployment::Offsets)?)?);
+        }
+        Ok(written)
     }
 }

@@ -3,8 +3,9 @@
 use std::fmt::Write;
 
 use crate::calibrate::rows::{PoseFigures, RowCalibration, RunCause, Sizes, Stages};
-use crate::evaluate::Limit;
+use crate::evaluate::{Limit, Validity};
 use crate::instrument::{Contact, Rejection};
+use crate::kinematics::Joints;
 use crate::model::{JointWaves, Model, ParameterId, Phase};
 
 /// The calibrated robot on another file.
@@ -14,6 +15,18 @@ pub struct Validation {
     pub name: String,
     /// With the nominal and with the calibrated robot.
     pub figures: [PoseFigures; 2],
+    /// Rows where the calibration is not supported: line of the file, and joints from 0 that were not measured there.
+    pub outside: Vec<(u64, Vec<usize>)>,
+}
+
+/// Poses where a calibration is not supported, of a file's lines.
+pub fn outside(
+    validity: &Validity,
+    joints: impl Iterator<Item = Joints>,
+    lines: &[u64],
+) -> Vec<(u64, Vec<usize>)> {
+    let outside = |(q, line): (Joints, &u64)| Some((*line, validity.outside(&q)));
+    joints.zip(lines).filter_map(outside).filter(|(_, joints)| !joints.is_empty()).collect()
 }
 
 impl Validation {
@@ -23,9 +36,31 @@ impl Validation {
         let mm = |figures: &PoseFigures| figures.position_m.rms * 1e3;
         let name = &self.name;
         format!(
-            "{name}: {:.4} mm RMS with the nominal robot, {:.4} mm calibrated\n",
+            "{name}: {:.4} mm RMS with the nominal robot, {:.4} mm calibrated{}\n",
             mm(nominal),
-            mm(calibrated)
+            mm(calibrated),
+            self.unsupported(),
+        )
+    }
+
+    /// Which rows lie outside of what was measured.
+    fn unsupported(&self) -> String {
+        const NAMED: usize = 8;
+        let (outside, rows) = (self.outside.len(), self.figures[0].rows);
+        if outside == 0 {
+            return String::new();
+        }
+        let mut joints: Vec<usize> =
+            self.outside.iter().flat_map(|(_, joints)| joints).map(|joint| joint + 1).collect();
+        joints.sort_unstable();
+        joints.dedup();
+        let listed = |numbers: &mut dyn Iterator<Item = String>| numbers.collect::<Vec<_>>().join(", ");
+        let lines = listed(&mut self.outside.iter().take(NAMED).map(|(line, _)| line.to_string()));
+        let joints = listed(&mut joints.iter().map(ToString::to_string));
+        let more = if outside > NAMED { " .." } else { "" };
+        format!(
+            "; {outside} of {rows} rows are where the calibration is not supported (joints {joints} were not measured there; lines \
+             {lines}{more})"
         )
     }
 }
@@ -44,7 +79,8 @@ fn line(text: &mut String, name: &str, figures: &PoseFigures) {
 fn stages(text: &mut String, name: &str, [what, last]: [&str; 2], stages: &Stages) {
     let _ = writeln!(text, "{name}");
     line(text, &format!("  nominal robot, {what} fitted"), &stages.nominal);
-    line(text, "  and links", &stages.links);
+    line(text, "  and joint offsets", &stages.offsets);
+    line(text, "  and the other numbers of links", &stages.links);
     line(text, &format!("  and {last}"), &stages.joints);
 }
 
@@ -146,8 +182,10 @@ pub fn poses(report: &RowCalibration, validations: &[Validation]) -> String {
     let named = ["tracker and probe", "joint errors"];
     stages(&mut text, "fitted", named, &report.fitted());
     stages(&mut text, "held out", named, &report.held_out());
-    for Validation { name, figures: [nominal, calibrated] } in validations {
-        let _ = writeln!(text, "{name}, tracker and probe fitted to other rows of it");
+    for validation in validations {
+        let Validation { name, figures: [nominal, calibrated], .. } = validation;
+        let unsupported = validation.unsupported();
+        let _ = writeln!(text, "{name}, tracker and probe fitted to other rows of it{unsupported}");
         line(&mut text, "  nominal robot", nominal);
         line(&mut text, "  calibrated robot", calibrated);
     }

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use super::file::CalibrationFile;
 use super::verdict::Grade;
+use crate::calibrate::deployment::Deployment;
 use crate::evaluate::{Limit, WorkspaceError};
 
 /// Columns of a terminal.
@@ -33,8 +34,9 @@ pub fn summary(
     let expanded = file.budget.as_ref().map(|budget| {
         format!("; the geometry is known within {} (k = {})", mm(budget.expanded_m), budget.coverage_factor)
     });
-    let held_out = held_out_m(file).map(|[nominal, calibrated]| {
-        format!("; on data that no fit has seen {} and {} (RMS)", mm(nominal), mm(calibrated))
+    let held_out = file.held_out_m(Deployment::Full).map(|[nominal, calibrated]| {
+        let parts: String = file.deployments_told().iter().map(|told| format!("; {told}")).collect();
+        format!("; on data that no fit has seen {} and {} (RMS{parts})", mm(nominal), mm(calibrated))
     });
     let lines = [
         verdict.to_string(),
@@ -45,21 +47,11 @@ pub fn summary(
             expanded.unwrap_or_default(),
             held_out.unwrap_or_default(),
         ),
-        format!("limited by: {}", limit(file, limits)),
+        format!("limited by: {}{}", limit(file, limits).trim_end_matches('.'), measured(file)),
         files(written, page),
         format!("next: {}", next(file)),
     ];
     lines.map(|line| wrapped(&line) + "\n").concat()
-}
-
-/// Of the first data set that has some: root mean squares, nominal and calibrated.
-fn held_out_m(file: &CalibrationFile) -> Option<[f64; 2]> {
-    let stretches = file.held_out.as_ref().map(|one| [one.nominal.position_m, one.calibrated.position_m]);
-    let rows = || {
-        let held_out = &file.rows.first()?.held_out;
-        Some([held_out.nominal.position_m.rms, held_out.joints.position_m.rms])
-    };
-    stretches.or_else(rows)
 }
 
 /// The first limit that the verdict does not name, or what makes positions uncertain most.
@@ -78,6 +70,12 @@ fn limit(file: &CalibrationFile, limits: &[Limit]) -> String {
         .unwrap_or_else(|| "nothing that is known".into())
 }
 
+/// Where the calibration is supported.
+fn measured(file: &CalibrationFile) -> String {
+    let validity = file.validity.as_ref().filter(|validity| !validity.joints.is_empty());
+    validity.map_or_else(String::new, |validity| format!("; supported (deg): {validity}"))
+}
+
 fn files(written: &[PathBuf], page: &Path) -> String {
     let names = written.iter().map(PathBuf::as_path).chain([page]);
     let names = names.map(|path| path.file_name().unwrap_or_default().to_string_lossy());
@@ -89,6 +87,9 @@ fn next(file: &CalibrationFile) -> &'static str {
     match file.verdict.as_ref().map(|verdict| verdict.grade) {
         _ if !file.may_be_applied() => {
             "read report.html for what to measure otherwise; keep the nominal geometry"
+        }
+        _ if !file.serves(Deployment::Dh) => {
+            "without the terms of calibration.json a controller gains nothing sure: read report.html"
         }
         Some(Grade::Green) => "apply corrections.csv, then measure once more and `identify compare` both",
         _ => "read report.html, then apply corrections.csv if what limits does not matter",

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use super::file::{CalibrationFile, ParameterEntry, Status};
+use crate::calibrate::deployment::Deployment;
 use crate::calibrate::mix::MixedCalibration;
 use crate::calibrate::truth::Comparison;
 use crate::inspect::{Inspection, JointLine};
@@ -173,10 +174,10 @@ fn candidates(file: &CalibrationFile) -> String {
     text
 }
 
-/// The corrections of the robot's zeros as they are applied: in degrees, with what the sign means.
+/// The corrections of the robot's zeros as they are applied with nothing else: in degrees, with what the sign means.
 fn joint_offsets(file: &CalibrationFile) -> String {
     let mut text = String::new();
-    for entry in &file.parameters {
+    for entry in &file.deployed(Deployment::Offsets).parameters {
         let id = entry.name.parse::<ParameterId>();
         let Ok(ParameterId::Robot { link, parameter: LinkParameter::Theta }) = id else { continue };
         let degrees = entry.correction.to_degrees();

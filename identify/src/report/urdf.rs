@@ -10,11 +10,11 @@ use crate::kinematics::{Chain, DhLink, Pose, roll_pitch_yaw};
 /// robot's configuration for signs and zeros of the controller). `flange` is the robot's own, `ball_bar_end` where plate and
 /// tool of the bar end.
 ///
-/// Effort and velocity, which URDF demands, are not known to a calibration and are zero.
-pub fn urdf(robot: &RobotConfig, identified: &Chain, bar: Option<&BallBarConfig>) -> String {
+/// `about` is told in a comment. Effort and velocity, which URDF demands, are not known to a calibration and are zero.
+pub fn urdf(robot: &RobotConfig, identified: &Chain, bar: Option<&BallBarConfig>, about: &str) -> String {
     let mut text = String::from("<?xml version=\"1.0\"?>\n");
     // Writing to a string cannot fail.
-    let _ = writeln!(text, "<!-- Written by identify. Lengths in m, angles in rad. -->");
+    let _ = writeln!(text, "<!-- Written by identify. Lengths in m, angles in rad.{about} -->");
     let _ = writeln!(text, "<robot name=\"{}\">", escaped(&robot.name));
     let _ = writeln!(text, "  <link name=\"base\"/>");
     let mut from_parent = identified.root_from_base;

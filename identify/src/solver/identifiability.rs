@@ -151,28 +151,39 @@ pub(super) struct ScaledSpectrum {
     pub(super) rank: usize,
 }
 
+/// A triangle with columns scaled to unit length, and their lengths before, zero where the column is.
+fn scaled(triangle: &DMatrix<f64>) -> (DMatrix<f64>, DVector<f64>) {
+    let columns = triangle.ncols();
+    let mut lengths = DVector::from_iterator(columns, triangle.column_iter().map(|c| c.norm()));
+    // A column of rounding noise beside real ones is zero.
+    let longest = lengths.max();
+    lengths.iter_mut().for_each(|l| {
+        if *l <= 1e-12 * longest {
+            *l = 0.0;
+        }
+    });
+    // Square, so that there is a right singular vector for every column.
+    let mut scaled = DMatrix::zeros(columns.max(triangle.nrows()), columns);
+    scaled.rows_mut(0, triangle.nrows()).copy_from(triangle);
+    for (mut column, &length) in scaled.column_iter_mut().zip(lengths.iter()) {
+        column *= if length > 0.0 { length.recip() } else { 0.0 };
+    }
+    (scaled, lengths)
+}
+
+/// Singular values that count.
+fn rank(singular_values: &DVector<f64>, tolerance: f64) -> usize {
+    let floor = tolerance * singular_values.max();
+    singular_values.iter().filter(|s| **s > floor).count()
+}
+
 impl ScaledSpectrum {
     fn new(triangle: &DMatrix<f64>, tolerance: f64) -> Self {
-        let columns = triangle.ncols();
-        let mut lengths = DVector::from_iterator(columns, triangle.column_iter().map(|c| c.norm()));
-        // A column of rounding noise beside real ones is zero.
-        let longest = lengths.max();
-        lengths.iter_mut().for_each(|l| {
-            if *l <= 1e-12 * longest {
-                *l = 0.0;
-            }
-        });
-        // Square, so that there is a right singular vector for every column.
-        let mut scaled = DMatrix::zeros(columns.max(triangle.nrows()), columns);
-        scaled.rows_mut(0, triangle.nrows()).copy_from(triangle);
-        for (mut column, &length) in scaled.column_iter_mut().zip(lengths.iter()) {
-            column *= if length > 0.0 { length.recip() } else { 0.0 };
-        }
+        let (scaled, lengths) = scaled(triangle);
         let svd = scaled.svd(false, true);
         let singular_values = svd.singular_values;
-        let v_transposed = svd.v_t.unwrap_or_else(|| DMatrix::identity(columns, columns));
-        let floor = tolerance * singular_values.max();
-        let rank = singular_values.iter().filter(|s| **s > floor).count();
+        let v_transposed = svd.v_t.unwrap_or_else(|| DMatrix::identity(lengths.len(), lengths.len()));
+        let rank = rank(&singular_values, tolerance);
         Self { lengths, singular_values, v_transposed, rank }
     }
 
@@ -283,7 +294,7 @@ fn examine<P: Problem>(
         rank_of_samples: if priors.is_empty() {
             spectrum.rank
         } else {
-            ScaledSpectrum::new(triangle, tolerance).rank
+            rank(&scaled(triangle).0.singular_values(), tolerance)
         },
         singular_values: spectrum.singular_values.iter().copied().collect(),
         groups: open.groups(),

@@ -224,7 +224,12 @@ fn choose(
 }
 
 /// Fits the model with the drift taken out of its residuals; the drift of every row \[m\].
-fn fit(model: &mut Model, all: &Wire, fitting: &[usize], drift: &Drift) -> Result<Vec<f64>, CalibrateError> {
+pub(super) fn fit(
+    model: &mut Model,
+    all: &Wire,
+    fitting: &[usize],
+    drift: &Drift,
+) -> Result<Vec<f64>, CalibrateError> {
     let mut weights = vec![0.0; all.samples()];
     fitting.iter().for_each(|&row| weights[row] = 1.0);
     let mut known = vec![0.0; all.samples()];

@@ -1,6 +1,7 @@
 //! Figures of position, orientation and length errors.
 
 use serde::{Deserialize, Serialize};
+use statrs::distribution::{ContinuousCDF, Normal};
 
 use crate::instrument::{Apart, quantile};
 
@@ -56,12 +57,31 @@ impl PoseFigures {
     }
 }
 
-/// The same rows in three stages, each fitted to the fitting rows.
+/// Chance that a geometry which is as good as the nominal one counts as better.
+const BETTER_BY_CHANCE: f64 = 0.05;
+
+impl PoseFigures {
+    /// Smaller than those of the same rows with the nominal robot: in position beyond chance, in rotation at all. The logarithms of
+    /// two root mean squares of `n` errors differ by a variance of `1 / n` at most.
+    pub fn are_surely_better_than(&self, nominal: &Self) -> bool {
+        let sigma = (self.rows.max(1) as f64).sqrt().recip();
+        let limit = (Normal::standard().inverse_cdf(BETTER_BY_CHANCE) * sigma).exp();
+        let rotations = nominal.rotation_rad.zip(self.rotation_rad);
+        self.rows > 0
+            && self.position_m.rms < limit * nominal.position_m.rms
+            && rotations.is_none_or(|(nominal, own)| own.rms < nominal.rms)
+    }
+}
+
+/// The same rows in stages, each fitted to the fitting rows.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Stages {
     /// Tracker and probe, or the wire; the robot nominal.
     pub nominal: PoseFigures,
-    /// And the robot's links.
+    /// And the robot's joint offsets.
+    #[serde(default)]
+    pub offsets: PoseFigures,
+    /// And the other numbers of its links.
     pub links: PoseFigures,
     /// And the errors of its joints, and of the wire's zero.
     pub joints: PoseFigures,
@@ -71,7 +91,7 @@ pub struct Stages {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct RowErrors {
     /// Of all rows, stage by stage.
-    pub stages: [Vec<Apart>; 3],
+    pub stages: [Vec<Apart>; 4],
     /// Rows that the fit saw.
     pub fitted: Vec<usize>,
     /// Rows that it did not see.
@@ -84,7 +104,7 @@ impl RowErrors {
         let of_stage = |errors: &Vec<Apart>| {
             PoseFigures::of(&chosen.iter().filter_map(|&row| errors.get(row).copied()).collect::<Vec<_>>())
         };
-        let [nominal, links, joints] = self.stages.each_ref().map(of_stage);
-        Stages { nominal, links, joints }
+        let [nominal, offsets, links, joints] = self.stages.each_ref().map(of_stage);
+        Stages { nominal, offsets, links, joints }
     }
 }

@@ -3,7 +3,7 @@
 //!
 //! Unknown are the place of the instrument and what of it is on the flange, the robot's links, with priors from tolerances, and
 //! the errors of its joints, each kind only if fitting rows left out are predicted better with it. Held-out rows take no part
-//! in any of this; the figures on them are what counts.
+//! in any of this, and the figures on them are what counts; the result is a last fit to all rows.
 
 mod drift;
 mod error;
@@ -14,6 +14,7 @@ mod terms;
 pub mod tracker;
 pub mod wire;
 
+use super::deployment::Deployed;
 use super::links::{TOLERANCE, free_links, link_ids};
 use super::split::HoldOut;
 use super::terms::{Candidate, Kind};
@@ -128,10 +129,12 @@ pub struct RowCalibration {
     pub terms: Vec<Candidate>,
     /// Standard deviation of a length or a coordinate, from the spread of the residuals \[m\].
     pub sigma_m: f64,
-    /// The last solve.
+    /// The solve of all rows.
     pub solution: Solution,
-    /// The calibrated model.
+    /// The calibrated model, of all rows.
     pub model: Model,
+    /// The best geometry for who applies less than that, of all rows.
+    pub deployed: Vec<Deployed>,
 }
 
 impl RowCalibration {

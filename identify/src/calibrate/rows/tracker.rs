@@ -3,7 +3,8 @@
 use super::implausible::{likely_of_all, reasons, step};
 use super::{PoseFigures, RowCalibration, RowError, RowErrors, RowOptions};
 use crate::calibrate::ball_bar::CalibrateError;
-use crate::calibrate::pipeline::{Plan, Solved, estimate};
+use crate::calibrate::deployment::{Deployment, deployed, fitted};
+use crate::calibrate::pipeline::{Plan, Solved, estimate, refit};
 use crate::calibrate::split::{self, Split};
 use crate::instrument::{Apart, Instrument, Measures, PoseRow, Run, Standing, Tracker, standing};
 use crate::kinematics::Chain;
@@ -64,16 +65,24 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &RowOptions) -> Resul
     }
     let mut runs = [Run { instrument: Instrument::Tracker(chosen), model }];
     let estimated = estimate(&mut runs, &Plan::new(options.loss, kinds));
-    let Solved { solution, without_terms, candidates, sigmas, .. } =
+    let Solved { without_terms, candidates, .. } =
         estimated.map_err(|error| explained(error.into(), rows, robot))?;
+    let apart = |model: Option<&Model>| model.map_or_else(Vec::new, |model| all.apart(&model.geometry(&[])));
+    let offsets = fitted(&runs, Deployment::Offsets, options.loss)?;
+    let offsets = apart(offsets.as_ref().and_then(|(runs, _)| Some(&runs.first()?.model)));
+    let links = apart(without_terms.first());
+    let [Run { model, .. }] = runs;
+    let joints = apart(Some(&model));
+    let steps = [step(&all, &model), nominal_step];
+    // What was held out has judged: now it takes part.
+    let mut runs = [Run { instrument: Instrument::Tracker(all), model }];
+    let (solution, sigmas) = refit(&mut runs, options.loss)?;
+    let deployed = deployed(&runs, options.loss)?;
     let [Run { instrument, model }] = runs;
     let Instrument::Tracker(tracker) = instrument else { return Err(CalibrateError::NoRun.into()) };
-    let links = without_terms.first().map_or_else(Vec::new, |model| all.apart(&model.geometry(&[])));
-    let joints = all.apart(&model.geometry(&[]));
-    let steps = [step(&all, &model), nominal_step];
     let found = RowCalibration {
         cost: tracker.cost(),
-        errors: RowErrors { stages: [nominal, links, joints], fitted: fitting, held_out },
+        errors: RowErrors { stages: [nominal, offsets, links, joints], fitted: fitting, held_out },
         rejected: Vec::new(),
         runs: Vec::new(),
         drift: None,
@@ -81,6 +90,7 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &RowOptions) -> Resul
         sigma_m: tracker.noise.position_m * sigmas.first().copied().unwrap_or(1.0),
         solution,
         model,
+        deployed,
     };
     let reasons = reasons(&found, steps, rows, robot, options);
     if reasons.is_empty() {

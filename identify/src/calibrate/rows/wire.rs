@@ -8,7 +8,8 @@ use nalgebra::Vector3;
 
 use super::{RowCalibration, RowError, RowErrors, RowOptions, drift, faulty_runs};
 use crate::calibrate::ball_bar::CalibrateError;
-use crate::calibrate::pipeline::{Plan, Solved, estimate, waves_per_turn};
+use crate::calibrate::deployment::{Deployment, deployed, fitted};
+use crate::calibrate::pipeline::{Plan, Solved, estimate, refit, waves_per_turn};
 use crate::calibrate::split::{self, Split};
 use crate::calibrate::terms::Kind;
 use crate::cost::{MeasuredLength, Residual};
@@ -85,6 +86,7 @@ pub fn calibrate(
     let split = split::split(&groups, options.held_out, options.seed);
     let mut rejected = contradicting(rows, robot);
     let fitting = without(&split.fitting, &rejected);
+    let usable = without(&(0..rows.len()).collect::<Vec<_>>(), &rejected);
     if fitting.len() < ROWS_MIN {
         return Err(RowError::TooFewRows { rows: fitting.len(), needed: ROWS_MIN });
     }
@@ -101,6 +103,10 @@ pub fn calibrate(
     options.free_links(&mut model, robot)?;
     let (of_links, wire) = solved(chosen.clone(), &mut model, options.loss, Vec::new())?;
     let links = all.errors(&model.geometry(&[]));
+    let run = Run { instrument: Instrument::Wire(chosen.clone()), model: model.clone() };
+    let offsets =
+        fitted(&[run], Deployment::Offsets, options.loss)?.and_then(|(runs, _)| runs.into_iter().next());
+    let offsets = offsets.map_or_else(Vec::new, |run| all.errors(&run.model.geometry(&[])));
     let row_of = |one: &RejectedRow| RejectedRow { row: fitting[one.row], ..*one };
     let kept = without(&fitting, &wire.rejected().iter().map(row_of).collect::<Vec<_>>());
     let faulty = faulty(&all.residuals_m(&model.geometry(&[])), &fitting, &kept);
@@ -127,19 +133,34 @@ pub fn calibrate(
         }
         None => (None, vec![0.0; rows.len()], chosen, options.loss),
     };
-    let (Solved { solution, candidates, sigmas, .. }, _) = solved(chosen, &mut model, loss, kinds)?;
+    let (Solved { candidates, .. }, _) = solved(chosen, &mut model, loss, kinds)?;
     // Without the drift there.
     let steady = all.plus(&drift_m).errors(&model.geometry(&[]));
+    let runs = faulty_runs::runs(&model, &all, &rejected);
+    // What was held out has judged: now it takes part.
+    let everything = match &drift {
+        Some(drift) => {
+            let usable = without(&usable, &singles);
+            let drift_m = drift::fit(&mut model.clone(), &all, &usable, drift)?;
+            all.plus(&drift_m).chosen(&usable)
+        }
+        None => all.chosen(&usable),
+    };
+    let mut all_rows = [Run { instrument: Instrument::Wire(everything), model }];
+    let (solution, sigmas) = refit(&mut all_rows, loss)?;
+    let deployed = deployed(&all_rows, loss)?;
+    let [Run { model, .. }] = all_rows;
     let Split { fitting: fitted, held_out } = split;
     Ok(RowCalibration {
         cost: MeasuredLength::NAME,
-        errors: RowErrors { stages: [nominal, links, steady], fitted, held_out },
-        runs: faulty_runs::runs(&model, &all, &rejected),
+        errors: RowErrors { stages: [nominal, offsets, links, steady], fitted, held_out },
+        runs,
         rejected,
         drift,
         terms: candidates,
         sigma_m: sigmas.first().copied().unwrap_or_default(),
         solution,
         model,
+        deployed,
     })
 }

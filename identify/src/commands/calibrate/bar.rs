@@ -16,7 +16,8 @@ use crate::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
 use crate::calibrate::truth::Comparison;
 use crate::calibrate::{CostName, IdentifyConfig, SelectionName};
 use crate::commands::on_terminal::OnTerminal;
-use crate::evaluate::evidence;
+use crate::evaluate::{Validity, evidence};
+use crate::kinematics::flange_chain;
 use crate::logs::{self, BarLog, BarLogMapping, LogFormat, LogOptions, RobotLog, RobotLogMapping};
 use crate::model::{Model, ParameterId};
 use crate::prepare::{Prepared, WiringChoice};
@@ -222,6 +223,7 @@ pub(super) fn calibrate(arguments: &BarArguments, config: &IdentifyConfig) -> an
         studied.map_err(|error| refused::of_runs(arguments, robot, &runs, config, error))?;
     let mut file = calibration_file(arguments, robot, &runs, &calibration)?.with_validation(&evidence);
     let mut forces = ForceEntry::all(&evidence.spheres).into_iter();
+    file.validity = Some(Validity::of(calibration.poses(), &flange_chain(robot)));
     (file.force, file.other_forces) = (forces.next(), forces.collect());
     let file =
         file.with_verdict(&evidence.workspace, &evidence.limits, config.require_mm.map(|mm| mm * 1e-3));

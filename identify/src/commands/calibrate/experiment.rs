@@ -18,10 +18,12 @@ use crate::calibrate::refusal::Refuses;
 use crate::calibrate::rows::RowErrors;
 use crate::commands::ensure_six_revolute_axes;
 use crate::commands::on_terminal::OnTerminal;
-use crate::evaluate::RunEvidence;
+use crate::evaluate::{RunEvidence, Validity};
 use crate::instrument::{BallBar, Instrument, Run};
+use crate::kinematics::flange_chain;
 use crate::logs::LogFormat;
 use crate::model::ParameterId;
+use crate::report::deployments::DeploymentEntry;
 use crate::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use crate::report::page::Measured;
 use crate::report::rows as of_rows;
@@ -365,6 +367,7 @@ pub(super) fn mixed(
     )
     .with_knowledge(solution);
     file.candidates.clone_from(&found.solved.candidates);
+    file.deployments = found.deployed.iter().map(DeploymentEntry::from).collect();
     let entry = |(number, rows): (usize, &Rows)| {
         let errors = errors.get(number).filter(|errors| !errors.held_out.is_empty())?;
         Some(RowsEntry {
@@ -394,6 +397,10 @@ pub(super) fn mixed(
             limits.extend(of_rows::contradicted(contact, &run.model));
         }
     }
+    file.validity = Some(Validity::of(
+        found.runs.iter().flat_map(|run| run.instrument.poses(&run.model)),
+        &flange_chain(robot),
+    ));
     let first = found.runs.first().context("there is no data set")?;
     let told = Told {
         robot,

@@ -8,6 +8,7 @@ use shared::output::{say, show};
 
 use super::ResultArguments;
 use super::experiment::Experiment;
+use crate::calibrate::deployment::Deployment;
 use crate::evaluate::{Limit, workspace_error};
 use crate::model::Model;
 use crate::report::file::CalibrationFile;
@@ -69,7 +70,7 @@ pub(super) fn write_files(
     bar: Option<&BallBarConfig>,
     directory: &Path,
 ) -> anyhow::Result<Vec<PathBuf>> {
-    if !file.may_be_applied() {
+    if !Deployment::PARTIAL.into_iter().all(|part| file.serves(part)) {
         file.set_earlier_aside(directory)?;
     }
     if is_red(file) {

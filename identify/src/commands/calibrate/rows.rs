@@ -12,6 +12,7 @@ use super::{CommonArguments, ResultArguments, RowArguments, inputs, refused, usu
 use crate::calibrate::HoldOut;
 use crate::calibrate::mix::{Measured, Rows};
 use crate::calibrate::rows::{RowCalibration, RowOptions, WAVES_PER_TURN_MAX, tracker, wire};
+use crate::evaluate::Validity;
 use crate::instrument::{ContactRow, LengthRow, PoseRow, SocketTable};
 use crate::kinematics::{Chain, flange_chain};
 use crate::logs::{
@@ -19,6 +20,7 @@ use crate::logs::{
     MeasuredPoses, joints_of_robot,
 };
 use crate::model::{JointWaves, ParameterId};
+use crate::report::deployments::DeploymentEntry;
 use crate::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use crate::report::page;
 use crate::report::rows as of_rows;
@@ -205,7 +207,10 @@ pub(super) fn read(kind: Kind, of: &RowFile, robot: &RobotConfig) -> anyhow::Res
     Ok(Read { rows: Rows { measured, hold_out: of.hold_out, seed: of.seed }, lines })
 }
 
-fn poses(path: &Path, mapping: &Path, robot: &RobotConfig) -> anyhow::Result<(Vec<PoseRow>, Vec<u64>)> {
+/// Rows of a file, and the line of each.
+type Lines = (Vec<PoseRow>, Vec<u64>);
+
+fn poses(path: &Path, mapping: &Path, robot: &RobotConfig) -> anyhow::Result<Lines> {
     let of_file: MeasuredPoseMapping = config::load(mapping)?;
     joints_of_robot(&of_file.joints, robot, mapping)?;
     let read = MeasuredPoses::load(path, &of_file)?;
@@ -214,15 +219,17 @@ fn poses(path: &Path, mapping: &Path, robot: &RobotConfig) -> anyhow::Result<(Ve
 
 /// The calibrated robot on rows of other files.
 fn validations(
-    others: &[(&PathBuf, Vec<PoseRow>)],
+    others: &[(&PathBuf, Lines)],
     robot: &Chain,
+    validity: &Validity,
     found: &RowCalibration,
     seed: u64,
 ) -> anyhow::Result<Vec<of_rows::Validation>> {
-    let one = |(path, rows): &(&PathBuf, Vec<PoseRow>)| {
+    let one = |(path, (rows, lines)): &(&PathBuf, Lines)| {
         let name = path.display().to_string();
         let figures = tracker::validate(rows, robot, &found.model, seed).with_context(|| name.clone())?;
-        Ok(of_rows::Validation { name, figures })
+        let joints = rows.iter().map(|row| row.joints_rad);
+        Ok(of_rows::Validation { name, figures, outside: of_rows::outside(validity, joints, lines) })
     };
     others.iter().map(one).collect()
 }
@@ -237,7 +244,7 @@ pub(super) fn alone(
 ) -> anyhow::Result<()> {
     let Some(of) = experiment.rows().next().map(|(_, of)| of) else { anyhow::bail!("there are no rows") };
     // Read before the fit: a file that is missing is said at once.
-    let others = of.validate.iter().map(|path| Ok((path, poses(path, &of.mapping, robot)?.0)));
+    let others = of.validate.iter().map(|path| Ok((path, poses(path, &of.mapping, robot)?)));
     let others = others.collect::<anyhow::Result<Vec<_>>>()?;
     let usual = if kind == Kind::Wire { RowOptions::wire() } else { RowOptions::tracker() };
     let fix = experiment.identify.fix.iter().map(|name| name.parse());
@@ -258,7 +265,8 @@ pub(super) fn alone(
     let bar = experiment.bar_arguments(result);
     let files = experiment.files(&bar, &[]);
     let found = found.map_err(|error| refused::of_rows(&result.out, robot, &files, &options, error))?;
-    let validations = validations(&others, &chain, &found, options.seed)?;
+    let validity = Validity::of(read.rows.joints().into_iter(), &chain);
+    let validations = validations(&others, &chain, &validity, &found, options.seed)?;
     let solution = &found.solution;
     let mut file = CalibrationFile::new(
         &robot.name,
@@ -270,6 +278,8 @@ pub(super) fn alone(
     )
     .with_knowledge(solution);
     file.candidates.clone_from(&found.terms);
+    file.validity = Some(validity);
+    file.deployments = found.deployed.iter().map(DeploymentEntry::from).collect();
     file.rows = vec![RowsEntry {
         data_set: 1,
         hold_out: options.hold_out,

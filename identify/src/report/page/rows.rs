@@ -7,7 +7,7 @@ use maud::{Markup, html};
 use super::figures::{WIDE, dots, gap_over_time};
 use super::plot::{BLUE, GREY, ORANGE, Panel, PlotError};
 use super::sections::{
-    budget, candidates, colour, dependence, expected, judged, mm, parameters, repeated_with, svg,
+    applied, budget, candidates, colour, dependence, expected, judged, mm, parameters, repeated_with, svg,
 };
 use super::{PageError, document};
 use crate::calibrate::rows::{PoseFigures, RowErrors, Sizes};
@@ -141,6 +141,7 @@ impl MeasuredPage<'_> {
                 "where nothing was measured. After: what the covariance of the parameters leaves there. Errors that do not depend "
                 "on the geometry (gears, load, temperature) come on top; held-out rows have them."
             }
+            (applied(self.file))
         }
     }
 }
@@ -152,7 +153,7 @@ fn panels(measured: &Measured<'_>) -> Result<Vec<String>, PlotError> {
         Measured::Rows(errors) if errors.stages[0].is_empty() => return Ok(Vec::new()),
         Measured::Rows(errors) => errors,
     };
-    let [nominal, _, calibrated] = &errors.stages;
+    let [nominal, .., calibrated] = &errors.stages;
     let position = |one: &Apart| Some(one.position_m * 1e3);
     let rotation = |one: &Apart| Some(one.rotation_rad? * 1e3);
     let panel = |title: &str, y: &str, stage: &[Apart], value: &dyn Fn(&Apart) -> Option<f64>| {

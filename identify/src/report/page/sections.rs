@@ -56,6 +56,22 @@ pub(super) fn judged(file: &CalibrationFile) -> Markup {
     }
 }
 
+/// Where it is supported, and what those get who apply only part of it.
+pub(super) fn applied(file: &CalibrationFile) -> Markup {
+    let parts = file.deployments_told();
+    html! {
+        @if !parts.is_empty() {
+            p.note {
+                "Who applies only part of it needs another geometry, which is in files of its own; on the same held-out rows: "
+                (parts.join("; ")) ". Held-out rows were predicted by fits without them; what is in the files is fitted to all rows."
+            }
+        }
+        @if let Some(validity) = &file.validity {
+            p.note { "Supported where the joints were measured [deg]: " (validity) "." }
+        }
+    }
+}
+
 pub(super) fn verdict(page: &Page<'_>) -> Markup {
     let workspace = &page.evidence.workspace;
     let reason = page.file.verdict.as_ref().and_then(|verdict| verdict.reason.as_ref());
@@ -92,6 +108,7 @@ pub(super) fn verdict(page: &Page<'_>) -> Markup {
             "that do not depend on the geometry (gears, load, temperature) come on top; what the bar saw of them is in the two "
             "figures on the right."
         }
+        (applied(page.file))
     }
 }
 

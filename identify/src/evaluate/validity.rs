@@ -1,0 +1,86 @@
+//! Where in joint space a calibration is supported.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+use shared::config::JointKind;
+
+use crate::kinematics::{Chain, Joints};
+
+/// A joint is supported up to this far from where it was measured \[rad, m\]: errors of links go once or twice per turn and
+/// change by less than half of themselves over it.
+const BESIDE: f64 = 0.2;
+
+/// Intervals in which each joint was measured: a calibration is supported where every joint is in one of its own, or next to it.
+/// Whether a joint was measured there together with the others is not said.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Validity {
+    /// Of each joint, base to flange, ascending \[rad, m\].
+    pub joints: Vec<Vec<[f64; 2]>>,
+    /// Joints from 0 that are in metres.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub prismatic: Vec<usize>,
+}
+
+impl Validity {
+    /// Of the poses that were measured, with a robot's joints; no joint of none.
+    pub fn of(poses: impl Iterator<Item = Joints>, robot: &Chain) -> Self {
+        let is_prismatic = |joint: &usize| robot.links[*joint].joint == JointKind::Prismatic;
+        let poses: Vec<Joints> = poses.collect();
+        let axes = poses.first().map_or(0, |q| q.len());
+        let of_joint = |joint: usize| {
+            let mut values: Vec<f64> = poses.iter().map(|q| q[joint]).collect();
+            values.sort_by(f64::total_cmp);
+            let intervals = values.chunk_by(|low, high| high - low <= 2.0 * BESIDE);
+            intervals.filter_map(|inside| Some([*inside.first()?, *inside.last()?])).collect()
+        };
+        let prismatic = (0..robot.links.len()).filter(is_prismatic).collect();
+        Self { joints: (0..axes).map(of_joint).collect(), prismatic }
+    }
+
+    /// The joints, from 0, that a pose has further from all intervals than is supported.
+    pub fn outside(&self, q: &Joints) -> Vec<usize> {
+        let is_beside = |value: f64, [low, high]: &[f64; 2]| (low - BESIDE..=high + BESIDE).contains(&value);
+        let is_outside = |&joint: &usize| !self.joints[joint].iter().any(|own| is_beside(q[joint], own));
+        (0..self.joints.len().min(q.len())).filter(is_outside).collect()
+    }
+}
+
+impl fmt::Display for Validity {
+    /// `joint 1 -170..170, joint 2 -95..-20 and 10..40`, in degrees; prismatic joints in mm.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (joint, intervals) in self.joints.iter().enumerate() {
+            let (factor, unit) =
+                if self.prismatic.contains(&joint) { (1e3, " mm") } else { (1f64.to_degrees(), "") };
+            let one = |[low, high]: &[f64; 2]| format!("{:.0}..{:.0}{unit}", low * factor, high * factor);
+            let told: Vec<String> = intervals.iter().map(one).collect();
+            let separator = if joint == 0 { "" } else { ", " };
+            write!(f, "{separator}joint {} {}", joint + 1, told.join(" and "))?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kinematics::{DhLink, Pose};
+
+    #[test]
+    fn a_joint_is_supported_where_it_was_measured_and_beside_not_in_a_wide_gap() {
+        let pose = |k: u32| {
+            Joints::from_fn(2, |joint| if joint == 0 { 0.1 * f64::from(k) } else { f64::from(k % 2) })
+        };
+        let kinds = [JointKind::Revolute, JointKind::Prismatic];
+        let links = kinds.map(|joint| DhLink { joint, ..DhLink::default() }).to_vec();
+        let arm = Chain::new(Pose::identity(), links);
+        let validity = Validity::of((0..20).map(pose), &arm);
+        assert_eq!(validity.to_string(), "joint 1 0..109, joint 2 0..0 mm and 1000..1000 mm");
+        assert_eq!(validity.joints, [vec![[0.0, 0.1 * 19.0]], vec![[0.0, 0.0], [1.0, 1.0]]]);
+        let outside =
+            |one: f64, other: f64| validity.outside(&Joints::from_fn(2, |joint| [one, other][joint]));
+        assert_eq!(outside(1.05, 0.9), [0_usize; 0]);
+        assert_eq!(outside(2.05, 0.5), [1]);
+        assert_eq!(outside(-0.25, 3.0), [0, 1]);
+    }
+}
