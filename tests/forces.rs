@@ -8,7 +8,7 @@ use std::process::Command;
 
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
-use identify::evaluate::{PositiveForce, Stretch};
+use identify::evaluate::{Elongation, PositiveForce};
 use identify::kinematics::{Chain, Joints};
 use identify::logs::{ForceClock, ForceKind, LogOptions, RobotLog, RobotLogMapping, load, load_with};
 use identify::simulate::{self, BarLoad, Design, Effects, Experiment, Simulated};
@@ -111,10 +111,13 @@ fn the_tcp_force_of_a_rtde_client_is_the_one_on_the_bar_with_its_sign() {
     let found = calibrated(&run, &log);
     // Where the bar is pulled, it pulls the tool back.
     assert!(force_error_n(&found, &run, -1.0) < 1.0);
-    let stretch = Stretch::of(&found).unwrap();
-    println!("{}", stretch.sentence());
-    assert_eq!(stretch.positive, PositiveForce::Compression);
-    assert!((stretch.value + COMPLIANCE_M_PER_N).abs() < 1.96 * stretch.sigma.unwrap(), "{stretch:?}");
+    let elongation = Elongation::of(&found).unwrap();
+    println!("{}", elongation.sentence());
+    assert_eq!(elongation.positive, PositiveForce::Compression);
+    assert!(
+        (elongation.value + COMPLIANCE_M_PER_N).abs() < 1.96 * elongation.sigma.unwrap(),
+        "{elongation:?}"
+    );
 }
 
 /// Torques that hold arm and bar \[N m\]: what the potential energy of two masses on the arm, and the work at the flange,
@@ -171,11 +174,14 @@ fn efforts_of_joint_states_in_bags_by_rosbags_are_the_torques_behind_which_the_f
         assert!(torques_nm.iter().zip(read).all(|(a, b)| (a - b).abs() < 1e-9), "{torques_nm:?} {read:?}");
     }
     let found = calibrated(&run, &log);
-    let (error_n, stretch) = (force_error_n(&found, &run, 1.0), Stretch::of(&found).unwrap());
-    println!("force from efforts: RMS error {error_n:.2} N; {}", stretch.sentence());
+    let (error_n, elongation) = (force_error_n(&found, &run, 1.0), Elongation::of(&found).unwrap());
+    println!("force from efforts: RMS error {error_n:.2} N; {}", elongation.sentence());
     assert!(error_n < 2.0, "{error_n}");
-    assert_eq!(stretch.positive, PositiveForce::Tension);
-    assert!((stretch.value - COMPLIANCE_M_PER_N).abs() < 1.96 * stretch.sigma.unwrap(), "{stretch:?}");
+    assert_eq!(elongation.positive, PositiveForce::Tension);
+    assert!(
+        (elongation.value - COMPLIANCE_M_PER_N).abs() < 1.96 * elongation.sigma.unwrap(),
+        "{elongation:?}"
+    );
 
     // Nobody asked for a force: efforts are only the log's torques.
     let plain = load_with(&mcap, &robot(), &mapping("")).unwrap();

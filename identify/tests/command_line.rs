@@ -223,7 +223,7 @@ fn inspect_takes_the_kind_and_the_mapping_of_a_robot_s_log_as_calibrate_does() {
 }
 
 #[test]
-fn the_wiring_that_is_typed_is_the_one_that_is_used() {
+fn the_encoder_map_that_is_typed_is_the_one_that_is_used() {
     let out = tempfile::tempdir().unwrap();
     let (recording, log) = (experiment().join("recording.mcap"), experiment().join("robot_log.csv"));
     let told = calibrate(&recording, &log, &["--encoders", "-1,2"], out.path());

@@ -190,10 +190,10 @@ fn all_rows_of_the_real_irb_120_over_several_splits() {
     }
 }
 
-/// Where whole stretches of the file are held out their zero is not known, and the figures say what that costs.
+/// Where whole segments of the file are held out their zero is not known, and the figures say what that costs.
 #[test]
 #[ignore = "needs the measured rows in the folder BALLBAR_DATA"]
-fn all_rows_of_the_real_irb_120_where_stretches_and_regions_are_held_out() {
+fn all_rows_of_the_real_irb_120_where_segments_and_regions_are_held_out() {
     let rows = real_rows();
     for hold_out in [HoldOut::Blocks, HoldOut::Regions] {
         for seed in 1..=3 {

@@ -6,7 +6,7 @@ use identify::calibrate::ball_bar::BallBarCalibration;
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, ball_bar};
 use identify::model::ParameterId;
-use identify::prepare::Fate;
+use identify::prepare::SampleStatus;
 use identify::simulate::{self, Design, Effects, Experiment, Simulated};
 
 /// A path on which the rod passes along the base axis.
@@ -62,8 +62,13 @@ fn samples_of_all_configurations_are_used_and_those_near_singular_poses_left_out
     }
     println!("{sides:?} {:?}", found.prepared().unwrap().counts);
     assert!(sides.iter().all(|count| *count > 50), "{sides:?}");
-    let singular =
-        found.prepared().unwrap().timeline.points.iter().filter(|point| point.fate == Fate::Singular);
+    let singular = found
+        .prepared()
+        .unwrap()
+        .timeline
+        .points
+        .iter()
+        .filter(|point| point.status == SampleStatus::Singular);
     assert!(singular.count() > 10);
     let error = robot_error(&found, &run);
     println!("{error:.5} mm|mrad");

@@ -59,7 +59,7 @@ fn counters_and_joints_that_begin_anew_change_nothing_and_are_shown() {
         crossed.filter(|pair| (pair[0][5] > end_rad) != (pair[1][5] > end_rad)).count()
     );
 
-    // The same samples with the same clocks: only the encoder's zero is another.
+    // The same samples with the same clocks: only the encoder's offset is another.
     assert_eq!(found.observations.len(), expected.observations.len());
     assert_eq!(found.alignment.clock_difference_ns, expected.alignment.clock_difference_ns);
     for (a, b) in found.observations.iter().zip(&expected.observations) {

@@ -225,7 +225,7 @@ fn few_points_of_a_whole_run_still_cover_the_sphere_that_it_covers() {
     let run = run(Effects::NONE);
     let found = prepared(&run, "points_max = 300");
     assert_eq!((found.observations.len(), found.counts.kept), (300, 300));
-    assert!(found.counts.surplus > 1000, "{:?}", found.counts);
+    assert!(found.counts.thinned > 1000, "{:?}", found.counts);
     let since_start_s = found.t_ref.seconds_since(run.truth.clock.bar_start);
     let rod = |t_s: f64| {
         let joints = run.motion.path.at(t_s);

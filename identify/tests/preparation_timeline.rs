@@ -2,12 +2,12 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::{bar, irb2400};
-use identify::prepare::{Fate, PrepareOptions, Timeline, prepare};
+use identify::prepare::{PrepareOptions, SampleStatus, Timeline, prepare};
 use identify::simulate::{self, Design, Effects, Experiment};
 use shared::recording::schema::flags;
 
 #[test]
-fn standstills_jitter_angles_and_fates_are_those_of_the_simulated_run() {
+fn standstills_jitter_angles_and_statuses_are_those_of_the_simulated_run() {
     let (robot, bar) = (irb2400(), bar());
     let effects = Effects { robot_noise_urad: 15.0, encoder_noise_urad: 5.0, ..Effects::default() };
     let design = Design { duration_s: 60.0, ..Design::for_robot(&robot) };
@@ -22,7 +22,7 @@ fn standstills_jitter_angles_and_fates_are_those_of_the_simulated_run() {
     let Timeline { points, cycles_per_point, standstills, jitter, .. } = prepared.timeline;
     assert!(points.len() <= Timeline::POINTS_MAX && points.len() * cycles_per_point >= run.cycles.len());
     assert!(points.windows(2).all(|pair| pair[0].t_s < pair[1].t_s));
-    assert!(points.iter().any(|point| point.fate == Fate::Invalid && point.measured_rad.is_none()));
+    assert!(points.iter().any(|point| point.status == SampleStatus::Invalid && point.measured_rad.is_none()));
     for joint in 0..5 {
         assert!((jitter.bar_urad[joint].unwrap() - 5.0).abs() < 1.0, "{jitter:?}");
     }

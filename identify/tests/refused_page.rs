@@ -4,7 +4,7 @@
 use std::path::Path;
 use std::process::Output;
 
-use crate::preparation_wiring::ambiguous;
+use crate::preparation_encoder_map::ambiguous;
 use crate::support::command::identify;
 use crate::support::refused::{Refused, Typed};
 use crate::support::{bar, browser, irb2400, lengths, repository};
@@ -100,7 +100,7 @@ fn every_kind_of_refusal_has_its_page() {
     // Another bar.
     let longer = shared::config::BallBarConfig { length_m: 0.7, ..bar() };
     Typed::new(&run, &irb2400(), &longer).refused(&["sphere of 59", "700 mm"], &[]);
-    // A wiring that is stated otherwise than it is.
+    // An encoder map that is stated otherwise than it is.
     typed(&run).refused(&["to compare angles"], &["--encoders", "2,1,3,4,5"]);
     // A parameter that the motion does not tell.
     typed(&run).refused(&["free parameters are identified", "dependent rd2"], &["--free", "rd3"]);
@@ -113,7 +113,7 @@ fn every_kind_of_refusal_has_its_page() {
 }
 
 #[test]
-fn an_ambiguous_wiring_is_shown_line_by_line() {
+fn an_ambiguous_encoder_map_is_shown_line_by_line() {
     let run = ambiguous(&irb2400(), &bar());
     let Refused { page, .. } = typed(&run).refused(&["--encoders 1,2,3,4,5 for", "Look at the bar"], &[]);
     assert!(page.contains("\n  --encoders "), "each on a line of its own");

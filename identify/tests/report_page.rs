@@ -6,7 +6,7 @@ use std::sync::OnceLock;
 use crate::support::truth::position_error_m;
 use crate::support::{browser, irb2400};
 use identify::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
-use identify::calibrate::held_out::without_each_stretch;
+use identify::calibrate::held_out::without_each_segment;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{Evidence, evidence, held_out, workspace_error};
 use identify::prepare::PrepareOptions;
@@ -101,23 +101,23 @@ fn the_error_that_the_page_expects_is_the_error_that_the_robot_has() {
 }
 
 #[test]
-fn stretches_that_no_fit_has_seen_are_predicted_to_the_noise() {
+fn segments_that_no_fit_has_seen_are_predicted_to_the_noise() {
     let (_, _, evidence) = validated();
     let held_out = evidence.held_out.as_ref().unwrap();
-    assert_eq!((held_out.stretches.len(), held_out.undetermined), (8, 0));
+    assert_eq!((held_out.segments.len(), held_out.undetermined), (8, 0));
     let [nominal, predicted, fitted] = held_out.rms();
     // The noise of the angles is all that is left, and 40 parameters explain little of 1500 samples of it.
     assert!(predicted.position_m < 1.1 * fitted.position_m, "{predicted:?} {fitted:?}");
     assert!(predicted.rotation_rad < 1.1 * fitted.rotation_rad, "{predicted:?} {fitted:?}");
     assert!(predicted.rotation_rad < 60e-6 && nominal.rotation_rad > 500e-6, "{predicted:?} {nominal:?}");
     assert!(nominal.position_m > 10.0 * predicted.position_m, "{predicted:?} {nominal:?}");
-    // Every sample is in one stretch.
-    let samples: usize = held_out.stretches.iter().map(|stretch| stretch.predicted.len()).sum();
+    // Every sample is in one segment.
+    let samples: usize = held_out.segments.iter().map(|segment| segment.predicted.len()).sum();
     assert_eq!(samples, evidence.runs[0].after.len());
 }
 
 #[test]
-fn an_error_that_one_stretch_alone_has_shows_where_it_is_held_out() {
+fn an_error_that_one_segment_alone_has_shows_where_it_is_held_out() {
     let robot = irb2400();
     let mut run = simulated(&robot, 2);
     // Something gave way: from here on the third joint says too much, ever more so that no step is to be found.
@@ -132,10 +132,9 @@ fn an_error_that_one_stretch_alone_has_shows_where_it_is_held_out() {
     let found =
         ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &only_geometry);
     let found = found.unwrap();
-    let stretches = without_each_stretch(&found, &only_geometry, None).unwrap();
-    let held_out = held_out(&found, &stretches);
-    let rotations: Vec<f64> =
-        held_out.stretches.iter().map(|stretch| stretch.rms()[1].rotation_rad).collect();
+    let segments = without_each_segment(&found, &only_geometry, None).unwrap();
+    let held_out = held_out(&found, &segments);
+    let rotations: Vec<f64> = held_out.segments.iter().map(|segment| segment.rms()[1].rotation_rad).collect();
     let (last, others) = rotations.split_last().unwrap();
     assert!(others.iter().all(|other| *last > 2.0 * other), "{rotations:?}");
 }
@@ -211,10 +210,10 @@ fn a_page_of_several_runs_shows_each_of_them() {
     let evidence = evidence_of(&found, &robot);
     assert_eq!(evidence.runs.len(), 2);
     let held_out = evidence.held_out.as_ref().unwrap();
-    let of_run = |number| held_out.stretches.iter().filter(|stretch| stretch.run == number).count();
+    let of_run = |number| held_out.segments.iter().filter(|segment| segment.run == number).count();
     assert_eq!((of_run(0), of_run(1)), (8, 8));
     let text = page_text(&found, &evidence, &robot);
-    // Held-out stretches, residuals, sphere, alignment, preparation; the second has a table of its own parameters.
+    // Held-out segments, residuals, sphere, alignment, preparation; the second has a table of its own parameters.
     assert_eq!(["Run 1 of 2", "Run 2 of 2"].map(|run| text.matches(run).count()), [5, 6]);
     let row = text.split("<tr>").find(|row| row.contains("ox@2")).unwrap();
     assert!(row.contains("mm</td>"), "{row}");

@@ -62,7 +62,7 @@ fn terms_are_taken_where_the_robot_has_the_error_and_left_out_where_not() {
     let groups = TermGroup::OF_ROBOT.into_iter().chain([TermGroup::BarLength]);
     for group in groups {
         // There is nothing to find in noise.
-        assert_eq!(offered.contains(&group), group != TermGroup::Ripple, "{group:?}");
+        assert_eq!(offered.contains(&group), group != TermGroup::LineSpectrum, "{group:?}");
     }
     for (effects, group) in [
         (Effects { gear_sine_urad: 30.0, ..Effects::default() }, TermGroup::GearTwice),
@@ -102,7 +102,7 @@ fn with_lobes(config: &IdentifyConfig) -> BallBarCalibration {
 #[test]
 fn lobes_of_gears_that_nobody_has_counted_are_found() {
     let found = with_lobes(&IdentifyConfig::default());
-    assert!(taken(&found).contains(TermGroup::Ripple.name()), "{:?}", taken(&found));
+    assert!(taken(&found).contains(TermGroup::LineSpectrum.name()), "{:?}", taken(&found));
     let waves = found.model.columns().filter_map(|parameter| match parameter.id {
         ParameterId::JointWave { axis, order, phase: Phase::Sine } => {
             let cosine = ParameterId::JointWave { axis, order, phase: Phase::Cosine };

@@ -1,4 +1,4 @@
-//! Several runs in one solve: they share the robot, and each has its own clock, place and encoder zeros.
+//! Several runs in one solve: they share the robot, and each has its own clock, place and encoder offsets.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 
 use crate::support::{Cell, bar, irb2400};

@@ -131,7 +131,7 @@ fn cycles_are_whole_valid_and_10_ms_apart() {
 }
 
 #[test]
-fn equal_experiments_are_equal_and_seeds_change_path_and_zeros() {
+fn equal_experiments_are_equal_and_seeds_change_path_and_offsets() {
     let (robot, bar) = (&robots()[0], bar());
     let effects = Effects { robot_noise_urad: 5.0, encoder_noise_urad: 5.0, ..Effects::default() };
     let experiment = Experiment { effects, ..Experiment::new(robot, &bar) };

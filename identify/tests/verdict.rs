@@ -29,7 +29,7 @@ fn judged(position: [f64; 2], rotation: [f64; 2], limits: &[Limit], required_m: 
     let entry =
         |at: usize| ApartEntry { position_m: position[at] * 1e-3, rotation_rad: Some(rotation[at] * 1e-3) };
     file.held_out =
-        Some(HeldOutEntry { stretches: 8, nominal: entry(0), calibrated: entry(1), fitted: entry(1) });
+        Some(HeldOutEntry { segments: 8, nominal: entry(0), calibrated: entry(1), fitted: entry(1) });
     let after =
         Expected { mean_m: 0.05e-3, p95_m: 0.1e-3, p95_upper_m: 0.15e-3, interval_m: [0.02e-3, 0.08e-3] };
     let workspace = WorkspaceError { after, ..WorkspaceError::default() };

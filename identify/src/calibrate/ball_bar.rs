@@ -183,7 +183,7 @@ pub fn calibrate(
 }
 
 /// Prepares each run and solves all in one: they share the robot and the bar's links, each has its own clock, place of the
-/// bar, encoder zeros and, where it differs, length. `watch` sees each solve and may end it.
+/// bar, encoder offsets and, where it differs, length. `watch` sees each solve and may end it.
 ///
 /// # Errors
 /// As [`calibrate`].
@@ -323,7 +323,7 @@ fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) ->
     let arm = robot_chain(robot, bar);
     let mut model = Model::ball_bar(&arm, &ball_bar_chain(bar))
         .with_drives(DriveTrain::of(robot, &arm))
-        .with_zeros(changed_zeros(prepared));
+        .with_encoder_offsets(changed_offsets(prepared));
     let initial = &prepared.initial;
     for axis in Axis::ALL {
         model.set_value(ParameterId::Base(axis), initial.base_m[axis.index()])?;
@@ -339,13 +339,13 @@ fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) ->
 }
 
 /// Encoders whose counters lost their origin, with samples left since.
-fn changed_zeros(prepared: &Prepared) -> impl Iterator<Item = ParameterId> {
+fn changed_offsets(prepared: &Prepared) -> impl Iterator<Item = ParameterId> {
     let has_samples = |number: usize| prepared.observations.iter().any(|one| one.origin == number);
     let spans = prepared.origins.iter().filter(move |span| {
         (1..=ParameterId::LAST_ORIGIN).contains(&span.number) && has_samples(span.number)
     });
     spans.flat_map(|span| {
         let changed = (0..BAR_JOINTS).filter(|joint| span.shift_rad[*joint] != 0.0);
-        changed.map(|joint| ParameterId::Zero { origin: span.number, joint })
+        changed.map(|joint| ParameterId::EncoderOffset { origin: span.number, joint })
     })
 }

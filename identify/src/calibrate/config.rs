@@ -13,7 +13,7 @@ use crate::prepare::PrepareOptions;
 use crate::solver::LossName;
 
 /// Zeros after a loss of a counter's origin start where the preparation found them, on nominal geometry. Far more than it
-/// errs, so that samples decide; a stretch that is held out with all samples of an origin leaves them there \[rad\].
+/// errs, so that samples decide; a segment that is held out with all samples of an origin leaves them there \[rad\].
 const ZERO_SIGMA_RAD: f64 = 0.01;
 /// How far the bar's base may lean where that is not estimated: one that is set up by eye \[rad\].
 const BASE_TILT_SIGMA_RAD: f64 = 5e-3;
@@ -79,7 +79,7 @@ pub enum SelectionName {
     #[value(alias = "all-identifiable")]
     AllIdentifiable,
     /// The same, each number of the links expected at its nominal value within a tolerance, which is scaled until
-    /// held-out stretches of the run are predicted best.
+    /// held-out segments of the run are predicted best.
     Automatic,
 }
 
@@ -98,7 +98,7 @@ impl SelectionName {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct JointTermsConfig {
-    /// Kinds that are tried; each stays only where it predicts held-out stretches of the run better.
+    /// Kinds that are tried; each stays only where it predicts held-out segments of the run better.
     pub candidates: Vec<TermGroup>,
     /// Amplitude of each wave and half of each backlash: zero within this standard deviation \[urad\].
     pub amplitude_urad: f64,
@@ -162,7 +162,7 @@ pub struct IdentifyConfig {
     /// \[urad\]; zero leaves them out. With `automatic` they are a candidate like the robot's terms.
     pub encoder_harmonics_urad: f64,
     /// With any selection but `thesis`, how much longer or shorter the bar may be by its direction: each wave is expected
-    /// to be zero within this standard deviation \[um\], and all stay only where they predict held-out stretches of the
+    /// to be zero within this standard deviation \[um\], and all stay only where they predict held-out segments of the
     /// run better; zero leaves them out.
     pub bar_length_um: f64,
     /// Errors of the robot's axes, with any selection but `thesis`.
@@ -225,7 +225,7 @@ impl IdentifyConfig {
         }
         let zeros = model.parameters().iter().map(|parameter| parameter.id);
         let zeros: Vec<ParameterId> =
-            zeros.filter(|id| matches!(id, ParameterId::Zero { .. }) && tells(*id)).collect();
+            zeros.filter(|id| matches!(id, ParameterId::EncoderOffset { .. }) && tells(*id)).collect();
         model.set_roles(zeros, Role::Prior { value: 0.0, sigma: ZERO_SIGMA_RAD })?;
         let always = matches!(self.selection, SelectionName::Cell | SelectionName::AllIdentifiable);
         if always && self.encoder_harmonics_urad > 0.0 {
@@ -357,7 +357,7 @@ impl IdentifyConfig {
         self.candidates()
             .into_iter()
             .map(kind)
-            .filter(|kind| kind.group == TermGroup::Ripple || !kind.ids.is_empty())
+            .filter(|kind| kind.group == TermGroup::LineSpectrum || !kind.ids.is_empty())
             .collect()
     }
 

@@ -1,4 +1,4 @@
-//! What a calibration says of stretches of time that it has not seen: the validation that no fit can flatter.
+//! What a calibration says of segments of time that it has not seen: the validation that no fit can flatter.
 
 use std::ops::Range;
 
@@ -13,15 +13,15 @@ use crate::solver::{GoodShare, Options, Problem, SolveError, Subset, Watch, solv
 
 /// Samples of all runs that are looked at, at most.
 const SAMPLES_MAX: usize = 3000;
-/// Stretches of a run, and of all runs together, at most.
-const STRETCHES: usize = 8;
-const STRETCHES_OF_ALL: usize = 16;
+/// Segments of a run, and of all runs together, at most.
+const SEGMENTS: usize = 8;
+const SEGMENTS_OF_ALL: usize = 16;
 /// The fits begin next to their minima and are only looked at: closer than this makes no difference.
 const STEP_TOLERANCE: f64 = 1e-7;
 
-/// A stretch of one run, and the run's parameters by a fit to everything else.
+/// A segment of one run, and the run's parameters by a fit to everything else.
 #[derive(Debug, Clone)]
-pub struct Stretch {
+pub struct Segment {
     /// Number of the run, from 0.
     pub run: usize,
     /// Its samples.
@@ -32,20 +32,20 @@ pub struct Stretch {
     pub model: Option<Model>,
 }
 
-/// Fits the calibration's parameters once more without each stretch of time, from the calibration on. Which terms the
+/// Fits the calibration's parameters once more without each segment of time, from the calibration on. Which terms the
 /// model has was decided by the whole runs.
 ///
 /// # Errors
 /// [`CalibrateError`] where `watch` ended it or the samples do not suit the cost.
-pub fn without_each_stretch(
+pub fn without_each_segment(
     calibration: &BallBarCalibration,
     config: &IdentifyConfig,
     watch: Option<&dyn Watch>,
-) -> Result<Vec<Stretch>, CalibrateError> {
+) -> Result<Vec<Segment>, CalibrateError> {
     let runs = calibration.thinned(SAMPLES_MAX);
     let BallBarCalibration { columns, solution, cost, sigmas, .. } = calibration;
     let problem = problem(&runs, columns, sigmas)?;
-    let count = (STRETCHES_OF_ALL / runs.len().max(1)).clamp(2, STRETCHES);
+    let count = (SEGMENTS_OF_ALL / runs.len().max(1)).clamp(2, SEGMENTS);
     let loss = config.loss_for(*cost);
     let good = if config.ransac { GoodShare::TWO_FIFTHS } else { GoodShare::HALF };
     let mut all = Vec::new();
@@ -64,18 +64,18 @@ pub fn without_each_stretch(
             Err(_) => None,
             Ok(found) => found.identified().ok().map(|found| found.x),
         };
-        all.extend(stretch(&runs, columns, problem.starts(), &left_out, x));
+        all.extend(segment(&runs, columns, problem.starts(), &left_out, x));
     }
     Ok(all)
 }
 
-fn stretch(
+fn segment(
     runs: &[Run],
     columns: &SharedColumns,
     starts: &[usize],
     left_out: &Range<usize>,
     x: Option<Vec<f64>>,
-) -> Option<Stretch> {
+) -> Option<Segment> {
     let number = starts.partition_point(|start| *start <= left_out.start).checked_sub(1)?;
     let Run { instrument, model } = runs.get(number)?;
     let bar = instrument.bar()?;
@@ -86,17 +86,17 @@ fn stretch(
     let model = x.map(|x| {
         let mut without = model.clone();
         without.adopt(&columns.values(number, &x));
-        keep_own_zeros(&mut without, model, &others);
+        keep_own_offsets(&mut without, model, &others);
         without
     });
-    Some(Stretch { run: number, seen_by_none: observations.get(samples)?.to_vec(), others, model })
+    Some(Segment { run: number, seen_by_none: observations.get(samples)?.to_vec(), others, model })
 }
 
 /// Zeros of encoders that lost their origin and that no other sample tells stay as the whole fit has them: no fit could
 /// predict them.
-fn keep_own_zeros(model: &mut Model, whole: &Model, others: &[Observation]) {
+fn keep_own_offsets(model: &mut Model, whole: &Model, others: &[Observation]) {
     for parameter in whole.columns() {
-        if let ParameterId::Zero { origin, .. } = parameter.id
+        if let ParameterId::EncoderOffset { origin, .. } = parameter.id
             && others.iter().all(|one| one.origin != origin)
         {
             // Both models have the same parameters.

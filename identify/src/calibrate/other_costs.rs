@@ -54,7 +54,7 @@ pub fn other_costs(
     Ok(all)
 }
 
-/// Links and terms at their nominal values; where the bar stands, its encoders' zeros and the clocks stay: from there
+/// Links and terms at their nominal values; where the bar stands, its encoders' offsets and the clocks stay: from there
 /// every cost finds its own.
 fn at_nominal(model: &mut Model) -> Result<(), ModelError> {
     let found = |id: ParameterId| match id {

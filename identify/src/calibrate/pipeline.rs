@@ -6,7 +6,7 @@ use nalgebra::DMatrix;
 
 use super::ball_bar::CalibrateError;
 use super::config::CostName;
-use super::ripple::Ripple;
+use super::line_spectrum::LineSpectrum;
 use super::rows::WAVES_PER_TURN_MAX;
 use super::sudden;
 use super::terms::{Candidate, Kind, Offer, TermGroup, prior_scale, select};
@@ -43,7 +43,7 @@ pub struct Plan<'a> {
     pub loss: LossName,
     /// Start from random subsets of the samples.
     pub ransac: bool,
-    /// Terms that are tried; orders of ripple without parameters are found in what is left.
+    /// Terms that are tried; a line spectrum without parameters is found in what is left.
     pub kinds: Vec<Kind>,
     /// Parameters that stay where they are.
     pub fix: Vec<ParameterId>,
@@ -112,7 +112,7 @@ struct Solver<'a> {
     /// Of rod and plate those that are not the same in all runs.
     differ: Vec<ParameterId>,
     /// Waves that residuals have shown.
-    ripple: Vec<ParameterId>,
+    line_spectrum: Vec<ParameterId>,
 }
 
 /// Solves, chooses terms, solves again and leaves the models at the solution.
@@ -186,7 +186,9 @@ fn differ(runs: &[Run]) -> Vec<ParameterId> {
 fn is_own(id: ParameterId, differ: &[ParameterId]) -> bool {
     match id {
         ParameterId::Base(_) | ParameterId::BaseRotation(_) => true,
-        ParameterId::Harmonic { .. } | ParameterId::Zero { .. } | ParameterId::BarWave { .. } => true,
+        ParameterId::Harmonic { .. } | ParameterId::EncoderOffset { .. } | ParameterId::BarWave { .. } => {
+            true
+        }
         ParameterId::Bar { parameter: LinkParameter::Theta, .. } => true,
         // Another bar gives way by another amount.
         ParameterId::ROD | ParameterId::BarCompliance | ParameterId::BarPlay => {
@@ -201,7 +203,7 @@ impl<'a> Solver<'a> {
     fn new(runs: &'a mut [Run], plan: &'a Plan<'a>) -> Self {
         let differ = differ(runs);
         let sigmas = vec![UNWEIGHTED; runs.len()];
-        Self { runs, plan, sigmas, differ, ripple: Vec::new() }
+        Self { runs, plan, sigmas, differ, line_spectrum: Vec::new() }
     }
 
     fn columns(&self) -> SharedColumns {
@@ -458,13 +460,13 @@ impl<'a> Solver<'a> {
     /// Tries each kind of terms on held-out groups, gives those that stay their priors, and finds the scale of tolerances.
     fn choose_terms(&mut self, solution: &Solution) -> Result<(Vec<Candidate>, f64), CalibrateError> {
         let mut kinds = self.plan.kinds.clone();
-        let is_open = |kind: &&mut Kind| kind.group == TermGroup::Ripple && kind.ids.is_empty();
-        if let Some(ripple) = kinds.iter_mut().find(is_open) {
-            let new = self.offer_ripple(&solution.sample_weights)?;
+        let is_open = |kind: &&mut Kind| kind.group == TermGroup::LineSpectrum && kind.ids.is_empty();
+        if let Some(open) = kinds.iter_mut().find(is_open) {
+            let new = self.offer_line_spectrum(&solution.sample_weights)?;
             // What an earlier choice has taken is no longer in what is left.
-            self.ripple.retain(|id| !new.contains(id));
-            self.ripple.extend(new);
-            ripple.ids.clone_from(&self.ripple);
+            self.line_spectrum.retain(|id| !new.contains(id));
+            self.line_spectrum.extend(new);
+            open.ids.clone_from(&self.line_spectrum);
         }
         for kind in &kinds {
             self.set_roles(&kind.ids, Role::Prior { value: 0.0, sigma: kind.sigma })?;
@@ -540,14 +542,14 @@ impl<'a> Solver<'a> {
     }
 
     /// Gives all models the waves of the axes that what is left shows.
-    fn offer_ripple(&mut self, weights: &[f64]) -> Result<Vec<ParameterId>, CalibrateError> {
-        let mut ripple = Ripple::default();
+    fn offer_line_spectrum(&mut self, weights: &[f64]) -> Result<Vec<ParameterId>, CalibrateError> {
+        let mut spectrum = LineSpectrum::default();
         let columns = self.columns();
         let starts = problem(self.runs, &columns, &self.sigmas)?.starts().to_vec();
         for ((run, sigma), samples) in self.runs.iter().zip(&self.sigmas).zip(starts.windows(2)) {
-            ripple.add(run, *sigma, weights.get(samples[0]..samples[1]).unwrap_or_default())?;
+            spectrum.add(run, *sigma, weights.get(samples[0]..samples[1]).unwrap_or_default())?;
         }
-        let mut found = ripple.found();
+        let mut found = spectrum.found();
         let is_asked_for = |id: &ParameterId| {
             let role = |run: &Run| run.model.parameter(*id).map(|parameter| parameter.role);
             self.runs.iter().any(|run| role(run).is_some_and(|role| role != Role::Fixed))

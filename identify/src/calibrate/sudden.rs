@@ -1,4 +1,4 @@
-//! What changes at one instant of a run: the zero of an encoder, or a clock. Against nominal links a small change drowns in the
+//! What changes at one instant of a run: the offset of an encoder, or a clock. Against nominal links a small change drowns in the
 //! errors of the geometry (`prepare::judge` finds the large ones); against the calibrated ones it stands out.
 //!
 //! A change of a parameter from an instant on is one more column of the problem: the parameter's own, zero before the
@@ -35,7 +35,7 @@ const INDEPENDENT: f64 = 1e-6;
 /// What can change.
 #[derive(Debug, Clone, Copy, PartialEq)]
 enum What {
-    /// The zero of the encoder of this joint, from 0.
+    /// The offset of the encoder of this joint, from 0.
     Zero(usize),
     Clock,
 }

@@ -19,7 +19,7 @@ pub enum TermGroup {
     /// Robot axes per turn of their motors.
     Motor,
     /// Robot axes by waves whose number per turn is found in what is left.
-    Ripple,
+    LineSpectrum,
     /// Robot axes by the sign of their speed.
     Backlash,
     /// Gear ratios.
@@ -39,7 +39,7 @@ impl TermGroup {
         Self::GearTwice,
         Self::Cycloid,
         Self::Motor,
-        Self::Ripple,
+        Self::LineSpectrum,
         Self::Backlash,
         Self::Ratio,
         Self::Compliance,
@@ -52,7 +52,7 @@ impl TermGroup {
             Self::GearTwice => "gear, twice per turn",
             Self::Cycloid => "gear, per cycloid lobe",
             Self::Motor => "gear, per motor turn",
-            Self::Ripple => "gear, at orders found in the residual",
+            Self::LineSpectrum => "gear, at orders found in the residual",
             Self::Backlash => "backlash",
             Self::Ratio => "gear ratio",
             Self::Compliance => "compliance under gravity",
@@ -66,7 +66,7 @@ impl TermGroup {
         let term = match id {
             ParameterId::Joint { term, .. } => term,
             ParameterId::Harmonic { .. } => return Some(Self::EncoderHarmonics),
-            ParameterId::JointWave { .. } => return Some(Self::Ripple),
+            ParameterId::JointWave { .. } => return Some(Self::LineSpectrum),
             ParameterId::BarWave { .. } => return Some(Self::BarLength),
             _ => return None,
         };
@@ -112,11 +112,11 @@ pub struct Candidate {
     pub sigma: Option<f64>,
     /// How many parameters it has.
     pub parameters: usize,
-    /// Root mean square residual of held-out stretches without it, in standard deviations of the cost.
+    /// Root mean square residual of held-out segments without it, in standard deviations of the cost.
     pub held_out_before: f64,
     /// With it.
     pub held_out_after: f64,
-    /// It predicts held-out stretches better by more than chance.
+    /// It predicts held-out segments better by more than chance.
     pub accepted: bool,
 }
 

@@ -122,10 +122,10 @@ pub fn position_errors_m(
     (distances_m.iter().sum::<f64>() / POSTURES as f64, quantile(&distances_m, 0.95))
 }
 
-/// The identified `btheta` holds the encoder's unknown zero too; whole turns of an angle mean nothing.
+/// The identified `btheta` holds the encoder's unknown offset too; whole turns of an angle mean nothing.
 fn true_value(truth: &Truth, id: ParameterId, identified: f64) -> f64 {
     let named = truth.parameters.get(&id.to_string()).copied().unwrap_or(0.0);
-    let zero = match id {
+    let offset = match id {
         ParameterId::Bar { link, parameter: LinkParameter::Theta } => truth
             .encoders
             .iter()
@@ -133,6 +133,6 @@ fn true_value(truth: &Truth, id: ParameterId, identified: f64) -> f64 {
             .map_or(0.0, |encoder| encoder.offset_rad),
         _ => 0.0,
     };
-    let value = named + zero;
+    let value = named + offset;
     if id.unit() == Unit::Radian { value + ((identified - value) / TAU).round() * TAU } else { value }
 }

@@ -91,7 +91,7 @@ struct BarArguments {
     /// Directory for recording.mcap, robot_log.csv and truth.toml
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Decides path, encoder zeros, noise and drawn errors
+    /// Decides path, encoder offsets, noise and drawn errors
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Errors of robot and bar

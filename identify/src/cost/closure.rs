@@ -61,7 +61,7 @@ pub fn closures(
             apart_m: scene.robot.position_m() - scene.bar.position_m(),
             turned_rad: rotation_vector(&(scene.robot.rotation() * scene.bar.rotation().transpose())),
             off_sphere_m: out_m.norm() - scene.rod_m(),
-            by_force_m: geometry.stretch.extension_m(&observation.force),
+            by_force_m: geometry.elongation.extension_m(&observation.force),
             force: observation.force,
             direction: out_m / out_m.norm().max(f64::MIN_POSITIVE),
             margin_rad: singularity_margin_rad(&bar_rad),

@@ -57,7 +57,7 @@ impl Residual for Length {
         out[0] = match (id, scene.movement(id)) {
             (_, Movement::Robot(twist)) => 2.0 * from_origin.dot(&twist.linear),
             (ParameterId::Base(axis), _) => -2.0 * from_origin[axis.index()],
-            (id, _) => -2.0 * scene.rod_m() * scene.stretch(id),
+            (id, _) => -2.0 * scene.rod_m() * scene.elongation(id),
         };
     }
 }

@@ -58,7 +58,7 @@ impl Residual for PositionAngles {
                 let wave = harmonic.wave(scene.readings[joint]);
                 Vector5::from_fn(|i, _| if i == joint { wave } else { 0.0 })
             }
-            (Movement::Bar(_), ParameterId::Zero { joint, .. }) => {
+            (Movement::Bar(_), ParameterId::EncoderOffset { joint, .. }) => {
                 Vector5::from_fn(|i, _| if i == joint { -1.0 } else { 0.0 })
             }
             (Movement::Bar(_), _) => {

@@ -160,8 +160,9 @@ impl LoopPoint {
         let reported = motion.at(self.geometry.clock.robot_time_s(observation.t_s))?;
         let state = self.geometry.corrected(&reported);
         let errors_rad = self.geometry.harmonics.errors_rad(readings);
-        let zeros_rad = self.geometry.zeros_in(observation.origin);
-        let added_rad: [f64; BAR_JOINTS] = std::array::from_fn(|joint| zeros_rad[joint] - errors_rad[joint]);
+        let origin_offsets_rad = self.geometry.offsets_of_origin(observation.origin);
+        let added_rad: [f64; BAR_JOINTS] =
+            std::array::from_fn(|joint| origin_offsets_rad[joint] - errors_rad[joint]);
         let bar_joints = readings.iter().zip(added_rad).map(|(reading, added)| reading.and(Turn::of(added)));
         if let Some(rod) = self.geometry.bar_links.get(ROD_LINK) {
             let rod_m = rod.d_m + self.geometry.extension_m(&observation.force, readings);

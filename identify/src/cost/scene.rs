@@ -67,7 +67,7 @@ impl Scene<'_> {
                     _ => Movement::None,
                 }
             }
-            ParameterId::Zero { origin, joint } => {
+            ParameterId::EncoderOffset { origin, joint } => {
                 let twist = self.bar.twist(joint, LinkParameter::Theta);
                 twist.filter(|_| origin == self.observation.origin).map_or(Movement::None, Movement::Bar)
             }
@@ -108,7 +108,7 @@ impl Scene<'_> {
             ParameterId::Base(axis) => Some(Twist::translation(unit(axis))),
             ParameterId::BaseRotation(axis) => Some(self.base_rotation(axis, bar.position_m())),
             ParameterId::BarCompliance | ParameterId::BarPlay | ParameterId::BarWave { .. } => {
-                bar.twist(ROD_LINK, LinkParameter::D).map(|twist| twist.scaled(self.stretch(id)))
+                bar.twist(ROD_LINK, LinkParameter::D).map(|twist| twist.scaled(self.elongation(id)))
             }
             _ => None,
         }
@@ -116,7 +116,7 @@ impl Scene<'_> {
 
     /// How much longer the bar becomes with a parameter: its rod itself, what a force does to it, or its bearings.
     #[inline]
-    pub fn stretch(&self, id: ParameterId) -> f64 {
+    pub fn elongation(&self, id: ParameterId) -> f64 {
         match id {
             ParameterId::BarCompliance => self.observation.force.along_n,
             ParameterId::BarPlay => self.observation.force.side,
@@ -154,7 +154,7 @@ pub(super) fn unit(axis: Axis) -> Vector3<f64> {
 pub(super) fn sees_encoder(id: ParameterId, encoders: &[usize]) -> bool {
     match id {
         ParameterId::Harmonic { joint, .. }
-        | ParameterId::Zero { joint, .. }
+        | ParameterId::EncoderOffset { joint, .. }
         | ParameterId::BarWave { joint, .. } => encoders.contains(&joint),
         _ => true,
     }

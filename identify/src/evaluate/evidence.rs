@@ -7,7 +7,7 @@ use super::{
 };
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::ball_bar::{BallBarCalibration, CalibrateError};
-use crate::calibrate::held_out::without_each_stretch;
+use crate::calibrate::held_out::without_each_segment;
 use crate::calibrate::other_costs::other_costs;
 use crate::cost::{Closure, closures};
 use crate::model::Model;
@@ -67,7 +67,7 @@ pub struct Evidence {
     pub workspace: WorkspaceError,
     /// What limits the result.
     pub limits: Vec<Limit>,
-    /// Prediction of stretches that no fit has seen, where somebody asked for it.
+    /// Prediction of segments that no fit has seen, where somebody asked for it.
     pub held_out: Option<HeldOut>,
     /// What the other costs say, where somebody asked for it.
     pub costs: Option<CostComparison>,
@@ -97,7 +97,7 @@ pub fn evidence(calibration: &BallBarCalibration, joint_limits: &[[f64; 2]]) -> 
 }
 
 impl Evidence {
-    /// Adds the prediction of held-out stretches and what the other costs say: some solves more.
+    /// Adds the prediction of held-out segments and what the other costs say: some solves more.
     ///
     /// # Errors
     /// [`CalibrateError`] where `watch` ended it.
@@ -114,8 +114,8 @@ impl Evidence {
                 let others = other_costs(calibration, config, watch)?;
                 Ok::<_, CalibrateError>(compare_costs(calibration, &others, joint_limits))
             });
-            let stretches = without_each_stretch(calibration, config, watch);
-            let held_out = stretches.map(|stretches| held_out(calibration, &stretches));
+            let segments = without_each_segment(calibration, config, watch);
+            let held_out = segments.map(|segments| held_out(calibration, &segments));
             (held_out, costs.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
         });
         self.held_out = Some(held_out?);

@@ -1,9 +1,9 @@
-//! Robot against bar on stretches of time that no fit has seen, before and after calibration.
+//! Robot against bar on segments of time that no fit has seen, before and after calibration.
 
 use super::nominal::bar_fitted;
 use super::{rms, uncalibrated};
 use crate::calibrate::ball_bar::BallBarCalibration;
-use crate::calibrate::held_out::Stretch;
+use crate::calibrate::held_out::Segment;
 use crate::cost::{Closure, closures};
 use crate::kinematics::LinkParameter;
 use crate::model::{Geometry, Model, Observation, ParameterId};
@@ -37,9 +37,9 @@ impl ApartRms {
     }
 }
 
-/// One stretch.
+/// One segment.
 #[derive(Debug, Clone, PartialEq)]
-pub struct HeldOutStretch {
+pub struct HeldOutSegment {
     /// Number of its run, from 0.
     pub run: usize,
     /// Nominal robot, the bar fitted to it on the rest of the run.
@@ -47,11 +47,11 @@ pub struct HeldOutStretch {
     /// Robot, bar and clocks as fitted to everything else; with a cost that leaves encoders out, the bar fitted as to the nominal
     /// robot.
     pub predicted: Vec<Apart>,
-    /// The whole fit, which has seen the stretch.
+    /// The whole fit, which has seen the segment.
     pub fitted: Vec<Apart>,
 }
 
-impl HeldOutStretch {
+impl HeldOutSegment {
     /// First and last sample, bar clock since the run's reference time \[s\].
     pub fn span_s(&self) -> [f64; 2] {
         let at = |one: Option<&Apart>| one.map_or(0.0, |one| one.t_s);
@@ -64,25 +64,25 @@ impl HeldOutStretch {
     }
 }
 
-/// All stretches of all runs.
+/// All segments of all runs.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct HeldOut {
     /// In the order of runs and time, but those that the rest could not predict.
-    pub stretches: Vec<HeldOutStretch>,
-    /// Stretches without which the parameters are not determined.
+    pub segments: Vec<HeldOutSegment>,
+    /// Segments without which the parameters are not determined.
     pub undetermined: usize,
 }
 
 impl HeldOut {
-    /// Root mean squares over all stretches: nominal, predicted, fitted.
+    /// Root mean squares over all segments: nominal, predicted, fitted.
     pub fn rms(&self) -> [ApartRms; 3] {
-        let all = |of: fn(&HeldOutStretch) -> &Vec<Apart>| ApartRms::of(self.stretches.iter().flat_map(of));
+        let all = |of: fn(&HeldOutSegment) -> &Vec<Apart>| ApartRms::of(self.segments.iter().flat_map(of));
         [all(|one| &one.nominal), all(|one| &one.predicted), all(|one| &one.fitted)]
     }
 }
 
-/// Looks at each stretch with the parameters that were found without it.
-pub fn held_out(calibration: &BallBarCalibration, stretches: &[Stretch]) -> HeldOut {
+/// Looks at each segment with the parameters that were found without it.
+pub fn held_out(calibration: &BallBarCalibration, segments: &[Segment]) -> HeldOut {
     let measured = calibration.measured();
     let by_encoders = measured.contains(&true);
     let is_estimated =
@@ -94,20 +94,20 @@ pub fn held_out(calibration: &BallBarCalibration, stretches: &[Stretch]) -> Held
     };
     let runs: Vec<_> = calibration.runs().collect();
     let mut all = HeldOut::default();
-    for stretch in stretches {
-        let Some(model) = &stretch.model else {
+    for segment in segments {
+        let Some(model) = &segment.model else {
             all.undetermined += 1;
             continue;
         };
-        let Some((prepared, whole)) = runs.get(stretch.run) else { continue };
+        let Some((prepared, whole)) = runs.get(segment.run) else { continue };
         let at = |geometry: &Geometry| -> Vec<Apart> {
-            let seen = closures(geometry, &prepared.motion, &stretch.seen_by_none);
+            let seen = closures(geometry, &prepared.motion, &segment.seen_by_none);
             seen.iter().map(|closure| apart(closure, by_encoders)).collect()
         };
-        all.stretches.push(HeldOutStretch {
-            run: stretch.run,
-            nominal: at(&uncalibrated(model, &prepared.motion, &stretch.others)),
-            predicted: at(&geometry(model, &prepared.motion, &stretch.others)),
+        all.segments.push(HeldOutSegment {
+            run: segment.run,
+            nominal: at(&uncalibrated(model, &prepared.motion, &segment.others)),
+            predicted: at(&geometry(model, &prepared.motion, &segment.others)),
             fitted: at(&geometry(whole, &prepared.motion, &prepared.observations)),
         });
     }

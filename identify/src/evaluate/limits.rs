@@ -2,7 +2,7 @@
 
 use statrs::distribution::{ContinuousCDF, Normal};
 
-use super::{PositiveForce, Quantiles, RunEvidence, Stretch, WorkspaceError};
+use super::{Elongation, PositiveForce, Quantiles, RunEvidence, WorkspaceError};
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::cost::Closure;
 use crate::kinematics::LinkParameter;
@@ -113,13 +113,14 @@ fn lasting_errors(calibration: &BallBarCalibration) -> impl Iterator<Item = Limi
 
 /// Forces that explain nothing.
 fn untold_forces(calibration: &BallBarCalibration) -> impl Iterator<Item = Limit> {
-    let untold = Stretch::all(calibration).into_iter().filter(|one| one.positive == PositiveForce::NotTold);
-    untold.map(|stretch| Limit {
+    let untold =
+        Elongation::all(calibration).into_iter().filter(|one| one.positive == PositiveForce::NotTold);
+    untold.map(|elongation| Limit {
         sentence: format!(
             "{}The {} does not tell how the bar gives way ({}); check its clock, column and place, or calibrate without it.",
-            place(calibration, stretch.run),
-            stretch.measured.kind.describe(),
-            stretch.sentence()
+            place(calibration, elongation.run),
+            elongation.measured.kind.describe(),
+            elongation.sentence()
         ),
         serious: true,
     })
@@ -196,10 +197,10 @@ fn other_lengths(calibration: &BallBarCalibration) -> Option<String> {
 
 /// What is wrong with one run.
 fn of_run(prepared: &Prepared) -> impl Iterator<Item = String> {
-    let wiring = &prepared.wiring.used;
-    let rewired = (!wiring.is_as_recorded()).then(|| {
+    let encoder_map = &prepared.encoder_map.used;
+    let rewired = (!encoder_map.is_as_recorded()).then(|| {
         format!(
-            "The encoders do not sit or count as the recording says; this fits instead and was used: {wiring}. Check the \
+            "The encoders do not sit or count as the recording says; this fits instead and was used: {encoder_map}. Check the \
              plugs, and correct ball_bar.toml."
         )
     });

@@ -74,7 +74,7 @@ pub enum PositiveForce {
 
 /// What a force did to the bar.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Stretch {
+pub struct Elongation {
     /// Number of the run, from 0.
     pub run: usize,
     /// As it was measured.
@@ -89,7 +89,7 @@ pub struct Stretch {
     pub positive: PositiveForce,
 }
 
-impl Stretch {
+impl Elongation {
     /// Of the first run of a calibration that has a force; none without any.
     pub fn of(calibration: &BallBarCalibration) -> Option<Self> {
         Self::all(calibration).into_iter().next()
@@ -158,7 +158,7 @@ pub struct SphereDeviation {
     /// With the calibrated one.
     pub after: Deviation,
     /// What a force did.
-    pub stretch: Option<Stretch>,
+    pub elongation: Option<Elongation>,
 }
 
 impl SphereDeviation {
@@ -166,11 +166,11 @@ impl SphereDeviation {
     pub fn all(calibration: &BallBarCalibration, runs: &[RunEvidence]) -> Vec<Self> {
         let [first, second, ..] = calibration.measured();
         let of_run = |((run, seen), (prepared, model)): ((usize, &RunEvidence), (&Prepared, &Model))| {
-            let stretch = Stretch::of_run(calibration, run, prepared, model);
-            let of_signs = stretch.is_some_and(|stretch| stretch.parameter == ParameterId::BarPlay);
+            let elongation = Elongation::of_run(calibration, run, prepared, model);
+            let of_signs = elongation.is_some_and(|elongation| elongation.parameter == ParameterId::BarPlay);
             let [before, after] = [&seen.before, &seen.after]
                 .map(|closures| Deviation::of(closures, of_signs, first && second));
-            Self { before, after, stretch }
+            Self { before, after, elongation }
         };
         runs.iter().enumerate().zip(calibration.runs()).map(of_run).collect()
     }

@@ -7,7 +7,7 @@ use crate::prepare::unwrapped_log;
 
 /// Rows that repeat all joints while the log moves on either side are frozen, not still.
 const FROZEN_ROWS_MIN: usize = 3;
-/// A joint that moved by this much over a frozen stretch was moving \[rad\].
+/// A joint that moved by this much over a frozen segment was moving \[rad\].
 const FROZEN_STEP_RAD: f64 = 1e-3;
 
 /// What a robot's log holds.
@@ -102,7 +102,7 @@ fn suspect_fast(inspection: &mut Inspection) {
     }
 }
 
-/// Rows in stretches where every joint repeats itself exactly, and that end in a jump.
+/// Rows in segments where every joint repeats itself exactly, and that end in a jump.
 fn frozen_rows(rows: &[Joints]) -> usize {
     let mut frozen = 0;
     let mut start = 0;

@@ -67,7 +67,7 @@ const PERIODS_MAX: f64 = 4.0;
 const NEIGHBOURS_WHOLE: usize = 10;
 /// Smaller steps of all joints are standstill \[rad, m\].
 const STEP_RAD_MIN: f64 = 50e-6;
-/// Rows over which the period is measured at first, and the part of such stretches at either end that has a step of the clock.
+/// Rows over which the period is measured at first, and the part of such segments at either end that has a step of the clock.
 const LAG: usize = 32;
 const STEPS_PART: f64 = 0.02;
 /// The rate of a clock follows temperature over minutes: it is free to change at this distance \[s\].
@@ -313,7 +313,7 @@ fn trimmed_mean(mut values: Vec<f64>, part: f64) -> Option<f64> {
     Some(kept.iter().sum::<f64>() / kept.len() as f64)
 }
 
-/// The period \[s\], from stretches in which the motion says how many there are; without motion from the stamps alone.
+/// The period \[s\], from segments in which the motion says how many there are; without motion from the stamps alone.
 fn period(t_s: &[f64], motion: &[Option<f64>]) -> Option<f64> {
     let of = |from: usize| {
         let periods: Option<f64> = motion.get(from..from + LAG)?.iter().copied().sum();

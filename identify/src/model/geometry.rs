@@ -30,14 +30,14 @@ impl BasePlacement {
 
 /// How the ball-bar's length follows the force along it (TFRT-6017 section 5.3).
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct BarStretch {
+pub struct BarElongation {
     /// Longer by this for each newton \[m/N\]; negative where the log counts compression as positive.
     pub compliance_m_per_n: f64,
     /// Longer by this on the positive side of its play, shorter on the other \[m\].
     pub play_m: f64,
 }
 
-impl BarStretch {
+impl BarElongation {
     /// How much longer the bar is under a force, `c F + h s` \[m\].
     #[inline]
     pub fn extension_m(&self, force: &BarForce) -> f64 {
@@ -95,13 +95,13 @@ pub struct Geometry {
     /// Where the bar stands.
     pub base: BasePlacement,
     /// What a force does to its length.
-    pub stretch: BarStretch,
+    pub elongation: BarElongation,
     /// And its direction.
     pub bar_waves: BarWaves,
     /// Errors of the bar's encoders.
     pub harmonics: Harmonics,
     /// What is added to the encoders' angles in each origin of the counters but the first \[rad\].
-    pub zeros_rad: Vec<[f64; BAR_JOINTS]>,
+    pub origin_offsets_rad: Vec<[f64; BAR_JOINTS]>,
     /// Clocks of the two logs.
     pub clock: Clock,
     /// For measured lengths.
@@ -135,10 +135,10 @@ impl Geometry {
             robot,
             bar_links,
             base,
-            stretch: BarStretch::default(),
+            elongation: BarElongation::default(),
             bar_waves: BarWaves::default(),
             harmonics: Harmonics::default(),
-            zeros_rad: Vec::new(),
+            origin_offsets_rad: Vec::new(),
             clock: Clock::default(),
             wire: Wire::default(),
             tracker: Tracker::default(),
@@ -159,14 +159,18 @@ impl Geometry {
     }
 
     /// What is added to the encoders' angles in one of the origins of the counters \[rad\].
-    pub fn zeros_in(&self, origin: usize) -> [f64; BAR_JOINTS] {
-        origin.checked_sub(1).and_then(|index| self.zeros_rad.get(index)).copied().unwrap_or_default()
+    pub fn offsets_of_origin(&self, origin: usize) -> [f64; BAR_JOINTS] {
+        origin
+            .checked_sub(1)
+            .and_then(|index| self.origin_offsets_rad.get(index))
+            .copied()
+            .unwrap_or_default()
     }
 
     /// How much longer the ball-bar is under a force and in the direction of these readings \[m\].
     #[inline]
     pub fn extension_m(&self, force: &BarForce, readings: &[Turn; BAR_JOINTS]) -> f64 {
-        self.stretch.extension_m(force) + self.bar_waves.extension_m(readings)
+        self.elongation.extension_m(force) + self.bar_waves.extension_m(readings)
     }
 
     /// The ball-bar on its base, without any force on it.
@@ -188,12 +192,12 @@ impl Geometry {
             ParameterId::BaseRotation(Axis::Y) => Some(&mut self.base.ry_rad),
             // About z it would be btheta1 a second time.
             ParameterId::BaseRotation(Axis::Z) => None,
-            ParameterId::BarCompliance => Some(&mut self.stretch.compliance_m_per_n),
-            ParameterId::BarPlay => Some(&mut self.stretch.play_m),
+            ParameterId::BarCompliance => Some(&mut self.elongation.compliance_m_per_n),
+            ParameterId::BarPlay => Some(&mut self.elongation.play_m),
             ParameterId::BarWave { joint, order, phase } => self.bar_waves.amplitude_mut(joint, order, phase),
             ParameterId::Harmonic { joint, harmonic } => self.harmonics.amplitude_mut(joint, harmonic),
-            ParameterId::Zero { origin, joint } => {
-                self.zeros_rad.get_mut(origin.checked_sub(1)?)?.get_mut(joint)
+            ParameterId::EncoderOffset { origin, joint } => {
+                self.origin_offsets_rad.get_mut(origin.checked_sub(1)?)?.get_mut(joint)
             }
             ParameterId::Joint { axis, term } => self.joints.amplitude_mut(axis, term),
             ParameterId::JointWave { axis, .. } if !self.joints.drives.turns(axis) => None,

@@ -20,7 +20,7 @@ pub struct Observation {
     pub bar_rad: [f64; BAR_JOINTS],
     /// Joints that have an encoder.
     pub measured: [bool; BAR_JOINTS],
-    /// Which zeros the encoders had: 0 those of the bar's links, others also [`super::ParameterId::Zero`] of this number.
+    /// Which zeros the encoders had: 0 those of the bar's links, others also [`super::ParameterId::EncoderOffset`] of this number.
     pub origin: usize,
     /// Length of a wire or telescoping bar \[m\].
     pub length_m: Option<f64>,

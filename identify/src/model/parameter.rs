@@ -77,9 +77,9 @@ pub enum ParameterId {
         /// Which wave.
         harmonic: Harmonic,
     },
-    /// What is added to a bar encoder's angle after its counter lost its origin during the run, beside `btheta`: `bzero1_2`
+    /// What is added to a bar encoder's angle after its counter lost its origin during the run, beside `btheta`: `boffset1_2`
     /// (encoder 2 after the first loss).
-    Zero {
+    EncoderOffset {
         /// Which origin, from 1: 0 is that of `btheta`.
         origin: usize,
         /// Joint from 0.
@@ -256,7 +256,7 @@ impl ParameterId {
             Self::ClockShift | Self::ClockSkew => Owner::Clocks,
             Self::Bar { .. } | Self::Base(_) | Self::BaseRotation(_) => Owner::BallBar,
             Self::BarCompliance | Self::BarPlay | Self::BarWave { .. } => Owner::BallBar,
-            Self::Harmonic { .. } | Self::Zero { .. } => Owner::BallBar,
+            Self::Harmonic { .. } | Self::EncoderOffset { .. } => Owner::BallBar,
             Self::Attachment(_) | Self::Anchor(_) | Self::LengthOffset => Owner::Wire,
             Self::Tracker(_) | Self::TrackerRotation(_) => Owner::Tracker,
             Self::Probe(_) | Self::ProbeRotation(_) => Owner::Tracker,
@@ -281,7 +281,7 @@ impl ParameterId {
             Self::Tracker(_) | Self::Probe(_) | Self::Ball(_) | Self::Socket { .. } => Unit::Metre,
             Self::BarPlay | Self::BarWave { .. } => Unit::Metre,
             Self::BarCompliance => Unit::MetrePerNewton,
-            Self::BaseRotation(_) | Self::Harmonic { .. } | Self::Zero { .. } => Unit::Radian,
+            Self::BaseRotation(_) | Self::Harmonic { .. } | Self::EncoderOffset { .. } => Unit::Radian,
             Self::TrackerRotation(_) | Self::ProbeRotation(_) | Self::JointWave { .. } => Unit::Radian,
             Self::Joint { term, .. } => match term {
                 JointTerm::Ratio => Unit::Ratio,
@@ -311,7 +311,7 @@ impl ParameterId {
 
     /// Zeros of all bar encoders in the origins from 1 to `last`, at most [`Self::LAST_ORIGIN`].
     pub fn zeros(last: usize) -> impl Iterator<Item = Self> {
-        let of = |origin| (0..BAR_JOINTS).map(move |joint| Self::Zero { origin, joint });
+        let of = |origin| (0..BAR_JOINTS).map(move |joint| Self::EncoderOffset { origin, joint });
         (1..=last.min(Self::LAST_ORIGIN)).flat_map(of)
     }
 
@@ -399,7 +399,7 @@ impl fmt::Display for ParameterId {
             Self::BarPlay => f.write_str("bplay"),
             Self::BarWave { joint, order, phase } => write!(f, "bd{phase}{order}_{}", joint + 1),
             Self::Harmonic { joint, harmonic } => write!(f, "b{harmonic}_{}", joint + 1),
-            Self::Zero { origin, joint } => write!(f, "bzero{origin}_{}", joint + 1),
+            Self::EncoderOffset { origin, joint } => write!(f, "boffset{origin}_{}", joint + 1),
             Self::JointWave { axis, order, phase } => write!(f, "r{phase}{order}_{}", axis + 1),
             Self::Joint { axis, term } => write!(f, "r{term}_{}", axis + 1),
             Self::ClockShift => f.write_str("clock_shift"),

@@ -53,7 +53,7 @@ pub enum ModelError {
     /// No parameter has this name.
     #[error(
         "no parameter is called `{name}`; names are ra1 rd1 ralpha1 rtheta1 .. 6, rbeta1 .. 6, ba1 bd1 balpha1 \
-         btheta1 .. 5, ox oy oz orx ory, bcompliance bplay, bdsin2_1 bdcos2_1 .. bdcos3_2, bsin1_1 bcos1_1 bsin2_1 bcos2_1 bzero1_1 .. 5, rsin1_1 rcos1_1 rsin2_1 rcos2_1 \
+         btheta1 .. 5, ox oy oz orx ory, bcompliance bplay, bdsin2_1 bdcos2_1 .. bdcos3_2, bsin1_1 bcos1_1 bsin2_1 bcos2_1 boffset1_1 .. 5, rsin1_1 rcos1_1 rsin2_1 rcos2_1 \
          rsinc_1 rcosc_1 rsinm_1 rcosm_1 rsin3_1 rcos3_1 .. rcos127_1 rbacklash_1 rratio_1 .. 6, relbow_2 rwrist_2 rwrist_3 rtool_2 rtool_3 rtool_5 (axes up to 8 where the robot has them), \
          clock_shift clock_skew, attachment_x anchor_x .. z, length_offset, \
          tracker_x tracker_rx probe_x probe_rx .. z, ball_x .. z, socket1_x .. socket99_z"
@@ -185,12 +185,12 @@ impl Model {
         self
     }
 
-    /// The same with zeros of the bar's encoders after losses of the counters' origin, [`ParameterId::Zero`].
+    /// The same with zeros of the bar's encoders after losses of the counters' origin, [`ParameterId::EncoderOffset`].
     #[must_use]
-    pub fn with_zeros(mut self, zeros: impl IntoIterator<Item = ParameterId>) -> Self {
+    pub fn with_encoder_offsets(mut self, zeros: impl IntoIterator<Item = ParameterId>) -> Self {
         for id in zeros {
-            let ParameterId::Zero { origin, .. } = id else { continue };
-            let known = &mut self.structure.zeros_rad;
+            let ParameterId::EncoderOffset { origin, .. } = id else { continue };
+            let known = &mut self.structure.origin_offsets_rad;
             known.resize(known.len().max(origin), [0.0; BAR_JOINTS]);
             self.parameters.push(Parameter { id, nominal: 0.0, value: 0.0, role: Role::Fixed });
         }

@@ -3,9 +3,9 @@
 use serde::Serialize;
 
 use super::bar_angles::BarSegment;
+use super::encoder_map::EncoderMap;
 use super::smooth::{BAR_GAP_S, moving_average};
 use super::standstill::Standstill;
-use super::wiring::Wiring;
 use crate::kinematics::BAR_JOINTS;
 use crate::logs::{RobotLog, Row, default_gap_limit_s};
 
@@ -58,7 +58,7 @@ pub(super) struct BeforeAverage<'a> {
     pub segments: &'a [BarSegment],
     /// Bar time of a segment's sample since the reference \[s\].
     pub bar_time_s: &'a dyn Fn(&BarSegment, usize) -> f64,
-    pub wiring: &'a Wiring,
+    pub encoder_map: &'a EncoderMap,
     pub log: &'a RobotLog,
     /// Bar time since the reference of a time of `log` \[s\].
     pub robot_time_s: &'a dyn Fn(f64) -> f64,
@@ -72,7 +72,7 @@ impl BeforeAverage<'_> {
         for segment in self.segments {
             let t_s: Vec<f64> = (0..segment.times.len()).map(|at| (self.bar_time_s)(segment, at)).collect();
             let angles: Vec<[f64; BAR_JOINTS]> =
-                segment.angles_rad.iter().map(|recorded| self.wiring.applied(recorded)).collect();
+                segment.angles_rad.iter().map(|recorded| self.encoder_map.applied(recorded)).collect();
             bar.add(&t_s, &angles, self.width_s, BAR_GAP_S, self.standstills);
         }
         let mut robot = Comparison::new(self.log.axes());
@@ -80,7 +80,7 @@ impl BeforeAverage<'_> {
         let gap_s = default_gap_limit_s(self.log);
         robot.add(&t_s, &self.log.q_rad, self.width_s, gap_s, self.standstills);
         let mut bar = bar.finish();
-        let measured = self.wiring.measured();
+        let measured = self.encoder_map.measured();
         for of_joints in [&mut bar.still_rad, &mut bar.moving_rad] {
             of_joints
                 .iter_mut()

@@ -1,4 +1,4 @@
-//! Counts of a recording to joint angles with unknown zeros.
+//! Counts of a recording to joint angles with unknown offsets.
 
 use std::f64::consts::TAU;
 
@@ -6,10 +6,10 @@ use shared::encoder::Unwrapper;
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 use shared::time::UtcNs;
 
-use super::{Fate, PrepareError};
+use super::{PrepareError, SampleStatus};
 use crate::kinematics::BAR_JOINTS;
 
-/// Samples between two changes of the counters' origin: within it the zeros stay the same.
+/// Samples between two changes of the counters' origin: within it the offsets stay the same.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct BarSegment {
     /// Index of each sample's cycle in the recording.
@@ -28,7 +28,7 @@ pub struct BarAngles {
     /// In the order of time; none is empty.
     pub segments: Vec<BarSegment>,
     /// What became of each cycle so far: invalid, time not increasing, or anything else.
-    pub fates: Vec<Fate>,
+    pub statuses: Vec<SampleStatus>,
 }
 
 /// Unwraps the counts of all valid cycles.
@@ -45,15 +45,15 @@ pub fn bar_angles(cycles: &[CycleRecord], encoders: &[EncoderInfo]) -> Result<Ba
             angles.segments.extend(ended.finish());
         }
         if !cycle.is_valid() {
-            angles.fates.push(Fate::Invalid);
+            angles.statuses.push(SampleStatus::Invalid);
             continue;
         }
         if segment.samples.times.last().is_some_and(|&before| cycle.sample_time <= before) {
-            angles.fates.push(Fate::TimeNotIncreasing);
+            angles.statuses.push(SampleStatus::TimeNotIncreasing);
             continue;
         }
         segment.push(index, cycle, encoders)?;
-        angles.fates.push(Fate::Surplus);
+        angles.statuses.push(SampleStatus::Thinned);
     }
     angles.segments.extend(segment.finish());
     if angles.segments.is_empty() {

@@ -10,7 +10,7 @@ use super::bar_angles::{BarAngles, BarSegment, bar_angles};
 use super::smooth::{smoothed_log, smoothed_segments};
 use super::standstill::Standstill;
 use super::unwrap::{unwrapped_counters, unwrapped_log};
-use super::{ClockFit, Fate, PrepareError, PrepareOptions, Wiring};
+use super::{ClockFit, EncoderMap, PrepareError, PrepareOptions, SampleStatus};
 use crate::logs::{RobotLog, Unwrapped, default_gap_limit_s};
 
 /// What the bar and the robot say.
@@ -53,8 +53,8 @@ impl<'a> BothLogs<'a> {
         let log = smoothed_log(&self.log, width_s, default_gap_limit_s(&self.log));
         let segments = std::mem::replace(&mut self.angles.segments, segments);
         // Those that have an average get theirs later.
-        let valid = self.angles.fates.iter_mut().filter(|fate| **fate == Fate::Surplus);
-        valid.for_each(|fate| *fate = Fate::NotAveraged);
+        let valid = self.angles.statuses.iter_mut().filter(|status| **status == SampleStatus::Thinned);
+        valid.for_each(|status| *status = SampleStatus::NotAveraged);
         let after = self.angles.segments.len();
         tracing::debug!(before = segments.len(), after, width_s, "moving average over both logs");
         let log = std::mem::replace(&mut self.log, Cow::Owned(log));
@@ -66,7 +66,7 @@ impl<'a> BothLogs<'a> {
         &self,
         t_ref: UtcNs,
         clock: ClockFit,
-        wiring: &Wiring,
+        encoder_map: &EncoderMap,
         standstills: &[Standstill],
     ) -> Option<Averaged> {
         let before = self.before.as_ref()?;
@@ -76,7 +76,7 @@ impl<'a> BothLogs<'a> {
             width_s: before.width_s,
             segments: &before.segments,
             bar_time_s: &|segment, at| segment.times.get(at).map_or(0.0, |time| time.seconds_since(t_ref)),
-            wiring,
+            encoder_map,
             log: &before.log,
             robot_time_s: &|tau_s| (tau_s - begins_s - clock.shift_s) / (1.0 + clock.skew),
             standstills,

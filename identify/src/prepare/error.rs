@@ -119,7 +119,7 @@ pub enum PrepareError {
          bar's configuration (lengths, or lines and interpolation_bits of the encoders) is not that of this cell, or robot \
          log and recording are of different runs; correct the configuration, or give the log of this run"
     )]
-    NoWiring {
+    NoEncoderMap {
         /// How the recorded order fits.
         recorded: String,
         /// Threshold \[mrad\].
@@ -131,7 +131,7 @@ pub enum PrepareError {
          {fits}\nLook at the bar which is right and type that option (or put `encoders = [..]` under [prepare] of the \
          configuration), or move more joints"
     )]
-    AmbiguousWiring {
+    AmbiguousEncoderMap {
         /// Those that fit.
         fits: String,
     },
@@ -156,7 +156,7 @@ pub enum PrepareError {
          direction in the bar's configuration, or let it be found with --encoders find (`encoders = \"find\"` under \
          [prepare])"
     )]
-    OtherWiring {
+    OtherEncoderMap {
         /// How the recorded order fits.
         recorded: String,
         /// The one that fits.
@@ -167,7 +167,7 @@ pub enum PrepareError {
         "the stated encoders (--encoders, or `encoders` under [prepare]) are {stated}; give one bar joint for each of the {encoders} encoders of the recording, \
          1 to 5, none twice, negative where an encoder counts the other way than recorded"
     )]
-    StatedWiring {
+    StatedEncoderMap {
         /// As given.
         stated: String,
         /// Encoders of the recording.

@@ -2,12 +2,12 @@
 
 use super::clock::ClockFit;
 use super::correlate::{Match, candidates};
+use super::encoder_map::{AnglePair, EncoderMap, EncoderMapReport, find_encoder_map};
 use super::refine::{Fit, FitSample, refine};
+use super::segments::{Pair, Settled, settle};
 use super::select::{apart, select};
 use super::slip::large_slip;
 use super::speeds::{STEP_S, measured_speeds, predicted_speeds, without_order};
-use super::stretches::{Pair, Settled, settle};
-use super::wiring::{AnglePair, Wiring, WiringReport, find_wiring};
 use super::{Channels, Predictor, PrepareError, PrepareOptions};
 use crate::kinematics::{BAR_JOINTS, Chain, mirroring_joints};
 use crate::logs::InterpolatedLog;
@@ -21,7 +21,7 @@ pub(super) struct Raw {
     pub origin: usize,
     /// Bar time since the first sample \[s\].
     pub t_s: f64,
-    /// Encoder angles by recorded joint, zeros unknown \[rad\].
+    /// Encoder angles by recorded joint, offsets unknown \[rad\].
     pub recorded_rad: [f64; BAR_JOINTS],
 }
 
@@ -47,8 +47,8 @@ pub(super) struct Found {
     /// Another shift fits as well.
     pub ambiguous: bool,
     /// Which encoder is which.
-    pub wiring: WiringReport,
-    /// Zeros by origin, refined, and configurations, on all samples.
+    pub encoder_map: EncoderMapReport,
+    /// Offsets by origin, refined, and configurations, on all samples.
     pub settled: Settled,
     /// The fine fit; its times are those of the samples.
     pub fit: Fit,
@@ -83,7 +83,7 @@ const HOLE_S: f64 = 1.0;
 pub(super) struct Hypothesis {
     matched: Match,
     clock: ClockFit,
-    wiring: WiringReport,
+    encoder_map: EncoderMapReport,
     spread_rad: f64,
 }
 
@@ -92,7 +92,7 @@ impl Search<'_> {
     ///
     /// # Errors
     /// [`PrepareError::NoMatch`], [`PrepareError::ClockJump`], [`PrepareError::EncoderSlip`] and those of
-    /// [`find_wiring`].
+    /// [`find_encoder_map`].
     pub fn run(&self) -> Result<Found, PrepareError> {
         let step_s = STEP_S.max(self.log_duration_s / GRID_MAX);
         let window = self.liveliest();
@@ -119,8 +119,8 @@ impl Search<'_> {
         hypotheses.truncate(FITTED_MAX);
         let mut fitted: Vec<(Hypothesis, Fit)> = Vec::new();
         for hypothesis in hypotheses {
-            let measured = hypothesis.wiring.used.measured();
-            let settled = self.settled(&window, hypothesis.clock, &hypothesis.wiring.used);
+            let measured = hypothesis.encoder_map.used.measured();
+            let settled = self.settled(&window, hypothesis.clock, &hypothesis.encoder_map.used);
             let fit = self.refined(&settled, &measured, hypothesis.clock);
             fitted.extend(fit.map(|fit| (hypothesis, fit)));
         }
@@ -136,9 +136,9 @@ impl Search<'_> {
             let jump = self.jump_between_parts(&window, step_s);
             return Err(jump.or(refusal).unwrap_or(PrepareError::NothingToFit));
         };
-        let Hypothesis { matched, wiring, .. } = hypothesis;
-        let (settled, fit) = self.grown(window, &wiring.used, fit)?;
-        Ok(Found { matched, ambiguous, wiring, settled, fit })
+        let Hypothesis { matched, encoder_map, .. } = hypothesis;
+        let (settled, fit) = self.grown(window, &encoder_map.used, fit)?;
+        Ok(Found { matched, ambiguous, encoder_map, settled, fit })
     }
 
     fn margin_rad(&self) -> f64 {
@@ -223,30 +223,30 @@ impl Search<'_> {
         let clock = ClockFit { shift_s: matched.shift * step_s - first_s, skew: 0.0 };
         let of_samples = self.pairs(window, clock);
         let pairs: Vec<AnglePair> = of_samples.iter().map(|(_, pair)| *pair).collect();
-        let wiring = find_wiring(&pairs, self.recorded_joints, self.options).map_err(|error| {
+        let encoder_map = find_encoder_map(&pairs, self.recorded_joints, self.options).map_err(|error| {
             let time_s = |sample: usize| self.samples.get(sample).map_or(0.0, |raw| raw.t_s);
             let timed: Vec<_> = of_samples.iter().map(|(sample, pair)| (time_s(*sample), *pair)).collect();
             let slip = || large_slip(&timed, self.recorded_joints, self.options);
             match error {
-                PrepareError::NoWiring { .. } => slip().unwrap_or(error),
+                PrepareError::NoEncoderMap { .. } => slip().unwrap_or(error),
                 PrepareError::Mirrored { stated, .. } => {
                     PrepareError::Mirrored { joints: mirroring_joints(self.chains[0]), stated }
                 }
                 error => error,
             }
         })?;
-        let settled = self.settled(window, clock, &wiring.used);
+        let settled = self.settled(window, clock, &encoder_map.used);
         let squares: f64 = settled.spread_rad.iter().map(|spread| spread * spread).sum();
-        Ok(Hypothesis { matched, clock, wiring, spread_rad: squares.sqrt() })
+        Ok(Hypothesis { matched, clock, encoder_map, spread_rad: squares.sqrt() })
     }
 
-    /// Samples spread over the motion with what the robot's log predicts there, in stretches between singular poses.
+    /// Samples spread over the motion with what the robot's log predicts there, in segments between singular poses.
     fn pairs(&self, window: &std::ops::Range<usize>, clock: ClockFit) -> Vec<(usize, AnglePair)> {
         let samples = self.samples.get(window.clone()).unwrap_or_default();
         let long = samples.last().zip(samples.first()).is_some_and(|(a, b)| a.t_s - b.t_s > 1.1 * WINDOW_S);
         let stride = if long { LONG_STRIDE } else { 1 };
         let mut pairs: Vec<(usize, AnglePair)> = Vec::new();
-        let (mut stretch, mut broken, mut before) = (0, false, None::<&Raw>);
+        let (mut segment, mut broken, mut before) = (0, false, None::<&Raw>);
         for (index, raw) in samples.iter().enumerate().step_by(stride) {
             let parted =
                 before.is_some_and(|before| before.origin != raw.origin || raw.t_s - before.t_s > HOLE_S);
@@ -256,9 +256,9 @@ impl Search<'_> {
             broken |= parted || bar.is_none();
             let Some(bar) = bar else { continue };
             if std::mem::take(&mut broken) {
-                stretch += 1;
+                segment += 1;
             }
-            let pair = AnglePair { stretch, recorded_rad: raw.recorded_rad, predicted_rad: bar.joints_rad };
+            let pair = AnglePair { segment, recorded_rad: raw.recorded_rad, predicted_rad: bar.joints_rad };
             pairs.push((window.start + index, pair));
         }
         let angles: Vec<[f64; BAR_JOINTS]> = pairs.iter().map(|(_, pair)| pair.recorded_rad).collect();
@@ -266,22 +266,22 @@ impl Search<'_> {
         kept.into_iter().filter_map(|index| pairs.get(index).copied()).collect()
     }
 
-    /// Zeros and configurations at a shift.
-    fn settled(&self, window: &std::ops::Range<usize>, clock: ClockFit, wiring: &Wiring) -> Settled {
+    /// Offsets and configurations at a shift.
+    fn settled(&self, window: &std::ops::Range<usize>, clock: ClockFit, encoder_map: &EncoderMap) -> Settled {
         let pairs: Vec<Pair> = self
             .pairs(window, clock)
             .into_iter()
             .map(|(sample, pair)| Pair {
                 sample,
                 origin: self.samples.get(sample).map_or(0, |raw| raw.origin),
-                stretch: pair.stretch,
-                measured_rad: wiring.applied(&pair.recorded_rad),
+                segment: pair.segment,
+                measured_rad: encoder_map.applied(&pair.recorded_rad),
                 predicted_rad: pair.predicted_rad,
             })
             .collect();
-        // Wider than the limit for a whole run: a short stretch may lie where the nominal geometry is worst.
+        // Wider than the limit for a whole run: a short segment may lie where the nominal geometry is worst.
         let limit_rad = 4.0 * self.options.spread_max_mrad * 1e-3;
-        settle(&pairs, &wiring.measured(), self.origins, limit_rad)
+        settle(&pairs, &encoder_map.measured(), self.origins, limit_rad)
     }
 
     fn refined(&self, settled: &Settled, measured: &[bool; BAR_JOINTS], clock: ClockFit) -> Option<Fit> {
@@ -303,18 +303,18 @@ impl Search<'_> {
     fn grown(
         &self,
         mut window: std::ops::Range<usize>,
-        wiring: &Wiring,
+        encoder_map: &EncoderMap,
         mut fit: Fit,
     ) -> Result<(Settled, Fit), PrepareError> {
-        let measured = wiring.measured();
+        let measured = encoder_map.measured();
         loop {
             let whole = window == (0..self.samples.len());
-            let mut settled = self.settled(&window, fit.clock, wiring);
+            let mut settled = self.settled(&window, fit.clock, encoder_map);
             fit = self.refined(&settled, &measured, fit.clock).ok_or(PrepareError::NothingToFit)?;
             if whole {
-                for (zeros, by_rad) in settled.zeros.iter_mut().zip(&fit.zeros_by_rad) {
-                    if let Some(zeros) = zeros {
-                        zeros.offsets_rad = std::array::from_fn(|j| zeros.offsets_rad[j] + by_rad[j]);
+                for (offsets, by_rad) in settled.offsets.iter_mut().zip(&fit.offsets_by_rad) {
+                    if let Some(offsets) = offsets {
+                        offsets.offsets_rad = std::array::from_fn(|j| offsets.offsets_rad[j] + by_rad[j]);
                     }
                 }
                 return Ok((settled, fit));

@@ -80,6 +80,6 @@ impl PrepareError {
 
     /// What was typed is wrong, whatever the data.
     pub fn is_mistyped(&self) -> bool {
-        matches!(self, Self::StatedWiring { .. })
+        matches!(self, Self::StatedEncoderMap { .. })
     }
 }

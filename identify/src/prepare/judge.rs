@@ -40,7 +40,7 @@ const SPEED_VARIES_RAD_S: f64 = 0.05;
 /// Fewest samples of a part.
 const PART_SAMPLES_MIN: usize = 20;
 
-/// Shift of each part of the run. Zeros are free in each, so that slow errors of the geometry do not pass for time.
+/// Shift of each part of the run. Offsets are free in each, so that slow errors of the geometry do not pass for time.
 pub(super) fn local_shifts(judged: &[Judged]) -> Vec<LocalShift> {
     let part = |one: &Judged| (one.origin, (one.t_s / PART_S).floor());
     judged.chunk_by(|a, b| part(a) == part(b)).filter_map(local_shift).collect()
@@ -149,7 +149,7 @@ impl Steps {
 /// `t_ref_s` is the reference time after the first sample.
 ///
 /// # Errors
-/// [`PrepareError::EncoderSlip`] where the zero of one encoder changes from one sample to the next without a flag,
+/// [`PrepareError::EncoderSlip`] where the offset of one encoder changes from one sample to the next without a flag,
 /// [`PrepareError::ClockJump`] where all joints change by their speeds.
 pub(super) fn check_steps(
     judged: &[Judged],

@@ -1,4 +1,4 @@
-//! What changes at an instant: the time of one log against the other, or the zero of one encoder.
+//! What changes at an instant: the time of one log against the other, or the offset of one encoder.
 //!
 //! Within some seconds errors of the geometry are nearly straight lines. Beside these, and beside a shift of the whole window, two
 //! explanations of a sudden change compete: from the instant on all joints are off by their speed times one time, or one
@@ -27,12 +27,12 @@ pub(super) struct Jump {
     pub by_s: f64,
 }
 
-/// The changes of time among samples with the same zeros.
+/// The changes of time among samples with the same offsets.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Jumps {
-    /// One that explains more than any change of a zero anywhere does.
+    /// One that explains more than any change of an offset anywhere does.
     pub sure: Option<Jump>,
-    /// One that explains more than any change of a zero at the same instant.
+    /// One that explains more than any change of an offset at the same instant.
     pub likely: Option<Jump>,
 }
 
@@ -64,7 +64,7 @@ struct Change {
     /// What a change of time takes away of it, and the change \[s\].
     by_time: f64,
     by_s: f64,
-    /// What a change of the zero takes away that takes away most.
+    /// What a change of the offset takes away that takes away most.
     by_zero: f64,
 }
 

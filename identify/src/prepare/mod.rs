@@ -1,6 +1,6 @@
 //! From a recording and a robot log, each on its own clock, to samples that a solve can begin with.
 //!
-//! Nothing but nominal geometry is known at the beginning: not the clocks, not the encoders' zeros, not where the bar
+//! Nothing but nominal geometry is known at the beginning: not the clocks, not the encoders' offsets, not where the bar
 //! stands nor in which of its configurations. The steps, each a plain function on values:
 //!
 //! 1. [`bar_angles`]: counts to angles, bad cycles dropped, runs split where counters lost their origin;
@@ -8,19 +8,19 @@
 //!    asked for.
 //! 2. [`fit_sphere`]: the robot's own positions give the bar's base and length.
 //! 3. [`Predictor`]: with these, nominal inverse kinematics of the bar predicts its joints from the robot's log.
-//! 4. [`correlate`]: predicted and measured joint *speeds* know no zeros, signs or configurations, and the root of the sum
+//! 4. [`correlate`]: predicted and measured joint *speeds* know no offsets, signs or configurations, and the root of the sum
 //!    of their squares knows no order either; their cross-correlation gives candidates for the clock difference, whatever
 //!    its size.
-//! 5. At each candidate angles are compared: [`find_wiring`] tells which encoder is which and which way it counts, then
-//!    zeros and configurations follow, stretch by stretch between singular poses and origins (`stretches`). The shift
+//! 5. At each candidate angles are compared: [`find_encoder_map`] tells which encoder is which and which way it counts, then
+//!    offsets and configurations follow, segment by segment between singular poses and origins (`segments`). The shift
 //!    whose angles fit best wins.
-//! 6. `refine` fits clocks, base and zeros to the angles while all numbers of both chains may move within their
+//! 6. `refine` fits clocks, base and offsets to the angles while all numbers of both chains may move within their
 //!    tolerances. By this fit every sample is judged (`judge`): outliers, a slipped encoder, a clock that jumped.
-//! 7. [`select`], [`spread_over_sphere`]: standstill, singular poses and surplus samples are left out.
+//! 7. [`select`], [`spread_over_sphere`]: standstill, singular poses and samples beyond what is needed are left out.
 //! 8. Where a force was measured, each sample gets its component along the bar (`forces`).
 //!
 //! The solve gets each sample in the configuration in which it was measured: forward kinematics needs no other, and
-//! converting it would bake the zeros of the preparation into it. Only the [`Timeline`] shows all in one configuration.
+//! converting it would bake the offsets of the preparation into it. Only the [`Timeline`] shows all in one configuration.
 //!
 //! Times stay integers until they are small differences: the clocks may be decades apart.
 
@@ -31,6 +31,7 @@ mod both_logs;
 mod circular;
 mod clock;
 mod correlate;
+mod encoder_map;
 mod error;
 mod find;
 mod findings;
@@ -42,6 +43,7 @@ mod parts;
 mod predict;
 mod refine;
 mod samples;
+mod segments;
 mod select;
 mod slip;
 mod smooth;
@@ -49,17 +51,18 @@ mod speeds;
 mod sphere;
 mod standstill;
 mod steps;
-mod stretches;
 mod timeline;
 mod torque;
 mod unwrap;
-mod wiring;
 
 pub use aligned::AlignedLog;
 pub use averaged::{Averaged, AveragedJoints, AveragedPoint};
 pub use bar_angles::{BarAngles, BarSegment, bar_angles};
 pub use clock::ClockFit;
 pub use correlate::{Channels, Match, candidates, correlate};
+pub use encoder_map::{
+    AnglePair, EncoderMap, EncoderMapChoice, EncoderMapReport, EncoderPlace, find_encoder_map,
+};
 pub use error::PrepareError;
 pub use findings::{Deviations, Place};
 pub use forces::{BarForces, ForceError};
@@ -71,9 +74,8 @@ pub use smooth::moving_average;
 pub use sphere::{SphereFit, fit_sphere};
 pub use standstill::{Jitter, MOVING_RAD_S, Standstill};
 pub use steps::prepare;
-pub use timeline::{Fate, Timeline, TimelinePoint};
+pub use timeline::{SampleStatus, Timeline, TimelinePoint};
 pub use unwrap::{unwrapped_counters, unwrapped_log};
-pub use wiring::{AnglePair, EncoderPlace, Wiring, WiringChoice, WiringReport, find_wiring};
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -107,7 +109,7 @@ pub struct PrepareOptions {
     /// Samples are kept only where some bar joint has moved by this much since the last one \[mrad\].
     pub motion_min_mrad: f64,
     /// Which encoder sits on which joint and which way it counts: `find`, `recorded`, or stated one by one.
-    pub encoders: WiringChoice,
+    pub encoders: EncoderMapChoice,
     /// Centred moving average over both logs \[ms\]; 0 is none. The thesis took 100 ms. Bends of the path stay
     /// ([`moving_average`]) unless it is much longer.
     pub moving_average_ms: f64,
@@ -115,7 +117,7 @@ pub struct PrepareOptions {
     pub fit_max_mrad: f64,
     /// Every measured joint of the bar must travel at least this far \[deg\].
     pub joint_travel_min_deg: f64,
-    /// Smaller steps of an encoder's zero are not looked for \[mrad\].
+    /// Smaller steps of an encoder's offset are not looked for \[mrad\].
     pub slip_min_mrad: f64,
 }
 
@@ -142,7 +144,7 @@ impl Default for PrepareOptions {
             singular_margin_deg: 5.0,
             points_max: 1500,
             motion_min_mrad: 2.0,
-            encoders: WiringChoice::Find,
+            encoders: EncoderMapChoice::Find,
             moving_average_ms: 0.0,
             fit_max_mrad: 3.0,
             joint_travel_min_deg: 3.0,
@@ -160,7 +162,7 @@ pub struct SampleCounts {
     pub invalid: usize,
     /// Time stamp not later than the one before.
     pub time_not_increasing: usize,
-    /// In runs between two changes of the counters' origin that are too short to find their zeros.
+    /// In runs between two changes of the counters' origin that are too short to find their offsets.
     pub other_origin: usize,
     /// Nearer to an end or a hole than the width of the moving average, where there is one.
     pub not_averaged: usize,
@@ -171,7 +173,7 @@ pub struct SampleCounts {
     /// At a standstill.
     pub standstill: usize,
     /// More than are wanted.
-    pub surplus: usize,
+    pub thinned: usize,
     /// Their angles do not fit those around them.
     pub outliers: usize,
     /// Without the force that others have.
@@ -181,22 +183,22 @@ pub struct SampleCounts {
 }
 
 impl SampleCounts {
-    /// Counts the fates of all cycles.
-    pub fn of(fates: &[Fate]) -> Self {
-        let mut counts = Self { recorded: fates.len(), ..Self::default() };
-        for fate in fates {
-            *match fate {
-                Fate::Surplus => &mut counts.surplus,
-                Fate::Standstill => &mut counts.standstill,
-                Fate::NotAveraged => &mut counts.not_averaged,
-                Fate::Outside => &mut counts.outside_robot_log,
-                Fate::OtherOrigin => &mut counts.other_origin,
-                Fate::Singular => &mut counts.singular,
-                Fate::Kept => &mut counts.kept,
-                Fate::Invalid => &mut counts.invalid,
-                Fate::TimeNotIncreasing => &mut counts.time_not_increasing,
-                Fate::Outlier => &mut counts.outliers,
-                Fate::NoForce => &mut counts.no_force,
+    /// Counts the statuses of all cycles.
+    pub fn of(statuses: &[SampleStatus]) -> Self {
+        let mut counts = Self { recorded: statuses.len(), ..Self::default() };
+        for status in statuses {
+            *match status {
+                SampleStatus::Thinned => &mut counts.thinned,
+                SampleStatus::Standstill => &mut counts.standstill,
+                SampleStatus::NotAveraged => &mut counts.not_averaged,
+                SampleStatus::Outside => &mut counts.outside_robot_log,
+                SampleStatus::OtherOrigin => &mut counts.other_origin,
+                SampleStatus::Singular => &mut counts.singular,
+                SampleStatus::Kept => &mut counts.kept,
+                SampleStatus::Invalid => &mut counts.invalid,
+                SampleStatus::TimeNotIncreasing => &mut counts.time_not_increasing,
+                SampleStatus::Outlier => &mut counts.outliers,
+                SampleStatus::NoForce => &mut counts.no_force,
             } += 1;
         }
         counts
@@ -249,7 +251,7 @@ pub struct Prepared {
     pub measured: [bool; BAR_JOINTS],
     /// Where a solve begins.
     pub initial: InitialValues,
-    /// Configuration of the bar in the longest stretch between two singular poses. Samples are in whichever they were
+    /// Configuration of the bar in the longest segment between two singular poses. Samples are in whichever they were
     /// measured in.
     pub configuration: Configuration,
     /// How well the logs fit together in time.
@@ -263,7 +265,7 @@ pub struct Prepared {
     /// The run at a glance, for reports.
     pub timeline: Timeline,
     /// Which encoder sits on which joint, and what else would fit.
-    pub wiring: WiringReport,
+    pub encoder_map: EncoderMapReport,
     /// Parts of the recording between two changes of the counters' origin, in the order of time.
     pub origins: Vec<OriginSpan>,
     /// How the alignment varies along the run, about every 5 s.
@@ -312,7 +314,7 @@ impl Prepared {
             sphere: SphereFit { centre_m: base_m, radius_m: 0.0, rms_m: 0.0, inliers: 1.0 },
             counts: SampleCounts { recorded: kept, kept, ..SampleCounts::default() },
             timeline: Timeline::default(),
-            wiring: WiringReport::default(),
+            encoder_map: EncoderMapReport::default(),
             origins: Vec::new(),
             local_shifts: Vec::new(),
             force: None,

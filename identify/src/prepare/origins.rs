@@ -1,4 +1,4 @@
-//! Zeros of the encoders after a change of the counters' origin.
+//! Offsets of the encoders after a change of the counters' origin.
 
 use serde::Serialize;
 
@@ -8,7 +8,7 @@ use crate::kinematics::BAR_JOINTS;
 #[cfg(doc)]
 use crate::model::Observation;
 
-/// A part of the recording with its own zeros, brought to those of the longest part.
+/// A part of the recording with its own offsets, brought to those of the longest part.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct OriginSpan {
     /// First sample, bar time since the reference \[s\].
@@ -17,15 +17,15 @@ pub struct OriginSpan {
     pub to_s: f64,
     /// Valid samples.
     pub samples: usize,
-    /// Zeros were found: otherwise the samples are not used.
+    /// Offsets were found: otherwise the samples are not used.
     pub used: bool,
-    /// Added to the angles of this part so that they have the zeros of the longest one \[rad\].
+    /// Added to the angles of this part so that they have the offsets of the longest one \[rad\].
     pub shift_rad: [f64; BAR_JOINTS],
     /// One standard deviation of each of `shift_rad`; 0 for the longest part \[rad\].
     pub sigma_rad: f64,
     /// The counters went on from where they were: `shift_rad` is zero exactly.
     pub unchanged: bool,
-    /// What [`Observation::origin`] calls the zeros of its samples.
+    /// What [`Observation::origin`] calls the offsets of its samples.
     pub number: usize,
 }
 
@@ -36,48 +36,50 @@ const SIGMAS: f64 = 4.0;
 /// Differences of a terminal that starts anew are whole turns of chance: so small a one is no new origin \[rad\].
 const UNCHANGED_RAD: f64 = 200e-6;
 
-/// Describes all origins and makes zeros that did not change the same. The first entry of the answer is the number of
+/// Describes all origins and makes offsets that did not change the same. The first entry of the answer is the number of
 /// the origin that the others are brought to.
 pub(super) fn join(raw: &[Raw], found: &mut Found, t_ref_s: f64) -> (usize, Vec<OriginSpan>) {
     let pairs = |found: &Found, origin: usize| {
-        found.settled.zeros.get(origin).copied().flatten().map_or(0, |zeros| zeros.pairs)
+        found.settled.offsets.get(origin).copied().flatten().map_or(0, |offsets| offsets.pairs)
     };
-    let origins = found.settled.zeros.len();
+    let origins = found.settled.offsets.len();
     let reference = (0..origins).max_by_key(|origin| pairs(found, *origin)).unwrap_or(0);
     let sigma_rad = |found: &Found, origin: usize| {
         found.fit.sigma_rad * (SAMPLES_ALIKE / pairs(found, origin).max(1) as f64).sqrt()
     };
-    let of_reference = found.settled.zeros.get(reference).copied().flatten();
+    let of_reference = found.settled.offsets.get(reference).copied().flatten();
     let mut spans = Vec::new();
     let mut numbers = 1..;
     for origin in 0..origins {
         let samples: Vec<&Raw> = raw.iter().filter(|raw| raw.origin == origin).collect();
-        let zeros = found.settled.zeros.get(origin).copied().flatten();
+        let offsets = found.settled.offsets.get(origin).copied().flatten();
         let mut shift_rad = [0.0; BAR_JOINTS];
-        if let (Some(zeros), Some(reference)) = (zeros, of_reference) {
-            shift_rad =
-                std::array::from_fn(|joint| wrapped(zeros.offsets_rad[joint] - reference.offsets_rad[joint]));
+        if let (Some(offsets), Some(reference)) = (offsets, of_reference) {
+            shift_rad = std::array::from_fn(|joint| {
+                wrapped(offsets.offsets_rad[joint] - reference.offsets_rad[joint])
+            });
         }
         let own_rad = if origin == reference { 0.0 } else { sigma_rad(found, origin) };
         let sigma_rad = own_rad.hypot(if origin == reference { 0.0 } else { sigma_rad(found, reference) });
         let limit_rad = UNCHANGED_RAD.max(SIGMAS * sigma_rad);
-        if let (Some(Some(zeros)), Some(reference)) = (found.settled.zeros.get_mut(origin), of_reference) {
+        if let (Some(Some(offsets)), Some(reference)) = (found.settled.offsets.get_mut(origin), of_reference)
+        {
             // Terminals lose their origin one by one.
             for (joint, shift) in
                 shift_rad.iter_mut().enumerate().filter(|(_, shift)| shift.abs() <= limit_rad)
             {
                 *shift = 0.0;
-                zeros.offsets_rad[joint] = reference.offsets_rad[joint];
+                offsets.offsets_rad[joint] = reference.offsets_rad[joint];
             }
         }
-        let unchanged = zeros.is_some() && shift_rad == [0.0; BAR_JOINTS];
-        let number = if unchanged || zeros.is_none() { 0 } else { numbers.next().unwrap_or_default() };
+        let unchanged = offsets.is_some() && shift_rad == [0.0; BAR_JOINTS];
+        let number = if unchanged || offsets.is_none() { 0 } else { numbers.next().unwrap_or_default() };
         let time_s = |raw: Option<&&Raw>| raw.map_or(0.0, |raw| raw.t_s - t_ref_s);
         spans.push(OriginSpan {
             from_s: time_s(samples.first()),
             to_s: time_s(samples.last()),
             samples: samples.len(),
-            used: zeros.is_some(),
+            used: offsets.is_some(),
             shift_rad,
             sigma_rad,
             unchanged,

@@ -69,7 +69,10 @@ impl Search<'_> {
         let (Some(first), Some(last)) = (side.first(), side.last()) else { return false };
         let window = first.samples.start..last.samples.end;
         let fit = self.hypothesis(&window, first.matched, step_s);
-        matches!(fit, Ok(_) | Err(PrepareError::AmbiguousWiring { .. } | PrepareError::OtherWiring { .. }))
+        matches!(
+            fit,
+            Ok(_) | Err(PrepareError::AmbiguousEncoderMap { .. } | PrepareError::OtherEncoderMap { .. })
+        )
     }
 }
 

@@ -1,7 +1,7 @@
-//! Clocks, base and zeros from the angles: finer than the correlation of speeds, and right for runs of hours.
+//! Clocks, base and offsets from the angles: finer than the correlation of speeds, and right for runs of hours.
 //!
 //! The residual is what the encoders say less what the robot's pose implies, joint by joint. Nominal geometry is wrong by
-//! millimetres, which would blur everything that is looked for here: the shift, the zeros of a new origin, a slipped
+//! millimetres, which would blur everything that is looked for here: the shift, the offsets of a new origin, a slipped
 //! encoder. So all numbers of both chains may move within their tolerances (priors) in the same fit. It is no calibration:
 //! its geometry is thrown away once the samples have been judged by it.
 
@@ -33,7 +33,7 @@ const SHIFT_SIGMA_S: f64 = 0.05;
 const EDGE_S: f64 = 2.0 * SHIFT_SIGMA_S;
 /// Clocks of controllers differ by this much.
 const SKEW_SIGMA: f64 = 100e-6;
-/// Zeros are found on nominal geometry this well \[rad\].
+/// Offsets are found on nominal geometry this well \[rad\].
 const ZERO_SIGMA_RAD: f64 = 0.05;
 /// Wide enough at first that nearly all samples pull; where that ends between two sides of a clock that jumps, a narrower
 /// loss finds the larger side. Rounds enough from a radian to a microradian.
@@ -58,7 +58,7 @@ pub(super) struct FitSample {
     pub t_s: f64,
     /// Number of the counters' origin.
     pub origin: usize,
-    /// Joints, zeros added as far as they are known \[rad\].
+    /// Joints, offsets added as far as they are known \[rad\].
     pub bar_rad: [f64; BAR_JOINTS],
 }
 
@@ -69,8 +69,8 @@ pub(super) struct Fit {
     pub clock: ClockFit,
     /// Both chains and the base, so that the angles fit.
     pub geometry: Geometry,
-    /// To be added to the zeros, by origin \[rad\].
-    pub zeros_by_rad: Vec<[f64; BAR_JOINTS]>,
+    /// To be added to the offsets, by origin \[rad\].
+    pub offsets_by_rad: Vec<[f64; BAR_JOINTS]>,
     /// Standard deviation of an angle's residual, from the median \[rad\].
     pub sigma_rad: f64,
     /// The same from nine tenths of the samples: where more than a tenth do not fit, it shows them \[rad\].
@@ -142,7 +142,7 @@ impl Residual for ImpliedAngles {
 /// Expected deviation from where a parameter starts; none for those that stay.
 fn role(id: ParameterId) -> Option<f64> {
     match id {
-        // A link's theta is the same as the encoder's zero, which has its own column.
+        // A link's theta is the same as the encoder's offset, which has its own column.
         ParameterId::Bar { parameter: LinkParameter::Theta, .. }
         | ParameterId::Robot { parameter: LinkParameter::Beta, .. } => None,
         ParameterId::Robot { .. } | ParameterId::Bar { .. } => Some(CHAIN_SIGMA),
@@ -155,7 +155,7 @@ fn role(id: ParameterId) -> Option<f64> {
     }
 }
 
-/// The closed chain by its angles, with a column for each encoder's zero in each origin.
+/// The closed chain by its angles, with a column for each encoder's offset in each origin.
 struct WithZeros<'a> {
     chain: LoopProblem<'a, ImpliedAngles, AlignedLog>,
     residual: ImpliedAngles,
@@ -176,8 +176,8 @@ impl Problem for WithZeros<'_> {
 
     fn column_name(&self, column: usize) -> String {
         match column.checked_sub(self.chain_columns) {
-            Some(zero) => {
-                format!("zero of encoder {} in origin {}", zero % BAR_JOINTS + 1, zero / BAR_JOINTS)
+            Some(offset) => {
+                format!("offset of encoder {} in origin {}", offset % BAR_JOINTS + 1, offset / BAR_JOINTS)
             }
             None => self.chain.column_name(column),
         }
@@ -196,13 +196,13 @@ impl Problem for WithZeros<'_> {
     }
 
     fn point(&self, x: &[f64]) -> Self::Point {
-        let (chain, zeros) = x.split_at(self.chain_columns.min(x.len()));
-        (self.chain.point(chain), zeros.to_vec())
+        let (chain, offsets) = x.split_at(self.chain_columns.min(x.len()));
+        (self.chain.point(chain), offsets.to_vec())
     }
 
     fn sample(
         &self,
-        (point, zeros): &mut Self::Point,
+        (point, offsets): &mut Self::Point,
         sample: usize,
         residual: &mut [f64],
         block: &mut Block<'_>,
@@ -217,9 +217,9 @@ impl Problem for WithZeros<'_> {
         let trust = self.residual.trust(&observation.bar_rad);
         for joint in 0..BAR_JOINTS {
             let slope = -trust[joint] / self.sigma_rad;
-            let zero = origin * BAR_JOINTS + joint;
-            residual[joint] += slope * zeros.get(zero).copied().unwrap_or(0.0);
-            if let Some(entry) = block.column_mut(self.chain_columns + zero).get_mut(joint) {
+            let offset = origin * BAR_JOINTS + joint;
+            residual[joint] += slope * offsets.get(offset).copied().unwrap_or(0.0);
+            if let Some(entry) = block.column_mut(self.chain_columns + offset).get_mut(joint) {
                 *entry = slope;
             }
         }
@@ -227,7 +227,7 @@ impl Problem for WithZeros<'_> {
     }
 }
 
-/// Fits clocks, base, zeros and, within their tolerances, all numbers of the chains to `samples`.
+/// Fits clocks, base, offsets and, within their tolerances, all numbers of the chains to `samples`.
 ///
 /// `coarse` relates the clocks for the samples' times; the bar stands upright at `base_m` so far. None where the samples
 /// determine nothing.
@@ -281,14 +281,14 @@ pub(super) fn refine(
     let round = |x: &[f64], sigma_rad: f64| solve(x, sigma_rad, ROUND_TOLERANCE).map(|(x, _)| x).ok_or(());
     let (x, sigma_rad) = SCHEDULE.settle(x, spread_rad, round).ok()?;
     let (x, summary) = solve(&x, sigma_rad, LAST_TOLERANCE)?;
-    let (chain, zeros) = x.split_at(chain_columns);
+    let (chain, offsets) = x.split_at(chain_columns);
     let geometry = model.geometry(chain);
     let (shift_s, skew) = (geometry.clock.shift_s, geometry.clock.skew);
     let tau_at_middle_s = motion.origin_s() + shift_s;
     Some(Fit {
         clock: ClockFit { shift_s: tau_at_middle_s - (1.0 + skew) * middle_s, skew },
         geometry,
-        zeros_by_rad: zeros.chunks_exact(BAR_JOINTS).map(|of| std::array::from_fn(|j| of[j])).collect(),
+        offsets_by_rad: offsets.chunks_exact(BAR_JOINTS).map(|of| std::array::from_fn(|j| of[j])).collect(),
         sigma_rad,
         sigma_of_most_rad: spread_rad(&x, GoodShare::NINE_TENTHS),
         converged: summary.termination.converged(),
@@ -312,12 +312,12 @@ fn model(robot: &Chain, bar: &Chain, base_m: Vector3<f64>, skew: f64) -> Result<
 
 fn priors(model: &Model, origin_count: usize) -> Vec<Prior> {
     let first = model.columns().len();
-    let zeros = (0..origin_count * BAR_JOINTS).map(|zero| Prior {
-        column: first + zero,
+    let offsets = (0..origin_count * BAR_JOINTS).map(|offset| Prior {
+        column: first + offset,
         value: 0.0,
         sigma: ZERO_SIGMA_RAD,
     });
-    model.priors().into_iter().chain(zeros).collect()
+    model.priors().into_iter().chain(offsets).collect()
 }
 
 /// Standard deviation of a residual, from the good share of the samples that have one.
@@ -330,13 +330,13 @@ fn spread_rad(
     x: &[f64],
     good: GoodShare,
 ) -> f64 {
-    let (chain, zeros) = x.split_at(model.columns().len().min(x.len()));
+    let (chain, offsets) = x.split_at(model.columns().len().min(x.len()));
     let judge = Judge::new(motion, model.geometry(chain), residual.measured);
     let angles = residual.measured.iter().filter(|measured| **measured).count();
     good.spread(observations.iter().zip(origins).filter_map(|(observation, origin)| {
         let mut bar_rad = observation.bar_rad;
         for (joint, angle) in bar_rad.iter_mut().enumerate() {
-            *angle += zeros.get(origin * BAR_JOINTS + joint).copied().unwrap_or(0.0);
+            *angle += offsets.get(origin * BAR_JOINTS + joint).copied().unwrap_or(0.0);
         }
         let errors = judge.errors(observation.t_s, &bar_rad)?;
         let trust = residual.trust(&bar_rad);

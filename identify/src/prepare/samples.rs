@@ -8,7 +8,7 @@ use super::judge::{Judged, LocalShift, check_clock, check_steps, local_shifts, o
 use super::refine::Judge;
 use super::select::{apart, spread_over_sphere};
 use super::timeline::Sample;
-use super::{AlignedLog, Deviations, Fate, PrepareError, PrepareOptions, SampleCounts};
+use super::{AlignedLog, Deviations, PrepareError, PrepareOptions, SampleCounts, SampleStatus};
 use crate::kinematics::{BAR_JOINTS, singularity_margin_rad};
 use crate::model::Observation;
 
@@ -16,7 +16,7 @@ use crate::model::Observation;
 const EDGE_S: f64 = 0.03;
 /// Fewest samples that a solve can begin with.
 const KEPT_MIN: usize = 50;
-/// Samples of a long recording that are looked at, at most; the others are surplus unseen. Still four per second where a
+/// Samples of a long recording that are looked at, at most; the others are thinned unseen. Still four per second where a
 /// recording lasts for a day: fewer would not tell a clock that jumps.
 const LOOKED_AT_MAX: usize = 400_000;
 
@@ -39,8 +39,8 @@ pub(super) fn raw_samples(segments: &[BarSegment]) -> Vec<Raw> {
 /// The samples after all decisions.
 pub(super) struct Sorted {
     /// Of every sample.
-    pub fates: Vec<Fate>,
-    /// Joints of every sample, zeros added; those without encoder are 0 \[rad\].
+    pub statuses: Vec<SampleStatus>,
+    /// Joints of every sample, offsets added; those without encoder are 0 \[rad\].
     pub joints: Vec<Sample>,
     /// For the solve, in the order of time.
     pub observations: Vec<Observation>,
@@ -50,7 +50,7 @@ pub(super) struct Sorted {
     pub spread_rad: [f64; BAR_JOINTS],
 }
 
-/// Sorts the samples of `raw`; `t_ref_s` is the reference time after the first, `reference` the origin whose zeros the
+/// Sorts the samples of `raw`; `t_ref_s` is the reference time after the first, `reference` the origin whose offsets the
 /// observations have, `numbers` what they call each origin.
 ///
 /// # Errors
@@ -65,19 +65,19 @@ pub(super) fn sort(
     numbers: &[usize],
     options: &PrepareOptions,
 ) -> Result<Sorted, PrepareError> {
-    let wiring = &found.wiring.used;
-    let measured = wiring.measured();
-    let zeros = |origin: usize| found.settled.zeros.get(origin).copied().flatten().map(|z| z.offsets_rad);
+    let encoder_map = &found.encoder_map.used;
+    let measured = encoder_map.measured();
+    let offsets = |origin: usize| found.settled.offsets.get(origin).copied().flatten().map(|z| z.offsets_rad);
     let joints: Vec<Sample> = raw
         .iter()
         .map(|raw| {
-            let angles = wiring.applied(&raw.recorded_rad);
-            let zeros = zeros(raw.origin).unwrap_or_default();
-            let bar_rad = std::array::from_fn(|joint| angles[joint] + zeros[joint]);
+            let angles = encoder_map.applied(&raw.recorded_rad);
+            let offsets = offsets(raw.origin).unwrap_or_default();
+            let bar_rad = std::array::from_fn(|joint| angles[joint] + offsets[joint]);
             Sample { cycle: raw.cycle, t_s: raw.t_s - t_ref_s, bar_rad }
         })
         .collect();
-    let (mut fates, judged) = look_at_all(raw, &joints, found, motion, options);
+    let (mut statuses, judged) = look_at_all(raw, &joints, found, motion, options);
     let local_shifts = local_shifts(&judged);
     let spread_rad = spreads_rad(&judged);
     check(found.fit.converged, &judged, &local_shifts, &spread_rad, &measured, t_ref_s, options).map_err(
@@ -87,12 +87,12 @@ pub(super) fn sort(
         },
     )?;
     for sample in outliers(&judged, &spread_rad) {
-        fates[sample] = Fate::Outlier;
+        statuses[sample] = SampleStatus::Outlier;
     }
-    choose(&joints, &mut fates, options)?;
-    check_travel(&joints, &fates, &measured, options)?;
-    let reference_rad = zeros(reference).unwrap_or_default();
-    let kept = raw.iter().zip(&joints).zip(&fates).filter(|(_, fate)| **fate == Fate::Kept);
+    choose(&joints, &mut statuses, options)?;
+    check_travel(&joints, &statuses, &measured, options)?;
+    let reference_rad = offsets(reference).unwrap_or_default();
+    let kept = raw.iter().zip(&joints).zip(&statuses).filter(|(_, status)| **status == SampleStatus::Kept);
     let observations = kept.map(|((raw, sample), _)| Observation {
         measured,
         origin: numbers.get(raw.origin).copied().unwrap_or_default(),
@@ -101,7 +101,7 @@ pub(super) fn sort(
             std::array::from_fn(|j| if measured[j] { sample.bar_rad[j] - reference_rad[j] } else { 0.0 }),
         )
     });
-    Ok(Sorted { observations: observations.collect(), fates, joints, local_shifts, spread_rad })
+    Ok(Sorted { observations: observations.collect(), statuses, joints, local_shifts, spread_rad })
 }
 
 /// Where samples are usable they are `Standstill` so far: whether they move is seen later.
@@ -111,20 +111,20 @@ fn look_at_all(
     found: &Found,
     motion: &AlignedLog,
     options: &PrepareOptions,
-) -> (Vec<Fate>, Vec<Judged>) {
+) -> (Vec<SampleStatus>, Vec<Judged>) {
     let mut geometry = found.fit.geometry.clone();
     // The motion's own time is aligned already.
     (geometry.clock.shift_s, geometry.clock.skew) = (0.0, found.fit.clock.skew);
-    let measured = found.wiring.used.measured();
+    let measured = found.encoder_map.used.measured();
     let judge = Judge::new(motion, geometry, measured);
     let margin_min_rad = options.singular_margin_deg.to_radians();
     let stride = raw.len().div_ceil(LOOKED_AT_MAX).max(1);
-    let mut fates = vec![Fate::Surplus; raw.len()];
+    let mut statuses = vec![SampleStatus::Thinned; raw.len()];
     let mut judged = Vec::new();
     for (index, (raw, sample)) in raw.iter().zip(joints).enumerate() {
-        let has_zeros = found.settled.zeros.get(raw.origin).is_some_and(Option::is_some);
-        if !has_zeros {
-            fates[index] = Fate::OtherOrigin;
+        let has_offsets = found.settled.offsets.get(raw.origin).is_some_and(Option::is_some);
+        if !has_offsets {
+            statuses[index] = SampleStatus::OtherOrigin;
             continue;
         }
         if !index.is_multiple_of(stride) {
@@ -132,16 +132,16 @@ fn look_at_all(
         }
         let covered = [-EDGE_S, 0.0, EDGE_S].iter().all(|by_s| judge.covers(sample.t_s + by_s));
         if !covered {
-            fates[index] = Fate::Outside;
+            statuses[index] = SampleStatus::Outside;
             continue;
         }
         let errors = judge.errors(sample.t_s, &sample.bar_rad);
         let margin_rad = errors.map_or(0.0, |errors| singularity_margin_rad(&errors.implied_rad));
         let Some(errors) = errors.filter(|_| margin_rad > margin_min_rad) else {
-            fates[index] = Fate::Singular;
+            statuses[index] = SampleStatus::Singular;
             continue;
         };
-        fates[index] = Fate::Standstill;
+        statuses[index] = SampleStatus::Standstill;
         let trust = margin_rad.sin();
         judged.push(Judged {
             sample: index,
@@ -156,7 +156,7 @@ fn look_at_all(
             ),
         });
     }
-    (fates, judged)
+    (statuses, judged)
 }
 
 /// What a fit that has converged leaves may refuse a run. One that has not says nothing: the solve, which looks for the same
@@ -199,12 +199,16 @@ fn check_fit(spread_rad: &[f64; BAR_JOINTS], options: &PrepareOptions) -> Result
 /// Every measured joint must move, or what it stands for cannot be told from its zero.
 fn check_travel(
     joints: &[Sample],
-    fates: &[Fate],
+    statuses: &[SampleStatus],
     measured: &[bool; BAR_JOINTS],
     options: &PrepareOptions,
 ) -> Result<(), PrepareError> {
-    let kept: Vec<&Sample> =
-        joints.iter().zip(fates).filter(|(_, fate)| **fate == Fate::Kept).map(|(one, _)| one).collect();
+    let kept: Vec<&Sample> = joints
+        .iter()
+        .zip(statuses)
+        .filter(|(_, status)| **status == SampleStatus::Kept)
+        .map(|(one, _)| one)
+        .collect();
     for joint in (0..BAR_JOINTS).filter(|joint| measured[*joint]) {
         let angles = kept.iter().map(|sample| sample.bar_rad[joint]);
         let (low, high) = angles
@@ -218,26 +222,30 @@ fn check_travel(
     Ok(())
 }
 
-/// Among those that are usable: standstill, surplus, kept.
-fn choose(joints: &[Sample], fates: &mut [Fate], options: &PrepareOptions) -> Result<(), PrepareError> {
+/// Among those that are usable: standstill, thinned, kept.
+fn choose(
+    joints: &[Sample],
+    statuses: &mut [SampleStatus],
+    options: &PrepareOptions,
+) -> Result<(), PrepareError> {
     let usable: Vec<usize> =
-        (0..joints.len()).filter(|index| fates.get(*index) == Some(&Fate::Standstill)).collect();
+        (0..joints.len()).filter(|index| statuses.get(*index) == Some(&SampleStatus::Standstill)).collect();
     let angles: Vec<[f64; BAR_JOINTS]> = usable.iter().map(|index| joints[*index].bar_rad).collect();
     let moving: Vec<usize> =
         apart(&angles, options.motion_min_mrad * 1e-3).into_iter().map(|place| usable[place]).collect();
     for index in &moving {
-        fates[*index] = Fate::Surplus;
+        statuses[*index] = SampleStatus::Thinned;
     }
     let directions: Vec<Vector3<f64>> = moving.iter().map(|index| rod(&joints[*index].bar_rad)).collect();
     let points_max = if options.points_max == 0 { usize::MAX } else { options.points_max };
     let kept = spread_over_sphere(&moving, &directions, points_max);
     for index in &kept {
-        fates[*index] = Fate::Kept;
+        statuses[*index] = SampleStatus::Kept;
     }
     if kept.len() >= KEPT_MIN {
         return Ok(());
     }
-    let counts = SampleCounts::of(fates);
+    let counts = SampleCounts::of(statuses);
     Err(PrepareError::NothingLeft {
         kept: kept.len(),
         outside: counts.outside_robot_log,

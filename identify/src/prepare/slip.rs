@@ -1,4 +1,4 @@
-//! An encoder that slipped so far that it fits nowhere: told before anything is fitted, or the refusal would blame the wiring.
+//! An encoder that slipped so far that it fits nowhere: told before anything is fitted, or the refusal would blame the encoder map.
 //! Smaller slips are found against the fitted geometry (`judge`).
 
 use super::circular::{circular_median, deviations, spread_of, wrapped};
@@ -10,7 +10,7 @@ const PAIRS_MIN: usize = 30;
 /// Before and after a slip the angles fit so much better than the limit.
 const CLEARLY_WITHIN: f64 = 0.5;
 
-/// One encoder in one stretch of the run.
+/// One encoder in one segment of the run.
 enum Fit {
     /// It fits some joint as it is.
     Whole,
@@ -20,7 +20,7 @@ enum Fit {
     Nowhere,
 }
 
-/// The slip in a run in which no order and no directions of the encoders fit: in some stretch between singular poses all
+/// The slip in a run in which no order and no directions of the encoders fit: in some segment between singular poses all
 /// encoders fit but one, and that one fits before and after a step.
 ///
 /// `pairs` are in the order of time, each with its time \[s\].
@@ -30,31 +30,31 @@ pub(super) fn large_slip(
     options: &PrepareOptions,
 ) -> Option<PrepareError> {
     let limit_rad = options.spread_max_mrad * 1e-3;
-    let mut stretches: Vec<&[(f64, AnglePair)]> = pairs.chunk_by(|a, b| a.1.stretch == b.1.stretch).collect();
-    stretches.retain(|stretch| stretch.len() >= 2 * PAIRS_MIN);
-    stretches.iter().find_map(|stretch| {
+    let mut segments: Vec<&[(f64, AnglePair)]> = pairs.chunk_by(|a, b| a.1.segment == b.1.segment).collect();
+    segments.retain(|segment| segment.len() >= 2 * PAIRS_MIN);
+    segments.iter().find_map(|segment| {
         let mut slip = None;
         for joint in recorded_joints {
-            match fit(stretch, usize::from(*joint) - 1, limit_rad) {
+            match fit(segment, usize::from(*joint) - 1, limit_rad) {
                 Fit::Whole => {}
                 Fit::Stepped { joint, at, by_rad } if slip.is_none() => slip = Some((joint, at, by_rad)),
                 _ => return None,
             }
         }
         let (joint, at, by_rad) = slip?;
-        let at_s = stretch.get(at)?.0;
+        let at_s = segment.get(at)?.0;
         Some(PrepareError::EncoderSlip { joint: joint as u8 + 1, at_s, by_mrad: by_rad * 1e3 })
     })
 }
 
 /// How the encoder of `recorded` (from 0) fits; its own joint is tried first.
-fn fit(stretch: &[(f64, AnglePair)], recorded: usize, limit_rad: f64) -> Fit {
+fn fit(segment: &[(f64, AnglePair)], recorded: usize, limit_rad: f64) -> Fit {
     let mut stepped = Fit::Nowhere;
     let joints = std::iter::once(recorded).chain((0..BAR_JOINTS).filter(|joint| *joint != recorded));
     for (joint, sign) in joints.flat_map(|joint| [(joint, 1.0), (joint, -1.0)]) {
         let difference =
             |(_, pair): &(f64, AnglePair)| pair.predicted_rad[joint] - sign * pair.recorded_rad[recorded];
-        let differences: Vec<f64> = stretch.iter().map(difference).collect();
+        let differences: Vec<f64> = segment.iter().map(difference).collect();
         if spread_of(deviations(differences.clone())) <= limit_rad {
             return Fit::Whole;
         }

@@ -57,8 +57,8 @@ pub(super) fn standstills(still: &[Readings], measured: &[bool; BAR_JOINTS]) -> 
     let mut found = Vec::new();
     let mut bar = [Spread::default(); BAR_JOINTS];
     let mut robot = vec![Spread::default(); still.first().map_or(0, |reading| reading.robot_rad.len())];
-    for stretch in still.chunk_by(|a, b| b.t_s - a.t_s < BREAK_S) {
-        let (Some(first), Some(last)) = (stretch.first(), stretch.last()) else { continue };
+    for segment in still.chunk_by(|a, b| b.t_s - a.t_s < BREAK_S) {
+        let (Some(first), Some(last)) = (segment.first(), segment.last()) else { continue };
         let standstill = Standstill { from_s: first.t_s, to_s: last.t_s };
         if standstill.duration_s() < DURATION_S_MIN {
             continue;
@@ -67,7 +67,7 @@ pub(super) fn standstills(still: &[Readings], measured: &[bool; BAR_JOINTS]) -> 
         let within = |reading: &&Readings| {
             reading.t_s > standstill.from_s + EDGE_S && reading.t_s < standstill.to_s - EDGE_S
         };
-        let inner: Vec<&Readings> = stretch.iter().filter(within).collect();
+        let inner: Vec<&Readings> = segment.iter().filter(within).collect();
         for (joint, spread) in bar.iter_mut().enumerate() {
             spread.add(inner.iter().map(|reading| (reading.t_s, reading.bar_rad[joint])));
         }

@@ -13,8 +13,8 @@ use super::origins::join;
 use super::samples::{Sorted, raw_samples, sort};
 use super::timeline::Run;
 use super::{
-    AlignedLog, Alignment, BarForces, ClockFit, EncoderOffset, Fate, InitialValues, Predictor, PrepareError,
-    PrepareOptions, Prepared, SampleCounts, SphereFit, fit_sphere,
+    AlignedLog, Alignment, BarForces, ClockFit, EncoderOffset, InitialValues, Predictor, PrepareError,
+    PrepareOptions, Prepared, SampleCounts, SampleStatus, SphereFit, fit_sphere,
 };
 use crate::kinematics::{AXES_MAX, BAR_JOINTS, Chain, ball_bar_chain, robot_chain};
 use crate::logs::{InterpolatedLog, RobotLog, default_gap_limit_s};
@@ -30,7 +30,7 @@ const DURATION_S_MAX: f64 = 24.0 * 3600.0;
 /// Brings recording and robot log together.
 ///
 /// `encoders` are those of the recording, in its order. Parts of the recording after a change of the counters' origin are
-/// used too, each with its own zeros.
+/// used too, each with its own offsets.
 ///
 /// # Errors
 /// [`PrepareError`] says which step failed, with its figures.
@@ -63,31 +63,31 @@ pub fn prepare(
     let offsets = offsets(&found, reference, &sorted);
     let initial = initial(found.fit.geometry.base.origin_m, &sphere, clock, &offsets);
     let alignment = alignment(&found, clock, log, t_ref, overlap_s);
-    let mut fates = fates_of_all(angles, &raw, &sorted.fates);
+    let mut statuses = statuses_of_all(angles, &raw, &sorted.statuses);
     let around = Surroundings::new(t_ref, &alignment, &motion, &robot, initial.base_m, gravity);
-    let force = with_force(&mut sorted.observations, &mut fates, log, &around)?;
+    let force = with_force(&mut sorted.observations, &mut statuses, log, &around)?;
     let run = Run {
         cycles,
         both: &both,
         t_ref,
         clock,
-        fates: &fates,
+        statuses: &statuses,
         samples: &sorted.joints,
-        wiring: &found.wiring.used,
+        encoder_map: &found.encoder_map.used,
         configuration: found.settled.configuration,
         predictor: &predictor,
     };
     Ok(Prepared {
         t_ref,
-        measured: found.wiring.used.measured(),
+        measured: found.encoder_map.used.measured(),
         initial,
         configuration: found.settled.configuration,
         alignment,
         offsets,
         sphere,
-        counts: SampleCounts::of(&fates),
+        counts: SampleCounts::of(&statuses),
         timeline: run.timeline(),
-        wiring: found.wiring,
+        encoder_map: found.encoder_map,
         origins,
         local_shifts: sorted.local_shifts,
         observations: sorted.observations,
@@ -123,15 +123,17 @@ fn search(
 /// Puts the force on the bar, where one was measured, on each sample. Samples without one are left out.
 fn with_force(
     observations: &mut Vec<Observation>,
-    fates: &mut [Fate],
+    statuses: &mut [SampleStatus],
     log: &RobotLog,
     around: &Surroundings<'_, AlignedLog>,
 ) -> Result<Option<BarForces>, PrepareError> {
     let Some(force) = &log.force else { return Ok(None) };
     let (forces, has_force) = put_on(observations, force, around)?;
     // Samples stand in the order of their cycles.
-    let kept = fates.iter_mut().filter(|fate| **fate == Fate::Kept);
-    kept.zip(has_force).filter(|(_, has_force)| !has_force).for_each(|(fate, _)| *fate = Fate::NoForce);
+    let kept = statuses.iter_mut().filter(|status| **status == SampleStatus::Kept);
+    kept.zip(has_force)
+        .filter(|(_, has_force)| !has_force)
+        .for_each(|(status, _)| *status = SampleStatus::NoForce);
     Ok(Some(forces))
 }
 
@@ -188,27 +190,27 @@ fn initial(
     }
 }
 
-/// Zeros of the reference origin and how well they fit.
+/// Offsets of the reference origin and how well they fit.
 fn offsets(found: &Found, reference: usize, sorted: &Sorted) -> Vec<EncoderOffset> {
-    let zeros = found.settled.zeros.get(reference).copied().flatten();
-    let measured = found.wiring.used.measured();
+    let offsets = found.settled.offsets.get(reference).copied().flatten();
+    let measured = found.encoder_map.used.measured();
     let offset = |joint: usize| EncoderOffset {
         joint: joint as u8 + 1,
-        offset_rad: super::circular::wrapped(zeros.map_or(0.0, |zeros| zeros.offsets_rad[joint])),
+        offset_rad: super::circular::wrapped(offsets.map_or(0.0, |offsets| offsets.offsets_rad[joint])),
         spread_rad: sorted.spread_rad[joint],
     };
     (0..BAR_JOINTS).filter(|joint| measured[*joint]).map(offset).collect()
 }
 
 /// What became of every cycle of the recording.
-fn fates_of_all(angles: &BarAngles, raw: &[Raw], of_samples: &[Fate]) -> Vec<Fate> {
-    let mut fates = angles.fates.clone();
-    for (raw, fate) in raw.iter().zip(of_samples) {
-        if let Some(slot) = fates.get_mut(raw.cycle) {
-            *slot = *fate;
+fn statuses_of_all(angles: &BarAngles, raw: &[Raw], of_samples: &[SampleStatus]) -> Vec<SampleStatus> {
+    let mut statuses = angles.statuses.clone();
+    for (raw, status) in raw.iter().zip(of_samples) {
+        if let Some(slot) = statuses.get_mut(raw.cycle) {
+            *slot = *status;
         }
     }
-    fates
+    statuses
 }
 
 fn alignment(found: &Found, clock: ClockFit, log: &RobotLog, t_ref: UtcNs, overlap_s: [f64; 2]) -> Alignment {

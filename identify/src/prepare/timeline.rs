@@ -7,24 +7,24 @@ use shared::time::UtcNs;
 use super::both_logs::BothLogs;
 use super::circular::wrapped;
 use super::standstill::{Jitter, MOVING_RAD_S, Readings, Standstill, standstills};
-use super::{Averaged, ClockFit, Predictor, Wiring};
+use super::{Averaged, ClockFit, EncoderMap, Predictor};
 use crate::kinematics::{BAR_JOINTS, Configuration, Joints};
 use crate::logs::Unwrapped;
 
 /// What became of a bus cycle.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Fate {
+pub enum SampleStatus {
     /// More samples than are wanted, or hardly moved since the last one kept.
     #[default]
-    Surplus,
+    Thinned,
     /// Neither robot nor bar moves.
     Standstill,
     /// Too near to an end or a hole for the moving average.
     NotAveraged,
     /// The robot's log does not cover it.
     Outside,
-    /// In a run between two changes of the counters' origin that is too short to find its zeros.
+    /// In a run between two changes of the counters' origin that is too short to find its offsets.
     OtherOrigin,
     /// Near a singular pose of the bar.
     Singular,
@@ -45,9 +45,9 @@ pub enum Fate {
 pub struct TimelinePoint {
     /// Bar time since [`super::Prepared::t_ref`] \[s\].
     pub t_s: f64,
-    /// The most noteworthy fate among the cycles that this point stands for, in the order of [`Fate`]: a single outlier
+    /// The most noteworthy status among the cycles that this point stands for, in the order of [`SampleStatus`]: a single outlier
     /// shows even where a point stands for a minute.
-    pub fate: Fate,
+    pub status: SampleStatus,
     /// Largest speed of a bar joint, over 0.1 s \[rad/s\]; none where neighbours are missing.
     pub bar_speed_rad_s: Option<f64>,
     /// Largest speed of a robot joint, over 0.1 s \[rad/s\]; none outside its log.
@@ -110,11 +110,11 @@ pub(super) struct Run<'a> {
     /// Bar time since then to robot time.
     pub clock: ClockFit,
     /// Of every cycle.
-    pub fates: &'a [Fate],
+    pub statuses: &'a [SampleStatus],
     /// Valid samples in the order of time.
     pub samples: &'a [Sample],
     /// Which encoder sits where.
-    pub wiring: &'a Wiring,
+    pub encoder_map: &'a EncoderMap,
     /// In which angles are shown.
     pub configuration: Configuration,
     /// The robot's log and what it implies.
@@ -139,18 +139,18 @@ const NEIGHBOURS: usize = 12;
 
 impl Run<'_> {
     pub fn timeline(&self) -> Timeline {
-        let cycles_per_point = self.fates.len().div_ceil(Timeline::POINTS_MAX).max(1);
+        let cycles_per_point = self.statuses.len().div_ceil(Timeline::POINTS_MAX).max(1);
         let points = self
-            .fates
+            .statuses
             .chunks(cycles_per_point)
             .enumerate()
-            .filter_map(|(chunk, fates)| {
-                let noteworthy = fates.iter().enumerate().max_by_key(|(_, fate)| **fate);
-                noteworthy.map(|(index, fate)| self.point(chunk * cycles_per_point + index, *fate))
+            .filter_map(|(chunk, statuses)| {
+                let noteworthy = statuses.iter().enumerate().max_by_key(|(_, status)| **status);
+                noteworthy.map(|(index, status)| self.point(chunk * cycles_per_point + index, *status))
             })
             .collect();
-        let (standstills, jitter) = standstills(&self.still(), &self.wiring.measured());
-        let averaged = self.both.averaged(self.t_ref, self.clock, self.wiring, &standstills);
+        let (standstills, jitter) = standstills(&self.still(), &self.encoder_map.measured());
+        let averaged = self.both.averaged(self.t_ref, self.clock, self.encoder_map, &standstills);
         let [unwrapped_encoders, unwrapped_joints] = self.both.unwrapped.clone();
         Timeline {
             points,
@@ -163,7 +163,7 @@ impl Run<'_> {
         }
     }
 
-    fn point(&self, cycle: usize, fate: Fate) -> TimelinePoint {
+    fn point(&self, cycle: usize, status: SampleStatus) -> TimelinePoint {
         let sample = self.samples.binary_search_by_key(&cycle, |sample| sample.cycle).ok();
         let time = self.cycles.get(cycle).map(|cycle| cycle.sample_time);
         let t_s = time.map_or(0.0, |time| time.seconds_since(self.t_ref));
@@ -176,7 +176,7 @@ impl Run<'_> {
         let measured = sample.and_then(|index| self.samples.get(index));
         TimelinePoint {
             t_s,
-            fate,
+            status,
             bar_speed_rad_s,
             robot_speed_rad_s,
             bar_moves: moves(bar_speed_rad_s),
@@ -194,7 +194,7 @@ impl Run<'_> {
         bar_rad: &[f64; BAR_JOINTS],
         predicted_rad: Option<[f64; BAR_JOINTS]>,
     ) -> [f64; BAR_JOINTS] {
-        let measured = self.wiring.measured();
+        let measured = self.encoder_map.measured();
         let filled = std::array::from_fn(|joint| match predicted_rad {
             Some(predicted_rad) if !measured[joint] => predicted_rad[joint],
             _ => bar_rad[joint],

@@ -270,10 +270,10 @@ pub struct CalibrationFile {
     pub noise: Vec<NoiseEntry>,
     /// Files it was made from.
     pub inputs: Vec<Input>,
-    /// Kinds of terms that were tried on held-out stretches of the runs.
+    /// Kinds of terms that were tried on held-out segments of the runs.
     #[serde(default)]
     pub candidates: Vec<Candidate>,
-    /// How well held-out stretches of the runs were predicted.
+    /// How well held-out segments of the runs were predicted.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub held_out: Option<HeldOutEntry>,
     /// How well rows of trackers and wires were predicted that the fit did not see.

@@ -47,25 +47,25 @@ impl ForceEntry {
     }
 
     fn of(sphere: &SphereDeviation) -> Option<Self> {
-        let stretch = sphere.stretch?;
-        let positive = match stretch.positive {
+        let elongation = sphere.elongation?;
+        let positive = match elongation.positive {
             PositiveForce::Tension => "tension",
             PositiveForce::Compression => "compression",
             PositiveForce::NotTold => "not told",
         };
         Some(Self {
-            run: stretch.run + 1,
-            kind: stretch.measured.kind,
-            clock: stretch.measured.clock,
+            run: elongation.run + 1,
+            kind: elongation.measured.kind,
+            clock: elongation.measured.clock,
             positive: positive.into(),
-            parameter: stretch.parameter.to_string(),
-            value: stretch.value,
-            sigma: stretch.sigma,
-            range: stretch.measured.range,
-            uncovered: stretch.measured.uncovered,
+            parameter: elongation.parameter.to_string(),
+            value: elongation.value,
+            sigma: elongation.sigma,
+            range: elongation.measured.range,
+            uncovered: elongation.measured.uncovered,
             off_sphere_rms_m: sphere.after.rms_m,
             unexplained_rms_m: sphere.after.unexplained_rms_m,
-            sentence: stretch.sentence(),
+            sentence: elongation.sentence(),
         })
     }
 }

@@ -149,7 +149,7 @@ fn budget(file: &CalibrationFile) -> String {
     text
 }
 
-/// Terms that were tried and what they did to the prediction of held-out stretches.
+/// Terms that were tried and what they did to the prediction of held-out segments.
 fn candidates(file: &CalibrationFile) -> String {
     if file.candidates.is_empty() {
         return String::new();

@@ -19,16 +19,16 @@ pub struct ApartEntry {
     pub rotation_rad: Option<f64>,
 }
 
-/// Stretches of time that were predicted from fits to all others.
+/// Segments of time that were predicted from fits to all others.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct HeldOutEntry {
     /// How many.
-    pub stretches: usize,
+    pub segments: usize,
     /// The nominal robot, the bar fitted to it.
     pub nominal: ApartEntry,
-    /// The calibrated robot as fitted without the stretch.
+    /// The calibrated robot as fitted without the segment.
     pub calibrated: ApartEntry,
-    /// The calibration, which has seen the stretch.
+    /// The calibration, which has seen the segment.
     pub fitted: ApartEntry,
 }
 
@@ -70,13 +70,13 @@ impl CalibrationFile {
     /// Adds what was validated.
     pub fn with_validation(mut self, evidence: &Evidence) -> Self {
         self.held_out =
-            evidence.held_out.as_ref().filter(|held_out| !held_out.stretches.is_empty()).map(|held_out| {
+            evidence.held_out.as_ref().filter(|held_out| !held_out.segments.is_empty()).map(|held_out| {
                 let entry = |rms: ApartRms| ApartEntry {
                     position_m: rms.position_m,
                     rotation_rad: evidence.rotations.then_some(rms.rotation_rad),
                 };
                 let [nominal, calibrated, fitted] = held_out.rms().map(entry);
-                HeldOutEntry { stretches: held_out.stretches.len(), nominal, calibrated, fitted }
+                HeldOutEntry { segments: held_out.segments.len(), nominal, calibrated, fitted }
             });
         let others = evidence.costs.iter().flat_map(|costs| costs.entries.iter().skip(1));
         self.other_costs = others
@@ -99,11 +99,11 @@ impl CalibrationFile {
 pub(super) fn describe(file: &CalibrationFile) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.
-    if let Some(HeldOutEntry { stretches, nominal, calibrated, fitted }) = &file.held_out {
+    if let Some(HeldOutEntry { segments, nominal, calibrated, fitted }) = &file.held_out {
         let mm = |entry: &ApartEntry| entry.position_m * 1e3;
         let _ = write!(
             text,
-            "held out: {stretches} stretches predicted from the others, robot against bar {:.4} -> {:.4} mm RMS ({:.4} fitted)",
+            "held out: {segments} segments predicted from the others, robot against bar {:.4} -> {:.4} mm RMS ({:.4} fitted)",
             mm(nominal),
             mm(calibrated),
             mm(fitted),

@@ -163,7 +163,7 @@ impl CalibrationFile {
         if let Some(held_out) = &self.held_out {
             let [before, after] = [held_out.nominal, held_out.calibrated];
             let rotation = before.rotation_rad.zip(after.rotation_rad).map(<[f64; 2]>::from);
-            let independent = INDEPENDENT_OF_SEGMENT * held_out.stretches;
+            let independent = INDEPENDENT_OF_SEGMENT * held_out.segments;
             add("held-out segments", independent, [before.position_m, after.position_m], rotation);
         }
         for rows in &self.rows {

@@ -32,7 +32,7 @@ pub struct Effects {
     /// Sine of twice the joint angle on each bar encoder, amplitude: an elliptic one.
     pub encoder_ellipticity_urad: f64,
     /// Smallest difference of two angles that a bar encoder shows, which gives the middle of each step: the thesis (3.1) cuts off
-    /// what is less, but what all angles are off by is the encoder's zero.
+    /// what is less, but what all angles are off by is the encoder's offset.
     pub encoder_step_urad: f64,
     /// How far the bar's base leans, about x and by 0.6 of it about -y.
     pub base_tilt_urad: f64,

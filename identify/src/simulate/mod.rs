@@ -82,7 +82,7 @@ pub struct Experiment<'a> {
     pub clocks: Clocks,
     /// The path that is driven; none: a random one.
     pub path: Option<PlannedPath>,
-    /// Seed of path, encoder zeros and noise.
+    /// Seed of path, encoder offsets and noise.
     pub seed: u64,
     /// Seed of the noise where it is another one: another run of the same robot and bar.
     pub noise_seed: Option<u64>,
@@ -174,7 +174,7 @@ pub enum SimulateError {
 enum Stream {
     Path = 1,
     StaticErrors = 2,
-    EncoderZeros = 3,
+    EncoderOffsets = 3,
     RobotEffects = 4,
     EncoderEffects = 5,
     Load = 6,

@@ -89,7 +89,7 @@ pub(super) fn recording(
     let cycles = (motion.path.duration_s * 1e9 / CYCLE_NS as f64).round() as i64 + 1;
     let angles: Vec<[f64; 5]> =
         (0..cycles).map(|k| reading.of(&motion.path.at((k * CYCLE_NS) as f64 * 1e-9))).collect();
-    let mut zeros = random(experiment.seed, Stream::EncoderZeros);
+    let mut zeros = random(experiment.seed, Stream::EncoderOffsets);
     let truth: Vec<EncoderTruth> = encoders
         .iter()
         .map(|encoder| {
@@ -105,7 +105,7 @@ pub(super) fn recording(
     (records, encoders, truth)
 }
 
-/// The zero of an encoder whose counter shows `shown` at the first sample: it may be any of its 2^32 counts, read as a
+/// The offset of an encoder whose counter shows `shown` at the first sample: it may be any of its 2^32 counts, read as a
 /// signed number as [`EncoderScale::unwrapper`] does.
 fn encoder_truth(encoder: &EncoderInfo, first_rad: f64, shown: i32) -> EncoderTruth {
     let zero_counts = i64::from(shown) - encoder.scale.rad_to_counts(first_rad);

@@ -131,7 +131,7 @@ pub struct Truth {
     pub robot: String,
     /// The bar's name.
     pub ball_bar: String,
-    /// Seed of path, encoder zeros and noise.
+    /// Seed of path, encoder offsets and noise.
     pub seed: u64,
     /// The clocks.
     pub clock: ClockTruth,

@@ -8,11 +8,11 @@ use crate::support::{bar, irb2400};
 use identify::calibrate::ball_bar::{self, BallBarCalibration, CalibrateError};
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
-use identify::evaluate::{PositiveForce, Stretch, evidence};
+use identify::evaluate::{Elongation, PositiveForce, evidence};
 use identify::kinematics::{Chain, Joints, Trace, Tracer};
 use identify::logs::{ForceClock, ForceKind, ForceLog};
 use identify::model::ParameterId;
-use identify::prepare::{Fate, ForceError, PrepareError, PrepareOptions, Prepared, prepare};
+use identify::prepare::{ForceError, PrepareError, PrepareOptions, Prepared, SampleStatus, prepare};
 use identify::simulate::{self, BarLoad, Effects, Experiment, Simulated};
 use nalgebra::Vector3;
 
@@ -49,8 +49,8 @@ fn without_force(run: &Simulated) -> Simulated {
 }
 
 /// Error of what was found in standard deviations.
-fn in_sigmas(stretch: &Stretch, truth: f64) -> f64 {
-    (stretch.value - truth) / stretch.sigma.unwrap()
+fn in_sigmas(elongation: &Elongation, truth: f64) -> f64 {
+    (elongation.value - truth) / elongation.sigma.unwrap()
 }
 
 #[test]
@@ -59,14 +59,14 @@ fn the_force_tells_how_the_bar_gives_way_and_brings_the_robot_nearer_to_the_trut
     let rigid = without_force(&run);
     for (cost, gain) in [(CostName::Length, 0.9), (CostName::Pose, 0.5)] {
         let (found, without) = (calibrated(&run, cost).unwrap(), calibrated(&rigid, cost).unwrap());
-        let stretch = Stretch::of(&found).unwrap();
+        let elongation = Elongation::of(&found).unwrap();
         let errors = [robot_error(&without, &run), robot_error(&found, &run)];
-        println!("{}: {}; robot {errors:.4?} mm|mrad", cost.name(), stretch.sentence());
-        assert_eq!(stretch.positive, PositiveForce::Tension);
-        assert!(in_sigmas(&stretch, 0.17e-6).abs() < 1.96, "{}: {stretch:?}", cost.name());
-        assert!(stretch.sigma.unwrap() < 0.04e-6, "{}: {stretch:?}", cost.name());
+        println!("{}: {}; robot {errors:.4?} mm|mrad", cost.name(), elongation.sentence());
+        assert_eq!(elongation.positive, PositiveForce::Tension);
+        assert!(in_sigmas(&elongation, 0.17e-6).abs() < 1.96, "{}: {elongation:?}", cost.name());
+        assert!(elongation.sigma.unwrap() < 0.04e-6, "{}: {elongation:?}", cost.name());
         assert!(errors[1] < gain * errors[0], "{}: {errors:?}", cost.name());
-        assert!(Stretch::of(&without).is_none());
+        assert!(Elongation::of(&without).is_none());
     }
 }
 
@@ -77,9 +77,9 @@ fn the_sign_of_the_logs_force_is_found_and_told() {
         values[0] = -values[0];
     }
     let found = calibrated(&run, CostName::Position).unwrap();
-    let stretch = Stretch::of(&found).unwrap();
-    assert_eq!(stretch.positive, PositiveForce::Compression);
-    assert!(in_sigmas(&stretch, -0.17e-6).abs() < 1.96, "{stretch:?}");
+    let elongation = Elongation::of(&found).unwrap();
+    assert_eq!(elongation.positive, PositiveForce::Compression);
+    assert!(in_sigmas(&elongation, -0.17e-6).abs() < 1.96, "{elongation:?}");
     let sphere = evidence(&found, &irb2400().joint_limits()).spheres.remove(0);
     assert!(sphere.before.rms_m > sphere.after.rms_m);
     assert!(sphere.after.unexplained_rms_m < 0.8 * sphere.after.rms_m, "{sphere:?}");
@@ -89,8 +89,8 @@ fn the_sign_of_the_logs_force_is_found_and_told() {
 fn a_force_that_has_nothing_to_do_with_the_bar_is_told_to_be_none() {
     let run = simulated(BarLoad { compliance_um_per_n: 0.0, ..THESIS }, 2);
     let found = calibrated(&run, CostName::Pose).unwrap();
-    let stretch = Stretch::of(&found).unwrap();
-    assert_eq!(stretch.positive, PositiveForce::NotTold, "{stretch:?}");
+    let elongation = Elongation::of(&found).unwrap();
+    assert_eq!(elongation.positive, PositiveForce::NotTold, "{elongation:?}");
     let limits = evidence(&found, &irb2400().joint_limits()).limits;
     assert!(limits.iter().any(|limit| limit.sentence.contains("not told from zero")), "{limits:?}");
 }
@@ -102,9 +102,9 @@ fn where_only_the_sign_of_the_force_is_known_the_play_of_the_bar_follows() {
     force.kind = ForceKind::Sign;
     force.values.iter_mut().for_each(|values| values[0] = values[0].signum());
     let found = calibrated(&run, CostName::Length).unwrap();
-    let stretch = Stretch::of(&found).unwrap();
-    assert_eq!((stretch.parameter, stretch.positive), (ParameterId::BarPlay, PositiveForce::Tension));
-    assert!(in_sigmas(&stretch, 20e-6).abs() < 1.96, "{stretch:?}");
+    let elongation = Elongation::of(&found).unwrap();
+    assert_eq!((elongation.parameter, elongation.positive), (ParameterId::BarPlay, PositiveForce::Tension));
+    assert!(in_sigmas(&elongation, 20e-6).abs() < 1.96, "{elongation:?}");
 }
 
 /// Each row of the log's force as another sensor would have said it, on the robot's clock.
@@ -200,9 +200,9 @@ fn torques_of_the_joints_give_the_force_behind_gravity_and_friction() {
     let rms_n = (squares / found.prepared().unwrap().observations.len() as f64).sqrt();
     println!("force from torques: RMS error {rms_n:.2} N; {:?}", found.prepared().unwrap().force);
     assert!(rms_n < 10.0, "{rms_n}");
-    let stretch = Stretch::of(&found).unwrap();
-    assert_eq!(stretch.positive, PositiveForce::Tension);
-    assert!((stretch.value / 0.17e-6 - 1.0).abs() < 0.1, "{stretch:?}");
+    let elongation = Elongation::of(&found).unwrap();
+    assert_eq!(elongation.positive, PositiveForce::Tension);
+    assert!((elongation.value / 0.17e-6 - 1.0).abs() < 0.1, "{elongation:?}");
 }
 
 #[test]
@@ -236,7 +236,7 @@ fn a_force_log_on_the_bars_clock_or_with_a_hole_is_taken_and_one_of_another_time
     assert!(uncovered > 20 && left.counts.kept + uncovered <= 1500, "{uncovered}");
     assert_eq!(left.counts.kept, left.observations.len());
     assert_eq!(left.counts.no_force, uncovered);
-    assert!(left.timeline.points.iter().any(|point| point.fate == Fate::NoForce));
+    assert!(left.timeline.points.iter().any(|point| point.status == SampleStatus::NoForce));
 
     let refused = |change: &dyn Fn(&mut ForceLog)| {
         let mut force = robots.clone();

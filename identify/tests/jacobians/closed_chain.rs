@@ -49,7 +49,7 @@ pub struct Numbers<D> {
     pub origin: [D; 3],
     pub tilt: [D; 2],
     /// Compliance and play.
-    pub stretch: [D; 2],
+    pub elongation: [D; 2],
     /// Of the bar's length: joint, two or three times per turn, sine or cosine.
     pub bar_waves: [[[D; 2]; 2]; 2],
     pub harmonics: [[D; 4]; 5],
@@ -119,7 +119,7 @@ pub fn coupled(cell: &Cell) -> Model {
     cell.model()
         .with_drives(coupled_drives(&cell.robot))
         .with_joint_waves(waves)
-        .with_zeros(ParameterId::zeros(1))
+        .with_encoder_offsets(ParameterId::zeros(1))
 }
 
 /// Joints with all errors of [`coupled_drives`], by definition: shapes over the reported angles of the drives. `fine` are the
@@ -179,10 +179,10 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             bar: links(&g.bar_links),
             origin: [0, 1, 2].map(|i| D::from(g.base.origin_m[i])),
             tilt: [g.base.rx_rad, g.base.ry_rad].map(D::from),
-            stretch: [g.stretch.compliance_m_per_n, g.stretch.play_m].map(D::from),
+            elongation: [g.elongation.compliance_m_per_n, g.elongation.play_m].map(D::from),
             bar_waves: bar_waves(g).map(|joint| joint.map(|order| order.map(D::from))),
             harmonics: harmonics(g).map(|joint| joint.map(D::from)),
-            zeros: g.zeros_in(1).map(D::from),
+            zeros: g.offsets_of_origin(1).map(D::from),
             joint_errors: joint_errors(g).map(|axis| axis.map(D::from)),
             joint_waves: joint_waves(g).map(|axis| axis.map(|order| order.map(D::from))),
             clock: [g.clock.shift_s, g.clock.skew].map(D::from),
@@ -205,13 +205,13 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             ParameterId::Bar { link, parameter } => &mut self.bar[link][at(parameter)],
             ParameterId::Base(axis) => &mut self.origin[axis.index()],
             ParameterId::BaseRotation(axis) => &mut self.tilt[axis.index()],
-            ParameterId::BarCompliance => &mut self.stretch[0],
-            ParameterId::BarPlay => &mut self.stretch[1],
+            ParameterId::BarCompliance => &mut self.elongation[0],
+            ParameterId::BarPlay => &mut self.elongation[1],
             ParameterId::BarWave { joint, order, phase } => {
                 &mut self.bar_waves[joint][usize::from(order) - 2][phase as usize]
             }
             ParameterId::Harmonic { joint, harmonic } => &mut self.harmonics[joint][harmonic as usize],
-            ParameterId::Zero { joint, .. } => &mut self.zeros[joint],
+            ParameterId::EncoderOffset { joint, .. } => &mut self.zeros[joint],
             ParameterId::Joint { axis, term } => &mut self.joint_errors[axis][place(term)],
             ParameterId::JointWave { axis, order, phase } => {
                 &mut self.joint_waves[axis][usize::from(order) - 3][phase as usize]
@@ -248,15 +248,15 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
 
     /// The same with the bar as long as it is under a force and in the direction of its readings.
     pub fn with_length_at(&self, o: &Observation) -> Self {
-        let mut stretched = self.clone();
-        let Some(rod) = stretched.bar.get_mut(2) else { return stretched };
-        rod[2] += self.stretch[0] * o.force.along_n + self.stretch[1] * o.force.side;
+        let mut elongated = self.clone();
+        let Some(rod) = elongated.bar.get_mut(2) else { return elongated };
+        rod[2] += self.elongation[0] * o.force.along_n + self.elongation[1] * o.force.side;
         for (b, orders) in o.bar_rad.iter().zip(self.bar_waves) {
             for (order, [sine, cosine]) in [2.0, 3.0].into_iter().zip(orders) {
                 rod[2] += sine * (order * b).sin() + cosine * (order * b).cos();
             }
         }
-        stretched
+        elongated
     }
 
     pub fn bar_end(&self, bar: &[D; 5]) -> Matrix<D> {
@@ -272,7 +272,7 @@ impl Numbers<Dual64> {
             bar: self.bar.iter().map(|link| link.map(|x| plain(&x))).collect(),
             origin: self.origin.map(|x| plain(&x)),
             tilt: self.tilt.map(|x| plain(&x)),
-            stretch: self.stretch.map(|x| plain(&x)),
+            elongation: self.elongation.map(|x| plain(&x)),
             bar_waves: self.bar_waves.map(|joint| joint.map(|order| order.map(|x| plain(&x)))),
             harmonics: self.harmonics.map(|joint| joint.map(|x| plain(&x))),
             zeros: self.zeros.map(|x| plain(&x)),

@@ -62,7 +62,7 @@ const LOBES: [f64; 6] = [59.0, 59.0, 39.0, 41.0, 47.0, 43.0];
 /// Speed over which backlash changes sides \[rad/s\].
 const BACKLASH_RAD_S: f64 = 2e-3;
 
-/// A run: clocks up to an hour and 80 ppm apart, encoder zeros anywhere, two minutes unless `design` says otherwise.
+/// A run: clocks up to an hour and 80 ppm apart, encoder offsets anywhere, two minutes unless `design` says otherwise.
 pub fn run(robot: &RobotConfig, bar: &BallBarConfig, seed: u64, level: &Level, design: Design) -> Simulated {
     let mut clean = without_noise(robot, bar, seed, level, design);
     add_noise(&mut clean, seed, level);

@@ -53,7 +53,7 @@ fn waves(band: &std::ops::RangeInclusive<u8>, last: u8) -> Option<Kind> {
     let within = |id: &ParameterId| matches!(id, ParameterId::JointWave { order, .. } if *order >= first);
     let ids: Vec<ParameterId> = ParameterId::joint_waves(last).filter(within).collect();
     let name = format!("{first} to {last} waves per turn");
-    (!ids.is_empty()).then(|| of(TermGroup::Ripple, name, ids, SIGMAS_RAD))
+    (!ids.is_empty()).then(|| of(TermGroup::LineSpectrum, name, ids, SIGMAS_RAD))
 }
 
 fn of(group: TermGroup, name: String, ids: Vec<ParameterId>, sigmas: &[f64]) -> Kind {

@@ -20,7 +20,7 @@ use crate::evaluate::{Validity, evidence};
 use crate::kinematics::flange_chain;
 use crate::logs::{self, BarLog, BarLogMapping, LogFormat, LogOptions, RobotLog, RobotLogMapping};
 use crate::model::{Model, ParameterId};
-use crate::prepare::{Prepared, WiringChoice};
+use crate::prepare::{EncoderMapChoice, Prepared};
 use crate::report::file::{CalibrationFile, ClockEntry, ParameterEntry, SolveEntry};
 use crate::report::force::ForceEntry;
 use crate::report::knowledge::NoiseEntry;
@@ -86,8 +86,8 @@ pub struct BarArguments {
     pub(super) fix: Vec<String>,
     /// Which encoder sits on which joint: find, recorded, or for each encoder of the recording its joint, negative where
     /// it counts the other way, such as 1,2,-3,5,4; default: find
-    #[arg(long, value_name = "WIRING", allow_hyphen_values = true)]
-    pub(super) encoders: Option<WiringChoice>,
+    #[arg(long, value_name = "ENCODERS", allow_hyphen_values = true)]
+    pub(super) encoders: Option<EncoderMapChoice>,
     /// True parameters of a simulated experiment (the first one), to compare with
     #[arg(long, value_name = "FILE")]
     pub(super) truth: Option<PathBuf>,

@@ -7,7 +7,7 @@ use super::plot::{BLUE, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
 use super::readings;
 use super::sections::svg;
 use crate::kinematics::BAR_JOINTS;
-use crate::prepare::{Fate, Prepared, Timeline, TimelinePoint};
+use crate::prepare::{Prepared, SampleStatus, Timeline, TimelinePoint};
 
 /// Figures and tables of one run.
 pub(super) fn section(prepared: &Prepared) -> Result<Markup, PlotError> {
@@ -35,12 +35,12 @@ pub(super) fn section(prepared: &Prepared) -> Result<Markup, PlotError> {
             div.panels.three { @for panel in off { (svg(panel)) } }
             figcaption {
                 "The used samples of each joint less what the robot's log and the nominal robot and bar say of it. This is what the "
-                "alignment and the zeros were found from; the errors of robot and bar are still in it."
+                "alignment and the encoder offsets were found from; the errors of robot and bar are still in it."
             }
         }
         (encoders(prepared))
         (jitter(timeline))
-        (fates(prepared))
+        (statuses(prepared))
     })
 }
 
@@ -84,20 +84,20 @@ fn speeds(timeline: &Timeline) -> Result<String, PlotError> {
 fn trimmed(timeline: &Timeline, measured: &[bool; BAR_JOINTS]) -> Result<Vec<String>, PlotError> {
     let time = time_axis(timeline);
     let panel = |joint: usize| {
-        let of = |name, colour, wanted: fn(Fate) -> bool| {
+        let of = |name, colour, wanted: fn(SampleStatus) -> bool| {
             let angle =
                 |point: &TimelinePoint| Some((time.at(point.t_s), point.measured_rad?[joint].to_degrees()));
-            let points = timeline.points.iter().filter(|point| wanted(point.fate)).filter_map(angle);
+            let points = timeline.points.iter().filter(|point| wanted(point.status)).filter_map(angle);
             dots(name, colour, points.collect())
         };
-        let used = |fate| matches!(fate, Fate::Kept | Fate::Surplus);
+        let used = |status| matches!(status, SampleStatus::Kept | SampleStatus::Thinned);
         Panel {
             title: format!("b{}", joint + 1),
             x: time.label,
             y: "[deg]".into(),
             size: THIRD,
             series: vec![
-                of("left out", GREY, |fate| !matches!(fate, Fate::Kept | Fate::Surplus)),
+                of("left out", GREY, |status| !matches!(status, SampleStatus::Kept | SampleStatus::Thinned)),
                 of("usable", BLUE, used),
             ],
             from_zero: false,
@@ -111,7 +111,7 @@ fn trimmed(timeline: &Timeline, measured: &[bool; BAR_JOINTS]) -> Result<Vec<Str
 fn off(timeline: &Timeline, measured: &[bool; BAR_JOINTS]) -> Result<Vec<String>, PlotError> {
     let time = time_axis(timeline);
     let panel = |joint: usize| {
-        let used = timeline.points.iter().filter(|point| point.fate == Fate::Kept);
+        let used = timeline.points.iter().filter(|point| point.status == SampleStatus::Kept);
         let off = |point: &TimelinePoint| Some((time.at(point.t_s), point.off_rad()?[joint] * 1e3));
         Panel {
             title: format!("b{}, measured less predicted", joint + 1),
@@ -139,21 +139,21 @@ fn sphere(prepared: &Prepared) -> Markup {
     }
 }
 
-/// Where each encoder sits, which way it counts, its zero, and how well all that fits.
+/// Where each encoder sits, which way it counts, its offset, and how well all that fits.
 fn encoders(prepared: &Prepared) -> Markup {
-    let wiring = &prepared.wiring;
+    let encoder_map = &prepared.encoder_map;
     let offset = |joint: u8| prepared.offsets.iter().find(|offset| offset.joint == joint);
     html! {
-        @if !wiring.used.encoders.is_empty() { table {
+        @if !encoder_map.used.encoders.is_empty() { table {
             caption {
-                "Encoders of the bar: joint by the recording, joint and direction that the motion confirms, zero, and 1.48 times the "
+                "Encoders of the bar: joint by the recording, joint and direction that the motion confirms, offset, and 1.48 times the "
                 "median deviation from the motion of the robot, nominal and with all lengths and angles moved within their tolerances"
-                @if !wiring.others.is_empty() { "; " (wiring.others.len()) " other orders or directions fit within the limit, worse" }
+                @if !encoder_map.others.is_empty() { "; " (encoder_map.others.len()) " other orders or directions fit within the limit, worse" }
             }
             thead { tr {
-                th { "recorded as" } th { "sits on" } th.text { "" } th { "zero [deg]" } th { "nominal [mrad]" } th { "fitted [mrad]" }
+                th { "recorded as" } th { "sits on" } th.text { "" } th { "offset [deg]" } th { "nominal [mrad]" } th { "fitted [mrad]" }
             } }
-            tbody { @for place in &wiring.used.encoders { tr {
+            tbody { @for place in &encoder_map.used.encoders { tr {
                 td { "b" (place.recorded_joint) }
                 td { "b" (place.joint) }
                 td.unit { @if place.reversed { "counts the other way" } @else { "counts as recorded" } }
@@ -174,7 +174,7 @@ fn jitter(timeline: &Timeline) -> Markup {
 }
 
 /// The table of what became of all samples.
-fn fates(prepared: &Prepared) -> Markup {
+fn statuses(prepared: &Prepared) -> Markup {
     let counts = &prepared.counts;
     let average = prepared.timeline.averaged.as_ref();
     let rows = [
@@ -187,7 +187,7 @@ fn fates(prepared: &Prepared) -> Markup {
         Some(("near a singular pose", counts.singular)),
         Some(("do not fit those around them", counts.outliers)),
         Some(("standstill", counts.standstill)),
-        Some(("more than wanted", counts.surplus)),
+        Some(("more than wanted", counts.thinned)),
         prepared.force.map(|_| ("the force was not measured then", counts.no_force)),
         Some(("used", counts.kept)),
     ];

@@ -89,9 +89,9 @@ pub(super) fn verdict(page: &Page<'_>) -> Markup {
             (judged(page.file))
             "The expected position error of the robot over its workspace falls from "
             b { (mm(before.mean_m)) " mm" } " to " b { (mm(after.mean_m)) " mm" } "."
-            @if let Some(held_out) = page.evidence.held_out.as_ref().filter(|one| !one.stretches.is_empty()) {
+            @if let Some(held_out) = page.evidence.held_out.as_ref().filter(|one| !one.segments.is_empty()) {
                 @let [nominal, predicted, _] = held_out.rms();
-                " On stretches of the run that its fit has not seen, robot and bar are " (mm(predicted.position_m))
+                " On segments of the run that its fit has not seen, robot and bar are " (mm(predicted.position_m))
                 " mm apart (RMS) instead of " (mm(nominal.position_m)) " mm."
             }
             @if !limits.is_empty() { ul { @for limit in limits { li { (limit.sentence) } } } }

@@ -8,7 +8,7 @@ use super::figures::{HALF, TimeAxis, WIDE, dots};
 use super::plot::{BLUE, FONT, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
 use super::runs;
 use super::sections::svg;
-use crate::evaluate::{Deviation, OffSphere, SphereDeviation, Stretch};
+use crate::evaluate::{Deviation, Elongation, OffSphere, SphereDeviation};
 
 /// Samples that a map shows, at most.
 const DOTS_MAX: usize = 1500;
@@ -24,17 +24,17 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
 
 fn of_run(sphere: &SphereDeviation, name: Option<&String>) -> Result<Markup, PlotError> {
     let over_time = over_time(sphere)?;
-    let stretch = sphere.stretch;
-    let forces = stretch.map(|stretch| forces(&sphere.after, &stretch)).transpose()?;
+    let elongation = sphere.elongation;
+    let forces = elongation.map(|elongation| forces(&sphere.after, &elongation)).transpose()?;
     Ok(html! {
         (runs::title("Deviation from the sphere", name))
         (figures_of(sphere))
-        @if let Some(stretch) = stretch { p { (sentence(&stretch)) } }
+        @if let Some(elongation) = elongation { p { (sentence(&elongation)) } }
         figure {
             @for panel in over_time { (svg(panel)) }
             figcaption {
                 "How much farther out the robot's end is than the bar would hold it if it were rigid. "
-                @if stretch.is_some() { "Green: minus what the force explains." }
+                @if elongation.is_some() { "Green: minus what the force explains." }
             }
         }
         figure {
@@ -77,7 +77,7 @@ fn figures_of(sphere: &SphereDeviation) -> Markup {
         div.numbers {
             (row("nominal robot", &sphere.before))
             (row("calibrated robot", &sphere.after))
-            @if sphere.stretch.is_some() {
+            @if sphere.elongation.is_some() {
                 div.number {
                     b { (um(sphere.after.unexplained_rms_m)) }
                     span { "calibrated robot, RMS without what the force explains" }
@@ -87,13 +87,13 @@ fn figures_of(sphere: &SphereDeviation) -> Markup {
     }
 }
 
-fn sentence(stretch: &Stretch) -> Markup {
-    let measured = &stretch.measured;
+fn sentence(elongation: &Elongation) -> Markup {
+    let measured = &elongation.measured;
     let [low, high] = measured.range;
     let unit = measured.unit();
     html! {
         "Measured: " (measured.kind.describe()) " on the " (measured.clock.name()) "'s clock, "
-        (format!("{low:.1} to {high:.1} {unit}")) " along the bar. Found: " b { (stretch.sentence()) } ". "
+        (format!("{low:.1} to {high:.1} {unit}")) " along the bar. Found: " b { (elongation.sentence()) } ". "
         @if measured.uncovered > 0 { (measured.uncovered) " samples without a force were left out. " }
         @if let Some(rms_nm) = measured.torque_rms_nm {
             "The force was taken from the joints' torques: gravity, friction, inertia and one force along the bar leave "
@@ -116,7 +116,7 @@ fn over_time(sphere: &SphereDeviation) -> Result<[String; 2], PlotError> {
         from_zero: false,
     };
     let mut after = vec![series("rigid bar", BLUE, &sphere.after, |one| one.off_m)];
-    if sphere.stretch.is_some() {
+    if sphere.elongation.is_some() {
         after.push(series("force explained", GREEN, &sphere.after, |one| one.unexplained_m));
     }
     Ok([
@@ -127,13 +127,13 @@ fn over_time(sphere: &SphereDeviation) -> Result<[String; 2], PlotError> {
 }
 
 /// The force over time, and the deviation against it.
-fn forces(after: &Deviation, stretch: &Stretch) -> Result<[String; 2], PlotError> {
-    let unit = stretch.measured.unit();
+fn forces(after: &Deviation, elongation: &Elongation) -> Result<[String; 2], PlotError> {
+    let unit = elongation.measured.unit();
     let axis = if unit.is_empty() { "sign of the force" } else { "force along the bar [N]" };
     let samples = &after.samples;
     let time = TimeAxis::of(samples.iter().map(|one| one.t_s));
-    let [low, high] = stretch.measured.range;
-    let line = [low, high].map(|force| (force, stretch.value * force * 1e6));
+    let [low, high] = elongation.measured.range;
+    let line = [low, high].map(|force| (force, elongation.value * force * 1e6));
     Ok([
         Panel {
             title: "Force".into(),

@@ -264,7 +264,7 @@ mod tests {
         let what = "dependent rd2|rd3 (fix 1); dependent ra1|ox (fix 1)".to_owned();
         let messages = [
             (PrepareError::LittleMotion.to_string(), "excites too little", "move the bar"),
-            (PrepareError::AmbiguousWiring { fits }.to_string(), "--encoders 2,1", "Look at the bar"),
+            (PrepareError::AmbiguousEncoderMap { fits }.to_string(), "--encoders 2,1", "Look at the bar"),
             (
                 PrepareError::NoMatch { correlation: 0.3, overlap_s: 20.0, needed: 0.9 }.to_string(),
                 "0.30",

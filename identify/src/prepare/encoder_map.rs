@@ -22,7 +22,7 @@ use crate::kinematics::BAR_JOINTS;
 /// What to do about order and directions of the encoders.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum WiringChoice {
+pub enum EncoderMapChoice {
     /// Take those that the recording states if they fit, else those that do, and say so.
     #[default]
     Find,
@@ -34,7 +34,7 @@ pub enum WiringChoice {
     Stated(Vec<i8>),
 }
 
-impl FromStr for WiringChoice {
+impl FromStr for EncoderMapChoice {
     type Err = String;
 
     /// `find`, `recorded`, or joints as `1,2,-3,4,5`.
@@ -69,12 +69,12 @@ pub struct EncoderPlace {
 
 /// Places of all encoders.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
-pub struct Wiring {
+pub struct EncoderMap {
     /// In the order of the recording's joints.
     pub encoders: Vec<EncoderPlace>,
 }
 
-impl Wiring {
+impl EncoderMap {
     /// Order and directions are those that the recording states.
     pub fn is_as_recorded(&self) -> bool {
         self.encoders.iter().all(|place| place.joint == place.recorded_joint && !place.reversed)
@@ -107,7 +107,7 @@ impl Wiring {
         angles_rad
     }
 
-    /// This wiring as `--encoders` and `prepare.encoders` take it, such as `1,2,-3,4,5`.
+    /// This encoder map as `--encoders` and `prepare.encoders` take it, such as `1,2,-3,4,5`.
     pub fn stated(&self) -> String {
         let joints = self.encoders.iter().map(|place| {
             let sign = if place.reversed { "-" } else { "" };
@@ -123,7 +123,7 @@ impl Wiring {
     }
 }
 
-impl fmt::Display for Wiring {
+impl fmt::Display for EncoderMap {
     /// `1 -> 1, 2 -> 4 (reversed)`
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (index, place) in self.encoders.iter().enumerate() {
@@ -137,19 +137,19 @@ impl fmt::Display for Wiring {
 
 /// Every order and set of directions that fits, the best first, and which of them is used.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
-pub struct WiringReport {
+pub struct EncoderMapReport {
     /// The one that is used.
-    pub used: Wiring,
+    pub used: EncoderMap,
     /// Others whose every encoder fits within the limit.
-    pub others: Vec<Wiring>,
+    pub others: Vec<EncoderMap>,
 }
 
 /// Measured and predicted angles of one instant.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct AnglePair {
-    /// Instants of one stretch share configuration of the bar and zeros of the encoders.
-    pub stretch: usize,
-    /// Encoder angles by recorded joint, zeros unknown \[rad\].
+    /// Instants of one segment share configuration of the bar and offsets of the encoders.
+    pub segment: usize,
+    /// Encoder angles by recorded joint, offsets unknown \[rad\].
     pub recorded_rad: [f64; BAR_JOINTS],
     /// From the robot's log, in the first configuration \[rad\].
     pub predicted_rad: [f64; BAR_JOINTS],
@@ -157,7 +157,7 @@ pub struct AnglePair {
 
 /// Spreads this much larger than the best are no longer as good.
 const CLEARLY_WORSE: f64 = 3.0;
-/// Stretches with fewer pairs say little about which joint is which.
+/// Segments with fewer pairs say little about which joint is which.
 const PAIRS_MIN: usize = 30;
 /// Fits that are told at most.
 const TOLD_MAX: usize = 8;
@@ -165,40 +165,43 @@ const TOLD_MAX: usize = 8;
 /// Finds or checks order and directions of the encoders on `recorded_joints` (1 to 5).
 ///
 /// # Errors
-/// [`PrepareError::NoWiring`] where none fits, [`PrepareError::AmbiguousWiring`] where several do and the recorded one is
-/// not among them, [`PrepareError::Mirrored`] where they see the robot's mirror image, [`PrepareError::OtherWiring`] where only the recorded one is allowed.
-pub fn find_wiring(
+/// [`PrepareError::NoEncoderMap`] where none fits, [`PrepareError::AmbiguousEncoderMap`] where several do and the recorded one is
+/// not among them, [`PrepareError::Mirrored`] where they see the robot's mirror image, [`PrepareError::OtherEncoderMap`] where only the recorded one is allowed.
+pub fn find_encoder_map(
     pairs: &[AnglePair],
     recorded_joints: &[u8],
     options: &PrepareOptions,
-) -> Result<WiringReport, PrepareError> {
+) -> Result<EncoderMapReport, PrepareError> {
     let table = Table::new(pairs, recorded_joints);
-    if let WiringChoice::Stated(joints) = &options.encoders {
-        return table.stated(joints).map(|used| WiringReport { used, others: Vec::new() });
+    if let EncoderMapChoice::Stated(joints) = &options.encoders {
+        return table.stated(joints).map(|used| EncoderMapReport { used, others: Vec::new() });
     }
     let recorded = table.recorded();
     let mut fitting = table.fitting(options.spread_max_mrad);
     let Some(best) = fitting.first().cloned() else {
-        return Err(PrepareError::NoWiring {
+        return Err(PrepareError::NoEncoderMap {
             recorded: recorded.to_string(),
             limit_mrad: options.spread_max_mrad,
         });
     };
-    let as_good = |wiring: &Wiring| wiring.spread_mrad() <= CLEARLY_WORSE * best.spread_mrad();
+    let as_good = |encoder_map: &EncoderMap| encoder_map.spread_mrad() <= CLEARLY_WORSE * best.spread_mrad();
     let recorded_fits = fitting.contains(&recorded) && as_good(&recorded);
     let used = match (recorded_fits, &options.encoders) {
         (true, _) => recorded,
-        (false, WiringChoice::Recorded) => {
-            return Err(PrepareError::OtherWiring {
+        (false, EncoderMapChoice::Recorded) => {
+            return Err(PrepareError::OtherEncoderMap {
                 recorded: recorded.to_string(),
                 found: best.to_string(),
             });
         }
         (false, _) => {
-            let told = |wiring: &Wiring| format!("\n  --encoders {} for {wiring}", wiring.stated());
-            let equals: Vec<String> = fitting.iter().filter(|wiring| as_good(wiring)).map(told).collect();
+            let told = |encoder_map: &EncoderMap| {
+                format!("\n  --encoders {} for {encoder_map}", encoder_map.stated())
+            };
+            let equals: Vec<String> =
+                fitting.iter().filter(|encoder_map| as_good(encoder_map)).map(told).collect();
             if equals.len() > 1 {
-                return Err(PrepareError::AmbiguousWiring { fits: equals.concat() });
+                return Err(PrepareError::AmbiguousEncoderMap { fits: equals.concat() });
             }
             if best.is_mirrored() {
                 return Err(PrepareError::Mirrored { joints: None, stated: best.stated() });
@@ -206,9 +209,9 @@ pub fn find_wiring(
             best
         }
     };
-    fitting.retain(|wiring| *wiring != used);
+    fitting.retain(|encoder_map| *encoder_map != used);
     fitting.truncate(TOLD_MAX);
-    Ok(WiringReport { used, others: fitting })
+    Ok(EncoderMapReport { used, others: fitting })
 }
 
 /// Spread of each recorded encoder against each joint, counting as recorded and the other way.
@@ -219,31 +222,31 @@ struct Table<'a> {
 
 impl<'a> Table<'a> {
     fn new(pairs: &[AnglePair], recorded_joints: &'a [u8]) -> Self {
-        let mut stretches: Vec<&[AnglePair]> = pairs.chunk_by(|a, b| a.stretch == b.stretch).collect();
-        stretches.sort_by_key(|stretch| std::cmp::Reverse(stretch.len()));
-        let telling = stretches.iter().take_while(|stretch| stretch.len() >= PAIRS_MIN).count();
-        stretches.truncate(telling.max(1));
-        let scatter = |stretch: &[AnglePair], recorded: usize, joint: usize, sign: f64| {
+        let mut segments: Vec<&[AnglePair]> = pairs.chunk_by(|a, b| a.segment == b.segment).collect();
+        segments.sort_by_key(|segment| std::cmp::Reverse(segment.len()));
+        let telling = segments.iter().take_while(|segment| segment.len() >= PAIRS_MIN).count();
+        segments.truncate(telling.max(1));
+        let scatter = |segment: &[AnglePair], recorded: usize, joint: usize, sign: f64| {
             let differences =
-                stretch.iter().map(|pair| pair.predicted_rad[joint] - sign * pair.recorded_rad[recorded]);
+                segment.iter().map(|pair| pair.predicted_rad[joint] - sign * pair.recorded_rad[recorded]);
             deviations(differences.collect())
         };
-        let spread_mrad = |of_stretch: &dyn Fn(&[AnglePair]) -> Vec<f64>| {
-            1e3 * spread_of(stretches.iter().flat_map(|stretch| of_stretch(stretch)).collect())
+        let spread_mrad = |of_segment: &dyn Fn(&[AnglePair]) -> Vec<f64>| {
+            1e3 * spread_of(segments.iter().flat_map(|segment| of_segment(segment)).collect())
         };
         let row = |recorded: &u8| {
             let recorded = usize::from(*recorded) - 1;
             std::array::from_fn(|joint| {
                 let both = [1.0, -1.0];
                 if joint == 1 || joint == 3 {
-                    // On these the direction is a matter of the configuration, which may change between stretches.
-                    let better = |stretch: &[AnglePair]| {
-                        let [one, other] = both.map(|sign| scatter(stretch, recorded, joint, sign));
+                    // On these the direction is a matter of the configuration, which may change between segments.
+                    let better = |segment: &[AnglePair]| {
+                        let [one, other] = both.map(|sign| scatter(segment, recorded, joint, sign));
                         if spread_of(one.clone()) <= spread_of(other.clone()) { one } else { other }
                     };
                     return [spread_mrad(&better), f64::INFINITY];
                 }
-                both.map(|sign| spread_mrad(&|stretch| scatter(stretch, recorded, joint, sign)))
+                both.map(|sign| spread_mrad(&|segment| scatter(segment, recorded, joint, sign)))
             })
         };
         Self { recorded_joints, spread_mrad: recorded_joints.iter().map(row).collect() }
@@ -256,16 +259,16 @@ impl<'a> Table<'a> {
         EncoderPlace { recorded_joint, joint: joint as u8 + 1, reversed, spread_mrad }
     }
 
-    fn recorded(&self) -> Wiring {
+    fn recorded(&self) -> EncoderMap {
         let places = self.recorded_joints.iter().enumerate();
-        Wiring {
+        EncoderMap {
             encoders: places
                 .map(|(index, joint)| self.place(index, usize::from(*joint) - 1, false))
                 .collect(),
         }
     }
 
-    fn stated(&self, joints: &[i8]) -> Result<Wiring, PrepareError> {
+    fn stated(&self, joints: &[i8]) -> Result<EncoderMap, PrepareError> {
         let mut taken = [false; BAR_JOINTS];
         let mut free = |joint: u8| {
             let taken = taken.get_mut(usize::from(joint).wrapping_sub(1));
@@ -274,7 +277,7 @@ impl<'a> Table<'a> {
         if joints.len() != self.recorded_joints.len()
             || !joints.iter().all(|joint| free(joint.unsigned_abs()))
         {
-            return Err(PrepareError::StatedWiring {
+            return Err(PrepareError::StatedEncoderMap {
                 stated: format!("{joints:?}"),
                 encoders: self.recorded_joints.len(),
             });
@@ -283,20 +286,20 @@ impl<'a> Table<'a> {
             let place = usize::from(joint.unsigned_abs()) - 1;
             EncoderPlace { reversed: *joint < 0, ..self.place(index, place, false) }
         });
-        Ok(Wiring { encoders: places.collect() })
+        Ok(EncoderMap { encoders: places.collect() })
     }
 
     /// All orders and directions in which every encoder fits, the best first.
-    fn fitting(&self, limit_mrad: f64) -> Vec<Wiring> {
+    fn fitting(&self, limit_mrad: f64) -> Vec<EncoderMap> {
         let mut found = Vec::new();
         self.extend(&mut Vec::new(), limit_mrad, &mut found);
         found.sort_by(|a, b| a.spread_mrad().total_cmp(&b.spread_mrad()));
         found
     }
 
-    fn extend(&self, places: &mut Vec<EncoderPlace>, limit_mrad: f64, found: &mut Vec<Wiring>) {
+    fn extend(&self, places: &mut Vec<EncoderPlace>, limit_mrad: f64, found: &mut Vec<EncoderMap>) {
         if places.len() == self.recorded_joints.len() {
-            found.push(Wiring { encoders: places.clone() });
+            found.push(EncoderMap { encoders: places.clone() });
             return;
         }
         for joint in 0..BAR_JOINTS {

@@ -6,7 +6,8 @@ use identify::calibrate::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, ball_bar};
 use identify::model::ParameterId;
 use identify::prepare::{
-    AnglePair, PrepareError, PrepareOptions, Prepared, Wiring, WiringChoice, find_wiring, prepare,
+    AnglePair, EncoderMap, EncoderMapChoice, PrepareError, PrepareOptions, Prepared, find_encoder_map,
+    prepare,
 };
 use identify::simulate::{self, Design, Effects, Experiment, Simulated};
 use shared::config::{BallBarConfig, RobotConfig};
@@ -36,13 +37,13 @@ fn reversed(run: &mut Simulated, places: &[usize]) {
     }
 }
 
-fn prepared(run: &Simulated, encoders: WiringChoice) -> Result<Prepared, PrepareError> {
+fn prepared(run: &Simulated, encoders: EncoderMapChoice) -> Result<Prepared, PrepareError> {
     let options = PrepareOptions { encoders, ..PrepareOptions::default() };
     prepare(&run.cycles, &run.encoders, &run.robot_log, &irb2400(), &bar(), &options)
 }
 
-fn joints_and_directions(wiring: &Wiring) -> Vec<(u8, bool)> {
-    wiring.encoders.iter().map(|place| (place.joint, place.reversed)).collect()
+fn joints_and_directions(encoder_map: &EncoderMap) -> Vec<(u8, bool)> {
+    encoder_map.encoders.iter().map(|place| (place.joint, place.reversed)).collect()
 }
 
 #[test]
@@ -59,17 +60,17 @@ fn shuffled_and_reversed_encoders_calibrate_without_a_hand() {
         let places: &[usize] = if four { &[0, 1, 2] } else { &[0, 1, 4] };
         reversed(&mut run, places);
         exchanged(&mut run, order);
-        let found = prepared(&run, WiringChoice::Find).unwrap();
-        let used = &found.wiring.used;
+        let found = prepared(&run, EncoderMapChoice::Find).unwrap();
+        let used = &found.encoder_map.used;
         assert!(!used.is_as_recorded());
-        println!("{used}; others {:?}", found.wiring.others);
+        println!("{used}; others {:?}", found.encoder_map.others);
         for (place, joint) in used.encoders.iter().zip(&true_joints) {
             assert_eq!(place.joint, *joint);
             // On joints 2 and 4 the direction is one with the bar's configuration.
             let negative = places.iter().any(|place| true_joints[*place] == *joint);
             assert!(matches!(joint, 2 | 4) || place.reversed == negative, "{used}");
         }
-        assert!(found.wiring.others.is_empty());
+        assert!(found.encoder_map.others.is_empty());
         let config = IdentifyConfig::default();
         let calibration =
             ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
@@ -85,7 +86,7 @@ fn shuffled_and_reversed_encoders_calibrate_without_a_hand() {
 fn a_mirrored_robot_fits_reversed_encoders_and_which_of_both_it_is_gets_asked() {
     for robot in [irb2400(), nj220()] {
         let (bar, config) = (bar(), IdentifyConfig::default());
-        let calibrated = |run: &Simulated, encoders: WiringChoice| {
+        let calibrated = |run: &Simulated, encoders: EncoderMapChoice| {
             let mut config = config.clone();
             config.prepare.encoders = encoders;
             ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config)
@@ -96,13 +97,13 @@ fn a_mirrored_robot_fits_reversed_encoders_and_which_of_both_it_is_gets_asked() 
                 joints[joint] = -joints[joint];
             }
         }
-        let refusal = calibrated(&mirrored, WiringChoice::Find).unwrap_err().to_string();
+        let refusal = calibrated(&mirrored, EncoderMapChoice::Find).unwrap_err().to_string();
         println!("{refusal}");
         assert!(refusal.contains("signs of the robot's joints 1, 4 and 6 reversed"), "{refusal}");
         // The encoders are reversed instead: the same question, and the answer is what is to be typed.
         let mut run = run(&robot, &bar);
         reversed(&mut run, &[0, 2, 4]);
-        let refusal = calibrated(&run, WiringChoice::Find).unwrap_err().to_string();
+        let refusal = calibrated(&run, EncoderMapChoice::Find).unwrap_err().to_string();
         assert!(refusal.contains("type --encoders -1,2,-3,4,-5"), "{refusal}");
         let found = calibrated(&run, "-1,2,-3,4,-5".parse().unwrap()).unwrap();
         let error = Comparison::new(&found, &run.truth).only(|id| matches!(id, ParameterId::Robot { .. }));
@@ -112,16 +113,16 @@ fn a_mirrored_robot_fits_reversed_encoders_and_which_of_both_it_is_gets_asked() 
 
 #[test]
 fn order_and_directions_as_recorded_are_confirmed_and_nothing_else_fits() {
-    let found = prepared(&run(&irb2400(), &bar()), WiringChoice::Recorded).unwrap();
-    assert!(found.wiring.used.is_as_recorded() && found.wiring.others.is_empty());
-    assert!(found.wiring.used.spread_mrad() < 10.0);
+    let found = prepared(&run(&irb2400(), &bar()), EncoderMapChoice::Recorded).unwrap();
+    assert!(found.encoder_map.used.is_as_recorded() && found.encoder_map.others.is_empty());
+    assert!(found.encoder_map.used.spread_mrad() < 10.0);
 }
 
 #[test]
 fn another_order_is_refused_where_only_the_recorded_one_may_be_used_and_named() {
     let mut run = run(&irb2400(), &bar());
     exchanged(&mut run, &[4, 1, 2, 3, 0]);
-    let told = prepared(&run, WiringChoice::Recorded).unwrap_err().to_string();
+    let told = prepared(&run, EncoderMapChoice::Recorded).unwrap_err().to_string();
     println!("{told}");
     assert!(told.contains("but as 5 -> 1") && told.contains("1 -> 5"), "{told}");
 }
@@ -131,11 +132,11 @@ fn a_stated_order_is_taken_and_a_senseless_one_refused() {
     let mut run = run(&irb2400(), &bar());
     reversed(&mut run, &[2]);
     exchanged(&mut run, &[4, 1, 2, 3, 0]);
-    let found = prepared(&run, WiringChoice::Stated(vec![1, 2, -3, 4, 5])).unwrap();
+    let found = prepared(&run, EncoderMapChoice::Stated(vec![1, 2, -3, 4, 5])).unwrap();
     let wanted = vec![(1, false), (2, false), (3, true), (4, false), (5, false)];
-    assert_eq!(joints_and_directions(&found.wiring.used), wanted);
+    assert_eq!(joints_and_directions(&found.encoder_map.used), wanted);
     for senseless in [vec![1, 2, 3, 4], vec![1, 1, 2, 3, 4], vec![0, 1, 2, 3, 4], vec![1, 2, 3, 4, 6]] {
-        let told = prepared(&run, WiringChoice::Stated(senseless)).unwrap_err().to_string();
+        let told = prepared(&run, EncoderMapChoice::Stated(senseless)).unwrap_err().to_string();
         assert!(told.contains("one bar joint for each of the 5 encoders"), "{told}");
     }
 }
@@ -152,7 +153,7 @@ fn pairs(alike: &[[usize; 2]]) -> Vec<AnglePair> {
             let mut recorded_rad = predicted_rad.map(|angle| angle + 1.7);
             // Encoders 1 and 3 are exchanged.
             recorded_rad.swap(0, 2);
-            AnglePair { stretch: 0, recorded_rad, predicted_rad }
+            AnglePair { segment: 0, recorded_rad, predicted_rad }
         })
         .collect()
 }
@@ -160,18 +161,18 @@ fn pairs(alike: &[[usize; 2]]) -> Vec<AnglePair> {
 #[test]
 fn joints_that_move_together_leave_the_order_open_and_it_is_asked_for() {
     let options = PrepareOptions::default();
-    let clear = find_wiring(&pairs(&[]), &[1, 2, 3, 4, 5], &options).unwrap();
+    let clear = find_encoder_map(&pairs(&[]), &[1, 2, 3, 4, 5], &options).unwrap();
     assert_eq!(clear.used.encoders[0].joint, 3);
-    let error = find_wiring(&pairs(&[[3, 4]]), &[1, 2, 3, 4, 5], &options).unwrap_err();
+    let error = find_encoder_map(&pairs(&[[3, 4]]), &[1, 2, 3, 4, 5], &options).unwrap_err();
     let told = error.to_string();
     println!("{told}");
-    assert!(matches!(error, PrepareError::AmbiguousWiring { .. }) && told.contains("encoders = [..]"));
+    assert!(matches!(error, PrepareError::AmbiguousEncoderMap { .. }) && told.contains("encoders = [..]"));
     // What to type for each of them is said.
     for choice in ["--encoders 3,2,1,4,5 for", "--encoders 3,2,1,5,4 for"] {
         assert!(told.contains(choice), "{told}");
     }
     // The recorded order is among those that fit: it is taken, and the other one is told.
-    let found = find_wiring(&pairs(&[[0, 2]]), &[1, 2, 3, 4, 5], &options).unwrap();
+    let found = find_encoder_map(&pairs(&[[0, 2]]), &[1, 2, 3, 4, 5], &options).unwrap();
     assert!(found.used.is_as_recorded() && found.others.len() == 1, "{found:?}");
 }
 
@@ -190,10 +191,10 @@ pub fn ambiguous(robot: &RobotConfig, bar: &BallBarConfig) -> Simulated {
 }
 
 #[test]
-fn an_ambiguous_wiring_of_a_whole_run_is_asked_for_and_what_is_typed_resolves_it() {
+fn an_ambiguous_encoder_map_of_a_whole_run_is_asked_for_and_what_is_typed_resolves_it() {
     let (robot, bar) = (irb2400(), bar());
     let run = ambiguous(&robot, &bar);
-    let told = prepared(&run, WiringChoice::Find).unwrap_err().to_string();
+    let told = prepared(&run, EncoderMapChoice::Find).unwrap_err().to_string();
     println!("{told}");
     let choices: Vec<&str> =
         told.split("--encoders ").skip(1).map(|rest| rest.split(' ').next().unwrap()).collect();
@@ -206,8 +207,8 @@ fn an_ambiguous_wiring_of_a_whole_run_is_asked_for_and_what_is_typed_resolves_it
     };
     let found = prepare(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &options).unwrap();
     let wanted: Vec<(u8, bool)> = (1..=5).map(|joint| (joint, false)).collect();
-    assert_eq!(joints_and_directions(&found.wiring.used), wanted);
-    assert!(found.wiring.others.is_empty());
+    assert_eq!(joints_and_directions(&found.encoder_map.used), wanted);
+    assert!(found.encoder_map.others.is_empty());
     // On a geometry that is fitted nothing is left of what the leaning base did to the angles.
     let spreads = found.offsets.iter().map(|offset| offset.spread_rad * 1e3);
     assert!(spreads.clone().all(|spread| spread < 1.0), "{:?} mrad", spreads.collect::<Vec<_>>());
@@ -215,10 +216,10 @@ fn an_ambiguous_wiring_of_a_whole_run_is_asked_for_and_what_is_typed_resolves_it
 
 #[test]
 fn the_choice_is_typed_as_a_word_or_joint_by_joint() {
-    let typed = |text: &str| text.parse::<WiringChoice>();
-    assert_eq!(typed("find").unwrap(), WiringChoice::Find);
-    assert_eq!(typed("recorded").unwrap(), WiringChoice::Recorded);
-    assert_eq!(typed("-1, 2,-3,5").unwrap(), WiringChoice::Stated(vec![-1, 2, -3, 5]));
+    let typed = |text: &str| text.parse::<EncoderMapChoice>();
+    assert_eq!(typed("find").unwrap(), EncoderMapChoice::Find);
+    assert_eq!(typed("recorded").unwrap(), EncoderMapChoice::Recorded);
+    assert_eq!(typed("-1, 2,-3,5").unwrap(), EncoderMapChoice::Stated(vec![-1, 2, -3, 5]));
     for senseless in ["", "1;2", "one", "1,,2", "300"] {
         assert!(typed(senseless).unwrap_err().contains("find, recorded"), "{senseless}");
     }
@@ -227,8 +228,8 @@ fn the_choice_is_typed_as_a_word_or_joint_by_joint() {
 #[test]
 fn the_choice_is_read_from_configuration() {
     let read = |text: &str| toml::from_str::<PrepareOptions>(text).map(|options| options.encoders);
-    assert_eq!(read("encoders = \"find\"").unwrap(), WiringChoice::Find);
-    assert_eq!(read("encoders = \"recorded\"").unwrap(), WiringChoice::Recorded);
-    assert_eq!(read("encoders = [5, -2, 3, 4, 1]").unwrap(), WiringChoice::Stated(vec![5, -2, 3, 4, 1]));
+    assert_eq!(read("encoders = \"find\"").unwrap(), EncoderMapChoice::Find);
+    assert_eq!(read("encoders = \"recorded\"").unwrap(), EncoderMapChoice::Recorded);
+    assert_eq!(read("encoders = [5, -2, 3, 4, 1]").unwrap(), EncoderMapChoice::Stated(vec![5, -2, 3, 4, 1]));
     assert!(read("encoders = \"guess\"").is_err());
 }

@@ -1,8 +1,8 @@
-//! Zeros of the encoders and configurations of the bar, stretch by stretch.
+//! Offsets of the encoders and configurations of the bar, segment by segment.
 //!
 //! Between two passes of a singular pose the bar stays in one configuration, between two changes of the counters' origin
-//! the zeros stay the same. The zeros of an origin are found in its longest stretch, in the configuration in which measured
-//! and predicted angles differ by constants; its other stretches then need only one of four configurations each.
+//! the offsets stay the same. The offsets of an origin are found in its longest segment, in the configuration in which measured
+//! and predicted angles differ by constants; its other segments then need only one of four configurations each.
 
 use super::circular::{circular_median, median, spread_of, wrapped};
 use crate::kinematics::{BAR_JOINTS, Configuration};
@@ -14,17 +14,17 @@ pub(super) struct Pair {
     pub sample: usize,
     /// Number of the counters' origin.
     pub origin: usize,
-    /// Number of the stretch.
-    pub stretch: usize,
-    /// Encoder angles, zeros unknown \[rad\].
+    /// Number of the segment.
+    pub segment: usize,
+    /// Encoder angles, offsets unknown \[rad\].
     pub measured_rad: [f64; BAR_JOINTS],
     /// From the robot's log, in the first configuration \[rad\].
     pub predicted_rad: [f64; BAR_JOINTS],
 }
 
-/// Zeros of one origin.
+/// Offsets of one origin.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Zeros {
+pub(super) struct Offsets {
     /// Added to the encoders' angles \[rad\]; 0 for joints without encoder.
     pub offsets_rad: [f64; BAR_JOINTS],
     /// Pairs that they rest on.
@@ -35,8 +35,8 @@ pub(super) struct Zeros {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Settled {
     /// By origin; none where too little is there to tell.
-    pub zeros: Vec<Option<Zeros>>,
-    /// Configuration in the longest stretch of all. Without encoder on joint 2 (or 4) both signs fit, and the positive
+    pub offsets: Vec<Option<Offsets>>,
+    /// Configuration in the longest segment of all. Without encoder on joint 2 (or 4) both signs fit, and the positive
     /// one is named.
     pub configuration: Configuration,
     /// The pairs that fit, in the order of time: sample, and joints \[rad\]; those without encoder as predicted.
@@ -45,10 +45,10 @@ pub(super) struct Settled {
     pub spread_rad: [f64; BAR_JOINTS],
 }
 
-/// Fewest pairs that the zeros of an origin are taken from.
+/// Fewest pairs that the offsets of an origin are taken from.
 const PAIRS_MIN: usize = 10;
 
-/// Finds zeros and configurations. Stretches in which the median angle is off by more than `limit_rad` are left out.
+/// Finds offsets and configurations. Segments in which the median angle is off by more than `limit_rad` are left out.
 pub(super) fn settle(
     pairs: &[Pair],
     measured: &[bool; BAR_JOINTS],
@@ -56,7 +56,7 @@ pub(super) fn settle(
     limit_rad: f64,
 ) -> Settled {
     let mut settled = Settled {
-        zeros: vec![None; origins],
+        offsets: vec![None; origins],
         configuration: Configuration::ALL[0],
         fitting: Vec::new(),
         spread_rad: [0.0; BAR_JOINTS],
@@ -64,28 +64,28 @@ pub(super) fn settle(
     let mut longest = 0;
     let mut errors: [Vec<f64>; BAR_JOINTS] = Default::default();
     for of_origin in pairs.chunk_by(|a, b| a.origin == b.origin) {
-        let mut stretches: Vec<&[Pair]> = of_origin.chunk_by(|a, b| a.stretch == b.stretch).collect();
-        stretches.sort_by_key(|stretch| std::cmp::Reverse(stretch.len()));
-        let Some(first) = stretches.first().filter(|stretch| stretch.len() >= PAIRS_MIN) else { continue };
-        let (configuration, offsets_rad) = zeros_of(first, measured);
+        let mut segments: Vec<&[Pair]> = of_origin.chunk_by(|a, b| a.segment == b.segment).collect();
+        segments.sort_by_key(|segment| std::cmp::Reverse(segment.len()));
+        let Some(first) = segments.first().filter(|segment| segment.len() >= PAIRS_MIN) else { continue };
+        let (configuration, offsets_rad) = configuration_and_offsets(first, measured);
         if first.len() > longest {
             (longest, settled.configuration) = (first.len(), configuration);
         }
         let mut chosen: Vec<(&[Pair], Configuration)> = Vec::new();
-        for stretch in &stretches {
+        for segment in &segments {
             let fits =
-                |configuration: &Configuration| off_by(stretch, *configuration, &offsets_rad, measured);
+                |configuration: &Configuration| off_by(segment, *configuration, &offsets_rad, measured);
             let best = Configuration::ALL.into_iter().min_by(|a, b| fits(a).total_cmp(&fits(b)));
-            chosen.extend(best.filter(|best| fits(best) <= limit_rad).map(|best| (*stretch, best)));
+            chosen.extend(best.filter(|best| fits(best) <= limit_rad).map(|best| (*segment, best)));
         }
         let offsets_rad = offsets_in(&chosen, measured);
-        let used = chosen.iter().map(|(stretch, _)| stretch.len()).sum();
-        if let Some(zeros) = settled.zeros.get_mut(first[0].origin) {
-            *zeros = Some(Zeros { offsets_rad, pairs: used });
+        let used = chosen.iter().map(|(segment, _)| segment.len()).sum();
+        if let Some(offsets) = settled.offsets.get_mut(first[0].origin) {
+            *offsets = Some(Offsets { offsets_rad, pairs: used });
         }
         for (pair, configuration) in chosen
             .iter()
-            .flat_map(|(stretch, configuration)| stretch.iter().map(|pair| (pair, *configuration)))
+            .flat_map(|(segment, configuration)| segment.iter().map(|pair| (pair, *configuration)))
         {
             let predicted = configuration.carry(&pair.predicted_rad);
             let joints: [f64; BAR_JOINTS] = std::array::from_fn(|joint| {
@@ -105,26 +105,29 @@ pub(super) fn settle(
 }
 
 /// The configuration in which the differences scatter least, and their medians in it.
-fn zeros_of(stretch: &[Pair], measured: &[bool; BAR_JOINTS]) -> (Configuration, [f64; BAR_JOINTS]) {
+fn configuration_and_offsets(
+    segment: &[Pair],
+    measured: &[bool; BAR_JOINTS],
+) -> (Configuration, [f64; BAR_JOINTS]) {
     let mut best: Option<(f64, Configuration, [f64; BAR_JOINTS])> = None;
     for configuration in Configuration::ALL {
-        let offsets_rad = offsets_in(&[(stretch, configuration)], measured);
-        let off_by = off_by(stretch, configuration, &offsets_rad, measured);
+        let offsets_rad = offsets_in(&[(segment, configuration)], measured);
+        let off_by = off_by(segment, configuration, &offsets_rad, measured);
         // Clearly less: without some encoders two configurations fit alike, and rounding must not decide.
         if best.is_none_or(|(least, _, _)| off_by < 0.99 * least) {
             best = Some((off_by, configuration, offsets_rad));
         }
     }
-    best.map_or((Configuration::ALL[0], [0.0; BAR_JOINTS]), |(_, configuration, zeros)| {
-        (configuration, zeros)
+    best.map_or((Configuration::ALL[0], [0.0; BAR_JOINTS]), |(_, configuration, offsets)| {
+        (configuration, offsets)
     })
 }
 
 /// Circular median of predicted minus measured, by joint.
-fn offsets_in(stretches: &[(&[Pair], Configuration)], measured: &[bool; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
+fn offsets_in(segments: &[(&[Pair], Configuration)], measured: &[bool; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
     let mut differences: [Vec<f64>; BAR_JOINTS] = Default::default();
-    for (stretch, configuration) in stretches {
-        for pair in *stretch {
+    for (segment, configuration) in segments {
+        for pair in *segment {
             let predicted = configuration.carry(&pair.predicted_rad);
             for joint in (0..BAR_JOINTS).filter(|joint| measured[*joint]) {
                 differences[joint].push(predicted[joint] - pair.measured_rad[joint]);
@@ -136,12 +139,12 @@ fn offsets_in(stretches: &[(&[Pair], Configuration)], measured: &[bool; BAR_JOIN
 
 /// Median over the pairs of the largest difference of a joint \[rad\].
 fn off_by(
-    stretch: &[Pair],
+    segment: &[Pair],
     configuration: Configuration,
     offsets_rad: &[f64; BAR_JOINTS],
     measured: &[bool; BAR_JOINTS],
 ) -> f64 {
-    let mut largest: Vec<f64> = stretch
+    let mut largest: Vec<f64> = segment
         .iter()
         .map(|pair| {
             let predicted = configuration.carry(&pair.predicted_rad);

@@ -40,7 +40,7 @@ type Normal = [f64; 3];
 
 /// Samples of all runs, each multiplied by the root of its weight.
 #[derive(Debug, Default)]
-pub(super) struct Ripple {
+pub(super) struct LineSpectrum {
     /// One for each row.
     residuals: Vec<f64>,
     /// What a turn of each drive does to each row.
@@ -53,7 +53,7 @@ pub(super) struct Ripple {
     known: BTreeSet<Wave>,
 }
 
-impl Ripple {
+impl LineSpectrum {
     /// Adds the samples of a run where its model is, with their weights.
     ///
     /// # Errors
