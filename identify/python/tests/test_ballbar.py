@@ -115,6 +115,8 @@ class Package(unittest.TestCase):
     def test_ctrl_c_ends_a_study_and_python_goes_on(self):
         program = (
             "import ballbar, signal\n"
+            # Who starts these tests in the background has it ignored.
+            "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
             "try:\n"
             "    print('begun', flush=True)\n"
             f"    ballbar.study('thesis', out={str(self.home / 'study')!r}, figures='3.2', threads=1)\n"
