@@ -13,7 +13,7 @@ fn solved() -> (Model, Solution) {
     let cell = Cell::irb2400();
     let (observations, joints) = noisy_poses(&cell, 200, 5, 1e-3);
     let mut model = cell.model();
-    model.select(Selection::Thesis, Transform::tells).unwrap();
+    model.select(Selection::Thesis, Transform::identifies).unwrap();
     let problem = LoopProblem::new(&model, &joints, &observations, Transform, 1.0).unwrap();
     let solution = solve(&problem, &model.start(), &Options::default()).unwrap();
     model.adopt(&solution.x);

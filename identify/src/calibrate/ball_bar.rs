@@ -35,7 +35,7 @@ pub enum CalibrateError {
     /// The solve could not start.
     #[error(transparent)]
     Solve(#[from] SolveError),
-    /// It cannot be told what the samples determine.
+    /// What the samples determine cannot be found.
     #[error(transparent)]
     Structure(#[from] StructureError),
     /// Nothing was given.
@@ -294,7 +294,7 @@ pub(super) fn solve(
     let mut held = fix.clone();
     held.extend((config.selection == SelectionName::Thesis).then_some(ParameterId::PLATE));
     for Run { instrument, model } in &mut *runs {
-        config.set_roles(model, &free, |id| instrument.tells(id))?;
+        config.set_roles(model, &free, |id| instrument.identifies(id))?;
         instrument.place(model, &held)?;
         if let Some(force) = instrument.bar().and_then(|bar| bar.prepared.force.as_ref()) {
             config.free_for_force(model, force.parameter())?;
@@ -309,7 +309,7 @@ pub(super) fn solve(
     let plan = Plan {
         loss: config.loss_for(cost),
         ransac: config.ransac,
-        kinds: config.kinds(model, |id| instrument.tells(id)),
+        kinds: config.kinds(model, |id| instrument.identifies(id)),
         fix,
         tolerances: model.columns().map(|one| one.id).filter(of_link).filter(|_| scaled).collect(),
         prepare: config.prepare.clone(),

@@ -208,7 +208,7 @@ impl IdentifyConfig {
         self.loss.unwrap_or(usual)
     }
 
-    /// Gives every parameter its role for a cost that tells `tells` apart. `identifiable` is the set of a selection that
+    /// Gives every parameter its role for a cost that identifies what `identifies` says. `identifiable` is the set of a selection that
     /// depends on the poses. Terms that are candidates are left out.
     ///
     /// # Errors
@@ -217,19 +217,19 @@ impl IdentifyConfig {
         &self,
         model: &mut Model,
         identifiable: &[ParameterId],
-        tells: impl Fn(ParameterId) -> bool,
+        identifies: impl Fn(ParameterId) -> bool,
     ) -> Result<(), ModelError> {
         match self.selection.fixed() {
-            Some(selection) => model.select(selection, &tells)?,
-            None => self.select_identifiable(model, identifiable, &tells)?,
+            Some(selection) => model.select(selection, &identifies)?,
+            None => self.select_identifiable(model, identifiable, &identifies)?,
         }
         let zeros = model.parameters().iter().map(|parameter| parameter.id);
         let zeros: Vec<ParameterId> =
-            zeros.filter(|id| matches!(id, ParameterId::EncoderOffset { .. }) && tells(*id)).collect();
+            zeros.filter(|id| matches!(id, ParameterId::EncoderOffset { .. }) && identifies(*id)).collect();
         model.set_roles(zeros, Role::Prior { value: 0.0, sigma: ZERO_SIGMA_RAD })?;
         let always = matches!(self.selection, SelectionName::Cell | SelectionName::AllIdentifiable);
         if always && self.encoder_harmonics_urad > 0.0 {
-            for id in ParameterId::harmonics().filter(|id| tells(*id)) {
+            for id in ParameterId::harmonics().filter(|id| identifies(*id)) {
                 let sigma = self.sigma(TermGroup::EncoderHarmonics);
                 model.set_role(id, Role::Prior { value: 0.0, sigma })?;
             }
@@ -282,7 +282,7 @@ impl IdentifyConfig {
 }
 
 impl IdentifyConfig {
-    /// Frees what a force tells, unless it is fixed or has a prior.
+    /// Frees what a force determines, unless it is fixed or has a prior.
     ///
     /// # Errors
     /// [`ModelError::NotInModel`].
@@ -298,12 +298,12 @@ impl IdentifyConfig {
         &self,
         model: &mut Model,
         identifiable: &[ParameterId],
-        tells: impl Fn(ParameterId) -> bool,
+        identifies: impl Fn(ParameterId) -> bool,
     ) -> Result<(), ModelError> {
         let all: Vec<ParameterId> = model.parameters().iter().map(|parameter| parameter.id).collect();
         let clocks = [ParameterId::ClockShift, ParameterId::ClockSkew];
         for id in all {
-            let free = identifiable.contains(&id) || clocks.contains(&id) && tells(id);
+            let free = identifiable.contains(&id) || clocks.contains(&id) && identifies(id);
             model.set_role(id, if free { self.geometry_role(model, id) } else { Role::Fixed })?;
         }
         Ok(())
@@ -345,11 +345,11 @@ impl IdentifyConfig {
         groups
     }
 
-    /// [`Self::candidates`] with those of a model's parameters that its samples tell and nobody has freed or fixed by name.
-    pub fn kinds(&self, model: &Model, tells: impl Fn(ParameterId) -> bool) -> Vec<Kind> {
+    /// [`Self::candidates`] with those of a model's parameters that its samples determine and nobody has freed or fixed by name.
+    pub fn kinds(&self, model: &Model, identifies: impl Fn(ParameterId) -> bool) -> Vec<Kind> {
         let kind = |group: TermGroup| {
             let open = model.parameters().iter().filter(|one| {
-                TermGroup::of(one.id) == Some(group) && one.role == Role::Fixed && tells(one.id)
+                TermGroup::of(one.id) == Some(group) && one.role == Role::Fixed && identifies(one.id)
             });
             let ids = open.map(|one| one.id).filter(|id| !self.fix.contains(&id.to_string())).collect();
             Kind { group, name: group.name().into(), ids, sigma: self.sigma(group), scales: vec![1.0] }

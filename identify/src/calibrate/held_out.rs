@@ -92,7 +92,7 @@ fn segment(
     Some(Segment { run: number, seen_by_none: observations.get(samples)?.to_vec(), others, model })
 }
 
-/// Zeros of encoders that lost their origin and that no other sample tells stay as the whole fit has them: no fit could
+/// Zeros of encoders that lost their origin and that no other sample determines stay as the whole fit has them: no fit could
 /// predict them.
 fn keep_own_offsets(model: &mut Model, whole: &Model, others: &[Observation]) {
     for parameter in whole.columns() {

@@ -131,7 +131,7 @@ impl LineSpectrum {
             .collect()
     }
 
-    /// Orders that are told apart over the travel of a drive.
+    /// Orders that are distinguished over the travel of a drive.
     fn resolved(&self, axis: usize) -> f64 {
         let angles = self.angles_rad.iter().map(|angles| angles[axis]);
         let (low, high) =

@@ -149,7 +149,7 @@ fn laid_out<'w>(
     let mut runs = prepared_runs(&data.bars, robot, config)?;
     for Run { instrument, model } in &mut runs {
         let named = IdentifyConfig { fix: Vec::new(), ..config.clone() };
-        named.set_roles(model, &[], |id| instrument.tells(id))?;
+        named.set_roles(model, &[], |id| instrument.identifies(id))?;
         if let Some(force) = instrument.bar().and_then(|bar| bar.prepared.force.as_ref()) {
             config.free_for_force(model, force.parameter())?;
         }
@@ -170,7 +170,7 @@ fn laid_out<'w>(
     known_somewhere(&runs, &fix)?;
     let kinds = if bars > 0 {
         let Run { instrument, model } = &runs[0];
-        config.kinds(model, |id| instrument.tells(id))
+        config.kinds(model, |id| instrument.identifies(id))
     } else {
         let measured =
             |run: &Run| Ok(run.instrument.samples() * run.instrument.data_set(&run.model, 1.0)?.rows());

@@ -22,7 +22,7 @@ pub struct OtherCost {
 }
 
 /// Solves the runs of a calibration by every other cost, from nominal links, with the same selection and the same terms of
-/// the axes as far as the cost tells them. What it does not tell stays nominal; clocks stay as calibrated.
+/// the axes as far as the cost determines them. What it does not determine stays nominal; clocks stay as calibrated.
 ///
 /// # Errors
 /// [`CalibrateError`] where `watch` ended it; a cost without solution is an entry of the answer.
@@ -84,7 +84,8 @@ fn same_terms(calibration: &BallBarCalibration, config: &IdentifyConfig, cost: C
     if chosen_here {
         config.encoder_harmonics_urad = 0.0;
     }
-    for parameter in calibration.model.columns().filter(|parameter| cost.tells(&measured, parameter.id)) {
+    for parameter in calibration.model.columns().filter(|parameter| cost.identifies(&measured, parameter.id))
+    {
         let id = parameter.id;
         let of_selection = !chosen_here && matches!(id, ParameterId::Harmonic { .. });
         if let Role::Prior { sigma, .. } = parameter.role

@@ -36,7 +36,7 @@ const HELD_OUT: usize = 8;
 /// Groups of each data set that are left out in turn for the covariance.
 const LEFT_OUT: usize = 30;
 
-/// What a solve is told beside the data sets, whose models have their roles and start values.
+/// What a solve is given beside the data sets, whose models have their roles and start values.
 #[derive(Debug, Clone)]
 pub struct Plan<'a> {
     /// How much samples count that do not fit.
@@ -524,7 +524,7 @@ impl<'a> Solver<'a> {
         Ok((report, scale))
     }
 
-    /// No encoder slips and no clock jumps, as far as the solution with all of its terms tells: what these could bend towards
+    /// No encoder slips and no clock jumps, as far as the solution with all of its terms shows: what these could bend towards
     /// is not told.
     ///
     /// # Errors
@@ -568,7 +568,7 @@ impl<'a> Solver<'a> {
     /// Gives parameters a role in every model that has them and whose samples show them.
     fn set_roles(&mut self, ids: &[ParameterId], role: Role) -> Result<(), ModelError> {
         for Run { instrument, model } in &mut *self.runs {
-            for &id in ids.iter().filter(|id| instrument.tells(**id)) {
+            for &id in ids.iter().filter(|id| instrument.identifies(**id)) {
                 if model.parameter(id).is_some() {
                     model.set_role(id, role)?;
                 }

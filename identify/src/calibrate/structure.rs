@@ -12,7 +12,7 @@ use super::CostName;
 /// Poses that are looked at: ranks do not need more.
 const POSES_MAX: usize = 300;
 
-/// Why the structure cannot be told.
+/// Why the structure cannot be found.
 #[derive(Debug, thiserror::Error)]
 pub enum StructureError {
     /// A parameter does not exist.

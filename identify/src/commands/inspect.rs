@@ -28,7 +28,7 @@ pub struct InspectArguments {
     /// The bar's configuration, such as config/ball_bar.toml: says how counters of other programs become angles
     #[arg(long, value_name = "FILE")]
     bar: Option<PathBuf>,
-    /// Kind of the robot's logs; default: told by their content
+    /// Kind of the robot's logs; default: recognised by their content
     #[arg(long, value_name = "KIND", requires = "robot")]
     log_format: Option<LogFormat>,
     /// Which column or joint of the robot's logs is what, such as config/robot_log.toml

@@ -37,7 +37,7 @@ enum Command {
     Compare(compare::CompareArguments),
     /// Take a robot's configuration from a URDF, or check and draw one.
     Robot(robot::RobotArguments),
-    /// Plan a path that tells much and that the robot can drive, or check one.
+    /// Plan a path that the robot can drive and a calibration learns much from, or check one.
     Plan(Box<plan::PlanArguments>),
     /// Make an experiment with known errors: what was measured, and the truth beside it.
     Simulate(simulate::SimulateArguments),

@@ -34,7 +34,7 @@ enum PlanCommand {
     Path(PathArguments),
     /// Propose where the bar should stand and how long its rod should be.
     Place(PlaceArguments),
-    /// Check a path of the robot: constraints at 1 kHz with the first violation in time, and what it tells.
+    /// Check a path of the robot: constraints at 1 kHz with the first violation in time, and what it determines.
     Check(CheckArguments),
 }
 

@@ -74,7 +74,7 @@ const CUT: f64 = 1e-3;
 
 impl FoundNoise {
     /// From samples in the order of time, those without a value being none, `columns` of whose numbers a fit has taken up.
-    /// None where too few are left to tell.
+    /// None where too few are left to find it.
     pub(super) fn of(samples: &[Option<NoisySample>], columns: usize, start: AngleNoise) -> Option<Self> {
         const STEPS_MAX: usize = 30;
         const SETTLED: f64 = 1e-3;

@@ -37,7 +37,7 @@ impl Residual for Length {
         }
     }
 
-    fn tells(id: ParameterId) -> bool {
+    fn identifies(id: ParameterId) -> bool {
         // A robot on the sphere moves along it: when a sample was taken makes no difference but noise. Without encoders
         // nothing says in which direction the bar points.
         let of_clock = matches!(id, ParameterId::ClockShift | ParameterId::ClockSkew);

@@ -50,7 +50,7 @@ impl Residual for Position {
         }
     }
 
-    fn tells(id: ParameterId) -> bool {
+    fn identifies(id: ParameterId) -> bool {
         // `ba2` moves the rod's end sideways, as `btheta2` does: without the cardan's angles the two are one.
         id != ParameterId::Bar { link: 1, parameter: LinkParameter::A } && Self::sees(id)
     }

@@ -12,7 +12,7 @@ use crate::model::{
 pub enum Movement {
     /// The robot's end.
     Robot(Twist),
-    /// The bar's end, as far as the bar's joints and links tell.
+    /// The bar's end, as far as the bar's joints and links determine.
     Bar(Twist),
     /// Neither: the parameter stands in the residual itself.
     None,
@@ -176,8 +176,8 @@ pub trait Residual: Sync {
     /// The parameter changes the residual; others need not be free.
     fn sees(id: ParameterId) -> bool;
 
-    /// Named selections free the parameter with this cost: it sees it and can tell it from the others of the selection.
-    fn tells(id: ParameterId) -> bool {
+    /// Named selections free the parameter with this cost: it depends on it and separates it from the others of the selection.
+    fn identifies(id: ParameterId) -> bool {
         Self::sees(id)
     }
 
@@ -203,8 +203,8 @@ impl<R: Residual> Residual for &R {
         R::sees(id)
     }
 
-    fn tells(id: ParameterId) -> bool {
-        R::tells(id)
+    fn identifies(id: ParameterId) -> bool {
+        R::identifies(id)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<R::Local> {

@@ -85,8 +85,9 @@ impl HeldOut {
 pub fn held_out(calibration: &BallBarCalibration, segments: &[Segment]) -> HeldOut {
     let measured = calibration.measured();
     let by_encoders = measured.contains(&true);
-    let is_estimated =
-        |link| calibration.cost.tells(&measured, ParameterId::Bar { link, parameter: LinkParameter::Theta });
+    let is_estimated = |link| {
+        calibration.cost.identifies(&measured, ParameterId::Bar { link, parameter: LinkParameter::Theta })
+    };
     // A cost without some of the encoders leaves their offsets as they were: robots are compared, each with its bar fitted.
     let all_estimated = measured.iter().enumerate().all(|(link, measured)| !measured || is_estimated(link));
     let geometry = |model: &Model, motion: &_, observations: &[Observation]| {

@@ -10,7 +10,7 @@ use crate::model::{ParameterId, Role};
 use crate::prepare::Prepared;
 use crate::solver::Solution;
 
-/// A joint that turned less than this tells little of its link \[deg\].
+/// A joint that turned less than this determines little of its link \[deg\].
 const TRAVEL_MIN_DEG: f64 = 20.0;
 /// Where more than half of the variance of what is left lasts from sample to sample, errors of the model limit, not noise.
 const AUTOCORRELATION_MAX: f64 = 0.5;

@@ -1,6 +1,6 @@
 //! How far the robot's end is from the sphere of a rigid bar, and what of it a force explains (TFRT-6017 section 5.3).
 //!
-//! Where the bar's encoders tell its direction the deviation is the gap between robot and bar along the rod: a bar whose axes
+//! Where the bar's encoders give its direction the deviation is the gap between robot and bar along the rod: a bar whose axes
 //! miss each other by some hundredths of a millimetre leads the robot on no exact sphere about the gimbal.
 
 use nalgebra::Vector3;

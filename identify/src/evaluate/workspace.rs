@@ -35,7 +35,7 @@ pub struct Expected {
 pub struct WorkspaceError {
     /// With the nominal geometry.
     pub before: Expected,
-    /// With the calibrated one, as far as its covariance tells.
+    /// With the calibrated one, as far as its covariance says.
     pub after: Expected,
     /// The combination of parameters that contributes most to what is left, largest part first: name and its part of
     /// the combination, 0 to 1.
@@ -180,7 +180,7 @@ fn weakest(
     by_parameter: &DMatrix<f64>,
     columns: &[(usize, ParameterId)],
 ) -> Vec<(String, f64)> {
-    /// Smaller parts of the combination are not told.
+    /// Smaller parts of the combination are not reported.
     const PART_MIN: f64 = 0.05;
     if columns.is_empty() {
         return Vec::new();

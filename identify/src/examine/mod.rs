@@ -1,4 +1,4 @@
-//! What a cost can tell on a robot and a bar, before anything is measured.
+//! What a cost can identify on a robot and a bar, before anything is measured.
 //!
 //! On random poses that robot and bar can take: which parameters are determined, which depend on each other, what an error
 //! in a parameter that is held fixed does to the others (thesis TFRT-6017, sections 3.2 and 3.3), and how well the poses
@@ -41,7 +41,7 @@ pub enum ExamineError {
     Solve(#[from] SolveError),
 }
 
-/// What one cost tells.
+/// What one cost identifies.
 #[derive(Debug, Clone)]
 pub struct Examination {
     /// The cost.
@@ -102,7 +102,7 @@ fn examine_with<R: Residual>(
     free_only(&mut model, |id| is_of_the_thesis(id) || matches!(id, ParameterId::BaseRotation(_)))?;
     let tilted = identified(&model)?;
 
-    model.select(Selection::Thesis, R::tells)?;
+    model.select(Selection::Thesis, R::identifies)?;
     let units: Vec<f64> = model.columns().map(|p| p.id.unit().display_factor().recip()).collect();
     let observability = identified(&model)?.observability(&units);
     let held = THESIS_FIXED.iter().map(|name| name.parse()).collect::<Result<Vec<ParameterId>, _>>()?;

@@ -603,7 +603,7 @@ fn triple<'c>(columns: &[&'c Column], words: &[&str; 3]) -> Option<[&'c Column; 
     group(columns, words).and_then(|group| group.try_into().ok())
 }
 
-/// Tries on the nominal robot what names alone do not tell.
+/// Tries on the nominal robot what names alone do not say.
 struct Trial<'a> {
     bytes: &'a [u8],
     path: &'a Path,

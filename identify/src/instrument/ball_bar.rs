@@ -26,7 +26,7 @@ impl CostName {
         }
     }
 
-    /// The cost that tells as much where noise is not weighed: which parameters poses can identify at all.
+    /// The cost that identifies as much where noise is not weighed: which parameters poses can identify at all.
     pub(crate) fn unweighed(self, measured: &[bool; BAR_JOINTS]) -> Self {
         match self {
             Self::Pose if is_of_four(measured) => Self::PositionAngles,
@@ -35,15 +35,15 @@ impl CostName {
         }
     }
 
-    /// [`Residual::tells`] of its residual with the encoders that there are.
-    pub fn tells(self, measured: &[bool; BAR_JOINTS], id: ParameterId) -> bool {
+    /// [`Residual::identifies`] of its residual with the encoders that there are.
+    pub fn identifies(self, measured: &[bool; BAR_JOINTS], id: ParameterId) -> bool {
         match self {
-            Self::Pose if is_of_four(measured) => WhitenedPoseOfFour::tells(id),
-            Self::Pose => WhitenedPose::tells(id),
-            Self::Transform => Transform::tells(id),
-            Self::PositionAngles => PositionAngles::tells(id),
-            Self::Position => Position::tells(id),
-            Self::Length => Length::tells(id),
+            Self::Pose if is_of_four(measured) => WhitenedPoseOfFour::identifies(id),
+            Self::Pose => WhitenedPose::identifies(id),
+            Self::Transform => Transform::identifies(id),
+            Self::PositionAngles => PositionAngles::identifies(id),
+            Self::Position => Position::identifies(id),
+            Self::Length => Length::identifies(id),
         }
     }
 }
@@ -129,8 +129,8 @@ impl Measures for BallBar {
         self.prepared.motion.at(clock.robot_time_s(t_s))
     }
 
-    fn tells(&self, id: ParameterId) -> bool {
-        self.cost.tells(&self.measured, id)
+    fn identifies(&self, id: ParameterId) -> bool {
+        self.cost.identifies(&self.measured, id)
     }
 
     fn adapt(&mut self, model: &Model) -> Option<f64> {

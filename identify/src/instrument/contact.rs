@@ -84,7 +84,7 @@ pub enum ContactError {
     },
 }
 
-/// The ball is expected within this of the flange \[m\]: decides only where the poses do not tell.
+/// The ball is expected within this of the flange \[m\]: decides only where the poses do not determine it.
 const BALL_SIGMA_M: f64 = 1.0;
 
 /// Rows of one set-up.
@@ -263,7 +263,7 @@ impl Measures for Contact {
         self.rows.at.states.get(sample).copied()
     }
 
-    fn tells(&self, id: ParameterId) -> bool {
+    fn identifies(&self, id: ParameterId) -> bool {
         SeatedBall::sees(id) && id.owner() != Owner::Clocks
     }
 

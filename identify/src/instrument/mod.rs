@@ -47,8 +47,8 @@ pub trait Measures: fmt::Debug + Sync {
     /// What the robot reports at a sample; none outside its log.
     fn reported(&self, sample: usize, clock: &Clock) -> Option<JointState>;
 
-    /// The samples can tell the parameter from the others that are usually free.
-    fn tells(&self, id: ParameterId) -> bool;
+    /// The samples separate the parameter from the others that are usually free.
+    fn identifies(&self, id: ParameterId) -> bool;
 
     /// Takes over what hangs on the geometry, before a solve from where the model is. The noise of a measurement, in its unit,
     /// where the instrument estimates that by itself: its residuals are then in standard deviations.

@@ -40,7 +40,7 @@ pub struct Apart {
 
 /// Median of the norm of three standard normal numbers.
 pub(super) const MEDIAN_OF_THREE: f64 = 1.538;
-/// The probe is expected within this of the flange \[m\]: decides only where the poses do not tell.
+/// The probe is expected within this of the flange \[m\]: decides only where the poses do not determine it.
 const PROBE_SIGMA_M: f64 = 1.0;
 
 /// Rows of one set-up.
@@ -136,7 +136,7 @@ impl Measures for Tracker {
                 let role = match id {
                     id if fix.contains(&id) => Role::Fixed,
                     ParameterId::Probe(_) => Role::Prior { value: 0.0, sigma: PROBE_SIGMA_M },
-                    // Positions alone do not tell how the probe is turned.
+                    // Positions alone do not determine how the probe is turned.
                     ParameterId::ProbeRotation(_) if self.poses.is_none() => Role::Fixed,
                     _ => Role::Free,
                 };
@@ -163,7 +163,7 @@ impl Measures for Tracker {
         self.at.states.get(sample).copied()
     }
 
-    fn tells(&self, id: ParameterId) -> bool {
+    fn identifies(&self, id: ParameterId) -> bool {
         let of_clock = matches!(id, ParameterId::ClockShift | ParameterId::ClockSkew);
         let sees = if self.poses.is_some() { MeasuredPose::sees(id) } else { MeasuredPosition::sees(id) };
         sees && !of_clock

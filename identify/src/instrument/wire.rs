@@ -127,7 +127,7 @@ impl Measures for Wire {
         self.rows.at.states.get(sample).copied()
     }
 
-    fn tells(&self, id: ParameterId) -> bool {
+    fn identifies(&self, id: ParameterId) -> bool {
         let of_clock = matches!(id, ParameterId::ClockShift | ParameterId::ClockSkew);
         MeasuredLength::sees(id) && !of_clock
     }

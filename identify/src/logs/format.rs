@@ -1,4 +1,4 @@
-//! Which kind of file a robot log is, told by its content.
+//! Which kind of file a robot log is, by its content.
 
 use std::path::Path;
 

@@ -15,13 +15,13 @@ use super::{LogError, LogFormat, RobotLog, bytes_of, egm, ros, rsi, table};
 /// How a log is to be read where the file does not say it itself.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct LogOptions {
-    /// Kind of the file; none: told by its content.
+    /// Kind of the file; none: recognised by its content.
     pub format: Option<LogFormat>,
     /// Which column or joint is what.
     pub mapping: Option<RobotLogMapping>,
 }
 
-/// Reads the log at `path`, whose content tells what kind it is.
+/// Reads the log at `path`, recognised by its content.
 ///
 /// # Errors
 /// Every way in which the file cannot be used, see [`LogError`].

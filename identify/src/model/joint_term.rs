@@ -44,7 +44,7 @@ impl Load {
     /// All of them.
     pub const ALL: [Self; 3] = [Self::Elbow, Self::Wrist, Self::Tool];
 
-    /// Axes (from 0) of a six-axis arm that a load can be told on: those that it moves up and down in most postures. Axis 1 stands
+    /// Axes (from 0) of a six-axis arm on which a load can be identified: those that it moves up and down in most postures. Axis 1 stands
     /// upright, axis 4 points along the forearm, axis 6 along the tool.
     pub const fn acts_on(self, axis: usize) -> bool {
         matches!((self, axis), (Self::Elbow, 1) | (Self::Wrist, 1 | 2) | (Self::Tool, 1 | 2 | 4))

@@ -22,7 +22,7 @@ pub enum Selection {
 }
 
 impl Selection {
-    /// The parameters in question, whatever a cost can tell.
+    /// The parameters in question, whatever a cost can identify.
     pub fn contains(self, id: ParameterId) -> bool {
         match id {
             // Hayati's rotation is opted into by name, in place of the link's d.
@@ -34,7 +34,7 @@ impl Selection {
             ParameterId::ClockShift | ParameterId::ClockSkew => {
                 matches!(self, Self::ThesisWithClocks | Self::CellWithClocks)
             }
-            // Not told from the geometry by samples alone, they come with priors; or freed where there is a force; or of
+            // Not separated from the geometry by samples alone, they come with priors; or freed where there is a force; or of
             // another instrument.
             _ => false,
         }
@@ -42,18 +42,18 @@ impl Selection {
 }
 
 impl Model {
-    /// Frees what a selection contains and a cost tells, fixes the rest. `tells` is [`crate::cost::Residual::tells`].
+    /// Frees what a selection contains and a cost identifies, fixes the rest. `identifies` is [`crate::cost::Residual::identifies`].
     ///
     /// # Errors
     /// None in practice: only parameters of the model are touched.
     pub fn select(
         &mut self,
         selection: Selection,
-        tells: impl Fn(ParameterId) -> bool,
+        identifies: impl Fn(ParameterId) -> bool,
     ) -> Result<(), ModelError> {
         let ids: Vec<ParameterId> = self.parameters().iter().map(|parameter| parameter.id).collect();
         ids.into_iter().try_for_each(|id| {
-            let free = selection.contains(id) && tells(id);
+            let free = selection.contains(id) && identifies(id);
             self.set_role(id, if free { Role::Free } else { Role::Fixed })
         })
     }

@@ -1,5 +1,5 @@
 //! Judges a path by the robot's joints alone, whoever made it: constraints at 1 kHz, the first violation of each in time, and
-//! what the path would tell.
+//! what the path would determine.
 
 use crate::kinematics::{BAR_JOINTS, Joints, ball_bar_inverse_refined, singularity_margin_rad};
 use crate::logs::{CubicSpline, RobotLog};
@@ -14,7 +14,7 @@ const CHECK_S: f64 = 1e-3;
 const WINDING_RAD_MAX: f64 = std::f64::consts::TAU;
 /// The nominal robot's end may be so far from where the bar lets it be \[m\]: robots err by more without calibration.
 const OFF_SPHERE_M_MAX: f64 = 0.5e-3;
-/// Every how many poses that are checked one counts for what the path tells.
+/// Every how many poses that are checked one counts for what the path determines.
 const CHECKS_PER_POSE: usize = 100;
 /// Rows of a path further apart than this leave open what the robot does between them \[s\].
 const GAP_S_MAX: f64 = 1.0;
@@ -74,7 +74,7 @@ pub struct Checked {
     pub clearance_m: Option<f64>,
     /// Largest distance of the robot's end from where the bar lets it be \[m\].
     pub off_sphere_m: f64,
-    /// What the path tells.
+    /// What the path determines.
     pub normal: Normal,
 }
 

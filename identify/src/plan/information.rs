@@ -1,4 +1,4 @@
-//! What a path can tell: the normal equations of the parameters that a calibration of it would estimate, and one number
+//! What a path can determine: the normal equations of the parameters that a calibration of it would estimate, and one number
 //! for how good they are.
 //!
 //! Each pose counts with the whitened residual of the `pose` cost at the nominal geometry, for noise that is white from
@@ -64,7 +64,7 @@ pub struct Information {
     criterion: Criterion,
     /// Columns of errors of the robot's axes and of the bar's length.
     terms: Vec<usize>,
-    /// Column of the plate's length, which no path tells: all lengths are as uncertain as it is.
+    /// Column of the plate's length, which no path determines: all lengths are as uncertain as it is.
     scale: Option<usize>,
 }
 
@@ -89,10 +89,10 @@ impl Information {
     ) -> Result<Self, ModelError> {
         let config = IdentifyConfig::default();
         let mut model = Model::ball_bar(arm, bar_chain).with_drives(DriveTrain::of(robot, arm));
-        let tells = WhitenedPose::tells;
-        config.set_roles(&mut model, &[], tells)?;
+        let identifies = WhitenedPose::identifies;
+        config.set_roles(&mut model, &[], identifies)?;
         let mut terms = Vec::new();
-        for kind in config.kinds(&model, tells) {
+        for kind in config.kinds(&model, identifies) {
             terms.extend_from_slice(&kind.ids);
             model.set_roles(kind.ids, Role::Prior { value: 0.0, sigma: kind.sigma })?;
         }
@@ -119,7 +119,7 @@ impl Information {
     }
 
     /// The same after a calibration, whose covariance this is: `between` of two parameters, none where one was not identified. A
-    /// new run tells anew where the bar stands, how its encoders are mounted and what the clocks show.
+    /// new run determines anew where the bar stands, how its encoders are mounted and what the clocks show.
     ///
     /// None where it knows none of the parameters, or its covariance is none.
     #[must_use]

@@ -1,5 +1,5 @@
 //! Where the bar should stand and how long its rod should be: places that the robot reaches from many sides, by what a path
-//! there tells.
+//! there determines.
 
 use std::time::{Duration, Instant};
 
@@ -20,7 +20,7 @@ const PATHS: usize = 2;
 /// Places are given in steps of this \[m\]: nobody bolts a bar down more finely, and its place is estimated.
 const STEP_M: f64 = 0.05;
 
-/// A place of the bar and what a path there tells.
+/// A place of the bar and what a path there determines.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Place {
     /// Centre of the gimbal in the robot's base frame \[m\].

@@ -1,7 +1,7 @@
 //! Makes a path better, one point at a time, for as long as there is time: a first path at once, better ones until the
 //! budget ends.
 //!
-//! A point of the path is moved, or its moves made faster or slower; what two moves and their neighbours tell is computed
+//! A point of the path is moved, or its moves made faster or slower; what two moves and their neighbours determine is computed
 //! again, the rest is kept. A change stays where it makes the criterion better and the path still keeps to all constraints.
 
 use std::time::{Duration, Instant};
@@ -52,7 +52,7 @@ pub struct Progress {
 pub struct Found {
     /// It.
     pub route: Route,
-    /// What it tells.
+    /// What it determines.
     pub normal: Normal,
     /// The criterion of each random path, in the order of their seeds.
     pub random_scores: Vec<f64>,
@@ -255,7 +255,7 @@ impl Pieces {
     }
 }
 
-/// What a followed piece tells, with the robot's speeds from neighbouring poses.
+/// What a followed piece determines, with the robot's speeds from neighbouring poses.
 fn piece_information(
     path: &Path,
     information: &Information,

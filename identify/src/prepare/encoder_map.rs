@@ -2,12 +2,12 @@
 //!
 //! Each recorded encoder is compared with each predicted joint, counting either way. Where they are the same joint the
 //! difference is one constant; otherwise it varies with the motion. So a table of encoders by joints says at once which
-//! orders and directions fit, and all of them are told.
+//! orders and directions fit, and all of them are reported.
 //!
-//! One thing no data can tell: an encoder on joint 2 (or 4) that counts the other way is the same as the gimbal (the
+//! One thing no data can determine: an encoder on joint 2 (or 4) that counts the other way is the same as the gimbal (the
 //! cardan) in its other configuration. Both describe the same robot, so the recorded direction stands there.
 //!
-//! Another it cannot tell either: encoders on joints 1, 3 and 5 that all count the other way see the mirror image of the
+//! Another it cannot determine either: encoders on joints 1, 3 and 5 that all count the other way see the mirror image of the
 //! robot. Where only that fits, encoders and robot log contradict each other and one of them is wrong; which one is asked.
 
 use std::fmt;
@@ -159,7 +159,7 @@ pub struct AnglePair {
 const CLEARLY_WORSE: f64 = 3.0;
 /// Segments with fewer pairs say little about which joint is which.
 const PAIRS_MIN: usize = 30;
-/// Fits that are told at most.
+/// Fits that are reported at most.
 const TOLD_MAX: usize = 8;
 
 /// Finds or checks order and directions of the encoders on `recorded_joints` (1 to 5).

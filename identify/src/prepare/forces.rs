@@ -15,7 +15,7 @@ use crate::model::{BarForce, JointState, Observation, ParameterId, RobotMotion};
 
 /// Force at which the bar has changed sides of its play by three quarters \[N\].
 const SIDE_N: f64 = 5.0;
-/// A force must vary by this much to tell anything \[N\].
+/// A force must vary by this much to determine anything \[N\].
 const RANGE_MIN_N: f64 = 2.0;
 /// No ball-bar is pulled harder than this \[N\].
 const FORCE_MAX_N: f64 = 20_000.0;
@@ -104,7 +104,7 @@ pub enum ForceError {
         /// Largest \[N\].
         most: f64,
     },
-    /// The motion does not tell gravity, friction and force apart.
+    /// The motion does not separate gravity, friction and force.
     #[error(
         "the torques of the joints do not tell the force along the bar: robot and bar moved too little to tell it from \
          gravity and friction; measure the force itself, or calibrate without it (--ignore-force)"

@@ -11,7 +11,7 @@
 //! 4. [`correlate`]: predicted and measured joint *speeds* know no offsets, signs or configurations, and the root of the sum
 //!    of their squares knows no order either; their cross-correlation gives candidates for the clock difference, whatever
 //!    its size.
-//! 5. At each candidate angles are compared: [`find_encoder_map`] tells which encoder is which and which way it counts, then
+//! 5. At each candidate angles are compared: [`find_encoder_map`] finds which encoder is which and which way it counts, then
 //!    offsets and configurations follow, segment by segment between singular poses and origins (`segments`). The shift
 //!    whose angles fit best wins.
 //! 6. `refine` fits clocks, base and offsets to the angles while all numbers of both chains may move within their

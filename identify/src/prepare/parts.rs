@@ -1,4 +1,4 @@
-//! A clock that jumps so far that no one shift matches the whole run: told by its parts.
+//! A clock that jumps so far that no one shift matches the whole run: found by its parts.
 
 use std::ops::Range;
 

@@ -42,7 +42,7 @@ impl<'a> Predictor<'a> {
         base_m: Vector3<f64>,
     ) -> Result<Self, InverseError> {
         let bar = Chain::new(Translation3::from(base_m).into(), bar.links.clone());
-        // Any pose tells whether the structure is right; a prediction then cannot fail.
+        // Any pose shows whether the structure is right; a prediction then cannot fail.
         ball_bar_inverse(&bar, &bar.forward(&[0.1; BAR_JOINTS]))?;
         Ok(Self { log, robot: Tracer::new(robot), bar })
     }

@@ -17,7 +17,7 @@ const EDGE_S: f64 = 0.03;
 /// Fewest samples that a solve can begin with.
 const KEPT_MIN: usize = 50;
 /// Samples of a long recording that are looked at, at most; the others are thinned unseen. Still four per second where a
-/// recording lasts for a day: fewer would not tell a clock that jumps.
+/// recording lasts for a day: fewer would not show a clock that jumps.
 const LOOKED_AT_MAX: usize = 400_000;
 
 /// All valid samples of a recording, with times since the first.
@@ -196,7 +196,7 @@ fn check_fit(spread_rad: &[f64; BAR_JOINTS], options: &PrepareOptions) -> Result
     Err(PrepareError::PoorFit { spreads: told.join(", "), limit_mrad: options.fit_max_mrad })
 }
 
-/// Every measured joint must move, or what it stands for cannot be told from its zero.
+/// Every measured joint must move, or what it stands for cannot be separated from its offset.
 fn check_travel(
     joints: &[Sample],
     statuses: &[SampleStatus],

@@ -34,7 +34,7 @@ pub(super) struct Offsets {
 /// What is known of all origins.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Settled {
-    /// By origin; none where too little is there to tell.
+    /// By origin; none where too little is there to find them.
     pub offsets: Vec<Option<Offsets>>,
     /// Configuration in the longest segment of all. Without encoder on joint 2 (or 4) both signs fit, and the positive
     /// one is named.

@@ -64,7 +64,7 @@ pub fn fit_sphere(positions_m: &[Vector3<f64>], tolerance_m: f64) -> Option<Sphe
 
 impl SphereFit {
     /// The same sphere drawn towards a radius that is known from elsewhere: on a part of a sphere, centre and radius
-    /// are hard to tell apart. Itself where nothing is gained.
+    /// are hard to separate. Itself where nothing is gained.
     pub fn drawn_to_length(self, positions_m: &[Vector3<f64>], tolerance_m: f64, length_m: f64) -> Self {
         let sphere = Sphere { centre_m: self.centre_m, radius_m: self.radius_m };
         let on_it: Vec<Vector3<f64>> =

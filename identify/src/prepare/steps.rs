@@ -304,7 +304,7 @@ fn sphere(
 
 /// The positions lie in a plane: a circle is on many spheres.
 fn is_flat(positions_m: &[Vector3<f64>]) -> bool {
-    /// Smallest thickness over extent of a part of a sphere that tells its radius.
+    /// Smallest thickness over extent of a part of a sphere that determines its radius.
     const THICKNESS_MIN: f64 = 0.02;
     let mean = positions_m.iter().sum::<Vector3<f64>>() / positions_m.len().max(1) as f64;
     let outer = |sum: Matrix3<f64>, p: &Vector3<f64>| sum + (p - mean) * (p - mean).transpose();

@@ -17,7 +17,7 @@ const OF_LINK: usize = 4;
 const OF_AXIS: usize = 3;
 /// Weight of one kilogram \[N\].
 const STANDARD_GRAVITY: f64 = 9.806_65;
-/// Combinations of terms that do less than this part of the strongest, in squares, are none: links' masses are not told
+/// Combinations of terms that do less than this part of the strongest, in squares, are none: links' masses are not determined
 /// apart one by one.
 const RANK_TOLERANCE: f64 = 1e-10;
 /// Times that the axes are weighed anew by what is left of them.
@@ -124,7 +124,7 @@ fn spread_nm(samples: &[TorqueSample], terms: &DVector<f64>, weights: &DVector<f
     squares.map(|sum| (sum / count).sqrt())
 }
 
-/// Least squares across the force in each sample, of smallest norm where terms are not told apart: those combinations do
+/// Least squares across the force in each sample, of smallest norm where terms are not separated: those combinations do
 /// nothing to any torque of the run.
 fn solved(samples: &[TorqueSample], weights: &DVector<f64>) -> Option<DVector<f64>> {
     let terms = samples.first()?.by_term.ncols();

@@ -1,4 +1,4 @@
-//! What costs can tell, as text.
+//! What costs can identify, as text.
 
 use std::fmt::Write;
 

@@ -16,7 +16,7 @@ const NAMED_MAX: usize = 20;
 /// Above this part of its prior's sigma a parameter is known by the prior: the data are worth a tenth of it.
 const BY_PRIOR: f64 = 0.95;
 
-/// Two parameters that the data can hardly tell apart.
+/// Two parameters that the data can hardly separate.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CorrelationEntry {
     /// One of them.

@@ -1,4 +1,4 @@
-//! What a path does and tells, and where the bar might stand, for a terminal.
+//! What a path does and determines, and where the bar might stand, for a terminal.
 
 use std::fmt::Write;
 

@@ -10,7 +10,7 @@ use crate::kinematics::{Chain, DhLink, Pose, roll_pitch_yaw};
 /// robot's configuration for signs and zeros of the controller). `flange` is the robot's own, `ball_bar_end` where plate and
 /// tool of the bar end.
 ///
-/// `about` is told in a comment. Effort and velocity, which URDF demands, are not known to a calibration and are zero.
+/// `about` is written as a comment. Effort and velocity, which URDF demands, are not known to a calibration and are zero.
 pub fn urdf(robot: &RobotConfig, identified: &Chain, bar: Option<&BallBarConfig>, about: &str) -> String {
     let mut text = String::from("<?xml version=\"1.0\"?>\n");
     // Writing to a string cannot fail.

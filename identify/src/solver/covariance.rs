@@ -1,7 +1,7 @@
 //! How well the identified parameters are known.
 //!
 //! First order: the covariance of least squares with independent noise of equal size on the (weighted) residual rows,
-//! `s^2 (J^T J)^-1`, from singular values, never from the inverted normal matrix. It tells nothing of effects that
+//! `s^2 (J^T J)^-1`, from singular values, never from the inverted normal matrix. It says nothing of effects that
 //! the model leaves out. Priors count as measurements. Parameters that only appear in combinations have none.
 //!
 //! Whatever it rests on, a covariance is `S S^T`, where each column of `S` is what one source of uncertainty contributes:

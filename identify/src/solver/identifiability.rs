@@ -2,7 +2,7 @@
 //!
 //! A prior determines its parameter, however wide it is and however exact the samples are: the rank of `[J_f J_p; 0 P]` is
 //! that of `J_f`, the samples' columns without prior, and the number of the others. So the answer depends neither on the
-//! noise nor on the number of samples; a parameter that the samples hardly tell has a large sigma. Columns are scaled to unit
+//! noise nor on the number of samples; a parameter that the samples hardly determine has a large sigma. Columns are scaled to unit
 //! length first, so that metres, radians and seconds compare. The singular values show the rank and how clear its gap is; the
 //! null space shows who depends on whom.
 

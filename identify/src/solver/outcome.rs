@@ -139,7 +139,7 @@ pub struct Solution {
     pub x: Vec<f64>,
     /// How it went.
     pub summary: Summary,
-    /// What the samples could tell.
+    /// What the samples could identify.
     pub identifiability: Identifiability,
     /// How well.
     pub covariance: Covariance,

@@ -56,7 +56,7 @@ pub struct Conditions {
     pub time_difference_s: f64,
 }
 
-/// Fewest pairs that are solved: three rows of each have to tell some forty numbers.
+/// Fewest pairs that are solved: three rows of each have to determine some forty numbers.
 const POINTS_MIN: f64 = 20.0;
 
 impl Conditions {

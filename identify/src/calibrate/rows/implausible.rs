@@ -251,7 +251,7 @@ impl fmt::Display for Likely {
     }
 }
 
-/// Rows that tell one robot from another: what is wrong is wrong in all.
+/// Rows that distinguish one robot from another: what is wrong is wrong in all.
 const TRIED: usize = 60;
 
 /// How far a robot is from some of the rows, tracker and probe placed by the same; none where they cannot be.

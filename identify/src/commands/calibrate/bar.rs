@@ -30,7 +30,7 @@ use crate::report::table;
 use crate::simulate::Truth;
 use crate::solver::LossName;
 
-/// What a calibration with the ball-bar is told.
+/// Options of a calibration with the ball-bar.
 #[derive(Debug, Args)]
 pub struct BarArguments {
     /// Recording of the ball-bar (.mcap; or a CSV of counters, or a ROS 2 bag); several runs of one robot are solved together
@@ -42,7 +42,7 @@ pub struct BarArguments {
     /// The robot's own log (CSV, ROS 2 bag, UR RTDE, ABB EGM, KUKA RSI), one for each recording in the same order
     #[arg(long, value_name = "FILE", required = true)]
     pub(super) robot_log: Vec<PathBuf>,
-    /// Kind of the robot's logs; default: told by their content
+    /// Kind of the robot's logs; default: recognised by their content
     #[arg(long, value_name = "KIND")]
     pub(super) log_format: Option<LogFormat>,
     /// Which column or joint of the robot's logs is what, such as config/robot_log.toml

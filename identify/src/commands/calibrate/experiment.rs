@@ -34,7 +34,7 @@ use crate::solver::LossName;
 /// Name of the file beside a result.
 const NAME: &str = "experiment.toml";
 
-/// What a calibration from a mix is told.
+/// Options of a calibration from a mix.
 #[derive(Debug, Args)]
 pub struct ExperimentArguments {
     /// Everything that was measured on one robot and how it is calibrated, such as config/experiment.toml
@@ -68,7 +68,7 @@ pub struct Experiment {
     /// Which column or joint of recordings of other programs is what.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub recording_mapping: Option<PathBuf>,
-    /// Kind of the robot's logs; absent: told by their content.
+    /// Kind of the robot's logs; absent: recognised by their content.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub log_format: Option<LogFormat>,
     /// Which column or joint of the robot's logs is what.

@@ -25,7 +25,7 @@ struct Attempt<'a> {
     directory: &'a Path,
 }
 
-/// The error of a calibration from measured rows, as the terminal tells it; `files` begin with that of the rows.
+/// The error of a calibration from measured rows, as the terminal shows it; `files` begin with that of the rows.
 pub(super) fn of_rows<E>(
     directory: &Path,
     robot: &RobotConfig,
@@ -41,7 +41,7 @@ where
     attempt.told(error, &path.display().to_string(), Vec::new)
 }
 
-/// The error of a calibration from runs with the ball-bar, as the terminal tells it.
+/// The error of a calibration from runs with the ball-bar, as the terminal shows it.
 pub(super) fn of_runs(
     arguments: &BarArguments,
     robot: &RobotConfig,

@@ -18,7 +18,7 @@ use crate::report::table;
 use crate::report::verdict::Grade;
 use crate::solver::Solution;
 
-/// A calibration with everything that is told of it.
+/// A calibration with everything that is reported of it.
 pub(super) struct Told<'a> {
     pub(super) robot: &'a RobotConfig,
     /// That of the first run, where there is one.

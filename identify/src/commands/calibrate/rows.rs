@@ -28,7 +28,7 @@ use crate::report::validation::RowsEntry;
 use crate::solver::LossName;
 use serde::{Deserialize, Serialize};
 
-/// What a calibration with a tracker is told.
+/// Options of a calibration with a tracker.
 #[derive(Debug, Args)]
 pub struct TrackerArguments {
     /// Poses measured by a tracker (.csv), rows in the order of the robot's motion
@@ -50,7 +50,7 @@ pub struct TrackerArguments {
     common: CommonArguments,
 }
 
-/// What a calibration with a draw-wire or a telescoping bar is told.
+/// Options of a calibration with a draw-wire or a telescoping bar.
 #[derive(Debug, Args)]
 pub struct WireArguments {
     /// Poses with one measured length each (.csv)
@@ -62,7 +62,7 @@ pub struct WireArguments {
     common: CommonArguments,
 }
 
-/// What a calibration with a ball in sockets is told.
+/// Options of a calibration with a ball in sockets.
 #[derive(Debug, Args)]
 pub struct ContactArguments {
     /// Poses at which the ball is seated, and in which socket (.csv), rows in the order of the robot's motion
@@ -80,7 +80,7 @@ pub struct ContactArguments {
     common: CommonArguments,
 }
 
-/// A file of rows as it is told of: the keys of a block in an experiment's file.
+/// A file of rows as an experiment has it: the keys of a block in an experiment's file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RowFile {

@@ -84,7 +84,7 @@ pub struct OtherBarLog {
 }
 
 impl BarLog {
-    /// Reads the file at `path`, whose content tells what kind it is. `bar` says how counts become angles.
+    /// Reads the file at `path`, recognised by its content. `bar` says how counts become angles.
     ///
     /// # Errors
     /// Every way in which the file cannot be used.

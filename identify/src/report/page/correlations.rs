@@ -10,7 +10,7 @@ use crate::report::knowledge::CovarianceEntry;
 
 /// Weaker ones are left white.
 const LEAST: f64 = 0.1;
-/// Strengths that are told apart.
+/// Strengths that are distinguished.
 const STEPS: i32 = 20;
 /// Side of a cell, and room for names.
 const CELL: usize = 12;

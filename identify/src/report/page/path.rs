@@ -1,4 +1,4 @@
-//! `path.html`: what a path does and what it is expected to tell.
+//! `path.html`: what a path does and what it is expected to determine.
 
 use std::path::{Path, PathBuf};
 

@@ -10,7 +10,7 @@ use crate::prepare::{Averaged, AveragedJoints, AveragedPoint, Timeline};
 
 /// Lower than others: a run may have eleven pairs of them.
 const LOW: (u32, u32) = (450, 170);
-/// A period of so many turns is told in turns, not degrees.
+/// A period of so many turns is shown in turns, not degrees.
 const TURNS_MIN: f64 = 1.5;
 
 /// Readings as they were shown and as they were used.
