@@ -1,6 +1,7 @@
 //! Encoders in any order, counting either way: found, told, or asked for.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use crate::support::laboratory::exchange;
 use crate::support::{bar, irb2400, nj220};
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, ball_bar};
@@ -16,19 +17,6 @@ use shared::encoder::Direction;
 fn run(robot: &RobotConfig, bar: &BallBarConfig) -> Simulated {
     let design = Design { duration_s: 60.0, ..Design::for_robot(robot) };
     simulate::run(&Experiment { design, ..Experiment::new(robot, bar) }).unwrap()
-}
-
-/// Encoder `place` is declared on the joint of `order[place]`, as if cables had been exchanged.
-fn exchanged(run: &mut Simulated, order: &[usize]) {
-    let joints: Vec<u8> = order.iter().map(|&place| run.encoders[place].joint).collect();
-    for (encoder, joint) in run.encoders.iter_mut().zip(&joints) {
-        encoder.joint = *joint;
-    }
-    for cycle in &mut run.cycles {
-        for (encoder, joint) in cycle.encoders.iter_mut().zip(&joints) {
-            encoder.joint = *joint;
-        }
-    }
 }
 
 fn reversed(run: &mut Simulated, places: &[usize]) {
@@ -59,7 +47,7 @@ fn shuffled_and_reversed_encoders_calibrate_without_a_hand() {
         // All of joints 1, 3 and 5 would be the mirror image.
         let places: &[usize] = if four { &[0, 1, 2] } else { &[0, 1, 4] };
         reversed(&mut run, places);
-        exchanged(&mut run, order);
+        exchange(&mut run, order);
         let found = prepared(&run, EncoderMapChoice::Find).unwrap();
         let used = &found.encoder_map.used;
         assert!(!used.is_as_recorded());
@@ -121,7 +109,7 @@ fn order_and_directions_as_recorded_are_confirmed_and_nothing_else_fits() {
 #[test]
 fn another_order_is_refused_where_only_the_recorded_one_may_be_used_and_named() {
     let mut run = run(&irb2400(), &bar());
-    exchanged(&mut run, &[4, 1, 2, 3, 0]);
+    exchange(&mut run, &[4, 1, 2, 3, 0]);
     let told = prepared(&run, EncoderMapChoice::Recorded).unwrap_err().to_string();
     println!("{told}");
     assert!(told.contains("but as 5 -> 1") && told.contains("1 -> 5"), "{told}");
@@ -131,7 +119,7 @@ fn another_order_is_refused_where_only_the_recorded_one_may_be_used_and_named() 
 fn a_stated_order_is_taken_and_a_senseless_one_refused() {
     let mut run = run(&irb2400(), &bar());
     reversed(&mut run, &[2]);
-    exchanged(&mut run, &[4, 1, 2, 3, 0]);
+    exchange(&mut run, &[4, 1, 2, 3, 0]);
     let found = prepared(&run, EncoderMapChoice::Stated(vec![1, 2, -3, 4, 5])).unwrap();
     let wanted = vec![(1, false), (2, false), (3, true), (4, false), (5, false)];
     assert_eq!(joints_and_directions(&found.encoder_map.used), wanted);
@@ -186,7 +174,7 @@ pub fn ambiguous(robot: &RobotConfig, bar: &BallBarConfig) -> Simulated {
     let design = Design { bar_range_deg, ..usual };
     let effects = Effects { base_tilt_urad: 25_000.0, ..Effects::default() };
     let mut run = simulate::run(&Experiment { design, effects, ..Experiment::new(robot, bar) }).unwrap();
-    exchanged(&mut run, &[1, 0, 2, 3, 4]);
+    exchange(&mut run, &[1, 0, 2, 3, 4]);
     run
 }
 

@@ -56,8 +56,8 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &RowOptions) -> Resul
     let all = Tracker::new(Standing::new(rows, &states, &groups, options.seed));
     let chosen = all.chosen(&fitting);
     let placed = placed(&chosen, model, &options.fix);
-    let explained = |error: RowError| explained(error, rows, robot);
-    model = placed.map_err(explained)?;
+    model = placed.map_err(|error| explained(error, rows, robot))?;
+    let explained = |error: CalibrateError| explained(error.into(), rows, robot);
     let nominal = all.apart(&model.geometry(&[]));
     let nominal_step = step(&all, &model);
     options.free_links(&mut model, robot)?;
@@ -66,10 +66,9 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &RowOptions) -> Resul
     }
     let mut runs = [Run { instrument: Instrument::Tracker(chosen), model }];
     let estimated = estimate(&mut runs, &Plan::new(options.loss, kinds));
-    let Solved { without_terms, candidates, .. } = estimated.map_err(RowError::from).map_err(explained)?;
+    let Solved { without_terms, candidates, .. } = estimated.map_err(explained)?;
     let apart = |model: Option<&Model>| model.map_or_else(Vec::new, |model| all.apart(&model.geometry(&[])));
-    let offsets =
-        fitted(&runs, Deployment::Offsets, options.loss).map_err(RowError::from).map_err(explained)?;
+    let offsets = fitted(&runs, Deployment::Offsets, options.loss).map_err(explained)?;
     let offsets = apart(offsets.as_ref().and_then(|(runs, _)| Some(&runs.first()?.model)));
     let links = apart(without_terms.first());
     let [Run { model, .. }] = runs;
@@ -77,8 +76,8 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &RowOptions) -> Resul
     let steps = [step(&all, &model), nominal_step];
     // What was held out has judged: now it takes part.
     let mut runs = [Run { instrument: Instrument::Tracker(all), model }];
-    let (solution, sigmas) = refit(&mut runs, options.loss).map_err(RowError::from).map_err(explained)?;
-    let deployed = deployed(&runs, options.loss).map_err(RowError::from).map_err(explained)?;
+    let (solution, sigmas) = refit(&mut runs, options.loss).map_err(explained)?;
+    let deployed = deployed(&runs, options.loss).map_err(explained)?;
     let [Run { instrument, model }] = runs;
     let Instrument::Tracker(tracker) = instrument else { return Err(CalibrateError::NoRun.into()) };
     let found = RowCalibration {
