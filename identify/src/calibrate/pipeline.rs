@@ -144,10 +144,13 @@ pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateEr
             }
         }
         if finds_noise || scale != 1.0 || candidates.iter().any(|candidate| candidate.accepted) {
-            if !finds_noise {
+            (columns, solution) = if solver.bars().is_some() {
+                // The terms that were taken leave less, and the scale of the loss was that of more.
                 solver.approach()?;
-            }
-            (columns, solution) = if solver.bars().is_some() { solver.solve()? } else { solver.settle()? };
+                solver.solve()?
+            } else {
+                solver.settle()?
+            };
         }
     }
     solution.summary.residual_rms_start = rms_start;
@@ -245,6 +248,7 @@ impl<'a> Solver<'a> {
             // Whitening, angles without encoder and the worth of a residual against priors were those of the nominal geometry;
             // now they are those of the solution.
             self.sigmas.fill(residual_sigma(cost, &first));
+            self.approach()?;
             let (columns, mut solution) = self.solve()?;
             // In the unit of the noise that was found.
             let unit = solution.summary.residual_rms_start / first.residual_rms.max(SIGMA_MIN);
