@@ -2,6 +2,8 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use ballbard::bus::{Bus, BusError, BusPlan, Operational};
@@ -145,4 +147,54 @@ fn repeated_and_broken_replies_do_not_stop_the_bus() {
     }
     assert_eq!(answered, 1000);
     assert!(bus.wire_counters().rejected > 1000, "{:?}", bus.wire_counters());
+}
+
+/// A segment that loses one frame on its way there, or the reply to it on its way back.
+struct Losing {
+    inner: InProcessWire,
+    sent: Arc<AtomicUsize>,
+    lost: usize,
+    on_the_way_back: bool,
+}
+
+impl Wire for Losing {
+    fn send(&mut self, frame: &[u8]) -> io::Result<()> {
+        let number = self.sent.fetch_add(1, Ordering::Relaxed);
+        if number == self.lost && !self.on_the_way_back { Ok(()) } else { self.inner.send(frame) }
+    }
+
+    fn receive(&mut self, buffer: &mut [u8; FRAME_BYTES_MAX], until: MonoNs) -> io::Result<Option<usize>> {
+        let received = self.inner.receive(buffer, until)?;
+        if self.on_the_way_back
+            && received.is_some()
+            && self.sent.load(Ordering::Relaxed) == self.lost.saturating_add(1)
+        {
+            self.on_the_way_back = false;
+            return self.inner.receive(buffer, until);
+        }
+        Ok(received)
+    }
+}
+
+#[test]
+fn whichever_frame_is_lost_there_or_back_the_bus_comes_up() {
+    const PLACES: usize = 40;
+    let bring_up = |lost, on_the_way_back| {
+        let clock = Clock::virtual_from(UtcNs(0));
+        let inner = InProcessWire::new(segment_with(5), clock.clone());
+        let sent = Arc::new(AtomicUsize::new(0));
+        let wire = Losing { inner, sent: Arc::clone(&sent), lost, on_the_way_back };
+        let plan = plan(5);
+        let up = Bus::new(Box::new(wire), clock, plan.reply_timeout).bring_up(&plan);
+        up.map(|_| sent.load(Ordering::Relaxed))
+    };
+    let frames = bring_up(usize::MAX, false).unwrap();
+    for place in 0..PLACES {
+        for on_the_way_back in [false, true] {
+            let lost = place * frames / PLACES;
+            if let Err(error) = bring_up(lost, on_the_way_back) {
+                panic!("frame {lost} of {frames}, back {on_the_way_back}: {error}");
+            }
+        }
+    }
 }

@@ -30,10 +30,18 @@ impl Bus {
     pub fn bring_up(&mut self, plan: &BusPlan) -> Result<Operational, BusError> {
         // ethercrab 0.7.1 panics on a CoE emergency in the SDO path and on an incoherent topology: a broken
         // terminal must not take the process with it.
-        catch_unwind(AssertUnwindSafe(|| self.try_bring_up(plan))).unwrap_or_else(|panic| {
-            // Its frames were given back while the panic passed through their owners.
-            Err(BusError::Panicked(panic_text(panic.as_ref())))
-        })
+        let mut attempt = || {
+            catch_unwind(AssertUnwindSafe(|| self.try_bring_up(plan))).unwrap_or_else(|panic| {
+                // Its frames were given back while the panic passed through their owners.
+                Err(BusError::Panicked(panic_text(panic.as_ref())))
+            })
+        };
+        // A mailbox whose reply is lost on its way back is empty when it is read again, which ethercrab takes for an error: one
+        // lost frame must not be the end.
+        match attempt() {
+            Err(error) if error.may_be_a_lost_reply() => attempt(),
+            result => result,
+        }
     }
 
     fn try_bring_up(&mut self, plan: &BusPlan) -> Result<Operational, BusError> {

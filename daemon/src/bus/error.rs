@@ -154,6 +154,12 @@ pub enum BusError {
 }
 
 impl BusError {
+    /// Somebody had nothing more to say to a frame: what he said before was lost.
+    pub(super) fn may_be_a_lost_reply(&self) -> bool {
+        let (Self::Stack { error, .. } | Self::Terminal { error, .. }) = self else { return false };
+        matches!(error, EtherCatError::WorkingCounter { .. })
+    }
+
     /// Only the first `answering` of `devices`, which were all in operation before, answer on `bus`; more than all
     /// where further ones were added meanwhile.
     pub fn absent(bus: &str, devices: &[DeviceInfo], answering: usize) -> Self {

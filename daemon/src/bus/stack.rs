@@ -47,7 +47,15 @@ impl Stack {
         let (tx, rx, pdu_loop) = storage.try_split().expect("fresh storage");
         // For bringing the bus up; cyclic frames have a time-out of their own and are never repeated: a repeated one
         // would come a cycle late and pass for a fresh sample.
-        let timeouts = Timeouts { pdu: BRING_UP_REPLY_TIMEOUT, ..Timeouts::default() };
+        // A device that is asked until it is ready is asked in frames that may be repeated themselves.
+        let repeated = BRING_UP_REPLY_TIMEOUT * (BRING_UP_RETRIES as u32 + 1);
+        let usual = Timeouts::default();
+        let timeouts = Timeouts {
+            pdu: BRING_UP_REPLY_TIMEOUT,
+            eeprom: usual.eeprom + repeated,
+            mailbox_echo: usual.mailbox_echo + repeated,
+            ..usual
+        };
         let config = MainDeviceConfig {
             retry_behaviour: RetryBehaviour::Count(BRING_UP_RETRIES),
             ..MainDeviceConfig::default()
