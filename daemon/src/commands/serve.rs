@@ -18,11 +18,14 @@ use crate::control::api::{self, Remote, RemoteSettings};
 use crate::control::live_tap::LiveTap;
 use crate::control::service::{Service, ServiceError, Settings};
 use crate::control::status::Status;
-use crate::run::BusChoice;
+use crate::run::{BusChoice, STACK_BYTES};
 use crate::segment::faults::FaultWindow;
 
 /// An end that takes longer is explained, and again after as long.
 const PATIENCE: Duration = Duration::from_secs(2);
+/// Threads that may wait for the disk: four that look, two that download, the one that waits for the service's end, and one that is
+/// just done. What they are given is locked memory, and more of them would be kept.
+const BLOCKING_THREADS_MAX: usize = 8;
 
 #[derive(Debug, Args)]
 pub struct RunArguments {
@@ -88,6 +91,8 @@ pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
     let settings = Settings { bus, faults, daemon, bar, marks, live_tap };
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_all()
+        .max_blocking_threads(BLOCKING_THREADS_MAX)
+        .thread_stack_size(2 * STACK_BYTES)
         .build()
         .context("cannot start the service")?;
     let listener = runtime.block_on(listen(port))?;
