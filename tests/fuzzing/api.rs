@@ -81,6 +81,7 @@ pub fn requests() -> Vec<Vec<u8>> {
         format!("POST /api/start {json} {{\"name\":\"../up\",\"operator\":\"\",\"duration_s\":-1e400}}"),
         format!("POST /api/stop {json} {{\"cause\":\"enough\"}}"),
         format!("POST /api/mark {json} {{\"text\":\"second half\"}}"),
+        format!("POST /api/note {json} {{\"name\":\"monday-1\",\"note\":\"ball reseated\\nat 10:30\"}}"),
         format!("POST /api/delete {json} {{\"name\":\"../monday-1\"}}"),
         format!(
             "GET /api/runs/monday-1/mcap {json} \nGET /api/runs/%ff/csv {json} \nGET /api/runs/..%2Fmonday-1/csv {json} \nGET /api/live {json} "
