@@ -52,7 +52,8 @@ step "install"
 admin apt-get -qq update
 admin apt-get install -y -qq --no-install-recommends /tmp/1.deb
 for file in /etc/ballbard/daemon.toml /etc/default/ballbard /usr/share/man/man1/ballbard-run.1.gz \
-  /usr/share/bash-completion/completions/ballbard /usr/share/doc/ballbard/copyright; do
+  /usr/share/man/man1/identify-calibrate.1.gz /usr/share/bash-completion/completions/ballbard \
+  /usr/share/bash-completion/completions/identify /usr/share/doc/ballbard/copyright; do
   [ -e "$root$file" ] || fail "$file is missing"
 done
 inside identify --version

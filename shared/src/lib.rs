@@ -5,6 +5,7 @@
 
 pub mod config;
 pub mod encoder;
+pub mod generate;
 pub mod output;
 pub mod recording;
 pub mod time;

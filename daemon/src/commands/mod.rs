@@ -4,7 +4,6 @@ mod client;
 mod configuration;
 mod elsewhere;
 mod export;
-mod generate;
 mod home;
 mod record;
 mod recover;
@@ -19,8 +18,9 @@ pub use export::{Layout, open, write_csv};
 use self::signals::Signals;
 use crate::run::BusChoice;
 use anyhow::Context;
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory, Parser, Subcommand};
 use serde::Serialize;
+use shared::generate::GenerateArguments;
 use shared::output::say;
 use std::time::Duration;
 
@@ -64,7 +64,7 @@ enum Command {
     /// Make a finished recording of one that was cut short or damaged.
     Recover(recover::RecoverArguments),
     /// Write completions for a shell, or man pages.
-    Generate(generate::GenerateArguments),
+    Generate(GenerateArguments),
     /// Serve a simulated EK1100 with EL5021 terminals on a network interface.
     Segment(segment::SegmentArguments),
 }
@@ -85,7 +85,7 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
         Command::Tune(arguments) => tune::run(&arguments),
         Command::Export(arguments) => export::run(&arguments),
         Command::Recover(arguments) => recover::run(&arguments),
-        Command::Generate(arguments) => generate::run(&arguments),
+        Command::Generate(arguments) => Ok(arguments.run(Arguments::command())?),
         Command::Segment(arguments) => segment::run(&arguments),
     }
 }

@@ -14,8 +14,9 @@ pub use on_terminal::interrupt;
 
 use std::ffi::OsString;
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, Parser, Subcommand};
 use shared::config::{JointKind, RobotConfig};
+use shared::generate::GenerateArguments;
 
 /// Calibrates a robot from a ball-bar recording and the robot's own log.
 #[derive(Debug, Parser)]
@@ -43,6 +44,8 @@ enum Command {
     Simulate(simulate::SimulateArguments),
     /// Simulate experiments by the thousand and show what each estimator makes of them: the thesis' chapter 3.
     Study(Box<study::StudyArguments>),
+    /// Write completions for a shell, or man pages.
+    Generate(GenerateArguments),
 }
 
 impl Arguments {
@@ -90,5 +93,6 @@ pub fn run(arguments: Arguments) -> anyhow::Result<()> {
         Command::Plan(arguments) => plan::run(&arguments),
         Command::Simulate(arguments) => simulate::run(&arguments),
         Command::Study(arguments) => study::run(&arguments),
+        Command::Generate(arguments) => Ok(arguments.run(Arguments::command())?),
     }
 }
