@@ -56,6 +56,19 @@ fn a_value_of_another_type_is_reported_with_what_was_expected() {
 }
 
 #[test]
+fn a_value_that_makes_no_sense_is_named_with_its_line_also_within_a_table_of_several() {
+    let text = shipped("ball_bar.toml");
+    let (last, line) =
+        (text.rfind("lines = 3600").unwrap(), |at: usize| text[..at].matches('\n').count() + 1);
+    let wrong = format!("{}lines = 0{}", &text[..last], &text[last + "lines = 3600".len()..]);
+    let place = format!("cell.toml, line {}: key `encoders[4].lines`: ", line(last));
+    assert!(told::<BallBarConfig>(&wrong).starts_with(&place), "{}", told::<BallBarConfig>(&wrong));
+    let wrong = text.replace("plate_u_um = 10.0", "plate_u_um = -1.0");
+    let place = format!("cell.toml, line {}: key `plate_u_um`: ", line(text.find("plate_u_um =").unwrap()));
+    assert!(told::<BallBarConfig>(&wrong).starts_with(&place), "{}", told::<BallBarConfig>(&wrong));
+}
+
+#[test]
 fn an_uncertainty_of_nothing_is_refused_for_the_rod_whose_length_may_be_left_out() {
     let with = |line: &str| {
         shipped("ball_bar.toml").replace("length_m = 0.6\n", &format!("length_m = 0.6\n{line}\n"))

@@ -1,4 +1,6 @@
-//! What a person is told of a key that cannot be read.
+//! What a person is told of a key that cannot be read, and where a key is.
+
+use toml::de::{DeTable, DeValue};
 
 /// A name this near to one that is known is taken for a slip of the pen (Jaro and Winkler; 1 is the same).
 const ALIKE: f64 = 0.8;
@@ -9,6 +11,28 @@ pub(super) fn line(text: &str, error: &toml::de::Error) -> Option<usize> {
     // What is absent is absent from a table, and the first one begins where the file does.
     let absent = error.message().starts_with("missing field");
     (!absent || !before.is_empty()).then(|| before.matches('\n').count() + 1)
+}
+
+/// The line of a key by its dotted path, from 1, or of as much of the path as is there; none where nothing of it is.
+pub(super) fn line_of(text: &str, key: &str) -> Option<usize> {
+    let root = DeValue::Table(DeTable::parse(text).ok()?.into_inner());
+    let (mut value, mut place) = (&root, None);
+    for part in key.split(['.', '[', ']']).filter(|part| !part.is_empty()) {
+        let found = match value {
+            DeValue::Table(table) => {
+                let mut entries = table.iter();
+                entries.find(|(name, _)| name.get_ref() == part).map(|(name, value)| (name.span(), value))
+            }
+            DeValue::Array(array) => {
+                let index = part.parse().ok();
+                index.and_then(|index: usize| array.get(index)).map(|value| (value.span(), value))
+            }
+            _ => None,
+        };
+        let Some((span, next)) = found else { break };
+        (place, value) = (Some(span.start), next.get_ref());
+    }
+    Some(text.get(..place?)?.matches('\n').count() + 1)
 }
 
 /// The sentence about `key`, its dotted path, from what serde and toml say.

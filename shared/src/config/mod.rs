@@ -30,7 +30,7 @@ pub enum ConfigError {
         source: std::io::Error,
     },
     /// The text is not TOML, or a key has the wrong name or type.
-    #[error("{}{}: {message}", path.display(), line.map(|line| format!(", line {line}")).unwrap_or_default())]
+    #[error("{}: {message}", place(path, *line))]
     Malformed {
         /// The file.
         path: PathBuf,
@@ -40,10 +40,12 @@ pub enum ConfigError {
         message: String,
     },
     /// A value is outside what makes sense.
-    #[error("{}: key `{key}`: {problem}; {remedy}", path.display())]
+    #[error("{}: key `{key}`: {problem}; {remedy}", place(path, *line))]
     Invalid {
         /// The file.
         path: PathBuf,
+        /// From 1; none where the key is absent.
+        line: Option<usize>,
         /// Dotted path of the key.
         key: String,
         /// What is wrong with the value.
@@ -51,6 +53,11 @@ pub enum ConfigError {
         /// What to write instead.
         remedy: String,
     },
+}
+
+fn place(path: &Path, line: Option<usize>) -> String {
+    let line = line.map(|line| format!(", line {line}")).unwrap_or_default();
+    format!("{}{line}", path.display())
 }
 
 /// A value that breaks a rule, named by its key; [`load`] adds the file.
@@ -96,6 +103,7 @@ pub fn parse<T: DeserializeOwned + Validate>(text: &str, path: &Path) -> Result<
         .map_err(|error| malformed(Some(error.path().to_string()), error.inner()))?;
     value.validate().map_err(|Violation { key, problem, remedy }| ConfigError::Invalid {
         path: path.to_owned(),
+        line: malformed::line_of(text, &key),
         key,
         problem,
         remedy,
