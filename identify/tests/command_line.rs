@@ -356,7 +356,7 @@ fn measured_lengths_calibrate_from_a_csv_with_a_mapping() {
     assert_eq!((rows["hold_out"].as_str(), rows["seed"].as_integer()), (Some("rows"), Some(1042)));
     assert_eq!(rows["held_out"]["joints"]["rows"].as_integer(), Some(40));
     let page = std::fs::read_to_string(out.path().join("report.html")).unwrap();
-    assert!(page.contains("On 40 rows that the fit has not seen (wire)") && page.contains("anchor_x"));
+    assert!(page.contains("wire, 40 held-out rows, calibrated") && page.contains("anchor_x"));
 
     for bar_only in [["--cost", "length"], ["--selection", "cell"], ["--config", "identify.toml"]] {
         let out = tempfile::tempdir().unwrap();
@@ -422,4 +422,20 @@ fn an_experiment_is_simulated_where_the_bar_stands() {
     refused(&output, &["no pose of the robot holds the bar", "--base"], out.path());
     let (output, out) = at("1,2");
     refused(&output, &["2 numbers are given, 3 belong here"], out.path());
+}
+
+#[test]
+fn completions_and_man_pages_know_every_command() {
+    let generate = |arguments: &[&str]| {
+        Command::new(env!("CARGO_BIN_EXE_identify")).arg("generate").args(arguments).output().unwrap()
+    };
+    let bash = generate(&["completions", "bash"]);
+    let pages = tempfile::tempdir().unwrap();
+    assert!(generate(&["man", pages.path().to_str().unwrap()]).status.success());
+    for command in ["calibrate", "inspect", "compare", "robot", "plan", "simulate", "study"] {
+        assert!(String::from_utf8_lossy(&bash.stdout).contains(command), "{command}");
+        assert!(pages.path().join(format!("identify-{command}.1")).exists(), "{command}");
+    }
+    let nowhere = generate(&["man", pages.path().join("nowhere").to_str().unwrap()]);
+    assert!(!nowhere.status.success() && String::from_utf8_lossy(&nowhere.stderr).contains("nowhere"));
 }

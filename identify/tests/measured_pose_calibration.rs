@@ -229,9 +229,7 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     let page = std::fs::read_to_string(folder.path().join("out/report.html")).unwrap();
     let shown = crate::support::browser::shown(&page);
     assert!(shown.foreign.is_empty(), "{:?}", shown.foreign);
-    for part in
-        ["On 80 rows that the fit has not seen (tracker)", "Rotation, calibrated", "tracker_rx", "other.csv"]
-    {
+    for part in ["tracker, 80 held-out rows, calibrated", "Rotation, calibrated", "tracker_rx", "other.csv"] {
         assert!(shown.document.contains(part), "{part}");
     }
     // What is written beside the result repeats it, from anywhere.

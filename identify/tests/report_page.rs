@@ -71,7 +71,8 @@ pub fn page_text(calibration: &BallBarCalibration, evidence: &Evidence, robot: &
         None,
         Vec::new(),
         ParameterEntry::of_runs(calibration),
-    );
+    )
+    .with_verdict(&evidence.workspace, &evidence.limits, None);
     let configuration = "cost = \"pose\"";
     let page = Page { file: &file, calibration, evidence, sources: &[], configuration };
     page.render().unwrap().into_string()
@@ -236,6 +237,17 @@ fn a_calibration_without_encoders_has_a_page_too() {
     let (_, found) = calibrated(&robot, 1, Some(CostName::Length));
     let text = page_text(&found, &evidence_of(&found, &robot), &robot);
     assert!(text.contains("Calibrated") && text.contains("Held-out validation"));
+}
+
+#[test]
+#[ignore = "needs chromium, and Python with pypdf: set BALLBAR_PYTHON"]
+fn what_is_signed_is_the_first_sheet_of_paper_and_whole() {
+    let (_, found, evidence) = validated();
+    let sheets = browser::printed(&page_text(found, evidence, &irb2400()));
+    for part in ["Calibrated.", "ISO 9283", "k = 2", "Operator", "Signature"] {
+        assert!(sheets[0].contains(part), "{part}: {}", sheets[0]);
+    }
+    assert!(sheets[1].trim_start().starts_with("Before and after"), "{}", sheets[1]);
 }
 
 #[test]

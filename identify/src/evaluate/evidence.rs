@@ -80,7 +80,9 @@ pub fn evidence(calibration: &BallBarCalibration, joint_limits: &[[f64; 2]]) -> 
     let measured = calibration.measured();
     let by_encoders = measured.contains(&true);
     let all = |of: fn(&RunEvidence) -> &Vec<Closure>| runs.iter().flat_map(of);
-    let workspace = workspace_error(&calibration.model, &calibration.solution.covariance, joint_limits);
+    let (model, covariance) = (&calibration.model, &calibration.solution.covariance);
+    let workspace =
+        workspace_error(model, covariance, joint_limits).with_cube(model, covariance, joint_limits);
     Evidence {
         by_encoders,
         rotations: measured == [true; 5],

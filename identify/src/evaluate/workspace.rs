@@ -7,6 +7,7 @@ use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{ChiSquared, Distribution, StandardNormal};
 
 use super::budget::Budget;
+use super::cube::{Cube, CubeError};
 use super::figures::quantile;
 use crate::kinematics::{Chain, Joints, Trace, Tracer};
 use crate::model::{Model, ParameterId};
@@ -42,6 +43,8 @@ pub struct WorkspaceError {
     pub weakest: Vec<(String, f64)>,
     /// What its uncertainty comes from.
     pub budget: Budget,
+    /// The same over the poses of the standard; none where nobody asked, or the robot reaches none.
+    pub cube: Option<CubeError>,
 }
 
 /// Postures with the error that calibration took away, and how what it left depends on the free parameters.
@@ -56,15 +59,46 @@ pub(super) struct Postures {
 /// `joint_limits` are those of the model's joints. Only the links' parameters are drawn, those among them that stay fixed at
 /// uncertain values, too; the robot's base frame is defined by the others.
 pub fn workspace_error(model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> WorkspaceError {
-    let columns: Vec<(usize, ParameterId)> = model
+    let columns = of_links(model, covariance);
+    let postures = Postures::new(model, &columns, random_postures(joint_limits));
+    let [before, after] = postures.errors(&drawn(covariance, &columns));
+    WorkspaceError {
+        before,
+        after,
+        weakest: weakest(&root(covariance, &columns), &postures.by_parameter, &columns),
+        budget: Budget::new(model, covariance, &columns, &postures),
+        cube: None,
+    }
+}
+
+impl WorkspaceError {
+    /// Adds the error over the standard's poses; arguments as [`workspace_error`].
+    #[must_use]
+    pub fn with_cube(mut self, model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> Self {
+        self.cube = Cube::largest(&model.geometry(&model.start()).robot, joint_limits).map(|cube| {
+            let columns = of_links(model, covariance);
+            let postures = Postures::new(model, &columns, cube.postures.into_iter());
+            let [before, after] = postures.errors(&drawn(covariance, &columns));
+            CubeError { edge_m: cube.edge_m, centre_m: cube.centre_m, before, after }
+        });
+        self
+    }
+}
+
+/// Columns of the covariance that are numbers of the robot's links.
+fn of_links(model: &Model, covariance: &Covariance) -> Vec<(usize, ParameterId)> {
+    model
         .columns()
         .enumerate()
         .filter(|(column, _)| covariance.sigma(*column).is_some())
         .map(|(column, parameter)| (column, parameter.id))
         .chain(covariance.considered().filter_map(|(name, column)| Some((column, name.parse().ok()?))))
         .filter(|(_, id)| matches!(id, ParameterId::Robot { .. }))
-        .collect();
-    let postures = postures(model, &columns, joint_limits);
+        .collect()
+}
+
+/// Errors of these columns, a robot drawn from the covariance in each column.
+fn drawn(covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f64> {
     let Spread { by_source, sources } = covariance.spread();
     let spread = by_source.select_rows(columns.iter().map(|(column, _)| column));
     let mut random = ChaCha8Rng::seed_from_u64(0);
@@ -79,21 +113,7 @@ pub fn workspace_error(model: &Model, covariance: &Covariance, joint_limits: &[[
             samples.for_each(|(one, _)| *one *= scale);
         }
     }
-    // All postures of all robots in one product: a draw in each column.
-    let left_m = &postures.by_parameter * (spread * drawn);
-    let (mut before, mut after) = (Vec::new(), Vec::new());
-    for draw in left_m.column_iter() {
-        let left = |posture: usize| Vector3::from(draw.fixed_rows::<3>(3 * posture));
-        let was = postures.corrected_m.iter().enumerate();
-        before.push(was.clone().map(|(posture, was)| (was + left(posture)).norm()).collect());
-        after.push(was.map(|(posture, _)| left(posture).norm()).collect());
-    }
-    WorkspaceError {
-        before: expected(before),
-        after: expected(after),
-        weakest: weakest(&root(covariance, &columns), &postures.by_parameter, &columns),
-        budget: Budget::new(model, covariance, &columns, &postures),
-    }
+    spread * drawn
 }
 
 /// `S`, where `S S^T` is the covariance of these columns.
@@ -120,38 +140,58 @@ pub(super) fn distance_m(one: &Model, other: &Model, joint_limits: &[[f64; 2]]) 
 }
 
 /// Joint variables evenly spread over the limits \[rad, m\].
-fn random_postures(joint_limits: &[[f64; 2]]) -> impl Iterator<Item = Joints> + '_ {
+pub(super) fn random_postures(joint_limits: &[[f64; 2]]) -> impl ExactSizeIterator<Item = Joints> + '_ {
     let mut random = ChaCha8Rng::seed_from_u64(1);
     let posture =
         move |_| joint_limits.iter().map(|[low, high]| low + (high - low) * random.random::<f64>()).collect();
     (0..POSTURES).map(posture)
 }
 
-fn postures(model: &Model, columns: &[(usize, ParameterId)], joint_limits: &[[f64; 2]]) -> Postures {
-    let mut nominal = model.clone();
-    for parameter in model.parameters() {
-        // The model has each of its own parameters.
-        let _ = nominal.set_value(parameter.id, parameter.nominal);
-    }
-    let chain = |model: &Model| -> Chain { model.geometry(&model.start()).robot };
-    let (calibrated, nominal) = (Tracer::new(&chain(model)), Tracer::new(&chain(&nominal)));
-    let (mut here, mut there) = (Trace::default(), Trace::default());
-    let by_parameter = DMatrix::zeros(3 * POSTURES, columns.len());
-    let mut postures = Postures { corrected_m: Vec::new(), by_parameter };
-    for (posture, q) in random_postures(joint_limits).enumerate() {
-        calibrated.trace(&q, &mut here);
-        nominal.trace(&q, &mut there);
-        postures.corrected_m.push(here.position_m() - there.position_m());
-        let mut by = postures.by_parameter.rows_mut(3 * posture, 3);
-        for (mut column, (_, id)) in by.column_iter_mut().zip(columns) {
-            if let ParameterId::Robot { link, parameter } = *id
-                && let Some(twist) = here.twist(link, parameter)
-            {
-                column.copy_from(&twist.linear);
+impl Postures {
+    fn new(
+        model: &Model,
+        columns: &[(usize, ParameterId)],
+        of_joints: impl ExactSizeIterator<Item = Joints>,
+    ) -> Self {
+        let mut nominal = model.clone();
+        for parameter in model.parameters() {
+            // The model has each of its own parameters.
+            let _ = nominal.set_value(parameter.id, parameter.nominal);
+        }
+        let chain = |model: &Model| -> Chain { model.geometry(&model.start()).robot };
+        let (calibrated, nominal) = (Tracer::new(&chain(model)), Tracer::new(&chain(&nominal)));
+        let (mut here, mut there) = (Trace::default(), Trace::default());
+        let by_parameter = DMatrix::zeros(3 * of_joints.len(), columns.len());
+        let mut postures = Self { corrected_m: Vec::new(), by_parameter };
+        for (posture, q) in of_joints.enumerate() {
+            calibrated.trace(&q, &mut here);
+            nominal.trace(&q, &mut there);
+            postures.corrected_m.push(here.position_m() - there.position_m());
+            let mut by = postures.by_parameter.rows_mut(3 * posture, 3);
+            for (mut column, (_, id)) in by.column_iter_mut().zip(columns) {
+                if let ParameterId::Robot { link, parameter } = *id
+                    && let Some(twist) = here.twist(link, parameter)
+                {
+                    column.copy_from(&twist.linear);
+                }
             }
         }
+        postures
     }
-    postures
+
+    /// Of the nominal and the calibrated robot, where the true one is the calibrated one with errors that were drawn.
+    fn errors(&self, drawn: &DMatrix<f64>) -> [Expected; 2] {
+        // All postures of all robots in one product: a draw in each column.
+        let left_m = &self.by_parameter * drawn;
+        let (mut before, mut after) = (Vec::new(), Vec::new());
+        for draw in left_m.column_iter() {
+            let left = |posture: usize| Vector3::from(draw.fixed_rows::<3>(3 * posture));
+            let was = self.corrected_m.iter().enumerate();
+            before.push(was.clone().map(|(posture, was)| (was + left(posture)).norm()).collect());
+            after.push(was.map(|(posture, _)| left(posture).norm()).collect());
+        }
+        [before, after].map(expected)
+    }
 }
 
 /// `errors_m`: per draw, per posture.

@@ -34,7 +34,14 @@ pub fn recording(recording: &Recording) -> Inspection {
 fn facts(inspection: &mut Inspection, recording: &Recording) {
     let run = &recording.run;
     inspection.fact("run", run.name.clone());
-    for (what, value) in [("operator", &run.operator), ("robot", &run.robot), ("note", &run.note)] {
+    let said = [
+        ("operator", &run.operator),
+        ("robot", &run.robot),
+        ("bar", &run.bar),
+        ("payload", &run.payload),
+        ("note", &run.note),
+    ];
+    for (what, value) in said {
         if !value.is_empty() {
             inspection.fact(what, value.clone());
         }

@@ -74,20 +74,22 @@ impl CalibrationFile {
 
     /// What each deployment that leaves something out is worth on held-out data; nothing where there is none.
     pub(super) fn deployments_told(&self) -> Vec<String> {
-        let told = |entry: &DeploymentEntry| {
-            let [_, rms_m] = self.held_out_m(entry.deployment)?;
-            let what = match entry.deployment {
+        let told = |deployment: Deployment| {
+            let what = match deployment {
                 Deployment::Offsets => "joint offsets alone",
                 Deployment::Dh => "links alone",
                 Deployment::Full => "all terms",
             };
-            let files = if self.serves(entry.deployment) {
-                ""
-            } else {
-                ", not surely better than nominal: not written"
-            };
+            if self.deployments.iter().all(|entry| entry.deployment != deployment) {
+                // Of rows each was tried.
+                return (!self.rows.is_empty())
+                    .then(|| format!("no fit of {what} converges: they are not written"));
+            }
+            let [_, rms_m] = self.held_out_m(deployment)?;
+            let files =
+                if self.serves(deployment) { "" } else { ", not surely better than nominal: not written" };
             Some(format!("{:.3} mm with {what}{files}", rms_m * 1e3))
         };
-        self.deployments.iter().filter_map(told).collect()
+        Deployment::PARTIAL.into_iter().filter_map(told).collect()
     }
 }

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+use shared::recording::schema::RunMetadata;
 use shared::time::UtcNs;
 
 use super::deployments::DeploymentEntry;
@@ -236,6 +237,33 @@ pub struct ClockEntry {
     pub overlap_s: f64,
 }
 
+/// Who measured what, as a recording says; empty where it does not.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MeasurementEntry {
+    /// When it began.
+    pub started: String,
+    /// Who.
+    pub operator: String,
+    /// Which robot.
+    pub robot: String,
+    /// Which bar and ball pair.
+    pub bar: String,
+    /// What the robot carried beside the bar.
+    pub payload: String,
+}
+
+impl From<&RunMetadata> for MeasurementEntry {
+    fn from(run: &RunMetadata) -> Self {
+        Self {
+            started: run.started.to_string(),
+            operator: run.operator.clone(),
+            robot: run.robot.clone(),
+            bar: run.bar.clone(),
+            payload: run.payload.clone(),
+        }
+    }
+}
+
 /// The whole file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct CalibrationFile {
@@ -249,6 +277,9 @@ pub struct CalibrationFile {
     pub robot: String,
     /// What it was measured with.
     pub instrument: String,
+    /// What each recording says of its measurement.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub measured: Vec<MeasurementEntry>,
     /// What it is worth; files of earlier versions have none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub verdict: Option<Verdict>,
@@ -317,6 +348,7 @@ impl CalibrationFile {
             software: software().into(),
             robot: robot.to_owned(),
             instrument: instrument.to_owned(),
+            measured: Vec::new(),
             verdict: None,
             solve,
             clock,
@@ -358,7 +390,7 @@ impl CalibrationFile {
     pub fn write(&self, directory: &Path) -> Result<PathBuf, FileError> {
         let text = toml::to_string(&Self { covariance: None, ..self.clone() })?;
         let json = serde_json::to_string(self)?;
-        let table = self.deployed(Deployment::Dh).dh_csv()?;
+        let table = self.dh_csv()?;
         remove_page(directory)?;
         replace(directory, "calibration.json", &json)?;
         if self.serves(Deployment::Dh) {
@@ -367,14 +399,17 @@ impl CalibrationFile {
         replace(directory, "calibration.toml", &text)
     }
 
-    /// One row for each number of each link: `chain,link,parameter,unit,nominal,identified,correction,sigma`, SI units,
-    /// links from 1 in the order of the chain. Parameters that were fixed and taken as exact have no sigma.
+    /// One row for each number of each link of [`Deployment::Dh`]:
+    /// `chain,link,parameter,unit,nominal,identified,correction,sigma,deployment,held_out_mm`, SI units, links from 1 in the order of
+    /// the chain. Parameters that were fixed and taken as exact have no sigma.
     ///
     /// # Errors
     /// [`FileError::Csv`].
     pub fn dh_csv(&self) -> Result<String, FileError> {
         let mut writer = csv::Writer::from_writer(Vec::new());
-        for entry in &self.parameters {
+        let deployment = Deployment::Dh;
+        let held_out_mm = self.held_out_m(deployment).map(|[_, own_m]| own_m * 1e3);
+        for entry in &self.deployed(deployment).parameters {
             let (chain, link, parameter) = match entry.name.parse::<ParameterId>() {
                 Ok(ParameterId::Robot { link, parameter }) => ("robot", link, parameter),
                 Ok(ParameterId::Bar { link, parameter }) => ("ball_bar", link, parameter),
@@ -389,6 +424,8 @@ impl CalibrationFile {
                 identified: entry.value,
                 correction: entry.correction,
                 sigma: entry.sigma,
+                deployment,
+                held_out_mm,
             })?;
         }
         let bytes = writer.into_inner().map_err(|error| csv::Error::from(error.into_error()))?;
@@ -415,6 +452,10 @@ pub struct DhRow {
     pub correction: f64,
     /// One standard deviation; absent for fixed parameters that are taken as exact.
     pub sigma: Option<f64>,
+    /// What all rows together are for.
+    pub deployment: Deployment,
+    /// Root mean square of held-out positions with all rows applied and nothing else \[mm\].
+    pub held_out_mm: Option<f64>,
 }
 
 /// When something is written.

@@ -41,7 +41,7 @@ pub fn summary(
     let lines = [
         verdict.to_string(),
         format!(
-            "position error: {} before, {} after, mean over the workspace{}{}",
+            "position error by geometry: {} before, {} after, mean over the workspace{}{}",
             mm(before.mean_m),
             mm(after.mean_m),
             expanded.unwrap_or_default(),

@@ -67,13 +67,13 @@ impl fmt::Display for Verdict {
 }
 
 /// Root mean square of held-out errors.
-struct Predicted {
-    what: String,
-    nominal: f64,
-    calibrated: f64,
+pub(super) struct Predicted {
+    pub(super) what: String,
+    pub(super) nominal: f64,
+    pub(super) calibrated: f64,
     /// Independent numbers behind each of both.
     independent: usize,
-    unit: &'static str,
+    pub(super) unit: &'static str,
     is_position: bool,
 }
 
@@ -150,7 +150,7 @@ impl CalibrationFile {
     }
 
     /// Held-out errors of each data set.
-    fn predicted(&self) -> Vec<Predicted> {
+    pub(super) fn predicted(&self) -> Vec<Predicted> {
         let mut all = Vec::new();
         let mut add = |what: &str, independent: usize, position: [f64; 2], rotation: Option<[f64; 2]>| {
             let position = (format!("Positions of {what}"), "mm", position, true);

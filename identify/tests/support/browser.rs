@@ -21,24 +21,30 @@ pub fn shown(text: &str) -> Shown {
     let page = directory.path().join("report.html");
     std::fs::write(&page, text).unwrap();
     let requests = directory.path().join("requests.json");
-    let output = Command::new(browser())
-        .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"])
-        .args([
-            "--disable-background-networking",
-            "--disable-component-update",
-            "--disable-sync",
-            "--dump-dom",
-        ])
-        .arg(format!("--user-data-dir={}", directory.path().join("profile").display()))
-        .arg(format!("--log-net-log={}", requests.display()))
-        .arg(format!("file://{}", page.display()))
-        .output()
-        .unwrap();
+    let log = format!("--log-net-log={}", requests.display());
+    let output = browser(directory.path()).args(["--dump-dom", &log]).arg(&page).output().unwrap();
     Shown {
         document: String::from_utf8_lossy(&output.stdout).into_owned(),
         foreign: foreign(&requests),
         stderr: String::from_utf8_lossy(&output.stderr).into_owned(),
     }
+}
+
+/// The text of each sheet of paper that a page is printed on, as another program reads the PDF.
+pub fn printed(text: &str) -> Vec<String> {
+    const READ: &str = "import json, sys, pypdf; print(json.dumps([sheet.extract_text() for sheet in pypdf.PdfReader(sys.argv[1]).pages]))";
+    let directory = tempfile::tempdir().unwrap();
+    let [page, sheets] = ["report.html", "report.pdf"].map(|name| directory.path().join(name));
+    std::fs::write(&page, text).unwrap();
+    let print = format!("--print-to-pdf={}", sheets.display());
+    let output =
+        browser(directory.path()).args(["--no-pdf-header-footer", &print]).arg(&page).output().unwrap();
+    assert!(sheets.is_file(), "{}", String::from_utf8_lossy(&output.stderr));
+    let python =
+        std::env::var_os("BALLBAR_PYTHON").expect("BALLBAR_PYTHON: a Python with tests/requirements.txt");
+    let read = Command::new(python).args(["-c", READ]).arg(&sheets).output().unwrap();
+    assert!(read.status.success(), "{}", String::from_utf8_lossy(&read.stderr));
+    serde_json::from_slice(&read.stdout).unwrap()
 }
 
 /// Addresses on the web that a browser's log of requests names, without those that it visits by itself at any start.
@@ -50,8 +56,17 @@ fn foreign(log: &Path) -> Vec<String> {
     events.filter(|url| url.starts_with("http") && !of_browser(url)).collect()
 }
 
-/// Chromium.
-fn browser() -> PathBuf {
+/// Chromium without a window, which keeps what it keeps in a directory; a file's path is an address to it.
+fn browser(directory: &Path) -> Command {
+    let mut command = Command::new(chromium());
+    command
+        .args(["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run"])
+        .args(["--disable-background-networking", "--disable-component-update", "--disable-sync"])
+        .arg(format!("--user-data-dir={}", directory.join("profile").display()));
+    command
+}
+
+fn chromium() -> PathBuf {
     let paths = std::env::var_os("PATH").unwrap_or_default();
     let found = ["chromium", "chromium-browser", "google-chrome"].iter().find_map(|name| {
         std::env::split_paths(&paths).map(|path| path.join(name)).find(|path| path.is_file())

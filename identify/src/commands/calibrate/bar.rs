@@ -21,7 +21,7 @@ use crate::kinematics::flange_chain;
 use crate::logs::{self, BarLog, BarLogMapping, LogFormat, LogOptions, RobotLog, RobotLogMapping};
 use crate::model::{Model, ParameterId};
 use crate::prepare::{EncoderMapChoice, Prepared};
-use crate::report::file::{CalibrationFile, ClockEntry, ParameterEntry, SolveEntry};
+use crate::report::file::{CalibrationFile, ClockEntry, MeasurementEntry, ParameterEntry, SolveEntry};
 use crate::report::force::ForceEntry;
 use crate::report::knowledge::NoiseEntry;
 use crate::report::page::Page;
@@ -128,6 +128,14 @@ impl RunFiles<'_> {
             unwrapped: self.recording.unwrapped(),
             log: &self.log,
             bar: &self.bar,
+        }
+    }
+
+    /// What the recording says of who measured what; none where another program made it.
+    pub(super) fn measured(&self) -> Option<MeasurementEntry> {
+        match &self.recording {
+            BarLog::Recording(recording) => Some((&recording.run).into()),
+            BarLog::Other(_) => None,
         }
     }
 }
@@ -290,6 +298,7 @@ fn calibration_file(
     )
     .with_knowledge(solution);
     file.other_clocks = clocks.collect();
+    file.measured = runs.iter().filter_map(RunFiles::measured).collect();
     file.candidates.clone_from(&calibration.candidates);
     file.noise = NoiseEntry::all(calibration.bars());
     Ok(file)

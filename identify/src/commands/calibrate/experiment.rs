@@ -366,6 +366,7 @@ pub(super) fn mixed(
         ),
     )
     .with_knowledge(solution);
+    file.measured = bars.iter().filter_map(bar::RunFiles::measured).collect();
     file.candidates.clone_from(&found.solved.candidates);
     file.deployments = found.deployed.iter().map(DeploymentEntry::from).collect();
     let entry = |(number, rows): (usize, &Rows)| {

@@ -43,7 +43,9 @@ impl Told<'_> {
     pub(super) fn write(self, result: &ResultArguments) -> anyhow::Result<()> {
         let directory = &result.out;
         let Self { robot, bar, file, model, solution, limits, data_sets, tables, asked, experiment } = self;
-        let workspace = workspace_error(model, &solution.covariance, &robot.joint_limits());
+        let (covariance, limits_of_joints) = (&solution.covariance, robot.joint_limits());
+        let workspace = workspace_error(model, covariance, &limits_of_joints);
+        let workspace = workspace.with_cube(model, covariance, &limits_of_joints);
         let file = file.with_verdict(&workspace, &limits, experiment.identify.require_mm.map(|mm| mm * 1e-3));
         let written = write_files(&file, robot, bar, directory)?;
         let page = MeasuredPage {

@@ -1,6 +1,7 @@
 //! `report.html`: one file without scripts or links to anything else, that a browser shows and a printer prints.
 
 mod arm;
+mod certificate;
 mod correlations;
 mod costs;
 mod figures;
@@ -81,14 +82,9 @@ impl Page<'_> {
         Ok(document(
             &title,
             &html! {
-                header {
-                    h1 { (title) }
-                    p.about {
-                        (self.file.instrument) " · " (self.file.created) " · " (self.file.software)
-                    }
-                }
                 main {
-                    (sections::verdict(self))
+                    (certificate::certificate(self.file, &self.evidence.workspace))
+                    (sections::numbers(self))
                     (held_out::section(self)?)
                     (runs::gaps(self)?)
                     (sphere::section(self)?)

@@ -4,11 +4,10 @@ use std::path::{Path, PathBuf};
 
 use maud::{Markup, html};
 
+use super::certificate::certificate;
 use super::figures::{WIDE, dots, gap_over_time};
 use super::plot::{BLUE, GREY, ORANGE, Panel, PlotError};
-use super::sections::{
-    applied, budget, candidates, colour, dependence, expected, judged, mm, parameters, repeated_with, svg,
-};
+use super::sections::{budget, candidates, dependence, expected, mm, parameters, repeated_with, svg};
 use super::{PageError, document};
 use crate::calibrate::rows::{PoseFigures, RowErrors, Sizes};
 use crate::evaluate::{RunEvidence, WorkspaceError};
@@ -69,14 +68,9 @@ impl MeasuredPage<'_> {
         Ok(document(
             &title,
             &html! {
-                header {
-                    h1 { (title) }
-                    p.about {
-                        (self.file.instrument) " · " (self.file.created) " · " (self.file.software)
-                    }
-                }
                 main {
-                    (self.verdict())
+                    (certificate(self.file, self.workspace))
+                    (self.numbers())
                     h2 { "Errors, row by row" }
                     p.note { "Robot against what was measured. Mind the scales. Rows that take no part are drawn as well." }
                     @for (name, panels) in shown {
@@ -98,7 +92,7 @@ impl MeasuredPage<'_> {
         ))
     }
 
-    fn verdict(&self) -> Markup {
+    fn numbers(&self) -> Markup {
         let WorkspaceError { before, after, .. } = self.workspace;
         let held_out = |(name, measured): &(String, Measured<'_>)| match measured {
             Measured::Rows(errors) if !errors.held_out.is_empty() => {
@@ -113,26 +107,18 @@ impl MeasuredPage<'_> {
             format!("mean {} mm, 95 % {} mm, largest {} mm", mm(mean), mm(p95), mm(max))
         };
         html! {
-            div class=(colour(self.file)) {
-                (judged(self.file))
-                "The expected position error of the robot over its workspace falls from "
-                b { (mm(before.mean_m)) " mm" } " to " b { (mm(after.mean_m)) " mm" } "."
-                @for (name, nominal, calibrated) in &held_out {
-                    " On " (calibrated.rows) " rows that the fit has not seen (" (name) "), the error is "
-                    (mm(calibrated.position_m.rms)) " mm (RMS) instead of " (mm(nominal.position_m.rms)) " mm."
-                }
-            }
+            h2 { "Before and after" }
             div.numbers {
                 (expected("before", before))
                 (expected("after", after))
                 @for (name, nominal, calibrated) in &held_out {
                     div.number {
                         b { (mm(nominal.position_m.rms)) " mm" }
-                        span { (name) ", held-out rows, nominal robot, RMS; " (sizes(nominal.position_m)) }
+                        span { (name) ", " (nominal.rows) " held-out rows, nominal robot, RMS; " (sizes(nominal.position_m)) }
                     }
                     div.number {
                         b { (mm(calibrated.position_m.rms)) " mm" }
-                        span { (name) ", held-out rows, calibrated, RMS; " (sizes(calibrated.position_m)) }
+                        span { (name) ", " (calibrated.rows) " held-out rows, calibrated, RMS; " (sizes(calibrated.position_m)) }
                     }
                 }
             }
@@ -141,7 +127,6 @@ impl MeasuredPage<'_> {
                 "where nothing was measured. After: what the covariance of the parameters leaves there. Errors that do not depend "
                 "on the geometry (gears, load, temperature) come on top; held-out rows have them."
             }
-            (applied(self.file))
         }
     }
 }

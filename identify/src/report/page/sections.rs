@@ -7,7 +7,6 @@ use super::{Page, correlations, figures};
 use crate::evaluate::{Evaluation, Expected, Limit, Quantiles};
 use crate::model::{Owner, ParameterId, Unit};
 use crate::report::file::{CalibrationFile, Input, ParameterEntry, Status};
-use crate::report::verdict::Grade;
 
 /// mm with as many digits as mean something.
 pub(super) fn mm(metres: f64) -> String {
@@ -34,45 +33,7 @@ pub(super) fn expected(label: &str, expected: &Expected) -> Markup {
     } }
 }
 
-/// The colour of a verdict, as its class of the page's style.
-pub(super) fn colour(file: &CalibrationFile) -> &'static str {
-    match file.verdict.as_ref().map(|verdict| verdict.grade) {
-        Some(Grade::Red) => "verdict refused",
-        Some(Grade::Amber) => "verdict doubt",
-        Some(Grade::Green) | None => "verdict",
-    }
-}
-
-/// Whether it is calibrated, and the one reason for doubt.
-pub(super) fn judged(file: &CalibrationFile) -> Markup {
-    let verdict = file.verdict.as_ref();
-    let red = verdict.is_some_and(|verdict| verdict.grade == Grade::Red);
-    html! {
-        strong { @if red { "Not calibrated. " } @else { "Calibrated. " } }
-        @if let Some(reason) = verdict.and_then(|verdict| verdict.reason.as_ref()) { b { (reason) } " " }
-        @else if let Some(required_m) = verdict.and_then(|verdict| verdict.required_m) {
-            "The required " (mm(required_m)) " mm are met. "
-        }
-    }
-}
-
-/// Where it is supported, and what those get who apply only part of it.
-pub(super) fn applied(file: &CalibrationFile) -> Markup {
-    let parts = file.deployments_told();
-    html! {
-        @if !parts.is_empty() {
-            p.note {
-                "Who applies only part of it needs another geometry, which is in files of its own; on the same held-out rows: "
-                (parts.join("; ")) ". Held-out rows were predicted by fits without them; what is in the files is fitted to all rows."
-            }
-        }
-        @if let Some(validity) = &file.validity {
-            p.note { "Supported where the joints were measured [deg]: " (validity) "." }
-        }
-    }
-}
-
-pub(super) fn verdict(page: &Page<'_>) -> Markup {
+pub(super) fn numbers(page: &Page<'_>) -> Markup {
     let workspace = &page.evidence.workspace;
     let reason = page.file.verdict.as_ref().and_then(|verdict| verdict.reason.as_ref());
     let limits = page.evidence.limits.iter().filter(|limit| Some(&limit.sentence) != reason);
@@ -85,17 +46,8 @@ pub(super) fn verdict(page: &Page<'_>) -> Markup {
         } }
     };
     html! {
-        div class=(colour(page.file)) {
-            (judged(page.file))
-            "The expected position error of the robot over its workspace falls from "
-            b { (mm(before.mean_m)) " mm" } " to " b { (mm(after.mean_m)) " mm" } "."
-            @if let Some(held_out) = page.evidence.held_out.as_ref().filter(|one| !one.segments.is_empty()) {
-                @let [nominal, predicted, _] = held_out.rms();
-                " On segments of the run that its fit has not seen, robot and bar are " (mm(predicted.position_m))
-                " mm apart (RMS) instead of " (mm(nominal.position_m)) " mm."
-            }
-            @if !limits.is_empty() { ul { @for limit in limits { li { (limit.sentence) } } } }
-        }
+        h2 { "Before and after" }
+        @if !limits.is_empty() { ul { @for limit in limits { li { (limit.sentence) } } } }
         div.numbers {
             (expected("before", before))
             (expected("after", after))
@@ -108,7 +60,6 @@ pub(super) fn verdict(page: &Page<'_>) -> Markup {
             "that do not depend on the geometry (gears, load, temperature) come on top; what the bar saw of them is in the two "
             "figures on the right."
         }
-        (applied(page.file))
     }
 }
 
