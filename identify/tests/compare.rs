@@ -34,6 +34,7 @@ fn file(path: u64, errors: u64) -> CalibrationFile {
 }
 
 #[test]
+#[ignore = "takes a quarter of a minute"]
 fn other_paths_of_one_robot_agree_and_another_robot_does_not() {
     let same = Consistency::new(&[file(1, 9), file(2, 9), file(3, 9)]).unwrap();
     assert!(same.is_consistent(), "{:?}", same.p_corrected);
@@ -60,6 +61,7 @@ fn probabilities_of_ten_robots_are_spread_as_true_intervals_spread_them() {
 }
 
 #[test]
+#[ignore = "takes ten seconds"]
 fn the_probability_is_that_of_the_chi_square_table() {
     let of_sigma = |correction: f64, sigma: f64| {
         let mut file = file(1, 9);

@@ -174,6 +174,7 @@ fn csv(rows: &[PoseRow]) -> String {
 }
 
 #[test]
+#[ignore = "needs chromium"]
 fn the_command_calibrates_validates_and_writes_what_it_took() {
     let folder = tempfile::tempdir().unwrap();
     let (rows, ..) = made_up(500, 2e-5, 3e-4);

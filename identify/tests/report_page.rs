@@ -79,6 +79,7 @@ pub fn page_text(calibration: &BallBarCalibration, evidence: &Evidence, robot: &
 }
 
 #[test]
+#[ignore = "takes a quarter of a minute"]
 fn the_error_that_the_page_expects_is_the_error_that_the_robot_has() {
     let robot = irb2400();
     let mut inside = 0;

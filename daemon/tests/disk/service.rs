@@ -334,6 +334,7 @@ fn a_run_whose_file_cannot_be_finished_is_no_success_for_who_stops_it() {
 }
 
 #[test]
+#[ignore = "takes a quarter of a minute"]
 fn a_disk_that_does_not_take_reference_marks_holds_up_nobody() {
     let day = Day::begin(None);
     day.wait(Duration::from_secs(15), |status| status.state == "waiting");
@@ -449,6 +450,7 @@ fn check_all(faults: &[Fault]) {
 }
 
 #[test]
+#[ignore = "takes a minute"]
 fn whichever_call_of_a_service_fails_what_it_answers_is_true_and_it_ends() {
     check_all(&[Fault::Fails]);
 }

@@ -110,6 +110,7 @@ fn a_disk_that_others_fill_ends_the_run_with_a_finished_file() {
 }
 
 #[test]
+#[ignore = "takes 20 seconds"]
 fn a_bus_that_is_gone_for_good_ends_the_run_and_the_service_is_ready_again_when_it_is_back() {
     let config = changed("full_fault_s = 60", "full_fault_s = 3");
     let faults = ["--fault", "gone:0@7s-20s"];
