@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # The Debian package in a clean root: installed, run with nothing but what its unit grants, upgraded, removed, purged.
 #
-# daemon/tests/package.sh [PROFILE], as root. Needs cargo-deb, debootstrap and iproute2, and Debian's mirror. CI does not
+# daemon/tests/package.sh [PROFILE], as root. Needs cargo-deb, debootstrap, iproute2 and systemd, and Debian's mirror. CI does not
 # run it: the clean root alone takes minutes. The bus is the simulated segment at the other end of a virtual cable, in a
 # network of its own.
 set -euo pipefail
@@ -59,12 +59,19 @@ done
 inside identify --version
 [ "$(stat -c %U "$root/var/lib/ballbard")" = "$(stat -c %U "$root/var/tmp/ballbard")" ] || fail "directories of two owners"
 
+step "the unit"
+unit=$(mktemp -d)/ballbard.service
+sed "s|^ExecStart=|&$(realpath "$root")|" daemon/debian/ballbard.service > "$unit"
+systemd-analyze verify --man=no "$unit"
+systemd-analyze security --offline=yes --threshold=30 "$unit" | tail -1
+
 step "run with what the unit grants, and no more"
 ip -n "$network" link set lo up
 ip -n "$network" link add near type veth peer name far
 ip -n "$network" link set near up
 ip -n "$network" link set far up
-inside ballbard segment --interface far </dev/null >/dev/null 2>&1 &
+# Not by `inside`, whose shell alone would be ended.
+ip netns exec "$network" chroot "$root" ballbard segment --interface far </dev/null >/dev/null 2>&1 &
 "${as_the_unit[@]}" ballbard run --config /etc/ballbard --bus near >/dev/null 2>"$root/tmp/service.log" &
 service=$!
 wait_for "the bus" is_ready
