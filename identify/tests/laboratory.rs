@@ -6,8 +6,11 @@
 
 use crate::support::{bar, irb2400, nj220};
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
+use identify::calibrate::deployment::Deployment;
+use identify::calibrate::held_out::without_each_segment;
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig, SelectionName};
+use identify::evaluate::{evidence, held_out};
 use identify::model::ParameterId;
 use identify::simulate::{self, Effects, Experiment, Simulated};
 use shared::config::{BallBarConfig, RobotConfig};
@@ -144,4 +147,36 @@ fn a_moving_average_over_both_logs_costs_no_accuracy() {
     println!("{:?} without, {:?} with an average over 100 ms", scores[0].errors, scores[1].errors);
     assert!(with < 1.3 * without, "{with} {without}");
     assert!(scores[1].max() < 0.05, "{}", scores[1].max());
+}
+
+#[test]
+fn links_alone_are_a_fit_of_their_own_and_predict_better_than_the_links_of_a_calibration_with_gears() {
+    let robots = [(irb2400(), 1), (nj220(), 2)];
+    for (robot, seed) in robots {
+        let effects = Effects { gear_sine_urad: 400.0, ..Effects::default() };
+        let run = simulate::run(&Experiment { seed, effects, ..Experiment::new(&robot, &bar()) }).unwrap();
+        let config = IdentifyConfig::default();
+        let found = calibrated(&run, &robot, &bar(), &config);
+        let limits = &robot.joint_limits();
+        let evidence = evidence(&found, limits).with_validation(&found, &config, limits, None).unwrap();
+        let [nominal, full, _] = evidence.held_out.as_ref().unwrap().rms().map(|rms| rms.position_m);
+        let of = |wanted| {
+            let one = evidence.deployed.iter().find(|(deployed, _)| deployed.deployment == wanted);
+            one.unwrap().1.rms()[1].position_m
+        };
+        let [offsets, links] = [Deployment::Offsets, Deployment::Dh].map(of);
+        let mut segments = without_each_segment(&found, &config, None).unwrap();
+        for model in segments.iter_mut().filter_map(|segment| segment.model.as_mut()) {
+            let ids: Vec<ParameterId> = model.parameters().iter().map(|parameter| parameter.id).collect();
+            let of_joints =
+                |id: &ParameterId| matches!(id, ParameterId::Joint { .. } | ParameterId::JointWave { .. });
+            ids.into_iter().filter(of_joints).for_each(|id| model.set_value(id, 0.0).unwrap());
+        }
+        let truncated = held_out(&found, &segments).rms()[1].position_m;
+        println!(
+            "{}: nominal {nominal:.2e}, offsets {offsets:.2e}, links {links:.2e}, of full {truncated:.2e}, full {full:.2e}",
+            robot.name
+        );
+        assert!(full < 0.7 * links && links < truncated && links < 0.7 * nominal && links < offsets);
+    }
 }

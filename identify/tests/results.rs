@@ -2,9 +2,11 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test stops at the first surprise")]
 
 use crate::support::{Cell, noisy_poses};
+use identify::calibrate::deployment::{Deployed, Deployment};
 use identify::cost::{LoopProblem, Residual, Transform};
 use identify::kinematics::{Chain, DhLink, Pose};
 use identify::model::{Model, Selection};
+use identify::report::deployments::DeploymentEntry;
 use identify::report::file::{CalibrationFile, DhRow, ParameterEntry, SolveEntry};
 use identify::report::table;
 use identify::solver::{Options, Solution, solve};
@@ -50,7 +52,9 @@ fn chain(rows: &[DhRow], name: &str, links: usize) -> Chain {
 fn the_table_of_links_and_both_files_give_the_poses_of_the_solution() {
     let (model, solution) = solved();
     let directory = tempfile::tempdir().unwrap();
-    let written = file(&model, &solution);
+    let mut written = file(&model, &solution);
+    let links = Deployed { deployment: Deployment::Dh, model: model.clone(), solution };
+    written.deployments = vec![DeploymentEntry::from(&links)];
     let path = written.write(directory.path()).unwrap();
     let from_toml: CalibrationFile = toml::from_str(&std::fs::read_to_string(path).unwrap()).unwrap();
     let json = std::fs::read_to_string(directory.path().join("calibration.json")).unwrap();

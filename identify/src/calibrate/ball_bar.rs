@@ -100,15 +100,12 @@ pub struct BallBarCalibration {
 impl BallBarCalibration {
     /// Preparation and parameters of each run, the first one first.
     pub fn runs(&self) -> impl Iterator<Item = (&Prepared, &Model)> {
-        std::iter::once((&self.instrument, &self.model))
-            .chain(self.others.iter().map(|run| (&run.instrument, &run.model)))
-            .filter_map(|(instrument, model)| Some((&instrument.bar()?.prepared, model)))
+        self.instruments().filter_map(|(instrument, model)| Some((&instrument.bar()?.prepared, model)))
     }
 
     /// Runs with a ball-bar, the first one first.
     pub fn bars(&self) -> impl Iterator<Item = &BallBar> {
-        let others = self.others.iter().map(|run| &run.instrument);
-        std::iter::once(&self.instrument).chain(others).filter_map(Instrument::bar)
+        self.instruments().filter_map(|(instrument, _)| instrument.bar())
     }
 
     /// How the logs of the first run with a ball-bar were brought together; none without any.
@@ -123,25 +120,32 @@ impl BallBarCalibration {
 
     /// What the robot reports at each sample of all runs.
     pub fn poses(&self) -> impl Iterator<Item = Joints> {
-        let others = self.others.iter().map(|run| (&run.instrument, &run.model));
-        std::iter::once((&self.instrument, &self.model))
-            .chain(others)
-            .flat_map(|(instrument, model)| instrument.poses(model))
+        self.instruments().flat_map(|(instrument, model)| instrument.poses(model))
     }
 
     /// Copies of the runs with at most so many samples in all, evenly taken: for figures that need no more.
     pub(super) fn thinned(&self, samples_max: usize) -> Vec<Run> {
-        let all = || {
-            let others = self.others.iter().map(|run| (&run.instrument, &run.model));
-            std::iter::once((&self.instrument, &self.model)).chain(others)
-        };
-        let samples: usize = all().map(|(instrument, _)| instrument.samples()).sum();
+        let samples: usize = self.instruments().map(|(instrument, _)| instrument.samples()).sum();
         let every = samples.div_ceil(samples_max.max(1)).max(1);
         let thinned = |(instrument, model): (&Instrument, &Model)| Run {
             instrument: instrument.part(&(0..instrument.samples()).step_by(every).collect::<Vec<_>>()),
             model: model.clone(),
         };
-        all().map(thinned).collect()
+        self.instruments().map(thinned).collect()
+    }
+
+    /// Copies of the runs.
+    pub(super) fn all_runs(&self) -> Vec<Run> {
+        let run = |(instrument, model): (&Instrument, &Model)| Run {
+            instrument: instrument.clone(),
+            model: model.clone(),
+        };
+        self.instruments().map(run).collect()
+    }
+
+    fn instruments(&self) -> impl Iterator<Item = (&Instrument, &Model)> {
+        let others = self.others.iter().map(|run| (&run.instrument, &run.model));
+        std::iter::once((&self.instrument, &self.model)).chain(others)
     }
 }
 

@@ -6,8 +6,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::ball_bar::CalibrateError;
+use super::ball_bar::{BallBarCalibration, CalibrateError};
 use super::pipeline::refit;
+use crate::cost::SharedColumns;
 use crate::instrument::Run;
 use crate::kinematics::LinkParameter;
 use crate::model::{Model, ModelError, ParameterId, Role};
@@ -71,13 +72,38 @@ pub struct Deployed {
 pub(super) fn deployed(runs: &[Run], loss: LossName) -> Result<Vec<Deployed>, CalibrateError> {
     let one = |deployment| {
         let found = fitted(runs, deployment, loss)?;
-        let of_first = |(runs, solution): (Vec<Run>, Solution)| {
+        let of_first = |Fitted { runs, solution, .. }: Fitted| {
             let model = runs.into_iter().next()?.model;
             Some(Deployed { deployment, model, solution })
         };
         Ok(found.and_then(of_first))
     };
     Deployment::PARTIAL.into_iter().filter_map(|deployment| one(deployment).transpose()).collect()
+}
+
+impl BallBarCalibration {
+    /// The calibration for a deployment: its best fit to the same samples; none where the solve does not converge.
+    ///
+    /// # Errors
+    /// [`CalibrateError`].
+    pub fn deployed(&self, deployment: Deployment, loss: LossName) -> Result<Option<Self>, CalibrateError> {
+        let Some(Fitted { runs, columns, solution, sigmas }) = fitted(&self.all_runs(), deployment, loss)?
+        else {
+            return Ok(None);
+        };
+        let mut runs = runs.into_iter();
+        let Run { instrument, model } = runs.next().ok_or(CalibrateError::NoRun)?;
+        let others = runs.collect();
+        Ok(Some(Self { instrument, model, others, columns, solution, sigmas, ..self.clone() }))
+    }
+}
+
+/// Runs at the best fit of what a deployment takes.
+pub(super) struct Fitted {
+    pub(super) runs: Vec<Run>,
+    columns: SharedColumns,
+    solution: Solution,
+    sigmas: Vec<f64>,
 }
 
 /// The runs at the best fit of what a deployment takes; none where the solve does not converge.
@@ -88,11 +114,11 @@ pub(super) fn fitted(
     runs: &[Run],
     deployment: Deployment,
     loss: LossName,
-) -> Result<Option<(Vec<Run>, Solution)>, CalibrateError> {
+) -> Result<Option<Fitted>, CalibrateError> {
     let mut runs = runs.to_vec();
     runs.iter_mut().try_for_each(|run| deployment.restrict(&mut run.model))?;
     match refit(&mut runs, loss) {
-        Ok((solution, _)) => Ok(Some((runs, solution))),
+        Ok((columns, solution, sigmas)) => Ok(Some(Fitted { runs, columns, solution, sigmas })),
         Err(CalibrateError::NotConverged(_)) => Ok(None),
         Err(error) => Err(error),
     }

@@ -252,7 +252,7 @@ pub fn held_out(
         errors.push(of_run);
     }
     let solved = estimate(&mut runs, &plan)?;
-    let offsets = fitted(&runs, Deployment::Offsets, plan.loss)?.map_or_else(Vec::new, |(runs, _)| runs);
+    let offsets = fitted(&runs, Deployment::Offsets, plan.loss)?.map_or_else(Vec::new, |found| found.runs);
     for ((whole, of_run), run) in all.iter().zip(&mut errors).zip(&offsets) {
         of_run.stages[1] = whole.errors(&run.model.geometry(&[]));
     }

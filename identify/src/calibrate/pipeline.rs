@@ -161,16 +161,19 @@ pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateEr
 }
 
 /// Solves for what is free in the models, from where they are, tries no other terms and leaves the models at the solution,
-/// with what a residual of each run is worth there.
+/// with which columns are whose and what a residual of each run is worth there.
 ///
 /// # Errors
 /// As [`estimate`].
-pub(super) fn refit(runs: &mut [Run], loss: LossName) -> Result<(Solution, Vec<f64>), CalibrateError> {
+pub(super) fn refit(
+    runs: &mut [Run],
+    loss: LossName,
+) -> Result<(SharedColumns, Solution, Vec<f64>), CalibrateError> {
     let plan = Plan::new(loss, Vec::new());
     let mut solver = Solver::new(runs, &plan);
     let (columns, mut solution) = solver.settle()?;
     solution.covariance = solver.covariance(&columns, &solution)?;
-    Ok((solution, solver.sigmas))
+    Ok((columns, solution, solver.sigmas))
 }
 
 /// Of rod and plate those that are not the same in all runs with a bar.

@@ -7,6 +7,7 @@ use super::{
 };
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::ball_bar::{BallBarCalibration, CalibrateError};
+use crate::calibrate::deployment::{Deployed, Deployment};
 use crate::calibrate::held_out::without_each_segment;
 use crate::calibrate::other_costs::other_costs;
 use crate::cost::{Closure, closures};
@@ -69,6 +70,9 @@ pub struct Evidence {
     pub limits: Vec<Limit>,
     /// Prediction of segments that no fit has seen, where somebody asked for it.
     pub held_out: Option<HeldOut>,
+    /// The best fit of each deployment that leaves something out, and its prediction of the same segments, where somebody asked
+    /// for it; without those that do not converge.
+    pub deployed: Vec<(Deployed, HeldOut)>,
     /// What the other costs say, where somebody asked for it.
     pub costs: Option<CostComparison>,
 }
@@ -94,12 +98,14 @@ pub fn evidence(calibration: &BallBarCalibration, joint_limits: &[[f64; 2]]) -> 
         runs,
         workspace,
         held_out: None,
+        deployed: Vec::new(),
         costs: None,
     }
 }
 
 impl Evidence {
-    /// Adds the prediction of held-out segments and what the other costs say: some solves more.
+    /// Adds the prediction of held-out segments, by the calibration and by its deployments, and what the other costs say: some
+    /// solves more.
     ///
     /// # Errors
     /// [`CalibrateError`] where `watch` ended it.
@@ -110,18 +116,32 @@ impl Evidence {
         joint_limits: &[[f64; 2]],
         watch: Option<&dyn Watch>,
     ) -> Result<Self, CalibrateError> {
-        // Neither needs the other, and each is as long as the calibration.
-        let (held_out, costs) = std::thread::scope(|scope| {
+        let predicted = |calibration: &BallBarCalibration| {
+            Ok::<_, CalibrateError>(held_out(calibration, &without_each_segment(calibration, config, watch)?))
+        };
+        let deployed = |deployment| {
+            let found = calibration.deployed(deployment, config.loss_for(calibration.cost))?;
+            let told = |found: BallBarCalibration| {
+                let held_out = predicted(&found)?;
+                let BallBarCalibration { model, solution, .. } = found;
+                Ok((Deployed { deployment, model, solution }, held_out))
+            };
+            found.map(told).transpose()
+        };
+        // None needs the others, and each is as long as the calibration.
+        let (held_out, costs, deployed) = std::thread::scope(|scope| {
             let costs = scope.spawn(|| {
                 let others = other_costs(calibration, config, watch)?;
                 Ok::<_, CalibrateError>(compare_costs(calibration, &others, joint_limits))
             });
-            let segments = without_each_segment(calibration, config, watch);
-            let held_out = segments.map(|segments| held_out(calibration, &segments));
-            (held_out, costs.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+            let held_out = predicted(calibration);
+            let all = Deployment::PARTIAL.into_iter().map(deployed);
+            let deployed = all.filter_map(Result::transpose).collect::<Result<_, CalibrateError>>();
+            (held_out, costs.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)), deployed)
         });
         self.held_out = Some(held_out?);
         self.costs = Some(costs?);
+        self.deployed = deployed?;
         Ok(self)
     }
 }

@@ -70,7 +70,7 @@ impl CalibrationFile {
             written.push(replace(directory, "robot.urdf", &urdf(robot, &links, bar, &about))?);
             written.push(replace(directory, "corrections.csv", &table(Deployment::Dh)?)?);
         }
-        if !self.deployments.is_empty() && self.serves(Deployment::Offsets) {
+        if self.serves(Deployment::Offsets) {
             written.push(replace(directory, "offsets.csv", &table(Deployment::Offsets)?)?);
         }
         Ok(written)

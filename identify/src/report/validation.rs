@@ -4,10 +4,11 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
+use super::deployments::DeploymentEntry;
 use super::file::CalibrationFile;
 use crate::calibrate::HoldOut;
 use crate::calibrate::rows::Stages;
-use crate::evaluate::{ApartRms, Evidence};
+use crate::evaluate::{ApartRms, Evidence, HeldOut};
 
 /// Robot against bar, root mean square.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -69,15 +70,24 @@ pub struct OtherCostEntry {
 impl CalibrationFile {
     /// Adds what was validated.
     pub fn with_validation(mut self, evidence: &Evidence) -> Self {
+        let entry = |rms: ApartRms| ApartEntry {
+            position_m: rms.position_m,
+            rotation_rad: evidence.rotations.then_some(rms.rotation_rad),
+        };
         self.held_out =
             evidence.held_out.as_ref().filter(|held_out| !held_out.segments.is_empty()).map(|held_out| {
-                let entry = |rms: ApartRms| ApartEntry {
-                    position_m: rms.position_m,
-                    rotation_rad: evidence.rotations.then_some(rms.rotation_rad),
-                };
                 let [nominal, calibrated, fitted] = held_out.rms().map(entry);
                 HeldOutEntry { segments: held_out.segments.len(), nominal, calibrated, fitted }
             });
+        // Segments that its fit cannot predict either tell nothing of a deployment.
+        let comparable =
+            |held_out: &HeldOut| Some(held_out.segments.len()) == self.held_out.map(|all| all.segments);
+        let deployed = evidence.deployed.iter().map(|(deployed, held_out)| {
+            let [_, predicted, _] = held_out.rms().map(entry);
+            let held_out = comparable(held_out).then_some(predicted);
+            DeploymentEntry { held_out, ..DeploymentEntry::from(deployed) }
+        });
+        self.deployments = deployed.collect();
         let others = evidence.costs.iter().flat_map(|costs| costs.entries.iter().skip(1));
         self.other_costs = others
             .map(|entry| {

@@ -14,7 +14,7 @@ use crate::evaluate::{Limit, WorkspaceError};
 /// Chance that a calibration that is as good as the nominal robot is called worse.
 const WORSE_BY_CHANCE: f64 = 1e-3;
 /// Samples of a segment share their errors: it counts as one independent error along each axis.
-const INDEPENDENT_OF_SEGMENT: usize = 3;
+pub(super) const INDEPENDENT_OF_SEGMENT: usize = 3;
 
 /// In the colours of a page.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]

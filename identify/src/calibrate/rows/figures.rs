@@ -60,16 +60,24 @@ impl PoseFigures {
 /// Chance that a geometry which is as good as the nominal one counts as better.
 const BETTER_BY_CHANCE: f64 = 0.05;
 
+/// Whether the second of two root mean squares of `n` errors each is smaller: in position beyond chance, in rotation at all. Their
+/// logarithms differ by a variance of `1 / n` at most.
+pub fn is_surely_better(n: usize, position: [f64; 2], rotation: Option<[f64; 2]>) -> bool {
+    let sigma = (n.max(1) as f64).sqrt().recip();
+    let limit = (Normal::standard().inverse_cdf(BETTER_BY_CHANCE) * sigma).exp();
+    let [nominal, own] = position;
+    n > 0 && own < limit * nominal && rotation.is_none_or(|[nominal, own]| own < nominal)
+}
+
 impl PoseFigures {
-    /// Smaller than those of the same rows with the nominal robot: in position beyond chance, in rotation at all. The logarithms of
-    /// two root mean squares of `n` errors differ by a variance of `1 / n` at most.
+    /// Smaller than those of the same rows with the nominal robot, by [`is_surely_better`].
     pub fn are_surely_better_than(&self, nominal: &Self) -> bool {
-        let sigma = (self.rows.max(1) as f64).sqrt().recip();
-        let limit = (Normal::standard().inverse_cdf(BETTER_BY_CHANCE) * sigma).exp();
         let rotations = nominal.rotation_rad.zip(self.rotation_rad);
-        self.rows > 0
-            && self.position_m.rms < limit * nominal.position_m.rms
-            && rotations.is_none_or(|(nominal, own)| own.rms < nominal.rms)
+        is_surely_better(
+            self.rows,
+            [nominal.position_m.rms, self.position_m.rms],
+            rotations.map(|(nominal, own)| [nominal.rms, own.rms]),
+        )
     }
 }
 

@@ -26,7 +26,7 @@ use crate::solver::{LossName, Solution};
 pub use drift::Drift;
 pub use error::RowError;
 pub use faulty_runs::{FaultyRun, RunCause};
-pub use figures::{PoseFigures, RowErrors, Sizes, Stages};
+pub use figures::{PoseFigures, RowErrors, Sizes, Stages, is_surely_better};
 pub use implausible::{Likely, Mistake, Step, likely, misfit};
 pub(super) use terms::kinds;
 

@@ -69,14 +69,14 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &RowOptions) -> Resul
     let Solved { without_terms, candidates, .. } = estimated.map_err(explained)?;
     let apart = |model: Option<&Model>| model.map_or_else(Vec::new, |model| all.apart(&model.geometry(&[])));
     let offsets = fitted(&runs, Deployment::Offsets, options.loss).map_err(explained)?;
-    let offsets = apart(offsets.as_ref().and_then(|(runs, _)| Some(&runs.first()?.model)));
+    let offsets = apart(offsets.as_ref().and_then(|found| Some(&found.runs.first()?.model)));
     let links = apart(without_terms.first());
     let [Run { model, .. }] = runs;
     let joints = apart(Some(&model));
     let steps = [step(&all, &model), nominal_step];
     // What was held out has judged: now it takes part.
     let mut runs = [Run { instrument: Instrument::Tracker(all), model }];
-    let (solution, sigmas) = refit(&mut runs, options.loss).map_err(explained)?;
+    let (_, solution, sigmas) = refit(&mut runs, options.loss).map_err(explained)?;
     let deployed = deployed(&runs, options.loss).map_err(explained)?;
     let [Run { instrument, model }] = runs;
     let Instrument::Tracker(tracker) = instrument else { return Err(CalibrateError::NoRun.into()) };

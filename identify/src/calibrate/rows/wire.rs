@@ -105,7 +105,7 @@ pub fn calibrate(
     let links = all.errors(&model.geometry(&[]));
     let run = Run { instrument: Instrument::Wire(chosen.clone()), model: model.clone() };
     let offsets =
-        fitted(&[run], Deployment::Offsets, options.loss)?.and_then(|(runs, _)| runs.into_iter().next());
+        fitted(&[run], Deployment::Offsets, options.loss)?.and_then(|found| found.runs.into_iter().next());
     let offsets = offsets.map_or_else(Vec::new, |run| all.errors(&run.model.geometry(&[])));
     let row_of = |one: &RejectedRow| RejectedRow { row: fitting[one.row], ..*one };
     let kept = without(&fitting, &wire.rejected().iter().map(row_of).collect::<Vec<_>>());
@@ -147,7 +147,7 @@ pub fn calibrate(
         None => all.chosen(&usable),
     };
     let mut all_rows = [Run { instrument: Instrument::Wire(everything), model }];
-    let (solution, sigmas) = refit(&mut all_rows, loss)?;
+    let (_, solution, sigmas) = refit(&mut all_rows, loss)?;
     let deployed = deployed(&all_rows, loss)?;
     let [Run { model, .. }] = all_rows;
     let Split { fitting: fitted, held_out } = split;

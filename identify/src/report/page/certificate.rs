@@ -145,8 +145,8 @@ fn conditions(file: &CalibrationFile) -> Markup {
             @if !parts.is_empty() {
                 dt { "In parts" }
                 dd {
-                    "Who applies only part of it needs another geometry, which is in files of its own; on the same held-out rows: "
-                    (parts.join("; ")) ". Held-out rows were predicted by fits without them; what is in the files is fitted to all rows."
+                    "Who applies only part of it needs another geometry, which is in files of its own; on the same held-out data: "
+                    (parts.join("; ")) ". Held-out data were predicted by fits without them; what is in the files is fitted to all."
                 }
             }
             @if !held.is_empty() { dt { "Held within" } dd { (names(&held)) } }

@@ -35,8 +35,10 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
             }
             ". "
             @if held_out.undetermined > 0 {
-                (held_out.undetermined) " more cannot be left out: without them the parameters are not determined."
+                (held_out.undetermined) " more cannot be left out: without them the parameters are not determined. "
             }
+            @let parts = page.file.deployments_told();
+            @if !parts.is_empty() { "Who applies only a part of it gets a fit of that part: " (parts.join("; ")) "." }
         }
         @for (name, panels) in figures {
             figure {
