@@ -56,4 +56,5 @@ mod stamps;
 mod studies;
 mod unknown_tables;
 mod verdict;
+mod verdict_campaign;
 mod wrong_robot;

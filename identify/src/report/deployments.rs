@@ -31,6 +31,15 @@ impl From<&Deployed> for DeploymentEntry {
     }
 }
 
+/// What is written of it, beside the full calibration.
+pub const fn files(deployment: Deployment) -> &'static [&'static str] {
+    match deployment {
+        Deployment::Offsets => &["offsets.csv"],
+        Deployment::Dh => &["dh.csv", "corrections.csv", "robot.urdf"],
+        Deployment::Full => &[],
+    }
+}
+
 const fn stage(stages: &Stages, deployment: Deployment) -> &PoseFigures {
     match deployment {
         Deployment::Offsets => &stages.offsets,

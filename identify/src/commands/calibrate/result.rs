@@ -11,6 +11,7 @@ use super::experiment::Experiment;
 use crate::calibrate::deployment::Deployment;
 use crate::evaluate::{Limit, workspace_error};
 use crate::model::Model;
+use crate::report::deployments::files;
 use crate::report::file::CalibrationFile;
 use crate::report::page::{Measured, MeasuredPage};
 use crate::report::summary::{summary, wrapped};
@@ -64,15 +65,17 @@ impl Told<'_> {
 }
 
 /// Writes what the verdict allows and returns the paths: nothing where held-out data are predicted worse than by the nominal
-/// robot, and nothing that could be applied where they are predicted no better. What an earlier calibration left of it is
-/// set aside.
+/// robot, and nothing that could be applied where they are predicted no better. An earlier calibration is set aside where one
+/// of its files would stay beside the new ones.
 pub(super) fn write_files(
     file: &CalibrationFile,
     robot: &RobotConfig,
     bar: Option<&BallBarConfig>,
     directory: &Path,
 ) -> anyhow::Result<Vec<PathBuf>> {
-    if !Deployment::PARTIAL.into_iter().all(|part| file.serves(part)) {
+    let would_stay =
+        |part: Deployment| !file.serves(part) && files(part).iter().any(|name| directory.join(name).exists());
+    if is_red(file) || Deployment::PARTIAL.into_iter().any(would_stay) {
         file.set_earlier_aside(directory)?;
     }
     if is_red(file) {
