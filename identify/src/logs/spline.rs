@@ -132,16 +132,6 @@ impl<R: Row> CubicSpline<R> {
     pub fn range_s(&self) -> (f64, f64) {
         (self.t_s.first().copied().unwrap_or_default(), self.t_s.last().copied().unwrap_or_default())
     }
-
-    /// The part of [`Self::range_s`] that has values \[s\].
-    pub fn covered_s(&self) -> f64 {
-        self.t_s
-            .windows(2)
-            .zip(&self.bridged)
-            .filter(|(_, bridged)| **bridged)
-            .map(|(w, _)| w[1] - w[0])
-            .sum()
-    }
 }
 
 /// Second derivatives at the knots of one part (at least [`KNOTS_MIN`]): the tridiagonal system of continuous first
