@@ -9,8 +9,9 @@ use identify::calibrate::IdentifyConfig;
 use identify::calibrate::ball_bar::{BallBarCalibration, CalibrateError, calibrate};
 use identify::calibrate::truth::position_errors_m;
 use identify::evaluate::{Expected, WorkspaceError, evidence};
+use identify::kinematics::Joints;
 use identify::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
-use identify::report::verdict::Verdict;
+use identify::report::verdict::{Grade, Verdict};
 use identify::simulate::{Design, Simulated};
 use nalgebra::Vector3;
 use rand::{Rng, SeedableRng};
@@ -119,4 +120,135 @@ fn nothing_is_green_that_is_wrong_and_no_good_run_is_refused() {
     // Fewer come by chance once in a hundred times.
     let least = |part| Binomial::new(part, cases).unwrap().inverse_cdf(0.01);
     assert!(within >= least(0.95) && below >= least(0.975), "{within}, {below} of {cases}");
+}
+
+/// What somebody did wrong to a run, or believed of its bar and robot.
+type Spoil = fn(&mut Simulated, &mut BallBarConfig, &RobotConfig);
+
+fn spoils() -> Vec<(&'static str, Spoil)> {
+    vec![
+        ("plate 1 mm too long", |_, bar, _| bar.plate_m += 1e-3),
+        ("plate 1.5 mm too long", |_, bar, _| bar.plate_m += 1.5e-3),
+        ("rod 20 mm too long", |_, bar, _| bar.length_m += 0.02),
+        ("ratio of joint 3 off by 0.1 %", |run, _, _| scale(run, 2, 1.001)),
+        ("ratio of joint 2 off by 1 %", |run, _, _| scale(run, 1, 1.01)),
+        ("joint 2 counts the other way", |run, _, _| scale(run, 1, -1.0)),
+        ("a mirrored arm", |run, _, _| [0, 3, 5].into_iter().for_each(|joint| scale(run, joint, -1.0))),
+        ("joint 4 in degrees", |run, _, _| scale(run, 3, 1f64.to_degrees())),
+        ("joint 4 frozen", |run, _, _| {
+            let at = run.robot_log.q_rad[0][3];
+            rows(run, |q, _| q[3] = at);
+        }),
+        ("joint 5 late by 8 ms", |run, _, _| late(run, 4, 2)),
+        ("joint 3 late by 4 ms", |run, _, _| late(run, 2, 1)),
+        ("joints 4 and 5 exchanged", |run, _, _| rows(run, |q, _| (q[3], q[4]) = (q[4], q[3]))),
+        ("joints 4 and 6 exchanged", |run, _, _| rows(run, |q, _| (q[3], q[5]) = (q[5], q[3]))),
+        ("joint 3 steps by 1 mrad", |run, _, _| step(run, 2, 1e-3)),
+        ("joint 1 steps by 0.2 mrad", |run, _, _| step(run, 0, 0.2e-3)),
+        ("joint 6 drifts by 1 mrad", |run, _, _| rows(run, |q, part| q[5] += 1e-3 * part)),
+        ("encoder 3 slips by 1 mrad", |run, _, _| slip(run, 2, 1e-3)),
+        ("encoder 5 slips by 0.1 mrad", |run, _, _| slip(run, 4, 0.1e-3)),
+        ("encoders 1 and 2 exchanged", |run, _, _| laboratory::exchange(run, &[1, 0, 2, 3, 4])),
+        ("the foot moves by 1 mm", |run, _, robot| {
+            let mut design = Design::for_robot(robot);
+            design.base_m[0] += 1e-3;
+            let moved = laboratory::run(robot, &bar(), 1, &Level::USUAL, design);
+            rows_of(run, &moved, |part| part > 0.5);
+        }),
+        ("second half of another run", |run, _, robot| {
+            let other = laboratory::run(robot, &bar(), 2, &Level::HARD, Design::for_robot(robot));
+            rows_of(run, &other, |part| part > 0.5);
+        }),
+        ("the robot's log smoothed over 50 ms", |run, _, _| smoothed(run, 6)),
+        ("the robot's clock steps by 50 ms", |run, _, _| {
+            let half = run.robot_log.t_s.len() / 2;
+            run.robot_log.t_s[half..].iter_mut().for_each(|t_s| *t_s += 0.05);
+        }),
+        ("the robot's clock is 0.1 % fast", |run, _, _| {
+            run.robot_log.t_s.iter_mut().for_each(|t_s| *t_s *= 1.001);
+        }),
+    ]
+}
+
+/// Changes the joints of each row by the part of the run that has passed.
+fn rows(run: &mut Simulated, change: impl Fn(&mut Joints, f64)) {
+    let count = run.robot_log.q_rad.len() as f64;
+    for (row, q) in run.robot_log.q_rad.iter_mut().enumerate() {
+        change(q, row as f64 / count);
+    }
+}
+
+fn scale(run: &mut Simulated, joint: usize, by: f64) {
+    rows(run, |q, _| q[joint] *= by);
+}
+
+fn step(run: &mut Simulated, joint: usize, by_rad: f64) {
+    rows(run, |q, part| q[joint] += if part > 0.4 { by_rad } else { 0.0 });
+}
+
+fn late(run: &mut Simulated, joint: usize, by_rows: usize) {
+    let before = run.robot_log.q_rad.clone();
+    for (row, q) in run.robot_log.q_rad.iter_mut().enumerate() {
+        q[joint] = before[row.saturating_sub(by_rows)][joint];
+    }
+}
+
+fn smoothed(run: &mut Simulated, reach: usize) {
+    let before = run.robot_log.q_rad.clone();
+    for (row, q) in run.robot_log.q_rad.iter_mut().enumerate() {
+        let near = &before[row.saturating_sub(reach)..(row + reach + 1).min(before.len())];
+        for joint in 0..6 {
+            q[joint] = near.iter().map(|one| one[joint]).sum::<f64>() / near.len() as f64;
+        }
+    }
+}
+
+fn slip(run: &mut Simulated, place: usize, by_rad: f64) {
+    let counts = (by_rad / run.encoders[place].scale.rad_per_count()) as i32;
+    let half = run.cycles.len() / 2;
+    for cycle in &mut run.cycles[half..] {
+        let sample = &mut cycle.encoders[place];
+        sample.count = sample.count.wrapping_add_signed(counts);
+    }
+}
+
+fn rows_of(run: &mut Simulated, other: &Simulated, taken: impl Fn(f64) -> bool) {
+    let count = run.robot_log.q_rad.len();
+    for (row, (q, from)) in run.robot_log.q_rad.iter_mut().zip(&other.robot_log.q_rad).enumerate() {
+        if taken(row as f64 / count as f64) {
+            *q = *from;
+        }
+    }
+}
+
+#[test]
+#[ignore = "two dozen runs of each robot, most of which end early: a minute"]
+fn what_is_spoiled_is_refused_or_flagged_or_does_no_harm() {
+    let mut wrong = Vec::new();
+    for robot in [irb2400(), nj220()] {
+        let clean = laboratory::run(&robot, &bar(), 1, &Level::USUAL, Design::for_robot(&robot));
+        for (name, spoil) in spoils() {
+            let (mut run, mut bar) = (clean.clone(), bar());
+            spoil(&mut run, &mut bar, &robot);
+            let config = IdentifyConfig::default();
+            let found = calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config);
+            let told = match found.and_then(|found| judged(&run, &found, &robot)) {
+                Err(error) => format!("refused: {error}"),
+                Ok((workspace, verdict, [true_m, _])) => {
+                    let (claimed_m, grade) = (workspace.budget.expanded_m, verdict.grade);
+                    if grade == Grade::Green && true_m > 2.0 * claimed_m {
+                        wrong.push(format!("{}: {name}", robot.name));
+                    }
+                    format!(
+                        "{grade:?}, claimed {:.3} mm, true {:.3}: {}",
+                        claimed_m * 1e3,
+                        true_m * 1e3,
+                        verdict.reason.unwrap_or_default()
+                    )
+                }
+            };
+            println!("{}, {name}: {told}\n", robot.name);
+        }
+    }
+    assert!(wrong.is_empty(), "green and wrong: {wrong:?}");
 }

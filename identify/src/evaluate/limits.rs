@@ -1,5 +1,6 @@
 //! What limits a calibration, in sentences that a person can act on.
 
+use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ContinuousCDF, Normal};
 
 use super::{Elongation, PositiveForce, Quantiles, RunEvidence, WorkspaceError};
@@ -21,6 +22,10 @@ const WEIGHT_MIN: f64 = 0.5;
 
 /// No robot is built and no bar measured so badly \[m\].
 const LENGTH_OFF_M: f64 = 5e-3;
+/// Standard deviation of what a robot's lengths are off by \[m\]: `tolerance_mm_mrad` where nobody says otherwise.
+const LENGTH_SIGMA_M: f64 = 1e-3;
+/// Chance that the scale is doubted although the plate is as stated.
+const OTHER_SCALE_BY_CHANCE: f64 = 1e-3;
 
 /// Chance that something is said of a prior although all of them hold.
 const STRAINED_BY_CHANCE: f64 = 1e-3;
@@ -50,7 +55,7 @@ pub fn limits(
         );
     }
     limits.extend(strained_priors(calibration));
-    limits.extend(other_lengths(calibration).map(|sentence| Limit { sentence, serious: true }));
+    limits.extend(other_lengths(calibration));
     limits.extend(lasting_errors(calibration));
     let mut tell = |serious: bool, sentence: String| limits.push(Limit { sentence, serious });
     for (joint, travel_deg) in travel_deg(runs).into_iter().enumerate() {
@@ -173,24 +178,74 @@ fn strained_priors(calibration: &BallBarCalibration) -> Option<Limit> {
 }
 
 /// Lengths that come out far from the configured ones: of another robot or bar, or all by the same part.
-fn other_lengths(calibration: &BallBarCalibration) -> Option<String> {
-    let is_length = |id: ParameterId| match id {
-        ParameterId::Robot { parameter, .. } | ParameterId::Bar { parameter, .. } => {
-            matches!(parameter, LinkParameter::A | LinkParameter::D)
-        }
-        _ => false,
-    };
-    let solved = calibration.model.columns().zip(&calibration.solution.x);
-    let off: Vec<String> = solved
-        .map(|(parameter, x)| (parameter.id, x - parameter.nominal))
-        .filter(|(id, off_m)| is_length(*id) && off_m.abs() > LENGTH_OFF_M)
-        .map(|(id, off_m)| format!("{id} by {:+.1} mm", off_m * 1e3))
-        .collect();
-    (!off.is_empty()).then(|| {
+fn other_lengths(calibration: &BallBarCalibration) -> impl Iterator<Item = Limit> {
+    let off: Vec<Length> = lengths(calibration).filter(|length| length.off_m.abs() > LENGTH_OFF_M).collect();
+    let off = (!off.is_empty()).then(|| {
+        let off: Vec<String> = off.iter().map(ToString::to_string).collect();
         format!(
             "Lengths come out far from the configured ones: {}. Where one or two are off, the robot's or the bar's configuration \
              is not that of the cell; where all are, plate_m is not: it fixes the scale, and all lengths are wrong by as much.",
             off.join(", ")
+        )
+    });
+    off.into_iter().chain(other_scale(calibration)).map(|sentence| Limit { sentence, serious: true })
+}
+
+/// A length of robot or bar that was estimated.
+struct Length {
+    id: ParameterId,
+    column: usize,
+    nominal_m: f64,
+    off_m: f64,
+}
+
+impl std::fmt::Display for Length {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(out, "{} by {:+.1} mm", self.id, self.off_m * 1e3)
+    }
+}
+
+fn lengths(calibration: &BallBarCalibration) -> impl Iterator<Item = Length> {
+    let solved = calibration.model.columns().zip(&calibration.solution.x).enumerate();
+    solved.filter_map(|(column, (parameter, x))| match parameter.id {
+        ParameterId::Robot { parameter: LinkParameter::A | LinkParameter::D, .. }
+        | ParameterId::Bar { parameter: LinkParameter::A | LinkParameter::D, .. } => {
+            let off_m = x - parameter.nominal;
+            Some(Length { id: parameter.id, column, nominal_m: parameter.nominal, off_m })
+        }
+        _ => None,
+    })
+}
+
+/// All lengths of the robot off by one part `s`, which is the plate's: by generalised least squares from `off = s L` with the
+/// covariance `(1 mm)^2 I + P`, of the robots and of the estimate; said at a chance of [`OTHER_SCALE_BY_CHANCE`] where the plate
+/// is as its `plate_u_um` says.
+fn other_scale(calibration: &BallBarCalibration) -> Option<String> {
+    let covariance = &calibration.solution.covariance;
+    let of_robot = |length: &Length| {
+        matches!(length.id, ParameterId::Robot { .. })
+            && length.id != ParameterId::PLATE
+            && covariance.sigma(length.column).is_some()
+    };
+    let lengths: Vec<Length> = lengths(calibration).filter(of_robot).collect();
+    let nominal_m = DVector::from_iterator(lengths.len(), lengths.iter().map(|length| length.nominal_m));
+    let off_m = DVector::from_iterator(lengths.len(), lengths.iter().map(|length| length.off_m));
+    let spread = DMatrix::from_fn(lengths.len(), lengths.len(), |row, column| {
+        let estimated = covariance.between(lengths[row].column, lengths[column].column).unwrap_or(0.0);
+        estimated + if row == column { LENGTH_SIGMA_M.powi(2) } else { 0.0 }
+    });
+    let weighed = spread.cholesky()?.solve(&nominal_m);
+    let (along, information) = (weighed.dot(&off_m), weighed.dot(&nominal_m));
+    let sigmas = along / information.sqrt();
+    let most = Normal::standard().inverse_cdf(1.0 - OTHER_SCALE_BY_CHANCE / 2.0);
+    (sigmas.abs() > most).then(|| {
+        format!(
+            "The robot's lengths come out {:+.1} per mille from the configured ones all together, {:.1} standard deviations of what \
+             links of {:.0} mm tolerance and plate_u_um let expect. plate_m fixes the scale: measure the plate, or state more under \
+             plate_u_um; positions may be wrong by as much.",
+            1e3 * along / information,
+            sigmas.abs(),
+            1e3 * LENGTH_SIGMA_M
         )
     })
 }
