@@ -300,7 +300,7 @@ fn tracked(robot: &RobotConfig, count: usize) -> (Vec<PoseRow>, Chain) {
 fn calibrated(robot: &RobotConfig) -> RowCalibration {
     let (rows, _) = tracked(robot, 500);
     let options = RowOptions { waves_per_turn_max: 6, hold_out: HoldOut::Rows, ..RowOptions::tracker() };
-    calibrate(&rows, &flange_chain(robot), &options).unwrap()
+    calibrate(&rows, robot, &options).unwrap()
 }
 
 #[test]

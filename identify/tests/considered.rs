@@ -3,7 +3,7 @@
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
 use crate::support::truth::position_error_m;
-use crate::support::{bar, irb2400, repository};
+use crate::support::{bar, irb2400, ur10};
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
 use identify::calibrate::rows::{RowOptions, tracker};
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig, SelectionName};
@@ -15,7 +15,7 @@ use nalgebra::{Rotation3, Vector3};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
-use shared::config::{self, BallBarConfig, RobotConfig};
+use shared::config::{BallBarConfig, RobotConfig};
 
 /// No terms, which would only take time.
 fn quick(fix: &[&str]) -> IdentifyConfig {
@@ -54,7 +54,7 @@ fn with_the_bar(seed: u64, plate_u_um: f64, config: &IdentifyConfig) -> (f64, Ex
 
 /// The same of a UR10 before a tracker that measures to 20 um, two of its lengths fixed.
 fn with_a_tracker(seed: u64) -> (f64, Expected) {
-    let robot: RobotConfig = config::load(&repository("config/robots/ur10.toml")).unwrap();
+    let robot = ur10();
     let nominal = flange_chain(&robot);
     let mut random = StdRng::seed_from_u64(seed);
     let mut truth = nominal.clone();
@@ -84,7 +84,7 @@ fn with_a_tracker(seed: u64) -> (f64, Expected) {
     let rows: Vec<PoseRow> = rows.collect();
     let fix = ["ra2", "ralpha3"].map(|name| name.parse().unwrap()).to_vec();
     let options = RowOptions { fix, joint_errors: false, ..RowOptions::tracker() };
-    let found = tracker::calibrate(&rows, &nominal, &options).unwrap();
+    let found = tracker::calibrate(&rows, &robot, &options).unwrap();
     let identified = found.model.geometry(&found.model.start()).robot;
     let end = |chain: &identify::kinematics::Chain, q: &[f64; 6]| chain.forward(q).translation.vector;
     let errors_m = postures.iter().map(|q| (end(&identified, q) - end(&truth, q)).norm());

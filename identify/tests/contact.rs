@@ -7,22 +7,17 @@ use std::path::Path;
 use identify::calibrate::IdentifyConfig;
 use identify::calibrate::mix::{DataSets, Measured, MixedCalibration, calibrate};
 use identify::instrument::{ContactRow, Instrument, KnownDistance, PlacedSocket, SocketTable, Sockets};
-use identify::kinematics::{Chain, DhLink, Joints, LinkParameter, flange_chain};
+use identify::kinematics::{LinkParameter, flange_chain};
 use identify::logs::ContactMapping;
 use identify::model::ParameterId;
 use identify::robot::import;
 use identify::simulate::contact::{self, ContactExperiment, SimulatedContacts};
-use nalgebra::{DVector, Matrix3, Rotation3, Vector3};
-use rand::rngs::StdRng;
-use rand::{Rng, SeedableRng};
+use nalgebra::{DVector, Rotation3, Vector3};
 use shared::config::{self, RobotConfig, Validate};
 
 use crate::support::command::identify;
-use crate::support::{irb2400, repository};
-
-fn irb120() -> RobotConfig {
-    config::load(&repository("config/robots/irb120_3.toml")).unwrap()
-}
+use crate::support::truth::apart_m;
+use crate::support::{irb120, irb2400, repository};
 
 fn seven_axes() -> RobotConfig {
     let text = std::fs::read_to_string(repository("identify/tests/data/seven_axes.urdf")).unwrap();
@@ -39,31 +34,6 @@ fn calibrated(robot: &RobotConfig, rows: &[ContactRow], table: &SocketTable) -> 
         ..DataSets::default()
     };
     calibrate(&data, robot, &IdentifyConfig::default(), None).unwrap()
-}
-
-/// Mean distance of two robots' wrists over postures within the limits, one robot moved as a whole to where it fits the other
-/// best: base and flange are the instrument's \[m\].
-fn apart_m(robot: &RobotConfig, one: &Chain, other: &Chain) -> f64 {
-    const POSTURES: usize = 400;
-    let mut random = StdRng::seed_from_u64(7);
-    let wrists = |chain: &Chain, q: &Joints| {
-        let mut chain = chain.clone();
-        *chain.links.last_mut().unwrap() = DhLink::default();
-        chain.forward(q).translation.vector
-    };
-    let limits = robot.joint_limits();
-    let pairs: Vec<[Vector3<f64>; 2]> = (0..POSTURES)
-        .map(|_| {
-            let q: Joints = limits.iter().map(|&[low, high]| random.random_range(low..high)).collect();
-            [wrists(one, &q), wrists(other, &q)]
-        })
-        .collect();
-    let centre = |which: usize| pairs.iter().map(|pair| pair[which]).sum::<Vector3<f64>>() / POSTURES as f64;
-    let (a, b) = (centre(0), centre(1));
-    let sum: Matrix3<f64> = pairs.iter().map(|[p, q]| (p - a) * (q - b).transpose()).sum();
-    let svd = sum.svd(true, true);
-    let turn = svd.u.unwrap() * svd.v_t.unwrap();
-    pairs.iter().map(|[p, q]| (p - a - turn * (q - b)).norm()).sum::<f64>() / POSTURES as f64
 }
 
 #[test]

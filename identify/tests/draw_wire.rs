@@ -6,19 +6,14 @@ use identify::calibrate::HoldOut;
 use identify::calibrate::rows::wire::calibrate;
 use identify::calibrate::rows::{PoseFigures, RowOptions, RunCause, Sizes};
 use identify::instrument::{LengthRow, Rejection};
-use identify::kinematics::{Chain, Joints, flange_chain};
+use identify::kinematics::{Joints, flange_chain};
 use identify::model::{Axis, ParameterId};
 use nalgebra::{Rotation3, Vector3};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
-use shared::config::{self, RobotConfig};
 
-fn irb120() -> Chain {
-    flange_chain(
-        &config::load::<RobotConfig>(&crate::support::repository("config/robots/irb120_3.toml")).unwrap(),
-    )
-}
+use crate::support::irb120;
 
 /// The measured rows, whose licence lets nobody copy them into a repository.
 fn real_rows() -> Vec<LengthRow> {
@@ -49,7 +44,8 @@ fn show(name: &str, figures: &PoseFigures) {
 /// A robot with errors of some mm and mrad, a wire, noise of 0.1 mm, and faults where asked.
 fn made_up(count: usize) -> (Vec<LengthRow>, Vector3<f64>) {
     let mut random = StdRng::seed_from_u64(5);
-    let mut truth = irb120();
+    let nominal = flange_chain(&irb120());
+    let mut truth = nominal.clone();
     for link in &mut truth.links {
         link.a_m += random.random_range(-1e-3..1e-3);
         link.theta_rad += random.random_range(-4e-3..4e-3);
@@ -61,12 +57,12 @@ fn made_up(count: usize) -> (Vec<LengthRow>, Vector3<f64>) {
         let pose = truth.forward(&joints_rad);
         let distance = (pose.translation.vector + pose.rotation * attachment_m - anchor_m).norm();
         let noise = 1e-4 * random.sample::<f64, _>(StandardNormal);
-        let flange_m = irb120().forward(&joints_rad).translation.vector.into();
+        let flange_m = nominal.forward(&joints_rad).translation.vector.into();
         LengthRow { joints_rad, length_m: distance - 0.04 + noise, flange_m: Some(flange_m) }
     });
     let rows = rows.collect();
     // The calibrated robot's base is turned with its first axis, whose zero lengths do not tell from the anchor's place.
-    let turned_rad = truth.links[0].theta_rad - irb120().links[0].theta_rad;
+    let turned_rad = truth.links[0].theta_rad - nominal.links[0].theta_rad;
     (rows, Rotation3::from_axis_angle(&Vector3::z_axis(), -turned_rad) * anchor_m)
 }
 

@@ -19,13 +19,9 @@ use nalgebra::{Rotation3, Vector3};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
-use shared::config::{self, RobotConfig};
+use shared::config;
 
-fn ur10() -> Chain {
-    flange_chain(
-        &config::load::<RobotConfig>(&crate::support::repository("config/robots/ur10.toml")).unwrap(),
-    )
-}
+use crate::support::ur10;
 
 /// Rows of the fixture that a tracker measured.
 fn fixture(name: &str) -> Vec<PoseRow> {
@@ -41,7 +37,7 @@ fn real_rows(path: &Path) -> Vec<PoseRow> {
 /// A robot with errors of some mm and mrad and a wave of 17 per turn on joint 2, seen by a tracker that stands anywhere.
 fn made_up(count: usize, noise: f64, wave_rad: f64) -> (Vec<PoseRow>, Chain, Pose, Pose) {
     let mut random = StdRng::seed_from_u64(5);
-    let mut truth = ur10();
+    let mut truth = flange_chain(&ur10());
     for link in truth.links.iter_mut().take(5) {
         link.a_m += random.random_range(-1e-3..1e-3);
         link.theta_rad += random.random_range(-4e-3..4e-3);

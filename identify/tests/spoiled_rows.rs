@@ -6,21 +6,14 @@ use identify::calibrate::HoldOut;
 use identify::calibrate::rows::tracker::calibrate;
 use identify::calibrate::rows::{RowCalibration, RowOptions};
 use identify::instrument::PoseRow;
-use identify::kinematics::{Chain, Joints, flange_chain};
+use identify::kinematics::Joints;
 use identify::logs::{MeasuredPoseMapping, MeasuredPoses};
 use nalgebra::{Rotation3, Vector3};
 use shared::config::{self, RobotConfig};
 
+use crate::support::{irb120, irb2400, ur10};
+
 const FILES: [&str; 2] = ["iso_cubes.csv", "grid.csv"];
-
-fn robot(name: &str) -> Chain {
-    let file = crate::support::repository("config/robots").join(name);
-    flange_chain(&config::load::<RobotConfig>(&file).unwrap())
-}
-
-fn ur10() -> Chain {
-    robot("ur10.toml")
-}
 
 /// Rows of a real UR10.
 fn measured(name: &str) -> Vec<PoseRow> {
@@ -35,7 +28,7 @@ fn quick() -> RowOptions {
     RowOptions { joint_errors: false, hold_out: HoldOut::Rows, ..RowOptions::tracker() }
 }
 
-fn calibrated(rows: &[PoseRow], robot: &Chain) -> Result<RowCalibration, String> {
+fn calibrated(rows: &[PoseRow], robot: &RobotConfig) -> Result<RowCalibration, String> {
     calibrate(rows, robot, &quick()).map_err(|error| error.to_string())
 }
 
@@ -166,9 +159,9 @@ fn a_table_in_the_other_convention_is_named() {
     let mut typed = ur10();
     let links = typed.links.clone();
     for (link, before) in typed.links.iter_mut().skip(1).zip(&links) {
-        (link.a_m, link.alpha_rad) = (before.a_m, before.alpha_rad);
+        (link.a_m, link.alpha_deg) = (before.a_m, before.alpha_deg);
     }
-    (typed.links[0].a_m, typed.links[0].alpha_rad) = (0.0, 0.0);
+    (typed.links[0].a_m, typed.links[0].alpha_deg) = (0.0, 0.0);
     for name in FILES {
         let said = calibrated(&measured(name), &typed).unwrap_err();
         assert!(said.contains("most likely the robot's table is in the modified convention"), "{said}");
@@ -177,9 +170,9 @@ fn a_table_in_the_other_convention_is_named() {
 
 #[test]
 fn rows_of_another_robot_are_refused_without_a_guess() {
-    for other in ["irb2400_16.toml", "irb120_3.toml"] {
+    for other in [irb2400(), irb120()] {
         for name in FILES {
-            let said = calibrated(&measured(name), &robot(other)).map(|_| ()).unwrap_err();
+            let said = calibrated(&measured(name), &other).map(|_| ()).unwrap_err();
             println!("{said}");
             assert!(!said.contains("most likely"), "{said}");
         }

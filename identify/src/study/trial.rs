@@ -10,7 +10,6 @@ use crate::calibrate::IdentifyConfig;
 use crate::calibrate::ball_bar::calibrate_prepared;
 use crate::calibrate::rows::{RowOptions, wire};
 use crate::calibrate::truth::{Comparison, position_errors_m};
-use crate::kinematics::flange_chain;
 use crate::logs::{InterpolatedLog, LogQuality, RobotLog};
 use crate::model::{Model, Observation, Selection};
 use crate::prepare::{AlignedLog, Prepared};
@@ -166,8 +165,7 @@ fn by_wire(definition: &Definition, seed: u32, conditions: &Conditions) -> Resul
         .map_err(|error| error.to_string())?;
     // The truth is known: no row has to be kept back for judging.
     let options = RowOptions { held_out: 0.0, ..RowOptions::wire() };
-    let found = wire::calibrate(&rows, &flange_chain(&definition.robot), &options)
-        .map_err(|error| error.to_string())?;
+    let found = wire::calibrate(&rows, &definition.robot, &options).map_err(|error| error.to_string())?;
     let attachment_m = found.model.geometry(&[]).wire.attachment_m;
     Ok(position(&found.model, &truth, definition, [attachment_m, ATTACHMENT_M.into()]))
 }

@@ -4,6 +4,7 @@
 
 pub mod browser;
 pub mod command;
+pub mod gears;
 pub mod independent;
 pub mod laboratory;
 pub mod lengths;
@@ -37,6 +38,14 @@ pub fn irb2400() -> RobotConfig {
 
 pub fn nj220() -> RobotConfig {
     config::load(&repository("config/robots/nj220_2_7.toml")).unwrap()
+}
+
+pub fn irb120() -> RobotConfig {
+    config::load(&repository("config/robots/irb120_3.toml")).unwrap()
+}
+
+pub fn ur10() -> RobotConfig {
+    config::load(&repository("config/robots/ur10.toml")).unwrap()
 }
 
 pub fn bar() -> BallBarConfig {

@@ -2,11 +2,39 @@
 
 use identify::calibrate::ball_bar::BallBarCalibration;
 use identify::calibrate::truth::position_errors_m;
+use identify::kinematics::{Chain, DhLink, Joints};
 use identify::simulate::Simulated;
-use nalgebra::Vector3;
+use nalgebra::{Matrix3, Vector3};
+use rand::rngs::StdRng;
+use rand::{Rng, SeedableRng};
 use shared::config::RobotConfig;
 
 /// Mean distance between the end of the true robot and that of the identified one over postures within the limits \[m\].
 pub fn position_error_m(run: &Simulated, found: &BallBarCalibration, robot: &RobotConfig) -> f64 {
     position_errors_m(&found.model, &run.truth, robot, [Vector3::zeros(); 2]).0
+}
+
+/// Mean distance of two robots' wrists over postures within the limits, one robot moved as a whole to where it fits the other
+/// best: base and flange are the instrument's \[m\].
+pub fn apart_m(robot: &RobotConfig, one: &Chain, other: &Chain) -> f64 {
+    const POSTURES: usize = 400;
+    let mut random = StdRng::seed_from_u64(7);
+    let wrists = |chain: &Chain, q: &Joints| {
+        let mut chain = chain.clone();
+        *chain.links.last_mut().unwrap() = DhLink::default();
+        chain.forward(q).translation.vector
+    };
+    let limits = robot.joint_limits();
+    let pairs: Vec<[Vector3<f64>; 2]> = (0..POSTURES)
+        .map(|_| {
+            let q: Joints = limits.iter().map(|&[low, high]| random.random_range(low..high)).collect();
+            [wrists(one, &q), wrists(other, &q)]
+        })
+        .collect();
+    let centre = |which: usize| pairs.iter().map(|pair| pair[which]).sum::<Vector3<f64>>() / POSTURES as f64;
+    let (a, b) = (centre(0), centre(1));
+    let sum: Matrix3<f64> = pairs.iter().map(|[p, q]| (p - a) * (q - b).transpose()).sum();
+    let svd = sum.svd(true, true);
+    let turn = svd.u.unwrap() * svd.v_t.unwrap();
+    pairs.iter().map(|[p, q]| (p - a - turn * (q - b)).norm()).sum::<f64>() / POSTURES as f64
 }

@@ -1,5 +1,7 @@
 //! Calibration from poses with a position or a whole pose measured at each: a tracker and its probe on the flange.
 
+use shared::config::RobotConfig;
+
 use super::implausible::{likely_of_all, reasons, step};
 use super::{PoseFigures, RowCalibration, RowError, RowErrors, RowOptions};
 use crate::calibrate::ball_bar::CalibrateError;
@@ -7,8 +9,8 @@ use crate::calibrate::deployment::{Deployment, deployed, fitted};
 use crate::calibrate::pipeline::{Plan, Solved, estimate, refit};
 use crate::calibrate::split::{self, Split};
 use crate::instrument::{Apart, Instrument, Measures, PoseRow, Run, Standing, Tracker, standing};
-use crate::kinematics::Chain;
-use crate::model::{Model, ParameterId, Role};
+use crate::kinematics::{Chain, flange_chain};
+use crate::model::{DriveTrain, Model, ParameterId, Role};
 use crate::solver::LossName;
 
 /// Fewest rows of a fit: as many numbers as tracker, probe and links together, twice.
@@ -38,29 +40,32 @@ pub(super) fn placed(tracker: &Tracker, mut model: Model, fix: &[ParameterId]) -
 
 /// Calibrates a robot from poses measured by a tracker; rows in the order in which the robot went there.
 ///
-/// `robot` is the nominal chain to the flange.
-///
 /// # Errors
 /// [`RowError`] for rows, options or geometry that allow no calibration.
-pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &RowOptions) -> Result<RowCalibration, RowError> {
+pub fn calibrate(
+    rows: &[PoseRow],
+    robot: &RobotConfig,
+    options: &RowOptions,
+) -> Result<RowCalibration, RowError> {
     check_rows(rows)?;
     options.check()?;
+    let chain = &flange_chain(robot);
     let joints = || rows.iter().map(|row| row.joints_rad);
-    let (groups, states) = (options.hold_out.groups(robot, joints()), standing(joints()));
+    let (groups, states) = (options.hold_out.groups(chain, joints()), standing(joints()));
     let Split { fitting, held_out } = split::split(&groups, options.held_out, options.seed);
     if fitting.len() < ROWS_MIN {
         return Err(RowError::TooFewRows { rows: fitting.len(), needed: ROWS_MIN });
     }
-    let mut model = Model::measured_pose(robot);
+    let mut model = Model::measured_pose(chain).with_drives(DriveTrain::of(robot, chain));
     let kinds = options.kinds(&model, options.waves_per_turn_max)?;
     let all = Tracker::new(Standing::new(rows, &states, &groups, options.seed));
     let chosen = all.chosen(&fitting);
     let placed = placed(&chosen, model, &options.fix);
-    model = placed.map_err(|error| explained(error, rows, robot))?;
-    let explained = |error: CalibrateError| explained(error.into(), rows, robot);
+    model = placed.map_err(|error| explained(error, rows, chain))?;
+    let explained = |error: CalibrateError| explained(error.into(), rows, chain);
     let nominal = all.apart(&model.geometry(&[]));
     let nominal_step = step(&all, &model);
-    options.free_links(&mut model, robot)?;
+    options.free_links(&mut model, chain)?;
     if options.joint_errors {
         model = model.with_joint_waves(ParameterId::joint_waves(options.waves_per_turn_max));
     }
@@ -92,12 +97,12 @@ pub fn calibrate(rows: &[PoseRow], robot: &Chain, options: &RowOptions) -> Resul
         model,
         deployed,
     };
-    let reasons = reasons(&found, steps, rows, robot, options);
+    let reasons = reasons(&found, steps, rows, chain, options);
     if reasons.is_empty() {
         return Ok(found);
     }
     let found = reasons.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
-    Err(RowError::Implausible { found, likely: likely_of_all(rows, robot) })
+    Err(RowError::Implausible { found, likely: likely_of_all(rows, chain) })
 }
 
 /// A solve that failed, with the mistake that explains it, where one does.
@@ -121,7 +126,7 @@ const FOLDS: usize = 5;
 /// [`RowError`] for rows that allow no place of tracker and probe.
 pub fn validate(
     rows: &[PoseRow],
-    robot: &Chain,
+    robot: &RobotConfig,
     calibrated: &Model,
     seed: u64,
 ) -> Result<[PoseFigures; 2], RowError> {
@@ -129,7 +134,7 @@ pub fn validate(
     let mut robot_only = calibrated.clone();
     let ids: Vec<ParameterId> = robot_only.parameters().iter().map(|parameter| parameter.id).collect();
     robot_only.set_roles(ids, Role::Fixed)?;
-    Ok([judged(rows, &Model::measured_pose(robot), seed)?, judged(rows, &robot_only, seed)?])
+    Ok([judged(rows, &Model::measured_pose(&flange_chain(robot)), seed)?, judged(rows, &robot_only, seed)?])
 }
 
 fn judged(rows: &[PoseRow], robot: &Model, seed: u64) -> Result<PoseFigures, RowError> {

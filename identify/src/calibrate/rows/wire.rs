@@ -5,6 +5,7 @@
 //! it.
 
 use nalgebra::Vector3;
+use shared::config::RobotConfig;
 
 use super::{RowCalibration, RowError, RowErrors, RowOptions, drift, faulty_runs};
 use crate::calibrate::ball_bar::CalibrateError;
@@ -16,8 +17,8 @@ use crate::cost::{MeasuredLength, Residual};
 use crate::instrument::{
     Instrument, LengthRow, Measures, RejectedRow, Rejection, Run, Standing, Wire, faulty, standing, without,
 };
-use crate::kinematics::Chain;
-use crate::model::{Model, ParameterId};
+use crate::kinematics::{Chain, flange_chain};
+use crate::model::{DriveTrain, Model, ParameterId};
 use crate::solver::LossName;
 
 /// Fewest rows of a fit: the seven unknowns of the wire and as many again.
@@ -68,7 +69,7 @@ fn solved(
 
 /// Calibrates a robot from poses with a measured length each; rows in the order in which they were measured.
 ///
-/// `robot` is the nominal chain to the flange. Rows whose controller position contradicts their joint angles are
+/// Rows whose controller position contradicts their joint angles are
 /// rejected everywhere. Single gross residuals are rejected from the fit only; faulty runs everywhere, but judged by
 /// their fitting rows alone; with a drift they take part again. Lengths of held-out rows decide nothing.
 ///
@@ -76,15 +77,16 @@ fn solved(
 /// [`RowError`] for rows, options or geometry that allow no calibration.
 pub fn calibrate(
     rows: &[LengthRow],
-    robot: &Chain,
+    robot: &RobotConfig,
     options: &RowOptions,
 ) -> Result<RowCalibration, RowError> {
     check_rows(rows)?;
     options.check()?;
+    let chain = &flange_chain(robot);
     let joints = || rows.iter().map(|row| row.joints_rad);
-    let (groups, states) = (options.hold_out.groups(robot, joints()), standing(joints()));
+    let (groups, states) = (options.hold_out.groups(chain, joints()), standing(joints()));
     let split = split::split(&groups, options.held_out, options.seed);
-    let mut rejected = contradicting(rows, robot);
+    let mut rejected = contradicting(rows, chain);
     let fitting = without(&split.fitting, &rejected);
     let usable = without(&(0..rows.len()).collect::<Vec<_>>(), &rejected);
     if fitting.len() < ROWS_MIN {
@@ -92,15 +94,15 @@ pub fn calibrate(
     }
     let all = Wire::new(Standing::new(rows, &states, &groups, options.seed));
     let chosen = all.chosen(&fitting);
-    let mut model = Model::measured_length(robot);
-    let waves = waves_per_turn(fitting.len(), robot.links.len()).min(options.waves_per_turn_max);
+    let mut model = Model::measured_length(chain).with_drives(DriveTrain::of(robot, chain));
+    let waves = waves_per_turn(fitting.len(), chain.links.len()).min(options.waves_per_turn_max);
     let kinds = options.kinds(&model, waves)?;
     if !chosen.place(&mut model, &options.fix)? {
         return Err(RowError::NoAnchor);
     }
     solved(chosen.clone(), &mut model, options.loss, Vec::new())?;
     let nominal = all.errors(&model.geometry(&[]));
-    options.free_links(&mut model, robot)?;
+    options.free_links(&mut model, chain)?;
     let (of_links, wire) = solved(chosen.clone(), &mut model, options.loss, Vec::new())?;
     let links = all.errors(&model.geometry(&[]));
     let run = Run { instrument: Instrument::Wire(chosen.clone()), model: model.clone() };

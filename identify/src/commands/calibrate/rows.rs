@@ -14,7 +14,7 @@ use crate::calibrate::mix::{Measured, Rows};
 use crate::calibrate::rows::{RowCalibration, RowOptions, WAVES_PER_TURN_MAX, tracker, wire};
 use crate::evaluate::Validity;
 use crate::instrument::{ContactRow, LengthRow, PoseRow, SocketTable};
-use crate::kinematics::{Chain, flange_chain};
+use crate::kinematics::flange_chain;
 use crate::logs::{
     ContactMapping, Contacts, MeasuredLength, MeasuredLengthMapping, MeasuredLengths, MeasuredPoseMapping,
     MeasuredPoses, joints_of_robot,
@@ -220,7 +220,7 @@ fn poses(path: &Path, mapping: &Path, robot: &RobotConfig) -> anyhow::Result<Lin
 /// The calibrated robot on rows of other files.
 fn validations(
     others: &[(&PathBuf, Lines)],
-    robot: &Chain,
+    robot: &RobotConfig,
     validity: &Validity,
     found: &RowCalibration,
     seed: u64,
@@ -256,17 +256,16 @@ pub(super) fn alone(
         fix: fix.collect::<Result<Vec<ParameterId>, _>>()?,
         ..usual
     };
-    let chain = flange_chain(robot);
     let found = match &read.rows.measured {
-        Measured::Poses(rows) => tracker::calibrate(rows, &chain, &options),
-        Measured::Lengths(rows) => wire::calibrate(rows, &chain, &options),
+        Measured::Poses(rows) => tracker::calibrate(rows, robot, &options),
+        Measured::Lengths(rows) => wire::calibrate(rows, robot, &options),
         Measured::Contacts(..) => return experiment::mixed(experiment, robot, vec![read], result),
     };
     let bar = experiment.bar_arguments(result);
     let files = experiment.files(&bar, &[]);
     let found = found.map_err(|error| refused::of_rows(&result.out, robot, &files, &options, error))?;
-    let validity = Validity::of(read.rows.joints().into_iter(), &chain);
-    let validations = validations(&others, &chain, &validity, &found, options.seed)?;
+    let validity = Validity::of(read.rows.joints().into_iter(), &flange_chain(robot));
+    let validations = validations(&others, robot, &validity, &found, options.seed)?;
     let solution = &found.solution;
     let mut file = CalibrationFile::new(
         &robot.name,
