@@ -109,7 +109,7 @@ fn a_calibrated_arm_is_the_same_for_yourdfpy_in_the_urdf_that_is_written() {
     for arm in ARMS {
         let robot = imported(arm);
         let options = RowOptions { joint_errors: false, hold_out: HoldOut::Rows, ..RowOptions::tracker() };
-        let report = calibrate(&rows(&robot), &flange_chain(&robot), &options).unwrap();
+        let report = calibrate(&rows(&robot), &robot, &options).unwrap();
         let chain = report.model.geometry(&report.model.start()).robot;
         let path = directory.path().join("robot.urdf");
         std::fs::write(&path, urdf(&robot, &chain, None, "")).unwrap();

@@ -45,6 +45,7 @@ mod report_page_runs;
 mod results;
 mod results_robot;
 mod robot_logs;
+mod rows_campaign;
 mod selection;
 mod several_runs;
 mod simulated_experiment;

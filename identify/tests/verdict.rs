@@ -88,7 +88,7 @@ fn wire(csv: &str, extra: &[&str], out: &Path) -> (std::process::Output, Vec<Str
 fn of_another_robot() -> String {
     let mut robot = irb2400();
     robot.links[1].a_m += 2e-3;
-    robot.links[3].d_m += 3e-3;
+    robot.links[3].d_m -= 3e-3;
     let mut random = ChaCha8Rng::seed_from_u64(7);
     // The controller's own positions would be those of the nominal robot.
     let csv = lengths::table(&robot, 300, 12.0);

@@ -66,6 +66,14 @@ pub enum CalibrateError {
         /// What is wrong with it.
         error: ContactError,
     },
+    /// No robot like the configured one gives such rows.
+    #[error(
+        "{found}; rows, their mapping, the table of sockets or the robot's file are wrong; see `identify inspect --propose`"
+    )]
+    Implausible {
+        /// What gave it away.
+        found: String,
+    },
     /// The samples do not determine what is free.
     #[error(transparent)]
     Unidentifiable(#[from] Unidentifiable),

@@ -34,7 +34,7 @@ impl Refuses for CalibrateError {
             Self::Prepare { error, .. } => !error.is_mistyped(),
             Self::Cost(error) | Self::Structure(StructureError::Cost(error)) => cost_is_of_data(error),
             Self::Solve(error) | Self::Structure(StructureError::Solve(error)) => solve_is_of_data(error),
-            Self::NoPlace { .. } | Self::Contact { .. } => true,
+            Self::NoPlace { .. } | Self::Contact { .. } | Self::Implausible { .. } => true,
             Self::Unidentifiable(_) | Self::NotConverged { .. } => true,
         };
         let of_all = of_data.then(|| of_all(self.to_string()))?;

@@ -152,8 +152,7 @@ impl Cell {
             );
         }
         let arm = robot_chain(&robot, &bar);
-        let reach_m = arm.links.iter().map(|link| link.a_m.hypot(link.d_m)).sum();
-        let mut bodies = Bodies::for_reach(reach_m);
+        let mut bodies = Bodies::for_reach(arm.reach_m());
         bodies.link_radius_m = self.link_radius_mm.map_or(bodies.link_radius_m, |mm| mm * 1e-3);
         bodies.boxes_m = self.boxes.iter().map(|&[a, b, c, d, e, f]| [[a, b, c], [d, e, f]]).collect();
         bodies.floor_m = self.floor;

@@ -5,9 +5,11 @@ use statrs::distribution::{ContinuousCDF, Normal};
 
 use super::{Elongation, PositiveForce, Quantiles, RunEvidence, WorkspaceError};
 use crate::calibrate::ball_bar::BallBarCalibration;
+use crate::calibrate::rows::Changed;
 use crate::cost::Closure;
+use crate::instrument::Instrument;
 use crate::kinematics::LinkParameter;
-use crate::model::{ParameterId, Role};
+use crate::model::{Model, ParameterId, Role};
 use crate::prepare::Prepared;
 use crate::solver::Solution;
 
@@ -24,7 +26,7 @@ const WEIGHT_MIN: f64 = 0.5;
 const LENGTH_OFF_M: f64 = 5e-3;
 /// Standard deviation of what a robot's lengths are off by \[m\]: `tolerance_mm_mrad` where nobody says otherwise.
 const LENGTH_SIGMA_M: f64 = 1e-3;
-/// Chance that the scale is doubted although the plate is as stated.
+/// Chance that the scale is doubted although it is right.
 const OTHER_SCALE_BY_CHANCE: f64 = 1e-3;
 
 /// Chance that something is said of a prior although all of them hold.
@@ -54,8 +56,9 @@ pub fn limits(
             of_run(prepared).map(|sentence| Limit { sentence: place.clone() + &sentence, serious: true }),
         );
     }
-    limits.extend(strained_priors(calibration));
-    limits.extend(other_lengths(calibration));
+    let (model, solution) = (&calibration.model, &calibration.solution);
+    limits.extend(strained_priors(model, solution));
+    limits.extend(of_lengths(model, solution, calibration.bars().map(|_| ScaleFrom::Plate)));
     limits.extend(lasting_errors(calibration));
     let mut tell = |serious: bool, sentence: String| limits.push(Limit { sentence, serious });
     for (joint, travel_deg) in travel_deg(runs).into_iter().enumerate() {
@@ -92,6 +95,70 @@ pub fn limits(
     }
     limits.extend(untold_forces(calibration));
     limits
+}
+
+/// What fixes the scale of all lengths.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum ScaleFrom {
+    /// Of the ball-bar.
+    Plate,
+    /// Its positions.
+    Tracker,
+    /// Its lengths.
+    Wire,
+    /// Their table.
+    Sockets,
+}
+
+impl From<&Instrument> for ScaleFrom {
+    fn from(instrument: &Instrument) -> Self {
+        match instrument {
+            Instrument::BallBar(_) => Self::Plate,
+            Instrument::Tracker(_) => Self::Tracker,
+            Instrument::Wire(_) => Self::Wire,
+            Instrument::Contact(_) => Self::Sockets,
+        }
+    }
+}
+
+impl ScaleFrom {
+    const fn describe(self) -> &'static str {
+        match self {
+            Self::Plate => "plate_m fixes the scale: measure the plate, or state more under plate_u_um",
+            Self::Tracker => {
+                "The tracker fixes the scale: check its unit, its target's constant and what it knows of the air"
+            }
+            Self::Wire => "The wire fixes the scale: check its unit, and its readings against a known length",
+            Self::Sockets => {
+                "The table of sockets fixes the scale: check its unit, and measure the sockets again"
+            }
+        }
+    }
+}
+
+/// Lengths that nobody expected, found with any instruments. `model` has the solution's first columns.
+pub fn of_lengths(model: &Model, solution: &Solution, scales: impl Iterator<Item = ScaleFrom>) -> Vec<Limit> {
+    let scale = scales.map(ScaleFrom::describe).fold(Vec::new(), |mut told: Vec<&str>, one| {
+        if !told.contains(&one) {
+            told.push(one);
+        }
+        told
+    });
+    other_lengths(model, solution, &scale.join(". "))
+}
+
+/// Zeros of joints that did not stay while rows were measured: serious where the end of an arm of this reach moves by more than
+/// its geometry is said to be known within.
+pub fn of_changes(changed: &[Changed], reach_m: f64, known_m: f64) -> Option<Limit> {
+    let told: Vec<String> = changed.iter().map(ToString::to_string).collect();
+    (!told.is_empty()).then(|| Limit {
+        sentence: format!(
+            "Something changed while it was measured: {}. The robot is calibrated for what lies between: warm it up, look at that \
+             joint, or make files of the rows before and after it.",
+            told.join("; ")
+        ),
+        serious: changed.iter().any(|one| one.by_rad.abs() * reach_m > known_m),
+    })
 }
 
 /// Of which run something is said, where there are several.
@@ -137,17 +204,16 @@ fn untold_forces(calibration: &BallBarCalibration) -> impl Iterator<Item = Limit
 /// A prior of `x0` with sigma `s0` that holds makes what is found, `x` with sigma `s`, differ from `x0` by no more than
 /// `sqrt(s0^2 - s^2)` times a standard normal number ([`VARIANCE_UNCERTAIN`] of `s^2` is left open), and pulls it by
 /// `(x - x0) s^2 / (s0^2 - s^2)`. What fixed parameters that are wrong move it by comes on top.
-fn strained_priors(calibration: &BallBarCalibration) -> Option<Limit> {
-    let Solution { x, covariance, .. } = &calibration.solution;
-    let priors =
-        calibration.model.columns().enumerate().filter_map(|(column, parameter)| match parameter.role {
-            Role::Prior { value, sigma } => {
-                let moved = covariance.variance_by_considered(column);
-                let found = covariance.sigma(column)?.powi(2) - moved;
-                Some((parameter.id, x.get(column)? - value, sigma, found, moved))
-            }
-            _ => None,
-        });
+fn strained_priors(model: &Model, solution: &Solution) -> Option<Limit> {
+    let Solution { x, covariance, .. } = solution;
+    let priors = model.columns().enumerate().filter_map(|(column, parameter)| match parameter.role {
+        Role::Prior { value, sigma } => {
+            let moved = covariance.variance_by_considered(column);
+            let found = covariance.sigma(column)?.powi(2) - moved;
+            Some((parameter.id, x.get(column)? - value, sigma, found, moved))
+        }
+        _ => None,
+    });
     let priors: Vec<(ParameterId, f64, f64, f64, f64)> = priors.collect();
     let certain = 1.0 - STRAINED_BY_CHANCE / (2.0 * priors.len().max(1) as f64);
     let most = Normal::standard().inverse_cdf(certain);
@@ -178,17 +244,21 @@ fn strained_priors(calibration: &BallBarCalibration) -> Option<Limit> {
 }
 
 /// Lengths that come out far from the configured ones: of another robot or bar, or all by the same part.
-fn other_lengths(calibration: &BallBarCalibration) -> impl Iterator<Item = Limit> {
-    let off: Vec<Length> = lengths(calibration).filter(|length| length.off_m.abs() > LENGTH_OFF_M).collect();
+fn other_lengths(model: &Model, solution: &Solution, scale: &str) -> Vec<Limit> {
+    let off: Vec<Length> =
+        lengths(model, solution).filter(|length| length.off_m.abs() > LENGTH_OFF_M).collect();
     let off = (!off.is_empty()).then(|| {
         let off: Vec<String> = off.iter().map(ToString::to_string).collect();
         format!(
             "Lengths come out far from the configured ones: {}. Where one or two are off, the robot's or the bar's configuration \
-             is not that of the cell; where all are, plate_m is not: it fixes the scale, and all lengths are wrong by as much.",
+             is not that of the cell; where all are, by one part, their scale is not, and all lengths are wrong by as much. {scale}.",
             off.join(", ")
         )
     });
-    off.into_iter().chain(other_scale(calibration)).map(|sentence| Limit { sentence, serious: true })
+    off.into_iter()
+        .chain(other_scale(model, solution, scale))
+        .map(|sentence| Limit { sentence, serious: true })
+        .collect()
 }
 
 /// A length of robot or bar that was estimated.
@@ -205,8 +275,8 @@ impl std::fmt::Display for Length {
     }
 }
 
-fn lengths(calibration: &BallBarCalibration) -> impl Iterator<Item = Length> {
-    let solved = calibration.model.columns().zip(&calibration.solution.x).enumerate();
+fn lengths(model: &Model, solution: &Solution) -> impl Iterator<Item = Length> {
+    let solved = model.columns().zip(&solution.x).enumerate();
     solved.filter_map(|(column, (parameter, x))| match parameter.id {
         ParameterId::Robot { parameter: LinkParameter::A | LinkParameter::D, .. }
         | ParameterId::Bar { parameter: LinkParameter::A | LinkParameter::D, .. } => {
@@ -217,17 +287,17 @@ fn lengths(calibration: &BallBarCalibration) -> impl Iterator<Item = Length> {
     })
 }
 
-/// All lengths of the robot off by one part `s`, which is the plate's: by generalised least squares from `off = s L` with the
-/// covariance `(1 mm)^2 I + P`, of the robots and of the estimate; said at a chance of [`OTHER_SCALE_BY_CHANCE`] where the plate
-/// is as its `plate_u_um` says.
-fn other_scale(calibration: &BallBarCalibration) -> Option<String> {
-    let covariance = &calibration.solution.covariance;
+/// All lengths of the robot off by one part `s`, which is that of what fixes their scale: by generalised least squares from `off = s L` with the
+/// covariance `(1 mm)^2 I + P`, of the robots and of the estimate; said at a chance of [`OTHER_SCALE_BY_CHANCE`] where the scale
+/// is right.
+fn other_scale(model: &Model, solution: &Solution, scale: &str) -> Option<String> {
+    let covariance = &solution.covariance;
     let of_robot = |length: &Length| {
         matches!(length.id, ParameterId::Robot { .. })
             && length.id != ParameterId::PLATE
             && covariance.sigma(length.column).is_some()
     };
-    let lengths: Vec<Length> = lengths(calibration).filter(of_robot).collect();
+    let lengths: Vec<Length> = lengths(model, solution).filter(of_robot).collect();
     let nominal_m = DVector::from_iterator(lengths.len(), lengths.iter().map(|length| length.nominal_m));
     let off_m = DVector::from_iterator(lengths.len(), lengths.iter().map(|length| length.off_m));
     let spread = DMatrix::from_fn(lengths.len(), lengths.len(), |row, column| {
@@ -241,8 +311,7 @@ fn other_scale(calibration: &BallBarCalibration) -> Option<String> {
     (sigmas.abs() > most).then(|| {
         format!(
             "The robot's lengths come out {:+.1} per mille from the configured ones all together, {:.1} standard deviations of what \
-             links of {:.0} mm tolerance and plate_u_um let expect. plate_m fixes the scale: measure the plate, or state more under \
-             plate_u_um; positions may be wrong by as much.",
+             links of {:.0} mm tolerance let expect; positions may be wrong by as much. {scale}.",
             1e3 * along / information,
             sigmas.abs(),
             1e3 * LENGTH_SIGMA_M

@@ -72,6 +72,11 @@ impl Chain {
         Self { root_from_base, links, last_from_end: Pose::identity() }
     }
 
+    /// How far the end gets at most: all links in a line \[m\].
+    pub fn reach_m(&self) -> f64 {
+        self.links.iter().map(|link| link.a_m.hypot(link.d_m)).sum()
+    }
+
     /// `root_from_end` at joint variables \[rad, m\], one per link.
     ///
     /// A link beyond the last one given stands at zero; those beyond the last link are not used.

@@ -223,6 +223,19 @@ impl Covariance {
         self
     }
 
+    /// The same where what was estimated is this many times less certain; what was considered is as it was.
+    #[must_use]
+    pub fn widened(mut self, times: f64) -> Self {
+        let Spread { by_source, sources } = &mut self.spread;
+        for (mut column, source) in by_source.column_iter_mut().zip(sources) {
+            if !matches!(source, Source::Considered { .. }) {
+                column *= times;
+            }
+        }
+        self.matrix = self.spread.covariance();
+        self
+    }
+
     /// What of a column's variance comes from parameters that were considered.
     pub fn variance_by_considered(&self, column: usize) -> f64 {
         let Spread { by_source, sources } = &self.spread;

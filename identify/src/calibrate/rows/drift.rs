@@ -15,7 +15,7 @@ use crate::calibrate::split;
 use crate::calibrate::terms::{falls, mean};
 use crate::cost::{DataSets, SharedColumns};
 use crate::instrument::{Measures, Wire};
-use crate::model::Model;
+use crate::model::{Model, ParameterId};
 use crate::solver::{Loss, Normal, Prior, ScaledCholesky, stacked};
 
 /// Size and memory of a drift.
@@ -35,6 +35,8 @@ pub struct Drift {
 
 /// Parts of the fitting rows that are left out in turn.
 const FOLDS: usize = 8;
+/// So small, in standard deviations of a length, that it is none.
+const NONE: f64 = 1e-6;
 /// Steps of the generalised least squares; the third changes nothing that is printed.
 const STEPS: usize = 8;
 /// Beyond this many standard deviations a row pulls no harder.
@@ -132,8 +134,8 @@ impl Linear {
         }))
     }
 
-    /// The step of generalised least squares.
-    fn step(&self, sweep: &Sweep) -> Option<DVector<f64>> {
+    /// Normal equations of generalised least squares, with the priors.
+    fn normal(&self, sweep: &Sweep) -> Normal {
         let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
         let whitened: Vec<Vec<f64>> = self.columns.iter().map(|column| sweep.whitened(column)).collect();
         let residual = sweep.whitened(&self.residuals);
@@ -145,7 +147,18 @@ impl Linear {
             rows: self.residuals.len() as f64,
         };
         normal.add_priors(&self.priors, &vec![0.0; size]);
+        normal
+    }
+
+    /// The step of generalised least squares.
+    fn step(&self, sweep: &Sweep) -> Option<DVector<f64>> {
+        let normal = self.normal(sweep);
         Some(-ScaledCholesky::new(normal.matrix)?.solve(&normal.gradient))
+    }
+
+    /// Variances of the columns; none where they are not determined.
+    fn variances(&self, sweep: &Sweep) -> Option<DVector<f64>> {
+        Some(ScaledCholesky::new(self.normal(sweep).matrix)?.inverse().diagonal())
     }
 
     /// Residuals after a step.
@@ -201,8 +214,6 @@ fn choose(
     folds: &[Vec<usize>],
     sigma_m: f64,
 ) -> Result<Option<Drift>, CalibrateError> {
-    /// So small that it is none.
-    const NONE: f64 = 1e-6;
     let Some(linear) = Linear::at(model, all, fitting)? else { return Ok(None) };
     let of_fold = |fold: &Vec<usize>| fold.iter().filter_map(|&place| fitting.get(place).copied()).collect();
     let folds: Vec<Vec<usize>> = folds.iter().filter(|fold| !fold.is_empty()).map(of_fold).collect();
@@ -246,6 +257,27 @@ pub(super) fn fit(
         model.adopt(&x);
     }
     Ok(known)
+}
+
+/// How many times less certain the robot is than where the drift were known and what is left of the lengths, `sigma_m`, the
+/// only error: the drift takes what it can of both, and lengths next to each other tell less than others.
+pub(super) fn widens(
+    model: &Model,
+    all: &Wire,
+    fitting: &[usize],
+    drift: &Drift,
+    sigma_m: f64,
+) -> Result<f64, CalibrateError> {
+    let Some(linear) = Linear::at(model, all, fitting)? else { return Ok(1.0) };
+    let mut weights = vec![0.0; all.samples()];
+    fitting.iter().for_each(|&row| weights[row] = 1.0);
+    let known = Drift { size_m: NONE * sigma_m, memory_rows: 1.0, white_m: sigma_m, ..*drift };
+    let variances = |drift: &Drift| linear.variances(&Sweep::new(drift, &weights));
+    let (Some(with), Some(without)) = (variances(drift), variances(&known)) else { return Ok(1.0) };
+    let robot = model.columns().map(|parameter| matches!(parameter.id, ParameterId::Robot { .. }));
+    let ratios = robot.zip(with.iter().zip(&without)).filter(|(of_robot, _)| *of_robot);
+    let ratios: Vec<f64> = ratios.map(|(_, (with, without))| with / without).collect();
+    Ok(mean(&ratios).sqrt().max(1.0))
 }
 
 #[cfg(test)]

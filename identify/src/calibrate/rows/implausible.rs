@@ -9,10 +9,10 @@ use nalgebra::Vector3;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::tracker::{ROWS_MIN, check_rows, placed};
-use super::{PoseFigures, RowCalibration, RowOptions};
-use crate::instrument::{PoseRow, Standing, Tracker, quantile, standing};
+use super::{PoseFigures, RowCalibration, RowError, RowOptions};
+use crate::instrument::{Apart, PoseRow, Run, Standing, Tracker, median_size, quantile, standing};
 use crate::kinematics::{Chain, Joints};
-use crate::model::{Model, ParameterId, Role};
+use crate::model::{Model, ParameterId, Role, Unit};
 
 /// What the rows cannot be.
 #[derive(Debug, Clone, PartialEq)]
@@ -96,7 +96,7 @@ pub struct Step {
 impl Step {
     /// The nominal robot fits the rows before and after it far better than all of them: its own errors step where the path
     /// goes to another place, by less.
-    fn explains(&self, rows: &[PoseRow], robot: &Chain) -> bool {
+    pub(super) fn explains(&self, rows: &[PoseRow], robot: &Chain) -> bool {
         likely(rows, robot, &[Mistake::Moved(self.row - 1)]).is_some()
     }
 }
@@ -294,32 +294,60 @@ pub(super) fn likely_of_all(rows: &[PoseRow], robot: &Chain) -> Option<Likely> {
     likely(rows, robot, &Mistake::all(robot.links.len(), rows.len()))
 }
 
-/// What of a calibration no robot like the nominal one explains; `steps` are those that its positions may have.
+/// What of a calibration no robot like the nominal one explains; `step` is one of its positions.
 pub(super) fn reasons(
     report: &RowCalibration,
-    steps: [Option<Step>; 2],
-    rows: &[PoseRow],
+    step: Option<Step>,
     robot: &Chain,
     options: &RowOptions,
 ) -> Vec<Reason> {
-    let step = steps.into_iter().flatten().find(|step| step.explains(rows, robot));
+    let [.., errors] = &report.errors.stages;
     let found = [
         turned(report, options),
-        furthest_link(&report.model),
-        too_far(report, robot),
+        furthest_link(&report.model, options),
+        too_far(errors, robot),
         worse_than_nominal(report, options),
         step.map(Reason::Moved),
     ];
     found.into_iter().flatten().collect()
 }
 
+/// The calibration, unless there are reasons against it.
+///
+/// # Errors
+/// [`RowError::Implausible`] with the mistake that is likely.
+pub(super) fn unless(
+    found: RowCalibration,
+    reasons: &[Reason],
+    likely: impl FnOnce() -> Option<Likely>,
+) -> Result<RowCalibration, RowError> {
+    if reasons.is_empty() {
+        return Ok(found);
+    }
+    let found = reasons.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
+    Err(RowError::Implausible { found, likely: likely() })
+}
+
+/// The same of a mix, whose data sets are judged one by one; `None` where all is plausible.
+pub(in crate::calibrate) fn of_mix(runs: &[Run], robot: &Chain) -> Option<String> {
+    let options = RowOptions::tracker();
+    let link = runs.first().and_then(|run| furthest_link(&run.model, &options));
+    let far = runs.iter().enumerate().filter_map(|(number, Run { instrument, model })| {
+        let far = too_far(&instrument.errors(&model.geometry(&[])), robot)?;
+        Some(format!("data set {}: {far}", number + 1))
+    });
+    let told: Vec<String> = link.iter().map(Reason::to_string).chain(far).collect();
+    (!told.is_empty()).then(|| told.join("; "))
+}
+
 /// Tolerances are standard deviations: of 30 numbers one is beyond this by chance once in 50 000 robots.
 const SIGMAS_MAX: f64 = 5.0;
 
-fn furthest_link(model: &Model) -> Option<Reason> {
+fn furthest_link(model: &Model, options: &RowOptions) -> Option<Reason> {
     let link = |id: ParameterId| {
         let parameter = model.parameter(id)?;
-        let Role::Prior { value, sigma } = parameter.role else { return None };
+        let Role::Prior { value, .. } = parameter.role else { return None };
+        let sigma = if id.unit() == Unit::Metre { options.link_sigma_m } else { options.link_sigma_rad };
         Some((id, parameter.value - value, sigma))
     };
     let links = model.parameters().iter().map(|parameter| parameter.id);
@@ -342,12 +370,9 @@ fn turned(report: &RowCalibration, options: &RowOptions) -> Option<Reason> {
 /// tenth of a degree \[rad\].
 const JOINT_ERROR_RAD_MAX: f64 = 2e-3;
 
-fn too_far(report: &RowCalibration, robot: &Chain) -> Option<Reason> {
-    /// Median of the norm of three standard normal numbers, by their root mean square.
-    const MEDIAN_BY_RMS: f64 = 1.538 / 1.732;
-    let reach_m: f64 = robot.links.iter().map(|link| link.a_m.hypot(link.d_m)).sum();
-    let limit_m = JOINT_ERROR_RAD_MAX * reach_m;
-    let median_m = report.sigma_m * 3f64.sqrt() * MEDIAN_BY_RMS;
+fn too_far(errors: &[Apart], robot: &Chain) -> Option<Reason> {
+    let limit_m = JOINT_ERROR_RAD_MAX * robot.reach_m();
+    let median_m = median_size(errors.iter().map(|error| error.position_m));
     (median_m > limit_m).then_some(Reason::TooFar { median_m, limit_m })
 }
 

@@ -5,6 +5,7 @@
 //! the errors of its joints, each kind only if fitting rows left out are predicted better with it. Held-out rows take no part
 //! in any of this, and the figures on them are what counts; the result is a last fit to all rows.
 
+mod changed;
 mod drift;
 mod error;
 mod faulty_runs;
@@ -23,10 +24,13 @@ use crate::kinematics::Chain;
 use crate::model::{Model, ModelError, ParameterId};
 use crate::solver::{LossName, Solution};
 
+pub use changed::Changed;
+pub(super) use changed::changed;
 pub use drift::Drift;
 pub use error::RowError;
 pub use faulty_runs::{FaultyRun, RunCause};
 pub use figures::{PoseFigures, RowErrors, Sizes, Stages, is_surely_better};
+pub(super) use implausible::of_mix;
 pub use implausible::{Likely, Mistake, Step, likely, misfit};
 pub(super) use terms::kinds;
 
@@ -133,6 +137,8 @@ pub struct RowCalibration {
     pub solution: Solution,
     /// The calibrated model, of all rows.
     pub model: Model,
+    /// Joints whose zeros did not stay.
+    pub changed: Vec<Changed>,
     /// The best geometry for who applies less than that, of all rows.
     pub deployed: Vec<Deployed>,
 }

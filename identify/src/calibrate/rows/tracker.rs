@@ -2,8 +2,8 @@
 
 use shared::config::RobotConfig;
 
-use super::implausible::{likely_of_all, reasons, step};
-use super::{PoseFigures, RowCalibration, RowError, RowErrors, RowOptions};
+use super::implausible::{self, likely_of_all, reasons, step};
+use super::{PoseFigures, RowCalibration, RowError, RowErrors, RowOptions, changed};
 use crate::calibrate::ball_bar::CalibrateError;
 use crate::calibrate::deployment::{Deployment, deployed, fitted};
 use crate::calibrate::pipeline::{Plan, Solved, estimate, refit};
@@ -83,6 +83,7 @@ pub fn calibrate(
     let mut runs = [Run { instrument: Instrument::Tracker(all), model }];
     let (_, solution, sigmas) = refit(&mut runs, options.loss).map_err(explained)?;
     let deployed = deployed(&runs, options.loss).map_err(explained)?;
+    let changed = changed(&runs, &sigmas).map_err(explained)?;
     let [Run { instrument, model }] = runs;
     let Instrument::Tracker(tracker) = instrument else { return Err(CalibrateError::NoRun.into()) };
     let found = RowCalibration {
@@ -95,14 +96,12 @@ pub fn calibrate(
         sigma_m: tracker.noise.position_m * sigmas.first().copied().unwrap_or(1.0),
         solution,
         model,
+        changed,
         deployed,
     };
-    let reasons = reasons(&found, steps, rows, chain, options);
-    if reasons.is_empty() {
-        return Ok(found);
-    }
-    let found = reasons.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
-    Err(RowError::Implausible { found, likely: likely_of_all(rows, chain) })
+    let step = steps.into_iter().flatten().find(|step| step.explains(rows, chain));
+    let reasons = reasons(&found, step, chain, options);
+    implausible::unless(found, &reasons, || likely_of_all(rows, chain))
 }
 
 /// A solve that failed, with the mistake that explains it, where one does.

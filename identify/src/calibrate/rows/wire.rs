@@ -7,7 +7,8 @@
 use nalgebra::Vector3;
 use shared::config::RobotConfig;
 
-use super::{RowCalibration, RowError, RowErrors, RowOptions, drift, faulty_runs};
+use super::implausible::{reasons, unless};
+use super::{RowCalibration, RowError, RowErrors, RowOptions, changed, drift, faulty_runs};
 use crate::calibrate::ball_bar::CalibrateError;
 use crate::calibrate::deployment::{Deployment, deployed, fitted};
 use crate::calibrate::pipeline::{Plan, Solved, estimate, refit, waves_per_turn};
@@ -149,11 +150,16 @@ pub fn calibrate(
         None => all.chosen(&usable),
     };
     let mut all_rows = [Run { instrument: Instrument::Wire(everything), model }];
-    let (_, solution, sigmas) = refit(&mut all_rows, loss)?;
+    let (_, mut solution, sigmas) = refit(&mut all_rows, loss)?;
+    if let (Some(drift), [Run { model, .. }], [sigma_m]) = (&drift, &all_rows, &sigmas[..]) {
+        let times = drift::widens(model, &all, &without(&usable, &singles), drift, *sigma_m)?;
+        solution.covariance = solution.covariance.widened(times);
+    }
     let deployed = deployed(&all_rows, loss)?;
+    let changed = changed(&all_rows, &sigmas)?;
     let [Run { model, .. }] = all_rows;
     let Split { fitting: fitted, held_out } = split;
-    Ok(RowCalibration {
+    let found = RowCalibration {
         cost: MeasuredLength::NAME,
         errors: RowErrors { stages: [nominal, offsets, links, steady], fitted, held_out },
         runs,
@@ -163,6 +169,9 @@ pub fn calibrate(
         sigma_m: sigmas.first().copied().unwrap_or_default(),
         solution,
         model,
+        changed,
         deployed,
-    })
+    };
+    let reasons = reasons(&found, None, chain, options);
+    unless(found, &reasons, || None)
 }

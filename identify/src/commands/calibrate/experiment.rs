@@ -18,7 +18,7 @@ use crate::calibrate::refusal::Refuses;
 use crate::calibrate::rows::RowErrors;
 use crate::commands::ensure_six_revolute_axes;
 use crate::commands::on_terminal::OnTerminal;
-use crate::evaluate::{RunEvidence, Validity};
+use crate::evaluate::{RunEvidence, Validity, of_lengths};
 use crate::instrument::{BallBar, Instrument, Run};
 use crate::kinematics::flange_chain;
 use crate::logs::LogFormat;
@@ -403,6 +403,7 @@ pub(super) fn mixed(
         &flange_chain(robot),
     ));
     let first = found.runs.first().context("there is no data set")?;
+    limits.extend(of_lengths(&first.model, solution, found.runs.iter().map(|run| (&run.instrument).into())));
     let told = Told {
         robot,
         bar: bars.first().map(|run| &run.bar),
@@ -410,6 +411,7 @@ pub(super) fn mixed(
         model: &first.model,
         solution,
         limits,
+        changed: &found.changed,
         data_sets: data_sets.collect(),
         tables,
         asked: String::new(),

@@ -9,7 +9,9 @@ use shared::output::{say, show};
 use super::ResultArguments;
 use super::experiment::Experiment;
 use crate::calibrate::deployment::Deployment;
-use crate::evaluate::{Limit, workspace_error};
+use crate::calibrate::rows::Changed;
+use crate::evaluate::{Limit, of_changes, workspace_error};
+use crate::kinematics::flange_chain;
 use crate::model::Model;
 use crate::report::deployments::files;
 use crate::report::file::CalibrationFile;
@@ -30,6 +32,8 @@ pub(super) struct Told<'a> {
     pub(super) solution: &'a Solution,
     /// What limits it.
     pub(super) limits: Vec<Limit>,
+    /// Joints whose zeros did not stay.
+    pub(super) changed: &'a [Changed],
     pub(super) data_sets: Vec<(String, Measured<'a>)>,
     /// For the page, and for the terminal where all is printed.
     pub(super) tables: String,
@@ -43,10 +47,23 @@ impl Told<'_> {
     /// Writes all files and the page into the directory and prints what a person needs at once.
     pub(super) fn write(self, result: &ResultArguments) -> anyhow::Result<()> {
         let directory = &result.out;
-        let Self { robot, bar, file, model, solution, limits, data_sets, tables, asked, experiment } = self;
+        let Self {
+            robot,
+            bar,
+            file,
+            model,
+            solution,
+            mut limits,
+            changed,
+            data_sets,
+            tables,
+            asked,
+            experiment,
+        } = self;
         let (covariance, limits_of_joints) = (&solution.covariance, robot.joint_limits());
         let workspace = workspace_error(model, covariance, &limits_of_joints);
         let workspace = workspace.with_cube(model, covariance, &limits_of_joints);
+        limits.extend(of_changes(changed, flange_chain(robot).reach_m(), workspace.budget.expanded_m));
         let file = file.with_verdict(&workspace, &limits, experiment.identify.require_mm.map(|mm| mm * 1e-3));
         let written = write_files(&file, robot, bar, directory)?;
         let page = MeasuredPage {

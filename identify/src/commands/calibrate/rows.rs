@@ -12,7 +12,7 @@ use super::{CommonArguments, ResultArguments, RowArguments, inputs, refused, usu
 use crate::calibrate::HoldOut;
 use crate::calibrate::mix::{Measured, Rows};
 use crate::calibrate::rows::{RowCalibration, RowOptions, WAVES_PER_TURN_MAX, tracker, wire};
-use crate::evaluate::Validity;
+use crate::evaluate::{ScaleFrom, Validity, of_lengths};
 use crate::instrument::{ContactRow, LengthRow, PoseRow, SocketTable};
 use crate::kinematics::flange_chain;
 use crate::logs::{
@@ -267,6 +267,7 @@ pub(super) fn alone(
     let validity = Validity::of(read.rows.joints().into_iter(), &flange_chain(robot));
     let validations = validations(&others, robot, &validity, &found, options.seed)?;
     let solution = &found.solution;
+    let scale = if kind == Kind::Wire { ScaleFrom::Wire } else { ScaleFrom::Tracker };
     let mut file = CalibrationFile::new(
         &robot.name,
         kind.role(),
@@ -296,7 +297,8 @@ pub(super) fn alone(
         file,
         model: &found.model,
         solution,
-        limits: Vec::new(),
+        limits: of_lengths(&found.model, solution, std::iter::once(scale)),
+        changed: &found.changed,
         data_sets: vec![(kind.key().into(), page::Measured::Rows(&found.errors))],
         tables,
         asked: validations.iter().map(of_rows::Validation::line).collect(),
