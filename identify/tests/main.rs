@@ -6,6 +6,7 @@ mod support;
 
 mod any_arm;
 mod bar_force;
+mod change_points;
 mod command_line;
 mod compare;
 mod configuration;
@@ -52,6 +53,7 @@ mod simulated_experiment;
 mod simulation;
 mod solver;
 mod solver_threads;
+mod split_at_changes;
 mod spoiled_rows;
 mod stamps;
 mod studies;

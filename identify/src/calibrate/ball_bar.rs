@@ -3,6 +3,7 @@
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 
+use super::change::Changed;
 use super::config::{CostName, IdentifyConfig, SelectionName};
 use super::pipeline::{Plan, Solved, estimate};
 use super::structure::{StructureError, identifiable};
@@ -103,6 +104,8 @@ pub struct BallBarCalibration {
     pub prior_scale: f64,
     /// What a residual of each run is worth against priors, one standard deviation.
     pub sigmas: Vec<f64>,
+    /// What did not stay during a run, but so little that it is not refused.
+    pub changed: Vec<Changed>,
 }
 
 impl BallBarCalibration {
@@ -227,7 +230,8 @@ fn solved(
     watch: Option<&dyn Watch>,
 ) -> Result<BallBarCalibration, CalibrateError> {
     let cost = runs.first().and_then(|run| run.instrument.bar()).ok_or(CalibrateError::NoRun)?.cost;
-    let Solved { columns, solution, candidates, prior_scale, sigmas, .. } = solve(&mut runs, config, watch)?;
+    let Solved { columns, solution, candidates, prior_scale, sigmas, changed, .. } =
+        solve(&mut runs, config, watch)?;
     let mut runs = runs.into_iter();
     let Run { instrument, model } = runs.next().ok_or(CalibrateError::NoRun)?;
     let others = runs.collect();
@@ -241,6 +245,7 @@ fn solved(
         candidates,
         prior_scale,
         sigmas,
+        changed,
     })
 }
 

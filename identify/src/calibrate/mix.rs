@@ -9,7 +9,7 @@ use super::config::SelectionName;
 use super::deployment::{Deployed, Deployment, deployed, fitted};
 use super::links::{free_links, link_ids};
 use super::pipeline::{Plan, Solved, estimate, waves_per_turn};
-use super::rows::{self, Changed, RowErrors};
+use super::rows::{self, RowErrors};
 use super::split::HoldOut;
 use crate::instrument::{
     Contact, ContactError, ContactRow, Instrument, LengthRow, Measures, PoseRow, Run, SocketTable, Standing,
@@ -115,8 +115,6 @@ pub struct MixedCalibration {
     pub runs: Vec<Run>,
     /// The solve of all.
     pub solved: Solved,
-    /// Joints whose zeros did not stay.
-    pub changed: Vec<Changed>,
     /// The best geometry for who applies less than that.
     pub deployed: Vec<Deployed>,
 }
@@ -211,7 +209,7 @@ pub fn calibrate(
     if data.rows.is_empty() {
         let mut runs = prepared_runs(&data.bars, robot, config)?;
         let solved = solve(&mut runs, config, watch)?;
-        return Ok(MixedCalibration { runs, solved, changed: Vec::new(), deployed: Vec::new() });
+        return Ok(MixedCalibration { runs, solved, deployed: Vec::new() });
     }
     let (mut runs, plan) = laid_out(data, robot, config, watch)?;
     let solved = estimate(&mut runs, &plan)?;
@@ -219,8 +217,7 @@ pub fn calibrate(
         return Err(CalibrateError::Implausible { found });
     }
     let deployed = deployed(&runs, plan.loss)?;
-    let changed = rows::changed(&runs, &solved.sigmas)?;
-    Ok(MixedCalibration { runs, solved, changed, deployed })
+    Ok(MixedCalibration { runs, solved, deployed })
 }
 
 /// Rows of trackers, wires and contacts as predicted by a solve of everything but a fifth of each file's, for each data set in their

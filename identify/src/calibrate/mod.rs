@@ -1,6 +1,7 @@
 //! The way from measurements to a calibration, in one call each.
 
 pub mod ball_bar;
+pub mod change;
 mod config;
 pub mod deployment;
 pub mod held_out;
@@ -14,7 +15,6 @@ mod repetition;
 pub mod rows;
 pub(crate) mod split;
 pub mod structure;
-mod sudden;
 pub mod terms;
 pub mod truth;
 

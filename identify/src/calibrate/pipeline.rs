@@ -5,13 +5,14 @@
 use nalgebra::DMatrix;
 
 use super::ball_bar::CalibrateError;
+use super::change::{self, Changed};
 use super::config::CostName;
 use super::line_spectrum::LineSpectrum;
+use super::refusal::Refuses;
 use super::rows::WAVES_PER_TURN_MAX;
-use super::sudden;
 use super::terms::{Candidate, Kind, Offer, TermGroup, prior_scale, select};
 use crate::cost::{CostError, DataSets, SharedColumns};
-use crate::instrument::{Measures, Run};
+use crate::instrument::Run;
 use crate::kinematics::LinkParameter;
 use crate::model::{Model, ModelError, Owner, ParameterId, Phase, Role};
 use crate::prepare::PrepareOptions;
@@ -86,6 +87,8 @@ pub struct Solved {
     pub prior_scale: f64,
     /// What a residual of each run is worth, one standard deviation.
     pub sigmas: Vec<f64>,
+    /// What did not stay while it was measured.
+    pub changed: Vec<Changed>,
 }
 
 /// What a residual of a solve is worth against priors, one standard deviation: `pose` is whitened by itself.
@@ -120,6 +123,17 @@ struct Solver<'a> {
 /// # Errors
 /// [`CalibrateError`] where the runs do not suit their residuals or do not determine what is free.
 pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError> {
+    let poor_fit = change::poor_fit(runs);
+    estimated(runs, plan).map_err(|error| match poor_fit {
+        // A solve that fails on such angles says less than they do.
+        Some(poor_fit) if error.refusal().is_some() && !matches!(error, CalibrateError::Prepare { .. }) => {
+            poor_fit
+        }
+        _ => error,
+    })
+}
+
+fn estimated(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError> {
     let mut solver = Solver::new(runs, plan);
     let (mut columns, mut solution) = solver.settle()?;
     let rms_start = solution.summary.residual_rms_start;
@@ -154,10 +168,11 @@ pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateEr
         }
     }
     solution.summary.residual_rms_start = rms_start;
-    solver.check_changes(solution.loss)?;
+    let changed = change::changes(solver.runs, &solver.sigmas)?;
+    change::refuse(solver.runs, &changed, &plan.prepare)?;
     solution.covariance = solver.covariance(&columns, &solution)?;
     let sigmas = solver.sigmas;
-    Ok(Solved { columns, solution, without_terms, candidates, prior_scale: scale, sigmas })
+    Ok(Solved { columns, solution, without_terms, candidates, prior_scale: scale, sigmas, changed })
 }
 
 /// Solves for what is free in the models, from where they are, tries no other terms and leaves the models at the solution,
@@ -529,23 +544,6 @@ impl<'a> Solver<'a> {
         let scale = prior_scale(&normals, &kept, |column| ids.get(column).copied().is_some_and(tolerance));
         self.scale_priors(scale)?;
         Ok((report, scale))
-    }
-
-    /// No encoder slips and no clock jumps, as far as the solution with all of its terms shows: what these could bend towards
-    /// is not told.
-    ///
-    /// # Errors
-    /// [`CalibrateError::Prepare`] for the first run where one does.
-    fn check_changes(&self, loss: Loss) -> Result<(), CalibrateError> {
-        for (number, (Run { instrument, model }, sigma)) in self.runs.iter().zip(&self.sigmas).enumerate() {
-            let Some(bar) = instrument.bar() else { continue };
-            let columns = SharedColumns::new([model], |_| false);
-            let problem = DataSets::new(vec![bar.data_set(model, *sigma)?], &columns);
-            if let Some(error) = sudden::change(model, &bar.prepared, &problem, loss, &self.plan.prepare) {
-                return Err(CalibrateError::Prepare { run: number, error: Box::new(error) });
-            }
-        }
-        Ok(())
     }
 
     /// Gives all models the waves of the axes that what is left shows.

@@ -5,7 +5,7 @@ use statrs::distribution::{ContinuousCDF, Normal};
 
 use super::{Elongation, PositiveForce, Quantiles, RunEvidence, WorkspaceError};
 use crate::calibrate::ball_bar::BallBarCalibration;
-use crate::calibrate::rows::Changed;
+use crate::calibrate::change::Changed;
 use crate::cost::Closure;
 use crate::instrument::Instrument;
 use crate::kinematics::LinkParameter;
@@ -57,6 +57,8 @@ pub fn limits(
         );
     }
     let (model, solution) = (&calibration.model, &calibration.solution);
+    let reach_m = model.geometry(&[]).robot.reach_m();
+    limits.extend(of_changes(&calibration.changed, reach_m, workspace.budget.expanded_m));
     limits.extend(strained_priors(model, solution));
     limits.extend(of_lengths(model, solution, calibration.bars().map(|_| ScaleFrom::Plate)));
     limits.extend(lasting_errors(calibration));
@@ -147,17 +149,17 @@ pub fn of_lengths(model: &Model, solution: &Solution, scales: impl Iterator<Item
     other_lengths(model, solution, &scale.join(". "))
 }
 
-/// Zeros of joints that did not stay while rows were measured: serious where the end of an arm of this reach moves by more than
-/// its geometry is said to be known within.
+/// What did not stay while it was measured: serious where the end of an arm of this reach moves by more than its geometry is said
+/// to be known within.
 pub fn of_changes(changed: &[Changed], reach_m: f64, known_m: f64) -> Option<Limit> {
     let told: Vec<String> = changed.iter().map(ToString::to_string).collect();
     (!told.is_empty()).then(|| Limit {
         sentence: format!(
-            "Something changed while it was measured: {}. The robot is calibrated for what lies between: warm it up, look at that \
-             joint, or make files of the rows before and after it.",
+            "Something changed while it was measured: {}. The robot is calibrated for what lies between: let it warm up, look at what is \
+             named, or calibrate from what was measured before or after it.",
             told.join("; ")
         ),
-        serious: changed.iter().any(|one| one.by_rad.abs() * reach_m > known_m),
+        serious: changed.iter().any(|one| one.moves_m(reach_m) > known_m),
     })
 }
 

@@ -197,6 +197,30 @@ pub enum PrepareError {
         /// By how much \[mrad\].
         by_mrad: f64,
     },
+    /// A joint of the robot is no longer where its log says.
+    #[error(
+        "the log of the robot's joint {joint} steps: from {at_s:.2} s after the first sample on it reports {by_mrad:+.2} mrad more \
+         than before against the bar; look for a collision, a restart of the controller or a belt that slipped, and record again"
+    )]
+    JointStep {
+        /// Joint of the robot, from 1.
+        joint: u8,
+        /// When \[s\].
+        at_s: f64,
+        /// By how much the log reports more \[mrad\].
+        by_mrad: f64,
+    },
+    /// The bar does not stand where it stood.
+    #[error(
+        "the base of the bar moves: from {at_s:.2} s after the first sample on it stands {by_mm:.2} mm from where it stood; \
+         fasten it, and record again"
+    )]
+    BaseMoved {
+        /// When \[s\].
+        at_s: f64,
+        /// How far \[mm\].
+        by_mm: f64,
+    },
     /// Even with all numbers of the geometry moved within their tolerances the angles do not fit.
     #[error(
         "the logs belong together, but the angles stay {spreads} mrad from any geometry near the nominal one, at most \

@@ -136,6 +136,12 @@ impl Search<'_> {
             let jump = self.jump_between_parts(&window, step_s);
             return Err(jump.or(refusal).unwrap_or(PrepareError::NothingToFit));
         };
+        // One shift fits one side of a clock that jumps far.
+        if fit.sigma_of_most_rad > self.options.spread_max_mrad * 1e-3
+            && let Some(jump) = self.jump_between_parts(&window, step_s)
+        {
+            return Err(jump);
+        }
         let Hypothesis { matched, encoder_map, .. } = hypothesis;
         let (settled, fit) = self.grown(window, &encoder_map.used, fit)?;
         Ok(Found { matched, ambiguous, encoder_map, settled, fit })
@@ -223,18 +229,16 @@ impl Search<'_> {
         let clock = ClockFit { shift_s: matched.shift * step_s - first_s, skew: 0.0 };
         let of_samples = self.pairs(window, clock);
         let pairs: Vec<AnglePair> = of_samples.iter().map(|(_, pair)| *pair).collect();
-        let encoder_map = find_encoder_map(&pairs, self.recorded_joints, self.options).map_err(|error| {
-            let time_s = |sample: usize| self.samples.get(sample).map_or(0.0, |raw| raw.t_s);
-            let timed: Vec<_> = of_samples.iter().map(|(sample, pair)| (time_s(*sample), *pair)).collect();
-            let slip = || large_slip(&timed, self.recorded_joints, self.options);
-            match error {
-                PrepareError::NoEncoderMap { .. } => slip().unwrap_or(error),
-                PrepareError::Mirrored { stated, .. } => {
-                    PrepareError::Mirrored { joints: mirroring_joints(self.chains[0]), stated }
-                }
-                error => error,
+        let time_s = |sample: usize| self.samples.get(sample).map_or(0.0, |raw| raw.t_s);
+        let timed: Vec<_> = of_samples.iter().map(|(sample, pair)| (time_s(*sample), *pair)).collect();
+        let slip = large_slip(&timed, self.recorded_joints, self.options);
+        let encoder_map = match (find_encoder_map(&pairs, self.recorded_joints, self.options), slip) {
+            (Ok(_) | Err(PrepareError::NoEncoderMap { .. }), Some(slip)) => return Err(slip),
+            (Err(PrepareError::Mirrored { stated, .. }), _) => {
+                return Err(PrepareError::Mirrored { joints: mirroring_joints(self.chains[0]), stated });
             }
-        })?;
+            (found, _) => found?,
+        };
         let settled = self.settled(window, clock, &encoder_map.used);
         let squares: f64 = settled.spread_rad.iter().map(|spread| spread * spread).sum();
         Ok(Hypothesis { matched, clock, encoder_map, spread_rad: squares.sqrt() })

@@ -1,8 +1,10 @@
 //! What a refusal knows beyond its sentence, for people who look for the cause.
 
-use super::judge::{Judged, LocalShift};
-use super::{ClockFit, PrepareError};
+use super::judge::{Judged, LocalShift, local_shifts};
+use super::refine::Judge;
+use super::{ClockFit, PrepareError, Prepared};
 use crate::kinematics::BAR_JOINTS;
+use crate::model::{Clock, Geometry, Observation};
 
 /// Where in a run something is wrong, as far as that is known.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -46,18 +48,60 @@ impl Deviations {
             clock,
         }
     }
+
+    /// Of the samples that a solve had, at its geometry.
+    pub(crate) fn at(prepared: &Prepared, geometry: Geometry) -> Self {
+        let (measured, first_s) = (prepared.measured, prepared.first_s());
+        let Clock { shift_s, skew } = geometry.clock;
+        let since_first = ClockFit { shift_s: prepared.motion.origin_s() + shift_s, skew };
+        let judge = Judge::new(&prepared.motion, geometry.clone(), measured);
+        let offsets = |origin| geometry.offsets_of_origin(origin);
+        let judged: Vec<Judged> = (prepared.observations.iter().enumerate())
+            .filter_map(|(sample, Observation { t_s, bar_rad, origin, .. })| {
+                let offsets_rad = offsets(*origin);
+                let bar_rad = std::array::from_fn(|joint| bar_rad[joint] + offsets_rad[joint]);
+                judge.judged(sample, *origin, *t_s, &bar_rad)
+            })
+            .collect();
+        Self::new(&judged, &local_shifts(&judged), measured, -first_s, since_first.counted_from(first_s))
+    }
+}
+
+/// Even with all numbers of the geometry moved within their tolerances the angles do not fit.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PoorFit {
+    /// Scatter of each encoder about the geometry that fits best \[rad\].
+    pub spread_rad: [f64; BAR_JOINTS],
+    /// What is allowed \[mrad\].
+    pub limit_mrad: f64,
+    /// What that rests on.
+    pub deviations: Deviations,
+}
+
+impl PoorFit {
+    /// The refusal of a run in which nothing has changed that explains it.
+    pub fn refusal(&self) -> PrepareError {
+        let spreads = self.spread_rad.iter().enumerate().filter(|(_, spread_rad)| **spread_rad > 0.0);
+        let spreads: Vec<String> = spreads
+            .map(|(joint, spread_rad)| format!("{:.1} (joint {})", spread_rad * 1e3, joint + 1))
+            .collect();
+        let error = PrepareError::PoorFit { spreads: spreads.join(", "), limit_mrad: self.limit_mrad };
+        error.resting_on(self.deviations.clone())
+    }
 }
 
 impl PrepareError {
     /// The same with what it rests on.
-    pub(super) fn resting_on(self, deviations: Deviations) -> Self {
+    pub(crate) fn resting_on(self, deviations: Deviations) -> Self {
         Self::Judged { error: Box::new(self), deviations: Box::new(deviations) }
     }
 
     /// Where it is.
     pub fn place(&self) -> Place {
         match self {
-            Self::ClockJump { at_s, .. } => Place { bar_s: Some(*at_s), ..Place::default() },
+            Self::ClockJump { at_s, .. } | Self::JointStep { at_s, .. } | Self::BaseMoved { at_s, .. } => {
+                Place { bar_s: Some(*at_s), ..Place::default() }
+            }
             Self::EncoderSlip { joint, at_s, .. } => {
                 Place { joint: Some(*joint), bar_s: Some(*at_s), robot_s: None }
             }
@@ -67,6 +111,18 @@ impl PrepareError {
                 Place { robot_s: place.bar_s.map(|bar_s| deviations.clock.tau_s(bar_s)), ..place }
             }
             _ => Place::default(),
+        }
+    }
+
+    /// The instant at which a run can be cut in two, each with its own clocks, base and offsets, where these are what changes
+    /// \[s\] since the first valid sample.
+    pub fn parts_at_s(&self) -> Option<f64> {
+        match self {
+            Self::ClockJump { at_s, .. } | Self::EncoderSlip { at_s, .. } | Self::BaseMoved { at_s, .. } => {
+                Some(*at_s)
+            }
+            Self::Judged { error, .. } => error.parts_at_s(),
+            _ => None,
         }
     }
 

@@ -15,7 +15,8 @@
 //!    offsets and configurations follow, segment by segment between singular poses and origins (`segments`). The shift
 //!    whose angles fit best wins.
 //! 6. `refine` fits clocks, base and offsets to the angles while all numbers of both chains may move within their
-//!    tolerances. By this fit every sample is judged (`judge`): outliers, a slipped encoder, a clock that jumped.
+//!    tolerances. By this fit every sample is judged (`judge`): is it an outlier? Whether something changed during the run, only
+//!    calibrated links show (`calibrate::change`), but for what is so large that nothing fits (`slip`, `parts`).
 //! 7. [`select`], [`spread_over_sphere`]: standstill, singular poses and samples beyond what is needed are left out.
 //! 8. Where a force was measured, each sample gets its component along the bar (`forces`).
 //!
@@ -37,7 +38,6 @@ mod find;
 mod findings;
 mod forces;
 mod judge;
-mod jump;
 mod origins;
 mod parts;
 mod predict;
@@ -64,7 +64,7 @@ pub use encoder_map::{
     AnglePair, EncoderMap, EncoderMapChoice, EncoderMapReport, EncoderPlace, find_encoder_map,
 };
 pub use error::PrepareError;
-pub use findings::{Deviations, Place};
+pub use findings::{Deviations, Place, PoorFit};
 pub use forces::{BarForces, ForceError};
 pub use judge::LocalShift;
 pub use origins::OriginSpan;
@@ -117,7 +117,7 @@ pub struct PrepareOptions {
     pub fit_max_mrad: f64,
     /// Every measured joint of the bar must travel at least this far \[deg\].
     pub joint_travel_min_deg: f64,
-    /// Smaller steps of an encoder's offset are not looked for \[mrad\].
+    /// Smaller steps of an encoder or of a joint of the robot that are certain are reported and do not refuse a run \[mrad\].
     pub slip_min_mrad: f64,
 }
 
@@ -270,6 +270,9 @@ pub struct Prepared {
     pub origins: Vec<OriginSpan>,
     /// How the alignment varies along the run, about every 5 s.
     pub local_shifts: Vec<LocalShift>,
+    /// Why angles fit no geometry near the nominal one, where they do not: the solve says whether something changed, which is
+    /// why.
+    pub poor_fit: Option<PoorFit>,
     /// The force on the bar, where one was measured.
     pub force: Option<BarForces>,
 }
@@ -317,8 +320,14 @@ impl Prepared {
             encoder_map: EncoderMapReport::default(),
             origins: Vec::new(),
             local_shifts: Vec::new(),
+            poor_fit: None,
             force: None,
         }
+    }
+
+    /// Time of the first valid sample \[s\].
+    pub fn first_s(&self) -> f64 {
+        self.timeline.points.first().map_or(0.0, |point| point.t_s)
     }
 
     /// Robot clock minus bar clock at the reference time \[ns\], once a solve has found what is left of the shift.

@@ -9,6 +9,7 @@ use nalgebra::{Vector3, Vector5};
 
 use super::circular::wrapped;
 use super::clock::ClockFit;
+use super::judge::Judged;
 use crate::cost::{LoopProblem, Movement, Residual, Scene};
 use crate::kinematics::{
     BAR_JOINTS, Chain, ImpliedBar, LinkParameter, Trace, Tracer, Turn, singularity_margin_rad,
@@ -364,6 +365,8 @@ pub(super) struct Errors {
     pub implied_rad: [f64; BAR_JOINTS],
     /// How fast they move by the robot's log \[rad/s\].
     pub implied_rad_s: [f64; BAR_JOINTS],
+    /// Distance of the bar from a singular pose \[rad\].
+    pub margin_rad: f64,
 }
 
 impl<'a, M: RobotMotion> Judge<'a, M> {
@@ -371,6 +374,28 @@ impl<'a, M: RobotMotion> Judge<'a, M> {
         let bar = geometry.bar();
         let [robot_tracer, bar_tracer] = [&geometry.robot, &bar].map(Tracer::new);
         Self { motion, robot_tracer, bar_tracer, bar, geometry, measured }
+    }
+
+    /// A sample with its errors weighed; none where they say nothing.
+    pub fn judged(
+        &self,
+        sample: usize,
+        origin: usize,
+        t_s: f64,
+        bar_rad: &[f64; BAR_JOINTS],
+    ) -> Option<Judged> {
+        let errors = self.errors(t_s, bar_rad)?;
+        let trust = errors.margin_rad.sin();
+        let speed =
+            |joint: usize| if self.measured[joint] { errors.implied_rad_s[joint] * trust } else { 0.0 };
+        Some(Judged {
+            sample,
+            t_s,
+            origin,
+            margin_rad: errors.margin_rad,
+            error_rad: errors.error_rad.map(|error| error * trust),
+            speed_rad_s: std::array::from_fn(speed),
+        })
     }
 
     /// The robot's log says something at bar time `t_s`.
@@ -382,7 +407,7 @@ impl<'a, M: RobotMotion> Judge<'a, M> {
     pub fn errors(&self, t_s: f64, bar_rad: &[f64; BAR_JOINTS]) -> Option<Errors> {
         let state = self.motion.at(self.geometry.clock.robot_time_s(t_s))?;
         let mut robot = Trace::default();
-        self.robot_tracer.trace(&state.q, &mut robot);
+        self.robot_tracer.trace(&self.geometry.corrected(&state).q, &mut robot);
         let near = std::array::from_fn(|joint| self.measured[joint].then_some(bar_rad[joint]));
         let implied = ImpliedBar::new(&self.bar, &self.bar_tracer, robot.end(), &near).ok()?;
         let too_much_rad = self.geometry.harmonics.errors_rad(&bar_rad.map(Turn::of));
@@ -395,6 +420,9 @@ impl<'a, M: RobotMotion> Judge<'a, M> {
         });
         let rates = robot.joint_twists().zip(state.qd).map(|(twist, qd)| implied.by_pose(&twist) * qd);
         let implied_rad_s = rates.fold(Vector5::zeros(), |sum, rate| sum + rate).into();
-        Some(Errors { error_rad, implied_rad: implied.joints_rad, implied_rad_s })
+        let turned_rad =
+            std::array::from_fn(|joint| implied.joints_rad[joint] + self.bar.links[joint].theta_rad);
+        let margin_rad = singularity_margin_rad(&turned_rad);
+        Some(Errors { error_rad, implied_rad: implied.joints_rad, implied_rad_s, margin_rad })
     }
 }

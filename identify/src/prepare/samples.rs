@@ -4,12 +4,12 @@ use nalgebra::Vector3;
 
 use super::bar_angles::BarSegment;
 use super::find::{Found, Raw};
-use super::judge::{Judged, LocalShift, check_clock, check_steps, local_shifts, outliers, spreads_rad};
+use super::judge::{Judged, LocalShift, local_shifts, outliers, spreads_rad};
 use super::refine::Judge;
 use super::select::{apart, spread_over_sphere};
 use super::timeline::Sample;
-use super::{AlignedLog, Deviations, PrepareError, PrepareOptions, SampleCounts, SampleStatus};
-use crate::kinematics::{BAR_JOINTS, singularity_margin_rad};
+use super::{AlignedLog, Deviations, PoorFit, PrepareError, PrepareOptions, SampleCounts, SampleStatus};
+use crate::kinematics::BAR_JOINTS;
 use crate::model::Observation;
 
 /// Samples so near to an end or a hole of the robot's log \[s\] might leave it when a solve moves the clocks.
@@ -48,13 +48,14 @@ pub(super) struct Sorted {
     pub local_shifts: Vec<LocalShift>,
     /// Scatter of each encoder about the fit \[rad\].
     pub spread_rad: [f64; BAR_JOINTS],
+    /// Where the angles fit no geometry.
+    pub poor_fit: Option<PoorFit>,
 }
 
 /// Sorts the samples of `raw`; `t_ref_s` is the reference time after the first, `reference` the origin whose offsets the
 /// observations have, `numbers` what they call each origin.
 ///
 /// # Errors
-/// [`PrepareError::Judged`] with [`PrepareError::ClockJump`], [`PrepareError::EncoderSlip`] or [`PrepareError::PoorFit`];
 /// [`PrepareError::NothingLeft`], [`PrepareError::LittleTravel`].
 pub(super) fn sort(
     raw: &[Raw],
@@ -80,12 +81,13 @@ pub(super) fn sort(
     let (mut statuses, judged) = look_at_all(raw, &joints, found, motion, options);
     let local_shifts = local_shifts(&judged);
     let spread_rad = spreads_rad(&judged);
-    check(found.fit.converged, &judged, &local_shifts, &spread_rad, &measured, t_ref_s, options).map_err(
-        |error| {
-            let clock = found.fit.clock;
-            error.resting_on(Deviations::new(&judged, &local_shifts, measured, t_ref_s, clock))
-        },
-    )?;
+    let is_poor = spread_rad.iter().any(|spread_rad| spread_rad * 1e3 > options.fit_max_mrad);
+    // A fit that has not converged says nothing.
+    let poor_fit = (is_poor && found.fit.converged).then(|| PoorFit {
+        spread_rad,
+        limit_mrad: options.fit_max_mrad,
+        deviations: Deviations::new(&judged, &local_shifts, measured, t_ref_s, found.fit.clock),
+    });
     for sample in outliers(&judged, &spread_rad) {
         statuses[sample] = SampleStatus::Outlier;
     }
@@ -101,7 +103,7 @@ pub(super) fn sort(
             std::array::from_fn(|j| if measured[j] { sample.bar_rad[j] - reference_rad[j] } else { 0.0 }),
         )
     });
-    Ok(Sorted { observations: observations.collect(), statuses, joints, local_shifts, spread_rad })
+    Ok(Sorted { observations: observations.collect(), statuses, joints, local_shifts, spread_rad, poor_fit })
 }
 
 /// Where samples are usable they are `Standstill` so far: whether they move is seen later.
@@ -135,65 +137,12 @@ fn look_at_all(
             statuses[index] = SampleStatus::Outside;
             continue;
         }
-        let errors = judge.errors(sample.t_s, &sample.bar_rad);
-        let margin_rad = errors.map_or(0.0, |errors| singularity_margin_rad(&errors.implied_rad));
-        let Some(errors) = errors.filter(|_| margin_rad > margin_min_rad) else {
-            statuses[index] = SampleStatus::Singular;
-            continue;
-        };
-        statuses[index] = SampleStatus::Standstill;
-        let trust = margin_rad.sin();
-        judged.push(Judged {
-            sample: index,
-            t_s: sample.t_s,
-            origin: raw.origin,
-            trust,
-            error_rad: errors.error_rad.map(|error| error * trust),
-            speed_rad_s: std::array::from_fn(
-                |j| {
-                    if measured[j] { errors.implied_rad_s[j] * trust } else { 0.0 }
-                },
-            ),
-        });
+        let errors = judge.judged(index, raw.origin, sample.t_s, &sample.bar_rad);
+        let errors = errors.filter(|errors| errors.margin_rad > margin_min_rad);
+        statuses[index] = if errors.is_some() { SampleStatus::Standstill } else { SampleStatus::Singular };
+        judged.extend(errors);
     }
     (statuses, judged)
-}
-
-/// What a fit that has converged leaves may refuse a run. One that has not says nothing: the solve, which looks for the same
-/// changes once more, has the last word.
-fn check(
-    converged: bool,
-    judged: &[Judged],
-    local_shifts: &[LocalShift],
-    spread_rad: &[f64; BAR_JOINTS],
-    measured: &[bool; BAR_JOINTS],
-    t_ref_s: f64,
-    options: &PrepareOptions,
-) -> Result<(), PrepareError> {
-    if !converged {
-        tracing::warn!(
-            "the preliminary fit of the angles has not converged: slipped encoders and clocks that jump are looked for \
-             only once the robot is calibrated"
-        );
-        return Ok(());
-    }
-    check_steps(judged, measured, t_ref_s, options)?;
-    check_clock(local_shifts, t_ref_s)?;
-    check_fit(spread_rad, options)
-}
-
-fn check_fit(spread_rad: &[f64; BAR_JOINTS], options: &PrepareOptions) -> Result<(), PrepareError> {
-    let spreads_mrad = spread_rad.map(|spread| spread * 1e3);
-    if spreads_mrad.iter().all(|spread| *spread <= options.fit_max_mrad) {
-        return Ok(());
-    }
-    let told: Vec<String> = spreads_mrad
-        .iter()
-        .enumerate()
-        .filter(|(_, spread)| **spread > 0.0)
-        .map(|(joint, spread)| format!("{spread:.1} (joint {})", joint + 1))
-        .collect();
-    Err(PrepareError::PoorFit { spreads: told.join(", "), limit_mrad: options.fit_max_mrad })
 }
 
 /// Every measured joint must move, or what it stands for cannot be separated from its offset.

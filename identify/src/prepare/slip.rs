@@ -20,7 +20,7 @@ enum Fit {
     Nowhere,
 }
 
-/// The slip in a run in which no order and no directions of the encoders fit: in some segment between singular poses all
+/// The slip in a run in which most samples of an encoder, or too few, fit: in some segment between singular poses all
 /// encoders fit but one, and that one fits before and after a step.
 ///
 /// `pairs` are in the order of time, each with its time \[s\].
@@ -55,14 +55,18 @@ fn fit(segment: &[(f64, AnglePair)], recorded: usize, limit_rad: f64) -> Fit {
         let difference =
             |(_, pair): &(f64, AnglePair)| pair.predicted_rad[joint] - sign * pair.recorded_rad[recorded];
         let differences: Vec<f64> = segment.iter().map(difference).collect();
-        if spread_of(deviations(differences.clone())) <= limit_rad {
-            return Fit::Whole;
+        // What the encoder reads jumps the other way than what it lacks.
+        let jumps = step(&differences, limit_rad).map(|(at, by_rad)| Fit::Stepped {
+            joint,
+            at,
+            by_rad: -sign * by_rad,
+        });
+        // Most of the samples fit, too, where it slips late.
+        if spread_of(deviations(differences)) <= limit_rad {
+            return jumps.unwrap_or(Fit::Whole);
         }
-        if matches!(stepped, Fit::Nowhere)
-            && let Some((at, by_rad)) = step(&differences, limit_rad)
-        {
-            // What the encoder reads jumps the other way than what it lacks.
-            stepped = Fit::Stepped { joint, at, by_rad: -sign * by_rad };
+        if let (Fit::Nowhere, Some(jumps)) = (&stepped, jumps) {
+            stepped = jumps;
         }
     }
     stepped
@@ -76,5 +80,5 @@ fn step(differences_rad: &[f64], limit_rad: f64) -> Option<(usize, f64)> {
     let constant = |part: &[f64]| spread_of(deviations(part.to_vec())) <= CLEARLY_WITHIN * limit_rad;
     let by_rad = wrapped(circular_median(after) - circular_median(before));
     let lasts = before.len().min(after.len()) >= PAIRS_MIN && constant(before) && constant(after);
-    (lasts && by_rad.abs() > CLEARLY_WITHIN * limit_rad).then_some((at, by_rad))
+    (lasts && by_rad.abs() > limit_rad).then_some((at, by_rad))
 }

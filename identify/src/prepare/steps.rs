@@ -90,6 +90,7 @@ pub fn prepare(
         encoder_map: found.encoder_map,
         origins,
         local_shifts: sorted.local_shifts,
+        poor_fit: sorted.poor_fit,
         observations: sorted.observations,
         motion,
         force,

@@ -5,6 +5,7 @@
 //! triangle by orthogonal transformations, from which rank, dependent groups and covariance are read: the normal
 //! matrix itself would square the condition number.
 
+mod change_point;
 mod covariance;
 mod identifiability;
 mod influence;
@@ -23,6 +24,7 @@ mod scaled_cholesky;
 mod subset;
 mod watch;
 
+pub use change_point::{Change, Course, change_point};
 pub use covariance::{Considered, Covariance, Noise, SigmasFrom, Source, Spread};
 pub use identifiability::{DependentGroup, Identifiability, Unidentifiable, identifiability};
 pub use influence::{Influence, influence};

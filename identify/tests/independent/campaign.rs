@@ -5,7 +5,7 @@
 //! `IDENTIFY_STAMPS=jittered` spoils the stamps of the robot's log, `IDENTIFY_KEEP=directory` keeps the files.
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
-use std::process::Command;
+use std::process::{Command, Output};
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
@@ -17,17 +17,17 @@ enum Outcome {
     Calibrated { identified: usize, error_mm_mrad: f64, largest: String },
 }
 
-fn chosen(variable: &str, name: &str) -> bool {
+pub(super) fn chosen(variable: &str, name: &str) -> bool {
     let Ok(names) = std::env::var(variable) else { return true };
     names.to_lowercase().split(',').any(|one| name.to_lowercase().contains(one))
 }
 
-fn number(variable: &str, otherwise: u64) -> u64 {
+pub(super) fn number(variable: &str, otherwise: u64) -> u64 {
     std::env::var(variable).map_or(otherwise, |value| value.parse().unwrap())
 }
 
 /// Sizes of a run: rates of all kinds of controllers, as fast as the path needs; stamps as the environment says.
-fn sizes(family: Family, seed: u64) -> Sizes {
+pub(super) fn sizes(family: Family, seed: u64) -> Sizes {
     let rates_hz =
         if family == Family::Fast { &[250.0, 500.0, 1000.0][..] } else { &[100.0, 250.0, 50.0, 125.0][..] };
     let stamps = match std::env::var("IDENTIFY_STAMPS").as_deref() {
@@ -45,11 +45,9 @@ fn sizes(family: Family, seed: u64) -> Sizes {
     }
 }
 
-/// `identify calibrate` on the files of a run. Where the arm has parallel axes whose offsets only their sum determines, the
-/// user fixes one more, as the program asks for.
-fn calibrated(run: &Run, directory: &Path) -> Outcome {
-    let files = run.write(directory);
-    let out = directory.join("out");
+/// `identify calibrate` on files of a run. Where the arm has parallel axes whose offsets only their sum determines, the user
+/// fixes one more, as the program asks for.
+pub(super) fn calibrate(run: &Run, files: &Files, out: &Path) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_identify"));
     command
         .arg("calibrate")
@@ -57,11 +55,16 @@ fn calibrated(run: &Run, directory: &Path) -> Outcome {
         .arg(&files.recording)
         .arg("--robot-log")
         .arg(&files.robot_log);
-    command.arg("--robot").arg(&files.robot).arg("--bar").arg(&files.bar).arg("--out").arg(&out);
+    command.arg("--robot").arg(&files.robot).arg("--bar").arg(&files.bar).arg("--out").arg(out);
     for name in run.robot.undetermined.iter().filter(|name| !["rd1", "rd3", "rtheta1"].contains(name)) {
         command.args(["--fix", name]);
     }
-    let output = command.output().unwrap();
+    command.output().unwrap()
+}
+
+fn calibrated(run: &Run, directory: &Path) -> Outcome {
+    let (files, out) = (run.write(directory), directory.join("out"));
+    let output = calibrate(run, &files, &out);
     if !output.status.success() {
         let text = String::from_utf8_lossy(&output.stderr).replace(&format!("{}/", directory.display()), "");
         let why = text.lines().find(|line| line.starts_with("error:")).unwrap_or(&text);

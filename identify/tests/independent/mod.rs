@@ -5,6 +5,7 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test stops at the first surprise")]
 
 mod campaign;
+mod changes;
 mod checks;
 mod errors;
 mod health;
@@ -333,13 +334,17 @@ impl Run {
 
     /// Writes the files of a run.
     pub fn write(&self, directory: &Path) -> Files {
+        self.write_as(&self.rows, &self.cycles, directory)
+    }
+
+    fn write_as(&self, rows: &[Row], cycles: &[(f64, [u32; 5])], directory: &Path) -> Files {
         let bar = directory.join("ball_bar.toml");
         std::fs::write(&bar, bar_toml(&self.robot)).unwrap();
         Files {
             robot: self.robot.file(directory),
             bar,
-            robot_log: logs::write_robot(&self.robot, &self.rows, directory),
-            recording: logs::write_bar(self.bar_time, &self.cycles, directory),
+            robot_log: logs::write_robot(&self.robot, rows, directory),
+            recording: logs::write_bar(self.bar_time, cycles, directory),
         }
     }
 }

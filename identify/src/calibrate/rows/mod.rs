@@ -5,7 +5,6 @@
 //! the errors of its joints, each kind only if fitting rows left out are predicted better with it. Held-out rows take no part
 //! in any of this, and the figures on them are what counts; the result is a last fit to all rows.
 
-mod changed;
 mod drift;
 mod error;
 mod faulty_runs;
@@ -15,6 +14,7 @@ mod terms;
 pub mod tracker;
 pub mod wire;
 
+use super::change::Changed;
 use super::deployment::Deployed;
 use super::links::{TOLERANCE, free_links, link_ids};
 use super::split::HoldOut;
@@ -24,8 +24,6 @@ use crate::kinematics::Chain;
 use crate::model::{Model, ModelError, ParameterId};
 use crate::solver::{LossName, Solution};
 
-pub use changed::Changed;
-pub(super) use changed::changed;
 pub use drift::Drift;
 pub use error::RowError;
 pub use faulty_runs::{FaultyRun, RunCause};
@@ -137,7 +135,7 @@ pub struct RowCalibration {
     pub solution: Solution,
     /// The calibrated model, of all rows.
     pub model: Model,
-    /// Joints whose zeros did not stay.
+    /// What did not stay while it was measured.
     pub changed: Vec<Changed>,
     /// The best geometry for who applies less than that, of all rows.
     pub deployed: Vec<Deployed>,

@@ -3,8 +3,9 @@
 use shared::config::RobotConfig;
 
 use super::implausible::{self, likely_of_all, reasons, step};
-use super::{PoseFigures, RowCalibration, RowError, RowErrors, RowOptions, changed};
+use super::{PoseFigures, RowCalibration, RowError, RowErrors, RowOptions};
 use crate::calibrate::ball_bar::CalibrateError;
+use crate::calibrate::change::changes;
 use crate::calibrate::deployment::{Deployment, deployed, fitted};
 use crate::calibrate::pipeline::{Plan, Solved, estimate, refit};
 use crate::calibrate::split::{self, Split};
@@ -83,7 +84,7 @@ pub fn calibrate(
     let mut runs = [Run { instrument: Instrument::Tracker(all), model }];
     let (_, solution, sigmas) = refit(&mut runs, options.loss).map_err(explained)?;
     let deployed = deployed(&runs, options.loss).map_err(explained)?;
-    let changed = changed(&runs, &sigmas).map_err(explained)?;
+    let changed = changes(&runs, &sigmas).map_err(explained)?;
     let [Run { instrument, model }] = runs;
     let Instrument::Tracker(tracker) = instrument else { return Err(CalibrateError::NoRun.into()) };
     let found = RowCalibration {

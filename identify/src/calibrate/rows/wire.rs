@@ -8,8 +8,9 @@ use nalgebra::Vector3;
 use shared::config::RobotConfig;
 
 use super::implausible::{reasons, unless};
-use super::{RowCalibration, RowError, RowErrors, RowOptions, changed, drift, faulty_runs};
+use super::{RowCalibration, RowError, RowErrors, RowOptions, drift, faulty_runs};
 use crate::calibrate::ball_bar::CalibrateError;
+use crate::calibrate::change::changes;
 use crate::calibrate::deployment::{Deployment, deployed, fitted};
 use crate::calibrate::pipeline::{Plan, Solved, estimate, refit, waves_per_turn};
 use crate::calibrate::split::{self, Split};
@@ -156,7 +157,7 @@ pub fn calibrate(
         solution.covariance = solution.covariance.widened(times);
     }
     let deployed = deployed(&all_rows, loss)?;
-    let changed = changed(&all_rows, &sigmas)?;
+    let changed = changes(&all_rows, &sigmas)?;
     let [Run { model, .. }] = all_rows;
     let Split { fitting: fitted, held_out } = split;
     let found = RowCalibration {

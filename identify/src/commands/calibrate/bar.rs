@@ -1,18 +1,21 @@
 //! `identify calibrate bar`: recordings of the ball-bar with the robot's logs.
 
+use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use anyhow::Context;
 use clap::Args;
 use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::output::show;
+use shared::recording::schema::CycleRecord;
 
 use super::experiment::Experiment;
 use super::force_logs::force_logs;
 use super::result::{conclude, limited, write_files};
 use super::sources::sources;
 use super::{CommonArguments, inputs, refused};
-use crate::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
+use crate::calibrate::ball_bar::{self, BallBarCalibration, CalibrateError, RunInput};
 use crate::calibrate::truth::Comparison;
 use crate::calibrate::{CostName, IdentifyConfig, SelectionName};
 use crate::commands::on_terminal::OnTerminal;
@@ -20,7 +23,7 @@ use crate::evaluate::{Validity, evidence};
 use crate::kinematics::flange_chain;
 use crate::logs::{self, BarLog, BarLogMapping, LogFormat, LogOptions, RobotLog, RobotLogMapping};
 use crate::model::{Model, ParameterId};
-use crate::prepare::{EncoderMapChoice, Prepared};
+use crate::prepare::{EncoderMapChoice, Prepared, bar_angles};
 use crate::report::file::{CalibrationFile, ClockEntry, MeasurementEntry, ParameterEntry, SolveEntry};
 use crate::report::force::ForceEntry;
 use crate::report::knowledge::NoiseEntry;
@@ -61,6 +64,10 @@ pub struct BarArguments {
     /// The bar's configuration, such as config/ball_bar.toml: one for all recordings, or one for each
     #[arg(long, value_name = "FILE", required = true)]
     pub(super) bar: Vec<PathBuf>,
+    /// Where an encoder slips, a clock jumps or the bar is moved at one instant, calibrate the run in two parts, each with its
+    /// own clocks, base and offsets
+    #[arg(long)]
+    pub(super) split_at_changes: bool,
     #[command(flatten)]
     pub(super) common: CommonArguments,
     /// What to minimise, what is free; default: see config/identify.toml
@@ -110,20 +117,23 @@ fn identify_config(arguments: &BarArguments) -> anyhow::Result<IdentifyConfig> {
     Ok(config)
 }
 
-/// One run as it was read.
+/// One run as it was read, or a part of it.
+#[derive(Clone)]
 pub(super) struct RunFiles<'a> {
     pub(super) recording_path: &'a Path,
     pub(super) log_path: &'a Path,
     bar_path: &'a Path,
-    pub(super) recording: BarLog,
-    pub(super) log: RobotLog,
+    pub(super) recording: Arc<BarLog>,
+    /// Cycles of the recording that are its.
+    cycles: Range<usize>,
+    pub(super) log: Arc<RobotLog>,
     pub(super) bar: BallBarConfig,
 }
 
 impl RunFiles<'_> {
     pub(super) fn input(&self) -> RunInput<'_> {
         RunInput {
-            cycles: self.recording.cycles(),
+            cycles: self.cycles(),
             encoders: self.recording.encoders(),
             unwrapped: self.recording.unwrapped(),
             log: &self.log,
@@ -131,9 +141,24 @@ impl RunFiles<'_> {
         }
     }
 
+    pub(super) fn cycles(&self) -> &[CycleRecord] {
+        self.recording.cycles().get(self.cycles.clone()).unwrap_or_default()
+    }
+
+    /// The parts before and after an instant, since the first valid sample \[s\]; none where one of them is empty.
+    fn cut(&self, at_s: f64) -> Option<[Self; 2]> {
+        let angles = bar_angles(self.cycles(), self.recording.encoders()).ok()?;
+        let first = *angles.segments.first()?.times.first()?;
+        let before =
+            self.cycles().iter().take_while(|cycle| cycle.sample_time.seconds_since(first) < at_s).count();
+        let at = self.cycles.start + before;
+        let part = |cycles: Range<usize>| (!cycles.is_empty()).then(|| Self { cycles, ..self.clone() });
+        Some([part(self.cycles.start..at)?, part(at..self.cycles.end)?])
+    }
+
     /// What the recording says of who measured what; none where another program made it.
     pub(super) fn measured(&self) -> Option<MeasurementEntry> {
-        match &self.recording {
+        match &*self.recording {
             BarLog::Recording(recording) => Some((&recording.run).into()),
             BarLog::Other(_) => None,
         }
@@ -169,9 +194,11 @@ pub(super) fn runs<'a>(
             let bar: BallBarConfig = config::load(bar_path)?;
             let mut log = load_log(log_path, robot, &log_options)?;
             log.force = if arguments.ignore_force { None } else { Option::or(force, log.force) };
+            let recording = load_recording(recording_path, &bar, bar_mapping.as_ref())?;
             Ok(RunFiles {
-                recording: load_recording(recording_path, &bar, bar_mapping.as_ref())?,
-                log,
+                cycles: 0..recording.cycles().len(),
+                recording: Arc::new(recording),
+                log: Arc::new(log),
                 bar,
                 recording_path,
                 log_path,
@@ -206,6 +233,33 @@ fn load_log(path: &Path, robot: &RobotConfig, options: &LogOptions) -> anyhow::R
     Ok(log)
 }
 
+/// Solves, where it is asked for with runs cut in two at what refuses them and is known to have changed at one instant.
+pub(super) fn solved<T>(
+    arguments: &BarArguments,
+    runs: &mut Vec<RunFiles<'_>>,
+    solve: impl Fn(&[RunInput<'_>]) -> Result<T, CalibrateError>,
+) -> Result<T, CalibrateError> {
+    /// A run with more is no measurement.
+    const CUTS_MAX: usize = 8;
+    let mut cuts = if arguments.split_at_changes { CUTS_MAX } else { 0 };
+    loop {
+        let inputs: Vec<RunInput<'_>> = runs.iter().map(RunFiles::input).collect();
+        let refused = match solve(&inputs) {
+            Err(refused) if cuts > 0 => refused,
+            found => return found,
+        };
+        let CalibrateError::Prepare { run, error } = &refused else { return Err(refused) };
+        let parts = error.parts_at_s().and_then(|at_s| Some((at_s, runs.get(*run)?.cut(at_s)?)));
+        let Some((at_s, parts)) = parts else { return Err(refused) };
+        tracing::warn!(
+            "{}: calibrated in two parts, cut {at_s:.2} s after the first sample: {error}",
+            parts[0].recording_path.display()
+        );
+        runs.splice(run..=run, parts);
+        cuts -= 1;
+    }
+}
+
 /// Reads, calibrates, writes and prints.
 pub(super) fn run(arguments: &BarArguments) -> anyhow::Result<()> {
     calibrate(arguments, &identify_config(arguments)?)
@@ -216,10 +270,10 @@ pub(super) fn calibrate(arguments: &BarArguments, config: &IdentifyConfig) -> an
     let robot = &arguments.common.robot()?;
     crate::commands::ensure_six_revolute_axes(robot)?;
     let truth = arguments.truth.as_deref().map(load_truth).transpose()?;
-    let runs = runs(arguments, robot)?;
-    let inputs: Vec<RunInput<'_>> = runs.iter().map(RunFiles::input).collect();
+    let mut runs = runs(arguments, robot)?;
     let on_terminal = OnTerminal::new();
-    let calibration = ball_bar::calibrate_runs(&inputs, robot, config, Some(&on_terminal));
+    let solve = |inputs: &[RunInput<'_>]| ball_bar::calibrate_runs(inputs, robot, config, Some(&on_terminal));
+    let calibration = solved(arguments, &mut runs, solve);
     let limits = &robot.joint_limits();
     let studied = calibration.and_then(|calibration| {
         let evidence = evidence(&calibration, limits);

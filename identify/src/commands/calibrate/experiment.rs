@@ -80,6 +80,9 @@ pub struct Experiment {
     /// Take the bar as rigid although the robot's log has a force.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub ignore_force: bool,
+    /// Calibrate a run in two parts where an encoder slips, a clock jumps or the bar is moved at one instant.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub split_at_changes: bool,
     /// Runs with the ball-bar.
     #[serde(default, rename = "bar", skip_serializing_if = "Vec::is_empty")]
     pub bars: Vec<BarRun>,
@@ -165,6 +168,7 @@ impl Experiment {
             log_mapping: None,
             force_mapping: None,
             ignore_force: false,
+            split_at_changes: false,
             bars: Vec::new(),
             trackers: Vec::new(),
             wires: Vec::new(),
@@ -217,6 +221,7 @@ impl Experiment {
             log_mapping: arguments.log_mapping.clone(),
             force_mapping: arguments.force_mapping.clone(),
             ignore_force: arguments.ignore_force,
+            split_at_changes: arguments.split_at_changes,
             bars: bars.map(run).collect(),
             ..Self::new(&arguments.common.robot, config.clone())
         }
@@ -277,6 +282,7 @@ impl Experiment {
             log_mapping: self.log_mapping.clone(),
             force_mapping: self.force_mapping.clone(),
             ignore_force: self.ignore_force,
+            split_at_changes: self.split_at_changes,
             common: self.common(result),
             config: None,
             cost: None,
@@ -328,16 +334,20 @@ pub(super) fn mixed(
     result: &ResultArguments,
 ) -> anyhow::Result<()> {
     let (bar_arguments, config) = (experiment.bar_arguments(result), &experiment.identify);
-    let bars = if experiment.bars.is_empty() {
+    let mut bars = if experiment.bars.is_empty() {
         Vec::new()
     } else {
         ensure_six_revolute_axes(robot)?;
         bar::runs(&bar_arguments, robot)?
     };
-    let (rows, lines): (_, Vec<_>) = read.into_iter().map(|read| (read.rows, read.lines)).unzip();
-    let data = DataSets { bars: bars.iter().map(bar::RunFiles::input).collect(), rows };
+    let (rows, lines): (Vec<Rows>, Vec<_>) = read.into_iter().map(|read| (read.rows, read.lines)).unzip();
     let on_terminal = OnTerminal::new();
-    let found = mix::calibrate(&data, robot, config, Some(&on_terminal)).and_then(|found| {
+    let found = bar::solved(&bar_arguments, &mut bars, |inputs| {
+        let data = DataSets { bars: inputs.to_vec(), rows: rows.clone() };
+        mix::calibrate(&data, robot, config, Some(&on_terminal))
+    });
+    let data = DataSets { bars: bars.iter().map(bar::RunFiles::input).collect(), rows };
+    let found = found.and_then(|found| {
         match mix::held_out(&data, robot, config, Some(&on_terminal)) {
             // The rest is too little for a solve: the calibration stands, without these figures.
             Err(error) if error.refusal().is_some() => {
@@ -411,7 +421,7 @@ pub(super) fn mixed(
         model: &first.model,
         solution,
         limits,
-        changed: &found.changed,
+        changed: &found.solved.changed,
         data_sets: data_sets.collect(),
         tables,
         asked: String::new(),

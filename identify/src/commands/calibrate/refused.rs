@@ -120,7 +120,7 @@ impl Attempt<'_> {
 }
 
 fn inspected<'a>(run: &'a RunFiles<'_>) -> InspectedRun<'a> {
-    let (cycles, encoders) = (run.recording.cycles(), run.recording.encoders());
+    let (cycles, encoders) = (run.cycles(), run.recording.encoders());
     InspectedRun {
         recording: InspectedLog {
             path: run.recording_path,

@@ -8,8 +8,8 @@ use shared::output::{say, show};
 
 use super::ResultArguments;
 use super::experiment::Experiment;
+use crate::calibrate::change::Changed;
 use crate::calibrate::deployment::Deployment;
-use crate::calibrate::rows::Changed;
 use crate::evaluate::{Limit, of_changes, workspace_error};
 use crate::kinematics::flange_chain;
 use crate::model::Model;
@@ -32,7 +32,7 @@ pub(super) struct Told<'a> {
     pub(super) solution: &'a Solution,
     /// What limits it.
     pub(super) limits: Vec<Limit>,
-    /// Joints whose zeros did not stay.
+    /// What did not stay while it was measured.
     pub(super) changed: &'a [Changed],
     pub(super) data_sets: Vec<(String, Measured<'a>)>,
     /// For the page, and for the terminal where all is printed.

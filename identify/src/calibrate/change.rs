@@ -1,0 +1,255 @@
+//! What does not stay during a run or a file of rows: an encoder slips, a joint of the robot is not where its log says, the
+//! bar or another instrument is moved, a clock steps, or one of them drifts. Nothing else shows it: the fit spreads it over links
+//! and terms, and held-out samples are wrong in the same way. All are tried on the same residuals, those of the solution with its
+//! terms, at one rate of false alarms ([`change_point`]).
+
+use std::fmt;
+
+use crate::calibrate::ball_bar::CalibrateError;
+use crate::cost::{DataSets, SharedColumns};
+use crate::instrument::{Instrument, Run};
+use crate::kinematics::{BAR_JOINTS, LinkParameter};
+use crate::model::{Axis, ParameterId, Role};
+use crate::prepare::{Deviations, PoorFit, PrepareError, PrepareOptions};
+use crate::solver::{Change, Course, LossName, Problem, change_point};
+
+/// Of data sets in which nothing changes, one in so many is said to have a change.
+const FALSE_ALARMS: f64 = 1e-4;
+/// Steps of a clock larger than this refuse a run \[s\]: at 0.15 rad/s they are what `slip_min_mrad` is.
+const CLOCK_S_MIN: f64 = 0.002;
+/// Of the base of the bar, for each radian of `slip_min_mrad` \[m\]: a rod of half a metre.
+const LEVER_M: f64 = 0.5;
+/// A change refuses a run where it explains so much of the squared residuals: with less, what the model lacks weighs more, and may
+/// look like a change where the path is not the same all along.
+const EXPLAINED: f64 = 0.3;
+/// Samples that are looked at, at most: what only more would show is too small to matter.
+const SAMPLES_MAX: usize = 3000;
+
+/// What can change.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Cause {
+    /// The offset of the encoder of this joint of the bar, from 0.
+    Encoder(usize),
+    /// The zero of this joint of the robot, from 0.
+    Joint(usize),
+    /// Where the bar stands.
+    Base,
+    /// The time of one log against the other.
+    Clock,
+    /// Where the tracker stands.
+    Tracker,
+    /// Where its target is on the flange.
+    Probe,
+    /// Where the wire is anchored.
+    Anchor,
+    /// What its lengths begin with.
+    LengthOffset,
+}
+
+impl Cause {
+    /// What can change of an instrument and a robot with so many axes.
+    fn all(instrument: &Instrument, axes: usize) -> Vec<Self> {
+        let of_instrument = match instrument {
+            Instrument::BallBar(_) => {
+                (0..BAR_JOINTS).map(Self::Encoder).chain([Self::Base, Self::Clock]).collect()
+            }
+            Instrument::Tracker(_) => vec![Self::Tracker, Self::Probe],
+            Instrument::Wire(_) => vec![Self::Anchor, Self::LengthOffset],
+            Instrument::Contact(_) => Vec::new(),
+        };
+        (0..axes).map(Self::Joint).chain(of_instrument).collect()
+    }
+
+    /// The parameters that change with it.
+    fn ids(self) -> Vec<ParameterId> {
+        let parameter = LinkParameter::Theta;
+        match self {
+            Self::Encoder(link) => vec![ParameterId::Bar { link, parameter }],
+            Self::Joint(link) => vec![ParameterId::Robot { link, parameter }],
+            Self::Base => Axis::ALL.map(ParameterId::Base).to_vec(),
+            Self::Clock => vec![ParameterId::ClockShift],
+            Self::Tracker => {
+                [Axis::ALL.map(ParameterId::Tracker), Axis::ALL.map(ParameterId::TrackerRotation)].concat()
+            }
+            Self::Probe => Axis::ALL.map(ParameterId::Probe).to_vec(),
+            Self::Anchor => Axis::ALL.map(ParameterId::Anchor).to_vec(),
+            Self::LengthOffset => vec![ParameterId::LengthOffset],
+        }
+    }
+}
+
+/// When it changes.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub enum When {
+    /// At once, so long after the first sample of a run \[s\].
+    At(f64),
+    /// At once, after this part of the rows of a file.
+    After(f64),
+    /// Evenly, from the first sample to the last.
+    Drift,
+}
+
+/// A change that is certain.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Changed {
+    /// Data set from 0.
+    pub data_set: usize,
+    /// What.
+    pub cause: Cause,
+    /// When.
+    pub when: When,
+    /// By how much each of its numbers, SI.
+    pub by: Vec<f64>,
+    /// Part of the squared residuals that it explains.
+    pub explained: f64,
+}
+
+/// The refusal of the first run whose angles fit no geometry, in place of what a solve has ended in because of that.
+pub(super) fn poor_fit(runs: &[Run]) -> Option<CalibrateError> {
+    let of_run = |run: &Run| Some(run.instrument.bar()?.prepared.poor_fit.as_ref()?.refusal());
+    let found = runs.iter().enumerate().find_map(|(number, run)| Some((number, of_run(run)?)));
+    found.map(|(run, error)| CalibrateError::Prepare { run, error: Box::new(error) })
+}
+
+/// The change of each data set that has one, at its solution; `sigmas` are what residuals of each are worth.
+///
+/// # Errors
+/// [`CalibrateError::Cost`].
+pub(super) fn changes(runs: &[Run], sigmas: &[f64]) -> Result<Vec<Changed>, CalibrateError> {
+    let mut all = Vec::new();
+    for (data_set, (run, sigma)) in runs.iter().zip(sigmas).enumerate() {
+        all.extend(of_run(run, *sigma)?.map(|found| Changed { data_set, ..found }));
+    }
+    Ok(all)
+}
+
+fn of_run(Run { instrument, model }: &Run, sigma: f64) -> Result<Option<Changed>, CalibrateError> {
+    let known = |id: &ParameterId| instrument.identifies(*id) && model.parameter(*id).is_some();
+    let mut causes = Cause::all(instrument, model.axes());
+    causes.retain(|cause| cause.ids().iter().any(known));
+    let ids = |cause: &Cause| cause.ids().into_iter().filter(known).collect::<Vec<_>>();
+    let mut with_causes = model.clone();
+    for id in causes.iter().flat_map(ids) {
+        if model.column_of(id).is_none() {
+            with_causes.set_role(id, Role::Free)?;
+        }
+    }
+    let place = |id: ParameterId| with_causes.column_of(id);
+    let alternatives: Vec<Vec<usize>> =
+        causes.iter().map(|cause| ids(cause).into_iter().filter_map(place).collect()).collect();
+    let estimated: Vec<usize> = model.columns().filter_map(|parameter| place(parameter.id)).collect();
+    let columns = SharedColumns::new([&with_causes], |_| false);
+    let problem = DataSets::new(vec![instrument.data_set(&with_causes, sigma)?], &columns);
+    let measured = || (0..problem.samples()).filter(|sample| !problem.is_known(*sample));
+    let every = measured().count().div_ceil(SAMPLES_MAX).max(1);
+    let samples: Vec<usize> = measured().step_by(every).collect();
+    let loss = LossName::Huber.for_spread(1.0, problem.rows());
+    let x = with_causes.start();
+    let found = change_point(&problem, &x, loss, &samples, &estimated, &alternatives, FALSE_ALARMS);
+    Ok(found.and_then(|Change { alternative, course, by, explained }| {
+        let when = match course {
+            Course::Step(at) => when(instrument, &samples, at)?,
+            Course::Drift => When::Drift,
+        };
+        Some(Changed { data_set: 0, cause: *causes.get(alternative)?, when, by, explained })
+    }))
+}
+
+/// The instant before a place among the samples that were looked at.
+fn when(instrument: &Instrument, samples: &[usize], at: usize) -> Option<When> {
+    let Some(bar) = instrument.bar() else { return Some(When::After(at as f64 / samples.len() as f64)) };
+    let time_s = |at: usize| Some(bar.prepared.observations.get(*samples.get(at)?)?.t_s);
+    // Somewhere between two samples that may be apart.
+    Some(When::At(0.5 * (time_s(at.checked_sub(1)?)? + time_s(at)?) - bar.prepared.first_s()))
+}
+
+impl Changed {
+    /// Its size, SI: of a place the distance.
+    pub fn size(&self) -> f64 {
+        let numbers = if self.cause == Cause::Tracker { 3 } else { self.by.len() };
+        self.by.iter().take(numbers).map(|by| by * by).sum::<f64>().sqrt()
+    }
+
+    fn only(&self) -> f64 {
+        self.by.first().copied().unwrap_or_default()
+    }
+
+    /// How far it moves the end of an arm of this reach \[m\]; clocks are none of its geometry.
+    pub fn moves_m(&self, reach_m: f64) -> f64 {
+        match self.cause {
+            Cause::Encoder(_) | Cause::Joint(_) => self.size() * reach_m,
+            Cause::Clock => 0.0,
+            _ => self.size(),
+        }
+    }
+
+    /// Why a run of the ball-bar with it is refused: a step that is larger than what a calibration may carry.
+    fn refusal(&self, options: &PrepareOptions) -> Option<PrepareError> {
+        let When::At(at_s) = self.when else { return None };
+        let slip_min_rad = options.slip_min_mrad * 1e-3;
+        // What an encoder or a joint reports too much its offset has to take away.
+        let by_mrad = -self.only() * 1e3;
+        let (error, least) = match self.cause {
+            Cause::Encoder(joint) => {
+                (PrepareError::EncoderSlip { joint: joint as u8 + 1, at_s, by_mrad }, slip_min_rad)
+            }
+            Cause::Joint(joint) => {
+                (PrepareError::JointStep { joint: joint as u8 + 1, at_s, by_mrad }, slip_min_rad)
+            }
+            Cause::Base => {
+                (PrepareError::BaseMoved { at_s, by_mm: self.size() * 1e3 }, LEVER_M * slip_min_rad)
+            }
+            Cause::Clock => (PrepareError::ClockJump { at_s, by_ms: self.only() * 1e3 }, CLOCK_S_MIN),
+            _ => return None,
+        };
+        (self.size() > least).then_some(error)
+    }
+}
+
+/// Whether runs of the ball-bar may become a calibration: not with a large change, nor where angles fitted no geometry from the
+/// beginning, which a change may have been the reason of.
+///
+/// # Errors
+/// [`CalibrateError::Prepare`] with the first run that may not.
+pub(super) fn refuse(
+    runs: &[Run],
+    changed: &[Changed],
+    options: &PrepareOptions,
+) -> Result<(), CalibrateError> {
+    for (run, Run { instrument, model }) in runs.iter().enumerate() {
+        let Some(bar) = instrument.bar() else { continue };
+        let poor_fit = bar.prepared.poor_fit.as_ref();
+        let own = changed.iter().filter(|one| one.data_set == run && one.explained > EXPLAINED);
+        let error = own.filter_map(|one| one.refusal(options)).next();
+        let error = error.map(|error| error.resting_on(Deviations::at(&bar.prepared, model.geometry(&[]))));
+        if let Some(error) = error.or_else(|| poor_fit.map(PoorFit::refusal)) {
+            return Err(CalibrateError::Prepare { run, error: Box::new(error) });
+        }
+    }
+    Ok(())
+}
+
+impl fmt::Display for Changed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { cause, when, .. } = self;
+        let mrad = |by_rad: f64| format!("by {:+.2} mrad", by_rad * 1e3);
+        let distance = || format!("by {:.2} mm", self.size() * 1e3);
+        let (what, by) = match cause {
+            Cause::Encoder(joint) => (format!("the encoder of joint {}", joint + 1), mrad(-self.only())),
+            Cause::Joint(joint) => (format!("the zero of joint {}", joint + 1), mrad(self.only())),
+            Cause::Base => ("the base of the bar".to_owned(), distance()),
+            Cause::Clock => ("the robot's clock".to_owned(), format!("by {:+.2} ms", self.only() * 1e3)),
+            Cause::Tracker => ("the place of the tracker".to_owned(), distance()),
+            Cause::Probe => ("the place of the tracker's target on the flange".to_owned(), distance()),
+            Cause::Anchor => ("the anchor of the wire".to_owned(), distance()),
+            Cause::LengthOffset => {
+                ("the zero of the wire".to_owned(), format!("by {:+.2} mm", self.only() * 1e3))
+            }
+        };
+        match when {
+            When::At(at_s) => write!(f, "{what} steps {by} {at_s:.1} s after the first sample"),
+            When::After(part) => write!(f, "{what} steps {by} after about {:.0} % of the rows", part * 100.0),
+            When::Drift => write!(f, "{what} drifts {by} from the first sample to the last"),
+        }
+    }
+}

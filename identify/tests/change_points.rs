@@ -1,0 +1,165 @@
+//! The detector of changes on made-up residuals: how often it cries wolf, and what it finds.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use identify::solver::{Block, Change, Course, Loss, Prior, Problem, change_point, minimise};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, StandardNormal, StudentT};
+
+const SAMPLES: usize = 1500;
+/// Offsets of both channels, a lag behind a motion that both share, and two errors of geometry that bend with it.
+const COLUMNS: usize = 5;
+
+/// Two channels over an irregular motion: `r = offset + lag speed + bends - y`.
+struct Channels {
+    motion: Vec<[f64; 3]>,
+    y: Vec<[f64; 2]>,
+}
+
+impl Problem for Channels {
+    type Point = Vec<f64>;
+
+    fn columns(&self) -> usize {
+        COLUMNS
+    }
+
+    fn column_name(&self, column: usize) -> String {
+        column.to_string()
+    }
+
+    fn samples(&self) -> usize {
+        self.y.len()
+    }
+
+    fn rows(&self) -> usize {
+        2
+    }
+
+    fn priors(&self) -> &[Prior] {
+        &[]
+    }
+
+    fn point(&self, x: &[f64]) -> Vec<f64> {
+        x.to_vec()
+    }
+
+    fn sample(&self, x: &mut Vec<f64>, sample: usize, r: &mut [f64], block: &mut Block<'_>) -> bool {
+        let [speed, bend, other] = self.motion[sample];
+        let slopes = [[1.0, 0.0], [0.0, 1.0], [speed, 0.7 * speed * bend], [bend, other], [other, -bend]];
+        for channel in 0..2 {
+            r[channel] = -self.y[sample][channel];
+            for (column, slope) in slopes.iter().enumerate() {
+                r[channel] += x[column] * slope[channel];
+                block.column_mut(column)[channel] = slope[channel];
+            }
+        }
+        true
+    }
+}
+
+const OFFSETS: [usize; 2] = [0, 1];
+const LAG: usize = 2;
+
+/// What the program looks for: either offset, the lag, and both offsets at once.
+fn alternatives() -> Vec<Vec<usize>> {
+    vec![vec![0], vec![1], vec![LAG], vec![0, 1]]
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Noise {
+    White,
+    /// First-order autoregression: each sample keeps this part of the one before.
+    Lasting(f64),
+    /// Three times as much in the middle third of the run.
+    Uneven,
+    /// Student's t of three degrees of freedom.
+    HeavyTails,
+    /// A wave of so many periods in each radian of an angle that no column explains, four times the white noise on it: gears.
+    Gear(f64),
+}
+
+impl Noise {
+    fn drawn(self, angles_rad: &[f64], random: &mut ChaCha8Rng) -> Vec<f64> {
+        let phase = random.random_range(0.0..std::f64::consts::TAU);
+        let mut last = 0.0;
+        let one = |sample: usize| {
+            let along = sample as f64 / SAMPLES as f64;
+            let white: f64 = random.sample(StandardNormal);
+            match self {
+                Self::White => white,
+                Self::Lasting(kept) => {
+                    last = kept * last + (1.0 - kept * kept).sqrt() * white;
+                    last
+                }
+                Self::Uneven => white * if (along * 3.0) as usize == 1 { 3.0 } else { 1.0 },
+                Self::HeavyTails => StudentT::new(3.0).unwrap().sample(random),
+                Self::Gear(periods) => white + 4.0 * (periods * angles_rad[sample] + phase).sin(),
+            }
+        };
+        (0..SAMPLES).map(one).collect()
+    }
+}
+
+fn run(noise: Noise, seed: u64) -> Channels {
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let waves: [[f64; 2]; 3] =
+        std::array::from_fn(|_| [random.random_range(3.0..40.0), random.random_range(0.0..6.0)]);
+    let at = |sample: usize| {
+        let along = sample as f64 / SAMPLES as f64;
+        waves.map(|[periods, phase]| (std::f64::consts::TAU * periods * along + phase).sin())
+    };
+    let motion: Vec<[f64; 3]> = (0..SAMPLES).map(at).collect();
+    let [one, other] = [1, 2].map(|angle| {
+        let angles_rad: Vec<f64> = motion.iter().map(|at| at[angle]).collect();
+        noise.drawn(&angles_rad, &mut random)
+    });
+    Channels { motion, y: one.into_iter().zip(other).map(<[f64; 2]>::from).collect() }
+}
+
+fn found(run: &Channels, false_alarms: f64) -> Option<Change> {
+    let loss = Loss::Cauchy { scale: 4.0 };
+    let options = identify::solver::Options { loss, ..Default::default() };
+    let (x, _) = minimise(run, &[0.0; COLUMNS], &options).unwrap();
+    let samples: Vec<usize> = (0..SAMPLES).collect();
+    let estimated: Vec<usize> = (0..COLUMNS).collect();
+    change_point(run, &x, loss, &samples, &estimated, &alternatives(), false_alarms)
+}
+
+#[test]
+fn runs_in_which_nothing_changes_show_a_change_no_more_often_than_stated() {
+    const RUNS: u64 = 100;
+    let kinds = [
+        Noise::White,
+        Noise::Lasting(0.9),
+        Noise::Lasting(0.97),
+        Noise::Uneven,
+        Noise::HeavyTails,
+        Noise::Gear(2.0),
+        Noise::Gear(40.0),
+    ];
+    for noise in kinds {
+        let alarms = |rate: f64| (0..RUNS).filter(|seed| found(&run(noise, *seed), rate).is_some()).count();
+        let often = alarms(0.05);
+        let seldom = if often == 0 { 0 } else { alarms(1e-4) };
+        println!("{noise:?}: {often} and {seldom} of {RUNS}");
+        // Five are stated; five standard deviations more are no chance.
+        assert!(often <= 5 + 11, "{noise:?}: {often}");
+        assert_eq!(seldom, 0, "{noise:?}");
+    }
+}
+
+#[test]
+fn a_step_is_found_where_and_as_large_as_it_is() {
+    // Near an end few blocks share in a step: only a larger one is certain.
+    for (at, size) in [(700, 3.0), (250, 6.0), (1300, -8.0)] {
+        for seed in 0..10 {
+            let mut stepped = run(Noise::Lasting(0.8), 100 + seed);
+            stepped.y[at..].iter_mut().for_each(|y| y[1] += size);
+            let change = found(&stepped, 1e-4).unwrap();
+            let Course::Step(found) = change.course else { panic!("{change:?}") };
+            assert_eq!(change.alternative, OFFSETS[1], "{change:?}");
+            assert!(found.abs_diff(at) <= 20, "{found} {at}");
+            assert!((change.by[0] - size).abs() < 1.0, "{change:?}");
+        }
+    }
+}

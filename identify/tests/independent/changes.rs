@@ -1,0 +1,160 @@
+//! Sudden changes during a run: what is said of them, by kind and size, and of runs in which nothing changes.
+#![allow(clippy::print_stdout, reason = "figures of a run")]
+
+use super::campaign::{calibrate, chosen, number, sizes};
+use super::*;
+
+/// Before why a run was refused.
+const REFUSED: &str = "REFUSED";
+
+/// What changes, and by how much.
+#[derive(Debug, Clone, Copy)]
+enum Injected {
+    Nothing,
+    /// Encoder of a bar joint, from 0 \[mrad\].
+    Encoder(usize, f64),
+    /// The same, evenly from the first cycle to the last.
+    Drift(usize, f64),
+    /// What a joint of the robot is more than its log says, from 0 \[mrad\].
+    Joint(usize, f64),
+    /// The base of the bar, along x \[mm\].
+    Base(f64),
+    /// Stamps of the bar, which has no even clock of its own that a step would show in \[ms\].
+    Clock(f64),
+}
+
+impl Injected {
+    /// What the program has to say of it, as a refusal or as a warning.
+    fn named(self) -> [String; 2] {
+        let both = |refused: &str, warned: &str| [refused.to_owned(), warned.to_owned()];
+        match self {
+            Self::Nothing => both(REFUSED, "Something changed"),
+            Self::Encoder(joint, _) => [
+                format!("the encoder of joint {} slips", joint + 1),
+                format!("the encoder of joint {} steps by", joint + 1),
+            ],
+            Self::Drift(joint, _) => {
+                both("no drift is refused", &format!("the encoder of joint {} drifts by", joint + 1))
+            }
+            Self::Joint(joint, _) => [
+                format!("the log of the robot's joint {} steps", joint + 1),
+                format!("the zero of joint {} steps by", joint + 1),
+            ],
+            Self::Base(_) => both("the base of the bar moves: ", "the base of the bar steps by"),
+            Self::Clock(_) => both("a clock jumps", "the robot's clock steps by"),
+        }
+    }
+}
+
+impl Run {
+    /// The files of a run in which something changes when so much of it has passed.
+    fn write_changed(&self, injected: Injected, part: f64, directory: &Path) -> Files {
+        let (mut rows, mut cycles) = (self.rows.clone(), self.cycles.clone());
+        let at_s = part * self.motion.duration_s;
+        for (time_s, counts) in &mut cycles {
+            let (late, along) = (*time_s > at_s, *time_s / self.motion.duration_s);
+            let by = match injected {
+                Injected::Encoder(joint, mrad) if late => (joint, mrad),
+                Injected::Drift(joint, mrad) => (joint, mrad * along),
+                _ => (0, 0.0),
+            };
+            let count = &mut counts[by.0];
+            let more = by.1 * 1e-3 / std::f64::consts::TAU * COUNTS_PER_TURN;
+            *count = count.wrapping_add_signed(more.round() as i32);
+            if let (Injected::Clock(ms), true) = (injected, late) {
+                *time_s += ms * 1e-3;
+            }
+        }
+        let raw_from_joints = self.robot.joints_from_raw.try_inverse().unwrap();
+        for (row, (time_s, angles)) in
+            rows.iter_mut().zip(&self.true_rows).filter(|(_, truth)| truth.0 > at_s)
+        {
+            let mut more = RowVector6::zeros();
+            match injected {
+                Injected::Joint(joint, mrad) => more[joint] = -mrad * 1e-3,
+                Injected::Base(mm) => {
+                    let bar_rad = self.motion.bar_rad(*time_s);
+                    let mut pose = self.true_bar.pose(&bar_rad, self.motion.longer_m(&bar_rad));
+                    pose[(0, 3)] += mm * 1e-3;
+                    let moved = self.true_arm.inverse_near(&pose, angles).unwrap();
+                    more = RowVector6::from_fn(|_, joint| moved[joint] - angles[joint]);
+                }
+                _ => {}
+            }
+            let raw = more * raw_from_joints;
+            (0..6).for_each(|joint| row.1[joint] += raw[joint]);
+        }
+        self.write_as(&rows, &cycles, directory)
+    }
+}
+
+/// What the program says of a run in which something changes: why it is refused, or all that it writes of a calibration.
+fn said_of(run: &Run, injected: Injected, part: f64) -> String {
+    let directory = tempfile::tempdir().unwrap();
+    let (files, out) = (run.write_changed(injected, part, directory.path()), directory.path().join("out"));
+    let output = calibrate(run, &files, &out);
+    if output.status.success() {
+        return std::fs::read_to_string(out.join("report.html")).unwrap();
+    }
+    let told = String::from_utf8_lossy(&output.stderr);
+    let error = told.lines().find(|line| line.starts_with("error:"));
+    format!("{REFUSED} {}", error.unwrap_or(&told))
+}
+
+#[test]
+fn what_changes_is_named_and_nothing_is_named_that_does_not() {
+    let sizes = Sizes { duration_s: Some(60.0), ..Sizes::default() };
+    let run = Run::new(Robot::irb2400(), Family::Waypoints, &sizes, 11);
+    let all = [
+        Injected::Nothing,
+        Injected::Encoder(2, 1.0),
+        Injected::Joint(1, 1.0),
+        Injected::Base(1.0),
+        Injected::Clock(8.0),
+        Injected::Drift(3, 1.0),
+    ];
+    for injected in all {
+        let told = said_of(&run, injected, 0.45);
+        let named = injected.named().iter().any(|name| told.contains(name));
+        assert_eq!(named, !matches!(injected, Injected::Nothing), "{injected:?}: {told}");
+    }
+}
+
+/// `cargo test -p identify --test all changes_by_size -- --ignored --nocapture`; the environment chooses as for
+/// `independent_campaign`, `IDENTIFY_SIZES=none` leaves only sound runs.
+#[test]
+#[ignore = "five minutes for one run with 43 changes"]
+fn changes_by_size() {
+    let (first, seeds) = (number("IDENTIFY_FIRST_SEED", 1), number("IDENTIFY_SEEDS", 1));
+    let mut all = vec![Injected::Nothing];
+    if std::env::var("IDENTIFY_SIZES").is_err() {
+        for size in [0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0] {
+            all.extend([Injected::Encoder(0, size), Injected::Encoder(3, size), Injected::Joint(1, size)]);
+            all.extend([Injected::Base(size), Injected::Drift(3, size), Injected::Clock(5.0 * size)]);
+        }
+    }
+    for robot in Robot::all().into_iter().filter(|robot| chosen("IDENTIFY_ROBOTS", robot.name)) {
+        for family in
+            Family::ALL.into_iter().filter(|family| chosen("IDENTIFY_PATHS", &format!("{family:?}")))
+        {
+            for seed in first..first + seeds {
+                let run = Run::new(robot.clone(), family, &sizes(family, seed), seed);
+                for injected in &all {
+                    let told = said_of(&run, *injected, 0.3 + 0.1 * (seed % 5) as f64);
+                    let [refused, warned] = injected.named();
+                    let other = || {
+                        told.lines().find(|line| line.contains(REFUSED) || line.contains("Something changed"))
+                    };
+                    let verdict = if told.contains(&refused) {
+                        "REFUSED".to_owned()
+                    } else if told.contains(&warned) {
+                        "WARNED".to_owned()
+                    } else {
+                        other().map_or("passes".to_owned(), |other| format!("OTHER {other}"))
+                    };
+                    println!("{:8} {family:?} {seed} {injected:?}: {verdict}", run.robot.name);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,50 @@
+//! A run in which something changes at one instant, calibrated from both sides of it.
+#![allow(clippy::unwrap_used, reason = "tests")]
+
+use crate::support::laboratory::{self, Level};
+use crate::support::refused::Typed;
+use crate::support::{bar, irb2400};
+use identify::simulate::{Design, Simulated};
+use shared::recording::schema::CycleRecord;
+
+/// Error of the robot's parameters as the terminal compares them with the truth \[mm|mrad\].
+fn robot_error(run: &Simulated, extra: &[&str]) -> f64 {
+    let typed = Typed::new(run, &irb2400(), &bar());
+    let out = tempfile::tempdir().unwrap();
+    let truth = typed.inputs.path().join("truth.toml");
+    let output = typed.calibrate(&[&["--truth", truth.to_str().unwrap()], extra].concat(), out.path());
+    let told = String::from_utf8_lossy(&output.stdout).into_owned();
+    assert!(output.status.success(), "{told}\n{}", String::from_utf8_lossy(&output.stderr));
+    // What was typed can be repeated.
+    let repeated = std::fs::read_to_string(out.path().join("experiment.toml")).unwrap();
+    assert_eq!(repeated.contains("split_at_changes = true"), !extra.is_empty());
+    let (_, after) = told.split_once("robot alone (").unwrap();
+    after.split_once(": ").unwrap().1.split_whitespace().next().unwrap().parse().unwrap()
+}
+
+/// Cycle before which it changes.
+const AT: usize = 5500;
+
+#[test]
+#[ignore = "eight calibrations: half a minute"]
+fn both_sides_of_a_slip_and_of_a_jump_calibrate_better_than_either() {
+    let robot = irb2400();
+    let design = Design { duration_s: 100.0, ..Design::for_robot(&robot) };
+    let sound = laboratory::run(&robot, &bar(), 3, &Level::USUAL, design);
+    let (mut slipped, mut jumped) = (sound.clone(), sound.clone());
+    let counts = (2e-3 / sound.encoders[3].scale.rad_per_count()) as u32;
+    for cycle in &mut slipped.cycles[AT..] {
+        cycle.encoders[3].count = cycle.encoders[3].count.wrapping_add(counts);
+    }
+    for cycle in &mut jumped.cycles[AT..] {
+        cycle.sample_time = cycle.sample_time.plus_ns(20_000_000);
+    }
+    Typed::new(&slipped, &robot, &bar()).refused(&["encoder of joint 4 slips"], &[]);
+    let of_side =
+        |cycles: &[CycleRecord]| robot_error(&Simulated { cycles: cycles.to_vec(), ..sound.clone() }, &[]);
+    let of_sides = [of_side(&sound.cycles[..AT]), of_side(&sound.cycles[AT..])];
+    for run in [&slipped, &jumped] {
+        let found = robot_error(run, &["--split-at-changes"]);
+        assert!(of_sides.iter().all(|of_side| found < *of_side), "{found} {of_sides:?}");
+    }
+}
