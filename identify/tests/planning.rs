@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use std::f64::consts::TAU;
+use std::process::Command;
 use std::time::Duration;
 
 use identify::kinematics::{Chain, ball_bar_chain, robot_chain};
@@ -252,41 +253,177 @@ fn programs_of_controllers_have_the_joints_of_the_path() {
     let path = cell.robot_path(&cell.search(1, 0));
     let refused = program(Language::Rapid, &path, &cell.robot, &cell.constraints()).unwrap_err();
     assert!(refused.to_string().contains("motor angles"), "{refused}");
-    // A controller that logs joint angles: joint 2 counts the other way, joint 3 from the horizontal, joint 5 from its middle.
-    cell.robot.log.unit = AngleUnit::Deg;
-    cell.robot.log.raw_offset_rad[4] = 0.5;
-    for (i, row) in cell.robot.log.raw_to_joint.iter_mut().enumerate() {
-        row.iter_mut().enumerate().for_each(|(j, entry)| *entry = if i == j { 1.0 } else { 0.0 });
-    }
-    cell.robot.log.raw_to_joint[1][1] = -1.0;
-    cell.robot.log.raw_to_joint[1][2] = 1.0;
-    // What the controller's own log would show at these times.
-    let mut csv = Vec::new();
-    identify::logs::write(&path, &cell.robot, &mut csv).unwrap();
-    let csv = String::from_utf8(csv).unwrap();
-    let rows = csv.lines().filter(|line| line.starts_with(|c: char| c.is_ascii_digit()));
-    let rows: Vec<Vec<f64>> =
-        rows.map(|row| row.split(',').map(|cell| cell.parse().unwrap()).collect()).collect();
+    cell.robot = with_joint_log(cell.robot);
+    let rows = logged(&path, &cell.robot);
     for language in [Language::Rapid, Language::Krl, Language::Urscript] {
         let text = program(language, &path, &cell.robot, &cell.constraints()).unwrap();
-        let (points, to_deg) = match language {
-            Language::Rapid => (numbers(&text, "MoveAbsJ ", ["[[", "]"]), 1.0),
-            Language::Krl => (numbers(&text, "SPTP ", ["{", "}"]), 1.0),
-            Language::Urscript => (numbers(&text, "go(", ["[", "]"]), 1f64.to_degrees()),
+        let (points, to_deg, skipped) = match language {
+            Language::Rapid => (numbers(&text, "MoveAbsJ ", ["[[", "]"]), 1.0, 0),
+            Language::Krl => (numbers(&text, "SPTP ", ["{", "}"]), 1.0, 1),
+            Language::Urscript => (numbers(&text, "go(", ["[", "]"]), 1f64.to_degrees(), 1),
+            Language::Fanuc => unreachable!("another form"),
         };
-        let about = text.lines().find(|line| line.contains("points ")).unwrap();
-        let period_s: f64 =
-            about.split("points ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap();
-        let skipped = if language == Language::Rapid { 0 } else { 1 };
-        assert_eq!(points.len() + skipped, (40.0 / period_s).round() as usize + 1);
-        for (index, point) in points.iter().enumerate() {
-            let row = (index + skipped) as f64 * period_s / 0.004;
-            if (row - row.round()).abs() > 1e-6 {
-                continue;
+        let points: Vec<Vec<f64>> =
+            points.iter().map(|point| point.iter().map(|angle| angle * to_deg).collect()).collect();
+        assert_same(&points, &rows, period_s(&text), skipped, 1e-4);
+    }
+}
+
+#[test]
+fn a_fanuc_program_has_each_point_once_and_moves_to_them_in_order() {
+    let mut cell = Cell::new(irb2400(), 40.0);
+    let path = cell.robot_path(&cell.search(1, 0));
+    cell.robot = with_joint_log(cell.robot);
+    cell.robot.name = "FANUC by name".into();
+    assert_eq!(Language::of(&cell.robot), Some(Language::Fanuc));
+    let text = program(Language::Fanuc, &path, &cell.robot, &cell.constraints()).unwrap();
+    let sections: Vec<&str> = text.lines().filter(|line| line.starts_with('/')).collect();
+    assert_eq!(sections, ["/PROG  BALLBAR_PATH", "/ATTR", "/MN", "/POS", "/END"]);
+    let between = |from: &str, to: &str| text.split_once(from).unwrap().1.split_once(to).unwrap().0;
+    // Numbered lines, each ended.
+    let lines: Vec<&str> = between("/MN\n", "/POS").lines().collect();
+    for (index, line) in lines.iter().enumerate() {
+        let (number, rest) = line.split_once(':').unwrap();
+        assert_eq!(number.trim(), (index + 1).to_string());
+        assert!(rest.ends_with(" ;") && (!rest.contains('!') || rest.len() < 40), "{line}");
+    }
+    assert!(text.contains(&format!("LINE_COUNT\t= {};", lines.len())));
+    let moves: Vec<&str> =
+        lines.iter().filter_map(|line| line.split_once(":J P[")).map(|(_, rest)| rest).collect();
+    assert_eq!(moves[0], "1] 10% FINE ;");
+    let period_ms: f64 = moves[1].split(' ').nth(1).unwrap().strip_suffix("msec").unwrap().parse().unwrap();
+    for (index, step) in moves.iter().enumerate().skip(1) {
+        assert_eq!(*step, format!("{}] {period_ms}msec CNT100 ;", index + 1));
+    }
+    let points: Vec<Vec<f64>> = between("/POS\n", "/END")
+        .split("};")
+        .filter(|block| !block.trim().is_empty())
+        .enumerate()
+        .map(|(index, block)| {
+            assert!(block.trim_start().starts_with(&format!("P[{}]{{", index + 1)), "{block}");
+            (1..=6)
+                .map(|joint| {
+                    let after = block.split_once(&format!("J{joint}=")).unwrap().1;
+                    after.split_once(" deg").unwrap().0.trim().parse().unwrap()
+                })
+                .collect()
+        })
+        .collect();
+    assert_eq!(points.len(), moves.len());
+    assert_same(&points, &logged(&path, &cell.robot), period_ms * 1e-3, 0, 6e-4);
+}
+
+/// What `script` prints of the program in `argv[1]`: a point for each line, angles by spaces.
+fn read_by_python(script: &str, program: &str) -> Vec<Vec<f64>> {
+    let python =
+        std::env::var_os("BALLBAR_PYTHON").expect("BALLBAR_PYTHON: a Python with tests/requirements.txt");
+    let room = tempfile::tempdir().unwrap();
+    let file = room.path().join("program");
+    std::fs::write(&file, program).unwrap();
+    let read = Command::new(python).args(["-c", script]).arg(&file).output().unwrap();
+    assert!(read.status.success(), "{}", String::from_utf8_lossy(&read.stderr));
+    let lines = String::from_utf8(read.stdout).unwrap();
+    lines.lines().map(|line| line.split(' ').map(|angle| angle.parse().unwrap()).collect()).collect()
+}
+
+/// Targets of a module that RAPID's grammar has as a whole, and the times that they take but for the first.
+const RAPID: &str = r#"
+import sys
+from rapidchecker.parser.grammar import module
+from rapidchecker.parser.indent import reset_level
+text = open(sys.argv[1]).read()
+reset_level()
+tokens = module.parse_string(text, parse_all=True).as_list()
+assert tokens[:3] == ["MODULE", "BallBarPath", "PROC"], tokens[:3]
+assert tokens[-2:] == ["ENDPROC", "ENDMODULE"], tokens[-2:]
+starts = [i for i, token in enumerate(tokens) if token == "MoveAbsJ"]
+for start, end in zip(starts, starts[1:] + [len(tokens) - 2]):
+    assert tokens[start + 1:start + 3] == ["[", "["] and tokens[start + 9:start + 11] == ["]", "["]
+    assert all(axis == 9e9 for axis in tokens[start + 11:start + 17])
+    rest = tokens[start + 19:end]
+    if start == starts[0]:
+        assert rest == ["\\NoEOffs", ",", "v50", ",", "fine", ",", "tool0", ";", "WaitTime", 1, ";"], rest
+        time_s = 0
+    else:
+        assert rest[:4] == ["\\NoEOffs", ",", "v1000", "\\T"] and rest[4] == ":=", rest
+        assert rest[6:] == [",", "z1", ",", "tool0", ";"], rest
+        time_s = rest[5]
+    print(*tokens[start + 3:start + 9], time_s)
+"#;
+
+/// RAPID's grammar by another hand.
+#[test]
+#[ignore = "needs Python with rapidchecker: set BALLBAR_PYTHON"]
+fn an_independent_parser_of_rapid_finds_the_joints_and_times_of_the_path() {
+    let mut cell = Cell::new(irb2400(), 30.0);
+    let path = cell.robot_path(&cell.search(1, 0));
+    cell.robot = with_joint_log(cell.robot);
+    let text = program(Language::Rapid, &path, &cell.robot, &cell.constraints()).unwrap();
+    let mut points = read_by_python(RAPID, &text);
+    let times_s: Vec<f64> = points.iter_mut().filter_map(Vec::pop).collect();
+    assert_eq!(times_s[0], 0.0);
+    assert!(times_s[1..].iter().all(|time_s| *time_s == period_s(&text)));
+    assert_same(&points, &logged(&path, &cell.robot), period_s(&text), 0, 1e-4);
+}
+
+/// Runs a URScript program as Python, which has the same expressions, lists, loops and calls: only `end` and the words of
+/// scope are others. The block that an `end` closes must begin in the same column. Prints what the servo loop is told at each
+/// step of a controller whose step is `dt`.
+const URSCRIPT: &str = r#"
+import sys
+lines, open_blocks = [], []
+for line in open(sys.argv[1]).read().splitlines():
+    column, words = len(line) - len(line.lstrip()), line.split()
+    if words == ["end"]:
+        assert open_blocks.pop() == column, line
+        continue
+    line = line.replace("local ", "").replace("global ", "")
+    lines.append(line)
+    if line.endswith(":"):
+        assert words[0] in ("def", "while", "if"), line
+        open_blocks.append(column)
+        if line.strip() == "def go(q1, v1):":
+            lines.append(" " * (column + 2) + "nonlocal q0, v0, t")
+assert not open_blocks
+for dt in (0.002, 0.008):
+    steps, called = [], []
+    known = dict(
+        get_steptime=lambda: dt,
+        movej=lambda q, a, v: called.append(("movej", q)),
+        sleep=lambda s: called.append(("sleep", s)),
+        stopj=lambda a: called.append(("stopj", a)),
+        servoj=lambda q, t, lookahead_time, gain: (called.append("servoj"), steps.append([t, *q])),
+    )
+    exec("\n".join(lines), known)
+    assert [name for name, _ in called[:2]] == ["movej", "sleep"] and called[-1] == ("stopj", 2), called[-1]
+    assert set(called[2:-1]) == {"servoj"}
+    for q in [[0.0, *called[0][1]], *steps]:
+        assert q[0] in (0, dt)
+        print(dt, *q[1:])
+"#;
+
+#[test]
+#[ignore = "needs Python: set BALLBAR_PYTHON"]
+fn a_urscript_program_that_is_run_drives_the_path_in_its_time() {
+    let mut cell = Cell::new(irb2400(), 30.0);
+    let path = cell.robot_path(&cell.search(1, 0));
+    cell.robot = with_joint_log(cell.robot);
+    let text = program(Language::Urscript, &path, &cell.robot, &cell.constraints()).unwrap();
+    let rows = logged(&path, &cell.robot);
+    let steps = read_by_python(URSCRIPT, &text);
+    for step_s in [0.002, 0.008] {
+        let steps = steps.iter().filter(|step| step[0] == step_s).map(|step| &step[1..]);
+        let steps: Vec<Vec<f64>> =
+            steps.map(|step| step.iter().map(|angle| angle.to_degrees()).collect()).collect();
+        // Between points the cubic of the program is not the spline through the log.
+        assert_eq!(steps.len(), (30.0 / step_s).round() as usize + 1);
+        for (row, logged) in rows.iter().enumerate() {
+            let step = row as f64 * 0.004 / step_s;
+            if (step - step.round()).abs() < 1e-6 {
+                let same = |(angle, logged): (&f64, &f64)| (angle - logged).abs() < 5e-3;
+                let step = &steps[step.round() as usize];
+                assert!(step.iter().zip(&logged[1..]).all(same), "{row}: {step:?} {logged:?}");
             }
-            let row = &rows[row.round() as usize];
-            let same = |(angle, logged): (&f64, &f64)| (angle * to_deg - logged).abs() < 1e-4;
-            assert!(point.iter().zip(&row[1..]).all(same), "{language:?} {index}: {point:?} {row:?}");
         }
     }
 }
@@ -353,3 +490,49 @@ fn a_planned_path_calibrates_better_than_random_ones_in_the_simulated_laboratory
     println!("position error of the robot: random {random_m:.2e} m, planned {planned_m:.2e}, {expected:?}");
     assert!(planned_m < 0.7 * random_m, "{planned_m} {random_m}");
 }
+/// A controller that logs joint angles: joint 2 counts the other way, joint 3 from the horizontal, joint 5 from its middle.
+fn with_joint_log(mut robot: RobotConfig) -> RobotConfig {
+    robot.log.unit = AngleUnit::Deg;
+    robot.log.raw_offset_rad[4] = 0.5;
+    for (i, row) in robot.log.raw_to_joint.iter_mut().enumerate() {
+        row.iter_mut().enumerate().for_each(|(j, entry)| *entry = if i == j { 1.0 } else { 0.0 });
+    }
+    robot.log.raw_to_joint[1][1] = -1.0;
+    robot.log.raw_to_joint[1][2] = 1.0;
+    robot
+}
+
+/// What the controller's own log would show along a path: time \[s\], joints \[deg\].
+fn logged(path: &RobotLog, robot: &RobotConfig) -> Vec<Vec<f64>> {
+    let mut csv = Vec::new();
+    identify::logs::write(path, robot, &mut csv).unwrap();
+    let csv = String::from_utf8(csv).unwrap();
+    let rows = csv.lines().filter(|line| line.starts_with(|c: char| c.is_ascii_digit()));
+    rows.map(|row| row.split(',').map(|cell| cell.parse().unwrap()).collect()).collect()
+}
+
+/// Time between the points of a program \[s\], as it says itself.
+fn period_s(program: &str) -> f64 {
+    let about = program.lines().find(|line| line.contains("points ")).unwrap();
+    about.split("points ").nth(1).unwrap().split(' ').next().unwrap().parse().unwrap()
+}
+
+/// Points of a program \[deg\] are the rows of the log at their times, the first of which is `skipped` points from its start.
+/// They may differ by `within` \[deg\].
+fn assert_same(points: &[Vec<f64>], logged: &[Vec<f64>], period_s: f64, skipped: usize, within: f64) {
+    let end_s = logged.last().unwrap()[0];
+    assert_eq!(points.len() + skipped, (end_s / period_s).round() as usize + 1);
+    let mut compared = 0;
+    for (index, point) in points.iter().enumerate() {
+        let row = (index + skipped) as f64 * period_s / 0.004;
+        if (row - row.round()).abs() > 1e-6 {
+            continue;
+        }
+        let row = &logged[row.round() as usize];
+        let same = |(angle, logged): (&f64, &f64)| (angle - logged).abs() < within;
+        assert!(point.len() == 6 && point.iter().zip(&row[1..]).all(same), "{index}: {point:?} {row:?}");
+        compared += 1;
+    }
+    assert!(compared > points.len() / 8, "{compared} of {}", points.len());
+}
+

@@ -1,10 +1,11 @@
 //! A path as programs of robot controllers.
 //!
 //! Points are so close that the robot leaves the sphere by no more than [`OFF_SPHERE_M_MAX`] between them, as each
-//! controller interpolates: joints along lines (RAPID), or along curves (KRL's splines, URScript's servo loop).
+//! controller interpolates: joints along lines (RAPID, FANUC), or along curves (KRL's splines, URScript's servo loop).
 //! Sources: ABB, Technical reference manual RAPID (3HAC050917), `MoveAbsJ`; KUKA System Software 8.3, Operating and
 //! Programming Instructions for System Integrators, `PTP_SPLINE` with `TIME_BLOCK`; Universal Robots, Script Manual,
-//! `servoj`, `get_steptime`.
+//! `servoj`, `get_steptime`; FANUC, R-30iA Operator's Manual, motion instructions (joint motion by time, `CNT`), and programs that
+//! controllers have written as text.
 
 use std::fmt::Write;
 
@@ -31,6 +32,8 @@ pub enum Language {
     Krl,
     /// Universal Robots
     Urscript,
+    /// FANUC, as text that its controllers and its offline tools turn into a program
+    Fanuc,
 }
 
 /// Why there is no program.
@@ -50,6 +53,14 @@ pub enum ProgramError {
     Motors {
         /// Its name.
         robot: String,
+    },
+    /// The language has six axes, others are additional axes somewhere else in its targets.
+    #[error("{robot} has {axes} axes, programs are written for six; take the joints from robot_path.csv")]
+    Axes {
+        /// Its name.
+        robot: String,
+        /// How many.
+        axes: usize,
     },
     /// Even the closest points leave the sphere.
     #[error(
@@ -81,6 +92,7 @@ impl Language {
             "ABB" => Some(Self::Rapid),
             "KUKA" => Some(Self::Krl),
             "UR" | "Universal" => Some(Self::Urscript),
+            "FANUC" | "Fanuc" => Some(Self::Fanuc),
             _ => first
                 .strip_prefix("UR")
                 .filter(|model| model.starts_with(|c: char| c.is_ascii_digit()))
@@ -94,12 +106,13 @@ impl Language {
             Self::Rapid => "BallBarPath.mod",
             Self::Krl => "ballbar_path.src",
             Self::Urscript => "ballbar_path.script",
+            Self::Fanuc => "ballbar_path.ls",
         }
     }
 
     /// The controller goes from point to point along curves that pass their speeds.
     const fn is_smooth(self) -> bool {
-        !matches!(self, Self::Rapid)
+        !matches!(self, Self::Rapid | Self::Fanuc)
     }
 }
 
@@ -125,6 +138,7 @@ pub fn program(
         Language::Rapid => rapid(&about, &points),
         Language::Krl => krl(&about, &points),
         Language::Urscript => ur_script(&about, &points),
+        Language::Fanuc => fanuc(&about, &points),
     })
 }
 
@@ -134,6 +148,9 @@ fn points(
     robot: &RobotConfig,
     constraints: &Constraints<'_>,
 ) -> Result<Points, ProgramError> {
+    if robot.axes() != 6 {
+        return Err(ProgramError::Axes { robot: robot.name.clone(), axes: robot.axes() });
+    }
     // A controller is told the angles that its log has where these are joint angles, whatever their signs and coupling.
     let is_joint = |entry: &f64| [-1.0, 0.0, 1.0].contains(entry);
     if !robot.log.raw_to_joint.iter().flatten().all(is_joint) {
@@ -251,20 +268,21 @@ fn ur_script(about: &str, points: &Points) -> String {
     let mut text = format!("def ballbar_path():\n  # {about}\n");
     let _ = write!(
         text,
-        "  global q0 = [{}]\n  global v0 = [{}]\n  movej(q0, a=0.3, v=0.2)\n  sleep(1)\n",
+        "  global q0 = [{}]\n  global v0 = [{}]\n  global t = 0\n  movej(q0, a=0.3, v=0.2)\n  sleep(1)\n",
         list(first, 1.0),
         list(&Joints::zeros(axes), 1.0)
     );
-    // A cubic between two points with the path's speeds at both, one step of the controller at a time.
+    // A cubic between two points with the path's speeds at both, one step of the controller at a time. What is over of a
+    // point's time belongs to the next: steps of 8 ms are no parts of 50.
     let entries: Vec<String> =
         (0..axes).map(|i| format!("a*q0[{i}]+b*q1[{i}]+c*v0[{i}]+d*v1[{i}]")).collect();
     let _ = write!(
         text,
-        "  def go(q1, v1):\n    local t = 0\n    local dt = get_steptime()\n    while t < {period}:\n      t = t + dt\n      \
-         local u = t / {period}\n      if u > 1:\n        u = 1\n      end\n      local a = 2*u*u*u - 3*u*u + 1\n      \
+        "  def go(q1, v1):\n    local dt = get_steptime()\n    while t + dt < {period} + 0.000001:\n      t = t + dt\n      \
+         local u = t / {period}\n      local a = 2*u*u*u - 3*u*u + 1\n      \
          local b = 3*u*u - 2*u*u*u\n      local c = (u*u*u - 2*u*u + u) * {period}\n      \
          local d = (u*u*u - u*u) * {period}\n      servoj([{entries}], t=dt, lookahead_time=0.03, gain=500)\n    end\n    \
-         q0 = q1\n    v0 = v1\n  end\n",
+         q0 = q1\n    v0 = v1\n    t = t - {period}\n  end\n",
         period = points.period_s,
         entries = entries.join(", ")
     );
@@ -272,5 +290,41 @@ fn ur_script(about: &str, points: &Points) -> String {
         let _ = writeln!(text, "  go([{}], [{}])", list(raw_rad, 1.0), list(rate_rad_s, 1.0));
     }
     text.push_str("  stopj(2)\nend\nballbar_path()\n");
+    text
+}
+
+/// Joint 3 is what the controller calls so, from the horizontal, where `raw_to_joint` of the robot's configuration has the
+/// coupling: the numbers are those of its log.
+fn fanuc(about: &str, points: &Points) -> String {
+    /// Characters of a remark that a controller takes.
+    const REMARK: usize = 32;
+    let mut lines: Vec<String> =
+        textwrap::wrap(about, REMARK).into_iter().map(|part| format!("!{part}")).collect();
+    lines.extend(["UFRAME_NUM=0".into(), "UTOOL_NUM=0".into()]);
+    let period_ms = (points.period_s * 1e3).round();
+    for point in 1..=points.raw_rad.len() {
+        match point {
+            1 => lines.extend(["J P[1] 10% FINE".into(), "WAIT   1.00(sec)".into()]),
+            _ => lines.push(format!("J P[{point}] {period_ms}msec CNT100")),
+        }
+    }
+    let mut text = format!(
+        "/PROG  BALLBAR_PATH\n/ATTR\nCOMMENT\t\t= \"\";\nLINE_COUNT\t= {};\nPROTECT\t\t= READ_WRITE;\n\
+         DEFAULT_GROUP\t= 1,*,*,*,*;\n/MN\n",
+        lines.len()
+    );
+    // Writing to a string cannot fail.
+    for (index, line) in lines.iter().enumerate() {
+        let _ = writeln!(text, "{:>4}:{}{line} ;", index + 1, if line.starts_with('J') { "" } else { "  " });
+    }
+    text.push_str("/POS\n");
+    for (index, raw_rad) in points.raw_rad.iter().enumerate() {
+        let joint =
+            |(axis, angle): (usize, &f64)| format!("J{}= {:.3} deg", axis + 1, angle.to_degrees() + 0.0);
+        let joints: Vec<String> = raw_rad.iter().enumerate().map(joint).collect();
+        let _ =
+            writeln!(text, "P[{}]{{\n   GP1:\n\tUF : 0, UT : 0,\n\t{}\n}};", index + 1, joints.join(",\n\t"));
+    }
+    text.push_str("/END\n");
     text
 }
