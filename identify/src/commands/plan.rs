@@ -192,9 +192,9 @@ impl Loaded {
         constraints
     }
 
-    fn information(&self) -> anyhow::Result<Information> {
+    fn information(&self, duration_s: f64) -> anyhow::Result<Information> {
         let chains = (&self.arm, &self.bar_chain);
-        let information = Information::new((&self.robot, &self.bar), chains, self.criterion)?;
+        let information = Information::new((&self.robot, &self.bar), chains, self.criterion, duration_s)?;
         let Some(file) = &self.calibration else { return Ok(information) };
         let known = file.covariance.as_ref().and_then(|covariance| {
             let place = |id: ParameterId| covariance.names.iter().position(|name| *name == id.to_string());
@@ -217,7 +217,7 @@ fn find(arguments: &PathArguments) -> anyhow::Result<()> {
     let mut loaded = arguments.cell.load()?;
     loaded.design.posture_deg = arguments.posture.unwrap_or(loaded.design.posture_deg);
     loaded.design.duration_s = arguments.duration.as_secs_f64();
-    let (constraints, information) = (loaded.constraints(), loaded.information()?);
+    let (constraints, information) = (loaded.constraints(), loaded.information(loaded.design.duration_s)?);
 
     let terminal = OnTerminal::new();
     let found = plan::search(&constraints, &information, arguments.seed, arguments.budget, |progress| {
@@ -324,7 +324,7 @@ fn place(arguments: &PlaceArguments) -> anyhow::Result<()> {
 fn check(arguments: &CheckArguments) -> anyhow::Result<()> {
     let loaded = arguments.cell.load()?;
     let log = logs::load(&arguments.path, &loaded.robot)?;
-    let information = loaded.information()?;
+    let information = loaded.information(log.duration_s())?;
     let checked = plan::check(&log, &loaded.constraints(), &information)?;
     show(path::summary(&checked, &information, None))?;
     anyhow::ensure!(checked.violations.is_empty(), "the path does not keep to its constraints");

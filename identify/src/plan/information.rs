@@ -2,7 +2,7 @@
 //! for how good they are.
 //!
 //! Each pose counts with the whitened residual of the `pose` cost at the nominal geometry, for noise that is white from
-//! sample to sample. Encoder harmonics and terms of the robot's axes take part with their priors, all of them: a
+//! sample to sample, of as many samples as a calibration keeps. Encoder harmonics and terms of the robot's axes take part with their priors, all of them: a
 //! calibration takes only those that held-out data support, so that it knows a little more than is expected here. What
 //! no parameter describes is not in it.
 
@@ -13,6 +13,7 @@ use rand_chacha::rand_core::SeedableRng;
 use shared::config::{BallBarConfig, RobotConfig};
 
 use crate::calibrate::IdentifyConfig;
+use crate::calibrate::terms::TermGroup;
 use crate::cost::{AngleNoise, LoopProblem, Residual, WhitenedPose};
 use crate::kinematics::{Chain, Joints, LinkParameter, Trace, Tracer};
 use crate::model::{DriveTrain, JointState, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
@@ -20,14 +21,17 @@ use crate::solver::{Normal, Normals, Options, ScaledCholesky};
 
 /// Postures over which position errors are averaged.
 const POSTURES: usize = 300;
-/// Rate of the recording \[1/s\]: every sample counts.
+/// Rate of the recording \[1/s\].
 const SAMPLES_PER_S: f64 = 100.0;
 
+/// No link is further from its nominal value, one standard deviation \[m, rad\]. Where a robot's axes are parallel some lengths
+/// depend on each other whatever the path, without a say in positions: this alone tells them apart.
+const LINK_SIGMA: f64 = 10e-3;
 /// Standard deviation of what counts as known, SI.
 const KNOWN_SIGMA: f64 = 1e-9;
 
-/// RMS position errors over the robot's workspace that are expected after a calibration \[m\]; infinite where a parameter stays
-/// open.
+/// RMS position errors over the robot's workspace that are expected after a calibration \[m\]; infinite where the place of the
+/// bar or the clocks stay open.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ExpectedPosition {
     /// Of an arm whose axes have no errors of their own.
@@ -50,11 +54,22 @@ pub enum Criterion {
     Worst,
 }
 
+/// That of one group of terms alone.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WithTerms {
+    /// Which.
+    pub group: TermGroup,
+    /// RMS position error over the workspace \[m\].
+    pub position_m: f64,
+}
+
 /// The parameters of a calibration, and what their errors do to positions.
 #[derive(Debug, Clone)]
 pub struct Information {
     model: Model,
     noise: AngleNoise,
+    /// Samples that a calibration keeps of each second \[1/s\].
+    samples_per_s: f64,
     /// What is known of the columns whatever the path.
     known: Normal,
     /// Columns of the robot's links.
@@ -63,7 +78,7 @@ pub struct Information {
     weight: DMatrix<f64>,
     criterion: Criterion,
     /// Columns of errors of the robot's axes and of the bar's length.
-    terms: Vec<usize>,
+    terms: Vec<(TermGroup, usize)>,
     /// Column of the plate's length, which no path determines: all lengths are as uncertain as it is.
     scale: Option<usize>,
 }
@@ -78,7 +93,7 @@ impl RobotMotion for States<'_> {
 }
 
 impl Information {
-    /// For a bar at `base_m`, with what a calibration with default settings estimates.
+    /// For a run of this length, with what a calibration with default settings estimates and as many samples as it keeps.
     ///
     /// # Errors
     /// [`ModelError`] where the model lacks a parameter.
@@ -86,6 +101,7 @@ impl Information {
         (robot, bar): (&RobotConfig, &BallBarConfig),
         (arm, bar_chain): (&Chain, &Chain),
         criterion: Criterion,
+        duration_s: f64,
     ) -> Result<Self, ModelError> {
         let config = IdentifyConfig::default();
         let mut model = Model::ball_bar(arm, bar_chain).with_drives(DriveTrain::of(robot, arm));
@@ -93,7 +109,7 @@ impl Information {
         config.set_roles(&mut model, &[], identifies)?;
         let mut terms = Vec::new();
         for kind in config.kinds(&model, identifies) {
-            terms.extend_from_slice(&kind.ids);
+            terms.extend(kind.ids.iter().map(|id| (kind.group, *id)));
             model.set_roles(kind.ids, Role::Prior { value: 0.0, sigma: kind.sigma })?;
         }
         // The whole run fixes it well, whatever the path.
@@ -110,12 +126,17 @@ impl Information {
             .collect();
         let weight = position_weight(arm, &robot_columns, &robot.joint_limits());
         let robot_columns = robot_columns.into_iter().map(|(column, _)| column).collect();
-        let terms = terms.into_iter().filter_map(|id| model.column_of(id)).collect();
+        let terms = terms.into_iter().filter_map(|(group, id)| Some((group, model.column_of(id)?))).collect();
         let scale = model.column_of(ParameterId::PLATE);
         let mut known = Normal::zeros(model.columns().len());
         known.add_priors(&model.priors(), &model.start());
+        for &column in &robot_columns {
+            known.matrix[(column, column)] += LINK_SIGMA.powi(-2);
+        }
         let noise = config.noise.into();
-        Ok(Self { model, noise, known, robot: robot_columns, weight, criterion, terms, scale })
+        let kept = config.prepare.points_max as f64 / duration_s.max(1.0);
+        let samples_per_s = if kept > 0.0 { kept.min(SAMPLES_PER_S) } else { SAMPLES_PER_S };
+        Ok(Self { model, noise, samples_per_s, known, robot: robot_columns, weight, criterion, terms, scale })
     }
 
     /// The same after a calibration, whose covariance this is: `between` of two parameters, none where one was not identified. A
@@ -168,7 +189,7 @@ impl Information {
             || Normal::zeros(columns),
             |normals| normals.of_folds().first().cloned().unwrap_or_else(|| Normal::zeros(columns)),
         );
-        normal.matrix *= period_s * SAMPLES_PER_S;
+        normal.matrix *= period_s * self.samples_per_s;
         normal
     }
 
@@ -228,10 +249,24 @@ impl Information {
     /// What a calibration of a path is expected to leave of position errors.
     pub fn position(&self, normal: &Normal) -> ExpectedPosition {
         ExpectedPosition {
-            axes_exact_m: self.worth(normal, Criterion::Position, self.terms.iter().chain(&self.scale)),
+            axes_exact_m: self.position_with(normal, &[]),
             with_terms_m: self.worth(normal, Criterion::Position, &self.scale),
             with_plate_m: self.worth(normal, Criterion::Position, []),
         }
+    }
+
+    /// RMS position error over the workspace that a calibration is expected to leave which estimates terms of these groups \[m\].
+    pub fn position_with(&self, normal: &Normal, groups: &[TermGroup]) -> f64 {
+        let others = self.terms.iter().filter(|(group, _)| !groups.contains(group));
+        self.worth(normal, Criterion::Position, others.map(|(_, column)| column).chain(&self.scale))
+    }
+
+    /// The same for each group alone that a calibration would try.
+    pub fn with_each(&self, normal: &Normal) -> Vec<WithTerms> {
+        let mut groups: Vec<TermGroup> = self.terms.iter().map(|(group, _)| *group).collect();
+        groups.dedup();
+        let alone = |group| WithTerms { group, position_m: self.position_with(normal, &[group]) };
+        groups.into_iter().map(alone).collect()
     }
 
     /// Name and expected standard deviation of each parameter, SI, in the order of the columns.

@@ -19,7 +19,7 @@ pub use bodies::Bodies;
 pub use check::{CheckError, Checked, Violation, check};
 pub use constraints::{Constraints, Obstacle};
 pub use design::Design;
-pub use information::{Criterion, ExpectedPosition, Information};
+pub use information::{Criterion, ExpectedPosition, Information, WithTerms};
 pub use path::{Move, Path};
 pub use place::{Place, PlaceRequest, Places, places};
 pub use programs::{Language, ProgramError, program};

@@ -162,7 +162,8 @@ impl PlaceRequest<'_> {
         let design = Design { base_m, posture_deg, ..self.design.clone() };
         let (arm, mut chain) = (robot_chain(self.robot, bar), ball_bar_chain(bar));
         chain.root_from_base.translation.vector = base_m.into();
-        let information = Information::new((self.robot, bar), (&arm, &chain), self.criterion)?;
+        let information =
+            Information::new((self.robot, bar), (&arm, &chain), self.criterion, design.duration_s)?;
         let limits = self.robot.joint_limits();
         let constraints = self.constraints(&arm, &chain, &limits, &design);
         let tight_design = tight_design(&design);

@@ -16,12 +16,16 @@ pub fn summary(checked: &Checked, information: &Information, found: Option<&Foun
     let _ = writeln!(
         text,
         "{:.1} s; expected RMS position error over the workspace after a calibration, from white noise:\n\
-         {} where the axes have no errors, {} with all terms of the axes, {} with the plate's length, too",
+         {} where the axes have no errors, {} with all terms of the axes, {} with the plate's length, too;\n\
+         of the terms a calibration takes those that it finds, each of them alone:",
         checked.duration_s,
         mm(expected.axes_exact_m),
         mm(expected.with_terms_m),
         mm(expected.with_plate_m)
     );
+    for one in information.with_each(&checked.normal) {
+        let _ = writeln!(text, "  {:<34}{}", one.group.name(), mm(one.position_m));
+    }
     if let Some(found) = found {
         let best = found.random_scores.iter().copied().fold(f64::INFINITY, f64::min);
         let _ = writeln!(
