@@ -8,13 +8,14 @@ use std::time::Duration;
 use identify::calibrate::IdentifyConfig;
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
 use identify::calibrate::terms::TermGroup;
-use identify::kinematics::{Chain, ball_bar_chain, robot_chain};
+use identify::kinematics::{Chain, Joints, ball_bar_chain, robot_chain, robot_inverse};
 use identify::logs::RobotLog;
 use identify::model::ParameterId;
 use identify::plan::{
     Bodies, Checked, Constraints, Criterion, Design, Found, Information, Language, Obstacle, PlaceRequest,
     PlannedPath, check, places, program, robot_path, search,
 };
+use identify::robot::import;
 use identify::simulate::{self, Effects, Experiment, Simulated, StaticErrors};
 use identify::solver::Normal;
 use nalgebra::Vector3;
@@ -83,7 +84,7 @@ impl Cell {
         PlannedPath {
             robot: self.robot.name.clone(),
             base_m: self.design.base_m,
-            robot_start_rad: std::array::from_fn(|axis| found.route.robot_rad[0][axis]),
+            robot_start_rad: found.route.robot_rad[0],
             path: found.route.path.clone(),
         }
     }
@@ -135,6 +136,58 @@ fn a_planned_path_keeps_the_sphere_limits_speeds_and_margins_at_every_millisecon
         assert!(checked.off_sphere_m < 1e-6 && checked.clearance_m.unwrap() >= 0.02);
         assert!(checked.winding_rad.iter().flatten().all(|angle| angle.abs() < TAU));
     }
+}
+
+/// An arm that can turn its elbow while its end stands still.
+fn seven_axes() -> Cell {
+    let text = std::fs::read_to_string(crate::support::repository("identify/tests/data/seven_axes.urdf"));
+    let robot = import(&text.unwrap(), Some("base"), Some("flange")).unwrap().config;
+    let design = Design {
+        base_m: [0.2, -0.3, 0.5],
+        posture_deg: Joints::of([-124.0, 26.0, 7.0, -116.0, 132.0, 108.0, 32.0]),
+        duration_s: 40.0,
+        ..Design::for_robot(&robot)
+    };
+    let bar = BallBarConfig { plate_m: 0.1, length_m: 0.4, ..bar() };
+    let mut cell = Cell::with(robot, bar, design);
+    cell.bodies.link_radius_m = 0.04;
+    cell
+}
+
+#[test]
+fn an_arm_of_seven_axes_has_a_path_whose_postures_depend_on_the_pose_alone() {
+    let cell = seven_axes();
+    let limits = cell.robot.joint_limits();
+    let found = cell.search(1, 80);
+    assert!(found.progress.taken > 0 && found.progress.score.is_finite(), "{:?}", found.progress);
+    let path = cell.robot_path(&found);
+    let checked = cell.check(&path);
+    assert_eq!(checked.violations, []);
+    let base_m = Vector3::from(cell.design.base_m);
+    for q in &path.q_rad {
+        assert!(((cell.arm.forward(q).translation.vector - base_m).norm() - 0.4).abs() < 1e-9);
+        assert!(q.len() == 7 && q.iter().zip(&limits).all(|(q, [low, high])| (low..=high).contains(&q)));
+    }
+    // The way back passes the same postures, and each is nearer to the middle of the limits than its neighbours at the same pose.
+    let from_middle = |q: &Joints| -> f64 {
+        let part = |(q, [low, high]): (&f64, &[f64; 2])| ((q - 0.5 * (low + high)) / (high - low)).powi(2);
+        q.iter().zip(&limits).map(part).sum()
+    };
+    let constraints = cell.constraints();
+    let mut near = *path.q_rad.last().unwrap();
+    for q in path.q_rad.iter().rev().step_by(10) {
+        let pose = cell.arm.forward(q);
+        near = constraints.inverse(&pose, &near).unwrap();
+        assert!(near.iter().zip(q).all(|(near, q)| (near - q).abs() < 1e-8), "{near:?} {q:?}");
+        for (axis, by) in [(0, 0.05), (2, -0.05), (4, 0.05)] {
+            let mut aside = *q;
+            aside[axis] += by;
+            let other = robot_inverse(&cell.arm, &pose, &aside).unwrap();
+            assert!(from_middle(&other) >= from_middle(q) - 1e-12, "{other:?} {q:?}");
+        }
+    }
+    let refused = program(Language::Rapid, &path, &cell.robot, &constraints).unwrap_err();
+    assert!(refused.to_string().contains("has 7 axes"), "{refused}");
 }
 
 /// Out and in again along a spiral of the gimbal about a point, the end turning slowly to and fro meanwhile: what one would
@@ -287,7 +340,7 @@ fn what_a_path_must_not_do_is_named_with_the_first_time() {
 #[test]
 fn lengths_that_no_path_tells_apart_leave_the_expected_error_of_positions_as_it_is() {
     let robot: RobotConfig = config::load(&crate::support::repository("config/robots/ur10.toml")).unwrap();
-    let posture_deg = [-43.0, -85.0, 62.0, 6.0, -22.0, -63.0];
+    let posture_deg = Joints::of([-43.0, -85.0, 62.0, 6.0, -22.0, -63.0]);
     let design = Design { base_m: [-0.9, 0.3, 0.45], posture_deg, duration_s: 40.0, ..Design::IRB_2400 };
     let bar = BallBarConfig { plate_m: 0.25, length_m: 0.4, ..bar() };
     let mut cell = Cell::with(robot, bar, design);
@@ -638,6 +691,8 @@ fn the_command_plans_checks_and_simulates_what_it_planned() {
     let other =
         identify(&["simulate", "--bar", bar, "--path", file.to_str().unwrap()], "nj220_2_7.toml", &run);
     assert!(!other.status.success() && String::from_utf8_lossy(&other.stderr).contains("is a path of ABB"));
+    let short = identify(&["plan", "--bar", bar, "--posture", "0,20"], robot, out);
+    assert!(String::from_utf8_lossy(&short.stderr).contains("--posture has 2 numbers"));
     let nowhere = identify(&["plan", "--bar", bar, "--base", "9,0,0"], robot, out);
     assert!(String::from_utf8_lossy(&nowhere.stderr).contains("no pose of the robot holds the bar"));
 }

@@ -22,6 +22,9 @@ use crate::report::file::CalibrationFile;
 use crate::report::page::PathPage;
 use crate::report::path;
 
+/// Axes without which an arm cannot follow the bar in all its directions.
+const AXES_MIN: usize = 6;
+
 #[derive(Debug, Args)]
 pub struct PlanArguments {
     #[command(subcommand)]
@@ -81,8 +84,8 @@ struct PathArguments {
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// A posture of the robot near which the motion begins [deg]; it selects elbow and wrist
-    #[arg(long, value_name = "Q1,..,Q6", value_parser = numbers::<6>, allow_hyphen_values = true)]
-    posture: Option<[f64; 6]>,
+    #[arg(long, value_name = "Q1,Q2,..", value_delimiter = ',', allow_hyphen_values = true)]
+    posture: Vec<f64>,
     /// Length of the run
     #[arg(long, default_value = "2m", value_parser = humantime::parse_duration)]
     duration: Duration,
@@ -143,7 +146,12 @@ struct Loaded {
 impl Cell {
     fn load(&self) -> anyhow::Result<Loaded> {
         let robot: RobotConfig = config::load(&self.robot)?;
-        super::ensure_six_revolute_axes(&robot)?;
+        anyhow::ensure!(
+            robot.axes() >= AXES_MIN,
+            "{} has {} axes; an arm needs {AXES_MIN} to follow the bar",
+            robot.name,
+            robot.axes()
+        );
         let bar: BallBarConfig = config::load(&self.bar)?;
         for (name, value) in [("speed", self.speed), ("acceleration", self.acceleration)] {
             anyhow::ensure!(
@@ -215,7 +223,15 @@ pub fn run(arguments: &PlanArguments) -> anyhow::Result<()> {
 
 fn find(arguments: &PathArguments) -> anyhow::Result<()> {
     let mut loaded = arguments.cell.load()?;
-    loaded.design.posture_deg = arguments.posture.unwrap_or(loaded.design.posture_deg);
+    let (given, axes) = (arguments.posture.len(), loaded.robot.axes());
+    anyhow::ensure!(
+        given == 0 || given == axes,
+        "--posture has {given} numbers, {} has {axes} axes; give one for each",
+        loaded.robot.name
+    );
+    if given > 0 {
+        loaded.design.posture_deg = arguments.posture.iter().copied().collect();
+    }
     loaded.design.duration_s = arguments.duration.as_secs_f64();
     let (constraints, information) = (loaded.constraints(), loaded.information(loaded.design.duration_s)?);
 
@@ -246,7 +262,7 @@ fn find(arguments: &PathArguments) -> anyhow::Result<()> {
     let planned_path = PlannedPath {
         robot: loaded.robot.name.clone(),
         base_m: loaded.design.base_m,
-        robot_start_rad: std::array::from_fn(|axis| start[axis]),
+        robot_start_rad: start,
         path: route.path.clone(),
     };
     write(&out.join("path.toml"), &toml::to_string(&planned_path)?)?;

@@ -209,7 +209,8 @@ fn bar(arguments: &BarArguments) -> anyhow::Result<()> {
         Errors::None => StaticErrors::None,
     };
     experiment.design.base_m = arguments.base.unwrap_or(experiment.design.base_m);
-    experiment.design.posture_deg = arguments.posture.unwrap_or(experiment.design.posture_deg);
+    experiment.design.posture_deg =
+        arguments.posture.map_or(experiment.design.posture_deg, crate::kinematics::Joints::from);
     experiment.design.duration_s = arguments.duration.as_secs_f64();
     if let Some(file) = &arguments.path {
         let planned: PlannedPath = config::load(file)?;

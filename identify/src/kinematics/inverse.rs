@@ -212,6 +212,60 @@ pub(super) fn refine<const N: usize>(
     Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad })
 }
 
+/// As [`refine`] for more axes than a pose needs: of all solutions around `start` the one that is nearest to the middle of the
+/// joints' limits, each in proportion to its range \[rad, m\]. The pose alone decides on it, not the way there (Liegeois 1977;
+/// Newton's method on the constraint, half of a Gauss-Newton step along it).
+pub(super) fn refine_centred<const N: usize>(
+    chain: &Chain,
+    target: &Pose,
+    start: [f64; N],
+    limits: &[[f64; 2]],
+) -> Result<[f64; N], InverseError> {
+    /// Below this joints are where rounding lets them be \[parts of their range\].
+    const SETTLED: f64 = 1e-12;
+    const ITERATIONS_MAX: usize = 200;
+    /// Along the constraint a Gauss-Newton step knows nothing of the constraint's curvature: half of it settles where
+    /// the curvature adds up to three times as much.
+    const PART: f64 = 0.5;
+    /// Largest step \[parts of a range\].
+    const STEP_MAX: f64 = 0.1;
+
+    let limit = |axis: usize| limits.get(axis).copied().unwrap_or([-PI, PI]);
+    let range =
+        SVector::<f64, N>::from_fn(|axis, _| (limit(axis)[1] - limit(axis)[0]).clamp(1e-3, 2.0 * TAU));
+    let middle = SVector::<f64, N>::from_fn(|axis, _| 0.5 * (limit(axis)[0] + limit(axis)[1]));
+    let tracer = Tracer::new(chain);
+    let mut trace = Trace::default();
+    let mut joints = SVector::<f64, N>::from(start);
+    let mut largest = f64::INFINITY;
+    for _ in 0..ITERATIONS_MAX {
+        tracer.trace(joints.as_slice(), &mut trace);
+        let mut jacobian = SMatrix::<f64, 6, N>::zeros();
+        for (axis, (mut column, twist)) in jacobian.column_iter_mut().zip(trace.joint_twists()).enumerate() {
+            column.fixed_rows_mut::<3>(0).copy_from(&(twist.linear * range[axis]));
+            column.fixed_rows_mut::<3>(3).copy_from(&(twist.angular * range[axis]));
+        }
+        let off_centre = (middle - joints).component_div(&range);
+        let error = pose_error(target, trace.end());
+        let Some(to_pose) = least_squares_step(jacobian, error) else { break };
+        let Some(undone) = least_squares_step(jacobian, jacobian * off_centre) else { break };
+        let step = to_pose + (off_centre - undone) * PART;
+        largest = step.amax();
+        joints += step.component_mul(&range) * (STEP_MAX / largest.max(STEP_MAX));
+        if largest < SETTLED {
+            return Ok(joints.into());
+        }
+        if !largest.is_finite() {
+            break;
+        }
+    }
+    // What remains moves along the constraint alone, by less than a controller resolves.
+    if largest < 1e-9 {
+        return Ok(joints.into());
+    }
+    Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad: largest * range.amax() })
+}
+
 /// `argmin |J x - e|` by Householder QR of `[J e]`, with more than six joints the shortest `x` with `J x = e`; none where J
 /// is singular.
 fn least_squares_step<const N: usize>(

@@ -2,7 +2,8 @@
 
 use std::ops::{Deref, DerefMut, Index, IndexMut};
 
-use serde::Serialize;
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
 
 pub use shared::config::AXES_MAX;
 
@@ -22,6 +23,17 @@ impl Joints {
         Self { values: [0.0; AXES_MAX], count }
     }
 
+    /// Those of a constant.
+    pub const fn of<const N: usize>(numbers: [f64; N]) -> Self {
+        let mut joints = Self::zeros(N);
+        let mut axis = 0;
+        while axis < joints.count {
+            joints.values[axis] = numbers[axis];
+            axis += 1;
+        }
+        joints
+    }
+
     /// From a function of the axis, from 0.
     #[inline]
     pub fn from_fn(count: usize, of: impl FnMut(usize) -> f64) -> Self {
@@ -39,6 +51,19 @@ impl Joints {
 impl Serialize for Joints {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         (**self).serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for Joints {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let numbers = Vec::<f64>::deserialize(deserializer)?;
+        if numbers.len() > AXES_MAX {
+            return Err(D::Error::invalid_length(
+                numbers.len(),
+                &"at most as many numbers as an arm may have axes",
+            ));
+        }
+        Ok(numbers.into_iter().collect())
     }
 }
 

@@ -29,5 +29,5 @@ pub use inverse::InverseError;
 pub(crate) use inverse::rotation_vector;
 pub use joints::{AXES_MAX, Joints};
 pub use mirror::mirroring_joints;
-pub use robot_inverse::{robot_inverse, robot_inverse_all};
+pub use robot_inverse::{robot_inverse, robot_inverse_all, robot_inverse_centred};
 pub use trace::{LinkParameter, Trace, Tracer, Turn, Twist};

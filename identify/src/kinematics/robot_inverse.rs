@@ -4,8 +4,8 @@
 use nalgebra::Matrix3;
 
 use super::inverse::{
-    distance_squared, nearest_turn, parallel, refine, revolute, right_angle, turn_and_twist, wrapped,
-    wrist_angles,
+    distance_squared, nearest_turn, parallel, refine, refine_centred, revolute, right_angle, turn_and_twist,
+    wrapped, wrist_angles,
 };
 use super::{Chain, InverseError, Joints, Pose};
 
@@ -127,6 +127,32 @@ pub fn robot_inverse(chain: &Chain, target: &Pose, near: &[f64]) -> Result<Joint
         7 => from_near::<7>(chain, target, near),
         8 => from_near::<8>(chain, target, near),
         found => Err(InverseError::Links { found, expected: AXES }),
+    }
+}
+
+/// As [`robot_inverse`], but an arm with more than six axes takes the posture nearest to the middle of its joint limits
+/// \[rad, m\], of those that it comes to from `near`: it depends on the pose alone, and comes back on a closed path.
+///
+/// # Errors
+/// Those of [`robot_inverse`].
+pub fn robot_inverse_centred(
+    chain: &Chain,
+    target: &Pose,
+    near: &[f64],
+    limits: &[[f64; 2]],
+) -> Result<Joints, InverseError> {
+    fn centred<const N: usize>(
+        chain: &Chain,
+        target: &Pose,
+        near: &[f64],
+        limits: &[[f64; 2]],
+    ) -> Result<Joints, InverseError> {
+        refine_centred::<N>(chain, target, std::array::from_fn(|axis| near[axis]), limits).map(Joints::from)
+    }
+    match (near.len() == chain.links.len(), near.len()) {
+        (true, 7) => centred::<7>(chain, target, near, limits),
+        (true, 8) => centred::<8>(chain, target, near, limits),
+        _ => robot_inverse(chain, target, near),
     }
 }
 

@@ -1,10 +1,12 @@
 //! What a path must keep to: where robot and bar are comfortable, how fast and hard the robot may move, and what must not
 //! touch.
 
-use nalgebra::Matrix6;
+use nalgebra::{Matrix6, Vector6};
 
 use super::{Bodies, Design, Path};
-use crate::kinematics::{Chain, Joints, Trace, Tracer, robot_inverse, singularity_margin_rad};
+use crate::kinematics::{
+    Chain, InverseError, Joints, Pose, Trace, Tracer, robot_inverse_centred, singularity_margin_rad,
+};
 
 /// Time between two poses of a path that are looked at while it is planned \[s\].
 pub const LOOK_S: f64 = 0.05;
@@ -122,9 +124,17 @@ impl<'a> Constraints<'a> {
         if singularity_margin_rad(bar_rad) < self.design.bar_margin_deg.to_radians() {
             return Err(Obstacle::BarSingularity);
         }
-        let robot =
-            robot_inverse(self.robot, &self.bar.forward(bar_rad), near_rad).map_err(|_| Obstacle::Reach)?;
+        let robot = self.inverse(&self.bar.forward(bar_rad), near_rad).map_err(|_| Obstacle::Reach)?;
         self.robot_is_comfortable(&robot).map(|()| robot)
+    }
+
+    /// The robot's joints at a pose of its end, the solution nearest to `near_rad`; where an arm has more axes than it needs, the
+    /// one in the middle of its limits.
+    ///
+    /// # Errors
+    /// Those of the inverse kinematics.
+    pub fn inverse(&self, target: &Pose, near_rad: &[f64]) -> Result<Joints, InverseError> {
+        robot_inverse_centred(self.robot, target, near_rad, &self.limits)
     }
 
     /// Joint limits, singular postures and bodies.
@@ -153,12 +163,14 @@ impl<'a> Constraints<'a> {
     pub fn dexterity(&self, robot_rad: &[f64]) -> f64 {
         let mut trace = Trace::default();
         self.tracer.trace(robot_rad, &mut trace);
-        let mut jacobian = Matrix6::zeros();
-        for (mut column, twist) in jacobian.column_iter_mut().zip(trace.joint_twists()) {
+        let mut squares = Matrix6::zeros();
+        for twist in trace.joint_twists() {
+            let mut column = Vector6::zeros();
             column.fixed_rows_mut::<3>(0).copy_from(&twist.linear);
             column.fixed_rows_mut::<3>(3).copy_from(&twist.angular);
+            squares += column * column.transpose();
         }
-        (jacobian * jacobian.transpose()).symmetric_eigenvalues().min().max(0.0).sqrt()
+        squares.symmetric_eigenvalues().min().max(0.0).sqrt()
     }
 
     /// The robot's joints on a part of a path, from `from_s` to `until_s` at equal steps of about [`LOOK_S`], the first

@@ -3,14 +3,17 @@
 use serde::{Deserialize, Serialize};
 use shared::config::RobotConfig;
 
+use crate::kinematics::Joints;
+
 /// Layout and motion of an experiment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Design {
     /// Centre of the gimbal in the robot's base frame \[m\].
     pub base_m: [f64; 3],
-    /// A posture of the robot near which the motion begins \[deg\]; it selects elbow and wrist.
-    pub posture_deg: [f64; 6],
+    /// A posture of the robot near which the motion begins \[deg, mm\]; it selects elbow and wrist. One of another number of
+    /// axes selects nothing.
+    pub posture_deg: Joints,
     /// Lower and upper end of each bar joint on the path \[deg\]. The signs of joints 2 and 4 are the bar's
     /// configuration.
     pub bar_range_deg: [[f64; 2]; 5],
@@ -37,7 +40,7 @@ impl Design {
     /// ABB IRB 2400/16 with a bar of 0.5 to 0.7 m.
     pub const IRB_2400: Self = Self {
         base_m: [1.0, 0.05, 0.35],
-        posture_deg: [0.0, 20.0, 10.0, 0.0, 60.0, 0.0],
+        posture_deg: Joints::of([0.0, 20.0, 10.0, 0.0, 60.0, 0.0]),
         bar_range_deg: [[-170.0, 170.0], [12.0, 85.0], [-170.0, 170.0], [75.0, 165.0], [-170.0, 170.0]],
         duration_s: 120.0,
         bar_speed_rad_s: 0.8,
@@ -55,7 +58,7 @@ impl Design {
     /// A posture of a six-axis arm keeps its distance from the straight wrist.
     pub(crate) fn wrist_is_bent(&self, joints_rad: &[f64]) -> bool {
         let margin = self.wrist_margin_deg.to_radians().sin();
-        joints_rad.get(4).is_none_or(|wrist| wrist.sin().abs() >= margin)
+        !matches!(joints_rad, [_, _, _, _, wrist, _] if wrist.sin().abs() < margin)
     }
 
     /// The layout for a robot, by its reach: the upper arm of large robots is longer than a metre.

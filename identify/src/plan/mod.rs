@@ -28,7 +28,7 @@ pub use search::{Found, Progress, search};
 
 use serde::{Deserialize, Serialize};
 
-use crate::kinematics::{InverseError, Joints, robot_inverse};
+use crate::kinematics::{InverseError, Joints};
 use crate::logs::{LogQuality, Origin, RobotLog};
 
 /// Time between two rows of a planned path \[s\].
@@ -43,7 +43,7 @@ pub struct PlannedPath {
     /// Centre of the gimbal in the robot's base frame \[m\].
     pub base_m: [f64; 3],
     /// Joints of the nominal robot at the start \[rad\].
-    pub robot_start_rad: [f64; 6],
+    pub robot_start_rad: Joints,
     /// Of the bar.
     pub path: Path,
 }
@@ -92,11 +92,4 @@ pub fn robot_path(
         log.q_rad.push(near_rad);
     }
     Ok(log)
-}
-
-impl PlannedPath {
-    /// Where the robot is at the start.
-    pub fn robot_start(&self) -> Joints {
-        self.robot_start_rad.into()
-    }
 }

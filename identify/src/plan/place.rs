@@ -28,7 +28,7 @@ pub struct Place {
     /// Length of the rod \[m\].
     pub length_m: f64,
     /// A posture of the robot on the sphere \[deg\].
-    pub posture_deg: [f64; 6],
+    pub posture_deg: Joints,
     /// The criterion, smaller is better.
     pub score: f64,
     /// Position errors that a calibration leaves.
@@ -98,7 +98,7 @@ pub fn places(
 
 impl PlaceRequest<'_> {
     /// A posture of the robot, and a base from which the bar reaches its end within the design's ranges.
-    fn somewhere(&self, bar: &BallBarConfig, random: &mut ChaCha8Rng) -> Option<([f64; 3], [f64; 6])> {
+    fn somewhere(&self, bar: &BallBarConfig, random: &mut ChaCha8Rng) -> Option<([f64; 3], Joints)> {
         const TRIES: usize = 2000;
         let (arm, mut chain) = (robot_chain(self.robot, bar), ball_bar_chain(bar));
         let limits = self.robot.joint_limits();
@@ -133,7 +133,7 @@ impl PlaceRequest<'_> {
             let constraints = self.constraints(&arm, &chain, &limits, self.design);
             // The base was moved to where it can be bolted.
             if let Ok(q) = constraints.robot_at(bar_rad, &q) {
-                return Some((base_m, std::array::from_fn(|axis| q[axis].to_degrees().round())));
+                return Some((base_m, q.map(|angle| angle.to_degrees().round())));
             }
         }
         None
@@ -156,7 +156,7 @@ impl PlaceRequest<'_> {
         &self,
         bar: &BallBarConfig,
         base_m: [f64; 3],
-        posture_deg: [f64; 6],
+        posture_deg: Joints,
         random: &mut ChaCha8Rng,
     ) -> Result<Option<Place>, ModelError> {
         let design = Design { base_m, posture_deg, ..self.design.clone() };

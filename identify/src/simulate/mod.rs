@@ -209,7 +209,7 @@ impl Experiment<'_> {
     pub fn drive(&self) -> Result<(Path, Joints), SimulateError> {
         self.check()?;
         if let Some(planned) = &self.path {
-            return Ok((planned.path.clone(), planned.robot_start()));
+            return Ok((planned.path.clone(), planned.robot_start_rad));
         }
         let Self { robot, design, .. } = self;
         let [nominal_robot, nominal_bar] = self.nominal();

@@ -146,7 +146,7 @@ impl Reference {
             Self::Same(seed) => random(&Experiment { seed: *seed, ..experiment.clone() }),
             Self::Planned(planned) => {
                 experiment.design.base_m = planned.base_m;
-                Ok((Box::new(planned.path.clone()), planned.robot_start()))
+                Ok((Box::new(planned.path.clone()), planned.robot_start_rad))
             }
             Self::Driven(driven) => {
                 experiment.design.base_m = driven.base_m;
