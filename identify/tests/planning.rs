@@ -24,6 +24,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use shared::config::{self, AngleUnit, BallBarConfig, RobotConfig};
 
+use crate::support::browser;
 use crate::support::command::identify;
 use crate::support::truth::position_error_m;
 use crate::support::{bar, irb2400, nj220};
@@ -691,10 +692,41 @@ fn the_command_plans_checks_and_simulates_what_it_planned() {
     let other =
         identify(&["simulate", "--bar", bar, "--path", file.to_str().unwrap()], "nj220_2_7.toml", &run);
     assert!(!other.status.success() && String::from_utf8_lossy(&other.stderr).contains("is a path of ABB"));
+    // What the page shows first, and what it does, as a browser has it.
+    let page = std::fs::read_to_string(out.join("path.html")).unwrap();
+    let scene = page.split_once("id=\"path-scene\"").unwrap().1.split_once('>').unwrap().1;
+    let scene: serde_json::Value = serde_json::from_str(scene.split_once("</script>").unwrap().0).unwrap();
+    let (frames, ends) = (scene["frames"].as_array().unwrap(), scene["ends"].as_u64().unwrap() as usize);
+    assert!(frames.len() > 500 && frames.len() == scene["times_s"].as_array().unwrap().len());
+    for frame in frames {
+        let coordinate = |point: usize, axis: usize| frame[3 * point + axis].as_f64().unwrap();
+        let place = |point: usize| Vector3::from_fn(|axis, _| coordinate(point, axis));
+        // The rod ends at the gimbal, which stands still.
+        assert!(((place(ends) - place(ends + 1)).norm() - 0.6).abs() < 0.002);
+        assert!((place(ends + 1) - Vector3::from(path.base_m)).norm() < 0.001);
+    }
     let short = identify(&["plan", "--bar", bar, "--posture", "0,20"], robot, out);
     assert!(String::from_utf8_lossy(&short.stderr).contains("--posture has 2 numbers"));
     let nowhere = identify(&["plan", "--bar", bar, "--base", "9,0,0"], robot, out);
     assert!(String::from_utf8_lossy(&nowhere.stderr).contains("no pose of the robot holds the bar"));
+}
+
+#[test]
+#[ignore = "needs chromium"]
+fn a_browser_draws_the_arm_along_the_path_and_asks_nobody_else() {
+    let directory = tempfile::tempdir().unwrap();
+    let bar = crate::support::repository("config/ball_bar.toml");
+    let arguments = ["plan", "--bar", bar.to_str().unwrap(), "--duration", "40s", "--budget", "1s"];
+    assert!(identify(&arguments, "irb2400_16.toml", directory.path()).status.success());
+    let page = std::fs::read_to_string(directory.path().join("path.html")).unwrap();
+    let shown = browser::shown(&page);
+    // The script writes the time of each frame that it draws.
+    let told = shown.document.split_once("id=\"path-shown\">").unwrap().1.split_once('<').unwrap().0;
+    assert!(told.ends_with("of 40 s"), "{told:?} {}", shown.stderr);
+    assert_eq!(shown.foreign, Vec::<String>::new());
+    // A script that is not the page's own is not run.
+    let other = page.replace("</main>", "</main><script>document.title = 'other'</script>");
+    assert!(!browser::shown(&other).document.contains("<title>other"));
 }
 
 #[test]

@@ -273,6 +273,7 @@ fn find(arguments: &PathArguments) -> anyhow::Result<()> {
     say(csv.display())?;
     let page = PathPage {
         robot: &loaded.robot.name,
+        arm: &loaded.arm,
         bar: &loaded.bar_chain,
         path: &route.path,
         robot_path: &robot_path,

@@ -7,6 +7,7 @@ use nalgebra::Vector3;
 use parry3d_f64::math::{Pose as Placement, Vector};
 use parry3d_f64::query;
 use parry3d_f64::shape::{Capsule, Cuboid, Shape};
+use shared::config::JointKind;
 
 use crate::kinematics::{Chain, ROD_LINK};
 
@@ -28,6 +29,38 @@ pub struct Bodies {
     pub clearance_m_min: f64,
 }
 
+/// Where the middles of arm and bar are in one pose \[m\].
+#[derive(Debug, Clone, PartialEq)]
+pub struct Skeleton {
+    /// Each link: where it begins, along its joint's axis, where it ends.
+    pub links: Vec<[Vector3<f64>; 3]>,
+    /// Where the plate begins.
+    pub plate_from: Vector3<f64>,
+    /// Where plate and rod end.
+    pub end: Vector3<f64>,
+    /// Where the rod begins.
+    pub gimbal: Vector3<f64>,
+}
+
+impl Skeleton {
+    /// Of a posture of the robot.
+    pub fn of(robot: &Chain, bar: &Chain, robot_rad: &[f64]) -> Self {
+        let mut at = robot.root_from_base;
+        let mut links = Vec::with_capacity(robot.links.len());
+        for (link, joint) in robot.links.iter().zip(robot_rad) {
+            let before = at.translation.vector;
+            let moved_m = if link.joint == JointKind::Prismatic { *joint } else { 0.0 };
+            // Along the joint's axis first, then along the link.
+            let elbow = before + at.rotation * Vector3::z() * (link.d_m + moved_m);
+            at *= link.transform(*joint);
+            links.push([before, elbow, at.translation.vector]);
+        }
+        let end = (at * robot.last_from_end).translation.vector;
+        let plate_from = links.last().map_or(end, |[_, elbow, _]| *elbow);
+        Self { links, plate_from, end, gimbal: bar.root_from_base.translation.vector }
+    }
+}
+
 impl Bodies {
     /// For a robot of this reach: links a tenth of it thick, as those of the arms in `config/robots` are; rod and plate of
     /// 20 mm radius, 20 mm apart from everything.
@@ -44,18 +77,7 @@ impl Bodies {
     /// Smallest distance between rod or plate and everything else, and between the forearm with what it carries and the
     /// cell \[m\]; zero where two overlap.
     pub fn clearance_m(&self, robot: &Chain, bar: &Chain, robot_rad: &[f64]) -> f64 {
-        let gimbal = bar.root_from_base.translation.vector;
-        let mut at = robot.root_from_base;
-        let mut links = Vec::with_capacity(robot.links.len());
-        for (link, joint) in robot.links.iter().zip(robot_rad) {
-            let before = at.translation.vector;
-            // Along the joint's axis first, then along the link.
-            let elbow = before + at.rotation * Vector3::z() * link.d_m;
-            at *= link.transform(*joint);
-            links.push([before, elbow, at.translation.vector]);
-        }
-        let end = (at * robot.last_from_end).translation.vector;
-        let plate_from = links.last().map_or(end, |[_, elbow, _]| *elbow);
+        let Skeleton { links, plate_from, end, gimbal } = Skeleton::of(robot, bar, robot_rad);
         let plate = self.rod([plate_from, end]);
         let rod = self.rod([gimbal, end]);
         // The last piece of the rod is at the plate, whatever the pose.

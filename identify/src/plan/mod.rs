@@ -15,7 +15,7 @@ mod programs;
 mod random;
 mod search;
 
-pub use bodies::Bodies;
+pub use bodies::{Bodies, Skeleton};
 pub use check::{CheckError, Checked, Violation, check};
 pub use constraints::{Constraints, Obstacle};
 pub use design::Design;
@@ -87,7 +87,7 @@ pub fn robot_path(
     for row in 0..=rows {
         let t_s = row as f64 * ROW_S;
         let target = constraints.bar().forward(&route.path.at(t_s));
-        near_rad = robot_inverse(constraints.robot(), &target, &near_rad).map_err(|error| (t_s, error))?;
+        near_rad = constraints.inverse(&target, &near_rad).map_err(|error| (t_s, error))?;
         log.t_s.push(t_s);
         log.q_rad.push(near_rad);
     }

@@ -22,7 +22,10 @@ pub fn shown(text: &str) -> Shown {
     std::fs::write(&page, text).unwrap();
     let requests = directory.path().join("requests.json");
     let log = format!("--log-net-log={}", requests.display());
-    let output = browser(directory.path()).args(["--dump-dom", &log]).arg(&page).output().unwrap();
+    // A second of the page's own time, so that scripts have drawn; in software where there is no graphics processor.
+    let drawn = ["--enable-unsafe-swiftshader", "--virtual-time-budget=1000"];
+    let output =
+        browser(directory.path()).args(drawn).args(["--dump-dom", &log]).arg(&page).output().unwrap();
     Shown {
         document: String::from_utf8_lossy(&output.stdout).into_owned(),
         foreign: foreign(&requests),

@@ -9,6 +9,7 @@ mod held_out;
 mod inputs;
 pub(super) mod intervals;
 mod path;
+mod path_view;
 pub(super) mod plot;
 mod preparation;
 mod readings;
@@ -22,7 +23,10 @@ mod thin;
 
 use std::path::{Path, PathBuf};
 
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
+use sha2::{Digest, Sha256};
 
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::evaluate::Evidence;
@@ -109,20 +113,28 @@ pub(super) fn is_page(text: &str) -> bool {
     text.contains("<div class=\"verdict")
 }
 
-/// A page that loads nothing, whatever a name in a log may contain.
+/// A page that loads nothing and runs nothing, whatever a name in a log may contain.
 pub(super) fn document(title: &str, body: &Markup) -> Markup {
-    const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; img-src data:";
+    document_with(title, &[], body)
+}
+
+/// A page that loads nothing and runs these scripts alone, after what it shows.
+fn document_with(title: &str, scripts: &[&str], body: &Markup) -> Markup {
+    let hash = |script: &&str| format!(" 'sha256-{}'", STANDARD.encode(Sha256::digest(script)));
+    let hashes: String = scripts.iter().map(hash).collect();
+    let scripts_from = if scripts.is_empty() { String::new() } else { format!("; script-src{hashes}") };
+    let policy = format!("default-src 'none'; style-src 'unsafe-inline'; img-src data:{scripts_from}");
     html! {
         (DOCTYPE)
         html lang="en" {
             head {
                 meta charset="utf-8";
                 meta name="viewport" content="width=device-width, initial-scale=1";
-                meta http-equiv="Content-Security-Policy" content=(POLICY);
+                meta http-equiv="Content-Security-Policy" content=(policy);
                 title { (title) }
                 style { (PreEscaped(include_str!("style.css"))) }
             }
-            body { (body) }
+            body { (body) @for script in scripts { script { (PreEscaped(script)) } } }
         }
     }
 }

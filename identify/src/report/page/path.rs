@@ -7,7 +7,7 @@ use maud::{Markup, html};
 use super::figures::{WIDE, dots};
 use super::plot::{BLUE, COLOURS, GREY, Mark, Panel, PlotError, Series};
 use super::sections::svg;
-use super::{PageError, document};
+use super::{PageError, document_with, path_view};
 use crate::kinematics::Chain;
 use crate::logs::RobotLog;
 use crate::model::ParameterId;
@@ -24,6 +24,8 @@ const ROUND: (u32, u32) = (450, 444);
 pub struct PathPage<'a> {
     /// The robot.
     pub robot: &'a str,
+    /// Its nominal arm with the plate.
+    pub arm: &'a Chain,
     /// The bar on its base.
     pub bar: &'a Chain,
     /// The bar's path.
@@ -71,14 +73,17 @@ impl PathPage<'_> {
                 } } }
             } }
         };
-        Ok(document(
+        let view = path_view::view(self);
+        Ok(document_with(
             &title,
+            path_view::SCRIPTS,
             &html! {
                 header {
                     h1 { (title) }
                     p.about { (format!("{:.0} s with the ball-bar, planned", self.checked.duration_s)) }
                 }
                 main {
+                    (view)
                     pre.table { (self.summary) }
                     @if let Some(bodies) = self.bodies {
                         p.note {

@@ -1,0 +1,107 @@
+//! The arm and the bar along a path, to be turned by hand: the scene for `view.js`, which draws it with OGL.
+
+use maud::{Markup, PreEscaped, html};
+use nalgebra::Vector3;
+use serde::Serialize;
+
+use super::PathPage;
+use crate::plan::{Bodies, Skeleton};
+
+/// OGL comes first.
+pub(super) const SCRIPTS: &[&str] = &[include_str!("ogl/ogl.iife.min.js"), include_str!("view.js")];
+
+/// Poses of the animation; between two of them points move along lines.
+const FRAMES: usize = 1000;
+/// Shorter pieces of a link are not drawn \[m\].
+const PIECE_M_MIN: f64 = 1e-3;
+
+/// What `view.js` is told.
+#[derive(Serialize)]
+struct Scene<'a> {
+    times_s: Vec<f64>,
+    /// Of each frame: x, y, z of each point \[m\].
+    frames: Vec<Vec<f64>>,
+    /// From which point to which, in which colour, with which radius \[m\].
+    capsules: Vec<(usize, usize, &'static str, f64)>,
+    /// The point whose way is drawn.
+    ends: usize,
+    boxes_m: &'a [[[f64; 3]; 2]],
+    floor_m: f64,
+    reach_m: f64,
+}
+
+impl<'a> Scene<'a> {
+    fn of(page: &'a PathPage<'_>, bodies: &'a Bodies) -> Self {
+        let path = page.robot_path;
+        let every = path.t_s.len().div_ceil(FRAMES).max(1);
+        let rows = path.t_s.iter().zip(&path.q_rad).step_by(every);
+        let (times_s, skeletons): (Vec<f64>, Vec<Skeleton>) =
+            rows.map(|(t_s, q)| (*t_s, Skeleton::of(page.arm, page.bar, q))).unzip();
+        let mut points: Vec<Vec<Vector3<f64>>> = Vec::new();
+        let mut capsules = Vec::new();
+        let of_all = |of: &dyn Fn(&Skeleton) -> Vector3<f64>| skeletons.iter().map(of).collect::<Vec<_>>();
+        points.push(of_all(&|one| one.links.first().map_or_else(Vector3::zeros, |[before, ..]| *before)));
+        let is_long = |from: &[Vector3<f64>], to: &[Vector3<f64>]| {
+            from.iter().zip(to).any(|(from, to)| (to - from).norm() > PIECE_M_MIN)
+        };
+        let links = page.arm.links.len();
+        let mut add = |to: Vec<Vector3<f64>>, colour: &'static str, radius_m: f64| {
+            let from = points.len() - 1;
+            if points.last().is_some_and(|last| is_long(last, &to)) {
+                points.push(to);
+                capsules.push((from, from + 1, colour, radius_m));
+            }
+        };
+        for link in 0..links {
+            let place =
+                |part: usize| of_all(&move |one| one.links.get(link).map_or(one.end, |link| link[part]));
+            add(place(1), "link", bodies.link_radius_m);
+            if link + 1 < links {
+                add(place(2), "link", bodies.link_radius_m);
+            }
+        }
+        add(of_all(&|one| one.end), "plate", bodies.rod_radius_m);
+        add(of_all(&|one| one.gimbal), "rod", bodies.rod_radius_m);
+        let ends = points.len().saturating_sub(2);
+        let millimetres = |x: f64| (x * 1e3).round() / 1e3;
+        let frame = |row: usize| {
+            points.iter().filter_map(|of| of.get(row)).flatten().map(|x| millimetres(*x)).collect()
+        };
+        Self {
+            frames: (0..times_s.len()).map(frame).collect(),
+            times_s,
+            capsules,
+            ends,
+            boxes_m: &bodies.boxes_m,
+            floor_m: bodies.floor_m.unwrap_or_default(),
+            reach_m: page.arm.reach_m(),
+        }
+    }
+}
+
+/// The view with its controls.
+pub(super) fn view(page: &PathPage<'_>) -> Markup {
+    let reach_m = page.arm.reach_m();
+    let otherwise = Bodies::for_reach(reach_m);
+    let scene = Scene::of(page, page.bodies.unwrap_or(&otherwise));
+    // A `<` would end the element that it stands in; numbers are finite.
+    let scene = serde_json::to_string(&scene).unwrap_or_default().replace('<', "\\u003c");
+    html! {
+        figure #path-view {
+            canvas #path-canvas role="img" aria-label="The robot and the bar along the path, in three dimensions" {}
+            div.controls {
+                button #path-play type="button" { "Play" }
+                input #path-time type="range" min="0" max="10000" value="0" aria-label="Time along the path";
+                output #path-shown {}
+                button #path-nearer type="button" aria-label="Nearer" { "+" }
+                button #path-farther type="button" aria-label="Farther" { "\u{2212}" }
+            }
+            figcaption {
+                "Turn it with the mouse or a finger, shift it with the right button or two fingers. Links, plate and rod are as thick as they "
+                "were for collisions; a square of the grid is 0.5 m, x of the robot's base is red, y green."
+            }
+            p.note.unable { "This browser draws nothing in three dimensions (WebGL is off); the figures below have the same path." }
+            script #path-scene type="application/json" { (PreEscaped(scene)) }
+        }
+    }
+}
