@@ -5,9 +5,6 @@
 use std::path::PathBuf;
 use std::process::Command;
 
-use identify::calibrate::HoldOut;
-use identify::calibrate::rows::tracker::calibrate;
-use identify::calibrate::rows::{RowCalibration, RowOptions};
 use identify::instrument::PoseRow;
 use identify::kinematics::{
     Chain, InverseError, Joints, LinkParameter, Pose, Trace, Tracer, flange_chain, robot_inverse,
@@ -24,6 +21,7 @@ use shared::config::{self, JointKind, RobotConfig, Validate};
 
 use crate::support::independent::{Matrix, identity, product, shift, turn};
 use crate::support::repository;
+use crate::support::rows::{Alone, Found};
 
 /// File, base and tip.
 const ARMS: [(&str, &str, &str); 3] =
@@ -297,10 +295,9 @@ fn tracked(robot: &RobotConfig, count: usize) -> (Vec<PoseRow>, Chain) {
     (rows.collect(), truth)
 }
 
-fn calibrated(robot: &RobotConfig) -> RowCalibration {
+fn calibrated(robot: &RobotConfig) -> Found {
     let (rows, _) = tracked(robot, 500);
-    let options = RowOptions { waves_per_turn_max: 6, hold_out: HoldOut::Rows, ..RowOptions::tracker() };
-    calibrate(&rows, robot, &options).unwrap()
+    Alone { joint_waves: Some(6), ..Alone::quick() }.poses(&rows, robot).unwrap()
 }
 
 #[test]
@@ -314,12 +311,12 @@ fn seven_axes_and_an_arm_on_a_track_are_calibrated_by_a_tracker_and_written_as_u
         assert!(report.held_out().joints.rotation_rad.unwrap().rms < 4.2e-5, "{}", arm.0);
         // 4 numbers of each revolute axis, 2 of a prismatic one and 6, of which tracker and probe have 12; every one is
         // identified far better than its prior knows it.
-        let links = report.model.parameters().iter().map(|parameter| parameter.id);
+        let links = report.model().parameters().iter().map(|parameter| parameter.id);
         let links = links.filter(|id| matches!(id, ParameterId::Robot { .. }));
         let sigmas: Vec<_> = links.filter_map(|id| Some((id, report.sigma(id)?))).collect();
         assert_eq!(sigmas.len(), free, "{}: {sigmas:?}", arm.0);
         assert!(sigmas.iter().all(|(_, sigma)| *sigma < 1e-3), "{}: {sigmas:?}", arm.0);
-        let chain = report.model.geometry(&report.model.start()).robot;
+        let chain = report.model().geometry(&report.model().start()).robot;
         let written = urdf(&robot, &chain, None, "");
         let mut random = StdRng::seed_from_u64(6);
         for _ in 0..20 {

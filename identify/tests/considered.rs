@@ -2,10 +2,10 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
+use crate::support::rows::Alone;
 use crate::support::truth::position_error_m;
 use crate::support::{bar, irb2400, ur10};
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
-use identify::calibrate::rows::{RowOptions, tracker};
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig, SelectionName};
 use identify::evaluate::{Budget, Evaluation, Expected, workspace_error};
 use identify::instrument::PoseRow;
@@ -83,13 +83,12 @@ fn with_a_tracker(seed: u64) -> (f64, Expected) {
     });
     let rows: Vec<PoseRow> = rows.collect();
     let fix = ["ra2", "ralpha3"].map(|name| name.parse().unwrap()).to_vec();
-    let options = RowOptions { fix, joint_errors: false, ..RowOptions::tracker() };
-    let found = tracker::calibrate(&rows, &robot, &options).unwrap();
-    let identified = found.model.geometry(&found.model.start()).robot;
+    let found = Alone::default().with_fixed(&fix).without_joint_errors().poses(&rows, &robot).unwrap();
+    let identified = found.model().geometry(&[]).robot;
     let end = |chain: &identify::kinematics::Chain, q: &[f64; 6]| chain.forward(q).translation.vector;
     let errors_m = postures.iter().map(|q| (end(&identified, q) - end(&truth, q)).norm());
     let error_m = errors_m.sum::<f64>() / postures.len() as f64;
-    (error_m, workspace_error(&found.model, &found.solution.covariance, &limits).after)
+    (error_m, workspace_error(found.model(), &found.0.solved.solution.covariance, &limits).after)
 }
 
 /// How many errors lie within the 95 % interval that is claimed for them, and how many are not above it.

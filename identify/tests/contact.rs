@@ -237,7 +237,7 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     assert!(done && text.contains("verdict green"), "{text}");
     assert!(text.contains("socket6_z") && text.contains("robot.urdf"), "{text}");
     let page = std::fs::read_to_string(at.join("out/report.html")).unwrap();
-    assert!(page.contains("contact (data set 1)") && page.contains("held-out rows, calibrated, RMS"));
+    assert!(page.contains("contact, ") && page.contains("held-out rows, calibrated, RMS"));
     assert!(page.contains("what is known of the sockets") && page.contains("mounting of the ball"));
     // A name that begins as those of the bar's parameters do is none of them.
     assert!(page.contains(">ball_x") && !page.contains("Ball-bar and encoders"));

@@ -3,8 +3,7 @@
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
 use identify::calibrate::HoldOut;
-use identify::calibrate::rows::wire::calibrate;
-use identify::calibrate::rows::{PoseFigures, RowOptions, RunCause, Sizes};
+use identify::calibrate::rows::{PoseFigures, RunCause, Sizes};
 use identify::instrument::{LengthRow, Rejection};
 use identify::kinematics::{Joints, flange_chain};
 use identify::model::{Axis, ParameterId};
@@ -14,6 +13,7 @@ use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
 
 use crate::support::irb120;
+use crate::support::rows::Alone;
 
 /// The measured rows, whose licence lets nobody copy them into a repository.
 fn real_rows() -> Vec<LengthRow> {
@@ -69,15 +69,15 @@ fn made_up(count: usize) -> (Vec<LengthRow>, Vector3<f64>) {
 #[test]
 fn anchor_offset_and_robot_are_found_from_lengths_alone() {
     let (rows, anchor_m) = made_up(500);
-    let report = calibrate(&rows, &irb120(), &RowOptions::wire()).unwrap();
+    let report = Alone::default().lengths(&rows, &irb120()).unwrap();
     show("made up, before", &report.held_out().nominal);
     show("made up, after", &report.held_out().joints);
     assert!(report.held_out().nominal.position_m.rms > 3e-4, "the made-up robot has no errors to find");
     assert!(report.held_out().joints.position_m.rms < 1.5e-4);
     assert_eq!((report.held_out().joints.rows, report.fitted().joints.rows), (100, 400));
-    assert!((report.sigma_m - 1e-4).abs() < 2e-5);
-    assert!(report.runs.is_empty() && report.rejected.is_empty());
-    let value = |id| report.model.parameter(id).unwrap().value;
+    assert!((report.0.solved.sigmas[0] - 1e-4).abs() < 2e-5);
+    assert!(report.rows().runs.is_empty() && report.rows().rejected.is_empty());
+    let value = |id| report.model().parameter(id).unwrap().value;
     let offset = ParameterId::LengthOffset;
     assert!((value(offset) + 0.04).abs() < 4.0 * report.sigma(offset).unwrap());
     for axis in Axis::ALL {
@@ -100,51 +100,53 @@ fn faults_in_the_rows_are_found_named_and_kept_out_of_the_fit() {
         row.length_m -= 2e-2;
     }
     rows[50].flange_m = Some([0.0, 0.0, 0.0]);
-    let report = calibrate(&rows, &irb120(), &RowOptions::wire()).unwrap();
+    let report = Alone::default().lengths(&rows, &irb120()).unwrap();
     let contradicting =
-        report.rejected.iter().filter(|r| matches!(r.why, Rejection::FlangeContradicts { .. }));
+        report.rows().rejected.iter().filter(|r| matches!(r.why, Rejection::FlangeContradicts { .. }));
     assert_eq!(contradicting.map(|r| r.row).collect::<Vec<_>>(), [50]);
-    let run_at = |row: usize| report.runs.iter().find(|run| run.first <= row && row <= run.last).unwrap();
+    let run_at =
+        |row: usize| report.rows().runs.iter().find(|run| run.first <= row && row <= run.last).unwrap();
     let Some(RunCause::ZeroMoved { by_m }) = run_at(125).cause else { panic!("{:?}", run_at(125)) };
     assert!((by_m - 5e-3).abs() < 2e-4, "{by_m}");
     assert_eq!(run_at(330).cause, Some(RunCause::SignReversed { joint: 5 }));
     let fitting_outliers =
-        report.rejected.iter().filter(|r| matches!(r.why, Rejection::GrossResidual { .. })).count();
-    assert!((4..=10).contains(&fitting_outliers), "{:?}", report.rejected);
+        report.rows().rejected.iter().filter(|r| matches!(r.why, Rejection::GrossResidual { .. })).count();
+    assert!((4..=10).contains(&fitting_outliers), "{:?}", report.rows().rejected);
     assert!(report.fitted().joints.position_m.rms < 1.5e-4, "{:?}", report.fitted().joints);
 }
 
 #[test]
 fn rows_and_options_that_make_no_sense_are_errors() {
     let (mut rows, _) = made_up(100);
-    let text = |rows: &[LengthRow], options: &RowOptions| {
-        calibrate(rows, &irb120(), options).unwrap_err().to_string()
+    let text = |rows: &[LengthRow]| match Alone::default().lengths(rows, &irb120()) {
+        Ok(_) => String::new(),
+        Err(error) => error.to_string(),
     };
-    let options = RowOptions::wire();
-    assert!(text(&rows[..12], &options).contains("at least 14"));
-    assert!(text(&rows, &RowOptions { held_out: 1.0, ..options.clone() }).contains("held_out"));
-    assert!(text(&rows, &RowOptions { link_sigma_m: 0.0, ..options.clone() }).contains("link_sigma_m"));
+    assert!(text(&rows[..12]).contains("at least 14"));
     rows[7].length_m = -1.0;
-    assert!(text(&rows, &options).contains("row 8"));
+    assert!(text(&rows).contains("row 8"));
     rows[7].length_m = f64::NAN;
-    assert!(text(&rows, &options).contains("row 8"));
+    assert!(text(&rows).contains("row 8"));
     let still = vec![LengthRow { length_m: 0.5, ..rows[0] }; 50];
-    assert!(text(&still, &options).contains("no anchor"));
+    assert!(text(&still).contains("measure poses further apart"));
 }
 
 #[test]
 #[ignore = "needs the measured rows in the folder BALLBAR_DATA"]
 fn all_rows_of_the_real_irb_120_predict_rows_that_no_fit_has_seen() {
     let rows = real_rows();
-    let report = calibrate(&rows, &irb120(), &RowOptions::wire()).unwrap();
-    println!("{} | {}", report.solution.summary.termination, report.solution.identifiability);
+    let report = Alone::default().lengths(&rows, &irb120()).unwrap();
+    println!(
+        "{} | {}",
+        report.0.solved.solution.summary.termination, report.0.solved.solution.identifiability
+    );
     println!(
         "{} of {} rows rejected, sigma of a length {:.2} mm",
-        report.rejected.len(),
+        report.rows().rejected.len(),
         rows.len(),
-        1e3 * report.sigma_m
+        1e3 * report.0.solved.sigmas[0]
     );
-    for run in &report.runs {
+    for run in &report.rows().runs {
         println!(
             "rows {} to {}: median {:.2} mm, {:?}",
             run.first + 1,
@@ -155,11 +157,15 @@ fn all_rows_of_the_real_irb_120_predict_rows_that_no_fit_has_seen() {
     }
     show("held out, accepted, before", &report.held_out().nominal);
     show("held out, accepted, after", &report.held_out().joints);
-    show("held out, all, before", &report.held_out_with_rejected().nominal);
-    show("held out, all, after", &report.held_out_with_rejected().joints);
+    show("held out, all, before", &report.rows().held_out_with_rejected().nominal);
+    show("held out, all, after", &report.rows().held_out_with_rejected().joints);
     // Its controller position is 99 mm from its joint angles.
     assert!(
-        report.rejected.iter().any(|r| r.row == 950 && matches!(r.why, Rejection::FlangeContradicts { .. }))
+        report
+            .rows()
+            .rejected
+            .iter()
+            .any(|r| r.row == 950 && matches!(r.why, Rejection::FlangeContradicts { .. }))
     );
     let (after, rows) = (report.held_out().joints.position_m, report.held_out().joints.rows);
     assert!(after.mean < 0.94e-3 && after.rms < 1.60e-3 && after.max < 4.5e-3, "{after:?}");
@@ -174,13 +180,13 @@ const WIRE: [f64; 3] = [0.94, 1.60, 4.5];
 fn all_rows_of_the_real_irb_120_over_several_splits() {
     let rows = real_rows();
     for seed in 1..=5 {
-        let report = calibrate(&rows, &irb120(), &RowOptions { seed, ..RowOptions::wire() }).unwrap();
-        println!("seed {seed}: {:?}", report.drift);
-        show("  nominal robot", &report.held_out_with_rejected().nominal);
-        show("  robot alone", &report.held_out_with_rejected().links);
-        show("  with the drift", &report.held_out_with_rejected().joints);
-        let after = report.held_out_with_rejected().joints.position_m;
-        assert_eq!(report.held_out_with_rejected().joints.rows, 208);
+        let report = Alone { seed: Some(seed), ..Alone::default() }.lengths(&rows, &irb120()).unwrap();
+        println!("seed {seed}: {:?}", report.rows().drift);
+        show("  nominal robot", &report.rows().held_out_with_rejected().nominal);
+        show("  robot alone", &report.rows().held_out_with_rejected().links);
+        show("  with the drift", &report.rows().held_out_with_rejected().joints);
+        let after = report.rows().held_out_with_rejected().joints.position_m;
+        assert_eq!(report.rows().held_out_with_rejected().joints.rows, 209);
         let figures = [after.mean, after.rms, after.max].map(|m| 1e3 * m);
         assert!(figures.iter().zip(WIRE).all(|(found, best)| *found < best), "{figures:?}");
     }
@@ -193,12 +199,12 @@ fn all_rows_of_the_real_irb_120_where_segments_and_regions_are_held_out() {
     let rows = real_rows();
     for hold_out in [HoldOut::Blocks, HoldOut::Regions] {
         for seed in 1..=3 {
-            let options = RowOptions { seed, hold_out, ..RowOptions::wire() };
-            let report = calibrate(&rows, &irb120(), &options).unwrap();
-            println!("{hold_out:?}, seed {seed}: {:?}", report.drift);
-            show("  nominal robot", &report.held_out_with_rejected().nominal);
-            show("  robot alone", &report.held_out_with_rejected().links);
-            show("  with the drift", &report.held_out_with_rejected().joints);
+            let alone = Alone { seed: Some(seed), hold_out: Some(hold_out), ..Alone::default() };
+            let report = alone.lengths(&rows, &irb120()).unwrap();
+            println!("{hold_out:?}, seed {seed}: {:?}", report.rows().drift);
+            show("  nominal robot", &report.rows().held_out_with_rejected().nominal);
+            show("  robot alone", &report.rows().held_out_with_rejected().links);
+            show("  with the drift", &report.rows().held_out_with_rejected().joints);
         }
     }
 }
@@ -206,14 +212,14 @@ fn all_rows_of_the_real_irb_120_where_segments_and_regions_are_held_out() {
 #[test]
 fn a_zero_that_wanders_is_told_from_the_robot_and_one_that_stays_is_not_invented() {
     let (mut rows, _) = made_up(500);
-    assert!(calibrate(&rows, &irb120(), &RowOptions::wire()).unwrap().drift.is_none());
+    assert!(Alone::default().lengths(&rows, &irb120()).unwrap().rows().drift.is_none());
     for (index, row) in rows.iter_mut().enumerate() {
         row.length_m += 2e-3 * (index as f64 / 40.0).sin();
     }
-    let report = calibrate(&rows, &irb120(), &RowOptions::wire()).unwrap();
-    println!("{:?}", report.drift);
-    show("wandering, robot alone", &report.held_out_with_rejected().links);
-    show("wandering, with drift", &report.held_out_with_rejected().joints);
-    assert!(report.held_out_with_rejected().links.position_m.rms > 1e-3);
-    assert!(report.held_out_with_rejected().joints.position_m.rms < 2e-4);
+    let report = Alone::default().lengths(&rows, &irb120()).unwrap();
+    println!("{:?}", report.rows().drift);
+    show("wandering, robot alone", &report.rows().held_out_with_rejected().links);
+    show("wandering, with drift", &report.rows().held_out_with_rejected().joints);
+    assert!(report.rows().held_out_with_rejected().links.position_m.rms > 1e-3);
+    assert!(report.rows().held_out_with_rejected().joints.position_m.rms < 2e-4);
 }

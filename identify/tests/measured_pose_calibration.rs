@@ -6,21 +6,21 @@ use std::path::Path;
 
 use identify::calibrate::HoldOut;
 use identify::calibrate::deployment::Deployment;
-use identify::calibrate::rows::tracker::{calibrate, validate};
-use identify::calibrate::rows::{PoseFigures, RowCalibration, RowOptions, Stages};
+use identify::calibrate::rows::tracker::validate;
+use identify::calibrate::rows::{PoseFigures, Stages};
 use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Pose, flange_chain};
 use identify::logs::{MeasuredPoseMapping, MeasuredPoses};
 use identify::model::{JointState, Model, ParameterId};
 use identify::report::corrections::Correction;
 use identify::report::file::CalibrationFile;
-use identify::report::rows;
 use nalgebra::{Rotation3, Vector3};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
 use shared::config;
 
+use crate::support::rows::{Alone, Found};
 use crate::support::ur10;
 
 /// Rows of the fixture that a tracker measured.
@@ -76,31 +76,26 @@ fn wave_error_rad(geometry: &identify::model::Geometry) -> f64 {
     (wrong.iter().map(|w| (w - mean).powi(2)).sum::<f64>() / wrong.len() as f64).sqrt()
 }
 
-/// Quick: few waves.
-fn quick() -> RowOptions {
-    RowOptions { waves_per_turn_max: 20, hold_out: HoldOut::Rows, ..RowOptions::tracker() }
-}
-
 #[test]
 fn tracker_probe_robot_and_joint_waves_are_found_and_what_is_not_there_is_left_out() {
     let (rows, truth, place, _) = made_up(800, 2e-5, 3e-4);
-    let report = calibrate(&rows, &ur10(), &quick()).unwrap();
-    println!("{}", rows::poses(&report, &[]));
+    let report = Alone::quick().poses(&rows, &ur10()).unwrap();
+    println!("{}", report.table());
     let Stages { nominal, links, joints, .. } = report.held_out();
     assert_eq!((nominal.rows, report.fitted().joints.rows), (160, 640));
     assert!(nominal.position_m.rms > 1e-3 && links.position_m.rms > 1e-4);
     // Judged by rows that the fit had not seen, then fitted to all.
-    assert_eq!(report.solution.summary.samples_used, 800);
+    assert_eq!(report.0.solved.solution.summary.samples_used, 800);
     // Noise of three coordinates is 3.5e-5.
     assert!(joints.position_m.rms < 4.5e-5, "{joints:?}");
     assert!(joints.rotation_rad.unwrap().rms < 4.5e-5, "{joints:?}");
     let taken: Vec<&str> =
-        report.terms.iter().filter(|t| t.sigma.is_some()).map(|t| t.name.as_str()).collect();
+        report.0.solved.candidates.iter().filter(|t| t.sigma.is_some()).map(|t| t.name.as_str()).collect();
     assert!(taken.contains(&"11 to 20 waves per turn"), "{taken:?}");
     assert!(taken.iter().all(|name| name.contains("waves")), "{taken:?}");
-    let geometry = report.model.geometry(&report.model.start());
+    let geometry = report.model().geometry(&report.model().start());
     assert!(wave_error_rad(&geometry) < 2e-5, "{}", wave_error_rad(&geometry));
-    let value = |name: &str| report.model.parameter(name.parse().unwrap()).unwrap().value;
+    let value = |name: &str| report.model().parameter(name.parse().unwrap()).unwrap().value;
     // The tracker's height and turn also hold what link 1 would: compare where it is not so.
     let tracker = geometry.tracker.place.pose();
     assert!((tracker.translation.vector - place.translation.vector).norm() < 2e-2);
@@ -112,17 +107,16 @@ fn tracker_probe_robot_and_joint_waves_are_found_and_what_is_not_there_is_left_o
 #[test]
 fn a_fifth_of_gross_faults_changes_little() {
     let (mut rows, ..) = made_up(600, 2e-5, 0.0);
-    let clean =
-        calibrate(&rows, &ur10(), &RowOptions { held_out: 0.0, joint_errors: false, ..quick() }).unwrap();
+    let links = Alone::quick().without_joint_errors();
+    let clean = links.poses(&rows, &ur10()).unwrap();
     let untouched = rows.clone();
     for row in rows.iter_mut().step_by(5) {
         row.position_m += Vector3::new(0.05, -0.08, 0.02);
         row.rotation = row.rotation.map(|r| Rotation3::new(Vector3::new(0.1, 0.2, 0.0)) * r);
     }
-    let faulty =
-        calibrate(&rows, &ur10(), &RowOptions { held_out: 0.0, joint_errors: false, ..quick() }).unwrap();
+    let faulty = links.poses(&rows, &ur10()).unwrap();
     let on_clean =
-        |report: &RowCalibration| validate(&untouched, &ur10(), &report.model, 1).unwrap()[1].position_m.rms;
+        |report: &Found| validate(&untouched, &ur10(), report.model(), 1).unwrap()[1].position_m.rms;
     println!("{:.2e} -> {:.2e}", on_clean(&clean), on_clean(&faulty));
     assert!(on_clean(&faulty) < 1.5 * on_clean(&clean));
 }
@@ -131,8 +125,8 @@ fn a_fifth_of_gross_faults_changes_little() {
 fn positions_alone_calibrate_too() {
     let (mut rows, ..) = made_up(500, 2e-5, 0.0);
     rows.iter_mut().for_each(|row| row.rotation = None);
-    let report = calibrate(&rows, &ur10(), &RowOptions { joint_errors: false, ..quick() }).unwrap();
-    assert_eq!(report.cost, "measured_position");
+    let report = Alone::quick().without_joint_errors().poses(&rows, &ur10()).unwrap();
+    assert_eq!(report.0.runs[0].instrument.cost(), "measured_position");
     assert!(report.held_out().links.rotation_rad.is_none());
     assert!(report.held_out().links.position_m.rms < 4.5e-5, "{:?}", report.held_out().links);
 }
@@ -140,15 +134,14 @@ fn positions_alone_calibrate_too() {
 #[test]
 fn rows_and_options_that_make_no_sense_are_errors() {
     let (mut rows, ..) = made_up(100, 2e-5, 0.0);
-    let text =
-        |rows: &[PoseRow], options: &RowOptions| calibrate(rows, &ur10(), options).unwrap_err().to_string();
-    let options = quick();
-    assert!(text(&rows[..20], &options).contains("at least 20"));
-    assert!(text(&rows, &RowOptions { held_out: 1.0, ..options.clone() }).contains("held_out"));
-    assert!(text(&rows, &RowOptions { link_sigma_m: 0.0, ..options.clone() }).contains("link_sigma_m"));
-    assert!(text(&vec![rows[0]; 50], &options).contains("on a line"));
+    let text = |rows: &[PoseRow]| match Alone::quick().poses(rows, &ur10()) {
+        Ok(_) => String::new(),
+        Err(error) => error.to_string(),
+    };
+    assert!(text(&rows[..20]).contains("at least 20"));
+    assert!(text(&vec![rows[0]; 50]).contains("on a line"));
     rows[7].position_m.x = f64::NAN;
-    assert!(text(&rows, &options).contains("row 8"));
+    assert!(text(&rows).contains("row 8"));
 }
 
 /// The rows as the shipped mapping reads them.
@@ -244,8 +237,7 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     let text = std::fs::read_to_string(folder.path().join("out/experiment.toml")).unwrap();
     let second =
         "\n[[tracker]]\nfile = \"other.csv\"\nmapping = \"MAPPING\"\n".replace("MAPPING", mapping[1]);
-    let of_alone = |line: &&str| !line.starts_with("joint_waves") && !line.starts_with("validate");
-    let two = text.lines().filter(of_alone).collect::<Vec<_>>().join("\n") + &second;
+    let two = text.clone() + &second;
     let path = folder.path().join("two.toml");
     std::fs::write(&path, &two).unwrap();
     let (solved, err) = experiment(&path);
@@ -255,12 +247,12 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     let held_out: Vec<(usize, u64)> =
         found("again").rows.iter().map(|rows| (rows.held_out.joints.rows, rows.seed)).collect();
     assert!(held_out[0] == (80, 1042) && (15..=25).contains(&held_out[1].0), "{held_out:?}");
-    assert_eq!(held_out[1].1, 1);
+    assert_eq!(held_out[1].1, 1042);
     let page = std::fs::read_to_string(folder.path().join("again/report.html")).unwrap();
     assert!(page.contains("tracker (data set 2)") && page.contains("tracker_x@2"));
     assert!(["ra2", "tracker_x", "tracker_x@2"].iter().all(|name| names.iter().any(|one| one == name)));
-    for (wrong, said) in [("recrding = 1\n".to_owned() + &two, "recrding"), (text + &second, "tracker alone")]
-    {
+    let judged = text + &second.replace("[[tracker]]", "[[wire]]\nvalidate = [\"other.csv\"]");
+    for (wrong, said) in [("recrding = 1\n".to_owned() + &two, "recrding"), (judged, "wire[0].validate")] {
         std::fs::write(&path, wrong).unwrap();
         let (solved, err) = experiment(&path);
         assert!(!solved && err.contains(said), "{err}");
@@ -289,9 +281,9 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
 fn what_is_fixed_by_name_stays_where_it_starts() {
     let (rows, ..) = made_up(300, 2e-5, 3e-4);
     let fixed = ["ra2", "probe_x", "rsin1_3"].map(|name| name.parse::<ParameterId>().unwrap());
-    let report = calibrate(&rows, &ur10(), &RowOptions { fix: fixed.to_vec(), ..quick() }).unwrap();
+    let report = Alone::quick().with_fixed(&fixed).poses(&rows, &ur10()).unwrap();
     for id in fixed {
-        let parameter = report.model.parameter(id).unwrap();
+        let parameter = report.model().parameter(id).unwrap();
         assert_eq!(parameter.value, parameter.nominal, "{id}");
         assert!(!parameter.role.is_estimated(), "{id}");
     }
@@ -320,13 +312,9 @@ fn the_real_ur10_on_its_grid_and_from_its_grid_to_its_cubes() {
 
 /// Figures of held-out rows of the grid, and root mean squares on the cubes: nominal, and with joint offsets alone \[m\].
 fn grid_and_from_grid_to_cubes(grid: &[PoseRow], cubes: &[PoseRow]) -> (Stages, [f64; 2]) {
-    let options = RowOptions { waves_per_turn_max: 40, ..RowOptions::tracker() };
-    let report = calibrate(grid, &ur10(), &options).unwrap();
-    let figures = validate(cubes, &ur10(), &report.model, 1).unwrap();
-    println!(
-        "{}",
-        rows::poses(&report, &[rows::Validation { name: "cubes".into(), figures, outside: Vec::new() }])
-    );
+    let report = Alone { joint_waves: Some(40), ..Alone::default() }.poses(grid, &ur10()).unwrap();
+    let figures = validate(cubes, &ur10(), report.model(), 1).unwrap();
+    println!("{}cubes: {figures:?}", report.table());
     below(&report.held_out().joints, GRID);
     below(&figures[1], CUBES);
     // Who applies less gets what is best alone: better on another file than that part of the full calibration.
@@ -334,8 +322,8 @@ fn grid_and_from_grid_to_cubes(grid: &[PoseRow], cubes: &[PoseRow]) -> (Stages, 
     let held_out = [nominal, offsets, links, joints].map(|of| of.position_m.rms);
     assert!(held_out.is_sorted_by(|more, less| more > less), "{held_out:?}");
     let on_cubes = |model: &Model| validate(cubes, &ur10(), model, 1).unwrap()[1].position_m.rms;
-    let [offsets, links] = [0, 1].map(|part| on_cubes(&report.deployed[part].model));
-    let mut truncated = report.model.clone();
+    let [offsets, links] = [0, 1].map(|part| on_cubes(&report.0.deployed[part].model));
+    let mut truncated = report.model().clone();
     let terms: Vec<ParameterId> = truncated.parameters().iter().map(|one| one.id).collect();
     for id in terms {
         if matches!(id, ParameterId::Joint { .. } | ParameterId::JointWave { .. }) {
@@ -360,9 +348,14 @@ fn cubes_whatever_is_held_out(cubes: &[PoseRow]) {
     for (hold_out, seeds) in [(HoldOut::Rows, 2), (HoldOut::Blocks, 1), (HoldOut::Regions, 1)] {
         let mut worst = [0.0_f64; 3];
         for seed in 1..=seeds {
-            let options = RowOptions { waves_per_turn_max: 40, hold_out, seed, ..RowOptions::tracker() };
-            let report = calibrate(cubes, &ur10(), &options).unwrap();
-            println!("{hold_out:?}, seed {seed}\n{}", rows::poses(&report, &[]));
+            let alone = Alone {
+                hold_out: Some(hold_out),
+                seed: Some(seed),
+                joint_waves: Some(40),
+                ..Alone::default()
+            };
+            let report = alone.poses(cubes, &ur10()).unwrap();
+            println!("{hold_out:?}, seed {seed}\n{}", report.table());
             let of = report.held_out().joints.position_m;
             worst = std::array::from_fn(|i| worst[i].max(1e3 * [of.mean, of.p95, of.max][i]));
         }

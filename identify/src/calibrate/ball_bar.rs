@@ -3,13 +3,14 @@
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 
-use super::change::Changed;
+use super::change::{self, Changed};
 use super::config::{CostName, IdentifyConfig, SelectionName};
 use super::pipeline::{Plan, Solved, estimate};
+use super::rows::{Likely, RowError};
 use super::structure::{StructureError, identifiable};
 use super::terms::Candidate;
 use crate::cost::{CostError, SharedColumns};
-use crate::instrument::{BallBar, ContactError, Instrument, Run};
+use crate::instrument::{BallBar, Instrument, Run};
 use crate::kinematics::{BAR_JOINTS, Joints, LinkParameter, ball_bar_chain, robot_chain};
 use crate::logs::{RobotLog, Unwrapped};
 use crate::model::{Axis, DriveTrain, Model, ModelError, ParameterId};
@@ -59,21 +60,24 @@ pub enum CalibrateError {
         /// From 1: ball-bars, trackers, wires, contacts, each in their order.
         data_set: usize,
     },
-    /// Rows of a ball in sockets that calibrate no robot.
+    /// Rows that calibrate no robot.
     #[error("data set {data_set}: {error}")]
-    Contact {
+    Rows {
         /// From 1: ball-bars, trackers, wires, contacts, each in their order.
         data_set: usize,
         /// What is wrong with it.
-        error: ContactError,
+        error: RowError,
     },
     /// No robot like the configured one gives such rows.
-    #[error(
-        "{found}; rows, their mapping, the table of sockets or the robot's file are wrong; see `identify inspect --propose`"
-    )]
+    #[error("{found}; {}", .likely.map_or_else(
+        || "rows, their mapping, the table of sockets or the robot's file are wrong; see `identify inspect --propose`".to_owned(),
+        |likely| format!("most likely {likely}; mend the mapping or the robot's file"),
+    ))]
     Implausible {
         /// What gave it away.
         found: String,
+        /// What went wrong.
+        likely: Option<Likely>,
     },
     /// The samples do not determine what is free.
     #[error(transparent)]
@@ -230,8 +234,8 @@ fn solved(
     watch: Option<&dyn Watch>,
 ) -> Result<BallBarCalibration, CalibrateError> {
     let cost = runs.first().and_then(|run| run.instrument.bar()).ok_or(CalibrateError::NoRun)?.cost;
-    let Solved { columns, solution, candidates, prior_scale, sigmas, changed, .. } =
-        solve(&mut runs, config, watch)?;
+    let Solved { columns, solution, candidates, prior_scale, sigmas, .. } = solve(&mut runs, config, watch)?;
+    let changed = change::checked(&runs, &sigmas, &config.prepare)?;
     let mut runs = runs.into_iter();
     let Run { instrument, model } = runs.next().ok_or(CalibrateError::NoRun)?;
     let others = runs.collect();

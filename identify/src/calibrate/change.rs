@@ -111,11 +111,21 @@ pub(super) fn poor_fit(runs: &[Run]) -> Option<CalibrateError> {
     found.map(|(run, error)| CalibrateError::Prepare { run, error: Box::new(error) })
 }
 
-/// The change of each data set that has one, at its solution; `sigmas` are what residuals of each are worth.
+/// What changed in data sets at their solution; `sigmas` are what residuals of each are worth.
 ///
 /// # Errors
-/// [`CalibrateError::Cost`].
-pub(super) fn changes(runs: &[Run], sigmas: &[f64]) -> Result<Vec<Changed>, CalibrateError> {
+/// [`CalibrateError::Prepare`] with the first run of the ball-bar that a change refuses, or whose angles fit no geometry.
+pub(super) fn checked(
+    runs: &[Run],
+    sigmas: &[f64],
+    options: &PrepareOptions,
+) -> Result<Vec<Changed>, CalibrateError> {
+    let changed = changes(runs, sigmas)?;
+    refuse(runs, &changed, options)?;
+    Ok(changed)
+}
+
+fn changes(runs: &[Run], sigmas: &[f64]) -> Result<Vec<Changed>, CalibrateError> {
     let mut all = Vec::new();
     for (data_set, (run, sigma)) in runs.iter().zip(sigmas).enumerate() {
         all.extend(of_run(run, *sigma)?.map(|found| Changed { data_set, ..found }));
@@ -206,16 +216,9 @@ impl Changed {
     }
 }
 
-/// Whether runs of the ball-bar may become a calibration: not with a large change, nor where angles fitted no geometry from the
-/// beginning, which a change may have been the reason of.
-///
-/// # Errors
-/// [`CalibrateError::Prepare`] with the first run that may not.
-pub(super) fn refuse(
-    runs: &[Run],
-    changed: &[Changed],
-    options: &PrepareOptions,
-) -> Result<(), CalibrateError> {
+/// Runs of the ball-bar become no calibration with a large change, nor where angles fitted no geometry from the beginning, which a
+/// change may have been the reason of.
+fn refuse(runs: &[Run], changed: &[Changed], options: &PrepareOptions) -> Result<(), CalibrateError> {
     for (run, Run { instrument, model }) in runs.iter().enumerate() {
         let Some(bar) = instrument.bar() else { continue };
         let poor_fit = bar.prepared.poor_fit.as_ref();

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use shared::config::JointKind;
 
 use crate::kinematics::{Chain, LinkParameter, Trace, Tracer};
-use crate::model::{Model, ModelError, ParameterId, Role, Unit};
+use crate::model::{Model, ModelError, ParameterId, Role};
 
 /// What the links are freed to do: 4 numbers of each, by the two axes that it joins.
 ///
@@ -54,11 +54,8 @@ pub(super) fn link_ids(robot: &Chain) -> Vec<ParameterId> {
     (0..robot.links.len()).flat_map(of).collect()
 }
 
-/// How uncertain numbers of links are that are fixed: a maker's tolerance \[m, rad\].
-pub(super) const TOLERANCE: f64 = 1e-3;
-
-/// Frees numbers of links, expected at nominal within these standard deviations \[m, rad\], but for those in `fix`, which
-/// stay there within `tolerance`.
+/// Frees numbers of links, expected at nominal within a tolerance, one standard deviation \[m, rad\], but for those in `fix`,
+/// which stay there within it.
 ///
 /// # Errors
 /// [`ModelError::BadPrior`].
@@ -66,14 +63,12 @@ pub(super) fn free_links(
     model: &mut Model,
     ids: &[ParameterId],
     fix: &[ParameterId],
-    [sigma_m, sigma_rad]: [f64; 2],
-    tolerance: f64,
+    sigma: f64,
 ) -> Result<(), ModelError> {
     for &id in ids {
         let Some(value) = model.parameter(id).map(|parameter| parameter.nominal) else { continue };
-        let sigma = if id.unit() == Unit::Metre { sigma_m } else { sigma_rad };
         let held = fix.contains(&id);
-        let role = if held { Role::Considered { sigma: tolerance } } else { Role::Prior { value, sigma } };
+        let role = if held { Role::Considered { sigma } } else { Role::Prior { value, sigma } };
         model.set_role(id, role)?;
     }
     Ok(())

@@ -5,10 +5,9 @@
 use nalgebra::DMatrix;
 
 use super::ball_bar::CalibrateError;
-use super::change::{self, Changed};
+use super::change;
 use super::config::CostName;
 use super::line_spectrum::LineSpectrum;
-use super::refusal::Refuses;
 use super::rows::WAVES_PER_TURN_MAX;
 use super::terms::{Candidate, Kind, Offer, TermGroup, prior_scale, select};
 use crate::cost::{CostError, DataSets, SharedColumns};
@@ -87,8 +86,6 @@ pub struct Solved {
     pub prior_scale: f64,
     /// What a residual of each run is worth, one standard deviation.
     pub sigmas: Vec<f64>,
-    /// What did not stay while it was measured.
-    pub changed: Vec<Changed>,
 }
 
 /// What a residual of a solve is worth against priors, one standard deviation: `pose` is whitened by itself.
@@ -126,9 +123,7 @@ pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateEr
     let poor_fit = change::poor_fit(runs);
     estimated(runs, plan).map_err(|error| match poor_fit {
         // A solve that fails on such angles says less than they do.
-        Some(poor_fit) if error.refusal().is_some() && !matches!(error, CalibrateError::Prepare { .. }) => {
-            poor_fit
-        }
+        Some(poor_fit) if error.is_of_solve() => poor_fit,
         _ => error,
     })
 }
@@ -168,11 +163,9 @@ fn estimated(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError
         }
     }
     solution.summary.residual_rms_start = rms_start;
-    let changed = change::changes(solver.runs, &solver.sigmas)?;
-    change::refuse(solver.runs, &changed, &plan.prepare)?;
     solution.covariance = solver.covariance(&columns, &solution)?;
     let sigmas = solver.sigmas;
-    Ok(Solved { columns, solution, without_terms, candidates, prior_scale: scale, sigmas, changed })
+    Ok(Solved { columns, solution, without_terms, candidates, prior_scale: scale, sigmas })
 }
 
 /// Solves for what is free in the models, from where they are, tries no other terms and leaves the models at the solution,

@@ -1,7 +1,6 @@
 //! Refusals taken apart: a page says more of them than a line on a terminal.
 
 use super::ball_bar::CalibrateError;
-use super::rows::RowError;
 use super::structure::StructureError;
 use crate::cost::CostError;
 use crate::prepare::{Deviations, Place};
@@ -20,21 +19,16 @@ pub struct Refusal<'e> {
     pub deviations: Option<&'e Deviations>,
 }
 
-/// Something that ends a calibration.
-pub trait Refuses {
+impl CalibrateError {
     /// The refusal; none where the data are not to blame: something was mistyped, or somebody ended the solve.
-    fn refusal(&self) -> Option<Refusal<'_>>;
-}
-
-impl Refuses for CalibrateError {
-    fn refusal(&self) -> Option<Refusal<'_>> {
+    pub fn refusal(&self) -> Option<Refusal<'_>> {
         let of_data = match self {
             Self::Model(_) | Self::Structure(StructureError::Model(_)) => false,
             Self::NoRun | Self::Mixed { .. } => false,
             Self::Prepare { error, .. } => !error.is_mistyped(),
             Self::Cost(error) | Self::Structure(StructureError::Cost(error)) => cost_is_of_data(error),
             Self::Solve(error) | Self::Structure(StructureError::Solve(error)) => solve_is_of_data(error),
-            Self::NoPlace { .. } | Self::Contact { .. } | Self::Implausible { .. } => true,
+            Self::NoPlace { .. } | Self::Rows { .. } | Self::Implausible { .. } => true,
             Self::Unidentifiable(_) | Self::NotConverged { .. } => true,
         };
         let of_all = of_data.then(|| of_all(self.to_string()))?;
@@ -47,12 +41,13 @@ impl Refuses for CalibrateError {
     }
 }
 
-impl Refuses for RowError {
-    fn refusal(&self) -> Option<Refusal<'_>> {
+impl CalibrateError {
+    /// The samples that were given did not lead a solve to its end.
+    pub(super) fn is_of_solve(&self) -> bool {
         match self {
-            Self::BadOption { .. } | Self::Model(_) => None,
-            Self::Calibrate(error) => error.refusal(),
-            _ => Some(of_all(self.to_string())),
+            Self::Solve(error) => solve_is_of_data(error),
+            Self::Unidentifiable(_) | Self::NotConverged(_) => true,
+            _ => false,
         }
     }
 }

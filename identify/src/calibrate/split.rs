@@ -109,35 +109,6 @@ pub(crate) fn all_in_folds(
     folds
 }
 
-/// Row numbers for fitting and for judging, both ascending.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Split {
-    pub(super) fitting: Vec<usize>,
-    pub(super) held_out: Vec<usize>,
-}
-
-/// Holds out whole groups until they make up a part of the rows.
-pub(super) fn split(groups: &[usize], part: f64, seed: u64) -> Split {
-    let mut order: Vec<usize> = groups.to_vec();
-    order.sort_unstable();
-    order.dedup();
-    order.shuffle(&mut StdRng::seed_from_u64(seed));
-    let wanted = (groups.len() as f64 * part).round() as usize;
-    let mut sizes: BTreeMap<usize, usize> = BTreeMap::new();
-    groups.iter().for_each(|group| *sizes.entry(*group).or_default() += 1);
-    let mut held = 0;
-    let mut out = std::collections::BTreeSet::new();
-    for group in order {
-        if held >= wanted {
-            break;
-        }
-        held += sizes.get(&group).copied().unwrap_or(0);
-        out.insert(group);
-    }
-    let (held_out, fitting) = (0..groups.len()).partition(|&row| out.contains(&groups[row]));
-    Split { fitting, held_out }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -149,13 +120,16 @@ mod tests {
     }
 
     #[test]
-    fn each_way_holds_out_about_the_part_asked_for_and_never_half_a_group() {
+    fn each_way_makes_parts_of_about_equal_size_and_none_has_half_a_group() {
         for hold_out in [HoldOut::Rows, HoldOut::Blocks, HoldOut::Regions] {
             let groups = groups(hold_out, &positions());
-            let Split { fitting, held_out } = split(&groups, 0.2, 7);
-            assert_eq!(fitting.len() + held_out.len(), 1000);
-            assert!((195..=260).contains(&held_out.len()), "{hold_out:?}: {}", held_out.len());
-            assert!(held_out.iter().all(|out| fitting.iter().all(|row| groups[*row] != groups[*out])));
+            let parts = all_in_folds(&groups, 5, 7, |_| 0);
+            assert_eq!((parts.len(), parts.iter().map(Vec::len).sum::<usize>()), (5, 1000));
+            for part in &parts {
+                assert!((180..=220).contains(&part.len()), "{hold_out:?}: {}", part.len());
+                let others = || parts.iter().filter(|other| *other != part).flatten();
+                assert!(part.iter().all(|row| others().all(|other| groups[*row] != groups[*other])));
+            }
         }
     }
 

@@ -15,7 +15,7 @@ use clap::{Args, Subcommand};
 use shared::config::{self, RobotConfig};
 
 use crate::calibrate::HoldOut;
-use crate::calibrate::rows::RowOptions;
+use crate::calibrate::mix::SEED;
 use crate::model::ParameterId;
 use crate::report::file::Input;
 
@@ -89,15 +89,11 @@ pub struct RowArguments {
     #[arg(long, value_enum)]
     hold_out: Option<HoldOut>,
     /// Decides which rows are held out
-    #[arg(long, default_value_t = usual_seed())]
+    #[arg(long, default_value_t = SEED)]
     seed: u64,
     /// Fix these parameters where they start
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     fix: Vec<ParameterId>,
-}
-
-fn usual_seed() -> u64 {
-    RowOptions::wire().seed
 }
 
 pub fn run(arguments: &CalibrateArguments) -> anyhow::Result<()> {

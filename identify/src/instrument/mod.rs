@@ -22,7 +22,7 @@ pub(crate) use tracker::quantile;
 pub use tracker::{Apart, PoseRow, Tracker};
 pub use wire::{LengthRow, Wire};
 
-use crate::cost::{CostError, DataSet};
+use crate::cost::{CostError, DataSet, MeasuredLength, Residual, SeatedBall};
 use crate::kinematics::Joints;
 use crate::model::{Clock, Geometry, JointState, Model, ModelError, ParameterId};
 
@@ -97,6 +97,16 @@ impl Instrument {
             Self::Tracker(_) => "tracker",
             Self::Wire(_) => "wire",
             Self::Contact(_) => "contact",
+        }
+    }
+
+    /// Name of what is minimised.
+    pub fn cost(&self) -> &'static str {
+        match self {
+            Self::BallBar(bar) => bar.cost.name(),
+            Self::Tracker(tracker) => tracker.cost(),
+            Self::Wire(_) => MeasuredLength::NAME,
+            Self::Contact(_) => SeatedBall::NAME,
         }
     }
 

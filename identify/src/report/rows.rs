@@ -2,9 +2,9 @@
 
 use std::fmt::Write;
 
-use crate::calibrate::rows::{PoseFigures, RowCalibration, RunCause, Sizes, Stages};
+use crate::calibrate::rows::{PoseFigures, RowSet, RunCause, Sizes, Stages};
 use crate::evaluate::{Limit, Validity};
-use crate::instrument::{Contact, Rejection};
+use crate::instrument::{Contact, Instrument, Rejection};
 use crate::kinematics::Joints;
 use crate::model::{JointWaves, Model, ParameterId, Phase};
 
@@ -84,24 +84,44 @@ fn stages(text: &mut String, name: &str, [what, last]: [&str; 2], stages: &Stage
     line(text, &format!("  and {last}"), &stages.joints);
 }
 
-/// Length errors of rows that the fit saw and of rows that it did not, and what was rejected. `lines` gives each
-/// row's line in its file.
-pub fn lengths(report: &RowCalibration, lines: &[u64]) -> String {
-    let mut text = String::new();
-    let _ = writeln!(
-        text,
-        "{:<44}{:>6} {:>8} {:>8} {:>8} {:>8}",
-        "length error [mm]", "rows", "mean", "RMS", "p95", "max"
-    );
+/// Errors of rows that the fit saw and of rows that it did not, in each stage, and what is special of the instrument. `lines` gives
+/// each row's line in its file.
+pub fn table(
+    set: &RowSet,
+    instrument: &Instrument,
+    model: &Model,
+    lines: &[u64],
+    validations: &[Validation],
+) -> String {
+    match instrument {
+        Instrument::BallBar(_) => String::new(),
+        Instrument::Tracker(_) => poses(set, validations),
+        Instrument::Wire(_) => lengths(set, lines),
+        Instrument::Contact(contact) => seats(set) + &contacts(contact, model, lines),
+    }
+}
+
+const FIGURES: &str = "    mean      RMS      p95      max";
+
+fn seats(set: &RowSet) -> String {
+    let mut text = format!("{:<44}{:>6} {FIGURES}\n", "error of the ball [mm]", "rows");
+    for (name, figures) in [("fitted", set.fitted()), ("held out", set.held_out())] {
+        stages(&mut text, name, ["ball and sockets", "joint errors"], &figures);
+    }
+    text
+}
+
+fn lengths(set: &RowSet, lines: &[u64]) -> String {
+    let mut text = format!("{:<44}{:>6} {FIGURES}\n", "length error [mm]", "rows");
     for (name, figures) in [
-        ("fitted", report.fitted()),
-        ("held out", report.held_out()),
-        ("held out, with faulty rows", report.held_out_with_rejected()),
+        ("fitted", set.fitted()),
+        ("held out", set.held_out()),
+        ("held out, with faulty rows", set.held_out_with_rejected()),
     ] {
-        let last = if report.drift.is_some() { "joint errors and drift" } else { "joint errors" };
+        let last = if set.drift.is_some() { "joint errors and drift" } else { "joint errors" };
         stages(&mut text, name, ["wire", last], &figures);
     }
-    if let Some(drift) = &report.drift {
+    if let Some(drift) = &set.drift {
         let _ = writeln!(
             text,
             "drift of the zero along the file: {:.2} mm over {:.0} rows, beside {:.2} mm white; fitting rows left out in \
@@ -113,12 +133,11 @@ pub fn lengths(report: &RowCalibration, lines: &[u64]) -> String {
             drift.rms_with_m * 1e3,
         );
     }
-    text.push_str(&waves(&report.model));
-    text.push_str(&rejected_rows(report, lines));
+    text.push_str(&rejected_rows(set, lines));
     text
 }
 
-fn rejected_rows(report: &RowCalibration, lines: &[u64]) -> String {
+fn rejected_rows(report: &RowSet, lines: &[u64]) -> String {
     let mut text = String::new();
     let line = |row: usize| lines.get(row).copied().unwrap_or_default();
     let _ = writeln!(text, "{} of {} rows rejected:", report.rejected.len(), lines.len());
@@ -158,30 +177,14 @@ fn rejected_rows(report: &RowCalibration, lines: &[u64]) -> String {
     text
 }
 
-/// Position and orientation errors of fitted, held-out and other rows.
-pub fn poses(report: &RowCalibration, validations: &[Validation]) -> String {
-    let mut text = String::new();
-    let _ = writeln!(
-        text,
-        "{:<44}{:>6} {:>35}   {:>35}\n{:<44}{:>6} {:>8} {:>8} {:>8} {:>8}   {:>8} {:>8} {:>8} {:>8}",
-        "error",
-        "",
-        "position [mm]",
-        "orientation [mrad]",
-        "",
-        "rows",
-        "mean",
-        "RMS",
-        "p95",
-        "max",
-        "mean",
-        "RMS",
-        "p95",
-        "max",
+fn poses(set: &RowSet, validations: &[Validation]) -> String {
+    let mut text = format!(
+        "{:<44}{:>6} {:>35}   {:>35}\n{:<44}{:>6} {FIGURES}   {FIGURES}\n",
+        "error", "", "position [mm]", "orientation [mrad]", "", "rows"
     );
     let named = ["tracker and probe", "joint errors"];
-    stages(&mut text, "fitted", named, &report.fitted());
-    stages(&mut text, "held out", named, &report.held_out());
+    stages(&mut text, "fitted", named, &set.fitted());
+    stages(&mut text, "held out", named, &set.held_out());
     for validation in validations {
         let Validation { name, figures: [nominal, calibrated], .. } = validation;
         let unsupported = validation.unsupported();
@@ -189,13 +192,12 @@ pub fn poses(report: &RowCalibration, validations: &[Validation]) -> String {
         line(&mut text, "  nominal robot", nominal);
         line(&mut text, "  calibrated robot", calibrated);
     }
-    text.push_str(&waves(&report.model));
     text
 }
 
 /// The sockets of a file by their names and parameters, the rows that take no part by their lines, and what is known of the
 /// sockets but contradicted.
-pub fn contacts(contact: &Contact, model: &Model, lines: &[u64]) -> String {
+fn contacts(contact: &Contact, model: &Model, lines: &[u64]) -> String {
     let mut text = String::new();
     let (geometry, sockets) = (model.geometry(&[]), contact.sockets());
     let errors_m = contact.errors_m(&geometry);
@@ -233,7 +235,7 @@ pub fn contradicted(contact: &Contact, model: &Model) -> Option<Limit> {
 }
 
 /// The strongest waves of each axis.
-fn waves(model: &Model) -> String {
+pub fn waves(model: &Model) -> String {
     let mut text = String::new();
     for joint in 0..model.axes() {
         let strongest = strongest_waves(model, joint);

@@ -223,12 +223,12 @@ impl Covariance {
         self
     }
 
-    /// The same where what was estimated is this many times less certain; what was considered is as it was.
+    /// The same where the samples of a data set tell this many times less; what rests on all of them together does, too.
     #[must_use]
-    pub fn widened(mut self, times: f64) -> Self {
+    pub fn widened(mut self, data_set: usize, times: f64) -> Self {
         let Spread { by_source, sources } = &mut self.spread;
         for (mut column, source) in by_source.column_iter_mut().zip(sources) {
-            if !matches!(source, Source::Considered { .. }) {
+            if matches!(source, Source::Together) || *source == (Source::Samples { data_set }) {
                 column *= times;
             }
         }

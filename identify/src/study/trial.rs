@@ -8,7 +8,7 @@ use shared::time::UtcNs;
 use super::{Conditions, Definition, Estimator, Figure, Kind, Row, Series, StudyInstrument, TrialRows};
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::ball_bar::calibrate_prepared;
-use crate::calibrate::rows::{RowOptions, wire};
+use crate::calibrate::mix::{self, DataSets, Measured};
 use crate::calibrate::truth::{Comparison, position_errors_m};
 use crate::logs::{InterpolatedLog, LogQuality, RobotLog};
 use crate::model::{Model, Observation, Selection};
@@ -163,11 +163,11 @@ fn by_wire(definition: &Definition, seed: u32, conditions: &Conditions) -> Resul
     let experiment = experiment(definition, seed, conditions);
     let (rows, truth) = wire_rows(&experiment, conditions.wire_rows, conditions.wire_noise_m)
         .map_err(|error| error.to_string())?;
-    // The truth is known: no row has to be kept back for judging.
-    let options = RowOptions { held_out: 0.0, ..RowOptions::wire() };
-    let found = wire::calibrate(&rows, &definition.robot, &options).map_err(|error| error.to_string())?;
-    let attachment_m = found.model.geometry(&[]).wire.attachment_m;
-    Ok(position(&found.model, &truth, definition, [attachment_m, ATTACHMENT_M.into()]))
+    let data = DataSets { rows: vec![Measured::Lengths(rows).into()], ..DataSets::default() };
+    let found = mix::calibrate(&data, &definition.robot, &IdentifyConfig::default(), None);
+    let found = found.map_err(|error| error.to_string())?;
+    let model = &found.runs.first().ok_or("there is no data set")?.model;
+    Ok(position(model, &truth, definition, [model.geometry(&[]).wire.attachment_m, ATTACHMENT_M.into()]))
 }
 
 fn position(found: &Model, truth: &Truth, definition: &Definition, points_m: [Vector3<f64>; 2]) -> Row {

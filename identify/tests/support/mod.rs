@@ -11,6 +11,7 @@ pub mod lengths;
 pub mod minute;
 pub mod other_solver;
 pub mod refused;
+pub mod rows;
 pub mod truth;
 
 use std::path::{Path, PathBuf};

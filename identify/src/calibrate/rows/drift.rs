@@ -11,7 +11,6 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::calibrate::ball_bar::CalibrateError;
-use crate::calibrate::split;
 use crate::calibrate::terms::{falls, mean};
 use crate::cost::{DataSets, SharedColumns};
 use crate::instrument::{Measures, Wire};
@@ -195,11 +194,9 @@ pub(super) fn find(
     model: &mut Model,
     all: &Wire,
     fitting: &[usize],
-    groups: &[usize],
     sigma_m: f64,
-    seed: u64,
 ) -> Result<Option<(Drift, Vec<f64>)>, CalibrateError> {
-    let folds = split::folds(groups, fitting, FOLDS, seed.wrapping_add(1), |_| 0);
+    let folds = all.chosen(fitting).independent(FOLDS);
     let Some(drift) = choose(model, all, fitting, &folds, sigma_m)? else { return Ok(None) };
     let drift_m = fit(model, all, fitting, &drift)?;
     Ok(Some((drift, drift_m)))

@@ -9,7 +9,9 @@ use nalgebra::Vector3;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::tracker::{ROWS_MIN, check_rows, placed};
-use super::{PoseFigures, RowCalibration, RowError, RowOptions};
+use super::{PoseFigures, RowSet};
+use crate::calibrate::ball_bar::CalibrateError;
+use crate::calibrate::mix::{Measured, Rows};
 use crate::instrument::{Apart, PoseRow, Run, Standing, Tracker, median_size, quantile, standing};
 use crate::kinematics::{Chain, Joints};
 use crate::model::{Model, ParameterId, Role, Unit};
@@ -262,7 +264,7 @@ pub fn misfit(rows: &[PoseRow], robot: &Chain) -> Option<PoseFigures> {
     let all: Vec<usize> = (0..some.len()).collect();
     let states = standing(some.iter().map(|row| row.joints_rad));
     let tracker = Tracker::new(Standing::new(&some, &states, &all, 0));
-    let model = placed(&tracker, Model::measured_pose(robot), &[]).ok()?;
+    let model = placed(&tracker, Model::measured_pose(robot)).ok()?;
     Some(PoseFigures::of(&tracker.apart(&model.geometry(&[]))))
 }
 
@@ -289,65 +291,65 @@ pub fn likely(rows: &[PoseRow], robot: &Chain, mistakes: &[Mistake]) -> Option<L
     (best.undone_m < NEAR_M.min(LEFT * as_read_m)).then_some(best)
 }
 
-/// The most likely of all mistakes.
-pub(super) fn likely_of_all(rows: &[PoseRow], robot: &Chain) -> Option<Likely> {
-    likely(rows, robot, &Mistake::all(robot.links.len(), rows.len()))
+/// The most likely of all mistakes, in the first of these files that shows one.
+pub(in crate::calibrate) fn likely_of_all(files: &[Rows], robot: &Chain) -> Option<Likely> {
+    let of = |file: &Rows| match &file.measured {
+        Measured::Poses(rows) => likely(rows, robot, &Mistake::all(robot.links.len(), rows.len())),
+        Measured::Lengths(_) | Measured::Contacts(..) => None,
+    };
+    files.iter().find_map(of)
 }
 
-/// What of a calibration no robot like the nominal one explains; `step` is one of its positions.
-pub(super) fn reasons(
-    report: &RowCalibration,
-    step: Option<Step>,
-    robot: &Chain,
-    options: &RowOptions,
-) -> Vec<Reason> {
-    let [.., errors] = &report.errors.stages;
-    let found = [
-        turned(report, options),
-        furthest_link(&report.model, options),
-        too_far(errors, robot),
-        worse_than_nominal(report, options),
-        step.map(Reason::Moved),
-    ];
-    found.into_iter().flatten().collect()
-}
-
-/// The calibration, unless there are reasons against it.
+/// Nothing of a calibration is what no robot like the nominal one explains; `sets` are those of the `files`, and `runs` where
+/// they were solved.
 ///
 /// # Errors
-/// [`RowError::Implausible`] with the mistake that is likely.
-pub(super) fn unless(
-    found: RowCalibration,
-    reasons: &[Reason],
-    likely: impl FnOnce() -> Option<Likely>,
-) -> Result<RowCalibration, RowError> {
-    if reasons.is_empty() {
-        return Ok(found);
+/// [`CalibrateError::Implausible`] with the mistake that is likely.
+pub(in crate::calibrate) fn unless_implausible(
+    files: &[Rows],
+    sets: &[RowSet],
+    runs: &[Run],
+    robot: &Chain,
+) -> Result<(), CalibrateError> {
+    let link = runs.first().and_then(|run| furthest_link(&run.model));
+    let mut found: Vec<String> = link.iter().map(Reason::to_string).collect();
+    let first = runs.len() - sets.len();
+    for ((number, run), (file, set)) in runs.iter().enumerate().skip(first).zip(files.iter().zip(sets)) {
+        let place = if runs.len() > 1 { format!("data set {}: ", number + 1) } else { String::new() };
+        let reasons = of_set(set, file, &run.model, robot);
+        found.extend(reasons.iter().map(|reason| format!("{place}{reason}")));
     }
-    let found = reasons.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ");
-    Err(RowError::Implausible { found, likely: likely() })
+    if found.is_empty() {
+        return Ok(());
+    }
+    Err(CalibrateError::Implausible { found: found.join("; "), likely: likely_of_all(files, robot) })
 }
 
-/// The same of a mix, whose data sets are judged one by one; `None` where all is plausible.
-pub(in crate::calibrate) fn of_mix(runs: &[Run], robot: &Chain) -> Option<String> {
-    let options = RowOptions::tracker();
-    let link = runs.first().and_then(|run| furthest_link(&run.model, &options));
-    let far = runs.iter().enumerate().filter_map(|(number, Run { instrument, model })| {
-        let far = too_far(&instrument.errors(&model.geometry(&[])), robot)?;
-        Some(format!("data set {}: {far}", number + 1))
-    });
-    let told: Vec<String> = link.iter().map(Reason::to_string).chain(far).collect();
-    (!told.is_empty()).then(|| told.join("; "))
+fn of_set(set: &RowSet, file: &Rows, model: &Model, robot: &Chain) -> Vec<Reason> {
+    let [.., errors] = &set.errors.stages;
+    let step = match &file.measured {
+        Measured::Poses(rows) => {
+            let steps = [set.step(model), set.step];
+            steps.into_iter().flatten().find(|step| step.explains(rows, robot))
+        }
+        Measured::Lengths(_) | Measured::Contacts(..) => None,
+    };
+    let found = [turned(set), too_far(errors, robot), worse_than_nominal(set), step.map(Reason::Moved)];
+    found.into_iter().flatten().collect()
 }
 
 /// Tolerances are standard deviations: of 30 numbers one is beyond this by chance once in 50 000 robots.
 const SIGMAS_MAX: f64 = 5.0;
+/// What lengths of links are off at most in arms that were typed by hand, one standard deviation \[m\].
+const LINK_M: f64 = 1e-2;
+/// And angles, zeros of joints among them \[rad\].
+const LINK_RAD: f64 = 2e-2;
 
-fn furthest_link(model: &Model, options: &RowOptions) -> Option<Reason> {
+fn furthest_link(model: &Model) -> Option<Reason> {
     let link = |id: ParameterId| {
         let parameter = model.parameter(id)?;
         let Role::Prior { value, .. } = parameter.role else { return None };
-        let sigma = if id.unit() == Unit::Metre { options.link_sigma_m } else { options.link_sigma_rad };
+        let sigma = if id.unit() == Unit::Metre { LINK_M } else { LINK_RAD };
         Some((id, parameter.value - value, sigma))
     };
     let links = model.parameters().iter().map(|parameter| parameter.id);
@@ -357,12 +359,12 @@ fn furthest_link(model: &Model, options: &RowOptions) -> Option<Reason> {
     (correction.abs() > SIGMAS_MAX * sigma).then_some(Reason::Link { id, correction, sigma })
 }
 
-fn turned(report: &RowCalibration, options: &RowOptions) -> Option<Reason> {
+fn turned(set: &RowSet) -> Option<Reason> {
     /// The nominal robot's orientation is better than this, any wrong order is worse \[rad\].
     const WRONG_RAD: f64 = 0.1;
-    let nominal = report.fitted().nominal;
+    let nominal = set.fitted().nominal;
     let mean_rad = nominal.rotation_rad?.mean;
-    let fits = nominal.position_m.mean < SIGMAS_MAX * options.link_sigma_m;
+    let fits = nominal.position_m.mean < SIGMAS_MAX * LINK_M;
     (fits && mean_rad > WRONG_RAD).then_some(Reason::Turned { mean_rad })
 }
 
@@ -377,13 +379,12 @@ fn too_far(errors: &[Apart], robot: &Chain) -> Option<Reason> {
 }
 
 /// Only where enough rows were held out for the comparison to mean something.
-fn worse_than_nominal(report: &RowCalibration, options: &RowOptions) -> Option<Reason> {
+fn worse_than_nominal(set: &RowSet) -> Option<Reason> {
     /// By chance a robot that is as its table says gets worse by the part of the noise that its free numbers take in, far less.
     const WORSE: f64 = 1.1;
-    let held_out = report.held_out();
+    let held_out = set.held_out();
     let [nominal_m, calibrated_m] = [held_out.nominal.position_m.rms, held_out.joints.position_m.rms];
-    let judged = options.held_out > 0.0 && held_out.nominal.rows >= ROWS_MIN;
-    (judged && calibrated_m > WORSE * nominal_m)
+    (held_out.nominal.rows >= ROWS_MIN && calibrated_m > WORSE * nominal_m)
         .then_some(Reason::WorseThanNominal { nominal_m, calibrated_m })
 }
 

@@ -1,9 +1,8 @@
-//! Calibration from rows of one instrument alone, each a pose at which the robot stood still and what was measured there: by a
-//! tracker ([`tracker`]) or by a draw-wire or telescoping bar ([`wire`]).
+//! What files of rows have for themselves in a calibration, each row a pose at which the robot stood still and what was measured
+//! there: by a tracker ([`tracker`]), by a draw-wire or telescoping bar ([`wire`]) or by a ball in sockets.
 //!
-//! Unknown are the place of the instrument and what of it is on the flange, the robot's links, with priors from tolerances, and
-//! the errors of its joints, each kind only if fitting rows left out are predicted better with it. Held-out rows take no part
-//! in any of this, and the figures on them are what counts; the result is a last fit to all rows.
+//! A fifth of each file is held out: it takes part in nothing, neither in the choice of the errors of joints nor in which rows
+//! belong with the rest, and the figures on it are what counts. The result is a last fit to all rows.
 
 mod drift;
 mod error;
@@ -12,113 +11,56 @@ mod figures;
 mod implausible;
 mod terms;
 pub mod tracker;
-pub mod wire;
+mod wire;
 
-use super::change::Changed;
-use super::deployment::Deployed;
-use super::links::{TOLERANCE, free_links, link_ids};
-use super::split::HoldOut;
-use super::terms::{Candidate, Kind};
-use crate::instrument::{RejectedRow, without};
+use super::ball_bar::CalibrateError;
+use super::mix::Measured;
+use crate::instrument::{Apart, Instrument, Measures, RejectedRow, Rejection, Run, Wire, faulty, without};
 use crate::kinematics::Chain;
-use crate::model::{Model, ModelError, ParameterId};
-use crate::solver::{LossName, Solution};
+use crate::model::Model;
 
 pub use drift::Drift;
 pub use error::RowError;
 pub use faulty_runs::{FaultyRun, RunCause};
 pub use figures::{PoseFigures, RowErrors, Sizes, Stages, is_surely_better};
-pub(super) use implausible::of_mix;
 pub use implausible::{Likely, Mistake, Step, likely, misfit};
+pub(super) use implausible::{likely_of_all, unless_implausible};
 pub(super) use terms::kinds;
 
 /// Highest order of the joints' waves that is tried as a rule: there is no finer tooth near the output of a strain wave gear.
 pub const WAVES_PER_TURN_MAX: u8 = 64;
 
-/// How the calibration is done.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RowOptions {
-    /// What is held out together, from the figures and from each fold of the choice of joint errors.
-    pub hold_out: HoldOut,
-    /// Part of the rows that the fit never sees.
-    pub held_out: f64,
-    /// Decides which.
-    pub seed: u64,
-    /// How much rows count that do not fit.
-    pub loss: LossName,
-    /// Prior of the links' lengths around nominal, one standard deviation \[m\].
-    pub link_sigma_m: f64,
-    /// Prior of the links' angles around nominal, one standard deviation \[rad\].
-    pub link_sigma_rad: f64,
-    /// Highest order of the joints' waves that is tried.
-    pub waves_per_turn_max: u8,
-    /// Joint errors may be taken.
-    pub joint_errors: bool,
-    /// Parameters that stay where they start: links at nominal, the instrument at the flange's origin, no joint error.
-    pub fix: Vec<ParameterId>,
-}
+/// Parts of a file, of which one is held out.
+const PARTS: usize = 5;
 
-impl RowOptions {
-    /// As is usual with a tracker.
-    pub fn tracker() -> Self {
-        Self {
-            hold_out: HoldOut::Regions,
-            held_out: 0.2,
-            seed: 1,
-            loss: LossName::Huber,
-            link_sigma_m: 1e-2,
-            link_sigma_rad: 2e-2,
-            waves_per_turn_max: WAVES_PER_TURN_MAX,
-            joint_errors: true,
-            fix: Vec::new(),
-        }
-    }
-
-    /// As is usual with a wire, whose lengths have heavy tails.
-    pub fn wire() -> Self {
-        let (hold_out, loss) = (HoldOut::Rows, LossName::Cauchy);
-        Self { hold_out, seed: 1042, loss, link_sigma_rad: 1e-2, ..Self::tracker() }
-    }
-
-    fn check(&self) -> Result<(), RowError> {
-        for (option, value) in [("link_sigma_m", self.link_sigma_m), ("link_sigma_rad", self.link_sigma_rad)]
-        {
-            if !(value.is_finite() && value > 0.0) {
-                return Err(RowError::BadOption { option, value, remedy: "give a number above zero" });
+impl Measured {
+    /// Rows whose own data contradict each other; all others are measurements, and enough for a fit where they are `alone`.
+    pub(super) fn checked(&self, alone: bool, robot: &Chain) -> Result<Vec<RejectedRow>, RowError> {
+        let (rejected, rows, needed) = match self {
+            Self::Poses(rows) => {
+                tracker::check_rows(rows)?;
+                (Vec::new(), rows.len(), tracker::ROWS_MIN)
             }
+            Self::Lengths(rows) => {
+                wire::check_rows(rows)?;
+                (wire::contradicting(rows, robot), rows.len(), wire::ROWS_MIN)
+            }
+            // The instrument checks them against its table.
+            Self::Contacts(..) => return Ok(Vec::new()),
+        };
+        let fitting = (rows - rejected.len()) * (PARTS - 1) / PARTS;
+        if alone && fitting < needed {
+            return Err(RowError::TooFewRows { rows: fitting, needed });
         }
-        if !(0.0..0.9).contains(&self.held_out) {
-            let (option, value) = ("held_out", self.held_out);
-            return Err(RowError::BadOption { option, value, remedy: "give a part from 0 to below 0.9" });
-        }
-        Ok(())
-    }
-
-    /// What joint errors of the model are tried, with waves up to an order.
-    ///
-    /// # Errors
-    /// [`ModelError::NotInModel`] where something is fixed that is not among them.
-    fn kinds(&self, model: &Model, waves_last: u8) -> Result<Vec<Kind>, ModelError> {
-        let with_waves = model.clone().with_joint_waves(ParameterId::joint_waves(waves_last));
-        let known = |id: &ParameterId| with_waves.parameter(*id).is_some();
-        if let Some(&id) = self.fix.iter().find(|id| !known(id)) {
-            return Err(ModelError::NotInModel { id });
-        }
-        let kinds = self.joint_errors.then(|| kinds(waves_last, |id| known(id) && !self.fix.contains(id)));
-        Ok(kinds.unwrap_or_default())
-    }
-
-    fn free_links(&self, model: &mut Model, robot: &Chain) -> Result<(), ModelError> {
-        let sigmas = [self.link_sigma_m, self.link_sigma_rad];
-        free_links(model, &link_ids(robot), &self.fix, sigmas, TOLERANCE)
+        Ok(rejected)
     }
 }
 
-/// A robot calibrated from rows.
+/// A file of rows, what of it was held out, and what the stages of the calibration say of it.
 #[derive(Debug, Clone)]
-pub struct RowCalibration {
-    /// Name of the cost: lengths, positions or whole poses.
-    pub cost: &'static str,
+pub struct RowSet {
+    /// All rows.
+    whole: Instrument,
     /// Each row, rejected or not.
     pub errors: RowErrors,
     /// Rows that did not take part, and why.
@@ -127,21 +69,137 @@ pub struct RowCalibration {
     pub runs: Vec<FaultyRun>,
     /// Drift of the instrument's zero, where left-out rows asked for it; it is part of the last stage of all figures.
     pub drift: Option<Drift>,
-    /// Kinds of joint errors, taken or not.
-    pub terms: Vec<Candidate>,
-    /// Standard deviation of a length or a coordinate, from the spread of the residuals \[m\].
-    pub sigma_m: f64,
-    /// The solve of all rows.
-    pub solution: Solution,
-    /// The calibrated model, of all rows.
-    pub model: Model,
-    /// What did not stay while it was measured.
-    pub changed: Vec<Changed>,
-    /// The best geometry for who applies less than that, of all rows.
-    pub deployed: Vec<Deployed>,
+    /// Of each row \[m\].
+    drift_m: Vec<f64>,
+    /// A sudden change of where the nominal robot is seen.
+    step: Option<Step>,
 }
 
-impl RowCalibration {
+impl RowSet {
+    /// All rows of a file but for those `rejected`, a part of them held out where it is `judged`.
+    pub(super) fn new(whole: Instrument, rejected: Vec<RejectedRow>, judged: bool) -> Self {
+        let parts = if judged { whole.independent(PARTS) } else { Vec::new() };
+        let mut held_out = parts.into_iter().next().unwrap_or_default();
+        held_out.sort_unstable();
+        let fitted = (0..whole.samples()).filter(|sample| held_out.binary_search(sample).is_err()).collect();
+        let errors = RowErrors { fitted, held_out, ..RowErrors::default() };
+        Self { whole, errors, rejected, runs: Vec::new(), drift: None, drift_m: Vec::new(), step: None }
+    }
+
+    /// The rows that a fit sees.
+    pub(super) fn fitting(&self) -> Instrument {
+        self.whole.part(&without(&self.errors.fitted, &self.rejected))
+    }
+
+    /// With the nominal robot, the instrument fitted to it.
+    pub(super) fn judge_nominal(&mut self, model: &Model) {
+        self.errors.stages[0] = self.at(model);
+        self.step = self.step(model);
+    }
+
+    /// With the best offsets of the joints, and with the best links.
+    pub(super) fn judge_links(&mut self, offsets: Option<&Model>, links: &Model) {
+        self.errors.stages[1] = offsets.map_or_else(Vec::new, |model| self.at(model));
+        self.errors.stages[2] = self.at(links);
+    }
+
+    /// With everything that the rows ask for.
+    pub(super) fn judge_joints(&mut self, model: &Model) {
+        self.errors.stages[3] = match self.steady() {
+            Some(wire) => wire.errors(&model.geometry(&[])),
+            None => self.at(model),
+        };
+        match &self.whole {
+            Instrument::Wire(all) => self.runs = faulty_runs::runs(model, all, &self.rejected),
+            // A ball in another socket than its row says is no measurement that anything could predict.
+            Instrument::Contact(contact) => {
+                let mut contact = contact.clone();
+                contact.screen(model);
+                self.rejected = contact.rejected().to_vec();
+                self.errors.fitted = without(&self.errors.fitted, &self.rejected);
+                self.errors.held_out = without(&self.errors.held_out, &self.rejected);
+            }
+            Instrument::Tracker(_) | Instrument::BallBar(_) => {}
+        }
+    }
+
+    fn at(&self, model: &Model) -> Vec<Apart> {
+        self.whole.errors(&model.geometry(&[]))
+    }
+
+    fn step(&self, model: &Model) -> Option<Step> {
+        let Instrument::Tracker(tracker) = &self.whole else { return None };
+        implausible::step(tracker, model)
+    }
+
+    /// The wire without its drift, where it has one.
+    fn steady(&self) -> Option<Wire> {
+        let Instrument::Wire(all) = &self.whole else { return None };
+        self.drift.is_some().then(|| all.plus(&self.drift_m))
+    }
+
+    /// Finds the rows of a wire that do not belong with the rest, and a drift of its zero, where the run, which sees the fitting
+    /// rows, is at its best links. From then on the drift is known.
+    ///
+    /// Single gross residuals are rejected from the fit only; faulty runs everywhere, but judged by their fitting rows alone;
+    /// with a drift they take part again: what moved their zero is part of it. Lengths of held-out rows decide nothing.
+    pub(super) fn screen(
+        &mut self,
+        data_set: usize,
+        run: &mut Run,
+        sigma_m: f64,
+    ) -> Result<(), CalibrateError> {
+        let (Instrument::Wire(all), Instrument::Wire(seen)) = (&self.whole, &run.instrument) else {
+            return Ok(());
+        };
+        let fitting = without(&self.errors.fitted, &self.rejected);
+        let row_of = |one: &RejectedRow| RejectedRow { row: fitting[one.row], ..*one };
+        let kept = without(&fitting, &seen.rejected().iter().map(row_of).collect::<Vec<_>>());
+        let faulty = faulty(&all.residuals_m(&run.model.geometry(&[])), &fitting, &kept);
+        let kept = without(&fitting, &faulty);
+        if kept.len() < fitting.len() / 2 {
+            let error = RowError::TooManyRejected { kept: kept.len(), rows: fitting.len() };
+            return Err(CalibrateError::Rows { data_set, error });
+        }
+        let known: Vec<usize> = self.rejected.iter().map(|one| one.row).collect();
+        self.rejected.extend(faulty.iter().filter(|one| !known.contains(&one.row)));
+        self.rejected.sort_by_key(|one| one.row);
+        let fitting = self.beside_drift(&fitting);
+        if let Some((drift, drift_m)) = drift::find(&mut run.model.clone(), all, &fitting, sigma_m)? {
+            run.instrument = Instrument::Wire(all.plus(&drift_m).chosen(&fitting));
+            (self.drift, self.drift_m) = (Some(drift), drift_m);
+        }
+        Ok(())
+    }
+
+    /// Rows without those that are wrong even where the zero drifts.
+    fn beside_drift(&self, rows: &[usize]) -> Vec<usize> {
+        without(rows, &self.rejected_where(|why| !matches!(why, Rejection::FaultyRun { .. })))
+    }
+
+    fn rejected_where(&self, wanted: impl Fn(Rejection) -> bool) -> Vec<RejectedRow> {
+        self.rejected.iter().filter(|one| wanted(one.why)).copied().collect()
+    }
+
+    /// All rows that may take part once the held-out ones have judged.
+    pub(super) fn everything(&self, model: &Model) -> Result<Instrument, CalibrateError> {
+        let all: Vec<usize> = (0..self.whole.samples()).collect();
+        let (Instrument::Wire(wire), Some(drift)) = (&self.whole, &self.drift) else {
+            let wrong = self.rejected_where(|why| matches!(why, Rejection::FlangeContradicts { .. }));
+            return Ok(self.whole.part(&without(&all, &wrong)));
+        };
+        let usable = self.beside_drift(&all);
+        let drift_m = drift::fit(&mut model.clone(), wire, &usable, drift)?;
+        Ok(Instrument::Wire(wire.plus(&drift_m).chosen(&usable)))
+    }
+
+    /// How many times less certain all rows leave the robot than they would with a drift that is known.
+    pub(super) fn widens(&self, model: &Model, sigma_m: f64) -> Result<f64, CalibrateError> {
+        let (Instrument::Wire(wire), Some(drift)) = (&self.whole, &self.drift) else { return Ok(1.0) };
+        let usable = self.beside_drift(&(0..wire.samples()).collect::<Vec<_>>());
+        drift::widens(model, wire, &usable, drift, sigma_m)
+    }
+
     /// Rows that the fit saw, without rejected ones.
     pub fn fitted(&self) -> Stages {
         self.errors.of(&without(&self.errors.fitted, &self.rejected))
@@ -155,10 +213,5 @@ impl RowCalibration {
     /// All held-out rows.
     pub fn held_out_with_rejected(&self) -> Stages {
         self.errors.of(&self.errors.held_out)
-    }
-
-    /// Standard deviation of a parameter, SI; none where it was fixed.
-    pub fn sigma(&self, id: ParameterId) -> Option<f64> {
-        self.solution.covariance.sigma(self.model.column_of(id)?)
     }
 }

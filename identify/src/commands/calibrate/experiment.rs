@@ -6,20 +6,19 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::Args;
 use serde::{Deserialize, Serialize};
-use shared::config::{self, RobotConfig, Validate, Violation};
+use shared::config::{self, Validate, Violation};
 
 use super::bar::{self, BarArguments};
 use super::result::Told;
-use super::rows::{self, Kind, Read, RowFile};
+use super::rows::{self, Kind, Others, Read, RowFile};
 use super::{CommonArguments, ResultArguments, inputs, refused};
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::mix::{self, DataSets, Rows};
-use crate::calibrate::refusal::Refuses;
-use crate::calibrate::rows::RowErrors;
+use crate::calibrate::rows::RowSet;
 use crate::commands::ensure_six_revolute_axes;
 use crate::commands::on_terminal::OnTerminal;
 use crate::evaluate::{RunEvidence, Validity, of_lengths};
-use crate::instrument::{BallBar, Instrument, Run};
+use crate::instrument::{Instrument, Run};
 use crate::kinematics::flange_chain;
 use crate::logs::LogFormat;
 use crate::model::ParameterId;
@@ -118,7 +117,6 @@ impl Validate for Experiment {
                 "give one for each run, or for none",
             ));
         }
-        let of_tracker_alone = self.data_sets() > 1 || self.trackers.is_empty();
         for (kind, files) in self.kinds() {
             let key = kind.key();
             for (index, row) in files.iter().enumerate() {
@@ -129,31 +127,14 @@ impl Validate for Experiment {
                         "write sockets = \"sockets.toml\" there, and there alone",
                     ));
                 }
-                if of_tracker_alone && (row.joint_waves.is_some() || !row.validate.is_empty()) {
+                if kind != Kind::Tracker && !row.validate.is_empty() {
                     return Err(Violation::new(
-                        format!("{key}[{index}]"),
-                        "joint_waves and validate are for a tracker alone",
-                        "leave them out",
+                        format!("{key}[{index}].validate"),
+                        "only poses of a tracker judge a robot",
+                        "leave it out",
                     ));
                 }
             }
-        }
-        // What rows alone are told; a mix refuses what it cannot follow by itself.
-        let IdentifyConfig { fix, require_mm, .. } = self.identify.clone();
-        let taken = IdentifyConfig { fix, require_mm, ..IdentifyConfig::default() };
-        let taken = match (&self.trackers[..], &self.wires[..], &self.contacts[..]) {
-            ([_], [], []) => {
-                Some((IdentifyConfig { loss: self.identify.loss, ..taken }, "fix, loss and require_mm"))
-            }
-            ([], [_], []) => Some((taken, "fix and require_mm")),
-            _ => None,
-        };
-        if let Some((_, keys)) = taken.filter(|(taken, _)| self.bars.is_empty() && *taken != self.identify) {
-            return Err(Violation::new(
-                "identify",
-                "one file of rows alone does not take all of these keys",
-                format!("leave all out but {keys}"),
-            ));
         }
         self.identify.validate()
     }
@@ -309,30 +290,15 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
 
 /// The same of an experiment that was not read from a file.
 pub(super) fn calibrate(experiment: Experiment, result: &ResultArguments) -> anyhow::Result<()> {
-    let Some((kind, _)) = experiment.rows().next() else {
+    if experiment.rows().next().is_none() {
         return bar::calibrate(&experiment.bar_arguments(result), &experiment.identify);
-    };
+    }
     let robot = &experiment.common(result).robot()?;
     let read = experiment.rows().map(|(kind, of)| rows::read(kind, of, robot));
-    let mut read = read.collect::<anyhow::Result<Vec<Read>>>()?;
-    match read.pop() {
-        Some(one) if read.is_empty() && experiment.bars.is_empty() => {
-            rows::alone(experiment, kind, robot, one, result)
-        }
-        last => {
-            read.extend(last);
-            mixed(experiment, robot, read, result)
-        }
-    }
-}
-
-/// Of any mix, or of instruments that have no way of their own.
-pub(super) fn mixed(
-    experiment: Experiment,
-    robot: &RobotConfig,
-    read: Vec<Read>,
-    result: &ResultArguments,
-) -> anyhow::Result<()> {
+    let (rows, lines): (Vec<Rows>, Vec<_>) =
+        read.collect::<anyhow::Result<Vec<Read>>>()?.into_iter().map(|read| (read.rows, read.lines)).unzip();
+    let others = experiment.rows().zip(&rows).map(|((_, of), rows)| Others::read(of, rows.seed(), robot));
+    let others = others.collect::<anyhow::Result<Vec<Others<'_>>>>()?;
     let (bar_arguments, config) = (experiment.bar_arguments(result), &experiment.identify);
     let mut bars = if experiment.bars.is_empty() {
         Vec::new()
@@ -340,33 +306,20 @@ pub(super) fn mixed(
         ensure_six_revolute_axes(robot)?;
         bar::runs(&bar_arguments, robot)?
     };
-    let (rows, lines): (Vec<Rows>, Vec<_>) = read.into_iter().map(|read| (read.rows, read.lines)).unzip();
     let on_terminal = OnTerminal::new();
     let found = bar::solved(&bar_arguments, &mut bars, |inputs| {
         let data = DataSets { bars: inputs.to_vec(), rows: rows.clone() };
         mix::calibrate(&data, robot, config, Some(&on_terminal))
     });
     let data = DataSets { bars: bars.iter().map(bar::RunFiles::input).collect(), rows };
-    let found = found.and_then(|found| {
-        match mix::held_out(&data, robot, config, Some(&on_terminal)) {
-            // The rest is too little for a solve: the calibration stands, without these figures.
-            Err(error) if error.refusal().is_some() => {
-                tracing::warn!("no rows are predicted by a solve without them: {error}");
-                let none = vec![RowErrors::default(); found.runs.len()];
-                Ok((found, none))
-            }
-            errors => Ok((found, errors?)),
-        }
-    });
     on_terminal.finish();
     let files = experiment.files(&bar_arguments, &bars);
-    let (found, errors) =
-        found.map_err(|error| refused::of_rows(&result.out, robot, &files, config, error))?;
+    let found = found.map_err(|error| refused::of_rows(&result.out, robot, &files, config, error))?;
     let solution = &found.solved.solution;
     let mut file = CalibrationFile::new(
         &robot.name,
         &instruments(&found.runs),
-        SolveEntry::new("each instrument's own", &solution.summary, &solution.identifiability),
+        SolveEntry::new(cost(&found.runs), &solution.summary, &solution.identifiability),
         None,
         inputs(&files)?,
         ParameterEntry::of_all(
@@ -379,40 +332,47 @@ pub(super) fn mixed(
     file.measured = bars.iter().filter_map(bar::RunFiles::measured).collect();
     file.candidates.clone_from(&found.solved.candidates);
     file.deployments = found.deployed.iter().map(DeploymentEntry::from).collect();
-    let entry = |(number, rows): (usize, &Rows)| {
-        let errors = errors.get(number).filter(|errors| !errors.held_out.is_empty())?;
-        Some(RowsEntry {
+    let entry = |(number, (rows, set)): (usize, (&Rows, &RowSet))| {
+        (!set.errors.held_out.is_empty()).then(|| RowsEntry {
             data_set: number + 1,
             hold_out: rows.hold_out(),
             seed: rows.seed(),
-            fitted: errors.of(&errors.fitted),
-            held_out: errors.of(&errors.held_out),
+            fitted: set.fitted(),
+            held_out: set.held_out_with_rejected(),
         })
     };
-    file.rows = (bars.len()..).zip(&data.rows).filter_map(entry).collect();
-    let name = |number: usize, run: &Run| format!("{} (data set {})", run.instrument.name(), number + 1);
-    let data_sets = found.runs.iter().zip(&errors).enumerate().map(|(number, (run, errors))| {
-        let of_bar = |bar: &BallBar| Measured::Bar {
-            evidence: Box::new(RunEvidence::new(&bar.prepared, &run.model)),
-            by_encoders: bar.measured.contains(&true),
-        };
-        (name(number, run), run.instrument.bar().map_or(Measured::Rows(errors), of_bar))
-    });
-    let mut tables = table::data_sets(&found);
-    let mut limits = Vec::new();
-    for (number, run) in found.runs.iter().enumerate() {
-        let lines = number.checked_sub(bars.len()).and_then(|number| lines.get(number));
-        if let (Instrument::Contact(contact), Some(lines)) = (&run.instrument, lines) {
-            let name = name(number, run);
-            tables += &format!("\n{name}\n{}", of_rows::contacts(contact, &run.model, lines));
-            limits.extend(of_rows::contradicted(contact, &run.model));
-        }
-    }
-    file.validity = Some(Validity::of(
+    file.rows = (bars.len()..).zip(data.rows.iter().zip(&found.rows)).filter_map(entry).collect();
+    let validity = Validity::of(
         found.runs.iter().flat_map(|run| run.instrument.poses(&run.model)),
         &flange_chain(robot),
-    ));
+    );
+    let name = |number: usize| {
+        let name = found.runs[number].instrument.name();
+        if found.runs.len() > 1 { format!("{name} (data set {})", number + 1) } else { name.to_owned() }
+    };
+    let of_bar = |(number, run): (usize, &Run)| {
+        let bar = run.instrument.bar()?;
+        let evidence = Box::new(RunEvidence::new(&bar.prepared, &run.model));
+        Some((name(number), Measured::Bar { evidence, by_encoders: bar.measured.contains(&true) }))
+    };
+    let mut data_sets: Vec<(String, Measured<'_>)> =
+        found.runs.iter().enumerate().filter_map(of_bar).collect();
+    let mut tables = table::data_sets(&found);
+    let (mut limits, mut asked) = (Vec::new(), String::new());
+    for ((number, set), (lines, others)) in (bars.len()..).zip(&found.rows).zip(lines.iter().zip(&others)) {
+        let Run { instrument, model } = &found.runs[number];
+        let validations = others.judge(robot, &validity, model)?;
+        asked.extend(validations.iter().map(of_rows::Validation::line));
+        let table = of_rows::table(set, instrument, model, lines, &validations);
+        tables += &format!("\n{}\n{table}", name(number));
+        if let Instrument::Contact(contact) = instrument {
+            limits.extend(of_rows::contradicted(contact, model));
+        }
+        data_sets.push((name(number), Measured::Rows(&set.errors)));
+    }
     let first = found.runs.first().context("there is no data set")?;
+    tables += &of_rows::waves(&first.model);
+    file.validity = Some(validity);
     limits.extend(of_lengths(&first.model, solution, found.runs.iter().map(|run| (&run.instrument).into())));
     let told = Told {
         robot,
@@ -421,13 +381,21 @@ pub(super) fn mixed(
         model: &first.model,
         solution,
         limits,
-        changed: &found.solved.changed,
-        data_sets: data_sets.collect(),
+        changed: &found.changed,
+        data_sets,
         tables,
-        asked: String::new(),
-        experiment,
+        asked,
+        experiment: experiment.clone(),
     };
     told.write(result)
+}
+
+/// Of one data set its own.
+fn cost(runs: &[Run]) -> &'static str {
+    match runs {
+        [Run { instrument, .. }] => instrument.cost(),
+        _ => "each instrument's own",
+    }
 }
 
 /// For a person: each instrument with how many data sets it has.

@@ -10,7 +10,7 @@ use super::bar::{BarArguments, RunFiles, input_files};
 use super::{inputs, sources};
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::ball_bar::CalibrateError;
-use crate::calibrate::refusal::{Refusal, Refuses};
+use crate::calibrate::refusal::Refusal;
 use crate::inspect::{self, curves};
 use crate::report::page::{InspectedLog, InspectedRun, RefusedPage, WrittenRefusal};
 
@@ -26,18 +26,15 @@ struct Attempt<'a> {
 }
 
 /// The error of a calibration from measured rows, as the terminal shows it; `files` begin with that of the rows.
-pub(super) fn of_rows<E>(
+pub(super) fn of_rows(
     directory: &Path,
     robot: &RobotConfig,
     files: &[(&'static str, &Path)],
-    options: &dyn std::fmt::Debug,
-    error: E,
-) -> anyhow::Error
-where
-    E: Refuses + std::error::Error + Send + Sync + 'static,
-{
+    config: &IdentifyConfig,
+    error: CalibrateError,
+) -> anyhow::Error {
     let (instrument, path) = files.first().copied().unwrap_or(("", Path::new("")));
-    let attempt = Attempt { robot, instrument, files, configuration: format!("{options:#?}"), directory };
+    let attempt = Attempt { robot, instrument, files, configuration: configuration(config), directory };
     attempt.told(error, &path.display().to_string(), Vec::new)
 }
 
@@ -53,8 +50,7 @@ pub(super) fn of_runs(
         robot,
         instrument: runs.first().map_or("", |run| run.bar.name.as_str()),
         files: &input_files(arguments, runs),
-        // Without its configuration a page is still of use.
-        configuration: toml::to_string(config).unwrap_or_else(|error| error.to_string()),
+        configuration: configuration(config),
         directory: &arguments.common.result.out,
     };
     let of_one = match &error {
@@ -67,18 +63,20 @@ pub(super) fn of_runs(
     attempt.told(error, &names, || runs.iter().map(inspected).collect())
 }
 
+/// Without its configuration a page is still of use.
+fn configuration(config: &IdentifyConfig) -> String {
+    toml::to_string(config).unwrap_or_else(|error| error.to_string())
+}
+
 impl Attempt<'_> {
     /// The error with the place of its page. Without a page, because the data are not to blame or because it cannot be made,
     /// it is the bare error. `names` says of what it is, `runs` looks at the inputs.
-    fn told<'r, E>(
+    fn told<'r>(
         &self,
-        error: E,
+        error: CalibrateError,
         names: &str,
         runs: impl FnOnce() -> Vec<InspectedRun<'r>>,
-    ) -> anyhow::Error
-    where
-        E: Refuses + std::error::Error + Send + Sync + 'static,
-    {
+    ) -> anyhow::Error {
         let page = error.refusal().map(|refusal| self.page(&refusal, &runs()));
         let page = page.and_then(|page| {
             page.inspect_err(|why| {

@@ -7,24 +7,18 @@ use clap::Args;
 use shared::config::{self, RobotConfig};
 
 use super::experiment::{self, Experiment};
-use super::result::Told;
-use super::{CommonArguments, ResultArguments, RowArguments, inputs, refused, usual_seed};
+use super::{CommonArguments, RowArguments};
 use crate::calibrate::HoldOut;
 use crate::calibrate::mix::{Measured, Rows};
-use crate::calibrate::rows::{RowCalibration, RowOptions, WAVES_PER_TURN_MAX, tracker, wire};
-use crate::evaluate::{ScaleFrom, Validity, of_lengths};
+use crate::calibrate::rows::{WAVES_PER_TURN_MAX, tracker};
+use crate::evaluate::Validity;
 use crate::instrument::{ContactRow, LengthRow, PoseRow, SocketTable};
-use crate::kinematics::flange_chain;
 use crate::logs::{
     ContactMapping, Contacts, MeasuredLength, MeasuredLengthMapping, MeasuredLengths, MeasuredPoseMapping,
     MeasuredPoses, joints_of_robot,
 };
-use crate::model::{JointWaves, ParameterId};
-use crate::report::deployments::DeploymentEntry;
-use crate::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
-use crate::report::page;
+use crate::model::{JointWaves, Model};
 use crate::report::rows as of_rows;
-use crate::report::validation::RowsEntry;
 use crate::solver::LossName;
 use serde::{Deserialize, Serialize};
 
@@ -94,13 +88,13 @@ pub struct RowFile {
     /// Which rows are held out together; absent: regions of poses, rows of lengths and contacts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub hold_out: Option<HoldOut>,
-    /// Decides which; absent: the instrument's usual one.
+    /// Decides which; absent: that of the command line.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seed: Option<u64>,
-    /// Of a tracker alone: highest number of waves per turn that the errors of joints may have.
+    /// Highest number of waves per turn that the errors of joints may have; the lowest of all files counts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub joint_waves: Option<u8>,
-    /// Of a tracker alone: other files that judge the robot.
+    /// Of a tracker: other files that judge the robot.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub validate: Vec<PathBuf>,
 }
@@ -204,7 +198,10 @@ pub(super) fn read(kind: Kind, of: &RowFile, robot: &RobotConfig) -> anyhow::Res
             (Measured::Contacts(rows, table), lines)
         }
     };
-    Ok(Read { rows: Rows { measured, hold_out: of.hold_out, seed: of.seed }, lines })
+    Ok(Read {
+        rows: Rows { measured, hold_out: of.hold_out, seed: of.seed, joint_waves: of.joint_waves },
+        lines,
+    })
 }
 
 /// Rows of a file, and the line of each.
@@ -217,92 +214,31 @@ fn poses(path: &Path, mapping: &Path, robot: &RobotConfig) -> anyhow::Result<Lin
     Ok(read.rows.iter().map(|row| (PoseRow::from(row), row.line)).unzip())
 }
 
-/// The calibrated robot on rows of other files.
-fn validations(
-    others: &[(&PathBuf, Lines)],
-    robot: &RobotConfig,
-    validity: &Validity,
-    found: &RowCalibration,
+/// A calibrated robot on the rows of other files, each read by the mapping of the file that it was calibrated from.
+pub(super) struct Others<'a> {
     seed: u64,
-) -> anyhow::Result<Vec<of_rows::Validation>> {
-    let one = |(path, (rows, lines)): &(&PathBuf, Lines)| {
-        let name = path.display().to_string();
-        let figures = tracker::validate(rows, robot, &found.model, seed).with_context(|| name.clone())?;
-        let joints = rows.iter().map(|row| row.joints_rad);
-        Ok(of_rows::Validation { name, figures, outside: of_rows::outside(validity, joints, lines) })
-    };
-    others.iter().map(one).collect()
+    files: Vec<(&'a PathBuf, Lines)>,
 }
 
-/// Calibrates from one file with nothing beside it, writes and prints.
-pub(super) fn alone(
-    experiment: Experiment,
-    kind: Kind,
-    robot: &RobotConfig,
-    read: Read,
-    result: &ResultArguments,
-) -> anyhow::Result<()> {
-    let Some(of) = experiment.rows().next().map(|(_, of)| of) else { anyhow::bail!("there are no rows") };
-    // Read before the fit: a file that is missing is said at once.
-    let others = of.validate.iter().map(|path| Ok((path, poses(path, &of.mapping, robot)?)));
-    let others = others.collect::<anyhow::Result<Vec<_>>>()?;
-    let usual = if kind == Kind::Wire { RowOptions::wire() } else { RowOptions::tracker() };
-    let fix = experiment.identify.fix.iter().map(|name| name.parse());
-    let options = RowOptions {
-        hold_out: of.hold_out.unwrap_or(usual.hold_out),
-        seed: of.seed.unwrap_or_else(usual_seed),
-        loss: experiment.identify.loss.unwrap_or(usual.loss),
-        waves_per_turn_max: of.joint_waves.unwrap_or(usual.waves_per_turn_max),
-        fix: fix.collect::<Result<Vec<ParameterId>, _>>()?,
-        ..usual
-    };
-    let found = match &read.rows.measured {
-        Measured::Poses(rows) => tracker::calibrate(rows, robot, &options),
-        Measured::Lengths(rows) => wire::calibrate(rows, robot, &options),
-        Measured::Contacts(..) => return experiment::mixed(experiment, robot, vec![read], result),
-    };
-    let bar = experiment.bar_arguments(result);
-    let files = experiment.files(&bar, &[]);
-    let found = found.map_err(|error| refused::of_rows(&result.out, robot, &files, &options, error))?;
-    let validity = Validity::of(read.rows.joints().into_iter(), &flange_chain(robot));
-    let validations = validations(&others, robot, &validity, &found, options.seed)?;
-    let solution = &found.solution;
-    let scale = if kind == Kind::Wire { ScaleFrom::Wire } else { ScaleFrom::Tracker };
-    let mut file = CalibrationFile::new(
-        &robot.name,
-        kind.role(),
-        SolveEntry::new(found.cost, &solution.summary, &solution.identifiability),
-        None,
-        inputs(&files)?,
-        ParameterEntry::all(&found.model, |id| found.sigma(id)),
-    )
-    .with_knowledge(solution);
-    file.candidates.clone_from(&found.terms);
-    file.validity = Some(validity);
-    file.deployments = found.deployed.iter().map(DeploymentEntry::from).collect();
-    file.rows = vec![RowsEntry {
-        data_set: 1,
-        hold_out: options.hold_out,
-        seed: options.seed,
-        fitted: found.fitted(),
-        held_out: found.held_out_with_rejected(),
-    }];
-    let tables = match kind {
-        Kind::Wire => of_rows::lengths(&found, &read.lines),
-        _ => of_rows::poses(&found, &validations),
-    };
-    let told = Told {
-        robot,
-        bar: None,
-        file,
-        model: &found.model,
-        solution,
-        limits: of_lengths(&found.model, solution, std::iter::once(scale)),
-        changed: &found.changed,
-        data_sets: vec![(kind.key().into(), page::Measured::Rows(&found.errors))],
-        tables,
-        asked: validations.iter().map(of_rows::Validation::line).collect(),
-        experiment: experiment.clone(),
-    };
-    told.write(result)
+impl<'a> Others<'a> {
+    /// Read before the fit: a file that is missing is said at once.
+    pub(super) fn read(of: &'a RowFile, seed: u64, robot: &RobotConfig) -> anyhow::Result<Self> {
+        let files = of.validate.iter().map(|path| Ok((path, poses(path, &of.mapping, robot)?)));
+        Ok(Self { seed, files: files.collect::<anyhow::Result<_>>()? })
+    }
+
+    pub(super) fn judge(
+        &self,
+        robot: &RobotConfig,
+        validity: &Validity,
+        model: &Model,
+    ) -> anyhow::Result<Vec<of_rows::Validation>> {
+        let one = |(path, (rows, lines)): &(&PathBuf, Lines)| {
+            let name = path.display().to_string();
+            let figures = tracker::validate(rows, robot, model, self.seed).with_context(|| name.clone())?;
+            let joints = rows.iter().map(|row| row.joints_rad);
+            Ok(of_rows::Validation { name, figures, outside: of_rows::outside(validity, joints, lines) })
+        };
+        self.files.iter().map(one).collect()
+    }
 }

@@ -1,0 +1,81 @@
+//! One file of rows, calibrated with nothing beside it.
+
+use identify::calibrate::ball_bar::CalibrateError;
+use identify::calibrate::mix::{DataSets, Measured, MixedCalibration, Rows, calibrate};
+use identify::calibrate::rows::{RowSet, Stages};
+use identify::calibrate::{HoldOut, IdentifyConfig, JointTermsConfig};
+use identify::instrument::{LengthRow, PoseRow};
+use identify::model::{Model, ParameterId};
+use shared::config::RobotConfig;
+
+/// How such a file is calibrated.
+#[derive(Clone, Default)]
+pub struct Alone {
+    pub hold_out: Option<HoldOut>,
+    pub seed: Option<u64>,
+    pub joint_waves: Option<u8>,
+    pub config: IdentifyConfig,
+}
+
+/// Its calibration.
+pub struct Found(pub MixedCalibration);
+
+impl Alone {
+    /// Single rows are held out, and the errors of joints have few waves.
+    pub fn quick() -> Self {
+        Self { hold_out: Some(HoldOut::Rows), joint_waves: Some(20), ..Self::default() }
+    }
+
+    /// Links alone.
+    pub fn without_joint_errors(mut self) -> Self {
+        self.config.joint_terms = JointTermsConfig { candidates: Vec::new(), ..self.config.joint_terms };
+        self
+    }
+
+    pub fn with_fixed(mut self, ids: &[ParameterId]) -> Self {
+        self.config.fix = ids.iter().map(ToString::to_string).collect();
+        self
+    }
+
+    pub fn poses(&self, rows: &[PoseRow], robot: &RobotConfig) -> Result<Found, CalibrateError> {
+        self.calibrated(Measured::Poses(rows.to_vec()), robot)
+    }
+
+    pub fn lengths(&self, rows: &[LengthRow], robot: &RobotConfig) -> Result<Found, CalibrateError> {
+        self.calibrated(Measured::Lengths(rows.to_vec()), robot)
+    }
+
+    fn calibrated(&self, measured: Measured, robot: &RobotConfig) -> Result<Found, CalibrateError> {
+        let Self { hold_out, seed, joint_waves, ref config } = *self;
+        let rows = vec![Rows { measured, hold_out, seed, joint_waves }];
+        calibrate(&DataSets { rows, ..DataSets::default() }, robot, config, None).map(Found)
+    }
+}
+
+impl Found {
+    pub fn rows(&self) -> &RowSet {
+        &self.0.rows[0]
+    }
+
+    pub fn model(&self) -> &Model {
+        &self.0.runs[0].model
+    }
+
+    pub fn held_out(&self) -> Stages {
+        self.rows().held_out()
+    }
+
+    pub fn fitted(&self) -> Stages {
+        self.rows().fitted()
+    }
+
+    pub fn sigma(&self, id: ParameterId) -> Option<f64> {
+        self.0.sigma(id)
+    }
+
+    /// What a person reads.
+    pub fn table(&self) -> String {
+        let run = &self.0.runs[0];
+        identify::report::rows::table(self.rows(), &run.instrument, &run.model, &[], &[])
+    }
+}
