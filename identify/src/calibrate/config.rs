@@ -78,7 +78,7 @@ pub enum SelectionName {
     /// All that the poses determine: of each dependent group the parameter that is best fixed is left out.
     #[value(alias = "all-identifiable")]
     AllIdentifiable,
-    /// The same, each number of the links expected at its nominal value within a tolerance, which is scaled until
+    /// The same, each number of the links expected at its nominal value within a tolerance, which is widened until
     /// held-out segments of the run are predicted best.
     Automatic,
 }

@@ -236,7 +236,7 @@ fn laid_out<'w>(
 }
 
 /// Estimates the robot from all data sets together, each number of its links expected at nominal within the configured
-/// tolerance, which is scaled until left-out groups of samples are predicted best; runs with the ball-bar alone as
+/// tolerance, which is widened until left-out groups of samples are predicted best; runs with the ball-bar alone as
 /// [`super::ball_bar::calibrate_runs`] does. A fifth of each file of rows is predicted by a fit of everything else, and then takes
 /// part; nothing is held out where the rest is too little. `watch` sees each solve and may end it.
 ///

@@ -5,14 +5,12 @@ use std::fmt;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use statrs::distribution::{ContinuousCDF, Normal};
 
 use super::earlier::Earlier;
 use super::file::{CalibrationFile, FileError};
+use crate::calibrate::rows::is_surely_worse;
 use crate::evaluate::{Limit, WorkspaceError};
 
-/// Chance that a calibration that is as good as the nominal robot is called worse.
-const WORSE_BY_CHANCE: f64 = 1e-3;
 /// Samples of a segment share their errors: it counts as one independent error along each axis.
 pub(super) const INDEPENDENT_OF_SEGMENT: usize = 3;
 
@@ -85,8 +83,7 @@ impl Predicted {
     /// The logarithm of a root mean square of `n` normal errors has a variance of `1 / 2n`, the difference of two `1 / n` at
     /// most: they are of the same rows.
     fn is_worse_beyond_chance(&self) -> bool {
-        let sigma = (self.independent.max(1) as f64).sqrt().recip();
-        self.calibrated > self.nominal * (Normal::standard().inverse_cdf(1.0 - WORSE_BY_CHANCE) * sigma).exp()
+        is_surely_worse(self.independent, [self.nominal, self.calibrated])
     }
 
     fn sentence(&self) -> String {

@@ -69,6 +69,16 @@ pub fn is_surely_better(n: usize, position: [f64; 2], rotation: Option<[f64; 2]>
     n > 0 && own < limit * nominal && rotation.is_none_or(|[nominal, own]| own < nominal)
 }
 
+/// Chance that a calibration that is as good as the nominal robot is called worse.
+const WORSE_BY_CHANCE: f64 = 1e-3;
+
+/// Whether the second of two root mean squares of `n` errors each is larger beyond chance. Their logarithms differ by a variance of
+/// `1 / n` at most: they are of the same rows.
+pub fn is_surely_worse(n: usize, [nominal, calibrated]: [f64; 2]) -> bool {
+    let sigma = (n.max(1) as f64).sqrt().recip();
+    calibrated > nominal * (Normal::standard().inverse_cdf(1.0 - WORSE_BY_CHANCE) * sigma).exp()
+}
+
 impl PoseFigures {
     /// Smaller than those of the same rows with the nominal robot, by [`is_surely_better`].
     pub fn are_surely_better_than(&self, nominal: &Self) -> bool {

@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::tracker::{ROWS_MIN, check_rows, placed};
-use super::{PoseFigures, RowSet};
+use super::{PoseFigures, RowSet, is_surely_worse};
 use crate::calibrate::ball_bar::CalibrateError;
 use crate::calibrate::mix::{Measured, Rows};
 use crate::instrument::{Apart, PoseRow, Run, Standing, Tracker, median_size, quantile, standing};
@@ -378,13 +378,10 @@ fn too_far(errors: &[Apart], robot: &Chain) -> Option<Reason> {
     (median_m > limit_m).then_some(Reason::TooFar { median_m, limit_m })
 }
 
-/// Only where enough rows were held out for the comparison to mean something.
 fn worse_than_nominal(set: &RowSet) -> Option<Reason> {
-    /// By chance a robot that is as its table says gets worse by the part of the noise that its free numbers take in, far less.
-    const WORSE: f64 = 1.1;
     let held_out = set.held_out();
     let [nominal_m, calibrated_m] = [held_out.nominal.position_m.rms, held_out.joints.position_m.rms];
-    (held_out.nominal.rows >= ROWS_MIN && calibrated_m > WORSE * nominal_m)
+    is_surely_worse(held_out.nominal.rows, [nominal_m, calibrated_m])
         .then_some(Reason::WorseThanNominal { nominal_m, calibrated_m })
 }
 

@@ -22,7 +22,7 @@ use crate::model::Model;
 pub use drift::Drift;
 pub use error::RowError;
 pub use faulty_runs::{FaultyRun, RunCause};
-pub use figures::{PoseFigures, RowErrors, Sizes, Stages, is_surely_better};
+pub use figures::{PoseFigures, RowErrors, Sizes, Stages, is_surely_better, is_surely_worse};
 pub use implausible::{Likely, Mistake, Step, likely, misfit};
 pub(super) use implausible::{likely_of_all, unless_implausible};
 pub(super) use terms::kinds;
