@@ -13,11 +13,11 @@ use super::terms::{Candidate, Kind, Offer, TermGroup, prior_scale, select};
 use crate::cost::{CostError, DataSets, SharedColumns};
 use crate::instrument::Run;
 use crate::kinematics::LinkParameter;
-use crate::model::{Model, ModelError, Owner, ParameterId, Phase, Role};
+use crate::model::{Model, ModelError, Owner, Parameter, ParameterId, Phase, Role};
 use crate::prepare::PrepareOptions;
 use crate::solver::{
-    Begin, Considered, Covariance, GoodShare, Loss, LossName, Normals, Options, Problem, Solution, Summary,
-    Watch, influence, minimise, minimise_robust, solve,
+    Begin, Considered, Covariance, GoodShare, Loss, LossName, Normals, Options, Problem, Solution, Source,
+    Summary, Watch, influence, minimise, minimise_robust, solve,
 };
 
 /// The thesis' residuals enter as it defines them; `pose` is whitened by itself.
@@ -47,7 +47,7 @@ pub struct Plan<'a> {
     pub kinds: Vec<Kind>,
     /// Parameters that stay where they are.
     pub fix: Vec<ParameterId>,
-    /// Parameters whose priors are scaled until left-out groups are predicted best.
+    /// Parameters whose priors are widened until left-out groups are predicted best.
     pub tolerances: Vec<ParameterId>,
     /// What counts as a slipped encoder.
     pub prepare: PrepareOptions,
@@ -86,6 +86,11 @@ pub struct Solved {
     pub prior_scale: f64,
     /// What a residual of each run is worth, one standard deviation.
     pub sigmas: Vec<f64>,
+}
+
+/// A term that is considered, under its prior.
+fn let_in(one: &Parameter, sigma: f64) -> Option<Role> {
+    TermGroup::of(one.id).map(|_| Role::Prior { value: one.value, sigma })
 }
 
 /// What a residual of a solve is worth against priors, one standard deviation: `pose` is whitened by itself.
@@ -406,11 +411,14 @@ impl<'a> Solver<'a> {
     /// are not finite.
     fn normals(
         &self,
+        models: &[Model],
         columns: &SharedColumns,
         loss: Loss,
         count: usize,
     ) -> Result<Option<(Normals, Vec<usize>)>, CostError> {
-        let problem = problem(self.runs, columns, &self.sigmas)?;
+        let sets = self.runs.iter().zip(models).zip(&self.sigmas);
+        let sets = sets.map(|((run, model), sigma)| run.instrument.data_set(model, *sigma));
+        let problem = DataSets::new(sets.collect::<Result<_, _>>()?, columns);
         let (mut of_run, mut groups) = (Vec::new(), Vec::new());
         for (number, (run, start)) in self.runs.iter().zip(problem.starts()).enumerate() {
             for group in run.instrument.independent(count) {
@@ -419,18 +427,31 @@ impl<'a> Solver<'a> {
             }
         }
         let options = Options { loss, ..Options::default() };
-        let normals = Normals::new(&problem, &self.start(columns), &options, &groups);
+        let start = columns.gather(&models.iter().map(Model::start).collect::<Vec<_>>());
+        let normals = Normals::new(&problem, &start, &options, &groups);
         Ok(normals.map(|normals| (normals, of_run)))
     }
 
     /// How sure the solution is: by the jackknife where there are groups enough, with what parameters leave in doubt that
     /// stayed at uncertain values.
+    ///
+    /// Terms that were left out are there or not: with them under their priors the solution has another spread and is
+    /// elsewhere, and both count (the mean squared error of a solution without them, where they are as is expected).
     fn covariance(&self, columns: &SharedColumns, solution: &Solution) -> Result<Covariance, CalibrateError> {
         let mut covariance = solution.covariance.clone();
-        if let Some((normals, of_run)) = self.normals(columns, solution.loss, LEFT_OUT)?
-            && let Some(spread) = normals.jackknife(|group| of_run[group])
+        let models: Vec<Model> = self.runs.iter().map(|run| run.model.with_considered(let_in)).collect();
+        let all = SharedColumns::new(&models, |id| is_own(id, &self.differ));
+        let place = |name: &String| all.names().iter().position(|other| other == name);
+        let places: Vec<usize> = columns.names().iter().filter_map(place).collect();
+        if let Some((normals, of_run)) = self.normals(&models, &all, solution.loss, LEFT_OUT)?
+            && let Some(mut spread) = normals.jackknife(|group| of_run[group])
         {
-            covariance = covariance.by_jackknife(spread, normals.folds());
+            if all.names().len() > columns.names().len()
+                && let Some(step) = normals.step()
+            {
+                spread.add(Source::LeftOut, &step);
+            }
+            covariance = covariance.by_jackknife(spread.of(&places), normals.folds());
         }
         Ok(match self.considered(columns, solution.loss)? {
             Some(considered) => covariance.with_considered(considered),
@@ -440,7 +461,8 @@ impl<'a> Solver<'a> {
 
     /// What the errors of [`Role::Considered`] parameters do to the solution; none where there are none.
     fn considered(&self, columns: &SharedColumns, loss: Loss) -> Result<Option<Considered>, CalibrateError> {
-        let models: Vec<Model> = self.runs.iter().map(|run| run.model.with_considered_free()).collect();
+        let free = |one: &Parameter, _| TermGroup::of(one.id).is_none().then_some(Role::Free);
+        let models: Vec<Model> = self.runs.iter().map(|run| run.model.with_considered(free)).collect();
         let all = SharedColumns::new(&models, |id| is_own(id, &self.differ));
         let place = |name: &String| columns.names().iter().position(|other| other == name);
         let held: Vec<usize> =
@@ -502,11 +524,12 @@ impl<'a> Solver<'a> {
         // About the models without any of them, weighed as they are.
         let mut without = self.start(&columns);
         own.iter().for_each(|&column| without[column] = 0.0);
-        let normals = self.normals(&columns, solution.loss, HELD_OUT)?;
+        let models: Vec<Model> = self.runs.iter().map(|run| run.model.clone()).collect();
+        let normals = self.normals(&models, &columns, solution.loss, HELD_OUT)?;
         let normals = normals.map(|(normals, _)| normals.about(&without));
         let verdicts = normals.as_ref().map_or_else(Vec::new, |normals| select(normals, &kept, &offers));
         let mut report = Vec::new();
-        for verdict in verdicts {
+        for verdict in &verdicts {
             let (kind, columns) = (&kinds[verdict.offer], &offers[verdict.offer].columns);
             let sigma = verdict.accepted.then_some(kind.sigma * verdict.scale);
             if let Some(sigma) = sigma {
@@ -528,6 +551,14 @@ impl<'a> Solver<'a> {
         {
             self.set_roles(&kind.ids, Role::Fixed)?;
             self.set_to_zero(&kind.ids)?;
+        }
+        // Waves of high orders look like noise to all that is estimated; others look like links. They are as large as the smallest
+        // that is usual: left-out groups did not ask for more.
+        let looks_like_links = |kind: &&Kind| kind.group != TermGroup::LineSpectrum;
+        for verdict in verdicts.iter().filter(|verdict| !verdict.accepted) {
+            if let Some(kind) = kinds.get(verdict.offer).filter(looks_like_links) {
+                self.set_roles(&kind.ids, Role::Considered { sigma: kind.sigma })?;
+            }
         }
         let Some(normals) = normals.filter(|_| !self.plan.tolerances.is_empty()) else {
             return Ok((report, 1.0));

@@ -252,13 +252,13 @@ impl Model {
         self.columns = free.map(|(index, _)| index).collect();
     }
 
-    /// The same with all that is [`Role::Considered`] free.
+    /// The same with another role for what is [`Role::Considered`] within a standard deviation, where `role` has one for it.
     #[must_use]
-    pub fn with_considered_free(&self) -> Self {
+    pub fn with_considered(&self, role: impl Fn(&Parameter, f64) -> Option<Role>) -> Self {
         let mut model = self.clone();
         for parameter in &mut model.parameters {
-            if let Role::Considered { .. } = parameter.role {
-                parameter.role = Role::Free;
+            if let Role::Considered { sigma } = parameter.role {
+                parameter.role = role(parameter, sigma).unwrap_or(parameter.role);
             }
         }
         model.find_columns();

@@ -177,7 +177,7 @@ impl ParameterEntry {
                 ParameterId::Joint { .. } | ParameterId::JointWave { .. } | ParameterId::BarWave { .. }
             );
             (term || ParameterId::OF_FORCE.contains(&id))
-                && parameter.role == Role::Fixed
+                && !parameter.role.is_estimated()
                 && parameter.value == 0.0
         };
         let told = model.parameters().iter().filter(|parameter| !left_out(parameter));

@@ -105,6 +105,8 @@ pub enum Source {
     },
     /// What is known from elsewhere and takes part as samples.
     Known,
+    /// Terms that were left out of the solution and may be there.
+    LeftOut,
     /// The value of a parameter that was considered, not estimated.
     Considered {
         /// Its column in the covariance, after those of the solution.
@@ -136,6 +138,30 @@ impl Spread {
             column.copy_from(one);
         }
         Self { by_source, sources: columns.iter().map(|(source, _)| *source).collect() }
+    }
+
+    /// One more source, one standard deviation of it.
+    pub fn add(&mut self, source: Source, one: &DVector<f64>) {
+        let known = self.sources.len();
+        self.by_source.resize_horizontally_mut(known + 1, 0.0);
+        self.by_source.column_mut(known).copy_from(one);
+        self.sources.push(source);
+    }
+
+    /// Of some of the parameters, by their places; priors of the others are those of terms that were left out.
+    #[must_use]
+    pub fn of(&self, places: &[usize]) -> Self {
+        let source = |source: &Source| match *source {
+            Source::Prior { column } => match places.iter().position(|place| *place == column) {
+                Some(column) => Source::Prior { column },
+                None => Source::LeftOut,
+            },
+            other => other,
+        };
+        Self {
+            by_source: self.by_source.select_rows(places),
+            sources: self.sources.iter().map(source).collect(),
+        }
     }
 
     /// `S S^T`
@@ -293,5 +319,23 @@ impl Covariance {
             .collect();
         pairs.sort_by(|x, y| y.2.abs().total_cmp(&x.2.abs()));
         pairs
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_some_parameters_the_priors_of_the_others_are_those_of_what_was_left_out() {
+        let sources =
+            [Source::Samples { data_set: 0 }, Source::Prior { column: 1 }, Source::Prior { column: 2 }];
+        let columns = sources.map(|source| (source, DVector::from_vec(vec![1.0, 2.0, 3.0])));
+        let mut spread = Spread::new(3, &columns);
+        spread.add(Source::LeftOut, &DVector::from_vec(vec![4.0, 5.0, 6.0]));
+        let of = spread.of(&[2, 0]);
+        let expected = [sources[0], Source::LeftOut, Source::Prior { column: 0 }, Source::LeftOut];
+        assert_eq!(of.sources, expected);
+        assert_eq!(of.covariance(), DMatrix::from_row_slice(2, 2, &[63.0, 33.0, 33.0, 19.0]));
     }
 }

@@ -225,6 +225,11 @@ impl Normals {
         Some(self.factored()?.1.inverse())
     }
 
+    /// From `x` to the solution. None where the samples and priors do not determine every column.
+    pub fn step(&self) -> Option<DVector<f64>> {
+        Some(-self.factored()?.1.solve(&self.whole().gradient))
+    }
+
     /// Spread of the solution `x` by the jackknife over folds: how much it moves where one is left out. It holds
     /// whatever errors the residuals have within a fold, as long as folds are independent; what priors contribute is
     /// added. Approximately `H^-1 (sum g g') H^-1` (a sandwich, Liang and Zeger 1986) with the correction that a fold
