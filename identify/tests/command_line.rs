@@ -365,12 +365,12 @@ fn measured_lengths_calibrate_from_a_csv_with_a_mapping() {
     }
     let out = tempfile::tempdir().unwrap();
     let output =
-        identify(&[&arguments[..], &["--fix", "ra2,length_offset"]].concat(), "irb120_3.toml", out.path());
+        identify(&[&arguments[..], &["--fix", "ra2,attachment_x"]].concat(), "irb120_3.toml", out.path());
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
     let written = std::fs::read_to_string(out.path().join("calibration.toml")).unwrap();
     let file: toml::Table = written.parse().unwrap();
     let entries = file["parameters"].as_array().unwrap();
-    for name in ["ra2", "length_offset"] {
+    for name in ["ra2", "attachment_x"] {
         let entry = entries.iter().find(|entry| entry["name"].as_str() == Some(name)).unwrap();
         assert_eq!((entry["status"].as_str(), entry["correction"].as_float()), (Some("fixed"), Some(0.0)));
     }
