@@ -6,9 +6,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-use identify::calibrate::HoldOut;
-use identify::calibrate::rows::RowOptions;
-use identify::calibrate::rows::tracker::calibrate;
+use identify::calibrate::mix::{DataSets, Measured, Rows, calibrate};
+use identify::calibrate::{HoldOut, IdentifyConfig, JointTermsConfig};
 use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Joints, Pose, flange_chain};
 use identify::report::urdf::urdf;
@@ -108,9 +107,12 @@ fn a_calibrated_arm_is_the_same_for_yourdfpy_in_the_urdf_that_is_written() {
     let directory = tempfile::tempdir().unwrap();
     for arm in ARMS {
         let robot = imported(arm);
-        let options = RowOptions { joint_errors: false, hold_out: HoldOut::Rows, ..RowOptions::tracker() };
-        let report = calibrate(&rows(&robot), &robot, &options).unwrap();
-        let chain = report.model.geometry(&report.model.start()).robot;
+        let joint_terms = JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() };
+        let config = IdentifyConfig { joint_terms, ..IdentifyConfig::default() };
+        let rows = Rows { hold_out: Some(HoldOut::Rows), ..Rows::from(Measured::Poses(rows(&robot))) };
+        let data = DataSets { rows: vec![rows], ..DataSets::default() };
+        let found = calibrate(&data, &robot, &config, None).unwrap();
+        let chain = found.runs[0].model.geometry(&[]).robot;
         let path = directory.path().join("robot.urdf");
         std::fs::write(&path, urdf(&robot, &chain, None, "")).unwrap();
         let postures = postures(&robot, 200);

@@ -134,6 +134,8 @@ fn changes(runs: &[Run], sigmas: &[f64]) -> Result<Vec<Changed>, CalibrateError>
 }
 
 fn of_run(Run { instrument, model }: &Run, sigma: f64) -> Result<Option<Changed>, CalibrateError> {
+    // What stayed at an uncertain value takes its share first: its error is no change.
+    let model = &model.with_considered(|one, sigma| Some(Role::Prior { value: one.value, sigma }));
     let known = |id: &ParameterId| instrument.identifies(*id) && model.parameter(*id).is_some();
     let mut causes = Cause::all(instrument, model.axes());
     causes.retain(|cause| cause.ids().iter().any(known));

@@ -58,7 +58,7 @@ pub struct Change {
     pub course: Course,
     /// By how much each of its columns, in their units: after a step, or from begin to end.
     pub by: Vec<f64>,
-    /// Part of the squared residuals that it takes away.
+    /// Part of the squared residuals, solved anew without it, that it takes away.
     pub explained: f64,
 }
 
@@ -120,7 +120,7 @@ struct Run {
     factor: ScaledCholesky,
     /// `N^-1 g`
     pulled: DVector<f64>,
-    /// Of the samples that are looked at.
+    /// Of the samples that are looked at, solved anew without a change.
     squared: f64,
 }
 
@@ -166,7 +166,7 @@ impl Run {
         }
         let factor = ScaledCholesky::new(normal)?;
         let pulled = factor.solve(&gradient);
-        let squared = r.rows(0, first[samples.len()]).norm_squared();
+        let squared = r.rows(0, first[samples.len()]).norm_squared() - gradient.dot(&pulled);
         Some(Self { r, all, j, first, blocks, factor, pulled, squared })
     }
 
@@ -197,7 +197,7 @@ impl Run {
         for &at in instants.iter().rev() {
             sums.add(self, &c, self.first[at]..end);
             end = self.first[at];
-            let Some((.., fall)) = sums.solved(self) else { continue };
+            let Some(Solved { fall, .. }) = sums.solved(self) else { continue };
             if best.is_none_or(|(_, most)| fall > most) {
                 best = Some((at, fall));
             }
@@ -230,25 +230,37 @@ impl Sums {
         self.p += c.tr_mul(&run.r.rows(rows.start, rows.len()));
     }
 
-    /// `N^-1 n`, `S`, the change and the squares that it takes away; none where other columns leave nothing of it.
-    fn solved(&self, run: &Run) -> Option<(DMatrix<f64>, DMatrix<f64>, DVector<f64>, f64)> {
+    /// None where other columns leave nothing of it.
+    fn solved(&self, run: &Run) -> Option<Solved> {
         let mut taken = self.n.clone();
         for mut column in taken.column_iter_mut() {
             let solved = run.factor.solve(&column.clone_owned());
             column.copy_from(&solved);
         }
-        let left = &self.s - self.n.tr_mul(&taken);
-        if !(0..left.ncols()).all(|own| left[(own, own)] > INDEPENDENT * self.s[(own, own)]) {
+        let stiffness = &self.s - self.n.tr_mul(&taken);
+        if !(0..stiffness.ncols()).all(|own| stiffness[(own, own)] > INDEPENDENT * self.s[(own, own)]) {
             return None;
         }
         let pull = &self.p - self.n.tr_mul(&run.pulled);
-        let by = -ScaledCholesky::new(left.clone())?.solve(&pull);
+        let by = -ScaledCholesky::new(stiffness.clone())?.solve(&pull);
         let fall = -pull.dot(&by);
-        Some((taken, left, by, fall))
+        Some(Solved { taken, stiffness, by, fall })
     }
 }
 
-/// A change with the run solved anew.
+/// A change where everything is solved anew with it.
+struct Solved {
+    /// `N^-1 n`
+    taken: DMatrix<f64>,
+    /// `S`
+    stiffness: DMatrix<f64>,
+    /// `b`
+    by: DVector<f64>,
+    /// The squares that it takes away.
+    fall: f64,
+}
+
+/// A change and what each part of the run says of it.
 struct Tried {
     by: DVector<f64>,
     fall: f64,
@@ -264,7 +276,7 @@ impl Tried {
         let c = run.changing(columns, course);
         let mut sums = Sums::zeros(run.j.ncols(), columns.len());
         sums.add(run, &c, 0..run.r.len());
-        let (taken, stiffness, by, fall) = sums.solved(run)?;
+        let Solved { taken, stiffness, by, fall } = sums.solved(run)?;
         let after = &run.r + &c * &by - &run.j * (&run.pulled + &taken * &by);
         let sums_of = |c: &DMatrix<f64>| {
             let block = |rows: &Range<usize>| {

@@ -171,6 +171,14 @@ impl Experiment {
         self.kinds().into_iter().flat_map(|(kind, files)| files.iter().map(move |of| (kind, of)))
     }
 
+    /// States which rows of each file are held out, where nobody has said so: what is usual may be another thing one day.
+    fn state(&mut self, rows: &[Rows]) {
+        let files = self.trackers.iter_mut().chain(&mut self.wires).chain(&mut self.contacts);
+        for (of, rows) in files.zip(rows) {
+            (of.hold_out, of.seed) = (Some(rows.hold_out()), Some(rows.seed()));
+        }
+    }
+
     /// Every file that is read, with what it is, those of rows first.
     pub(super) fn files<'a>(
         &'a self,
@@ -289,7 +297,7 @@ pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
 }
 
 /// The same of an experiment that was not read from a file.
-pub(super) fn calibrate(experiment: Experiment, result: &ResultArguments) -> anyhow::Result<()> {
+pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) -> anyhow::Result<()> {
     if experiment.rows().next().is_none() {
         return bar::calibrate(&experiment.bar_arguments(result), &experiment.identify);
     }
@@ -297,6 +305,7 @@ pub(super) fn calibrate(experiment: Experiment, result: &ResultArguments) -> any
     let read = experiment.rows().map(|(kind, of)| rows::read(kind, of, robot));
     let (rows, lines): (Vec<Rows>, Vec<_>) =
         read.collect::<anyhow::Result<Vec<Read>>>()?.into_iter().map(|read| (read.rows, read.lines)).unzip();
+    experiment.state(&rows);
     let others = experiment.rows().zip(&rows).map(|((_, of), rows)| Others::read(of, rows.seed(), robot));
     let others = others.collect::<anyhow::Result<Vec<Others<'_>>>>()?;
     let (bar_arguments, config) = (experiment.bar_arguments(result), &experiment.identify);
@@ -314,7 +323,7 @@ pub(super) fn calibrate(experiment: Experiment, result: &ResultArguments) -> any
     let data = DataSets { bars: bars.iter().map(bar::RunFiles::input).collect(), rows };
     on_terminal.finish();
     let files = experiment.files(&bar_arguments, &bars);
-    let found = found.map_err(|error| refused::of_rows(&result.out, robot, &files, config, error))?;
+    let found = found.map_err(|error| refused::of_rows(&result.out, robot, &files, &experiment, error))?;
     let solution = &found.solved.solution;
     let mut file = CalibrationFile::new(
         &robot.name,

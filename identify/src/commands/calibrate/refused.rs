@@ -3,10 +3,12 @@
 use std::path::Path;
 
 use anyhow::Context;
+use serde::Serialize;
 use shared::config::RobotConfig;
 use shared::output::explained;
 
 use super::bar::{BarArguments, RunFiles, input_files};
+use super::experiment::Experiment;
 use super::{inputs, sources};
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::ball_bar::CalibrateError;
@@ -30,11 +32,11 @@ pub(super) fn of_rows(
     directory: &Path,
     robot: &RobotConfig,
     files: &[(&'static str, &Path)],
-    config: &IdentifyConfig,
+    experiment: &Experiment,
     error: CalibrateError,
 ) -> anyhow::Error {
     let (instrument, path) = files.first().copied().unwrap_or(("", Path::new("")));
-    let attempt = Attempt { robot, instrument, files, configuration: configuration(config), directory };
+    let attempt = Attempt { robot, instrument, files, configuration: configuration(experiment), directory };
     attempt.told(error, &path.display().to_string(), Vec::new)
 }
 
@@ -64,7 +66,7 @@ pub(super) fn of_runs(
 }
 
 /// Without its configuration a page is still of use.
-fn configuration(config: &IdentifyConfig) -> String {
+fn configuration(config: &impl Serialize) -> String {
     toml::to_string(config).unwrap_or_else(|error| error.to_string())
 }
 
