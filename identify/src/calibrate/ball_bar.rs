@@ -333,7 +333,6 @@ pub(super) fn solve(
         kinds: config.kinds(model, |id| instrument.identifies(id)),
         fix,
         tolerances: model.columns().map(|one| one.id).filter(of_link).filter(|_| scaled).collect(),
-        prepare: config.prepare.clone(),
         watch,
     };
     estimate(runs, &plan)

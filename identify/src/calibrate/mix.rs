@@ -175,7 +175,6 @@ fn laid_out<'w>(
         ransac: false,
         kinds: Vec::new(),
         tolerances: link_ids(&flange),
-        prepare: config.prepare.clone(),
         fix,
         watch,
     };
@@ -300,7 +299,7 @@ fn staged(
         solution.covariance = solution.covariance.widened(number, times);
     }
     let deployed = deployed(&runs, plan.loss)?;
-    let changed = change::checked(&runs, &sigmas, &plan.prepare)?;
+    let changed = change::checked(&runs, &sigmas, &config.prepare)?;
     let solved = Solved { columns, solution, without_terms, candidates, prior_scale, sigmas };
     Ok(MixedCalibration { runs, rows, solved, changed, deployed })
 }

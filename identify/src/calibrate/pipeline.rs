@@ -14,7 +14,6 @@ use crate::cost::{CostError, DataSets, SharedColumns};
 use crate::instrument::Run;
 use crate::kinematics::LinkParameter;
 use crate::model::{Model, ModelError, Owner, Parameter, ParameterId, Phase, Role};
-use crate::prepare::PrepareOptions;
 use crate::solver::{
     Begin, Considered, Covariance, GoodShare, Loss, LossName, Normals, Options, Problem, Solution, Source,
     Summary, Watch, influence, minimise, minimise_robust, solve,
@@ -49,8 +48,6 @@ pub struct Plan<'a> {
     pub fix: Vec<ParameterId>,
     /// Parameters whose priors are widened until left-out groups are predicted best.
     pub tolerances: Vec<ParameterId>,
-    /// What counts as a slipped encoder.
-    pub prepare: PrepareOptions,
     /// Sees each solve and may end it.
     pub watch: Option<&'a dyn Watch>,
 }
@@ -58,8 +55,7 @@ pub struct Plan<'a> {
 impl Plan<'_> {
     /// Of rows of one instrument.
     pub fn new(loss: LossName, kinds: Vec<Kind>) -> Self {
-        let prepare = PrepareOptions::default();
-        Plan { loss, ransac: false, kinds, fix: Vec::new(), tolerances: Vec::new(), prepare, watch: None }
+        Plan { loss, ransac: false, kinds, fix: Vec::new(), tolerances: Vec::new(), watch: None }
     }
 }
 
@@ -407,6 +403,17 @@ impl<'a> Solver<'a> {
         Ok((columns, solution))
     }
 
+    /// All runs with other models than theirs.
+    fn with_models<'p>(
+        &'p self,
+        models: &'p [Model],
+        columns: &'p SharedColumns,
+    ) -> Result<DataSets<'p>, CostError> {
+        let sets = self.runs.iter().zip(models).zip(&self.sigmas);
+        let sets = sets.map(|((run, model), sigma)| run.instrument.data_set(model, *sigma));
+        Ok(DataSets::new(sets.collect::<Result<_, _>>()?, columns))
+    }
+
     /// Normal equations of the independent groups of all runs where the models are, and the run of each; none where residuals
     /// are not finite.
     fn normals(
@@ -416,9 +423,7 @@ impl<'a> Solver<'a> {
         loss: Loss,
         count: usize,
     ) -> Result<Option<(Normals, Vec<usize>)>, CostError> {
-        let sets = self.runs.iter().zip(models).zip(&self.sigmas);
-        let sets = sets.map(|((run, model), sigma)| run.instrument.data_set(model, *sigma));
-        let problem = DataSets::new(sets.collect::<Result<_, _>>()?, columns);
+        let problem = self.with_models(models, columns)?;
         let (mut of_run, mut groups) = (Vec::new(), Vec::new());
         for (number, (run, start)) in self.runs.iter().zip(problem.starts()).enumerate() {
             for group in run.instrument.independent(count) {
@@ -480,9 +485,7 @@ impl<'a> Solver<'a> {
         };
         let sigmas = all.gather(&models.iter().zip(&*self.runs).map(sigma).collect::<Vec<_>>());
         let start = all.gather(&models.iter().map(Model::start).collect::<Vec<_>>());
-        let sets = self.runs.iter().zip(&models).zip(&self.sigmas);
-        let sets = sets.map(|((run, model), sigma)| run.instrument.data_set(model, *sigma));
-        let problem = DataSets::new(sets.collect::<Result<_, _>>()?, &all);
+        let problem = self.with_models(&models, &all)?;
         let found = influence(&problem, &start, &held, &Options { loss, ..Options::default() })?;
         let mut change = DMatrix::zeros(columns.names().len(), held.len());
         for (row, name) in found.estimated.iter().enumerate() {

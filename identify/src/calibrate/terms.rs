@@ -255,7 +255,7 @@ fn scaled(priors: &[Prior], scale: impl Fn(usize) -> f64) -> Vec<Prior> {
 }
 
 /// By how much to widen the standard deviations of the priors on some columns: the value on a grid that predicts left-out
-/// folds best, if it does so by more than chance, otherwise one. Never less: samples that tell little of the columns are predicted
+/// folds best, if it does so by more than chance, otherwise one. Never less: samples that determine little of the columns are predicted
 /// best where these stay, which says nothing of how near to nominal they are.
 pub fn prior_scale(normals: &Normals, columns: &[usize], of_scale: impl Fn(usize) -> bool) -> f64 {
     const GRID: [f64; 5] = [2.0, 5.0, 10.0, 30.0, 100.0];

@@ -25,7 +25,7 @@ const POSTURES: usize = 300;
 const SAMPLES_PER_S: f64 = 100.0;
 
 /// No link is further from its nominal value, one standard deviation \[m, rad\]. Where a robot's axes are parallel some lengths
-/// depend on each other whatever the path, without a say in positions: this alone tells them apart.
+/// depend on each other whatever the path, without a say in positions: this alone separates them.
 const LINK_SIGMA: f64 = 10e-3;
 /// Standard deviation of what counts as known, SI.
 const KNOWN_SIGMA: f64 = 1e-9;

@@ -249,7 +249,7 @@ impl Covariance {
         self
     }
 
-    /// The same where the samples of a data set tell this many times less; what rests on all of them together does, too.
+    /// The same where the samples of a data set determine this many times less; what rests on all of them together does, too.
     #[must_use]
     pub fn widened(mut self, data_set: usize, times: f64) -> Self {
         let Spread { by_source, sources } = &mut self.spread;

@@ -15,7 +15,7 @@ const FRAMES: usize = 1000;
 /// Shorter pieces of a link are not drawn \[m\].
 const PIECE_M_MIN: f64 = 1e-3;
 
-/// What `view.js` is told.
+/// What `view.js` draws.
 #[derive(Serialize)]
 struct Scene<'a> {
     times_s: Vec<f64>,
