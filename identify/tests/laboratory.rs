@@ -10,7 +10,7 @@ use identify::calibrate::deployment::Deployment;
 use identify::calibrate::held_out::without_each_segment;
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig, SelectionName};
-use identify::evaluate::{evidence, held_out};
+use identify::evaluate::{evidence, held_out, nominals};
 use identify::model::ParameterId;
 use identify::simulate::{self, Effects, Experiment, Simulated};
 use shared::config::{BallBarConfig, RobotConfig};
@@ -165,14 +165,14 @@ fn links_alone_are_a_fit_of_their_own_and_predict_better_than_the_links_of_a_cal
             one.unwrap().1.rms()[1].position_m
         };
         let [offsets, links] = [Deployment::Offsets, Deployment::Dh].map(of);
-        let mut segments = without_each_segment(&found, &config, None).unwrap();
+        let mut segments = without_each_segment(&found, None).unwrap();
         for model in segments.iter_mut().filter_map(|segment| segment.model.as_mut()) {
             let ids: Vec<ParameterId> = model.parameters().iter().map(|parameter| parameter.id).collect();
             let of_joints =
                 |id: &ParameterId| matches!(id, ParameterId::Joint { .. } | ParameterId::JointWave { .. });
             ids.into_iter().filter(of_joints).for_each(|id| model.set_value(id, 0.0).unwrap());
         }
-        let truncated = held_out(&found, &segments).rms()[1].position_m;
+        let truncated = held_out(&found, &segments, &nominals(&found, &segments)).rms()[1].position_m;
         println!(
             "{}: nominal {nominal:.2e}, offsets {offsets:.2e}, links {links:.2e}, of full {truncated:.2e}, full {full:.2e}",
             robot.name

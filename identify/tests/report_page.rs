@@ -8,7 +8,7 @@ use crate::support::{browser, irb2400};
 use identify::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
 use identify::calibrate::held_out::without_each_segment;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
-use identify::evaluate::{Evidence, evidence, held_out, workspace_error};
+use identify::evaluate::{Evidence, evidence, held_out, nominals, workspace_error};
 use identify::prepare::PrepareOptions;
 use identify::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use identify::report::page::Page;
@@ -134,8 +134,8 @@ fn an_error_that_one_segment_alone_has_shows_where_it_is_held_out() {
     let found =
         ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &only_geometry);
     let found = found.unwrap();
-    let segments = without_each_segment(&found, &only_geometry, None).unwrap();
-    let held_out = held_out(&found, &segments);
+    let segments = without_each_segment(&found, None).unwrap();
+    let held_out = held_out(&found, &segments, &nominals(&found, &segments));
     let rotations: Vec<f64> = held_out.segments.iter().map(|segment| segment.rms()[1].rotation_rad).collect();
     let (last, others) = rotations.split_last().unwrap();
     assert!(others.iter().all(|other| *last > 2.0 * other), "{rotations:?}");

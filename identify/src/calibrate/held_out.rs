@@ -3,21 +3,18 @@
 use std::ops::Range;
 
 use super::ball_bar::{BallBarCalibration, CalibrateError};
-use super::config::IdentifyConfig;
 use super::pipeline::problem;
 use super::split::segments;
 use crate::cost::SharedColumns;
 use crate::instrument::Run;
 use crate::model::{Model, Observation, ParameterId};
-use crate::solver::{GoodShare, Options, Problem, SolveError, Subset, Watch, solve};
+use crate::solver::{Normals, Options, SolveError, Watch};
 
 /// Samples of all runs that are looked at, at most.
 const SAMPLES_MAX: usize = 3000;
 /// Segments of a run, and of all runs together, at most.
 const SEGMENTS: usize = 8;
 const SEGMENTS_OF_ALL: usize = 16;
-/// The fits begin next to their minima and are only looked at: closer than this makes no difference.
-const STEP_TOLERANCE: f64 = 1e-7;
 
 /// A segment of one run, and the run's parameters by a fit to everything else.
 #[derive(Debug, Clone)]
@@ -32,41 +29,28 @@ pub struct Segment {
     pub model: Option<Model>,
 }
 
-/// Fits the calibration's parameters once more without each segment of time, from the calibration on. Which terms the
-/// model has was decided by the whole runs.
+/// The calibration's parameters without each segment of time: by one step on the normal equations of the others, from the
+/// calibration on. The minimum without a segment is so near that it is reached (residuals are linear over what errors of
+/// one segment move). Which terms the model has was decided by the whole runs.
 ///
 /// # Errors
 /// [`CalibrateError`] where `watch` ended it or the samples do not suit the cost.
 pub fn without_each_segment(
     calibration: &BallBarCalibration,
-    config: &IdentifyConfig,
     watch: Option<&dyn Watch>,
 ) -> Result<Vec<Segment>, CalibrateError> {
     let runs = calibration.thinned(SAMPLES_MAX);
-    let BallBarCalibration { columns, solution, cost, sigmas, .. } = calibration;
+    let BallBarCalibration { columns, solution, sigmas, .. } = calibration;
     let problem = problem(&runs, columns, sigmas)?;
     let count = (SEGMENTS_OF_ALL / runs.len().max(1)).clamp(2, SEGMENTS);
-    let loss = config.loss_for(*cost);
-    let good = if config.ransac { GoodShare::TWO_FIFTHS } else { GoodShare::HALF };
-    let mut all = Vec::new();
-    for left_out in segments(problem.starts(), count) {
-        let samples = (0..problem.samples()).filter(|sample| !left_out.contains(sample));
-        let others = Subset { of: &problem, samples: samples.collect() };
-        let options = Options {
-            loss: loss.settled(&others, &solution.x, good),
-            step_tolerance: STEP_TOLERANCE,
-            cost_tolerance: STEP_TOLERANCE,
-            watch,
-            ..Options::default()
-        };
-        let x = match solve(&others, &solution.x, &options) {
-            Err(error @ SolveError::Cancelled { .. }) => return Err(error.into()),
-            Err(_) => None,
-            Ok(found) => found.identified().ok().map(|found| found.x),
-        };
-        all.extend(segment(&runs, columns, problem.starts(), &left_out, x));
-    }
-    Ok(all)
+    let segments = segments(problem.starts(), count);
+    let folds: Vec<Vec<usize>> = segments.iter().map(|segment| segment.clone().collect()).collect();
+    let options = Options { loss: solution.loss, watch, ..Options::default() };
+    let without_each = Normals::new(&problem, &solution.x, &options, &folds)
+        .ok_or(SolveError::Cancelled { iterations: 0 })?
+        .without_each();
+    let segment = |(left_out, x)| segment(&runs, columns, problem.starts(), left_out, x);
+    Ok(segments.iter().zip(without_each).filter_map(segment).collect())
 }
 
 fn segment(

@@ -3,7 +3,7 @@
 use super::limits::gap_m;
 use super::{
     CostComparison, HeldOut, JointGap, Limit, Quantiles, ShiftCurve, SphereDeviation, WorkspaceError,
-    compare_costs, held_out, joint_gaps, limits, shift_curve, uncalibrated, workspace_error,
+    compare_costs, held_out, joint_gaps, limits, nominals, shift_curve, uncalibrated, workspace_error,
 };
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::ball_bar::{BallBarCalibration, CalibrateError};
@@ -38,12 +38,14 @@ impl RunEvidence {
         let (motion, observations) = (&prepared.motion, &prepared.observations);
         let solved = model.geometry(&model.start());
         let curve = |reach_s| shift_curve(&solved, motion, observations, reach_s, STEPS);
-        Self {
-            before: closures(&uncalibrated(model, motion, observations), motion, observations),
-            after: closures(&solved, motion, observations),
-            shift_wide: curve(WIDE_S),
-            shift_near: curve(NEAR_S),
-        }
+        std::thread::scope(|scope| {
+            let curves = scope.spawn(|| [WIDE_S, NEAR_S].map(curve));
+            let before = closures(&uncalibrated(model, motion, observations), motion, observations);
+            let after = closures(&solved, motion, observations);
+            let curves = curves.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+            let [shift_wide, shift_near] = curves;
+            Self { before, after, shift_wide, shift_near }
+        })
     }
 }
 
@@ -116,32 +118,43 @@ impl Evidence {
         joint_limits: &[[f64; 2]],
         watch: Option<&dyn Watch>,
     ) -> Result<Self, CalibrateError> {
-        let predicted = |calibration: &BallBarCalibration| {
-            Ok::<_, CalibrateError>(held_out(calibration, &without_each_segment(calibration, config, watch)?))
-        };
-        let deployed = |deployment| {
-            let found = calibration.deployed(deployment, config.loss_for(calibration.cost))?;
-            let told = |found: BallBarCalibration| {
-                let held_out = predicted(&found)?;
-                let BallBarCalibration { model, solution, .. } = found;
-                Ok((Deployed { deployment, model, solution }, held_out))
-            };
-            found.map(told).transpose()
-        };
         // None needs the others, and each is as long as the calibration.
-        let (held_out, costs, deployed) = std::thread::scope(|scope| {
+        let (predicted, costs) = std::thread::scope(|scope| {
             let costs = scope.spawn(|| {
                 let others = other_costs(calibration, config, watch)?;
                 Ok::<_, CalibrateError>(compare_costs(calibration, &others, joint_limits))
             });
-            let held_out = predicted(calibration);
-            let all = Deployment::PARTIAL.into_iter().map(deployed);
-            let deployed = all.filter_map(Result::transpose).collect::<Result<_, CalibrateError>>();
-            (held_out, costs.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)), deployed)
+            let predicted = Self::predicted(calibration, config, watch);
+            (predicted, costs.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
         });
-        self.held_out = Some(held_out?);
+        let (held_out, deployed) = predicted?;
+        self.held_out = Some(held_out);
         self.costs = Some(costs?);
-        self.deployed = deployed?;
+        self.deployed = deployed;
         Ok(self)
+    }
+
+    /// What the calibration and each of its deployments predict of segments that no fit has seen.
+    fn predicted(
+        calibration: &BallBarCalibration,
+        config: &IdentifyConfig,
+        watch: Option<&dyn Watch>,
+    ) -> Result<(HeldOut, Vec<(Deployed, HeldOut)>), CalibrateError> {
+        let segments = without_each_segment(calibration, watch)?;
+        let nominals = nominals(calibration, &segments);
+        let deployed = |deployment| {
+            let found = calibration.deployed(deployment, config.loss_for(calibration.cost))?;
+            let told = |found: BallBarCalibration| {
+                let held_out = held_out(&found, &without_each_segment(&found, watch)?, &nominals);
+                let BallBarCalibration { model, solution, .. } = found;
+                Ok::<_, CalibrateError>((Deployed { deployment, model, solution }, held_out))
+            };
+            found.map(told).transpose()
+        };
+        let all = Deployment::PARTIAL.into_iter().map(deployed);
+        Ok((
+            held_out(calibration, &segments, &nominals),
+            all.filter_map(Result::transpose).collect::<Result<_, _>>()?,
+        ))
     }
 }

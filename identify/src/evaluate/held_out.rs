@@ -81,8 +81,22 @@ impl HeldOut {
     }
 }
 
-/// Looks at each segment with the parameters that were found without it.
-pub fn held_out(calibration: &BallBarCalibration, segments: &[Segment]) -> HeldOut {
+/// The nominal robot of each segment, the bar fitted to it on the rest of the run; none where the rest could not predict it.
+pub fn nominals(calibration: &BallBarCalibration, segments: &[Segment]) -> Vec<Option<Geometry>> {
+    let runs: Vec<_> = calibration.runs().collect();
+    let nominal = |segment: &Segment| {
+        let (prepared, _) = runs.get(segment.run)?;
+        Some(uncalibrated(segment.model.as_ref()?, &prepared.motion, &segment.others))
+    };
+    segments.iter().map(nominal).collect()
+}
+
+/// Looks at each segment with the parameters that were found without it, and with the nominal robot.
+pub fn held_out(
+    calibration: &BallBarCalibration,
+    segments: &[Segment],
+    nominals: &[Option<Geometry>],
+) -> HeldOut {
     let measured = calibration.measured();
     let by_encoders = measured.contains(&true);
     let is_estimated = |link| {
@@ -94,22 +108,28 @@ pub fn held_out(calibration: &BallBarCalibration, segments: &[Segment]) -> HeldO
         if all_estimated { model.geometry(&[]) } else { bar_fitted(model.clone(), motion, observations) }
     };
     let runs: Vec<_> = calibration.runs().collect();
+    let whole: Vec<Geometry> = runs
+        .iter()
+        .map(|(prepared, model)| geometry(model, &prepared.motion, &prepared.observations))
+        .collect();
     let mut all = HeldOut::default();
-    for segment in segments {
-        let Some(model) = &segment.model else {
+    for (segment, nominal) in segments.iter().zip(nominals) {
+        let (Some(model), Some(nominal)) = (&segment.model, nominal) else {
             all.undetermined += 1;
             continue;
         };
-        let Some((prepared, whole)) = runs.get(segment.run) else { continue };
+        let (Some((prepared, _)), Some(whole)) = (runs.get(segment.run), whole.get(segment.run)) else {
+            continue;
+        };
         let at = |geometry: &Geometry| -> Vec<Apart> {
             let seen = closures(geometry, &prepared.motion, &segment.seen_by_none);
             seen.iter().map(|closure| apart(closure, by_encoders)).collect()
         };
         all.segments.push(HeldOutSegment {
             run: segment.run,
-            nominal: at(&uncalibrated(model, &prepared.motion, &segment.others)),
+            nominal: at(nominal),
             predicted: at(&geometry(model, &prepared.motion, &segment.others)),
-            fitted: at(&geometry(whole, &prepared.motion, &prepared.observations)),
+            fitted: at(whole),
         });
     }
     all

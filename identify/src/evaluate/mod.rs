@@ -24,7 +24,7 @@ pub use cube::CubeError;
 pub use evidence::{Evidence, RunEvidence, evidence};
 pub use figures::{Quantiles, rms};
 pub use gaps::{JointGap, joint_gaps};
-pub use held_out::{Apart, ApartRms, HeldOut, HeldOutSegment, held_out};
+pub use held_out::{Apart, ApartRms, HeldOut, HeldOutSegment, held_out, nominals};
 pub use limits::{Limit, ScaleFrom, limits, of_changes, of_lengths};
 pub use nominal::uncalibrated;
 pub use shift::{ShiftCurve, shift_curve};

@@ -2,7 +2,10 @@
 
 use crate::cost::{LoopProblem, Position, Residual, Transform};
 use crate::model::{Geometry, Model, Observation, ParameterId, RobotMotion, Role};
-use crate::solver::{Options, solve};
+use crate::solver::{Options, minimise};
+
+/// What is compared is a root mean square of this cost, which a tenth of this changes.
+const COST_TOLERANCE: f64 = 1e-6;
 
 /// The parameter describes the robot itself, not where the bar stands, how its encoders are zeroed or how clocks differ.
 fn of_robot(id: ParameterId) -> bool {
@@ -61,6 +64,7 @@ fn fit<R: Residual>(
     residual: R,
 ) -> Option<Vec<f64>> {
     let problem = LoopProblem::new(model, motion, observations, residual, 1.0).ok()?;
-    let solution = solve(&problem, &model.start(), &Options::default()).ok()?;
-    solution.summary.termination.converged().then_some(solution.x)
+    let options = Options { cost_tolerance: COST_TOLERANCE, ..Options::default() };
+    let (x, reached) = minimise(&problem, &model.start(), &options).ok()?;
+    reached.termination.converged().then_some(x)
 }

@@ -121,7 +121,7 @@ impl Search<'_> {
         for hypothesis in hypotheses {
             let measured = hypothesis.encoder_map.used.measured();
             let settled = self.settled(&window, hypothesis.clock, &hypothesis.encoder_map.used);
-            let fit = self.refined(&settled, &measured, hypothesis.clock);
+            let fit = self.refined(&settled, &measured, hypothesis.clock, None);
             fitted.extend(fit.map(|fit| (hypothesis, fit)));
         }
         // By most of the samples, not by half: another lap fits well wherever it is like the right one.
@@ -288,7 +288,13 @@ impl Search<'_> {
         settle(&pairs, &encoder_map.measured(), self.origins, limit_rad)
     }
 
-    fn refined(&self, settled: &Settled, measured: &[bool; BAR_JOINTS], clock: ClockFit) -> Option<Fit> {
+    fn refined(
+        &self,
+        settled: &Settled,
+        measured: &[bool; BAR_JOINTS],
+        clock: ClockFit,
+        start: Option<&Fit>,
+    ) -> Option<Fit> {
         let angles: Vec<[f64; BAR_JOINTS]> = settled.fitting.iter().map(|(_, angles)| *angles).collect();
         let kept = if angles.len() > FIT_MAX { select(&angles, 0.0, FIT_MAX) } else { apart(&angles, 0.0) };
         let samples: Vec<FitSample> = kept
@@ -299,7 +305,7 @@ impl Search<'_> {
                 Some(FitSample { t_s: raw.t_s, origin: raw.origin, bar_rad })
             })
             .collect();
-        refine(self.log, self.chains, self.predictor.base_m(), measured, &samples, clock)
+        refine(self.log, self.chains, self.predictor.base_m(), measured, &samples, clock, start)
     }
 
     /// The fit extended from its window to the whole recording, step by step: clocks that are known over a quarter of an
@@ -314,7 +320,8 @@ impl Search<'_> {
         loop {
             let whole = window == (0..self.samples.len());
             let mut settled = self.settled(&window, fit.clock, encoder_map);
-            fit = self.refined(&settled, &measured, fit.clock).ok_or(PrepareError::NothingToFit)?;
+            fit =
+                self.refined(&settled, &measured, fit.clock, Some(&fit)).ok_or(PrepareError::NothingToFit)?;
             if whole {
                 for (offsets, by_rad) in settled.offsets.iter_mut().zip(&fit.offsets_by_rad) {
                     if let Some(offsets) = offsets {

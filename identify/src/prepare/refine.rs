@@ -70,6 +70,8 @@ pub(super) struct Fit {
     pub clock: ClockFit,
     /// Both chains and the base, so that the angles fit.
     pub geometry: Geometry,
+    /// The same as the parameters of [`model`].
+    chains: Vec<f64>,
     /// To be added to the offsets, by origin \[rad\].
     pub offsets_by_rad: Vec<[f64; BAR_JOINTS]>,
     /// Standard deviation of an angle's residual, from the median \[rad\].
@@ -230,8 +232,8 @@ impl Problem for WithZeros<'_> {
 
 /// Fits clocks, base, offsets and, within their tolerances, all numbers of the chains to `samples`.
 ///
-/// `coarse` relates the clocks for the samples' times; the bar stands upright at `base_m` so far. None where the samples
-/// determine nothing.
+/// `coarse` relates the clocks for the samples' times; the bar stands upright at `base_m` so far, or as in an earlier fit from
+/// which this one starts. None where the samples determine nothing.
 pub(super) fn refine(
     log: &InterpolatedLog,
     [robot, bar]: [&Chain; 2],
@@ -239,6 +241,7 @@ pub(super) fn refine(
     measured: &[bool; BAR_JOINTS],
     samples: &[FitSample],
     coarse: ClockFit,
+    start: Option<&Fit>,
 ) -> Option<Fit> {
     // Times about their middle: shift and skew are then nearly independent.
     let middle_s = samples.iter().map(|sample| sample.t_s).sum::<f64>() / samples.len().max(1) as f64;
@@ -261,6 +264,13 @@ pub(super) fn refine(
     let residual = ImpliedAngles { measured: *measured };
     let chain_columns = model.columns().len();
     let mut x = model.start();
+    let ids = model.columns().map(|parameter| parameter.id);
+    let of_clock = |id: ParameterId| matches!(id, ParameterId::ClockShift | ParameterId::ClockSkew);
+    for ((x, id), start) in x.iter_mut().zip(ids).zip(start.iter().flat_map(|fit| &fit.chains)) {
+        if !of_clock(id) {
+            *x = *start;
+        }
+    }
     x.resize(chain_columns + origin_count * BAR_JOINTS, 0.0);
     let spread_rad = |x: &[f64], good: GoodShare| {
         spread_rad(&model, &motion, &observations, &origins, residual, x, good).max(SIGMA_MIN_RAD)
@@ -289,6 +299,7 @@ pub(super) fn refine(
     Some(Fit {
         clock: ClockFit { shift_s: tau_at_middle_s - (1.0 + skew) * middle_s, skew },
         geometry,
+        chains: chain.to_vec(),
         offsets_by_rad: offsets.chunks_exact(BAR_JOINTS).map(|of| std::array::from_fn(|j| of[j])).collect(),
         sigma_rad,
         sigma_of_most_rad: spread_rad(&x, GoodShare::NINE_TENTHS),

@@ -5,12 +5,13 @@
 //! predictions of left-out folds are then small linear algebra, and no sample is looked at again. Errors of gears and
 //! encoders last for seconds, so folds of several seconds are nearly independent where single samples are far from it.
 
+use std::num::NonZeroUsize;
 use std::ops::{AddAssign, Sub};
 
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use super::covariance::{Source, Spread};
-use super::pass::{Pass, Products, Taking, weighed_rows};
+use super::pass::{Pass, PassError, Products, Taking, on_threads, threads_that_pay, weighed_rows};
 use super::{Options, Prior, Problem, ScaledCholesky, Subset};
 
 /// Normal equations of some samples about a point.
@@ -113,20 +114,21 @@ impl Normals {
         options: &Options<'_>,
         folds: &[Vec<usize>],
     ) -> Option<Self> {
-        let of_samples = |samples: Vec<usize>| {
-            let fold = Subset { of: problem, samples };
-            let pass = Pass::new(&fold, x, options, Taking::WhatIsThere);
-            let (products, fits) = pass.run(|| Products::new(problem.columns())).ok()?;
-            Some(products.normal(weighed_rows(&fits)))
+        let known: Vec<usize> = (0..problem.samples()).filter(|sample| problem.is_known(*sample)).collect();
+        let all: Vec<&Vec<usize>> = folds.iter().chain([&known]).collect();
+        let one_thread = Options { threads: Some(NonZeroUsize::MIN), ..*options };
+        let of_samples = |fold: usize| {
+            let fold = Subset { of: problem, samples: all[fold].clone() };
+            let pass = Pass::new(&fold, x, &one_thread, Taking::WhatIsThere);
+            let (products, fits) = pass.run(|| Products::new(problem.columns()))?;
+            Ok::<_, PassError>(products.normal(weighed_rows(&fits)))
         };
+        let entries = problem.samples() * problem.rows() * problem.columns();
+        let threads = options.threads.map_or_else(|| threads_that_pay(entries), usize::from);
+        let mut of_folds = on_threads(threads.min(all.len()), all.len(), of_samples).ok()?;
+        let known = of_folds.pop()?;
         let mut total = Normal::zeros(problem.columns());
-        let mut of_folds = Vec::with_capacity(folds.len());
-        for samples in folds {
-            let normal = of_samples(samples.clone())?;
-            total += &normal;
-            of_folds.push(normal);
-        }
-        let known = of_samples((0..problem.samples()).filter(|sample| problem.is_known(*sample)).collect())?;
+        of_folds.iter().for_each(|fold| total += fold);
         Some(Self { folds: of_folds, total, known, priors: problem.priors().to_vec(), x: x.to_vec() })
     }
 
@@ -228,6 +230,19 @@ impl Normals {
     /// From `x` to the solution. None where the samples and priors do not determine every column.
     pub fn step(&self) -> Option<DVector<f64>> {
         Some(-self.factored()?.1.solve(&self.whole().gradient))
+    }
+
+    /// The solution without each fold, from `x`. None for a fold without which the others and the priors do not determine every
+    /// column.
+    pub fn without_each(&self) -> Vec<Option<Vec<f64>>> {
+        let whole = self.whole();
+        let without = |fold: &Normal| {
+            let others = &whole - fold;
+            let factor = ScaledCholesky::new(others.matrix).filter(ScaledCholesky::is_complete)?;
+            let step = factor.solve(&others.gradient);
+            Some(self.x.iter().zip(&step).map(|(x, step)| x - step).collect())
+        };
+        self.folds.iter().map(without).collect()
     }
 
     /// Spread of the solution `x` by the jackknife over folds: how much it moves where one is left out. It holds

@@ -12,11 +12,11 @@ use super::panel::{Panel, fold_triangles, width};
 use super::{Loss, Normal, Options, Problem, Progress, SolveError, Watch};
 
 /// Samples of a part, at least: about a millisecond.
-const PART_SAMPLES_MIN: usize = 1024;
+const PART_SAMPLES_MIN: usize = 128;
 /// Parts at most, so that partial sums stay small whatever the input.
 const PARTS_MAX: usize = 64;
 /// Entries of the Jacobian for which another thread pays: about a millisecond of work against some 50 us to start one.
-const ENTRIES_PER_THREAD: usize = 1 << 20;
+const ENTRIES_PER_THREAD: usize = 1 << 17;
 
 /// What one sample is worth in a pass.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -205,24 +205,16 @@ impl<'a, P: Problem> Pass<'a, P> {
         let samples = self.problem.samples();
         let part_samples = samples.div_ceil(PARTS_MAX).max(PART_SAMPLES_MIN);
         let parts = samples.div_ceil(part_samples);
-        let shared = Shared::default();
-        let work = || {
-            let mut done = Vec::new();
-            while let Some(part) = shared.next_of(parts) {
-                let range = part * part_samples..samples.min((part + 1) * part_samples);
-                let result = self.part(range.clone(), new());
-                let result = self.report(&shared, range.len(), result);
-                shared.stop.fetch_or(result.is_err(), Ordering::Relaxed);
-                done.push((part, result));
-            }
-            done
-        };
-        let mut done = on_threads(self.threads(parts), &work);
-        done.sort_by_key(|(part, _)| *part);
+        let samples_done = AtomicUsize::new(0);
+        let done = on_threads(self.threads(parts), parts, |part| {
+            let range = part * part_samples..samples.min((part + 1) * part_samples);
+            let result = self.part(range.clone(), new())?;
+            self.report(&samples_done, range.len())?;
+            Ok(result)
+        })?;
         let mut whole: Option<F> = None;
         let mut fits = Vec::with_capacity(samples);
-        for (_, result) in done {
-            let (fold, part_fits) = result?;
+        for (fold, part_fits) in done {
             match &mut whole {
                 Some(whole) => whole.merge(fold),
                 None => whole = Some(fold),
@@ -234,25 +226,16 @@ impl<'a, P: Problem> Pass<'a, P> {
 
     fn threads(&self, parts: usize) -> usize {
         let entries = self.problem.samples() * self.problem.rows() * self.problem.columns();
-        let pays = entries / ENTRIES_PER_THREAD;
-        // Asked only where it matters: the answer takes reading files, longer than a pass over a few samples.
-        let there = || std::thread::available_parallelism().map_or(1, usize::from);
-        let wanted = self.threads.unwrap_or_else(|| if pays > 1 { there().min(pays) } else { 1 });
-        wanted.clamp(1, parts.max(1))
+        self.threads.unwrap_or_else(|| threads_that_pay(entries)).clamp(1, parts.max(1))
     }
 
-    fn report<T>(
-        &self,
-        shared: &Shared,
-        samples: usize,
-        result: Result<T, PassError>,
-    ) -> Result<T, PassError> {
-        let Some(watch) = self.watch else { return result };
+    fn report(&self, samples_done: &AtomicUsize, samples: usize) -> Result<(), PassError> {
+        let Some(watch) = self.watch else { return Ok(()) };
         let (iteration, iterations_max, cost) = self.progress;
-        let samples_done = shared.samples_done.fetch_add(samples, Ordering::Relaxed) + samples;
+        let samples_done = samples_done.fetch_add(samples, Ordering::Relaxed) + samples;
         let samples = self.problem.samples();
         let progress = Progress { iteration, iterations_max, cost, samples_done, samples };
-        if watch.goes_on(&progress) { result } else { Err(PassError::Cancelled) }
+        if watch.goes_on(&progress) { Ok(()) } else { Err(PassError::Cancelled) }
     }
 
     /// The samples of one part, in their order.
@@ -314,31 +297,41 @@ fn require_finite(panel: &Panel) -> Result<(), PassError> {
     panel.not_finite().map_or(Ok(()), |sample| Err(PassError::NotFinite(sample)))
 }
 
-/// What the threads of a pass have in common.
-#[derive(Default)]
-struct Shared {
-    next: AtomicUsize,
-    samples_done: AtomicUsize,
-    stop: AtomicBool,
+/// Threads for a pass over so many entries of the Jacobian.
+pub(super) fn threads_that_pay(entries: usize) -> usize {
+    let pays = entries / ENTRIES_PER_THREAD;
+    // Asked only where it matters: the answer takes reading files, longer than a pass over a few samples.
+    let there = || std::thread::available_parallelism().map_or(1, usize::from);
+    if pays > 1 { there().min(pays) } else { 1 }
 }
 
-impl Shared {
-    /// The next part to do. Parts are begun in their order and ended once begun: of several errors the first one in the
-    /// order of samples is always found.
-    fn next_of(&self, parts: usize) -> Option<usize> {
-        if self.stop.load(Ordering::Relaxed) {
-            return None;
+/// What `work` makes of 0 to `count`, in that order, on so many threads, this one among them. Work is begun in its order and
+/// ended once begun: of several errors the first one in that order is always found.
+///
+/// # Errors
+/// That of `work`.
+pub(super) fn on_threads<T: Send, E: Send>(
+    threads: usize,
+    count: usize,
+    work: impl Fn(usize) -> Result<T, E> + Sync,
+) -> Result<Vec<T>, E> {
+    let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
+    let share = || {
+        let mut done = Vec::new();
+        while !stop.load(Ordering::Relaxed) {
+            let number = next.fetch_add(1, Ordering::Relaxed);
+            if number >= count {
+                break;
+            }
+            let result = work(number);
+            stop.fetch_or(result.is_err(), Ordering::Relaxed);
+            done.push((number, result));
         }
-        let part = self.next.fetch_add(1, Ordering::Relaxed);
-        (part < parts).then_some(part)
-    }
-}
-
-/// What `work` gives on so many threads, this one among them.
-fn on_threads<T: Send>(threads: usize, work: &(impl Fn() -> Vec<T> + Sync)) -> Vec<T> {
-    std::thread::scope(|scope| {
-        let others: Vec<_> = (1..threads).map(|_| scope.spawn(work)).collect();
-        let mut done = work();
+        done
+    };
+    let mut done = std::thread::scope(|scope| {
+        let others: Vec<_> = (1..threads).map(|_| scope.spawn(share)).collect();
+        let mut done = share();
         for other in others {
             match other.join() {
                 Ok(more) => done.extend(more),
@@ -346,7 +339,9 @@ fn on_threads<T: Send>(threads: usize, work: &(impl Fn() -> Vec<T> + Sync)) -> V
             }
         }
         done
-    })
+    });
+    done.sort_by_key(|(number, _)| *number);
+    done.into_iter().map(|(_, result)| result).collect()
 }
 
 fn plain<'a, P: Problem>(problem: &'a P, x: &'a [f64]) -> Pass<'a, P> {

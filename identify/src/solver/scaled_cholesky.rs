@@ -29,9 +29,11 @@ impl ScaledCholesky {
         Some(Self { factor: normal.cholesky()?, scale })
     }
 
-    /// Every column is determined.
+    /// Every column is determined, by more than rounding: none is a combination of those before it but for a millionth part.
     pub fn is_complete(&self) -> bool {
-        self.scale.iter().all(|scale| *scale > 0.0)
+        const APART_MIN: f64 = 1e-6;
+        let apart = self.factor.l_dirty().diagonal();
+        self.scale.iter().zip(&apart).all(|(scale, apart)| *scale > 0.0 && *apart > APART_MIN)
     }
 
     /// `N^-1 b`
