@@ -104,6 +104,8 @@ pub struct JointTermsConfig {
     pub amplitude_urad: f64,
     /// Error of each ratio \[ppm\].
     pub ratio_ppm: f64,
+    /// By how much the log has one joint later than the others \[ms\].
+    pub delay_ms: f64,
     /// How much an axis gives way for each metre of its load's lever \[urad/m\].
     pub compliance_urad_per_m: f64,
 }
@@ -114,6 +116,7 @@ impl Default for JointTermsConfig {
             candidates: TermGroup::OF_ROBOT.to_vec(),
             amplitude_urad: 30.0,
             ratio_ppm: 50.0,
+            delay_ms: 3.0,
             compliance_urad_per_m: 200.0,
         }
     }
@@ -352,7 +355,8 @@ impl IdentifyConfig {
                 TermGroup::of(one.id) == Some(group) && one.role == Role::Fixed && identifies(one.id)
             });
             let ids = open.map(|one| one.id).filter(|id| !self.fix.contains(&id.to_string())).collect();
-            Kind { group, name: group.name().into(), ids, sigma: self.sigma(group), scales: vec![1.0] }
+            let scales = group.scales().to_vec();
+            Kind { group, name: group.name().into(), ids, sigma: self.sigma(group), scales }
         };
         self.candidates()
             .into_iter()
@@ -366,6 +370,7 @@ impl IdentifyConfig {
         let terms = &self.joint_terms;
         1e-6 * match group {
             TermGroup::Ratio => terms.ratio_ppm,
+            TermGroup::Delay => 1e3 * terms.delay_ms,
             TermGroup::Compliance => terms.compliance_urad_per_m,
             TermGroup::BarLength => self.bar_length_um,
             TermGroup::EncoderHarmonics => self.encoder_harmonics_urad,
@@ -409,6 +414,7 @@ impl Validate for IdentifyConfig {
         let terms = &self.joint_terms;
         positive("joint_terms.amplitude_urad".into(), terms.amplitude_urad)?;
         positive("joint_terms.ratio_ppm".into(), terms.ratio_ppm)?;
+        positive("joint_terms.delay_ms".into(), terms.delay_ms)?;
         positive("joint_terms.compliance_urad_per_m".into(), terms.compliance_urad_per_m)?;
         positive("noise.encoder_urad".into(), self.noise.encoder_urad)?;
         positive("noise.robot_urad".into(), self.noise.robot_urad)?;

@@ -24,6 +24,8 @@ pub enum TermGroup {
     Backlash,
     /// Gear ratios.
     Ratio,
+    /// Axes that the log has later than others.
+    Delay,
     /// Axes that give way under weight.
     Compliance,
     /// Bar encoders once and twice per turn.
@@ -34,7 +36,7 @@ pub enum TermGroup {
 
 impl TermGroup {
     /// Those of the robot.
-    pub const OF_ROBOT: [Self; 8] = [
+    pub const OF_ROBOT: [Self; 9] = [
         Self::GearOnce,
         Self::GearTwice,
         Self::Cycloid,
@@ -42,6 +44,7 @@ impl TermGroup {
         Self::LineSpectrum,
         Self::Backlash,
         Self::Ratio,
+        Self::Delay,
         Self::Compliance,
     ];
 
@@ -55,9 +58,19 @@ impl TermGroup {
             Self::LineSpectrum => "gear, at orders found in the residual",
             Self::Backlash => "backlash",
             Self::Ratio => "gear ratio",
+            Self::Delay => "delay of single joints in the log",
             Self::Compliance => "compliance under gravity",
             Self::EncoderHarmonics => "bar encoders, once and twice per turn",
             Self::BarLength => "bar length by direction",
+        }
+    }
+
+    /// What its priors may be multiplied by. No gear is cut so that its ratio is off by a hundredth; what is configured wrong is, and
+    /// is found only where it may be.
+    pub const fn scales(self) -> &'static [f64] {
+        match self {
+            Self::Ratio => &[1.0, 10.0, 100.0],
+            _ => &[1.0],
         }
     }
 
@@ -79,6 +92,7 @@ impl TermGroup {
             },
             JointTerm::Backlash => Self::Backlash,
             JointTerm::Ratio => Self::Ratio,
+            JointTerm::Delay => Self::Delay,
             JointTerm::Compliance(_) => Self::Compliance,
         })
     }

@@ -13,8 +13,8 @@ pub fn fill_in(geometry: &Geometry, motion: &impl RobotMotion, observations: &mu
     let bar = geometry.bar();
     let tracer = Tracer::new(&bar);
     for observation in observations.iter_mut().filter(|observation| observation.measured.contains(&false)) {
-        let Some(state) = motion.at(geometry.clock.robot_time_s(observation.t_s)) else { continue };
-        let target = geometry.robot_end(&state);
+        let Some(joints) = geometry.joints_at(motion, observation.t_s) else { continue };
+        let target = geometry.robot.forward(&joints.corrected.q);
         let Ok(implied) = ImpliedBar::new(&bar, &tracer, &target, &measured(observation)) else { continue };
         for joint in (0..BAR_JOINTS).filter(|&joint| !observation.measured[joint]) {
             observation.bar_rad[joint] = implied.joints_rad[joint];

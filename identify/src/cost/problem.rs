@@ -157,8 +157,7 @@ impl LoopPoint {
         observation: &'a Observation,
         readings: &'a [Turn; BAR_JOINTS],
     ) -> Option<Scene<'a>> {
-        let reported = motion.at(self.geometry.clock.robot_time_s(observation.t_s))?;
-        let state = self.geometry.corrected(&reported);
+        let joints = self.geometry.joints_at(motion, observation.t_s)?;
         let errors_rad = self.geometry.harmonics.errors_rad(readings);
         let origin_offsets_rad = self.geometry.offsets_of_origin(observation.origin);
         let added_rad: [f64; BAR_JOINTS] =
@@ -169,7 +168,7 @@ impl LoopPoint {
             self.bar_tracer.set_d(ROD_LINK, rod_m);
             self.bar_chain.links.iter_mut().skip(ROD_LINK).take(1).for_each(|rod| rod.d_m = rod_m);
         }
-        self.robot_tracer.trace(&state.q, &mut self.robot);
+        self.robot_tracer.trace(&joints.corrected.q, &mut self.robot);
         self.bar_tracer.trace_turns(bar_joints, &mut self.bar);
         Some(Scene {
             geometry: &self.geometry,
@@ -178,10 +177,10 @@ impl LoopPoint {
             readings,
             bar_rad: std::array::from_fn(|joint| observation.bar_rad[joint] + added_rad[joint]),
             bar_chain: (&self.bar_chain, &self.bar_tracer),
-            reported,
+            joints,
             robot: &self.robot,
             bar: &self.bar,
-            robot_rate: self.robot.moved_by(&state.qd),
+            robot_rate: self.robot.moved_by(&joints.corrected.qd),
             base_y: self.base_y,
         })
     }

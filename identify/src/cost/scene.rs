@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter, ROD_LINK, Trace, Tracer, Turn, Twist};
 use crate::model::{
-    Axis, BarWaves, Geometry, JointState, JointTerm, JointWaves, Observation, ParameterId, Phase,
+    Axis, BarWaves, Geometry, JointTerm, JointWaves, MovingJoints, Observation, ParameterId, Phase,
 };
 
 /// What a parameter moves.
@@ -33,8 +33,8 @@ pub struct Scene<'a> {
     pub bar_rad: [f64; BAR_JOINTS],
     /// The bar on its base, as long as force and direction make it, and the same made ready for forward passes.
     pub bar_chain: (&'a Chain, &'a Tracer),
-    /// What the robot reports.
-    pub reported: JointState,
+    /// Of the robot.
+    pub joints: MovingJoints,
     /// The robot at this instant, its joints without their errors.
     pub robot: &'a Trace,
     /// The bar as its encoders claim; without meaning where the cost needs no encoders.
@@ -85,7 +85,7 @@ impl Scene<'_> {
 
     fn joint_wave(&self, axis: usize, order: u8, phase: Phase) -> Movement {
         let drives = &self.geometry.joints.drives;
-        let wave = JointWaves::wave(order, phase, drives.of_drive(axis, &self.reported.q));
+        let wave = JointWaves::wave(order, phase, drives.of_drive(axis, &self.joints.reported.q));
         // Hundreds of waves are tried: most drives turn one joint.
         if let Some(joint) = drives.only_joint(axis) {
             let twist = self.robot.twist(joint, LinkParameter::Theta);
@@ -97,7 +97,9 @@ impl Scene<'_> {
 
     /// An error of a robot axis turns each joint that its drive turns.
     fn joint_error(&self, axis: usize, term: JointTerm) -> Twist {
-        self.robot.moved_by(&self.geometry.joints.by_amplitude(axis, term, &self.reported))
+        let MovingJoints { reported, delayed, .. } = &self.joints;
+        let of = if term == JointTerm::Delay { delayed } else { reported };
+        self.robot.moved_by(&self.geometry.joints.by_amplitude(axis, term, of))
     }
 
     /// How the end of the bar moves with a number of its links or of its base, where its joints stand as in `bar`.

@@ -9,7 +9,7 @@ use crate::calibrate::change::Changed;
 use crate::cost::Closure;
 use crate::instrument::Instrument;
 use crate::kinematics::LinkParameter;
-use crate::model::{Model, ParameterId, Role};
+use crate::model::{JointTerm, Model, ParameterId, Role};
 use crate::prepare::Prepared;
 use crate::solver::Solution;
 
@@ -28,6 +28,12 @@ const LENGTH_OFF_M: f64 = 5e-3;
 const LENGTH_SIGMA_M: f64 = 1e-3;
 /// Chance that the scale is doubted although it is right.
 const OTHER_SCALE_BY_CHANCE: f64 = 1e-3;
+
+/// Ratios of gears are those of whole numbers of teeth: one that is off by more is configured wrong. What elastic parts of a
+/// drive add is below a tenth of this.
+const RATIO_OFF: f64 = 500e-6;
+/// A joint that is later in the log by less is not worth a word \[s\]: at 1 rad/s it is off by half a milliradian.
+const DELAY_S: f64 = 5e-4;
 
 /// Chance that something is said of a prior although all of them hold.
 const STRAINED_BY_CHANCE: f64 = 1e-3;
@@ -59,6 +65,7 @@ pub fn limits(
     let (model, solution) = (&calibration.model, &calibration.solution);
     let reach_m = model.geometry(&[]).robot.reach_m();
     limits.extend(of_changes(&calibration.changed, reach_m, workspace.budget.expanded_m));
+    limits.extend(of_drives(model, solution));
     limits.extend(strained_priors(model, solution));
     limits.extend(of_lengths(model, solution, calibration.bars().map(|_| ScaleFrom::Plate)));
     limits.extend(lasting_errors(calibration));
@@ -243,6 +250,50 @@ fn strained_priors(model: &Model, solution: &Solution) -> Option<Limit> {
         ),
         serious: strained.iter().any(|(_, pulls)| *pulls),
     })
+}
+
+/// Ratios that no gear has, and joints that the log has later than the others, each beyond doubt.
+pub fn of_drives(model: &Model, solution: &Solution) -> Vec<Limit> {
+    let found = |wanted: JointTerm| -> Vec<(usize, f64, f64)> {
+        let columns = model.columns().enumerate();
+        let of_term = columns.filter_map(|(column, parameter)| match parameter.id {
+            ParameterId::Joint { axis, term } if term == wanted => {
+                Some((axis + 1, *solution.x.get(column)?, solution.covariance.sigma(column)?))
+            }
+            _ => None,
+        });
+        of_term.collect()
+    };
+    let is_certain = |off: f64, least: f64, sigma: f64| off.abs() > least + BY_CHANCE * sigma;
+    let ratios =
+        found(JointTerm::Ratio).into_iter().filter(|(_, off, sigma)| is_certain(*off, RATIO_OFF, *sigma));
+    let ratios = ratios.map(|(joint, off, _)| Limit {
+        sentence: format!(
+            "Joint {joint} turns by {:.2} % {} than its log says, which no gear is cut wrong by: correct its ratio in the \
+             controller, or log.raw_to_joint in the robot's configuration.",
+            1e2 * off.abs(),
+            if off > 0.0 { "more" } else { "less" }
+        ),
+        serious: true,
+    });
+    // A delay of all is the clocks'.
+    let delays = found(JointTerm::Delay);
+    let mut sorted: Vec<f64> = delays.iter().map(|(_, delay_s, _)| *delay_s).collect();
+    sorted.sort_by(f64::total_cmp);
+    let of_others_s = sorted.get(sorted.len() / 2).copied().unwrap_or_default();
+    let late = delays.into_iter().map(|(joint, delay_s, sigma)| (joint, delay_s - of_others_s, sigma));
+    let late = late.filter(|(_, delay_s, sigma)| is_certain(*delay_s, DELAY_S, *sigma));
+    let late: Vec<String> =
+        late.map(|(joint, delay_s, _)| format!("joint {joint} by {:+.1} ms", 1e3 * delay_s)).collect();
+    let late = (!late.is_empty()).then(|| Limit {
+        sentence: format!(
+            "The log has joints later than the others: {}, as servo lag of commanded values or a filter makes them. It is taken out \
+             as far as it is the same at all speeds; log measured values, all of one instant, if the controller can.",
+            late.join(", ")
+        ),
+        serious: false,
+    });
+    ratios.chain(late).collect()
 }
 
 /// Lengths that come out far from the configured ones: of another robot or bar, or all by the same part.

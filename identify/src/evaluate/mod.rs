@@ -30,4 +30,4 @@ pub use nominal::uncalibrated;
 pub use shift::{ShiftCurve, shift_curve};
 pub use sphere_deviation::{Deviation, Elongation, OffSphere, PositiveForce, SphereDeviation};
 pub use validity::Validity;
-pub use workspace::{Expected, WorkspaceError, workspace_error};
+pub use workspace::{Expected, PlaceError, WorkspaceError, workspace_error};

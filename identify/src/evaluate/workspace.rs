@@ -9,6 +9,7 @@ use rand_distr::{ChiSquared, Distribution, StandardNormal};
 use super::budget::Budget;
 use super::cube::{Cube, CubeError};
 use super::figures::quantile;
+use super::rms;
 use crate::kinematics::{Chain, Joints, Trace, Tracer};
 use crate::model::{Model, ParameterId};
 use crate::solver::{Covariance, Spread};
@@ -31,6 +32,17 @@ pub struct Expected {
     pub interval_m: [f64; 2],
 }
 
+/// Position errors that are expected at one place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlaceError {
+    /// In the robot's base \[m\].
+    pub position_m: [f64; 3],
+    /// With the nominal geometry, root mean square \[m\].
+    pub before_m: f64,
+    /// With the calibrated one, root mean square \[m\].
+    pub after_m: f64,
+}
+
 /// Position error of the point where the bar is bolted on, over all postures within the joint limits.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct WorkspaceError {
@@ -43,12 +55,15 @@ pub struct WorkspaceError {
     pub weakest: Vec<(String, f64)>,
     /// What its uncertainty comes from.
     pub budget: Budget,
+    /// In each of the postures.
+    pub places: Vec<PlaceError>,
     /// The same over the poses of the standard; none where nobody asked, or the robot reaches none.
     pub cube: Option<CubeError>,
 }
 
 /// Postures with the error that calibration took away, and how what it left depends on the free parameters.
 pub(super) struct Postures {
+    positions_m: Vec<Vector3<f64>>,
     corrected_m: Vec<Vector3<f64>>,
     /// Three rows for each posture.
     pub(super) by_parameter: DMatrix<f64>,
@@ -61,10 +76,12 @@ pub(super) struct Postures {
 pub fn workspace_error(model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> WorkspaceError {
     let columns = of_links(model, covariance);
     let postures = Postures::new(model, &columns, random_postures(joint_limits));
-    let [before, after] = postures.errors(&drawn(covariance, &columns));
+    let drawn = drawn(covariance, &columns);
+    let [before, after] = postures.errors(&drawn);
     WorkspaceError {
         before,
         after,
+        places: postures.places(&drawn),
         weakest: weakest(&root(covariance, &columns), &postures.by_parameter, &columns),
         budget: Budget::new(model, covariance, &columns, &postures),
         cube: None,
@@ -162,10 +179,11 @@ impl Postures {
         let (calibrated, nominal) = (Tracer::new(&chain(model)), Tracer::new(&chain(&nominal)));
         let (mut here, mut there) = (Trace::default(), Trace::default());
         let by_parameter = DMatrix::zeros(3 * of_joints.len(), columns.len());
-        let mut postures = Self { corrected_m: Vec::new(), by_parameter };
+        let mut postures = Self { positions_m: Vec::new(), corrected_m: Vec::new(), by_parameter };
         for (posture, q) in of_joints.enumerate() {
             calibrated.trace(&q, &mut here);
             nominal.trace(&q, &mut there);
+            postures.positions_m.push(here.position_m());
             postures.corrected_m.push(here.position_m() - there.position_m());
             let mut by = postures.by_parameter.rows_mut(3 * posture, 3);
             for (mut column, (_, id)) in by.column_iter_mut().zip(columns) {
@@ -177,6 +195,21 @@ impl Postures {
             }
         }
         postures
+    }
+
+    /// Each posture over all draws, as in [`Self::errors`].
+    fn places(&self, drawn: &DMatrix<f64>) -> Vec<PlaceError> {
+        let left_m = &self.by_parameter * drawn;
+        let of_posture = |(posture, (position_m, was)): (usize, (&Vector3<f64>, &Vector3<f64>))| {
+            let left = |draw| Vector3::from(left_m.fixed_view::<3, 1>(3 * posture, draw));
+            let draws = 0..left_m.ncols();
+            PlaceError {
+                position_m: (*position_m).into(),
+                before_m: rms(draws.clone().map(|draw| (was + left(draw)).norm())),
+                after_m: rms(draws.map(|draw| left(draw).norm())),
+            }
+        };
+        self.positions_m.iter().zip(&self.corrected_m).enumerate().map(of_posture).collect()
     }
 
     /// Of the nominal and the calibrated robot, where the true one is the calibrated one with errors that were drawn.

@@ -4,9 +4,20 @@ use nalgebra::{Rotation3, Translation3, Vector3};
 
 use super::{
     Axis, BarForce, BarWaves, DriveTrain, Harmonics, JointErrors, JointState, JointWaves, ParameterId,
-    Tracker,
+    RobotMotion, Tracker,
 };
 use crate::kinematics::{BAR_JOINTS, Chain, DhLink, LinkParameter, Pose, Turn};
+
+/// The joints of a robot that moves.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct MovingJoints {
+    /// As logged.
+    pub reported: JointState,
+    /// All of one instant.
+    pub delayed: JointState,
+    /// ...and without their other errors.
+    pub corrected: JointState,
+}
 
 /// Where the ball-bar stands: `T(origin) Rx(rx) Ry(ry)`; the turn about z is the bar's `btheta1`.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -151,9 +162,21 @@ impl Geometry {
         self.robot.forward(&self.corrected(reported).q)
     }
 
-    /// The robot's joints without their errors.
+    /// The robot's joints without their errors, where it stands still or all joints were logged at one instant.
     pub fn corrected(&self, reported: &JointState) -> JointState {
-        let mut corrected = self.joints.corrected(reported);
+        self.without_errors(*reported, reported)
+    }
+
+    /// The robot's joints at a time of the bar's clock; none where the robot's log does not cover it.
+    pub fn joints_at(&self, motion: &impl RobotMotion, t_s: f64) -> Option<MovingJoints> {
+        let tau_s = self.clock.robot_time_s(t_s);
+        let reported = motion.at(tau_s)?;
+        let delayed = self.joints.delayed(&reported, motion, tau_s);
+        Some(MovingJoints { reported, delayed, corrected: self.without_errors(delayed, &reported) })
+    }
+
+    fn without_errors(&self, mut corrected: JointState, reported: &JointState) -> JointState {
+        self.joints.add_to(&mut corrected, reported);
         self.waves.add_to(&mut corrected, reported, &self.joints.drives);
         corrected
     }

@@ -6,12 +6,14 @@
 //!
 //! `q' = q + e(g, dg/dt) C`, `e_i = sum_t a_it s_t(g_i)`.
 //!
-//! Shapes are functions of what was reported, so that errors enter linearly: `dq'/da_it = s_t(g_i) C_i`.
+//! Shapes are functions of what was reported, so that errors enter linearly: `dq'/da_it = s_t(g_i) C_i`. But for a delay `d_i`,
+//! which takes the drive's angle from another instant of the log: `e_i = g_i(t + d_i) - g_i(t)`. As a shape, a rate, it would
+//! multiply the noise of the log.
 
 use nalgebra::{DMatrix, Vector3};
 use shared::config::{JointKind, RobotConfig};
 
-use super::{JointState, JointTerm, Load, Period};
+use super::{JointState, JointTerm, Load, Period, RobotMotion};
 use crate::kinematics::{AXES_MAX, Chain, Joints, Trace, Tracer, Twist};
 
 /// Speed at which backlash has changed sides by three quarters \[rad/s\]: the shape is `tanh(rate / speed)`. Slower than
@@ -103,12 +105,12 @@ impl DriveTrain {
         self.joints.len()
     }
 
-    /// This robot's axis (from 0) can have the term: a prismatic one another ratio; a revolute one waves whose number is known,
+    /// This robot's axis (from 0) can have the term: a prismatic one another ratio or a delay; a revolute one waves whose number is known,
     /// and a load that it moves up and down. Which those are is known of arms of six revolute axes ([`Load::acts_on`]); of
     /// others the tool is taken, on every axis after the first.
     pub fn has(&self, axis: usize, term: JointTerm) -> bool {
         if !self.turns(axis) {
-            return axis < self.axes() && term == JointTerm::Ratio;
+            return axis < self.axes() && matches!(term, JointTerm::Ratio | JointTerm::Delay);
         }
         match term {
             JointTerm::Sine(period) | JointTerm::Cosine(period) => {
@@ -116,7 +118,7 @@ impl DriveTrain {
             }
             JointTerm::Compliance(load) if self.joints == [JointKind::Revolute; 6] => load.acts_on(axis),
             JointTerm::Compliance(load) => axis > 0 && load == Load::Tool,
-            JointTerm::Backlash | JointTerm::Ratio => true,
+            JointTerm::Backlash | JointTerm::Ratio | JointTerm::Delay => true,
         }
     }
 
@@ -153,6 +155,7 @@ impl DriveTrain {
                 (side, (1.0 - side * side) * acceleration / BACKLASH_SPEED_RAD_S)
             }
             JointTerm::Ratio => (angle, rate),
+            JointTerm::Delay => (rate, self.of_drive(axis, &reported.qdd)),
             JointTerm::Compliance(load) => self.lever(axis, load, reported),
         }
     }
@@ -204,7 +207,7 @@ impl JointErrors {
         self.amplitudes.get_mut(axis)?.get_mut(term.index())
     }
 
-    /// How each joint moves with one amplitude.
+    /// How each joint moves with one amplitude; with a delay it does as the delayed joints move.
     pub fn by_amplitude(&self, axis: usize, term: JointTerm, reported: &JointState) -> Joints {
         let shape = self.drives.shape(axis, term, reported).0;
         self.drives
@@ -213,12 +216,33 @@ impl JointErrors {
             .map_or_else(Joints::default, |row| row.map(|part| part * shape))
     }
 
-    /// Joints and rates without their errors. Accelerations are passed on as they are.
-    pub fn corrected(&self, reported: &JointState) -> JointState {
-        let mut corrected = *reported;
+    /// What the log has of each drive when it comes later than the others; near an end or a hole of the log by its rate.
+    pub(super) fn delayed(&self, reported: &JointState, motion: &impl RobotMotion, tau_s: f64) -> JointState {
+        let mut delayed = *reported;
+        for axis in 0..self.drives.axes() {
+            let delay_s = self.amplitudes[axis][JointTerm::Delay.index()];
+            if delay_s == 0.0 {
+                continue;
+            }
+            let later = motion.at(tau_s + delay_s).unwrap_or_else(|| reported.after(delay_s));
+            let by = |of: fn(&JointState) -> &Joints| {
+                self.drives.of_drive(axis, of(&later)) - self.drives.of_drive(axis, of(reported))
+            };
+            let (q, qd, qdd) = (by(|state| &state.q), by(|state| &state.qd), by(|state| &state.qdd));
+            for (joint, part) in self.drives.joint_from_drive[axis].iter().enumerate() {
+                delayed.q[joint] += part * q;
+                delayed.qd[joint] += part * qd;
+                delayed.qdd[joint] += part * qdd;
+            }
+        }
+        delayed
+    }
+
+    /// Adds the errors of joints and rates, but delays. Accelerations stay as they are.
+    pub(super) fn add_to(&self, corrected: &mut JointState, reported: &JointState) {
         for (axis, amplitudes) in self.amplitudes.iter().enumerate() {
-            let terms =
-                JointTerm::ALL.into_iter().zip(amplitudes).filter(|(_, amplitude)| **amplitude != 0.0);
+            let terms = JointTerm::ALL.into_iter().zip(amplitudes);
+            let terms = terms.filter(|(term, amplitude)| **amplitude != 0.0 && *term != JointTerm::Delay);
             let mut error = (0.0, 0.0);
             for (term, amplitude) in terms {
                 let (shape, rate) = self.drives.shape(axis, term, reported);
@@ -232,6 +256,5 @@ impl JointErrors {
                 corrected.qd[joint] += part * error.1;
             }
         }
-        corrected
     }
 }

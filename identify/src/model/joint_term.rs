@@ -70,13 +70,15 @@ pub enum JointTerm {
     Backlash,
     /// The drive turns by another ratio than its file says: `rratio`.
     Ratio,
+    /// The log has the axis later than the others by so much \[s\], as servo lag or a filter make it: `rdelay`.
+    Delay,
     /// The axis gives way under a weight: `relbow`, `rwrist`, `rtool`.
     Compliance(Load),
 }
 
 impl JointTerm {
     /// All of them.
-    pub const ALL: [Self; 13] = [
+    pub const ALL: [Self; 14] = [
         Self::Sine(Period::Once),
         Self::Cosine(Period::Once),
         Self::Sine(Period::Twice),
@@ -87,6 +89,7 @@ impl JointTerm {
         Self::Cosine(Period::Motor),
         Self::Backlash,
         Self::Ratio,
+        Self::Delay,
         Self::Compliance(Load::Elbow),
         Self::Compliance(Load::Wrist),
         Self::Compliance(Load::Tool),
@@ -99,7 +102,8 @@ impl JointTerm {
             Self::Cosine(period) => 2 * period as usize + 1,
             Self::Backlash => 8,
             Self::Ratio => 9,
-            Self::Compliance(load) => 10 + load as usize,
+            Self::Delay => 10,
+            Self::Compliance(load) => 11 + load as usize,
         }
     }
 }
@@ -111,6 +115,7 @@ impl fmt::Display for JointTerm {
             Self::Cosine(period) => write!(f, "cos{}", period.letter()),
             Self::Backlash => f.write_str("backlash"),
             Self::Ratio => f.write_str("ratio"),
+            Self::Delay => f.write_str("delay"),
             Self::Compliance(load) => f.write_str(load.name()),
         }
     }

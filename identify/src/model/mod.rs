@@ -15,7 +15,7 @@ mod selection;
 mod tracker;
 
 pub use bar_waves::BarWaves;
-pub use geometry::{BarElongation, BasePlacement, Clock, Contact, Geometry, Wire};
+pub use geometry::{BarElongation, BasePlacement, Clock, Contact, Geometry, MovingJoints, Wire};
 pub use harmonics::{Harmonic, Harmonics};
 pub use joint_errors::{BACKLASH_SPEED_RAD_S, DriveTrain, JointErrors};
 pub use joint_term::{JointTerm, Load, Period};

@@ -54,6 +54,16 @@ pub struct JointState {
 }
 
 impl JointState {
+    /// So much later, at the same acceleration \[s\].
+    pub fn after(&self, by_s: f64) -> Self {
+        let Self { q, qd, qdd } = self;
+        Self {
+            q: Joints::from_fn(q.len(), |i| q[i] + by_s * (qd[i] + 0.5 * by_s * qdd[i])),
+            qd: Joints::from_fn(q.len(), |i| qd[i] + by_s * qdd[i]),
+            qdd: *qdd,
+        }
+    }
+
     /// Standing still.
     pub fn at_rest(q: impl Into<Joints>) -> Self {
         let q = q.into();

@@ -285,6 +285,7 @@ impl ParameterId {
             Self::TrackerRotation(_) | Self::ProbeRotation(_) | Self::JointWave { .. } => Unit::Radian,
             Self::Joint { term, .. } => match term {
                 JointTerm::Ratio => Unit::Ratio,
+                JointTerm::Delay => Unit::Second,
                 JointTerm::Compliance(_) => Unit::RadianPerMetre,
                 _ => Unit::Radian,
             },

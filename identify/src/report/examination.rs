@@ -82,6 +82,8 @@ fn influences(text: &mut String, influence: &Influence) {
             .iter()
             .map(String::as_str)
             .zip(changes.iter().copied())
+            // As it is shown: rounding of the last digits changes neither what is shown nor its order.
+            .map(|(name, change)| (name, (change * 100.0).round() / 100.0))
             .filter(|(_, change)| change.abs() > AFFECTED)
             .collect();
         affected.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));

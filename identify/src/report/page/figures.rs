@@ -11,7 +11,7 @@ pub(super) const WIDE: (u32, u32) = (920, 250);
 pub(super) const HALF: (u32, u32) = (450, 270);
 pub(super) const THIRD: (u32, u32) = (340, 230);
 /// Axes of equal length once the labels have their room.
-const ROUND: (u32, u32) = (450, 444);
+pub(super) const ROUND: (u32, u32) = (450, 444);
 
 pub(super) fn dots(name: impl Into<String>, colour: RGBColor, points: Vec<(f64, f64)>) -> Series {
     Series::new(name, colour, Mark::Dots, points)

@@ -20,6 +20,7 @@ mod sections;
 mod sphere;
 mod study;
 mod thin;
+mod workspace;
 
 use std::path::{Path, PathBuf};
 
@@ -88,7 +89,7 @@ impl Page<'_> {
             &html! {
                 main {
                     (certificate::certificate(self.file, &self.evidence.workspace))
-                    (sections::numbers(self))
+                    (sections::numbers(self)?)
                     (held_out::section(self)?)
                     (runs::gaps(self)?)
                     (sphere::section(self)?)

@@ -8,7 +8,7 @@ use super::certificate::certificate;
 use super::figures::{WIDE, dots, gap_over_time};
 use super::plot::{BLUE, GREY, ORANGE, Panel, PlotError};
 use super::sections::{budget, candidates, dependence, expected, mm, parameters, repeated_with, svg};
-use super::{PageError, document};
+use super::{PageError, document, workspace};
 use crate::calibrate::rows::{PoseFigures, RowErrors, Sizes};
 use crate::evaluate::{RunEvidence, WorkspaceError};
 use crate::instrument::Apart;
@@ -70,7 +70,7 @@ impl MeasuredPage<'_> {
             &html! {
                 main {
                     (certificate(self.file, self.workspace))
-                    (self.numbers())
+                    (self.numbers()?)
                     h2 { "Errors, row by row" }
                     p.note { "Robot against what was measured. Mind the scales. Rows that take no part are drawn as well." }
                     @for (name, panels) in shown {
@@ -92,7 +92,7 @@ impl MeasuredPage<'_> {
         ))
     }
 
-    fn numbers(&self) -> Markup {
+    fn numbers(&self) -> Result<Markup, PlotError> {
         let WorkspaceError { before, after, .. } = self.workspace;
         let held_out = |(name, measured): &(String, Measured<'_>)| match measured {
             Measured::Rows(errors) if !errors.held_out.is_empty() => {
@@ -106,7 +106,7 @@ impl MeasuredPage<'_> {
         let sizes = |Sizes { mean, p95, max, .. }: Sizes| {
             format!("mean {} mm, 95 % {} mm, largest {} mm", mm(mean), mm(p95), mm(max))
         };
-        html! {
+        Ok(html! {
             h2 { "Before and after" }
             div.numbers {
                 (expected("before", before))
@@ -127,7 +127,8 @@ impl MeasuredPage<'_> {
                 "where nothing was measured. After: what the covariance of the parameters leaves there. Errors that do not depend "
                 "on the geometry (gears, load, temperature) come on top; held-out rows have them."
             }
-        }
+            (workspace::map(self.workspace)?)
+        })
     }
 }
 

@@ -3,7 +3,7 @@
 use maud::{Markup, PreEscaped, html};
 
 use super::plot::PlotError;
-use super::{Page, correlations, figures};
+use super::{Page, correlations, figures, workspace};
 use crate::evaluate::{Evaluation, Expected, Limit, Quantiles};
 use crate::model::{Owner, ParameterId, Unit};
 use crate::report::file::{CalibrationFile, Input, ParameterEntry, Status};
@@ -33,19 +33,19 @@ pub(super) fn expected(label: &str, expected: &Expected) -> Markup {
     } }
 }
 
-pub(super) fn numbers(page: &Page<'_>) -> Markup {
-    let workspace = &page.evidence.workspace;
+pub(super) fn numbers(page: &Page<'_>) -> Result<Markup, PlotError> {
+    let expected_errors = &page.evidence.workspace;
     let reason = page.file.verdict.as_ref().and_then(|verdict| verdict.reason.as_ref());
     let limits = page.evidence.limits.iter().filter(|limit| Some(&limit.sentence) != reason);
     let limits: Vec<&Limit> = limits.collect();
-    let (before, after) = (&workspace.before, &workspace.after);
+    let (before, after) = (&expected_errors.before, &expected_errors.after);
     let gap = |label: &str, gap: &Quantiles| {
         html! { div.number {
             b { (mm(gap.mean)) " mm" }
             span { "robot against bar, " (label) "; median " (mm(gap.median)) ", 95 % " (mm(gap.p95)) ", largest " (mm(gap.max)) " mm" }
         } }
     };
-    html! {
+    Ok(html! {
         h2 { "Before and after" }
         @if !limits.is_empty() { ul { @for limit in limits { li { (limit.sentence) } } } }
         div.numbers {
@@ -60,7 +60,8 @@ pub(super) fn numbers(page: &Page<'_>) -> Markup {
             "that do not depend on the geometry (gears, load, temperature) come on top; what the bar saw of them is in the two "
             "figures on the right."
         }
-    }
+        (workspace::map(expected_errors)?)
+    })
 }
 
 fn unit_of(entry: &ParameterEntry) -> Unit {
