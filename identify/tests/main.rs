@@ -57,6 +57,7 @@ mod split_at_changes;
 mod spoiled_rows;
 mod stamps;
 mod studies;
+mod tracker_clock;
 mod unknown_tables;
 mod verdict;
 mod verdict_campaign;

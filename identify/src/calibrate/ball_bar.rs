@@ -60,6 +60,14 @@ pub enum CalibrateError {
         /// From 1: ball-bars, trackers, wires, contacts, each in their order.
         data_set: usize,
     },
+    /// A tracker's log and the robot's do not fit together.
+    #[error("data set {data_set}: {error}")]
+    Align {
+        /// From 1: ball-bars, trackers, wires, contacts, each in their order.
+        data_set: usize,
+        /// What is wrong with them.
+        error: Box<PrepareError>,
+    },
     /// Rows that calibrate no robot.
     #[error("data set {data_set}: {error}")]
     Rows {

@@ -53,7 +53,7 @@ impl Cause {
             Instrument::BallBar(_) => {
                 (0..BAR_JOINTS).map(Self::Encoder).chain([Self::Base, Self::Clock]).collect()
             }
-            Instrument::Tracker(_) => vec![Self::Tracker, Self::Probe],
+            Instrument::Tracker(_) => vec![Self::Tracker, Self::Probe, Self::Clock],
             Instrument::Wire(_) => vec![Self::Anchor, Self::LengthOffset],
             Instrument::Contact(_) => Vec::new(),
         };

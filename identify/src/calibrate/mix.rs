@@ -18,6 +18,7 @@ use crate::instrument::{
 };
 use crate::kinematics::{Chain, Joints, flange_chain};
 use crate::model::{DriveTrain, Model, ModelError, ParameterId, Role};
+use crate::prepare::Moving;
 use crate::solver::{LossName, Watch};
 
 /// Decides which groups of rows come together where nobody says so.
@@ -45,11 +46,13 @@ pub struct Rows {
     pub joint_waves: Option<u8>,
 }
 
-/// What an instrument measured at poses at which the robot stood still.
+/// What an instrument measured at poses at which the robot stood still, or a tracker while it moved.
 #[derive(Debug, Clone)]
 pub enum Measured {
     /// A tracker.
     Poses(Vec<PoseRow>),
+    /// A tracker that followed a moving robot, with its own log.
+    Path(Vec<PoseRow>, Moving),
     /// A draw-wire or a telescoping bar.
     Lengths(Vec<LengthRow>),
     /// A ball in sockets, with what is known of these.
@@ -62,12 +65,22 @@ impl From<Measured> for Rows {
     }
 }
 
+impl Measured {
+    /// Of a tracker its rows.
+    pub fn poses(&self) -> Option<&[PoseRow]> {
+        match self {
+            Self::Poses(rows) | Self::Path(rows, _) => Some(rows),
+            Self::Lengths(_) | Self::Contacts(..) => None,
+        }
+    }
+}
+
 impl Rows {
     /// What is left out together: regions where there are poses, single rows of lengths and of a ball in sockets, unless somebody
     /// says so.
     pub fn hold_out(&self) -> HoldOut {
         self.hold_out.unwrap_or(match self.measured {
-            Measured::Poses(_) => HoldOut::Regions,
+            Measured::Poses(_) | Measured::Path(..) => HoldOut::Regions,
             Measured::Lengths(_) | Measured::Contacts(..) => HoldOut::Rows,
         })
     }
@@ -80,7 +93,9 @@ impl Rows {
     /// Joints of each row.
     pub fn joints(&self) -> Vec<Joints> {
         match &self.measured {
-            Measured::Poses(rows) => rows.iter().map(|row| row.joints_rad).collect(),
+            Measured::Poses(rows) | Measured::Path(rows, _) => {
+                rows.iter().map(|row| row.joints_rad).collect()
+            }
             Measured::Lengths(rows) => rows.iter().map(|row| row.joints_rad).collect(),
             Measured::Contacts(rows, _) => rows.iter().map(|row| row.joints_rad).collect(),
         }
@@ -92,6 +107,10 @@ impl Rows {
             Measured::Poses(rows) => {
                 let tracker = Tracker::new(self.standing(rows, |row| row.joints_rad, robot));
                 (Instrument::Tracker(tracker), Model::measured_pose(robot))
+            }
+            Measured::Path(rows, moving) => {
+                let at = self.standing(rows, |row| row.joints_rad, robot);
+                (Instrument::Tracker(Tracker::of_moving(at, moving.clone())), Model::measured_pose(robot))
             }
             Measured::Lengths(rows) => {
                 let wire = Wire::new(self.standing(rows, |row| row.joints_rad, robot));

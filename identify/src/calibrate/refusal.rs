@@ -29,6 +29,7 @@ impl CalibrateError {
             Self::Cost(error) | Self::Structure(StructureError::Cost(error)) => cost_is_of_data(error),
             Self::Solve(error) | Self::Structure(StructureError::Solve(error)) => solve_is_of_data(error),
             Self::NoPlace { .. } | Self::Rows { .. } | Self::Implausible { .. } => true,
+            Self::Align { .. } => true,
             Self::Unidentifiable(_) | Self::NotConverged { .. } => true,
         };
         let of_all = of_data.then(|| of_all(self.to_string()))?;

@@ -7,8 +7,8 @@ use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use super::tracker::nearest_rotation;
 use crate::model::ParameterId;
+use crate::prepare::nearest_rotation;
 
 /// A socket whose place on its plate is known.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

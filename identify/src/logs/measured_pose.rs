@@ -1,4 +1,5 @@
-//! Poses of the robot with the position, or the whole pose, that a tracker measured there.
+//! Poses of the robot with the position, or the whole pose, that a tracker measured there. What the robot's joints were is in the
+//! same row, or in the robot's own log at the time of the row.
 //!
 //! There is no common file format, so a mapping in TOML says which columns to read and how. An example that explains
 //! each key is `config/measured_pose.toml`.
@@ -11,7 +12,9 @@ use shared::config::{AngleUnit, Validate, Violation};
 
 use super::csv_text::{Column, Row, Table};
 use super::pose_rows::{JointColumns, check_joints, mapped, rows};
-use super::{CsvLayout, JointColumn, LengthUnit, LogError, bytes_of};
+use super::sampling::{Sampling, Stamps, sampling};
+use super::stamp::stamp_ns;
+use super::{CsvLayout, JointColumn, LengthUnit, LogError, TimeColumn, bytes_of};
 use crate::kinematics::Joints;
 
 /// No tracker sees further \[m\]; more means a wrong unit.
@@ -170,7 +173,10 @@ pub struct MeasuredPoseMapping {
     pub position: PositionColumns,
     /// The measured orientation; absent where only positions were measured.
     pub rotation: Option<RotationColumns>,
-    /// Joints 1 to 6, in this order.
+    /// When each row was measured, on the tracker's clock; the joints are then in the robot's own log.
+    pub time: Option<TimeColumn>,
+    /// Joints of each row, base to flange; none where rows have times.
+    #[serde(default)]
     pub joints: Vec<JointColumn>,
 }
 
@@ -178,7 +184,18 @@ impl Validate for MeasuredPoseMapping {
     fn validate(&self) -> Result<(), Violation> {
         self.csv.check()?;
         self.rotation.as_ref().map_or(Ok(()), RotationColumns::check)?;
-        check_joints(&self.joints)
+        match &self.time {
+            None => check_joints(&self.joints),
+            Some(time) if time.column.is_empty() => {
+                Err(Violation::new("time.column", "it is missing", "name the column of the times"))
+            }
+            Some(_) if !self.joints.is_empty() => Err(Violation::new(
+                "joints",
+                "rows with [time] get their joints from the robot's own log",
+                "take the [[joints]] out, or [time] where the joints of each row are those of its measurement",
+            )),
+            Some(_) => Ok(()),
+        }
     }
 }
 
@@ -221,11 +238,98 @@ impl MeasuredPoses {
     }
 }
 
+/// What the tracker measured at one time of its clock.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct TimedPose {
+    /// Of the probe, in the tracker's frame \[m\].
+    pub position_m: Vector3<f64>,
+    /// `tracker_from_probe`, where the file has it.
+    pub rotation: Option<Rotation3<f64>>,
+    /// Line of the source file, so that a row can be found again.
+    pub line: u64,
+}
+
+/// A tracker's log on its own clock.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct TimedPoses {
+    /// Time of the first row \[ns on the tracker's clock\].
+    pub first_stamp_ns: i64,
+    /// Times since the first \[s\], strictly increasing: those of the regular clock behind the stamps, where there is one.
+    pub t_s: Vec<f64>,
+    /// One for each time.
+    pub rows: Vec<TimedPose>,
+    /// The stamps against that clock.
+    pub stamps: Option<Stamps>,
+}
+
+impl TimedPoses {
+    /// Reads the table at `path`, whose `mapping` has a column of times.
+    ///
+    /// # Errors
+    /// Every way in which the file cannot be used, see [`LogError`].
+    pub fn load(path: &Path, mapping: &MeasuredPoseMapping) -> Result<Self, LogError> {
+        Self::read(&bytes_of(path)?, path, mapping)
+    }
+
+    /// [`Self::load`] on bytes in memory; `path` is only named in errors.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredPoseMapping) -> Result<Self, LogError> {
+        let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
+        let find = |table: &Table<'_>| Ok((SeenColumns::find(table, mapping)?, mapped(table, &time.column)?));
+        let read = |(seen, column): &(SeenColumns<'_>, Column), table: &Table<'_>, row: &Row| {
+            let (position_m, rotation) = seen.read(table, row)?;
+            let stamp_ns = stamp_ns(table, row, column, time.unit)?;
+            Ok((stamp_ns, TimedPose { position_m, rotation, line: row.line }))
+        };
+        let rows = rows(bytes, path, &mapping.csv, find, read)?;
+        if let Some(pair) = rows.windows(2).find(|pair| pair[1].0 < pair[0].0) {
+            let [before, after] = [0, 1].map(|place| (pair[place].1.line, pair[place].0));
+            return Err(LogError::time_not_increasing(path, "line", before, after));
+        }
+        Ok(Self::timed(rows))
+    }
+
+    /// Rows with their stamps \[ns\], which do not decrease.
+    fn timed(mut rows: Vec<(i64, TimedPose)>) -> Self {
+        let since_first_s = |rows: &[(i64, TimedPose)]| -> Vec<f64> {
+            let first_ns = rows.first().map_or(0, |(stamp_ns, _)| *stamp_ns);
+            rows.iter()
+                .map(|(stamp_ns, _)| (i128::from(*stamp_ns) - i128::from(first_ns)) as f64 * 1e-9)
+                .collect()
+        };
+        let positions: Vec<Joints> =
+            rows.iter().map(|(_, row)| Joints::from_fn(3, |axis| row.position_m[axis])).collect();
+        let (mut t_s, stamps) = match sampling(&since_first_s(&rows), &positions) {
+            Some(Sampling { t_s, stamps }) => (t_s, Some(stamps)),
+            None => {
+                rows.dedup_by_key(|(stamp_ns, _)| *stamp_ns);
+                (since_first_s(&rows), None)
+            }
+        };
+        let begins_s = t_s.first().copied().unwrap_or_default();
+        t_s.iter_mut().for_each(|t_s| *t_s -= begins_s);
+        let first_ns = rows.first().map_or(0, |(stamp_ns, _)| *stamp_ns);
+        Self {
+            first_stamp_ns: first_ns.saturating_add((begins_s * 1e9).round() as i64),
+            t_s,
+            rows: rows.into_iter().map(|(_, row)| row).collect(),
+            stamps,
+        }
+    }
+}
+
 /// The mapping's columns, found in a file.
 struct Columns<'a> {
+    seen: SeenColumns<'a>,
+    joints: JointColumns<'a>,
+}
+
+/// Those of what the tracker measured.
+struct SeenColumns<'a> {
     position: (Vec<Column>, LengthUnit),
     rotation: Option<(Vec<Column>, &'a RotationColumns)>,
-    joints: JointColumns<'a>,
 }
 
 fn all(table: &Table<'_>, names: &[String]) -> Result<Vec<Column>, LogError> {
@@ -254,25 +358,33 @@ fn numbers(
 
 impl<'a> Columns<'a> {
     fn find(table: &Table<'_>, mapping: &'a MeasuredPoseMapping) -> Result<Self, LogError> {
-        let rotation =
-            mapping.rotation.as_ref().map(|rotation| Ok((all(table, &rotation.columns)?, rotation)));
         Ok(Self {
-            position: (all(table, &mapping.position.columns)?, mapping.position.unit),
-            rotation: rotation.transpose()?,
+            seen: SeenColumns::find(table, mapping)?,
             joints: JointColumns::find(table, &mapping.joints)?,
         })
     }
 
     fn read(&self, table: &Table<'_>, row: &Row) -> Result<MeasuredPose, LogError> {
+        let (position_m, rotation) = self.seen.read(table, row)?;
+        Ok(MeasuredPose { q_rad: self.joints.read(table, row)?, position_m, rotation, line: row.line })
+    }
+}
+
+impl<'a> SeenColumns<'a> {
+    fn find(table: &Table<'_>, mapping: &'a MeasuredPoseMapping) -> Result<Self, LogError> {
+        let rotation =
+            mapping.rotation.as_ref().map(|rotation| Ok((all(table, &rotation.columns)?, rotation)));
+        Ok(Self {
+            position: (all(table, &mapping.position.columns)?, mapping.position.unit),
+            rotation: rotation.transpose()?,
+        })
+    }
+
+    fn read(&self, table: &Table<'_>, row: &Row) -> Result<(Vector3<f64>, Option<Rotation3<f64>>), LogError> {
         let (columns, unit) = &self.position;
         let position_m = numbers(table, row, columns, (unit.to_m(), "m"), POSITION_M_MAX)?;
         let rotation = self.rotation.as_ref().map(|(columns, how)| rotation(table, row, columns, how));
-        Ok(MeasuredPose {
-            q_rad: self.joints.read(table, row)?,
-            position_m: Vector3::from_iterator(position_m),
-            rotation: rotation.transpose()?,
-            line: row.line,
-        })
+        Ok((Vector3::from_iterator(position_m), rotation.transpose()?))
     }
 }
 

@@ -8,7 +8,8 @@
 //! [`BarLog`] is the other side of a run: what the bar's encoders said, in a recording or in the file of another program.
 //!
 //! [`MeasuredLengths`] and [`MeasuredPoses`] are the other kinds of input: single poses of the robot with a measured
-//! length (draw-wire, telescoping bar) or with a measured position or pose (tracker).
+//! length (draw-wire, telescoping bar) or with a measured position or pose (tracker); [`TimedPoses`] is a tracker's log with times
+//! instead of joints, beside a [`RobotLog`].
 
 mod bar_log;
 mod contact;
@@ -50,7 +51,7 @@ pub use measured_length::{
 };
 pub use measured_pose::{
     EulerFrame, MeasuredPose, MeasuredPoseMapping, MeasuredPoses, PositionColumns, RotationColumns,
-    RotationForm,
+    RotationForm, TimedPose, TimedPoses,
 };
 pub use pose_rows::{JointColumn, JointUnit, LengthUnit, joints_of_robot};
 pub use reader::{LogOptions, load, load_with, read, read_with};

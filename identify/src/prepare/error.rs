@@ -100,17 +100,39 @@ pub enum PrepareError {
     Log(#[from] LogError),
     /// The speeds do not match anywhere.
     #[error(
-        "robot log and recording do not match at any clock difference: the best correlation of their joint speeds is \
+        "robot log and {other} do not match at any clock difference: the best correlation of their speeds is \
          {correlation:.2} (over {overlap_s:.0} s), at least {needed} is asked for. They do not overlap in time or are \
          of different runs; give the log of this run"
     )]
     NoMatch {
+        /// What it was compared with.
+        other: &'static str,
         /// Best correlation.
         correlation: f64,
         /// Overlap there \[s\].
         overlap_s: f64,
         /// Threshold.
         needed: f64,
+    },
+    /// They match where they hardly overlap.
+    #[error(
+        "robot log and tracker's log match, but overlap by {overlap_s:.1} s only, at least {needed_s:.1} s are needed: one of them \
+         ended before the other began in earnest; log both over the whole motion"
+    )]
+    ShortOverlap {
+        /// Overlap of the match \[s\].
+        overlap_s: f64,
+        /// Threshold \[s\].
+        needed_s: f64,
+    },
+    /// What the tracker follows does not move.
+    #[error(
+        "the positions in the tracker's log are within {extent_mm:.1} mm: the target does not move; check the columns and unit of \
+         [position] in the mapping, or give the log of a motion"
+    )]
+    TargetStands {
+        /// Diagonal of the box that holds them \[mm\].
+        extent_mm: f64,
     },
     /// The speeds match but the angles do not.
     #[error(

@@ -7,7 +7,8 @@ use super::refine::{Fit, FitSample, refine};
 use super::segments::{Pair, Settled, settle};
 use super::select::{apart, select};
 use super::slip::large_slip;
-use super::speeds::{STEP_S, measured_speeds, predicted_speeds, without_order};
+use super::speeds::{grid_step_s, measured_speeds, predicted_speeds, without_order};
+use super::window::{CANDIDATES, WINDOW_S, liveliest, overlap_min_s, wider};
 use super::{Channels, Predictor, PrepareError, PrepareOptions};
 use crate::kinematics::{BAR_JOINTS, Chain, mirroring_joints};
 use crate::logs::InterpolatedLog;
@@ -54,21 +55,12 @@ pub(super) struct Found {
     pub fit: Fit,
 }
 
-/// The recording is searched for by its liveliest part of at most this length \[s\]: over a longer one clocks of
-/// different rate drift apart.
-const WINDOW_S: f64 = 900.0;
-/// The window grows by this factor from fit to fit.
-const GROWTH: f64 = 4.0;
-/// Grid points that the robot's log takes at most.
-const GRID_MAX: f64 = 1e6;
-/// Candidates by each kind of correlation.
-const CANDIDATES: usize = 6;
 /// Candidates that are fitted.
 const FITTED_MAX: usize = 4;
 /// On nominal geometry, candidates within this factor of the best may turn out to be the better one.
 const NEAR_BEST: f64 = 2.0;
 /// Two fits whose residuals differ by less than this factor are equally good: the motion repeats itself.
-const TIE: f64 = 1.2;
+pub(super) const TIE: f64 = 1.2;
 /// Travel between samples that are compared \[rad\], and how many there are at most.
 const PAIRS_APART_RAD: f64 = 0.01;
 const PAIRS_MAX: usize = 3000;
@@ -94,7 +86,7 @@ impl Search<'_> {
     /// [`PrepareError::NoMatch`], [`PrepareError::ClockJump`], [`PrepareError::EncoderSlip`] and those of
     /// [`find_encoder_map`].
     pub fn run(&self) -> Result<Found, PrepareError> {
-        let step_s = STEP_S.max(self.log_duration_s / GRID_MAX);
+        let step_s = grid_step_s(self.log_duration_s);
         let window = self.liveliest();
         let shifts = self.candidates(&window, step_s)?;
         let mut hypotheses = Vec::new();
@@ -153,25 +145,16 @@ impl Search<'_> {
 
     /// The part of the recording with the most motion.
     fn liveliest(&self) -> std::ops::Range<usize> {
-        let duration_s = self.samples.last().map_or(0.0, |last| last.t_s);
-        if duration_s <= WINDOW_S {
-            return 0..self.samples.len();
-        }
-        let index_at = |t_s: f64| self.samples.partition_point(|raw| raw.t_s < t_s);
-        let windows = (0..).map(|half| 0.5 * WINDOW_S * f64::from(half)).take_while(|t_s| *t_s < duration_s);
-        let travel = |range: &std::ops::Range<usize>| -> f64 {
-            let pairs =
-                self.samples[range.clone()].windows(2).filter(|pair| pair[0].origin == pair[1].origin);
-            let steps = pairs.map(|pair| {
-                let (a, b) = (&pair[0].recorded_rad, &pair[1].recorded_rad);
-                a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f64>()
-            });
-            steps.sum()
+        let travel_rad = |pair: [usize; 2]| {
+            let [a, b] = pair.map(|sample| &self.samples[sample]);
+            let steps = a.recorded_rad.iter().zip(&b.recorded_rad).map(|(a, b)| (a - b).abs());
+            if a.origin == b.origin { steps.sum::<f64>() } else { 0.0 }
         };
-        windows
-            .map(|from_s| index_at(from_s)..index_at(from_s + WINDOW_S))
-            .max_by(|a, b| travel(a).total_cmp(&travel(b)))
-            .unwrap_or(0..self.samples.len())
+        liveliest(&self.times_s(), travel_rad)
+    }
+
+    fn times_s(&self) -> Vec<f64> {
+        self.samples.iter().map(|raw| raw.t_s).collect()
     }
 
     /// Shifts at which the speeds match, for times since the window's first sample, in grid steps.
@@ -181,9 +164,7 @@ impl Search<'_> {
             (Some(first), Some(last)) => last.t_s - first.t_s,
             _ => 0.0,
         };
-        let shorter_s = window_s.min(self.log_duration_s);
-        let overlap_s = self.options.overlap_min_s.max(self.options.overlap_min_part * shorter_s);
-        let overlap_min = (overlap_s / step_s) as usize;
+        let overlap_min = (overlap_min_s(self.options, window_s, self.log_duration_s) / step_s) as usize;
         let from_bar = measured_speeds(samples, &self.joints(), step_s);
         let from_robot = self.predicted(step_s);
         let of = |robot: &Channels, bar: &Channels| candidates(robot, bar, overlap_min, CANDIDATES);
@@ -200,6 +181,7 @@ impl Search<'_> {
         }
         if all.is_empty() {
             let no_match = PrepareError::NoMatch {
+                other: "recording",
                 correlation: best.map_or(0.0, |best| best.correlation),
                 overlap_s: best.map_or(0.0, |best| best.overlap as f64 * step_s),
                 needed: self.options.correlation_min,
@@ -330,16 +312,7 @@ impl Search<'_> {
                 }
                 return Ok((settled, fit));
             }
-            window = self.wider(&window);
+            window = wider(&self.times_s(), &window);
         }
-    }
-
-    fn wider(&self, window: &std::ops::Range<usize>) -> std::ops::Range<usize> {
-        let at = |index: usize| self.samples.get(index).map_or(0.0, |raw| raw.t_s);
-        let (from_s, to_s) = (at(window.start), at(window.end.saturating_sub(1)));
-        let more_s = 0.5 * (GROWTH - 1.0) * (to_s - from_s).max(1.0);
-        let from = self.samples.partition_point(|raw| raw.t_s < from_s - more_s);
-        let to = self.samples.partition_point(|raw| raw.t_s <= to_s + more_s);
-        from..to
     }
 }

@@ -40,6 +40,7 @@ mod forces;
 mod judge;
 mod origins;
 mod parts;
+mod placement;
 mod predict;
 mod refine;
 mod samples;
@@ -53,7 +54,9 @@ mod standstill;
 mod steps;
 mod timeline;
 mod torque;
+mod tracker;
 mod unwrap;
+mod window;
 
 pub use aligned::AlignedLog;
 pub use averaged::{Averaged, AveragedJoints, AveragedPoint};
@@ -68,6 +71,8 @@ pub use findings::{Deviations, Place, PoorFit};
 pub use forces::{BarForces, ForceError};
 pub use judge::LocalShift;
 pub use origins::OriginSpan;
+pub(crate) use placement::nearest_rotation;
+pub use placement::{PROBE_SIGMA_M, placements};
 pub use predict::{PredictedBar, Predictor};
 pub use select::{select, spread_over_sphere};
 pub use smooth::moving_average;
@@ -75,6 +80,7 @@ pub use sphere::{SphereFit, fit_sphere};
 pub use standstill::{Jitter, MOVING_RAD_S, Standstill};
 pub use steps::prepare;
 pub use timeline::{SampleStatus, Timeline, TimelinePoint};
+pub use tracker::{AlignedPoses, Moving, align_poses};
 pub use unwrap::{unwrapped_counters, unwrapped_log};
 
 use nalgebra::Vector3;
@@ -217,7 +223,7 @@ pub struct Alignment {
     pub ambiguous: bool,
     /// How long the logs overlap \[s\].
     pub overlap_s: f64,
-    /// Robot clock minus bar clock at the reference time \[ns\].
+    /// Robot clock minus the other clock, of bar or tracker, at the reference time \[ns\].
     pub clock_difference_ns: i64,
     /// Relative rate of the robot's clock minus one, from the angles.
     pub skew: f64,

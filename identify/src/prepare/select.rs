@@ -4,8 +4,6 @@ use std::f64::consts::PI;
 
 use nalgebra::Vector3;
 
-use crate::kinematics::BAR_JOINTS;
-
 /// Rounds of halving the interval in which the distance between samples is sought.
 const HALVINGS: usize = 40;
 
@@ -13,7 +11,7 @@ const HALVINGS: usize = 40;
 /// and the distance is `motion_min_rad` or so much more that at most `points_max` are kept. Standstill leaves one.
 ///
 /// Distance is the largest travel of a joint. Spreading over time instead would weigh slow parts more.
-pub fn select(angles_rad: &[[f64; BAR_JOINTS]], motion_min_rad: f64, points_max: usize) -> Vec<usize> {
+pub fn select<R: AsRef<[f64]>>(angles_rad: &[R], motion_min_rad: f64, points_max: usize) -> Vec<usize> {
     let kept = apart(angles_rad, motion_min_rad);
     if kept.len() <= points_max {
         return kept;
@@ -70,7 +68,7 @@ fn cell_of(direction: &Vector3<f64>) -> usize {
 }
 
 /// Indices of samples at least `step_rad` from the last one kept; the first is always kept.
-pub(super) fn apart(angles_rad: &[[f64; BAR_JOINTS]], step_rad: f64) -> Vec<usize> {
+pub(super) fn apart<R: AsRef<[f64]>>(angles_rad: &[R], step_rad: f64) -> Vec<usize> {
     let mut kept: Vec<usize> = Vec::new();
     for (index, angles) in angles_rad.iter().enumerate() {
         let far_enough = match kept.last().and_then(|&last| angles_rad.get(last)) {
@@ -84,6 +82,6 @@ pub(super) fn apart(angles_rad: &[[f64; BAR_JOINTS]], step_rad: f64) -> Vec<usiz
     kept
 }
 
-fn distance(a: &[f64; BAR_JOINTS], b: &[f64; BAR_JOINTS]) -> f64 {
-    a.iter().zip(b).fold(0.0, |most, (a, b)| most.max((a - b).abs()))
+fn distance<R: AsRef<[f64]>>(a: &R, b: &R) -> f64 {
+    a.as_ref().iter().zip(b.as_ref()).fold(0.0, |most, (a, b)| most.max((a - b).abs()))
 }

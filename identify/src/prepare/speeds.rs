@@ -1,4 +1,4 @@
-//! Joint speeds on a uniform grid, without signs: what both logs can be compared by before anything is known.
+//! Speeds on a uniform grid, without signs or directions: what two logs can be compared by before anything is known.
 
 use super::find::Raw;
 use super::predict::Predictor;
@@ -7,9 +7,11 @@ use crate::kinematics::BAR_JOINTS;
 use crate::logs::CubicSpline;
 
 /// Finest step of the grid \[s\].
-pub(super) const STEP_S: f64 = 0.01;
+const STEP_S: f64 = 0.01;
+/// Grid points that the robot's log takes at most.
+const GRID_MAX: f64 = 1e6;
 /// Speeds are differences over this many steps to either side: noise of the readings is divided by their time.
-const REACH: usize = 2;
+pub(super) const REACH: usize = 2;
 /// Bar samples further apart are not bridged \[s\].
 const GAP_LIMIT_S: f64 = 0.05;
 /// Faster than a bar ever turns \[rad/s\]: a jump of the counters or of the robot's log.
@@ -37,7 +39,12 @@ pub(super) fn measured_speeds(samples: &[Raw], joints: &[usize], step_s: f64) ->
             }
         }
     }
-    speeds(&angles, joints, step_s)
+    of_joints(&angles, joints, step_s)
+}
+
+/// Step of the grid for a robot's log of this length \[s\].
+pub(super) fn grid_step_s(log_duration_s: f64) -> f64 {
+    STEP_S.max(log_duration_s / GRID_MAX)
 }
 
 /// Predicted speeds, from the robot log's first stamp to `duration_s`. Unknown nearer to singular poses than
@@ -54,26 +61,41 @@ pub(super) fn predicted_speeds(
         .map(|step| predictor.at(step as f64 * step_s))
         .map(|bar| bar.filter(|bar| bar.margin_rad > margin_rad).map(|bar| bar.joints_rad))
         .collect();
-    speeds(&angles, joints, step_s)
+    of_joints(&angles, joints, step_s)
 }
 
-fn speeds(angles: &Angles, joints: &[usize], step_s: f64) -> Channels {
-    let mut channels =
-        Channels { known: vec![false; angles.len()], values: vec![vec![0.0; angles.len()]; joints.len()] };
-    for step in REACH..angles.len().saturating_sub(REACH) {
-        let around = (&angles[step - REACH], &angles[step + REACH]);
+fn of_joints(angles: &Angles, joints: &[usize], step_s: f64) -> Channels {
+    let apart = |before: &[f64; BAR_JOINTS], after: &[f64; BAR_JOINTS], channel: usize| {
+        wrapped(after[joints[channel]] - before[joints[channel]]).abs()
+    };
+    speeds(angles, joints.len(), REACH, step_s, SPEED_RAD_S_MAX, apart)
+}
+
+/// Speeds of points on a grid, in so many channels, from `reach` steps before to as many after: `apart` says how far two points
+/// are in each. Unknown where a point is, or a speed is more than `most`.
+pub(super) fn speeds<T>(
+    points: &[Option<T>],
+    channels: usize,
+    reach: usize,
+    step_s: f64,
+    most: f64,
+    apart: impl Fn(&T, &T, usize) -> f64,
+) -> Channels {
+    let mut found =
+        Channels { known: vec![false; points.len()], values: vec![vec![0.0; points.len()]; channels] };
+    for step in reach..points.len().saturating_sub(reach) {
+        let around = (&points[step - reach], &points[step + reach]);
         let (Some(before), Some(after)) = around else { continue };
-        let speed =
-            |joint: &usize| wrapped(after[*joint] - before[*joint]).abs() / (2.0 * REACH as f64 * step_s);
-        if joints.iter().any(|joint| speed(joint) > SPEED_RAD_S_MAX) {
+        let speed = |channel: usize| apart(before, after, channel) / (2.0 * reach as f64 * step_s);
+        if (0..channels).any(|channel| speed(channel) > most) {
             continue;
         }
-        channels.known[step] = true;
-        for (channel, joint) in channels.values.iter_mut().zip(joints) {
-            channel[step] = speed(joint);
+        found.known[step] = true;
+        for (channel, values) in found.values.iter_mut().enumerate() {
+            values[step] = speed(channel);
         }
     }
-    channels
+    found
 }
 
 /// All channels as one, the root of the sum of their squares: the same whichever encoder is called which.

@@ -21,7 +21,7 @@ use crate::logs::{InterpolatedLog, RobotLog, default_gap_limit_s};
 use crate::model::{DriveTrain, Observation};
 
 /// Joints that travel less than this do not move \[deg\].
-const TRAVEL_DEG_MIN: f64 = 3.0;
+pub(super) const TRAVEL_DEG_MIN: f64 = 3.0;
 /// Robot positions nearer to the last one say nothing new about the sphere \[m\].
 const POSITIONS_APART_M: f64 = 0.005;
 /// Longest log \[s\]. A longer one mostly is a clock that was set.
@@ -157,16 +157,16 @@ struct Reference {
 
 impl Reference {
     fn new(angles: &BarAngles, raw: &[Raw], found: &Found, log_duration_s: f64) -> Self {
-        let overlap_s = overlap_s(raw, found.fit.clock, log_duration_s);
+        let end_s = raw.last().map_or(0.0, |last| last.t_s);
+        let overlap_s = overlap_s(end_s, found.fit.clock, log_duration_s);
         let t_ref_s = 0.5 * (overlap_s[0] + overlap_s[1]);
         let t_ref = first_time(angles).plus_ns((t_ref_s * 1e9).round() as i64);
         Self { overlap_s, t_ref_s, t_ref, clock: found.fit.clock.counted_from(t_ref_s) }
     }
 }
 
-/// Bar times, since the first sample, between which both logs say something \[s\].
-fn overlap_s(raw: &[Raw], clock: ClockFit, log_duration_s: f64) -> [f64; 2] {
-    let end_s = raw.last().map_or(0.0, |last| last.t_s);
+/// Times on the other clock, since its first sample, between which both logs say something; the last sample is at `end_s` \[s\].
+pub(super) fn overlap_s(end_s: f64, clock: ClockFit, log_duration_s: f64) -> [f64; 2] {
     let bar_time_s = |tau_s: f64| (tau_s - clock.shift_s) / (1.0 + clock.skew);
     let from_s = bar_time_s(0.0).clamp(0.0, end_s);
     [from_s, bar_time_s(log_duration_s).clamp(from_s, end_s)]
@@ -227,7 +227,7 @@ fn alignment(found: &Found, clock: ClockFit, log: &RobotLog, t_ref: UtcNs, overl
 }
 
 /// Largest travel of any joint \[deg\].
-fn travel_deg<'a>(rows: impl Iterator<Item = &'a [f64]>) -> f64 {
+pub(super) fn travel_deg<'a>(rows: impl Iterator<Item = &'a [f64]>) -> f64 {
     let mut range = [(f64::INFINITY, f64::NEG_INFINITY); AXES_MAX];
     for row in rows {
         for ((low, high), value) in range.iter_mut().zip(row) {
@@ -240,7 +240,7 @@ fn travel_deg<'a>(rows: impl Iterator<Item = &'a [f64]>) -> f64 {
 /// Both logs hold a motion that is long enough and not too long.
 fn check(raw: &[Raw], cycles: usize, log: &RobotLog, options: &PrepareOptions) -> Result<(), PrepareError> {
     check_motion(raw, cycles, log)?;
-    check_length(raw, log, options)
+    check_length(("the recording", raw.last().map_or(0.0, |last| last.t_s)), log.duration_s(), options)
 }
 
 fn check_motion(raw: &[Raw], cycles: usize, log: &RobotLog) -> Result<(), PrepareError> {
@@ -258,14 +258,18 @@ fn check_motion(raw: &[Raw], cycles: usize, log: &RobotLog) -> Result<(), Prepar
     }
 }
 
-fn check_length(raw: &[Raw], log: &RobotLog, options: &PrepareOptions) -> Result<(), PrepareError> {
-    let bar_s = raw.last().map_or(0.0, |last| last.t_s);
-    let logs = [("the recording", bar_s), ("the robot log", log.duration_s())];
+/// The robot's log and another one, which covers so much \[s\].
+pub(super) fn check_length(
+    other: (&'static str, f64),
+    log_s: f64,
+    options: &PrepareOptions,
+) -> Result<(), PrepareError> {
+    let logs = [other, ("the robot log", log_s)];
     if let Some((what, seconds)) = logs.into_iter().find(|(_, seconds)| *seconds > DURATION_S_MAX) {
         let hours_max = DURATION_S_MAX / 3600.0;
         return Err(PrepareError::TooLong { what, hours: seconds / 3600.0, hours_max });
     }
-    let (what, seconds) = if bar_s < log.duration_s() { logs[0] } else { logs[1] };
+    let (what, seconds) = if other.1 < log_s { logs[0] } else { logs[1] };
     if seconds < options.overlap_min_s {
         return Err(PrepareError::TooShort { what, seconds, needed: options.overlap_min_s });
     }

@@ -12,6 +12,7 @@ pub mod minute;
 pub mod other_solver;
 pub mod refused;
 pub mod rows;
+pub mod tracker_log;
 pub mod truth;
 
 use std::path::{Path, PathBuf};

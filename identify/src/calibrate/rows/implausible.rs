@@ -11,7 +11,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 use super::tracker::{ROWS_MIN, check_rows, placed};
 use super::{PoseFigures, RowSet, is_surely_worse};
 use crate::calibrate::ball_bar::CalibrateError;
-use crate::calibrate::mix::{Measured, Rows};
+use crate::calibrate::mix::Rows;
 use crate::instrument::{Apart, PoseRow, Run, Standing, Tracker, median_size, quantile, standing};
 use crate::kinematics::{Chain, Joints};
 use crate::model::{Model, ParameterId, Role, Unit};
@@ -293,9 +293,9 @@ pub fn likely(rows: &[PoseRow], robot: &Chain, mistakes: &[Mistake]) -> Option<L
 
 /// The most likely of all mistakes, in the first of these files that shows one.
 pub(in crate::calibrate) fn likely_of_all(files: &[Rows], robot: &Chain) -> Option<Likely> {
-    let of = |file: &Rows| match &file.measured {
-        Measured::Poses(rows) => likely(rows, robot, &Mistake::all(robot.links.len(), rows.len())),
-        Measured::Lengths(_) | Measured::Contacts(..) => None,
+    let of = |file: &Rows| {
+        let rows = file.measured.poses()?;
+        likely(rows, robot, &Mistake::all(robot.links.len(), rows.len()))
     };
     files.iter().find_map(of)
 }
@@ -327,13 +327,10 @@ pub(in crate::calibrate) fn unless_implausible(
 
 fn of_set(set: &RowSet, file: &Rows, model: &Model, robot: &Chain) -> Vec<Reason> {
     let [.., errors] = &set.errors.stages;
-    let step = match &file.measured {
-        Measured::Poses(rows) => {
-            let steps = [set.step(model), set.step];
-            steps.into_iter().flatten().find(|step| step.explains(rows, robot))
-        }
-        Measured::Lengths(_) | Measured::Contacts(..) => None,
-    };
+    let step = file.measured.poses().and_then(|rows| {
+        let steps = [set.step(model), set.step];
+        steps.into_iter().flatten().find(|step| step.explains(rows, robot))
+    });
     let found = [turned(set), too_far(errors, robot), worse_than_nominal(set), step.map(Reason::Moved)];
     found.into_iter().flatten().collect()
 }

@@ -37,7 +37,7 @@ impl Measured {
     /// Rows whose own data contradict each other; all others are measurements, and enough for a fit where they are `alone`.
     pub(super) fn checked(&self, alone: bool, robot: &Chain) -> Result<Vec<RejectedRow>, RowError> {
         let (rejected, rows, needed) = match self {
-            Self::Poses(rows) => {
+            Self::Poses(rows) | Self::Path(rows, _) => {
                 tracker::check_rows(rows)?;
                 (Vec::new(), rows.len(), tracker::ROWS_MIN)
             }

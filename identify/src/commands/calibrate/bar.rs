@@ -225,7 +225,7 @@ fn load_recording(
 }
 
 /// Reads a robot's log and says what is odd about it.
-fn load_log(path: &Path, robot: &RobotConfig, options: &LogOptions) -> anyhow::Result<RobotLog> {
+pub(super) fn load_log(path: &Path, robot: &RobotConfig, options: &LogOptions) -> anyhow::Result<RobotLog> {
     let log = logs::load_with(path, robot, options)?;
     for remark in &log.quality.remarks {
         tracing::warn!("{}: {remark}", path.display());

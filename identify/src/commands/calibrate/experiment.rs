@@ -10,7 +10,7 @@ use shared::config::{self, Validate, Violation};
 
 use super::bar::{self, BarArguments};
 use super::result::Told;
-use super::rows::{self, Kind, Others, Read, RowFile};
+use super::rows::{self, Kind, Others, Read, RowFile, WithLogs};
 use super::{CommonArguments, ResultArguments, inputs, refused};
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::mix::{self, DataSets, Rows};
@@ -20,7 +20,7 @@ use crate::commands::on_terminal::OnTerminal;
 use crate::evaluate::{RunEvidence, Validity, of_lengths};
 use crate::instrument::{Instrument, Run};
 use crate::kinematics::flange_chain;
-use crate::logs::LogFormat;
+use crate::logs::{LogFormat, LogOptions};
 use crate::model::ParameterId;
 use crate::report::deployments::DeploymentEntry;
 use crate::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
@@ -127,6 +127,13 @@ impl Validate for Experiment {
                         "write sockets = \"sockets.toml\" there, and there alone",
                     ));
                 }
+                if row.robot_log.is_some() && (kind != Kind::Tracker || !row.validate.is_empty()) {
+                    return Err(Violation::new(
+                        format!("{key}[{index}].robot_log"),
+                        "it goes with a [[tracker]] block whose rows have times, and not with `validate`",
+                        "leave one of them out",
+                    ));
+                }
                 if kind != Kind::Tracker && !row.validate.is_empty() {
                     return Err(Violation::new(
                         format!("{key}[{index}].validate"),
@@ -188,6 +195,7 @@ impl Experiment {
         let mut files: Vec<(&str, &Path)> = Vec::new();
         for (kind, of) in self.rows() {
             files.extend([(kind.role(), of.file.as_path()), ("mapping", &of.mapping)]);
+            files.extend(of.robot_log.as_deref().map(|log| ("robot log", log)));
             files.extend(of.sockets.as_deref().map(|sockets| ("sockets", sockets)));
         }
         files.extend(bar::input_files(arguments, bars));
@@ -234,6 +242,7 @@ impl Experiment {
         }
         for rows in self.trackers.iter_mut().chain(&mut self.wires).chain(&mut self.contacts) {
             paths.extend([&mut rows.file, &mut rows.mapping]);
+            paths.extend(&mut rows.robot_log);
             paths.extend(&mut rows.sockets);
             paths.extend(&mut rows.validate);
         }
@@ -302,9 +311,21 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
         return bar::calibrate(&experiment.bar_arguments(result), &experiment.identify);
     }
     let robot = &experiment.common(result).robot()?;
-    let read = experiment.rows().map(|(kind, of)| rows::read(kind, of, robot));
-    let (rows, lines): (Vec<Rows>, Vec<_>) =
-        read.collect::<anyhow::Result<Vec<Read>>>()?.into_iter().map(|read| (read.rows, read.lines)).unzip();
+    let log_mapping = experiment.log_mapping.as_deref().map(config::load).transpose()?;
+    let logs = LogOptions { format: experiment.log_format, mapping: log_mapping };
+    let with = WithLogs { robot, logs, options: &experiment.identify.prepare };
+    let numbers = experiment.bars.len() + 1..;
+    let read = experiment.rows().zip(numbers).map(|((kind, of), number)| rows::read(kind, of, number, &with));
+    let read = read.collect::<anyhow::Result<Vec<Read>>>().map_err(|error| match error.downcast() {
+        Ok(error) => {
+            let arguments = experiment.bar_arguments(result);
+            let files = experiment.files(&arguments, &[]);
+            refused::of_rows(&result.out, robot, &files, &experiment, error)
+        }
+        Err(error) => error,
+    })?;
+    let (rows, read): (Vec<Rows>, Vec<_>) =
+        read.into_iter().map(|read| (read.rows, (read.lines, read.aligned))).unzip();
     experiment.state(&rows);
     let others = experiment.rows().zip(&rows).map(|((_, of), rows)| Others::read(of, rows.seed(), robot));
     let others = others.collect::<anyhow::Result<Vec<Others<'_>>>>()?;
@@ -368,12 +389,15 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
         found.runs.iter().enumerate().filter_map(of_bar).collect();
     let mut tables = table::data_sets(&found);
     let (mut limits, mut asked) = (Vec::new(), String::new());
-    for ((number, set), (lines, others)) in (bars.len()..).zip(&found.rows).zip(lines.iter().zip(&others)) {
+    for ((number, set), ((lines, aligned), others)) in
+        (bars.len()..).zip(&found.rows).zip(read.iter().zip(&others))
+    {
         let Run { instrument, model } = &found.runs[number];
         let validations = others.judge(robot, &validity, model)?;
         asked.extend(validations.iter().map(of_rows::Validation::line));
         let table = of_rows::table(set, instrument, model, lines, &validations);
         tables += &format!("\n{}\n{table}", name(number));
+        tables.extend(aligned.as_ref().map(|aligned| aligned.line(model)));
         if let Instrument::Contact(contact) = instrument {
             limits.extend(of_rows::contradicted(contact, model));
         }

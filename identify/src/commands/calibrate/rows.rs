@@ -6,18 +6,22 @@ use anyhow::Context;
 use clap::Args;
 use shared::config::{self, RobotConfig};
 
+use super::bar::load_log;
 use super::experiment::{self, Experiment};
 use super::{CommonArguments, RowArguments};
 use crate::calibrate::HoldOut;
+use crate::calibrate::ball_bar::CalibrateError;
 use crate::calibrate::mix::{Measured, Rows};
 use crate::calibrate::rows::{WAVES_PER_TURN_MAX, tracker};
 use crate::evaluate::Validity;
 use crate::instrument::{ContactRow, LengthRow, PoseRow, SocketTable};
+use crate::kinematics::flange_chain;
 use crate::logs::{
-    ContactMapping, Contacts, MeasuredLength, MeasuredLengthMapping, MeasuredLengths, MeasuredPoseMapping,
-    MeasuredPoses, joints_of_robot,
+    ContactMapping, Contacts, LogFormat, LogOptions, MeasuredLength, MeasuredLengthMapping, MeasuredLengths,
+    MeasuredPoseMapping, MeasuredPoses, TimedPose, TimedPoses, joints_of_robot,
 };
-use crate::model::{JointWaves, Model};
+use crate::model::{JointState, JointWaves, Model, ParameterId};
+use crate::prepare::{AlignedPoses, Alignment, PrepareOptions, align_poses};
 use crate::report::rows as of_rows;
 use crate::solver::LossName;
 use serde::{Deserialize, Serialize};
@@ -30,6 +34,16 @@ pub struct TrackerArguments {
     poses: PathBuf,
     #[command(flatten)]
     rows: RowArguments,
+    /// The robot's own log (CSV, ROS 2 bag, UR RTDE, ABB EGM, KUKA RSI), where the rows have times on the tracker's clock in place
+    /// of joints: the clocks are brought together by the motion
+    #[arg(long, value_name = "FILE", conflicts_with = "validate")]
+    robot_log: Option<PathBuf>,
+    /// Kind of the robot's log; default: recognised by its content
+    #[arg(long, value_name = "KIND", requires = "robot_log")]
+    log_format: Option<LogFormat>,
+    /// Which column or joint of the robot's log is what, such as config/robot_log.toml
+    #[arg(long, value_name = "FILE", requires = "robot_log")]
+    log_mapping: Option<PathBuf>,
     /// Other files of measured poses that judge the robot; tracker and probe may be elsewhere
     #[arg(long, value_name = "FILES", value_delimiter = ',')]
     validate: Vec<PathBuf>,
@@ -82,6 +96,9 @@ pub struct RowFile {
     pub file: PathBuf,
     /// Which of its columns is what.
     pub mapping: PathBuf,
+    /// Of a tracker whose rows have times in place of joints: the robot's own log.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub robot_log: Option<PathBuf>,
     /// Of a ball in sockets, which needs it: the table of these.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sockets: Option<PathBuf>,
@@ -104,6 +121,7 @@ impl RowFile {
         Self {
             file: file.to_owned(),
             mapping: rows.mapping.clone(),
+            robot_log: None,
             sockets: None,
             hold_out: rows.hold_out,
             seed: Some(rows.seed),
@@ -114,10 +132,11 @@ impl RowFile {
 }
 
 pub(super) fn run_tracker(arguments: &TrackerArguments) -> anyhow::Result<()> {
-    let TrackerArguments { poses, rows, validate, joint_waves, loss, common } = arguments;
+    let TrackerArguments { poses, rows, robot_log, validate, joint_waves, loss, common, .. } = arguments;
     let mut experiment = Experiment::of_rows(common, &rows.fix, *loss);
-    let (joint_waves, validate) = (Some(*joint_waves), validate.clone());
-    experiment.trackers.push(RowFile { joint_waves, validate, ..RowFile::new(poses, rows) });
+    (experiment.log_format, experiment.log_mapping) = (arguments.log_format, arguments.log_mapping.clone());
+    let (joint_waves, validate, robot_log) = (Some(*joint_waves), validate.clone(), robot_log.clone());
+    experiment.trackers.push(RowFile { joint_waves, validate, robot_log, ..RowFile::new(poses, rows) });
     experiment::calibrate(experiment, &common.result)
 }
 
@@ -167,16 +186,38 @@ pub(super) struct Read {
     pub(super) rows: Rows,
     /// Of each row in its file.
     pub(super) lines: Vec<u64>,
+    /// How its clock and the robot's were brought together, where rows have times.
+    pub(super) aligned: Option<Aligned>,
 }
 
-/// The rows of a file, read as the file of its mapping says.
-pub(super) fn read(kind: Kind, of: &RowFile, robot: &RobotConfig) -> anyhow::Result<Read> {
-    let (measured, lines) = match kind {
-        Kind::Tracker => {
+/// Clocks of a tracker and the robot.
+pub(super) struct Aligned {
+    alignment: Alignment,
+    /// Rows outside the robot's log, or taken while a robot moved that otherwise stood.
+    left_out: usize,
+}
+
+/// What the robot's logs are, and what aligns others with them.
+pub(super) struct WithLogs<'a> {
+    pub(super) robot: &'a RobotConfig,
+    pub(super) logs: LogOptions,
+    pub(super) options: &'a PrepareOptions,
+}
+
+/// The rows of a file, read as the file of its mapping says; `data_set` is its number.
+pub(super) fn read(kind: Kind, of: &RowFile, data_set: usize, with: &WithLogs<'_>) -> anyhow::Result<Read> {
+    let (robot, mut aligned) = (with.robot, None);
+    let (measured, lines) = match (kind, &of.robot_log) {
+        (Kind::Tracker, Some(robot_log)) => {
+            let (measured, lines, clocks) = timed_poses(of, robot_log, data_set, with)?;
+            aligned = Some(clocks);
+            (measured, lines)
+        }
+        (Kind::Tracker, None) => {
             let (rows, lines) = poses(&of.file, &of.mapping, robot)?;
             (Measured::Poses(rows), lines)
         }
-        Kind::Wire => {
+        (Kind::Wire, _) => {
             let mapping: MeasuredLengthMapping = config::load(&of.mapping)?;
             joints_of_robot(&mapping.joints, robot, &of.mapping)?;
             let row = |row: &MeasuredLength| {
@@ -188,7 +229,7 @@ pub(super) fn read(kind: Kind, of: &RowFile, robot: &RobotConfig) -> anyhow::Res
             let (rows, lines) = MeasuredLengths::load(&of.file, &mapping)?.rows.iter().map(row).unzip();
             (Measured::Lengths(rows), lines)
         }
-        Kind::Contact => {
+        (Kind::Contact, _) => {
             let sockets = of.sockets.as_deref().context("a table of sockets is missing")?;
             let table: SocketTable = config::load(sockets)?;
             let mapping: ContactMapping = config::load(&of.mapping)?;
@@ -201,6 +242,7 @@ pub(super) fn read(kind: Kind, of: &RowFile, robot: &RobotConfig) -> anyhow::Res
     Ok(Read {
         rows: Rows { measured, hold_out: of.hold_out, seed: of.seed, joint_waves: of.joint_waves },
         lines,
+        aligned,
     })
 }
 
@@ -209,9 +251,65 @@ type Lines = (Vec<PoseRow>, Vec<u64>);
 
 fn poses(path: &Path, mapping: &Path, robot: &RobotConfig) -> anyhow::Result<Lines> {
     let of_file: MeasuredPoseMapping = config::load(mapping)?;
+    anyhow::ensure!(
+        of_file.time.is_none(),
+        "{}: rows with [time] have their joints in the robot's own log; give it (--robot-log, or robot_log in the [[tracker]] block)",
+        mapping.display()
+    );
     joints_of_robot(&of_file.joints, robot, mapping)?;
     let read = MeasuredPoses::load(path, &of_file)?;
     Ok(read.rows.iter().map(|row| (PoseRow::from(row), row.line)).unzip())
+}
+
+/// Rows with times in place of joints, brought together with the robot's own log.
+fn timed_poses(
+    of: &RowFile,
+    robot_log: &Path,
+    data_set: usize,
+    with: &WithLogs<'_>,
+) -> anyhow::Result<(Measured, Vec<u64>, Aligned)> {
+    let mapping: MeasuredPoseMapping = config::load(&of.mapping)?;
+    anyhow::ensure!(
+        mapping.time.is_some(),
+        "{}: beside a robot's log rows need times; name their column under [time] and take the [[joints]] out, or leave the robot's \
+         log out",
+        of.mapping.display()
+    );
+    let read = TimedPoses::load(&of.file, &mapping)?;
+    let log = load_log(robot_log, with.robot, &with.logs)?;
+    let AlignedPoses { rows, states, moving, alignment, left_out } =
+        align_poses(&read, &log, &flange_chain(with.robot), with.options)
+            .map_err(|error| CalibrateError::Align { data_set, error: Box::new(error) })?;
+    let row = |(&row, state): (&usize, &JointState)| {
+        let TimedPose { position_m, rotation, line } = read.rows[row];
+        (PoseRow { joints_rad: state.q, position_m, rotation }, line)
+    };
+    let (poses, lines) = rows.iter().zip(&states).map(row).unzip();
+    let measured = match moving {
+        Some(moving) => Measured::Path(poses, moving),
+        None => Measured::Poses(poses),
+    };
+    Ok((measured, lines, Aligned { alignment, left_out }))
+}
+
+impl Aligned {
+    /// For a person: the clocks as the solve found them, or as far as standstills say.
+    pub(super) fn line(&self, model: &Model) -> String {
+        let Self { alignment: Alignment { correlation, overlap_s, ambiguous, .. }, left_out } = self;
+        let value = |id| model.parameter(id).map_or(0.0, |parameter| parameter.value);
+        let shift_ns = (value(ParameterId::ClockShift) * 1e9).round() as i64;
+        let difference_s = self.alignment.clock_difference_ns.saturating_add(shift_ns) as f64 * 1e-9;
+        let repeats = if *ambiguous {
+            "; the motion repeats itself and other shifts fit as well: the geometry is the same, the clocks are not"
+        } else {
+            ""
+        };
+        format!(
+            "robot's clock minus tracker's: {difference_s:.6} s in the middle, faster by {:.2} ppm; speeds correlate to \
+             {correlation:.3}, the logs overlap for {overlap_s:.1} s, {left_out} rows left out{repeats}\n",
+            value(ParameterId::ClockSkew) * 1e6,
+        )
+    }
 }
 
 /// A calibrated robot on the rows of other files, each read by the mapping of the file that it was calibrated from.

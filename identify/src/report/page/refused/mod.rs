@@ -266,7 +266,8 @@ mod tests {
             (PrepareError::LittleMotion.to_string(), "excites too little", "move the bar"),
             (PrepareError::AmbiguousEncoderMap { fits }.to_string(), "--encoders 2,1", "Look at the bar"),
             (
-                PrepareError::NoMatch { correlation: 0.3, overlap_s: 20.0, needed: 0.9 }.to_string(),
+                PrepareError::NoMatch { other: "recording", correlation: 0.3, overlap_s: 20.0, needed: 0.9 }
+                    .to_string(),
                 "0.30",
                 "give the log of this run",
             ),

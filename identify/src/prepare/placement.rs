@@ -1,0 +1,92 @@
+//! Where a tracker stands and its probe is, for a robot whose poses are known: what a solve begins with.
+
+use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, SVector, Vector3};
+
+use crate::kinematics::Pose;
+use crate::model::Placement;
+
+/// The probe is expected within this of the flange \[m\]: decides only where the poses do not determine it.
+pub const PROBE_SIGMA_M: f64 = 1.0;
+/// Rounds of the alternation; each at least halves what is left of the error.
+const ROUNDS: usize = 60;
+/// Positions that spread less than this part of their largest spread along the second axis lie on a line.
+const FLATNESS: f64 = 1e-6;
+
+/// Where tracker and probe are if the robot is as `flanges` says, without a first guess; `seen_m` is the probe in the tracker's
+/// frame at each, `turns` its `tracker_from_probe`, where that was measured. None where the positions lie on a line.
+///
+/// `T s_k = p_k + R_k y`, alternating: for a known probe `y` the tracker's place `T` is the rigid motion between two
+/// clouds of points (Umeyama 1991), for a known `T` the probe is linear. It needs no turns between the poses, where
+/// closed forms for `A X = Z B` need turns about two axes; the probe's rotation is the mean of what each pose says.
+pub fn placements(
+    flanges: &[Pose],
+    seen_m: &[Vector3<f64>],
+    turns: impl Iterator<Item = Option<Rotation3<f64>>>,
+) -> Option<[Placement; 2]> {
+    let mut place = Pose::identity();
+    let mut probe_m = Vector3::zeros();
+    for _ in 0..ROUNDS {
+        let held: Vec<Vector3<f64>> =
+            flanges.iter().map(|flange| flange.translation.vector + flange.rotation * probe_m).collect();
+        place.rotation = rotation_between(seen_m, &held)?;
+        let (position_m, offset_m) = positions(flanges, seen_m, &place.rotation);
+        place.translation = position_m.into();
+        probe_m = offset_m;
+    }
+    let turns = turns
+        .zip(flanges)
+        .filter_map(|(turn, flange)| Some(*(flange.rotation.inverse() * place.rotation * turn?).matrix()));
+    let probe = Pose::from_parts(probe_m.into(), nearest_rotation(&turns.sum()));
+    Some([Placement::of(&place), Placement::of(&probe)])
+}
+
+fn mean(points: &[Vector3<f64>]) -> Vector3<f64> {
+    points.iter().sum::<Vector3<f64>>() / points.len().max(1) as f64
+}
+
+/// The rotation that takes one cloud onto the other.
+fn rotation_between(from: &[Vector3<f64>], to: &[Vector3<f64>]) -> Option<Rotation3<f64>> {
+    let (from_mean, to_mean) = (mean(from), mean(to));
+    let products = from.iter().zip(to).map(|(a, b)| (b - to_mean) * (a - from_mean).transpose());
+    let sum: Matrix3<f64> = products.sum();
+    let spread = sum.singular_values();
+    if spread[1] <= FLATNESS * spread[0] {
+        return None;
+    }
+    Some(nearest_rotation(&sum))
+}
+
+/// The rotation nearest to a matrix; identity for one that points nowhere.
+pub(crate) fn nearest_rotation(matrix: &Matrix3<f64>) -> Rotation3<f64> {
+    let svd = matrix.svd(true, true);
+    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { return Rotation3::identity() };
+    let flip = Matrix3::from_diagonal(&Vector3::new(1.0, 1.0, (u * v_t).determinant().signum()));
+    Rotation3::from_matrix_unchecked(u * flip * v_t)
+}
+
+/// Place of the tracker and of the probe for a known rotation of the tracker: linear.
+fn positions(
+    flanges: &[Pose],
+    seen_m: &[Vector3<f64>],
+    rotation: &Rotation3<f64>,
+) -> (Vector3<f64>, Vector3<f64>) {
+    let mut normal = DMatrix::<f64>::zeros(6, 6);
+    let mut right = DVector::<f64>::zeros(6);
+    let weak = flanges.len() as f64 * (1e-3 / PROBE_SIGMA_M).powi(2);
+    for axis in 3..6 {
+        normal[(axis, axis)] = weak;
+    }
+    for (flange, seen_m) in flanges.iter().zip(seen_m) {
+        let apart = flange.translation.vector - rotation * seen_m;
+        for i in 0..3 {
+            let turned = flange.rotation.matrix().row(i).transpose();
+            let unit = Vector3::ith(i, 1.0);
+            let line = SVector::<f64, 6>::from_iterator(unit.iter().chain((-turned).iter()).copied());
+            normal += line * line.transpose();
+            right += line * apart[i];
+        }
+    }
+    let solved = normal.cholesky().map(|factor| factor.solve(&right));
+    let at = |i: usize| solved.as_ref().map_or(0.0, |x| x[i]);
+    (Vector3::new(at(0), at(1), at(2)), Vector3::new(at(3), at(4), at(5)))
+}

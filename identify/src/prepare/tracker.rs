@@ -1,0 +1,471 @@
+//! A tracker's log and the robot's, each on its own clock, brought together: by the speed of the target, which knows no place of
+//! tracker or target, then by its positions, placed on the nominal robot.
+//!
+//! Of a robot that moved shift and rate of the clocks follow, as a start for a solve that has them among its parameters. Of one
+//! that stood still at each row (rows are seconds apart) only which standstill is whose: the clocks are then known as well as that
+//! needs, and rows get the joints that the robot had there.
+
+use std::ops::Range;
+
+use nalgebra::Vector3;
+use shared::time::UtcNs;
+
+use super::find::TIE;
+use super::placement::{PROBE_SIGMA_M, placements};
+use super::select::select;
+use super::speeds::{REACH, grid_step_s, speeds};
+use super::standstill::MOVING_RAD_S;
+use super::steps::{check_length, overlap_s, travel_deg};
+use super::window::{CANDIDATES, liveliest, overlap_min_s, wider};
+use super::{
+    AlignedLog, Alignment, Channels, ClockFit, Match, PrepareError, PrepareOptions, candidates, correlate,
+    unwrapped_log,
+};
+use crate::cost::{LoopProblem, MeasuredPosition};
+use crate::kinematics::{Chain, Pose};
+use crate::logs::{InterpolatedLog, RobotLog, TimedPoses, default_gap_limit_s};
+use crate::model::{Axis, JointState, Model, Observation, ParameterId, RobotMotion, Role};
+use crate::solver::{Begin, GoodShare, LossName, Options, minimise_robust};
+
+/// Rows further apart are taken at standstills \[s\]: a tracker that follows a moving target measures faster than once in this
+/// time, and waits longer for one that has to come to rest.
+const STANDING_S: f64 = 0.5;
+/// No robot moves its end faster \[m/s\]: a jump in a log.
+const SPEED_M_S_MAX: f64 = 10.0;
+/// Positions that spread by less say nothing of a robot's motion \[m\].
+const EXTENT_M_MIN: f64 = 0.02;
+/// Rows of a fit at most.
+const FIT_MAX: usize = 500;
+/// Where the nominal robot is, one standard deviation \[m\]: the unit in which priors count.
+const NOMINAL_SIGMA_M: f64 = 1e-3;
+/// The correlation of speeds gives the shift this well \[s\], and clocks of instruments differ by this much.
+const SHIFT_SIGMA_S: f64 = 0.05;
+const SKEW_SIGMA: f64 = 100e-6;
+/// Rows so near to an end or a hole of the robot's log \[s\] might leave it when a solve moves the clocks.
+const EDGE_S: f64 = 2.0 * SHIFT_SIGMA_S;
+/// A robot that moved less over this time to either side of a row stood still \[s\].
+const REST_S: f64 = 0.05;
+/// Part of the rows of standstills at which the robot must have stood.
+const AT_REST_MIN: f64 = 0.9;
+
+/// Rows of a tracker with the robot at each.
+#[derive(Debug, Clone, PartialEq)]
+pub struct AlignedPoses {
+    /// Rows that are used, by their place among all.
+    pub rows: Vec<usize>,
+    /// What the robot reports at each, as far as the alignment knows.
+    pub states: Vec<JointState>,
+    /// Of a robot that moved: the times of the rows, and its log.
+    pub moving: Option<Moving>,
+    /// How the clocks were brought together; its skew is zero where the robot stood.
+    pub alignment: Alignment,
+    /// Rows outside the robot's log, or measured while a robot moved that otherwise stood.
+    pub left_out: usize,
+}
+
+/// A robot that moved while it was measured.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Moving {
+    /// Tracker's time of each row since the middle of the overlap \[s\].
+    pub t_s: Vec<f64>,
+    /// The robot's log; its time is zero there too, as far as the alignment knows.
+    pub log: AlignedLog,
+    /// How much faster the robot's clock runs.
+    pub skew: f64,
+}
+
+/// Brings a tracker's rows and the robot's log together; `robot` is the nominal one, up to its flange.
+///
+/// # Errors
+/// [`PrepareError`] says what does not match, with its figures.
+pub fn align_poses(
+    poses: &TimedPoses,
+    log: &RobotLog,
+    robot: &Chain,
+    options: &PrepareOptions,
+) -> Result<AlignedPoses, PrepareError> {
+    let rows_s = poses.t_s.last().copied().unwrap_or_default();
+    check_length(("the tracker's log", rows_s), log.duration_s(), options)?;
+    let (log, _) = unwrapped_log(log);
+    let log = &*log;
+    let travel_deg = travel_deg(log.q_rad.iter().map(AsRef::as_ref));
+    if travel_deg < super::steps::TRAVEL_DEG_MIN {
+        return Err(PrepareError::NoMotion { what: "the robot log", travel_deg });
+    }
+    let interpolated = InterpolatedLog::new(log, default_gap_limit_s(log))?;
+    let search = Search {
+        t_s: &poses.t_s,
+        period_s: period_s(&poses.t_s),
+        seen_m: poses.rows.iter().map(|row| row.position_m).collect(),
+        log: &interpolated,
+        log_s: log.duration_s(),
+        robot,
+        step_s: grid_step_s(log.duration_s()),
+        options,
+    };
+    let extent_m = search.extent_m();
+    if extent_m < EXTENT_M_MIN {
+        return Err(PrepareError::TargetStands { extent_mm: extent_m * 1e3 });
+    }
+    let found = search.run()?;
+    let overlap_s = overlap_s(rows_s, found.clock, log.duration_s());
+    let t_ref_s = 0.5 * (overlap_s[0] + overlap_s[1]);
+    let clock = found.clock.counted_from(t_ref_s);
+    let t_ref = UtcNs(poses.first_stamp_ns).plus_ns((t_ref_s * 1e9).round() as i64);
+    let robot_ref_ns = log.first_stamp_ns.saturating_add((clock.shift_s * 1e9).round() as i64);
+    let alignment = Alignment {
+        correlation: found.matched.correlation,
+        runner_up: found.matched.runner_up,
+        ambiguous: found.ambiguous,
+        overlap_s: overlap_s[1] - overlap_s[0],
+        clock_difference_ns: robot_ref_ns.saturating_sub(t_ref.0),
+        skew: clock.skew,
+    };
+    let log = AlignedLog::new(interpolated.clone(), clock.shift_s);
+    let of_row = |row: usize| {
+        let t_s = search.t_s[row] - t_ref_s;
+        let tau_s = (1.0 + clock.skew) * t_s;
+        let stays = [-found.edge_s, found.edge_s].iter().all(|by_s| log.at(tau_s + by_s).is_some());
+        stays.then_some((row, t_s, log.at(tau_s)?))
+    };
+    let all = (0..search.t_s.len()).filter_map(of_row);
+    if search.stands() {
+        let resting = search.resting();
+        let at_rest = all.filter(|(row, ..)| search.rests_at(&resting, found.clock.tau_s(search.t_s[*row])));
+        let (rows, states): (Vec<_>, Vec<_>) =
+            at_rest.map(|(row, _, state)| (row, JointState::at_rest(state.q))).unzip();
+        let left_out = search.t_s.len() - rows.len();
+        return Ok(AlignedPoses { rows, states, moving: None, alignment, left_out });
+    }
+    let all: Vec<(usize, f64, JointState)> = all.collect();
+    let left_out = search.t_s.len() - all.len();
+    let joints: Vec<_> = all.iter().map(|(.., state)| state.q).collect();
+    let points_max = if options.points_max == 0 { usize::MAX } else { options.points_max };
+    let kept = select(&joints, options.motion_min_mrad * 1e-3, points_max);
+    let kept: Vec<(usize, f64, JointState)> = kept.into_iter().map(|place| all[place]).collect();
+    Ok(AlignedPoses {
+        rows: kept.iter().map(|(row, ..)| *row).collect(),
+        states: kept.iter().map(|(.., state)| *state).collect(),
+        moving: Some(Moving { t_s: kept.iter().map(|(_, t_s, _)| *t_s).collect(), log, skew: clock.skew }),
+        alignment,
+        left_out,
+    })
+}
+
+/// Where in the robot's log the tracker's lies.
+struct Search<'a> {
+    /// Of the rows, since the first \[s\].
+    t_s: &'a [f64],
+    /// Usual distance of two rows \[s\].
+    period_s: f64,
+    /// The target in the tracker's frame \[m\].
+    seen_m: Vec<Vector3<f64>>,
+    log: &'a InterpolatedLog,
+    log_s: f64,
+    /// Nominal, up to the flange.
+    robot: &'a Chain,
+    step_s: f64,
+    options: &'a PrepareOptions,
+}
+
+/// The logs brought together.
+struct Found {
+    clock: ClockFit,
+    matched: Match,
+    ambiguous: bool,
+    /// How far from an end of the robot's log a row must be \[s\].
+    edge_s: f64,
+}
+
+/// Clocks and target that bring the rows to the nominal robot.
+struct Fit {
+    clock: ClockFit,
+    /// The target in the flange frame \[m\].
+    probe_m: Vector3<f64>,
+    /// What nine tenths of the rows stay from it, one standard deviation of a coordinate \[m\].
+    spread_m: f64,
+}
+
+impl Search<'_> {
+    fn run(&self) -> Result<Found, PrepareError> {
+        let window = if self.stands() {
+            0..self.t_s.len()
+        } else {
+            liveliest(self.t_s, |pair| (self.seen_m[pair[0]] - self.seen_m[pair[1]]).norm())
+        };
+        let overlap_min_s = overlap_min_s(self.options, self.duration_s(&window), self.log_s);
+        let refused = match self.matched(&window, overlap_min_s) {
+            Err(refused) => refused,
+            Ok(found) => return self.grown(window, found),
+        };
+        /// Shorter overlaps would match by chance.
+        const SHORTER: f64 = 0.25;
+        /// And so would less alike ones.
+        const ALIKE: f64 = 0.95;
+        match self.matched(&window, SHORTER * overlap_min_s) {
+            Ok((found, _)) if found.matched.correlation > ALIKE => Err(PrepareError::ShortOverlap {
+                overlap_s: found.matched.overlap as f64 * self.step_s,
+                needed_s: overlap_min_s,
+            }),
+            _ => Err(refused),
+        }
+    }
+
+    /// The best shift of a part of the rows.
+    fn matched(&self, window: &Range<usize>, overlap_min_s: f64) -> Result<(Found, Fit), PrepareError> {
+        let overlap_min = (overlap_min_s / self.step_s) as usize;
+        let measured = self.measured(window);
+        let shifts = candidates(&self.predicted(&Vector3::zeros()), &measured, overlap_min, CANDIDATES);
+        let first_s = self.t_s.get(window.start).copied().unwrap_or_default();
+        let clock = |shift: f64| ClockFit { shift_s: shift * self.step_s - first_s, skew: 0.0 };
+        let fits: Vec<Fit> = if self.stands() {
+            let standing = shifts.iter().flat_map(|one| self.standstills(window, clock(one.shift)));
+            standing.filter_map(|clock| self.standing_fit(window, clock)).collect()
+        } else {
+            shifts.iter().filter_map(|one| self.fit(window, clock(one.shift))).collect()
+        };
+        let mut judged: Vec<(Fit, Match)> = Vec::new();
+        for fit in fits {
+            // With the target where the fit puts it the speeds are those of the target.
+            let of_target = if self.stands() {
+                self.of_chords(window, &fit)
+            } else {
+                let found = candidates(&self.predicted(&fit.probe_m), &measured, overlap_min, CANDIDATES);
+                let at = fit.clock.tau_s(first_s) / self.step_s;
+                /// Grid steps within which a shift is the same.
+                const SAME: f64 = 10.0;
+                found.into_iter().find(|one| (one.shift - at).abs() < SAME)
+            };
+            judged.extend(of_target.map(|of_target| (fit, of_target)));
+        }
+        let closest = judged.iter().map(|(_, matched)| matched.correlation).fold(0.0, f64::max);
+        judged.retain(|(_, matched)| matched.correlation >= self.options.correlation_min);
+        let sharpest = judged.iter().map(|(fit, _)| fit.spread_m).fold(f64::INFINITY, f64::min);
+        judged.retain(|(fit, _)| fit.spread_m <= TIE * sharpest);
+        let ambiguous = judged.iter().any(|(fit, _)| {
+            judged.iter().any(|(other, _)| (fit.clock.shift_s - other.clock.shift_s).abs() > STANDING_S)
+        });
+        // Equally good ones: the motion repeats itself, and the longest overlap is most likely.
+        let longest = judged.into_iter().reduce(|best, other| {
+            if other.1.overlap as f64 > 1.1 * best.1.overlap as f64 { other } else { best }
+        });
+        let Some((fit, matched)) = longest else {
+            let overlap_s = shifts.first().map_or(0.0, |best| best.overlap as f64 * self.step_s);
+            return Err(PrepareError::NoMatch {
+                other: "tracker's log",
+                correlation: closest,
+                overlap_s,
+                needed: self.options.correlation_min,
+            });
+        };
+        let edge_s = if self.stands() { REST_S } else { EDGE_S };
+        Ok((Found { clock: fit.clock, matched, ambiguous, edge_s }, fit))
+    }
+
+    /// The fit extended from its window to all rows.
+    fn grown(&self, mut window: Range<usize>, (mut found, fit): (Found, Fit)) -> Result<Found, PrepareError> {
+        found.clock = fit.clock;
+        while window != (0..self.t_s.len()) {
+            window = wider(self.t_s, &window);
+            found.clock = self.fit(&window, found.clock).ok_or(PrepareError::NothingToFit)?.clock;
+        }
+        Ok(found)
+    }
+
+    fn duration_s(&self, window: &Range<usize>) -> f64 {
+        let times_s = self.t_s.get(window.clone()).unwrap_or_default();
+        times_s.last().zip(times_s.first()).map_or(0.0, |(last, first)| last - first)
+    }
+
+    /// Each row was measured while the robot stood still.
+    fn stands(&self) -> bool {
+        self.period_s > STANDING_S
+    }
+
+    /// Diagonal of the box that holds all positions \[m\].
+    fn extent_m(&self) -> f64 {
+        let Some(first) = self.seen_m.first() else { return 0.0 };
+        let low = self.seen_m.iter().fold(*first, |low, p| low.inf(p));
+        let high = self.seen_m.iter().fold(*first, |high, p| high.sup(p));
+        (high - low).norm()
+    }
+
+    /// Measured speed of the target, from the first row of the window on: between rows of standstills the mean one.
+    fn measured(&self, window: &Range<usize>) -> Channels {
+        let (times_s, seen_m) = (&self.t_s[window.clone()], &self.seen_m[window.clone()]);
+        let (&[first_s, _, ..], steps) = (times_s, (self.duration_s(window) / self.step_s) as usize + 1)
+        else {
+            return Channels { known: Vec::new(), values: vec![Vec::new()] };
+        };
+        // The rows around a grid point, and what part of the way between them it is.
+        let around = |step: usize| {
+            let t_s = first_s + step as f64 * self.step_s;
+            let after = times_s.partition_point(|row_s| *row_s <= t_s).clamp(1, times_s.len() - 1);
+            let width_s = times_s[after] - times_s[after - 1];
+            (seen_m[after - 1], seen_m[after], width_s, (t_s - times_s[after - 1]) / width_s)
+        };
+        if self.stands() {
+            let mean = |step: usize| {
+                let (before, after, width_s, _) = around(step);
+                (after - before).norm() / width_s
+            };
+            return Channels { known: vec![true; steps], values: vec![(0..steps).map(mean).collect()] };
+        }
+        // Straight lines: where stamps jitter, a smoother curve through the rows swings.
+        let gap_s = (3.5 * self.period_s).max(0.05);
+        let between = |step: usize| {
+            let (before, after, width_s, part) = around(step);
+            (width_s <= gap_s).then(|| before.lerp(&after, part))
+        };
+        self.speeds(&(0..steps).map(between).collect::<Vec<_>>(), REACH)
+    }
+
+    /// What the nominal robot does with a target there, from the first stamp of its log on.
+    fn predicted(&self, probe_m: &Vector3<f64>) -> Channels {
+        let steps = (self.log_s / self.step_s) as usize + 1;
+        let points: Vec<Option<Vector3<f64>>> =
+            (0..steps).map(|step| self.held_m(step as f64 * self.step_s, probe_m)).collect();
+        // From row to row, as a tracker sees it.
+        let reach = if self.stands() { (0.5 * self.period_s / self.step_s) as usize } else { REACH };
+        self.speeds(&points, reach)
+    }
+
+    fn speeds(&self, points_m: &[Option<Vector3<f64>>], reach: usize) -> Channels {
+        let apart_m = |before: &Vector3<f64>, after: &Vector3<f64>, _| (after - before).norm();
+        speeds(points_m, 1, reach, self.step_s, SPEED_M_S_MAX, apart_m)
+    }
+
+    /// Where the nominal robot holds the target \[m\]; none outside its log.
+    fn held_m(&self, tau_s: f64, probe_m: &Vector3<f64>) -> Option<Vector3<f64>> {
+        Some(self.flange(tau_s)?.transform_point(&(*probe_m).into()).coords)
+    }
+
+    fn flange(&self, tau_s: f64) -> Option<Pose> {
+        Some(self.robot.forward(&self.log.joints(tau_s)?.value))
+    }
+
+    /// Rows of a window that stay in the robot's log, spread over the motion.
+    fn fitting(&self, window: &Range<usize>, clock: ClockFit) -> Vec<usize> {
+        let stays = |row: &usize| {
+            let tau_s = clock.tau_s(self.t_s[*row]);
+            [-EDGE_S, 0.0, EDGE_S].iter().all(|by_s| self.log.joints(tau_s + by_s).is_some())
+        };
+        let every = window.len().div_ceil(20 * FIT_MAX).max(1);
+        let rows: Vec<usize> = window.clone().step_by(every).filter(stays).collect();
+        let points: Vec<[f64; 3]> = rows.iter().map(|row| self.seen_m[*row].into()).collect();
+        select(&points, 0.0, FIT_MAX).into_iter().map(|place| rows[place]).collect()
+    }
+
+    /// Clocks, place and target from a coarse shift on; none where the rows determine nothing.
+    fn fit(&self, window: &Range<usize>, coarse: ClockFit) -> Option<Fit> {
+        let rows = self.fitting(window, coarse);
+        // Times about their middle: shift and skew are then nearly independent.
+        let middle_s = rows.iter().map(|row| self.t_s[*row]).sum::<f64>() / rows.len().max(1) as f64;
+        let motion = AlignedLog::new(self.log.clone(), coarse.tau_s(middle_s));
+        let seen_m: Vec<Vector3<f64>> = rows.iter().map(|row| self.seen_m[*row]).collect();
+        let observation = |row: &usize| Observation::bar(self.t_s[*row] - middle_s, Default::default());
+        let observations: Vec<Observation> = rows.iter().map(observation).collect();
+        let flange = |row: &usize| self.flange(coarse.tau_s(self.t_s[*row]));
+        let flanges = rows.iter().map(flange).collect::<Option<Vec<Pose>>>()?;
+        let [place, probe] = placements(&flanges, &seen_m, std::iter::empty())?;
+        let mut model = Model::measured_pose(self.robot);
+        for axis in Axis::ALL {
+            for (id, value, sigma) in [
+                (ParameterId::Tracker(axis), place.position_m[axis.index()], None),
+                (ParameterId::TrackerRotation(axis), place.rotation_rad[axis.index()], None),
+                (ParameterId::Probe(axis), probe.position_m[axis.index()], Some(PROBE_SIGMA_M)),
+            ] {
+                model.set_value(id, value).ok()?;
+                let role = sigma.map_or(Role::Free, |sigma| Role::Prior { value: 0.0, sigma });
+                model.set_role(id, role).ok()?;
+            }
+        }
+        model.set_value(ParameterId::ClockSkew, coarse.skew).ok()?;
+        for (id, value, sigma) in
+            [(ParameterId::ClockShift, 0.0, SHIFT_SIGMA_S), (ParameterId::ClockSkew, coarse.skew, SKEW_SIGMA)]
+        {
+            model.set_role(id, Role::Prior { value, sigma }).ok()?;
+        }
+        let residual = MeasuredPosition { measured_m: &seen_m };
+        let problem = LoopProblem::new(&model, &motion, &observations, residual, NOMINAL_SIGMA_M).ok()?;
+        let start = model.start();
+        let (x, _) =
+            minimise_robust(&problem, &start, LossName::Huber, Begin::Start, &Options::default()).ok()?;
+        let geometry = model.geometry(&x);
+        let (shift_s, skew) = (geometry.clock.shift_s, geometry.clock.skew);
+        let tau_at_middle_s = motion.origin_s() + shift_s;
+        Some(Fit {
+            clock: ClockFit { shift_s: tau_at_middle_s - (1.0 + skew) * middle_s, skew },
+            probe_m: geometry.tracker.probe.position_m,
+            spread_m: NOMINAL_SIGMA_M * GoodShare::NINE_TENTHS.spread_at(&problem, &x),
+        })
+    }
+
+    /// Whether the robot stands still, on the grid of its log.
+    fn resting(&self) -> Vec<bool> {
+        let steps = (self.log_s / self.step_s) as usize + 1;
+        let rests = |step: usize| {
+            let tau_s = step as f64 * self.step_s;
+            let around = [-REST_S, REST_S].map(|by_s| self.log.joints(tau_s + by_s));
+            let [Some(before), Some(after)] = around else { return false };
+            let moved = before.value.iter().zip(after.value.iter()).map(|(a, b)| (a - b).abs());
+            moved.fold(0.0, f64::max) < 2.0 * REST_S * MOVING_RAD_S
+        };
+        (0..steps).map(rests).collect()
+    }
+
+    fn rests_at(&self, resting: &[bool], tau_s: f64) -> bool {
+        tau_s >= 0.0 && resting.get((tau_s / self.step_s).round() as usize).copied().unwrap_or(false)
+    }
+
+    /// Shifts near a coarse one at which the robot stands in most of the rows, each in the middle of those that are alike.
+    fn standstills(&self, window: &Range<usize>, coarse: ClockFit) -> Vec<ClockFit> {
+        let resting = self.resting();
+        let reach = (0.5 * self.period_s / self.step_s) as i64;
+        let shifted = |by: i64| ClockFit { shift_s: coarse.shift_s + by as f64 * self.step_s, ..coarse };
+        let standing = |by: i64| {
+            let times_s = self.t_s[window.clone()].iter().map(|t_s| shifted(by).tau_s(*t_s));
+            let covered: Vec<f64> = times_s.filter(|tau_s| self.log.joints(*tau_s).is_some()).collect();
+            let at_rest = covered.iter().filter(|tau_s| self.rests_at(&resting, **tau_s)).count();
+            at_rest as f64 >= AT_REST_MIN * covered.len().max(1) as f64
+        };
+        let all: Vec<i64> = (-reach..=reach).filter(|by| standing(*by)).collect();
+        let middle = |alike: &[i64]| alike.get(alike.len() / 2).map(|by| shifted(*by));
+        all.chunk_by(|a, b| b - a == 1).filter_map(middle).collect()
+    }
+
+    /// Place and target where the robot stands; the clock stays.
+    fn standing_fit(&self, window: &Range<usize>, clock: ClockFit) -> Option<Fit> {
+        let of_row = |row: usize| Some((self.flange(clock.tau_s(self.t_s[row]))?, self.seen_m[row]));
+        let (flanges, seen_m): (Vec<Pose>, Vec<Vector3<f64>>) = window.clone().filter_map(of_row).unzip();
+        let [place, probe] = placements(&flanges, &seen_m, std::iter::empty())?;
+        let (place, probe_m) = (place.pose(), probe.position_m);
+        let apart = flanges.iter().zip(&seen_m).map(|(flange, seen_m)| {
+            let held = flange.transform_point(&probe_m.into());
+            ((held - place.transform_point(&(*seen_m).into())).norm_squared(), 3)
+        });
+        Some(Fit { clock, probe_m, spread_m: GoodShare::NINE_TENTHS.spread(apart) })
+    }
+
+    /// How alike the ways from row to row are, measured and predicted.
+    fn of_chords(&self, window: &Range<usize>, fit: &Fit) -> Option<Match> {
+        let of_row =
+            |row: usize| Some((self.held_m(fit.clock.tau_s(self.t_s[row]), &fit.probe_m)?, self.seen_m[row]));
+        let (held_m, seen_m): (Vec<Vector3<f64>>, Vec<_>) = window.clone().filter_map(of_row).unzip();
+        let chords = |points_m: &[Vector3<f64>]| {
+            let lengths: Vec<f64> = points_m.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect();
+            Channels { known: vec![true; lengths.len()], values: vec![lengths] }
+        };
+        // Only without a shift do all of them overlap.
+        let found = correlate(&chords(&held_m), &chords(&seen_m), held_m.len().checked_sub(1)?)?;
+        let covered_s = held_m.len() as f64 / window.len().max(1) as f64 * self.duration_s(window);
+        Some(Match { overlap: (covered_s / self.step_s) as usize, ..found })
+    }
+}
+
+/// Usual distance of two rows \[s\].
+fn period_s(t_s: &[f64]) -> f64 {
+    let mut steps_s: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    steps_s.sort_by(f64::total_cmp);
+    steps_s.get(steps_s.len() / 2).copied().unwrap_or_default()
+}

@@ -1,0 +1,269 @@
+//! A UR10 whose links have errors, followed by a tracker on a clock of its own.
+
+use std::f64::consts::TAU;
+use std::path::Path;
+
+use identify::calibrate::mix::Measured;
+use identify::instrument::PoseRow;
+use identify::kinematics::{Chain, Joints, Pose, flange_chain};
+use identify::logs::{LogQuality, MeasuredPoseMapping, RobotLog, TimedPoses};
+use identify::model::{Model, ParameterId};
+use identify::prepare::{AlignedPoses, PrepareError, PrepareOptions, align_poses};
+use nalgebra::{Rotation3, Vector3};
+use rand::rngs::StdRng;
+use rand::{Rng, SeedableRng};
+use rand_distr::StandardNormal;
+
+use super::ur10;
+
+/// What is in the logs beside the motion.
+#[derive(Debug, Clone, Copy)]
+pub struct Sizes {
+    /// Of the tracker's log \[s\].
+    pub duration_s: f64,
+    /// Rows of the tracker each second; below one the robot stands still for each.
+    pub rate_hz: f64,
+    /// Each coordinate, one standard deviation \[m\].
+    pub noise_m: f64,
+    /// Each stamp of the tracker, one standard deviation; none is before the one before it \[s\].
+    pub jitter_s: f64,
+    /// Rows are taken so long before or after an even time, at most \[s\].
+    pub uneven_s: f64,
+    /// The robot's clock is faster by this.
+    pub skew: f64,
+    /// Robot clock minus tracker clock at the tracker's first row \[s\].
+    pub shift_s: f64,
+    /// The robot's log begins so long before the tracker's, and ends so long after it \[s\].
+    pub lead_s: [f64; 2],
+    /// After how long the motion begins anew \[s\].
+    pub lap_s: Option<f64>,
+    pub with_rotation: bool,
+}
+
+impl Default for Sizes {
+    fn default() -> Self {
+        Self {
+            duration_s: 120.0,
+            rate_hz: 100.0,
+            noise_m: 2e-5,
+            jitter_s: 0.0,
+            uneven_s: 0.0,
+            skew: 35e-6,
+            shift_s: 4321.0987,
+            lead_s: [3.0, 2.0],
+            lap_s: None,
+            with_rotation: false,
+        }
+    }
+}
+
+/// Both logs and the truth.
+pub struct Followed {
+    pub sizes: Sizes,
+    pub truth: Chain,
+    pub log: RobotLog,
+    /// As a file: `t_ms;x;y;z` in mm, and a rotation vector in rad where there is one.
+    pub text: String,
+    /// When each row of the tracker was truly taken, on its clock since the first even time \[s\].
+    taken_s: Vec<f64>,
+    path: PathOfJoints,
+    place: Pose,
+    probe: Pose,
+    seed: u64,
+}
+
+/// The tracker's time of its first row \[s\].
+const FIRST_S: f64 = 1000.25;
+/// And that of the robot's log between rows \[s\].
+const ROBOT_PERIOD_S: f64 = 0.008;
+const NOISE_RAD: f64 = 1e-5;
+
+/// Joints as functions of time, by another motion for each seed.
+struct PathOfJoints {
+    sines: [[(f64, f64, f64); 3]; 6],
+    /// Distance of two stops \[s\]; none where it never stops.
+    stops_s: Option<f64>,
+}
+
+impl PathOfJoints {
+    fn new(stops_s: Option<f64>, lap_s: Option<f64>, random: &mut StdRng) -> Self {
+        let mut sine = || {
+            let period_s: f64 = random.random_range(4.0..15.0);
+            // A whole number of times in each lap.
+            let period_s = lap_s.map_or(period_s, |lap_s| lap_s / (lap_s / period_s).round());
+            (random.random_range(0.15..0.4), period_s, random.random_range(0.0..TAU))
+        };
+        Self { sines: std::array::from_fn(|_| std::array::from_fn(|_| sine())), stops_s }
+    }
+
+    fn at(&self, t_s: f64) -> Joints {
+        const MIDDLE: [f64; 6] = [0.3, -1.2, 1.4, -0.6, -1.2, 0.2];
+        let along_s = self.stops_s.map_or(t_s, |stop_s| {
+            let (number, part) = ((t_s / stop_s).floor(), (t_s / stop_s).rem_euclid(1.0));
+            // Moves in the middle fifth, smoothly, and further than the time between two stops would bring it.
+            let u = ((part - 0.4) / 0.2).clamp(0.0, 1.0);
+            7.3 * (number + u * u * u * (10.0 + u * (6.0 * u - 15.0)))
+        });
+        let of = |joint: usize| -> f64 {
+            self.sines[joint]
+                .iter()
+                .map(|(size, period_s, phase)| size * (TAU * along_s / period_s + phase).sin())
+                .sum()
+        };
+        Joints::from_fn(6, |joint| MIDDLE[joint] + of(joint))
+    }
+}
+
+impl Followed {
+    pub fn new(seed: u64, sizes: Sizes) -> Self {
+        let mut random = StdRng::seed_from_u64(seed);
+        let mut truth = flange_chain(&ur10());
+        for link in truth.links.iter_mut().take(5) {
+            link.a_m += random.random_range(-1e-3..1e-3);
+            link.theta_rad += random.random_range(-2e-3..2e-3);
+            link.alpha_rad += random.random_range(-1e-3..1e-3);
+        }
+        let place = Pose::from_parts(
+            Vector3::new(-3.0, 0.5, 1.3).into(),
+            Rotation3::new(Vector3::new(0.4, 1.9, -2.1)),
+        );
+        let probe = Pose::from_parts(
+            Vector3::new(0.05, -0.08, 0.12).into(),
+            Rotation3::new(Vector3::new(0.1, -1.5, 0.3)),
+        );
+        let stops_s = (sizes.rate_hz < 1.0).then_some(1.0 / sizes.rate_hz);
+        let path = PathOfJoints::new(stops_s, sizes.lap_s, &mut random);
+        let mut normal = |sigma: f64| -> f64 { sigma * random.sample::<f64, _>(StandardNormal) };
+        let rows = ((sizes.duration_s + sizes.lead_s[0] + sizes.lead_s[1]) / ROBOT_PERIOD_S) as usize;
+        let mut log = RobotLog {
+            first_stamp_ns: ((FIRST_S + sizes.shift_s - sizes.lead_s[0] * (1.0 + sizes.skew)) * 1e9) as i64,
+            quality: LogQuality {
+                period_s: ROBOT_PERIOD_S,
+                longest_gap_s: ROBOT_PERIOD_S,
+                ..LogQuality::default()
+            },
+            ..RobotLog::default()
+        };
+        for row in 0..rows {
+            // Even on the robot's own clock.
+            let tau_s = row as f64 * ROBOT_PERIOD_S;
+            let t_s = tau_s / (1.0 + sizes.skew) - sizes.lead_s[0];
+            log.t_s.push(tau_s);
+            log.q_rad.push(path.at(t_s).map(|q| q).iter().map(|q| q + normal(NOISE_RAD)).collect());
+        }
+        let mut text =
+            String::from(if sizes.with_rotation { "t_ms;x;y;z;rx;ry;rz\n" } else { "t_ms;x;y;z\n" });
+        let rows = (sizes.duration_s * sizes.rate_hz) as usize;
+        let mut uneven = StdRng::seed_from_u64(2000 + seed);
+        let taken_s: Vec<f64> = (0..rows)
+            .map(|row| row as f64 / sizes.rate_hz + sizes.uneven_s * uneven.random_range(-1.0..=1.0))
+            .collect();
+        let mut before_ms = 0.0;
+        for &t_s in &taken_s {
+            let mut seen = place.inverse() * truth.forward(&path.at(t_s)) * probe;
+            seen.translation.vector += Vector3::from_fn(|_, _| normal(sizes.noise_m));
+            let stamp_ms = f64::max(before_ms, (FIRST_S + t_s + normal(sizes.jitter_s)) * 1e3);
+            before_ms = stamp_ms;
+            let position = seen.translation.vector * 1e3;
+            text += &format!("{stamp_ms:.4};{:.5};{:.5};{:.5}", position.x, position.y, position.z);
+            if sizes.with_rotation {
+                let turn = seen.rotation.scaled_axis();
+                let turn = turn + Vector3::from_fn(|_, _| normal(sizes.noise_m));
+                text += &format!(";{:.8};{:.8};{:.8}", turn.x, turn.y, turn.z);
+            }
+            text += "\n";
+        }
+        Self { sizes, truth, log, text, taken_s, path, place, probe, seed }
+    }
+
+    pub fn mapping(&self) -> String {
+        let mut mapping = String::from(
+            "[csv]\ndelimiter = \";\"\n[time]\ncolumn = \"t_ms\"\nunit = \"ms\"\n[position]\ncolumns = [\"x\", \"y\", \"z\"]\n\
+             unit = \"mm\"\n",
+        );
+        if self.sizes.with_rotation {
+            mapping +=
+                "[rotation]\nas = \"rotation_vector\"\ncolumns = [\"rx\", \"ry\", \"rz\"]\nunit = \"rad\"\n";
+        }
+        mapping
+    }
+
+    pub fn poses(&self) -> TimedPoses {
+        let mapping: MeasuredPoseMapping = toml::from_str(&self.mapping()).unwrap();
+        TimedPoses::read(self.text.as_bytes(), Path::new("tracker.csv"), &mapping).unwrap()
+    }
+
+    pub fn aligned(&self) -> Result<AlignedPoses, PrepareError> {
+        self.aligned_with(&self.log)
+    }
+
+    pub fn aligned_with(&self, log: &RobotLog) -> Result<AlignedPoses, PrepareError> {
+        align_poses(&self.poses(), log, &flange_chain(&ur10()), &PrepareOptions::default())
+    }
+
+    /// Writes `robot.csv`, `tracker.csv` and `tracker.toml`.
+    pub fn write(&self, directory: &Path) {
+        let log = std::fs::File::create(directory.join("robot.csv")).unwrap();
+        identify::logs::write(&self.log, &ur10(), log).unwrap();
+        std::fs::write(directory.join("tracker.csv"), &self.text).unwrap();
+        std::fs::write(directory.join("tracker.toml"), self.mapping()).unwrap();
+    }
+
+    /// Rows of an alignment as they are calibrated.
+    pub fn measured(&self, aligned: &AlignedPoses) -> Measured {
+        let poses = self.poses();
+        let rows = aligned.rows.iter().zip(&aligned.states).map(|(row, state)| PoseRow {
+            joints_rad: state.q,
+            position_m: poses.rows[*row].position_m,
+            rotation: poses.rows[*row].rotation,
+        });
+        match &aligned.moving {
+            Some(moving) => Measured::Path(rows.collect(), moving.clone()),
+            None => Measured::Poses(rows.collect()),
+        }
+    }
+
+    /// The same rows with the joints that the robot truly had.
+    pub fn with_perfect_times(&self, aligned: &AlignedPoses) -> Measured {
+        let (poses, mut random) = (self.poses(), StdRng::seed_from_u64(1000 + self.seed));
+        let rows = aligned.rows.iter().map(|row| {
+            // Rows with the stamp of the one before may be left out; the header is line 1.
+            let joints = self.path.at(self.taken_s[poses.rows[*row].line as usize - 2]);
+            PoseRow {
+                joints_rad: joints
+                    .iter()
+                    .map(|q| q + NOISE_RAD * random.sample::<f64, _>(StandardNormal))
+                    .collect(),
+                position_m: poses.rows[*row].position_m,
+                rotation: poses.rows[*row].rotation,
+            }
+        });
+        Measured::Poses(rows.collect())
+    }
+
+    /// Error of shift \[s\] and skew where a model of a moving target was solved.
+    pub fn clock_errors(&self, aligned: &AlignedPoses, model: &Model) -> [f64; 2] {
+        let value = |id| model.parameter(id).unwrap().value;
+        let moving = aligned.moving.as_ref().unwrap();
+        let t_ref_s = self.poses().t_s[aligned.rows[0]] - moving.t_s[0];
+        // Since the first even time; the first stamp may be off from it.
+        let t_ref_s = t_ref_s + self.poses().first_stamp_ns as f64 * 1e-9 - FIRST_S;
+        let found_s = aligned.alignment.clock_difference_ns as f64 * 1e-9 + value(ParameterId::ClockShift);
+        let truly_s = self.sizes.shift_s + self.sizes.skew * t_ref_s;
+        [found_s - truly_s, value(ParameterId::ClockSkew) - self.sizes.skew]
+    }
+
+    /// Mean distance of the probe as an identified and the true robot hold it, tracker and probe included \[m\].
+    pub fn error_m(&self, model: &Model) -> f64 {
+        let geometry = model.geometry(&[]);
+        let (place, probe) = (geometry.tracker.place.pose(), geometry.tracker.probe.pose());
+        let mut random = StdRng::seed_from_u64(7);
+        let errors = (0..400).map(|_| {
+            let q = self.path.at(random.random_range(0.0..self.sizes.duration_s));
+            let found = place.inverse() * geometry.robot.forward(&q) * probe;
+            let truly = self.place.inverse() * self.truth.forward(&q) * self.probe;
+            (found.translation.vector - truly.translation.vector).norm()
+        });
+        errors.sum::<f64>() / 400.0
+    }
+}

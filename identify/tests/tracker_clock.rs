@@ -1,0 +1,195 @@
+//! A tracker and a robot on clocks of their own: brought together by the motion, with shift and rate in the solve.
+#![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
+#![allow(clippy::print_stdout, reason = "figures of a run")]
+
+use std::path::Path;
+
+use identify::calibrate::mix::{DataSets, Measured, MixedCalibration, calibrate};
+use identify::logs::{MeasuredPoseMapping, TimedPoses};
+use identify::model::ParameterId;
+use identify::prepare::AlignedPoses;
+use identify::report::file::CalibrationFile;
+
+use crate::support::rows::Alone;
+use crate::support::tracker_log::{Followed, Sizes};
+use crate::support::ur10;
+
+fn calibrated(measured: Measured) -> MixedCalibration {
+    let Alone { config, .. } = Alone::default().without_joint_errors();
+    let rows = vec![measured.into()];
+    calibrate(&DataSets { rows, ..DataSets::default() }, &ur10(), &config, None).unwrap()
+}
+
+/// Error of a calibration, and of one of the same rows with the times at which they were truly taken \[m\].
+fn errors_m(followed: &Followed, aligned: &AlignedPoses, found: &MixedCalibration) -> [f64; 2] {
+    let perfect = calibrated(followed.with_perfect_times(aligned));
+    [found, &perfect].map(|found| followed.error_m(&found.runs[0].model))
+}
+
+#[test]
+fn clocks_of_a_moving_target_are_found_and_calibrate_as_well_as_perfect_times() {
+    for seed in 1..=4 {
+        // Some trackers measure at even times, some when they are told to.
+        let uneven_s = if seed % 2 == 0 { 4e-3 } else { 0.0 };
+        let followed = Followed::new(seed, Sizes { with_rotation: seed == 1, uneven_s, ..Sizes::default() });
+        let aligned = followed.aligned().unwrap();
+        let found = calibrated(followed.measured(&aligned));
+        let [shift_s, skew] = followed.clock_errors(&aligned, &found.runs[0].model);
+        let sigmas = [ParameterId::ClockShift, ParameterId::ClockSkew].map(|id| found.sigma(id).unwrap());
+        let [error_m, perfect_m] = errors_m(&followed, &aligned, &found);
+        println!(
+            "seed {seed}: {:.2} us (sigma {:.2}), {:.3} ppm (sigma {:.3}); {:.2} um, perfect times {:.2} um; {:?}",
+            shift_s * 1e6,
+            sigmas[0] * 1e6,
+            skew * 1e6,
+            sigmas[1] * 1e6,
+            error_m * 1e6,
+            perfect_m * 1e6,
+            aligned.alignment
+        );
+        assert!(shift_s.abs() < 5e-5 && skew.abs() < 2e-6, "{shift_s} {skew}");
+        assert!(shift_s.abs() < 4.0 * sigmas[0] && skew.abs() < 4.0 * sigmas[1], "{sigmas:?}");
+        assert!(error_m < 1.5 * perfect_m, "{error_m} {perfect_m}");
+        assert!(aligned.alignment.correlation > 0.99 && !aligned.alignment.ambiguous);
+    }
+}
+
+#[test]
+fn two_milliseconds_of_jitter_leave_a_third_of_one() {
+    for (seed, uneven_s) in [(1, 0.0), (2, 4e-3), (3, 0.0)] {
+        let sizes = Sizes { jitter_s: 2e-3, uneven_s, rate_hz: 50.0, ..Sizes::default() };
+        let followed = Followed::new(seed, sizes);
+        let aligned = followed.aligned().unwrap();
+        let found = calibrated(followed.measured(&aligned));
+        let [shift_s, skew] = followed.clock_errors(&aligned, &found.runs[0].model);
+        let [error_m, perfect_m] = errors_m(&followed, &aligned, &found);
+        let evened = followed.poses().stamps.is_some();
+        println!(
+            "seed {seed}: {:.1} us, {:.2} ppm; {:.1} um, perfect times {:.1} um; evened: {evened}",
+            shift_s * 1e6,
+            skew * 1e6,
+            error_m * 1e6,
+            perfect_m * 1e6,
+        );
+        assert!(shift_s.abs() < 3e-4, "{shift_s}");
+        // Times of a regular clock are found; others stay uncertain, and so does where the target was.
+        assert_eq!(evened, uneven_s == 0.0);
+        assert!(error_m < if evened { 3.0 * perfect_m } else { 1.5e-4 }, "{error_m} {perfect_m}");
+    }
+}
+
+#[test]
+fn rows_of_standstills_get_the_joints_of_theirs() {
+    let sizes = Sizes { rate_hz: 0.2, duration_s: 500.0, skew: 60e-6, ..Sizes::default() };
+    for seed in 1..=3 {
+        let followed = Followed::new(seed, sizes);
+        let aligned = followed.aligned().unwrap();
+        assert!(aligned.moving.is_none() && aligned.left_out == 0, "{}", aligned.left_out);
+        let found = calibrated(followed.measured(&aligned));
+        let [error_m, perfect_m] = errors_m(&followed, &aligned, &found);
+        println!(
+            "seed {seed}: {:.1} um, perfect times {:.1} um; {:?}",
+            error_m * 1e6,
+            perfect_m * 1e6,
+            aligned.alignment
+        );
+        assert!(error_m < 1.5 * perfect_m, "{error_m} {perfect_m}");
+    }
+}
+
+#[test]
+fn logs_that_do_not_belong_together_are_errors_that_say_so() {
+    let [one, other] = [1, 2].map(|seed| Followed::new(seed, Sizes::default()));
+    let said =
+        |tracker: &Followed, robot: &Followed| tracker.aligned_with(&robot.log).unwrap_err().to_string();
+    let another_run = said(&one, &other);
+    assert!(another_run.contains("tracker's log do not match at any clock difference"), "{another_run}");
+    // The robot's log ends when the tracker's has just begun.
+    let late = Followed::new(1, Sizes { lead_s: [60.0, -110.0], ..Sizes::default() });
+    let late = late.aligned().unwrap_err().to_string();
+    println!("{late}");
+    assert!(late.contains("match, but overlap by"), "{late}");
+    let stopping = Sizes { rate_hz: 0.2, duration_s: 500.0, ..Sizes::default() };
+    let [one, other] = [1, 2].map(|seed| Followed::new(seed, stopping));
+    let another_run = said(&one, &other);
+    assert!(another_run.contains("do not match"), "{another_run}");
+}
+
+#[test]
+fn a_motion_that_repeats_itself_fits_elsewhere_too_and_is_said_to() {
+    let followed = Followed::new(1, Sizes { lap_s: Some(40.0), ..Sizes::default() });
+    let aligned = followed.aligned().unwrap();
+    assert!(aligned.alignment.ambiguous);
+    // The longest overlap is taken, which is the right one here.
+    let found = calibrated(followed.measured(&aligned));
+    let [shift_s, _] = followed.clock_errors(&aligned, &found.runs[0].model);
+    assert!(shift_s.abs() < 5e-5, "{shift_s}");
+}
+
+#[test]
+#[ignore = "logs of forty minutes"]
+fn clocks_that_drift_apart_by_far_are_followed_through_long_logs() {
+    let sizes = Sizes { duration_s: 2400.0, rate_hz: 10.0, skew: 150e-6, ..Sizes::default() };
+    let followed = Followed::new(5, sizes);
+    let aligned = followed.aligned().unwrap();
+    let found = calibrated(followed.measured(&aligned));
+    let [shift_s, skew] = followed.clock_errors(&aligned, &found.runs[0].model);
+    println!("{:.2} us, {:.4} ppm", shift_s * 1e6, skew * 1e6);
+    assert!(shift_s.abs() < 5e-5 && skew.abs() < 2e-6, "{shift_s} {skew}");
+}
+
+#[test]
+fn the_command_takes_both_logs_and_what_it_writes_repeats_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let followed = Followed::new(1, Sizes { duration_s: 60.0, ..Sizes::default() });
+    followed.write(folder.path());
+    let run = |arguments: &[&str], out: &str| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_identify"));
+        command.arg("calibrate").args(arguments).args(["--out", out]);
+        let output = command.current_dir(folder.path()).output().unwrap();
+        let [out, err] = [output.stdout, output.stderr].map(|text| String::from_utf8(text).unwrap());
+        (output.status.success(), out, err)
+    };
+    let robot = crate::support::repository("config/robots/ur10.toml");
+    let tracker = ["tracker", "tracker.csv", "--mapping", "tracker.toml", "--robot", robot.to_str().unwrap()];
+    let with = |others: &[&str], out: &str| run(&[&tracker, others].concat(), out);
+    let (done, out, err) = with(&["--robot-log", "robot.csv", "--joint-waves", "4", "--verbose"], "result");
+    assert!(done, "{err}");
+    assert!(out.contains("robot's clock minus tracker's: 4321.09") && out.contains("clock_skew"), "{out}");
+    let page = std::fs::read_to_string(folder.path().join("result/report.html")).unwrap();
+    assert!(page.contains("robot&#39;s clock minus tracker") || page.contains("robot's clock minus tracker"));
+    let (done, _, err) = run(&["--experiment", "result/experiment.toml"], "again");
+    assert!(done, "{err}");
+    let found = |name: &str| CalibrationFile::open(&folder.path().join(name)).unwrap();
+    assert_eq!(found("result").parameters, found("again").parameters);
+    assert!(found("result").inputs.iter().any(|input| input.role == "robot log"));
+    // Times without the robot's log, and the robot's log without times.
+    let (done, _, err) = with(&[], "out");
+    assert!(!done && err.contains("tracker.toml") && err.contains("--robot-log"), "{err}");
+    let shipped = crate::support::repository("config/measured_pose.toml");
+    let other = ["tracker", "tracker.csv", "--mapping", shipped.to_str().unwrap()];
+    let with_joints = [&other[..], &tracker[4..], &["--robot-log", "robot.csv"]].concat();
+    let (done, _, err) = run(&with_joints, "out");
+    assert!(!done && err.contains("[time]"), "{err}");
+    let both = followed.mapping() + "[[joints]]\ncolumn = \"x\"\nunit = \"rad\"\n";
+    std::fs::write(folder.path().join("tracker.toml"), both).unwrap();
+    let (done, _, err) = with(&["--robot-log", "robot.csv"], "out");
+    assert!(!done && err.contains("rows with [time] get their joints from the robot's own log"), "{err}");
+    // Another run is refused with a page, and sets an older calibration aside.
+    followed.write(folder.path());
+    let other = Followed::new(2, followed.sizes);
+    std::fs::write(folder.path().join("tracker.csv"), &other.text).unwrap();
+    let (done, _, err) = with(&["--robot-log", "robot.csv"], "result");
+    assert!(!done && err.contains("do not match at any clock difference"), "{err}");
+    assert!(err.contains("report.html") && !folder.path().join("result/calibration.toml").exists(), "{err}");
+}
+
+#[test]
+fn stamps_that_go_back_are_refused_by_their_line() {
+    let followed = Followed::new(1, Sizes { duration_s: 1.0, ..Sizes::default() });
+    let mapping: MeasuredPoseMapping = toml::from_str(&followed.mapping()).unwrap();
+    let mut lines: Vec<&str> = followed.text.lines().collect();
+    lines.swap(20, 21);
+    let error = TimedPoses::read(lines.join("\n").as_bytes(), Path::new("t.csv"), &mapping).unwrap_err();
+    assert!(error.to_string().contains("line 22"), "{error}");
+}
