@@ -290,7 +290,12 @@ fn tracked(robot: &RobotConfig, count: usize) -> (Vec<PoseRow>, Chain) {
         let mut white = || NOISE * random.sample::<f64, _>(StandardNormal);
         seen.translation.vector += Vector3::new(white(), white(), white());
         seen.rotation = Rotation3::new(Vector3::new(white(), white(), white())) * seen.rotation;
-        PoseRow { joints_rad, position_m: seen.translation.vector, rotation: Some(seen.rotation) }
+        PoseRow {
+            joints_rad,
+            position_m: seen.translation.vector,
+            rotation: Some(seen.rotation),
+            ..PoseRow::default()
+        }
     });
     (rows.collect(), truth)
 }

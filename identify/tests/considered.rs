@@ -79,7 +79,7 @@ fn with_a_tracker(seed: u64) -> (f64, Expected) {
         seen.translation.vector += Vector3::new(white(), white(), white());
         seen.rotation = Rotation3::new(Vector3::new(white(), white(), white())) * seen.rotation;
         let (position_m, rotation) = (seen.translation.vector, Some(seen.rotation));
-        PoseRow { joints_rad: joints_rad.into(), position_m, rotation }
+        PoseRow { joints_rad: joints_rad.into(), position_m, rotation, ..PoseRow::default() }
     });
     let rows: Vec<PoseRow> = rows.collect();
     let fix = ["ra2", "ralpha3"].map(|name| name.parse().unwrap()).to_vec();

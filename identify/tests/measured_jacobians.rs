@@ -178,17 +178,22 @@ fn all_free(model: Model, rotation_rad: [f64; 3]) -> Model {
 
 #[test]
 fn measured_position_and_pose_have_the_derivatives_of_tracker_and_robot() {
-    let noise = PoseNoise { position_m: 2e-1, rotation_rad: 5e-1 };
     let measured = measured();
+    // Each row is worth something else.
+    let noise =
+        |row| PoseNoise { position_m: 0.2 + 0.01 * row as f64, rotation_rad: 0.5 - 0.02 * row as f64 };
+    let noises: Vec<PoseNoise> = (0..measured.len()).map(noise).collect();
     let measured_m: Vec<Vector3<f64>> = measured.iter().map(|pose| pose.translation.vector).collect();
     for Cell { robot, .. } in [Cell::irb2400(), Cell::nj220()] {
         for rotation_rad in [[0.0; 3], [0.3, -1.9, 1.2]] {
             let model = all_free(Model::measured_pose(&robot), rotation_rad);
             let probes = |by, row: usize, t_s| probes(&model, by, t_s, &measured[row]);
-            agrees(&model, MeasuredPosition { measured_m: &measured_m }, |by, row, t_s| {
-                position(&probes(by, row, t_s))
+            agrees(&model, MeasuredPosition { measured_m: &measured_m, noise: &noises }, |by, row, t_s| {
+                let sigma_m = noises[row].position_m;
+                position(&probes(by, row, t_s)).into_iter().map(|x| x / sigma_m).collect()
             });
-            agrees(&model, MeasuredPose { measured: &measured, noise }, |by, row, t_s| {
+            agrees(&model, MeasuredPose { measured: &measured, noise: &noises }, |by, row, t_s| {
+                let noise = noises[row];
                 let probes = probes(by, row, t_s);
                 let [linear, angular] = [position(&probes), turn(&probes)];
                 let linear = linear.into_iter().map(|x| x / noise.position_m);
@@ -221,7 +226,7 @@ fn samples_that_were_not_measured_take_no_part() {
     let model = all_free(Model::measured_pose(&robot), [0.0; 3]);
     let observations: Vec<Observation> = times().map(|t| Observation::bar(t, [0.0; 5])).collect();
     let measured = &measured()[..12];
-    let noise = PoseNoise { position_m: 1e-4, rotation_rad: 1e-4 };
+    let noise = &[PoseNoise { position_m: 1e-4, rotation_rad: 1e-4 }; 12];
     let problem =
         LoopProblem::new(&model, &Sines, &observations, MeasuredPose { measured, noise }, 1.0).unwrap();
     assert_eq!(stacked(&problem, &model.start()).unwrap().0.len(), 6 * 12);

@@ -10,7 +10,7 @@ use identify::calibrate::rows::tracker::validate;
 use identify::calibrate::rows::{PoseFigures, Stages};
 use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Pose, flange_chain};
-use identify::logs::{MeasuredPoseMapping, MeasuredPoses};
+use identify::logs::{MeasuredPoseMapping, MeasuredPoses, PoseUncertainty};
 use identify::model::{JointState, Model, ParameterId};
 use identify::report::corrections::Correction;
 use identify::report::file::CalibrationFile;
@@ -59,6 +59,7 @@ fn made_up(count: usize, noise: f64, wave_rad: f64) -> (Vec<PoseRow>, Chain, Pos
             joints_rad: joints_rad.into(),
             position_m: seen.translation.vector,
             rotation: Some(seen.rotation),
+            ..PoseRow::default()
         }
     });
     (rows.collect(), truth, place, probe)
@@ -129,6 +130,44 @@ fn positions_alone_calibrate_too() {
     assert_eq!(report.0.runs[0].instrument.cost(), "measured_position");
     assert!(report.held_out().links.rotation_rad.is_none());
     assert!(report.held_out().links.position_m.rms < 4.5e-5, "{:?}", report.held_out().links);
+}
+
+/// Half of the rows are fifteen times worse, and which is known.
+#[test]
+fn rows_of_two_qualities_calibrate_better_with_their_uncertainties() {
+    let (clean, ..) = made_up(500, 2e-5, 0.0);
+    let (good, bad) = (2e-5, 3e-4);
+    let mut random = StdRng::seed_from_u64(9);
+    let mut stated = clean.clone();
+    for row in stated.iter_mut().skip(1).step_by(2) {
+        let mut white = || bad * random.sample::<f64, _>(StandardNormal);
+        row.position_m += Vector3::new(white(), white(), white());
+        row.rotation = row.rotation.map(|r| Rotation3::new(Vector3::new(white(), white(), white())) * r);
+    }
+    let untold = stated.clone();
+    let state = |rows: &mut [PoseRow], times: f64| {
+        for (row, u) in rows.iter_mut().zip([good, bad].into_iter().cycle()) {
+            row.uncertainty = PoseUncertainty { position_m: Some(times * u), rotation_rad: Some(times * u) };
+        }
+    };
+    state(&mut stated, 1.0);
+    // Uncertainties that are all too small or too large by one factor still say which row is worth more.
+    let (mut too_small, mut too_large) = (stated.clone(), stated.clone());
+    state(&mut too_small, 0.5);
+    state(&mut too_large, 5.0);
+    let links = Alone::quick().without_joint_errors();
+    let error_m = |rows: &[PoseRow]| {
+        let found = links.poses(rows, &ur10()).unwrap();
+        let truly = validate(&clean, &ur10(), found.model(), 1).unwrap()[1].position_m.rms;
+        // Beyond the noise of the rows that judge.
+        let beyond = |rms: f64| (rms.powi(2) - 3.0 * good * good).max(0.0).sqrt();
+        (beyond(truly), found.sigma("ra2".parse().unwrap()).unwrap())
+    };
+    let [untold, stated, too_small, too_large] =
+        [&untold, &stated, &too_small, &too_large].map(|rows| error_m(rows));
+    println!("without {untold:?}, with {stated:?}, too small {too_small:?}, too large {too_large:?}");
+    assert!(stated.1 < 0.7 * untold.1, "{stated:?} {untold:?}");
+    assert!(stated.0 < untold.0 && too_large.0 < untold.0 && too_small.0 < untold.0);
 }
 
 #[test]

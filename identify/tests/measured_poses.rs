@@ -237,3 +237,28 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn stated_uncertainties_are_read_in_the_unit_that_their_key_names() {
+    let stated = "[uncertainty]\nposition_mm = \"position_u\"\nrotation_mrad = \"rotation_u\"\n\n[position]";
+    let mapping = self::mapping(&example_text().replace("[position]", stated)).unwrap();
+    let rows = |bad: &str| {
+        let row = |number: usize| {
+            let u = if number == 3 { bad } else { "0,02" };
+            format!("7;0,1;0,2;0,3;0,4;0,5;0,6;100;200;300;1;2;3;{u};0,5\n")
+        };
+        format!("{};position_u;rotation_u\n", HEADER.trim_end()) + &(0..12).map(row).collect::<String>()
+    };
+    let read = read(&rows("0,3"), &mapping).unwrap();
+    let of = |row: usize| read.rows[row].uncertainty;
+    assert_eq!((of(0).position_m, of(3).position_m), (Some(0.02 * 1e-3), Some(0.3 * 1e-3)));
+    assert_eq!(of(0).rotation_rad, Some(0.5 * 1e-3));
+    for bad in ["0", "-0,1", "250"] {
+        let error = self::read(&rows(bad), &mapping).unwrap_err().to_string();
+        assert!(error.contains("line 5") && error.contains("position_u"), "{error}");
+    }
+    for (block, said) in [("", "no column is named"), ("position = \"u\"\n", "position")] {
+        let text = example_text().replace("[position]", &format!("[uncertainty]\n{block}\n[position]"));
+        assert!(self::mapping(&text).unwrap_err().to_string().contains(said));
+    }
+}

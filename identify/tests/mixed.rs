@@ -77,7 +77,7 @@ impl Cell {
             if row < ROWS {
                 let noise_m = Vector3::new(normal(5e-5), normal(5e-5), normal(5e-5));
                 let position_m = (place.inverse() * nalgebra::Point3::from(held_m)).coords + noise_m;
-                poses.push(PoseRow { joints_rad: joints_rad.into(), position_m, rotation: None });
+                poses.push(PoseRow { joints_rad: joints_rad.into(), position_m, ..PoseRow::default() });
             } else {
                 let length_m = (held_m - anchor_m).norm() - 0.02 + normal(1e-4);
                 lengths.push(LengthRow { joints_rad: joints_rad.into(), length_m, flange_m: None });

@@ -26,8 +26,8 @@ pub struct PoseNoise {
 pub struct MeasuredPose<'a> {
     /// `tracker_from_probe` of each sample.
     pub measured: &'a [Pose],
-    /// Of all of them.
-    pub noise: PoseNoise,
+    /// What each is worth.
+    pub noise: &'a [PoseNoise],
 }
 
 /// The two probes, and what turning them apart does to the rotation vector.
@@ -50,7 +50,7 @@ impl Residual for MeasuredPose<'_> {
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<TurnedSighting> {
-        let sighting = Sighting::new(scene, self.measured.get(scene.sample)?);
+        let sighting = Sighting::new(scene, self.measured.get(scene.sample)?, *self.noise.get(scene.sample)?);
         let into_seen = sighting.seen.rotation.matrix().transpose();
         let turn_rad = rotation_vector(&(into_seen * sighting.held.rotation.matrix()));
         let by_angular = inverse_left_jacobian(&turn_rad) * into_seen;
@@ -58,21 +58,21 @@ impl Residual for MeasuredPose<'_> {
     }
 
     fn residual(&self, _: &Scene<'_>, local: &TurnedSighting, out: &mut [f64]) {
-        self.write(&local.sighting.apart_m(), &local.turn_rad, out);
+        local.write(&local.sighting.apart_m(), &local.turn_rad, out);
     }
 
     fn derivative(&self, scene: &Scene<'_>, local: &TurnedSighting, id: ParameterId, out: &mut [f64]) {
         if let Some(twist) = local.sighting.parting(scene, id) {
-            self.write(&twist.linear, &(local.by_angular * twist.angular), out);
+            local.write(&twist.linear, &(local.by_angular * twist.angular), out);
         }
     }
 }
 
-impl MeasuredPose<'_> {
+impl TurnedSighting {
     /// Six numbers in standard deviations.
     fn write(&self, linear_m: &Vector3<f64>, angular_rad: &Vector3<f64>, out: &mut [f64]) {
-        let linear = linear_m / self.noise.position_m;
-        let angular = angular_rad / self.noise.rotation_rad;
+        let linear = linear_m / self.sighting.noise.position_m;
+        let angular = angular_rad / self.sighting.noise.rotation_rad;
         for (out, value) in out.iter_mut().zip(linear.iter().chain(angular.iter())) {
             *out = *value;
         }

@@ -3,12 +3,12 @@
 use nalgebra::Vector3;
 
 use super::scene::unit;
-use super::{Movement, Residual, Scene};
+use super::{Movement, PoseNoise, Residual, Scene};
 use crate::kinematics::{Pose, Twist};
 use crate::model::{Owner, ParameterId};
 
-/// `R probe - T measured` \[m\], entries in the robot's base: `R` is the robot's pose, `T` the tracker's place. Divide by
-/// the standard deviation of a coordinate.
+/// `R probe - T measured`, entries in the robot's base over the standard deviation of a coordinate: `R` is the robot's pose, `T`
+/// the tracker's place.
 ///
 /// The measurements stand beside the observations, which only give the time: one for each, in the same order. A
 /// sample without one has no value.
@@ -16,6 +16,8 @@ use crate::model::{Owner, ParameterId};
 pub struct MeasuredPosition<'a> {
     /// Of the reflector in the tracker's frame \[m\].
     pub measured_m: &'a [Vector3<f64>],
+    /// What each is worth.
+    pub noise: &'a [PoseNoise],
 }
 
 /// The probe where the robot holds it and where the tracker sees it.
@@ -25,14 +27,17 @@ pub struct Sighting {
     pub(super) held: Pose,
     /// `root_from_probe` by the tracker.
     pub(super) seen: Pose,
+    /// What that is worth.
+    pub(super) noise: PoseNoise,
 }
 
 impl Sighting {
-    pub(super) fn new(scene: &Scene<'_>, tracker_from_probe: &Pose) -> Self {
+    pub(super) fn new(scene: &Scene<'_>, tracker_from_probe: &Pose, noise: PoseNoise) -> Self {
         let tracker = &scene.geometry.tracker;
         Self {
             held: scene.robot.end() * tracker.probe.pose(),
             seen: tracker.place.pose() * tracker_from_probe,
+            noise,
         }
     }
 
@@ -79,16 +84,17 @@ impl Residual for MeasuredPosition<'_> {
 
     fn local(&self, scene: &Scene<'_>) -> Option<Sighting> {
         let measured_m = *self.measured_m.get(scene.sample)?;
-        Some(Sighting::new(scene, &Pose::translation(measured_m.x, measured_m.y, measured_m.z)))
+        let noise = *self.noise.get(scene.sample)?;
+        Some(Sighting::new(scene, &Pose::translation(measured_m.x, measured_m.y, measured_m.z), noise))
     }
 
     fn residual(&self, _: &Scene<'_>, sighting: &Sighting, out: &mut [f64]) {
-        out.copy_from_slice(sighting.apart_m().as_slice());
+        out.copy_from_slice((sighting.apart_m() / sighting.noise.position_m).as_slice());
     }
 
     fn derivative(&self, scene: &Scene<'_>, sighting: &Sighting, id: ParameterId, out: &mut [f64]) {
         if let Some(twist) = sighting.parting(scene, id) {
-            out.copy_from_slice(twist.linear.as_slice());
+            out.copy_from_slice((twist.linear / sighting.noise.position_m).as_slice());
         }
     }
 }

@@ -160,7 +160,8 @@ pub fn propose(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<Proposa
             let (unit, why) = xyz[0].length_unit();
             reasons.push(format!("{} are what the tracker measured, by their names; {why}", listed(&names)));
             let position = PositionColumns { columns: names, unit };
-            let mapping = MeasuredPoseMapping { csv, position, rotation: None, time: None, joints };
+            let mapping =
+                MeasuredPoseMapping { csv, position, rotation: None, uncertainty: None, time: None, joints };
             let mapping = Trial { bytes, path, robot }.settled(mapping, &others, &mut reasons, &mut doubts);
             Mapping::MeasuredPoses(mapping)
         }

@@ -5,7 +5,7 @@ use nalgebra::{Rotation3, Vector3};
 use super::{Instrument, Measures, Standing};
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
 use crate::kinematics::{Joints, Pose, rotation_vector};
-use crate::logs;
+use crate::logs::{self, PoseUncertainty};
 use crate::model::{
     Axis, Clock, Geometry, JointState, Model, ModelError, Observation, ParameterId, PerObservation,
     RobotMotion, Role,
@@ -13,7 +13,7 @@ use crate::model::{
 use crate::prepare::{Moving, PROBE_SIGMA_M, placements};
 
 /// A pose of the robot and what the tracker measured there.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct PoseRow {
     /// Joint variables of the model \[rad, m\]; of a robot that moved those of the first alignment.
     pub joints_rad: Joints,
@@ -21,11 +21,14 @@ pub struct PoseRow {
     pub position_m: Vector3<f64>,
     /// `tracker_from_probe`; used where every row has it.
     pub rotation: Option<Rotation3<f64>>,
+    /// What the measurement is stated to be worth.
+    pub uncertainty: PoseUncertainty,
 }
 
 impl From<&logs::MeasuredPose> for PoseRow {
     fn from(read: &logs::MeasuredPose) -> Self {
-        Self { joints_rad: read.q_rad, position_m: read.position_m, rotation: read.rotation }
+        let logs::MeasuredPose { q_rad, position_m, rotation, uncertainty, .. } = *read;
+        Self { joints_rad: q_rad, position_m, rotation, uncertainty }
     }
 }
 
@@ -50,8 +53,8 @@ pub struct Tracker {
     observations: Vec<Observation>,
     positions_m: Vec<Vector3<f64>>,
     poses: Option<Vec<Pose>>,
-    /// What a measurement is worth, from the spread of the residuals.
-    pub noise: PoseNoise,
+    /// What each measurement is worth, from the spread of the residuals and what is stated of it.
+    noise: Vec<PoseNoise>,
 }
 
 impl Tracker {
@@ -75,7 +78,7 @@ impl Tracker {
             observations: (0..at.rows.len()).map(observation).collect(),
             positions_m: at.rows.iter().map(|row| row.position_m).collect(),
             poses: at.rows.iter().map(pose).collect(),
-            noise: PoseNoise { position_m: 1.0, rotation_rad: 1.0 },
+            noise: vec![PoseNoise { position_m: 1.0, rotation_rad: 1.0 }; at.rows.len()],
             moving,
             at,
         }
@@ -96,7 +99,8 @@ impl Tracker {
             t_s: rows.iter().map(|&row| moving.t_s[row]).collect(),
             ..moving.clone()
         });
-        Self { noise: self.noise, ..Self::of(self.at.chosen(rows), moving) }
+        let noise = rows.iter().map(|&row| self.noise[row]).collect();
+        Self { noise, ..Self::of(self.at.chosen(rows), moving) }
     }
 
     /// Where the robot holds the probe minus where it was seen, at each row, along the root's axes \[m\].
@@ -107,6 +111,11 @@ impl Tracker {
             held_m - place.transform_point(&row.position_m.into()).coords
         };
         self.at.rows.iter().zip(self.states(geometry)).map(one).collect()
+    }
+
+    /// What a coordinate is worth, one standard deviation of the median row \[m\].
+    pub fn noise_m(&self) -> f64 {
+        median(self.noise.iter().map(|noise| noise.position_m).collect())
     }
 
     /// Name of the cost: positions alone or whole poses.
@@ -188,12 +197,10 @@ impl Measures for Tracker {
     }
 
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
+        let noise = &self.noise;
         match &self.poses {
-            Some(measured) => self.boxed(model, MeasuredPose { measured, noise: self.noise }, sigma),
-            None => {
-                let residual = MeasuredPosition { measured_m: &self.positions_m };
-                self.boxed(model, residual, sigma * self.noise.position_m)
-            }
+            Some(measured) => self.boxed(model, MeasuredPose { measured, noise }, sigma),
+            None => self.boxed(model, MeasuredPosition { measured_m: &self.positions_m, noise }, sigma),
         }
     }
 
@@ -210,21 +217,19 @@ impl Measures for Tracker {
         sees && (self.moving.is_some() || !of_clock)
     }
 
-    /// Standard deviations of a coordinate and of an angle that are behind errors which are mostly normal, by their medians.
+    /// Standard deviations of a coordinate and of an angle that are behind errors which are mostly normal; the median one of a
+    /// coordinate is returned.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
-        /// Data without any noise still need a unit.
-        const LEAST: f64 = 1e-9;
         let errors = self.apart(&model.geometry(&[]));
-        let median = |of: fn(&Apart) -> f64| {
-            let mut sizes: Vec<f64> = errors.iter().map(of).collect();
-            sizes.sort_by(f64::total_cmp);
-            (quantile(&sizes, 0.5) / MEDIAN_OF_THREE).max(LEAST)
+        let sigmas = |of: fn(&Apart) -> f64, stated: fn(&PoseUncertainty) -> Option<f64>| {
+            let stated = self.at.rows.iter().map(|row| stated(&row.uncertainty).unwrap_or(0.0));
+            sigmas(&errors.iter().map(of).zip(stated).collect::<Vec<_>>())
         };
-        self.noise = PoseNoise {
-            position_m: median(|error| error.position_m),
-            rotation_rad: median(|error| error.rotation_rad.unwrap_or(0.0)),
-        };
-        Some(self.noise.position_m)
+        let position_m = sigmas(|error| error.position_m, |stated| stated.position_m);
+        let rotation_rad = sigmas(|error| error.rotation_rad.unwrap_or(0.0), |stated| stated.rotation_rad);
+        let noise = position_m.into_iter().zip(rotation_rad);
+        self.noise = noise.map(|(position_m, rotation_rad)| PoseNoise { position_m, rotation_rad }).collect();
+        Some(self.noise_m())
     }
 
     fn independent(&self, count: usize) -> Vec<Vec<usize>> {
@@ -246,4 +251,37 @@ pub(crate) fn quantile(sorted: &[f64], part: f64) -> f64 {
     let at = |index: usize| sorted.get(index).copied().unwrap_or(0.0);
     let below = place.floor();
     at(below as usize) + (place - below) * (at(place.ceil() as usize) - at(below as usize))
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    quantile(&values, 0.5)
+}
+
+/// Standard deviation of each of the measurements whose errors (norms of three numbers) and stated uncertainties are given, none
+/// stated being zero.
+///
+/// What errors are larger than is stated the robot adds, to all rows alike: `sigma^2 = u^2 + added^2`, where half of the errors
+/// are within their median. Where they are smaller already, all that is stated is too large by one factor.
+fn sigmas(errors: &[(f64, f64)]) -> Vec<f64> {
+    /// Data without any noise still need a unit.
+    const LEAST: f64 = 1e-9;
+    const HALVINGS: usize = 40;
+    let usual = |added: f64| {
+        median(errors.iter().map(|(error, stated)| error / stated.hypot(added)).collect()) / MEDIAN_OF_THREE
+    };
+    // Of rows of which nothing is stated all is added.
+    let most = (median(errors.iter().map(|(error, _)| *error).collect()) / MEDIAN_OF_THREE).max(LEAST);
+    let (mut low, mut high) = (0.0, most);
+    if errors.iter().all(|(_, stated)| *stated == 0.0) {
+        low = most;
+    } else if usual(LEAST) <= 1.0 {
+        let factor = usual(LEAST).max(LEAST);
+        return errors.iter().map(|(_, stated)| factor * stated.hypot(LEAST)).collect();
+    }
+    for _ in 0..HALVINGS {
+        let middle = 0.5 * (low + high);
+        if usual(middle) > 1.0 { low = middle } else { high = middle }
+    }
+    errors.iter().map(|(_, stated)| stated.hypot(high)).collect()
 }

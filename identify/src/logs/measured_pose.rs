@@ -162,6 +162,32 @@ impl RotationColumns {
     }
 }
 
+/// The columns of stated standard uncertainties, by the unit that they are in.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct UncertaintyColumns {
+    /// Of each coordinate of the position.
+    pub position_mm: Option<String>,
+    /// Of the orientation about each axis.
+    pub rotation_mrad: Option<String>,
+}
+
+/// Standard uncertainties that a file states of a row.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct PoseUncertainty {
+    /// Of each coordinate \[m\].
+    pub position_m: Option<f64>,
+    /// About each axis \[rad\].
+    pub rotation_rad: Option<f64>,
+}
+
+/// What a tracker saw at once.
+struct Seen {
+    position_m: Vector3<f64>,
+    rotation: Option<Rotation3<f64>>,
+    uncertainty: PoseUncertainty,
+}
+
 /// Which columns hold what.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -173,6 +199,8 @@ pub struct MeasuredPoseMapping {
     pub position: PositionColumns,
     /// The measured orientation; absent where only positions were measured.
     pub rotation: Option<RotationColumns>,
+    /// What each row is worth, where the file says so.
+    pub uncertainty: Option<UncertaintyColumns>,
     /// When each row was measured, on the tracker's clock; the joints are then in the robot's own log.
     pub time: Option<TimeColumn>,
     /// Joints of each row, base to flange; none where rows have times.
@@ -184,6 +212,23 @@ impl Validate for MeasuredPoseMapping {
     fn validate(&self) -> Result<(), Violation> {
         self.csv.check()?;
         self.rotation.as_ref().map_or(Ok(()), RotationColumns::check)?;
+        match &self.uncertainty {
+            Some(UncertaintyColumns { position_mm: None, rotation_mrad: None }) => {
+                return Err(Violation::new(
+                    "uncertainty",
+                    "no column is named",
+                    "name the column of position_mm or rotation_mrad, or leave the block out",
+                ));
+            }
+            Some(UncertaintyColumns { rotation_mrad: Some(_), .. }) if self.rotation.is_none() => {
+                return Err(Violation::new(
+                    "uncertainty.rotation_mrad",
+                    "no orientation was measured",
+                    "leave it out, or add the [rotation] block",
+                ));
+            }
+            _ => {}
+        }
         match &self.time {
             None => check_joints(&self.joints),
             Some(time) if time.column.is_empty() => {
@@ -208,6 +253,8 @@ pub struct MeasuredPose {
     pub position_m: Vector3<f64>,
     /// `tracker_from_probe`, where the file has it.
     pub rotation: Option<Rotation3<f64>>,
+    /// What they are worth.
+    pub uncertainty: PoseUncertainty,
     /// Line of the source file, so that a row can be found again.
     pub line: u64,
 }
@@ -245,6 +292,8 @@ pub struct TimedPose {
     pub position_m: Vector3<f64>,
     /// `tracker_from_probe`, where the file has it.
     pub rotation: Option<Rotation3<f64>>,
+    /// What they are worth.
+    pub uncertainty: PoseUncertainty,
     /// Line of the source file, so that a row can be found again.
     pub line: u64,
 }
@@ -279,9 +328,9 @@ impl TimedPoses {
         let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
         let find = |table: &Table<'_>| Ok((SeenColumns::find(table, mapping)?, mapped(table, &time.column)?));
         let read = |(seen, column): &(SeenColumns<'_>, Column), table: &Table<'_>, row: &Row| {
-            let (position_m, rotation) = seen.read(table, row)?;
+            let Seen { position_m, rotation, uncertainty } = seen.read(table, row)?;
             let stamp_ns = stamp_ns(table, row, column, time.unit)?;
-            Ok((stamp_ns, TimedPose { position_m, rotation, line: row.line }))
+            Ok((stamp_ns, TimedPose { position_m, rotation, uncertainty, line: row.line }))
         };
         let rows = rows(bytes, path, &mapping.csv, find, read)?;
         if let Some(pair) = rows.windows(2).find(|pair| pair[1].0 < pair[0].0) {
@@ -330,6 +379,8 @@ struct Columns<'a> {
 struct SeenColumns<'a> {
     position: (Vec<Column>, LengthUnit),
     rotation: Option<(Vec<Column>, &'a RotationColumns)>,
+    /// Uncertainties of position and rotation, with metres or radians in their unit.
+    uncertainty: [Option<Column>; 2],
 }
 
 fn all(table: &Table<'_>, names: &[String]) -> Result<Vec<Column>, LogError> {
@@ -365,8 +416,9 @@ impl<'a> Columns<'a> {
     }
 
     fn read(&self, table: &Table<'_>, row: &Row) -> Result<MeasuredPose, LogError> {
-        let (position_m, rotation) = self.seen.read(table, row)?;
-        Ok(MeasuredPose { q_rad: self.joints.read(table, row)?, position_m, rotation, line: row.line })
+        let Seen { position_m, rotation, uncertainty } = self.seen.read(table, row)?;
+        let q_rad = self.joints.read(table, row)?;
+        Ok(MeasuredPose { q_rad, position_m, rotation, uncertainty, line: row.line })
     }
 }
 
@@ -374,18 +426,46 @@ impl<'a> SeenColumns<'a> {
     fn find(table: &Table<'_>, mapping: &'a MeasuredPoseMapping) -> Result<Self, LogError> {
         let rotation =
             mapping.rotation.as_ref().map(|rotation| Ok((all(table, &rotation.columns)?, rotation)));
+        let column = |of: fn(&UncertaintyColumns) -> Option<&String>| {
+            mapping.uncertainty.as_ref().and_then(of).map(|name| mapped(table, name)).transpose()
+        };
         Ok(Self {
             position: (all(table, &mapping.position.columns)?, mapping.position.unit),
             rotation: rotation.transpose()?,
+            uncertainty: [column(|of| of.position_mm.as_ref())?, column(|of| of.rotation_mrad.as_ref())?],
         })
     }
 
-    fn read(&self, table: &Table<'_>, row: &Row) -> Result<(Vector3<f64>, Option<Rotation3<f64>>), LogError> {
+    fn read(&self, table: &Table<'_>, row: &Row) -> Result<Seen, LogError> {
         let (columns, unit) = &self.position;
         let position_m = numbers(table, row, columns, (unit.to_m(), "m"), POSITION_M_MAX)?;
         let rotation = self.rotation.as_ref().map(|(columns, how)| rotation(table, row, columns, how));
-        Ok((Vector3::from_iterator(position_m), rotation.transpose()?))
+        let [position_u, rotation_u] = self.uncertainty.each_ref();
+        let uncertainty = |column: &Option<Column>| {
+            column.as_ref().map(|column| uncertainty(table, row, column)).transpose()
+        };
+        Ok(Seen {
+            position_m: Vector3::from_iterator(position_m),
+            rotation: rotation.transpose()?,
+            uncertainty: PoseUncertainty {
+                position_m: uncertainty(position_u)?,
+                rotation_rad: uncertainty(rotation_u)?,
+            },
+        })
     }
+}
+
+/// A stated uncertainty of mm or mrad in m or rad.
+fn uncertainty(table: &Table<'_>, row: &Row, column: &Column) -> Result<f64, LogError> {
+    /// Worse is no measurement, but another unit.
+    const UNCERTAINTY_MAX: f64 = 0.1;
+    let value = table.number(row, column)? * 1e-3;
+    if value > 0.0 && value <= UNCERTAINTY_MAX {
+        return Ok(value);
+    }
+    let problem =
+        format!("{} is no standard uncertainty (above 0, at most {})", value * 1e3, UNCERTAINTY_MAX * 1e3);
+    Err(table.bad(row, column, problem, "correct the row, or the column's name or unit in the mapping file"))
 }
 
 fn rotation(

@@ -50,8 +50,8 @@ pub use measured_length::{
     FlangeColumns, LengthColumn, MeasuredLength, MeasuredLengthMapping, MeasuredLengths,
 };
 pub use measured_pose::{
-    EulerFrame, MeasuredPose, MeasuredPoseMapping, MeasuredPoses, PositionColumns, RotationColumns,
-    RotationForm, TimedPose, TimedPoses,
+    EulerFrame, MeasuredPose, MeasuredPoseMapping, MeasuredPoses, PoseUncertainty, PositionColumns,
+    RotationColumns, RotationForm, TimedPose, TimedPoses, UncertaintyColumns,
 };
 pub use pose_rows::{JointColumn, JointUnit, LengthUnit, joints_of_robot};
 pub use reader::{LogOptions, load, load_with, read, read_with};

@@ -21,7 +21,7 @@ use super::{
     AlignedLog, Alignment, Channels, ClockFit, Match, PrepareError, PrepareOptions, candidates, correlate,
     unwrapped_log,
 };
-use crate::cost::{LoopProblem, MeasuredPosition};
+use crate::cost::{LoopProblem, MeasuredPosition, PoseNoise};
 use crate::kinematics::{Chain, Pose};
 use crate::logs::{InterpolatedLog, RobotLog, TimedPoses, default_gap_limit_s};
 use crate::model::{Axis, JointState, Model, Observation, ParameterId, RobotMotion, Role};
@@ -386,8 +386,9 @@ impl Search<'_> {
         {
             model.set_role(id, Role::Prior { value, sigma }).ok()?;
         }
-        let residual = MeasuredPosition { measured_m: &seen_m };
-        let problem = LoopProblem::new(&model, &motion, &observations, residual, NOMINAL_SIGMA_M).ok()?;
+        let sigma = PoseNoise { position_m: NOMINAL_SIGMA_M, rotation_rad: 1.0 };
+        let residual = MeasuredPosition { measured_m: &seen_m, noise: &vec![sigma; rows.len()] };
+        let problem = LoopProblem::new(&model, &motion, &observations, residual, 1.0).ok()?;
         let start = model.start();
         let (x, _) =
             minimise_robust(&problem, &start, LossName::Huber, Begin::Start, &Options::default()).ok()?;

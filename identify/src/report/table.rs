@@ -88,7 +88,7 @@ pub fn data_sets(found: &MixedCalibration) -> String {
                     urad(angles.robot_rad)
                 )
             }
-            Instrument::Tracker(tracker) => mm(tracker.noise.position_m),
+            Instrument::Tracker(tracker) => mm(tracker.noise_m()),
             Instrument::Wire(wire) => screened(1.0, wire.rejected()),
             Instrument::Contact(contact) => screened(contact.noise_m, contact.rejected()),
         };

@@ -5,7 +5,7 @@ use std::sync::LazyLock;
 
 use identify::logs::{
     LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths, MeasuredPoseMapping, MeasuredPoses,
-    OtherBarLog, read_with,
+    OtherBarLog, TimeColumn, TimeUnit, TimedPoses, read_with,
 };
 use proptest::prelude::*;
 use shared::config::{self, BallBarConfig};
@@ -152,7 +152,17 @@ fn read_as_poses(bytes: &[u8]) -> bool {
     let path = Path::new("poses");
     let lengths =
         MeasuredLengths::read(bytes, path, &config::<MeasuredLengthMapping>("measured_length.toml"));
-    let poses = MeasuredPoses::read(bytes, path, &config::<MeasuredPoseMapping>("measured_pose.toml"));
+    let mapping = config::<MeasuredPoseMapping>("measured_pose.toml");
+    let poses = MeasuredPoses::read(bytes, path, &mapping);
+    let time = TimeColumn { column: "Timestamp".to_owned(), unit: TimeUnit::default() };
+    let timed = MeasuredPoseMapping { time: Some(time), joints: Vec::new(), ..mapping };
+    match TimedPoses::read(bytes, path, &timed) {
+        Ok(poses) => {
+            assert_eq!(poses.t_s.len(), poses.rows.len());
+            assert!(poses.t_s.windows(2).all(|pair| pair[1] > pair[0]));
+        }
+        Err(error) => assert!(error.to_string().len() > 10),
+    }
     let taken = lengths.is_ok() || poses.is_ok();
     match lengths {
         Ok(lengths) => assert!(lengths.rows.iter().all(|row| row.q_rad.iter().all(|q| q.is_finite()))),

@@ -216,6 +216,7 @@ impl Followed {
             joints_rad: state.q,
             position_m: poses.rows[*row].position_m,
             rotation: poses.rows[*row].rotation,
+            ..PoseRow::default()
         });
         match &aligned.moving {
             Some(moving) => Measured::Path(rows.collect(), moving.clone()),
@@ -236,6 +237,7 @@ impl Followed {
                     .collect(),
                 position_m: poses.rows[*row].position_m,
                 rotation: poses.rows[*row].rotation,
+                ..PoseRow::default()
             }
         });
         Measured::Poses(rows.collect())

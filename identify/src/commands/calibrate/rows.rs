@@ -281,8 +281,8 @@ fn timed_poses(
         align_poses(&read, &log, &flange_chain(with.robot), with.options)
             .map_err(|error| CalibrateError::Align { data_set, error: Box::new(error) })?;
     let row = |(&row, state): (&usize, &JointState)| {
-        let TimedPose { position_m, rotation, line } = read.rows[row];
-        (PoseRow { joints_rad: state.q, position_m, rotation }, line)
+        let TimedPose { position_m, rotation, uncertainty, line } = read.rows[row];
+        (PoseRow { joints_rad: state.q, position_m, rotation, uncertainty }, line)
     };
     let (poses, lines) = rows.iter().zip(&states).map(row).unzip();
     let measured = match moving {
