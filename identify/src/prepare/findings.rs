@@ -1,7 +1,7 @@
 //! What a refusal knows beyond its sentence, for people who look for the cause.
 
+use super::align::refine::Judge;
 use super::judge::{Judged, LocalShift, local_shifts};
-use super::refine::Judge;
 use super::{ClockFit, PrepareError, Prepared};
 use crate::kinematics::BAR_JOINTS;
 use crate::model::{Clock, Geometry, Observation};

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::circular::spread_of;
+use super::encoders::circular::spread_of;
 use crate::kinematics::BAR_JOINTS;
 
 /// One sample away from singular poses against the fitted geometry.

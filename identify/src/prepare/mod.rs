@@ -25,63 +25,44 @@
 //!
 //! Times stay integers until they are small differences: the clocks may be decades apart.
 
-mod aligned;
-mod averaged;
-mod bar_angles;
-mod both_logs;
-mod circular;
-mod clock;
-mod correlate;
-mod encoder_map;
+mod align;
+mod encoders;
 mod error;
-mod find;
 mod findings;
 mod forces;
 mod judge;
-mod origins;
-mod parts;
-mod placement;
-mod predict;
-mod refine;
+mod readings;
 mod samples;
-mod segments;
 mod select;
-mod slip;
-mod smooth;
-mod speeds;
 mod sphere;
-mod standstill;
 mod steps;
 mod timeline;
 mod torque;
-mod tracker;
-mod unwrap;
-mod window;
 
-pub use aligned::AlignedLog;
-pub use averaged::{Averaged, AveragedJoints, AveragedPoint};
-pub use bar_angles::{BarAngles, BarSegment, bar_angles};
-pub use clock::ClockFit;
-pub use correlate::{Channels, Match, candidates, correlate};
-pub use encoder_map::{
+pub use align::aligned::AlignedLog;
+pub use align::clock::ClockFit;
+pub use align::correlate::{Channels, Match, candidates, correlate};
+pub(crate) use align::placement::nearest_rotation;
+pub use align::placement::{PROBE_SIGMA_M, placements};
+pub use align::predict::{PredictedBar, Predictor};
+pub use align::tracker::{AlignedPoses, Moving, align_poses};
+pub use encoders::encoder_map::{
     AnglePair, EncoderMap, EncoderMapChoice, EncoderMapReport, EncoderPlace, find_encoder_map,
 };
+pub use encoders::origins::OriginSpan;
 pub use error::PrepareError;
 pub use findings::{Deviations, Place, PoorFit};
 pub use forces::{BarForces, ForceError};
 pub use judge::LocalShift;
-pub use origins::OriginSpan;
-pub(crate) use placement::nearest_rotation;
-pub use placement::{PROBE_SIGMA_M, placements};
-pub use predict::{PredictedBar, Predictor};
+pub use readings::averaged::{Averaged, AveragedJoints, AveragedPoint};
+pub use readings::bar_angles::{BarAngles, BarSegment, bar_angles};
+pub use readings::smooth::moving_average;
+pub use readings::standstill::{Jitter, MOVING_RAD_S, Standstill};
+pub use readings::unwrap::{unwrapped_counters, unwrapped_log};
 pub use select::{select, spread_over_sphere};
-pub use smooth::moving_average;
 pub use sphere::{SphereFit, fit_sphere};
-pub use standstill::{Jitter, MOVING_RAD_S, Standstill};
 pub use steps::prepare;
 pub use timeline::{SampleStatus, Timeline, TimelinePoint};
-pub use tracker::{AlignedPoses, Moving, align_poses};
-pub use unwrap::{unwrapped_counters, unwrapped_log};
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};

@@ -2,10 +2,10 @@
 
 use nalgebra::Vector3;
 
-use super::bar_angles::BarSegment;
-use super::find::{Found, Raw};
+use super::align::find::{Found, Raw};
+use super::align::refine::Judge;
 use super::judge::{Judged, LocalShift, local_shifts, outliers, spreads_rad};
-use super::refine::Judge;
+use super::readings::bar_angles::BarSegment;
 use super::select::{apart, spread_over_sphere};
 use super::timeline::Sample;
 use super::{AlignedLog, Deviations, PoorFit, PrepareError, PrepareOptions, SampleCounts, SampleStatus};

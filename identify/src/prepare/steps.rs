@@ -5,11 +5,11 @@ use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 use shared::time::UtcNs;
 
-use super::bar_angles::BarAngles;
-use super::both_logs::BothLogs;
-use super::find::{Found, Raw, Search};
+use super::align::find::{Found, Raw, Search};
+use super::encoders::origins::join;
 use super::forces::{Surroundings, put_on};
-use super::origins::join;
+use super::readings::bar_angles::BarAngles;
+use super::readings::both_logs::BothLogs;
 use super::samples::{Sorted, raw_samples, sort};
 use super::timeline::Run;
 use super::{
@@ -197,7 +197,9 @@ fn offsets(found: &Found, reference: usize, sorted: &Sorted) -> Vec<EncoderOffse
     let measured = found.encoder_map.used.measured();
     let offset = |joint: usize| EncoderOffset {
         joint: joint as u8 + 1,
-        offset_rad: super::circular::wrapped(offsets.map_or(0.0, |offsets| offsets.offsets_rad[joint])),
+        offset_rad: super::encoders::circular::wrapped(
+            offsets.map_or(0.0, |offsets| offsets.offsets_rad[joint]),
+        ),
         spread_rad: sorted.spread_rad[joint],
     };
     (0..BAR_JOINTS).filter(|joint| measured[*joint]).map(offset).collect()

@@ -12,19 +12,19 @@ use shared::time::UtcNs;
 
 use super::find::TIE;
 use super::placement::{PROBE_SIGMA_M, placements};
-use super::select::select;
 use super::speeds::{REACH, grid_step_s, speeds};
-use super::standstill::MOVING_RAD_S;
-use super::steps::{check_length, overlap_s, travel_deg};
 use super::window::{CANDIDATES, liveliest, overlap_min_s, wider};
-use super::{
-    AlignedLog, Alignment, Channels, ClockFit, Match, PrepareError, PrepareOptions, candidates, correlate,
-    unwrapped_log,
-};
 use crate::cost::{LoopProblem, MeasuredPosition, PoseNoise};
 use crate::kinematics::{Chain, Pose};
 use crate::logs::{InterpolatedLog, RobotLog, TimedPoses, default_gap_limit_s};
 use crate::model::{Axis, JointState, Model, Observation, ParameterId, RobotMotion, Role};
+use crate::prepare::readings::standstill::MOVING_RAD_S;
+use crate::prepare::select::select;
+use crate::prepare::steps::{check_length, overlap_s, travel_deg};
+use crate::prepare::{
+    AlignedLog, Alignment, Channels, ClockFit, Match, PrepareError, PrepareOptions, candidates, correlate,
+    unwrapped_log,
+};
 use crate::solver::{Begin, GoodShare, LossName, Options, minimise_robust};
 
 /// Rows further apart are taken at standstills \[s\]: a tracker that follows a moving target measures faster than once in this
@@ -89,7 +89,7 @@ pub fn align_poses(
     let (log, _) = unwrapped_log(log);
     let log = &*log;
     let travel_deg = travel_deg(log.q_rad.iter().map(AsRef::as_ref));
-    if travel_deg < super::steps::TRAVEL_DEG_MIN {
+    if travel_deg < crate::prepare::steps::TRAVEL_DEG_MIN {
         return Err(PrepareError::NoMotion { what: "the robot log", travel_deg });
     }
     let interpolated = InterpolatedLog::new(log, default_gap_limit_s(log))?;

@@ -6,8 +6,8 @@ use shared::encoder::Unwrapper;
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 use shared::time::UtcNs;
 
-use super::{PrepareError, SampleStatus};
 use crate::kinematics::BAR_JOINTS;
+use crate::prepare::{PrepareError, SampleStatus};
 
 /// Samples between two changes of the counters' origin: within it the offsets stay the same.
 #[derive(Debug, Clone, Default, PartialEq)]

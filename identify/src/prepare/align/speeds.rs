@@ -2,16 +2,17 @@
 
 use super::find::Raw;
 use super::predict::Predictor;
-use super::{Channels, circular::wrapped};
 use crate::kinematics::BAR_JOINTS;
 use crate::logs::CubicSpline;
+use crate::prepare::Channels;
+use crate::prepare::encoders::circular::wrapped;
 
 /// Finest step of the grid \[s\].
 const STEP_S: f64 = 0.01;
 /// Grid points that the robot's log takes at most.
 const GRID_MAX: f64 = 1e6;
 /// Speeds are differences over this many steps to either side: noise of the readings is divided by their time.
-pub(super) const REACH: usize = 2;
+pub(in crate::prepare) const REACH: usize = 2;
 /// Bar samples further apart are not bridged \[s\].
 const GAP_LIMIT_S: f64 = 0.05;
 /// Faster than a bar ever turns \[rad/s\]: a jump of the counters or of the robot's log.
@@ -21,7 +22,7 @@ const SPEED_RAD_S_MAX: f64 = 4.0;
 type Angles = Vec<Option<[f64; BAR_JOINTS]>>;
 
 /// Measured speeds of `joints` (from 0), from the first sample on, at least every `step_s`.
-pub(super) fn measured_speeds(samples: &[Raw], joints: &[usize], step_s: f64) -> Channels {
+pub(in crate::prepare) fn measured_speeds(samples: &[Raw], joints: &[usize], step_s: f64) -> Channels {
     let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
         return Channels { known: Vec::new(), values: vec![Vec::new(); joints.len()] };
     };
@@ -43,13 +44,13 @@ pub(super) fn measured_speeds(samples: &[Raw], joints: &[usize], step_s: f64) ->
 }
 
 /// Step of the grid for a robot's log of this length \[s\].
-pub(super) fn grid_step_s(log_duration_s: f64) -> f64 {
+pub(in crate::prepare) fn grid_step_s(log_duration_s: f64) -> f64 {
     STEP_S.max(log_duration_s / GRID_MAX)
 }
 
 /// Predicted speeds, from the robot log's first stamp to `duration_s`. Unknown nearer to singular poses than
 /// `margin_rad`, where errors of the nominal geometry are amplified.
-pub(super) fn predicted_speeds(
+pub(in crate::prepare) fn predicted_speeds(
     predictor: &Predictor<'_>,
     duration_s: f64,
     joints: &[usize],
@@ -73,7 +74,7 @@ fn of_joints(angles: &Angles, joints: &[usize], step_s: f64) -> Channels {
 
 /// Speeds of points on a grid, in so many channels, from `reach` steps before to as many after: `apart` says how far two points
 /// are in each. Unknown where a point is, or a speed is more than `most`.
-pub(super) fn speeds<T>(
+pub(in crate::prepare) fn speeds<T>(
     points: &[Option<T>],
     channels: usize,
     reach: usize,
@@ -99,7 +100,7 @@ pub(super) fn speeds<T>(
 }
 
 /// All channels as one, the root of the sum of their squares: the same whichever encoder is called which.
-pub(super) fn without_order(channels: &Channels) -> Channels {
+pub(in crate::prepare) fn without_order(channels: &Channels) -> Channels {
     let sum = |step: usize| channels.values.iter().map(|values| values[step].powi(2)).sum::<f64>().sqrt();
     Channels { known: channels.known.clone(), values: vec![(0..channels.known.len()).map(sum).collect()] }
 }

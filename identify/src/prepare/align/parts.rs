@@ -2,10 +2,10 @@
 
 use std::ops::Range;
 
-use super::PrepareError;
 use super::correlate::{Match, candidates};
 use super::find::Search;
 use super::speeds::{measured_speeds, without_order};
+use crate::prepare::PrepareError;
 
 /// Parts of the recording that are looked at one by one.
 const PARTS: usize = 6;
@@ -30,7 +30,11 @@ impl Search<'_> {
     /// A clock that jumped, if parts of `window` match by themselves, at shifts that agree before and after some instant.
     ///
     /// With another robot than the configured one parts match, too, at shifts that scatter; its angles fit on neither side.
-    pub(super) fn jump_between_parts(&self, window: &Range<usize>, step_s: f64) -> Option<PrepareError> {
+    pub(in crate::prepare) fn jump_between_parts(
+        &self,
+        window: &Range<usize>,
+        step_s: f64,
+    ) -> Option<PrepareError> {
         let parts = self.parts(window, step_s);
         let differ = |a: &Part, b: &Part| (a.shift_s - b.shift_s).abs() > DIFFERENT_S;
         // A chance match of one part agrees with no other.

@@ -9,7 +9,7 @@ use crate::kinematics::{BAR_JOINTS, Configuration};
 
 /// Measured and predicted angles of one instant, by joint.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Pair {
+pub(in crate::prepare) struct Pair {
     /// Index among all samples.
     pub sample: usize,
     /// Number of the counters' origin.
@@ -24,7 +24,7 @@ pub(super) struct Pair {
 
 /// Offsets of one origin.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Offsets {
+pub(in crate::prepare) struct Offsets {
     /// Added to the encoders' angles \[rad\]; 0 for joints without encoder.
     pub offsets_rad: [f64; BAR_JOINTS],
     /// Pairs that they rest on.
@@ -33,7 +33,7 @@ pub(super) struct Offsets {
 
 /// What is known of all origins.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Settled {
+pub(in crate::prepare) struct Settled {
     /// By origin; none where too little is there to find them.
     pub offsets: Vec<Option<Offsets>>,
     /// Configuration in the longest segment of all. Without encoder on joint 2 (or 4) both signs fit, and the positive
@@ -49,7 +49,7 @@ pub(super) struct Settled {
 const PAIRS_MIN: usize = 10;
 
 /// Finds offsets and configurations. Segments in which the median angle is off by more than `limit_rad` are left out.
-pub(super) fn settle(
+pub(in crate::prepare) fn settle(
     pairs: &[Pair],
     measured: &[bool; BAR_JOINTS],
     origins: usize,

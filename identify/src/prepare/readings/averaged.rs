@@ -3,11 +3,11 @@
 use serde::Serialize;
 
 use super::bar_angles::BarSegment;
-use super::encoder_map::EncoderMap;
 use super::smooth::{BAR_GAP_S, moving_average};
 use super::standstill::Standstill;
 use crate::kinematics::BAR_JOINTS;
 use crate::logs::{RobotLog, Row, default_gap_limit_s};
+use crate::prepare::encoders::encoder_map::EncoderMap;
 
 /// A picture spans so many widths of the average to either side...
 const WIDTHS_ASIDE: f64 = 5.0;
@@ -17,7 +17,7 @@ const ASIDE_S_MIN: f64 = 1.0;
 /// What became of one reading.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct AveragedPoint {
-    /// Bar time since [`super::Prepared::t_ref`] \[s\].
+    /// Bar time since [`crate::prepare::Prepared::t_ref`] \[s\].
     pub t_s: f64,
     /// Speed from the readings \[rad/s\].
     pub speed_rad_s: f64,
@@ -53,7 +53,7 @@ pub struct Averaged {
 }
 
 /// Both logs before they were averaged, and what is known of them since.
-pub(super) struct BeforeAverage<'a> {
+pub(in crate::prepare) struct BeforeAverage<'a> {
     pub width_s: f64,
     pub segments: &'a [BarSegment],
     /// Bar time of a segment's sample since the reference \[s\].

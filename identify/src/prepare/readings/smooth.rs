@@ -5,11 +5,11 @@ use crate::kinematics::Joints;
 use crate::logs::{CubicSpline, RobotLog, Row};
 
 /// Bar samples further apart are not averaged across \[s\].
-pub(super) const BAR_GAP_S: f64 = 0.05;
+pub(in crate::prepare) const BAR_GAP_S: f64 = 0.05;
 
 /// The segments with every angle replaced by its average ([`moving_average`]). Samples whose time is not covered on both sides
 /// are left out: a shorter average would be another filter.
-pub(super) fn smoothed_segments(segments: &[BarSegment], width_s: f64) -> Vec<BarSegment> {
+pub(in crate::prepare) fn smoothed_segments(segments: &[BarSegment], width_s: f64) -> Vec<BarSegment> {
     let smoothed = segments.iter().map(|segment| {
         let Some(first) = segment.times.first() else { return BarSegment::default() };
         let t_s: Vec<f64> = segment.times.iter().map(|time| time.seconds_since(*first)).collect();
@@ -27,7 +27,7 @@ pub(super) fn smoothed_segments(segments: &[BarSegment], width_s: f64) -> Vec<Ba
 }
 
 /// The robot's log in the same way.
-pub(super) fn smoothed_log(log: &RobotLog, width_s: f64, gap_s: f64) -> RobotLog {
+pub(in crate::prepare) fn smoothed_log(log: &RobotLog, width_s: f64, gap_s: f64) -> RobotLog {
     let averages = moving_average(&log.t_s, &log.q_rad, width_s, gap_s);
     let kept: Vec<(f64, Joints)> =
         log.t_s.iter().zip(averages).filter_map(|(t_s, average)| Some((*t_s, average?))).collect();

@@ -7,9 +7,7 @@
 
 use nalgebra::{Vector3, Vector5};
 
-use super::circular::wrapped;
 use super::clock::ClockFit;
-use super::judge::Judged;
 use crate::cost::{LoopProblem, Movement, Residual, Scene};
 use crate::kinematics::{
     BAR_JOINTS, Chain, ImpliedBar, LinkParameter, Trace, Tracer, Turn, singularity_margin_rad,
@@ -17,6 +15,8 @@ use crate::kinematics::{
 use crate::logs::InterpolatedLog;
 use crate::model::{Geometry, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
 use crate::prepare::AlignedLog;
+use crate::prepare::encoders::circular::wrapped;
+use crate::prepare::judge::Judged;
 use crate::solver::{Block, GoodShare, Loss, Options, Prior, Problem, Schedule, Summary, minimise};
 
 /// How far the numbers of the nominal chains are expected to be off, one standard deviation \[m, rad\].
@@ -54,7 +54,7 @@ const SIGMA_MIN_RAD: f64 = 1e-7;
 
 /// A sample as the refinement gets it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct FitSample {
+pub(in crate::prepare) struct FitSample {
     /// Bar time \[s\].
     pub t_s: f64,
     /// Number of the counters' origin.
@@ -65,7 +65,7 @@ pub(super) struct FitSample {
 
 /// What relates the two logs.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct Fit {
+pub(in crate::prepare) struct Fit {
     /// The clocks, for bar times as the samples had them.
     pub clock: ClockFit,
     /// Both chains and the base, so that the angles fit.
@@ -234,7 +234,7 @@ impl Problem for WithZeros<'_> {
 ///
 /// `coarse` relates the clocks for the samples' times; the bar stands upright at `base_m` so far, or as in an earlier fit from
 /// which this one starts. None where the samples determine nothing.
-pub(super) fn refine(
+pub(in crate::prepare) fn refine(
     log: &InterpolatedLog,
     [robot, bar]: [&Chain; 2],
     base_m: Vector3<f64>,
@@ -358,7 +358,7 @@ fn spread_rad(
 }
 
 /// Compares single samples with a fitted geometry.
-pub(super) struct Judge<'a, M> {
+pub(in crate::prepare) struct Judge<'a, M> {
     motion: &'a M,
     geometry: Geometry,
     robot_tracer: Tracer,
@@ -369,7 +369,7 @@ pub(super) struct Judge<'a, M> {
 
 /// A sample against what the robot's pose implies.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Errors {
+pub(in crate::prepare) struct Errors {
     /// Measured less implied joints; 0 without encoder \[rad\].
     pub error_rad: [f64; BAR_JOINTS],
     /// Joints that the robot's pose implies \[rad\].

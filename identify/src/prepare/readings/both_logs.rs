@@ -10,11 +10,11 @@ use super::bar_angles::{BarAngles, BarSegment, bar_angles};
 use super::smooth::{smoothed_log, smoothed_segments};
 use super::standstill::Standstill;
 use super::unwrap::{unwrapped_counters, unwrapped_log};
-use super::{ClockFit, EncoderMap, PrepareError, PrepareOptions, SampleStatus};
 use crate::logs::{RobotLog, Unwrapped, default_gap_limit_s};
+use crate::prepare::{ClockFit, EncoderMap, PrepareError, PrepareOptions, SampleStatus};
 
 /// What the bar and the robot say.
-pub(super) struct BothLogs<'a> {
+pub(in crate::prepare) struct BothLogs<'a> {
     pub angles: BarAngles,
     pub log: Cow<'a, RobotLog>,
     /// What began anew in either.

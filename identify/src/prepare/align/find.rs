@@ -2,20 +2,20 @@
 
 use super::clock::ClockFit;
 use super::correlate::{Match, candidates};
-use super::encoder_map::{AnglePair, EncoderMap, EncoderMapReport, find_encoder_map};
 use super::refine::{Fit, FitSample, refine};
-use super::segments::{Pair, Settled, settle};
-use super::select::{apart, select};
-use super::slip::large_slip;
 use super::speeds::{grid_step_s, measured_speeds, predicted_speeds, without_order};
 use super::window::{CANDIDATES, WINDOW_S, liveliest, overlap_min_s, wider};
-use super::{Channels, Predictor, PrepareError, PrepareOptions};
 use crate::kinematics::{BAR_JOINTS, Chain, mirroring_joints};
 use crate::logs::InterpolatedLog;
+use crate::prepare::encoders::encoder_map::{AnglePair, EncoderMap, EncoderMapReport, find_encoder_map};
+use crate::prepare::encoders::segments::{Pair, Settled, settle};
+use crate::prepare::encoders::slip::large_slip;
+use crate::prepare::select::{apart, select};
+use crate::prepare::{Channels, Predictor, PrepareError, PrepareOptions};
 
 /// A valid sample of the recording.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Raw {
+pub(in crate::prepare) struct Raw {
     /// Index of its cycle.
     pub cycle: usize,
     /// Number of the counters' origin.
@@ -27,7 +27,7 @@ pub(super) struct Raw {
 }
 
 /// What is searched, and in what.
-pub(super) struct Search<'a> {
+pub(in crate::prepare) struct Search<'a> {
     pub samples: &'a [Raw],
     /// Of the recording, 1 to 5.
     pub recorded_joints: &'a [u8],
@@ -42,7 +42,7 @@ pub(super) struct Search<'a> {
 
 /// The logs brought together.
 #[derive(Debug, Clone)]
-pub(super) struct Found {
+pub(in crate::prepare) struct Found {
     /// How the speeds match.
     pub matched: Match,
     /// Another shift fits as well.
@@ -60,7 +60,7 @@ const FITTED_MAX: usize = 4;
 /// On nominal geometry, candidates within this factor of the best may turn out to be the better one.
 const NEAR_BEST: f64 = 2.0;
 /// Two fits whose residuals differ by less than this factor are equally good: the motion repeats itself.
-pub(super) const TIE: f64 = 1.2;
+pub(in crate::prepare) const TIE: f64 = 1.2;
 /// Travel between samples that are compared \[rad\], and how many there are at most.
 const PAIRS_APART_RAD: f64 = 0.01;
 const PAIRS_MAX: usize = 3000;
@@ -72,7 +72,7 @@ const LONG_STRIDE: usize = 5;
 const HOLE_S: f64 = 1.0;
 
 /// A shift, and how the angles fit there.
-pub(super) struct Hypothesis {
+pub(in crate::prepare) struct Hypothesis {
     matched: Match,
     clock: ClockFit,
     encoder_map: EncoderMapReport,
@@ -192,16 +192,16 @@ impl Search<'_> {
     }
 
     /// Recorded joints from 0.
-    pub(super) fn joints(&self) -> Vec<usize> {
+    pub(in crate::prepare) fn joints(&self) -> Vec<usize> {
         self.recorded_joints.iter().map(|joint| usize::from(*joint) - 1).collect()
     }
 
-    pub(super) fn predicted(&self, step_s: f64) -> Channels {
+    pub(in crate::prepare) fn predicted(&self, step_s: f64) -> Channels {
         predicted_speeds(self.predictor, self.log_duration_s, &self.joints(), self.margin_rad(), step_s)
     }
 
     /// What the angles say of a shift.
-    pub(super) fn hypothesis(
+    pub(in crate::prepare) fn hypothesis(
         &self,
         window: &std::ops::Range<usize>,
         matched: Match,

@@ -2,8 +2,8 @@
 //! Smaller slips are found against the fitted geometry (`judge`).
 
 use super::circular::{circular_median, deviations, spread_of, wrapped};
-use super::{AnglePair, PrepareError, PrepareOptions};
 use crate::kinematics::BAR_JOINTS;
+use crate::prepare::{AnglePair, PrepareError, PrepareOptions};
 
 /// Pairs to either side of a slip.
 const PAIRS_MIN: usize = 30;
@@ -24,7 +24,7 @@ enum Fit {
 /// encoders fit but one, and that one fits before and after a step.
 ///
 /// `pairs` are in the order of time, each with its time \[s\].
-pub(super) fn large_slip(
+pub(in crate::prepare) fn large_slip(
     pairs: &[(f64, AnglePair)],
     recorded_joints: &[u8],
     options: &PrepareOptions,

@@ -12,7 +12,7 @@ use crate::logs::{RobotLog, Unwrapped, UnwrappedPoint, default_gap_limit_s};
 const COUNTER_VALUES: f64 = 4_294_967_296.0;
 
 /// The encoders whose 32-bit counters began anew between two samples, by the joints of the recording: what
-/// [`bar_angles`](super::bar_angles()) followed.
+/// [`bar_angles`](super::bar_angles::bar_angles()) followed.
 pub fn unwrapped_counters(
     cycles: &[CycleRecord],
     encoders: &[EncoderInfo],

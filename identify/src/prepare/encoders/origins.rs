@@ -3,10 +3,10 @@
 use serde::Serialize;
 
 use super::circular::wrapped;
-use super::find::{Found, Raw};
 use crate::kinematics::BAR_JOINTS;
 #[cfg(doc)]
 use crate::model::Observation;
+use crate::prepare::align::find::{Found, Raw};
 
 /// A part of the recording with its own offsets, brought to those of the longest part.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -38,7 +38,7 @@ const UNCHANGED_RAD: f64 = 200e-6;
 
 /// Describes all origins and makes offsets that did not change the same. The first entry of the answer is the number of
 /// the origin that the others are brought to.
-pub(super) fn join(raw: &[Raw], found: &mut Found, t_ref_s: f64) -> (usize, Vec<OriginSpan>) {
+pub(in crate::prepare) fn join(raw: &[Raw], found: &mut Found, t_ref_s: f64) -> (usize, Vec<OriginSpan>) {
     let pairs = |found: &Found, origin: usize| {
         found.settled.offsets.get(origin).copied().flatten().map_or(0, |offsets| offsets.pairs)
     };

@@ -43,7 +43,7 @@ pub struct Jitter {
 
 /// Readings at one instant.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Readings {
+pub(in crate::prepare) struct Readings {
     /// Bar time \[s\].
     pub t_s: f64,
     /// Bar joints \[rad\].
@@ -53,7 +53,10 @@ pub(super) struct Readings {
 }
 
 /// Standstills, and the jitter in them. `still` are the readings at which nothing moves, in the order of time.
-pub(super) fn standstills(still: &[Readings], measured: &[bool; BAR_JOINTS]) -> (Vec<Standstill>, Jitter) {
+pub(in crate::prepare) fn standstills(
+    still: &[Readings],
+    measured: &[bool; BAR_JOINTS],
+) -> (Vec<Standstill>, Jitter) {
     let mut found = Vec::new();
     let mut bar = [Spread::default(); BAR_JOINTS];
     let mut robot = vec![Spread::default(); still.first().map_or(0, |reading| reading.robot_rad.len())];

@@ -2,18 +2,18 @@
 
 use std::ops::Range;
 
-use super::PrepareOptions;
+use crate::prepare::PrepareOptions;
 
 /// A log is searched for by its liveliest part of at most this length \[s\]: over a longer one clocks of different rate drift
 /// apart.
-pub(super) const WINDOW_S: f64 = 900.0;
+pub(in crate::prepare) const WINDOW_S: f64 = 900.0;
 /// The window grows by this factor from fit to fit.
 const GROWTH: f64 = 4.0;
 /// Shifts by each kind of correlation at which more than speeds are compared.
-pub(super) const CANDIDATES: usize = 6;
+pub(in crate::prepare) const CANDIDATES: usize = 6;
 
 /// The part with the most motion of samples at `t_s`; `travel` is that between two neighbours.
-pub(super) fn liveliest(t_s: &[f64], travel: impl Fn([usize; 2]) -> f64) -> Range<usize> {
+pub(in crate::prepare) fn liveliest(t_s: &[f64], travel: impl Fn([usize; 2]) -> f64) -> Range<usize> {
     let duration_s = t_s.last().zip(t_s.first()).map_or(0.0, |(last, first)| last - first);
     if duration_s <= WINDOW_S {
         return 0..t_s.len();
@@ -32,7 +32,7 @@ pub(super) fn liveliest(t_s: &[f64], travel: impl Fn([usize; 2]) -> f64) -> Rang
 }
 
 /// The next larger part: clocks that are known over a quarter of an hour are known well enough for an hour.
-pub(super) fn wider(t_s: &[f64], window: &Range<usize>) -> Range<usize> {
+pub(in crate::prepare) fn wider(t_s: &[f64], window: &Range<usize>) -> Range<usize> {
     let at = |index: usize| t_s.get(index).copied().unwrap_or_default();
     let (from_s, to_s) = (at(window.start), at(window.end.saturating_sub(1)));
     let more_s = 0.5 * (GROWTH - 1.0) * (to_s - from_s).max(1.0);
@@ -42,6 +42,6 @@ pub(super) fn wider(t_s: &[f64], window: &Range<usize>) -> Range<usize> {
 }
 
 /// How long two logs of these lengths must overlap \[s\].
-pub(super) fn overlap_min_s(options: &PrepareOptions, one_s: f64, other_s: f64) -> f64 {
+pub(in crate::prepare) fn overlap_min_s(options: &PrepareOptions, one_s: f64, other_s: f64) -> f64 {
     options.overlap_min_s.max(options.overlap_min_part * one_s.min(other_s))
 }

@@ -16,8 +16,8 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use super::circular::{deviations, spread_of};
-use super::{PrepareError, PrepareOptions};
 use crate::kinematics::BAR_JOINTS;
+use crate::prepare::{PrepareError, PrepareOptions};
 
 /// What to do about order and directions of the encoders.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -1,0 +1,13 @@
+//! Two logs on two clocks brought together: coarsely by speeds, which know no offsets, then by angles or positions.
+
+pub(super) mod aligned;
+pub(super) mod clock;
+pub(super) mod correlate;
+pub(super) mod find;
+pub(super) mod parts;
+pub(super) mod placement;
+pub(super) mod predict;
+pub(super) mod refine;
+pub(super) mod speeds;
+pub(super) mod tracker;
+pub(super) mod window;
