@@ -10,6 +10,7 @@ use identify::calibrate::mix::{DataSets, Measured, Rows, calibrate};
 use identify::calibrate::{HoldOut, IdentifyConfig, JointTermsConfig};
 use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Joints, Pose, flange_chain};
+use identify::logs::PoseUncertainty;
 use identify::report::urdf::urdf;
 use identify::robot::import;
 use serde_json::{Value, json};
@@ -96,7 +97,12 @@ fn rows(robot: &RobotConfig) -> Vec<PoseRow> {
     let place = Pose::translation(-2.0, 0.7, 1.1);
     let row = |joints: &Joints| {
         let seen = place.inverse() * truth.forward(joints);
-        PoseRow { joints_rad: *joints, position_m: seen.translation.vector, rotation: Some(seen.rotation) }
+        PoseRow {
+            joints_rad: *joints,
+            position_m: seen.translation.vector,
+            rotation: Some(seen.rotation),
+            uncertainty: PoseUncertainty::default(),
+        }
     };
     postures(robot, 300).iter().map(row).collect()
 }

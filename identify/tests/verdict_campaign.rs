@@ -9,8 +9,7 @@ use identify::calibrate::IdentifyConfig;
 use identify::calibrate::ball_bar::{BallBarCalibration, CalibrateError, calibrate};
 use identify::calibrate::truth::position_errors_m;
 use identify::evaluate::{Expected, WorkspaceError, evidence};
-use identify::kinematics::{Joints, robot_chain};
-use identify::model::DriveTrain;
+use identify::kinematics::Joints;
 use identify::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use identify::report::verdict::{Grade, Verdict};
 use identify::simulate::{Design, Simulated};
@@ -131,8 +130,12 @@ fn spoils() -> Vec<(&'static str, Spoil)> {
         ("plate 1 mm too long", |_, bar, _| bar.plate_m += 1e-3),
         ("plate 1.5 mm too long", |_, bar, _| bar.plate_m += 1.5e-3),
         ("rod 20 mm too long", |_, bar, _| bar.length_m += 0.02),
-        ("ratio of drive 3 off by 0.1 %", |run, _, robot| of_drive(run, robot, 2, |g, row| 1.001 * g[row])),
-        ("ratio of drive 2 off by 1 %", |run, _, robot| of_drive(run, robot, 1, |g, row| 1.01 * g[row])),
+        ("ratio of drive 3 off by 0.1 %", |run, _, robot| {
+            laboratory::of_drive(run, robot, 2, |g, row| 1.001 * g[row])
+        }),
+        ("ratio of drive 2 off by 1 %", |run, _, robot| {
+            laboratory::of_drive(run, robot, 1, |g, row| 1.01 * g[row])
+        }),
         ("joint 2 counts the other way", |run, _, _| scale(run, 1, -1.0)),
         ("a mirrored arm", |run, _, _| [0, 3, 5].into_iter().for_each(|joint| scale(run, joint, -1.0))),
         ("joint 4 in degrees", |run, _, _| scale(run, 3, 1f64.to_degrees())),
@@ -140,8 +143,12 @@ fn spoils() -> Vec<(&'static str, Spoil)> {
             let at = run.robot_log.q_rad[0][3];
             rows(run, |q, _| q[3] = at);
         }),
-        ("drive 5 late by 8 ms", |run, _, robot| of_drive(run, robot, 4, |g, row| g[row.saturating_sub(2)])),
-        ("drive 3 late by 4 ms", |run, _, robot| of_drive(run, robot, 2, |g, row| g[row.saturating_sub(1)])),
+        ("drive 5 late by 8 ms", |run, _, robot| {
+            laboratory::of_drive(run, robot, 4, |g, row| g[row.saturating_sub(2)])
+        }),
+        ("drive 3 late by 4 ms", |run, _, robot| {
+            laboratory::of_drive(run, robot, 2, |g, row| g[row.saturating_sub(1)])
+        }),
         ("joints 4 and 5 exchanged", |run, _, _| rows(run, |q, _| (q[3], q[4]) = (q[4], q[3]))),
         ("joints 4 and 6 exchanged", |run, _, _| rows(run, |q, _| (q[3], q[5]) = (q[5], q[3]))),
         ("joint 3 steps by 1 mrad", |run, _, _| step(run, 2, 1e-3)),
@@ -185,19 +192,6 @@ fn scale(run: &mut Simulated, joint: usize, by: f64) {
 
 fn step(run: &mut Simulated, joint: usize, by_rad: f64) {
     rows(run, |q, part| q[joint] += if part > 0.4 { by_rad } else { 0.0 });
-}
-
-/// What the log has of one drive, in every row made of all rows: a controller knows its drives, and what it does wrong it does to
-/// one of them.
-fn of_drive(run: &mut Simulated, robot: &RobotConfig, drive: usize, shown: impl Fn(&[f64], usize) -> f64) {
-    let drives = DriveTrain::of(robot, &robot_chain(robot, &bar()));
-    let before: Vec<f64> = run.robot_log.q_rad.iter().map(|q| drives.of_drive(drive, q)).collect();
-    for (row, q) in run.robot_log.q_rad.iter_mut().enumerate() {
-        let by = shown(&before, row) - before[row];
-        for (joint, part) in drives.joint_from_drive[drive].iter().enumerate() {
-            q[joint] += part * by;
-        }
-    }
 }
 
 fn smoothed(run: &mut Simulated, reach: usize) {

@@ -1,11 +1,13 @@
 //! A run calibrated with the configuration of another robot or bar: told as that and as nothing else, or found all the same.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use crate::support::laboratory::of_drive;
 use crate::support::{bar, irb2400, nj220};
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{WorkspaceError, limits};
+use identify::model::ParameterId;
 use identify::simulate::{self, Effects, Experiment, Simulated};
 use shared::config::{BallBarConfig, RobotConfig};
 
@@ -149,4 +151,31 @@ fn a_wrong_ratio_contradicts_what_is_expected_and_is_reported_and_expectations_t
     }
     let strained = told(&run).unwrap();
     assert!(strained.serious, "{}", strained.sentence);
+}
+
+/// Drive 5 later in the log than the others by 8 ms, drive 2 turning by 1 % less than configured.
+#[test]
+fn a_late_drive_and_a_wrong_ratio_are_named_and_taken_out() {
+    let robot = irb2400();
+    let calibrated = |spoil: &dyn Fn(&mut Simulated)| {
+        let mut run = laboratory(&robot, 1);
+        spoil(&mut run);
+        let config = IdentifyConfig::default();
+        let found =
+            ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config).unwrap();
+        let told: Vec<String> =
+            limits(&found, &[], &WorkspaceError::default()).into_iter().map(|one| one.sentence).collect();
+        let of_robot = Comparison::new(&found, &run.truth).only(|id| matches!(id, ParameterId::Robot { .. }));
+        (of_robot.euclidean_mm_mrad(), told.join("\n"))
+    };
+    let (sound, told) = calibrated(&|_| ());
+    assert!(!told.contains("later than the others") && !told.contains("than its log says"), "{told}");
+    let late = |run: &mut Simulated| of_drive(run, &robot, 4, |g, row| g[row.saturating_sub(2)]);
+    let (error, told) = calibrated(&late);
+    assert!(told.contains("later than the others: joint 5 by +8.0 ms,"), "{told}");
+    assert!(error < 2.0 * sound, "{error} {sound}");
+    let (error, told) = calibrated(&|run| of_drive(run, &robot, 1, |g, row| 1.01 * g[row]));
+    assert!(told.contains("Joint 2 turns by 0.99 % less than its log says"), "{told}");
+    // Ratios that may be anything leave angles less certain; it was off by millimetres.
+    assert!(error < 4.0 * sound, "{error} {sound}");
 }

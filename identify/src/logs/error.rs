@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use super::writer::seconds_text;
+use super::robot::writer::seconds_text;
 
 /// Place of one value in a text file.
 #[derive(Debug, Clone, PartialEq, Eq)]

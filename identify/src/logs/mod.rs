@@ -12,54 +12,37 @@
 //! instead of joints, beside a [`RobotLog`].
 
 mod bar_log;
-mod contact;
-mod conversion;
-mod csv_text;
-mod egm;
 mod error;
 mod force;
-mod format;
-mod interpolation;
-mod mapping;
-mod measured_length;
-mod measured_pose;
-mod pose_rows;
-mod raw;
-mod reader;
-mod ros;
-mod rsi;
-mod sampling;
-mod spline;
-mod stamp;
-mod table;
-mod text;
-mod unwrapped;
-mod writer;
+mod robot;
+mod rows;
+mod tables;
+mod time_series;
 
 pub use bar_log::{
     BarLog, BarLogError, BarLogMapping, EncoderColumn, EncoderUnit, OtherBarLog, is_recording,
 };
-pub use contact::{ContactMapping, Contacts, SeatedRow};
-pub use conversion::JointConversion;
 pub use error::{Cell, LogError};
 pub use force::{ForceClock, ForceColumns, ForceFrame, ForceKind, ForceLog, ForceLogMapping, ForceUnit};
-pub use format::LogFormat;
-pub use interpolation::{InterpolatedLog, default_gap_limit_s};
-pub use mapping::{Columns, Coupling, CsvLayout, RobotLogMapping, TimeColumn, TimeUnit};
-pub use measured_length::{
+pub use robot::conversion::JointConversion;
+pub use robot::format::LogFormat;
+pub use robot::mapping::{Columns, Coupling, CsvLayout, RobotLogMapping, TimeColumn, TimeUnit};
+pub use robot::reader::{LogOptions, load, load_with, read, read_with};
+pub use robot::writer::write;
+pub use rows::contact::{ContactMapping, Contacts, SeatedRow};
+pub use rows::measured_length::{
     FlangeColumns, LengthColumn, MeasuredLength, MeasuredLengthMapping, MeasuredLengths,
 };
-pub use measured_pose::{
+pub use rows::measured_pose::{
     EulerFrame, MeasuredPose, MeasuredPoseMapping, MeasuredPoses, PoseUncertainty, PositionColumns,
     RotationColumns, RotationForm, TimedPose, TimedPoses, UncertaintyColumns,
 };
-pub use pose_rows::{JointColumn, JointUnit, LengthUnit, joints_of_robot};
-pub use reader::{LogOptions, load, load_with, read, read_with};
-pub use sampling::{StampStep, Stamps};
-pub use spline::{CubicSpline, Row, SplinePoint};
-pub use text::{Cells, RowsAsText};
-pub use unwrapped::{Unwrapped, UnwrappedPoint};
-pub use writer::write;
+pub use rows::pose_rows::{JointColumn, JointUnit, LengthUnit, joints_of_robot};
+pub use tables::text::{Cells, RowsAsText};
+pub use time_series::interpolation::{InterpolatedLog, default_gap_limit_s};
+pub use time_series::sampling::{StampStep, Stamps};
+pub use time_series::spline::{CubicSpline, Row, SplinePoint};
+pub use time_series::unwrapped::{Unwrapped, UnwrappedPoint};
 
 use std::path::Path;
 

@@ -7,8 +7,8 @@
 //! `q' = q + e(g, dg/dt) C`, `e_i = sum_t a_it s_t(g_i)`.
 //!
 //! Shapes are functions of what was reported, so that errors enter linearly: `dq'/da_it = s_t(g_i) C_i`. But for a delay `d_i`,
-//! which takes the drive's angle from another instant of the log: `e_i = g_i(t + d_i) - g_i(t)`. As a shape, a rate, it would
-//! multiply the noise of the log.
+//! which takes the drive's angle from another instant of the log: `e_i = g_i(t + d_i - d) - g_i(t)`. As a shape, a rate, it would
+//! multiply the noise of the log. What all have in common, their mean `d`, is the clock's.
 
 use nalgebra::{DMatrix, Vector3};
 use shared::config::{JointKind, RobotConfig};
@@ -210,17 +210,19 @@ impl JointErrors {
     /// How each joint moves with one amplitude; with a delay it does as the delayed joints move.
     pub fn by_amplitude(&self, axis: usize, term: JointTerm, reported: &JointState) -> Joints {
         let shape = self.drives.shape(axis, term, reported).0;
-        self.drives
-            .joint_from_drive
-            .get(axis)
-            .map_or_else(Joints::default, |row| row.map(|part| part * shape))
+        let Some(row) = self.drives.joint_from_drive.get(axis) else { return Joints::default() };
+        let of_all = if term == JointTerm::Delay { (self.drives.axes() as f64).recip() } else { 0.0 };
+        Joints::from_fn(row.len(), |joint| row[joint] * shape - of_all * reported.qd[joint])
     }
 
     /// What the log has of each drive when it comes later than the others; near an end or a hole of the log by its rate.
     pub(super) fn delayed(&self, reported: &JointState, motion: &impl RobotMotion, tau_s: f64) -> JointState {
         let mut delayed = *reported;
-        for axis in 0..self.drives.axes() {
-            let delay_s = self.amplitudes[axis][JointTerm::Delay.index()];
+        let axes = self.drives.axes();
+        let of_axis_s = |axis: usize| self.amplitudes[axis][JointTerm::Delay.index()];
+        let of_all_s = (0..axes).map(of_axis_s).sum::<f64>() / axes.max(1) as f64;
+        for axis in 0..axes {
+            let delay_s = of_axis_s(axis) - of_all_s;
             if delay_s == 0.0 {
                 continue;
             }

@@ -154,7 +154,9 @@ pub fn true_joints<D: DualNum<f64> + Copy>(
         let shapes =
             waves.into_iter().flatten().chain([(rate[i] / BACKLASH_SPEED_RAD_S).tanh(), g[i], D::from(0.0)]);
         // No shape: the angle of another instant.
-        let later = drives(sines(tau + errors[i][place(JointTerm::Delay)]))[i] - g[i];
+        let delay = |i: usize| errors[i][place(JointTerm::Delay)];
+        let mean = (0..6).map(delay).fold(D::from(0.0), |a, b| a + b) / 6.0;
+        let later = drives(sines(tau + delay(i) - mean))[i] - g[i];
         let levers = [2, 4, 6].map(|at| lever(i, at));
         let more = [3.0, 4.0].map(|n| [(g[i] * n).sin(), (g[i] * n).cos()]).into_iter().flatten();
         let more = more.zip(fine[i].into_iter().flatten());

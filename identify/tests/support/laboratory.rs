@@ -3,7 +3,7 @@
 
 use std::f64::consts::TAU;
 
-use identify::kinematics::{Trace, Tracer};
+use identify::kinematics::{Trace, Tracer, robot_chain};
 use identify::model::DriveTrain;
 use identify::simulate::{self, Clocks, Design, Effects, Experiment, Simulated};
 use nalgebra::{Matrix6, Vector6};
@@ -179,6 +179,24 @@ pub fn exchange(run: &mut Simulated, order: &[usize]) {
     for cycle in &mut run.cycles {
         for (encoder, joint) in cycle.encoders.iter_mut().zip(&joints) {
             encoder.joint = *joint;
+        }
+    }
+}
+
+/// What the log has of one drive, in every row made of all rows: a controller knows its drives, and what it does wrong it does to
+/// one of them.
+pub fn of_drive(
+    run: &mut Simulated,
+    robot: &RobotConfig,
+    drive: usize,
+    shown: impl Fn(&[f64], usize) -> f64,
+) {
+    let drives = DriveTrain::of(robot, &robot_chain(robot, &super::bar()));
+    let before: Vec<f64> = run.robot_log.q_rad.iter().map(|q| drives.of_drive(drive, q)).collect();
+    for (row, q) in run.robot_log.q_rad.iter_mut().enumerate() {
+        let by = shown(&before, row) - before[row];
+        for (joint, part) in drives.joint_from_drive[drive].iter().enumerate() {
+            q[joint] += part * by;
         }
     }
 }

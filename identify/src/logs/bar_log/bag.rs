@@ -9,7 +9,7 @@ use super::mapping::{BarLogMapping, EncoderUnit};
 use super::samples::{Kind, RawBarLog, RawRow, Reading};
 use super::{LogError, LogFormat, OtherBarLog};
 use crate::kinematics::BAR_JOINTS;
-use crate::logs::ros::{Bag, UNSTAMPED, Wanted, clock_name};
+use crate::logs::robot::ros::{Bag, UNSTAMPED, Wanted, clock_name};
 
 /// What `ballbard` calls its joints; a prefix such as `ball_` may stand before all.
 const USUAL: &str = "bar_joint_";

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 
 use crate::kinematics::BAR_JOINTS;
-use crate::logs::mapping::{CsvLayout, TimeColumn};
+use crate::logs::robot::mapping::{CsvLayout, TimeColumn};
 
 /// Counters narrower than this cannot be followed, and none is wider than 64 bits.
 const WRAPS_AT_MIN: u64 = 1 << 10;

@@ -9,12 +9,12 @@ use super::mapping::{BarLogMapping, EncoderUnit};
 use super::samples::{Kind, RawBarLog, RawRow, Reading};
 use super::{LogError, OtherBarLog};
 use crate::kinematics::BAR_JOINTS;
-use crate::logs::csv_text::{
+use crate::logs::robot::mapping::{TimeColumn, TimeUnit};
+use crate::logs::tables::csv_text::{
     Column, Format, Row, Table, comments, delimiter_of_header, header_line, open_mapped,
 };
-use crate::logs::mapping::{TimeColumn, TimeUnit};
-use crate::logs::stamp::stamp_ns;
-use crate::logs::text::decode;
+use crate::logs::tables::stamp::stamp_ns;
+use crate::logs::tables::text::decode;
 
 /// Usual names of the time column and what is in it.
 const TIMES: [(&str, TimeUnit); 2] = [("time_utc", TimeUnit::DateTime), ("t_s", TimeUnit::S)];

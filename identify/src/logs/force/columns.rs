@@ -8,7 +8,7 @@ use shared::config::{AXES_MAX, AXES_MIN, RobotConfig, Violation};
 use super::{ALONG_COLUMN, FORCE_MAX, ForceKind};
 use crate::kinematics::Joints;
 use crate::logs::LogError;
-use crate::logs::csv_text::{Column, Row, Table, comments};
+use crate::logs::tables::csv_text::{Column, Row, Table, comments};
 
 const SIGN_COLUMN: &str = "force_sign";
 const VECTOR_COLUMNS: [&str; 3] = ["force_x_N", "force_y_N", "force_z_N"];

@@ -10,11 +10,11 @@ use shared::config::{RobotConfig, Validate, Violation};
 
 use super::columns::{ForceColumns, ForceLayout, unknown};
 use super::{ForceClock, ForceKind, ForceLog};
-use crate::logs::csv_text::{Format, Table, comments, delimiter_of_header, open_mapped};
-use crate::logs::mapping::{CsvLayout, TimeColumn, TimeUnit};
-use crate::logs::stamp::stamp_ns;
-use crate::logs::table::TIME_COLUMN;
-use crate::logs::text::decode;
+use crate::logs::robot::mapping::{CsvLayout, TimeColumn, TimeUnit};
+use crate::logs::robot::table::TIME_COLUMN;
+use crate::logs::tables::csv_text::{Format, Table, comments, delimiter_of_header, open_mapped};
+use crate::logs::tables::stamp::stamp_ns;
+use crate::logs::tables::text::decode;
 use crate::logs::{JointConversion, LogError, ROWS_MIN, bytes_of};
 
 /// How to read a force from a table: `config/force_log.toml` explains each key.

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use super::spline::{CubicSpline, KNOTS_MIN, SplinePoint};
-use super::{LogError, RobotLog};
 use crate::kinematics::Joints;
+use crate::logs::{LogError, RobotLog};
 
 /// Cubic spline through a robot log: joint variables and their rates at any time of the log's clock.
 ///

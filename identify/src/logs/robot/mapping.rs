@@ -5,8 +5,8 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, LogConversion, Validate, Violation};
 
-use super::pose_rows::{JointColumn, check_format, check_joints};
-use super::{ForceColumns, LogError, Origin};
+use crate::logs::rows::pose_rows::{JointColumn, check_format, check_joints};
+use crate::logs::{ForceColumns, LogError, Origin};
 
 /// Unit of a time column.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -64,7 +64,7 @@ impl Default for CsvLayout {
 
 impl CsvLayout {
     /// A delimiter that can separate the cells; none is found in the header, and then is no decimal comma.
-    pub(super) fn check(&self) -> Result<(), Violation> {
+    pub(in crate::logs) fn check(&self) -> Result<(), Violation> {
         let delimiter = self.delimiter.unwrap_or(';');
         check_format("csv.delimiter", delimiter, self.decimal_comma)
     }
@@ -84,7 +84,7 @@ pub struct TimeColumn {
 
 impl TimeColumn {
     /// The one that a table needs.
-    pub(super) fn of_table<'a>(time: Option<&'a Self>, path: &Path) -> Result<&'a Self, LogError> {
+    pub(in crate::logs) fn of_table<'a>(time: Option<&'a Self>, path: &Path) -> Result<&'a Self, LogError> {
         time.filter(|time| !time.column.is_empty()).ok_or_else(|| LogError::Content {
             path: path.to_owned(),
             problem: "the mapping does not say which column has the time stamps".into(),
@@ -138,7 +138,7 @@ pub struct RobotLogMapping {
 
 impl RobotLogMapping {
     /// Values of the file in radians or metres to joint variables of the model.
-    pub(super) fn conversion(&self) -> LogConversion {
+    pub(in crate::logs) fn conversion(&self) -> LogConversion {
         let mut conversion = LogConversion::direct(AngleUnit::Rad, self.joints.len());
         let coupled = &mut conversion.raw_to_joint;
         for Coupling { joint, from, factor } in &self.coupling {
@@ -179,7 +179,7 @@ impl Validate for RobotLogMapping {
                 ));
             }
         }
-        super::JointConversion::new(&self.conversion()).map(drop).map_err(|_| {
+        crate::logs::JointConversion::new(&self.conversion()).map(drop).map_err(|_| {
             Violation::new(
                 "coupling",
                 "together they leave a joint undetermined",

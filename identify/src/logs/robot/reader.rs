@@ -10,7 +10,8 @@ use std::path::Path;
 use shared::config::RobotConfig;
 
 use super::mapping::RobotLogMapping;
-use super::{LogError, LogFormat, RobotLog, bytes_of, egm, ros, rsi, table};
+use super::{egm, ros, rsi, table};
+use crate::logs::{LogError, LogFormat, RobotLog, bytes_of};
 
 /// How a log is to be read where the file does not say it itself.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -4,20 +4,20 @@ use std::path::Path;
 
 use shared::config::{AngleUnit, JointKind, RobotConfig};
 
-use super::csv_text::{Column, Format, Table, comments, delimiter_of_header, open_mapped};
-use super::force::ForceLayout;
 use super::mapping::{Columns, RobotLogMapping, TimeColumn, TimeUnit};
 use super::raw::{Meaning, RawLog, RawRow};
-use super::stamp::stamp_ns;
-use super::text::decode;
-use super::{ForceColumns, LogError, LogFormat, Origin, RobotLog};
 use crate::kinematics::Joints;
+use crate::logs::force::ForceLayout;
+use crate::logs::tables::csv_text::{Column, Format, Table, comments, delimiter_of_header, open_mapped};
+use crate::logs::tables::stamp::stamp_ns;
+use crate::logs::tables::text::decode;
+use crate::logs::{ForceColumns, LogError, LogFormat, Origin, RobotLog};
 
 /// Name of the column with time stamps \[s\].
-pub(super) const TIME_COLUMN: &str = "t_s";
+pub(in crate::logs) const TIME_COLUMN: &str = "t_s";
 
 /// Name of the column of motor or joint `index` (from 0).
-pub(super) fn column_name(robot: &RobotConfig, index: usize, unit: AngleUnit) -> String {
+pub(in crate::logs) fn column_name(robot: &RobotConfig, index: usize, unit: AngleUnit) -> String {
     let prismatic = robot.joint_kinds().nth(index) == Some(JointKind::Prismatic);
     let suffix = if prismatic { JointKind::Prismatic.si_symbol() } else { unit.suffix() };
     format!("{}{}_{suffix}", robot.log.column, index + 1)
@@ -35,7 +35,11 @@ struct Layout {
 }
 
 /// The robot's own columns: `t_s` and those that its configuration names; other columns are passed over.
-pub(super) fn read_own(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<RobotLog, LogError> {
+pub(in crate::logs) fn read_own(
+    bytes: &[u8],
+    path: &Path,
+    robot: &RobotConfig,
+) -> Result<RobotLog, LogError> {
     let text = &*decode(bytes, path)?;
     let names = (0..robot.axes()).map(|index| column_name(robot, index, robot.log.unit)).collect();
     let meaning = Meaning::own(robot, names)?;
@@ -81,7 +85,11 @@ fn own_layout(table: &Table<'_>, path: &Path, robot: &RobotConfig) -> Result<Lay
 }
 
 /// What `record.py` of the RTDE client writes, joints in radians.
-pub(super) fn read_rtde(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<RobotLog, LogError> {
+pub(in crate::logs) fn read_rtde(
+    bytes: &[u8],
+    path: &Path,
+    robot: &RobotConfig,
+) -> Result<RobotLog, LogError> {
     let text = &*decode(bytes, path)?;
     let table = &mut Table::open(text, path, Format { delimiter: b' ', decimal_comma: false })?;
     let origin = if table.has("actual_q_0") { Origin::Measured } else { Origin::Commanded };
@@ -111,7 +119,7 @@ pub(super) fn read_rtde(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Resul
 }
 
 /// The columns that a mapping names.
-pub(super) fn read_mapped(
+pub(in crate::logs) fn read_mapped(
     bytes: &[u8],
     path: &Path,
     robot: &RobotConfig,

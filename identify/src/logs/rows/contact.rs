@@ -8,10 +8,10 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 
-use super::csv_text::{Column, Row, Table};
 use super::pose_rows::{JointColumns, check_joints, mapped, rows};
-use super::{CsvLayout, JointColumn, LogError, bytes_of};
 use crate::kinematics::Joints;
+use crate::logs::tables::csv_text::{Column, Row, Table};
+use crate::logs::{CsvLayout, JointColumn, LogError, bytes_of};
 
 /// Which columns hold what.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

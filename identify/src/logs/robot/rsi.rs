@@ -12,9 +12,9 @@ use shared::config::{AngleUnit, RobotConfig};
 
 use super::mapping::{RobotLogMapping, TimeUnit};
 use super::raw::{Meaning, RawLog, RawRow};
-use super::text::decode;
-use super::{LogError, LogFormat, Origin, RobotLog};
 use crate::kinematics::Joints;
+use crate::logs::tables::text::decode;
+use crate::logs::{LogError, LogFormat, Origin, RobotLog};
 
 /// Attributes of `AIPos` and `ASPos`.
 const AXES: [&str; 6] = ["A1", "A2", "A3", "A4", "A5", "A6"];
@@ -27,7 +27,7 @@ struct Telegram {
 }
 
 /// Reads a log of telegrams.
-pub(super) fn read(
+pub(in crate::logs) fn read(
     bytes: &[u8],
     path: &Path,
     robot: &RobotConfig,

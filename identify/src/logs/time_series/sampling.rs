@@ -9,8 +9,8 @@ use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
 
-use super::ROWS_MIN;
 use crate::kinematics::Joints;
+use crate::logs::ROWS_MIN;
 
 /// The stamps of a log against the regular clock behind them.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -88,7 +88,7 @@ const SCATTER_S: f64 = 5e-5;
 
 impl Stamps {
     /// What to know of rows that have the times of the clock, in sentences.
-    pub(super) fn remarks(&self) -> Vec<String> {
+    pub(in crate::logs) fn remarks(&self) -> Vec<String> {
         let Self { evened, jitter_s, rounded_to_s, equal, missing, steps, .. } = self;
         if !evened {
             return Vec::new();
@@ -123,14 +123,14 @@ impl Stamps {
 }
 
 /// The times of a log.
-pub(super) struct Sampling {
+pub(in crate::logs) struct Sampling {
     /// Time of each row \[s\], strictly increasing; the first need not be 0.
     pub t_s: Vec<f64>,
     pub stamps: Stamps,
 }
 
 /// The regular clock behind the stamps `t_s`, which must not decrease; none where there is none.
-pub(super) fn sampling(t_s: &[f64], rows: &[Joints]) -> Option<Sampling> {
+pub(in crate::logs) fn sampling(t_s: &[f64], rows: &[Joints]) -> Option<Sampling> {
     let as_it_is = |stamps: Stamps| Sampling { t_s: t_s.to_vec(), stamps };
     // The motion is asked only where there is something to ask: long logs have millions of rows.
     let even = even_already(t_s);

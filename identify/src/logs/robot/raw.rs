@@ -4,15 +4,15 @@ use std::path::{Path, PathBuf};
 
 use shared::config::{AngleUnit, JointKind, LogConversion, RobotConfig};
 
-use super::force::FORCE_MAX;
 use super::mapping::RobotLogMapping;
-use super::pose_rows::joints_of_robot;
-use super::sampling::{Sampling, Stamps, sampling};
-use super::{
+use crate::kinematics::Joints;
+use crate::logs::force::FORCE_MAX;
+use crate::logs::rows::pose_rows::joints_of_robot;
+use crate::logs::time_series::sampling::{Sampling, Stamps, sampling};
+use crate::logs::{
     ForceClock, ForceKind, ForceLog, JointConversion, LogError, LogFormat, LogQuality, Origin, ROWS_MIN,
     RobotLog,
 };
-use crate::kinematics::Joints;
 
 /// Joint values may pass the nominal limits by this much before a log is refused \[deg\]: zero positions of real
 /// robots differ a little from the data sheet. Prismatic axes by as much times one metre.
@@ -24,7 +24,7 @@ const FROZEN_STEP_RAD: f64 = 1e-4;
 
 /// One row of a log in the file's own units.
 #[derive(Debug, Clone, Default)]
-pub(super) struct RawRow {
+pub(in crate::logs) struct RawRow {
     /// Line or number in the file.
     pub place: u64,
     pub stamp_ns: i64,
@@ -60,7 +60,7 @@ impl From<RawRow> for KeptRow {
 }
 
 /// Rows in the order of the file, stamps not decreasing.
-pub(super) struct RawLog {
+pub(in crate::logs) struct RawLog {
     path: PathBuf,
     /// What rows are called: `line`, `message` or `telegram`.
     what: &'static str,
@@ -75,7 +75,7 @@ pub(super) struct RawLog {
 }
 
 /// How the joints of a file become those of the model, and what they are called there.
-pub(super) struct Meaning<'a> {
+pub(in crate::logs) struct Meaning<'a> {
     robot: &'a RobotConfig,
     unit: AngleUnit,
     conversion: JointConversion,

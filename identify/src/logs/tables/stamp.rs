@@ -2,9 +2,9 @@
 
 use chrono::{DateTime, NaiveDateTime};
 
-use super::LogError;
 use super::csv_text::{Column, Row, Table};
-use super::mapping::TimeUnit;
+use crate::logs::LogError;
+use crate::logs::robot::mapping::TimeUnit;
 
 /// 1970 in FILETIME, 100 ns since 1601.
 const FILETIME_1970: i64 = 116_444_736_000_000_000;
@@ -13,7 +13,7 @@ const DATES: [&str; 3] = ["%Y-%m-%dT%H:%M:%S%.f", "%Y-%m-%d %H:%M:%S%.f", "%Y-%m
 
 /// The stamp of a row to integer ns. Decimal digits are taken as they are: a UTC stamp in seconds has more of them than an
 /// `f64` can hold.
-pub(super) fn stamp_ns(
+pub(in crate::logs) fn stamp_ns(
     table: &Table<'_>,
     row: &Row,
     column: &Column,

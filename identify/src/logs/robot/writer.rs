@@ -1,12 +1,12 @@
-//! Writes a robot's joint log in the form that [`super::read`] takes.
+//! Writes a robot's joint log in the form that [`crate::logs::read`] takes.
 
 use std::io::Write;
 
 use shared::config::RobotConfig;
 
-use super::force::ALONG_COLUMN;
 use super::table::{TIME_COLUMN, column_name};
-use super::{ForceKind, JointConversion, RobotLog};
+use crate::logs::force::ALONG_COLUMN;
+use crate::logs::{ForceKind, JointConversion, RobotLog};
 
 /// Writes `log` as CSV in the columns and the unit of `robot`'s configuration, and a force along the bar that has the same
 /// stamps.
@@ -43,7 +43,7 @@ pub fn write(log: &RobotLog, robot: &RobotConfig, sink: impl Write) -> std::io::
 }
 
 /// Integer ns as decimal seconds with all nine digits.
-pub(super) fn seconds_text(ns: i64) -> String {
+pub(in crate::logs) fn seconds_text(ns: i64) -> String {
     let magnitude = ns.unsigned_abs();
     let sign = if ns < 0 { "-" } else { "" };
     format!("{sign}{}.{:09}", magnitude / 1_000_000_000, magnitude % 1_000_000_000)

@@ -10,13 +10,13 @@ use encoding_rs::{Encoding, WINDOWS_1252};
 use zip::ZipArchive;
 
 use super::csv_text::open_mapped;
-use super::{CsvLayout, LogError};
+use crate::logs::{CsvLayout, LogError};
 
 /// An Excel workbook is a ZIP archive; no text begins so.
 const ZIP: &[u8] = b"PK\x03\x04";
 
 /// Whether the bytes are a workbook, which only looks binary.
-pub(super) fn is_workbook(bytes: &[u8]) -> bool {
+pub(in crate::logs) fn is_workbook(bytes: &[u8]) -> bool {
     bytes.starts_with(ZIP)
 }
 
@@ -27,7 +27,7 @@ pub(super) fn is_workbook(bytes: &[u8]) -> bool {
 ///
 /// # Errors
 /// [`LogError::NotText`] for anything else, such as binary data or a workbook with several sheets.
-pub(super) fn decode<'a>(bytes: &'a [u8], path: &Path) -> Result<Cow<'a, str>, LogError> {
+pub(in crate::logs) fn decode<'a>(bytes: &'a [u8], path: &Path) -> Result<Cow<'a, str>, LogError> {
     let not_text = |problem: String| LogError::NotText { path: path.to_owned(), problem };
     if is_workbook(bytes) {
         return sheet(bytes).map(Cow::Owned).map_err(not_text);

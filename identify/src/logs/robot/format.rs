@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use super::LogError;
-use super::csv_text::header_line;
-use super::text::is_workbook;
+use crate::logs::LogError;
+use crate::logs::tables::csv_text::header_line;
+use crate::logs::tables::text::is_workbook;
 
 /// Kinds of robot logs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, serde::Serialize, serde::Deserialize)]

@@ -10,12 +10,12 @@ use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, Validate, Violation};
 
-use super::csv_text::{Column, Row, Table};
 use super::pose_rows::{JointColumns, check_joints, mapped, rows};
-use super::sampling::{Sampling, Stamps, sampling};
-use super::stamp::stamp_ns;
-use super::{CsvLayout, JointColumn, LengthUnit, LogError, TimeColumn, bytes_of};
 use crate::kinematics::Joints;
+use crate::logs::tables::csv_text::{Column, Row, Table};
+use crate::logs::tables::stamp::stamp_ns;
+use crate::logs::time_series::sampling::{Sampling, Stamps, sampling};
+use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, TimeColumn, bytes_of};
 
 /// No tracker sees further \[m\]; more means a wrong unit.
 const POSITION_M_MAX: f64 = 100.0;

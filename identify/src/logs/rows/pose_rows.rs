@@ -6,10 +6,10 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use shared::config::{AXES_MAX, AXES_MIN, JointKind, RobotConfig, Violation};
 
-use super::csv_text::{Column, Row, Table, open_mapped};
-use super::text::decode;
-use super::{CsvLayout, LogError};
 use crate::kinematics::Joints;
+use crate::logs::tables::csv_text::{Column, Row, Table, open_mapped};
+use crate::logs::tables::text::decode;
+use crate::logs::{CsvLayout, LogError};
 
 /// Fewest rows that make a table.
 const ROWS_MIN: usize = 10;
@@ -89,7 +89,7 @@ pub struct JointColumn {
 
 impl JointColumn {
     /// Value of the file at the model's zero \[rad, m\].
-    pub(super) fn offset(&self) -> f64 {
+    pub(in crate::logs) fn offset(&self) -> f64 {
         match self.unit.kind() {
             JointKind::Revolute => self.offset_deg.to_radians(),
             JointKind::Prismatic => self.offset_m,
@@ -106,7 +106,11 @@ fn positive() -> f64 {
 }
 
 /// A delimiter that can separate the cells; `key` is where it was written.
-pub(super) fn check_format(key: &str, delimiter: char, decimal_comma: bool) -> Result<(), Violation> {
+pub(in crate::logs) fn check_format(
+    key: &str,
+    delimiter: char,
+    decimal_comma: bool,
+) -> Result<(), Violation> {
     if !delimiter.is_ascii() || matches!(delimiter, '"' | '#' | '\n' | '\r') {
         return Err(Violation::new(
             key,
@@ -145,7 +149,7 @@ pub fn joints_of_robot(joints: &[JointColumn], robot: &RobotConfig, path: &Path)
 }
 
 /// As many joints as a robot may have, with signs and offsets that are some.
-pub(super) fn check_joints(joints: &[JointColumn]) -> Result<(), Violation> {
+pub(in crate::logs) fn check_joints(joints: &[JointColumn]) -> Result<(), Violation> {
     if !(AXES_MIN..=AXES_MAX).contains(&joints.len()) {
         return Err(Violation::new(
             "joints",
@@ -184,7 +188,7 @@ pub(super) fn check_joints(joints: &[JointColumn]) -> Result<(), Violation> {
 }
 
 /// All rows of a table: `find` finds its columns, `read` reads a row of them.
-pub(super) fn rows<C, R>(
+pub(in crate::logs) fn rows<C, R>(
     bytes: &[u8],
     path: &Path,
     layout: &CsvLayout,
@@ -205,16 +209,16 @@ pub(super) fn rows<C, R>(
 }
 
 /// The joints' columns, found in a file.
-pub(super) struct JointColumns<'a>(Vec<(Column, &'a JointColumn)>);
+pub(in crate::logs) struct JointColumns<'a>(Vec<(Column, &'a JointColumn)>);
 
 impl<'a> JointColumns<'a> {
-    pub(super) fn find(table: &Table<'_>, joints: &'a [JointColumn]) -> Result<Self, LogError> {
+    pub(in crate::logs) fn find(table: &Table<'_>, joints: &'a [JointColumn]) -> Result<Self, LogError> {
         let found = joints.iter().map(|joint| Ok((mapped(table, &joint.column)?, joint)));
         found.collect::<Result<_, LogError>>().map(Self)
     }
 
     /// Joint variables of a row \[rad, m\].
-    pub(super) fn read(&self, table: &Table<'_>, row: &Row) -> Result<Joints, LogError> {
+    pub(in crate::logs) fn read(&self, table: &Table<'_>, row: &Row) -> Result<Joints, LogError> {
         let mut q_rad = Joints::zeros(self.0.len());
         for (q, (column, joint)) in q_rad.iter_mut().zip(&self.0) {
             *q = joint.sign * (table.number(row, column)? * joint.unit.to_si() - joint.offset());
@@ -232,6 +236,6 @@ impl<'a> JointColumns<'a> {
 }
 
 /// A column that the mapping names.
-pub(super) fn mapped(table: &Table<'_>, name: &str) -> Result<Column, LogError> {
+pub(in crate::logs) fn mapped(table: &Table<'_>, name: &str) -> Result<Column, LogError> {
     table.column(name, "Correct the column's name in the mapping file, or the header.")
 }

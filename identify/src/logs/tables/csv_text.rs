@@ -2,17 +2,17 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{Cell, CsvLayout, LogError};
+use crate::logs::{Cell, CsvLayout, LogError};
 
 /// How the numbers of a file are written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Format {
+pub(in crate::logs) struct Format {
     pub delimiter: u8,
     pub decimal_comma: bool,
 }
 
 /// A header and its rows, read on demand.
-pub(super) struct Table<'a> {
+pub(in crate::logs) struct Table<'a> {
     path: PathBuf,
     lines: LineCounter<'a>,
     header: Vec<String>,
@@ -21,7 +21,7 @@ pub(super) struct Table<'a> {
 }
 
 /// One row and its line in the file.
-pub(super) struct Row {
+pub(in crate::logs) struct Row {
     pub line: u64,
     cells: csv::StringRecord,
 }
@@ -35,13 +35,13 @@ impl Row {
 
 /// A column that the header names.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Column {
+pub(in crate::logs) struct Column {
     pub index: usize,
     pub name: String,
 }
 
 /// The comment lines `# key: value` of a text, keys in lower case.
-pub(super) fn comments(text: &str) -> impl Iterator<Item = (String, &str)> {
+pub(in crate::logs) fn comments(text: &str) -> impl Iterator<Item = (String, &str)> {
     text.lines()
         .filter_map(|line| line.trim().strip_prefix('#'))
         .filter_map(|comment| comment.split_once(':'))
@@ -49,14 +49,18 @@ pub(super) fn comments(text: &str) -> impl Iterator<Item = (String, &str)> {
 }
 
 /// The delimiter that the header row uses: whichever of comma, semicolon and tab it has most of.
-pub(super) fn delimiter_of_header(text: &str) -> u8 {
+pub(in crate::logs) fn delimiter_of_header(text: &str) -> u8 {
     let header = header_line(text);
     let count = |delimiter: u8| header.bytes().filter(|&byte| byte == delimiter).count();
     [b';', b'\t'].into_iter().filter(|&d| count(d) > count(b',')).max_by_key(|&d| count(d)).unwrap_or(b',')
 }
 
 /// The table of a text in the layout that a mapping gives, its first row of numbers next.
-pub(super) fn open_mapped<'a>(text: &'a str, path: &Path, layout: &CsvLayout) -> Result<Table<'a>, LogError> {
+pub(in crate::logs) fn open_mapped<'a>(
+    text: &'a str,
+    path: &Path,
+    layout: &CsvLayout,
+) -> Result<Table<'a>, LogError> {
     let from = text.split_inclusive('\n').take(layout.skip_lines).map(str::len).sum::<usize>();
     let body = text.get(from..).unwrap_or_default();
     let delimiter = match (layout.delimiter, delimiter_of_header(body)) {
@@ -83,7 +87,7 @@ pub(super) fn open_mapped<'a>(text: &'a str, path: &Path, layout: &CsvLayout) ->
 }
 
 /// The first line that is neither blank nor a comment.
-pub(super) fn header_line(text: &str) -> &str {
+pub(in crate::logs) fn header_line(text: &str) -> &str {
     text.lines()
         .find(|line| !line.trim().is_empty() && !line.trim_start().starts_with('#'))
         .unwrap_or_default()

@@ -12,8 +12,8 @@ use shared::config::{AngleUnit, RobotConfig};
 
 use super::mapping::RobotLogMapping;
 use super::raw::{Meaning, RawLog, RawRow};
-use super::{LogError, LogFormat, Origin, RobotLog};
 use crate::kinematics::Joints;
+use crate::logs::{LogError, LogFormat, Origin, RobotLog};
 
 #[derive(Clone, PartialEq, Message)]
 struct EgmHeader {
@@ -67,7 +67,7 @@ impl EgmRobot {
 }
 
 /// Reads a capture.
-pub(super) fn read(
+pub(in crate::logs) fn read(
     bytes: &[u8],
     path: &Path,
     robot: &RobotConfig,

@@ -3,8 +3,8 @@
 use nalgebra::DMatrix;
 use shared::config::{AngleUnit, JointKind, LogConversion, RobotConfig};
 
-use super::LogError;
 use crate::kinematics::{AXES_MAX, Joints};
+use crate::logs::LogError;
 
 /// `q = (raw * unit - offset) * T`, row vector times matrix, and its inverse.
 ///
@@ -77,7 +77,7 @@ impl JointConversion {
     }
 
     /// [`Self::to_joint`] as if the log's angles were in `unit`: tells whether a log makes sense in the other unit.
-    pub(super) fn to_joint_with_unit(&self, raw: &[f64], unit: AngleUnit) -> Joints {
+    pub(in crate::logs) fn to_joint_with_unit(&self, raw: &[f64], unit: AngleUnit) -> Joints {
         let mut from_offset = self.to_si(raw, unit);
         from_offset.iter_mut().zip(self.raw_offset).for_each(|(value, offset)| *value -= offset);
         times(&from_offset, &self.raw_to_joint)

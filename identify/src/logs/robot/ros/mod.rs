@@ -15,11 +15,11 @@ use shared::config::{AngleUnit, RobotConfig};
 
 use super::mapping::RobotLogMapping;
 use super::raw::{Meaning, RawLog, RawRow};
-use super::{ForceColumns, ForceKind, LogError, LogFormat, Origin, RobotLog};
 use crate::kinematics::Joints;
+use crate::logs::{ForceColumns, ForceKind, LogError, LogFormat, Origin, RobotLog};
 use bag::Message;
 
-pub(super) use bag::{Bag, UNSTAMPED, Wanted, clock_name};
+pub(in crate::logs) use bag::{Bag, UNSTAMPED, Wanted, clock_name};
 
 /// Names that drivers give the joints, from base to flange; a prefix such as `left_` may stand before all of them.
 fn families(axes: usize) -> Vec<Vec<String>> {
@@ -47,7 +47,7 @@ const JOINTS: Wanted = Wanted {
 };
 
 /// Reads a bag.
-pub(super) fn read(
+pub(in crate::logs) fn read(
     bytes: &[u8],
     path: &Path,
     robot: &RobotConfig,

@@ -1,0 +1,5 @@
+//! What all readers of text tables share: encodings, cells, stamps.
+
+pub(super) mod csv_text;
+pub(super) mod stamp;
+pub(super) mod text;
