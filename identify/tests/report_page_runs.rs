@@ -73,7 +73,7 @@ fn what_was_not_unwrapped_and_not_averaged_is_told_in_a_line_and_what_was_has_a_
     for part in ["b1 as shown", "b1 continuous", "of what can be followed", "averaged over 100 ms"] {
         assert!(text.contains(part), "{part}");
     }
-    assert!(text.contains("What the average took from the angles, RMS [urad]"));
+    assert!(text.contains("What the average took from the angles, RMS [µrad]"));
     // Two of the counter, four of the average.
     assert_eq!(pictures(&text), pictures(&plain) + 6);
     assert!(!text.contains("nothing was to be unwrapped") && !text.contains("off, as usual"));

@@ -7,6 +7,8 @@ use identify::calibrate::ball_bar::{self, BallBarCalibration};
 use identify::calibrate::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{WorkspaceError, limits};
+use identify::kinematics::Joints;
+use identify::logs::JointConversion;
 use identify::model::ParameterId;
 use identify::simulate::{self, Effects, Experiment, Simulated};
 use shared::config::{BallBarConfig, RobotConfig};
@@ -178,4 +180,34 @@ fn a_late_drive_and_a_wrong_ratio_are_named_and_taken_out() {
     assert!(told.contains("Joint 2 turns by 0.99 % less than its log says"), "{told}");
     // Ratios that may be anything leave angles less certain; it was off by millimetres.
     assert!(error < 4.0 * sound, "{error} {sound}");
+}
+
+#[test]
+fn what_went_wrong_with_the_joints_of_a_log_is_named() {
+    for robot in [irb2400(), nj220()] {
+        let run = laboratory(&robot, 1);
+        let columns = JointConversion::of(&robot).unwrap();
+        let told = |change: &dyn Fn(&mut Joints)| {
+            let mut run = run.clone();
+            run.robot_log.q_rad.iter_mut().for_each(change);
+            let config = IdentifyConfig::default();
+            let found =
+                ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config);
+            found.map(drop).unwrap_err().to_string()
+        };
+        let of_columns = |q: &mut Joints| {
+            let mut raw = columns.to_raw(q);
+            raw.swap(3, 4);
+            *q = columns.to_joint(&raw);
+        };
+        let is_named = |expected: &str, change: &dyn Fn(&mut Joints)| {
+            let told = told(change);
+            assert!(told.contains(expected), "{}, {expected}: {told}", robot.name);
+        };
+        is_named("joints 4 and 5 are exchanged", &|q| q.swap(3, 4));
+        is_named("joints 4 and 6 are exchanged", &|q| q.swap(3, 5));
+        is_named("joints 4 and 5 are exchanged", &of_columns);
+        is_named("joint 2 counts the other way", &|q| q[1] = -q[1]);
+        is_named("joint 4 never moves", &|q| q[3] = 0.3);
+    }
 }

@@ -75,7 +75,7 @@ pub fn limits(
             tell(
                 true,
                 format!(
-                    "Joint {} turned by {travel_deg:.0} degrees only; a path that turns it further tells more of its link.",
+                    "Joint {} turned by {travel_deg:.0} degrees only; a path that turns it further determines its link better.",
                     joint + 1
                 ),
             );
@@ -97,7 +97,7 @@ pub fn limits(
         tell(
             false,
             format!(
-                "The weakest combination of parameters is {}: poses that tell these apart improve the result most.",
+                "The weakest combination of parameters is {}: poses that separate these improve the result most.",
                 names.join(", ")
             ),
         );
@@ -198,7 +198,7 @@ fn untold_forces(calibration: &BallBarCalibration) -> impl Iterator<Item = Limit
         Elongation::all(calibration).into_iter().filter(|one| one.positive == PositiveForce::NotTold);
     untold.map(|elongation| Limit {
         sentence: format!(
-            "{}The {} does not tell how the bar gives way ({}); check its clock, column and place, or calibrate without it.",
+            "{}The {} does not determine how the bar gives way ({}); check its clock, column and place, or calibrate without it.",
             place(calibration, elongation.run),
             elongation.measured.kind.describe(),
             elongation.sentence()

@@ -143,7 +143,7 @@ impl Elongation {
             PositiveForce::Tension => format!("{value}; the log's force is positive in tension"),
             PositiveForce::Compression => format!("{value}; the log's force is positive in compression"),
             PositiveForce::NotTold => format!(
-                "{what}: {:.4}{sigma} {symbol}, which is not told from zero: the force does not explain the bar's length",
+                "{what}: {:.4}{sigma} {symbol}, which cannot be distinguished from zero: the force does not explain the bar's length",
                 self.value * factor
             ),
         }

@@ -11,8 +11,8 @@ use crate::calibrate::rows::{Mistake, likely, misfit};
 use crate::instrument::PoseRow;
 use crate::kinematics::flange_chain;
 use crate::logs::{
-    ContactMapping, CsvLayout, EulerFrame, JointColumn, JointUnit, LengthColumn, LengthUnit, LogError,
-    MeasuredLengthMapping, MeasuredPoseMapping, MeasuredPoses, PositionColumns, RobotLogMapping,
+    ContactMapping, CsvLayout, EulerFrame, JointColumn, JointMistake, JointUnit, LengthColumn, LengthUnit,
+    LogError, MeasuredLengthMapping, MeasuredPoseMapping, MeasuredPoses, PositionColumns, RobotLogMapping,
     RotationColumns, RotationForm, RowsAsText, TimeColumn, TimeUnit,
 };
 
@@ -643,7 +643,9 @@ impl Trial<'_> {
             let chain = flange_chain(self.robot);
             match likely(&rows, &chain, &Mistake::of_joints(mapping.joints.len())) {
                 Some(likely) => {
-                    mend(&mut mapping.joints, likely.mistake);
+                    if let Mistake::Joints(mistake) = likely.mistake {
+                        mend(&mut mapping.joints, mistake);
+                    }
                     doubts.push(format!("{likely}; it is written so"));
                 }
                 None => reasons.extend(self.misfit(&mapping).map(|(position_m, _)| {
@@ -677,16 +679,15 @@ impl Trial<'_> {
 }
 
 /// Undoes a mistake in the columns of the joints.
-fn mend(joints: &mut [JointColumn], mistake: Mistake) {
+fn mend(joints: &mut [JointColumn], mistake: JointMistake) {
     match mistake {
-        Mistake::JointReversed(joint) => joints[joint].sign = -joints[joint].sign,
-        Mistake::JointsExchanged(one, other) => joints.swap(one, other),
-        Mistake::JointsInOtherUnit => {
+        JointMistake::Reversed(joint) => joints[joint].sign = -joints[joint].sign,
+        JointMistake::Exchanged(one, other) => joints.swap(one, other),
+        JointMistake::InOtherUnit => {
             for joint in joints {
                 joint.unit = if joint.unit == JointUnit::Deg { JointUnit::Rad } else { JointUnit::Deg };
             }
         }
-        _ => {}
     }
 }
 

@@ -27,6 +27,7 @@ pub use force::{ForceClock, ForceColumns, ForceFrame, ForceKind, ForceLog, Force
 pub use robot::conversion::JointConversion;
 pub use robot::format::LogFormat;
 pub use robot::mapping::{Columns, Coupling, CsvLayout, RobotLogMapping, TimeColumn, TimeUnit};
+pub use robot::mistake::JointMistake;
 pub use robot::reader::{LogOptions, load, load_with, read, read_with};
 pub use robot::writer::write;
 pub use rows::contact::{ContactMapping, Contacts, SeatedRow};

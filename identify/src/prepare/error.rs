@@ -72,25 +72,34 @@ pub enum PrepareError {
     },
     /// The robot did not move on a sphere.
     #[error(
-        "only {inliers_percent:.0} % of the robot's positions lie within {tolerance_mm:.0} mm of one sphere; check that \
-         the log is of a run with the bar mounted, and that robot, tool_m and plate_m are configured as in the cell"
+        "only {inliers_percent:.0} % of the robot's positions lie within {tolerance_mm:.0} mm of one sphere; {}",
+        .likely.as_deref().unwrap_or(
+            "check that the log is of a run with the bar mounted, and that robot, tool_m and plate_m are configured as in \
+             the cell"
+        )
     )]
     NotASphere {
         /// Part of the positions on the best sphere \[%\].
         inliers_percent: f64,
         /// Distance that still counts \[mm\].
         tolerance_mm: f64,
+        /// What is wrong with the log's joints, where one mistake explains it.
+        likely: Option<String>,
     },
     /// The robot moved on another sphere than the bar allows.
     #[error(
-        "the robot moved on a sphere of {found_mm:.0} mm, the bar is configured with {configured_mm:.0} mm; \
-         correct length_m of the bar (or tool_m and plate_m), or take the log of this bar's run"
+        "the robot moved on a sphere of {found_mm:.0} mm, the bar is configured with {configured_mm:.0} mm; {}",
+        .likely.as_deref().unwrap_or(
+            "correct length_m of the bar (or tool_m and plate_m), or take the log of this bar's run"
+        )
     )]
     OtherLength {
         /// Radius of the sphere \[mm\].
         found_mm: f64,
         /// Configured length \[mm\].
         configured_mm: f64,
+        /// What is wrong with the log's joints, where one mistake explains it.
+        likely: Option<String>,
     },
     /// Bar or robot of another structure.
     #[error("the ball-bar's configuration cannot be used: {0}")]

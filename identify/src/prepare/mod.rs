@@ -69,6 +69,7 @@ use serde::{Deserialize, Serialize};
 use shared::time::UtcNs;
 
 use crate::kinematics::{BAR_JOINTS, Configuration};
+use crate::logs::RobotLog;
 use crate::model::Observation;
 
 /// Limits and sizes of the preparation. The defaults suit a run of half a minute to an hour.
@@ -208,6 +209,28 @@ pub struct Alignment {
     pub clock_difference_ns: i64,
     /// Relative rate of the robot's clock minus one, from the angles.
     pub skew: f64,
+}
+
+impl Alignment {
+    /// Of clocks that are counted from a reference time of the other log, and of the speeds that matched.
+    fn new(
+        matched: &Match,
+        ambiguous: bool,
+        clock: ClockFit,
+        log: &RobotLog,
+        t_ref: UtcNs,
+        overlap_s: [f64; 2],
+    ) -> Self {
+        let robot_ref_ns = log.first_stamp_ns.saturating_add((clock.shift_s * 1e9).round() as i64);
+        Self {
+            correlation: matched.correlation,
+            runner_up: matched.runner_up,
+            ambiguous,
+            overlap_s: overlap_s[1] - overlap_s[0],
+            clock_difference_ns: robot_ref_ns.saturating_sub(t_ref.0),
+            skew: clock.skew,
+        }
+    }
 }
 
 /// Where a solve begins.

@@ -1,9 +1,14 @@
 //! The sphere that the robot's positions lie on: base and length of the bar without any encoder.
 
-use nalgebra::{DMatrix, DVector, Matrix4, Vector3, Vector4};
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix4, Vector3, Vector4};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
+use shared::config::RobotConfig;
+
+use super::{PrepareError, PrepareOptions};
+use crate::kinematics::{Chain, Joints};
+use crate::logs::{JointConversion, JointMistake, RobotLog};
 
 /// A sphere through robot positions.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -18,6 +23,8 @@ pub struct SphereFit {
     pub inliers: f64,
 }
 
+/// Robot positions nearer to the last one say nothing new about the sphere \[m\].
+const POSITIONS_APART_M: f64 = 0.005;
 /// Quadruples tried for a first sphere. With half of the positions bad one in sixteen is good.
 const DRAWS: usize = 200;
 /// Rounds of selecting inliers and fitting them.
@@ -29,6 +36,115 @@ const LENGTH_SIGMA_M: f64 = 0.002;
 /// Distances from the sphere are mostly errors of the nominal robot, alike in neighbouring postures: however many
 /// positions there are, they say as much as so many independent ones.
 const POSITIONS_INDEPENDENT: f64 = 50.0;
+
+/// The sphere of the bar that the robot's positions lie on.
+///
+/// # Errors
+/// [`PrepareError`] where they lie on none, or on that of another bar, with what most likely went wrong.
+pub(super) fn sphere_of_log(
+    log: &RobotLog,
+    robot: &Chain,
+    config: &RobotConfig,
+    length_m: f64,
+    options: &PrepareOptions,
+) -> Result<SphereFit, PrepareError> {
+    let mut positions: Vec<Vector3<f64>> = Vec::new();
+    for q in &log.q_rad {
+        let position = robot.forward(q).translation.vector;
+        if positions.last().is_none_or(|last| (last - position).norm() > POSITIONS_APART_M) {
+            positions.push(position);
+        }
+    }
+    let tolerance_mm = options.sphere_tolerance_mm;
+    if is_flat(&positions) {
+        return Err(PrepareError::LittleMotion);
+    }
+    let sphere = fit_sphere(&positions, tolerance_mm * 1e-3).ok_or(PrepareError::LittleMotion)?;
+    let likely = || likely_mistake(log, robot, config, length_m, options);
+    if sphere.inliers < 0.5 {
+        let inliers_percent = 100.0 * sphere.inliers;
+        return Err(PrepareError::NotASphere { inliers_percent, tolerance_mm, likely: likely() });
+    }
+    if (sphere.radius_m - length_m).abs() * 1e3 > options.length_tolerance_mm {
+        return Err(PrepareError::OtherLength {
+            found_mm: sphere.radius_m * 1e3,
+            configured_mm: length_m * 1e3,
+            likely: likely(),
+        });
+    }
+    Ok(sphere.drawn_to_length(&positions, tolerance_mm * 1e-3, length_m))
+}
+
+/// What most likely went wrong with the joints of a log whose positions lie on no sphere of the bar's length: what brings them onto
+/// one, in the joints or in the columns of the robot's own log; else a joint that never moves.
+fn likely_mistake(
+    log: &RobotLog,
+    robot: &Chain,
+    config: &RobotConfig,
+    length_m: f64,
+    options: &PrepareOptions,
+) -> Option<String> {
+    /// Positions that distinguish one sphere from none.
+    const TRIED: usize = 400;
+    /// Part of them on the sphere: with a wrong joint a half is, by chance and where it stands still.
+    const ON_SPHERE: f64 = 0.8;
+    /// Rounding of a column that never changes.
+    const STILL: f64 = 1e-9;
+    let every = log.q_rad.len().div_ceil(TRIED).max(1);
+    let joints: Vec<Joints> = log.q_rad.iter().step_by(every).copied().collect();
+    let conversion = JointConversion::of(config).ok().filter(|conversion| conversion.axes() == log.axes());
+    let columns: Option<Vec<Joints>> =
+        conversion.as_ref().map(|conversion| joints.iter().map(|q| conversion.to_raw(q)).collect());
+    let fitted = |joints: Vec<Joints>| {
+        let positions: Vec<_> = joints.iter().map(|q| robot.forward(q).translation.vector).collect();
+        let sphere = fit_sphere(&positions, options.sphere_tolerance_mm * 1e-3)?;
+        let of_bar = (sphere.radius_m - length_m).abs() * 1e3 < options.length_tolerance_mm;
+        (of_bar && sphere.inliers > ON_SPHERE && !is_flat(&positions)).then_some(sphere)
+    };
+    let tried = |mistake: JointMistake| {
+        let undone = move |rows: &[Joints], way: usize| -> Vec<Joints> {
+            rows.iter().filter_map(|row| mistake.undone(row).get(way).copied()).collect()
+        };
+        let ways = (0..mistake.directions()).flat_map(|way| {
+            let of_columns = conversion.as_ref().zip(columns.as_ref()).map(|(conversion, columns)| {
+                undone(columns, way).iter().map(|raw| conversion.to_joint(raw)).collect()
+            });
+            [Some(undone(&joints, way)), of_columns]
+        });
+        ways.flatten().filter_map(fitted).map(move |sphere| (mistake, sphere)).collect::<Vec<_>>()
+    };
+    let found = JointMistake::all(log.axes()).into_iter().flat_map(tried);
+    let best =
+        found.max_by(|(_, a), (_, b)| a.inliers.total_cmp(&b.inliers).then(b.rms_m.total_cmp(&a.rms_m)));
+    if let Some((mistake, sphere)) = best {
+        return Some(format!(
+            "{mistake}: so {:.0} % lie on a sphere of the bar's length; correct the log's columns or the robot's file",
+            100.0 * sphere.inliers
+        ));
+    }
+    let stands = |rows: &[Joints], joint: usize| {
+        let first = rows.first().map_or(0.0, |row| row[joint]);
+        rows.iter().all(|row| (row[joint] - first).abs() < STILL)
+    };
+    let still = (0..log.axes())
+        .find(|&joint| stands(&joints, joint) || columns.as_ref().is_some_and(|rows| stands(rows, joint)));
+    still.map(|joint| {
+        format!(
+            "joint {} never moves in the log while others do: check what the logger reads for it",
+            joint + 1
+        )
+    })
+}
+
+/// The positions lie in a plane: a circle is on many spheres.
+fn is_flat(positions_m: &[Vector3<f64>]) -> bool {
+    /// Smallest thickness over extent of a part of a sphere that determines its radius.
+    const THICKNESS_MIN: f64 = 0.02;
+    let mean = positions_m.iter().sum::<Vector3<f64>>() / positions_m.len().max(1) as f64;
+    let outer = |sum: Matrix3<f64>, p: &Vector3<f64>| sum + (p - mean) * (p - mean).transpose();
+    let extents = positions_m.iter().fold(Matrix3::zeros(), outer).symmetric_eigenvalues();
+    extents.min() < THICKNESS_MIN * THICKNESS_MIN * extents.max()
+}
 
 /// The sphere that most of `positions_m` lie on within `tolerance_m`; none where they span no sphere.
 ///

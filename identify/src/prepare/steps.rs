@@ -1,6 +1,6 @@
 //! The steps of the preparation in their order.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 use shared::time::UtcNs;
@@ -11,10 +11,11 @@ use super::forces::{Surroundings, put_on};
 use super::readings::bar_angles::BarAngles;
 use super::readings::both_logs::BothLogs;
 use super::samples::{Sorted, raw_samples, sort};
+use super::sphere::sphere_of_log;
 use super::timeline::Run;
 use super::{
     AlignedLog, Alignment, BarForces, ClockFit, EncoderOffset, InitialValues, Predictor, PrepareError,
-    PrepareOptions, Prepared, SampleCounts, SampleStatus, SphereFit, fit_sphere,
+    PrepareOptions, Prepared, SampleCounts, SampleStatus, SphereFit,
 };
 use crate::kinematics::{AXES_MAX, BAR_JOINTS, Chain, ball_bar_chain, robot_chain};
 use crate::logs::{InterpolatedLog, RobotLog, default_gap_limit_s};
@@ -22,8 +23,6 @@ use crate::model::{DriveTrain, Observation};
 
 /// Joints that travel less than this do not move \[deg\].
 pub(super) const TRAVEL_DEG_MIN: f64 = 3.0;
-/// Robot positions nearer to the last one say nothing new about the sphere \[m\].
-const POSITIONS_APART_M: f64 = 0.005;
 /// Longest log \[s\]. A longer one mostly is a clock that was set.
 const DURATION_S_MAX: f64 = 24.0 * 3600.0;
 
@@ -49,8 +48,8 @@ pub fn prepare(
     let interpolated = InterpolatedLog::new(log, default_gap_limit_s(log))?;
     let (arm, bar_chain) = (robot_chain(robot, bar), ball_bar_chain(bar));
     let gravity = DriveTrain::of(robot, &arm).gravity;
+    let sphere = sphere_of_log(log, &arm, robot, bar.length_m, options)?;
     let robot = arm;
-    let sphere = sphere(log, &robot, bar.length_m, options)?;
     let predictor = Predictor::new(&interpolated, &robot, &bar_chain, sphere.centre_m)?;
     let chains = [&robot, &bar_chain];
     let mut found = search(encoders, &both, &raw, &interpolated, &predictor, chains, options)?;
@@ -62,7 +61,7 @@ pub fn prepare(
     let mut sorted = sort(&raw, &found, &motion, t_ref_s, reference, &numbers, options)?;
     let offsets = offsets(&found, reference, &sorted);
     let initial = initial(found.fit.geometry.base.origin_m, &sphere, clock, &offsets);
-    let alignment = alignment(&found, clock, log, t_ref, overlap_s);
+    let alignment = Alignment::new(&found.matched, found.ambiguous, clock, log, t_ref, overlap_s);
     let mut statuses = statuses_of_all(angles, &raw, &sorted.statuses);
     let around = Surroundings::new(t_ref, &alignment, &motion, &robot, initial.base_m, gravity);
     let force = with_force(&mut sorted.observations, &mut statuses, log, &around)?;
@@ -216,18 +215,6 @@ fn statuses_of_all(angles: &BarAngles, raw: &[Raw], of_samples: &[SampleStatus])
     statuses
 }
 
-fn alignment(found: &Found, clock: ClockFit, log: &RobotLog, t_ref: UtcNs, overlap_s: [f64; 2]) -> Alignment {
-    let robot_ref_ns = log.first_stamp_ns.saturating_add((clock.shift_s * 1e9).round() as i64);
-    Alignment {
-        correlation: found.matched.correlation,
-        runner_up: found.matched.runner_up,
-        ambiguous: found.ambiguous,
-        overlap_s: overlap_s[1] - overlap_s[0],
-        clock_difference_ns: robot_ref_ns.saturating_sub(t_ref.0),
-        skew: clock.skew,
-    }
-}
-
 /// Largest travel of any joint \[deg\].
 pub(super) fn travel_deg<'a>(rows: impl Iterator<Item = &'a [f64]>) -> f64 {
     let mut range = [(f64::INFINITY, f64::NEG_INFINITY); AXES_MAX];
@@ -276,45 +263,4 @@ pub(super) fn check_length(
         return Err(PrepareError::TooShort { what, seconds, needed: options.overlap_min_s });
     }
     Ok(())
-}
-
-fn sphere(
-    log: &RobotLog,
-    robot: &Chain,
-    length_m: f64,
-    options: &PrepareOptions,
-) -> Result<SphereFit, PrepareError> {
-    let mut positions: Vec<Vector3<f64>> = Vec::new();
-    for q in &log.q_rad {
-        let position = robot.forward(q).translation.vector;
-        if positions.last().is_none_or(|last| (last - position).norm() > POSITIONS_APART_M) {
-            positions.push(position);
-        }
-    }
-    let tolerance_mm = options.sphere_tolerance_mm;
-    if is_flat(&positions) {
-        return Err(PrepareError::LittleMotion);
-    }
-    let sphere = fit_sphere(&positions, tolerance_mm * 1e-3).ok_or(PrepareError::LittleMotion)?;
-    if sphere.inliers < 0.5 {
-        let inliers_percent = 100.0 * sphere.inliers;
-        return Err(PrepareError::NotASphere { inliers_percent, tolerance_mm });
-    }
-    if (sphere.radius_m - length_m).abs() * 1e3 > options.length_tolerance_mm {
-        return Err(PrepareError::OtherLength {
-            found_mm: sphere.radius_m * 1e3,
-            configured_mm: length_m * 1e3,
-        });
-    }
-    Ok(sphere.drawn_to_length(&positions, tolerance_mm * 1e-3, length_m))
-}
-
-/// The positions lie in a plane: a circle is on many spheres.
-fn is_flat(positions_m: &[Vector3<f64>]) -> bool {
-    /// Smallest thickness over extent of a part of a sphere that determines its radius.
-    const THICKNESS_MIN: f64 = 0.02;
-    let mean = positions_m.iter().sum::<Vector3<f64>>() / positions_m.len().max(1) as f64;
-    let outer = |sum: Matrix3<f64>, p: &Vector3<f64>| sum + (p - mean) * (p - mean).transpose();
-    let extents = positions_m.iter().fold(Matrix3::zeros(), outer).symmetric_eigenvalues();
-    extents.min() < THICKNESS_MIN * THICKNESS_MIN * extents.max()
 }

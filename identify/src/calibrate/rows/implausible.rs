@@ -13,7 +13,8 @@ use super::{PoseFigures, RowSet, is_surely_worse};
 use crate::calibrate::ball_bar::CalibrateError;
 use crate::calibrate::mix::Rows;
 use crate::instrument::{Apart, PoseRow, Run, Standing, Tracker, median_size, quantile, standing};
-use crate::kinematics::{Chain, Joints};
+use crate::kinematics::Chain;
+use crate::logs::JointMistake;
 use crate::model::{Model, ParameterId, Role, Unit};
 
 /// What the rows cannot be.
@@ -118,12 +119,8 @@ impl fmt::Display for Step {
 /// What goes wrong between robot, tracker and file before anybody calibrates.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Mistake {
-    /// A joint counts the other way.
-    JointReversed(usize),
-    /// The columns of two joints.
-    JointsExchanged(usize, usize),
-    /// All joints are in radians and read as degrees, or the other way round.
-    JointsInOtherUnit,
+    /// Of the joints.
+    Joints(JointMistake),
     /// Joints stand in the row before or after what was measured there.
     RowsShifted,
     /// Two axes of the positions are exchanged, or one has the other sign.
@@ -137,11 +134,7 @@ pub enum Mistake {
 impl fmt::Display for Mistake {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::JointReversed(joint) => write!(f, "joint {} counts the other way", joint + 1),
-            Self::JointsExchanged(one, other) => {
-                write!(f, "joints {} and {} are exchanged", one + 1, other + 1)
-            }
-            Self::JointsInOtherUnit => write!(f, "the joints are in the other unit"),
+            Self::Joints(mistake) => write!(f, "{mistake}"),
             Self::RowsShifted => {
                 write!(f, "each row's joints belong to the measurement of the row before or after it")
             }
@@ -160,12 +153,7 @@ impl fmt::Display for Mistake {
 impl Mistake {
     /// All that can be made with the joints of an arm.
     pub fn of_joints(axes: usize) -> Vec<Self> {
-        let exchanged =
-            (0..axes).flat_map(|one| (one + 1..axes).map(move |other| Self::JointsExchanged(one, other)));
-        let mut all: Vec<Self> = (0..axes).map(Self::JointReversed).collect();
-        all.extend(exchanged);
-        all.push(Self::JointsInOtherUnit);
-        all
+        JointMistake::all(axes).into_iter().map(Self::Joints).collect()
     }
 
     fn all(axes: usize, rows: usize) -> Vec<Self> {
@@ -187,23 +175,18 @@ impl Mistake {
 
     /// The rows and the robot without the mistake: more than one way where it has a direction.
     fn undone(self, rows: &[PoseRow], robot: &Chain) -> Vec<(Vec<PoseRow>, Chain)> {
-        let joints = |of: &dyn Fn(&mut Joints)| {
-            let changed = |row: &PoseRow| {
-                let mut row = *row;
-                of(&mut row.joints_rad);
-                row
-            };
-            vec![(rows.iter().map(changed).collect(), robot.clone())]
-        };
         let shifted = |joints: &[PoseRow], measured: &[PoseRow]| {
             let pair = |(at, seen): (&PoseRow, &PoseRow)| PoseRow { joints_rad: at.joints_rad, ..*seen };
             (joints.iter().zip(measured).map(pair).collect(), robot.clone())
         };
         match self {
-            Self::JointReversed(joint) => joints(&|q| q[joint] = -q[joint]),
-            Self::JointsExchanged(one, other) => joints(&|q| q.swap(one, other)),
-            Self::JointsInOtherUnit => {
-                [joints(&|q| *q = q.map(f64::to_degrees)), joints(&|q| *q = q.map(f64::to_radians))].concat()
+            Self::Joints(mistake) => {
+                let way = |way: usize| {
+                    let undone =
+                        |row: &PoseRow| PoseRow { joints_rad: mistake.undone(&row.joints_rad)[way], ..*row };
+                    (rows.iter().map(undone).collect(), robot.clone())
+                };
+                (0..mistake.directions()).map(way).collect()
             }
             Self::RowsShifted => {
                 let later = rows.get(1..).unwrap_or_default();

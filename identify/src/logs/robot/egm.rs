@@ -13,7 +13,7 @@ use shared::config::{AngleUnit, RobotConfig};
 use super::mapping::RobotLogMapping;
 use super::raw::{Meaning, RawLog, RawRow};
 use crate::kinematics::Joints;
-use crate::logs::{LogError, LogFormat, Origin, RobotLog};
+use crate::logs::{LogError, LogFormat, Origin};
 
 #[derive(Clone, PartialEq, Message)]
 struct EgmHeader {
@@ -67,12 +67,12 @@ impl EgmRobot {
 }
 
 /// Reads a capture.
-pub(in crate::logs) fn read(
+pub(in crate::logs) fn read<'r>(
     bytes: &[u8],
     path: &Path,
-    robot: &RobotConfig,
+    robot: &'r RobotConfig,
     mapping: Option<&RobotLogMapping>,
-) -> Result<RobotLog, LogError> {
+) -> Result<(RawLog, Meaning<'r>), LogError> {
     let messages = decode(bytes, path)?;
     let names = (1..=robot.axes()).map(|joint| format!("joint {joint}")).collect();
     let (meaning, to_unit) = match mapping {
@@ -98,7 +98,7 @@ pub(in crate::logs) fn read(
         let joints = Joints::from_fn(robot.axes(), value);
         raw.push(RawRow { place: number, stamp_ns, joints, ..RawRow::default() })?;
     }
-    raw.finish(&meaning)
+    Ok((raw, meaning))
 }
 
 fn decode(bytes: &[u8], path: &Path) -> Result<Vec<EgmRobot>, LogError> {

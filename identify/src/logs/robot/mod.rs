@@ -4,6 +4,7 @@ pub(super) mod conversion;
 pub(super) mod egm;
 pub(super) mod format;
 pub(super) mod mapping;
+pub(super) mod mistake;
 pub(super) mod raw;
 pub(super) mod reader;
 pub(super) mod ros;

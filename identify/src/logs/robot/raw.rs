@@ -320,7 +320,14 @@ impl RawLog {
             self.rows.iter().all(|row| beyond_limits(&to_joint(&row.joints), &limits).is_none())
         };
         let conversion = &meaning.conversion;
-        if meaning.unit == AngleUnit::Rad && fits(&|row| conversion.to_joint_with_unit(row, AngleUnit::Deg)) {
+        // Angles that are read as a sixtieth of themselves are within any limits, where they hardly move.
+        let in_deg = |row: &Joints| conversion.to_joint_with_unit(row, AngleUnit::Deg);
+        let moves = |joint: usize| {
+            let angles = || self.rows.iter().map(|row| in_deg(&row.joints)[joint]);
+            let span_rad = angles().fold(f64::MIN, f64::max) - angles().fold(f64::MAX, f64::min);
+            span_rad > MOTION_DEG_MIN.to_radians()
+        };
+        if meaning.unit == AngleUnit::Rad && fits(&in_deg) && (0..conversion.axes()).any(moves) {
             return "read as degrees every row fits: the columns look like degrees under a `_rad` header; export \
                     radians, or name the columns `_deg` and set log.unit = \"deg\" in the robot's configuration"
                 .into();

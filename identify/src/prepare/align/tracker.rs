@@ -112,15 +112,7 @@ pub fn align_poses(
     let t_ref_s = 0.5 * (overlap_s[0] + overlap_s[1]);
     let clock = found.clock.counted_from(t_ref_s);
     let t_ref = UtcNs(poses.first_stamp_ns).plus_ns((t_ref_s * 1e9).round() as i64);
-    let robot_ref_ns = log.first_stamp_ns.saturating_add((clock.shift_s * 1e9).round() as i64);
-    let alignment = Alignment {
-        correlation: found.matched.correlation,
-        runner_up: found.matched.runner_up,
-        ambiguous: found.ambiguous,
-        overlap_s: overlap_s[1] - overlap_s[0],
-        clock_difference_ns: robot_ref_ns.saturating_sub(t_ref.0),
-        skew: clock.skew,
-    };
+    let alignment = Alignment::new(&found.matched, found.ambiguous, clock, log, t_ref, overlap_s);
     let log = AlignedLog::new(interpolated.clone(), clock.shift_s);
     let of_row = |row: usize| {
         let t_s = search.t_s[row] - t_ref_s;

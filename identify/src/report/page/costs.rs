@@ -35,7 +35,7 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
             figcaption {
                 "The robot's parameters, from their values in the calibration, with 95 % intervals. All costs saw the same "
                 "samples, so they differ by less than these where they agree. A cost that is off by more than its interval "
-                "says is misled by an error that it cannot tell from the geometry."
+                "says is misled by an error that it cannot separate from the geometry."
             }
         }
     })
@@ -82,7 +82,7 @@ fn figures_row(name: &str, figures: &CostFigures) -> Markup {
             td { (format!("{:.4}", figures.expected.mean_m * 1e3)) }
         }
         @if !figures.not_told.is_empty() {
-            tr.aside { td {} td.text colspan="8" { "does not tell " (named(&figures.not_told)) } }
+            tr.aside { td {} td.text colspan="8" { "does not determine " (named(&figures.not_told)) } }
         }
     }
 }

@@ -105,9 +105,9 @@ pub(super) fn components_over_time(run: &RunEvidence, rotations: bool) -> Result
         }
         .draw()
     };
-    let mut panels = vec![panel("Position, robot minus bar", "[um]", &|one, axis| one.apart_m[axis] * 1e6)?];
+    let mut panels = vec![panel("Position, robot minus bar", "[µm]", &|one, axis| one.apart_m[axis] * 1e6)?];
     if rotations {
-        panels.push(panel("Rotation, robot minus bar", "[urad]", &|one, axis| one.turned_rad[axis] * 1e6)?);
+        panels.push(panel("Rotation, robot minus bar", "[µrad]", &|one, axis| one.turned_rad[axis] * 1e6)?);
     }
     Ok(panels)
 }
@@ -123,7 +123,7 @@ pub(super) fn by_joint(evidence: &Evidence) -> Result<Vec<String>, PlotError> {
         Panel {
             title: format!("Joint {}", joint + 1),
             x: "joint angle [deg]",
-            y: "[urad]".into(),
+            y: "[µrad]".into(),
             size: THIRD,
             series: vec![side("forward", BLUE, true), side("back", ORANGE, false)],
             from_zero: false,

@@ -169,7 +169,7 @@ fn jitter(timeline: &Timeline) -> Markup {
     let jitter = &timeline.jitter;
     let rows = [("robot", jitter.robot_urad.to_vec()), ("bar", jitter.bar_urad.to_vec())];
     let of = if timeline.averaged.is_some() { " of the averages" } else { "" };
-    let caption = format!("Jitter{of} at standstill, standard deviation about a straight line [urad]");
+    let caption = format!("Jitter{of} at standstill, standard deviation about a straight line [µrad]");
     readings::by_joint(&caption, &rows)
 }
 

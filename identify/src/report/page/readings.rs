@@ -134,7 +134,7 @@ fn excerpt(
     let removed = vec![dots("", colour, of(|point| point.removed_rad * 1e6))];
     Ok([
         panel(format!("{name}: speed"), "[deg/s]", speeds).draw()?,
-        panel(format!("{name}: taken from the angle"), "[urad]", removed).draw()?,
+        panel(format!("{name}: taken from the angle"), "[µrad]", removed).draw()?,
     ])
 }
 
@@ -147,7 +147,7 @@ fn removed(averaged: &Averaged) -> Markup {
     ];
     let in_urad = |values: &[Option<f64>]| values.iter().map(|value| value.map(|rad| rad * 1e6)).collect();
     let rows = rows.map(|(what, values)| (what, in_urad(values)));
-    by_joint("What the average took from the angles, RMS [urad]", &rows)
+    by_joint("What the average took from the angles, RMS [µrad]", &rows)
 }
 
 /// A table with a column for each joint.

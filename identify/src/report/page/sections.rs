@@ -225,7 +225,7 @@ pub(super) fn dependence(file: &CalibrationFile) -> Markup {
     let strongest: Vec<_> = named.filter(|one| one.correlation.abs() > 0.9).take(12).collect();
     let solve = &file.solve;
     html! {
-        h2 { "How well the parameters are told apart" }
+        h2 { "How well the parameters are separated" }
         p {
             "Cost " code { (solve.cost) } ": " (solve.ended) " after " (solve.iterations) " iterations, " (solve.samples)
             " samples, " (solve.parameters) " parameters, all identified; condition " (format!("{:.0}", solve.condition))

@@ -62,7 +62,7 @@ fn um(metres: f64) -> String {
         ..100.0 => 1,
         _ => 0,
     };
-    format!("{um:.decimals$} um")
+    format!("{um:.decimals$} µm")
 }
 
 fn figures_of(sphere: &SphereDeviation) -> Markup {
@@ -110,7 +110,7 @@ fn over_time(sphere: &SphereDeviation) -> Result<[String; 2], PlotError> {
     let panel = |title: &str, series| Panel {
         title: title.into(),
         x: time.label,
-        y: "off the sphere [um]".into(),
+        y: "off the sphere [µm]".into(),
         size: WIDE,
         series,
         from_zero: false,
@@ -147,7 +147,7 @@ fn forces(after: &Deviation, elongation: &Elongation) -> Result<[String; 2], Plo
         Panel {
             title: "Calibrated robot".into(),
             x: axis,
-            y: "off the sphere [um]".into(),
+            y: "off the sphere [µm]".into(),
             size: HALF,
             series: vec![
                 dots("samples", BLUE, samples.iter().map(|one| (one.force, one.off_m * 1e6)).collect()),

@@ -31,7 +31,7 @@ pub(super) fn map(workspace: &WorkspaceError) -> Result<Markup, PlotError> {
         figcaption {
             "The same by place: root mean square of the position error that is expected in so many postures within the joint limits, "
             "each where it takes the robot's end. Each colour is a fifth of the postures and each map has its own scale. Red, the "
-            "worst fifth, is where more measurements would tell most."
+            "worst fifth, is where more measurements would help most."
         }
     } })
 }

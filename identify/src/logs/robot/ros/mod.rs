@@ -16,7 +16,7 @@ use shared::config::{AngleUnit, RobotConfig};
 use super::mapping::RobotLogMapping;
 use super::raw::{Meaning, RawLog, RawRow};
 use crate::kinematics::Joints;
-use crate::logs::{ForceColumns, ForceKind, LogError, LogFormat, Origin, RobotLog};
+use crate::logs::{ForceColumns, ForceKind, LogError, LogFormat, Origin};
 use bag::Message;
 
 pub(in crate::logs) use bag::{Bag, UNSTAMPED, Wanted, clock_name};
@@ -47,13 +47,13 @@ const JOINTS: Wanted = Wanted {
 };
 
 /// Reads a bag.
-pub(in crate::logs) fn read(
+pub(in crate::logs) fn read<'r>(
     bytes: &[u8],
     path: &Path,
-    robot: &RobotConfig,
+    robot: &'r RobotConfig,
     format: LogFormat,
     mapping: Option<&RobotLogMapping>,
-) -> Result<RobotLog, LogError> {
+) -> Result<(RawLog, Meaning<'r>), LogError> {
     let bag = Bag::open(bytes, path, format)?;
     let topic = mapping.and_then(|mapping| mapping.topic.as_deref());
     let (topic, names) =
@@ -79,7 +79,7 @@ pub(in crate::logs) fn read(
     for message in &topic.messages {
         raw.push(row(message, &names, &to_rad, stamped))?;
     }
-    raw.finish(&meaning)
+    Ok((raw, meaning))
 }
 
 /// A force is in a bag as efforts of the joints; columns are of tables.
