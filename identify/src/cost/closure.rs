@@ -47,7 +47,6 @@ pub fn closures(
 ) -> Vec<Closure> {
     let mut point = LoopPoint::new(geometry.clone());
     let at = |(sample, observation): (usize, &Observation)| {
-        let joints = motion.at(geometry.clock.robot_time_s(observation.t_s))?;
         let readings = readings(observation);
         let scene = point.scene(motion, sample, observation, &readings)?;
         let out_m = scene.robot.position_m() - geometry.base.origin_m;
@@ -57,7 +56,7 @@ pub fn closures(
         }
         Some(Closure {
             t_s: observation.t_s,
-            joints,
+            joints: scene.joints.reported,
             apart_m: scene.robot.position_m() - scene.bar.position_m(),
             turned_rad: rotation_vector(&(scene.robot.rotation() * scene.bar.rotation().transpose())),
             off_sphere_m: out_m.norm() - scene.rod_m(),

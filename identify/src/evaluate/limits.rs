@@ -253,7 +253,7 @@ fn strained_priors(model: &Model, solution: &Solution) -> Option<Limit> {
 }
 
 /// Ratios that no gear has, and joints that the log has later than the others, each beyond doubt.
-pub fn of_drives(model: &Model, solution: &Solution) -> Vec<Limit> {
+fn of_drives(model: &Model, solution: &Solution) -> Vec<Limit> {
     let found = |wanted: JointTerm| -> Vec<(usize, f64, f64)> {
         let columns = model.columns().enumerate();
         let of_term = columns.filter_map(|(column, parameter)| match parameter.id {

@@ -4,7 +4,7 @@ use crate::cost::{LoopProblem, Position, Residual, Transform};
 use crate::model::{Geometry, Model, Observation, ParameterId, RobotMotion, Role};
 use crate::solver::{Options, minimise};
 
-/// What is compared is a root mean square of this cost, which a tenth of this changes.
+/// A root mean square of this cost is compared: it changes by half of this part.
 const COST_TOLERANCE: f64 = 1e-6;
 
 /// The parameter describes the robot itself, not where the bar stands, how its encoders are zeroed or how clocks differ.

@@ -76,12 +76,12 @@ pub(super) struct Postures {
 pub fn workspace_error(model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> WorkspaceError {
     let columns = of_links(model, covariance);
     let postures = Postures::new(model, &columns, random_postures(joint_limits));
-    let drawn = drawn(covariance, &columns);
-    let [before, after] = postures.errors(&drawn);
+    let left_m = postures.left_m(covariance, &columns);
+    let [before, after] = postures.errors(&left_m);
     WorkspaceError {
         before,
         after,
-        places: postures.places(&drawn),
+        places: postures.places(&left_m),
         weakest: weakest(&root(covariance, &columns), &postures.by_parameter, &columns),
         budget: Budget::new(model, covariance, &columns, &postures),
         cube: None,
@@ -95,7 +95,7 @@ impl WorkspaceError {
         self.cube = Cube::largest(&model.geometry(&model.start()).robot, joint_limits).map(|cube| {
             let columns = of_links(model, covariance);
             let postures = Postures::new(model, &columns, cube.postures.into_iter());
-            let [before, after] = postures.errors(&drawn(covariance, &columns));
+            let [before, after] = postures.errors(&postures.left_m(covariance, &columns));
             CubeError { edge_m: cube.edge_m, centre_m: cube.centre_m, before, after }
         });
         self
@@ -197,9 +197,13 @@ impl Postures {
         postures
     }
 
+    /// What robots drawn from the covariance are off by: three rows for each posture, a draw in each column \[m\].
+    fn left_m(&self, covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f64> {
+        &self.by_parameter * drawn(covariance, columns)
+    }
+
     /// Each posture over all draws, as in [`Self::errors`].
-    fn places(&self, drawn: &DMatrix<f64>) -> Vec<PlaceError> {
-        let left_m = &self.by_parameter * drawn;
+    fn places(&self, left_m: &DMatrix<f64>) -> Vec<PlaceError> {
         let of_posture = |(posture, (position_m, was)): (usize, (&Vector3<f64>, &Vector3<f64>))| {
             let left = |draw| Vector3::from(left_m.fixed_view::<3, 1>(3 * posture, draw));
             let draws = 0..left_m.ncols();
@@ -213,9 +217,7 @@ impl Postures {
     }
 
     /// Of the nominal and the calibrated robot, where the true one is the calibrated one with errors that were drawn.
-    fn errors(&self, drawn: &DMatrix<f64>) -> [Expected; 2] {
-        // All postures of all robots in one product: a draw in each column.
-        let left_m = &self.by_parameter * drawn;
+    fn errors(&self, left_m: &DMatrix<f64>) -> [Expected; 2] {
         let (mut before, mut after) = (Vec::new(), Vec::new());
         for draw in left_m.column_iter() {
             let left = |posture: usize| Vector3::from(draw.fixed_rows::<3>(3 * posture));

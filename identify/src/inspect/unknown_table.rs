@@ -683,7 +683,7 @@ fn mend(joints: &mut [JointColumn], mistake: JointMistake) {
     match mistake {
         JointMistake::Reversed(joint) => joints[joint].sign = -joints[joint].sign,
         JointMistake::Exchanged(one, other) => joints.swap(one, other),
-        JointMistake::InOtherUnit => {
+        JointMistake::InRadians | JointMistake::InDegrees => {
             for joint in joints {
                 joint.unit = if joint.unit == JointUnit::Deg { JointUnit::Rad } else { JointUnit::Deg };
             }

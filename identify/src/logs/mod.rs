@@ -40,7 +40,7 @@ pub use rows::measured_pose::{
 };
 pub use rows::pose_rows::{JointColumn, JointUnit, LengthUnit, joints_of_robot};
 pub use tables::text::{Cells, RowsAsText};
-pub use time_series::interpolation::{InterpolatedLog, default_gap_limit_s};
+pub use time_series::interpolation::{InterpolatedLog, default_gap_limit_s, gap_limit_s};
 pub use time_series::sampling::{StampStep, Stamps};
 pub use time_series::spline::{CubicSpline, Row, SplinePoint};
 pub use time_series::unwrapped::{Unwrapped, UnwrappedPoint};

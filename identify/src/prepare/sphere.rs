@@ -102,16 +102,12 @@ fn likely_mistake(
         (of_bar && sphere.inliers > ON_SPHERE && !is_flat(&positions)).then_some(sphere)
     };
     let tried = |mistake: JointMistake| {
-        let undone = move |rows: &[Joints], way: usize| -> Vec<Joints> {
-            rows.iter().filter_map(|row| mistake.undone(row).get(way).copied()).collect()
-        };
-        let ways = (0..mistake.directions()).flat_map(|way| {
-            let of_columns = conversion.as_ref().zip(columns.as_ref()).map(|(conversion, columns)| {
-                undone(columns, way).iter().map(|raw| conversion.to_joint(raw)).collect()
-            });
-            [Some(undone(&joints, way)), of_columns]
+        let of_joints = joints.iter().map(|q| mistake.undone(q)).collect();
+        let of_columns = conversion.as_ref().zip(columns.as_ref()).map(|(conversion, columns)| {
+            columns.iter().map(|raw| conversion.to_joint(&mistake.undone(raw))).collect()
         });
-        ways.flatten().filter_map(fitted).map(move |sphere| (mistake, sphere)).collect::<Vec<_>>()
+        let spheres = [Some(of_joints), of_columns].into_iter().flatten().filter_map(fitted);
+        spheres.map(move |sphere| (mistake, sphere)).collect::<Vec<_>>()
     };
     let found = JointMistake::all(log.axes()).into_iter().flat_map(tried);
     let best =

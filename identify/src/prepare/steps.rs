@@ -6,6 +6,7 @@ use shared::recording::schema::{CycleRecord, EncoderInfo};
 use shared::time::UtcNs;
 
 use super::align::find::{Found, Raw, Search};
+use super::encoders::circular::wrapped;
 use super::encoders::origins::join;
 use super::forces::{Surroundings, put_on};
 use super::readings::bar_angles::BarAngles;
@@ -22,7 +23,7 @@ use crate::logs::{InterpolatedLog, RobotLog, default_gap_limit_s};
 use crate::model::{DriveTrain, Observation};
 
 /// Joints that travel less than this do not move \[deg\].
-pub(super) const TRAVEL_DEG_MIN: f64 = 3.0;
+const TRAVEL_DEG_MIN: f64 = 3.0;
 /// Longest log \[s\]. A longer one mostly is a clock that was set.
 const DURATION_S_MAX: f64 = 24.0 * 3600.0;
 
@@ -196,9 +197,7 @@ fn offsets(found: &Found, reference: usize, sorted: &Sorted) -> Vec<EncoderOffse
     let measured = found.encoder_map.used.measured();
     let offset = |joint: usize| EncoderOffset {
         joint: joint as u8 + 1,
-        offset_rad: super::encoders::circular::wrapped(
-            offsets.map_or(0.0, |offsets| offsets.offsets_rad[joint]),
-        ),
+        offset_rad: wrapped(offsets.map_or(0.0, |offsets| offsets.offsets_rad[joint])),
         spread_rad: sorted.spread_rad[joint],
     };
     (0..BAR_JOINTS).filter(|joint| measured[*joint]).map(offset).collect()
@@ -241,10 +240,12 @@ fn check_motion(raw: &[Raw], cycles: usize, log: &RobotLog) -> Result<(), Prepar
         of_bar.map(|part| travel_deg(part.iter().map(|raw| raw.recorded_rad.as_ref()))).fold(0.0, f64::max);
     let moves =
         [("the recording", of_bar), ("the robot log", travel_deg(log.q_rad.iter().map(AsRef::as_ref)))];
-    match moves.into_iter().find(|(_, travel_deg)| *travel_deg < TRAVEL_DEG_MIN) {
-        Some((what, travel_deg)) => Err(PrepareError::NoMotion { what, travel_deg }),
-        None => Ok(()),
-    }
+    moves.into_iter().try_for_each(|(what, travel_deg)| require_motion(what, travel_deg))
+}
+
+/// A log whose joints travel so far at most \[deg\].
+pub(super) fn require_motion(what: &'static str, travel_deg: f64) -> Result<(), PrepareError> {
+    if travel_deg < TRAVEL_DEG_MIN { Err(PrepareError::NoMotion { what, travel_deg }) } else { Ok(()) }
 }
 
 /// The robot's log and another one, which covers so much \[s\].

@@ -123,8 +123,7 @@ impl Normals {
             let (products, fits) = pass.run(|| Products::new(problem.columns()))?;
             Ok::<_, PassError>(products.normal(weighed_rows(&fits)))
         };
-        let entries = problem.samples() * problem.rows() * problem.columns();
-        let threads = options.threads.map_or_else(|| threads_that_pay(entries), usize::from);
+        let threads = options.threads.map_or_else(|| threads_that_pay(problem), usize::from);
         let mut of_folds = on_threads(threads.min(all.len()), all.len(), of_samples).ok()?;
         let known = of_folds.pop()?;
         let mut total = Normal::zeros(problem.columns());

@@ -225,8 +225,7 @@ impl<'a, P: Problem> Pass<'a, P> {
     }
 
     fn threads(&self, parts: usize) -> usize {
-        let entries = self.problem.samples() * self.problem.rows() * self.problem.columns();
-        self.threads.unwrap_or_else(|| threads_that_pay(entries)).clamp(1, parts.max(1))
+        self.threads.unwrap_or_else(|| threads_that_pay(self.problem)).clamp(1, parts.max(1))
     }
 
     fn report(&self, samples_done: &AtomicUsize, samples: usize) -> Result<(), PassError> {
@@ -297,9 +296,9 @@ fn require_finite(panel: &Panel) -> Result<(), PassError> {
     panel.not_finite().map_or(Ok(()), |sample| Err(PassError::NotFinite(sample)))
 }
 
-/// Threads for a pass over so many entries of the Jacobian.
-pub(super) fn threads_that_pay(entries: usize) -> usize {
-    let pays = entries / ENTRIES_PER_THREAD;
+/// Threads for a pass over all samples of a problem.
+pub(super) fn threads_that_pay(problem: &impl Problem) -> usize {
+    let pays = problem.samples() * problem.rows() * problem.columns() / ENTRIES_PER_THREAD;
     // Asked only where it matters: the answer takes reading files, longer than a pass over a few samples.
     let there = || std::thread::available_parallelism().map_or(1, usize::from);
     if pays > 1 { there().min(pays) } else { 1 }

@@ -181,12 +181,8 @@ impl Mistake {
         };
         match self {
             Self::Joints(mistake) => {
-                let way = |way: usize| {
-                    let undone =
-                        |row: &PoseRow| PoseRow { joints_rad: mistake.undone(&row.joints_rad)[way], ..*row };
-                    (rows.iter().map(undone).collect(), robot.clone())
-                };
-                (0..mistake.directions()).map(way).collect()
+                let undone = |row: &PoseRow| PoseRow { joints_rad: mistake.undone(&row.joints_rad), ..*row };
+                vec![(rows.iter().map(undone).collect(), robot.clone())]
             }
             Self::RowsShifted => {
                 let later = rows.get(1..).unwrap_or_default();

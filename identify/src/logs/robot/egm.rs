@@ -13,7 +13,7 @@ use shared::config::{AngleUnit, RobotConfig};
 use super::mapping::RobotLogMapping;
 use super::raw::{Meaning, RawLog, RawRow};
 use crate::kinematics::Joints;
-use crate::logs::{LogError, LogFormat, Origin};
+use crate::logs::{LogError, LogFormat, Origin, RobotLog};
 
 #[derive(Clone, PartialEq, Message)]
 struct EgmHeader {
@@ -67,12 +67,12 @@ impl EgmRobot {
 }
 
 /// Reads a capture.
-pub(in crate::logs) fn read<'r>(
+pub(in crate::logs) fn read(
     bytes: &[u8],
     path: &Path,
-    robot: &'r RobotConfig,
+    robot: &RobotConfig,
     mapping: Option<&RobotLogMapping>,
-) -> Result<(RawLog, Meaning<'r>), LogError> {
+) -> Result<RobotLog, LogError> {
     let messages = decode(bytes, path)?;
     let names = (1..=robot.axes()).map(|joint| format!("joint {joint}")).collect();
     let (meaning, to_unit) = match mapping {
@@ -98,7 +98,7 @@ pub(in crate::logs) fn read<'r>(
         let joints = Joints::from_fn(robot.axes(), value);
         raw.push(RawRow { place: number, stamp_ns, joints, ..RawRow::default() })?;
     }
-    Ok((raw, meaning))
+    raw.finish(&meaning)
 }
 
 fn decode(bytes: &[u8], path: &Path) -> Result<Vec<EgmRobot>, LogError> {

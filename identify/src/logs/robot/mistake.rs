@@ -11,8 +11,10 @@ pub enum JointMistake {
     Reversed(usize),
     /// The columns of two joints.
     Exchanged(usize, usize),
-    /// All joints are in radians and read as degrees, or the other way round.
-    InOtherUnit,
+    /// All joints are in radians and read as degrees.
+    InRadians,
+    /// All joints are in degrees and read as radians.
+    InDegrees,
 }
 
 impl JointMistake {
@@ -20,23 +22,20 @@ impl JointMistake {
     pub fn all(axes: usize) -> Vec<Self> {
         let exchanged =
             (0..axes).flat_map(|one| (one + 1..axes).map(move |other| Self::Exchanged(one, other)));
-        (0..axes).map(Self::Reversed).chain(exchanged).chain([Self::InOtherUnit]).collect()
+        (0..axes).map(Self::Reversed).chain(exchanged).chain([Self::InRadians, Self::InDegrees]).collect()
     }
 
-    /// The joints of a row without the mistake, in each of its directions.
-    pub fn undone(self, joints: &Joints) -> Vec<Joints> {
+    /// The joints of a row without the mistake.
+    #[must_use]
+    pub fn undone(self, joints: &Joints) -> Joints {
         let mut undone = *joints;
         match self {
             Self::Reversed(joint) => undone[joint] = -undone[joint],
             Self::Exchanged(one, other) => undone.swap(one, other),
-            Self::InOtherUnit => return vec![undone.map(f64::to_degrees), undone.map(f64::to_radians)],
+            Self::InRadians => return undone.map(f64::to_degrees),
+            Self::InDegrees => return undone.map(f64::to_radians),
         }
-        vec![undone]
-    }
-
-    /// How many directions it has.
-    pub const fn directions(self) -> usize {
-        if matches!(self, Self::InOtherUnit) { 2 } else { 1 }
+        undone
     }
 }
 
@@ -45,7 +44,7 @@ impl fmt::Display for JointMistake {
         match self {
             Self::Reversed(joint) => write!(f, "joint {} counts the other way", joint + 1),
             Self::Exchanged(one, other) => write!(f, "joints {} and {} are exchanged", one + 1, other + 1),
-            Self::InOtherUnit => f.write_str("the joints are in the other unit"),
+            Self::InRadians | Self::InDegrees => f.write_str("the joints are in the other unit"),
         }
     }
 }

@@ -10,7 +10,6 @@ use std::path::Path;
 use shared::config::RobotConfig;
 
 use super::mapping::RobotLogMapping;
-use super::raw::{Meaning, RawLog};
 use super::{egm, ros, rsi, table};
 use crate::logs::{LogError, LogFormat, RobotLog, bytes_of};
 
@@ -44,9 +43,7 @@ pub fn read(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<RobotLog, 
 /// # Errors
 /// As [`load`].
 pub fn load_with(path: &Path, robot: &RobotConfig, options: &LogOptions) -> Result<RobotLog, LogError> {
-    // The bytes of ten hours are a gigabyte that nobody needs once there are rows.
-    let (raw, meaning) = rows(&bytes_of(path)?, path, robot, options)?;
-    raw.finish(&meaning)
+    read_with(&bytes_of(path)?, path, robot, options)
 }
 
 /// [`read`] with what the file does not say.
@@ -59,17 +56,6 @@ pub fn read_with(
     robot: &RobotConfig,
     options: &LogOptions,
 ) -> Result<RobotLog, LogError> {
-    let (raw, meaning) = rows(bytes, path, robot, options)?;
-    raw.finish(&meaning)
-}
-
-/// Rows as the file has them, and how they become joints of the robot.
-fn rows<'r>(
-    bytes: &[u8],
-    path: &Path,
-    robot: &'r RobotConfig,
-    options: &LogOptions,
-) -> Result<(RawLog, Meaning<'r>), LogError> {
     let format = options.format.map_or_else(|| LogFormat::detect(bytes, path), Ok)?;
     let mapping = options.mapping.as_ref();
     match (format, mapping) {

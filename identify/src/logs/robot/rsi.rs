@@ -14,7 +14,7 @@ use super::mapping::{RobotLogMapping, TimeUnit};
 use super::raw::{Meaning, RawLog, RawRow};
 use crate::kinematics::Joints;
 use crate::logs::tables::text::decode;
-use crate::logs::{LogError, LogFormat, Origin};
+use crate::logs::{LogError, LogFormat, Origin, RobotLog};
 
 /// Attributes of `AIPos` and `ASPos`.
 const AXES: [&str; 6] = ["A1", "A2", "A3", "A4", "A5", "A6"];
@@ -27,12 +27,12 @@ struct Telegram {
 }
 
 /// Reads a log of telegrams.
-pub(in crate::logs) fn read<'r>(
+pub(in crate::logs) fn read(
     bytes: &[u8],
     path: &Path,
-    robot: &'r RobotConfig,
+    robot: &RobotConfig,
     mapping: Option<&RobotLogMapping>,
-) -> Result<(RawLog, Meaning<'r>), LogError> {
+) -> Result<RobotLog, LogError> {
     let text = &*decode(bytes, path)?;
     let names = AXES.map(str::to_owned).to_vec();
     let (meaning, to_unit) = match mapping {
@@ -62,7 +62,7 @@ pub(in crate::logs) fn read<'r>(
         let joints = Joints::from_fn(robot.axes(), joint);
         raw.push(RawRow { place: number, stamp_ns: ipoc, joints, ..RawRow::default() })?;
     }
-    Ok((raw, meaning))
+    raw.finish(&meaning)
 }
 
 /// A counter that goes up by one with each telegram counts telegrams: how long one lasts is then not in the file.

@@ -11,7 +11,7 @@ use crate::logs::force::ForceLayout;
 use crate::logs::tables::csv_text::{Column, Format, Table, comments, delimiter_of_header, open_mapped};
 use crate::logs::tables::stamp::stamp_ns;
 use crate::logs::tables::text::decode;
-use crate::logs::{ForceColumns, LogError, LogFormat, Origin};
+use crate::logs::{ForceColumns, LogError, LogFormat, Origin, RobotLog};
 
 /// Name of the column with time stamps \[s\].
 pub(in crate::logs) const TIME_COLUMN: &str = "t_s";
@@ -35,11 +35,11 @@ struct Layout {
 }
 
 /// The robot's own columns: `t_s` and those that its configuration names; other columns are passed over.
-pub(in crate::logs) fn read_own<'r>(
+pub(in crate::logs) fn read_own(
     bytes: &[u8],
     path: &Path,
-    robot: &'r RobotConfig,
-) -> Result<(RawLog, Meaning<'r>), LogError> {
+    robot: &RobotConfig,
+) -> Result<RobotLog, LogError> {
     let text = &*decode(bytes, path)?;
     let names = (0..robot.axes()).map(|index| column_name(robot, index, robot.log.unit)).collect();
     let meaning = Meaning::own(robot, names)?;
@@ -50,7 +50,7 @@ pub(in crate::logs) fn read_own<'r>(
     declare(&mut raw, text);
     raw.force = layout.force.as_ref().map(|force| force.kind);
     read_rows(&mut table, &layout, &mut raw)?;
-    Ok((raw, meaning))
+    raw.finish(&meaning)
 }
 
 fn own_layout(table: &Table<'_>, path: &Path, robot: &RobotConfig) -> Result<Layout, LogError> {
@@ -85,11 +85,11 @@ fn own_layout(table: &Table<'_>, path: &Path, robot: &RobotConfig) -> Result<Lay
 }
 
 /// What `record.py` of the RTDE client writes, joints in radians.
-pub(in crate::logs) fn read_rtde<'r>(
+pub(in crate::logs) fn read_rtde(
     bytes: &[u8],
     path: &Path,
-    robot: &'r RobotConfig,
-) -> Result<(RawLog, Meaning<'r>), LogError> {
+    robot: &RobotConfig,
+) -> Result<RobotLog, LogError> {
     let text = &*decode(bytes, path)?;
     let table = &mut Table::open(text, path, Format { delimiter: b' ', decimal_comma: false })?;
     let origin = if table.has("actual_q_0") { Origin::Measured } else { Origin::Commanded };
@@ -115,16 +115,16 @@ pub(in crate::logs) fn read_rtde<'r>(
     (raw.clock, raw.origin) = ("since the controller's start".into(), origin);
     raw.force = layout.force.as_ref().map(|force| force.kind);
     read_rows(table, &layout, &mut raw)?;
-    Ok((raw, meaning))
+    raw.finish(&meaning)
 }
 
 /// The columns that a mapping names.
-pub(in crate::logs) fn read_mapped<'r>(
+pub(in crate::logs) fn read_mapped(
     bytes: &[u8],
     path: &Path,
-    robot: &'r RobotConfig,
+    robot: &RobotConfig,
     mapping: &RobotLogMapping,
-) -> Result<(RawLog, Meaning<'r>), LogError> {
+) -> Result<RobotLog, LogError> {
     let text = &*decode(bytes, path)?;
     let mut table = open_mapped(text, path, &mapping.csv)?;
     let columns = mapped_layout(&table, path, mapping)?;
@@ -136,7 +136,7 @@ pub(in crate::logs) fn read_mapped<'r>(
     raw.origin = mapping.values.unwrap_or(raw.origin);
     raw.force = mapping.force.as_ref().map(ForceColumns::kind);
     read_rows(&mut table, &columns, &mut raw)?;
-    Ok((raw, meaning))
+    raw.finish(&meaning)
 }
 
 fn mapped_layout(table: &Table<'_>, path: &Path, mapping: &RobotLogMapping) -> Result<Layout, LogError> {

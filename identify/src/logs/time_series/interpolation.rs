@@ -18,7 +18,12 @@ pub struct InterpolatedLog {
 /// Longest distance of two stamps that is bridged \[s\]: 50 ms, or 3.5 periods of a slower log. A joint that swings by
 /// 1 rad/s² at 1 Hz is followed through 50 ms to better than 1 urad.
 pub fn default_gap_limit_s(log: &RobotLog) -> f64 {
-    (3.5 * log.quality.period_s).max(0.05)
+    gap_limit_s(log.quality.period_s)
+}
+
+/// The same of values that are so far apart \[s\].
+pub fn gap_limit_s(period_s: f64) -> f64 {
+    (3.5 * period_s).max(0.05)
 }
 
 impl InterpolatedLog {

@@ -1,5 +1,13 @@
 //! Bar time to robot time.
 
+/// The correlation of speeds gives the shift this well \[s\].
+pub(in crate::prepare) const SHIFT_SIGMA_S: f64 = 0.05;
+/// Clocks of controllers and instruments differ by this much.
+pub(in crate::prepare) const SKEW_SIGMA: f64 = 100e-6;
+/// A step that takes a sample out of the robot's log is refused as a whole, and a fit ends where the first sample stands at the
+/// log's end: samples that such a shift could take out do not take part \[s\].
+pub(in crate::prepare) const EDGE_S: f64 = 2.0 * SHIFT_SIGMA_S;
+
 /// Robot time against bar time: `tau = shift + (1 + skew) t`, both from their own zero.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ClockFit {

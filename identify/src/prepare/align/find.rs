@@ -60,7 +60,7 @@ const FITTED_MAX: usize = 4;
 /// On nominal geometry, candidates within this factor of the best may turn out to be the better one.
 const NEAR_BEST: f64 = 2.0;
 /// Two fits whose residuals differ by less than this factor are equally good: the motion repeats itself.
-pub(in crate::prepare) const TIE: f64 = 1.2;
+const TIE: f64 = 1.2;
 /// Travel between samples that are compared \[rad\], and how many there are at most.
 const PAIRS_APART_RAD: f64 = 0.01;
 const PAIRS_MAX: usize = 3000;
@@ -77,6 +77,19 @@ pub(in crate::prepare) struct Hypothesis {
     clock: ClockFit,
     encoder_map: EncoderMapReport,
     spread_rad: f64,
+}
+
+/// Leaves those whose residuals are as small as the smallest.
+pub(in crate::prepare) fn retain_sharpest<T>(fits: &mut Vec<T>, spread: impl Fn(&T) -> f64) {
+    let sharpest = fits.iter().map(&spread).fold(f64::INFINITY, f64::min);
+    fits.retain(|fit| spread(fit) <= TIE * sharpest);
+}
+
+/// Of equally good ones: the motion repeats itself, and the longest overlap is most likely.
+pub(in crate::prepare) fn of_longest_overlap<T>(fits: Vec<T>, matched: impl Fn(&T) -> &Match) -> Option<T> {
+    fits.into_iter().reduce(|best, other| {
+        if matched(&other).overlap as f64 > 1.1 * matched(&best).overlap as f64 { other } else { best }
+    })
 }
 
 impl Search<'_> {
@@ -117,13 +130,9 @@ impl Search<'_> {
             fitted.extend(fit.map(|fit| (hypothesis, fit)));
         }
         // By most of the samples, not by half: another lap fits well wherever it is like the right one.
-        let sharpest = fitted.iter().map(|(_, fit)| fit.sigma_of_most_rad).fold(f64::INFINITY, f64::min);
-        fitted.retain(|(_, fit)| fit.sigma_of_most_rad <= TIE * sharpest);
+        retain_sharpest(&mut fitted, |(_, fit)| fit.sigma_of_most_rad);
         let ambiguous = fitted.len() > 1;
-        // Equally good ones: the motion repeats itself, and the longest overlap is most likely.
-        let longest = fitted.into_iter().reduce(|best, other| {
-            if other.0.matched.overlap as f64 > 1.1 * best.0.matched.overlap as f64 { other } else { best }
-        });
+        let longest = of_longest_overlap(fitted, |(hypothesis, _)| &hypothesis.matched);
         let Some((hypothesis, fit)) = longest else {
             let jump = self.jump_between_parts(&window, step_s);
             return Err(jump.or(refusal).unwrap_or(PrepareError::NothingToFit));

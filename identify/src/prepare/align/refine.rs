@@ -7,7 +7,7 @@
 
 use nalgebra::{Vector3, Vector5};
 
-use super::clock::ClockFit;
+use super::clock::{ClockFit, EDGE_S, SHIFT_SIGMA_S, SKEW_SIGMA};
 use crate::cost::{LoopProblem, Movement, Residual, Scene};
 use crate::kinematics::{
     BAR_JOINTS, Chain, ImpliedBar, LinkParameter, Trace, Tracer, Turn, singularity_margin_rad,
@@ -27,13 +27,6 @@ const BASE_SIGMA_M: f64 = 0.01;
 const TILT_SIGMA_RAD: f64 = 0.01;
 /// Errors of the encoders that repeat with each turn \[rad\].
 const HARMONIC_SIGMA_RAD: f64 = 50e-6;
-/// The correlation of speeds gives the shift this well \[s\].
-const SHIFT_SIGMA_S: f64 = 0.05;
-/// A step that takes a sample out of the robot's log is refused as a whole, and the fit ends where the first sample stands at
-/// the log's end: samples that such a shift could take out do not take part \[s\].
-const EDGE_S: f64 = 2.0 * SHIFT_SIGMA_S;
-/// Clocks of controllers differ by this much.
-const SKEW_SIGMA: f64 = 100e-6;
 /// Offsets are found on nominal geometry this well \[rad\].
 const ZERO_SIGMA_RAD: f64 = 0.05;
 /// Wide enough at first that nearly all samples pull; where that ends between two sides of a clock that jumps, a narrower
@@ -70,8 +63,6 @@ pub(in crate::prepare) struct Fit {
     pub clock: ClockFit,
     /// Both chains and the base, so that the angles fit.
     pub geometry: Geometry,
-    /// The same as the parameters of [`model`].
-    chains: Vec<f64>,
     /// To be added to the offsets, by origin \[rad\].
     pub offsets_by_rad: Vec<[f64; BAR_JOINTS]>,
     /// Standard deviation of an angle's residual, from the median \[rad\].
@@ -265,10 +256,10 @@ pub(in crate::prepare) fn refine(
     let chain_columns = model.columns().len();
     let mut x = model.start();
     let ids = model.columns().map(|parameter| parameter.id);
-    let of_clock = |id: ParameterId| matches!(id, ParameterId::ClockShift | ParameterId::ClockSkew);
-    for ((x, id), start) in x.iter_mut().zip(ids).zip(start.iter().flat_map(|fit| &fit.chains)) {
-        if !of_clock(id) {
-            *x = *start;
+    if let Some(mut start) = start.map(|fit| fit.geometry.clone()) {
+        let of_clock = |id: &ParameterId| matches!(id, ParameterId::ClockShift | ParameterId::ClockSkew);
+        for (x, id) in x.iter_mut().zip(ids).filter(|(_, id)| !of_clock(id)) {
+            *x = start.parameter_mut(id).map_or(*x, |start| *start);
         }
     }
     x.resize(chain_columns + origin_count * BAR_JOINTS, 0.0);
@@ -295,11 +286,9 @@ pub(in crate::prepare) fn refine(
     let (chain, offsets) = x.split_at(chain_columns);
     let geometry = model.geometry(chain);
     let (shift_s, skew) = (geometry.clock.shift_s, geometry.clock.skew);
-    let tau_at_middle_s = motion.origin_s() + shift_s;
     Some(Fit {
-        clock: ClockFit { shift_s: tau_at_middle_s - (1.0 + skew) * middle_s, skew },
+        clock: ClockFit { shift_s: motion.origin_s() + shift_s, skew }.counted_from(-middle_s),
         geometry,
-        chains: chain.to_vec(),
         offsets_by_rad: offsets.chunks_exact(BAR_JOINTS).map(|of| std::array::from_fn(|j| of[j])).collect(),
         sigma_rad,
         sigma_of_most_rad: spread_rad(&x, GoodShare::NINE_TENTHS),

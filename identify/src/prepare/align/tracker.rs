@@ -10,17 +10,18 @@ use std::ops::Range;
 use nalgebra::Vector3;
 use shared::time::UtcNs;
 
-use super::find::TIE;
+use super::clock::{EDGE_S, SHIFT_SIGMA_S, SKEW_SIGMA};
+use super::find::{of_longest_overlap, retain_sharpest};
 use super::placement::{PROBE_SIGMA_M, placements};
 use super::speeds::{REACH, grid_step_s, speeds};
 use super::window::{CANDIDATES, liveliest, overlap_min_s, wider};
 use crate::cost::{LoopProblem, MeasuredPosition, PoseNoise};
 use crate::kinematics::{Chain, Pose};
-use crate::logs::{InterpolatedLog, RobotLog, TimedPoses, default_gap_limit_s};
+use crate::logs::{InterpolatedLog, RobotLog, TimedPoses, default_gap_limit_s, gap_limit_s};
 use crate::model::{Axis, JointState, Model, Observation, ParameterId, RobotMotion, Role};
 use crate::prepare::readings::standstill::MOVING_RAD_S;
 use crate::prepare::select::select;
-use crate::prepare::steps::{check_length, overlap_s, travel_deg};
+use crate::prepare::steps::{check_length, overlap_s, require_motion, travel_deg};
 use crate::prepare::{
     AlignedLog, Alignment, Channels, ClockFit, Match, PrepareError, PrepareOptions, candidates, correlate,
     unwrapped_log,
@@ -38,11 +39,6 @@ const EXTENT_M_MIN: f64 = 0.02;
 const FIT_MAX: usize = 500;
 /// Where the nominal robot is, one standard deviation \[m\]: the unit in which priors count.
 const NOMINAL_SIGMA_M: f64 = 1e-3;
-/// The correlation of speeds gives the shift this well \[s\], and clocks of instruments differ by this much.
-const SHIFT_SIGMA_S: f64 = 0.05;
-const SKEW_SIGMA: f64 = 100e-6;
-/// Rows so near to an end or a hole of the robot's log \[s\] might leave it when a solve moves the clocks.
-const EDGE_S: f64 = 2.0 * SHIFT_SIGMA_S;
 /// A robot that moved less over this time to either side of a row stood still \[s\].
 const REST_S: f64 = 0.05;
 /// Part of the rows of standstills at which the robot must have stood.
@@ -88,10 +84,7 @@ pub fn align_poses(
     check_length(("the tracker's log", rows_s), log.duration_s(), options)?;
     let (log, _) = unwrapped_log(log);
     let log = &*log;
-    let travel_deg = travel_deg(log.q_rad.iter().map(AsRef::as_ref));
-    if travel_deg < crate::prepare::steps::TRAVEL_DEG_MIN {
-        return Err(PrepareError::NoMotion { what: "the robot log", travel_deg });
-    }
+    require_motion("the robot log", travel_deg(log.q_rad.iter().map(AsRef::as_ref)))?;
     let interpolated = InterpolatedLog::new(log, default_gap_limit_s(log))?;
     let search = Search {
         t_s: &poses.t_s,
@@ -232,16 +225,11 @@ impl Search<'_> {
         }
         let closest = judged.iter().map(|(_, matched)| matched.correlation).fold(0.0, f64::max);
         judged.retain(|(_, matched)| matched.correlation >= self.options.correlation_min);
-        let sharpest = judged.iter().map(|(fit, _)| fit.spread_m).fold(f64::INFINITY, f64::min);
-        judged.retain(|(fit, _)| fit.spread_m <= TIE * sharpest);
+        retain_sharpest(&mut judged, |(fit, _)| fit.spread_m);
         let ambiguous = judged.iter().any(|(fit, _)| {
             judged.iter().any(|(other, _)| (fit.clock.shift_s - other.clock.shift_s).abs() > STANDING_S)
         });
-        // Equally good ones: the motion repeats itself, and the longest overlap is most likely.
-        let longest = judged.into_iter().reduce(|best, other| {
-            if other.1.overlap as f64 > 1.1 * best.1.overlap as f64 { other } else { best }
-        });
-        let Some((fit, matched)) = longest else {
+        let Some((fit, matched)) = of_longest_overlap(judged, |(_, matched)| matched) else {
             let overlap_s = shifts.first().map_or(0.0, |best| best.overlap as f64 * self.step_s);
             return Err(PrepareError::NoMatch {
                 other: "tracker's log",
@@ -304,7 +292,7 @@ impl Search<'_> {
             return Channels { known: vec![true; steps], values: vec![(0..steps).map(mean).collect()] };
         }
         // Straight lines: where stamps jitter, a smoother curve through the rows swings.
-        let gap_s = (3.5 * self.period_s).max(0.05);
+        let gap_s = gap_limit_s(self.period_s);
         let between = |step: usize| {
             let (before, after, width_s, part) = around(step);
             (width_s <= gap_s).then(|| before.lerp(&after, part))
@@ -386,9 +374,8 @@ impl Search<'_> {
             minimise_robust(&problem, &start, LossName::Huber, Begin::Start, &Options::default()).ok()?;
         let geometry = model.geometry(&x);
         let (shift_s, skew) = (geometry.clock.shift_s, geometry.clock.skew);
-        let tau_at_middle_s = motion.origin_s() + shift_s;
         Some(Fit {
-            clock: ClockFit { shift_s: tau_at_middle_s - (1.0 + skew) * middle_s, skew },
+            clock: ClockFit { shift_s: motion.origin_s() + shift_s, skew }.counted_from(-middle_s),
             probe_m: geometry.tracker.probe.position_m,
             spread_m: NOMINAL_SIGMA_M * GoodShare::NINE_TENTHS.spread_at(&problem, &x),
         })

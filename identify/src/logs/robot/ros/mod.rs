@@ -16,7 +16,7 @@ use shared::config::{AngleUnit, RobotConfig};
 use super::mapping::RobotLogMapping;
 use super::raw::{Meaning, RawLog, RawRow};
 use crate::kinematics::Joints;
-use crate::logs::{ForceColumns, ForceKind, LogError, LogFormat, Origin};
+use crate::logs::{ForceColumns, ForceKind, LogError, LogFormat, Origin, RobotLog};
 use bag::Message;
 
 pub(in crate::logs) use bag::{Bag, UNSTAMPED, Wanted, clock_name};
@@ -47,13 +47,13 @@ const JOINTS: Wanted = Wanted {
 };
 
 /// Reads a bag.
-pub(in crate::logs) fn read<'r>(
+pub(in crate::logs) fn read(
     bytes: &[u8],
     path: &Path,
-    robot: &'r RobotConfig,
+    robot: &RobotConfig,
     format: LogFormat,
     mapping: Option<&RobotLogMapping>,
-) -> Result<(RawLog, Meaning<'r>), LogError> {
+) -> Result<RobotLog, LogError> {
     let bag = Bag::open(bytes, path, format)?;
     let topic = mapping.and_then(|mapping| mapping.topic.as_deref());
     let (topic, names) =
@@ -79,7 +79,7 @@ pub(in crate::logs) fn read<'r>(
     for message in &topic.messages {
         raw.push(row(message, &names, &to_rad, stamped))?;
     }
-    Ok((raw, meaning))
+    raw.finish(&meaning)
 }
 
 /// A force is in a bag as efforts of the joints; columns are of tables.
