@@ -207,20 +207,20 @@ impl Lines {
         self.lost.load(Ordering::Relaxed)
     }
 
-    /// Waits a moment until all are written.
-    pub fn flush(&self) {
+    /// Waits a moment until all were tried, and says whether they were.
+    pub fn flush(&self) -> bool {
         let until = Instant::now() + FLUSH_TIMEOUT;
         let (done, written) = sync_channel(1);
         let mut entry = Entry::Flush(done);
         while let Err(TrySendError::Full(unsent)) = self.entries.try_send(entry) {
             if Instant::now() >= until {
-                return;
+                return false;
             }
             entry = unsent;
             thread::sleep(RETRY);
         }
         // What is not written by then is lost with the program.
-        let _ = written.recv_timeout(until.saturating_duration_since(Instant::now()));
+        written.recv_timeout(until.saturating_duration_since(Instant::now())).is_ok()
     }
 
     fn send(&self, line: Vec<u8>) {
