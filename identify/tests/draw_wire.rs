@@ -24,6 +24,7 @@ fn real_rows() -> Vec<LengthRow> {
             joints_rad: row[3..9].iter().map(|deg| deg.to_radians()).collect(),
             length_m: row[9] * 1e-3,
             flange_m: Some(std::array::from_fn(|i| row[i] * 1e-3)),
+            ..LengthRow::default()
         }
     });
     rows.collect()
@@ -58,7 +59,12 @@ fn made_up(count: usize) -> (Vec<LengthRow>, Vector3<f64>) {
         let distance = (pose.translation.vector + pose.rotation * attachment_m - anchor_m).norm();
         let noise = 1e-4 * random.sample::<f64, _>(StandardNormal);
         let flange_m = nominal.forward(&joints_rad).translation.vector.into();
-        LengthRow { joints_rad, length_m: distance - 0.04 + noise, flange_m: Some(flange_m) }
+        LengthRow {
+            joints_rad,
+            length_m: distance - 0.04 + noise,
+            flange_m: Some(flange_m),
+            ..LengthRow::default()
+        }
     });
     let rows = rows.collect();
     // The calibrated robot's base is turned with its first axis, whose zero lengths do not tell from the anchor's place.
@@ -81,7 +87,7 @@ fn anchor_offset_and_robot_are_found_from_lengths_alone() {
     let offset = ParameterId::LengthOffset;
     assert!((value(offset) + 0.04).abs() < 4.0 * report.sigma(offset).unwrap());
     for axis in Axis::ALL {
-        let anchor = ParameterId::Anchor(axis);
+        let anchor = ParameterId::Anchor { station: 0, axis };
         assert!((value(anchor) - anchor_m[axis.index()]).abs() < 4.0 * report.sigma(anchor).unwrap());
     }
 }

@@ -56,6 +56,7 @@ mod solver_threads;
 mod split_at_changes;
 mod spoiled_rows;
 mod stamps;
+mod stations_and_targets;
 mod studies;
 mod tracker_clock;
 mod unknown_tables;

@@ -6,7 +6,8 @@ use crate::support::independent::{Link, Matrix, forward, identity, product};
 use identify::cost::{LoopProblem, MeasuredPose, MeasuredPosition, PoseNoise, Residual, SeatedBall};
 use identify::kinematics::{LinkParameter, Pose};
 use identify::model::{
-    Axis, JointState, Model, Observation, ParameterId, Phase, Placement, RobotMotion, Role,
+    Axis, Coordinate, JointState, Model, Observation, Owner, ParameterId, Phase, Placement, RobotMotion,
+    Role, SetUp,
 };
 use identify::solver::stacked;
 use nalgebra::{Rotation3, Vector3};
@@ -93,8 +94,11 @@ fn flange(model: &Model, by: ParameterId, t_s: f64) -> Matrix<Dual64> {
 }
 
 /// The probe as the robot holds it and as the tracker sees it.
-fn probes(model: &Model, by: ParameterId, t_s: f64, measured: &Pose) -> [Matrix<Dual64>; 2] {
-    let six: Vec<Dual64> = ParameterId::tracker().map(|id| dual(model, by, id)).collect();
+fn probes(model: &Model, by: ParameterId, t_s: f64, measured: &Pose, set_up: SetUp) -> [Matrix<Dual64>; 2] {
+    let SetUp { station, target } = set_up;
+    let place = Coordinate::ALL.map(|coordinate| ParameterId::Tracker { station, coordinate });
+    let probe = Coordinate::ALL.map(|coordinate| ParameterId::Probe { target, coordinate });
+    let six: Vec<Dual64> = place.into_iter().chain(probe).map(|id| dual(model, by, id)).collect();
     let m = measured.to_homogeneous();
     let measured = std::array::from_fn(|i| std::array::from_fn(|j| Dual64::from(m[(i, j)])));
     let held = product(&flange(model, by, t_s), &placed(&six[6..]));
@@ -165,8 +169,10 @@ fn all_free(model: Model, rotation_rad: [f64; 3]) -> Model {
     let ids: Vec<ParameterId> = ids.collect();
     for (i, id) in ids.into_iter().enumerate() {
         let rotation = match id {
-            ParameterId::TrackerRotation(axis) => rotation_rad[axis.index()],
-            ParameterId::ProbeRotation(axis) => -0.5 * rotation_rad[2 - axis.index()],
+            ParameterId::Tracker { coordinate: Coordinate::Rotation(axis), .. } => rotation_rad[axis.index()],
+            ParameterId::Probe { coordinate: Coordinate::Rotation(axis), .. } => {
+                -0.5 * rotation_rad[2 - axis.index()]
+            }
             _ => 0.0,
         };
         let value = model.parameter(id).unwrap().value + 0.02 * (1.7 * i as f64).sin() + rotation;
@@ -184,15 +190,20 @@ fn measured_position_and_pose_have_the_derivatives_of_tracker_and_robot() {
         |row| PoseNoise { position_m: 0.2 + 0.01 * row as f64, rotation_rad: 0.5 - 0.02 * row as f64 };
     let noises: Vec<PoseNoise> = (0..measured.len()).map(noise).collect();
     let measured_m: Vec<Vector3<f64>> = measured.iter().map(|pose| pose.translation.vector).collect();
+    let set_ups: Vec<SetUp> =
+        (0..measured.len()).map(|row| SetUp { station: row % 2, target: row * 2 % 3 }).collect();
+    let set_ups = &set_ups[..];
     for Cell { robot, .. } in [Cell::irb2400(), Cell::nj220()] {
         for rotation_rad in [[0.0; 3], [0.3, -1.9, 1.2]] {
-            let model = all_free(Model::measured_pose(&robot), rotation_rad);
-            let probes = |by, row: usize, t_s| probes(&model, by, t_s, &measured[row]);
-            agrees(&model, MeasuredPosition { measured_m: &measured_m, noise: &noises }, |by, row, t_s| {
+            let model =
+                all_free(Model::measured_pose(&robot).with_set_ups(Owner::Tracker, [2, 3]), rotation_rad);
+            let probes = |by, row: usize, t_s| probes(&model, by, t_s, &measured[row], set_ups[row]);
+            let (measured_m, noise) = (&measured_m[..], &noises[..]);
+            agrees(&model, MeasuredPosition { measured_m, noise, set_ups }, |by, row, t_s| {
                 let sigma_m = noises[row].position_m;
                 position(&probes(by, row, t_s)).into_iter().map(|x| x / sigma_m).collect()
             });
-            agrees(&model, MeasuredPose { measured: &measured, noise: &noises }, |by, row, t_s| {
+            agrees(&model, MeasuredPose { measured: &measured, noise, set_ups }, |by, row, t_s| {
                 let noise = noises[row];
                 let probes = probes(by, row, t_s);
                 let [linear, angular] = [position(&probes), turn(&probes)];
@@ -227,8 +238,8 @@ fn samples_that_were_not_measured_take_no_part() {
     let observations: Vec<Observation> = times().map(|t| Observation::bar(t, [0.0; 5])).collect();
     let measured = &measured()[..12];
     let noise = &[PoseNoise { position_m: 1e-4, rotation_rad: 1e-4 }; 12];
-    let problem =
-        LoopProblem::new(&model, &Sines, &observations, MeasuredPose { measured, noise }, 1.0).unwrap();
+    let residual = MeasuredPose { measured, noise, set_ups: &[SetUp::default(); 12] };
+    let problem = LoopProblem::new(&model, &Sines, &observations, residual, 1.0).unwrap();
     assert_eq!(stacked(&problem, &model.start()).unwrap().0.len(), 6 * 12);
 }
 

@@ -98,7 +98,7 @@ fn tracker_probe_robot_and_joint_waves_are_found_and_what_is_not_there_is_left_o
     assert!(wave_error_rad(&geometry) < 2e-5, "{}", wave_error_rad(&geometry));
     let value = |name: &str| report.model().parameter(name.parse().unwrap()).unwrap().value;
     // The tracker's height and turn also hold what link 1 would: compare where it is not so.
-    let tracker = geometry.tracker.place.pose();
+    let tracker = geometry.tracker.places[0].pose();
     assert!((tracker.translation.vector - place.translation.vector).norm() < 2e-2);
     assert!((value("ra2") - truth.links[1].a_m).abs() < 5e-5);
     let sigma = report.sigma("ra2".parse().unwrap()).unwrap();

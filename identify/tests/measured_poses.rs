@@ -3,10 +3,13 @@
 
 use std::path::{Path, PathBuf};
 
+use identify::inspect::{Mapping, propose};
 use identify::logs::{LogError, MeasuredPoseMapping, MeasuredPoses};
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use shared::config::{self, ConfigError};
+
+use crate::support::ur10;
 
 const HEADER: &str = "Timestamp;shoulder_pan_joint;shoulder_lift_joint;elbow_joint;wrist_1_joint;wrist_2_joint;\
                       wrist_3_joint;measurement_x;measurement_y;measurement_z;measurement_rx;measurement_ry;measurement_rz";
@@ -136,9 +139,34 @@ fn a_workbook_is_read_as_a_table_with_its_own_row_numbers() {
 }
 
 #[test]
-fn a_workbook_with_two_tables_is_refused_by_their_names() {
+fn of_a_workbook_with_several_sheets_the_one_that_the_mapping_names_is_read() {
     let error = MeasuredPoses::load(&workbook("two_sheets.xlsx"), &example()).unwrap_err().to_string();
-    assert!(error.contains("several sheets: first, second"), "{error}");
+    assert!(
+        error.contains("several sheets: first, second") && error.contains("`sheet` under [csv]"),
+        "{error}"
+    );
+    let of_sheet = |sheet: &str, file: &str| {
+        let mut mapping = example();
+        mapping.csv.sheet = Some(sheet.to_owned());
+        MeasuredPoses::load(&workbook(file), &mapping)
+    };
+    let alone = MeasuredPoses::load(&workbook("poses.xlsx"), &example()).unwrap();
+    assert_eq!(of_sheet("Messung", "poses_and_notes.xlsx").unwrap(), alone);
+    let absent = of_sheet("pose", "poses_and_notes.xlsx").unwrap_err().to_string();
+    assert!(absent.contains("`pose`; it has Messprotokoll, Messung"), "{absent}");
+    let mut mapping = example();
+    mapping.csv.sheet = Some("poses".to_owned());
+    let text = read(&table("1;0;0;0;0;0;0;0;0;0;0;0;0"), &mapping).unwrap_err().to_string();
+    assert!(text.contains("no workbook"), "{text}");
+}
+
+#[test]
+fn the_sheet_with_the_table_is_found_in_a_workbook_that_nobody_has_described() {
+    let bytes = std::fs::read(workbook("poses_and_notes.xlsx")).unwrap();
+    let proposal = propose(&bytes, Path::new("poses.xlsx"), &ur10()).unwrap();
+    let Mapping::MeasuredPoses(mapping) = proposal.mapping else { panic!("{:?}", proposal.mapping) };
+    assert_eq!(mapping.csv.sheet.as_deref(), Some("Messung"));
+    assert!(proposal.doubts.iter().all(|doubt| !doubt.contains("sheets")), "{:?}", proposal.doubts);
 }
 
 #[test]

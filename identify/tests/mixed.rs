@@ -80,7 +80,7 @@ impl Cell {
                 poses.push(PoseRow { joints_rad: joints_rad.into(), position_m, ..PoseRow::default() });
             } else {
                 let length_m = (held_m - anchor_m).norm() - 0.02 + normal(1e-4);
-                lengths.push(LengthRow { joints_rad: joints_rad.into(), length_m, flange_m: None });
+                lengths.push(LengthRow { joints_rad: joints_rad.into(), length_m, ..LengthRow::default() });
             }
         }
         let (contacts, sockets) = seated(&truth, &gears, &mut StdRng::seed_from_u64(300 + seed));

@@ -9,7 +9,7 @@ use crate::calibrate::ball_bar::CalibrateError;
 use crate::cost::{DataSets, SharedColumns};
 use crate::instrument::{Instrument, Run};
 use crate::kinematics::{BAR_JOINTS, LinkParameter};
-use crate::model::{Axis, ParameterId, Role};
+use crate::model::{Axis, Coordinate, Geometry, Model, ParameterId, Role, further};
 use crate::prepare::{Deviations, PoorFit, PrepareError, PrepareOptions};
 use crate::solver::{Change, Course, LossName, Problem, change_point};
 
@@ -36,28 +36,34 @@ pub enum Cause {
     Base,
     /// The time of one log against the other.
     Clock,
-    /// Where the tracker stands.
-    Tracker,
-    /// Where its target is on the flange.
-    Probe,
-    /// Where the wire is anchored.
-    Anchor,
+    /// Where the tracker stands in this station, from 0.
+    Tracker(usize),
+    /// Where this target is on the flange, from 0.
+    Probe(usize),
+    /// Where the wire is anchored in this place, from 0.
+    Anchor(usize),
     /// What its lengths begin with.
     LengthOffset,
 }
 
 impl Cause {
-    /// What can change of an instrument and a robot with so many axes.
-    fn all(instrument: &Instrument, axes: usize) -> Vec<Self> {
+    /// What can change of an instrument and a robot.
+    fn all(instrument: &Instrument, model: &Model) -> Vec<Self> {
+        let Geometry { tracker, wire, .. } = model.geometry(&[]);
         let of_instrument = match instrument {
             Instrument::BallBar(_) => {
                 (0..BAR_JOINTS).map(Self::Encoder).chain([Self::Base, Self::Clock]).collect()
             }
-            Instrument::Tracker(_) => vec![Self::Tracker, Self::Probe, Self::Clock],
-            Instrument::Wire(_) => vec![Self::Anchor, Self::LengthOffset],
+            Instrument::Tracker(_) => {
+                let stations = (0..tracker.places.len()).map(Self::Tracker);
+                stations.chain((0..tracker.probes.len()).map(Self::Probe)).chain([Self::Clock]).collect()
+            }
+            Instrument::Wire(_) => {
+                (0..wire.anchors_m.len()).map(Self::Anchor).chain([Self::LengthOffset]).collect()
+            }
             Instrument::Contact(_) => Vec::new(),
         };
-        (0..axes).map(Self::Joint).chain(of_instrument).collect()
+        (0..model.axes()).map(Self::Joint).chain(of_instrument).collect()
     }
 
     /// The parameters that change with it.
@@ -68,11 +74,14 @@ impl Cause {
             Self::Joint(link) => vec![ParameterId::Robot { link, parameter }],
             Self::Base => Axis::ALL.map(ParameterId::Base).to_vec(),
             Self::Clock => vec![ParameterId::ClockShift],
-            Self::Tracker => {
-                [Axis::ALL.map(ParameterId::Tracker), Axis::ALL.map(ParameterId::TrackerRotation)].concat()
+            Self::Tracker(station) => {
+                Coordinate::ALL.map(|coordinate| ParameterId::Tracker { station, coordinate }).to_vec()
             }
-            Self::Probe => Axis::ALL.map(ParameterId::Probe).to_vec(),
-            Self::Anchor => Axis::ALL.map(ParameterId::Anchor).to_vec(),
+            Self::Probe(target) => {
+                let position = Axis::ALL.map(Coordinate::Position);
+                position.map(|coordinate| ParameterId::Probe { target, coordinate }).to_vec()
+            }
+            Self::Anchor(station) => Axis::ALL.map(|axis| ParameterId::Anchor { station, axis }).to_vec(),
             Self::LengthOffset => vec![ParameterId::LengthOffset],
         }
     }
@@ -137,7 +146,7 @@ fn of_run(Run { instrument, model }: &Run, sigma: f64) -> Result<Option<Changed>
     // What stayed at an uncertain value takes its share first: its error is no change.
     let model = &model.with_considered(|one, sigma| Some(Role::Prior { value: one.value, sigma }));
     let known = |id: &ParameterId| instrument.identifies(*id) && model.parameter(*id).is_some();
-    let mut causes = Cause::all(instrument, model.axes());
+    let mut causes = Cause::all(instrument, model);
     causes.retain(|cause| cause.ids().iter().any(known));
     let ids = |cause: &Cause| cause.ids().into_iter().filter(known).collect::<Vec<_>>();
     let mut with_causes = model.clone();
@@ -178,7 +187,7 @@ fn when(instrument: &Instrument, samples: &[usize], at: usize) -> Option<When> {
 impl Changed {
     /// Its size, SI: of a place the distance.
     pub fn size(&self) -> f64 {
-        let numbers = if self.cause == Cause::Tracker { 3 } else { self.by.len() };
+        let numbers = if matches!(self.cause, Cause::Tracker(_)) { 3 } else { self.by.len() };
         self.by.iter().take(numbers).map(|by| by * by).sum::<f64>().sqrt()
     }
 
@@ -239,14 +248,23 @@ impl fmt::Display for Changed {
         let Self { cause, when, .. } = self;
         let mrad = |by_rad: f64| format!("by {:+.2} mrad", by_rad * 1e3);
         let distance = || format!("by {:.2} mm", self.size() * 1e3);
+        let which = |what: &str, number: usize| match further(number) {
+            first if first.is_empty() => first,
+            number => format!("{what} {number}"),
+        };
         let (what, by) = match cause {
             Cause::Encoder(joint) => (format!("the encoder of joint {}", joint + 1), mrad(-self.only())),
             Cause::Joint(joint) => (format!("the zero of joint {}", joint + 1), mrad(self.only())),
             Cause::Base => ("the base of the bar".to_owned(), distance()),
             Cause::Clock => ("the robot's clock".to_owned(), format!("by {:+.2} ms", self.only() * 1e3)),
-            Cause::Tracker => ("the place of the tracker".to_owned(), distance()),
-            Cause::Probe => ("the place of the tracker's target on the flange".to_owned(), distance()),
-            Cause::Anchor => ("the anchor of the wire".to_owned(), distance()),
+            Cause::Tracker(station) => {
+                (format!("the place of the tracker{}", which(" in station", *station)), distance())
+            }
+            Cause::Probe(target) => {
+                let target = which("", *target);
+                (format!("the place of the tracker's target{target} on the flange"), distance())
+            }
+            Cause::Anchor(station) => (format!("the anchor{} of the wire", which("", *station)), distance()),
             Cause::LengthOffset => {
                 ("the zero of the wire".to_owned(), format!("by {:+.2} mm", self.only() * 1e3))
             }

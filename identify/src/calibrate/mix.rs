@@ -76,10 +76,11 @@ impl Measured {
 }
 
 impl Rows {
-    /// What is left out together: regions where there are poses, single rows of lengths and of a ball in sockets, unless somebody
-    /// says so.
+    /// What is left out together: regions where there are poses, single ones of lengths, of a ball in sockets and of a tracker in
+    /// several stations, unless somebody says so: a region could have all rows of a station.
     pub fn hold_out(&self) -> HoldOut {
-        self.hold_out.unwrap_or(match self.measured {
+        self.hold_out.unwrap_or(match &self.measured {
+            Measured::Poses(rows) if rows.iter().any(|row| row.set_up.station > 0) => HoldOut::Rows,
             Measured::Poses(_) | Measured::Path(..) => HoldOut::Regions,
             Measured::Lengths(_) | Measured::Contacts(..) => HoldOut::Rows,
         })
@@ -106,15 +107,19 @@ impl Rows {
         Ok(match &self.measured {
             Measured::Poses(rows) => {
                 let tracker = Tracker::new(self.standing(rows, |row| row.joints_rad, robot));
-                (Instrument::Tracker(tracker), Model::measured_pose(robot))
+                let model = tracker.fitted_out(Model::measured_pose(robot));
+                (Instrument::Tracker(tracker), model)
             }
             Measured::Path(rows, moving) => {
                 let at = self.standing(rows, |row| row.joints_rad, robot);
-                (Instrument::Tracker(Tracker::of_moving(at, moving.clone())), Model::measured_pose(robot))
+                let tracker = Tracker::of_moving(at, moving.clone());
+                let model = tracker.fitted_out(Model::measured_pose(robot));
+                (Instrument::Tracker(tracker), model)
             }
             Measured::Lengths(rows) => {
                 let wire = Wire::new(self.standing(rows, |row| row.joints_rad, robot));
-                (Instrument::Wire(wire), Model::measured_length(robot))
+                let model = wire.fitted_out(Model::measured_length(robot));
+                (Instrument::Wire(wire), model)
             }
             Measured::Contacts(rows, table) => {
                 let contact = Contact::new(self.standing(rows, |row| row.joints_rad, robot), table)?;

@@ -9,13 +9,14 @@ use rand::rngs::StdRng;
 use rand::seq::SliceRandom;
 use serde::{Deserialize, Serialize};
 
+use crate::instrument::poses;
 use crate::kinematics::{Chain, Joints};
 
 /// What is held out together.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum HoldOut {
-    /// Single rows: between their neighbours, which the fit has seen.
+    /// Single poses, with all rows that follow each other at the same joints: between their neighbours, which the fit has seen.
     Rows,
     /// Segments of the file, a twenty-fifth of it each: other times, mostly other poses.
     Blocks,
@@ -32,18 +33,21 @@ const BOXES: f64 = 5.0;
 impl HoldOut {
     /// The group of each pose: those of one group are held out together. `robot` is the nominal chain.
     pub(crate) fn groups(self, robot: &Chain, joints_rad: impl Iterator<Item = Joints>) -> Vec<usize> {
+        let joints_rad: Vec<Joints> = joints_rad.collect();
         let positions_m: Vec<Vector3<f64>> =
-            joints_rad.map(|q| robot.forward(&q).translation.vector).collect();
-        groups(self, &positions_m)
+            joints_rad.iter().map(|q| robot.forward(q).translation.vector).collect();
+        groups(self, &poses(&joints_rad), &positions_m)
     }
 }
 
 /// The group of each row: rows of one group are held out together.
-fn groups(hold_out: HoldOut, positions_m: &[Vector3<f64>]) -> Vec<usize> {
-    let rows = positions_m.len();
+fn groups(hold_out: HoldOut, poses: &[usize], positions_m: &[Vector3<f64>]) -> Vec<usize> {
     match hold_out {
-        HoldOut::Rows => (0..rows).collect(),
-        HoldOut::Blocks => (0..rows).map(|row| row * BLOCKS / rows.max(1)).collect(),
+        HoldOut::Rows => poses.to_vec(),
+        HoldOut::Blocks => {
+            let count = poses.last().map_or(1, |last| last + 1);
+            poses.iter().map(|pose| pose * BLOCKS / count).collect()
+        }
         HoldOut::Regions => boxes(positions_m),
     }
 }
@@ -119,10 +123,14 @@ mod tests {
             .collect()
     }
 
+    fn poses() -> Vec<usize> {
+        (0..1000).collect()
+    }
+
     #[test]
     fn each_way_makes_parts_of_about_equal_size_and_none_has_half_a_group() {
         for hold_out in [HoldOut::Rows, HoldOut::Blocks, HoldOut::Regions] {
-            let groups = groups(hold_out, &positions());
+            let groups = groups(hold_out, &poses(), &positions());
             let parts = all_in_folds(&groups, 5, 7, |_| 0);
             assert_eq!((parts.len(), parts.iter().map(Vec::len).sum::<usize>()), (5, 1000));
             for part in &parts {
@@ -135,7 +143,7 @@ mod tests {
 
     #[test]
     fn folds_share_no_group_and_are_about_equal() {
-        let groups = groups(HoldOut::Regions, &positions());
+        let groups = groups(HoldOut::Regions, &poses(), &positions());
         let chosen: Vec<usize> = (0..1000).step_by(2).collect();
         let folds = folds(&groups, &chosen, 5, 1, |_| 0);
         assert_eq!(folds.iter().map(Vec::len).sum::<usize>(), 500);

@@ -4,21 +4,27 @@ use nalgebra::Vector3;
 
 use super::scene::unit;
 use super::{Movement, Residual, Scene};
-use crate::model::{Owner, ParameterId};
+use crate::model::{Owner, ParameterId, SetUp};
 
 /// `|R attachment - anchor| + offset - measured` \[m\].
-#[derive(Debug, Clone, Copy, Default)]
-pub struct MeasuredLength;
-
-/// From anchor to attachment, in the root frame \[m\].
-fn along_wire(scene: &Scene<'_>) -> Vector3<f64> {
-    let wire = &scene.geometry.wire;
-    scene.robot.position_m() + scene.robot.rotation() * wire.attachment_m - wire.anchor_m
+#[derive(Debug, Clone, Copy)]
+pub struct MeasuredLength<'a> {
+    /// Anchor and attachment of each sample; one without has no value.
+    pub set_ups: &'a [SetUp],
 }
 
-impl Residual for MeasuredLength {
+/// A wire in the root frame.
+#[derive(Debug, Clone, Copy)]
+pub struct Stretched {
+    set_up: SetUp,
+    /// From the robot's end to the attachment \[m\].
+    attachment_m: Vector3<f64>,
     /// From anchor to attachment \[m\].
-    type Local = Vector3<f64>;
+    along_m: Vector3<f64>,
+}
+
+impl Residual for MeasuredLength<'_> {
+    type Local = Stretched;
 
     const NAME: &'static str = "measured_length";
     const ROWS: usize = 1;
@@ -29,23 +35,31 @@ impl Residual for MeasuredLength {
         id.is_seen_by(Owner::Wire)
     }
 
-    fn local(&self, scene: &Scene<'_>) -> Option<Vector3<f64>> {
-        Some(along_wire(scene))
+    fn local(&self, scene: &Scene<'_>) -> Option<Stretched> {
+        let set_up = *self.set_ups.get(scene.sample)?;
+        let (anchor_m, attachment_m) = scene.geometry.wire.at(set_up)?;
+        let attachment_m = scene.robot.rotation() * attachment_m;
+        let along_m = scene.robot.position_m() + attachment_m - anchor_m;
+        Some(Stretched { set_up, attachment_m, along_m })
     }
 
-    fn residual(&self, scene: &Scene<'_>, wire: &Vector3<f64>, out: &mut [f64]) {
+    fn residual(&self, scene: &Scene<'_>, wire: &Stretched, out: &mut [f64]) {
         let measured_m = scene.observation.length_m.unwrap_or(f64::NAN);
-        out[0] = wire.norm() + scene.geometry.wire.offset_m - measured_m;
+        out[0] = wire.along_m.norm() + scene.geometry.wire.offset_m - measured_m;
     }
 
-    fn derivative(&self, scene: &Scene<'_>, wire: &Vector3<f64>, id: ParameterId, out: &mut [f64]) {
+    fn derivative(&self, scene: &Scene<'_>, wire: &Stretched, id: ParameterId, out: &mut [f64]) {
+        let Stretched { set_up, attachment_m, along_m } = wire;
         // At length zero it has no direction; there the derivative is taken as zero.
-        let direction = if wire.norm() > 0.0 { wire.normalize() } else { *wire };
-        let attachment = scene.robot.rotation() * scene.geometry.wire.attachment_m;
+        let direction = if along_m.norm() > 0.0 { along_m.normalize() } else { *along_m };
         out[0] = match (id, scene.movement(id)) {
-            (_, Movement::Robot(twist)) => direction.dot(&(twist.linear + twist.angular.cross(&attachment))),
-            (ParameterId::Attachment(axis), _) => direction.dot(&(scene.robot.rotation() * unit(axis))),
-            (ParameterId::Anchor(axis), _) => -direction[axis.index()],
+            (_, Movement::Robot(twist)) => direction.dot(&(twist.linear + twist.angular.cross(attachment_m))),
+            (ParameterId::Attachment { target, axis }, _) if target == set_up.target => {
+                direction.dot(&(scene.robot.rotation() * unit(axis)))
+            }
+            (ParameterId::Anchor { station, axis }, _) if station == set_up.station => {
+                -direction[axis.index()]
+            }
             (ParameterId::LengthOffset, _) => 1.0,
             _ => 0.0,
         };

@@ -6,7 +6,7 @@ use super::measured_position::Sighting;
 use super::pose::inverse_left_jacobian;
 use super::{Residual, Scene};
 use crate::kinematics::{Pose, rotation_vector};
-use crate::model::{Owner, ParameterId};
+use crate::model::{Owner, ParameterId, SetUp};
 
 /// What a measured pose is worth, one standard deviation of each coordinate.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -28,6 +28,8 @@ pub struct MeasuredPose<'a> {
     pub measured: &'a [Pose],
     /// What each is worth.
     pub noise: &'a [PoseNoise],
+    /// Station and target of each.
+    pub set_ups: &'a [SetUp],
 }
 
 /// The two probes, and what turning them apart does to the rotation vector.
@@ -50,7 +52,8 @@ impl Residual for MeasuredPose<'_> {
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<TurnedSighting> {
-        let sighting = Sighting::new(scene, self.measured.get(scene.sample)?, *self.noise.get(scene.sample)?);
+        let (noise, set_up) = (*self.noise.get(scene.sample)?, *self.set_ups.get(scene.sample)?);
+        let sighting = Sighting::new(scene, self.measured.get(scene.sample)?, noise, set_up)?;
         let into_seen = sighting.seen.rotation.matrix().transpose();
         let turn_rad = rotation_vector(&(into_seen * sighting.held.rotation.matrix()));
         let by_angular = inverse_left_jacobian(&turn_rad) * into_seen;

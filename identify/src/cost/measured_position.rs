@@ -5,7 +5,7 @@ use nalgebra::Vector3;
 use super::scene::unit;
 use super::{Movement, PoseNoise, Residual, Scene};
 use crate::kinematics::{Pose, Twist};
-use crate::model::{Owner, ParameterId};
+use crate::model::{Coordinate, Owner, ParameterId, SetUp};
 
 /// `R probe - T measured`, entries in the robot's base over the standard deviation of a coordinate: `R` is the robot's pose, `T`
 /// the tracker's place.
@@ -18,6 +18,8 @@ pub struct MeasuredPosition<'a> {
     pub measured_m: &'a [Vector3<f64>],
     /// What each is worth.
     pub noise: &'a [PoseNoise],
+    /// Station and target of each.
+    pub set_ups: &'a [SetUp],
 }
 
 /// The probe where the robot holds it and where the tracker sees it.
@@ -29,16 +31,20 @@ pub struct Sighting {
     pub(super) seen: Pose,
     /// What that is worth.
     pub(super) noise: PoseNoise,
+    set_up: SetUp,
 }
 
 impl Sighting {
-    pub(super) fn new(scene: &Scene<'_>, tracker_from_probe: &Pose, noise: PoseNoise) -> Self {
-        let tracker = &scene.geometry.tracker;
-        Self {
-            held: scene.robot.end() * tracker.probe.pose(),
-            seen: tracker.place.pose() * tracker_from_probe,
-            noise,
-        }
+    /// None of a set-up that is not there.
+    pub(super) fn new(
+        scene: &Scene<'_>,
+        tracker_from_probe: &Pose,
+        noise: PoseNoise,
+        set_up: SetUp,
+    ) -> Option<Self> {
+        let (place, probe) = scene.geometry.tracker.at(set_up)?;
+        let held = scene.robot.end() * probe.pose();
+        Some(Self { held, seen: place.pose() * tracker_from_probe, noise, set_up })
     }
 
     /// From where the tracker sees it to where the robot holds it \[m\].
@@ -48,16 +54,21 @@ impl Sighting {
 
     /// How the probe that is held moves away from the one that is seen when a parameter moves at unit speed.
     pub(super) fn parting(&self, scene: &Scene<'_>, id: ParameterId) -> Option<Twist> {
-        let (place, probe) = (&scene.geometry.tracker.place, &scene.geometry.tracker.probe);
+        use Coordinate::{Position, Rotation};
+        let (place, probe) = scene.geometry.tracker.at(self.set_up)?;
         let robot = scene.robot;
         Some(match id {
-            ParameterId::Tracker(axis) => Twist::translation(-unit(axis)),
-            ParameterId::TrackerRotation(axis) => {
+            ParameterId::Tracker { station, .. } if station != self.set_up.station => return None,
+            ParameterId::Probe { target, .. } if target != self.set_up.target => return None,
+            ParameterId::Tracker { coordinate: Position(axis), .. } => Twist::translation(-unit(axis)),
+            ParameterId::Tracker { coordinate: Rotation(axis), .. } => {
                 let seen_m = self.seen.translation.vector;
                 Twist::rotation(place.turning(axis), place.position_m, seen_m).scaled(-1.0)
             }
-            ParameterId::Probe(axis) => Twist::translation(robot.rotation() * unit(axis)),
-            ParameterId::ProbeRotation(axis) => {
+            ParameterId::Probe { coordinate: Position(axis), .. } => {
+                Twist::translation(robot.rotation() * unit(axis))
+            }
+            ParameterId::Probe { coordinate: Rotation(axis), .. } => {
                 Twist { angular: robot.rotation() * probe.turning(axis), linear: Vector3::zeros() }
             }
             id => match scene.movement(id) {
@@ -79,13 +90,14 @@ impl Residual for MeasuredPosition<'_> {
     const ENCODERS: &'static [usize] = &[];
 
     fn sees(id: ParameterId) -> bool {
-        id.is_seen_by(Owner::Tracker) && !matches!(id, ParameterId::ProbeRotation(_))
+        let turns_probe = matches!(id, ParameterId::Probe { coordinate: Coordinate::Rotation(_), .. });
+        id.is_seen_by(Owner::Tracker) && !turns_probe
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Sighting> {
         let measured_m = *self.measured_m.get(scene.sample)?;
-        let noise = *self.noise.get(scene.sample)?;
-        Some(Sighting::new(scene, &Pose::translation(measured_m.x, measured_m.y, measured_m.z), noise))
+        let (noise, set_up) = (*self.noise.get(scene.sample)?, *self.set_ups.get(scene.sample)?);
+        Sighting::new(scene, &Pose::translation(measured_m.x, measured_m.y, measured_m.z), noise, set_up)
     }
 
     fn residual(&self, _: &Scene<'_>, sighting: &Sighting, out: &mut [f64]) {

@@ -120,7 +120,7 @@ fn named(source: Source, model: &Model, covariance: &Covariance) -> String {
         (None, _) => match id {
             ParameterId::Robot { .. } | ParameterId::Bar { .. } => "tolerance of the links".into(),
             ParameterId::EncoderOffset { .. } => "offsets of encoders that lost their origin".into(),
-            ParameterId::Probe(_) | ParameterId::ProbeRotation(_) => "mounting of the probe".into(),
+            ParameterId::Probe { .. } => "mounting of the probe".into(),
             ParameterId::Ball(_) => "mounting of the ball".into(),
             _ => format!("{name}, {how}"),
         },

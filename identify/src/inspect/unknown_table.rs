@@ -114,10 +114,34 @@ pub enum ProposeError {
 /// # Errors
 /// [`ProposeError`].
 pub fn propose(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<Proposal, ProposeError> {
-    let text = RowsAsText::new(bytes, path)?;
+    let sheets = RowsAsText::sheets(bytes);
+    let tried: Vec<_> =
+        sheets.iter().map(|sheet| (sheet, of_sheet(bytes, path, robot, Some(sheet)))).collect();
+    let usable: Vec<&str> =
+        tried.iter().filter(|(_, tried)| tried.is_ok()).map(|(sheet, _)| sheet.as_str()).collect();
+    let doubt = format!("sheets {} all have such a table; the first is taken", usable.join(", "));
+    let is_one_of_several = usable.len() > 1;
+    match tried.into_iter().find_map(|(_, tried)| tried.ok()) {
+        Some(mut first) => {
+            first.doubts.extend(is_one_of_several.then_some(doubt));
+            Ok(first)
+        }
+        None => of_sheet(bytes, path, robot, sheets.first().map(String::as_str)),
+    }
+}
+
+/// The same of one sheet of a workbook, or of a file without any.
+fn of_sheet(
+    bytes: &[u8],
+    path: &Path,
+    robot: &RobotConfig,
+    sheet: Option<&str>,
+) -> Result<Proposal, ProposeError> {
+    let text = RowsAsText::new(bytes, path, sheet)?;
     let shown = path.display().to_string();
     let no_table = || ProposeError::NoTable { path: shown.clone(), joints: robot.axes() };
-    let csv = layout(&text, robot.axes()).ok_or_else(no_table)?;
+    let csv =
+        CsvLayout { sheet: sheet.map(str::to_owned), ..layout(&text, robot.axes()).ok_or_else(no_table)? };
     let columns = columns(&text, &csv)?;
     let found = || columns.iter().map(|column| column.name.as_str()).collect::<Vec<_>>().join(", ");
     let mut reasons = Vec::new();
@@ -140,8 +164,17 @@ pub fn propose(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<Proposa
         (_, Some(length), _, _) => {
             let unit = length.length_unit();
             reasons.push(format!("`{}` is the measured length, by its name; {}", length.name, unit.1));
-            let length = LengthColumn { column: length.name.clone(), unit: unit.0 };
-            Mapping::MeasuredLengths(MeasuredLengthMapping { csv, length, joints, flange: None })
+            let length = LengthColumn { column: length.name.clone(), unit: unit.0, offset_mm: 0.0 };
+            let anchor = named(&others, "wire's anchor", &["anchor", "station"], &mut reasons);
+            let attachment = named(&others, "place on the flange", &["attachment", "target"], &mut reasons);
+            Mapping::MeasuredLengths(MeasuredLengthMapping {
+                csv,
+                length,
+                joints,
+                flange: None,
+                anchor,
+                attachment,
+            })
         }
         (Some(time), _, _, _) if !of_tracker => Mapping::RobotLog(Box::new(RobotLogMapping {
             csv,
@@ -160,8 +193,19 @@ pub fn propose(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<Proposa
             let (unit, why) = xyz[0].length_unit();
             reasons.push(format!("{} are what the tracker measured, by their names; {why}", listed(&names)));
             let position = PositionColumns { columns: names, unit };
-            let mapping =
-                MeasuredPoseMapping { csv, position, rotation: None, uncertainty: None, time: None, joints };
+            let station = named(&others, "tracker's station", &["station", "setup"], &mut reasons);
+            let targets = ["target", "reflector", "smr"];
+            let target = named(&others, "target that was seen", &targets, &mut reasons);
+            let mapping = MeasuredPoseMapping {
+                csv,
+                position,
+                rotation: None,
+                uncertainty: None,
+                station,
+                target,
+                time: None,
+                joints,
+            };
             let mapping = Trial { bytes, path, robot }.settled(mapping, &others, &mut reasons, &mut doubts);
             Mapping::MeasuredPoses(mapping)
         }
@@ -309,6 +353,7 @@ fn layout(text: &RowsAsText<'_>, axes: usize) -> Option<CsvLayout> {
         skip_lines: if skipped || header.is_none() { begin } else { 0 },
         header: header.is_some(),
         unit_lines: above.len().saturating_sub(1),
+        sheet: None,
     })
 }
 
@@ -602,6 +647,13 @@ fn group<'c>(columns: &[&'c Column], words: &[&str]) -> Option<Vec<&'c Column>> 
 
 fn triple<'c>(columns: &[&'c Column], words: &[&str; 3]) -> Option<[&'c Column; 3]> {
     group(columns, words).and_then(|group| group.try_into().ok())
+}
+
+/// The column that names what a row belongs to.
+fn named(columns: &[&Column], what: &str, words: &[&str], reasons: &mut Vec<String>) -> Option<String> {
+    let column = columns.iter().find(|column| words.contains(&column.plain.as_str()))?;
+    reasons.push(format!("`{}` has the name of the {what}, by its own", column.name));
+    Some(column.name.clone())
 }
 
 /// Tries on the nominal robot what names alone do not say.

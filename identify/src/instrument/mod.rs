@@ -17,7 +17,7 @@ pub use contact::{Contact, ContactError, ContactRow};
 pub use screened::{RejectedRow, Rejection};
 pub(crate) use screened::{faulty, median_size, without};
 pub use sockets::{KnownDistance, PlacedSocket, SocketTable, Sockets};
-pub use standing::{Standing, standing};
+pub use standing::{Standing, poses, standing};
 pub(crate) use tracker::quantile;
 pub use tracker::{Apart, PoseRow, Tracker};
 pub use wire::{LengthRow, Wire};

@@ -29,6 +29,20 @@ pub fn standing(joints_rad: impl Iterator<Item = Joints>) -> Vec<JointState> {
     each.collect()
 }
 
+/// The number of each row's pose: rows that follow each other without a motion, such as those of several targets, have the
+/// robot's error there in common.
+pub fn poses(joints_rad: &[Joints]) -> Vec<usize> {
+    let (mut number, mut first) = (0, joints_rad.first());
+    let each = joints_rad.iter().map(|q| {
+        let moved = |first: &Joints| first.iter().zip(q.iter()).any(|(a, b)| (a - b).abs() > MOVED_RAD_MIN);
+        if first.is_some_and(moved) {
+            (number, first) = (number + 1, Some(q));
+        }
+        number
+    });
+    each.collect()
+}
+
 /// Rows of one set-up, in the order in which the robot went there; sample `i` has time `i`.
 #[derive(Debug, Clone)]
 pub struct Standing<R> {

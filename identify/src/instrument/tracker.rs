@@ -1,4 +1,5 @@
-//! A tracker that measures the position or the whole pose of a probe on the flange, row by row, of a robot that stands or moves.
+//! A tracker that measures the position or the whole pose of targets on the flange, row by row, from one station or several, of a
+//! robot that stands or moves.
 
 use nalgebra::{Rotation3, Vector3};
 
@@ -7,10 +8,10 @@ use crate::cost::{CostError, DataSet, LoopProblem, MeasuredPose, MeasuredPositio
 use crate::kinematics::{Joints, Pose, rotation_vector};
 use crate::logs::{self, PoseUncertainty};
 use crate::model::{
-    Axis, Clock, Geometry, JointState, Model, ModelError, Observation, ParameterId, PerObservation,
-    RobotMotion, Role,
+    Clock, Coordinate, Geometry, JointState, Model, ModelError, Observation, Owner, ParameterId,
+    PerObservation, Placement, RobotMotion, Role, SetUp,
 };
-use crate::prepare::{Moving, PROBE_SIGMA_M, placements};
+use crate::prepare::{Moving, PROBE_SIGMA_M, Sighted, all_placements};
 
 /// A pose of the robot and what the tracker measured there.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -23,12 +24,15 @@ pub struct PoseRow {
     pub rotation: Option<Rotation3<f64>>,
     /// What the measurement is stated to be worth.
     pub uncertainty: PoseUncertainty,
+    /// From where which target was seen.
+    pub set_up: SetUp,
 }
 
 impl From<&logs::MeasuredPose> for PoseRow {
     fn from(read: &logs::MeasuredPose) -> Self {
-        let logs::MeasuredPose { q_rad, position_m, rotation, uncertainty, .. } = *read;
-        Self { joints_rad: q_rad, position_m, rotation, uncertainty }
+        let logs::MeasuredPose { q_rad, position_m, rotation, uncertainty, station, target, .. } = *read;
+        let set_up = SetUp { station, target };
+        Self { joints_rad: q_rad, position_m, rotation, uncertainty, set_up }
     }
 }
 
@@ -53,6 +57,7 @@ pub struct Tracker {
     observations: Vec<Observation>,
     positions_m: Vec<Vector3<f64>>,
     poses: Option<Vec<Pose>>,
+    set_ups: Vec<SetUp>,
     /// What each measurement is worth, from the spread of the residuals and what is stated of it.
     noise: Vec<PoseNoise>,
 }
@@ -78,6 +83,7 @@ impl Tracker {
             observations: (0..at.rows.len()).map(observation).collect(),
             positions_m: at.rows.iter().map(|row| row.position_m).collect(),
             poses: at.rows.iter().map(pose).collect(),
+            set_ups: at.rows.iter().map(|row| row.set_up).collect(),
             noise: vec![PoseNoise { position_m: 1.0, rotation_rad: 1.0 }; at.rows.len()],
             moving,
             at,
@@ -103,14 +109,32 @@ impl Tracker {
         Self { noise, ..Self::of(self.at.chosen(rows), moving) }
     }
 
+    /// A model with the stations and targets of the rows.
+    pub fn fitted_out(&self, model: Model) -> Model {
+        model.with_set_ups(Owner::Tracker, SetUp::counts(self.set_ups.iter().copied()))
+    }
+
+    /// Place of the tracker and where the robot holds the probe, at each row; none of a set-up that the geometry does not have.
+    fn sighted(&self, geometry: &Geometry) -> impl Iterator<Item = (&PoseRow, Option<[Pose; 2]>)> {
+        let tracker = &geometry.tracker;
+        let stations: Vec<Pose> = tracker.places.iter().map(Placement::pose).collect();
+        let targets: Vec<Pose> = tracker.probes.iter().map(Placement::pose).collect();
+        self.at.rows.iter().zip(self.states(geometry)).map(move |(row, state)| {
+            let place = stations.get(row.set_up.station).copied();
+            let probe = targets.get(row.set_up.target);
+            (row, place.zip(probe).map(|(place, probe)| [place, geometry.robot_end(&state) * probe]))
+        })
+    }
+
     /// Where the robot holds the probe minus where it was seen, at each row, along the root's axes \[m\].
     pub fn errors_m(&self, geometry: &Geometry) -> Vec<Vector3<f64>> {
-        let (place, probe) = (geometry.tracker.place.pose(), geometry.tracker.probe.pose());
-        let one = |(row, state): (&PoseRow, JointState)| {
-            let held_m = (geometry.robot_end(&state) * probe).translation.vector;
-            held_m - place.transform_point(&row.position_m.into()).coords
+        let one = |(row, sighted): (&PoseRow, Option<[Pose; 2]>)| {
+            let apart_m = |[place, held]: [Pose; 2]| {
+                held.translation.vector - place.transform_point(&row.position_m.into()).coords
+            };
+            sighted.map_or_else(|| Vector3::repeat(f64::NAN), apart_m)
         };
-        self.at.rows.iter().zip(self.states(geometry)).map(one).collect()
+        self.sighted(geometry).map(one).collect()
     }
 
     /// What a coordinate is worth, one standard deviation of the median row \[m\].
@@ -125,9 +149,10 @@ impl Tracker {
 
     /// Robot and tracker apart, in every row.
     pub fn apart(&self, geometry: &Geometry) -> Vec<Apart> {
-        let (place, probe) = (geometry.tracker.place.pose(), geometry.tracker.probe.pose());
-        let one = |(row, state): (&PoseRow, JointState)| {
-            let held = geometry.robot_end(&state) * probe;
+        let one = |(row, sighted): (&PoseRow, Option<[Pose; 2]>)| {
+            let Some([place, held]) = sighted else {
+                return Apart { position_m: f64::NAN, rotation_rad: None };
+            };
             let seen_m = place.transform_point(&row.position_m.into()).coords;
             let angle = |rotation: Rotation3<f64>| {
                 rotation_vector((held.rotation.inverse() * place.rotation * rotation).matrix()).norm()
@@ -137,7 +162,7 @@ impl Tracker {
                 rotation_rad: row.rotation.map(angle),
             }
         };
-        self.at.rows.iter().zip(self.states(geometry)).map(one).collect()
+        self.sighted(geometry).map(one).collect()
     }
 
     fn boxed<'a, R: Residual + 'a>(
@@ -161,46 +186,55 @@ impl Measures for Tracker {
         self.at.rows.len()
     }
 
-    /// Not where the positions lie on a line.
+    /// Not where the positions of a station lie on a line.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
         let geometry = model.geometry(&[]);
-        let flanges: Vec<Pose> = self.states(&geometry).map(|state| geometry.robot_end(&state)).collect();
-        let turns = self.at.rows.iter().map(|row| row.rotation);
-        let Some([place, probe]) = placements(&flanges, &self.positions_m, turns) else { return Ok(false) };
+        let sighted = |(row, state): (&PoseRow, JointState)| Sighted {
+            flange: geometry.robot_end(&state),
+            seen_m: row.position_m,
+            turn: row.rotation,
+            set_up: row.set_up,
+        };
+        let sighted: Vec<Sighted> = self.at.rows.iter().zip(self.states(&geometry)).map(sighted).collect();
+        let Some(found) = all_placements(&sighted) else { return Ok(false) };
         if let Some(moving) = &self.moving {
             for (id, value) in [(ParameterId::ClockShift, 0.0), (ParameterId::ClockSkew, moving.skew)] {
                 model.set_value(id, value)?;
                 model.set_role(id, if fix.contains(&id) { Role::Fixed } else { Role::Free })?;
             }
         }
-        for axis in Axis::ALL {
-            for (id, value) in [
-                (ParameterId::Tracker(axis), place.position_m),
-                (ParameterId::TrackerRotation(axis), place.rotation_rad),
-                (ParameterId::Probe(axis), probe.position_m),
-                (ParameterId::ProbeRotation(axis), probe.rotation_rad),
-            ] {
-                let role = match id {
-                    id if fix.contains(&id) => Role::Fixed,
-                    ParameterId::Probe(_) => Role::Prior { value: 0.0, sigma: PROBE_SIGMA_M },
-                    // Positions alone do not determine how the probe is turned.
-                    ParameterId::ProbeRotation(_) if self.poses.is_none() => Role::Fixed,
-                    _ => Role::Free,
-                };
-                if role != Role::Fixed {
-                    model.set_value(id, value[axis.index()])?;
+        for id in ParameterId::tracker(geometry.tracker.places.len(), geometry.tracker.probes.len()) {
+            let (placement, coordinate, role) = match id {
+                ParameterId::Tracker { station, coordinate } => {
+                    (found.places.get(&station), coordinate, Role::Free)
                 }
-                model.set_role(id, role)?;
+                ParameterId::Probe { target, coordinate } => {
+                    let role = match coordinate {
+                        Coordinate::Position(_) => Role::Prior { value: 0.0, sigma: PROBE_SIGMA_M },
+                        // Positions alone do not determine how the probe is turned.
+                        Coordinate::Rotation(_) if self.poses.is_none() => Role::Fixed,
+                        Coordinate::Rotation(_) => Role::Free,
+                    };
+                    (found.probes.get(&target), coordinate, role)
+                }
+                _ => continue,
+            };
+            let role = if fix.contains(&id) { Role::Fixed } else { role };
+            // Of what no row sees nothing follows.
+            let Some(placement) = placement else { continue };
+            if role != Role::Fixed {
+                model.set_value(id, placement.coordinate(coordinate))?;
             }
+            model.set_role(id, role)?;
         }
         Ok(true)
     }
 
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
-        let noise = &self.noise;
+        let Self { noise, set_ups, positions_m: measured_m, .. } = self;
         match &self.poses {
-            Some(measured) => self.boxed(model, MeasuredPose { measured, noise }, sigma),
-            None => self.boxed(model, MeasuredPosition { measured_m: &self.positions_m, noise }, sigma),
+            Some(measured) => self.boxed(model, MeasuredPose { measured, noise, set_ups }, sigma),
+            None => self.boxed(model, MeasuredPosition { measured_m, noise, set_ups }, sigma),
         }
     }
 
@@ -233,7 +267,7 @@ impl Measures for Tracker {
     }
 
     fn independent(&self, count: usize) -> Vec<Vec<usize>> {
-        self.at.independent(count, |_| 0)
+        self.at.independent(count, |row| row.set_up.station)
     }
 
     fn part(&self, samples: &[usize]) -> Instrument {

@@ -8,12 +8,14 @@ use super::screened::{RejectedRow, Screened};
 use super::{Apart, Instrument, Measures, Standing};
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredLength, Residual};
 use crate::kinematics::Joints;
+use crate::logs;
 use crate::model::{
-    Axis, Clock, Geometry, JointState, Model, ModelError, Observation, ParameterId, PerObservation, Role,
+    Axis, Clock, Geometry, JointState, Model, ModelError, Observation, Owner, ParameterId, PerObservation,
+    Role, SetUp,
 };
 
 /// One pose and its length.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct LengthRow {
     /// Joint variables of the model \[rad, m\].
     pub joints_rad: Joints,
@@ -21,20 +23,38 @@ pub struct LengthRow {
     pub length_m: f64,
     /// Where the controller says the flange is \[m\]; used to find rows whose parts do not belong together.
     pub flange_m: Option<[f64; 3]>,
+    /// Anchor and attachment.
+    pub set_up: SetUp,
+}
+
+impl From<&logs::MeasuredLength> for LengthRow {
+    fn from(read: &logs::MeasuredLength) -> Self {
+        let logs::MeasuredLength { q_rad, length_m, flange_m, anchor, attachment, .. } = *read;
+        let set_up = SetUp { station: anchor, target: attachment };
+        Self { joints_rad: q_rad, length_m, flange_m, set_up }
+    }
 }
 
 /// Rows of one set-up.
 #[derive(Debug, Clone)]
 pub struct Wire {
     rows: Screened<LengthRow>,
-    /// Of those that take part.
+    /// Of those that take part, with the set-up of each.
     observations: Vec<Observation>,
+    set_ups: Vec<SetUp>,
 }
 
 impl Wire {
     /// Of rows with how the robot stood at each.
     pub fn new(all: Standing<LengthRow>) -> Self {
-        Self { observations: observations(&all), rows: Screened::new(all) }
+        let (observations, set_ups) = observations(&all);
+        Self { observations, set_ups, rows: Screened::new(all) }
+    }
+
+    /// A model with the anchors and attachments of the rows.
+    pub fn fitted_out(&self, model: Model) -> Model {
+        let set_ups = self.rows.all.rows.iter().map(|row| row.set_up);
+        model.with_set_ups(Owner::Wire, SetUp::counts(set_ups))
     }
 
     /// Some of the rows.
@@ -66,22 +86,39 @@ impl Wire {
 
     /// Predicted minus measured length of every row, whether it takes part or not \[m\].
     pub fn residuals_m(&self, geometry: &Geometry) -> Vec<f64> {
-        let wire = geometry.wire;
+        let wire = &geometry.wire;
         let residual = |(row, state): (&LengthRow, &JointState)| {
-            let root_from_flange = geometry.robot_end(state);
-            let attachment =
-                root_from_flange.translation.vector + root_from_flange.rotation * wire.attachment_m;
-            (attachment - wire.anchor_m).norm() + wire.offset_m - row.length_m
+            let Some((anchor_m, attachment_m)) = wire.at(row.set_up) else { return f64::NAN };
+            let attachment_m = geometry.robot_end(state).transform_point(&(*attachment_m).into()).coords;
+            (attachment_m - anchor_m).norm() + wire.offset_m - row.length_m
         };
         self.rows.all.rows.iter().zip(&self.rows.all.states).map(residual).collect()
     }
 }
 
-/// What was measured at each row.
-fn observations(at: &Standing<LengthRow>) -> Vec<Observation> {
-    let of =
-        |(index, row): (usize, &LengthRow)| Observation::length(PerObservation::time_s(index), row.length_m);
-    at.rows.iter().enumerate().map(of).collect()
+/// What was measured at each row, and with which anchor and attachment.
+fn observations(at: &Standing<LengthRow>) -> (Vec<Observation>, Vec<SetUp>) {
+    let of = |(index, row): (usize, &LengthRow)| {
+        (Observation::length(PerObservation::time_s(index), row.length_m), row.set_up)
+    };
+    at.rows.iter().enumerate().map(of).unzip()
+}
+
+/// A first anchor for a wire that is attached near the flange's origin, at `positions_m`; none where these do not span space.
+///
+/// `|p - c|^2 = l^2` is linear in `c` and `|c|^2 - offset terms`: `2 p.c - k = |p|^2 - l^2`.
+fn anchor(positions_m: &[Vector3<f64>], lengths_m: &[f64]) -> Option<Vector3<f64>> {
+    /// Singular values below this part of the largest mean that the positions do not span space.
+    const FLATNESS: f64 = 1e-6;
+    let rows = positions_m.len();
+    let matrix = DMatrix::from_fn(rows, 4, |i, j| if j < 3 { 2.0 * positions_m[i][j] } else { -1.0 });
+    let right = positions_m.iter().zip(lengths_m).map(|(p, length_m)| p.norm_squared() - length_m.powi(2));
+    let svd = matrix.svd(true, true);
+    if svd.singular_values.min() <= FLATNESS * svd.singular_values.max() {
+        return None;
+    }
+    let solution = svd.solve(&DVector::from_iterator(rows, right), 0.0).ok()?;
+    Some(Vector3::new(solution[0], solution[1], solution[2]))
 }
 
 impl Measures for Wire {
@@ -89,38 +126,38 @@ impl Measures for Wire {
         self.rows.at.rows.len()
     }
 
-    /// A first anchor, the wire attached near the flange's origin; not where the positions do not span space.
-    ///
-    /// `|p - c|^2 = l^2` is linear in `c` and `|c|^2 - offset terms`: `2 p.c - k = |p|^2 - l^2`.
+    /// First anchors; not where the positions of one do not span space.
     fn place(&self, model: &mut Model, fix: &[ParameterId]) -> Result<bool, ModelError> {
-        /// Singular values below this part of the largest mean that the positions do not span space.
-        const FLATNESS: f64 = 1e-6;
         let geometry = model.geometry(&[]);
-        let positions: Vec<Vector3<f64>> =
-            self.rows.at.states.iter().map(|state| geometry.robot_end(state).translation.vector).collect();
-        let matrix =
-            DMatrix::from_fn(positions.len(), 4, |i, j| if j < 3 { 2.0 * positions[i][j] } else { -1.0 });
-        let right = DVector::from_iterator(
-            positions.len(),
-            positions.iter().zip(&self.rows.at.rows).map(|(p, row)| p.norm_squared() - row.length_m.powi(2)),
-        );
-        let svd = matrix.svd(true, true);
-        if svd.singular_values.min() <= FLATNESS * svd.singular_values.max() {
-            return Ok(false);
+        let rows = || self.rows.at.rows.iter().zip(&self.rows.at.states);
+        let mut free = vec![ParameterId::LengthOffset];
+        for station in 0..geometry.wire.anchors_m.len() {
+            let own = rows().filter(|(row, _)| row.set_up.station == station);
+            let (positions_m, lengths_m): (Vec<Vector3<f64>>, Vec<f64>) =
+                own.map(|(row, state)| (geometry.robot_end(state).translation.vector, row.length_m)).unzip();
+            // Of what no row has nothing follows.
+            if positions_m.is_empty() {
+                continue;
+            }
+            let Some(anchor_m) = anchor(&positions_m, &lengths_m) else { return Ok(false) };
+            for axis in Axis::ALL {
+                let id = ParameterId::Anchor { station, axis };
+                model.set_value(id, anchor_m[axis.index()])?;
+                free.push(id);
+            }
         }
-        let Ok(solution) = svd.solve(&right, 0.0) else { return Ok(false) };
-        for axis in Axis::ALL {
-            model.set_value(ParameterId::Anchor(axis), solution[axis.index()])?;
+        for target in 0..geometry.wire.attachments_m.len() {
+            if rows().any(|(row, _)| row.set_up.target == target) {
+                free.extend(Axis::ALL.map(|axis| ParameterId::Attachment { target, axis }));
+            }
         }
-        let own =
-            Axis::ALL.map(ParameterId::Attachment).into_iter().chain(Axis::ALL.map(ParameterId::Anchor));
-        let own = own.chain([ParameterId::LengthOffset]);
-        model.set_roles(own.filter(|id| !fix.contains(id)), Role::Free)?;
+        model.set_roles(free.into_iter().filter(|id| !fix.contains(id)), Role::Free)?;
         Ok(true)
     }
 
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
-        Ok(Box::new(LoopProblem::new(model, &self.rows.at, &self.observations, MeasuredLength, sigma)?))
+        let residual = MeasuredLength { set_ups: &self.set_ups };
+        Ok(Box::new(LoopProblem::new(model, &self.rows.at, &self.observations, residual, sigma)?))
     }
 
     fn reported(&self, sample: usize, _: &Clock) -> Option<JointState> {
@@ -139,12 +176,12 @@ impl Measures for Wire {
     /// Where most rows agree with each other.
     fn screen(&mut self, model: &Model) -> bool {
         let others = self.rows.screen(&self.residuals_m(&model.geometry(&[])));
-        self.observations = observations(&self.rows.at);
+        (self.observations, self.set_ups) = observations(&self.rows.at);
         others
     }
 
     fn independent(&self, count: usize) -> Vec<Vec<usize>> {
-        self.rows.at.independent(count, |_| 0)
+        self.rows.at.independent(count, |row| row.set_up.station)
     }
 
     fn part(&self, samples: &[usize]) -> Instrument {

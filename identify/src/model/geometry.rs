@@ -4,7 +4,7 @@ use nalgebra::{Rotation3, Translation3, Vector3};
 
 use super::{
     Axis, BarForce, BarWaves, DriveTrain, Harmonics, JointErrors, JointState, JointWaves, ParameterId,
-    RobotMotion, Tracker,
+    RobotMotion, SetUp, Tracker,
 };
 use crate::kinematics::{BAR_JOINTS, Chain, DhLink, LinkParameter, Pose, Turn};
 
@@ -73,14 +73,21 @@ impl Clock {
 }
 
 /// A draw-wire or telescoping bar.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct Wire {
-    /// In the flange frame \[m\].
-    pub attachment_m: Vector3<f64>,
-    /// In the robot's base \[m\].
-    pub anchor_m: Vector3<f64>,
+    /// Where it is attached, in the flange frame \[m\].
+    pub attachments_m: Vec<Vector3<f64>>,
+    /// Where it is anchored, in the robot's base \[m\].
+    pub anchors_m: Vec<Vector3<f64>>,
     /// Measured length minus distance \[m\].
     pub offset_m: f64,
+}
+
+impl Wire {
+    /// Anchor and attachment of a set-up \[m\]; none of one that is not there.
+    pub fn at(&self, set_up: SetUp) -> Option<(&Vector3<f64>, &Vector3<f64>)> {
+        Some((self.anchors_m.get(set_up.station)?, self.attachments_m.get(set_up.target)?))
+    }
 }
 
 /// A ball on the flange and the sockets that it is seated in.
@@ -227,13 +234,19 @@ impl Geometry {
             ParameterId::JointWave { axis, order, phase } => self.waves.amplitude_mut(axis, order, phase),
             ParameterId::ClockShift => Some(&mut self.clock.shift_s),
             ParameterId::ClockSkew => Some(&mut self.clock.skew),
-            ParameterId::Attachment(axis) => self.wire.attachment_m.get_mut(axis.index()),
-            ParameterId::Anchor(axis) => self.wire.anchor_m.get_mut(axis.index()),
+            ParameterId::Attachment { target, axis } => {
+                self.wire.attachments_m.get_mut(target)?.get_mut(axis.index())
+            }
+            ParameterId::Anchor { station, axis } => {
+                self.wire.anchors_m.get_mut(station)?.get_mut(axis.index())
+            }
             ParameterId::LengthOffset => Some(&mut self.wire.offset_m),
-            ParameterId::Tracker(axis) => self.tracker.place.position_m.get_mut(axis.index()),
-            ParameterId::TrackerRotation(axis) => self.tracker.place.rotation_rad.get_mut(axis.index()),
-            ParameterId::Probe(axis) => self.tracker.probe.position_m.get_mut(axis.index()),
-            ParameterId::ProbeRotation(axis) => self.tracker.probe.rotation_rad.get_mut(axis.index()),
+            ParameterId::Tracker { station, coordinate } => {
+                Some(self.tracker.places.get_mut(station)?.coordinate_mut(coordinate))
+            }
+            ParameterId::Probe { target, coordinate } => {
+                Some(self.tracker.probes.get_mut(target)?.coordinate_mut(coordinate))
+            }
             ParameterId::Ball(axis) => self.contact.ball_m.get_mut(axis.index()),
             ParameterId::Socket { socket, axis } => {
                 self.contact.sockets_m.get_mut(socket)?.get_mut(axis.index())

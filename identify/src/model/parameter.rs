@@ -3,7 +3,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use super::{BarWaves, Harmonic, JointTerm, JointWaves, ModelError, Phase};
+use super::{BarWaves, Coordinate, Harmonic, JointTerm, JointWaves, ModelError, Phase};
 use crate::kinematics::{AXES_MAX, BAR_JOINTS, LinkParameter, ROD_LINK};
 
 /// A coordinate axis of the root frame or of the flange.
@@ -26,7 +26,7 @@ impl Axis {
         self as usize
     }
 
-    const fn letter(self) -> char {
+    pub(super) const fn letter(self) -> char {
         match self {
             Self::X => 'x',
             Self::Y => 'y',
@@ -106,20 +106,36 @@ pub enum ParameterId {
     ClockShift,
     /// How much faster the robot's clock runs.
     ClockSkew,
-    /// Where a wire or telescoping bar is attached, in the flange frame: `attachment_x` ...
-    Attachment(Axis),
-    /// Where it is anchored, in the robot's base: `anchor_x` ...
-    Anchor(Axis),
+    /// Where a wire or telescoping bar is attached, in the flange frame: `attachment_x` ..., in the second place `attachment2_x`
+    Attachment {
+        /// Place on the flange from 0.
+        target: usize,
+        /// Which coordinate.
+        axis: Axis,
+    },
+    /// Where it is anchored, in the robot's base: `anchor_x` ..., in the second place `anchor2_x`
+    Anchor {
+        /// Place in the cell from 0.
+        station: usize,
+        /// Which coordinate.
+        axis: Axis,
+    },
     /// Added to the distance to give the measured length.
     LengthOffset,
-    /// Where a tracker stands, in the robot's base: `tracker_x` ...
-    Tracker(Axis),
-    /// Its rotation vector there: `tracker_rx` ...
-    TrackerRotation(Axis),
-    /// Where the tracker's probe is, in the flange frame: `probe_x` ...
-    Probe(Axis),
-    /// Its rotation vector there: `probe_rx` ...
-    ProbeRotation(Axis),
+    /// Where a tracker stands, in the robot's base: `tracker_x` .. `tracker_rz`, in its second station `tracker2_x` ...
+    Tracker {
+        /// Station from 0.
+        station: usize,
+        /// Which of its numbers.
+        coordinate: Coordinate,
+    },
+    /// Where what the tracker sees is, in the flange frame: `probe_x` .. `probe_rz`, the second target `probe2_x` ...
+    Probe {
+        /// Target from 0.
+        target: usize,
+        /// Which of its numbers.
+        coordinate: Coordinate,
+    },
     /// Centre of a ball that is seated in sockets, in the flange frame: `ball_x` ...
     Ball(Axis),
     /// Where the ball's centre is when it is seated in a socket, in the robot's base: `socket1_x` ...
@@ -226,6 +242,8 @@ impl ParameterId {
 
     /// Sockets that have parameters.
     pub const SOCKETS_MAX: usize = 99;
+    /// Stations of a tracker or anchors of a wire, and targets on a flange, that have parameters.
+    pub const SET_UPS_MAX: usize = 99;
     /// Origins of counters that have parameters of their own: a run that loses more keeps what the preparation found.
     pub const LAST_ORIGIN: usize = 99;
     /// Length of the ball-bar: `bd3`.
@@ -257,9 +275,8 @@ impl ParameterId {
             Self::Bar { .. } | Self::Base(_) | Self::BaseRotation(_) => Owner::BallBar,
             Self::BarCompliance | Self::BarPlay | Self::BarWave { .. } => Owner::BallBar,
             Self::Harmonic { .. } | Self::EncoderOffset { .. } => Owner::BallBar,
-            Self::Attachment(_) | Self::Anchor(_) | Self::LengthOffset => Owner::Wire,
-            Self::Tracker(_) | Self::TrackerRotation(_) => Owner::Tracker,
-            Self::Probe(_) | Self::ProbeRotation(_) => Owner::Tracker,
+            Self::Attachment { .. } | Self::Anchor { .. } | Self::LengthOffset => Owner::Wire,
+            Self::Tracker { .. } | Self::Probe { .. } => Owner::Tracker,
             Self::Ball(_) | Self::Socket { .. } => Owner::Contact,
         }
     }
@@ -277,12 +294,16 @@ impl ParameterId {
                 LinkParameter::A | LinkParameter::D => Unit::Metre,
                 LinkParameter::Alpha | LinkParameter::Theta | LinkParameter::Beta => Unit::Radian,
             },
-            Self::Base(_) | Self::Attachment(_) | Self::Anchor(_) | Self::LengthOffset => Unit::Metre,
-            Self::Tracker(_) | Self::Probe(_) | Self::Ball(_) | Self::Socket { .. } => Unit::Metre,
+            Self::Base(_) | Self::Attachment { .. } | Self::Anchor { .. } | Self::LengthOffset => Unit::Metre,
+            Self::Ball(_) | Self::Socket { .. } => Unit::Metre,
+            Self::Tracker { coordinate, .. } | Self::Probe { coordinate, .. } => match coordinate {
+                Coordinate::Position(_) => Unit::Metre,
+                Coordinate::Rotation(_) => Unit::Radian,
+            },
             Self::BarPlay | Self::BarWave { .. } => Unit::Metre,
             Self::BarCompliance => Unit::MetrePerNewton,
             Self::BaseRotation(_) | Self::Harmonic { .. } | Self::EncoderOffset { .. } => Unit::Radian,
-            Self::TrackerRotation(_) | Self::ProbeRotation(_) | Self::JointWave { .. } => Unit::Radian,
+            Self::JointWave { .. } => Unit::Radian,
             Self::Joint { term, .. } => match term {
                 JointTerm::Ratio => Unit::Ratio,
                 JointTerm::Delay => Unit::Second,
@@ -316,11 +337,22 @@ impl ParameterId {
         (1..=last.min(Self::LAST_ORIGIN)).flat_map(of)
     }
 
-    /// Where a tracker stands and where its probe is: positions, then rotations, of each.
-    pub fn tracker() -> impl Iterator<Item = Self> {
-        [Self::Tracker, Self::TrackerRotation, Self::Probe, Self::ProbeRotation]
-            .into_iter()
-            .flat_map(|of| Axis::ALL.map(of))
+    /// Where a tracker stands in its stations and where its targets are: positions, then rotations, of each.
+    pub fn tracker(stations: usize, targets: usize) -> impl Iterator<Item = Self> {
+        let places = (0..stations.min(Self::SET_UPS_MAX))
+            .flat_map(|station| Coordinate::ALL.map(|coordinate| Self::Tracker { station, coordinate }));
+        let probes = (0..targets.min(Self::SET_UPS_MAX))
+            .flat_map(|target| Coordinate::ALL.map(|coordinate| Self::Probe { target, coordinate }));
+        places.chain(probes)
+    }
+
+    /// Where a wire is anchored and attached, and what its lengths begin with.
+    pub fn wire(anchors: usize, attachments: usize) -> impl Iterator<Item = Self> {
+        let attachments = (0..attachments.min(Self::SET_UPS_MAX))
+            .flat_map(|target| Axis::ALL.map(|axis| Self::Attachment { target, axis }));
+        let anchors = (0..anchors.min(Self::SET_UPS_MAX))
+            .flat_map(|station| Axis::ALL.map(|axis| Self::Anchor { station, axis }));
+        attachments.chain(anchors).chain([Self::LengthOffset])
     }
 
     /// A ball and the sockets that it is seated in.
@@ -376,10 +408,8 @@ impl ParameterId {
             .chain(Self::zeros(Self::LAST_ORIGIN))
             .chain(Self::joint_terms())
             .chain([Self::ClockShift, Self::ClockSkew])
-            .chain(Axis::ALL.map(Self::Attachment))
-            .chain(Axis::ALL.map(Self::Anchor))
-            .chain([Self::LengthOffset])
-            .chain(Self::tracker())
+            .chain(Self::wire(Self::SET_UPS_MAX, Self::SET_UPS_MAX))
+            .chain(Self::tracker(Self::SET_UPS_MAX, Self::SET_UPS_MAX))
             .chain(Self::contact(Self::SOCKETS_MAX))
     }
 
@@ -387,6 +417,11 @@ impl ParameterId {
     pub fn all() -> impl Iterator<Item = Self> {
         Self::all_but_joint_waves().chain(Self::joint_waves(JointWaves::LAST))
     }
+}
+
+/// The number of a station or target in names, from 1; the first has none.
+pub fn further(number: usize) -> String {
+    if number == 0 { String::new() } else { (number + 1).to_string() }
 }
 
 impl fmt::Display for ParameterId {
@@ -405,13 +440,13 @@ impl fmt::Display for ParameterId {
             Self::Joint { axis, term } => write!(f, "r{term}_{}", axis + 1),
             Self::ClockShift => f.write_str("clock_shift"),
             Self::ClockSkew => f.write_str("clock_skew"),
-            Self::Attachment(axis) => write!(f, "attachment_{}", axis.letter()),
-            Self::Anchor(axis) => write!(f, "anchor_{}", axis.letter()),
+            Self::Attachment { target, axis } => {
+                write!(f, "attachment{}_{}", further(target), axis.letter())
+            }
+            Self::Anchor { station, axis } => write!(f, "anchor{}_{}", further(station), axis.letter()),
             Self::LengthOffset => f.write_str("length_offset"),
-            Self::Tracker(axis) => write!(f, "tracker_{}", axis.letter()),
-            Self::TrackerRotation(axis) => write!(f, "tracker_r{}", axis.letter()),
-            Self::Probe(axis) => write!(f, "probe_{}", axis.letter()),
-            Self::ProbeRotation(axis) => write!(f, "probe_r{}", axis.letter()),
+            Self::Tracker { station, coordinate } => write!(f, "tracker{}_{coordinate}", further(station)),
+            Self::Probe { target, coordinate } => write!(f, "probe{}_{coordinate}", further(target)),
             Self::Ball(axis) => write!(f, "ball_{}", axis.letter()),
             Self::Socket { socket, axis } => write!(f, "socket{}_{}", socket + 1, axis.letter()),
         }

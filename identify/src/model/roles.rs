@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::{Axis, DriveTrain, Geometry, JointErrors, ParameterId};
+use super::{Axis, DriveTrain, Geometry, JointErrors, Owner, ParameterId, Placement};
 use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter};
 use crate::solver::Prior;
 
@@ -55,8 +55,8 @@ pub enum ModelError {
         "no parameter is called `{name}`; names are ra1 rd1 ralpha1 rtheta1 .. 6, rbeta1 .. 6, ba1 bd1 balpha1 \
          btheta1 .. 5, ox oy oz orx ory, bcompliance bplay, bdsin2_1 bdcos2_1 .. bdcos3_2, bsin1_1 bcos1_1 bsin2_1 bcos2_1 boffset1_1 .. 5, rsin1_1 rcos1_1 rsin2_1 rcos2_1 \
          rsinc_1 rcosc_1 rsinm_1 rcosm_1 rsin3_1 rcos3_1 .. rcos127_1 rbacklash_1 rratio_1 .. 6, relbow_2 rwrist_2 rwrist_3 rtool_2 rtool_3 rtool_5 (axes up to 8 where the robot has them), \
-         clock_shift clock_skew, attachment_x anchor_x .. z, length_offset, \
-         tracker_x tracker_rx probe_x probe_rx .. z, ball_x .. z, socket1_x .. socket99_z"
+         clock_shift clock_skew, attachment_x anchor_x attachment2_x anchor2_x .. anchor99_z, length_offset, \
+         tracker_x tracker_rx probe_x probe_rx .. z, tracker2_x probe2_x .. tracker99_rz probe99_rz, ball_x .. z, socket1_x .. socket99_z"
     )]
     UnknownName {
         /// As given.
@@ -134,20 +134,18 @@ impl Model {
     /// Robot and a wire or telescoping bar of measured length: attachment, anchor, offset, terms of the robot's axes and the
     /// clocks.
     pub fn measured_length(robot: &Chain) -> Self {
-        let ids = robot_ids(robot)
-            .chain(Axis::ALL.map(ParameterId::Attachment))
-            .chain(Axis::ALL.map(ParameterId::Anchor))
-            .chain([ParameterId::LengthOffset])
-            .chain(ParameterId::joint_terms())
-            .chain([ParameterId::ClockShift, ParameterId::ClockSkew]);
-        Self::new(Geometry::new(robot.clone(), None), ids)
+        Self::alone(robot).with_set_ups(Owner::Wire, [1, 1])
     }
 
     /// Robot and a tracker that follows a probe on its flange: where the tracker stands, how the probe is mounted, and
     /// the clocks.
     pub fn measured_pose(robot: &Chain) -> Self {
+        Self::alone(robot).with_set_ups(Owner::Tracker, [1, 1])
+    }
+
+    /// A robot whose log has a clock.
+    fn alone(robot: &Chain) -> Self {
         let ids = robot_ids(robot)
-            .chain(ParameterId::tracker())
             .chain(ParameterId::joint_terms())
             .chain([ParameterId::ClockShift, ParameterId::ClockSkew]);
         Self::new(Geometry::new(robot.clone(), None), ids)
@@ -182,6 +180,32 @@ impl Model {
                 self.parameters.push(Parameter { id, nominal: 0.0, value: 0.0, role: Role::Fixed });
             }
         }
+        self
+    }
+
+    /// The same with so many stations and targets of a tracker, or anchors and attachments of a wire, all fixed at zero.
+    #[must_use]
+    pub fn with_set_ups(mut self, owner: Owner, [stations, targets]: [usize; 2]) -> Self {
+        let Geometry { tracker, wire, .. } = &mut self.structure;
+        let ids: Vec<ParameterId> = match owner {
+            Owner::Tracker => {
+                tracker.places.resize(stations, Placement::default());
+                tracker.probes.resize(targets, Placement::default());
+                ParameterId::tracker(stations, targets).collect()
+            }
+            Owner::Wire => {
+                wire.anchors_m.resize(stations, Vector3::zeros());
+                wire.attachments_m.resize(targets, Vector3::zeros());
+                ParameterId::wire(stations, targets).collect()
+            }
+            _ => return self,
+        };
+        self.parameters.retain(|parameter| parameter.id.owner() != owner);
+        let fixed = |id| Parameter { id, nominal: 0.0, value: 0.0, role: Role::Fixed };
+        let links =
+            self.parameters.iter().take_while(|one| matches!(one.id, ParameterId::Robot { .. })).count();
+        self.parameters.splice(links..links, ids.into_iter().map(fixed));
+        self.find_columns();
         self
     }
 

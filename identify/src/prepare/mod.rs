@@ -43,7 +43,7 @@ pub use align::aligned::AlignedLog;
 pub use align::clock::ClockFit;
 pub use align::correlate::{Channels, Match, candidates, correlate};
 pub(crate) use align::placement::nearest_rotation;
-pub use align::placement::{PROBE_SIGMA_M, placements};
+pub use align::placement::{PROBE_SIGMA_M, Sighted, all_placements};
 pub use align::predict::{PredictedBar, Predictor};
 pub use align::tracker::{AlignedPoses, Moving, align_poses};
 pub use encoders::encoder_map::{

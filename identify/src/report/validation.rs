@@ -1,5 +1,7 @@
 //! Held-out validation and the other costs, as files and the terminal have them.
 
+use std::collections::BTreeMap;
+
 use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
@@ -42,6 +44,10 @@ pub struct RowsEntry {
     pub hold_out: HoldOut,
     /// Decided which rows.
     pub seed: u64,
+    /// What the file calls places of the instrument and on the flange, after the parameters that are theirs: `tracker` has
+    /// `tracker_x`, `tracker2_x` and so on.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub names: BTreeMap<String, Vec<String>>,
     /// Rows that the fit saw, but those that were rejected.
     pub fitted: Stages,
     /// Rows that it did not see.

@@ -167,7 +167,7 @@ fn by_wire(definition: &Definition, seed: u32, conditions: &Conditions) -> Resul
     let found = mix::calibrate(&data, &definition.robot, &IdentifyConfig::default(), None);
     let found = found.map_err(|error| error.to_string())?;
     let model = &found.runs.first().ok_or("there is no data set")?.model;
-    Ok(position(model, &truth, definition, [model.geometry(&[]).wire.attachment_m, ATTACHMENT_M.into()]))
+    Ok(position(model, &truth, definition, [model.geometry(&[]).wire.attachments_m[0], ATTACHMENT_M.into()]))
 }
 
 fn position(found: &Model, truth: &Truth, definition: &Definition, points_m: [Vector3<f64>; 2]) -> Row {

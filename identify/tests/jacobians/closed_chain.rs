@@ -191,8 +191,8 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             joint_errors: joint_errors(g).map(|axis| axis.map(D::from)),
             joint_waves: joint_waves(g).map(|axis| axis.map(|order| order.map(D::from))),
             clock: [g.clock.shift_s, g.clock.skew].map(D::from),
-            attachment: [0, 1, 2].map(|i| D::from(g.wire.attachment_m[i])),
-            anchor: [0, 1, 2].map(|i| D::from(g.wire.anchor_m[i])),
+            attachment: [0, 1, 2].map(|i| D::from(g.wire.attachments_m.first().map_or(0.0, |at| at[i]))),
+            anchor: [0, 1, 2].map(|i| D::from(g.wire.anchors_m.first().map_or(0.0, |at| at[i]))),
             offset: D::from(g.wire.offset_m),
         }
     }
@@ -223,8 +223,8 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             }
             ParameterId::ClockShift => &mut self.clock[0],
             ParameterId::ClockSkew => &mut self.clock[1],
-            ParameterId::Attachment(axis) => &mut self.attachment[axis.index()],
-            ParameterId::Anchor(axis) => &mut self.anchor[axis.index()],
+            ParameterId::Attachment { target: 0, axis } => &mut self.attachment[axis.index()],
+            ParameterId::Anchor { station: 0, axis } => &mut self.anchor[axis.index()],
             ParameterId::LengthOffset => &mut self.offset,
             id => unreachable!("{id} belongs to measured_jacobians.rs"),
         }

@@ -11,7 +11,7 @@ use identify::cost::{
     WhitenedPose, fill_in,
 };
 use identify::kinematics::{Chain, ImpliedBar, Tracer};
-use identify::model::{Axis, BarForce, Model, Observation, ParameterId, Role};
+use identify::model::{Axis, BarForce, Model, Observation, ParameterId, Role, SetUp};
 use identify::solver::stacked;
 use nalgebra::DMatrix;
 use num_dual::{Dual64, DualNum};
@@ -113,9 +113,12 @@ fn all_free_but(mut model: Model, nominal: impl Fn(&str) -> bool) -> Model {
     model
 }
 
+const OBSERVATIONS: usize = 20;
+
 fn observations() -> Vec<Observation> {
-    (0..20)
+    (0..OBSERVATIONS)
         .map(|k| {
+            let k = k as u32;
             let t = 0.4 * f64::from(k) - 3.0;
             let mut o =
                 Observation::bar(t, [0, 1, 2, 3, 4].map(|j| 2.0 * (t * (0.5 + 0.1 * f64::from(j))).sin()));
@@ -271,10 +274,11 @@ fn measured_length_has_the_derivatives_of_the_wire_for_both_robots() {
     for Cell { robot, .. } in [Cell::irb2400(), Cell::nj220()] {
         let mut model = Model::measured_length(&robot).with_drives(coupled_drives(&robot));
         for axis in Axis::ALL {
-            model.set_value(ParameterId::Attachment(axis), 0.1).unwrap();
-            model.set_value(ParameterId::Anchor(axis), -0.7).unwrap();
+            model.set_value(ParameterId::Attachment { target: 0, axis }, 0.1).unwrap();
+            model.set_value(ParameterId::Anchor { station: 0, axis }, -0.7).unwrap();
         }
-        agrees(&robot, &all_free(model), MeasuredLength, independent_measured_length);
+        let set_ups = &[SetUp::default(); OBSERVATIONS];
+        agrees(&robot, &all_free(model), MeasuredLength { set_ups }, independent_measured_length);
     }
 }
 
@@ -288,7 +292,7 @@ fn a_cost_refuses_observations_without_its_encoders_or_its_length() {
     let error = LoopProblem::new(&model, &Sines, &without, Transform, 1.0).unwrap_err().to_string();
     assert!(error.contains("bar joint 3") && error.contains("transform"), "{error}");
     assert!(LoopProblem::new(&model, &Sines, &without, Length, 1.0).is_ok());
-    assert!(LoopProblem::new(&model, &Sines, &without, MeasuredLength, 1.0).is_err());
+    assert!(LoopProblem::new(&model, &Sines, &without, MeasuredLength { set_ups: &[] }, 1.0).is_err());
     let nan = [Observation::bar(0.0, [f64::NAN; 5])];
     assert!(LoopProblem::new(&model, &Sines, &nan, Transform, 1.0).is_err());
     let mut pulled = Observation::bar(0.0, [0.1; 5]);

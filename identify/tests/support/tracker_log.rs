@@ -7,7 +7,7 @@ use identify::calibrate::mix::Measured;
 use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Joints, Pose, flange_chain};
 use identify::logs::{LogQuality, MeasuredPoseMapping, RobotLog, TimedPoses};
-use identify::model::{Model, ParameterId};
+use identify::model::{Model, ParameterId, SetUp};
 use identify::prepare::{AlignedPoses, PrepareError, PrepareOptions, align_poses};
 use nalgebra::{Rotation3, Vector3};
 use rand::rngs::StdRng;
@@ -258,7 +258,8 @@ impl Followed {
     /// Mean distance of the probe as an identified and the true robot hold it, tracker and probe included \[m\].
     pub fn error_m(&self, model: &Model) -> f64 {
         let geometry = model.geometry(&[]);
-        let (place, probe) = (geometry.tracker.place.pose(), geometry.tracker.probe.pose());
+        let (place, probe) = geometry.tracker.at(SetUp::default()).unwrap();
+        let (place, probe) = (place.pose(), probe.pose());
         let mut random = StdRng::seed_from_u64(7);
         let errors = (0..400).map(|_| {
             let q = self.path.at(random.random_range(0.0..self.sizes.duration_s));

@@ -13,6 +13,33 @@ pub enum RowError {
         /// Least number.
         needed: usize,
     },
+    /// Too few rows for one of several stations or targets.
+    #[error(
+        "{what} {number} has {rows} rows, too few to place it, at least {needed} are needed; measure more there or take them out"
+    )]
+    TooFewOfSetUp {
+        /// Such as station or target.
+        what: &'static str,
+        /// From 1, in the order in which the file names them.
+        number: usize,
+        /// Its rows.
+        rows: usize,
+        /// Least number.
+        needed: usize,
+    },
+    /// More stations or targets than have parameters.
+    #[error(
+        "{count} {what}s are more than one file can have ({most}); check the column of their names in the mapping, or make several \
+         files"
+    )]
+    TooManySetUps {
+        /// Such as station or target.
+        what: &'static str,
+        /// So many.
+        count: usize,
+        /// At most.
+        most: usize,
+    },
     /// A row is not a measurement.
     #[error("row {row} has {what}; take it out or mend it")]
     BadRow {

@@ -109,8 +109,8 @@ impl fmt::Display for Step {
         let Self { row, moved_m } = self;
         write!(
             f,
-            "near row {row} the positions step by {:.2} mm: tracker, target or robot were moved; make two files of the \
-             rows before and after it and calibrate them in one solve, each a [[tracker]] of an --experiment",
+            "near row {row} the positions step by {:.2} mm: tracker, target or robot were moved; give the rows before and after it \
+             different names in a column, and name that as `station` in the mapping",
             moved_m * 1e3
         )
     }

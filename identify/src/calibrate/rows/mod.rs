@@ -13,11 +13,13 @@ mod terms;
 pub mod tracker;
 mod wire;
 
+use std::collections::BTreeMap;
+
 use super::ball_bar::CalibrateError;
 use super::mix::Measured;
 use crate::instrument::{Apart, Instrument, Measures, RejectedRow, Rejection, Run, Wire, faulty, without};
 use crate::kinematics::Chain;
-use crate::model::Model;
+use crate::model::{Model, ParameterId, SetUp};
 
 pub use drift::Drift;
 pub use error::RowError;
@@ -56,6 +58,27 @@ impl Measured {
     }
 }
 
+/// No more stations or targets than have parameters, and where there are several, each has enough rows to stay placed whichever
+/// part of the file is left out; what they are called, and how many rows each needs.
+fn each_has_rows(
+    rows: impl Iterator<Item = SetUp> + Clone,
+    needed: [(&'static str, usize); 2],
+) -> Result<(), RowError> {
+    let numbers: [fn(SetUp) -> usize; 2] = [|set_up| set_up.station, |set_up| set_up.target];
+    for (number, (what, needed)) in numbers.into_iter().zip(needed) {
+        let mut counts = BTreeMap::<usize, usize>::new();
+        rows.clone().for_each(|set_up| *counts.entry(number(set_up)).or_default() += 1);
+        let (count, most) = (counts.len(), ParameterId::SET_UPS_MAX);
+        if count > most {
+            return Err(RowError::TooManySetUps { what, count, most });
+        }
+        if let Some((number, rows)) = counts.iter().find(|(_, rows)| count > 1 && **rows < needed) {
+            return Err(RowError::TooFewOfSetUp { what, number: number + 1, rows: *rows, needed });
+        }
+    }
+    Ok(())
+}
+
 /// A file of rows, what of it was held out, and what the stages of the calibration say of it.
 #[derive(Debug, Clone)]
 pub struct RowSet {
@@ -79,7 +102,9 @@ impl RowSet {
     /// All rows of a file but for those `rejected`, a part of them held out where it is `judged`.
     pub(super) fn new(whole: Instrument, rejected: Vec<RejectedRow>, judged: bool) -> Self {
         let parts = if judged { whole.independent(PARTS) } else { Vec::new() };
-        let mut held_out = parts.into_iter().next().unwrap_or_default();
+        // Of rows that are all alike none judges the others.
+        let several = parts.len() > 1;
+        let mut held_out = parts.into_iter().next().filter(|_| several).unwrap_or_default();
         held_out.sort_unstable();
         let fitted = (0..whole.samples()).filter(|sample| held_out.binary_search(sample).is_err()).collect();
         let errors = RowErrors { fitted, held_out, ..RowErrors::default() };

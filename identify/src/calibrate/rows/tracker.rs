@@ -2,17 +2,21 @@
 
 use shared::config::RobotConfig;
 
-use super::{PoseFigures, RowError};
+use super::{PoseFigures, RowError, each_has_rows};
 use crate::calibrate::ball_bar::CalibrateError;
 use crate::calibrate::pipeline::{Plan, estimate};
 use crate::calibrate::split;
-use crate::instrument::{Apart, Instrument, Measures, PoseRow, Run, Standing, Tracker, standing};
-use crate::kinematics::flange_chain;
+use crate::instrument::{Apart, Instrument, Measures, PoseRow, Run, Standing, Tracker, poses, standing};
+use crate::kinematics::{Joints, flange_chain};
 use crate::model::{Model, ParameterId, Role};
 use crate::solver::LossName;
 
 /// Fewest rows of a fit: as many numbers as tracker, probe and links together, twice.
 pub const ROWS_MIN: usize = 20;
+/// Of each station, where there are several: its six numbers twice, and a part is held out.
+const STATION_ROWS_MIN: usize = 5;
+/// Of each target.
+const TARGET_ROWS_MIN: usize = 3;
 
 pub(super) fn check_rows(rows: &[PoseRow]) -> Result<(), RowError> {
     for (index, row) in rows.iter().enumerate() {
@@ -22,11 +26,15 @@ pub(super) fn check_rows(rows: &[PoseRow]) -> Result<(), RowError> {
             return Err(RowError::BadRow { row: index + 1, what: "a number that is not finite" });
         }
     }
-    Ok(())
+    each_has_rows(
+        rows.iter().map(|row| row.set_up),
+        [("station", STATION_ROWS_MIN), ("target", TARGET_ROWS_MIN)],
+    )
 }
 
 /// The model with tracker and probe where they are for its robot, which stays.
-pub(super) fn placed(tracker: &Tracker, mut model: Model) -> Result<Model, CalibrateError> {
+pub(super) fn placed(tracker: &Tracker, model: Model) -> Result<Model, CalibrateError> {
+    let mut model = tracker.fitted_out(model);
     if !tracker.place(&mut model, &[])? {
         return Err(CalibrateError::NoPlace { data_set: 1 });
     }
@@ -66,10 +74,11 @@ pub fn validate(
 
 fn judged(rows: &[PoseRow], robot: &Model, seed: u64) -> Result<PoseFigures, CalibrateError> {
     let all: Vec<usize> = (0..rows.len()).collect();
-    let tracker =
-        Tracker::new(Standing::new(rows, &standing(rows.iter().map(|row| row.joints_rad)), &all, seed));
+    let joints_rad: Vec<Joints> = rows.iter().map(|row| row.joints_rad).collect();
+    let poses = poses(&joints_rad);
+    let tracker = Tracker::new(Standing::new(rows, &standing(joints_rad.into_iter()), &poses, seed));
     let mut errors: Vec<Apart> = Vec::new();
-    for judged in split::folds(&all, &all, FOLDS, seed, |_| 0) {
+    for judged in split::folds(&poses, &all, FOLDS, seed, |row| rows[row].set_up.station) {
         let fitting: Vec<usize> = all.iter().copied().filter(|row| !judged.contains(row)).collect();
         let model = placed(&tracker.chosen(&fitting), robot.clone())?;
         let found = tracker.apart(&model.geometry(&[]));

@@ -2,12 +2,16 @@
 
 use nalgebra::Vector3;
 
-use super::RowError;
+use super::{RowError, each_has_rows};
 use crate::instrument::{LengthRow, RejectedRow, Rejection};
 use crate::kinematics::Chain;
 
 /// Fewest rows of a fit: the seven unknowns of the wire and as many again.
 pub(super) const ROWS_MIN: usize = 14;
+/// Of each anchor, where there are several: its start is linear in four numbers, and a part is held out.
+const ANCHOR_ROWS_MIN: usize = 8;
+/// Of each place on the flange: its three numbers twice.
+const ATTACHMENT_ROWS_MIN: usize = 6;
 
 pub(super) fn check_rows(rows: &[LengthRow]) -> Result<(), RowError> {
     for (index, row) in rows.iter().enumerate() {
@@ -19,7 +23,8 @@ pub(super) fn check_rows(rows: &[LengthRow]) -> Result<(), RowError> {
             return bad("a length that is not above zero");
         }
     }
-    Ok(())
+    let needed = [("anchor", ANCHOR_ROWS_MIN), ("attachment", ATTACHMENT_ROWS_MIN)];
+    each_has_rows(rows.iter().map(|row| row.set_up), needed)
 }
 
 /// Rows whose controller position is not where their joint angles put the flange.

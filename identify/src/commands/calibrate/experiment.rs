@@ -10,7 +10,7 @@ use shared::config::{self, Validate, Violation};
 
 use super::bar::{self, BarArguments};
 use super::result::Told;
-use super::rows::{self, Kind, Others, Read, RowFile, WithLogs};
+use super::rows::{self, Beside, Kind, Others, Read, RowFile, WithLogs};
 use super::{CommonArguments, ResultArguments, inputs, refused};
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::mix::{self, DataSets, Rows};
@@ -325,7 +325,7 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
         Err(error) => error,
     })?;
     let (rows, read): (Vec<Rows>, Vec<_>) =
-        read.into_iter().map(|read| (read.rows, (read.lines, read.aligned))).unzip();
+        read.into_iter().map(|Read { rows, beside }| (rows, beside)).unzip();
     experiment.state(&rows);
     let others = experiment.rows().zip(&rows).map(|((_, of), rows)| Others::read(of, rows.seed(), robot));
     let others = others.collect::<anyhow::Result<Vec<Others<'_>>>>()?;
@@ -362,16 +362,18 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
     file.measured = bars.iter().filter_map(bar::RunFiles::measured).collect();
     file.candidates.clone_from(&found.solved.candidates);
     file.deployments = found.deployed.iter().map(DeploymentEntry::from).collect();
-    let entry = |(number, (rows, set)): (usize, (&Rows, &RowSet))| {
+    let entry = |(number, ((rows, set), beside)): (usize, ((&Rows, &RowSet), &Beside))| {
         (!set.errors.held_out.is_empty()).then(|| RowsEntry {
             data_set: number + 1,
             hold_out: rows.hold_out(),
             seed: rows.seed(),
+            names: beside.names.clone(),
             fitted: set.fitted(),
             held_out: set.held_out_with_rejected(),
         })
     };
-    file.rows = (bars.len()..).zip(data.rows.iter().zip(&found.rows)).filter_map(entry).collect();
+    let sets = data.rows.iter().zip(&found.rows).zip(&read);
+    file.rows = (bars.len()..).zip(sets).filter_map(entry).collect();
     let validity = Validity::of(
         found.runs.iter().flat_map(|run| run.instrument.poses(&run.model)),
         &flange_chain(robot),
@@ -389,15 +391,14 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
         found.runs.iter().enumerate().filter_map(of_bar).collect();
     let mut tables = table::data_sets(&found);
     let (mut limits, mut asked) = (Vec::new(), String::new());
-    for ((number, set), ((lines, aligned), others)) in
-        (bars.len()..).zip(&found.rows).zip(read.iter().zip(&others))
-    {
+    for ((number, set), (beside, others)) in (bars.len()..).zip(&found.rows).zip(read.iter().zip(&others)) {
         let Run { instrument, model } = &found.runs[number];
         let validations = others.judge(robot, &validity, model)?;
         asked.extend(validations.iter().map(of_rows::Validation::line));
-        let table = of_rows::table(set, instrument, model, lines, &validations);
+        let table = of_rows::table(set, instrument, model, &beside.lines, &validations);
         tables += &format!("\n{}\n{table}", name(number));
-        tables.extend(aligned.as_ref().map(|aligned| aligned.line(model)));
+        tables += &beside.set_ups();
+        tables.extend(beside.aligned.as_ref().map(|aligned| aligned.line(model)));
         if let Instrument::Contact(contact) = instrument {
             limits.extend(of_rows::contradicted(contact, model));
         }

@@ -1,5 +1,6 @@
 //! Files of rows, each a pose of the robot and what was measured there: `identify calibrate tracker`, `wire` and `contact`.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -17,10 +18,10 @@ use crate::evaluate::Validity;
 use crate::instrument::{ContactRow, LengthRow, PoseRow, SocketTable};
 use crate::kinematics::flange_chain;
 use crate::logs::{
-    ContactMapping, Contacts, LogFormat, LogOptions, MeasuredLength, MeasuredLengthMapping, MeasuredLengths,
+    ContactMapping, Contacts, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths,
     MeasuredPoseMapping, MeasuredPoses, TimedPose, TimedPoses, joints_of_robot,
 };
-use crate::model::{JointState, JointWaves, Model, ParameterId};
+use crate::model::{JointState, JointWaves, Model, ParameterId, further};
 use crate::prepare::{AlignedPoses, Alignment, PrepareOptions, align_poses};
 use crate::report::rows as of_rows;
 use crate::solver::LossName;
@@ -184,10 +185,31 @@ impl Kind {
 /// A file of rows as it was read.
 pub(super) struct Read {
     pub(super) rows: Rows,
+    pub(super) beside: Beside,
+}
+
+/// What a file says beside its rows.
+#[derive(Default)]
+pub(super) struct Beside {
     /// Of each row in its file.
     pub(super) lines: Vec<u64>,
+    /// What it calls the places of an instrument and those on the flange, each after the parameters that are theirs: `tracker` has
+    /// `tracker_x`, `tracker2_x` and so on.
+    pub(super) names: BTreeMap<String, Vec<String>>,
     /// How its clock and the robot's were brought together, where rows have times.
     pub(super) aligned: Option<Aligned>,
+}
+
+impl Beside {
+    /// Which parameters are whose, where there are several.
+    pub(super) fn set_ups(&self) -> String {
+        let line = |(parameter, names): (&String, &Vec<String>)| {
+            let whose = |(place, name): (usize, &String)| format!("{parameter}{}_* {name}", further(place));
+            let whose: Vec<String> = names.iter().enumerate().map(whose).collect();
+            (names.len() > 1).then(|| whose.join(", ") + "\n")
+        };
+        self.names.iter().filter_map(line).collect()
+    }
 }
 
 /// Clocks of a tracker and the robot.
@@ -206,28 +228,25 @@ pub(super) struct WithLogs<'a> {
 
 /// The rows of a file, read as the file of its mapping says; `data_set` is its number.
 pub(super) fn read(kind: Kind, of: &RowFile, data_set: usize, with: &WithLogs<'_>) -> anyhow::Result<Read> {
-    let (robot, mut aligned) = (with.robot, None);
-    let (measured, lines) = match (kind, &of.robot_log) {
+    let robot = with.robot;
+    let (measured, beside) = match (kind, &of.robot_log) {
         (Kind::Tracker, Some(robot_log)) => {
             let (measured, lines, clocks) = timed_poses(of, robot_log, data_set, with)?;
-            aligned = Some(clocks);
-            (measured, lines)
+            (measured, Beside { lines, aligned: Some(clocks), ..Beside::default() })
         }
         (Kind::Tracker, None) => {
-            let (rows, lines) = poses(&of.file, &of.mapping, robot)?;
-            (Measured::Poses(rows), lines)
+            let read = poses(&of.file, &of.mapping, robot)?;
+            let (rows, lines) = with_lines(&read);
+            let names = of_set_ups([("tracker", read.stations), ("probe", read.targets)]);
+            (Measured::Poses(rows), Beside { lines, names, aligned: None })
         }
         (Kind::Wire, _) => {
             let mapping: MeasuredLengthMapping = config::load(&of.mapping)?;
             joints_of_robot(&mapping.joints, robot, &of.mapping)?;
-            let row = |row: &MeasuredLength| {
-                (
-                    LengthRow { joints_rad: row.q_rad, length_m: row.length_m, flange_m: row.flange_m },
-                    row.line,
-                )
-            };
-            let (rows, lines) = MeasuredLengths::load(&of.file, &mapping)?.rows.iter().map(row).unzip();
-            (Measured::Lengths(rows), lines)
+            let read = MeasuredLengths::load(&of.file, &mapping)?;
+            let (rows, lines) = read.rows.iter().map(|row| (LengthRow::from(row), row.line)).unzip();
+            let names = of_set_ups([("anchor", read.anchors), ("attachment", read.attachments)]);
+            (Measured::Lengths(rows), Beside { lines, names, aligned: None })
         }
         (Kind::Contact, _) => {
             let sockets = of.sockets.as_deref().context("a table of sockets is missing")?;
@@ -236,20 +255,28 @@ pub(super) fn read(kind: Kind, of: &RowFile, data_set: usize, with: &WithLogs<'_
             joints_of_robot(&mapping.joints, robot, &of.mapping)?;
             let read = Contacts::load(&of.file, &mapping, &table.names())?;
             let (rows, lines) = read.rows.iter().map(|row| (ContactRow::from(row), row.line)).unzip();
-            (Measured::Contacts(rows, table), lines)
+            (Measured::Contacts(rows, table), Beside { lines, ..Beside::default() })
         }
     };
     Ok(Read {
         rows: Rows { measured, hold_out: of.hold_out, seed: of.seed, joint_waves: of.joint_waves },
-        lines,
-        aligned,
+        beside,
     })
+}
+
+fn of_set_ups(names: [(&str, Vec<String>); 2]) -> BTreeMap<String, Vec<String>> {
+    let given = names.into_iter().filter(|(_, names)| !names.is_empty());
+    given.map(|(parameter, names)| (parameter.to_owned(), names)).collect()
 }
 
 /// Rows of a file, and the line of each.
 type Lines = (Vec<PoseRow>, Vec<u64>);
 
-fn poses(path: &Path, mapping: &Path, robot: &RobotConfig) -> anyhow::Result<Lines> {
+fn with_lines(read: &MeasuredPoses) -> Lines {
+    read.rows.iter().map(|row| (PoseRow::from(row), row.line)).unzip()
+}
+
+fn poses(path: &Path, mapping: &Path, robot: &RobotConfig) -> anyhow::Result<MeasuredPoses> {
     let of_file: MeasuredPoseMapping = config::load(mapping)?;
     anyhow::ensure!(
         of_file.time.is_none(),
@@ -257,8 +284,7 @@ fn poses(path: &Path, mapping: &Path, robot: &RobotConfig) -> anyhow::Result<Lin
         mapping.display()
     );
     joints_of_robot(&of_file.joints, robot, mapping)?;
-    let read = MeasuredPoses::load(path, &of_file)?;
-    Ok(read.rows.iter().map(|row| (PoseRow::from(row), row.line)).unzip())
+    Ok(MeasuredPoses::load(path, &of_file)?)
 }
 
 /// Rows with times in place of joints, brought together with the robot's own log.
@@ -282,7 +308,7 @@ fn timed_poses(
             .map_err(|error| CalibrateError::Align { data_set, error: Box::new(error) })?;
     let row = |(&row, state): (&usize, &JointState)| {
         let TimedPose { position_m, rotation, uncertainty, line } = read.rows[row];
-        (PoseRow { joints_rad: state.q, position_m, rotation, uncertainty }, line)
+        (PoseRow { joints_rad: state.q, position_m, rotation, uncertainty, ..PoseRow::default() }, line)
     };
     let (poses, lines) = rows.iter().zip(&states).map(row).unzip();
     let measured = match moving {
@@ -321,7 +347,7 @@ pub(super) struct Others<'a> {
 impl<'a> Others<'a> {
     /// Read before the fit: a file that is missing is said at once.
     pub(super) fn read(of: &'a RowFile, seed: u64, robot: &RobotConfig) -> anyhow::Result<Self> {
-        let files = of.validate.iter().map(|path| Ok((path, poses(path, &of.mapping, robot)?)));
+        let files = of.validate.iter().map(|path| Ok((path, with_lines(&poses(path, &of.mapping, robot)?))));
         Ok(Self { seed, files: files.collect::<anyhow::Result<_>>()? })
     }
 

@@ -49,7 +49,7 @@ pub(super) fn read(
     bar: &BallBarConfig,
     mapping: Option<&BarLogMapping>,
 ) -> Result<OtherBarLog, LogError> {
-    let text = &*decode(bytes, path)?;
+    let text = &*decode(bytes, path, mapping.and_then(|mapping| mapping.csv.sheet.as_deref()))?;
     let (mut table, layout) = match mapping {
         Some(mapping) => {
             let table = open_mapped(text, path, &mapping.csv)?;
@@ -82,7 +82,7 @@ pub(super) fn read(
 
 /// Whether the header of a text names a counter or angle of the bar.
 pub(super) fn has_usual_columns(bytes: &[u8]) -> bool {
-    let Ok(text) = decode(bytes, Path::new("")) else { return false };
+    let Ok(text) = decode(bytes, Path::new(""), None) else { return false };
     let header = header_line(&text);
     let mut cells = header.split([',', ';', '\t']).map(|cell| cell.trim().trim_matches('"'));
     let is_value = |cell: &str| (1..=BAR_JOINTS).any(|joint| value_of(cell, joint).is_some());

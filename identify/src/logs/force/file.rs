@@ -68,7 +68,7 @@ impl ForceLog {
         robot: &RobotConfig,
         mapping: Option<&ForceLogMapping>,
     ) -> Result<Self, LogError> {
-        let text = &*decode(bytes, path)?;
+        let text = &*decode(bytes, path, mapping.and_then(|mapping| mapping.csv.sheet.as_deref()))?;
         let Some(mapping) = mapping else {
             let format = Format { delimiter: delimiter_of_header(text), decimal_comma: false };
             let table = Table::open(text, path, format)?;

@@ -54,11 +54,21 @@ pub struct CsvLayout {
     pub header: bool,
     /// Lines between header and numbers, such as units.
     pub unit_lines: usize,
+    /// Of a workbook with several sheets the one with the table.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sheet: Option<String>,
 }
 
 impl Default for CsvLayout {
     fn default() -> Self {
-        Self { delimiter: None, decimal_comma: false, skip_lines: 0, header: true, unit_lines: 0 }
+        Self {
+            delimiter: None,
+            decimal_comma: false,
+            skip_lines: 0,
+            header: true,
+            unit_lines: 0,
+            sheet: None,
+        }
     }
 }
 

@@ -33,7 +33,7 @@ pub(in crate::logs) fn read(
     robot: &RobotConfig,
     mapping: Option<&RobotLogMapping>,
 ) -> Result<RobotLog, LogError> {
-    let text = &*decode(bytes, path)?;
+    let text = &*decode(bytes, path, None)?;
     let names = AXES.map(str::to_owned).to_vec();
     let (meaning, to_unit) = match mapping {
         Some(mapping) => (Meaning::mapped(robot, mapping, names, path)?, AngleUnit::Deg.to_rad()),

@@ -40,7 +40,7 @@ pub(in crate::logs) fn read_own(
     path: &Path,
     robot: &RobotConfig,
 ) -> Result<RobotLog, LogError> {
-    let text = &*decode(bytes, path)?;
+    let text = &*decode(bytes, path, None)?;
     let names = (0..robot.axes()).map(|index| column_name(robot, index, robot.log.unit)).collect();
     let meaning = Meaning::own(robot, names)?;
     let format = Format { delimiter: delimiter_of_header(text), decimal_comma: false };
@@ -90,7 +90,7 @@ pub(in crate::logs) fn read_rtde(
     path: &Path,
     robot: &RobotConfig,
 ) -> Result<RobotLog, LogError> {
-    let text = &*decode(bytes, path)?;
+    let text = &*decode(bytes, path, None)?;
     let table = &mut Table::open(text, path, Format { delimiter: b' ', decimal_comma: false })?;
     let origin = if table.has("actual_q_0") { Origin::Measured } else { Origin::Commanded };
     let kind = if origin == Origin::Measured { "actual" } else { "target" };
@@ -125,7 +125,7 @@ pub(in crate::logs) fn read_mapped(
     robot: &RobotConfig,
     mapping: &RobotLogMapping,
 ) -> Result<RobotLog, LogError> {
-    let text = &*decode(bytes, path)?;
+    let text = &*decode(bytes, path, mapping.csv.sheet.as_deref())?;
     let mut table = open_mapped(text, path, &mapping.csv)?;
     let columns = mapped_layout(&table, path, mapping)?;
     let names: Vec<String> = mapping.joints.iter().map(|joint| joint.column.clone()).collect();

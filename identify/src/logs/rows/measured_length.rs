@@ -8,7 +8,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 
-use super::pose_rows::{JointColumns, check_joints, mapped, rows};
+use super::pose_rows::{JointColumns, Names, check_joints, is_zero, mapped, rows};
 use crate::kinematics::Joints;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, bytes_of};
@@ -24,6 +24,9 @@ pub struct LengthColumn {
     pub column: String,
     /// Unit of its values.
     pub unit: LengthUnit,
+    /// What is known to be too much in every length \[mm\].
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub offset_mm: f64,
 }
 
 /// The columns of the position that the controller itself gives for the flange.
@@ -49,11 +52,23 @@ pub struct MeasuredLengthMapping {
     pub joints: Vec<JointColumn>,
     /// The controller's own position, where the file has it: rows that contradict their joint angles are then found.
     pub flange: Option<FlangeColumns>,
+    /// The column with the name of the place where the wire is anchored, where it has several.
+    pub anchor: Option<String>,
+    /// The column with the name of the place on the flange where it is attached, where it has several.
+    pub attachment: Option<String>,
 }
 
 impl Validate for MeasuredLengthMapping {
     fn validate(&self) -> Result<(), Violation> {
         self.csv.check()?;
+        let offset_m = self.length.offset_mm * 1e-3;
+        if !(-LENGTH_M_MAX..=LENGTH_M_MAX).contains(&offset_m) {
+            return Err(Violation::new(
+                "length.offset_mm",
+                format!("{} mm is no offset of a length", self.length.offset_mm),
+                "write what every length has too much, in mm, or leave it out",
+            ));
+        }
         check_joints(&self.joints)
     }
 }
@@ -67,6 +82,10 @@ pub struct MeasuredLength {
     pub length_m: f64,
     /// Where the controller says the flange is \[m\].
     pub flange_m: Option<[f64; 3]>,
+    /// Where the wire is anchored, by its place among [`MeasuredLengths::anchors`]; 0 where those are not named.
+    pub anchor: usize,
+    /// Where it is attached, by its place among [`MeasuredLengths::attachments`].
+    pub attachment: usize,
     /// Line of the source file, so that a screened row can be found again.
     pub line: u64,
 }
@@ -76,6 +95,10 @@ pub struct MeasuredLength {
 pub struct MeasuredLengths {
     /// In the order of the file.
     pub rows: Vec<MeasuredLength>,
+    /// Names of the anchors in the order in which the file has them; none where it does not name them.
+    pub anchors: Vec<String>,
+    /// And of the attachments.
+    pub attachments: Vec<String>,
 }
 
 impl MeasuredLengths {
@@ -93,13 +116,24 @@ impl MeasuredLengths {
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredLengthMapping) -> Result<Self, LogError> {
         let find = |table: &Table<'_>| Columns::find(table, mapping);
-        rows(bytes, path, &mapping.csv, find, Columns::read).map(|rows| Self { rows })
+        let (mut anchors, mut attachments) = (Names::default(), Names::default());
+        let read = |columns: &Columns<'_>, table: &Table<'_>, row: &Row| {
+            Ok(MeasuredLength {
+                anchor: anchors.place(table, row, columns.anchor.as_ref())?,
+                attachment: attachments.place(table, row, columns.attachment.as_ref())?,
+                ..columns.read(table, row)?
+            })
+        };
+        let rows = rows(bytes, path, &mapping.csv, find, read)?;
+        Ok(Self { rows, anchors: anchors.in_order(), attachments: attachments.in_order() })
     }
 }
 
 /// The mapping's columns, found in a file.
 struct Columns<'a> {
-    length: (Column, LengthUnit),
+    length: (Column, &'a LengthColumn),
+    anchor: Option<Column>,
+    attachment: Option<Column>,
     joints: JointColumns<'a>,
     flange: Option<([Column; 3], LengthUnit)>,
 }
@@ -113,16 +147,19 @@ impl<'a> Columns<'a> {
             }
             None => None,
         };
+        let named = |name: &Option<String>| name.as_ref().map(|name| column(name)).transpose();
         Ok(Self {
-            length: (column(&mapping.length.column)?, mapping.length.unit),
+            length: (column(&mapping.length.column)?, &mapping.length),
+            anchor: named(&mapping.anchor)?,
+            attachment: named(&mapping.attachment)?,
             joints: JointColumns::find(table, &mapping.joints)?,
             flange,
         })
     }
 
     fn read(&self, table: &Table<'_>, row: &Row) -> Result<MeasuredLength, LogError> {
-        let (length, unit) = &self.length;
-        let length_m = table.number(row, length)? * unit.to_m();
+        let (length, how) = &self.length;
+        let length_m = table.number(row, length)? * how.unit.to_m() - how.offset_mm * 1e-3;
         if !(0.0..=LENGTH_M_MAX).contains(&length_m) {
             return Err(table.bad(
                 row,
@@ -142,6 +179,6 @@ impl<'a> Columns<'a> {
             }
             None => None,
         };
-        Ok(MeasuredLength { q_rad, length_m, flange_m, line: row.line })
+        Ok(MeasuredLength { q_rad, length_m, flange_m, anchor: 0, attachment: 0, line: row.line })
     }
 }

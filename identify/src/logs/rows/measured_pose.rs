@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, Validate, Violation};
 
-use super::pose_rows::{JointColumns, check_joints, mapped, rows};
+use super::pose_rows::{JointColumns, Names, check_joints, mapped, rows};
 use crate::kinematics::Joints;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::tables::stamp::stamp_ns;
@@ -201,6 +201,10 @@ pub struct MeasuredPoseMapping {
     pub rotation: Option<RotationColumns>,
     /// What each row is worth, where the file says so.
     pub uncertainty: Option<UncertaintyColumns>,
+    /// The column with the name of the station from which the tracker measured, where it stood in several.
+    pub station: Option<String>,
+    /// The column with the name of the target that was seen, where the flange has several.
+    pub target: Option<String>,
     /// When each row was measured, on the tracker's clock; the joints are then in the robot's own log.
     pub time: Option<TimeColumn>,
     /// Joints of each row, base to flange; none where rows have times.
@@ -229,6 +233,16 @@ impl Validate for MeasuredPoseMapping {
             }
             _ => {}
         }
+        if self.time.is_some() {
+            let several = [("station", &self.station), ("target", &self.target)];
+            if let Some((key, _)) = several.iter().find(|(_, column)| column.is_some()) {
+                return Err(Violation::new(
+                    *key,
+                    "rows with [time] are of one station and one target",
+                    "make a file of each and calibrate them in one solve, each a [[tracker]] of an --experiment",
+                ));
+            }
+        }
         match &self.time {
             None => check_joints(&self.joints),
             Some(time) if time.column.is_empty() => {
@@ -255,6 +269,10 @@ pub struct MeasuredPose {
     pub rotation: Option<Rotation3<f64>>,
     /// What they are worth.
     pub uncertainty: PoseUncertainty,
+    /// From where it was measured, by its place among [`MeasuredPoses::stations`]; 0 where those are not named.
+    pub station: usize,
+    /// What was seen, by its place among [`MeasuredPoses::targets`].
+    pub target: usize,
     /// Line of the source file, so that a row can be found again.
     pub line: u64,
 }
@@ -264,6 +282,10 @@ pub struct MeasuredPose {
 pub struct MeasuredPoses {
     /// In the order of the file, which is that of the robot's motion: backlash goes by the pose before.
     pub rows: Vec<MeasuredPose>,
+    /// Names of the stations in the order in which the file has them; none where it does not name them.
+    pub stations: Vec<String>,
+    /// And of the targets.
+    pub targets: Vec<String>,
 }
 
 impl MeasuredPoses {
@@ -281,7 +303,21 @@ impl MeasuredPoses {
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredPoseMapping) -> Result<Self, LogError> {
         let find = |table: &Table<'_>| Columns::find(table, mapping);
-        rows(bytes, path, &mapping.csv, find, Columns::read).map(|rows| Self { rows })
+        let (mut stations, mut targets) = (Names::default(), Names::default());
+        let read = |columns: &Columns<'_>, table: &Table<'_>, row: &Row| {
+            let Seen { position_m, rotation, uncertainty } = columns.seen.read(table, row)?;
+            Ok(MeasuredPose {
+                q_rad: columns.joints.read(table, row)?,
+                position_m,
+                rotation,
+                uncertainty,
+                station: stations.place(table, row, columns.station.as_ref())?,
+                target: targets.place(table, row, columns.target.as_ref())?,
+                line: row.line,
+            })
+        };
+        let rows = rows(bytes, path, &mapping.csv, find, read)?;
+        Ok(Self { rows, stations: stations.in_order(), targets: targets.in_order() })
     }
 }
 
@@ -373,6 +409,8 @@ impl TimedPoses {
 struct Columns<'a> {
     seen: SeenColumns<'a>,
     joints: JointColumns<'a>,
+    station: Option<Column>,
+    target: Option<Column>,
 }
 
 /// Those of what the tracker measured.
@@ -409,16 +447,13 @@ fn numbers(
 
 impl<'a> Columns<'a> {
     fn find(table: &Table<'_>, mapping: &'a MeasuredPoseMapping) -> Result<Self, LogError> {
+        let named = |name: &Option<String>| name.as_ref().map(|name| mapped(table, name)).transpose();
         Ok(Self {
             seen: SeenColumns::find(table, mapping)?,
             joints: JointColumns::find(table, &mapping.joints)?,
+            station: named(&mapping.station)?,
+            target: named(&mapping.target)?,
         })
-    }
-
-    fn read(&self, table: &Table<'_>, row: &Row) -> Result<MeasuredPose, LogError> {
-        let Seen { position_m, rotation, uncertainty } = self.seen.read(table, row)?;
-        let q_rad = self.joints.read(table, row)?;
-        Ok(MeasuredPose { q_rad, position_m, rotation, uncertainty, line: row.line })
     }
 }
 

@@ -1,6 +1,7 @@
 //! What tables of single poses share, whatever was measured there: joints by the columns that a mapping names, the layout
 //! of the text, and reading row by row.
 
+use std::collections::HashMap;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
@@ -97,7 +98,7 @@ impl JointColumn {
     }
 }
 
-fn is_zero(number: &f64) -> bool {
+pub(in crate::logs) fn is_zero(number: &f64) -> bool {
     *number == 0.0
 }
 
@@ -193,9 +194,9 @@ pub(in crate::logs) fn rows<C, R>(
     path: &Path,
     layout: &CsvLayout,
     find: impl FnOnce(&Table<'_>) -> Result<C, LogError>,
-    read: impl Fn(&C, &Table<'_>, &Row) -> Result<R, LogError>,
+    mut read: impl FnMut(&C, &Table<'_>, &Row) -> Result<R, LogError>,
 ) -> Result<Vec<R>, LogError> {
-    let text = decode(bytes, path)?;
+    let text = decode(bytes, path, layout.sheet.as_deref())?;
     let mut table = open_mapped(&text, path, layout)?;
     let columns = find(&table)?;
     let mut rows = Vec::new();
@@ -206,6 +207,35 @@ pub(in crate::logs) fn rows<C, R>(
         return Err(LogError::TooFewRows { path: path.to_owned(), rows: rows.len(), needed: ROWS_MIN });
     }
     Ok(rows)
+}
+
+/// Names of a column, each with its place in the order in which the file has them.
+#[derive(Default)]
+pub(in crate::logs) struct Names(HashMap<String, usize>);
+
+impl Names {
+    /// The place of the name in a row; 0 where there is no column of names.
+    pub(in crate::logs) fn place(
+        &mut self,
+        table: &Table<'_>,
+        row: &Row,
+        column: Option<&Column>,
+    ) -> Result<usize, LogError> {
+        let Some(column) = column else { return Ok(0) };
+        let name = table.text(row, column).trim();
+        if name.is_empty() {
+            let problem = "no name is given".to_owned();
+            return Err(table.bad(row, column, problem, "write it, or take the row out"));
+        }
+        let next = self.0.len();
+        Ok(*self.0.entry(name.to_owned()).or_insert(next))
+    }
+
+    pub(in crate::logs) fn in_order(self) -> Vec<String> {
+        let mut names: Vec<(String, usize)> = self.0.into_iter().collect();
+        names.sort_by_key(|(_, place)| *place);
+        names.into_iter().map(|(name, _)| name).collect()
+    }
 }
 
 /// The joints' columns, found in a file.

@@ -20,17 +20,28 @@ pub(in crate::logs) fn is_workbook(bytes: &[u8]) -> bool {
     bytes.starts_with(ZIP)
 }
 
-/// The text of a file without byte order mark. Of a workbook its sheet, one line for each row, cells between tabs.
+/// The text of a file without byte order mark. Of a workbook the named sheet, or its only one, one line for each row, cells between
+/// tabs.
 ///
 /// What is not UTF-8 and has no byte order mark is Windows-1252, as instruments export a micro or degree sign; a damaged
 /// digit is no digit in any of them.
 ///
 /// # Errors
-/// [`LogError::NotText`] for anything else, such as binary data or a workbook with several sheets.
-pub(in crate::logs) fn decode<'a>(bytes: &'a [u8], path: &Path) -> Result<Cow<'a, str>, LogError> {
+/// [`LogError::NotText`] for anything else, such as binary data, a workbook with several sheets of which none is named, or a sheet of
+/// what is no workbook.
+pub(in crate::logs) fn decode<'a>(
+    bytes: &'a [u8],
+    path: &Path,
+    sheet: Option<&str>,
+) -> Result<Cow<'a, str>, LogError> {
     let not_text = |problem: String| LogError::NotText { path: path.to_owned(), problem };
     if is_workbook(bytes) {
-        return sheet(bytes).map(Cow::Owned).map_err(not_text);
+        return text_of_sheet(bytes, sheet).map(Cow::Owned).map_err(not_text);
+    }
+    if let Some(sheet) = sheet {
+        return Err(not_text(format!(
+            "no workbook, and the mapping names its sheet `{sheet}`: take that out"
+        )));
     }
     let (encoding, bytes) = match Encoding::for_bom(bytes) {
         Some((encoding, mark)) => (Some(encoding), bytes.get(mark..).unwrap_or_default()),
@@ -48,27 +59,40 @@ pub(in crate::logs) fn decode<'a>(bytes: &'a [u8], path: &Path) -> Result<Cow<'a
     }
 }
 
-/// The rows of the one sheet that has any, as lines with the numbers of the rows.
-fn sheet(bytes: &[u8]) -> Result<String, String> {
+/// The rows of a sheet, as lines with the numbers of the rows.
+fn text_of_sheet(bytes: &[u8], wanted: Option<&str>) -> Result<String, String> {
+    let mut sheets = sheets(bytes)?;
+    let list = |sheets: &[Sheet]| sheets.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", ");
+    match (wanted, sheets.len()) {
+        (_, 0) => Err("a workbook without any cell".into()),
+        (None, 1) => lines(&sheets.remove(0).1),
+        (None, _) => {
+            let names = list(&sheets);
+            Err(format!(
+                "a workbook with several sheets: {names}; name the one with the table as `sheet` under [csv] of the mapping"
+            ))
+        }
+        (Some(wanted), _) => match sheets.iter().find(|(name, _)| name == wanted) {
+            Some((_, rows)) => lines(rows),
+            None => Err(format!("a workbook without cells in a sheet `{wanted}`; it has {}", list(&sheets))),
+        },
+    }
+}
+
+/// A sheet's name and cells.
+type Sheet = (String, Rows);
+
+/// The sheets of a workbook that have any cell.
+fn sheets(bytes: &[u8]) -> Result<Vec<Sheet>, String> {
     // The parser takes what it unpacks as sound: the checksums of the archive are seen to first.
     checked(bytes).map_err(|error| format!("a damaged workbook: {error}"))?;
     let unreadable = |error: calamine::XlsxError| format!("a workbook that cannot be read: {error}");
     let mut workbook = Xlsx::new(Cursor::new(bytes)).map_err(unreadable)?;
-    let mut sheets = Vec::new();
-    for name in workbook.sheet_names() {
-        let rows = rows(&mut workbook, &name).map_err(unreadable)?;
-        if !rows.is_empty() {
-            sheets.push((name, rows));
-        }
-    }
-    match sheets.as_slice() {
-        [(_, rows)] => lines(rows),
-        [] => Err("a workbook without any cell".into()),
-        several => {
-            let names: Vec<&str> = several.iter().map(|(name, _)| name.as_str()).collect();
-            Err(format!("a workbook with several sheets: {}; keep the one with the table", names.join(", ")))
-        }
-    }
+    let names = workbook.sheet_names();
+    let all = names.into_iter().map(|name| rows(&mut workbook, &name).map(|rows| (name, rows)));
+    let mut all: Vec<Sheet> = all.collect::<Result<_, _>>().map_err(unreadable)?;
+    all.retain(|(_, rows)| !rows.is_empty());
+    Ok(all)
 }
 
 /// Everything in an archive unpacks to its checksum.
@@ -137,12 +161,18 @@ pub struct RowsAsText<'a> {
 pub type Cells = (Vec<String>, Vec<Vec<String>>, Vec<Vec<String>>);
 
 impl<'a> RowsAsText<'a> {
-    /// Decodes a file.
+    /// Decodes a file, or a sheet of it.
     ///
     /// # Errors
     /// [`LogError::NotText`].
-    pub fn new(bytes: &'a [u8], path: &'a Path) -> Result<Self, LogError> {
-        Ok(Self { text: decode(bytes, path)?, path, is_workbook: is_workbook(bytes) })
+    pub fn new(bytes: &'a [u8], path: &'a Path, sheet: Option<&str>) -> Result<Self, LogError> {
+        Ok(Self { text: decode(bytes, path, sheet)?, path, is_workbook: is_workbook(bytes) })
+    }
+
+    /// Names of a workbook's sheets with cells, where it has several: one of them is to be chosen.
+    pub fn sheets(bytes: &[u8]) -> Vec<String> {
+        let sheets = if is_workbook(bytes) { sheets(bytes).unwrap_or_default() } else { Vec::new() };
+        if sheets.len() > 1 { sheets.into_iter().map(|(name, _)| name).collect() } else { Vec::new() }
     }
 
     /// The lines of the file.

@@ -1,9 +1,11 @@
 //! Where a tracker stands and its probe is, for a robot whose poses are known: what a solve begins with.
 
+use std::collections::BTreeMap;
+
 use nalgebra::{DMatrix, DVector, Matrix3, Rotation3, SVector, Vector3};
 
 use crate::kinematics::Pose;
-use crate::model::Placement;
+use crate::model::{Placement, SetUp};
 
 /// The probe is expected within this of the flange \[m\]: decides only where the poses do not determine it.
 pub const PROBE_SIGMA_M: f64 = 1.0;
@@ -38,6 +40,90 @@ pub fn placements(
         .filter_map(|(turn, flange)| Some(*(flange.rotation.inverse() * place.rotation * turn?).matrix()));
     let probe = Pose::from_parts(probe_m.into(), nearest_rotation(&turns.sum()));
     Some([Placement::of(&place), Placement::of(&probe)])
+}
+
+/// What a tracker saw at a pose of the robot.
+#[derive(Debug, Clone, Copy)]
+pub struct Sighted {
+    /// Of the robot, as it is believed to be.
+    pub flange: Pose,
+    /// Of the target, in the tracker's frame \[m\].
+    pub seen_m: Vector3<f64>,
+    /// `tracker_from_probe`, where that was measured.
+    pub turn: Option<Rotation3<f64>>,
+    /// From where which target was seen.
+    pub set_up: SetUp,
+}
+
+/// Where stations of a tracker and targets are, by their numbers: those that have rows.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Placements {
+    /// `root_from_tracker` of each station.
+    pub places: BTreeMap<usize, Placement>,
+    /// `flange_from_probe` of each target.
+    pub probes: BTreeMap<usize, Placement>,
+}
+
+/// [`placements`] of all stations and targets. Rows of one set-up begin; each target then follows from the stations that are
+/// known, each station from the targets. None where the rows of a station lie on a line.
+pub fn all_placements(rows: &[Sighted]) -> Option<Placements> {
+    let mut open: BTreeMap<SetUp, Vec<Sighted>> = BTreeMap::new();
+    rows.iter().for_each(|row| open.entry(row.set_up).or_default().push(*row));
+    let mut open: Vec<Vec<Sighted>> = open.into_values().collect();
+    open.sort_by_key(|rows| std::cmp::Reverse(rows.len()));
+    let (mut places, mut probes) = (BTreeMap::<usize, Pose>::new(), BTreeMap::<usize, Pose>::new());
+    loop {
+        let seen = |row: &Sighted| Some((*row, *places.get(&row.set_up.station)?));
+        let target = rows.iter().find(|row| !probes.contains_key(&row.set_up.target) && seen(row).is_some());
+        if let Some(Sighted { set_up: SetUp { target, .. }, .. }) = target {
+            let own = rows.iter().filter(|row| row.set_up.target == *target).filter_map(seen);
+            probes.insert(*target, probe(&own.collect::<Vec<_>>()));
+            continue;
+        }
+        let held = |row: &Sighted| Some((*row, row.flange * probes.get(&row.set_up.target)?));
+        let station =
+            rows.iter().find(|row| !places.contains_key(&row.set_up.station) && held(row).is_some());
+        if let Some(Sighted { set_up: SetUp { station, .. }, .. }) = station {
+            let own = rows.iter().filter(|row| row.set_up.station == *station).filter_map(held);
+            places.insert(*station, place(&own.collect::<Vec<_>>())?);
+            continue;
+        }
+        let is_open = |rows: &&Vec<Sighted>| !places.contains_key(&rows[0].set_up.station);
+        let Some(own) = open.iter().find(is_open) else { break };
+        let flanges: Vec<Pose> = own.iter().map(|row| row.flange).collect();
+        let seen_m: Vec<Vector3<f64>> = own.iter().map(|row| row.seen_m).collect();
+        let [place, probe] = placements(&flanges, &seen_m, own.iter().map(|row| row.turn))?;
+        places.insert(own[0].set_up.station, place.pose());
+        probes.insert(own[0].set_up.target, probe.pose());
+    }
+    let all =
+        |of: BTreeMap<usize, Pose>| of.iter().map(|(number, at)| (*number, Placement::of(at))).collect();
+    Some(Placements { places: all(places), probes: all(probes) })
+}
+
+/// `flange_from_probe` of a target in rows from known places of the tracker: the mean of what they say.
+fn probe(rows: &[(Sighted, Pose)]) -> Pose {
+    let at_m = |(row, place): &(Sighted, Pose)| {
+        row.flange.inverse_transform_point(&place.transform_point(&row.seen_m.into())).coords
+    };
+    let turn = |(row, place): &(Sighted, Pose)| {
+        Some(*(row.flange.rotation.inverse() * place.rotation * row.turn?).matrix())
+    };
+    let at_m: Vec<Vector3<f64>> = rows.iter().map(at_m).collect();
+    Pose::from_parts(mean(&at_m).into(), nearest_rotation(&rows.iter().filter_map(turn).sum()))
+}
+
+/// `root_from_tracker` of a station in rows with where the robot holds the target.
+fn place(rows: &[(Sighted, Pose)]) -> Option<Pose> {
+    let seen_m: Vec<Vector3<f64>> = rows.iter().map(|(row, _)| row.seen_m).collect();
+    let held_m: Vec<Vector3<f64>> = rows.iter().map(|(_, held)| held.translation.vector).collect();
+    let turn = |(row, held): &(Sighted, Pose)| Some(*(held.rotation * row.turn?.inverse()).matrix());
+    let turns: Option<Vec<Matrix3<f64>>> = rows.iter().map(turn).collect();
+    let rotation = match turns {
+        Some(turns) => nearest_rotation(&turns.iter().sum()),
+        None => rotation_between(&seen_m, &held_m)?,
+    };
+    Some(Pose::from_parts((mean(&held_m) - rotation * mean(&seen_m)).into(), rotation))
 }
 
 fn mean(points: &[Vector3<f64>]) -> Vector3<f64> {

@@ -18,7 +18,7 @@ use super::window::{CANDIDATES, liveliest, overlap_min_s, wider};
 use crate::cost::{LoopProblem, MeasuredPosition, PoseNoise};
 use crate::kinematics::{Chain, Pose};
 use crate::logs::{InterpolatedLog, RobotLog, TimedPoses, default_gap_limit_s, gap_limit_s};
-use crate::model::{Axis, JointState, Model, Observation, ParameterId, RobotMotion, Role};
+use crate::model::{Axis, Coordinate, JointState, Model, Observation, ParameterId, RobotMotion, Role, SetUp};
 use crate::prepare::readings::standstill::MOVING_RAD_S;
 use crate::prepare::select::select;
 use crate::prepare::steps::{check_length, overlap_s, require_motion, travel_deg};
@@ -349,16 +349,15 @@ impl Search<'_> {
         let flanges = rows.iter().map(flange).collect::<Option<Vec<Pose>>>()?;
         let [place, probe] = placements(&flanges, &seen_m, std::iter::empty())?;
         let mut model = Model::measured_pose(self.robot);
-        for axis in Axis::ALL {
-            for (id, value, sigma) in [
-                (ParameterId::Tracker(axis), place.position_m[axis.index()], None),
-                (ParameterId::TrackerRotation(axis), place.rotation_rad[axis.index()], None),
-                (ParameterId::Probe(axis), probe.position_m[axis.index()], Some(PROBE_SIGMA_M)),
-            ] {
-                model.set_value(id, value).ok()?;
-                let role = sigma.map_or(Role::Free, |sigma| Role::Prior { value: 0.0, sigma });
-                model.set_role(id, role).ok()?;
-            }
+        for coordinate in Coordinate::ALL {
+            let id = ParameterId::Tracker { station: 0, coordinate };
+            model.set_value(id, place.coordinate(coordinate)).ok()?;
+            model.set_role(id, Role::Free).ok()?;
+        }
+        for coordinate in Axis::ALL.map(Coordinate::Position) {
+            let id = ParameterId::Probe { target: 0, coordinate };
+            model.set_value(id, probe.coordinate(coordinate)).ok()?;
+            model.set_role(id, Role::Prior { value: 0.0, sigma: PROBE_SIGMA_M }).ok()?;
         }
         model.set_value(ParameterId::ClockSkew, coarse.skew).ok()?;
         for (id, value, sigma) in
@@ -367,7 +366,8 @@ impl Search<'_> {
             model.set_role(id, Role::Prior { value, sigma }).ok()?;
         }
         let sigma = PoseNoise { position_m: NOMINAL_SIGMA_M, rotation_rad: 1.0 };
-        let residual = MeasuredPosition { measured_m: &seen_m, noise: &vec![sigma; rows.len()] };
+        let (noise, set_ups) = (&vec![sigma; rows.len()], &vec![SetUp::default(); rows.len()]);
+        let residual = MeasuredPosition { measured_m: &seen_m, noise, set_ups };
         let problem = LoopProblem::new(&model, &motion, &observations, residual, 1.0).ok()?;
         let start = model.start();
         let (x, _) =
@@ -376,7 +376,7 @@ impl Search<'_> {
         let (shift_s, skew) = (geometry.clock.shift_s, geometry.clock.skew);
         Some(Fit {
             clock: ClockFit { shift_s: motion.origin_s() + shift_s, skew }.counted_from(-middle_s),
-            probe_m: geometry.tracker.probe.position_m,
+            probe_m: geometry.tracker.probes.first()?.position_m,
             spread_m: NOMINAL_SIGMA_M * GoodShare::NINE_TENTHS.spread_at(&problem, &x),
         })
     }
