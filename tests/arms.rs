@@ -10,7 +10,6 @@ use identify::calibrate::mix::{DataSets, Measured, Rows, calibrate};
 use identify::calibrate::{HoldOut, IdentifyConfig, JointTermsConfig};
 use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Joints, Pose, flange_chain};
-use identify::logs::PoseUncertainty;
 use identify::report::urdf::urdf;
 use identify::robot::import;
 use serde_json::{Value, json};
@@ -101,7 +100,7 @@ fn rows(robot: &RobotConfig) -> Vec<PoseRow> {
             joints_rad: *joints,
             position_m: seen.translation.vector,
             rotation: Some(seen.rotation),
-            uncertainty: PoseUncertainty::default(),
+            ..PoseRow::default()
         }
     };
     postures(robot, 300).iter().map(row).collect()

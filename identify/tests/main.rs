@@ -32,6 +32,7 @@ mod measured_pose_calibration;
 mod measured_poses;
 mod mixed;
 mod noise;
+mod planned_poses;
 mod planning;
 mod preparation;
 mod preparation_crossing;

@@ -329,7 +329,12 @@ fn staged(
 }
 
 /// The same numbers of the robot's links are free in every model; those of the last one belong to what is mounted there.
-fn free_robot(model: &mut Model, flange: &Chain, fix: &[ParameterId], sigma: f64) -> Result<(), ModelError> {
+pub(crate) fn free_robot(
+    model: &mut Model,
+    flange: &Chain,
+    fix: &[ParameterId],
+    sigma: f64,
+) -> Result<(), ModelError> {
     let last = flange.links.len().saturating_sub(1);
     let all: Vec<ParameterId> = model.parameters().iter().map(|parameter| parameter.id).collect();
     let of_links = |id: &ParameterId| matches!(id, ParameterId::Robot { link, .. } if *link < last);

@@ -11,12 +11,13 @@ use shared::output::{say, show};
 
 use super::on_terminal::OnTerminal;
 use super::simulate::numbers;
-use crate::kinematics::{Chain, ball_bar_chain, robot_chain};
-use crate::logs;
+use crate::cost::PoseNoise;
+use crate::kinematics::{Chain, ball_bar_chain, flange_chain, robot_chain};
+use crate::logs::{self, JointTableMapping, joints_of_robot};
 use crate::model::ParameterId;
 use crate::plan::{
-    self, Bodies, Constraints, Criterion, Design, Found, Information, Language, PlaceRequest, PlannedPath,
-    Progress,
+    self, Bodies, Constraints, Criterion, Design, Found, Information, Language, Measures, PlaceRequest,
+    PlannedPath, PoseRequest, ProgramError, Progress, Task,
 };
 use crate::report::file::CalibrationFile;
 use crate::report::page::PathPage;
@@ -37,6 +38,8 @@ enum PlanCommand {
     Path(PathArguments),
     /// Propose where the bar should stand and how long its rod should be.
     Place(PlaceArguments),
+    /// Choose poses worth measuring with a tracker or a wire.
+    Poses(Box<PosesArguments>),
     /// Check a path of the robot: constraints at 1 kHz with the first violation in time, and what it determines.
     Check(CheckArguments),
 }
@@ -58,6 +61,20 @@ struct Cell {
     /// Highest acceleration of a robot joint [rad/s^2]
     #[arg(long, value_name = "RAD_S2", default_value_t = 5.0)]
     acceleration: f64,
+    #[command(flatten)]
+    around: Around,
+    /// A calibration of this robot and bar, or its directory: what it knows already counts, and a path that adds most to it is
+    /// looked for
+    #[arg(long, value_name = "PATH")]
+    calibration: Option<PathBuf>,
+    /// What the path is to be best at
+    #[arg(long, value_enum, default_value_t)]
+    criterion: Criterion,
+}
+
+/// What must not touch.
+#[derive(Debug, Args)]
+struct Around {
     /// Something in the cell, a box with edges along the robot's base frame: two opposite corners [m]
     #[arg(long = "box", value_name = "X,Y,Z,X,Y,Z", value_parser = numbers::<6>, allow_hyphen_values = true)]
     boxes: Vec<[f64; 6]>,
@@ -67,13 +84,16 @@ struct Cell {
     /// Radius of the robot's links [mm]; default: a twentieth of its reach
     #[arg(long, value_name = "MM")]
     link_radius_mm: Option<f64>,
-    /// A calibration of this robot and bar, or its directory: what it knows already counts, and a path that adds most to it is
-    /// looked for
-    #[arg(long, value_name = "PATH")]
-    calibration: Option<PathBuf>,
-    /// What the path is to be best at
-    #[arg(long, value_enum, default_value_t)]
-    criterion: Criterion,
+}
+
+impl Around {
+    fn bodies(&self, reach_m: f64) -> Bodies {
+        let mut bodies = Bodies::for_reach(reach_m);
+        bodies.link_radius_m = self.link_radius_mm.map_or(bodies.link_radius_m, |mm| mm * 1e-3);
+        bodies.boxes_m = self.boxes.iter().map(|&[a, b, c, d, e, f]| [[a, b, c], [d, e, f]]).collect();
+        bodies.floor_m = self.floor;
+        bodies
+    }
 }
 
 #[derive(Debug, Args)]
@@ -122,6 +142,54 @@ struct PlaceArguments {
 }
 
 #[derive(Debug, Args)]
+struct PosesArguments {
+    /// The robot's configuration, such as config/robots/ur10.toml
+    #[arg(long, value_name = "FILE")]
+    robot: PathBuf,
+    /// What is measured at each pose
+    #[arg(long, value_enum)]
+    measures: Measures,
+    /// Directory for poses.csv, its mapping poses.toml and a program for the robot's controller
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// Poses to choose
+    #[arg(long, default_value_t = 50)]
+    count: usize,
+    /// A table of poses that the robot reaches, to choose from; default: random ones within half a turn of its joints
+    #[arg(long, value_name = "FILE", requires = "mapping", conflicts_with_all = ["draw", "boxes", "floor", "link_radius_mm"])]
+    candidates: Option<PathBuf>,
+    /// Which columns of the table are the joints: the mapping of any file that `calibrate tracker`, `wire` or `contact` reads
+    #[arg(long, value_name = "FILE", requires = "candidates")]
+    mapping: Option<PathBuf>,
+    /// Random poses to choose from
+    #[arg(long, value_name = "N", default_value_t = 2000)]
+    draw: usize,
+    #[command(flatten)]
+    around: Around,
+    /// Reflector, middle of the probe, or the wire's end in the flange's frame [m]
+    #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true, default_value = "0,0,0.1")]
+    target: [f64; 3],
+    /// Of a wire: where it comes out, in the robot's base frame [m]
+    #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
+    anchor: Option<[f64; 3]>,
+    /// Of a coordinate or a length, one standard deviation, with what the robot repeats worse than that [mm]
+    #[arg(long, value_name = "MM", default_value_t = 0.05)]
+    noise_mm: f64,
+    /// Of an orientation about each axis, likewise [mrad]; default: 0.1
+    #[arg(long, value_name = "MRAD")]
+    noise_mrad: Option<f64>,
+    /// Programs for controllers; default: that of the robot's maker, by its name
+    #[arg(long, value_enum, value_delimiter = ',')]
+    program: Vec<Language>,
+    /// How long the robot stands at each pose of a program
+    #[arg(long, default_value = "3s", value_parser = humantime::parse_duration)]
+    stand: Duration,
+    /// Decides which random poses there are
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+#[derive(Debug, Args)]
 struct CheckArguments {
     /// The robot's joints on the path, of any kind that `calibrate` reads
     #[arg(value_name = "PATH")]
@@ -160,10 +228,7 @@ impl Cell {
             );
         }
         let arm = robot_chain(&robot, &bar);
-        let mut bodies = Bodies::for_reach(arm.reach_m());
-        bodies.link_radius_m = self.link_radius_mm.map_or(bodies.link_radius_m, |mm| mm * 1e-3);
-        bodies.boxes_m = self.boxes.iter().map(|&[a, b, c, d, e, f]| [[a, b, c], [d, e, f]]).collect();
-        bodies.floor_m = self.floor;
+        let bodies = self.around.bodies(arm.reach_m());
         let mut design = Design::for_robot(&robot);
         design.base_m = self.base.unwrap_or(design.base_m);
         design.robot_speed_rad_s = self.speed;
@@ -217,6 +282,7 @@ pub fn run(arguments: &PlanArguments) -> anyhow::Result<()> {
     match &arguments.command {
         PlanCommand::Path(arguments) => find(arguments),
         PlanCommand::Place(arguments) => place(arguments),
+        PlanCommand::Poses(arguments) => poses(arguments),
         PlanCommand::Check(arguments) => check(arguments),
     }
 }
@@ -283,16 +349,73 @@ fn find(arguments: &PathArguments) -> anyhow::Result<()> {
         sigmas: &information.sigmas(&checked.normal),
     };
     say(page.write(out)?.display())?;
-    // What was asked for must be there; what goes without saying is left out with its reason.
-    let by_itself = Language::of(&loaded.robot).filter(|_| arguments.program.is_empty());
-    for &language in arguments.program.iter().chain(&by_itself) {
-        match plan::program(language, &robot_path, &loaded.robot, &constraints) {
-            Ok(text) => write(&out.join(language.file_name()), &text)?,
+    programs(&arguments.program, &loaded.robot, Task::Path, out, |language| {
+        plan::program(language, &robot_path, &loaded.robot, &constraints)
+    })
+}
+
+/// Writes the programs that were asked for, or that of the robot's maker. What was asked for must be there; what goes without
+/// saying is left out with its reason.
+fn programs(
+    asked: &[Language],
+    robot: &RobotConfig,
+    task: Task,
+    out: &Path,
+    program: impl Fn(Language) -> Result<String, ProgramError>,
+) -> anyhow::Result<()> {
+    let by_itself = Language::of(robot).filter(|_| asked.is_empty());
+    for &language in asked.iter().chain(&by_itself) {
+        match program(language) {
+            Ok(text) => write(&out.join(language.file_name(task)), &text)?,
             Err(error) if by_itself.is_some() => say(format_args!("no program: {error}"))?,
             Err(error) => return Err(error.into()),
         }
     }
     Ok(())
+}
+
+fn poses(arguments: &PosesArguments) -> anyhow::Result<()> {
+    let PosesArguments { measures, out, count, anchor, noise_mm, noise_mrad, seed, .. } = arguments;
+    let robot: RobotConfig = config::load(&arguments.robot)?;
+    for (name, size) in [("noise-mm", *noise_mm), ("noise-mrad", noise_mrad.unwrap_or(1.0))] {
+        anyhow::ensure!(size.is_finite() && size > 0.0, "--{name} is {size}; give a number above zero");
+    }
+    anyhow::ensure!(
+        noise_mrad.is_none() || *measures == Measures::Poses,
+        "--noise-mrad is that of orientations; give it with --measures poses"
+    );
+    anyhow::ensure!(
+        anchor.is_some() == (*measures == Measures::Lengths),
+        "--anchor is where a wire comes out; give it with --measures lengths, and with no other"
+    );
+    let bodies = arguments.around.bodies(flange_chain(&robot).reach_m());
+    let (candidates, bodies) = match arguments.candidates.as_deref().zip(arguments.mapping.as_deref()) {
+        Some((file, mapping)) => {
+            let of_table: JointTableMapping = config::load(mapping)?;
+            joints_of_robot(&of_table.joints, &robot, mapping)?;
+            (of_table.load(file)?, None)
+        }
+        None => {
+            let margin_rad = Design::for_robot(&robot).limit_margin_deg.to_radians();
+            (plan::random_postures(&robot, &bodies, margin_rad, arguments.draw, *seed)?, Some(&bodies))
+        }
+    };
+    let request = PoseRequest {
+        robot: &robot,
+        measures: *measures,
+        target_m: arguments.target,
+        anchor_m: anchor.unwrap_or_default(),
+        noise: PoseNoise { position_m: noise_mm * 1e-3, rotation_rad: noise_mrad.unwrap_or(0.1) * 1e-3 },
+    };
+    let planned = plan::poses(&request, &candidates, *count, bodies, *seed)?;
+    show(path::poses(&planned, candidates.len()))?;
+    fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display()))?;
+    let (table, mapping) = path::pose_table(&planned.joints, &robot, *measures)?;
+    write(&out.join("poses.csv"), &table)?;
+    write(&out.join("poses.toml"), &mapping)?;
+    programs(&arguments.program, &robot, Task::Poses, out, |language| {
+        plan::pose_program(language, &planned.joints, &robot, arguments.stand.as_secs_f64())
+    })
 }
 
 fn write(path: &Path, text: &str) -> anyhow::Result<()> {

@@ -38,7 +38,9 @@ pub use rows::measured_pose::{
     EulerFrame, MeasuredPose, MeasuredPoseMapping, MeasuredPoses, PoseUncertainty, PositionColumns,
     RotationColumns, RotationForm, TimedPose, TimedPoses, UncertaintyColumns,
 };
-pub use rows::pose_rows::{JointColumn, JointUnit, LengthUnit, joints_of_robot};
+pub use rows::pose_rows::{
+    JointColumn, JointTableMapping, JointUnit, LengthUnit, joint_columns, joints_of_robot,
+};
 pub use tables::text::{Cells, RowsAsText};
 pub use time_series::interpolation::{InterpolatedLog, default_gap_limit_s, gap_limit_s};
 pub use time_series::sampling::{StampStep, Stamps};

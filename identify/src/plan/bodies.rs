@@ -6,13 +6,15 @@
 use nalgebra::Vector3;
 use parry3d_f64::math::{Pose as Placement, Vector};
 use parry3d_f64::query;
-use parry3d_f64::shape::{Capsule, Cuboid, Shape};
+use parry3d_f64::shape::{Capsule, Cuboid};
 use shared::config::JointKind;
 
-use crate::kinematics::{Chain, ROD_LINK};
+use crate::kinematics::{Chain, Joints, Pose, ROD_LINK};
 
 /// The last links turn where they stand: the plate and the rod's end are theirs.
 const WRIST_LINKS: usize = 2;
+/// Largest joint between two postures of a move that are looked at \[rad, m\].
+const STEP_RAD: f64 = 0.05;
 
 /// Sizes of what must not touch.
 #[derive(Debug, Clone, PartialEq)]
@@ -45,17 +47,8 @@ pub struct Skeleton {
 impl Skeleton {
     /// Of a posture of the robot.
     pub fn of(robot: &Chain, bar: &Chain, robot_rad: &[f64]) -> Self {
-        let mut at = robot.root_from_base;
-        let mut links = Vec::with_capacity(robot.links.len());
-        for (link, joint) in robot.links.iter().zip(robot_rad) {
-            let before = at.translation.vector;
-            let moved_m = if link.joint == JointKind::Prismatic { *joint } else { 0.0 };
-            // Along the joint's axis first, then along the link.
-            let elbow = before + at.rotation * Vector3::z() * (link.d_m + moved_m);
-            at *= link.transform(*joint);
-            links.push([before, elbow, at.translation.vector]);
-        }
-        let end = (at * robot.last_from_end).translation.vector;
+        let (links, end) = links(robot, robot_rad);
+        let end = end.translation.vector;
         let plate_from = links.last().map_or(end, |[_, elbow, _]| *elbow);
         Self { links, plate_from, end, gimbal: bar.root_from_base.translation.vector }
     }
@@ -86,53 +79,133 @@ impl Bodies {
         let free_rod = self.rod([gimbal, near_end]);
 
         let mut clearance_m = f64::INFINITY;
-        let mut compare = |one: &dyn Shape, other: &dyn Shape, place: &Placement| {
-            if let Ok(found) = query::distance(&Placement::IDENTITY, one, place, other) {
-                clearance_m = clearance_m.min(found.distance);
-            }
+        let mut compare = |one: &Capsule, other: &Capsule| {
+            clearance_m = clearance_m.min(between_m(one, other));
         };
-        let here = Placement::IDENTITY;
         let carrying = links.len().saturating_sub(WRIST_LINKS);
-        for (index, [before, elbow, after]) in links.iter().enumerate() {
-            for piece in [[*before, *elbow], [*elbow, *after]] {
-                if (piece[1] - piece[0]).norm() < 1e-6 {
-                    continue;
-                }
-                let link = self.capsule(piece, self.link_radius_m);
+        for (index, link) in links.iter().enumerate() {
+            for piece in self.pieces(link) {
                 if index < carrying {
-                    compare(&free_rod, &link, &here);
+                    compare(&free_rod, &piece);
                 }
                 // The forearm ends where the wrist begins.
                 if index + 1 < carrying {
-                    compare(&plate, &link, &here);
+                    compare(&plate, &piece);
                 }
             }
         }
+        clearance_m.min(self.cell_clearance_m(&links, &[&plate, &rod], Some(&plate))).max(0.0)
+    }
+
+    /// An arm that carries nothing keeps its distance from itself and the cell.
+    pub fn is_clear(&self, arm: &Chain, robot_rad: &[f64]) -> bool {
+        let (links, _) = links(arm, robot_rad);
+        self.cell_clearance_m(&links, &[], None).min(self.own_clearance_m(&links)) >= self.clearance_m_min
+    }
+
+    /// It does so on the straight line of its joints between two postures.
+    pub fn is_way_clear(&self, arm: &Chain, from: &Joints, to: &Joints) -> bool {
+        let most = from.iter().zip(to).fold(0.0_f64, |most, (a, b)| most.max((b - a).abs()));
+        let steps = (most / STEP_RAD).ceil().max(1.0);
+        (0..=steps as usize).all(|step| {
+            let part = step as f64 / steps;
+            self.is_clear(
+                arm,
+                &Joints::from_fn(from.len(), |axis| from[axis] + part * (to[axis] - from[axis])),
+            )
+        })
+    }
+
+    /// Smallest distance between two links that what lies between them lets come apart \[m\].
+    fn own_clearance_m(&self, links: &[[Vector3<f64>; 3]]) -> f64 {
+        let length_m =
+            |[before, elbow, after]: &[Vector3<f64>; 3]| (elbow - before).norm() + (after - elbow).norm();
+        let apart_m = 2.0 * self.link_radius_m + self.clearance_m_min;
+        let mut clearance_m = f64::INFINITY;
+        for (first, one) in links.iter().enumerate() {
+            let mut way_m = 0.0;
+            for (other, after) in links.iter().zip(links.iter().skip(1)).skip(first + 1) {
+                way_m += length_m(other);
+                if way_m <= apart_m || length_m(after) < 1e-6 {
+                    continue;
+                }
+                for piece in self.pieces(one) {
+                    let nearest_m = self.pieces(after).map(|other| between_m(&piece, &other));
+                    clearance_m = nearest_m.fold(clearance_m, f64::min);
+                }
+            }
+        }
+        clearance_m
+    }
+
+    /// Smallest distance of links but the first, and of what they carry, from boxes, and of links and `plate` from the floor \[m\].
+    fn cell_clearance_m(
+        &self,
+        links: &[[Vector3<f64>; 3]],
+        carried: &[&Capsule],
+        plate: Option<&Capsule>,
+    ) -> f64 {
+        let mut clearance_m = f64::INFINITY;
+        let mut compare = |one: &Capsule, block: &Cuboid, place: &Placement| {
+            if let Ok(found) = query::distance(&Placement::IDENTITY, one, place, block) {
+                clearance_m = clearance_m.min(found.distance);
+            }
+        };
         for [one, other] in &self.boxes_m {
             let half = |axis: usize| 0.5 * (one[axis] - other[axis]).abs();
             let middle = |axis: usize| 0.5 * (one[axis] + other[axis]);
             let block = Cuboid::new(Vector::new(half(0), half(1), half(2)));
             let place = Placement::translation(middle(0), middle(1), middle(2));
-            compare(&rod, &block, &place);
-            compare(&plate, &block, &place);
-            for [before, elbow, after] in links.iter().skip(1) {
-                compare(&self.capsule([*before, *elbow], self.link_radius_m), &block, &place);
-                compare(&self.capsule([*elbow, *after], self.link_radius_m), &block, &place);
+            carried.iter().for_each(|body| compare(body, &block, &place));
+            for link in links.iter().skip(1) {
+                self.pieces(link).for_each(|piece| compare(&piece, &block, &place));
             }
         }
         if let Some(floor_m) = self.floor_m {
             let ends = links.iter().skip(1).map(|[_, _, after]| after.z - self.link_radius_m);
-            let rod_end = [end.z - self.rod_radius_m, plate_from.z - self.rod_radius_m];
-            clearance_m = ends.chain(rod_end).map(|z| z - floor_m).fold(clearance_m, f64::min);
+            let plate = plate
+                .into_iter()
+                .flat_map(|plate| [plate.segment.a.z - plate.radius, plate.segment.b.z - plate.radius]);
+            clearance_m = ends.chain(plate).map(|z| z - floor_m).fold(clearance_m, f64::min);
         }
-        clearance_m.max(0.0)
+        clearance_m
+    }
+
+    /// A link along its joint's axis, and along the link.
+    fn pieces(&self, [before, elbow, after]: &[Vector3<f64>; 3]) -> impl Iterator<Item = Capsule> {
+        let radius_m = self.link_radius_m;
+        [[*before, *elbow], [*elbow, *after]]
+            .into_iter()
+            .filter(|[a, b]| (b - a).norm() >= 1e-6)
+            .map(move |ends| capsule(ends, radius_m))
     }
 
     fn rod(&self, ends: [Vector3<f64>; 2]) -> Capsule {
-        self.capsule(ends, self.rod_radius_m)
+        capsule(ends, self.rod_radius_m)
     }
+}
 
-    fn capsule(&self, [a, b]: [Vector3<f64>; 2], radius_m: f64) -> Capsule {
-        Capsule::new(Vector::new(a.x, a.y, a.z), Vector::new(b.x, b.y, b.z), radius_m)
+/// Each link of a posture: where it begins, along its joint's axis, where it ends \[m\]; and the arm's end.
+fn links(arm: &Chain, robot_rad: &[f64]) -> (Vec<[Vector3<f64>; 3]>, Pose) {
+    let mut at = arm.root_from_base;
+    let mut links = Vec::with_capacity(arm.links.len());
+    for (link, joint) in arm.links.iter().zip(robot_rad) {
+        let before = at.translation.vector;
+        let moved_m = if link.joint == JointKind::Prismatic { *joint } else { 0.0 };
+        // Along the joint's axis first, then along the link.
+        let elbow = before + at.rotation * Vector3::z() * (link.d_m + moved_m);
+        at *= link.transform(*joint);
+        links.push([before, elbow, at.translation.vector]);
     }
+    (links, at * arm.last_from_end)
+}
+
+fn capsule([a, b]: [Vector3<f64>; 2], radius_m: f64) -> Capsule {
+    Capsule::new(Vector::new(a.x, a.y, a.z), Vector::new(b.x, b.y, b.z), radius_m)
+}
+
+/// Distance of two capsules, zero where they overlap \[m\].
+fn between_m(one: &Capsule, other: &Capsule) -> f64 {
+    let here = Placement::IDENTITY;
+    query::distance(&here, one, &here, other).map_or(f64::INFINITY, |found| found.distance)
 }

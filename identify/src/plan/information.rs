@@ -84,7 +84,7 @@ pub struct Information {
 }
 
 /// Joint states of single poses: pose `i` has time `i`.
-struct States<'a>(&'a [JointState]);
+pub(super) struct States<'a>(pub(super) &'a [JointState]);
 
 impl RobotMotion for States<'_> {
     fn at(&self, tau_s: f64) -> Option<JointState> {

@@ -2,7 +2,8 @@
 //!
 //! `random` finds a path that keeps to the `constraints` (which know `bodies`), `search` makes it better by what
 //! `information` says that a calibration learns from it, `check` judges any path by the robot's joints alone, `programs`
-//! writes it for robot controllers; `place` looks for where the bar should stand.
+//! writes it for robot controllers; `place` looks for where the bar should stand, `poses` chooses poses for instruments that measure
+//! a robot at rest.
 
 mod bodies;
 mod check;
@@ -11,6 +12,7 @@ mod design;
 mod information;
 mod path;
 mod place;
+mod poses;
 mod programs;
 mod random;
 mod search;
@@ -22,7 +24,8 @@ pub use design::Design;
 pub use information::{Criterion, ExpectedPosition, Information, WithTerms};
 pub use path::{Move, Path};
 pub use place::{Place, PlaceRequest, Places, places};
-pub use programs::{Language, ProgramError, program};
+pub use poses::{Measures, PlannedPoses, PoseRequest, PosesError, Told, poses, random_postures};
+pub use programs::{Language, ProgramError, Task, pose_program, program};
 pub use random::{PlanError, Route, random_route};
 pub use search::{Found, Progress, search};
 

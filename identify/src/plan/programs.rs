@@ -1,6 +1,6 @@
-//! A path as programs of robot controllers.
+//! A path, or poses to stop at, as programs of robot controllers.
 //!
-//! Points are so close that the robot leaves the sphere by no more than [`OFF_SPHERE_M_MAX`] between them, as each
+//! Points of a path are so close that the robot leaves the sphere by no more than [`OFF_SPHERE_M_MAX`] between them, as each
 //! controller interpolates: joints along lines (RAPID, FANUC), or along curves (KRL's splines, URScript's servo loop).
 //! Sources: ABB, Technical reference manual RAPID (3HAC050917), `MoveAbsJ`; KUKA System Software 8.3, Operating and
 //! Programming Instructions for System Integrators, `PTP_SPLINE` with `TIME_BLOCK`; Universal Robots, Script Manual,
@@ -48,14 +48,16 @@ pub enum ProgramError {
     /// The log has something else than what a controller is told.
     #[error(
         "how the controller of {robot} counts its joints is not known: `raw_to_joint` of its configuration has gear ratios, so \
-         its log has motor angles; take the joints from robot_path.csv, or configure a log of joint angles"
+         its log has motor angles; take the joints from the table that was written, or configure a log of joint angles"
     )]
     Motors {
         /// Its name.
         robot: String,
     },
     /// The language has six axes, others are additional axes somewhere else in its targets.
-    #[error("{robot} has {axes} axes, programs are written for six; take the joints from robot_path.csv")]
+    #[error(
+        "{robot} has {axes} axes, programs are written for six; take the joints from the table that was written"
+    )]
     Axes {
         /// Its name.
         robot: String,
@@ -75,13 +77,32 @@ pub enum ProgramError {
     },
 }
 
-/// A path at equal times.
+/// Points of a program.
 struct Points {
+    task: Task,
+    /// Time between two points of a path \[s\].
     period_s: f64,
-    off_sphere_m: f64,
+    /// How long the robot stands at the first point of a path, and at each pose \[s\].
+    wait_s: f64,
     /// The controller's numbers, angles in radians.
     raw_rad: Vec<Joints>,
     rate_rad_s: Vec<Joints>,
+}
+
+impl Points {
+    /// The robot goes to this one at leisure and stands there.
+    fn stops(&self, index: usize) -> bool {
+        index == 0 || self.task == Task::Poses
+    }
+}
+
+/// What a program does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Task {
+    /// Drives along a path.
+    Path,
+    /// Stops at poses.
+    Poses,
 }
 
 impl Language {
@@ -101,12 +122,23 @@ impl Language {
     }
 
     /// Name of the file that a controller takes.
-    pub const fn file_name(self) -> &'static str {
-        match self {
-            Self::Rapid => "BallBarPath.mod",
-            Self::Krl => "ballbar_path.src",
-            Self::Urscript => "ballbar_path.script",
-            Self::Fanuc => "ballbar_path.ls",
+    pub fn file_name(self, task: Task) -> String {
+        let extension = match self {
+            Self::Rapid => "mod",
+            Self::Krl => "src",
+            Self::Urscript => "script",
+            Self::Fanuc => "ls",
+        };
+        format!("{}.{extension}", self.name(task))
+    }
+
+    /// Name of the program.
+    const fn name(self, task: Task) -> &'static str {
+        match (self, task) {
+            (Self::Rapid, Task::Path) => "BallBarPath",
+            (Self::Rapid, Task::Poses) => "MeasurePoses",
+            (_, Task::Path) => "ballbar_path",
+            (_, Task::Poses) => "measure_poses",
         }
     }
 
@@ -126,28 +158,46 @@ pub fn program(
     robot: &RobotConfig,
     constraints: &Constraints<'_>,
 ) -> Result<String, ProgramError> {
-    let points = points(language, path, robot, constraints)?;
+    let (points, off_sphere_m) = points(language, path, robot, constraints)?;
     let about = format!(
         "{}: path with the ball-bar, {:.1} s, points {} s apart, at most {:.3} mm off the sphere between them",
         robot.name,
         path.duration_s(),
         points.period_s,
-        points.off_sphere_m * 1e3
+        off_sphere_m * 1e3
     );
-    Ok(match language {
-        Language::Rapid => rapid(&about, &points),
-        Language::Krl => krl(&about, &points),
-        Language::Urscript => ur_script(&about, &points),
-        Language::Fanuc => fanuc(&about, &points),
-    })
+    Ok(text(language, &about, &points))
 }
 
-fn points(
+/// The program that stops at poses, for so long at each \[s\].
+///
+/// # Errors
+/// [`ProgramError`].
+pub fn pose_program(
     language: Language,
-    path: &RobotLog,
+    poses: &[Joints],
     robot: &RobotConfig,
-    constraints: &Constraints<'_>,
-) -> Result<Points, ProgramError> {
+    wait_s: f64,
+) -> Result<String, ProgramError> {
+    let conversion = conversion(robot)?;
+    let raw_rad = poses.iter().map(|q| conversion.to_raw(q)).collect();
+    let points = Points { task: Task::Poses, period_s: 0.0, wait_s, raw_rad, rate_rad_s: Vec::new() };
+    let about = format!("{}: {} poses, {wait_s} s at each", robot.name, poses.len());
+    Ok(text(language, &about, &points))
+}
+
+fn text(language: Language, about: &str, points: &Points) -> String {
+    let name = language.name(points.task);
+    match language {
+        Language::Rapid => rapid(name, about, points),
+        Language::Krl => krl(name, about, points),
+        Language::Urscript => ur_script(name, about, points),
+        Language::Fanuc => fanuc(name, about, points),
+    }
+}
+
+/// From joints to the numbers that the controller is told, angles in radians.
+fn conversion(robot: &RobotConfig) -> Result<JointConversion, ProgramError> {
     if robot.axes() != 6 {
         return Err(ProgramError::Axes { robot: robot.name.clone(), axes: robot.axes() });
     }
@@ -156,8 +206,18 @@ fn points(
     if !robot.log.raw_to_joint.iter().flatten().all(is_joint) {
         return Err(ProgramError::Motors { robot: robot.name.clone() });
     }
+    Ok(JointConversion::new(&LogConversion { unit: AngleUnit::Rad, ..robot.log.clone() })?)
+}
+
+/// Points of a path, and how far it leaves the sphere between them \[m\].
+fn points(
+    language: Language,
+    path: &RobotLog,
+    robot: &RobotConfig,
+    constraints: &Constraints<'_>,
+) -> Result<(Points, f64), ProgramError> {
+    let conversion = conversion(robot)?;
     let curve = curve(path)?;
-    let conversion = JointConversion::new(&LogConversion { unit: AngleUnit::Rad, ..robot.log.clone() })?;
     let mut off_sphere_m = 0.0;
     for period_s in PERIODS_S {
         off_sphere_m = off_sphere(language, &curve, period_s, constraints);
@@ -170,7 +230,8 @@ fn points(
                 Joints::from_fn(raw.len(), |axis| raw[axis] - none[axis])
             };
             let rate_rad_s = at.iter().map(|point| rate(&point.rate)).collect();
-            return Ok(Points { period_s, off_sphere_m, raw_rad, rate_rad_s });
+            let points = Points { task: Task::Path, period_s, wait_s: 1.0, raw_rad, rate_rad_s };
+            return Ok((points, off_sphere_m));
         }
     }
     let period_s = PERIODS_S.last().copied().unwrap_or_default();
@@ -224,30 +285,35 @@ fn list(numbers: &[f64], factor: f64) -> String {
     numbers.iter().map(|number| format!("{:.6}", number * factor)).collect::<Vec<_>>().join(",")
 }
 
-fn rapid(about: &str, points: &Points) -> String {
-    let mut text = format!("MODULE BallBarPath\n  ! {about}\n  PROC BallBarPath()\n");
+fn rapid(name: &str, about: &str, points: &Points) -> String {
+    let mut text = format!("MODULE {name}\n  ! {about}\n  PROC {name}()\n");
     for (index, raw_rad) in points.raw_rad.iter().enumerate() {
         let target = format!("[[{}],[9E9,9E9,9E9,9E9,9E9,9E9]]", list(raw_rad, 1f64.to_degrees()));
         // Writing to a string cannot fail.
-        let _ = match index {
-            0 => write!(text, "    MoveAbsJ {target}\\NoEOffs,v50,fine,tool0;\n    WaitTime 1;\n"),
-            _ => writeln!(text, "    MoveAbsJ {target}\\NoEOffs,v1000\\T:={},z1,tool0;", points.period_s),
+        let _ = if points.stops(index) {
+            let wait_s = points.wait_s;
+            write!(text, "    MoveAbsJ {target}\\NoEOffs,v50,fine,tool0;\n    WaitTime {wait_s};\n")
+        } else {
+            writeln!(text, "    MoveAbsJ {target}\\NoEOffs,v1000\\T:={},z1,tool0;", points.period_s)
         };
     }
     text.push_str("  ENDPROC\nENDMODULE\n");
     text
 }
 
-fn krl(about: &str, points: &Points) -> String {
+fn krl(name: &str, about: &str, points: &Points) -> String {
     let target = |raw_rad: &Joints| {
         let axes = raw_rad.iter().enumerate();
         let axes: Vec<String> =
             axes.map(|(axis, angle)| format!("A{} {:.6}", axis + 1, angle.to_degrees())).collect();
         format!("{{{}}}", axes.join(","))
     };
-    let mut text = format!("&ACCESS RVP\nDEF ballbar_path()\n; {about}\nBAS(#INITMOV,0)\n");
-    let Some((first, others)) = points.raw_rad.split_first() else { return text };
-    let _ = write!(text, "BAS(#VEL_PTP,10)\nPTP {}\nWAIT SEC 1\n", target(first));
+    let mut text = format!("&ACCESS RVP\nDEF {name}()\n; {about}\nBAS(#INITMOV,0)\nBAS(#VEL_PTP,10)\n");
+    let stops = points.raw_rad.iter().enumerate().take_while(|(index, _)| points.stops(*index)).count();
+    let (stops, others) = points.raw_rad.split_at(stops);
+    for raw_rad in stops {
+        let _ = write!(text, "PTP {}\nWAIT SEC {}\n", target(raw_rad), points.wait_s);
+    }
     for block in others.chunks(BLOCK_POINTS_MAX) {
         text.push_str("PTP_SPLINE\n  TIME_BLOCK START\n");
         for (index, raw_rad) in block.iter().enumerate() {
@@ -262,10 +328,18 @@ fn krl(about: &str, points: &Points) -> String {
     text
 }
 
-fn ur_script(about: &str, points: &Points) -> String {
+fn ur_script(name: &str, about: &str, points: &Points) -> String {
     let Some(first) = points.raw_rad.first() else { return String::new() };
     let axes = first.len();
-    let mut text = format!("def ballbar_path():\n  # {about}\n");
+    let mut text = format!("def {name}():\n  # {about}\n");
+    if points.task == Task::Poses {
+        for raw_rad in &points.raw_rad {
+            let (q, wait_s) = (list(raw_rad, 1.0), points.wait_s);
+            let _ = write!(text, "  movej([{q}], a=0.3, v=0.2)\n  sleep({wait_s})\n");
+        }
+        let _ = write!(text, "end\n{name}()\n");
+        return text;
+    }
     let _ = write!(
         text,
         "  global q0 = [{}]\n  global v0 = [{}]\n  global t = 0\n  movej(q0, a=0.3, v=0.2)\n  sleep(1)\n",
@@ -289,13 +363,13 @@ fn ur_script(about: &str, points: &Points) -> String {
     for (raw_rad, rate_rad_s) in points.raw_rad.iter().zip(&points.rate_rad_s).skip(1) {
         let _ = writeln!(text, "  go([{}], [{}])", list(raw_rad, 1.0), list(rate_rad_s, 1.0));
     }
-    text.push_str("  stopj(2)\nend\nballbar_path()\n");
+    let _ = write!(text, "  stopj(2)\nend\n{name}()\n");
     text
 }
 
 /// Joint 3 is what the controller calls so, from the horizontal, where `raw_to_joint` of the robot's configuration has the
 /// coupling: the numbers are those of its log.
-fn fanuc(about: &str, points: &Points) -> String {
+fn fanuc(name: &str, about: &str, points: &Points) -> String {
     /// Characters of a remark that a controller takes.
     const REMARK: usize = 32;
     let mut lines: Vec<String> =
@@ -303,14 +377,16 @@ fn fanuc(about: &str, points: &Points) -> String {
     lines.extend(["UFRAME_NUM=0".into(), "UTOOL_NUM=0".into()]);
     let period_ms = (points.period_s * 1e3).round();
     for point in 1..=points.raw_rad.len() {
-        match point {
-            1 => lines.extend(["J P[1] 10% FINE".into(), "WAIT   1.00(sec)".into()]),
-            _ => lines.push(format!("J P[{point}] {period_ms}msec CNT100")),
+        if points.stops(point - 1) {
+            lines.extend([format!("J P[{point}] 10% FINE"), format!("WAIT {:>6.2}(sec)", points.wait_s)]);
+        } else {
+            lines.push(format!("J P[{point}] {period_ms}msec CNT100"));
         }
     }
     let mut text = format!(
-        "/PROG  BALLBAR_PATH\n/ATTR\nCOMMENT\t\t= \"\";\nLINE_COUNT\t= {};\nPROTECT\t\t= READ_WRITE;\n\
+        "/PROG  {}\n/ATTR\nCOMMENT\t\t= \"\";\nLINE_COUNT\t= {};\nPROTECT\t\t= READ_WRITE;\n\
          DEFAULT_GROUP\t= 1,*,*,*,*;\n/MN\n",
+        name.to_uppercase(),
         lines.len()
     );
     // Writing to a string cannot fail.

@@ -1,11 +1,21 @@
-//! What a path does and determines, and where the bar might stand, for a terminal.
+//! What a path or poses do and determine, and where the bar might stand, for a terminal; poses as a table.
 
 use std::fmt::Write;
 
-use crate::plan::{Checked, Found, Information, Places};
+use shared::config::{AngleUnit, RobotConfig};
+
+use crate::kinematics::Joints;
+use crate::logs::{
+    CsvLayout, EulerFrame, LengthColumn, LengthUnit, MeasuredLengthMapping, MeasuredPoseMapping,
+    PositionColumns, RotationColumns, RotationForm, joint_columns,
+};
+use crate::model::ParameterId;
+use crate::plan::{Checked, Found, Information, Measures, Places, PlannedPoses};
 
 /// So many places are shown.
 const PLACES_SHOWN: usize = 10;
+/// So many parameters of a kind are named.
+const NAMED: usize = 12;
 
 /// The lines about a path, each ended. `found` is how it was found.
 pub fn summary(checked: &Checked, information: &Information, found: Option<&Found>) -> String {
@@ -103,4 +113,105 @@ pub fn places(places: &Places) -> String {
         );
     }
     text
+}
+
+/// What so many of the candidates determine.
+pub fn poses(planned: &PlannedPoses, candidates: usize) -> String {
+    let mut text = format!(
+        "{} of {candidates} poses; RMS position error over all of them that is expected of a calibration:\n\
+         {:.4} mm, with as many random ones {:.4} mm, of the robot as it is {:.4} mm\n\
+         {:<36}{:>10}{:>16}{:>16}{:>14}\n",
+        planned.joints.len(),
+        planned.position_m * 1e3,
+        planned.random_m * 1e3,
+        planned.before_m * 1e3,
+        "standard deviations (RMS)",
+        "number",
+        "before",
+        "after",
+        "hardly told"
+    );
+    for one in &planned.told {
+        let size = |si: f64| one.ids.first().map_or_else(String::new, |id| id.unit().display(si));
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            text,
+            "{:<36}{:>10}{:>16}{:>16}{:>14}",
+            one.name,
+            one.ids.len(),
+            size(one.prior),
+            size(one.sigma),
+            one.untold.len()
+        );
+        if (1..=NAMED).contains(&one.untold.len()) {
+            let names: Vec<String> = one.untold.iter().map(ParameterId::to_string).collect();
+            let _ = writeln!(text, "  hardly told: {}", names.join(" "));
+        }
+    }
+    if !planned.blocked.is_empty() {
+        let after: Vec<String> = planned.blocked.iter().map(|pose| (pose + 1).to_string()).collect();
+        let _ = writeln!(
+            text,
+            "the straight way of the joints to the next pose comes too near to something after {}: drive round it",
+            after.join(", ")
+        );
+    }
+    text
+}
+
+/// A table of poses with empty columns for what is measured there, and its mapping for `calibrate`.
+///
+/// # Errors
+/// Those of TOML.
+pub fn pose_table(
+    poses: &[Joints],
+    robot: &RobotConfig,
+    measures: Measures,
+) -> Result<(String, String), toml::ser::Error> {
+    let (csv, joints) = (CsvLayout::default(), joint_columns(robot));
+    let position = ["x_mm", "y_mm", "z_mm"].map(str::to_owned);
+    let rotation = ["rx_deg", "ry_deg", "rz_deg"].map(str::to_owned);
+    let mut columns: Vec<String> = joints.iter().map(|joint| joint.column.clone()).collect();
+    match measures {
+        Measures::Lengths => columns.push("length_mm".into()),
+        Measures::Positions => columns.extend(position.clone()),
+        Measures::Poses => columns.extend(position.iter().chain(&rotation).cloned()),
+    }
+    let mut table = columns.join(",") + "\n";
+    for q in poses {
+        let cells = q.iter().zip(&joints).map(|(q, joint)| format!("{:.6}", q / joint.unit.to_si()));
+        let empty = columns[joints.len()..].iter().map(|_| String::new());
+        table += &cells.chain(empty).collect::<Vec<_>>().join(",");
+        table.push('\n');
+    }
+    let mapping = if measures == Measures::Lengths {
+        let length = LengthColumn { column: "length_mm".into(), unit: LengthUnit::Mm, offset_mm: 0.0 };
+        toml::to_string(&MeasuredLengthMapping {
+            csv,
+            length,
+            joints,
+            flange: None,
+            anchor: None,
+            attachment: None,
+        })?
+    } else {
+        let turned = RotationColumns {
+            form: RotationForm::Euler,
+            columns: rotation.to_vec(),
+            unit: Some(AngleUnit::Deg),
+            order: Some("xyz".into()),
+            frame: Some(EulerFrame::Moving),
+        };
+        toml::to_string(&MeasuredPoseMapping {
+            csv,
+            position: PositionColumns { columns: position, unit: LengthUnit::Mm },
+            rotation: (measures == Measures::Poses).then_some(turned),
+            uncertainty: None,
+            station: None,
+            target: None,
+            time: None,
+            joints,
+        })?
+    };
+    Ok((table, mapping))
 }

@@ -10,12 +10,12 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
-use shared::config::{JointKind, RobotConfig};
+use shared::config::RobotConfig;
 
 use super::{Stream, WriteError, random};
 use crate::instrument::{ContactRow, KnownDistance, PlacedSocket, SocketTable};
 use crate::kinematics::{Chain, DhLink, Joints, Pose, Trace, Tracer, flange_chain};
-use crate::logs::{ContactMapping, CsvLayout, JointColumn, JointUnit, LogError};
+use crate::logs::{ContactMapping, CsvLayout, LogError, joint_columns};
 use crate::model::{DriveTrain, Model, ParameterId};
 
 /// Centre of the ball in the flange frame \[m\].
@@ -355,18 +355,7 @@ fn truth(
 
 /// How the columns of simulated rows are called.
 fn mapping(robot: &RobotConfig) -> ContactMapping {
-    let joint = |(number, kind): (usize, JointKind)| {
-        let (unit, name) = match kind {
-            JointKind::Revolute => (JointUnit::Deg, "deg"),
-            JointKind::Prismatic => (JointUnit::Mm, "mm"),
-        };
-        JointColumn { column: format!("q{number}_{name}"), unit, sign: 1.0, offset_deg: 0.0, offset_m: 0.0 }
-    };
-    ContactMapping {
-        csv: CsvLayout::default(),
-        socket: "socket".into(),
-        joints: (1..).zip(robot.joint_kinds()).map(joint).collect(),
-    }
+    ContactMapping { csv: CsvLayout::default(), socket: "socket".into(), joints: joint_columns(robot) }
 }
 
 /// Writes `contacts.csv`, its mapping `contact.toml`, `sockets.toml` and `truth.toml` into `directory`, which is made where it is

@@ -27,7 +27,7 @@ pub use faulty_runs::{FaultyRun, RunCause};
 pub use figures::{PoseFigures, RowErrors, Sizes, Stages, is_surely_better, is_surely_worse};
 pub use implausible::{Likely, Mistake, Step, likely, misfit};
 pub(super) use implausible::{likely_of_all, unless_implausible};
-pub(super) use terms::kinds;
+pub(crate) use terms::kinds;
 
 /// Highest order of the joints' waves that is tried as a rule: there is no finer tooth near the output of a strain wave gear.
 pub const WAVES_PER_TURN_MAX: u8 = 64;

@@ -9,7 +9,7 @@ fn joint_terms(wanted: fn(JointTerm) -> bool) -> Vec<ParameterId> {
 }
 
 /// What a robot's joints can be wrong by, of the parameters that are offered.
-pub(in crate::calibrate) fn kinds(waves_last: u8, offered: impl Fn(&ParameterId) -> bool) -> Vec<Kind> {
+pub(crate) fn kinds(waves_last: u8, offered: impl Fn(&ParameterId) -> bool) -> Vec<Kind> {
     const ANGLES_RAD: &[f64] = &[20e-6, 100e-6, 500e-6];
     const SHARES: &[f64] = &[20e-6, 100e-6, 500e-6];
     use JointTerm::{Backlash, Compliance, Cosine, Ratio, Sine};

@@ -5,12 +5,12 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
-use shared::config::{AXES_MAX, AXES_MIN, JointKind, RobotConfig, Violation};
+use shared::config::{AXES_MAX, AXES_MIN, JointKind, RobotConfig, Validate, Violation};
 
 use crate::kinematics::Joints;
 use crate::logs::tables::csv_text::{Column, Row, Table, open_mapped};
 use crate::logs::tables::text::decode;
-use crate::logs::{CsvLayout, LogError};
+use crate::logs::{CsvLayout, LogError, bytes_of};
 
 /// Fewest rows that make a table.
 const ROWS_MIN: usize = 10;
@@ -104,6 +104,46 @@ pub(in crate::logs) fn is_zero(number: &f64) -> bool {
 
 fn positive() -> f64 {
     1.0
+}
+
+/// The columns of a table that is written: `q1_deg` and so on, lengths in mm.
+pub fn joint_columns(robot: &RobotConfig) -> Vec<JointColumn> {
+    let joint = |(number, kind): (usize, JointKind)| {
+        let (unit, name) = match kind {
+            JointKind::Revolute => (JointUnit::Deg, "deg"),
+            JointKind::Prismatic => (JointUnit::Mm, "mm"),
+        };
+        JointColumn { column: format!("q{number}_{name}"), unit, sign: 1.0, offset_deg: 0.0, offset_m: 0.0 }
+    };
+    (1..).zip(robot.joint_kinds()).map(joint).collect()
+}
+
+/// Of the mapping of any table of single poses what it says of the joints.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct JointTableMapping {
+    /// Layout of the table.
+    #[serde(default)]
+    pub csv: CsvLayout,
+    /// All joints, base to flange.
+    pub joints: Vec<JointColumn>,
+}
+
+impl Validate for JointTableMapping {
+    fn validate(&self) -> Result<(), Violation> {
+        self.csv.check()?;
+        check_joints(&self.joints)
+    }
+}
+
+impl JointTableMapping {
+    /// Joint variables of each row of the table at `path` \[rad, m\].
+    ///
+    /// # Errors
+    /// Every way in which the file cannot be used, see [`LogError`].
+    pub fn load(&self, path: &Path) -> Result<Vec<Joints>, LogError> {
+        let find = |table: &Table<'_>| JointColumns::find(table, &self.joints);
+        rows(&bytes_of(path)?, path, &self.csv, find, JointColumns::read)
+    }
 }
 
 /// A delimiter that can separate the cells; `key` is where it was written.

@@ -1,0 +1,543 @@
+//! Poses worth measuring with a tracker or a wire: of many that the robot reaches, those that leave the least error of positions.
+//!
+//! The criterion is Bayesian I-optimality (Chaloner and Verdinelli 1995): the mean variance of positions over all candidates, where
+//! links, loads and gears err by as much as the priors of a calibration expect. Waves of gears are hundreds of amplitudes, more
+//! than a few poses determine: without them the best poses crowd at the ends of the joints' ranges and say nothing of what lies
+//! between. Poses are taken one by one, the best first (greedy), then each is exchanged for a better one (Fedorov 1972).
+
+use nalgebra::{DMatrix, DMatrixView, Vector3};
+use rand::Rng;
+use rand::seq::index;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use shared::config::RobotConfig;
+
+use super::Bodies;
+use crate::calibrate::IdentifyConfig;
+use crate::calibrate::mix::free_robot;
+use crate::calibrate::rows::{WAVES_PER_TURN_MAX, kinds};
+use crate::calibrate::terms::Kind;
+use crate::cost::{LoopProblem, MeasuredLength, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
+use crate::instrument::standing;
+use crate::kinematics::{Joints, Pose, flange_chain};
+use crate::model::{
+    Coordinate, DriveTrain, JointState, Model, ModelError, Observation, Owner, ParameterId, Placement, Role,
+    SetUp,
+};
+use crate::solver::{ScaledCholesky, stacked};
+
+use super::information::States;
+
+/// Of where instrument and target are, one standard deviation \[m, rad\]: far more than what is measured leaves of it. More than
+/// that would leave nothing but rounding of what poses say of gears.
+const PLACE_SIGMA: f64 = 0.02;
+/// So many exchanges are tried, of each pose one at least. The first round gains most.
+const EXCHANGES: usize = 100;
+/// Random choices of as many poses that the planned one is compared with.
+const RANDOM_CHOICES: usize = 5;
+/// Parameters of which more than this part of the expected standard deviation is left are named.
+const UNTOLD: f64 = 0.9;
+
+/// What is measured at each pose.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum Measures {
+    /// Position and orientation of a probe, by a tracker
+    Poses,
+    /// Position of a reflector, by a tracker
+    Positions,
+    /// Length of a draw-wire
+    Lengths,
+}
+
+/// Why there is no plan.
+#[derive(Debug, thiserror::Error)]
+pub enum PosesError {
+    /// Not enough to choose from.
+    #[error("{wanted} of {found} poses cannot be chosen; give a smaller --count, or more candidates")]
+    TooFew {
+        /// Poses that are wanted.
+        wanted: usize,
+        /// Candidates.
+        found: usize,
+    },
+    /// Hardly any random posture is free.
+    #[error(
+        "only {found} of {tried} random postures keep {clearance_mm:.0} mm from links, floor and boxes; check --floor and --box, or \
+         give a smaller --link-radius-mm"
+    )]
+    NoRoom {
+        /// Free postures.
+        found: usize,
+        /// Postures tried.
+        tried: usize,
+        /// Least distance \[mm\].
+        clearance_mm: f64,
+    },
+    /// A candidate has derivatives that are no numbers.
+    #[error("the robot has no derivatives at a candidate; check the links of its configuration")]
+    NotFinite,
+    /// The model lacks a parameter.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+}
+
+/// What is measured, and how well.
+#[derive(Debug, Clone, Copy)]
+pub struct PoseRequest<'a> {
+    /// The robot.
+    pub robot: &'a RobotConfig,
+    /// What is measured.
+    pub measures: Measures,
+    /// Reflector, probe or the wire's end in the flange's frame \[m\].
+    pub target_m: [f64; 3],
+    /// Where the wire comes out, in the robot's base frame \[m\]; nothing for a tracker.
+    pub anchor_m: [f64; 3],
+    /// One standard deviation of what is measured, with the robot's repeatability and what no term describes.
+    pub noise: PoseNoise,
+}
+
+/// What became of parameters of one kind.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Told {
+    /// For a person.
+    pub name: String,
+    /// Its parameters, and those of them of which hardly anything is told.
+    pub ids: Vec<ParameterId>,
+    /// Of these.
+    pub untold: Vec<ParameterId>,
+    /// Expected before, one standard deviation, SI.
+    pub prior: f64,
+    /// And after, root mean square, SI.
+    pub sigma: f64,
+}
+
+/// The poses that were chosen.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PlannedPoses {
+    /// In the order in which they are driven; places among the candidates.
+    pub chosen: Vec<usize>,
+    /// The poses \[rad, m\].
+    pub joints: Vec<Joints>,
+    /// RMS position error over the candidates that is expected without a calibration \[m\].
+    pub before_m: f64,
+    /// After one with these poses \[m\].
+    pub position_m: f64,
+    /// After one with as many random ones, the median \[m\].
+    pub random_m: f64,
+    /// What the poses say of the links, loads and gears.
+    pub told: Vec<Told>,
+    /// Moves, by the pose before, that come too near to something in a straight line of the joints.
+    pub blocked: Vec<usize>,
+}
+
+/// Random postures that touch nothing, within half a turn of each joint and `margin_rad` from its limits.
+///
+/// # Errors
+/// [`PosesError::NoRoom`].
+pub fn random_postures(
+    robot: &RobotConfig,
+    bodies: &Bodies,
+    margin_rad: f64,
+    count: usize,
+    seed: u64,
+) -> Result<Vec<Joints>, PosesError> {
+    const TRIES_EACH: usize = 100;
+    let (arm, mut random) = (flange_chain(robot), ChaCha8Rng::seed_from_u64(seed));
+    let limits = robot.joint_limits();
+    let half_turn = std::f64::consts::PI;
+    let mut found = Vec::with_capacity(count);
+    let mut tried = 0;
+    while found.len() < count {
+        if tried == TRIES_EACH * count {
+            let clearance_mm = bodies.clearance_m_min * 1e3;
+            return Err(PosesError::NoRoom { found: found.len(), tried, clearance_mm });
+        }
+        tried += 1;
+        let joint = |[low, high]: &[f64; 2]| {
+            let [low, high] = [(low + margin_rad).max(-half_turn), (high - margin_rad).min(half_turn)];
+            low + (high - low) * random.random::<f64>()
+        };
+        let q: Joints = limits.iter().map(joint).collect();
+        if bodies.is_clear(&arm, &q) {
+            found.push(q);
+        }
+    }
+    Ok(found)
+}
+
+/// Chooses `count` of the candidates. Between two of them the robot moves along a straight line of its joints, away from `bodies`
+/// where these are known.
+///
+/// # Errors
+/// [`PosesError`].
+pub fn poses(
+    request: &PoseRequest<'_>,
+    candidates: &[Joints],
+    count: usize,
+    bodies: Option<&Bodies>,
+    seed: u64,
+) -> Result<PlannedPoses, PosesError> {
+    if count == 0 || count > candidates.len() {
+        return Err(PosesError::TooFew { wanted: count, found: candidates.len() });
+    }
+    let known = Known::new(request)?;
+    let at_rest: Vec<JointState> = candidates.iter().map(|q| JointState::at_rest(*q)).collect();
+    let jacobian = known.measured(&at_rest)?;
+    let weight = known.weight(&standing(candidates.iter().copied()))?;
+    let chosen = Choice::new(&known, &jacobian, &weight).best(count);
+
+    let arm = flange_chain(request.robot);
+    let Driven { order, blocked } = driven(&chosen, candidates, |a, b| {
+        bodies.is_none_or(|bodies| bodies.is_way_clear(&arm, &candidates[a], &candidates[b]))
+    });
+    // How backlash is approached follows from the order alone.
+    let of = |chosen: &[usize]| -> Result<Option<DMatrix<f64>>, PosesError> {
+        let states = standing(chosen.iter().map(|&pose| candidates[pose]));
+        Ok(known.covariance(&known.measured(&states)?))
+    };
+    let position_m = |covariance: &DMatrix<f64>| weight.dot(covariance).max(0.0).sqrt();
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let mut random_m = Vec::new();
+    for _ in 0..RANDOM_CHOICES {
+        let some = index::sample(&mut random, candidates.len(), count).into_vec();
+        random_m.extend(of(&some)?.as_ref().map(position_m));
+    }
+    random_m.sort_by(f64::total_cmp);
+    let covariance = of(&order)?.ok_or(PosesError::NotFinite)?;
+    Ok(PlannedPoses {
+        joints: order.iter().map(|&pose| candidates[pose]).collect(),
+        before_m: known.robot_only(&weight).max(0.0).sqrt(),
+        position_m: position_m(&covariance),
+        random_m: random_m.get(random_m.len() / 2).copied().unwrap_or(f64::INFINITY),
+        told: known.told(&covariance),
+        chosen: order,
+        blocked,
+    })
+}
+
+/// The parameters of a calibration under what is expected of them.
+struct Known<'a> {
+    request: &'a PoseRequest<'a>,
+    model: Model,
+    kinds: Vec<Kind>,
+    ids: Vec<ParameterId>,
+    /// Variance of each column before anything is measured.
+    prior: Vec<f64>,
+}
+
+impl<'a> Known<'a> {
+    /// As a calibration lays it out, all terms of the joints under the middle of the standard deviations that it tries.
+    fn new(request: &'a PoseRequest<'a>) -> Result<Self, ModelError> {
+        let flange = flange_chain(request.robot);
+        let (model, own): (Model, Vec<ParameterId>) = match request.measures {
+            // Where the end of the wire is counts as a tracker in the robot's base would see it.
+            Measures::Lengths => (
+                Model::measured_length(&flange).with_set_ups(Owner::Tracker, [1, 1]),
+                ParameterId::wire(1, 1).collect(),
+            ),
+            measures => {
+                let turns_probe = |id: &ParameterId| {
+                    matches!(id, ParameterId::Probe { coordinate: Coordinate::Rotation(_), .. })
+                };
+                let own =
+                    ParameterId::tracker(1, 1).filter(|id| measures == Measures::Poses || !turns_probe(id));
+                (Model::measured_pose(&flange), own.collect())
+            }
+        };
+        let waves = ParameterId::joint_waves(WAVES_PER_TURN_MAX);
+        let mut model = model.with_drives(DriveTrain::of(request.robot, &flange)).with_joint_waves(waves);
+        free_robot(&mut model, &flange, &[], IdentifyConfig::default().tolerance_mm_mrad * 1e-3)?;
+        for id in model.parameters().iter().map(|parameter| parameter.id).collect::<Vec<_>>() {
+            match id {
+                ParameterId::Attachment { axis, .. }
+                | ParameterId::Probe { coordinate: Coordinate::Position(axis), .. } => {
+                    model.set_value(id, request.target_m[axis.index()])?;
+                }
+                ParameterId::Anchor { axis, .. } => model.set_value(id, request.anchor_m[axis.index()])?,
+                _ => {}
+            }
+        }
+        for id in own {
+            let value = model.parameter(id).map_or(0.0, |parameter| parameter.value);
+            model.set_role(id, Role::Prior { value, sigma: PLACE_SIGMA })?;
+        }
+        let mut kinds = kinds(WAVES_PER_TURN_MAX, |id| model.parameter(*id).is_some());
+        for kind in &mut kinds {
+            kind.sigma *= kind.scales.get((kind.scales.len() - 1) / 2).copied().unwrap_or(1.0);
+            model.set_roles(kind.ids.iter().copied(), Role::Prior { value: 0.0, sigma: kind.sigma })?;
+        }
+        let ids: Vec<ParameterId> = model.columns().map(|parameter| parameter.id).collect();
+        let mut prior = vec![PLACE_SIGMA.powi(2); ids.len()];
+        model.priors().iter().for_each(|one| prior[one.column] = one.sigma.powi(2));
+        Ok(Self { request, model, kinds, ids, prior })
+    }
+
+    /// Rows of each pose, in standard deviations.
+    fn measured(&self, states: &[JointState]) -> Result<DMatrix<f64>, PosesError> {
+        let (noise, set_ups) =
+            (&vec![self.request.noise; states.len()], &vec![SetUp::default(); states.len()]);
+        match self.request.measures {
+            Measures::Poses => {
+                self.rows(states, MeasuredPose { measured: &self.seen(states), noise, set_ups }, 1.0)
+            }
+            Measures::Positions => self.positions(states, self.request.noise),
+            Measures::Lengths => self.rows(states, MeasuredLength { set_ups }, self.request.noise.position_m),
+        }
+    }
+
+    /// What a tracker in the robot's base sees.
+    fn seen(&self, states: &[JointState]) -> Vec<Pose> {
+        let geometry = self.model.geometry(&[]);
+        let probe = geometry.tracker.probes.first().map_or_else(Pose::identity, Placement::pose);
+        states.iter().map(|state| geometry.robot_end(state) * probe).collect()
+    }
+
+    fn positions(&self, states: &[JointState], noise: PoseNoise) -> Result<DMatrix<f64>, PosesError> {
+        let measured_m: Vec<Vector3<f64>> =
+            self.seen(states).iter().map(|seen| seen.translation.vector).collect();
+        let (noise, set_ups) = (&vec![noise; states.len()], &vec![SetUp::default(); states.len()]);
+        self.rows(states, MeasuredPosition { measured_m: &measured_m, noise, set_ups }, 1.0)
+    }
+
+    fn rows<R: Residual>(
+        &self,
+        states: &[JointState],
+        residual: R,
+        sigma: f64,
+    ) -> Result<DMatrix<f64>, PosesError> {
+        // The length that is measured changes no derivative.
+        let observations: Vec<Observation> =
+            (0..states.len()).map(|pose| Observation::length(pose as f64, 1.0)).collect();
+        let motion = States(states);
+        let problem = LoopProblem::new(&self.model, &motion, &observations, residual, sigma).ok();
+        let rows = problem.and_then(|problem| stacked(&problem, &self.model.start()));
+        rows.map(|(_, jacobian)| jacobian).ok_or(PosesError::NotFinite)
+    }
+
+    /// Mean of `J^T J` of positions over these poses \[m²\].
+    fn weight(&self, states: &[JointState]) -> Result<DMatrix<f64>, PosesError> {
+        let unit = PoseNoise { position_m: 1.0, rotation_rad: 1.0 };
+        let rows = self.positions(states, unit)?;
+        Ok(squared(&rows) / states.len().max(1) as f64)
+    }
+
+    /// After these rows; none where they leave something open.
+    fn covariance(&self, rows: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+        let mut normal = squared(rows);
+        self.prior
+            .iter()
+            .enumerate()
+            .for_each(|(column, variance)| normal[(column, column)] += variance.recip());
+        Some(ScaledCholesky::new(normal)?.inverse())
+    }
+
+    fn is_of_robot(id: ParameterId) -> bool {
+        matches!(id, ParameterId::Robot { .. } | ParameterId::Joint { .. } | ParameterId::JointWave { .. })
+    }
+
+    /// Mean squared position error that links, loads and gears make before anything is measured \[m²\].
+    fn robot_only(&self, weight: &DMatrix<f64>) -> f64 {
+        let columns = self.ids.iter().zip(&self.prior).enumerate();
+        let of_robot = columns.filter(|(_, (id, _))| Self::is_of_robot(**id));
+        of_robot.map(|(column, (_, variance))| weight[(column, column)] * variance).sum()
+    }
+
+    fn told(&self, covariance: &DMatrix<f64>) -> Vec<Told> {
+        let links = self.ids.iter().filter(|id| matches!(id, ParameterId::Robot { .. })).copied().collect();
+        let links = ("links, lengths and angles alike".to_owned(), links);
+        let kinds = self.kinds.iter().map(|kind| (kind.name.clone(), kind.ids.clone()));
+        let told = |(name, ids): (String, Vec<ParameterId>)| {
+            let columns: Vec<usize> =
+                (0..self.ids.len()).filter(|column| ids.contains(&self.ids[*column])).collect();
+            let left = |&&column: &&usize| covariance[(column, column)] > UNTOLD.powi(2) * self.prior[column];
+            let mean = |of: &dyn Fn(usize) -> f64| {
+                (columns.iter().map(|&column| of(column)).sum::<f64>() / columns.len().max(1) as f64).sqrt()
+            };
+            Told {
+                untold: columns.iter().filter(left).map(|&column| self.ids[column]).collect(),
+                prior: mean(&|column| self.prior[column]),
+                sigma: mean(&|column| covariance[(column, column)]),
+                name,
+                ids,
+            }
+        };
+        std::iter::once(links).chain(kinds).map(told).collect()
+    }
+}
+
+/// What each candidate would tell beside those that were taken.
+///
+/// With covariance `P`, weight `W` and the whitened rows `J` of a pose, taking it lowers `tr(W P)` by
+/// `tr((I + J P J^T)^-1 J P W P J^T)`: both small matrices are kept for all candidates.
+struct Choice<'k> {
+    jacobian: &'k DMatrix<f64>,
+    weight: &'k DMatrix<f64>,
+    covariance: DMatrix<f64>,
+    /// Rows of a pose.
+    rows: usize,
+    /// `J P J^T` of each candidate, stacked.
+    spread: DMatrix<f64>,
+    /// `J P W P J^T`.
+    worth: DMatrix<f64>,
+    taken: Vec<bool>,
+}
+
+impl<'k> Choice<'k> {
+    fn new(known: &Known<'_>, jacobian: &'k DMatrix<f64>, weight: &'k DMatrix<f64>) -> Self {
+        let rows = match known.request.measures {
+            Measures::Poses => MeasuredPose::ROWS,
+            Measures::Positions => MeasuredPosition::ROWS,
+            Measures::Lengths => MeasuredLength::ROWS,
+        };
+        let covariance = DMatrix::from_diagonal(&known.prior.clone().into());
+        let mut by_covariance = jacobian.clone();
+        by_covariance
+            .column_iter_mut()
+            .zip(&known.prior)
+            .for_each(|(mut column, variance)| column *= *variance);
+        let by_weight = times(&by_covariance, weight);
+        let mut spread = DMatrix::zeros(jacobian.nrows(), rows);
+        let mut worth = spread.clone();
+        for first in (0..jacobian.nrows()).step_by(rows) {
+            let own = by_covariance.rows(first, rows);
+            spread.rows_mut(first, rows).copy_from(&(own * jacobian.rows(first, rows).transpose()));
+            worth.rows_mut(first, rows).copy_from(&(by_weight.rows(first, rows) * own.transpose()));
+        }
+        let taken = vec![false; jacobian.nrows() / rows];
+        Self { jacobian, weight, covariance, rows, spread, worth, taken }
+    }
+
+    /// The best of them, one by one, then exchanged.
+    fn best(mut self, count: usize) -> Vec<usize> {
+        let mut chosen: Vec<usize> = (0..count).filter_map(|_| self.take_best()).collect();
+        for _ in 0..(EXCHANGES / count).max(1) {
+            let mut exchanged = false;
+            for pose in &mut chosen {
+                if self.change(*pose, -1.0)
+                    && let Some(better) = self.take_best()
+                {
+                    exchanged |= better != *pose;
+                    *pose = better;
+                }
+            }
+            if !exchanged {
+                break;
+            }
+        }
+        chosen
+    }
+
+    fn take_best(&mut self) -> Option<usize> {
+        let open = (0..self.taken.len()).filter(|&pose| !self.taken[pose]);
+        let best = open.map(|pose| (pose, self.gain(pose))).max_by(|a, b| a.1.total_cmp(&b.1))?.0;
+        self.change(best, 1.0).then_some(best)
+    }
+
+    fn of<'m>(&self, all: &'m DMatrix<f64>, pose: usize) -> DMatrixView<'m, f64> {
+        all.rows(pose * self.rows, self.rows)
+    }
+
+    fn gain(&self, pose: usize) -> f64 {
+        let spread = self.of(&self.spread, pose) + DMatrix::identity(self.rows, self.rows);
+        spread.cholesky().map_or(0.0, |factor| factor.solve(&self.of(&self.worth, pose).into_owned()).trace())
+    }
+
+    /// Takes a pose (`sign` 1) or gives it back (-1); false where rounding forbids it.
+    fn change(&mut self, pose: usize, sign: f64) -> bool {
+        let identity = DMatrix::<f64>::identity(self.rows, self.rows);
+        let Some(factor) = (identity + self.of(&self.spread, pose) * sign).cholesky() else { return false };
+        // P' = P - sign L L^T.
+        let across = self.of(self.jacobian, pose) * &self.covariance;
+        let Some(by) = factor.l().solve_lower_triangular(&across) else { return false };
+        let by = by.transpose();
+        let weighed = self.weight * &by;
+        let own = by.tr_mul(&weighed);
+        let rows = self.rows;
+        let mut both = DMatrix::zeros(by.nrows(), 2 * rows);
+        both.columns_mut(0, rows).copy_from(&by);
+        both.columns_mut(rows, rows).copy_from(&(&self.covariance * weighed));
+        let moved = times(self.jacobian, &both);
+        for first in (0..moved.nrows()).step_by(rows) {
+            let (a, b) = (moved.view((first, 0), (rows, rows)), moved.view((first, rows), (rows, rows)));
+            let mut spread = self.spread.rows_mut(first, self.rows);
+            spread -= sign * a * a.transpose();
+            let mut worth = self.worth.rows_mut(first, self.rows);
+            let mixed = a * b.transpose();
+            worth += a * &own * a.transpose() - (&mixed + mixed.transpose()) * sign;
+        }
+        self.covariance -= &by * by.transpose() * sign;
+        self.taken[pose] = sign > 0.0;
+        true
+    }
+}
+
+/// A product with many rows on the left, on all threads.
+fn times(left: &DMatrix<f64>, right: &DMatrix<f64>) -> DMatrix<f64> {
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    let share = left.nrows().div_ceil(threads).max(1);
+    let rows = |first: usize| left.rows(first, share.min(left.nrows() - first)) * right;
+    let mut product = DMatrix::zeros(left.nrows(), right.ncols());
+    std::thread::scope(|scope| {
+        let parts: Vec<_> =
+            (0..left.nrows()).step_by(share).map(|first| (first, scope.spawn(move || rows(first)))).collect();
+        for (first, part) in parts {
+            match part.join() {
+                Ok(part) => product.rows_mut(first, part.nrows()).copy_from(&part),
+                Err(panic) => std::panic::resume_unwind(panic),
+            }
+        }
+    });
+    product
+}
+
+/// `J^T J`
+fn squared(rows: &DMatrix<f64>) -> DMatrix<f64> {
+    times(&rows.transpose(), rows)
+}
+
+/// An order of poses.
+struct Driven {
+    order: Vec<usize>,
+    /// Moves, by the pose before, that are not clear.
+    blocked: Vec<usize>,
+}
+
+/// A short way through poses from the one nearest to the joints' zeros: to the nearest next one, then shorter by turning parts of it
+/// round (2-opt, Croes 1958). A move takes as long as its largest joint.
+fn driven(chosen: &[usize], candidates: &[Joints], is_clear: impl Fn(usize, usize) -> bool) -> Driven {
+    let far = |q: &Joints, other: &Joints| {
+        q.iter().zip(other).fold(0.0_f64, |most, (a, b)| most.max((a - b).abs()))
+    };
+    let zeros = candidates.first().map_or_else(Joints::default, |q| Joints::zeros(q.len()));
+    let way = |a: usize, b: usize| far(&candidates[a], &candidates[b]);
+    let mut left = chosen.to_vec();
+    left.sort_by(|a, b| far(&zeros, &candidates[*b]).total_cmp(&far(&zeros, &candidates[*a])));
+    let mut order: Vec<usize> = left.pop().into_iter().collect();
+    while let Some(&here) = order.last() {
+        left.sort_by(|a, b| way(here, *b).total_cmp(&way(here, *a)));
+        let next = left.iter().rposition(|&next| is_clear(here, next)).or(left.len().checked_sub(1));
+        let Some(next) = next else { break };
+        order.push(left.remove(next));
+    }
+    let length = |from: Option<&usize>, to: Option<&usize>| from.zip(to).map_or(0.0, |(a, b)| way(*a, *b));
+    let may = |from: Option<&usize>, to: Option<&usize>| from.zip(to).is_none_or(|(a, b)| is_clear(*a, *b));
+    let mut shorter = true;
+    while shorter {
+        shorter = false;
+        for first in 1..order.len() {
+            for last in first + 1..order.len() {
+                let (before, after) = (order.get(first - 1), order.get(last + 1));
+                let (begin, end) = (order.get(first), order.get(last));
+                let gain =
+                    length(before, begin) + length(end, after) - length(before, end) - length(begin, after);
+                if gain > 1e-9 && may(before, end) && may(begin, after) {
+                    order[first..=last].reverse();
+                    shorter = true;
+                }
+            }
+        }
+    }
+    let blocked =
+        (1..order.len()).filter(|&to| !is_clear(order[to - 1], order[to])).map(|to| to - 1).collect();
+    Driven { order, blocked }
+}
