@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use ballbard::run::Storage;
+use nix::fcntl::{AT_FDCWD, RenameFlags, renameat2};
 use shared::config::DaemonConfig;
 use shared::recording::Recording;
 use shared::recording::schema::{EventKind, flags};
@@ -176,12 +177,19 @@ impl Write for Log {
 #[test]
 fn a_file_or_directory_that_vanishes_is_reported_within_a_second_and_the_run_goes_on() {
     let file = |home: &Path| std::fs::remove_file(home.join("run.mcap.active")).unwrap();
-    let directory = |home: &Path| std::fs::remove_dir_all(home).unwrap();
+    // At once, as by another name: what is removed file by file gets new ones meanwhile.
+    let directory = |home: &Path| {
+        let gone = home.with_file_name("gone");
+        std::fs::rename(home, &gone).unwrap();
+        std::fs::remove_dir_all(gone).unwrap();
+    };
     let moved = |home: &Path| std::fs::rename(home, home.with_file_name("elsewhere")).unwrap();
     let replaced = |home: &Path| {
-        std::fs::remove_dir_all(home).unwrap();
+        let in_the_way = home.with_file_name("in the way");
         // What is no directory takes no files: only the spare place is left.
-        std::fs::write(home, "in the way").unwrap();
+        std::fs::write(&in_the_way, "in the way").unwrap();
+        renameat2(AT_FDCWD, &in_the_way, AT_FDCWD, home, RenameFlags::RENAME_EXCHANGE).unwrap();
+        std::fs::remove_dir_all(in_the_way).unwrap();
     };
     let ways: [(Way, &str); 4] = [(file, "runs"), (directory, "runs"), (moved, "runs"), (replaced, "spare")];
     in_parallel(&ways, ways.len(), |(way, place)| {
