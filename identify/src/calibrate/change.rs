@@ -9,7 +9,7 @@ use crate::calibrate::ball_bar::CalibrateError;
 use crate::cost::{DataSets, SharedColumns};
 use crate::instrument::{Instrument, Run};
 use crate::kinematics::{BAR_JOINTS, LinkParameter};
-use crate::model::{Axis, Coordinate, Geometry, Model, ParameterId, Role, further};
+use crate::model::{Axis, Coordinate, Geometry, Model, ParameterId, Role};
 use crate::prepare::{Deviations, PoorFit, PrepareError, PrepareOptions};
 use crate::solver::{Change, Course, LossName, Problem, change_point};
 
@@ -248,9 +248,8 @@ impl fmt::Display for Changed {
         let Self { cause, when, .. } = self;
         let mrad = |by_rad: f64| format!("by {:+.2} mrad", by_rad * 1e3);
         let distance = || format!("by {:.2} mm", self.size() * 1e3);
-        let which = |what: &str, number: usize| match further(number) {
-            first if first.is_empty() => first,
-            number => format!("{what} {number}"),
+        let which = |what: &str, number: usize| {
+            if number == 0 { String::new() } else { format!("{what} {}", number + 1) }
         };
         let (what, by) = match cause {
             Cause::Encoder(joint) => (format!("the encoder of joint {}", joint + 1), mrad(-self.only())),

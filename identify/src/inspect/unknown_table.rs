@@ -115,19 +115,18 @@ pub enum ProposeError {
 /// [`ProposeError`].
 pub fn propose(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<Proposal, ProposeError> {
     let sheets = RowsAsText::sheets(bytes);
-    let tried: Vec<_> =
-        sheets.iter().map(|sheet| (sheet, of_sheet(bytes, path, robot, Some(sheet)))).collect();
-    let usable: Vec<&str> =
-        tried.iter().filter(|(_, tried)| tried.is_ok()).map(|(sheet, _)| sheet.as_str()).collect();
-    let doubt = format!("sheets {} all have such a table; the first is taken", usable.join(", "));
-    let is_one_of_several = usable.len() > 1;
-    match tried.into_iter().find_map(|(_, tried)| tried.ok()) {
-        Some(mut first) => {
-            first.doubts.extend(is_one_of_several.then_some(doubt));
-            Ok(first)
-        }
-        None => of_sheet(bytes, path, robot, sheets.first().map(String::as_str)),
+    let tried = sheets.iter().map(|sheet| (sheet.as_str(), of_sheet(bytes, path, robot, Some(sheet))));
+    let (usable, others): (Vec<_>, Vec<_>) = tried.partition(|(_, tried)| tried.is_ok());
+    let names: Vec<&str> = usable.iter().map(|(sheet, _)| *sheet).collect();
+    let Some((_, first)) = usable.into_iter().chain(others).next() else {
+        return of_sheet(bytes, path, robot, None);
+    };
+    let mut first = first?;
+    if names.len() > 1 {
+        let names = names.join(", ");
+        first.doubts.push(format!("sheets {names} all have such a table; the first is taken"));
     }
+    Ok(first)
 }
 
 /// The same of one sheet of a workbook, or of a file without any.

@@ -24,7 +24,7 @@ pub use design::Design;
 pub use information::{Criterion, ExpectedPosition, Information, WithTerms};
 pub use path::{Move, Path};
 pub use place::{Place, PlaceRequest, Places, places};
-pub use poses::{Measures, PlannedPoses, PoseRequest, PosesError, Told, poses, random_postures};
+pub use poses::{Determined, Measures, PlannedPoses, PoseRequest, PosesError, poses, random_postures};
 pub use programs::{Language, ProgramError, Task, pose_program, program};
 pub use random::{PlanError, Route, random_route};
 pub use search::{Found, Progress, search};

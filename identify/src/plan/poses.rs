@@ -36,7 +36,7 @@ const EXCHANGES: usize = 100;
 /// Random choices of as many poses that the planned one is compared with.
 const RANDOM_CHOICES: usize = 5;
 /// Parameters of which more than this part of the expected standard deviation is left are named.
-const UNTOLD: f64 = 0.9;
+const UNDETERMINED: f64 = 0.9;
 
 /// What is measured at each pose.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -96,15 +96,15 @@ pub struct PoseRequest<'a> {
     pub noise: PoseNoise,
 }
 
-/// What became of parameters of one kind.
+/// How well parameters of one kind are determined.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Told {
+pub struct Determined {
     /// For a person.
     pub name: String,
-    /// Its parameters, and those of them of which hardly anything is told.
+    /// Its parameters.
     pub ids: Vec<ParameterId>,
-    /// Of these.
-    pub untold: Vec<ParameterId>,
+    /// Those of them that are hardly determined.
+    pub undetermined: Vec<ParameterId>,
     /// Expected before, one standard deviation, SI.
     pub prior: f64,
     /// And after, root mean square, SI.
@@ -124,8 +124,8 @@ pub struct PlannedPoses {
     pub position_m: f64,
     /// After one with as many random ones, the median \[m\].
     pub random_m: f64,
-    /// What the poses say of the links, loads and gears.
-    pub told: Vec<Told>,
+    /// How well the poses determine links, loads and gears.
+    pub determined: Vec<Determined>,
     /// Moves, by the pose before, that come too near to something in a straight line of the joints.
     pub blocked: Vec<usize>,
 }
@@ -209,7 +209,7 @@ pub fn poses(
         before_m: known.robot_only(&weight).max(0.0).sqrt(),
         position_m: position_m(&covariance),
         random_m: random_m.get(random_m.len() / 2).copied().unwrap_or(f64::INFINITY),
-        told: known.told(&covariance),
+        determined: known.determined(&covariance),
         chosen: order,
         blocked,
     })
@@ -342,30 +342,31 @@ impl<'a> Known<'a> {
         of_robot.map(|(column, (_, variance))| weight[(column, column)] * variance).sum()
     }
 
-    fn told(&self, covariance: &DMatrix<f64>) -> Vec<Told> {
+    fn determined(&self, covariance: &DMatrix<f64>) -> Vec<Determined> {
         let links = self.ids.iter().filter(|id| matches!(id, ParameterId::Robot { .. })).copied().collect();
         let links = ("links, lengths and angles alike".to_owned(), links);
         let kinds = self.kinds.iter().map(|kind| (kind.name.clone(), kind.ids.clone()));
-        let told = |(name, ids): (String, Vec<ParameterId>)| {
+        let determined = |(name, ids): (String, Vec<ParameterId>)| {
             let columns: Vec<usize> =
                 (0..self.ids.len()).filter(|column| ids.contains(&self.ids[*column])).collect();
-            let left = |&&column: &&usize| covariance[(column, column)] > UNTOLD.powi(2) * self.prior[column];
+            let left =
+                |&&column: &&usize| covariance[(column, column)] > UNDETERMINED.powi(2) * self.prior[column];
             let mean = |of: &dyn Fn(usize) -> f64| {
                 (columns.iter().map(|&column| of(column)).sum::<f64>() / columns.len().max(1) as f64).sqrt()
             };
-            Told {
-                untold: columns.iter().filter(left).map(|&column| self.ids[column]).collect(),
+            Determined {
+                undetermined: columns.iter().filter(left).map(|&column| self.ids[column]).collect(),
                 prior: mean(&|column| self.prior[column]),
                 sigma: mean(&|column| covariance[(column, column)]),
                 name,
                 ids,
             }
         };
-        std::iter::once(links).chain(kinds).map(told).collect()
+        std::iter::once(links).chain(kinds).map(determined).collect()
     }
 }
 
-/// What each candidate would tell beside those that were taken.
+/// What each candidate would add to those that were taken.
 ///
 /// With covariance `P`, weight `W` and the whitened rows `J` of a pose, taking it lowers `tr(W P)` by
 /// `tr((I + J P J^T)^-1 J P W P J^T)`: both small matrices are kept for all candidates.

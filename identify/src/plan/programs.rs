@@ -45,7 +45,7 @@ pub enum ProgramError {
     /// Joints do not become the controller's numbers.
     #[error(transparent)]
     Log(#[from] LogError),
-    /// The log has something else than what a controller is told.
+    /// The log has something else than what a controller takes.
     #[error(
         "how the controller of {robot} counts its joints is not known: `raw_to_joint` of its configuration has gear ratios, so \
          its log has motor angles; take the joints from the table that was written, or configure a log of joint angles"
@@ -196,12 +196,12 @@ fn text(language: Language, about: &str, points: &Points) -> String {
     }
 }
 
-/// From joints to the numbers that the controller is told, angles in radians.
+/// From joints to the numbers that the controller takes, angles in radians.
 fn conversion(robot: &RobotConfig) -> Result<JointConversion, ProgramError> {
     if robot.axes() != 6 {
         return Err(ProgramError::Axes { robot: robot.name.clone(), axes: robot.axes() });
     }
-    // A controller is told the angles that its log has where these are joint angles, whatever their signs and coupling.
+    // A controller takes the angles that its log has where these are joint angles, whatever their signs and coupling.
     let is_joint = |entry: &f64| [-1.0, 0.0, 1.0].contains(entry);
     if !robot.log.raw_to_joint.iter().flatten().all(is_joint) {
         return Err(ProgramError::Motors { robot: robot.name.clone() });

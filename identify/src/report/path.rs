@@ -129,9 +129,9 @@ pub fn poses(planned: &PlannedPoses, candidates: usize) -> String {
         "number",
         "before",
         "after",
-        "hardly told"
+        "undetermined"
     );
-    for one in &planned.told {
+    for one in &planned.determined {
         let size = |si: f64| one.ids.first().map_or_else(String::new, |id| id.unit().display(si));
         // Writing to a string cannot fail.
         let _ = writeln!(
@@ -141,11 +141,11 @@ pub fn poses(planned: &PlannedPoses, candidates: usize) -> String {
             one.ids.len(),
             size(one.prior),
             size(one.sigma),
-            one.untold.len()
+            one.undetermined.len()
         );
-        if (1..=NAMED).contains(&one.untold.len()) {
-            let names: Vec<String> = one.untold.iter().map(ParameterId::to_string).collect();
-            let _ = writeln!(text, "  hardly told: {}", names.join(" "));
+        if (1..=NAMED).contains(&one.undetermined.len()) {
+            let names: Vec<String> = one.undetermined.iter().map(ParameterId::to_string).collect();
+            let _ = writeln!(text, "  undetermined: {}", names.join(" "));
         }
     }
     if !planned.blocked.is_empty() {

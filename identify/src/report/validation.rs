@@ -1,7 +1,6 @@
 //! Held-out validation and the other costs, as files and the terminal have them.
 
 use std::collections::BTreeMap;
-
 use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};

@@ -8,7 +8,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 
-use super::pose_rows::{JointColumns, Names, check_joints, is_zero, mapped, rows};
+use super::pose_rows::{JointColumns, Names, check_joints, is_zero, mapped, mapped_if_named, rows};
 use crate::kinematics::Joints;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, bytes_of};
@@ -147,11 +147,10 @@ impl<'a> Columns<'a> {
             }
             None => None,
         };
-        let named = |name: &Option<String>| name.as_ref().map(|name| column(name)).transpose();
         Ok(Self {
             length: (column(&mapping.length.column)?, &mapping.length),
-            anchor: named(&mapping.anchor)?,
-            attachment: named(&mapping.attachment)?,
+            anchor: mapped_if_named(table, mapping.anchor.as_ref())?,
+            attachment: mapped_if_named(table, mapping.attachment.as_ref())?,
             joints: JointColumns::find(table, &mapping.joints)?,
             flange,
         })

@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, Validate, Violation};
 
-use super::pose_rows::{JointColumns, Names, check_joints, mapped, rows};
+use super::pose_rows::{JointColumns, Names, check_joints, mapped, mapped_if_named, rows};
 use crate::kinematics::Joints;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::tables::stamp::stamp_ns;
@@ -447,12 +447,11 @@ fn numbers(
 
 impl<'a> Columns<'a> {
     fn find(table: &Table<'_>, mapping: &'a MeasuredPoseMapping) -> Result<Self, LogError> {
-        let named = |name: &Option<String>| name.as_ref().map(|name| mapped(table, name)).transpose();
         Ok(Self {
             seen: SeenColumns::find(table, mapping)?,
             joints: JointColumns::find(table, &mapping.joints)?,
-            station: named(&mapping.station)?,
-            target: named(&mapping.target)?,
+            station: mapped_if_named(table, mapping.station.as_ref())?,
+            target: mapped_if_named(table, mapping.target.as_ref())?,
         })
     }
 }
@@ -462,7 +461,7 @@ impl<'a> SeenColumns<'a> {
         let rotation =
             mapping.rotation.as_ref().map(|rotation| Ok((all(table, &rotation.columns)?, rotation)));
         let column = |of: fn(&UncertaintyColumns) -> Option<&String>| {
-            mapping.uncertainty.as_ref().and_then(of).map(|name| mapped(table, name)).transpose()
+            mapped_if_named(table, mapping.uncertainty.as_ref().and_then(of))
         };
         Ok(Self {
             position: (all(table, &mapping.position.columns)?, mapping.position.unit),

@@ -309,3 +309,11 @@ impl<'a> JointColumns<'a> {
 pub(in crate::logs) fn mapped(table: &Table<'_>, name: &str) -> Result<Column, LogError> {
     table.column(name, "Correct the column's name in the mapping file, or the header.")
 }
+
+/// A column that the mapping may name.
+pub(in crate::logs) fn mapped_if_named(
+    table: &Table<'_>,
+    name: Option<&String>,
+) -> Result<Option<Column>, LogError> {
+    name.map(|name| mapped(table, name)).transpose()
+}

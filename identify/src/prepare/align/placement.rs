@@ -35,11 +35,16 @@ pub fn placements(
         place.translation = position_m.into();
         probe_m = offset_m;
     }
-    let turns = turns
-        .zip(flanges)
-        .filter_map(|(turn, flange)| Some(*(flange.rotation.inverse() * place.rotation * turn?).matrix()));
-    let probe = Pose::from_parts(probe_m.into(), nearest_rotation(&turns.sum()));
+    let turns = turns.zip(flanges).filter_map(|(turn, flange)| Some((flange, &place, turn?)));
+    let probe = Pose::from_parts(probe_m.into(), mean_turn(turns));
     Some([Placement::of(&place), Placement::of(&probe)])
+}
+
+/// How the probe is turned on the flange: the mean of what poses of the robot, places of the tracker and `tracker_from_probe` say.
+fn mean_turn<'a>(seen: impl Iterator<Item = (&'a Pose, &'a Pose, Rotation3<f64>)>) -> Rotation3<f64> {
+    let turns =
+        seen.map(|(flange, place, turn)| *(flange.rotation.inverse() * place.rotation * turn).matrix());
+    nearest_rotation(&turns.sum())
 }
 
 /// What a tracker saw at a pose of the robot.
@@ -106,11 +111,9 @@ fn probe(rows: &[(Sighted, Pose)]) -> Pose {
     let at_m = |(row, place): &(Sighted, Pose)| {
         row.flange.inverse_transform_point(&place.transform_point(&row.seen_m.into())).coords
     };
-    let turn = |(row, place): &(Sighted, Pose)| {
-        Some(*(row.flange.rotation.inverse() * place.rotation * row.turn?).matrix())
-    };
     let at_m: Vec<Vector3<f64>> = rows.iter().map(at_m).collect();
-    Pose::from_parts(mean(&at_m).into(), nearest_rotation(&rows.iter().filter_map(turn).sum()))
+    let turns = rows.iter().filter_map(|(row, place)| Some((&row.flange, place, row.turn?)));
+    Pose::from_parts(mean(&at_m).into(), mean_turn(turns))
 }
 
 /// `root_from_tracker` of a station in rows with where the robot holds the target.
