@@ -24,7 +24,7 @@ use crate::support::rows::{Alone, Found};
 use crate::support::ur10;
 
 /// Rows of the fixture that a tracker measured.
-fn fixture(name: &str) -> Vec<PoseRow> {
+pub fn fixture(name: &str) -> Vec<PoseRow> {
     real_rows(&crate::support::repository("identify/tests/data/ur10").join(name))
 }
 

@@ -91,6 +91,8 @@ fn every_kind_of_refusal_has_its_page() {
     let Refused { page, stderr, .. } =
         typed(&other).refused(&["different runs", "give the log of this run"], &[]);
     assert!(marks(&page).is_empty(), "nothing is known of a place");
+    let sheet = page.split_once("</section>").unwrap().0;
+    assert!(sheet.contains("Signature") && sheet.contains("2026-05-28 20:26:40 UTC"), "{sheet}");
     assert!(stderr.contains("recording.mcap with "), "{stderr}");
     // Another robot, of the same columns.
     let mut longer: RobotConfig = irb2400();

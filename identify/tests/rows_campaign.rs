@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::Path;
 
+use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Joints, Pose, Trace, Tracer, flange_chain};
 use identify::model::DriveTrain;
 use identify::report::file::CalibrationFile;
@@ -26,7 +27,7 @@ use crate::support::truth::apart_m;
 use crate::support::{irb120, irb2400, nj220, ur10};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Kind {
+pub enum Kind {
     Tracker,
     Positions,
     Wire,
@@ -46,33 +47,33 @@ enum Measured {
 
 /// A file of rows, and what is true.
 #[derive(Clone)]
-struct Rows {
+pub struct Rows {
     /// As configured.
     robot: RobotConfig,
-    truth: Chain,
+    pub truth: Chain,
     joints: Vec<Joints>,
     measured: Measured,
 }
 
 /// How much gears, loads and links are wrong, in what is usual.
-struct Level {
-    links: f64,
-    gears: f64,
-    sag: f64,
-    noise: f64,
+pub struct Level {
+    pub links: f64,
+    pub gears: f64,
+    pub sag: f64,
+    pub noise: f64,
 }
 
-const USUAL: Level = Level { links: 1.0, gears: 1.0, sag: 1.0, noise: 1.0 };
+pub const USUAL: Level = Level { links: 1.0, gears: 1.0, sag: 1.0, noise: 1.0 };
 
 impl Level {
-    fn random(random: &mut StdRng) -> Self {
+    pub fn random(random: &mut StdRng) -> Self {
         let mut up_to = |most: f64| random.random_range(0.0..most);
         Self { links: 0.2 + up_to(1.3), gears: up_to(2.0), sag: up_to(2.0), noise: 0.3 + up_to(2.0) }
     }
 }
 
 /// A robot before an instrument. Rows are random postures within 70 % of the joints' travel.
-fn rows(kind: Kind, robot: &RobotConfig, seed: u64, level: &Level) -> Rows {
+pub fn rows(kind: Kind, robot: &RobotConfig, seed: u64, level: &Level) -> Rows {
     const COUNT: usize = 200;
     const SAG_RAD_PER_M: f64 = 0.1e-3;
     if kind == Kind::Contact {
@@ -139,7 +140,7 @@ fn rows(kind: Kind, robot: &RobotConfig, seed: u64, level: &Level) -> Rows {
 }
 
 /// What the command says of a file.
-enum Told {
+pub enum Told {
     Refused(String),
     /// Verdict, what is claimed with k = 2, and the true error, mean over the workspace \[m\].
     Calibrated(Grade, f64, f64, String),
@@ -152,8 +153,20 @@ unit = "deg"
 "#;
 
 impl Rows {
+    /// What a tracker measured.
+    pub fn poses(&self) -> Vec<PoseRow> {
+        let Measured::Poses(poses, rotations) = &self.measured else { return Vec::new() };
+        let row = |(joints_rad, pose): (&Joints, &Pose)| PoseRow {
+            joints_rad: *joints_rad,
+            position_m: pose.translation.vector,
+            rotation: rotations.then_some(pose.rotation),
+            ..PoseRow::default()
+        };
+        self.joints.iter().zip(poses).map(row).collect()
+    }
+
     /// Writes what a person has, and calibrates.
-    fn told(&self) -> Told {
+    pub fn told(&self) -> Told {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name).display().to_string();
         std::fs::write(at("robot.toml"), toml::to_string(&self.robot).unwrap()).unwrap();
@@ -233,7 +246,7 @@ impl Rows {
         self.joints[first..].iter_mut().for_each(change);
     }
 
-    fn all(&mut self, change: impl Fn(&mut Joints)) {
+    pub fn all(&mut self, change: impl Fn(&mut Joints)) {
         self.from(0.0, change);
     }
 
@@ -271,7 +284,7 @@ impl Rows {
         }
     }
 
-    fn poses(&mut self, change: impl Fn(usize, &mut Pose)) {
+    fn each_pose(&mut self, change: impl Fn(usize, &mut Pose)) {
         if let Measured::Poses(poses, _) = &mut self.measured {
             poses.iter_mut().enumerate().for_each(|(row, pose)| change(row, pose));
         }
@@ -345,21 +358,23 @@ fn spoils() -> Vec<(&'static str, &'static [Kind], Spoil)> {
         }),
         ("scale off by 1 %", EACH, |rows| rows.scaled(1.01)),
         ("centimetres for millimetres", EACH, |rows| rows.scaled(0.1)),
-        ("x and y exchanged", TRACKER, |rows| rows.poses(|_, pose| pose.translation.vector.swap_rows(0, 1))),
-        ("z counts down", TRACKER, |rows| rows.poses(|_, pose| pose.translation.vector.z *= -1.0)),
+        ("x and y exchanged", TRACKER, |rows| {
+            rows.each_pose(|_, pose| pose.translation.vector.swap_rows(0, 1))
+        }),
+        ("z counts down", TRACKER, |rows| rows.each_pose(|_, pose| pose.translation.vector.z *= -1.0)),
         ("rotations the other way round", TURNS, |rows| {
-            rows.poses(|_, pose| pose.rotation = pose.rotation.inverse());
+            rows.each_pose(|_, pose| pose.rotation = pose.rotation.inverse());
         }),
         ("the probe slips by 1 mm on the flange half way", TRACKER, |rows| {
             let half = rows.joints.len() / 2;
-            rows.poses(|row, pose| {
+            rows.each_pose(|row, pose| {
                 let slip_m = if row < half { 0.0 } else { 1e-3 };
                 pose.translation.vector =
                     pose.rotation * Point3::new(slip_m, 0.0, 0.0).coords + pose.translation.vector;
             });
         }),
         ("positions to whole millimetres", TRACKER, |rows| {
-            rows.poses(|_, pose| {
+            rows.each_pose(|_, pose| {
                 pose.translation.vector = pose.translation.vector.map(|m| (m * 1e3).round() * 1e-3)
             });
         }),

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use crate::support::command::identify;
 use crate::support::{irb2400, lengths, repository};
-use identify::evaluate::{Expected, Limit, WorkspaceError};
+use identify::evaluate::{Budget, Expected, Limit, WorkspaceError};
 use identify::report::file::{CalibrationFile, SolveEntry};
 use identify::report::validation::{ApartEntry, HeldOutEntry};
 use identify::report::verdict::{Grade, Verdict};
@@ -15,6 +15,17 @@ use rand_chacha::rand_core::SeedableRng;
 
 /// Root mean squares \[mm, mrad\], nominal and calibrated.
 fn judged(position: [f64; 2], rotation: [f64; 2], limits: &[Limit], required_m: Option<f64>) -> Verdict {
+    judged_within(0.1e-3, position, rotation, limits, required_m)
+}
+
+/// The same where the geometry is known within this over the workspace, and the nominal one is off by a millimetre \[m\].
+fn judged_within(
+    expanded_m: f64,
+    position: [f64; 2],
+    rotation: [f64; 2],
+    limits: &[Limit],
+    required_m: Option<f64>,
+) -> Verdict {
     let solve = SolveEntry {
         cost: "pose".into(),
         ended: String::new(),
@@ -32,7 +43,9 @@ fn judged(position: [f64; 2], rotation: [f64; 2], limits: &[Limit], required_m: 
         Some(HeldOutEntry { segments: 8, nominal: entry(0), calibrated: entry(1), fitted: entry(1) });
     let after =
         Expected { mean_m: 0.05e-3, p95_m: 0.1e-3, p95_upper_m: 0.15e-3, interval_m: [0.02e-3, 0.08e-3] };
-    let workspace = WorkspaceError { after, ..WorkspaceError::default() };
+    let before = Expected { mean_m: 1e-3, ..after };
+    let budget = Budget { expanded_m, coverage_factor: 2.0, ..Budget::default() };
+    let workspace = WorkspaceError { before, after, budget, ..WorkspaceError::default() };
     file.with_verdict(&workspace, limits, required_m).verdict.unwrap()
 }
 
@@ -67,6 +80,10 @@ fn green_needs_both_answers_and_amber_names_what_is_missed() {
     let limit = |serious| Limit { sentence: "Joint 3 turned by 2 degrees only.".into(), serious };
     assert_eq!(good(&[limit(false)], None).grade, Grade::Green);
     assert_eq!(good(&[limit(true)], None).reason.unwrap(), limit(true).sentence);
+    // Rows of one corner of the workspace predict each other.
+    let of_a_corner = judged_within(1.5e-3, [1.0, 0.05], [1.0, 0.1], &[], None);
+    assert_eq!(of_a_corner.grade, Grade::Amber);
+    assert!(of_a_corner.reason.unwrap().contains("holds where joints were measured"));
 }
 
 fn wire(csv: &str, extra: &[&str], out: &Path) -> (std::process::Output, Vec<String>) {
@@ -122,6 +139,11 @@ fn a_required_accuracy_is_judged_and_repeated_for_every_instrument() {
         assert!(experiment.contains("require_mm"), "{experiment}");
         let page = std::fs::read_to_string(out.path().join("report.html")).unwrap();
         assert_eq!(page.contains("<div class=\"verdict doubt\">"), grade == "amber");
+        // What is certified is in the file that programs read.
+        let expected = CalibrationFile::open(out.path()).unwrap().expected.unwrap();
+        let cube = expected.cube.unwrap();
+        assert!(expected.calibrated.mean_m < expected.nominal.mean_m, "{expected:?}");
+        assert!(page.contains(&format!("cube of {:.0} mm", cube.edge_m * 1e3)), "{cube:?}");
     }
     let out = tempfile::tempdir().unwrap();
     let (output, files) = wire(&csv, &["--require", "0"], out.path());

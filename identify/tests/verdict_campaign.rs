@@ -52,7 +52,7 @@ fn experiment(robot: &RobotConfig, seed: u64) -> (Simulated, BallBarConfig) {
 }
 
 /// What is claimed over the workspace, the verdict, and what is true: the mean and what 95 % of the postures do not exceed \[m\].
-fn judged(
+pub fn judged(
     run: &Simulated,
     found: &BallBarCalibration,
     robot: &RobotConfig,

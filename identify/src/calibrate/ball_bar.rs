@@ -341,6 +341,7 @@ pub(super) fn solve(
         kinds: config.kinds(model, |id| instrument.identifies(id)),
         fix,
         tolerances: model.columns().map(|one| one.id).filter(of_link).filter(|_| scaled).collect(),
+        alike: config.alike().collect(),
         watch,
     };
     estimate(runs, &plan)

@@ -162,7 +162,8 @@ pub struct IdentifyConfig {
     /// Parameters fixed all the same.
     pub fix: Vec<String>,
     /// With any selection but `thesis`, each harmonic of an encoder is expected to be zero within this standard deviation
-    /// \[urad\]; zero leaves them out. With `automatic` they are a candidate like the robot's terms.
+    /// \[urad\], or as much less as the samples say of all of them; zero leaves them out. With `automatic` they are a candidate
+    /// like the robot's terms.
     pub encoder_harmonics_urad: f64,
     /// With any selection but `thesis`, how much longer or shorter the bar may be by its direction: each wave is expected
     /// to be zero within this standard deviation \[um\], and all stay only where they predict held-out segments of the
@@ -331,6 +332,11 @@ impl IdentifyConfig {
     pub fn named(&self) -> impl Iterator<Item = ParameterId> + '_ {
         let names = self.priors.keys().chain(&self.free).chain(&self.fix);
         names.filter_map(|name| name.parse().ok())
+    }
+
+    /// Harmonics of the bar's encoders that nobody has named.
+    pub fn alike(&self) -> impl Iterator<Item = ParameterId> + '_ {
+        ParameterId::harmonics().filter(|id| !self.named().any(|named| named == *id))
     }
 
     /// Kinds of terms that are tried on top of the selection.

@@ -199,6 +199,7 @@ fn laid_out<'w>(
         ransac: false,
         kinds: Vec::new(),
         tolerances: link_ids(&flange),
+        alike: config.alike().collect(),
         fix,
         watch,
     };
@@ -302,7 +303,7 @@ fn staged(
     let LaidOut { mut runs, mut rows, plan } = laid_out(data, robot, config, judged, watch)?;
     let bars = data.bars.len();
     // What rows that do not belong with the rest, and a drift, are judged by.
-    let of_links = Plan { kinds: Vec::new(), tolerances: Vec::new(), ..plan.clone() };
+    let of_links = Plan { kinds: Vec::new(), tolerances: Vec::new(), alike: Vec::new(), ..plan.clone() };
     let Solved { sigmas, .. } = estimate(&mut runs, &of_links)?;
     let offsets = fitted(&runs, Deployment::Offsets, plan.loss)?.map_or_else(Vec::new, |found| found.runs);
     for (number, set) in rows.iter_mut().enumerate() {

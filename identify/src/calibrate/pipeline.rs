@@ -9,14 +9,14 @@ use super::change;
 use super::config::CostName;
 use super::line_spectrum::LineSpectrum;
 use super::rows::WAVES_PER_TURN_MAX;
-use super::terms::{Candidate, Kind, Offer, TermGroup, prior_scale, select};
+use super::terms::{Candidate, Kind, Offer, TermGroup, mean, prior_scale, select};
 use crate::cost::{CostError, DataSets, SharedColumns};
 use crate::instrument::Run;
 use crate::kinematics::LinkParameter;
 use crate::model::{Model, ModelError, Owner, Parameter, ParameterId, Phase, Role};
 use crate::solver::{
-    Begin, Considered, Covariance, GoodShare, Loss, LossName, Normals, Options, Problem, Solution, Source,
-    Summary, Watch, influence, minimise, minimise_robust, solve,
+    Begin, Considered, Covariance, GoodShare, Loss, LossName, Normals, Options, Prior, Problem, Solution,
+    Source, Summary, Watch, influence, minimise, minimise_robust, solve,
 };
 
 /// The thesis' residuals enter as it defines them; `pose` is whitened by itself.
@@ -48,6 +48,8 @@ pub struct Plan<'a> {
     pub fix: Vec<ParameterId>,
     /// Parameters whose priors are widened until left-out groups are predicted best.
     pub tolerances: Vec<ParameterId>,
+    /// Parameters of one kind whose priors are as narrow as the samples say of all of them.
+    pub alike: Vec<ParameterId>,
     /// Sees each solve and may end it.
     pub watch: Option<&'a dyn Watch>,
 }
@@ -55,7 +57,15 @@ pub struct Plan<'a> {
 impl Plan<'_> {
     /// Of rows of one instrument.
     pub fn new(loss: LossName, kinds: Vec<Kind>) -> Self {
-        Plan { loss, ransac: false, kinds, fix: Vec::new(), tolerances: Vec::new(), watch: None }
+        Plan {
+            loss,
+            ransac: false,
+            kinds,
+            fix: Vec::new(),
+            tolerances: Vec::new(),
+            alike: Vec::new(),
+            watch: None,
+        }
     }
 }
 
@@ -114,6 +124,8 @@ struct Solver<'a> {
     differ: Vec<ParameterId>,
     /// Waves that residuals have shown.
     line_spectrum: Vec<ParameterId>,
+    /// Parameters that are alike, with their configured standard deviations.
+    alike: Vec<(ParameterId, f64)>,
 }
 
 /// Solves, chooses terms, solves again and leaves the models at the solution.
@@ -132,11 +144,14 @@ pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateEr
 fn estimated(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError> {
     let mut solver = Solver::new(runs, plan);
     let (mut columns, mut solution) = solver.settle()?;
+    if solver.explains_by_play(solution.loss)? {
+        (columns, solution) = solver.settle()?;
+    }
     let rms_start = solution.summary.residual_rms_start;
     let without_terms = solver.runs.iter().map(|run| run.model.clone()).collect();
     let mut candidates = Vec::new();
     let mut scale = 1.0;
-    let to_choose = !plan.kinds.is_empty() || !plan.tolerances.is_empty();
+    let to_choose = !(plan.kinds.is_empty() && plan.tolerances.is_empty() && plan.alike.is_empty());
     if to_choose && solution.summary.residual_rms > RESIDUAL_MIN * solver.unit() {
         let finds_noise = solver.bars().is_none_or(|cost| cost == CostName::Pose);
         // Known terms leave less noise: the second choice weighs their priors by it.
@@ -148,6 +163,7 @@ fn estimated(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError
             if finds_noise {
                 solution.loss = solver.descend(plan.loss)?;
                 solver.learn_noise();
+                solver.narrow_alike(solution.loss)?;
             }
             if solver.bars().is_none() {
                 solver.weigh()?;
@@ -218,7 +234,14 @@ impl<'a> Solver<'a> {
     fn new(runs: &'a mut [Run], plan: &'a Plan<'a>) -> Self {
         let differ = differ(runs);
         let sigmas = vec![UNWEIGHTED; runs.len()];
-        Self { runs, plan, sigmas, differ, line_spectrum: Vec::new() }
+        let sigma = |id: &ParameterId| {
+            runs.iter().find_map(|run| match run.model.parameter(*id)?.role {
+                Role::Prior { sigma, .. } => Some((*id, sigma)),
+                _ => None,
+            })
+        };
+        let alike = plan.alike.iter().filter_map(sigma).collect();
+        Self { runs, plan, sigmas, differ, line_spectrum: Vec::new(), alike }
     }
 
     fn columns(&self) -> SharedColumns {
@@ -495,6 +518,69 @@ impl<'a> Solver<'a> {
         }
         let sigmas = held.iter().map(|column| sigmas[*column]).collect();
         Ok(Some(Considered { names: found.held, sigmas, change }))
+    }
+
+    /// Gives parameters that are alike the prior under which the samples are most probable (empirical Bayes: type-II maximum
+    /// likelihood, Berger 1985), errors that last for several samples counted as one. Encoders without eccentricity then cost
+    /// nothing, and one that is configured too narrow costs nothing either.
+    fn narrow_alike(&mut self, loss: Loss) -> Result<(), CalibrateError> {
+        const SCALES: [f64; 7] = [2.0, 1.0, 0.5, 0.2, 0.1, 0.05, 0.02];
+        if self.alike.is_empty() {
+            return Ok(());
+        }
+        let columns = self.columns();
+        let ids = columns.gather(&self.ids());
+        let models: Vec<Model> = self.runs.iter().map(|run| run.model.clone()).collect();
+        let Some((normals, _)) = self.normals(&models, &columns, loss, LEFT_OUT)? else { return Ok(()) };
+        let dispersion = normals.overdispersion().unwrap_or(1.0).max(1.0);
+        let configured = |column: usize| self.alike.iter().find(|(id, _)| *id == ids[column]);
+        let evidence = |scale: f64| {
+            let prior = |prior: &Prior| match configured(prior.column) {
+                Some((_, sigma)) => Prior { sigma: sigma * scale, ..*prior },
+                None => *prior,
+            };
+            let priors: Vec<Prior> = normals.priors().iter().map(prior).collect();
+            Some((scale, normals.evidence(&priors, dispersion)?))
+        };
+        let best = SCALES.into_iter().filter_map(evidence).max_by(|a, b| a.1.total_cmp(&b.1));
+        let Some((scale, _)) = best else { return Ok(()) };
+        for (id, sigma) in self.alike.clone() {
+            self.set_roles(&[id], Role::Prior { value: 0.0, sigma: sigma * scale })?;
+        }
+        Ok(())
+    }
+
+    /// A force along the bar lengthens it as a spring or takes up its play: where left-out groups are predicted better by play,
+    /// play is free instead of compliance.
+    fn explains_by_play(&mut self, loss: Loss) -> Result<bool, CalibrateError> {
+        const OTHERS: [ParameterId; 2] = [ParameterId::BarPlay, ParameterId::BarCompliance];
+        let is_open = |run: &Run| {
+            let role = |id| run.model.parameter(id).map(|parameter| parameter.role);
+            OTHERS.map(role) == [Some(Role::Fixed), Some(Role::Free)]
+        };
+        if !self.runs.iter().any(is_open) || self.plan.fix.contains(&ParameterId::BarPlay) {
+            return Ok(false);
+        }
+        self.set_roles(&OTHERS, Role::Free)?;
+        let columns = self.columns();
+        let models: Vec<Model> = self.runs.iter().map(|run| run.model.clone()).collect();
+        let normals = self.normals(&models, &columns, loss, HELD_OUT)?;
+        let ids = columns.gather(&self.ids());
+        let without = |other: ParameterId| {
+            let (normals, _) = normals.as_ref()?;
+            let kept: Vec<usize> = (0..ids.len()).filter(|column| ids[*column] != other).collect();
+            // About zero: the other one is as large as it was found to be.
+            let mut about = self.start(&columns);
+            about.iter_mut().zip(&ids).filter(|(_, id)| **id == other).for_each(|(value, _)| *value = 0.0);
+            let normals = normals.about(&about);
+            normals.held_out(&kept, normals.priors()).map(|errors| mean(&errors))
+        };
+        let [spring, play] = OTHERS.map(without);
+        let by_play = spring.zip(play).is_some_and(|(spring, play)| play < spring);
+        let left = OTHERS[usize::from(by_play)];
+        self.set_roles(&[left], Role::Fixed)?;
+        self.set_to_zero(&[left])?;
+        Ok(by_play)
     }
 
     /// Tries each kind of terms on held-out groups, gives those that stay their priors, and finds the scale of tolerances.

@@ -1,6 +1,7 @@
 //! Pose accuracy where the standard measures it: ISO 9283:1998, 6.8, five poses in a cube in the working space.
 
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
 
 use super::workspace::{Expected, random_postures};
 use crate::kinematics::{Chain, Joints, Pose, robot_inverse};
@@ -15,12 +16,12 @@ const FROM_CENTRE: f64 = 0.8;
 const APART_MAX: f64 = 1.5;
 
 /// Distance between where the robot is told to go and where it is, over the standard's five poses.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct CubeError {
     /// Edge of the cube, along the base's axes \[m\].
     pub edge_m: f64,
     /// Its centre in the robot's base frame \[m\].
-    pub centre_m: Vector3<f64>,
+    pub centre_m: [f64; 3],
     /// With the nominal geometry.
     pub before: Expected,
     /// With the calibrated one, as far as its covariance says.

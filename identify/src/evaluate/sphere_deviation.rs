@@ -79,7 +79,7 @@ pub struct Elongation {
     pub run: usize,
     /// As it was measured.
     pub measured: BarForces,
-    /// `bcompliance`, or `bplay` where only the sign was measured.
+    /// `bcompliance`, or `bplay` where only the sign was measured or where that explains more.
     pub parameter: ParameterId,
     /// Its value: longer by this for a newton as the log counts, or on the positive side \[m/N or m\].
     pub value: f64,
@@ -109,7 +109,10 @@ impl Elongation {
     ) -> Option<Self> {
         let BallBarCalibration { columns, solution, .. } = calibration;
         let measured = prepared.force?;
-        let parameter = measured.parameter();
+        // Play where it explains more than compliance, see the estimate.
+        let free = [ParameterId::BarCompliance, ParameterId::BarPlay].into_iter();
+        let mut free = free.filter(|id| model.column_of(*id).is_some());
+        let parameter = free.next().unwrap_or_else(|| measured.parameter());
         let found = model.parameter(parameter)?;
         let column = model.column_of(parameter).and_then(|own| columns.of_run(run).get(own));
         let sigma = column.and_then(|column| solution.covariance.sigma(*column));

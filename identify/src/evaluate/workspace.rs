@@ -5,6 +5,7 @@ use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{ChiSquared, Distribution, StandardNormal};
+use serde::{Deserialize, Serialize};
 
 use super::budget::Budget;
 use super::cube::{Cube, CubeError};
@@ -20,7 +21,7 @@ pub(super) const POSTURES: usize = 400;
 const DRAWS: usize = 400;
 
 /// A position error that is expected, and how sure that is.
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Expected {
     /// Mean over the workspace \[m\].
     pub mean_m: f64,
@@ -96,7 +97,7 @@ impl WorkspaceError {
             let columns = of_links(model, covariance);
             let postures = Postures::new(model, &columns, cube.postures.into_iter());
             let [before, after] = postures.errors(&postures.left_m(covariance, &columns));
-            CubeError { edge_m: cube.edge_m, centre_m: cube.centre_m, before, after }
+            CubeError { edge_m: cube.edge_m, centre_m: cube.centre_m.into(), before, after }
         });
         self
     }

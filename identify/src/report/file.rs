@@ -12,7 +12,7 @@ use shared::time::UtcNs;
 use super::deployments::DeploymentEntry;
 use super::earlier::remove_page;
 use super::force::ForceEntry;
-use super::knowledge::{CovarianceEntry, Knowledge, NoiseEntry};
+use super::knowledge::{CovarianceEntry, ExpectedEntry, Knowledge, NoiseEntry};
 use super::validation::{HeldOutEntry, OtherCostEntry, RowsEntry};
 use super::verdict::Verdict;
 use crate::calibrate::ball_bar::BallBarCalibration;
@@ -321,6 +321,9 @@ pub struct CalibrationFile {
     /// Where in joint space it is supported.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub validity: Option<Validity>,
+    /// Position errors of the geometry.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expected: Option<ExpectedEntry>,
     /// What makes positions uncertain.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<Budget>,
@@ -364,6 +367,7 @@ impl CalibrationFile {
             parameters,
             deployments: Vec::new(),
             validity: None,
+            expected: None,
             budget: None,
             knowledge: None,
             covariance: None,

@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::file::CalibrationFile;
 use crate::cost::AngleNoise;
+use crate::evaluate::{CubeError, Expected, WorkspaceError};
 use crate::instrument::BallBar;
 use crate::model::ParameterId;
 use crate::solver::{Observability, SigmasFrom, Solution};
@@ -217,5 +218,25 @@ impl Knowledge {
             let _ = writeln!(text, "largest correlations: {}", pairs.join("  "));
         }
         text
+    }
+}
+
+/// Position errors that are expected of the geometry, before and after.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ExpectedEntry {
+    /// Over the workspace, with the nominal geometry.
+    pub nominal: Expected,
+    /// With the calibrated one.
+    pub calibrated: Expected,
+    /// The same at the five poses of ISO 9283; absent where the robot reaches no such cube.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cube: Option<CubeError>,
+}
+
+impl ExpectedEntry {
+    /// Of what was found over the workspace.
+    pub fn of(workspace: &WorkspaceError) -> Self {
+        let WorkspaceError { before, after, cube, .. } = *workspace;
+        Self { nominal: before, calibrated: after, cube }
     }
 }

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::earlier::Earlier;
 use super::file::{CalibrationFile, FileError};
+use super::knowledge::ExpectedEntry;
 use crate::calibrate::rows::is_surely_worse;
 use crate::evaluate::{Limit, WorkspaceError};
 
@@ -106,6 +107,7 @@ impl CalibrationFile {
         required_m: Option<f64>,
     ) -> Self {
         self.budget = Some(workspace.budget.clone());
+        self.expected = Some(ExpectedEntry::of(workspace));
         let predicted = self.predicted();
         let better = (!predicted.is_empty()).then(|| predicted.iter().all(Predicted::is_better));
         let worse = predicted.iter().find(|one| one.is_worse_beyond_chance());
@@ -126,7 +128,8 @@ impl CalibrationFile {
             let serious = || limits.iter().find(|limit| limit.serious).map(|limit| limit.sentence.clone());
             let unknown = || better.is_none().then(|| "Nothing was held out to judge it by.".to_owned());
             let missed = || missed(workspace, &predicted, required_m);
-            let reason = same.or_else(missed).or_else(serious).or_else(unknown);
+            let nowhere_else = || known_nowhere_else(workspace);
+            let reason = same.or_else(missed).or_else(serious).or_else(nowhere_else).or_else(unknown);
             (if reason.is_some() { Grade::Amber } else { Grade::Green }, reason)
         };
         self.verdict = Some(Verdict { grade, better, required_m, reason });
@@ -172,6 +175,19 @@ impl CalibrationFile {
         }
         all
     }
+}
+
+/// The geometry is more uncertain over the workspace than the nominal one is wrong: what was measured says nothing of the rest.
+fn known_nowhere_else(workspace: &WorkspaceError) -> Option<String> {
+    let (expanded_m, before_m) = (workspace.budget.expanded_m, workspace.before.mean_m);
+    (expanded_m > before_m).then(|| {
+        format!(
+            "It holds where joints were measured; over the whole workspace the geometry is known within {:.3} mm (k = 2), and \
+             the nominal one is off by {:.3} mm in the mean. Measure poses that are spread further.",
+            expanded_m * 1e3,
+            before_m * 1e3
+        )
+    })
 }
 
 /// Why the requirement is not met.

@@ -166,6 +166,21 @@ impl Normals {
         Some(scatter * count / ((count - 1.0) * expected)).filter(|found| found.is_finite())
     }
 
+    /// Logarithm of the probability of the samples with these priors, but for a constant (evidence, MacKay 1992), where their
+    /// residuals have `dispersion` times the variance of independent ones. None where columns depend on each other.
+    pub fn evidence(&self, priors: &[Prior], dispersion: f64) -> Option<f64> {
+        let mut all = self.total.clone();
+        all += &self.known;
+        all.matrix /= dispersion;
+        all.gradient /= dispersion;
+        all.squared /= dispersion;
+        all.squared += all.add_priors(priors, &self.x);
+        let factor = ScaledCholesky::new(all.matrix.clone())?;
+        let step = -factor.solve(&all.gradient);
+        let of_priors: f64 = priors.iter().map(|prior| prior.sigma.ln()).sum();
+        Some(-0.5 * (all.after(&step) + factor.log_determinant()) - of_priors)
+    }
+
     /// How many numbers the solution `x` takes from each fold: `tr(H^-1 N)` with `H` of all and `N` of the fold, less than its
     /// parameters where priors or other folds determine them, too (effective degrees of freedom, MacKay 1992). None where
     /// columns depend on each other.

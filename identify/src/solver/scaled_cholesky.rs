@@ -41,6 +41,12 @@ impl ScaledCholesky {
         self.factor.solve(&b.component_mul(&self.scale)).component_mul(&self.scale)
     }
 
+    /// `ln det N` of the columns that something determines.
+    pub fn log_determinant(&self) -> f64 {
+        let of_scale = self.scale.iter().filter(|scale| **scale > 0.0).map(|scale| scale.ln()).sum::<f64>();
+        2.0 * (self.factor.l_dirty().diagonal().iter().map(|pivot| pivot.ln()).sum::<f64>() - of_scale)
+    }
+
     /// `N^-1`
     pub fn inverse(&self) -> DMatrix<f64> {
         let mut inverse = self.factor.inverse();

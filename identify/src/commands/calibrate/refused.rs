@@ -14,12 +14,15 @@ use crate::calibrate::IdentifyConfig;
 use crate::calibrate::ball_bar::CalibrateError;
 use crate::calibrate::refusal::Refusal;
 use crate::inspect::{self, curves};
+use crate::report::file::MeasurementEntry;
 use crate::report::page::{InspectedLog, InspectedRun, RefusedPage, WrittenRefusal};
 
 /// What was to be calibrated, and from what.
 struct Attempt<'a> {
     robot: &'a RobotConfig,
     instrument: &'a str,
+    /// What each recording says of its measurement.
+    measured: Vec<MeasurementEntry>,
     /// Every file that was read, with what it is.
     files: &'a [(&'static str, &'a Path)],
     configuration: String,
@@ -36,7 +39,14 @@ pub(super) fn of_rows(
     error: CalibrateError,
 ) -> anyhow::Error {
     let (instrument, path) = files.first().copied().unwrap_or(("", Path::new("")));
-    let attempt = Attempt { robot, instrument, files, configuration: configuration(experiment), directory };
+    let attempt = Attempt {
+        robot,
+        instrument,
+        measured: Vec::new(),
+        files,
+        configuration: configuration(experiment),
+        directory,
+    };
     attempt.told(error, &path.display().to_string(), Vec::new)
 }
 
@@ -51,6 +61,7 @@ pub(super) fn of_runs(
     let attempt = Attempt {
         robot,
         instrument: runs.first().map_or("", |run| run.bar.name.as_str()),
+        measured: runs.iter().filter_map(RunFiles::measured).collect(),
         files: &input_files(arguments, runs),
         configuration: configuration(config),
         directory: &arguments.common.result.out,
@@ -97,6 +108,7 @@ impl Attempt<'_> {
         let page = RefusedPage {
             robot: &self.robot.name,
             instrument: self.instrument,
+            measured: &self.measured,
             refusal,
             runs,
             inputs: &inputs(self.files)?,

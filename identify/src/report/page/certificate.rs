@@ -17,7 +17,7 @@ pub(super) fn certificate(file: &CalibrationFile, workspace: &WorkspaceError) ->
                 p.about { "Certificate · " (to_the_second(&file.created)) " · " (file.software) }
             }
             (verdict(file, workspace))
-            (identity(file))
+            (identity(&file.robot, &file.instrument, &file.measured, Some(required(file))))
             (results(file, workspace))
             (conditions(file))
             (signature())
@@ -53,39 +53,47 @@ fn verdict(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
 }
 
 /// An instant of a file for a person.
-fn to_the_second(utc: &str) -> String {
+pub(super) fn to_the_second(utc: &str) -> String {
     utc.get(..19).map_or_else(|| utc.to_owned(), |second| format!("{} UTC", second.replace('T', " ")))
 }
 
 /// Robot, instrument, who and when: what no file says is left to be written by hand.
-fn identity(file: &CalibrationFile) -> Markup {
+pub(super) fn identity(
+    robot: &str,
+    instrument: &str,
+    measured: &[MeasurementEntry],
+    required: Option<String>,
+) -> Markup {
     let of = |what: fn(&MeasurementEntry) -> String| {
-        let mut all: Vec<String> = file.measured.iter().map(what).collect();
+        let mut all: Vec<String> = measured.iter().map(what).collect();
         all.retain(|one| !one.is_empty());
         all.dedup();
         all.join("; ")
     };
+    let lines = [
+        ("Robot", Some(robot.to_owned())),
+        ("Which one (serial number)", Some(of(|one| one.robot.clone()))),
+        ("Instrument", Some(instrument.to_owned())),
+        ("Which one (serial number)", Some(of(|one| one.bar.clone()))),
+        ("Measured", Some(of(|one| to_the_second(&one.started)))),
+        ("Operator", Some(of(|one| one.operator.clone()))),
+        ("Payload", Some(of(|one| one.payload.clone()))),
+        ("Required", required),
+    ];
+    html! { dl.identity { @for (what, value) in &lines { @if let Some(value) = value {
+        dt { (what) }
+        dd.blank[value.is_empty()] { (value) }
+    } } } }
+}
+
+fn required(file: &CalibrationFile) -> String {
     let required = file.verdict.as_ref().and_then(|verdict| verdict.required_m);
-    let required = required.map_or("none stated".into(), |required_m| {
+    required.map_or("none stated".into(), |required_m| {
         format!(
             "position error of at most {} mm in 95 % of the workspace and on held-out data",
             mm(required_m)
         )
-    });
-    let lines = [
-        ("Robot", file.robot.clone()),
-        ("Which one (serial number)", of(|one| one.robot.clone())),
-        ("Instrument", file.instrument.clone()),
-        ("Which one (serial number)", of(|one| one.bar.clone())),
-        ("Measured", of(|one| to_the_second(&one.started))),
-        ("Operator", of(|one| one.operator.clone())),
-        ("Payload", of(|one| one.payload.clone())),
-        ("Required", required),
-    ];
-    html! { dl.identity { @for (what, value) in &lines {
-        dt { (what) }
-        dd.blank[value.is_empty()] { (value) }
-    } } }
+    })
 }
 
 /// Before and after: expected, at the standard's poses, and on data that no fit has seen.
@@ -105,7 +113,7 @@ fn results(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
                     (expected(
                         &format!(
                             "Pose accuracy expected at the five poses of ISO 9283, cube of {:.0} mm at ({:.0}, {:.0}, {:.0}) mm",
-                            edge_m * 1e3, centre_m.x * 1e3, centre_m.y * 1e3, centre_m.z * 1e3
+                            edge_m * 1e3, centre_m[0] * 1e3, centre_m[1] * 1e3, centre_m[2] * 1e3
                         ),
                         before,
                         after,
@@ -155,7 +163,8 @@ fn conditions(file: &CalibrationFile) -> Markup {
     }
 }
 
-fn signature() -> Markup {
+/// Lines for who answers for it.
+pub(super) fn signature() -> Markup {
     html! { dl.signature {
         @for what in ["Place and date", "Name", "Signature"] { dt { (what) } dd.blank {} }
     } }

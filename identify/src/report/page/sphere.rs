@@ -9,6 +9,7 @@ use super::plot::{BLUE, FONT, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Serie
 use super::runs;
 use super::sections::svg;
 use crate::evaluate::{Deviation, Elongation, OffSphere, SphereDeviation};
+use crate::model::ParameterId;
 
 /// Samples that a map shows, at most.
 const DOTS_MAX: usize = 1500;
@@ -128,11 +129,11 @@ fn over_time(sphere: &SphereDeviation) -> Result<[String; 2], PlotError> {
 
 /// The force over time, and the deviation against it.
 fn forces(after: &Deviation, elongation: &Elongation) -> Result<[String; 2], PlotError> {
-    let unit = elongation.measured.unit();
-    let axis = if unit.is_empty() { "sign of the force" } else { "force along the bar [N]" };
+    let of_signs = elongation.parameter == ParameterId::BarPlay;
+    let axis = if of_signs { "sign of the force" } else { "force along the bar [N]" };
     let samples = &after.samples;
     let time = TimeAxis::of(samples.iter().map(|one| one.t_s));
-    let [low, high] = elongation.measured.range;
+    let [low, high] = if of_signs { [-1.0, 1.0] } else { elongation.measured.range };
     let line = [low, high].map(|force| (force, elongation.value * force * 1e6));
     Ok([
         Panel {

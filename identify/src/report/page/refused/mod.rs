@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use maud::{Markup, html};
 
+use super::certificate::{identity, signature, to_the_second};
 use super::inputs::rows;
 use super::plot::PlotError;
 use super::sections::{repeated_with, svg};
@@ -14,7 +15,7 @@ use crate::calibrate::refusal::Refusal;
 use crate::inspect::Inspection;
 use crate::inspect::curves::Curve;
 use crate::report::earlier::Earlier;
-use crate::report::file::{Input, now, replace, software};
+use crate::report::file::{Input, MeasurementEntry, now, replace, software};
 
 /// Everything that the page shows.
 #[derive(Debug)]
@@ -23,6 +24,8 @@ pub struct RefusedPage<'a> {
     pub robot: &'a str,
     /// What it was to be measured with.
     pub instrument: &'a str,
+    /// What each recording says of its measurement.
+    pub measured: &'a [MeasurementEntry],
     /// Why not.
     pub refusal: &'a Refusal<'a>,
     /// What is known of each run.
@@ -88,12 +91,16 @@ impl RefusedPage<'_> {
         Ok(document(
             &title,
             &html! {
-                header {
-                    h1 { (title) }
-                    p.about { (self.instrument) " · " (now()) " · " (software()) }
-                }
                 main {
-                    (self.verdict(set_aside))
+                    section.certificate {
+                        header {
+                            h1 { (title) }
+                            p.about { "Refusal · " (to_the_second(&now())) " · " (software()) }
+                        }
+                        (self.verdict(set_aside))
+                        (identity(self.robot, self.instrument, self.measured, None))
+                        (signature())
+                    }
                     (self.deviations()?)
                     @for run in &runs { (run) }
                     (repeated_with(self.inputs, software(), self.configuration))
