@@ -43,11 +43,11 @@ fn rows(run: &Simulated, sensor: impl Fn(&Chain, &Joints, [f64; 3]) -> Vec<f64>)
     let (robot, log) = (&run.motion.robot, &run.robot_log);
     let centre_m = run.motion.bar.root_from_base.translation.vector;
     let force = log.force.as_ref().unwrap();
-    (0..log.t_s.len())
+    (0..log.q_rad.t_s.len())
         .map(|index| {
             let q = &log.q_rad[index];
             let out = (robot.forward(q).translation.vector - centre_m).normalize() * force.values[index][0];
-            (log.stamp_ns(index).unwrap(), *q, sensor(robot, q, [out.x, out.y, out.z]))
+            (log.q_rad.stamp_ns(index).unwrap(), *q, sensor(robot, q, [out.x, out.y, out.z]))
         })
         .collect()
 }
@@ -82,11 +82,11 @@ fn calibrated(run: &Simulated, log: &RobotLog) -> BallBarCalibration {
 /// Error of the force along the bar in the samples of a calibration, whose log counts it by `sign`; root mean square \[N\].
 fn force_error_n(found: &BallBarCalibration, run: &Simulated, sign: f64) -> f64 {
     let (start, truth) = (run.truth.clock, run.robot_log.force.as_ref().unwrap());
-    let lead_s = (start.robot_at_bar_start_ns - truth.first_stamp_ns) as f64 * 1e-9;
+    let lead_s = (start.robot_at_bar_start_ns - truth.values.first_stamp_ns) as f64 * 1e-9;
     let samples = &found.prepared().unwrap().observations;
     let squares = samples.iter().map(|sample| {
         let passed_s = found.prepared().unwrap().t_ref.seconds_since(start.bar_start) + sample.t_s;
-        let true_n = truth.at(lead_s + passed_s * (1.0 + start.skew), 0.1).unwrap()[0];
+        let true_n = truth.values.at(lead_s + passed_s * (1.0 + start.skew)).unwrap()[0];
         (sample.force.along_n - sign * true_n).powi(2)
     });
     (squares.sum::<f64>() / samples.len() as f64).sqrt()
@@ -104,8 +104,8 @@ fn the_tcp_force_of_a_rtde_client_is_the_one_on_the_bar_with_its_sign() {
     let log = load(&path, &robot()).unwrap();
     let force = log.force.clone().unwrap();
     assert_eq!((force.kind, force.clock), (ForceKind::InBase, ForceClock::Robot));
-    assert_eq!((force.first_stamp_ns, force.values.len()), (250_000_000_000, rows.len()));
-    for ((_, _, written), read) in rows.iter().zip(&force.values) {
+    assert_eq!((force.values.first_stamp_ns, force.values.len()), (250_000_000_000, rows.len()));
+    for ((_, _, written), read) in rows.iter().zip(force.values.iter()) {
         assert!(written.iter().zip(read).all(|(a, b)| (a - b).abs() < 1e-9), "{written:?} {read:?}");
     }
     let found = calibrated(&run, &log);
@@ -169,8 +169,8 @@ fn efforts_of_joint_states_in_bags_by_rosbags_are_the_torques_behind_which_the_f
     assert_eq!(load_with(&db3, &robot(), &options).unwrap(), log);
     let force = log.force.clone().unwrap();
     assert_eq!((force.kind, force.clock), (ForceKind::JointTorques, ForceClock::Robot));
-    assert_eq!((force.first_stamp_ns, force.values.len()), (of_joints[0].0, of_joints.len()));
-    for ((_, _, torques_nm), read) in of_joints.iter().zip(&force.values) {
+    assert_eq!((force.values.first_stamp_ns, force.values.len()), (of_joints[0].0, of_joints.len()));
+    for ((_, _, torques_nm), read) in of_joints.iter().zip(force.values.iter()) {
         assert!(torques_nm.iter().zip(read).all(|(a, b)| (a - b).abs() < 1e-9), "{torques_nm:?} {read:?}");
     }
     let found = calibrated(&run, &log);

@@ -41,7 +41,7 @@ fn written(directory: &Path, modules: &[&str], kind: &str) -> PathBuf {
 fn assert_follows(log: &RobotLog, left_out: Option<usize>, tolerance_rad: f64) {
     let rows: Vec<usize> = (0..ROWS).filter(|row| Some(*row) != left_out).collect();
     assert_eq!(log.q_rad.len(), rows.len());
-    for ((row, q_rad), t_s) in rows.iter().zip(&log.q_rad).zip(&log.t_s) {
+    for ((row, q_rad), t_s) in rows.iter().zip(log.q_rad.iter()).zip(&log.q_rad.t_s) {
         assert!((t_s - *row as f64 * PERIOD_S).abs() < 1e-9, "row {row} at {t_s} s");
         for (joint, q) in q_rad.iter().enumerate() {
             assert!((q - angle_rad(*row, joint)).abs() < tolerance_rad, "row {row} joint {joint}: {q}");
@@ -55,7 +55,7 @@ fn bag_reads_by_name(kind: &str) {
     let log = load(&path, &robot()).unwrap();
     // One message has a joint that is not a number.
     assert_follows(&log, Some(100), 1e-12);
-    assert_eq!((log.quality.incomplete_dropped, log.first_stamp_ns), (1, START_NS));
+    assert_eq!((log.quality.incomplete_dropped, log.q_rad.first_stamp_ns), (1, START_NS));
     assert_eq!((log.clock.as_str(), log.origin), ("header.stamp", Origin::Measured));
     for (row, speeds) in log.speed_rad_s.unwrap().iter().enumerate().take(100) {
         for (joint, speed) in speeds.iter().enumerate() {
@@ -106,7 +106,7 @@ fn a_bag_that_breaks_off_is_read_up_to_there_and_says_so() {
         "{:?}",
         log.quality.remarks
     );
-    for (q_rad, t_s) in log.q_rad.iter().zip(&log.t_s) {
+    for (q_rad, t_s) in log.q_rad.iter().zip(&log.q_rad.t_s) {
         let row = (t_s / PERIOD_S).round() as usize;
         assert!(q_rad.iter().enumerate().all(|(joint, q)| (q - angle_rad(row, joint)).abs() < 1e-12));
     }
@@ -161,7 +161,7 @@ fn egm_messages_by_googles_protobuf_are_read_in_degrees_on_either_clock() {
             assert_follows(&log, None, 1e-12);
         } else {
             // Whole microseconds.
-            assert_eq!(log.first_stamp_ns, START_NS / 1000 * 1000);
+            assert_eq!(log.q_rad.first_stamp_ns, START_NS / 1000 * 1000);
         }
         assert_eq!((log.q_rad.len(), log.quality.duplicates_dropped), (ROWS, 1));
         assert_eq!((log.clock.as_str(), log.origin), (clock, Origin::Measured));
@@ -175,7 +175,7 @@ fn csv_of_a_rtde_client_is_read_by_name_and_measured_not_targeted() {
     let path = written(directory.path(), &["csv"], "rtde");
     let log = load(&path, &robot()).unwrap();
     assert_follows(&log, None, 1e-12);
-    assert_eq!((log.first_stamp_ns, log.origin), (250_000_000_000, Origin::Measured));
+    assert_eq!((log.q_rad.first_stamp_ns, log.origin), (250_000_000_000, Origin::Measured));
     for (row, speeds) in log.speed_rad_s.unwrap().iter().enumerate() {
         for (joint, speed) in speeds.iter().enumerate() {
             assert!((speed - 0.5 * (0.01 * row as f64 + joint as f64).cos()).abs() < 1e-12);

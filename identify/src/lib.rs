@@ -23,4 +23,5 @@ pub mod report;
 pub mod robot;
 pub mod simulate;
 pub mod solver;
+mod statistics;
 pub mod study;

@@ -122,11 +122,10 @@ fn curves_keep_extremes_and_holes_and_stay_small() {
     // A spike of one row is there, and the ten seconds that are missing are not bridged.
     let spike = robot_log.q_rad.len() / 3;
     robot_log.q_rad[spike][2] = 3.0;
-    let until_s = robot_log.duration_s() / 2.0 + 10.0;
+    let until_s = robot_log.q_rad.duration_s() / 2.0 + 10.0;
     let missing = |t_s: f64| (until_s - 10.0..until_s).contains(&t_s);
-    let kept: Vec<usize> = (0..robot_log.t_s.len()).filter(|&row| !missing(robot_log.t_s[row])).collect();
-    robot_log.q_rad = kept.iter().map(|&row| robot_log.q_rad[row]).collect();
-    robot_log.t_s = kept.iter().map(|&row| robot_log.t_s[row]).collect();
+    let q_rad = &robot_log.q_rad;
+    robot_log.q_rad = q_rad.filter_map(0..q_rad.len(), |row, q| (!missing(q_rad.t_s[row])).then_some(*q));
     for (joint, curve) in curves::of_robot(&robot_log).iter().enumerate() {
         assert_eq!(curve.parts.len(), 2);
         assert!(curve.parts[0].last().unwrap().0 < until_s - 9.9 && curve.parts[1][0].0 >= until_s);

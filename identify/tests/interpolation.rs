@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use identify::kinematics::Joints;
-use identify::logs::{CubicSpline, InterpolatedLog, LogError, LogQuality, RobotLog, default_gap_limit_s};
+use identify::logs::{LogError, RobotLog, Stream};
 
 /// Stamps of a 250 Hz log whose intervals vary by +-40 %.
 fn uneven_stamps(duration_s: f64) -> Vec<f64> {
@@ -22,22 +22,17 @@ fn joint(t: f64, j: usize) -> (f64, f64) {
 
 fn log(t_s: Vec<f64>) -> RobotLog {
     let q_rad = t_s.iter().map(|&t| Joints::from_fn(6, |j| joint(t, j).0)).collect();
-    RobotLog {
-        t_s,
-        q_rad,
-        quality: LogQuality { period_s: 0.004, ..LogQuality::default() },
-        ..RobotLog::default()
-    }
+    RobotLog { q_rad: Stream::new(0, t_s, q_rad), ..RobotLog::default() }
 }
 
 #[test]
 fn value_and_rate_follow_the_motion_between_uneven_stamps_and_at_the_ends() {
     let log = log(uneven_stamps(2.0));
-    let interpolated = InterpolatedLog::new(&log, default_gap_limit_s(&log)).unwrap();
-    let end = log.duration_s();
+    let interpolated = log.spline().unwrap();
+    let end = log.q_rad.duration_s();
     for k in 0..=4000 {
         let t = end * f64::from(k) / 4000.0;
-        let point = interpolated.joints(t).unwrap();
+        let point = interpolated.at(t).unwrap();
         for j in 0..6 {
             let (q, qd) = joint(t, j);
             assert!((point.value[j] - q).abs() < 2e-8, "joint {j} at {t}: {}", point.value[j] - q);
@@ -50,7 +45,8 @@ fn value_and_rate_follow_the_motion_between_uneven_stamps_and_at_the_ends() {
 fn a_cubic_is_reproduced_exactly() {
     let t = [0.0, 0.1, 0.35, 0.4, 0.9, 1.0];
     let cubic = |t: f64| 1.0 - 2.0 * t + 3.0 * t * t - 4.0 * t * t * t;
-    let spline = CubicSpline::new(&t, &t.map(|t| [cubic(t)]), 1.0).unwrap();
+    let spline =
+        Stream::new(0, t.to_vec(), t.map(|t| [cubic(t)]).to_vec()).with_gap_limit(1.0).spline().unwrap();
     for k in 0..=100 {
         let t = f64::from(k) / 100.0;
         let point = spline.at(t).unwrap();
@@ -63,7 +59,7 @@ fn a_cubic_is_reproduced_exactly() {
 fn value_rate_and_acceleration_are_continuous_at_the_knots() {
     let t: Vec<f64> = (0..9).map(f64::from).collect();
     let values = [0.0, 1.0, -1.0, 3.0, 0.5, 0.2, 4.0, 4.0, 0.0].map(|v| [v]);
-    let spline = CubicSpline::new(&t, &values, 2.0).unwrap();
+    let spline = Stream::new(0, t, values.to_vec()).with_gap_limit(2.0).spline().unwrap();
     for knot in 1..8 {
         let (h, knot) = (1e-5, f64::from(knot));
         let [before, at, after] = [knot - h, knot, knot + h].map(|t| spline.at(t).unwrap());
@@ -77,19 +73,20 @@ fn value_rate_and_acceleration_are_continuous_at_the_knots() {
 fn nothing_is_said_outside_the_log_or_inside_a_hole() {
     let t_s: Vec<f64> = uneven_stamps(2.0).into_iter().filter(|t| !(0.9..1.1).contains(t)).collect();
     let log = log(t_s);
-    let interpolated = InterpolatedLog::new(&log, default_gap_limit_s(&log)).unwrap();
-    let end = log.duration_s();
-    assert!(interpolated.joints(-1e-9).is_none() && interpolated.joints(end + 1e-9).is_none());
-    assert!(interpolated.joints(0.0).is_some() && interpolated.joints(end).is_some());
-    assert!(interpolated.joints(f64::NAN).is_none());
-    assert!(interpolated.joints(1.0).is_none());
+    let interpolated = log.spline().unwrap();
+    let end = log.q_rad.duration_s();
+    assert!(interpolated.at(-1e-9).is_none() && interpolated.at(end + 1e-9).is_none());
+    assert!(interpolated.at(0.0).is_some() && interpolated.at(end).is_some());
+    assert!(interpolated.at(f64::NAN).is_none());
+    assert!(interpolated.at(1.0).is_none());
     for t in [0.5, 1.5] {
-        assert!((interpolated.joints(t).unwrap().value[2] - joint(t, 2).0).abs() < 1e-8);
+        assert!((interpolated.at(t).unwrap().value[2] - joint(t, 2).0).abs() < 1e-8);
     }
 }
 
 #[test]
 fn a_log_of_single_samples_far_apart_is_refused() {
-    let log = log((0..100).map(f64::from).collect());
-    assert!(matches!(InterpolatedLog::new(&log, 0.05), Err(LogError::NoContinuousPart { .. })));
+    let mut log = log((0..100).map(f64::from).collect());
+    log.q_rad.gap_limit_s = 0.05;
+    assert!(matches!(log.spline(), Err(LogError::NoContinuousPart { .. })));
 }

@@ -60,6 +60,7 @@ mod split_at_changes;
 mod spoiled_rows;
 mod stamps;
 mod stations_and_targets;
+mod streams;
 mod studies;
 mod tracker_clock;
 mod unknown_tables;

@@ -52,7 +52,7 @@ impl Cell {
         // What is mounted on the flange is the instrument's.
         *truth.links.last_mut().unwrap() = *flange_chain(&robot).links.last().unwrap();
         let gears = Gears::new(DriveTrain::of(&robot, &truth), &mut random);
-        for q in &mut run.robot_log.q_rad {
+        for q in run.robot_log.q_rad.iter_mut() {
             let error_rad = gears.error_rad(q);
             q.iter_mut().zip(error_rad).for_each(|(q, error)| *q += error);
         }

@@ -9,7 +9,7 @@ use identify::calibrate::IdentifyConfig;
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
 use identify::calibrate::terms::TermGroup;
 use identify::kinematics::{Chain, Joints, ball_bar_chain, robot_chain, robot_inverse};
-use identify::logs::RobotLog;
+use identify::logs::{RobotLog, Stream};
 use identify::model::ParameterId;
 use identify::plan::{
     Bodies, Checked, Constraints, Criterion, Design, Found, Information, Language, Obstacle, PlaceRequest,
@@ -114,10 +114,10 @@ impl Cell {
 fn a_planned_path_keeps_the_sphere_limits_speeds_and_margins_at_every_millisecond() {
     for cell in [Cell::new(irb2400(), 40.0), Cell::new(nj220(), 40.0)] {
         let path = cell.robot_path(&cell.search(1, 60));
-        assert!((path.duration_s() - 40.0).abs() < 0.01);
+        assert!((path.q_rad.duration_s() - 40.0).abs() < 0.01);
         // By the rows alone, which are 4 ms apart.
         let base_m = Vector3::from(cell.design.base_m);
-        for q in &path.q_rad {
+        for q in path.q_rad.iter() {
             let radius_m = (cell.arm.forward(q).translation.vector - base_m).norm();
             assert!((radius_m - 0.6).abs() < 1e-9, "{radius_m}");
             for (q, [low, high]) in q.iter().zip(cell.robot.joint_limits()) {
@@ -165,7 +165,7 @@ fn an_arm_of_seven_axes_has_a_path_whose_postures_depend_on_the_pose_alone() {
     let checked = cell.check(&path);
     assert_eq!(checked.violations, []);
     let base_m = Vector3::from(cell.design.base_m);
-    for q in &path.q_rad {
+    for q in path.q_rad.iter() {
         assert!(((cell.arm.forward(q).translation.vector - base_m).norm() - 0.4).abs() < 1e-9);
         assert!(q.len() == 7 && q.iter().zip(&limits).all(|(q, [low, high])| (low..=high).contains(&q)));
     }
@@ -198,7 +198,7 @@ fn spiral(cell: &Cell, middle_rad: &[f64; 5], [size_rad, turn_rad, turns]: [f64;
     let constraints = cell.constraints();
     let duration_s = cell.design.duration_s;
     let mut near = cell.design.posture_deg.map(f64::to_radians);
-    let mut log = RobotLog { clock: "drawn".into(), ..RobotLog::default() };
+    let (mut stamps_s, mut q_rad) = (Vec::new(), Vec::new());
     for row in 0..=(duration_s / PERIOD_S).round() as usize {
         let t_s = row as f64 * PERIOD_S;
         // Begins and ends at rest.
@@ -209,10 +209,10 @@ fn spiral(cell: &Cell, middle_rad: &[f64; 5], [size_rad, turn_rad, turns]: [f64;
         let by = [radius * angle.cos(), radius * angle.sin(), turned(3.0), turned(2.0), turned(5.0)];
         let bar_rad: [f64; 5] = std::array::from_fn(|joint| middle_rad[joint] + by[joint]);
         near = constraints.robot_at(&bar_rad, &near).ok()?;
-        log.t_s.push(t_s);
-        log.q_rad.push(near);
+        stamps_s.push(t_s);
+        q_rad.push(near);
     }
-    Some(log)
+    Some(RobotLog { clock: "drawn".into(), q_rad: Stream::new(0, stamps_s, q_rad), ..RobotLog::default() })
 }
 
 #[test]
@@ -278,17 +278,13 @@ fn what_a_path_must_not_do_is_named_with_the_first_time() {
     };
     // The robot's base is turned by a degree from 20 s on.
     let mut turned = sound.clone();
-    turned
-        .t_s
-        .iter()
-        .zip(&mut turned.q_rad)
-        .filter(|(t_s, _)| **t_s >= 20.0)
-        .for_each(|(_, q)| q[0] += 0.017);
+    let from = turned.q_rad.t_s.partition_point(|t_s| *t_s < 20.0);
+    turned.q_rad[from..].iter_mut().for_each(|q| q[0] += 0.017);
     let at_s = first(&turned, &cell.constraints(), Obstacle::OffSphere);
     assert!((at_s - 20.0).abs() < 0.02, "{at_s}");
     // Four times as fast.
     let mut fast = sound.clone();
-    fast.t_s.iter_mut().for_each(|t_s| *t_s *= 0.25);
+    fast.q_rad.t_s.iter_mut().for_each(|t_s| *t_s *= 0.25);
     first(&fast, &cell.constraints(), Obstacle::Speed);
     first(&fast, &cell.constraints(), Obstacle::Acceleration);
     // Stricter in one respect each.
@@ -313,7 +309,7 @@ fn what_a_path_must_not_do_is_named_with_the_first_time() {
     first(&sound, &strict, Obstacle::JointLimit);
     // A pause that nobody describes.
     let mut torn = sound;
-    torn.t_s.iter_mut().skip(3000).for_each(|t_s| *t_s += 2.0);
+    torn.q_rad.t_s.iter_mut().skip(3000).for_each(|t_s| *t_s += 2.0);
     let error = check(&torn, &cell.constraints(), &cell.information()).unwrap_err().to_string();
     assert!(error.contains("11.996 s"), "{error}");
 }

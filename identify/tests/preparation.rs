@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 
 use crate::support::{bar, irb2400, nj220};
 use identify::kinematics::{Configuration, Joints, Side};
-use identify::logs::{LogQuality, RobotLog};
+use identify::logs::{RobotLog, Stream};
 use identify::model::RobotMotion;
 use identify::prepare::{PrepareError, PrepareOptions, Prepared, prepare};
 use identify::simulate::{self, Clocks, Design, Effects, Experiment, Simulated};
@@ -226,9 +226,10 @@ fn two_logs_of_the_same_motion_done_twice_are_matched_over_their_whole_length() 
         .collect();
     run.cycles.extend(again);
     let log = &mut run.robot_log;
-    let late: Vec<f64> = log.t_s.iter().map(|t| t + pause_ns as f64 * 1e-9 * (1.0 + 25e-6)).collect();
-    log.t_s.extend(late);
-    log.q_rad.extend(log.q_rad.clone());
+    let again = log.q_rad.clone();
+    let late = again.t_s.iter().map(|t| t + pause_ns as f64 * 1e-9 * (1.0 + 25e-6));
+    log.q_rad.t_s.extend(late);
+    log.q_rad.rows.extend(again.rows);
     let found = prepared(&run, &robot, &bar).unwrap();
     check(&found, &run, "twice");
     assert!(found.alignment.ambiguous && found.alignment.runner_up > 0.97);
@@ -240,9 +241,8 @@ fn logs_that_do_not_overlap_or_are_of_other_runs_are_refused() {
     let whole = run(&robot, &bar, |e| e.design.duration_s = 120.0);
     let mut apart = whole.clone();
     apart.cycles.truncate(5500);
-    let keep = apart.robot_log.t_s.iter().position(|&t| t > 62.0).unwrap();
-    apart.robot_log.t_s.drain(..keep);
-    apart.robot_log.q_rad.drain(..keep);
+    let q_rad = &apart.robot_log.q_rad;
+    apart.robot_log.q_rad = q_rad.slice(q_rad.t_s.partition_point(|&t| t <= 62.0)..q_rad.len());
     let told = refusal(&apart, &robot, &bar);
     println!("no overlap: {told}");
     assert!(told.contains("do not match at any clock difference"), "{told}");
@@ -323,10 +323,11 @@ fn a_log_that_also_holds_the_way_to_the_bar_is_used() {
         })
         .collect();
     let log = RobotLog {
-        first_stamp_ns: run.robot_log.first_stamp_ns - 20_000_000_000,
-        t_s: (0..5000 + run.robot_log.t_s.len()).map(|k| k as f64 * 0.004).collect(),
-        q_rad: way.into_iter().chain(run.robot_log.q_rad.iter().copied()).collect(),
-        quality: LogQuality { period_s: 0.004, ..LogQuality::default() },
+        q_rad: Stream::new(
+            run.robot_log.q_rad.first_stamp_ns - 20_000_000_000,
+            (0..5000 + run.robot_log.q_rad.len()).map(|k| k as f64 * 0.004).collect(),
+            way.into_iter().chain(run.robot_log.q_rad.iter().copied()).collect(),
+        ),
         ..RobotLog::default()
     };
     run.robot_log = log;

@@ -80,7 +80,7 @@ fn a_mirrored_robot_fits_reversed_encoders_and_which_of_both_it_is_gets_asked() 
             ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config)
         };
         let mut mirrored = run(&robot, &bar);
-        for joints in &mut mirrored.robot_log.q_rad {
+        for joints in mirrored.robot_log.q_rad.iter_mut() {
             for joint in [0, 3, 5] {
                 joints[joint] = -joints[joint];
             }

@@ -75,17 +75,17 @@ fn a_log_without_jumps_is_taken_as_it_is_and_one_with_them_moves_by_whole_turns(
     assert!(*same == log && none.is_empty());
     // Ten seconds are missing, in which joint 6 turned by more than half a turn.
     let mut holed = log.clone();
-    let at = holed.t_s.len() / 2;
-    holed.t_s[at..].iter_mut().for_each(|t_s| *t_s += 10.0);
+    let at = holed.q_rad.t_s.len() / 2;
+    holed.q_rad.t_s[at..].iter_mut().for_each(|t_s| *t_s += 10.0);
     holed.q_rad[at..].iter_mut().for_each(|q| q[5] += 4.0);
     let (same, none) = unwrapped_log(&holed);
     assert!(*same == holed && none.is_empty());
     let mut wrapped = log.clone();
-    for q in &mut wrapped.q_rad {
+    for q in wrapped.q_rad.iter_mut() {
         q[3] = (3.0 * q[3]).sin().atan2((3.0 * q[3]).cos());
     }
     let (continuous, _) = unwrapped_log(&wrapped);
-    for (row, (q, truth)) in continuous.q_rad.iter().zip(&log.q_rad).enumerate() {
+    for (row, (q, truth)) in continuous.q_rad.iter().zip(log.q_rad.iter()).enumerate() {
         let turns = (q[3] - 3.0 * truth[3] - continuous.q_rad[0][3] + 3.0 * log.q_rad[0][3]) / TAU;
         assert!(turns.abs() < 1e-9, "row {row}: {turns} turns");
     }

@@ -2,8 +2,9 @@
 #![allow(clippy::unwrap_used, reason = "tests")]
 
 use crate::support::minute::{prepared, run};
+use identify::logs::Stream;
 use identify::prepare::Prepared;
-use identify::prepare::{Channels, correlate, fit_sphere, moving_average, select, spread_over_sphere};
+use identify::prepare::{Channels, correlate, fit_sphere, select, spread_over_sphere};
 use identify::simulate::Effects;
 use nalgebra::Vector3;
 use proptest::prelude::*;
@@ -134,7 +135,7 @@ fn a_moving_average_leaves_parabolas_and_slow_swings_whatever_the_rate() {
         let t_s: Vec<f64> = (0..400).map(|k| f64::from(k) / rate_hz + 2e-4 * hash(i64::from(k))).collect();
         let values: Vec<[f64; 2]> =
             t_s.iter().map(|t| [700.0 + (omega * t).sin(), 3.0 - 5.0 * t + 7.0 * t * t]).collect();
-        let averages = moving_average(&t_s, &values, width_s, 0.05);
+        let averages = Stream::new(0, t_s.clone(), values).with_gap_limit(0.05).averages(width_s);
         assert_eq!(averages.len(), t_s.len());
         for (t, average) in t_s.iter().zip(averages) {
             let covered = t - width_s >= t_s[0] && t + width_s <= t_s[399];

@@ -79,13 +79,13 @@ fn a_clock_that_jumps_is_told_with_time_and_size() {
     let elsewhere = [0.38, 0.62, 0.75].into_iter().flat_map(|part| [(0.01, part), (-0.04, part)]);
     for (jump_s, part) in in_the_middle.into_iter().chain(elsewhere).chain([(0.01, 0.25)]) {
         let mut run = clean.clone();
-        let at = (run.robot_log.t_s.len() as f64 * part) as usize;
-        run.robot_log.t_s[at..].iter_mut().for_each(|t_s| *t_s += jump_s);
+        let at = (run.robot_log.q_rad.t_s.len() as f64 * part) as usize;
+        run.robot_log.q_rad.t_s[at..].iter_mut().for_each(|t_s| *t_s += jump_s);
         if jump_s < 0.0 {
-            let last = run.robot_log.t_s[at - 1];
-            let surplus = run.robot_log.t_s[at..].iter().position(|t_s| *t_s > last).unwrap();
-            run.robot_log.t_s.drain(at..at + surplus);
-            run.robot_log.q_rad.drain(at..at + surplus);
+            let last = run.robot_log.q_rad.t_s[at - 1];
+            let surplus = run.robot_log.q_rad.t_s[at..].iter().position(|t_s| *t_s > last).unwrap();
+            run.robot_log.q_rad.t_s.drain(at..at + surplus);
+            run.robot_log.q_rad.rows.drain(at..at + surplus);
         }
         let told = refused(&run);
         // Read from a file, stamps that step while the motion goes on are none the worse; rows that are missing without a

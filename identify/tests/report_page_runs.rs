@@ -10,7 +10,6 @@ use crate::support::{bar, browser, irb2400, repository};
 use identify::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
 use identify::calibrate::{IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{WorkspaceError, evidence};
-use identify::logs::ForceLog;
 use identify::prepare::PrepareOptions;
 use identify::simulate::{self, BarLoad, Design, Effects, Experiment, Simulated};
 use shared::recording::Recording;
@@ -95,9 +94,8 @@ fn each_run_with_a_force_shows_it_and_what_it_left_out() {
         (simulated(1, BarLoad::default()), simulated(2, load), simulated(3, load));
     let force = holed.robot_log.force.as_mut().unwrap();
     let keep = |t_s: &f64| !(15.0..20.0).contains(t_s);
-    let (t_s, values) =
-        force.t_s.iter().zip(&force.values).filter(|(t_s, _)| keep(t_s)).map(|(t, v)| (*t, *v)).unzip();
-    *force = ForceLog { t_s, values, ..force.clone() };
+    let values = &force.values;
+    force.values = values.filter_map(0..values.len(), |row, force| keep(&values.t_s[row]).then_some(*force));
     let found = calibrated(&[&rigid, &whole, &holed], PrepareOptions::default());
     let left_out: Vec<Option<usize>> =
         found.runs().map(|(prepared, _)| prepared.force.map(|_| prepared.counts.no_force)).collect();

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use crate::support::{irb2400 as irb, nj220 as nj};
 use identify::logs::{
-    JointConversion, LogError, LogOptions, Origin, RobotLog, RobotLogMapping, load_with, read, write,
+    JointConversion, LogError, LogOptions, Origin, RobotLog, RobotLogMapping, Stream, load_with, read, write,
 };
 use proptest::prelude::*;
 use shared::config::RobotConfig;
@@ -20,9 +20,7 @@ fn sample_log() -> RobotLog {
         robot: Some("left arm".into()),
         clock: "controller".into(),
         origin: Origin::Measured,
-        first_stamp_ns: 1_795_000_000_123_456_789,
-        t_s,
-        q_rad,
+        q_rad: Stream::new(1_795_000_000_123_456_789, t_s, q_rad),
         ..RobotLog::default()
     }
 }
@@ -63,16 +61,16 @@ fn a_written_log_reads_back_the_same_for_both_robots() {
     for robot in [irb(), nj()] {
         let log = sample_log();
         let back = parse(&text_of(&log, &robot), &robot).unwrap();
-        assert_eq!(back.first_stamp_ns, log.first_stamp_ns);
+        assert_eq!(back.q_rad.first_stamp_ns, log.q_rad.first_stamp_ns);
         assert_eq!((back.robot, back.clock, back.origin), (log.robot, log.clock, log.origin));
-        assert_eq!(back.t_s.len(), log.t_s.len());
-        for (a, b) in back.t_s.iter().zip(&log.t_s) {
+        assert_eq!(back.q_rad.t_s.len(), log.q_rad.t_s.len());
+        for (a, b) in back.q_rad.t_s.iter().zip(&log.q_rad.t_s) {
             assert!((a - b).abs() < 1e-9);
         }
         for (a, b) in back.q_rad.iter().flatten().zip(log.q_rad.iter().flatten()) {
             assert!((a - b).abs() < 1e-9, "{a} {b}");
         }
-        assert!((back.quality.period_s - 0.004).abs() < 1e-9);
+        assert!((back.q_rad.period_s() - 0.004).abs() < 1e-9);
         assert!(back.quality.remarks.is_empty());
     }
 }
@@ -119,7 +117,7 @@ fn a_repeated_row_is_dropped_and_counted() {
     let row = text.lines().nth(20).unwrap();
     let log = parse(&text.replace(row, &format!("{row}\n{row}\n{row}")), &irb()).unwrap();
     assert_eq!(log.quality.duplicates_dropped, 2);
-    assert_eq!(log.t_s.len(), 60);
+    assert_eq!(log.q_rad.t_s.len(), 60);
 }
 
 #[test]
@@ -216,7 +214,7 @@ fn degrees_under_a_header_of_radians_are_recognised() {
 #[test]
 fn exchanged_columns_are_suspected_where_they_explain_the_limits() {
     let mut log = sample_log();
-    for q in &mut log.q_rad {
+    for q in log.q_rad.iter_mut() {
         *q = [2.5 + 0.1 * q[0], 0.5, 0.3, 0.2, 0.1, -3.0].into();
     }
     let text = text_of(&log, &nj());
@@ -239,7 +237,7 @@ fn a_log_reads_the_same_in_every_encoding() {
     let in_utf_8 = format!("\u{feff}{text}").into_bytes();
     for bytes in [latin_1, utf_16(u16::to_le_bytes), utf_16(u16::to_be_bytes), in_utf_8] {
         let read = read(&bytes, Path::new("log.csv"), &irb()).unwrap();
-        assert_eq!((read.t_s, read.q_rad), (expected.t_s.clone(), expected.q_rad.clone()));
+        assert_eq!(read.q_rad, expected.q_rad);
     }
 }
 
@@ -252,8 +250,8 @@ fn a_workbook_with_dates_and_units_is_a_log() {
     let options = LogOptions { mapping: Some(mapping), ..LogOptions::default() };
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/workbooks/robot_log.xlsx");
     let log = load_with(&path, &irb(), &options).unwrap();
-    assert_eq!(log.t_s.len(), 200);
-    assert!(log.t_s.windows(2).all(|pair| (pair[1] - pair[0] - 0.02).abs() < 1e-3));
+    assert_eq!(log.q_rad.t_s.len(), 200);
+    assert!(log.q_rad.t_s.windows(2).all(|pair| (pair[1] - pair[0] - 0.02).abs() < 1e-3));
     assert!((log.q_rad[100][2] - 7.0_f64.to_radians()).abs() < 1e-9, "{}", log.q_rad[100][2].to_degrees());
 }
 
@@ -297,14 +295,14 @@ proptest! {
             .chain(steps_ns.iter().map(|step| { at_ns += step; at_ns as f64 * 1e-9 }))
             .collect();
         let q_rad = t_s.iter().map(|t| Joints::from_fn(6, |j| seed[j] * (t + j as f64).cos())).collect();
-        let log = RobotLog { first_stamp_ns, t_s, q_rad, clock: "c".into(), ..RobotLog::default() };
+        let log = RobotLog { q_rad: Stream::new(first_stamp_ns, t_s, q_rad), clock: "c".into(), ..RobotLog::default() };
         for robot in [irb(), nj()] {
             let back = parse(&text_of(&log, &robot), &robot).unwrap();
-            prop_assert_eq!(back.first_stamp_ns, first_stamp_ns);
+            prop_assert_eq!(back.q_rad.first_stamp_ns, first_stamp_ns);
             for (a, b) in back.q_rad.iter().flatten().zip(log.q_rad.iter().flatten()) {
                 prop_assert!((a - b).abs() < 1e-9);
             }
-            for (a, b) in back.t_s.iter().zip(&log.t_s) {
+            for (a, b) in back.q_rad.t_s.iter().zip(&log.q_rad.t_s) {
                 prop_assert!((a - b).abs() < 1e-9);
             }
         }

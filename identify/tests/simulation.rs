@@ -15,7 +15,7 @@ fn robots() -> [RobotConfig; 2] {
 
 fn seconds_on_bar_clock(run: &Simulated, row: usize) -> f64 {
     let clock = &run.truth.clock;
-    let since_ns = run.robot_log.stamp_ns(row).unwrap() - clock.robot_at_bar_start_ns;
+    let since_ns = run.robot_log.q_rad.stamp_ns(row).unwrap() - clock.robot_at_bar_start_ns;
     since_ns as f64 * 1e-9 / (1.0 + clock.skew)
 }
 
@@ -220,8 +220,8 @@ fn the_files_read_back_as_what_was_simulated() {
         assert_eq!(recording.cycles, run.cycles);
         assert_eq!(recording.run.encoders, run.encoders);
         let log = logs::load(&files.robot_log, &robot).unwrap();
-        assert_eq!(log.first_stamp_ns, run.robot_log.first_stamp_ns);
-        assert_eq!((log.t_s.len(), &log.clock), (run.robot_log.t_s.len(), &run.robot_log.clock));
+        assert_eq!(log.q_rad.first_stamp_ns, run.robot_log.q_rad.first_stamp_ns);
+        assert_eq!((log.q_rad.t_s.len(), &log.clock), (run.robot_log.q_rad.t_s.len(), &run.robot_log.clock));
         for (a, b) in log.q_rad.iter().flatten().zip(run.robot_log.q_rad.iter().flatten()) {
             assert!((a - b).abs() < 1e-9);
         }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use identify::inspect;
 use identify::kinematics::Joints;
-use identify::logs::{RobotLog, Stamps, read, write};
+use identify::logs::{RobotLog, Stamps, Stream, read, write};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use rand_distr::{Distribution, Normal};
@@ -20,7 +20,8 @@ fn log(rate_hz: f64) -> RobotLog {
         let along = t_s - (std::f64::consts::TAU * t_s / 20.0).sin() * 20.0 / std::f64::consts::TAU;
         Joints::from_fn(6, |joint| 0.4 * (along * (0.5 + 0.13 * joint as f64) + joint as f64).sin())
     };
-    RobotLog { q_rad: t_s.iter().map(|t_s| at(*t_s)).collect(), t_s, ..RobotLog::default() }
+    let q_rad = t_s.iter().map(|t_s| at(*t_s)).collect();
+    RobotLog { q_rad: Stream::new(0, t_s, q_rad), ..RobotLog::default() }
 }
 
 /// The log as it comes back from a file with these stamps \[s\].
@@ -76,7 +77,7 @@ fn stamps_of_every_kind_lead_back_to_the_clock_behind_them() {
         let log = log(rate_hz);
         let mut random = ChaCha8Rng::seed_from_u64(7);
         // The controller's clock is 37 ppm fast.
-        let times_s: Vec<f64> = log.t_s.iter().map(|t_s| t_s * (1.0 + 37e-6)).collect();
+        let times_s: Vec<f64> = log.q_rad.t_s.iter().map(|t_s| t_s * (1.0 + 37e-6)).collect();
         let rounded = |step_ms: f64| {
             let step_s = step_ms * 1e-3;
             times_s.iter().map(|t_s| (t_s / step_s).round() * step_s).collect::<Vec<f64>>()
@@ -102,7 +103,7 @@ fn stamps_of_every_kind_lead_back_to_the_clock_behind_them() {
         ];
         for (what, stamps_s, limit_s) in kinds {
             let back = read_back(&log, stamps_s);
-            let error_s = apart_s(&back.t_s, &times_s);
+            let error_s = apart_s(&back.q_rad.t_s, &times_s);
             assert!(error_s < limit_s, "{what}, {rate_hz} Hz: {:.4} ms", error_s * 1e3);
         }
     }
@@ -112,21 +113,21 @@ fn stamps_of_every_kind_lead_back_to_the_clock_behind_them() {
 fn what_stamps_scatter_by_is_measured_and_said() {
     let log = log(250.0);
     let mut random = ChaCha8Rng::seed_from_u64(3);
-    let back = read_back(&log, jittered(&log.t_s, 1e-3, &mut random));
+    let back = read_back(&log, jittered(&log.q_rad.t_s, 1e-3, &mut random));
     assert!((stamps(&back).jitter_s - 1e-3).abs() < 5e-5, "{:?}", stamps(&back));
     let told = inspect::robot_log(&back).suspicious.join("\n");
     assert!(
         told.contains("the stamps scatter by 1.0") || told.contains("the stamps scatter by 0.9"),
         "{told}"
     );
-    let rounded: Vec<f64> = log.t_s.iter().map(|t_s| (t_s * 1.00003 / 0.01).round() * 0.01).collect();
+    let rounded: Vec<f64> = log.q_rad.t_s.iter().map(|t_s| (t_s * 1.00003 / 0.01).round() * 0.01).collect();
     let told = inspect::robot_log(&read_back(&log, rounded)).suspicious.join("\n");
     assert!(
         told.contains("rounded to 10.0 ms") && told.contains("rows have the stamp of the one before"),
         "{told}"
     );
     // A sound one is not slandered.
-    let perfect = read_back(&log, log.t_s.clone());
+    let perfect = read_back(&log, log.q_rad.t_s.clone());
     assert!(!stamps(&perfect).evened);
     assert_eq!(inspect::robot_log(&perfect).suspicious, Vec::<String>::new());
 }
@@ -135,18 +136,15 @@ fn what_stamps_scatter_by_is_measured_and_said() {
 fn rows_that_are_missing_leave_the_others_where_they_were() {
     let whole = log(250.0);
     let mut random = ChaCha8Rng::seed_from_u64(5);
-    let kept: Vec<usize> = (0..whole.t_s.len()).filter(|_| random.random_bool(0.85)).collect();
-    let log = RobotLog {
-        t_s: kept.iter().map(|&row| whole.t_s[row]).collect(),
-        q_rad: kept.iter().map(|&row| whole.q_rad[row]).collect(),
-        ..RobotLog::default()
-    };
-    let exact = read_back(&log, log.t_s.clone());
-    assert!(apart_s(&exact.t_s, &log.t_s) < 2e-6);
-    let jittered = read_back(&log, jittered(&log.t_s, 1e-3, &mut random));
+    let some = |_, q: &Joints| random.random_bool(0.85).then_some(*q);
+    let log = RobotLog { q_rad: whole.q_rad.filter_map(0..whole.q_rad.len(), some), ..RobotLog::default() };
+    let exact = read_back(&log, log.q_rad.t_s.clone());
+    assert!(apart_s(&exact.q_rad.t_s, &log.q_rad.t_s) < 2e-6);
+    let jittered = read_back(&log, jittered(&log.q_rad.t_s, 1e-3, &mut random));
     // Where the robot rests nobody can tell which rows are missing, and it does not matter.
     let moves = |t_s: f64| (std::f64::consts::TAU * t_s / 20.0).cos() < 0.7;
-    let off = jittered.t_s.iter().zip(&log.t_s).filter(|(_, t_s)| moves(**t_s)).map(|(a, b)| a - b);
+    let off =
+        jittered.q_rad.t_s.iter().zip(&log.q_rad.t_s).filter(|(_, t_s)| moves(**t_s)).map(|(a, b)| a - b);
     let off: Vec<f64> = off.collect();
     let mean = off.iter().sum::<f64>() / off.len() as f64;
     let rms_s = (off.iter().map(|off| (off - mean).powi(2)).sum::<f64>() / off.len() as f64).sqrt();
@@ -158,9 +156,9 @@ fn a_step_of_the_stamps_that_the_motion_does_not_share_is_taken_out_and_said() {
     let log = log(250.0);
     for by_s in [0.0005, 0.002, 0.004, 0.05] {
         let stamp = |t_s: f64| t_s * (1.0 + 37e-6) + if t_s > 33.0 { by_s } else { 0.0 };
-        let stepped = log.t_s.iter().map(|t_s| stamp(*t_s));
+        let stepped = log.q_rad.t_s.iter().map(|t_s| stamp(*t_s));
         let back = read_back(&log, stepped.collect());
-        assert!(apart_s(&back.t_s, &log.t_s) < 2e-5, "{by_s}: {:?}", stamps(&back));
+        assert!(apart_s(&back.q_rad.t_s, &log.q_rad.t_s) < 2e-5, "{by_s}: {:?}", stamps(&back));
         let step = stamps(&back).steps[0];
         assert!((step.by_s - by_s).abs() < 2e-5 && (step.at_s - 33.0).abs() < 0.1, "{step:?}");
         assert!(inspect::robot_log(&back).suspicious.join("\n").contains("the stamps step by +"));
@@ -173,7 +171,7 @@ fn no_step_is_said_of_stamps_that_only_scatter() {
     for seed in 0..60 {
         let mut random = ChaCha8Rng::seed_from_u64(1000 + seed);
         let sigma_s = [1e-4, 5e-4, 2e-3][seed as usize % 3];
-        let back = read_back(&log, jittered(&log.t_s, sigma_s, &mut random));
+        let back = read_back(&log, jittered(&log.q_rad.t_s, sigma_s, &mut random));
         assert_eq!(stamps(&back).steps, Vec::new(), "{seed}, {sigma_s} s");
         assert!(stamps(&back).evened);
     }
@@ -187,12 +185,12 @@ fn stamps_that_are_right_stay_as_they_are_even_if_rows_come_as_they_like() {
     let mut t_s = 0.0;
     let mut uneven = RobotLog::default();
     let dense = log(10_000.0);
-    while t_s < even.duration_s() {
-        uneven.t_s.push(t_s);
-        uneven.q_rad.push(dense.q_rad[(t_s * 10_000.0).round() as usize]);
+    while t_s < even.q_rad.duration_s() {
+        uneven.q_rad.t_s.push(t_s);
+        uneven.q_rad.rows.push(dense.q_rad[(t_s * 10_000.0).round() as usize]);
         t_s += (random.random_range(0.004..0.016_f64) * 10_000.0).round() / 10_000.0;
     }
-    let back = read_back(&uneven, uneven.t_s.clone());
-    assert!(apart_s(&back.t_s, &uneven.t_s) < 2e-6, "{:?}", back.quality.stamps);
+    let back = read_back(&uneven, uneven.q_rad.t_s.clone());
+    assert!(apart_s(&back.q_rad.t_s, &uneven.q_rad.t_s) < 2e-6, "{:?}", back.quality.stamps);
     assert!(!inspect::robot_log(&back).suspicious.join("\n").contains("clock"));
 }

@@ -246,11 +246,11 @@ fn ten_logs_of_other_programs_are_read_through_the_mapping_proposed_for_them() {
         let mapping: RobotLogMapping = from_file(&proposed(&bytes));
         let options = LogOptions { mapping: Some(mapping), ..LogOptions::default() };
         let log = read_with(&bytes, Path::new("table.txt"), &irb2400(), &options).unwrap();
-        assert_eq!(log.t_s.len(), ROWS);
+        assert_eq!(log.q_rad.t_s.len(), ROWS);
         for row in 0..ROWS {
             same(&log.q_rad[row], &joints_rad(row), number);
         }
-        assert!((log.t_s[10] - 0.12).abs() < 1e-6, "style {number}: {}", log.t_s[10]);
+        assert!((log.q_rad.t_s[10] - 0.12).abs() < 1e-6, "style {number}: {}", log.q_rad.t_s[10]);
     }
 }
 

@@ -169,11 +169,11 @@ fn spoils() -> Vec<(&'static str, Spoil)> {
         }),
         ("the robot's log smoothed over 50 ms", |run, _, _| smoothed(run, 6)),
         ("the robot's clock steps by 50 ms", |run, _, _| {
-            let half = run.robot_log.t_s.len() / 2;
-            run.robot_log.t_s[half..].iter_mut().for_each(|t_s| *t_s += 0.05);
+            let half = run.robot_log.q_rad.t_s.len() / 2;
+            run.robot_log.q_rad.t_s[half..].iter_mut().for_each(|t_s| *t_s += 0.05);
         }),
         ("the robot's clock is 0.1 % fast", |run, _, _| {
-            run.robot_log.t_s.iter_mut().for_each(|t_s| *t_s *= 1.001);
+            run.robot_log.q_rad.t_s.iter_mut().for_each(|t_s| *t_s *= 1.001);
         }),
     ]
 }
@@ -215,7 +215,7 @@ fn slip(run: &mut Simulated, place: usize, by_rad: f64) {
 
 fn rows_of(run: &mut Simulated, other: &Simulated, taken: impl Fn(f64) -> bool) {
     let count = run.robot_log.q_rad.len();
-    for (row, (q, from)) in run.robot_log.q_rad.iter_mut().zip(&other.robot_log.q_rad).enumerate() {
+    for (row, (q, from)) in run.robot_log.q_rad.iter_mut().zip(other.robot_log.q_rad.iter()).enumerate() {
         if taken(row as f64 / count as f64) {
             *q = *from;
         }

@@ -148,7 +148,7 @@ fn a_wrong_ratio_contradicts_what_is_expected_and_is_reported_and_expectations_t
         all.into_iter().find(|limit| limit.sentence.starts_with("The run contradicts"))
     };
     assert_eq!(told(&run), None);
-    for joints in &mut run.robot_log.q_rad {
+    for joints in run.robot_log.q_rad.iter_mut() {
         joints[2] *= 1.001;
     }
     let strained = told(&run).unwrap();

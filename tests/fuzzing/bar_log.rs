@@ -38,7 +38,7 @@ pub fn any_file(bytes: &[u8]) {
                 }
                 match bar_angles(&log.cycles, &log.encoders) {
                     Ok(angles) => {
-                        let mut all = angles.segments.iter().flat_map(|one| one.angles_rad.iter().flatten());
+                        let mut all = angles.readings.iter().flat_map(|one| one.recorded_rad);
                         assert!(all.all(|angle| angle.is_finite()));
                     }
                     Err(error) => explained(&error),

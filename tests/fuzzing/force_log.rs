@@ -43,16 +43,17 @@ pub fn any_table(bytes: &[u8]) {
 
 /// What every force promises, wherever it was read from.
 pub fn check(log: &ForceLog) {
-    assert!(log.t_s.len() == log.values.len() && log.t_s.first() == Some(&0.0));
+    let log = &log.values;
+    assert!(log.t_s.len() == log.rows.len() && log.t_s.first() == Some(&0.0));
     assert!(log.t_s.is_sorted_by(|a, b| a <= b), "time runs backwards");
-    assert!(log.values.iter().flatten().all(|value| value.is_finite()), "a force that is no number");
-    let (gap_limit_s, end_s) = (log.gap_limit_s(), log.t_s.last().copied().unwrap_or(0.0));
+    assert!(log.iter().flatten().all(|value| value.is_finite()), "a force that is no number");
+    let end_s = log.duration_s();
     for part in [0.0, 0.01, 0.5, 0.99, 1.0] {
-        let between = log.at(part * end_s, gap_limit_s);
+        let between = log.at(part * end_s);
         assert!(between.iter().flatten().all(|value| value.is_finite()), "no number between two rows");
     }
-    assert_eq!(log.at(-1.0, gap_limit_s), None);
-    assert_eq!(log.at(2.0 * end_s + 1.0, gap_limit_s), None);
+    assert_eq!(log.at(-1.0), None);
+    assert_eq!(log.at(2.0 * end_s + 1.0), None);
 }
 
 /// Tables that say themselves what they hold, and one for each mapping.

@@ -33,8 +33,8 @@ fn any_log(format: LogFormat, bytes: &[u8]) {
         let options = LogOptions { format: Some(format), mapping };
         match read_with(bytes, Path::new("log"), robot, &options) {
             Ok(log) => {
-                assert!(log.q_rad.len() == log.t_s.len() && log.t_s.first() == Some(&0.0));
-                assert!(log.t_s.is_sorted_by(|a, b| a <= b), "time runs backwards");
+                assert!(log.q_rad.len() == log.q_rad.t_s.len() && log.q_rad.t_s.first() == Some(&0.0));
+                assert!(log.q_rad.t_s.is_sorted_by(|a, b| a <= b), "time runs backwards");
                 assert!(log.q_rad.iter().flatten().all(|q| q.is_finite()));
                 let rows = log.q_rad.len();
                 assert!(log.speed_rad_s.is_none_or(|speeds| speeds.len() == rows));

@@ -18,6 +18,7 @@ use crate::instrument::Run;
 use crate::kinematics::{Joints, LinkParameter};
 use crate::model::{DriveTrain, JointState, JointTerm, JointWaves, Model, ParameterId, Period, Phase, Role};
 use crate::solver::{Problem, Subset, stacked};
+use crate::statistics::extremes;
 
 /// Samples of a run that are looked at, at most: what only more would show is too small to matter.
 const SAMPLES_MAX: usize = 3000;
@@ -133,9 +134,7 @@ impl LineSpectrum {
 
     /// Orders that are distinguished over the travel of a drive.
     fn resolved(&self, axis: usize) -> f64 {
-        let angles = self.angles_rad.iter().map(|angles| angles[axis]);
-        let (low, high) =
-            angles.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), at| (low.min(at), high.max(at)));
+        let [low, high] = extremes(self.angles_rad.iter().map(|angles| angles[axis]));
         (TAU / (high - low)).ceil()
     }
 

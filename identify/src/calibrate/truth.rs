@@ -1,13 +1,11 @@
 //! Identified against true parameters, for experiments that were simulated.
 
-use std::f64::consts::TAU;
-
 use nalgebra::{Point3, Vector3};
 use shared::config::RobotConfig;
 
 use super::ball_bar::BallBarCalibration;
 use crate::instrument::quantile;
-use crate::kinematics::LinkParameter;
+use crate::kinematics::{LinkParameter, nearest_turn};
 use crate::model::{Model, ParameterId, Unit};
 use crate::simulate::Truth;
 
@@ -134,5 +132,5 @@ fn true_value(truth: &Truth, id: ParameterId, identified: f64) -> f64 {
         _ => 0.0,
     };
     let value = named + offset;
-    if id.unit() == Unit::Radian { value + ((identified - value) / TAU).round() * TAU } else { value }
+    if id.unit() == Unit::Radian { nearest_turn(value, identified) } else { value }
 }

@@ -464,7 +464,7 @@ fn place(arguments: &PlaceArguments) -> anyhow::Result<()> {
 fn check(arguments: &CheckArguments) -> anyhow::Result<()> {
     let loaded = arguments.cell.load()?;
     let log = logs::load(&arguments.path, &loaded.robot)?;
-    let information = loaded.information(log.duration_s())?;
+    let information = loaded.information(log.q_rad.duration_s())?;
     let checked = plan::check(&log, &loaded.constraints(), &information)?;
     show(path::summary(&checked, &information, None))?;
     anyhow::ensure!(checked.violations.is_empty(), "the path does not keep to its constraints");

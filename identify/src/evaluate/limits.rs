@@ -12,6 +12,7 @@ use crate::kinematics::LinkParameter;
 use crate::model::{JointTerm, Model, ParameterId, Role};
 use crate::prepare::Prepared;
 use crate::solver::Solution;
+use crate::statistics::{extremes, median};
 
 /// A joint that turned less than this determines little of its link \[deg\].
 const TRAVEL_MIN_DEG: f64 = 20.0;
@@ -278,9 +279,8 @@ fn of_drives(model: &Model, solution: &Solution) -> Vec<Limit> {
     });
     // A delay of all is the clocks'.
     let delays = found(JointTerm::Delay);
-    let mut sorted: Vec<f64> = delays.iter().map(|(_, delay_s, _)| *delay_s).collect();
-    sorted.sort_by(f64::total_cmp);
-    let of_others_s = sorted.get(sorted.len() / 2).copied().unwrap_or_default();
+    let mut all_s: Vec<f64> = delays.iter().map(|(_, delay_s, _)| *delay_s).collect();
+    let of_others_s = median(&mut all_s).unwrap_or_default();
     let late = delays.into_iter().map(|(joint, delay_s, sigma)| (joint, delay_s - of_others_s, sigma));
     let late = late.filter(|(_, delay_s, sigma)| is_certain(*delay_s, DELAY_S, *sigma));
     let late: Vec<String> =
@@ -392,8 +392,7 @@ fn travel_deg(runs: &[RunEvidence]) -> Vec<f64> {
     let first = runs.iter().find_map(|run| run.after.first());
     let of_joint = |joint: usize| {
         let angles = runs.iter().flat_map(|run| &run.after).map(|closure| closure.joints.q[joint]);
-        let (low, high) =
-            angles.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| (low.min(q), high.max(q)));
+        let [low, high] = extremes(angles);
         (high - low).max(0.0).to_degrees()
     };
     (0..first.map_or(0, |closure| closure.joints.q.len())).map(of_joint).collect()

@@ -2,7 +2,7 @@
 
 use super::recording::{encoders, motion, quality};
 use super::{Inspection, UNSAID, stamps, unwrapped};
-use crate::logs::OtherBarLog;
+use crate::logs::{OtherBarLog, since_first_s};
 
 /// What a table or a bag holds of the bar.
 pub fn bar_log(log: &OtherBarLog) -> Inspection {
@@ -16,7 +16,8 @@ pub fn bar_log(log: &OtherBarLog) -> Inspection {
     }
     inspection.fact("clock", log.clock.clone());
     encoders(&mut inspection, &log.encoders);
-    stamps(&mut inspection, &log.quality);
+    let stamps_ns: Vec<i64> = log.cycles.iter().map(|cycle| cycle.sample_time.0).collect();
+    stamps(&mut inspection, &since_first_s(&stamps_ns), &log.quality);
     for (what, instead) in log.unsaid() {
         inspection.fact(UNSAID, format!("{what}; {instead}"));
     }

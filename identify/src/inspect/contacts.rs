@@ -10,6 +10,7 @@ use crate::instrument::{Contact, ContactRow, Measures, SocketTable, Standing};
 use crate::kinematics::{Chain, flange_chain};
 use crate::logs::SeatedRow;
 use crate::model::Model;
+use crate::statistics::extremes;
 
 /// What rows of a ball in sockets hold, and whether the nominal robot puts the ball into the sockets that they name.
 pub fn contacts(rows: &[SeatedRow], table: &SocketTable, robot: &RobotConfig) -> Inspection {
@@ -41,8 +42,7 @@ fn ranges(inspection: &mut Inspection, rows: &[SeatedRow], robot: &RobotConfig) 
         let (name, unit) =
             (format!("q{}", joint + 1), if kind == JointKind::Revolute { "deg" } else { "mm" });
         let number = |q: f64| if kind == JointKind::Revolute { q.to_degrees() } else { q * 1e3 };
-        let ends = rows.iter().map(|row| number(row.q_rad[joint]));
-        let (low, high) = ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), q| (l.min(q), h.max(q)));
+        let [low, high] = extremes(rows.iter().map(|row| number(row.q_rad[joint])));
         inspection.fact(&name, format!("{low:.1} to {high:.1} {unit}"));
         if kind == JointKind::Revolute && high - low < TRAVEL_MIN_DEG {
             inspection.suspect(format!(

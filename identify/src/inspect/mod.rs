@@ -13,7 +13,8 @@ pub use recording::recording;
 pub use robot_log::robot_log;
 pub use unknown_table::{Mapping, Proposal, ProposeError, propose};
 
-use crate::logs::{LogQuality, Unwrapped};
+use crate::logs::{LogQuality, Row, Stream, Unwrapped, usual_and_longest_step_s};
+use crate::statistics::extremes;
 
 /// What a fact is called that the file should say, and does not.
 pub const UNSAID: &str = "not in the file";
@@ -51,13 +52,12 @@ impl Inspection {
 }
 
 /// How far stamps of a log are apart, and what was done about those that repeat.
-fn stamps(inspection: &mut Inspection, quality: &LogQuality) {
+fn stamps(inspection: &mut Inspection, t_s: &[f64], quality: &LogQuality) {
     /// Stamps further apart than so many periods are a hole.
     const GAP_PERIODS: f64 = 5.0;
-    inspection.fact(
-        "stamps",
-        format!("every {:.2} ms, longest gap {:.1} ms", quality.period_s * 1e3, quality.longest_gap_s * 1e3),
-    );
+    let [period_s, longest_gap_s] = usual_and_longest_step_s(t_s);
+    inspection
+        .fact("stamps", format!("every {:.2} ms, longest gap {:.1} ms", period_s * 1e3, longest_gap_s * 1e3));
     if let Some(stamps) = quality.stamps.as_ref().filter(|stamps| stamps.evened) {
         let scatter =
             format!("{:.2} ms from it, {:.1} ms at most", stamps.jitter_s * 1e3, stamps.jitter_max_s * 1e3);
@@ -69,10 +69,10 @@ fn stamps(inspection: &mut Inspection, quality: &LogQuality) {
     if quality.duplicates_dropped > 0 {
         inspection.fact("repeated rows", format!("{} dropped", quality.duplicates_dropped));
     }
-    if quality.longest_gap_s > GAP_PERIODS * quality.period_s {
+    if longest_gap_s > GAP_PERIODS * period_s {
         inspection.suspect(format!(
             "stamps are up to {:.0} ms apart: samples in such holes are not used",
-            quality.longest_gap_s * 1e3
+            longest_gap_s * 1e3
         ));
     }
 }
@@ -89,15 +89,13 @@ fn unwrapped(inspection: &mut Inspection, all: &[Unwrapped]) {
     }
 }
 
-/// Range and speed of each joint; `t_s` and `angles_rad` belong together.
-fn joint_lines<R: AsRef<[f64]>>(prefix: char, t_s: &[f64], angles_rad: &[R]) -> Vec<JointLine> {
+/// Range and speed of each joint.
+fn joint_lines<R: Row>(prefix: char, angles_rad: &Stream<R>) -> Vec<JointLine> {
     let line = |joint: usize| {
-        let angles = angles_rad.iter().map(|row| row.as_ref()[joint]);
-        let (low, high) = angles
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), angle| (low.min(angle), high.max(angle)));
-        let speeds = t_s.windows(2).zip(angles_rad.windows(2)).map(|(t, a)| {
+        let [low, high] = extremes(angles_rad.iter().map(|row| row.numbers()[joint]));
+        let speeds = angles_rad.t_s.windows(2).zip(angles_rad.windows(2)).map(|(t, a)| {
             let step_s = t[1] - t[0];
-            if step_s > 0.0 { (a[1].as_ref()[joint] - a[0].as_ref()[joint]).abs() / step_s } else { 0.0 }
+            if step_s > 0.0 { (a[1].numbers()[joint] - a[0].numbers()[joint]).abs() / step_s } else { 0.0 }
         });
         JointLine {
             name: format!("{prefix}{}", joint + 1),
@@ -105,7 +103,7 @@ fn joint_lines<R: AsRef<[f64]>>(prefix: char, t_s: &[f64], angles_rad: &[R]) -> 
             speed_max_deg_s: speeds.fold(0.0, f64::max).to_degrees(),
         }
     };
-    (0..angles_rad.first().map_or(0, |row| row.as_ref().len())).map(line).collect()
+    (0..angles_rad.first().map_or(0, |row| row.numbers().len())).map(line).collect()
 }
 
 /// Joints that hardly move say nothing of their link.

@@ -126,10 +126,9 @@ pub(super) fn motion(inspection: &mut Inspection, cycles: &[CycleRecord], encode
 }
 
 fn of_angles(inspection: &mut Inspection, angles: &BarAngles) {
-    let Some(longest) = angles.segments.iter().max_by_key(|segment| segment.times.len()) else { return };
-    let Some(&first) = longest.times.first() else { return };
-    let t_s: Vec<f64> = longest.times.iter().map(|time| time.seconds_since(first)).collect();
-    let lines = joint_lines('b', &t_s, &longest.angles_rad);
+    let of_origins = angles.readings.parts_within(f64::INFINITY);
+    let Some(longest) = of_origins.into_iter().max_by_key(std::ops::Range::len) else { return };
+    let lines = joint_lines('b', &angles.readings.slice(longest));
     inspection.joints = lines
         .into_iter()
         .zip(angles.measured)

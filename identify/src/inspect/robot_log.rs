@@ -4,6 +4,7 @@ use super::{Inspection, joint_lines, stamps, suspect_still, unwrapped};
 use crate::kinematics::Joints;
 use crate::logs::{Origin, RobotLog};
 use crate::prepare::unwrapped_log;
+use crate::statistics::extremes;
 
 /// Rows that repeat all joints while the log moves on either side are frozen, not still.
 const FROZEN_ROWS_MIN: usize = 3;
@@ -16,8 +17,8 @@ pub fn robot_log(log: &RobotLog) -> Inspection {
     if let Some(robot) = &log.robot {
         inspection.fact("robot", robot.clone());
     }
-    inspection.fact("length", format!("{:.1} s, {} rows", log.duration_s(), log.t_s.len()));
-    inspection.fact("clock", format!("{}, first stamp {} ns", log.clock, log.first_stamp_ns));
+    inspection.fact("length", format!("{:.1} s, {} rows", log.q_rad.duration_s(), log.q_rad.len()));
+    inspection.fact("clock", format!("{}, first stamp {} ns", log.clock, log.q_rad.first_stamp_ns));
     inspection.fact("angles", log.origin.name());
     if let Some(force) = &log.force {
         let numbers = force.values.iter().flat_map(|row| row.iter());
@@ -25,7 +26,7 @@ pub fn robot_log(log: &RobotLog) -> Inspection {
         inspection.fact("force on the bar", format!("{}, up to {most:.1}", force.kind.describe()));
     }
     let quality = &log.quality;
-    stamps(&mut inspection, quality);
+    stamps(&mut inspection, &log.q_rad.t_s, quality);
     if log.origin == Origin::Commanded {
         inspection.suspect(
             "the angles are what the controller asked for: servo lag is not in them; log the measured ones if possible",
@@ -42,7 +43,7 @@ pub fn robot_log(log: &RobotLog) -> Inspection {
     }
     let (continuous, begun_anew) = unwrapped_log(log);
     unwrapped(&mut inspection, &begun_anew);
-    inspection.joints = joint_lines('q', &log.t_s, &continuous.q_rad);
+    inspection.joints = joint_lines('q', &continuous.q_rad);
     suspect_still(&mut inspection);
     suspect_frozen_columns(&mut inspection, log);
     suspect_fast(&mut inspection);
@@ -63,16 +64,14 @@ fn suspect_frozen_columns(inspection: &mut Inspection, log: &RobotLog) {
             let (from, to) = (first, first + part.len());
             first = to;
             let moves = |other: usize| {
-                let ends = part.iter().map(|q| q[other]);
-                let (low, high) =
-                    ends.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| (low.min(q), high.max(q)));
+                let [low, high] = extremes(part.iter().map(|q| q[other]));
                 high - low > OTHERS_RAD
             };
             let leaps = of_joint(to).is_none_or(|after| (after - part[0][joint]).abs() > LEAP_RAD);
             let is_frozen = part.len() >= FROZEN_ROWS_MIN
                 && leaps
                 && (0..log.axes()).any(|other| other != joint && moves(other));
-            is_frozen.then(|| (log.t_s[from], log.t_s[to - 1]))
+            is_frozen.then(|| (rows.t_s[from], rows.t_s[to - 1]))
         });
         if let Some((from_s, to_s)) = frozen {
             inspection.suspect(format!(

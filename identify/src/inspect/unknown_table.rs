@@ -15,6 +15,7 @@ use crate::logs::{
     LogError, MeasuredLengthMapping, MeasuredPoseMapping, MeasuredPoses, PositionColumns, RobotLogMapping,
     RotationColumns, RotationForm, RowsAsText, TimeColumn, TimeUnit,
 };
+use crate::statistics::median;
 
 /// What a table holds, with the mapping that reads it.
 #[derive(Debug, Clone, PartialEq)]
@@ -603,8 +604,7 @@ fn time(columns: &[&Column], reasons: &mut Vec<String>) -> Option<TimeColumn> {
     let column = said.or(named)?;
     let mut steps: Vec<f64> =
         column.numbers.windows(2).map(|pair| pair[1] - pair[0]).filter(|step| *step > 0.0).collect();
-    steps.sort_by(f64::total_cmp);
-    let step = steps.get(steps.len() / 2).copied()?;
+    let step = median(&mut steps)?;
     /// FILETIME of the years 1980 to 2100.
     const FILETIME: std::ops::Range<f64> = 1.19e17..1.58e17;
     let (unit, why) = match column.unit.as_deref() {

@@ -135,7 +135,7 @@ pub(super) fn wrist_angles(
 }
 
 /// The angle that differs from `angle_rad` by whole turns and is nearest to `near_rad`.
-pub(super) fn nearest_turn(angle_rad: f64, near_rad: f64) -> f64 {
+pub(crate) fn nearest_turn(angle_rad: f64, near_rad: f64) -> f64 {
     angle_rad + ((near_rad - angle_rad) / TAU).round() * TAU
 }
 

@@ -42,12 +42,14 @@ pub use rows::pose_rows::{
     JointColumn, JointTableMapping, JointUnit, LengthUnit, joint_columns, joints_of_robot,
 };
 pub use tables::text::{Cells, RowsAsText};
-pub use time_series::interpolation::{InterpolatedLog, default_gap_limit_s, gap_limit_s};
 pub use time_series::sampling::{StampStep, Stamps};
-pub use time_series::spline::{CubicSpline, Row, SplinePoint};
+pub use time_series::spline::{CubicSpline, SplinePoint};
+pub use time_series::stream::{Row, Stream};
+pub(crate) use time_series::stream::{since_first_s, travel, usual_and_longest_step_s};
 pub use time_series::unwrapped::{Unwrapped, UnwrappedPoint};
 
 use std::path::Path;
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
@@ -96,10 +98,6 @@ pub struct LogQuality {
     pub incomplete_dropped: usize,
     /// The regular clock behind the stamps, where there is one.
     pub stamps: Option<Stamps>,
-    /// Median distance of two rows \[s\].
-    pub period_s: f64,
-    /// Longest distance of two rows \[s\].
-    pub longest_gap_s: f64,
     /// What looks odd but is not wrong by itself, in sentences.
     pub remarks: Vec<String>,
 }
@@ -113,13 +111,8 @@ pub struct RobotLog {
     pub clock: String,
     /// Measured or commanded values.
     pub origin: Origin,
-    /// Time of the first row \[ns on the log's clock\], as the file gives it but for jitter of the stamps. Its zero may be 1970, the controller's start or
-    /// anything else.
-    pub first_stamp_ns: i64,
-    /// Stamps relative to the first \[s\], strictly increasing, the first is 0.
-    pub t_s: Vec<f64>,
-    /// Joint variables of the model, one row per stamp \[rad, m\].
-    pub q_rad: Vec<Joints>,
+    /// Joint variables of the model \[rad, m\], at the times that the file gives but for jitter of the stamps.
+    pub q_rad: Stream<Joints>,
     /// Rates of those joint variables where the log has them, one row per stamp \[rad/s, m/s\].
     pub speed_rad_s: Option<Vec<Joints>>,
     /// Torques or motor currents where the log has them, in the unit and on the axes of the file.
@@ -136,13 +129,15 @@ impl RobotLog {
         self.q_rad.first().map_or(0, |q| q.len())
     }
 
-    /// From first to last stamp \[s\].
-    pub fn duration_s(&self) -> f64 {
-        self.t_s.last().copied().unwrap_or(0.0)
-    }
-
-    /// Time of row `index` on the log's clock \[ns\], if there is such a row.
-    pub fn stamp_ns(&self, index: usize) -> Option<i64> {
-        self.t_s.get(index).map(|t_s| self.first_stamp_ns + (t_s * 1e9).round() as i64)
+    /// The joints and their rates at any time after the first row. Clones share their rows: a log of ten hours takes a gigabyte.
+    ///
+    /// # Errors
+    /// [`LogError::NoContinuousPart`] where nothing can be interpolated.
+    pub fn spline(&self) -> Result<Arc<CubicSpline<Joints>>, LogError> {
+        let gap_limit_s = self.q_rad.gap_limit_s;
+        self.q_rad
+            .spline()
+            .map(Arc::new)
+            .ok_or(LogError::NoContinuousPart { needed: time_series::spline::KNOTS_MIN, gap_limit_s })
     }
 }

@@ -83,12 +83,9 @@ pub struct Checked {
 /// # Errors
 /// [`CheckError::Gap`].
 pub(super) fn curve(path: &RobotLog) -> Result<CubicSpline<Joints>, CheckError> {
-    let gap = path.t_s.windows(2).find(|pair| pair[1] - pair[0] > GAP_S_MAX);
-    let curve = CubicSpline::new(&path.t_s, &path.q_rad, GAP_S_MAX);
-    match (gap, curve) {
-        (None, Some(curve)) => Ok(curve),
-        (gap, _) => Err(CheckError::Gap { t_s: gap.map_or(0.0, |pair| pair[0]) }),
-    }
+    let gap = path.q_rad.t_s.windows(2).find(|pair| pair[1] - pair[0] > GAP_S_MAX);
+    let curve = path.q_rad.clone().with_gap_limit(GAP_S_MAX).spline();
+    curve.filter(|_| gap.is_none()).ok_or(CheckError::Gap { t_s: gap.map_or(0.0, |pair| pair[0]) })
 }
 
 /// Checks a path of the nominal robot.
@@ -102,7 +99,7 @@ pub fn check(
 ) -> Result<Checked, CheckError> {
     let curve = curve(path)?;
     let (robot, bar, design) = (constraints.robot(), constraints.bar(), constraints.design);
-    let duration_s = path.duration_s();
+    let duration_s = path.q_rad.duration_s();
     let axes = path.axes();
     let mut checked = Checked {
         duration_s,

@@ -32,7 +32,7 @@ pub use search::{Found, Progress, search};
 use serde::{Deserialize, Serialize};
 
 use crate::kinematics::{InverseError, Joints};
-use crate::logs::{LogQuality, Origin, RobotLog};
+use crate::logs::{Origin, RobotLog, Stream};
 
 /// Time between two rows of a planned path \[s\].
 const ROW_S: f64 = 0.004;
@@ -80,19 +80,19 @@ pub fn robot_path(
 ) -> Result<RobotLog, (f64, InverseError)> {
     let rows = (route.path.duration_s / ROW_S).round() as usize;
     let mut near_rad = route.robot_rad.first().copied().unwrap_or_default();
-    let mut log = RobotLog {
+    let (mut t_s, mut q_rad) = (Vec::new(), Vec::new());
+    for row in 0..=rows {
+        let at_s = row as f64 * ROW_S;
+        let target = constraints.bar().forward(&route.path.at(at_s));
+        near_rad = constraints.inverse(&target, &near_rad).map_err(|error| (at_s, error))?;
+        t_s.push(at_s);
+        q_rad.push(near_rad);
+    }
+    Ok(RobotLog {
         robot: Some(robot.to_owned()),
         clock: "planned".into(),
         origin: Origin::Commanded,
-        quality: LogQuality { period_s: ROW_S, longest_gap_s: ROW_S, ..LogQuality::default() },
+        q_rad: Stream::new(0, t_s, q_rad),
         ..RobotLog::default()
-    };
-    for row in 0..=rows {
-        let t_s = row as f64 * ROW_S;
-        let target = constraints.bar().forward(&route.path.at(t_s));
-        near_rad = constraints.inverse(&target, &near_rad).map_err(|error| (t_s, error))?;
-        log.t_s.push(t_s);
-        log.q_rad.push(near_rad);
-    }
-    Ok(log)
+    })
 }

@@ -25,6 +25,7 @@ use crate::model::{
     SetUp,
 };
 use crate::solver::{ScaledCholesky, stacked};
+use crate::statistics::median;
 
 use super::information::States;
 
@@ -202,13 +203,12 @@ pub fn poses(
         let some = index::sample(&mut random, candidates.len(), count).into_vec();
         random_m.extend(of(&some)?.as_ref().map(position_m));
     }
-    random_m.sort_by(f64::total_cmp);
     let covariance = of(&order)?.ok_or(PosesError::NotFinite)?;
     Ok(PlannedPoses {
         joints: order.iter().map(|&pose| candidates[pose]).collect(),
         before_m: known.robot_only(&weight).max(0.0).sqrt(),
         position_m: position_m(&covariance),
-        random_m: random_m.get(random_m.len() / 2).copied().unwrap_or(f64::INFINITY),
+        random_m: median(&mut random_m).unwrap_or(f64::INFINITY),
         determined: known.determined(&covariance),
         chosen: order,
         blocked,

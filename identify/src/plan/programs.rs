@@ -162,7 +162,7 @@ pub fn program(
     let about = format!(
         "{}: path with the ball-bar, {:.1} s, points {} s apart, at most {:.3} mm off the sphere between them",
         robot.name,
-        path.duration_s(),
+        path.q_rad.duration_s(),
         points.period_s,
         off_sphere_m * 1e3
     );
@@ -239,9 +239,8 @@ fn points(
 }
 
 fn times(curve: &CubicSpline<Joints>, period_s: f64) -> impl Iterator<Item = f64> {
-    let (start_s, end_s) = curve.range_s();
-    let count = ((end_s - start_s) / period_s + 1e-9).floor() as usize;
-    (0..=count).map(move |point| start_s + point as f64 * period_s)
+    let count = (curve.duration_s() / period_s + 1e-9).floor() as usize;
+    (0..=count).map(move |point| point as f64 * period_s)
 }
 
 /// Largest distance from the sphere between points \[m\].

@@ -12,6 +12,7 @@ use super::torque::{TorqueSample, forces_from_torques};
 use crate::kinematics::{Chain, Joints};
 use crate::logs::{ForceClock, ForceKind, ForceLog, Row};
 use crate::model::{BarForce, JointState, Observation, ParameterId, RobotMotion};
+use crate::statistics::extremes;
 
 /// Force at which the bar has changed sides of its play by three quarters \[N\].
 const SIDE_N: f64 = 5.0;
@@ -139,8 +140,7 @@ pub(super) fn put_on<M: RobotMotion>(
     log: &ForceLog,
     around: &Surroundings<'_, M>,
 ) -> Result<(BarForces, Vec<bool>), ForceError> {
-    let gap_limit_s = log.gap_limit_s();
-    let value = |observation: &Observation| log.at(around.log_time_s(log, observation.t_s), gap_limit_s);
+    let value = |observation: &Observation| log.values.at(around.log_time_s(log, observation.t_s));
     let rows: Vec<Option<Joints>> = observations.iter().map(value).collect();
     let covered = rows.iter().flatten().count();
     let samples = observations.len();
@@ -166,8 +166,7 @@ pub(super) fn put_on<M: RobotMotion>(
 
 /// Smallest and largest, if they make sense.
 fn check(kind: ForceKind, along: &[f64]) -> Result<[f64; 2], ForceError> {
-    let (low, high) =
-        along.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), &f| (low.min(f), high.max(f)));
+    let [low, high] = extremes(along.iter().copied());
     let what = kind.describe();
     if kind == ForceKind::Sign {
         let least = EITHER_SIDE_MIN * along.len() as f64;
@@ -206,7 +205,7 @@ impl<'a, M: RobotMotion> Surroundings<'a, M> {
             ForceClock::Robot => (self.t_ref.0.saturating_add(self.clock_difference_ns), 1.0 + self.skew),
         };
         // Stamps have more digits than a float.
-        let since_first_s = (i128::from(reference_ns) - i128::from(log.first_stamp_ns)) as f64 * 1e-9;
+        let since_first_s = (i128::from(reference_ns) - i128::from(log.values.first_stamp_ns)) as f64 * 1e-9;
         since_first_s + rate * t_s
     }
 
@@ -228,7 +227,7 @@ impl<'a, M: RobotMotion> Surroundings<'a, M> {
             samples: observations.len(),
             clock: log.clock.name(),
             from_s: -middle_s,
-            to_s: log.t_s.last().copied().unwrap_or(0.0) - middle_s,
+            to_s: log.values.duration_s() - middle_s,
             first_s: observations.first().map_or(0.0, |one| one.t_s),
             last_s: observations.last().map_or(0.0, |one| one.t_s),
         }

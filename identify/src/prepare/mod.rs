@@ -4,8 +4,8 @@
 //! stands nor in which of its configurations. The steps, each a plain function on values:
 //!
 //! 1. [`bar_angles`]: counts to angles, bad cycles dropped, runs split where counters lost their origin;
-//!    [`unwrapped_log`]: joints that begin anew after a turn made continuous. A [`moving_average`] of both logs where it is
-//!    asked for.
+//!    [`unwrapped_log`]: joints that begin anew after a turn made continuous. A moving average
+//!    ([`Stream::averages`](crate::logs::Stream::averages)) of both logs where it is asked for.
 //! 2. [`fit_sphere`]: the robot's own positions give the bar's base and length.
 //! 3. [`Predictor`]: with these, nominal inverse kinematics of the bar predicts its joints from the robot's log.
 //! 4. [`correlate`]: predicted and measured joint *speeds* know no offsets, signs or configurations, and the root of the sum
@@ -55,8 +55,7 @@ pub use findings::{Deviations, Place, PoorFit};
 pub use forces::{BarForces, ForceError};
 pub use judge::LocalShift;
 pub use readings::averaged::{Averaged, AveragedJoints, AveragedPoint};
-pub use readings::bar_angles::{BarAngles, BarSegment, bar_angles};
-pub use readings::smooth::moving_average;
+pub use readings::bar_angles::{BarAngles, BarReading, bar_angles};
 pub use readings::standstill::{Jitter, MOVING_RAD_S, Standstill};
 pub use readings::unwrap::{unwrapped_counters, unwrapped_log};
 pub use select::{select, spread_over_sphere};
@@ -99,7 +98,7 @@ pub struct PrepareOptions {
     /// Which encoder sits on which joint and which way it counts: `find`, `recorded`, or stated one by one.
     pub encoders: EncoderMapChoice,
     /// Centred moving average over both logs \[ms\]; 0 is none. The thesis took 100 ms. Bends of the path stay
-    /// ([`moving_average`]) unless it is much longer.
+    /// ([`Stream::averages`](crate::logs::Stream::averages)) unless it is much longer.
     pub moving_average_ms: f64,
     /// Angles may stay this far from the refined fit (1.48 times the median deviation) \[mrad\].
     pub fit_max_mrad: f64,
@@ -221,7 +220,7 @@ impl Alignment {
         t_ref: UtcNs,
         overlap_s: [f64; 2],
     ) -> Self {
-        let robot_ref_ns = log.first_stamp_ns.saturating_add((clock.shift_s * 1e9).round() as i64);
+        let robot_ref_ns = log.q_rad.first_stamp_ns.saturating_add((clock.shift_s * 1e9).round() as i64);
         Self {
             correlation: matched.correlation,
             runner_up: matched.runner_up,

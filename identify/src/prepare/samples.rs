@@ -2,15 +2,17 @@
 
 use nalgebra::Vector3;
 
-use super::align::find::{Found, Raw};
+use super::align::find::Found;
 use super::align::refine::Judge;
 use super::judge::{Judged, LocalShift, local_shifts, outliers, spreads_rad};
-use super::readings::bar_angles::BarSegment;
+use super::readings::bar_angles::BarReading;
 use super::select::{apart, spread_over_sphere};
 use super::timeline::Sample;
 use super::{AlignedLog, Deviations, PoorFit, PrepareError, PrepareOptions, SampleCounts, SampleStatus};
 use crate::kinematics::BAR_JOINTS;
+use crate::logs::Stream;
 use crate::model::Observation;
+use crate::statistics::extremes;
 
 /// Samples so near to an end or a hole of the robot's log \[s\] might leave it when a solve moves the clocks.
 const EDGE_S: f64 = 0.03;
@@ -19,22 +21,6 @@ const KEPT_MIN: usize = 50;
 /// Samples of a long recording that are looked at, at most; the others are thinned unseen. Still four per second where a
 /// recording lasts for a day: fewer would not show a clock that jumps.
 const LOOKED_AT_MAX: usize = 400_000;
-
-/// All valid samples of a recording, with times since the first.
-pub(super) fn raw_samples(segments: &[BarSegment]) -> Vec<Raw> {
-    let Some(first) = segments.first().and_then(|segment| segment.times.first()) else { return Vec::new() };
-    let of_segment = |(origin, segment): (usize, &BarSegment)| {
-        let samples = segment.cycles.iter().zip(&segment.times).zip(&segment.angles_rad);
-        let raw = samples.map(move |((cycle, time), angles_rad)| Raw {
-            cycle: *cycle,
-            origin,
-            t_s: time.seconds_since(*first),
-            recorded_rad: *angles_rad,
-        });
-        raw.collect::<Vec<Raw>>()
-    };
-    segments.iter().enumerate().flat_map(of_segment).collect()
-}
 
 /// The samples after all decisions.
 pub(super) struct Sorted {
@@ -52,13 +38,13 @@ pub(super) struct Sorted {
     pub poor_fit: Option<PoorFit>,
 }
 
-/// Sorts the samples of `raw`; `t_ref_s` is the reference time after the first, `reference` the origin whose offsets the
+/// Sorts the samples; `t_ref_s` is the reference time after the first, `reference` the origin whose offsets the
 /// observations have, `numbers` what they call each origin.
 ///
 /// # Errors
 /// [`PrepareError::NothingLeft`], [`PrepareError::LittleTravel`].
 pub(super) fn sort(
-    raw: &[Raw],
+    readings: &Stream<BarReading>,
     found: &Found,
     motion: &AlignedLog,
     t_ref_s: f64,
@@ -69,16 +55,17 @@ pub(super) fn sort(
     let encoder_map = &found.encoder_map.used;
     let measured = encoder_map.measured();
     let offsets = |origin: usize| found.settled.offsets.get(origin).copied().flatten().map(|z| z.offsets_rad);
-    let joints: Vec<Sample> = raw
+    let joints: Vec<Sample> = readings
         .iter()
-        .map(|raw| {
-            let angles = encoder_map.applied(&raw.recorded_rad);
-            let offsets = offsets(raw.origin).unwrap_or_default();
+        .zip(&readings.t_s)
+        .map(|(reading, t_s)| {
+            let angles = encoder_map.applied(&reading.recorded_rad);
+            let offsets = offsets(reading.origin).unwrap_or_default();
             let bar_rad = std::array::from_fn(|joint| angles[joint] + offsets[joint]);
-            Sample { cycle: raw.cycle, t_s: raw.t_s - t_ref_s, bar_rad }
+            Sample { cycle: reading.cycle, t_s: t_s - t_ref_s, bar_rad }
         })
         .collect();
-    let (mut statuses, judged) = look_at_all(raw, &joints, found, motion, options);
+    let (mut statuses, judged) = look_at_all(readings, &joints, found, motion, options);
     let local_shifts = local_shifts(&judged);
     let spread_rad = spreads_rad(&judged);
     let is_poor = spread_rad.iter().any(|spread_rad| spread_rad * 1e3 > options.fit_max_mrad);
@@ -94,10 +81,11 @@ pub(super) fn sort(
     choose(&joints, &mut statuses, options)?;
     check_travel(&joints, &statuses, &measured, options)?;
     let reference_rad = offsets(reference).unwrap_or_default();
-    let kept = raw.iter().zip(&joints).zip(&statuses).filter(|(_, status)| **status == SampleStatus::Kept);
-    let observations = kept.map(|((raw, sample), _)| Observation {
+    let kept =
+        readings.iter().zip(&joints).zip(&statuses).filter(|(_, status)| **status == SampleStatus::Kept);
+    let observations = kept.map(|((reading, sample), _)| Observation {
         measured,
-        origin: numbers.get(raw.origin).copied().unwrap_or_default(),
+        origin: numbers.get(reading.origin).copied().unwrap_or_default(),
         ..Observation::bar(
             sample.t_s,
             std::array::from_fn(|j| if measured[j] { sample.bar_rad[j] - reference_rad[j] } else { 0.0 }),
@@ -108,7 +96,7 @@ pub(super) fn sort(
 
 /// Where samples are usable they are `Standstill` so far: whether they move is seen later.
 fn look_at_all(
-    raw: &[Raw],
+    readings: &Stream<BarReading>,
     joints: &[Sample],
     found: &Found,
     motion: &AlignedLog,
@@ -120,11 +108,11 @@ fn look_at_all(
     let measured = found.encoder_map.used.measured();
     let judge = Judge::new(motion, geometry, measured);
     let margin_min_rad = options.singular_margin_deg.to_radians();
-    let stride = raw.len().div_ceil(LOOKED_AT_MAX).max(1);
-    let mut statuses = vec![SampleStatus::Thinned; raw.len()];
+    let stride = readings.len().div_ceil(LOOKED_AT_MAX).max(1);
+    let mut statuses = vec![SampleStatus::Thinned; readings.len()];
     let mut judged = Vec::new();
-    for (index, (raw, sample)) in raw.iter().zip(joints).enumerate() {
-        let has_offsets = found.settled.offsets.get(raw.origin).is_some_and(Option::is_some);
+    for (index, (reading, sample)) in readings.iter().zip(joints).enumerate() {
+        let has_offsets = found.settled.offsets.get(reading.origin).is_some_and(Option::is_some);
         if !has_offsets {
             statuses[index] = SampleStatus::OtherOrigin;
             continue;
@@ -137,7 +125,7 @@ fn look_at_all(
             statuses[index] = SampleStatus::Outside;
             continue;
         }
-        let errors = judge.judged(index, raw.origin, sample.t_s, &sample.bar_rad);
+        let errors = judge.judged(index, reading.origin, sample.t_s, &sample.bar_rad);
         let errors = errors.filter(|errors| errors.margin_rad > margin_min_rad);
         statuses[index] = if errors.is_some() { SampleStatus::Standstill } else { SampleStatus::Singular };
         judged.extend(errors);
@@ -159,9 +147,7 @@ fn check_travel(
         .map(|(one, _)| one)
         .collect();
     for joint in (0..BAR_JOINTS).filter(|joint| measured[*joint]) {
-        let angles = kept.iter().map(|sample| sample.bar_rad[joint]);
-        let (low, high) = angles
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), angle| (low.min(angle), high.max(angle)));
+        let [low, high] = extremes(kept.iter().map(|sample| sample.bar_rad[joint]));
         let travel_deg = (high - low).to_degrees();
         if travel_deg < options.joint_travel_min_deg {
             let needed_deg = options.joint_travel_min_deg;

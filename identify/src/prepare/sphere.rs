@@ -49,7 +49,7 @@ pub(super) fn sphere_of_log(
     options: &PrepareOptions,
 ) -> Result<SphereFit, PrepareError> {
     let mut positions: Vec<Vector3<f64>> = Vec::new();
-    for q in &log.q_rad {
+    for q in log.q_rad.iter() {
         let position = robot.forward(q).translation.vector;
         if positions.last().is_none_or(|last| (last - position).norm() > POSITIONS_APART_M) {
             positions.push(position);

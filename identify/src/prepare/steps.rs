@@ -1,25 +1,27 @@
 //! The steps of the preparation in their order.
 
+use std::sync::Arc;
+
 use nalgebra::Vector3;
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 use shared::time::UtcNs;
 
-use super::align::find::{Found, Raw, Search};
+use super::align::find::{Found, Search};
 use super::encoders::circular::wrapped;
 use super::encoders::origins::join;
 use super::forces::{Surroundings, put_on};
 use super::readings::bar_angles::BarAngles;
 use super::readings::both_logs::BothLogs;
-use super::samples::{Sorted, raw_samples, sort};
+use super::samples::{Sorted, sort};
 use super::sphere::sphere_of_log;
 use super::timeline::Run;
 use super::{
     AlignedLog, Alignment, BarForces, ClockFit, EncoderOffset, InitialValues, Predictor, PrepareError,
     PrepareOptions, Prepared, SampleCounts, SampleStatus, SphereFit,
 };
-use crate::kinematics::{AXES_MAX, BAR_JOINTS, Chain, ball_bar_chain, robot_chain};
-use crate::logs::{InterpolatedLog, RobotLog, default_gap_limit_s};
+use crate::kinematics::{BAR_JOINTS, Chain, Joints, ball_bar_chain, robot_chain};
+use crate::logs::{CubicSpline, RobotLog, travel};
 use crate::model::{DriveTrain, Observation};
 
 /// Joints that travel less than this do not move \[deg\].
@@ -44,26 +46,25 @@ pub fn prepare(
 ) -> Result<Prepared, PrepareError> {
     let both = BothLogs::new(cycles, encoders, log, options)?;
     let (angles, log) = (&both.angles, &*both.log);
-    let raw = raw_samples(&angles.segments);
-    check(&raw, cycles.len(), log, options)?;
-    let interpolated = InterpolatedLog::new(log, default_gap_limit_s(log))?;
+    check(angles, log, options)?;
+    let interpolated = log.spline()?;
     let (arm, bar_chain) = (robot_chain(robot, bar), ball_bar_chain(bar));
     let gravity = DriveTrain::of(robot, &arm).gravity;
     let sphere = sphere_of_log(log, &arm, robot, bar.length_m, options)?;
     let robot = arm;
     let predictor = Predictor::new(&interpolated, &robot, &bar_chain, sphere.centre_m)?;
     let chains = [&robot, &bar_chain];
-    let mut found = search(encoders, &both, &raw, &interpolated, &predictor, chains, options)?;
+    let mut found = search(encoders, &both, &interpolated, &predictor, chains, options)?;
     let Reference { overlap_s, t_ref_s, t_ref, clock } =
-        Reference::new(angles, &raw, &found, log.duration_s());
+        Reference::new(angles, &found, log.q_rad.duration_s());
     let motion = AlignedLog::new(interpolated.clone(), clock.shift_s);
-    let (reference, origins) = join(&raw, &mut found, t_ref_s);
+    let (reference, origins) = join(&angles.readings, &mut found, t_ref_s);
     let numbers: Vec<usize> = origins.iter().map(|span| span.number).collect();
-    let mut sorted = sort(&raw, &found, &motion, t_ref_s, reference, &numbers, options)?;
+    let mut sorted = sort(&angles.readings, &found, &motion, t_ref_s, reference, &numbers, options)?;
     let offsets = offsets(&found, reference, &sorted);
     let initial = initial(found.fit.geometry.base.origin_m, &sphere, clock, &offsets);
     let alignment = Alignment::new(&found.matched, found.ambiguous, clock, log, t_ref, overlap_s);
-    let mut statuses = statuses_of_all(angles, &raw, &sorted.statuses);
+    let mut statuses = statuses_of_all(angles, &sorted.statuses);
     let around = Surroundings::new(t_ref, &alignment, &motion, &robot, initial.base_m, gravity);
     let force = with_force(&mut sorted.observations, &mut statuses, log, &around)?;
     let run = Run {
@@ -101,19 +102,18 @@ pub fn prepare(
 fn search(
     encoders: &[EncoderInfo],
     both: &BothLogs<'_>,
-    raw: &[Raw],
-    interpolated: &InterpolatedLog,
+    interpolated: &Arc<CubicSpline<Joints>>,
     predictor: &Predictor<'_>,
     chains: [&Chain; 2],
     options: &PrepareOptions,
 ) -> Result<Found, PrepareError> {
     let recorded_joints: Vec<u8> = encoders.iter().map(|encoder| encoder.joint).collect();
     let search = Search {
-        samples: raw,
+        readings: &both.angles.readings,
         recorded_joints: &recorded_joints,
-        origins: both.angles.segments.len(),
+        origins: both.angles.origins(),
         log: interpolated,
-        log_duration_s: both.log.duration_s(),
+        log_duration_s: both.log.q_rad.duration_s(),
         predictor,
         chains,
         options,
@@ -138,11 +138,6 @@ fn with_force(
     Ok(Some(forces))
 }
 
-fn first_time(angles: &BarAngles) -> UtcNs {
-    let first = angles.segments.first().and_then(|segment| segment.times.first());
-    first.copied().unwrap_or_default()
-}
-
 /// The middle of what both logs cover, to which all times of the result refer.
 struct Reference {
     /// Bar times, since the first sample, between which both logs say something \[s\].
@@ -156,11 +151,10 @@ struct Reference {
 }
 
 impl Reference {
-    fn new(angles: &BarAngles, raw: &[Raw], found: &Found, log_duration_s: f64) -> Self {
-        let end_s = raw.last().map_or(0.0, |last| last.t_s);
-        let overlap_s = overlap_s(end_s, found.fit.clock, log_duration_s);
+    fn new(angles: &BarAngles, found: &Found, log_duration_s: f64) -> Self {
+        let overlap_s = overlap_s(angles.readings.duration_s(), found.fit.clock, log_duration_s);
         let t_ref_s = 0.5 * (overlap_s[0] + overlap_s[1]);
-        let t_ref = first_time(angles).plus_ns((t_ref_s * 1e9).round() as i64);
+        let t_ref = angles.first_time().plus_ns((t_ref_s * 1e9).round() as i64);
         Self { overlap_s, t_ref_s, t_ref, clock: found.fit.clock.counted_from(t_ref_s) }
     }
 }
@@ -204,47 +198,31 @@ fn offsets(found: &Found, reference: usize, sorted: &Sorted) -> Vec<EncoderOffse
 }
 
 /// What became of every cycle of the recording.
-fn statuses_of_all(angles: &BarAngles, raw: &[Raw], of_samples: &[SampleStatus]) -> Vec<SampleStatus> {
+fn statuses_of_all(angles: &BarAngles, of_samples: &[SampleStatus]) -> Vec<SampleStatus> {
     let mut statuses = angles.statuses.clone();
-    for (raw, status) in raw.iter().zip(of_samples) {
-        if let Some(slot) = statuses.get_mut(raw.cycle) {
+    for (reading, status) in angles.readings.iter().zip(of_samples) {
+        if let Some(slot) = statuses.get_mut(reading.cycle) {
             *slot = *status;
         }
     }
     statuses
 }
 
-/// Largest travel of any joint \[deg\].
-pub(super) fn travel_deg<'a>(rows: impl Iterator<Item = &'a [f64]>) -> f64 {
-    let mut range = [(f64::INFINITY, f64::NEG_INFINITY); AXES_MAX];
-    for row in rows {
-        for ((low, high), value) in range.iter_mut().zip(row) {
-            (*low, *high) = (low.min(*value), high.max(*value));
-        }
-    }
-    range.iter().fold(0.0_f64, |most, (low, high)| most.max(high - low)).to_degrees()
-}
-
 /// Both logs hold a motion that is long enough and not too long.
-fn check(raw: &[Raw], cycles: usize, log: &RobotLog, options: &PrepareOptions) -> Result<(), PrepareError> {
-    check_motion(raw, cycles, log)?;
-    check_length(("the recording", raw.last().map_or(0.0, |last| last.t_s)), log.duration_s(), options)
-}
-
-fn check_motion(raw: &[Raw], cycles: usize, log: &RobotLog) -> Result<(), PrepareError> {
-    if raw.is_empty() {
-        return Err(PrepareError::NoValidCycle { cycles });
+fn check(angles: &BarAngles, log: &RobotLog, options: &PrepareOptions) -> Result<(), PrepareError> {
+    let readings = &angles.readings;
+    if readings.is_empty() {
+        return Err(PrepareError::NoValidCycle { cycles: angles.statuses.len() });
     }
-    let of_bar = raw.chunk_by(|a, b| a.origin == b.origin);
-    let of_bar =
-        of_bar.map(|part| travel_deg(part.iter().map(|raw| raw.recorded_rad.as_ref()))).fold(0.0, f64::max);
-    let moves =
-        [("the recording", of_bar), ("the robot log", travel_deg(log.q_rad.iter().map(AsRef::as_ref)))];
-    moves.into_iter().try_for_each(|(what, travel_deg)| require_motion(what, travel_deg))
+    let of_bar = readings.chunk_by(|a, b| a.origin == b.origin).map(travel).fold(0.0, f64::max);
+    require_motion("the recording", of_bar)?;
+    require_motion("the robot log", travel(&log.q_rad))?;
+    check_length(("the recording", readings.duration_s()), log.q_rad.duration_s(), options)
 }
 
-/// A log whose joints travel so far at most \[deg\].
-pub(super) fn require_motion(what: &'static str, travel_deg: f64) -> Result<(), PrepareError> {
+/// A log whose joints travel so far at most \[rad\].
+pub(super) fn require_motion(what: &'static str, travel_rad: f64) -> Result<(), PrepareError> {
+    let travel_deg = travel_rad.to_degrees();
     if travel_deg < TRAVEL_DEG_MIN { Err(PrepareError::NoMotion { what, travel_deg }) } else { Ok(()) }
 }
 

@@ -27,13 +27,11 @@ impl BarPath for Path {
 /// A path that was driven, through samples of it.
 impl BarPath for CubicSpline<[f64; BAR_JOINTS]> {
     fn bar_rad(&self, t_s: f64) -> [f64; BAR_JOINTS] {
-        let (first_s, last_s) = self.range_s();
-        self.at((first_s + t_s).clamp(first_s, last_s)).map_or([0.0; BAR_JOINTS], |point| point.value)
+        self.at(t_s.clamp(0.0, self.duration_s())).map_or([0.0; BAR_JOINTS], |point| point.value)
     }
 
     fn duration_s(&self) -> f64 {
-        let (first_s, last_s) = self.range_s();
-        last_s - first_s
+        self.duration_s()
     }
 }
 

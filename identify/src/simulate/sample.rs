@@ -9,7 +9,7 @@ use shared::time::{DcNs, MonoNs};
 
 use super::truth::EncoderTruth;
 use super::{Experiment, Motion, SimulateError, Stream, random};
-use crate::logs::{ForceClock, ForceKind, ForceLog, LogQuality, Origin, RobotLog};
+use crate::logs::{self, ForceClock, ForceKind, ForceLog, Origin, RobotLog};
 
 /// Time between two bus cycles \[ns\]: 100 Hz.
 pub(super) const CYCLE_NS: i64 = 10_000_000;
@@ -40,38 +40,31 @@ pub(super) fn robot_log(
     let rows = (length_s * rate * 1e9 / ROBOT_PERIOD_NS as f64) as i64;
     let mut reading = experiment.robot_reading();
     let mut near_rad = motion.start_rad;
-    let mut log = RobotLog {
-        robot: Some(experiment.robot.name.clone()),
-        clock: "robot controller".into(),
-        origin: Origin::Measured,
-        first_stamp_ns: experiment.clocks.robot_at_bar_start_ns.saturating_sub(lead_ns),
-        quality: LogQuality {
-            period_s: ROBOT_PERIOD_NS as f64 * 1e-9,
-            longest_gap_s: ROBOT_PERIOD_NS as f64 * 1e-9,
-            ..LogQuality::default()
-        },
-        ..RobotLog::default()
-    };
-    let mut forces = Vec::new();
+    let first_stamp_ns = experiment.clocks.robot_at_bar_start_ns.saturating_sub(lead_ns);
+    let (mut stamps_s, mut q_rad, mut forces) = (Vec::new(), Vec::new(), Vec::new());
     for row in 0..rows {
         let since_bar_start_ns = row * ROBOT_PERIOD_NS - lead_ns;
         let t_s = since_bar_start_ns as f64 * 1e-9 / rate;
         near_rad =
             motion.robot_joints(t_s, &near_rad).map_err(|source| SimulateError::Follow { t_s, source })?;
-        log.t_s.push((row * ROBOT_PERIOD_NS) as f64 * 1e-9);
-        log.q_rad.push(reading.of(&near_rad));
+        stamps_s.push((row * ROBOT_PERIOD_NS) as f64 * 1e-9);
+        q_rad.push(reading.of(&near_rad));
         let noise: f64 = force_random.sample(StandardNormal);
         let force_n = motion.force_n(t_s) + experiment.load.noise_n * noise;
         forces.push([force_n].into());
     }
-    log.force = motion.pull.map(|_| ForceLog {
-        clock: ForceClock::Robot,
-        kind: ForceKind::Along,
-        first_stamp_ns: log.first_stamp_ns,
-        t_s: log.t_s.clone(),
-        values: forces,
-    });
-    Ok(log)
+    let of_bar = |_| {
+        let forces = logs::Stream::new(first_stamp_ns, stamps_s.clone(), forces);
+        ForceLog::new(ForceClock::Robot, ForceKind::Along, forces)
+    };
+    Ok(RobotLog {
+        robot: Some(experiment.robot.name.clone()),
+        clock: "robot controller".into(),
+        origin: Origin::Measured,
+        force: motion.pull.map(of_bar),
+        q_rad: logs::Stream::new(first_stamp_ns, stamps_s, q_rad),
+        ..RobotLog::default()
+    })
 }
 
 /// The bar's recording of the motion, its encoders, and where their zeros truly are.

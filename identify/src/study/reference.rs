@@ -5,9 +5,10 @@ use serde::{Deserialize, Serialize};
 use shared::config::{BallBarConfig, RobotConfig};
 
 use crate::kinematics::{
-    BAR_JOINTS, Configuration, InverseError, Joints, ball_bar_chain, ball_bar_inverse, robot_chain,
+    BAR_JOINTS, Configuration, InverseError, Joints, ball_bar_chain, ball_bar_inverse, nearest_turn,
+    robot_chain,
 };
-use crate::logs::{CubicSpline, RobotLog};
+use crate::logs::{RobotLog, Stream};
 use crate::plan::PlannedPath;
 use crate::prepare::fit_sphere;
 use crate::simulate::{BarPath, Experiment, SimulateError};
@@ -73,59 +74,51 @@ impl Driven {
     /// [`ReferenceError`].
     pub fn of(log: &RobotLog, robot: &RobotConfig, bar: &BallBarConfig) -> Result<Self, ReferenceError> {
         let (arm, mut bar) = (robot_chain(robot, bar), ball_bar_chain(bar));
-        let mut rows: Vec<(f64, Joints)> = Vec::new();
-        for (&t_s, &q_rad) in log.t_s.iter().zip(&log.q_rad) {
-            if rows.last().is_none_or(|(last_s, _)| t_s - last_s >= ROW_S) {
-                rows.push((t_s, q_rad));
-            }
-        }
+        let mut last_s = f64::NEG_INFINITY;
+        let rows = log.q_rad.filter_map(0..log.q_rad.len(), |row, q_rad| {
+            let t_s = log.q_rad.t_s[row];
+            (t_s - last_s >= ROW_S).then(|| {
+                last_s = t_s;
+                *q_rad
+            })
+        });
         let positions: Vec<Vector3<f64>> =
-            rows.iter().map(|(_, q_rad)| arm.forward(q_rad).translation.vector).collect();
+            rows.iter().map(|q_rad| arm.forward(q_rad).translation.vector).collect();
         let sphere = fit_sphere(&positions, ON_SPHERE_M).ok_or(ReferenceError::NoSphere { rows: 0 })?;
         let is_on =
             |row: usize| ((positions[row] - sphere.centre_m).norm() - sphere.radius_m).abs() < ON_SPHERE_M;
-        let follows = |row: usize| row > 0 && rows[row].0 - rows[row - 1].0 <= GAP_S;
-        let (mut longest, mut begin) = (0..0, 0);
-        for row in 0..rows.len() {
-            if !is_on(row) {
-                begin = row + 1;
-                continue;
-            }
-            if !follows(row) {
-                begin = row;
-            }
-            if row + 1 - begin > longest.len() {
-                longest = begin..row + 1;
+        let mut longest = 0..0;
+        for part in rows.parts_within(GAP_S) {
+            let places: Vec<usize> = part.collect();
+            for run in places.chunk_by(|a, b| is_on(*a) == is_on(*b)).filter(|run| is_on(run[0])) {
+                if run.len() > longest.len() {
+                    longest = run[0]..run[0] + run.len();
+                }
             }
         }
         if longest.len() < ROWS_MIN {
             return Err(ReferenceError::NoSphere { rows: longest.len() });
         }
         bar.root_from_base = Translation3::from(sphere.centre_m).into();
-        let (start_s, start_rad) = rows[longest.start];
-        let (mut t_s, mut bar_rad): (Vec<f64>, Vec<[f64; BAR_JOINTS]>) = (Vec::new(), Vec::new());
-        for (at_s, q_rad) in &rows[longest] {
+        let driven = rows.slice(longest);
+        let start_rad = driven[0];
+        let mut bar_rad: Vec<[f64; BAR_JOINTS]> = Vec::new();
+        for q_rad in driven.iter() {
             let [(_, first), ..] = ball_bar_inverse(&bar, &arm.forward(q_rad))?;
             let near = bar_rad.last().copied().unwrap_or(first);
             let all = Configuration::ALL.map(|configuration| {
                 let joints = configuration.carry(&first);
-                std::array::from_fn(|i| near[i] + wrapped(joints[i] - near[i]))
+                std::array::from_fn(|i| nearest_turn(joints[i], near[i]))
             });
             let far = |joints: &[f64; BAR_JOINTS]| {
                 joints.iter().zip(&near).map(|(a, b)| (a - b).powi(2)).sum::<f64>()
             };
             let nearest = all.into_iter().min_by(|a, b| far(a).total_cmp(&far(b)));
             bar_rad.extend(nearest);
-            t_s.push(at_s - start_s);
         }
         let start_rad = std::array::from_fn(|joint| start_rad[joint]);
-        Ok(Self { base_m: sphere.centre_m.into(), start_rad, t_s, bar_rad })
+        Ok(Self { base_m: sphere.centre_m.into(), start_rad, t_s: driven.t_s, bar_rad })
     }
-}
-
-/// In (-pi, pi].
-fn wrapped(rad: f64) -> f64 {
-    rad - std::f64::consts::TAU * (rad / std::f64::consts::TAU).round()
 }
 
 /// A path and where the nominal robot is at its start \[rad\].
@@ -150,7 +143,8 @@ impl Reference {
             }
             Self::Driven(driven) => {
                 experiment.design.base_m = driven.base_m;
-                let spline = CubicSpline::new(&driven.t_s, &driven.bar_rad, f64::INFINITY);
+                let rows = Stream::new(0, driven.t_s.clone(), driven.bar_rad.clone());
+                let spline = rows.with_gap_limit(f64::INFINITY).spline();
                 Ok((Box::new(spline.ok_or(SimulateError::Empty)?), driven.start_rad.into()))
             }
         }

@@ -1,6 +1,7 @@
 //! One experiment of a study, and what every estimator makes of it.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use nalgebra::Vector3;
 use shared::time::UtcNs;
@@ -10,7 +11,7 @@ use crate::calibrate::IdentifyConfig;
 use crate::calibrate::ball_bar::calibrate_prepared;
 use crate::calibrate::mix::{self, DataSets, Measured};
 use crate::calibrate::truth::{Comparison, position_errors_m};
-use crate::logs::{InterpolatedLog, LogQuality, RobotLog};
+use crate::logs::Stream;
 use crate::model::{Model, Observation, Selection};
 use crate::prepare::{AlignedLog, Prepared};
 use crate::simulate::{
@@ -120,15 +121,10 @@ fn simulate(definition: &Definition, seed: u32, conditions: &Conditions) -> Resu
 /// # Errors
 /// [`SimulateError::Empty`] of too few pairs to go through.
 pub fn prepared(pairs: &Pairs, measured: [bool; 5], base_m: [f64; 3]) -> Result<Prepared, SimulateError> {
-    let period_s = pairs.t_s.get(1).zip(pairs.t_s.first()).map_or(0.0, |(second, first)| second - first);
     let first_s = pairs.t_s.first().copied().unwrap_or_default();
-    let log = RobotLog {
-        t_s: pairs.t_s.iter().map(|t_s| t_s - first_s).collect(),
-        q_rad: pairs.robot_rad.clone(),
-        quality: LogQuality { period_s, longest_gap_s: period_s, ..LogQuality::default() },
-        ..RobotLog::default()
-    };
-    let motion = InterpolatedLog::new(&log, f64::INFINITY).map_err(|_| SimulateError::Empty)?;
+    let t_s = pairs.t_s.iter().map(|t_s| t_s - first_s).collect();
+    let q_rad = Stream::new(0, t_s, pairs.robot_rad.clone()).with_gap_limit(f64::INFINITY);
+    let motion = Arc::new(q_rad.spline().ok_or(SimulateError::Empty)?);
     let middle_s = pairs.t_s.iter().sum::<f64>() / pairs.t_s.len().max(1) as f64;
     let observation = |(t_s, bar_rad): (&f64, &[f64; 5])| Observation {
         measured,

@@ -10,7 +10,7 @@ use identify::calibrate::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{Elongation, PositiveForce, evidence};
 use identify::kinematics::{Chain, Joints, Trace, Tracer};
-use identify::logs::{ForceClock, ForceKind, ForceLog};
+use identify::logs::{ForceClock, ForceKind, ForceLog, Stream};
 use identify::model::ParameterId;
 use identify::prepare::{ForceError, PrepareError, PrepareOptions, Prepared, SampleStatus, prepare};
 use identify::simulate::{self, BarLoad, Effects, Experiment, Simulated};
@@ -73,7 +73,7 @@ fn the_force_tells_how_the_bar_gives_way_and_brings_the_robot_nearer_to_the_trut
 #[test]
 fn the_sign_of_the_logs_force_is_found_and_told() {
     let mut run = simulated(THESIS, 3);
-    for values in &mut run.robot_log.force.as_mut().unwrap().values {
+    for values in run.robot_log.force.as_mut().unwrap().values.iter_mut() {
         values[0] = -values[0];
     }
     let found = calibrated(&run, CostName::Position).unwrap();
@@ -196,8 +196,8 @@ fn torques_of_the_joints_give_the_force_behind_gravity_and_friction() {
     let mut squares = 0.0;
     for observation in &found.prepared().unwrap().observations {
         let passed_s = found.prepared().unwrap().t_ref.seconds_since(start.bar_start) + observation.t_s;
-        let lead_s = (start.robot_at_bar_start_ns - truth.first_stamp_ns) as f64 * 1e-9;
-        let true_n = truth.at(lead_s + passed_s * (1.0 + start.skew), 0.1).unwrap()[0];
+        let lead_s = (start.robot_at_bar_start_ns - truth.values.first_stamp_ns) as f64 * 1e-9;
+        let true_n = truth.values.at(lead_s + passed_s * (1.0 + start.skew)).unwrap()[0];
         squares += (observation.force.along_n - true_n).powi(2);
     }
     let rms_n = (squares / found.prepared().unwrap().observations.len() as f64).sqrt();
@@ -219,21 +219,19 @@ fn a_force_log_on_the_bars_clock_or_with_a_hole_is_taken_and_one_of_another_time
     let robots = run.robot_log.force.clone().unwrap();
     let clock = run.truth.clock;
     // The same instants by the bar's clock.
-    let before_s = (robots.first_stamp_ns - clock.robot_at_bar_start_ns) as f64 * 1e-9 / (1.0 + clock.skew);
-    let bars = ForceLog {
-        clock: ForceClock::Bar,
-        first_stamp_ns: clock.bar_start.plus_ns((before_s * 1e9).round() as i64).0,
-        t_s: robots.t_s.iter().map(|t_s| t_s / (1.0 + clock.skew)).collect(),
-        ..robots.clone()
-    };
+    let before_s =
+        (robots.values.first_stamp_ns - clock.robot_at_bar_start_ns) as f64 * 1e-9 / (1.0 + clock.skew);
+    let values = Stream::new(
+        clock.bar_start.plus_ns((before_s * 1e9).round() as i64).0,
+        robots.values.t_s.iter().map(|t_s| t_s / (1.0 + clock.skew)).collect(),
+        robots.values.rows.clone(),
+    );
+    let bars = ForceLog::new(ForceClock::Bar, robots.kind, values);
     assert_alike(&with(&bars).unwrap(), &with(&robots).unwrap(), 2.0);
 
     let mut holed = robots.clone();
-    let keep: Vec<bool> = holed.t_s.iter().map(|t_s| !(20.0..25.0).contains(t_s)).collect();
-    let mut kept = keep.iter();
-    holed.t_s.retain(|_| *kept.next().unwrap());
-    let mut kept = keep.iter();
-    holed.values.retain(|_| *kept.next().unwrap());
+    let keep = |row: usize| !(20.0..25.0).contains(&robots.values.t_s[row]);
+    holed.values = holed.values.filter_map(0..holed.values.len(), |row, force| keep(row).then_some(*force));
     let left = with(&holed).unwrap();
     let uncovered = left.force.unwrap().uncovered;
     assert!(uncovered > 20 && left.counts.kept + uncovered <= 1500, "{uncovered}");

@@ -98,9 +98,9 @@ fn read_as_robot(bytes: &[u8], format: LogFormat) -> bool {
         match read_with(bytes, Path::new("log"), &robot, &LogOptions { format: Some(format), mapping }) {
             Ok(log) => {
                 taken = true;
-                assert!(log.q_rad.len() == log.t_s.len() && log.t_s[0] == 0.0);
-                assert!(log.q_rad.iter().flatten().chain(&log.t_s).all(|value| value.is_finite()));
-                assert!(log.t_s.is_sorted(), "time runs backwards");
+                assert!(log.q_rad.len() == log.q_rad.t_s.len() && log.q_rad.t_s[0] == 0.0);
+                assert!(log.q_rad.iter().flatten().chain(&log.q_rad.t_s).all(|value| value.is_finite()));
+                assert!(log.q_rad.t_s.is_sorted(), "time runs backwards");
             }
             Err(error) => assert!(error.to_string().len() > 10),
         }
@@ -124,8 +124,7 @@ fn read_as_bar(bytes: &[u8]) -> bool {
                     assert!(!log.encoders.is_empty() && !log.unknown.is_empty());
                     assert!((0..).zip(&log.cycles).all(|(number, cycle)| cycle.cycle == number));
                     if let Ok(angles) = identify::prepare::bar_angles(&log.cycles, &log.encoders) {
-                        let all =
-                            angles.segments.iter().flat_map(|segment| segment.angles_rad.iter().flatten());
+                        let all = angles.readings.iter().flat_map(|reading| reading.recorded_rad);
                         assert!(all.into_iter().all(|angle| angle.is_finite()));
                     }
                     let _ = identify::inspect::bar_log(&log);
@@ -158,8 +157,8 @@ fn read_as_poses(bytes: &[u8]) -> bool {
     let timed = MeasuredPoseMapping { time: Some(time), joints: Vec::new(), ..mapping };
     match TimedPoses::read(bytes, path, &timed) {
         Ok(poses) => {
-            assert_eq!(poses.t_s.len(), poses.rows.len());
-            assert!(poses.t_s.windows(2).all(|pair| pair[1] > pair[0]));
+            assert_eq!(poses.rows.t_s.len(), poses.rows.len());
+            assert!(poses.rows.t_s.windows(2).all(|pair| pair[1] > pair[0]));
         }
         Err(error) => assert!(error.to_string().len() > 10),
     }

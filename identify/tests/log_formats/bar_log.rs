@@ -4,7 +4,7 @@ use std::path::Path;
 
 use identify::inspect;
 use identify::logs::{BarLogMapping, LogError, OtherBarLog, UnwrappedPoint};
-use identify::prepare::bar_angles;
+use identify::prepare::{BarReading, bar_angles};
 use shared::config::{self, BallBarConfig};
 use shared::recording::schema::flags;
 
@@ -63,12 +63,12 @@ fn told(bytes: &[u8], mapping: Option<&BarLogMapping>) -> String {
 /// Every joint follows the true motion up to its zero.
 fn assert_follows(log: &OtherBarLog, tolerance_rad: f64) {
     let angles = bar_angles(&log.cycles, &log.encoders).unwrap();
-    let segment = &angles.segments[0];
+    let first = angles.readings[0];
     for encoder in &log.encoders {
         let joint = usize::from(encoder.joint);
-        for (cycle, angles) in segment.cycles.iter().zip(&segment.angles_rad) {
-            let moved = angles[joint - 1] - segment.angles_rad[0][joint - 1];
-            let truth = angle_rad(*cycle, joint) - angle_rad(segment.cycles[0], joint);
+        for BarReading { cycle, recorded_rad, .. } in angles.readings.iter().filter(|one| one.origin == 0) {
+            let moved = recorded_rad[joint - 1] - first.recorded_rad[joint - 1];
+            let truth = angle_rad(*cycle, joint) - angle_rad(first.cycle, joint);
             assert!((moved - truth).abs() < tolerance_rad, "row {cycle} joint {joint}: {moved} for {truth}");
         }
     }
@@ -98,7 +98,8 @@ fn the_counters_of_the_thesis_become_angles_by_the_bar_s_configuration() {
         assert_eq!(log.encoders.iter().map(|encoder| encoder.joint).collect::<Vec<_>>(), [1, 2, 4, 5]);
         assert_follows(&log, 1e-6);
         assert!(log.unknown.contains(&"which values are not valid") && log.quality.remarks.is_empty());
-        assert!((log.quality.period_s - 0.01).abs() < 1e-12);
+        let readings = bar_angles(&log.cycles, &log.encoders).unwrap().readings;
+        assert!((readings.period_s() - 0.01).abs() < 1e-12);
     }
 }
 
@@ -146,7 +147,7 @@ fn a_narrow_counter_is_refused_with_what_to_write_and_then_followed() {
     let with_width = mapping(&format!("wraps_at = 65536\n[time]\ncolumn = \"t_s\"\n{columns}"));
     let log = read(text.as_bytes(), Some(&with_width)).unwrap();
     let angles = bar_angles(&log.cycles, &log.encoders).unwrap();
-    let last = angles.segments[0].angles_rad.last().unwrap()[0] - angles.segments[0].angles_rad[0][0];
+    let last = angles.readings.last().unwrap().recorded_rad[0] - angles.readings[0].recorded_rad[0];
     let truth = (angle_rad(ROWS - 1, 1) - angle_rad(0, 1)) / 100.0;
     assert!((last - truth).abs() < 1e-5, "{last} for {truth}");
     assert_shown(&log, 65_536.0 * log.encoders[0].scale.rad_per_count());

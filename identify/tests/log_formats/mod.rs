@@ -68,7 +68,7 @@ fn the_shipped_mapping_reads_decimal_commas_units_and_the_coupling_of_a_fanuc() 
         2 => angle_deg(row, 2) + angle_deg(row, 1),
         _ => angle_deg(row, joint),
     });
-    assert!((log.quality.period_s - 0.008).abs() < 1e-12);
+    assert!((log.q_rad.period_s() - 0.008).abs() < 1e-12);
     assert_eq!((log.clock.as_str(), log.origin), ("controller", Origin::Measured));
 }
 
@@ -106,7 +106,7 @@ fn sign_offset_and_coupling_apply_in_that_order() {
             _ => angle_deg(row, joint),
         }
     });
-    assert_eq!(log.first_stamp_ns, (134_082_000_000_000_001 - 116_444_736_000_000_000) * 100);
+    assert_eq!(log.q_rad.first_stamp_ns, (134_082_000_000_000_001 - 116_444_736_000_000_000) * 100);
 }
 
 #[test]
@@ -153,7 +153,7 @@ fn telegrams_of_rsi_give_measured_joints_or_commanded_ones_where_a_mapping_asks(
     for text in [telegrams(60, 12), format!("<?xml version=\"1.0\"?><Log>\n{}</Log>\n", telegrams(60, 12))] {
         let log = read_as(&text, None).unwrap();
         assert_follows(&log, 60, angle_deg);
-        assert!((log.quality.period_s - 0.012).abs() < 1e-12 && log.origin == Origin::Measured);
+        assert!((log.q_rad.period_s() - 0.012).abs() < 1e-12 && log.origin == Origin::Measured);
     }
     let joints: String =
         (1..=6).map(|joint| format!("[[joints]]\ncolumn = \"A{joint}\"\nunit = \"deg\"\n")).collect();

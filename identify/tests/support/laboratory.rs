@@ -124,9 +124,9 @@ fn add_to_robot(run: &mut Simulated, robot: &RobotConfig, level: &Level, random:
     let drives = DriveTrain::of(robot, &run.motion.robot);
     let mut trace = Trace::default();
     let rows = run.robot_log.q_rad.clone();
-    let before_bar_start_ns = run.robot_log.first_stamp_ns - truth.robot_at_bar_start_ns;
+    let before_bar_start_ns = run.robot_log.q_rad.first_stamp_ns - truth.robot_at_bar_start_ns;
     for (k, q) in run.robot_log.q_rad.iter_mut().enumerate() {
-        let t_s = (run.robot_log.t_s[k] + before_bar_start_ns as f64 * 1e-9) / (1.0 + truth.skew);
+        let t_s = (rows.t_s[k] + before_bar_start_ns as f64 * 1e-9) / (1.0 + truth.skew);
         let bar = run.motion.path.at(t_s);
         let longer_m =
             level.bar_um * 1e-6 * (0.6 * (2.0 * bar[0] + azimuth).sin() + 0.4 * (3.0 * bar[1]).cos());
@@ -214,7 +214,7 @@ pub fn repeat(run: &mut Simulated, pause_s: f64) {
         .collect();
     run.cycles.extend(again);
     let log = &mut run.robot_log;
-    let late: Vec<f64> = log.t_s.iter().map(|t| t + pause_s * (1.0 + run.truth.clock.skew)).collect();
-    log.t_s.extend(late);
-    log.q_rad.extend(log.q_rad.clone());
+    let again = log.q_rad.clone();
+    log.q_rad.t_s.extend(again.t_s.iter().map(|t| t + pause_s * (1.0 + run.truth.clock.skew)));
+    log.q_rad.rows.extend(again.rows);
 }

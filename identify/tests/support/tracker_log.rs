@@ -6,7 +6,7 @@ use std::path::Path;
 use identify::calibrate::mix::Measured;
 use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Joints, Pose, flange_chain};
-use identify::logs::{LogQuality, MeasuredPoseMapping, RobotLog, TimedPoses};
+use identify::logs::{MeasuredPoseMapping, RobotLog, Stream, TimedPoses};
 use identify::model::{Model, ParameterId, SetUp};
 use identify::prepare::{AlignedPoses, PrepareError, PrepareOptions, align_poses};
 use nalgebra::{Rotation3, Vector3};
@@ -135,22 +135,16 @@ impl Followed {
         let path = PathOfJoints::new(stops_s, sizes.lap_s, &mut random);
         let mut normal = |sigma: f64| -> f64 { sigma * random.sample::<f64, _>(StandardNormal) };
         let rows = ((sizes.duration_s + sizes.lead_s[0] + sizes.lead_s[1]) / ROBOT_PERIOD_S) as usize;
-        let mut log = RobotLog {
-            first_stamp_ns: ((FIRST_S + sizes.shift_s - sizes.lead_s[0] * (1.0 + sizes.skew)) * 1e9) as i64,
-            quality: LogQuality {
-                period_s: ROBOT_PERIOD_S,
-                longest_gap_s: ROBOT_PERIOD_S,
-                ..LogQuality::default()
-            },
-            ..RobotLog::default()
-        };
+        let (mut stamps_s, mut q_rad) = (Vec::new(), Vec::new());
         for row in 0..rows {
             // Even on the robot's own clock.
             let tau_s = row as f64 * ROBOT_PERIOD_S;
             let t_s = tau_s / (1.0 + sizes.skew) - sizes.lead_s[0];
-            log.t_s.push(tau_s);
-            log.q_rad.push(path.at(t_s).map(|q| q).iter().map(|q| q + normal(NOISE_RAD)).collect());
+            stamps_s.push(tau_s);
+            q_rad.push(path.at(t_s).map(|q| q).iter().map(|q| q + normal(NOISE_RAD)).collect());
         }
+        let first_ns = ((FIRST_S + sizes.shift_s - sizes.lead_s[0] * (1.0 + sizes.skew)) * 1e9) as i64;
+        let log = RobotLog { q_rad: Stream::new(first_ns, stamps_s, q_rad), ..RobotLog::default() };
         let mut text =
             String::from(if sizes.with_rotation { "t_ms;x;y;z;rx;ry;rz\n" } else { "t_ms;x;y;z\n" });
         let rows = (sizes.duration_s * sizes.rate_hz) as usize;
@@ -247,9 +241,9 @@ impl Followed {
     pub fn clock_errors(&self, aligned: &AlignedPoses, model: &Model) -> [f64; 2] {
         let value = |id| model.parameter(id).unwrap().value;
         let moving = aligned.moving.as_ref().unwrap();
-        let t_ref_s = self.poses().t_s[aligned.rows[0]] - moving.t_s[0];
+        let t_ref_s = self.poses().rows.t_s[aligned.rows[0]] - moving.t_s[0];
         // Since the first even time; the first stamp may be off from it.
-        let t_ref_s = t_ref_s + self.poses().first_stamp_ns as f64 * 1e-9 - FIRST_S;
+        let t_ref_s = t_ref_s + self.poses().rows.first_stamp_ns as f64 * 1e-9 - FIRST_S;
         let found_s = aligned.alignment.clock_difference_ns as f64 * 1e-9 + value(ParameterId::ClockShift);
         let truly_s = self.sizes.shift_s + self.sizes.skew * t_ref_s;
         [found_s - truly_s, value(ParameterId::ClockSkew) - self.sizes.skew]

@@ -148,7 +148,7 @@ impl RunFiles<'_> {
     /// The parts before and after an instant, since the first valid sample \[s\]; none where one of them is empty.
     fn cut(&self, at_s: f64) -> Option<[Self; 2]> {
         let angles = bar_angles(self.cycles(), self.recording.encoders()).ok()?;
-        let first = *angles.segments.first()?.times.first()?;
+        let first = angles.first_time();
         let before =
             self.cycles().iter().take_while(|cycle| cycle.sample_time.seconds_since(first) < at_s).count();
         let at = self.cycles.start + before;

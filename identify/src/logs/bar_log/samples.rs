@@ -10,7 +10,7 @@ use shared::time::UtcNs;
 
 use super::mapping::EncoderUnit;
 use super::{OtherBarLog, UNSAID};
-use crate::logs::{LogError, LogQuality, ROWS_MIN, Unwrapped, UnwrappedPoint};
+use crate::logs::{LogError, LogQuality, ROWS_MIN, Unwrapped, UnwrappedPoint, since_first_s};
 
 /// Faster than this no bar is moved by a robot \[rad/s\].
 const SPEED_RAD_S_MAX: f64 = 4.0 * std::f64::consts::PI;
@@ -188,10 +188,10 @@ impl RawBarLog {
             self.mark_frozen(&mut cycles);
             self.mark_origins(&mut cycles);
         }
-        self.judge_stamps();
+        let stamps_s = self.stamps_s();
         self.tell();
         let Kind { name, is_dated, .. } = self.kind;
-        let (unknown, unwrapped) = (self.unknown(), self.unwrapped(&cycles));
+        let (unknown, unwrapped) = (self.unknown(), self.unwrapped(&cycles, &stamps_s));
         let encoders = self.readings.iter().map(|reading| reading.info).collect();
         let quality = self.quality;
         Ok(OtherBarLog { kind: name, clock, is_dated, encoders, cycles, quality, unwrapped, unknown })
@@ -331,8 +331,7 @@ impl RawBarLog {
     }
 
     /// The encoders that began anew, as the file shows them and as they were followed.
-    fn unwrapped(&self, cycles: &[CycleRecord]) -> Vec<Unwrapped> {
-        let first_ns = self.rows.first().map_or(0, |row| row.stamp_ns);
+    fn unwrapped(&self, cycles: &[CycleRecord], stamps_s: &[f64]) -> Vec<Unwrapped> {
         let of_place = |(place, reading): (usize, &Reading)| {
             let scale = &reading.info.scale;
             let period_rad =
@@ -340,11 +339,12 @@ impl RawBarLog {
             let part = |cycles: &[CycleRecord]| {
                 let (mut unwrapper, mut first) = (Unwrapper::default(), None);
                 let points = cycles.iter().filter(|cycle| cycle.is_valid()).filter_map(|cycle| {
-                    let row = self.rows.get(usize::try_from(cycle.cycle).ok()?)?;
+                    let number = usize::try_from(cycle.cycle).ok()?;
+                    let row = self.rows.get(number)?;
                     let counts = unwrapper.next(cycle.encoders[place].count);
                     let from_first = counts - *first.get_or_insert(counts);
                     Some(UnwrappedPoint {
-                        t_s: (i128::from(row.stamp_ns) - i128::from(first_ns)) as f64 * 1e-9,
+                        t_s: *stamps_s.get(number)?,
                         shown_rad: row.counts[place]? as f64 * scale.rad_per_count(),
                         continuous_rad: (scale.direction.sign() * from_first) as f64 * scale.rad_per_count(),
                     })
@@ -359,15 +359,9 @@ impl RawBarLog {
         self.readings.iter().enumerate().filter_map(of_place).collect()
     }
 
-    fn judge_stamps(&mut self) {
-        let stamps = self.rows.windows(2).map(|pair| {
-            // 128 bits: two stamps may be further apart than 292 years.
-            (i128::from(pair[1].stamp_ns) - i128::from(pair[0].stamp_ns)) as f64 * 1e-9
-        });
-        let mut steps_s: Vec<f64> = stamps.collect();
-        steps_s.sort_by(f64::total_cmp);
-        self.quality.period_s = steps_s.get(steps_s.len() / 2).copied().unwrap_or_default();
-        self.quality.longest_gap_s = steps_s.last().copied().unwrap_or_default();
+    /// Since the first row \[s\].
+    fn stamps_s(&self) -> Vec<f64> {
+        since_first_s(&self.rows.iter().map(|row| row.stamp_ns).collect::<Vec<_>>())
     }
 
     fn tell(&mut self) {

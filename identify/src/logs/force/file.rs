@@ -15,7 +15,7 @@ use crate::logs::robot::table::TIME_COLUMN;
 use crate::logs::tables::csv_text::{Format, Table, comments, delimiter_of_header, open_mapped};
 use crate::logs::tables::stamp::stamp_ns;
 use crate::logs::tables::text::decode;
-use crate::logs::{JointConversion, LogError, ROWS_MIN, bytes_of};
+use crate::logs::{JointConversion, LogError, ROWS_MIN, Stream, bytes_of};
 
 /// How to read a force from a table: `config/force_log.toml` explains each key.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -119,28 +119,25 @@ fn rows(
         &time.column,
         "Name the column of time stamps `t_s` (seconds), or say it with --force-mapping.",
     )?;
-    let mut log =
-        ForceLog { clock, kind: layout.kind, first_stamp_ns: 0, t_s: Vec::new(), values: Vec::new() };
+    let mut forces = Stream::default();
     let mut before: Option<(i64, u64)> = None;
     while let Some(row) = table.next_row() {
         let row = row?;
         let stamp = stamp_ns(&table, &row, &column, time.unit)?;
         let values = layout.row(&table, &row)?;
         match before {
-            None => log.first_stamp_ns = stamp,
             // Loggers that are read faster than they are filled give the same row again.
-            Some((last, _)) if stamp == last && log.values.last() == Some(&values) => continue,
+            Some((last, _)) if stamp == last && forces.last() == Some(&values) => continue,
             Some((last, line)) if stamp <= last => {
                 return Err(LogError::time_not_increasing(path, "line", (line, last), (row.line, stamp)));
             }
-            Some(_) => {}
+            _ => {}
         }
         before = Some((stamp, row.line));
-        log.t_s.push((i128::from(stamp) - i128::from(log.first_stamp_ns)) as f64 * 1e-9);
-        log.values.push(values);
+        forces.push(stamp, values);
     }
-    if log.values.len() < ROWS_MIN {
-        return Err(LogError::TooFewRows { path: path.to_owned(), rows: log.values.len(), needed: ROWS_MIN });
+    if forces.len() < ROWS_MIN {
+        return Err(LogError::TooFewRows { path: path.to_owned(), rows: forces.len(), needed: ROWS_MIN });
     }
-    Ok(log)
+    Ok(ForceLog::new(clock, layout.kind, forces))
 }

@@ -10,6 +10,7 @@ pub use file::ForceLogMapping;
 use serde::{Deserialize, Serialize};
 
 use crate::kinematics::Joints;
+use crate::logs::Stream;
 
 /// Column of a force along the bar \[N\].
 pub(super) const ALONG_COLUMN: &str = "force_N";
@@ -73,32 +74,14 @@ pub struct ForceLog {
     pub clock: ForceClock,
     /// What the numbers are.
     pub kind: ForceKind,
-    /// First stamp \[ns on that clock\].
-    pub first_stamp_ns: i64,
-    /// Stamps relative to the first \[s\], strictly increasing, the first is 0.
-    pub t_s: Vec<f64>,
-    /// One row per stamp, as many numbers as its kind has \[N or N m\].
-    pub values: Vec<Joints>,
+    /// Rows of as many numbers as its kind has \[N or N m\].
+    pub values: Stream<Joints>,
 }
 
 impl ForceLog {
-    /// Longest distance of two stamps that is bridged \[s\]: 0.1 s, or 3.5 periods of a slower log.
-    pub fn gap_limit_s(&self) -> f64 {
-        let mut steps_s: Vec<f64> = self.t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        steps_s.sort_by(f64::total_cmp);
-        steps_s.get(steps_s.len() / 2).map_or(0.1, |period_s| (3.5 * period_s).max(0.1))
-    }
-
-    /// The numbers at a time after the first stamp, on a straight line between two rows: forces jump where friction changes
-    /// sides, and a smooth curve would swing there. None beyond the ends and in holes longer than `gap_limit_s`.
-    pub fn at(&self, since_first_s: f64, gap_limit_s: f64) -> Option<Joints> {
-        let after = self.t_s.partition_point(|stamp| *stamp < since_first_s).max(1);
-        let (from_s, to_s) = (*self.t_s.get(after - 1)?, *self.t_s.get(after)?);
-        let (from, to) = (self.values.get(after - 1)?, self.values.get(after)?);
-        if since_first_s < from_s || to_s - from_s > gap_limit_s {
-            return None;
-        }
-        let part = (since_first_s - from_s) / (to_s - from_s);
-        Some(from.iter().zip(to).map(|(from, to)| from + part * (to - from)).collect())
+    /// A force of which rows are bridged that are up to 0.1 s, or 3.5 periods of a slower log, apart.
+    pub fn new(clock: ForceClock, kind: ForceKind, values: Stream<Joints>) -> Self {
+        let gap_limit_s = (3.5 * values.period_s()).max(0.1);
+        Self { clock, kind, values: values.with_gap_limit(gap_limit_s) }
     }
 }

@@ -8,11 +8,12 @@ use super::mapping::RobotLogMapping;
 use crate::kinematics::Joints;
 use crate::logs::force::FORCE_MAX;
 use crate::logs::rows::pose_rows::joints_of_robot;
-use crate::logs::time_series::sampling::{Sampling, Stamps, sampling};
+use crate::logs::time_series::sampling::Stamps;
 use crate::logs::{
     ForceClock, ForceKind, ForceLog, JointConversion, LogError, LogFormat, LogQuality, Origin, ROWS_MIN,
-    RobotLog,
+    RobotLog, Stream, travel,
 };
+use crate::statistics::extremes;
 
 /// Joint values may pass the nominal limits by this much before a log is refused \[deg\]: zero positions of real
 /// robots differ a little from the data sheet. Prismatic axes by as much times one metre.
@@ -169,31 +170,22 @@ impl RawLog {
     pub fn finish(mut self, meaning: &Meaning<'_>) -> Result<RobotLog, LogError> {
         self.drop_frozen(meaning.unit);
         if self.rows.len() < ROWS_MIN {
-            return Err(self.too_few());
+            return Err(self.too_few(self.rows.len()));
         }
-        let converted = |rows: &[KeptRow]| -> Vec<Joints> {
-            rows.iter().map(|row| meaning.conversion.to_joint(&row.joints)).collect()
-        };
-        let mut q_rad = converted(&self.rows);
-        self.check_limits(&q_rad, meaning)?;
-        let sampled = sampling(&self.stamps_s(), &q_rad);
-        if sampled.is_none() && self.drop_equal() {
-            q_rad = converted(&self.rows);
+        let joints: Vec<Joints> =
+            self.rows.iter().map(|row| meaning.conversion.to_joint(&row.joints)).collect();
+        self.check_limits(&joints, meaning)?;
+        let stamps_ns = self.rows.iter().map(|row| row.stamp_ns).collect();
+        let (rows, before) = (std::mem::take(&mut self.rows), joints.len());
+        let (rows, stamps) = Stream::sampled(stamps_ns, rows, &joints);
+        self.tell_equal(before - rows.len());
+        if rows.len() < ROWS_MIN {
+            return Err(self.too_few(rows.len()));
         }
-        if self.rows.len() < ROWS_MIN {
-            return Err(self.too_few());
-        }
-        let (mut t_s, stamps) = match sampled {
-            Some(Sampling { t_s, stamps }) => (t_s, Some(stamps)),
-            None => (self.stamps_s(), None),
-        };
         self.quality.stamps = stamps;
-        let begins_s = t_s.first().copied().unwrap_or_default();
-        t_s.iter_mut().for_each(|t_s| *t_s -= begins_s);
-        let first_stamp_ns = self.rows.first().map_or(0, |row| row.stamp_ns);
-        let first_stamp_ns = first_stamp_ns.saturating_add((begins_s * 1e9).round() as i64);
+        let q_rad = rows.map(|row| meaning.conversion.to_joint(&row.joints));
         let all = |of: fn(&More) -> Option<Joints>| {
-            self.rows.iter().map(|row| of(row.more.as_ref()?)).collect::<Option<Vec<_>>>()
+            rows.iter().map(|row| of(row.more.as_ref()?)).collect::<Option<Vec<_>>>()
         };
         let speed_rad_s = all(|more| more.speeds)
             .map(|speeds| speeds.iter().map(|row| meaning.conversion.to_joint_rate(row)).collect());
@@ -211,7 +203,8 @@ impl RawLog {
                 }
                 _ => given?,
             };
-            Some(ForceLog { clock: ForceClock::Robot, kind, first_stamp_ns, t_s: t_s.clone(), values })
+            let forces = Stream::new(q_rad.first_stamp_ns, q_rad.t_s.clone(), values);
+            Some(ForceLog::new(ForceClock::Robot, kind, forces))
         });
         if self.force.is_some() && of_bar.is_none() {
             self.remarks.push(format!(
@@ -220,13 +213,11 @@ impl RawLog {
                 self.what
             ));
         }
-        let quality = self.judge(&t_s, &q_rad);
+        let quality = self.judge(&q_rad);
         Ok(RobotLog {
             robot: self.robot,
             clock: self.clock,
             origin: self.origin,
-            first_stamp_ns,
-            t_s,
             q_rad,
             speed_rad_s,
             torque,
@@ -256,30 +247,18 @@ impl RawLog {
         self.rows.retain(|_| !frozen.next().unwrap_or(false));
     }
 
-    /// Stamps since the first \[s\].
-    fn stamps_s(&self) -> Vec<f64> {
-        let first_ns = self.rows.first().map_or(0, |row| row.stamp_ns);
-        // 128 bits: two stamps may be further apart than 292 years.
-        let since_first_s = |row: &KeptRow| (i128::from(row.stamp_ns) - i128::from(first_ns)) as f64 * 1e-9;
-        self.rows.iter().map(since_first_s).collect()
-    }
-
-    /// Of rows with one stamp only the first has a time, where no clock says more; whether there were any.
-    fn drop_equal(&mut self) -> bool {
-        let rows = self.rows.len();
-        self.rows.dedup_by(|row, before| row.stamp_ns <= before.stamp_ns);
-        let dropped = rows - self.rows.len();
+    /// Of rows with one stamp only the first has a time, where no clock says more.
+    fn tell_equal(&mut self, dropped: usize) {
         if dropped > 0 {
             self.remarks.push(format!(
                 "{dropped} {}s have the stamp of the one before, and no regular clock is behind the stamps; they are left out",
                 self.what
             ));
         }
-        dropped > 0
     }
 
-    fn too_few(&self) -> LogError {
-        let (path, rows, incomplete) = (self.path.clone(), self.rows.len(), self.quality.incomplete_dropped);
+    fn too_few(&self, rows: usize) -> LogError {
+        let (path, incomplete) = (self.path.clone(), self.quality.incomplete_dropped);
         if incomplete > rows {
             return LogError::Content {
                 path,
@@ -323,9 +302,9 @@ impl RawLog {
         // Angles that are read as a sixtieth of themselves are within any limits, where they hardly move.
         let in_deg = |row: &Joints| conversion.to_joint_with_unit(row, AngleUnit::Deg);
         let moves = |joint: usize| {
-            let angles = || self.rows.iter().map(|row| in_deg(&row.joints)[joint]);
-            let span_rad = angles().fold(f64::MIN, f64::max) - angles().fold(f64::MAX, f64::min);
-            span_rad > MOTION_DEG_MIN.to_radians()
+            let angles = self.rows.iter().map(|row| in_deg(&row.joints)[joint]);
+            let [low_rad, high_rad] = extremes(angles);
+            high_rad - low_rad > MOTION_DEG_MIN.to_radians()
         };
         if meaning.unit == AngleUnit::Rad && fits(&in_deg) && (0..conversion.axes()).any(moves) {
             return "read as degrees every row fits: the columns look like degrees under a `_rad` header; export \
@@ -351,21 +330,11 @@ impl RawLog {
             .into()
     }
 
-    fn judge(&mut self, t_s: &[f64], q_rad: &[Joints]) -> LogQuality {
-        let mut steps_s: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-        steps_s.sort_by(f64::total_cmp);
-        let span_deg = |joint: usize| {
-            let (low, high) = q_rad.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), q| {
-                (low.min(q[joint]), high.max(q[joint]))
-            });
-            (high - low).to_degrees()
-        };
+    fn judge(&mut self, q_rad: &[Joints]) -> LogQuality {
         let mut quality = std::mem::take(&mut self.quality);
-        quality.period_s = steps_s.get(steps_s.len() / 2).copied().unwrap_or_default();
-        quality.longest_gap_s = steps_s.last().copied().unwrap_or_default();
         quality.remarks.append(&mut self.remarks);
         quality.remarks.extend(quality.stamps.iter().flat_map(Stamps::remarks).collect::<Vec<_>>());
-        if (0..q_rad.first().map_or(0, |q| q.len())).all(|joint| span_deg(joint) < MOTION_DEG_MIN) {
+        if travel(q_rad).to_degrees() < MOTION_DEG_MIN {
             quality.remarks.push(format!(
                 "no joint moves by {MOTION_DEG_MIN} deg in the whole log: radians in columns named as degrees, or the \
                  wrong part of a log?"

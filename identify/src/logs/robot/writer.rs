@@ -25,7 +25,8 @@ pub fn write(log: &RobotLog, robot: &RobotConfig, sink: impl Write) -> std::io::
     }
     let mut csv = csv::Writer::from_writer(sink);
     let along = log.force.as_ref().filter(|force| {
-        force.kind == ForceKind::Along && force.first_stamp_ns == log.first_stamp_ns && force.t_s == log.t_s
+        let same_clock = force.values.first_stamp_ns == log.q_rad.first_stamp_ns;
+        force.kind == ForceKind::Along && same_clock && force.values.t_s == log.q_rad.t_s
     });
     let header: Vec<String> = std::iter::once(TIME_COLUMN.to_owned())
         .chain((0..robot.axes()).map(|index| column_name(robot, index, robot.log.unit)))
@@ -33,7 +34,7 @@ pub fn write(log: &RobotLog, robot: &RobotConfig, sink: impl Write) -> std::io::
         .collect();
     csv.write_record(&header)?;
     for (index, q_rad) in log.q_rad.iter().enumerate() {
-        let Some(stamp_ns) = log.stamp_ns(index) else { break };
+        let Some(stamp_ns) = log.q_rad.stamp_ns(index) else { break };
         let mut row = vec![seconds_text(stamp_ns)];
         row.extend(conversion.to_raw(q_rad).into_iter().map(|value| value.to_string()));
         row.extend(along.and_then(|force| force.values.get(index)).map(|values| values[0].to_string()));

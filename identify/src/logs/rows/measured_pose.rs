@@ -14,8 +14,7 @@ use super::pose_rows::{JointColumns, Names, check_joints, mapped, mapped_if_name
 use crate::kinematics::Joints;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::tables::stamp::stamp_ns;
-use crate::logs::time_series::sampling::{Sampling, Stamps, sampling};
-use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, TimeColumn, bytes_of};
+use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, Stamps, Stream, TimeColumn, bytes_of};
 
 /// No tracker sees further \[m\]; more means a wrong unit.
 const POSITION_M_MAX: f64 = 100.0;
@@ -181,13 +180,6 @@ pub struct PoseUncertainty {
     pub rotation_rad: Option<f64>,
 }
 
-/// What a tracker saw at once.
-struct Seen {
-    position_m: Vector3<f64>,
-    rotation: Option<Rotation3<f64>>,
-    uncertainty: PoseUncertainty,
-}
-
 /// Which columns hold what.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -305,7 +297,7 @@ impl MeasuredPoses {
         let find = |table: &Table<'_>| Columns::find(table, mapping);
         let (mut stations, mut targets) = (Names::default(), Names::default());
         let read = |columns: &Columns<'_>, table: &Table<'_>, row: &Row| {
-            let Seen { position_m, rotation, uncertainty } = columns.seen.read(table, row)?;
+            let TimedPose { position_m, rotation, uncertainty, line } = columns.seen.read(table, row)?;
             Ok(MeasuredPose {
                 q_rad: columns.joints.read(table, row)?,
                 position_m,
@@ -313,7 +305,7 @@ impl MeasuredPoses {
                 uncertainty,
                 station: stations.place(table, row, columns.station.as_ref())?,
                 target: targets.place(table, row, columns.target.as_ref())?,
-                line: row.line,
+                line,
             })
         };
         let rows = rows(bytes, path, &mapping.csv, find, read)?;
@@ -337,12 +329,8 @@ pub struct TimedPose {
 /// A tracker's log on its own clock.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct TimedPoses {
-    /// Time of the first row \[ns on the tracker's clock\].
-    pub first_stamp_ns: i64,
-    /// Times since the first \[s\], strictly increasing: those of the regular clock behind the stamps, where there is one.
-    pub t_s: Vec<f64>,
-    /// One for each time.
-    pub rows: Vec<TimedPose>,
+    /// At the times of the regular clock behind the stamps, where there is one.
+    pub rows: Stream<TimedPose>,
     /// The stamps against that clock.
     pub stamps: Option<Stamps>,
 }
@@ -364,44 +352,19 @@ impl TimedPoses {
         let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
         let find = |table: &Table<'_>| Ok((SeenColumns::find(table, mapping)?, mapped(table, &time.column)?));
         let read = |(seen, column): &(SeenColumns<'_>, Column), table: &Table<'_>, row: &Row| {
-            let Seen { position_m, rotation, uncertainty } = seen.read(table, row)?;
-            let stamp_ns = stamp_ns(table, row, column, time.unit)?;
-            Ok((stamp_ns, TimedPose { position_m, rotation, uncertainty, line: row.line }))
+            let pose = seen.read(table, row)?;
+            Ok((stamp_ns(table, row, column, time.unit)?, pose))
         };
         let rows = rows(bytes, path, &mapping.csv, find, read)?;
         if let Some(pair) = rows.windows(2).find(|pair| pair[1].0 < pair[0].0) {
             let [before, after] = [0, 1].map(|place| (pair[place].1.line, pair[place].0));
             return Err(LogError::time_not_increasing(path, "line", before, after));
         }
-        Ok(Self::timed(rows))
-    }
-
-    /// Rows with their stamps \[ns\], which do not decrease.
-    fn timed(mut rows: Vec<(i64, TimedPose)>) -> Self {
-        let since_first_s = |rows: &[(i64, TimedPose)]| -> Vec<f64> {
-            let first_ns = rows.first().map_or(0, |(stamp_ns, _)| *stamp_ns);
-            rows.iter()
-                .map(|(stamp_ns, _)| (i128::from(*stamp_ns) - i128::from(first_ns)) as f64 * 1e-9)
-                .collect()
-        };
+        let (stamps_ns, rows): (_, Vec<TimedPose>) = rows.into_iter().unzip();
         let positions: Vec<Joints> =
-            rows.iter().map(|(_, row)| Joints::from_fn(3, |axis| row.position_m[axis])).collect();
-        let (mut t_s, stamps) = match sampling(&since_first_s(&rows), &positions) {
-            Some(Sampling { t_s, stamps }) => (t_s, Some(stamps)),
-            None => {
-                rows.dedup_by_key(|(stamp_ns, _)| *stamp_ns);
-                (since_first_s(&rows), None)
-            }
-        };
-        let begins_s = t_s.first().copied().unwrap_or_default();
-        t_s.iter_mut().for_each(|t_s| *t_s -= begins_s);
-        let first_ns = rows.first().map_or(0, |(stamp_ns, _)| *stamp_ns);
-        Self {
-            first_stamp_ns: first_ns.saturating_add((begins_s * 1e9).round() as i64),
-            t_s,
-            rows: rows.into_iter().map(|(_, row)| row).collect(),
-            stamps,
-        }
+            rows.iter().map(|row| Joints::from_fn(3, |axis| row.position_m[axis])).collect();
+        let (rows, stamps) = Stream::sampled(stamps_ns, rows, &positions);
+        Ok(Self { rows, stamps })
     }
 }
 
@@ -470,7 +433,7 @@ impl<'a> SeenColumns<'a> {
         })
     }
 
-    fn read(&self, table: &Table<'_>, row: &Row) -> Result<Seen, LogError> {
+    fn read(&self, table: &Table<'_>, row: &Row) -> Result<TimedPose, LogError> {
         let (columns, unit) = &self.position;
         let position_m = numbers(table, row, columns, (unit.to_m(), "m"), POSITION_M_MAX)?;
         let rotation = self.rotation.as_ref().map(|(columns, how)| rotation(table, row, columns, how));
@@ -478,7 +441,8 @@ impl<'a> SeenColumns<'a> {
         let uncertainty = |column: &Option<Column>| {
             column.as_ref().map(|column| uncertainty(table, row, column)).transpose()
         };
-        Ok(Seen {
+        Ok(TimedPose {
+            line: row.line,
             position_m: Vector3::from_iterator(position_m),
             rotation: rotation.transpose()?,
             uncertainty: PoseUncertainty {

@@ -1,6 +1,7 @@
-//! The course of what was logged: the regular clock behind stamps, turns made continuous, values between stamps.
+//! What was logged over time: rows on one clock, the regular clock behind stamps, values between stamps.
 
-pub(super) mod interpolation;
+mod average;
 pub(super) mod sampling;
 pub(super) mod spline;
+pub(super) mod stream;
 pub(super) mod unwrapped;

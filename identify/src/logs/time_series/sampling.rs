@@ -11,6 +11,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::kinematics::Joints;
 use crate::logs::ROWS_MIN;
+use crate::statistics::median;
 
 /// The stamps of a log against the regular clock behind them.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -248,11 +249,6 @@ fn rounded_to(t_s: &[f64]) -> Option<f64> {
 
 fn rms(values: &[f64]) -> f64 {
     (values.iter().map(|value| value * value).sum::<f64>() / values.len().max(1) as f64).sqrt()
-}
-
-fn median(values: &mut [f64]) -> Option<f64> {
-    let middle = values.len() / 2;
-    (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
 /// Periods from each row to the next as far as the motion says.

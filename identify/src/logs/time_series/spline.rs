@@ -7,36 +7,13 @@
 /// Fewest samples of one continuous part: two inner knots for the not-a-knot ends.
 pub const KNOTS_MIN: usize = 4;
 
-use std::ops::Index;
-
-use crate::kinematics::Joints;
-
-/// The numbers of one stamp: an array, or one number for each axis of a robot.
-pub trait Row: Copy + Index<usize, Output = f64> {
-    /// Another row of the same length, from its places.
-    fn like(&self, of: impl FnMut(usize) -> f64) -> Self;
-}
-
-impl<const N: usize> Row for [f64; N] {
-    #[inline]
-    fn like(&self, of: impl FnMut(usize) -> f64) -> Self {
-        std::array::from_fn(of)
-    }
-}
-
-impl Row for Joints {
-    #[inline]
-    fn like(&self, of: impl FnMut(usize) -> f64) -> Self {
-        Self::from_fn(self.len(), of)
-    }
-}
+use super::stream::{Row, Stream};
 
 /// A spline through a row of values per stamp. Parts that are further apart than a limit are separate splines, and there
 /// is no value between them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CubicSpline<R> {
-    t_s: Vec<f64>,
-    values: Vec<R>,
+    knots: Stream<R>,
     /// Second derivative at each knot.
     curvatures: Vec<R>,
     /// Interval `i` lies between knots `i` and `i + 1`.
@@ -54,92 +31,76 @@ pub struct SplinePoint<R> {
     pub acceleration: R,
 }
 
-impl<R: Row> CubicSpline<R> {
-    /// Through `values` at `t_s`, which must increase strictly; surplus entries of the longer list are ignored.
-    /// Neighbours further apart than `gap_limit_s` are not connected. None where no part has [`KNOTS_MIN`] samples.
-    pub fn new(t_s: &[f64], values: &[R], gap_limit_s: f64) -> Option<Self> {
-        let count = t_s.len().min(values.len());
-        let (t_s, values) = (t_s.get(..count)?, values.get(..count)?);
-        let mut spline = Self {
-            t_s: t_s.to_vec(),
-            values: values.to_vec(),
-            curvatures: values.iter().map(|row| row.like(|_| 0.0)).collect(),
-            bridged: vec![false; count.saturating_sub(1)],
-        };
-        let mut start = 0;
-        for end in 1..=count {
-            let part_ends = end == count || t_s[end] - t_s[end - 1] > gap_limit_s;
-            if !part_ends {
-                continue;
-            }
-            if end - start >= KNOTS_MIN {
-                let part = start..end;
-                curvatures(&t_s[part.clone()], &values[part.clone()], &mut spline.curvatures[part]);
-                spline.bridged[start..end - 1].fill(true);
-            }
-            start = end;
+impl<R: Row> Stream<R> {
+    /// Through all rows, each of the [`Stream::parts`] by itself; none where no part has [`KNOTS_MIN`] rows.
+    pub fn spline(&self) -> Option<CubicSpline<R>> {
+        let mut curvatures: Vec<R> = self.iter().map(|row| row.like(|_| 0.0)).collect();
+        let mut bridged = vec![false; self.len().saturating_sub(1)];
+        for part in self.parts().into_iter().filter(|part| part.len() >= KNOTS_MIN) {
+            bridged[part.start..part.end - 1].fill(true);
+            bend(&self.t_s[part.clone()], &self.rows[part.clone()], &mut curvatures[part]);
         }
-        spline.bridged.contains(&true).then_some(spline)
+        bridged.contains(&true).then(|| CubicSpline { knots: self.clone(), curvatures, bridged })
     }
+}
 
-    /// Value and derivative at `t_s`; none outside the samples and inside gaps.
+impl<R: Row> CubicSpline<R> {
+    /// Value and derivatives at `t_s` after the first row; none outside the rows and inside gaps.
     pub fn at(&self, t_s: f64) -> Option<SplinePoint<R>> {
-        let after = self.t_s.partition_point(|&knot| knot <= t_s);
-        // The last knot belongs to the interval before it.
-        let interval =
-            if self.t_s.last() == Some(&t_s) { after.checked_sub(2)? } else { after.checked_sub(1)? };
-        if !*self.bridged.get(interval)? {
-            return None;
-        }
-        let width_s = self.t_s[interval + 1] - self.t_s[interval];
-        let u = (t_s - self.t_s[interval]) / width_s;
-        let (left, right) = (&self.values[interval], &self.values[interval + 1]);
-        let (m_left, m_right) = (&self.curvatures[interval], &self.curvatures[interval + 1]);
+        let interval = self.knots.interval(t_s)?;
+        let (width_s, [left, right, m_left, m_right]) = self.interval(interval)?;
+        let u = (t_s - self.knots.t_s[interval]) / width_s;
         let w = 1.0 - u;
         let h2 = width_s * width_s / 6.0;
+        let row = &self.knots[interval];
         Some(SplinePoint {
-            value: left.like(|i| {
+            value: row.like(|i| {
                 w * left[i] + u * right[i] + h2 * ((w * w * w - w) * m_left[i] + (u * u * u - u) * m_right[i])
             }),
-            rate: left.like(|i| {
+            rate: row.like(|i| {
                 (right[i] - left[i]) / width_s
                     + width_s / 6.0 * ((1.0 - 3.0 * w * w) * m_left[i] + (3.0 * u * u - 1.0) * m_right[i])
             }),
-            acceleration: left.like(|i| w * m_left[i] + u * m_right[i]),
+            acceleration: row.like(|i| w * m_left[i] + u * m_right[i]),
         })
     }
 
     /// Integral from knot `interval` over the part `u` (0 to 1) of the way to the next one; none in gaps.
     pub fn integral_within(&self, interval: usize, u: f64) -> Option<R> {
-        if !*self.bridged.get(interval)? {
-            return None;
-        }
-        let width_s = self.t_s[interval + 1] - self.t_s[interval];
-        let (left, right) = (&self.values[interval], &self.values[interval + 1]);
-        let (m_left, m_right) = (&self.curvatures[interval], &self.curvatures[interval + 1]);
+        let (width_s, [left, right, m_left, m_right]) = self.interval(interval)?;
         let (w2, u2) = ((1.0 - u) * (1.0 - u), u * u);
         let (of_left, of_right) = (0.5 * (1.0 - w2), 0.5 * u2);
         let h2 = width_s * width_s / 6.0;
         let (of_m_left, of_m_right) =
             (h2 * (0.25 * (1.0 - w2 * w2) - of_left), h2 * (0.25 * u2 * u2 - of_right));
-        Some(left.like(|i| {
+        Some(self.knots[interval].like(|i| {
             width_s
                 * (of_left * left[i] + of_right * right[i] + of_m_left * m_left[i] + of_m_right * m_right[i])
         }))
     }
 
-    /// First and last stamp.
-    pub fn range_s(&self) -> (f64, f64) {
-        (self.t_s.first().copied().unwrap_or_default(), self.t_s.last().copied().unwrap_or_default())
+    /// From first to last row \[s\].
+    pub fn duration_s(&self) -> f64 {
+        self.knots.duration_s()
+    }
+
+    /// Width of an interval \[s\], values at its left and right end, and curvatures there; none in gaps.
+    fn interval(&self, left: usize) -> Option<(f64, [&[f64]; 4])> {
+        let ends = [left, left + 1];
+        self.bridged.get(left)?.then(|| {
+            let [a, b] = ends.map(|knot| self.knots[knot].numbers());
+            let [m_a, m_b] = ends.map(|knot| self.curvatures[knot].numbers());
+            (self.knots.t_s[left + 1] - self.knots.t_s[left], [a, b, m_a, m_b])
+        })
     }
 }
 
 /// Second derivatives at the knots of one part (at least [`KNOTS_MIN`]): the tridiagonal system of continuous first
 /// derivatives, solved by elimination without pivoting (it is diagonally dominant).
-fn curvatures<R: Row>(t_s: &[f64], values: &[R], out: &mut [R]) {
+fn bend<R: Row>(t_s: &[f64], values: &[R], out: &mut [R]) {
     let last = t_s.len() - 1;
     let h: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    let slope = |i: usize, n: usize| (values[i + 1][n] - values[i][n]) / h[i];
+    let slope = |i: usize, n: usize| (values[i + 1].numbers()[n] - values[i].numbers()[n]) / h[i];
     let mut upper_over_diagonal = vec![0.0; t_s.len()];
     for i in 1..last {
         let (mut lower, mut diagonal, mut upper) = (h[i - 1], 2.0 * (h[i - 1] + h[i]), h[i]);
@@ -159,14 +120,17 @@ fn curvatures<R: Row>(t_s: &[f64], values: &[R], out: &mut [R]) {
         let before = out[i - 1];
         out[i] = before.like(|n| {
             let right_side = 6.0 * (slope(i, n) - slope(i - 1, n));
-            (right_side - lower * before[n]) / pivot
+            (right_side - lower * before.numbers()[n]) / pivot
         });
     }
     for i in (1..last - 1).rev() {
         let (factor, after) = (upper_over_diagonal[i], out[i + 1]);
-        out[i] = after.like(|n| out[i][n] - factor * after[n]);
+        out[i] = after.like(|n| out[i].numbers()[n] - factor * after.numbers()[n]);
     }
-    let end = |inner: R, further: R, ratio: f64| inner.like(|n| inner[n] + ratio * (inner[n] - further[n]));
+    let end = |inner: R, further: R, ratio: f64| {
+        let (near, far) = (inner.numbers(), further.numbers());
+        inner.like(|n| near[n] + ratio * (near[n] - far[n]))
+    };
     out[0] = end(out[1], out[2], h[0] / h[1]);
     out[last] = end(out[last - 1], out[last - 2], h[last - 1] / h[last - 2]);
 }

@@ -1,8 +1,11 @@
 //! Readings that begin anew after a turn, or at the width of a counter, as they were shown and as they were made continuous.
 
+use std::borrow::Cow;
 use std::ops::Range;
 
 use serde::Serialize;
+
+use super::stream::{Row, Stream};
 
 /// Fresh beginnings that one picture shows, at most.
 const WRAPS_SHOWN: usize = 8;
@@ -67,6 +70,7 @@ impl Unwrapped {
             points: within.clone().filter(is_shown).map(reading).collect(),
         })
     }
+
     /// Of one encoder over parts of a log that do not follow each other; the liveliest is shown. None where nothing began anew.
     pub fn of_parts(parts: impl IntoIterator<Item = Option<Self>>) -> Option<Self> {
         let found: Vec<Self> = parts.into_iter().flatten().collect();
@@ -74,6 +78,29 @@ impl Unwrapped {
         let step_part = found.iter().map(|one| one.step_part).fold(0.0, f64::max);
         let shown = found.into_iter().max_by_key(|one| one.wraps)?;
         Some(Self { wraps, step_part, ..shown })
+    }
+}
+
+impl<R: Row> Stream<R> {
+    /// The stream with the numbers that begin anew after each `period` made continuous; itself where there are none.
+    ///
+    /// Of two rows more than half a period apart the second is moved by whole periods until it is nearest to the first. Across
+    /// a gap nobody can tell whether it moved so far.
+    pub fn unwrapped(&self, period: f64) -> Cow<'_, Self> {
+        let mut continuous = Cow::Borrowed(self);
+        let mut periods = vec![0.0; self.first().map_or(0, |row| row.numbers().len())];
+        for part in self.parts() {
+            for row in part.clone() {
+                let (before, here) = (self[row.max(part.start + 1) - 1], self[row]);
+                for (place, periods) in periods.iter_mut().enumerate() {
+                    *periods -= ((here.numbers()[place] - before.numbers()[place]) / period).round();
+                }
+                if periods.iter().any(|periods| *periods != 0.0) {
+                    continuous.to_mut()[row] = here.like(|i| here.numbers()[i] + periods[i] * period);
+                }
+            }
+        }
+        continuous
     }
 }
 

@@ -1,18 +1,21 @@
 //! The robot's motion seen from the reference time.
 
-use crate::logs::InterpolatedLog;
+use std::sync::Arc;
+
+use crate::kinematics::Joints;
+use crate::logs::CubicSpline;
 use crate::model::{JointState, RobotMotion};
 
 /// An interpolated robot log whose time begins at the reference time instead of at its first stamp.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AlignedLog {
-    log: InterpolatedLog,
+    log: Arc<CubicSpline<Joints>>,
     origin_s: f64,
 }
 
 impl AlignedLog {
     /// `log` with its time `origin_s` (after the first stamp) called zero.
-    pub fn new(log: InterpolatedLog, origin_s: f64) -> Self {
+    pub fn new(log: Arc<CubicSpline<Joints>>, origin_s: f64) -> Self {
         Self { log, origin_s }
     }
 
@@ -24,7 +27,7 @@ impl AlignedLog {
 
 impl RobotMotion for AlignedLog {
     fn at(&self, tau_s: f64) -> Option<JointState> {
-        let point = self.log.joints(self.origin_s + tau_s)?;
+        let point = self.log.at(self.origin_s + tau_s)?;
         Some(JointState { q: point.value, qd: point.rate, qdd: point.acceleration })
     }
 }

@@ -1,38 +1,28 @@
 //! Where in the robot's log the recording lies: candidates from the speeds, the best of them by the angles.
 
+use std::ops::Range;
+use std::sync::Arc;
+
 use super::clock::ClockFit;
 use super::correlate::{Match, candidates};
 use super::refine::{Fit, FitSample, refine};
 use super::speeds::{grid_step_s, measured_speeds, predicted_speeds, without_order};
 use super::window::{CANDIDATES, WINDOW_S, liveliest, overlap_min_s, wider};
-use crate::kinematics::{BAR_JOINTS, Chain, mirroring_joints};
-use crate::logs::InterpolatedLog;
+use crate::kinematics::{BAR_JOINTS, Chain, Joints, mirroring_joints};
+use crate::logs::{CubicSpline, Stream};
 use crate::prepare::encoders::encoder_map::{AnglePair, EncoderMap, EncoderMapReport, find_encoder_map};
 use crate::prepare::encoders::segments::{Pair, Settled, settle};
 use crate::prepare::encoders::slip::large_slip;
 use crate::prepare::select::{apart, select};
-use crate::prepare::{Channels, Predictor, PrepareError, PrepareOptions};
-
-/// A valid sample of the recording.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(in crate::prepare) struct Raw {
-    /// Index of its cycle.
-    pub cycle: usize,
-    /// Number of the counters' origin.
-    pub origin: usize,
-    /// Bar time since the first sample \[s\].
-    pub t_s: f64,
-    /// Encoder angles by recorded joint, offsets unknown \[rad\].
-    pub recorded_rad: [f64; BAR_JOINTS],
-}
+use crate::prepare::{BarReading, Channels, Predictor, PrepareError, PrepareOptions};
 
 /// What is searched, and in what.
 pub(in crate::prepare) struct Search<'a> {
-    pub samples: &'a [Raw],
+    pub readings: &'a Stream<BarReading>,
     /// Of the recording, 1 to 5.
     pub recorded_joints: &'a [u8],
     pub origins: usize,
-    pub log: &'a InterpolatedLog,
+    pub log: &'a Arc<CubicSpline<Joints>>,
     pub log_duration_s: f64,
     pub predictor: &'a Predictor<'a>,
     /// Nominal robot and bar.
@@ -153,28 +143,26 @@ impl Search<'_> {
     }
 
     /// The part of the recording with the most motion.
-    fn liveliest(&self) -> std::ops::Range<usize> {
+    fn liveliest(&self) -> Range<usize> {
         let travel_rad = |pair: [usize; 2]| {
-            let [a, b] = pair.map(|sample| &self.samples[sample]);
+            let [a, b] = pair.map(|sample| &self.readings[sample]);
             let steps = a.recorded_rad.iter().zip(&b.recorded_rad).map(|(a, b)| (a - b).abs());
             if a.origin == b.origin { steps.sum::<f64>() } else { 0.0 }
         };
-        liveliest(&self.times_s(), travel_rad)
+        liveliest(&self.readings.t_s, travel_rad)
     }
 
-    fn times_s(&self) -> Vec<f64> {
-        self.samples.iter().map(|raw| raw.t_s).collect()
+    /// Since the first reading \[s\].
+    fn time_s(&self, sample: usize) -> f64 {
+        self.readings.t_s.get(sample).copied().unwrap_or_default()
     }
 
     /// Shifts at which the speeds match, for times since the window's first sample, in grid steps.
-    fn candidates(&self, window: &std::ops::Range<usize>, step_s: f64) -> Result<Vec<Match>, PrepareError> {
-        let samples = self.samples.get(window.clone()).unwrap_or_default();
-        let window_s = match (samples.first(), samples.last()) {
-            (Some(first), Some(last)) => last.t_s - first.t_s,
-            _ => 0.0,
-        };
+    fn candidates(&self, window: &Range<usize>, step_s: f64) -> Result<Vec<Match>, PrepareError> {
+        let readings = self.readings.slice(window.clone());
+        let window_s = readings.duration_s();
         let overlap_min = (overlap_min_s(self.options, window_s, self.log_duration_s) / step_s) as usize;
-        let from_bar = measured_speeds(samples, &self.joints(), step_s);
+        let from_bar = measured_speeds(&readings, &self.joints(), step_s);
         let from_robot = self.predicted(step_s);
         let of = |robot: &Channels, bar: &Channels| candidates(robot, bar, overlap_min, CANDIDATES);
         let mut all = of(&from_robot, &from_bar);
@@ -212,16 +200,14 @@ impl Search<'_> {
     /// What the angles say of a shift.
     pub(in crate::prepare) fn hypothesis(
         &self,
-        window: &std::ops::Range<usize>,
+        window: &Range<usize>,
         matched: Match,
         step_s: f64,
     ) -> Result<Hypothesis, PrepareError> {
-        let first_s = self.samples.get(window.start).map_or(0.0, |first| first.t_s);
-        let clock = ClockFit { shift_s: matched.shift * step_s - first_s, skew: 0.0 };
+        let clock = ClockFit { shift_s: matched.shift * step_s - self.time_s(window.start), skew: 0.0 };
         let of_samples = self.pairs(window, clock);
         let pairs: Vec<AnglePair> = of_samples.iter().map(|(_, pair)| *pair).collect();
-        let time_s = |sample: usize| self.samples.get(sample).map_or(0.0, |raw| raw.t_s);
-        let timed: Vec<_> = of_samples.iter().map(|(sample, pair)| (time_s(*sample), *pair)).collect();
+        let timed: Vec<_> = of_samples.iter().map(|(sample, pair)| (self.time_s(*sample), *pair)).collect();
         let slip = large_slip(&timed, self.recorded_joints, self.options);
         let encoder_map = match (find_encoder_map(&pairs, self.recorded_joints, self.options), slip) {
             (Ok(_) | Err(PrepareError::NoEncoderMap { .. }), Some(slip)) => return Err(slip),
@@ -236,25 +222,26 @@ impl Search<'_> {
     }
 
     /// Samples spread over the motion with what the robot's log predicts there, in segments between singular poses.
-    fn pairs(&self, window: &std::ops::Range<usize>, clock: ClockFit) -> Vec<(usize, AnglePair)> {
-        let samples = self.samples.get(window.clone()).unwrap_or_default();
-        let long = samples.last().zip(samples.first()).is_some_and(|(a, b)| a.t_s - b.t_s > 1.1 * WINDOW_S);
-        let stride = if long { LONG_STRIDE } else { 1 };
+    fn pairs(&self, window: &Range<usize>, clock: ClockFit) -> Vec<(usize, AnglePair)> {
+        let window_s = self.time_s(window.end.saturating_sub(1)) - self.time_s(window.start);
+        let stride = if window_s > 1.1 * WINDOW_S { LONG_STRIDE } else { 1 };
         let mut pairs: Vec<(usize, AnglePair)> = Vec::new();
-        let (mut segment, mut broken, mut before) = (0, false, None::<&Raw>);
-        for (index, raw) in samples.iter().enumerate().step_by(stride) {
-            let parted =
-                before.is_some_and(|before| before.origin != raw.origin || raw.t_s - before.t_s > HOLE_S);
-            before = Some(raw);
-            let bar =
-                self.predictor.at(clock.tau_s(raw.t_s)).filter(|bar| bar.margin_rad > self.margin_rad());
+        let (mut segment, mut broken, mut before) = (0, false, None::<usize>);
+        let within = window.start..window.end.min(self.readings.len());
+        for sample in within.step_by(stride) {
+            let (reading, t_s) = (&self.readings[sample], self.time_s(sample));
+            let parted = before.is_some_and(|before| {
+                self.readings[before].origin != reading.origin || t_s - self.time_s(before) > HOLE_S
+            });
+            before = Some(sample);
+            let bar = self.predictor.at(clock.tau_s(t_s)).filter(|bar| bar.margin_rad > self.margin_rad());
             broken |= parted || bar.is_none();
             let Some(bar) = bar else { continue };
             if std::mem::take(&mut broken) {
                 segment += 1;
             }
-            let pair = AnglePair { segment, recorded_rad: raw.recorded_rad, predicted_rad: bar.joints_rad };
-            pairs.push((window.start + index, pair));
+            let BarReading { recorded_rad, .. } = *reading;
+            pairs.push((sample, AnglePair { segment, recorded_rad, predicted_rad: bar.joints_rad }));
         }
         let angles: Vec<[f64; BAR_JOINTS]> = pairs.iter().map(|(_, pair)| pair.recorded_rad).collect();
         let kept = select(&angles, PAIRS_APART_RAD, PAIRS_MAX);
@@ -262,13 +249,13 @@ impl Search<'_> {
     }
 
     /// Offsets and configurations at a shift.
-    fn settled(&self, window: &std::ops::Range<usize>, clock: ClockFit, encoder_map: &EncoderMap) -> Settled {
+    fn settled(&self, window: &Range<usize>, clock: ClockFit, encoder_map: &EncoderMap) -> Settled {
         let pairs: Vec<Pair> = self
             .pairs(window, clock)
             .into_iter()
             .map(|(sample, pair)| Pair {
                 sample,
-                origin: self.samples.get(sample).map_or(0, |raw| raw.origin),
+                origin: self.readings.get(sample).map_or(0, |reading| reading.origin),
                 segment: pair.segment,
                 measured_rad: encoder_map.applied(&pair.recorded_rad),
                 predicted_rad: pair.predicted_rad,
@@ -292,8 +279,8 @@ impl Search<'_> {
             .into_iter()
             .filter_map(|index| {
                 let (sample, bar_rad) = *settled.fitting.get(index)?;
-                let raw = self.samples.get(sample)?;
-                Some(FitSample { t_s: raw.t_s, origin: raw.origin, bar_rad })
+                let origin = self.readings.get(sample)?.origin;
+                Some(FitSample { t_s: self.time_s(sample), origin, bar_rad })
             })
             .collect();
         refine(self.log, self.chains, self.predictor.base_m(), measured, &samples, clock, start)
@@ -303,13 +290,13 @@ impl Search<'_> {
     /// hour are known well enough for an hour.
     fn grown(
         &self,
-        mut window: std::ops::Range<usize>,
+        mut window: Range<usize>,
         encoder_map: &EncoderMap,
         mut fit: Fit,
     ) -> Result<(Settled, Fit), PrepareError> {
         let measured = encoder_map.measured();
         loop {
-            let whole = window == (0..self.samples.len());
+            let whole = window == (0..self.readings.len());
             let mut settled = self.settled(&window, fit.clock, encoder_map);
             fit =
                 self.refined(&settled, &measured, fit.clock, Some(&fit)).ok_or(PrepareError::NothingToFit)?;
@@ -321,7 +308,7 @@ impl Search<'_> {
                 }
                 return Ok((settled, fit));
             }
-            window = wider(&self.times_s(), &window);
+            window = wider(&self.readings.t_s, &window);
         }
     }
 }

@@ -56,10 +56,10 @@ impl Search<'_> {
         let length = window.len().div_ceil(PARTS).max(1);
         let part = |start: usize| {
             let samples = start..(start + length).min(window.end);
-            let part = self.samples.get(samples.clone())?;
-            let (start_s, end_s) = (part.first()?.t_s, part.last()?.t_s);
-            let overlap_min = (OVERLAP * (end_s - start_s) / step_s) as usize;
-            let from_bar = without_order(&measured_speeds(part, &joints, step_s));
+            let start_s = *self.readings.t_s.get(start)?;
+            let part = self.readings.slice(samples.clone());
+            let overlap_min = (OVERLAP * part.duration_s() / step_s) as usize;
+            let from_bar = without_order(&measured_speeds(&part, &joints, step_s));
             let matched = candidates(&from_robot, &from_bar, overlap_min, 1).pop()?;
             let sure = matched.correlation >= self.options.correlation_min;
             let shift_s = matched.shift * step_s - start_s;

@@ -6,7 +6,7 @@ use crate::kinematics::{
     BAR_JOINTS, Chain, Configuration, InverseError, Joints, Trace, Tracer, ball_bar_inverse,
     singularity_margin_rad,
 };
-use crate::logs::InterpolatedLog;
+use crate::logs::CubicSpline;
 
 /// The bar at one instant as the robot's log has it.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -25,7 +25,7 @@ impl PredictedBar {
 /// Nominal robot and nominal bar on a base found from the robot's positions.
 #[derive(Debug, Clone)]
 pub struct Predictor<'a> {
-    log: &'a InterpolatedLog,
+    log: &'a CubicSpline<Joints>,
     robot: Tracer,
     bar: Chain,
 }
@@ -36,7 +36,7 @@ impl<'a> Predictor<'a> {
     /// # Errors
     /// [`InverseError`] where `bar` has not the structure of a ball-bar.
     pub fn new(
-        log: &'a InterpolatedLog,
+        log: &'a CubicSpline<Joints>,
         robot: &Chain,
         bar: &Chain,
         base_m: Vector3<f64>,
@@ -54,7 +54,7 @@ impl<'a> Predictor<'a> {
 
     /// The bar at `tau_s` after the log's first stamp; none where the log says nothing.
     pub fn at(&self, tau_s: f64) -> Option<PredictedBar> {
-        let joints = self.log.joints(tau_s)?;
+        let joints = self.log.at(tau_s)?;
         let mut trace = Trace::default();
         self.robot.trace(&joints.value, &mut trace);
         let [(_, joints_rad), ..] = ball_bar_inverse(&self.bar, trace.end()).ok()?;
@@ -63,6 +63,6 @@ impl<'a> Predictor<'a> {
 
     /// The robot's joints at `tau_s` \[rad\].
     pub fn robot_at(&self, tau_s: f64) -> Option<Joints> {
-        self.log.joints(tau_s).map(|joints| joints.value)
+        self.log.at(tau_s).map(|joints| joints.value)
     }
 }

@@ -5,14 +5,16 @@
 //! encoder. So all numbers of both chains may move within their tolerances (priors) in the same fit. It is no calibration:
 //! its geometry is thrown away once the samples have been judged by it.
 
+use std::sync::Arc;
+
 use nalgebra::{Vector3, Vector5};
 
 use super::clock::{ClockFit, EDGE_S, SHIFT_SIGMA_S, SKEW_SIGMA};
 use crate::cost::{LoopProblem, Movement, Residual, Scene};
 use crate::kinematics::{
-    BAR_JOINTS, Chain, ImpliedBar, LinkParameter, Trace, Tracer, Turn, singularity_margin_rad,
+    BAR_JOINTS, Chain, ImpliedBar, Joints, LinkParameter, Trace, Tracer, Turn, singularity_margin_rad,
 };
-use crate::logs::InterpolatedLog;
+use crate::logs::CubicSpline;
 use crate::model::{Geometry, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
 use crate::prepare::AlignedLog;
 use crate::prepare::encoders::circular::wrapped;
@@ -226,7 +228,7 @@ impl Problem for WithZeros<'_> {
 /// `coarse` relates the clocks for the samples' times; the bar stands upright at `base_m` so far, or as in an earlier fit from
 /// which this one starts. None where the samples determine nothing.
 pub(in crate::prepare) fn refine(
-    log: &InterpolatedLog,
+    log: &Arc<CubicSpline<Joints>>,
     [robot, bar]: [&Chain; 2],
     base_m: Vector3<f64>,
     measured: &[bool; BAR_JOINTS],

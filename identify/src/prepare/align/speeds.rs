@@ -1,11 +1,10 @@
 //! Speeds on a uniform grid, without signs or directions: what two logs can be compared by before anything is known.
 
-use super::find::Raw;
 use super::predict::Predictor;
 use crate::kinematics::BAR_JOINTS;
-use crate::logs::CubicSpline;
-use crate::prepare::Channels;
+use crate::logs::Stream;
 use crate::prepare::encoders::circular::wrapped;
+use crate::prepare::{BarReading, Channels};
 
 /// Finest step of the grid \[s\].
 const STEP_S: f64 = 0.01;
@@ -13,33 +12,22 @@ const STEP_S: f64 = 0.01;
 const GRID_MAX: f64 = 1e6;
 /// Speeds are differences over this many steps to either side: noise of the readings is divided by their time.
 pub(in crate::prepare) const REACH: usize = 2;
-/// Bar samples further apart are not bridged \[s\].
-const GAP_LIMIT_S: f64 = 0.05;
 /// Faster than a bar ever turns \[rad/s\]: a jump of the counters or of the robot's log.
 const SPEED_RAD_S_MAX: f64 = 4.0;
 
 /// Angle at each grid point, or none where it is not known.
 type Angles = Vec<Option<[f64; BAR_JOINTS]>>;
 
-/// Measured speeds of `joints` (from 0), from the first sample on, at least every `step_s`.
-pub(in crate::prepare) fn measured_speeds(samples: &[Raw], joints: &[usize], step_s: f64) -> Channels {
-    let (Some(first), Some(last)) = (samples.first(), samples.last()) else {
-        return Channels { known: Vec::new(), values: vec![Vec::new(); joints.len()] };
-    };
-    let steps = ((last.t_s - first.t_s) / step_s) as usize + 1;
-    let mut angles: Angles = vec![None; steps];
-    for of_origin in samples.chunk_by(|a, b| a.origin == b.origin) {
-        let t_s: Vec<f64> = of_origin.iter().map(|raw| raw.t_s - first.t_s).collect();
-        let values: Vec<[f64; BAR_JOINTS]> = of_origin.iter().map(|raw| raw.recorded_rad).collect();
-        let Some(spline) = CubicSpline::new(&t_s, &values, GAP_LIMIT_S) else { continue };
-        let (from_s, to_s) = spline.range_s();
-        let grid = (from_s / step_s).ceil() as usize..=(to_s / step_s) as usize;
-        for step in grid {
-            if let Some(slot) = angles.get_mut(step) {
-                *slot = spline.at(step as f64 * step_s).map(|point| point.value);
-            }
-        }
-    }
+/// Measured speeds of `joints` (from 0), from the first reading on, every `step_s`.
+pub(in crate::prepare) fn measured_speeds(
+    readings: &Stream<BarReading>,
+    joints: &[usize],
+    step_s: f64,
+) -> Channels {
+    let steps = if readings.is_empty() { 0 } else { (readings.duration_s() / step_s) as usize + 1 };
+    let spline = readings.spline();
+    let angle = |step: usize| Some(spline.as_ref()?.at(step as f64 * step_s)?.value.recorded_rad);
+    let angles: Angles = (0..steps).map(angle).collect();
     of_joints(&angles, joints, step_s)
 }
 

@@ -6,6 +6,7 @@
 //! needs, and rows get the joints that the robot had there.
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use nalgebra::Vector3;
 use shared::time::UtcNs;
@@ -16,12 +17,12 @@ use super::placement::{PROBE_SIGMA_M, placements};
 use super::speeds::{REACH, grid_step_s, speeds};
 use super::window::{CANDIDATES, liveliest, overlap_min_s, wider};
 use crate::cost::{LoopProblem, MeasuredPosition, PoseNoise};
-use crate::kinematics::{Chain, Pose};
-use crate::logs::{InterpolatedLog, RobotLog, TimedPoses, default_gap_limit_s, gap_limit_s};
+use crate::kinematics::{Chain, Joints, Pose};
+use crate::logs::{CubicSpline, RobotLog, Stream, TimedPoses, travel};
 use crate::model::{Axis, Coordinate, JointState, Model, Observation, ParameterId, RobotMotion, Role, SetUp};
 use crate::prepare::readings::standstill::MOVING_RAD_S;
 use crate::prepare::select::select;
-use crate::prepare::steps::{check_length, overlap_s, require_motion, travel_deg};
+use crate::prepare::steps::{check_length, overlap_s, require_motion};
 use crate::prepare::{
     AlignedLog, Alignment, Channels, ClockFit, Match, PrepareError, PrepareOptions, candidates, correlate,
     unwrapped_log,
@@ -80,20 +81,19 @@ pub fn align_poses(
     robot: &Chain,
     options: &PrepareOptions,
 ) -> Result<AlignedPoses, PrepareError> {
-    let rows_s = poses.t_s.last().copied().unwrap_or_default();
-    check_length(("the tracker's log", rows_s), log.duration_s(), options)?;
+    let (rows_s, log_s) = (poses.rows.duration_s(), log.q_rad.duration_s());
+    check_length(("the tracker's log", rows_s), log_s, options)?;
     let (log, _) = unwrapped_log(log);
     let log = &*log;
-    require_motion("the robot log", travel_deg(log.q_rad.iter().map(AsRef::as_ref)))?;
-    let interpolated = InterpolatedLog::new(log, default_gap_limit_s(log))?;
+    require_motion("the robot log", travel(&log.q_rad))?;
+    let interpolated = log.spline()?;
     let search = Search {
-        t_s: &poses.t_s,
-        period_s: period_s(&poses.t_s),
-        seen_m: poses.rows.iter().map(|row| row.position_m).collect(),
+        seen_m: poses.rows.map(|row| row.position_m),
+        period_s: poses.rows.period_s(),
         log: &interpolated,
-        log_s: log.duration_s(),
+        log_s,
         robot,
-        step_s: grid_step_s(log.duration_s()),
+        step_s: grid_step_s(log_s),
         options,
     };
     let extent_m = search.extent_m();
@@ -101,29 +101,30 @@ pub fn align_poses(
         return Err(PrepareError::TargetStands { extent_mm: extent_m * 1e3 });
     }
     let found = search.run()?;
-    let overlap_s = overlap_s(rows_s, found.clock, log.duration_s());
+    let overlap_s = overlap_s(rows_s, found.clock, log_s);
     let t_ref_s = 0.5 * (overlap_s[0] + overlap_s[1]);
     let clock = found.clock.counted_from(t_ref_s);
-    let t_ref = UtcNs(poses.first_stamp_ns).plus_ns((t_ref_s * 1e9).round() as i64);
+    let t_ref = UtcNs(poses.rows.first_stamp_ns).plus_ns((t_ref_s * 1e9).round() as i64);
     let alignment = Alignment::new(&found.matched, found.ambiguous, clock, log, t_ref, overlap_s);
     let log = AlignedLog::new(interpolated.clone(), clock.shift_s);
     let of_row = |row: usize| {
-        let t_s = search.t_s[row] - t_ref_s;
+        let t_s = search.seen_m.t_s[row] - t_ref_s;
         let tau_s = (1.0 + clock.skew) * t_s;
         let stays = [-found.edge_s, found.edge_s].iter().all(|by_s| log.at(tau_s + by_s).is_some());
         stays.then_some((row, t_s, log.at(tau_s)?))
     };
-    let all = (0..search.t_s.len()).filter_map(of_row);
+    let all = (0..search.seen_m.len()).filter_map(of_row);
     if search.stands() {
         let resting = search.resting();
-        let at_rest = all.filter(|(row, ..)| search.rests_at(&resting, found.clock.tau_s(search.t_s[*row])));
+        let at_rest =
+            all.filter(|(row, ..)| search.rests_at(&resting, found.clock.tau_s(search.seen_m.t_s[*row])));
         let (rows, states): (Vec<_>, Vec<_>) =
             at_rest.map(|(row, _, state)| (row, JointState::at_rest(state.q))).unzip();
-        let left_out = search.t_s.len() - rows.len();
+        let left_out = search.seen_m.len() - rows.len();
         return Ok(AlignedPoses { rows, states, moving: None, alignment, left_out });
     }
     let all: Vec<(usize, f64, JointState)> = all.collect();
-    let left_out = search.t_s.len() - all.len();
+    let left_out = search.seen_m.len() - all.len();
     let joints: Vec<_> = all.iter().map(|(.., state)| state.q).collect();
     let points_max = if options.points_max == 0 { usize::MAX } else { options.points_max };
     let kept = select(&joints, options.motion_min_mrad * 1e-3, points_max);
@@ -139,13 +140,11 @@ pub fn align_poses(
 
 /// Where in the robot's log the tracker's lies.
 struct Search<'a> {
-    /// Of the rows, since the first \[s\].
-    t_s: &'a [f64],
+    /// The target in the tracker's frame \[m\].
+    seen_m: Stream<Vector3<f64>>,
     /// Usual distance of two rows \[s\].
     period_s: f64,
-    /// The target in the tracker's frame \[m\].
-    seen_m: Vec<Vector3<f64>>,
-    log: &'a InterpolatedLog,
+    log: &'a Arc<CubicSpline<Joints>>,
     log_s: f64,
     /// Nominal, up to the flange.
     robot: &'a Chain,
@@ -174,9 +173,9 @@ struct Fit {
 impl Search<'_> {
     fn run(&self) -> Result<Found, PrepareError> {
         let window = if self.stands() {
-            0..self.t_s.len()
+            0..self.seen_m.len()
         } else {
-            liveliest(self.t_s, |pair| (self.seen_m[pair[0]] - self.seen_m[pair[1]]).norm())
+            liveliest(&self.seen_m.t_s, |pair| (self.seen_m[pair[0]] - self.seen_m[pair[1]]).norm())
         };
         let overlap_min_s = overlap_min_s(self.options, self.duration_s(&window), self.log_s);
         let refused = match self.matched(&window, overlap_min_s) {
@@ -201,7 +200,7 @@ impl Search<'_> {
         let overlap_min = (overlap_min_s / self.step_s) as usize;
         let measured = self.measured(window);
         let shifts = candidates(&self.predicted(&Vector3::zeros()), &measured, overlap_min, CANDIDATES);
-        let first_s = self.t_s.get(window.start).copied().unwrap_or_default();
+        let first_s = self.seen_m.t_s.get(window.start).copied().unwrap_or_default();
         let clock = |shift: f64| ClockFit { shift_s: shift * self.step_s - first_s, skew: 0.0 };
         let fits: Vec<Fit> = if self.stands() {
             let standing = shifts.iter().flat_map(|one| self.standstills(window, clock(one.shift)));
@@ -245,15 +244,15 @@ impl Search<'_> {
     /// The fit extended from its window to all rows.
     fn grown(&self, mut window: Range<usize>, (mut found, fit): (Found, Fit)) -> Result<Found, PrepareError> {
         found.clock = fit.clock;
-        while window != (0..self.t_s.len()) {
-            window = wider(self.t_s, &window);
+        while window != (0..self.seen_m.len()) {
+            window = wider(&self.seen_m.t_s, &window);
             found.clock = self.fit(&window, found.clock).ok_or(PrepareError::NothingToFit)?.clock;
         }
         Ok(found)
     }
 
     fn duration_s(&self, window: &Range<usize>) -> f64 {
-        let times_s = self.t_s.get(window.clone()).unwrap_or_default();
+        let times_s = self.seen_m.t_s.get(window.clone()).unwrap_or_default();
         times_s.last().zip(times_s.first()).map_or(0.0, |(last, first)| last - first)
     }
 
@@ -272,32 +271,19 @@ impl Search<'_> {
 
     /// Measured speed of the target, from the first row of the window on: between rows of standstills the mean one.
     fn measured(&self, window: &Range<usize>) -> Channels {
-        let (times_s, seen_m) = (&self.t_s[window.clone()], &self.seen_m[window.clone()]);
-        let (&[first_s, _, ..], steps) = (times_s, (self.duration_s(window) / self.step_s) as usize + 1)
-        else {
-            return Channels { known: Vec::new(), values: vec![Vec::new()] };
-        };
-        // The rows around a grid point, and what part of the way between them it is.
-        let around = |step: usize| {
-            let t_s = first_s + step as f64 * self.step_s;
-            let after = times_s.partition_point(|row_s| *row_s <= t_s).clamp(1, times_s.len() - 1);
-            let width_s = times_s[after] - times_s[after - 1];
-            (seen_m[after - 1], seen_m[after], width_s, (t_s - times_s[after - 1]) / width_s)
-        };
-        if self.stands() {
-            let mean = |step: usize| {
-                let (before, after, width_s, _) = around(step);
-                (after - before).norm() / width_s
-            };
-            return Channels { known: vec![true; steps], values: vec![(0..steps).map(mean).collect()] };
-        }
+        let seen_m = self.seen_m.slice(window.clone());
+        let steps = if seen_m.len() < 2 { 0 } else { (seen_m.duration_s() / self.step_s) as usize + 1 };
         // Straight lines: where stamps jitter, a smoother curve through the rows swings.
-        let gap_s = gap_limit_s(self.period_s);
-        let between = |step: usize| {
-            let (before, after, width_s, part) = around(step);
-            (width_s <= gap_s).then(|| before.lerp(&after, part))
+        if !self.stands() {
+            let at = |step: usize| seen_m.at(step as f64 * self.step_s);
+            return self.speeds(&(0..steps).map(at).collect::<Vec<_>>(), REACH);
+        }
+        let mean = |step: usize| {
+            let after = seen_m.t_s.partition_point(|row_s| *row_s <= step as f64 * self.step_s);
+            let after = after.clamp(1, seen_m.len() - 1);
+            (seen_m[after] - seen_m[after - 1]).norm() / (seen_m.t_s[after] - seen_m.t_s[after - 1])
         };
-        self.speeds(&(0..steps).map(between).collect::<Vec<_>>(), REACH)
+        Channels { known: vec![true; steps], values: vec![(0..steps).map(mean).collect()] }
     }
 
     /// What the nominal robot does with a target there, from the first stamp of its log on.
@@ -321,14 +307,14 @@ impl Search<'_> {
     }
 
     fn flange(&self, tau_s: f64) -> Option<Pose> {
-        Some(self.robot.forward(&self.log.joints(tau_s)?.value))
+        Some(self.robot.forward(&self.log.at(tau_s)?.value))
     }
 
     /// Rows of a window that stay in the robot's log, spread over the motion.
     fn fitting(&self, window: &Range<usize>, clock: ClockFit) -> Vec<usize> {
         let stays = |row: &usize| {
-            let tau_s = clock.tau_s(self.t_s[*row]);
-            [-EDGE_S, 0.0, EDGE_S].iter().all(|by_s| self.log.joints(tau_s + by_s).is_some())
+            let tau_s = clock.tau_s(self.seen_m.t_s[*row]);
+            [-EDGE_S, 0.0, EDGE_S].iter().all(|by_s| self.log.at(tau_s + by_s).is_some())
         };
         let every = window.len().div_ceil(20 * FIT_MAX).max(1);
         let rows: Vec<usize> = window.clone().step_by(every).filter(stays).collect();
@@ -340,12 +326,13 @@ impl Search<'_> {
     fn fit(&self, window: &Range<usize>, coarse: ClockFit) -> Option<Fit> {
         let rows = self.fitting(window, coarse);
         // Times about their middle: shift and skew are then nearly independent.
-        let middle_s = rows.iter().map(|row| self.t_s[*row]).sum::<f64>() / rows.len().max(1) as f64;
+        let middle_s = rows.iter().map(|row| self.seen_m.t_s[*row]).sum::<f64>() / rows.len().max(1) as f64;
         let motion = AlignedLog::new(self.log.clone(), coarse.tau_s(middle_s));
         let seen_m: Vec<Vector3<f64>> = rows.iter().map(|row| self.seen_m[*row]).collect();
-        let observation = |row: &usize| Observation::bar(self.t_s[*row] - middle_s, Default::default());
+        let observation =
+            |row: &usize| Observation::bar(self.seen_m.t_s[*row] - middle_s, Default::default());
         let observations: Vec<Observation> = rows.iter().map(observation).collect();
-        let flange = |row: &usize| self.flange(coarse.tau_s(self.t_s[*row]));
+        let flange = |row: &usize| self.flange(coarse.tau_s(self.seen_m.t_s[*row]));
         let flanges = rows.iter().map(flange).collect::<Option<Vec<Pose>>>()?;
         let [place, probe] = placements(&flanges, &seen_m, std::iter::empty())?;
         let mut model = Model::measured_pose(self.robot);
@@ -386,7 +373,7 @@ impl Search<'_> {
         let steps = (self.log_s / self.step_s) as usize + 1;
         let rests = |step: usize| {
             let tau_s = step as f64 * self.step_s;
-            let around = [-REST_S, REST_S].map(|by_s| self.log.joints(tau_s + by_s));
+            let around = [-REST_S, REST_S].map(|by_s| self.log.at(tau_s + by_s));
             let [Some(before), Some(after)] = around else { return false };
             let moved = before.value.iter().zip(after.value.iter()).map(|(a, b)| (a - b).abs());
             moved.fold(0.0, f64::max) < 2.0 * REST_S * MOVING_RAD_S
@@ -404,8 +391,8 @@ impl Search<'_> {
         let reach = (0.5 * self.period_s / self.step_s) as i64;
         let shifted = |by: i64| ClockFit { shift_s: coarse.shift_s + by as f64 * self.step_s, ..coarse };
         let standing = |by: i64| {
-            let times_s = self.t_s[window.clone()].iter().map(|t_s| shifted(by).tau_s(*t_s));
-            let covered: Vec<f64> = times_s.filter(|tau_s| self.log.joints(*tau_s).is_some()).collect();
+            let times_s = self.seen_m.t_s[window.clone()].iter().map(|t_s| shifted(by).tau_s(*t_s));
+            let covered: Vec<f64> = times_s.filter(|tau_s| self.log.at(*tau_s).is_some()).collect();
             let at_rest = covered.iter().filter(|tau_s| self.rests_at(&resting, **tau_s)).count();
             at_rest as f64 >= AT_REST_MIN * covered.len().max(1) as f64
         };
@@ -416,7 +403,7 @@ impl Search<'_> {
 
     /// Place and target where the robot stands; the clock stays.
     fn standing_fit(&self, window: &Range<usize>, clock: ClockFit) -> Option<Fit> {
-        let of_row = |row: usize| Some((self.flange(clock.tau_s(self.t_s[row]))?, self.seen_m[row]));
+        let of_row = |row: usize| Some((self.flange(clock.tau_s(self.seen_m.t_s[row]))?, self.seen_m[row]));
         let (flanges, seen_m): (Vec<Pose>, Vec<Vector3<f64>>) = window.clone().filter_map(of_row).unzip();
         let [place, probe] = placements(&flanges, &seen_m, std::iter::empty())?;
         let (place, probe_m) = (place.pose(), probe.position_m);
@@ -429,8 +416,9 @@ impl Search<'_> {
 
     /// How alike the ways from row to row are, measured and predicted.
     fn of_chords(&self, window: &Range<usize>, fit: &Fit) -> Option<Match> {
-        let of_row =
-            |row: usize| Some((self.held_m(fit.clock.tau_s(self.t_s[row]), &fit.probe_m)?, self.seen_m[row]));
+        let of_row = |row: usize| {
+            Some((self.held_m(fit.clock.tau_s(self.seen_m.t_s[row]), &fit.probe_m)?, self.seen_m[row]))
+        };
         let (held_m, seen_m): (Vec<Vector3<f64>>, Vec<_>) = window.clone().filter_map(of_row).unzip();
         let chords = |points_m: &[Vector3<f64>]| {
             let lengths: Vec<f64> = points_m.windows(2).map(|pair| (pair[1] - pair[0]).norm()).collect();
@@ -441,11 +429,4 @@ impl Search<'_> {
         let covered_s = held_m.len() as f64 / window.len().max(1) as f64 * self.duration_s(window);
         Some(Match { overlap: (covered_s / self.step_s) as usize, ..found })
     }
-}
-
-/// Usual distance of two rows \[s\].
-fn period_s(t_s: &[f64]) -> f64 {
-    let mut steps_s: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    steps_s.sort_by(f64::total_cmp);
-    steps_s.get(steps_s.len() / 2).copied().unwrap_or_default()
 }

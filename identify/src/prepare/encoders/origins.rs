@@ -4,9 +4,11 @@ use serde::Serialize;
 
 use super::circular::wrapped;
 use crate::kinematics::BAR_JOINTS;
+use crate::logs::Stream;
 #[cfg(doc)]
 use crate::model::Observation;
-use crate::prepare::align::find::{Found, Raw};
+use crate::prepare::BarReading;
+use crate::prepare::align::find::Found;
 
 /// A part of the recording with its own offsets, brought to those of the longest part.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -38,7 +40,11 @@ const UNCHANGED_RAD: f64 = 200e-6;
 
 /// Describes all origins and makes offsets that did not change the same. The first entry of the answer is the number of
 /// the origin that the others are brought to.
-pub(in crate::prepare) fn join(raw: &[Raw], found: &mut Found, t_ref_s: f64) -> (usize, Vec<OriginSpan>) {
+pub(in crate::prepare) fn join(
+    readings: &Stream<BarReading>,
+    found: &mut Found,
+    t_ref_s: f64,
+) -> (usize, Vec<OriginSpan>) {
     let pairs = |found: &Found, origin: usize| {
         found.settled.offsets.get(origin).copied().flatten().map_or(0, |offsets| offsets.pairs)
     };
@@ -51,7 +57,8 @@ pub(in crate::prepare) fn join(raw: &[Raw], found: &mut Found, t_ref_s: f64) -> 
     let mut spans = Vec::new();
     let mut numbers = 1..;
     for origin in 0..origins {
-        let samples: Vec<&Raw> = raw.iter().filter(|raw| raw.origin == origin).collect();
+        let begins = readings.partition_point(|reading| reading.origin < origin);
+        let ends = readings.partition_point(|reading| reading.origin <= origin);
         let offsets = found.settled.offsets.get(origin).copied().flatten();
         let mut shift_rad = [0.0; BAR_JOINTS];
         if let (Some(offsets), Some(reference)) = (offsets, of_reference) {
@@ -74,11 +81,11 @@ pub(in crate::prepare) fn join(raw: &[Raw], found: &mut Found, t_ref_s: f64) -> 
         }
         let unchanged = offsets.is_some() && shift_rad == [0.0; BAR_JOINTS];
         let number = if unchanged || offsets.is_none() { 0 } else { numbers.next().unwrap_or_default() };
-        let time_s = |raw: Option<&&Raw>| raw.map_or(0.0, |raw| raw.t_s - t_ref_s);
+        let time_s = |sample: usize| readings.t_s.get(sample).map_or(0.0, |t_s| t_s - t_ref_s);
         spans.push(OriginSpan {
-            from_s: time_s(samples.first()),
-            to_s: time_s(samples.last()),
-            samples: samples.len(),
+            from_s: time_s(begins),
+            to_s: time_s(ends.saturating_sub(1)),
+            samples: ends - begins,
             used: offsets.is_some(),
             shift_rad,
             sigma_rad,

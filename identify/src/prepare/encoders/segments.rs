@@ -4,8 +4,9 @@
 //! the offsets stay the same. The offsets of an origin are found in its longest segment, in the configuration in which measured
 //! and predicted angles differ by constants; its other segments then need only one of four configurations each.
 
-use super::circular::{circular_median, median, spread_of, wrapped};
+use super::circular::{circular_median, spread_of, wrapped};
 use crate::kinematics::{BAR_JOINTS, Configuration};
+use crate::statistics::median;
 
 /// Measured and predicted angles of one instant, by joint.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -154,5 +155,5 @@ fn off_by(
             off.fold(0.0, f64::max)
         })
         .collect();
-    median(&mut largest)
+    median(&mut largest).unwrap_or(f64::INFINITY)
 }

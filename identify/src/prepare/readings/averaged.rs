@@ -1,12 +1,14 @@
 //! What the moving average did to both logs, for reports.
 
-use serde::Serialize;
+use std::borrow::Cow;
 
-use super::bar_angles::BarSegment;
-use super::smooth::{BAR_GAP_S, moving_average};
+use serde::Serialize;
+use shared::time::UtcNs;
+
+use super::bar_angles::BarReading;
 use super::standstill::Standstill;
 use crate::kinematics::BAR_JOINTS;
-use crate::logs::{RobotLog, Row, default_gap_limit_s};
+use crate::logs::{RobotLog, Row, Stream};
 use crate::prepare::encoders::encoder_map::EncoderMap;
 
 /// A picture spans so many widths of the average to either side...
@@ -52,35 +54,35 @@ pub struct Averaged {
     pub bar: AveragedJoints,
 }
 
-/// Both logs before they were averaged, and what is known of them since.
+/// Both logs before they were averaged.
 pub(in crate::prepare) struct BeforeAverage<'a> {
     pub width_s: f64,
-    pub segments: &'a [BarSegment],
-    /// Bar time of a segment's sample since the reference \[s\].
-    pub bar_time_s: &'a dyn Fn(&BarSegment, usize) -> f64,
-    pub encoder_map: &'a EncoderMap,
-    pub log: &'a RobotLog,
-    /// Bar time since the reference of a time of `log` \[s\].
-    pub robot_time_s: &'a dyn Fn(f64) -> f64,
-    pub standstills: &'a [Standstill],
+    pub readings: Stream<BarReading>,
+    pub log: Cow<'a, RobotLog>,
 }
 
 impl BeforeAverage<'_> {
-    /// Averages both once more and compares.
-    pub fn compared(&self) -> Averaged {
+    /// Averages both once more and compares. `standstills` count from `t_ref`, and `robot_time_s` takes a time of the robot's log
+    /// there.
+    pub fn compared(
+        &self,
+        t_ref: UtcNs,
+        robot_time_s: impl Fn(f64) -> f64,
+        encoder_map: &EncoderMap,
+        standstills: &[Standstill],
+    ) -> Averaged {
         let mut bar = Comparison::new(BAR_JOINTS);
-        for segment in self.segments {
-            let t_s: Vec<f64> = (0..segment.times.len()).map(|at| (self.bar_time_s)(segment, at)).collect();
-            let angles: Vec<[f64; BAR_JOINTS]> =
-                segment.angles_rad.iter().map(|recorded| self.encoder_map.applied(recorded)).collect();
-            bar.add(&t_s, &angles, self.width_s, BAR_GAP_S, self.standstills);
+        // Counters that start anew may stand anywhere: what follows is compared by itself.
+        for part in self.readings.parts_within(f64::INFINITY) {
+            let part = self.readings.slice(part);
+            let begins_s = UtcNs(part.first_stamp_ns).seconds_since(t_ref);
+            let angles = part.map(|reading| encoder_map.applied(&reading.recorded_rad));
+            bar.add(&angles, |t_s| begins_s + t_s, self.width_s, standstills);
         }
         let mut robot = Comparison::new(self.log.axes());
-        let t_s: Vec<f64> = self.log.t_s.iter().map(|tau_s| (self.robot_time_s)(*tau_s)).collect();
-        let gap_s = default_gap_limit_s(self.log);
-        robot.add(&t_s, &self.log.q_rad, self.width_s, gap_s, self.standstills);
+        robot.add(&self.log.q_rad, robot_time_s, self.width_s, standstills);
         let mut bar = bar.finish();
-        let measured = self.encoder_map.measured();
+        let measured = encoder_map.measured();
         for of_joints in [&mut bar.still_rad, &mut bar.moving_rad] {
             of_joints
                 .iter_mut()
@@ -129,24 +131,26 @@ impl Comparison {
     /// Adds a part; `standstills` are in the order of time.
     fn add<R: Row>(
         &mut self,
-        t_s: &[f64],
-        values: &[R],
+        rows: &Stream<R>,
+        time_s: impl Fn(f64) -> f64,
         width_s: f64,
-        gap_s: f64,
         standstills: &[Standstill],
     ) {
-        let averages = moving_average(t_s, values, width_s, gap_s);
-        for ((t_s, value), average) in t_s.iter().zip(values).zip(&averages) {
+        let averages = rows.averages(width_s);
+        let t_s: Vec<f64> = rows.t_s.iter().map(|t_s| time_s(*t_s)).collect();
+        for ((t_s, row), average) in t_s.iter().zip(rows.iter()).zip(&averages) {
             let Some(average) = average else { continue };
             let next = standstills.partition_point(|one| one.to_s < *t_s);
             let still = standstills.get(next).is_some_and(|one| one.from_s <= *t_s);
             let squares = if still { &mut self.still } else { &mut self.moving };
-            for (joint, squares) in squares.iter_mut().enumerate() {
-                squares.add(value[joint] - average[joint]);
+            for (squares, (shown, average)) in
+                squares.iter_mut().zip(row.numbers().iter().zip(average.numbers()))
+            {
+                squares.add(shown - average);
             }
         }
         let joints = self.still.len();
-        let point = |at: usize, joint: usize| point(t_s, values, &averages, at, joint);
+        let point = |at: usize, joint: usize| point(&t_s, rows, &averages, at, joint);
         let fastest = (1..averages.len().saturating_sub(1))
             .flat_map(|at| (0..joints).map(move |joint| (at, joint)))
             .filter_map(|(at, joint)| Some((point(at, joint)?.averaged_rad_s.abs(), at, joint)))
@@ -173,18 +177,19 @@ impl Comparison {
 /// A reading of one joint between its neighbours; none beside a hole.
 fn point<R: Row>(
     t_s: &[f64],
-    values: &[R],
+    rows: &[R],
     averages: &[Option<R>],
     at: usize,
     joint: usize,
 ) -> Option<AveragedPoint> {
-    let [before, here, after] = [at - 1, at, at + 1].map(|at| averages[at]);
+    let [before, here, after] = [at - 1, at, at + 1].map(|at| averages[at].map(|row| row.numbers()[joint]));
     let (before, here, after) = (before?, here?, after?);
+    let shown = |at: usize| rows[at].numbers()[joint];
     let time_s = t_s[at + 1] - t_s[at - 1];
     Some(AveragedPoint {
         t_s: t_s[at],
-        speed_rad_s: (values[at + 1][joint] - values[at - 1][joint]) / time_s,
-        averaged_rad_s: (after[joint] - before[joint]) / time_s,
-        removed_rad: values[at][joint] - here[joint],
+        speed_rad_s: (shown(at + 1) - shown(at - 1)) / time_s,
+        averaged_rad_s: (after - before) / time_s,
+        removed_rad: shown(at) - here,
     })
 }

@@ -7,17 +7,33 @@ use shared::recording::schema::{CycleRecord, EncoderInfo};
 use shared::time::UtcNs;
 
 use crate::kinematics::BAR_JOINTS;
+use crate::logs::{Row, Stream};
 use crate::prepare::{PrepareError, SampleStatus};
 
-/// Samples between two changes of the counters' origin: within it the offsets stay the same.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct BarSegment {
-    /// Index of each sample's cycle in the recording.
-    pub cycles: Vec<usize>,
-    /// When the encoders were sampled, strictly increasing.
-    pub times: Vec<UtcNs>,
-    /// Angles \[rad\], continuous; each joint begins within half a turn of zero. Joints without encoder are 0.
-    pub angles_rad: Vec<[f64; BAR_JOINTS]>,
+/// What the encoders say in a valid cycle.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct BarReading {
+    /// Index of the cycle in the recording.
+    pub cycle: usize,
+    /// Number of the counters' origin, from 0 without a break: while it is the same the offsets are.
+    pub origin: usize,
+    /// Angles by recorded joint, offsets unknown \[rad\]; continuous, and within half a turn of zero where an origin begins.
+    /// Joints without encoder are 0.
+    pub recorded_rad: [f64; BAR_JOINTS],
+}
+
+impl Row for BarReading {
+    fn numbers(&self) -> &[f64] {
+        &self.recorded_rad
+    }
+
+    fn like(&self, of: impl FnMut(usize) -> f64) -> Self {
+        Self { recorded_rad: std::array::from_fn(of), ..*self }
+    }
+
+    fn continues(&self, before: &Self) -> bool {
+        self.origin == before.origin
+    }
 }
 
 /// What the encoders of a recording say.
@@ -25,10 +41,33 @@ pub struct BarSegment {
 pub struct BarAngles {
     /// Joints with an encoder.
     pub measured: [bool; BAR_JOINTS],
-    /// In the order of time; none is empty.
-    pub segments: Vec<BarSegment>,
+    /// On the recording's clock.
+    pub readings: Stream<BarReading>,
     /// What became of each cycle so far: invalid, time not increasing, or anything else.
     pub statuses: Vec<SampleStatus>,
+}
+
+impl BarAngles {
+    /// When the first reading was taken.
+    pub fn first_time(&self) -> UtcNs {
+        UtcNs(self.readings.first_stamp_ns)
+    }
+
+    /// Origins of the counters.
+    pub fn origins(&self) -> usize {
+        self.readings.last().map_or(0, |last| last.origin + 1)
+    }
+
+    /// Replaces each reading by its average, and gives what it was; those without are left out, and origins without any.
+    pub(in crate::prepare) fn average(&mut self, width_s: f64) -> Stream<BarReading> {
+        let mut averaged = self.readings.averaged(width_s);
+        let of_origins = averaged.chunk_by_mut(|a, b| a.origin == b.origin);
+        of_origins.enumerate().for_each(|(origin, rows)| rows.iter_mut().for_each(|row| row.origin = origin));
+        // Those that have an average get their status later.
+        let valid = self.statuses.iter_mut().filter(|status| **status == SampleStatus::Thinned);
+        valid.for_each(|status| *status = SampleStatus::NotAveraged);
+        std::mem::replace(&mut self.readings, averaged)
+    }
 }
 
 /// Unwraps the counts of all valid cycles.
@@ -37,26 +76,29 @@ pub struct BarAngles {
 /// [`PrepareError::NoValidCycle`], and where cycles and declared encoders disagree.
 pub fn bar_angles(cycles: &[CycleRecord], encoders: &[EncoderInfo]) -> Result<BarAngles, PrepareError> {
     let mut angles = BarAngles { measured: measured(encoders)?, ..BarAngles::default() };
-    let mut segment = SegmentBuilder::new(encoders);
     let mut origin = cycles.first().map_or(0, |cycle| cycle.origin);
+    let mut counters = Counters::new(encoders);
+    let mut last: Option<UtcNs> = None;
     for (index, cycle) in cycles.iter().enumerate() {
         if std::mem::replace(&mut origin, cycle.origin) != cycle.origin {
-            let ended = std::mem::replace(&mut segment, SegmentBuilder::new(encoders));
-            angles.segments.extend(ended.finish());
+            counters = Counters::new(encoders);
         }
         if !cycle.is_valid() {
             angles.statuses.push(SampleStatus::Invalid);
             continue;
         }
-        if segment.samples.times.last().is_some_and(|&before| cycle.sample_time <= before) {
+        if last.is_some_and(|before| cycle.sample_time <= before) {
             angles.statuses.push(SampleStatus::TimeNotIncreasing);
             continue;
         }
-        segment.push(index, cycle, encoders)?;
+        last = Some(cycle.sample_time);
+        let before = angles.readings.last();
+        let origin = before.map_or(0, |before| before.origin + usize::from(counters.is_new()));
+        let recorded_rad = counters.angles_rad(cycle)?;
+        angles.readings.push(cycle.sample_time.0, BarReading { cycle: index, origin, recorded_rad });
         angles.statuses.push(SampleStatus::Thinned);
     }
-    angles.segments.extend(segment.finish());
-    if angles.segments.is_empty() {
+    if angles.readings.is_empty() {
         return Err(PrepareError::NoValidCycle { cycles: cycles.len() });
     }
     Ok(angles)
@@ -73,31 +115,28 @@ fn measured(encoders: &[EncoderInfo]) -> Result<[bool; BAR_JOINTS], PrepareError
     Ok(measured)
 }
 
-struct SegmentBuilder {
-    samples: BarSegment,
+/// The counters since they started anew.
+struct Counters<'a> {
+    encoders: &'a [EncoderInfo],
     /// One for each encoder, in the order of the recording.
     unwrappers: Vec<Unwrapper>,
-    /// Whole turns taken off each joint.
+    /// Whole turns taken off each joint, once there is a reading.
     turns_rad: Option<[f64; BAR_JOINTS]>,
 }
 
-impl SegmentBuilder {
-    fn new(encoders: &[EncoderInfo]) -> Self {
-        Self {
-            samples: BarSegment::default(),
-            unwrappers: encoders.iter().map(|encoder| encoder.scale.unwrapper()).collect(),
-            turns_rad: None,
-        }
+impl<'a> Counters<'a> {
+    fn new(encoders: &'a [EncoderInfo]) -> Self {
+        let unwrappers = encoders.iter().map(|encoder| encoder.scale.unwrapper()).collect();
+        Self { encoders, unwrappers, turns_rad: None }
     }
 
-    fn push(
-        &mut self,
-        cycle_index: usize,
-        cycle: &CycleRecord,
-        encoders: &[EncoderInfo],
-    ) -> Result<(), PrepareError> {
+    fn is_new(&self) -> bool {
+        self.turns_rad.is_none()
+    }
+
+    fn angles_rad(&mut self, cycle: &CycleRecord) -> Result<[f64; BAR_JOINTS], PrepareError> {
         let mut raw_rad = [0.0; BAR_JOINTS];
-        for (place, (encoder, unwrapper)) in encoders.iter().zip(&mut self.unwrappers).enumerate() {
+        for (place, (encoder, unwrapper)) in self.encoders.iter().zip(&mut self.unwrappers).enumerate() {
             let sample = cycle.encoders().get(place).copied().unwrap_or_default();
             if sample.joint != encoder.joint {
                 return Err(PrepareError::EncoderOrder {
@@ -110,13 +149,6 @@ impl SegmentBuilder {
             raw_rad[joint] = encoder.scale.counts_to_rad(unwrapper.next(sample.count));
         }
         let turns_rad = *self.turns_rad.get_or_insert_with(|| raw_rad.map(|raw| (raw / TAU).round() * TAU));
-        self.samples.cycles.push(cycle_index);
-        self.samples.times.push(cycle.sample_time);
-        self.samples.angles_rad.push(std::array::from_fn(|joint| raw_rad[joint] - turns_rad[joint]));
-        Ok(())
-    }
-
-    fn finish(self) -> Option<BarSegment> {
-        (!self.samples.times.is_empty()).then_some(self.samples)
+        Ok(std::array::from_fn(|joint| raw_rad[joint] - turns_rad[joint]))
     }
 }

@@ -6,12 +6,11 @@ use shared::recording::schema::{CycleRecord, EncoderInfo};
 use shared::time::UtcNs;
 
 use super::averaged::{Averaged, BeforeAverage};
-use super::bar_angles::{BarAngles, BarSegment, bar_angles};
-use super::smooth::{smoothed_log, smoothed_segments};
+use super::bar_angles::{BarAngles, bar_angles};
 use super::standstill::Standstill;
 use super::unwrap::{unwrapped_counters, unwrapped_log};
-use crate::logs::{RobotLog, Unwrapped, default_gap_limit_s};
-use crate::prepare::{ClockFit, EncoderMap, PrepareError, PrepareOptions, SampleStatus};
+use crate::logs::{RobotLog, Unwrapped};
+use crate::prepare::{ClockFit, EncoderMap, PrepareError, PrepareOptions};
 
 /// What the bar and the robot say.
 pub(in crate::prepare) struct BothLogs<'a> {
@@ -19,14 +18,7 @@ pub(in crate::prepare) struct BothLogs<'a> {
     pub log: Cow<'a, RobotLog>,
     /// What began anew in either.
     pub unwrapped: [Vec<Unwrapped>; 2],
-    before: Option<Before<'a>>,
-}
-
-/// Both before they were averaged.
-struct Before<'a> {
-    width_s: f64,
-    segments: Vec<BarSegment>,
-    log: Cow<'a, RobotLog>,
+    before: Option<BeforeAverage<'a>>,
 }
 
 impl<'a> BothLogs<'a> {
@@ -38,27 +30,18 @@ impl<'a> BothLogs<'a> {
         log: &'a RobotLog,
         options: &PrepareOptions,
     ) -> Result<Self, PrepareError> {
-        let angles = bar_angles(cycles, encoders)?;
+        let mut angles = bar_angles(cycles, encoders)?;
         let of_bar = unwrapped_counters(cycles, encoders, &angles);
-        let (log, of_robot) = unwrapped_log(log);
-        let unwrapped = [of_bar, of_robot];
-        let both = Self { angles, log, unwrapped, before: None };
+        let (mut log, of_robot) = unwrapped_log(log);
         let width_s = options.moving_average_ms * 1e-3;
-        Ok(if width_s > 0.0 { both.smoothed(width_s) } else { both })
-    }
-
-    /// Averaged in the same way.
-    fn smoothed(mut self, width_s: f64) -> Self {
-        let segments = smoothed_segments(&self.angles.segments, width_s);
-        let log = smoothed_log(&self.log, width_s, default_gap_limit_s(&self.log));
-        let segments = std::mem::replace(&mut self.angles.segments, segments);
-        // Those that have an average get theirs later.
-        let valid = self.angles.statuses.iter_mut().filter(|status| **status == SampleStatus::Thinned);
-        valid.for_each(|status| *status = SampleStatus::NotAveraged);
-        let after = self.angles.segments.len();
-        tracing::debug!(before = segments.len(), after, width_s, "moving average over both logs");
-        let log = std::mem::replace(&mut self.log, Cow::Owned(log));
-        Self { before: Some(Before { width_s, segments, log }), ..self }
+        let before = (width_s > 0.0).then(|| {
+            let readings = angles.average(width_s);
+            let (before, after) = (readings.len(), angles.readings.len());
+            tracing::debug!(before, after, width_s, "moving average over both logs");
+            let averaged = RobotLog { q_rad: log.q_rad.averaged(width_s), ..(*log).clone() };
+            BeforeAverage { width_s, readings, log: std::mem::replace(&mut log, Cow::Owned(averaged)) }
+        });
+        Ok(Self { angles, log, unwrapped: [of_bar, of_robot], before })
     }
 
     /// What the average did. `clock` fits times since `t_ref`, as the standstills are.
@@ -71,16 +54,9 @@ impl<'a> BothLogs<'a> {
     ) -> Option<Averaged> {
         let before = self.before.as_ref()?;
         // The first average is a width after the first row.
-        let begins_s = self.log.first_stamp_ns.saturating_sub(before.log.first_stamp_ns) as f64 * 1e-9;
-        let compared = BeforeAverage {
-            width_s: before.width_s,
-            segments: &before.segments,
-            bar_time_s: &|segment, at| segment.times.get(at).map_or(0.0, |time| time.seconds_since(t_ref)),
-            encoder_map,
-            log: &before.log,
-            robot_time_s: &|tau_s| (tau_s - begins_s - clock.shift_s) / (1.0 + clock.skew),
-            standstills,
-        };
-        Some(compared.compared())
+        let first_ns = before.log.q_rad.first_stamp_ns;
+        let begins_s = self.log.q_rad.first_stamp_ns.saturating_sub(first_ns) as f64 * 1e-9;
+        let robot_time_s = |tau_s| (tau_s - begins_s - clock.shift_s) / (1.0 + clock.skew);
+        Some(before.compared(t_ref, robot_time_s, encoder_map, standstills))
     }
 }

@@ -3,6 +3,5 @@
 pub(super) mod averaged;
 pub(super) mod bar_angles;
 pub(super) mod both_logs;
-pub(super) mod smooth;
 pub(super) mod standstill;
 pub(super) mod unwrap;

@@ -1,12 +1,13 @@
 //! Counters and joints that begin anew are made continuous.
 
 use std::borrow::Cow;
-use std::f64::consts::{PI, TAU};
+use std::f64::consts::TAU;
+use std::ops::Range;
 
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 
-use super::bar_angles::{BarAngles, BarSegment};
-use crate::logs::{RobotLog, Unwrapped, UnwrappedPoint, default_gap_limit_s};
+use super::bar_angles::{BarAngles, BarReading};
+use crate::logs::{RobotLog, Unwrapped, UnwrappedPoint};
 
 /// Values of a terminal's counter.
 const COUNTER_VALUES: f64 = 4_294_967_296.0;
@@ -18,59 +19,40 @@ pub fn unwrapped_counters(
     encoders: &[EncoderInfo],
     angles: &BarAngles,
 ) -> Vec<Unwrapped> {
-    let first =
-        angles.segments.first().and_then(|segment| segment.times.first().copied()).unwrap_or_default();
+    let readings = &angles.readings;
     let of_encoder = |(place, encoder): (usize, &EncoderInfo)| {
         let rad_per_count = encoder.scale.rad_per_count();
         let joint = usize::from(encoder.joint).checked_sub(1)?;
-        let of_segment = |segment: &BarSegment| {
-            let reading = |at: usize| UnwrappedPoint {
-                t_s: segment.times[at].seconds_since(first),
-                shown_rad: f64::from(cycles[segment.cycles[at]].encoders[place].count) * rad_per_count,
-                continuous_rad: segment.angles_rad[at][joint],
+        let of_origin = |part: Range<usize>| {
+            let reading = |at: usize| {
+                let BarReading { cycle, recorded_rad, .. } = readings[part.start + at];
+                UnwrappedPoint {
+                    t_s: readings.t_s[part.start + at],
+                    shown_rad: f64::from(cycles[cycle].encoders[place].count) * rad_per_count,
+                    continuous_rad: recorded_rad[joint],
+                }
             };
             let period_rad = COUNTER_VALUES * rad_per_count;
-            Unwrapped::of(format!("b{}", encoder.joint), period_rad, segment.times.len(), reading)
+            Unwrapped::of(format!("b{}", encoder.joint), period_rad, part.len(), reading)
         };
-        Unwrapped::of_parts(angles.segments.iter().map(of_segment))
+        Unwrapped::of_parts(readings.parts_within(f64::INFINITY).into_iter().map(of_origin))
     };
     encoders.iter().enumerate().filter_map(of_encoder).collect()
 }
 
 /// The log with joints that begin anew after each turn made continuous, and what was done: a spline or an average across
 /// such a jump would swing through the whole turn.
-///
-/// Of two rows more than half a turn apart the second is moved by whole turns until it is nearest to the first. Across a hole
-/// nobody can tell whether the joint moved so far.
 pub fn unwrapped_log(log: &RobotLog) -> (Cow<'_, RobotLog>, Vec<Unwrapped>) {
-    let gap_s = default_gap_limit_s(log);
-    // From the row before it to each row, joint by joint.
-    let steps = |joint: usize| {
-        let times = log.t_s.windows(2).map(move |pair| pair[1] - pair[0] <= gap_s);
-        let steps = log.q_rad.windows(2).map(move |pair| pair[1][joint] - pair[0][joint]);
-        times.zip(steps).map(|(follows, step_rad)| if follows { step_rad } else { 0.0 })
-    };
-    let jumps = |joint: &usize| steps(*joint).any(|step_rad| step_rad.abs() > PI);
-    let joints: Vec<usize> = (0..log.axes()).filter(jumps).collect();
-    if joints.is_empty() {
-        return (Cow::Borrowed(log), Vec::new());
-    }
-    let mut continuous = log.clone();
-    for &joint in &joints {
-        let mut turns = 0.0;
-        for (step_rad, q) in steps(joint).zip(continuous.q_rad.iter_mut().skip(1)) {
-            turns -= (step_rad / TAU).round();
-            q[joint] += turns * TAU;
-        }
-    }
-    let of_joint = |&joint: &usize| {
+    let Cow::Owned(q_rad) = log.q_rad.unwrapped(TAU) else { return (Cow::Borrowed(log), Vec::new()) };
+    let began_anew = |joint: &usize| q_rad.iter().zip(log.q_rad.iter()).any(|(a, b)| a[*joint] != b[*joint]);
+    let of_joint = |joint: usize| {
         let reading = |at: usize| UnwrappedPoint {
-            t_s: log.t_s[at],
+            t_s: q_rad.t_s[at],
             shown_rad: log.q_rad[at][joint],
-            continuous_rad: continuous.q_rad[at][joint],
+            continuous_rad: q_rad[at][joint],
         };
-        Unwrapped::of(format!("q{}", joint + 1), TAU, log.t_s.len().min(log.q_rad.len()), reading)
+        Unwrapped::of(format!("q{}", joint + 1), TAU, q_rad.len(), reading)
     };
-    let unwrapped = joints.iter().filter_map(of_joint).collect();
-    (Cow::Owned(continuous), unwrapped)
+    let unwrapped = (0..log.axes()).filter(began_anew).filter_map(of_joint).collect();
+    (Cow::Owned(RobotLog { q_rad, ..log.clone() }), unwrapped)
 }

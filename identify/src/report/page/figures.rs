@@ -6,6 +6,7 @@ use super::plot::{BLUE, COLOURS, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Se
 use crate::cost::Closure;
 use crate::evaluate::{Evidence, JointGap, RunEvidence, ShiftCurve};
 use crate::prepare::LocalShift;
+use crate::statistics::extremes;
 
 pub(super) const WIDE: (u32, u32) = (920, 250);
 pub(super) const HALF: (u32, u32) = (450, 270);
@@ -38,8 +39,7 @@ impl TimeAxis {
         /// Longest of each unit \[s\].
         const SECONDS_MAX: f64 = 900.0;
         const MINUTES_MAX: f64 = 3.0 * 3600.0;
-        let (low, high) =
-            times_s.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), t| (low.min(t), high.max(t)));
+        let [low, high] = extremes(times_s);
         match high - low {
             span_s if span_s > MINUTES_MAX => Self::new(
                 3600.0,

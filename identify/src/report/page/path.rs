@@ -119,8 +119,8 @@ impl PathPage<'_> {
 
     /// Time and index of the rows that are drawn.
     fn rows(&self) -> impl Iterator<Item = (f64, usize)> {
-        let every = self.robot_path.t_s.len().div_ceil(POINTS).max(1);
-        self.robot_path.t_s.iter().enumerate().step_by(every).map(|(row, t_s)| (*t_s, row))
+        let every = self.robot_path.q_rad.len().div_ceil(POINTS).max(1);
+        self.robot_path.q_rad.t_s.iter().enumerate().step_by(every).map(|(row, t_s)| (*t_s, row))
     }
 
     fn by_joint(
@@ -149,7 +149,7 @@ impl PathPage<'_> {
         let series = self.by_joint("joint ", log.axes(), |_, row, joint| {
             let next = row + 1;
             let by_rad = log.q_rad.get(next)?[joint] - log.q_rad.get(row)?[joint];
-            Some(by_rad / (log.t_s.get(next)? - log.t_s.get(row)?))
+            Some(by_rad / (log.q_rad.t_s.get(next)? - log.q_rad.t_s.get(row)?))
         });
         over_time("Their speeds", "[rad/s]", series)
     }

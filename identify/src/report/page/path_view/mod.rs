@@ -33,8 +33,8 @@ struct Scene<'a> {
 impl<'a> Scene<'a> {
     fn of(page: &'a PathPage<'_>, bodies: &'a Bodies) -> Self {
         let path = page.robot_path;
-        let every = path.t_s.len().div_ceil(FRAMES).max(1);
-        let rows = path.t_s.iter().zip(&path.q_rad).step_by(every);
+        let every = path.q_rad.len().div_ceil(FRAMES).max(1);
+        let rows = path.q_rad.t_s.iter().zip(path.q_rad.iter()).step_by(every);
         let (times_s, skeletons): (Vec<f64>, Vec<Skeleton>) =
             rows.map(|(t_s, q)| (*t_s, Skeleton::of(page.arm, page.bar, q))).unzip();
         let mut points: Vec<Vec<Vector3<f64>>> = Vec::new();

@@ -6,6 +6,7 @@ use crate::inspect::curves::Curve;
 use crate::prepare::Deviations;
 use crate::report::page::figures::{THIRD, TimeAxis, dots};
 use crate::report::page::plot::{BLUE, COLOURS, Mark, ORANGE, Panel, PlotError, Series};
+use crate::statistics::extremes;
 
 const RED: RGBColor = COLOURS[5];
 /// A log with more holes is shown as dots.
@@ -15,8 +16,7 @@ const PARTS_MAX: usize = 200;
 fn mark(time: &TimeAxis, at_s: Option<f64>, series: &[Series]) -> Option<Series> {
     let x = time.at(at_s?);
     let heights = series.iter().flat_map(|one| &one.points).map(|(_, y)| *y);
-    let (low, high) =
-        heights.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), y| (low.min(y), high.max(y)));
+    let [low, high] = extremes(heights);
     (low <= high).then(|| Series::new("", RED, Mark::Segments, vec![(x, low), (x, high)]))
 }
 

@@ -1,0 +1,266 @@
+//! What was logged on one clock: times that increase, and a row of numbers for each.
+//!
+//! The robot's log, a force, a tracker's log and the bar's readings are all streams, so that what can be done with one exists
+//! once: [`Stream::at`] and [`Stream::spline`] interpolate, [`Stream::averages`] smooths, [`Stream::unwrapped`] makes turns
+//! continuous, [`Stream::filter_map`] takes a part. None of them reaches across a gap, nor across a place where counters
+//! started anew.
+
+use std::ops::{Deref, DerefMut, Range};
+
+use nalgebra::Vector3;
+
+use super::sampling::{Sampling, Stamps, sampling};
+use crate::kinematics::Joints;
+use crate::statistics::{extremes, median};
+
+/// The numbers of one stamp: an array, a point, or one number for each axis of a robot.
+pub trait Row: Copy {
+    /// The numbers, as many in each row of a stream.
+    fn numbers(&self) -> &[f64];
+
+    /// Another row of the same length, from its places.
+    fn like(&self, of: impl FnMut(usize) -> f64) -> Self;
+
+    /// Whether the numbers go on from those of the row before: counters that started anew do not.
+    fn continues(&self, _before: &Self) -> bool {
+        true
+    }
+}
+
+impl<const N: usize> Row for [f64; N] {
+    #[inline]
+    fn numbers(&self) -> &[f64] {
+        self
+    }
+
+    #[inline]
+    fn like(&self, of: impl FnMut(usize) -> f64) -> Self {
+        std::array::from_fn(of)
+    }
+}
+
+impl Row for Joints {
+    #[inline]
+    fn numbers(&self) -> &[f64] {
+        self
+    }
+
+    #[inline]
+    fn like(&self, of: impl FnMut(usize) -> f64) -> Self {
+        Self::from_fn(self.len(), of)
+    }
+}
+
+impl Row for Vector3<f64> {
+    fn numbers(&self) -> &[f64] {
+        self.as_slice()
+    }
+
+    fn like(&self, mut of: impl FnMut(usize) -> f64) -> Self {
+        Self::from_fn(|axis, _| of(axis))
+    }
+}
+
+/// Rows with times on one clock; it can be used as the slice of its rows.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Stream<R> {
+    /// Time of the first row \[ns on the stream's clock\]. Its zero may be 1970, a controller's start or anything else.
+    pub first_stamp_ns: i64,
+    /// Times since the first row \[s\], strictly increasing, the first is 0.
+    pub t_s: Vec<f64>,
+    /// One row for each time.
+    pub rows: Vec<R>,
+    /// Neighbours further apart have a gap between them \[s\].
+    pub gap_limit_s: f64,
+}
+
+/// Shortest gap \[s\]: a joint that swings by 1 rad/s² at 1 Hz is followed through 50 ms to better than 1 urad.
+const GAP_S_MIN: f64 = 0.05;
+
+impl<R> Default for Stream<R> {
+    fn default() -> Self {
+        Self { first_stamp_ns: 0, t_s: Vec::new(), rows: Vec::new(), gap_limit_s: GAP_S_MIN }
+    }
+}
+
+impl<R> Deref for Stream<R> {
+    type Target = [R];
+
+    fn deref(&self) -> &[R] {
+        &self.rows
+    }
+}
+
+impl<R> DerefMut for Stream<R> {
+    fn deref_mut(&mut self) -> &mut [R] {
+        &mut self.rows
+    }
+}
+
+/// Times since the first of some stamps \[s\]. 128 bits: two stamps may be further apart than 292 years.
+pub(crate) fn since_first_s(stamps_ns: &[i64]) -> Vec<f64> {
+    let first_ns = stamps_ns.first().copied().unwrap_or_default();
+    stamps_ns.iter().map(|stamp_ns| (i128::from(*stamp_ns) - i128::from(first_ns)) as f64 * 1e-9).collect()
+}
+
+/// Median and largest distance of neighbouring times \[s\]; zeros of less than two.
+pub(crate) fn usual_and_longest_step_s(t_s: &[f64]) -> [f64; 2] {
+    let mut steps_s: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
+    let longest_s = steps_s.iter().copied().fold(0.0, f64::max);
+    [median(&mut steps_s).unwrap_or_default(), longest_s]
+}
+
+/// Largest difference of any number between two rows; zero of none.
+pub(crate) fn travel<R: Row>(rows: &[R]) -> f64 {
+    let of_place = |place: usize| extremes(rows.iter().map(|row| row.numbers()[place]));
+    let places = 0..rows.first().map_or(0, |row| row.numbers().len());
+    places.map(of_place).map(|[low, high]| high - low).fold(0.0, f64::max)
+}
+
+impl<R> Stream<R> {
+    /// `rows` at `t_s` \[s\], which increase strictly from 0; what one list has more than the other is left out. What is
+    /// further apart than 50 ms, or than 3.5 periods of a slower stream, is a gap.
+    pub fn new(first_stamp_ns: i64, mut t_s: Vec<f64>, mut rows: Vec<R>) -> Self {
+        t_s.truncate(rows.len());
+        rows.truncate(t_s.len());
+        let stream = Self { first_stamp_ns, t_s, rows, gap_limit_s: GAP_S_MIN };
+        let gap_limit_s = GAP_S_MIN.max(3.5 * stream.period_s());
+        stream.with_gap_limit(gap_limit_s)
+    }
+
+    /// Rows with stamps that do not decrease, at the times of the regular clock behind these, if `numbers` show one; else each
+    /// at its stamp, and of rows with one stamp the first.
+    pub(in crate::logs) fn sampled(
+        mut stamps_ns: Vec<i64>,
+        mut rows: Vec<R>,
+        numbers: &[Joints],
+    ) -> (Self, Option<Stamps>) {
+        let first_ns = stamps_ns.first().copied().unwrap_or_default();
+        let Some(Sampling { mut t_s, stamps }) = sampling(&since_first_s(&stamps_ns), numbers) else {
+            let mut last_ns = None;
+            let mut is_new = stamps_ns.iter().map(|stamp_ns| last_ns.replace(*stamp_ns) < Some(*stamp_ns));
+            rows.retain(|_| is_new.next().unwrap_or(false));
+            stamps_ns.dedup();
+            return (Self::new(first_ns, since_first_s(&stamps_ns), rows), None);
+        };
+        let begins_s = t_s.first().copied().unwrap_or_default();
+        t_s.iter_mut().for_each(|t_s| *t_s -= begins_s);
+        (Self::new(later_ns(first_ns, begins_s), t_s, rows), Some(stamps))
+    }
+
+    /// The same with another limit of gaps \[s\].
+    pub fn with_gap_limit(self, gap_limit_s: f64) -> Self {
+        Self { gap_limit_s, ..self }
+    }
+
+    /// Appends a row, whose stamp \[ns\] is later than those before it.
+    pub fn push(&mut self, stamp_ns: i64, row: R) {
+        if self.rows.is_empty() {
+            self.first_stamp_ns = stamp_ns;
+        }
+        let since_first_ns = i128::from(stamp_ns) - i128::from(self.first_stamp_ns);
+        self.t_s.push(since_first_ns as f64 * 1e-9);
+        self.rows.push(row);
+    }
+
+    /// From first to last row \[s\].
+    pub fn duration_s(&self) -> f64 {
+        self.t_s.last().copied().unwrap_or(0.0)
+    }
+
+    /// Median distance of two rows \[s\].
+    pub fn period_s(&self) -> f64 {
+        usual_and_longest_step_s(&self.t_s)[0]
+    }
+
+    /// Time of row `index` on the stream's clock \[ns\], if there is such a row.
+    pub fn stamp_ns(&self, index: usize) -> Option<i64> {
+        self.t_s.get(index).map(|t_s| later_ns(self.first_stamp_ns, *t_s))
+    }
+
+    /// Other rows at the same times.
+    pub fn map<S>(&self, of: impl FnMut(&R) -> S) -> Stream<S> {
+        Stream {
+            first_stamp_ns: self.first_stamp_ns,
+            t_s: self.t_s.clone(),
+            rows: self.rows.iter().map(of).collect(),
+            gap_limit_s: self.gap_limit_s,
+        }
+    }
+
+    /// What `of` makes of the rows at these places, those left out for which it has nothing; the first that is left is the first
+    /// of the answer.
+    pub fn filter_map<S>(
+        &self,
+        places: Range<usize>,
+        mut of: impl FnMut(usize, &R) -> Option<S>,
+    ) -> Stream<S> {
+        let mut kept = Stream { gap_limit_s: self.gap_limit_s, ..Stream::default() };
+        let mut begins_s = 0.0;
+        for place in places.start..places.end.min(self.rows.len()) {
+            let Some(row) = of(place, &self.rows[place]) else { continue };
+            if kept.rows.is_empty() {
+                begins_s = self.t_s[place];
+                kept.first_stamp_ns = later_ns(self.first_stamp_ns, begins_s);
+            }
+            kept.t_s.push(self.t_s[place] - begins_s);
+            kept.rows.push(row);
+        }
+        kept
+    }
+
+    /// The row before a time, which the next one follows; none beyond the ends.
+    pub(super) fn interval(&self, t_s: f64) -> Option<usize> {
+        let after = self.t_s.partition_point(|stamp_s| *stamp_s <= t_s);
+        // The last row belongs to the interval before it.
+        let row = if self.t_s.last() == Some(&t_s) { after.checked_sub(2)? } else { after.checked_sub(1)? };
+        (row + 1 < self.rows.len()).then_some(row)
+    }
+}
+
+impl<R: Row> Stream<R> {
+    /// Parts without gaps in which the numbers go on from row to row, in the order of time; none is empty.
+    pub fn parts(&self) -> Vec<Range<usize>> {
+        self.parts_within(self.gap_limit_s)
+    }
+
+    /// The same with another limit of gaps \[s\].
+    pub fn parts_within(&self, gap_limit_s: f64) -> Vec<Range<usize>> {
+        let mut parts = Vec::new();
+        let mut start = 0;
+        for end in 1..=self.rows.len() {
+            if end == self.rows.len() || !self.is_followed(end - 1, gap_limit_s) {
+                parts.push(start..end);
+                start = end;
+            }
+        }
+        parts
+    }
+
+    fn is_followed(&self, row: usize, gap_limit_s: f64) -> bool {
+        self.t_s[row + 1] - self.t_s[row] <= gap_limit_s && self.rows[row + 1].continues(&self.rows[row])
+    }
+
+    /// These rows as a stream of their own.
+    pub fn slice(&self, places: Range<usize>) -> Self {
+        self.filter_map(places, |_, row| Some(*row))
+    }
+
+    /// The numbers at a time after the first row \[s\], on a straight line between two rows: where they jump a smooth curve would
+    /// swing. None beyond the ends and in gaps.
+    pub fn at(&self, t_s: f64) -> Option<R> {
+        let row = self.interval(t_s)?;
+        let (from, to) = (&self.rows[row], &self.rows[row + 1]);
+        let part = (t_s - self.t_s[row]) / (self.t_s[row + 1] - self.t_s[row]);
+        if part == 0.0 {
+            return Some(*from);
+        }
+        let (a, b) = (from.numbers(), to.numbers());
+        self.is_followed(row, self.gap_limit_s).then(|| from.like(|i| a[i] + part * (b[i] - a[i])))
+    }
+}
+
+/// A stamp so much later.
+fn later_ns(stamp_ns: i64, by_s: f64) -> i64 {
+    stamp_ns.saturating_add((by_s * 1e9).round() as i64)
+}
