@@ -6,7 +6,7 @@ use std::f64::consts::TAU;
 
 use crate::support::minute::{prepared, run};
 use identify::logs::Unwrapped;
-use identify::prepare::unwrapped_log;
+use identify::prepare::{SampleStatus, bar_angles, unwrapped_log};
 use identify::simulate::Effects;
 
 fn middle(values: impl Iterator<Item = f64>) -> f64 {
@@ -122,4 +122,29 @@ fn the_average_takes_noise_and_in_motion_hardly_more_than_at_standstill() {
     let path = |by_s: f64| noisy.motion.path.at(truth_s + point.t_s + by_s)[joint];
     let speed_rad_s = (path(1e-3) - path(-1e-3)) / 2e-3;
     assert!((speed_rad_s.abs() - point.averaged_rad_s.abs()).abs() < 0.01, "{speed_rad_s} {point:?}");
+}
+
+#[test]
+fn readings_keep_the_order_of_time_and_begin_near_zero_wherever_counters_start_anew() {
+    let mut run = run(Effects::NONE);
+    let middle = run.cycles.len() / 2;
+    // Terminals that start anew, and a clock that is half a second behind from then on.
+    for cycle in &mut run.cycles[middle..] {
+        cycle.origin += 1;
+        cycle.sample_time = cycle.sample_time.plus_ns(-500_000_000);
+        cycle.encoders.iter_mut().for_each(|sample| sample.count = sample.count.wrapping_add(1 << 30));
+    }
+    let angles = bar_angles(&run.cycles, &run.encoders).unwrap();
+    let late = angles.statuses.iter().filter(|status| **status == SampleStatus::TimeNotIncreasing).count();
+    let readings = &angles.readings;
+    assert!((49..=51).contains(&late) && readings.len() + late == run.cycles.len(), "{late}");
+    assert!(readings.t_s.windows(2).all(|pair| pair[1] > pair[0]));
+    let parts = readings.parts();
+    assert_eq!((parts.len(), angles.origins()), (2, 2));
+    for (origin, part) in parts.into_iter().enumerate() {
+        assert!(readings[part.clone()].iter().all(|reading| reading.origin == origin));
+        assert!(readings[part.start].recorded_rad.iter().all(|angle| angle.abs() <= 0.5 * TAU + 1e-9));
+        let time = run.cycles[readings[part.start].cycle].sample_time;
+        assert_eq!(readings.stamp_ns(part.start), Some(time.0));
+    }
 }

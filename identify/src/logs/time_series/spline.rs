@@ -32,7 +32,7 @@ pub struct SplinePoint<R> {
 }
 
 impl<R: Row> Stream<R> {
-    /// Through all rows, each of the [`Stream::parts`] by itself; none where no part has [`KNOTS_MIN`] rows.
+    /// Through all rows, each of the [`Stream::parts`] by itself; none where no part has four rows.
     pub fn spline(&self) -> Option<CubicSpline<R>> {
         let mut curvatures: Vec<R> = self.iter().map(|row| row.like(|_| 0.0)).collect();
         let mut bridged = vec![false; self.len().saturating_sub(1)];
