@@ -1,6 +1,6 @@
 //! What a controller takes of a calibration, beside direct fits of the same freedom by another program: pybotics' kinematic chain
 //! with SciPy's least squares. `IDENTIFY_CASES=20` for twenty arms.
-#![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
+#![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
 use std::collections::BTreeMap;

@@ -9,12 +9,12 @@ use parry3d_f64::query;
 use parry3d_f64::shape::{Capsule, Cuboid};
 use shared::config::JointKind;
 
-use crate::kinematics::{Chain, Joints, Pose, ROD_LINK};
+use crate::kinematics::{Chain, DhLink, Joints, Pose, ROD_LINK};
 
 /// The last links turn where they stand: the plate and the rod's end are theirs.
 const WRIST_LINKS: usize = 2;
-/// Largest joint between two postures of a move that are looked at \[rad, m\].
-const STEP_RAD: f64 = 0.05;
+/// A move is looked at again after no less than this, where next to nothing is kept clear \[m\].
+const ADVANCE_M_MIN: f64 = 1e-3;
 
 /// Sizes of what must not touch.
 #[derive(Debug, Clone, PartialEq)]
@@ -99,21 +99,35 @@ impl Bodies {
 
     /// An arm that carries nothing keeps its distance from itself and the cell.
     pub fn is_clear(&self, arm: &Chain, robot_rad: &[f64]) -> bool {
-        let (links, _) = links(arm, robot_rad);
-        self.cell_clearance_m(&links, &[], None).min(self.own_clearance_m(&links)) >= self.clearance_m_min
+        self.arm_clearance_m(arm, robot_rad) >= self.clearance_m_min
     }
 
-    /// It does so on the straight line of its joints between two postures.
+    fn arm_clearance_m(&self, arm: &Chain, robot_rad: &[f64]) -> f64 {
+        let (links, _) = links(arm, robot_rad);
+        self.cell_clearance_m(&links, &[], None).min(self.own_clearance_m(&links))
+    }
+
+    /// It does so on the straight line of its joints between two postures, and touches nothing on the way: nothing comes nearer
+    /// by more than its joints move it, so that what is free now stays so for a while (conservative advancement, Mirtich 1996).
     pub fn is_way_clear(&self, arm: &Chain, from: &Joints, to: &Joints) -> bool {
-        let most = from.iter().zip(to).fold(0.0_f64, |most, (a, b)| most.max((b - a).abs()));
-        let steps = (most / STEP_RAD).ceil().max(1.0);
-        (0..=steps as usize).all(|step| {
-            let part = step as f64 / steps;
-            self.is_clear(
-                arm,
-                &Joints::from_fn(from.len(), |axis| from[axis] + part * (to[axis] - from[axis])),
-            )
-        })
+        let reach_m = arm.reach_m();
+        let moved_m = |((link, from), to): ((&DhLink, &f64), &f64)| match link.joint {
+            JointKind::Revolute => reach_m * (to - from).abs(),
+            JointKind::Prismatic => (to - from).abs(),
+        };
+        let way_m: f64 = arm.links.iter().zip(from).zip(to).map(moved_m).sum();
+        let mut part = 0.0;
+        loop {
+            let posture = Joints::from_fn(from.len(), |axis| from[axis] + part * (to[axis] - from[axis]));
+            let clearance_m = self.arm_clearance_m(arm, &posture);
+            if clearance_m < self.clearance_m_min {
+                return false;
+            }
+            if part >= 1.0 {
+                return true;
+            }
+            part = if way_m > 0.0 { (part + clearance_m.max(ADVANCE_M_MIN) / way_m).min(1.0) } else { 1.0 };
+        }
     }
 
     /// Smallest distance between two links that what lies between them lets come apart \[m\].
