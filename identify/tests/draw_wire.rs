@@ -4,7 +4,7 @@
 
 use identify::calibrate::HoldOut;
 use identify::calibrate::rows::{PoseFigures, RunCause, Sizes};
-use identify::instrument::{LengthRow, Rejection};
+use identify::instrument::{LengthRow, Rejection, Standing, Wire};
 use identify::kinematics::{Joints, flange_chain};
 use identify::model::{Axis, ParameterId};
 use nalgebra::{Rotation3, Vector3};
@@ -119,6 +119,74 @@ fn faults_in_the_rows_are_found_named_and_kept_out_of_the_fit() {
         report.rows().rejected.iter().filter(|r| matches!(r.why, Rejection::GrossResidual { .. })).count();
     assert!((4..=10).contains(&fitting_outliers), "{:?}", report.rows().rejected);
     assert!(report.fitted().joints.position_m.rms < 1.5e-4, "{:?}", report.fitted().joints);
+}
+
+/// Half of the rows are fifteen times worse, and which is known.
+#[test]
+fn lengths_of_two_qualities_calibrate_better_with_their_uncertainties() {
+    let (good, bad) = (1e-4, 1.5e-3);
+    let (clean, _) = made_up(500);
+    let (judging, _) = made_up(800);
+    let judging = &judging[500..];
+    let mut random = StdRng::seed_from_u64(9);
+    let mut untold = clean.clone();
+    for row in untold.iter_mut().skip(1).step_by(2) {
+        row.length_m += bad * random.sample::<f64, _>(StandardNormal);
+    }
+    let stated = |times: f64| {
+        let row = |(row, u): (&LengthRow, f64)| LengthRow { uncertainty_m: Some(times * u), ..*row };
+        untold.iter().zip([good, bad].into_iter().cycle()).map(row).collect::<Vec<_>>()
+    };
+    let alone = Alone::default().without_joint_errors();
+    let calibrated = |rows: &[LengthRow]| {
+        let found = alone.lengths(rows, &irb120()).unwrap();
+        let others =
+            Standing::of_file(judging, |row| row.joints_rad, &flange_chain(&irb120()), HoldOut::Rows, 1);
+        let errors_m = Wire::new(others).residuals_m(&found.model().geometry(&[]));
+        let squared = errors_m.iter().map(|error_m| error_m.powi(2)).sum::<f64>() / errors_m.len() as f64;
+        // Beyond the noise of the rows that judge.
+        let beyond_m = (squared - good * good).max(0.0).sqrt();
+        let rejected = found.rows().rejected.len();
+        let wanders = found.rows().drift.is_some();
+        (beyond_m, found.sigma("ra2".parse().unwrap()).unwrap(), rejected, wanders)
+    };
+    // Uncertainties that are all too small or too large by one factor still say which row is worth more.
+    let [untold, stated, too_small, too_large] =
+        [untold.clone(), stated(1.0), stated(0.5), stated(5.0)].map(|rows| calibrated(&rows));
+    println!("without {untold:?}, with {stated:?}, too small {too_small:?}, too large {too_large:?}");
+    // Without them the worst rows take no part: that is worth something, too.
+    assert!(stated.0 < 0.8 * untold.0 && stated.1 < 0.8 * untold.1, "{stated:?} {untold:?}");
+    for told in [stated, too_small, too_large] {
+        assert!(told.0 < untold.0 && told.2 == 0 && !told.3, "{told:?}");
+    }
+}
+
+#[test]
+fn a_zero_that_wanders_under_lengths_of_two_qualities_is_found() {
+    let (good, bad) = (1e-4, 1.5e-3);
+    let (mut rows, _) = made_up(500);
+    let mut random = StdRng::seed_from_u64(9);
+    for (index, row) in rows.iter_mut().enumerate() {
+        row.length_m += 2e-3 * (index as f64 / 40.0).sin();
+        let is_bad = index % 2 == 1;
+        row.uncertainty_m = Some(if is_bad { bad } else { good });
+        if is_bad {
+            row.length_m += bad * random.sample::<f64, _>(StandardNormal);
+        }
+    }
+    let white_m = |rows: &[LengthRow]| {
+        let report = Alone::default().without_joint_errors().lengths(rows, &irb120()).unwrap();
+        println!("{:?}", report.rows().drift);
+        let after_m = report.rows().errors.stages[3].iter().step_by(2).map(|error| error.position_m);
+        let mut sizes_m: Vec<f64> = after_m.collect();
+        sizes_m.sort_by(f64::total_cmp);
+        (report.rows().drift.is_some(), sizes_m[sizes_m.len() / 2])
+    };
+    let stated = white_m(&rows);
+    rows.iter_mut().for_each(|row| row.uncertainty_m = None);
+    let untold = white_m(&rows);
+    println!("median of the good rows, the drift known: stated {stated:?}, untold {untold:?}");
+    assert!(stated.0 && stated.1 < 0.7 * untold.1, "{stated:?} {untold:?}");
 }
 
 #[test]

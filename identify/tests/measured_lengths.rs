@@ -73,6 +73,27 @@ fn bad_cells_are_refused_with_line_and_column() {
 }
 
 #[test]
+fn stated_uncertainties_are_read_in_millimetres() {
+    let shipped = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/measured_length.toml");
+    let text = std::fs::read_to_string(shipped).unwrap();
+    let stated = text.replace("# [uncertainty]\n# length_mm", "[uncertainty]\nlength_mm");
+    let stated = self::mapping(&stated).unwrap();
+    let rows = |last: &str| {
+        let row = "1,2,3,-74.5,33.9,-30.8,-15.1,80.5,-59.7,509.19";
+        format!("{HEADER},cable_u\n{}{row},{last}\n", format!("{row},0.2\n").repeat(12))
+    };
+    let read = self::read(&rows("1.5"), &stated).unwrap().rows;
+    assert_eq!((read[0].uncertainty_m, read[12].uncertainty_m), (Some(0.2 * 1e-3), Some(1.5 * 1e-3)));
+    // Not stated, too good, no number of that kind, or in another unit.
+    for bad in ["", "0", "-0.1", "250"] {
+        let error = self::read(&rows(bad), &stated).unwrap_err().to_string();
+        assert!(error.contains("line 14 column `cable_u`"), "{error}");
+    }
+    let error = mapping(&text.replace("[length]", "[uncertainty]\nlength_m = \"u\"\n[length]")).unwrap_err();
+    assert!(error.to_string().contains("length_m"), "{error}");
+}
+
+#[test]
 fn a_mapping_that_cannot_work_is_refused_by_key() {
     let text =
         std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../config/measured_length.toml"))

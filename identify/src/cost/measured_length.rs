@@ -6,9 +6,11 @@ use super::scene::unit;
 use super::{Movement, Residual, Scene};
 use crate::model::{Owner, ParameterId, SetUp};
 
-/// `|R attachment - anchor| + offset - measured` \[m\].
+/// `|R attachment - anchor| + offset - measured` over the sample's noise relative to that of the median one \[m\].
 #[derive(Debug, Clone, Copy)]
 pub struct MeasuredLength<'a> {
+    /// Standard deviation of each sample over that of the median one; a sample without has no value.
+    pub relative_noise: &'a [f64],
     /// Anchor and attachment of each sample; one without has no value.
     pub set_ups: &'a [SetUp],
 }
@@ -17,6 +19,7 @@ pub struct MeasuredLength<'a> {
 #[derive(Debug, Clone, Copy)]
 pub struct Stretched {
     set_up: SetUp,
+    relative_noise: f64,
     /// From the robot's end to the attachment \[m\].
     attachment_m: Vector3<f64>,
     /// From anchor to attachment \[m\].
@@ -36,23 +39,25 @@ impl Residual for MeasuredLength<'_> {
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Stretched> {
-        let set_up = *self.set_ups.get(scene.sample)?;
+        let (set_up, relative_noise) =
+            (*self.set_ups.get(scene.sample)?, *self.relative_noise.get(scene.sample)?);
         let (anchor_m, attachment_m) = scene.geometry.wire.at(set_up)?;
         let attachment_m = scene.robot.rotation() * attachment_m;
         let along_m = scene.robot.position_m() + attachment_m - anchor_m;
-        Some(Stretched { set_up, attachment_m, along_m })
+        Some(Stretched { set_up, relative_noise, attachment_m, along_m })
     }
 
     fn residual(&self, scene: &Scene<'_>, wire: &Stretched, out: &mut [f64]) {
         let measured_m = scene.observation.length_m.unwrap_or(f64::NAN);
-        out[0] = wire.along_m.norm() + scene.geometry.wire.offset_m - measured_m;
+        let residual_m = wire.along_m.norm() + scene.geometry.wire.offset_m - measured_m;
+        out[0] = residual_m / wire.relative_noise;
     }
 
     fn derivative(&self, scene: &Scene<'_>, wire: &Stretched, id: ParameterId, out: &mut [f64]) {
-        let Stretched { set_up, attachment_m, along_m } = wire;
+        let Stretched { set_up, relative_noise, attachment_m, along_m } = wire;
         // At length zero it has no direction; there the derivative is taken as zero.
         let direction = if along_m.norm() > 0.0 { along_m.normalize() } else { *along_m };
-        out[0] = match (id, scene.movement(id)) {
+        let derivative = match (id, scene.movement(id)) {
             (_, Movement::Robot(twist)) => direction.dot(&(twist.linear + twist.angular.cross(attachment_m))),
             (ParameterId::Attachment { target, axis }, _) if target == set_up.target => {
                 direction.dot(&(scene.robot.rotation() * unit(axis)))
@@ -63,5 +68,6 @@ impl Residual for MeasuredLength<'_> {
             (ParameterId::LengthOffset, _) => 1.0,
             _ => 0.0,
         };
+        out[0] = derivative / relative_noise;
     }
 }

@@ -172,6 +172,7 @@ fn of_sheet(
                 length,
                 joints,
                 flange: None,
+                uncertainty: None,
                 anchor,
                 attachment,
             })

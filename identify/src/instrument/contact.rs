@@ -3,9 +3,9 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
+use super::row_noise::{MEDIAN_OF_THREE, median};
 use super::screened::{RejectedRow, Screened};
-use super::tracker::MEDIAN_OF_THREE;
-use super::{Apart, Instrument, Measures, SocketTable, Sockets, Standing, quantile};
+use super::{Apart, Instrument, Measures, SocketTable, Sockets, Standing};
 use crate::cost::{CostError, DataSet, Residual, SeatedBall, SeatedBalls};
 use crate::kinematics::Joints;
 use crate::logs;
@@ -271,10 +271,9 @@ impl Measures for Contact {
     fn adapt(&mut self, model: &Model) -> Option<f64> {
         /// Data without any noise still need a unit.
         const LEAST_M: f64 = 1e-9;
-        let mut sizes: Vec<f64> =
-            self.errors_m(&model.geometry(&[])).iter().map(|error| error.norm()).collect();
-        sizes.sort_by(f64::total_cmp);
-        self.noise_m = (quantile(&sizes, 0.5) / MEDIAN_OF_THREE).max(LEAST_M);
+        let errors_m = self.errors_m(&model.geometry(&[]));
+        let usual_m = median(errors_m.iter().map(|error| error.norm()));
+        self.noise_m = (usual_m / MEDIAN_OF_THREE).max(LEAST_M);
         Some(self.noise_m)
     }
 
@@ -283,7 +282,7 @@ impl Measures for Contact {
         let residuals_m: Vec<f64> =
             self.errors_m(&model.geometry(&[])).iter().map(|error| error.norm()).collect();
         let before = self.rows.clone();
-        let others = self.rows.screen(&residuals_m);
+        let others = self.rows.screen(&residuals_m, &vec![1.0; residuals_m.len()]);
         let visited = |socket: usize| self.rows.at.rows.iter().any(|row| row.socket == socket);
         if !(0..self.sockets.names().len()).all(visited) {
             self.rows = before;

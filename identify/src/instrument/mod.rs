@@ -3,6 +3,7 @@
 
 mod ball_bar;
 mod contact;
+mod row_noise;
 mod screened;
 mod sockets;
 mod standing;

@@ -49,10 +49,12 @@ impl<R: Copy> Screened<R> {
         Self { rejected: Vec::new(), at: all.clone(), all }
     }
 
-    /// Leaves rows out by the residuals of all of them \[m\], where most agree with each other; whether other ones take part now.
-    pub(super) fn screen(&mut self, residuals_m: &[f64]) -> bool {
+    /// Leaves rows out by the residuals of all of them \[m\] and their noise over that of the median row, where most agree with
+    /// each other; whether other ones take part now.
+    pub(super) fn screen(&mut self, residuals_m: &[f64], relative_noise: &[f64]) -> bool {
         let fitting: Vec<usize> = (0..residuals_m.len()).collect();
-        let rejected = faulty(residuals_m, &fitting, &without(&fitting, &self.rejected));
+        let kept = without(&fitting, &self.rejected);
+        let rejected = faulty(residuals_m, relative_noise, &fitting, &kept);
         let row = |one: &RejectedRow| one.row;
         let same = rejected.iter().map(row).eq(self.rejected.iter().map(row));
         if same || 2 * rejected.len() > fitting.len() {
@@ -65,24 +67,32 @@ impl<R: Copy> Screened<R> {
 }
 
 /// Rows that a fit should not see: single fitting rows with gross residuals, and every row, fitting or not, inside a run of
-/// which the fitting rows are mostly off; by the residuals of all rows \[m\], on the scale of the `kept` ones.
-pub(crate) fn faulty(residuals_m: &[f64], fitting: &[usize], kept: &[usize]) -> Vec<RejectedRow> {
+/// which the fitting rows are mostly off; by the residuals of all rows \[m\] and the noise of each over that of the median row, on
+/// the scale of the `kept` ones.
+pub(crate) fn faulty(
+    residuals_m: &[f64],
+    relative_noise: &[f64],
+    fitting: &[usize],
+    kept: &[usize],
+) -> Vec<RejectedRow> {
     /// Standard deviations beyond which a single row is gross: no row of a normal distribution is, and few of a heavy tail.
     const GROSS: f64 = 8.0;
     /// And the median of neighbouring rows: what independent ones reach less than once in a million times.
     const RUN: f64 = 3.0;
-    let sigma_m = robust_sigma(kept.iter().map(|&row| residuals_m[row]));
+    // As if all rows were as uncertain as the median one.
+    let alike_m: Vec<f64> = residuals_m.iter().zip(relative_noise).map(|(r, noise)| r / noise).collect();
+    let sigma_m = robust_sigma(kept.iter().map(|&row| alike_m[row]));
     let single = |&row: &usize| {
+        let gross = alike_m[row].abs() > GROSS * sigma_m;
         let residual_m = residuals_m[row];
-        let gross = residual_m.abs() > GROSS * sigma_m;
         gross.then_some(RejectedRow { row, why: Rejection::GrossResidual { residual_m } })
     };
     let in_run = |row: usize| {
-        let median_m = neighbours_m(residuals_m, fitting, row);
+        let median_m = neighbours_m(&alike_m, fitting, row);
         let faulty = median_m > RUN * sigma_m;
         faulty.then_some(RejectedRow { row, why: Rejection::FaultyRun { median_m } })
     };
-    let mut found: Vec<RejectedRow> = (0..residuals_m.len()).filter_map(in_run).collect();
+    let mut found: Vec<RejectedRow> = (0..alike_m.len()).filter_map(in_run).collect();
     let alone: Vec<usize> = without(fitting, &found);
     found.extend(alone.iter().filter_map(single));
     found.sort_by_key(|rejected| rejected.row);

@@ -3,6 +3,7 @@
 
 use nalgebra::{Rotation3, Vector3};
 
+use super::row_noise::{MEDIAN_OF_THREE, RowNoise, median};
 use super::{Instrument, Measures, Standing};
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
 use crate::kinematics::{Joints, Pose, rotation_vector};
@@ -45,9 +46,6 @@ pub struct Apart {
     /// Angle \[rad\]; none where only positions were measured.
     pub rotation_rad: Option<f64>,
 }
-
-/// Median of the norm of three standard normal numbers.
-pub(super) const MEDIAN_OF_THREE: f64 = 1.538;
 
 /// Rows of one set-up.
 #[derive(Debug, Clone)]
@@ -139,7 +137,7 @@ impl Tracker {
 
     /// What a coordinate is worth, one standard deviation of the median row \[m\].
     pub fn noise_m(&self) -> f64 {
-        median(self.noise.iter().map(|noise| noise.position_m).collect())
+        median(self.noise.iter().map(|noise| noise.position_m))
     }
 
     /// Name of the cost: positions alone or whole poses.
@@ -256,8 +254,9 @@ impl Measures for Tracker {
     fn adapt(&mut self, model: &Model) -> Option<f64> {
         let errors = self.apart(&model.geometry(&[]));
         let sigmas = |of: fn(&Apart) -> f64, stated: fn(&PoseUncertainty) -> Option<f64>| {
-            let stated = self.at.rows.iter().map(|row| stated(&row.uncertainty).unwrap_or(0.0));
-            sigmas(&errors.iter().map(of).zip(stated).collect::<Vec<_>>())
+            let stated = || self.at.rows.iter().map(move |row| stated(&row.uncertainty));
+            let noise = RowNoise::behind(errors.iter().map(of).zip(stated()), MEDIAN_OF_THREE);
+            stated().map(|stated| noise.of(stated)).collect::<Vec<_>>()
         };
         let position_m = sigmas(|error| error.position_m, |stated| stated.position_m);
         let rotation_rad = sigmas(|error| error.rotation_rad.unwrap_or(0.0), |stated| stated.rotation_rad);
@@ -285,37 +284,4 @@ pub(crate) fn quantile(sorted: &[f64], part: f64) -> f64 {
     let at = |index: usize| sorted.get(index).copied().unwrap_or(0.0);
     let below = place.floor();
     at(below as usize) + (place - below) * (at(place.ceil() as usize) - at(below as usize))
-}
-
-fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    quantile(&values, 0.5)
-}
-
-/// Standard deviation of each of the measurements whose errors (norms of three numbers) and stated uncertainties are given, none
-/// stated being zero.
-///
-/// What errors are larger than is stated the robot adds, to all rows alike: `sigma^2 = u^2 + added^2`, where half of the errors
-/// are within their median. Where they are smaller already, all that is stated is too large by one factor.
-fn sigmas(errors: &[(f64, f64)]) -> Vec<f64> {
-    /// Data without any noise still need a unit.
-    const LEAST: f64 = 1e-9;
-    const HALVINGS: usize = 40;
-    let usual = |added: f64| {
-        median(errors.iter().map(|(error, stated)| error / stated.hypot(added)).collect()) / MEDIAN_OF_THREE
-    };
-    // Of rows of which nothing is stated all is added.
-    let most = (median(errors.iter().map(|(error, _)| *error).collect()) / MEDIAN_OF_THREE).max(LEAST);
-    let (mut low, mut high) = (0.0, most);
-    if errors.iter().all(|(_, stated)| *stated == 0.0) {
-        low = most;
-    } else if usual(LEAST) <= 1.0 {
-        let factor = usual(LEAST).max(LEAST);
-        return errors.iter().map(|(_, stated)| factor * stated.hypot(LEAST)).collect();
-    }
-    for _ in 0..HALVINGS {
-        let middle = 0.5 * (low + high);
-        if usual(middle) > 1.0 { low = middle } else { high = middle }
-    }
-    errors.iter().map(|(_, stated)| stated.hypot(high)).collect()
 }

@@ -4,6 +4,7 @@
 
 use nalgebra::{DMatrix, DVector, Vector3};
 
+use super::row_noise::{MEDIAN_OF_ONE, RowNoise};
 use super::screened::{RejectedRow, Screened};
 use super::{Apart, Instrument, Measures, Standing};
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredLength, Residual};
@@ -23,15 +24,17 @@ pub struct LengthRow {
     pub length_m: f64,
     /// Where the controller says the flange is \[m\]; used to find rows whose parts do not belong together.
     pub flange_m: Option<[f64; 3]>,
+    /// Standard uncertainty of the length, where it is stated \[m\].
+    pub uncertainty_m: Option<f64>,
     /// Anchor and attachment.
     pub set_up: SetUp,
 }
 
 impl From<&logs::MeasuredLength> for LengthRow {
     fn from(read: &logs::MeasuredLength) -> Self {
-        let logs::MeasuredLength { q_rad, length_m, flange_m, anchor, attachment, .. } = *read;
+        let logs::MeasuredLength { q_rad, length_m, flange_m, uncertainty_m, anchor, attachment, .. } = *read;
         let set_up = SetUp { station: anchor, target: attachment };
-        Self { joints_rad: q_rad, length_m, flange_m, set_up }
+        Self { joints_rad: q_rad, length_m, flange_m, uncertainty_m, set_up }
     }
 }
 
@@ -39,16 +42,35 @@ impl From<&logs::MeasuredLength> for LengthRow {
 #[derive(Debug, Clone)]
 pub struct Wire {
     rows: Screened<LengthRow>,
-    /// Of those that take part, with the set-up of each.
+    /// From the spread of the residuals and what is stated of the rows.
+    noise: RowNoise,
+    /// Of those that take part, with the set-up of each and its noise over that of the median one.
     observations: Vec<Observation>,
     set_ups: Vec<SetUp>,
+    relative_noise: Vec<f64>,
 }
 
 impl Wire {
     /// Of rows with how the robot stood at each.
     pub fn new(all: Standing<LengthRow>) -> Self {
-        let (observations, set_ups) = observations(&all);
-        Self { observations, set_ups, rows: Screened::new(all) }
+        Self::of(Screened::new(all), RowNoise::ALIKE)
+    }
+
+    fn of(rows: Screened<LengthRow>, noise: RowNoise) -> Self {
+        let (observations, set_ups) = observations(&rows.at);
+        let relative_noise = noise.relative(rows.at.rows.iter().map(|row| row.uncertainty_m));
+        Self { rows, noise, observations, set_ups, relative_noise }
+    }
+
+    /// The same with rows that count as another wire has found.
+    #[must_use]
+    pub(crate) fn weighed_as(&self, other: &Self) -> Self {
+        Self::of(self.rows.clone(), other.noise)
+    }
+
+    /// Noise of every row over that of the median one, whether it takes part or not.
+    pub(crate) fn relative_noise(&self) -> Vec<f64> {
+        self.noise.relative(self.rows.all.rows.iter().map(|row| row.uncertainty_m))
     }
 
     /// A model with the anchors and attachments of the rows.
@@ -60,7 +82,7 @@ impl Wire {
     /// Some of the rows.
     #[must_use]
     pub fn chosen(&self, rows: &[usize]) -> Self {
-        Self::new(self.rows.all.chosen(rows))
+        Self::of(Screened::new(self.rows.all.chosen(rows)), self.noise)
     }
 
     /// The same with lengths that are longer by so much each \[m\].
@@ -68,7 +90,7 @@ impl Wire {
     pub(crate) fn plus(&self, by_m: &[f64]) -> Self {
         let mut all = self.rows.all.clone();
         all.rows.iter_mut().zip(by_m).for_each(|(row, by_m)| row.length_m += by_m);
-        Self::new(all)
+        Self::of(Screened::new(all), self.noise)
     }
 
     /// The same with a joint that turns the other way.
@@ -76,7 +98,7 @@ impl Wire {
     pub(crate) fn with_sign_reversed(&self, joint: usize) -> Self {
         let mut all = self.rows.all.clone();
         all.states.iter_mut().for_each(|state| state.q[joint] = -state.q[joint]);
-        Self::new(all)
+        Self::of(Screened::new(all), self.noise)
     }
 
     /// Rows that take no part.
@@ -86,14 +108,19 @@ impl Wire {
 
     /// Predicted minus measured length of every row, whether it takes part or not \[m\].
     pub fn residuals_m(&self, geometry: &Geometry) -> Vec<f64> {
-        let wire = &geometry.wire;
-        let residual = |(row, state): (&LengthRow, &JointState)| {
-            let Some((anchor_m, attachment_m)) = wire.at(row.set_up) else { return f64::NAN };
-            let attachment_m = geometry.robot_end(state).transform_point(&(*attachment_m).into()).coords;
-            (attachment_m - anchor_m).norm() + wire.offset_m - row.length_m
-        };
-        self.rows.all.rows.iter().zip(&self.rows.all.states).map(residual).collect()
+        residuals_m(&self.rows.all, geometry)
     }
+}
+
+/// Predicted minus measured lengths \[m\].
+fn residuals_m(at: &Standing<LengthRow>, geometry: &Geometry) -> Vec<f64> {
+    let wire = &geometry.wire;
+    let residual = |(row, state): (&LengthRow, &JointState)| {
+        let Some((anchor_m, attachment_m)) = wire.at(row.set_up) else { return f64::NAN };
+        let attachment_m = geometry.robot_end(state).transform_point(&(*attachment_m).into()).coords;
+        (attachment_m - anchor_m).norm() + wire.offset_m - row.length_m
+    };
+    at.rows.iter().zip(&at.states).map(residual).collect()
 }
 
 /// What was measured at each row, and with which anchor and attachment.
@@ -156,7 +183,7 @@ impl Measures for Wire {
     }
 
     fn data_set<'a>(&'a self, model: &'a Model, sigma: f64) -> Result<Box<dyn DataSet + 'a>, CostError> {
-        let residual = MeasuredLength { set_ups: &self.set_ups };
+        let residual = MeasuredLength { relative_noise: &self.relative_noise, set_ups: &self.set_ups };
         Ok(Box::new(LoopProblem::new(model, &self.rows.at, &self.observations, residual, sigma)?))
     }
 
@@ -169,14 +196,23 @@ impl Measures for Wire {
         MeasuredLength::sees(id) && !of_clock
     }
 
-    fn adapt(&mut self, _: &Model) -> Option<f64> {
+    /// Which row is worth more than the median one; what that is worth is left to who solves: residuals stay in metres.
+    fn adapt(&mut self, model: &Model) -> Option<f64> {
+        let rows = &self.rows.at;
+        if rows.rows.iter().any(|row| row.uncertainty_m.is_some()) {
+            let stated = rows.rows.iter().map(|row| row.uncertainty_m);
+            let errors_m = residuals_m(rows, &model.geometry(&[])).into_iter().map(f64::abs);
+            let noise = RowNoise::behind(errors_m.zip(stated), MEDIAN_OF_ONE);
+            *self = Self::of(self.rows.clone(), noise);
+        }
         None
     }
 
     /// Where most rows agree with each other.
     fn screen(&mut self, model: &Model) -> bool {
-        let others = self.rows.screen(&self.residuals_m(&model.geometry(&[])));
-        (self.observations, self.set_ups) = observations(&self.rows.at);
+        let residuals_m = self.residuals_m(&model.geometry(&[]));
+        let others = self.rows.screen(&residuals_m, &self.relative_noise());
+        *self = Self::of(self.rows.clone(), self.noise);
         others
     }
 
@@ -185,7 +221,7 @@ impl Measures for Wire {
     }
 
     fn part(&self, samples: &[usize]) -> Instrument {
-        Instrument::Wire(Self::new(self.rows.at.chosen(samples)))
+        Instrument::Wire(Self::of(Screened::new(self.rows.at.chosen(samples)), self.noise))
     }
 
     fn errors(&self, geometry: &Geometry) -> Vec<Apart> {

@@ -32,7 +32,8 @@ pub use robot::reader::{LogOptions, load, load_with, read, read_with};
 pub use robot::writer::write;
 pub use rows::contact::{ContactMapping, Contacts, SeatedRow};
 pub use rows::measured_length::{
-    FlangeColumns, LengthColumn, MeasuredLength, MeasuredLengthMapping, MeasuredLengths,
+    FlangeColumns, LengthColumn, LengthUncertaintyColumn, MeasuredLength, MeasuredLengthMapping,
+    MeasuredLengths,
 };
 pub use rows::measured_pose::{
     EulerFrame, MeasuredPose, MeasuredPoseMapping, MeasuredPoses, PoseUncertainty, PositionColumns,

@@ -281,7 +281,10 @@ impl<'a> Known<'a> {
                 self.rows(states, MeasuredPose { measured: &self.seen(states), noise, set_ups }, 1.0)
             }
             Measures::Positions => self.positions(states, self.request.noise),
-            Measures::Lengths => self.rows(states, MeasuredLength { set_ups }, self.request.noise.position_m),
+            Measures::Lengths => {
+                let relative_noise = &vec![1.0; states.len()];
+                self.rows(states, MeasuredLength { relative_noise, set_ups }, self.request.noise.position_m)
+            }
         }
     }
 

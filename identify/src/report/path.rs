@@ -191,6 +191,7 @@ pub fn pose_table(
             length,
             joints,
             flange: None,
+            uncertainty: None,
             anchor: None,
             attachment: None,
         })?

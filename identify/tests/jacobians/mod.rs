@@ -86,6 +86,9 @@ fn independent_position_angles(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual
     residual
 }
 
+/// Noise of each length over that of the median one.
+const LENGTH_NOISE: f64 = 0.4;
+
 fn independent_measured_length(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual64> {
     let r = n.robot_end(o.t_s);
     let squares = (0..3).map(|i| {
@@ -93,7 +96,8 @@ fn independent_measured_length(n: &Numbers<Dual64>, o: &Observation) -> Vec<Dual
         let along = r[i][0] * x + r[i][1] * y + r[i][2] * z + r[i][3] - n.anchor[i];
         along * along
     });
-    vec![squares.fold(Dual64::from(0.0), |a, b| a + b).sqrt() + n.offset - o.length_m.unwrap()]
+    let apart = squares.fold(Dual64::from(0.0), |a, b| a + b).sqrt() + n.offset - o.length_m.unwrap();
+    vec![apart / LENGTH_NOISE]
 }
 
 /// Every parameter of the model free, none of them at a value where derivatives vanish by symmetry.
@@ -278,7 +282,9 @@ fn measured_length_has_the_derivatives_of_the_wire_for_both_robots() {
             model.set_value(ParameterId::Anchor { station: 0, axis }, -0.7).unwrap();
         }
         let set_ups = &[SetUp::default(); OBSERVATIONS];
-        agrees(&robot, &all_free(model), MeasuredLength { set_ups }, independent_measured_length);
+        let relative_noise = &[LENGTH_NOISE; OBSERVATIONS];
+        let cost = MeasuredLength { relative_noise, set_ups };
+        agrees(&robot, &all_free(model), cost, independent_measured_length);
     }
 }
 
@@ -292,7 +298,8 @@ fn a_cost_refuses_observations_without_its_encoders_or_its_length() {
     let error = LoopProblem::new(&model, &Sines, &without, Transform, 1.0).unwrap_err().to_string();
     assert!(error.contains("bar joint 3") && error.contains("transform"), "{error}");
     assert!(LoopProblem::new(&model, &Sines, &without, Length, 1.0).is_ok());
-    assert!(LoopProblem::new(&model, &Sines, &without, MeasuredLength { set_ups: &[] }, 1.0).is_err());
+    let length = MeasuredLength { relative_noise: &[], set_ups: &[] };
+    assert!(LoopProblem::new(&model, &Sines, &without, length, 1.0).is_err());
     let nan = [Observation::bar(0.0, [f64::NAN; 5])];
     assert!(LoopProblem::new(&model, &Sines, &nan, Transform, 1.0).is_err());
     let mut pulled = Observation::bar(0.0, [0.1; 5]);

@@ -24,7 +24,7 @@ pub struct Drift {
     pub size_m: f64,
     /// Rows after which it has forgotten two thirds.
     pub memory_rows: f64,
-    /// Standard deviation of a single length beside it \[m\].
+    /// Standard deviation of a single length beside it, of rows that state theirs that of the median one \[m\].
     pub white_m: f64,
     /// Root mean square of fitting rows left out in turn, without a drift \[m\].
     pub rms_without_m: f64,
@@ -103,9 +103,11 @@ impl Sweep {
     }
 }
 
-/// Residuals and Jacobian of the rows that take part, spread over all rows of the file.
+/// Residuals and Jacobian of the rows that take part \[m\], spread over all rows of the file.
 struct Linear {
     residuals: Vec<f64>,
+    /// Noise of each row over that of the median one.
+    relative_noise: Vec<f64>,
     /// A column for each free parameter.
     columns: Vec<Vec<f64>>,
     /// On the step.
@@ -117,10 +119,11 @@ impl Linear {
         let (wire, own) = (all.chosen(chosen), SharedColumns::new([model], |_| false));
         let problem = DataSets::new(vec![wire.data_set(model, 1.0)?], &own);
         let Some((residual, jacobian)) = stacked(&problem, &model.start()) else { return Ok(None) };
+        let weighed_by = wire.relative_noise();
         let spread = |values: &mut dyn Iterator<Item = f64>| {
             let mut of_file = vec![0.0; all.samples()];
-            for (&row, value) in chosen.iter().zip(values) {
-                of_file[row] = value;
+            for ((&row, value), noise) in chosen.iter().zip(values).zip(&weighed_by) {
+                of_file[row] = noise * value;
             }
             of_file
         };
@@ -128,9 +131,16 @@ impl Linear {
         let of_step = |prior: Prior| Prior { value: prior.value - start[prior.column], ..prior };
         Ok(Some(Self {
             residuals: spread(&mut residual.iter().copied()),
+            relative_noise: all.relative_noise(),
             columns: jacobian.column_iter().map(|column| spread(&mut column.iter().copied())).collect(),
             priors: model.priors().into_iter().map(of_step).collect(),
         }))
+    }
+
+    /// The sweep over rows that count by their noise, times these weights.
+    fn sweep(&self, drift: &Drift, weights: &[f64]) -> Sweep {
+        let by_noise = weights.iter().zip(&self.relative_noise).map(|(weight, noise)| weight / noise.powi(2));
+        Sweep::new(drift, &by_noise.collect::<Vec<_>>())
     }
 
     /// Normal equations of generalised least squares, with the priors.
@@ -169,16 +179,17 @@ impl Linear {
         after
     }
 
-    /// Mean squared error of each fold, left out in turn \[m^2\].
+    /// Mean squared error of each fold, left out in turn, in the noise of the median row \[m^2\].
     fn left_out(&self, drift: &Drift, folds: &[Vec<usize>]) -> Option<Vec<f64>> {
         let error = |fold: &Vec<usize>| {
             let mut weights = vec![0.0; self.residuals.len()];
             let others = folds.iter().filter(|other| *other != fold).flatten();
             others.for_each(|&row| weights[row] = 1.0);
-            let sweep = Sweep::new(drift, &weights);
+            let sweep = self.sweep(drift, &weights);
             let after = self.after(&self.step(&sweep)?);
             let known = sweep.drift(&after);
-            let squared: f64 = fold.iter().map(|&row| (after[row] - known[row]).powi(2)).sum();
+            let error = |&row: &usize| (after[row] - known[row]) / self.relative_noise[row];
+            let squared: f64 = fold.iter().map(|row| error(row).powi(2)).sum();
             Some(squared / fold.len() as f64)
         };
         folds.iter().map(error).collect()
@@ -243,12 +254,13 @@ pub(super) fn fit(
     let mut known = vec![0.0; all.samples()];
     for _ in 0..STEPS {
         let Some(linear) = Linear::at(model, all, fitting)? else { break };
-        let sweep = Sweep::new(drift, &weights);
+        let sweep = linear.sweep(drift, &weights);
         let Some(step) = linear.step(&sweep) else { break };
         let after = linear.after(&step);
         known = sweep.drift(&after);
         for &row in fitting {
-            weights[row] = HUBER.weight(((after[row] - known[row]) / drift.white_m).powi(2));
+            let white_m = drift.white_m * linear.relative_noise[row];
+            weights[row] = HUBER.weight(((after[row] - known[row]) / white_m).powi(2));
         }
         let x: Vec<f64> = model.start().iter().zip(step.iter()).map(|(x, by)| x + by).collect();
         model.adopt(&x);
@@ -269,7 +281,7 @@ pub(super) fn widens(
     let mut weights = vec![0.0; all.samples()];
     fitting.iter().for_each(|&row| weights[row] = 1.0);
     let known = Drift { size_m: NONE * sigma_m, memory_rows: 1.0, white_m: sigma_m, ..*drift };
-    let variances = |drift: &Drift| linear.variances(&Sweep::new(drift, &weights));
+    let variances = |drift: &Drift| linear.variances(&linear.sweep(drift, &weights));
     let (Some(with), Some(without)) = (variances(drift), variances(&known)) else { return Ok(1.0) };
     let robot = model.columns().map(|parameter| matches!(parameter.id, ParameterId::Robot { .. }));
     let ratios = robot.zip(with.iter().zip(&without)).filter(|(of_robot, _)| *of_robot);

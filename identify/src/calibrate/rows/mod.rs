@@ -177,10 +177,12 @@ impl RowSet {
         let (Instrument::Wire(all), Instrument::Wire(seen)) = (&self.whole, &run.instrument) else {
             return Ok(());
         };
+        let all = all.weighed_as(seen);
         let fitting = without(&self.errors.fitted, &self.rejected);
         let row_of = |one: &RejectedRow| RejectedRow { row: fitting[one.row], ..*one };
         let kept = without(&fitting, &seen.rejected().iter().map(row_of).collect::<Vec<_>>());
-        let faulty = faulty(&all.residuals_m(&run.model.geometry(&[])), &fitting, &kept);
+        let residuals_m = all.residuals_m(&run.model.geometry(&[]));
+        let faulty = faulty(&residuals_m, &all.relative_noise(), &fitting, &kept);
         let kept = without(&fitting, &faulty);
         if kept.len() < fitting.len() / 2 {
             let error = RowError::TooManyRejected { kept: kept.len(), rows: fitting.len() };
@@ -190,10 +192,11 @@ impl RowSet {
         self.rejected.extend(faulty.iter().filter(|one| !known.contains(&one.row)));
         self.rejected.sort_by_key(|one| one.row);
         let fitting = self.beside_drift(&fitting);
-        if let Some((drift, drift_m)) = drift::find(&mut run.model.clone(), all, &fitting, sigma_m)? {
+        if let Some((drift, drift_m)) = drift::find(&mut run.model.clone(), &all, &fitting, sigma_m)? {
             run.instrument = Instrument::Wire(all.plus(&drift_m).chosen(&fitting));
             (self.drift, self.drift_m) = (Some(drift), drift_m);
         }
+        self.whole = Instrument::Wire(all);
         Ok(())
     }
 

@@ -8,7 +8,9 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 
-use super::pose_rows::{JointColumns, Names, check_joints, is_zero, mapped, mapped_if_named, rows};
+use super::pose_rows::{
+    JointColumns, Names, check_joints, is_zero, mapped, mapped_if_named, rows, uncertainty,
+};
 use crate::kinematics::Joints;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, bytes_of};
@@ -27,6 +29,14 @@ pub struct LengthColumn {
     /// What is known to be too much in every length \[mm\].
     #[serde(default, skip_serializing_if = "is_zero")]
     pub offset_mm: f64,
+}
+
+/// The column of stated standard uncertainties, by the unit that it is in.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LengthUncertaintyColumn {
+    /// Of the length.
+    pub length_mm: String,
 }
 
 /// The columns of the position that the controller itself gives for the flange.
@@ -52,6 +62,8 @@ pub struct MeasuredLengthMapping {
     pub joints: Vec<JointColumn>,
     /// The controller's own position, where the file has it: rows that contradict their joint angles are then found.
     pub flange: Option<FlangeColumns>,
+    /// What each row is worth, where the file says so.
+    pub uncertainty: Option<LengthUncertaintyColumn>,
     /// The column with the name of the place where the wire is anchored, where it has several.
     pub anchor: Option<String>,
     /// The column with the name of the place on the flange where it is attached, where it has several.
@@ -82,6 +94,8 @@ pub struct MeasuredLength {
     pub length_m: f64,
     /// Where the controller says the flange is \[m\].
     pub flange_m: Option<[f64; 3]>,
+    /// Standard uncertainty of the length, where it is stated \[m\].
+    pub uncertainty_m: Option<f64>,
     /// Where the wire is anchored, by its place among [`MeasuredLengths::anchors`]; 0 where those are not named.
     pub anchor: usize,
     /// Where it is attached, by its place among [`MeasuredLengths::attachments`].
@@ -132,6 +146,7 @@ impl MeasuredLengths {
 /// The mapping's columns, found in a file.
 struct Columns<'a> {
     length: (Column, &'a LengthColumn),
+    uncertainty: Option<Column>,
     anchor: Option<Column>,
     attachment: Option<Column>,
     joints: JointColumns<'a>,
@@ -149,6 +164,7 @@ impl<'a> Columns<'a> {
         };
         Ok(Self {
             length: (column(&mapping.length.column)?, &mapping.length),
+            uncertainty: mapped_if_named(table, mapping.uncertainty.as_ref().map(|of| &of.length_mm))?,
             anchor: mapped_if_named(table, mapping.anchor.as_ref())?,
             attachment: mapped_if_named(table, mapping.attachment.as_ref())?,
             joints: JointColumns::find(table, &mapping.joints)?,
@@ -178,6 +194,16 @@ impl<'a> Columns<'a> {
             }
             None => None,
         };
-        Ok(MeasuredLength { q_rad, length_m, flange_m, anchor: 0, attachment: 0, line: row.line })
+        let stated = self.uncertainty.as_ref().map(|column| uncertainty(table, row, column));
+        let uncertainty_m = stated.transpose()?;
+        Ok(MeasuredLength {
+            q_rad,
+            length_m,
+            flange_m,
+            uncertainty_m,
+            anchor: 0,
+            attachment: 0,
+            line: row.line,
+        })
     }
 }

@@ -10,7 +10,7 @@ use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, Validate, Violation};
 
-use super::pose_rows::{JointColumns, Names, check_joints, mapped, mapped_if_named, rows};
+use super::pose_rows::{JointColumns, Names, check_joints, mapped, mapped_if_named, rows, uncertainty};
 use crate::kinematics::Joints;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::tables::stamp::stamp_ns;
@@ -451,19 +451,6 @@ impl<'a> SeenColumns<'a> {
             },
         })
     }
-}
-
-/// A stated uncertainty of mm or mrad in m or rad.
-fn uncertainty(table: &Table<'_>, row: &Row, column: &Column) -> Result<f64, LogError> {
-    /// Worse is no measurement, but another unit.
-    const UNCERTAINTY_MAX: f64 = 0.1;
-    let value = table.number(row, column)? * 1e-3;
-    if value > 0.0 && value <= UNCERTAINTY_MAX {
-        return Ok(value);
-    }
-    let problem =
-        format!("{} is no standard uncertainty (above 0, at most {})", value * 1e3, UNCERTAINTY_MAX * 1e3);
-    Err(table.bad(row, column, problem, "correct the row, or the column's name or unit in the mapping file"))
 }
 
 fn rotation(

@@ -305,6 +305,19 @@ impl<'a> JointColumns<'a> {
     }
 }
 
+/// A stated standard uncertainty of mm or mrad, in m or rad.
+pub(in crate::logs) fn uncertainty(table: &Table<'_>, row: &Row, column: &Column) -> Result<f64, LogError> {
+    /// Worse is no measurement, but another unit.
+    const UNCERTAINTY_MAX: f64 = 0.1;
+    let value = table.number(row, column)? * 1e-3;
+    if value > 0.0 && value <= UNCERTAINTY_MAX {
+        return Ok(value);
+    }
+    let problem =
+        format!("{} is no standard uncertainty (above 0, at most {})", value * 1e3, UNCERTAINTY_MAX * 1e3);
+    Err(table.bad(row, column, problem, "correct the row, or the column's name or unit in the mapping file"))
+}
+
 /// A column that the mapping names.
 pub(in crate::logs) fn mapped(table: &Table<'_>, name: &str) -> Result<Column, LogError> {
     table.column(name, "Correct the column's name in the mapping file, or the header.")

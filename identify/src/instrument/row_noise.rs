@@ -1,0 +1,67 @@
+//! What a row is worth where its file states that: an instrument knows how uncertain it is itself, but not what the robot adds to
+//! all rows alike, which is found in the residuals.
+
+use super::quantile;
+
+/// Median size of a standard normal number.
+pub(super) const MEDIAN_OF_ONE: f64 = 0.6745;
+/// Median of the norm of three.
+pub(super) const MEDIAN_OF_THREE: f64 = 1.538;
+
+/// Standard deviations of rows, in the unit of what is stated of them: `factor * sqrt(stated^2 + added^2)`.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) struct RowNoise {
+    factor: f64,
+    /// What the robot adds.
+    added: f64,
+}
+
+impl RowNoise {
+    /// Before anything is known all rows count the same.
+    pub(super) const ALIKE: Self = Self { factor: 1.0, added: 1.0 };
+
+    /// Behind errors, each with what is stated of its row. `median` is that of an error whose standard deviation is one.
+    ///
+    /// What errors are larger than is stated the robot adds, where half of the errors are within their median. Where they are
+    /// smaller already, all that is stated is too large by one factor. Of rows of which nothing is stated all is added.
+    pub(super) fn behind(errors: impl Iterator<Item = (f64, Option<f64>)>, median: f64) -> Self {
+        /// Data without any noise still need a unit.
+        const LEAST: f64 = 1e-9;
+        const HALVINGS: usize = 40;
+        let errors: Vec<(f64, f64)> = errors.map(|(error, stated)| (error, stated.unwrap_or(0.0))).collect();
+        let usual = |added: f64| {
+            self::median(errors.iter().map(|(error, stated)| error / stated.hypot(added))) / median
+        };
+        let most = (self::median(errors.iter().map(|(error, _)| *error)) / median).max(LEAST);
+        let (mut low, mut high) = (0.0, most);
+        if errors.iter().all(|(_, stated)| *stated == 0.0) {
+            low = most;
+        } else if usual(LEAST) <= 1.0 {
+            return Self { factor: usual(LEAST).max(LEAST), added: LEAST };
+        }
+        for _ in 0..HALVINGS {
+            let middle = 0.5 * (low + high);
+            if usual(middle) > 1.0 { low = middle } else { high = middle }
+        }
+        Self { factor: 1.0, added: high }
+    }
+
+    /// Of a row of which this is stated.
+    pub(super) fn of(&self, stated: Option<f64>) -> f64 {
+        self.factor * stated.unwrap_or(0.0).hypot(self.added)
+    }
+
+    /// Of each row, over that of the median one.
+    pub(super) fn relative(&self, stated: impl Iterator<Item = Option<f64>>) -> Vec<f64> {
+        let each: Vec<f64> = stated.map(|stated| self.of(stated)).collect();
+        let usual = median(each.iter().copied());
+        each.into_iter().map(|one| one / usual).collect()
+    }
+}
+
+/// Zero of none.
+pub(super) fn median(values: impl Iterator<Item = f64>) -> f64 {
+    let mut sorted: Vec<f64> = values.collect();
+    sorted.sort_by(f64::total_cmp);
+    quantile(&sorted, 0.5)
+}
