@@ -163,6 +163,45 @@ fn the_command_takes_both_logs_and_what_it_writes_repeats_it() {
     let found = |name: &str| CalibrationFile::open(&folder.path().join(name)).unwrap();
     assert_eq!(found("result").parameters, found("again").parameters);
     assert!(found("result").inputs.iter().any(|input| input.role == "robot log"));
+    // What the solve found of the clocks.
+    let clock = found("result").clock.unwrap();
+    assert_eq!((clock.data_set, clock.instrument.as_str()), (1, "tracker"));
+    let reference_s: f64 = clock.reference_utc.split(' ').next().unwrap().parse().unwrap();
+    let off_ns = clock.robot_minus_instrument_ns as f64 - 1e9 * followed.clock_difference_s(reference_s);
+    let (sigma_ns, sigma_ppm) = (clock.sigma_ns.unwrap(), clock.skew_sigma_ppm.unwrap());
+    println!("off by {off_ns:.0} ns (sigma {sigma_ns:.0}), {} ppm (sigma {sigma_ppm:.3})", clock.skew_ppm);
+    // The reference is written in whole milliseconds: 35 ns at this rate.
+    assert!(off_ns.abs() < 4.0 * sigma_ns + 35.0 && sigma_ns < 2e4, "{off_ns} {sigma_ns}");
+    assert!(
+        (clock.skew_ppm - 35.0).abs() < 4.0 * sigma_ppm && sigma_ppm < 2.0,
+        "{} {sigma_ppm}",
+        clock.skew_ppm
+    );
+    assert!(clock.correlation > 0.99 && !clock.ambiguous);
+    let json = std::fs::read_to_string(folder.path().join("result/calibration.json")).unwrap();
+    assert!(json.contains("\"robot_minus_instrument_ns\":4321"));
+    // Rows with joints judge the robot; rows with times have none.
+    let Measured::Poses(rows) = followed.with_perfect_times(&followed.aligned().unwrap()) else {
+        unreachable!()
+    };
+    let mut other = String::from("q1;q2;q3;q4;q5;q6;x;y;z\n");
+    for row in rows.iter().step_by(20) {
+        let numbers = row.joints_rad.iter().copied().chain(row.position_m.iter().map(|x| x * 1e3));
+        other += &(numbers.map(|number| number.to_string()).collect::<Vec<_>>().join(";") + "\n");
+    }
+    std::fs::write(folder.path().join("other.csv"), other).unwrap();
+    let joints: String =
+        (1..=6).map(|joint| format!("[[joints]]\ncolumn = \"q{joint}\"\nunit = \"rad\"\n")).collect();
+    let with_joints = followed.mapping().replace("[time]\ncolumn = \"t_ms\"\nunit = \"ms\"\n", "") + &joints;
+    std::fs::write(folder.path().join("joints.toml"), with_joints).unwrap();
+    let robot_log = ["--robot-log", "robot.csv", "--joint-waves", "4", "--validate"];
+    let judged = [&robot_log[..], &["other.csv", "--validate-mapping", "joints.toml"]].concat();
+    let (done, out, err) = with(&judged, "judged");
+    assert!(done && out.contains("other.csv"), "{out}{err}");
+    let (done, out, err) = run(&["--experiment", "judged/experiment.toml"], "judged again");
+    assert!(done && out.contains("other.csv"), "{out}{err}");
+    let (done, _, err) = with(&[&robot_log[..], &["other.csv"]].concat(), "out");
+    assert!(!done && err.contains("tracker.toml") && err.contains("--validate-mapping"), "{err}");
     // Times without the robot's log, and the robot's log without times.
     let (done, _, err) = with(&[], "out");
     assert!(!done && err.contains("tracker.toml") && err.contains("--robot-log"), "{err}");

@@ -211,6 +211,11 @@ pub struct Alignment {
 }
 
 impl Alignment {
+    /// Robot clock minus the other one at the reference time \[ns\], once a solve has found what is left of the shift.
+    pub fn solved_difference_ns(&self, shift_s: f64) -> i64 {
+        self.clock_difference_ns.saturating_add((shift_s * 1e9).round() as i64)
+    }
+
     /// Of clocks that are counted from a reference time of the other log, and of the speeds that matched.
     fn new(
         matched: &Match,
@@ -341,6 +346,6 @@ impl Prepared {
 
     /// Robot clock minus bar clock at the reference time \[ns\], once a solve has found what is left of the shift.
     pub fn clock_difference_ns(&self, solved_shift_s: f64) -> i64 {
-        self.alignment.clock_difference_ns.saturating_add((solved_shift_s * 1e9).round() as i64)
+        self.alignment.solved_difference_ns(solved_shift_s)
     }
 }

@@ -9,6 +9,7 @@ use sha2::{Digest, Sha256};
 use shared::recording::schema::RunMetadata;
 use shared::time::UtcNs;
 
+use super::clocks::ClockEntry;
 use super::deployments::DeploymentEntry;
 use super::earlier::remove_page;
 use super::force::ForceEntry;
@@ -222,21 +223,6 @@ impl SolveEntry {
     }
 }
 
-/// How two logs were brought together.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ClockEntry {
-    /// Reference time on the bar's clock.
-    pub reference_utc: String,
-    /// Robot clock minus bar clock there \[ns\].
-    pub robot_minus_bar_ns: i64,
-    /// How much faster the robot's clock runs \[ppm\].
-    pub skew_ppm: f64,
-    /// Correlation of the joint speeds at the coarse alignment.
-    pub correlation: f64,
-    /// How long the logs overlap \[s\].
-    pub overlap_s: f64,
-}
-
 /// Who measured what, as a recording says; empty where it does not.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct MeasurementEntry {
@@ -285,9 +271,9 @@ pub struct CalibrationFile {
     pub verdict: Option<Verdict>,
     /// Solve.
     pub solve: SolveEntry,
-    /// Clocks, where there are two.
+    /// Clocks of instrument and robot, where there are two; of the first data set that has its own.
     pub clock: Option<ClockEntry>,
-    /// Those of the other runs, in their order.
+    /// Those of the other ones, in their order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub other_clocks: Vec<ClockEntry>,
     /// The force on the bar, where one was measured.
@@ -372,6 +358,11 @@ impl CalibrationFile {
             knowledge: None,
             covariance: None,
         }
+    }
+
+    /// Clocks of all data sets that have their own.
+    pub fn clocks(&self) -> impl Iterator<Item = &ClockEntry> {
+        self.clock.iter().chain(&self.other_clocks)
     }
 
     /// Parameters for a person, and how many amplitudes of waves of the axes are not among them: more than forty would fill a

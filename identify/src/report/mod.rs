@@ -1,5 +1,6 @@
 //! What people and programs get: files, tables on a terminal, and a page.
 
+pub mod clocks;
 pub mod corrections;
 pub mod deployments;
 mod earlier;

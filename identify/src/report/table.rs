@@ -34,16 +34,10 @@ pub fn calibration(file: &CalibrationFile) -> String {
         solve.residual_rms_start,
         solve.residual_rms,
     );
-    if let Some(clock) = &file.clock {
-        let _ = writeln!(
-            text,
-            "clocks: robot - bar = {:.6} s at {}, robot runs {:+.3} ppm; logs overlap {:.1} s, correlation {:.3}",
-            clock.robot_minus_bar_ns as f64 * 1e-9,
-            clock.reference_utc,
-            clock.skew_ppm,
-            clock.overlap_s,
-            clock.correlation,
-        );
+    for clock in file.clocks() {
+        let several = !file.other_clocks.is_empty();
+        let whose = if several { format!(" of data set {}", clock.data_set) } else { String::new() };
+        let _ = writeln!(text, "clocks{whose}: {}", clock.sentence());
     }
     for force in file.force.iter().chain(&file.other_forces) {
         let _ = writeln!(

@@ -249,6 +249,11 @@ impl Followed {
         [found_s - truly_s, value(ParameterId::ClockSkew) - self.sizes.skew]
     }
 
+    /// Robot clock minus tracker clock when the tracker's shows `t_s` \[s\].
+    pub fn clock_difference_s(&self, t_s: f64) -> f64 {
+        self.sizes.shift_s + self.sizes.skew * (t_s - FIRST_S)
+    }
+
     /// Mean distance of the probe as an identified and the true robot hold it, tracker and probe included \[m\].
     pub fn error_m(&self, model: &Model) -> f64 {
         let geometry = model.geometry(&[]);

@@ -19,19 +19,21 @@ use crate::calibrate::ball_bar::{self, BallBarCalibration, CalibrateError, RunIn
 use crate::calibrate::truth::Comparison;
 use crate::calibrate::{CostName, IdentifyConfig, SelectionName};
 use crate::commands::on_terminal::OnTerminal;
+use crate::cost::SharedColumns;
 use crate::evaluate::{Validity, evidence};
 use crate::kinematics::flange_chain;
 use crate::logs::{self, BarLog, BarLogMapping, LogFormat, LogOptions, RobotLog, RobotLogMapping};
-use crate::model::{Model, ParameterId};
+use crate::model::Model;
 use crate::prepare::{EncoderMapChoice, Prepared, bar_angles};
-use crate::report::file::{CalibrationFile, ClockEntry, MeasurementEntry, ParameterEntry, SolveEntry};
+use crate::report::clocks::{ClockEntry, SolvedClock};
+use crate::report::file::{CalibrationFile, MeasurementEntry, ParameterEntry, SolveEntry};
 use crate::report::force::ForceEntry;
 use crate::report::knowledge::NoiseEntry;
 use crate::report::page::Page;
 use crate::report::summary::{summary, wrapped};
 use crate::report::table;
 use crate::simulate::Truth;
-use crate::solver::LossName;
+use crate::solver::{Covariance, LossName};
 
 /// Options of a calibration with the ball-bar.
 #[derive(Debug, Args)]
@@ -154,6 +156,27 @@ impl RunFiles<'_> {
         let at = self.cycles.start + before;
         let part = |cycles: Range<usize>| (!cycles.is_empty()).then(|| Self { cycles, ..self.clone() });
         Some([part(self.cycles.start..at)?, part(at..self.cycles.end)?])
+    }
+
+    /// Its clocks at the solution of all runs, of which it is number `run` from 0.
+    pub(super) fn clock(
+        &self,
+        run: usize,
+        prepared: &Prepared,
+        model: &Model,
+        columns: &SharedColumns,
+        covariance: &Covariance,
+    ) -> ClockEntry {
+        ClockEntry::from(SolvedClock {
+            run,
+            instrument: "ball-bar",
+            reference: prepared.t_ref,
+            is_dated: !matches!(&*self.recording, BarLog::Other(other) if !other.is_dated),
+            alignment: &prepared.alignment,
+            model,
+            columns,
+            covariance,
+        })
     }
 
     /// What the recording says of who measured what; none where another program made it.
@@ -340,8 +363,10 @@ fn calibration_file(
 ) -> anyhow::Result<CalibrationFile> {
     let solution = &calibration.solution;
     let bar = runs.first().map_or("", |run| run.bar.name.as_str());
-    let mut clocks = (runs.iter().zip(calibration.runs()))
-        .map(|(run, (prepared, model))| clock_entry(&run.recording, prepared, model));
+    let clock = |(run, (files, (prepared, model))): (usize, (&RunFiles<'_>, _))| {
+        files.clock(run, prepared, model, &calibration.columns, &solution.covariance)
+    };
+    let mut clocks = runs.iter().zip(calibration.runs()).enumerate().map(clock);
     let mut file = CalibrationFile::new(
         &robot.name,
         bar,
@@ -356,23 +381,6 @@ fn calibration_file(
     file.candidates.clone_from(&calibration.candidates);
     file.noise = NoiseEntry::all(calibration.bars());
     Ok(file)
-}
-
-/// `recording` is the one whose clock it is.
-fn clock_entry(recording: &BarLog, prepared: &Prepared, model: &Model) -> ClockEntry {
-    let has_date = !matches!(recording, BarLog::Other(other) if !other.is_dated);
-    let value = |id| model.parameter(id).map_or(0.0, |parameter| parameter.value);
-    ClockEntry {
-        reference_utc: if has_date {
-            prepared.t_ref.to_string()
-        } else {
-            format!("{:.3} s (the recording's clock, zero unknown)", prepared.t_ref.0 as f64 * 1e-9)
-        },
-        robot_minus_bar_ns: prepared.clock_difference_ns(value(ParameterId::ClockShift)),
-        skew_ppm: value(ParameterId::ClockSkew) * 1e6,
-        correlation: prepared.alignment.correlation,
-        overlap_s: prepared.alignment.overlap_s,
-    }
 }
 
 fn load_truth(path: &Path) -> anyhow::Result<Truth> {

@@ -10,7 +10,7 @@ use shared::config::{self, Validate, Violation};
 
 use super::bar::{self, BarArguments};
 use super::result::Told;
-use super::rows::{self, Beside, Kind, Others, Read, RowFile, WithLogs};
+use super::rows::{self, Aligned, Beside, Kind, Others, Read, RowFile, WithLogs};
 use super::{CommonArguments, ResultArguments, inputs, refused};
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::mix::{self, DataSets, Rows};
@@ -127,11 +127,18 @@ impl Validate for Experiment {
                         "write sockets = \"sockets.toml\" there, and there alone",
                     ));
                 }
-                if row.robot_log.is_some() && (kind != Kind::Tracker || !row.validate.is_empty()) {
+                if row.robot_log.is_some() && kind != Kind::Tracker {
                     return Err(Violation::new(
                         format!("{key}[{index}].robot_log"),
-                        "it goes with a [[tracker]] block whose rows have times, and not with `validate`",
-                        "leave one of them out",
+                        "it goes with a [[tracker]] block whose rows have times",
+                        "leave it out",
+                    ));
+                }
+                if row.validate_mapping.is_some() && row.validate.is_empty() {
+                    return Err(Violation::new(
+                        format!("{key}[{index}].validate_mapping"),
+                        "no file is there that it could be the mapping of",
+                        "name the files in validate, or leave it out",
                     ));
                 }
                 if kind != Kind::Tracker && !row.validate.is_empty() {
@@ -245,6 +252,7 @@ impl Experiment {
             paths.extend(&mut rows.robot_log);
             paths.extend(&mut rows.sockets);
             paths.extend(&mut rows.validate);
+            paths.extend(&mut rows.validate_mapping);
         }
         paths
     }
@@ -359,6 +367,15 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
         ),
     )
     .with_knowledge(solution);
+    let of_bars = bars.iter().zip(&found.runs).enumerate().filter_map(|(number, (files, run))| {
+        let prepared = &run.instrument.bar()?.prepared;
+        Some(files.clock(number, prepared, &run.model, &found.solved.columns, &solution.covariance))
+    });
+    let of_trackers = (bars.len()..)
+        .zip(&read)
+        .filter_map(|(number, beside)| beside.aligned.as_ref()?.clock(number, &found));
+    let mut clocks = of_bars.chain(of_trackers);
+    (file.clock, file.other_clocks) = (clocks.next(), clocks.collect());
     file.measured = bars.iter().filter_map(bar::RunFiles::measured).collect();
     file.candidates.clone_from(&found.solved.candidates);
     file.deployments = found.deployed.iter().map(DeploymentEntry::from).collect();
@@ -398,7 +415,7 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
         let table = of_rows::table(set, instrument, model, &beside.lines, &validations);
         tables += &format!("\n{}\n{table}", name(number));
         tables += &beside.set_ups();
-        tables.extend(beside.aligned.as_ref().map(|aligned| aligned.line(model)));
+        tables.extend(beside.aligned.as_ref().map(Aligned::line));
         if let Instrument::Contact(contact) = instrument {
             limits.extend(of_rows::contradicted(contact, model));
         }

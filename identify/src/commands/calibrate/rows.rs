@@ -6,13 +6,14 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use clap::Args;
 use shared::config::{self, RobotConfig};
+use shared::time::UtcNs;
 
 use super::bar::load_log;
 use super::experiment::{self, Experiment};
 use super::{CommonArguments, RowArguments};
 use crate::calibrate::HoldOut;
 use crate::calibrate::ball_bar::CalibrateError;
-use crate::calibrate::mix::{Measured, Rows};
+use crate::calibrate::mix::{Measured, MixedCalibration, Rows};
 use crate::calibrate::rows::{WAVES_PER_TURN_MAX, tracker};
 use crate::evaluate::Validity;
 use crate::instrument::{ContactRow, LengthRow, PoseRow, SocketTable};
@@ -21,8 +22,9 @@ use crate::logs::{
     ContactMapping, Contacts, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths,
     MeasuredPoseMapping, MeasuredPoses, TimedPose, TimedPoses, joints_of_robot,
 };
-use crate::model::{JointState, JointWaves, Model, ParameterId, further};
+use crate::model::{JointState, JointWaves, Model, further};
 use crate::prepare::{AlignedPoses, Alignment, PrepareOptions, align_poses};
+use crate::report::clocks::{ClockEntry, SolvedClock};
 use crate::report::rows as of_rows;
 use crate::solver::LossName;
 use serde::{Deserialize, Serialize};
@@ -37,7 +39,7 @@ pub struct TrackerArguments {
     rows: RowArguments,
     /// The robot's own log (CSV, ROS 2 bag, UR RTDE, ABB EGM, KUKA RSI), where the rows have times on the tracker's clock in place
     /// of joints: the clocks are brought together by the motion
-    #[arg(long, value_name = "FILE", conflicts_with = "validate")]
+    #[arg(long, value_name = "FILE")]
     robot_log: Option<PathBuf>,
     /// Kind of the robot's log; default: recognised by its content
     #[arg(long, value_name = "KIND", requires = "robot_log")]
@@ -48,6 +50,9 @@ pub struct TrackerArguments {
     /// Other files of measured poses that judge the robot; tracker and probe may be elsewhere
     #[arg(long, value_name = "FILES", value_delimiter = ',')]
     validate: Vec<PathBuf>,
+    /// Which column of these is what; default: as --mapping says. Their rows have joints, also where the others have times
+    #[arg(long, value_name = "FILE", requires = "validate")]
+    validate_mapping: Option<PathBuf>,
     /// Highest number of waves per turn that the errors of joints may have; 3 to 127
     #[arg(long, value_name = "N", default_value_t = WAVES_PER_TURN_MAX,
           value_parser = clap::value_parser!(u8).range(i64::from(JointWaves::FIRST)..=i64::from(JointWaves::LAST)))]
@@ -115,6 +120,9 @@ pub struct RowFile {
     /// Of a tracker: other files that judge the robot.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub validate: Vec<PathBuf>,
+    /// Which of their columns is what; absent: as `mapping` says.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub validate_mapping: Option<PathBuf>,
 }
 
 impl RowFile {
@@ -128,16 +136,23 @@ impl RowFile {
             seed: Some(rows.seed),
             joint_waves: None,
             validate: Vec::new(),
+            validate_mapping: None,
         }
     }
 }
 
 pub(super) fn run_tracker(arguments: &TrackerArguments) -> anyhow::Result<()> {
-    let TrackerArguments { poses, rows, robot_log, validate, joint_waves, loss, common, .. } = arguments;
+    let TrackerArguments { poses, rows, robot_log, validate, validate_mapping, .. } = arguments;
+    let TrackerArguments { joint_waves, loss, common, .. } = arguments;
     let mut experiment = Experiment::of_rows(common, &rows.fix, *loss);
     (experiment.log_format, experiment.log_mapping) = (arguments.log_format, arguments.log_mapping.clone());
-    let (joint_waves, validate, robot_log) = (Some(*joint_waves), validate.clone(), robot_log.clone());
-    experiment.trackers.push(RowFile { joint_waves, validate, robot_log, ..RowFile::new(poses, rows) });
+    experiment.trackers.push(RowFile {
+        joint_waves: Some(*joint_waves),
+        validate: validate.clone(),
+        validate_mapping: validate_mapping.clone(),
+        robot_log: robot_log.clone(),
+        ..RowFile::new(poses, rows)
+    });
     experiment::calibrate(experiment, &common.result)
 }
 
@@ -215,6 +230,10 @@ impl Beside {
 /// Clocks of a tracker and the robot.
 pub(super) struct Aligned {
     alignment: Alignment,
+    /// Its reference time on the tracker's clock.
+    t_ref: UtcNs,
+    /// The tracker's times have a date.
+    is_dated: bool,
     /// Rows outside the robot's log, or taken while a robot moved that otherwise stood.
     left_out: usize,
 }
@@ -303,7 +322,7 @@ fn timed_poses(
     );
     let read = TimedPoses::load(&of.file, &mapping)?;
     let log = load_log(robot_log, with.robot, &with.logs)?;
-    let AlignedPoses { rows, states, moving, alignment, left_out } =
+    let AlignedPoses { rows, states, moving, alignment, t_ref, left_out } =
         align_poses(&read, &log, &flange_chain(with.robot), with.options)
             .map_err(|error| CalibrateError::Align { data_set, error: Box::new(error) })?;
     let row = |(&row, state): (&usize, &JointState)| {
@@ -315,30 +334,33 @@ fn timed_poses(
         Some(moving) => Measured::Path(poses, moving),
         None => Measured::Poses(poses),
     };
-    Ok((measured, lines, Aligned { alignment, left_out }))
+    let is_dated = mapping.time.is_some_and(|time| time.unit.is_dated());
+    Ok((measured, lines, Aligned { alignment, t_ref, is_dated, left_out }))
 }
 
 impl Aligned {
-    /// For a person: the clocks as the solve found them, or as far as standstills say.
-    pub(super) fn line(&self, model: &Model) -> String {
-        let Self { alignment: Alignment { correlation, overlap_s, ambiguous, .. }, left_out } = self;
-        let value = |id| model.parameter(id).map_or(0.0, |parameter| parameter.value);
-        let shift_ns = (value(ParameterId::ClockShift) * 1e9).round() as i64;
-        let difference_s = self.alignment.clock_difference_ns.saturating_add(shift_ns) as f64 * 1e-9;
-        let repeats = if *ambiguous {
-            "; the motion repeats itself and other shifts fit as well: the geometry is the same, the clocks are not"
-        } else {
-            ""
-        };
-        format!(
-            "robot's clock minus tracker's: {difference_s:.6} s in the middle, faster by {:.2} ppm; speeds correlate to \
-             {correlation:.3}, the logs overlap for {overlap_s:.1} s, {left_out} rows left out{repeats}\n",
-            value(ParameterId::ClockSkew) * 1e6,
-        )
+    /// The clocks at the solution of all data sets, of which the tracker's is number `run` from 0: as the solve found them, or as
+    /// far as standstills say.
+    pub(super) fn clock(&self, run: usize, found: &MixedCalibration) -> Option<ClockEntry> {
+        Some(ClockEntry::from(SolvedClock {
+            run,
+            instrument: Kind::Tracker.key(),
+            reference: self.t_ref,
+            is_dated: self.is_dated,
+            alignment: &self.alignment,
+            model: &found.runs.get(run)?.model,
+            columns: &found.solved.columns,
+            covariance: &found.solved.solution.covariance,
+        }))
+    }
+
+    /// For a person.
+    pub(super) fn line(&self) -> String {
+        format!("{} rows left out: outside the robot's log, or not at its standstills\n", self.left_out)
     }
 }
 
-/// A calibrated robot on the rows of other files, each read by the mapping of the file that it was calibrated from.
+/// A calibrated robot on the rows of other files, each read by the mapping of the file that it was calibrated from, or by their own.
 pub(super) struct Others<'a> {
     seed: u64,
     files: Vec<(&'a PathBuf, Lines)>,
@@ -347,7 +369,18 @@ pub(super) struct Others<'a> {
 impl<'a> Others<'a> {
     /// Read before the fit: a file that is missing is said at once.
     pub(super) fn read(of: &'a RowFile, seed: u64, robot: &RobotConfig) -> anyhow::Result<Self> {
-        let files = of.validate.iter().map(|path| Ok((path, with_lines(&poses(path, &of.mapping, robot)?))));
+        let mapping = of.validate_mapping.as_ref().unwrap_or(&of.mapping);
+        if !of.validate.is_empty() {
+            let read: MeasuredPoseMapping = config::load(mapping)?;
+            anyhow::ensure!(
+                read.time.is_none(),
+                "{}: rows that judge the robot need its joints, and [time] says that these have none; export them with the robot's \
+                 joints in each row, and name their columns in a mapping of their own (--validate-mapping, or validate_mapping in \
+                 the [[tracker]] block)",
+                mapping.display()
+            );
+        }
+        let files = of.validate.iter().map(|path| Ok((path, with_lines(&poses(path, mapping, robot)?))));
         Ok(Self { seed, files: files.collect::<anyhow::Result<_>>()? })
     }
 

@@ -68,7 +68,7 @@ pub(super) fn read(
         row: "line",
         tells_validity: layout.encoders.iter().all(|encoder| encoder.valid.is_some()),
         tells_origins: layout.flags.is_some(),
-        is_dated: matches!(layout.time_unit, TimeUnit::DateTime | TimeUnit::Filetime),
+        is_dated: layout.time_unit.is_dated(),
     };
     let readings = layout.encoders.iter().map(|encoder| encoder.reading).collect();
     let mut raw = RawBarLog::new(path, kind, readings);

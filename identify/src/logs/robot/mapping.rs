@@ -38,6 +38,11 @@ impl TimeUnit {
             Self::Filetime => 100,
         }
     }
+
+    /// Such times have a date; others count from an unknown zero.
+    pub const fn is_dated(self) -> bool {
+        matches!(self, Self::DateTime | Self::Filetime)
+    }
 }
 
 /// Layout of a text table.

@@ -56,6 +56,8 @@ pub struct AlignedPoses {
     pub moving: Option<Moving>,
     /// How the clocks were brought together; its skew is zero where the robot stood.
     pub alignment: Alignment,
+    /// Its reference time on the tracker's clock.
+    pub t_ref: UtcNs,
     /// Rows outside the robot's log, or measured while a robot moved that otherwise stood.
     pub left_out: usize,
 }
@@ -121,7 +123,7 @@ pub fn align_poses(
         let (rows, states): (Vec<_>, Vec<_>) =
             at_rest.map(|(row, _, state)| (row, JointState::at_rest(state.q))).unzip();
         let left_out = search.seen_m.len() - rows.len();
-        return Ok(AlignedPoses { rows, states, moving: None, alignment, left_out });
+        return Ok(AlignedPoses { rows, states, moving: None, alignment, t_ref, left_out });
     }
     let all: Vec<(usize, f64, JointState)> = all.collect();
     let left_out = search.seen_m.len() - all.len();
@@ -134,6 +136,7 @@ pub fn align_poses(
         states: kept.iter().map(|(.., state)| *state).collect(),
         moving: Some(Moving { t_s: kept.iter().map(|(_, t_s, _)| *t_s).collect(), log, skew: clock.skew }),
         alignment,
+        t_ref,
         left_out,
     })
 }

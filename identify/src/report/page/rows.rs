@@ -82,6 +82,9 @@ impl MeasuredPage<'_> {
                         }
                     }
                     pre.table { (self.tables) }
+                    @for clock in self.file.clocks() {
+                        p { "Clocks of data set " (clock.data_set) ": " (clock.sentence()) "." }
+                    }
                     (parameters(self.file, place, &others))
                     (budget(self.file))
                     (candidates(self.file))

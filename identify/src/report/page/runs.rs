@@ -7,7 +7,6 @@ use maud::{Markup, html};
 use super::plot::PlotError;
 use super::sections::svg;
 use super::{Page, figures, preparation};
-use crate::report::file::ClockEntry;
 
 /// Name of each run where there are several, with that of its file.
 pub(super) fn names(page: &Page<'_>) -> Vec<Option<String>> {
@@ -89,9 +88,8 @@ fn alignment(page: &Page<'_>, number: usize, name: Option<&String>) -> Result<Ma
         p {
             "The logs overlap for " (format!("{:.1}", alignment.overlap_s)) " s. Joint speeds correlate to "
             (format!("{:.4}", alignment.correlation)) " (next best shift " (format!("{:.3}", alignment.runner_up)) "). "
-            @if let Some(clock) = clock(page, number) {
-                "Robot clock minus bar clock: " (format!("{:.6}", clock.robot_minus_bar_ns as f64 * 1e-9)) " s at "
-                (clock.reference_utc) ", rate " (format!("{:+.3}", clock.skew_ppm)) " ppm. "
+            @if let Some(clock) = page.file.clocks().find(|clock| clock.data_set == number + 1) {
+                "Clocks: " (clock.difference()) ". "
             }
             @if let Some(minimum_s) = run.shift_near.minimum_s {
                 "The gap is smallest " (format!("{:+.1}", minimum_s * 1e6)) " us from the solution."
@@ -108,8 +106,4 @@ fn alignment(page: &Page<'_>, number: usize, name: Option<&String>) -> Result<Ma
             }
         }
     })
-}
-
-fn clock<'a>(page: &'a Page<'_>, number: usize) -> Option<&'a ClockEntry> {
-    page.file.clock.iter().chain(&page.file.other_clocks).nth(number)
 }

@@ -1,0 +1,126 @@
+//! How the clocks of instrument and robot differ, as files, terminal and page say it.
+
+use serde::{Deserialize, Serialize};
+use shared::time::UtcNs;
+
+use crate::cost::SharedColumns;
+use crate::model::{Model, ParameterId};
+use crate::prepare::Alignment;
+use crate::solver::Covariance;
+
+/// How the logs of an instrument and the robot were brought together.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ClockEntry {
+    /// Which run or file it is, from 1.
+    #[serde(default = "first")]
+    pub data_set: usize,
+    /// Whose clock the robot's is compared with: `ball-bar` or `tracker`.
+    #[serde(default = "ball_bar")]
+    pub instrument: String,
+    /// Reference time on the instrument's clock.
+    pub reference_utc: String,
+    /// Robot clock minus the instrument's there \[ns\].
+    #[serde(alias = "robot_minus_bar_ns")]
+    pub robot_minus_instrument_ns: i64,
+    /// One standard deviation of it \[ns\]; none where no solve found it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sigma_ns: Option<f64>,
+    /// How much faster the robot's clock runs \[ppm\].
+    pub skew_ppm: f64,
+    /// One standard deviation of it \[ppm\]; none where no solve found it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub skew_sigma_ppm: Option<f64>,
+    /// Correlation of the speeds at the coarse alignment.
+    pub correlation: f64,
+    /// How long the logs overlap \[s\].
+    pub overlap_s: f64,
+    /// The motion repeats itself: other differences of the clocks fit as well.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub ambiguous: bool,
+}
+
+// What files of earlier versions do not say.
+const fn first() -> usize {
+    1
+}
+
+fn ball_bar() -> String {
+    "ball-bar".to_owned()
+}
+
+/// A data set with its own clock, at the solution of all.
+pub struct SolvedClock<'a> {
+    /// Its number, from 0.
+    pub run: usize,
+    /// The instrument.
+    pub instrument: &'a str,
+    /// Reference time on its clock.
+    pub reference: UtcNs,
+    /// That clock shows a date.
+    pub is_dated: bool,
+    /// How the logs were brought together before the solve.
+    pub alignment: &'a Alignment,
+    /// At the solution.
+    pub model: &'a Model,
+    /// Which columns of the covariance are whose.
+    pub columns: &'a SharedColumns,
+    /// Of the solution.
+    pub covariance: &'a Covariance,
+}
+
+impl From<SolvedClock<'_>> for ClockEntry {
+    fn from(of: SolvedClock<'_>) -> Self {
+        let value = |id| of.model.parameter(id).map_or(0.0, |parameter| parameter.value);
+        let sigma = |id| of.covariance.sigma(*of.columns.of_run(of.run).get(of.model.column_of(id)?)?);
+        let reference_s = of.reference.0 as f64 * 1e-9;
+        Self {
+            data_set: of.run + 1,
+            instrument: of.instrument.to_owned(),
+            reference_utc: if of.is_dated {
+                of.reference.to_string()
+            } else {
+                format!("{reference_s:.3} s (the {}'s clock, zero unknown)", of.instrument)
+            },
+            robot_minus_instrument_ns: of.alignment.solved_difference_ns(value(ParameterId::ClockShift)),
+            sigma_ns: sigma(ParameterId::ClockShift).map(|sigma_s| sigma_s * 1e9),
+            skew_ppm: value(ParameterId::ClockSkew) * 1e6,
+            skew_sigma_ppm: sigma(ParameterId::ClockSkew).map(|sigma| sigma * 1e6),
+            correlation: of.alignment.correlation,
+            overlap_s: of.alignment.overlap_s,
+            ambiguous: of.alignment.ambiguous,
+        }
+    }
+}
+
+impl ClockEntry {
+    /// Difference and rate, for a person.
+    pub fn difference(&self) -> String {
+        let within = |sigma: Option<f64>, unit: &str| {
+            sigma.map_or_else(String::new, |sigma| format!(" (sigma {sigma:.2} {unit})"))
+        };
+        format!(
+            "robot's clock minus {}'s: {:.6} s{} at {}, faster by {:+.3} ppm{}",
+            self.instrument,
+            self.robot_minus_instrument_ns as f64 * 1e-9,
+            within(self.sigma_ns.map(|sigma_ns| sigma_ns * 1e-3), "us"),
+            self.reference_utc,
+            self.skew_ppm,
+            within(self.skew_sigma_ppm, "ppm"),
+        )
+    }
+
+    /// The same, with what it rests on.
+    pub fn sentence(&self) -> String {
+        let repeats = if self.ambiguous {
+            "; the motion repeats itself and other shifts fit as well: the geometry is the same, the clocks are not"
+        } else {
+            ""
+        };
+        format!(
+            "{}; speeds correlate to {:.3}, the logs overlap for {:.1} s{repeats}",
+            self.difference(),
+            self.correlation,
+            self.overlap_s
+        )
+    }
+}
