@@ -43,7 +43,7 @@ fn is_told_as_another_robot(run: &Simulated, robot: &RobotConfig, what: &str) {
     let found = ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), &config);
     let told = found.map(drop).unwrap_err().to_string();
     println!("{what}: {told}\n");
-    let named = ["jumps", "slips", "steps", "moves"].iter().any(|change| told.contains(change));
+    let named = ["jumps", "slips", "steps", "moves", "turned"].iter().any(|change| told.contains(change));
     assert!(!named, "{what}: {told}");
     assert!(told.contains("sphere") || told.contains("configuration (lengths"), "{what}: {told}");
 }
@@ -64,6 +64,52 @@ fn links_that_are_decimetres_too_long_are_never_told_as_a_clock_or_an_encoder() 
                     }
                 }
             }
+        }
+    }
+}
+
+/// The robot as it would be configured if the plate were mounted with this turn about the flange's axis.
+fn with_plate_turned(robot: &RobotConfig, by_deg: f64) -> RobotConfig {
+    let mut robot = robot.clone();
+    robot.links.last_mut().unwrap().theta_deg += by_deg;
+    robot
+}
+
+#[test]
+fn a_plate_that_is_turned_on_the_flange_is_found_and_told_as_that() {
+    for (robot, seeds) in [(irb2400(), 1..=2), (nj220(), 1..=1)] {
+        for seed in seeds {
+            for by_deg in [0.0, 2.0, -3.0, 5.0] {
+                let run = laboratory(&with_plate_turned(&robot, by_deg), seed);
+                let found = calibrated(&run, &robot, &bar());
+                let told = limits(&found, &[], &WorkspaceError::default());
+                let told = told.iter().find(|limit| limit.sentence.contains("plate is turned"));
+                println!("{}, seed {seed}, {by_deg}: {told:?}", robot.name);
+                let by = format!("{by_deg:+.1} degrees");
+                assert!(told.map_or(by_deg == 0.0, |told| told.serious && told.sentence.contains(&by)));
+                assert!(Comparison::new(&found, &run.truth).euclidean_mm_mrad() < 0.5);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_run_that_is_refused_for_a_turned_plate_says_so() {
+    for (robot, seed) in [(irb2400(), 1), (irb2400(), 2), (nj220(), 1)] {
+        for by_deg in [9.0, -12.0, 20.0, -45.0, 90.0, 170.0] {
+            let run = laboratory(&with_plate_turned(&robot, by_deg), seed);
+            let config = IdentifyConfig::default();
+            let found =
+                ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config);
+            let told = match found {
+                Ok(found) => limits(&found, &[], &WorkspaceError::default())
+                    .into_iter()
+                    .find(|limit| limit.sentence.contains("turned"))
+                    .map(|limit| limit.sentence),
+                Err(error) => Some(error.to_string()),
+            };
+            println!("{}, seed {seed}, {by_deg}: {told:?}\n", robot.name);
+            assert!(told.is_some_and(|told| told.contains("plate is turned by about")), "{by_deg}");
         }
     }
 }

@@ -30,6 +30,9 @@ const LENGTH_SIGMA_M: f64 = 1e-3;
 /// Chance that the scale is doubted although it is right.
 const OTHER_SCALE_BY_CHANCE: f64 = 1e-3;
 
+/// A zero of a joint is set better, and a plate is mounted worse \[rad\].
+const TURNED_RAD: f64 = 17e-3;
+
 /// Ratios of gears are those of whole numbers of teeth: one that is off by more is configured wrong. What elastic parts of a
 /// drive add is below a tenth of this.
 const RATIO_OFF: f64 = 500e-6;
@@ -67,6 +70,7 @@ pub fn limits(
     let reach_m = model.geometry(&[]).robot.reach_m();
     limits.extend(of_changes(&calibration.changed, reach_m, workspace.budget.expanded_m));
     limits.extend(of_drives(model, solution));
+    limits.extend(turned_plate(model, solution));
     limits.extend(strained_priors(model, solution));
     limits.extend(of_lengths(model, solution, calibration.bars().map(|_| ScaleFrom::Plate)));
     limits.extend(lasting_errors(calibration));
@@ -294,6 +298,23 @@ fn of_drives(model: &Model, solution: &Solution) -> Vec<Limit> {
         serious: false,
     });
     ratios.chain(late).collect()
+}
+
+/// The plate on the flange, or the zero of the last joint, turned about the flange's axis against the configuration.
+fn turned_plate(model: &Model, solution: &Solution) -> Option<Limit> {
+    let last = model.axes().checked_sub(1)?;
+    let theta = ParameterId::Robot { link: last, parameter: LinkParameter::Theta };
+    let by_rad = solution.x.get(model.column_of(theta)?)? - model.parameter(theta)?.nominal;
+    (by_rad.abs() > TURNED_RAD).then(|| Limit {
+        sentence: format!(
+            "The plate is turned by about {:+.1} degrees on the flange, about its axis, against the configuration, or the zero of joint {} \
+             is off by that: the bar cannot tell which. Add it to theta_deg of the last link in the robot's file, unless it is the \
+             joint; errors before the calibration have it in them.",
+            by_rad.to_degrees(),
+            last + 1
+        ),
+        serious: true,
+    })
 }
 
 /// Lengths that come out far from the configured ones: of another robot or bar, or all by the same part.

@@ -146,15 +146,19 @@ pub enum PrepareError {
     /// The speeds match but the angles do not.
     #[error(
         "measured bar angles do not fit the robot's log, in whatever order and direction the encoders are taken; as \
-         recorded (encoder -> joint): {recorded}, at most {limit_mrad} mrad is allowed for each. The robot's or the \
-         bar's configuration (lengths, or lines and interpolation_bits of the encoders) is not that of this cell, or robot \
-         log and recording are of different runs; correct the configuration, or give the log of this run"
+         recorded (encoder -> joint): {recorded}, at most {limit_mrad} mrad is allowed for each; {}",
+        .likely.as_deref().unwrap_or(
+            "the robot's or the bar's configuration (lengths, or lines and interpolation_bits of the encoders) is not that of \
+             this cell, or robot log and recording are of different runs; correct the configuration, or give the log of this run"
+        )
     )]
     NoEncoderMap {
         /// How the recorded order fits.
         recorded: String,
         /// Threshold \[mrad\].
         limit_mrad: f64,
+        /// What is wrong, where one thing explains it.
+        likely: Option<String>,
     },
     /// Several orders or directions of the encoders fit.
     #[error(

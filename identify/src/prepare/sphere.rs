@@ -9,6 +9,7 @@ use shared::config::RobotConfig;
 use super::{PrepareError, PrepareOptions};
 use crate::kinematics::{Chain, Joints};
 use crate::logs::{JointConversion, JointMistake, RobotLog};
+use crate::statistics::median;
 
 /// A sphere through robot positions.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -76,7 +77,7 @@ pub(super) fn sphere_of_log(
 }
 
 /// What most likely went wrong with the joints of a log whose positions lie on no sphere of the bar's length: what brings them onto
-/// one, in the joints or in the columns of the robot's own log; else a joint that never moves.
+/// one, in the joints or in the columns of the robot's own log; else a plate that is turned, or a joint that never moves.
 fn likely_mistake(
     log: &RobotLog,
     robot: &Chain,
@@ -84,14 +85,11 @@ fn likely_mistake(
     length_m: f64,
     options: &PrepareOptions,
 ) -> Option<String> {
-    /// Positions that distinguish one sphere from none.
-    const TRIED: usize = 400;
     /// Part of them on the sphere: with a wrong joint a half is, by chance and where it stands still.
     const ON_SPHERE: f64 = 0.8;
     /// Rounding of a column that never changes.
     const STILL: f64 = 1e-9;
-    let every = log.q_rad.len().div_ceil(TRIED).max(1);
-    let joints: Vec<Joints> = log.q_rad.iter().step_by(every).copied().collect();
+    let joints = tried_joints(log);
     let conversion = JointConversion::of(config).ok().filter(|conversion| conversion.axes() == log.axes());
     let columns: Option<Vec<Joints>> =
         conversion.as_ref().map(|conversion| joints.iter().map(|q| conversion.to_raw(q)).collect());
@@ -118,6 +116,9 @@ fn likely_mistake(
             100.0 * sphere.inliers
         ));
     }
+    if let Some(turned) = turned_plate(log, robot, length_m, options) {
+        return Some(turned);
+    }
     let stands = |rows: &[Joints], joint: usize| {
         let first = rows.first().map_or(0.0, |row| row[joint]);
         rows.iter().all(|row| (row[joint] - first).abs() < STILL)
@@ -128,6 +129,58 @@ fn likely_mistake(
         format!(
             "joint {} never moves in the log while others do: check what the logger reads for it",
             joint + 1
+        )
+    })
+}
+
+/// Joints at positions enough to distinguish one sphere from none.
+fn tried_joints(log: &RobotLog) -> Vec<Joints> {
+    const TRIED: usize = 400;
+    let every = log.q_rad.len().div_ceil(TRIED).max(1);
+    log.q_rad.iter().step_by(every).copied().collect()
+}
+
+/// That the plate is turned about the flange's axis against the configuration, where that brings the positions nearer to one
+/// sphere of the bar's length by far than they are.
+pub(super) fn turned_plate(
+    log: &RobotLog,
+    robot: &Chain,
+    length_m: f64,
+    options: &PrepareOptions,
+) -> Option<String> {
+    /// Turns that are tried \[deg\]: positions at the nearest one are within what nominal robots err by.
+    const STEP_DEG: f64 = 1.0;
+    /// A turned plate leaves no more than this part of the distances from the sphere.
+    const PART_LEFT: f64 = 0.4;
+    let joints = tried_joints(log);
+    let last = log.axes().checked_sub(1)?;
+    let turned = |by_deg: f64| {
+        let position = |q: &Joints| {
+            let mut q = *q;
+            q[last] += by_deg.to_radians();
+            robot.forward(&q).translation.vector
+        };
+        joints.iter().map(position).collect::<Vec<_>>()
+    };
+    let fitted = |by_deg: f64| {
+        let positions = turned(by_deg);
+        let sphere = fit_sphere(&positions, options.sphere_tolerance_mm * 1e-3)?;
+        // Those that are not near it count as well: else a sphere through a few would be the best.
+        let mut away_m: Vec<f64> = positions.iter().map(|p| sphere.distance_m(p).abs()).collect();
+        Some((by_deg, sphere, median(&mut away_m)?))
+    };
+    let (_, _, usual_m) = fitted(0.0)?;
+    let steps = (180.0 / STEP_DEG) as i32;
+    let all = (-steps..steps).filter_map(|step| fitted(f64::from(step) * STEP_DEG));
+    let (by_deg, sphere, left_m) = all.min_by(|a, b| a.2.total_cmp(&b.2))?;
+    let of_bar = (sphere.radius_m - length_m).abs() * 1e3 < options.length_tolerance_mm;
+    (of_bar && by_deg != 0.0 && left_m < PART_LEFT * usual_m).then(|| {
+        format!(
+            "the plate is turned by about {by_deg:+.0} degrees on the flange, about its axis, against the configuration: so half of the \
+             positions are within {:.1} mm of a sphere of the bar's length, as configured within {:.1} mm. Add that to theta_deg of the \
+             last link in the robot's file, or mount the plate as configured; the zero of joint 6 would look the same",
+            left_m * 1e3,
+            usual_m * 1e3
         )
     })
 }
@@ -175,6 +228,10 @@ pub fn fit_sphere(positions_m: &[Vector3<f64>], tolerance_m: f64) -> Option<Sphe
 }
 
 impl SphereFit {
+    fn distance_m(&self, position_m: &Vector3<f64>) -> f64 {
+        (position_m - self.centre_m).norm() - self.radius_m
+    }
+
     /// The same sphere drawn towards a radius that is known from elsewhere: on a part of a sphere, centre and radius
     /// are hard to separate. Itself where nothing is gained.
     pub fn drawn_to_length(self, positions_m: &[Vector3<f64>], tolerance_m: f64, length_m: f64) -> Self {

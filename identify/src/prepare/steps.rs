@@ -14,7 +14,7 @@ use super::forces::{Surroundings, put_on};
 use super::readings::bar_angles::BarAngles;
 use super::readings::both_logs::BothLogs;
 use super::samples::{Sorted, sort};
-use super::sphere::sphere_of_log;
+use super::sphere::{sphere_of_log, turned_plate};
 use super::timeline::Run;
 use super::{
     AlignedLog, Alignment, BarForces, ClockFit, EncoderOffset, InitialValues, Predictor, PrepareError,
@@ -54,7 +54,14 @@ pub fn prepare(
     let robot = arm;
     let predictor = Predictor::new(&interpolated, &robot, &bar_chain, sphere.centre_m)?;
     let chains = [&robot, &bar_chain];
-    let mut found = search(encoders, &both, &interpolated, &predictor, chains, options)?;
+    let mut found =
+        search(encoders, &both, &interpolated, &predictor, chains, options).map_err(|error| match error {
+            PrepareError::NoEncoderMap { recorded, limit_mrad, .. } => {
+                let likely = turned_plate(log, &robot, bar.length_m, options);
+                PrepareError::NoEncoderMap { recorded, limit_mrad, likely }
+            }
+            error => error,
+        })?;
     let Reference { overlap_s, t_ref_s, t_ref, clock } =
         Reference::new(angles, &found, log.q_rad.duration_s());
     let motion = AlignedLog::new(interpolated.clone(), clock.shift_s);

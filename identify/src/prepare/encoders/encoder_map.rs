@@ -182,6 +182,7 @@ pub fn find_encoder_map(
         return Err(PrepareError::NoEncoderMap {
             recorded: recorded.to_string(),
             limit_mrad: options.spread_max_mrad,
+            likely: None,
         });
     };
     let as_good = |encoder_map: &EncoderMap| encoder_map.spread_mrad() <= CLEARLY_WORSE * best.spread_mrad();
