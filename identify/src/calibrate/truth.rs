@@ -4,10 +4,10 @@ use nalgebra::{Point3, Vector3};
 use shared::config::RobotConfig;
 
 use super::ball_bar::BallBarCalibration;
-use crate::instrument::quantile;
 use crate::kinematics::{LinkParameter, nearest_turn};
 use crate::model::{Model, ParameterId, Unit};
 use crate::simulate::Truth;
+use crate::statistics::quantile;
 
 /// One identified parameter beside its true value.
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -3,7 +3,7 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
-use super::row_noise::{MEDIAN_OF_THREE, median};
+use super::row_noise::MEDIAN_OF_THREE;
 use super::screened::{RejectedRow, Screened};
 use super::{Apart, Instrument, Measures, SocketTable, Sockets, Standing};
 use crate::cost::{CostError, DataSet, Residual, SeatedBall, SeatedBalls};
@@ -12,6 +12,7 @@ use crate::logs;
 use crate::model::{
     Clock, Geometry, JointState, Model, ModelError, Observation, Owner, ParameterId, PerObservation, Role,
 };
+use crate::statistics::median_size;
 
 /// A pose of the robot at which the ball is seated.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -272,7 +273,7 @@ impl Measures for Contact {
         /// Data without any noise still need a unit.
         const LEAST_M: f64 = 1e-9;
         let errors_m = self.errors_m(&model.geometry(&[]));
-        let usual_m = median(errors_m.iter().map(|error| error.norm()));
+        let usual_m = median_size(errors_m.iter().map(|error| error.norm()));
         self.noise_m = (usual_m / MEDIAN_OF_THREE).max(LEAST_M);
         Some(self.noise_m)
     }

@@ -16,10 +16,9 @@ use std::ops::{Deref, DerefMut};
 pub use ball_bar::BallBar;
 pub use contact::{Contact, ContactError, ContactRow};
 pub use screened::{RejectedRow, Rejection};
-pub(crate) use screened::{faulty, median_size, without};
+pub(crate) use screened::{faulty, without};
 pub use sockets::{KnownDistance, PlacedSocket, SocketTable, Sockets};
 pub use standing::{Standing, poses, standing};
-pub(crate) use tracker::quantile;
 pub use tracker::{Apart, PoseRow, Tracker};
 pub use wire::{LengthRow, Wire};
 

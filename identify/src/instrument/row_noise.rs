@@ -1,7 +1,7 @@
 //! What a row is worth where its file states that: an instrument knows how uncertain it is itself, but not what the robot adds to
 //! all rows alike, which is found in the residuals.
 
-use super::quantile;
+use crate::statistics::median_size;
 
 /// Median size of a standard normal number.
 pub(super) const MEDIAN_OF_ONE: f64 = 0.6745;
@@ -30,9 +30,9 @@ impl RowNoise {
         const HALVINGS: usize = 40;
         let errors: Vec<(f64, f64)> = errors.map(|(error, stated)| (error, stated.unwrap_or(0.0))).collect();
         let usual = |added: f64| {
-            self::median(errors.iter().map(|(error, stated)| error / stated.hypot(added))) / median
+            median_size(errors.iter().map(|(error, stated)| error / stated.hypot(added))) / median
         };
-        let most = (self::median(errors.iter().map(|(error, _)| *error)) / median).max(LEAST);
+        let most = (median_size(errors.iter().map(|(error, _)| *error)) / median).max(LEAST);
         let (mut low, mut high) = (0.0, most);
         if errors.iter().all(|(_, stated)| *stated == 0.0) {
             low = most;
@@ -54,14 +54,7 @@ impl RowNoise {
     /// Of each row, over that of the median one.
     pub(super) fn relative(&self, stated: impl Iterator<Item = Option<f64>>) -> Vec<f64> {
         let each: Vec<f64> = stated.map(|stated| self.of(stated)).collect();
-        let usual = median(each.iter().copied());
+        let usual = median_size(each.iter().copied());
         each.into_iter().map(|one| one / usual).collect()
     }
-}
-
-/// Zero of none.
-pub(super) fn median(values: impl Iterator<Item = f64>) -> f64 {
-    let mut sorted: Vec<f64> = values.collect();
-    sorted.sort_by(f64::total_cmp);
-    quantile(&sorted, 0.5)
 }

@@ -1,7 +1,8 @@
 //! Rows of which those that do not belong with the rest take no part, judged anew wherever a solve has come: single ones with gross
 //! residuals, and runs of rows that are off together.
 
-use super::{Standing, quantile};
+use super::Standing;
+use crate::statistics::median_size;
 
 /// Why a row takes no part.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -105,13 +106,6 @@ fn robust_sigma(residuals: impl Iterator<Item = f64>) -> f64 {
     const SIGMA_PER_MEDIAN: f64 = 1.4826;
     // Data without any noise still need a unit.
     (SIGMA_PER_MEDIAN * median_size(residuals)).max(1e-9)
-}
-
-/// Median of the absolute values; zero of none.
-pub(crate) fn median_size(values: impl Iterator<Item = f64>) -> f64 {
-    let mut sizes: Vec<f64> = values.map(f64::abs).collect();
-    sizes.sort_by(f64::total_cmp);
-    quantile(&sizes, 0.5)
 }
 
 /// Median size of the residuals of the fitting rows just before or just after a row, whichever is larger: a run ends

@@ -3,7 +3,7 @@
 
 use nalgebra::{Rotation3, Vector3};
 
-use super::row_noise::{MEDIAN_OF_THREE, RowNoise, median};
+use super::row_noise::{MEDIAN_OF_THREE, RowNoise};
 use super::{Instrument, Measures, Standing};
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
 use crate::kinematics::{Joints, Pose, rotation_vector};
@@ -13,6 +13,7 @@ use crate::model::{
     PerObservation, Placement, RobotMotion, Role, SetUp,
 };
 use crate::prepare::{Moving, PROBE_SIGMA_M, Sighted, all_placements};
+use crate::statistics::median_size;
 
 /// A pose of the robot and what the tracker measured there.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -137,7 +138,7 @@ impl Tracker {
 
     /// What a coordinate is worth, one standard deviation of the median row \[m\].
     pub fn noise_m(&self) -> f64 {
-        median(self.noise.iter().map(|noise| noise.position_m))
+        median_size(self.noise.iter().map(|noise| noise.position_m))
     }
 
     /// Name of the cost: positions alone or whole poses.
@@ -276,12 +277,4 @@ impl Measures for Tracker {
     fn errors(&self, geometry: &Geometry) -> Vec<Apart> {
         self.apart(geometry)
     }
-}
-
-/// Quantile of sorted numbers, linear between them; zero of none.
-pub(crate) fn quantile(sorted: &[f64], part: f64) -> f64 {
-    let place = part * sorted.len().saturating_sub(1) as f64;
-    let at = |index: usize| sorted.get(index).copied().unwrap_or(0.0);
-    let below = place.floor();
-    at(below as usize) + (place - below) * (at(place.ceil() as usize) - at(below as usize))
 }

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::Serialize;
 
 use super::{Choice, Definition, Figure, Kind, Measure, Results, Row, Series, Statement, trials};
-use crate::instrument::quantile;
+use crate::statistics::quantile;
 
 /// A parameter that is off by more is affected (thesis 3.3) \[mm|mrad\].
 const AFFECTED_MM_MRAD: f64 = 0.05;

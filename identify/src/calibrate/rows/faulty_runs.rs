@@ -1,7 +1,8 @@
 //! What would explain a run of rows that is off as a whole: hints for whoever mends the data. Nothing is repaired here.
 
-use crate::instrument::{RejectedRow, Rejection, Wire, median_size, quantile};
+use crate::instrument::{RejectedRow, Rejection, Wire};
 use crate::model::Model;
+use crate::statistics::{median_size, quantile};
 
 /// What would explain a run.
 #[derive(Debug, Clone, Copy, PartialEq)]

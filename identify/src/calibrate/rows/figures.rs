@@ -3,7 +3,8 @@
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal};
 
-use crate::instrument::{Apart, quantile};
+use crate::instrument::Apart;
+use crate::statistics::quantile;
 
 /// Sizes of errors over some rows, all in one unit.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]

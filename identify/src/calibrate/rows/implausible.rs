@@ -12,10 +12,11 @@ use super::tracker::{ROWS_MIN, check_rows, placed};
 use super::{PoseFigures, RowSet, is_surely_worse};
 use crate::calibrate::ball_bar::CalibrateError;
 use crate::calibrate::mix::Rows;
-use crate::instrument::{Apart, PoseRow, Run, Standing, Tracker, median_size, quantile, standing};
+use crate::instrument::{Apart, PoseRow, Run, Standing, Tracker, standing};
 use crate::kinematics::Chain;
 use crate::logs::JointMistake;
 use crate::model::{Model, ParameterId, Role, Unit};
+use crate::statistics::{median_size, quantile};
 
 /// What the rows cannot be.
 #[derive(Debug, Clone, PartialEq)]
