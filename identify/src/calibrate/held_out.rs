@@ -8,7 +8,7 @@ use super::split::segments;
 use crate::cost::SharedColumns;
 use crate::instrument::Run;
 use crate::model::{Model, Observation, ParameterId};
-use crate::solver::{Normals, Options, SolveError, Watch};
+use crate::solver::{Normals, Options, Watch};
 
 /// Samples of all runs that are looked at, at most.
 const SAMPLES_MAX: usize = 3000;
@@ -46,9 +46,7 @@ pub fn without_each_segment(
     let segments = segments(problem.starts(), count);
     let folds: Vec<Vec<usize>> = segments.iter().map(|segment| segment.clone().collect()).collect();
     let options = Options { loss: solution.loss, watch, ..Options::default() };
-    let without_each = Normals::new(&problem, &solution.x, &options, &folds)
-        .ok_or(SolveError::Cancelled { iterations: 0 })?
-        .without_each();
+    let without_each = Normals::new(&problem, &solution.x, &options, &folds)?.without_each();
     let segment = |(left_out, x)| segment(&runs, columns, problem.starts(), left_out, x);
     Ok(segments.iter().zip(without_each).filter_map(segment).collect())
 }

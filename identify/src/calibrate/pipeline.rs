@@ -325,7 +325,7 @@ impl<'a> Solver<'a> {
         let columns = self.columns();
         let all = problem(self.runs, &columns, &self.sigmas)?;
         let of_run: Vec<Vec<usize>> = all.starts().windows(2).map(|run| (run[0]..run[1]).collect()).collect();
-        let normals = Normals::new(&all, &self.start(&columns), &Options::default(), &of_run);
+        let normals = Normals::new(&all, &self.start(&columns), &Options::default(), &of_run).ok();
         let taken = normals.and_then(|normals| {
             let rows = normals.of_folds().iter().map(|of_run| of_run.rows);
             Some(normals.taken()?.into_iter().zip(rows).map(|(p, n)| (n / (n - p).max(1.0)).sqrt()).collect())
@@ -352,7 +352,7 @@ impl<'a> Solver<'a> {
                 let groups = instrument.independent(LEFT_OUT);
                 let loss = LossName::Cauchy.for_spread(*sigma, alone.rows());
                 let options = Options { loss, ..Options::default() };
-                let normals = Normals::new(&alone, &model.start(), &options, &groups);
+                let normals = Normals::new(&alone, &model.start(), &options, &groups).ok();
                 let factor = normals.and_then(|normals| normals.overdispersion());
                 *sigma *= (factor.unwrap_or(1.0) / sigma.powi(2)).max(1.0).sqrt();
             }
@@ -456,7 +456,7 @@ impl<'a> Solver<'a> {
         }
         let options = Options { loss, ..Options::default() };
         let start = columns.gather(&models.iter().map(Model::start).collect::<Vec<_>>());
-        let normals = Normals::new(&problem, &start, &options, &groups);
+        let normals = Normals::new(&problem, &start, &options, &groups).ok();
         Ok(normals.map(|normals| (normals, of_run)))
     }
 

@@ -313,7 +313,7 @@ mod tests {
 
         fn verdicts(&self) -> Vec<Verdict> {
             let folds: Vec<Vec<usize>> = (0..8).map(|fold| (40 * fold..40 * (fold + 1)).collect()).collect();
-            let normals = Normals::new(self, &[0.0; 4], &Options::default(), &folds);
+            let normals = Normals::new(self, &[0.0; 4], &Options::default(), &folds).ok();
             let offer = |column| Offer { columns: vec![column], scales: vec![1.0, 100.0] };
             normals.map(|normals| select(&normals, &[0, 1], &[offer(3), offer(2)])).unwrap_or_default()
         }

@@ -184,7 +184,7 @@ impl Information {
         let options = Options::default();
         let normals = LoopProblem::new(&self.model, &motion, &observations, residual, 1.0)
             .ok()
-            .and_then(|problem| Normals::new(&problem, &self.model.start(), &options, &folds));
+            .and_then(|problem| Normals::new(&problem, &self.model.start(), &options, &folds).ok());
         let mut normal = normals.map_or_else(
             || Normal::zeros(columns),
             |normals| normals.of_folds().first().cloned().unwrap_or_else(|| Normal::zeros(columns)),

@@ -12,7 +12,7 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use super::covariance::{Source, Spread};
 use super::pass::{Pass, PassError, Products, Taking, on_threads, threads_that_pay, weighed_rows};
-use super::{Options, Prior, Problem, ScaledCholesky, Subset};
+use super::{Options, Prior, Problem, ScaledCholesky, SolveError, Subset};
 
 /// Normal equations of some samples about a point.
 #[derive(Debug, Clone, PartialEq)]
@@ -107,13 +107,16 @@ pub struct Normals {
 
 impl Normals {
     /// One pass over the samples of all folds at `x`, each weighed by the options' loss there; samples without a value are
-    /// left out. None where a residual or derivative is not finite, or the pass was cancelled.
+    /// left out.
+    ///
+    /// # Errors
+    /// [`SolveError`] where a residual or derivative is not finite, or the pass was cancelled.
     pub fn new<P: Problem>(
         problem: &P,
         x: &[f64],
         options: &Options<'_>,
         folds: &[Vec<usize>],
-    ) -> Option<Self> {
+    ) -> Result<Self, SolveError> {
         let known: Vec<usize> = (0..problem.samples()).filter(|sample| problem.is_known(*sample)).collect();
         let all: Vec<&Vec<usize>> = folds.iter().chain([&known]).collect();
         let one_thread = Options { threads: Some(NonZeroUsize::MIN), ..*options };
@@ -121,14 +124,21 @@ impl Normals {
             let fold = Subset { of: problem, samples: all[fold].clone() };
             let pass = Pass::new(&fold, x, &one_thread, Taking::WhatIsThere);
             let (products, fits) = pass.run(|| Products::new(problem.columns()))?;
-            Ok::<_, PassError>(products.normal(weighed_rows(&fits)))
+            Ok(products.normal(weighed_rows(&fits)))
+        };
+        let of_samples = |fold: usize| {
+            of_samples(fold).map_err(|error| match error {
+                PassError::NotFinite(place) => PassError::NotFinite(all[fold][place]),
+                other => other,
+            })
         };
         let threads = options.threads.map_or_else(|| threads_that_pay(problem), usize::from);
-        let mut of_folds = on_threads(threads.min(all.len()), all.len(), of_samples).ok()?;
-        let known = of_folds.pop()?;
+        let mut of_folds = on_threads(threads.min(all.len()), all.len(), of_samples)
+            .map_err(|error| error.at_start(problem.samples()))?;
+        let known = of_folds.pop().unwrap_or_else(|| Normal::zeros(problem.columns()));
         let mut total = Normal::zeros(problem.columns());
         of_folds.iter().for_each(|fold| total += fold);
-        Some(Self { folds: of_folds, total, known, priors: problem.priors().to_vec(), x: x.to_vec() })
+        Ok(Self { folds: of_folds, total, known, priors: problem.priors().to_vec(), x: x.to_vec() })
     }
 
     /// What is known of the columns.
@@ -362,7 +372,7 @@ mod tests {
     fn a_fold_is_predicted_as_by_a_solve_without_it() {
         let (line, folds) = line();
         // Far from the solution: the problem is linear.
-        let Some(normals) = Normals::new(&line, &[0.5, -1.0], &Options::default(), &folds) else {
+        let Ok(normals) = Normals::new(&line, &[0.5, -1.0], &Options::default(), &folds) else {
             panic!("finite residuals")
         };
         let predicted = normals.held_out(&[0, 1], normals.priors()).unwrap_or_default();
@@ -381,8 +391,9 @@ mod tests {
         let (mut line, folds) = line();
         line.priors.clear();
         let x = solved(&line);
-        let Some(found) =
-            Normals::new(&line, &x, &Options::default(), &folds).and_then(|normals| normals.jackknife(|_| 0))
+        let Some(found) = Normals::new(&line, &x, &Options::default(), &folds)
+            .ok()
+            .and_then(|normals| normals.jackknife(|_| 0))
         else {
             panic!("the line is determined")
         };
@@ -402,7 +413,7 @@ mod tests {
         let (with_prior, folds) = line();
         let known = Line { slope: Some([0.2, 0.05]), priors: Vec::new(), y: with_prior.y.clone() };
         let normals = |line: &Line| Normals::new(line, &[0.5, -1.0], &Options::default(), &folds);
-        let (Some(known), Some(prior)) = (normals(&known), normals(&with_prior)) else {
+        let (Ok(known), Ok(prior)) = (normals(&known), normals(&with_prior)) else {
             panic!("finite residuals")
         };
         let [a, b] = [&known, &prior].map(|one| one.held_out(&[0, 1], one.priors()).unwrap_or_default());
@@ -417,6 +428,6 @@ mod tests {
         let line = Line { y: vec![1.0], priors: Vec::new(), slope: None };
         let normals = Normals::new(&line, &[0.0, 0.0], &Options::default(), &[vec![0]]);
         // One sample at t = 0 leaves the slope open.
-        assert_eq!(normals.and_then(|normals| normals.covariance()), None);
+        assert_eq!(normals.map(|normals| normals.covariance()).ok(), Some(None));
     }
 }
