@@ -151,7 +151,7 @@ fn estimated(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError
     let without_terms = solver.runs.iter().map(|run| run.model.clone()).collect();
     let mut candidates = Vec::new();
     let mut scale = 1.0;
-    let to_choose = !(plan.kinds.is_empty() && plan.tolerances.is_empty() && plan.alike.is_empty());
+    let to_choose = !(plan.kinds.is_empty() && plan.tolerances.is_empty() && solver.alike.is_empty());
     if to_choose && solution.summary.residual_rms > RESIDUAL_MIN * solver.unit() {
         let finds_noise = solver.bars().is_none_or(|cost| cost == CostName::Pose);
         // Known terms leave less noise: the second choice weighs their priors by it.
@@ -460,6 +460,19 @@ impl<'a> Solver<'a> {
         Ok(normals.map(|normals| (normals, of_run)))
     }
 
+    /// The columns of what is free, whose they are, and [`Self::normals`] where the models are.
+    fn normals_here(
+        &self,
+        loss: Loss,
+        count: usize,
+    ) -> Result<(SharedColumns, Vec<ParameterId>, Option<Normals>), CostError> {
+        let columns = self.columns();
+        let models: Vec<Model> = self.runs.iter().map(|run| run.model.clone()).collect();
+        let normals = self.normals(&models, &columns, loss, count)?.map(|(normals, _)| normals);
+        let ids = columns.gather(&self.ids());
+        Ok((columns, ids, normals))
+    }
+
     /// How sure the solution is: by the jackknife where there are groups enough, with what parameters leave in doubt that
     /// stayed at uncertain values.
     ///
@@ -528,10 +541,8 @@ impl<'a> Solver<'a> {
         if self.alike.is_empty() {
             return Ok(());
         }
-        let columns = self.columns();
-        let ids = columns.gather(&self.ids());
-        let models: Vec<Model> = self.runs.iter().map(|run| run.model.clone()).collect();
-        let Some((normals, _)) = self.normals(&models, &columns, loss, LEFT_OUT)? else { return Ok(()) };
+        let (_, ids, normals) = self.normals_here(loss, LEFT_OUT)?;
+        let Some(normals) = normals else { return Ok(()) };
         let dispersion = normals.overdispersion().unwrap_or(1.0).max(1.0);
         let configured = |column: usize| self.alike.iter().find(|(id, _)| *id == ids[column]);
         let evidence = |scale: f64| {
@@ -562,17 +573,13 @@ impl<'a> Solver<'a> {
             return Ok(false);
         }
         self.set_roles(&OTHERS, Role::Free)?;
-        let columns = self.columns();
-        let models: Vec<Model> = self.runs.iter().map(|run| run.model.clone()).collect();
-        let normals = self.normals(&models, &columns, loss, HELD_OUT)?;
-        let ids = columns.gather(&self.ids());
+        let (columns, ids, normals) = self.normals_here(loss, HELD_OUT)?;
         let without = |other: ParameterId| {
-            let (normals, _) = normals.as_ref()?;
             let kept: Vec<usize> = (0..ids.len()).filter(|column| ids[*column] != other).collect();
-            // About zero: the other one is as large as it was found to be.
+            // Compliance is as large as it was found to be: without it is at zero.
             let mut about = self.start(&columns);
             about.iter_mut().zip(&ids).filter(|(_, id)| **id == other).for_each(|(value, _)| *value = 0.0);
-            let normals = normals.about(&about);
+            let normals = normals.as_ref()?.about(&about);
             normals.held_out(&kept, normals.priors()).map(|errors| mean(&errors))
         };
         let [spring, play] = OTHERS.map(without);
@@ -597,8 +604,7 @@ impl<'a> Solver<'a> {
         for kind in &kinds {
             self.set_roles(&kind.ids, Role::Prior { value: 0.0, sigma: kind.sigma })?;
         }
-        let columns = self.columns();
-        let ids = columns.gather(&self.ids());
+        let (columns, ids, normals) = self.normals_here(solution.loss, HELD_OUT)?;
         let columns_of = |kind: &Kind| -> Vec<usize> {
             (0..ids.len()).filter(|column| kind.ids.contains(&ids[*column])).collect()
         };
@@ -613,9 +619,7 @@ impl<'a> Solver<'a> {
         // About the models without any of them, weighed as they are.
         let mut without = self.start(&columns);
         own.iter().for_each(|&column| without[column] = 0.0);
-        let models: Vec<Model> = self.runs.iter().map(|run| run.model.clone()).collect();
-        let normals = self.normals(&models, &columns, solution.loss, HELD_OUT)?;
-        let normals = normals.map(|(normals, _)| normals.about(&without));
+        let normals = normals.map(|normals| normals.about(&without));
         let verdicts = normals.as_ref().map_or_else(Vec::new, |normals| select(normals, &kept, &offers));
         let mut report = Vec::new();
         for verdict in &verdicts {

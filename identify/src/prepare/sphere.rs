@@ -178,9 +178,10 @@ pub(super) fn turned_plate(
         format!(
             "the plate is turned by about {by_deg:+.0} degrees on the flange, about its axis, against the configuration: so half of the \
              positions are within {:.1} mm of a sphere of the bar's length, as configured within {:.1} mm. Add that to theta_deg of the \
-             last link in the robot's file, or mount the plate as configured; the zero of joint 6 would look the same",
+             last link in the robot's file, or mount the plate as configured; the zero of joint {} would look the same",
             left_m * 1e3,
-            usual_m * 1e3
+            usual_m * 1e3,
+            last + 1
         )
     })
 }

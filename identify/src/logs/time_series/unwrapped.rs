@@ -85,7 +85,7 @@ impl<R: Row> Stream<R> {
     /// The stream with the numbers that begin anew after each `period` made continuous; itself where there are none.
     ///
     /// Of two rows more than half a period apart the second is moved by whole periods until it is nearest to the first. Across
-    /// a gap nobody can tell whether it moved so far.
+    /// a gap whole periods are not determined.
     pub fn unwrapped(&self, period: f64) -> Cow<'_, Self> {
         let mut continuous = Cow::Borrowed(self);
         let mut periods = vec![0.0; self.first().map_or(0, |row| row.numbers().len())];
