@@ -255,6 +255,41 @@ fn a_workbook_with_dates_and_units_is_a_log() {
     assert!((log.q_rad[100][2] - 7.0_f64.to_radians()).abs() < 1e-9, "{}", log.q_rad[100][2].to_degrees());
 }
 
+/// A controller's counter of 4 ms cycles with 16 bits begins anew after 262 s.
+#[test]
+fn cycles_of_a_controller_are_times_also_where_their_counter_begins_anew() {
+    let joints: String =
+        (1..=6).map(|joint| format!("[[joints]]\ncolumn = \"A{joint}\"\nunit = \"deg\"\n")).collect();
+    let mapping = |time: &str| {
+        let text = format!("[time]\ncolumn = \"cycle\"\n{time}\n{joints}");
+        shared::config::parse::<RobotLogMapping>(&text, Path::new("mapping.toml"))
+    };
+    let of = |row: u32| 65_400 + 5 * row;
+    let mut table = String::from("cycle,A1,A2,A3,A4,A5,A6\n");
+    for row in 0..200 {
+        table += &format!("{},{},0,0,0,0,0\n", of(row) % 65_536, 0.5 * f64::from(row));
+    }
+    let read = |time: &str| {
+        let options = LogOptions { mapping: Some(mapping(time).unwrap()), ..LogOptions::default() };
+        identify::logs::read_with(table.as_bytes(), Path::new("log.csv"), &irb(), &options)
+    };
+    let log = read("unit = \"cycles\"\nperiod_ms = 4\nwraps_at = 65536").unwrap();
+    assert_eq!((log.q_rad.len(), log.q_rad.first_stamp_ns), (200, 65_400 * 4_000_000));
+    assert!(log.q_rad.t_s.iter().enumerate().all(|(row, t_s)| (t_s - 0.02 * row as f64).abs() < 1e-9));
+    let told = read("unit = \"cycles\"\nperiod_ms = 4").unwrap_err().to_string();
+    assert!(told.contains("line 30"), "{told}");
+    for (time, key) in [
+        ("unit = \"cycles\"", "period_ms"),
+        ("unit = \"ms\"\nperiod_ms = 4", "period_ms"),
+        ("unit = \"cycles\"\nperiod_ms = nan", "period_ms"),
+        ("unit = \"date_time\"\nwraps_at = 65536", "wraps_at"),
+        ("unit = \"ms\"\nwraps_at = 0", "wraps_at"),
+    ] {
+        let told = mapping(time).unwrap_err().to_string();
+        assert!(told.contains(key), "{told}");
+    }
+}
+
 #[test]
 fn what_is_no_text_is_refused() {
     for bytes in [&b"t_s\0"[..], &[0xff, 0xfe, 0x00, 0xd8, 0x00, 0x00], b"PK\x03\x04 no workbook"] {

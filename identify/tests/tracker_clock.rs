@@ -98,6 +98,49 @@ fn rows_of_standstills_get_the_joints_of_theirs() {
 }
 
 #[test]
+fn a_tracker_that_is_moved_and_sees_two_targets_is_aligned_as_one() {
+    for (rate_hz, duration_s) in [(100.0, 120.0), (0.2, 600.0)] {
+        let sizes = Sizes { moved: true, rate_hz, duration_s, ..Sizes::default() };
+        let followed = Followed::new(3, sizes);
+        let aligned = followed.aligned().unwrap();
+        assert_eq!((aligned.left_out, aligned.moving.is_some()), (0, rate_hz > 1.0));
+        let found = calibrated(followed.measured(&aligned));
+        let [error_m, perfect_m] = errors_m(&followed, &aligned, &found);
+        let tracker = found.runs[0].model.geometry(&[]).tracker;
+        let [one, other] = [0, 1].map(|target| tracker.probes[target].position_m);
+        let off_m = (one - other).norm()
+            - (followed.probes[0].translation.vector - followed.probes[1].translation.vector).norm();
+        println!(
+            "{:.1} um, perfect times {:.1} um, targets apart off by {:.1} um",
+            error_m * 1e6,
+            perfect_m * 1e6,
+            off_m * 1e6
+        );
+        assert_eq!(tracker.places.len(), 2);
+        assert!(error_m < 1.5 * perfect_m && off_m.abs() < 5e-5, "{error_m} {perfect_m} {off_m}");
+        if aligned.moving.is_some() {
+            let [shift_s, skew] = followed.clock_errors(&aligned, &found.runs[0].model);
+            assert!(shift_s.abs() < 5e-5 && skew.abs() < 2e-6, "{shift_s} {skew}");
+        }
+    }
+}
+
+/// An hour of stops, the robot's clock fast by as much as clocks are: half a second at the ends, a tenth of a stop.
+#[test]
+fn clocks_that_run_apart_over_an_hour_of_stops_lose_no_row() {
+    let sizes = Sizes { rate_hz: 0.1, duration_s: 3600.0, skew: 190e-6, ..Sizes::default() };
+    for stay in [0.4, 0.06] {
+        let followed = Followed::new(2, Sizes { stay, ..sizes });
+        let aligned = followed.aligned().unwrap();
+        println!("{:?}, {} left out", aligned.alignment, aligned.left_out);
+        assert_eq!(aligned.left_out, 0);
+        let found = calibrated(followed.measured(&aligned));
+        let [error_m, perfect_m] = errors_m(&followed, &aligned, &found);
+        assert!(error_m < 1.5 * perfect_m, "{error_m} {perfect_m}");
+    }
+}
+
+#[test]
 fn logs_that_do_not_belong_together_are_errors_that_say_so() {
     let [one, other] = [1, 2].map(|seed| Followed::new(seed, Sizes::default()));
     let said =

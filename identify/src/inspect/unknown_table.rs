@@ -597,7 +597,7 @@ fn time(columns: &[&Column], reasons: &mut Vec<String>) -> Option<TimeColumn> {
     let dated = columns.iter().find(|column| column.is_date && column.has_word(TIMES));
     if let Some(column) = dated.or_else(|| columns.iter().find(|column| column.is_date)) {
         reasons.push(format!("`{}` has dates", column.name));
-        return Some(TimeColumn { column: column.name.clone(), unit: TimeUnit::DateTime });
+        return Some(TimeColumn::new(&column.name, TimeUnit::DateTime));
     }
     let rising: Vec<&&Column> = columns.iter().filter(|column| column.is_number() && rises(column)).collect();
     let said = rising.iter().find(|column| matches!(column.unit.as_deref(), Some("s" | "ms" | "us" | "ns")));
@@ -621,7 +621,7 @@ fn time(columns: &[&Column], reasons: &mut Vec<String>) -> Option<TimeColumn> {
         _ => (TimeUnit::Ns, format!("stamps are {step:.0} apart")),
     };
     reasons.push(format!("`{}` is the time in {}: {why}", column.name, format!("{unit:?}").to_lowercase()));
-    Some(TimeColumn { column: column.name.clone(), unit })
+    Some(TimeColumn::new(&column.name, unit))
 }
 
 /// Columns whose names differ in one word that is the wanted one; those of a tracker before others.

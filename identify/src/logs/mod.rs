@@ -26,7 +26,7 @@ pub use error::{Cell, LogError};
 pub use force::{ForceClock, ForceColumns, ForceFrame, ForceKind, ForceLog, ForceLogMapping, ForceUnit};
 pub use robot::conversion::JointConversion;
 pub use robot::format::LogFormat;
-pub use robot::mapping::{Columns, Coupling, CsvLayout, RobotLogMapping, TimeColumn, TimeUnit};
+pub use robot::mapping::{Columns, Coupling, CsvLayout, RobotLogMapping};
 pub use robot::mistake::JointMistake;
 pub use robot::reader::{LogOptions, load, load_with, read, read_with};
 pub use robot::writer::write;
@@ -42,6 +42,7 @@ pub use rows::measured_pose::{
 pub use rows::pose_rows::{
     JointColumn, JointTableMapping, JointUnit, LengthUnit, joint_columns, joints_of_robot,
 };
+pub use tables::stamp::{TimeColumn, TimeUnit};
 pub use tables::text::{Cells, RowsAsText};
 pub use time_series::sampling::{StampStep, Stamps};
 pub use time_series::spline::{CubicSpline, SplinePoint};

@@ -153,7 +153,7 @@ fn read_as_poses(bytes: &[u8]) -> bool {
         MeasuredLengths::read(bytes, path, &config::<MeasuredLengthMapping>("measured_length.toml"));
     let mapping = config::<MeasuredPoseMapping>("measured_pose.toml");
     let poses = MeasuredPoses::read(bytes, path, &mapping);
-    let time = TimeColumn { column: "Timestamp".to_owned(), unit: TimeUnit::default() };
+    let time = TimeColumn::new("Timestamp", TimeUnit::default());
     let timed = MeasuredPoseMapping { time: Some(time), joints: Vec::new(), ..mapping };
     match TimedPoses::read(bytes, path, &timed) {
         Ok(poses) => {

@@ -6,7 +6,7 @@ use std::path::Path;
 use identify::calibrate::mix::Measured;
 use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Joints, Pose, flange_chain};
-use identify::logs::{MeasuredPoseMapping, RobotLog, Stream, TimedPoses};
+use identify::logs::{MeasuredPoseMapping, RobotLog, Stream, TimedPose, TimedPoses};
 use identify::model::{Model, ParameterId, SetUp};
 use identify::prepare::{AlignedPoses, PrepareError, PrepareOptions, align_poses};
 use nalgebra::{Rotation3, Vector3};
@@ -37,6 +37,11 @@ pub struct Sizes {
     pub lead_s: [f64; 2],
     /// After how long the motion begins anew \[s\].
     pub lap_s: Option<f64>,
+    /// The tracker is moved when three quarters of the time have passed, and sees a second target: at each stop of the robot, or of
+    /// one that does not stop after half of the time.
+    pub moved: bool,
+    /// A robot that stops does so for this part of the way to the next stop, before and after.
+    pub stay: f64,
     pub with_rotation: bool,
 }
 
@@ -52,6 +57,8 @@ impl Default for Sizes {
             shift_s: 4321.0987,
             lead_s: [3.0, 2.0],
             lap_s: None,
+            moved: false,
+            stay: 0.4,
             with_rotation: false,
         }
     }
@@ -67,8 +74,10 @@ pub struct Followed {
     /// When each row of the tracker was truly taken, on its clock since the first even time \[s\].
     taken_s: Vec<f64>,
     path: PathOfJoints,
-    place: Pose,
-    probe: Pose,
+    /// Of the stations.
+    places: [Pose; 2],
+    /// Targets on the flange.
+    pub probes: [Pose; 2],
     seed: u64,
 }
 
@@ -83,25 +92,27 @@ struct PathOfJoints {
     sines: [[(f64, f64, f64); 3]; 6],
     /// Distance of two stops \[s\]; none where it never stops.
     stops_s: Option<f64>,
+    stay: f64,
 }
 
 impl PathOfJoints {
-    fn new(stops_s: Option<f64>, lap_s: Option<f64>, random: &mut StdRng) -> Self {
+    fn new(Sizes { rate_hz, lap_s, stay, .. }: Sizes, random: &mut StdRng) -> Self {
+        let stops_s = (rate_hz < 1.0).then_some(1.0 / rate_hz);
         let mut sine = || {
             let period_s: f64 = random.random_range(4.0..15.0);
             // A whole number of times in each lap.
             let period_s = lap_s.map_or(period_s, |lap_s| lap_s / (lap_s / period_s).round());
             (random.random_range(0.15..0.4), period_s, random.random_range(0.0..TAU))
         };
-        Self { sines: std::array::from_fn(|_| std::array::from_fn(|_| sine())), stops_s }
+        Self { sines: std::array::from_fn(|_| std::array::from_fn(|_| sine())), stops_s, stay }
     }
 
     fn at(&self, t_s: f64) -> Joints {
         const MIDDLE: [f64; 6] = [0.3, -1.2, 1.4, -0.6, -1.2, 0.2];
         let along_s = self.stops_s.map_or(t_s, |stop_s| {
             let (number, part) = ((t_s / stop_s).floor(), (t_s / stop_s).rem_euclid(1.0));
-            // Moves in the middle fifth, smoothly, and further than the time between two stops would bring it.
-            let u = ((part - 0.4) / 0.2).clamp(0.0, 1.0);
+            // Moves in the middle, smoothly, and further than the time between two stops would bring it.
+            let u = ((part - self.stay) / (1.0 - 2.0 * self.stay)).clamp(0.0, 1.0);
             7.3 * (number + u * u * u * (10.0 + u * (6.0 * u - 15.0)))
         });
         let of = |joint: usize| -> f64 {
@@ -123,16 +134,13 @@ impl Followed {
             link.theta_rad += random.random_range(-2e-3..2e-3);
             link.alpha_rad += random.random_range(-1e-3..1e-3);
         }
-        let place = Pose::from_parts(
-            Vector3::new(-3.0, 0.5, 1.3).into(),
-            Rotation3::new(Vector3::new(0.4, 1.9, -2.1)),
-        );
-        let probe = Pose::from_parts(
-            Vector3::new(0.05, -0.08, 0.12).into(),
-            Rotation3::new(Vector3::new(0.1, -1.5, 0.3)),
-        );
-        let stops_s = (sizes.rate_hz < 1.0).then_some(1.0 / sizes.rate_hz);
-        let path = PathOfJoints::new(stops_s, sizes.lap_s, &mut random);
+        let pose = |at_m: [f64; 3], turned: [f64; 3]| {
+            Pose::from_parts(Vector3::from(at_m).into(), Rotation3::new(Vector3::from(turned)))
+        };
+        let places = [pose([-3.0, 0.5, 1.3], [0.4, 1.9, -2.1]), pose([1.0, 3.5, 1.1], [-0.2, 0.1, 1.0])];
+        let probes =
+            [pose([0.05, -0.08, 0.12], [0.1, -1.5, 0.3]), pose([-0.07, 0.02, 0.15], [0.4, 0.2, -0.9])];
+        let path = PathOfJoints::new(sizes, &mut random);
         let mut normal = |sigma: f64| -> f64 { sigma * random.sample::<f64, _>(StandardNormal) };
         let rows = ((sizes.duration_s + sizes.lead_s[0] + sizes.lead_s[1]) / ROBOT_PERIOD_S) as usize;
         let (mut stamps_s, mut q_rad) = (Vec::new(), Vec::new());
@@ -145,35 +153,47 @@ impl Followed {
         }
         let first_ns = ((FIRST_S + sizes.shift_s - sizes.lead_s[0] * (1.0 + sizes.skew)) * 1e9) as i64;
         let log = RobotLog { q_rad: Stream::new(first_ns, stamps_s, q_rad), ..RobotLog::default() };
-        let mut text =
-            String::from(if sizes.with_rotation { "t_ms;x;y;z;rx;ry;rz\n" } else { "t_ms;x;y;z\n" });
+        let mut text = String::from("t_ms;x;y;z");
+        text += if sizes.with_rotation { ";rx;ry;rz" } else { "" };
+        text += if sizes.moved { ";station;target\n" } else { "\n" };
         let rows = (sizes.duration_s * sizes.rate_hz) as usize;
         let mut uneven = StdRng::seed_from_u64(2000 + seed);
-        let taken_s: Vec<f64> = (0..rows)
+        let due_s: Vec<f64> = (0..rows)
             .map(|row| row as f64 / sizes.rate_hz + sizes.uneven_s * uneven.random_range(-1.0..=1.0))
             .collect();
-        let mut before_ms = 0.0;
-        for &t_s in &taken_s {
-            let mut seen = place.inverse() * truth.forward(&path.at(t_s)) * probe;
-            seen.translation.vector += Vector3::from_fn(|_, _| normal(sizes.noise_m));
-            let stamp_ms = f64::max(before_ms, (FIRST_S + t_s + normal(sizes.jitter_s)) * 1e3);
-            before_ms = stamp_ms;
-            let position = seen.translation.vector * 1e3;
-            text += &format!("{stamp_ms:.4};{:.5};{:.5};{:.5}", position.x, position.y, position.z);
-            if sizes.with_rotation {
-                let turn = seen.rotation.scaled_axis();
-                let turn = turn + Vector3::from_fn(|_, _| normal(sizes.noise_m));
-                text += &format!(";{:.8};{:.8};{:.8}", turn.x, turn.y, turn.z);
+        let (mut before_ms, mut taken_s) = (0.0, Vec::new());
+        for (row, &due_s) in due_s.iter().enumerate() {
+            let station = usize::from(sizes.moved && row >= rows - rows / 4);
+            let both = path.stops_s.is_some() && sizes.moved;
+            let targets = if both { vec![0, 1] } else { vec![usize::from(sizes.moved && row > rows / 2)] };
+            for target in targets {
+                let t_s = due_s + if both { 0.2 * target as f64 } else { 0.0 };
+                taken_s.push(t_s);
+                let mut seen = places[station].inverse() * truth.forward(&path.at(t_s)) * probes[target];
+                seen.translation.vector += Vector3::from_fn(|_, _| normal(sizes.noise_m));
+                let stamp_ms = f64::max(before_ms, (FIRST_S + t_s + normal(sizes.jitter_s)) * 1e3);
+                before_ms = stamp_ms;
+                let position = seen.translation.vector * 1e3;
+                text += &format!("{stamp_ms:.4};{:.5};{:.5};{:.5}", position.x, position.y, position.z);
+                if sizes.with_rotation {
+                    let turn = seen.rotation.scaled_axis();
+                    let turn = turn + Vector3::from_fn(|_, _| normal(sizes.noise_m));
+                    text += &format!(";{:.8};{:.8};{:.8}", turn.x, turn.y, turn.z);
+                }
+                if sizes.moved {
+                    text += &format!(";{};{}", ["north", "south"][station], ["red", "green"][target]);
+                }
+                text += "\n";
             }
-            text += "\n";
         }
-        Self { sizes, truth, log, text, taken_s, path, place, probe, seed }
+        Self { sizes, truth, log, text, taken_s, path, places, probes, seed }
     }
 
     pub fn mapping(&self) -> String {
-        let mut mapping = String::from(
-            "[csv]\ndelimiter = \";\"\n[time]\ncolumn = \"t_ms\"\nunit = \"ms\"\n[position]\ncolumns = [\"x\", \"y\", \"z\"]\n\
-             unit = \"mm\"\n",
+        let views = if self.sizes.moved { "station = \"station\"\ntarget = \"target\"\n" } else { "" };
+        let mut mapping = format!(
+            "{views}[csv]\ndelimiter = \";\"\n[time]\ncolumn = \"t_ms\"\nunit = \"ms\"\n[position]\ncolumns = [\"x\", \"y\", \
+             \"z\"]\nunit = \"mm\"\n",
         );
         if self.sizes.with_rotation {
             mapping +=
@@ -206,12 +226,11 @@ impl Followed {
     /// Rows of an alignment as they are calibrated.
     pub fn measured(&self, aligned: &AlignedPoses) -> Measured {
         let poses = self.poses();
-        let rows = aligned.rows.iter().zip(&aligned.states).map(|(row, state)| PoseRow {
-            joints_rad: state.q,
-            position_m: poses.rows[*row].position_m,
-            rotation: poses.rows[*row].rotation,
-            ..PoseRow::default()
-        });
+        let rows = aligned
+            .rows
+            .iter()
+            .zip(&aligned.states)
+            .map(|(row, state)| with_joints(&poses.rows[*row], state.q));
         match &aligned.moving {
             Some(moving) => Measured::Path(rows.collect(), moving.clone()),
             None => Measured::Poses(rows.collect()),
@@ -224,15 +243,8 @@ impl Followed {
         let rows = aligned.rows.iter().map(|row| {
             // Rows with the stamp of the one before may be left out; the header is line 1.
             let joints = self.path.at(self.taken_s[poses.rows[*row].line as usize - 2]);
-            PoseRow {
-                joints_rad: joints
-                    .iter()
-                    .map(|q| q + NOISE_RAD * random.sample::<f64, _>(StandardNormal))
-                    .collect(),
-                position_m: poses.rows[*row].position_m,
-                rotation: poses.rows[*row].rotation,
-                ..PoseRow::default()
-            }
+            let noisy = joints.iter().map(|q| q + NOISE_RAD * random.sample::<f64, _>(StandardNormal));
+            with_joints(&poses.rows[*row], noisy.collect())
         });
         Measured::Poses(rows.collect())
     }
@@ -263,9 +275,14 @@ impl Followed {
         let errors = (0..400).map(|_| {
             let q = self.path.at(random.random_range(0.0..self.sizes.duration_s));
             let found = place.inverse() * geometry.robot.forward(&q) * probe;
-            let truly = self.place.inverse() * self.truth.forward(&q) * self.probe;
+            let truly = self.places[0].inverse() * self.truth.forward(&q) * self.probes[0];
             (found.translation.vector - truly.translation.vector).norm()
         });
         errors.sum::<f64>() / 400.0
     }
+}
+
+fn with_joints(seen: &TimedPose, joints_rad: Joints) -> PoseRow {
+    let TimedPose { position_m, rotation, uncertainty, station, target, .. } = *seen;
+    PoseRow { joints_rad, position_m, rotation, uncertainty, set_up: SetUp { station, target } }
 }

@@ -22,7 +22,7 @@ use crate::logs::{
     ContactMapping, Contacts, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths,
     MeasuredPoseMapping, MeasuredPoses, TimedPose, TimedPoses, joints_of_robot,
 };
-use crate::model::{JointState, JointWaves, Model, further};
+use crate::model::{JointState, JointWaves, Model, SetUp, further};
 use crate::prepare::{AlignedPoses, Alignment, PrepareOptions, align_poses};
 use crate::report::clocks::{ClockEntry, SolvedClock};
 use crate::report::rows as of_rows;
@@ -234,6 +234,8 @@ pub(super) struct Aligned {
     t_ref: UtcNs,
     /// The tracker's times have a date.
     is_dated: bool,
+    /// The robot stood still at each row: standstills have said what the clocks are, no solve.
+    stood: bool,
     /// Rows outside the robot's log, or taken while a robot moved that otherwise stood.
     left_out: usize,
 }
@@ -249,10 +251,7 @@ pub(super) struct WithLogs<'a> {
 pub(super) fn read(kind: Kind, of: &RowFile, data_set: usize, with: &WithLogs<'_>) -> anyhow::Result<Read> {
     let robot = with.robot;
     let (measured, beside) = match (kind, &of.robot_log) {
-        (Kind::Tracker, Some(robot_log)) => {
-            let (measured, lines, clocks) = timed_poses(of, robot_log, data_set, with)?;
-            (measured, Beside { lines, aligned: Some(clocks), ..Beside::default() })
-        }
+        (Kind::Tracker, Some(robot_log)) => timed_poses(of, robot_log, data_set, with)?,
         (Kind::Tracker, None) => {
             let read = poses(&of.file, &of.mapping, robot)?;
             let (rows, lines) = with_lines(&read);
@@ -312,7 +311,7 @@ fn timed_poses(
     robot_log: &Path,
     data_set: usize,
     with: &WithLogs<'_>,
-) -> anyhow::Result<(Measured, Vec<u64>, Aligned)> {
+) -> anyhow::Result<(Measured, Beside)> {
     let mapping: MeasuredPoseMapping = config::load(&of.mapping)?;
     anyhow::ensure!(
         mapping.time.is_some(),
@@ -326,23 +325,27 @@ fn timed_poses(
         align_poses(&read, &log, &flange_chain(with.robot), with.options)
             .map_err(|error| CalibrateError::Align { data_set, error: Box::new(error) })?;
     let row = |(&row, state): (&usize, &JointState)| {
-        let TimedPose { position_m, rotation, uncertainty, line } = read.rows[row];
-        (PoseRow { joints_rad: state.q, position_m, rotation, uncertainty, ..PoseRow::default() }, line)
+        let TimedPose { position_m, rotation, uncertainty, station, target, line } = read.rows[row];
+        let set_up = SetUp { station, target };
+        (PoseRow { joints_rad: state.q, position_m, rotation, uncertainty, set_up }, line)
     };
     let (poses, lines) = rows.iter().zip(&states).map(row).unzip();
+    let stood = moving.is_none();
     let measured = match moving {
         Some(moving) => Measured::Path(poses, moving),
         None => Measured::Poses(poses),
     };
     let is_dated = mapping.time.is_some_and(|time| time.unit.is_dated());
-    Ok((measured, lines, Aligned { alignment, t_ref, is_dated, left_out }))
+    let names = of_set_ups([("tracker", read.stations), ("probe", read.targets)]);
+    let aligned = Some(Aligned { alignment, t_ref, is_dated, stood, left_out });
+    Ok((measured, Beside { lines, names, aligned }))
 }
 
 impl Aligned {
     /// The clocks at the solution of all data sets, of which the tracker's is number `run` from 0: as the solve found them, or as
     /// far as standstills say.
     pub(super) fn clock(&self, run: usize, found: &MixedCalibration) -> Option<ClockEntry> {
-        Some(ClockEntry::from(SolvedClock {
+        let solved = ClockEntry::from(SolvedClock {
             run,
             instrument: Kind::Tracker.key(),
             reference: self.t_ref,
@@ -351,7 +354,9 @@ impl Aligned {
             model: &found.runs.get(run)?.model,
             columns: &found.solved.columns,
             covariance: &found.solved.solution.covariance,
-        }))
+        });
+        let skew_ppm = if self.stood { self.alignment.skew * 1e6 } else { solved.skew_ppm };
+        Some(ClockEntry { skew_ppm, ..solved })
     }
 
     /// For a person.

@@ -5,7 +5,8 @@ use serde::{Deserialize, Serialize};
 use shared::config::{Validate, Violation};
 
 use crate::kinematics::BAR_JOINTS;
-use crate::logs::robot::mapping::{CsvLayout, TimeColumn};
+use crate::logs::robot::mapping::CsvLayout;
+use crate::logs::tables::stamp::TimeColumn;
 
 /// Counters narrower than this cannot be followed, and none is wider than 64 bits.
 const WRAPS_AT_MIN: u64 = 1 << 10;
@@ -65,6 +66,7 @@ const fn wraps_at() -> u64 {
 impl Validate for BarLogMapping {
     fn validate(&self) -> Result<(), Violation> {
         self.csv.check()?;
+        self.time.as_ref().map_or(Ok(()), TimeColumn::check)?;
         if self.wraps_at < WRAPS_AT_MIN {
             let found = format!("{} is no width of a counter", self.wraps_at);
             return Err(Violation::new("wraps_at", found, "give the number of its values, such as 65536"));

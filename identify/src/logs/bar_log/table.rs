@@ -9,11 +9,10 @@ use super::mapping::{BarLogMapping, EncoderUnit};
 use super::samples::{Kind, RawBarLog, RawRow, Reading};
 use super::{LogError, OtherBarLog};
 use crate::kinematics::BAR_JOINTS;
-use crate::logs::robot::mapping::{TimeColumn, TimeUnit};
 use crate::logs::tables::csv_text::{
     Column, Format, Row, Table, comments, delimiter_of_header, header_line, open_mapped,
 };
-use crate::logs::tables::stamp::stamp_ns;
+use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::tables::text::decode;
 
 /// Usual names of the time column and what is in it.
@@ -36,8 +35,7 @@ struct Encoder {
 
 /// The columns that are read.
 struct Layout {
-    time: Column,
-    time_unit: TimeUnit,
+    time: StampColumn,
     encoders: Vec<Encoder>,
     flags: Option<Column>,
 }
@@ -50,7 +48,7 @@ pub(super) fn read(
     mapping: Option<&BarLogMapping>,
 ) -> Result<OtherBarLog, LogError> {
     let text = &*decode(bytes, path, mapping.and_then(|mapping| mapping.csv.sheet.as_deref()))?;
-    let (mut table, layout) = match mapping {
+    let (mut table, mut layout) = match mapping {
         Some(mapping) => {
             let table = open_mapped(text, path, &mapping.csv)?;
             let layout = mapped(&table, path, bar, mapping)?;
@@ -68,7 +66,7 @@ pub(super) fn read(
         row: "line",
         tells_validity: layout.encoders.iter().all(|encoder| encoder.valid.is_some()),
         tells_origins: layout.flags.is_some(),
-        is_dated: layout.time_unit.is_dated(),
+        is_dated: layout.time.is_dated(),
     };
     let readings = layout.encoders.iter().map(|encoder| encoder.reading).collect();
     let mut raw = RawBarLog::new(path, kind, readings);
@@ -77,7 +75,7 @@ pub(super) fn read(
     }
     let declared = comments(text).find(|(key, _)| key == "clock").map(|(_, value)| value.to_owned());
     let clock = mapping.and_then(|mapping| mapping.clock.clone()).or(declared);
-    raw.finish(clock.unwrap_or_else(|| layout.time.name.clone()))
+    raw.finish(clock.unwrap_or_else(|| layout.time.column.name.clone()))
 }
 
 /// Whether the header of a text names a counter or angle of the bar.
@@ -96,7 +94,7 @@ fn value_of(name: &str, joint: usize) -> Option<EncoderUnit> {
 }
 
 fn usual(table: &Table<'_>, path: &Path, bar: &BallBarConfig) -> Result<Layout, LogError> {
-    let (time, time_unit) =
+    let (time, unit) =
         TIMES.into_iter().find(|(name, _)| table.has(name)).unwrap_or(("time_utc", TimeUnit::DateTime));
     let mut encoders = Vec::new();
     for joint in 1..=BAR_JOINTS {
@@ -123,7 +121,8 @@ fn usual(table: &Table<'_>, path: &Path, bar: &BallBarConfig) -> Result<Layout, 
     }
     encoders.sort_by_key(|encoder| encoder.value.index);
     let flags = if table.has("flags") { Some(table.column("flags", REMEDY)?) } else { None };
-    Ok(Layout { time: table.column(time, REMEDY)?, time_unit, encoders, flags })
+    let time = StampColumn::new(table.column(time, REMEDY)?, &TimeColumn::new(time, unit));
+    Ok(Layout { time, encoders, flags })
 }
 
 fn mapped(
@@ -144,14 +143,15 @@ fn mapped(
             reading: Reading::new(encoder.joint, unit, mapping.wraps_at, bar, (path, &encoder.column))?,
         });
     }
-    Ok(Layout { time: table.column(&time.column, remedy)?, time_unit: time.unit, encoders, flags: None })
+    let time = StampColumn::new(table.column(&time.column, remedy)?, time);
+    Ok(Layout { time, encoders, flags: None })
 }
 
 impl Layout {
-    fn read(&self, table: &Table<'_>, row: &Row) -> Result<RawRow, LogError> {
+    fn read(&mut self, table: &Table<'_>, row: &Row) -> Result<RawRow, LogError> {
         let mut read = RawRow {
             place: row.line,
-            stamp_ns: stamp_ns(table, row, &self.time, self.time_unit)?,
+            stamp_ns: self.time.next_ns(table, row)?,
             valid: [true; MAX_ENCODERS],
             ..RawRow::default()
         };

@@ -10,10 +10,10 @@ use shared::config::{RobotConfig, Validate, Violation};
 
 use super::columns::{ForceColumns, ForceLayout, unknown};
 use super::{ForceClock, ForceKind, ForceLog};
-use crate::logs::robot::mapping::{CsvLayout, TimeColumn, TimeUnit};
+use crate::logs::robot::mapping::CsvLayout;
 use crate::logs::robot::table::TIME_COLUMN;
 use crate::logs::tables::csv_text::{Format, Table, comments, delimiter_of_header, open_mapped};
-use crate::logs::tables::stamp::stamp_ns;
+use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::tables::text::decode;
 use crate::logs::{JointConversion, LogError, ROWS_MIN, Stream, bytes_of};
 
@@ -36,6 +36,7 @@ pub struct ForceLogMapping {
 impl Validate for ForceLogMapping {
     fn validate(&self) -> Result<(), Violation> {
         self.csv.check()?;
+        self.time.check()?;
         self.force.check()?;
         if self.force.columns.is_empty() {
             let remedy = "name the columns of the force; without any it is read from a robot's log";
@@ -73,7 +74,7 @@ impl ForceLog {
             let format = Format { delimiter: delimiter_of_header(text), decimal_comma: false };
             let table = Table::open(text, path, format)?;
             let layout = ForceLayout::own(&table, text, robot)?.ok_or_else(|| unknown(&table, path))?;
-            let time = TimeColumn { column: TIME_COLUMN.into(), unit: TimeUnit::S };
+            let time = TimeColumn::new(TIME_COLUMN, TimeUnit::S);
             return rows(table, path, &time, &layout, declared_clock(text, path)?)?.on_joints(robot);
         };
         let table = open_mapped(text, path, &mapping.csv)?;
@@ -119,11 +120,12 @@ fn rows(
         &time.column,
         "Name the column of time stamps `t_s` (seconds), or say it with --force-mapping.",
     )?;
+    let mut stamps = StampColumn::new(column, time);
     let mut forces = Stream::default();
     let mut before: Option<(i64, u64)> = None;
     while let Some(row) = table.next_row() {
         let row = row?;
-        let stamp = stamp_ns(&table, &row, &column, time.unit)?;
+        let stamp = stamps.next_ns(&table, &row)?;
         let values = layout.row(&table, &row)?;
         match before {
             // Loggers that are read faster than they are filled give the same row again.

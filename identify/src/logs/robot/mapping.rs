@@ -1,49 +1,11 @@
 //! A TOML file that says how to read a log that does not say it itself: `config/robot_log.toml` explains each key.
 
-use std::path::Path;
-
 use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, LogConversion, Validate, Violation};
 
 use crate::logs::rows::pose_rows::{JointColumn, check_format, check_joints};
-use crate::logs::{ForceColumns, LogError, Origin};
-
-/// Unit of a time column.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum TimeUnit {
-    /// Seconds.
-    #[default]
-    S,
-    /// Milliseconds.
-    Ms,
-    /// Microseconds.
-    Us,
-    /// Nanoseconds.
-    Ns,
-    /// Windows FILETIME: 100 ns since 1601, as TwinCAT exports it.
-    Filetime,
-    /// Date and time of day as text, such as `2026-11-22T10:15:00.25Z`; without zone it counts as UTC.
-    DateTime,
-}
-
-impl TimeUnit {
-    /// Ns in one unit; dates become ns when they are read.
-    pub const fn ns(self) -> i64 {
-        match self {
-            Self::S => 1_000_000_000,
-            Self::Ms => 1_000_000,
-            Self::Us => 1_000,
-            Self::Ns | Self::DateTime => 1,
-            Self::Filetime => 100,
-        }
-    }
-
-    /// Such times have a date; others count from an unknown zero.
-    pub const fn is_dated(self) -> bool {
-        matches!(self, Self::DateTime | Self::Filetime)
-    }
-}
+use crate::logs::tables::stamp::TimeColumn;
+use crate::logs::{ForceColumns, Origin};
 
 /// Layout of a text table.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -82,29 +44,6 @@ impl CsvLayout {
     pub(in crate::logs) fn check(&self) -> Result<(), Violation> {
         let delimiter = self.delimiter.unwrap_or(';');
         check_format("csv.delimiter", delimiter, self.decimal_comma)
-    }
-}
-
-/// Where the stamps are.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct TimeColumn {
-    /// Name in the header of a table; not used by other formats.
-    #[serde(default)]
-    pub column: String,
-    /// Unit of its values; for RSI the unit of `IPOC`.
-    #[serde(default)]
-    pub unit: TimeUnit,
-}
-
-impl TimeColumn {
-    /// The one that a table needs.
-    pub(in crate::logs) fn of_table<'a>(time: Option<&'a Self>, path: &Path) -> Result<&'a Self, LogError> {
-        time.filter(|time| !time.column.is_empty()).ok_or_else(|| LogError::Content {
-            path: path.to_owned(),
-            problem: "the mapping does not say which column has the time stamps".into(),
-            remedy: "write [time] column = \"...\" and its unit into the mapping file".into(),
-        })
     }
 }
 
@@ -175,6 +114,7 @@ impl RobotLogMapping {
 impl Validate for RobotLogMapping {
     fn validate(&self) -> Result<(), Violation> {
         self.csv.check()?;
+        self.time.as_ref().map_or(Ok(()), TimeColumn::check)?;
         check_joints(&self.joints)?;
         let axes = self.joints.len();
         for (key, columns) in [("speeds", &self.speeds), ("torques", &self.torques)] {

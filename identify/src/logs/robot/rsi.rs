@@ -10,9 +10,10 @@ use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
 use shared::config::{AngleUnit, RobotConfig};
 
-use super::mapping::{RobotLogMapping, TimeUnit};
+use super::mapping::RobotLogMapping;
 use super::raw::{Meaning, RawLog, RawRow};
 use crate::kinematics::Joints;
+use crate::logs::tables::stamp::{StampReader, TimeColumn, TimeUnit};
 use crate::logs::tables::text::decode;
 use crate::logs::{LogError, LogFormat, Origin, RobotLog};
 
@@ -44,13 +45,13 @@ pub(in crate::logs) fn read(
     raw.origin = mapping.and_then(|mapping| mapping.values).unwrap_or(Origin::Measured);
     raw.clock = mapping.and_then(|mapping| mapping.clock.clone()).unwrap_or_else(|| "IPOC".into());
     let element = if raw.origin == Origin::Commanded { "ASPos" } else { "AIPos" };
-    let tick_ns =
-        mapping.and_then(|mapping| mapping.time.as_ref()).map_or(TimeUnit::Ms, |time| time.unit).ns();
+    let time = mapping.and_then(|mapping| mapping.time.clone());
+    let mut stamps = StampReader::new(&time.unwrap_or_else(|| TimeColumn::new("IPOC", TimeUnit::Ms)));
     let telegrams = parse(text, path, element)?;
     check_counter(&telegrams, path, mapping.is_some_and(|mapping| mapping.time.is_some()))?;
     for (telegram, number) in telegrams.iter().zip(1u64..) {
         let ipoc =
-            telegram.ipoc.and_then(|ipoc| ipoc.checked_mul(tick_ns)).ok_or_else(|| LogError::BadRecord {
+            telegram.ipoc.and_then(|ipoc| stamps.of_units(ipoc)).ok_or_else(|| LogError::BadRecord {
                 path: path.to_owned(),
                 place: format!("telegram {number}"),
                 problem: "no IPOC".into(),
@@ -74,7 +75,7 @@ fn check_counter(telegrams: &[Telegram], path: &Path, unit_is_given: bool) -> Re
         Some(1) if !unit_is_given => Err(LogError::Content {
             path: path.to_owned(),
             problem: "IPOC goes up by 1 with each telegram, so it does not count milliseconds".into(),
-            remedy: "give its unit with [time] unit = \"...\" in a mapping file (--log-mapping), or log with 4 or 12 ms".into(),
+            remedy: "give its unit with [time] unit = \"cycles\" and period_ms in a mapping file (--log-mapping), or log with 4 or 12 ms".into(),
         }),
         _ => Ok(()),
     }

@@ -4,12 +4,12 @@ use std::path::Path;
 
 use shared::config::{AngleUnit, JointKind, RobotConfig};
 
-use super::mapping::{Columns, RobotLogMapping, TimeColumn, TimeUnit};
+use super::mapping::{Columns, RobotLogMapping};
 use super::raw::{Meaning, RawLog, RawRow};
 use crate::kinematics::Joints;
 use crate::logs::force::ForceLayout;
 use crate::logs::tables::csv_text::{Column, Format, Table, comments, delimiter_of_header, open_mapped};
-use crate::logs::tables::stamp::stamp_ns;
+use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::tables::text::decode;
 use crate::logs::{ForceColumns, LogError, LogFormat, Origin, RobotLog};
 
@@ -25,8 +25,7 @@ pub(in crate::logs) fn column_name(robot: &RobotConfig, index: usize, unit: Angl
 
 /// The columns of a table that are read.
 struct Layout {
-    time: Column,
-    time_unit: TimeUnit,
+    time: StampColumn,
     /// Columns and what their values are multiplied by.
     joints: Vec<(Column, f64)>,
     speeds: Option<Vec<(Column, f64)>>,
@@ -45,11 +44,12 @@ pub(in crate::logs) fn read_own(
     let meaning = Meaning::own(robot, names)?;
     let format = Format { delimiter: delimiter_of_header(text), decimal_comma: false };
     let mut table = Table::open(text, path, format)?;
-    let layout = Layout { force: ForceLayout::own(&table, text, robot)?, ..own_layout(&table, path, robot)? };
+    let mut layout =
+        Layout { force: ForceLayout::own(&table, text, robot)?, ..own_layout(&table, path, robot)? };
     let mut raw = RawLog::new(path, "line");
     declare(&mut raw, text);
     raw.force = layout.force.as_ref().map(|force| force.kind);
-    read_rows(&mut table, &layout, &mut raw)?;
+    read_rows(&mut table, &mut layout, &mut raw)?;
     raw.finish(&meaning)
 }
 
@@ -81,7 +81,7 @@ fn own_layout(table: &Table<'_>, path: &Path, robot: &RobotConfig) -> Result<Lay
         );
         joints.push((table.column(&name, &remedy)?, 1.0));
     }
-    Ok(Layout { time, time_unit: TimeUnit::S, joints, speeds: None, torques: None, force: None })
+    Ok(Layout { time: seconds(time), joints, speeds: None, torques: None, force: None })
 }
 
 /// What `record.py` of the RTDE client writes, joints in radians.
@@ -103,9 +103,8 @@ pub(in crate::logs) fn read_rtde(
         names.iter().all(|name| table.has(name)).then(|| named(table, names, &as_is, remedy)).transpose()
     };
     let meaning = Meaning::of_controller(robot, AngleUnit::Rad, columns("q"), LogFormat::UrRtde, path)?;
-    let layout = Layout {
-        time: table.column("timestamp", remedy)?,
-        time_unit: TimeUnit::S,
+    let mut layout = Layout {
+        time: seconds(table.column("timestamp", remedy)?),
         joints: named(table, &columns("q"), &as_is, remedy)?,
         speeds: optional(&columns("qd"))?,
         torques: optional(&columns("current"))?,
@@ -114,7 +113,7 @@ pub(in crate::logs) fn read_rtde(
     let mut raw = RawLog::new(path, "line");
     (raw.clock, raw.origin) = ("since the controller's start".into(), origin);
     raw.force = layout.force.as_ref().map(|force| force.kind);
-    read_rows(table, &layout, &mut raw)?;
+    read_rows(table, &mut layout, &mut raw)?;
     raw.finish(&meaning)
 }
 
@@ -127,7 +126,7 @@ pub(in crate::logs) fn read_mapped(
 ) -> Result<RobotLog, LogError> {
     let text = &*decode(bytes, path, mapping.csv.sheet.as_deref())?;
     let mut table = open_mapped(text, path, &mapping.csv)?;
-    let columns = mapped_layout(&table, path, mapping)?;
+    let mut columns = mapped_layout(&table, path, mapping)?;
     let names: Vec<String> = mapping.joints.iter().map(|joint| joint.column.clone()).collect();
     let meaning = Meaning::mapped(robot, mapping, names, path)?;
     let mut raw = RawLog::new(path, "line");
@@ -135,8 +134,12 @@ pub(in crate::logs) fn read_mapped(
     raw.clock = mapping.clock.clone().unwrap_or(raw.clock);
     raw.origin = mapping.values.unwrap_or(raw.origin);
     raw.force = mapping.force.as_ref().map(ForceColumns::kind);
-    read_rows(&mut table, &columns, &mut raw)?;
+    read_rows(&mut table, &mut columns, &mut raw)?;
     raw.finish(&meaning)
+}
+
+fn seconds(column: Column) -> StampColumn {
+    StampColumn::new(column, &TimeColumn::new("", TimeUnit::S))
 }
 
 fn mapped_layout(table: &Table<'_>, path: &Path, mapping: &RobotLogMapping) -> Result<Layout, LogError> {
@@ -148,8 +151,7 @@ fn mapped_layout(table: &Table<'_>, path: &Path, mapping: &RobotLogMapping) -> R
         names.as_ref().map(|names| named(table, names, factors, remedy)).transpose()
     };
     Ok(Layout {
-        time: table.column(&time.column, remedy)?,
-        time_unit: time.unit,
+        time: StampColumn::new(table.column(&time.column, remedy)?, time),
         joints: named(table, &joints, &to_rad, remedy)?,
         speeds: optional(&mapping.speeds, &to_rad)?,
         torques: optional(&mapping.torques, &vec![1.0; mapping.joints.len()])?,
@@ -187,7 +189,7 @@ fn declare(raw: &mut RawLog, text: &str) {
     }
 }
 
-fn read_rows(table: &mut Table<'_>, layout: &Layout, raw: &mut RawLog) -> Result<(), LogError> {
+fn read_rows(table: &mut Table<'_>, layout: &mut Layout, raw: &mut RawLog) -> Result<(), LogError> {
     while let Some(row) = table.next_row() {
         let row = row?;
         let all = |columns: &[(Column, f64)]| -> Result<Joints, LogError> {
@@ -195,7 +197,7 @@ fn read_rows(table: &mut Table<'_>, layout: &Layout, raw: &mut RawLog) -> Result
         };
         raw.push(RawRow {
             place: row.line,
-            stamp_ns: stamp_ns(table, &row, &layout.time, layout.time_unit)?,
+            stamp_ns: layout.time.next_ns(table, &row)?,
             joints: all(&layout.joints)?,
             speeds: layout.speeds.as_deref().map(all).transpose()?,
             torques: layout.torques.as_deref().map(all).transpose()?,

@@ -73,7 +73,7 @@ impl Contacts {
         let find = |table: &Table<'_>| {
             Ok((mapped(table, &mapping.socket)?, JointColumns::find(table, &mapping.joints)?))
         };
-        let read = |(socket, joints): &(Column, JointColumns<'_>), table: &Table<'_>, row: &Row| {
+        let read = |(socket, joints): &mut (Column, JointColumns<'_>), table: &Table<'_>, row: &Row| {
             let name = table.text(row, socket);
             let Some(number) = sockets.iter().position(|known| *known == name) else {
                 let problem =

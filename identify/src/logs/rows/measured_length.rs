@@ -131,7 +131,7 @@ impl MeasuredLengths {
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredLengthMapping) -> Result<Self, LogError> {
         let find = |table: &Table<'_>| Columns::find(table, mapping);
         let (mut anchors, mut attachments) = (Names::default(), Names::default());
-        let read = |columns: &Columns<'_>, table: &Table<'_>, row: &Row| {
+        let read = |columns: &mut Columns<'_>, table: &Table<'_>, row: &Row| {
             Ok(MeasuredLength {
                 anchor: anchors.place(table, row, columns.anchor.as_ref())?,
                 attachment: attachments.place(table, row, columns.attachment.as_ref())?,

@@ -13,8 +13,8 @@ use shared::config::{AngleUnit, Validate, Violation};
 use super::pose_rows::{JointColumns, Names, check_joints, mapped, mapped_if_named, rows, uncertainty};
 use crate::kinematics::Joints;
 use crate::logs::tables::csv_text::{Column, Row, Table};
-use crate::logs::tables::stamp::stamp_ns;
-use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, Stamps, Stream, TimeColumn, bytes_of};
+use crate::logs::tables::stamp::{StampColumn, TimeColumn};
+use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, Stamps, Stream, bytes_of};
 
 /// No tracker sees further \[m\]; more means a wrong unit.
 const POSITION_M_MAX: f64 = 100.0;
@@ -225,21 +225,12 @@ impl Validate for MeasuredPoseMapping {
             }
             _ => {}
         }
-        if self.time.is_some() {
-            let several = [("station", &self.station), ("target", &self.target)];
-            if let Some((key, _)) = several.iter().find(|(_, column)| column.is_some()) {
-                return Err(Violation::new(
-                    *key,
-                    "rows with [time] are of one station and one target",
-                    "make a file of each and calibrate them in one solve, each a [[tracker]] of an --experiment",
-                ));
-            }
-        }
         match &self.time {
             None => check_joints(&self.joints),
             Some(time) if time.column.is_empty() => {
                 Err(Violation::new("time.column", "it is missing", "name the column of the times"))
             }
+            Some(time) if time.check().is_err() => time.check(),
             Some(_) if !self.joints.is_empty() => Err(Violation::new(
                 "joints",
                 "rows with [time] get their joints from the robot's own log",
@@ -294,22 +285,20 @@ impl MeasuredPoses {
     /// # Errors
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredPoseMapping) -> Result<Self, LogError> {
-        let find = |table: &Table<'_>| Columns::find(table, mapping);
-        let (mut stations, mut targets) = (Names::default(), Names::default());
-        let read = |columns: &Columns<'_>, table: &Table<'_>, row: &Row| {
-            let TimedPose { position_m, rotation, uncertainty, line } = columns.seen.read(table, row)?;
-            Ok(MeasuredPose {
-                q_rad: columns.joints.read(table, row)?,
-                position_m,
-                rotation,
-                uncertainty,
-                station: stations.place(table, row, columns.station.as_ref())?,
-                target: targets.place(table, row, columns.target.as_ref())?,
-                line,
-            })
+        let find = |table: &Table<'_>| {
+            Ok((SeenColumns::find(table, mapping)?, JointColumns::find(table, &mapping.joints)?))
         };
+        let mut names = SetUpNames::default();
+        let read =
+            |(seen, joints): &mut (SeenColumns<'_>, JointColumns<'_>), table: &Table<'_>, row: &Row| {
+                let TimedPose { position_m, rotation, uncertainty, station, target, line } =
+                    seen.read(table, row, &mut names)?;
+                let q_rad = joints.read(table, row)?;
+                Ok(MeasuredPose { q_rad, position_m, rotation, uncertainty, station, target, line })
+            };
         let rows = rows(bytes, path, &mapping.csv, find, read)?;
-        Ok(Self { rows, stations: stations.in_order(), targets: targets.in_order() })
+        let [stations, targets] = names.in_order();
+        Ok(Self { rows, stations, targets })
     }
 }
 
@@ -322,8 +311,19 @@ pub struct TimedPose {
     pub rotation: Option<Rotation3<f64>>,
     /// What they are worth.
     pub uncertainty: PoseUncertainty,
+    /// From where it was measured, by its place among [`TimedPoses::stations`]; 0 where those are not named.
+    pub station: usize,
+    /// What was seen, by its place among [`TimedPoses::targets`].
+    pub target: usize,
     /// Line of the source file, so that a row can be found again.
     pub line: u64,
+}
+
+impl TimedPose {
+    /// Whether both are of one target, seen from one station: only then do positions show a motion.
+    pub fn is_seen_as(&self, other: &Self) -> bool {
+        (self.station, self.target) == (other.station, other.target)
+    }
 }
 
 /// A tracker's log on its own clock.
@@ -331,6 +331,10 @@ pub struct TimedPose {
 pub struct TimedPoses {
     /// At the times of the regular clock behind the stamps, where there is one.
     pub rows: Stream<TimedPose>,
+    /// Names of the stations in the order in which the file has them; none where it does not name them.
+    pub stations: Vec<String>,
+    /// And of the targets.
+    pub targets: Vec<String>,
     /// The stamps against that clock.
     pub stamps: Option<Stamps>,
 }
@@ -350,38 +354,71 @@ impl TimedPoses {
     /// As [`Self::load`].
     pub fn read(bytes: &[u8], path: &Path, mapping: &MeasuredPoseMapping) -> Result<Self, LogError> {
         let time = TimeColumn::of_table(mapping.time.as_ref(), path)?;
-        let find = |table: &Table<'_>| Ok((SeenColumns::find(table, mapping)?, mapped(table, &time.column)?));
-        let read = |(seen, column): &(SeenColumns<'_>, Column), table: &Table<'_>, row: &Row| {
-            let pose = seen.read(table, row)?;
-            Ok((stamp_ns(table, row, column, time.unit)?, pose))
+        let find = |table: &Table<'_>| {
+            let stamps = StampColumn::new(mapped(table, &time.column)?, time);
+            Ok((SeenColumns::find(table, mapping)?, stamps))
         };
-        let rows = rows(bytes, path, &mapping.csv, find, read)?;
+        let mut names = SetUpNames::default();
+        let read = |(seen, stamps): &mut (SeenColumns<'_>, StampColumn), table: &Table<'_>, row: &Row| {
+            let pose = seen.read(table, row, &mut names)?;
+            Ok((stamps.next_ns(table, row)?, pose))
+        };
+        let mut rows = rows(bytes, path, &mapping.csv, find, read)?;
         if let Some(pair) = rows.windows(2).find(|pair| pair[1].0 < pair[0].0) {
             let [before, after] = [0, 1].map(|place| (pair[place].1.line, pair[place].0));
             return Err(LogError::time_not_increasing(path, "line", before, after));
         }
+        // Targets that were seen at once are no rows that are there twice.
+        for row in 1..rows.len() {
+            let (before_ns, before) = rows[row - 1];
+            let (stamp_ns, pose) = &mut rows[row];
+            if *stamp_ns <= before_ns && !pose.is_seen_as(&before) {
+                *stamp_ns = before_ns + 1;
+            }
+        }
         let (stamps_ns, rows): (_, Vec<TimedPose>) = rows.into_iter().unzip();
-        let positions: Vec<Joints> =
-            rows.iter().map(|row| Joints::from_fn(3, |axis| row.position_m[axis])).collect();
-        let (rows, stamps) = Stream::sampled(stamps_ns, rows, &positions);
-        Ok(Self { rows, stamps })
+        let motion = motion(&rows);
+        let (rows, stamps) = Stream::sampled(stamps_ns, rows, &motion);
+        let [stations, targets] = names.in_order();
+        Ok(Self { rows, stations, targets, stamps })
     }
 }
 
-/// The mapping's columns, found in a file.
-struct Columns<'a> {
-    seen: SeenColumns<'a>,
-    joints: JointColumns<'a>,
-    station: Option<Column>,
-    target: Option<Column>,
+/// How the target moves from row to row; where another one is seen, or from another station, no motion.
+fn motion(rows: &[TimedPose]) -> Vec<Joints> {
+    let mut before: Option<&TimedPose> = None;
+    let mut stepped_m = Vector3::zeros();
+    let each = rows.iter().map(|row| {
+        if let Some(before) = before.replace(row).filter(|before| !row.is_seen_as(before)) {
+            stepped_m += row.position_m - before.position_m;
+        }
+        let along_m = row.position_m - stepped_m;
+        Joints::from_fn(3, |axis| along_m[axis])
+    });
+    each.collect()
 }
 
-/// Those of what the tracker measured.
+/// Names of stations and targets, in the order in which a file has them.
+#[derive(Default)]
+struct SetUpNames {
+    stations: Names,
+    targets: Names,
+}
+
+impl SetUpNames {
+    fn in_order(self) -> [Vec<String>; 2] {
+        [self.stations.in_order(), self.targets.in_order()]
+    }
+}
+
+/// The mapping's columns of what the tracker measured, found in a file.
 struct SeenColumns<'a> {
     position: (Vec<Column>, LengthUnit),
     rotation: Option<(Vec<Column>, &'a RotationColumns)>,
     /// Uncertainties of position and rotation, with metres or radians in their unit.
     uncertainty: [Option<Column>; 2],
+    station: Option<Column>,
+    target: Option<Column>,
 }
 
 fn all(table: &Table<'_>, names: &[String]) -> Result<Vec<Column>, LogError> {
@@ -408,17 +445,6 @@ fn numbers(
     columns.iter().map(number).collect()
 }
 
-impl<'a> Columns<'a> {
-    fn find(table: &Table<'_>, mapping: &'a MeasuredPoseMapping) -> Result<Self, LogError> {
-        Ok(Self {
-            seen: SeenColumns::find(table, mapping)?,
-            joints: JointColumns::find(table, &mapping.joints)?,
-            station: mapped_if_named(table, mapping.station.as_ref())?,
-            target: mapped_if_named(table, mapping.target.as_ref())?,
-        })
-    }
-}
-
 impl<'a> SeenColumns<'a> {
     fn find(table: &Table<'_>, mapping: &'a MeasuredPoseMapping) -> Result<Self, LogError> {
         let rotation =
@@ -430,10 +456,12 @@ impl<'a> SeenColumns<'a> {
             position: (all(table, &mapping.position.columns)?, mapping.position.unit),
             rotation: rotation.transpose()?,
             uncertainty: [column(|of| of.position_mm.as_ref())?, column(|of| of.rotation_mrad.as_ref())?],
+            station: mapped_if_named(table, mapping.station.as_ref())?,
+            target: mapped_if_named(table, mapping.target.as_ref())?,
         })
     }
 
-    fn read(&self, table: &Table<'_>, row: &Row) -> Result<TimedPose, LogError> {
+    fn read(&self, table: &Table<'_>, row: &Row, names: &mut SetUpNames) -> Result<TimedPose, LogError> {
         let (columns, unit) = &self.position;
         let position_m = numbers(table, row, columns, (unit.to_m(), "m"), POSITION_M_MAX)?;
         let rotation = self.rotation.as_ref().map(|(columns, how)| rotation(table, row, columns, how));
@@ -449,6 +477,8 @@ impl<'a> SeenColumns<'a> {
                 position_m: uncertainty(position_u)?,
                 rotation_rad: uncertainty(rotation_u)?,
             },
+            station: names.stations.place(table, row, self.station.as_ref())?,
+            target: names.targets.place(table, row, self.target.as_ref())?,
         })
     }
 }

@@ -142,7 +142,7 @@ impl JointTableMapping {
     /// Every way in which the file cannot be used, see [`LogError`].
     pub fn load(&self, path: &Path) -> Result<Vec<Joints>, LogError> {
         let find = |table: &Table<'_>| JointColumns::find(table, &self.joints);
-        rows(&bytes_of(path)?, path, &self.csv, find, JointColumns::read)
+        rows(&bytes_of(path)?, path, &self.csv, find, |joints, table, row| joints.read(table, row))
     }
 }
 
@@ -234,14 +234,14 @@ pub(in crate::logs) fn rows<C, R>(
     path: &Path,
     layout: &CsvLayout,
     find: impl FnOnce(&Table<'_>) -> Result<C, LogError>,
-    mut read: impl FnMut(&C, &Table<'_>, &Row) -> Result<R, LogError>,
+    mut read: impl FnMut(&mut C, &Table<'_>, &Row) -> Result<R, LogError>,
 ) -> Result<Vec<R>, LogError> {
     let text = decode(bytes, path, layout.sheet.as_deref())?;
     let mut table = open_mapped(&text, path, layout)?;
-    let columns = find(&table)?;
+    let mut columns = find(&table)?;
     let mut rows = Vec::new();
     while let Some(row) = table.next_row() {
-        rows.push(read(&columns, &table, &row?)?);
+        rows.push(read(&mut columns, &table, &row?)?);
     }
     if rows.len() < ROWS_MIN {
         return Err(LogError::TooFewRows { path: path.to_owned(), rows: rows.len(), needed: ROWS_MIN });

@@ -1,47 +1,217 @@
-//! Time stamps of text tables, in whatever unit, to integer ns.
+//! Time stamps of files, in whatever unit, to integer ns.
+
+use std::path::Path;
 
 use chrono::{DateTime, NaiveDateTime};
+use serde::{Deserialize, Serialize};
+use shared::config::Violation;
 
 use super::csv_text::{Column, Row, Table};
 use crate::logs::LogError;
-use crate::logs::robot::mapping::TimeUnit;
+
+/// Unit of a time column.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TimeUnit {
+    /// Seconds.
+    #[default]
+    S,
+    /// Milliseconds.
+    Ms,
+    /// Microseconds.
+    Us,
+    /// Nanoseconds.
+    Ns,
+    /// Cycles of a controller, each as long as [`TimeColumn::period_ms`] says.
+    Cycles,
+    /// Windows FILETIME: 100 ns since 1601, as TwinCAT exports it.
+    Filetime,
+    /// Date and time of day as text, such as `2026-11-22T10:15:00.25Z`; without zone it counts as UTC.
+    DateTime,
+}
+
+impl TimeUnit {
+    /// Such times have a date; others count from an unknown zero.
+    pub const fn is_dated(self) -> bool {
+        matches!(self, Self::DateTime | Self::Filetime)
+    }
+}
+
+/// Where the stamps are.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TimeColumn {
+    /// Name in the header of a table; not used by other formats.
+    #[serde(default)]
+    pub column: String,
+    /// Unit of its values; for RSI the unit of `IPOC`.
+    #[serde(default)]
+    pub unit: TimeUnit,
+    /// How long one of the cycles lasts that the column counts \[ms\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub period_ms: Option<f64>,
+    /// The column shows times modulo this number, in its unit; absent where it does not begin anew.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub wraps_at: Option<u64>,
+}
+
+impl TimeColumn {
+    /// A column with times in a unit.
+    pub fn new(column: impl Into<String>, unit: TimeUnit) -> Self {
+        Self { column: column.into(), unit, ..Self::default() }
+    }
+
+    /// The one that a table needs.
+    pub(in crate::logs) fn of_table<'a>(time: Option<&'a Self>, path: &Path) -> Result<&'a Self, LogError> {
+        time.filter(|time| !time.column.is_empty()).ok_or_else(|| LogError::Content {
+            path: path.to_owned(),
+            problem: "the mapping does not say which column has the time stamps".into(),
+            remedy: "write [time] column = \"...\" and its unit into the mapping file".into(),
+        })
+    }
+
+    /// Cycles have a length and other units have none; what has a date does not begin anew.
+    pub(in crate::logs) fn check(&self) -> Result<(), Violation> {
+        match (self.unit, self.period_ms) {
+            (TimeUnit::Cycles, None) => {
+                let remedy = "say how long a cycle lasts, such as period_ms = 4";
+                return Err(Violation::new(
+                    "time.period_ms",
+                    "it is missing beside unit = \"cycles\"",
+                    remedy,
+                ));
+            }
+            (TimeUnit::Cycles, Some(period_ms)) if !(1e-3..=1e6).contains(&period_ms) => {
+                let problem = format!("{period_ms} ms is no cycle of a controller");
+                return Err(Violation::new("time.period_ms", problem, "give 0.001 to 1000000"));
+            }
+            (TimeUnit::Cycles, Some(_)) | (_, None) => {}
+            (_, Some(_)) => {
+                let remedy = "take it out, or write unit = \"cycles\"";
+                return Err(Violation::new("time.period_ms", "the column does not count cycles", remedy));
+            }
+        }
+        let problem = match self.wraps_at {
+            Some(_) if self.unit.is_dated() => "times with a date do not begin anew",
+            Some(0 | 1) => "it is no number of values",
+            _ => return Ok(()),
+        };
+        Err(Violation::new(
+            "time.wraps_at",
+            problem,
+            "take it out, or give the number of values, such as 65536",
+        ))
+    }
+
+    /// Length of one unit \[ns\]; dates become ns when they are read.
+    fn unit_ns(&self) -> f64 {
+        match self.unit {
+            TimeUnit::S => 1e9,
+            TimeUnit::Ms => 1e6,
+            TimeUnit::Us => 1e3,
+            TimeUnit::Ns | TimeUnit::DateTime => 1.0,
+            TimeUnit::Filetime => 100.0,
+            TimeUnit::Cycles => self.period_ms.unwrap_or(f64::NAN) * 1e6,
+        }
+    }
+}
+
+/// StampReader of a file in the order of its rows.
+pub(in crate::logs) struct StampReader {
+    unit: TimeUnit,
+    unit_ns: f64,
+    wraps_at_ns: Option<i64>,
+    /// As the row before showed it.
+    shown_ns: Option<i64>,
+    begun_anew_ns: i64,
+}
+
+impl StampReader {
+    /// Of a column that was checked.
+    pub(in crate::logs) fn new(time: &TimeColumn) -> Self {
+        let unit_ns = time.unit_ns();
+        let wraps_at_ns = time.wraps_at.map(|wraps_at| (wraps_at as f64 * unit_ns).round() as i64);
+        Self { unit: time.unit, unit_ns, wraps_at_ns, shown_ns: None, begun_anew_ns: 0 }
+    }
+
+    /// The stamp of a number of units; none beyond 292 years.
+    pub(in crate::logs) fn of_units(&mut self, units: i64) -> Option<i64> {
+        let shown_ns = if self.unit == TimeUnit::Cycles {
+            within_range(units as f64 * self.unit_ns)
+        } else {
+            units.checked_mul(self.unit_ns as i64)
+        };
+        self.continued(shown_ns?)
+    }
+
+    /// What a time is since the first beginning.
+    fn continued(&mut self, shown_ns: i64) -> Option<i64> {
+        let before_ns = self.shown_ns.replace(shown_ns);
+        if let Some((before_ns, wraps_at_ns)) = before_ns.zip(self.wraps_at_ns) {
+            if before_ns.checked_sub(shown_ns)? > wraps_at_ns / 2 {
+                self.begun_anew_ns = self.begun_anew_ns.checked_add(wraps_at_ns)?;
+            }
+        }
+        shown_ns.checked_add(self.begun_anew_ns)
+    }
+}
+
+fn within_range(ns: f64) -> Option<i64> {
+    (ns.abs() < i64::MAX as f64).then_some(ns.round() as i64)
+}
+
+/// A column of a table with time stamps.
+pub(in crate::logs) struct StampColumn {
+    /// Where it is.
+    pub column: Column,
+    stamps: StampReader,
+}
+
+impl StampColumn {
+    /// The column that `time` describes, found in a table.
+    pub(in crate::logs) fn new(column: Column, time: &TimeColumn) -> Self {
+        Self { column, stamps: StampReader::new(time) }
+    }
+
+    /// Its times have a date.
+    pub(in crate::logs) fn is_dated(&self) -> bool {
+        self.stamps.unit.is_dated()
+    }
+
+    /// The stamp of the next row to integer ns. Decimal digits are taken as they are: a UTC stamp in seconds has more of them
+    /// than an `f64` can hold.
+    pub(in crate::logs) fn next_ns(&mut self, table: &Table<'_>, row: &Row) -> Result<i64, LogError> {
+        let Self { column, stamps } = self;
+        if stamps.unit == TimeUnit::DateTime {
+            return date_ns(table, row, column);
+        }
+        let number = table.number(row, column)?;
+        let text = table.text(row, column).replace(',', ".");
+        let zero = if stamps.unit == TimeUnit::Filetime { FILETIME_1970 } else { 0 };
+        let exact = match stamps.unit {
+            TimeUnit::S => decimal_to_ns(&text),
+            TimeUnit::Cycles => None,
+            _ => text
+                .parse::<i64>()
+                .ok()
+                .and_then(|units| units.checked_sub(zero)?.checked_mul(stamps.unit_ns as i64)),
+        };
+        let shown_ns = exact.or_else(|| within_range((number - zero as f64) * stamps.unit_ns));
+        shown_ns.and_then(|shown_ns| stamps.continued(shown_ns)).ok_or_else(|| {
+            table.bad(
+                row,
+                column,
+                format!("{number} is more than 292 years"),
+                "give the time in seconds, from any zero within 292 years",
+            )
+        })
+    }
+}
 
 /// 1970 in FILETIME, 100 ns since 1601.
 const FILETIME_1970: i64 = 116_444_736_000_000_000;
 /// Ways to write date and time of day beside RFC 3339: with a blank, and as TwinCAT does.
 const DATES: [&str; 3] = ["%Y-%m-%dT%H:%M:%S%.f", "%Y-%m-%d %H:%M:%S%.f", "%Y-%m-%d-%H:%M:%S%.f"];
-
-/// The stamp of a row to integer ns. Decimal digits are taken as they are: a UTC stamp in seconds has more of them than an
-/// `f64` can hold.
-pub(in crate::logs) fn stamp_ns(
-    table: &Table<'_>,
-    row: &Row,
-    column: &Column,
-    unit: TimeUnit,
-) -> Result<i64, LogError> {
-    if unit == TimeUnit::DateTime {
-        return date_ns(table, row, column);
-    }
-    let number = table.number(row, column)?;
-    let text = table.text(row, column).replace(',', ".");
-    let zero = if unit == TimeUnit::Filetime { FILETIME_1970 } else { 0 };
-    let exact = match unit {
-        TimeUnit::S => decimal_to_ns(&text),
-        unit => text.parse::<i64>().ok().and_then(|ticks| ticks.checked_sub(zero)?.checked_mul(unit.ns())),
-    };
-    let rounded = || {
-        let ns = ((number - zero as f64) * unit.ns() as f64).round();
-        (ns.abs() < i64::MAX as f64).then_some(ns as i64)
-    };
-    exact.or_else(rounded).ok_or_else(|| {
-        table.bad(
-            row,
-            column,
-            format!("{number} is more than 292 years"),
-            "give the time in seconds, from any zero within 292 years",
-        )
-    })
-}
 
 fn date_ns(table: &Table<'_>, row: &Row, column: &Column) -> Result<i64, LogError> {
     let text = table.text(row, column);

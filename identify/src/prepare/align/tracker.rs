@@ -5,6 +5,7 @@
 //! that stood still at each row (rows are seconds apart) only which standstill is whose: the clocks are then known as well as that
 //! needs, and rows get the joints that the robot had there.
 
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -18,7 +19,7 @@ use super::speeds::{REACH, grid_step_s, speeds};
 use super::window::{CANDIDATES, liveliest, overlap_min_s, wider};
 use crate::cost::{LoopProblem, MeasuredPosition, PoseNoise};
 use crate::kinematics::{Chain, Joints, Pose};
-use crate::logs::{CubicSpline, RobotLog, Stream, TimedPoses, travel};
+use crate::logs::{CubicSpline, RobotLog, Stream, TimedPose, TimedPoses, travel};
 use crate::model::{Axis, Coordinate, JointState, Model, Observation, ParameterId, RobotMotion, Role, SetUp};
 use crate::prepare::readings::standstill::MOVING_RAD_S;
 use crate::prepare::select::select;
@@ -44,6 +45,10 @@ const NOMINAL_SIGMA_M: f64 = 1e-3;
 const REST_S: f64 = 0.05;
 /// Part of the rows of standstills at which the robot must have stood.
 const AT_REST_MIN: f64 = 0.9;
+/// Rates of clocks that are tried on standstills, to twice what clocks differ by either way: the step moves rows an hour from the
+/// middle by less than a robot rests.
+const SKEW_STEP: f64 = 0.1 * SKEW_SIGMA;
+const SKEW_STEPS: i64 = 20;
 
 /// Rows of a tracker with the robot at each.
 #[derive(Debug, Clone, PartialEq)]
@@ -54,7 +59,7 @@ pub struct AlignedPoses {
     pub states: Vec<JointState>,
     /// Of a robot that moved: the times of the rows, and its log.
     pub moving: Option<Moving>,
-    /// How the clocks were brought together; its skew is zero where the robot stood.
+    /// How the clocks were brought together; where the robot stood the skew is known as well as standstills say.
     pub alignment: Alignment,
     /// Its reference time on the tracker's clock.
     pub t_ref: UtcNs,
@@ -89,9 +94,11 @@ pub fn align_poses(
     let log = &*log;
     require_motion("the robot log", travel(&log.q_rad))?;
     let interpolated = log.spline()?;
+    let seen_m = longest_view_m(&poses.rows);
     let search = Search {
-        seen_m: poses.rows.map(|row| row.position_m),
-        period_s: poses.rows.period_s(),
+        period_s: seen_m.period_s(),
+        begins_s: (i128::from(seen_m.first_stamp_ns) - i128::from(poses.rows.first_stamp_ns)) as f64 * 1e-9,
+        seen_m,
         log: &interpolated,
         log_s,
         robot,
@@ -103,30 +110,30 @@ pub fn align_poses(
         return Err(PrepareError::TargetStands { extent_mm: extent_m * 1e3 });
     }
     let found = search.run()?;
-    let overlap_s = overlap_s(rows_s, found.clock, log_s);
+    let of_rows = found.clock.counted_from(-search.begins_s);
+    let overlap_s = overlap_s(rows_s, of_rows, log_s);
     let t_ref_s = 0.5 * (overlap_s[0] + overlap_s[1]);
-    let clock = found.clock.counted_from(t_ref_s);
+    let clock = of_rows.counted_from(t_ref_s);
     let t_ref = UtcNs(poses.rows.first_stamp_ns).plus_ns((t_ref_s * 1e9).round() as i64);
     let alignment = Alignment::new(&found.matched, found.ambiguous, clock, log, t_ref, overlap_s);
     let log = AlignedLog::new(interpolated.clone(), clock.shift_s);
     let of_row = |row: usize| {
-        let t_s = search.seen_m.t_s[row] - t_ref_s;
+        let t_s = poses.rows.t_s[row] - t_ref_s;
         let tau_s = (1.0 + clock.skew) * t_s;
         let stays = [-found.edge_s, found.edge_s].iter().all(|by_s| log.at(tau_s + by_s).is_some());
         stays.then_some((row, t_s, log.at(tau_s)?))
     };
-    let all = (0..search.seen_m.len()).filter_map(of_row);
+    let all = (0..poses.rows.len()).filter_map(of_row);
     if search.stands() {
         let resting = search.resting();
-        let at_rest =
-            all.filter(|(row, ..)| search.rests_at(&resting, found.clock.tau_s(search.seen_m.t_s[*row])));
+        let at_rest = all.filter(|(row, ..)| search.rests_at(&resting, of_rows.tau_s(poses.rows.t_s[*row])));
         let (rows, states): (Vec<_>, Vec<_>) =
             at_rest.map(|(row, _, state)| (row, JointState::at_rest(state.q))).unzip();
-        let left_out = search.seen_m.len() - rows.len();
+        let left_out = poses.rows.len() - rows.len();
         return Ok(AlignedPoses { rows, states, moving: None, alignment, t_ref, left_out });
     }
     let all: Vec<(usize, f64, JointState)> = all.collect();
-    let left_out = search.seen_m.len() - all.len();
+    let left_out = poses.rows.len() - all.len();
     let joints: Vec<_> = all.iter().map(|(.., state)| state.q).collect();
     let points_max = if options.points_max == 0 { usize::MAX } else { options.points_max };
     let kept = select(&joints, options.motion_min_mrad * 1e-3, points_max);
@@ -141,10 +148,27 @@ pub fn align_poses(
     })
 }
 
+/// The target that was seen most often, from the station from which it was, in the tracker's frame \[m\]: its motion has the clocks
+/// of all rows.
+fn longest_view_m(rows: &Stream<TimedPose>) -> Stream<Vector3<f64>> {
+    let mut counts: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+    for row in rows.iter() {
+        *counts.entry((row.station, row.target)).or_default() += 1;
+    }
+    let longest = counts.into_iter().max_by_key(|(_, count)| *count).map(|(view, _)| view);
+    let of_longest =
+        |_, row: &TimedPose| (Some((row.station, row.target)) == longest).then_some(row.position_m);
+    let seen_m = rows.filter_map(0..rows.len(), of_longest);
+    // Rows of other targets in between make none of its rows a gap.
+    Stream::new(seen_m.first_stamp_ns, seen_m.t_s, seen_m.rows)
+}
+
 /// Where in the robot's log the tracker's lies.
 struct Search<'a> {
-    /// The target in the tracker's frame \[m\].
+    /// One target in the tracker's frame, from one station \[m\].
     seen_m: Stream<Vector3<f64>>,
+    /// Its first row after the first of all \[s\].
+    begins_s: f64,
     /// Usual distance of two rows \[s\].
     period_s: f64,
     log: &'a Arc<CubicSpline<Joints>>,
@@ -388,20 +412,47 @@ impl Search<'_> {
         tau_s >= 0.0 && resting.get((tau_s / self.step_s).round() as usize).copied().unwrap_or(false)
     }
 
-    /// Shifts near a coarse one at which the robot stands in most of the rows, each in the middle of those that are alike.
+    /// Clocks near a coarse shift at which the robot stands in most of the rows, each in the middle of those that are alike. Of the
+    /// rates by which clocks differ the one at which most rows stay in standstills for most shifts.
     fn standstills(&self, window: &Range<usize>, coarse: ClockFit) -> Vec<ClockFit> {
         let resting = self.resting();
+        let times_s = self.seen_m.t_s.get(window.clone()).unwrap_or_default();
+        let middle_s = 0.5 * (times_s.first().unwrap_or(&0.0) + times_s.last().unwrap_or(&0.0));
         let reach = (0.5 * self.period_s / self.step_s) as i64;
-        let shifted = |by: i64| ClockFit { shift_s: coarse.shift_s + by as f64 * self.step_s, ..coarse };
-        let standing = |by: i64| {
-            let times_s = self.seen_m.t_s[window.clone()].iter().map(|t_s| shifted(by).tau_s(*t_s));
-            let covered: Vec<f64> = times_s.filter(|tau_s| self.log.at(*tau_s).is_some()).collect();
-            let at_rest = covered.iter().filter(|tau_s| self.rests_at(&resting, **tau_s)).count();
-            at_rest as f64 >= AT_REST_MIN * covered.len().max(1) as f64
+        // Shifts are those of the middle: there a rate changes nothing.
+        let clock = |by: i64, skew: f64| ClockFit {
+            shift_s: coarse.shift_s + by as f64 * self.step_s - skew * middle_s,
+            skew,
         };
-        let all: Vec<i64> = (-reach..=reach).filter(|by| standing(*by)).collect();
-        let middle = |alike: &[i64]| alike.get(alike.len() / 2).map(|by| shifted(*by));
-        all.chunk_by(|a, b| b - a == 1).filter_map(middle).collect()
+        let at_rest = |clock: &ClockFit| {
+            let place = |t_s: &f64| {
+                let place = clock.tau_s(*t_s) / self.step_s;
+                resting.get(if place > -0.5 { place.round() as usize } else { usize::MAX })
+            };
+            let (mut covered, mut at_rest) = (0, 0);
+            for rests in times_s.iter().filter_map(place) {
+                covered += 1;
+                at_rest += usize::from(*rests);
+            }
+            (at_rest as f64 >= AT_REST_MIN * f64::from(covered.max(1))).then_some(at_rest)
+        };
+        let with_rate = |place: i64| {
+            let skew = place as f64 * SKEW_STEP;
+            let standing = |by: i64| Some((by, at_rest(&clock(by, skew))?));
+            let all: Vec<(i64, usize)> = (-reach..=reach).filter_map(standing).collect();
+            (all.iter().map(|(_, at_rest)| at_rest).sum::<usize>(), skew, all)
+        };
+        // The first of those that are as good is the one nearest to clocks that run alike.
+        let rates = (0..=SKEW_STEPS).flat_map(|place| [place, -place]);
+        let mut best = (0, 0.0, Vec::new());
+        for other in rates.map(with_rate) {
+            if other.0 > best.0 {
+                best = other;
+            }
+        }
+        let (_, skew, all) = best;
+        let middle = |alike: &[(i64, usize)]| alike.get(alike.len() / 2).map(|(by, _)| clock(*by, skew));
+        all.chunk_by(|a, b| b.0 - a.0 == 1).filter_map(middle).collect()
     }
 
     /// Place and target where the robot stands; the clock stays.
