@@ -11,7 +11,7 @@ use std::fmt;
 
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
-use statrs::distribution::{ContinuousCDF, StudentsT};
+use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
 
 use super::Problem;
 use super::identifiability::ScaledSpectrum;
@@ -71,9 +71,14 @@ impl SigmasFrom {
     /// Standard deviations on either side of a value between which the true one lies with 95 %: 1.96, more where few folds
     /// tell the sigma.
     pub fn sigmas_of_95(self) -> f64 {
-        const NORMAL: f64 = 1.96;
+        self.sigmas_within(0.05)
+    }
+
+    /// Standard deviations on either side of a value between which the true one lies, but for this chance.
+    pub fn sigmas_within(self, chance: f64) -> f64 {
         let student = self.freedom().and_then(|freedom| StudentsT::new(0.0, 1.0, freedom).ok());
-        student.map_or(NORMAL, |student| student.inverse_cdf(0.975))
+        let upper = 1.0 - 0.5 * chance;
+        student.map_or_else(|| Normal::standard().inverse_cdf(upper), |student| student.inverse_cdf(upper))
     }
 }
 
@@ -262,11 +267,12 @@ impl Covariance {
         self
     }
 
-    /// What of a column's variance comes from parameters that were considered.
-    pub fn variance_by_considered(&self, column: usize) -> f64 {
+    /// How far the prior of a column moves its estimate where it is off by one standard deviation; none where sources are not
+    /// known one by one.
+    pub fn by_prior(&self, column: usize) -> Option<f64> {
         let Spread { by_source, sources } = &self.spread;
-        let is_considered = |source: &usize| matches!(sources[*source], Source::Considered { .. });
-        (0..sources.len()).filter(is_considered).map(|source| by_source[(column, source)].powi(2)).sum()
+        let own = sources.iter().position(|source| *source == Source::Prior { column })?;
+        Some(by_source[(column, own)].abs())
     }
 
     /// By its sources.

@@ -1,7 +1,7 @@
 //! Sudden changes during a run: what is said of them, by kind and size, and of runs in which nothing changes.
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
-use super::campaign::{calibrate, chosen, number, sizes};
+use super::campaign::{Outcome, calibrate, chosen, number, sizes};
 use super::*;
 
 /// Before why a run was refused.
@@ -21,9 +21,20 @@ enum Injected {
     Base(f64),
     /// Stamps of the bar, which has no even clock of its own that a step would show in \[ms\].
     Clock(f64),
+    /// All along the log has a joint, from 0, later than the others \[ms\].
+    LateJoint(usize, f64),
+    /// All along a joint, from 0, turns by this more than its log says \[%\].
+    Ratio(usize, f64),
+    /// All along the plate is turned about the flange's axis \[deg\].
+    Plate(f64),
 }
 
 impl Injected {
+    /// It is so from the first row to the last.
+    fn lasts(self) -> bool {
+        matches!(self, Self::LateJoint(..) | Self::Ratio(..) | Self::Plate(_))
+    }
+
     /// What the program has to say of it, as a refusal or as a warning.
     fn named(self) -> [String; 2] {
         let both = |refused: &str, warned: &str| [refused.to_owned(), warned.to_owned()];
@@ -42,11 +53,27 @@ impl Injected {
             ],
             Self::Base(_) => both("the base of the bar moves: ", "the base of the bar steps by"),
             Self::Clock(_) => both("a clock jumps", "the robot's clock steps by"),
+            Self::LateJoint(joint, _) => {
+                let late = format!("joint {} by ", joint + 1);
+                both("no late joint is refused", &format!("later than the others: {late}"))
+            }
+            Self::Ratio(joint, _) => {
+                let joint = joint + 1;
+                [format!("joint {joint} turns by another part"), format!("Joint {joint} turns by ")]
+            }
+            Self::Plate(_) => both("plate is turned", "The plate is turned by about"),
         }
     }
 }
 
 impl Run {
+    /// True angle of a joint between the rows of the log.
+    fn true_joint(&self, joint: usize, time_s: f64) -> f64 {
+        let after = self.true_rows.partition_point(|row| row.0 <= time_s).clamp(1, self.true_rows.len() - 1);
+        let [(from_s, from), (to_s, to)] = [self.true_rows[after - 1], self.true_rows[after]];
+        from[joint] + (to[joint] - from[joint]) * (time_s - from_s) / (to_s - from_s)
+    }
+
     /// The files of a run in which something changes when so much of it has passed.
     fn write_changed(&self, injected: Injected, part: f64, directory: &Path) -> Files {
         let (mut rows, mut cycles) = (self.rows.clone(), self.cycles.clone());
@@ -67,7 +94,7 @@ impl Run {
         }
         let raw_from_joints = self.robot.joints_from_raw.try_inverse().unwrap();
         for (row, (time_s, angles)) in
-            rows.iter_mut().zip(&self.true_rows).filter(|(_, truth)| truth.0 > at_s)
+            rows.iter_mut().zip(&self.true_rows).filter(|(_, truth)| injected.lasts() || truth.0 > at_s)
         {
             let mut more = RowVector6::zeros();
             match injected {
@@ -79,6 +106,13 @@ impl Run {
                     let moved = self.true_arm.inverse_near(&pose, angles).unwrap();
                     more = RowVector6::from_fn(|_, joint| moved[joint] - angles[joint]);
                 }
+                Injected::LateJoint(joint, ms) => {
+                    let [before, after] =
+                        [*time_s - ms * 1e-3, *time_s].map(|time_s| self.true_joint(joint, time_s));
+                    more[joint] = before - after;
+                }
+                Injected::Ratio(joint, percent) => more[joint] = -percent * 1e-2 * angles[joint],
+                Injected::Plate(deg) => more[5] = deg.to_radians(),
                 _ => {}
             }
             let raw = more * raw_from_joints;
@@ -88,17 +122,18 @@ impl Run {
     }
 }
 
-/// What the program says of a run in which something changes: why it is refused, or all that it writes of a calibration.
-fn said_of(run: &Run, injected: Injected, part: f64) -> String {
+/// What the program says of a run in which something changes, and what became of it: why it is refused, or all that it writes of a
+/// calibration.
+fn said_of(run: &Run, injected: Injected, part: f64) -> (String, Outcome) {
     let directory = tempfile::tempdir().unwrap();
     let (files, out) = (run.write_changed(injected, part, directory.path()), directory.path().join("out"));
     let output = calibrate(run, &files, &out);
-    if output.status.success() {
-        return std::fs::read_to_string(out.join("report.html")).unwrap();
-    }
-    let told = String::from_utf8_lossy(&output.stderr);
-    let error = told.lines().find(|line| line.starts_with("error:"));
-    format!("{REFUSED} {}", error.unwrap_or(&told))
+    let outcome = Outcome::of(run, &output, &out);
+    let said = match &outcome {
+        Outcome::Refused(_) => outcome.to_string(),
+        Outcome::Calibrated { .. } => std::fs::read_to_string(out.join("report.html")).unwrap(),
+    };
+    (said, outcome)
 }
 
 #[test]
@@ -114,7 +149,7 @@ fn what_changes_is_named_and_nothing_is_named_that_does_not() {
         Injected::Drift(3, 1.0),
     ];
     for injected in all {
-        let told = said_of(&run, injected, 0.45);
+        let (told, _) = said_of(&run, injected, 0.45);
         let named = injected.named().iter().any(|name| told.contains(name));
         assert_eq!(named, !matches!(injected, Injected::Nothing), "{injected:?}: {told}");
     }
@@ -123,15 +158,20 @@ fn what_changes_is_named_and_nothing_is_named_that_does_not() {
 /// `cargo test -p identify --test all changes_by_size -- --ignored --nocapture`; the environment chooses as for
 /// `independent_campaign`, `IDENTIFY_SIZES=none` leaves only sound runs.
 #[test]
-#[ignore = "five minutes for one run with 43 changes"]
+#[ignore = "five minutes for one run with 73 changes"]
 fn changes_by_size() {
     let (first, seeds) = (number("IDENTIFY_FIRST_SEED", 1), number("IDENTIFY_SEEDS", 1));
     let mut all = vec![Injected::Nothing];
     if std::env::var("IDENTIFY_SIZES").is_err() {
-        for size in [0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0] {
-            all.extend([Injected::Encoder(0, size), Injected::Encoder(3, size), Injected::Joint(1, size)]);
-            all.extend([Injected::Base(size), Injected::Drift(3, size), Injected::Clock(5.0 * size)]);
+        for size in [0.05, 0.1, 0.2, 0.5, 1.0, 2.0] {
+            all.extend((0..5).map(|joint| Injected::Encoder(joint, size)));
+            all.extend([Injected::Joint(1, size), Injected::Joint(3, size), Injected::Base(size)]);
+            all.push(Injected::Drift(3, size));
         }
+        all.extend([0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0].map(Injected::Clock));
+        all.extend([1.0, 2.0, 5.0].map(|ms| Injected::LateJoint(2, ms)));
+        all.extend([0.1, 0.3, 1.0].map(|percent| Injected::Ratio(2, percent)));
+        all.extend([2.0, 5.0, 45.0, 90.0].map(Injected::Plate));
     }
     for robot in Robot::all().into_iter().filter(|robot| chosen("IDENTIFY_ROBOTS", robot.name)) {
         for family in
@@ -140,7 +180,7 @@ fn changes_by_size() {
             for seed in first..first + seeds {
                 let run = Run::new(robot.clone(), family, &sizes(family, seed), seed);
                 for injected in &all {
-                    let told = said_of(&run, *injected, 0.3 + 0.1 * (seed % 5) as f64);
+                    let (told, outcome) = said_of(&run, *injected, 0.3 + 0.1 * (seed % 5) as f64);
                     let [refused, warned] = injected.named();
                     let other = || {
                         told.lines().find(|line| line.contains(REFUSED) || line.contains("Something changed"))
@@ -152,7 +192,7 @@ fn changes_by_size() {
                     } else {
                         other().map_or("passes".to_owned(), |other| format!("OTHER {other}"))
                     };
-                    println!("{:8} {family:?} {seed} {injected:?}: {verdict}", run.robot.name);
+                    println!("{:8} {family:?} {seed} {injected:?}: {verdict}; {outcome}", run.robot.name);
                 }
             }
         }

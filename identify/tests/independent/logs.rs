@@ -27,6 +27,10 @@ pub enum Stamps {
     Duplicated(f64),
     /// So many rows arrive at once, stamped as they are taken in, 20 us each.
     Batched(usize),
+    /// This share of the rows is stamped 10 ms late.
+    Late(f64),
+    /// This share of the rows is not there, and stamps have a standard deviation \[ms\].
+    Missing(f64, f64),
 }
 
 /// A row of the robot's log: time on its clock \[s\] and raw angles \[rad\].
@@ -43,12 +47,12 @@ impl Stamps {
             }
             Self::Jittered(sigma_ms) => {
                 let late_s = Normal::new(0.0, sigma_ms * 1e-3).unwrap();
-                let mut last_s = f64::MIN;
-                let mut stamp = |time_s: f64| {
-                    last_s = (time_s + late_s.sample(random)).max(last_s + 1e-6);
-                    last_s
-                };
-                rows.iter().map(|(time_s, values)| (stamp(*time_s), *values)).collect()
+                later(rows, || late_s.sample(random))
+            }
+            Self::Late(share) => later(rows, || if random.random_bool(share) { 0.01 } else { 0.0 }),
+            Self::Missing(share, sigma_ms) => {
+                let kept: Vec<Row> = rows.iter().filter(|_| !random.random_bool(share)).copied().collect();
+                Self::Jittered(sigma_ms).applied(&kept, random)
             }
             Self::Duplicated(share) => {
                 let mut twice = |row| if random.random_bool(share) { vec![row; 2] } else { vec![row] };
@@ -64,6 +68,16 @@ impl Stamps {
                 .collect(),
         }
     }
+}
+
+/// Rows stamped later by so much \[s\], never backwards.
+fn later(rows: &[Row], mut by_s: impl FnMut() -> f64) -> Vec<Row> {
+    let mut last_s = f64::MIN;
+    let mut stamp = |time_s: f64| {
+        last_s = (time_s + by_s()).max(last_s + 1e-6);
+        last_s
+    };
+    rows.iter().map(|(time_s, values)| (stamp(*time_s), *values)).collect()
 }
 
 /// Writes the robot's log in the form that its file names.

@@ -156,6 +156,8 @@ pub struct Run {
     pub truth: Truth,
     /// The best that anybody can find of the robot: see [`health`].
     pub bound_mm_mrad: f64,
+    /// What is known of the plate, one standard deviation \[mm\].
+    plate_u_mm: f64,
     true_arm: Arm,
     true_bar: Bar,
     motion: Motion,
@@ -233,6 +235,7 @@ impl Run {
             robot,
             truth,
             bound_mm_mrad: found.bound_mm_mrad,
+            plate_u_mm: sizes.plate_mm,
             true_arm,
             true_bar: found.bar,
             motion: found.motion,
@@ -282,7 +285,8 @@ impl Run {
                 (self.robot_s(*time_s), std::array::from_fn(|motor| resolve(raw[motor], ratios[motor])))
             })
             .collect();
-        self.rows = sizes.stamps.applied(&rows, random);
+        // From a seed, so that a run is the same with other stamps.
+        self.rows = sizes.stamps.applied(&rows, &mut ChaCha8Rng::seed_from_u64(random.random()));
     }
 
     /// What the controller takes for its joints: before the gears, whose errors have zero mean over the motion (TFRT-6017
@@ -332,6 +336,28 @@ impl Run {
         self.truth.clock_shift_s + (1.0 + self.truth.clock_skew) * bar_s
     }
 
+    /// How far a robot whose links were corrected by so much, by name, holds the end of its plate from where the true one does, mean
+    /// over the range of its joints \[mm\].
+    pub fn position_error_mm(&self, corrections: &BTreeMap<String, f64>) -> f64 {
+        const POSES: usize = 300;
+        let mut found = self.robot.nominal.clone();
+        found.links[5].a_m += self.robot.plate_m;
+        for (index, link) in found.links.iter_mut().enumerate() {
+            let of = |kind: &str| corrections.get(&format!("{kind}{}", index + 1)).unwrap_or(&0.0);
+            link.a_m += of("ra");
+            link.d_m += of("rd");
+            link.alpha_rad += of("ralpha");
+            link.theta_rad += of("rtheta");
+        }
+        let mut random = ChaCha8Rng::seed_from_u64(1);
+        let limits = self.robot.limits_rad();
+        let apart = (0..POSES).map(|_| {
+            let q = limits.map(|[low, high]| random.random_range(low..high));
+            (kinematics::position(&found.pose(&q)) - kinematics::position(&self.true_arm.pose(&q))).norm()
+        });
+        apart.sum::<f64>() / POSES as f64 * 1e3
+    }
+
     /// Writes the files of a run.
     pub fn write(&self, directory: &Path) -> Files {
         self.write_as(&self.rows, &self.cycles, directory)
@@ -339,7 +365,7 @@ impl Run {
 
     fn write_as(&self, rows: &[Row], cycles: &[(f64, [u32; 5])], directory: &Path) -> Files {
         let bar = directory.join("ball_bar.toml");
-        std::fs::write(&bar, bar_toml(&self.robot)).unwrap();
+        std::fs::write(&bar, bar_toml(&self.robot, self.plate_u_mm)).unwrap();
         Files {
             robot: self.robot.file(directory),
             bar,
@@ -504,10 +530,12 @@ fn followed(
 }
 
 /// The bar's file: nominal, encoders in order.
-fn bar_toml(robot: &Robot) -> String {
+fn bar_toml(robot: &Robot, plate_u_mm: f64) -> String {
     let mut text = format!(
-        "name = \"double ball-bar\"\nlength_m = {:?}\nplate_m = {:?}\ntool_m = 0.0\n",
-        robot.bar_length_m, robot.plate_m
+        "name = \"double ball-bar\"\nlength_m = {:?}\nplate_m = {:?}\nplate_u_um = {:?}\ntool_m = 0.0\n",
+        robot.bar_length_m,
+        robot.plate_m,
+        plate_u_mm * 1e3
     );
     nominal_bar_links(0.0).iter().for_each(|link| text += &link_toml(link));
     for joint in 1..=5 {
