@@ -18,6 +18,8 @@ pub enum TermGroup {
     Cycloid,
     /// Robot axes per turn of their motors.
     Motor,
+    /// Joints that their drive does not turn alone, once and twice per turn of the joint.
+    Joint,
     /// Robot axes by waves whose number per turn is found in what is left.
     LineSpectrum,
     /// Robot axes by the sign of their speed.
@@ -36,11 +38,12 @@ pub enum TermGroup {
 
 impl TermGroup {
     /// Those of the robot.
-    pub const OF_ROBOT: [Self; 9] = [
+    pub const OF_ROBOT: [Self; 10] = [
         Self::GearOnce,
         Self::GearTwice,
         Self::Cycloid,
         Self::Motor,
+        Self::Joint,
         Self::LineSpectrum,
         Self::Backlash,
         Self::Ratio,
@@ -55,6 +58,7 @@ impl TermGroup {
             Self::GearTwice => "gear, twice per turn",
             Self::Cycloid => "gear, per cycloid lobe",
             Self::Motor => "gear, per motor turn",
+            Self::Joint => "joint beside its drive, once and twice per turn",
             Self::LineSpectrum => "gear, at orders found in the residual",
             Self::Backlash => "backlash",
             Self::Ratio => "gear ratio",
@@ -89,6 +93,7 @@ impl TermGroup {
                 Period::Twice => Self::GearTwice,
                 Period::Cycloid => Self::Cycloid,
                 Period::Motor => Self::Motor,
+                Period::JointOnce | Period::JointTwice => Self::Joint,
             },
             JointTerm::Backlash => Self::Backlash,
             JointTerm::Ratio => Self::Ratio,

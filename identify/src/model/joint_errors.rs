@@ -6,6 +6,9 @@
 //!
 //! `q' = q + e(g, dg/dt) C`, `e_i = sum_t a_it s_t(g_i)`.
 //!
+//! Where drives are coupled a joint may have errors of its own beside, `s_t(q_i)` on joint `i` alone: of a bearing, or of an encoder
+//! on the joint.
+//!
 //! Shapes are functions of what was reported, so that errors enter linearly: `dq'/da_it = s_t(g_i) C_i`. But for a delay `d_i`,
 //! which takes the drive's angle from another instant of the log: `e_i = g_i(t + d_i - d) - g_i(t)`. As a shape, a rate, it would
 //! multiply the noise of the log. What all have in common, their mean `d`, is the clock's.
@@ -97,7 +100,26 @@ impl DriveTrain {
             Period::Twice => Some(2.0),
             Period::Cycloid => *self.cycloid_lobes.get(axis)?,
             Period::Motor => *self.motor_turns.get(axis)?,
+            Period::JointOnce => self.is_coupled(axis).then_some(1.0),
+            Period::JointTwice => self.is_coupled(axis).then_some(2.0),
         }
+    }
+
+    /// The joint is not turned by its drive alone, or the drive turns others.
+    fn is_coupled(&self, axis: usize) -> bool {
+        let others = |row: &Joints| row.iter().enumerate().any(|(joint, part)| joint != axis && *part != 0.0);
+        let of_others = |table: &Vec<Joints>| table.get(axis).is_some_and(others);
+        let mut rows = self.joint_from_drive.iter().enumerate();
+        of_others(&self.joint_from_drive)
+            || rows.any(|(drive, row)| drive != axis && row.get(axis).is_some_and(|part| *part != 0.0))
+    }
+
+    /// How each joint moves with an error of one radian.
+    fn moved_by(&self, axis: usize, term: JointTerm) -> Joints {
+        if term.is_of_joint() {
+            return Joints::from_fn(self.axes(), |joint| f64::from(u8::from(joint == axis)));
+        }
+        self.joint_from_drive.get(axis).copied().unwrap_or_default()
     }
 
     /// Number of drives, and of axes.
@@ -140,7 +162,10 @@ impl DriveTrain {
 
     /// A term's value for an amplitude of one, and how fast it changes \[1/s\].
     fn shape(&self, axis: usize, term: JointTerm, reported: &JointState) -> (f64, f64) {
-        let (angle, rate) = (self.of_drive(axis, &reported.q), self.of_drive(axis, &reported.qd));
+        let of = |joints: &Joints| {
+            if term.is_of_joint() { joints[axis] } else { self.of_drive(axis, joints) }
+        };
+        let (angle, rate) = (of(&reported.q), of(&reported.qd));
         let wave = |period, quarter_turns: f64| {
             let n = self.waves_per_turn(axis, period).unwrap_or_default();
             let (sin, cos) = (n * angle + quarter_turns * std::f64::consts::FRAC_PI_2).sin_cos();
@@ -210,7 +235,7 @@ impl JointErrors {
     /// How each joint moves with one amplitude; with a delay it does as the delayed joints move.
     pub fn by_amplitude(&self, axis: usize, term: JointTerm, reported: &JointState) -> Joints {
         let shape = self.drives.shape(axis, term, reported).0;
-        let Some(row) = self.drives.joint_from_drive.get(axis) else { return Joints::default() };
+        let row = self.drives.moved_by(axis, term);
         let of_all = if term == JointTerm::Delay { (self.drives.axes() as f64).recip() } else { 0.0 };
         Joints::from_fn(row.len(), |joint| row[joint] * shape - of_all * reported.qd[joint])
     }
@@ -245,17 +270,24 @@ impl JointErrors {
         for (axis, amplitudes) in self.amplitudes.iter().enumerate() {
             let terms = JointTerm::ALL.into_iter().zip(amplitudes);
             let terms = terms.filter(|(term, amplitude)| **amplitude != 0.0 && *term != JointTerm::Delay);
-            let mut error = (0.0, 0.0);
+            // Of the drive, of the joint.
+            let mut errors = [(0.0, 0.0); 2];
             for (term, amplitude) in terms {
                 let (shape, rate) = self.drives.shape(axis, term, reported);
-                error = (error.0 + amplitude * shape, error.1 + amplitude * rate);
+                let error = &mut errors[usize::from(term.is_of_joint())];
+                *error = (error.0 + amplitude * shape, error.1 + amplitude * rate);
             }
-            if error == (0.0, 0.0) {
+            let [of_drive, of_joint] = errors;
+            if of_joint != (0.0, 0.0) {
+                corrected.q[axis] += of_joint.0;
+                corrected.qd[axis] += of_joint.1;
+            }
+            if of_drive == (0.0, 0.0) {
                 continue;
             }
             for (joint, part) in self.drives.joint_from_drive[axis].iter().enumerate() {
-                corrected.q[joint] += part * error.0;
-                corrected.qd[joint] += part * error.1;
+                corrected.q[joint] += part * of_drive.0;
+                corrected.qd[joint] += part * of_drive.1;
             }
         }
     }

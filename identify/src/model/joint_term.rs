@@ -13,18 +13,25 @@ pub enum Period {
     Cycloid,
     /// Once for each turn of the motor; only where the robot's file has the ratio.
     Motor,
+    /// Once while the joint itself makes a turn, not the drive: a bearing or an encoder of the joint; only where these differ.
+    JointOnce,
+    /// Twice, the same.
+    JointTwice,
 }
 
 impl Period {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Once, Self::Twice, Self::Cycloid, Self::Motor];
+    pub const ALL: [Self; 6] =
+        [Self::Once, Self::Twice, Self::Cycloid, Self::Motor, Self::JointOnce, Self::JointTwice];
 
-    const fn letter(self) -> char {
+    const fn letters(self) -> &'static str {
         match self {
-            Self::Once => '1',
-            Self::Twice => '2',
-            Self::Cycloid => 'c',
-            Self::Motor => 'm',
+            Self::Once => "1",
+            Self::Twice => "2",
+            Self::Cycloid => "c",
+            Self::Motor => "m",
+            Self::JointOnce => "j1",
+            Self::JointTwice => "j2",
         }
     }
 }
@@ -62,7 +69,7 @@ impl Load {
 /// One term of the error of a robot axis. A constant offset is the link's `theta` and has no term.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum JointTerm {
-    /// `sin(n g)` of the drive's output angle `g`: `rsin1`, `rsin2`, `rsinc`, `rsinm`.
+    /// `sin(n g)` of the drive's output angle `g`: `rsin1`, `rsin2`, `rsinc`, `rsinm`; or of the joint's: `rsinj1`, `rsinj2`.
     Sine(Period),
     /// `cos(n g)`
     Cosine(Period),
@@ -78,7 +85,7 @@ pub enum JointTerm {
 
 impl JointTerm {
     /// All of them.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 18] = [
         Self::Sine(Period::Once),
         Self::Cosine(Period::Once),
         Self::Sine(Period::Twice),
@@ -87,6 +94,10 @@ impl JointTerm {
         Self::Cosine(Period::Cycloid),
         Self::Sine(Period::Motor),
         Self::Cosine(Period::Motor),
+        Self::Sine(Period::JointOnce),
+        Self::Cosine(Period::JointOnce),
+        Self::Sine(Period::JointTwice),
+        Self::Cosine(Period::JointTwice),
         Self::Backlash,
         Self::Ratio,
         Self::Delay,
@@ -95,15 +106,20 @@ impl JointTerm {
         Self::Compliance(Load::Tool),
     ];
 
+    /// Whether it moves the joint and goes by its angle, not by the drive's.
+    pub const fn is_of_joint(self) -> bool {
+        matches!(self, Self::Sine(period) | Self::Cosine(period) if matches!(period, Period::JointOnce | Period::JointTwice))
+    }
+
     /// Place in [`Self::ALL`].
     pub(super) const fn index(self) -> usize {
         match self {
             Self::Sine(period) => 2 * period as usize,
             Self::Cosine(period) => 2 * period as usize + 1,
-            Self::Backlash => 8,
-            Self::Ratio => 9,
-            Self::Delay => 10,
-            Self::Compliance(load) => 11 + load as usize,
+            Self::Backlash => 12,
+            Self::Ratio => 13,
+            Self::Delay => 14,
+            Self::Compliance(load) => 15 + load as usize,
         }
     }
 }
@@ -111,8 +127,8 @@ impl JointTerm {
 impl fmt::Display for JointTerm {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Sine(period) => write!(f, "sin{}", period.letter()),
-            Self::Cosine(period) => write!(f, "cos{}", period.letter()),
+            Self::Sine(period) => write!(f, "sin{}", period.letters()),
+            Self::Cosine(period) => write!(f, "cos{}", period.letters()),
             Self::Backlash => f.write_str("backlash"),
             Self::Ratio => f.write_str("ratio"),
             Self::Delay => f.write_str("delay"),

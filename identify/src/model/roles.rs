@@ -54,7 +54,7 @@ pub enum ModelError {
     #[error(
         "no parameter is called `{name}`; names are ra1 rd1 ralpha1 rtheta1 .. 6, rbeta1 .. 6, ba1 bd1 balpha1 \
          btheta1 .. 5, ox oy oz orx ory, bcompliance bplay, bdsin2_1 bdcos2_1 .. bdcos3_2, bsin1_1 bcos1_1 bsin2_1 bcos2_1 boffset1_1 .. 5, rsin1_1 rcos1_1 rsin2_1 rcos2_1 \
-         rsinc_1 rcosc_1 rsinm_1 rcosm_1 rsin3_1 rcos3_1 .. rcos127_1 rbacklash_1 rratio_1 .. 6, relbow_2 rwrist_2 rwrist_3 rtool_2 rtool_3 rtool_5 (axes up to 8 where the robot has them), \
+         rsinc_1 rcosc_1 rsinm_1 rcosm_1 rsinj1_2 rcosj1_2 rsinj2_2 rcosj2_2 rsin3_1 rcos3_1 .. rcos127_1 rbacklash_1 rratio_1 .. 6, relbow_2 rwrist_2 rwrist_3 rtool_2 rtool_3 rtool_5 (axes up to 8 where the robot has them), \
          clock_shift clock_skew, attachment_x anchor_x attachment2_x anchor2_x .. anchor99_z, length_offset, \
          tracker_x tracker_rx probe_x probe_rx .. z, tracker2_x probe2_x .. tracker99_rz probe99_rz, ball_x .. z, socket1_x .. socket99_z"
     )]

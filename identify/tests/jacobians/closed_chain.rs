@@ -4,7 +4,7 @@
 use identify::kinematics::{Chain, DhLink, LinkParameter, Pose};
 use identify::model::{
     BACKLASH_SPEED_RAD_S, BasePlacement, DriveTrain, Geometry, Harmonic, JointState, JointTerm, Model,
-    Observation, ParameterId, Phase, RobotMotion,
+    Observation, ParameterId, Period, Phase, RobotMotion,
 };
 use num_dual::{Dual64, DualNum};
 
@@ -55,7 +55,7 @@ pub struct Numbers<D> {
     pub harmonics: [[D; 4]; 5],
     /// Added to the encoders' angles in origin 1.
     pub zeros: [D; 5],
-    pub joint_errors: [[D; 14]; 6],
+    pub joint_errors: [[D; 18]; 6],
     /// Three and four times per turn, sine and cosine.
     pub joint_waves: [[[D; 2]; 2]; 6],
     /// Nominal robot, from which levers of weights are computed.
@@ -84,7 +84,7 @@ pub fn place(term: JointTerm) -> usize {
     JointTerm::ALL.iter().position(|one| *one == term).unwrap()
 }
 
-pub fn joint_errors(g: &Geometry) -> [[f64; 14]; 6] {
+pub fn joint_errors(g: &Geometry) -> [[f64; 18]; 6] {
     let mut g = g.clone();
     let mut amplitude =
         |axis, term| g.parameter_mut(ParameterId::Joint { axis, term }).map_or(0.0, |amplitude| *amplitude);
@@ -126,7 +126,7 @@ pub fn coupled(cell: &Cell) -> Model {
 /// waves three and four times per turn.
 pub fn true_joints<D: DualNum<f64> + Copy>(
     arm: &[DhLink],
-    errors: &[[D; 14]; 6],
+    errors: &[[D; 18]; 6],
     fine: &[[[D; 2]; 2]; 6],
     tau: D,
 ) -> [D; 6] {
@@ -151,8 +151,11 @@ pub fn true_joints<D: DualNum<f64> + Copy>(
         let lobes = [7.0, 11.0, 9.0, 5.0, 6.0, 4.0][i];
         let turns = [3.5, 6.1, 4.2, 3.3, 5.7, 2.9][i];
         let waves = [1.0, 2.0, lobes, turns].map(|n| [(g[i] * n).sin(), (g[i] * n).cos()]);
-        let shapes =
-            waves.into_iter().flatten().chain([(rate[i] / BACKLASH_SPEED_RAD_S).tanh(), g[i], D::from(0.0)]);
+        let shapes = waves.into_iter().flatten().chain([D::from(0.0); 4]).chain([
+            (rate[i] / BACKLASH_SPEED_RAD_S).tanh(),
+            g[i],
+            D::from(0.0),
+        ]);
         // No shape: the angle of another instant.
         let delay = |i: usize| errors[i][place(JointTerm::Delay)];
         let mean = (0..6).map(delay).fold(D::from(0.0), |a, b| a + b) / 6.0;
@@ -169,7 +172,15 @@ pub fn true_joints<D: DualNum<f64> + Copy>(
     });
     let [e1, e2, e3, e4, e5, e6] = error;
     let moved = [e1, e2, e3 - e2, e4, e5 + e4 * 0.1, e6 + e4 * 0.05 + e5 * 0.4];
-    std::array::from_fn(|i| q[i] + moved[i])
+    std::array::from_fn(|i| {
+        // Of the joint beside its drive.
+        let own = [(1.0, Period::JointOnce), (2.0, Period::JointTwice)].map(|(n, period)| {
+            let [sine, cosine] =
+                [JointTerm::Sine(period), JointTerm::Cosine(period)].map(|term| errors[i][place(term)]);
+            sine * (q[i] * n).sin() + cosine * (q[i] * n).cos()
+        });
+        q[i] + moved[i] + own[0] + own[1]
+    })
 }
 
 pub fn links<D: DualNum<f64> + Copy>(links: &[identify::kinematics::DhLink]) -> Vec<Link<D>> {

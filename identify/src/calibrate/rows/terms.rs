@@ -24,6 +24,12 @@ pub(crate) fn kinds(waves_last: u8, offered: impl Fn(&ParameterId) -> bool) -> V
             ANGLES_RAD,
         ),
         kind(
+            TermGroup::Joint,
+            "waves of joints beside their drives",
+            joint_terms(JointTerm::is_of_joint),
+            ANGLES_RAD,
+        ),
+        kind(
             TermGroup::Backlash,
             "backlash by direction of approach",
             joint_terms(|term| matches!(term, Backlash)),
