@@ -709,26 +709,27 @@ fn a_browser_draws_the_arm_along_the_path_and_asks_nobody_else() {
 }
 
 #[test]
-#[ignore = "plans and calibrates ten runs"]
+#[ignore = "plans and calibrates ten runs of two robots: IDENTIFY_SEEDS for another number"]
 fn the_error_of_a_calibration_is_the_one_that_was_expected_of_its_path_and_terms() {
+    let seeds: u32 = std::env::var("IDENTIFY_SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(10);
     for robot in [irb2400(), nj220()] {
         let cell = Cell::new(robot, 120.0);
         let information = cell.information();
         let found = cell.search(1, 1500);
         let planned = cell.planned(&found);
         let (mut squared, mut expected) = (0.0, 0.0);
-        for seed in 1..=10 {
-            let (run, calibration) = cell.calibrated(seed, Some(&planned));
+        for seed in 1..=seeds {
+            let (run, calibration) = cell.calibrated(u64::from(seed), Some(&planned));
             let taken = calibration.candidates.iter().filter(|candidate| candidate.accepted);
             let groups: Vec<TermGroup> =
                 taken.map(|candidate| candidate.group).chain([TermGroup::EncoderHarmonics]).collect();
             // The root mean square of an error of equal spread in three directions is 1.085 times its mean (Maxwell).
-            squared += (1.085 * position_error_m(&run, &calibration, &cell.robot)).powi(2) / 10.0;
-            expected += information.position_with(&found.normal, &groups).powi(2) / 10.0;
+            squared += (1.085 * position_error_m(&run, &calibration, &cell.robot)).powi(2) / f64::from(seeds);
+            expected += information.position_with(&found.normal, &groups).powi(2) / f64::from(seeds);
         }
         let (found_m, expected_m) = (squared.sqrt(), expected.sqrt());
         println!(
-            "{}: found {found_m:.3e} m, expected {expected_m:.3e} ({:.2} times), {:?} {:?}",
+            "{}, {seeds} runs: found {found_m:.3e} m, expected {expected_m:.3e} ({:.2} times), {:?} {:?}",
             cell.robot.name,
             found_m / expected_m,
             information.position(&found.normal),
