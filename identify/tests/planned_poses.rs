@@ -10,7 +10,9 @@ use identify::cost::PoseNoise;
 use identify::instrument::{Measures as _, PoseRow, Standing, Tracker, standing};
 use identify::kinematics::{Joints, flange_chain};
 use identify::logs::{JointTableMapping, MeasuredPoseMapping, MeasuredPoses};
-use identify::plan::{Bodies, Measures, PlannedPoses, PoseRequest, poses, random_postures};
+use identify::plan::{
+    Bodies, Measures, PlannedPoses, PoseRequest, poses, poses_position_m_min, random_postures,
+};
 use identify::robot::import;
 use rand::seq::index;
 use rand_chacha::ChaCha8Rng;
@@ -113,6 +115,23 @@ fn all_rows_of_the_real_grid_offer_poses_that_do_the_work_of_twice_as_many_rando
         let random_200 = errors(200, false);
         assert!(planned_50 < 0.85 * random_50 && planned_100 < random_100);
         assert!(planned_50 < 1.5 * random_200, "{planned_50} {random_200}");
+    }
+}
+
+#[test]
+#[ignore = "hundreds of amplitudes of gears at 1500 poses: minutes"]
+fn fifty_poses_cannot_be_expected_to_do_the_work_of_two_hundred_random_ones() {
+    let robot = ur10();
+    for measures in [Measures::Poses, Measures::Positions] {
+        let candidates = random_postures(&robot, &Bodies::for_reach(1.3), 0.05, 1500, 1).unwrap();
+        let request = request(&robot, measures);
+        let [few, many] = [50, 200].map(|count| poses(&request, &candidates, count, None, 1).unwrap());
+        let least_m = poses_position_m_min(&request, &candidates, 50).unwrap();
+        println!(
+            "{measures:?}: 50 planned {:.4e} m, bound of any 50 {least_m:.4e}, 50 random {:.4e}, 200 random {:.4e}, 200 planned {:.4e}",
+            few.position_m, few.random_m, many.random_m, many.position_m
+        );
+        assert!(least_m < few.position_m && few.position_m < few.random_m);
     }
 }
 

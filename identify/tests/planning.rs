@@ -12,8 +12,8 @@ use identify::kinematics::{Chain, Joints, ball_bar_chain, robot_chain, robot_inv
 use identify::logs::{RobotLog, Stream};
 use identify::model::ParameterId;
 use identify::plan::{
-    Bodies, Checked, Constraints, Criterion, Design, Found, Information, Language, Obstacle, PlaceRequest,
-    PlannedPath, check, places, program, robot_path, search,
+    Bodies, Checked, Constraints, Criterion, Design, Found, Information, Language,
+    Obstacle, PlaceRequest, PlannedPath, Visited, check, places, position_m_min, program, robot_path, search,
 };
 use identify::robot::import;
 use identify::simulate::{self, Effects, Experiment, Simulated, StaticErrors};
@@ -260,11 +260,87 @@ fn a_planned_path_determines_the_robot_better_than_a_spiral_drawn_by_hand() {
 #[test]
 fn a_search_makes_paths_better_and_is_the_same_for_the_same_seed() {
     let cell = Cell::new(irb2400(), 60.0);
-    let [few, many, again] = [20, 400, 400].map(|changes| cell.search(3, changes));
+    let [few, many, again] = [20, 600, 600].map(|changes| cell.search(3, changes));
     let best_random = few.random_scores.iter().copied().fold(f64::INFINITY, f64::min);
-    assert!(few.progress.score <= best_random && many.progress.score < 0.8 * best_random);
+    assert!(few.progress.score <= best_random && many.progress.score < 0.85 * best_random);
     assert_eq!(many.route, again.route);
     assert_ne!(few.route, many.route);
+}
+
+/// Base, length of the rod, reach \[m\] and posture of a robot where `plan place` puts the bar.
+const UR10_PLACE: [[f64; 3]; 3] = [[-0.9, 0.3, 0.45], [0.4; 3], [1.0; 3]];
+const UR10_POSTURE: [f64; 6] = [-43.0, -85.0, 62.0, 6.0, -22.0, -63.0];
+const IRB120_PLACE: [[f64; 3]; 3] = [[0.2, -0.45, 0.25], [0.3; 3], [0.6; 3]];
+const IRB120_POSTURE: [f64; 6] = [-51.0, 18.0, -5.0, -67.0, 41.0, 162.0];
+
+/// Robots of all sizes where `plan place` puts the bar, or where the built-in layout has it.
+fn of_all_sizes(duration_s: f64) -> [Cell; 4] {
+    let load = |name: &str| config::load(&crate::support::repository("config/robots").join(name)).unwrap();
+    let placed = |name: &str, [base_m, length_m, reach_m]: [[f64; 3]; 3], posture_deg: [f64; 6]| {
+        let posture_deg = Joints::of(posture_deg);
+        let design = Design { base_m, posture_deg, duration_s, ..Design::IRB_2400 };
+        let bar = BallBarConfig { plate_m: 0.1, length_m: length_m[0], ..bar() };
+        Cell { bodies: Bodies::for_reach(reach_m[0]), ..Cell::with(load(name), bar, design) }
+    };
+    let ur10 = placed("ur10.toml", UR10_PLACE, UR10_POSTURE);
+    let irb120 = placed("irb120_3.toml", IRB120_PLACE, IRB120_POSTURE);
+    [Cell::new(irb2400(), duration_s), Cell::new(nj220(), duration_s), ur10, irb120]
+}
+
+#[test]
+fn poses_alone_are_at_least_as_good_as_the_path_through_them_and_worth_more_the_longer_the_run() {
+    let cell = Cell::new(irb2400(), 40.0);
+    let information = cell.information();
+    let checked = cell.check(&cell.robot_path(&cell.search(1, 0)));
+    let as_driven_m = information.position(&checked.normal).with_terms_m;
+    let best = |duration_s: f64| {
+        let best = information.optimum(&checked.visited, duration_s).unwrap();
+        assert!(
+            (best.parts.iter().sum::<f64>() - 1.0).abs() < 1e-9 && best.parts.iter().all(|part| *part >= 0.0)
+        );
+        assert!(0.9 * best.variance < best.variance_min && best.variance_min <= best.variance);
+        best
+    };
+    // Of the very poses of the path, in other parts.
+    let alone = best(40.0);
+    assert!(alone.variance.sqrt() < as_driven_m, "{alone:?} {as_driven_m}");
+    // What the parts are said to leave is what their information leaves.
+    let mut normal = Normal::zeros(information.columns());
+    for ((bar_rad, state), part) in
+        checked.visited.bar_rad.iter().zip(&checked.visited.robot).zip(&alone.parts)
+    {
+        let one = Visited { bar_rad: vec![*bar_rad], robot: vec![*state] };
+        normal += &information.of(&one, 40.0 * part);
+    }
+    let left_m = information.position(&normal).with_terms_m;
+    assert!((left_m / alone.variance.sqrt() - 1.0).abs() < 1e-6, "{left_m} {alone:?}");
+    let longer = best(160.0).variance_min;
+    assert!(longer < alone.variance_min && longer > 0.25 * alone.variance_min, "{longer}");
+    // Any poses, and how the bar is held.
+    let free_m = position_m_min(&checked, &cell.constraints(), &information).unwrap();
+    assert!(free_m < alone.variance.sqrt());
+}
+
+#[test]
+#[ignore = "plans four robots' paths and seeks a hundred random ones of each: ten minutes"]
+fn no_path_is_better_than_poses_without_any_motion_between_them() {
+    for cell in of_all_sizes(120.0) {
+        let (constraints, information) = (cell.constraints(), cell.information());
+        let random: Vec<f64> = (1..=13).flat_map(|seed| cell.search(seed, 0).random_scores).collect();
+        let best_m = random.iter().copied().fold(f64::INFINITY, f64::min);
+        let found = cell.search(1, 4000);
+        let planned_m = information.position(&found.normal).with_terms_m;
+        let checked = cell.check(&cell.robot_path(&found));
+        let least_m = position_m_min(&checked, &constraints, &information).unwrap();
+        println!(
+            "{}: bound {least_m:.4e} m, planned {planned_m:.4e}, best of {} random {best_m:.4e}: bound / best {:.3}, planned / best {:.3}",
+            cell.robot.name,
+            random.len(),
+            least_m / best_m,
+            planned_m / best_m
+        );
+        assert!(0.5 * best_m < least_m && least_m < planned_m && planned_m < best_m);
+    }
 }
 
 #[test]
@@ -662,6 +738,8 @@ fn the_command_plans_checks_and_simulates_what_it_planned() {
     assert!(planned.status.success(), "{}", String::from_utf8_lossy(&planned.stderr));
     let said = String::from_utf8(planned.stdout).unwrap();
     assert!(said.contains("all constraints are kept"), "{said}");
+    let efficiency = said.split_once("\nefficiency ").unwrap().1.split_once(" %").unwrap().0;
+    assert!((1.0..=100.0).contains(&efficiency.parse::<f64>().unwrap()), "{said}");
     let path: PlannedPath = config::load(&out.join("path.toml")).unwrap();
     assert_eq!(path.path.duration_s, 40.0);
     let file = out.join("path.toml");

@@ -315,7 +315,12 @@ fn find(arguments: &PathArguments) -> anyhow::Result<()> {
     let robot_path = plan::robot_path(&loaded.robot.name, &constraints, &found.route)
         .map_err(|(t_s, error)| anyhow::anyhow!("the robot cannot follow the path at {t_s:.3} s: {error}"))?;
     let checked = plan::check(&robot_path, &constraints, &information)?;
-    let summary = path::summary(&checked, &information, Some(&found));
+    let summary = path::summary(
+        &checked,
+        &information,
+        plan::position_m_min(&checked, &constraints, &information),
+        Some(&found),
+    );
     show(&summary)?;
     anyhow::ensure!(
         checked.violations.is_empty(),
@@ -465,8 +470,10 @@ fn check(arguments: &CheckArguments) -> anyhow::Result<()> {
     let loaded = arguments.cell.load()?;
     let log = logs::load(&arguments.path, &loaded.robot)?;
     let information = loaded.information(log.q_rad.duration_s())?;
-    let checked = plan::check(&log, &loaded.constraints(), &information)?;
-    show(path::summary(&checked, &information, None))?;
+    let constraints = loaded.constraints();
+    let checked = plan::check(&log, &constraints, &information)?;
+    let position_m_min = plan::position_m_min(&checked, &constraints, &information);
+    show(path::summary(&checked, &information, position_m_min, None))?;
     anyhow::ensure!(checked.violations.is_empty(), "the path does not keep to its constraints");
     Ok(())
 }

@@ -6,7 +6,7 @@ use crate::logs::{CubicSpline, RobotLog};
 use crate::model::JointState;
 use crate::solver::Normal;
 
-use super::{Constraints, Information, Obstacle};
+use super::{Constraints, Information, Obstacle, Visited};
 
 /// Time between two poses that are checked \[s\].
 const CHECK_S: f64 = 1e-3;
@@ -74,6 +74,8 @@ pub struct Checked {
     pub clearance_m: Option<f64>,
     /// Largest distance of the robot's end from where the bar lets it be \[m\].
     pub off_sphere_m: f64,
+    /// Poses along it, a tenth of a second apart.
+    pub visited: Visited,
     /// What the path determines.
     pub normal: Normal,
 }
@@ -113,13 +115,13 @@ pub fn check(
         dexterity: f64::INFINITY,
         clearance_m: None,
         off_sphere_m: 0.0,
+        visited: Visited::default(),
         normal: Normal::zeros(information.columns()),
     };
     let mut bar_rad: [f64; BAR_JOINTS] =
         design.bar_range_deg.map(|[low, high]| (0.5 * (low + high)).to_radians());
     let mut start_rad = None;
     let mut before: Option<Joints> = None;
-    let (mut told_bar, mut told_robot) = (Vec::new(), Vec::new());
     for step in 0..=(duration_s / CHECK_S).floor() as usize {
         let t_s = step as f64 * CHECK_S;
         let Some(point) = curve.at(t_s) else { return Err(CheckError::Gap { t_s }) };
@@ -170,11 +172,15 @@ pub fn check(
         }
         before = Some(point.acceleration);
         if step % CHECKS_PER_POSE == 0 {
-            told_bar.push(bar_rad);
-            told_robot.push(JointState { q: point.value, qd: point.rate, qdd: point.acceleration });
+            checked.visited.bar_rad.push(bar_rad);
+            checked.visited.robot.push(JointState {
+                q: point.value,
+                qd: point.rate,
+                qdd: point.acceleration,
+            });
         }
     }
-    checked.normal = information.of(&told_bar, &told_robot, CHECK_S * CHECKS_PER_POSE as f64);
+    checked.normal = information.of(&checked.visited, CHECK_S * CHECKS_PER_POSE as f64);
     Ok(checked)
 }
 

@@ -159,6 +159,22 @@ impl<'a> Constraints<'a> {
         }
     }
 
+    /// Which way wrist and elbow are bent: the signs of joint 5 and of the Jacobian's determinant of an arm of six axes, which no path
+    /// changes that stays away from singular postures.
+    pub(super) fn bent(&self, robot_rad: &[f64]) -> [bool; 2] {
+        let mut trace = Trace::default();
+        self.tracer.trace(robot_rad, &mut trace);
+        let mut jacobian = Matrix6::zeros();
+        for (mut column, twist) in jacobian.column_iter_mut().zip(trace.joint_twists()) {
+            column.fixed_rows_mut::<3>(0).copy_from(&twist.linear);
+            column.fixed_rows_mut::<3>(3).copy_from(&twist.angular);
+        }
+        match *robot_rad {
+            [_, _, _, _, wrist, _] => [wrist.sin() > 0.0, jacobian.determinant() > 0.0],
+            _ => [true; 2],
+        }
+    }
+
     /// Smallest singular value of the robot's Jacobian, position in m and rotation in rad.
     pub fn dexterity(&self, robot_rad: &[f64]) -> f64 {
         let mut trace = Trace::default();

@@ -17,7 +17,9 @@ use crate::calibrate::terms::TermGroup;
 use crate::cost::{AngleNoise, LoopProblem, Residual, WhitenedPose};
 use crate::kinematics::{Chain, Joints, LinkParameter, Trace, Tracer};
 use crate::model::{DriveTrain, JointState, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
-use crate::solver::{Normal, Normals, Options, ScaledCholesky};
+use crate::solver::{Normal, Normals, Options, ScaledCholesky, stacked};
+
+use super::optimum::{Optimum, optimum};
 
 /// Postures over which position errors are averaged.
 const POSTURES: usize = 300;
@@ -81,6 +83,15 @@ pub struct Information {
     terms: Vec<(TermGroup, usize)>,
     /// Column of the plate's length, which no path determines: all lengths are as uncertain as it is.
     scale: Option<usize>,
+}
+
+/// Poses of the bar and the robot.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Visited {
+    /// Joints of the bar \[rad\].
+    pub bar_rad: Vec<[f64; 5]>,
+    /// Joints of the robot and their speeds.
+    pub robot: Vec<JointState>,
 }
 
 /// Joint states of single poses: pose `i` has time `i`.
@@ -174,23 +185,46 @@ impl Information {
     }
 
     /// Normal equations of poses that are `period_s` apart, each counting as all samples of that time.
-    pub fn of(&self, bar_rad: &[[f64; 5]], states: &[JointState], period_s: f64) -> Normal {
-        let motion = States(states);
-        let observations: Vec<Observation> =
-            bar_rad.iter().enumerate().map(|(i, bar)| Observation::bar(i as f64, *bar)).collect();
-        let residual = WhitenedPose::new(&self.model.geometry(&[]), &motion, &observations, self.noise);
-        let columns = self.model.columns().len();
-        let folds = [(0..observations.len()).collect()];
-        let options = Options::default();
-        let normals = LoopProblem::new(&self.model, &motion, &observations, residual, 1.0)
-            .ok()
-            .and_then(|problem| Normals::new(&problem, &self.model.start(), &options, &folds).ok());
-        let mut normal = normals.map_or_else(
-            || Normal::zeros(columns),
-            |normals| normals.of_folds().first().cloned().unwrap_or_else(|| Normal::zeros(columns)),
-        );
+    pub fn of(&self, poses: &Visited, period_s: f64) -> Normal {
+        let folds = [(0..poses.bar_rad.len()).collect()];
+        let normal = self.solved(poses, |problem, start| {
+            let normals = Normals::new(problem, start, &Options::default(), &folds).ok()?;
+            normals.of_folds().first().cloned()
+        });
+        let mut normal = normal.unwrap_or_else(|| Normal::zeros(self.columns()));
         normal.matrix *= period_s * self.samples_per_s;
         normal
+    }
+
+    /// What `of` makes of the problem that these poses are, and of its start.
+    fn solved<T>(
+        &self,
+        poses: &Visited,
+        of: impl FnOnce(&LoopProblem<'_, WhitenedPose, States<'_>>, &[f64]) -> Option<T>,
+    ) -> Option<T> {
+        let motion = States(&poses.robot);
+        let observations: Vec<Observation> =
+            poses.bar_rad.iter().enumerate().map(|(i, bar)| Observation::bar(i as f64, *bar)).collect();
+        let residual = WhitenedPose::new(&self.model.geometry(&[]), &motion, &observations, self.noise);
+        let problem = LoopProblem::new(&self.model, &motion, &observations, residual, 1.0).ok()?;
+        of(&problem, &self.model.start())
+    }
+
+    /// How a run of this length would best be shared among these poses if there were no motion between them, by the mean squared
+    /// position error over the workspace with all terms of the axes \[m²\]. None where they leave a parameter open.
+    pub fn optimum(&self, poses: &Visited, duration_s: f64) -> Option<Optimum> {
+        let (_, rows) = self.solved(poses, |problem, start| stacked(problem, start))?;
+        let mut known = self.known.matrix.clone();
+        if let Some(column) = self.scale {
+            known[(column, column)] += KNOWN_SIGMA.powi(-2);
+        }
+        let mut weight = DMatrix::zeros(self.columns(), self.columns());
+        for (i, &row) in self.robot.iter().enumerate() {
+            for (j, &column) in self.robot.iter().enumerate() {
+                weight[(row, column)] = self.weight[(i, j)];
+            }
+        }
+        optimum(&known, (&rows, WhitenedPose::ROWS), duration_s * self.samples_per_s, &weight)
     }
 
     /// Columns of the normal equations.

@@ -2,7 +2,7 @@
 //!
 //! `random` finds a path that keeps to the `constraints` (which know `bodies`), `search` makes it better by what
 //! `information` says that a calibration learns from it, `check` judges any path by the robot's joints alone, `programs`
-//! writes it for robot controllers; `place` looks for where the bar should stand, `poses` chooses poses for instruments that measure
+//! writes it for robot controllers, `optimum` is what any of them could determine at best; `place` looks for where the bar should stand, `poses` chooses poses for instruments that measure
 //! a robot at rest.
 
 mod bodies;
@@ -10,6 +10,7 @@ mod check;
 mod constraints;
 mod design;
 mod information;
+mod optimum;
 mod path;
 mod place;
 mod poses;
@@ -21,12 +22,15 @@ pub use bodies::{Bodies, Skeleton};
 pub use check::{CheckError, Checked, Violation, check};
 pub use constraints::{Constraints, Obstacle};
 pub use design::Design;
-pub use information::{Criterion, ExpectedPosition, Information, WithTerms};
+pub use information::{Criterion, ExpectedPosition, Information, Visited, WithTerms};
+pub use optimum::{Optimum, position_m_min};
 pub use path::{Move, Path};
 pub use place::{Place, PlaceRequest, Places, places};
-pub use poses::{Determined, Measures, PlannedPoses, PoseRequest, PosesError, poses, random_postures};
+pub use poses::{
+    Determined, Measures, PlannedPoses, PoseRequest, PosesError, poses, poses_position_m_min, random_postures,
+};
 pub use programs::{Language, ProgramError, Task, pose_program, program};
-pub use random::{PlanError, Route, random_route};
+pub use random::{PlanError, Route, random_poses, random_route};
 pub use search::{Found, Progress, search};
 
 use serde::{Deserialize, Serialize};

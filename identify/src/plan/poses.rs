@@ -5,7 +5,7 @@
 //! than a few poses determine: without them the best poses crowd at the ends of the joints' ranges and say nothing of what lies
 //! between. Poses are taken one by one, the best first (greedy), then each is exchanged for a better one (Fedorov 1972).
 
-use nalgebra::{DMatrix, DMatrixView, Vector3};
+use nalgebra::{DMatrix, DMatrixView, DVector, Vector3};
 use rand::Rng;
 use rand::seq::index;
 use rand_chacha::ChaCha8Rng;
@@ -28,6 +28,7 @@ use crate::solver::{ScaledCholesky, stacked};
 use crate::statistics::median;
 
 use super::information::States;
+use super::optimum::optimum;
 
 /// Of where instrument and target are, one standard deviation \[m, rad\]: far more than what is measured leaves of it. More than
 /// that would leave nothing but rounding of what poses say of gears.
@@ -48,6 +49,17 @@ pub enum Measures {
     Positions,
     /// Length of a draw-wire
     Lengths,
+}
+
+impl Measures {
+    /// Numbers that are measured at a pose.
+    fn rows(self) -> usize {
+        match self {
+            Self::Poses => MeasuredPose::ROWS,
+            Self::Positions => MeasuredPosition::ROWS,
+            Self::Lengths => MeasuredLength::ROWS,
+        }
+    }
 }
 
 /// Why there is no plan.
@@ -213,6 +225,25 @@ pub fn poses(
         chosen: order,
         blocked,
     })
+}
+
+/// A bound below the RMS position error over the candidates that any `count` of them leave \[m\], even where one may be measured more
+/// than once: how far a choice is from the best one at most.
+///
+/// # Errors
+/// [`PosesError`].
+pub fn poses_position_m_min(
+    request: &PoseRequest<'_>,
+    candidates: &[Joints],
+    count: usize,
+) -> Result<f64, PosesError> {
+    let known = Known::new(request)?;
+    let at_rest: Vec<JointState> = candidates.iter().map(|q| JointState::at_rest(*q)).collect();
+    let (rows, of_pose) = (known.measured(&at_rest)?, request.measures.rows());
+    let weight = known.weight(&standing(candidates.iter().copied()))?;
+    let prior = DMatrix::from_diagonal(&DVector::from_vec(known.prior.clone()).map(f64::recip));
+    let best = optimum(&prior, (&rows, of_pose), count as f64, &weight);
+    best.map(|best| best.variance_min.sqrt()).ok_or(PosesError::NotFinite)
 }
 
 /// The parameters of a calibration under what is expected of them.
@@ -388,11 +419,7 @@ struct Choice<'k> {
 
 impl<'k> Choice<'k> {
     fn new(known: &Known<'_>, jacobian: &'k DMatrix<f64>, weight: &'k DMatrix<f64>) -> Self {
-        let rows = match known.request.measures {
-            Measures::Poses => MeasuredPose::ROWS,
-            Measures::Positions => MeasuredPosition::ROWS,
-            Measures::Lengths => MeasuredLength::ROWS,
-        };
+        let rows = known.request.measures.rows();
         let covariance = DMatrix::from_diagonal(&known.prior.clone().into());
         let mut by_covariance = jacobian.clone();
         by_covariance
@@ -476,7 +503,7 @@ impl<'k> Choice<'k> {
 }
 
 /// A product with many rows on the left, on all threads.
-fn times(left: &DMatrix<f64>, right: &DMatrix<f64>) -> DMatrix<f64> {
+pub(super) fn times(left: &DMatrix<f64>, right: &DMatrix<f64>) -> DMatrix<f64> {
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let share = left.nrows().div_ceil(threads).max(1);
     let rows = |first: usize| left.rows(first, share.min(left.nrows() - first)) * right;
@@ -495,7 +522,7 @@ fn times(left: &DMatrix<f64>, right: &DMatrix<f64>) -> DMatrix<f64> {
 }
 
 /// `J^T J`
-fn squared(rows: &DMatrix<f64>) -> DMatrix<f64> {
+pub(super) fn squared(rows: &DMatrix<f64>) -> DMatrix<f64> {
     times(&rows.transpose(), rows)
 }
 

@@ -5,8 +5,9 @@
 
 use rand::Rng;
 
-use super::{Constraints, Design, Move, Obstacle, Path};
+use super::{Constraints, Design, Move, Obstacle, Path, Visited};
 use crate::kinematics::Joints;
+use crate::model::JointState;
 
 /// Points tried before giving up.
 const TRIES: usize = 300;
@@ -97,6 +98,41 @@ pub(super) fn point(design: &Design, random: &mut impl Rng) -> [f64; 5] {
 /// A peak speed of the bar's fastest joint \[rad/s\].
 pub(super) fn speed_rad_s(design: &Design, random: &mut impl Rng) -> f64 {
     design.bar_speed_rad_s * random.random_range(SPEED_RANGE)
+}
+
+/// Poses anywhere on the sphere, each moving somewhere at a speed that the robot can drive: those of all paths that bend elbow and
+/// wrist as one does, in no order.
+/// Fewer where hardly any is found.
+pub fn random_poses(constraints: &Constraints<'_>, count: usize, random: &mut impl Rng) -> Visited {
+    /// Time in which a pose moves on \[s\].
+    const STEP_S: f64 = 1e-3;
+    const TRIES_EACH: usize = 200;
+    let design = constraints.design;
+    let mut visited = Visited::default();
+    let Ok((_, mut near_rad)) = start(constraints, random) else { return visited };
+    let bent = constraints.bent(&near_rad);
+    for _ in 0..TRIES_EACH * count {
+        if visited.robot.len() == count {
+            break;
+        }
+        let [bar_rad, towards] = [(); 2].map(|()| point(design, random));
+        let Ok(q) = constraints.robot_at(&bar_rad, &near_rad) else { continue };
+        if constraints.bent(&q) != bent {
+            continue;
+        }
+        let by: [f64; 5] = std::array::from_fn(|i| towards[i] - bar_rad[i]);
+        let largest = by.iter().fold(0.0_f64, |most, by| most.max(by.abs()));
+        let step = speed_rad_s(design, random) * STEP_S / largest.max(1e-9);
+        let next_rad: [f64; 5] = std::array::from_fn(|i| bar_rad[i] + step * by[i]);
+        let Ok(next) = constraints.inverse(&constraints.bar().forward(&next_rad), &q) else { continue };
+        let qd = Joints::from_fn(q.len(), |i| (next[i] - q[i]) / STEP_S);
+        let fastest = qd.iter().fold(0.0_f64, |most, qd| most.max(qd.abs()));
+        let slower = (design.robot_speed_rad_s / fastest.max(1e-9)).min(1.0);
+        visited.bar_rad.push(bar_rad);
+        visited.robot.push(JointState { qd: qd.map(|qd| slower * qd), ..JointState::at_rest(q) });
+        near_rad = q;
+    }
+    visited
 }
 
 fn start(constraints: &Constraints<'_>, random: &mut impl Rng) -> Result<([f64; 5], Joints), PlanError> {

@@ -1,18 +1,20 @@
 //! Makes a path better, one point at a time, for as long as there is time: a first path at once, better ones until the
 //! budget ends.
 //!
-//! A point of the path is moved, or its moves made faster or slower; what two moves and their neighbours determine is computed
+//! A point of the path is moved, also towards poses that are worth most by themselves, or its moves made faster or slower; what two moves and their neighbours determine is computed
 //! again, the rest is kept. A change stays where it makes the criterion better and the path still keeps to all constraints.
 
 use std::time::{Duration, Instant};
 
 use rand::Rng;
+use rand::seq::IndexedRandom;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 
+use super::optimum::goals;
 use super::random::{point, random_route, speed_rad_s};
-use super::{Bodies, Constraints, Design, Information, Obstacle, Path, PlanError, Route};
+use super::{Bodies, Constraints, Design, Information, Obstacle, Path, PlanError, Route, Visited};
 use crate::kinematics::Joints;
 use crate::model::JointState;
 use crate::solver::Normal;
@@ -114,9 +116,11 @@ pub fn search(
     };
     let mut progress = Progress { tried: 0, taken: 0, score };
     let mut total = pieces.total(information);
+    let mut found_goals = None;
     while begun.elapsed() < budget && !is_over(&progress) {
         progress.tried += 1;
-        let Some(change) = pieces.changed(constraints, information, &mut random) else { continue };
+        let goals = found_goals.get_or_insert_with(|| goals(constraints, information, &mut random));
+        let Some(change) = pieces.changed(constraints, information, goals, &mut random) else { continue };
         let new = change.total(information);
         let new_score = information.score(&new);
         if new_score < score {
@@ -207,6 +211,7 @@ impl Pieces {
         &self,
         constraints: &Constraints<'_>,
         information: &Information,
+        goals: &[[f64; 5]],
         random: &mut ChaCha8Rng,
     ) -> Option<Self> {
         let design = constraints.design;
@@ -218,6 +223,10 @@ impl Pieces {
             0 if index < count => old_rad,
             1 => {
                 let (goal, part) = (point(design, random), random.random_range(0.2..1.0));
+                std::array::from_fn(|i| old_rad[i] + part * (goal[i] - old_rad[i]))
+            }
+            2 if let Some(goal) = goals.choose(random) => {
+                let part = if random.random() { 1.0 } else { random.random_range(0.2..1.0) };
                 std::array::from_fn(|i| old_rad[i] + part * (goal[i] - old_rad[i]))
             }
             _ => std::array::from_fn(|i| {
@@ -271,7 +280,8 @@ fn piece_information(
         JointState { qd, ..JointState::at_rest(robot[look]) }
     };
     let looks = (0..robot.len()).step_by(LOOKS_PER_POSE);
-    let states: Vec<JointState> = looks.clone().map(state).collect();
+    let robot = looks.clone().map(state).collect();
     let bar_rad: Vec<[f64; 5]> = looks.map(|look| path.at(from_s + step_s * look as f64)).collect();
-    information.of(&bar_rad, &states, (until_s - from_s) / bar_rad.len().max(1) as f64)
+    let period_s = (until_s - from_s) / bar_rad.len().max(1) as f64;
+    information.of(&Visited { bar_rad, robot }, period_s)
 }

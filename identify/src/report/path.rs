@@ -17,8 +17,14 @@ const PLACES_SHOWN: usize = 10;
 /// So many parameters of a kind are named.
 const NAMED: usize = 12;
 
-/// The lines about a path, each ended. `found` is how it was found.
-pub fn summary(checked: &Checked, information: &Information, found: Option<&Found>) -> String {
+/// The lines about a path, each ended. `found` is how it was found, `position_m_min` what poses without any motion between them
+/// leave at least \[m\].
+pub fn summary(
+    checked: &Checked,
+    information: &Information,
+    position_m_min: Option<f64>,
+    found: Option<&Found>,
+) -> String {
     let mut text = String::new();
     let mm = |m: f64| format!("{:.4} mm", m * 1e3);
     // Writing to a string cannot fail.
@@ -35,6 +41,14 @@ pub fn summary(checked: &Checked, information: &Information, found: Option<&Foun
     );
     for one in information.with_each(&checked.normal) {
         let _ = writeln!(text, "  {:<34}{}", one.group.name(), mm(one.position_m));
+    }
+    if let Some(least_m) = position_m_min {
+        let _ = writeln!(
+            text,
+            "efficiency {:.0} %: poses without any motion between them, as often as one likes, leave at least {} with all terms",
+            100.0 * (least_m / expected.with_terms_m).powi(2),
+            mm(least_m)
+        );
     }
     if let Some(found) = found {
         let best = found.random_scores.iter().copied().fold(f64::INFINITY, f64::min);
