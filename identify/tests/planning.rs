@@ -12,7 +12,7 @@ use identify::kinematics::{Chain, Joints, ball_bar_chain, robot_chain, robot_inv
 use identify::logs::{RobotLog, Stream};
 use identify::model::ParameterId;
 use identify::plan::{
-    Bodies, Checked, Constraints, Criterion, Design, Found, Information, Language,
+    Bodies, Checked, Constraints, Criterion, Design, ExpectedPosition, Found, Information, Language,
     Obstacle, PlaceRequest, PlannedPath, Visited, check, places, position_m_min, program, robot_path, search,
 };
 use identify::robot::import;
@@ -469,6 +469,33 @@ fn proposed_places_of_the_bar_have_paths_for_robots_large_and_small() {
         let path = cell.robot_path(&cell.search(1, 0));
         assert_eq!(cell.check(&path).violations, [], "{name}");
     }
+}
+
+#[test]
+fn a_second_station_adds_what_more_of_the_first_does_not() {
+    let (robot, bar) = (irb2400(), bar());
+    let request = PlaceRequest {
+        robot: &robot,
+        bar: &bar,
+        design: &Design { duration_s: 20.0, ..Design::for_robot(&robot) },
+        bodies: &Bodies::for_reach(1.5),
+        acceleration_rad_s2: 5.0,
+        lengths_m: &[0.5, 0.6],
+        height_m: [0.0, 1.0],
+        criterion: Criterion::Position,
+    };
+    let found = places(&request, 1, Duration::from_secs(3600), |tried| tried >= 12).unwrap();
+    let (first, second) = (&found.found[0], found.second.as_ref().unwrap());
+    assert!(second.place.base_m != first.base_m && second.place.length_m == first.length_m);
+    let errors =
+        |expected: &ExpectedPosition| [expected.axes_exact_m, expected.with_terms_m, expected.with_plate_m];
+    let [alone, twice, both] = [&first.expected, &second.twice_as_long, &second.expected].map(errors);
+    for ((alone, twice), both) in alone.into_iter().zip(twice).zip(both) {
+        // Noise falls by the root of two, what a station leaves open by nothing.
+        assert!(both < alone && twice < alone && twice > 0.7 * alone, "{alone} {twice} {both}");
+    }
+    // Gears err by as much as they may where the first station does not turn the joints.
+    assert!(both[1] < 0.5 * twice[1], "{both:?} {twice:?}");
 }
 
 #[test]

@@ -458,7 +458,7 @@ fn place(arguments: &PlaceArguments) -> anyhow::Result<()> {
     });
     terminal.finish();
     let places = places?;
-    show(path::places(&places))?;
+    show(path::places(&places, loaded.design.duration_s))?;
     anyhow::ensure!(
         !places.found.is_empty(),
         "no place had a path; give a longer --budget, another --height, other --lengths, or slower motion"

@@ -184,6 +184,14 @@ impl Information {
         Some(self)
     }
 
+    /// The same after a run with the bar elsewhere that determines this. None where it leaves a parameter open.
+    #[must_use]
+    pub fn after_run(&self, normal: &Normal) -> Option<Self> {
+        let covariance = self.covariance_of(normal)?;
+        let between = |a, b| Some(covariance[(self.model.column_of(a)?, self.model.column_of(b)?)]);
+        self.clone().after(between)
+    }
+
     /// Normal equations of poses that are `period_s` apart, each counting as all samples of that time.
     pub fn of(&self, poses: &Visited, period_s: f64) -> Normal {
         let folds = [(0..poses.bar_rad.len()).collect()];

@@ -25,7 +25,7 @@ pub use design::Design;
 pub use information::{Criterion, ExpectedPosition, Information, Visited, WithTerms};
 pub use optimum::{Optimum, position_m_min};
 pub use path::{Move, Path};
-pub use place::{Place, PlaceRequest, Places, places};
+pub use place::{Place, PlaceRequest, Places, Second, places};
 pub use poses::{
     Determined, Measures, PlannedPoses, PoseRequest, PosesError, poses, poses_position_m_min, random_postures,
 };

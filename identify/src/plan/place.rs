@@ -14,6 +14,7 @@ use super::search::{Pieces, tight_design, tightened};
 use super::{Bodies, Constraints, Criterion, Design, ExpectedPosition, Information, random_route};
 use crate::kinematics::{Chain, Joints, ball_bar_chain, ball_bar_inverse, robot_chain};
 use crate::model::ModelError;
+use crate::solver::Normal;
 
 /// Random paths at each place; the best counts.
 const PATHS: usize = 2;
@@ -21,7 +22,7 @@ const PATHS: usize = 2;
 const STEP_M: f64 = 0.05;
 
 /// A place of the bar and what a path there determines.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Place {
     /// Centre of the gimbal in the robot's base frame \[m\].
     pub base_m: [f64; 3],
@@ -33,6 +34,19 @@ pub struct Place {
     pub score: f64,
     /// Position errors that a calibration leaves.
     pub expected: ExpectedPosition,
+    /// What the path there determines.
+    pub normal: Normal,
+}
+
+/// What a second run adds to one at the best place.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Second {
+    /// Where the same bar adds most.
+    pub place: Place,
+    /// Position errors that a calibration of both runs leaves, each with its own base, offsets and clocks.
+    pub expected: ExpectedPosition,
+    /// And where the run at the best place is twice as long instead.
+    pub twice_as_long: ExpectedPosition,
 }
 
 /// What places are looked for.
@@ -63,6 +77,8 @@ pub struct Places {
     pub found: Vec<Place>,
     /// Without.
     pub without_path: usize,
+    /// None where only one place with the best one's rod has a path.
+    pub second: Option<Second>,
 }
 
 /// Tries places until `budget` is over or `is_over` says so, which is told how many were tried.
@@ -77,11 +93,11 @@ pub fn places(
 ) -> Result<Places, ModelError> {
     let begun = Instant::now();
     let mut random = ChaCha8Rng::seed_from_u64(seed);
-    let mut places = Places { found: Vec::new(), without_path: 0 };
+    let mut places = Places { found: Vec::new(), without_path: 0, second: None };
     let mut tried = 0;
     while begun.elapsed() < budget && !is_over(tried) {
         let length_m = request.lengths_m.get(tried % request.lengths_m.len().max(1)).copied();
-        let bar = BallBarConfig { length_m: length_m.unwrap_or(request.bar.length_m), ..request.bar.clone() };
+        let bar = request.bar_of(length_m.unwrap_or(request.bar.length_m));
         tried += 1;
         let Some((base_m, posture_deg)) = request.somewhere(&bar, &mut random) else {
             places.without_path += 1;
@@ -93,6 +109,7 @@ pub fn places(
         }
     }
     places.found.sort_by(|a, b| a.score.total_cmp(&b.score));
+    places.second = request.second(&places.found)?;
     Ok(places)
 }
 
@@ -152,6 +169,34 @@ impl PlaceRequest<'_> {
         constraints
     }
 
+    fn bar_of(&self, length_m: f64) -> BallBarConfig {
+        BallBarConfig { length_m, ..self.bar.clone() }
+    }
+
+    fn information(&self, bar: &BallBarConfig, chains: (&Chain, &Chain)) -> Result<Information, ModelError> {
+        Information::new((self.robot, bar), chains, self.criterion, self.design.duration_s)
+    }
+
+    /// Which of the places after the first adds most to it.
+    fn second(&self, found: &[Place]) -> Result<Option<Second>, ModelError> {
+        let Some((first, others)) = found.split_first() else { return Ok(None) };
+        let bar = self.bar_of(first.length_m);
+        let information = self.information(&bar, (&robot_chain(self.robot, &bar), &ball_bar_chain(&bar)))?;
+        let Some(known) = information.after_run(&first.normal) else { return Ok(None) };
+        let mut twice = first.normal.clone();
+        twice += &first.normal;
+        let best = others
+            .iter()
+            .filter(|place| place.length_m == first.length_m)
+            .map(|place| (known.score(&place.normal), place))
+            .min_by(|a, b| a.0.total_cmp(&b.0));
+        Ok(best.map(|(_, place)| Second {
+            place: place.clone(),
+            expected: known.position(&place.normal),
+            twice_as_long: information.position(&twice),
+        }))
+    }
+
     fn at(
         &self,
         bar: &BallBarConfig,
@@ -162,8 +207,7 @@ impl PlaceRequest<'_> {
         let design = Design { base_m, posture_deg, ..self.design.clone() };
         let (arm, mut chain) = (robot_chain(self.robot, bar), ball_bar_chain(bar));
         chain.root_from_base.translation.vector = base_m.into();
-        let information =
-            Information::new((self.robot, bar), (&arm, &chain), self.criterion, design.duration_s)?;
+        let information = self.information(bar, (&arm, &chain))?;
         let limits = self.robot.joint_limits();
         let constraints = self.constraints(&arm, &chain, &limits, &design);
         let tight_design = tight_design(&design);
@@ -175,8 +219,8 @@ impl PlaceRequest<'_> {
             let Ok(pieces) = Pieces::of(&tight, &information, &route) else { continue };
             let normal = pieces.total(&information);
             let (score, expected) = (information.score(&normal), information.position(&normal));
-            if score.is_finite() && best.is_none_or(|best| score < best.score) {
-                best = Some(Place { base_m, length_m: bar.length_m, posture_deg, score, expected });
+            if score.is_finite() && best.as_ref().is_none_or(|best| score < best.score) {
+                best = Some(Place { base_m, length_m: bar.length_m, posture_deg, score, expected, normal });
             }
         }
         Ok(best)

@@ -10,7 +10,7 @@ use crate::logs::{
     PositionColumns, RotationColumns, RotationForm, joint_columns,
 };
 use crate::model::ParameterId;
-use crate::plan::{Checked, Found, Information, Measures, Places, PlannedPoses};
+use crate::plan::{Checked, ExpectedPosition, Found, Information, Measures, Places, PlannedPoses};
 
 /// So many places are shown.
 const PLACES_SHOWN: usize = 10;
@@ -99,8 +99,15 @@ pub fn summary(
     text
 }
 
-/// The best places of the bar, a line for each.
-pub fn places(places: &Places) -> String {
+/// The best places of the bar, a line for each, and what a second run of this length adds to the first of them.
+pub fn places(places: &Places, duration_s: f64) -> String {
+    let cells = |expected: &ExpectedPosition| {
+        format!("{:>12.4}{:>12.4}", expected.axes_exact_m * 1e3, expected.with_terms_m * 1e3)
+    };
+    let list = |numbers: &[f64], digits: usize| {
+        let numbers: Vec<String> = numbers.iter().map(|x| format!("{:.digits$}", x + 0.0)).collect();
+        numbers.join(",")
+    };
     let mut text = format!(
         "{} places with a path, {} without; expected RMS position error where the axes have no errors, and with all their terms\n\
          {:>26}{:>9}{:>12}{:>12}   {}\n",
@@ -113,17 +120,41 @@ pub fn places(places: &Places) -> String {
         "--posture [deg]"
     );
     for place in places.found.iter().take(PLACES_SHOWN) {
-        let base: Vec<String> = place.base_m.iter().map(|x| format!("{:.2}", x + 0.0)).collect();
-        let posture: Vec<String> = place.posture_deg.iter().map(|q| format!("{:.0}", q + 0.0)).collect();
         // Writing to a string cannot fail.
         let _ = writeln!(
             text,
-            "{:>26}{:>9.3}{:>12.4}{:>12.4}   {}",
-            base.join(","),
+            "{:>26}{:>9.3}{}   {}",
+            list(&place.base_m, 2),
             place.length_m,
-            place.expected.axes_exact_m * 1e3,
-            place.expected.with_terms_m * 1e3,
-            posture.join(",")
+            cells(&place.expected),
+            list(&place.posture_deg, 0)
+        );
+    }
+    if let (Some(first), Some(second)) = (places.found.first(), &places.second) {
+        let gain = |expected: &ExpectedPosition| {
+            let um = (first.expected.with_terms_m - expected.with_terms_m) * 1e6;
+            format!("{:>14.3}", um / (duration_s / 60.0))
+        };
+        let _ = writeln!(
+            text,
+            "what a second run there adds to one at the best place, in position error with all terms per minute of its recording\n\
+             {:>35}{:>12}{:>12}{:>14}\n\
+             {:>35}{}\n{:>35}{}{}\n{:>35}{}{}\n\
+             the station: --base {} --posture {}",
+            "",
+            "[mm]",
+            "[mm]",
+            "[um/min]",
+            "best place alone",
+            cells(&first.expected),
+            "recorded twice as long",
+            cells(&second.twice_as_long),
+            gain(&second.twice_as_long),
+            "second station of the bar",
+            cells(&second.expected),
+            gain(&second.expected),
+            list(&second.place.base_m, 2),
+            list(&second.place.posture_deg, 0)
         );
     }
     text
