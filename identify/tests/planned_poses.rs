@@ -14,11 +14,13 @@ use identify::plan::{
     Bodies, Measures, PlannedPoses, PoseRequest, poses, poses_position_m_min, random_postures,
 };
 use identify::robot::import;
+use nalgebra::{Point3, Vector3};
 use rand::seq::index;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use shared::config::{self, RobotConfig};
 
+use crate::support::browser;
 use crate::support::command::identify;
 use crate::support::rows::Alone;
 use crate::support::{measured_data, repository, ur10};
@@ -135,6 +137,20 @@ fn fifty_poses_cannot_be_expected_to_do_the_work_of_two_hundred_random_ones() {
     }
 }
 
+#[test]
+#[ignore = "needs chromium"]
+fn a_browser_draws_the_arm_from_pose_to_pose_and_asks_nobody_else() {
+    let directory = tempfile::tempdir().unwrap();
+    let arguments =
+        ["plan", "poses", "--draw", "60", "--count", "12", "--measures", "positions", "--floor", "-0.2"];
+    assert!(identify(&arguments, "ur10.toml", directory.path()).status.success());
+    let shown = browser::shown(&std::fs::read_to_string(directory.path().join("poses.html")).unwrap());
+    // The script writes which pose it draws.
+    let pose = shown.document.split_once("id=\"path-shown\">").unwrap().1.split_once('<').unwrap().0;
+    assert!(pose.starts_with("pose ") && pose.ends_with(" of 12"), "{pose:?} {}", shown.stderr);
+    assert_eq!(shown.foreign, Vec::<String>::new());
+}
+
 /// From pose to pose, and how far each joint goes at most.
 fn moves(joints: &[Joints]) -> impl Iterator<Item = f64> + '_ {
     let far =
@@ -214,6 +230,21 @@ fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_eac
     assert_eq!(joints.len(), 20);
     let _: MeasuredPoseMapping = config::load(&out.join("poses.toml")).unwrap();
     let read = |name: &str| std::fs::read_to_string(out.join(name)).unwrap();
+    // The page has the arm in each of them: where the target is at every stop is where the joints of the table have it.
+    let page = read("poses.html");
+    let scene = browser::scene(&page);
+    let (frames, point) = (scene["frames"].as_array().unwrap(), scene["ends"].as_u64().unwrap() as usize);
+    let every = scene["frames_per_pose"].as_u64().unwrap() as usize;
+    assert_eq!(frames.len(), 19 * every + 1);
+    let arm = flange_chain(&ur10());
+    for (frame, q) in frames.iter().step_by(every).zip(&joints) {
+        let target = arm.forward(q) * Point3::new(0.0, 0.0, 0.1);
+        let drawn = Point3::from(Vector3::from_fn(|axis, _| frame[3 * point + axis].as_f64().unwrap()));
+        assert!((target - drawn).norm() < 2e-3, "{target} {drawn}");
+    }
+    for shown in ["with 20 random ones", "backlash", "travel in all", "links, lengths and angles alike"] {
+        assert!(page.contains(shown), "{shown}");
+    }
     let script = read("measure_poses.script");
     let stops: Vec<&str> = script.lines().filter_map(|line| line.trim().strip_prefix("movej([")).collect();
     assert_eq!(stops.len(), 20);

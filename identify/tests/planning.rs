@@ -778,8 +778,7 @@ fn the_command_plans_checks_and_simulates_what_it_planned() {
     assert!(!other.status.success() && String::from_utf8_lossy(&other.stderr).contains("is a path of ABB"));
     // What the page shows first, and what it does, as a browser has it.
     let page = std::fs::read_to_string(out.join("path.html")).unwrap();
-    let scene = page.split_once("id=\"path-scene\"").unwrap().1.split_once('>').unwrap().1;
-    let scene: serde_json::Value = serde_json::from_str(scene.split_once("</script>").unwrap().0).unwrap();
+    let scene = browser::scene(&page);
     let (frames, ends) = (scene["frames"].as_array().unwrap(), scene["ends"].as_u64().unwrap() as usize);
     assert!(frames.len() > 500 && frames.len() == scene["times_s"].as_array().unwrap().len());
     for frame in frames {

@@ -20,7 +20,7 @@ use crate::plan::{
     PlannedPath, PoseRequest, ProgramError, Progress, Task,
 };
 use crate::report::file::CalibrationFile;
-use crate::report::page::PathPage;
+use crate::report::page::{PathPage, PosesPage};
 use crate::report::path;
 
 /// Axes without which an arm cannot follow the bar in all its directions.
@@ -149,7 +149,7 @@ struct PosesArguments {
     /// What is measured at each pose
     #[arg(long, value_enum)]
     measures: Measures,
-    /// Directory for poses.csv, its mapping poses.toml and a program for the robot's controller
+    /// Directory for poses.csv, its mapping poses.toml, poses.html and a program for the robot's controller
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Poses to choose
@@ -418,6 +418,16 @@ fn poses(arguments: &PosesArguments) -> anyhow::Result<()> {
     let (table, mapping) = path::pose_table(&planned.joints, &robot, *measures)?;
     write(&out.join("poses.csv"), &table)?;
     write(&out.join("poses.toml"), &mapping)?;
+    let page = PosesPage {
+        robot: &robot.name,
+        arm: &flange_chain(&robot),
+        limits: &robot.joint_limits(),
+        target_m: arguments.target,
+        planned: &planned,
+        candidates: candidates.len(),
+        bodies,
+    };
+    say(page.write(out)?.display())?;
     programs(&arguments.program, &robot, Task::Poses, out, |language| {
         plan::pose_program(language, &planned.joints, &robot, arguments.stand.as_secs_f64())
     })

@@ -31,26 +31,24 @@ pub struct Bodies {
     pub clearance_m_min: f64,
 }
 
-/// Where the middles of arm and bar are in one pose \[m\].
+/// Where the middles of an arm's links are in one pose \[m\].
 #[derive(Debug, Clone, PartialEq)]
 pub struct Skeleton {
     /// Each link: where it begins, along its joint's axis, where it ends.
     pub links: Vec<[Vector3<f64>; 3]>,
     /// Where the plate begins.
     pub plate_from: Vector3<f64>,
-    /// Where plate and rod end.
+    /// Where the plate ends.
     pub end: Vector3<f64>,
-    /// Where the rod begins.
-    pub gimbal: Vector3<f64>,
 }
 
 impl Skeleton {
     /// Of a posture of the robot.
-    pub fn of(robot: &Chain, bar: &Chain, robot_rad: &[f64]) -> Self {
+    pub fn of(robot: &Chain, robot_rad: &[f64]) -> Self {
         let (links, end) = links(robot, robot_rad);
         let end = end.translation.vector;
         let plate_from = links.last().map_or(end, |[_, elbow, _]| *elbow);
-        Self { links, plate_from, end, gimbal: bar.root_from_base.translation.vector }
+        Self { links, plate_from, end }
     }
 }
 
@@ -70,7 +68,8 @@ impl Bodies {
     /// Smallest distance between rod or plate and everything else, and between the forearm with what it carries and the
     /// cell \[m\]; zero where two overlap.
     pub fn clearance_m(&self, robot: &Chain, bar: &Chain, robot_rad: &[f64]) -> f64 {
-        let Skeleton { links, plate_from, end, gimbal } = Skeleton::of(robot, bar, robot_rad);
+        let Skeleton { links, plate_from, end } = Skeleton::of(robot, robot_rad);
+        let gimbal = bar.root_from_base.translation.vector;
         let plate = self.rod([plate_from, end]);
         let rod = self.rod([gimbal, end]);
         // The last piece of the rod is at the plate, whatever the pose.

@@ -2,8 +2,8 @@
 //!
 //! `random` finds a path that keeps to the `constraints` (which know `bodies`), `search` makes it better by what
 //! `information` says that a calibration learns from it, `check` judges any path by the robot's joints alone, `programs`
-//! writes it for robot controllers, `optimum` is what any of them could determine at best; `place` looks for where the bar should stand, `poses` chooses poses for instruments that measure
-//! a robot at rest.
+//! writes it for robot controllers, `optimum` is what any of them could determine at best; `place` looks for where the bar should
+//! stand, `poses` chooses poses for instruments that measure a robot at rest.
 
 mod bodies;
 mod check;

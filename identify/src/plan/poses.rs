@@ -116,12 +116,19 @@ pub struct Determined {
     pub name: String,
     /// Its parameters.
     pub ids: Vec<ParameterId>,
-    /// Those of them that are hardly determined.
-    pub undetermined: Vec<ParameterId>,
+    /// The part of each one's standard deviation before that is left after.
+    pub left: Vec<f64>,
     /// Expected before, one standard deviation, SI.
     pub prior: f64,
     /// And after, root mean square, SI.
     pub sigma: f64,
+}
+
+impl Determined {
+    /// The parameters that are hardly determined.
+    pub fn undetermined(&self) -> impl Iterator<Item = ParameterId> + '_ {
+        self.ids.iter().zip(&self.left).filter(|(_, left)| **left > UNDETERMINED).map(|(id, _)| *id)
+    }
 }
 
 /// The poses that were chosen.
@@ -383,17 +390,16 @@ impl<'a> Known<'a> {
         let determined = |(name, ids): (String, Vec<ParameterId>)| {
             let columns: Vec<usize> =
                 (0..self.ids.len()).filter(|column| ids.contains(&self.ids[*column])).collect();
-            let left =
-                |&&column: &&usize| covariance[(column, column)] > UNDETERMINED.powi(2) * self.prior[column];
+            let left = |&column: &usize| (covariance[(column, column)].max(0.0) / self.prior[column]).sqrt();
             let mean = |of: &dyn Fn(usize) -> f64| {
                 (columns.iter().map(|&column| of(column)).sum::<f64>() / columns.len().max(1) as f64).sqrt()
             };
             Determined {
-                undetermined: columns.iter().filter(left).map(|&column| self.ids[column]).collect(),
+                left: columns.iter().map(left).collect(),
                 prior: mean(&|column| self.prior[column]),
                 sigma: mean(&|column| covariance[(column, column)]),
                 name,
-                ids,
+                ids: columns.iter().map(|&column| self.ids[column]).collect(),
             }
         };
         std::iter::once(links).chain(kinds).map(determined).collect()

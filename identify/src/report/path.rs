@@ -9,7 +9,6 @@ use crate::logs::{
     CsvLayout, EulerFrame, LengthColumn, LengthUnit, MeasuredLengthMapping, MeasuredPoseMapping,
     PositionColumns, RotationColumns, RotationForm, joint_columns,
 };
-use crate::model::ParameterId;
 use crate::plan::{Checked, ExpectedPosition, Found, Information, Measures, Places, PlannedPoses};
 
 /// So many places are shown.
@@ -177,6 +176,7 @@ pub fn poses(planned: &PlannedPoses, candidates: usize) -> String {
         "undetermined"
     );
     for one in &planned.determined {
+        let undetermined: Vec<String> = one.undetermined().map(|id| id.to_string()).collect();
         let size = |si: f64| one.ids.first().map_or_else(String::new, |id| id.unit().display(si));
         // Writing to a string cannot fail.
         let _ = writeln!(
@@ -186,11 +186,10 @@ pub fn poses(planned: &PlannedPoses, candidates: usize) -> String {
             one.ids.len(),
             size(one.prior),
             size(one.sigma),
-            one.undetermined.len()
+            undetermined.len()
         );
-        if (1..=NAMED).contains(&one.undetermined.len()) {
-            let names: Vec<String> = one.undetermined.iter().map(ParameterId::to_string).collect();
-            let _ = writeln!(text, "  undetermined: {}", names.join(" "));
+        if (1..=NAMED).contains(&undetermined.len()) {
+            let _ = writeln!(text, "  undetermined: {}", undetermined.join(" "));
         }
     }
     if !planned.blocked.is_empty() {

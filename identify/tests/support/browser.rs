@@ -33,6 +33,12 @@ pub fn shown(text: &str) -> Shown {
     }
 }
 
+/// What the view in three dimensions of a page draws.
+pub fn scene(page: &str) -> Value {
+    let scene = page.split_once("id=\"path-scene\"").unwrap().1.split_once('>').unwrap().1;
+    serde_json::from_str(scene.split_once("</script>").unwrap().0).unwrap()
+}
+
 /// The text of each sheet of paper that a page is printed on, as another program reads the PDF.
 pub fn printed(text: &str) -> Vec<String> {
     const READ: &str = "import json, sys, pypdf; print(json.dumps([sheet.extract_text() for sheet in pypdf.PdfReader(sys.argv[1]).pages]))";

@@ -4,7 +4,8 @@ use std::path::{Path, PathBuf};
 
 use maud::{Markup, html};
 
-use super::figures::{WIDE, dots};
+use super::figures::{ROUND, WIDE, dots};
+use super::path_view::{Carried, View, view};
 use super::plot::{BLUE, COLOURS, GREY, Mark, Panel, PlotError, Series};
 use super::sections::svg;
 use super::{PageError, document_with, path_view};
@@ -16,8 +17,6 @@ use crate::report::file::replace;
 
 /// Points of a curve on the page.
 const POINTS: usize = 600;
-/// \[px\]
-const ROUND: (u32, u32) = (450, 444);
 
 /// Everything that the page shows.
 #[derive(Debug)]
@@ -73,7 +72,6 @@ impl PathPage<'_> {
                 } } }
             } }
         };
-        let view = path_view::view(self);
         Ok(document_with(
             &title,
             path_view::SCRIPTS,
@@ -83,20 +81,9 @@ impl PathPage<'_> {
                     p.about { (format!("{:.0} s with the ball-bar, planned", self.checked.duration_s)) }
                 }
                 main {
-                    (view)
+                    (self.view())
                     pre.table { (self.summary) }
-                    @if let Some(bodies) = self.bodies {
-                        p.note {
-                            "Collisions: links of the robot as capsules of " (format!("{:.0}", bodies.link_radius_m * 1e3))
-                            " mm, rod and plate of " (format!("{:.0}", bodies.rod_radius_m * 1e3)) " mm, "
-                            (bodies.boxes_m.len()) " boxes, "
-                            @match bodies.floor_m {
-                                Some(floor_m) => { "floor at " (format!("{floor_m:.3}")) " m." }
-                                None => { "no floor." }
-                            }
-                            " Cables and what else stands in the cell are not known here: drive it slowly first."
-                        }
-                    }
+                    @if let Some(bodies) = self.bodies { (collisions(bodies, true)) }
                     h2 { "Where the bar goes" }
                     figure {
                         div.panels { (svg(sphere)) (svg(margin)) }
@@ -115,6 +102,23 @@ impl PathPage<'_> {
                 }
             },
         ))
+    }
+
+    fn view(&self) -> Markup {
+        let rows = &self.robot_path.q_rad;
+        view(&View {
+            arm: self.arm,
+            carried: Carried::Bar(self.bar.root_from_base.translation.vector),
+            motion: rows
+                .t_s
+                .iter()
+                .copied()
+                .zip(rows.iter().copied())
+                .step_by(View::every(rows.len()))
+                .collect(),
+            frames_per_pose: None,
+            bodies: self.bodies,
+        })
     }
 
     /// Time and index of the rows that are drawn.
@@ -184,6 +188,20 @@ impl PathPage<'_> {
         let (title, y) = ("Distance of the bar from a singular pose".into(), "[deg]".into());
         Panel { title, x: "[s]", y, size: ROUND, series, from_zero: true }.draw()
     }
+}
+
+/// What was looked at for collisions.
+pub(super) fn collisions(bodies: &Bodies, with_bar: bool) -> Markup {
+    html! { p.note {
+        "Collisions: links of the robot as capsules of " (format!("{:.0}", bodies.link_radius_m * 1e3)) " mm"
+        @if with_bar { ", rod and plate of " (format!("{:.0}", bodies.rod_radius_m * 1e3)) " mm" }
+        ", " (bodies.boxes_m.len()) " boxes, "
+        @match bodies.floor_m {
+            Some(floor_m) => { "floor at " (format!("{floor_m:.3}")) " m." }
+            None => { "no floor." }
+        }
+        " Cables and what else stands in the cell are not known here: drive it slowly first."
+    } }
 }
 
 fn over_time(title: &str, unit: &str, series: Vec<Series>) -> Result<String, PlotError> {

@@ -1,10 +1,10 @@
-//! The arm and the bar along a path, to be turned by hand: the scene for `view.js`, which draws it with OGL.
+//! An arm and what it carries along a path or from pose to pose, to be turned by hand: the scene for `view.js`, which draws it with OGL.
 
 use maud::{Markup, PreEscaped, html};
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use serde::Serialize;
 
-use super::PathPage;
+use crate::kinematics::{Chain, Joints};
 use crate::plan::{Bodies, Skeleton};
 
 /// OGL comes first.
@@ -14,6 +14,32 @@ pub(super) const SCRIPTS: &[&str] = &[include_str!("ogl/ogl.iife.min.js"), inclu
 const FRAMES: usize = 1000;
 /// Shorter pieces of a link are not drawn \[m\].
 const PIECE_M_MIN: f64 = 1e-3;
+
+/// What is drawn.
+pub(super) struct View<'a> {
+    pub arm: &'a Chain,
+    pub carried: Carried,
+    /// Time \[s\] and joints of each frame, at least two.
+    pub motion: Vec<(f64, Joints)>,
+    /// Where the arm stands at every so many frames: its poses are marked and counted instead of the time.
+    pub frames_per_pose: Option<usize>,
+    pub bodies: Option<&'a Bodies>,
+}
+
+/// What begins where the arm ends.
+pub(super) enum Carried {
+    /// The bar, up to its gimbal in the robot's base frame \[m\].
+    Bar(Vector3<f64>),
+    /// What is measured, in the flange's frame \[m\].
+    Target(Vector3<f64>),
+}
+
+impl View<'_> {
+    /// Every so many rows of a path of so many are enough for the animation.
+    pub const fn every(rows: usize) -> usize {
+        if rows > FRAMES { rows.div_ceil(FRAMES) } else { 1 }
+    }
+}
 
 /// What `view.js` draws.
 #[derive(Serialize)]
@@ -25,18 +51,17 @@ struct Scene<'a> {
     capsules: Vec<(usize, usize, &'static str, f64)>,
     /// The point whose way is drawn.
     ends: usize,
+    frames_per_pose: Option<usize>,
     boxes_m: &'a [[[f64; 3]; 2]],
     floor_m: f64,
     reach_m: f64,
 }
 
 impl<'a> Scene<'a> {
-    fn of(page: &'a PathPage<'_>, bodies: &'a Bodies) -> Self {
-        let path = page.robot_path;
-        let every = path.q_rad.len().div_ceil(FRAMES).max(1);
-        let rows = path.q_rad.t_s.iter().zip(path.q_rad.iter()).step_by(every);
+    fn of(view: &View<'_>, bodies: &'a Bodies) -> Self {
+        let arm = view.arm;
         let (times_s, skeletons): (Vec<f64>, Vec<Skeleton>) =
-            rows.map(|(t_s, q)| (*t_s, Skeleton::of(page.arm, page.bar, q))).unzip();
+            view.motion.iter().map(|(t_s, q)| (*t_s, Skeleton::of(arm, q))).unzip();
         let mut points: Vec<Vec<Vector3<f64>>> = Vec::new();
         let mut capsules = Vec::new();
         let of_all = |of: &dyn Fn(&Skeleton) -> Vector3<f64>| skeletons.iter().map(of).collect::<Vec<_>>();
@@ -44,7 +69,7 @@ impl<'a> Scene<'a> {
         let is_long = |from: &[Vector3<f64>], to: &[Vector3<f64>]| {
             from.iter().zip(to).any(|(from, to)| (to - from).norm() > PIECE_M_MIN)
         };
-        let links = page.arm.links.len();
+        let links = arm.links.len();
         let mut add = |to: Vec<Vector3<f64>>, colour: &'static str, radius_m: f64| {
             let from = points.len() - 1;
             if points.last().is_some_and(|last| is_long(last, &to)) {
@@ -61,8 +86,15 @@ impl<'a> Scene<'a> {
             }
         }
         add(of_all(&|one| one.end), "plate", bodies.rod_radius_m);
-        add(of_all(&|one| one.gimbal), "rod", bodies.rod_radius_m);
-        let ends = points.len().saturating_sub(2);
+        let (beyond, is_way): (Vec<Vector3<f64>>, bool) = match view.carried {
+            Carried::Bar(gimbal) => (vec![gimbal; times_s.len()], false),
+            Carried::Target(target) => {
+                let place = |(_, q): &(f64, Joints)| (arm.forward(q) * Point3::from(target)).coords;
+                (view.motion.iter().map(place).collect(), true)
+            }
+        };
+        add(beyond, "rod", bodies.rod_radius_m);
+        let ends = points.len().saturating_sub(if is_way { 1 } else { 2 });
         let millimetres = |x: f64| (x * 1e3).round() / 1e3;
         let frame = |row: usize| {
             points.iter().filter_map(|of| of.get(row)).flatten().map(|x| millimetres(*x)).collect()
@@ -72,35 +104,41 @@ impl<'a> Scene<'a> {
             times_s,
             capsules,
             ends,
+            frames_per_pose: view.frames_per_pose,
             boxes_m: &bodies.boxes_m,
             floor_m: bodies.floor_m.unwrap_or_default(),
-            reach_m: page.arm.reach_m(),
+            reach_m: arm.reach_m(),
         }
     }
 }
 
 /// The view with its controls.
-pub(super) fn view(page: &PathPage<'_>) -> Markup {
-    let reach_m = page.arm.reach_m();
-    let otherwise = Bodies::for_reach(reach_m);
-    let scene = Scene::of(page, page.bodies.unwrap_or(&otherwise));
+pub(super) fn view(view: &View<'_>) -> Markup {
+    let otherwise = Bodies::for_reach(view.arm.reach_m());
+    let scene = Scene::of(view, view.bodies.unwrap_or(&otherwise));
+    let (what, when, as_thick) = match view.carried {
+        Carried::Bar(_) => {
+            ("The robot and the bar along the path", "Time along the path", "Links, plate and rod")
+        }
+        Carried::Target(_) => ("The robot in each pose", "Pose", "Links"),
+    };
     // A `<` would end the element that it stands in; numbers are finite.
     let scene = serde_json::to_string(&scene).unwrap_or_default().replace('<', "\\u003c");
     html! {
         figure #path-view {
-            canvas #path-canvas role="img" aria-label="The robot and the bar along the path, in three dimensions" {}
+            canvas #path-canvas role="img" aria-label=(format!("{what}, in three dimensions")) {}
             div.controls {
                 button #path-play type="button" { "Play" }
-                input #path-time type="range" min="0" max="10000" value="0" aria-label="Time along the path";
+                input #path-time type="range" min="0" max="10000" value="0" aria-label=(when);
                 output #path-shown {}
                 button #path-nearer type="button" aria-label="Nearer" { "+" }
                 button #path-farther type="button" aria-label="Farther" { "\u{2212}" }
             }
             figcaption {
-                "Turn it with the mouse or a finger, shift it with the right button or two fingers. Links, plate and rod are as thick as they "
+                "Turn it with the mouse or a finger, shift it with the right button or two fingers. " (as_thick) " are as thick as they "
                 "were for collisions; a square of the grid is 0.5 m, x of the robot's base is red, y green."
             }
-            p.note.unable { "This browser draws nothing in three dimensions (WebGL is off); the figures below have the same path." }
+            p.note.unable { "This browser draws nothing in three dimensions (WebGL is off); the figures below show the same." }
             script #path-scene type="application/json" { (PreEscaped(scene)) }
         }
     }

@@ -1,4 +1,4 @@
-// The arm and the bar along the path, to be turned with mouse or finger. What is drawn is what collisions were checked with.
+// The arm along the path or from pose to pose, to be turned with mouse or finger. What is drawn is what collisions were checked with.
 (() => {
   const { Renderer, Camera, Transform, Program, Mesh, Geometry, Cylinder, Sphere, Box, Orbit, Vec3 } = OGL;
   const scene = JSON.parse(document.getElementById("path-scene").textContent);
@@ -108,8 +108,14 @@
     tip[i] = 0.25 * reach;
     capsule(axis, 0.006 * reach)(new Vec3(), tip);
   });
-  const { frames, capsules, ends } = scene;
+  const { frames, capsules, ends, frames_per_pose } = scene;
   lines(frames.flatMap((frame) => frame.slice(3 * ends, 3 * ends + 3)), "path", gl.LINE_STRIP);
+  frames.forEach((frame, i) => {
+    if (!frames_per_pose || i % frames_per_pose) return;
+    const stop = add(sphere, "rod");
+    stop.position.set(...frame.slice(3 * ends, 3 * ends + 3));
+    stop.scale.set(0.016 * reach);
+  });
   const bodies = capsules.map(([from, to, colour, radius]) => ({ from, to, place: capsule(colour, radius) }));
 
   const camera = new Camera(gl, { near: 0.01 * reach, far: 20 * reach, fov: 35 });
@@ -140,7 +146,9 @@
     bodies.forEach(({ from, to, place }) => place(vector(frame, from), vector(frame, to)));
     play.textContent = playing ? "Pause" : "Play";
     when.value = (when.max * now_s) / end_s;
-    shown.textContent = `${now_s.toFixed(1)} of ${end_s.toFixed(0)} s`;
+    shown.textContent = frames_per_pose
+      ? `pose ${1 + Math.floor(now_s + 0.5)} of ${1 + (frames.length - 1) / frames_per_pose}`
+      : `${now_s.toFixed(1)} of ${end_s.toFixed(0)} s`;
     const [width, height] = [canvas.parentElement.clientWidth, Math.min(canvas.parentElement.clientWidth, 480)];
     if (renderer.width !== width || renderer.height !== height) {
       renderer.dpr = Math.min(window.devicePixelRatio, 2);
