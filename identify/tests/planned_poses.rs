@@ -134,6 +134,7 @@ fn fifty_poses_cannot_be_expected_to_do_the_work_of_two_hundred_random_ones() {
             few.position_m, few.random_m, many.random_m, many.position_m
         );
         assert!(least_m < few.position_m && few.position_m < few.random_m);
+        assert!(least_m > 1.2 * many.random_m, "{least_m} {}", many.random_m);
     }
 }
 
