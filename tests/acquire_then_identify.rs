@@ -7,7 +7,7 @@ use std::path::Path;
 use ballbard::commands::{Layout, write_csv};
 use ballbard::run::{BusChoice, RunRequest};
 use identify::calibrate::ball_bar::{self, CalibrateError};
-use identify::calibrate::truth::Comparison;
+use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, SelectionName};
 use identify::logs::{self, BarLog};
 use identify::model::ParameterId;

@@ -10,7 +10,7 @@ use identify::calibrate::mix::{DataSets, Measured, Rows, calibrate};
 use identify::calibrate::{HoldOut, IdentifyConfig, JointTermsConfig};
 use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Joints, Pose, flange_chain};
-use identify::report::urdf::urdf;
+use identify::report::result::urdf::urdf;
 use identify::robot::import;
 use serde_json::{Value, json};
 use shared::config::{self, JointKind, RobotConfig};

@@ -5,7 +5,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use identify::calibrate::truth::Comparison;
+use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, ball_bar};
 use identify::logs::{
     BarLog, LogError, LogOptions, Origin, RobotLog, RobotLogMapping, load, load_with, read,

@@ -11,7 +11,7 @@ use identify::kinematics::{
     robot_inverse_all,
 };
 use identify::model::{DriveTrain, JointTerm, Load, Model, ParameterId, Period};
-use identify::report::urdf::urdf;
+use identify::report::result::urdf::urdf;
 use identify::robot::{ImportError, Imported, check, import};
 use nalgebra::{Rotation3, Vector3};
 use rand::rngs::StdRng;

@@ -4,7 +4,7 @@
 use crate::support::{bar, irb2400};
 use identify::calibrate::{IdentifyConfig, ball_bar};
 use identify::evaluate::{Consistency, ConsistencyError};
-use identify::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
+use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use identify::report::side_by_side;
 use identify::simulate::{self, Effects, Experiment, StaticErrors};
 

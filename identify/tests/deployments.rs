@@ -7,8 +7,8 @@ use std::collections::BTreeMap;
 use std::io::Write;
 use std::process::{Command, Stdio};
 
-use identify::calibrate::deployment::Deployment;
 use identify::calibrate::rows::Stages;
+use identify::calibrate::validation::deployment::Deployment;
 use identify::evaluate::rms;
 use identify::instrument::PoseRow;
 use identify::kinematics::flange_chain;

@@ -6,9 +6,9 @@
 
 use crate::support::{bar, irb2400, nj220};
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
-use identify::calibrate::deployment::Deployment;
-use identify::calibrate::held_out::without_each_segment;
-use identify::calibrate::truth::Comparison;
+use identify::calibrate::validation::deployment::Deployment;
+use identify::calibrate::validation::held_out::without_each_segment;
+use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig, SelectionName};
 use identify::evaluate::{evidence, held_out, nominals};
 use identify::model::ParameterId;

@@ -8,7 +8,7 @@
 use crate::support::laboratory::{self, Level};
 use crate::support::truth::position_error_m;
 use crate::support::{bar, irb2400, nj220};
-use identify::calibrate::truth::Comparison;
+use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, SelectionName, ball_bar};
 use identify::evaluate::workspace_error;
 use identify::model::ParameterId;

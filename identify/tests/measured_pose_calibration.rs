@@ -5,15 +5,15 @@
 use std::path::Path;
 
 use identify::calibrate::HoldOut;
-use identify::calibrate::deployment::Deployment;
 use identify::calibrate::rows::tracker::validate;
 use identify::calibrate::rows::{PoseFigures, Stages};
+use identify::calibrate::validation::deployment::Deployment;
 use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Pose, flange_chain};
 use identify::logs::{MeasuredPoseMapping, MeasuredPoses, PoseUncertainty};
 use identify::model::{JointState, Model, ParameterId};
-use identify::report::corrections::Correction;
-use identify::report::file::CalibrationFile;
+use identify::report::result::corrections::Correction;
+use identify::report::result::file::CalibrationFile;
 use nalgebra::{Rotation3, Vector3};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};

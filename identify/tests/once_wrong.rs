@@ -3,7 +3,7 @@
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
-use identify::calibrate::truth::Comparison;
+use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{Elongation, evidence};
 use identify::instrument::PoseRow;

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use identify::calibrate::IdentifyConfig;
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
-use identify::calibrate::terms::TermGroup;
+use identify::calibrate::selection::terms::TermGroup;
 use identify::kinematics::{Chain, Joints, ball_bar_chain, robot_chain, robot_inverse};
 use identify::logs::{RobotLog, Stream};
 use identify::model::ParameterId;

@@ -3,7 +3,7 @@
 
 use crate::support::{bar, irb2400};
 use identify::calibrate::ball_bar::BallBarCalibration;
-use identify::calibrate::truth::Comparison;
+use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, ball_bar};
 use identify::model::ParameterId;
 use identify::prepare::SampleStatus;

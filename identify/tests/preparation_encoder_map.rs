@@ -3,7 +3,7 @@
 
 use crate::support::laboratory::exchange;
 use crate::support::{bar, irb2400, nj220};
-use identify::calibrate::truth::Comparison;
+use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, ball_bar};
 use identify::model::ParameterId;
 use identify::prepare::{

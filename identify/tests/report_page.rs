@@ -6,12 +6,12 @@ use std::sync::OnceLock;
 use crate::support::truth::position_error_m;
 use crate::support::{browser, irb2400};
 use identify::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
-use identify::calibrate::held_out::without_each_segment;
+use identify::calibrate::validation::held_out::without_each_segment;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{Evidence, evidence, held_out, nominals, workspace_error};
 use identify::prepare::PrepareOptions;
-use identify::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use identify::report::page::Page;
+use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use identify::simulate::{self, Design, Effects, Experiment, Simulated, StaticErrors};
 use shared::config::{BallBarConfig, RobotConfig};
 

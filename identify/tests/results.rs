@@ -2,12 +2,12 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test stops at the first surprise")]
 
 use crate::support::{Cell, noisy_poses};
-use identify::calibrate::deployment::{Deployed, Deployment};
+use identify::calibrate::validation::deployment::{Deployed, Deployment};
 use identify::cost::{LoopProblem, Residual, Transform};
 use identify::kinematics::{Chain, DhLink, Pose};
 use identify::model::{Model, Selection};
-use identify::report::deployments::DeploymentEntry;
-use identify::report::file::{CalibrationFile, DhRow, ParameterEntry, SolveEntry};
+use identify::report::result::deployments::DeploymentEntry;
+use identify::report::result::file::{CalibrationFile, DhRow, ParameterEntry, SolveEntry};
 use identify::report::table;
 use identify::solver::{Options, Solution, solve};
 

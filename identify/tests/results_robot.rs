@@ -4,15 +4,15 @@
 use std::f64::consts::FRAC_PI_2;
 
 use crate::support::independent::{Matrix, identity, product, shift, turn};
-use identify::calibrate::deployment::Deployment;
+use identify::calibrate::validation::deployment::Deployment;
 use identify::evaluate::{CalibratedRobot, CalibratedRobotError};
 use identify::kinematics::{Chain, InverseError, Joints, Pose, robot_chain};
 use identify::logs::JointConversion;
 use identify::model::Model;
-use identify::report::corrections::{Correction, corrections, csv};
-use identify::report::file::{CalibrationFile, ParameterEntry, SolveEntry, Status};
-use identify::report::knowledge::CovarianceEntry;
-use identify::report::urdf::urdf;
+use identify::report::result::corrections::{Correction, corrections, csv};
+use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry, Status};
+use identify::report::result::knowledge::CovarianceEntry;
+use identify::report::result::urdf::urdf;
 use identify::solver::{Identifiability, Summary, Termination};
 use nalgebra::{DMatrix, Vector3};
 use shared::config::RobotConfig;

@@ -12,7 +12,7 @@ use std::path::Path;
 use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Joints, Pose, Trace, Tracer, flange_chain};
 use identify::model::DriveTrain;
-use identify::report::file::CalibrationFile;
+use identify::report::result::file::CalibrationFile;
 use identify::report::verdict::Grade;
 use identify::simulate::contact::{self, ContactExperiment, SimulatedContacts};
 use nalgebra::{Point3, Rotation3, Vector3};

@@ -3,11 +3,11 @@
 
 use crate::support::{Cell, bar, irb2400};
 use identify::calibrate::ball_bar::{self, BallBarCalibration, RunInput};
-use identify::calibrate::truth::Comparison;
+use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
 use identify::cost::SharedColumns;
 use identify::model::{ParameterId, Role};
-use identify::report::file::ParameterEntry;
+use identify::report::result::file::ParameterEntry;
 use identify::simulate::{self, Clocks, Design, Effects, Experiment, Simulated};
 use shared::config::BallBarConfig;
 

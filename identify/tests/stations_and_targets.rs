@@ -9,7 +9,7 @@ use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Joints, Pose, flange_chain};
 use identify::logs::{LengthUnit, MeasuredPoseMapping, MeasuredPoses};
 use identify::model::SetUp;
-use identify::report::file::CalibrationFile;
+use identify::report::result::file::CalibrationFile;
 use nalgebra::{Rotation3, Vector3};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};

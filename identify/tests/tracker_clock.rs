@@ -8,7 +8,7 @@ use identify::calibrate::mix::{DataSets, Measured, MixedCalibration, calibrate};
 use identify::logs::{MeasuredPoseMapping, TimedPoses};
 use identify::model::ParameterId;
 use identify::prepare::AlignedPoses;
-use identify::report::file::CalibrationFile;
+use identify::report::result::file::CalibrationFile;
 
 use crate::support::rows::Alone;
 use crate::support::tracker_log::{Followed, Sizes};

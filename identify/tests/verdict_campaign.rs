@@ -7,10 +7,10 @@ use std::collections::BTreeMap;
 
 use identify::calibrate::IdentifyConfig;
 use identify::calibrate::ball_bar::{BallBarCalibration, CalibrateError, calibrate};
-use identify::calibrate::truth::position_errors_m;
+use identify::calibrate::validation::truth::position_errors_m;
 use identify::evaluate::{Expected, WorkspaceError, evidence};
 use identify::kinematics::Joints;
-use identify::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
+use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use identify::report::verdict::{Grade, Verdict};
 use identify::simulate::{Design, Simulated};
 use nalgebra::Vector3;

@@ -4,7 +4,7 @@
 use crate::support::laboratory::of_drive;
 use crate::support::{bar, irb2400, nj220};
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
-use identify::calibrate::truth::Comparison;
+use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{WorkspaceError, limits};
 use identify::kinematics::Joints;

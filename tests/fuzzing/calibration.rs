@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use identify::evaluate::Consistency;
-use identify::report::file::{CalibrationFile, ParameterEntry, SolveEntry, Status};
+use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry, Status};
 use identify::report::side_by_side;
 
 use super::explained;

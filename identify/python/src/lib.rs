@@ -10,7 +10,7 @@ use std::time::Duration;
 use identify::commands::{self, Arguments, interrupt};
 use identify::evaluate::CalibratedRobot;
 use identify::kinematics::Pose;
-use identify::report::file::CalibrationFile;
+use identify::report::result::file::CalibrationFile;
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use pyo3::create_exception;
 use pyo3::exceptions::PyValueError;

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use shared::config::{BallBarConfig, Validate, Violation};
 
-use super::terms::{Kind, TermGroup};
+use super::selection::terms::{Kind, TermGroup};
 use crate::cost::AngleNoise;
 use crate::kinematics::{BAR_JOINTS, LinkParameter};
 use crate::model::{Model, ModelError, ParameterId, Role, Selection, THESIS_FIXED};

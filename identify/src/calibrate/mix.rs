@@ -7,11 +7,11 @@ use super::IdentifyConfig;
 use super::ball_bar::{CalibrateError, RunInput, prepared_runs, solve};
 use super::change::{self, Changed};
 use super::config::SelectionName;
-use super::deployment::{Deployed, Deployment, deployed, fitted};
-use super::links::{free_links, link_ids};
 use super::pipeline::{Plan, Solved, estimate, refit, waves_per_turn};
 use super::rows::{self, RowSet};
-use super::split::HoldOut;
+use super::selection::links::{free_links, link_ids};
+use super::validation::deployment::{Deployed, Deployment, deployed, fitted};
+use super::validation::split::HoldOut;
 use crate::instrument::{
     Contact, ContactError, ContactRow, Instrument, LengthRow, PoseRow, Run, SocketTable, Standing, Tracker,
     Wire,

@@ -1,7 +1,7 @@
 //! Refusals taken apart: a page says more of them than a line on a terminal.
 
 use super::ball_bar::CalibrateError;
-use super::structure::StructureError;
+use super::selection::structure::StructureError;
 use crate::cost::CostError;
 use crate::prepare::{Deviations, Place};
 use crate::solver::SolveError;

@@ -17,7 +17,7 @@ use shared::config::{self, RobotConfig};
 use crate::calibrate::HoldOut;
 use crate::calibrate::mix::SEED;
 use crate::model::ParameterId;
-use crate::report::file::Input;
+use crate::report::result::file::Input;
 
 /// What is calibrated with; an option without an instrument before it is one of the ball-bar.
 #[derive(Debug, Args)]

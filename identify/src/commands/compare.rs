@@ -7,7 +7,7 @@ use clap::Args;
 use shared::output::{say, show};
 
 use crate::evaluate::Consistency;
-use crate::report::file::CalibrationFile;
+use crate::report::result::file::CalibrationFile;
 use crate::report::side_by_side;
 
 #[derive(Debug, Args)]

@@ -19,9 +19,9 @@ use crate::plan::{
     self, Bodies, Constraints, Criterion, Design, Found, Information, Language, Measures, PlaceRequest,
     PlannedPath, PoseRequest, ProgramError, Progress, Task,
 };
-use crate::report::file::CalibrationFile;
 use crate::report::page::{PathPage, PosesPage};
 use crate::report::path;
+use crate::report::result::file::CalibrationFile;
 
 /// Axes without which an arm cannot follow the bar in all its directions.
 const AXES_MIN: usize = 6;
@@ -110,7 +110,7 @@ struct PathArguments {
     #[arg(long, default_value = "2m", value_parser = humantime::parse_duration)]
     duration: Duration,
     /// How long to look for better paths
-    #[arg(long, default_value = "60s", value_parser = humantime::parse_duration)]
+    #[arg(long, default_value = "50s", value_parser = humantime::parse_duration)]
     budget: Duration,
     /// Programs for controllers; default: that of the robot's maker, by its name
     #[arg(long, value_enum, value_delimiter = ',')]

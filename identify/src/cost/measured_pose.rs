@@ -2,8 +2,8 @@
 
 use nalgebra::{Matrix3, Vector3};
 
+use super::bar::pose::inverse_left_jacobian;
 use super::measured_position::Sighting;
-use super::pose::inverse_left_jacobian;
 use super::{Residual, Scene};
 use crate::kinematics::{Pose, rotation_vector};
 use crate::model::{Owner, ParameterId, SetUp};

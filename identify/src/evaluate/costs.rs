@@ -1,9 +1,9 @@
 //! The cost functions side by side: what each identifies on the same runs, and where it leads the robot.
 
-use super::workspace::{Expected, distance_m, workspace_error};
+use super::accuracy::workspace::{Expected, distance_m, workspace_error};
 use crate::calibrate::CostName;
 use crate::calibrate::ball_bar::BallBarCalibration;
-use crate::calibrate::other_costs::OtherCost;
+use crate::calibrate::validation::other_costs::OtherCost;
 use crate::model::{Model, ParameterId, Unit};
 use crate::solver::{Solution, Summary};
 

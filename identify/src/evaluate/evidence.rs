@@ -7,9 +7,9 @@ use super::{
 };
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::ball_bar::{BallBarCalibration, CalibrateError};
-use crate::calibrate::deployment::{Deployed, Deployment};
-use crate::calibrate::held_out::without_each_segment;
-use crate::calibrate::other_costs::other_costs;
+use crate::calibrate::validation::deployment::{Deployed, Deployment};
+use crate::calibrate::validation::held_out::without_each_segment;
+use crate::calibrate::validation::other_costs::other_costs;
 use crate::cost::{Closure, closures};
 use crate::model::Model;
 use crate::prepare::Prepared;

@@ -3,7 +3,7 @@
 use super::nominal::bar_fitted;
 use super::{rms, uncalibrated};
 use crate::calibrate::ball_bar::BallBarCalibration;
-use crate::calibrate::held_out::Segment;
+use crate::calibrate::validation::held_out::Segment;
 use crate::cost::{Closure, closures};
 use crate::kinematics::LinkParameter;
 use crate::model::{Geometry, Model, Observation, ParameterId};

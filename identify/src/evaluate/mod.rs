@@ -1,10 +1,7 @@
 //! What a calibration shows when one looks at it: figures for the report, computed from a solve and never fed back.
 
-mod budget;
-mod calibrated_robot;
-mod consistency;
+mod accuracy;
 mod costs;
-mod cube;
 mod evidence;
 mod figures;
 mod gaps;
@@ -13,14 +10,14 @@ mod limits;
 mod nominal;
 mod shift;
 mod sphere_deviation;
-mod validity;
-mod workspace;
 
-pub use budget::{Budget, Contribution, Evaluation};
-pub use calibrated_robot::{CalibratedRobot, CalibratedRobotError};
-pub use consistency::{Compared, Consistency, ConsistencyError};
+pub use accuracy::budget::{Budget, Contribution, Evaluation};
+pub use accuracy::calibrated_robot::{CalibratedRobot, CalibratedRobotError};
+pub use accuracy::consistency::{Compared, Consistency, ConsistencyError};
+pub use accuracy::cube::CubeError;
+pub use accuracy::validity::Validity;
+pub use accuracy::workspace::{Expected, PlaceError, WorkspaceError, workspace_error};
 pub use costs::{CostComparison, CostEntry, CostFigures, compare_costs};
-pub use cube::CubeError;
 pub use evidence::{Evidence, RunEvidence, evidence};
 pub use figures::{Quantiles, rms};
 pub use gaps::{JointGap, joint_gaps};
@@ -29,5 +26,3 @@ pub use limits::{Limit, ScaleFrom, limits, of_changes, of_lengths};
 pub use nominal::uncalibrated;
 pub use shift::{ShiftCurve, shift_curve};
 pub use sphere_deviation::{Deviation, Elongation, OffSphere, PositiveForce, SphereDeviation};
-pub use validity::Validity;
-pub use workspace::{Expected, PlaceError, WorkspaceError, workspace_error};

@@ -1,6 +1,7 @@
 //! Poses at which the robot stood still while something was measured: what tracker, wire and contact have in common.
 
-use crate::calibrate::{HoldOut, split};
+use crate::calibrate::HoldOut;
+use crate::calibrate::validation::split;
 use crate::kinematics::{Chain, Joints};
 use crate::model::{JointState, RobotMotion};
 

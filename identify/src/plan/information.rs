@@ -13,7 +13,7 @@ use rand_chacha::rand_core::SeedableRng;
 use shared::config::{BallBarConfig, RobotConfig};
 
 use crate::calibrate::IdentifyConfig;
-use crate::calibrate::terms::TermGroup;
+use crate::calibrate::selection::terms::TermGroup;
 use crate::cost::{AngleNoise, LoopProblem, Residual, WhitenedPose};
 use crate::kinematics::{Chain, Joints, LinkParameter, Trace, Tracer};
 use crate::model::{DriveTrain, JointState, Model, ModelError, Observation, ParameterId, RobotMotion, Role};

@@ -16,7 +16,7 @@ use super::Bodies;
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::mix::free_robot;
 use crate::calibrate::rows::{WAVES_PER_TURN_MAX, kinds};
-use crate::calibrate::terms::Kind;
+use crate::calibrate::selection::terms::Kind;
 use crate::cost::{LoopProblem, MeasuredLength, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
 use crate::instrument::standing;
 use crate::kinematics::{Joints, Pose, flange_chain};

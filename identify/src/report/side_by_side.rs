@@ -5,8 +5,8 @@ use std::fmt::Write;
 use maud::{Markup, PreEscaped, html};
 
 use super::page::document;
-use super::page::intervals::Intervals;
-use super::page::plot::{COLOURS, PlotError};
+use super::page::drawing::intervals::Intervals;
+use super::page::drawing::plot::{COLOURS, PlotError};
 use crate::evaluate::{Compared, Consistency};
 use crate::model::Unit;
 

@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use super::file::CalibrationFile;
+use super::result::file::CalibrationFile;
 use super::verdict::Grade;
-use crate::calibrate::deployment::Deployment;
+use crate::calibrate::validation::deployment::Deployment;
 use crate::evaluate::{Limit, WorkspaceError};
 
 /// Columns of a terminal.

@@ -2,10 +2,10 @@
 
 use std::fmt::Write;
 
-use super::file::{CalibrationFile, ParameterEntry, Status};
-use crate::calibrate::deployment::Deployment;
+use super::result::file::{CalibrationFile, ParameterEntry, Status};
 use crate::calibrate::mix::MixedCalibration;
-use crate::calibrate::truth::Comparison;
+use crate::calibrate::validation::deployment::Deployment;
+use crate::calibrate::validation::truth::Comparison;
 use crate::inspect::{Inspection, JointLine};
 use crate::instrument::{Instrument, RejectedRow, Run};
 use crate::kinematics::LinkParameter;
@@ -58,7 +58,7 @@ pub fn calibration(file: &CalibrationFile) -> String {
     }
     text.push_str(&budget(file));
     text.push_str(&candidates(file));
-    text.push_str(&super::validation::describe(file));
+    text.push_str(&super::result::validation::describe(file));
     text.push_str(&joint_offsets(file));
     text
 }

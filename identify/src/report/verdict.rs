@@ -6,9 +6,9 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::earlier::Earlier;
-use super::file::{CalibrationFile, FileError};
-use super::knowledge::ExpectedEntry;
+use super::result::earlier::Earlier;
+use super::result::file::{CalibrationFile, FileError};
+use super::result::knowledge::ExpectedEntry;
 use crate::calibrate::rows::is_surely_worse;
 use crate::evaluate::{Limit, WorkspaceError};
 

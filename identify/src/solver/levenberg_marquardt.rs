@@ -5,7 +5,7 @@
 
 use nalgebra::DVector;
 
-use super::identifiability::{at_solution, require_start};
+use super::information::identifiability::{at_solution, require_start};
 use super::pass::{Pass, PassError, Products, SampleFit, Taking};
 use super::{Normal, Options, Problem, ScaledCholesky, Solution, SolveError, Summary, Termination};
 

@@ -5,39 +5,32 @@
 //! triangle by orthogonal transformations, from which rank, dependent groups and covariance are read: the normal
 //! matrix itself would square the condition number.
 
-mod change_point;
-mod covariance;
-mod identifiability;
-mod influence;
+mod information;
 mod kernel;
 mod levenberg_marquardt;
 mod loss;
-mod normals;
-mod null_space;
-mod observability;
 mod outcome;
 mod panel;
 mod pass;
 mod ransac;
 mod robust;
-mod scaled_cholesky;
 mod subset;
 mod watch;
 
-pub use change_point::{Change, Course, change_point};
-pub use covariance::{Considered, Covariance, Noise, SigmasFrom, Source, Spread};
-pub use identifiability::{DependentGroup, Identifiability, Unidentifiable, identifiability};
-pub use influence::{Influence, influence};
+pub use information::change_point::{Change, Course, change_point};
+pub use information::covariance::{Considered, Covariance, Noise, SigmasFrom, Source, Spread};
+pub use information::identifiability::{DependentGroup, Identifiability, Unidentifiable, identifiability};
+pub use information::influence::{Influence, influence};
+pub use information::normals::{Normal, Normals};
+pub use information::observability::Observability;
+pub use information::scaled_cholesky::ScaledCholesky;
 pub use levenberg_marquardt::{minimise, solve};
 pub use loss::{Loss, LossName};
-pub use normals::{Normal, Normals};
-pub use observability::Observability;
 pub use outcome::{NotConverged, Options, Solution, Summary, Termination};
 pub use panel::Block;
 pub use pass::stacked;
 pub use ransac::{RansacOptions, ransac};
 pub use robust::{Begin, GoodShare, Schedule, minimise_robust};
-pub use scaled_cholesky::ScaledCholesky;
 pub use subset::Subset;
 pub use watch::{Progress, Watch};
 

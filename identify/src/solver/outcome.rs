@@ -3,8 +3,8 @@
 use std::fmt;
 use std::num::NonZeroUsize;
 
-use super::covariance::{Covariance, Noise};
-use super::identifiability::{Identifiability, Unidentifiable};
+use super::information::covariance::{Covariance, Noise};
+use super::information::identifiability::{Identifiability, Unidentifiable};
 use super::{Loss, Watch};
 
 /// When to stop and what to assume.

@@ -10,7 +10,7 @@ use super::{Conditions, Definition, Estimator, Figure, Kind, Row, Series, StudyI
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::ball_bar::calibrate_prepared;
 use crate::calibrate::mix::{self, DataSets, Measured};
-use crate::calibrate::truth::{Comparison, position_errors_m};
+use crate::calibrate::validation::truth::{Comparison, position_errors_m};
 use crate::logs::Stream;
 use crate::model::{Model, Observation, Selection};
 use crate::prepare::{AlignedLog, Prepared};

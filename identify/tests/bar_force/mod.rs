@@ -6,7 +6,7 @@ mod files;
 
 use crate::support::{bar, irb2400};
 use identify::calibrate::ball_bar::{self, BallBarCalibration, CalibrateError};
-use identify::calibrate::truth::Comparison;
+use identify::calibrate::validation::truth::Comparison;
 use identify::calibrate::{CostName, IdentifyConfig, JointTermsConfig};
 use identify::evaluate::{Elongation, PositiveForce, evidence};
 use identify::kinematics::{Chain, Joints, Trace, Tracer};

@@ -1,7 +1,7 @@
 //! What a calibration is worth when the truth is known.
 
 use identify::calibrate::ball_bar::BallBarCalibration;
-use identify::calibrate::truth::position_errors_m;
+use identify::calibrate::validation::truth::position_errors_m;
 use identify::kinematics::{Chain, DhLink, Joints};
 use identify::simulate::Simulated;
 use nalgebra::{Matrix3, Vector3};

@@ -11,7 +11,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use crate::calibrate::ball_bar::CalibrateError;
-use crate::calibrate::terms::{falls, mean};
+use crate::calibrate::selection::terms::{falls, mean};
 use crate::cost::{DataSets, SharedColumns};
 use crate::instrument::{Measures, Wire};
 use crate::model::{Model, ParameterId};

@@ -1,6 +1,6 @@
 //! Errors that joints of a robot which stands still at each pose can have.
 
-use crate::calibrate::terms::{Kind, TermGroup};
+use crate::calibrate::selection::terms::{Kind, TermGroup};
 use crate::model::{JointTerm, JointWaves, ParameterId, Period};
 
 fn joint_terms(wanted: fn(JointTerm) -> bool) -> Vec<ParameterId> {

@@ -5,7 +5,7 @@ use shared::config::RobotConfig;
 use super::{PoseFigures, RowError, each_has_rows};
 use crate::calibrate::ball_bar::CalibrateError;
 use crate::calibrate::pipeline::{Plan, estimate};
-use crate::calibrate::split;
+use crate::calibrate::validation::split;
 use crate::instrument::{Apart, Instrument, Measures, PoseRow, Run, Standing, Tracker, poses, standing};
 use crate::kinematics::{Joints, flange_chain};
 use crate::model::{Model, ParameterId, Role};

@@ -22,12 +22,12 @@ use crate::instrument::{Instrument, Run};
 use crate::kinematics::flange_chain;
 use crate::logs::{LogFormat, LogOptions};
 use crate::model::ParameterId;
-use crate::report::deployments::DeploymentEntry;
-use crate::report::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use crate::report::page::Measured;
+use crate::report::result::deployments::DeploymentEntry;
+use crate::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry};
+use crate::report::result::validation::RowsEntry;
 use crate::report::rows as of_rows;
 use crate::report::table;
-use crate::report::validation::RowsEntry;
 use crate::solver::LossName;
 
 /// Name of the file beside a result.

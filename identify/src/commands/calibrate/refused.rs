@@ -14,8 +14,8 @@ use crate::calibrate::IdentifyConfig;
 use crate::calibrate::ball_bar::CalibrateError;
 use crate::calibrate::refusal::Refusal;
 use crate::inspect::{self, curves};
-use crate::report::file::MeasurementEntry;
 use crate::report::page::{InspectedLog, InspectedRun, RefusedPage, WrittenRefusal};
+use crate::report::result::file::MeasurementEntry;
 
 /// What was to be calibrated, and from what.
 struct Attempt<'a> {

@@ -24,7 +24,7 @@ use crate::logs::{
 };
 use crate::model::{JointState, JointWaves, Model, SetUp, further};
 use crate::prepare::{AlignedPoses, Alignment, PrepareOptions, align_poses};
-use crate::report::clocks::{ClockEntry, SolvedClock};
+use crate::report::result::clocks::{ClockEntry, SolvedClock};
 use crate::report::rows as of_rows;
 use crate::solver::LossName;
 use serde::{Deserialize, Serialize};

@@ -3,9 +3,9 @@
 use maud::{Markup, html};
 
 use super::sections::mm;
-use crate::calibrate::deployment::Deployment;
+use crate::calibrate::validation::deployment::Deployment;
 use crate::evaluate::{CubeError, Expected, WorkspaceError};
-use crate::report::file::{CalibrationFile, MeasurementEntry, ParameterEntry, Status};
+use crate::report::result::file::{CalibrationFile, MeasurementEntry, ParameterEntry, Status};
 use crate::report::verdict::Grade;
 
 /// What is certified of a calibration, whatever it was measured with.

@@ -4,8 +4,8 @@ use maud::{Markup, html};
 use plotters::prelude::RGBColor;
 
 use super::Page;
-use super::intervals::Intervals;
-use super::plot::{COLOURS, PlotError};
+use super::drawing::intervals::Intervals;
+use super::drawing::plot::{COLOURS, PlotError};
 use super::sections::{figure, svg};
 use crate::evaluate::{CostComparison, CostEntry, CostFigures};
 use crate::model::Unit;

@@ -3,10 +3,11 @@
 use maud::{Markup, html};
 use plotters::prelude::RGBColor;
 
-use super::figures::{HALF, TimeAxis, dots};
-use super::plot::{BLUE, COLOURS, GREEN, GREY, Mark, Panel, PlotError, Series};
+use super::Page;
+use super::drawing::figures::{HALF, TimeAxis, dots};
+use super::drawing::plot::{BLUE, COLOURS, GREEN, GREY, Mark, Panel, PlotError, Series};
+use super::run::runs;
 use super::sections::svg;
-use super::{Page, runs};
 use crate::evaluate::{Apart, ApartRms, HeldOut, HeldOutSegment};
 
 const BLACK: RGBColor = RGBColor(30, 36, 44);

@@ -1,27 +1,15 @@
 //! `report.html`: one file without scripts or links to anything else, that a browser shows and a printer prints.
 
-mod arm;
 mod certificate;
-mod correlations;
 mod costs;
-mod figures;
+pub(super) mod drawing;
 mod held_out;
-mod inputs;
-pub(super) mod intervals;
-mod path;
-mod path_view;
-pub(super) mod plot;
-mod poses;
-mod preparation;
-mod readings;
+mod planned;
 mod refused;
 mod rows;
-mod runs;
+mod run;
 mod sections;
-mod sphere;
 mod study;
-mod thin;
-mod workspace;
 
 use std::path::{Path, PathBuf};
 
@@ -32,15 +20,17 @@ use sha2::{Digest, Sha256};
 
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::evaluate::Evidence;
-use crate::report::file::{CalibrationFile, FileError, replace};
+use crate::report::result::file::{CalibrationFile, FileError, replace};
 
-pub use arm::picture;
-pub use inputs::Source;
-pub use path::PathPage;
-pub use plot::PlotError;
-pub use poses::PosesPage;
+use self::run::{inputs, runs, sphere};
+
+pub use drawing::arm::picture;
+pub use drawing::plot::PlotError;
+pub use planned::path::PathPage;
+pub use planned::poses::PosesPage;
 pub use refused::{InspectedLog, InspectedRun, RefusedPage, WrittenRefusal};
 pub use rows::{Measured, MeasuredPage};
+pub use run::inputs::Source;
 pub use study::StudyPage;
 
 /// Everything that the page shows.

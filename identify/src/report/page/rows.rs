@@ -5,14 +5,15 @@ use std::path::{Path, PathBuf};
 use maud::{Markup, html};
 
 use super::certificate::certificate;
-use super::figures::{WIDE, dots, gap_over_time};
-use super::plot::{BLUE, GREY, ORANGE, Panel, PlotError};
+use super::drawing::figures::{WIDE, dots, gap_over_time};
+use super::drawing::plot::{BLUE, GREY, ORANGE, Panel, PlotError};
+use super::drawing::workspace;
 use super::sections::{budget, candidates, dependence, expected, mm, parameters, repeated_with, svg};
-use super::{PageError, document, workspace};
+use super::{PageError, document};
 use crate::calibrate::rows::{PoseFigures, RowErrors, Sizes};
 use crate::evaluate::{RunEvidence, WorkspaceError};
 use crate::instrument::Apart;
-use crate::report::file::{CalibrationFile, replace};
+use crate::report::result::file::{CalibrationFile, replace};
 
 /// Everything that the page shows.
 #[derive(Debug)]

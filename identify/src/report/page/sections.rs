@@ -2,11 +2,12 @@
 
 use maud::{Markup, PreEscaped, html};
 
-use super::plot::PlotError;
-use super::{Page, correlations, figures, workspace};
+use super::Page;
+use super::drawing::plot::PlotError;
+use super::drawing::{correlations, figures, workspace};
 use crate::evaluate::{Evaluation, Expected, Limit, Quantiles};
 use crate::model::{Owner, ParameterId, Unit};
-use crate::report::file::{CalibrationFile, Input, ParameterEntry, Status};
+use crate::report::result::file::{CalibrationFile, Input, ParameterEntry, Status};
 
 /// mm with as many digits as mean something.
 pub(super) fn mm(metres: f64) -> String {

@@ -5,10 +5,10 @@ use std::path::{Path, PathBuf};
 use maud::{Markup, html};
 use plotters::style::RGBColor;
 
-use super::plot::{COLOURS, GREY, INK, Mark, Panel, PlotError, Series};
+use super::drawing::plot::{COLOURS, GREY, INK, Mark, Panel, PlotError, Series};
 use super::sections::svg;
 use super::{PageError, document};
-use crate::report::file::{FileError, replace};
+use crate::report::result::file::{FileError, replace};
 use crate::study::{Curve, CurvePoint, Definition, Figure, Finding, Kind, Measure, Reach, Summary, short};
 
 /// \[px\]

@@ -4,8 +4,8 @@ use plotters::prelude::RGBColor;
 
 use crate::inspect::curves::Curve;
 use crate::prepare::Deviations;
-use crate::report::page::figures::{THIRD, TimeAxis, dots};
-use crate::report::page::plot::{BLUE, COLOURS, Mark, ORANGE, Panel, PlotError, Series};
+use crate::report::page::drawing::figures::{THIRD, TimeAxis, dots};
+use crate::report::page::drawing::plot::{BLUE, COLOURS, Mark, ORANGE, Panel, PlotError, Series};
 use crate::statistics::extremes;
 
 const RED: RGBColor = COLOURS[5];

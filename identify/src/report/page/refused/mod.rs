@@ -7,15 +7,15 @@ use std::path::{Path, PathBuf};
 use maud::{Markup, html};
 
 use super::certificate::{identity, signature, to_the_second};
-use super::inputs::rows;
-use super::plot::PlotError;
+use super::drawing::plot::PlotError;
+use super::run::inputs::rows;
 use super::sections::{repeated_with, svg};
 use super::{PageError, document};
 use crate::calibrate::refusal::Refusal;
 use crate::inspect::Inspection;
 use crate::inspect::curves::Curve;
-use crate::report::earlier::Earlier;
-use crate::report::file::{Input, MeasurementEntry, now, replace, software};
+use crate::report::result::earlier::Earlier;
+use crate::report::result::file::{Input, MeasurementEntry, now, replace, software};
 
 /// Everything that the page shows.
 #[derive(Debug)]

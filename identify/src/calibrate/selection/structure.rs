@@ -1,0 +1,133 @@
+//! What the poses of a run can identify at all, whatever the noise: the start of the automatic selection.
+
+use crate::cost::{CostError, Length, LoopProblem, Position, PositionAngles, Residual, Transform, fill_in};
+use crate::kinematics::{LinkParameter, robot_inverse};
+use crate::model::{
+    Model, ModelError, Observation, ParameterId, PerObservation, RobotMotion, Role, THESIS_FIXED,
+};
+use crate::solver::{Identifiability, Options, SolveError, identifiability};
+
+use crate::calibrate::CostName;
+
+/// Poses that are looked at: ranks do not need more.
+const POSES_MAX: usize = 300;
+
+/// Why the structure cannot be found.
+#[derive(Debug, thiserror::Error)]
+pub enum StructureError {
+    /// A parameter does not exist.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// The samples do not suit the cost.
+    #[error(transparent)]
+    Cost(#[from] CostError),
+    /// No pose is usable.
+    #[error(transparent)]
+    Solve(#[from] SolveError),
+}
+
+/// The earlier of dependent parameters is fixed: the thesis' choice first (TFRT-6017 section 3.3), then the bar, whose
+/// numbers nobody needs afterwards, then the robot, the bar's place last.
+fn preference(id: ParameterId) -> usize {
+    let name = id.to_string();
+    let of_thesis = THESIS_FIXED.iter().position(|fixed| *fixed == name);
+    of_thesis.unwrap_or(match id {
+        ParameterId::Bar { .. } => THESIS_FIXED.len(),
+        ParameterId::Robot { .. } => THESIS_FIXED.len() + 1,
+        _ => THESIS_FIXED.len() + 2,
+    })
+}
+
+/// Poses in which robot and bar meet exactly on the nominal geometry: with millimetres between them dependent parameters
+/// look independent, by singular values that are nothing but those errors.
+fn consistent_poses(
+    model: &Model,
+    motion: &impl RobotMotion,
+    observations: &[Observation],
+) -> (Vec<Observation>, PerObservation) {
+    let geometry = model.geometry(&[]);
+    let every = observations.len().div_ceil(POSES_MAX).max(1);
+    let mut poses: Vec<Observation> = observations.iter().step_by(every).copied().collect();
+    fill_in(&geometry, motion, &mut poses);
+    let bar = geometry.bar();
+    let mut joints = Vec::new();
+    poses.retain_mut(|pose| {
+        let Some(state) = motion.at(geometry.clock.robot_time_s(pose.t_s)) else { return false };
+        let Ok(q) = robot_inverse(&geometry.robot, &bar.forward(&pose.bar_rad), &state.q) else {
+            return false;
+        };
+        pose.t_s = PerObservation::time_s(joints.len());
+        joints.push(q);
+        true
+    });
+    (poses, PerObservation(joints))
+}
+
+/// Links, place and lean of the bar: what an identification is about, without Hayati's rotations.
+fn is_geometry(id: ParameterId) -> bool {
+    match id {
+        ParameterId::Robot { parameter, .. } => parameter != LinkParameter::Beta,
+        ParameterId::Bar { .. } | ParameterId::Base(_) | ParameterId::BaseRotation(_) => true,
+        _ => false,
+    }
+}
+
+/// The largest set of parameters that the poses determine: of each dependent group those are left out that are best
+/// fixed. Clocks are not looked at.
+///
+/// # Errors
+/// [`StructureError`].
+pub fn identifiable(
+    model: &Model,
+    motion: &impl RobotMotion,
+    observations: &[Observation],
+    cost: CostName,
+) -> Result<Vec<ParameterId>, StructureError> {
+    let mut model = model.clone();
+    let (poses, joints) = consistent_poses(&model, motion, observations);
+    // These poses have no clock.
+    for id in [ParameterId::ClockShift, ParameterId::ClockSkew] {
+        model.set_value(id, 0.0)?;
+    }
+    match cost {
+        CostName::Pose | CostName::Transform => reduce(model, &joints, &poses, Transform),
+        CostName::PositionAngles => reduce(model, &joints, &poses, PositionAngles),
+        CostName::Position => reduce(model, &joints, &poses, Position),
+        CostName::Length => reduce(model, &joints, &poses, Length),
+    }
+}
+
+fn reduce<R: Residual + Copy>(
+    mut model: Model,
+    joints: &PerObservation,
+    poses: &[Observation],
+    residual: R,
+) -> Result<Vec<ParameterId>, StructureError> {
+    let ids: Vec<ParameterId> = model.parameters().iter().map(|parameter| parameter.id).collect();
+    for id in ids {
+        let free = is_geometry(id) && R::sees(id);
+        model.set_role(id, if free { Role::Free } else { Role::Fixed })?;
+    }
+    loop {
+        let free: Vec<ParameterId> = model.columns().map(|parameter| parameter.id).collect();
+        let problem = LoopProblem::new(&model, joints, poses, residual, 1.0)?;
+        let found = identifiability(&problem, &model.start(), &Options::default())?;
+        let surplus = surplus(&found, &free);
+        if surplus.is_empty() {
+            return Ok(free);
+        }
+        model.set_roles(surplus, Role::Fixed)?;
+    }
+}
+
+/// What does nothing, and one of each dependent group.
+fn surplus(found: &Identifiability, free: &[ParameterId]) -> Vec<ParameterId> {
+    let named = |columns: &[usize]| -> Vec<ParameterId> {
+        columns.iter().filter_map(|column| free.get(*column).copied()).collect()
+    };
+    let of_groups = found
+        .groups
+        .iter()
+        .filter_map(|group| named(&group.columns).into_iter().min_by_key(|id| preference(*id)));
+    named(&found.zero_columns).into_iter().chain(of_groups).collect()
+}

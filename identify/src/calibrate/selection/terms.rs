@@ -1,0 +1,382 @@
+//! Terms that a robot may have or not: a group of them is taken only where it predicts folds that it was not fitted to.
+
+use serde::{Deserialize, Serialize};
+use statrs::distribution::{ContinuousCDF, StudentsT};
+
+use crate::model::{JointTerm, ParameterId, Period};
+use crate::solver::{Normals, Prior};
+
+/// Kinds of errors that come together or not at all.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TermGroup {
+    /// Robot axes once per turn.
+    GearOnce,
+    /// Robot axes twice per turn.
+    GearTwice,
+    /// Robot axes per lobe of their cycloid gears.
+    Cycloid,
+    /// Robot axes per turn of their motors.
+    Motor,
+    /// Joints that their drive does not turn alone, once and twice per turn of the joint.
+    Joint,
+    /// Robot axes by waves whose number per turn is found in what is left.
+    LineSpectrum,
+    /// Robot axes by the sign of their speed.
+    Backlash,
+    /// Gear ratios.
+    Ratio,
+    /// Axes that the log has later than others.
+    Delay,
+    /// Axes that give way under weight.
+    Compliance,
+    /// Bar encoders once and twice per turn.
+    EncoderHarmonics,
+    /// The bar's length by its direction.
+    BarLength,
+}
+
+impl TermGroup {
+    /// Those of the robot.
+    pub const OF_ROBOT: [Self; 10] = [
+        Self::GearOnce,
+        Self::GearTwice,
+        Self::Cycloid,
+        Self::Motor,
+        Self::Joint,
+        Self::LineSpectrum,
+        Self::Backlash,
+        Self::Ratio,
+        Self::Delay,
+        Self::Compliance,
+    ];
+
+    /// Name in reports.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::GearOnce => "gear, once per turn",
+            Self::GearTwice => "gear, twice per turn",
+            Self::Cycloid => "gear, per cycloid lobe",
+            Self::Motor => "gear, per motor turn",
+            Self::Joint => "joint beside its drive, once and twice per turn",
+            Self::LineSpectrum => "gear, at orders found in the residual",
+            Self::Backlash => "backlash",
+            Self::Ratio => "gear ratio",
+            Self::Delay => "delay of single joints in the log",
+            Self::Compliance => "compliance under gravity",
+            Self::EncoderHarmonics => "bar encoders, once and twice per turn",
+            Self::BarLength => "bar length by direction",
+        }
+    }
+
+    /// What its priors may be multiplied by. No gear is cut so that its ratio is off by a hundredth; what is configured wrong is, and
+    /// is found only where it may be.
+    pub const fn scales(self) -> &'static [f64] {
+        match self {
+            Self::Ratio => &[1.0, 10.0, 100.0],
+            _ => &[1.0],
+        }
+    }
+
+    /// The group of a parameter; none for geometry and clocks.
+    pub const fn of(id: ParameterId) -> Option<Self> {
+        let term = match id {
+            ParameterId::Joint { term, .. } => term,
+            ParameterId::Harmonic { .. } => return Some(Self::EncoderHarmonics),
+            ParameterId::JointWave { .. } => return Some(Self::LineSpectrum),
+            ParameterId::BarWave { .. } => return Some(Self::BarLength),
+            _ => return None,
+        };
+        Some(match term {
+            JointTerm::Sine(period) | JointTerm::Cosine(period) => match period {
+                Period::Once => Self::GearOnce,
+                Period::Twice => Self::GearTwice,
+                Period::Cycloid => Self::Cycloid,
+                Period::Motor => Self::Motor,
+                Period::JointOnce | Period::JointTwice => Self::Joint,
+            },
+            JointTerm::Backlash => Self::Backlash,
+            JointTerm::Ratio => Self::Ratio,
+            JointTerm::Delay => Self::Delay,
+            JointTerm::Compliance(_) => Self::Compliance,
+        })
+    }
+}
+
+/// Terms that are tried together, the same for all axes.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Kind {
+    /// Which.
+    pub group: TermGroup,
+    /// Name in reports.
+    pub name: String,
+    /// Its parameters.
+    pub ids: Vec<ParameterId>,
+    /// Standard deviation of their prior around zero, SI.
+    pub sigma: f64,
+    /// What it may be multiplied by.
+    pub scales: Vec<f64>,
+}
+
+/// What became of one kind of terms.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Candidate {
+    /// Which.
+    pub group: TermGroup,
+    /// Name in reports.
+    #[serde(default)]
+    pub name: String,
+    /// Standard deviation of its prior around zero, in the parameters' SI unit; absent where it was not taken.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sigma: Option<f64>,
+    /// How many parameters it has.
+    pub parameters: usize,
+    /// Root mean square residual of held-out segments without it, in standard deviations of the cost.
+    pub held_out_before: f64,
+    /// With it.
+    pub held_out_after: f64,
+    /// It predicts held-out segments better by more than chance.
+    pub accepted: bool,
+}
+
+impl Candidate {
+    /// For a person.
+    pub fn name(&self) -> &str {
+        if self.name.is_empty() { self.group.name() } else { &self.name }
+    }
+}
+
+/// Terms that come together or not at all.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Offer {
+    /// Their columns.
+    pub columns: Vec<usize>,
+    /// What the standard deviations of their priors may be multiplied by.
+    pub scales: Vec<f64>,
+}
+
+/// What became of an offer.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Verdict {
+    /// Place among the offers.
+    pub offer: usize,
+    /// Scale of the priors at which left-out folds are predicted best.
+    pub scale: f64,
+    /// Mean squared residual of left-out folds without it, beside all that was taken before.
+    pub before: f64,
+    /// With it.
+    pub after: f64,
+    /// It is taken.
+    pub accepted: bool,
+}
+
+/// One-sided level of the test whether left-out folds are predicted better. Terms that fit nothing but noise make predictions
+/// worse, so that of terms that are not there far fewer are taken: simulated, 3 to 4 of 100 groups of one parameter, 1 to 4
+/// of groups of twelve, with noise that is white and with noise that lasts for ten samples.
+const LEVEL: f64 = 0.15;
+/// A fall of less than this part of the mean squared residual changes nothing that is reported.
+const TRIFLE: f64 = 1e-3;
+
+/// Zero of none.
+pub(in crate::calibrate) fn mean(values: &[f64]) -> f64 {
+    if values.is_empty() { 0.0 } else { values.iter().sum::<f64>() / values.len() as f64 }
+}
+
+/// Errors fall by a factor that its scatter over the folds does not explain (Student's t of its logarithm, one-sided: folds
+/// may differ much in how large their errors are), and their mean by more than a trifle.
+pub(in crate::calibrate) fn falls(before: &[f64], after: &[f64]) -> bool {
+    let logarithm = |squared: f64| squared.max(f64::MIN_POSITIVE).ln();
+    let fall: Vec<f64> =
+        before.iter().zip(after).map(|(before, after)| logarithm(*before) - logarithm(*after)).collect();
+    let by = mean(&fall);
+    let freedom = fall.len() as f64 - 1.0;
+    let Ok(student) = StudentsT::new(0.0, 1.0, freedom) else { return false };
+    let variance = fall.iter().map(|one| (one - by).powi(2)).sum::<f64>() / freedom;
+    let standard_error = (variance / fall.len() as f64).sqrt();
+    by > student.inverse_cdf(1.0 - LEVEL) * standard_error && mean(after) < (1.0 - TRIFLE) * mean(before)
+}
+
+/// Forward selection: of all offers the one that predicts left-out folds best is taken, then the best of the rest beside
+/// it, until none improves the prediction; then the scales of those taken are gone over once more. `always` are the
+/// columns in any case. Verdicts come in the order in which offers were taken, then those left out.
+pub fn select(normals: &Normals, always: &[usize], offers: &[Offer]) -> Vec<Verdict> {
+    let mut taken: Vec<Verdict> = Vec::new();
+    let Some(mut before) = predicted(normals, always, offers, &taken) else { return taken };
+    loop {
+        let is_open = |offer: &usize| taken.iter().all(|one| one.offer != *offer);
+        let open: Vec<usize> = (0..offers.len()).filter(is_open).collect();
+        let mut tried: Vec<(Verdict, Vec<f64>)> = open
+            .into_iter()
+            .filter_map(|offer| {
+                let start = Verdict { offer, scale: 1.0, before: mean(&before), after: 0.0, accepted: false };
+                taken.push(start);
+                let best = best_scale(normals, always, offers, &mut taken);
+                let (verdict, after) = (taken.pop()?, best?);
+                Some((Verdict { accepted: falls(&before, &after), ..verdict }, after))
+            })
+            .collect();
+        tried.sort_by(|a, b| a.0.after.total_cmp(&b.0.after));
+        let Some(best) = tried.iter().position(|(verdict, _)| verdict.accepted) else {
+            rescale(normals, always, offers, &mut taken);
+            taken.extend(tried.into_iter().map(|(verdict, _)| verdict));
+            return taken;
+        };
+        let (verdict, after) = tried.swap_remove(best);
+        taken.push(verdict);
+        before = after;
+    }
+}
+
+/// The last of those taken, each at the best of its scales.
+fn rescale(normals: &Normals, always: &[usize], offers: &[Offer], taken: &mut Vec<Verdict>) {
+    if taken.iter().any(|one| offers[one.offer].scales.len() > 1) {
+        for _ in 0..taken.len() {
+            let after = taken.remove(0);
+            taken.push(after);
+            best_scale(normals, always, offers, taken);
+        }
+    }
+}
+
+/// Gives the last of those taken the scale that predicts best; the squared residuals with it. None where the folds do not
+/// determine the columns.
+fn best_scale(
+    normals: &Normals,
+    always: &[usize],
+    offers: &[Offer],
+    taken: &mut [Verdict],
+) -> Option<Vec<f64>> {
+    let last = taken.len().checked_sub(1)?;
+    let scales = &offers[taken[last].offer].scales;
+    let tried = scales.iter().filter_map(|&scale| {
+        taken[last].scale = scale;
+        Some((scale, predicted(normals, always, offers, taken)?))
+    });
+    let best = tried.min_by(|a, b| mean(&a.1).total_cmp(&mean(&b.1)));
+    let (scale, errors) = best?;
+    (taken[last].scale, taken[last].after) = (scale, mean(&errors));
+    Some(errors)
+}
+
+/// Mean squared residual of each left-out fold.
+fn predicted(normals: &Normals, always: &[usize], offers: &[Offer], taken: &[Verdict]) -> Option<Vec<f64>> {
+    let own = |one: &Verdict| offers[one.offer].columns.iter().copied();
+    let columns: Vec<usize> = always.iter().copied().chain(taken.iter().flat_map(own)).collect();
+    let scale = |column: usize| {
+        let of = taken.iter().find(|one| offers[one.offer].columns.contains(&column));
+        of.map_or(1.0, |one| one.scale)
+    };
+    normals.held_out(&columns, &scaled(normals.priors(), scale))
+}
+
+fn scaled(priors: &[Prior], scale: impl Fn(usize) -> f64) -> Vec<Prior> {
+    priors.iter().map(|prior| Prior { sigma: prior.sigma * scale(prior.column), ..*prior }).collect()
+}
+
+/// By how much to widen the standard deviations of the priors on some columns: the value on a grid that predicts left-out
+/// folds best, if it does so by more than chance, otherwise one. Never less: samples that determine little of the columns are predicted
+/// best where these stay, which says nothing of how near to nominal they are.
+pub fn prior_scale(normals: &Normals, columns: &[usize], of_scale: impl Fn(usize) -> bool) -> f64 {
+    const GRID: [f64; 5] = [2.0, 5.0, 10.0, 30.0, 100.0];
+    let errors = |scale: f64| {
+        let priors = scaled(normals.priors(), |column| if of_scale(column) { scale } else { 1.0 });
+        normals.held_out(columns, &priors)
+    };
+    let Some(unscaled) = errors(1.0) else { return 1.0 };
+    let better = GRID.into_iter().filter_map(|scale| {
+        let errors = errors(scale).filter(|errors| falls(&unscaled, errors))?;
+        Some((scale, mean(&errors)))
+    });
+    better.min_by(|a, b| a.1.total_cmp(&b.1)).map_or(1.0, |(scale, _)| scale)
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::rngs::StdRng;
+    use rand::{Rng, SeedableRng};
+    use rand_distr::StandardNormal;
+
+    use super::*;
+    use crate::solver::{Block, Options, Problem};
+
+    /// Rows of a line with a wave that may be there and one that is not.
+    struct Waves {
+        t: Vec<f64>,
+        noise: Vec<f64>,
+        wave: f64,
+        priors: Vec<Prior>,
+    }
+
+    impl Waves {
+        fn new(seed: u64, wave: f64) -> Self {
+            let mut random = StdRng::seed_from_u64(seed);
+            let t = (0..320).map(|_| random.random_range(-3.0..3.0)).collect();
+            let noise = (0..320).map(|_| 0.1 * random.sample::<f64, _>(StandardNormal)).collect();
+            let priors = [2, 3].map(|column| Prior { column, value: 0.0, sigma: 0.01 }).to_vec();
+            Self { t, noise, wave, priors }
+        }
+
+        fn verdicts(&self) -> Vec<Verdict> {
+            let folds: Vec<Vec<usize>> = (0..8).map(|fold| (40 * fold..40 * (fold + 1)).collect()).collect();
+            let normals = Normals::new(self, &[0.0; 4], &Options::default(), &folds).ok();
+            let offer = |column| Offer { columns: vec![column], scales: vec![1.0, 100.0] };
+            normals.map(|normals| select(&normals, &[0, 1], &[offer(3), offer(2)])).unwrap_or_default()
+        }
+    }
+
+    impl Problem for Waves {
+        type Point = Vec<f64>;
+
+        fn columns(&self) -> usize {
+            4
+        }
+
+        fn column_name(&self, column: usize) -> String {
+            column.to_string()
+        }
+
+        fn samples(&self) -> usize {
+            self.t.len()
+        }
+
+        fn rows(&self) -> usize {
+            1
+        }
+
+        fn priors(&self) -> &[Prior] {
+            &self.priors
+        }
+
+        fn point(&self, x: &[f64]) -> Vec<f64> {
+            x.to_vec()
+        }
+
+        fn sample(&self, x: &mut Vec<f64>, sample: usize, r: &mut [f64], block: &mut Block<'_>) -> bool {
+            let t = self.t[sample];
+            let by = [1.0, t, (5.0 * t).sin(), (11.0 * t).cos()];
+            r[0] = 0.3 + 0.2 * t + self.wave * by[2] + self.noise[sample];
+            for (column, by) in by.into_iter().enumerate() {
+                r[0] += by * x[column];
+                block.column_mut(column)[0] = by;
+            }
+            true
+        }
+    }
+
+    #[test]
+    fn a_term_that_is_in_the_data_is_taken_with_the_scale_that_fits_and_one_that_is_not_is_left() {
+        let verdicts = Waves::new(3, -0.5).verdicts();
+        let [present, absent] = &verdicts[..] else { panic!("{verdicts:?}") };
+        assert_eq!((present.offer, present.scale, present.accepted), (1, 100.0, true));
+        assert!(present.before.sqrt() > 0.3 && (present.after.sqrt() - 0.1).abs() < 0.02, "{present:?}");
+        assert!(!absent.accepted);
+    }
+
+    #[test]
+    fn of_a_hundred_terms_that_are_not_there_fewer_than_five_are_taken() {
+        let trials = 400;
+        let taken = |seed| Waves::new(seed, 0.0).verdicts().iter().filter(|one| one.accepted).count();
+        let rate = (0..trials).map(taken).sum::<usize>() as f64 / (2.0 * trials as f64);
+        assert!(rate < 0.05, "{rate}");
+    }
+}

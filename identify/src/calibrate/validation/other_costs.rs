@@ -1,0 +1,99 @@
+//! The same runs by the other costs that their encoders allow: what each would have said of the robot.
+
+use crate::calibrate::ball_bar::{BallBarCalibration, CalibrateError, solve};
+use crate::calibrate::config::{CostName, IdentifyConfig, SelectionName};
+use crate::calibrate::pipeline::Solved;
+use crate::calibrate::selection::terms::TermGroup;
+use crate::instrument::{Instrument, Run};
+use crate::kinematics::LinkParameter;
+use crate::model::{Model, ModelError, ParameterId, Role};
+use crate::solver::{SolveError, Watch};
+
+/// Samples of all runs that are looked at, at most: more would not change what the costs differ in.
+const SAMPLES_MAX: usize = 3000;
+
+/// What another cost says.
+#[derive(Debug)]
+pub struct OtherCost {
+    /// Which.
+    pub cost: CostName,
+    /// The first run's parameters at its solution, and the solve of all runs; or why there is none.
+    pub found: Result<(Model, Solved), CalibrateError>,
+}
+
+/// Solves the runs of a calibration by every other cost, from nominal links, with the same selection and the same terms of
+/// the axes as far as the cost determines them. What it does not determine stays nominal; clocks stay as calibrated.
+///
+/// # Errors
+/// [`CalibrateError`] where `watch` ended it; a cost without solution is an entry of the answer.
+pub fn other_costs(
+    calibration: &BallBarCalibration,
+    config: &IdentifyConfig,
+    watch: Option<&dyn Watch>,
+) -> Result<Vec<OtherCost>, CalibrateError> {
+    let measured = calibration.measured();
+    let allowed = |cost: &CostName| cost.encoders().iter().all(|&joint| measured[joint]);
+    let mut runs = calibration.thinned(SAMPLES_MAX);
+    runs.iter_mut().try_for_each(|run| at_nominal(&mut run.model))?;
+    let mut all = Vec::new();
+    for cost in CostName::ALL.into_iter().filter(|cost| *cost != calibration.cost).filter(allowed) {
+        let mut runs: Vec<Run> = runs.clone();
+        for run in &mut runs {
+            if let Instrument::BallBar(bar) = &mut run.instrument {
+                bar.cost = cost;
+            }
+        }
+        let solved = solve(&mut runs, &same_terms(calibration, config, cost), watch);
+        let found = match solved {
+            Err(error @ CalibrateError::Solve(SolveError::Cancelled { .. })) => return Err(error),
+            Err(error) => Err(error),
+            Ok(solved) => Ok((runs.swap_remove(0).model, solved)),
+        };
+        all.push(OtherCost { cost, found });
+    }
+    Ok(all)
+}
+
+/// Links and terms at their nominal values; where the bar stands, its encoders' offsets and the clocks stay: from there
+/// every cost finds its own.
+fn at_nominal(model: &mut Model) -> Result<(), ModelError> {
+    let found = |id: ParameterId| match id {
+        ParameterId::Base(_) | ParameterId::ClockShift | ParameterId::ClockSkew => true,
+        ParameterId::Bar { parameter, .. } => parameter == LinkParameter::Theta,
+        _ => false,
+    };
+    let parameters = model.parameters().to_vec();
+    for parameter in parameters {
+        match parameter.role {
+            // A prior is about where the calibration began.
+            Role::Prior { value, .. } => model.set_value(parameter.id, value)?,
+            _ if !found(parameter.id) => model.set_value(parameter.id, parameter.nominal)?,
+            _ => {}
+        }
+    }
+    Ok(())
+}
+
+/// The configuration with the terms that the calibration took, none to choose from.
+fn same_terms(calibration: &BallBarCalibration, config: &IdentifyConfig, cost: CostName) -> IdentifyConfig {
+    let mut config = config.clone();
+    let measured = calibration.measured();
+    config.joint_terms.candidates.clear();
+    config.bar_length_um = 0.0;
+    let chosen_here = config.selection == SelectionName::Automatic;
+    if chosen_here {
+        config.encoder_harmonics_urad = 0.0;
+    }
+    for parameter in calibration.model.columns().filter(|parameter| cost.identifies(&measured, parameter.id))
+    {
+        let id = parameter.id;
+        let of_selection = !chosen_here && matches!(id, ParameterId::Harmonic { .. });
+        if let Role::Prior { sigma, .. } = parameter.role
+            && TermGroup::of(id).is_some()
+            && !of_selection
+        {
+            config.priors.insert(id.to_string(), sigma * id.unit().display_factor());
+        }
+    }
+    config
+}

@@ -1,0 +1,157 @@
+//! Which samples are held out together: the fit sees some, the others judge it.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use nalgebra::Vector3;
+use rand::SeedableRng;
+use rand::rngs::StdRng;
+use rand::seq::SliceRandom;
+use serde::{Deserialize, Serialize};
+
+use crate::instrument::poses;
+use crate::kinematics::{Chain, Joints};
+
+/// What is held out together.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum HoldOut {
+    /// Single poses, with all rows that follow each other at the same joints: between their neighbours, which the fit has seen.
+    Rows,
+    /// Segments of the file, a twenty-fifth of it each: other times, mostly other poses.
+    Blocks,
+    /// Boxes of the workspace, a fifth of its longest side wide: places where the fit has seen nothing.
+    #[default]
+    Regions,
+}
+
+/// Segments that a file is cut into.
+const BLOCKS: usize = 25;
+/// Boxes along the longest side of the workspace.
+const BOXES: f64 = 5.0;
+
+impl HoldOut {
+    /// The group of each pose: those of one group are held out together. `robot` is the nominal chain.
+    pub(crate) fn groups(self, robot: &Chain, joints_rad: impl Iterator<Item = Joints>) -> Vec<usize> {
+        let joints_rad: Vec<Joints> = joints_rad.collect();
+        let positions_m: Vec<Vector3<f64>> =
+            joints_rad.iter().map(|q| robot.forward(q).translation.vector).collect();
+        groups(self, &poses(&joints_rad), &positions_m)
+    }
+}
+
+/// The group of each row: rows of one group are held out together.
+fn groups(hold_out: HoldOut, poses: &[usize], positions_m: &[Vector3<f64>]) -> Vec<usize> {
+    match hold_out {
+        HoldOut::Rows => poses.to_vec(),
+        HoldOut::Blocks => {
+            let count = poses.last().map_or(1, |last| last + 1);
+            poses.iter().map(|pose| pose * BLOCKS / count).collect()
+        }
+        HoldOut::Regions => boxes(positions_m),
+    }
+}
+
+fn boxes(positions_m: &[Vector3<f64>]) -> Vec<usize> {
+    let Some(first) = positions_m.first() else { return Vec::new() };
+    let low = positions_m.iter().fold(*first, |low, p| low.inf(p));
+    let high = positions_m.iter().fold(*first, |high, p| high.sup(p));
+    let side_m = ((high - low).max() / BOXES).max(f64::MIN_POSITIVE);
+    let mut known: BTreeMap<[i64; 3], usize> = BTreeMap::new();
+    let numbered = positions_m.iter().map(|p| {
+        let cell = ((p - low) / side_m).map(|x| x.floor() as i64);
+        let next = known.len();
+        *known.entry(cell.into()).or_insert(next)
+    });
+    numbered.collect()
+}
+
+/// `count` segments of nearly equal length in each run, of which `starts` gives the first samples and the total.
+pub(in crate::calibrate) fn segments(starts: &[usize], count: usize) -> Vec<Range<usize>> {
+    let of_run = |run: &[usize]| {
+        let (start, length) = (run[0], run[1] - run[0]);
+        (0..count).map(move |i| start + i * length / count..start + (i + 1) * length / count)
+    };
+    starts.windows(2).flat_map(of_run).filter(|segment| !segment.is_empty()).collect()
+}
+
+/// Deals the groups of the chosen rows out to `count` folds of about equal size: the places among the chosen rows that each has.
+/// Groups of one `class` of rows are dealt one after the other, so that each fold has its part of them.
+pub(in crate::calibrate) fn folds(
+    groups: &[usize],
+    chosen: &[usize],
+    count: usize,
+    seed: u64,
+    class: impl Fn(usize) -> usize,
+) -> Vec<Vec<usize>> {
+    let mut of_group: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    for (place, &row) in chosen.iter().enumerate() {
+        of_group.entry(groups[row]).or_default().push(place);
+    }
+    let mut order: Vec<Vec<usize>> = of_group.into_values().collect();
+    order.shuffle(&mut StdRng::seed_from_u64(seed));
+    order.sort_by_key(|group| group.first().map(|&place| class(chosen[place])));
+    let mut folds = vec![Vec::new(); count.max(1)];
+    for group in order {
+        if let Some(least) = folds.iter_mut().min_by_key(|fold| fold.len()) {
+            least.extend(group);
+        }
+    }
+    folds
+}
+
+/// All rows by their groups in at most `count` folds.
+pub(crate) fn all_in_folds(
+    groups: &[usize],
+    count: usize,
+    seed: u64,
+    class: impl Fn(usize) -> usize,
+) -> Vec<Vec<usize>> {
+    let all: Vec<usize> = (0..groups.len()).collect();
+    let mut folds = folds(groups, &all, count, seed.wrapping_add(1), class);
+    folds.retain(|fold| !fold.is_empty());
+    folds
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn positions() -> Vec<Vector3<f64>> {
+        (0..1000)
+            .map(|k| Vector3::new(f64::from(k % 10), f64::from(k / 10 % 10), f64::from(k / 100)))
+            .collect()
+    }
+
+    fn poses() -> Vec<usize> {
+        (0..1000).collect()
+    }
+
+    #[test]
+    fn each_way_makes_parts_of_about_equal_size_and_none_has_half_a_group() {
+        for hold_out in [HoldOut::Rows, HoldOut::Blocks, HoldOut::Regions] {
+            let groups = groups(hold_out, &poses(), &positions());
+            let parts = all_in_folds(&groups, 5, 7, |_| 0);
+            assert_eq!((parts.len(), parts.iter().map(Vec::len).sum::<usize>()), (5, 1000));
+            for part in &parts {
+                assert!((180..=220).contains(&part.len()), "{hold_out:?}: {}", part.len());
+                let others = || parts.iter().filter(|other| *other != part).flatten();
+                assert!(part.iter().all(|row| others().all(|other| groups[*row] != groups[*other])));
+            }
+        }
+    }
+
+    #[test]
+    fn folds_share_no_group_and_are_about_equal() {
+        let groups = groups(HoldOut::Regions, &poses(), &positions());
+        let chosen: Vec<usize> = (0..1000).step_by(2).collect();
+        let folds = folds(&groups, &chosen, 5, 1, |_| 0);
+        assert_eq!(folds.iter().map(Vec::len).sum::<usize>(), 500);
+        for fold in &folds {
+            assert!((80..=120).contains(&fold.len()), "{}", fold.len());
+            let of = |place: &usize| groups[chosen[*place]];
+            let others = || folds.iter().filter(|other| *other != fold).flatten();
+            assert!(fold.iter().all(|place| others().all(|other| of(place) != of(other))));
+        }
+    }
+}

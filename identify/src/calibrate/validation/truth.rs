@@ -1,0 +1,136 @@
+//! Identified against true parameters, for experiments that were simulated.
+
+use nalgebra::{Point3, Vector3};
+use shared::config::RobotConfig;
+
+use crate::calibrate::ball_bar::BallBarCalibration;
+use crate::kinematics::{LinkParameter, nearest_turn};
+use crate::model::{Model, ParameterId, Unit};
+use crate::simulate::Truth;
+use crate::statistics::quantile;
+
+/// One identified parameter beside its true value.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Compared {
+    /// Which.
+    pub id: ParameterId,
+    /// True value, SI; angles are taken within half a turn of the identified one.
+    pub truth: f64,
+    /// Identified value, SI.
+    pub identified: f64,
+}
+
+impl Compared {
+    /// Identified minus true in the unit that people read (mm, mrad).
+    pub fn error_displayed(&self) -> f64 {
+        (self.identified - self.truth) * self.id.unit().display_factor()
+    }
+}
+
+/// Identified against true parameters.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Comparison {
+    /// Identified geometry: robot, bar and base.
+    pub parameters: Vec<Compared>,
+    /// Robot clock minus bar clock, identified minus true \[s\].
+    pub clock_shift_error_s: f64,
+    /// Rate of the robot's clock, identified minus true.
+    pub clock_skew_error: f64,
+}
+
+impl Comparison {
+    /// Sets a calibration beside the truth of its experiment.
+    pub fn new(calibration: &BallBarCalibration, truth: &Truth) -> Self {
+        let parameters = calibration
+            .model
+            .columns()
+            .filter(|parameter| {
+                use ParameterId::{Bar, Base, BaseRotation, Robot};
+                matches!(parameter.id, Robot { .. } | Bar { .. } | Base(_) | BaseRotation(_))
+            })
+            .map(|parameter| Compared {
+                id: parameter.id,
+                truth: true_value(truth, parameter.id, parameter.value),
+                identified: parameter.value,
+            })
+            .collect();
+        let value = |id| calibration.model.parameter(id).map_or(0.0, |parameter| parameter.value);
+        let shift_error_ns = calibration.prepared().map(|prepared| {
+            let identified_ns = prepared.clock_difference_ns(value(ParameterId::ClockShift));
+            // Both are differences of large numbers: subtract the integers first.
+            let robot_ns = prepared.t_ref.0.saturating_add(identified_ns);
+            robot_ns as f64 - truth.clock.robot_ns(prepared.t_ref)
+        });
+        Self {
+            parameters,
+            clock_shift_error_s: shift_error_ns.unwrap_or(0.0) * 1e-9,
+            clock_skew_error: value(ParameterId::ClockSkew) - truth.clock.skew,
+        }
+    }
+
+    /// Euclidean norm of the errors, mm and mrad as equals: the thesis' measure.
+    pub fn euclidean_mm_mrad(&self) -> f64 {
+        self.parameters.iter().map(|one| one.error_displayed().powi(2)).sum::<f64>().sqrt()
+    }
+
+    /// Largest error, mm and mrad as equals.
+    pub fn max_mm_mrad(&self) -> f64 {
+        self.parameters.iter().map(|one| one.error_displayed().abs()).fold(0.0, f64::max)
+    }
+
+    /// The same comparison for some of the parameters.
+    pub fn only(&self, wanted: impl Fn(ParameterId) -> bool) -> Self {
+        let parameters = self.parameters.iter().filter(|one| wanted(one.id)).copied().collect();
+        Self { parameters, ..self.clone() }
+    }
+}
+
+/// How far a point of the identified robot is from that of the true one, over postures within the limits: the mean, and what
+/// 95 % of them do not exceed \[m\]. The point is that of the chain's last frame at `points_m`, first as it was found, then as it
+/// is true.
+pub fn position_errors_m(
+    found: &Model,
+    truth: &Truth,
+    robot: &RobotConfig,
+    points_m: [Vector3<f64>; 2],
+) -> (f64, f64) {
+    /// Steps along each joint, prime to each other so that every combination comes.
+    const STEPS: [usize; 6] = [7, 11, 13, 17, 19, 23];
+    const POSTURES: usize = 2000;
+    let mut true_model = found.clone();
+    for (name, value) in &truth.parameters {
+        if let Ok(id @ ParameterId::Robot { .. }) = name.parse() {
+            // Only what the model does not have is refused.
+            let _ = true_model.set_value(id, *value);
+        }
+    }
+    let [identified, truth] = [found, &true_model].map(|model| model.geometry(&model.start()).robot);
+    let limits = robot.joint_limits();
+    let distance_m = |posture: usize| {
+        let q: [f64; 6] = std::array::from_fn(|joint| {
+            let [low, high] = limits.get(joint).copied().unwrap_or_default();
+            let part = (posture % STEPS[joint]) as f64 / (STEPS[joint] - 1) as f64;
+            low + (high - low) * part
+        });
+        let [found_m, true_m] = points_m.map(Point3::from);
+        (identified.forward(&q) * found_m - truth.forward(&q) * true_m).norm()
+    };
+    let mut distances_m: Vec<f64> = (0..POSTURES).map(distance_m).collect();
+    distances_m.sort_by(f64::total_cmp);
+    (distances_m.iter().sum::<f64>() / POSTURES as f64, quantile(&distances_m, 0.95))
+}
+
+/// The identified `btheta` holds the encoder's unknown offset too; whole turns of an angle mean nothing.
+fn true_value(truth: &Truth, id: ParameterId, identified: f64) -> f64 {
+    let named = truth.parameters.get(&id.to_string()).copied().unwrap_or(0.0);
+    let offset = match id {
+        ParameterId::Bar { link, parameter: LinkParameter::Theta } => truth
+            .encoders
+            .iter()
+            .find(|encoder| usize::from(encoder.joint) == link + 1)
+            .map_or(0.0, |encoder| encoder.offset_rad),
+        _ => 0.0,
+    };
+    let value = named + offset;
+    if id.unit() == Unit::Radian { nearest_turn(value, identified) } else { value }
+}

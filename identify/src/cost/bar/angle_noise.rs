@@ -1,0 +1,225 @@
+//! How large the noise of the angles is, from what is left of the poses that they give.
+//!
+//! Encoders and joints move a pose in different directions, so that the scatter of poses says how much comes from which: the
+//! covariance of a sample is `V = s_e^2 E + s_r^2 R + K`, with `E` and `R` what angles of variance one make of the pose and `K`
+//! what is known beside. Both variances are those of the greatest likelihood, by Fisher scoring (Rao 1971 for the equations;
+//! they need no good start: for any weights they are free of bias).
+
+use nalgebra::{Matrix6, Vector6};
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+
+use crate::solver::GoodShare;
+
+/// White noise of the angles, one standard deviation.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct AngleNoise {
+    /// Of each bar encoder \[rad\].
+    pub encoder_rad: f64,
+    /// Of each robot joint \[rad\].
+    pub robot_rad: f64,
+}
+
+impl AngleNoise {
+    fn variances(self) -> [f64; 2] {
+        [self.encoder_rad.powi(2), self.robot_rad.powi(2)]
+    }
+
+    fn of_variances([encoder, robot]: [f64; 2]) -> Self {
+        Self { encoder_rad: encoder.sqrt(), robot_rad: robot.sqrt() }
+    }
+}
+
+/// The noise that residuals show.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FoundNoise {
+    /// All that the model leaves, whether it is white or lasts.
+    pub noise: AngleNoise,
+    /// Correlation of what is left with what is left one sample later: zero of white noise, and the part of the variance that
+    /// lasts longer where some of it does.
+    pub autocorrelation: f64,
+    /// One standard deviation of that for white noise.
+    pub autocorrelation_sigma: f64,
+}
+
+/// What is left of one sample, and what its angles make of it.
+#[derive(Debug, Clone)]
+pub(in crate::cost) struct NoisySample {
+    /// Position \[m\] and rotation \[rad\].
+    pub residual: Vector6<f64>,
+    /// Covariance of it for encoders, and for robot joints, of variance one.
+    pub by_angles: [Matrix6<f64>; 2],
+    /// Covariance from all else.
+    pub known: Matrix6<f64>,
+}
+
+impl NoisySample {
+    /// Covariance of the residual.
+    pub fn covariance(&self, noise: AngleNoise) -> Matrix6<f64> {
+        self.at(noise.variances())
+    }
+
+    fn at(&self, [encoder, robot]: [f64; 2]) -> Matrix6<f64> {
+        self.by_angles[0] * encoder + self.by_angles[1] * robot + self.known
+    }
+}
+
+/// Rows of a sample.
+const ROWS: usize = 6;
+/// Samples that take part, at most: two numbers do not need more.
+const SAMPLES_MAX: usize = 3000;
+/// Angles are not taken to be better than this part of what is configured: below, interpolation and rounding have their say.
+const BETTER_MAX: f64 = 0.1;
+/// Chance that a good sample is taken for an outlier, which has no say.
+const CUT: f64 = 1e-3;
+
+impl FoundNoise {
+    /// From samples in the order of time, those without a value being none, `columns` of whose numbers a fit has taken up.
+    /// None where too few are left to find it.
+    pub(in crate::cost) fn of(
+        samples: &[Option<NoisySample>],
+        columns: usize,
+        start: AngleNoise,
+    ) -> Option<Self> {
+        const STEPS_MAX: usize = 30;
+        const SETTLED: f64 = 1e-3;
+        let present: Vec<&NoisySample> = samples.iter().flatten().collect();
+        let rows = ROWS * present.len();
+        if rows < 2 * columns {
+            return None;
+        }
+        // What a fit has taken up is missing in what it leaves.
+        let freedom = (rows - columns) as f64 / rows as f64;
+        let thinned: Vec<&NoisySample> =
+            present.iter().step_by(present.len().div_ceil(SAMPLES_MAX).max(1)).copied().collect();
+        let least = start.variances().map(|variance| BETTER_MAX * BETTER_MAX * variance);
+        let mut variances = start.variances();
+        for _ in 0..STEPS_MAX {
+            let before = variances;
+            variances = step(&thinned, before, least, freedom)?;
+            let change = variances.iter().zip(before).map(|(now, before)| (now / before - 1.0).abs());
+            if change.fold(0.0, f64::max) < SETTLED {
+                break;
+            }
+        }
+        let noise = AngleNoise::of_variances(variances);
+        let (autocorrelation, autocorrelation_sigma) = autocorrelation(samples, variances)?;
+        Some(Self { noise, autocorrelation, autocorrelation_sigma })
+    }
+}
+
+/// The variances of the next step, where samples weigh by these, none less than the `least`.
+fn step(samples: &[&NoisySample], at: [f64; 2], least: [f64; 2], freedom: f64) -> Option<[f64; 2]> {
+    let weighed: Vec<(&NoisySample, Matrix6<f64>, Vector6<f64>)> = samples
+        .iter()
+        .filter_map(|sample| {
+            let weight = sample.at(at).cholesky()?.inverse();
+            Some((*sample, weight, weight * sample.residual))
+        })
+        .collect();
+    let squared =
+        |(sample, _, pulled): &(&NoisySample, Matrix6<f64>, Vector6<f64>)| sample.residual.dot(pulled);
+    let limit = cut(weighed.iter().map(squared))?;
+    let (mut information, mut seen) = ([[0.0; 2]; 2], [0.0; 2]);
+    for one in weighed.iter().filter(|one| squared(one) <= limit) {
+        let (sample, weight, pulled) = one;
+        let by: [Matrix6<f64>; 2] = sample.by_angles.map(|by| weight * by);
+        let known = weight * sample.known;
+        for k in 0..2 {
+            seen[k] += pulled.dot(&(sample.by_angles[k] * pulled)) / freedom - trace(&by[k], &known);
+            for l in 0..2 {
+                information[k][l] += trace(&by[k], &by[l]);
+            }
+        }
+    }
+    let [[a, b], [_, d]] = information;
+    let alone = |k: usize, other: f64| (seen[k] - b * other) / information[k][k];
+    let both = [(d * seen[0] - b * seen[1]) / (a * d - b * b), (a * seen[1] - b * seen[0]) / (a * d - b * b)];
+    let found = match [both[0] < least[0], both[1] < least[1]] {
+        [false, false] => both,
+        [true, false] => [least[0], alone(1, least[0])],
+        _ => [alone(0, least[1]), least[1]],
+    };
+    let found = [found[0].max(least[0]), found[1].max(least[1])];
+    found.iter().all(|variance| variance.is_finite()).then_some(found)
+}
+
+/// Trace of a product.
+fn trace(a: &Matrix6<f64>, b: &Matrix6<f64>) -> f64 {
+    a.component_mul(&b.transpose()).sum()
+}
+
+/// Squared norm beyond which a sample is an outlier, from those of all.
+fn cut(squared: impl Iterator<Item = f64>) -> Option<f64> {
+    let spread = GoodShare::HALF.spread(squared.map(|squared| (squared, ROWS)));
+    Some(spread.powi(2) * ChiSquared::new(ROWS as f64).ok()?.inverse_cdf(1.0 - CUT))
+}
+
+/// Correlation of neighbours, and its standard deviation for white noise.
+fn autocorrelation(samples: &[Option<NoisySample>], variances: [f64; 2]) -> Option<(f64, f64)> {
+    let whitened =
+        |sample: &NoisySample| sample.at(variances).cholesky()?.l().solve_lower_triangular(&sample.residual);
+    let all: Vec<Option<Vector6<f64>>> =
+        samples.iter().map(|sample| sample.as_ref().and_then(whitened)).collect();
+    let limit = cut(all.iter().flatten().map(Vector6::norm_squared))?;
+    let good = |one: &Option<Vector6<f64>>| one.filter(|one| one.norm_squared() <= limit);
+    let (mut product, mut squared, mut pairs) = (0.0, 0.0, 0usize);
+    for pair in all.windows(2) {
+        let (Some(one), Some(next)) = (good(&pair[0]), good(&pair[1])) else { continue };
+        product += one.dot(&next);
+        squared += 0.5 * (one.norm_squared() + next.norm_squared());
+        pairs += 1;
+    }
+    (squared > 0.0).then(|| (product / squared, ((ROWS * pairs) as f64).sqrt().recip()))
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::rngs::StdRng;
+    use rand::{Rng, SeedableRng};
+    use rand_distr::StandardNormal;
+
+    use super::*;
+
+    /// Poses that five encoders and six joints move in directions of their own, every tenth by something else.
+    fn samples(truth: AngleNoise, outliers: bool) -> Vec<Option<NoisySample>> {
+        let mut random = StdRng::seed_from_u64(5);
+        let mut normal = move || random.sample::<f64, _>(StandardNormal);
+        let mut sample = |number: usize| {
+            let mut by_angles = [Matrix6::zeros(); 2];
+            let mut residual = Vector6::zeros();
+            for (group, (count, sigma)) in
+                [(5, truth.encoder_rad), (6, truth.robot_rad)].into_iter().enumerate()
+            {
+                for _ in 0..count {
+                    let direction = Vector6::from_fn(|_, _| normal());
+                    by_angles[group] += direction * direction.transpose();
+                    residual += direction * (sigma * normal());
+                }
+            }
+            if outliers && number.is_multiple_of(10) {
+                residual *= 100.0;
+            }
+            Some(NoisySample { residual, by_angles, known: Matrix6::identity() * 1e-14 })
+        };
+        (0..2000).map(&mut sample).collect()
+    }
+
+    #[test]
+    fn both_noises_are_found_wherever_the_configuration_starts_and_outliers_have_no_say() {
+        let start = AngleNoise { encoder_rad: 5e-6, robot_rad: 15e-6 };
+        for (encoder, robot) in [(5.0, 15.0), (200.0, 1.5), (200.0, 50.0), (0.5, 200.0), (2.0, 3.0)] {
+            let truth = AngleNoise { encoder_rad: encoder * 1e-6, robot_rad: robot * 1e-6 };
+            for outliers in [false, true] {
+                let found = FoundNoise::of(&samples(truth, outliers), 0, start);
+                let FoundNoise { noise, autocorrelation, autocorrelation_sigma } =
+                    found.unwrap_or_else(|| panic!("nothing"));
+                // The smaller of two that are far apart is lost in the larger.
+                let within =
+                    |found: f64, truth: f64, other: f64| (found - truth).abs() < 0.05 * truth + 0.1 * other;
+                assert!(within(noise.encoder_rad, truth.encoder_rad, truth.robot_rad), "{noise:?}");
+                assert!(within(noise.robot_rad, truth.robot_rad, truth.encoder_rad), "{noise:?}");
+                assert!(autocorrelation.abs() < 4.0 * autocorrelation_sigma, "{autocorrelation}");
+            }
+        }
+    }
+}

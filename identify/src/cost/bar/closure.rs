@@ -1,0 +1,71 @@
+//! How far the two chains are from closing, sample by sample: what reports draw.
+
+use nalgebra::Vector3;
+
+use crate::cost::problem::{LoopPoint, readings};
+use crate::kinematics::{Twist, rotation_vector, singularity_margin_rad};
+use crate::model::{BarForce, Geometry, JointState, Observation, RobotMotion};
+
+/// The closed chain at one sample.
+#[derive(Debug, Clone)]
+pub struct Closure {
+    /// Bar clock, since the reference time \[s\].
+    pub t_s: f64,
+    /// Robot joints at that instant.
+    pub joints: JointState,
+    /// Robot's end minus bar's end, in the robot's base \[m\].
+    pub apart_m: Vector3<f64>,
+    /// Rotation from the bar's end to the robot's, in the robot's base \[rad\].
+    pub turned_rad: Vector3<f64>,
+    /// Distance of the robot's end from the centre of the gimbal minus the bar's length under its force and in its direction \[m\].
+    pub off_sphere_m: f64,
+    /// What the force adds to the bar's length \[m\].
+    pub by_force_m: f64,
+    /// On the bar.
+    pub force: BarForce,
+    /// From the centre of the gimbal to the robot's end, in the robot's base, unit length.
+    pub direction: Vector3<f64>,
+    /// Distance from the bar's nearest singular pose \[rad\].
+    pub margin_rad: f64,
+    /// How the robot's end moves with each joint.
+    pub joint_twists: Vec<Twist>,
+}
+
+impl Closure {
+    /// Distance of the two ends; without encoders they do not tell where the bar's is, and it is that from its sphere \[m\].
+    pub fn gap_m(&self, by_encoders: bool) -> f64 {
+        if by_encoders { self.apart_m.norm() } else { self.off_sphere_m.abs() }
+    }
+}
+
+/// The closed chain at each observation, on one geometry. Joints without encoder must have been filled in.
+/// Observations outside the robot's log are left out.
+pub fn closures(
+    geometry: &Geometry,
+    motion: &impl RobotMotion,
+    observations: &[Observation],
+) -> Vec<Closure> {
+    let mut point = LoopPoint::new(geometry.clone());
+    let at = |(sample, observation): (usize, &Observation)| {
+        let readings = readings(observation);
+        let scene = point.scene(motion, sample, observation, &readings)?;
+        let out_m = scene.robot.position_m() - geometry.base.origin_m;
+        let mut bar_rad = scene.bar_rad;
+        for (angle, link) in bar_rad.iter_mut().zip(&geometry.bar_links) {
+            *angle += link.theta_rad;
+        }
+        Some(Closure {
+            t_s: observation.t_s,
+            joints: scene.joints.reported,
+            apart_m: scene.robot.position_m() - scene.bar.position_m(),
+            turned_rad: rotation_vector(&(scene.robot.rotation() * scene.bar.rotation().transpose())),
+            off_sphere_m: out_m.norm() - scene.rod_m(),
+            by_force_m: geometry.elongation.extension_m(&observation.force),
+            force: observation.force,
+            direction: out_m / out_m.norm().max(f64::MIN_POSITIVE),
+            margin_rad: singularity_margin_rad(&bar_rad),
+            joint_twists: scene.robot.joint_twists().collect(),
+        })
+    };
+    observations.iter().enumerate().filter_map(at).collect()
+}

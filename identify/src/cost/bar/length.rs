@@ -1,0 +1,63 @@
+//! The bar as a distance: no encoders needed.
+
+use nalgebra::Vector3;
+
+use crate::cost::{Movement, Residual, Scene};
+use crate::kinematics::LinkParameter;
+use crate::model::ParameterId;
+
+/// `|R_p - o|^2 - L^2` (thesis eq. 2.1): the robot's end lies on the sphere of the bar \[m^2\]. `L` is `bd3` and what the
+/// force and the direction at the sample add to it.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Length;
+
+impl Residual for Length {
+    /// From the bar's base to the robot's end \[m\].
+    type Local = Vector3<f64>;
+
+    const NAME: &'static str = "length";
+    const ROWS: usize = 1;
+    const ENCODERS: &'static [usize] = &[];
+
+    fn sees(id: ParameterId) -> bool {
+        match id {
+            // The last twist turns the end frame about its own origin.
+            ParameterId::Robot { link, parameter } => {
+                link != 5 || !matches!(parameter, LinkParameter::Alpha | LinkParameter::Beta)
+            }
+            ParameterId::Joint { .. }
+            | ParameterId::JointWave { .. }
+            | ParameterId::Base(_)
+            | ParameterId::BarCompliance
+            | ParameterId::BarPlay
+            | ParameterId::BarWave { .. }
+            | ParameterId::ClockShift
+            | ParameterId::ClockSkew => true,
+            id => id == ParameterId::ROD,
+        }
+    }
+
+    fn identifies(id: ParameterId) -> bool {
+        // A robot on the sphere moves along it: when a sample was taken makes no difference but noise. Without encoders
+        // nothing says in which direction the bar points.
+        let of_clock = matches!(id, ParameterId::ClockShift | ParameterId::ClockSkew);
+        let of_reading = matches!(id, ParameterId::BarWave { .. });
+        !of_clock && !of_reading && Self::sees(id)
+    }
+
+    fn local(&self, scene: &Scene<'_>) -> Option<Vector3<f64>> {
+        Some(scene.robot.position_m() - scene.geometry.base.origin_m)
+    }
+
+    fn residual(&self, scene: &Scene<'_>, from_origin: &Vector3<f64>, out: &mut [f64]) {
+        out[0] = from_origin.norm_squared() - scene.rod_m().powi(2);
+    }
+
+    fn derivative(&self, scene: &Scene<'_>, from_origin: &Vector3<f64>, id: ParameterId, out: &mut [f64]) {
+        out[0] = match (id, scene.movement(id)) {
+            (_, Movement::Robot(twist)) => 2.0 * from_origin.dot(&twist.linear),
+            (ParameterId::Base(axis), _) => -2.0 * from_origin[axis.index()],
+            (id, _) => -2.0 * scene.rod_m() * scene.elongation(id),
+        };
+    }
+}

@@ -1,0 +1,206 @@
+//! The whole pose, each number weighed by what it is worth: all five encoders, or all but that of joint 3.
+
+use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
+
+use super::angle_noise::NoisySample;
+use crate::cost::problem::{LoopPoint, readings};
+use crate::cost::scene::{ALL_BUT_TORSION, ALL_ENCODERS, TORSION, sees_encoder};
+use crate::cost::{AngleNoise, FoundNoise, Movement, Residual, Scene};
+use crate::kinematics::{LinkParameter, ROD_LINK, Trace, Twist, rotation_vector};
+use crate::model::{Geometry, Observation, Owner, ParameterId, RobotMotion};
+
+/// Standard deviation that is added in each direction \[m, rad\]: keeps a direction that neither chain's noise reaches,
+/// near a singular pose, from weighing without limit.
+const FLOOR: f64 = 1e-7;
+/// An angle without encoder is as good as unknown: beside microradians this leaves it without weight, and covariances can
+/// still be factorised \[rad\].
+const UNKNOWN_RAD: f64 = 0.1;
+
+/// Position \[m\] and rotation vector \[rad\] of `B^-1 R`, whitened: six numbers of standard deviation one.
+///
+/// The covariance of a sample is what the noise of its eleven angles propagates into it. It is frozen: computed once, on
+/// the geometry given to [`WhitenedPose::new`], and the same for every step of a solve, so that residual and derivative
+/// belong to one function. Errors of millimetres change it by thousandths; whiten again at the solution and solve once
+/// more where that matters.
+///
+/// Weights in metres that are frozen would reward a smaller world, whose positions are nearer to each other: by sigmas, where
+/// nothing but a prior fixes the scale. So the weights of positions follow the length of the rod.
+///
+/// Without encoder 3 the turn about the rod is not known, and what it moves has no weight.
+#[derive(Debug, Clone)]
+pub struct PoseByNoise<const ENCODER_3: bool> {
+    /// Inverse of the Cholesky factor of each sample's covariance; none where the sample has no value.
+    whitening: Vec<Option<Matrix6<f64>>>,
+    /// Length of the rod for which that is \[m\].
+    rod_m: f64,
+}
+
+/// With all five encoders.
+pub type WhitenedPose = PoseByNoise<true>;
+/// With encoders 1, 2, 4 and 5.
+pub type WhitenedPoseOfFour = PoseByNoise<false>;
+
+impl<const ENCODER_3: bool> PoseByNoise<ENCODER_3> {
+    /// Whitening of each observation on this geometry.
+    pub fn new(
+        geometry: &Geometry,
+        motion: &impl RobotMotion,
+        observations: &[Observation],
+        noise: AngleNoise,
+    ) -> Self {
+        let whitening = Self::noisy(geometry, motion, observations).map(|sample| {
+            let lower = sample?.covariance(noise).cholesky()?.l();
+            lower.solve_lower_triangular(&Matrix6::identity())
+        });
+        Self { whitening: whitening.collect(), rod_m: rod_m(geometry) }
+    }
+
+    /// The noise that the observations show on the geometry of a fit with so many columns, sought from `start` on; none where
+    /// they are too few.
+    pub fn noise(
+        geometry: &Geometry,
+        motion: &impl RobotMotion,
+        observations: &[Observation],
+        columns: usize,
+        start: AngleNoise,
+    ) -> Option<FoundNoise> {
+        let samples: Vec<_> = Self::noisy(geometry, motion, observations).collect();
+        FoundNoise::of(&samples, columns, start)
+    }
+
+    fn noisy(
+        geometry: &Geometry,
+        motion: &impl RobotMotion,
+        observations: &[Observation],
+    ) -> impl Iterator<Item = Option<NoisySample>> {
+        let mut point = LoopPoint::new(geometry.clone());
+        observations.iter().enumerate().map(move |(sample, observation)| {
+            let readings = readings(observation);
+            Some(noisy::<ENCODER_3>(&point.scene(motion, sample, observation, &readings)?))
+        })
+    }
+}
+
+/// Length of the rod, by which positions scale \[m\].
+fn rod_m(geometry: &Geometry) -> f64 {
+    geometry.bar_links.get(ROD_LINK).map_or(1.0, |rod| rod.d_m)
+}
+
+/// Pose of the robot's end seen from the bar's, and how it moves with either.
+struct Seen {
+    value: Vector6<f64>,
+    by_robot: Matrix6<f64>,
+    by_bar: Matrix6<f64>,
+}
+
+impl Seen {
+    fn new(scene: &Scene<'_>) -> Self {
+        let into_bar = scene.bar.rotation().transpose();
+        let apart = scene.robot.position_m() - scene.bar.position_m();
+        let turn = rotation_vector(&(into_bar * scene.robot.rotation()));
+        let turned = inverse_left_jacobian(&turn) * into_bar;
+        let mut value = Vector6::zeros();
+        value.fixed_rows_mut::<3>(0).copy_from(&(into_bar * apart));
+        value.fixed_rows_mut::<3>(3).copy_from(&turn);
+        let mut by_robot = Matrix6::zeros();
+        by_robot.fixed_view_mut::<3, 3>(0, 0).copy_from(&into_bar);
+        by_robot.fixed_view_mut::<3, 3>(3, 3).copy_from(&turned);
+        let mut by_bar = -by_robot;
+        by_bar.fixed_view_mut::<3, 3>(0, 3).copy_from(&(into_bar * apart.cross_matrix()));
+        Self { value, by_robot, by_bar }
+    }
+}
+
+/// `d log(Q) = J dw` for `dQ = [dw] Q` at rotation vector `w`: `1 - [w]/2 + c [w]^2`.
+pub(in crate::cost) fn inverse_left_jacobian(w: &Vector3<f64>) -> Matrix3<f64> {
+    let squared = w.norm_squared();
+    // 1/t^2 - cot(t/2)/(2t) cancels for small angles; its series there.
+    let c = if squared < 1e-2 {
+        1.0 / 12.0 + squared * (1.0 / 720.0 + squared * (1.0 / 30240.0 + squared / 1_209_600.0))
+    } else {
+        let angle = squared.sqrt();
+        (1.0 - 0.5 * angle / (0.5 * angle).tan()) / squared
+    };
+    let cross = w.cross_matrix();
+    Matrix3::identity() - cross * 0.5 + cross * cross * c
+}
+
+fn stacked(twist: &Twist) -> Vector6<f64> {
+    let (v, w) = (twist.linear, twist.angular);
+    Vector6::new(v.x, v.y, v.z, w.x, w.y, w.z)
+}
+
+fn noisy<const ENCODER_3: bool>(scene: &Scene<'_>) -> NoisySample {
+    let seen = Seen::new(scene);
+    let of = |chain: &Trace, by: &Matrix6<f64>, is_measured: fn(usize) -> bool| {
+        let twists = chain.joint_twists().enumerate().filter(|(joint, _)| is_measured(*joint));
+        twists.fold(Matrix6::zeros(), |sum, (_, twist)| {
+            let moved = by * stacked(&twist);
+            sum + moved * moved.transpose()
+        })
+    };
+    let mut known = Matrix6::identity() * (FLOOR * FLOOR);
+    let mut is_measured: fn(usize) -> bool = |_| true;
+    if !ENCODER_3 {
+        is_measured = |joint| joint != TORSION;
+        known += of(scene.bar, &seen.by_bar, |joint| joint == TORSION) * (UNKNOWN_RAD * UNKNOWN_RAD);
+    }
+    let by_angles = [of(scene.bar, &seen.by_bar, is_measured), of(scene.robot, &seen.by_robot, |_| true)];
+    NoisySample { residual: seen.value, by_angles, known }
+}
+
+/// The whitened residual and what it makes of twists of either end (linear, then angular).
+#[derive(Debug, Clone)]
+pub struct Whitened {
+    residual: Vector6<f64>,
+    by_robot: Matrix6<f64>,
+    by_bar: Matrix6<f64>,
+    /// What a longer rod makes of the weights.
+    by_scale: Vector6<f64>,
+}
+
+impl<const ENCODER_3: bool> Residual for PoseByNoise<ENCODER_3> {
+    type Local = Whitened;
+
+    const NAME: &'static str = "pose";
+    const ROWS: usize = 6;
+    const ENCODERS: &'static [usize] = if ENCODER_3 { ALL_ENCODERS } else { ALL_BUT_TORSION };
+
+    fn sees(id: ParameterId) -> bool {
+        let of_torsion = id == ParameterId::Bar { link: TORSION, parameter: LinkParameter::Theta };
+        id.is_seen_by(Owner::BallBar) && sees_encoder(id, Self::ENCODERS) && (ENCODER_3 || !of_torsion)
+    }
+
+    fn local(&self, scene: &Scene<'_>) -> Option<Whitened> {
+        let (mut whitening, rod_m) = (self.whitening.get(scene.sample).copied()??, rod_m(scene.geometry));
+        let mut of_positions = whitening.fixed_columns_mut::<3>(0);
+        of_positions *= self.rod_m / rod_m;
+        let seen = Seen::new(scene);
+        Some(Whitened {
+            residual: whitening * seen.value,
+            by_robot: whitening * seen.by_robot,
+            by_bar: whitening * seen.by_bar,
+            by_scale: whitening.fixed_columns::<3>(0) * seen.value.fixed_rows::<3>(0) / -rod_m,
+        })
+    }
+
+    fn residual(&self, _: &Scene<'_>, whitened: &Whitened, out: &mut [f64]) {
+        out.copy_from_slice(whitened.residual.as_slice());
+    }
+
+    fn derivative(&self, scene: &Scene<'_>, whitened: &Whitened, id: ParameterId, out: &mut [f64]) {
+        let (by, twist) = match scene.movement(id) {
+            Movement::Robot(twist) => (&whitened.by_robot, twist),
+            Movement::Bar(twist) => (&whitened.by_bar, twist),
+            Movement::None => return,
+        };
+        let mut moved = by.fixed_columns::<3>(0) * twist.linear;
+        if twist.angular != Vector3::zeros() {
+            moved += by.fixed_columns::<3>(3) * twist.angular;
+        }
+        if id == ParameterId::ROD {
+            moved += whitened.by_scale;
+        }
+        out.copy_from_slice(moved.as_slice());
+    }
+}

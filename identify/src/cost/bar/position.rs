@@ -1,0 +1,69 @@
+//! The bar as a point: encoders 1 and 2.
+
+use nalgebra::Vector3;
+
+use crate::cost::scene::sees_encoder;
+use crate::cost::{Movement, Residual, Scene};
+use crate::kinematics::LinkParameter;
+use crate::model::{Owner, ParameterId};
+
+/// `R_p - B_p` \[m\] (thesis eq. 2.2).
+///
+/// The bar's point hangs on joints 3 to 5 only by lever arms that are zero in the design (`ba3 ba4 ba5 bd4 bd5`). Where
+/// these joints have no encoder their angles must be filled in, see [`super::fill_in`].
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Position;
+
+/// Robot minus bar \[m\].
+pub(in crate::cost) fn difference(scene: &Scene<'_>) -> Vector3<f64> {
+    scene.robot.position_m() - scene.bar.position_m()
+}
+
+/// How [`difference`] changes with a parameter.
+#[inline]
+pub(in crate::cost) fn derivative(scene: &Scene<'_>, id: ParameterId) -> Vector3<f64> {
+    match scene.movement(id) {
+        Movement::Robot(twist) => twist.linear,
+        Movement::Bar(twist) => -twist.linear,
+        Movement::None => Vector3::zeros(),
+    }
+}
+
+impl Residual for Position {
+    type Local = ();
+
+    const NAME: &'static str = "position";
+    const ROWS: usize = 3;
+    const ENCODERS: &'static [usize] = &[0, 1];
+
+    fn sees(id: ParameterId) -> bool {
+        match id {
+            // The last twist turns the end frame about its own origin.
+            ParameterId::Robot { link: 5, parameter } => {
+                !matches!(parameter, LinkParameter::Alpha | LinkParameter::Beta)
+            }
+            // So do the angles of cardan and rod, as long as it has no lever arms.
+            ParameterId::Bar { link: 2..=4, parameter } => {
+                matches!(parameter, LinkParameter::A | LinkParameter::D)
+            }
+            id => id.is_seen_by(Owner::BallBar) && sees_encoder(id, Self::ENCODERS),
+        }
+    }
+
+    fn identifies(id: ParameterId) -> bool {
+        // `ba2` moves the rod's end sideways, as `btheta2` does: without the cardan's angles the two are one.
+        id != ParameterId::Bar { link: 1, parameter: LinkParameter::A } && Self::sees(id)
+    }
+
+    fn local(&self, _: &Scene<'_>) -> Option<()> {
+        Some(())
+    }
+
+    fn residual(&self, scene: &Scene<'_>, (): &(), out: &mut [f64]) {
+        out.copy_from_slice(difference(scene).as_slice());
+    }
+
+    fn derivative(&self, scene: &Scene<'_>, (): &(), id: ParameterId, out: &mut [f64]) {
+        out.copy_from_slice(derivative(scene, id).as_slice());
+    }
+}

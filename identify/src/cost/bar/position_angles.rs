@@ -1,0 +1,74 @@
+//! The bar as a point and two angles of its cardan: encoders 1, 2, 4 and 5.
+
+use nalgebra::Vector5;
+
+use super::position::{derivative, difference};
+use crate::cost::scene::{ALL_BUT_TORSION, TORSION, sees_encoder};
+use crate::cost::{Movement, Residual, Scene};
+use crate::kinematics::{BAR_JOINTS, ImpliedBar, LinkParameter};
+use crate::model::{Observation, Owner, ParameterId};
+
+/// `R_p - B_p` \[m\], `sin(b4^ - b4)` and `sin(b5^ - b5)` (thesis eq. 2.3); `b^` are the joints that the robot's pose
+/// implies, see [`ImpliedBar`]. Metres and sines weigh the same, as there.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct PositionAngles;
+
+/// Joints whose angles are compared.
+const COMPARED: [usize; 2] = [3, 4];
+
+/// Measured joints, none where there is no encoder.
+pub(in crate::cost) fn measured(observation: &Observation) -> [Option<f64>; BAR_JOINTS] {
+    std::array::from_fn(|joint| observation.measured[joint].then_some(observation.bar_rad[joint]))
+}
+
+impl Residual for PositionAngles {
+    type Local = ImpliedBar;
+
+    const NAME: &'static str = "position_angles";
+    const ROWS: usize = 5;
+    const ENCODERS: &'static [usize] = ALL_BUT_TORSION;
+
+    fn sees(id: ParameterId) -> bool {
+        // Joint 3 is in neither: its zero moves the implied angle 3 alone.
+        id != ParameterId::Bar { link: TORSION, parameter: LinkParameter::Theta }
+            && id.is_seen_by(Owner::BallBar)
+            && sees_encoder(id, Self::ENCODERS)
+    }
+
+    fn local(&self, scene: &Scene<'_>) -> Option<ImpliedBar> {
+        let (chain, tracer) = scene.bar_chain;
+        ImpliedBar::new(chain, tracer, scene.robot.end(), &measured(scene.observation)).ok()
+    }
+
+    fn residual(&self, scene: &Scene<'_>, implied: &ImpliedBar, out: &mut [f64]) {
+        let (position, angles) = out.split_at_mut(3);
+        position.copy_from_slice(difference(scene).as_slice());
+        for (out, joint) in angles.iter_mut().zip(COMPARED) {
+            *out = (implied.joints_rad[joint] - scene.bar_rad[joint]).sin();
+        }
+    }
+
+    fn derivative(&self, scene: &Scene<'_>, implied: &ImpliedBar, id: ParameterId, out: &mut [f64]) {
+        let (position, angles) = out.split_at_mut(3);
+        position.copy_from_slice(derivative(scene, id).as_slice());
+        let joints = match (scene.movement(id), id) {
+            (Movement::Robot(twist), _) => implied.by_pose(&twist),
+            // The measured joint changes, the implied one does not.
+            (_, ParameterId::Harmonic { joint, harmonic }) => {
+                let wave = harmonic.wave(scene.readings[joint]);
+                Vector5::from_fn(|i, _| if i == joint { wave } else { 0.0 })
+            }
+            (Movement::Bar(_), ParameterId::EncoderOffset { joint, .. }) => {
+                Vector5::from_fn(|i, _| if i == joint { -1.0 } else { 0.0 })
+            }
+            (Movement::Bar(_), _) => {
+                let Some(twist) = scene.bar_twist(&implied.trace, id) else { return };
+                implied.by_bar(id.bar_link(), &twist)
+            }
+            (Movement::None, _) => return,
+        };
+        for (out, joint) in angles.iter_mut().zip(COMPARED) {
+            *out = joints[joint] * (implied.joints_rad[joint] - scene.bar_rad[joint]).cos();
+        }
+    }
+}

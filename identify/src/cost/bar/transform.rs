@@ -1,0 +1,65 @@
+//! The whole pose, entry by entry: all five encoders.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::cost::scene::{ALL_ENCODERS, sees_encoder};
+use crate::cost::{Movement, Residual, Scene};
+use crate::kinematics::Twist;
+use crate::model::{Owner, ParameterId};
+
+/// The twelve entries of `R - B` (thesis eq. 2.4), columns of the rotation, then the position \[m\]. Metres and matrix
+/// entries weigh the same, as there.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Transform;
+
+/// Entries of `dT` for a twist of a pose with this rotation: `sign ([w] R, v)`.
+#[inline(always)]
+fn moved(twist: &Twist, rotation: &Matrix3<f64>, sign: f64, out: &mut [f64]) {
+    let Some(out) = out.first_chunk_mut::<12>() else { return };
+    let w: Vector3<f64> = twist.angular * sign;
+    let (v, r) = (twist.linear * sign, rotation);
+    [out[9], out[10], out[11]] = v.into();
+    // A shift turns nothing: the rest stays zero.
+    if w == Vector3::zeros() {
+        return;
+    }
+    for column in 0..3 {
+        let (x, y, z) = (r[(0, column)], r[(1, column)], r[(2, column)]);
+        out[3 * column] = w.y * z - w.z * y;
+        out[3 * column + 1] = w.z * x - w.x * z;
+        out[3 * column + 2] = w.x * y - w.y * x;
+    }
+}
+
+impl Residual for Transform {
+    type Local = ();
+
+    const NAME: &'static str = "transform";
+    const ROWS: usize = 12;
+    const ENCODERS: &'static [usize] = ALL_ENCODERS;
+
+    fn sees(id: ParameterId) -> bool {
+        id.is_seen_by(Owner::BallBar) && sees_encoder(id, Self::ENCODERS)
+    }
+
+    fn local(&self, _: &Scene<'_>) -> Option<()> {
+        Some(())
+    }
+
+    fn residual(&self, scene: &Scene<'_>, (): &(), out: &mut [f64]) {
+        let rotation = scene.robot.rotation() - scene.bar.rotation();
+        let position = scene.robot.position_m() - scene.bar.position_m();
+        for (out, entry) in out.iter_mut().zip(rotation.iter().chain(position.iter())) {
+            *out = *entry;
+        }
+    }
+
+    #[inline(always)]
+    fn derivative(&self, scene: &Scene<'_>, (): &(), id: ParameterId, out: &mut [f64]) {
+        match scene.movement(id) {
+            Movement::Robot(twist) => moved(&twist, scene.robot.rotation(), 1.0, out),
+            Movement::Bar(twist) => moved(&twist, scene.bar.rotation(), -1.0, out),
+            Movement::None => {}
+        }
+    }
+}

@@ -1,0 +1,128 @@
+//! What makes positions uncertain, contribution by contribution, in the manner of the GUM (JCGM 100:2008).
+
+use serde::{Deserialize, Serialize};
+
+use super::workspace::{POSTURES, Postures};
+use crate::calibrate::selection::terms::TermGroup;
+use crate::model::{Model, ParameterId, Role};
+use crate::solver::{Covariance, Source};
+
+/// How a contribution is evaluated.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Evaluation {
+    /// From the scatter of samples.
+    #[serde(rename = "A")]
+    Statistical,
+    /// From what somebody states.
+    #[serde(rename = "B")]
+    Stated,
+}
+
+/// One contribution.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Contribution {
+    /// For a person.
+    pub source: String,
+    /// How it is evaluated.
+    pub evaluation: Evaluation,
+    /// Standard uncertainty of a position, root mean square over the workspace \[m\].
+    pub u_m: f64,
+}
+
+/// All contributions to the uncertainty of a position, which are independent of each other.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Budget {
+    /// Combined standard uncertainty, root mean square over the workspace \[m\].
+    pub u_m: f64,
+    /// Its effective degrees of freedom (Welch and Satterthwaite); absent where it is as good as known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub freedom: Option<f64>,
+    /// Coverage factor of the expanded uncertainty.
+    pub coverage_factor: f64,
+    /// Expanded uncertainty \[m\].
+    pub expanded_m: f64,
+    /// The largest first.
+    pub contributions: Vec<Contribution>,
+}
+
+/// Coverage factor: 95 % of normal errors along an axis, and more of a distance in space.
+const K: f64 = 2.0;
+
+impl Budget {
+    /// `columns` are those of the covariance that the postures are derived by.
+    pub(in crate::evaluate) fn new(
+        model: &Model,
+        covariance: &Covariance,
+        columns: &[(usize, ParameterId)],
+        postures: &Postures,
+    ) -> Self {
+        let spread = covariance.spread();
+        let moved_m =
+            &postures.by_parameter * spread.by_source.select_rows(columns.iter().map(|(column, _)| column));
+        let mut contributions: Vec<Contribution> = Vec::new();
+        for (source, moved_m) in spread.sources.iter().zip(moved_m.column_iter()) {
+            let (name, u_m) = (named(*source, model, covariance), moved_m.norm() / (POSTURES as f64).sqrt());
+            match contributions.iter_mut().find(|one| one.source == name) {
+                Some(one) => one.u_m = one.u_m.hypot(u_m),
+                None => {
+                    let statistical = source.is_statistical();
+                    let evaluation = if statistical { Evaluation::Statistical } else { Evaluation::Stated };
+                    contributions.push(Contribution { source: name, evaluation, u_m });
+                }
+            }
+        }
+        contributions.sort_by(|a, b| b.u_m.total_cmp(&a.u_m));
+        let squared = |wanted: &dyn Fn(&Contribution) -> bool| -> f64 {
+            contributions.iter().filter(|one| wanted(one)).map(|one| one.u_m.powi(2)).sum()
+        };
+        let statistical = squared(&|one| one.evaluation == Evaluation::Statistical);
+        let variance = squared(&|_| true);
+        let freedom = covariance.sigmas_from.freedom().filter(|_| statistical > 0.0);
+        Self {
+            u_m: variance.sqrt(),
+            freedom: freedom.map(|freedom| freedom * (variance / statistical).powi(2)),
+            coverage_factor: K,
+            expanded_m: K * variance.sqrt(),
+            contributions,
+        }
+    }
+
+    /// Part of the variance that is a contribution's, 0 to 1.
+    pub fn part(&self, of: &Contribution) -> f64 {
+        if self.u_m > 0.0 { (of.u_m / self.u_m).powi(2) } else { 0.0 }
+    }
+}
+
+/// For a person: what is stated of one length by itself, of others by what they are.
+fn named(source: Source, model: &Model, covariance: &Covariance) -> String {
+    let (column, how) = match source {
+        Source::Together => return "errors of the samples, with all priors".into(),
+        Source::Samples { data_set } => return format!("errors of the samples of data set {}", data_set + 1),
+        Source::Known => return "what is known of the sockets".into(),
+        Source::LeftOut => return "errors of joints that the samples neither show nor exclude".into(),
+        Source::Prior { column } => (column, "estimated, expected"),
+        Source::Considered { column } => (column, "fixed"),
+    };
+    let name = covariance.name(column);
+    let Some(id) = name.split('@').next().and_then(|name| name.parse::<ParameterId>().ok()) else {
+        return name.to_owned();
+    };
+    let sigma = match model.parameter(id).map(|parameter| parameter.role) {
+        Some(Role::Prior { sigma, .. } | Role::Considered { sigma }) => Some(sigma),
+        _ => None,
+    };
+    let alone = matches!(source, Source::Considered { .. }) || ParameterId::KNOWN_LENGTHS.contains(&id);
+    match (TermGroup::of(id), sigma) {
+        (_, Some(sigma)) if alone => {
+            format!("{name}, {how} within {}", id.unit().display(sigma))
+        }
+        (Some(group), _) => format!("what is expected of {}", group.name()),
+        (None, _) => match id {
+            ParameterId::Robot { .. } | ParameterId::Bar { .. } => "tolerance of the links".into(),
+            ParameterId::EncoderOffset { .. } => "offsets of encoders that lost their origin".into(),
+            ParameterId::Probe { .. } => "mounting of the probe".into(),
+            ParameterId::Ball(_) => "mounting of the ball".into(),
+            _ => format!("{name}, {how}"),
+        },
+    }
+}

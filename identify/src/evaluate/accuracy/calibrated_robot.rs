@@ -1,0 +1,176 @@
+//! The robot that a calibration found: where it is at reported joints, how to bring it somewhere, and how sure that is.
+
+use nalgebra::{DMatrix, Matrix6, Matrix6xX};
+use shared::config::{BallBarConfig, RobotConfig};
+
+use crate::kinematics::{
+    InverseError, Joints, Pose, Trace, Tracer, Twist, flange_chain, robot_chain, robot_inverse,
+};
+use crate::model::{DriveTrain, Geometry, JointErrors, JointState, JointWaves, Owner, ParameterId};
+use crate::report::result::file::CalibrationFile;
+
+/// Joints are known well enough \[rad, m\]: a hundred times below what any encoder resolves.
+const SETTLED: f64 = 1e-10;
+/// Errors of joints shrink by their slope, a few thousandths, in each of these.
+const ITERATIONS_MAX: usize = 20;
+
+/// Why a calibrated robot has no answer.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum CalibratedRobotError {
+    /// The calibration is of another robot.
+    #[error(
+        "the calibration's parameter `{name}` is none of {robot}; give the robot's configuration that it was made with"
+    )]
+    Parameter {
+        /// The parameter.
+        name: String,
+        /// The robot.
+        robot: String,
+    },
+    /// A posture has another number of joints.
+    #[error("a posture has {found} joints where the robot has {expected}")]
+    Joints {
+        /// Numbers given.
+        found: usize,
+        /// Axes of the robot.
+        expected: usize,
+    },
+    /// A number is not finite.
+    #[error("joint {joint} of a posture is no finite number")]
+    NotFinite {
+        /// From 1.
+        joint: usize,
+    },
+    /// No joints bring it there.
+    #[error(transparent)]
+    Inverse(#[from] InverseError),
+    /// The file does not say how sure its numbers are.
+    #[error("the calibration has no covariance: calibration.json has one, calibration.toml has not")]
+    NoCovariance,
+}
+
+/// A robot as calibrated, its end where the calibration's last link ends: the flange, or the end of the ball-bar's plate.
+#[derive(Debug, Clone)]
+pub struct CalibratedRobot {
+    geometry: Geometry,
+    /// Of which parameters, and how sure they are; none where the file does not say.
+    covariance: Option<(Vec<ParameterId>, DMatrix<f64>)>,
+}
+
+impl CalibratedRobot {
+    /// From a calibration and what it was made with; `bar` where a ball-bar was.
+    ///
+    /// # Errors
+    /// [`CalibratedRobotError::Parameter`].
+    pub fn new(
+        file: &CalibrationFile,
+        robot: &RobotConfig,
+        bar: Option<&BallBarConfig>,
+    ) -> Result<Self, CalibratedRobotError> {
+        let nominal = bar.map_or_else(|| flange_chain(robot), |bar| robot_chain(robot, bar));
+        let drives = DriveTrain::of(robot, &nominal);
+        let mut geometry = Geometry { joints: JointErrors::none(drives), ..Geometry::new(nominal, None) };
+        for entry in &file.parameters {
+            let Some(id) = of_robot(&entry.name) else { continue };
+            *geometry.parameter_mut(id).ok_or_else(|| CalibratedRobotError::Parameter {
+                name: entry.name.clone(),
+                robot: robot.name.clone(),
+            })? = entry.value;
+        }
+        let covariance = file.covariance.as_ref().map(|all| {
+            let names = all.names.iter().enumerate();
+            let (columns, ids): (Vec<usize>, Vec<ParameterId>) =
+                names.filter_map(|(column, name)| Some((column, of_robot(name)?))).unzip();
+            let between = |i: usize, j: usize| all.between(columns[i], columns[j]).unwrap_or(0.0);
+            let matrix = DMatrix::from_fn(columns.len(), columns.len(), between);
+            (ids, matrix)
+        });
+        Ok(Self { geometry, covariance })
+    }
+
+    /// Axes of the robot.
+    pub fn axes(&self) -> usize {
+        self.geometry.robot.links.len()
+    }
+
+    /// Where the robot's end is when it stands still and reports these joints \[rad, m\].
+    ///
+    /// # Errors
+    /// [`CalibratedRobotError::Joints`], [`CalibratedRobotError::NotFinite`].
+    pub fn forward(&self, reported: &[f64]) -> Result<Pose, CalibratedRobotError> {
+        Ok(self.geometry.robot_end(&self.at_rest(reported)?))
+    }
+
+    /// What the robot has to report to stand at a pose, of all ways the one nearest to `near` \[rad, m\].
+    ///
+    /// # Errors
+    /// All but [`CalibratedRobotError::NoCovariance`].
+    pub fn inverse(&self, target: &Pose, near: &[f64]) -> Result<Joints, CalibratedRobotError> {
+        let wanted = robot_inverse(&self.geometry.robot, target, &self.at_rest(near)?.q)?;
+        let mut reported = wanted;
+        for _ in 0..ITERATIONS_MAX {
+            let there = self.geometry.corrected(&JointState::at_rest(reported)).q;
+            let mut apart: f64 = 0.0;
+            for ((joint, wanted), there) in reported.iter_mut().zip(&wanted).zip(&there) {
+                *joint += wanted - there;
+                apart = apart.max((wanted - there).abs());
+            }
+            if apart < SETTLED {
+                return Ok(reported);
+            }
+        }
+        Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad: SETTLED }.into())
+    }
+
+    /// Covariance of position \[m\] and rotation vector \[rad\] of the robot's end in its base frame, at rest at reported
+    /// joints, as far as the calibration's own parameters make it uncertain: first-order propagation (JCGM 100:2008, 5.2).
+    ///
+    /// # Errors
+    /// [`CalibratedRobotError::Joints`], [`CalibratedRobotError::NotFinite`], [`CalibratedRobotError::NoCovariance`].
+    pub fn covariance(&self, reported: &[f64]) -> Result<Matrix6<f64>, CalibratedRobotError> {
+        let (ids, covariance) = self.covariance.as_ref().ok_or(CalibratedRobotError::NoCovariance)?;
+        let reported = self.at_rest(reported)?;
+        let mut trace = Trace::default();
+        Tracer::new(&self.geometry.robot).trace(&self.geometry.corrected(&reported).q, &mut trace);
+        let drives = &self.geometry.joints.drives;
+        let by_parameter = Matrix6xX::from_columns(
+            &ids.iter()
+                .map(|id| {
+                    let twist = match *id {
+                        ParameterId::Robot { link, parameter } => trace.twist(link, parameter),
+                        ParameterId::Joint { axis, term } => {
+                            Some(trace.moved_by(&self.geometry.joints.by_amplitude(axis, term, &reported)))
+                        }
+                        ParameterId::JointWave { axis, order, phase } => {
+                            let wave = JointWaves::wave(order, phase, drives.of_drive(axis, &reported.q));
+                            drives
+                                .joint_from_drive
+                                .get(axis)
+                                .map(|row| trace.moved_by(&row.map(|part| part * wave)))
+                        }
+                        _ => None,
+                    };
+                    twist.map_or_else(Default::default, |Twist { angular, linear }| {
+                        nalgebra::Vector6::new(linear.x, linear.y, linear.z, angular.x, angular.y, angular.z)
+                    })
+                })
+                .collect::<Vec<_>>(),
+        );
+        Ok(&by_parameter * covariance * by_parameter.transpose())
+    }
+
+    fn at_rest(&self, reported: &[f64]) -> Result<JointState, CalibratedRobotError> {
+        if reported.len() != self.axes() {
+            return Err(CalibratedRobotError::Joints { found: reported.len(), expected: self.axes() });
+        }
+        if let Some(joint) = reported.iter().position(|joint| !joint.is_finite()) {
+            return Err(CalibratedRobotError::NotFinite { joint: joint + 1 });
+        }
+        Ok(JointState::at_rest(reported.iter().copied().collect::<Joints>()))
+    }
+}
+
+/// A parameter of the robot itself by its name; none for those of instruments and of other runs.
+fn of_robot(name: &str) -> Option<ParameterId> {
+    name.parse().ok().filter(|id: &ParameterId| id.owner() == Owner::Robot)
+}

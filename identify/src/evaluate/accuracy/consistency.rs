@@ -1,0 +1,119 @@
+//! Do several calibrations of one robot agree within what they say of themselves?
+//!
+//! The thesis could only compare its paths, speeds and days by eye (its figures 5.12 to 5.17). Here every parameter of the
+//! robot gets a chi-square test of homogeneity over the calibrations, and the smallest p-value is corrected for the number
+//! of parameters (Holm 1979).
+
+use statrs::distribution::{ChiSquared, ContinuousCDF};
+
+use crate::model::{ParameterId, Unit};
+use crate::report::result::file::{CalibrationFile, Status};
+
+/// Agreement is refused below this probability.
+pub const P_MIN: f64 = 0.01;
+
+/// One parameter in several calibrations.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Compared {
+    /// Name.
+    pub name: String,
+    /// How people read it.
+    pub unit: Unit,
+    /// Correction and sigma in each calibration, SI; none where it was fixed there.
+    pub corrections: Vec<Option<(f64, f64)>>,
+    /// Half the width of the 95 % interval in each calibration, SI.
+    pub half_widths: Vec<Option<f64>>,
+    /// Mean weighted by the inverse variances.
+    pub mean: f64,
+    /// Probability of differences at least so large if all measured the same robot; none for a single one.
+    pub p: Option<f64>,
+}
+
+/// Several calibrations of one robot.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Consistency {
+    /// The robot's parameters.
+    pub parameters: Vec<Compared>,
+    /// Smallest probability times the number of tests, at most one; none where nothing could be tested.
+    pub p_corrected: Option<f64>,
+}
+
+/// Calibrations that cannot be compared.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ConsistencyError {
+    /// One is not enough.
+    #[error("there is one calibration only; give at least two")]
+    One,
+    /// Another robot.
+    #[error(
+        "these are calibrations of different robots, `{first}` and `{other}`; compare those of one robot"
+    )]
+    OtherRobot {
+        /// Of the first file.
+        first: String,
+        /// Of another.
+        other: String,
+    },
+}
+
+impl Consistency {
+    /// All of them measured the same robot, as far as can be told.
+    pub fn is_consistent(&self) -> bool {
+        self.p_corrected.is_none_or(|p| p >= P_MIN)
+    }
+
+    /// Compares the robot's parameters: those of bar and clocks differ from run to run by right.
+    ///
+    /// # Errors
+    /// [`ConsistencyError`].
+    pub fn new(files: &[CalibrationFile]) -> Result<Self, ConsistencyError> {
+        let [first, others @ ..] = files else { return Err(ConsistencyError::One) };
+        if others.is_empty() {
+            return Err(ConsistencyError::One);
+        }
+        if let Some(other) = others.iter().find(|other| other.robot != first.robot) {
+            return Err(ConsistencyError::OtherRobot {
+                first: first.robot.clone(),
+                other: other.robot.clone(),
+            });
+        }
+        let mut names: Vec<String> = Vec::new();
+        for entry in files.iter().flat_map(|file| &file.parameters) {
+            let of_robot = matches!(entry.name.parse(), Ok(ParameterId::Robot { .. }));
+            if of_robot && entry.status != Status::Fixed && !names.contains(&entry.name) {
+                names.push(entry.name.clone());
+            }
+        }
+        let parameters: Vec<Compared> = names.into_iter().map(|name| compared(name, files)).collect();
+        let tested: Vec<f64> = parameters.iter().filter_map(|one| one.p).collect();
+        let p_corrected =
+            tested.iter().copied().min_by(f64::total_cmp).map(|p| (p * tested.len() as f64).min(1.0));
+        Ok(Self { parameters, p_corrected })
+    }
+}
+
+fn compared(name: String, files: &[CalibrationFile]) -> Compared {
+    let unit = name.parse::<ParameterId>().map_or(Unit::Ratio, ParameterId::unit);
+    let of = |file: &CalibrationFile| {
+        let entry = file.parameters.iter().find(|entry| entry.name == name)?;
+        let found = entry.status != Status::Fixed;
+        let sigma = entry.sigma.filter(|sigma| found && *sigma > 0.0 && sigma.is_finite())?;
+        Some((entry.correction, sigma))
+    };
+    let corrections: Vec<Option<(f64, f64)>> = files.iter().map(of).collect();
+    let of_95 = |file: &CalibrationFile| {
+        let from = file.knowledge.as_ref().map(|knowledge| knowledge.sigmas_from).unwrap_or_default();
+        from.sigmas_of_95()
+    };
+    let half_widths =
+        corrections.iter().zip(files).map(|(one, file)| one.map(|(_, sigma)| of_95(file) * sigma)).collect();
+    let known: Vec<(f64, f64)> = corrections.iter().copied().flatten().collect();
+    let weight: f64 = known.iter().map(|(_, sigma)| sigma.powi(-2)).sum();
+    let mean = known.iter().map(|(value, sigma)| value * sigma.powi(-2)).sum::<f64>() / weight;
+    let chi_squared: f64 = known.iter().map(|(value, sigma)| ((value - mean) / sigma).powi(2)).sum();
+    let freedom = known.len().saturating_sub(1);
+    // Half of it must be more than zero there.
+    let chi_squared = if chi_squared < f64::MIN_POSITIVE { 0.0 } else { chi_squared };
+    let p = ChiSquared::new(freedom as f64).ok().map(|distribution| distribution.sf(chi_squared));
+    Compared { name, unit, corrections, half_widths, mean, p }
+}

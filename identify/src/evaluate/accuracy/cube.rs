@@ -1,0 +1,99 @@
+//! Pose accuracy where the standard measures it: ISO 9283:1998, 6.8, five poses in a cube in the working space.
+
+use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
+
+use super::workspace::{Expected, random_postures};
+use crate::kinematics::{Chain, Joints, Pose, robot_inverse};
+
+/// Edges that are tried, the largest first: the standard's and smaller ones for small arms \[m\].
+const EDGES_M: [f64; 6] = [1.0, 0.63, 0.4, 0.25, 0.16, 0.1];
+/// Postures whose position is tried as the centre.
+const CENTRES: usize = 100;
+/// The outer poses are a tenth of the diagonal away from its ends.
+const FROM_CENTRE: f64 = 0.8;
+/// No joint turns further from the centre's posture, or moves further \[rad, m\]: the poses are reached in one configuration.
+const APART_MAX: f64 = 1.5;
+
+/// Distance between where the robot is told to go and where it is, over the standard's five poses.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct CubeError {
+    /// Edge of the cube, along the base's axes \[m\].
+    pub edge_m: f64,
+    /// Its centre in the robot's base frame \[m\].
+    pub centre_m: [f64; 3],
+    /// With the nominal geometry.
+    pub before: Expected,
+    /// With the calibrated one, as far as its covariance says.
+    pub after: Expected,
+}
+
+/// The standard's poses, the centre first.
+pub(in crate::evaluate) struct Cube {
+    pub(in crate::evaluate) edge_m: f64,
+    pub(in crate::evaluate) centre_m: Vector3<f64>,
+    pub(in crate::evaluate) postures: Vec<Joints>,
+}
+
+impl Cube {
+    /// The largest cube of which the robot reaches all five poses with one orientation, within its joint limits and in one
+    /// configuration; of those as large the one that turns the joints least. None where it reaches none.
+    pub(in crate::evaluate) fn largest(robot: &Chain, joint_limits: &[[f64; 2]]) -> Option<Self> {
+        let centres: Vec<Joints> = random_postures(joint_limits).take(CENTRES).collect();
+        EDGES_M.into_iter().find_map(|edge_m| {
+            let at = |q: &Joints| Self::at(robot, joint_limits, q, edge_m);
+            let (cube, _) = centres.iter().filter_map(at).min_by(|(_, a), (_, b)| a.total_cmp(b))?;
+            Some(cube)
+        })
+    }
+
+    /// The cube about where a posture is, and by how much joints turn in it.
+    fn at(robot: &Chain, joint_limits: &[[f64; 2]], q: &Joints, edge_m: f64) -> Option<(Self, f64)> {
+        let centre = robot.forward(q);
+        let mut furthest: f64 = 0.0;
+        let mut postures = vec![*q];
+        for [along, across] in [[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]] {
+            // In the plane through two opposite edges.
+            let offset = 0.5 * edge_m * FROM_CENTRE * Vector3::new(along, across, along);
+            let target = Pose::from_parts((centre.translation.vector + offset).into(), centre.rotation);
+            let there = robot_inverse(robot, &target, q).ok()?;
+            let within = |(joint, [low, high]): (&f64, &[f64; 2])| (low..=high).contains(&joint);
+            if !there.iter().zip(joint_limits).all(within) {
+                return None;
+            }
+            let apart = there.iter().zip(q.iter()).map(|(there, here)| (there - here).abs());
+            furthest = apart.fold(furthest, f64::max);
+            postures.push(there);
+        }
+        let cube = Self { edge_m, centre_m: centre.translation.vector, postures };
+        (furthest <= APART_MAX).then_some((cube, furthest))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kinematics::flange_chain;
+
+    #[test]
+    fn the_five_poses_are_those_of_the_standard_and_the_robot_reaches_them() {
+        let config = concat!(env!("CARGO_MANIFEST_DIR"), "/../config/robots/irb2400_16.toml");
+        let robot: shared::config::RobotConfig =
+            shared::config::load(config.as_ref()).unwrap_or_else(|error| panic!("{error}"));
+        let (chain, limits) = (flange_chain(&robot), robot.joint_limits());
+        let Some(cube) = Cube::largest(&chain, &limits) else { panic!("no cube") };
+        assert!(cube.edge_m >= 0.4, "{}", cube.edge_m);
+        let poses: Vec<Pose> = cube.postures.iter().map(|q| chain.forward(q)).collect();
+        for (pose, q) in poses.iter().zip(&cube.postures) {
+            assert!(pose.rotation.angle_to(&poses[0].rotation) < 1e-6);
+            let from_centre = pose.translation.vector - cube.centre_m;
+            // A tenth of the diagonal of a face's plane from its corner: the standard has (10 +- 2) %.
+            let diagonal = cube.edge_m * 3.0_f64.sqrt();
+            let is_centre = from_centre.norm() < 1e-6;
+            assert!(is_centre || (from_centre.norm() - 0.4 * diagonal).abs() < 1e-6, "{from_centre}");
+            assert!(q.iter().zip(&limits).all(|(joint, [low, high])| (low..=high).contains(&joint)));
+        }
+        let apart = |i: usize, j: usize| (poses[i].translation.vector - poses[j].translation.vector).norm();
+        assert!((apart(1, 4) - 0.8 * cube.edge_m * 3.0_f64.sqrt()).abs() < 1e-6);
+    }
+}

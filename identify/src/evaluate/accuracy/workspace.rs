@@ -1,0 +1,280 @@
+//! What the calibration is worth where the robot works: position error over the whole range of its joints.
+
+use nalgebra::{DMatrix, SymmetricEigen, Vector3};
+use rand::Rng;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use rand_distr::{ChiSquared, Distribution, StandardNormal};
+use serde::{Deserialize, Serialize};
+
+use super::budget::Budget;
+use super::cube::{Cube, CubeError};
+use crate::evaluate::figures::quantile;
+use crate::evaluate::rms;
+use crate::kinematics::{Chain, Joints, Trace, Tracer};
+use crate::model::{Model, ParameterId};
+use crate::solver::{Covariance, Spread};
+
+/// Postures, evenly spread over the joint limits.
+pub(in crate::evaluate) const POSTURES: usize = 400;
+/// Robots drawn from the covariance.
+const DRAWS: usize = 400;
+
+/// A position error that is expected, and how sure that is.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+pub struct Expected {
+    /// Mean over the workspace \[m\].
+    pub mean_m: f64,
+    /// 95 % of the workspace is better than this \[m\].
+    pub p95_m: f64,
+    /// That is below this with 97.5 % \[m\].
+    pub p95_upper_m: f64,
+    /// The mean lies between these with 95 % \[m\].
+    pub interval_m: [f64; 2],
+}
+
+/// Position errors that are expected at one place.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct PlaceError {
+    /// In the robot's base \[m\].
+    pub position_m: [f64; 3],
+    /// With the nominal geometry, root mean square \[m\].
+    pub before_m: f64,
+    /// With the calibrated one, root mean square \[m\].
+    pub after_m: f64,
+}
+
+/// Position error of the point where the bar is bolted on, over all postures within the joint limits.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct WorkspaceError {
+    /// With the nominal geometry.
+    pub before: Expected,
+    /// With the calibrated one, as far as its covariance says.
+    pub after: Expected,
+    /// The combination of parameters that contributes most to what is left, largest part first: name and its part of
+    /// the combination, 0 to 1.
+    pub weakest: Vec<(String, f64)>,
+    /// What its uncertainty comes from.
+    pub budget: Budget,
+    /// In each of the postures.
+    pub places: Vec<PlaceError>,
+    /// The same over the poses of the standard; none where nobody asked, or the robot reaches none.
+    pub cube: Option<CubeError>,
+}
+
+/// Postures with the error that calibration took away, and how what it left depends on the free parameters.
+pub(in crate::evaluate) struct Postures {
+    positions_m: Vec<Vector3<f64>>,
+    corrected_m: Vec<Vector3<f64>>,
+    /// Three rows for each posture.
+    pub(in crate::evaluate) by_parameter: DMatrix<f64>,
+}
+
+/// Expected position errors: nominal robot against robots drawn from the solution's covariance.
+///
+/// `joint_limits` are those of the model's joints. Only the links' parameters are drawn, those among them that stay fixed at
+/// uncertain values, too; the robot's base frame is defined by the others.
+pub fn workspace_error(model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> WorkspaceError {
+    let columns = of_links(model, covariance);
+    let postures = Postures::new(model, &columns, random_postures(joint_limits));
+    let left_m = postures.left_m(covariance, &columns);
+    let [before, after] = postures.errors(&left_m);
+    WorkspaceError {
+        before,
+        after,
+        places: postures.places(&left_m),
+        weakest: weakest(&root(covariance, &columns), &postures.by_parameter, &columns),
+        budget: Budget::new(model, covariance, &columns, &postures),
+        cube: None,
+    }
+}
+
+impl WorkspaceError {
+    /// Adds the error over the standard's poses; arguments as [`workspace_error`].
+    #[must_use]
+    pub fn with_cube(mut self, model: &Model, covariance: &Covariance, joint_limits: &[[f64; 2]]) -> Self {
+        self.cube = Cube::largest(&model.geometry(&model.start()).robot, joint_limits).map(|cube| {
+            let columns = of_links(model, covariance);
+            let postures = Postures::new(model, &columns, cube.postures.into_iter());
+            let [before, after] = postures.errors(&postures.left_m(covariance, &columns));
+            CubeError { edge_m: cube.edge_m, centre_m: cube.centre_m.into(), before, after }
+        });
+        self
+    }
+}
+
+/// Columns of the covariance that are numbers of the robot's links.
+fn of_links(model: &Model, covariance: &Covariance) -> Vec<(usize, ParameterId)> {
+    model
+        .columns()
+        .enumerate()
+        .filter(|(column, _)| covariance.sigma(*column).is_some())
+        .map(|(column, parameter)| (column, parameter.id))
+        .chain(covariance.considered().filter_map(|(name, column)| Some((column, name.parse().ok()?))))
+        .filter(|(_, id)| matches!(id, ParameterId::Robot { .. }))
+        .collect()
+}
+
+/// Errors of these columns, a robot drawn from the covariance in each column.
+fn drawn(covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f64> {
+    let Spread { by_source, sources } = covariance.spread();
+    let spread = by_source.select_rows(columns.iter().map(|(column, _)| column));
+    let mut random = ChaCha8Rng::seed_from_u64(0);
+    let mut drawn = DMatrix::from_fn(sources.len(), DRAWS, |_, _| StandardNormal.sample(&mut random));
+    // Sigmas from few folds are uncertain themselves: multivariate t (Kotz and Nadarajah 2004).
+    if let Some((freedom, chi_squared)) =
+        covariance.sigmas_from.freedom().and_then(|freedom| Some((freedom, ChiSquared::new(freedom).ok()?)))
+    {
+        for mut draw in drawn.column_iter_mut() {
+            let scale = (freedom / chi_squared.sample(&mut random)).sqrt();
+            let samples = draw.iter_mut().zip(sources).filter(|(_, source)| source.is_statistical());
+            samples.for_each(|(one, _)| *one *= scale);
+        }
+    }
+    spread * drawn
+}
+
+/// `S`, where `S S^T` is the covariance of these columns.
+fn root(covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f64> {
+    if columns.is_empty() {
+        // Of nothing there is no decomposition.
+        return DMatrix::zeros(0, 0);
+    }
+    let between = |i: usize, j: usize| covariance.between(columns[i].0, columns[j].0).unwrap_or(0.0);
+    let eigen = SymmetricEigen::new(DMatrix::from_fn(columns.len(), columns.len(), between));
+    &eigen.eigenvectors * DMatrix::from_diagonal(&eigen.eigenvalues.map(|value| value.max(0.0).sqrt()))
+}
+
+/// Mean distance between the positions of two robots, over postures within the joint limits \[m\].
+pub(in crate::evaluate) fn distance_m(one: &Model, other: &Model, joint_limits: &[[f64; 2]]) -> f64 {
+    let [one, other] = [one, other].map(|model| Tracer::new(&model.geometry(&[]).robot));
+    let (mut here, mut there) = (Trace::default(), Trace::default());
+    let distances = random_postures(joint_limits).map(|q| {
+        one.trace(&q, &mut here);
+        other.trace(&q, &mut there);
+        (here.position_m() - there.position_m()).norm()
+    });
+    distances.sum::<f64>() / POSTURES as f64
+}
+
+/// Joint variables evenly spread over the limits \[rad, m\].
+pub(in crate::evaluate) fn random_postures(
+    joint_limits: &[[f64; 2]],
+) -> impl ExactSizeIterator<Item = Joints> + '_ {
+    let mut random = ChaCha8Rng::seed_from_u64(1);
+    let posture =
+        move |_| joint_limits.iter().map(|[low, high]| low + (high - low) * random.random::<f64>()).collect();
+    (0..POSTURES).map(posture)
+}
+
+impl Postures {
+    fn new(
+        model: &Model,
+        columns: &[(usize, ParameterId)],
+        of_joints: impl ExactSizeIterator<Item = Joints>,
+    ) -> Self {
+        let mut nominal = model.clone();
+        for parameter in model.parameters() {
+            // The model has each of its own parameters.
+            let _ = nominal.set_value(parameter.id, parameter.nominal);
+        }
+        let chain = |model: &Model| -> Chain { model.geometry(&model.start()).robot };
+        let (calibrated, nominal) = (Tracer::new(&chain(model)), Tracer::new(&chain(&nominal)));
+        let (mut here, mut there) = (Trace::default(), Trace::default());
+        let by_parameter = DMatrix::zeros(3 * of_joints.len(), columns.len());
+        let mut postures = Self { positions_m: Vec::new(), corrected_m: Vec::new(), by_parameter };
+        for (posture, q) in of_joints.enumerate() {
+            calibrated.trace(&q, &mut here);
+            nominal.trace(&q, &mut there);
+            postures.positions_m.push(here.position_m());
+            postures.corrected_m.push(here.position_m() - there.position_m());
+            let mut by = postures.by_parameter.rows_mut(3 * posture, 3);
+            for (mut column, (_, id)) in by.column_iter_mut().zip(columns) {
+                if let ParameterId::Robot { link, parameter } = *id
+                    && let Some(twist) = here.twist(link, parameter)
+                {
+                    column.copy_from(&twist.linear);
+                }
+            }
+        }
+        postures
+    }
+
+    /// What robots drawn from the covariance are off by: three rows for each posture, a draw in each column \[m\].
+    fn left_m(&self, covariance: &Covariance, columns: &[(usize, ParameterId)]) -> DMatrix<f64> {
+        &self.by_parameter * drawn(covariance, columns)
+    }
+
+    /// Each posture over all draws, as in [`Self::errors`].
+    fn places(&self, left_m: &DMatrix<f64>) -> Vec<PlaceError> {
+        let of_posture = |(posture, (position_m, was)): (usize, (&Vector3<f64>, &Vector3<f64>))| {
+            let left = |draw| Vector3::from(left_m.fixed_view::<3, 1>(3 * posture, draw));
+            let draws = 0..left_m.ncols();
+            PlaceError {
+                position_m: (*position_m).into(),
+                before_m: rms(draws.clone().map(|draw| (was + left(draw)).norm())),
+                after_m: rms(draws.map(|draw| left(draw).norm())),
+            }
+        };
+        self.positions_m.iter().zip(&self.corrected_m).enumerate().map(of_posture).collect()
+    }
+
+    /// Of the nominal and the calibrated robot, where the true one is the calibrated one with errors that were drawn.
+    fn errors(&self, left_m: &DMatrix<f64>) -> [Expected; 2] {
+        let (mut before, mut after) = (Vec::new(), Vec::new());
+        for draw in left_m.column_iter() {
+            let left = |posture: usize| Vector3::from(draw.fixed_rows::<3>(3 * posture));
+            let was = self.corrected_m.iter().enumerate();
+            before.push(was.clone().map(|(posture, was)| (was + left(posture)).norm()).collect());
+            after.push(was.map(|(posture, _)| left(posture).norm()).collect());
+        }
+        [before, after].map(expected)
+    }
+}
+
+/// `errors_m`: per draw, per posture.
+fn expected(errors_m: Vec<Vec<f64>>) -> Expected {
+    let mean = |errors: &Vec<f64>| errors.iter().sum::<f64>() / errors.len().max(1) as f64;
+    let mut means: Vec<f64> = errors_m.iter().map(mean).collect();
+    means.sort_unstable_by(f64::total_cmp);
+    let sorted = |mut errors: Vec<f64>| {
+        errors.sort_unstable_by(f64::total_cmp);
+        errors
+    };
+    let p95s = sorted(errors_m.iter().map(|errors| quantile(&sorted(errors.clone()), 0.95)).collect());
+    let all = sorted(errors_m.into_iter().flatten().collect());
+    Expected {
+        mean_m: mean(&all),
+        p95_m: quantile(&all, 0.95),
+        p95_upper_m: quantile(&p95s, 0.975),
+        interval_m: [quantile(&means, 0.025), quantile(&means, 0.975)],
+    }
+}
+
+/// The direction in which the covariance spoils positions most: largest eigenvector of `S^T M S`, where `S S^T` is the
+/// covariance and `M` the mean of `J^T J` over the postures.
+fn weakest(
+    root: &DMatrix<f64>,
+    by_parameter: &DMatrix<f64>,
+    columns: &[(usize, ParameterId)],
+) -> Vec<(String, f64)> {
+    /// Smaller parts of the combination are not reported.
+    const PART_MIN: f64 = 0.05;
+    if columns.is_empty() {
+        return Vec::new();
+    }
+    let worth = by_parameter.tr_mul(by_parameter);
+    let eigen = SymmetricEigen::new(root.transpose() * &worth * root);
+    let direction = root * eigen.eigenvectors.column(eigen.eigenvalues.imax());
+    // Each parameter's own effect on positions makes metres and radians comparable.
+    let effect = |i: usize| direction[i] * direction[i] * worth[(i, i)];
+    let whole: f64 = (0..columns.len()).map(effect).sum();
+    let mut parts: Vec<(String, f64)> = columns
+        .iter()
+        .enumerate()
+        .map(|(i, (_, id))| (id.to_string(), effect(i) / whole.max(f64::MIN_POSITIVE)))
+        .filter(|(_, part)| *part > PART_MIN)
+        .collect();
+    parts.sort_by(|a, b| b.1.total_cmp(&a.1));
+    parts
+}

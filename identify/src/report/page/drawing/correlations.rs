@@ -1,0 +1,78 @@
+//! Correlations of the free parameters as a picture.
+
+use std::fmt::Write;
+
+use plotters::prelude::RGBColor;
+
+use super::plot::{BLUE, FONT, ORANGE};
+use crate::model::ParameterId;
+use crate::report::result::knowledge::CovarianceEntry;
+
+/// Weaker ones are left white.
+const LEAST: f64 = 0.1;
+/// Strengths that are distinguished.
+const STEPS: i32 = 20;
+/// Side of a cell, and room for names.
+const CELL: usize = 12;
+const NAMES: usize = 84;
+
+/// Of the free parameters of robot and first data set, but waves of axes, which are many and hang together with nothing: blue
+/// together, orange against each other.
+pub(in crate::report::page) fn figure(covariance: &CovarianceEntry) -> String {
+    let is_shown = |name: &&String| name.parse().is_ok_and(|id| !matches!(id, ParameterId::JointWave { .. }));
+    let names: Vec<&String> = covariance.names.iter().filter(is_shown).collect();
+    let columns: Vec<usize> =
+        (0..covariance.names.len()).filter(|&column| is_shown(&&covariance.names[column])).collect();
+    let correlation = |a: usize, b: usize| {
+        let own = |a| covariance.between(a, a);
+        Some(covariance.between(a, b)? / (own(a)? * own(b)?).sqrt())
+    };
+    let row = |a: &usize| columns.iter().map(|b| correlation(*a, *b).unwrap_or(0.0)).collect();
+    let rows: Vec<Vec<f64>> = columns.iter().map(row).collect();
+    let side = NAMES + names.len() * CELL;
+    let mut svg = format!("<svg viewBox=\"0 0 {side} {side}\" role=\"img\" aria-label=\"correlations\">");
+    let label = format!("font-size=\"9\" fill=\"#46505c\" font-family=\"{FONT}\"");
+    // Writing to a string cannot fail.
+    for (row, name) in names.iter().enumerate() {
+        let y = NAMES + row * CELL;
+        let name = maud::html! { (name) }.into_string();
+        let _ = write!(
+            svg,
+            "<text x=\"{}\" y=\"{}\" text-anchor=\"end\" {label}>{name}</text>",
+            NAMES - 4,
+            y + 9
+        );
+        let _ = write!(
+            svg,
+            "<text transform=\"translate({} {}) rotate(-90)\" {label}>{name}</text>",
+            NAMES + row * CELL + 9,
+            NAMES - 4
+        );
+    }
+    // One path for all cells of a colour: as elements of their own they would be a third of the page.
+    for step in (-STEPS..=STEPS).filter(|step| *step != 0) {
+        let path = cells(&rows, step);
+        let RGBColor(r, g, b) = if step > 0 { BLUE } else { ORANGE };
+        if !path.is_empty() {
+            let opacity = f64::from(step.abs()) / f64::from(STEPS);
+            let _ =
+                write!(svg, "<path d=\"{path}\" fill=\"rgb({r},{g},{b})\" fill-opacity=\"{opacity:.2}\"/>");
+        }
+    }
+    svg.push_str("</svg>");
+    svg
+}
+
+/// The cells of one strength, as a path.
+fn cells(rows: &[Vec<f64>], step: i32) -> String {
+    let is_one = |value: &f64| value.abs() > LEAST && (value * f64::from(STEPS)).round() as i32 == step;
+    let mut path = String::new();
+    for (row, values) in rows.iter().enumerate() {
+        for (column, _) in values.iter().enumerate().filter(|(_, value)| is_one(value)) {
+            let (x, y) = (NAMES + column * CELL, NAMES + row * CELL);
+            // Writing to a string cannot fail.
+            let _ = write!(path, "M{x} {y}h{CELL}v{CELL}h-{CELL}");
+        }
+    }
+    path
+}

@@ -1,0 +1,9 @@
+//! Figures of the page as SVG text, by concept.
+
+pub(in crate::report::page) mod arm;
+pub(in crate::report::page) mod correlations;
+pub(in crate::report::page) mod figures;
+pub(crate) mod intervals;
+pub(crate) mod plot;
+pub(in crate::report::page) mod thin;
+pub(in crate::report::page) mod workspace;

@@ -1,0 +1,292 @@
+//! Figures as SVG text.
+//!
+//! Axes and lines are drawn by `plotters`. Dots are one path for each set: as elements of their own they would take ten
+//! times the bytes, and a browser would be slow with them. The title and the names of the sets stand above the axes, where
+//! they hide nothing.
+
+use plotters::coord::Shift;
+use plotters::prelude::*;
+
+use super::thin;
+
+/// A figure that cannot be drawn.
+#[derive(Debug, thiserror::Error)]
+#[error("the figure `{title}` cannot be drawn: {reason}")]
+pub struct PlotError {
+    title: String,
+    reason: String,
+}
+
+impl PlotError {
+    pub(in crate::report::page) fn new(title: &str, reason: String) -> Self {
+        Self { title: title.to_owned(), reason }
+    }
+}
+
+/// Colours of sets, in their order.
+pub(in crate::report) const COLOURS: [RGBColor; 6] = [
+    RGBColor(31, 111, 178),
+    RGBColor(214, 110, 22),
+    RGBColor(42, 140, 86),
+    RGBColor(150, 70, 150),
+    RGBColor(120, 120, 120),
+    RGBColor(180, 40, 60),
+];
+
+/// How points are shown.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(in crate::report::page) enum Mark {
+    Dots,
+    Line,
+    /// Each two points are the ends of a line of their own.
+    Segments,
+}
+
+/// One set of points.
+#[derive(Debug, Clone)]
+pub(in crate::report::page) struct Series {
+    /// Empty: not named above the axes.
+    pub name: String,
+    pub colour: RGBColor,
+    pub mark: Mark,
+    pub points: Vec<(f64, f64)>,
+}
+
+impl Series {
+    pub fn new(name: impl Into<String>, colour: RGBColor, mark: Mark, points: Vec<(f64, f64)>) -> Self {
+        Self { name: name.into(), colour, mark, points }
+    }
+}
+
+/// One pair of axes.
+#[derive(Debug, Clone)]
+pub(in crate::report::page) struct Panel<'a> {
+    pub title: String,
+    pub x: &'a str,
+    pub y: String,
+    /// \[px\]
+    pub size: (u32, u32),
+    pub series: Vec<Series>,
+    /// The vertical axis includes zero.
+    pub from_zero: bool,
+}
+
+pub(in crate::report::page) const BLUE: RGBColor = COLOURS[0];
+pub(in crate::report::page) const ORANGE: RGBColor = COLOURS[1];
+pub(in crate::report::page) const GREEN: RGBColor = COLOURS[2];
+pub(in crate::report::page) const GREY: RGBColor = RGBColor(150, 158, 168);
+pub(in crate::report::page) const INK: RGBColor = RGBColor(70, 80, 92);
+pub(in crate::report::page) const MESH: RGBColor = RGBColor(230, 234, 239);
+pub(in crate::report::page) const FONT: &str = "system-ui, sans-serif";
+
+/// SVG coordinates of the library are whole numbers: drawn larger, curves are smooth.
+pub(in crate::report::page) const FINE: u32 = 3;
+
+/// Height of the line with title and names of sets \[px\].
+const TITLE_PX: u32 = 24;
+const TITLE_FONT_PX: u32 = 15;
+const NAME_FONT_PX: u32 = 12;
+/// Room for the labels of the vertical axis \[px\].
+const LEFT_PX: u32 = 56;
+const MARGIN_PX: u32 = 6;
+/// Mean width of a letter over its height: only where the names begin depends on it.
+const LETTER: f64 = 0.56;
+
+/// One set as one path: strokes with round ends, those of dots of no length.
+struct Strokes {
+    colour: RGBColor,
+    path: String,
+    width: u32,
+    opacity: f64,
+}
+
+impl Strokes {
+    /// Few dots are drawn larger.
+    fn dots(colour: RGBColor, at: Vec<(i32, i32)>) -> Self {
+        const FEW: usize = 200;
+        let at = thin::dots(at);
+        let width = if at.len() <= FEW { 5 * FINE } else { 8 * FINE / 3 };
+        let path = at.iter().map(|(x, y)| format!("M{x} {y}h0")).collect();
+        Self { colour, path, width, opacity: 0.7 }
+    }
+
+    fn segments(colour: RGBColor, ends: &[(i32, i32)]) -> Self {
+        let line = |ends: &[(i32, i32)]| format!("M{} {}L{} {}", ends[0].0, ends[0].1, ends[1].0, ends[1].1);
+        let path = ends.chunks_exact(2).map(line).collect();
+        Self { colour, path, width: 2 * FINE, opacity: 1.0 }
+    }
+
+    fn svg(&self) -> String {
+        let Self { colour: RGBColor(r, g, b), path, width, opacity } = self;
+        format!(
+            "<path d=\"{path}\" fill=\"none\" stroke=\"rgb({r},{g},{b})\" stroke-opacity=\"{opacity}\" \
+             stroke-width=\"{width}\" stroke-linecap=\"round\"/>"
+        )
+    }
+}
+
+impl Panel<'_> {
+    pub fn draw(&self) -> Result<String, PlotError> {
+        let mut text = String::new();
+        let strokes = {
+            let area = SVGBackend::with_string(&mut text, (self.size.0 * FINE, self.size.1 * FINE))
+                .into_drawing_area();
+            let strokes = self.onto(&area).map_err(|reason| PlotError::new(&self.title, reason))?;
+            area.present().map_err(|error| PlotError::new(&self.title, error.to_string()))?;
+            strokes
+        };
+        let end = text.rfind("</svg>").unwrap_or(text.len());
+        text.truncate(end);
+        strokes.iter().for_each(|strokes| text.push_str(&strokes.svg()));
+        text.push_str(&self.heading());
+        text.push_str("</svg>\n");
+        Ok(text)
+    }
+
+    fn onto(&self, area: &DrawingArea<SVGBackend<'_>, Shift>) -> Result<Vec<Strokes>, String> {
+        let finite =
+            || self.series.iter().flat_map(|one| &one.points).filter(|(x, y)| x.is_finite() && y.is_finite());
+        let (x, y) = (range(finite().map(|p| p.0), false), range(finite().map(|p| p.1), self.from_zero));
+        let mut chart = ChartBuilder::on(area)
+            .margin(MARGIN_PX * FINE)
+            .margin_top((self.heading_lines() * TITLE_PX + 4) * FINE)
+            .margin_right(14 * FINE)
+            .x_label_area_size(36 * FINE)
+            .y_label_area_size(LEFT_PX * FINE)
+            .build_cartesian_2d(x.0..x.1, y.0..y.1)
+            .map_err(text)?;
+        chart
+            .configure_mesh()
+            .x_desc(self.x)
+            .y_desc(&self.y)
+            .label_style((FONT, 12 * FINE).into_font().color(&INK))
+            .axis_desc_style((FONT, 13 * FINE).into_font().color(&INK))
+            .axis_style(MESH.stroke_width(FINE))
+            .bold_line_style(MESH.stroke_width(FINE))
+            .light_line_style(TRANSPARENT)
+            .x_labels(7)
+            .y_labels(6)
+            .x_label_formatter(&|value| short(*value, x.1 - x.0))
+            .y_label_formatter(&|value| short(*value, y.1 - y.0))
+            .draw()
+            .map_err(text)?;
+        let mut strokes = Vec::new();
+        for one in &self.series {
+            let at = one.points.iter().filter(|(x, y)| x.is_finite() && y.is_finite());
+            let at: Vec<(i32, i32)> = at.map(|point| chart.as_coord_spec().translate(point)).collect();
+            match one.mark {
+                Mark::Dots => strokes.push(Strokes::dots(one.colour, at)),
+                Mark::Segments => strokes.push(Strokes::segments(one.colour, &at)),
+                Mark::Line => {
+                    let line = thin::line(&at, FINE as i32);
+                    area.draw(&PathElement::new(line, one.colour.stroke_width(2 * FINE))).map_err(text)?;
+                }
+            }
+        }
+        Ok(strokes)
+    }
+
+    fn named(&self) -> impl Iterator<Item = &Series> {
+        self.series.iter().filter(|one| !one.name.is_empty())
+    }
+
+    /// Width of the names of all sets \[px\].
+    fn names_px(&self) -> f64 {
+        self.named().map(|one| name_px(&one.name)).sum()
+    }
+
+    /// Title and names stand side by side where there is room.
+    fn heading_lines(&self) -> u32 {
+        let title_px = letters_px(&self.title, TITLE_FONT_PX);
+        let together_px = title_px + self.names_px() + f64::from(LEFT_PX + 4 * MARGIN_PX);
+        if self.named().next().is_some() && together_px > f64::from(self.size.0) { 2 } else { 1 }
+    }
+
+    fn heading(&self) -> String {
+        let fine = f64::from(FINE);
+        let left_px = f64::from(LEFT_PX + MARGIN_PX);
+        let mut svg = label(left_px * fine, 19.0 * fine, TITLE_FONT_PX, &self.title);
+        let lines = self.heading_lines();
+        let right_px = f64::from(self.size.0 - 2 * MARGIN_PX) - self.names_px();
+        let mut x_px = if lines > 1 { left_px } else { right_px };
+        let y_px = f64::from(lines * TITLE_PX) - 5.0;
+        for one in self.named() {
+            let RGBColor(r, g, b) = one.colour;
+            svg.push_str(&format!(
+                "<circle cx=\"{:.0}\" cy=\"{:.0}\" r=\"{}\" fill=\"rgb({r},{g},{b})\"/>",
+                (x_px + 6.0) * fine,
+                (y_px - 4.0) * fine,
+                4 * FINE
+            ));
+            svg.push_str(&label((x_px + 13.0) * fine, y_px * fine, NAME_FONT_PX, &one.name));
+            x_px += name_px(&one.name);
+        }
+        svg
+    }
+}
+
+/// Letters, the dot before them and the room behind \[px\].
+fn name_px(name: &str) -> f64 {
+    letters_px(name, NAME_FONT_PX) + 22.0
+}
+
+fn letters_px(text: &str, font_px: u32) -> f64 {
+    text.chars().count() as f64 * f64::from(font_px) * LETTER
+}
+
+fn label(x: f64, y: f64, font_px: u32, text: &str) -> String {
+    let RGBColor(r, g, b) = INK;
+    let text = maud::html! { (text) }.into_string();
+    format!(
+        "<text x=\"{x:.0}\" y=\"{y:.0}\" font-size=\"{}\" font-family=\"{FONT}\" fill=\"rgb({r},{g},{b})\">{text}</text>",
+        font_px * FINE
+    )
+}
+
+pub(in crate::report::page) fn text(error: impl std::fmt::Display) -> String {
+    error.to_string()
+}
+
+/// Smallest to largest with a little room; something that can be drawn where there is nothing.
+pub(in crate::report::page) fn range(values: impl Iterator<Item = f64>, from_zero: bool) -> (f64, f64) {
+    let start = if from_zero { (0.0, 0.0) } else { (f64::INFINITY, f64::NEG_INFINITY) };
+    let (low, high) = values.fold(start, |(low, high), value| (low.min(value), high.max(value)));
+    match high - low {
+        width if width > 0.0 && width.is_finite() => {
+            let low_room = if from_zero && low == 0.0 { 0.0 } else { 0.04 * width };
+            (low - low_room, high + 0.06 * width)
+        }
+        _ if low.is_finite() => (low - 0.5, low + 0.5),
+        _ => (0.0, 1.0),
+    }
+}
+
+/// As many decimals as an axis of this width needs; where these would run into what stands beside the axis, a power of ten.
+pub(in crate::report::page) fn short(value: f64, width: f64) -> String {
+    const DECIMALS_MAX: f64 = 4.0;
+    let width = width.abs().max(1e-12);
+    let decimals = (1.5 - width.log10()).ceil();
+    if decimals > DECIMALS_MAX && value != 0.0 && value.abs() < 10.0 * width {
+        // Rounding of the axis' steps leaves zero not quite zero.
+        return if value.abs() < 1e-6 * width { "0".into() } else { format!("{value:.1e}") };
+    }
+    let decimals = decimals.clamp(0.0, 6.0) as usize;
+    let written = format!("{value:.decimals$}");
+    if written.trim_start_matches(['-', '0', '.']).is_empty() { "0".into() } else { written }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_beside_an_axis_are_short_and_tell_its_steps_apart() {
+        for exponent in -9..6 {
+            let step = 10.0_f64.powi(exponent);
+            let written: Vec<String> = (-2..=4).map(|at| short(f64::from(at) * step, 6.0 * step)).collect();
+            assert!(written.iter().all(|one| one.len() <= 8), "{written:?}");
+            assert!(written.windows(2).all(|pair| pair[0] != pair[1]), "{written:?}");
+            assert_eq!(written[2], "0");
+        }
+    }
+}

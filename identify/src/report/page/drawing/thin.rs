@@ -1,0 +1,91 @@
+//! Ten hours have a million points, a figure a thousand columns: what is drawn is what would be seen.
+
+use std::collections::HashSet;
+
+/// Where something is drawn, in steps of the figure's grid.
+pub(in crate::report::page) type Place = (i32, i32);
+
+/// Dots of one set, at most.
+const DOTS_MAX: usize = 4000;
+
+/// A line through the first, lowest, highest and last point of each run of points in one column: on a screen whose columns
+/// are so wide it looks as the whole line does (Jugel et al. 2014, "M4: a visualization-oriented time series data
+/// aggregation").
+pub(in crate::report::page) fn line(points: &[Place], column: i32) -> Vec<Place> {
+    let column_of = |point: &Place| point.0.div_euclid(column.max(1));
+    let mut kept = Vec::new();
+    for within in points.chunk_by(|a, b| column_of(a) == column_of(b)) {
+        let by_height = |a: &usize, b: &usize| within[*a].1.cmp(&within[*b].1);
+        let lowest = (0..within.len()).min_by(by_height).unwrap_or(0);
+        let highest = (0..within.len()).max_by(by_height).unwrap_or(0);
+        let mut picked = [0, lowest.min(highest), lowest.max(highest), within.len() - 1];
+        picked.sort_unstable();
+        kept.extend(
+            picked
+                .iter()
+                .enumerate()
+                .filter(|(i, at)| *i == 0 || **at != picked[*i - 1])
+                .map(|(_, at)| within[*at]),
+        );
+    }
+    kept
+}
+
+/// One dot for each cell that has any. Cells are as small as can be with so few dots that a page stays light, so that a
+/// dot that stands alone is drawn whatever the others are.
+pub(in crate::report::page) fn dots(points: Vec<Place>) -> Vec<Place> {
+    let mut cell = 1;
+    loop {
+        let mut taken = HashSet::new();
+        let of_cell = |(x, y): &Place| taken.insert((x.div_euclid(cell), y.div_euclid(cell)));
+        let mut kept = points.clone();
+        kept.retain(of_cell);
+        if kept.len() <= DOTS_MAX {
+            return kept;
+        }
+        cell *= 2;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rand::rngs::StdRng;
+    use rand::{Rng, SeedableRng};
+
+    fn cloud(count: usize) -> Vec<Place> {
+        let mut random = StdRng::seed_from_u64(1);
+        (0..count).map(|i| ((i * 2700 / count) as i32, random.random_range(300..600))).collect()
+    }
+
+    #[test]
+    fn a_thinned_line_has_the_heights_of_the_whole_line_in_every_column() {
+        let whole = cloud(200_000);
+        let thinned = line(&whole, 3);
+        assert!(thinned.len() <= 4 * 900, "{}", thinned.len());
+        let heights = |points: &[Place], column: i32| {
+            let within = points.iter().filter(|(x, _)| x / 3 == column).map(|(_, y)| *y);
+            (within.clone().min(), within.max())
+        };
+        for column in 0..900 {
+            assert_eq!(heights(&thinned, column), heights(&whole, column));
+        }
+        assert_eq!((thinned.first(), thinned.last()), (whole.first(), whole.last()));
+    }
+
+    #[test]
+    fn few_points_stay_as_they_are() {
+        let few = cloud(500);
+        assert_eq!(line(&few, 3), few);
+        assert_eq!(dots(few.clone()).len(), few.iter().collect::<HashSet<_>>().len());
+    }
+
+    #[test]
+    fn a_dot_that_stands_alone_survives_a_million_others() {
+        let mut many = cloud(1_000_000);
+        many.insert(500_000, (1350, 20));
+        let thinned = dots(many);
+        assert!(thinned.len() <= DOTS_MAX);
+        assert!(thinned.contains(&(1350, 20)));
+    }
+}

@@ -1,0 +1,60 @@
+//! Where in the workspace positions are how wrong, before and after.
+
+use maud::{Markup, html};
+use plotters::style::RGBColor;
+
+use super::figures::{ROUND, dots};
+use super::plot::{Panel, PlotError};
+use crate::evaluate::{PlaceError, WorkspaceError};
+use crate::report::page::sections::{mm, svg};
+
+/// From the fifth of the places with the smallest errors to that with the largest.
+const FIFTHS: [RGBColor; 5] = [
+    RGBColor(186, 212, 236),
+    RGBColor(124, 174, 214),
+    RGBColor(66, 128, 184),
+    RGBColor(28, 82, 140),
+    RGBColor(180, 40, 60),
+];
+
+/// Two maps: a place by its distance from the first axis and its height.
+pub(in crate::report::page) fn map(workspace: &WorkspaceError) -> Result<Markup, PlotError> {
+    if workspace.places.is_empty() {
+        return Ok(html! {});
+    }
+    let maps = [
+        of("Nominal robot", &workspace.places, |place| place.before_m)?,
+        of("Calibrated robot", &workspace.places, |place| place.after_m)?,
+    ];
+    Ok(html! { figure {
+        div.panels { @for map in maps { (svg(map)) } }
+        figcaption {
+            "The same by place: root mean square of the position error that is expected in so many postures within the joint limits, "
+            "each where it takes the robot's end. Each colour is a fifth of the postures and each map has its own scale. Red, the "
+            "worst fifth, is where more measurements would help most."
+        }
+    } })
+}
+
+fn of(title: &str, places: &[PlaceError], error_m: fn(&PlaceError) -> f64) -> Result<String, PlotError> {
+    let mut sorted: Vec<&PlaceError> = places.iter().collect();
+    sorted.sort_by(|a, b| error_m(a).total_cmp(&error_m(b)));
+    let at = |place: &&PlaceError| {
+        let [x, y, z] = place.position_m;
+        (x.hypot(y) * 1e3, z * 1e3)
+    };
+    let fifths = sorted.chunks(sorted.len().div_ceil(FIFTHS.len())).zip(FIFTHS);
+    let series = fifths.map(|(fifth, colour)| {
+        let most_m = fifth.last().map_or(0.0, |place| error_m(place));
+        dots(mm(most_m), colour, fifth.iter().map(at).collect())
+    });
+    Panel {
+        title: format!("{title}, up to [mm]"),
+        x: "distance from axis 1 [mm]",
+        y: "height [mm]".into(),
+        size: ROUND,
+        series: series.collect(),
+        from_zero: false,
+    }
+    .draw()
+}

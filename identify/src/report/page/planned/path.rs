@@ -1,0 +1,210 @@
+//! `path.html`: what a path does and what it is expected to determine.
+
+use std::path::{Path, PathBuf};
+
+use maud::{Markup, html};
+
+use super::path_view;
+use super::path_view::{Carried, View, view};
+use crate::kinematics::Chain;
+use crate::logs::RobotLog;
+use crate::model::ParameterId;
+use crate::plan::{Bodies, Checked, Path as BarPath};
+use crate::report::page::drawing::figures::{ROUND, WIDE, dots};
+use crate::report::page::drawing::plot::{BLUE, COLOURS, GREY, Mark, Panel, PlotError, Series};
+use crate::report::page::sections::svg;
+use crate::report::page::{PageError, document_with};
+use crate::report::result::file::replace;
+
+/// Points of a curve on the page.
+const POINTS: usize = 600;
+
+/// Everything that the page shows.
+#[derive(Debug)]
+pub struct PathPage<'a> {
+    /// The robot.
+    pub robot: &'a str,
+    /// Its nominal arm with the plate.
+    pub arm: &'a Chain,
+    /// The bar on its base.
+    pub bar: &'a Chain,
+    /// The bar's path.
+    pub path: &'a BarPath,
+    /// The robot's joints along it.
+    pub robot_path: &'a RobotLog,
+    /// What it does at its worst.
+    pub checked: &'a Checked,
+    /// What was looked at for collisions.
+    pub bodies: Option<&'a Bodies>,
+    /// What the terminal says.
+    pub summary: &'a str,
+    /// Expected standard deviation of each parameter, SI.
+    pub sigmas: &'a [(ParameterId, f64)],
+}
+
+impl PathPage<'_> {
+    /// Writes `path.html` into the directory, whole or not at all.
+    ///
+    /// # Errors
+    /// [`PageError`].
+    pub fn write(&self, directory: &Path) -> Result<PathBuf, PageError> {
+        let text = self.render()?.into_string();
+        Ok(replace(directory, "path.html", &text)?)
+    }
+
+    /// The page.
+    ///
+    /// # Errors
+    /// [`PlotError`].
+    pub fn render(&self) -> Result<Markup, PlotError> {
+        let title = format!("Path for {}", self.robot);
+        let [sphere, margin] = [self.sphere()?, self.margin()?];
+        let [angles, speeds, winding] = [self.angles()?, self.speeds()?, self.winding()?];
+        let of_robot = |wanted: bool| {
+            self.sigmas.iter().filter(move |(id, _)| matches!(id, ParameterId::Robot { .. }) == wanted)
+        };
+        let table = |name: &str, wanted: bool| {
+            html! { table {
+                thead { tr { th { (name) } th { "sigma" } th.text { "" } } }
+                tbody { @for (id, sigma) in of_robot(wanted) { tr {
+                    td { (id) }
+                    td { (format!("{:.4}", sigma * id.unit().display_factor())) }
+                    td.unit { (id.unit().display_symbol()) }
+                } } }
+            } }
+        };
+        Ok(document_with(
+            &title,
+            path_view::SCRIPTS,
+            &html! {
+                header {
+                    h1 { (title) }
+                    p.about { (format!("{:.0} s with the ball-bar, planned", self.checked.duration_s)) }
+                }
+                main {
+                    (self.view())
+                    pre.table { (self.summary) }
+                    @if let Some(bodies) = self.bodies { (collisions(bodies, true)) }
+                    h2 { "Where the bar goes" }
+                    figure {
+                        div.panels { (svg(sphere)) (svg(margin)) }
+                        figcaption { "Left: equal areas of the sphere are equal areas of the figure." }
+                    }
+                    h2 { "What the robot does" }
+                    figure { (svg(angles)) (svg(speeds)) }
+                    h2 { "How far the bar's cables are wound" }
+                    figure { (svg(winding)) }
+                    h2 { "What a calibration is expected to know" }
+                    div.columns { (table("Robot", true)) (table("Bar, base, clock and errors of axes", false)) }
+                    p.note {
+                        "sigma: one standard deviation for white noise, with the priors of a calibration's default settings and all its "
+                        "terms. Errors that no parameter describes come on top."
+                    }
+                }
+            },
+        ))
+    }
+
+    fn view(&self) -> Markup {
+        let rows = &self.robot_path.q_rad;
+        view(&View {
+            arm: self.arm,
+            carried: Carried::Bar(self.bar.root_from_base.translation.vector),
+            motion: rows
+                .t_s
+                .iter()
+                .copied()
+                .zip(rows.iter().copied())
+                .step_by(View::every(rows.len()))
+                .collect(),
+            frames_per_pose: None,
+            bodies: self.bodies,
+        })
+    }
+
+    /// Time and index of the rows that are drawn.
+    fn rows(&self) -> impl Iterator<Item = (f64, usize)> {
+        let every = self.robot_path.q_rad.len().div_ceil(POINTS).max(1);
+        self.robot_path.q_rad.t_s.iter().enumerate().step_by(every).map(|(row, t_s)| (*t_s, row))
+    }
+
+    fn by_joint(
+        &self,
+        name: &str,
+        count: usize,
+        value: impl Fn(f64, usize, usize) -> Option<f64>,
+    ) -> Vec<Series> {
+        let series = |joint: usize| {
+            let points = self.rows().filter_map(|(t_s, row)| Some((t_s, value(t_s, row, joint)?))).collect();
+            let colour = COLOURS.get(joint).copied().unwrap_or(GREY);
+            Series::new(format!("{name}{}", joint + 1), colour, Mark::Line, points)
+        };
+        (0..count).map(series).collect()
+    }
+
+    fn angles(&self) -> Result<String, PlotError> {
+        let series = self.by_joint("joint ", self.robot_path.axes(), |_, row, joint| {
+            Some(self.robot_path.q_rad.get(row)?[joint].to_degrees())
+        });
+        over_time("Robot joints", "[deg]", series)
+    }
+
+    fn speeds(&self) -> Result<String, PlotError> {
+        let log = self.robot_path;
+        let series = self.by_joint("joint ", log.axes(), |_, row, joint| {
+            let next = row + 1;
+            let by_rad = log.q_rad.get(next)?[joint] - log.q_rad.get(row)?[joint];
+            Some(by_rad / (log.q_rad.t_s.get(next)? - log.q_rad.t_s.get(row)?))
+        });
+        over_time("Their speeds", "[rad/s]", series)
+    }
+
+    fn winding(&self) -> Result<String, PlotError> {
+        let series = self.by_joint("joint ", 5, |t_s, _, joint| {
+            Some((self.path.at(t_s)[joint] - self.path.start_rad[joint]).to_degrees())
+        });
+        over_time("Bar joints from the start", "[deg]", series)
+    }
+
+    fn sphere(&self) -> Result<String, PlotError> {
+        let gimbal = self.bar.root_from_base.translation.vector;
+        let place = |t_s: f64| {
+            let rod = self.bar.forward(&self.path.at(t_s)).translation.vector - gimbal;
+            let d = rod / rod.norm().max(1e-12);
+            // Lambert's projection from above; the horizon is at radius one.
+            let (across, radius) = (d.x.hypot(d.y).max(1e-12), (1.0 - d.z).max(0.0).sqrt());
+            (d.x / across * radius, d.y / across * radius)
+        };
+        let line = self.rows().map(|(t_s, _)| place(t_s)).collect();
+        let points = self.path.moves.iter().map(|step| place(step.end_s())).collect();
+        let series = vec![Series::new("", BLUE, Mark::Line, line), dots("ends of moves", BLUE, points)];
+        let (x, y) = ("towards the robot's x", "towards y".into());
+        Panel { title: "Directions of the rod".into(), x, y, size: ROUND, series, from_zero: false }.draw()
+    }
+
+    fn margin(&self) -> Result<String, PlotError> {
+        let margin = |t_s: f64| crate::kinematics::singularity_margin_rad(&self.path.at(t_s)).to_degrees();
+        let series =
+            vec![Series::new("", BLUE, Mark::Line, self.rows().map(|(t_s, _)| (t_s, margin(t_s))).collect())];
+        let (title, y) = ("Distance of the bar from a singular pose".into(), "[deg]".into());
+        Panel { title, x: "[s]", y, size: ROUND, series, from_zero: true }.draw()
+    }
+}
+
+/// What was looked at for collisions.
+pub(in crate::report::page) fn collisions(bodies: &Bodies, with_bar: bool) -> Markup {
+    html! { p.note {
+        "Collisions: links of the robot as capsules of " (format!("{:.0}", bodies.link_radius_m * 1e3)) " mm"
+        @if with_bar { ", rod and plate of " (format!("{:.0}", bodies.rod_radius_m * 1e3)) " mm" }
+        ", " (bodies.boxes_m.len()) " boxes, "
+        @match bodies.floor_m {
+            Some(floor_m) => { "floor at " (format!("{floor_m:.3}")) " m." }
+            None => { "no floor." }
+        }
+        " Cables and what else stands in the cell are not known here: drive it slowly first."
+    } }
+}
+
+fn over_time(title: &str, unit: &str, series: Vec<Series>) -> Result<String, PlotError> {
+    Panel { title: title.into(), x: "[s]", y: unit.into(), size: WIDE, series, from_zero: false }.draw()
+}

@@ -1,0 +1,238 @@
+//! `poses.html`: poses that were chosen, as the robot stands in them, and what they are expected to determine.
+
+use std::path::{Path, PathBuf};
+
+use maud::{Markup, html};
+use nalgebra::{Point3, Vector3};
+use shared::config::JointKind;
+
+use super::path::collisions;
+use super::path_view;
+use super::path_view::{Carried, View, view};
+use crate::kinematics::{Chain, Joints};
+use crate::model::ParameterId;
+use crate::plan::{Bodies, Determined, PlannedPoses};
+use crate::report::page::drawing::figures::{ROUND, WIDE, dots};
+use crate::report::page::drawing::plot::{BLUE, COLOURS, GREY, Mark, Panel, PlotError, Series};
+use crate::report::page::sections::{mm, svg};
+use crate::report::page::{PageError, document_with};
+use crate::report::result::file::replace;
+
+/// Poses of the animation from one chosen pose to the next.
+const FRAMES_PER_MOVE: usize = 12;
+/// So many of the parameters that are known worst are listed.
+const WEAKEST: usize = 12;
+
+/// Everything that the page shows.
+#[derive(Debug)]
+pub struct PosesPage<'a> {
+    /// The robot.
+    pub robot: &'a str,
+    /// Its nominal arm to the flange.
+    pub arm: &'a Chain,
+    /// Its joints may go from here to there \[rad, m\].
+    pub limits: &'a [[f64; 2]],
+    /// What is measured, in the flange's frame \[m\].
+    pub target_m: [f64; 3],
+    /// The poses.
+    pub planned: &'a PlannedPoses,
+    /// So many they were chosen from.
+    pub candidates: usize,
+    /// What was looked at for collisions.
+    pub bodies: Option<&'a Bodies>,
+}
+
+impl PosesPage<'_> {
+    /// Writes `poses.html` into the directory, whole or not at all.
+    ///
+    /// # Errors
+    /// [`PageError`].
+    pub fn write(&self, directory: &Path) -> Result<PathBuf, PageError> {
+        let text = self.render()?.into_string();
+        Ok(replace(directory, "poses.html", &text)?)
+    }
+
+    /// The page.
+    ///
+    /// # Errors
+    /// [`PlotError`].
+    pub fn render(&self) -> Result<Markup, PlotError> {
+        let planned = self.planned;
+        let title = format!("Poses for {}", self.robot);
+        let (top, side, angles) = (self.above()?, self.beside()?, self.angles()?);
+        let number = |error_m: f64, label: String| {
+            html! { div.number { b { (mm(error_m)) " mm" } span { (label) } } }
+        };
+        Ok(document_with(
+            &title,
+            path_view::SCRIPTS,
+            &html! {
+                header {
+                    h1 { (title) }
+                    p.about { (planned.joints.len()) " poses to be measured, chosen out of " (self.candidates) }
+                }
+                main {
+                    (self.view())
+                    @if !planned.blocked.is_empty() {
+                        p.note {
+                            "The straight way of the joints to the next pose comes too near to something after "
+                            (self.blocked()) ": drive round it."
+                        }
+                    }
+                    @if let Some(bodies) = self.bodies { (collisions(bodies, false)) }
+                    h2 { "Position error that is expected" }
+                    div.numbers {
+                        (number(planned.before_m, "of the robot as it is".into()))
+                        (number(planned.position_m, "after a calibration with these poses".into()))
+                        (number(planned.random_m, format!("with {} random ones, the median", planned.joints.len())))
+                    }
+                    p.note {
+                        "Root mean square over all poses that were chosen from, for white noise and the errors of links, loads and gears that a "
+                        "calibration expects. What no parameter describes comes on top."
+                    }
+                    h2 { "Where the target goes" }
+                    figure { div.panels { (svg(top)) (svg(side)) } }
+                    h2 { "What the robot does" }
+                    figure { (svg(angles)) }
+                    (self.travel())
+                    h2 { "What a calibration is expected to know" }
+                    (self.determined())
+                    h2 { "What it is expected to know least" }
+                    (self.weakest())
+                }
+            },
+        ))
+    }
+
+    fn target(&self, q: &Joints) -> Vector3<f64> {
+        (self.arm.forward(q) * Point3::from(Vector3::from(self.target_m))).coords
+    }
+
+    fn view(&self) -> Markup {
+        let joints = &self.planned.joints;
+        let between = |(move_number, pair): (usize, &[Joints])| {
+            let (from, to) = (pair[0], pair[1]);
+            (0..FRAMES_PER_MOVE).map(move |frame| {
+                let part = frame as f64 / FRAMES_PER_MOVE as f64;
+                let q = Joints::from_fn(from.len(), |i| from[i] + part * (to[i] - from[i]));
+                (move_number as f64 + part, q)
+            })
+        };
+        let last = joints.last().map(|q| ((joints.len() - 1) as f64, *q));
+        view(&View {
+            arm: self.arm,
+            carried: Carried::Target(self.target_m.into()),
+            motion: joints.windows(2).enumerate().flat_map(between).chain(last).collect(),
+            frames_per_pose: Some(FRAMES_PER_MOVE),
+            bodies: self.bodies,
+        })
+    }
+
+    fn blocked(&self) -> String {
+        let after: Vec<String> = self.planned.blocked.iter().map(|pose| (pose + 1).to_string()).collect();
+        after.join(", ")
+    }
+
+    fn places(
+        &self,
+        title: &str,
+        [x, y]: [&str; 2],
+        of: fn(&Vector3<f64>) -> [f64; 2],
+    ) -> Result<String, PlotError> {
+        let at = |q: &Joints| {
+            let [x, y] = of(&self.target(q));
+            (x, y)
+        };
+        let series = vec![dots("", BLUE, self.planned.joints.iter().map(at).collect())];
+        Panel { title: title.into(), x, y: y.into(), size: ROUND, series, from_zero: false }.draw()
+    }
+
+    fn above(&self) -> Result<String, PlotError> {
+        self.places("From above", ["x [m]", "y [m]"], |at| [at.x, at.y])
+    }
+
+    fn beside(&self) -> Result<String, PlotError> {
+        let axes = ["distance from the base's z [m]", "z [m]"];
+        self.places("From the side", axes, |at| [at.x.hypot(at.y), at.z])
+    }
+
+    fn angles(&self) -> Result<String, PlotError> {
+        let series = |joint: usize| {
+            let value = |(pose, q): (usize, &Joints)| (pose as f64 + 1.0, q[joint] * self.unit(joint).0);
+            let points = self.planned.joints.iter().enumerate().map(value).collect();
+            let colour = COLOURS.get(joint).copied().unwrap_or(GREY);
+            Series::new(format!("joint {}", joint + 1), colour, Mark::Line, points)
+        };
+        let is_deg = (0..self.limits.len()).all(|joint| self.unit(joint).1 == "deg");
+        let y = if is_deg { "[deg]" } else { "[deg, mm]" };
+        let series = (0..self.limits.len()).map(series).collect();
+        Panel { title: "Robot joints".into(), x: "pose", y: y.into(), size: WIDE, series, from_zero: false }
+            .draw()
+    }
+
+    /// In which a joint is shown, and how many of them are in one of SI.
+    fn unit(&self, joint: usize) -> (f64, &'static str) {
+        match self.arm.links.get(joint).map(|link| link.joint) {
+            Some(JointKind::Prismatic) => (1e3, "mm"),
+            _ => (1f64.to_degrees(), "deg"),
+        }
+    }
+
+    fn travel(&self) -> Markup {
+        let joints = &self.planned.joints;
+        html! { table {
+            thead { tr {
+                th { "Joint" } th { "lowest" } th { "highest" } th { "limits" } th { "of their range" } th { "travel in all" }
+            } }
+            tbody { @for (joint, limits) in self.limits.iter().enumerate() {
+                @let [low, high] = crate::statistics::extremes(joints.iter().map(|q| q[joint]));
+                @let travel = joints.windows(2).map(|pair| (pair[1][joint] - pair[0][joint]).abs()).sum::<f64>();
+                @let (factor, unit) = self.unit(joint);
+                @let [lowest, highest, from, to, in_all] =
+                    [low, high, limits[0], limits[1], travel].map(|value| format!("{:.0}", value * factor + 0.0));
+                tr {
+                    td { (joint + 1) }
+                    td { (lowest) " " (unit) }
+                    td { (highest) " " (unit) }
+                    td { (from) " to " (to) " " (unit) }
+                    td { (format!("{:.0} %", 100.0 * (high - low) / (limits[1] - limits[0]))) }
+                    td { (in_all) " " (unit) }
+                }
+            } }
+        } }
+    }
+
+    fn determined(&self) -> Markup {
+        let size =
+            |one: &Determined, si: f64| one.ids.first().map_or_else(String::new, |id| id.unit().display(si));
+        html! {
+            table {
+                thead { tr {
+                    th.text { "Error of" } th { "parameters" } th { "before" } th { "after" } th { "left" } th { "hardly determined" }
+                } }
+                tbody { @for one in &self.planned.determined { tr {
+                    td.text { (one.name) }
+                    td { (one.ids.len()) }
+                    td { (size(one, one.prior)) }
+                    td { (size(one, one.sigma)) }
+                    td { (format!("{:.0} %", 100.0 * one.sigma / one.prior)) }
+                    td { (one.undetermined().count()) }
+                } } }
+            }
+            p.note { "Standard deviations, root mean square over the parameters of a kind." }
+        }
+    }
+
+    fn weakest(&self) -> Markup {
+        let all = self.planned.determined.iter().flat_map(|one| one.ids.iter().zip(&one.left));
+        let mut all: Vec<(&ParameterId, &f64)> = all.collect();
+        all.sort_by(|a, b| b.1.total_cmp(a.1));
+        html! { table.narrow {
+            thead { tr { th { "Parameter" } th { "left of what is expected of it" } } }
+            tbody { @for (id, left) in all.into_iter().take(WEAKEST) { tr {
+                td { (id) }
+                td { (format!("{:.0} %", 100.0 * left)) }
+            } } }
+        } }
+    }
+}

@@ -1,0 +1,55 @@
+//! What the logs of a calibration say of themselves, and what they leave unsaid.
+
+use std::path::PathBuf;
+
+use maud::{Markup, html};
+
+use crate::inspect::{Inspection, UNSAID};
+
+/// Facts of one file that the page shows; a long run may have thousands of events.
+const FACTS_MAX: usize = 24;
+
+/// One log of a run and what is in it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Source {
+    /// Such as `recording`.
+    pub role: &'static str,
+    /// Its file.
+    pub path: PathBuf,
+    /// What was found in it.
+    pub inspection: Inspection,
+}
+
+/// What each file says, side by side.
+pub(in crate::report::page) fn section(sources: &[Source]) -> Markup {
+    html! { @if !sources.is_empty() {
+        h2 { "What the logs say of themselves, and what they leave unsaid" }
+        div.columns.sources { @for source in sources { (facts(source)) } }
+    } }
+}
+
+/// Facts of one file, as rows of a table.
+pub(in crate::report::page) fn rows(facts: &[(String, String)]) -> Markup {
+    html! {
+        @for (what, value) in facts.iter().take(FACTS_MAX) {
+            tr.unsaid[what == UNSAID] { td { (what) } td.text { (value) } }
+        }
+        @if facts.len() > FACTS_MAX {
+            tr { td { "…" } td.text { (facts.len() - FACTS_MAX) " more: " code { "identify inspect" } } }
+        }
+    }
+}
+
+/// What one file says; what it does not say stands out.
+fn facts(source: &Source) -> Markup {
+    let Inspection { facts, suspicious, .. } = &source.inspection;
+    html! {
+        table {
+            caption { (source.role) ": " (source.path.display()) }
+            tbody {
+                (rows(facts))
+                @for sentence in suspicious { tr.unsaid { td { "mind" } td.text { (sentence) } } }
+            }
+        }
+    }
+}

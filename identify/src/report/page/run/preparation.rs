@@ -1,0 +1,200 @@
+//! How the two logs were brought together: what the thesis drew as its figures 5.2 to 5.4.
+
+use maud::{Markup, html};
+
+use super::readings;
+use crate::kinematics::BAR_JOINTS;
+use crate::prepare::{Prepared, SampleStatus, Timeline, TimelinePoint};
+use crate::report::page::drawing::figures::{THIRD, TimeAxis, WIDE, dots};
+use crate::report::page::drawing::plot::{BLUE, GREEN, GREY, Mark, ORANGE, Panel, PlotError, Series};
+use crate::report::page::sections::svg;
+
+/// Figures and tables of one run.
+pub(in crate::report::page) fn section(prepared: &Prepared) -> Result<Markup, PlotError> {
+    let timeline = &prepared.timeline;
+    let speeds = speeds(timeline)?;
+    let trimmed = trimmed(timeline, &prepared.measured)?;
+    let off = off(timeline, &prepared.measured)?;
+    Ok(html! {
+        (readings::unwrapping(timeline)?)
+        (readings::moving_average(timeline.averaged.as_ref())?)
+        (sphere(prepared))
+        figure {
+            (svg(speeds))
+            figcaption {
+                "Fastest joint of robot and bar, on the bar's clock after the alignment. Both stand still together "
+                (timeline.standstills.len()) " times, "
+                (format!("{:.1}", timeline.standstills.iter().map(|one| one.duration_s()).sum::<f64>())) " s in all."
+            }
+        }
+        figure {
+            div.panels.three { @for panel in trimmed { (svg(panel)) } }
+            figcaption { "Joints of the bar: what was used, and what was left out for one of the reasons below." }
+        }
+        figure {
+            div.panels.three { @for panel in off { (svg(panel)) } }
+            figcaption {
+                "The used samples of each joint less what the robot's log and the nominal robot and bar say of it. This is what the "
+                "alignment and the encoder offsets were found from; the errors of robot and bar are still in it."
+            }
+        }
+        (encoders(prepared))
+        (jitter(timeline))
+        (statuses(prepared))
+    })
+}
+
+fn time_axis(timeline: &Timeline) -> TimeAxis {
+    TimeAxis::of(timeline.points.iter().map(|point| point.t_s))
+}
+
+/// Fastest joint of either log over time.
+fn speeds(timeline: &Timeline) -> Result<String, PlotError> {
+    /// Points further apart belong to different motions \[s\].
+    const APART_S: f64 = 1.0;
+    let time = time_axis(timeline);
+    let span_s = match timeline.points.as_slice() {
+        [first, .., last] => last.t_s - first.t_s,
+        _ => 0.0,
+    };
+    let still =
+        timeline.standstills.iter().flat_map(|one| [one.from_s, one.to_s].map(|t_s| (time.at(t_s), 0.0)));
+    let far = span_s > APART_S * timeline.points.len() as f64;
+    let mark = if far { Mark::Dots } else { Mark::Line };
+    let line = |name, colour, speed: fn(&TimelinePoint) -> Option<f64>| {
+        let point = |point: &TimelinePoint| Some((time.at(point.t_s), speed(point)?.to_degrees()));
+        Series::new(name, colour, mark, timeline.points.iter().filter_map(point).collect())
+    };
+    Panel {
+        title: "Speed".into(),
+        x: time.label,
+        y: "fastest joint [deg/s]".into(),
+        size: WIDE,
+        series: vec![
+            line("bar", ORANGE, |point| point.bar_speed_rad_s),
+            line("robot", BLUE, |point| point.robot_speed_rad_s),
+            Series::new("both stand still", GREEN, Mark::Segments, still.collect()),
+        ],
+        from_zero: true,
+    }
+    .draw()
+}
+
+/// Angle of each measured joint over time, by what became of the samples.
+fn trimmed(timeline: &Timeline, measured: &[bool; BAR_JOINTS]) -> Result<Vec<String>, PlotError> {
+    let time = time_axis(timeline);
+    let panel = |joint: usize| {
+        let of = |name, colour, wanted: fn(SampleStatus) -> bool| {
+            let angle =
+                |point: &TimelinePoint| Some((time.at(point.t_s), point.measured_rad?[joint].to_degrees()));
+            let points = timeline.points.iter().filter(|point| wanted(point.status)).filter_map(angle);
+            dots(name, colour, points.collect())
+        };
+        let used = |status| matches!(status, SampleStatus::Kept | SampleStatus::Thinned);
+        Panel {
+            title: format!("b{}", joint + 1),
+            x: time.label,
+            y: "[deg]".into(),
+            size: THIRD,
+            series: vec![
+                of("left out", GREY, |status| !matches!(status, SampleStatus::Kept | SampleStatus::Thinned)),
+                of("usable", BLUE, used),
+            ],
+            from_zero: false,
+        }
+        .draw()
+    };
+    (0..BAR_JOINTS).filter(|&joint| measured[joint]).map(panel).collect()
+}
+
+/// What each measured joint says less what the robot says of it, over time.
+fn off(timeline: &Timeline, measured: &[bool; BAR_JOINTS]) -> Result<Vec<String>, PlotError> {
+    let time = time_axis(timeline);
+    let panel = |joint: usize| {
+        let used = timeline.points.iter().filter(|point| point.status == SampleStatus::Kept);
+        let off = |point: &TimelinePoint| Some((time.at(point.t_s), point.off_rad()?[joint] * 1e3));
+        Panel {
+            title: format!("b{}, measured less predicted", joint + 1),
+            x: time.label,
+            y: "[mrad]".into(),
+            size: THIRD,
+            series: vec![dots("", ORANGE, used.filter_map(off).collect())],
+            from_zero: false,
+        }
+        .draw()
+    };
+    (0..BAR_JOINTS).filter(|&joint| measured[joint]).map(panel).collect()
+}
+
+/// Where the bar stands and how long it is, by the robot's positions alone.
+fn sphere(prepared: &Prepared) -> Markup {
+    let sphere = &prepared.sphere;
+    let centre_m = sphere.centre_m;
+    html! {
+        p {
+            b { "Sphere: " } (format!("{:.1}", 100.0 * sphere.inliers)) " % of the positions in the robot's log lie on one of radius "
+            (format!("{:.2}", sphere.radius_m * 1e3)) " mm about (" (format!("{:.4}, {:.4}, {:.4}", centre_m.x, centre_m.y, centre_m.z))
+            ") m, " (format!("{:.2}", sphere.rms_m * 1e3)) " mm from it (RMS, nominal robot)."
+        }
+    }
+}
+
+/// Where each encoder sits, which way it counts, its offset, and how well all that fits.
+fn encoders(prepared: &Prepared) -> Markup {
+    let encoder_map = &prepared.encoder_map;
+    let offset = |joint: u8| prepared.offsets.iter().find(|offset| offset.joint == joint);
+    html! {
+        @if !encoder_map.used.encoders.is_empty() { table {
+            caption {
+                "Encoders of the bar: joint by the recording, joint and direction that the motion confirms, offset, and 1.48 times the "
+                "median deviation from the motion of the robot, nominal and with all lengths and angles moved within their tolerances"
+                @if !encoder_map.others.is_empty() { "; " (encoder_map.others.len()) " other orders or directions fit within the limit, worse" }
+            }
+            thead { tr {
+                th { "recorded as" } th { "sits on" } th.text { "" } th { "offset [deg]" } th { "nominal [mrad]" } th { "fitted [mrad]" }
+            } }
+            tbody { @for place in &encoder_map.used.encoders { tr {
+                td { "b" (place.recorded_joint) }
+                td { "b" (place.joint) }
+                td.unit { @if place.reversed { "counts the other way" } @else { "counts as recorded" } }
+                td { @if let Some(offset) = offset(place.joint) { (format!("{:.3}", offset.offset_rad.to_degrees())) } }
+                td { (format!("{:.2}", place.spread_mrad)) }
+                td { @if let Some(offset) = offset(place.joint) { (format!("{:.3}", offset.spread_rad * 1e3)) } }
+            } } }
+        } }
+    }
+}
+
+fn jitter(timeline: &Timeline) -> Markup {
+    let jitter = &timeline.jitter;
+    let rows = [("robot", jitter.robot_urad.to_vec()), ("bar", jitter.bar_urad.to_vec())];
+    let of = if timeline.averaged.is_some() { " of the averages" } else { "" };
+    let caption = format!("Jitter{of} at standstill, standard deviation about a straight line [µrad]");
+    readings::by_joint(&caption, &rows)
+}
+
+/// The table of what became of all samples.
+fn statuses(prepared: &Prepared) -> Markup {
+    let counts = &prepared.counts;
+    let average = prepared.timeline.averaged.as_ref();
+    let rows = [
+        Some(("recorded", counts.recorded)),
+        Some(("not valid", counts.invalid)),
+        Some(("time did not increase", counts.time_not_increasing)),
+        average.map(|_| ("too near to an end or a hole for the average", counts.not_averaged)),
+        Some(("other origin of the counters", counts.other_origin)),
+        Some(("outside the robot's log", counts.outside_robot_log)),
+        Some(("near a singular pose", counts.singular)),
+        Some(("do not fit those around them", counts.outliers)),
+        Some(("standstill", counts.standstill)),
+        Some(("more than wanted", counts.thinned)),
+        prepared.force.map(|_| ("the force was not measured then", counts.no_force)),
+        Some(("used", counts.kept)),
+    ];
+    html! {
+        table.narrow {
+            caption { "What became of the samples" }
+            tbody { @for (what, count) in rows.into_iter().flatten() { tr { td { (what) } td { (count) } } } }
+        }
+    }
+}

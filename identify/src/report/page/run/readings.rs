@@ -1,0 +1,167 @@
+//! What was done to the readings before anything else: made continuous, and averaged where that was asked for.
+
+use maud::{Markup, html};
+
+use crate::logs::{Unwrapped, UnwrappedPoint};
+use crate::prepare::{Averaged, AveragedJoints, AveragedPoint, Timeline};
+use crate::report::page::drawing::figures::{HALF, TimeAxis, dots};
+use crate::report::page::drawing::plot::{BLUE, GREY, Mark, ORANGE, Panel, PlotError, Series};
+use crate::report::page::sections::svg;
+
+/// Lower than others: a run may have eleven pairs of them.
+const LOW: (u32, u32) = (450, 170);
+/// A period of so many turns is shown in turns, not degrees.
+const TURNS_MIN: f64 = 1.5;
+
+/// Readings as they were shown and as they were used.
+pub(in crate::report::page) fn unwrapping(timeline: &Timeline) -> Result<Markup, PlotError> {
+    let unwrapped: Vec<&Unwrapped> =
+        timeline.unwrapped_encoders.iter().chain(&timeline.unwrapped_joints).collect();
+    if unwrapped.is_empty() {
+        return Ok(html! {
+            p { b { "Unwrapping: " } "no counter of the bar and no joint in the robot's log began anew; nothing was to be unwrapped." }
+        });
+    }
+    let pairs = unwrapped.iter().map(|one| pair(one)).collect::<Result<Vec<_>, PlotError>>()?;
+    Ok(html! {
+        p { b { "Unwrapping: " } "these began anew while the logs were taken, and were made continuous; all others never did." }
+        figure {
+            div.panels { @for pair in pairs { @for panel in pair { (svg(panel)) } } }
+            figcaption {
+                "Left as the file shows them, right as they are used, where they begin anew most often; b: encoder of the bar by "
+                "the joint that its file states, q: joint in the robot's log. "
+                @for (index, one) in unwrapped.iter().enumerate() {
+                    @if index > 0 { "; " }
+                    (one.name) ": " (one.wraps) @if one.wraps == 1 { " time" } @else { " times" }
+                    ", largest step " (percent(one.step_part)) " of what can be followed"
+                }
+                "."
+            }
+        }
+    })
+}
+
+fn percent(part: f64) -> String {
+    match 100.0 * part {
+        percent if percent < 0.1 => "less than 0.1 %".into(),
+        percent => format!("{percent:.1} %"),
+    }
+}
+
+fn pair(one: &Unwrapped) -> Result<[String; 2], PlotError> {
+    let time = TimeAxis::of(one.points.iter().map(|point| point.t_s));
+    let turns = one.period_rad / std::f64::consts::TAU;
+    let in_turns = turns > TURNS_MIN;
+    let panel = |title: &str, unit: &str, scale: f64, colour, of: fn(&UnwrappedPoint) -> f64| {
+        let points = one.points.iter().map(|point| (time.at(point.t_s), of(point) * scale));
+        Panel {
+            title: format!("{} {title}", one.name),
+            x: time.since_first,
+            y: unit.into(),
+            size: LOW,
+            series: vec![Series::new("", colour, Mark::Line, points.collect())],
+            from_zero: false,
+        }
+        .draw()
+    };
+    let degrees = 1f64.to_degrees();
+    let (unit, scale) =
+        if in_turns { ("counter [turns]", std::f64::consts::TAU.recip()) } else { ("[deg]", degrees) };
+    Ok([
+        panel("as shown", unit, scale, GREY, |point| point.shown_rad)?,
+        panel("continuous", "[deg]", degrees, BLUE, |point| point.continuous_rad)?,
+    ])
+}
+
+/// What the moving average did; that it is off, and why, where it is.
+pub(in crate::report::page) fn moving_average(averaged: Option<&Averaged>) -> Result<Markup, PlotError> {
+    let Some(averaged) = averaged else {
+        return Ok(html! {
+            p {
+                b { "Moving average: " } "off, as usual: the cost knows the noise of the angles and weighs it. "
+                code { "prepare.moving_average_ms" } " switches it on, for both logs alike."
+            }
+        });
+    };
+    let panels = [("Robot", "q", &averaged.robot, BLUE), ("Bar", "b", &averaged.bar, ORANGE)];
+    let mut drawn = Vec::new();
+    for (whose, letter, joints, colour) in panels {
+        let name = format!("{whose}, {letter}{}", joints.fastest_joint);
+        drawn.extend(excerpt(&name, joints, colour)?);
+    }
+    let width_ms = averaged.width_s * 1e3;
+    Ok(html! {
+        p {
+            b { "Moving average: " } "both logs were averaged over " (format!("{width_ms:.0}")) " ms, centred and in the same way. "
+            "A mean of a curved motion lies inside the curve; by how much is known from the mean over twice the time, and was given back. "
+            "Readings nearer than " (format!("{width_ms:.0}")) " ms to an end or a hole were left out."
+        }
+        figure {
+            div.panels { @for panel in drawn { (svg(panel)) } }
+            figcaption {
+                "The fastest joint of each log about its fastest moment. Left: its speed from the readings (grey) and from the "
+                "averages. Right: what the average took from its angle: noise. Waves are turns too sharp for it: samples there fit worse, "
+                "and a shorter average is better."
+            }
+        }
+        (removed(averaged))
+    })
+}
+
+/// Speed before and after, and what was taken from the angle.
+fn excerpt(
+    name: &str,
+    joints: &AveragedJoints,
+    colour: plotters::style::RGBColor,
+) -> Result<[String; 2], PlotError> {
+    let points = &joints.fastest;
+    let time = TimeAxis::of(points.iter().map(|point| point.t_s));
+    let of = |value: fn(&AveragedPoint) -> f64| -> Vec<(f64, f64)> {
+        points.iter().map(|point| (time.at(point.t_s), value(point))).collect()
+    };
+    let panel = |title: String, y: &str, series| Panel {
+        title,
+        x: time.label,
+        y: y.into(),
+        size: HALF,
+        series,
+        from_zero: false,
+    };
+    let speeds = vec![
+        dots("read", GREY, of(|point| point.speed_rad_s.to_degrees())),
+        Series::new("averaged", colour, Mark::Line, of(|point| point.averaged_rad_s.to_degrees())),
+    ];
+    let removed = vec![dots("", colour, of(|point| point.removed_rad * 1e6))];
+    Ok([
+        panel(format!("{name}: speed"), "[deg/s]", speeds).draw()?,
+        panel(format!("{name}: taken from the angle"), "[µrad]", removed).draw()?,
+    ])
+}
+
+fn removed(averaged: &Averaged) -> Markup {
+    let rows = [
+        ("robot, at standstill", &averaged.robot.still_rad),
+        ("robot, moving", &averaged.robot.moving_rad),
+        ("bar, at standstill", &averaged.bar.still_rad),
+        ("bar, moving", &averaged.bar.moving_rad),
+    ];
+    let in_urad = |values: &[Option<f64>]| values.iter().map(|value| value.map(|rad| rad * 1e6)).collect();
+    let rows = rows.map(|(what, values)| (what, in_urad(values)));
+    by_joint("What the average took from the angles, RMS [µrad]", &rows)
+}
+
+/// A table with a column for each joint.
+pub(in crate::report::page) fn by_joint(caption: &str, rows: &[(&str, Vec<Option<f64>>)]) -> Markup {
+    let cell = |value: &Option<f64>| value.map_or_else(|| "–".to_owned(), |urad| format!("{urad:.2}"));
+    html! {
+        table {
+            caption { (caption) }
+            thead { tr { th { "joint" } @for joint in 1..=6 { th { (joint) } } } }
+            tbody {
+                @for (what, values) in rows {
+                    tr { td { (what) } @for value in values { td { (cell(value)) } } @for _ in values.len()..6 { td {} } }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,125 @@
+//! What of a calibration is for which controller: geometry, held-out figures, files.
+
+use serde::{Deserialize, Serialize};
+
+use super::file::{CalibrationFile, ParameterEntry};
+use super::validation::{ApartEntry, HeldOutEntry};
+use crate::calibrate::rows::{PoseFigures, Stages, is_surely_better};
+use crate::calibrate::validation::deployment::{Deployed, Deployment};
+use crate::model::ParameterId;
+use crate::report::verdict::INDEPENDENT_OF_SEGMENT;
+
+/// The robot for who applies only part of the model.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DeploymentEntry {
+    /// What is applied.
+    pub deployment: Deployment,
+    /// The numbers of the links of robot and ball-bar, by a fit of nothing else of the robot.
+    pub links: Vec<ParameterEntry>,
+    /// Held-out segments as predicted with it; those of rows have their own place.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub held_out: Option<ApartEntry>,
+}
+
+impl From<&Deployed> for DeploymentEntry {
+    fn from(Deployed { deployment, model, solution }: &Deployed) -> Self {
+        let all = ParameterEntry::all(model, |id| solution.covariance.sigma(model.column_of(id)?));
+        let is_link = |entry: &ParameterEntry| {
+            matches!(entry.id(), Some(ParameterId::Robot { .. } | ParameterId::Bar { .. }))
+        };
+        Self { deployment: *deployment, links: all.into_iter().filter(is_link).collect(), held_out: None }
+    }
+}
+
+/// What is written of it, beside the full calibration.
+pub const fn files(deployment: Deployment) -> &'static [&'static str] {
+    match deployment {
+        Deployment::Offsets => &["offsets.csv"],
+        Deployment::Dh => &["dh.csv", "corrections.csv", "robot.urdf"],
+        Deployment::Full => &[],
+    }
+}
+
+const fn stage(stages: &Stages, deployment: Deployment) -> &PoseFigures {
+    match deployment {
+        Deployment::Offsets => &stages.offsets,
+        Deployment::Dh => &stages.links,
+        Deployment::Full => &stages.joints,
+    }
+}
+
+impl CalibrationFile {
+    /// The same with the geometry of a deployment, where that has a fit of its own.
+    #[must_use]
+    pub fn deployed(&self, deployment: Deployment) -> Self {
+        let mut file = self.clone();
+        for own in self.entry(deployment).map_or(&[][..], |entry| &entry.links) {
+            file.parameters
+                .iter_mut()
+                .filter(|other| other.name == own.name)
+                .for_each(|other| *other = own.clone());
+        }
+        file
+    }
+
+    fn entry(&self, deployment: Deployment) -> Option<&DeploymentEntry> {
+        self.deployments.iter().find(|entry| entry.deployment == deployment)
+    }
+
+    /// Held-out data are predicted better than with the nominal robot by what a deployment takes, and surely so; true where none
+    /// were held out. Part of the full model is no fit of that part.
+    pub fn serves(&self, deployment: Deployment) -> bool {
+        let rows = || self.rows.iter().map(|rows| &rows.held_out).filter(|of| of.nominal.rows > 0);
+        self.may_be_applied()
+            && self.entry(deployment).is_some_and(|entry| self.segments_are_better(entry))
+            && rows().all(|of| stage(of, deployment).are_surely_better_than(&of.nominal))
+    }
+
+    fn segments_are_better(&self, entry: &DeploymentEntry) -> bool {
+        self.held_out.is_none_or(|all| {
+            entry.held_out.is_some_and(|own| {
+                let rotation = all.nominal.rotation_rad.zip(own.rotation_rad).map(<[f64; 2]>::from);
+                let position = [all.nominal.position_m, own.position_m];
+                is_surely_better(INDEPENDENT_OF_SEGMENT * all.segments, position, rotation)
+            })
+        })
+    }
+
+    /// Root mean squares of the positions of data that no fit has seen, of the first data set that has some: with the nominal
+    /// robot, and with what a deployment takes \[m\].
+    pub fn held_out_m(&self, deployment: Deployment) -> Option<[f64; 2]> {
+        let own = |all: HeldOutEntry| match deployment {
+            Deployment::Full => Some(all.calibrated),
+            _ => self.entry(deployment)?.held_out,
+        };
+        let segments = self.held_out.and_then(|all| Some([all.nominal.position_m, own(all)?.position_m]));
+        let rows = || {
+            let held_out = &self.rows.first()?.held_out;
+            let own = stage(held_out, deployment);
+            (own.rows > 0).then_some([held_out.nominal.position_m.rms, own.position_m.rms])
+        };
+        segments.or_else(rows)
+    }
+
+    /// What each deployment that leaves something out is worth on held-out data; nothing where there is none.
+    pub(in crate::report) fn deployments_told(&self) -> Vec<String> {
+        let told = |deployment: Deployment| {
+            let what = match deployment {
+                Deployment::Offsets => "joint offsets alone",
+                Deployment::Dh => "links alone",
+                Deployment::Full => "all terms",
+            };
+            if self.entry(deployment).is_none() {
+                return Some(format!("no fit of {what} converges: they are not written"));
+            }
+            let Some([_, rms_m]) = self.held_out_m(deployment) else {
+                return (!self.serves(deployment))
+                    .then(|| format!("{what} could not be tried on them: they are not written"));
+            };
+            let files =
+                if self.serves(deployment) { "" } else { ", not surely better than nominal: not written" };
+            Some(format!("{:.3} mm with {what}{files}", rms_m * 1e3))
+        };
+        Deployment::PARTIAL.into_iter().filter_map(told).collect()
+    }
+}

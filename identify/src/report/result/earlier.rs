@@ -1,0 +1,73 @@
+//! What an earlier run left in the directory of results.
+
+use std::path::{Path, PathBuf};
+
+use super::file::FileError;
+use crate::report::page::is_page;
+
+/// Everything that a calibration writes, what other programs read first.
+const FILES: [&str; 7] = [
+    "calibration.toml",
+    "calibration.json",
+    "corrections.csv",
+    "offsets.csv",
+    "robot.urdf",
+    "dh.csv",
+    "report.html",
+];
+
+/// An earlier calibration.
+#[derive(Debug)]
+pub(in crate::report) struct Earlier<'d> {
+    directory: &'d Path,
+    destination: PathBuf,
+}
+
+impl<'d> Earlier<'d> {
+    /// The calibration in a directory; none where there is none.
+    pub fn in_directory(directory: &'d Path) -> Option<Self> {
+        let is_there =
+            ["calibration.toml", "calibration.json"].iter().any(|name| directory.join(name).exists());
+        is_there.then(|| {
+            let further = (2..).map(|number: u32| format!("earlier-{number}"));
+            let mut names = std::iter::once("earlier".to_owned()).chain(further);
+            let free = names.find_map(|name| Some(directory.join(name)).filter(|path| !path.exists()));
+            Self { directory, destination: free.unwrap_or_else(|| directory.join("earlier")) }
+        })
+    }
+
+    /// Where it would go.
+    pub fn destination(&self) -> &Path {
+        &self.destination
+    }
+
+    /// Moves its files there and returns the place.
+    ///
+    /// # Errors
+    /// [`FileError::Io`].
+    pub fn set_aside(self) -> Result<PathBuf, FileError> {
+        let refused = |path: PathBuf| move |source| FileError::Io { path, source };
+        std::fs::create_dir(&self.destination).map_err(refused(self.destination.clone()))?;
+        for name in FILES {
+            let (from, to) = (self.directory.join(name), self.destination.join(name));
+            if from.exists() {
+                std::fs::rename(&from, &to).map_err(refused(from))?;
+            }
+        }
+        Ok(self.destination)
+    }
+}
+
+/// Takes the page of a refusal, or of an older calibration, out of a directory into which a calibration is written: until its
+/// own page is there, it would belie it. What another program calls so stays.
+///
+/// # Errors
+/// [`FileError::Io`].
+pub(in crate::report) fn remove_page(directory: &Path) -> Result<(), FileError> {
+    let path = directory.join("report.html");
+    let text = std::fs::read(&path).unwrap_or_default();
+    if !is_page(&String::from_utf8_lossy(&text)) {
+        return Ok(());
+    }
+    std::fs::remove_file(&path).map_err(|source| FileError::Io { path, source })
+}

@@ -1,0 +1,477 @@
+//! `calibration.toml`, `calibration.json` and `dh.csv`: identified parameters with their uncertainty, and everything needed to repeat it.
+
+use std::fs::File;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use shared::recording::schema::RunMetadata;
+use shared::time::UtcNs;
+
+use super::clocks::ClockEntry;
+use super::deployments::DeploymentEntry;
+use super::earlier::remove_page;
+use super::force::ForceEntry;
+use super::knowledge::{CovarianceEntry, ExpectedEntry, Knowledge, NoiseEntry};
+use super::validation::{HeldOutEntry, OtherCostEntry, RowsEntry};
+use crate::calibrate::ball_bar::BallBarCalibration;
+use crate::calibrate::selection::terms::Candidate;
+use crate::calibrate::validation::deployment::Deployment;
+use crate::cost::SharedColumns;
+use crate::evaluate::{Budget, Validity};
+use crate::model::{Model, Parameter, ParameterId, Role, Unit, link_parameter_name};
+use crate::report::verdict::Verdict;
+use crate::solver::{Covariance, Identifiability, Summary};
+
+/// Version of the file's structure; it rises when a key changes its meaning.
+pub const SCHEMA: u32 = 1;
+
+/// Why the file cannot be written.
+#[derive(Debug, thiserror::Error)]
+pub enum FileError {
+    /// The system refused.
+    #[error("cannot write {}: {source}; check the directory and free space", path.display())]
+    Io {
+        /// The file or directory.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// A number does not fit TOML.
+    #[error("the calibration cannot be written as TOML: {0}")]
+    Toml(#[from] toml::ser::Error),
+    /// A number does not fit JSON.
+    #[error("the calibration cannot be written as JSON: {0}")]
+    Json(#[from] serde_json::Error),
+    /// The table of links cannot be written.
+    #[error("the table of links cannot be written as CSV: {0}")]
+    Csv(#[from] csv::Error),
+}
+
+/// A file that the calibration was made from.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Input {
+    /// What it is.
+    pub role: String,
+    /// Where it was.
+    pub path: PathBuf,
+    /// Its checksum, hexadecimal.
+    pub sha256: String,
+}
+
+impl Input {
+    /// Reads a file's checksum.
+    pub fn of(role: &str, path: &Path) -> io::Result<Self> {
+        let mut hash = Sha256::new();
+        io::copy(&mut File::open(path)?, &mut hash)?;
+        let sha256 = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+        Ok(Self { role: role.to_owned(), path: path.to_owned(), sha256 })
+    }
+}
+
+/// What became of a parameter.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Status {
+    /// Found from the samples.
+    Identified,
+    /// Found from the samples and a prior.
+    IdentifiedWithPrior,
+    /// Left at its value.
+    Fixed,
+}
+
+/// One parameter, SI units.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ParameterEntry {
+    /// Name, such as `ra1`.
+    pub name: String,
+    /// `m`, `rad`, `s` or `1`.
+    pub unit: String,
+    /// Data sheet or first guess.
+    pub nominal: f64,
+    /// Identified value.
+    pub value: f64,
+    /// Value minus nominal.
+    pub correction: f64,
+    /// One standard deviation; absent for fixed parameters that are taken as exact.
+    pub sigma: Option<f64>,
+    /// What became of it.
+    pub status: Status,
+}
+
+impl ParameterEntry {
+    fn new(parameter: &Parameter, sigma: Option<f64>) -> Self {
+        Self {
+            name: parameter.id.to_string(),
+            unit: parameter.id.unit().si_symbol().to_owned(),
+            nominal: parameter.nominal,
+            value: parameter.value,
+            correction: parameter.value - parameter.nominal,
+            sigma: match parameter.role {
+                Role::Considered { sigma } => Some(sigma),
+                _ => sigma,
+            },
+            status: match parameter.role {
+                Role::Free => Status::Identified,
+                Role::Prior { .. } => Status::IdentifiedWithPrior,
+                Role::Fixed | Role::Considered { .. } => Status::Fixed,
+            },
+        }
+    }
+
+    /// Those of a calibration: all of the first run, then those that each other run has for itself.
+    pub fn of_runs(calibration: &BallBarCalibration) -> Vec<Self> {
+        let others = calibration.others.iter().map(|run| &run.model);
+        let models = std::iter::once(&calibration.model).chain(others);
+        Self::of_all(models, &calibration.columns, &calibration.solution.covariance)
+    }
+
+    /// Those of several models: all of the first one, then what no model before has.
+    pub fn of_all<'m>(
+        models: impl IntoIterator<Item = &'m Model>,
+        columns: &SharedColumns,
+        covariance: &Covariance,
+    ) -> Vec<Self> {
+        let mut entries: Vec<Self> = Vec::new();
+        for (run, model) in models.into_iter().enumerate() {
+            let columns_of = columns.of_run(run);
+            let sigma = |id| covariance.sigma(*columns_of.get(model.column_of(id)?)?);
+            if run == 0 {
+                entries = Self::all(model, sigma);
+                continue;
+            }
+            for (parameter, &column) in model.columns().zip(columns_of) {
+                let Some(name) = columns.names().get(column) else { continue };
+                if entries.iter().all(|entry| entry.name != *name || entry.status == Status::Fixed) {
+                    entries.retain(|entry| entry.name != *name);
+                    entries
+                        .push(Self { name: name.clone(), ..Self::new(parameter, covariance.sigma(column)) });
+                }
+            }
+        }
+        entries
+    }
+
+    /// A fixed one for a person: its name, and within what its value holds where that is not exact.
+    pub(in crate::report) fn held(&self) -> String {
+        let unit = self.id().map_or(Unit::Ratio, ParameterId::unit);
+        match self.sigma {
+            Some(sigma) => format!("{} within {}", self.name, unit.display(sigma)),
+            None => self.name.clone(),
+        }
+    }
+
+    /// Which parameter it is, of whichever run; none for a name that is not known.
+    pub fn id(&self) -> Option<ParameterId> {
+        self.name.split('@').next()?.parse().ok()
+    }
+
+    /// All parameters of a model at its solution, in the model's order, but terms of the robot's axes, of forces and of
+    /// the bar's length that are left out.
+    pub fn all(model: &Model, sigma: impl Fn(ParameterId) -> Option<f64>) -> Vec<Self> {
+        let left_out = |parameter: &&Parameter| {
+            let id = parameter.id;
+            let term = matches!(
+                id,
+                ParameterId::Joint { .. } | ParameterId::JointWave { .. } | ParameterId::BarWave { .. }
+            );
+            (term || ParameterId::OF_FORCE.contains(&id))
+                && !parameter.role.is_estimated()
+                && parameter.value == 0.0
+        };
+        let told = model.parameters().iter().filter(|parameter| !left_out(parameter));
+        told.map(|parameter| Self::new(parameter, sigma(parameter.id))).collect()
+    }
+}
+
+/// How the solve went.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SolveEntry {
+    /// Cost function.
+    pub cost: String,
+    /// Why it ended.
+    pub ended: String,
+    /// Accepted steps.
+    pub iterations: usize,
+    /// Samples that took part.
+    pub samples: usize,
+    /// Free parameters, all of them identified.
+    pub parameters: usize,
+    /// Condition number of the column-scaled Jacobian.
+    pub condition: f64,
+    /// Root mean square of the residuals at the nominal start, in the cost's unit.
+    pub residual_rms_start: f64,
+    /// The same at the solution.
+    pub residual_rms: f64,
+}
+
+impl SolveEntry {
+    /// Of a solve that identified all of its free parameters.
+    pub fn new(cost: &str, summary: &Summary, identifiability: &Identifiability) -> Self {
+        Self {
+            cost: cost.to_owned(),
+            ended: summary.termination.to_string(),
+            iterations: summary.iterations,
+            samples: summary.samples_used,
+            parameters: identifiability.names.len(),
+            condition: identifiability.weakest().recip(),
+            residual_rms_start: summary.residual_rms_start,
+            residual_rms: summary.residual_rms,
+        }
+    }
+}
+
+/// Who measured what, as a recording says; empty where it does not.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MeasurementEntry {
+    /// When it began.
+    pub started: String,
+    /// Who.
+    pub operator: String,
+    /// Which robot.
+    pub robot: String,
+    /// Which bar and ball pair.
+    pub bar: String,
+    /// What the robot carried beside the bar.
+    pub payload: String,
+}
+
+impl From<&RunMetadata> for MeasurementEntry {
+    fn from(run: &RunMetadata) -> Self {
+        Self {
+            started: run.started.to_string(),
+            operator: run.operator.clone(),
+            robot: run.robot.clone(),
+            bar: run.bar.clone(),
+            payload: run.payload.clone(),
+        }
+    }
+}
+
+/// The whole file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CalibrationFile {
+    /// [`SCHEMA`].
+    pub schema: u32,
+    /// When it was made.
+    pub created: String,
+    /// Program and version.
+    pub software: String,
+    /// Robot.
+    pub robot: String,
+    /// What it was measured with.
+    pub instrument: String,
+    /// What each recording says of its measurement.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub measured: Vec<MeasurementEntry>,
+    /// What it is worth; files of earlier versions have none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub verdict: Option<Verdict>,
+    /// Solve.
+    pub solve: SolveEntry,
+    /// Clocks of instrument and robot, where there are two; of the first data set that has its own.
+    pub clock: Option<ClockEntry>,
+    /// Those of the other ones, in their order.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub other_clocks: Vec<ClockEntry>,
+    /// The force on the bar, where one was measured.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub force: Option<ForceEntry>,
+    /// That in the other runs that have one.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub other_forces: Vec<ForceEntry>,
+    /// Noise of the angles of each run with a ball-bar, where the cost weighs by it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub noise: Vec<NoiseEntry>,
+    /// Files it was made from.
+    pub inputs: Vec<Input>,
+    /// Kinds of terms that were tried on held-out segments of the runs.
+    #[serde(default)]
+    pub candidates: Vec<Candidate>,
+    /// How well held-out segments of the runs were predicted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub held_out: Option<HeldOutEntry>,
+    /// How well rows of trackers and wires were predicted that the fit did not see.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub rows: Vec<RowsEntry>,
+    /// What the other costs that the encoders allow say of the same samples.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub other_costs: Vec<OtherCostEntry>,
+    /// Every parameter of the model; those of run 2 alone are called `ox@2`.
+    pub parameters: Vec<ParameterEntry>,
+    /// The robot for who applies only part of the model.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub deployments: Vec<DeploymentEntry>,
+    /// Where in joint space it is supported.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub validity: Option<Validity>,
+    /// Position errors of the geometry.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expected: Option<ExpectedEntry>,
+    /// What makes positions uncertain.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub budget: Option<Budget>,
+    /// How well they are known together.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub knowledge: Option<Knowledge>,
+    /// Covariance of the free ones and of those that were fixed at uncertain values; in `calibration.json` alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub covariance: Option<CovarianceEntry>,
+}
+
+impl CalibrationFile {
+    /// The constant part: schema, time and program.
+    pub fn new(
+        robot: &str,
+        instrument: &str,
+        solve: SolveEntry,
+        clock: Option<ClockEntry>,
+        inputs: Vec<Input>,
+        parameters: Vec<ParameterEntry>,
+    ) -> Self {
+        Self {
+            schema: SCHEMA,
+            created: now(),
+            software: software().into(),
+            robot: robot.to_owned(),
+            instrument: instrument.to_owned(),
+            measured: Vec::new(),
+            verdict: None,
+            solve,
+            clock,
+            other_clocks: Vec::new(),
+            force: None,
+            other_forces: Vec::new(),
+            noise: Vec::new(),
+            inputs,
+            candidates: Vec::new(),
+            held_out: None,
+            rows: Vec::new(),
+            other_costs: Vec::new(),
+            parameters,
+            deployments: Vec::new(),
+            validity: None,
+            expected: None,
+            budget: None,
+            knowledge: None,
+            covariance: None,
+        }
+    }
+
+    /// Clocks of all data sets that have their own.
+    pub fn clocks(&self) -> impl Iterator<Item = &ClockEntry> {
+        self.clock.iter().chain(&self.other_clocks)
+    }
+
+    /// Parameters for a person, and how many amplitudes of waves of the axes are not among them: more than forty would fill a
+    /// page and say nothing.
+    pub fn told(&self) -> (Vec<&ParameterEntry>, usize) {
+        const WAVES_MAX: usize = 40;
+        let is_wave = |entry: &ParameterEntry| matches!(entry.id(), Some(ParameterId::JointWave { .. }));
+        let waves = self.parameters.iter().filter(|entry| is_wave(entry)).count();
+        let untold = if waves > WAVES_MAX { waves } else { 0 };
+        (self.parameters.iter().filter(|entry| untold == 0 || !is_wave(entry)).collect(), untold)
+    }
+
+    /// Writes `calibration.toml`, the same with the covariance as `calibration.json`, and, where links alone predict better than
+    /// the nominal robot, `dh.csv`
+    /// (see [`CalibrationFile::dh_csv`]) into the directory, each whole under its name or not at all. A `report.html` of ours that is there is removed. Returns the path
+    /// of the first.
+    ///
+    /// # Errors
+    /// [`FileError`].
+    pub fn write(&self, directory: &Path) -> Result<PathBuf, FileError> {
+        let text = toml::to_string(&Self { covariance: None, ..self.clone() })?;
+        let json = serde_json::to_string(self)?;
+        let table = self.dh_csv()?;
+        remove_page(directory)?;
+        replace(directory, "calibration.json", &json)?;
+        if self.serves(Deployment::Dh) {
+            replace(directory, "dh.csv", &table)?;
+        }
+        replace(directory, "calibration.toml", &text)
+    }
+
+    /// One row for each number of each link of [`Deployment::Dh`]:
+    /// `chain,link,parameter,unit,nominal,identified,correction,sigma,deployment,held_out_mm`, SI units, links from 1 in the order of
+    /// the chain. Parameters that were fixed and taken as exact have no sigma.
+    ///
+    /// # Errors
+    /// [`FileError::Csv`].
+    pub fn dh_csv(&self) -> Result<String, FileError> {
+        let mut writer = csv::Writer::from_writer(Vec::new());
+        let deployment = Deployment::Dh;
+        let held_out_mm = self.held_out_m(deployment).map(|[_, own_m]| own_m * 1e3);
+        for entry in &self.deployed(deployment).parameters {
+            let (chain, link, parameter) = match entry.name.parse::<ParameterId>() {
+                Ok(ParameterId::Robot { link, parameter }) => ("robot", link, parameter),
+                Ok(ParameterId::Bar { link, parameter }) => ("ball_bar", link, parameter),
+                _ => continue,
+            };
+            writer.serialize(DhRow {
+                chain: chain.into(),
+                link: link + 1,
+                parameter: link_parameter_name(parameter).into(),
+                unit: entry.unit.clone(),
+                nominal: entry.nominal,
+                identified: entry.value,
+                correction: entry.correction,
+                sigma: entry.sigma,
+                deployment,
+                held_out_mm,
+            })?;
+        }
+        let bytes = writer.into_inner().map_err(|error| csv::Error::from(error.into_error()))?;
+        Ok(String::from_utf8_lossy(&bytes).into_owned())
+    }
+}
+
+/// One row of `dh.csv`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct DhRow {
+    /// `robot` or `ball_bar`.
+    pub chain: String,
+    /// Link from 1.
+    pub link: usize,
+    /// `a`, `d`, `alpha`, `theta` or `beta`.
+    pub parameter: String,
+    /// `m` or `rad`.
+    pub unit: String,
+    /// Data sheet or first guess.
+    pub nominal: f64,
+    /// Identified value.
+    pub identified: f64,
+    /// Identified minus nominal.
+    pub correction: f64,
+    /// One standard deviation; absent for fixed parameters that are taken as exact.
+    pub sigma: Option<f64>,
+    /// What all rows together are for.
+    pub deployment: Deployment,
+    /// Root mean square of held-out positions with all rows applied and nothing else \[mm\].
+    pub held_out_mm: Option<f64>,
+}
+
+/// When something is written.
+pub(in crate::report) fn now() -> String {
+    UtcNs::from_datetime(chrono::Utc::now()).to_string()
+}
+
+/// Program and version.
+pub(in crate::report) const fn software() -> &'static str {
+    concat!("identify ", env!("CARGO_PKG_VERSION"))
+}
+
+/// Puts a file in place at once.
+pub(in crate::report) fn replace(directory: &Path, name: &str, text: &str) -> Result<PathBuf, FileError> {
+    let path = directory.join(name);
+    let part = directory.join(format!("{name}.part"));
+    let write = || {
+        std::fs::create_dir_all(directory)?;
+        std::fs::write(&part, text)?;
+        std::fs::rename(&part, &path)
+    };
+    write().map_err(|source| FileError::Io { path: path.clone(), source })?;
+    Ok(path)
+}

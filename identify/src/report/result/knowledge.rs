@@ -1,0 +1,242 @@
+//! How well the identified parameters are known, apart from each one's sigma.
+
+use serde::{Deserialize, Serialize};
+
+use super::file::CalibrationFile;
+use crate::cost::AngleNoise;
+use crate::evaluate::{CubeError, Expected, WorkspaceError};
+use crate::instrument::BallBar;
+use crate::model::ParameterId;
+use crate::solver::{Observability, SigmasFrom, Solution};
+
+/// Correlations above this are named.
+const NAMED_ABOVE: f64 = 0.8;
+/// So many are named at most.
+const NAMED_MAX: usize = 20;
+
+/// Above this part of its prior's sigma a parameter is known by the prior: the data are worth a tenth of it.
+const BY_PRIOR: f64 = 0.95;
+
+/// Two parameters that the data can hardly separate.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CorrelationEntry {
+    /// One of them.
+    pub first: String,
+    /// The other.
+    pub second: String,
+    /// -1 to 1.
+    pub correlation: f64,
+}
+
+/// The five indices of [`Observability`], of the samples without priors.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ObservabilityEntry {
+    /// Volume.
+    pub o1: f64,
+    /// Inverse condition.
+    pub o2: f64,
+    /// Smallest singular value.
+    pub o3: f64,
+    /// Noise amplification.
+    pub o4: f64,
+    /// Harmonic mean.
+    pub o5: f64,
+}
+
+impl From<Observability> for ObservabilityEntry {
+    fn from(o: Observability) -> Self {
+        Self { o1: o.o1, o2: o.o2, o3: o.o3, o4: o.o4, o5: o.o5 }
+    }
+}
+
+/// What samples and priors determine.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Knowledge {
+    /// Directions determined by samples and priors.
+    pub rank: usize,
+    /// Directions determined by the samples alone.
+    pub rank_of_samples: usize,
+    /// Singular values of the column-scaled Jacobian with priors, descending: a gap among them is a doubtful rank.
+    pub singular_values: Vec<f64>,
+    /// With columns in mm, mrad, ms and ppm; all zero where priors are needed.
+    pub observability: ObservabilityEntry,
+    /// What sigmas and covariance rest on.
+    #[serde(default)]
+    pub sigmas_from: SigmasFrom,
+    /// Parameters that the data do not determine: known by their priors alone.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub by_prior: Vec<String>,
+    /// Pairs that are correlated most, the strongest first.
+    pub correlations: Vec<CorrelationEntry>,
+}
+
+/// The noise of a run's angles, one standard deviation \[rad\], by which the cost `pose` weighs.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct NoiseEntry {
+    /// Number of the run, from 1.
+    pub run: usize,
+    /// Of each bar encoder, found in what is left.
+    pub encoder_rad: f64,
+    /// As configured.
+    pub encoder_rad_configured: f64,
+    /// Of each robot joint, found in what is left.
+    pub robot_rad: f64,
+    /// As configured.
+    pub robot_rad_configured: f64,
+    /// Correlation of what is left of neighbouring samples: the part of its variance that is no noise.
+    pub autocorrelation: f64,
+}
+
+impl NoiseEntry {
+    /// Those of all runs whose noise was found.
+    pub fn all<'b>(bars: impl Iterator<Item = &'b BallBar>) -> Vec<Self> {
+        let entry = |(run, bar): (usize, &BallBar)| {
+            let (found, configured) = (bar.found?, AngleNoise::from(bar.configured));
+            Some(Self {
+                run: run + 1,
+                encoder_rad: found.noise.encoder_rad,
+                encoder_rad_configured: configured.encoder_rad,
+                robot_rad: found.noise.robot_rad,
+                robot_rad_configured: configured.robot_rad,
+                autocorrelation: found.autocorrelation,
+            })
+        };
+        bars.enumerate().filter_map(entry).collect()
+    }
+
+    /// For a person.
+    pub(in crate::report) fn sentence(&self) -> String {
+        let urad = |found: f64, configured: f64| {
+            format!("{:.1} urad (configured {:.1})", found * 1e6, configured * 1e6)
+        };
+        format!(
+            "noise of run {}: encoders {}, robot joints {}; {:.0} % of its variance lasts from sample to sample",
+            self.run,
+            urad(self.encoder_rad, self.encoder_rad_configured),
+            urad(self.robot_rad, self.robot_rad_configured),
+            100.0 * self.autocorrelation.max(0.0)
+        )
+    }
+}
+
+/// The covariance of all free parameters, and after them of those that were fixed at uncertain values, SI units.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct CovarianceEntry {
+    /// Parameters in the order of rows and columns.
+    pub names: Vec<String>,
+    /// Row by row up to the diagonal, the rest is the same; absent where a parameter is not identified.
+    pub rows: Vec<Vec<Option<f64>>>,
+}
+
+impl CovarianceEntry {
+    /// Of two parameters by their places; none where one is not identified.
+    pub fn between(&self, a: usize, b: usize) -> Option<f64> {
+        self.rows.get(a.max(b))?.get(a.min(b)).copied().flatten()
+    }
+}
+
+impl CalibrationFile {
+    /// Adds what a solution says of itself. The covariance goes into `calibration.json` alone.
+    pub fn with_knowledge(mut self, solution: &Solution) -> Self {
+        let found = &solution.identifiability;
+        let names = solution.covariance.names();
+        let name = |column: usize| solution.covariance.name(column).to_owned();
+        // Columns of other runs are called as those of the first, with the run's number.
+        let unit = |name: &String| name.split('@').next()?.parse::<ParameterId>().ok().map(ParameterId::unit);
+        let units: Vec<f64> = found
+            .names
+            .iter()
+            .map(|name| unit(name).map_or(1.0, |unit| unit.display_factor().recip()))
+            .collect();
+        let strongest = solution.covariance.strongest_correlations(NAMED_ABOVE);
+        let named = strongest.into_iter().take(NAMED_MAX);
+        let is_by_prior = |(column, prior): &(usize, &Option<f64>)| {
+            prior
+                .zip(solution.covariance.sigma(*column))
+                .is_some_and(|(prior, sigma)| sigma > BY_PRIOR * prior)
+        };
+        let by_prior = found.prior_sigmas.iter().enumerate().filter(is_by_prior);
+        self.knowledge = Some(Knowledge {
+            rank: found.rank,
+            rank_of_samples: found.rank_of_samples,
+            singular_values: found.singular_values.clone(),
+            observability: found.observability(&units).into(),
+            sigmas_from: solution.covariance.sigmas_from,
+            by_prior: by_prior.map(|(column, _)| name(column)).collect(),
+            correlations: named
+                .map(|(a, b, correlation)| CorrelationEntry { first: name(a), second: name(b), correlation })
+                .collect(),
+        });
+        let columns = names.len();
+        let rows =
+            (0..columns).map(|a| (0..=a).map(|b| solution.covariance.between(a, b)).collect()).collect();
+        self.covariance = Some(CovarianceEntry { names: names.to_vec(), rows });
+        self
+    }
+}
+
+/// The first names and the number of the others.
+fn some_of(names: &[String]) -> String {
+    const SHOWN: usize = 8;
+    let others = names.len().saturating_sub(SHOWN);
+    let shown = names.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
+    if others == 0 { shown } else { format!("{shown} and {others} others") }
+}
+
+impl Knowledge {
+    /// Some lines for a person.
+    pub(in crate::report) fn describe(&self, free: usize) -> String {
+        use std::fmt::Write;
+        let mut text = String::new();
+        let weakest = self.singular_values.last().copied().unwrap_or(0.0);
+        let strongest = self.singular_values.first().copied().unwrap_or(0.0);
+        let _ = writeln!(
+            text,
+            "rank {} of {free} ({} by the samples alone), weakest direction {:.1e} of the strongest",
+            self.rank,
+            self.rank_of_samples,
+            weakest / strongest,
+        );
+        if !self.by_prior.is_empty() {
+            let _ = writeln!(
+                text,
+                "not determined by this data, so as uncertain as expected beforehand: {}",
+                some_of(&self.by_prior)
+            );
+        }
+        let (from, of_95) = (self.sigmas_from, self.sigmas_from.sigmas_of_95());
+        let _ = writeln!(text, "sigmas from {from}; 95 % lie within {of_95:.2} of them");
+        let o = &self.observability;
+        let _ = writeln!(
+            text,
+            "observability (mm, mrad): O1 {:.2e}  O2 {:.2e}  O3 {:.2e}  O4 {:.2e}  O5 {:.2e}",
+            o.o1, o.o2, o.o3, o.o4, o.o5
+        );
+        if !self.correlations.is_empty() {
+            let pair = |c: &CorrelationEntry| format!("{}|{} {:+.3}", c.first, c.second, c.correlation);
+            let pairs: Vec<String> = self.correlations.iter().take(8).map(pair).collect();
+            let _ = writeln!(text, "largest correlations: {}", pairs.join("  "));
+        }
+        text
+    }
+}
+
+/// Position errors that are expected of the geometry, before and after.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ExpectedEntry {
+    /// Over the workspace, with the nominal geometry.
+    pub nominal: Expected,
+    /// With the calibrated one.
+    pub calibrated: Expected,
+    /// The same at the five poses of ISO 9283; absent where the robot reaches no such cube.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cube: Option<CubeError>,
+}
+
+impl ExpectedEntry {
+    /// Of what was found over the workspace.
+    pub fn of(workspace: &WorkspaceError) -> Self {
+        let WorkspaceError { before, after, cube, .. } = *workspace;
+        Self { nominal: before, calibrated: after, cube }
+    }
+}

@@ -1,0 +1,13 @@
+//! The files of a calibration: its parameters and all that is known of them, and those for other programs.
+
+pub mod clocks;
+pub mod corrections;
+pub mod deployments;
+pub(in crate::report) mod earlier;
+pub mod file;
+pub mod force;
+pub mod knowledge;
+pub(in crate::report) mod read;
+pub(in crate::report) mod robot_files;
+pub mod urdf;
+pub mod validation;

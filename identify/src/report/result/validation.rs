@@ -1,0 +1,147 @@
+//! Held-out validation and the other costs, as files and the terminal have them.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+use serde::{Deserialize, Serialize};
+
+use super::deployments::DeploymentEntry;
+use super::file::CalibrationFile;
+use crate::calibrate::HoldOut;
+use crate::calibrate::rows::Stages;
+use crate::evaluate::{ApartRms, Evidence, HeldOut};
+
+/// Robot against bar, root mean square.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ApartEntry {
+    /// Distance of the two ends; without encoders the distance from the bar's sphere \[m\].
+    pub position_m: f64,
+    /// Angle between them; absent where a joint of the bar has no encoder \[rad\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rotation_rad: Option<f64>,
+}
+
+/// Segments of time that were predicted from fits to all others.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct HeldOutEntry {
+    /// How many.
+    pub segments: usize,
+    /// The nominal robot, the bar fitted to it.
+    pub nominal: ApartEntry,
+    /// The calibrated robot as fitted without the segment.
+    pub calibrated: ApartEntry,
+    /// The calibration, which has seen the segment.
+    pub fitted: ApartEntry,
+}
+
+/// Rows of a tracker or a wire, each a stage further: instrument alone, the robot's links, errors of its joints.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct RowsEntry {
+    /// Which, from 1 in the order of the data sets.
+    pub data_set: usize,
+    /// What was held out together.
+    pub hold_out: HoldOut,
+    /// Decided which rows.
+    pub seed: u64,
+    /// What the file calls places of the instrument and on the flange, after the parameters that are theirs: `tracker` has
+    /// `tracker_x`, `tracker2_x` and so on.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub names: BTreeMap<String, Vec<String>>,
+    /// Rows that the fit saw, but those that were rejected.
+    pub fitted: Stages,
+    /// Rows that it did not see.
+    pub held_out: Stages,
+}
+
+/// What another cost says of the same samples.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct OtherCostEntry {
+    /// Its name.
+    pub cost: String,
+    /// Free parameters, all identified; absent where there is no result.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub parameters: Option<usize>,
+    /// Euclidean norm of the differences of the robot's parameters to this calibration \[mm|mrad\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub difference_mm_mrad: Option<f64>,
+    /// Euclidean norm of their sigmas \[mm|mrad\].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sigma_mm_mrad: Option<f64>,
+    /// Why there is no result.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refused: Option<String>,
+}
+
+impl CalibrationFile {
+    /// Adds what was validated.
+    pub fn with_validation(mut self, evidence: &Evidence) -> Self {
+        let entry = |rms: ApartRms| ApartEntry {
+            position_m: rms.position_m,
+            rotation_rad: evidence.rotations.then_some(rms.rotation_rad),
+        };
+        self.held_out =
+            evidence.held_out.as_ref().filter(|held_out| !held_out.segments.is_empty()).map(|held_out| {
+                let [nominal, calibrated, fitted] = held_out.rms().map(entry);
+                HeldOutEntry { segments: held_out.segments.len(), nominal, calibrated, fitted }
+            });
+        // Segments that its fit cannot predict either tell nothing of a deployment.
+        let comparable =
+            |held_out: &HeldOut| Some(held_out.segments.len()) == self.held_out.map(|all| all.segments);
+        let deployed = evidence.deployed.iter().map(|(deployed, held_out)| {
+            let [_, predicted, _] = held_out.rms().map(entry);
+            let held_out = comparable(held_out).then_some(predicted);
+            DeploymentEntry { held_out, ..DeploymentEntry::from(deployed) }
+        });
+        self.deployments = deployed.collect();
+        let others = evidence.costs.iter().flat_map(|costs| costs.entries.iter().skip(1));
+        self.other_costs = others
+            .map(|entry| {
+                let figures = entry.figures.as_ref().ok();
+                OtherCostEntry {
+                    cost: entry.cost.name().to_owned(),
+                    parameters: figures.map(|figures| figures.parameters),
+                    difference_mm_mrad: figures.map(|figures| figures.difference_mm_mrad),
+                    sigma_mm_mrad: figures.map(|figures| figures.sigma_mm_mrad),
+                    refused: entry.figures.as_ref().err().cloned(),
+                }
+            })
+            .collect();
+        self
+    }
+}
+
+/// Lines for a terminal.
+pub(in crate::report) fn describe(file: &CalibrationFile) -> String {
+    let mut text = String::new();
+    // Writing to a string cannot fail.
+    if let Some(HeldOutEntry { segments, nominal, calibrated, fitted }) = &file.held_out {
+        let mm = |entry: &ApartEntry| entry.position_m * 1e3;
+        let _ = write!(
+            text,
+            "held out: {segments} segments predicted from the others, robot against bar {:.4} -> {:.4} mm RMS ({:.4} fitted)",
+            mm(nominal),
+            mm(calibrated),
+            mm(fitted),
+        );
+        if let (Some(before), Some(after)) = (nominal.rotation_rad, calibrated.rotation_rad) {
+            let _ = write!(text, ", {:.4} -> {:.4} mrad", before * 1e3, after * 1e3);
+        }
+        text.push('\n');
+    }
+    if !file.other_costs.is_empty() {
+        text.push_str("other costs on the same samples (the robot's parameters, Euclidean mm|mrad):\n");
+    }
+    for entry in &file.other_costs {
+        let _ = match (entry.parameters, entry.difference_mm_mrad, entry.sigma_mm_mrad, &entry.refused) {
+            (Some(parameters), Some(difference), Some(sigma), _) => writeln!(
+                text,
+                "  {:<16}{parameters:>4} parameters, differs by {difference:.4}, sigma {sigma:.4}",
+                entry.cost
+            ),
+            (_, _, _, refused) => {
+                writeln!(text, "  {:<16}{}", entry.cost, refused.as_deref().unwrap_or("no result"))
+            }
+        };
+    }
+    text
+}

@@ -1,0 +1,350 @@
+//! What changes during a run: a parameter that steps at an unknown instant, or drifts.
+//!
+//! A change is a few more columns of the problem, those of the parameters that change, each times a course in time: zero
+//! before an instant and one from it on, or a ramp. With `C` these columns, `J` those of what was estimated, `N = J'J` with the
+//! priors, `g = J'r`, `n = J'C`, `s = C'C` and `p = C'r`, the problem solved anew with it has the change
+//! `b = -S^-1 (p - n' N^-1 g)`, `S = s - n' N^-1 n`, and `(p - n' N^-1 g)' S^-1 (p - n' N^-1 g)` less squares (score test, Rao
+//! 1948): all else that is estimated takes its share first, so that neither an uneven motion nor a solve that ended early passes
+//! for a change.
+//!
+//! Whether it is one, its own uncertainty decides, and residuals are not independent: errors of gears and encoders last for
+//! seconds. So their scatter is measured, not assumed, from the sums over blocks of the run, in two ways. `pooled`: how much
+//! more the blocks' scores scatter than independent noise does, in the mean of all blocks. `clustered`: the scatter of what
+//! each block adds to this change (Liang and Zeger 1986, each block's pull on the fit taken out as by Bell and McCaffrey 2002),
+//! with as many degrees of freedom as blocks share in it; it holds where the noise is not the same all along. Each is taken of
+//! blocks and of several neighbours as one, for errors that last longer, and the one that is least sure of the change counts
+//! (Student's t, and Hotelling's for changes of several numbers). All instants and alternatives are tried, so each has its
+//! part of the rate of false alarms (Bonferroni).
+
+use std::ops::Range;
+
+use nalgebra::{DMatrix, DVector};
+use statrs::distribution::{ContinuousCDF, FisherSnedecor};
+
+use crate::solver::{Loss, Problem, ScaledCholesky, Subset, stacked};
+
+/// Blocks of a run, at most.
+const BLOCKS: usize = 128;
+/// Of fewer samples their scatter would be measured too ill.
+const SAMPLES_PER_BLOCK_MIN: usize = 2;
+/// Instants of a step that are tried, evenly; then each sample beside the best one.
+const INSTANTS: usize = 32;
+/// Neighbouring blocks that are taken as one, for the mean over all blocks and for those that share in a change: the more, the
+/// longer errors may last, and the fewer degrees of freedom are left.
+const POOLED: [usize; 4] = [1, 2, 4, 8];
+const CLUSTERED: [usize; 2] = [1, 2];
+/// Of fewer groups of blocks the mean is too uncertain.
+const GROUPS_MIN: usize = 15;
+/// With less nothing is certain.
+const FREEDOM_MIN: f64 = 3.0;
+/// Part of a column that other columns must leave of it.
+const INDEPENDENT: f64 = 1e-4;
+
+/// How a change goes on in time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Course {
+    /// From this sample on, by its place among those that were looked at.
+    Step(usize),
+    /// Evenly over the run.
+    Drift,
+}
+
+/// What changed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Change {
+    /// Which of the alternatives.
+    pub alternative: usize,
+    /// When.
+    pub course: Course,
+    /// By how much each of its columns, in their units: after a step, or from begin to end.
+    pub by: Vec<f64>,
+    /// Part of the squared residuals, solved anew without it, that it takes away.
+    pub explained: f64,
+}
+
+/// The change that `samples`, in the order of time, show of `problem` at its solution `x` for the columns `estimated`; none
+/// where a sound run shows as much more often than in this part `false_alarms` of runs, or samples are too few. An alternative is
+/// one column or several that change together.
+pub fn change_point(
+    problem: &impl Problem,
+    x: &[f64],
+    loss: Loss,
+    samples: &[usize],
+    estimated: &[usize],
+    alternatives: &[Vec<usize>],
+    false_alarms: f64,
+) -> Option<Change> {
+    let run = Run::new(problem, x, loss, samples, estimated)?;
+    let instants: Vec<usize> = (1..INSTANTS).map(|part| part * samples.len() / INSTANTS).collect();
+    let reach = samples.len().div_ceil(INSTANTS);
+    let tests = (alternatives.len() * (instants.len() + 1)) as f64;
+    let mut best: Option<(f64, Change)> = None;
+    for (alternative, columns) in alternatives.iter().enumerate() {
+        // Were the instant not the right one, the samples between would pass for scatter.
+        let near = |at: usize| -> Vec<usize> {
+            (at.saturating_sub(reach).max(1)..(at + reach).min(samples.len())).collect()
+        };
+        let coarse = run.best_step(columns, &instants);
+        let step = coarse.and_then(|at| run.best_step(columns, &near(at))).map(Course::Step);
+        for course in step.into_iter().chain([Course::Drift]) {
+            let Some(tried) = Tried::new(&run, columns, course) else { continue };
+            if tried.chance() * tests > false_alarms {
+                continue;
+            }
+            // By what each explains, as independent blocks would have it; the instant is one more number (Schwarz 1978).
+            let groups = (run.blocks.len() / POOLED[POOLED.len() - 1]) as f64;
+            let numbers = columns.len() as f64 + if course == Course::Drift { 0.0 } else { 1.0 };
+            let left = (run.squared - tried.fall).max(f64::MIN_POSITIVE);
+            let score = groups * left.ln() + numbers * groups.ln();
+            if best.as_ref().is_none_or(|(least, _)| score < *least) {
+                let explained = tried.fall / run.squared.max(f64::MIN_POSITIVE);
+                let by = tried.by.iter().copied().collect();
+                best = Some((score, Change { alternative, course, by, explained }));
+            }
+        }
+    }
+    best.map(|(_, change)| change)
+}
+
+/// A run sample by sample, weighed.
+struct Run {
+    r: DVector<f64>,
+    /// Of every column.
+    all: DMatrix<f64>,
+    /// Of those that were estimated.
+    j: DMatrix<f64>,
+    /// First row of each sample that is looked at, and their end; what is known apart from them comes behind.
+    first: Vec<usize>,
+    /// Rows of each block.
+    blocks: Vec<Range<usize>>,
+    factor: ScaledCholesky,
+    /// `N^-1 g`
+    pulled: DVector<f64>,
+    /// Of the samples that are looked at, solved anew without a change.
+    squared: f64,
+}
+
+impl Run {
+    fn new(
+        problem: &impl Problem,
+        x: &[f64],
+        loss: Loss,
+        samples: &[usize],
+        estimated: &[usize],
+    ) -> Option<Self> {
+        let count = BLOCKS.min(samples.len() / SAMPLES_PER_BLOCK_MIN);
+        if count < GROUPS_MIN {
+            return None;
+        }
+        let known = (0..problem.samples()).filter(|sample| problem.is_known(*sample));
+        let shown: Vec<usize> = samples.iter().copied().chain(known).collect();
+        let rows: Vec<usize> = shown.iter().map(|sample| problem.rows_of(*sample)).collect();
+        let (mut r, mut all) = stacked(&Subset { of: problem, samples: shown }, x)?;
+        // A sample without a value would move all behind it.
+        if r.len() != rows.iter().sum::<usize>() {
+            return None;
+        }
+        let mut first = vec![0];
+        for (sample, rows) in rows.iter().enumerate() {
+            let begin = first[sample];
+            let weight =
+                loss.of_rows(*rows, problem.rows()).weight(r.rows(begin, *rows).norm_squared()).sqrt();
+            r.rows_mut(begin, *rows).scale_mut(weight);
+            all.rows_mut(begin, *rows).scale_mut(weight);
+            first.push(begin + rows);
+        }
+        first.truncate(samples.len() + 1);
+        let border = |block: usize| first[block * samples.len() / count];
+        let blocks = (0..count).map(|block| border(block)..border(block + 1)).collect();
+        let j = all.select_columns(estimated);
+        let (mut normal, mut gradient) = (j.tr_mul(&j), j.tr_mul(&r));
+        for prior in problem.priors() {
+            let Some(own) = estimated.iter().position(|column| *column == prior.column) else { continue };
+            let weight = prior.sigma.powi(-2);
+            normal[(own, own)] += weight;
+            gradient[own] += weight * (x[prior.column] - prior.value);
+        }
+        let factor = ScaledCholesky::new(normal)?;
+        let pulled = factor.solve(&gradient);
+        let squared = r.rows(0, first[samples.len()]).norm_squared() - gradient.dot(&pulled);
+        Some(Self { r, all, j, first, blocks, factor, pulled, squared })
+    }
+
+    /// The columns over a course, one row for each residual.
+    fn changing(&self, columns: &[usize], course: Course) -> DMatrix<f64> {
+        let mut c = DMatrix::zeros(self.r.len(), columns.len());
+        let samples = self.first.len() - 1;
+        for (sample, rows) in self.first.windows(2).enumerate() {
+            let value = match course {
+                Course::Step(from) => f64::from(u8::from(sample >= from)),
+                Course::Drift => (sample as f64 + 0.5) / samples as f64 - 0.5,
+            };
+            for (own, &column) in columns.iter().enumerate() {
+                for row in rows[0]..rows[1] {
+                    c[(row, own)] = value * self.all[(row, column)];
+                }
+            }
+        }
+        c
+    }
+
+    /// The instant, of these in their order, whose step takes most squares away; none where every one is taken by other columns.
+    fn best_step(&self, columns: &[usize], instants: &[usize]) -> Option<usize> {
+        let c = self.changing(columns, Course::Step(0));
+        let mut sums = Sums::zeros(self.j.ncols(), columns.len());
+        let mut end = *self.first.last()?;
+        let mut best: Option<(usize, f64)> = None;
+        for &at in instants.iter().rev() {
+            sums.add(self, &c, self.first[at]..end);
+            end = self.first[at];
+            let Some(Solved { fall, .. }) = sums.solved(self) else { continue };
+            if best.is_none_or(|(_, most)| fall > most) {
+                best = Some((at, fall));
+            }
+        }
+        best.map(|(at, _)| at)
+    }
+}
+
+/// What a change adds to the normal equations.
+struct Sums {
+    n: DMatrix<f64>,
+    s: DMatrix<f64>,
+    p: DVector<f64>,
+}
+
+impl Sums {
+    fn zeros(estimated: usize, columns: usize) -> Self {
+        Self {
+            n: DMatrix::zeros(estimated, columns),
+            s: DMatrix::zeros(columns, columns),
+            p: DVector::zeros(columns),
+        }
+    }
+
+    fn add(&mut self, run: &Run, c: &DMatrix<f64>, rows: Range<usize>) {
+        let of = |matrix: &DMatrix<f64>| matrix.rows(rows.start, rows.len()).into_owned();
+        let c = of(c);
+        self.n += of(&run.j).tr_mul(&c);
+        self.s += c.tr_mul(&c);
+        self.p += c.tr_mul(&run.r.rows(rows.start, rows.len()));
+    }
+
+    /// None where other columns leave nothing of it.
+    fn solved(&self, run: &Run) -> Option<Solved> {
+        let mut taken = self.n.clone();
+        for mut column in taken.column_iter_mut() {
+            let solved = run.factor.solve(&column.clone_owned());
+            column.copy_from(&solved);
+        }
+        let stiffness = &self.s - self.n.tr_mul(&taken);
+        if !(0..stiffness.ncols()).all(|own| stiffness[(own, own)] > INDEPENDENT * self.s[(own, own)]) {
+            return None;
+        }
+        let pull = &self.p - self.n.tr_mul(&run.pulled);
+        let by = -ScaledCholesky::new(stiffness.clone())?.solve(&pull);
+        let fall = -pull.dot(&by);
+        Some(Solved { taken, stiffness, by, fall })
+    }
+}
+
+/// A change where everything is solved anew with it.
+struct Solved {
+    /// `N^-1 n`
+    taken: DMatrix<f64>,
+    /// `S`
+    stiffness: DMatrix<f64>,
+    /// `b`
+    by: DVector<f64>,
+    /// The squares that it takes away.
+    fall: f64,
+}
+
+/// A change and what each part of the run says of it.
+struct Tried {
+    by: DVector<f64>,
+    fall: f64,
+    stiffness: DMatrix<f64>,
+    /// What each block adds to the change's score and to its stiffness.
+    own: Vec<(DVector<f64>, DMatrix<f64>)>,
+    /// The same of the columns all along, as if they did not change.
+    along: Vec<(DVector<f64>, DMatrix<f64>)>,
+}
+
+impl Tried {
+    fn new(run: &Run, columns: &[usize], course: Course) -> Option<Self> {
+        let c = run.changing(columns, course);
+        let mut sums = Sums::zeros(run.j.ncols(), columns.len());
+        sums.add(run, &c, 0..run.r.len());
+        let Solved { taken, stiffness, by, fall } = sums.solved(run)?;
+        let after = &run.r + &c * &by - &run.j * (&run.pulled + &taken * &by);
+        let sums_of = |c: &DMatrix<f64>| {
+            let block = |rows: &Range<usize>| {
+                let c = c.rows(rows.start, rows.len());
+                (c.tr_mul(&after.rows(rows.start, rows.len())), c.tr_mul(&c))
+            };
+            run.blocks.iter().map(block).collect::<Vec<_>>()
+        };
+        let own = sums_of(&(&c - &run.j * &taken));
+        let along = sums_of(&run.changing(columns, Course::Step(0)));
+        Some(Self { by, fall, stiffness, own, along })
+    }
+
+    /// How likely a sound run shows as much at this instant.
+    fn chance(&self) -> f64 {
+        let enough = |together: &&usize| self.own.len() / **together >= GROUPS_MIN;
+        let pooled = POOLED.iter().filter(enough).map(|together| self.pooled(*together));
+        let clustered = CLUSTERED.iter().filter(enough).map(|together| self.clustered(*together));
+        pooled.chain(clustered).fold(0.0, f64::max)
+    }
+
+    fn pooled(&self, together: usize) -> f64 {
+        let scatter: Vec<f64> = summed(&self.along, together)
+            .into_iter()
+            .filter_map(|(score, stiffness)| {
+                let factor = ScaledCholesky::new(stiffness).filter(ScaledCholesky::is_complete)?;
+                Some(score.dot(&factor.solve(&score)))
+            })
+            .collect();
+        let count = scatter.len() as f64;
+        let each = scatter.iter().sum::<f64>() / ((count - 1.0) * self.by.len() as f64);
+        tail(self.fall / each, self.by.len(), count - 1.0)
+    }
+
+    fn clustered(&self, together: usize) -> f64 {
+        let Some(inverse) = ScaledCholesky::new(self.stiffness.clone()).map(|factor| factor.inverse()) else {
+            return 1.0;
+        };
+        let groups = summed(&self.own, together);
+        let (mut scatter, mut shares, mut squares) = (&inverse * 0.0, 0.0, 0.0);
+        for (score, stiffness) in &groups {
+            let share = (&inverse * stiffness).trace() / self.by.len() as f64;
+            scatter.ger((1.0 - share).max(INDEPENDENT).powi(-2), score, score, 1.0);
+            (shares, squares) = (shares + share, squares + share * share);
+        }
+        let force = &self.stiffness * &self.by;
+        let Some(factor) = ScaledCholesky::new(scatter) else { return 1.0 };
+        tail(force.dot(&factor.solve(&force)), self.by.len(), shares * shares / squares - 1.0)
+    }
+}
+
+/// So many neighbours as one.
+fn summed(blocks: &[(DVector<f64>, DMatrix<f64>)], together: usize) -> Vec<(DVector<f64>, DMatrix<f64>)> {
+    let sum = |group: &[(DVector<f64>, DMatrix<f64>)]| {
+        let mut group = group.iter().cloned();
+        let first = group.next()?;
+        Some(group.fold(first, |(a, b), (c, d)| (a + c, b + d)))
+    };
+    blocks.chunks(together).filter_map(sum).collect()
+}
+
+/// Probability that Hotelling's T squared of so many numbers is larger.
+fn tail(squared: f64, numbers: usize, freedom: f64) -> f64 {
+    let numbers = numbers as f64;
+    let left = freedom - numbers + 1.0;
+    if left.is_nan() || left < FREEDOM_MIN || !squared.is_finite() {
+        return 1.0;
+    }
+    let Ok(fisher) = FisherSnedecor::new(numbers, left) else { return 1.0 };
+    fisher.sf(squared.max(0.0) * left / (freedom * numbers))
+}

@@ -1,0 +1,352 @@
+//! How well the identified parameters are known.
+//!
+//! First order: the covariance of least squares with independent noise of equal size on the (weighted) residual rows,
+//! `s^2 (J^T J)^-1`, from singular values, never from the inverted normal matrix. It says nothing of effects that
+//! the model leaves out. Priors count as measurements. Parameters that only appear in combinations have none.
+//!
+//! Whatever it rests on, a covariance is `S S^T`, where each column of `S` is what one source of uncertainty contributes:
+//! the errors of some samples, a prior, or the value of a parameter that was not estimated.
+
+use std::fmt;
+
+use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
+use statrs::distribution::{ContinuousCDF, Normal, StudentsT};
+
+use super::identifiability::ScaledSpectrum;
+use crate::solver::Problem;
+use crate::solver::pass::{SampleFit, weighed_rows};
+
+/// What a residual row is worth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Noise {
+    /// Residuals are whitened: standard deviation one.
+    Known,
+    /// All rows have one unknown standard deviation, estimated from what is left at the solution.
+    Estimated,
+}
+
+impl Noise {
+    /// The factor `s^2`.
+    pub(in crate::solver) fn variance_factor<P: Problem>(
+        self,
+        problem: &P,
+        x: &[f64],
+        fits: &[SampleFit],
+    ) -> f64 {
+        match self {
+            Self::Known => 1.0,
+            Self::Estimated => {
+                let priors = problem.priors();
+                let of_priors =
+                    priors.iter().filter_map(|p| x.get(p.column).map(|x| ((x - p.value) / p.sigma).powi(2)));
+                let of_samples = fits.iter().filter(|fit| fit.present).map(|fit| fit.weight * fit.squared);
+                let sum: f64 = of_samples.chain(of_priors).sum();
+                // A sample of weight w counts as w samples.
+                let freedom = weighed_rows(fits) + priors.len() as f64 - problem.columns() as f64;
+                if freedom > 0.0 { sum / freedom } else { f64::NAN }
+            }
+        }
+    }
+}
+
+/// What standard deviations rest on.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum SigmasFrom {
+    /// Noise that is independent from sample to sample: too small where errors last for many samples.
+    #[default]
+    IndependentNoise,
+    /// How much the solution moves where one of so many folds is left out.
+    Jackknife {
+        /// Folds that were left out in turn.
+        folds: usize,
+    },
+}
+
+impl SigmasFrom {
+    /// Degrees of freedom of Student's t; none where sigmas are as good as known.
+    pub fn freedom(self) -> Option<f64> {
+        match self {
+            Self::IndependentNoise => None,
+            Self::Jackknife { folds } => Some(folds.saturating_sub(1).max(1) as f64),
+        }
+    }
+
+    /// Standard deviations on either side of a value between which the true one lies with 95 %: 1.96, more where few folds
+    /// tell the sigma.
+    pub fn sigmas_of_95(self) -> f64 {
+        self.sigmas_within(0.05)
+    }
+
+    /// Standard deviations on either side of a value between which the true one lies, but for this chance.
+    pub fn sigmas_within(self, chance: f64) -> f64 {
+        let student = self.freedom().and_then(|freedom| StudentsT::new(0.0, 1.0, freedom).ok());
+        let upper = 1.0 - 0.5 * chance;
+        student.map_or_else(|| Normal::standard().inverse_cdf(upper), |student| student.inverse_cdf(upper))
+    }
+}
+
+impl fmt::Display for SigmasFrom {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::IndependentNoise => {
+                f.write_str("noise independent from sample to sample; errors that last make them larger")
+            }
+            Self::Jackknife { folds } => write!(f, "solutions without each of {folds} segments"),
+        }
+    }
+}
+
+/// What makes a solution uncertain.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Source {
+    /// Errors of all samples, with the priors.
+    Together,
+    /// Errors of the samples of a data set, from 0.
+    Samples {
+        /// Its number.
+        data_set: usize,
+    },
+    /// The prior of a column.
+    Prior {
+        /// Which.
+        column: usize,
+    },
+    /// What is known from elsewhere and takes part as samples.
+    Known,
+    /// Terms that were left out of the solution and may be there.
+    LeftOut,
+    /// The value of a parameter that was considered, not estimated.
+    Considered {
+        /// Its column in the covariance, after those of the solution.
+        column: usize,
+    },
+}
+
+impl Source {
+    /// Known from the scatter of samples (type A of the GUM), and not from what somebody states (type B).
+    pub const fn is_statistical(self) -> bool {
+        matches!(self, Self::Together | Self::Samples { .. })
+    }
+}
+
+/// `S` and where its columns come from.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Spread {
+    /// One standard deviation of each source in a column, in the parameters' units.
+    pub by_source: DMatrix<f64>,
+    /// Of each column.
+    pub sources: Vec<Source>,
+}
+
+impl Spread {
+    /// One row for each parameter.
+    pub fn new(parameters: usize, columns: &[(Source, DVector<f64>)]) -> Self {
+        let mut by_source = DMatrix::zeros(parameters, columns.len());
+        for (mut column, (_, one)) in by_source.column_iter_mut().zip(columns) {
+            column.copy_from(one);
+        }
+        Self { by_source, sources: columns.iter().map(|(source, _)| *source).collect() }
+    }
+
+    /// One more source, one standard deviation of it.
+    pub fn add(&mut self, source: Source, one: &DVector<f64>) {
+        let known = self.sources.len();
+        self.by_source.resize_horizontally_mut(known + 1, 0.0);
+        self.by_source.column_mut(known).copy_from(one);
+        self.sources.push(source);
+    }
+
+    /// Of some of the parameters, by their places; priors of the others are those of terms that were left out.
+    #[must_use]
+    pub fn of(&self, places: &[usize]) -> Self {
+        let source = |source: &Source| match *source {
+            Source::Prior { column } => match places.iter().position(|place| *place == column) {
+                Some(column) => Source::Prior { column },
+                None => Source::LeftOut,
+            },
+            other => other,
+        };
+        Self {
+            by_source: self.by_source.select_rows(places),
+            sources: self.sources.iter().map(source).collect(),
+        }
+    }
+
+    /// `S S^T`
+    pub fn covariance(&self) -> DMatrix<f64> {
+        &self.by_source * self.by_source.transpose()
+    }
+}
+
+/// Parameters that were considered: their values are uncertain and stayed as they are.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Considered {
+    /// Names.
+    pub names: Vec<String>,
+    /// Standard deviations.
+    pub sigmas: Vec<f64>,
+    /// Row for each column of the solution, column for each of these: change of the estimate over the error of the value.
+    pub change: DMatrix<f64>,
+}
+
+/// Covariance of the free parameters that are identified, and after them of those that were considered.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Covariance {
+    matrix: DMatrix<f64>,
+    spread: Spread,
+    names: Vec<String>,
+    determined: Vec<bool>,
+    /// Columns that were estimated: the first.
+    estimated: usize,
+    /// What it rests on.
+    pub sigmas_from: SigmasFrom,
+    /// The factor on the unit covariance: one for known noise, the estimated variance of a residual row otherwise.
+    pub variance_factor: f64,
+}
+
+impl Covariance {
+    pub(in crate::solver) fn new(
+        spectrum: &ScaledSpectrum,
+        names: Vec<String>,
+        undetermined: &[usize],
+        variance_factor: f64,
+    ) -> Self {
+        let columns = spectrum.lengths.len();
+        let mut factor = spectrum.v_transposed.rows(0, spectrum.rank).transpose();
+        for (i, mut column) in factor.column_iter_mut().enumerate() {
+            column /= spectrum.singular_values[i];
+        }
+        for (mut row, &length) in factor.row_iter_mut().zip(spectrum.lengths.iter()) {
+            row *= if length > 0.0 { length.recip() } else { 0.0 };
+        }
+        let matrix = &factor * factor.transpose() * variance_factor;
+        let by_source = factor * variance_factor.sqrt();
+        let spread = Spread { sources: vec![Source::Together; by_source.ncols()], by_source };
+        let determined = (0..columns).map(|column| !undetermined.contains(&column)).collect();
+        let (sigmas_from, estimated) = (SigmasFrom::IndependentNoise, columns);
+        Self { matrix, spread, names, determined, estimated, sigmas_from, variance_factor }
+    }
+
+    /// The same columns as the jackknife over `folds` has them spread.
+    pub fn by_jackknife(self, spread: Spread, folds: usize) -> Self {
+        if spread.by_source.nrows() != self.determined.len() {
+            return self;
+        }
+        Self { matrix: spread.covariance(), spread, sigmas_from: SigmasFrom::Jackknife { folds }, ..self }
+    }
+
+    /// The consider covariance (Schmidt 1966): with `x` estimated, `c` considered and `G = dx / dc`, it is
+    /// `[[P_xx + G P_cc G^T, G P_cc], [P_cc G^T, P_cc]]`.
+    pub fn with_considered(mut self, of: Considered) -> Self {
+        let (estimated, known) = (self.spread.by_source.nrows(), self.spread.by_source.ncols());
+        let count = of.names.len();
+        if of.change.shape() != (estimated, count) || of.sigmas.len() != count {
+            return self;
+        }
+        let mut by_source = self.spread.by_source.resize(estimated + count, known + count, 0.0);
+        by_source.view_mut((0, known), (estimated, count)).copy_from(&of.change);
+        for (index, sigma) in of.sigmas.into_iter().enumerate() {
+            by_source[(estimated + index, known + index)] = 1.0;
+            by_source.column_mut(known + index).scale_mut(sigma);
+            self.spread.sources.push(Source::Considered { column: estimated + index });
+        }
+        self.spread.by_source = by_source;
+        self.matrix = self.spread.covariance();
+        self.determined.extend(std::iter::repeat_n(true, count));
+        self.names.extend(of.names);
+        self
+    }
+
+    /// The same where the samples of a data set determine this many times less; what rests on all of them together does, too.
+    #[must_use]
+    pub fn widened(mut self, data_set: usize, times: f64) -> Self {
+        let Spread { by_source, sources } = &mut self.spread;
+        for (mut column, source) in by_source.column_iter_mut().zip(sources) {
+            if matches!(source, Source::Together) || *source == (Source::Samples { data_set }) {
+                column *= times;
+            }
+        }
+        self.matrix = self.spread.covariance();
+        self
+    }
+
+    /// How far the prior of a column moves its estimate where it is off by one standard deviation; none where sources are not
+    /// known one by one.
+    pub fn by_prior(&self, column: usize) -> Option<f64> {
+        let Spread { by_source, sources } = &self.spread;
+        let own = sources.iter().position(|source| *source == Source::Prior { column })?;
+        Some(by_source[(column, own)].abs())
+    }
+
+    /// By its sources.
+    pub fn spread(&self) -> &Spread {
+        &self.spread
+    }
+
+    /// Parameters that were considered, with their columns.
+    pub fn considered(&self) -> impl Iterator<Item = (&str, usize)> {
+        let all = self.names.iter().enumerate().skip(self.estimated);
+        all.map(|(column, name)| (name.as_str(), column))
+    }
+
+    /// Names of all columns.
+    pub fn names(&self) -> &[String] {
+        &self.names
+    }
+
+    /// Name of a column.
+    pub fn name(&self, column: usize) -> &str {
+        self.names.get(column).map_or("?", String::as_str)
+    }
+
+    fn is_determined(&self, column: usize) -> bool {
+        self.determined.get(column).copied().unwrap_or(false)
+    }
+
+    /// Covariance of two columns in their units; none where one is not identified.
+    pub fn between(&self, a: usize, b: usize) -> Option<f64> {
+        (self.is_determined(a) && self.is_determined(b)).then(|| self.matrix[(a, b)])
+    }
+
+    /// Standard deviation of a column; none where it is not identified.
+    pub fn sigma(&self, column: usize) -> Option<f64> {
+        self.between(column, column).map(f64::sqrt)
+    }
+
+    /// Correlation of two columns, -1 to 1; none where one is not identified.
+    pub fn correlation(&self, a: usize, b: usize) -> Option<f64> {
+        Some(self.between(a, b)? / (self.sigma(a)? * self.sigma(b)?))
+    }
+
+    /// Pairs of columns, considered ones among them, by the size of their correlation, those above `least`, largest first.
+    pub fn strongest_correlations(&self, least: f64) -> Vec<(usize, usize, f64)> {
+        let columns = self.determined.len();
+        let mut pairs: Vec<(usize, usize, f64)> = (0..columns)
+            .flat_map(|a| (0..a).map(move |b| (b, a)))
+            .filter_map(|(a, b)| Some((a, b, self.correlation(a, b)?)))
+            .filter(|(_, _, correlation)| correlation.abs() > least)
+            .collect();
+        pairs.sort_by(|x, y| y.2.abs().total_cmp(&x.2.abs()));
+        pairs
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn of_some_parameters_the_priors_of_the_others_are_those_of_what_was_left_out() {
+        let sources =
+            [Source::Samples { data_set: 0 }, Source::Prior { column: 1 }, Source::Prior { column: 2 }];
+        let columns = sources.map(|source| (source, DVector::from_vec(vec![1.0, 2.0, 3.0])));
+        let mut spread = Spread::new(3, &columns);
+        spread.add(Source::LeftOut, &DVector::from_vec(vec![4.0, 5.0, 6.0]));
+        let of = spread.of(&[2, 0]);
+        let expected = [sources[0], Source::LeftOut, Source::Prior { column: 0 }, Source::LeftOut];
+        assert_eq!(of.sources, expected);
+        assert_eq!(of.covariance(), DMatrix::from_row_slice(2, 2, &[63.0, 33.0, 33.0, 19.0]));
+    }
+}

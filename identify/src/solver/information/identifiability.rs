@@ -1,0 +1,346 @@
+//! Which free parameters are determined, by an orthogonal factorisation of the Jacobian.
+//!
+//! A prior determines its parameter, however wide it is and however exact the samples are: the rank of `[J_f J_p; 0 P]` is
+//! that of `J_f`, the samples' columns without prior, and the number of the others. So the answer depends neither on the
+//! noise nor on the number of samples; a parameter that the samples hardly determine has a large sigma. Columns are scaled to unit
+//! length first, so that metres, radians and seconds compare. The singular values show the rank and how clear its gap is; the
+//! null space shows who depends on whom.
+
+use std::fmt;
+
+use nalgebra::{DMatrix, DVector};
+
+use super::covariance::Covariance;
+use super::null_space::dependent_groups;
+use crate::solver::pass::{Pass, PassError, SampleFit, Taking, Triangle};
+use crate::solver::{Observability, Options, Prior, Problem, SolveError};
+
+/// Parameters of which only combinations are determined.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct DependentGroup {
+    /// Columns, ascending.
+    pub columns: Vec<usize>,
+    /// How many of them must be fixed before the rest is determined.
+    pub excess: usize,
+}
+
+/// What the samples and priors determine.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Identifiability {
+    /// Names of the columns.
+    pub names: Vec<String>,
+    /// Standard deviations of their priors; none where they have none.
+    pub prior_sigmas: Vec<Option<f64>>,
+    /// Rank with samples and priors.
+    pub rank: usize,
+    /// Rank with samples alone.
+    pub rank_of_samples: usize,
+    /// Singular values of the column-scaled Jacobian (samples and priors), descending.
+    pub singular_values: Vec<f64>,
+    /// Columns that change nothing.
+    pub zero_columns: Vec<usize>,
+    /// Columns that depend on each other, smallest groups first.
+    pub groups: Vec<DependentGroup>,
+    /// The triangle `R` of the samples' weighted Jacobian: `R^T R = J^T J`.
+    pub triangle: DMatrix<f64>,
+    /// Samples that took part.
+    pub samples: usize,
+}
+
+/// Some free parameters are not determined by the samples.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{rank} of {columns} free parameters are identified: {what}; fix the surplus ones, give them a prior, \
+     or measure more varied poses"
+)]
+pub struct Unidentifiable {
+    /// Rank found.
+    pub rank: usize,
+    /// Free parameters.
+    pub columns: usize,
+    /// The culprits by name.
+    pub what: String,
+}
+
+impl Identifiability {
+    /// Every free parameter is determined.
+    pub fn is_full(&self) -> bool {
+        self.rank == self.names.len()
+    }
+
+    /// How clear the rank is: the smallest singular value that counts over the largest that does not. None where all
+    /// count.
+    pub fn gap(&self) -> Option<f64> {
+        let smallest = self.singular_values.get(self.rank.checked_sub(1)?)?;
+        Some(smallest / self.singular_values.get(self.rank)?)
+    }
+
+    /// Smallest singular value over the largest, of those that count: the inverse of the condition number.
+    pub fn weakest(&self) -> f64 {
+        let last = self.rank.checked_sub(1).and_then(|i| self.singular_values.get(i));
+        match (last, self.singular_values.first()) {
+            (Some(last), Some(first)) if *first > 0.0 => last / first,
+            _ => 0.0,
+        }
+    }
+
+    /// Observability indices of the samples without priors, with columns in the units given.
+    pub fn observability(&self, units: &[f64]) -> Observability {
+        Observability::new(&self.triangle, units, self.samples, 1e-9)
+    }
+
+    /// Columns that are not determined: zero or in a dependent group.
+    pub fn undetermined(&self) -> Vec<usize> {
+        let mut columns = self.zero_columns.clone();
+        columns.extend(self.groups.iter().flat_map(|group| group.columns.iter().copied()));
+        columns.sort_unstable();
+        columns.dedup();
+        columns
+    }
+
+    /// Nothing, if every free parameter is determined.
+    ///
+    /// # Errors
+    /// Names zero columns and dependent groups.
+    pub fn require_full(&self) -> Result<(), Unidentifiable> {
+        if self.is_full() {
+            return Ok(());
+        }
+        Err(Unidentifiable { rank: self.rank, columns: self.names.len(), what: self.describe() })
+    }
+
+    fn name(&self, column: usize) -> &str {
+        self.names.get(column).map_or("?", String::as_str)
+    }
+
+    fn join(&self, columns: &[usize], separator: &str) -> String {
+        columns.iter().map(|&column| self.name(column)).collect::<Vec<_>>().join(separator)
+    }
+
+    fn describe(&self) -> String {
+        let mut parts = Vec::new();
+        if !self.zero_columns.is_empty() {
+            parts.push(format!("without effect {}", self.join(&self.zero_columns, ", ")));
+        }
+        for group in &self.groups {
+            parts.push(format!("dependent {} (fix {})", self.join(&group.columns, "|"), group.excess));
+        }
+        parts.join("; ")
+    }
+}
+
+impl fmt::Display for Identifiability {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "rank {} of {}", self.rank, self.names.len())?;
+        match self.gap() {
+            Some(gap) => write!(f, ", gap {gap:.0e}, {}", self.describe()),
+            None => write!(f, ", weakest direction {:.0e} of the strongest", self.weakest()),
+        }
+    }
+}
+
+/// Singular values and right singular vectors of a triangle with columns scaled to unit length.
+pub(in crate::solver) struct ScaledSpectrum {
+    /// Column lengths before scaling, zero where the column is.
+    pub(in crate::solver) lengths: DVector<f64>,
+    /// Descending.
+    pub(in crate::solver) singular_values: DVector<f64>,
+    /// One row for each singular value.
+    pub(in crate::solver) v_transposed: DMatrix<f64>,
+    /// Singular values that count.
+    pub(in crate::solver) rank: usize,
+}
+
+/// A triangle with columns scaled to unit length, and their lengths before, zero where the column is.
+fn scaled(triangle: &DMatrix<f64>) -> (DMatrix<f64>, DVector<f64>) {
+    let columns = triangle.ncols();
+    let mut lengths = DVector::from_iterator(columns, triangle.column_iter().map(|c| c.norm()));
+    // A column of rounding noise beside real ones is zero.
+    let longest = lengths.max();
+    lengths.iter_mut().for_each(|l| {
+        if *l <= 1e-12 * longest {
+            *l = 0.0;
+        }
+    });
+    // Square, so that there is a right singular vector for every column.
+    let mut scaled = DMatrix::zeros(columns.max(triangle.nrows()), columns);
+    scaled.rows_mut(0, triangle.nrows()).copy_from(triangle);
+    for (mut column, &length) in scaled.column_iter_mut().zip(lengths.iter()) {
+        column *= if length > 0.0 { length.recip() } else { 0.0 };
+    }
+    (scaled, lengths)
+}
+
+/// Singular values that count.
+fn rank(singular_values: &DVector<f64>, tolerance: f64) -> usize {
+    let floor = tolerance * singular_values.max();
+    singular_values.iter().filter(|s| **s > floor).count()
+}
+
+impl ScaledSpectrum {
+    fn new(triangle: &DMatrix<f64>, tolerance: f64) -> Self {
+        let (scaled, lengths) = scaled(triangle);
+        let svd = scaled.svd(false, true);
+        let singular_values = svd.singular_values;
+        let v_transposed = svd.v_t.unwrap_or_else(|| DMatrix::identity(lengths.len(), lengths.len()));
+        let rank = rank(&singular_values, tolerance);
+        Self { lengths, singular_values, v_transposed, rank }
+    }
+
+    /// Orthonormal basis of the null space, one column for each missing rank.
+    fn null_basis(&self) -> DMatrix<f64> {
+        let missing = self.v_transposed.nrows() - self.rank;
+        self.v_transposed.rows(self.rank, missing).transpose()
+    }
+}
+
+/// Triangle of the samples' weighted Jacobian.
+pub(in crate::solver) fn sample_triangle<P: Problem>(
+    problem: &P,
+    x: &[f64],
+    options: &Options<'_>,
+    taking: Taking<'_>,
+) -> Result<(DMatrix<f64>, Vec<SampleFit>), PassError> {
+    let pass = Pass::new(problem, x, options, taking);
+    let (triangle, fits) = pass.run(|| Triangle::new(problem.columns()))?;
+    Ok((triangle.of_jacobian(), fits))
+}
+
+/// Adds the priors' rows.
+pub(in crate::solver) fn with_priors<'a>(
+    priors: impl Iterator<Item = &'a Prior> + Clone,
+    triangle: &DMatrix<f64>,
+) -> DMatrix<f64> {
+    let mut stacked = DMatrix::zeros(triangle.nrows() + priors.clone().count(), triangle.ncols());
+    stacked.rows_mut(0, triangle.nrows()).copy_from(triangle);
+    for (i, prior) in priors.enumerate() {
+        stacked[(triangle.nrows() + i, prior.column)] = prior.sigma.recip();
+    }
+    stacked.qr().unpack_r()
+}
+
+/// The point has a value for each column.
+pub(in crate::solver) fn require_start<P: Problem>(problem: &P, x: &[f64]) -> Result<(), SolveError> {
+    if x.len() == problem.columns() {
+        return Ok(());
+    }
+    Err(SolveError::StartLength { found: x.len(), expected: problem.columns() })
+}
+
+/// What samples determine of the columns that have no prior.
+pub(in crate::solver) struct Open {
+    /// Which these are.
+    columns: Vec<usize>,
+    /// None where there are none.
+    spectrum: Option<ScaledSpectrum>,
+}
+
+impl Open {
+    /// Of the columns without prior among `all`.
+    pub(in crate::solver) fn new(
+        triangle: &DMatrix<f64>,
+        all: impl Iterator<Item = usize>,
+        priors: &[Prior],
+        tolerance: f64,
+    ) -> Self {
+        let has_prior = |column: usize| priors.iter().any(|prior| prior.column == column);
+        let columns: Vec<usize> = all.filter(|column| !has_prior(*column)).collect();
+        let spectrum =
+            (!columns.is_empty()).then(|| ScaledSpectrum::new(&triangle.select_columns(&columns), tolerance));
+        Self { columns, spectrum }
+    }
+
+    /// Directions that nothing determines.
+    pub(in crate::solver) fn missing(&self) -> usize {
+        self.spectrum.as_ref().map_or(0, |spectrum| self.columns.len() - spectrum.rank)
+    }
+
+    fn zero_columns(&self) -> Vec<usize> {
+        let of = |spectrum: &ScaledSpectrum| {
+            let places = self.columns.iter().zip(spectrum.lengths.iter());
+            places.filter(|(_, length)| **length == 0.0).map(|(column, _)| *column).collect()
+        };
+        self.spectrum.as_ref().map_or_else(Vec::new, of)
+    }
+
+    fn groups(&self) -> Vec<DependentGroup> {
+        let Some(spectrum) = &self.spectrum else { return Vec::new() };
+        let zero: Vec<usize> =
+            (0..self.columns.len()).filter(|place| spectrum.lengths[*place] == 0.0).collect();
+        let mut groups = dependent_groups(&spectrum.null_basis(), &zero);
+        for column in groups.iter_mut().flat_map(|group| &mut group.columns) {
+            *column = self.columns[*column];
+        }
+        groups
+    }
+}
+
+fn examine<P: Problem>(
+    problem: &P,
+    triangle: &DMatrix<f64>,
+    fits: &[SampleFit],
+    options: &Options<'_>,
+) -> (Identifiability, ScaledSpectrum) {
+    let (columns, priors, tolerance) = (problem.columns(), problem.priors(), options.rank_tolerance);
+    let open = Open::new(triangle, 0..columns, priors, tolerance);
+    let mut spectrum = ScaledSpectrum::new(&with_priors(priors.iter(), triangle), tolerance);
+    spectrum.rank = columns - open.missing();
+    let mut prior_sigmas = vec![None; columns];
+    priors.iter().for_each(|prior| prior_sigmas[prior.column] = Some(prior.sigma));
+    let identifiability = Identifiability {
+        prior_sigmas,
+        names: (0..columns).map(|column| problem.column_name(column)).collect(),
+        rank: spectrum.rank,
+        rank_of_samples: if priors.is_empty() {
+            spectrum.rank
+        } else {
+            rank(&scaled(triangle).0.singular_values(), tolerance)
+        },
+        singular_values: spectrum.singular_values.iter().copied().collect(),
+        groups: open.groups(),
+        zero_columns: open.zero_columns(),
+        triangle: triangle.clone(),
+        samples: fits.iter().filter(|fit| fit.present).count(),
+    };
+    (identifiability, spectrum)
+}
+
+/// What the samples can identify at `x`, without solving: for choosing parameters and poses.
+///
+/// # Errors
+/// [`SolveError`] where no sample is usable or it was cancelled.
+pub fn identifiability<P: Problem>(
+    problem: &P,
+    x: &[f64],
+    options: &Options<'_>,
+) -> Result<Identifiability, SolveError> {
+    require_start(problem, x)?;
+    let (triangle, fits) = sample_triangle(problem, x, options, Taking::WhatIsThere)
+        .map_err(|error| error.at_start(problem.samples()))?;
+    if !fits.iter().any(|fit| fit.present) {
+        return Err(SolveError::NoSamples { samples: problem.samples() });
+    }
+    Ok(examine(problem, &triangle, &fits, options).0)
+}
+
+/// Identifiability and covariance where a solve ended.
+pub(in crate::solver) fn at_solution<P: Problem>(
+    problem: &P,
+    x: &[f64],
+    options: &Options<'_>,
+    fits: &[SampleFit],
+) -> Result<(Identifiability, Covariance), SolveError> {
+    let triangle = match sample_triangle(problem, x, options, Taking::These(fits)) {
+        Ok((triangle, _)) => triangle,
+        Err(PassError::Cancelled) => {
+            return Err(SolveError::Cancelled { iterations: options.iterations_max });
+        }
+        // The same samples at the same point were finite a moment ago.
+        Err(PassError::Lost | PassError::NotFinite(_)) => DMatrix::zeros(0, problem.columns()),
+    };
+    let (identifiability, spectrum) = examine(problem, &triangle, fits, options);
+    let factor = options.noise.variance_factor(problem, x, fits);
+    let (names, undetermined) = (identifiability.names.clone(), identifiability.undetermined());
+    let covariance = Covariance::new(&spectrum, names, &undetermined, factor);
+    Ok((identifiability, covariance))
+}

@@ -1,0 +1,63 @@
+//! What an error in a value that is held fixed does to those that are estimated.
+
+use nalgebra::{DMatrix, DVector};
+
+use super::identifiability::{Open, require_start, sample_triangle, with_priors};
+use crate::solver::pass::Taking;
+use crate::solver::{Options, Problem, SolveError};
+
+/// How estimates follow values that are held fixed, to first order.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Influence {
+    /// Names of the columns that are estimated.
+    pub estimated: Vec<String>,
+    /// Names of the columns that are held.
+    pub held: Vec<String>,
+    /// Row for each estimate, column for each held value: change of the estimate over the error of the held value, in
+    /// their units.
+    pub change: DMatrix<f64>,
+}
+
+/// Influence of the columns `held` of a problem on its other columns.
+///
+/// The problem has all of them free. Where the estimates minimise `|J_e dx + J_h dh|` with an error `dh`, they move by
+/// `-J_e^+ J_h dh`. Samples count with their weight at `x`, priors of estimated columns hold them back.
+/// The estimated columns must be identified by themselves.
+///
+/// # Errors
+/// [`SolveError`] where no sample is usable, or [`SolveError::Dependent`] where estimates depend on each other.
+pub fn influence<P: Problem>(
+    problem: &P,
+    x: &[f64],
+    held: &[usize],
+    options: &Options<'_>,
+) -> Result<Influence, SolveError> {
+    require_start(problem, x)?;
+    let (triangle, _) = sample_triangle(problem, x, options, Taking::WhatIsThere)
+        .map_err(|error| error.at_start(problem.samples()))?;
+    let estimated: Vec<usize> = (0..problem.columns()).filter(|column| !held.contains(column)).collect();
+    let all = estimated.iter().copied();
+    if Open::new(&triangle, all, problem.priors(), options.rank_tolerance).missing() > 0 {
+        return Err(SolveError::Dependent);
+    }
+    let priors = problem.priors().iter().filter(|prior| estimated.contains(&prior.column));
+    let rows = with_priors(priors, &triangle);
+    let names = |columns: &[usize]| columns.iter().map(|&column| problem.column_name(column)).collect();
+    let change = -least_squares(&rows.select_columns(&estimated), &rows.select_columns(held))
+        .ok_or(SolveError::Dependent)?;
+    Ok(Influence { estimated: names(&estimated), held: names(held), change })
+}
+
+/// `argmin |A X - B|` by singular values of the column-scaled matrix; none where columns of `A` are zero.
+fn least_squares(a: &DMatrix<f64>, b: &DMatrix<f64>) -> Option<DMatrix<f64>> {
+    let lengths = DVector::from_iterator(a.ncols(), a.column_iter().map(|column| column.norm()));
+    if a.nrows() < a.ncols() || lengths.iter().any(|length| *length == 0.0) {
+        return None;
+    }
+    let mut scaled = a.clone();
+    scaled.column_iter_mut().zip(lengths.iter()).for_each(|(mut column, length)| column /= *length);
+    let svd = scaled.svd(true, true);
+    let mut solved = svd.solve(b, 0.0).ok()?;
+    solved.row_iter_mut().zip(lengths.iter()).for_each(|(mut row, length)| row /= *length);
+    Some(solved)
+}

@@ -1,0 +1,433 @@
+//! Normal equations by fold: what the samples of each fold say, linearised at a point.
+//!
+//! `|r + J dx|^2 = r^T r + 2 (J^T r) dx + dx (J^T J) dx`: one pass over the samples gives the three sums of each fold with
+//! the columns of every term that may be wanted. Steps, covariances, jackknife, choice of terms, scales of priors and
+//! predictions of left-out folds are then small linear algebra, and no sample is looked at again. Errors of gears and
+//! encoders last for seconds, so folds of several seconds are nearly independent where single samples are far from it.
+
+use std::num::NonZeroUsize;
+use std::ops::{AddAssign, Sub};
+
+use nalgebra::{DMatrix, DVector, SymmetricEigen};
+
+use super::covariance::{Source, Spread};
+use crate::solver::pass::{Pass, PassError, Products, Taking, on_threads, threads_that_pay, weighed_rows};
+use crate::solver::{Options, Prior, Problem, ScaledCholesky, SolveError, Subset};
+
+/// Normal equations of some samples about a point.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Normal {
+    /// `J^T W J`
+    pub matrix: DMatrix<f64>,
+    /// `J^T W r`
+    pub gradient: DVector<f64>,
+    /// `r^T W r`
+    pub squared: f64,
+    /// Residual entries, each as much as its weight.
+    pub rows: f64,
+}
+
+impl Normal {
+    /// Of no rows.
+    pub fn zeros(columns: usize) -> Self {
+        Self {
+            matrix: DMatrix::zeros(columns, columns),
+            gradient: DVector::zeros(columns),
+            squared: 0.0,
+            rows: 0.0,
+        }
+    }
+
+    /// Sum of squares after a step.
+    pub fn after(&self, step: &DVector<f64>) -> f64 {
+        self.squared + 2.0 * self.gradient.dot(step) + step.dot(&(&self.matrix * step))
+    }
+
+    /// The same rows about a point that is a step away.
+    #[must_use]
+    fn moved(&self, step: &DVector<f64>) -> Self {
+        Self { gradient: &self.gradient + &self.matrix * step, squared: self.after(step), ..self.clone() }
+    }
+
+    /// The same rows with some of the columns, in this order.
+    fn only(&self, columns: &[usize]) -> Self {
+        Self {
+            matrix: self.matrix.select_rows(columns).select_columns(columns),
+            gradient: self.gradient.select_rows(columns),
+            ..*self
+        }
+    }
+
+    /// Adds what is known of some columns at `x`; returns the sum of its squares, which stays apart from that of the rows.
+    pub fn add_priors(&mut self, priors: &[Prior], x: &[f64]) -> f64 {
+        let mut squared = 0.0;
+        for prior in priors {
+            let (column, weight) = (prior.column, prior.sigma.powi(-2));
+            let error = x[column] - prior.value;
+            self.matrix[(column, column)] += weight;
+            self.gradient[column] += weight * error;
+            squared += weight * error * error;
+        }
+        squared
+    }
+}
+
+impl AddAssign<&Self> for Normal {
+    fn add_assign(&mut self, other: &Self) {
+        self.matrix += &other.matrix;
+        self.gradient += &other.gradient;
+        self.squared += other.squared;
+        self.rows += other.rows;
+    }
+}
+
+impl Sub for &Normal {
+    type Output = Normal;
+
+    fn sub(self, other: Self) -> Normal {
+        Normal {
+            matrix: &self.matrix - &other.matrix,
+            gradient: &self.gradient - &other.gradient,
+            squared: self.squared - other.squared,
+            rows: self.rows - other.rows,
+        }
+    }
+}
+
+/// Normal equations of every fold about one point, and what is known of the columns apart from the samples.
+#[derive(Debug, Clone)]
+pub struct Normals {
+    folds: Vec<Normal>,
+    total: Normal,
+    /// Of samples that are known from elsewhere.
+    known: Normal,
+    priors: Vec<Prior>,
+    x: Vec<f64>,
+}
+
+impl Normals {
+    /// One pass over the samples of all folds at `x`, each weighed by the options' loss there; samples without a value are
+    /// left out.
+    ///
+    /// # Errors
+    /// [`SolveError`] where a residual or derivative is not finite, or the pass was cancelled.
+    pub fn new<P: Problem>(
+        problem: &P,
+        x: &[f64],
+        options: &Options<'_>,
+        folds: &[Vec<usize>],
+    ) -> Result<Self, SolveError> {
+        let known: Vec<usize> = (0..problem.samples()).filter(|sample| problem.is_known(*sample)).collect();
+        let all: Vec<&Vec<usize>> = folds.iter().chain([&known]).collect();
+        let one_thread = Options { threads: Some(NonZeroUsize::MIN), ..*options };
+        let of_samples = |fold: usize| {
+            let fold = Subset { of: problem, samples: all[fold].clone() };
+            let pass = Pass::new(&fold, x, &one_thread, Taking::WhatIsThere);
+            let (products, fits) = pass.run(|| Products::new(problem.columns()))?;
+            Ok(products.normal(weighed_rows(&fits)))
+        };
+        let of_samples = |fold: usize| {
+            of_samples(fold).map_err(|error| match error {
+                PassError::NotFinite(place) => PassError::NotFinite(all[fold][place]),
+                other => other,
+            })
+        };
+        let threads = options.threads.map_or_else(|| threads_that_pay(problem), usize::from);
+        let mut of_folds = on_threads(threads.min(all.len()), all.len(), of_samples)
+            .map_err(|error| error.at_start(problem.samples()))?;
+        let known = of_folds.pop().unwrap_or_else(|| Normal::zeros(problem.columns()));
+        let mut total = Normal::zeros(problem.columns());
+        of_folds.iter().for_each(|fold| total += fold);
+        Ok(Self { folds: of_folds, total, known, priors: problem.priors().to_vec(), x: x.to_vec() })
+    }
+
+    /// What is known of the columns.
+    pub fn priors(&self) -> &[Prior] {
+        &self.priors
+    }
+
+    /// Those of each fold, without priors.
+    pub fn of_folds(&self) -> &[Normal] {
+        &self.folds
+    }
+
+    /// All folds with what is known and the priors.
+    pub fn whole(&self) -> Normal {
+        let mut whole = self.total.clone();
+        whole += &self.known;
+        whole.add_priors(&self.priors, &self.x);
+        whole
+    }
+
+    /// How much more the folds' gradients scatter than independent noise of variance one lets them, as variances, in the mean
+    /// over all directions: 1 where errors do not last within a fold (design effect, Kish 1965). None with fewer than two
+    /// folds.
+    pub fn overdispersion(&self) -> Option<f64> {
+        /// Keeps directions that only other samples determine from dividing by zero.
+        const RIDGE: f64 = 1e-12;
+        let (whole, count) = (self.whole().matrix, self.folds() as f64);
+        if count < 2.0 {
+            return None;
+        }
+        let factor = ScaledCholesky::damped(whole.clone(), &whole.diagonal(), RIDGE)?;
+        let scatter: f64 =
+            self.folds.iter().map(|fold| fold.gradient.dot(&factor.solve(&fold.gradient))).sum();
+        let expected = factor.inverse().dot(&self.total.matrix);
+        Some(scatter * count / ((count - 1.0) * expected)).filter(|found| found.is_finite())
+    }
+
+    /// Logarithm of the probability of the samples with these priors, but for a constant (evidence, MacKay 1992), where their
+    /// residuals have `dispersion` times the variance of independent ones. None where columns depend on each other.
+    pub fn evidence(&self, priors: &[Prior], dispersion: f64) -> Option<f64> {
+        let mut all = self.total.clone();
+        all += &self.known;
+        all.matrix /= dispersion;
+        all.gradient /= dispersion;
+        all.squared /= dispersion;
+        all.squared += all.add_priors(priors, &self.x);
+        let factor = ScaledCholesky::new(all.matrix.clone())?;
+        let step = -factor.solve(&all.gradient);
+        let of_priors: f64 = priors.iter().map(|prior| prior.sigma.ln()).sum();
+        Some(-0.5 * (all.after(&step) + factor.log_determinant()) - of_priors)
+    }
+
+    /// How many numbers the solution `x` takes from each fold: `tr(H^-1 N)` with `H` of all and `N` of the fold, less than its
+    /// parameters where priors or other folds determine them, too (effective degrees of freedom, MacKay 1992). None where
+    /// columns depend on each other.
+    pub fn taken(&self) -> Option<Vec<f64>> {
+        let inverse = self.covariance()?;
+        Some(self.folds.iter().map(|fold| inverse.dot(&fold.matrix)).collect())
+    }
+
+    /// Folds that have samples.
+    pub fn folds(&self) -> usize {
+        self.folds.iter().filter(|fold| fold.rows > 0.0).count()
+    }
+
+    /// The same about another point: exact where residuals are linear between the two, as they are in small terms.
+    #[must_use]
+    pub fn about(&self, x: &[f64]) -> Self {
+        let step = DVector::from_column_slice(x) - DVector::from_column_slice(&self.x);
+        Self {
+            folds: self.folds.iter().map(|fold| fold.moved(&step)).collect(),
+            total: self.total.moved(&step),
+            known: self.known.moved(&step),
+            priors: self.priors.clone(),
+            x: x.to_vec(),
+        }
+    }
+
+    /// Mean squared residual of each fold, predicted by a solution for `columns` from all other folds; the other columns
+    /// stay where they are. None where the others do not determine the columns.
+    pub fn held_out(&self, columns: &[usize], priors: &[Prior]) -> Option<Vec<f64>> {
+        let place = |prior: &Prior| {
+            let column = columns.iter().position(|column| *column == prior.column)?;
+            Some(Prior { column, ..*prior })
+        };
+        let known: Vec<Prior> = priors.iter().filter_map(place).collect();
+        let x: Vec<f64> = columns.iter().map(|&column| self.x[column]).collect();
+        let mut total = self.total.only(columns);
+        total += &self.known.only(columns);
+        total.add_priors(&known, &x);
+        let error = |fold: &Normal| {
+            let fold = fold.only(columns);
+            let others = &total - &fold;
+            let step = -ScaledCholesky::new(others.matrix)?.solve(&others.gradient);
+            Some(fold.after(&step) / fold.rows)
+        };
+        self.folds.iter().filter(|fold| fold.rows > 0.0).map(error).collect()
+    }
+
+    /// [`Self::whole`] and its factor. None where columns depend on each other.
+    fn factored(&self) -> Option<(DMatrix<f64>, ScaledCholesky)> {
+        let matrix = self.whole().matrix;
+        let factor = ScaledCholesky::new(matrix.clone()).filter(ScaledCholesky::is_complete)?;
+        Some((matrix, factor))
+    }
+
+    /// Covariance of the solution `x` for independent noise of variance one on every residual entry. None where the
+    /// samples and priors do not determine every column.
+    pub fn covariance(&self) -> Option<DMatrix<f64>> {
+        Some(self.factored()?.1.inverse())
+    }
+
+    /// From `x` to the solution. None where the samples and priors do not determine every column.
+    pub fn step(&self) -> Option<DVector<f64>> {
+        Some(-self.factored()?.1.solve(&self.whole().gradient))
+    }
+
+    /// The solution without each fold, from `x`. None for a fold without which the others and the priors do not determine every
+    /// column.
+    pub fn without_each(&self) -> Vec<Option<Vec<f64>>> {
+        let whole = self.whole();
+        let without = |fold: &Normal| {
+            let others = &whole - fold;
+            let factor = ScaledCholesky::new(others.matrix).filter(ScaledCholesky::is_complete)?;
+            let step = factor.solve(&others.gradient);
+            Some(self.x.iter().zip(&step).map(|(x, step)| x - step).collect())
+        };
+        self.folds.iter().map(without).collect()
+    }
+
+    /// Spread of the solution `x` by the jackknife over folds: how much it moves where one is left out. It holds
+    /// whatever errors the residuals have within a fold, as long as folds are independent; what priors contribute is
+    /// added. Approximately `H^-1 (sum g g') H^-1` (a sandwich, Liang and Zeger 1986) with the correction that a fold
+    /// pulls the solution towards itself (Bell and McCaffrey 2002, CR3). None with fewer than two folds, or where the
+    /// others do not determine every column. `data_set` is that of a fold.
+    pub fn jackknife(&self, data_set: impl Fn(usize) -> usize) -> Option<Spread> {
+        let count = self.folds() as f64;
+        if count < 2.0 {
+            return None;
+        }
+        let (whole, factor) = self.factored()?;
+        let mut columns = Vec::new();
+        for (number, fold) in self.folds.iter().enumerate().filter(|(_, fold)| fold.rows > 0.0) {
+            let others = ScaledCholesky::new(&whole - &fold.matrix).filter(ScaledCholesky::is_complete)?;
+            let moved = others.solve(&fold.gradient) * ((count - 1.0) / count).sqrt();
+            columns.push((Source::Samples { data_set: data_set(number) }, moved));
+        }
+        // `H^-1 P H^-1`, of which the prior weights `P` are a diagonal; what is known has others.
+        let inverse = factor.inverse();
+        for &Prior { column, sigma, .. } in &self.priors {
+            columns.push((Source::Prior { column }, inverse.column(column) / sigma));
+        }
+        let known = SymmetricEigen::new(self.known.matrix.clone());
+        let weighed = known.eigenvectors.column_iter().zip(&known.eigenvalues);
+        for (direction, weight) in weighed.filter(|(_, weight)| **weight > 0.0) {
+            columns.push((Source::Known, &inverse * direction * weight.sqrt()));
+        }
+        Some(Spread::new(self.x.len(), &columns))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::solver::{Block, minimise};
+
+    /// Lines with noise that is the same within a fold: `r = a + b t - y`.
+    struct Line {
+        y: Vec<f64>,
+        priors: Vec<Prior>,
+        /// The slope is known as one more sample, that it is so much with this standard deviation.
+        slope: Option<[f64; 2]>,
+    }
+
+    impl Problem for Line {
+        type Point = Vec<f64>;
+
+        fn columns(&self) -> usize {
+            2
+        }
+
+        fn column_name(&self, column: usize) -> String {
+            column.to_string()
+        }
+
+        fn samples(&self) -> usize {
+            self.y.len() + usize::from(self.slope.is_some())
+        }
+
+        fn rows(&self) -> usize {
+            1
+        }
+
+        fn is_known(&self, sample: usize) -> bool {
+            sample == self.y.len()
+        }
+
+        fn priors(&self) -> &[Prior] {
+            &self.priors
+        }
+
+        fn point(&self, x: &[f64]) -> Vec<f64> {
+            x.to_vec()
+        }
+
+        fn sample(&self, x: &mut Vec<f64>, sample: usize, r: &mut [f64], block: &mut Block<'_>) -> bool {
+            if let (Some([slope, sigma]), true) = (self.slope, sample == self.y.len()) {
+                r[0] = (x[1] - slope) / sigma;
+                block.column_mut(1)[0] = sigma.recip();
+                return true;
+            }
+            let t = sample as f64;
+            r[0] = x[0] + x[1] * t - self.y[sample];
+            block.column_mut(0)[0] = 1.0;
+            block.column_mut(1)[0] = t;
+            true
+        }
+    }
+
+    fn line() -> (Line, Vec<Vec<usize>>) {
+        let y = (0..40).map(|k| 1.0 + 0.3 * f64::from(k) + f64::from((k / 8 * 7) % 5)).collect();
+        let priors = vec![Prior { column: 1, value: 0.2, sigma: 0.05 }];
+        (Line { y, priors, slope: None }, (0..5).map(|fold| (8 * fold..8 * (fold + 1)).collect()).collect())
+    }
+
+    fn solved(problem: &impl Problem) -> Vec<f64> {
+        minimise(problem, &[0.0, 0.0], &Options::default()).map(|(x, _)| x).unwrap_or_default()
+    }
+
+    #[test]
+    fn a_fold_is_predicted_as_by_a_solve_without_it() {
+        let (line, folds) = line();
+        // Far from the solution: the problem is linear.
+        let Ok(normals) = Normals::new(&line, &[0.5, -1.0], &Options::default(), &folds) else {
+            panic!("finite residuals")
+        };
+        let predicted = normals.held_out(&[0, 1], normals.priors()).unwrap_or_default();
+        for (fold, found) in folds.iter().zip(&predicted) {
+            let samples = (0..40).filter(|sample| !fold.contains(sample)).collect();
+            let x = solved(&Subset { of: &line, samples });
+            let squares = fold.iter().map(|&k| (x[0] + x[1] * k as f64 - line.y[k]).powi(2));
+            let expected = squares.sum::<f64>() / 8.0;
+            assert!((found - expected).abs() < 1e-9, "{found} {expected}");
+        }
+        assert_eq!(predicted.len(), 5);
+    }
+
+    #[test]
+    fn the_jackknife_is_the_spread_of_solutions_without_each_fold() {
+        let (mut line, folds) = line();
+        line.priors.clear();
+        let x = solved(&line);
+        let Some(found) = Normals::new(&line, &x, &Options::default(), &folds)
+            .ok()
+            .and_then(|normals| normals.jackknife(|_| 0))
+        else {
+            panic!("the line is determined")
+        };
+        let found = found.covariance();
+        let mut expected = DMatrix::zeros(2, 2);
+        for fold in &folds {
+            let samples = (0..40).filter(|sample| !fold.contains(sample)).collect();
+            let moved =
+                DVector::from_vec(solved(&Subset { of: &line, samples })) - DVector::from_vec(x.clone());
+            expected += 0.8 * &moved * moved.transpose();
+        }
+        assert!((found - &expected).amax() < 1e-9 * expected.amax());
+    }
+
+    #[test]
+    fn what_is_known_as_a_sample_counts_as_a_prior_does() {
+        let (with_prior, folds) = line();
+        let known = Line { slope: Some([0.2, 0.05]), priors: Vec::new(), y: with_prior.y.clone() };
+        let normals = |line: &Line| Normals::new(line, &[0.5, -1.0], &Options::default(), &folds);
+        let (Ok(known), Ok(prior)) = (normals(&known), normals(&with_prior)) else {
+            panic!("finite residuals")
+        };
+        let [a, b] = [&known, &prior].map(|one| one.held_out(&[0, 1], one.priors()).unwrap_or_default());
+        assert!(a.len() == 5 && a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-9), "{a:?} {b:?}");
+        let [a, b] = [&known, &prior].map(|one| one.jackknife(|_| 0).map(|spread| spread.covariance()));
+        let (Some(a), Some(b)) = (a, b) else { panic!("the line is determined") };
+        assert!((&a - &b).amax() < 1e-12 * b.amax().max(1.0), "{a} {b}");
+    }
+
+    #[test]
+    fn what_no_sample_and_no_prior_shows_has_no_covariance() {
+        let line = Line { y: vec![1.0], priors: Vec::new(), slope: None };
+        let normals = Normals::new(&line, &[0.0, 0.0], &Options::default(), &[vec![0]]);
+        // One sample at t = 0 leaves the slope open.
+        assert_eq!(normals.map(|normals| normals.covariance()).ok(), Some(None));
+    }
+}

@@ -1,0 +1,137 @@
+//! From a null space to names: sparse vectors of it, gathered into groups of parameters.
+//!
+//! An orthonormal basis mixes everything with everything. Here the basis is reduced with pivots chosen so that what
+//! runs through many parameters (a common scale of all lengths) gets one vector of its own and leaves the others
+//! short: two parameters that add up, three that shift the same height.
+
+use nalgebra::DMatrix;
+
+use crate::solver::DependentGroup;
+
+/// Entries below this part of their vector's largest do not take part. Gaps of ranks are much clearer than this.
+const ENTRY_TOLERANCE: f64 = 1e-4;
+
+/// Groups of dependent columns from an orthonormal null basis (one column per vector) of the column-scaled Jacobian.
+pub(in crate::solver) fn dependent_groups(
+    null_basis: &DMatrix<f64>,
+    zero_columns: &[usize],
+) -> Vec<DependentGroup> {
+    let mut basis = null_basis.clone();
+    for &column in zero_columns {
+        basis.row_mut(column).fill(0.0);
+    }
+    let mut supports: Vec<Vec<usize>> = sparse_basis(basis).iter().map(|v| support(v)).collect();
+    supports.retain(|members| !members.is_empty());
+    supports.sort_by_key(Vec::len);
+    let mut groups = gather(supports);
+    // What small differences of the numbers leave open is settled by the order of the columns.
+    groups.sort_by(|a, b| (a.columns.len(), &a.columns).cmp(&(b.columns.len(), &b.columns)));
+    groups
+}
+
+/// A support that overlaps one group extends it; one that overlaps several runs through them and stays by itself.
+fn gather(supports: Vec<Vec<usize>>) -> Vec<DependentGroup> {
+    let mut groups: Vec<DependentGroup> = Vec::new();
+    for members in supports {
+        let mut overlapping =
+            groups.iter_mut().filter(|group| members.iter().any(|m| group.columns.contains(m)));
+        match (overlapping.next(), overlapping.next()) {
+            (Some(group), None) => {
+                group.columns.extend(members);
+                group.columns.sort_unstable();
+                group.columns.dedup();
+                group.excess += 1;
+            }
+            _ => groups.push(DependentGroup { columns: members, excess: 1 }),
+        }
+    }
+    groups
+}
+
+fn support(vector: &[f64]) -> Vec<usize> {
+    let largest = vector.iter().fold(0.0f64, |largest, v| largest.max(v.abs()));
+    let counts = |v: &f64| v.abs() > ENTRY_TOLERANCE * largest;
+    vector.iter().enumerate().filter(|(_, v)| counts(v)).map(|(i, _)| i).collect()
+}
+
+/// Null vectors that are each zero at the others' pivots.
+fn sparse_basis(mut basis: DMatrix<f64>) -> Vec<Vec<f64>> {
+    let full = basis.clone();
+    let mut pivots = Vec::new();
+    while basis.ncols() > 0 {
+        let Some(pivot) = next_pivot(&basis) else { break };
+        pivots.push(pivot);
+        basis = vanishing_at(&basis, pivot);
+    }
+    if pivots.is_empty() {
+        return Vec::new();
+    }
+    // Coefficients that give one at the own pivot and zero at the others.
+    let at_pivots = full.select_rows(&pivots);
+    let Some(inverse) = at_pivots.pseudo_inverse(1e-12).ok() else { return Vec::new() };
+    let reduced = full * inverse;
+    reduced.column_iter().map(|column| column.iter().copied().collect()).collect()
+}
+
+/// The parameter with the most companions whose rows are parallel to its own: they share one null direction.
+fn next_pivot(basis: &DMatrix<f64>) -> Option<usize> {
+    let norms: Vec<f64> = basis.row_iter().map(|row| row.norm()).collect();
+    let largest = norms.iter().copied().fold(0.0, f64::max);
+    let alive: Vec<usize> =
+        (0..basis.nrows()).filter(|&i| norms[i] > ENTRY_TOLERANCE * largest && largest > 1e-9).collect();
+    let companions = |i: usize| {
+        let parallel = |j: &&usize| {
+            let cosine = basis.row(i).dot(&basis.row(**j)) / (norms[i] * norms[**j]);
+            cosine.abs() > 1.0 - 1e-6
+        };
+        alive.iter().filter(parallel).count()
+    };
+    // Of equals the longest row: the best conditioned pivot.
+    alive
+        .iter()
+        .copied()
+        .max_by(|&i, &j| companions(i).cmp(&companions(j)).then(norms[i].total_cmp(&norms[j])))
+}
+
+/// Orthonormal basis of the vectors in the span of `basis` that are zero at `pivot`.
+fn vanishing_at(basis: &DMatrix<f64>, pivot: usize) -> DMatrix<f64> {
+    // A reflection that turns the pivot's row onto the first coefficient; the other columns then vanish there.
+    let row = basis.row(pivot).transpose();
+    let mut axis = row.clone();
+    axis[0] += row.norm().copysign(row[0]);
+    let scale = 2.0 / axis.norm_squared();
+    let reflected = basis - (basis * &axis) * axis.transpose() * scale;
+    reflected.remove_column(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Orthonormal basis of the span, mixed by a rotation.
+    fn mixed(vectors: &[Vec<f64>]) -> DMatrix<f64> {
+        let columns = vectors.len();
+        let rows = vectors[0].len();
+        let basis = DMatrix::from_fn(rows, columns, |i, j| vectors[j][i]);
+        let q = basis.qr().q();
+        let mix = DMatrix::from_fn(columns, columns, |i, j| ((3 * i + 5 * j + 1) as f64).sin()).qr().q();
+        q * mix
+    }
+
+    #[test]
+    fn a_scale_through_everything_does_not_hide_the_pairs() {
+        // 0..5 lengths with a common scale, 0|5 a pair, 1|6|7 a triple, 8|9 a pair of angles, 10 alone.
+        let scale = vec![1.0, 2.0, 0.5, 0.3, 0.7, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+        let pair = vec![1.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+        let triple_a = vec![0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0];
+        let triple_b = vec![0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0];
+        let angles = vec![0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.6, 0.0];
+        let groups = dependent_groups(&mixed(&[scale, pair, triple_a, triple_b, angles]), &[]);
+        let find = |columns: &[usize]| groups.iter().find(|g| g.columns == columns).map(|g| g.excess);
+        assert_eq!(find(&[0, 5]), Some(1));
+        assert_eq!(find(&[1, 6, 7]), Some(2));
+        assert_eq!(find(&[8, 9]), Some(1));
+        assert_eq!(groups.len(), 4);
+        assert!(groups[3].columns.contains(&2) && !groups[3].columns.contains(&10));
+    }
+}
