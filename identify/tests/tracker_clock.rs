@@ -125,19 +125,17 @@ fn a_tracker_that_is_moved_and_sees_two_targets_is_aligned_as_one() {
     }
 }
 
-/// An hour of stops, the robot's clock fast by as much as clocks are: half a second at the ends, a tenth of a stop.
+/// An hour of stops of 1.2 s each, the robot's clock fast by twice what clocks are: a third of a second at the ends.
 #[test]
 fn clocks_that_run_apart_over_an_hour_of_stops_lose_no_row() {
-    let sizes = Sizes { rate_hz: 0.1, duration_s: 3600.0, skew: 190e-6, ..Sizes::default() };
-    for stay in [0.4, 0.06] {
-        let followed = Followed::new(2, Sizes { stay, ..sizes });
-        let aligned = followed.aligned().unwrap();
-        println!("{:?}, {} left out", aligned.alignment, aligned.left_out);
-        assert_eq!(aligned.left_out, 0);
-        let found = calibrated(followed.measured(&aligned));
-        let [error_m, perfect_m] = errors_m(&followed, &aligned, &found);
-        assert!(error_m < 1.5 * perfect_m, "{error_m} {perfect_m}");
-    }
+    let sizes = Sizes { rate_hz: 0.1, duration_s: 3600.0, skew: 190e-6, stay: 0.06, ..Sizes::default() };
+    let followed = Followed::new(2, sizes);
+    let aligned = followed.aligned().unwrap();
+    println!("{:?}", aligned.alignment);
+    assert_eq!(aligned.left_out, 0);
+    let found = calibrated(followed.measured(&aligned));
+    let [error_m, perfect_m] = errors_m(&followed, &aligned, &found);
+    assert!(error_m < 1.5 * perfect_m, "{error_m} {perfect_m}");
 }
 
 #[test]
