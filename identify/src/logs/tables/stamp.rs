@@ -147,10 +147,10 @@ impl StampReader {
     /// What a time is since the first beginning.
     fn continued(&mut self, shown_ns: i64) -> Option<i64> {
         let before_ns = self.shown_ns.replace(shown_ns);
-        if let Some((before_ns, wraps_at_ns)) = before_ns.zip(self.wraps_at_ns) {
-            if before_ns.checked_sub(shown_ns)? > wraps_at_ns / 2 {
-                self.begun_anew_ns = self.begun_anew_ns.checked_add(wraps_at_ns)?;
-            }
+        if let Some((before_ns, wraps_at_ns)) = before_ns.zip(self.wraps_at_ns)
+            && before_ns.checked_sub(shown_ns)? > wraps_at_ns / 2
+        {
+            self.begun_anew_ns = self.begun_anew_ns.checked_add(wraps_at_ns)?;
         }
         shown_ns.checked_add(self.begun_anew_ns)
     }
