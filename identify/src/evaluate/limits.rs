@@ -43,7 +43,7 @@ const DELAY_S: f64 = 5e-4;
 const STRAINED_BY_CHANCE: f64 = 1e-3;
 /// Part by which what a prior moves is other than the derivatives at the solution say: a parameter of which the samples say nothing
 /// stays where it was expected but for that.
-const LINEAR: f64 = 0.1;
+const NONLINEAR: f64 = 0.1;
 
 /// One thing that limits a calibration.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -217,8 +217,8 @@ fn untold_forces(calibration: &BallBarCalibration) -> impl Iterator<Item = Limit
 /// `n` priors, at a chance of [`STRAINED_BY_CHANCE`] for all.
 ///
 /// A prior of `x0` with sigma `s0` that holds moves what is found by `g` where it is off by `s0`. Then `x - x0` has the variance
-/// `(s0 - g)^2` ([`LINEAR`] of `g` is left open), and with it what all other sources (samples, other priors, fixed parameters that are wrong) make of `x`. Where
-/// sources are not known one by one it is that of independent noise, `s0^2 - s^2`.
+/// `(s0 - g)^2` ([`NONLINEAR`] of `g` is left open), and with it what all other sources (samples, other priors, fixed parameters that
+/// are wrong) make of `x`. Where sources are not known one by one it is that of independent noise, `s0^2 - s^2`.
 fn strained_priors(model: &Model, solution: &Solution) -> Option<Limit> {
     let Solution { x, covariance, .. } = solution;
     let priors = model.columns().enumerate().filter_map(|(column, parameter)| match parameter.role {
@@ -229,7 +229,7 @@ fn strained_priors(model: &Model, solution: &Solution) -> Option<Limit> {
                 Some(own) => sigma.powi(2) - own.powi(2),
                 None => own * (expected - own),
             };
-            let spread = (of_others + (expected - own).powi(2) + (LINEAR * own).powi(2)).max(0.0).sqrt();
+            let spread = (of_others + (expected - own).powi(2) + (NONLINEAR * own).powi(2)).max(0.0).sqrt();
             Some(Prior { id: parameter.id, off: x.get(column)? - value, expected, sigma, own, spread })
         }
         _ => None,
