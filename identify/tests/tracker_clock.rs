@@ -273,3 +273,24 @@ fn stamps_that_go_back_are_refused_by_their_line() {
     let error = TimedPoses::read(lines.join("\n").as_bytes(), Path::new("t.csv"), &mapping).unwrap_err();
     assert!(error.to_string().contains("line 22"), "{error}");
 }
+
+/// Each stamp has the first target once and the second twice, as a logger writes that is read faster than it is filled.
+#[test]
+fn targets_that_are_seen_at_once_are_all_read_at_their_time() {
+    let stamp_ms = |row: usize| 1e3 * row as f64 + 37.0 * (row * row % 7) as f64;
+    let mut text = String::from("t_ms;x;y;z;station;target\n");
+    for row in 0..40 {
+        for target in ["red", "green", "green"] {
+            text += &format!("{};{row};0;0;north;{target}\n", stamp_ms(row));
+        }
+    }
+    let mapping = Followed::new(1, Sizes { moved: true, duration_s: 1.0, ..Sizes::default() }).mapping();
+    let mapping: MeasuredPoseMapping = toml::from_str(&mapping).unwrap();
+    let read = TimedPoses::read(text.as_bytes(), Path::new("t.csv"), &mapping).unwrap();
+    assert_eq!(read.rows.len(), 80);
+    for (t_s, row) in read.rows.t_s.iter().zip(read.rows.iter()) {
+        let of_line = row.line as usize - 2;
+        assert!((t_s - 1e-3 * stamp_ms(of_line / 3)).abs() < 1e-6, "line {}: {t_s}", row.line);
+        assert_eq!(row.target, usize::from(!of_line.is_multiple_of(3)));
+    }
+}

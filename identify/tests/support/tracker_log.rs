@@ -6,7 +6,7 @@ use std::path::Path;
 use identify::calibrate::mix::Measured;
 use identify::instrument::PoseRow;
 use identify::kinematics::{Chain, Joints, Pose, flange_chain};
-use identify::logs::{MeasuredPoseMapping, RobotLog, Stream, TimedPose, TimedPoses};
+use identify::logs::{MeasuredPoseMapping, RobotLog, Stream, TimedPoses};
 use identify::model::{Model, ParameterId, SetUp};
 use identify::prepare::{AlignedPoses, PrepareError, PrepareOptions, align_poses};
 use nalgebra::{Rotation3, Vector3};
@@ -230,7 +230,7 @@ impl Followed {
             .rows
             .iter()
             .zip(&aligned.states)
-            .map(|(row, state)| with_joints(&poses.rows[*row], state.q));
+            .map(|(row, state)| PoseRow::from(&poses.rows[*row].with_joints(state.q)));
         match &aligned.moving {
             Some(moving) => Measured::Path(rows.collect(), moving.clone()),
             None => Measured::Poses(rows.collect()),
@@ -244,7 +244,7 @@ impl Followed {
             // Rows with the stamp of the one before may be left out; the header is line 1.
             let joints = self.path.at(self.taken_s[poses.rows[*row].line as usize - 2]);
             let noisy = joints.iter().map(|q| q + NOISE_RAD * random.sample::<f64, _>(StandardNormal));
-            with_joints(&poses.rows[*row], noisy.collect())
+            PoseRow::from(&poses.rows[*row].with_joints(noisy.collect()))
         });
         Measured::Poses(rows.collect())
     }
@@ -280,9 +280,4 @@ impl Followed {
         });
         errors.sum::<f64>() / 400.0
     }
-}
-
-fn with_joints(seen: &TimedPose, joints_rad: Joints) -> PoseRow {
-    let TimedPose { position_m, rotation, uncertainty, station, target, .. } = *seen;
-    PoseRow { joints_rad, position_m, rotation, uncertainty, set_up: SetUp { station, target } }
 }

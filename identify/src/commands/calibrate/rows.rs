@@ -20,9 +20,9 @@ use crate::instrument::{ContactRow, LengthRow, PoseRow, SocketTable};
 use crate::kinematics::flange_chain;
 use crate::logs::{
     ContactMapping, Contacts, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths,
-    MeasuredPoseMapping, MeasuredPoses, TimedPose, TimedPoses, joints_of_robot,
+    MeasuredPoseMapping, MeasuredPoses, TimedPoses, joints_of_robot,
 };
-use crate::model::{JointState, JointWaves, Model, SetUp, further};
+use crate::model::{JointState, JointWaves, Model, further};
 use crate::prepare::{AlignedPoses, Alignment, PrepareOptions, align_poses};
 use crate::report::result::clocks::{ClockEntry, SolvedClock};
 use crate::report::rows as of_rows;
@@ -325,9 +325,8 @@ fn timed_poses(
         align_poses(&read, &log, &flange_chain(with.robot), with.options)
             .map_err(|error| CalibrateError::Align { data_set, error: Box::new(error) })?;
     let row = |(&row, state): (&usize, &JointState)| {
-        let TimedPose { position_m, rotation, uncertainty, station, target, line } = read.rows[row];
-        let set_up = SetUp { station, target };
-        (PoseRow { joints_rad: state.q, position_m, rotation, uncertainty, set_up }, line)
+        let seen = read.rows[row];
+        (PoseRow::from(&seen.with_joints(state.q)), seen.line)
     };
     let (poses, lines) = rows.iter().zip(&states).map(row).unzip();
     let stood = moving.is_none();

@@ -225,12 +225,12 @@ impl Validate for MeasuredPoseMapping {
             }
             _ => {}
         }
+        self.time.as_ref().map_or(Ok(()), TimeColumn::check)?;
         match &self.time {
             None => check_joints(&self.joints),
             Some(time) if time.column.is_empty() => {
                 Err(Violation::new("time.column", "it is missing", "name the column of the times"))
             }
-            Some(time) if time.check().is_err() => time.check(),
             Some(_) if !self.joints.is_empty() => Err(Violation::new(
                 "joints",
                 "rows with [time] get their joints from the robot's own log",
@@ -291,10 +291,7 @@ impl MeasuredPoses {
         let mut names = SetUpNames::default();
         let read =
             |(seen, joints): &mut (SeenColumns<'_>, JointColumns<'_>), table: &Table<'_>, row: &Row| {
-                let TimedPose { position_m, rotation, uncertainty, station, target, line } =
-                    seen.read(table, row, &mut names)?;
-                let q_rad = joints.read(table, row)?;
-                Ok(MeasuredPose { q_rad, position_m, rotation, uncertainty, station, target, line })
+                Ok(seen.read(table, row, &mut names)?.with_joints(joints.read(table, row)?))
             };
         let rows = rows(bytes, path, &mapping.csv, find, read)?;
         let [stations, targets] = names.in_order();
@@ -323,6 +320,12 @@ impl TimedPose {
     /// Whether both are of one target, seen from one station: only then do positions show a motion.
     pub fn is_seen_as(&self, other: &Self) -> bool {
         (self.station, self.target) == (other.station, other.target)
+    }
+
+    /// The same with the joints \[rad\] of a robot that held the target there.
+    pub fn with_joints(self, q_rad: Joints) -> MeasuredPose {
+        let Self { position_m, rotation, uncertainty, station, target, line } = self;
+        MeasuredPose { q_rad, position_m, rotation, uncertainty, station, target, line }
     }
 }
 
@@ -372,9 +375,8 @@ impl TimedPoses {
         for row in 1..rows.len() {
             let (before_ns, before) = rows[row - 1];
             let (stamp_ns, pose) = &mut rows[row];
-            if *stamp_ns <= before_ns && !pose.is_seen_as(&before) {
-                *stamp_ns = before_ns + 1;
-            }
+            let is_other = i64::from(!pose.is_seen_as(&before));
+            *stamp_ns = (*stamp_ns).max(before_ns.saturating_add(is_other));
         }
         let (stamps_ns, rows): (_, Vec<TimedPose>) = rows.into_iter().unzip();
         let motion = motion(&rows);
