@@ -224,11 +224,10 @@ fn strained_priors(model: &Model, solution: &Solution) -> Option<Limit> {
     let priors = model.columns().enumerate().filter_map(|(column, parameter)| match parameter.role {
         Role::Prior { value, sigma: expected } => {
             let sigma = covariance.sigma(column)?;
-            let own = covariance.by_prior(column).unwrap_or(sigma.powi(2) / expected);
-            let of_others = match covariance.by_prior(column) {
-                Some(own) => sigma.powi(2) - own.powi(2),
-                None => own * (expected - own),
-            };
+            let (own, of_others) = covariance.by_prior(column).map_or_else(
+                || (sigma.powi(2) / expected, sigma.powi(2) * (1.0 - (sigma / expected).powi(2))),
+                |own| (own, sigma.powi(2) - own.powi(2)),
+            );
             let spread = (of_others + (expected - own).powi(2) + (NONLINEAR * own).powi(2)).max(0.0).sqrt();
             Some(Prior { id: parameter.id, off: x.get(column)? - value, expected, sigma, own, spread })
         }

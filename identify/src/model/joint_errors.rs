@@ -107,10 +107,8 @@ impl DriveTrain {
 
     /// The joint is not turned by its drive alone, or the drive turns others.
     fn is_coupled(&self, axis: usize) -> bool {
-        let others = |row: &Joints| row.iter().enumerate().any(|(joint, part)| joint != axis && *part != 0.0);
-        let of_others = |table: &Vec<Joints>| table.get(axis).is_some_and(others);
         let mut rows = self.joint_from_drive.iter().enumerate();
-        of_others(&self.joint_from_drive)
+        self.only_joint(axis).is_none()
             || rows.any(|(drive, row)| drive != axis && row.get(axis).is_some_and(|part| *part != 0.0))
     }
 

@@ -20,10 +20,6 @@ pub enum Period {
 }
 
 impl Period {
-    /// All of them.
-    pub const ALL: [Self; 6] =
-        [Self::Once, Self::Twice, Self::Cycloid, Self::Motor, Self::JointOnce, Self::JointTwice];
-
     const fn letters(self) -> &'static str {
         match self {
             Self::Once => "1",

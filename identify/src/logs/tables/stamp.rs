@@ -136,12 +136,16 @@ impl StampReader {
 
     /// The stamp of a number of units; none beyond 292 years.
     pub(in crate::logs) fn of_units(&mut self, units: i64) -> Option<i64> {
-        let shown_ns = if self.unit == TimeUnit::Cycles {
-            within_range(units as f64 * self.unit_ns)
-        } else {
-            units.checked_mul(self.unit_ns as i64)
-        };
-        self.continued(shown_ns?)
+        let shown_ns = self.ns_of(units)?;
+        self.continued(shown_ns)
+    }
+
+    /// Exactly, but for cycles, which may last any time.
+    fn ns_of(&self, units: i64) -> Option<i64> {
+        match self.unit {
+            TimeUnit::Cycles => within_range(units as f64 * self.unit_ns),
+            _ => units.checked_mul(self.unit_ns as i64),
+        }
     }
 
     /// What a time is since the first beginning.
@@ -190,11 +194,7 @@ impl StampColumn {
         let zero = if stamps.unit == TimeUnit::Filetime { FILETIME_1970 } else { 0 };
         let exact = match stamps.unit {
             TimeUnit::S => decimal_to_ns(&text),
-            TimeUnit::Cycles => None,
-            _ => text
-                .parse::<i64>()
-                .ok()
-                .and_then(|units| units.checked_sub(zero)?.checked_mul(stamps.unit_ns as i64)),
+            _ => text.parse::<i64>().ok().and_then(|units| stamps.ns_of(units.checked_sub(zero)?)),
         };
         let shown_ns = exact.or_else(|| within_range((number - zero as f64) * stamps.unit_ns));
         shown_ns.and_then(|shown_ns| stamps.continued(shown_ns)).ok_or_else(|| {

@@ -95,9 +95,9 @@ pub fn align_poses(
     require_motion("the robot log", travel(&log.q_rad))?;
     let interpolated = log.spline()?;
     let seen_m = longest_view_m(&poses.rows);
+    let begins_s = (i128::from(seen_m.first_stamp_ns) - i128::from(poses.rows.first_stamp_ns)) as f64 * 1e-9;
     let search = Search {
         period_s: seen_m.period_s(),
-        begins_s: (i128::from(seen_m.first_stamp_ns) - i128::from(poses.rows.first_stamp_ns)) as f64 * 1e-9,
         seen_m,
         log: &interpolated,
         log_s,
@@ -110,7 +110,7 @@ pub fn align_poses(
         return Err(PrepareError::TargetStands { extent_mm: extent_m * 1e3 });
     }
     let found = search.run()?;
-    let of_rows = found.clock.counted_from(-search.begins_s);
+    let of_rows = found.clock.counted_from(-begins_s);
     let overlap_s = overlap_s(rows_s, of_rows, log_s);
     let t_ref_s = 0.5 * (overlap_s[0] + overlap_s[1]);
     let clock = of_rows.counted_from(t_ref_s);
@@ -126,7 +126,8 @@ pub fn align_poses(
     let all = (0..poses.rows.len()).filter_map(of_row);
     if search.stands() {
         let resting = search.resting();
-        let at_rest = all.filter(|(row, ..)| search.rests_at(&resting, of_rows.tau_s(poses.rows.t_s[*row])));
+        let rests = |row: usize| search.rests_at(&resting, of_rows.tau_s(poses.rows.t_s[row]));
+        let at_rest = all.filter(|(row, ..)| rests(*row) == Some(true));
         let (rows, states): (Vec<_>, Vec<_>) =
             at_rest.map(|(row, _, state)| (row, JointState::at_rest(state.q))).unzip();
         let left_out = poses.rows.len() - rows.len();
@@ -167,8 +168,6 @@ fn longest_view_m(rows: &Stream<TimedPose>) -> Stream<Vector3<f64>> {
 struct Search<'a> {
     /// One target in the tracker's frame, from one station \[m\].
     seen_m: Stream<Vector3<f64>>,
-    /// Its first row after the first of all \[s\].
-    begins_s: f64,
     /// Usual distance of two rows \[s\].
     period_s: f64,
     log: &'a Arc<CubicSpline<Joints>>,
@@ -408,8 +407,10 @@ impl Search<'_> {
         (0..steps).map(rests).collect()
     }
 
-    fn rests_at(&self, resting: &[bool], tau_s: f64) -> bool {
-        tau_s >= 0.0 && resting.get((tau_s / self.step_s).round() as usize).copied().unwrap_or(false)
+    /// None outside the robot's log.
+    fn rests_at(&self, resting: &[bool], tau_s: f64) -> Option<bool> {
+        let place = (tau_s / self.step_s).round() as usize;
+        resting.get(place).copied().filter(|_| tau_s >= 0.0)
     }
 
     /// Clocks near a coarse shift at which the robot stands in most of the rows, each in the middle of those that are alike. Of the
@@ -425,14 +426,10 @@ impl Search<'_> {
             skew,
         };
         let at_rest = |clock: &ClockFit| {
-            let place = |t_s: &f64| {
-                let place = clock.tau_s(*t_s) / self.step_s;
-                resting.get(if place > -0.5 { place.round() as usize } else { usize::MAX })
-            };
             let (mut covered, mut at_rest) = (0, 0);
-            for rests in times_s.iter().filter_map(place) {
+            for rests in times_s.iter().filter_map(|t_s| self.rests_at(&resting, clock.tau_s(*t_s))) {
                 covered += 1;
-                at_rest += usize::from(*rests);
+                at_rest += usize::from(rests);
             }
             (at_rest as f64 >= AT_REST_MIN * f64::from(covered.max(1))).then_some(at_rest)
         };

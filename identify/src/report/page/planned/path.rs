@@ -4,8 +4,7 @@ use std::path::{Path, PathBuf};
 
 use maud::{Markup, html};
 
-use super::path_view;
-use super::path_view::{Carried, View, view};
+use super::path_view::{self, Carried, View, view};
 use crate::kinematics::Chain;
 use crate::logs::RobotLog;
 use crate::model::ParameterId;

@@ -7,8 +7,7 @@ use nalgebra::{Point3, Vector3};
 use shared::config::JointKind;
 
 use super::path::collisions;
-use super::path_view;
-use super::path_view::{Carried, View, view};
+use super::path_view::{self, Carried, View, view};
 use crate::kinematics::{Chain, Joints};
 use crate::model::ParameterId;
 use crate::plan::{Bodies, Determined, PlannedPoses};

@@ -36,8 +36,8 @@ pub(super) enum Carried {
 
 impl View<'_> {
     /// Every so many rows of a path of so many are enough for the animation.
-    pub const fn every(rows: usize) -> usize {
-        if rows > FRAMES { rows.div_ceil(FRAMES) } else { 1 }
+    pub fn every(rows: usize) -> usize {
+        rows.div_ceil(FRAMES).max(1)
     }
 }
 
