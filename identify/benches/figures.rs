@@ -50,7 +50,7 @@ fn alone() -> Options<'static> {
 
 fn model() -> Model {
     let mut model = Cell::irb2400().model();
-    model.select(Selection::Cell, Transform::identifies).unwrap();
+    model.select(Selection::Cell, Transform::identifies);
     model
 }
 

@@ -316,7 +316,7 @@ fn seven_axes_and_an_arm_on_a_track_are_calibrated_by_a_tracker_and_written_as_u
         assert!(report.held_out().joints.rotation_rad.unwrap().rms < 4.2e-5, "{}", arm.0);
         // 4 numbers of each revolute axis, 2 of a prismatic one and 6, of which tracker and probe have 12; every one is
         // identified far better than its prior knows it.
-        let links = report.model().parameters().iter().map(|parameter| parameter.id);
+        let links = report.model().ids().into_iter();
         let links = links.filter(|id| matches!(id, ParameterId::Robot { .. }));
         let sigmas: Vec<_> = links.filter_map(|id| Some((id, report.sigma(id)?))).collect();
         assert_eq!(sigmas.len(), free, "{}: {sigmas:?}", arm.0);
@@ -350,7 +350,7 @@ fn a_prismatic_axis_has_a_scale_but_no_waves_and_other_arms_have_loads_of_the_to
             && !drives.has(3, JointTerm::Compliance(Load::Wrist))
     );
     assert!(!drives.has(8, JointTerm::Ratio));
-    let model = Model::measured_pose(&chain).with_joint_waves(ParameterId::joint_waves(3));
+    let model = Model::measured_pose(&chain).with(ParameterId::joint_waves(3));
     let has = |name: &str| model.parameter(name.parse().unwrap()).is_some();
     assert!(has("rsin3_2") && !has("rsin3_1") && has("ra8") && has("rratio_1") && !has("rsin1_1"));
 }

@@ -29,7 +29,7 @@ impl Setup {
     fn new(poses: usize) -> Self {
         let cell = Cell::irb2400();
         let mut model = cell.model();
-        model.select(Selection::Cell, WhitenedPose::identifies).unwrap();
+        model.select(Selection::Cell, WhitenedPose::identifies);
         let mut true_model = model.clone();
         for (name, error) in THESIS_ERRORS {
             let id: ParameterId = name.parse().unwrap();

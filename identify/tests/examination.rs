@@ -44,7 +44,7 @@ fn solves_show_the_influence<R: Residual>(residual: R, cost: CostName) {
     let poses = Poses::spread(&cell.robot, &cell.bar, &robot.joint_limits(), &design, 300, 1).unwrap();
     for (column, held) in examined.influence.held.iter().enumerate() {
         let mut model = cell.model();
-        model.select(Selection::Thesis, R::identifies).unwrap();
+        model.select(Selection::Thesis, R::identifies);
         let truth = model.start();
         let id: ParameterId = held.parse().unwrap();
         let nominal = model.parameter(id).unwrap().value;

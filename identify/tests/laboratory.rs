@@ -167,7 +167,7 @@ fn links_alone_are_a_fit_of_their_own_and_predict_better_than_the_links_of_a_cal
         let [offsets, links] = [Deployment::Offsets, Deployment::Dh].map(of);
         let mut segments = without_each_segment(&found, None).unwrap();
         for model in segments.iter_mut().filter_map(|segment| segment.model.as_mut()) {
-            let ids: Vec<ParameterId> = model.parameters().iter().map(|parameter| parameter.id).collect();
+            let ids = model.ids();
             let of_joints =
                 |id: &ParameterId| matches!(id, ParameterId::Joint { .. } | ParameterId::JointWave { .. });
             ids.into_iter().filter(of_joints).for_each(|id| model.set_value(id, 0.0).unwrap());

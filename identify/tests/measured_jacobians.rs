@@ -159,9 +159,9 @@ fn agrees<R: Residual>(
 
 /// Everything free and nothing at a value where derivatives vanish by symmetry.
 fn all_free(model: Model, rotation_rad: [f64; 3]) -> Model {
-    let mut model = model.with_joint_waves(ParameterId::joint_waves(7));
+    let mut model = model.with(ParameterId::joint_waves(7));
     // Errors of the robot's axes turn its joints whatever the cost: jacobians.rs has them.
-    let ids = model.parameters().iter().map(|p| p.id).filter(|id| match id {
+    let ids = model.ids().into_iter().filter(|id| match id {
         ParameterId::Joint { .. } => false,
         ParameterId::JointWave { order, .. } => WAVES.contains(order),
         _ => true,
@@ -223,7 +223,7 @@ fn a_ball_in_sockets_has_the_derivatives_of_ball_sockets_and_robot() {
         agrees(&model, SeatedBall { sockets: &sockets }, |by, row, t_s| {
             let number = |id| dual(&model, by, id);
             let flange = flange(&model, by, t_s);
-            let ball = Axis::ALL.map(|axis| number(ParameterId::Ball(axis)));
+            let ball = Axis::ALL.map(|axis| number(ParameterId::Ball { axis }));
             let at = |i: usize| (0..3).map(|k| flange[i][k] * ball[k]).sum::<Dual64>() + flange[i][3];
             let socket = |axis| number(ParameterId::Socket { socket: sockets[row], axis });
             Axis::ALL.map(|axis| at(axis.index()) - socket(axis)).to_vec()

@@ -363,7 +363,7 @@ fn grid_and_from_grid_to_cubes(grid: &[PoseRow], cubes: &[PoseRow]) -> (Stages, 
     let on_cubes = |model: &Model| validate(cubes, &ur10(), model, 1).unwrap()[1].position_m.rms;
     let [offsets, links] = [0, 1].map(|part| on_cubes(&report.0.deployed[part].model));
     let mut truncated = report.model().clone();
-    let terms: Vec<ParameterId> = truncated.parameters().iter().map(|one| one.id).collect();
+    let terms = truncated.ids();
     for id in terms {
         if matches!(id, ParameterId::Joint { .. } | ParameterId::JointWave { .. }) {
             truncated.set_value(id, 0.0).unwrap();

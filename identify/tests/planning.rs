@@ -7,10 +7,10 @@ use std::time::Duration;
 
 use identify::calibrate::IdentifyConfig;
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
-use identify::calibrate::selection::terms::TermGroup;
 use identify::kinematics::{Chain, Joints, ball_bar_chain, robot_chain, robot_inverse};
 use identify::logs::{RobotLog, Stream};
 use identify::model::ParameterId;
+use identify::model::TermGroup;
 use identify::plan::{
     Bodies, Checked, Constraints, Criterion, Design, ExpectedPosition, Found, Information, Language,
     Obstacle, PlaceRequest, PlannedPath, Visited, check, places, position_m_min, program, robot_path, search,

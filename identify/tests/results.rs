@@ -15,7 +15,7 @@ fn solved() -> (Model, Solution) {
     let cell = Cell::irb2400();
     let (observations, joints) = noisy_poses(&cell, 200, 5, 1e-3);
     let mut model = cell.model();
-    model.select(Selection::Thesis, Transform::identifies).unwrap();
+    model.select(Selection::Thesis, Transform::identifies);
     let problem = LoopProblem::new(&model, &joints, &observations, Transform, 1.0).unwrap();
     let solution = solve(&problem, &model.start(), &Options::default()).unwrap();
     model.adopt(&solution.x);

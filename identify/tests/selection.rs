@@ -8,9 +8,9 @@ use crate::support::laboratory::{self, Level};
 use crate::support::{Cell, bar, irb2400, spread_poses};
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
 use identify::calibrate::selection::structure::identifiable;
-use identify::calibrate::selection::terms::TermGroup;
 use identify::calibrate::{CostName, IdentifyConfig, SelectionName};
 use identify::evaluate::{evidence, uncalibrated};
+use identify::model::TermGroup;
 use identify::model::{ParameterId, Phase, Role, THESIS_FIXED};
 use identify::simulate::{self, Design, Effects, Experiment};
 
@@ -132,7 +132,7 @@ fn lobes_of_gears_that_nobody_has_counted_are_found() {
         &found.prepared().unwrap().motion,
         &found.prepared().unwrap().observations,
     );
-    for wave in found.model.parameters().iter().map(|parameter| parameter.id) {
+    for wave in found.model.ids() {
         if matches!(wave, ParameterId::JointWave { .. }) {
             assert_eq!(nominal.parameter_mut(wave), Some(&mut 0.0), "{wave}");
         }

@@ -21,7 +21,7 @@ impl Poses {
         let cell = Cell::irb2400();
         let (observations, joints) = noisy_poses(&cell, 3000, 2, 1e-3);
         let mut model = cell.model();
-        model.select(Selection::Thesis, Transform::identifies).unwrap();
+        model.select(Selection::Thesis, Transform::identifies);
         Self { model, observations, joints }
     }
 

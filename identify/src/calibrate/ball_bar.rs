@@ -292,7 +292,8 @@ fn runs_at_start(
     let cost = config.cost.unwrap_or_else(|| CostName::for_encoders(&measured));
     let run = |(prepared, bar): (Prepared, &BallBarConfig)| {
         // Hundreds of waves have a name: a model has those that somebody means, and later those that are found.
-        let model = start_model(&prepared, robot, bar)?.with_joint_waves(config.named());
+        let named = config.named().filter(|id| matches!(id, ParameterId::JointWave { .. }));
+        let model = start_model(&prepared, robot, bar)?.with(named);
         let known_m = config.known_lengths_m(bar);
         let bar = BallBar { prepared, cost, configured: config.noise, found: None, measured, known_m };
         Ok(Run { instrument: Instrument::BallBar(Box::new(bar)), model })
@@ -352,10 +353,10 @@ fn start_model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) ->
     let arm = robot_chain(robot, bar);
     let mut model = Model::ball_bar(&arm, &ball_bar_chain(bar))
         .with_drives(DriveTrain::of(robot, &arm))
-        .with_encoder_offsets(changed_offsets(prepared));
+        .with(changed_offsets(prepared));
     let initial = &prepared.initial;
     for axis in Axis::ALL {
-        model.set_value(ParameterId::Base(axis), initial.base_m[axis.index()])?;
+        model.set_value(ParameterId::Base { axis }, initial.base_m[axis.index()])?;
     }
     for link in 0..BAR_JOINTS {
         let theta = ParameterId::Bar { link, parameter: LinkParameter::Theta };

@@ -72,7 +72,7 @@ impl Cause {
         match self {
             Self::Encoder(link) => vec![ParameterId::Bar { link, parameter }],
             Self::Joint(link) => vec![ParameterId::Robot { link, parameter }],
-            Self::Base => Axis::ALL.map(ParameterId::Base).to_vec(),
+            Self::Base => Axis::ALL.map(|axis| ParameterId::Base { axis }).to_vec(),
             Self::Clock => vec![ParameterId::ClockShift],
             Self::Tracker(station) => {
                 Coordinate::ALL.map(|coordinate| ParameterId::Tracker { station, coordinate }).to_vec()

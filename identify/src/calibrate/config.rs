@@ -5,10 +5,10 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use shared::config::{BallBarConfig, Validate, Violation};
 
-use super::selection::terms::{Kind, TermGroup};
+use super::selection::terms::Kind;
 use crate::cost::AngleNoise;
-use crate::kinematics::{BAR_JOINTS, LinkParameter};
-use crate::model::{Model, ModelError, ParameterId, Role, Selection, THESIS_FIXED};
+use crate::kinematics::BAR_JOINTS;
+use crate::model::{Group, Model, ModelError, ParameterId, Role, Selection, THESIS_FIXED, TermGroup};
 use crate::prepare::PrepareOptions;
 use crate::solver::LossName;
 
@@ -224,19 +224,18 @@ impl IdentifyConfig {
         identifies: impl Fn(ParameterId) -> bool,
     ) -> Result<(), ModelError> {
         match self.selection.fixed() {
-            Some(selection) => model.select(selection, &identifies)?,
+            Some(selection) => model.select(selection, &identifies),
             None => self.select_identifiable(model, identifiable, &identifies)?,
         }
-        let zeros = model.parameters().iter().map(|parameter| parameter.id);
+        let zeros = model.ids().into_iter();
         let zeros: Vec<ParameterId> =
             zeros.filter(|id| matches!(id, ParameterId::EncoderOffset { .. }) && identifies(*id)).collect();
         model.set_roles(zeros, Role::Prior { value: 0.0, sigma: ZERO_SIGMA_RAD })?;
         let always = matches!(self.selection, SelectionName::Cell | SelectionName::AllIdentifiable);
         if always && self.encoder_harmonics_urad > 0.0 {
-            for id in ParameterId::harmonics().filter(|id| identifies(*id)) {
-                let sigma = self.sigma(TermGroup::EncoderHarmonics);
-                model.set_role(id, Role::Prior { value: 0.0, sigma })?;
-            }
+            let group = TermGroup::EncoderHarmonics;
+            let harmonics = ParameterId::all().filter(|id| id.term() == Some(group) && identifies(*id));
+            model.set_roles(harmonics, Role::Prior { value: 0.0, sigma: self.sigma(group) })?;
         }
         for (name, sigma) in &self.priors {
             let id: ParameterId = name.parse()?;
@@ -272,15 +271,11 @@ impl IdentifyConfig {
         if let Some(sigma) = self.priors.get(&name) {
             return Some(sigma / id.unit().display_factor());
         }
-        let made = match id {
-            ParameterId::Robot { parameter, .. } => parameter != LinkParameter::Beta,
-            ParameterId::Bar { parameter, .. } => parameter != LinkParameter::Theta,
-            _ => false,
-        };
-        match id {
-            ParameterId::BaseRotation(_) => Some(BASE_TILT_SIGMA_RAD),
-            _ if made && !THESIS_FIXED.contains(&name.as_str()) => Some(self.tolerance_mm_mrad * 1e-3),
-            _ => TermGroup::of(id).filter(|_| self.fix.contains(&name)).map(|group| self.sigma(group)),
+        match id.group() {
+            Group::Link if !THESIS_FIXED.contains(&name.as_str()) => Some(self.tolerance_mm_mrad * 1e-3),
+            Group::Term(group) if self.fix.contains(&name) => Some(self.sigma(group)),
+            _ if matches!(id, ParameterId::BaseRotation { .. }) => Some(BASE_TILT_SIGMA_RAD),
+            _ => None,
         }
     }
 }
@@ -304,10 +299,9 @@ impl IdentifyConfig {
         identifiable: &[ParameterId],
         identifies: impl Fn(ParameterId) -> bool,
     ) -> Result<(), ModelError> {
-        let all: Vec<ParameterId> = model.parameters().iter().map(|parameter| parameter.id).collect();
-        let clocks = [ParameterId::ClockShift, ParameterId::ClockSkew];
+        let all = model.ids();
         for id in all {
-            let free = identifiable.contains(&id) || clocks.contains(&id) && identifies(id);
+            let free = identifiable.contains(&id) || id.group() == Group::Clock && identifies(id);
             model.set_role(id, if free { self.geometry_role(model, id) } else { Role::Fixed })?;
         }
         Ok(())
@@ -315,11 +309,7 @@ impl IdentifyConfig {
 
     /// The links' numbers have tolerances; where the bar stands, how its encoders are mounted and the clocks are anywhere.
     fn geometry_role(&self, model: &Model, id: ParameterId) -> Role {
-        let made = match id {
-            ParameterId::Bar { parameter, .. } => parameter != LinkParameter::Theta,
-            ParameterId::Robot { .. } => true,
-            _ => false,
-        };
+        let made = id.group() == Group::Link;
         match model.parameter(id) {
             Some(parameter) if made && self.selection == SelectionName::Automatic => {
                 Role::Prior { value: parameter.nominal, sigma: self.tolerance_mm_mrad * 1e-3 }
@@ -336,7 +326,8 @@ impl IdentifyConfig {
 
     /// Harmonics of the bar's encoders that nobody has named.
     pub fn alike(&self) -> impl Iterator<Item = ParameterId> + '_ {
-        ParameterId::harmonics().filter(|id| !self.named().any(|named| named == *id))
+        let harmonics = ParameterId::all().filter(|id| id.term() == Some(TermGroup::EncoderHarmonics));
+        harmonics.filter(|id| !self.named().any(|named| named == *id))
     }
 
     /// Kinds of terms that are tried on top of the selection.
@@ -357,9 +348,10 @@ impl IdentifyConfig {
     /// [`Self::candidates`] with those of a model's parameters that its samples determine and nobody has freed or fixed by name.
     pub fn kinds(&self, model: &Model, identifies: impl Fn(ParameterId) -> bool) -> Vec<Kind> {
         let kind = |group: TermGroup| {
-            let open = model.parameters().iter().filter(|one| {
-                TermGroup::of(one.id) == Some(group) && one.role == Role::Fixed && identifies(one.id)
-            });
+            let open = model
+                .parameters()
+                .iter()
+                .filter(|one| one.id.term() == Some(group) && one.role == Role::Fixed && identifies(one.id));
             let ids = open.map(|one| one.id).filter(|id| !self.fix.contains(&id.to_string())).collect();
             let scales = group.scales().to_vec();
             Kind { group, name: group.name().into(), ids, sigma: self.sigma(group), scales }

@@ -246,7 +246,7 @@ fn laid_out<'w>(
         let asked = data.rows.iter().filter_map(|file| file.joint_waves).min();
         let last = asked.unwrap_or_else(|| waves_per_turn(measured, flange.links.len()));
         for run in &mut runs {
-            run.model = run.model.clone().with_joint_waves(ParameterId::joint_waves(last));
+            run.model = run.model.clone().with(ParameterId::joint_waves(last));
         }
         let known = |id: &ParameterId| runs.iter().any(|run| run.model.parameter(*id).is_some());
         let mut kinds = rows::kinds(last, |id| known(id) && !plan.fix.contains(id));
@@ -337,7 +337,7 @@ pub(crate) fn free_robot(
     sigma: f64,
 ) -> Result<(), ModelError> {
     let last = flange.links.len().saturating_sub(1);
-    let all: Vec<ParameterId> = model.parameters().iter().map(|parameter| parameter.id).collect();
+    let all = model.ids();
     let of_links = |id: &ParameterId| matches!(id, ParameterId::Robot { link, .. } if *link < last);
     model.set_roles(all.into_iter().filter(|id| of_links(id) || fix.contains(id)), Role::Fixed)?;
     free_links(model, &link_ids(flange), fix, sigma)

@@ -9,11 +9,10 @@ use super::change;
 use super::config::CostName;
 use super::rows::WAVES_PER_TURN_MAX;
 use super::selection::line_spectrum::LineSpectrum;
-use super::selection::terms::{Candidate, Kind, Offer, TermGroup, mean, prior_scale, select};
+use super::selection::terms::{Candidate, Kind, Offer, mean, prior_scale, select};
 use crate::cost::{CostError, DataSets, SharedColumns};
 use crate::instrument::Run;
-use crate::kinematics::LinkParameter;
-use crate::model::{Model, ModelError, Owner, Parameter, ParameterId, Phase, Role};
+use crate::model::{Group, Model, ModelError, Parameter, ParameterId, Phase, Role, TermGroup};
 use crate::solver::{
     Begin, Considered, Covariance, GoodShare, Loss, LossName, Normals, Options, Prior, Problem, Solution,
     Source, Summary, Watch, influence, minimise, minimise_robust, solve,
@@ -96,7 +95,7 @@ pub struct Solved {
 
 /// A term that is considered, under its prior.
 fn let_in(one: &Parameter, sigma: f64) -> Option<Role> {
-    TermGroup::of(one.id).map(|_| Role::Prior { value: one.value, sigma })
+    one.id.term().map(|_| Role::Prior { value: one.value, sigma })
 }
 
 /// What a residual of a solve is worth against priors, one standard deviation: `pose` is whitened by itself.
@@ -215,19 +214,9 @@ fn differ(runs: &[Run]) -> Vec<ParameterId> {
 /// What a data set has for itself: the robot is that of all and the bar that of all runs with one, but instruments are set up
 /// anew and encoders count from new zeros.
 fn is_own(id: ParameterId, differ: &[ParameterId]) -> bool {
-    match id {
-        ParameterId::Base(_) | ParameterId::BaseRotation(_) => true,
-        ParameterId::Harmonic { .. } | ParameterId::EncoderOffset { .. } | ParameterId::BarWave { .. } => {
-            true
-        }
-        ParameterId::Bar { parameter: LinkParameter::Theta, .. } => true,
-        // Another bar gives way by another amount.
-        ParameterId::ROD | ParameterId::BarCompliance | ParameterId::BarPlay => {
-            differ.contains(&ParameterId::ROD)
-        }
-        ParameterId::PLATE => differ.contains(&id),
-        id => !matches!(id.owner(), Owner::Robot | Owner::BallBar),
-    }
+    // Another bar gives way by another amount.
+    let length = if id.group() == Group::Force { ParameterId::ROD } else { id };
+    id.block().of_run || differ.contains(&length)
 }
 
 impl<'a> Solver<'a> {
@@ -502,7 +491,7 @@ impl<'a> Solver<'a> {
 
     /// What the errors of [`Role::Considered`] parameters do to the solution; none where there are none.
     fn considered(&self, columns: &SharedColumns, loss: Loss) -> Result<Option<Considered>, CalibrateError> {
-        let free = |one: &Parameter, _| TermGroup::of(one.id).is_none().then_some(Role::Free);
+        let free = |one: &Parameter, _| one.id.term().is_none().then_some(Role::Free);
         let models: Vec<Model> = self.runs.iter().map(|run| run.model.with_considered(free)).collect();
         let all = SharedColumns::new(&models, |id| is_own(id, &self.differ));
         let place = |name: &String| columns.names().iter().position(|other| other == name);
@@ -680,7 +669,7 @@ impl<'a> Solver<'a> {
         };
         found.retain(|id| !self.plan.fix.contains(id) && !is_asked_for(id));
         for run in &mut *self.runs {
-            run.model = run.model.clone().with_joint_waves(found.iter().copied());
+            run.model = run.model.clone().with(found.iter().copied());
         }
         Ok(found)
     }

@@ -44,7 +44,7 @@ impl Residual for SeatedBall<'_> {
     fn derivative(&self, scene: &Scene<'_>, (at, ball): &Self::Local, id: ParameterId, out: &mut [f64]) {
         let by = match (id, scene.movement(id)) {
             (_, Movement::Robot(twist)) => twist.linear + twist.angular.cross(ball),
-            (ParameterId::Ball(axis), _) => scene.robot.rotation() * unit(axis),
+            (ParameterId::Ball { axis }, _) => scene.robot.rotation() * unit(axis),
             (ParameterId::Socket { socket, axis }, _) if socket == *at => -unit(axis),
             _ => return,
         };

@@ -54,8 +54,8 @@ impl Scene<'_> {
                 self.robot.twist(link, parameter).map_or(Movement::None, Movement::Robot)
             }
             ParameterId::Bar { .. }
-            | ParameterId::Base(_)
-            | ParameterId::BaseRotation(_)
+            | ParameterId::Base { .. }
+            | ParameterId::BaseRotation { .. }
             | ParameterId::BarCompliance
             | ParameterId::BarPlay
             | ParameterId::BarWave { .. } => {
@@ -107,8 +107,8 @@ impl Scene<'_> {
     pub fn bar_twist(&self, bar: &Trace, id: ParameterId) -> Option<Twist> {
         match id {
             ParameterId::Bar { link, parameter } => bar.twist(link, parameter),
-            ParameterId::Base(axis) => Some(Twist::translation(unit(axis))),
-            ParameterId::BaseRotation(axis) => Some(self.base_rotation(axis, bar.position_m())),
+            ParameterId::Base { axis } => Some(Twist::translation(unit(axis))),
+            ParameterId::BaseRotation { axis } => Some(self.base_rotation(axis, bar.position_m())),
             ParameterId::BarCompliance | ParameterId::BarPlay | ParameterId::BarWave { .. } => {
                 bar.twist(ROD_LINK, LinkParameter::D).map(|twist| twist.scaled(self.elongation(id)))
             }

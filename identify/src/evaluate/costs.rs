@@ -64,7 +64,7 @@ pub fn compare_costs(
     let named = |id: &ParameterId| {
         matches!(id, ParameterId::Robot { .. }) && models.iter().any(|model| model.column_of(*id).is_some())
     };
-    let ids = calibration.model.parameters().iter().map(|parameter| parameter.id);
+    let ids = calibration.model.ids().into_iter();
     let ids: Vec<ParameterId> = ids.filter(named).collect();
     let figures =
         |model: &Model, solution: &Solution| figures(calibration, &ids, model, solution, joint_limits);

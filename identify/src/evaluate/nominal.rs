@@ -1,16 +1,11 @@
 //! The robot as its maker sold it, with everything around it at its best: what a calibration is compared with.
 
 use crate::cost::{LoopProblem, Position, Residual, Transform};
-use crate::model::{Geometry, Model, Observation, ParameterId, RobotMotion, Role};
+use crate::model::{Geometry, Model, Observation, Owner, ParameterId, RobotMotion};
 use crate::solver::{Options, minimise};
 
 /// A root mean square of this cost is compared: it changes by half of this part.
 const COST_TOLERANCE: f64 = 1e-6;
-
-/// The parameter describes the robot itself, not where the bar stands, how its encoders are zeroed or how clocks differ.
-fn of_robot(id: ParameterId) -> bool {
-    matches!(id, ParameterId::Robot { .. } | ParameterId::Joint { .. } | ParameterId::JointWave { .. })
-}
 
 /// The calibrated model with its robot put back to nominal, and the bar's place and encoder offsets fitted to that.
 ///
@@ -19,7 +14,7 @@ pub fn uncalibrated(model: &Model, motion: &impl RobotMotion, observations: &[Ob
     let mut nominal = model.clone();
     let all: Vec<_> = model.parameters().iter().map(|parameter| (parameter.id, parameter.nominal)).collect();
     for (id, value) in all {
-        if of_robot(id) {
+        if id.owner() == Owner::Robot {
             // The model has each of its own parameters.
             let _ = nominal.set_value(id, value);
         }
@@ -33,19 +28,16 @@ pub(super) fn bar_fitted(
     motion: &impl RobotMotion,
     observations: &[Observation],
 ) -> Geometry {
-    let all: Vec<_> = model.parameters().iter().map(|parameter| parameter.id).collect();
-    // The model has each of its own parameters.
-    let _ = model.set_roles(all.iter().copied(), Role::Fixed);
     let five = observations.iter().all(|observation| observation.measured == [true; 5]);
     let fitted = |id: ParameterId| match id {
-        ParameterId::Base(_) | ParameterId::BaseRotation(_) => true,
+        ParameterId::Base { .. } | ParameterId::BaseRotation { .. } => true,
         ParameterId::Bar { link, parameter } => {
             // The first offset is the bar's turn about z; those behind the sphere only matter with five encoders.
             parameter == crate::kinematics::LinkParameter::Theta && (five || link < 2)
         }
         _ => false,
     };
-    let _ = model.set_roles(all.into_iter().filter(|id| fitted(*id)), Role::Free);
+    model.free_only(fitted);
     let x = if five {
         fit(&model, motion, observations, Transform)
     } else {

@@ -97,12 +97,12 @@ fn examine_with<R: Residual>(
         let problem = LoopProblem::new(model, &poses.joints, &poses.observations, &residual, 1.0)?;
         Ok(identifiability(&problem, &model.start(), &options)?)
     };
-    free_only(&mut model, is_of_the_thesis)?;
+    model.free_only(is_of_the_thesis);
     let all = identified(&model)?;
-    free_only(&mut model, |id| is_of_the_thesis(id) || matches!(id, ParameterId::BaseRotation(_)))?;
+    model.free_only(|id| is_of_the_thesis(id) || matches!(id, ParameterId::BaseRotation { .. }));
     let tilted = identified(&model)?;
 
-    model.select(Selection::Thesis, R::identifies)?;
+    model.select(Selection::Thesis, R::identifies);
     let units: Vec<f64> = model.columns().map(|p| p.id.unit().display_factor().recip()).collect();
     let observability = identified(&model)?.observability(&units);
     let held = THESIS_FIXED.iter().map(|name| name.parse()).collect::<Result<Vec<ParameterId>, _>>()?;
@@ -114,17 +114,12 @@ fn examine_with<R: Residual>(
     Ok(Examination { cost, all, tilted, influence, observability })
 }
 
-fn free_only(model: &mut Model, free: impl Fn(ParameterId) -> bool) -> Result<(), ModelError> {
-    let ids: Vec<ParameterId> = model.parameters().iter().map(|parameter| parameter.id).collect();
-    ids.into_iter().try_for_each(|id| model.set_role(id, if free(id) { Role::Free } else { Role::Fixed }))
-}
-
 /// One of the 47: standard Denavit-Hartenberg parameters of both chains and the place of the base.
 fn is_of_the_thesis(id: ParameterId) -> bool {
     use crate::kinematics::LinkParameter::Beta;
     match id {
         ParameterId::Robot { parameter, .. } => parameter != Beta,
-        ParameterId::Bar { .. } | ParameterId::Base(_) => true,
+        ParameterId::Bar { .. } | ParameterId::Base { .. } => true,
         _ => false,
     }
 }

@@ -240,12 +240,11 @@ impl Measures for Contact {
             add(at, from_m);
         }
         let Some(found) = matrix.cholesky().map(|factor| factor.solve(&right)) else { return Ok(false) };
-        for (id, value) in ParameterId::contact(self.sockets.names().len()).zip(found.iter()) {
-            if fix.contains(&id) {
-                continue;
-            }
+        let own = model.ids().into_iter().filter(|id| id.owner() == Owner::Contact);
+        let placed: Vec<(ParameterId, &f64)> = own.zip(found.iter()).collect();
+        for (id, value) in placed.into_iter().filter(|(id, _)| !fix.contains(id)) {
             let role = match id {
-                ParameterId::Ball(_) => Role::Prior { value: 0.0, sigma: BALL_SIGMA_M },
+                ParameterId::Ball { .. } => Role::Prior { value: 0.0, sigma: BALL_SIGMA_M },
                 _ => Role::Free,
             };
             model.set_value(id, *value)?;

@@ -9,7 +9,7 @@ use crate::cost::{CostError, DataSet, LoopProblem, MeasuredPose, MeasuredPositio
 use crate::kinematics::{Joints, Pose, rotation_vector};
 use crate::logs::{self, PoseUncertainty};
 use crate::model::{
-    Clock, Coordinate, Geometry, JointState, Model, ModelError, Observation, Owner, ParameterId,
+    Clock, Coordinate, Geometry, Group, JointState, Model, ModelError, Observation, Owner, ParameterId,
     PerObservation, Placement, RobotMotion, Role, SetUp,
 };
 use crate::prepare::{Moving, PROBE_SIGMA_M, Sighted, all_placements};
@@ -202,7 +202,8 @@ impl Measures for Tracker {
                 model.set_role(id, if fix.contains(&id) { Role::Fixed } else { Role::Free })?;
             }
         }
-        for id in ParameterId::tracker(geometry.tracker.places.len(), geometry.tracker.probes.len()) {
+        let all = model.ids();
+        for id in all {
             let (placement, coordinate, role) = match id {
                 ParameterId::Tracker { station, coordinate } => {
                     (found.places.get(&station), coordinate, Role::Free)
@@ -245,9 +246,8 @@ impl Measures for Tracker {
     }
 
     fn identifies(&self, id: ParameterId) -> bool {
-        let of_clock = matches!(id, ParameterId::ClockShift | ParameterId::ClockSkew);
         let sees = if self.poses.is_some() { MeasuredPose::sees(id) } else { MeasuredPosition::sees(id) };
-        sees && (self.moving.is_some() || !of_clock)
+        sees && (self.moving.is_some() || id.group() != Group::Clock)
     }
 
     /// Standard deviations of a coordinate and of an angle that are behind errors which are mostly normal; the median one of a

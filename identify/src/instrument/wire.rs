@@ -11,8 +11,8 @@ use crate::cost::{CostError, DataSet, LoopProblem, MeasuredLength, Residual};
 use crate::kinematics::Joints;
 use crate::logs;
 use crate::model::{
-    Axis, Clock, Geometry, JointState, Model, ModelError, Observation, Owner, ParameterId, PerObservation,
-    Role, SetUp,
+    Axis, Clock, Geometry, Group, JointState, Model, ModelError, Observation, Owner, ParameterId,
+    PerObservation, Role, SetUp,
 };
 
 /// One pose and its length.
@@ -192,8 +192,7 @@ impl Measures for Wire {
     }
 
     fn identifies(&self, id: ParameterId) -> bool {
-        let of_clock = matches!(id, ParameterId::ClockShift | ParameterId::ClockSkew);
-        MeasuredLength::sees(id) && !of_clock
+        MeasuredLength::sees(id) && id.group() != Group::Clock
     }
 
     /// Which row is worth more than the median one; what that is worth is left to who solves: residuals stay in metres.

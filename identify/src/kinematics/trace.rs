@@ -77,7 +77,7 @@ impl Turn {
 }
 
 /// The five numbers of a link; its joint moves the end as `theta` does, or `d` where it is prismatic.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum LinkParameter {
     /// Length along x.
     A,
@@ -89,6 +89,24 @@ pub enum LinkParameter {
     Theta,
     /// Hayati's rotation about y.
     Beta,
+}
+
+impl LinkParameter {
+    /// All five.
+    pub const ALL: [Self; 5] = [Self::A, Self::D, Self::Alpha, Self::Theta, Self::Beta];
+    /// Those of the standard convention, in the order of the thesis' tables.
+    pub const STANDARD: [Self; 4] = [Self::A, Self::D, Self::Alpha, Self::Theta];
+
+    /// `a`, `d`, `alpha`, `theta` or `beta`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::A => "a",
+            Self::D => "d",
+            Self::Alpha => "alpha",
+            Self::Theta => "theta",
+            Self::Beta => "beta",
+        }
+    }
 }
 
 /// What a forward pass met at one link, in root coordinates.

@@ -3,10 +3,10 @@
 use nalgebra::{Rotation3, Translation3, Vector3};
 
 use super::{
-    Axis, BarForce, BarWaves, DriveTrain, Harmonics, JointErrors, JointState, JointWaves, ParameterId,
-    RobotMotion, SetUp, Tracker,
+    BarForce, BarWaves, DriveTrain, Harmonics, JointErrors, JointState, JointWaves, RobotMotion, SetUp,
+    Tracker,
 };
-use crate::kinematics::{BAR_JOINTS, Chain, DhLink, LinkParameter, Pose, Turn};
+use crate::kinematics::{BAR_JOINTS, Chain, DhLink, Pose, Turn};
 
 /// The joints of a robot that moves.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -130,16 +130,6 @@ pub struct Geometry {
     pub contact: Contact,
 }
 
-fn field(link: &mut DhLink, parameter: LinkParameter) -> &mut f64 {
-    match parameter {
-        LinkParameter::A => &mut link.a_m,
-        LinkParameter::D => &mut link.d_m,
-        LinkParameter::Alpha => &mut link.alpha_rad,
-        LinkParameter::Theta => &mut link.theta_rad,
-        LinkParameter::Beta => &mut link.beta_rad,
-    }
-}
-
 impl Geometry {
     /// A robot alone, everything else at zero.
     pub fn new(robot: Chain, bar: Option<&Chain>) -> Self {
@@ -197,6 +187,15 @@ impl Geometry {
             .unwrap_or_default()
     }
 
+    /// The same of one encoder, in an origin from 1 on.
+    pub(super) fn offset_of_origin_mut(&mut self, origin: usize, joint: usize) -> Option<&mut f64> {
+        let index = origin.checked_sub(1)?;
+        if self.origin_offsets_rad.len() <= index {
+            self.origin_offsets_rad.resize(index + 1, [0.0; BAR_JOINTS]);
+        }
+        self.origin_offsets_rad.get_mut(index)?.get_mut(joint)
+    }
+
     /// How much longer the ball-bar is under a force and in the direction of these readings \[m\].
     #[inline]
     pub fn extension_m(&self, force: &BarForce, readings: &[Turn; BAR_JOINTS]) -> f64 {
@@ -206,51 +205,5 @@ impl Geometry {
     /// The ball-bar on its base, without any force on it.
     pub fn bar(&self) -> Chain {
         Chain::new(self.base.pose(), self.bar_links.clone())
-    }
-
-    /// The number that a parameter names; none for a link that is not there.
-    pub fn parameter_mut(&mut self, id: ParameterId) -> Option<&mut f64> {
-        match id {
-            ParameterId::Robot { link, parameter } => {
-                self.robot.links.get_mut(link).map(|link| field(link, parameter))
-            }
-            ParameterId::Bar { link, parameter } => {
-                self.bar_links.get_mut(link).map(|link| field(link, parameter))
-            }
-            ParameterId::Base(axis) => self.base.origin_m.get_mut(axis.index()),
-            ParameterId::BaseRotation(Axis::X) => Some(&mut self.base.rx_rad),
-            ParameterId::BaseRotation(Axis::Y) => Some(&mut self.base.ry_rad),
-            // About z it would be btheta1 a second time.
-            ParameterId::BaseRotation(Axis::Z) => None,
-            ParameterId::BarCompliance => Some(&mut self.elongation.compliance_m_per_n),
-            ParameterId::BarPlay => Some(&mut self.elongation.play_m),
-            ParameterId::BarWave { joint, order, phase } => self.bar_waves.amplitude_mut(joint, order, phase),
-            ParameterId::Harmonic { joint, harmonic } => self.harmonics.amplitude_mut(joint, harmonic),
-            ParameterId::EncoderOffset { origin, joint } => {
-                self.origin_offsets_rad.get_mut(origin.checked_sub(1)?)?.get_mut(joint)
-            }
-            ParameterId::Joint { axis, term } => self.joints.amplitude_mut(axis, term),
-            ParameterId::JointWave { axis, .. } if !self.joints.drives.turns(axis) => None,
-            ParameterId::JointWave { axis, order, phase } => self.waves.amplitude_mut(axis, order, phase),
-            ParameterId::ClockShift => Some(&mut self.clock.shift_s),
-            ParameterId::ClockSkew => Some(&mut self.clock.skew),
-            ParameterId::Attachment { target, axis } => {
-                self.wire.attachments_m.get_mut(target)?.get_mut(axis.index())
-            }
-            ParameterId::Anchor { station, axis } => {
-                self.wire.anchors_m.get_mut(station)?.get_mut(axis.index())
-            }
-            ParameterId::LengthOffset => Some(&mut self.wire.offset_m),
-            ParameterId::Tracker { station, coordinate } => {
-                Some(self.tracker.places.get_mut(station)?.coordinate_mut(coordinate))
-            }
-            ParameterId::Probe { target, coordinate } => {
-                Some(self.tracker.probes.get_mut(target)?.coordinate_mut(coordinate))
-            }
-            ParameterId::Ball(axis) => self.contact.ball_m.get_mut(axis.index()),
-            ParameterId::Socket { socket, axis } => {
-                self.contact.sockets_m.get_mut(socket)?.get_mut(axis.index())
-            }
-        }
     }
 }

@@ -5,7 +5,7 @@ use std::fmt;
 use crate::kinematics::{BAR_JOINTS, Turn};
 
 /// One wave of an encoder's error over its reading `b`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Harmonic {
     /// `sin b`: with `cos b` an eccentric grating.
     Sine1,

@@ -1,6 +1,9 @@
 //! What a robot's joint angle is wrong by, as far as it repeats with the motion.
 
+use std::cmp::Ordering;
 use std::fmt;
+
+use super::{TermGroup, Unit};
 
 /// How often a wave comes back while a drive's output makes one turn.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -107,6 +110,32 @@ impl JointTerm {
         matches!(self, Self::Sine(period) | Self::Cosine(period) if matches!(period, Period::JointOnce | Period::JointTwice))
     }
 
+    /// The kind of error that it is a part of.
+    pub const fn group(self) -> TermGroup {
+        match self {
+            Self::Sine(period) | Self::Cosine(period) => match period {
+                Period::Once => TermGroup::GearOnce,
+                Period::Twice => TermGroup::GearTwice,
+                Period::Cycloid => TermGroup::Cycloid,
+                Period::Motor => TermGroup::Motor,
+                Period::JointOnce | Period::JointTwice => TermGroup::Joint,
+            },
+            Self::Backlash => TermGroup::Backlash,
+            Self::Ratio => TermGroup::Ratio,
+            Self::Delay => TermGroup::Delay,
+            Self::Compliance(_) => TermGroup::Compliance,
+        }
+    }
+
+    pub(super) const fn unit(self) -> Unit {
+        match self {
+            Self::Ratio => Unit::Ratio,
+            Self::Delay => Unit::Second,
+            Self::Compliance(_) => Unit::RadianPerMetre,
+            Self::Sine(_) | Self::Cosine(_) | Self::Backlash => Unit::Radian,
+        }
+    }
+
     /// Place in [`Self::ALL`].
     pub(super) const fn index(self) -> usize {
         match self {
@@ -117,6 +146,18 @@ impl JointTerm {
             Self::Delay => 14,
             Self::Compliance(load) => 15 + load as usize,
         }
+    }
+}
+
+impl Ord for JointTerm {
+    fn cmp(&self, other: &Self) -> Ordering {
+        self.index().cmp(&other.index())
+    }
+}
+
+impl PartialOrd for JointTerm {
+    fn partial_cmp(&self, other: &Self) -> Option<Ordering> {
+        Some(self.cmp(other))
     }
 }
 

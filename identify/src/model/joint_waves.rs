@@ -12,7 +12,7 @@ use super::{DriveTrain, JointState};
 use crate::kinematics::AXES_MAX;
 
 /// Which part of a wave.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Phase {
     /// Of the sine.
     Sine,

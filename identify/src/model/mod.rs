@@ -12,6 +12,7 @@ mod observation;
 mod parameter;
 mod roles;
 mod selection;
+mod term_group;
 mod tracker;
 
 pub use bar_waves::BarWaves;
@@ -21,7 +22,8 @@ pub use joint_errors::{BACKLASH_SPEED_RAD_S, DriveTrain, JointErrors};
 pub use joint_term::{JointTerm, Load, Period};
 pub use joint_waves::{JointWaves, Phase};
 pub use observation::{BarForce, JointState, Observation, PerObservation, RobotMotion};
-pub use parameter::{Axis, Owner, ParameterId, Unit, further, link_parameter_name};
+pub use parameter::{Axis, Group, Owner, ParameterBlock, ParameterId, Unit, further};
 pub use roles::{Model, ModelError, Parameter, Role};
 pub use selection::{Selection, THESIS_FIXED};
+pub use term_group::TermGroup;
 pub use tracker::{Coordinate, Placement, SetUp, Tracker};

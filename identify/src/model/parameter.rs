@@ -1,13 +1,17 @@
-//! Names and units of parameters.
+//! All parameters, in blocks: one row says what a block is called, whose it is, what kind of number, and where it stands.
+//!
+//! A new term or instrument is a new row here, and what moves with it where residuals are ([`crate::cost`]).
 
+use std::collections::HashMap;
 use std::fmt;
 use std::str::FromStr;
+use std::sync::LazyLock;
 
-use super::{BarWaves, Coordinate, Harmonic, JointTerm, JointWaves, ModelError, Phase};
-use crate::kinematics::{AXES_MAX, BAR_JOINTS, LinkParameter, ROD_LINK};
+use super::{BarWaves, Coordinate, Geometry, Harmonic, JointTerm, JointWaves, ModelError, Phase, TermGroup};
+use crate::kinematics::{AXES_MAX, BAR_JOINTS, DhLink, LinkParameter, ROD_LINK};
 
 /// A coordinate axis of the root frame or of the flange.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Axis {
     /// x
     X,
@@ -35,118 +39,6 @@ impl Axis {
     }
 }
 
-/// One parameter of the closed chain. Links count from 0 here, from 1 in names.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum ParameterId {
-    /// Of the robot's link: `ra1`, `rd1`, `ralpha1`, `rtheta1`, `rbeta2`.
-    Robot {
-        /// Link from 0.
-        link: usize,
-        /// Which of its numbers.
-        parameter: LinkParameter,
-    },
-    /// Of the ball-bar's link: `ba1`, `bd1`, `balpha1`, `btheta1`.
-    Bar {
-        /// Link from 0.
-        link: usize,
-        /// Which of its numbers.
-        parameter: LinkParameter,
-    },
-    /// Place of the bar's base: `ox`, `oy`, `oz`.
-    Base(Axis),
-    /// Rotation of the bar's base about x, then y: `orx`, `ory`.
-    BaseRotation(Axis),
-    /// How much longer the bar is for each newton along it: `bcompliance`.
-    BarCompliance,
-    /// How much longer it is on one side of its play than in the middle, by the sign of the force: `bplay`.
-    BarPlay,
-    /// How much longer the bar is in some directions, a whole number of times per turn of its first two joints: `bdsin2_1`
-    /// (sine of twice joint 1's reading) .. `bdcos3_2`.
-    BarWave {
-        /// Joint from 0.
-        joint: usize,
-        /// Waves per turn.
-        order: u8,
-        /// Sine or cosine.
-        phase: Phase,
-    },
-    /// Error of a bar encoder that repeats with its turns: `bsin1_1` (sine of once joint 1's reading) .. `bcos2_5`.
-    Harmonic {
-        /// Joint from 0.
-        joint: usize,
-        /// Which wave.
-        harmonic: Harmonic,
-    },
-    /// What is added to a bar encoder's angle after its counter lost its origin during the run, beside `btheta`: `boffset1_2`
-    /// (encoder 2 after the first loss).
-    EncoderOffset {
-        /// Which origin, from 1: 0 is that of `btheta`.
-        origin: usize,
-        /// Joint from 0.
-        joint: usize,
-    },
-    /// Error of a robot axis that repeats with its motion: `rsin1_1` (sine of once drive 1's angle) .. `rtool_5`.
-    Joint {
-        /// Axis from 0.
-        axis: usize,
-        /// Which term.
-        term: JointTerm,
-    },
-    /// Error of a robot axis that comes back a whole number of times per turn, more than twice: `rsin17_1` (sine of 17
-    /// times drive 1's angle).
-    JointWave {
-        /// Axis from 0.
-        axis: usize,
-        /// Waves per turn.
-        order: u8,
-        /// Sine or cosine.
-        phase: Phase,
-    },
-    /// Robot clock minus bar clock at the reference time.
-    ClockShift,
-    /// How much faster the robot's clock runs.
-    ClockSkew,
-    /// Where a wire or telescoping bar is attached, in the flange frame: `attachment_x` ..., in the second place `attachment2_x`
-    Attachment {
-        /// Place on the flange from 0.
-        target: usize,
-        /// Which coordinate.
-        axis: Axis,
-    },
-    /// Where it is anchored, in the robot's base: `anchor_x` ..., in the second place `anchor2_x`
-    Anchor {
-        /// Place in the cell from 0.
-        station: usize,
-        /// Which coordinate.
-        axis: Axis,
-    },
-    /// Added to the distance to give the measured length.
-    LengthOffset,
-    /// Where a tracker stands, in the robot's base: `tracker_x` .. `tracker_rz`, in its second station `tracker2_x` ...
-    Tracker {
-        /// Station from 0.
-        station: usize,
-        /// Which of its numbers.
-        coordinate: Coordinate,
-    },
-    /// Where what the tracker sees is, in the flange frame: `probe_x` .. `probe_rz`, the second target `probe2_x` ...
-    Probe {
-        /// Target from 0.
-        target: usize,
-        /// Which of its numbers.
-        coordinate: Coordinate,
-    },
-    /// Centre of a ball that is seated in sockets, in the flange frame: `ball_x` ...
-    Ball(Axis),
-    /// Where the ball's centre is when it is seated in a socket, in the robot's base: `socket1_x` ...
-    Socket {
-        /// Socket from 0, at most [`ParameterId::SOCKETS_MAX`] of them.
-        socket: usize,
-        /// Which coordinate.
-        axis: Axis,
-    },
-}
-
 /// What a parameter belongs to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Owner {
@@ -162,6 +54,23 @@ pub enum Owner {
     Tracker,
     /// A ball and its sockets.
     Contact,
+}
+
+/// What kind of number a parameter is, from which follows what is known of it before anything is measured.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Group {
+    /// Of a link as it was made, within a tolerance.
+    Link,
+    /// A second way to say what another number says: opted into by name, in place of that.
+    InPlaceOfAnother,
+    /// Where something stands, how it is mounted or what it counts from: anywhere.
+    Placement,
+    /// Of a clock.
+    Clock,
+    /// What a force does.
+    Force,
+    /// An error that is there or not.
+    Term(TermGroup),
 }
 
 /// What a parameter is measured in, and how people read it.
@@ -224,22 +133,310 @@ impl Unit {
     }
 }
 
-/// `a`, `d`, `alpha`, `theta` or `beta`.
-pub const fn link_parameter_name(parameter: LinkParameter) -> &'static str {
-    match parameter {
-        LinkParameter::A => "a",
-        LinkParameter::D => "d",
-        LinkParameter::Alpha => "alpha",
-        LinkParameter::Theta => "theta",
-        LinkParameter::Beta => "beta",
+/// What the parameters of a block have in common.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct ParameterBlock {
+    /// Whose they are.
+    pub owner: Owner,
+    /// What kind of number.
+    pub group: Group,
+    /// SI unit and display unit.
+    pub unit: Unit,
+    /// Another number in every run: set up anew, or counted from a new zero.
+    pub of_run: bool,
+    /// A model has them where they are asked for; all others where its geometry has them.
+    pub on_request: bool,
+}
+
+impl ParameterBlock {
+    const fn new(owner: Owner, group: Group, unit: Unit) -> Self {
+        let of_run = !matches!(owner, Owner::Robot | Owner::BallBar);
+        Self { owner, group, unit, of_run, on_request: false }
+    }
+
+    const fn of_run(self) -> Self {
+        Self { of_run: true, ..self }
+    }
+
+    const fn on_request(self) -> Self {
+        Self { on_request: true, ..self }
+    }
+
+    const fn of_link(owner: Owner, parameter: LinkParameter) -> Self {
+        match parameter {
+            LinkParameter::A | LinkParameter::D => Self::new(owner, Group::Link, Unit::Metre),
+            LinkParameter::Alpha | LinkParameter::Theta => Self::new(owner, Group::Link, Unit::Radian),
+            LinkParameter::Beta => Self::new(owner, Group::InPlaceOfAnother, Unit::Radian),
+        }
+    }
+
+    const fn placed(owner: Owner, coordinate: Coordinate) -> Self {
+        match coordinate {
+            Coordinate::Position(_) => Self::new(owner, Group::Placement, Unit::Metre),
+            Coordinate::Rotation(_) => Self::new(owner, Group::Placement, Unit::Radian),
+        }
     }
 }
 
-impl ParameterId {
-    /// The standard numbers of a link, in the order of the thesis' tables.
-    pub(super) const STANDARD: [LinkParameter; 4] =
-        [LinkParameter::A, LinkParameter::D, LinkParameter::Alpha, LinkParameter::Theta];
+/// One row for each block: its numbers and their ranges, name, what it has in common, where the number stands.
+macro_rules! parameters {
+    ($(
+        $(#[$doc:meta])*
+        $block:ident $({ $( $(#[$field_doc:meta])* $field:ident: $type:ty = $values:expr, )* })?
+            called $name:expr,
+            is $common:expr,
+            at |$geometry:ident| $number:expr;
+    )*) => {
+        /// One parameter, in the order of reports. Links, axes and all else count from 0 here, from 1 in names.
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        pub enum ParameterId {
+            $( $(#[$doc])* $block $({ $( $(#[$field_doc])* $field: $type, )* })?, )*
+        }
 
+        impl ParameterId {
+            fn name(self) -> String {
+                match self { $( Self::$block { $($($field),*)? } => $name.to_string(), )* }
+            }
+
+            /// What it has in common with others.
+            #[allow(unused_variables, reason = "most blocks have all in common")]
+            pub const fn block(self) -> ParameterBlock {
+                match self { $( Self::$block { $($($field),*)? } => $common, )* }
+            }
+
+            /// Every parameter that has a name.
+            pub fn all() -> impl Iterator<Item = Self> {
+                let mut all = Vec::new();
+                $( parameters!(each all $block [] $($( $field = $values; )*)?); )*
+                all.into_iter()
+            }
+        }
+
+        impl Geometry {
+            /// The number that a parameter names; none for a link, a joint or a station that is not there.
+            pub fn parameter_mut(&mut self, id: ParameterId) -> Option<&mut f64> {
+                match id { $( ParameterId::$block { $($($field),*)? } => { let $geometry = self; $number } )* }
+            }
+        }
+    };
+    (each $all:ident $block:ident [$($field:ident)*]) => { $all.push(Self::$block { $($field),* }) };
+    (each $all:ident $block:ident [$($done:ident)*] $field:ident = $values:expr; $($rest:tt)*) => {
+        for $field in $values { parameters!(each $all $block [$($done)* $field] $($rest)*); }
+    };
+}
+
+parameters! {
+    /// Of the robot's link: `ra1`, `rd1`, `ralpha1`, `rtheta1`, `rbeta2`.
+    Robot {
+        /// Link.
+        link: usize = 0..AXES_MAX,
+        /// Which of its numbers.
+        parameter: LinkParameter = LinkParameter::ALL,
+    }
+        called format!("r{}{}", parameter.name(), link + 1),
+        is ParameterBlock::of_link(Owner::Robot, parameter),
+        at |geometry| geometry.robot.links.get_mut(link).map(|link| of_link(link, parameter));
+
+    /// Error of a robot axis that repeats with its motion: `rsin1_1` (sine of once drive 1's angle) .. `rtool_5`.
+    Joint {
+        /// Axis.
+        axis: usize = 0..AXES_MAX,
+        /// Which term.
+        term: JointTerm = JointTerm::ALL,
+    }
+        called format_args!("r{term}_{}", axis + 1),
+        is ParameterBlock::new(Owner::Robot, Group::Term(term.group()), term.unit()),
+        at |geometry| geometry.joints.amplitude_mut(axis, term);
+
+    /// Error of a robot axis that comes back a whole number of times per turn, more than twice: `rsin17_1` (sine of 17
+    /// times drive 1's angle).
+    JointWave {
+        /// Axis.
+        axis: usize = 0..AXES_MAX,
+        /// Waves per turn.
+        order: u8 = JointWaves::FIRST..=JointWaves::LAST,
+        /// Sine or cosine.
+        phase: Phase = Phase::ALL,
+    }
+        called format_args!("r{phase}{order}_{}", axis + 1),
+        is ParameterBlock::new(Owner::Robot, Group::Term(TermGroup::LineSpectrum), Unit::Radian).on_request(),
+        at |geometry| if geometry.joints.drives.turns(axis) {
+            geometry.waves.amplitude_mut(axis, order, phase)
+        } else {
+            None
+        };
+
+    /// Of the ball-bar's link: `ba1`, `bd1`, `balpha1`, `btheta1`; the last is the zero of its encoder.
+    Bar {
+        /// Link.
+        link: usize = 0..BAR_JOINTS,
+        /// Which of its numbers.
+        parameter: LinkParameter = LinkParameter::STANDARD,
+    }
+        called format!("b{}{}", parameter.name(), link + 1),
+        is match parameter {
+            LinkParameter::Theta => {
+                ParameterBlock::new(Owner::BallBar, Group::Placement, Unit::Radian).of_run()
+            }
+            _ => ParameterBlock::of_link(Owner::BallBar, parameter),
+        },
+        at |geometry| geometry.bar_links.get_mut(link).map(|link| of_link(link, parameter));
+
+    /// Place of the bar's base: `ox`, `oy`, `oz`.
+    Base {
+        /// Which coordinate.
+        axis: Axis = Axis::ALL,
+    }
+        called format_args!("o{}", axis.letter()),
+        is ParameterBlock::new(Owner::BallBar, Group::Placement, Unit::Metre).of_run(),
+        at |geometry| geometry.base.origin_m.get_mut(axis.index());
+
+    /// Rotation of the bar's base about x, then y: `orx`, `ory`. About z it would be `btheta1` a second time.
+    BaseRotation {
+        /// About which axis.
+        axis: Axis = [Axis::X, Axis::Y],
+    }
+        called format_args!("or{}", axis.letter()),
+        is ParameterBlock::new(Owner::BallBar, Group::Placement, Unit::Radian).of_run(),
+        at |geometry| match axis {
+            Axis::X => Some(&mut geometry.base.rx_rad),
+            Axis::Y => Some(&mut geometry.base.ry_rad),
+            Axis::Z => None,
+        };
+
+    /// Error of a bar encoder that repeats with its turns: `bsin1_1` (sine of once joint 1's reading) .. `bcos2_5`.
+    Harmonic {
+        /// Joint.
+        joint: usize = 0..BAR_JOINTS,
+        /// Which wave.
+        harmonic: Harmonic = Harmonic::ALL,
+    }
+        called format_args!("b{harmonic}_{}", joint + 1),
+        is ParameterBlock::new(Owner::BallBar, Group::Term(TermGroup::EncoderHarmonics), Unit::Radian).of_run(),
+        at |geometry| geometry.harmonics.amplitude_mut(joint, harmonic);
+
+    /// What is added to a bar encoder's angle after its counter lost its origin during the run, beside `btheta`: `boffset1_2`
+    /// (encoder 2 after the first loss).
+    EncoderOffset {
+        /// Which origin, from 1: 0 is that of `btheta`.
+        origin: usize = 1..=ParameterId::LAST_ORIGIN,
+        /// Joint.
+        joint: usize = 0..BAR_JOINTS,
+    }
+        called format_args!("boffset{origin}_{}", joint + 1),
+        is ParameterBlock::new(Owner::BallBar, Group::Placement, Unit::Radian).of_run().on_request(),
+        at |geometry| geometry.offset_of_origin_mut(origin, joint);
+
+    /// How much longer the bar is for each newton along it: `bcompliance`.
+    BarCompliance
+        called "bcompliance",
+        is ParameterBlock::new(Owner::BallBar, Group::Force, Unit::MetrePerNewton),
+        at |geometry| Some(&mut geometry.elongation.compliance_m_per_n);
+
+    /// How much longer it is on one side of its play than in the middle, by the sign of the force: `bplay`.
+    BarPlay
+        called "bplay",
+        is ParameterBlock::new(Owner::BallBar, Group::Force, Unit::Metre),
+        at |geometry| Some(&mut geometry.elongation.play_m);
+
+    /// How much longer the bar is in some directions, a whole number of times per turn of its first two joints: `bdsin2_1`
+    /// (sine of twice joint 1's reading) .. `bdcos3_2`.
+    BarWave {
+        /// Joint.
+        joint: usize = 0..BarWaves::JOINTS,
+        /// Waves per turn.
+        order: u8 = BarWaves::FIRST..=BarWaves::LAST,
+        /// Sine or cosine.
+        phase: Phase = Phase::ALL,
+    }
+        called format_args!("bd{phase}{order}_{}", joint + 1),
+        is ParameterBlock::new(Owner::BallBar, Group::Term(TermGroup::BarLength), Unit::Metre).of_run(),
+        at |geometry| geometry.bar_waves.amplitude_mut(joint, order, phase);
+
+    /// Where a wire or telescoping bar is attached, in the flange frame: `attachment_x` ..., in the second place `attachment2_x`
+    Attachment {
+        /// Place on the flange.
+        target: usize = 0..ParameterId::SET_UPS_MAX,
+        /// Which coordinate.
+        axis: Axis = Axis::ALL,
+    }
+        called format_args!("attachment{}_{}", further(target), axis.letter()),
+        is ParameterBlock::new(Owner::Wire, Group::Placement, Unit::Metre),
+        at |geometry| geometry.wire.attachments_m.get_mut(target)?.get_mut(axis.index());
+
+    /// Where it is anchored, in the robot's base: `anchor_x` ..., in the second place `anchor2_x`
+    Anchor {
+        /// Place in the cell.
+        station: usize = 0..ParameterId::SET_UPS_MAX,
+        /// Which coordinate.
+        axis: Axis = Axis::ALL,
+    }
+        called format_args!("anchor{}_{}", further(station), axis.letter()),
+        is ParameterBlock::new(Owner::Wire, Group::Placement, Unit::Metre),
+        at |geometry| geometry.wire.anchors_m.get_mut(station)?.get_mut(axis.index());
+
+    /// Added to the distance to give the measured length.
+    LengthOffset
+        called "length_offset",
+        is ParameterBlock::new(Owner::Wire, Group::Placement, Unit::Metre),
+        at |geometry| Some(&mut geometry.wire.offset_m);
+
+    /// Where a tracker stands, in the robot's base: `tracker_x` .. `tracker_rz`, in its second station `tracker2_x` ...
+    Tracker {
+        /// Station.
+        station: usize = 0..ParameterId::SET_UPS_MAX,
+        /// Which of its numbers.
+        coordinate: Coordinate = Coordinate::ALL,
+    }
+        called format_args!("tracker{}_{coordinate}", further(station)),
+        is ParameterBlock::placed(Owner::Tracker, coordinate),
+        at |geometry| Some(geometry.tracker.places.get_mut(station)?.coordinate_mut(coordinate));
+
+    /// Where what the tracker sees is, in the flange frame: `probe_x` .. `probe_rz`, the second target `probe2_x` ...
+    Probe {
+        /// Target.
+        target: usize = 0..ParameterId::SET_UPS_MAX,
+        /// Which of its numbers.
+        coordinate: Coordinate = Coordinate::ALL,
+    }
+        called format_args!("probe{}_{coordinate}", further(target)),
+        is ParameterBlock::placed(Owner::Tracker, coordinate),
+        at |geometry| Some(geometry.tracker.probes.get_mut(target)?.coordinate_mut(coordinate));
+
+    /// Centre of a ball that is seated in sockets, in the flange frame: `ball_x` ...
+    Ball {
+        /// Which coordinate.
+        axis: Axis = Axis::ALL,
+    }
+        called format_args!("ball_{}", axis.letter()),
+        is ParameterBlock::new(Owner::Contact, Group::Placement, Unit::Metre),
+        at |geometry| geometry.contact.ball_m.get_mut(axis.index());
+
+    /// Where the ball's centre is when it is seated in a socket, in the robot's base: `socket1_x` ...
+    Socket {
+        /// Socket.
+        socket: usize = 0..ParameterId::SOCKETS_MAX,
+        /// Which coordinate.
+        axis: Axis = Axis::ALL,
+    }
+        called format_args!("socket{}_{}", socket + 1, axis.letter()),
+        is ParameterBlock::new(Owner::Contact, Group::Placement, Unit::Metre),
+        at |geometry| geometry.contact.sockets_m.get_mut(socket)?.get_mut(axis.index());
+
+    /// Robot clock minus bar clock at the reference time.
+    ClockShift
+        called "clock_shift",
+        is ParameterBlock::new(Owner::Clocks, Group::Clock, Unit::Second),
+        at |geometry| Some(&mut geometry.clock.shift_s);
+
+    /// How much faster the robot's clock runs.
+    ClockSkew
+        called "clock_skew",
+        is ParameterBlock::new(Owner::Clocks, Group::Clock, Unit::Ratio),
+        at |geometry| Some(&mut geometry.clock.skew);
+}
+
+impl ParameterId {
     /// Sockets that have parameters.
     pub const SOCKETS_MAX: usize = 99;
     /// Stations of a tracker or anchors of a wire, and targets on a flange, that have parameters.
@@ -248,15 +445,33 @@ impl ParameterId {
     pub const LAST_ORIGIN: usize = 99;
     /// Length of the ball-bar: `bd3`.
     pub const ROD: Self = Self::Bar { link: ROD_LINK, parameter: LinkParameter::D };
-
+    /// Offset plate between axis 6 of the robot and axis 5 of the ball-bar: `ra6`.
+    pub const PLATE: Self = Self::Robot { link: 5, parameter: LinkParameter::A };
     /// Lengths that are measured apart from the robot, each with its own uncertainty.
     pub const KNOWN_LENGTHS: [Self; 2] = [Self::PLATE, Self::ROD];
 
-    /// Offset plate between axis 6 of the robot and axis 5 of the ball-bar: `ra6`.
-    pub const PLATE: Self = Self::Robot { link: 5, parameter: LinkParameter::A };
+    /// What it belongs to.
+    pub const fn owner(self) -> Owner {
+        self.block().owner
+    }
 
-    /// What the bar's length owes to a force along it.
-    pub const OF_FORCE: [Self; 2] = [Self::BarCompliance, Self::BarPlay];
+    /// What kind of number it is.
+    pub const fn group(self) -> Group {
+        self.block().group
+    }
+
+    /// The kind of error that it is a part of; none for geometry and clocks.
+    pub const fn term(self) -> Option<TermGroup> {
+        match self.group() {
+            Group::Term(group) => Some(group),
+            _ => None,
+        }
+    }
+
+    /// SI unit and display unit.
+    pub const fn unit(self) -> Unit {
+        self.block().unit
+    }
 
     /// The link of the ball-bar that the parameter belongs to, from 0.
     pub const fn bar_link(self) -> Option<usize> {
@@ -267,155 +482,25 @@ impl ParameterId {
         }
     }
 
-    /// What it belongs to.
-    pub const fn owner(self) -> Owner {
-        match self {
-            Self::Robot { .. } | Self::Joint { .. } | Self::JointWave { .. } => Owner::Robot,
-            Self::ClockShift | Self::ClockSkew => Owner::Clocks,
-            Self::Bar { .. } | Self::Base(_) | Self::BaseRotation(_) => Owner::BallBar,
-            Self::BarCompliance | Self::BarPlay | Self::BarWave { .. } => Owner::BallBar,
-            Self::Harmonic { .. } | Self::EncoderOffset { .. } => Owner::BallBar,
-            Self::Attachment { .. } | Self::Anchor { .. } | Self::LengthOffset => Owner::Wire,
-            Self::Tracker { .. } | Self::Probe { .. } => Owner::Tracker,
-            Self::Ball(_) | Self::Socket { .. } => Owner::Contact,
-        }
-    }
-
     /// It changes what an instrument measures, as far as its owner says: the robot's, the clocks' and the instrument's own.
     pub fn is_seen_by(self, instrument: Owner) -> bool {
         let owner = self.owner();
         owner == instrument || matches!(owner, Owner::Robot | Owner::Clocks)
     }
 
-    /// SI unit and display unit.
-    pub const fn unit(self) -> Unit {
-        match self {
-            Self::Robot { parameter, .. } | Self::Bar { parameter, .. } => match parameter {
-                LinkParameter::A | LinkParameter::D => Unit::Metre,
-                LinkParameter::Alpha | LinkParameter::Theta | LinkParameter::Beta => Unit::Radian,
-            },
-            Self::Base(_) | Self::Attachment { .. } | Self::Anchor { .. } | Self::LengthOffset => Unit::Metre,
-            Self::Ball(_) | Self::Socket { .. } => Unit::Metre,
-            Self::Tracker { coordinate, .. } | Self::Probe { coordinate, .. } => match coordinate {
-                Coordinate::Position(_) => Unit::Metre,
-                Coordinate::Rotation(_) => Unit::Radian,
-            },
-            Self::BarPlay | Self::BarWave { .. } => Unit::Metre,
-            Self::BarCompliance => Unit::MetrePerNewton,
-            Self::BaseRotation(_) | Self::Harmonic { .. } | Self::EncoderOffset { .. } => Unit::Radian,
-            Self::JointWave { .. } => Unit::Radian,
-            Self::Joint { term, .. } => match term {
-                JointTerm::Ratio => Unit::Ratio,
-                JointTerm::Delay => Unit::Second,
-                JointTerm::Compliance(_) => Unit::RadianPerMetre,
-                _ => Unit::Radian,
-            },
-            Self::ClockShift => Unit::Second,
-            Self::ClockSkew => Unit::Ratio,
-        }
-    }
-
-    /// Harmonics of all bar encoders.
-    pub fn harmonics() -> impl Iterator<Item = Self> {
-        let of = |joint| Harmonic::ALL.into_iter().map(move |harmonic| Self::Harmonic { joint, harmonic });
-        (0..BAR_JOINTS).flat_map(of)
-    }
-
-    /// All waves of the bar's length.
-    pub fn bar_waves() -> impl Iterator<Item = Self> {
-        let of = |joint| {
-            (BarWaves::FIRST..=BarWaves::LAST).flat_map(move |order| {
-                Phase::ALL.into_iter().map(move |phase| Self::BarWave { joint, order, phase })
-            })
-        };
-        (0..BarWaves::JOINTS).flat_map(of)
-    }
-
-    /// Zeros of all bar encoders in the origins from 1 to `last`, at most [`Self::LAST_ORIGIN`].
-    pub fn zeros(last: usize) -> impl Iterator<Item = Self> {
-        let of = |origin| (0..BAR_JOINTS).map(move |joint| Self::EncoderOffset { origin, joint });
-        (1..=last.min(Self::LAST_ORIGIN)).flat_map(of)
-    }
-
-    /// Where a tracker stands in its stations and where its targets are: positions, then rotations, of each.
-    pub fn tracker(stations: usize, targets: usize) -> impl Iterator<Item = Self> {
-        let places = (0..stations.min(Self::SET_UPS_MAX))
-            .flat_map(|station| Coordinate::ALL.map(|coordinate| Self::Tracker { station, coordinate }));
-        let probes = (0..targets.min(Self::SET_UPS_MAX))
-            .flat_map(|target| Coordinate::ALL.map(|coordinate| Self::Probe { target, coordinate }));
-        places.chain(probes)
-    }
-
-    /// Where a wire is anchored and attached, and what its lengths begin with.
-    pub fn wire(anchors: usize, attachments: usize) -> impl Iterator<Item = Self> {
-        let attachments = (0..attachments.min(Self::SET_UPS_MAX))
-            .flat_map(|target| Axis::ALL.map(|axis| Self::Attachment { target, axis }));
-        let anchors = (0..anchors.min(Self::SET_UPS_MAX))
-            .flat_map(|station| Axis::ALL.map(|axis| Self::Anchor { station, axis }));
-        attachments.chain(anchors).chain([Self::LengthOffset])
-    }
-
-    /// A ball and the sockets that it is seated in.
-    pub fn contact(sockets: usize) -> impl Iterator<Item = Self> {
-        let of = |socket| Axis::ALL.map(|axis| Self::Socket { socket, axis });
-        Axis::ALL.map(Self::Ball).into_iter().chain((0..sockets.min(Self::SOCKETS_MAX)).flat_map(of))
-    }
-
-    /// Terms of all robot axes, whether a robot has them or not.
-    pub fn joint_terms() -> impl Iterator<Item = Self> {
-        let of = |axis| JointTerm::ALL.into_iter().map(move |term| Self::Joint { axis, term });
-        (0..AXES_MAX).flat_map(of)
-    }
-
-    /// Waves of all robot axes, whether a robot has them or not, from [`JointWaves::FIRST`] up to `last` per turn.
+    /// Waves of all robot axes, whether a robot has them or not, up to `last` per turn.
     pub fn joint_waves(last: u8) -> impl Iterator<Item = Self> {
-        let of = move |axis| {
-            (JointWaves::FIRST..=last.min(JointWaves::LAST)).flat_map(move |order| {
-                Phase::ALL.into_iter().map(move |phase| Self::JointWave { axis, order, phase })
-            })
-        };
-        (0..AXES_MAX).flat_map(of)
+        Self::all().filter(move |id| matches!(id, Self::JointWave { order, .. } if *order <= last))
     }
+}
 
-    /// The wave of an axis with this name; none for any other name. There are too many to look through.
-    fn joint_wave_named(name: &str) -> Option<Self> {
-        let (phase, numbers) = Phase::ALL.into_iter().find_map(|phase| {
-            let rest = name.strip_prefix('r')?.strip_prefix(&phase.to_string())?;
-            Some((phase, rest.split_once('_')?))
-        })?;
-        let (order, axis) = (numbers.0.parse().ok()?, numbers.1.parse::<usize>().ok()?.checked_sub(1)?);
-        let known = (JointWaves::FIRST..=JointWaves::LAST).contains(&order) && axis < AXES_MAX;
-        let id = Self::JointWave { axis, order, phase };
-        // Numbers can be written in other ways.
-        (known && id.to_string() == name).then_some(id)
-    }
-
-    /// Every parameter that has a name, but waves of the robot's axes.
-    fn all_but_joint_waves() -> impl Iterator<Item = Self> {
-        let robot = (0..AXES_MAX).flat_map(|link| {
-            let with_hayati = Self::STANDARD.into_iter().chain([LinkParameter::Beta]);
-            with_hayati.map(move |parameter| Self::Robot { link, parameter })
-        });
-        let bar = (0..BAR_JOINTS)
-            .flat_map(|link| Self::STANDARD.into_iter().map(move |parameter| Self::Bar { link, parameter }));
-        robot
-            .chain(bar)
-            .chain(Axis::ALL.map(Self::Base))
-            .chain([Self::BaseRotation(Axis::X), Self::BaseRotation(Axis::Y)])
-            .chain(Self::OF_FORCE)
-            .chain(Self::bar_waves())
-            .chain(Self::harmonics())
-            .chain(Self::zeros(Self::LAST_ORIGIN))
-            .chain(Self::joint_terms())
-            .chain([Self::ClockShift, Self::ClockSkew])
-            .chain(Self::wire(Self::SET_UPS_MAX, Self::SET_UPS_MAX))
-            .chain(Self::tracker(Self::SET_UPS_MAX, Self::SET_UPS_MAX))
-            .chain(Self::contact(Self::SOCKETS_MAX))
-    }
-
-    /// Every parameter that has a name.
-    pub fn all() -> impl Iterator<Item = Self> {
-        Self::all_but_joint_waves().chain(Self::joint_waves(JointWaves::LAST))
+fn of_link(link: &mut DhLink, parameter: LinkParameter) -> &mut f64 {
+    match parameter {
+        LinkParameter::A => &mut link.a_m,
+        LinkParameter::D => &mut link.d_m,
+        LinkParameter::Alpha => &mut link.alpha_rad,
+        LinkParameter::Theta => &mut link.theta_rad,
+        LinkParameter::Beta => &mut link.beta_rad,
     }
 }
 
@@ -426,30 +511,7 @@ pub fn further(number: usize) -> String {
 
 impl fmt::Display for ParameterId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match *self {
-            Self::Robot { link, parameter } => write!(f, "r{}{}", link_parameter_name(parameter), link + 1),
-            Self::Bar { link, parameter } => write!(f, "b{}{}", link_parameter_name(parameter), link + 1),
-            Self::Base(axis) => write!(f, "o{}", axis.letter()),
-            Self::BaseRotation(axis) => write!(f, "or{}", axis.letter()),
-            Self::BarCompliance => f.write_str("bcompliance"),
-            Self::BarPlay => f.write_str("bplay"),
-            Self::BarWave { joint, order, phase } => write!(f, "bd{phase}{order}_{}", joint + 1),
-            Self::Harmonic { joint, harmonic } => write!(f, "b{harmonic}_{}", joint + 1),
-            Self::EncoderOffset { origin, joint } => write!(f, "boffset{origin}_{}", joint + 1),
-            Self::JointWave { axis, order, phase } => write!(f, "r{phase}{order}_{}", axis + 1),
-            Self::Joint { axis, term } => write!(f, "r{term}_{}", axis + 1),
-            Self::ClockShift => f.write_str("clock_shift"),
-            Self::ClockSkew => f.write_str("clock_skew"),
-            Self::Attachment { target, axis } => {
-                write!(f, "attachment{}_{}", further(target), axis.letter())
-            }
-            Self::Anchor { station, axis } => write!(f, "anchor{}_{}", further(station), axis.letter()),
-            Self::LengthOffset => f.write_str("length_offset"),
-            Self::Tracker { station, coordinate } => write!(f, "tracker{}_{coordinate}", further(station)),
-            Self::Probe { target, coordinate } => write!(f, "probe{}_{coordinate}", further(target)),
-            Self::Ball(axis) => write!(f, "ball_{}", axis.letter()),
-            Self::Socket { socket, axis } => write!(f, "socket{}_{}", socket + 1, axis.letter()),
-        }
+        f.write_str(&self.name())
     }
 }
 
@@ -457,8 +519,8 @@ impl FromStr for ParameterId {
     type Err = ModelError;
 
     fn from_str(name: &str) -> Result<Self, ModelError> {
-        Self::joint_wave_named(name)
-            .or_else(|| Self::all_but_joint_waves().find(|id| id.to_string() == name))
-            .ok_or_else(|| ModelError::UnknownName { name: name.to_owned() })
+        static NAMED: LazyLock<HashMap<String, ParameterId>> =
+            LazyLock::new(|| ParameterId::all().map(|id| (id.name(), id)).collect());
+        NAMED.get(name).copied().ok_or_else(|| ModelError::UnknownName { name: name.to_owned() })
     }
 }

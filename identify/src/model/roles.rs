@@ -2,8 +2,8 @@
 
 use nalgebra::Vector3;
 
-use super::{Axis, DriveTrain, Geometry, JointErrors, Owner, ParameterId, Placement};
-use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter};
+use super::{DriveTrain, Geometry, JointErrors, Owner, ParameterId, Placement};
+use crate::kinematics::Chain;
 use crate::solver::Prior;
 
 /// What the solve does with a parameter.
@@ -51,13 +51,7 @@ pub struct Parameter {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ModelError {
     /// No parameter has this name.
-    #[error(
-        "no parameter is called `{name}`; names are ra1 rd1 ralpha1 rtheta1 .. 6, rbeta1 .. 6, ba1 bd1 balpha1 \
-         btheta1 .. 5, ox oy oz orx ory, bcompliance bplay, bdsin2_1 bdcos2_1 .. bdcos3_2, bsin1_1 bcos1_1 bsin2_1 bcos2_1 boffset1_1 .. 5, rsin1_1 rcos1_1 rsin2_1 rcos2_1 \
-         rsinc_1 rcosc_1 rsinm_1 rcosm_1 rsinj1_2 rcosj1_2 rsinj2_2 rcosj2_2 rsin3_1 rcos3_1 .. rcos127_1 rbacklash_1 rratio_1 .. 6, relbow_2 rwrist_2 rwrist_3 rtool_2 rtool_3 rtool_5 (axes up to 8 where the robot has them), \
-         clock_shift clock_skew, attachment_x anchor_x attachment2_x anchor2_x .. anchor99_z, length_offset, \
-         tracker_x tracker_rx probe_x probe_rx .. z, tracker2_x probe2_x .. tracker99_rz probe99_rz, ball_x .. z, socket1_x .. socket99_z"
-    )]
+    #[error("no parameter is called `{name}`; there are {}", ranges())]
     UnknownName {
         /// As given.
         name: String,
@@ -80,6 +74,29 @@ pub enum ModelError {
     },
 }
 
+/// The first and the last name of each kind of number, for a message.
+fn ranges() -> String {
+    let mut ranges: Vec<(String, [String; 2])> = Vec::new();
+    for name in ParameterId::all().map(|id| id.to_string()) {
+        let letters: String = name.chars().filter(|one| !one.is_ascii_digit()).collect();
+        let kind = letters.trim_end_matches(['x', 'y', 'z']);
+        match ranges.iter_mut().find(|(of, _)| of == kind) {
+            Some((_, [_, last])) => *last = name,
+            None => ranges.push((kind.to_owned(), [name.clone(), name])),
+        }
+    }
+    let range = |(_, [first, last]): (String, [String; 2])| {
+        if first == last { first } else { format!("{first} .. {last}") }
+    };
+    ranges.into_iter().map(range).collect::<Vec<_>>().join(", ")
+}
+
+/// A parameter that stays where it is in a geometry; none where it is not there.
+fn fixed(structure: &mut Geometry, id: ParameterId) -> Option<Parameter> {
+    let value = *structure.parameter_mut(id)?;
+    Some(Parameter { id, nominal: value, value, role: Role::Fixed })
+}
+
 /// Parameters in blocks, their roles, and the geometry they describe.
 ///
 /// A model starts with everything fixed at its nominal value; select, free or set priors from there.
@@ -91,44 +108,19 @@ pub struct Model {
     columns: Vec<usize>,
 }
 
-fn robot_ids(robot: &Chain) -> impl Iterator<Item = ParameterId> + '_ {
-    let standard = (0..robot.links.len()).flat_map(|link| {
-        ParameterId::STANDARD.into_iter().map(move |parameter| ParameterId::Robot { link, parameter })
-    });
-    let hayati =
-        (0..robot.links.len()).map(|link| ParameterId::Robot { link, parameter: LinkParameter::Beta });
-    standard.chain(hayati)
-}
-
 impl Model {
-    fn new(structure: Geometry, ids: impl IntoIterator<Item = ParameterId>) -> Self {
-        let mut values = structure.clone();
-        let parameters = ids
-            .into_iter()
-            .filter_map(|id| {
-                let nominal = *values.parameter_mut(id)?;
-                Some(Parameter { id, nominal, value: nominal, role: Role::Fixed })
-            })
-            .collect();
-        Self { structure, parameters, columns: Vec::new() }
+    /// A geometry with all of its numbers that belong to these.
+    fn new(structure: Geometry, owners: &[Owner]) -> Self {
+        let mut model = Self { structure, parameters: Vec::new(), columns: Vec::new() };
+        model.take_up(|id| owners.contains(&id.owner()));
+        model
     }
 
     /// Robot and ball-bar: both sets of links, the bar's base (its nominal place is that of `bar`),
     /// how its length follows force and direction, the encoders' harmonics, terms of the robot's axes and the clocks.
     pub fn ball_bar(robot: &Chain, bar: &Chain) -> Self {
-        let bar_ids = (0..bar.links.len()).flat_map(|link| {
-            ParameterId::STANDARD.into_iter().map(move |parameter| ParameterId::Bar { link, parameter })
-        });
-        let ids = robot_ids(robot)
-            .chain(bar_ids)
-            .chain(Axis::ALL.map(ParameterId::Base))
-            .chain([ParameterId::BaseRotation(Axis::X), ParameterId::BaseRotation(Axis::Y)])
-            .chain(ParameterId::harmonics())
-            .chain(ParameterId::joint_terms())
-            .chain([ParameterId::ClockShift, ParameterId::ClockSkew])
-            .chain(ParameterId::OF_FORCE)
-            .chain(ParameterId::bar_waves());
-        Self::new(Geometry::new(robot.clone(), Some(bar)), ids)
+        let structure = Geometry::new(robot.clone(), Some(bar));
+        Self::new(structure, &[Owner::Robot, Owner::Clocks, Owner::BallBar])
     }
 
     /// Robot and a wire or telescoping bar of measured length: attachment, anchor, offset, terms of the robot's axes and the
@@ -145,41 +137,48 @@ impl Model {
 
     /// A robot whose log has a clock.
     fn alone(robot: &Chain) -> Self {
-        let ids = robot_ids(robot)
-            .chain(ParameterId::joint_terms())
-            .chain([ParameterId::ClockShift, ParameterId::ClockSkew]);
-        Self::new(Geometry::new(robot.clone(), None), ids)
+        Self::new(Geometry::new(robot.clone(), None), &[Owner::Robot, Owner::Clocks])
     }
 
     /// Robot and a ball on its flange that is seated in so many sockets: where the ball and the sockets are.
     pub fn contact(robot: &Chain, sockets: usize) -> Self {
         let mut structure = Geometry::new(robot.clone(), None);
         structure.contact.sockets_m = vec![Vector3::zeros(); sockets];
-        let ids = robot_ids(robot).chain(ParameterId::contact(sockets)).chain(ParameterId::joint_terms());
-        Self::new(structure, ids)
+        Self::new(structure, &[Owner::Robot, Owner::Contact])
+    }
+
+    /// Takes those of the geometry's numbers up that are wanted, fixed where they are.
+    fn take_up(&mut self, wanted: impl Fn(ParameterId) -> bool) {
+        self.parameters.retain(|one| !wanted(one.id));
+        for id in ParameterId::all().filter(|id| !id.block().on_request && wanted(*id)) {
+            self.parameters.extend(fixed(&mut self.structure, id));
+        }
+        self.put_in_order();
+    }
+
+    /// Of parameters that are there twice the one stays that was there before.
+    fn put_in_order(&mut self) {
+        self.parameters.sort_by_key(|one| one.id);
+        self.parameters.dedup_by_key(|one| one.id);
+        self.find_columns();
     }
 
     /// The same with drives other than [`DriveTrain::direct`]: terms that they can have join the parameters, fixed at zero.
-    pub fn with_drives(self, drives: DriveTrain) -> Self {
-        let ids: Vec<ParameterId> = self.parameters.iter().map(|parameter| parameter.id).collect();
-        let at = ids.iter().position(|id| matches!(id, ParameterId::Joint { .. })).unwrap_or(ids.len());
-        let (before, after) = ids.split_at(at);
-        let others = after.iter().copied().filter(|id| !matches!(id, ParameterId::Joint { .. }));
-        let all = before.iter().copied().chain(ParameterId::joint_terms()).chain(others);
-        let structure = Geometry { joints: JointErrors::none(drives), ..self.structure };
-        Self::new(structure, all)
+    #[must_use]
+    pub fn with_drives(mut self, drives: DriveTrain) -> Self {
+        self.structure.joints = JointErrors::none(drives);
+        self.take_up(|id| matches!(id, ParameterId::Joint { .. }));
+        self
     }
 
-    /// The same with waves of the robot's axes ([`ParameterId::JointWave`]) among the parameters, fixed at zero, where it has
-    /// such an axis; values and roles stay.
+    /// The same with more parameters, of those that are there on request, fixed at zero, where the robot and the bar can have
+    /// them; values and roles of all others stay.
     #[must_use]
-    pub fn with_joint_waves(mut self, waves: impl IntoIterator<Item = ParameterId>) -> Self {
-        for id in waves {
-            let known = self.structure.parameter_mut(id).is_some() && self.parameter(id).is_none();
-            if matches!(id, ParameterId::JointWave { .. }) && known {
-                self.parameters.push(Parameter { id, nominal: 0.0, value: 0.0, role: Role::Fixed });
-            }
+    pub fn with(mut self, more: impl IntoIterator<Item = ParameterId>) -> Self {
+        for id in more.into_iter().filter(|id| id.block().on_request) {
+            self.parameters.extend(fixed(&mut self.structure, id));
         }
+        self.put_in_order();
         self
     }
 
@@ -187,37 +186,18 @@ impl Model {
     #[must_use]
     pub fn with_set_ups(mut self, owner: Owner, [stations, targets]: [usize; 2]) -> Self {
         let Geometry { tracker, wire, .. } = &mut self.structure;
-        let ids: Vec<ParameterId> = match owner {
+        match owner {
             Owner::Tracker => {
-                tracker.places.resize(stations, Placement::default());
-                tracker.probes.resize(targets, Placement::default());
-                ParameterId::tracker(stations, targets).collect()
+                tracker.places = vec![Placement::default(); stations];
+                tracker.probes = vec![Placement::default(); targets];
             }
             Owner::Wire => {
-                wire.anchors_m.resize(stations, Vector3::zeros());
-                wire.attachments_m.resize(targets, Vector3::zeros());
-                ParameterId::wire(stations, targets).collect()
+                wire.anchors_m = vec![Vector3::zeros(); stations];
+                wire.attachments_m = vec![Vector3::zeros(); targets];
             }
             _ => return self,
-        };
-        self.parameters.retain(|parameter| parameter.id.owner() != owner);
-        let fixed = |id| Parameter { id, nominal: 0.0, value: 0.0, role: Role::Fixed };
-        let links =
-            self.parameters.iter().take_while(|one| matches!(one.id, ParameterId::Robot { .. })).count();
-        self.parameters.splice(links..links, ids.into_iter().map(fixed));
-        self.find_columns();
-        self
-    }
-
-    /// The same with zeros of the bar's encoders after losses of the counters' origin, [`ParameterId::EncoderOffset`].
-    #[must_use]
-    pub fn with_encoder_offsets(mut self, zeros: impl IntoIterator<Item = ParameterId>) -> Self {
-        for id in zeros {
-            let ParameterId::EncoderOffset { origin, .. } = id else { continue };
-            let known = &mut self.structure.origin_offsets_rad;
-            known.resize(known.len().max(origin), [0.0; BAR_JOINTS]);
-            self.parameters.push(Parameter { id, nominal: 0.0, value: 0.0, role: Role::Fixed });
         }
+        self.take_up(|id| id.owner() == owner);
         self
     }
 
@@ -231,14 +211,23 @@ impl Model {
         &self.parameters
     }
 
+    /// The names of all parameters, in the same order.
+    pub fn ids(&self) -> Vec<ParameterId> {
+        self.parameters.iter().map(|parameter| parameter.id).collect()
+    }
+
     /// One parameter; none where the model does not have it.
     pub fn parameter(&self, id: ParameterId) -> Option<&Parameter> {
-        self.parameters.iter().find(|parameter| parameter.id == id)
+        self.parameters.get(self.place_of(id)?)
+    }
+
+    fn place_of(&self, id: ParameterId) -> Option<usize> {
+        self.parameters.binary_search_by_key(&id, |one| one.id).ok()
     }
 
     fn parameter_mut(&mut self, id: ParameterId) -> Result<&mut Parameter, ModelError> {
-        let found = self.parameters.iter_mut().find(|parameter| parameter.id == id);
-        found.ok_or(ModelError::NotInModel { id })
+        let place = self.place_of(id).ok_or(ModelError::NotInModel { id })?;
+        Ok(&mut self.parameters[place])
     }
 
     /// Sets where a parameter starts or stays.
@@ -301,6 +290,14 @@ impl Model {
         ids.into_iter().try_for_each(|id| self.set_role(id, role))
     }
 
+    /// Frees some parameters and fixes all others.
+    pub fn free_only(&mut self, is_free: impl Fn(ParameterId) -> bool) {
+        for one in &mut self.parameters {
+            one.role = if is_free(one.id) { Role::Free } else { Role::Fixed };
+        }
+        self.find_columns();
+    }
+
     /// The parameter of each column of the solve.
     pub fn columns(&self) -> impl ExactSizeIterator<Item = &Parameter> {
         self.columns.iter().map(|&index| &self.parameters[index])
@@ -308,7 +305,7 @@ impl Model {
 
     /// The column of a parameter; none where it is fixed or absent.
     pub fn column_of(&self, id: ParameterId) -> Option<usize> {
-        self.columns().position(|parameter| parameter.id == id)
+        self.columns.binary_search(&self.place_of(id)?).ok()
     }
 
     /// Starting values of the columns.

@@ -1,6 +1,6 @@
 //! Named sets of free parameters.
 
-use super::{Model, ModelError, ParameterId, Role};
+use super::{Group, Model, ParameterId};
 use crate::kinematics::LinkParameter;
 
 /// Fixed by the thesis so that the rest is determined (TFRT-6017 section 3.3): the offset plate as the scale
@@ -27,34 +27,20 @@ impl Selection {
         match id {
             // Hayati's rotation is opted into by name, in place of the link's d.
             ParameterId::Robot { parameter: LinkParameter::Beta, .. } => false,
-            ParameterId::Robot { .. } | ParameterId::Bar { .. } | ParameterId::Base(_) => {
+            ParameterId::Robot { .. } | ParameterId::Bar { .. } | ParameterId::Base { .. } => {
                 !THESIS_FIXED.contains(&id.to_string().as_str())
             }
-            ParameterId::BaseRotation(_) => matches!(self, Self::Cell | Self::CellWithClocks),
-            ParameterId::ClockShift | ParameterId::ClockSkew => {
-                matches!(self, Self::ThesisWithClocks | Self::CellWithClocks)
-            }
-            // Not separated from the geometry by samples alone, they come with priors; or freed where there is a force; or of
-            // another instrument.
-            _ => false,
+            ParameterId::BaseRotation { .. } => matches!(self, Self::Cell | Self::CellWithClocks),
+            // All others are not separated from the geometry by samples alone and come with priors, or are freed where there is
+            // a force, or of another instrument.
+            _ => id.group() == Group::Clock && matches!(self, Self::ThesisWithClocks | Self::CellWithClocks),
         }
     }
 }
 
 impl Model {
     /// Frees what a selection contains and a cost identifies, fixes the rest. `identifies` is [`crate::cost::Residual::identifies`].
-    ///
-    /// # Errors
-    /// None in practice: only parameters of the model are touched.
-    pub fn select(
-        &mut self,
-        selection: Selection,
-        identifies: impl Fn(ParameterId) -> bool,
-    ) -> Result<(), ModelError> {
-        let ids: Vec<ParameterId> = self.parameters().iter().map(|parameter| parameter.id).collect();
-        ids.into_iter().try_for_each(|id| {
-            let free = selection.contains(id) && identifies(id);
-            self.set_role(id, if free { Role::Free } else { Role::Fixed })
-        })
+    pub fn select(&mut self, selection: Selection, identifies: impl Fn(ParameterId) -> bool) {
+        self.free_only(|id| selection.contains(id) && identifies(id));
     }
 }

@@ -8,7 +8,7 @@ use super::Axis;
 use crate::kinematics::Pose;
 
 /// One of the six numbers of a [`Placement`].
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Coordinate {
     /// Of its origin: `x`, `y`, `z`.
     Position(Axis),

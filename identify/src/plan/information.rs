@@ -13,10 +13,11 @@ use rand_chacha::rand_core::SeedableRng;
 use shared::config::{BallBarConfig, RobotConfig};
 
 use crate::calibrate::IdentifyConfig;
-use crate::calibrate::selection::terms::TermGroup;
 use crate::cost::{AngleNoise, LoopProblem, Residual, WhitenedPose};
-use crate::kinematics::{Chain, Joints, LinkParameter, Trace, Tracer};
-use crate::model::{DriveTrain, JointState, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
+use crate::kinematics::{Chain, Joints, Trace, Tracer};
+use crate::model::{
+    DriveTrain, JointState, Model, ModelError, Observation, ParameterId, RobotMotion, Role, TermGroup,
+};
 use crate::solver::{Normal, Normals, Options, ScaledCholesky, stacked};
 
 use super::optimum::{Optimum, optimum};
@@ -156,11 +157,8 @@ impl Information {
     /// None where it knows none of the parameters, or its covariance is none.
     #[must_use]
     pub fn after(mut self, between: impl Fn(ParameterId, ParameterId) -> Option<f64>) -> Option<Self> {
-        let lasts = |id: ParameterId| match id {
-            ParameterId::Robot { .. } | ParameterId::Joint { .. } | ParameterId::Harmonic { .. } => true,
-            ParameterId::Bar { parameter, .. } => parameter != LinkParameter::Theta,
-            _ => false,
-        };
+        let of_encoders = Some(TermGroup::EncoderHarmonics);
+        let lasts = |id: ParameterId| !id.block().of_run || id.term() == of_encoders;
         let columns: Vec<(usize, ParameterId)> = self
             .model
             .columns()

@@ -267,25 +267,23 @@ impl<'a> Known<'a> {
     /// As a calibration lays it out, all terms of the joints under the middle of the standard deviations that it tries.
     fn new(request: &'a PoseRequest<'a>) -> Result<Self, ModelError> {
         let flange = flange_chain(request.robot);
-        let (model, own): (Model, Vec<ParameterId>) = match request.measures {
+        let (model, owner) = match request.measures {
             // Where the end of the wire is counts as a tracker in the robot's base would see it.
-            Measures::Lengths => (
-                Model::measured_length(&flange).with_set_ups(Owner::Tracker, [1, 1]),
-                ParameterId::wire(1, 1).collect(),
-            ),
-            measures => {
-                let turns_probe = |id: &ParameterId| {
-                    matches!(id, ParameterId::Probe { coordinate: Coordinate::Rotation(_), .. })
-                };
-                let own =
-                    ParameterId::tracker(1, 1).filter(|id| measures == Measures::Poses || !turns_probe(id));
-                (Model::measured_pose(&flange), own.collect())
+            Measures::Lengths => {
+                (Model::measured_length(&flange).with_set_ups(Owner::Tracker, [1, 1]), Owner::Wire)
             }
+            Measures::Poses | Measures::Positions => (Model::measured_pose(&flange), Owner::Tracker),
         };
+        let turns_probe =
+            |id: &ParameterId| matches!(id, ParameterId::Probe { coordinate: Coordinate::Rotation(_), .. });
+        let is_own = |id: &ParameterId| {
+            id.owner() == owner && (request.measures == Measures::Poses || !turns_probe(id))
+        };
+        let own: Vec<ParameterId> = model.ids().into_iter().filter(is_own).collect();
         let waves = ParameterId::joint_waves(WAVES_PER_TURN_MAX);
-        let mut model = model.with_drives(DriveTrain::of(request.robot, &flange)).with_joint_waves(waves);
+        let mut model = model.with_drives(DriveTrain::of(request.robot, &flange)).with(waves);
         free_robot(&mut model, &flange, &[], IdentifyConfig::default().tolerance_mm_mrad * 1e-3)?;
-        for id in model.parameters().iter().map(|parameter| parameter.id).collect::<Vec<_>>() {
+        for id in model.ids() {
             match id {
                 ParameterId::Attachment { axis, .. }
                 | ParameterId::Probe { coordinate: Coordinate::Position(axis), .. } => {
@@ -373,7 +371,7 @@ impl<'a> Known<'a> {
     }
 
     fn is_of_robot(id: ParameterId) -> bool {
-        matches!(id, ParameterId::Robot { .. } | ParameterId::Joint { .. } | ParameterId::JointWave { .. })
+        id.owner() == Owner::Robot
     }
 
     /// Mean squared position error that links, loads and gears make before anything is measured \[m²\].

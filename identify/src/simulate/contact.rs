@@ -342,8 +342,8 @@ fn truth(
     geometry.contact.ball_m = BALL_M.into();
     geometry.contact.sockets_m = sockets_m.to_vec();
     let model = Model::contact(chain, sockets_m.len());
-    let of_geometry = model.parameters().iter().map(|parameter| parameter.id);
-    let of_geometry = of_geometry.filter(|id| !matches!(id, ParameterId::Joint { .. }));
+    let of_geometry = model.ids().into_iter();
+    let of_geometry = of_geometry.filter(|id| id.term().is_none());
     let value = |id: ParameterId| Some((id.to_string(), *geometry.parameter_mut(id)?));
     ContactTruth {
         robot: experiment.robot.name.clone(),

@@ -143,7 +143,7 @@ impl Conditions {
         }
         let is_geometry = |id: &ParameterId| {
             use ParameterId::{Bar, Base, Robot};
-            matches!(id, Robot { .. } | Bar { .. } | Base(_))
+            matches!(id, Robot { .. } | Bar { .. } | Base { .. })
         };
         let unknown = || ConditionError::Unknown { key: key.to_owned() };
         let id = key.parse::<ParameterId>().ok().filter(is_geometry).ok_or_else(unknown)?;

@@ -118,8 +118,8 @@ pub fn coupled(cell: &Cell) -> Model {
     let waves = ParameterId::joint_waves(4);
     cell.model()
         .with_drives(coupled_drives(&cell.robot))
-        .with_joint_waves(waves)
-        .with_encoder_offsets(ParameterId::zeros(1))
+        .with(waves)
+        .with(ParameterId::all().filter(|id| matches!(id, ParameterId::EncoderOffset { origin: 1, .. })))
 }
 
 /// Joints with all errors of [`coupled_drives`], by definition: shapes over the reported angles of the drives. `fine` are the
@@ -219,8 +219,8 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
         match id {
             ParameterId::Robot { link, parameter } => &mut self.robot[link][at(parameter)],
             ParameterId::Bar { link, parameter } => &mut self.bar[link][at(parameter)],
-            ParameterId::Base(axis) => &mut self.origin[axis.index()],
-            ParameterId::BaseRotation(axis) => &mut self.tilt[axis.index()],
+            ParameterId::Base { axis } => &mut self.origin[axis.index()],
+            ParameterId::BaseRotation { axis } => &mut self.tilt[axis.index()],
             ParameterId::BarCompliance => &mut self.elongation[0],
             ParameterId::BarPlay => &mut self.elongation[1],
             ParameterId::BarWave { joint, order, phase } => {

@@ -107,7 +107,7 @@ fn all_free(model: Model) -> Model {
 
 /// The same, where parameters of a kind stay at their nominal value.
 fn all_free_but(mut model: Model, nominal: impl Fn(&str) -> bool) -> Model {
-    let ids: Vec<ParameterId> = model.parameters().iter().map(|p| p.id).collect();
+    let ids = model.ids();
     for (i, id) in ids.into_iter().enumerate() {
         let value = model.parameter(id).unwrap().value;
         let by = if nominal(&id.to_string()) { 0.0 } else { 0.02 * (1.7 * i as f64).sin() };

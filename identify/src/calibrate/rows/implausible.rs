@@ -329,7 +329,7 @@ fn furthest_link(model: &Model) -> Option<Reason> {
         let sigma = if id.unit() == Unit::Metre { LINK_M } else { LINK_RAD };
         Some((id, parameter.value - value, sigma))
     };
-    let links = model.parameters().iter().map(|parameter| parameter.id);
+    let links = model.ids().into_iter();
     let links = links.filter(|id| matches!(id, ParameterId::Robot { .. })).filter_map(link);
     let size = |(_, correction, sigma): &(ParameterId, f64, f64)| (correction / sigma).abs();
     let (id, correction, sigma) = links.max_by(|a, b| size(a).total_cmp(&size(b)))?;

@@ -1,47 +1,28 @@
 //! Errors that joints of a robot which stands still at each pose can have.
 
-use crate::calibrate::selection::terms::{Kind, TermGroup};
-use crate::model::{JointTerm, JointWaves, ParameterId, Period};
+use crate::calibrate::selection::terms::Kind;
+use crate::model::{JointWaves, ParameterId, TermGroup};
 
-fn joint_terms(wanted: fn(JointTerm) -> bool) -> Vec<ParameterId> {
-    let term = |id: &ParameterId| matches!(*id, ParameterId::Joint { term, .. } if wanted(term));
-    ParameterId::joint_terms().filter(term).collect()
+fn joint_terms(wanted: &[TermGroup]) -> Vec<ParameterId> {
+    let is_joint_term = |id: &ParameterId| matches!(id, ParameterId::Joint { .. });
+    let all = ParameterId::all().filter(is_joint_term);
+    all.filter(|id| id.term().is_some_and(|group| wanted.contains(&group))).collect()
 }
 
 /// What a robot's joints can be wrong by, of the parameters that are offered.
 pub(crate) fn kinds(waves_last: u8, offered: impl Fn(&ParameterId) -> bool) -> Vec<Kind> {
     const ANGLES_RAD: &[f64] = &[20e-6, 100e-6, 500e-6];
     const SHARES: &[f64] = &[20e-6, 100e-6, 500e-6];
-    use JointTerm::{Backlash, Compliance, Cosine, Ratio, Sine};
-    let kind = |group, name: &str, ids, sigmas: &[f64]| of(group, name.into(), ids, sigmas);
+    use TermGroup::{Backlash, Compliance, GearOnce, GearTwice, Joint, Ratio};
+    let kind = |groups: &[TermGroup], name: &str, sigmas: &[f64]| {
+        of(groups[0], name.into(), joint_terms(groups), sigmas)
+    };
     let mut kinds = vec![
-        kind(
-            TermGroup::GearOnce,
-            "waves once and twice per turn",
-            joint_terms(|term| {
-                matches!(term, Sine(Period::Once | Period::Twice) | Cosine(Period::Once | Period::Twice))
-            }),
-            ANGLES_RAD,
-        ),
-        kind(
-            TermGroup::Joint,
-            "waves of joints beside their drives",
-            joint_terms(JointTerm::is_of_joint),
-            ANGLES_RAD,
-        ),
-        kind(
-            TermGroup::Backlash,
-            "backlash by direction of approach",
-            joint_terms(|term| matches!(term, Backlash)),
-            ANGLES_RAD,
-        ),
-        kind(TermGroup::Ratio, "transmission ratio", joint_terms(|term| matches!(term, Ratio)), SHARES),
-        kind(
-            TermGroup::Compliance,
-            "compliance under gravity",
-            joint_terms(|term| matches!(term, Compliance(_))),
-            &[100e-6, 1e-3, 1e-2],
-        ),
+        kind(&[GearOnce, GearTwice], "waves once and twice per turn", ANGLES_RAD),
+        kind(&[Joint], "waves of joints beside their drives", ANGLES_RAD),
+        kind(&[Backlash], "backlash by direction of approach", ANGLES_RAD),
+        kind(&[Ratio], "transmission ratio", SHARES),
+        kind(&[Compliance], "compliance under gravity", &[100e-6, 1e-3, 1e-2]),
     ];
     kinds.extend(BANDS.iter().filter_map(|band| waves(band, waves_last)));
     kinds.iter_mut().for_each(|kind| kind.ids.retain(&offered));

@@ -16,7 +16,7 @@ use nalgebra::{DMatrix, DVector};
 use crate::cost::{CostError, DataSets, SharedColumns};
 use crate::instrument::Run;
 use crate::kinematics::{Joints, LinkParameter};
-use crate::model::{DriveTrain, JointState, JointTerm, JointWaves, Model, ParameterId, Period, Phase, Role};
+use crate::model::{DriveTrain, JointState, JointTerm, JointWaves, Model, ParameterId, Period, Phase};
 use crate::solver::{Problem, Subset, stacked};
 use crate::statistics::extremes;
 
@@ -223,11 +223,7 @@ fn known(drives: &DriveTrain) -> impl Iterator<Item = (usize, u8)> + '_ {
 /// The model with nothing free but the turn of each joint.
 fn joints_only(model: &Model) -> Option<Model> {
     let mut model = model.clone();
-    let all: Vec<ParameterId> = model.parameters().iter().map(|parameter| parameter.id).collect();
-    let turn = |id| matches!(id, ParameterId::Robot { parameter: LinkParameter::Theta, .. });
-    for id in all {
-        model.set_role(id, if turn(id) { Role::Free } else { Role::Fixed }).ok()?;
-    }
+    model.free_only(|id| matches!(id, ParameterId::Robot { parameter: LinkParameter::Theta, .. }));
     let complete = model.columns().len() == model.axes();
     complete.then_some(model)
 }

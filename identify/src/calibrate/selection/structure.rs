@@ -67,7 +67,7 @@ fn consistent_poses(
 fn is_geometry(id: ParameterId) -> bool {
     match id {
         ParameterId::Robot { parameter, .. } => parameter != LinkParameter::Beta,
-        ParameterId::Bar { .. } | ParameterId::Base(_) | ParameterId::BaseRotation(_) => true,
+        ParameterId::Bar { .. } | ParameterId::Base { .. } | ParameterId::BaseRotation { .. } => true,
         _ => false,
     }
 }
@@ -103,11 +103,7 @@ fn reduce<R: Residual + Copy>(
     poses: &[Observation],
     residual: R,
 ) -> Result<Vec<ParameterId>, StructureError> {
-    let ids: Vec<ParameterId> = model.parameters().iter().map(|parameter| parameter.id).collect();
-    for id in ids {
-        let free = is_geometry(id) && R::sees(id);
-        model.set_role(id, if free { Role::Free } else { Role::Fixed })?;
-    }
+    model.free_only(|id| is_geometry(id) && R::sees(id));
     loop {
         let free: Vec<ParameterId> = model.columns().map(|parameter| parameter.id).collect();
         let problem = LoopProblem::new(&model, joints, poses, residual, 1.0)?;

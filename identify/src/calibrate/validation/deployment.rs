@@ -11,7 +11,7 @@ use crate::calibrate::pipeline::refit;
 use crate::cost::SharedColumns;
 use crate::instrument::Run;
 use crate::kinematics::LinkParameter;
-use crate::model::{Model, ModelError, ParameterId, Role};
+use crate::model::{Model, ModelError, Owner, ParameterId, Role};
 use crate::solver::{LossName, Solution};
 
 /// What a controller takes.
@@ -32,18 +32,17 @@ impl Deployment {
 
     fn leaves_out(self, id: ParameterId) -> bool {
         match id {
-            ParameterId::Joint { .. } | ParameterId::JointWave { .. } => self != Self::Full,
             ParameterId::Robot { parameter, .. } => {
                 self == Self::Offsets && parameter != LinkParameter::Theta
             }
-            _ => false,
+            _ => id.owner() == Owner::Robot && self != Self::Full,
         }
     }
 
     /// What the deployment leaves out is nominal in the model and stays there.
     fn restrict(self, model: &mut Model) -> Result<(), ModelError> {
         let nominal = |id: &ParameterId| Some((*id, model.parameter(*id)?.nominal));
-        let ids = model.parameters().iter().map(|parameter| parameter.id);
+        let ids = model.ids().into_iter();
         let left_out: Vec<(ParameterId, f64)> =
             ids.filter(|id| self.leaves_out(*id)).filter_map(|id| nominal(&id)).collect();
         for &(id, value) in &left_out {

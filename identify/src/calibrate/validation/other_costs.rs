@@ -3,10 +3,8 @@
 use crate::calibrate::ball_bar::{BallBarCalibration, CalibrateError, solve};
 use crate::calibrate::config::{CostName, IdentifyConfig, SelectionName};
 use crate::calibrate::pipeline::Solved;
-use crate::calibrate::selection::terms::TermGroup;
 use crate::instrument::{Instrument, Run};
-use crate::kinematics::LinkParameter;
-use crate::model::{Model, ModelError, ParameterId, Role};
+use crate::model::{Group, Model, ModelError, ParameterId, Role, TermGroup};
 use crate::solver::{SolveError, Watch};
 
 /// Samples of all runs that are looked at, at most: more would not change what the costs differ in.
@@ -57,11 +55,8 @@ pub fn other_costs(
 /// Links and terms at their nominal values; where the bar stands, its encoders' offsets and the clocks stay: from there
 /// every cost finds its own.
 fn at_nominal(model: &mut Model) -> Result<(), ModelError> {
-    let found = |id: ParameterId| match id {
-        ParameterId::Base(_) | ParameterId::ClockShift | ParameterId::ClockSkew => true,
-        ParameterId::Bar { parameter, .. } => parameter == LinkParameter::Theta,
-        _ => false,
-    };
+    let leans = |id| matches!(id, ParameterId::BaseRotation { .. });
+    let found = |id: ParameterId| matches!(id.group(), Group::Placement | Group::Clock) && !leans(id);
     let parameters = model.parameters().to_vec();
     for parameter in parameters {
         match parameter.role {
@@ -87,9 +82,9 @@ fn same_terms(calibration: &BallBarCalibration, config: &IdentifyConfig, cost: C
     for parameter in calibration.model.columns().filter(|parameter| cost.identifies(&measured, parameter.id))
     {
         let id = parameter.id;
-        let of_selection = !chosen_here && matches!(id, ParameterId::Harmonic { .. });
+        let of_selection = !chosen_here && id.term() == Some(TermGroup::EncoderHarmonics);
         if let Role::Prior { sigma, .. } = parameter.role
-            && TermGroup::of(id).is_some()
+            && id.term().is_some()
             && !of_selection
         {
             config.priors.insert(id.to_string(), sigma * id.unit().display_factor());

@@ -46,7 +46,7 @@ impl Comparison {
             .columns()
             .filter(|parameter| {
                 use ParameterId::{Bar, Base, BaseRotation, Robot};
-                matches!(parameter.id, Robot { .. } | Bar { .. } | Base(_) | BaseRotation(_))
+                matches!(parameter.id, Robot { .. } | Bar { .. } | Base { .. } | BaseRotation { .. })
             })
             .map(|parameter| Compared {
                 id: parameter.id,

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 
 use crate::cost::{Movement, Residual, Scene};
 use crate::kinematics::LinkParameter;
-use crate::model::ParameterId;
+use crate::model::{Group, Owner, ParameterId};
 
 /// `|R_p - o|^2 - L^2` (thesis eq. 2.1): the robot's end lies on the sphere of the bar \[m^2\]. `L` is `bd3` and what the
 /// force and the direction at the sample add to it.
@@ -25,22 +25,15 @@ impl Residual for Length {
             ParameterId::Robot { link, parameter } => {
                 link != 5 || !matches!(parameter, LinkParameter::Alpha | LinkParameter::Beta)
             }
-            ParameterId::Joint { .. }
-            | ParameterId::JointWave { .. }
-            | ParameterId::Base(_)
-            | ParameterId::BarCompliance
-            | ParameterId::BarPlay
-            | ParameterId::BarWave { .. }
-            | ParameterId::ClockShift
-            | ParameterId::ClockSkew => true,
-            id => id == ParameterId::ROD,
+            ParameterId::Base { .. } | ParameterId::BarWave { .. } | ParameterId::ROD => true,
+            id => matches!(id.owner(), Owner::Robot | Owner::Clocks) || id.group() == Group::Force,
         }
     }
 
     fn identifies(id: ParameterId) -> bool {
         // A robot on the sphere moves along it: when a sample was taken makes no difference but noise. Without encoders
         // nothing says in which direction the bar points.
-        let of_clock = matches!(id, ParameterId::ClockShift | ParameterId::ClockSkew);
+        let of_clock = id.group() == Group::Clock;
         let of_reading = matches!(id, ParameterId::BarWave { .. });
         !of_clock && !of_reading && Self::sees(id)
     }
@@ -56,7 +49,7 @@ impl Residual for Length {
     fn derivative(&self, scene: &Scene<'_>, from_origin: &Vector3<f64>, id: ParameterId, out: &mut [f64]) {
         out[0] = match (id, scene.movement(id)) {
             (_, Movement::Robot(twist)) => 2.0 * from_origin.dot(&twist.linear),
-            (ParameterId::Base(axis), _) => -2.0 * from_origin[axis.index()],
+            (ParameterId::Base { axis }, _) => -2.0 * from_origin[axis.index()],
             (id, _) => -2.0 * scene.rod_m() * scene.elongation(id),
         };
     }

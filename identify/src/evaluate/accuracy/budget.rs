@@ -3,8 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::workspace::{POSTURES, Postures};
-use crate::calibrate::selection::terms::TermGroup;
-use crate::model::{Model, ParameterId, Role};
+use crate::model::{Group, Model, ParameterId, Role};
 use crate::solver::{Covariance, Source};
 
 /// How a contribution is evaluated.
@@ -112,16 +111,16 @@ fn named(source: Source, model: &Model, covariance: &Covariance) -> String {
         _ => None,
     };
     let alone = matches!(source, Source::Considered { .. }) || ParameterId::KNOWN_LENGTHS.contains(&id);
-    match (TermGroup::of(id), sigma) {
+    match (id.group(), sigma) {
         (_, Some(sigma)) if alone => {
             format!("{name}, {how} within {}", id.unit().display(sigma))
         }
-        (Some(group), _) => format!("what is expected of {}", group.name()),
-        (None, _) => match id {
-            ParameterId::Robot { .. } | ParameterId::Bar { .. } => "tolerance of the links".into(),
+        (Group::Term(group), _) => format!("what is expected of {}", group.name()),
+        (Group::Link, _) => "tolerance of the links".into(),
+        _ => match id {
             ParameterId::EncoderOffset { .. } => "offsets of encoders that lost their origin".into(),
             ParameterId::Probe { .. } => "mounting of the probe".into(),
-            ParameterId::Ball(_) => "mounting of the ball".into(),
+            ParameterId::Ball { .. } => "mounting of the ball".into(),
             _ => format!("{name}, {how}"),
         },
     }

@@ -15,7 +15,7 @@ use crate::kinematics::{
     BAR_JOINTS, Chain, ImpliedBar, Joints, LinkParameter, Trace, Tracer, Turn, singularity_margin_rad,
 };
 use crate::logs::CubicSpline;
-use crate::model::{Geometry, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
+use crate::model::{Geometry, Group, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
 use crate::prepare::AlignedLog;
 use crate::prepare::encoders::circular::wrapped;
 use crate::prepare::judge::Judged;
@@ -142,8 +142,8 @@ fn role(id: ParameterId) -> Option<f64> {
         ParameterId::Bar { parameter: LinkParameter::Theta, .. }
         | ParameterId::Robot { parameter: LinkParameter::Beta, .. } => None,
         ParameterId::Robot { .. } | ParameterId::Bar { .. } => Some(CHAIN_SIGMA),
-        ParameterId::Base(_) => Some(BASE_SIGMA_M),
-        ParameterId::BaseRotation(_) => Some(TILT_SIGMA_RAD),
+        ParameterId::Base { .. } => Some(BASE_SIGMA_M),
+        ParameterId::BaseRotation { .. } => Some(TILT_SIGMA_RAD),
         ParameterId::Harmonic { .. } => Some(HARMONIC_SIGMA_RAD),
         ParameterId::ClockShift => Some(SHIFT_SIGMA_S),
         ParameterId::ClockSkew => Some(SKEW_SIGMA),
@@ -259,8 +259,7 @@ pub(in crate::prepare) fn refine(
     let mut x = model.start();
     let ids = model.columns().map(|parameter| parameter.id);
     if let Some(mut start) = start.map(|fit| fit.geometry.clone()) {
-        let of_clock = |id: &ParameterId| matches!(id, ParameterId::ClockShift | ParameterId::ClockSkew);
-        for (x, id) in x.iter_mut().zip(ids).filter(|(_, id)| !of_clock(id)) {
+        for (x, id) in x.iter_mut().zip(ids).filter(|(_, id)| id.group() != Group::Clock) {
             *x = start.parameter_mut(id).map_or(*x, |start| *start);
         }
     }

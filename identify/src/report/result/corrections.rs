@@ -7,7 +7,7 @@ use super::file::CalibrationFile;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::kinematics::{Joints, LinkParameter};
 use crate::logs::{JointConversion, LogError};
-use crate::model::{ParameterId, Unit, link_parameter_name};
+use crate::model::{ParameterId, Unit};
 
 /// One row of `corrections.csv` or `offsets.csv`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -68,7 +68,7 @@ pub fn corrections(
                 Unit::Metre => ("mm", 1e3),
                 _ => ("deg", 1f64.to_degrees()),
             };
-            let what = format!("link {} {}", link + 1, link_parameter_name(parameter));
+            let what = format!("link {} {}", link + 1, parameter.name());
             let sigma = entry.sigma.map(|sigma| sigma * factor);
             links.push(correction(what, unit, entry.correction * factor, TO_LINK, sigma));
         }

@@ -20,7 +20,7 @@ use crate::calibrate::selection::terms::Candidate;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::cost::SharedColumns;
 use crate::evaluate::{Budget, Validity};
-use crate::model::{Model, Parameter, ParameterId, Role, Unit, link_parameter_name};
+use crate::model::{Group, Model, Parameter, ParameterId, Role, TermGroup, Unit};
 use crate::report::verdict::Verdict;
 use crate::solver::{Covariance, Identifiability, Summary};
 
@@ -172,12 +172,10 @@ impl ParameterEntry {
     /// the bar's length that are left out.
     pub fn all(model: &Model, sigma: impl Fn(ParameterId) -> Option<f64>) -> Vec<Self> {
         let left_out = |parameter: &&Parameter| {
-            let id = parameter.id;
-            let term = matches!(
-                id,
-                ParameterId::Joint { .. } | ParameterId::JointWave { .. } | ParameterId::BarWave { .. }
-            );
-            (term || ParameterId::OF_FORCE.contains(&id))
+            let of_encoders = Group::Term(TermGroup::EncoderHarmonics);
+            let group = parameter.id.group();
+            matches!(group, Group::Term(_) | Group::Force)
+                && group != of_encoders
                 && !parameter.role.is_estimated()
                 && parameter.value == 0.0
         };
@@ -413,7 +411,7 @@ impl CalibrationFile {
             writer.serialize(DhRow {
                 chain: chain.into(),
                 link: link + 1,
-                parameter: link_parameter_name(parameter).into(),
+                parameter: parameter.name().into(),
                 unit: entry.unit.clone(),
                 nominal: entry.nominal,
                 identified: entry.value,
