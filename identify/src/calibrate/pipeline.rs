@@ -8,7 +8,7 @@ use super::ball_bar::CalibrateError;
 use super::change;
 use super::config::CostName;
 use super::rows::WAVES_PER_TURN_MAX;
-use super::selection::line_spectrum::LineSpectrum;
+use super::selection::line_spectrum::{LineSpectrum, Shown};
 use super::selection::terms::{Candidate, Kind, Offer, mean, prior_scale, select};
 use crate::cost::{CostError, DataSets, SharedColumns};
 use crate::instrument::Run;
@@ -122,7 +122,7 @@ struct Solver<'a> {
     /// Of rod and plate those that are not the same in all runs.
     differ: Vec<ParameterId>,
     /// Waves that residuals have shown.
-    line_spectrum: Vec<ParameterId>,
+    shown: Shown,
     /// Parameters that are alike, with their configured standard deviations.
     alike: Vec<(ParameterId, f64)>,
 }
@@ -230,7 +230,7 @@ impl<'a> Solver<'a> {
             })
         };
         let alike = plan.alike.iter().filter_map(sigma).collect();
-        Self { runs, plan, sigmas, differ, line_spectrum: Vec::new(), alike }
+        Self { runs, plan, sigmas, differ, shown: Shown::default(), alike }
     }
 
     fn columns(&self) -> SharedColumns {
@@ -584,26 +584,35 @@ impl<'a> Solver<'a> {
         let mut kinds = self.plan.kinds.clone();
         let is_open = |kind: &&mut Kind| kind.group == TermGroup::LineSpectrum && kind.ids.is_empty();
         if let Some(open) = kinds.iter_mut().find(is_open) {
-            let new = self.offer_line_spectrum(&solution.sample_weights)?;
-            // What an earlier choice has taken is no longer in what is left.
-            self.line_spectrum.retain(|id| !new.contains(id));
-            self.line_spectrum.extend(new);
-            open.ids.clone_from(&self.line_spectrum);
+            self.offer_line_spectrum(&solution.sample_weights)?;
+            open.ids.clone_from(&self.shown.by_all);
+            // Those that only a part of the samples shows stand for themselves in predictions, and nowhere else.
+            self.set_roles(&self.shown.ids(), Role::Prior { value: 0.0, sigma: open.sigma })?;
         }
         for kind in &kinds {
             self.set_roles(&kind.ids, Role::Prior { value: 0.0, sigma: kind.sigma })?;
         }
         let (columns, ids, normals) = self.normals_here(solution.loss, HELD_OUT)?;
-        let columns_of = |kind: &Kind| -> Vec<usize> {
-            (0..ids.len()).filter(|column| kind.ids.contains(&ids[*column])).collect()
+        let columns_of = |wanted: &[ParameterId]| -> Vec<usize> {
+            (0..ids.len()).filter(|column| wanted.contains(&ids[*column])).collect()
         };
-        let offers: Vec<Offer> = kinds
-            .iter()
-            .map(|kind| Offer { columns: columns_of(kind), scales: kind.scales.to_vec() })
-            .collect();
+        let offer = |kind: &Kind| {
+            let found = kind.group == TermGroup::LineSpectrum && kind.ids == self.shown.by_all;
+            let without = self.shown.without.iter().filter(|_| found);
+            Offer {
+                columns: columns_of(&kind.ids),
+                without: without.map(|ids| columns_of(ids)).collect(),
+                scales: kind.scales.clone(),
+            }
+        };
+        let offers: Vec<Offer> = kinds.iter().map(offer).collect();
         let (kinds, offers): (Vec<Kind>, Vec<Offer>) =
             kinds.into_iter().zip(offers).filter(|(_, offer)| !offer.columns.is_empty()).unzip();
-        let offered = |column: &usize| offers.iter().any(|offer| offer.columns.contains(column));
+        let of_parts: Vec<ParameterId> =
+            self.shown.ids().into_iter().filter(|id| !self.shown.by_all.contains(id)).collect();
+        let offered = |column: &usize| {
+            offers.iter().any(|offer| offer.has(*column)) || of_parts.contains(&ids[*column])
+        };
         let (own, mut kept): (Vec<usize>, Vec<usize>) = (0..ids.len()).partition(offered);
         // About the models without any of them, weighed as they are.
         let mut without = self.start(&columns);
@@ -634,6 +643,8 @@ impl<'a> Solver<'a> {
             self.set_roles(&kind.ids, Role::Fixed)?;
             self.set_to_zero(&kind.ids)?;
         }
+        self.set_roles(&of_parts, Role::Fixed)?;
+        self.set_to_zero(&of_parts)?;
         // Waves of high orders look like noise to all that is estimated; others look like links. They are as large as the smallest
         // that is usual: left-out groups did not ask for more. Encoders of a bar tell terms and links apart: claims of its runs hold
         // without (95 % of 185 simulated ones).
@@ -655,23 +666,25 @@ impl<'a> Solver<'a> {
     }
 
     /// Gives all models the waves of the axes that what is left shows.
-    fn offer_line_spectrum(&mut self, weights: &[f64]) -> Result<Vec<ParameterId>, CalibrateError> {
+    fn offer_line_spectrum(&mut self, weights: &[f64]) -> Result<(), CalibrateError> {
         let mut spectrum = LineSpectrum::default();
         let columns = self.columns();
         let starts = problem(self.runs, &columns, &self.sigmas)?.starts().to_vec();
         for ((run, sigma), samples) in self.runs.iter().zip(&self.sigmas).zip(starts.windows(2)) {
-            spectrum.add(run, *sigma, weights.get(samples[0]..samples[1]).unwrap_or_default())?;
+            let weights = weights.get(samples[0]..samples[1]).unwrap_or_default();
+            spectrum.add(run, *sigma, weights, &run.instrument.independent(HELD_OUT))?;
         }
-        let mut found = spectrum.found();
+        let mut shown = spectrum.shown();
         let is_asked_for = |id: &ParameterId| {
             let role = |run: &Run| run.model.parameter(*id).map(|parameter| parameter.role);
             self.runs.iter().any(|run| role(run).is_some_and(|role| role != Role::Fixed))
         };
-        found.retain(|id| !self.plan.fix.contains(id) && !is_asked_for(id));
+        shown.retain(|id| !self.plan.fix.contains(id) && !is_asked_for(id));
         for run in &mut *self.runs {
-            run.model = run.model.clone().with(found.iter().copied());
+            run.model = run.model.clone().with(shown.ids());
         }
-        Ok(found)
+        self.shown.extend(shown);
+        Ok(())
     }
 
     fn ids(&self) -> Vec<Vec<ParameterId>> {

@@ -6,10 +6,12 @@
 //! out most is fitted and taken away, then the next one is looked for (orthogonal matching pursuit, Pati 1993): axes that
 //! move together show each other's waves. What the solve has taken out already is orthogonal to the residuals, so that
 //! parameters near a wave can only hide it, never feign it.
+//!
+//! Orders are looked for in all samples and in those without each fold, so that no fold confirms what it was asked for. Both
+//! work on sums over the samples of each fold, which are made once.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::f64::consts::TAU;
-use std::ops::Range;
 
 use nalgebra::{DMatrix, DVector};
 
@@ -39,23 +41,117 @@ type Wave = (usize, u8);
 /// Normal equations of one wave: `ss`, `sc`, `cc`.
 type Normal = [f64; 3];
 
-/// Samples of all runs, each multiplied by the root of its weight.
+/// Products of sine and cosine of the waves of an axis with those of one wave.
+type Cross = Vec<[[[f64; 2]; 2]; ORDERS]>;
+
+/// Waves that residuals show, sine and cosine of each.
+#[derive(Debug, Clone, Default)]
+pub(in crate::calibrate) struct Shown {
+    /// By all samples.
+    pub by_all: Vec<ParameterId>,
+    /// By the samples of all folds but each one: what that fold may confirm.
+    pub without: Vec<Vec<ParameterId>>,
+}
+
+impl Shown {
+    /// All of them, each once.
+    pub fn ids(&self) -> Vec<ParameterId> {
+        let all: BTreeSet<ParameterId> =
+            self.without.iter().chain([&self.by_all]).flatten().copied().collect();
+        all.into_iter().collect()
+    }
+
+    /// Leaves those that are not wanted.
+    pub fn retain(&mut self, wanted: impl Fn(&ParameterId) -> bool) {
+        self.without.iter_mut().chain([&mut self.by_all]).for_each(|ids| ids.retain(&wanted));
+    }
+
+    /// Takes up what is shown once these are taken out: they no longer are in what is left.
+    pub fn extend(&mut self, others: Self) {
+        let add = |own: &mut Vec<ParameterId>, new: Vec<ParameterId>| {
+            own.retain(|id| !new.contains(id));
+            own.extend(new);
+        };
+        self.without.resize(self.without.len().max(others.without.len()), Vec::new());
+        self.without.iter_mut().zip(others.without).for_each(|(own, new)| add(own, new));
+        add(&mut self.by_all, others.by_all);
+    }
+}
+
+/// What turns of the drives do to the rows of a sample, each multiplied by the root of its weight.
+#[derive(Debug)]
+struct Sample {
+    fold: usize,
+    /// Of the drives \[rad\].
+    angles_rad: Joints,
+    /// `J^T J`
+    stiffness: Vec<Joints>,
+    /// `J^T r`
+    pull: Joints,
+    /// `r^T r`
+    squared: f64,
+    /// Entries of `r`.
+    rows: f64,
+}
+
+/// What the samples of some folds say of all waves.
+#[derive(Debug, Clone)]
+struct Sums {
+    squared: f64,
+    rows: f64,
+    gradients: Vec<[[f64; 2]; ORDERS]>,
+    normals: Vec<[Normal; ORDERS]>,
+}
+
+impl Sums {
+    fn zeros(axes: usize) -> Self {
+        let (gradients, normals) = (vec![[[0.0; 2]; ORDERS]; axes], vec![[[0.0; 3]; ORDERS]; axes]);
+        Self { squared: 0.0, rows: 0.0, gradients, normals }
+    }
+
+    fn add(&mut self, sample: &Sample) {
+        self.squared += sample.squared;
+        self.rows += sample.rows;
+        for (axis, (gradients, normals)) in self.gradients.iter_mut().zip(&mut self.normals).enumerate() {
+            let (pull, stiffness) = (sample.pull[axis], sample.stiffness[axis][axis]);
+            let of_orders = gradients.iter_mut().zip(normals).zip(waves(sample.angles_rad[axis]));
+            for ((gradient, normal), [sin, cos]) in of_orders {
+                gradient[0] += pull * sin;
+                gradient[1] += pull * cos;
+                normal[0] += stiffness * sin * sin;
+                normal[1] += stiffness * sin * cos;
+                normal[2] += stiffness * cos * cos;
+            }
+        }
+    }
+
+    fn add_all(&mut self, other: &Self) {
+        self.squared += other.squared;
+        self.rows += other.rows;
+        add(
+            self.gradients.as_flattened_mut().as_flattened_mut(),
+            other.gradients.as_flattened().as_flattened(),
+        );
+        add(self.normals.as_flattened_mut().as_flattened_mut(), other.normals.as_flattened().as_flattened());
+    }
+}
+
+fn add(to: &mut [f64], by: &[f64]) {
+    to.iter_mut().zip(by).for_each(|(to, by)| *to += by);
+}
+
+/// Samples of all runs and what they say of waves, fold by fold.
 #[derive(Debug, Default)]
 pub(in crate::calibrate) struct LineSpectrum {
-    /// One for each row.
-    residuals: Vec<f64>,
-    /// What a turn of each drive does to each row.
-    by_drives: Vec<Joints>,
-    /// Rows of each sample.
-    rows: Vec<Range<usize>>,
-    /// Of the drives at each sample \[rad\].
-    angles_rad: Vec<Joints>,
+    samples: Vec<Sample>,
+    folds: usize,
     /// Orders that are terms of their own.
     known: BTreeSet<Wave>,
 }
 
 impl LineSpectrum {
-    /// Adds the samples of a run where its model is, with their weights.
+    /// Adds the samples of a run where its model is, with their weights; `folds` are groups of them, which are left out in
+    /// turn.
     ///
     /// # Errors
     /// [`CostError`] where the samples are not what the cost needs.
@@ -64,138 +160,193 @@ impl LineSpectrum {
         Run { instrument, model }: &Run,
         sigma: f64,
         weights: &[f64],
+        folds: &[Vec<usize>],
     ) -> Result<(), CostError> {
         let geometry = model.geometry(&[]);
         let drives = &geometry.joints.drives;
         self.known.extend(known(drives));
+        let first_fold = self.folds;
+        self.folds += folds.len();
         let Some(of_joints) = joints_only(model) else { return Ok(()) };
         let columns = SharedColumns::new([&of_joints], |_| false);
         let problem = DataSets::new(vec![instrument.data_set(&of_joints, sigma)?], &columns);
         // Samples without a value have no weight.
         let every = problem.samples().div_ceil(SAMPLES_MAX).max(1);
-        let present = (0..problem.samples()).step_by(every).filter_map(|sample| {
-            let weight = weights.get(sample).copied().filter(|weight| *weight > 0.0)?;
-            Some((sample, weight, instrument.reported(sample, &geometry.clock)?))
-        });
-        let present: Vec<(usize, f64, JointState)> = present.collect();
+        let mut present: Vec<(usize, usize, f64, JointState)> = folds
+            .iter()
+            .enumerate()
+            .flat_map(|(fold, samples)| samples.iter().map(move |sample| (*sample, first_fold + fold)))
+            .filter(|(sample, _)| sample % every == 0)
+            .filter_map(|(sample, fold)| {
+                let weight = weights.get(sample).copied().filter(|weight| *weight > 0.0)?;
+                Some((sample, fold, weight, instrument.reported(sample, &geometry.clock)?))
+            })
+            .collect();
+        present.sort_unstable_by_key(|(sample, ..)| *sample);
         let subset = Subset { of: &problem, samples: present.iter().map(|(sample, ..)| *sample).collect() };
         let Some((residuals, jacobian)) = stacked(&subset, &of_joints.start()) else { return Ok(()) };
         let per_sample = problem.rows();
         if residuals.len() != per_sample * present.len() {
             return Ok(());
         }
-        for (sample, (_, weight, state)) in present.iter().enumerate() {
-            let begin = self.residuals.len();
-            for row in sample * per_sample..(sample + 1) * per_sample {
-                let (by, root) = (jacobian.row(row), weight.sqrt());
-                let by_drive = |axis: usize| {
-                    let turned = drives.joint_from_drive[axis].iter().zip(&by);
-                    turned.map(|(part, by_joint)| part * by_joint * root).sum()
-                };
-                self.residuals.push(residuals[row] * root);
-                self.by_drives.push(Joints::from_fn(drives.axes(), by_drive));
-            }
-            self.rows.push(begin..self.residuals.len());
-            self.angles_rad.push(Joints::from_fn(drives.axes(), |axis| drives.of_drive(axis, &state.q)));
+        for (number, (_, fold, weight, state)) in present.into_iter().enumerate() {
+            let rows = number * per_sample..(number + 1) * per_sample;
+            let by_drive = |row: usize, axis: usize| -> f64 {
+                let by = jacobian.row(row);
+                drives.joint_from_drive[axis].iter().zip(&by).map(|(part, by_joint)| part * by_joint).sum()
+            };
+            let of_axes = |of: &dyn Fn(usize) -> f64| Joints::from_fn(drives.axes(), of);
+            let product = |a: usize, b: usize| -> f64 {
+                weight * rows.clone().map(|row| by_drive(row, a) * by_drive(row, b)).sum::<f64>()
+            };
+            self.samples.push(Sample {
+                fold,
+                angles_rad: of_axes(&|axis| drives.of_drive(axis, &state.q)),
+                stiffness: (0..drives.axes()).map(|a| of_axes(&|b| product(a, b))).collect(),
+                pull: of_axes(&|axis| {
+                    weight * rows.clone().map(|row| by_drive(row, axis) * residuals[row]).sum::<f64>()
+                }),
+                squared: weight * rows.clone().map(|row| residuals[row].powi(2)).sum::<f64>(),
+                rows: per_sample as f64,
+            });
         }
         Ok(())
     }
 
-    /// The waves that stand out of the noise and of each axis' other waves, sine and cosine of each.
-    pub fn found(&self) -> Vec<ParameterId> {
-        let axes = self.angles_rad.first().map_or(0, |angles| angles.len());
-        let resolved: Vec<f64> = (0..axes).map(|axis| self.resolved(axis)).collect();
-        let normals: Vec<[Normal; ORDERS]> = (0..axes).map(|axis| self.normals(axis)).collect();
-        let mut found: Vec<Wave> = Vec::new();
-        let mut left = DVector::from_column_slice(&self.residuals);
-        loop {
-            let is_new = |&(_, (axis, order)): &(f64, Wave)| {
-                let of_axis = found.iter().filter(|wave| wave.0 == axis);
-                // Over a part of a turn a wave looks like its neighbours: they are its shadows. Those of once and twice
-                // per turn are in the way, too: these are terms of their own and may not have been taken out yet.
-                let mut apart = of_axis.clone().map(|wave| f64::from(wave.1.abs_diff(order)));
-                let slow = f64::from(order) <= TWICE + resolved[axis];
-                !slow && of_axis.clone().count() < WAVES_MAX && apart.all(|apart| apart > resolved[axis])
-            };
-            let variance = left.norm_squared() / left.len().max(1) as f64;
-            let standing = normals
-                .iter()
-                .enumerate()
-                .flat_map(|(axis, normals)| self.standing(axis, normals, left.as_slice(), variance));
-            let Some((_, wave)) = standing.filter(is_new).max_by(|a, b| a.0.total_cmp(&b.0)) else { break };
-            found.push(wave);
-            let Some(without) = self.without(&found) else { break };
-            left = without;
+    /// The waves that stand out of the noise and of each axis' other waves.
+    pub fn shown(&self) -> Shown {
+        let axes = self.samples.first().map_or(0, |sample| sample.angles_rad.len());
+        let mut folds = vec![Sums::zeros(axes); self.folds];
+        self.samples.iter().for_each(|sample| folds[sample.fold].add(sample));
+        let resolved = (0..axes).map(|axis| self.resolved(axis)).collect();
+        let mut search = Search { of: self, folds, resolved, crosses: BTreeMap::new() };
+        Shown {
+            by_all: search.found(None),
+            without: (0..self.folds).map(|fold| search.found(Some(fold))).collect(),
         }
-        let new = found.into_iter().filter(|wave| !self.known.contains(wave));
-        new.flat_map(|(axis, order)| Phase::ALL.map(|phase| ParameterId::JointWave { axis, order, phase }))
-            .collect()
     }
 
     /// Orders that are distinguished over the travel of a drive.
     fn resolved(&self, axis: usize) -> f64 {
-        let [low, high] = extremes(self.angles_rad.iter().map(|angles| angles[axis]));
+        let [low, high] = extremes(self.samples.iter().map(|sample| sample.angles_rad[axis]));
         (TAU / (high - low)).ceil()
     }
 
-    /// What all waves of an axis do to the residuals: the same whatever is left of these.
-    fn normals(&self, axis: usize) -> [Normal; ORDERS] {
-        let mut normals = [[0.0; 3]; ORDERS];
-        for (rows, angles) in self.rows.iter().zip(&self.angles_rad) {
-            let by = &self.by_drives[rows.clone()];
-            // All rows of a sample share its waves.
-            let stiffness: f64 = by.iter().map(|by| by[axis] * by[axis]).sum();
-            for (normal, (sin, cos)) in normals.iter_mut().zip(waves(angles[axis])) {
-                normal[0] += stiffness * sin * sin;
-                normal[1] += stiffness * sin * cos;
-                normal[2] += stiffness * cos * cos;
+    /// What a wave has in common with all waves, in each fold.
+    fn crosses(&self, (axis, order): Wave) -> Vec<Cross> {
+        let axes = self.samples.first().map_or(0, |sample| sample.angles_rad.len());
+        let mut crosses = vec![vec![[[[0.0; 2]; 2]; ORDERS]; axes]; self.folds];
+        for sample in &self.samples {
+            let (sin, cos) = (f64::from(order) * sample.angles_rad[axis]).sin_cos();
+            for (other, cross) in crosses[sample.fold].iter_mut().enumerate() {
+                let by = sample.stiffness[axis][other];
+                for (cross, wave) in cross.iter_mut().zip(waves(sample.angles_rad[other])) {
+                    for (cross, part) in cross.iter_mut().zip(wave) {
+                        cross[0] += by * part * sin;
+                        cross[1] += by * part * cos;
+                    }
+                }
             }
         }
-        normals
+        crosses
     }
+}
 
-    /// Waves of an axis that stand out of what is left, of this variance, with by how much.
-    fn standing(
-        &self,
-        axis: usize,
-        normals: &[Normal; ORDERS],
-        left: &[f64],
-        variance: f64,
-    ) -> Vec<(f64, Wave)> {
-        let mut gradients = [[0.0; 2]; ORDERS];
-        for (rows, angles) in self.rows.iter().zip(&self.angles_rad) {
-            let (residuals, by) = (&left[rows.clone()], &self.by_drives[rows.clone()]);
-            let pull: f64 = residuals.iter().zip(by).map(|(residual, by)| by[axis] * residual).sum();
-            for (gradient, (sin, cos)) in gradients.iter_mut().zip(waves(angles[axis])) {
-                gradient[0] += pull * sin;
-                gradient[1] += pull * cos;
-            }
+/// The search in all folds, and in all but each.
+struct Search<'a> {
+    of: &'a LineSpectrum,
+    folds: Vec<Sums>,
+    /// Orders that are distinguished on each axis.
+    resolved: Vec<f64>,
+    /// What waves that were found in some folds have in common with others.
+    crosses: BTreeMap<Wave, Vec<Cross>>,
+}
+
+impl Search<'_> {
+    /// The waves that all folds show but one.
+    fn found(&mut self, without: Option<usize>) -> Vec<ParameterId> {
+        let taken = |fold: &usize| Some(*fold) != without;
+        let folds: Vec<usize> = (0..self.folds.len()).filter(taken).collect();
+        let mut all = Sums::zeros(self.resolved.len());
+        folds.iter().for_each(|fold| all.add_all(&self.folds[*fold]));
+        let mut found: Vec<Wave> = Vec::new();
+        let mut left = all.clone();
+        while let Some(wave) = self.next(&left, &found) {
+            found.push(wave);
+            self.crosses.entry(wave).or_insert_with(|| self.of.crosses(wave));
+            let Some(without) = self.left(&all, &found, &folds) else { break };
+            left = without;
         }
-        let falls: [f64; ORDERS] = std::array::from_fn(|order| fall(gradients[order], normals[order]));
-        let mut sorted = falls;
-        sorted.sort_unstable_by(f64::total_cmp);
-        // Errors of other kinds lift all waves: peaks have to stand out of these, too.
-        let floor = sorted[ORDERS / 2] / MEDIAN;
-        let noise = floor.max(variance);
-        let standing =
-            falls.into_iter().zip(JointWaves::FIRST..).filter(|(fall, _)| *fall > STANDS_OUT * noise);
-        standing.map(|(fall, order)| (fall / noise, (axis, order))).collect()
+        let new = found.into_iter().filter(|wave| !self.of.known.contains(wave));
+        new.flat_map(|(axis, order)| Phase::ALL.map(|phase| ParameterId::JointWave { axis, order, phase }))
+            .collect()
     }
 
-    /// What these waves, fitted together, leave of the residuals.
-    fn without(&self, waves: &[Wave]) -> Option<DVector<f64>> {
-        let columns: Vec<(Wave, Phase)> =
-            waves.iter().flat_map(|wave| Phase::ALL.map(|phase| (*wave, phase))).collect();
-        let by = DMatrix::from_fn(self.residuals.len(), columns.len(), |row, column| {
-            let ((axis, order), phase) = columns[column];
-            let sample = self.rows.partition_point(|rows| rows.end <= row);
-            let angle_rad = self.angles_rad[sample][axis];
-            self.by_drives[row][axis] * JointWaves::wave(order, phase, angle_rad)
+    /// The wave that stands out most of what is left.
+    fn next(&self, left: &Sums, found: &[Wave]) -> Option<Wave> {
+        let is_new = |&(_, (axis, order)): &(f64, Wave)| {
+            let of_axis = found.iter().filter(|wave| wave.0 == axis);
+            // Over a part of a turn a wave looks like its neighbours: they are its shadows. Those of once and twice
+            // per turn are in the way, too: these are terms of their own and may not have been taken out yet.
+            let mut apart = of_axis.clone().map(|wave| f64::from(wave.1.abs_diff(order)));
+            let slow = f64::from(order) <= TWICE + self.resolved[axis];
+            !slow && of_axis.clone().count() < WAVES_MAX && apart.all(|apart| apart > self.resolved[axis])
+        };
+        let variance = left.squared / left.rows.max(1.0);
+        let of_axes = left.gradients.iter().zip(&left.normals).enumerate();
+        let standing = of_axes.flat_map(|(axis, (gradients, normals))| {
+            standing(gradients, normals, variance).into_iter().map(move |(by, order)| (by, (axis, order)))
         });
-        let residuals = DVector::from_column_slice(&self.residuals);
-        let amplitudes = by.tr_mul(&by).cholesky()?.solve(&by.tr_mul(&residuals));
-        Some(residuals - by * amplitudes)
+        standing.filter(is_new).max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, wave)| wave)
     }
+
+    /// What these waves, fitted together, leave of the residuals of some folds; none where one is the others.
+    fn left(&self, all: &Sums, waves: &[Wave], folds: &[usize]) -> Option<Sums> {
+        let crosses: Vec<Cross> = waves.iter().map(|wave| sum(&self.crosses[wave], folds)).collect();
+        let index = |order: u8| usize::from(order - JointWaves::FIRST);
+        let count = 2 * waves.len();
+        let matrix = DMatrix::from_fn(count, count, |row, column| {
+            let (axis, order) = waves[row / 2];
+            crosses[column / 2][axis][index(order)][row % 2][column % 2]
+        });
+        let pull = DVector::from_fn(count, |row, _| {
+            let (axis, order) = waves[row / 2];
+            all.gradients[axis][index(order)][row % 2]
+        });
+        let amplitudes = matrix.cholesky()?.solve(&pull);
+        let mut left = all.clone();
+        left.squared -= amplitudes.dot(&pull);
+        for (cross, of_wave) in crosses.iter().zip(amplitudes.as_slice().chunks_exact(2)) {
+            let of_orders = left.gradients.as_flattened_mut().iter_mut().zip(cross.as_flattened());
+            for (gradient, cross) in of_orders {
+                for (gradient, cross) in gradient.iter_mut().zip(cross) {
+                    *gradient -= cross[0] * of_wave[0] + cross[1] * of_wave[1];
+                }
+            }
+        }
+        Some(left)
+    }
+}
+
+fn sum(crosses: &[Cross], folds: &[usize]) -> Cross {
+    let mut sum = vec![[[[0.0; 2]; 2]; ORDERS]; crosses.first().map_or(0, Vec::len)];
+    for fold in folds {
+        let own = crosses[*fold].as_flattened().as_flattened().as_flattened();
+        add(sum.as_flattened_mut().as_flattened_mut().as_flattened_mut(), own);
+    }
+    sum
+}
+
+/// Orders of an axis that stand out of what is left, of this variance, with by how much.
+fn standing(gradients: &[[f64; 2]; ORDERS], normals: &[Normal; ORDERS], variance: f64) -> Vec<(f64, u8)> {
+    let falls: [f64; ORDERS] = std::array::from_fn(|order| fall(gradients[order], normals[order]));
+    let mut sorted = falls;
+    sorted.sort_unstable_by(f64::total_cmp);
+    // Errors of other kinds lift all waves: peaks have to stand out of these, too.
+    let floor = sorted[ORDERS / 2] / MEDIAN;
+    let noise = floor.max(variance);
+    let standing = falls.into_iter().zip(JointWaves::FIRST..).filter(|(fall, _)| *fall > STANDS_OUT * noise);
+    standing.map(|(fall, order)| (fall / noise, order)).collect()
 }
 
 /// How much the sum of squares falls with one wave.
@@ -229,10 +380,64 @@ fn joints_only(model: &Model) -> Option<Model> {
 }
 
 /// Sine and cosine of all orders at a drive's angle.
-fn waves(angle_rad: f64) -> impl Iterator<Item = (f64, f64)> {
+fn waves(angle_rad: f64) -> impl Iterator<Item = [f64; 2]> {
     let (step_sin, step_cos) = angle_rad.sin_cos();
-    let first = (f64::from(JointWaves::FIRST) * angle_rad).sin_cos();
-    std::iter::successors(Some(first), move |(sin, cos)| {
-        Some((sin * step_cos + cos * step_sin, cos * step_cos - sin * step_sin))
+    let (sin, cos) = (f64::from(JointWaves::FIRST) * angle_rad).sin_cos();
+    std::iter::successors(Some([sin, cos]), move |[sin, cos]| {
+        Some([sin * step_cos + cos * step_sin, cos * step_cos - sin * step_sin])
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use rand::rngs::StdRng;
+    use rand::{Rng, SeedableRng};
+    use rand_distr::StandardNormal;
+
+    use super::*;
+
+    const FOLDS: usize = 8;
+
+    /// Two axes that turn whole turns, each seen by a residual of its own with noise of one, and waves with this amplitude in
+    /// each fold.
+    fn spectrum(waves: &[(Wave, [f64; FOLDS])]) -> LineSpectrum {
+        let mut random = StdRng::seed_from_u64(5);
+        let sample = |number: usize| {
+            let fold = number * FOLDS / 2400;
+            let angles_rad: Joints = (0..2).map(|_| random.random_range(0.0..TAU)).collect();
+            let residual = |axis: usize| -> f64 {
+                let of_axis = waves.iter().filter(|((of, _), _)| *of == axis);
+                of_axis.map(|((_, order), by)| by[fold] * (f64::from(*order) * angles_rad[axis]).sin()).sum()
+            };
+            let pull = Joints::from_fn(2, |axis| residual(axis) + random.sample::<f64, _>(StandardNormal));
+            let stiffness = (0..2).map(|a| Joints::from_fn(2, |b| f64::from(u8::from(a == b)))).collect();
+            Sample { fold, angles_rad, stiffness, squared: pull.iter().map(|r| r * r).sum(), pull, rows: 2.0 }
+        };
+        LineSpectrum { samples: (0..2400).map(sample).collect(), folds: FOLDS, known: BTreeSet::new() }
+    }
+
+    fn ids((axis, order): Wave) -> Vec<ParameterId> {
+        Phase::ALL.map(|phase| ParameterId::JointWave { axis, order, phase }).to_vec()
+    }
+
+    #[test]
+    fn a_wave_is_shown_without_any_fold_and_one_that_a_single_fold_has_is_not_shown_by_the_others() {
+        let (lasting, of_one) = ((0, 11), (1, 40));
+        let mut once = [0.0; FOLDS];
+        once[3] = 3.0;
+        let shown = spectrum(&[(lasting, [0.4; FOLDS]), (of_one, once)]).shown();
+        assert_eq!(
+            shown.by_all.iter().collect::<BTreeSet<_>>(),
+            [ids(lasting), ids(of_one)].concat().iter().collect()
+        );
+        for (fold, without) in shown.without.iter().enumerate() {
+            assert!(without.contains(&ids(lasting)[0]), "{fold}: {without:?}");
+            assert_eq!(without.contains(&ids(of_one)[0]), fold != 3, "{fold}: {without:?}");
+        }
+    }
+
+    #[test]
+    fn noise_shows_nothing() {
+        assert!(spectrum(&[]).shown().ids().is_empty());
+    }
 }

@@ -54,8 +54,22 @@ impl Candidate {
 pub struct Offer {
     /// Their columns.
     pub columns: Vec<usize>,
+    /// Those that the other folds show, for each fold; empty where they are the same for all.
+    pub without: Vec<Vec<usize>>,
     /// What the standard deviations of their priors may be multiplied by.
     pub scales: Vec<f64>,
+}
+
+impl Offer {
+    /// Columns with which a fold is predicted.
+    fn columns(&self, fold: usize) -> &[usize] {
+        self.without.get(fold).unwrap_or(&self.columns)
+    }
+
+    /// A fold or all samples have this column.
+    pub(in crate::calibrate) fn has(&self, column: usize) -> bool {
+        self.without.iter().chain([&self.columns]).any(|columns| columns.contains(&column))
+    }
 }
 
 /// What became of an offer.
@@ -163,13 +177,15 @@ fn best_scale(
 
 /// Mean squared residual of each left-out fold.
 fn predicted(normals: &Normals, always: &[usize], offers: &[Offer], taken: &[Verdict]) -> Option<Vec<f64>> {
-    let own = |one: &Verdict| offers[one.offer].columns.iter().copied();
-    let columns: Vec<usize> = always.iter().copied().chain(taken.iter().flat_map(own)).collect();
+    let columns = |fold: usize| -> Vec<usize> {
+        let own = |one: &Verdict| offers[one.offer].columns(fold).iter().copied();
+        always.iter().copied().chain(taken.iter().flat_map(own)).collect()
+    };
     let scale = |column: usize| {
-        let of = taken.iter().find(|one| offers[one.offer].columns.contains(&column));
+        let of = taken.iter().find(|one| offers[one.offer].has(column));
         of.map_or(1.0, |one| one.scale)
     };
-    normals.held_out(&columns, &scaled(normals.priors(), scale))
+    normals.held_out_each(columns, &scaled(normals.priors(), scale))
 }
 
 fn scaled(priors: &[Prior], scale: impl Fn(usize) -> f64) -> Vec<Prior> {
@@ -222,7 +238,8 @@ mod tests {
         fn verdicts(&self) -> Vec<Verdict> {
             let folds: Vec<Vec<usize>> = (0..8).map(|fold| (40 * fold..40 * (fold + 1)).collect()).collect();
             let normals = Normals::new(self, &[0.0; 4], &Options::default(), &folds).ok();
-            let offer = |column| Offer { columns: vec![column], scales: vec![1.0, 100.0] };
+            let offer =
+                |column| Offer { columns: vec![column], without: Vec::new(), scales: vec![1.0, 100.0] };
             normals.map(|normals| select(&normals, &[0, 1], &[offer(3), offer(2)])).unwrap_or_default()
         }
     }

@@ -220,22 +220,27 @@ impl Normals {
     /// Mean squared residual of each fold, predicted by a solution for `columns` from all other folds; the other columns
     /// stay where they are. None where the others do not determine the columns.
     pub fn held_out(&self, columns: &[usize], priors: &[Prior]) -> Option<Vec<f64>> {
-        let place = |prior: &Prior| {
-            let column = columns.iter().position(|column| *column == prior.column)?;
-            Some(Prior { column, ..*prior })
-        };
-        let known: Vec<Prior> = priors.iter().filter_map(place).collect();
-        let x: Vec<f64> = columns.iter().map(|&column| self.x[column]).collect();
-        let mut total = self.total.only(columns);
-        total += &self.known.only(columns);
-        total.add_priors(&known, &x);
-        let error = |fold: &Normal| {
-            let fold = fold.only(columns);
-            let others = &total - &fold;
+        self.held_out_each(|_| columns.to_vec(), priors)
+    }
+
+    /// The same with columns that each fold has for itself, by its number.
+    pub fn held_out_each(&self, columns: impl Fn(usize) -> Vec<usize>, priors: &[Prior]) -> Option<Vec<f64>> {
+        let error = |(number, fold): (usize, &Normal)| {
+            let columns = columns(number);
+            let place = |prior: &Prior| {
+                let column = columns.iter().position(|column| *column == prior.column)?;
+                Some(Prior { column, ..*prior })
+            };
+            let known: Vec<Prior> = priors.iter().filter_map(place).collect();
+            let x: Vec<f64> = columns.iter().map(|&column| self.x[column]).collect();
+            let fold = fold.only(&columns);
+            let mut others = &self.total.only(&columns) - &fold;
+            others += &self.known.only(&columns);
+            others.add_priors(&known, &x);
             let step = -ScaledCholesky::new(others.matrix)?.solve(&others.gradient);
             Some(fold.after(&step) / fold.rows)
         };
-        self.folds.iter().filter(|fold| fold.rows > 0.0).map(error).collect()
+        self.folds.iter().enumerate().filter(|(_, fold)| fold.rows > 0.0).map(error).collect()
     }
 
     /// [`Self::whole`] and its factor. None where columns depend on each other.
