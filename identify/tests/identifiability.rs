@@ -273,7 +273,7 @@ impl RobotMotion for Following<'_> {
 fn clock_shift_skew_and_a_tilted_base_are_found_with_everything_else() {
     let cell = Cell::irb2400();
     let mut model = cell.model();
-    model.select(Selection::CellWithClocks, Transform::sees);
+    model.select(Selection::CellWithClocks, Transform::depends_on);
     let (truth, robot, bar) = true_chains(&model, &[("orx", 5.0), ("ory", -4.0)]);
     let motion = Following { robot: &robot, bar: &bar, shift_s: 0.02, skew: 25e-6 };
     let observations: Vec<Observation> = (0..600)

@@ -153,7 +153,7 @@ fn agrees<R: Residual>(
                 largest = largest.max(expected.eps.abs());
             }
         }
-        assert_eq!(largest > 1e-12, R::sees(parameter.id), "{} sees {}", R::NAME, parameter.id);
+        assert_eq!(largest > 1e-12, R::depends_on(parameter.id), "{} sees {}", R::NAME, parameter.id);
     }
 }
 

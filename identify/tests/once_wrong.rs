@@ -208,7 +208,7 @@ fn a_joint_that_begins_a_quarter_of_a_turn_elsewhere_is_refused_or_named() {
         for joint in [1, 3] {
             let mut made = rows(kind, &irb2400(), 1, &USUAL);
             made.all(|q: &mut Joints| q[joint] += std::f64::consts::FRAC_PI_2);
-            match made.told() {
+            match made.reported() {
                 Told::Refused(said) => println!("{kind:?}, joint {}: refused, {said}", joint + 1),
                 Told::Calibrated(grade, _, _, reason) => {
                     println!("{kind:?}, joint {}: {grade:?}, {reason}", joint + 1);

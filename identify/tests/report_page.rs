@@ -165,7 +165,7 @@ fn every_cost_finds_the_true_robot_within_what_it_says_of_itself() {
     // The statistically sound cost knows most, the one without encoders least.
     assert!(sigmas.iter().all(|sigma| *sigma >= sigmas[0] && *sigma <= sigmas[4]), "{sigmas:?}");
     let length = costs.entries[4].figures.as_ref().unwrap();
-    assert!(length.not_told.iter().any(|name| name == "btheta2"), "{:?}", length.not_told);
+    assert!(length.not_determined.iter().any(|name| name == "btheta2"), "{:?}", length.not_determined);
     assert!(length.parameters < costs.entries[0].figures.as_ref().unwrap().parameters);
 }
 

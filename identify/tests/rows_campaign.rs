@@ -166,7 +166,7 @@ impl Rows {
     }
 
     /// Writes what a person has, and calibrates.
-    pub fn told(&self) -> Told {
+    pub fn reported(&self) -> Told {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name).display().to_string();
         std::fs::write(at("robot.toml"), toml::to_string(&self.robot).unwrap()).unwrap();
@@ -407,7 +407,7 @@ fn spoiled_rows_are_refused_or_flagged_or_do_no_harm() {
             for (name, _, spoil) in spoils().into_iter().filter(is_tried) {
                 let mut spoiled = clean.clone();
                 spoil(&mut spoiled);
-                let told = match spoiled.told() {
+                let told = match spoiled.reported() {
                     Told::Refused(said) => format!("refused: {said}"),
                     Told::Calibrated(grade, claimed_m, true_m, reason) => {
                         if grade == Grade::Green && true_m > 2.0 * claimed_m {
@@ -439,7 +439,7 @@ fn good_rows_are_not_refused_and_their_claims_hold() {
         let robot = &robots[(seed / 4 % 4) as usize];
         let level = Level::random(&mut StdRng::seed_from_u64(500 + seed));
         let made = rows(kind, robot, seed, &level);
-        let verdict = match made.told() {
+        let verdict = match made.reported() {
             Told::Refused(said) => {
                 println!("{seed} {}, {kind:?}: refused, {said}", robot.name);
                 "refused".to_owned()

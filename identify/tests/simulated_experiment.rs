@@ -18,7 +18,7 @@ fn model(prepared: &Prepared, robot: &RobotConfig, bar: &BallBarConfig) -> Model
     let mut bar_chain = ball_bar_chain(bar);
     bar_chain.root_from_base.translation.vector = prepared.initial.base_m;
     let mut model = Model::ball_bar(&robot_chain(robot, bar), &bar_chain);
-    model.select(Selection::Thesis, Transform::sees);
+    model.select(Selection::Thesis, Transform::depends_on);
     model.set_roles([ParameterId::ClockShift, ParameterId::ClockSkew], Role::Free).unwrap();
     model.set_value(ParameterId::ClockSkew, prepared.initial.clock_skew).unwrap();
     for (link, offset_rad) in prepared.initial.btheta_rad.into_iter().enumerate() {

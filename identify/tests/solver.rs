@@ -191,7 +191,7 @@ fn the_closed_chain_with_noise_ends_where_another_solver_ends() {
     let cell = Cell::irb2400();
     let (observations, motion) = noisy_poses(&cell, 60, 21, 1e-3);
     let mut model = cell.model();
-    model.select(Selection::Thesis, Transform::sees);
+    model.select(Selection::Thesis, Transform::depends_on);
     let problem = LoopProblem::new(&model, &motion, &observations, Transform, 1.0).unwrap();
     let ours = solve(&problem, &model.start(), &Options::default()).unwrap();
     assert!(ours.summary.termination.converged());

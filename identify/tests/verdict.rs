@@ -7,7 +7,7 @@ use crate::support::command::identify;
 use crate::support::{irb2400, lengths, repository};
 use identify::evaluate::{Budget, Expected, Limit, WorkspaceError};
 use identify::report::result::file::{CalibrationFile, SolveEntry};
-use identify::report::result::validation::{ApartEntry, HeldOutEntry};
+use identify::report::result::validation::{HeldOutEntry, PoseErrorEntry};
 use identify::report::verdict::{Grade, Verdict};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
@@ -37,8 +37,10 @@ fn judged_within(
         residual_rms: 1.0,
     };
     let mut file = CalibrationFile::new("robot", "bar", solve, None, Vec::new(), Vec::new());
-    let entry =
-        |at: usize| ApartEntry { position_m: position[at] * 1e-3, rotation_rad: Some(rotation[at] * 1e-3) };
+    let entry = |at: usize| PoseErrorEntry {
+        position_m: position[at] * 1e-3,
+        rotation_rad: Some(rotation[at] * 1e-3),
+    };
     file.held_out =
         Some(HeldOutEntry { segments: 8, nominal: entry(0), calibrated: entry(1), fitted: entry(1) });
     let after =

@@ -339,7 +339,7 @@ pub(super) fn solve(
     let plan = Plan {
         loss: config.loss_for(cost),
         ransac: config.ransac,
-        kinds: config.kinds(model, |id| instrument.identifies(id)),
+        groups: config.groups(model, |id| instrument.identifies(id)),
         fix,
         tolerances: model.columns().map(|one| one.id).filter(of_link).filter(|_| scaled).collect(),
         alike: config.alike().collect(),

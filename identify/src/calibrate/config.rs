@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use shared::config::{BallBarConfig, Validate, Violation};
 
-use super::selection::terms::Kind;
+use super::selection::terms::CandidateGroup;
 use crate::cost::AngleNoise;
 use crate::kinematics::BAR_JOINTS;
 use crate::model::{Group, Model, ModelError, ParameterId, Role, Selection, THESIS_FIXED, TermGroup};
@@ -346,20 +346,20 @@ impl IdentifyConfig {
     }
 
     /// [`Self::candidates`] with those of a model's parameters that its samples determine and nobody has freed or fixed by name.
-    pub fn kinds(&self, model: &Model, identifies: impl Fn(ParameterId) -> bool) -> Vec<Kind> {
-        let kind = |group: TermGroup| {
+    pub fn groups(&self, model: &Model, identifies: impl Fn(ParameterId) -> bool) -> Vec<CandidateGroup> {
+        let group = |group: TermGroup| {
             let open = model
                 .parameters()
                 .iter()
                 .filter(|one| one.id.term() == Some(group) && one.role == Role::Fixed && identifies(one.id));
             let ids = open.map(|one| one.id).filter(|id| !self.fix.contains(&id.to_string())).collect();
             let scales = group.scales().to_vec();
-            Kind { group, name: group.name().into(), ids, sigma: self.sigma(group), scales }
+            CandidateGroup { group, name: group.name().into(), ids, sigma: self.sigma(group), scales }
         };
         self.candidates()
             .into_iter()
-            .map(kind)
-            .filter(|kind| kind.group == TermGroup::LineSpectrum || !kind.ids.is_empty())
+            .map(group)
+            .filter(|group| group.group == TermGroup::LineSpectrum || !group.ids.is_empty())
             .collect()
     }
 

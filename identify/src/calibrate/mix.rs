@@ -197,7 +197,7 @@ fn laid_out<'w>(
     let mut plan = Plan {
         loss: config.loss.unwrap_or(LossName::Huber),
         ransac: false,
-        kinds: Vec::new(),
+        groups: Vec::new(),
         tolerances: link_ids(&flange),
         alike: config.alike().collect(),
         fix,
@@ -239,7 +239,7 @@ fn laid_out<'w>(
         free_robot(model, &flange, &plan.fix, config.tolerance_mm_mrad * 1e-3)?;
     }
     known_somewhere(&runs, &plan.fix)?;
-    plan.kinds = if data.bars.is_empty() {
+    plan.groups = if data.bars.is_empty() {
         let measured =
             |run: &Run| Ok(run.instrument.samples() * run.instrument.data_set(&run.model, 1.0)?.rows());
         let measured = runs.iter().map(measured).sum::<Result<_, CalibrateError>>()?;
@@ -249,12 +249,12 @@ fn laid_out<'w>(
             run.model = run.model.clone().with(ParameterId::joint_waves(last));
         }
         let known = |id: &ParameterId| runs.iter().any(|run| run.model.parameter(*id).is_some());
-        let mut kinds = rows::kinds(last, |id| known(id) && !plan.fix.contains(id));
-        kinds.retain(|kind| config.joint_terms.candidates.contains(&kind.group));
-        kinds
+        let mut groups = rows::groups(last, |id| known(id) && !plan.fix.contains(id));
+        groups.retain(|group| config.joint_terms.candidates.contains(&group.group));
+        groups
     } else {
         let Run { instrument, model } = &runs[0];
-        config.kinds(model, |id| instrument.identifies(id))
+        config.groups(model, |id| instrument.identifies(id))
     };
     Ok(LaidOut { runs, rows, plan })
 }
@@ -303,7 +303,7 @@ fn staged(
     let LaidOut { mut runs, mut rows, plan } = laid_out(data, robot, config, judged, watch)?;
     let bars = data.bars.len();
     // What rows that do not belong with the rest, and a drift, are judged by.
-    let of_links = Plan { kinds: Vec::new(), tolerances: Vec::new(), alike: Vec::new(), ..plan.clone() };
+    let of_links = Plan { groups: Vec::new(), tolerances: Vec::new(), alike: Vec::new(), ..plan.clone() };
     let Solved { sigmas, .. } = estimate(&mut runs, &of_links)?;
     let offsets = fitted(&runs, Deployment::Offsets, plan.loss)?.map_or_else(Vec::new, |found| found.runs);
     for (number, set) in rows.iter_mut().enumerate() {

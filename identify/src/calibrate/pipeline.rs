@@ -9,7 +9,7 @@ use super::change;
 use super::config::CostName;
 use super::rows::WAVES_PER_TURN_MAX;
 use super::selection::line_spectrum::{LineSpectrum, Shown};
-use super::selection::terms::{Candidate, Kind, Offer, mean, prior_scale, select};
+use super::selection::terms::{Candidate, CandidateGroup, Offer, mean, prior_scale, select};
 use crate::cost::{CostError, DataSets, SharedColumns};
 use crate::instrument::Run;
 use crate::model::{Group, Model, ModelError, Parameter, ParameterId, Phase, Role, TermGroup};
@@ -42,7 +42,7 @@ pub struct Plan<'a> {
     /// Start from random subsets of the samples.
     pub ransac: bool,
     /// Terms that are tried; a line spectrum without parameters is found in what is left.
-    pub kinds: Vec<Kind>,
+    pub groups: Vec<CandidateGroup>,
     /// Parameters that stay where they are.
     pub fix: Vec<ParameterId>,
     /// Parameters whose priors are widened until left-out groups are predicted best.
@@ -55,11 +55,11 @@ pub struct Plan<'a> {
 
 impl Plan<'_> {
     /// Of rows of one instrument.
-    pub fn new(loss: LossName, kinds: Vec<Kind>) -> Self {
+    pub fn new(loss: LossName, groups: Vec<CandidateGroup>) -> Self {
         Plan {
             loss,
             ransac: false,
-            kinds,
+            groups,
             fix: Vec::new(),
             tolerances: Vec::new(),
             alike: Vec::new(),
@@ -150,7 +150,7 @@ fn estimated(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError
     let without_terms = solver.runs.iter().map(|run| run.model.clone()).collect();
     let mut candidates = Vec::new();
     let mut scale = 1.0;
-    let to_choose = !(plan.kinds.is_empty() && plan.tolerances.is_empty() && solver.alike.is_empty());
+    let to_choose = !(plan.groups.is_empty() && plan.tolerances.is_empty() && solver.alike.is_empty());
     if to_choose && solution.summary.residual_rms > RESIDUAL_MIN * solver.unit() {
         let finds_noise = solver.bars().is_none_or(|cost| cost == CostName::Pose);
         // Known terms leave less noise: the second choice weighs their priors by it.
@@ -581,33 +581,34 @@ impl<'a> Solver<'a> {
 
     /// Tries each kind of terms on held-out groups, gives those that stay their priors, and finds the scale of tolerances.
     fn choose_terms(&mut self, solution: &Solution) -> Result<(Vec<Candidate>, f64), CalibrateError> {
-        let mut kinds = self.plan.kinds.clone();
-        let is_open = |kind: &&mut Kind| kind.group == TermGroup::LineSpectrum && kind.ids.is_empty();
-        if let Some(open) = kinds.iter_mut().find(is_open) {
+        let mut groups = self.plan.groups.clone();
+        let is_open =
+            |group: &&mut CandidateGroup| group.group == TermGroup::LineSpectrum && group.ids.is_empty();
+        if let Some(open) = groups.iter_mut().find(is_open) {
             self.offer_line_spectrum(&solution.sample_weights)?;
             open.ids.clone_from(&self.shown.by_all);
             // Those that only a part of the samples shows stand for themselves in predictions, and nowhere else.
             self.set_roles(&self.shown.ids(), Role::Prior { value: 0.0, sigma: open.sigma })?;
         }
-        for kind in &kinds {
-            self.set_roles(&kind.ids, Role::Prior { value: 0.0, sigma: kind.sigma })?;
+        for group in &groups {
+            self.set_roles(&group.ids, Role::Prior { value: 0.0, sigma: group.sigma })?;
         }
         let (columns, ids, normals) = self.normals_here(solution.loss, HELD_OUT)?;
         let columns_of = |wanted: &[ParameterId]| -> Vec<usize> {
             (0..ids.len()).filter(|column| wanted.contains(&ids[*column])).collect()
         };
-        let offer = |kind: &Kind| {
-            let found = kind.group == TermGroup::LineSpectrum && kind.ids == self.shown.by_all;
+        let offer = |group: &CandidateGroup| {
+            let found = group.group == TermGroup::LineSpectrum && group.ids == self.shown.by_all;
             let without = self.shown.without.iter().filter(|_| found);
             Offer {
-                columns: columns_of(&kind.ids),
+                columns: columns_of(&group.ids),
                 without: without.map(|ids| columns_of(ids)).collect(),
-                scales: kind.scales.clone(),
+                scales: group.scales.clone(),
             }
         };
-        let offers: Vec<Offer> = kinds.iter().map(offer).collect();
-        let (kinds, offers): (Vec<Kind>, Vec<Offer>) =
-            kinds.into_iter().zip(offers).filter(|(_, offer)| !offer.columns.is_empty()).unzip();
+        let offers: Vec<Offer> = groups.iter().map(offer).collect();
+        let (groups, offers): (Vec<CandidateGroup>, Vec<Offer>) =
+            groups.into_iter().zip(offers).filter(|(_, offer)| !offer.columns.is_empty()).unzip();
         let of_parts: Vec<ParameterId> =
             self.shown.ids().into_iter().filter(|id| !self.shown.by_all.contains(id)).collect();
         let offered = |column: &usize| {
@@ -621,15 +622,15 @@ impl<'a> Solver<'a> {
         let verdicts = normals.as_ref().map_or_else(Vec::new, |normals| select(normals, &kept, &offers));
         let mut report = Vec::new();
         for verdict in &verdicts {
-            let (kind, columns) = (&kinds[verdict.offer], &offers[verdict.offer].columns);
-            let sigma = verdict.accepted.then_some(kind.sigma * verdict.scale);
+            let (group, columns) = (&groups[verdict.offer], &offers[verdict.offer].columns);
+            let sigma = verdict.accepted.then_some(group.sigma * verdict.scale);
             if let Some(sigma) = sigma {
                 kept.extend(columns);
-                self.set_roles(&kind.ids, Role::Prior { value: 0.0, sigma })?;
+                self.set_roles(&group.ids, Role::Prior { value: 0.0, sigma })?;
             }
             report.push(Candidate {
-                group: kind.group,
-                name: kind.name.clone(),
+                group: group.group,
+                name: group.name.clone(),
                 parameters: columns.len(),
                 sigma,
                 held_out_before: verdict.before.sqrt(),
@@ -637,11 +638,11 @@ impl<'a> Solver<'a> {
                 accepted: verdict.accepted,
             });
         }
-        for kind in
-            kinds.iter().filter(|kind| !report.iter().any(|one| one.accepted && one.name == kind.name))
+        for group in
+            groups.iter().filter(|group| !report.iter().any(|one| one.accepted && one.name == group.name))
         {
-            self.set_roles(&kind.ids, Role::Fixed)?;
-            self.set_to_zero(&kind.ids)?;
+            self.set_roles(&group.ids, Role::Fixed)?;
+            self.set_to_zero(&group.ids)?;
         }
         self.set_roles(&of_parts, Role::Fixed)?;
         self.set_to_zero(&of_parts)?;
@@ -649,10 +650,10 @@ impl<'a> Solver<'a> {
         // that is usual: left-out groups did not ask for more. Encoders of a bar tell terms and links apart: claims of its runs hold
         // without (95 % of 185 simulated ones).
         let bars = self.bars().is_some();
-        let looks_like_links = |kind: &&Kind| kind.group != TermGroup::LineSpectrum && !bars;
+        let looks_like_links = |group: &&CandidateGroup| group.group != TermGroup::LineSpectrum && !bars;
         for verdict in verdicts.iter().filter(|verdict| !verdict.accepted) {
-            if let Some(kind) = kinds.get(verdict.offer).filter(looks_like_links) {
-                self.set_roles(&kind.ids, Role::Considered { sigma: kind.sigma })?;
+            if let Some(group) = groups.get(verdict.offer).filter(looks_like_links) {
+                self.set_roles(&group.ids, Role::Considered { sigma: group.sigma })?;
             }
         }
         let Some(normals) = normals.filter(|_| !self.plan.tolerances.is_empty()) else {

@@ -26,8 +26,8 @@ impl Residual for SeatedBall<'_> {
     const ROWS: usize = 3;
     const ENCODERS: &'static [usize] = &[];
 
-    fn sees(id: ParameterId) -> bool {
-        id.is_seen_by(Owner::Contact)
+    fn depends_on(id: ParameterId) -> bool {
+        id.affects(Owner::Contact)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Self::Local> {

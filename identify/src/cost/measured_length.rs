@@ -34,8 +34,8 @@ impl Residual for MeasuredLength<'_> {
     const ENCODERS: &'static [usize] = &[];
     const NEEDS_LENGTH: bool = true;
 
-    fn sees(id: ParameterId) -> bool {
-        id.is_seen_by(Owner::Wire)
+    fn depends_on(id: ParameterId) -> bool {
+        id.affects(Owner::Wire)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Stretched> {

@@ -47,8 +47,8 @@ impl Residual for MeasuredPose<'_> {
     const ROWS: usize = 6;
     const ENCODERS: &'static [usize] = &[];
 
-    fn sees(id: ParameterId) -> bool {
-        id.is_seen_by(Owner::Tracker)
+    fn depends_on(id: ParameterId) -> bool {
+        id.affects(Owner::Tracker)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<TurnedSighting> {
@@ -61,7 +61,7 @@ impl Residual for MeasuredPose<'_> {
     }
 
     fn residual(&self, _: &Scene<'_>, local: &TurnedSighting, out: &mut [f64]) {
-        local.write(&local.sighting.apart_m(), &local.turn_rad, out);
+        local.write(&local.sighting.position_error_m(), &local.turn_rad, out);
     }
 
     fn derivative(&self, scene: &Scene<'_>, local: &TurnedSighting, id: ParameterId, out: &mut [f64]) {

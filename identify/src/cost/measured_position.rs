@@ -48,7 +48,7 @@ impl Sighting {
     }
 
     /// From where the tracker sees it to where the robot holds it \[m\].
-    pub(super) fn apart_m(&self) -> Vector3<f64> {
+    pub(super) fn position_error_m(&self) -> Vector3<f64> {
         self.held.translation.vector - self.seen.translation.vector
     }
 
@@ -89,9 +89,9 @@ impl Residual for MeasuredPosition<'_> {
     const ROWS: usize = 3;
     const ENCODERS: &'static [usize] = &[];
 
-    fn sees(id: ParameterId) -> bool {
+    fn depends_on(id: ParameterId) -> bool {
         let turns_probe = matches!(id, ParameterId::Probe { coordinate: Coordinate::Rotation(_), .. });
-        id.is_seen_by(Owner::Tracker) && !turns_probe
+        id.affects(Owner::Tracker) && !turns_probe
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Sighting> {
@@ -101,7 +101,7 @@ impl Residual for MeasuredPosition<'_> {
     }
 
     fn residual(&self, _: &Scene<'_>, sighting: &Sighting, out: &mut [f64]) {
-        out.copy_from_slice((sighting.apart_m() / sighting.noise.position_m).as_slice());
+        out.copy_from_slice((sighting.position_error_m() / sighting.noise.position_m).as_slice());
     }
 
     fn derivative(&self, scene: &Scene<'_>, sighting: &Sighting, id: ParameterId, out: &mut [f64]) {

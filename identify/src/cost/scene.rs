@@ -153,7 +153,7 @@ pub(super) fn unit(axis: Axis) -> Vector3<f64> {
 
 /// Harmonics and zeros of an encoder, and what follows its reading, are seen by costs that need the encoder; anything else
 /// is not in question.
-pub(super) fn sees_encoder(id: ParameterId, encoders: &[usize]) -> bool {
+pub(super) fn encoders_suffice(id: ParameterId, encoders: &[usize]) -> bool {
     match id {
         ParameterId::Harmonic { joint, .. }
         | ParameterId::EncoderOffset { joint, .. }
@@ -176,11 +176,11 @@ pub trait Residual: Sync {
     const NEEDS_LENGTH: bool = false;
 
     /// The parameter changes the residual; others need not be free.
-    fn sees(id: ParameterId) -> bool;
+    fn depends_on(id: ParameterId) -> bool;
 
     /// Named selections free the parameter with this cost: it depends on it and separates it from the others of the selection.
     fn identifies(id: ParameterId) -> bool {
-        Self::sees(id)
+        Self::depends_on(id)
     }
 
     /// What this sample computes once; none where the residual has no value here.
@@ -201,8 +201,8 @@ impl<R: Residual> Residual for &R {
     const ENCODERS: &'static [usize] = R::ENCODERS;
     const NEEDS_LENGTH: bool = R::NEEDS_LENGTH;
 
-    fn sees(id: ParameterId) -> bool {
-        R::sees(id)
+    fn depends_on(id: ParameterId) -> bool {
+        R::depends_on(id)
     }
 
     fn identifies(id: ParameterId) -> bool {

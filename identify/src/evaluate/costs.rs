@@ -21,7 +21,7 @@ pub struct CostFigures {
     /// Correction and sigma of each of [`CostComparison::names`], SI; none where the cost leaves it nominal.
     pub robot: Vec<Option<(f64, f64)>>,
     /// Parameters that the calibration identifies and this cost does not.
-    pub not_told: Vec<String>,
+    pub not_determined: Vec<String>,
     /// Euclidean norm of the differences to the calibration, over the robot's parameters that both identify \[mm|mrad\].
     pub difference_mm_mrad: f64,
     /// Euclidean norm of the sigmas of the robot's parameters \[mm|mrad\].
@@ -106,13 +106,14 @@ fn figures(
             .filter_map(|(id, one)| Some((of(*id, (*one)?)? * id.unit().display_factor()).powi(2)));
         squares.sum::<f64>().sqrt()
     };
-    let not_told = calibration.model.columns().filter(|parameter| model.column_of(parameter.id).is_none());
+    let not_determined =
+        calibration.model.columns().filter(|parameter| model.column_of(parameter.id).is_none());
     CostFigures {
         parameters: solution.identifiability.names.len(),
         rank_of_samples: solution.identifiability.rank_of_samples,
         condition: solution.identifiability.weakest().recip(),
         summary: solution.summary,
-        not_told: not_told.map(|parameter| parameter.id.to_string()).collect(),
+        not_determined: not_determined.map(|parameter| parameter.id.to_string()).collect(),
         difference_mm_mrad: shown(&|id, (correction, _)| Some(correction - reference(id)?)),
         sigma_mm_mrad: shown(&|_, (_, sigma)| Some(sigma)),
         from_calibrated_m: distance_m(model, &calibration.model, joint_limits),

@@ -30,7 +30,7 @@ pub fn joint_gaps<'a>(
             (lever_m > LEVER_MIN_M).then(|| JointGap {
                 q_rad: closure.joints.q[joint],
                 qd_rad_s: closure.joints.qd[joint],
-                turn_rad: -arm.dot(&closure.apart_m) / (lever_m * lever_m),
+                turn_rad: -arm.dot(&closure.position_error_m) / (lever_m * lever_m),
             })
         };
         closures.clone().filter_map(seen).collect()

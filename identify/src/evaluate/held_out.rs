@@ -10,7 +10,7 @@ use crate::model::{Geometry, Model, Observation, ParameterId};
 
 /// Robot against bar at one sample.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Apart {
+pub struct PoseError {
     /// Bar clock, since the run's reference time \[s\].
     pub t_s: f64,
     /// Distance of the two ends; without encoders the distance from the bar's sphere \[m\].
@@ -21,15 +21,15 @@ pub struct Apart {
 
 /// Root mean squares over some samples.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct ApartRms {
+pub struct PoseErrorRms {
     /// \[m\]
     pub position_m: f64,
     /// \[rad\]
     pub rotation_rad: f64,
 }
 
-impl ApartRms {
-    fn of<'a>(samples: impl Iterator<Item = &'a Apart> + Clone) -> Self {
+impl PoseErrorRms {
+    fn of<'a>(samples: impl Iterator<Item = &'a PoseError> + Clone) -> Self {
         Self {
             position_m: rms(samples.clone().map(|one| one.position_m)),
             rotation_rad: rms(samples.map(|one| one.rotation_rad)),
@@ -43,24 +43,24 @@ pub struct HeldOutSegment {
     /// Number of its run, from 0.
     pub run: usize,
     /// Nominal robot, the bar fitted to it on the rest of the run.
-    pub nominal: Vec<Apart>,
+    pub nominal: Vec<PoseError>,
     /// Robot, bar and clocks as fitted to everything else; with a cost that leaves encoders out, the bar fitted as to the nominal
     /// robot.
-    pub predicted: Vec<Apart>,
+    pub predicted: Vec<PoseError>,
     /// The whole fit, which has seen the segment.
-    pub fitted: Vec<Apart>,
+    pub fitted: Vec<PoseError>,
 }
 
 impl HeldOutSegment {
     /// First and last sample, bar clock since the run's reference time \[s\].
     pub fn span_s(&self) -> [f64; 2] {
-        let at = |one: Option<&Apart>| one.map_or(0.0, |one| one.t_s);
+        let at = |one: Option<&PoseError>| one.map_or(0.0, |one| one.t_s);
         [at(self.fitted.first()), at(self.fitted.last())]
     }
 
     /// Root mean squares: nominal, predicted, fitted.
-    pub fn rms(&self) -> [ApartRms; 3] {
-        [&self.nominal, &self.predicted, &self.fitted].map(|samples| ApartRms::of(samples.iter()))
+    pub fn rms(&self) -> [PoseErrorRms; 3] {
+        [&self.nominal, &self.predicted, &self.fitted].map(|samples| PoseErrorRms::of(samples.iter()))
     }
 }
 
@@ -75,8 +75,9 @@ pub struct HeldOut {
 
 impl HeldOut {
     /// Root mean squares over all segments: nominal, predicted, fitted.
-    pub fn rms(&self) -> [ApartRms; 3] {
-        let all = |of: fn(&HeldOutSegment) -> &Vec<Apart>| ApartRms::of(self.segments.iter().flat_map(of));
+    pub fn rms(&self) -> [PoseErrorRms; 3] {
+        let all =
+            |of: fn(&HeldOutSegment) -> &Vec<PoseError>| PoseErrorRms::of(self.segments.iter().flat_map(of));
         [all(|one| &one.nominal), all(|one| &one.predicted), all(|one| &one.fitted)]
     }
 }
@@ -121,7 +122,7 @@ pub fn held_out(
         let (Some((prepared, _)), Some(whole)) = (runs.get(segment.run), whole.get(segment.run)) else {
             continue;
         };
-        let at = |geometry: &Geometry| -> Vec<Apart> {
+        let at = |geometry: &Geometry| -> Vec<PoseError> {
             let seen = closures(geometry, &prepared.motion, &segment.seen_by_none);
             seen.iter().map(|closure| apart(closure, by_encoders)).collect()
         };
@@ -135,8 +136,8 @@ pub fn held_out(
     all
 }
 
-fn apart(closure: &Closure, by_encoders: bool) -> Apart {
-    Apart {
+fn apart(closure: &Closure, by_encoders: bool) -> PoseError {
+    PoseError {
         t_s: closure.t_s,
         position_m: closure.gap_m(by_encoders),
         rotation_rad: closure.turned_rad.norm(),

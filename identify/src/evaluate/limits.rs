@@ -108,7 +108,7 @@ pub fn limits(
             ),
         );
     }
-    limits.extend(untold_forces(calibration));
+    limits.extend(forces_without_sign(calibration));
     limits
 }
 
@@ -199,10 +199,10 @@ fn lasting_errors(calibration: &BallBarCalibration) -> impl Iterator<Item = Limi
 }
 
 /// Forces that explain nothing.
-fn untold_forces(calibration: &BallBarCalibration) -> impl Iterator<Item = Limit> {
-    let untold =
-        Elongation::all(calibration).into_iter().filter(|one| one.positive == PositiveForce::NotTold);
-    untold.map(|elongation| Limit {
+fn forces_without_sign(calibration: &BallBarCalibration) -> impl Iterator<Item = Limit> {
+    let without =
+        Elongation::all(calibration).into_iter().filter(|one| one.positive == PositiveForce::NotStated);
+    without.map(|elongation| Limit {
         sentence: format!(
             "{}The {} does not determine how the bar gives way ({}); check its clock, column and place, or calibrate without it.",
             place(calibration, elongation.run),

@@ -21,7 +21,7 @@ pub use costs::{CostComparison, CostEntry, CostFigures, compare_costs};
 pub use evidence::{Evidence, RunEvidence, evidence};
 pub use figures::{Quantiles, rms};
 pub use gaps::{JointGap, joint_gaps};
-pub use held_out::{Apart, ApartRms, HeldOut, HeldOutSegment, held_out, nominals};
+pub use held_out::{HeldOut, HeldOutSegment, PoseError, PoseErrorRms, held_out, nominals};
 pub use limits::{Limit, ScaleFrom, limits, of_changes, of_lengths};
 pub use nominal::uncalibrated;
 pub use shift::{ShiftCurve, shift_curve};

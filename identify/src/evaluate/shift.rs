@@ -38,7 +38,7 @@ pub fn shift_curve(
             continue;
         }
         curve.shift_s.push(shift_s);
-        curve.rms_m.push(rms(seen.iter().map(|closure| closure.apart_m.norm())));
+        curve.rms_m.push(rms(seen.iter().map(|closure| closure.position_error_m.norm())));
     }
     curve.minimum_s = minimum(&curve.shift_s, &curve.rms_m);
     curve

@@ -42,8 +42,9 @@ pub struct Deviation {
 
 impl Deviation {
     fn of(closures: &[Closure], of_signs: bool, by_encoders: bool) -> Self {
-        let out_m =
-            |one: &Closure| if by_encoders { one.direction.dot(&one.apart_m) } else { one.off_sphere_m };
+        let out_m = |one: &Closure| {
+            if by_encoders { one.direction.dot(&one.position_error_m) } else { one.off_sphere_m }
+        };
         let sample = |one: &Closure| OffSphere {
             t_s: one.t_s,
             direction: one.direction,
@@ -69,7 +70,7 @@ pub enum PositiveForce {
     /// It is shorter there.
     Compression,
     /// The bar's length does not follow the force by more than chance.
-    NotTold,
+    NotStated,
 }
 
 /// What a force did to the bar.
@@ -119,7 +120,7 @@ impl Elongation {
         let of_95 = solution.covariance.sigmas_from.sigmas_of_95();
         let told = sigma.is_none_or(|sigma| found.value.abs() > of_95 * sigma) && found.value != 0.0;
         let positive = match told {
-            false => PositiveForce::NotTold,
+            false => PositiveForce::NotStated,
             true if found.value > 0.0 => PositiveForce::Tension,
             true => PositiveForce::Compression,
         };
@@ -145,7 +146,7 @@ impl Elongation {
         match self.positive {
             PositiveForce::Tension => format!("{value}; the log's force is positive in tension"),
             PositiveForce::Compression => format!("{value}; the log's force is positive in compression"),
-            PositiveForce::NotTold => format!(
+            PositiveForce::NotStated => format!(
                 "{what}: {:.4}{sigma} {symbol}, which cannot be distinguished from zero: the force does not explain the bar's length",
                 self.value * factor
             ),

@@ -106,7 +106,7 @@ fn examine_with<R: Residual>(
     let units: Vec<f64> = model.columns().map(|p| p.id.unit().display_factor().recip()).collect();
     let observability = identified(&model)?.observability(&units);
     let held = THESIS_FIXED.iter().map(|name| name.parse()).collect::<Result<Vec<ParameterId>, _>>()?;
-    let held: Vec<ParameterId> = held.into_iter().filter(|id| R::sees(*id)).collect();
+    let held: Vec<ParameterId> = held.into_iter().filter(|id| R::depends_on(*id)).collect();
     model.set_roles(held.iter().copied(), Role::Free)?;
     let columns: Vec<usize> = held.iter().filter_map(|id| model.column_of(*id)).collect();
     let problem = LoopProblem::new(&model, &poses.joints, &poses.observations, &residual, 1.0)?;

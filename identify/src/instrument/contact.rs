@@ -5,7 +5,7 @@ use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::row_noise::MEDIAN_OF_THREE;
 use super::screened::{RejectedRow, Screened};
-use super::{Apart, Instrument, Measures, SocketTable, Sockets, Standing};
+use super::{Instrument, Measures, PoseError, SocketTable, Sockets, Standing};
 use crate::cost::{CostError, DataSet, Residual, SeatedBall, SeatedBalls};
 use crate::kinematics::Joints;
 use crate::logs;
@@ -264,7 +264,7 @@ impl Measures for Contact {
     }
 
     fn identifies(&self, id: ParameterId) -> bool {
-        SeatedBall::sees(id) && id.owner() != Owner::Clocks
+        SeatedBall::depends_on(id) && id.owner() != Owner::Clocks
     }
 
     /// Standard deviation of a coordinate that is behind errors which are mostly normal, by their median.
@@ -300,8 +300,8 @@ impl Measures for Contact {
         Instrument::Contact(Self::of(self.rows.at.chosen(samples), self.sockets.clone(), self.noise_m))
     }
 
-    fn errors(&self, geometry: &Geometry) -> Vec<Apart> {
-        let apart = |error: Vector3<f64>| Apart { position_m: error.norm(), rotation_rad: None };
+    fn errors(&self, geometry: &Geometry) -> Vec<PoseError> {
+        let apart = |error: Vector3<f64>| PoseError { position_m: error.norm(), rotation_rad: None };
         self.errors_m(geometry).into_iter().map(apart).collect()
     }
 }

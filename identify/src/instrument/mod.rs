@@ -19,7 +19,7 @@ pub use screened::{RejectedRow, Rejection};
 pub(crate) use screened::{faulty, without};
 pub use sockets::{KnownDistance, PlacedSocket, SocketTable, Sockets};
 pub use standing::{Standing, poses, standing};
-pub use tracker::{Apart, PoseRow, Tracker};
+pub use tracker::{PoseError, PoseRow, Tracker};
 pub use wire::{LengthRow, Wire};
 
 use crate::cost::{CostError, DataSet, MeasuredLength, Residual, SeatedBall};
@@ -71,7 +71,7 @@ pub trait Measures: fmt::Debug + Sync {
 
     /// How far robot and measurement are apart in every sample, whether it takes part or not; none where that is no matter of
     /// a distance each.
-    fn errors(&self, _geometry: &Geometry) -> Vec<Apart> {
+    fn errors(&self, _geometry: &Geometry) -> Vec<PoseError> {
         Vec::new()
     }
 }

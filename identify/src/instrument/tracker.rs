@@ -41,7 +41,7 @@ impl From<&logs::MeasuredPose> for PoseRow {
 /// How far what the robot says is from what was measured: between where it holds the probe and where the tracker sees it, or
 /// of two lengths.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Apart {
+pub struct PoseError {
     /// \[m\]
     pub position_m: f64,
     /// Angle \[rad\]; none where only positions were measured.
@@ -146,17 +146,17 @@ impl Tracker {
         if self.poses.is_some() { MeasuredPose::NAME } else { MeasuredPosition::NAME }
     }
 
-    /// Robot and tracker apart, in every row.
-    pub fn apart(&self, geometry: &Geometry) -> Vec<Apart> {
+    /// How far robot and tracker are apart in every row.
+    pub fn pose_errors(&self, geometry: &Geometry) -> Vec<PoseError> {
         let one = |(row, sighted): (&PoseRow, Option<[Pose; 2]>)| {
             let Some([place, held]) = sighted else {
-                return Apart { position_m: f64::NAN, rotation_rad: None };
+                return PoseError { position_m: f64::NAN, rotation_rad: None };
             };
             let seen_m = place.transform_point(&row.position_m.into()).coords;
             let angle = |rotation: Rotation3<f64>| {
                 rotation_vector((held.rotation.inverse() * place.rotation * rotation).matrix()).norm()
             };
-            Apart {
+            PoseError {
                 position_m: (held.translation.vector - seen_m).norm(),
                 rotation_rad: row.rotation.map(angle),
             }
@@ -246,15 +246,19 @@ impl Measures for Tracker {
     }
 
     fn identifies(&self, id: ParameterId) -> bool {
-        let sees = if self.poses.is_some() { MeasuredPose::sees(id) } else { MeasuredPosition::sees(id) };
-        sees && (self.moving.is_some() || id.group() != Group::Clock)
+        let depends = if self.poses.is_some() {
+            MeasuredPose::depends_on(id)
+        } else {
+            MeasuredPosition::depends_on(id)
+        };
+        depends && (self.moving.is_some() || id.group() != Group::Clock)
     }
 
     /// Standard deviations of a coordinate and of an angle that are behind errors which are mostly normal; the median one of a
     /// coordinate is returned.
     fn adapt(&mut self, model: &Model) -> Option<f64> {
-        let errors = self.apart(&model.geometry(&[]));
-        let sigmas = |of: fn(&Apart) -> f64, stated: fn(&PoseUncertainty) -> Option<f64>| {
+        let errors = self.pose_errors(&model.geometry(&[]));
+        let sigmas = |of: fn(&PoseError) -> f64, stated: fn(&PoseUncertainty) -> Option<f64>| {
             let stated = || self.at.rows.iter().map(move |row| stated(&row.uncertainty));
             let noise = RowNoise::behind(errors.iter().map(of).zip(stated()), MEDIAN_OF_THREE);
             stated().map(|stated| noise.of(stated)).collect::<Vec<_>>()
@@ -274,7 +278,7 @@ impl Measures for Tracker {
         Instrument::Tracker(self.chosen(samples))
     }
 
-    fn errors(&self, geometry: &Geometry) -> Vec<Apart> {
-        self.apart(geometry)
+    fn errors(&self, geometry: &Geometry) -> Vec<PoseError> {
+        self.pose_errors(geometry)
     }
 }

@@ -6,7 +6,7 @@ use nalgebra::{DMatrix, DVector, Vector3};
 
 use super::row_noise::{MEDIAN_OF_ONE, RowNoise};
 use super::screened::{RejectedRow, Screened};
-use super::{Apart, Instrument, Measures, Standing};
+use super::{Instrument, Measures, PoseError, Standing};
 use crate::cost::{CostError, DataSet, LoopProblem, MeasuredLength, Residual};
 use crate::kinematics::Joints;
 use crate::logs;
@@ -192,7 +192,7 @@ impl Measures for Wire {
     }
 
     fn identifies(&self, id: ParameterId) -> bool {
-        MeasuredLength::sees(id) && id.group() != Group::Clock
+        MeasuredLength::depends_on(id) && id.group() != Group::Clock
     }
 
     /// Which row is worth more than the median one; what that is worth is left to who solves: residuals stay in metres.
@@ -223,8 +223,8 @@ impl Measures for Wire {
         Instrument::Wire(Self::of(Screened::new(self.rows.at.chosen(samples)), self.noise))
     }
 
-    fn errors(&self, geometry: &Geometry) -> Vec<Apart> {
-        let apart = |residual_m: f64| Apart { position_m: residual_m.abs(), rotation_rad: None };
+    fn errors(&self, geometry: &Geometry) -> Vec<PoseError> {
+        let apart = |residual_m: f64| PoseError { position_m: residual_m.abs(), rotation_rad: None };
         self.residuals_m(geometry).into_iter().map(apart).collect()
     }
 }

@@ -483,7 +483,7 @@ impl ParameterId {
     }
 
     /// It changes what an instrument measures, as far as its owner says: the robot's, the clocks' and the instrument's own.
-    pub fn is_seen_by(self, instrument: Owner) -> bool {
+    pub fn affects(self, instrument: Owner) -> bool {
         let owner = self.owner();
         owner == instrument || matches!(owner, Owner::Robot | Owner::Clocks)
     }

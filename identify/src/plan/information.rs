@@ -120,9 +120,9 @@ impl Information {
         let identifies = WhitenedPose::identifies;
         config.set_roles(&mut model, &[], identifies)?;
         let mut terms = Vec::new();
-        for kind in config.kinds(&model, identifies) {
-            terms.extend(kind.ids.iter().map(|id| (kind.group, *id)));
-            model.set_roles(kind.ids, Role::Prior { value: 0.0, sigma: kind.sigma })?;
+        for group in config.groups(&model, identifies) {
+            terms.extend(group.ids.iter().map(|id| (group.group, *id)));
+            model.set_roles(group.ids, Role::Prior { value: 0.0, sigma: group.sigma })?;
         }
         // The whole run fixes it well, whatever the path.
         model.set_role(ParameterId::ClockSkew, Role::Fixed)?;

@@ -15,8 +15,8 @@ use shared::config::RobotConfig;
 use super::Bodies;
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::mix::free_robot;
-use crate::calibrate::rows::{WAVES_PER_TURN_MAX, kinds};
-use crate::calibrate::selection::terms::Kind;
+use crate::calibrate::rows::{WAVES_PER_TURN_MAX, groups};
+use crate::calibrate::selection::terms::CandidateGroup;
 use crate::cost::{LoopProblem, MeasuredLength, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
 use crate::instrument::standing;
 use crate::kinematics::{Joints, Pose, flange_chain};
@@ -257,7 +257,7 @@ pub fn poses_position_m_min(
 struct Known<'a> {
     request: &'a PoseRequest<'a>,
     model: Model,
-    kinds: Vec<Kind>,
+    groups: Vec<CandidateGroup>,
     ids: Vec<ParameterId>,
     /// Variance of each column before anything is measured.
     prior: Vec<f64>,
@@ -297,15 +297,15 @@ impl<'a> Known<'a> {
             let value = model.parameter(id).map_or(0.0, |parameter| parameter.value);
             model.set_role(id, Role::Prior { value, sigma: PLACE_SIGMA })?;
         }
-        let mut kinds = kinds(WAVES_PER_TURN_MAX, |id| model.parameter(*id).is_some());
-        for kind in &mut kinds {
-            kind.sigma *= kind.scales.get((kind.scales.len() - 1) / 2).copied().unwrap_or(1.0);
-            model.set_roles(kind.ids.iter().copied(), Role::Prior { value: 0.0, sigma: kind.sigma })?;
+        let mut groups = groups(WAVES_PER_TURN_MAX, |id| model.parameter(*id).is_some());
+        for group in &mut groups {
+            group.sigma *= group.scales.get((group.scales.len() - 1) / 2).copied().unwrap_or(1.0);
+            model.set_roles(group.ids.iter().copied(), Role::Prior { value: 0.0, sigma: group.sigma })?;
         }
         let ids: Vec<ParameterId> = model.columns().map(|parameter| parameter.id).collect();
         let mut prior = vec![PLACE_SIGMA.powi(2); ids.len()];
         model.priors().iter().for_each(|one| prior[one.column] = one.sigma.powi(2));
-        Ok(Self { request, model, kinds, ids, prior })
+        Ok(Self { request, model, groups, ids, prior })
     }
 
     /// Rows of each pose, in standard deviations.
@@ -384,7 +384,7 @@ impl<'a> Known<'a> {
     fn determined(&self, covariance: &DMatrix<f64>) -> Vec<Determined> {
         let links = self.ids.iter().filter(|id| matches!(id, ParameterId::Robot { .. })).copied().collect();
         let links = ("links, lengths and angles alike".to_owned(), links);
-        let kinds = self.kinds.iter().map(|kind| (kind.name.clone(), kind.ids.clone()));
+        let groups = self.groups.iter().map(|group| (group.name.clone(), group.ids.clone()));
         let determined = |(name, ids): (String, Vec<ParameterId>)| {
             let columns: Vec<usize> =
                 (0..self.ids.len()).filter(|column| ids.contains(&self.ids[*column])).collect();
@@ -400,7 +400,7 @@ impl<'a> Known<'a> {
                 ids: columns.iter().map(|&column| self.ids[column]).collect(),
             }
         };
-        std::iter::once(links).chain(kinds).map(determined).collect()
+        std::iter::once(links).chain(groups).map(determined).collect()
     }
 }
 

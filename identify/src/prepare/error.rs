@@ -270,7 +270,7 @@ pub enum PrepareError {
     },
     /// One of the above, found by comparing the angles with the geometry that fits best.
     #[error("{error}")]
-    Judged {
+    WithDeviations {
         /// What is wrong.
         error: Box<PrepareError>,
         /// What it rests on.

@@ -1,7 +1,7 @@
 //! What a refusal knows beyond its sentence, for people who look for the cause.
 
-use super::align::refine::Judge;
-use super::judge::{Judged, LocalShift, local_shifts};
+use super::align::refine::Residuals;
+use super::angle_errors::{AngleErrors, LocalShift, local_shifts};
 use super::{ClockFit, PrepareError, Prepared};
 use crate::kinematics::BAR_JOINTS;
 use crate::model::{Clock, Geometry, Observation};
@@ -32,9 +32,9 @@ pub struct Deviations {
 }
 
 impl Deviations {
-    /// `t_ref_s` is the reference time of `judged` and `local_shifts` after the first sample.
+    /// `t_ref_s` is the reference time of `errors` and `local_shifts` after the first sample.
     pub(super) fn new(
-        judged: &[Judged],
+        errors: &[AngleErrors],
         local_shifts: &[LocalShift],
         measured: [bool; BAR_JOINTS],
         t_ref_s: f64,
@@ -43,7 +43,7 @@ impl Deviations {
         let later = |shift: &LocalShift| LocalShift { t_s: shift.t_s + t_ref_s, ..*shift };
         Self {
             measured,
-            samples: judged.iter().map(|one| (one.t_s + t_ref_s, one.error_rad)).collect(),
+            samples: errors.iter().map(|one| (one.t_s + t_ref_s, one.error_rad)).collect(),
             local_shifts: local_shifts.iter().map(later).collect(),
             clock,
         }
@@ -54,16 +54,16 @@ impl Deviations {
         let (measured, first_s) = (prepared.measured, prepared.first_s());
         let Clock { shift_s, skew } = geometry.clock;
         let since_first = ClockFit { shift_s: prepared.motion.origin_s() + shift_s, skew };
-        let judge = Judge::new(&prepared.motion, geometry.clone(), measured);
+        let residuals = Residuals::new(&prepared.motion, geometry.clone(), measured);
         let offsets = |origin| geometry.offsets_of_origin(origin);
-        let judged: Vec<Judged> = (prepared.observations.iter().enumerate())
+        let errors: Vec<AngleErrors> = (prepared.observations.iter().enumerate())
             .filter_map(|(sample, Observation { t_s, bar_rad, origin, .. })| {
                 let offsets_rad = offsets(*origin);
                 let bar_rad = std::array::from_fn(|joint| bar_rad[joint] + offsets_rad[joint]);
-                judge.judged(sample, *origin, *t_s, &bar_rad)
+                residuals.of_sample(sample, *origin, *t_s, &bar_rad)
             })
             .collect();
-        Self::new(&judged, &local_shifts(&judged), measured, -first_s, since_first.counted_from(first_s))
+        Self::new(&errors, &local_shifts(&errors), measured, -first_s, since_first.counted_from(first_s))
     }
 }
 
@@ -93,7 +93,7 @@ impl PoorFit {
 impl PrepareError {
     /// The same with what it rests on.
     pub(crate) fn resting_on(self, deviations: Deviations) -> Self {
-        Self::Judged { error: Box::new(self), deviations: Box::new(deviations) }
+        Self::WithDeviations { error: Box::new(self), deviations: Box::new(deviations) }
     }
 
     /// Where it is.
@@ -106,7 +106,7 @@ impl PrepareError {
                 Place { joint: Some(*joint), bar_s: Some(*at_s), robot_s: None }
             }
             Self::LittleTravel { joint, .. } => Place { joint: Some(*joint), ..Place::default() },
-            Self::Judged { error, deviations } => {
+            Self::WithDeviations { error, deviations } => {
                 let place = error.place();
                 Place { robot_s: place.bar_s.map(|bar_s| deviations.clock.tau_s(bar_s)), ..place }
             }
@@ -121,7 +121,7 @@ impl PrepareError {
             Self::ClockJump { at_s, .. } | Self::EncoderSlip { at_s, .. } | Self::BaseMoved { at_s, .. } => {
                 Some(*at_s)
             }
-            Self::Judged { error, .. } => error.parts_at_s(),
+            Self::WithDeviations { error, .. } => error.parts_at_s(),
             _ => None,
         }
     }
@@ -129,7 +129,7 @@ impl PrepareError {
     /// What it rests on, where the logs were brought together before it.
     pub fn deviations(&self) -> Option<&Deviations> {
         match self {
-            Self::Judged { deviations, .. } => Some(deviations),
+            Self::WithDeviations { deviations, .. } => Some(deviations),
             _ => None,
         }
     }

@@ -26,11 +26,11 @@
 //! Times stay integers until they are small differences: the clocks may be decades apart.
 
 mod align;
+mod angle_errors;
 mod encoders;
 mod error;
 mod findings;
 mod forces;
-mod judge;
 mod readings;
 mod samples;
 mod select;
@@ -46,6 +46,7 @@ pub(crate) use align::placement::nearest_rotation;
 pub use align::placement::{PROBE_SIGMA_M, Sighted, all_placements};
 pub use align::predict::{PredictedBar, Predictor};
 pub use align::tracker::{AlignedPoses, Moving, align_poses};
+pub use angle_errors::LocalShift;
 pub use encoders::encoder_map::{
     AnglePair, EncoderMap, EncoderMapChoice, EncoderMapReport, EncoderPlace, find_encoder_map,
 };
@@ -53,7 +54,6 @@ pub use encoders::origins::OriginSpan;
 pub use error::PrepareError;
 pub use findings::{Deviations, Place, PoorFit};
 pub use forces::{BarForces, ForceError};
-pub use judge::LocalShift;
 pub use readings::averaged::{Averaged, AveragedJoints, AveragedPoint};
 pub use readings::bar_angles::{BarAngles, BarReading, bar_angles};
 pub use readings::standstill::{Jitter, MOVING_RAD_S, Standstill};

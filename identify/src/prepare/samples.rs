@@ -3,8 +3,8 @@
 use nalgebra::Vector3;
 
 use super::align::find::Found;
-use super::align::refine::Judge;
-use super::judge::{Judged, LocalShift, local_shifts, outliers, spreads_rad};
+use super::align::refine::Residuals;
+use super::angle_errors::{AngleErrors, LocalShift, local_shifts, outliers, spreads_rad};
 use super::readings::bar_angles::BarReading;
 use super::select::{apart, spread_over_sphere};
 use super::timeline::Sample;
@@ -65,17 +65,17 @@ pub(super) fn sort(
             Sample { cycle: reading.cycle, t_s: t_s - t_ref_s, bar_rad }
         })
         .collect();
-    let (mut statuses, judged) = look_at_all(readings, &joints, found, motion, options);
-    let local_shifts = local_shifts(&judged);
-    let spread_rad = spreads_rad(&judged);
+    let (mut statuses, errors) = look_at_all(readings, &joints, found, motion, options);
+    let local_shifts = local_shifts(&errors);
+    let spread_rad = spreads_rad(&errors);
     let is_poor = spread_rad.iter().any(|spread_rad| spread_rad * 1e3 > options.fit_max_mrad);
     // A fit that has not converged says nothing.
     let poor_fit = (is_poor && found.fit.converged).then(|| PoorFit {
         spread_rad,
         limit_mrad: options.fit_max_mrad,
-        deviations: Deviations::new(&judged, &local_shifts, measured, t_ref_s, found.fit.clock),
+        deviations: Deviations::new(&errors, &local_shifts, measured, t_ref_s, found.fit.clock),
     });
-    for sample in outliers(&judged, &spread_rad) {
+    for sample in outliers(&errors, &spread_rad) {
         statuses[sample] = SampleStatus::Outlier;
     }
     choose(&joints, &mut statuses, options)?;
@@ -101,16 +101,16 @@ fn look_at_all(
     found: &Found,
     motion: &AlignedLog,
     options: &PrepareOptions,
-) -> (Vec<SampleStatus>, Vec<Judged>) {
+) -> (Vec<SampleStatus>, Vec<AngleErrors>) {
     let mut geometry = found.fit.geometry.clone();
     // The motion's own time is aligned already.
     (geometry.clock.shift_s, geometry.clock.skew) = (0.0, found.fit.clock.skew);
     let measured = found.encoder_map.used.measured();
-    let judge = Judge::new(motion, geometry, measured);
+    let residuals = Residuals::new(motion, geometry, measured);
     let margin_min_rad = options.singular_margin_deg.to_radians();
     let stride = readings.len().div_ceil(LOOKED_AT_MAX).max(1);
     let mut statuses = vec![SampleStatus::Thinned; readings.len()];
-    let mut judged = Vec::new();
+    let mut errors = Vec::new();
     for (index, (reading, sample)) in readings.iter().zip(joints).enumerate() {
         let has_offsets = found.settled.offsets.get(reading.origin).is_some_and(Option::is_some);
         if !has_offsets {
@@ -120,17 +120,17 @@ fn look_at_all(
         if !index.is_multiple_of(stride) {
             continue;
         }
-        let covered = [-EDGE_S, 0.0, EDGE_S].iter().all(|by_s| judge.covers(sample.t_s + by_s));
+        let covered = [-EDGE_S, 0.0, EDGE_S].iter().all(|by_s| residuals.covers(sample.t_s + by_s));
         if !covered {
             statuses[index] = SampleStatus::Outside;
             continue;
         }
-        let errors = judge.judged(index, reading.origin, sample.t_s, &sample.bar_rad);
-        let errors = errors.filter(|errors| errors.margin_rad > margin_min_rad);
-        statuses[index] = if errors.is_some() { SampleStatus::Standstill } else { SampleStatus::Singular };
-        judged.extend(errors);
+        let of_sample = residuals.of_sample(index, reading.origin, sample.t_s, &sample.bar_rad);
+        let of_sample = of_sample.filter(|errors| errors.margin_rad > margin_min_rad);
+        statuses[index] = if of_sample.is_some() { SampleStatus::Standstill } else { SampleStatus::Singular };
+        errors.extend(of_sample);
     }
-    (statuses, judged)
+    (statuses, errors)
 }
 
 /// Every measured joint must move, or what it stands for cannot be separated from its offset.

@@ -35,7 +35,7 @@ pub fn summary(
         format!("; the geometry is known within {} (k = {})", mm(budget.expanded_m), budget.coverage_factor)
     });
     let held_out = file.held_out_m(Deployment::Full).map(|[nominal, calibrated]| {
-        let parts: String = file.deployments_told().iter().map(|told| format!("; {told}")).collect();
+        let parts: String = file.deployments_reported().iter().map(|told| format!("; {told}")).collect();
         format!("; on data that no fit has seen {} and {} (RMS{parts})", mm(nominal), mm(calibrated))
     });
     let lines = [

@@ -97,7 +97,7 @@ fn parameters(file: &CalibrationFile) -> String {
     let mut text = String::new();
     let _ = writeln!(text, "\n{:<16}{:>14}{:>12}{:>10}  unit", "parameter", "nominal", "correction", "sigma");
     let (mut exact, mut held) = (Vec::new(), Vec::new());
-    let (told, waves) = file.told();
+    let (told, waves) = file.reported();
     for entry in told {
         if entry.status == Status::Fixed {
             if entry.sigma.is_some() { &mut held } else { &mut exact }.push(entry.held());

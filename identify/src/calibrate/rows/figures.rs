@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal};
 
-use crate::instrument::Apart;
+use crate::instrument::PoseError;
 use crate::statistics::quantile;
 
 /// Sizes of errors over some rows, all in one unit.
@@ -48,7 +48,7 @@ pub struct PoseFigures {
 
 impl PoseFigures {
     /// Of these errors.
-    pub fn of(errors: &[Apart]) -> Self {
+    pub fn of(errors: &[PoseError]) -> Self {
         let angles: Option<Vec<f64>> = errors.iter().map(|error| error.rotation_rad).collect();
         Self {
             rows: errors.len(),
@@ -110,7 +110,7 @@ pub struct Stages {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct RowErrors {
     /// Of all rows, stage by stage.
-    pub stages: [Vec<Apart>; 4],
+    pub stages: [Vec<PoseError>; 4],
     /// Rows that the fit saw.
     pub fitted: Vec<usize>,
     /// Rows that it did not see.
@@ -120,7 +120,7 @@ pub struct RowErrors {
 impl RowErrors {
     /// Figures of chosen rows.
     pub fn of(&self, chosen: &[usize]) -> Stages {
-        let of_stage = |errors: &Vec<Apart>| {
+        let of_stage = |errors: &Vec<PoseError>| {
             PoseFigures::of(&chosen.iter().filter_map(|&row| errors.get(row).copied()).collect::<Vec<_>>())
         };
         let [nominal, offsets, links, joints] = self.stages.each_ref().map(of_stage);

@@ -12,7 +12,7 @@ use super::tracker::{ROWS_MIN, check_rows, placed};
 use super::{PoseFigures, RowSet, is_surely_worse};
 use crate::calibrate::ball_bar::CalibrateError;
 use crate::calibrate::mix::Rows;
-use crate::instrument::{Apart, PoseRow, Run, Standing, Tracker, standing};
+use crate::instrument::{PoseError, PoseRow, Run, Standing, Tracker, standing};
 use crate::kinematics::Chain;
 use crate::logs::JointMistake;
 use crate::model::{Model, ParameterId, Role, Unit};
@@ -245,7 +245,7 @@ pub fn misfit(rows: &[PoseRow], robot: &Chain) -> Option<PoseFigures> {
     let states = standing(some.iter().map(|row| row.joints_rad));
     let tracker = Tracker::new(Standing::new(&some, &states, &all, 0));
     let model = placed(&tracker, Model::measured_pose(robot)).ok()?;
-    Some(PoseFigures::of(&tracker.apart(&model.geometry(&[]))))
+    Some(PoseFigures::of(&tracker.pose_errors(&model.geometry(&[]))))
 }
 
 /// Root mean square distance of a robot from the rows at the end of a tool \[m\].
@@ -349,7 +349,7 @@ fn turned(set: &RowSet) -> Option<Reason> {
 /// tenth of a degree \[rad\].
 const JOINT_ERROR_RAD_MAX: f64 = 2e-3;
 
-fn too_far(errors: &[Apart], robot: &Chain) -> Option<Reason> {
+fn too_far(errors: &[PoseError], robot: &Chain) -> Option<Reason> {
     let limit_m = JOINT_ERROR_RAD_MAX * robot.reach_m();
     let median_m = median_size(errors.iter().map(|error| error.position_m));
     (median_m > limit_m).then_some(Reason::TooFar { median_m, limit_m })

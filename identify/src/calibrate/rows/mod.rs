@@ -17,7 +17,9 @@ use std::collections::BTreeMap;
 
 use super::ball_bar::CalibrateError;
 use super::mix::Measured;
-use crate::instrument::{Apart, Instrument, Measures, RejectedRow, Rejection, Run, Wire, faulty, without};
+use crate::instrument::{
+    Instrument, Measures, PoseError, RejectedRow, Rejection, Run, Wire, faulty, without,
+};
 use crate::kinematics::Chain;
 use crate::model::{Model, ParameterId, SetUp};
 
@@ -27,7 +29,7 @@ pub use faulty_runs::{FaultyRun, RunCause};
 pub use figures::{PoseFigures, RowErrors, Sizes, Stages, is_surely_better, is_surely_worse};
 pub use implausible::{Likely, Mistake, Step, likely, misfit};
 pub(super) use implausible::{likely_of_all, unless_implausible};
-pub(crate) use terms::kinds;
+pub(crate) use terms::groups;
 
 /// Highest order of the joints' waves that is tried as a rule: there is no finer tooth near the output of a strain wave gear.
 pub const WAVES_PER_TURN_MAX: u8 = 64;
@@ -148,7 +150,7 @@ impl RowSet {
         }
     }
 
-    fn at(&self, model: &Model) -> Vec<Apart> {
+    fn at(&self, model: &Model) -> Vec<PoseError> {
         self.whole.errors(&model.geometry(&[]))
     }
 

@@ -1,6 +1,6 @@
 //! Errors that joints of a robot which stands still at each pose can have.
 
-use crate::calibrate::selection::terms::Kind;
+use crate::calibrate::selection::terms::CandidateGroup;
 use crate::model::{JointWaves, ParameterId, TermGroup};
 
 fn joint_terms(wanted: &[TermGroup]) -> Vec<ParameterId> {
@@ -10,31 +10,31 @@ fn joint_terms(wanted: &[TermGroup]) -> Vec<ParameterId> {
 }
 
 /// What a robot's joints can be wrong by, of the parameters that are offered.
-pub(crate) fn kinds(waves_last: u8, offered: impl Fn(&ParameterId) -> bool) -> Vec<Kind> {
+pub(crate) fn groups(waves_last: u8, offered: impl Fn(&ParameterId) -> bool) -> Vec<CandidateGroup> {
     const ANGLES_RAD: &[f64] = &[20e-6, 100e-6, 500e-6];
     const SHARES: &[f64] = &[20e-6, 100e-6, 500e-6];
     use TermGroup::{Backlash, Compliance, GearOnce, GearTwice, Joint, Ratio};
-    let kind = |groups: &[TermGroup], name: &str, sigmas: &[f64]| {
+    let group = |groups: &[TermGroup], name: &str, sigmas: &[f64]| {
         of(groups[0], name.into(), joint_terms(groups), sigmas)
     };
-    let mut kinds = vec![
-        kind(&[GearOnce, GearTwice], "waves once and twice per turn", ANGLES_RAD),
-        kind(&[Joint], "waves of joints beside their drives", ANGLES_RAD),
-        kind(&[Backlash], "backlash by direction of approach", ANGLES_RAD),
-        kind(&[Ratio], "transmission ratio", SHARES),
-        kind(&[Compliance], "compliance under gravity", &[100e-6, 1e-3, 1e-2]),
+    let mut groups = vec![
+        group(&[GearOnce, GearTwice], "waves once and twice per turn", ANGLES_RAD),
+        group(&[Joint], "waves of joints beside their drives", ANGLES_RAD),
+        group(&[Backlash], "backlash by direction of approach", ANGLES_RAD),
+        group(&[Ratio], "transmission ratio", SHARES),
+        group(&[Compliance], "compliance under gravity", &[100e-6, 1e-3, 1e-2]),
     ];
-    kinds.extend(BANDS.iter().filter_map(|band| waves(band, waves_last)));
-    kinds.iter_mut().for_each(|kind| kind.ids.retain(&offered));
-    kinds.retain(|kind| !kind.ids.is_empty());
-    kinds
+    groups.extend(BANDS.iter().filter_map(|band| waves(band, waves_last)));
+    groups.iter_mut().for_each(|group| group.ids.retain(&offered));
+    groups.retain(|group| !group.ids.is_empty());
+    groups
 }
 
 /// Waves per turn that are judged together: what is left of eccentric gears, encoders and flexsplines, fine teeth.
 const BANDS: [std::ops::RangeInclusive<u8>; 3] = [JointWaves::FIRST..=10, 11..=30, 31..=JointWaves::LAST];
 
 /// The waves of a band, as far as they are wanted.
-fn waves(band: &std::ops::RangeInclusive<u8>, last: u8) -> Option<Kind> {
+fn waves(band: &std::ops::RangeInclusive<u8>, last: u8) -> Option<CandidateGroup> {
     const SIGMAS_RAD: &[f64] = &[10e-6, 20e-6, 50e-6, 100e-6];
     let (first, last) = (*band.start(), last.min(*band.end()));
     let within = |id: &ParameterId| matches!(id, ParameterId::JointWave { order, .. } if *order >= first);
@@ -43,7 +43,13 @@ fn waves(band: &std::ops::RangeInclusive<u8>, last: u8) -> Option<Kind> {
     (!ids.is_empty()).then(|| of(TermGroup::LineSpectrum, name, ids, SIGMAS_RAD))
 }
 
-fn of(group: TermGroup, name: String, ids: Vec<ParameterId>, sigmas: &[f64]) -> Kind {
+fn of(group: TermGroup, name: String, ids: Vec<ParameterId>, sigmas: &[f64]) -> CandidateGroup {
     let first = sigmas.first().copied().unwrap_or(1.0);
-    Kind { group, name, ids, sigma: first, scales: sigmas.iter().map(|sigma| sigma / first).collect() }
+    CandidateGroup {
+        group,
+        name,
+        ids,
+        sigma: first,
+        scales: sigmas.iter().map(|sigma| sigma / first).collect(),
+    }
 }

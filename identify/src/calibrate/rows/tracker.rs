@@ -6,7 +6,7 @@ use super::{PoseFigures, RowError, each_has_rows};
 use crate::calibrate::ball_bar::CalibrateError;
 use crate::calibrate::pipeline::{Plan, estimate};
 use crate::calibrate::validation::split;
-use crate::instrument::{Apart, Instrument, Measures, PoseRow, Run, Standing, Tracker, poses, standing};
+use crate::instrument::{Instrument, Measures, PoseError, PoseRow, Run, Standing, Tracker, poses, standing};
 use crate::kinematics::{Joints, flange_chain};
 use crate::model::{Model, Role};
 use crate::solver::LossName;
@@ -77,11 +77,11 @@ fn judged(rows: &[PoseRow], robot: &Model, seed: u64) -> Result<PoseFigures, Cal
     let joints_rad: Vec<Joints> = rows.iter().map(|row| row.joints_rad).collect();
     let poses = poses(&joints_rad);
     let tracker = Tracker::new(Standing::new(rows, &standing(joints_rad.into_iter()), &poses, seed));
-    let mut errors: Vec<Apart> = Vec::new();
+    let mut errors: Vec<PoseError> = Vec::new();
     for judged in split::folds(&poses, &all, FOLDS, seed, |row| rows[row].set_up.station) {
         let fitting: Vec<usize> = all.iter().copied().filter(|row| !judged.contains(row)).collect();
         let model = placed(&tracker.chosen(&fitting), robot.clone())?;
-        let found = tracker.apart(&model.geometry(&[]));
+        let found = tracker.pose_errors(&model.geometry(&[]));
         errors.extend(judged.iter().filter_map(|&row| found.get(row)));
     }
     Ok(PoseFigures::of(&errors))

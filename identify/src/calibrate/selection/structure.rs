@@ -103,7 +103,7 @@ fn reduce<R: Residual + Copy>(
     poses: &[Observation],
     residual: R,
 ) -> Result<Vec<ParameterId>, StructureError> {
-    model.free_only(|id| is_geometry(id) && R::sees(id));
+    model.free_only(|id| is_geometry(id) && R::depends_on(id));
     loop {
         let free: Vec<ParameterId> = model.columns().map(|parameter| parameter.id).collect();
         let problem = LoopProblem::new(&model, joints, poses, residual, 1.0)?;

@@ -8,7 +8,7 @@ use crate::solver::{Normals, Prior};
 
 /// Terms that are tried together, the same for all axes.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Kind {
+pub struct CandidateGroup {
     /// Which.
     pub group: TermGroup,
     /// Name in reports.

@@ -14,7 +14,7 @@ pub struct Closure {
     /// Robot joints at that instant.
     pub joints: JointState,
     /// Robot's end minus bar's end, in the robot's base \[m\].
-    pub apart_m: Vector3<f64>,
+    pub position_error_m: Vector3<f64>,
     /// Rotation from the bar's end to the robot's, in the robot's base \[rad\].
     pub turned_rad: Vector3<f64>,
     /// Distance of the robot's end from the centre of the gimbal minus the bar's length under its force and in its direction \[m\].
@@ -34,7 +34,7 @@ pub struct Closure {
 impl Closure {
     /// Distance of the two ends; without encoders they do not tell where the bar's is, and it is that from its sphere \[m\].
     pub fn gap_m(&self, by_encoders: bool) -> f64 {
-        if by_encoders { self.apart_m.norm() } else { self.off_sphere_m.abs() }
+        if by_encoders { self.position_error_m.norm() } else { self.off_sphere_m.abs() }
     }
 }
 
@@ -57,7 +57,7 @@ pub fn closures(
         Some(Closure {
             t_s: observation.t_s,
             joints: scene.joints.reported,
-            apart_m: scene.robot.position_m() - scene.bar.position_m(),
+            position_error_m: scene.robot.position_m() - scene.bar.position_m(),
             turned_rad: rotation_vector(&(scene.robot.rotation() * scene.bar.rotation().transpose())),
             off_sphere_m: out_m.norm() - scene.rod_m(),
             by_force_m: geometry.elongation.extension_m(&observation.force),

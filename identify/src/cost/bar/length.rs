@@ -19,7 +19,7 @@ impl Residual for Length {
     const ROWS: usize = 1;
     const ENCODERS: &'static [usize] = &[];
 
-    fn sees(id: ParameterId) -> bool {
+    fn depends_on(id: ParameterId) -> bool {
         match id {
             // The last twist turns the end frame about its own origin.
             ParameterId::Robot { link, parameter } => {
@@ -35,7 +35,7 @@ impl Residual for Length {
         // nothing says in which direction the bar points.
         let of_clock = id.group() == Group::Clock;
         let of_reading = matches!(id, ParameterId::BarWave { .. });
-        !of_clock && !of_reading && Self::sees(id)
+        !of_clock && !of_reading && Self::depends_on(id)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Vector3<f64>> {

@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Matrix6, Vector3, Vector6};
 
 use super::angle_noise::NoisySample;
 use crate::cost::problem::{LoopPoint, readings};
-use crate::cost::scene::{ALL_BUT_TORSION, ALL_ENCODERS, TORSION, sees_encoder};
+use crate::cost::scene::{ALL_BUT_TORSION, ALL_ENCODERS, TORSION, encoders_suffice};
 use crate::cost::{AngleNoise, FoundNoise, Movement, Residual, Scene};
 use crate::kinematics::{LinkParameter, ROD_LINK, Trace, Twist, rotation_vector};
 use crate::model::{Geometry, Observation, Owner, ParameterId, RobotMotion};
@@ -166,9 +166,9 @@ impl<const ENCODER_3: bool> Residual for PoseByNoise<ENCODER_3> {
     const ROWS: usize = 6;
     const ENCODERS: &'static [usize] = if ENCODER_3 { ALL_ENCODERS } else { ALL_BUT_TORSION };
 
-    fn sees(id: ParameterId) -> bool {
+    fn depends_on(id: ParameterId) -> bool {
         let of_torsion = id == ParameterId::Bar { link: TORSION, parameter: LinkParameter::Theta };
-        id.is_seen_by(Owner::BallBar) && sees_encoder(id, Self::ENCODERS) && (ENCODER_3 || !of_torsion)
+        id.affects(Owner::BallBar) && encoders_suffice(id, Self::ENCODERS) && (ENCODER_3 || !of_torsion)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<Whitened> {

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use crate::cost::scene::sees_encoder;
+use crate::cost::scene::encoders_suffice;
 use crate::cost::{Movement, Residual, Scene};
 use crate::kinematics::LinkParameter;
 use crate::model::{Owner, ParameterId};
@@ -36,7 +36,7 @@ impl Residual for Position {
     const ROWS: usize = 3;
     const ENCODERS: &'static [usize] = &[0, 1];
 
-    fn sees(id: ParameterId) -> bool {
+    fn depends_on(id: ParameterId) -> bool {
         match id {
             // The last twist turns the end frame about its own origin.
             ParameterId::Robot { link: 5, parameter } => {
@@ -46,13 +46,13 @@ impl Residual for Position {
             ParameterId::Bar { link: 2..=4, parameter } => {
                 matches!(parameter, LinkParameter::A | LinkParameter::D)
             }
-            id => id.is_seen_by(Owner::BallBar) && sees_encoder(id, Self::ENCODERS),
+            id => id.affects(Owner::BallBar) && encoders_suffice(id, Self::ENCODERS),
         }
     }
 
     fn identifies(id: ParameterId) -> bool {
         // `ba2` moves the rod's end sideways, as `btheta2` does: without the cardan's angles the two are one.
-        id != ParameterId::Bar { link: 1, parameter: LinkParameter::A } && Self::sees(id)
+        id != ParameterId::Bar { link: 1, parameter: LinkParameter::A } && Self::depends_on(id)
     }
 
     fn local(&self, _: &Scene<'_>) -> Option<()> {

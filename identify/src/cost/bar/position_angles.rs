@@ -3,7 +3,7 @@
 use nalgebra::Vector5;
 
 use super::position::{derivative, difference};
-use crate::cost::scene::{ALL_BUT_TORSION, TORSION, sees_encoder};
+use crate::cost::scene::{ALL_BUT_TORSION, TORSION, encoders_suffice};
 use crate::cost::{Movement, Residual, Scene};
 use crate::kinematics::{BAR_JOINTS, ImpliedBar, LinkParameter};
 use crate::model::{Observation, Owner, ParameterId};
@@ -28,11 +28,11 @@ impl Residual for PositionAngles {
     const ROWS: usize = 5;
     const ENCODERS: &'static [usize] = ALL_BUT_TORSION;
 
-    fn sees(id: ParameterId) -> bool {
+    fn depends_on(id: ParameterId) -> bool {
         // Joint 3 is in neither: its zero moves the implied angle 3 alone.
         id != ParameterId::Bar { link: TORSION, parameter: LinkParameter::Theta }
-            && id.is_seen_by(Owner::BallBar)
-            && sees_encoder(id, Self::ENCODERS)
+            && id.affects(Owner::BallBar)
+            && encoders_suffice(id, Self::ENCODERS)
     }
 
     fn local(&self, scene: &Scene<'_>) -> Option<ImpliedBar> {

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix3, Vector3};
 
-use crate::cost::scene::{ALL_ENCODERS, sees_encoder};
+use crate::cost::scene::{ALL_ENCODERS, encoders_suffice};
 use crate::cost::{Movement, Residual, Scene};
 use crate::kinematics::Twist;
 use crate::model::{Owner, ParameterId};
@@ -38,8 +38,8 @@ impl Residual for Transform {
     const ROWS: usize = 12;
     const ENCODERS: &'static [usize] = ALL_ENCODERS;
 
-    fn sees(id: ParameterId) -> bool {
-        id.is_seen_by(Owner::BallBar) && sees_encoder(id, Self::ENCODERS)
+    fn depends_on(id: ParameterId) -> bool {
+        id.affects(Owner::BallBar) && encoders_suffice(id, Self::ENCODERS)
     }
 
     fn local(&self, _: &Scene<'_>) -> Option<()> {

@@ -42,8 +42,8 @@ pub(super) fn read(
     let kind = Kind {
         name: "ROS 2 bag with JointState",
         row: "message",
-        tells_validity: false,
-        tells_origins: false,
+        has_validity: false,
+        has_origins: false,
         is_dated: true,
     };
     let mut raw = RawBarLog::new(path, kind, readings.clone());

@@ -125,9 +125,9 @@ pub(super) struct Kind {
     /// What its rows are called: `line` or `message`.
     pub row: &'static str,
     /// It says which values are valid...
-    pub tells_validity: bool,
+    pub has_validity: bool,
     /// ...and where counters started anew: then nothing is concluded from the values.
-    pub tells_origins: bool,
+    pub has_origins: bool,
     /// Stamps count from 1970.
     pub is_dated: bool,
 }
@@ -161,7 +161,7 @@ impl RawBarLog {
                 self.quality.duplicates_dropped += 1;
                 return Ok(());
             }
-            if row.stamp_ns <= before.stamp_ns && !self.kind.tells_origins {
+            if row.stamp_ns <= before.stamp_ns && !self.kind.has_origins {
                 let stamps = [(before.place, before.stamp_ns), (row.place, row.stamp_ns)];
                 return Err(LogError::time_not_increasing(&self.path, self.kind.row, stamps[0], stamps[1]));
             }
@@ -182,9 +182,9 @@ impl RawBarLog {
         for place in 0..self.readings.len() {
             self.check_wrap(place)?;
         }
-        self.quality.incomplete_dropped = if self.kind.tells_validity { 0 } else { self.rows.len() - usable };
+        self.quality.incomplete_dropped = if self.kind.has_validity { 0 } else { self.rows.len() - usable };
         let mut cycles = self.cycles();
-        if !self.kind.tells_origins {
+        if !self.kind.has_origins {
             self.mark_frozen(&mut cycles);
             self.mark_origins(&mut cycles);
         }
@@ -381,10 +381,10 @@ impl RawBarLog {
     }
 
     fn unknown(&self) -> Vec<&'static str> {
-        let Kind { tells_validity, tells_origins, is_dated, .. } = self.kind;
+        let Kind { has_validity, has_origins, is_dated, .. } = self.kind;
         let [certainty, other_clock, validity, origins, date] = UNSAID.map(|(what, _)| what);
         let mut unknown = vec![certainty, other_clock];
-        for (known, what) in [(tells_validity, validity), (tells_origins, origins), (is_dated, date)] {
+        for (known, what) in [(has_validity, validity), (has_origins, origins), (is_dated, date)] {
             if !known {
                 unknown.push(what);
             }

@@ -64,8 +64,8 @@ pub(super) fn read(
     let kind = Kind {
         name: if layout.flags.is_some() { "table of `ballbard export`" } else { "table" },
         row: "line",
-        tells_validity: layout.encoders.iter().all(|encoder| encoder.valid.is_some()),
-        tells_origins: layout.flags.is_some(),
+        has_validity: layout.encoders.iter().all(|encoder| encoder.valid.is_some()),
+        has_origins: layout.flags.is_some(),
         is_dated: layout.time.is_dated(),
     };
     let readings = layout.encoders.iter().map(|encoder| encoder.reading).collect();

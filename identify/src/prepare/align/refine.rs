@@ -17,8 +17,8 @@ use crate::kinematics::{
 use crate::logs::CubicSpline;
 use crate::model::{Geometry, Group, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
 use crate::prepare::AlignedLog;
+use crate::prepare::angle_errors::AngleErrors;
 use crate::prepare::encoders::circular::wrapped;
-use crate::prepare::judge::Judged;
 use crate::solver::{Block, GoodShare, Loss, Options, Prior, Problem, Schedule, Summary, minimise};
 
 /// How far the numbers of the nominal chains are expected to be off, one standard deviation \[m, rad\].
@@ -96,7 +96,7 @@ impl Residual for ImpliedAngles {
     const ROWS: usize = BAR_JOINTS;
     const ENCODERS: &'static [usize] = &[];
 
-    fn sees(id: ParameterId) -> bool {
+    fn depends_on(id: ParameterId) -> bool {
         role(id).is_some()
     }
 
@@ -333,14 +333,14 @@ fn spread_rad(
     good: GoodShare,
 ) -> f64 {
     let (chain, offsets) = x.split_at(model.columns().len().min(x.len()));
-    let judge = Judge::new(motion, model.geometry(chain), residual.measured);
+    let residuals = Residuals::new(motion, model.geometry(chain), residual.measured);
     let angles = residual.measured.iter().filter(|measured| **measured).count();
     good.spread(observations.iter().zip(origins).filter_map(|(observation, origin)| {
         let mut bar_rad = observation.bar_rad;
         for (joint, angle) in bar_rad.iter_mut().enumerate() {
             *angle += offsets.get(origin * BAR_JOINTS + joint).copied().unwrap_or(0.0);
         }
-        let errors = judge.errors(observation.t_s, &bar_rad)?;
+        let errors = residuals.errors(observation.t_s, &bar_rad)?;
         let trust = residual.trust(&bar_rad);
         let squared = errors.error_rad.iter().zip(trust).map(|(error, trust)| (trust * error).powi(2));
         Some((squared.sum(), angles))
@@ -348,7 +348,7 @@ fn spread_rad(
 }
 
 /// Compares single samples with a fitted geometry.
-pub(in crate::prepare) struct Judge<'a, M> {
+pub(in crate::prepare) struct Residuals<'a, M> {
     motion: &'a M,
     geometry: Geometry,
     robot_tracer: Tracer,
@@ -370,7 +370,7 @@ pub(in crate::prepare) struct Errors {
     pub margin_rad: f64,
 }
 
-impl<'a, M: RobotMotion> Judge<'a, M> {
+impl<'a, M: RobotMotion> Residuals<'a, M> {
     pub fn new(motion: &'a M, geometry: Geometry, measured: [bool; BAR_JOINTS]) -> Self {
         let bar = geometry.bar();
         let [robot_tracer, bar_tracer] = [&geometry.robot, &bar].map(Tracer::new);
@@ -378,18 +378,18 @@ impl<'a, M: RobotMotion> Judge<'a, M> {
     }
 
     /// A sample with its errors weighed; none where they say nothing.
-    pub fn judged(
+    pub fn of_sample(
         &self,
         sample: usize,
         origin: usize,
         t_s: f64,
         bar_rad: &[f64; BAR_JOINTS],
-    ) -> Option<Judged> {
+    ) -> Option<AngleErrors> {
         let errors = self.errors(t_s, bar_rad)?;
         let trust = errors.margin_rad.sin();
         let speed =
             |joint: usize| if self.measured[joint] { errors.implied_rad_s[joint] * trust } else { 0.0 };
-        Some(Judged {
+        Some(AngleErrors {
             sample,
             t_s,
             origin,

@@ -160,7 +160,7 @@ const CLEARLY_WORSE: f64 = 3.0;
 /// Segments with fewer pairs say little about which joint is which.
 const PAIRS_MIN: usize = 30;
 /// Fits that are reported at most.
-const TOLD_MAX: usize = 8;
+const REPORTED_MAX: usize = 8;
 
 /// Finds or checks order and directions of the encoders on `recorded_joints` (1 to 5).
 ///
@@ -211,7 +211,7 @@ pub fn find_encoder_map(
         }
     };
     fitting.retain(|encoder_map| *encoder_map != used);
-    fitting.truncate(TOLD_MAX);
+    fitting.truncate(REPORTED_MAX);
     Ok(EncoderMapReport { used, others: fitting })
 }
 

@@ -139,7 +139,7 @@ fn results(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
 
 /// Where it holds, for whom, and on what it rests.
 fn conditions(file: &CalibrationFile) -> Markup {
-    let parts = file.deployments_told();
+    let parts = file.deployments_reported();
     let held = |entry: &&ParameterEntry| entry.status == Status::Fixed;
     let (held, exact): (Vec<&ParameterEntry>, Vec<&ParameterEntry>) =
         file.parameters.iter().filter(held).partition(|entry| entry.sigma.is_some());

@@ -81,8 +81,8 @@ fn figures_row(name: &str, figures: &CostFigures) -> Markup {
             td { (format!("{:.4}", figures.from_calibrated_m * 1e3)) }
             td { (format!("{:.4}", figures.expected.mean_m * 1e3)) }
         }
-        @if !figures.not_told.is_empty() {
-            tr.aside { td {} td.text colspan="8" { "does not determine " (named(&figures.not_told)) } }
+        @if !figures.not_determined.is_empty() {
+            tr.aside { td {} td.text colspan="8" { "does not determine " (named(&figures.not_determined)) } }
         }
     }
 }

@@ -8,7 +8,7 @@ use super::drawing::figures::{HALF, TimeAxis, dots};
 use super::drawing::plot::{BLUE, COLOURS, GREEN, GREY, Mark, Panel, PlotError, Series};
 use super::run::runs;
 use super::sections::svg;
-use crate::evaluate::{Apart, ApartRms, HeldOut, HeldOutSegment};
+use crate::evaluate::{HeldOut, HeldOutSegment, PoseError, PoseErrorRms};
 
 const BLACK: RGBColor = RGBColor(30, 36, 44);
 const RED: RGBColor = COLOURS[5];
@@ -38,7 +38,7 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
             @if held_out.undetermined > 0 {
                 (held_out.undetermined) " more cannot be left out: without them the parameters are not determined. "
             }
-            @let parts = page.file.deployments_told();
+            @let parts = page.file.deployments_reported();
             @if !parts.is_empty() { "Who applies only a part of it gets a fit of that part: " (parts.join("; ")) "." }
         }
         @for (name, panels) in figures {
@@ -56,18 +56,18 @@ pub(super) fn section(page: &Page<'_>) -> Result<Markup, PlotError> {
     })
 }
 
-fn position(rms: ApartRms) -> String {
+fn position(rms: PoseErrorRms) -> String {
     format!("{:.4}", rms.position_m * 1e3)
 }
 
-fn rotation(rms: ApartRms) -> String {
+fn rotation(rms: PoseErrorRms) -> String {
     format!("{:.4}", rms.rotation_rad * 1e3)
 }
 
 /// Position and rotation, nominal and predicted, segments in turns of colour.
 fn panels(segments: &[&HeldOutSegment], rotations: bool) -> Result<Vec<String>, PlotError> {
-    let position = |one: &Apart| one.position_m * 1e3;
-    let rotation = |one: &Apart| one.rotation_rad * 1e3;
+    let position = |one: &PoseError| one.position_m * 1e3;
+    let rotation = |one: &PoseError| one.rotation_rad * 1e3;
     let mut panels = vec![
         panel("Position, nominal", "[mm]", segments, false, position)?,
         panel("Position, calibrated without the segment", "[mm]", segments, true, position)?,
@@ -84,7 +84,7 @@ fn panel(
     y: &str,
     segments: &[&HeldOutSegment],
     calibrated: bool,
-    value: impl Fn(&Apart) -> f64,
+    value: impl Fn(&PoseError) -> f64,
 ) -> Result<String, PlotError> {
     let time = TimeAxis::of(segments.iter().flat_map(|segment| segment.span_s()));
     let mut series = Vec::new();
@@ -99,7 +99,7 @@ fn panel(
         };
         series.push(dots("", colour, points));
     }
-    let level = |of: fn(&HeldOutSegment) -> &Vec<Apart>| {
+    let level = |of: fn(&HeldOutSegment) -> &Vec<PoseError>| {
         let ends = segments.iter().flat_map(|segment| {
             let rms = crate::evaluate::rms(of(segment).iter().map(&value));
             segment.span_s().map(|t_s| (time.at(t_s), rms))
@@ -115,7 +115,7 @@ fn panel(
     Panel { title: title.into(), x: time.label, y: y.into(), size: HALF, series, from_zero: true }.draw()
 }
 
-fn shown(segment: &HeldOutSegment, calibrated: bool) -> &[Apart] {
+fn shown(segment: &HeldOutSegment, calibrated: bool) -> &[PoseError] {
     if calibrated { &segment.predicted } else { &segment.nominal }
 }
 

@@ -12,7 +12,7 @@ use super::sections::{budget, candidates, dependence, expected, mm, parameters, 
 use super::{PageError, document};
 use crate::calibrate::rows::{PoseFigures, RowErrors, Sizes};
 use crate::evaluate::{RunEvidence, WorkspaceError};
-use crate::instrument::Apart;
+use crate::instrument::PoseError;
 use crate::report::result::file::{CalibrationFile, replace};
 
 /// Everything that the page shows.
@@ -144,9 +144,9 @@ fn panels(measured: &Measured<'_>) -> Result<Vec<String>, PlotError> {
         Measured::Rows(errors) => errors,
     };
     let [nominal, .., calibrated] = &errors.stages;
-    let position = |one: &Apart| Some(one.position_m * 1e3);
-    let rotation = |one: &Apart| Some(one.rotation_rad? * 1e3);
-    let panel = |title: &str, y: &str, stage: &[Apart], value: &dyn Fn(&Apart) -> Option<f64>| {
+    let position = |one: &PoseError| Some(one.position_m * 1e3);
+    let rotation = |one: &PoseError| Some(one.rotation_rad? * 1e3);
+    let panel = |title: &str, y: &str, stage: &[PoseError], value: &dyn Fn(&PoseError) -> Option<f64>| {
         let of = |rows: &[usize]| {
             rows.iter().filter_map(|&row| Some((row as f64 + 1.0, value(stage.get(row)?)?))).collect()
         };

@@ -71,7 +71,7 @@ fn unit_of(entry: &ParameterEntry) -> Unit {
 
 /// `place` is what the first data set has for itself, `others` the names of the data sets after it.
 pub(super) fn parameters(file: &CalibrationFile, place: &str, others: &[String]) -> Markup {
-    let (entries, waves) = file.told();
+    let (entries, waves) = file.reported();
     let fixed = |with_sigma: bool| -> Vec<String> {
         let wanted =
             |entry: &&&ParameterEntry| entry.status == Status::Fixed && entry.sigma.is_some() == with_sigma;

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::file::{CalibrationFile, ParameterEntry};
-use super::validation::{ApartEntry, HeldOutEntry};
+use super::validation::{HeldOutEntry, PoseErrorEntry};
 use crate::calibrate::rows::{PoseFigures, Stages, is_surely_better};
 use crate::calibrate::validation::deployment::{Deployed, Deployment};
 use crate::model::ParameterId;
@@ -18,7 +18,7 @@ pub struct DeploymentEntry {
     pub links: Vec<ParameterEntry>,
     /// Held-out segments as predicted with it; those of rows have their own place.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub held_out: Option<ApartEntry>,
+    pub held_out: Option<PoseErrorEntry>,
 }
 
 impl From<&Deployed> for DeploymentEntry {
@@ -102,7 +102,7 @@ impl CalibrationFile {
     }
 
     /// What each deployment that leaves something out is worth on held-out data; nothing where there is none.
-    pub(in crate::report) fn deployments_told(&self) -> Vec<String> {
+    pub(in crate::report) fn deployments_reported(&self) -> Vec<String> {
         let told = |deployment: Deployment| {
             let what = match deployment {
                 Deployment::Offsets => "joint offsets alone",

@@ -365,12 +365,12 @@ impl CalibrationFile {
 
     /// Parameters for a person, and how many amplitudes of waves of the axes are not among them: more than forty would fill a
     /// page and say nothing.
-    pub fn told(&self) -> (Vec<&ParameterEntry>, usize) {
+    pub fn reported(&self) -> (Vec<&ParameterEntry>, usize) {
         const WAVES_MAX: usize = 40;
         let is_wave = |entry: &ParameterEntry| matches!(entry.id(), Some(ParameterId::JointWave { .. }));
         let waves = self.parameters.iter().filter(|entry| is_wave(entry)).count();
-        let untold = if waves > WAVES_MAX { waves } else { 0 };
-        (self.parameters.iter().filter(|entry| untold == 0 || !is_wave(entry)).collect(), untold)
+        let left_out = if waves > WAVES_MAX { waves } else { 0 };
+        (self.parameters.iter().filter(|entry| left_out == 0 || !is_wave(entry)).collect(), left_out)
     }
 
     /// Writes `calibration.toml`, the same with the covariance as `calibration.json`, and, where links alone predict better than

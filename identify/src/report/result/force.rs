@@ -51,7 +51,7 @@ impl ForceEntry {
         let positive = match elongation.positive {
             PositiveForce::Tension => "tension",
             PositiveForce::Compression => "compression",
-            PositiveForce::NotTold => "not told",
+            PositiveForce::NotStated => "not told",
         };
         Some(Self {
             run: elongation.run + 1,

@@ -9,11 +9,11 @@ use super::deployments::DeploymentEntry;
 use super::file::CalibrationFile;
 use crate::calibrate::HoldOut;
 use crate::calibrate::rows::Stages;
-use crate::evaluate::{ApartRms, Evidence, HeldOut};
+use crate::evaluate::{Evidence, HeldOut, PoseErrorRms};
 
 /// Robot against bar, root mean square.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct ApartEntry {
+pub struct PoseErrorEntry {
     /// Distance of the two ends; without encoders the distance from the bar's sphere \[m\].
     pub position_m: f64,
     /// Angle between them; absent where a joint of the bar has no encoder \[rad\].
@@ -27,11 +27,11 @@ pub struct HeldOutEntry {
     /// How many.
     pub segments: usize,
     /// The nominal robot, the bar fitted to it.
-    pub nominal: ApartEntry,
+    pub nominal: PoseErrorEntry,
     /// The calibrated robot as fitted without the segment.
-    pub calibrated: ApartEntry,
+    pub calibrated: PoseErrorEntry,
     /// The calibration, which has seen the segment.
-    pub fitted: ApartEntry,
+    pub fitted: PoseErrorEntry,
 }
 
 /// Rows of a tracker or a wire, each a stage further: instrument alone, the robot's links, errors of its joints.
@@ -75,7 +75,7 @@ pub struct OtherCostEntry {
 impl CalibrationFile {
     /// Adds what was validated.
     pub fn with_validation(mut self, evidence: &Evidence) -> Self {
-        let entry = |rms: ApartRms| ApartEntry {
+        let entry = |rms: PoseErrorRms| PoseErrorEntry {
             position_m: rms.position_m,
             rotation_rad: evidence.rotations.then_some(rms.rotation_rad),
         };
@@ -115,7 +115,7 @@ pub(in crate::report) fn describe(file: &CalibrationFile) -> String {
     let mut text = String::new();
     // Writing to a string cannot fail.
     if let Some(HeldOutEntry { segments, nominal, calibrated, fitted }) = &file.held_out {
-        let mm = |entry: &ApartEntry| entry.position_m * 1e3;
+        let mm = |entry: &PoseErrorEntry| entry.position_m * 1e3;
         let _ = write!(
             text,
             "held out: {segments} segments predicted from the others, robot against bar {:.4} -> {:.4} mm RMS ({:.4} fitted)",

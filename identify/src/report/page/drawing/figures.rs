@@ -115,7 +115,8 @@ pub(in crate::report::page) fn components_over_time(
         }
         .draw()
     };
-    let mut panels = vec![panel("Position, robot minus bar", "[µm]", &|one, axis| one.apart_m[axis] * 1e6)?];
+    let mut panels =
+        vec![panel("Position, robot minus bar", "[µm]", &|one, axis| one.position_error_m[axis] * 1e6)?];
     if rotations {
         panels.push(panel("Rotation, robot minus bar", "[µrad]", &|one, axis| one.turned_rad[axis] * 1e6)?);
     }

@@ -7,7 +7,7 @@ use crate::kinematics::BAR_JOINTS;
 
 /// One sample away from singular poses against the fitted geometry.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Judged {
+pub(super) struct AngleErrors {
     /// Index among all samples.
     pub sample: usize,
     /// Bar time \[s\].
@@ -39,20 +39,20 @@ const SPEED_VARIES_RAD_S: f64 = 0.05;
 const PART_SAMPLES_MIN: usize = 20;
 
 /// Shift of each part of the run. Offsets are free in each, so that slow errors of the geometry do not pass for time.
-pub(super) fn local_shifts(judged: &[Judged]) -> Vec<LocalShift> {
-    let part = |one: &Judged| (one.origin, (one.t_s / PART_S).floor());
-    judged.chunk_by(|a, b| part(a) == part(b)).filter_map(local_shift).collect()
+pub(super) fn local_shifts(errors: &[AngleErrors]) -> Vec<LocalShift> {
+    let part = |one: &AngleErrors| (one.origin, (one.t_s / PART_S).floor());
+    errors.chunk_by(|a, b| part(a) == part(b)).filter_map(local_shift).collect()
 }
 
 /// Least squares of `error = constant + shift * speed` over all joints of a part.
-fn local_shift(part: &[Judged]) -> Option<LocalShift> {
+fn local_shift(part: &[AngleErrors]) -> Option<LocalShift> {
     if part.len() < PART_SAMPLES_MIN {
         return None;
     }
     let n = part.len() as f64;
     let (mut products, mut squares) = (0.0, 0.0);
     for joint in 0..BAR_JOINTS {
-        let mean = |of: &dyn Fn(&Judged) -> f64| part.iter().map(of).sum::<f64>() / n;
+        let mean = |of: &dyn Fn(&AngleErrors) -> f64| part.iter().map(of).sum::<f64>() / n;
         let error_mean = mean(&|one| one.error_rad[joint]);
         let speed_mean = mean(&|one| one.speed_rad_s[joint]);
         for one in part {
@@ -68,8 +68,8 @@ fn local_shift(part: &[Judged]) -> Option<LocalShift> {
 }
 
 /// Standard deviation of each joint's error, from the median \[rad\].
-pub(super) fn spreads_rad(judged: &[Judged]) -> [f64; BAR_JOINTS] {
-    std::array::from_fn(|joint| spread_of(judged.iter().map(|one| one.error_rad[joint].abs()).collect()))
+pub(super) fn spreads_rad(errors: &[AngleErrors]) -> [f64; BAR_JOINTS] {
+    std::array::from_fn(|joint| spread_of(errors.iter().map(|one| one.error_rad[joint].abs()).collect()))
 }
 
 /// A sample is an outlier where its error is so many standard deviations: of noise none in a million runs.
@@ -80,11 +80,11 @@ const OUTLIER_RAD_MIN: f64 = 100e-6;
 const OUTLIERS_MAX: f64 = 0.05;
 
 /// Samples of which some joint's error is far beyond the usual; none where they are too many to be exceptions.
-pub(super) fn outliers(judged: &[Judged], spreads_rad: &[f64; BAR_JOINTS]) -> Vec<usize> {
-    let beyond = |one: &&Judged| {
+pub(super) fn outliers(errors: &[AngleErrors], spreads_rad: &[f64; BAR_JOINTS]) -> Vec<usize> {
+    let beyond = |one: &&AngleErrors| {
         let mut errors = one.error_rad.iter().zip(spreads_rad);
         errors.any(|(error, spread)| error.abs() > OUTLIER_RAD_MIN.max(TIMES_USUAL * spread))
     };
-    let found: Vec<usize> = judged.iter().filter(beyond).map(|one| one.sample).collect();
-    if found.len() as f64 > OUTLIERS_MAX * judged.len() as f64 { Vec::new() } else { found }
+    let found: Vec<usize> = errors.iter().filter(beyond).map(|one| one.sample).collect();
+    if found.len() as f64 > OUTLIERS_MAX * errors.len() as f64 { Vec::new() } else { found }
 }
