@@ -110,7 +110,8 @@ impl Tracker {
 
     /// A model with the stations and targets of the rows.
     pub fn fitted_out(&self, model: Model) -> Model {
-        model.with_set_ups(Owner::Tracker, SetUp::counts(self.set_ups.iter().copied()))
+        let model = model.with_set_ups(Owner::Tracker, SetUp::counts(self.set_ups.iter().copied()));
+        if self.moving.is_some() { model } else { model.without_clocks() }
     }
 
     /// Place of the tracker and where the robot holds the probe, at each row; none of a set-up that the geometry does not have.

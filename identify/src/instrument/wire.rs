@@ -76,7 +76,7 @@ impl Wire {
     /// A model with the anchors and attachments of the rows.
     pub fn fitted_out(&self, model: Model) -> Model {
         let set_ups = self.rows.all.rows.iter().map(|row| row.set_up);
-        model.with_set_ups(Owner::Wire, SetUp::counts(set_ups))
+        model.with_set_ups(Owner::Wire, SetUp::counts(set_ups)).without_clocks()
     }
 
     /// Some of the rows.

@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 
-use super::{DriveTrain, Geometry, JointErrors, Owner, ParameterId, Placement};
+use super::{DriveTrain, Geometry, Group, JointErrors, Owner, ParameterId, Placement};
 use crate::kinematics::Chain;
 use crate::solver::Prior;
 
@@ -198,6 +198,14 @@ impl Model {
             _ => return self,
         }
         self.take_up(|id| id.owner() == owner);
+        self
+    }
+
+    /// The same without clocks, for measurements that have no times.
+    #[must_use]
+    pub fn without_clocks(mut self) -> Self {
+        self.parameters.retain(|one| one.id.group() != Group::Clock);
+        self.find_columns();
         self
     }
 

@@ -5,7 +5,6 @@
 //! writes it for robot controllers, `optimum` is what any of them could determine at best; `place` looks for where the bar should
 //! stand, `poses` chooses poses for instruments that measure a robot at rest.
 
-mod bodies;
 mod check;
 mod constraints;
 mod design;
@@ -18,9 +17,8 @@ mod programs;
 mod random;
 mod search;
 
-pub use bodies::{Bodies, Skeleton};
 pub use check::{CheckError, Checked, Violation, check};
-pub use constraints::{Constraints, Obstacle};
+pub use constraints::{Bodies, Constraints, Obstacle, Skeleton};
 pub use design::Design;
 pub use information::{Criterion, ExpectedPosition, Information, Visited, WithTerms};
 pub use optimum::{Optimum, position_m_min};

@@ -1,9 +1,13 @@
 //! What a path must keep to: where robot and bar are comfortable, how fast and hard the robot may move, and what must not
 //! touch.
 
+mod bodies;
+
 use nalgebra::{Matrix6, Vector6};
 
-use super::{Bodies, Design, Path};
+pub use bodies::{Bodies, Skeleton};
+
+use super::{Design, Path};
 use crate::kinematics::{
     Chain, InverseError, Joints, Pose, Trace, Tracer, robot_inverse_centred, singularity_margin_rad,
 };
