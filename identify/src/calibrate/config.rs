@@ -106,7 +106,7 @@ pub struct JointTermsConfig {
     pub ratio_ppm: f64,
     /// By how much the log has one joint later than the others \[ms\].
     pub delay_ms: f64,
-    /// How much an axis gives way for each metre of its load's lever \[urad/m\].
+    /// How much an axis deflects for each metre of its load's lever \[urad/m\].
     pub compliance_urad_per_m: f64,
 }
 

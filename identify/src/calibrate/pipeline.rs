@@ -214,7 +214,7 @@ fn differ(runs: &[Run]) -> Vec<ParameterId> {
 /// What a data set has for itself: the robot is that of all and the bar that of all runs with one, but instruments are set up
 /// anew and encoders count from new zeros.
 fn is_own(id: ParameterId, differ: &[ParameterId]) -> bool {
-    // Another bar gives way by another amount.
+    // Another bar deflects by another amount.
     let length = if id.group() == Group::Force { ParameterId::ROD } else { id };
     id.block().of_run || differ.contains(&length)
 }

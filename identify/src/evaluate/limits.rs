@@ -201,10 +201,10 @@ fn lasting_errors(calibration: &BallBarCalibration) -> impl Iterator<Item = Limi
 /// Forces that explain nothing.
 fn forces_without_sign(calibration: &BallBarCalibration) -> impl Iterator<Item = Limit> {
     let without =
-        Elongation::all(calibration).into_iter().filter(|one| one.positive == PositiveForce::NotStated);
+        Elongation::all(calibration).into_iter().filter(|one| one.positive == PositiveForce::NotDetermined);
     without.map(|elongation| Limit {
         sentence: format!(
-            "{}The {} does not determine how the bar gives way ({}); check its clock, column and place, or calibrate without it.",
+            "{}The {} does not determine how far the bar deflects ({}); check its clock, column and place, or calibrate without it.",
             place(calibration, elongation.run),
             elongation.measured.kind.describe(),
             elongation.sentence()

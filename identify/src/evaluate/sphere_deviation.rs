@@ -70,7 +70,7 @@ pub enum PositiveForce {
     /// It is shorter there.
     Compression,
     /// The bar's length does not follow the force by more than chance.
-    NotStated,
+    NotDetermined,
 }
 
 /// What a force did to the bar.
@@ -120,7 +120,7 @@ impl Elongation {
         let of_95 = solution.covariance.sigmas_from.sigmas_of_95();
         let told = sigma.is_none_or(|sigma| found.value.abs() > of_95 * sigma) && found.value != 0.0;
         let positive = match told {
-            false => PositiveForce::NotStated,
+            false => PositiveForce::NotDetermined,
             true if found.value > 0.0 => PositiveForce::Tension,
             true => PositiveForce::Compression,
         };
@@ -140,13 +140,13 @@ impl Elongation {
             self.sigma.map_or_else(|| " (fixed)".into(), |sigma| format!(" +- {:.4}", sigma * factor));
         let what = match self.parameter {
             ParameterId::BarPlay => "half of the bar's play",
-            _ => "the bar gives way",
+            _ => "compliance of the bar",
         };
         let value = format!("{what}: {:.4}{sigma} {symbol}", self.value.abs() * factor);
         match self.positive {
             PositiveForce::Tension => format!("{value}; the log's force is positive in tension"),
             PositiveForce::Compression => format!("{value}; the log's force is positive in compression"),
-            PositiveForce::NotStated => format!(
+            PositiveForce::NotDetermined => format!(
                 "{what}: {:.4}{sigma} {symbol}, which cannot be distinguished from zero: the force does not explain the bar's length",
                 self.value * factor
             ),

@@ -78,7 +78,7 @@ pub enum JointTerm {
     Ratio,
     /// The log has the axis later than the others by so much \[s\], as servo lag or a filter make it: `rdelay`.
     Delay,
-    /// The axis gives way under a weight: `relbow`, `rwrist`, `rtool`.
+    /// The axis deflects under a weight: `relbow`, `rwrist`, `rtool`.
     Compliance(Load),
 }
 

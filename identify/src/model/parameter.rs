@@ -84,7 +84,7 @@ pub enum Unit {
     Second,
     /// Ratio, read in ppm.
     Ratio,
-    /// Radians per newton metre times newtons: by how much an axis gives way for each metre of its load's lever, read in
+    /// Radians per newton metre times newtons: by how much an axis deflects for each metre of its load's lever, read in
     /// mrad/m.
     RadianPerMetre,
     /// Metres per newton, read in um/N.

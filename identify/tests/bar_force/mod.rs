@@ -90,7 +90,7 @@ fn a_force_that_has_nothing_to_do_with_the_bar_is_told_to_be_none() {
     let run = simulated(BarLoad { compliance_um_per_n: 0.0, ..THESIS }, 2);
     let found = calibrated(&run, CostName::Pose).unwrap();
     let elongation = Elongation::of(&found).unwrap();
-    assert_eq!(elongation.positive, PositiveForce::NotStated, "{elongation:?}");
+    assert_eq!(elongation.positive, PositiveForce::NotDetermined, "{elongation:?}");
     let limits = evidence(&found, &irb2400().joint_limits()).limits;
     assert!(
         limits.iter().any(|limit| limit.sentence.contains("cannot be distinguished from zero")),

@@ -15,7 +15,7 @@ pub struct ForceEntry {
     pub kind: ForceKind,
     /// On whose clock.
     pub clock: ForceClock,
-    /// `tension`, `compression` or `not told`: which the log's positive force is.
+    /// `tension`, `compression` or `not determined`: which the log's positive force is.
     pub positive: String,
     /// `bcompliance` \[m/N\] or `bplay` \[m\]: positive where the log's positive force makes the bar longer.
     pub parameter: String,
@@ -51,7 +51,7 @@ impl ForceEntry {
         let positive = match elongation.positive {
             PositiveForce::Tension => "tension",
             PositiveForce::Compression => "compression",
-            PositiveForce::NotStated => "not told",
+            PositiveForce::NotDetermined => "not determined",
         };
         Some(Self {
             run: elongation.run + 1,
