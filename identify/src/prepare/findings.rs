@@ -1,7 +1,7 @@
 //! What a refusal knows beyond its sentence, for people who look for the cause.
 
 use super::align::refine::Residuals;
-use super::angle_errors::{AngleErrors, LocalShift, local_shifts};
+use super::samples::angle_errors::{AngleErrors, LocalShift, local_shifts};
 use super::{ClockFit, PrepareError, Prepared};
 use crate::kinematics::BAR_JOINTS;
 use crate::model::{Clock, Geometry, Observation};

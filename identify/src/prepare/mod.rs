@@ -15,7 +15,7 @@
 //!    offsets and configurations follow, segment by segment between singular poses and origins (`segments`). The shift
 //!    whose angles fit best wins.
 //! 6. `refine` fits clocks, base and offsets to the angles while all numbers of both chains may move within their
-//!    tolerances. By this fit every sample is judged (`judge`): is it an outlier? Whether something changed during the run, only
+//!    tolerances. By this fit every sample is judged (`samples::angle_errors`): is it an outlier? Whether something changed during the run, only
 //!    calibrated links show (`calibrate::change`), but for what is so large that nothing fits (`slip`, `parts`).
 //! 7. [`select`], [`spread_over_sphere`]: standstill, singular poses and samples beyond what is needed are left out.
 //! 8. Where a force was measured, each sample gets its component along the bar (`forces`).
@@ -26,14 +26,12 @@
 //! Times stay integers until they are small differences: the clocks may be decades apart.
 
 mod align;
-mod angle_errors;
 mod encoders;
 mod error;
 mod findings;
 mod forces;
 mod readings;
 mod samples;
-mod select;
 mod sphere;
 mod steps;
 mod timeline;
@@ -46,7 +44,6 @@ pub(crate) use align::placement::nearest_rotation;
 pub use align::placement::{PROBE_SIGMA_M, Sighted, all_placements};
 pub use align::predict::{PredictedBar, Predictor};
 pub use align::tracker::{AlignedPoses, Moving, align_poses};
-pub use angle_errors::LocalShift;
 pub use encoders::encoder_map::{
     AnglePair, EncoderMap, EncoderMapChoice, EncoderMapReport, EncoderPlace, find_encoder_map,
 };
@@ -58,7 +55,8 @@ pub use readings::averaged::{Averaged, AveragedJoints, AveragedPoint};
 pub use readings::bar_angles::{BarAngles, BarReading, bar_angles};
 pub use readings::standstill::{Jitter, MOVING_RAD_S, Standstill};
 pub use readings::unwrap::{unwrapped_counters, unwrapped_log};
-pub use select::{select, spread_over_sphere};
+pub use samples::angle_errors::LocalShift;
+pub use samples::select::{select, spread_over_sphere};
 pub use sphere::{SphereFit, fit_sphere};
 pub use steps::prepare;
 pub use timeline::{SampleStatus, Timeline, TimelinePoint};

@@ -13,7 +13,7 @@ use crate::logs::{CubicSpline, Stream};
 use crate::prepare::encoders::encoder_map::{AnglePair, EncoderMap, EncoderMapReport, find_encoder_map};
 use crate::prepare::encoders::segments::{Pair, Settled, settle};
 use crate::prepare::encoders::slip::large_slip;
-use crate::prepare::select::{apart, select};
+use crate::prepare::samples::select::{select, spaced};
 use crate::prepare::{BarReading, Channels, Predictor, PrepareError, PrepareOptions};
 
 /// What is searched, and in what.
@@ -274,7 +274,7 @@ impl Search<'_> {
         start: Option<&Fit>,
     ) -> Option<Fit> {
         let angles: Vec<[f64; BAR_JOINTS]> = settled.fitting.iter().map(|(_, angles)| *angles).collect();
-        let kept = if angles.len() > FIT_MAX { select(&angles, 0.0, FIT_MAX) } else { apart(&angles, 0.0) };
+        let kept = if angles.len() > FIT_MAX { select(&angles, 0.0, FIT_MAX) } else { spaced(&angles, 0.0) };
         let samples: Vec<FitSample> = kept
             .into_iter()
             .filter_map(|index| {

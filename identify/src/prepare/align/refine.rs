@@ -17,8 +17,8 @@ use crate::kinematics::{
 use crate::logs::CubicSpline;
 use crate::model::{Geometry, Group, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
 use crate::prepare::AlignedLog;
-use crate::prepare::angle_errors::AngleErrors;
 use crate::prepare::encoders::circular::wrapped;
+use crate::prepare::samples::angle_errors::AngleErrors;
 use crate::solver::{Block, GoodShare, Loss, Options, Prior, Problem, Schedule, Summary, minimise};
 
 /// How far the numbers of the nominal chains are expected to be off, one standard deviation \[m, rad\].

@@ -22,7 +22,7 @@ use crate::kinematics::{Chain, Joints, Pose};
 use crate::logs::{CubicSpline, RobotLog, Stream, TimedPose, TimedPoses, travel};
 use crate::model::{Axis, Coordinate, JointState, Model, Observation, ParameterId, RobotMotion, Role, SetUp};
 use crate::prepare::readings::standstill::MOVING_RAD_S;
-use crate::prepare::select::select;
+use crate::prepare::samples::select::select;
 use crate::prepare::steps::{check_length, overlap_s, require_motion};
 use crate::prepare::{
     AlignedLog, Alignment, Channels, ClockFit, Match, PrepareError, PrepareOptions, candidates, correlate,

@@ -2,12 +2,12 @@
 
 use serde::Serialize;
 
-use super::encoders::circular::spread_of;
 use crate::kinematics::BAR_JOINTS;
+use crate::prepare::encoders::circular::spread_of;
 
 /// One sample away from singular poses against the fitted geometry.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct AngleErrors {
+pub(in crate::prepare) struct AngleErrors {
     /// Index among all samples.
     pub sample: usize,
     /// Bar time \[s\].
@@ -39,7 +39,7 @@ const SPEED_VARIES_RAD_S: f64 = 0.05;
 const PART_SAMPLES_MIN: usize = 20;
 
 /// Shift of each part of the run. Offsets are free in each, so that slow errors of the geometry do not pass for time.
-pub(super) fn local_shifts(errors: &[AngleErrors]) -> Vec<LocalShift> {
+pub(in crate::prepare) fn local_shifts(errors: &[AngleErrors]) -> Vec<LocalShift> {
     let part = |one: &AngleErrors| (one.origin, (one.t_s / PART_S).floor());
     errors.chunk_by(|a, b| part(a) == part(b)).filter_map(local_shift).collect()
 }
@@ -68,7 +68,7 @@ fn local_shift(part: &[AngleErrors]) -> Option<LocalShift> {
 }
 
 /// Standard deviation of each joint's error, from the median \[rad\].
-pub(super) fn spreads_rad(errors: &[AngleErrors]) -> [f64; BAR_JOINTS] {
+pub(in crate::prepare) fn spreads_rad(errors: &[AngleErrors]) -> [f64; BAR_JOINTS] {
     std::array::from_fn(|joint| spread_of(errors.iter().map(|one| one.error_rad[joint].abs()).collect()))
 }
 
@@ -80,7 +80,7 @@ const OUTLIER_RAD_MIN: f64 = 100e-6;
 const OUTLIERS_MAX: f64 = 0.05;
 
 /// Samples of which some joint's error is far beyond the usual; none where they are too many to be exceptions.
-pub(super) fn outliers(errors: &[AngleErrors], spreads_rad: &[f64; BAR_JOINTS]) -> Vec<usize> {
+pub(in crate::prepare) fn outliers(errors: &[AngleErrors], spreads_rad: &[f64; BAR_JOINTS]) -> Vec<usize> {
     let beyond = |one: &&AngleErrors| {
         let mut errors = one.error_rad.iter().zip(spreads_rad);
         errors.any(|(error, spread)| error.abs() > OUTLIER_RAD_MIN.max(TIMES_USUAL * spread))

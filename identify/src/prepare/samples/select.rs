@@ -12,7 +12,7 @@ const HALVINGS: usize = 40;
 ///
 /// Distance is the largest travel of a joint. Spreading over time instead would weigh slow parts more.
 pub fn select<R: AsRef<[f64]>>(angles_rad: &[R], motion_min_rad: f64, points_max: usize) -> Vec<usize> {
-    let kept = apart(angles_rad, motion_min_rad);
+    let kept = spaced(angles_rad, motion_min_rad);
     if kept.len() <= points_max {
         return kept;
     }
@@ -21,9 +21,9 @@ pub fn select<R: AsRef<[f64]>>(angles_rad: &[R], motion_min_rad: f64, points_max
     let (mut low, mut high) = (motion_min_rad, travel.max(motion_min_rad));
     for _ in 0..HALVINGS {
         let middle = 0.5 * (low + high);
-        if apart(angles_rad, middle).len() > points_max { low = middle } else { high = middle }
+        if spaced(angles_rad, middle).len() > points_max { low = middle } else { high = middle }
     }
-    let mut kept = apart(angles_rad, high);
+    let mut kept = spaced(angles_rad, high);
     kept.truncate(points_max);
     kept
 }
@@ -68,7 +68,7 @@ fn cell_of(direction: &Vector3<f64>) -> usize {
 }
 
 /// Indices of samples at least `step_rad` from the last one kept; the first is always kept.
-pub(super) fn apart<R: AsRef<[f64]>>(angles_rad: &[R], step_rad: f64) -> Vec<usize> {
+pub(in crate::prepare) fn spaced<R: AsRef<[f64]>>(angles_rad: &[R], step_rad: f64) -> Vec<usize> {
     let mut kept: Vec<usize> = Vec::new();
     for (index, angles) in angles_rad.iter().enumerate() {
         let far_enough = match kept.last().and_then(|&last| angles_rad.get(last)) {

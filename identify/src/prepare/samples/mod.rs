@@ -1,12 +1,15 @@
 //! What becomes of each sample once the logs are brought together.
 
+pub(super) mod angle_errors;
+pub(super) mod select;
+
 use nalgebra::Vector3;
 
+use self::angle_errors::{AngleErrors, LocalShift, local_shifts, outliers, spreads_rad};
+use self::select::{spaced, spread_over_sphere};
 use super::align::find::Found;
 use super::align::refine::Residuals;
-use super::angle_errors::{AngleErrors, LocalShift, local_shifts, outliers, spreads_rad};
 use super::readings::bar_angles::BarReading;
-use super::select::{apart, spread_over_sphere};
 use super::timeline::Sample;
 use super::{AlignedLog, Deviations, PoorFit, PrepareError, PrepareOptions, SampleCounts, SampleStatus};
 use crate::kinematics::BAR_JOINTS;
@@ -167,7 +170,7 @@ fn choose(
         (0..joints.len()).filter(|index| statuses.get(*index) == Some(&SampleStatus::Standstill)).collect();
     let angles: Vec<[f64; BAR_JOINTS]> = usable.iter().map(|index| joints[*index].bar_rad).collect();
     let moving: Vec<usize> =
-        apart(&angles, options.motion_min_mrad * 1e-3).into_iter().map(|place| usable[place]).collect();
+        spaced(&angles, options.motion_min_mrad * 1e-3).into_iter().map(|place| usable[place]).collect();
     for index in &moving {
         statuses[*index] = SampleStatus::Thinned;
     }
