@@ -25,3 +25,4 @@ pub mod simulate;
 pub mod solver;
 mod statistics;
 pub mod study;
+mod threads;

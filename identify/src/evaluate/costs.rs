@@ -6,6 +6,7 @@ use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::calibrate::validation::other_costs::OtherCost;
 use crate::model::{Model, ParameterId, Unit};
 use crate::solver::{Solution, Summary};
+use crate::threads::each;
 
 /// What one cost gives.
 #[derive(Debug, Clone, PartialEq)]
@@ -66,19 +67,17 @@ pub fn compare_costs(
     };
     let ids = calibration.model.ids().into_iter();
     let ids: Vec<ParameterId> = ids.filter(named).collect();
-    let figures =
-        |model: &Model, solution: &Solution| figures(calibration, &ids, model, solution, joint_limits);
-    let mut entries = vec![CostEntry {
-        cost: calibration.cost,
-        figures: Ok(figures(&calibration.model, &calibration.solution)),
-    }];
-    entries.extend(others.iter().map(|other| CostEntry {
-        cost: other.cost,
-        figures: match &other.found {
-            Ok((model, solved)) => Ok(figures(model, &solved.solution)),
-            Err(error) => Err(error.to_string()),
-        },
-    }));
+    let own = (calibration.cost, Ok((&calibration.model, &calibration.solution)));
+    let of_others = others.iter().map(|other| {
+        let found = other.found.as_ref().map(|(model, solved)| (model, &solved.solution));
+        (other.cost, found.map_err(ToString::to_string))
+    });
+    let all: Vec<_> = std::iter::once(own).chain(of_others).collect();
+    let entries = each(all.len(), |number| {
+        let (cost, found) = &all[number];
+        let figures = |&(model, solution): &_| figures(calibration, &ids, model, solution, joint_limits);
+        CostEntry { cost: *cost, figures: found.as_ref().map(figures).map_err(Clone::clone) }
+    });
     CostComparison { names: ids.iter().map(|id| (id.to_string(), id.unit())).collect(), entries }
 }
 

@@ -14,6 +14,7 @@ use crate::cost::{Closure, closures};
 use crate::model::Model;
 use crate::prepare::Prepared;
 use crate::solver::Watch;
+use crate::threads::{both, each};
 
 /// What one run of a calibration shows.
 #[derive(Debug, Clone)]
@@ -119,14 +120,11 @@ impl Evidence {
         watch: Option<&dyn Watch>,
     ) -> Result<Self, CalibrateError> {
         // None needs the others, and each is as long as the calibration.
-        let (predicted, costs) = std::thread::scope(|scope| {
-            let costs = scope.spawn(|| {
-                let others = other_costs(calibration, config, watch)?;
-                Ok::<_, CalibrateError>(compare_costs(calibration, &others, joint_limits))
-            });
-            let predicted = Self::predicted(calibration, config, watch);
-            (predicted, costs.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
-        });
+        let costs = || {
+            let others = other_costs(calibration, config, watch)?;
+            Ok::<_, CalibrateError>(compare_costs(calibration, &others, joint_limits))
+        };
+        let (costs, predicted) = both(costs, || Self::predicted(calibration, config, watch));
         let (held_out, deployed) = predicted?;
         self.held_out = Some(held_out);
         self.costs = Some(costs?);
@@ -151,10 +149,10 @@ impl Evidence {
             };
             found.map(told).transpose()
         };
-        let all = Deployment::PARTIAL.into_iter().map(deployed);
+        let all = each(Deployment::PARTIAL.len(), |number| deployed(Deployment::PARTIAL[number]));
         Ok((
             held_out(calibration, &segments, &nominals),
-            all.filter_map(Result::transpose).collect::<Result<_, _>>()?,
+            all.into_iter().filter_map(Result::transpose).collect::<Result<_, _>>()?,
         ))
     }
 }

@@ -7,7 +7,7 @@ use rand_chacha::rand_core::SeedableRng;
 use shared::config::RobotConfig;
 
 use super::{PrepareError, PrepareOptions};
-use crate::kinematics::{Chain, Joints};
+use crate::kinematics::{Chain, Joints, Trace, Tracer};
 use crate::logs::{JointConversion, JointMistake, RobotLog};
 use crate::statistics::median;
 
@@ -50,10 +50,22 @@ pub(super) fn sphere_of_log(
     options: &PrepareOptions,
 ) -> Result<SphereFit, PrepareError> {
     let mut positions: Vec<Vector3<f64>> = Vec::new();
+    // No joint moves the end by more than its own travel in metres, or times the reach: most rows are too near to be looked at.
+    let reach_m = (robot.reach_m() + robot.last_from_end.translation.vector.norm()).max(1.0);
+    let (tracer, mut trace, mut last_q) = (Tracer::new(robot), Trace::default(), None::<&Joints>);
+    let is_near = |last: &Joints, q: &Joints| {
+        let travel: f64 = last.iter().zip(q.iter()).map(|(last, q)| (last - q).abs()).sum();
+        travel * reach_m < POSITIONS_APART_M
+    };
     for q in log.q_rad.iter() {
-        let position = robot.forward(q).translation.vector;
+        if last_q.is_some_and(|last| is_near(last, q)) {
+            continue;
+        }
+        tracer.trace(q, &mut trace);
+        let position = trace.end().translation.vector;
         if positions.last().is_none_or(|last| (last - position).norm() > POSITIONS_APART_M) {
             positions.push(position);
+            last_q = Some(q);
         }
     }
     let tolerance_mm = options.sphere_tolerance_mm;

@@ -23,6 +23,7 @@ use super::{
 use crate::kinematics::{BAR_JOINTS, Chain, Joints, ball_bar_chain, robot_chain};
 use crate::logs::{CubicSpline, RobotLog, travel};
 use crate::model::{DriveTrain, Observation};
+use crate::threads;
 
 /// Joints that travel less than this do not move \[deg\].
 const TRAVEL_DEG_MIN: f64 = 3.0;
@@ -47,10 +48,11 @@ pub fn prepare(
     let both = BothLogs::new(cycles, encoders, log, options)?;
     let (angles, log) = (&both.angles, &*both.log);
     check(angles, log, options)?;
-    let interpolated = log.spline()?;
     let (arm, bar_chain) = (robot_chain(robot, bar), ball_bar_chain(bar));
     let gravity = DriveTrain::of(robot, &arm).gravity;
-    let sphere = sphere_of_log(log, &arm, robot, bar.length_m, options)?;
+    let sphere = || sphere_of_log(log, &arm, robot, bar.length_m, options);
+    let (interpolated, sphere) = threads::both(|| log.spline(), sphere);
+    let (interpolated, sphere) = (interpolated?, sphere?);
     let robot = arm;
     let predictor = Predictor::new(&interpolated, &robot, &bar_chain, sphere.centre_m)?;
     let chains = [&robot, &bar_chain];

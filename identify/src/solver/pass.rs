@@ -4,12 +4,13 @@
 //! merged in their order. Memory is that of a few dozen normal matrices and one small record per sample.
 
 use std::ops::Range;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 use nalgebra::{DMatrix, DVector};
 
 use super::panel::{Panel, fold_triangles, width};
 use super::{Loss, Normal, Options, Problem, Progress, SolveError, Watch};
+use crate::threads::{on_threads, threads_there};
 
 /// Samples of a part, at least: about a millisecond.
 const PART_SAMPLES_MIN: usize = 128;
@@ -299,48 +300,7 @@ fn require_finite(panel: &Panel) -> Result<(), PassError> {
 /// Threads for a pass over all samples of a problem.
 pub(super) fn threads_that_pay(problem: &impl Problem) -> usize {
     let pays = problem.samples() * problem.rows() * problem.columns() / ENTRIES_PER_THREAD;
-    // Asked only where it matters: the answer takes reading files, longer than a pass over a few samples.
-    let there = || std::thread::available_parallelism().map_or(1, usize::from);
-    if pays > 1 { there().min(pays) } else { 1 }
-}
-
-/// What `work` makes of 0 to `count`, in that order, on so many threads, this one among them. Work is begun in its order and
-/// ended once begun: of several errors the first one in that order is always found.
-///
-/// # Errors
-/// That of `work`.
-pub(super) fn on_threads<T: Send, E: Send>(
-    threads: usize,
-    count: usize,
-    work: impl Fn(usize) -> Result<T, E> + Sync,
-) -> Result<Vec<T>, E> {
-    let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
-    let share = || {
-        let mut done = Vec::new();
-        while !stop.load(Ordering::Relaxed) {
-            let number = next.fetch_add(1, Ordering::Relaxed);
-            if number >= count {
-                break;
-            }
-            let result = work(number);
-            stop.fetch_or(result.is_err(), Ordering::Relaxed);
-            done.push((number, result));
-        }
-        done
-    };
-    let mut done = std::thread::scope(|scope| {
-        let others: Vec<_> = (1..threads).map(|_| scope.spawn(share)).collect();
-        let mut done = share();
-        for other in others {
-            match other.join() {
-                Ok(more) => done.extend(more),
-                Err(panic) => std::panic::resume_unwind(panic),
-            }
-        }
-        done
-    });
-    done.sort_by_key(|(number, _)| *number);
-    done.into_iter().map(|(_, result)| result).collect()
+    if pays > 1 { threads_there().min(pays) } else { 1 }
 }
 
 fn plain<'a, P: Problem>(problem: &'a P, x: &'a [f64]) -> Pass<'a, P> {

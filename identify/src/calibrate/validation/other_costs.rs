@@ -6,6 +6,7 @@ use crate::calibrate::pipeline::Solved;
 use crate::instrument::{Instrument, Run};
 use crate::model::{Group, Model, ModelError, ParameterId, Role, TermGroup};
 use crate::solver::{SolveError, Watch};
+use crate::threads::each;
 
 /// Samples of all runs that are looked at, at most: more would not change what the costs differ in.
 const SAMPLES_MAX: usize = 3000;
@@ -33,8 +34,10 @@ pub fn other_costs(
     let allowed = |cost: &CostName| cost.encoders().iter().all(|&joint| measured[joint]);
     let mut runs = calibration.thinned(SAMPLES_MAX);
     runs.iter_mut().try_for_each(|run| at_nominal(&mut run.model))?;
-    let mut all = Vec::new();
-    for cost in CostName::ALL.into_iter().filter(|cost| *cost != calibration.cost).filter(allowed) {
+    let others = CostName::ALL.into_iter().filter(|cost| *cost != calibration.cost).filter(allowed);
+    let others: Vec<CostName> = others.collect();
+    let by_cost = |number: usize| {
+        let cost = others[number];
         let mut runs: Vec<Run> = runs.clone();
         for run in &mut runs {
             if let Instrument::BallBar(bar) = &mut run.instrument {
@@ -47,9 +50,9 @@ pub fn other_costs(
             Err(error) => Err(error),
             Ok(solved) => Ok((runs.swap_remove(0).model, solved)),
         };
-        all.push(OtherCost { cost, found });
-    }
-    Ok(all)
+        Ok(OtherCost { cost, found })
+    };
+    each(others.len(), by_cost).into_iter().collect()
 }
 
 /// Links and terms at their nominal values; where the bar stands, its encoders' offsets and the clocks stay: from there

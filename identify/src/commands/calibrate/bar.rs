@@ -27,13 +27,14 @@ use crate::model::Model;
 use crate::prepare::{EncoderMapChoice, Prepared, bar_angles};
 use crate::report::page::Page;
 use crate::report::result::clocks::{ClockEntry, SolvedClock};
-use crate::report::result::file::{CalibrationFile, MeasurementEntry, ParameterEntry, SolveEntry};
+use crate::report::result::file::{CalibrationFile, Input, MeasurementEntry, ParameterEntry, SolveEntry};
 use crate::report::result::force::ForceEntry;
 use crate::report::result::knowledge::NoiseEntry;
 use crate::report::summary::{summary, wrapped};
 use crate::report::table;
 use crate::simulate::Truth;
 use crate::solver::{Covariance, LossName};
+use crate::threads::both;
 
 /// Options of a calibration with the ball-bar.
 #[derive(Debug, Args)]
@@ -124,7 +125,6 @@ fn identify_config(arguments: &BarArguments) -> anyhow::Result<IdentifyConfig> {
 pub(super) struct RunFiles<'a> {
     pub(super) recording_path: &'a Path,
     pub(super) log_path: &'a Path,
-    bar_path: &'a Path,
     pub(super) recording: Arc<BarLog>,
     /// Cycles of the recording that are its.
     cycles: Range<usize>,
@@ -215,9 +215,12 @@ pub(super) fn runs<'a>(
     let read =
         |(((recording_path, log_path), bar_path), force): (((&'a PathBuf, &'a PathBuf), &'a PathBuf), _)| {
             let bar: BallBarConfig = config::load(bar_path)?;
-            let mut log = load_log(log_path, robot, &log_options)?;
+            let (recording, log) = both(
+                || load_recording(recording_path, &bar, bar_mapping.as_ref()),
+                || load_log(log_path, robot, &log_options),
+            );
+            let (mut log, recording) = (log?, recording?);
             log.force = if arguments.ignore_force { None } else { Option::or(force, log.force) };
-            let recording = load_recording(recording_path, &bar, bar_mapping.as_ref())?;
             Ok(RunFiles {
                 cycles: 0..recording.cycles().len(),
                 recording: Arc::new(recording),
@@ -225,7 +228,6 @@ pub(super) fn runs<'a>(
                 bar,
                 recording_path,
                 log_path,
-                bar_path,
             })
         };
     recording.iter().zip(robot_log).zip(bars).zip(forces).map(read).collect()
@@ -293,7 +295,8 @@ pub(super) fn calibrate(arguments: &BarArguments, config: &IdentifyConfig) -> an
     let robot = &arguments.common.robot()?;
     crate::commands::ensure_six_revolute_axes(robot)?;
     let truth = arguments.truth.as_deref().map(load_truth).transpose()?;
-    let mut runs = runs(arguments, robot)?;
+    let (inputs, runs) = both(|| inputs(&input_files(arguments)), || runs(arguments, robot));
+    let (mut runs, inputs) = (runs?, inputs?);
     let on_terminal = OnTerminal::new();
     let solve = |inputs: &[RunInput<'_>]| ball_bar::calibrate_runs(inputs, robot, config, Some(&on_terminal));
     let calibration = solved(arguments, &mut runs, solve);
@@ -306,7 +309,7 @@ pub(super) fn calibrate(arguments: &BarArguments, config: &IdentifyConfig) -> an
     on_terminal.finish();
     let (calibration, evidence) =
         studied.map_err(|error| refused::of_runs(arguments, robot, &runs, config, error))?;
-    let mut file = calibration_file(arguments, robot, &runs, &calibration)?.with_validation(&evidence);
+    let mut file = calibration_file(inputs, robot, &runs, &calibration).with_validation(&evidence);
     let mut forces = ForceEntry::all(&evidence.spheres).into_iter();
     file.validity = Some(Validity::of(calibration.poses(), &flange_chain(robot)));
     (file.force, file.other_forces) = (forces.next(), forces.collect());
@@ -335,13 +338,11 @@ pub(super) fn calibrate(arguments: &BarArguments, config: &IdentifyConfig) -> an
 }
 
 /// Every file that was read, with what it is.
-pub(super) fn input_files<'a>(
-    arguments: &'a BarArguments,
-    runs: &'a [RunFiles<'_>],
-) -> Vec<(&'static str, &'a Path)> {
+pub(super) fn input_files(arguments: &BarArguments) -> Vec<(&'static str, &Path)> {
+    let BarArguments { recording, robot_log, bar, .. } = arguments;
     let mut files = vec![("robot", arguments.common.robot.as_path())];
-    for run in runs {
-        files.extend([("recording", run.recording_path), ("robot log", run.log_path), ("bar", run.bar_path)]);
+    for ((recording, robot_log), bar) in recording.iter().zip(robot_log).zip(bar.iter().cycle()) {
+        files.extend([("recording", &**recording), ("robot log", &**robot_log), ("bar", &**bar)]);
     }
     let mappings = [
         ("recording mapping", &arguments.recording_mapping),
@@ -356,11 +357,11 @@ pub(super) fn input_files<'a>(
 }
 
 fn calibration_file(
-    arguments: &BarArguments,
+    inputs: Vec<Input>,
     robot: &RobotConfig,
     runs: &[RunFiles<'_>],
     calibration: &BallBarCalibration,
-) -> anyhow::Result<CalibrationFile> {
+) -> CalibrationFile {
     let solution = &calibration.solution;
     let bar = runs.first().map_or("", |run| run.bar.name.as_str());
     let clock = |(run, (files, (prepared, model))): (usize, (&RunFiles<'_>, _))| {
@@ -372,7 +373,7 @@ fn calibration_file(
         bar,
         SolveEntry::new(calibration.cost.name(), &solution.summary, &solution.identifiability),
         clocks.next(),
-        inputs(&input_files(arguments, runs))?,
+        inputs,
         ParameterEntry::of_runs(calibration),
     )
     .with_knowledge(solution);
@@ -380,7 +381,7 @@ fn calibration_file(
     file.measured = runs.iter().filter_map(RunFiles::measured).collect();
     file.candidates.clone_from(&calibration.candidates);
     file.noise = NoiseEntry::all(calibration.bars());
-    Ok(file)
+    file
 }
 
 fn load_truth(path: &Path) -> anyhow::Result<Truth> {

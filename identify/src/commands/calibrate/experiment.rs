@@ -194,18 +194,14 @@ impl Experiment {
     }
 
     /// Every file that is read, with what it is, those of rows first.
-    pub(super) fn files<'a>(
-        &'a self,
-        arguments: &'a BarArguments,
-        bars: &'a [bar::RunFiles<'_>],
-    ) -> Vec<(&'static str, &'a Path)> {
+    pub(super) fn files<'a>(&'a self, arguments: &'a BarArguments) -> Vec<(&'static str, &'a Path)> {
         let mut files: Vec<(&str, &Path)> = Vec::new();
         for (kind, of) in self.rows() {
             files.extend([(kind.role(), of.file.as_path()), ("mapping", &of.mapping)]);
             files.extend(of.robot_log.as_deref().map(|log| ("robot log", log)));
             files.extend(of.sockets.as_deref().map(|sockets| ("sockets", sockets)));
         }
-        files.extend(bar::input_files(arguments, bars));
+        files.extend(bar::input_files(arguments));
         files
     }
 
@@ -327,7 +323,7 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
     let read = read.collect::<anyhow::Result<Vec<Read>>>().map_err(|error| match error.downcast() {
         Ok(error) => {
             let arguments = experiment.bar_arguments(result);
-            let files = experiment.files(&arguments, &[]);
+            let files = experiment.files(&arguments);
             refused::of_rows(&result.out, robot, &files, &experiment, error)
         }
         Err(error) => error,
@@ -351,7 +347,7 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
     });
     let data = DataSets { bars: bars.iter().map(bar::RunFiles::input).collect(), rows };
     on_terminal.finish();
-    let files = experiment.files(&bar_arguments, &bars);
+    let files = experiment.files(&bar_arguments);
     let found = found.map_err(|error| refused::of_rows(&result.out, robot, &files, &experiment, error))?;
     let solution = &found.solved.solution;
     let mut file = CalibrationFile::new(

@@ -62,7 +62,7 @@ pub(super) fn of_runs(
         robot,
         instrument: runs.first().map_or("", |run| run.bar.name.as_str()),
         measured: runs.iter().filter_map(RunFiles::measured).collect(),
-        files: &input_files(arguments, runs),
+        files: &input_files(arguments),
         configuration: configuration(config),
         directory: &arguments.common.result.out,
     };

@@ -6,12 +6,12 @@ use super::bar::RunFiles;
 use crate::inspect::{self, Inspection};
 use crate::logs::BarLog;
 use crate::report::page::Source;
+use crate::threads::both;
 
 /// Recording and robot log of each run.
 pub(super) fn sources(runs: &[RunFiles<'_>]) -> Vec<Source> {
     let of_run = |run: &RunFiles<'_>| {
-        let recording = recording(&run.recording);
-        let robot = inspect::robot_log(&run.log);
+        let (recording, robot) = both(|| recording(&run.recording), || inspect::robot_log(&run.log));
         let source = |role, path: &Path, inspection| Source { role, path: path.to_owned(), inspection };
         [source("recording", run.recording_path, recording), source("robot log", run.log_path, robot)]
     };

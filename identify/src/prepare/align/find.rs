@@ -15,6 +15,7 @@ use crate::prepare::encoders::segments::{Pair, Settled, settle};
 use crate::prepare::encoders::slip::large_slip;
 use crate::prepare::samples::select::{select, spaced};
 use crate::prepare::{BarReading, Channels, Predictor, PrepareError, PrepareOptions};
+use crate::threads::{each, rows};
 
 /// What is searched, and in what.
 pub(in crate::prepare) struct Search<'a> {
@@ -164,9 +165,12 @@ impl Search<'_> {
         let overlap_min = (overlap_min_s(self.options, window_s, self.log_duration_s) / step_s) as usize;
         let from_bar = measured_speeds(&readings, &self.joints(), step_s);
         let from_robot = self.predicted(step_s);
-        let of = |robot: &Channels, bar: &Channels| candidates(robot, bar, overlap_min, CANDIDATES);
-        let mut all = of(&from_robot, &from_bar);
-        let unordered = of(&without_order(&from_robot), &without_order(&from_bar));
+        let channels = [[&from_robot, &from_bar].map(without_order), [from_robot, from_bar]];
+        let found = each(channels.len(), |number| {
+            let [robot, bar] = &channels[number];
+            candidates(robot, bar, overlap_min, CANDIDATES)
+        });
+        let [unordered, mut all]: [Vec<Match>; 2] = found.try_into().unwrap_or_default();
         let best =
             all.iter().chain(&unordered).copied().max_by(|a, b| a.correlation.total_cmp(&b.correlation));
         let high = |one: &Match| one.correlation >= self.options.correlation_min;
@@ -228,13 +232,17 @@ impl Search<'_> {
         let mut pairs: Vec<(usize, AnglePair)> = Vec::new();
         let (mut segment, mut broken, mut before) = (0, false, None::<usize>);
         let within = window.start..window.end.min(self.readings.len());
-        for sample in within.step_by(stride) {
+        let places: Vec<usize> = within.step_by(stride).collect();
+        let predicted = |place: usize| {
+            let bar = self.predictor.at(clock.tau_s(self.time_s(places[place])));
+            bar.filter(|bar| bar.margin_rad > self.margin_rad())
+        };
+        for (&sample, bar) in places.iter().zip(rows(places.len(), predicted)) {
             let (reading, t_s) = (&self.readings[sample], self.time_s(sample));
             let parted = before.is_some_and(|before| {
                 self.readings[before].origin != reading.origin || t_s - self.time_s(before) > HOLE_S
             });
             before = Some(sample);
-            let bar = self.predictor.at(clock.tau_s(t_s)).filter(|bar| bar.margin_rad > self.margin_rad());
             broken |= parted || bar.is_none();
             let Some(bar) = bar else { continue };
             if std::mem::take(&mut broken) {

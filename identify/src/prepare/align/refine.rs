@@ -20,6 +20,7 @@ use crate::prepare::AlignedLog;
 use crate::prepare::encoders::circular::wrapped;
 use crate::prepare::samples::angle_errors::AngleErrors;
 use crate::solver::{Block, GoodShare, Loss, Options, Prior, Problem, Schedule, Summary, minimise};
+use crate::threads::rows;
 
 /// How far the numbers of the nominal chains are expected to be off, one standard deviation \[m, rad\].
 const CHAIN_SIGMA: f64 = 2e-3;
@@ -335,7 +336,8 @@ fn spread_rad(
     let (chain, offsets) = x.split_at(model.columns().len().min(x.len()));
     let residuals = Residuals::new(motion, model.geometry(chain), residual.measured);
     let angles = residual.measured.iter().filter(|measured| **measured).count();
-    good.spread(observations.iter().zip(origins).filter_map(|(observation, origin)| {
+    let squared = rows(observations.len(), |sample| {
+        let (observation, origin) = (&observations[sample], origins.get(sample)?);
         let mut bar_rad = observation.bar_rad;
         for (joint, angle) in bar_rad.iter_mut().enumerate() {
             *angle += offsets.get(origin * BAR_JOINTS + joint).copied().unwrap_or(0.0);
@@ -344,7 +346,8 @@ fn spread_rad(
         let trust = residual.trust(&bar_rad);
         let squared = errors.error_rad.iter().zip(trust).map(|(error, trust)| (trust * error).powi(2));
         Some((squared.sum(), angles))
-    }))
+    });
+    good.spread(squared.into_iter().flatten())
 }
 
 /// Compares single samples with a fitted geometry.

@@ -5,6 +5,7 @@ use crate::kinematics::BAR_JOINTS;
 use crate::logs::Stream;
 use crate::prepare::encoders::circular::wrapped;
 use crate::prepare::{BarReading, Channels};
+use crate::threads::rows;
 
 /// Finest step of the grid \[s\].
 const STEP_S: f64 = 0.01;
@@ -25,7 +26,7 @@ pub(in crate::prepare) fn measured_speeds(
     step_s: f64,
 ) -> Channels {
     let steps = if readings.is_empty() { 0 } else { (readings.duration_s() / step_s) as usize + 1 };
-    let spline = readings.spline();
+    let spline = readings.clone().spline();
     let angle = |step: usize| Some(spline.as_ref()?.at(step as f64 * step_s)?.value.recorded_rad);
     let angles: Angles = (0..steps).map(angle).collect();
     of_joints(&angles, joints, step_s)
@@ -46,10 +47,10 @@ pub(in crate::prepare) fn predicted_speeds(
     step_s: f64,
 ) -> Channels {
     let steps = (duration_s / step_s) as usize + 1;
-    let angles: Angles = (0..steps)
-        .map(|step| predictor.at(step as f64 * step_s))
-        .map(|bar| bar.filter(|bar| bar.margin_rad > margin_rad).map(|bar| bar.joints_rad))
-        .collect();
+    let angles: Angles = rows(steps, |step| {
+        let bar = predictor.at(step as f64 * step_s);
+        bar.filter(|bar| bar.margin_rad > margin_rad).map(|bar| bar.joints_rad)
+    });
     of_joints(&angles, joints, step_s)
 }
 

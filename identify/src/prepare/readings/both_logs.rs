@@ -11,6 +11,7 @@ use super::standstill::Standstill;
 use super::unwrap::{unwrapped_counters, unwrapped_log};
 use crate::logs::{RobotLog, Unwrapped};
 use crate::prepare::{ClockFit, EncoderMap, PrepareError, PrepareOptions};
+use crate::threads::both;
 
 /// What the bar and the robot say.
 pub(in crate::prepare) struct BothLogs<'a> {
@@ -30,15 +31,18 @@ impl<'a> BothLogs<'a> {
         log: &'a RobotLog,
         options: &PrepareOptions,
     ) -> Result<Self, PrepareError> {
-        let mut angles = bar_angles(cycles, encoders)?;
-        let of_bar = unwrapped_counters(cycles, encoders, &angles);
-        let (mut log, of_robot) = unwrapped_log(log);
+        let of_bar = || {
+            let angles = bar_angles(cycles, encoders)?;
+            Ok::<_, PrepareError>((unwrapped_counters(cycles, encoders, &angles), angles))
+        };
+        let (of_bar, (mut log, of_robot)) = both(of_bar, || unwrapped_log(log));
+        let (of_bar, mut angles) = of_bar?;
         let width_s = options.moving_average_ms * 1e-3;
         let before = (width_s > 0.0).then(|| {
             let readings = angles.average(width_s);
             let (before, after) = (readings.len(), angles.readings.len());
             tracing::debug!(before, after, width_s, "moving average over both logs");
-            let averaged = RobotLog { q_rad: log.q_rad.averaged(width_s), ..(*log).clone() };
+            let averaged = RobotLog { q_rad: log.q_rad.averaged(width_s).into(), ..(*log).clone() };
             BeforeAverage { width_s, readings, log: std::mem::replace(&mut log, Cow::Owned(averaged)) }
         });
         Ok(Self { angles, log, unwrapped: [of_bar, of_robot], before })

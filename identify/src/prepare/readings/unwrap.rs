@@ -54,5 +54,5 @@ pub fn unwrapped_log(log: &RobotLog) -> (Cow<'_, RobotLog>, Vec<Unwrapped>) {
         Unwrapped::of(format!("q{}", joint + 1), TAU, q_rad.len(), reading)
     };
     let unwrapped = (0..log.axes()).filter(began_anew).filter_map(of_joint).collect();
-    (Cow::Owned(RobotLog { q_rad, ..log.clone() }), unwrapped)
+    (Cow::Owned(RobotLog { q_rad: q_rad.into(), ..log.clone() }), unwrapped)
 }

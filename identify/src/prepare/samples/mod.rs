@@ -16,6 +16,7 @@ use crate::kinematics::BAR_JOINTS;
 use crate::logs::Stream;
 use crate::model::Observation;
 use crate::statistics::extremes;
+use crate::threads::rows;
 
 /// Samples so near to an end or a hole of the robot's log \[s\] might leave it when a solve moves the clocks.
 const EDGE_S: f64 = 0.03;
@@ -113,27 +114,26 @@ fn look_at_all(
     let margin_min_rad = options.singular_margin_deg.to_radians();
     let stride = readings.len().div_ceil(LOOKED_AT_MAX).max(1);
     let mut statuses = vec![SampleStatus::Thinned; readings.len()];
-    let mut errors = Vec::new();
-    for (index, (reading, sample)) in readings.iter().zip(joints).enumerate() {
-        let has_offsets = found.settled.offsets.get(reading.origin).is_some_and(Option::is_some);
-        if !has_offsets {
-            statuses[index] = SampleStatus::OtherOrigin;
-            continue;
+    let has_offsets =
+        |reading: &BarReading| found.settled.offsets.get(reading.origin).is_some_and(Option::is_some);
+    let looked_at = rows(readings.len().div_ceil(stride), |place| {
+        let (reading, sample) = (&readings[place * stride], &joints[place * stride]);
+        if !has_offsets(reading) {
+            return Err(SampleStatus::OtherOrigin);
         }
-        if !index.is_multiple_of(stride) {
-            continue;
+        if [-EDGE_S, 0.0, EDGE_S].iter().any(|by_s| !residuals.covers(sample.t_s + by_s)) {
+            return Err(SampleStatus::Outside);
         }
-        let covered = [-EDGE_S, 0.0, EDGE_S].iter().all(|by_s| residuals.covers(sample.t_s + by_s));
-        if !covered {
-            statuses[index] = SampleStatus::Outside;
-            continue;
-        }
-        let of_sample = residuals.of_sample(index, reading.origin, sample.t_s, &sample.bar_rad);
-        let of_sample = of_sample.filter(|errors| errors.margin_rad > margin_min_rad);
-        statuses[index] = if of_sample.is_some() { SampleStatus::Standstill } else { SampleStatus::Singular };
-        errors.extend(of_sample);
+        let errors = residuals.of_sample(place * stride, reading.origin, sample.t_s, &sample.bar_rad);
+        errors.filter(|errors| errors.margin_rad > margin_min_rad).ok_or(SampleStatus::Singular)
+    });
+    for (_, status) in readings.iter().zip(&mut statuses).filter(|(reading, _)| !has_offsets(reading)) {
+        *status = SampleStatus::OtherOrigin;
     }
-    (statuses, errors)
+    for (one, status) in looked_at.iter().zip(statuses.iter_mut().step_by(stride)) {
+        *status = one.as_ref().err().copied().unwrap_or(SampleStatus::Standstill);
+    }
+    (statuses, looked_at.into_iter().flatten().collect())
 }
 
 /// Every measured joint must move, or what it stands for cannot be separated from its offset.

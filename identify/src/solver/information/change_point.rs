@@ -22,6 +22,7 @@ use nalgebra::{DMatrix, DVector};
 use statrs::distribution::{ContinuousCDF, FisherSnedecor};
 
 use crate::solver::{Loss, Problem, ScaledCholesky, Subset, stacked};
+use crate::threads::each;
 
 /// Blocks of a run, at most.
 const BLOCKS: usize = 128;
@@ -78,8 +79,9 @@ pub fn change_point(
     let instants: Vec<usize> = (1..INSTANTS).map(|part| part * samples.len() / INSTANTS).collect();
     let reach = samples.len().div_ceil(INSTANTS);
     let tests = (alternatives.len() * (instants.len() + 1)) as f64;
-    let mut best: Option<(f64, Change)> = None;
-    for (alternative, columns) in alternatives.iter().enumerate() {
+    let of_one = |alternative: usize| {
+        let columns = &alternatives[alternative];
+        let mut best: Option<(f64, Change)> = None;
         // Were the instant not the right one, the samples between would pass for scatter.
         let near = |at: usize| -> Vec<usize> {
             (at.saturating_sub(reach).max(1)..(at + reach).min(samples.len())).collect()
@@ -102,8 +104,10 @@ pub fn change_point(
                 best = Some((score, Change { alternative, course, by, explained }));
             }
         }
-    }
-    best.map(|(_, change)| change)
+        best
+    };
+    let found = each(alternatives.len(), of_one).into_iter().flatten();
+    found.reduce(|best, other| if other.0 < best.0 { other } else { best }).map(|(_, change)| change)
 }
 
 /// A run sample by sample, weighed.

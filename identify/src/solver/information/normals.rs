@@ -11,8 +11,9 @@ use std::ops::{AddAssign, Sub};
 use nalgebra::{DMatrix, DVector, SymmetricEigen};
 
 use super::covariance::{Source, Spread};
-use crate::solver::pass::{Pass, PassError, Products, Taking, on_threads, threads_that_pay, weighed_rows};
+use crate::solver::pass::{Pass, PassError, Products, Taking, threads_that_pay, weighed_rows};
 use crate::solver::{Options, Prior, Problem, ScaledCholesky, SolveError, Subset};
+use crate::threads::on_threads;
 
 /// Normal equations of some samples about a point.
 #[derive(Debug, Clone, PartialEq)]
