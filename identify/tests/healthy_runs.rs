@@ -64,7 +64,7 @@ fn a_robot_log_that_is_shorter_than_the_recording_is_aligned_as_well() {
             let mut run =
                 simulate::run(&Experiment { seed, errors, design, ..Experiment::new(&robot, &bar) }).unwrap();
             let log = &mut run.robot_log;
-            log.q_rad = log.q_rad.slice(250 + 7 * seed as usize..log.q_rad.len() - 500);
+            log.q_rad = log.q_rad.slice(250 + 7 * seed as usize..log.q_rad.len() - 500).into();
             let found =
                 prepare(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &PrepareOptions::default())
                     .unwrap();

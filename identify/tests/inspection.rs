@@ -125,7 +125,8 @@ fn curves_keep_extremes_and_holes_and_stay_small() {
     let until_s = robot_log.q_rad.duration_s() / 2.0 + 10.0;
     let missing = |t_s: f64| (until_s - 10.0..until_s).contains(&t_s);
     let q_rad = &robot_log.q_rad;
-    robot_log.q_rad = q_rad.filter_map(0..q_rad.len(), |row, q| (!missing(q_rad.t_s[row])).then_some(*q));
+    robot_log.q_rad =
+        q_rad.filter_map(0..q_rad.len(), |row, q| (!missing(q_rad.t_s[row])).then_some(*q)).into();
     for (joint, curve) in curves::of_robot(&robot_log).iter().enumerate() {
         assert_eq!(curve.parts.len(), 2);
         assert!(curve.parts[0].last().unwrap().0 < until_s - 9.9 && curve.parts[1][0].0 >= until_s);

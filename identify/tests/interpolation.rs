@@ -22,7 +22,7 @@ fn joint(t: f64, j: usize) -> (f64, f64) {
 
 fn log(t_s: Vec<f64>) -> RobotLog {
     let q_rad = t_s.iter().map(|&t| Joints::from_fn(6, |j| joint(t, j).0)).collect();
-    RobotLog { q_rad: Stream::new(0, t_s, q_rad), ..RobotLog::default() }
+    RobotLog { q_rad: Stream::new(0, t_s, q_rad).into(), ..RobotLog::default() }
 }
 
 #[test]

@@ -212,7 +212,11 @@ fn spiral(cell: &Cell, middle_rad: &[f64; 5], [size_rad, turn_rad, turns]: [f64;
         stamps_s.push(t_s);
         q_rad.push(near);
     }
-    Some(RobotLog { clock: "drawn".into(), q_rad: Stream::new(0, stamps_s, q_rad), ..RobotLog::default() })
+    Some(RobotLog {
+        clock: "drawn".into(),
+        q_rad: Stream::new(0, stamps_s, q_rad).into(),
+        ..RobotLog::default()
+    })
 }
 
 #[test]

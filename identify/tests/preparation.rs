@@ -229,7 +229,7 @@ fn two_logs_of_the_same_motion_done_twice_are_matched_over_their_whole_length() 
     let again = log.q_rad.clone();
     let late = again.t_s.iter().map(|t| t + pause_ns as f64 * 1e-9 * (1.0 + 25e-6));
     log.q_rad.t_s.extend(late);
-    log.q_rad.rows.extend(again.rows);
+    log.q_rad.rows.extend(&*again.rows);
     let found = prepared(&run, &robot, &bar).unwrap();
     check(&found, &run, "twice");
     assert!(found.alignment.ambiguous && found.alignment.runner_up > 0.97);
@@ -242,7 +242,7 @@ fn logs_that_do_not_overlap_or_are_of_other_runs_are_refused() {
     let mut apart = whole.clone();
     apart.cycles.truncate(5500);
     let q_rad = &apart.robot_log.q_rad;
-    apart.robot_log.q_rad = q_rad.slice(q_rad.t_s.partition_point(|&t| t <= 62.0)..q_rad.len());
+    apart.robot_log.q_rad = q_rad.slice(q_rad.t_s.partition_point(|&t| t <= 62.0)..q_rad.len()).into();
     let told = refusal(&apart, &robot, &bar);
     println!("no overlap: {told}");
     assert!(told.contains("do not match at any clock difference"), "{told}");
@@ -327,7 +327,8 @@ fn a_log_that_also_holds_the_way_to_the_bar_is_used() {
             run.robot_log.q_rad.first_stamp_ns - 20_000_000_000,
             (0..5000 + run.robot_log.q_rad.len()).map(|k| k as f64 * 0.004).collect(),
             way.into_iter().chain(run.robot_log.q_rad.iter().copied()).collect(),
-        ),
+        )
+        .into(),
         ..RobotLog::default()
     };
     run.robot_log = log;

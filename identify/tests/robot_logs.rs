@@ -20,7 +20,7 @@ fn sample_log() -> RobotLog {
         robot: Some("left arm".into()),
         clock: "controller".into(),
         origin: Origin::Measured,
-        q_rad: Stream::new(1_795_000_000_123_456_789, t_s, q_rad),
+        q_rad: Stream::new(1_795_000_000_123_456_789, t_s, q_rad).into(),
         ..RobotLog::default()
     }
 }
@@ -330,7 +330,7 @@ proptest! {
             .chain(steps_ns.iter().map(|step| { at_ns += step; at_ns as f64 * 1e-9 }))
             .collect();
         let q_rad = t_s.iter().map(|t| Joints::from_fn(6, |j| seed[j] * (t + j as f64).cos())).collect();
-        let log = RobotLog { q_rad: Stream::new(first_stamp_ns, t_s, q_rad), clock: "c".into(), ..RobotLog::default() };
+        let log = RobotLog { q_rad: Stream::new(first_stamp_ns, t_s, q_rad).into(), clock: "c".into(), ..RobotLog::default() };
         for robot in [irb(), nj()] {
             let back = parse(&text_of(&log, &robot), &robot).unwrap();
             prop_assert_eq!(back.q_rad.first_stamp_ns, first_stamp_ns);

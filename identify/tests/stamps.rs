@@ -21,7 +21,7 @@ fn log(rate_hz: f64) -> RobotLog {
         Joints::from_fn(6, |joint| 0.4 * (along * (0.5 + 0.13 * joint as f64) + joint as f64).sin())
     };
     let q_rad = t_s.iter().map(|t_s| at(*t_s)).collect();
-    RobotLog { q_rad: Stream::new(0, t_s, q_rad), ..RobotLog::default() }
+    RobotLog { q_rad: Stream::new(0, t_s, q_rad).into(), ..RobotLog::default() }
 }
 
 /// The log as it comes back from a file with these stamps \[s\].
@@ -137,7 +137,8 @@ fn rows_that_are_missing_leave_the_others_where_they_were() {
     let whole = log(250.0);
     let mut random = ChaCha8Rng::seed_from_u64(5);
     let some = |_, q: &Joints| random.random_bool(0.85).then_some(*q);
-    let log = RobotLog { q_rad: whole.q_rad.filter_map(0..whole.q_rad.len(), some), ..RobotLog::default() };
+    let log =
+        RobotLog { q_rad: whole.q_rad.filter_map(0..whole.q_rad.len(), some).into(), ..RobotLog::default() };
     let exact = read_back(&log, log.q_rad.t_s.clone());
     assert!(apart_s(&exact.q_rad.t_s, &log.q_rad.t_s) < 2e-6);
     let jittered = read_back(&log, jittered(&log.q_rad.t_s, 1e-3, &mut random));

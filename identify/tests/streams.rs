@@ -28,7 +28,7 @@ proptest! {
     #[test]
     fn nothing_is_interpolated_across_a_gap(t_s in times(), part in 0.001..0.999) {
         let stream = stream(t_s, |t_s| [t_s.sin(), -3.0 * t_s]);
-        let (spline, parts) = (stream.spline(), stream.parts());
+        let (spline, parts) = (stream.clone().spline(), stream.parts());
         for row in 0..stream.len() - 1 {
             let (from_s, to_s) = (stream.t_s[row], stream.t_s[row + 1]);
             let t_s = from_s + part * (to_s - from_s);

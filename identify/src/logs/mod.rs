@@ -45,6 +45,7 @@ pub use rows::pose_rows::{
 pub use tables::stamp::{TimeColumn, TimeUnit};
 pub use tables::text::{Cells, RowsAsText};
 pub use time_series::sampling::{StampStep, Stamps};
+pub use time_series::shared::Shared;
 pub use time_series::spline::{CubicSpline, SplinePoint};
 pub use time_series::stream::{Row, Stream};
 pub(crate) use time_series::stream::{since_first_s, travel, usual_and_longest_step_s};
@@ -114,7 +115,7 @@ pub struct RobotLog {
     /// Measured or commanded values.
     pub origin: Origin,
     /// Joint variables of the model \[rad, m\], at the times that the file gives but for jitter of the stamps.
-    pub q_rad: Stream<Joints>,
+    pub q_rad: Shared<Stream<Joints>>,
     /// Rates of those joint variables where the log has them, one row per stamp \[rad/s, m/s\].
     pub speed_rad_s: Option<Vec<Joints>>,
     /// Torques or motor currents where the log has them, in the unit and on the axes of the file.
@@ -137,8 +138,7 @@ impl RobotLog {
     /// [`LogError::NoContinuousPart`] where nothing can be interpolated.
     pub fn spline(&self) -> Result<Arc<CubicSpline<Joints>>, LogError> {
         let gap_limit_s = self.q_rad.gap_limit_s;
-        self.q_rad
-            .spline()
+        CubicSpline::through(self.q_rad.clone())
             .map(Arc::new)
             .ok_or(LogError::NoContinuousPart { needed: time_series::spline::KNOTS_MIN, gap_limit_s })
     }

@@ -86,7 +86,7 @@ pub struct Checked {
 /// [`CheckError::Gap`].
 pub(super) fn curve(path: &RobotLog) -> Result<CubicSpline<Joints>, CheckError> {
     let gap = path.q_rad.t_s.windows(2).find(|pair| pair[1] - pair[0] > GAP_S_MAX);
-    let curve = path.q_rad.clone().with_gap_limit(GAP_S_MAX).spline();
+    let curve = (*path.q_rad).clone().with_gap_limit(GAP_S_MAX).spline();
     curve.filter(|_| gap.is_none()).ok_or(CheckError::Gap { t_s: gap.map_or(0.0, |pair| pair[0]) })
 }
 

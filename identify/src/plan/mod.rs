@@ -94,7 +94,7 @@ pub fn robot_path(
         robot: Some(robot.to_owned()),
         clock: "planned".into(),
         origin: Origin::Commanded,
-        q_rad: Stream::new(0, t_s, q_rad),
+        q_rad: Stream::new(0, t_s, q_rad).into(),
         ..RobotLog::default()
     })
 }

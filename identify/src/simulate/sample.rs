@@ -62,7 +62,7 @@ pub(super) fn robot_log(
         clock: "robot controller".into(),
         origin: Origin::Measured,
         force: motion.pull.map(of_bar),
-        q_rad: logs::Stream::new(first_stamp_ns, stamps_s, q_rad),
+        q_rad: logs::Stream::new(first_stamp_ns, stamps_s, q_rad).into(),
         ..RobotLog::default()
     })
 }

@@ -25,7 +25,7 @@ fn log() -> RobotLog {
     let force = ForceLog::new(ForceClock::Robot, ForceKind::Along, forces);
     let q_rad = (0..60).map(|row| joints(row).into()).collect();
     RobotLog {
-        q_rad: Stream::new(first_stamp_ns, t_s, q_rad),
+        q_rad: Stream::new(first_stamp_ns, t_s, q_rad).into(),
         force: Some(force),
         clock: "controller".into(),
         ..RobotLog::default()

@@ -216,5 +216,5 @@ pub fn repeat(run: &mut Simulated, pause_s: f64) {
     let log = &mut run.robot_log;
     let again = log.q_rad.clone();
     log.q_rad.t_s.extend(again.t_s.iter().map(|t| t + pause_s * (1.0 + run.truth.clock.skew)));
-    log.q_rad.rows.extend(again.rows);
+    log.q_rad.rows.extend(&*again.rows);
 }

@@ -152,7 +152,7 @@ impl Followed {
             q_rad.push(path.at(t_s).map(|q| q).iter().map(|q| q + normal(NOISE_RAD)).collect());
         }
         let first_ns = ((FIRST_S + sizes.shift_s - sizes.lead_s[0] * (1.0 + sizes.skew)) * 1e9) as i64;
-        let log = RobotLog { q_rad: Stream::new(first_ns, stamps_s, q_rad), ..RobotLog::default() };
+        let log = RobotLog { q_rad: Stream::new(first_ns, stamps_s, q_rad).into(), ..RobotLog::default() };
         let mut text = String::from("t_ms;x;y;z");
         text += if sizes.with_rotation { ";rx;ry;rz" } else { "" };
         text += if sizes.moved { ";station;target\n" } else { "\n" };

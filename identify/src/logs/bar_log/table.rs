@@ -70,8 +70,9 @@ pub(super) fn read(
     };
     let readings = layout.encoders.iter().map(|encoder| encoder.reading).collect();
     let mut raw = RawBarLog::new(path, kind, readings);
-    while let Some(row) = table.next_row() {
-        raw.push(layout.read(&table, &row?)?)?;
+    let mut row = Row::default();
+    while table.next_row(&mut row)? {
+        raw.push(layout.read(&table, &row)?)?;
     }
     let declared = comments(text).find(|(key, _)| key == "clock").map(|(_, value)| value.to_owned());
     let clock = mapping.and_then(|mapping| mapping.clock.clone()).or(declared);

@@ -12,7 +12,7 @@ use super::columns::{ForceColumns, ForceLayout, unknown};
 use super::{ForceClock, ForceKind, ForceLog};
 use crate::logs::robot::mapping::CsvLayout;
 use crate::logs::robot::table::TIME_COLUMN;
-use crate::logs::tables::csv_text::{Format, Table, comments, delimiter_of_header, open_mapped};
+use crate::logs::tables::csv_text::{Format, Row, Table, comments, delimiter_of_header, open_mapped};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::tables::text::decode;
 use crate::logs::{JointConversion, LogError, ROWS_MIN, Stream, bytes_of};
@@ -123,8 +123,8 @@ fn rows(
     let mut stamps = StampColumn::new(column, time);
     let mut forces = Stream::default();
     let mut before: Option<(i64, u64)> = None;
-    while let Some(row) = table.next_row() {
-        let row = row?;
+    let mut row = Row::default();
+    while table.next_row(&mut row)? {
         let stamp = stamps.next_ns(&table, &row)?;
         let values = layout.row(&table, &row)?;
         match before {

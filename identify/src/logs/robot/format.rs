@@ -6,6 +6,9 @@ use crate::logs::LogError;
 use crate::logs::tables::csv_text::header_line;
 use crate::logs::tables::text::is_workbook;
 
+/// The header of a table begins within so many bytes, comments before it: the rest may be a gigabyte.
+const HEADER_BYTES_MAX: usize = 1 << 16;
+
 /// Kinds of robot logs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum, serde::Serialize, serde::Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -53,7 +56,8 @@ impl LogFormat {
         if binary && !text.starts_with(b"\xfe\xff") {
             return Err(LogError::UnknownFormat { path: path.to_owned() });
         }
-        let header = header_line(std::str::from_utf8(text).unwrap_or_default());
+        let beginning = text.get(..HEADER_BYTES_MAX).unwrap_or(text);
+        let header = header_line(beginning.utf8_chunks().next().map_or("", |text| text.valid()));
         let is_rtde = header.contains("timestamp")
             && ["actual_q_0", "target_q_0"].iter().any(|name| header.contains(name));
         Ok(if is_rtde { Self::UrRtde } else { Self::Csv })

@@ -14,6 +14,7 @@ use crate::logs::{
     RobotLog, Stream, travel,
 };
 use crate::statistics::extremes;
+use crate::threads;
 
 /// Joint values may pass the nominal limits by this much before a log is refused \[deg\]: zero positions of real
 /// robots differ a little from the data sheet. Prismatic axes by as much times one metre.
@@ -37,35 +38,17 @@ pub(in crate::logs) struct RawRow {
     pub force: Option<Joints>,
 }
 
-/// A row that is kept: ten hours have ten million of them, most logs neither speeds nor torques.
-struct KeptRow {
-    place: u64,
-    stamp_ns: i64,
-    joints: Joints,
-    more: Option<Box<More>>,
-}
-
-/// What some logs have besides.
-struct More {
-    speeds: Option<Joints>,
-    torques: Option<Joints>,
-    force: Option<Joints>,
-}
-
-impl From<RawRow> for KeptRow {
-    fn from(row: RawRow) -> Self {
-        let RawRow { place, stamp_ns, joints, speeds, torques, force } = row;
-        let some = speeds.is_some() || torques.is_some() || force.is_some();
-        Self { place, stamp_ns, joints, more: some.then(|| Box::new(More { speeds, torques, force })) }
-    }
-}
-
-/// Rows in the order of the file, stamps not decreasing.
+/// Rows in the order of the file, stamps not decreasing. Column by column: ten hours have ten million rows, most logs neither
+/// speeds nor torques.
 pub(in crate::logs) struct RawLog {
     path: PathBuf,
     /// What rows are called: `line`, `message` or `telegram`.
     what: &'static str,
-    rows: Vec<KeptRow>,
+    places: Vec<u64>,
+    stamps_ns: Vec<i64>,
+    joints: Vec<Joints>,
+    /// Speeds, torques and force, each of all rows or of no use.
+    more: [Vec<Joints>; 3],
     quality: LogQuality,
     pub robot: Option<String>,
     pub clock: String,
@@ -125,7 +108,10 @@ impl RawLog {
         Self {
             path: path.to_owned(),
             what,
-            rows: Vec::new(),
+            places: Vec::new(),
+            stamps_ns: Vec::new(),
+            joints: Vec::new(),
+            more: Default::default(),
             quality: LogQuality::default(),
             robot: None,
             clock: "unstated".into(),
@@ -141,17 +127,20 @@ impl RawLog {
             self.quality.incomplete_dropped += 1;
             return Ok(());
         }
-        if let Some(before) = self.rows.last() {
-            if row.stamp_ns == before.stamp_ns && row.joints == before.joints {
+        if let (Some(&place), Some(&stamp_ns)) = (self.places.last(), self.stamps_ns.last()) {
+            if row.stamp_ns == stamp_ns && self.joints.last() == Some(&row.joints) {
                 self.quality.duplicates_dropped += 1;
                 return Ok(());
             }
-            if row.stamp_ns < before.stamp_ns {
-                let stamps = [(before.place, before.stamp_ns), (row.place, row.stamp_ns)];
+            if row.stamp_ns < stamp_ns {
+                let stamps = [(place, stamp_ns), (row.place, row.stamp_ns)];
                 return Err(LogError::time_not_increasing(&self.path, self.what, stamps[0], stamps[1]));
             }
         }
-        self.rows.push(row.into());
+        self.places.push(row.place);
+        self.stamps_ns.push(row.stamp_ns);
+        self.joints.push(row.joints);
+        self.more.iter_mut().zip([row.speeds, row.torques, row.force]).for_each(|(all, one)| all.extend(one));
         Ok(())
     }
 
@@ -168,33 +157,32 @@ impl RawLog {
 
     /// Judges the whole and converts it.
     pub fn finish(mut self, meaning: &Meaning<'_>) -> Result<RobotLog, LogError> {
+        let rows = self.joints.len();
+        self.more.iter_mut().filter(|all| all.len() < rows).for_each(Vec::clear);
         self.drop_frozen(meaning.unit);
-        if self.rows.len() < ROWS_MIN {
-            return Err(self.too_few(self.rows.len()));
+        if self.joints.len() < ROWS_MIN {
+            return Err(self.too_few(self.joints.len()));
         }
-        let joints: Vec<Joints> =
-            self.rows.iter().map(|row| meaning.conversion.to_joint(&row.joints)).collect();
-        self.check_limits(&joints, meaning)?;
-        let stamps_ns = self.rows.iter().map(|row| row.stamp_ns).collect();
-        let (rows, before) = (std::mem::take(&mut self.rows), joints.len());
-        let (rows, stamps) = Stream::sampled(stamps_ns, rows, &joints);
-        self.tell_equal(before - rows.len());
-        if rows.len() < ROWS_MIN {
-            return Err(self.too_few(rows.len()));
+        self.joints.iter_mut().for_each(|row| *row = meaning.conversion.to_joint(row));
+        self.check_limits(meaning)?;
+        self.places = Vec::new();
+        let joints = std::mem::take(&mut self.joints);
+        let (q_rad, stamps, is_kept) =
+            Stream::sampled(std::mem::take(&mut self.stamps_ns), joints, |rows| rows.into());
+        self.more.iter_mut().for_each(|all| retain(all, &is_kept));
+        self.tell_equal(is_kept.iter().filter(|is_kept| !**is_kept).count());
+        if q_rad.len() < ROWS_MIN {
+            return Err(self.too_few(q_rad.len()));
         }
         self.quality.stamps = stamps;
-        let q_rad = rows.map(|row| meaning.conversion.to_joint(&row.joints));
-        let all = |of: fn(&More) -> Option<Joints>| {
-            rows.iter().map(|row| of(row.more.as_ref()?)).collect::<Option<Vec<_>>>()
-        };
-        let speed_rad_s = all(|more| more.speeds)
-            .map(|speeds| speeds.iter().map(|row| meaning.conversion.to_joint_rate(row)).collect());
-        let torque = all(|more| more.torques);
+        let [speeds, torque, given] =
+            std::mem::take(&mut self.more).map(|all| (!all.is_empty()).then_some(all));
+        let speed_rad_s =
+            speeds.map(|speeds| speeds.iter().map(|row| meaning.conversion.to_joint_rate(row)).collect());
         let on_joints = |rows: &Vec<Joints>| -> Vec<Joints> {
             rows.iter().map(|row| meaning.conversion.to_joint_torque(row)).collect()
         };
         let of_bar = self.force.and_then(|kind| {
-            let given = all(|more| more.force);
             let values = match kind {
                 ForceKind::JointTorques => {
                     let torques = given.or_else(|| torque.clone())?;
@@ -218,7 +206,7 @@ impl RawLog {
             robot: self.robot,
             clock: self.clock,
             origin: self.origin,
-            q_rad,
+            q_rad: q_rad.into(),
             speed_rad_s,
             torque,
             force: of_bar,
@@ -228,23 +216,23 @@ impl RawLog {
 
     /// Interfaces that are read faster than they are filled give the same joints again under a new stamp.
     fn drop_frozen(&mut self, unit: AngleUnit) {
-        let step_rad = |a: &KeptRow, b: &KeptRow| {
-            a.joints.iter().zip(&b.joints).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) * unit.to_rad()
+        let rows = &self.joints;
+        let step_rad = |a: &Joints, b: &Joints| {
+            a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) * unit.to_rad()
         };
-        let frozen: Vec<bool> = (0..self.rows.len())
-            .map(|index| match (index.checked_sub(2), self.rows.get(index + 1)) {
-                (Some(first), Some(next)) => {
-                    let (first, before, this) = (&self.rows[first], &self.rows[index - 1], &self.rows[index]);
-                    this.joints == before.joints
-                        && step_rad(first, before) > FROZEN_STEP_RAD
-                        && step_rad(this, next) > FROZEN_STEP_RAD
-                }
-                _ => false,
-            })
-            .collect();
-        self.quality.frozen_dropped = frozen.iter().filter(|&&frozen| frozen).count();
-        let mut frozen = frozen.into_iter();
-        self.rows.retain(|_| !frozen.next().unwrap_or(false));
+        let is_kept = threads::rows(rows.len(), |index| match (index.checked_sub(2), rows.get(index + 1)) {
+            (Some(first), Some(next)) => {
+                let (first, before, this) = (&rows[first], &rows[index - 1], &rows[index]);
+                this != before
+                    || step_rad(first, before) <= FROZEN_STEP_RAD
+                    || step_rad(this, next) <= FROZEN_STEP_RAD
+            }
+            _ => true,
+        });
+        self.quality.frozen_dropped = is_kept.iter().filter(|is_kept| !**is_kept).count();
+        retain(&mut self.places, &is_kept);
+        retain(&mut self.stamps_ns, &is_kept);
+        self.more.iter_mut().chain([&mut self.joints]).for_each(|all| retain(all, &is_kept));
     }
 
     /// Of rows with one stamp only the first has a time, where no clock says more.
@@ -269,14 +257,13 @@ impl RawLog {
         LogError::TooFewRows { path, rows, needed: ROWS_MIN }
     }
 
-    fn check_limits(&self, q_rad: &[Joints], meaning: &Meaning<'_>) -> Result<(), LogError> {
+    fn check_limits(&self, meaning: &Meaning<'_>) -> Result<(), LogError> {
         let limits = meaning.robot.joint_limits();
-        let rows_beyond = q_rad.iter().filter(|q| beyond_limits(q, &limits).is_some()).count();
-        let first = q_rad
-            .iter()
-            .zip(&self.rows)
-            .find_map(|(q, row)| beyond_limits(q, &limits).map(|joint| (q, row.place, joint)));
-        let Some((q, line, joint)) = first else { return Ok(()) };
+        let beyond = self.joints.iter().zip(&self.places);
+        let beyond = beyond.filter_map(|(q, place)| Some((q, *place, beyond_limits(q, &limits)?)));
+        let mut beyond = beyond.peekable();
+        let Some((q, line, joint)) = beyond.peek().copied() else { return Ok(()) };
+        let rows_beyond = beyond.count();
         let prismatic = meaning.robot.joint_kinds().nth(joint) == Some(JointKind::Prismatic);
         let (factor, unit) = if prismatic { (1.0, "m") } else { (1f64.to_degrees(), "deg") };
         let [low, high] = limits[joint].map(|limit| (limit * factor * 1e6).round() / 1e6);
@@ -287,22 +274,22 @@ impl RawLog {
             joint: joint + 1,
             value: format!("{:.1} {unit}, outside {low} to {high} {unit}", q[joint] * factor),
             rows_beyond,
-            rows: q_rad.len(),
+            rows: self.joints.len(),
             remedy: self.likely_cause(meaning),
         })
     }
 
     /// Tries the usual mistakes on the whole log and names the one that would bring every row within the limits.
     fn likely_cause(&self, meaning: &Meaning<'_>) -> String {
-        let limits = meaning.robot.joint_limits();
+        let (limits, conversion) = (meaning.robot.joint_limits(), &meaning.conversion);
+        let rows: Vec<Joints> = self.joints.iter().map(|q| conversion.to_raw(q)).collect();
         let fits = |to_joint: &dyn Fn(&Joints) -> Joints| {
-            self.rows.iter().all(|row| beyond_limits(&to_joint(&row.joints), &limits).is_none())
+            rows.iter().all(|row| beyond_limits(&to_joint(row), &limits).is_none())
         };
-        let conversion = &meaning.conversion;
         // Angles that are read as a sixtieth of themselves are within any limits, where they hardly move.
         let in_deg = |row: &Joints| conversion.to_joint_with_unit(row, AngleUnit::Deg);
         let moves = |joint: usize| {
-            let angles = self.rows.iter().map(|row| in_deg(&row.joints)[joint]);
+            let angles = rows.iter().map(|row| in_deg(row)[joint]);
             let [low_rad, high_rad] = extremes(angles);
             high_rad - low_rad > MOTION_DEG_MIN.to_radians()
         };
@@ -356,6 +343,12 @@ impl RawLog {
         }
         quality
     }
+}
+
+/// Leaves those that are kept.
+fn retain<T>(all: &mut Vec<T>, is_kept: &[bool]) {
+    let mut is_kept = is_kept.iter();
+    all.retain(|_| is_kept.next().copied().unwrap_or(true));
 }
 
 /// The first joint beyond its limits.

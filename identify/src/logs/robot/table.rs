@@ -8,7 +8,7 @@ use super::mapping::{Columns, RobotLogMapping};
 use super::raw::{Meaning, RawLog, RawRow};
 use crate::kinematics::Joints;
 use crate::logs::force::ForceLayout;
-use crate::logs::tables::csv_text::{Column, Format, Table, comments, delimiter_of_header, open_mapped};
+use crate::logs::tables::csv_text::{Column, Format, Row, Table, comments, delimiter_of_header, open_mapped};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::tables::text::decode;
 use crate::logs::{ForceColumns, LogError, LogFormat, Origin, RobotLog};
@@ -190,8 +190,8 @@ fn declare(raw: &mut RawLog, text: &str) {
 }
 
 fn read_rows(table: &mut Table<'_>, layout: &mut Layout, raw: &mut RawLog) -> Result<(), LogError> {
-    while let Some(row) = table.next_row() {
-        let row = row?;
+    let mut row = Row::default();
+    while table.next_row(&mut row)? {
         let all = |columns: &[(Column, f64)]| -> Result<Joints, LogError> {
             columns.iter().map(|(column, factor)| Ok(table.number(&row, column)? * factor)).collect()
         };

@@ -379,8 +379,7 @@ impl TimedPoses {
             *stamp_ns = (*stamp_ns).max(before_ns.saturating_add(is_other));
         }
         let (stamps_ns, rows): (_, Vec<TimedPose>) = rows.into_iter().unzip();
-        let motion = motion(&rows);
-        let (rows, stamps) = Stream::sampled(stamps_ns, rows, &motion);
+        let (rows, stamps, _) = Stream::sampled(stamps_ns, rows, |rows| motion(rows).into());
         let [stations, targets] = names.in_order();
         Ok(Self { rows, stations, targets, stamps })
     }

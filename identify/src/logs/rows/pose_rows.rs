@@ -240,8 +240,9 @@ pub(in crate::logs) fn rows<C, R>(
     let mut table = open_mapped(&text, path, layout)?;
     let mut columns = find(&table)?;
     let mut rows = Vec::new();
-    while let Some(row) = table.next_row() {
-        rows.push(read(&mut columns, &table, &row?)?);
+    let mut row = Row::default();
+    while table.next_row(&mut row)? {
+        rows.push(read(&mut columns, &table, &row)?);
     }
     if rows.len() < ROWS_MIN {
         return Err(LogError::TooFewRows { path: path.to_owned(), rows: rows.len(), needed: ROWS_MIN });

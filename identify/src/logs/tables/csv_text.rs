@@ -17,10 +17,11 @@ pub(in crate::logs) struct Table<'a> {
     lines: LineCounter<'a>,
     header: Vec<String>,
     decimal_comma: bool,
-    rows: csv::StringRecordsIntoIter<&'a [u8]>,
+    rows: csv::Reader<&'a [u8]>,
 }
 
 /// One row and its line in the file.
+#[derive(Default)]
 pub(in crate::logs) struct Row {
     pub line: u64,
     cells: csv::StringRecord,
@@ -29,7 +30,7 @@ pub(in crate::logs) struct Row {
 impl Row {
     /// The cells in their order.
     pub fn cells(&self) -> impl Iterator<Item = &str> {
-        self.cells.iter()
+        self.cells.iter().map(str::trim)
     }
 }
 
@@ -42,8 +43,13 @@ pub(in crate::logs) struct Column {
 
 /// The comment lines `# key: value` of a text, keys in lower case.
 pub(in crate::logs) fn comments(text: &str) -> impl Iterator<Item = (String, &str)> {
-    text.lines()
-        .filter_map(|line| line.trim().strip_prefix('#'))
+    let comment = |(at, _): (usize, &str)| {
+        let begin = text[..at].rfind('\n').map_or(0, |end| end + 1);
+        let is_first = text[begin..at].trim().is_empty();
+        is_first.then(|| text[at + 1..].lines().next().unwrap_or_default())
+    };
+    text.match_indices('#')
+        .filter_map(comment)
         .filter_map(|comment| comment.split_once(':'))
         .map(|(key, value)| (key.trim().to_lowercase(), value.trim()))
 }
@@ -81,7 +87,7 @@ pub(in crate::logs) fn open_mapped<'a>(
     let mut table = Table::open_behind(text, from, path, format, layout.header)?;
     for _ in 0..layout.unit_lines {
         // Whatever stands there is not numbers.
-        let _ = table.next_row();
+        let _ = table.next_row(&mut Row::default());
     }
     Ok(table)
 }
@@ -114,7 +120,8 @@ impl<'a> Table<'a> {
             .delimiter(format.delimiter)
             .has_headers(has_header)
             .comment(Some(b'#'))
-            .trim(csv::Trim::All)
+            // Cells are trimmed where they are looked at: the reader would copy each row for it.
+            .trim(csv::Trim::Headers)
             .from_reader(text.as_bytes());
         let first = reader
             .headers()
@@ -125,9 +132,8 @@ impl<'a> Table<'a> {
         if header.iter().all(String::is_empty) {
             return Err(LogError::NoHeader { path: path.to_owned() });
         }
-        let rows = reader.into_records();
         let lines = LineCounter { text, byte: 0, line: first_line };
-        Ok(Self { path: path.to_owned(), lines, header, decimal_comma: format.decimal_comma, rows })
+        Ok(Self { path: path.to_owned(), lines, header, decimal_comma: format.decimal_comma, rows: reader })
     }
 
     /// The column named `name`, which must be there once.
@@ -157,21 +163,19 @@ impl<'a> Table<'a> {
         self.header.iter().any(|header| header == name)
     }
 
-    /// The next row, if there is one.
-    pub fn next_row(&mut self) -> Option<Result<Row, LogError>> {
-        let record = self.rows.next()?;
-        Some(match record {
-            Ok(cells) => {
-                let line = self.lines.line_of(cells.position());
-                Ok(Row { line, cells })
-            }
-            Err(error) => Err(malformed(&error, &self.path, &mut self.lines)),
-        })
+    /// Puts the next row into `row`, if there is one.
+    pub fn next_row(&mut self, row: &mut Row) -> Result<bool, LogError> {
+        let is_there = self.rows.read_record(&mut row.cells);
+        let is_there = is_there.map_err(|error| malformed(&error, &self.path, &mut self.lines))?;
+        if is_there {
+            row.line = self.lines.line_of(row.cells.position());
+        }
+        Ok(is_there)
     }
 
     /// The text of one cell.
     pub fn text<'r>(&self, row: &'r Row, column: &Column) -> &'r str {
-        row.cells.get(column.index).unwrap_or_default()
+        row.cells.get(column.index).unwrap_or_default().trim()
     }
 
     /// A finite number from one cell.
@@ -234,7 +238,10 @@ impl LineCounter<'_> {
 
     /// Length of the comment or blank line at the cursor, with its line end.
     fn length_of_skipped_line(&self) -> Option<usize> {
-        let rest = self.text.as_bytes().get(self.byte..).filter(|rest| !rest.is_empty())?;
+        let rest = self.text.as_bytes().get(self.byte..)?;
+        if !matches!(rest.first()?, b'#' | b'\r' | b'\n') {
+            return None;
+        }
         let end = rest.iter().position(|&byte| byte == b'\n').map_or(rest.len(), |end| end + 1);
         let line = rest.get(..end)?;
         let skipped = line.first() == Some(&b'#') || line.iter().all(|byte| matches!(byte, b'\r' | b'\n'));

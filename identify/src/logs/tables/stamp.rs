@@ -190,10 +190,10 @@ impl StampColumn {
             return date_ns(table, row, column);
         }
         let number = table.number(row, column)?;
-        let text = table.text(row, column).replace(',', ".");
+        let text = table.text(row, column);
         let zero = if stamps.unit == TimeUnit::Filetime { FILETIME_1970 } else { 0 };
         let exact = match stamps.unit {
-            TimeUnit::S => decimal_to_ns(&text),
+            TimeUnit::S => decimal_to_ns(text),
             _ => text.parse::<i64>().ok().and_then(|units| stamps.ns_of(units.checked_sub(zero)?)),
         };
         let shown_ns = exact.or_else(|| within_range((number - zero as f64) * stamps.unit_ns));
@@ -231,13 +231,13 @@ fn date_ns(table: &Table<'_>, row: &Row, column: &Column) -> Result<i64, LogErro
     })
 }
 
-/// `[-]digits[.digits]` in seconds to ns, exactly up to ns and rounded below; none for other notations.
+/// `[-]digits[.digits]` in seconds, with point or comma, to ns, exactly up to ns and rounded below; none for other notations.
 fn decimal_to_ns(text: &str) -> Option<i64> {
     let (negative, digits) = match text.strip_prefix('-') {
         Some(rest) => (true, rest),
         None => (false, text.strip_prefix('+').unwrap_or(text)),
     };
-    let (whole, fraction) = digits.split_once('.').unwrap_or((digits, ""));
+    let (whole, fraction) = digits.split_once(['.', ',']).unwrap_or((digits, ""));
     if !whole.bytes().chain(fraction.bytes()).all(|byte| byte.is_ascii_digit()) {
         return None;
     }

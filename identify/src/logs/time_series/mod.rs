@@ -2,6 +2,7 @@
 
 mod average;
 pub(super) mod sampling;
+pub(super) mod shared;
 pub(super) mod spline;
 pub(super) mod stream;
 pub(super) mod unwrapped;

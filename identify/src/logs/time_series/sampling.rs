@@ -130,19 +130,19 @@ pub(in crate::logs) struct Sampling {
     pub stamps: Stamps,
 }
 
-/// The regular clock behind the stamps `t_s`, which must not decrease; none where there is none.
-pub(in crate::logs) fn sampling(t_s: &[f64], rows: &[Joints]) -> Option<Sampling> {
-    let as_it_is = |stamps: Stamps| Sampling { t_s: t_s.to_vec(), stamps };
+/// The regular clock behind the stamps, which must not decrease; none where there is none.
+pub(in crate::logs) fn sampling(stamps_s: Vec<f64>, rows: &[Joints]) -> Option<Sampling> {
+    let t_s = &*stamps_s;
     // The motion is asked only where there is something to ask: long logs have millions of rows.
     let even = even_already(t_s);
     if let Some((stamps, _)) = even.as_ref().filter(|(stamps, _)| stamps.missing == 0) {
-        return Some(as_it_is(stamps.clone()));
+        return Some(Sampling { stamps: stamps.clone(), t_s: stamps_s });
     }
     let motion = by_motion(rows);
     let agrees =
         |periods: &[f64]| motion.iter().zip(periods).all(|(one, other)| one.is_none_or(|one| one == *other));
     if let Some((stamps, _)) = even.filter(|(_, periods)| agrees(periods)) {
-        return Some(as_it_is(stamps));
+        return Some(Sampling { stamps, t_s: stamps_s });
     }
     // Of a robot that hardly moves nobody can tell whether its stamps are right.
     if motion.iter().flatten().count() < ROWS_MIN {
@@ -200,7 +200,7 @@ pub(in crate::logs) fn sampling(t_s: &[f64], rows: &[Joints]) -> Option<Sampling
         steps,
     };
     if !stamps.evened {
-        return Some(as_it_is(stamps));
+        return Some(Sampling { stamps, t_s: stamps_s });
     }
     let increases = even_s.windows(2).all(|pair| pair[1] > pair[0]);
     let is_right = increases && roughness(&even_s, rows) <= AS_SMOOTH * roughness(t_s, rows);
@@ -210,12 +210,11 @@ pub(in crate::logs) fn sampling(t_s: &[f64], rows: &[Joints]) -> Option<Sampling
 /// What stamps are whose distances are all whole multiples of the usual one, and these.
 fn even_already(t_s: &[f64]) -> Option<(Stamps, Vec<f64>)> {
     let mut steps_s: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    let usual_s = median(&mut steps_s.clone())?;
-    let periods: Vec<f64> = steps_s.iter().map(|step_s| (step_s / usual_s).round()).collect();
-    steps_s
-        .iter_mut()
-        .zip(&periods)
-        .for_each(|(step_s, periods)| *step_s = (*step_s - periods * usual_s).abs());
+    let usual_s = median(&mut steps_s)?;
+    let pairs = t_s.windows(2).map(|pair| pair[1] - pair[0]);
+    let periods: Vec<f64> = pairs.clone().map(|step_s| (step_s / usual_s).round()).collect();
+    steps_s.clear();
+    steps_s.extend(pairs.zip(&periods).map(|(step_s, periods)| (step_s - periods * usual_s).abs()));
     let is_even =
         periods.iter().all(|periods| *periods >= 1.0) && steps_s.iter().all(|off_s| *off_s <= EVEN_S);
     let missing = periods.iter().map(|periods| periods - 1.0).sum::<f64>();

@@ -7,17 +7,26 @@
 /// Fewest samples of one continuous part: two inner knots for the not-a-knot ends.
 pub const KNOTS_MIN: usize = 4;
 
+use super::shared::Shared;
 use super::stream::{Row, Stream};
 
 /// A spline through a row of values per stamp. Parts that are further apart than a limit are separate splines, and there
 /// is no value between them.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CubicSpline<R> {
-    knots: Stream<R>,
-    /// Second derivative at each knot.
-    curvatures: Vec<R>,
+    knots: Shared<Stream<R>>,
+    /// Second derivatives at each knot, as many as it has numbers.
+    curvatures: Vec<f64>,
     /// Interval `i` lies between knots `i` and `i + 1`.
     bridged: Vec<bool>,
+}
+
+/// Between two knots.
+struct Interval<'a> {
+    width_s: f64,
+    /// Values at its left and right end.
+    ends: [&'a [f64]; 2],
+    curvatures: [&'a [f64]; 2],
 }
 
 /// Value and first two derivatives at one instant.
@@ -33,22 +42,30 @@ pub struct SplinePoint<R> {
 
 impl<R: Row> Stream<R> {
     /// Through all rows, each of the [`Stream::parts`] by itself; none where no part has four rows.
-    pub fn spline(&self) -> Option<CubicSpline<R>> {
-        let mut curvatures: Vec<R> = self.iter().map(|row| row.like(|_| 0.0)).collect();
-        let mut bridged = vec![false; self.len().saturating_sub(1)];
-        for part in self.parts().into_iter().filter(|part| part.len() >= KNOTS_MIN) {
-            bridged[part.start..part.end - 1].fill(true);
-            bend(&self.t_s[part.clone()], &self.rows[part.clone()], &mut curvatures[part]);
-        }
-        bridged.contains(&true).then(|| CubicSpline { knots: self.clone(), curvatures, bridged })
+    pub fn spline(self) -> Option<CubicSpline<R>> {
+        CubicSpline::through(self.into())
     }
 }
 
 impl<R: Row> CubicSpline<R> {
+    /// [`Stream::spline`] of rows that others have, too.
+    pub fn through(knots: Shared<Stream<R>>) -> Option<Self> {
+        let width = numbers_of(&knots);
+        let mut curvatures = vec![0.0; knots.len() * width];
+        let mut bridged = vec![false; knots.len().saturating_sub(1)];
+        for part in knots.parts().into_iter().filter(|part| part.len() >= KNOTS_MIN) {
+            bridged[part.start..part.end - 1].fill(true);
+            let out = &mut curvatures[part.start * width..part.end * width];
+            bend(&knots.t_s[part.clone()], &knots.rows[part], out);
+        }
+        bridged.contains(&true).then_some(Self { knots, curvatures, bridged })
+    }
+
     /// Value and derivatives at `t_s` after the first row; none outside the rows and inside gaps.
     pub fn at(&self, t_s: f64) -> Option<SplinePoint<R>> {
         let interval = self.knots.interval(t_s)?;
-        let (width_s, [left, right, m_left, m_right]) = self.interval(interval)?;
+        let Interval { width_s, ends: [left, right], curvatures: [m_left, m_right] } =
+            self.interval(interval)?;
         let u = (t_s - self.knots.t_s[interval]) / width_s;
         let w = 1.0 - u;
         let h2 = width_s * width_s / 6.0;
@@ -65,9 +82,15 @@ impl<R: Row> CubicSpline<R> {
         })
     }
 
+    /// Whether there is a value at `t_s`.
+    pub fn covers(&self, t_s: f64) -> bool {
+        self.knots.interval(t_s).is_some_and(|interval| self.bridged[interval])
+    }
+
     /// Integral from knot `interval` over the part `u` (0 to 1) of the way to the next one; none in gaps.
     pub fn integral_within(&self, interval: usize, u: f64) -> Option<R> {
-        let (width_s, [left, right, m_left, m_right]) = self.interval(interval)?;
+        let Interval { width_s, ends: [left, right], curvatures: [m_left, m_right] } =
+            self.interval(interval)?;
         let (w2, u2) = ((1.0 - u) * (1.0 - u), u * u);
         let (of_left, of_right) = (0.5 * (1.0 - w2), 0.5 * u2);
         let h2 = width_s * width_s / 6.0;
@@ -84,53 +107,61 @@ impl<R: Row> CubicSpline<R> {
         self.knots.duration_s()
     }
 
-    /// Width of an interval \[s\], values at its left and right end, and curvatures there; none in gaps.
-    fn interval(&self, left: usize) -> Option<(f64, [&[f64]; 4])> {
+    /// That from knot `left` to the next one; none in gaps.
+    fn interval(&self, left: usize) -> Option<Interval<'_>> {
         let ends = [left, left + 1];
+        let width = numbers_of(&self.knots);
         self.bridged.get(left)?.then(|| {
-            let [a, b] = ends.map(|knot| self.knots[knot].numbers());
-            let [m_a, m_b] = ends.map(|knot| self.curvatures[knot].numbers());
-            (self.knots.t_s[left + 1] - self.knots.t_s[left], [a, b, m_a, m_b])
+            let width_s = self.knots.t_s[left + 1] - self.knots.t_s[left];
+            let curvatures = ends.map(|knot| &self.curvatures[knot * width..(knot + 1) * width]);
+            Interval { width_s, ends: ends.map(|knot| self.knots[knot].numbers()), curvatures }
         })
     }
 }
 
+/// How many each row has.
+fn numbers_of<R: Row>(rows: &[R]) -> usize {
+    rows.first().map_or(0, |row| row.numbers().len())
+}
+
 /// Second derivatives at the knots of one part (at least [`KNOTS_MIN`]): the tridiagonal system of continuous first
 /// derivatives, solved by elimination without pivoting (it is diagonally dominant).
-fn bend<R: Row>(t_s: &[f64], values: &[R], out: &mut [R]) {
-    let last = t_s.len() - 1;
-    let h: Vec<f64> = t_s.windows(2).map(|pair| pair[1] - pair[0]).collect();
-    let slope = |i: usize, n: usize| (values[i + 1].numbers()[n] - values[i].numbers()[n]) / h[i];
+fn bend<R: Row>(t_s: &[f64], values: &[R], out: &mut [f64]) {
+    let (last, width) = (t_s.len() - 1, numbers_of(values));
+    let h = |i: usize| t_s[i + 1] - t_s[i];
+    let slope = |i: usize, n: usize| (values[i + 1].numbers()[n] - values[i].numbers()[n]) / h(i);
     let mut upper_over_diagonal = vec![0.0; t_s.len()];
     for i in 1..last {
-        let (mut lower, mut diagonal, mut upper) = (h[i - 1], 2.0 * (h[i - 1] + h[i]), h[i]);
+        let (mut lower, mut diagonal, mut upper) = (h(i - 1), 2.0 * (h(i - 1) + h(i)), h(i));
         if i == 1 {
             // The curvature at the first knot is the linear continuation of the next two.
-            diagonal += h[0] * (1.0 + h[0] / h[1]);
-            upper -= h[0] * h[0] / h[1];
+            diagonal += h(0) * (1.0 + h(0) / h(1));
+            upper -= h(0) * h(0) / h(1);
             lower = 0.0;
         }
         if i == last - 1 {
-            diagonal += h[last - 1] * (1.0 + h[last - 1] / h[last - 2]);
-            lower -= h[last - 1] * h[last - 1] / h[last - 2];
+            diagonal += h(last - 1) * (1.0 + h(last - 1) / h(last - 2));
+            lower -= h(last - 1) * h(last - 1) / h(last - 2);
             upper = 0.0;
         }
         let pivot = diagonal - lower * upper_over_diagonal[i - 1];
         upper_over_diagonal[i] = upper / pivot;
-        let before = out[i - 1];
-        out[i] = before.like(|n| {
+        for n in 0..width {
             let right_side = 6.0 * (slope(i, n) - slope(i - 1, n));
-            (right_side - lower * before.numbers()[n]) / pivot
-        });
+            out[i * width + n] = (right_side - lower * out[(i - 1) * width + n]) / pivot;
+        }
     }
     for i in (1..last - 1).rev() {
-        let (factor, after) = (upper_over_diagonal[i], out[i + 1]);
-        out[i] = after.like(|n| out[i].numbers()[n] - factor * after.numbers()[n]);
+        for n in 0..width {
+            out[i * width + n] -= upper_over_diagonal[i] * out[(i + 1) * width + n];
+        }
     }
-    let end = |inner: R, further: R, ratio: f64| {
-        let (near, far) = (inner.numbers(), further.numbers());
-        inner.like(|n| near[n] + ratio * (near[n] - far[n]))
+    let mut end = |knot: usize, [inner, further]: [usize; 2], ratio: f64| {
+        for n in 0..width {
+            let (near, far) = (out[inner * width + n], out[further * width + n]);
+            out[knot * width + n] = near + ratio * (near - far);
+        }
     };
-    out[0] = end(out[1], out[2], h[0] / h[1]);
-    out[last] = end(out[last - 1], out[last - 2], h[last - 1] / h[last - 2]);
+    end(0, [1, 2], h(0) / h(1));
+    end(last, [last - 1, last - 2], h(last - 1) / h(last - 2));
 }

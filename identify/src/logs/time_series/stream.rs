@@ -5,6 +5,7 @@
 //! continuous, [`Stream::filter_map`] takes a part. None of them reaches across a gap, nor across a place where counters
 //! started anew.
 
+use std::borrow::Cow;
 use std::ops::{Deref, DerefMut, Range};
 
 use nalgebra::Vector3;
@@ -128,24 +129,26 @@ impl<R> Stream<R> {
         stream.with_gap_limit(gap_limit_s)
     }
 
-    /// Rows with stamps that do not decrease, at the times of the regular clock behind these, if `numbers` show one; else each
-    /// at its stamp, and of rows with one stamp the first.
+    /// Rows with stamps that do not decrease, at the times of the regular clock behind these, if their `motion` shows one; else
+    /// each at its stamp, and of rows with one stamp the first. Also which rows these are, where not all.
     pub(in crate::logs) fn sampled(
         mut stamps_ns: Vec<i64>,
         mut rows: Vec<R>,
-        numbers: &[Joints],
-    ) -> (Self, Option<Stamps>) {
+        motion: impl FnOnce(&[R]) -> Cow<'_, [Joints]>,
+    ) -> (Self, Option<Stamps>, Vec<bool>) {
         let first_ns = stamps_ns.first().copied().unwrap_or_default();
-        let Some(Sampling { mut t_s, stamps }) = sampling(&since_first_s(&stamps_ns), numbers) else {
+        let Some(Sampling { mut t_s, stamps }) = sampling(since_first_s(&stamps_ns), &motion(&rows)) else {
             let mut last_ns = None;
-            let mut is_new = stamps_ns.iter().map(|stamp_ns| last_ns.replace(*stamp_ns) < Some(*stamp_ns));
-            rows.retain(|_| is_new.next().unwrap_or(false));
+            let is_new = |stamp_ns: &i64| last_ns.replace(*stamp_ns) < Some(*stamp_ns);
+            let is_new: Vec<bool> = stamps_ns.iter().map(is_new).collect();
+            let mut is_kept = is_new.iter();
+            rows.retain(|_| is_kept.next().copied().unwrap_or(false));
             stamps_ns.dedup();
-            return (Self::new(first_ns, since_first_s(&stamps_ns), rows), None);
+            return (Self::new(first_ns, since_first_s(&stamps_ns), rows), None, is_new);
         };
         let begins_s = t_s.first().copied().unwrap_or_default();
         t_s.iter_mut().for_each(|t_s| *t_s -= begins_s);
-        (Self::new(later_ns(first_ns, begins_s), t_s, rows), Some(stamps))
+        (Self::new(later_ns(first_ns, begins_s), t_s, rows), Some(stamps), Vec::new())
     }
 
     /// The same with another limit of gaps \[s\].
@@ -211,7 +214,14 @@ impl<R> Stream<R> {
 
     /// The row before a time, which the next one follows; none beyond the ends.
     pub(super) fn interval(&self, t_s: f64) -> Option<usize> {
-        let after = self.t_s.partition_point(|stamp_s| *stamp_s <= t_s);
+        // Most rows are evenly spaced: a search through all of a long log would wait for its memory.
+        let guess = (t_s / self.duration_s() * self.t_s.len().saturating_sub(1) as f64) as usize;
+        let near = guess.saturating_sub(1)..(guess + 3).min(self.t_s.len());
+        let around = self.t_s.get(near.clone()).unwrap_or_default();
+        let is_within = around.first().is_some_and(|from_s| *from_s <= t_s)
+            && around.last().is_some_and(|to_s| t_s < *to_s);
+        let (times_s, before) = if is_within { (around, near.start) } else { (&*self.t_s, 0) };
+        let after = before + times_s.partition_point(|stamp_s| *stamp_s <= t_s);
         // The last row belongs to the interval before it.
         let row = if self.t_s.last() == Some(&t_s) { after.checked_sub(2)? } else { after.checked_sub(1)? };
         (row + 1 < self.rows.len()).then_some(row)

@@ -1,0 +1,28 @@
+//! A value that several have, copied only by who changes it.
+
+use std::ops::{Deref, DerefMut};
+use std::sync::Arc;
+
+/// Long logs are not copied when something else reads them, too.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Shared<T>(Arc<T>);
+
+impl<T> From<T> for Shared<T> {
+    fn from(value: T) -> Self {
+        Self(Arc::new(value))
+    }
+}
+
+impl<T> Deref for Shared<T> {
+    type Target = T;
+
+    fn deref(&self) -> &T {
+        &self.0
+    }
+}
+
+impl<T: Clone> DerefMut for Shared<T> {
+    fn deref_mut(&mut self) -> &mut T {
+        Arc::make_mut(&mut self.0)
+    }
+}
