@@ -85,7 +85,8 @@ impl Scene<'_> {
 
     fn joint_wave(&self, axis: usize, order: u8, phase: Phase) -> Movement {
         let drives = &self.geometry.joints.drives;
-        let wave = JointWaves::wave(order, phase, drives.of_drive(axis, &self.joints.reported.q));
+        let wave =
+            self.joints.drives.turn.get(axis).map_or(0.0, |angle| JointWaves::wave(order, phase, *angle));
         // Hundreds of waves are tried: most drives turn one joint.
         if let Some(joint) = drives.only_joint(axis) {
             let twist = self.robot.twist(joint, LinkParameter::Theta);
@@ -97,9 +98,9 @@ impl Scene<'_> {
 
     /// An error of a robot axis turns each joint that its drive turns.
     fn joint_error(&self, axis: usize, term: JointTerm) -> Twist {
-        let MovingJoints { reported, delayed, .. } = &self.joints;
+        let MovingJoints { reported, delayed, drives, .. } = &self.joints;
         let of = if term == JointTerm::Delay { delayed } else { reported };
-        self.robot.moved_by(&self.geometry.joints.by_amplitude(axis, term, of))
+        self.robot.moved_by(&self.geometry.joints.by_amplitude(axis, term, of, drives))
     }
 
     /// How the end of the bar moves with a number of its links or of its base, where its joints stand as in `bar`.

@@ -74,6 +74,20 @@ impl Turn {
             cos: self.cos * other.cos - self.sin * other.sin,
         }
     }
+
+    /// Of so many times the angle: a few products where sine and cosine of it take ten times as long.
+    #[inline]
+    pub fn times(self, mut count: u8) -> Self {
+        let (mut product, mut doubled) = (Self { sin: 0.0, cos: 1.0 }, self);
+        while count > 0 {
+            if count % 2 == 1 {
+                product = product.and(doubled);
+            }
+            doubled = doubled.and(doubled);
+            count /= 2;
+        }
+        product
+    }
 }
 
 /// The five numbers of a link; its joint moves the end as `theta` does, or `d` where it is prismatic.

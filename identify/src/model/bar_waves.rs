@@ -33,7 +33,7 @@ impl BarWaves {
     /// A wave of amplitude one at a reading.
     #[inline]
     pub fn wave(order: u8, phase: Phase, reading: Turn) -> f64 {
-        let turned = (1..order).fold(reading, |turned, _| turned.and(reading));
+        let turned = reading.times(order);
         match phase {
             Phase::Sine => turned.sin,
             Phase::Cosine => turned.cos,

@@ -3,8 +3,8 @@
 use nalgebra::{Rotation3, Translation3, Vector3};
 
 use super::{
-    BarForce, BarWaves, DriveTrain, Harmonics, JointErrors, JointState, JointWaves, RobotMotion, SetUp,
-    Tracker,
+    BarForce, BarWaves, DriveState, DriveTrain, Harmonics, JointErrors, JointState, JointWaves, RobotMotion,
+    SetUp, Tracker,
 };
 use crate::kinematics::{BAR_JOINTS, Chain, DhLink, Pose, Turn};
 
@@ -17,6 +17,8 @@ pub struct MovingJoints {
     pub delayed: JointState,
     /// ...and without their other errors.
     pub corrected: JointState,
+    /// Where the drives are, as logged.
+    pub drives: DriveState,
 }
 
 /// Where the ball-bar stands: `T(origin) Rx(rx) Ry(ry)`; the turn about z is the bar's `btheta1`.
@@ -161,7 +163,7 @@ impl Geometry {
 
     /// The robot's joints without their errors, where it stands still or all joints were logged at one instant.
     pub fn corrected(&self, reported: &JointState) -> JointState {
-        self.without_errors(*reported, reported)
+        self.without_errors(*reported, reported, &self.joints.drives.state(reported))
     }
 
     /// The robot's joints at a time of the bar's clock; none where the robot's log does not cover it.
@@ -169,12 +171,19 @@ impl Geometry {
         let tau_s = self.clock.robot_time_s(t_s);
         let reported = motion.at(tau_s)?;
         let delayed = self.joints.delayed(&reported, motion, tau_s);
-        Some(MovingJoints { reported, delayed, corrected: self.without_errors(delayed, &reported) })
+        let drives = self.joints.drives.state(&reported);
+        let corrected = self.without_errors(delayed, &reported, &drives);
+        Some(MovingJoints { reported, delayed, corrected, drives })
     }
 
-    fn without_errors(&self, mut corrected: JointState, reported: &JointState) -> JointState {
-        self.joints.add_to(&mut corrected, reported);
-        self.waves.add_to(&mut corrected, reported, &self.joints.drives);
+    fn without_errors(
+        &self,
+        mut corrected: JointState,
+        reported: &JointState,
+        state: &DriveState,
+    ) -> JointState {
+        self.joints.add_to(&mut corrected, reported, state);
+        self.waves.add_to(&mut corrected, state, &self.joints.drives);
         corrected
     }
 

@@ -17,7 +17,7 @@ use nalgebra::{DMatrix, Vector3};
 use shared::config::{JointKind, RobotConfig};
 
 use super::{JointState, JointTerm, Load, Period, RobotMotion};
-use crate::kinematics::{AXES_MAX, Chain, Joints, Trace, Tracer, Twist};
+use crate::kinematics::{AXES_MAX, Chain, Joints, Trace, Tracer, Turn, Twist};
 
 /// Speed at which backlash has changed sides by three quarters \[rad/s\]: the shape is `tanh(rate / speed)`. Slower than
 /// any motion that is calibrated on, faster than what is left of a standstill in a noisy log. At a standstill the shape
@@ -94,6 +94,17 @@ impl DriveTrain {
         drives
     }
 
+    /// Where the drives are while the robot reports these joints.
+    pub fn state(&self, reported: &JointState) -> DriveState {
+        let mut state = DriveState::default();
+        for axis in 0..self.axes() {
+            state.angle[axis] = self.of_drive(axis, &reported.q);
+            state.rate[axis] = self.of_drive(axis, &reported.qd);
+            state.turn[axis] = Turn::of(state.angle[axis]);
+        }
+        state
+    }
+
     fn waves_per_turn(&self, axis: usize, period: Period) -> Option<f64> {
         match period {
             Period::Once => Some(1.0),
@@ -159,26 +170,37 @@ impl DriveTrain {
     }
 
     /// A term's value for an amplitude of one, and how fast it changes \[1/s\].
-    fn shape(&self, axis: usize, term: JointTerm, reported: &JointState) -> (f64, f64) {
-        let of = |joints: &Joints| {
-            if term.is_of_joint() { joints[axis] } else { self.of_drive(axis, joints) }
-        };
-        let (angle, rate) = (of(&reported.q), of(&reported.qd));
-        let wave = |period, quarter_turns: f64| {
+    fn shape(&self, axis: usize, term: JointTerm, reported: &JointState, state: &DriveState) -> (f64, f64) {
+        let DriveState { angle, rate, turn } = state;
+        let (angle, rate, turn) = (angle[axis], rate[axis], turn[axis]);
+        // Angle of the wave, how fast it grows.
+        let wave = |period| {
             let n = self.waves_per_turn(axis, period).unwrap_or_default();
-            let (sin, cos) = (n * angle + quarter_turns * std::f64::consts::FRAC_PI_2).sin_cos();
-            (sin, n * rate * cos)
+            match period {
+                Period::Once => (turn, rate),
+                Period::Twice => (turn.and(turn), n * rate),
+                Period::Cycloid | Period::Motor => (Turn::of(n * angle), n * rate),
+                Period::JointOnce | Period::JointTwice => {
+                    (Turn::of(n * reported.q[axis]), n * reported.qd[axis])
+                }
+            }
         };
         match term {
-            JointTerm::Sine(period) => wave(period, 0.0),
-            JointTerm::Cosine(period) => wave(period, 1.0),
+            JointTerm::Sine(period) => {
+                let (turn, rate) = wave(period);
+                (turn.sin, rate * turn.cos)
+            }
+            JointTerm::Cosine(period) => {
+                let (turn, rate) = wave(period);
+                (turn.cos, -rate * turn.sin)
+            }
             JointTerm::Backlash => {
                 let side = (rate / BACKLASH_SPEED_RAD_S).tanh();
                 let acceleration = self.of_drive(axis, &reported.qdd);
                 (side, (1.0 - side * side) * acceleration / BACKLASH_SPEED_RAD_S)
             }
             JointTerm::Ratio => (angle, rate),
-            JointTerm::Delay => (rate, self.of_drive(axis, &reported.qdd)),
+            JointTerm::Delay => (self.of_drive(axis, &reported.qd), self.of_drive(axis, &reported.qdd)),
             JointTerm::Compliance(load) => self.lever(axis, load, reported),
         }
     }
@@ -208,6 +230,24 @@ impl DriveTrain {
     }
 }
 
+/// Where drives are, by which errors of gears go.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct DriveState {
+    /// Of each drive's output \[rad\], of a prismatic one \[m\].
+    pub angle: [f64; AXES_MAX],
+    /// How fast it changes, per second.
+    pub rate: [f64; AXES_MAX],
+    /// Sine and cosine of the angle.
+    pub turn: [Turn; AXES_MAX],
+}
+
+impl Default for DriveState {
+    fn default() -> Self {
+        let turn = [Turn { sin: 0.0, cos: 1.0 }; AXES_MAX];
+        Self { angle: [0.0; AXES_MAX], rate: [0.0; AXES_MAX], turn }
+    }
+}
+
 /// Amplitudes of all terms on all axes, and what they belong to.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JointErrors {
@@ -230,9 +270,16 @@ impl JointErrors {
         self.amplitudes.get_mut(axis)?.get_mut(term.index())
     }
 
-    /// How each joint moves with one amplitude; with a delay it does as the delayed joints move.
-    pub fn by_amplitude(&self, axis: usize, term: JointTerm, reported: &JointState) -> Joints {
-        let shape = self.drives.shape(axis, term, reported).0;
+    /// How each joint moves with one amplitude, the drives standing like this; with a delay it does as the delayed joints move,
+    /// which are `reported` then.
+    pub fn by_amplitude(
+        &self,
+        axis: usize,
+        term: JointTerm,
+        reported: &JointState,
+        state: &DriveState,
+    ) -> Joints {
+        let shape = self.drives.shape(axis, term, reported, state).0;
         let row = self.drives.moved_by(axis, term);
         let of_all = if term == JointTerm::Delay { (self.drives.axes() as f64).recip() } else { 0.0 };
         Joints::from_fn(row.len(), |joint| row[joint] * shape - of_all * reported.qd[joint])
@@ -264,14 +311,14 @@ impl JointErrors {
     }
 
     /// Adds the errors of joints and rates, but delays. Accelerations stay as they are.
-    pub(super) fn add_to(&self, corrected: &mut JointState, reported: &JointState) {
+    pub(super) fn add_to(&self, corrected: &mut JointState, reported: &JointState, state: &DriveState) {
         for (axis, amplitudes) in self.amplitudes.iter().enumerate() {
             let terms = JointTerm::ALL.into_iter().zip(amplitudes);
             let terms = terms.filter(|(term, amplitude)| **amplitude != 0.0 && *term != JointTerm::Delay);
             // Of the drive, of the joint.
             let mut errors = [(0.0, 0.0); 2];
             for (term, amplitude) in terms {
-                let (shape, rate) = self.drives.shape(axis, term, reported);
+                let (shape, rate) = self.drives.shape(axis, term, reported, state);
                 let error = &mut errors[usize::from(term.is_of_joint())];
                 *error = (error.0 + amplitude * shape, error.1 + amplitude * rate);
             }

@@ -8,8 +8,8 @@
 
 use std::fmt;
 
-use super::{DriveTrain, JointState};
-use crate::kinematics::AXES_MAX;
+use super::{DriveState, DriveTrain, JointState};
+use crate::kinematics::{AXES_MAX, Turn};
 
 /// Which part of a wave.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -60,44 +60,38 @@ impl JointWaves {
         of_axis.get_mut(index)?.get_mut(phase as usize)
     }
 
-    /// A wave of amplitude one at an angle \[rad\].
+    /// A wave of amplitude one at an angle.
     #[inline]
-    pub fn wave(order: u8, phase: Phase, angle_rad: f64) -> f64 {
-        let angle_rad = f64::from(order) * angle_rad;
+    pub fn wave(order: u8, phase: Phase, angle: Turn) -> f64 {
+        let Turn { sin, cos } = angle.times(order);
         match phase {
-            Phase::Sine => angle_rad.sin(),
-            Phase::Cosine => angle_rad.cos(),
+            Phase::Sine => sin,
+            Phase::Cosine => cos,
         }
     }
 
-    /// The error of an axis at an angle \[rad\] and its slope.
-    fn error(amplitudes_rad: &[[f64; 2]], angle_rad: f64) -> (f64, f64) {
-        let (step_sin, step_cos) = angle_rad.sin_cos();
-        let (mut sin, mut cos, mut reached) = (0.0, 0.0, None);
+    /// The error of an axis at an angle and its slope.
+    fn error(amplitudes_rad: &[[f64; 2]], angle: Turn) -> (f64, f64) {
+        let mut reached: Option<(u8, Turn)> = None;
         let (mut error, mut slope) = (0.0, 0.0);
-        for (index, [a, b]) in amplitudes_rad.iter().enumerate().filter(|(_, wave)| **wave != [0.0; 2]) {
-            let order = (index + usize::from(Self::FIRST)) as f64;
-            (sin, cos) = if index.checked_sub(1).is_some_and(|before| reached == Some(before)) {
-                // The next order by the theorem of addition: a tenth of the time of its own sine and cosine.
-                (sin * step_cos + cos * step_sin, cos * step_cos - sin * step_sin)
-            } else {
-                (order * angle_rad).sin_cos()
-            };
-            reached = Some(index);
-            error += a * sin + b * cos;
-            slope += order * (a * cos - b * sin);
+        for (order, [a, b]) in (Self::FIRST..).zip(amplitudes_rad).filter(|(_, wave)| **wave != [0.0; 2]) {
+            let before = reached.filter(|(before, _)| before + 1 == order);
+            let wave = before.map_or_else(|| angle.times(order), |(_, before)| before.and(angle));
+            reached = Some((order, wave));
+            error += a * wave.sin + b * wave.cos;
+            slope += f64::from(order) * (a * wave.cos - b * wave.sin);
         }
         (error, slope)
     }
 
     /// Adds the waves, functions of what was reported, to joints and rates.
-    pub(super) fn add_to(&self, corrected: &mut JointState, reported: &JointState, drives: &DriveTrain) {
+    pub(super) fn add_to(&self, corrected: &mut JointState, state: &DriveState, drives: &DriveTrain) {
         for (axis, amplitudes_rad) in self.amplitudes_rad.iter().enumerate() {
             if amplitudes_rad.is_empty() {
                 continue;
             }
-            let (error, slope) = Self::error(amplitudes_rad, drives.of_drive(axis, &reported.q));
-            let error_rate = slope * drives.of_drive(axis, &reported.qd);
+            let (error, slope) = Self::error(amplitudes_rad, state.turn[axis]);
+            let error_rate = slope * state.rate[axis];
             for (joint, part) in drives.joint_from_drive[axis].iter().enumerate() {
                 corrected.q[joint] += part * error;
                 corrected.qd[joint] += part * error_rate;

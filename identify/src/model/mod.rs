@@ -18,7 +18,7 @@ mod tracker;
 pub use bar_waves::BarWaves;
 pub use geometry::{BarElongation, BasePlacement, Clock, Contact, Geometry, MovingJoints, Wire};
 pub use harmonics::{Harmonic, Harmonics};
-pub use joint_errors::{BACKLASH_SPEED_RAD_S, DriveTrain, JointErrors};
+pub use joint_errors::{BACKLASH_SPEED_RAD_S, DriveState, DriveTrain, JointErrors};
 pub use joint_term::{JointTerm, Load, Period};
 pub use joint_waves::{JointWaves, Phase};
 pub use observation::{BarForce, JointState, Observation, PerObservation, RobotMotion};

@@ -133,16 +133,17 @@ impl CalibratedRobot {
         let mut trace = Trace::default();
         Tracer::new(&self.geometry.robot).trace(&self.geometry.corrected(&reported).q, &mut trace);
         let drives = &self.geometry.joints.drives;
+        let state = drives.state(&reported);
         let by_parameter = Matrix6xX::from_columns(
             &ids.iter()
                 .map(|id| {
                     let twist = match *id {
                         ParameterId::Robot { link, parameter } => trace.twist(link, parameter),
-                        ParameterId::Joint { axis, term } => {
-                            Some(trace.moved_by(&self.geometry.joints.by_amplitude(axis, term, &reported)))
-                        }
+                        ParameterId::Joint { axis, term } => Some(
+                            trace.moved_by(&self.geometry.joints.by_amplitude(axis, term, &reported, &state)),
+                        ),
                         ParameterId::JointWave { axis, order, phase } => {
-                            let wave = JointWaves::wave(order, phase, drives.of_drive(axis, &reported.q));
+                            let wave = JointWaves::wave(order, phase, state.turn[axis]);
                             drives
                                 .joint_from_drive
                                 .get(axis)
