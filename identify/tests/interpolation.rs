@@ -90,3 +90,14 @@ fn a_log_of_single_samples_far_apart_is_refused() {
     log.q_rad.gap_limit_s = 0.05;
     assert!(matches!(log.spline(), Err(LogError::NoContinuousPart { .. })));
 }
+
+#[test]
+fn there_is_no_value_beyond_a_log_however_far() {
+    let t: Vec<f64> = (0..9).map(f64::from).collect();
+    let spline =
+        Stream::new(0, t.clone(), t.iter().map(|t| [t * t]).collect()).with_gap_limit(2.0).spline().unwrap();
+    for t in [-1e-9, 8.0 + 1e-9, 1e20, 1e300, f64::INFINITY, f64::NEG_INFINITY, f64::NAN] {
+        assert!(spline.at(t).is_none() && !spline.covers(t), "{t}");
+    }
+    assert!(spline.covers(0.0) && spline.covers(8.0));
+}

@@ -216,7 +216,7 @@ impl<R> Stream<R> {
     pub(super) fn interval(&self, t_s: f64) -> Option<usize> {
         // Most rows are evenly spaced: a search through all of a long log would wait for its memory.
         let guess = (t_s / self.duration_s() * self.t_s.len().saturating_sub(1) as f64) as usize;
-        let near = guess.saturating_sub(1)..(guess + 3).min(self.t_s.len());
+        let near = guess.saturating_sub(1)..guess.saturating_add(3).min(self.t_s.len());
         let around = self.t_s.get(near.clone()).unwrap_or_default();
         let is_within = around.first().is_some_and(|from_s| *from_s <= t_s)
             && around.last().is_some_and(|to_s| t_s < *to_s);
