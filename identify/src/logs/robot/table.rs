@@ -12,7 +12,6 @@ use crate::logs::tables::csv_text::{Column, Format, Row, Table, comments, delimi
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::tables::text::decode;
 use crate::logs::{ForceColumns, LogError, LogFormat, Origin, RobotLog};
-use crate::threads;
 
 /// Name of the column with time stamps \[s\].
 pub(in crate::logs) const TIME_COLUMN: &str = "t_s";
@@ -190,43 +189,20 @@ fn declare(raw: &mut RawLog, text: &str) {
     }
 }
 
-impl Layout {
-    /// What a row has beside its stamp.
-    fn values(&self, table: &Table<'_>, row: &Row) -> Result<RawRow, LogError> {
-        let all = |columns: &[(Column, f64)]| -> Result<Joints, LogError> {
-            columns.iter().map(|(column, factor)| Ok(table.number(row, column)? * factor)).collect()
-        };
-        Ok(RawRow {
-            place: row.line,
-            stamp_ns: 0,
-            joints: all(&self.joints)?,
-            speeds: self.speeds.as_deref().map(all).transpose()?,
-            torques: self.torques.as_deref().map(all).transpose()?,
-            force: self.force.as_ref().map(|force| force.row(table, row)).transpose()?,
-        })
-    }
-}
-
-/// Rows are split one after the other, stamps follow from each other, and all other numbers are read on all cores.
 fn read_rows(table: &mut Table<'_>, layout: &mut Layout, raw: &mut RawLog) -> Result<(), LogError> {
-    const ROWS_AT_ONCE: usize = 16_384;
-    let mut rows: Vec<Row> = Vec::new();
-    loop {
-        let (mut count, mut more) = (0, Ok(true));
-        while count < ROWS_AT_ONCE && matches!(more, Ok(true)) {
-            if rows.len() == count {
-                rows.push(Row::default());
-            }
-            more = table.next_row(&mut rows[count]);
-            count += usize::from(matches!(more, Ok(true)));
-        }
-        let values = threads::rows(count, |row| layout.values(table, &rows[row]));
-        for (row, values) in rows.iter().zip(values) {
-            let stamp_ns = layout.time.next_ns(table, row)?;
-            raw.push(RawRow { stamp_ns, ..values? })?;
-        }
-        if !more? {
-            return Ok(());
-        }
+    let mut row = Row::default();
+    while table.next_row(&mut row)? {
+        let all = |columns: &[(Column, f64)]| -> Result<Joints, LogError> {
+            columns.iter().map(|(column, factor)| Ok(table.number(&row, column)? * factor)).collect()
+        };
+        raw.push(RawRow {
+            place: row.line,
+            stamp_ns: layout.time.next_ns(table, &row)?,
+            joints: all(&layout.joints)?,
+            speeds: layout.speeds.as_deref().map(all).transpose()?,
+            torques: layout.torques.as_deref().map(all).transpose()?,
+            force: layout.force.as_ref().map(|force| force.row(table, &row)).transpose()?,
+        })?;
     }
+    Ok(())
 }
