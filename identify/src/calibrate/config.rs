@@ -234,7 +234,7 @@ impl IdentifyConfig {
         let always = matches!(self.selection, SelectionName::Cell | SelectionName::AllIdentifiable);
         if always && self.encoder_harmonics_urad > 0.0 {
             let group = TermGroup::EncoderHarmonics;
-            let harmonics = ParameterId::all().filter(|id| id.term() == Some(group) && identifies(*id));
+            let harmonics = ParameterId::of_term(group).filter(|id| identifies(*id));
             model.set_roles(harmonics, Role::Prior { value: 0.0, sigma: self.sigma(group) })?;
         }
         for (name, sigma) in &self.priors {
@@ -326,7 +326,7 @@ impl IdentifyConfig {
 
     /// Harmonics of the bar's encoders that nobody has named.
     pub fn alike(&self) -> impl Iterator<Item = ParameterId> + '_ {
-        let harmonics = ParameterId::all().filter(|id| id.term() == Some(TermGroup::EncoderHarmonics));
+        let harmonics = ParameterId::of_term(TermGroup::EncoderHarmonics);
         harmonics.filter(|id| !self.named().any(|named| named == *id))
     }
 

@@ -588,8 +588,9 @@ impl<'a> Solver<'a> {
             self.offer_line_spectrum(&solution.sample_weights)?;
             open.ids.clone_from(&self.shown.by_all);
             // Those that only a part of the samples shows stand for themselves in predictions, and nowhere else.
-            self.set_roles(&self.shown.ids(), Role::Prior { value: 0.0, sigma: open.sigma })?;
+            self.set_roles(&self.shown.by_parts(), Role::Prior { value: 0.0, sigma: open.sigma })?;
         }
+        let by_parts = self.shown.by_parts();
         for group in &groups {
             self.set_roles(&group.ids, Role::Prior { value: 0.0, sigma: group.sigma })?;
         }
@@ -598,8 +599,7 @@ impl<'a> Solver<'a> {
             (0..ids.len()).filter(|column| wanted.contains(&ids[*column])).collect()
         };
         let offer = |group: &CandidateGroup| {
-            let found = group.group == TermGroup::LineSpectrum && group.ids == self.shown.by_all;
-            let without = self.shown.without.iter().filter(|_| found);
+            let without = self.shown.without.iter().filter(|_| group.group == TermGroup::LineSpectrum);
             Offer {
                 columns: columns_of(&group.ids),
                 without: without.map(|ids| columns_of(ids)).collect(),
@@ -609,10 +609,8 @@ impl<'a> Solver<'a> {
         let offers: Vec<Offer> = groups.iter().map(offer).collect();
         let (groups, offers): (Vec<CandidateGroup>, Vec<Offer>) =
             groups.into_iter().zip(offers).filter(|(_, offer)| !offer.columns.is_empty()).unzip();
-        let of_parts: Vec<ParameterId> =
-            self.shown.ids().into_iter().filter(|id| !self.shown.by_all.contains(id)).collect();
         let offered = |column: &usize| {
-            offers.iter().any(|offer| offer.has(*column)) || of_parts.contains(&ids[*column])
+            offers.iter().any(|offer| offer.has(*column)) || by_parts.contains(&ids[*column])
         };
         let (own, mut kept): (Vec<usize>, Vec<usize>) = (0..ids.len()).partition(offered);
         // About the models without any of them, weighed as they are.
@@ -644,8 +642,8 @@ impl<'a> Solver<'a> {
             self.set_roles(&group.ids, Role::Fixed)?;
             self.set_to_zero(&group.ids)?;
         }
-        self.set_roles(&of_parts, Role::Fixed)?;
-        self.set_to_zero(&of_parts)?;
+        self.set_roles(&by_parts, Role::Fixed)?;
+        self.set_to_zero(&by_parts)?;
         // Waves of high orders look like noise to all that is estimated; others look like links. They are as large as the smallest
         // that is usual: left-out groups did not ask for more. Encoders of a bar tell terms and links apart: claims of its runs hold
         // without (95 % of 185 simulated ones).

@@ -11,6 +11,7 @@ pub use poses::{PoseError, Poses};
 use shared::config::{BallBarConfig, RobotConfig};
 
 use crate::calibrate::CostName;
+use crate::calibrate::selection::structure::is_geometry;
 use crate::cost::{
     AngleNoise, CostError, Length, LoopProblem, Position, PositionAngles, Residual, Transform, WhitenedPose,
 };
@@ -97,9 +98,11 @@ fn examine_with<R: Residual>(
         let problem = LoopProblem::new(model, &poses.joints, &poses.observations, &residual, 1.0)?;
         Ok(identifiability(&problem, &model.start(), &options)?)
     };
-    model.free_only(is_of_the_thesis);
+    // The 47 of the thesis: standard Denavit-Hartenberg parameters of both chains and the place of the base.
+    let leans = |id| matches!(id, ParameterId::BaseRotation { .. });
+    model.free_only(|id| is_geometry(id) && !leans(id));
     let all = identified(&model)?;
-    model.free_only(|id| is_of_the_thesis(id) || matches!(id, ParameterId::BaseRotation { .. }));
+    model.free_only(is_geometry);
     let tilted = identified(&model)?;
 
     model.select(Selection::Thesis, R::identifies);
@@ -112,14 +115,4 @@ fn examine_with<R: Residual>(
     let problem = LoopProblem::new(&model, &poses.joints, &poses.observations, &residual, 1.0)?;
     let influence = influence(&problem, &model.start(), &columns, &options)?;
     Ok(Examination { cost, all, tilted, influence, observability })
-}
-
-/// One of the 47: standard Denavit-Hartenberg parameters of both chains and the place of the base.
-fn is_of_the_thesis(id: ParameterId) -> bool {
-    use crate::kinematics::LinkParameter::Beta;
-    match id {
-        ParameterId::Robot { parameter, .. } => parameter != Beta,
-        ParameterId::Bar { .. } | ParameterId::Base { .. } => true,
-        _ => false,
-    }
 }

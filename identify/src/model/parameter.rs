@@ -206,9 +206,15 @@ macro_rules! parameters {
 
             /// Every parameter that has a name.
             pub fn all() -> impl Iterator<Item = Self> {
+                // There are thousands, and each model that is made goes through them.
+                static ALL: LazyLock<Vec<ParameterId>> = LazyLock::new(ParameterId::list);
+                ALL.iter().copied()
+            }
+
+            fn list() -> Vec<Self> {
                 let mut all = Vec::new();
                 $( parameters!(each all $block [] $($( $field = $values; )*)?); )*
-                all.into_iter()
+                all
             }
         }
 
@@ -488,9 +494,15 @@ impl ParameterId {
         owner == instrument || matches!(owner, Owner::Robot | Owner::Clocks)
     }
 
+    /// All parameters of a kind of error.
+    pub fn of_term(group: TermGroup) -> impl Iterator<Item = Self> {
+        Self::all().filter(move |id| id.term() == Some(group))
+    }
+
     /// Waves of all robot axes, whether a robot has them or not, up to `last` per turn.
     pub fn joint_waves(last: u8) -> impl Iterator<Item = Self> {
-        Self::all().filter(move |id| matches!(id, Self::JointWave { order, .. } if *order <= last))
+        Self::of_term(TermGroup::LineSpectrum)
+            .filter(move |id| matches!(id, Self::JointWave { order, .. } if *order <= last))
     }
 }
 

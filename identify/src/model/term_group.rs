@@ -24,7 +24,7 @@ pub enum TermGroup {
     Ratio,
     /// Axes that the log has later than others.
     Delay,
-    /// Axes that give way under weight.
+    /// Axes that deflect under weight.
     Compliance,
     /// Bar encoders once and twice per turn.
     EncoderHarmonics,

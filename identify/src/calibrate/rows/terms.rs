@@ -4,9 +4,7 @@ use crate::calibrate::selection::terms::CandidateGroup;
 use crate::model::{JointWaves, ParameterId, TermGroup};
 
 fn joint_terms(wanted: &[TermGroup]) -> Vec<ParameterId> {
-    let is_joint_term = |id: &ParameterId| matches!(id, ParameterId::Joint { .. });
-    let all = ParameterId::all().filter(is_joint_term);
-    all.filter(|id| id.term().is_some_and(|group| wanted.contains(&group))).collect()
+    ParameterId::all().filter(|id| id.term().is_some_and(|group| wanted.contains(&group))).collect()
 }
 
 /// What a robot's joints can be wrong by, of the parameters that are offered.

@@ -8,7 +8,7 @@ use crate::calibrate::pipeline::{Plan, estimate};
 use crate::calibrate::validation::split;
 use crate::instrument::{Instrument, Measures, PoseError, PoseRow, Run, Standing, Tracker, poses, standing};
 use crate::kinematics::{Joints, flange_chain};
-use crate::model::{Model, Role};
+use crate::model::Model;
 use crate::solver::LossName;
 
 /// Fewest rows of a fit: as many numbers as tracker, probe and links together, twice.
@@ -67,8 +67,7 @@ pub fn validate(
         return Err(bad(RowError::TooFewRows { rows: rows.len(), needed }));
     }
     let mut robot_only = calibrated.clone();
-    let ids = robot_only.ids();
-    robot_only.set_roles(ids, Role::Fixed)?;
+    robot_only.free_only(|_| false);
     Ok([judged(rows, &Model::measured_pose(&flange_chain(robot)), seed)?, judged(rows, &robot_only, seed)?])
 }
 

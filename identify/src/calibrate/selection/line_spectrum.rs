@@ -17,7 +17,7 @@ use nalgebra::{DMatrix, DVector};
 
 use crate::cost::{CostError, DataSets, SharedColumns};
 use crate::instrument::Run;
-use crate::kinematics::{Joints, LinkParameter};
+use crate::kinematics::{Joints, LinkParameter, Turn};
 use crate::model::{DriveTrain, JointState, JointTerm, JointWaves, Model, ParameterId, Period, Phase};
 use crate::solver::{Problem, Subset, stacked};
 use crate::statistics::extremes;
@@ -61,7 +61,12 @@ impl Shown {
         all.into_iter().collect()
     }
 
-    /// Leaves those that are not wanted.
+    /// Those that only a part of the samples shows.
+    pub fn by_parts(&self) -> Vec<ParameterId> {
+        self.ids().into_iter().filter(|id| !self.by_all.contains(id)).collect()
+    }
+
+    /// Leaves out those that are not wanted.
     pub fn retain(&mut self, wanted: impl Fn(&ParameterId) -> bool) {
         self.without.iter_mut().chain([&mut self.by_all]).for_each(|ids| ids.retain(&wanted));
     }
@@ -381,11 +386,9 @@ fn joints_only(model: &Model) -> Option<Model> {
 
 /// Sine and cosine of all orders at a drive's angle.
 fn waves(angle_rad: f64) -> impl Iterator<Item = [f64; 2]> {
-    let (step_sin, step_cos) = angle_rad.sin_cos();
-    let (sin, cos) = (f64::from(JointWaves::FIRST) * angle_rad).sin_cos();
-    std::iter::successors(Some([sin, cos]), move |[sin, cos]| {
-        Some([sin * step_cos + cos * step_sin, cos * step_cos - sin * step_sin])
-    })
+    let step = Turn::of(angle_rad);
+    let turns = std::iter::successors(Some(step.times(JointWaves::FIRST)), move |turn| Some(turn.and(step)));
+    turns.map(|Turn { sin, cos }| [sin, cos])
 }
 
 #[cfg(test)]

@@ -64,7 +64,7 @@ fn consistent_poses(
 }
 
 /// Links, place and lean of the bar: what an identification is about, without Hayati's rotations.
-fn is_geometry(id: ParameterId) -> bool {
+pub(crate) fn is_geometry(id: ParameterId) -> bool {
     match id {
         ParameterId::Robot { parameter, .. } => parameter != LinkParameter::Beta,
         ParameterId::Bar { .. } | ParameterId::Base { .. } | ParameterId::BaseRotation { .. } => true,

@@ -9,6 +9,7 @@ use crate::kinematics::Joints;
 use crate::logs::force::FORCE_MAX;
 use crate::logs::rows::pose_rows::joints_of_robot;
 use crate::logs::time_series::sampling::Stamps;
+use crate::logs::time_series::stream::retain;
 use crate::logs::{
     ForceClock, ForceKind, ForceLog, JointConversion, LogError, LogFormat, LogQuality, Origin, ROWS_MIN,
     RobotLog, Stream, travel,
@@ -343,12 +344,6 @@ impl RawLog {
         }
         quality
     }
-}
-
-/// Leaves those that are kept.
-fn retain<T>(all: &mut Vec<T>, is_kept: &[bool]) {
-    let mut is_kept = is_kept.iter();
-    all.retain(|_| is_kept.next().copied().unwrap_or(true));
 }
 
 /// The first joint beyond its limits.

@@ -118,6 +118,12 @@ pub(crate) fn travel<R: Row>(rows: &[R]) -> f64 {
     places.map(of_place).map(|[low, high]| high - low).fold(0.0, f64::max)
 }
 
+/// Leaves those that are kept, and what is beyond the list.
+pub(in crate::logs) fn retain<T>(all: &mut Vec<T>, is_kept: &[bool]) {
+    let mut is_kept = is_kept.iter();
+    all.retain(|_| is_kept.next().copied().unwrap_or(true));
+}
+
 impl<R> Stream<R> {
     /// `rows` at `t_s` \[s\], which increase strictly from 0; what one list has more than the other is left out. What is
     /// further apart than 50 ms, or than 3.5 periods of a slower stream, is a gap.
@@ -141,8 +147,7 @@ impl<R> Stream<R> {
             let mut last_ns = None;
             let is_new = |stamp_ns: &i64| last_ns.replace(*stamp_ns) < Some(*stamp_ns);
             let is_new: Vec<bool> = stamps_ns.iter().map(is_new).collect();
-            let mut is_kept = is_new.iter();
-            rows.retain(|_| is_kept.next().copied().unwrap_or(false));
+            retain(&mut rows, &is_new);
             stamps_ns.dedup();
             return (Self::new(first_ns, since_first_s(&stamps_ns), rows), None, is_new);
         };
