@@ -298,6 +298,44 @@ fn what_is_no_text_is_refused() {
     }
 }
 
+/// Longer than what is decoded at once, with comments and blank lines on the way.
+#[test]
+fn a_long_log_is_read_as_a_short_one_is() {
+    const ROWS: usize = 20_000;
+    let mut text = String::from("t_s,joint1_deg,joint2_deg,joint3_deg,joint4_deg,joint5_deg,joint6_deg\n");
+    for row in 0..ROWS {
+        let t_s = row as f64 * 0.004;
+        let angle = |joint: f64| 10.0 * (0.3 * joint * t_s).sin();
+        let [a, b, c] = [1.0, 2.0, 3.0].map(angle);
+        text += &format!("{t_s:.3},{a:.12},{b:.12},{c:.12},0,0,0\n");
+        if row % 1000 == 999 {
+            text += "# after: 1000 rows, accurate to 5 \u{b5}m\n\n";
+        }
+    }
+    text += "# robot: at the end";
+    let log = parse(&text, &nj()).unwrap();
+    assert_eq!((log.q_rad.len(), log.robot.as_deref()), (ROWS, Some("at the end")));
+    let utf16: Vec<u8> =
+        "\u{feff}".encode_utf16().chain(text.encode_utf16()).flat_map(u16::to_le_bytes).collect();
+    let latin: Vec<u8> = text.chars().map(|character| character as u8).collect();
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.csv");
+    for bytes in [text.as_bytes(), &utf16, &latin] {
+        assert!(read(bytes, Path::new("log.csv"), &nj()).unwrap() == log);
+        std::fs::write(&path, bytes).unwrap();
+        assert!(load_with(&path, &nj(), &LogOptions::default()).unwrap() == log);
+    }
+    let line = 2 + 15_000 + 2 * 15;
+    let bad = text.replace("\n60.000,", "\n60.000,-");
+    let told = message(parse(&bad, &nj()));
+    assert!(told.contains(&format!("line {line} column `joint1_deg`: `--")), "{told}");
+    let told = message(parse(&text.replace("\n60.000,", "\n60.000\0"), &nj()));
+    assert!(told.contains("character '\\0' at offset"), "{told}");
+    let cut = &text[..text.rfind("79.992").unwrap() + 30];
+    let told = message(parse(cut, &nj()));
+    assert!(told.contains(&format!("line {}: ", 2 + 19_998 + 2 * 19)), "{told}");
+}
+
 #[test]
 fn a_log_without_motion_gets_a_remark() {
     let mut log = sample_log();

@@ -13,8 +13,7 @@ pub use recording::recording;
 pub use robot_log::robot_log;
 pub use unknown_table::{Mapping, Proposal, ProposeError, propose};
 
-use crate::logs::{LogQuality, Row, Stream, Unwrapped, usual_and_longest_step_s};
-use crate::statistics::extremes;
+use crate::logs::{LogQuality, Row, Unwrapped, ranges, usual_and_longest_step_s};
 
 /// What a fact is called that the file should say, and does not.
 pub const UNSAID: &str = "not in the file";
@@ -90,20 +89,21 @@ fn unwrapped(inspection: &mut Inspection, all: &[Unwrapped]) {
 }
 
 /// Range and speed of each joint.
-fn joint_lines<R: Row>(prefix: char, angles_rad: &Stream<R>) -> Vec<JointLine> {
-    let line = |joint: usize| {
-        let [low, high] = extremes(angles_rad.iter().map(|row| row.numbers()[joint]));
-        let speeds = angles_rad.t_s.windows(2).zip(angles_rad.windows(2)).map(|(t, a)| {
-            let step_s = t[1] - t[0];
-            if step_s > 0.0 { (a[1].numbers()[joint] - a[0].numbers()[joint]).abs() / step_s } else { 0.0 }
-        });
-        JointLine {
-            name: format!("{prefix}{}", joint + 1),
-            range_deg: if low <= high { [low.to_degrees(), high.to_degrees()] } else { [0.0, 0.0] },
-            speed_max_deg_s: speeds.fold(0.0, f64::max).to_degrees(),
+fn joint_lines<R: Row>(prefix: char, t_s: &[f64], rows: &[R]) -> Vec<JointLine> {
+    let ranges_rad = ranges(rows);
+    let mut fastest_rad_s = vec![0.0_f64; ranges_rad.len()];
+    for (t_s, pair) in t_s.windows(2).zip(rows.windows(2)).filter(|(t_s, _)| t_s[1] > t_s[0]) {
+        let ends = pair[0].numbers().iter().zip(pair[1].numbers());
+        for (fastest, (before, after)) in fastest_rad_s.iter_mut().zip(ends) {
+            *fastest = fastest.max((after - before).abs() / (t_s[1] - t_s[0]));
         }
+    }
+    let line = |((joint, range_rad), fastest_rad_s): ((usize, [f64; 2]), f64)| JointLine {
+        name: format!("{prefix}{joint}"),
+        range_deg: range_rad.map(f64::to_degrees),
+        speed_max_deg_s: fastest_rad_s.to_degrees(),
     };
-    (0..angles_rad.first().map_or(0, |row| row.numbers().len())).map(line).collect()
+    (1..).zip(ranges_rad).zip(fastest_rad_s).map(line).collect()
 }
 
 /// Joints that hardly move say nothing of their link.

@@ -75,11 +75,12 @@ pub(super) fn quality(inspection: &mut Inspection, cycles: &[CycleRecord]) {
     let valid = cycles.iter().filter(|cycle| cycle.is_valid()).count();
     let percent = 100.0 * valid as f64 / cycles.len().max(1) as f64;
     inspection.fact("valid", format!("{valid} of {} cycles ({percent:.2} %)", cycles.len()));
-    for (flag, name) in flags::NAMES {
-        let count = cycles.iter().filter(|cycle| cycle.flags & flag != 0).count();
-        if count > 0 {
-            inspection.fact(&format!("flagged {name}"), format!("{count} cycles"));
-        }
+    let mut flagged = flags::NAMES.map(|(flag, name)| (flag, name, 0));
+    for cycle in cycles.iter().filter(|cycle| cycle.flags != 0) {
+        flagged.iter_mut().for_each(|(flag, _, count)| *count += usize::from(cycle.flags & *flag != 0));
+    }
+    for (_, name, count) in flagged.into_iter().filter(|(.., count)| *count > 0) {
+        inspection.fact(&format!("flagged {name}"), format!("{count} cycles"));
     }
     if percent < 95.0 {
         inspection
@@ -128,7 +129,7 @@ pub(super) fn motion(inspection: &mut Inspection, cycles: &[CycleRecord], encode
 fn of_angles(inspection: &mut Inspection, angles: &BarAngles) {
     let of_origins = angles.readings.parts_within(f64::INFINITY);
     let Some(longest) = of_origins.into_iter().max_by_key(std::ops::Range::len) else { return };
-    let lines = joint_lines('b', &angles.readings.slice(longest));
+    let lines = joint_lines('b', &angles.readings.t_s[longest.clone()], &angles.readings[longest]);
     inspection.joints = lines
         .into_iter()
         .zip(angles.measured)

@@ -43,7 +43,7 @@ pub fn robot_log(log: &RobotLog) -> Inspection {
     }
     let (continuous, begun_anew) = unwrapped_log(log);
     unwrapped(&mut inspection, &begun_anew);
-    inspection.joints = joint_lines('q', &continuous.q_rad);
+    inspection.joints = joint_lines('q', &continuous.q_rad.t_s, &continuous.q_rad);
     suspect_still(&mut inspection);
     suspect_frozen_columns(&mut inspection, log);
     suspect_fast(&mut inspection);

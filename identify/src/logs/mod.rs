@@ -16,6 +16,7 @@ mod error;
 mod force;
 mod robot;
 mod rows;
+mod source;
 mod tables;
 mod time_series;
 
@@ -48,10 +49,9 @@ pub use time_series::sampling::{StampStep, Stamps};
 pub use time_series::shared::Shared;
 pub use time_series::spline::{CubicSpline, SplinePoint};
 pub use time_series::stream::{Row, Stream};
-pub(crate) use time_series::stream::{since_first_s, travel, usual_and_longest_step_s};
+pub(crate) use time_series::stream::{ranges, since_first_s, travel, usual_and_longest_step_s};
 pub use time_series::unwrapped::{Unwrapped, UnwrappedPoint};
 
-use std::path::Path;
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
@@ -60,11 +60,6 @@ use crate::kinematics::Joints;
 
 /// Fewest rows that make a log.
 const ROWS_MIN: usize = 50;
-
-/// The whole file.
-fn bytes_of(path: &Path) -> Result<Vec<u8>, LogError> {
-    std::fs::read(path).map_err(|source| LogError::Unreadable { path: path.to_owned(), source })
-}
 
 /// Whether joint values are what the encoders read or what the controller asked for.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]

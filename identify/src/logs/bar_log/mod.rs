@@ -19,7 +19,8 @@ use shared::config::BallBarConfig;
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 use shared::recording::{ReadError, ReadErrorKind, Recording};
 
-use super::{LogError, LogFormat, LogQuality, Unwrapped, bytes_of};
+use super::source::Source;
+use super::{LogError, LogFormat, LogQuality, Unwrapped};
 
 /// What a file may leave unsaid, and what is done then.
 const UNSAID: [(&str, &str); 5] = [
@@ -96,7 +97,7 @@ impl BarLog {
         if is_recording(path)? {
             return Ok(Self::Recording(Box::new(Recording::open(path)?)));
         }
-        let other = OtherBarLog::read(&bytes_of(path)?, path, bar, mapping)?;
+        let other = OtherBarLog::read_from(Source::open(path)?, bar, mapping)?;
         Ok(Self::Other(Box::new(other)))
     }
 
@@ -148,11 +149,20 @@ impl OtherBarLog {
         bar: &BallBarConfig,
         mapping: Option<&BarLogMapping>,
     ) -> Result<Self, LogError> {
-        match LogFormat::detect(bytes, path) {
+        Self::read_from(Source::of(bytes, path), bar, mapping)
+    }
+
+    fn read_from(
+        source: Source<'_>,
+        bar: &BallBarConfig,
+        mapping: Option<&BarLogMapping>,
+    ) -> Result<Self, LogError> {
+        let path = source.path;
+        match LogFormat::detect(source.beginning(), path) {
             Ok(format @ (LogFormat::Ros2Mcap | LogFormat::Ros2Db3)) => {
-                bag::read(bytes, path, bar, format, mapping)
+                bag::read(&source.whole()?, path, bar, format, mapping)
             }
-            Ok(LogFormat::Csv) => table::read(bytes, path, bar, mapping),
+            Ok(LogFormat::Csv) => table::read(source, bar, mapping),
             Ok(_) | Err(LogError::UnknownFormat { .. }) => Err(LogError::NoBarLog { path: path.to_owned() }),
             Err(error) => Err(error),
         }

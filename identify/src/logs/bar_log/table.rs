@@ -9,11 +9,10 @@ use super::mapping::{BarLogMapping, EncoderUnit};
 use super::samples::{Kind, RawBarLog, RawRow, Reading};
 use super::{LogError, OtherBarLog};
 use crate::kinematics::BAR_JOINTS;
-use crate::logs::tables::csv_text::{
-    Column, Format, Row, Table, comments, delimiter_of_header, header_line, open_mapped,
-};
+use crate::logs::source::Source;
+use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
-use crate::logs::tables::text::decode;
+use crate::logs::tables::text::Text;
 
 /// Usual names of the time column and what is in it.
 const TIMES: [(&str, TimeUnit); 2] = [("time_utc", TimeUnit::DateTime), ("t_s", TimeUnit::S)];
@@ -42,21 +41,20 @@ struct Layout {
 
 /// Reads a table.
 pub(super) fn read(
-    bytes: &[u8],
-    path: &Path,
+    source: Source<'_>,
     bar: &BallBarConfig,
     mapping: Option<&BarLogMapping>,
 ) -> Result<OtherBarLog, LogError> {
-    let text = &*decode(bytes, path, mapping.and_then(|mapping| mapping.csv.sheet.as_deref()))?;
+    let path = source.path;
+    let text = Text::new(source, mapping.and_then(|mapping| mapping.csv.sheet.as_deref()))?;
     let (mut table, mut layout) = match mapping {
         Some(mapping) => {
-            let table = open_mapped(text, path, &mapping.csv)?;
+            let table = Table::mapped(text, &mapping.csv)?;
             let layout = mapped(&table, path, bar, mapping)?;
             (table, layout)
         }
         None => {
-            let format = Format { delimiter: delimiter_of_header(text), decimal_comma: false };
-            let table = Table::open(text, path, format)?;
+            let table = Table::open(text)?;
             let layout = usual(&table, path, bar)?;
             (table, layout)
         }
@@ -74,15 +72,16 @@ pub(super) fn read(
     while table.next_row(&mut row)? {
         raw.push(layout.read(&table, &row)?)?;
     }
-    let declared = comments(text).find(|(key, _)| key == "clock").map(|(_, value)| value.to_owned());
+    let declared = table.comment("clock").map(str::to_owned);
     let clock = mapping.and_then(|mapping| mapping.clock.clone()).or(declared);
     raw.finish(clock.unwrap_or_else(|| layout.time.column.name.clone()))
 }
 
 /// Whether the header of a text names a counter or angle of the bar.
 pub(super) fn has_usual_columns(bytes: &[u8]) -> bool {
-    let Ok(text) = decode(bytes, Path::new(""), None) else { return false };
-    let header = header_line(&text);
+    let text = Text::new(Source::of(bytes, Path::new("")), None);
+    let Ok(mut text) = text else { return false };
+    let header = text.header_line().unwrap_or_default();
     let mut cells = header.split([',', ';', '\t']).map(|cell| cell.trim().trim_matches('"'));
     let is_value = |cell: &str| (1..=BAR_JOINTS).any(|joint| value_of(cell, joint).is_some());
     cells.any(is_value)

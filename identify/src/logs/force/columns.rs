@@ -8,7 +8,7 @@ use shared::config::{AXES_MAX, AXES_MIN, RobotConfig, Violation};
 use super::{ALONG_COLUMN, FORCE_MAX, ForceKind};
 use crate::kinematics::Joints;
 use crate::logs::LogError;
-use crate::logs::tables::csv_text::{Column, Row, Table, comments};
+use crate::logs::tables::csv_text::{Column, Row, Table};
 
 const SIGN_COLUMN: &str = "force_sign";
 const VECTOR_COLUMNS: [&str; 3] = ["force_x_N", "force_y_N", "force_z_N"];
@@ -106,8 +106,10 @@ impl ForceColumns {
 
 /// The columns of an open table.
 pub(in crate::logs) struct ForceLayout {
-    pub kind: ForceKind,
+    kind: ForceKind,
     columns: Vec<(Column, f64)>,
+    /// A comment may say that the axes are those of the base.
+    frame_in_comment: bool,
 }
 
 impl ForceLayout {
@@ -116,22 +118,20 @@ impl ForceLayout {
         let remedy = "Correct the name under [force] in the mapping file.";
         let column = |name: &String| Ok((table.column(name, remedy)?, force.unit.to_si()));
         let columns = force.columns.iter().map(column).collect::<Result<Vec<_>, LogError>>()?;
-        Ok((!columns.is_empty()).then_some(Self { kind: force.kind(), columns }))
+        let layout = Self { kind: force.kind(), columns, frame_in_comment: false };
+        Ok((!layout.columns.is_empty()).then_some(layout))
     }
 
     /// Those that say themselves what they are: `force_N`, `force_sign`, `force_x_N` .. `force_z_N` (in the axes of the
     /// flange unless a comment says `# force_frame: base`), torques such as `joint1_Nm`, or the force of a UR.
-    pub fn own(table: &Table<'_>, text: &str, robot: &RobotConfig) -> Result<Option<Self>, LogError> {
+    pub fn own(table: &Table<'_>, robot: &RobotConfig) -> Result<Option<Self>, LogError> {
         let torques: Vec<String> =
             (1..=robot.axes()).map(|joint| format!("{}{joint}_Nm", robot.log.column)).collect();
         let torques: Vec<&str> = torques.iter().map(String::as_str).collect();
-        let in_base =
-            comments(text).any(|(key, value)| key == "force_frame" && value.eq_ignore_ascii_case("base"));
-        let vector = if in_base { ForceKind::InBase } else { ForceKind::InFlange };
         let known: [(ForceKind, &[&str]); 5] = [
             (ForceKind::Along, &[ALONG_COLUMN]),
             (ForceKind::Sign, &[SIGN_COLUMN]),
-            (vector, &VECTOR_COLUMNS),
+            (ForceKind::InFlange, &VECTOR_COLUMNS),
             (ForceKind::InBase, &RTDE_COLUMNS),
             (ForceKind::JointTorques, &torques),
         ];
@@ -142,7 +142,15 @@ impl ForceLayout {
         };
         let remedy = "A force needs all of its components, or leave all of them out.";
         let columns = names.iter().map(|name| Ok((table.column(name, remedy)?, 1.0)));
-        Ok(Some(Self { kind, columns: columns.collect::<Result<_, LogError>>()? }))
+        let columns = columns.collect::<Result<_, LogError>>()?;
+        Ok(Some(Self { kind, columns, frame_in_comment: kind == ForceKind::InFlange }))
+    }
+
+    /// What the numbers are, once the table is read to its end: comments may stand anywhere.
+    pub fn kind(&self, table: &Table<'_>) -> ForceKind {
+        let is_base = |frame: &str| frame.eq_ignore_ascii_case("base");
+        let in_base = self.frame_in_comment && table.comment("force_frame").is_some_and(is_base);
+        if in_base { ForceKind::InBase } else { self.kind }
     }
 
     /// The numbers of one row \[N or N m\].

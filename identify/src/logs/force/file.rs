@@ -10,12 +10,14 @@ use shared::config::{RobotConfig, Validate, Violation};
 
 use super::columns::{ForceColumns, ForceLayout, unknown};
 use super::{ForceClock, ForceKind, ForceLog};
+use crate::kinematics::Joints;
 use crate::logs::robot::mapping::CsvLayout;
 use crate::logs::robot::table::TIME_COLUMN;
-use crate::logs::tables::csv_text::{Format, Row, Table, comments, delimiter_of_header, open_mapped};
+use crate::logs::source::Source;
+use crate::logs::tables::csv_text::{Row, Table};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
-use crate::logs::tables::text::decode;
-use crate::logs::{JointConversion, LogError, ROWS_MIN, Stream, bytes_of};
+use crate::logs::tables::text::Text;
+use crate::logs::{JointConversion, LogError, ROWS_MIN, Stream};
 
 /// How to read a force from a table: `config/force_log.toml` explains each key.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -56,7 +58,7 @@ impl ForceLog {
         robot: &RobotConfig,
         mapping: Option<&ForceLogMapping>,
     ) -> Result<Self, LogError> {
-        Self::read(&bytes_of(path)?, path, robot, mapping)
+        Self::read_from(Source::open(path)?, robot, mapping)
     }
 
     /// [`Self::load`] on bytes in memory; `path` is only named in errors.
@@ -69,17 +71,27 @@ impl ForceLog {
         robot: &RobotConfig,
         mapping: Option<&ForceLogMapping>,
     ) -> Result<Self, LogError> {
-        let text = &*decode(bytes, path, mapping.and_then(|mapping| mapping.csv.sheet.as_deref()))?;
+        Self::read_from(Source::of(bytes, path), robot, mapping)
+    }
+
+    fn read_from(
+        source: Source<'_>,
+        robot: &RobotConfig,
+        mapping: Option<&ForceLogMapping>,
+    ) -> Result<Self, LogError> {
+        let path = source.path;
+        let text = Text::new(source, mapping.and_then(|mapping| mapping.csv.sheet.as_deref()))?;
         let Some(mapping) = mapping else {
-            let format = Format { delimiter: delimiter_of_header(text), decimal_comma: false };
-            let table = Table::open(text, path, format)?;
-            let layout = ForceLayout::own(&table, text, robot)?.ok_or_else(|| unknown(&table, path))?;
-            let time = TimeColumn::new(TIME_COLUMN, TimeUnit::S);
-            return rows(table, path, &time, &layout, declared_clock(text, path)?)?.on_joints(robot);
+            let mut table = Table::open(text)?;
+            let layout = ForceLayout::own(&table, robot)?.ok_or_else(|| unknown(&table, path))?;
+            let forces = rows(&mut table, path, &TimeColumn::new(TIME_COLUMN, TimeUnit::S), &layout)?;
+            let clock = declared_clock(&table, path)?;
+            return Self::new(clock, layout.kind(&table), forces).on_joints(robot);
         };
-        let table = open_mapped(text, path, &mapping.csv)?;
+        let mut table = Table::mapped(text, &mapping.csv)?;
         let layout = ForceLayout::named(&table, &mapping.force)?.ok_or_else(|| unknown(&table, path))?;
-        rows(table, path, &mapping.time, &layout, mapping.clock)?.on_joints(robot)
+        let forces = rows(&mut table, path, &mapping.time, &layout)?;
+        Self::new(mapping.clock, layout.kind(&table), forces).on_joints(robot)
     }
 
     /// Torques of what the robot's log has to those of the model's joints.
@@ -93,8 +105,8 @@ impl ForceLog {
 }
 
 /// The clock that comments declare; the robot's where they do not.
-fn declared_clock(text: &str, path: &Path) -> Result<ForceClock, LogError> {
-    let Some((_, name)) = comments(text).find(|(key, _)| key == "clock") else {
+fn declared_clock(table: &Table<'_>, path: &Path) -> Result<ForceClock, LogError> {
+    let Some(name) = table.comment("clock") else {
         return Ok(ForceClock::default());
     };
     let known = [ForceClock::Robot, ForceClock::Bar]
@@ -110,12 +122,11 @@ fn declared_clock(text: &str, path: &Path) -> Result<ForceClock, LogError> {
 }
 
 fn rows(
-    mut table: Table<'_>,
+    table: &mut Table<'_>,
     path: &Path,
     time: &TimeColumn,
     layout: &ForceLayout,
-    clock: ForceClock,
-) -> Result<ForceLog, LogError> {
+) -> Result<Stream<Joints>, LogError> {
     let column = table.column(
         &time.column,
         "Name the column of time stamps `t_s` (seconds), or say it with --force-mapping.",
@@ -125,8 +136,8 @@ fn rows(
     let mut before: Option<(i64, u64)> = None;
     let mut row = Row::default();
     while table.next_row(&mut row)? {
-        let stamp = stamps.next_ns(&table, &row)?;
-        let values = layout.row(&table, &row)?;
+        let stamp = stamps.next_ns(table, &row)?;
+        let values = layout.row(table, &row)?;
         match before {
             // Loggers that are read faster than they are filled give the same row again.
             Some((last, _)) if stamp == last && forces.last() == Some(&values) => continue,
@@ -141,5 +152,5 @@ fn rows(
     if forces.len() < ROWS_MIN {
         return Err(LogError::TooFewRows { path: path.to_owned(), rows: forces.len(), needed: ROWS_MIN });
     }
-    Ok(ForceLog::new(clock, layout.kind, forces))
+    Ok(forces)
 }

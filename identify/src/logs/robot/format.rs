@@ -3,8 +3,8 @@
 use std::path::Path;
 
 use crate::logs::LogError;
-use crate::logs::tables::csv_text::header_line;
-use crate::logs::tables::text::is_workbook;
+use crate::logs::tables::text::header_line;
+use crate::logs::tables::workbook::is_workbook;
 
 /// The header of a table begins within so many bytes, comments before it: the rest may be a gigabyte.
 const HEADER_BYTES_MAX: usize = 1 << 16;

@@ -11,7 +11,8 @@ use shared::config::RobotConfig;
 
 use super::mapping::RobotLogMapping;
 use super::{egm, ros, rsi, table};
-use crate::logs::{LogError, LogFormat, RobotLog, bytes_of};
+use crate::logs::source::Source;
+use crate::logs::{LogError, LogFormat, RobotLog};
 
 /// How a log is to be read where the file does not say it itself.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -43,7 +44,7 @@ pub fn read(bytes: &[u8], path: &Path, robot: &RobotConfig) -> Result<RobotLog, 
 /// # Errors
 /// As [`load`].
 pub fn load_with(path: &Path, robot: &RobotConfig, options: &LogOptions) -> Result<RobotLog, LogError> {
-    read_with(&bytes_of(path)?, path, robot, options)
+    read_from(Source::open(path)?, robot, options)
 }
 
 /// [`read`] with what the file does not say.
@@ -56,16 +57,21 @@ pub fn read_with(
     robot: &RobotConfig,
     options: &LogOptions,
 ) -> Result<RobotLog, LogError> {
-    let format = options.format.map_or_else(|| LogFormat::detect(bytes, path), Ok)?;
+    read_from(Source::of(bytes, path), robot, options)
+}
+
+fn read_from(source: Source<'_>, robot: &RobotConfig, options: &LogOptions) -> Result<RobotLog, LogError> {
+    let path = source.path;
+    let format = options.format.map_or_else(|| LogFormat::detect(source.beginning(), path), Ok)?;
     let mapping = options.mapping.as_ref();
     match (format, mapping) {
-        (LogFormat::Csv, None) => table::read_own(bytes, path, robot),
-        (LogFormat::UrRtde, None) => table::read_rtde(bytes, path, robot),
-        (LogFormat::Csv | LogFormat::UrRtde, Some(mapping)) => {
-            table::read_mapped(bytes, path, robot, mapping)
+        (LogFormat::Csv, None) => table::read_own(source, robot),
+        (LogFormat::UrRtde, None) => table::read_rtde(source, robot),
+        (LogFormat::Csv | LogFormat::UrRtde, Some(mapping)) => table::read_mapped(source, robot, mapping),
+        (LogFormat::Ros2Mcap | LogFormat::Ros2Db3, _) => {
+            ros::read(&source.whole()?, path, robot, format, mapping)
         }
-        (LogFormat::Ros2Mcap | LogFormat::Ros2Db3, _) => ros::read(bytes, path, robot, format, mapping),
-        (LogFormat::Egm, _) => egm::read(bytes, path, robot, mapping),
-        (LogFormat::Rsi, _) => rsi::read(bytes, path, robot, mapping),
+        (LogFormat::Egm, _) => egm::read(&source.whole()?, path, robot, mapping),
+        (LogFormat::Rsi, _) => rsi::read(source, robot, mapping),
     }
 }

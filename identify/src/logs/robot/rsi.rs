@@ -13,8 +13,9 @@ use shared::config::{AngleUnit, RobotConfig};
 use super::mapping::RobotLogMapping;
 use super::raw::{Meaning, RawLog, RawRow};
 use crate::kinematics::Joints;
+use crate::logs::source::Source;
 use crate::logs::tables::stamp::{StampReader, TimeColumn, TimeUnit};
-use crate::logs::tables::text::decode;
+use crate::logs::tables::text::Text;
 use crate::logs::{LogError, LogFormat, Origin, RobotLog};
 
 /// Attributes of `AIPos` and `ASPos`.
@@ -29,12 +30,12 @@ struct Telegram {
 
 /// Reads a log of telegrams.
 pub(in crate::logs) fn read(
-    bytes: &[u8],
-    path: &Path,
+    source: Source<'_>,
     robot: &RobotConfig,
     mapping: Option<&RobotLogMapping>,
 ) -> Result<RobotLog, LogError> {
-    let text = &*decode(bytes, path, None)?;
+    let path = source.path;
+    let text = &*Text::new(source, None)?.whole()?;
     let names = AXES.map(str::to_owned).to_vec();
     let (meaning, to_unit) = match mapping {
         Some(mapping) => (Meaning::mapped(robot, mapping, names, path)?, AngleUnit::Deg.to_rad()),

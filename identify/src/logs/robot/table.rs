@@ -8,9 +8,10 @@ use super::mapping::{Columns, RobotLogMapping};
 use super::raw::{Meaning, RawLog, RawRow};
 use crate::kinematics::Joints;
 use crate::logs::force::ForceLayout;
-use crate::logs::tables::csv_text::{Column, Format, Row, Table, comments, delimiter_of_header, open_mapped};
+use crate::logs::source::Source;
+use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
-use crate::logs::tables::text::decode;
+use crate::logs::tables::text::Text;
 use crate::logs::{ForceColumns, LogError, LogFormat, Origin, RobotLog};
 
 /// Name of the column with time stamps \[s\].
@@ -34,22 +35,16 @@ struct Layout {
 }
 
 /// The robot's own columns: `t_s` and those that its configuration names; other columns are passed over.
-pub(in crate::logs) fn read_own(
-    bytes: &[u8],
-    path: &Path,
-    robot: &RobotConfig,
-) -> Result<RobotLog, LogError> {
-    let text = &*decode(bytes, path, None)?;
+pub(in crate::logs) fn read_own(source: Source<'_>, robot: &RobotConfig) -> Result<RobotLog, LogError> {
+    let path = source.path;
     let names = (0..robot.axes()).map(|index| column_name(robot, index, robot.log.unit)).collect();
     let meaning = Meaning::own(robot, names)?;
-    let format = Format { delimiter: delimiter_of_header(text), decimal_comma: false };
-    let mut table = Table::open(text, path, format)?;
-    let mut layout =
-        Layout { force: ForceLayout::own(&table, text, robot)?, ..own_layout(&table, path, robot)? };
+    let mut table = Table::open(Text::new(source, None)?)?;
+    let mut layout = Layout { force: ForceLayout::own(&table, robot)?, ..own_layout(&table, path, robot)? };
     let mut raw = RawLog::new(path, "line");
-    declare(&mut raw, text);
-    raw.force = layout.force.as_ref().map(|force| force.kind);
     read_rows(&mut table, &mut layout, &mut raw)?;
+    declare(&mut raw, &table);
+    raw.force = layout.force.as_ref().map(|force| force.kind(&table));
     raw.finish(&meaning)
 }
 
@@ -85,13 +80,9 @@ fn own_layout(table: &Table<'_>, path: &Path, robot: &RobotConfig) -> Result<Lay
 }
 
 /// What `record.py` of the RTDE client writes, joints in radians.
-pub(in crate::logs) fn read_rtde(
-    bytes: &[u8],
-    path: &Path,
-    robot: &RobotConfig,
-) -> Result<RobotLog, LogError> {
-    let text = &*decode(bytes, path, None)?;
-    let table = &mut Table::open(text, path, Format { delimiter: b' ', decimal_comma: false })?;
+pub(in crate::logs) fn read_rtde(source: Source<'_>, robot: &RobotConfig) -> Result<RobotLog, LogError> {
+    let path = source.path;
+    let table = &mut Table::delimited(Text::new(source, None)?, b' ')?;
     let origin = if table.has("actual_q_0") { Origin::Measured } else { Origin::Commanded };
     let kind = if origin == Origin::Measured { "actual" } else { "target" };
     let columns = |quantity: &str| -> Columns {
@@ -108,33 +99,33 @@ pub(in crate::logs) fn read_rtde(
         joints: named(table, &columns("q"), &as_is, remedy)?,
         speeds: optional(&columns("qd"))?,
         torques: optional(&columns("current"))?,
-        force: ForceLayout::own(table, text, robot)?,
+        force: ForceLayout::own(table, robot)?,
     };
     let mut raw = RawLog::new(path, "line");
     (raw.clock, raw.origin) = ("since the controller's start".into(), origin);
-    raw.force = layout.force.as_ref().map(|force| force.kind);
     read_rows(table, &mut layout, &mut raw)?;
+    raw.force = layout.force.as_ref().map(|force| force.kind(table));
     raw.finish(&meaning)
 }
 
 /// The columns that a mapping names.
 pub(in crate::logs) fn read_mapped(
-    bytes: &[u8],
-    path: &Path,
+    source: Source<'_>,
     robot: &RobotConfig,
     mapping: &RobotLogMapping,
 ) -> Result<RobotLog, LogError> {
-    let text = &*decode(bytes, path, mapping.csv.sheet.as_deref())?;
-    let mut table = open_mapped(text, path, &mapping.csv)?;
+    let path = source.path;
+    let text = Text::new(source, mapping.csv.sheet.as_deref())?;
+    let mut table = Table::mapped(text, &mapping.csv)?;
     let mut columns = mapped_layout(&table, path, mapping)?;
     let names: Vec<String> = mapping.joints.iter().map(|joint| joint.column.clone()).collect();
     let meaning = Meaning::mapped(robot, mapping, names, path)?;
     let mut raw = RawLog::new(path, "line");
-    declare(&mut raw, text);
+    read_rows(&mut table, &mut columns, &mut raw)?;
+    declare(&mut raw, &table);
     raw.clock = mapping.clock.clone().unwrap_or(raw.clock);
     raw.origin = mapping.values.unwrap_or(raw.origin);
     raw.force = mapping.force.as_ref().map(ForceColumns::kind);
-    read_rows(&mut table, &mut columns, &mut raw)?;
     raw.finish(&meaning)
 }
 
@@ -173,10 +164,10 @@ fn named(
 }
 
 /// What comment lines say about the whole log.
-fn declare(raw: &mut RawLog, text: &str) {
-    for (key, value) in comments(text) {
+fn declare(raw: &mut RawLog, table: &Table<'_>) {
+    for (key, value) in table.comments() {
         match key.as_str() {
-            "robot" => raw.robot = Some(value.to_owned()),
+            "robot" => raw.robot = Some(value.clone()),
             "clock" => value.clone_into(&mut raw.clock),
             "values" => {
                 raw.origin = [Origin::Measured, Origin::Commanded]

@@ -10,8 +10,9 @@ use shared::config::{Validate, Violation};
 
 use super::pose_rows::{JointColumns, check_joints, mapped, rows};
 use crate::kinematics::Joints;
+use crate::logs::source::Source;
 use crate::logs::tables::csv_text::{Column, Row, Table};
-use crate::logs::{CsvLayout, JointColumn, LogError, bytes_of};
+use crate::logs::{CsvLayout, JointColumn, LogError};
 
 /// Which columns hold what.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -57,7 +58,7 @@ impl Contacts {
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].
     pub fn load(path: &Path, mapping: &ContactMapping, sockets: &[&str]) -> Result<Self, LogError> {
-        Self::read(&bytes_of(path)?, path, mapping, sockets)
+        Self::read(&Source::open(path)?.whole()?, path, mapping, sockets)
     }
 
     /// [`Self::load`] on bytes in memory; `path` is only named in errors.
@@ -87,6 +88,6 @@ impl Contacts {
             };
             Ok(SeatedRow { q_rad: joints.read(table, row)?, socket: number, line: row.line })
         };
-        rows(bytes, path, &mapping.csv, find, read).map(|rows| Self { rows })
+        rows(Source::of(bytes, path), &mapping.csv, find, read).map(|rows| Self { rows })
     }
 }

@@ -12,8 +12,9 @@ use super::pose_rows::{
     JointColumns, Names, check_joints, is_zero, mapped, mapped_if_named, rows, uncertainty,
 };
 use crate::kinematics::Joints;
+use crate::logs::source::Source;
 use crate::logs::tables::csv_text::{Column, Row, Table};
-use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, bytes_of};
+use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError};
 
 /// No wire or bar is longer \[m\]; more means a wrong unit.
 const LENGTH_M_MAX: f64 = 20.0;
@@ -121,7 +122,7 @@ impl MeasuredLengths {
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].
     pub fn load(path: &Path, mapping: &MeasuredLengthMapping) -> Result<Self, LogError> {
-        Self::read(&bytes_of(path)?, path, mapping)
+        Self::read(&Source::open(path)?.whole()?, path, mapping)
     }
 
     /// [`Self::load`] on bytes in memory; `path` is only named in errors.
@@ -138,7 +139,7 @@ impl MeasuredLengths {
                 ..columns.read(table, row)?
             })
         };
-        let rows = rows(bytes, path, &mapping.csv, find, read)?;
+        let rows = rows(Source::of(bytes, path), &mapping.csv, find, read)?;
         Ok(Self { rows, anchors: anchors.in_order(), attachments: attachments.in_order() })
     }
 }

@@ -12,9 +12,10 @@ use shared::config::{AngleUnit, Validate, Violation};
 
 use super::pose_rows::{JointColumns, Names, check_joints, mapped, mapped_if_named, rows, uncertainty};
 use crate::kinematics::Joints;
+use crate::logs::source::Source;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn};
-use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, Stamps, Stream, bytes_of};
+use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, Stamps, Stream};
 
 /// No tracker sees further \[m\]; more means a wrong unit.
 const POSITION_M_MAX: f64 = 100.0;
@@ -277,7 +278,7 @@ impl MeasuredPoses {
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].
     pub fn load(path: &Path, mapping: &MeasuredPoseMapping) -> Result<Self, LogError> {
-        Self::read(&bytes_of(path)?, path, mapping)
+        Self::read(&Source::open(path)?.whole()?, path, mapping)
     }
 
     /// [`Self::load`] on bytes in memory; `path` is only named in errors.
@@ -293,7 +294,7 @@ impl MeasuredPoses {
             |(seen, joints): &mut (SeenColumns<'_>, JointColumns<'_>), table: &Table<'_>, row: &Row| {
                 Ok(seen.read(table, row, &mut names)?.with_joints(joints.read(table, row)?))
             };
-        let rows = rows(bytes, path, &mapping.csv, find, read)?;
+        let rows = rows(Source::of(bytes, path), &mapping.csv, find, read)?;
         let [stations, targets] = names.in_order();
         Ok(Self { rows, stations, targets })
     }
@@ -348,7 +349,7 @@ impl TimedPoses {
     /// # Errors
     /// Every way in which the file cannot be used, see [`LogError`].
     pub fn load(path: &Path, mapping: &MeasuredPoseMapping) -> Result<Self, LogError> {
-        Self::read(&bytes_of(path)?, path, mapping)
+        Self::read(&Source::open(path)?.whole()?, path, mapping)
     }
 
     /// [`Self::load`] on bytes in memory; `path` is only named in errors.
@@ -366,7 +367,7 @@ impl TimedPoses {
             let pose = seen.read(table, row, &mut names)?;
             Ok((stamps.next_ns(table, row)?, pose))
         };
-        let mut rows = rows(bytes, path, &mapping.csv, find, read)?;
+        let mut rows = rows(Source::of(bytes, path), &mapping.csv, find, read)?;
         if let Some(pair) = rows.windows(2).find(|pair| pair[1].0 < pair[0].0) {
             let [before, after] = [0, 1].map(|place| (pair[place].1.line, pair[place].0));
             return Err(LogError::time_not_increasing(path, "line", before, after));

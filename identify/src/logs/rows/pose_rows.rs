@@ -8,9 +8,10 @@ use serde::{Deserialize, Serialize};
 use shared::config::{AXES_MAX, AXES_MIN, JointKind, RobotConfig, Validate, Violation};
 
 use crate::kinematics::Joints;
-use crate::logs::tables::csv_text::{Column, Row, Table, open_mapped};
-use crate::logs::tables::text::decode;
-use crate::logs::{CsvLayout, LogError, bytes_of};
+use crate::logs::source::Source;
+use crate::logs::tables::csv_text::{Column, Row, Table};
+use crate::logs::tables::text::Text;
+use crate::logs::{CsvLayout, LogError};
 
 /// Fewest rows that make a table.
 const ROWS_MIN: usize = 10;
@@ -142,7 +143,7 @@ impl JointTableMapping {
     /// Every way in which the file cannot be used, see [`LogError`].
     pub fn load(&self, path: &Path) -> Result<Vec<Joints>, LogError> {
         let find = |table: &Table<'_>| JointColumns::find(table, &self.joints);
-        rows(&bytes_of(path)?, path, &self.csv, find, |joints, table, row| joints.read(table, row))
+        rows(Source::open(path)?, &self.csv, find, |joints, table, row| joints.read(table, row))
     }
 }
 
@@ -230,14 +231,13 @@ pub(in crate::logs) fn check_joints(joints: &[JointColumn]) -> Result<(), Violat
 
 /// All rows of a table: `find` finds its columns, `read` reads a row of them.
 pub(in crate::logs) fn rows<C, R>(
-    bytes: &[u8],
-    path: &Path,
+    source: Source<'_>,
     layout: &CsvLayout,
     find: impl FnOnce(&Table<'_>) -> Result<C, LogError>,
     mut read: impl FnMut(&mut C, &Table<'_>, &Row) -> Result<R, LogError>,
 ) -> Result<Vec<R>, LogError> {
-    let text = decode(bytes, path, layout.sheet.as_deref())?;
-    let mut table = open_mapped(&text, path, layout)?;
+    let path = source.path;
+    let mut table = Table::mapped(Text::new(source, layout.sheet.as_deref())?, layout)?;
     let mut columns = find(&table)?;
     let mut rows = Vec::new();
     let mut row = Row::default();

@@ -1,23 +1,21 @@
-//! What the readers of tables share: comments, header, cells.
+//! What the readers of tables share: header, rows, cells.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
+use super::text::Text;
 use crate::logs::{Cell, CsvLayout, LogError};
 
 /// How the numbers of a file are written.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(in crate::logs) struct Format {
-    pub delimiter: u8,
-    pub decimal_comma: bool,
+struct Format {
+    delimiter: u8,
+    decimal_comma: bool,
 }
 
 /// A header and its rows, read on demand.
 pub(in crate::logs) struct Table<'a> {
-    path: PathBuf,
-    lines: LineCounter<'a>,
     header: Vec<String>,
     decimal_comma: bool,
-    rows: csv::Reader<&'a [u8]>,
+    rows: csv::Reader<Text<'a>>,
 }
 
 /// One row and its line in the file.
@@ -41,99 +39,85 @@ pub(in crate::logs) struct Column {
     pub name: String,
 }
 
-/// The comment lines `# key: value` of a text, keys in lower case.
-pub(in crate::logs) fn comments(text: &str) -> impl Iterator<Item = (String, &str)> {
-    let comment = |(at, _): (usize, &str)| {
-        let begin = text[..at].rfind('\n').map_or(0, |end| end + 1);
-        let is_first = text[begin..at].trim().is_empty();
-        is_first.then(|| text[at + 1..].lines().next().unwrap_or_default())
-    };
-    text.match_indices('#')
-        .filter_map(comment)
-        .filter_map(|comment| comment.split_once(':'))
-        .map(|(key, value)| (key.trim().to_lowercase(), value.trim()))
-}
-
-/// The delimiter that the header row uses: whichever of comma, semicolon and tab it has most of.
-pub(in crate::logs) fn delimiter_of_header(text: &str) -> u8 {
-    let header = header_line(text);
+/// The delimiter that a header row uses: whichever of comma, semicolon and tab it has most of.
+fn delimiter_of(header: &str) -> u8 {
     let count = |delimiter: u8| header.bytes().filter(|&byte| byte == delimiter).count();
     [b';', b'\t'].into_iter().filter(|&d| count(d) > count(b',')).max_by_key(|&d| count(d)).unwrap_or(b',')
 }
 
-/// The table of a text in the layout that a mapping gives, its first row of numbers next.
-pub(in crate::logs) fn open_mapped<'a>(
-    text: &'a str,
-    path: &Path,
-    layout: &CsvLayout,
-) -> Result<Table<'a>, LogError> {
-    let from = text.split_inclusive('\n').take(layout.skip_lines).map(str::len).sum::<usize>();
-    let body = text.get(from..).unwrap_or_default();
-    let delimiter = match (layout.delimiter, delimiter_of_header(body)) {
-        // A workbook has no delimiter of its own.
-        (Some(delimiter), b'\t') if !header_line(body).contains(delimiter) => b'\t',
-        (Some(delimiter), _) => delimiter as u8,
-        // Those commas are in numbers.
-        (None, b',') if layout.decimal_comma => {
-            if header_line(body).contains('\t') {
-                b'\t'
-            } else {
-                b';'
+impl<'a> Table<'a> {
+    /// Reads the header of a text whose numbers have decimal points.
+    pub fn open(mut text: Text<'a>) -> Result<Self, LogError> {
+        let delimiter = delimiter_of(text.header_line()?);
+        Self::delimited(text, delimiter)
+    }
+
+    /// [`Self::open`] with a known delimiter.
+    pub fn delimited(text: Text<'a>, delimiter: u8) -> Result<Self, LogError> {
+        Self::open_as(text, Format { delimiter, decimal_comma: false }, true)
+    }
+
+    /// The table of a text in the layout that a mapping gives, its first row of numbers next.
+    pub fn mapped(mut text: Text<'a>, layout: &CsvLayout) -> Result<Self, LogError> {
+        text.skip_lines(layout.skip_lines)?;
+        let header = text.header_line()?;
+        let delimiter = match (layout.delimiter, delimiter_of(header)) {
+            // A workbook has no delimiter of its own.
+            (Some(delimiter), b'\t') if !header.contains(delimiter) => b'\t',
+            (Some(delimiter), _) => delimiter as u8,
+            // Those commas are in numbers.
+            (None, b',') if layout.decimal_comma => {
+                if header.contains('\t') {
+                    b'\t'
+                } else {
+                    b';'
+                }
+            }
+            (None, found) => found,
+        };
+        let format = Format { delimiter, decimal_comma: layout.decimal_comma };
+        let mut table = Self::open_as(text, format, layout.header)?;
+        for _ in 0..layout.unit_lines {
+            match table.next_row(&mut Row::default()) {
+                // Whatever stands there is not numbers.
+                Ok(_) | Err(LogError::Malformed { .. }) => {}
+                Err(error) => return Err(error),
             }
         }
-        (None, found) => found,
-    };
-    let format = Format { delimiter, decimal_comma: layout.decimal_comma };
-    let mut table = Table::open_behind(text, from, path, format, layout.header)?;
-    for _ in 0..layout.unit_lines {
-        // Whatever stands there is not numbers.
-        let _ = table.next_row(&mut Row::default());
-    }
-    Ok(table)
-}
-
-/// The first line that is neither blank nor a comment.
-pub(in crate::logs) fn header_line(text: &str) -> &str {
-    text.lines()
-        .find(|line| !line.trim().is_empty() && !line.trim_start().starts_with('#'))
-        .unwrap_or_default()
-}
-
-impl<'a> Table<'a> {
-    /// Reads the header of `text`.
-    pub fn open(text: &'a str, path: &Path, format: Format) -> Result<Self, LogError> {
-        Self::open_behind(text, 0, path, format, true)
+        Ok(table)
     }
 
-    /// [`Self::open`] where the table begins `from` bytes into the text. Without header the columns are called `1`, `2`
-    /// and so on.
-    fn open_behind(
-        whole: &'a str,
-        from: usize,
-        path: &Path,
-        format: Format,
-        has_header: bool,
-    ) -> Result<Self, LogError> {
-        let (before, text) = whole.split_at_checked(from).unwrap_or((whole, ""));
-        let first_line = 1 + before.bytes().filter(|&byte| byte == b'\n').count() as u64;
-        let mut reader = csv::ReaderBuilder::new()
+    /// Without header the columns are called `1`, `2` and so on.
+    fn open_as(text: Text<'a>, format: Format, has_header: bool) -> Result<Self, LogError> {
+        let mut rows = csv::ReaderBuilder::new()
             .delimiter(format.delimiter)
             .has_headers(has_header)
             .comment(Some(b'#'))
             // Cells are trimmed where they are looked at: the reader would copy each row for it.
             .trim(csv::Trim::Headers)
-            .from_reader(text.as_bytes());
-        let first = reader
-            .headers()
-            .map_err(|error| malformed(&error, path, &mut LineCounter { text, byte: 0, line: first_line }))?;
+            .from_reader(text);
+        let first = rows.headers().cloned().map_err(|error| malformed(error, rows.get_mut()))?;
         let name =
             |(number, cell): (usize, &str)| if has_header { cell.to_owned() } else { number.to_string() };
-        let header: Vec<String> = (1..).zip(first).map(name).collect();
+        let header: Vec<String> = (1..).zip(&first).map(name).collect();
         if header.iter().all(String::is_empty) {
-            return Err(LogError::NoHeader { path: path.to_owned() });
+            return Err(LogError::NoHeader { path: rows.get_ref().path.to_owned() });
         }
-        let lines = LineCounter { text, byte: 0, line: first_line };
-        Ok(Self { path: path.to_owned(), lines, header, decimal_comma: format.decimal_comma, rows: reader })
+        Ok(Self { header, decimal_comma: format.decimal_comma, rows })
+    }
+
+    /// The comment lines `# key: value` before the rows that were read, and some beyond; keys in lower case.
+    pub fn comments(&self) -> &[(String, String)] {
+        self.rows.get_ref().comments()
+    }
+
+    /// What a comment says.
+    pub fn comment(&self, key: &str) -> Option<&str> {
+        self.comments().iter().find(|(known, _)| known == key).map(|(_, value)| &**value)
+    }
+
+    fn path(&self) -> &'a Path {
+        self.rows.get_ref().path
     }
 
     /// The column named `name`, which must be there once.
@@ -141,14 +125,14 @@ impl<'a> Table<'a> {
         let mut matching = self.header.iter().enumerate().filter(|(_, header)| *header == name);
         let Some((index, _)) = matching.next() else {
             return Err(LogError::MissingColumn {
-                path: self.path.clone(),
+                path: self.path().to_owned(),
                 column: name.to_owned(),
                 found: self.header.join(", "),
                 remedy: remedy.to_owned(),
             });
         };
         if matching.next().is_some() {
-            return Err(LogError::RepeatedColumn { path: self.path.clone(), column: name.to_owned() });
+            return Err(LogError::RepeatedColumn { path: self.path().to_owned(), column: name.to_owned() });
         }
         Ok(Column { index, name: name.to_owned() })
     }
@@ -166,9 +150,9 @@ impl<'a> Table<'a> {
     /// Puts the next row into `row`, if there is one.
     pub fn next_row(&mut self, row: &mut Row) -> Result<bool, LogError> {
         let is_there = self.rows.read_record(&mut row.cells);
-        let is_there = is_there.map_err(|error| malformed(&error, &self.path, &mut self.lines))?;
-        if is_there {
-            row.line = self.lines.line_of(row.cells.position());
+        let is_there = is_there.map_err(|error| malformed(error, self.rows.get_mut()))?;
+        if let Some(position) = row.cells.position().filter(|_| is_there) {
+            row.line = self.rows.get_mut().line_of_record(position.byte());
         }
         Ok(is_there)
     }
@@ -207,54 +191,23 @@ impl<'a> Table<'a> {
 
     /// An error about one cell.
     pub fn bad(&self, row: &Row, column: &Column, problem: String, remedy: &'static str) -> LogError {
-        let cell = Cell { path: self.path.clone(), line: row.line, column: column.name.clone() };
+        let cell = Cell { path: self.path().to_owned(), line: row.line, column: column.name.clone() };
         LogError::BadValue { cell, problem, remedy }
     }
 }
 
-/// Lines of records, in the order in which they are read. The positions of the `csv` crate lie before the comments,
-/// blank lines and line ends that precede a record, so its own line numbers are too small there.
-struct LineCounter<'a> {
-    text: &'a str,
-    byte: usize,
-    line: u64,
-}
-
-impl LineCounter<'_> {
-    fn line_of(&mut self, position: Option<&csv::Position>) -> u64 {
-        let target = position.map_or(self.byte, |position| position.byte() as usize).max(self.byte);
-        self.advance_to(target);
-        while let Some(length) = self.length_of_skipped_line() {
-            self.advance_to(self.byte + length);
-        }
-        self.line
-    }
-
-    fn advance_to(&mut self, byte: usize) {
-        let passed = self.text.as_bytes().get(self.byte..byte).unwrap_or_default();
-        self.line += passed.iter().filter(|&&byte| byte == b'\n').count() as u64;
-        self.byte = byte;
-    }
-
-    /// Length of the comment or blank line at the cursor, with its line end.
-    fn length_of_skipped_line(&self) -> Option<usize> {
-        let rest = self.text.as_bytes().get(self.byte..)?;
-        if !matches!(rest.first()?, b'#' | b'\r' | b'\n') {
-            return None;
-        }
-        let end = rest.iter().position(|&byte| byte == b'\n').map_or(rest.len(), |end| end + 1);
-        let line = rest.get(..end)?;
-        let skipped = line.first() == Some(&b'#') || line.iter().all(|byte| matches!(byte, b'\r' | b'\n'));
-        skipped.then_some(end)
-    }
-}
-
-fn malformed(error: &csv::Error, path: &Path, lines: &mut LineCounter<'_>) -> LogError {
-    let problem = match error.kind() {
+fn malformed(error: csv::Error, text: &mut Text<'_>) -> LogError {
+    let byte = error.position().map_or(0, csv::Position::byte);
+    let said = error.to_string();
+    let problem = match error.into_kind() {
+        csv::ErrorKind::Io(error) => match error.downcast() {
+            Ok(of_text) => return of_text,
+            Err(source) => return LogError::Unreadable { path: text.path.to_owned(), source },
+        },
         csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
             format!("{len} cells where the header has {expected_len}")
         }
-        _ => error.to_string(),
+        _ => said,
     };
-    LogError::Malformed { path: path.to_owned(), line: lines.line_of(error.position()), problem }
+    LogError::Malformed { path: text.path.to_owned(), line: text.line_of_record(byte), problem }
 }

@@ -3,3 +3,4 @@
 pub(super) mod csv_text;
 pub(super) mod stamp;
 pub(super) mod text;
+pub(super) mod workbook;

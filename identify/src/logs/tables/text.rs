@@ -1,163 +1,266 @@
 //! Bytes of a table as text, however the program that made it saves: UTF-8, UTF-16, Windows-1252 (Latin-1) or a spreadsheet.
 
-use std::borrow::Cow;
-use std::collections::BTreeMap;
-use std::io::Cursor;
+use std::io::{self, Cursor, Read};
 use std::path::Path;
 
-use calamine::{Data, Reader, Xlsx};
-use encoding_rs::{Encoding, WINDOWS_1252};
-use zip::ZipArchive;
+use encoding_rs::{Decoder, Encoding, WINDOWS_1252};
 
-use super::csv_text::{Row, open_mapped};
+use super::csv_text::{Row, Table};
+use super::workbook::{is_workbook, sheets, text_of_sheet};
+use crate::logs::source::Source;
 use crate::logs::{CsvLayout, LogError};
 
-/// An Excel workbook is a ZIP archive; no text begins so.
-const ZIP: &[u8] = b"PK\x03\x04";
+/// So much is decoded at once.
+const BLOCK_BYTES: u64 = 1 << 18;
 
-/// Whether the bytes are a workbook, which only looks binary.
-pub(in crate::logs) fn is_workbook(bytes: &[u8]) -> bool {
-    bytes.starts_with(ZIP)
+/// The text of a file without byte order mark, decoded as far as it is read: ten hours of a robot's log are a gigabyte. Of a
+/// workbook the named sheet, or its only one, one line for each row, cells between tabs.
+///
+/// A line that is not UTF-8, in a file without byte order mark, is Windows-1252, as instruments export a micro or degree sign;
+/// a damaged digit is no digit in any of them.
+pub(in crate::logs) struct Text<'a> {
+    /// Of the file.
+    pub path: &'a Path,
+    source: Box<dyn Read + 'a>,
+    /// Of a file with byte order mark.
+    decoder: Option<Decoder>,
+    /// A line whose end was not read yet, in UTF-8 or Windows-1252.
+    begun: Vec<u8>,
+    /// Whole lines, but for those that were read and counted.
+    lines: String,
+    /// Length of the text before [`Self::lines`]...
+    before: usize,
+    /// ...of that which was read...
+    read: usize,
+    /// ...of that before the table...
+    skipped: usize,
+    /// ...and of that whose lines were counted...
+    counted: usize,
+    /// ...as which the next one has this number.
+    line: u64,
+    comments: Vec<(String, String)>,
+    is_at_end: bool,
 }
 
-/// The text of a file without byte order mark. Of a workbook the named sheet, or its only one, one line for each row, cells between
-/// tabs.
-///
-/// What is not UTF-8 and has no byte order mark is Windows-1252, as instruments export a micro or degree sign; a damaged
-/// digit is no digit in any of them.
-///
-/// # Errors
-/// [`LogError::NotText`] for anything else, such as binary data, a workbook with several sheets of which none is named, or a sheet of
-/// what is no workbook.
-pub(in crate::logs) fn decode<'a>(
-    bytes: &'a [u8],
-    path: &Path,
-    sheet: Option<&str>,
-) -> Result<Cow<'a, str>, LogError> {
-    let not_text = |problem: String| LogError::NotText { path: path.to_owned(), problem };
-    if is_workbook(bytes) {
-        return text_of_sheet(bytes, sheet).map(Cow::Owned).map_err(not_text);
+impl<'a> Text<'a> {
+    /// Of a file, of which `sheet` is read if it is a workbook.
+    ///
+    /// # Errors
+    /// [`LogError::NotText`] for anything else, such as binary data, a workbook with several sheets of which none is named, or
+    /// a sheet of what is no workbook: here or where it is reached.
+    pub fn new(source: Source<'a>, sheet: Option<&str>) -> Result<Self, LogError> {
+        let path = source.path;
+        let mut text = Self {
+            path,
+            source: Box::new(io::empty()),
+            decoder: None,
+            begun: Vec::new(),
+            lines: String::new(),
+            before: 0,
+            read: 0,
+            skipped: 0,
+            counted: 0,
+            line: 1,
+            comments: Vec::new(),
+            is_at_end: false,
+        };
+        if is_workbook(source.beginning()) {
+            let sheet = text_of_sheet(&source.whole()?, sheet).map_err(|problem| text.bad(problem))?;
+            text.source = Box::new(Cursor::new(sheet));
+        } else if let Some(sheet) = sheet {
+            let problem = format!("no workbook, and the mapping names its sheet `{sheet}`: take that out");
+            return Err(text.bad(problem));
+        } else {
+            // The decoder takes the mark off.
+            text.decoder = Encoding::for_bom(source.beginning()).map(|(encoding, _)| encoding.new_decoder());
+            text.source = source.reader();
+        }
+        text.decode_more()?;
+        Ok(text)
     }
-    if let Some(sheet) = sheet {
-        return Err(not_text(format!(
-            "no workbook, and the mapping names its sheet `{sheet}`: take that out"
-        )));
+
+    /// All of it.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn whole(mut self) -> Result<String, LogError> {
+        while self.decode_more()? {}
+        Ok(self.lines)
     }
-    let (encoding, bytes) = match Encoding::for_bom(bytes) {
-        Some((encoding, mark)) => (Some(encoding), bytes.get(mark..).unwrap_or_default()),
-        None => (None, bytes),
+
+    /// Takes this and the next lines for no part of the table.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn skip_lines(&mut self, count: usize) -> Result<(), LogError> {
+        for _ in 0..count {
+            let is_end = |unread: &str| unread.find('\n').map(|end| end + 1);
+            while is_end(self.unread()).is_none() && self.decode_more()? {}
+            self.read += is_end(self.unread()).unwrap_or(self.unread().len());
+        }
+        self.skipped = self.read;
+        Ok(())
+    }
+
+    /// The first line that is neither blank nor a comment.
+    ///
+    /// # Errors
+    /// As [`Self::new`].
+    pub fn header_line(&mut self) -> Result<&str, LogError> {
+        while header_line(self.unread()).is_empty() && self.decode_more()? {}
+        Ok(header_line(self.unread()))
+    }
+
+    /// The comment lines `# key: value` so far, keys in lower case.
+    pub fn comments(&self) -> &[(String, String)] {
+        &self.comments
+    }
+
+    /// Number of the line with a record, for records in the order in which they are read: `byte` is where one begins for the
+    /// `csv` crate, before the comments, blank lines and line ends that precede it, so that its own line numbers are too small.
+    pub fn line_of_record(&mut self, byte: u64) -> u64 {
+        self.count_lines(self.skipped + byte as usize);
+        while let Some(length) = self.length_of_skipped_line() {
+            self.count_lines(self.counted + length);
+        }
+        self.line
+    }
+
+    fn count_lines(&mut self, until: usize) {
+        let passed = self.lines.as_bytes().get(self.counted - self.before..until.saturating_sub(self.before));
+        self.line += passed.unwrap_or_default().iter().filter(|&&byte| byte == b'\n').count() as u64;
+        self.counted = self.counted.max(until);
+    }
+
+    /// Length of the comment or blank line after those that were counted, with its line end.
+    fn length_of_skipped_line(&self) -> Option<usize> {
+        let rest = self.lines.as_bytes().get(self.counted - self.before..)?;
+        if !matches!(rest.first()?, b'#' | b'\r' | b'\n') {
+            return None;
+        }
+        let end = rest.iter().position(|&byte| byte == b'\n').map_or(rest.len(), |end| end + 1);
+        let line = rest.get(..end)?;
+        let skipped = line.first() == Some(&b'#') || line.iter().all(|byte| matches!(byte, b'\r' | b'\n'));
+        skipped.then_some(end)
+    }
+
+    /// Before the table is read.
+    fn unread(&self) -> &str {
+        self.lines.get(self.read - self.before..).unwrap_or_default()
+    }
+
+    /// Adds whole lines; false at the end.
+    fn decode_more(&mut self) -> Result<bool, LogError> {
+        if self.is_at_end {
+            return Ok(false);
+        }
+        let mut end = None;
+        while end.is_none() && !self.is_at_end {
+            let from = self.begun.len();
+            self.read_block()?;
+            let last_end = self.begun[from..].iter().rposition(|&byte| byte == b'\n');
+            end = last_end.map(|end| from + end + 1);
+        }
+        let rest = match end {
+            Some(end) if !self.is_at_end => self.begun.split_off(end),
+            _ => Vec::new(),
+        };
+        let lines = String::from_utf8(std::mem::replace(&mut self.begun, rest));
+        let mut lines = lines.unwrap_or_else(|error| each_utf8_or_windows_1252(error.as_bytes()));
+        if self.is_at_end && !lines.is_empty() && !lines.ends_with('\n') {
+            // The `csv` crate takes a comment without it for a row.
+            lines.push('\n');
+        }
+        // Records begin with a character.
+        let done = self.read.min(self.counted) - self.before;
+        let done = if self.lines.is_char_boundary(done) { done } else { 0 };
+        self.lines.drain(..done);
+        self.before += done;
+        if let Some((at, character)) = control_character(&lines) {
+            let offset = self.before + self.lines.len() + at;
+            return Err(self.bad(format!("character {character:?} at offset {offset}")));
+        }
+        self.comments.extend(comments(&lines));
+        self.lines += &lines;
+        Ok(true)
+    }
+
+    /// Adds bytes to the line that was begun.
+    fn read_block(&mut self) -> Result<(), LogError> {
+        let mut block = Vec::new();
+        let read = self.source.by_ref().take(BLOCK_BYTES).read_to_end(&mut block);
+        let read = read.map_err(|source| LogError::Unreadable { path: self.path.to_owned(), source })?;
+        self.is_at_end = (read as u64) < BLOCK_BYTES;
+        let Some(decoder) = &mut self.decoder else {
+            self.begun.append(&mut block);
+            return Ok(());
+        };
+        let mut decoded = String::new();
+        decoded.reserve(decoder.max_utf8_buffer_length(read).unwrap_or_default());
+        let (_, _, is_damaged) = decoder.decode_to_string(&block, &mut decoded, self.is_at_end);
+        if is_damaged {
+            return Err(self.bad("its byte order mark promises another encoding than it has".into()));
+        }
+        self.begun.extend(decoded.into_bytes());
+        Ok(())
+    }
+
+    fn bad(&self, problem: String) -> LogError {
+        LogError::NotText { path: self.path.to_owned(), problem }
+    }
+}
+
+/// Errors are [`LogError`]s.
+impl Read for Text<'_> {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        while self.read == self.before + self.lines.len() && self.decode_more().map_err(io::Error::other)? {}
+        let mut unread = self.lines.as_bytes().get(self.read - self.before..).unwrap_or_default();
+        let read = unread.read(into)?;
+        self.read += read;
+        Ok(read)
+    }
+}
+
+fn each_utf8_or_windows_1252(lines: &[u8]) -> String {
+    let line = |line: &[u8]| match std::str::from_utf8(line) {
+        Ok(line) => line.to_owned(),
+        Err(_) => WINDOWS_1252.decode_without_bom_handling(line).0.into_owned(),
     };
-    let (text, damaged) = match (encoding, std::str::from_utf8(bytes)) {
-        (None, Ok(text)) => (Cow::Borrowed(text), false),
-        (encoding, _) => encoding.unwrap_or(WINDOWS_1252).decode_without_bom_handling(bytes),
-    };
+    lines.split_inclusive(|&byte| byte == b'\n').map(line).collect()
+}
+
+/// The first character that no table has, and where it is.
+fn control_character(text: &str) -> Option<(usize, char)> {
     let control = |character: char| character.is_control() && !character.is_whitespace();
     // Bytes that are none, in any of these encodings, are passed over first: texts are long.
     const BLOCK: usize = 64;
     let is_usual = |byte: &u8| matches!(byte, b'\t'..=b'\r' | b' '..=b'~');
     let are_usual = |block: &&[u8]| block.iter().fold(true, |usual, byte| usual & is_usual(byte));
     let usual = BLOCK * text.as_bytes().chunks_exact(BLOCK).take_while(are_usual).count();
-    match text[usual..].char_indices().find(|(_, character)| control(*character)) {
-        _ if damaged => Err(not_text("its byte order mark promises another encoding than it has".into())),
-        Some((at, character)) => Err(not_text(format!("character {character:?} at offset {}", usual + at))),
-        None => Ok(text),
-    }
+    let (at, character) = text[usual..].char_indices().find(|(_, character)| control(*character))?;
+    Some((usual + at, character))
 }
 
-/// The rows of a sheet, as lines with the numbers of the rows.
-fn text_of_sheet(bytes: &[u8], wanted: Option<&str>) -> Result<String, String> {
-    let mut sheets = sheets(bytes)?;
-    let list = |sheets: &[Sheet]| sheets.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", ");
-    match (wanted, sheets.len()) {
-        (_, 0) => Err("a workbook without any cell".into()),
-        (None, 1) => lines(&sheets.remove(0).1),
-        (None, _) => {
-            let names = list(&sheets);
-            Err(format!(
-                "a workbook with several sheets: {names}; name the one with the table as `sheet` under [csv] of the mapping"
-            ))
-        }
-        (Some(wanted), _) => match sheets.iter().find(|(name, _)| name == wanted) {
-            Some((_, rows)) => lines(rows),
-            None => Err(format!("a workbook without cells in a sheet `{wanted}`; it has {}", list(&sheets))),
-        },
-    }
+/// The first line that is neither blank nor a comment.
+pub(in crate::logs) fn header_line(text: &str) -> &str {
+    text.lines()
+        .find(|line| !line.trim().is_empty() && !line.trim_start().starts_with('#'))
+        .unwrap_or_default()
 }
 
-/// A sheet's name and cells.
-type Sheet = (String, Rows);
-
-/// The sheets of a workbook that have any cell.
-fn sheets(bytes: &[u8]) -> Result<Vec<Sheet>, String> {
-    // The parser takes what it unpacks as sound: the checksums of the archive are seen to first.
-    checked(bytes).map_err(|error| format!("a damaged workbook: {error}"))?;
-    let unreadable = |error: calamine::XlsxError| format!("a workbook that cannot be read: {error}");
-    let mut workbook = Xlsx::new(Cursor::new(bytes)).map_err(unreadable)?;
-    let names = workbook.sheet_names();
-    let all = names.into_iter().map(|name| rows(&mut workbook, &name).map(|rows| (name, rows)));
-    let mut all: Vec<Sheet> = all.collect::<Result<_, _>>().map_err(unreadable)?;
-    all.retain(|(_, rows)| !rows.is_empty());
-    Ok(all)
-}
-
-/// Everything in an archive unpacks to its checksum.
-fn checked(bytes: &[u8]) -> Result<(), zip::result::ZipError> {
-    let mut archive = ZipArchive::new(Cursor::new(bytes))?;
-    for index in 0..archive.len() {
-        std::io::copy(&mut archive.by_index(index)?, &mut std::io::sink())?;
-    }
-    Ok(())
-}
-
-/// Cells by row and column, from 0.
-type Rows = BTreeMap<u32, BTreeMap<u32, String>>;
-
-fn rows(workbook: &mut Xlsx<Cursor<&[u8]>>, sheet: &str) -> Result<Rows, calamine::XlsxError> {
-    let mut rows = Rows::new();
-    let mut cells = workbook.worksheet_cells_reader(sheet)?;
-    while let Some(cell) = cells.next_cell()? {
-        let (row, column) = cell.get_position();
-        let value = Data::from(cell.get_value().clone());
-        if value != Data::Empty {
-            rows.entry(row).or_default().insert(column, shown(&value));
-        }
-    }
-    Ok(rows)
-}
-
-fn lines(rows: &Rows) -> Result<String, String> {
-    /// No table of joints is wider.
-    const COLUMNS_MAX: u32 = 1000;
-    let width = rows.values().filter_map(|row| row.last_key_value()).map(|(column, _)| column + 1).max();
-    let width = width.unwrap_or(0);
-    if width > COLUMNS_MAX {
-        return Err(format!("a workbook with a cell in column {width}"));
-    }
-    let mut text = String::new();
-    let mut next = 0;
-    for (&row, cells) in rows {
-        text.extend((next..row).map(|_| '\n'));
-        let cell = |column: u32| cells.get(&column).map_or("", String::as_str);
-        text += &(0..width).map(cell).collect::<Vec<_>>().join("\t");
-        text.push('\n');
-        next = row + 1;
-    }
-    Ok(text)
-}
-
-/// A cell as a table would have it: numbers with all their digits, dates as text.
-fn shown(cell: &Data) -> String {
-    match cell {
-        Data::DateTime(date) => {
-            date.as_datetime().map_or_else(|| cell.to_string(), |date| date.format("%FT%T%.f").to_string())
-        }
-        _ => cell.to_string().replace(['\t', '\n', '\r'], " "),
-    }
+fn comments(lines: &str) -> impl Iterator<Item = (String, String)> {
+    let comment = |(at, _): (usize, &str)| {
+        let begin = lines[..at].rfind('\n').map_or(0, |end| end + 1);
+        let is_first = lines[begin..at].trim().is_empty();
+        is_first.then(|| lines[at + 1..].lines().next().unwrap_or_default())
+    };
+    let all = lines.match_indices('#').filter_map(comment).filter_map(|comment| comment.split_once(':'));
+    all.map(|(key, value)| (key.trim().to_lowercase(), value.trim().to_owned()))
 }
 
 /// A table's text, line by line and row by row, for who does not know yet what it holds.
 pub struct RowsAsText<'a> {
-    text: Cow<'a, str>,
+    text: String,
     path: &'a Path,
     is_workbook: bool,
 }
@@ -171,7 +274,8 @@ impl<'a> RowsAsText<'a> {
     /// # Errors
     /// [`LogError::NotText`].
     pub fn new(bytes: &'a [u8], path: &'a Path, sheet: Option<&str>) -> Result<Self, LogError> {
-        Ok(Self { text: decode(bytes, path, sheet)?, path, is_workbook: is_workbook(bytes) })
+        let text = Text::new(Source::of(bytes, path), sheet)?.whole()?;
+        Ok(Self { text, path, is_workbook: is_workbook(bytes) })
     }
 
     /// Names of a workbook's sheets with cells, where it has several: one of them is to be chosen.
@@ -195,7 +299,8 @@ impl<'a> RowsAsText<'a> {
     /// # Errors
     /// [`LogError`] where the layout does not suit them.
     pub fn rows(&self, layout: &CsvLayout, rows_max: usize) -> Result<Cells, LogError> {
-        let mut table = open_mapped(&self.text, self.path, &CsvLayout { unit_lines: 0, ..layout.clone() })?;
+        let text = Text::new(Source::of(self.text.as_bytes(), self.path), None)?;
+        let mut table = Table::mapped(text, &CsvLayout { unit_lines: 0, ..layout.clone() })?;
         let header = table.header().to_vec();
         let mut rows = Vec::new();
         let mut row = Row::default();

@@ -12,7 +12,7 @@ use nalgebra::Vector3;
 
 use super::sampling::{Sampling, Stamps, sampling};
 use crate::kinematics::Joints;
-use crate::statistics::{extremes, median};
+use crate::statistics::median;
 
 /// The numbers of one stamp: an array, a point, or one number for each axis of a robot.
 pub trait Row: Copy {
@@ -113,9 +113,20 @@ pub(crate) fn usual_and_longest_step_s(t_s: &[f64]) -> [f64; 2] {
 
 /// Largest difference of any number between two rows; zero of none.
 pub(crate) fn travel<R: Row>(rows: &[R]) -> f64 {
-    let of_place = |place: usize| extremes(rows.iter().map(|row| row.numbers()[place]));
-    let places = 0..rows.first().map_or(0, |row| row.numbers().len());
-    places.map(of_place).map(|[low, high]| high - low).fold(0.0, f64::max)
+    ranges(rows).into_iter().map(|[low, high]| high - low).fold(0.0, f64::max)
+}
+
+/// Smallest and largest of each number of some rows.
+pub(crate) fn ranges<R: Row>(rows: &[R]) -> Vec<[f64; 2]> {
+    let mut ranges =
+        vec![[f64::INFINITY, f64::NEG_INFINITY]; rows.first().map_or(0, |row| row.numbers().len())];
+    // Row by row: a long log does not fit into any cache.
+    for row in rows {
+        for ([low, high], value) in ranges.iter_mut().zip(row.numbers()) {
+            (*low, *high) = (low.min(*value), high.max(*value));
+        }
+    }
+    ranges
 }
 
 /// Leaves those that are kept, and what is beyond the list.

@@ -1,0 +1,63 @@
+//! The bytes of a file, or bytes in memory, of which the first say what they are.
+
+use std::borrow::Cow;
+use std::fs::File;
+use std::io::{Cursor, Read};
+use std::path::Path;
+
+use crate::logs::LogError;
+
+/// The header of a table begins within so many bytes, comments before it.
+const BEGINNING_BYTES: u64 = 1 << 16;
+
+/// What a log is read from.
+pub(in crate::logs) struct Source<'a> {
+    /// Only named in errors, but for its ending.
+    pub path: &'a Path,
+    beginning: Cow<'a, [u8]>,
+    rest: Option<File>,
+}
+
+impl<'a> Source<'a> {
+    /// Bytes in memory.
+    pub fn of(bytes: &'a [u8], path: &'a Path) -> Self {
+        Self { path, beginning: bytes.into(), rest: None }
+    }
+
+    /// The file at `path`.
+    pub fn open(path: &'a Path) -> Result<Self, LogError> {
+        let mut beginning = Vec::new();
+        let mut open = || {
+            let mut file = File::open(path)?;
+            file.by_ref().take(BEGINNING_BYTES).read_to_end(&mut beginning)?;
+            Ok(file)
+        };
+        let rest = open().map_err(|source| LogError::Unreadable { path: path.to_owned(), source })?;
+        Ok(Self { path, beginning: beginning.into(), rest: Some(rest) })
+    }
+
+    /// Enough to know what it is.
+    pub fn beginning(&self) -> &[u8] {
+        let count = self.beginning.len().min(BEGINNING_BYTES as usize);
+        &self.beginning[..count]
+    }
+
+    /// All bytes at once.
+    pub fn whole(self) -> Result<Cow<'a, [u8]>, LogError> {
+        let Self { path, mut beginning, rest } = self;
+        if let Some(mut rest) = rest {
+            let read = rest.read_to_end(beginning.to_mut());
+            read.map_err(|source| LogError::Unreadable { path: path.to_owned(), source })?;
+        }
+        Ok(beginning)
+    }
+
+    /// All bytes, one after the other.
+    pub fn reader(self) -> Box<dyn Read + 'a> {
+        let beginning = Cursor::new(self.beginning);
+        match self.rest {
+            Some(rest) => Box::new(beginning.chain(rest)),
+            None => Box::new(beginning),
+        }
+    }
+}

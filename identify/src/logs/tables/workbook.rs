@@ -1,0 +1,106 @@
+//! Tables in workbooks of Excel.
+
+use std::collections::BTreeMap;
+use std::io::Cursor;
+
+use calamine::{Data, Reader, Xlsx};
+use zip::ZipArchive;
+
+/// An Excel workbook is a ZIP archive; no text begins so.
+const ZIP: &[u8] = b"PK\x03\x04";
+
+/// Whether the bytes are a workbook, which only looks binary.
+pub(in crate::logs) fn is_workbook(bytes: &[u8]) -> bool {
+    bytes.starts_with(ZIP)
+}
+
+/// The rows of a sheet, as lines with the numbers of the rows.
+pub(super) fn text_of_sheet(bytes: &[u8], wanted: Option<&str>) -> Result<String, String> {
+    let mut sheets = sheets(bytes)?;
+    let list = |sheets: &[Sheet]| sheets.iter().map(|(name, _)| name.as_str()).collect::<Vec<_>>().join(", ");
+    match (wanted, sheets.len()) {
+        (_, 0) => Err("a workbook without any cell".into()),
+        (None, 1) => lines(&sheets.remove(0).1),
+        (None, _) => {
+            let names = list(&sheets);
+            Err(format!(
+                "a workbook with several sheets: {names}; name the one with the table as `sheet` under [csv] of the mapping"
+            ))
+        }
+        (Some(wanted), _) => match sheets.iter().find(|(name, _)| name == wanted) {
+            Some((_, rows)) => lines(rows),
+            None => Err(format!("a workbook without cells in a sheet `{wanted}`; it has {}", list(&sheets))),
+        },
+    }
+}
+
+/// A sheet's name and cells.
+pub(super) type Sheet = (String, Rows);
+
+/// The sheets of a workbook that have any cell.
+pub(super) fn sheets(bytes: &[u8]) -> Result<Vec<Sheet>, String> {
+    // The parser takes what it unpacks as sound: the checksums of the archive are seen to first.
+    checked(bytes).map_err(|error| format!("a damaged workbook: {error}"))?;
+    let unreadable = |error: calamine::XlsxError| format!("a workbook that cannot be read: {error}");
+    let mut workbook = Xlsx::new(Cursor::new(bytes)).map_err(unreadable)?;
+    let names = workbook.sheet_names();
+    let all = names.into_iter().map(|name| rows(&mut workbook, &name).map(|rows| (name, rows)));
+    let mut all: Vec<Sheet> = all.collect::<Result<_, _>>().map_err(unreadable)?;
+    all.retain(|(_, rows)| !rows.is_empty());
+    Ok(all)
+}
+
+/// Everything in an archive unpacks to its checksum.
+fn checked(bytes: &[u8]) -> Result<(), zip::result::ZipError> {
+    let mut archive = ZipArchive::new(Cursor::new(bytes))?;
+    for index in 0..archive.len() {
+        std::io::copy(&mut archive.by_index(index)?, &mut std::io::sink())?;
+    }
+    Ok(())
+}
+
+/// Cells by row and column, from 0.
+pub(super) type Rows = BTreeMap<u32, BTreeMap<u32, String>>;
+
+fn rows(workbook: &mut Xlsx<Cursor<&[u8]>>, sheet: &str) -> Result<Rows, calamine::XlsxError> {
+    let mut rows = Rows::new();
+    let mut cells = workbook.worksheet_cells_reader(sheet)?;
+    while let Some(cell) = cells.next_cell()? {
+        let (row, column) = cell.get_position();
+        let value = Data::from(cell.get_value().clone());
+        if value != Data::Empty {
+            rows.entry(row).or_default().insert(column, shown(&value));
+        }
+    }
+    Ok(rows)
+}
+
+fn lines(rows: &Rows) -> Result<String, String> {
+    /// No table of joints is wider.
+    const COLUMNS_MAX: u32 = 1000;
+    let width = rows.values().filter_map(|row| row.last_key_value()).map(|(column, _)| column + 1).max();
+    let width = width.unwrap_or(0);
+    if width > COLUMNS_MAX {
+        return Err(format!("a workbook with a cell in column {width}"));
+    }
+    let mut text = String::new();
+    let mut next = 0;
+    for (&row, cells) in rows {
+        text.extend((next..row).map(|_| '\n'));
+        let cell = |column: u32| cells.get(&column).map_or("", String::as_str);
+        text += &(0..width).map(cell).collect::<Vec<_>>().join("\t");
+        text.push('\n');
+        next = row + 1;
+    }
+    Ok(text)
+}
+
+/// A cell as a table would have it: numbers with all their digits, dates as text.
+fn shown(cell: &Data) -> String {
+    match cell {
+        Data::DateTime(date) => {
+            date.as_datetime().map_or_else(|| cell.to_string(), |date| date.format("%FT%T%.f").to_string())
+        }
+        _ => cell.to_string().replace(char::is_control, " "),
+    }
+}
