@@ -12,17 +12,18 @@ pub(crate) fn extremes(values: impl IntoIterator<Item = f64>) -> [f64; 2] {
     values.into_iter().fold([f64::INFINITY, f64::NEG_INFINITY], wider)
 }
 
-/// Quantile of sorted numbers, linear between them; zero of none.
-pub(crate) fn quantile(sorted: &[f64], part: f64) -> f64 {
-    let place = part * sorted.len().saturating_sub(1) as f64;
-    let at = |index: usize| sorted.get(index).copied().unwrap_or(0.0);
-    let below = place.floor();
-    at(below as usize) + (place - below) * (at(place.ceil() as usize) - at(below as usize))
+/// Quantile of numbers in any order, which it changes; linear between two of them, zero of none.
+pub(crate) fn quantile(values: &mut [f64], part: f64) -> f64 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let place = part * (values.len() - 1) as f64;
+    let (_, below, above) = values.select_nth_unstable_by(place as usize, f64::total_cmp);
+    let next = above.iter().copied().min_by(f64::total_cmp).unwrap_or(*below);
+    *below + place.fract() * (next - *below)
 }
 
 /// Median of the absolute values; zero of none.
 pub(crate) fn median_size(values: impl Iterator<Item = f64>) -> f64 {
-    let mut sizes: Vec<f64> = values.map(f64::abs).collect();
-    sizes.sort_by(f64::total_cmp);
-    quantile(&sizes, 0.5)
+    quantile(&mut values.map(f64::abs).collect::<Vec<_>>(), 0.5)
 }

@@ -158,7 +158,7 @@ impl LoopPoint {
         readings: &'a [Turn; BAR_JOINTS],
     ) -> Option<Scene<'a>> {
         let joints = self.geometry.joints_at(motion, observation.t_s)?;
-        let errors_rad = self.geometry.harmonics.errors_rad(readings);
+        let errors_rad = self.geometry.encoder_errors_rad(readings);
         let origin_offsets_rad = self.geometry.offsets_of_origin(observation.origin);
         let added_rad: [f64; BAR_JOINTS] =
             std::array::from_fn(|joint| origin_offsets_rad[joint] - errors_rad[joint]);

@@ -3,9 +3,7 @@
 use nalgebra::Vector3;
 
 use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter, ROD_LINK, Trace, Tracer, Turn, Twist};
-use crate::model::{
-    Axis, BarWaves, Geometry, JointTerm, JointWaves, MovingJoints, Observation, ParameterId, Phase,
-};
+use crate::model::{Axis, Geometry, JointTerm, MovingJoints, Observation, ParameterId, Phase};
 
 /// What a parameter moves.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -61,9 +59,9 @@ impl Scene<'_> {
             | ParameterId::BarWave { .. } => {
                 self.bar_twist(self.bar, id).map_or(Movement::None, Movement::Bar)
             }
-            ParameterId::Harmonic { joint, harmonic } => {
+            ParameterId::EncoderWave { joint, order, phase } => {
                 match (self.bar.twist(joint, LinkParameter::Theta), self.readings.get(joint)) {
-                    (Some(twist), Some(&reading)) => Movement::Bar(twist.scaled(-harmonic.wave(reading))),
+                    (Some(twist), Some(&reading)) => Movement::Bar(twist.scaled(-phase.wave(order, reading))),
                     _ => Movement::None,
                 }
             }
@@ -85,8 +83,7 @@ impl Scene<'_> {
 
     fn joint_wave(&self, axis: usize, order: u8, phase: Phase) -> Movement {
         let drives = &self.geometry.joints.drives;
-        let wave =
-            self.joints.drives.turn.get(axis).map_or(0.0, |angle| JointWaves::wave(order, phase, *angle));
+        let wave = self.joints.drives.turn.get(axis).map_or(0.0, |angle| phase.wave(order, *angle));
         // Hundreds of waves are tried: most drives turn one joint.
         if let Some(joint) = drives.only_joint(axis) {
             let twist = self.robot.twist(joint, LinkParameter::Theta);
@@ -124,7 +121,7 @@ impl Scene<'_> {
             ParameterId::BarCompliance => self.observation.force.along_n,
             ParameterId::BarPlay => self.observation.force.side,
             ParameterId::BarWave { joint, order, phase } => {
-                self.readings.get(joint).map_or(0.0, |reading| BarWaves::wave(order, phase, *reading))
+                self.readings.get(joint).map_or(0.0, |reading| phase.wave(order, *reading))
             }
             id => f64::from(u8::from(id == ParameterId::ROD)),
         }
@@ -152,11 +149,11 @@ pub(super) fn unit(axis: Axis) -> Vector3<f64> {
     Vector3::ith(axis.index(), 1.0)
 }
 
-/// Harmonics and zeros of an encoder, and what follows its reading, are seen by costs that need the encoder; anything else
+/// Waves and zeros of an encoder, and what follows its reading, are seen by costs that need the encoder; anything else
 /// is not in question.
 pub(super) fn encoders_suffice(id: ParameterId, encoders: &[usize]) -> bool {
     match id {
-        ParameterId::Harmonic { joint, .. }
+        ParameterId::EncoderWave { joint, .. }
         | ParameterId::EncoderOffset { joint, .. }
         | ParameterId::BarWave { joint, .. } => encoders.contains(&joint),
         _ => true,

@@ -1,5 +1,7 @@
 //! Figures of a set of numbers.
 
+use crate::statistics::quantile;
+
 /// Mean, median, 95 % and largest of a set.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Quantiles {
@@ -16,20 +18,10 @@ pub struct Quantiles {
 impl Quantiles {
     /// Of a set; zeros for an empty one.
     pub fn of(mut values: Vec<f64>) -> Self {
-        values.sort_by(f64::total_cmp);
-        Self {
-            mean: values.iter().sum::<f64>() / values.len().max(1) as f64,
-            median: quantile(&values, 0.5),
-            p95: quantile(&values, 0.95),
-            max: quantile(&values, 1.0),
-        }
+        let mean = values.iter().sum::<f64>() / values.len().max(1) as f64;
+        let [median, p95, max] = [0.5, 0.95, 1.0].map(|part| quantile(&mut values, part));
+        Self { mean, median, p95, max }
     }
-}
-
-/// The value that this part of an ascending set does not exceed (nearest rank); zero for an empty one.
-pub(super) fn quantile(ascending: &[f64], part: f64) -> f64 {
-    let rank = (part * ascending.len() as f64).ceil().max(1.0) as usize;
-    ascending.get(rank.min(ascending.len()).saturating_sub(1)).copied().unwrap_or(0.0)
 }
 
 /// Root of the mean square; zero for an empty set.

@@ -68,7 +68,10 @@ impl Configuration {
 
     /// The same pose in this configuration, each joint in (-pi, pi].
     pub fn carry(self, bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
-        let from = Self::of(bar_rad);
+        self.carry_from(Self::of(bar_rad), bar_rad).map(wrapped)
+    }
+
+    fn carry_from(self, from: Self, bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
         let mut b = *bar_rad;
         if from.gimbal != self.gimbal {
             b = [b[0] + PI, -b[1], b[2] + PI, b[3], b[4]];
@@ -76,7 +79,7 @@ impl Configuration {
         if from.cardan != self.cardan {
             b = [b[0], b[1], b[2] + PI, -b[3], b[4] + PI];
         }
-        b.map(wrapped)
+        b
     }
 }
 
@@ -89,7 +92,7 @@ impl fmt::Display for Configuration {
 /// Distance to the nearest singular pose \[rad\]: rod along the base axis (sin b2 = 0) or along the last axis
 /// (sin b4 = 0). There one joint is undetermined and encoder errors are amplified by the inverse of this number.
 pub fn singularity_margin_rad(bar_rad: &[f64; BAR_JOINTS]) -> f64 {
-    let to_multiple_of_pi = |angle: f64| angle.sin().abs().asin();
+    let to_multiple_of_pi = |angle: f64| (angle - PI * (angle / PI).round()).abs();
     to_multiple_of_pi(bar_rad[1]).min(to_multiple_of_pi(bar_rad[3]))
 }
 
@@ -113,23 +116,41 @@ pub fn ball_bar_inverse(
     chain: &Chain,
     target: &Pose,
 ) -> Result<[(Configuration, [f64; BAR_JOINTS]); 4], InverseError> {
+    let (one, turns_rad) = inverse_in_one(chain, target)?;
+    Ok(Configuration::ALL
+        .map(|configuration| (configuration, joints(chain, &configuration.carry_from(one, &turns_rad)))))
+}
+
+/// [`ball_bar_inverse`] in the first of [`Configuration::ALL`].
+///
+/// # Errors
+/// As [`ball_bar_inverse`].
+pub fn first_ball_bar_inverse(chain: &Chain, target: &Pose) -> Result<[f64; BAR_JOINTS], InverseError> {
+    inverse_in_one(chain, target).map(|(_, turns_rad)| joints(chain, &turns_rad))
+}
+
+/// Joints whose axes have turned so far.
+fn joints(chain: &Chain, turns_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
+    let mut joints = *turns_rad;
+    for (joint, link) in joints.iter_mut().zip(&chain.links) {
+        *joint = wrapped(*joint - link.theta_rad);
+    }
+    joints
+}
+
+/// Turns of the axes in the first configuration \[rad\].
+fn inverse_in_one(chain: &Chain, target: &Pose) -> Result<(Configuration, [f64; BAR_JOINTS]), InverseError> {
+    let configuration = Configuration::ALL[0];
     let [s1, s2, s3, s4] = twist_signs(chain)?;
     let after_joint5 = chain.links.last().map_or_else(Pose::identity, |link| link.after_joint());
     let base_from_end = chain.root_from_base.inverse() * target * after_joint5.inverse();
     let rod = base_from_end.translation.vector;
     let rod = if rod.norm() > 0.0 { rod.normalize() } else { rod };
-    Ok(Configuration::ALL.map(|configuration| {
-        let (first, second) = point_z(&rod, [s1, s2], configuration.gimbal.sign(), 0.0);
-        let base_from_rod = turn_and_twist(first, s1) * turn_and_twist(second, s2);
-        let rod_from_end = base_from_rod.transpose() * base_from_end.rotation.matrix();
-        let cardan = wrist_angles(&rod_from_end, [s3, s4], configuration.cardan.sign(), 0.0);
-        let angles = [first, second, cardan[0], cardan[1], cardan[2]];
-        let mut joints = angles;
-        for (joint, link) in joints.iter_mut().zip(&chain.links) {
-            *joint = wrapped(*joint - link.theta_rad);
-        }
-        (configuration, joints)
-    }))
+    let (first, second) = point_z(&rod, [s1, s2], configuration.gimbal.sign(), 0.0);
+    let base_from_rod = turn_and_twist(first, s1) * turn_and_twist(second, s2);
+    let rod_from_end = base_from_rod.transpose() * base_from_end.rotation.matrix();
+    let cardan = wrist_angles(&rod_from_end, [s3, s4], configuration.cardan.sign(), 0.0);
+    Ok((configuration, [first, second, cardan[0], cardan[1], cardan[2]]))
 }
 
 /// Joint angles \[rad\] that bring the end of `chain`, with whatever errors it has, closest to `target`; in the

@@ -17,7 +17,8 @@ mod robot_inverse;
 mod trace;
 
 pub use ball_bar_inverse::{
-    BAR_JOINTS, Configuration, Side, ball_bar_inverse, ball_bar_inverse_refined, singularity_margin_rad,
+    BAR_JOINTS, Configuration, Side, ball_bar_inverse, ball_bar_inverse_refined, first_ball_bar_inverse,
+    singularity_margin_rad,
 };
 pub(crate) use chain::roll_pitch_yaw;
 pub use chain::{Chain, DhLink, Pose};

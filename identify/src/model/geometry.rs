@@ -2,11 +2,11 @@
 
 use nalgebra::{Rotation3, Translation3, Vector3};
 
-use super::{
-    BarForce, BarWaves, DriveState, DriveTrain, Harmonics, JointErrors, JointState, JointWaves, RobotMotion,
-    SetUp, Tracker,
-};
-use crate::kinematics::{BAR_JOINTS, Chain, DhLink, Pose, Turn};
+use super::{BarForce, DriveState, DriveTrain, JointErrors, JointState, RobotMotion, SetUp, Tracker, Waves};
+use crate::kinematics::{AXES_MAX, BAR_JOINTS, Chain, DhLink, Pose, Turn};
+
+/// Joints of the bar before its rod: those that give it its direction.
+pub(super) const DIRECTION_JOINTS: usize = 2;
 
 /// The joints of a robot that moves.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -109,7 +109,7 @@ pub struct Geometry {
     /// Errors of its joint angles.
     pub joints: JointErrors,
     /// And those that come back many times per turn.
-    pub waves: JointWaves,
+    pub axis_waves: [Waves; AXES_MAX],
     /// Links of the ball-bar; its base is `base`.
     pub bar_links: Vec<DhLink>,
     /// Where the bar stands.
@@ -117,9 +117,9 @@ pub struct Geometry {
     /// What a force does to its length.
     pub elongation: BarElongation,
     /// And its direction.
-    pub bar_waves: BarWaves,
+    pub bar_waves: [Waves; DIRECTION_JOINTS],
     /// Errors of the bar's encoders.
-    pub harmonics: Harmonics,
+    pub encoder_waves: [Waves; BAR_JOINTS],
     /// What is added to the encoders' angles in each origin of the counters but the first \[rad\].
     pub origin_offsets_rad: Vec<[f64; BAR_JOINTS]>,
     /// Clocks of the two logs.
@@ -141,13 +141,13 @@ impl Geometry {
         });
         Self {
             joints: JointErrors::none(DriveTrain::direct(&robot)),
-            waves: JointWaves::default(),
+            axis_waves: Default::default(),
             robot,
             bar_links,
             base,
             elongation: BarElongation::default(),
-            bar_waves: BarWaves::default(),
-            harmonics: Harmonics::default(),
+            bar_waves: Default::default(),
+            encoder_waves: Default::default(),
             origin_offsets_rad: Vec::new(),
             clock: Clock::default(),
             wire: Wire::default(),
@@ -183,8 +183,22 @@ impl Geometry {
         state: &DriveState,
     ) -> JointState {
         self.joints.add_to(&mut corrected, reported, state);
-        self.waves.add_to(&mut corrected, state, &self.joints.drives);
+        let waves = self.axis_waves.iter().zip(&self.joints.drives.joint_from_drive).enumerate();
+        for (axis, (waves, joint_from_drive)) in waves {
+            let (error, slope) = waves.at(state.turn[axis]);
+            let error_rate = slope * state.rate[axis];
+            for (joint, part) in joint_from_drive.iter().enumerate() {
+                corrected.q[joint] += part * error;
+                corrected.qd[joint] += part * error_rate;
+            }
+        }
         corrected
+    }
+
+    /// What the bar's encoders show too much at these readings \[rad\].
+    #[inline]
+    pub fn encoder_errors_rad(&self, readings: &[Turn; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
+        std::array::from_fn(|joint| self.encoder_waves[joint].at(readings[joint]).0)
     }
 
     /// What is added to the encoders' angles in one of the origins of the counters \[rad\].
@@ -208,7 +222,9 @@ impl Geometry {
     /// How much longer the ball-bar is under a force and in the direction of these readings \[m\].
     #[inline]
     pub fn extension_m(&self, force: &BarForce, readings: &[Turn; BAR_JOINTS]) -> f64 {
-        self.elongation.extension_m(force) + self.bar_waves.extension_m(readings)
+        let by_direction: f64 =
+            self.bar_waves.iter().zip(readings).map(|(waves, reading)| waves.at(*reading).0).sum();
+        self.elongation.extension_m(force) + by_direction
     }
 
     /// The ball-bar on its base, without any force on it.

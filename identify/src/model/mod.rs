@@ -2,28 +2,24 @@
 //!
 //! [`Model`] is the one place that maps names to columns of the solve.
 
-mod bar_waves;
 mod geometry;
-mod harmonics;
 mod joint_errors;
 mod joint_term;
-mod joint_waves;
 mod observation;
 mod parameter;
 mod roles;
 mod selection;
 mod term_group;
 mod tracker;
+mod waves;
 
-pub use bar_waves::BarWaves;
 pub use geometry::{BarElongation, BasePlacement, Clock, Contact, Geometry, MovingJoints, Wire};
-pub use harmonics::{Harmonic, Harmonics};
 pub use joint_errors::{BACKLASH_SPEED_RAD_S, DriveState, DriveTrain, JointErrors};
 pub use joint_term::{JointTerm, Load, Period};
-pub use joint_waves::{JointWaves, Phase};
 pub use observation::{BarForce, JointState, Observation, PerObservation, RobotMotion};
 pub use parameter::{Axis, Group, Owner, ParameterBlock, ParameterId, Unit, further};
 pub use roles::{Model, ModelError, Parameter, Role};
 pub use selection::{Selection, THESIS_FIXED};
 pub use term_group::TermGroup;
 pub use tracker::{Coordinate, Placement, SetUp, Tracker};
+pub use waves::{Phase, Waves};

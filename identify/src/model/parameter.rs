@@ -7,7 +7,8 @@ use std::fmt;
 use std::str::FromStr;
 use std::sync::LazyLock;
 
-use super::{BarWaves, Coordinate, Geometry, Harmonic, JointTerm, JointWaves, ModelError, Phase, TermGroup};
+use super::geometry::DIRECTION_JOINTS;
+use super::{Coordinate, Geometry, JointTerm, ModelError, Phase, TermGroup, Waves};
 use crate::kinematics::{AXES_MAX, BAR_JOINTS, DhLink, LinkParameter, ROD_LINK};
 
 /// A coordinate axis of the root frame or of the flange.
@@ -260,14 +261,14 @@ parameters! {
         /// Axis.
         axis: usize = 0..AXES_MAX,
         /// Waves per turn.
-        order: u8 = JointWaves::FIRST..=JointWaves::LAST,
+        order: u8 = Waves::OF_AXIS,
         /// Sine or cosine.
         phase: Phase = Phase::ALL,
     }
         called format_args!("r{phase}{order}_{}", axis + 1),
         is ParameterBlock::new(Owner::Robot, Group::Term(TermGroup::LineSpectrum), Unit::Radian).on_request(),
         at |geometry| if geometry.joints.drives.turns(axis) {
-            geometry.waves.amplitude_mut(axis, order, phase)
+            geometry.axis_waves.get_mut(axis).map(|waves| waves.amplitude_mut(order, phase))
         } else {
             None
         };
@@ -311,15 +312,17 @@ parameters! {
         };
 
     /// Error of a bar encoder that repeats with its turns: `bsin1_1` (sine of once joint 1's reading) .. `bcos2_5`.
-    Harmonic {
+    EncoderWave {
         /// Joint.
         joint: usize = 0..BAR_JOINTS,
-        /// Which wave.
-        harmonic: Harmonic = Harmonic::ALL,
+        /// Waves per turn.
+        order: u8 = Waves::OF_ENCODER,
+        /// Sine or cosine.
+        phase: Phase = Phase::ALL,
     }
-        called format_args!("b{harmonic}_{}", joint + 1),
+        called format_args!("b{phase}{order}_{}", joint + 1),
         is ParameterBlock::new(Owner::BallBar, Group::Term(TermGroup::EncoderHarmonics), Unit::Radian).of_run(),
-        at |geometry| geometry.harmonics.amplitude_mut(joint, harmonic);
+        at |geometry| geometry.encoder_waves.get_mut(joint).map(|waves| waves.amplitude_mut(order, phase));
 
     /// What is added to a bar encoder's angle after its counter lost its origin during the run, beside `btheta`: `boffset1_2`
     /// (encoder 2 after the first loss).
@@ -349,15 +352,15 @@ parameters! {
     /// (sine of twice joint 1's reading) .. `bdcos3_2`.
     BarWave {
         /// Joint.
-        joint: usize = 0..BarWaves::JOINTS,
+        joint: usize = 0..DIRECTION_JOINTS,
         /// Waves per turn.
-        order: u8 = BarWaves::FIRST..=BarWaves::LAST,
+        order: u8 = Waves::OF_LENGTH,
         /// Sine or cosine.
         phase: Phase = Phase::ALL,
     }
         called format_args!("bd{phase}{order}_{}", joint + 1),
         is ParameterBlock::new(Owner::BallBar, Group::Term(TermGroup::BarLength), Unit::Metre).of_run(),
-        at |geometry| geometry.bar_waves.amplitude_mut(joint, order, phase);
+        at |geometry| geometry.bar_waves.get_mut(joint).map(|waves| waves.amplitude_mut(order, phase));
 
     /// Where a wire or telescoping bar is attached, in the flange frame: `attachment_x` ..., in the second place `attachment2_x`
     Attachment {

@@ -1,15 +1,20 @@
-//! Errors of the robot's axes with any whole number of waves per turn of the drive's output, which is the joint where
-//! nothing couples drives.
+//! What comes back a whole number of times with each turn of an angle: errors of a robot's axis, of a bar's encoder, of the bar's
+//! length. Its Fourier series is the curve, `e(b) = sum_n a_n sin(n b) + c_n cos(n b)`.
 //!
-//! A joint's own encoder, the teeth of its last gear and the flexspline of a harmonic drive err by a curve that comes back
-//! with each turn. Its Fourier series is the curve: `e(g) = sum_n a_n sin(n g) + b_n cos(n g)`. Once and twice per turn
-//! are terms of their own ([`super::JointTerm`]); this is the rest. Amplitudes are many and small, so they are estimated
-//! with a prior, never free.
+//! - A robot's axis, over the angle of its drive's output: its encoder, the teeth of its last gear and the flexspline of a
+//!   harmonic drive. Once and twice per turn are terms of their own ([`super::JointTerm`]). Amplitudes are many and small, so
+//!   they are estimated with a prior, never free.
+//! - A bar's encoder, over its reading: once per turn is an eccentric grating, twice an elliptic or tilted one.
+//! - The bar's length, over the readings of its first two joints, which give it its direction: a bearing that is oval or has
+//!   three lobes moves the bar's end out and in. Once per turn is an axis beside its place, which the bar's base and the
+//!   encoders' waves already say; more lobes are flattened by the bearing's balls.
+//!
+//! Phases of the bar's waves count from the recording's own zero of each encoder.
 
 use std::fmt;
+use std::ops::RangeInclusive;
 
-use super::{DriveState, DriveTrain, JointState};
-use crate::kinematics::{AXES_MAX, Turn};
+use crate::kinematics::Turn;
 
 /// Which part of a wave.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -23,6 +28,16 @@ pub enum Phase {
 impl Phase {
     /// Both.
     pub const ALL: [Self; 2] = [Self::Sine, Self::Cosine];
+
+    /// A wave of amplitude one at an angle.
+    #[inline]
+    pub fn wave(self, order: u8, angle: Turn) -> f64 {
+        let Turn { sin, cos } = angle.times(order);
+        match self {
+            Self::Sine => sin,
+            Self::Cosine => cos,
+        }
+    }
 }
 
 impl fmt::Display for Phase {
@@ -34,68 +49,43 @@ impl fmt::Display for Phase {
     }
 }
 
-/// Amplitudes of all axes \[rad\].
+/// The waves over one angle.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct JointWaves {
-    /// Of each axis, sine and cosine by order from [`Self::FIRST`] up to the highest that was asked for.
-    amplitudes_rad: [Vec<[f64; 2]>; AXES_MAX],
+pub struct Waves {
+    /// Waves per turn, amplitudes of sine and cosine; in ascending order.
+    of_orders: Vec<(u8, [f64; 2])>,
 }
 
-impl JointWaves {
-    /// Least waves per turn that are told here.
-    pub const FIRST: u8 = 3;
-    /// Most.
-    pub const LAST: u8 = 127;
+impl Waves {
+    /// Waves per turn of a robot's axis.
+    pub const OF_AXIS: RangeInclusive<u8> = 3..=127;
+    /// Of a bar's encoder.
+    pub const OF_ENCODER: RangeInclusive<u8> = 1..=2;
+    /// Of the bar's length.
+    pub const OF_LENGTH: RangeInclusive<u8> = 2..=3;
 
-    /// One amplitude; none for an axis or an order that is not there.
-    pub fn amplitude_mut(&mut self, axis: usize, order: u8, phase: Phase) -> Option<&mut f64> {
-        if !(Self::FIRST..=Self::LAST).contains(&order) {
-            return None;
-        }
-        let of_axis = self.amplitudes_rad.get_mut(axis)?;
-        let index = usize::from(order - Self::FIRST);
-        if of_axis.len() <= index {
-            of_axis.resize(index + 1, [0.0; 2]);
-        }
-        of_axis.get_mut(index)?.get_mut(phase as usize)
+    /// One amplitude.
+    pub fn amplitude_mut(&mut self, order: u8, phase: Phase) -> &mut f64 {
+        let place =
+            self.of_orders.binary_search_by_key(&order, |(order, _)| *order).unwrap_or_else(|place| {
+                self.of_orders.insert(place, (order, [0.0; 2]));
+                place
+            });
+        &mut self.of_orders[place].1[phase as usize]
     }
 
-    /// A wave of amplitude one at an angle.
+    /// Their sum at an angle, and its slope.
     #[inline]
-    pub fn wave(order: u8, phase: Phase, angle: Turn) -> f64 {
-        let Turn { sin, cos } = angle.times(order);
-        match phase {
-            Phase::Sine => sin,
-            Phase::Cosine => cos,
-        }
-    }
-
-    /// The error of an axis at an angle and its slope.
-    fn error(amplitudes_rad: &[[f64; 2]], angle: Turn) -> (f64, f64) {
+    pub fn at(&self, angle: Turn) -> (f64, f64) {
         let mut reached: Option<(u8, Turn)> = None;
-        let (mut error, mut slope) = (0.0, 0.0);
-        for (order, [a, b]) in (Self::FIRST..).zip(amplitudes_rad).filter(|(_, wave)| **wave != [0.0; 2]) {
+        let (mut sum, mut slope) = (0.0, 0.0);
+        for &(order, [a, c]) in self.of_orders.iter().filter(|(_, amplitudes)| *amplitudes != [0.0; 2]) {
             let before = reached.filter(|(before, _)| before + 1 == order);
             let wave = before.map_or_else(|| angle.times(order), |(_, before)| before.and(angle));
             reached = Some((order, wave));
-            error += a * wave.sin + b * wave.cos;
-            slope += f64::from(order) * (a * wave.cos - b * wave.sin);
+            sum += a * wave.sin + c * wave.cos;
+            slope += f64::from(order) * (a * wave.cos - c * wave.sin);
         }
-        (error, slope)
-    }
-
-    /// Adds the waves, functions of what was reported, to joints and rates.
-    pub(super) fn add_to(&self, corrected: &mut JointState, state: &DriveState, drives: &DriveTrain) {
-        for (axis, amplitudes_rad) in self.amplitudes_rad.iter().enumerate() {
-            if amplitudes_rad.is_empty() {
-                continue;
-            }
-            let (error, slope) = Self::error(amplitudes_rad, state.turn[axis]);
-            let error_rate = slope * state.rate[axis];
-            for (joint, part) in drives.joint_from_drive[axis].iter().enumerate() {
-                corrected.q[joint] += part * error;
-                corrected.qd[joint] += part * error_rate;
-            }
-        }
+        (sum, slope)
     }
 }

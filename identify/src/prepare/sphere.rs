@@ -24,6 +24,8 @@ pub struct SphereFit {
     pub inliers: f64,
 }
 
+/// Rows of a long log that are looked at, at most: those of six minutes at 250 Hz.
+const ROWS_MAX: usize = 100_000;
 /// Robot positions nearer to the last one say nothing new about the sphere \[m\].
 const POSITIONS_APART_M: f64 = 0.005;
 /// Quadruples tried for a first sphere. With half of the positions bad one in sixteen is good.
@@ -57,7 +59,7 @@ pub(super) fn sphere_of_log(
         let travel: f64 = last.iter().zip(q.iter()).map(|(last, q)| (last - q).abs()).sum();
         travel * reach_m < POSITIONS_APART_M
     };
-    for q in log.q_rad.iter() {
+    for q in log.q_rad.iter().step_by(log.q_rad.len().div_ceil(ROWS_MAX).max(1)) {
         if last_q.is_some_and(|last| is_near(last, q)) {
             continue;
         }

@@ -10,6 +10,7 @@ use super::readings::standstill::{Jitter, MOVING_RAD_S, Readings, Standstill, st
 use super::{Averaged, ClockFit, EncoderMap, Predictor};
 use crate::kinematics::{BAR_JOINTS, Configuration, Joints};
 use crate::logs::Unwrapped;
+use crate::threads::rows;
 
 /// What became of a bus cycle.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
@@ -224,13 +225,17 @@ impl Run<'_> {
     /// Samples at which neither robot nor bar moves.
     fn still(&self) -> Vec<Readings> {
         let slow = |speed: Option<f64>| speed.is_some_and(|speed| speed < MOVING_RAD_S);
-        let still = self.samples.iter().enumerate().filter_map(|(index, sample)| {
-            let tau_s = self.clock.tau_s(sample.t_s);
-            let still = slow(self.bar_speed_rad_s(index)) && slow(self.robot_speed_rad_s(tau_s));
-            let robot_rad = self.predictor.robot_at(tau_s).filter(|_| still)?;
-            Some(Readings { t_s: sample.t_s, bar_rad: sample.bar_rad, robot_rad })
+        let tau_s = |index: usize| self.clock.tau_s(self.samples[index].t_s);
+        let is_still = rows(self.samples.len(), |index| {
+            slow(self.bar_speed_rad_s(index)) && slow(self.robot_speed_rad_s(tau_s(index)))
         });
-        still.collect()
+        let still = is_still.into_iter().zip(self.samples).enumerate().filter(|(_, (is_still, _))| *is_still);
+        still
+            .filter_map(|(index, (_, Sample { t_s, bar_rad, .. }))| {
+                let robot_rad = self.predictor.robot_at(tau_s(index))?;
+                Some(Readings { t_s: *t_s, bar_rad: *bar_rad, robot_rad })
+            })
+            .collect()
     }
 }
 

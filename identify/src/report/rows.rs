@@ -6,7 +6,7 @@ use crate::calibrate::rows::{PoseFigures, RowSet, RunCause, Sizes, Stages};
 use crate::evaluate::{Limit, Validity};
 use crate::instrument::{Contact, Instrument, Rejection};
 use crate::kinematics::Joints;
-use crate::model::{JointWaves, Model, ParameterId, Phase};
+use crate::model::{Model, ParameterId, Phase, Waves};
 
 /// The calibrated robot on another file.
 #[derive(Debug, Clone, PartialEq)]
@@ -255,7 +255,7 @@ fn strongest_waves(model: &Model, joint: usize) -> String {
         };
         (order, f64::hypot(value(Phase::Sine), value(Phase::Cosine)))
     };
-    let mut waves: Vec<(u8, f64)> = (JointWaves::FIRST..=JointWaves::LAST).map(amplitude).collect();
+    let mut waves: Vec<(u8, f64)> = Waves::OF_AXIS.map(amplitude).collect();
     waves.retain(|wave| wave.1 > 0.0);
     waves.sort_by(|a, b| b.1.total_cmp(&a.1));
     let shown =

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 use shared::config::{BallBarConfig, RobotConfig};
 
 use crate::kinematics::{
-    BAR_JOINTS, Configuration, InverseError, Joints, ball_bar_chain, ball_bar_inverse, nearest_turn,
+    BAR_JOINTS, Configuration, InverseError, Joints, ball_bar_chain, first_ball_bar_inverse, nearest_turn,
     robot_chain,
 };
 use crate::logs::{RobotLog, Stream};
@@ -104,7 +104,7 @@ impl Driven {
         let start_rad = driven[0];
         let mut bar_rad: Vec<[f64; BAR_JOINTS]> = Vec::new();
         for q_rad in driven.iter() {
-            let [(_, first), ..] = ball_bar_inverse(&bar, &arm.forward(q_rad))?;
+            let first = first_ball_bar_inverse(&bar, &arm.forward(q_rad))?;
             let near = bar_rad.last().copied().unwrap_or(first);
             let all = Configuration::ALL.map(|configuration| {
                 let joints = configuration.carry(&first);

@@ -27,8 +27,7 @@ pub struct Spread {
 
 impl Spread {
     fn of(mut values: Vec<f64>) -> Self {
-        values.sort_by(f64::total_cmp);
-        let at = |part| quantile(&values, part);
+        let mut at = |part| quantile(&mut values, part);
         Self { median: at(0.5), lower_quartile: at(0.25), upper_quartile: at(0.75), worst: at(1.0) }
     }
 }

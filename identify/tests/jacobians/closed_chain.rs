@@ -3,8 +3,8 @@
 
 use identify::kinematics::{Chain, DhLink, LinkParameter, Pose};
 use identify::model::{
-    BACKLASH_SPEED_RAD_S, BasePlacement, DriveTrain, Geometry, Harmonic, JointState, JointTerm, Model,
-    Observation, ParameterId, Period, Phase, RobotMotion,
+    BACKLASH_SPEED_RAD_S, BasePlacement, DriveTrain, Geometry, JointState, JointTerm, Model, Observation,
+    ParameterId, Period, Phase, RobotMotion,
 };
 use num_dual::{Dual64, DualNum};
 
@@ -52,7 +52,7 @@ pub struct Numbers<D> {
     pub elongation: [D; 2],
     /// Of the bar's length: joint, two or three times per turn, sine or cosine.
     pub bar_waves: [[[D; 2]; 2]; 2],
-    pub harmonics: [[D; 4]; 5],
+    pub encoder_waves: [[[D; 2]; 2]; 5],
     /// Added to the encoders' angles in origin 1.
     pub zeros: [D; 5],
     pub joint_errors: [[D; 18]; 6],
@@ -66,11 +66,11 @@ pub struct Numbers<D> {
     pub offset: D,
 }
 
-pub fn harmonics(g: &Geometry) -> [[f64; 4]; 5] {
+pub fn encoder_waves(g: &Geometry) -> [[[f64; 2]; 2]; 5] {
     let mut g = g.clone();
     let mut amplitude =
-        |joint, harmonic| *g.parameter_mut(ParameterId::Harmonic { joint, harmonic }).unwrap();
-    std::array::from_fn(|joint| Harmonic::ALL.map(|harmonic| amplitude(joint, harmonic)))
+        |joint, order, phase| *g.parameter_mut(ParameterId::EncoderWave { joint, order, phase }).unwrap();
+    std::array::from_fn(|joint| [1, 2].map(|order| Phase::ALL.map(|phase| amplitude(joint, order, phase))))
 }
 
 pub fn bar_waves(g: &Geometry) -> [[[f64; 2]; 2]; 2] {
@@ -197,7 +197,7 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             tilt: [g.base.rx_rad, g.base.ry_rad].map(D::from),
             elongation: [g.elongation.compliance_m_per_n, g.elongation.play_m].map(D::from),
             bar_waves: bar_waves(g).map(|joint| joint.map(|order| order.map(D::from))),
-            harmonics: harmonics(g).map(|joint| joint.map(D::from)),
+            encoder_waves: encoder_waves(g).map(|joint| joint.map(|order| order.map(D::from))),
             zeros: g.offsets_of_origin(1).map(D::from),
             joint_errors: joint_errors(g).map(|axis| axis.map(D::from)),
             joint_waves: joint_waves(g).map(|axis| axis.map(|order| order.map(D::from))),
@@ -226,7 +226,9 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
             ParameterId::BarWave { joint, order, phase } => {
                 &mut self.bar_waves[joint][usize::from(order) - 2][phase as usize]
             }
-            ParameterId::Harmonic { joint, harmonic } => &mut self.harmonics[joint][harmonic as usize],
+            ParameterId::EncoderWave { joint, order, phase } => {
+                &mut self.encoder_waves[joint][usize::from(order) - 1][phase as usize]
+            }
             ParameterId::EncoderOffset { joint, .. } => &mut self.zeros[joint],
             ParameterId::Joint { axis, term } => &mut self.joint_errors[axis][place(term)],
             ParameterId::JointWave { axis, order, phase } => {
@@ -256,9 +258,10 @@ impl<D: DualNum<f64> + Copy> Numbers<D> {
         std::array::from_fn(|j| {
             let b = o.bar_rad[j];
             let waves = [b.sin(), b.cos(), (2.0 * b).sin(), (2.0 * b).cos()];
-            let error = |k: usize| self.harmonics[j][k] * waves[k];
+            let amplitudes = self.encoder_waves[j].into_iter().flatten();
             let zero = if o.origin == 1 { self.zeros[j] } else { D::from(0.0) };
-            D::from(b) - error(0) - error(1) - error(2) - error(3) + zero
+            let error = amplitudes.zip(waves).map(|(amplitude, wave)| amplitude * wave);
+            D::from(b) - error.fold(D::from(0.0), |sum, error| sum + error) + zero
         })
     }
 
@@ -290,7 +293,7 @@ impl Numbers<Dual64> {
             tilt: self.tilt.map(|x| plain(&x)),
             elongation: self.elongation.map(|x| plain(&x)),
             bar_waves: self.bar_waves.map(|joint| joint.map(|order| order.map(|x| plain(&x)))),
-            harmonics: self.harmonics.map(|joint| joint.map(|x| plain(&x))),
+            encoder_waves: self.encoder_waves.map(|joint| joint.map(|order| order.map(|x| plain(&x)))),
             zeros: self.zeros.map(|x| plain(&x)),
             arm: self.arm.clone(),
             joint_errors: self.joint_errors.map(|axis| axis.map(|x| plain(&x))),

@@ -33,9 +33,7 @@ pub struct FaultyRun {
 }
 
 fn zero_moved(residuals_m: &[f64]) -> (f64, RunCause) {
-    let mut sorted = residuals_m.to_vec();
-    sorted.sort_by(f64::total_cmp);
-    let by_m = quantile(&sorted, 0.5);
+    let by_m = quantile(&mut residuals_m.to_vec(), 0.5);
     (median_size(residuals_m.iter().map(|r| r - by_m)), RunCause::ZeroMoved { by_m: -by_m })
 }
 

@@ -22,14 +22,13 @@ pub struct Sizes {
 impl Sizes {
     /// Of these sizes; zeros where there are none.
     pub fn of(sizes: impl Iterator<Item = f64>) -> Self {
-        let mut sorted: Vec<f64> = sizes.collect();
-        sorted.sort_by(f64::total_cmp);
-        let count = sorted.len().max(1) as f64;
+        let mut sizes: Vec<f64> = sizes.collect();
+        let count = sizes.len().max(1) as f64;
         Self {
-            mean: sorted.iter().sum::<f64>() / count,
-            rms: (sorted.iter().map(|e| e * e).sum::<f64>() / count).sqrt(),
-            p95: quantile(&sorted, 0.95),
-            max: sorted.last().copied().unwrap_or(0.0),
+            mean: sizes.iter().sum::<f64>() / count,
+            rms: (sizes.iter().map(|e| e * e).sum::<f64>() / count).sqrt(),
+            p95: quantile(&mut sizes, 0.95),
+            max: quantile(&mut sizes, 1.0),
         }
     }
 }

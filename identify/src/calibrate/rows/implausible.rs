@@ -370,9 +370,8 @@ fn blocks(errors_m: &[Vector3<f64>]) -> Vec<(usize, Vector3<f64>)> {
     let size = errors_m.len().div_ceil(BLOCKS).max(1);
     let median = |(number, block): (usize, &[Vector3<f64>])| {
         let of_axis = |axis: usize| {
-            let mut sorted: Vec<f64> = block.iter().map(|error| error[axis]).collect();
-            sorted.sort_by(f64::total_cmp);
-            quantile(&sorted, 0.5)
+            let mut of_axis: Vec<f64> = block.iter().map(|error| error[axis]).collect();
+            quantile(&mut of_axis, 0.5)
         };
         (number * size, Vector3::new(of_axis(0), of_axis(1), of_axis(2)))
     };

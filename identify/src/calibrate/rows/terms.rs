@@ -1,7 +1,7 @@
 //! Errors that joints of a robot which stands still at each pose can have.
 
 use crate::calibrate::selection::terms::CandidateGroup;
-use crate::model::{JointWaves, ParameterId, TermGroup};
+use crate::model::{ParameterId, TermGroup, Waves};
 
 fn joint_terms(wanted: &[TermGroup]) -> Vec<ParameterId> {
     ParameterId::all().filter(|id| id.term().is_some_and(|group| wanted.contains(&group))).collect()
@@ -29,7 +29,8 @@ pub(crate) fn groups(waves_last: u8, offered: impl Fn(&ParameterId) -> bool) -> 
 }
 
 /// Waves per turn that are judged together: what is left of eccentric gears, encoders and flexsplines, fine teeth.
-const BANDS: [std::ops::RangeInclusive<u8>; 3] = [JointWaves::FIRST..=10, 11..=30, 31..=JointWaves::LAST];
+const BANDS: [std::ops::RangeInclusive<u8>; 3] =
+    [*Waves::OF_AXIS.start()..=10, 11..=30, 31..=*Waves::OF_AXIS.end()];
 
 /// The waves of a band, as far as they are wanted.
 fn waves(band: &std::ops::RangeInclusive<u8>, last: u8) -> Option<CandidateGroup> {

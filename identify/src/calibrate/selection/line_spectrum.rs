@@ -18,13 +18,14 @@ use nalgebra::{DMatrix, DVector};
 use crate::cost::{CostError, DataSets, SharedColumns};
 use crate::instrument::Run;
 use crate::kinematics::{Joints, LinkParameter, Turn};
-use crate::model::{DriveTrain, JointState, JointTerm, JointWaves, Model, ParameterId, Period, Phase};
+use crate::model::{DriveTrain, JointState, JointTerm, Model, ParameterId, Period, Phase, Waves};
 use crate::solver::{Problem, Subset, stacked};
 use crate::statistics::extremes;
 
 /// Samples of a run that are looked at, at most: what only more would show is too small to matter.
 const SAMPLES_MAX: usize = 3000;
-const ORDERS: usize = (JointWaves::LAST - JointWaves::FIRST + 1) as usize;
+const FIRST: u8 = *Waves::OF_AXIS.start();
+const ORDERS: usize = (*Waves::OF_AXIS.end() - FIRST + 1) as usize;
 /// What a wave takes away of noise of variance one is chi-squared with two degrees of freedom. Beyond this it stands out:
 /// that none of some 700 tries gets there by chance is certain to one in ten thousand.
 const STANDS_OUT: f64 = 32.0;
@@ -308,7 +309,7 @@ impl Search<'_> {
     /// What these waves, fitted together, leave of the residuals of some folds; none where one is the others.
     fn left(&self, all: &Sums, waves: &[Wave], folds: &[usize]) -> Option<Sums> {
         let crosses: Vec<Cross> = waves.iter().map(|wave| sum(&self.crosses[wave], folds)).collect();
-        let index = |order: u8| usize::from(order - JointWaves::FIRST);
+        let index = |order: u8| usize::from(order - FIRST);
         let count = 2 * waves.len();
         let matrix = DMatrix::from_fn(count, count, |row, column| {
             let (axis, order) = waves[row / 2];
@@ -350,7 +351,7 @@ fn standing(gradients: &[[f64; 2]; ORDERS], normals: &[Normal; ORDERS], variance
     // Errors of other kinds lift all waves: peaks have to stand out of these, too.
     let floor = sorted[ORDERS / 2] / MEDIAN;
     let noise = floor.max(variance);
-    let standing = falls.into_iter().zip(JointWaves::FIRST..).filter(|(fall, _)| *fall > STANDS_OUT * noise);
+    let standing = falls.into_iter().zip(FIRST..).filter(|(fall, _)| *fall > STANDS_OUT * noise);
     standing.map(|(fall, order)| (fall / noise, order)).collect()
 }
 
@@ -371,7 +372,7 @@ fn known(drives: &DriveTrain) -> impl Iterator<Item = (usize, u8)> + '_ {
         let has = move |axis: &usize| drives.has(*axis, JointTerm::Sine(period));
         (0..drives.axes()).filter(has).filter_map(move |axis| {
             let number = numbers.get(axis).copied().flatten()?.round();
-            (number <= f64::from(JointWaves::LAST)).then_some((axis, number as u8))
+            (number <= f64::from(*Waves::OF_AXIS.end())).then_some((axis, number as u8))
         })
     })
 }
@@ -387,7 +388,7 @@ fn joints_only(model: &Model) -> Option<Model> {
 /// Sine and cosine of all orders at a drive's angle.
 fn waves(angle_rad: f64) -> impl Iterator<Item = [f64; 2]> {
     let step = Turn::of(angle_rad);
-    let turns = std::iter::successors(Some(step.times(JointWaves::FIRST)), move |turn| Some(turn.and(step)));
+    let turns = std::iter::successors(Some(step.times(FIRST)), move |turn| Some(turn.and(step)));
     turns.map(|Turn { sin, cos }| [sin, cos])
 }
 

@@ -116,8 +116,7 @@ pub fn position_errors_m(
         (identified.forward(&q) * found_m - truth.forward(&q) * true_m).norm()
     };
     let mut distances_m: Vec<f64> = (0..POSTURES).map(distance_m).collect();
-    distances_m.sort_by(f64::total_cmp);
-    (distances_m.iter().sum::<f64>() / POSTURES as f64, quantile(&distances_m, 0.95))
+    (distances_m.iter().sum::<f64>() / POSTURES as f64, quantile(&mut distances_m, 0.95))
 }
 
 /// The identified `btheta` holds the encoder's unknown offset too; whole turns of an angle mean nothing.

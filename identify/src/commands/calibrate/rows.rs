@@ -22,7 +22,7 @@ use crate::logs::{
     ContactMapping, Contacts, LogFormat, LogOptions, MeasuredLengthMapping, MeasuredLengths,
     MeasuredPoseMapping, MeasuredPoses, TimedPoses, joints_of_robot,
 };
-use crate::model::{JointState, JointWaves, Model, further};
+use crate::model::{JointState, Model, Waves, further};
 use crate::prepare::{AlignedPoses, Alignment, PrepareOptions, align_poses};
 use crate::report::result::clocks::{ClockEntry, SolvedClock};
 use crate::report::rows as of_rows;
@@ -55,7 +55,7 @@ pub struct TrackerArguments {
     validate_mapping: Option<PathBuf>,
     /// Highest number of waves per turn that the errors of joints may have; 3 to 127
     #[arg(long, value_name = "N", default_value_t = WAVES_PER_TURN_MAX,
-          value_parser = clap::value_parser!(u8).range(i64::from(JointWaves::FIRST)..=i64::from(JointWaves::LAST)))]
+          value_parser = clap::value_parser!(u8).range(i64::from(*Waves::OF_AXIS.start())..=i64::from(*Waves::OF_AXIS.end())))]
     joint_waves: u8,
     /// How much rows count that do not fit; default: huber
     #[arg(long)]

@@ -54,8 +54,8 @@ impl Residual for PositionAngles {
         let joints = match (scene.movement(id), id) {
             (Movement::Robot(twist), _) => implied.by_pose(&twist),
             // The measured joint changes, the implied one does not.
-            (_, ParameterId::Harmonic { joint, harmonic }) => {
-                let wave = harmonic.wave(scene.readings[joint]);
+            (_, ParameterId::EncoderWave { joint, order, phase }) => {
+                let wave = phase.wave(order, scene.readings[joint]);
                 Vector5::from_fn(|i, _| if i == joint { wave } else { 0.0 })
             }
             (Movement::Bar(_), ParameterId::EncoderOffset { joint, .. }) => {

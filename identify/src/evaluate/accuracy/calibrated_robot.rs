@@ -6,7 +6,7 @@ use shared::config::{BallBarConfig, RobotConfig};
 use crate::kinematics::{
     InverseError, Joints, Pose, Trace, Tracer, Twist, flange_chain, robot_chain, robot_inverse,
 };
-use crate::model::{DriveTrain, Geometry, JointErrors, JointState, JointWaves, Owner, ParameterId};
+use crate::model::{DriveTrain, Geometry, JointErrors, JointState, Owner, ParameterId};
 use crate::report::result::file::CalibrationFile;
 
 /// Joints are known well enough \[rad, m\]: a hundred times below what any encoder resolves.
@@ -143,7 +143,7 @@ impl CalibratedRobot {
                             trace.moved_by(&self.geometry.joints.by_amplitude(axis, term, &reported, &state)),
                         ),
                         ParameterId::JointWave { axis, order, phase } => {
-                            let wave = JointWaves::wave(order, phase, state.turn[axis]);
+                            let wave = phase.wave(order, state.turn[axis]);
                             drives
                                 .joint_from_drive
                                 .get(axis)

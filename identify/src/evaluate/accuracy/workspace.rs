@@ -9,11 +9,11 @@ use serde::{Deserialize, Serialize};
 
 use super::budget::Budget;
 use super::cube::{Cube, CubeError};
-use crate::evaluate::figures::quantile;
 use crate::evaluate::rms;
 use crate::kinematics::{Chain, Joints, Trace, Tracer};
 use crate::model::{Model, ParameterId};
 use crate::solver::{Covariance, Spread};
+use crate::statistics::quantile;
 
 /// Postures, evenly spread over the joint limits.
 pub(in crate::evaluate) const POSTURES: usize = 400;
@@ -236,18 +236,13 @@ impl Postures {
 fn expected(errors_m: Vec<Vec<f64>>) -> Expected {
     let mean = |errors: &Vec<f64>| errors.iter().sum::<f64>() / errors.len().max(1) as f64;
     let mut means: Vec<f64> = errors_m.iter().map(mean).collect();
-    means.sort_unstable_by(f64::total_cmp);
-    let sorted = |mut errors: Vec<f64>| {
-        errors.sort_unstable_by(f64::total_cmp);
-        errors
-    };
-    let p95s = sorted(errors_m.iter().map(|errors| quantile(&sorted(errors.clone()), 0.95)).collect());
-    let all = sorted(errors_m.into_iter().flatten().collect());
+    let mut p95s: Vec<f64> = errors_m.iter().map(|errors| quantile(&mut errors.clone(), 0.95)).collect();
+    let mut all: Vec<f64> = errors_m.into_iter().flatten().collect();
     Expected {
         mean_m: mean(&all),
-        p95_m: quantile(&all, 0.95),
-        p95_upper_m: quantile(&p95s, 0.975),
-        interval_m: [quantile(&means, 0.025), quantile(&means, 0.975)],
+        p95_m: quantile(&mut all, 0.95),
+        p95_upper_m: quantile(&mut p95s, 0.975),
+        interval_m: [0.025, 0.975].map(|part| quantile(&mut means, part)),
     }
 }
 

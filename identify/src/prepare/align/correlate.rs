@@ -9,6 +9,8 @@ use std::sync::Arc;
 use rustfft::num_complex::Complex;
 use rustfft::{Fft, FftPlanner};
 
+use crate::threads::each;
+
 /// Signals on a common uniform grid.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Channels {
@@ -109,7 +111,7 @@ fn vertex(scores: &[Score], peak: usize) -> f64 {
 fn scores(first: &Channels, second: &Channels, overlap_min: usize) -> Vec<Score> {
     let (n, m) = (first.known.len(), second.known.len());
     let transform = Transform::new(n + m);
-    let masks = [mask(first), mask(second)].map(|mask| transform.forward(&mask));
+    let masks = each(2, |place| transform.forward(&mask([first, second][place])));
     let overlaps = transform.product(&masks[0], &masks[1]);
     let mut covariance = vec![0.0; overlaps.len()];
     let mut variances = [vec![0.0; overlaps.len()], vec![0.0; overlaps.len()]];
@@ -117,21 +119,23 @@ fn scores(first: &Channels, second: &Channels, overlap_min: usize) -> Vec<Score>
         // One scale for both: scaled each by its own, channels would disagree wherever one log covers more motion.
         let scale = inverse_deviation(b, &second.known);
         let (a, b) = (normalised(a, &first.known, scale), normalised(b, &second.known, scale));
-        let spectra = [&a, &b].map(|signal| transform.forward(signal));
-        let squares = [&a, &b].map(|signal| {
-            let squared: Vec<f64> = signal.iter().map(|value| value * value).collect();
-            transform.forward(&squared)
-        });
-        let sum_ab = transform.product(&spectra[0], &spectra[1]);
-        let sum_a = transform.product(&spectra[0], &masks[1]);
-        let sum_b = transform.product(&masks[0], &spectra[1]);
-        let sum_aa = transform.product(&squares[0], &masks[1]);
-        let sum_bb = transform.product(&masks[0], &squares[1]);
+        let squared = [&a, &b].map(|signal| signal.iter().map(|value| value * value).collect());
+        let signals: [&Vec<f64>; 4] = [&a, &b, &squared[0], &squared[1]];
+        let spectra = each(signals.len(), |place| transform.forward(signals[place]));
+        let factors = [
+            (&spectra[0], &spectra[1]),
+            (&spectra[0], &masks[1]),
+            (&masks[0], &spectra[1]),
+            (&spectra[2], &masks[1]),
+            (&masks[0], &spectra[3]),
+        ];
+        let sums = each(factors.len(), |place| transform.product(factors[place].0, factors[place].1));
         for (index, overlap) in overlaps.iter().enumerate() {
             let count = overlap.round().max(1.0);
-            covariance[index] += sum_ab[index] - sum_a[index] * sum_b[index] / count;
-            variances[0][index] += sum_aa[index] - sum_a[index].powi(2) / count;
-            variances[1][index] += sum_bb[index] - sum_b[index].powi(2) / count;
+            let [ab, a, b, aa, bb] = std::array::from_fn(|place| sums[place][index]);
+            covariance[index] += ab - a * b / count;
+            variances[0][index] += aa - a.powi(2) / count;
+            variances[1][index] += bb - b.powi(2) / count;
         }
     }
     // Shifts 1 - m .. n - 1; negative ones are at the upper end of the transform.

@@ -3,7 +3,7 @@
 use nalgebra::{Translation3, Vector3};
 
 use crate::kinematics::{
-    BAR_JOINTS, Chain, Configuration, InverseError, Joints, Trace, Tracer, ball_bar_inverse,
+    BAR_JOINTS, Chain, Configuration, InverseError, Joints, Trace, Tracer, first_ball_bar_inverse,
     singularity_margin_rad,
 };
 use crate::logs::CubicSpline;
@@ -43,7 +43,7 @@ impl<'a> Predictor<'a> {
     ) -> Result<Self, InverseError> {
         let bar = Chain::new(Translation3::from(base_m).into(), bar.links.clone());
         // Any pose shows whether the structure is right; a prediction then cannot fail.
-        ball_bar_inverse(&bar, &bar.forward(&[0.1; BAR_JOINTS]))?;
+        first_ball_bar_inverse(&bar, &bar.forward(&[0.1; BAR_JOINTS]))?;
         Ok(Self { log, robot: Tracer::new(robot), bar })
     }
 
@@ -57,7 +57,7 @@ impl<'a> Predictor<'a> {
         let joints = self.log.at(tau_s)?;
         let mut trace = Trace::default();
         self.robot.trace(&joints.value, &mut trace);
-        let [(_, joints_rad), ..] = ball_bar_inverse(&self.bar, trace.end()).ok()?;
+        let joints_rad = first_ball_bar_inverse(&self.bar, trace.end()).ok()?;
         Some(PredictedBar { joints_rad, margin_rad: singularity_margin_rad(&joints_rad) })
     }
 

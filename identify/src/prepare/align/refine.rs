@@ -82,6 +82,13 @@ struct ImpliedAngles {
     measured: [bool; BAR_JOINTS],
 }
 
+/// What the robot's pose implies at a sample.
+struct Implied {
+    bar: ImpliedBar,
+    /// Weight of each joint.
+    trust: [f64; BAR_JOINTS],
+}
+
 impl ImpliedAngles {
     /// Weight of each joint at a posture.
     fn trust(&self, bar_rad: &[f64; BAR_JOINTS]) -> [f64; BAR_JOINTS] {
@@ -91,7 +98,7 @@ impl ImpliedAngles {
 }
 
 impl Residual for ImpliedAngles {
-    type Local = ImpliedBar;
+    type Local = Implied;
 
     const NAME: &'static str = "angles";
     const ROWS: usize = BAR_JOINTS;
@@ -101,32 +108,37 @@ impl Residual for ImpliedAngles {
         role(id).is_some()
     }
 
-    fn local(&self, scene: &Scene<'_>) -> Option<ImpliedBar> {
+    fn local(&self, scene: &Scene<'_>) -> Option<Implied> {
         let (chain, tracer) = scene.bar_chain;
-        let near =
-            std::array::from_fn(|joint| self.measured[joint].then_some(scene.observation.bar_rad[joint]));
-        ImpliedBar::new(chain, tracer, scene.robot.end(), &near).ok()
+        let measured_rad = &scene.observation.bar_rad;
+        let near = std::array::from_fn(|joint| self.measured[joint].then_some(measured_rad[joint]));
+        let bar = ImpliedBar::new(chain, tracer, scene.robot.end(), &near).ok()?;
+        Some(Implied { bar, trust: self.trust(measured_rad) })
     }
 
-    fn residual(&self, scene: &Scene<'_>, implied: &ImpliedBar, out: &mut [f64]) {
-        let trust = self.trust(&scene.observation.bar_rad);
+    fn residual(&self, scene: &Scene<'_>, Implied { bar, trust }: &Implied, out: &mut [f64]) {
         for (joint, out) in out.iter_mut().enumerate() {
-            *out = trust[joint] * wrapped(implied.joints_rad[joint] - scene.bar_rad[joint]);
+            *out = trust[joint] * wrapped(bar.joints_rad[joint] - scene.bar_rad[joint]);
         }
     }
 
-    fn derivative(&self, scene: &Scene<'_>, implied: &ImpliedBar, id: ParameterId, out: &mut [f64]) {
-        let trust = self.trust(&scene.observation.bar_rad);
-        if let ParameterId::Harmonic { joint, harmonic } = id {
-            out[joint] = trust[joint] * harmonic.wave(scene.readings[joint]);
+    fn derivative(
+        &self,
+        scene: &Scene<'_>,
+        Implied { bar, trust }: &Implied,
+        id: ParameterId,
+        out: &mut [f64],
+    ) {
+        if let ParameterId::EncoderWave { joint, order, phase } = id {
+            out[joint] = trust[joint] * phase.wave(order, scene.readings[joint]);
             return;
         }
         let joints = match (scene.movement(id), id) {
-            (Movement::Robot(twist), _) => implied.by_pose(&twist),
+            (Movement::Robot(twist), _) => bar.by_pose(&twist),
             (Movement::Bar(_), _) => {
                 let link = if let ParameterId::Bar { link, .. } = id { Some(link) } else { None };
-                let Some(twist) = scene.bar_twist(&implied.trace, id) else { return };
-                implied.by_bar(link, &twist)
+                let Some(twist) = scene.bar_twist(&bar.trace, id) else { return };
+                bar.by_bar(link, &twist)
             }
             (Movement::None, _) => return,
         };
@@ -145,7 +157,7 @@ fn role(id: ParameterId) -> Option<f64> {
         ParameterId::Robot { .. } | ParameterId::Bar { .. } => Some(CHAIN_SIGMA),
         ParameterId::Base { .. } => Some(BASE_SIGMA_M),
         ParameterId::BaseRotation { .. } => Some(TILT_SIGMA_RAD),
-        ParameterId::Harmonic { .. } => Some(HARMONIC_SIGMA_RAD),
+        ParameterId::EncoderWave { .. } => Some(HARMONIC_SIGMA_RAD),
         ParameterId::ClockShift => Some(SHIFT_SIGMA_S),
         ParameterId::ClockSkew => Some(SKEW_SIGMA),
         _ => None,
@@ -414,7 +426,7 @@ impl<'a, M: RobotMotion> Residuals<'a, M> {
         self.robot_tracer.trace(&self.geometry.corrected(&state).q, &mut robot);
         let near = std::array::from_fn(|joint| self.measured[joint].then_some(bar_rad[joint]));
         let implied = ImpliedBar::new(&self.bar, &self.bar_tracer, robot.end(), &near).ok()?;
-        let too_much_rad = self.geometry.harmonics.errors_rad(&bar_rad.map(Turn::of));
+        let too_much_rad = self.geometry.encoder_errors_rad(&bar_rad.map(Turn::of));
         let error_rad = std::array::from_fn(|joint| {
             if self.measured[joint] {
                 wrapped(bar_rad[joint] - too_much_rad[joint] - implied.joints_rad[joint])

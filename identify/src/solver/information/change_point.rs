@@ -227,11 +227,11 @@ impl Sums {
     }
 
     fn add(&mut self, run: &Run, c: &DMatrix<f64>, rows: Range<usize>) {
-        let of = |matrix: &DMatrix<f64>| matrix.rows(rows.start, rows.len()).into_owned();
-        let c = of(c);
-        self.n += of(&run.j).tr_mul(&c);
+        let (from, count) = (rows.start, rows.len());
+        let c = c.rows(from, count);
+        self.n += run.j.rows(from, count).tr_mul(&c);
         self.s += c.tr_mul(&c);
-        self.p += c.tr_mul(&run.r.rows(rows.start, rows.len()));
+        self.p += c.tr_mul(&run.r.rows(from, count));
     }
 
     /// None where other columns leave nothing of it.
