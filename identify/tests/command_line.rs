@@ -146,6 +146,85 @@ fn freeing_what_cannot_be_identified_is_refused_with_its_name() {
     refused(&unknown, &["no parameter is called `rgamma3`"], out.path());
 }
 
+#[test]
+fn no_option_is_taken_and_ignored() {
+    let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let (recording, log) = (experiment().join("recording.mcap"), experiment().join("robot_log.csv"));
+    let refused = |extra: &[&str], why: &[&str]| {
+        refused(&calibrate(&recording, &log, extra, out.path()), why, out.path())
+    };
+    refused(&["--free", "rd1", "--fix", "rd1"], &["rd1 is in --free and in --fix"]);
+    let mapping = config("bar_log.toml");
+    refused(&["--recording-mapping", mapping.to_str().unwrap()], &["--recording-mapping", "leave it out"]);
+    // What is typed counts more than the file.
+    let fixed = inputs.path().join("identify.toml");
+    std::fs::write(&fixed, "fix = [\"ra1\"]\n").unwrap();
+    let freed =
+        calibrate(&recording, &log, &["--config", fixed.to_str().unwrap(), "--free", "ra1"], out.path());
+    assert!(freed.status.success(), "{}", String::from_utf8_lossy(&freed.stderr));
+    let file: toml::Table =
+        std::fs::read_to_string(out.path().join("calibration.toml")).unwrap().parse().unwrap();
+    let ra1 = file["parameters"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .find(|one| one["name"].as_str() == Some("ra1"))
+        .unwrap();
+    assert_eq!(ra1["status"].as_str(), Some("identified"));
+    let (log, bar, robot) =
+        (log.to_str().unwrap(), config("ball_bar.toml"), config("robots/irb2400_16.toml"));
+    let (bar, robot) = (bar.to_str().unwrap(), robot.to_str().unwrap());
+    for (arguments, why) in [
+        (vec!["plan", "check", log, "--bar", bar, "--robot", robot, "--criterion", "worst"], "--criterion"),
+        (vec!["inspect", log, "--robot", robot, "--bar", bar, "--propose", "mapping.toml"], "--bar"),
+        (vec!["examine", "--robot", robot, "--bar", bar, "--poses", "0"], "--poses"),
+        (
+            vec![
+                "plan",
+                "poses",
+                "--robot",
+                robot,
+                "--measures",
+                "poses",
+                "--mapping",
+                bar,
+                "--out",
+                "poses",
+            ],
+            "--mapping",
+        ),
+    ] {
+        let output = Command::new(env!("CARGO_BIN_EXE_identify")).args(&arguments).output().unwrap();
+        fails(&output, &[why]);
+    }
+}
+
+#[test]
+fn keys_of_an_experiment_that_nothing_is_for_are_refused_by_name() {
+    let inputs = tempfile::tempdir().unwrap();
+    let rows = inputs.path().join("rows.csv");
+    std::fs::write(&rows, "").unwrap();
+    for (key, line) in [("log_mapping", "log_mapping = \"log.toml\""), ("log_format", "log_format = \"rsi\"")]
+    {
+        let text = format!(
+            "robot = \"robot.toml\"\n{line}\n[[wire]]\nfile = \"rows.csv\"\nmapping = \"rows.toml\"\n"
+        );
+        let path = inputs.path().join("experiment.toml");
+        std::fs::write(&path, text).unwrap();
+        let output = Command::new(env!("CARGO_BIN_EXE_identify"))
+            .args([
+                "calibrate",
+                "--experiment",
+                path.to_str().unwrap(),
+                "--out",
+                inputs.path().to_str().unwrap(),
+            ])
+            .output()
+            .unwrap();
+        fails(&output, &[key, "leave it out"]);
+    }
+}
+
 /// The experiment's counters as the thesis' program wrote them: a date and the counters of joints 1, 2, 4 and 5, no header.
 fn counters(directory: &Path) -> (PathBuf, Vec<String>) {
     let recording = Recording::open(&experiment().join("recording.mcap")).unwrap();

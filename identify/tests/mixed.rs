@@ -284,6 +284,9 @@ fn options_of_the_ball_bar_alone_are_refused_for_a_mix_by_name() {
     let config = IdentifyConfig { ransac: true, ..IdentifyConfig::default() };
     let said = calibrate(&data, &irb2400(), &config, None).unwrap_err().to_string();
     assert!(said.contains("`ransac`"), "{said}");
+    let config = IdentifyConfig { bar_length_um: 0.0, ..IdentifyConfig::default() };
+    let said = calibrate(&data, &irb2400(), &config, None).unwrap_err().to_string();
+    assert!(said.contains("`bar_length_um`") && said.contains("leave it out"), "{said}");
     let still = vec![cell.poses[0]; 50];
     let data = DataSets { rows: vec![Measured::Poses(still).into()], ..DataSets::default() };
     let said = calibrate(&data, &irb2400(), &IdentifyConfig::default(), None).unwrap_err().to_string();

@@ -129,6 +129,18 @@ fn a_stated_order_is_taken_and_a_senseless_one_refused() {
     }
 }
 
+#[test]
+fn a_stated_order_that_does_not_fit_is_refused_with_the_one_that_does() {
+    let run = run(&irb2400(), &bar());
+    for wrong in [vec![1, 2, -3, 4, 5], vec![1, 2, 3, 5, 4], vec![2, 1, 3, 4, 5]] {
+        let told = prepared(&run, EncoderMapChoice::Stated(wrong)).unwrap_err().to_string();
+        assert!(
+            told.contains("do not fit as stated") && told.contains("take --encoders 1,2,3,4,5"),
+            "{told}"
+        );
+    }
+}
+
 /// Made-up angles in which the joints of `alike` move together.
 fn pairs(alike: &[[usize; 2]]) -> Vec<AnglePair> {
     let motion = |k: f64, joint: usize| (0.05 * k * (1.0 + 0.37 * joint as f64)).sin() + 0.3 * joint as f64;

@@ -166,6 +166,20 @@ fn a_step_of_the_stamps_that_the_motion_does_not_share_is_taken_out_and_said() {
     }
 }
 
+/// Also where whole periods are no sign of rows that are missing, and a rest follows: it says nothing of how long it was.
+#[test]
+fn a_clock_that_is_set_by_seconds_or_an_hour_leaves_no_row_missing() {
+    let log = log(250.0);
+    for (by_s, at_s) in [(0.5, 33.0), (2.0, 29.5), (10.0, 33.0), (3600.0, 13.0)] {
+        let stamp = |t_s: f64| t_s + if t_s > at_s { by_s } else { 0.0 };
+        let back = read_back(&log, log.q_rad.t_s.iter().map(|t_s| stamp(*t_s)).collect());
+        let Stamps { missing, steps, .. } = stamps(&back);
+        assert!(*missing == 0 && steps.len() == 1, "{by_s} s: {missing} missing, {steps:?}");
+        assert!((steps[0].by_s - by_s).abs() < 2e-5, "{steps:?}");
+        assert!(apart_s(&back.q_rad.t_s, &log.q_rad.t_s) < 2e-5, "{by_s} s");
+    }
+}
+
 #[test]
 fn no_step_is_said_of_stamps_that_only_scatter() {
     let log = log(100.0);

@@ -78,7 +78,7 @@ fn green_needs_both_answers_and_amber_names_what_is_missed() {
     }
     // The covariance promises what held-out data do not hold.
     let belied = judged([1.0, 0.4], [1.0, 0.1], &[], Some(0.2e-3)).reason.unwrap();
-    assert!(belied.contains("0.200 mm") && belied.contains("0.400 mm"), "{belied}");
+    assert!(belied.contains("required 0.2 mm") && belied.contains("0.400 mm"), "{belied}");
     let limit = |serious| Limit { sentence: "Joint 3 turned by 2 degrees only.".into(), serious };
     assert_eq!(good(&[limit(false)], None).grade, Grade::Green);
     assert_eq!(good(&[limit(true)], None).reason.unwrap(), limit(true).sentence);

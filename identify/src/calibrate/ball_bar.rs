@@ -51,6 +51,12 @@ pub enum CalibrateError {
         /// In the configuration.
         option: &'static str,
     },
+    /// An option that has no effect on rows.
+    #[error("option `{option}` is for runs with the ball-bar, and there are none; leave it out")]
+    NoEffect {
+        /// In the configuration.
+        option: &'static str,
+    },
     /// Where an instrument stands does not follow from its rows.
     #[error(
         "data set {data_set}: where the instrument stands does not follow from its rows, which lie in a plane, on a line or \

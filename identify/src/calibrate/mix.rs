@@ -6,7 +6,6 @@ use shared::config::RobotConfig;
 use super::IdentifyConfig;
 use super::ball_bar::{CalibrateError, RunInput, prepared_runs, solve};
 use super::change::{self, Changed};
-use super::config::SelectionName;
 use super::pipeline::{Plan, Solved, estimate, refit, waves_per_turn};
 use super::rows::{self, RowSet};
 use super::selection::links::{free_links, link_ids};
@@ -157,19 +156,38 @@ impl MixedCalibration {
     }
 }
 
-/// Options of the ball-bar alone that a mix cannot follow.
+/// Options of the ball-bar alone that a mix cannot follow, or rows without any run of it.
 ///
 /// # Errors
-/// [`CalibrateError::Mixed`] names one that was given.
-fn check(config: &IdentifyConfig) -> Result<(), CalibrateError> {
-    let given = [
-        ("selection", config.selection != SelectionName::default()),
-        ("free", !config.free.is_empty()),
-        ("priors", !config.priors.is_empty()),
-        ("ransac", config.ransac),
+/// [`CalibrateError::Mixed`] or [`CalibrateError::NoEffect`] names one that was given.
+fn check(data: &DataSets<'_>, config: &IdentifyConfig) -> Result<(), CalibrateError> {
+    let usual = IdentifyConfig::default();
+    let first =
+        |given: &[(&'static str, bool)]| given.iter().find(|(_, given)| *given).map(|(option, _)| *option);
+    let of_mix = [
+        ("selection", config.selection != usual.selection),
+        ("free", config.free != usual.free),
+        ("priors", config.priors != usual.priors),
+        ("ransac", config.ransac != usual.ransac),
     ];
-    match given.into_iter().find(|(_, given)| *given) {
-        Some((option, _)) => Err(CalibrateError::Mixed { option }),
+    if let Some(option) = first(&of_mix) {
+        return Err(CalibrateError::Mixed { option });
+    }
+    let terms = (&config.joint_terms, &usual.joint_terms);
+    let follows_log = data.rows.iter().any(|rows| matches!(rows.measured, Measured::Path(..)));
+    let of_rows = [
+        ("cost", config.cost != usual.cost),
+        ("encoder_harmonics_urad", config.encoder_harmonics_urad != usual.encoder_harmonics_urad),
+        ("bar_length_um", config.bar_length_um != usual.bar_length_um),
+        ("joint_terms.amplitude_urad", terms.0.amplitude_urad != terms.1.amplitude_urad),
+        ("joint_terms.ratio_ppm", terms.0.ratio_ppm != terms.1.ratio_ppm),
+        ("joint_terms.delay_ms", terms.0.delay_ms != terms.1.delay_ms),
+        ("joint_terms.compliance_urad_per_m", terms.0.compliance_urad_per_m != terms.1.compliance_urad_per_m),
+        ("noise", config.noise != usual.noise),
+        ("prepare", config.prepare != usual.prepare && !follows_log),
+    ];
+    match first(&of_rows).filter(|_| data.bars.is_empty()) {
+        Some(option) => Err(CalibrateError::NoEffect { option }),
         None => Ok(()),
     }
 }
@@ -191,7 +209,7 @@ fn laid_out<'w>(
     judged: bool,
     watch: Option<&'w dyn Watch>,
 ) -> Result<LaidOut<'w>, CalibrateError> {
-    check(config)?;
+    check(data, config)?;
     let fix = config.fix.iter().map(|name| name.parse()).collect::<Result<Vec<ParameterId>, ModelError>>()?;
     let flange = flange_chain(robot);
     let mut plan = Plan {

@@ -19,8 +19,12 @@ use crate::calibrate::mix::SEED;
 use crate::model::ParameterId;
 use crate::report::result::file::Input;
 
-/// What is calibrated with; an option without an instrument before it is one of the ball-bar.
+/// What is calibrated with.
 #[derive(Debug, Args)]
+#[command(
+    after_help = "Options alone are those of `bar`. `identify calibrate --experiment FILE --out DIR` calibrates from any mix of \
+                        instruments, as config/experiment.toml explains, and repeats a result from the experiment.toml beside it."
+)]
 pub struct CalibrateArguments {
     #[command(subcommand)]
     instrument: Instrument,

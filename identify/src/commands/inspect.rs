@@ -38,13 +38,14 @@ pub struct InspectArguments {
     #[arg(long, value_name = "FILE", requires = "bar")]
     recording_mapping: Option<PathBuf>,
     /// Table of the sockets that a ball is seated in, such as config/sockets.toml: the files are rows of it
-    #[arg(long, value_name = "FILE", requires = "robot", requires = "contact_mapping")]
+    #[arg(long, value_name = "FILE", requires = "robot", requires = "contact_mapping",
+          conflicts_with_all = ["log_mapping", "log_format", "bar", "recording_mapping"])]
     sockets: Option<PathBuf>,
     /// Which column of such rows is what, such as config/contact.toml
     #[arg(long, value_name = "FILE", requires = "sockets")]
     contact_mapping: Option<PathBuf>,
     /// Look for what the columns of a table of joints are, and write a mapping for it into this file
-    #[arg(long, value_name = "FILE", requires = "robot", conflicts_with_all = ["log_mapping", "log_format"])]
+    #[arg(long, value_name = "FILE", requires = "robot", conflicts_with_all = ["log_mapping", "log_format", "bar", "recording_mapping", "sockets"])]
     propose: Option<PathBuf>,
 }
 

@@ -67,9 +67,6 @@ struct Cell {
     /// looked for
     #[arg(long, value_name = "PATH")]
     calibration: Option<PathBuf>,
-    /// What the path is to be best at
-    #[arg(long, value_enum, default_value_t)]
-    criterion: Criterion,
 }
 
 /// What must not touch.
@@ -100,6 +97,9 @@ impl Around {
 struct PathArguments {
     #[command(flatten)]
     cell: Cell,
+    /// What the path is to be best at
+    #[arg(long, value_enum, default_value_t)]
+    criterion: Criterion,
     /// Directory for the path: path.toml, robot_path.csv, path.html, a program for the robot's controller
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
@@ -124,6 +124,9 @@ struct PathArguments {
 struct PlaceArguments {
     #[command(flatten)]
     cell: Cell,
+    /// What the path of a place is to be best at
+    #[arg(long, value_enum, default_value_t)]
+    criterion: Criterion,
     /// Lengths of the rod to compare [m]; default: that of the bar
     #[arg(long, value_name = "M", value_delimiter = ',')]
     lengths: Vec<f64>,
@@ -212,7 +215,7 @@ struct Loaded {
 }
 
 impl Cell {
-    fn load(&self) -> anyhow::Result<Loaded> {
+    fn load(&self, criterion: Criterion) -> anyhow::Result<Loaded> {
         let robot: RobotConfig = config::load(&self.robot)?;
         anyhow::ensure!(
             robot.axes() >= AXES_MIN,
@@ -251,7 +254,7 @@ impl Cell {
             design,
             bodies,
             acceleration_rad_s2: self.acceleration,
-            criterion: self.criterion,
+            criterion,
         })
     }
 }
@@ -288,7 +291,7 @@ pub fn run(arguments: &PlanArguments) -> anyhow::Result<()> {
 }
 
 fn find(arguments: &PathArguments) -> anyhow::Result<()> {
-    let mut loaded = arguments.cell.load()?;
+    let mut loaded = arguments.cell.load(arguments.criterion)?;
     let (given, axes) = (arguments.posture.len(), loaded.robot.axes());
     anyhow::ensure!(
         given == 0 || given == axes,
@@ -393,6 +396,10 @@ fn poses(arguments: &PosesArguments) -> anyhow::Result<()> {
         anchor.is_some() == (*measures == Measures::Lengths),
         "--anchor is where a wire comes out; give it with --measures lengths, and with no other"
     );
+    anyhow::ensure!(
+        arguments.mapping.is_none() || arguments.candidates.is_some(),
+        "--mapping says which columns of --candidates are the joints; give both or none"
+    );
     let bodies = arguments.around.bodies(flange_chain(&robot).reach_m());
     let (candidates, bodies) = match arguments.candidates.as_deref().zip(arguments.mapping.as_deref()) {
         Some((file, mapping)) => {
@@ -445,7 +452,7 @@ fn place(arguments: &PlaceArguments) -> anyhow::Result<()> {
         calibration.is_none(),
         "places are compared for a robot that nothing is known of; leave --calibration out"
     );
-    let mut loaded = arguments.cell.load()?;
+    let mut loaded = arguments.cell.load(arguments.criterion)?;
     loaded.design.duration_s = arguments.duration.as_secs_f64();
     let own = [loaded.bar.length_m];
     let lengths_m = if arguments.lengths.is_empty() { &own[..] } else { &arguments.lengths };
@@ -477,7 +484,7 @@ fn place(arguments: &PlaceArguments) -> anyhow::Result<()> {
 }
 
 fn check(arguments: &CheckArguments) -> anyhow::Result<()> {
-    let loaded = arguments.cell.load()?;
+    let loaded = arguments.cell.load(Criterion::default())?;
     let log = logs::load(&arguments.path, &loaded.robot)?;
     let information = loaded.information(log.q_rad.duration_s())?;
     let constraints = loaded.constraints();

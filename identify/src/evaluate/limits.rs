@@ -1,6 +1,7 @@
 //! What limits a calibration, in sentences that a person can act on.
 
 use nalgebra::{DMatrix, DVector};
+use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal};
 
 use super::{Elongation, PositiveForce, Quantiles, RunEvidence, WorkspaceError};
@@ -11,7 +12,7 @@ use crate::instrument::Instrument;
 use crate::kinematics::LinkParameter;
 use crate::model::{JointTerm, Model, ParameterId, Role};
 use crate::prepare::Prepared;
-use crate::solver::Solution;
+use crate::solver::{Loss, Solution};
 use crate::statistics::{extremes, median};
 
 /// A joint that turned less than this determines little of its link \[deg\].
@@ -45,8 +46,11 @@ const STRAINED_BY_CHANCE: f64 = 1e-3;
 /// stays where it was expected but for that.
 const NONLINEAR: f64 = 0.1;
 
+/// A contribution below this part of an uncertainty adds less than 6 % to it.
+const NEGLIGIBLE: f64 = 1.0 / 3.0;
+
 /// One thing that limits a calibration.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Limit {
     /// For a person.
     pub sentence: String,
@@ -88,7 +92,12 @@ pub fn limits(
         }
     }
     let weights = &calibration.solution.sample_weights;
-    let outliers = weights.iter().filter(|weight| **weight < WEIGHT_MIN).count();
+    // At its scale a loss trusts a sample half, but for the one that trusts it by the square of that.
+    let least = match calibration.solution.loss {
+        Loss::GemanMcClure { .. } => WEIGHT_MIN.powi(2),
+        _ => WEIGHT_MIN,
+    };
+    let outliers = weights.iter().filter(|weight| **weight < least).count();
     if outliers * 20 > weights.len() {
         tell(
             true,
@@ -162,8 +171,9 @@ pub fn of_lengths(model: &Model, solution: &Solution, scales: impl Iterator<Item
     other_lengths(model, solution, &scale.join(". "))
 }
 
-/// What did not stay while it was measured: serious where the end of an arm of this reach moves by more than its geometry is said
-/// to be known within.
+/// What did not stay while it was measured: serious where the end of an arm of this reach moves by more than a negligible part of what
+/// its geometry is said to be known within. That part is small: a change is in the uncertainty, too, since other samples say other
+/// things.
 pub fn of_changes(changed: &[Changed], reach_m: f64, known_m: f64) -> Option<Limit> {
     let told: Vec<String> = changed.iter().map(ToString::to_string).collect();
     (!told.is_empty()).then(|| Limit {
@@ -172,7 +182,7 @@ pub fn of_changes(changed: &[Changed], reach_m: f64, known_m: f64) -> Option<Lim
              named, or calibrate from what was measured before or after it.",
             told.join("; ")
         ),
-        serious: changed.iter().any(|one| one.moves_m(reach_m) > known_m),
+        serious: changed.iter().any(|one| one.moves_m(reach_m) > NEGLIGIBLE * known_m),
     })
 }
 

@@ -4,6 +4,9 @@ use super::{Deviations, ForceError};
 use crate::kinematics::InverseError;
 use crate::logs::LogError;
 
+/// Speeds of different runs correlate by less.
+const OF_OTHER_RUNS: f64 = 0.5;
+
 /// What is wrong and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum PrepareError {
@@ -110,8 +113,13 @@ pub enum PrepareError {
     /// The speeds do not match anywhere.
     #[error(
         "robot log and {other} do not match at any clock difference: the best correlation of their speeds is \
-         {correlation:.2} (over {overlap_s:.0} s), at least {needed} is asked for. They do not overlap in time or are \
-         of different runs; give the log of this run"
+         {correlation:.2} (over {overlap_s:.0} s), at least {needed} is asked for. {}",
+        if *correlation < OF_OTHER_RUNS {
+            "They do not overlap in time or are of different runs; give the log of this run"
+        } else {
+            "Different runs stay below 0.5: noise, rows of zeros or spikes in one of them hide the motion. Look at both with \
+             `identify inspect` and log again, or lower correlation_min under [prepare]"
+        }
     )]
     NoMatch {
         /// What it was compared with.
@@ -196,6 +204,19 @@ pub enum PrepareError {
         recorded: String,
         /// The one that fits.
         found: String,
+    },
+    /// Another order or direction fits than was stated.
+    #[error(
+        "the encoders do not fit as stated (encoder -> joint): {stated}, but as {found}; take --encoders {as_stated}, or leave it \
+         to the program with --encoders find (`encoders` under [prepare])"
+    )]
+    OtherThanStated {
+        /// How the stated order fits.
+        stated: String,
+        /// The one that fits.
+        found: String,
+        /// As `--encoders` takes it.
+        as_stated: String,
     },
     /// The order stated in the configuration makes no sense.
     #[error(

@@ -39,7 +39,7 @@ pub fn summary(
         mm(expected.with_plate_m)
     );
     for one in information.with_each(&checked.normal) {
-        let _ = writeln!(text, "  {:<34}{}", one.group.name(), mm(one.position_m));
+        let _ = writeln!(text, "  {:<33} {}", one.group.name(), mm(one.position_m));
     }
     if let Some(least_m) = position_m_min {
         let _ = writeln!(

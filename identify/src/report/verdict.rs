@@ -55,8 +55,8 @@ impl fmt::Display for Verdict {
             (Some(reason), _) => f.write_str(reason),
             (None, Some(required_m)) => write!(
                 f,
-                "better than the nominal robot on data that no fit has seen, and within the required {:.3} mm",
-                required_m * 1e3
+                "better than the nominal robot on data that no fit has seen, and within the required {} mm",
+                in_mm(required_m)
             ),
             (None, None) => f.write_str(
                 "better than the nominal robot on data that no fit has seen; --require 0.2mm also asks whether that is enough",
@@ -107,6 +107,7 @@ impl CalibrationFile {
         required_m: Option<f64>,
     ) -> Self {
         self.budget = Some(workspace.budget.clone());
+        self.limits = limits.to_vec();
         self.expected = Some(ExpectedEntry::of(workspace));
         let predicted = self.predicted();
         let better = (!predicted.is_empty()).then(|| predicted.iter().all(Predicted::is_better));
@@ -204,5 +205,10 @@ fn missed(workspace: &WorkspaceError, predicted: &[Predicted], required_m: Optio
         let one = predicted.iter().find(|one| one.is_position && one.calibrated > required_m)?;
         Some(one.sentence())
     })?;
-    Some(format!("The required {:.3} mm are not met: {missed}.", required_m * 1e3))
+    Some(format!("The required {} mm are not met: {missed}.", in_mm(required_m)))
+}
+
+/// As it was asked for, without what the conversion adds.
+fn in_mm(length_m: f64) -> f64 {
+    (length_m * 1e9).round() / 1e6
 }

@@ -17,6 +17,9 @@ pub(super) const COLUMN_STEP: usize = TILE;
 /// that is loaded is used three times.
 const TILE: usize = 3;
 
+/// A column whose squares sum to less is zero: what divides by it would leave the range of numbers.
+const SQUARE_MIN: f64 = f64::MIN_POSITIVE / f64::EPSILON;
+
 /// A panel of columns.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Shape {
@@ -109,7 +112,7 @@ impl WithSimd for FoldTriangle<'_> {
             let (left, right) = self.panel.split_at_mut((k + 1) * stride);
             let x = S::as_simd_f64s(&left[k * stride..][..rows]).0;
             let squared = dot(simd, x, x);
-            if squared == 0.0 {
+            if squared < SQUARE_MIN {
                 continue;
             }
             // Golub and Van Loan, algorithm 5.1.1, for the vector (pivot, x).
@@ -220,6 +223,17 @@ mod tests {
         let triangle = DMatrix::from_column_slice(6, 6, &triangle);
         assert_eq!(triangle.lower_triangle().sum(), triangle.diagonal().sum());
         assert!((triangle.tr_mul(&triangle) - expected).amax() < 1e-12);
+    }
+
+    /// Their squares are no numbers any more.
+    #[test]
+    fn numbers_next_to_nothing_leave_a_triangle_finite() {
+        for size in [1e-140, 1e-155, 1e-162, 1e-200] {
+            let mut triangle = vec![0.0; 36];
+            let mut panel: Vec<f64> = panel(0.0).iter().map(|value| value * size).collect();
+            fold_into_triangle(&mut panel, SHAPE, &mut triangle);
+            assert!(triangle.iter().all(|entry| entry.is_finite()), "{size}");
+        }
     }
 
     #[test]

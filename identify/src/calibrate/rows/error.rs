@@ -6,7 +6,10 @@ use crate::instrument::ContactError;
 #[derive(Debug, thiserror::Error)]
 pub enum RowError {
     /// Too few rows for the unknowns.
-    #[error("{rows} usable rows are too few, at least {needed} are needed; measure more poses")]
+    #[error(
+        "{rows} usable rows are too few for a fit beside those that are held out to judge it, at least {needed} are needed; measure \
+         more poses"
+    )]
     TooFewRows {
         /// Rows left for fitting.
         rows: usize,

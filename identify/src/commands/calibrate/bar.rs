@@ -112,6 +112,12 @@ fn identify_config(arguments: &BarArguments) -> anyhow::Result<IdentifyConfig> {
     config.ransac |= arguments.ransac;
     config.require_mm = arguments.common.require.or(config.require_mm);
     config.selection = arguments.selection.unwrap_or(config.selection);
+    // What is typed counts more than the file.
+    if let Some(both) = arguments.fix.iter().find(|name| arguments.free.contains(name)) {
+        anyhow::bail!("{both} is in --free and in --fix; leave it out of one");
+    }
+    config.fix.retain(|name| !arguments.free.contains(name));
+    config.free.retain(|name| !arguments.fix.contains(name));
     config.free.extend_from_slice(&arguments.free);
     config.fix.extend_from_slice(&arguments.fix);
     if let Some(encoders) = &arguments.encoders {
@@ -230,7 +236,14 @@ pub(super) fn runs<'a>(
                 log_path,
             })
         };
-    recording.iter().zip(robot_log).zip(bars).zip(forces).map(read).collect()
+    let files = recording.iter().zip(robot_log).zip(bars).zip(forces).map(read);
+    let files: Vec<RunFiles<'_>> = files.collect::<anyhow::Result<_>>()?;
+    let is_other = |run: &RunFiles<'_>| matches!(&*run.recording, BarLog::Other(_));
+    anyhow::ensure!(
+        bar_mapping.is_none() || files.iter().any(is_other),
+        "--recording-mapping is for files of other programs, and each recording is one of ballbard; leave it out"
+    );
+    Ok(files)
 }
 
 /// Reads the bar's side of a run and says what is odd about it, and what its file cannot say.
@@ -328,11 +341,7 @@ pub(super) fn calibrate(arguments: &BarArguments, config: &IdentifyConfig) -> an
     if let Some(truth) = &truth {
         show(wrapped(&(table::comparison(&Comparison::new(&calibration, truth)) + "\n")))?;
     }
-    let all = arguments
-        .common
-        .result
-        .verbose
-        .then(|| table::calibration(&file) + &limited(&file, &evidence.limits));
+    let all = arguments.common.result.verbose.then(|| table::calibration(&file) + &limited(&file));
     let summary = summary(&file, &evidence.workspace, &evidence.limits, &written, &page);
     conclude(&file, all.as_deref(), &summary, &page)
 }

@@ -117,6 +117,24 @@ impl Validate for Experiment {
                 "give one for each run, or for none",
             ));
         }
+        let (has_bar, has_force) = (!self.bars.is_empty(), forces > 0);
+        let has_log = has_bar || self.trackers.iter().any(|rows| rows.robot_log.is_some());
+        for (key, is_given, has_file, what) in [
+            ("recording_mapping", self.recording_mapping.is_some(), has_bar, "recording"),
+            ("log_mapping", self.log_mapping.is_some(), has_log, "robot's log"),
+            ("log_format", self.log_format.is_some(), has_log, "robot's log"),
+            ("force_mapping", self.force_mapping.is_some(), has_force, "force log"),
+            ("ignore_force", self.ignore_force, has_bar, "run with the ball-bar"),
+            ("split_at_changes", self.split_at_changes, has_bar, "run with the ball-bar"),
+        ] {
+            if is_given && !has_file {
+                return Err(Violation::new(
+                    key,
+                    format!("there is no {what} that it is for"),
+                    "leave it out",
+                ));
+            }
+        }
         for (kind, files) in self.kinds() {
             let key = kind.key();
             for (index, row) in files.iter().enumerate() {

@@ -75,8 +75,7 @@ impl Told<'_> {
         };
         let page = page.write(directory).with_context(|| directory.display().to_string())?;
         show(wrapped(&asked))?;
-        let all =
-            result.verbose.then(|| table::calibration(&file) + "\n" + &tables + &limited(&file, &limits));
+        let all = result.verbose.then(|| table::calibration(&file) + "\n" + &tables + &limited(&file));
         conclude(&file, all.as_deref(), &summary(&file, &workspace, &limits, &written, &page), &page)
     }
 }
@@ -109,11 +108,11 @@ fn is_red(file: &CalibrationFile) -> bool {
     file.verdict.as_ref().is_some_and(|verdict| verdict.grade == Grade::Red)
 }
 
-/// Sentences on all that limits a calibration seriously beside what its verdict names.
-pub(super) fn limited(file: &CalibrationFile, limits: &[Limit]) -> String {
+/// Sentences on all that limits a calibration beside what its verdict names.
+pub(super) fn limited(file: &CalibrationFile) -> String {
     let reason = file.verdict.as_ref().and_then(|verdict| verdict.reason.as_ref());
-    let others = limits.iter().filter(|limit| limit.serious && Some(&limit.sentence) != reason);
-    others.map(|limit| format!("! {}\n", limit.sentence)).collect()
+    let others = file.limits.iter().filter(|limit| Some(&limit.sentence) != reason);
+    others.map(|limit| format!("{} {}\n", if limit.serious { '!' } else { '-' }, limit.sentence)).collect()
 }
 
 /// Prints what a person asked for and the last lines.

@@ -156,7 +156,7 @@ pub(in crate::logs) fn sampling(stamps_s: Vec<f64>, rows: &[Joints]) -> Option<S
     let mut rest_s = rest(&numbers);
     let mut breaks_at = breaks(&rest_s, period_s)?;
     let mut fit = Fit::new(&rest_s, &numbers, period_s, &breaks_at)?;
-    if recounted(&mut numbers, &motion, &breaks_at, &fit.steps_s, period_s) {
+    if recounted(&mut numbers, t_s, &motion, &breaks_at, &fit.steps_s, period_s) {
         rest_s = rest(&numbers);
         breaks_at = breaks(&rest_s, period_s)?;
         fit = Fit::new(&rest_s, &numbers, period_s, &breaks_at)?;
@@ -327,7 +327,7 @@ fn period(t_s: &[f64], motion: &[Option<f64>]) -> Option<f64> {
 }
 
 /// Number of each row on the clock, from 0. Where the motion is silent a row follows the one before it, but where it and those
-/// after it are further away than jitter explains.
+/// after it are further away than jitter explains. Where it is not, the clock was set there.
 fn numbers(t_s: &[f64], motion: &[Option<f64>], period_s: f64) -> Vec<f64> {
     /// The phase follows the stamps over so many rows: the period is known to a thousandth, so that it lags by less than
     /// half of one, and rows that are missing do not draw it along.
@@ -357,22 +357,38 @@ fn numbers(t_s: &[f64], motion: &[Option<f64>], period_s: f64) -> Vec<f64> {
     let mut numbers = vec![0.0];
     for (row, motion) in (1..t_s.len()).zip(motion) {
         let before = numbers.last().copied().unwrap_or_default();
-        let further = || {
-            let next = t_s[row..].iter().take(lasts).zip(1..);
+        // By how many periods this row and those after it are late, where it has this number.
+        let lasting = |number: f64| {
+            let next = t_s[row..].iter().take(lasts).zip(0..);
             let mut late: Vec<f64> =
-                next.map(|(t_s, periods)| (t_s - phase_s) / period_s - before - f64::from(periods)).collect();
+                next.map(|(t_s, after)| (t_s - phase_s) / period_s - number - f64::from(after)).collect();
             if late.len() < lasts {
                 return 0.0;
             }
             let itself = late.first().copied().unwrap_or_default();
             late.sort_by(f64::total_cmp);
-            late.get(late.len() / 4).copied().unwrap_or_default().min(itself)
+            let quartiles = [1, 3].map(|quarter| late[quarter * late.len() / 4]);
+            if itself > 0.0 { quartiles[0].clamp(0.0, itself) } else { quartiles[1].clamp(itself, 0.0) }
         };
-        let periods = motion.unwrap_or_else(|| {
-            let late = further();
-            if late > beyond { 1.0 + late.round() } else { 1.0 }
-        });
-        let number = before + periods;
+        let number = match motion {
+            Some(periods) => {
+                let number = before + periods;
+                // No row is missing: the clock was set here.
+                let late = if ((t_s[row] - phase_s) / period_s - number).abs() > beyond {
+                    lasting(number)
+                } else {
+                    0.0
+                };
+                if late.abs() > beyond {
+                    phase_s += late * period_s;
+                }
+                number
+            }
+            None => {
+                let late = lasting(before + 1.0);
+                before + 1.0 + if late > beyond { late.round() } else { 0.0 }
+            }
+        };
         let error_s = t_s[row] - phase_s - period_s * number;
         phase_s += error_s.clamp(-beyond * period_s, beyond * period_s) / PHASE_ROWS;
         numbers.push(number);
@@ -421,6 +437,7 @@ fn breaks(rest_s: &[f64], period_s: f64) -> Option<Vec<usize>> {
 /// Steps of whole periods near rows of which the motion is silent: rows were missing there, or were not.
 fn recounted(
     numbers: &mut [f64],
+    t_s: &[f64],
     motion: &[Option<f64>],
     breaks: &[usize],
     steps_s: &[f64],
@@ -433,8 +450,11 @@ fn recounted(
         if by == 0.0 || (step_s / period_s - by).abs() > WHOLE {
             continue;
         }
-        let silent = (at.saturating_sub(near).max(1)..(at + near).min(numbers.len()))
-            .filter(|row| motion[row - 1].is_none() && numbers[*row] - numbers[row - 1] + by >= 1.0);
+        // Where so many rows are missing the stamps step; what steps elsewhere is the clock.
+        let steps = |row: usize| by <= PERIODS_MAX || t_s[row] - t_s[row - 1] > 0.5 * by * period_s;
+        let silent = (at.saturating_sub(near).max(1)..(at + near).min(numbers.len())).filter(|row| {
+            motion[row - 1].is_none() && numbers[*row] - numbers[row - 1] + by >= 1.0 && steps(*row)
+        });
         if let Some(row) = silent.min_by_key(|row| row.abs_diff(at)) {
             numbers[row..].iter_mut().for_each(|number| *number += by);
             any = true;
@@ -458,6 +478,17 @@ impl Fit {
         /// Residuals beyond so many standard deviations are drawn in (Huber).
         const HUBER: f64 = 1.345;
         const ROUNDS: usize = 8;
+        // Steps may be an hour: what is left of them is fitted, in which rounding is small.
+        let middle = |range: Range<usize>| median(&mut rest_s.get(range)?.to_vec());
+        let beside = |at: usize| {
+            let end = (at + BESIDE).min(rest_s.len());
+            Some(middle(at..end)? - middle(at.saturating_sub(BESIDE)..at)?)
+        };
+        let rough_s: Vec<f64> = breaks.iter().map(|&at| beside(at).unwrap_or_default()).collect();
+        let stepped_s = |row: usize| -> f64 {
+            breaks.iter().zip(&rough_s).filter(|(first, _)| **first <= row).map(|(_, by_s)| by_s).sum()
+        };
+        let rest_s: Vec<f64> = rest_s.iter().enumerate().map(|(row, rest)| rest - stepped_s(row)).collect();
         let last = numbers.last()?.max(1.0);
         let pieces = ((last * period_s / KNOTS_S).ceil() as usize).clamp(1, KNOTS_MAX);
         let columns = pieces + 1 + breaks.len();
@@ -496,9 +527,14 @@ impl Fit {
                 rest_s.iter().enumerate().map(|(row, rest)| (rest - value(&x, row).1).abs()).collect();
             sigma_s = (1.48 * median(&mut left)?).max(1e-9);
         }
-        let values: Vec<(f64, f64)> = (0..rest_s.len()).map(|row| value(&x, row)).collect();
+        let with_steps = |row: usize| {
+            let (smooth, whole) = value(&x, row);
+            (smooth, whole + stepped_s(row))
+        };
+        let values: Vec<(f64, f64)> = (0..rest_s.len()).map(with_steps).collect();
         let slope_s = (x[pieces] - x[0]) / last;
-        let steps_s = x.rows(pieces + 1, breaks.len()).iter().copied().collect();
+        let steps_s =
+            x.rows(pieces + 1, breaks.len()).iter().zip(&rough_s).map(|(left, by_s)| left + by_s).collect();
         let (smooth_s, whole_s) = values.into_iter().unzip();
         Some(Self { smooth_s, whole_s, steps_s, slope_s })
     }

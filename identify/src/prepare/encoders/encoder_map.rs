@@ -166,18 +166,27 @@ const REPORTED_MAX: usize = 8;
 ///
 /// # Errors
 /// [`PrepareError::NoEncoderMap`] where none fits, [`PrepareError::AmbiguousEncoderMap`] where several do and the recorded one is
-/// not among them, [`PrepareError::Mirrored`] where they see the robot's mirror image, [`PrepareError::OtherEncoderMap`] where only the recorded one is allowed.
+/// not among them, [`PrepareError::Mirrored`] where they see the robot's mirror image, [`PrepareError::OtherEncoderMap`] where only
+/// the recorded one is allowed, [`PrepareError::OtherThanStated`] where another one than the stated fits.
 pub fn find_encoder_map(
     pairs: &[AnglePair],
     recorded_joints: &[u8],
     options: &PrepareOptions,
 ) -> Result<EncoderMapReport, PrepareError> {
     let table = Table::new(pairs, recorded_joints);
-    if let EncoderMapChoice::Stated(joints) = &options.encoders {
-        return table.stated(joints).map(|used| EncoderMapReport { used, others: Vec::new() });
-    }
     let recorded = table.recorded();
     let mut fitting = table.fitting(options.spread_max_mrad);
+    if let EncoderMapChoice::Stated(joints) = &options.encoders {
+        let used = table.stated(joints)?;
+        // Where nothing fits the bar's singular poses or its configuration are the reason, and the stated one is tried.
+        if let Some(best) = fitting.first().filter(|best| {
+            used.spread_mrad() > options.spread_max_mrad.max(CLEARLY_WORSE * best.spread_mrad())
+        }) {
+            let (stated, found, as_stated) = (used.to_string(), best.to_string(), best.stated());
+            return Err(PrepareError::OtherThanStated { stated, found, as_stated });
+        }
+        return Ok(EncoderMapReport { used, others: Vec::new() });
+    }
     let Some(best) = fitting.first().cloned() else {
         return Err(PrepareError::NoEncoderMap {
             recorded: recorded.to_string(),
@@ -285,7 +294,9 @@ impl<'a> Table<'a> {
         }
         let places = joints.iter().enumerate().map(|(index, joint)| {
             let place = usize::from(joint.unsigned_abs()) - 1;
-            EncoderPlace { reversed: *joint < 0, ..self.place(index, place, false) }
+            let reversed = *joint < 0;
+            // On joints 2 and 4 the direction is a matter of the configuration.
+            EncoderPlace { reversed, ..self.place(index, place, reversed && place % 2 == 0) }
         });
         Ok(EncoderMap { encoders: places.collect() })
     }

@@ -19,6 +19,7 @@ use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::calibrate::selection::terms::Candidate;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::cost::SharedColumns;
+use crate::evaluate::Limit;
 use crate::evaluate::{Budget, Validity};
 use crate::model::{Group, Model, Parameter, ParameterId, Role, TermGroup, Unit};
 use crate::report::verdict::Verdict;
@@ -267,6 +268,9 @@ pub struct CalibrationFile {
     /// What it is worth; files of earlier versions have none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub verdict: Option<Verdict>,
+    /// What limits it, the most important first; the verdict names the first that is serious.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub limits: Vec<Limit>,
     /// Solve.
     pub solve: SolveEntry,
     /// Clocks of instrument and robot, where there are two; of the first data set that has its own.
@@ -337,6 +341,7 @@ impl CalibrationFile {
             instrument: instrument.to_owned(),
             measured: Vec::new(),
             verdict: None,
+            limits: Vec::new(),
             solve,
             clock,
             other_clocks: Vec::new(),

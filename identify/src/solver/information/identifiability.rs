@@ -139,6 +139,9 @@ impl fmt::Display for Identifiability {
     }
 }
 
+/// Singular values take about two iterations each.
+const SVD_ITERATIONS_PER_COLUMN: usize = 100;
+
 /// Singular values and right singular vectors of a triangle with columns scaled to unit length.
 pub(in crate::solver) struct ScaledSpectrum {
     /// Column lengths before scaling, zero where the column is.
@@ -180,9 +183,12 @@ fn rank(singular_values: &DVector<f64>, tolerance: f64) -> usize {
 impl ScaledSpectrum {
     fn new(triangle: &DMatrix<f64>, tolerance: f64) -> Self {
         let (scaled, lengths) = scaled(triangle);
-        let svd = scaled.svd(false, true);
-        let singular_values = svd.singular_values;
-        let v_transposed = svd.v_t.unwrap_or_else(|| DMatrix::identity(lengths.len(), lengths.len()));
+        let columns = lengths.len();
+        // A matrix that is not finite has no end of iterations.
+        let svd = scaled.try_svd(false, true, f64::EPSILON, SVD_ITERATIONS_PER_COLUMN * columns);
+        let (singular_values, v_transposed) = svd
+            .and_then(|svd| Some((svd.singular_values, svd.v_t?)))
+            .unwrap_or_else(|| (DVector::zeros(columns), DMatrix::identity(columns, columns)));
         let rank = rank(&singular_values, tolerance);
         Self { lengths, singular_values, v_transposed, rank }
     }
@@ -203,7 +209,9 @@ pub(in crate::solver) fn sample_triangle<P: Problem>(
 ) -> Result<(DMatrix<f64>, Vec<SampleFit>), PassError> {
     let pass = Pass::new(problem, x, options, taking);
     let (triangle, fits) = pass.run(|| Triangle::new(problem.columns()))?;
-    Ok((triangle.of_jacobian(), fits))
+    let triangle = triangle.of_jacobian();
+    // Derivatives may be finite and their squares not.
+    if triangle.iter().all(|entry| entry.is_finite()) { Ok((triangle, fits)) } else { Err(PassError::Lost) }
 }
 
 /// Adds the priors' rows.

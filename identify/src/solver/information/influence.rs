@@ -51,7 +51,7 @@ pub fn influence<P: Problem>(
 /// `argmin |A X - B|` by singular values of the column-scaled matrix; none where columns of `A` are zero.
 fn least_squares(a: &DMatrix<f64>, b: &DMatrix<f64>) -> Option<DMatrix<f64>> {
     let lengths = DVector::from_iterator(a.ncols(), a.column_iter().map(|column| column.norm()));
-    if a.nrows() < a.ncols() || lengths.iter().any(|length| *length == 0.0) {
+    if a.nrows() < a.ncols() || !lengths.iter().all(|length| length.is_finite() && *length > 0.0) {
         return None;
     }
     let mut scaled = a.clone();
