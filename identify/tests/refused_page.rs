@@ -70,6 +70,19 @@ fn a_slip_is_marked_where_it_is_in_both_logs_and_beside_the_robot() {
     }
 }
 
+/// Of ten seconds, and until the end.
+#[test]
+fn an_encoder_that_is_dead_while_the_others_move_is_named() {
+    for (place, until) in [(1, 2000), (2, usize::MAX)] {
+        let mut run = simulated(1);
+        let until = until.min(run.cycles.len());
+        let count = run.cycles[1000].encoders[place].count;
+        run.cycles[1000..until].iter_mut().for_each(|cycle| cycle.encoders[place].count = count);
+        let told = format!("the encoder of joint {} says the same from 10.0 s to", place + 1);
+        typed(&run).refused(&[&told, "record again"], &[]);
+    }
+}
+
 #[test]
 fn a_clock_that_jumps_is_marked_in_all_joints() {
     let mut run = simulated(1);

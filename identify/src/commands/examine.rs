@@ -22,7 +22,7 @@ pub struct ExamineArguments {
     #[arg(long, value_delimiter = ',')]
     cost: Vec<CostName>,
     /// Random poses
-    #[arg(long, default_value_t = 300, value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..))]
+    #[arg(long, default_value_t = 300, value_parser = clap::builder::RangedU64ValueParser::<usize>::new().range(1..=100_000))]
     poses: usize,
     /// Seed of the poses
     #[arg(long, default_value_t = 1)]

@@ -84,12 +84,21 @@ struct Around {
 }
 
 impl Around {
-    fn bodies(&self, reach_m: f64) -> Bodies {
+    fn bodies(&self, reach_m: f64) -> anyhow::Result<Bodies> {
+        let radius_mm = self.link_radius_mm.unwrap_or(1.0);
+        anyhow::ensure!(
+            radius_mm.is_finite() && radius_mm > 0.0,
+            "--link-radius-mm is {radius_mm}; give a number above zero"
+        );
+        let places = self.boxes.iter().flatten().chain(&self.floor);
+        if let Some(place) = places.copied().find(|place| !place.is_finite()) {
+            anyhow::bail!("{place} in --box or --floor is no place; give metres");
+        }
         let mut bodies = Bodies::for_reach(reach_m);
         bodies.link_radius_m = self.link_radius_mm.map_or(bodies.link_radius_m, |mm| mm * 1e-3);
         bodies.boxes_m = self.boxes.iter().map(|&[a, b, c, d, e, f]| [[a, b, c], [d, e, f]]).collect();
         bodies.floor_m = self.floor;
-        bodies
+        Ok(bodies)
     }
 }
 
@@ -231,7 +240,7 @@ impl Cell {
             );
         }
         let arm = robot_chain(&robot, &bar);
-        let bodies = self.around.bodies(arm.reach_m());
+        let bodies = self.around.bodies(arm.reach_m())?;
         let mut design = Design::for_robot(&robot);
         design.base_m = self.base.unwrap_or(design.base_m);
         design.robot_speed_rad_s = self.speed;
@@ -400,7 +409,7 @@ fn poses(arguments: &PosesArguments) -> anyhow::Result<()> {
         arguments.mapping.is_none() || arguments.candidates.is_some(),
         "--mapping says which columns of --candidates are the joints; give both or none"
     );
-    let bodies = arguments.around.bodies(flange_chain(&robot).reach_m());
+    let bodies = arguments.around.bodies(flange_chain(&robot).reach_m())?;
     let (candidates, bodies) = match arguments.candidates.as_deref().zip(arguments.mapping.as_deref()) {
         Some((file, mapping)) => {
             let of_table: JointTableMapping = config::load(mapping)?;

@@ -1,5 +1,7 @@
 //! A model, a motion, observations and a cost, as the least-squares problem that the solver gets.
 
+use std::cell::OnceCell;
+
 use nalgebra::Vector3;
 
 use super::{DataSet, Residual, Scene};
@@ -178,6 +180,7 @@ impl LoopPoint {
             bar_rad: std::array::from_fn(|joint| observation.bar_rad[joint] + added_rad[joint]),
             bar_chain: (&self.bar_chain, &self.bar_tracer),
             joints,
+            drives: OnceCell::new(),
             robot: &self.robot,
             bar: &self.bar,
             robot_rate: self.robot.moved_by(&joints.corrected.qd),

@@ -1,9 +1,11 @@
 //! One sample with everything that residuals are made of.
 
+use std::cell::OnceCell;
+
 use nalgebra::Vector3;
 
 use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter, ROD_LINK, Trace, Tracer, Turn, Twist};
-use crate::model::{Axis, Geometry, JointTerm, MovingJoints, Observation, ParameterId, Phase};
+use crate::model::{Axis, DriveState, Geometry, JointTerm, MovingJoints, Observation, ParameterId, Phase};
 
 /// What a parameter moves.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -33,6 +35,8 @@ pub struct Scene<'a> {
     pub bar_chain: (&'a Chain, &'a Tracer),
     /// Of the robot.
     pub joints: MovingJoints,
+    /// Where the drives are, once somebody has asked.
+    pub(super) drives: OnceCell<DriveState>,
     /// The robot at this instant, its joints without their errors.
     pub robot: &'a Trace,
     /// The bar as its encoders claim; without meaning where the cost needs no encoders.
@@ -81,9 +85,14 @@ impl Scene<'_> {
         }
     }
 
+    fn drives(&self) -> &DriveState {
+        let state = || self.geometry.joints.drives.state(&self.joints.reported);
+        self.drives.get_or_init(|| self.joints.drives.unwrap_or_else(state))
+    }
+
     fn joint_wave(&self, axis: usize, order: u8, phase: Phase) -> Movement {
         let drives = &self.geometry.joints.drives;
-        let wave = self.joints.drives.turn.get(axis).map_or(0.0, |angle| phase.wave(order, *angle));
+        let wave = self.drives().turn.get(axis).map_or(0.0, |angle| phase.wave(order, *angle));
         // Hundreds of waves are tried: most drives turn one joint.
         if let Some(joint) = drives.only_joint(axis) {
             let twist = self.robot.twist(joint, LinkParameter::Theta);
@@ -95,9 +104,9 @@ impl Scene<'_> {
 
     /// An error of a robot axis turns each joint that its drive turns.
     fn joint_error(&self, axis: usize, term: JointTerm) -> Twist {
-        let MovingJoints { reported, delayed, drives, .. } = &self.joints;
+        let MovingJoints { reported, delayed, .. } = &self.joints;
         let of = if term == JointTerm::Delay { delayed } else { reported };
-        self.robot.moved_by(&self.geometry.joints.by_amplitude(axis, term, of, drives))
+        self.robot.moved_by(&self.geometry.joints.by_amplitude(axis, term, of, self.drives()))
     }
 
     /// How the end of the bar moves with a number of its links or of its base, where its joints stand as in `bar`.

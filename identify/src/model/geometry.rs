@@ -17,8 +17,8 @@ pub struct MovingJoints {
     pub delayed: JointState,
     /// ...and without their other errors.
     pub corrected: JointState,
-    /// Where the drives are, as logged.
-    pub drives: DriveState,
+    /// Where the drives are, as logged; none where nothing goes by it.
+    pub drives: Option<DriveState>,
 }
 
 /// Where the ball-bar stands: `T(origin) Rx(rx) Ry(ry)`; the turn about z is the bar's `btheta1`.
@@ -163,7 +163,7 @@ impl Geometry {
 
     /// The robot's joints without their errors, where it stands still or all joints were logged at one instant.
     pub fn corrected(&self, reported: &JointState) -> JointState {
-        self.without_errors(*reported, reported, &self.joints.drives.state(reported))
+        self.without_errors(*reported, reported).0
     }
 
     /// The robot's joints at a time of the bar's clock; none where the robot's log does not cover it.
@@ -171,8 +171,7 @@ impl Geometry {
         let tau_s = self.clock.robot_time_s(t_s);
         let reported = motion.at(tau_s)?;
         let delayed = self.joints.delayed(&reported, motion, tau_s);
-        let drives = self.joints.drives.state(&reported);
-        let corrected = self.without_errors(delayed, &reported, &drives);
+        let (corrected, drives) = self.without_errors(delayed, &reported);
         Some(MovingJoints { reported, delayed, corrected, drives })
     }
 
@@ -180,9 +179,13 @@ impl Geometry {
         &self,
         mut corrected: JointState,
         reported: &JointState,
-        state: &DriveState,
-    ) -> JointState {
-        self.joints.add_to(&mut corrected, reported, state);
+    ) -> (JointState, Option<DriveState>) {
+        // Sines and cosines of all drives take longer than to look.
+        if !self.joints.any() && self.axis_waves.iter().all(Waves::is_none) {
+            return (corrected, None);
+        }
+        let state = self.joints.drives.state(reported);
+        self.joints.add_to(&mut corrected, reported, &state);
         let waves = self.axis_waves.iter().zip(&self.joints.drives.joint_from_drive).enumerate();
         for (axis, (waves, joint_from_drive)) in waves {
             let (error, slope) = waves.at(state.turn[axis]);
@@ -192,7 +195,7 @@ impl Geometry {
                 corrected.qd[joint] += part * error_rate;
             }
         }
-        corrected
+        (corrected, Some(state))
     }
 
     /// What the bar's encoders show too much at these readings \[rad\].

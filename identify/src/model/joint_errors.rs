@@ -262,6 +262,11 @@ impl JointErrors {
         Self { drives, amplitudes: Default::default() }
     }
 
+    /// Whether any amplitude is not zero.
+    pub(super) fn any(&self) -> bool {
+        self.amplitudes.iter().flatten().any(|amplitude| *amplitude != 0.0)
+    }
+
     /// One amplitude; none where the robot cannot have the term.
     pub fn amplitude_mut(&mut self, axis: usize, term: JointTerm) -> Option<&mut f64> {
         if !self.drives.has(axis, term) {

@@ -64,6 +64,11 @@ impl Waves {
     /// Of the bar's length.
     pub const OF_LENGTH: RangeInclusive<u8> = 2..=3;
 
+    /// Nobody has asked for any.
+    pub(super) fn is_none(&self) -> bool {
+        self.of_orders.is_empty()
+    }
+
     /// One amplitude.
     pub fn amplitude_mut(&mut self, order: u8, phase: Phase) -> &mut f64 {
         let place =

@@ -4,7 +4,7 @@ use super::{Deviations, ForceError};
 use crate::kinematics::InverseError;
 use crate::logs::LogError;
 
-/// Speeds of different runs correlate by less.
+/// Speeds of different runs mostly correlate by less.
 const OF_OTHER_RUNS: f64 = 0.5;
 
 /// What is wrong and what to do.
@@ -113,12 +113,12 @@ pub enum PrepareError {
     /// The speeds do not match anywhere.
     #[error(
         "robot log and {other} do not match at any clock difference: the best correlation of their speeds is \
-         {correlation:.2} (over {overlap_s:.0} s), at least {needed} is asked for. {}",
+         {correlation:.2} (over {overlap_s:.0} s), at least {needed} is asked for. They do not overlap in time or are \
+         of different runs; give the log of this run{}",
         if *correlation < OF_OTHER_RUNS {
-            "They do not overlap in time or are of different runs; give the log of this run"
+            ""
         } else {
-            "Different runs stay below 0.5: noise, rows of zeros or spikes in one of them hide the motion. Look at both with \
-             `identify inspect` and log again, or lower correlation_min under [prepare]"
+            ". If it is of this run, noise, rows of zeros or spikes hide the motion in one of them: `identify inspect` shows both"
         }
     )]
     NoMatch {
@@ -239,6 +239,19 @@ pub enum PrepareError {
         at_s: f64,
         /// By how much the robot's clock comes later \[ms\].
         by_ms: f64,
+    },
+    /// An encoder says the same while the others move.
+    #[error(
+        "the encoder of joint {joint} says the same from {from_s:.1} s to {to_s:.1} s after the first sample while others move: it, its \
+         cable or its terminal was dead; check them, and record again, or take that part out"
+    )]
+    EncoderFrozen {
+        /// Bar joint, 1 to 5, as recorded.
+        joint: u8,
+        /// From when \[s\].
+        from_s: f64,
+        /// Until when \[s\].
+        to_s: f64,
     },
     /// An encoder lost counts or turned on its shaft.
     #[error(

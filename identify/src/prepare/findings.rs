@@ -102,7 +102,7 @@ impl PrepareError {
             Self::ClockJump { at_s, .. } | Self::JointStep { at_s, .. } | Self::BaseMoved { at_s, .. } => {
                 Place { bar_s: Some(*at_s), ..Place::default() }
             }
-            Self::EncoderSlip { joint, at_s, .. } => {
+            Self::EncoderSlip { joint, at_s, .. } | Self::EncoderFrozen { joint, from_s: at_s, .. } => {
                 Place { joint: Some(*joint), bar_s: Some(*at_s), robot_s: None }
             }
             Self::LittleTravel { joint, .. } => Place { joint: Some(*joint), ..Place::default() },

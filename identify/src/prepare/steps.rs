@@ -9,6 +9,7 @@ use shared::time::UtcNs;
 
 use super::align::find::{Found, Search};
 use super::encoders::circular::wrapped;
+use super::encoders::frozen::frozen;
 use super::encoders::origins::join;
 use super::forces::{Surroundings, put_on};
 use super::readings::bar_angles::BarAngles;
@@ -222,6 +223,9 @@ fn check(angles: &BarAngles, log: &RobotLog, options: &PrepareOptions) -> Result
     let readings = &angles.readings;
     if readings.is_empty() {
         return Err(PrepareError::NoValidCycle { cycles: angles.statuses.len() });
+    }
+    if let Some(dead) = frozen(readings, &angles.measured) {
+        return Err(dead);
     }
     let of_bar = readings.chunk_by(|a, b| a.origin == b.origin).map(travel).fold(0.0, f64::max);
     require_motion("the recording", of_bar)?;

@@ -49,10 +49,12 @@ fn verdict(consistency: &Consistency) -> String {
     match consistency.p_corrected {
         None => "no parameter was identified twice: nothing to compare".into(),
         Some(p) if consistency.is_consistent() => {
-            format!("consistent: differences like these come by chance (p {p:.3}, all parameters together)")
+            format!(
+                "consistent: differences like these come by chance (p {p:.3}: the smallest times the number of parameters)"
+            )
         }
         Some(p) => format!(
-            "not consistent: differences like these do not come by chance (p {}, all parameters together); something \
+            "not consistent: differences like these do not come by chance (p {}: the smallest times the number of parameters); something \
              that the model lacks differs between the runs, or their sigmas are too small",
             probability(Some(p))
         ),

@@ -154,14 +154,14 @@ impl RawBarLog {
     /// Takes the next row; one that repeats the row before it is only counted.
     ///
     /// # Errors
-    /// [`LogError::TimeNotIncreasing`], but where the file marks its cycles itself.
+    /// [`LogError::TimeNotIncreasing`], but beside cycles that the file itself marks as bad.
     pub fn push(&mut self, row: RawRow) -> Result<(), LogError> {
         if let Some(before) = self.rows.last() {
             if row.stamp_ns == before.stamp_ns && row.counts == before.counts {
                 self.quality.duplicates_dropped += 1;
                 return Ok(());
             }
-            if row.stamp_ns <= before.stamp_ns && !self.kind.has_origins {
+            if row.stamp_ns <= before.stamp_ns && row.flags | before.flags == 0 {
                 let stamps = [(before.place, before.stamp_ns), (row.place, row.stamp_ns)];
                 return Err(LogError::time_not_increasing(&self.path, self.kind.row, stamps[0], stamps[1]));
             }

@@ -373,14 +373,10 @@ fn numbers(t_s: &[f64], motion: &[Option<f64>], period_s: f64) -> Vec<f64> {
         let number = match motion {
             Some(periods) => {
                 let number = before + periods;
-                // No row is missing: the clock was set here.
-                let late = if ((t_s[row] - phase_s) / period_s - number).abs() > beyond {
-                    lasting(number)
-                } else {
-                    0.0
-                };
-                if late.abs() > beyond {
-                    phase_s += late * period_s;
+                // So many rows are not missing where the motion goes on: the clock was set here. With fewer the motion may be wrong.
+                if ((t_s[row] - phase_s) / period_s - number).abs() > lasts as f64 {
+                    let late = lasting(number);
+                    phase_s += if late.abs() > lasts as f64 { late * period_s } else { 0.0 };
                 }
                 number
             }

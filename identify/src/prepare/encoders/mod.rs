@@ -2,6 +2,7 @@
 
 pub(super) mod circular;
 pub(super) mod encoder_map;
+pub(super) mod frozen;
 pub(super) mod origins;
 pub(super) mod segments;
 pub(super) mod slip;
