@@ -21,10 +21,8 @@ pub(in crate::prepare) fn frozen(
 ) -> Option<PrepareError> {
     let joints = || (0..BAR_JOINTS).filter(|joint| measured[*joint]);
     joints().find_map(|joint| {
-        let of_row = |row: usize| readings.get(row).map(|reading| reading.recorded_rad[joint]);
-        let changes =
-            readings.windows(2).filter(|pair| pair[0].recorded_rad[joint] != pair[1].recorded_rad[joint]);
-        let changes = changes.count();
+        let differ = |pair: &&[BarReading]| pair[0].recorded_rad[joint] != pair[1].recorded_rad[joint];
+        let changes = readings.windows(2).filter(differ).count();
         let mut first = 0;
         let same = |a: &BarReading, b: &BarReading| {
             a.origin == b.origin && a.recorded_rad[joint] == b.recorded_rad[joint]
@@ -38,8 +36,10 @@ pub(in crate::prepare) fn frozen(
             }
             let ranges = ranges(part);
             let moves = |other: usize| ranges[other][1] - ranges[other][0] > OTHERS_RAD;
-            let leaps = match of_row(to) {
-                Some(after) => (after - part[0].recorded_rad[joint]).abs() > LEAP_RAD,
+            let leaps = match readings.get(to) {
+                // Counters that started anew begin anywhere.
+                Some(after) if after.origin != part[0].origin => false,
+                Some(after) => (after.recorded_rad[joint] - part[0].recorded_rad[joint]).abs() > LEAP_RAD,
                 None => changes as f64 > CHANGES_MIN * (readings.len() - part.len()) as f64,
             };
             let is_dead = leaps && joints().any(|other| other != joint && moves(other));

@@ -185,7 +185,7 @@ impl ScaledSpectrum {
         let (scaled, lengths) = scaled(triangle);
         let columns = lengths.len();
         // A matrix that is not finite has no end of iterations.
-        let svd = scaled.try_svd(false, true, f64::EPSILON, SVD_ITERATIONS_PER_COLUMN * columns);
+        let svd = scaled.try_svd(false, true, 5.0 * f64::EPSILON, SVD_ITERATIONS_PER_COLUMN * columns);
         let (singular_values, v_transposed) = svd
             .and_then(|svd| Some((svd.singular_values, svd.v_t?)))
             .unwrap_or_else(|| (DVector::zeros(columns), DMatrix::identity(columns, columns)));
