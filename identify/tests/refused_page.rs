@@ -116,7 +116,7 @@ fn every_kind_of_refusal_has_its_page() {
     let longer = shared::config::BallBarConfig { length_m: 0.7, ..bar() };
     Typed::new(&run, &irb2400(), &longer).refused(&["sphere of 59", "700 mm"], &[]);
     // An encoder map that is stated otherwise than it is.
-    typed(&run).refused(&["to compare angles"], &["--encoders", "2,1,3,4,5"]);
+    typed(&run).refused(&["do not fit as stated", "--encoders 1,2,3,4,5"], &["--encoders", "2,1,3,4,5"]);
     // A parameter that the motion does not tell.
     typed(&run).refused(&["free parameters are identified", "dependent rd2"], &["--free", "rd3"]);
     // An encoder that the cost needs.
