@@ -83,13 +83,14 @@ struct Around {
     link_radius_mm: Option<f64>,
 }
 
+fn above_zero(option: &str, value: f64) -> anyhow::Result<()> {
+    anyhow::ensure!(value.is_finite() && value > 0.0, "--{option} is {value}; give a number above zero");
+    Ok(())
+}
+
 impl Around {
     fn bodies(&self, reach_m: f64) -> anyhow::Result<Bodies> {
-        let radius_mm = self.link_radius_mm.unwrap_or(1.0);
-        anyhow::ensure!(
-            radius_mm.is_finite() && radius_mm > 0.0,
-            "--link-radius-mm is {radius_mm}; give a number above zero"
-        );
+        self.link_radius_mm.map_or(Ok(()), |radius_mm| above_zero("link-radius-mm", radius_mm))?;
         let places = self.boxes.iter().flatten().chain(&self.floor);
         if let Some(place) = places.copied().find(|place| !place.is_finite()) {
             anyhow::bail!("{place} in --box or --floor is no place; give metres");
@@ -233,12 +234,8 @@ impl Cell {
             robot.axes()
         );
         let bar: BallBarConfig = config::load(&self.bar)?;
-        for (name, value) in [("speed", self.speed), ("acceleration", self.acceleration)] {
-            anyhow::ensure!(
-                value.is_finite() && value > 0.0,
-                "--{name} is {value}; give a number above zero"
-            );
-        }
+        above_zero("speed", self.speed)?;
+        above_zero("acceleration", self.acceleration)?;
         let arm = robot_chain(&robot, &bar);
         let bodies = self.around.bodies(arm.reach_m())?;
         let mut design = Design::for_robot(&robot);

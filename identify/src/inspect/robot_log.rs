@@ -4,7 +4,6 @@ use super::{Inspection, joint_lines, stamps, suspect_still, unwrapped};
 use crate::kinematics::Joints;
 use crate::logs::{Origin, RobotLog};
 use crate::prepare::unwrapped_log;
-use crate::statistics::extremes;
 
 /// Rows that repeat all joints while the log moves on either side are frozen, not still.
 const FROZEN_ROWS_MIN: usize = 3;
@@ -52,34 +51,14 @@ pub fn robot_log(log: &RobotLog) -> Inspection {
 
 /// A joint that repeats itself exactly while others move was not read.
 fn suspect_frozen_columns(inspection: &mut Inspection, log: &RobotLog) {
-    /// How far another joint moves meanwhile \[rad\].
-    const OTHERS_RAD: f64 = 0.1;
-    /// A joint that stood goes on from where it stood, a column that froze leaps to where the joint is by now \[rad\].
-    const LEAP_RAD: f64 = 0.02;
     let rows = &log.q_rad;
-    for joint in 0..log.axes() {
-        let of_joint = |row: usize| rows.get(row).map(|q| q[joint]);
-        let mut first = 0;
-        let frozen = rows.chunk_by(|a, b| a[joint] == b[joint]).find_map(|part| {
-            let (from, to) = (first, first + part.len());
-            first = to;
-            let moves = |other: usize| {
-                let [low, high] = extremes(part.iter().map(|q| q[other]));
-                high - low > OTHERS_RAD
-            };
-            let leaps = of_joint(to).is_none_or(|after| (after - part[0][joint]).abs() > LEAP_RAD);
-            let is_frozen = part.len() >= FROZEN_ROWS_MIN
-                && leaps
-                && (0..log.axes()).any(|other| other != joint && moves(other));
-            is_frozen.then(|| (rows.t_s[from], rows.t_s[to - 1]))
-        });
-        if let Some((from_s, to_s)) = frozen {
-            inspection.suspect(format!(
-                "q{} has the same number in every row from {from_s:.2} s to {to_s:.2} s while other joints move: its column is \
-                 frozen; check what the logger reads for it",
-                joint + 1
-            ));
-        }
+    let frozen = rows.frozen(|part| part.len() >= FROZEN_ROWS_MIN, |_, _| true);
+    for (joint, part) in (1..).zip(frozen).filter_map(|(joint, part)| Some((joint, part?))) {
+        let (from_s, to_s) = (rows.t_s[part.start], rows.t_s[part.end - 1]);
+        inspection.suspect(format!(
+            "q{joint} has the same number in every row from {from_s:.2} s to {to_s:.2} s while other joints move: its column is frozen; \
+             check what the logger reads for it"
+        ));
     }
 }
 

@@ -1,6 +1,7 @@
 //! What was logged over time: rows on one clock, the regular clock behind stamps, values between stamps.
 
 mod average;
+mod frozen;
 pub(super) mod sampling;
 pub(super) mod shared;
 pub(super) mod spline;

@@ -1,0 +1,44 @@
+//! A number that stays exactly the same while others change: nobody reads it any more.
+
+use std::ops::Range;
+
+use super::stream::{Row, Stream, ranges};
+
+/// How far another number changes meanwhile \[rad, m\].
+const OTHERS: f64 = 0.1;
+/// What stood goes on from where it stood, what was not read leaps to where it is by now \[rad, m\].
+const LEAP: f64 = 0.02;
+
+impl<R: Row> Stream<R> {
+    /// Of each number the first rows in which it is frozen. They are enough where `is_long` says so; of those at the end, which no
+    /// leap follows, `at_end` says whether they count.
+    pub(crate) fn frozen(
+        &self,
+        is_long: impl Fn(&Range<usize>) -> bool,
+        at_end: impl Fn(usize, &Range<usize>) -> bool,
+    ) -> Vec<Option<Range<usize>>> {
+        let width = self.first().map_or(0, |row| row.numbers().len());
+        let (mut starts, mut found) = (vec![0; width], vec![None; width]);
+        for row in 1..=self.len() {
+            for place in 0..width {
+                let before = &self[row - 1];
+                let next = self.get(row).filter(|next| next.continues(before));
+                if next.is_some_and(|next| next.numbers()[place] == before.numbers()[place]) {
+                    continue;
+                }
+                let part = std::mem::replace(&mut starts[place], row)..row;
+                if found[place].is_some() || !is_long(&part) {
+                    continue;
+                }
+                let leaps = match next {
+                    Some(next) => (next.numbers()[place] - before.numbers()[place]).abs() > LEAP,
+                    None => row == self.len() && at_end(place, &part),
+                };
+                let others = ranges(&self[part.clone()]).into_iter().enumerate();
+                let mut others = others.filter(|(other, _)| *other != place);
+                found[place] = (leaps && others.any(|(_, [low, high])| high - low > OTHERS)).then_some(part);
+            }
+        }
+        found
+    }
+}
