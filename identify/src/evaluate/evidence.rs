@@ -35,7 +35,7 @@ impl RunEvidence {
         /// Reach of the two curves \[s\]: that of the thesis' figure 5.5, and the neighbourhood of the minimum.
         const WIDE_S: f64 = 0.2;
         const NEAR_S: f64 = 0.005;
-        const STEPS: usize = 40;
+        const STEPS: usize = 20;
         let (motion, observations) = (&prepared.motion, &prepared.observations);
         let solved = model.geometry(&model.start());
         let curve = |reach_s| shift_curve(&solved, motion, observations, reach_s, STEPS);

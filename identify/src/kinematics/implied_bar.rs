@@ -7,15 +7,13 @@
 use nalgebra::{Matrix5, Vector3, Vector5};
 
 use super::ball_bar_inverse::ball_bar_inverse;
-use super::inverse::pose_error;
+use super::inverse::{pose_error, wrapped};
 use super::{BAR_JOINTS, Chain, InverseError, LinkParameter, Pose, Trace, Tracer, Twist};
 
 /// Link of the bar, from 0, whose `d` is its length: the rod lies along z before it.
 pub const ROD_LINK: usize = 2;
-/// Below this the next step would be rounding.
-const STEP_RAD_MIN: f64 = 1e-14;
-/// Accepted where rounding keeps the steps from shrinking further.
-const STEP_RAD_SETTLED: f64 = 1e-10;
+/// After a step as short as this the next one would be rounding: each is some square of the one before.
+const STEP_RAD_LAST: f64 = 1e-9;
 const ITERATIONS_MAX: usize = 20;
 /// Between configurations that fit the measured joints equally well the first one is taken, whatever the rounding.
 const TIE: f64 = 1e-6;
@@ -80,16 +78,16 @@ impl ImpliedBar {
             let linear = Vector3::new(error[0], error[1], error[2]);
             let angular = Vector3::new(error[3], error[4], error[5]);
             let step = by_condition * rod.conditions(&Twist { angular, linear }, false);
-            let previous = step_rad;
             step_rad = step.amax();
-            if step_rad < STEP_RAD_MIN || (step_rad < STEP_RAD_SETTLED && step_rad > 0.1 * previous) {
-                return Ok(Self { joints_rad, trace, by_condition, rod });
-            }
             if !step_rad.is_finite() {
                 break;
             }
             for (joint, step) in joints_rad.iter_mut().zip(step.iter()) {
                 *joint += step;
+            }
+            // The chain stands where it stood before this step: nobody sees a nanometre.
+            if step_rad < STEP_RAD_LAST {
+                return Ok(Self { joints_rad, trace, by_condition, rod });
             }
         }
         Err(InverseError::NotConverged { iterations: ITERATIONS_MAX, step_rad })
@@ -130,7 +128,7 @@ fn nearest(
     let mut best = ([0.0; BAR_JOINTS], f64::INFINITY);
     for (_, joints) in ball_bar_inverse(chain, target)? {
         let given = joints.iter().zip(near).filter_map(|(joint, near)| near.map(|near| joint - near));
-        let distance: f64 = given.map(|difference| 1.0 - difference.cos()).sum();
+        let distance: f64 = given.map(|difference| wrapped(difference).powi(2)).sum();
         if distance < best.1 - TIE {
             best = (joints, distance);
         }

@@ -139,8 +139,8 @@ pub(crate) fn nearest_turn(angle_rad: f64, near_rad: f64) -> f64 {
     angle_rad + ((near_rad - angle_rad) / TAU).round() * TAU
 }
 
-/// Angle in (-pi, pi].
-pub(super) fn wrapped(angle_rad: f64) -> f64 {
+/// The angle less whole turns, in (-pi, pi] \[rad\].
+pub(crate) fn wrapped(angle_rad: f64) -> f64 {
     let wrapped = nearest_turn(angle_rad, 0.0);
     if wrapped <= -PI { wrapped + TAU } else { wrapped }
 }

@@ -27,7 +27,7 @@ pub use from_axes::AxisLine;
 pub use hayati::ConversionError;
 pub use implied_bar::{ImpliedBar, ROD_LINK};
 pub use inverse::InverseError;
-pub(crate) use inverse::{nearest_turn, rotation_vector};
+pub(crate) use inverse::{nearest_turn, rotation_vector, wrapped};
 pub use joints::{AXES_MAX, Joints};
 pub use mirror::mirroring_joints;
 pub use robot_inverse::{robot_inverse, robot_inverse_all, robot_inverse_centred};

@@ -248,23 +248,24 @@ impl Default for DriveState {
     }
 }
 
-/// Amplitudes of all terms on all axes, and what they belong to.
+/// Amplitudes of terms of axes, and what they belong to.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JointErrors {
     /// How drives move joints.
     pub drives: DriveTrain,
-    amplitudes: [[f64; JointTerm::ALL.len()]; AXES_MAX],
+    /// Axis, term, amplitude; in the order of axes and terms. Those that are not there are zero.
+    amplitudes: Vec<(usize, JointTerm, f64)>,
 }
 
 impl JointErrors {
     /// No errors.
     pub fn none(drives: DriveTrain) -> Self {
-        Self { drives, amplitudes: Default::default() }
+        Self { drives, amplitudes: Vec::new() }
     }
 
     /// Whether any amplitude is not zero.
     pub(super) fn any(&self) -> bool {
-        self.amplitudes.iter().flatten().any(|amplitude| *amplitude != 0.0)
+        self.amplitudes.iter().any(|(_, _, amplitude)| *amplitude != 0.0)
     }
 
     /// One amplitude; none where the robot cannot have the term.
@@ -272,7 +273,17 @@ impl JointErrors {
         if !self.drives.has(axis, term) {
             return None;
         }
-        self.amplitudes.get_mut(axis)?.get_mut(term.index())
+        let sought = self.amplitudes.binary_search_by_key(&(axis, term), |&(axis, term, _)| (axis, term));
+        let place = sought.unwrap_or_else(|place| {
+            self.amplitudes.insert(place, (axis, term, 0.0));
+            place
+        });
+        Some(&mut self.amplitudes[place].2)
+    }
+
+    /// The same errors without those of zero, which each sample would look at.
+    pub(super) fn drop_zeros(&mut self) {
+        self.amplitudes.retain(|(_, _, amplitude)| *amplitude != 0.0);
     }
 
     /// How each joint moves with one amplitude, the drives standing like this; with a delay it does as the delayed joints move,
@@ -293,8 +304,12 @@ impl JointErrors {
     /// What the log has of each drive when it comes later than the others; near an end or a hole of the log by its rate.
     pub(super) fn delayed(&self, reported: &JointState, motion: &impl RobotMotion, tau_s: f64) -> JointState {
         let mut delayed = *reported;
+        let delays = || self.amplitudes.iter().filter(|(_, term, _)| *term == JointTerm::Delay);
+        if delays().next().is_none() {
+            return delayed;
+        }
         let axes = self.drives.axes();
-        let of_axis_s = |axis: usize| self.amplitudes[axis][JointTerm::Delay.index()];
+        let of_axis_s = |axis: usize| delays().find(|(of, _, _)| *of == axis).map_or(0.0, |(_, _, s)| *s);
         let of_all_s = (0..axes).map(of_axis_s).sum::<f64>() / axes.max(1) as f64;
         for axis in 0..axes {
             let delay_s = of_axis_s(axis) - of_all_s;
@@ -317,12 +332,12 @@ impl JointErrors {
 
     /// Adds the errors of joints and rates, but delays. Accelerations stay as they are.
     pub(super) fn add_to(&self, corrected: &mut JointState, reported: &JointState, state: &DriveState) {
-        for (axis, amplitudes) in self.amplitudes.iter().enumerate() {
-            let terms = JointTerm::ALL.into_iter().zip(amplitudes);
-            let terms = terms.filter(|(term, amplitude)| **amplitude != 0.0 && *term != JointTerm::Delay);
+        for of_axis in self.amplitudes.chunk_by(|one, next| one.0 == next.0) {
+            let axis = of_axis[0].0;
             // Of the drive, of the joint.
             let mut errors = [(0.0, 0.0); 2];
-            for (term, amplitude) in terms {
+            let terms = of_axis.iter().map(|(_, term, amplitude)| (*term, *amplitude));
+            for (term, amplitude) in terms.filter(|(term, _)| *term != JointTerm::Delay) {
                 let (shape, rate) = self.drives.shape(axis, term, reported, state);
                 let error = &mut errors[usize::from(term.is_of_joint())];
                 *error = (error.0 + amplitude * shape, error.1 + amplitude * rate);

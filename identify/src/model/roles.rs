@@ -343,6 +343,7 @@ impl Model {
                 *value = x;
             }
         }
+        geometry.joints.drop_zeros();
         geometry
     }
 

@@ -8,7 +8,6 @@ use shared::recording::schema::{CycleRecord, EncoderInfo};
 use shared::time::UtcNs;
 
 use super::align::find::{Found, Search};
-use super::encoders::circular::wrapped;
 use super::encoders::frozen::frozen;
 use super::encoders::origins::join;
 use super::forces::{Surroundings, put_on};
@@ -21,7 +20,7 @@ use super::{
     AlignedLog, Alignment, BarForces, ClockFit, EncoderOffset, InitialValues, Predictor, PrepareError,
     PrepareOptions, Prepared, SampleCounts, SampleStatus, SphereFit,
 };
-use crate::kinematics::{BAR_JOINTS, Chain, Joints, ball_bar_chain, robot_chain};
+use crate::kinematics::{BAR_JOINTS, Chain, Joints, ball_bar_chain, robot_chain, wrapped};
 use crate::logs::{CubicSpline, RobotLog, travel};
 use crate::model::{DriveTrain, Observation};
 use crate::threads;

@@ -4,11 +4,10 @@ use serde::Serialize;
 use shared::recording::schema::CycleRecord;
 use shared::time::UtcNs;
 
-use super::encoders::circular::wrapped;
 use super::readings::both_logs::BothLogs;
 use super::readings::standstill::{Jitter, MOVING_RAD_S, Readings, Standstill, standstills};
 use super::{Averaged, ClockFit, EncoderMap, Predictor};
-use crate::kinematics::{BAR_JOINTS, Configuration, Joints};
+use crate::kinematics::{BAR_JOINTS, Configuration, Joints, wrapped};
 use crate::logs::Unwrapped;
 use crate::threads::rows;
 

@@ -5,7 +5,7 @@ use nalgebra::Vector5;
 use super::position::{derivative, difference};
 use crate::cost::scene::{ALL_BUT_TORSION, TORSION, encoders_suffice};
 use crate::cost::{Movement, Residual, Scene};
-use crate::kinematics::{BAR_JOINTS, ImpliedBar, LinkParameter};
+use crate::kinematics::{BAR_JOINTS, ImpliedBar, LinkParameter, Turn};
 use crate::model::{Observation, Owner, ParameterId};
 
 /// `R_p - B_p` \[m\], `sin(b4^ - b4)` and `sin(b5^ - b5)` (thesis eq. 2.3); `b^` are the joints that the robot's pose
@@ -16,13 +16,20 @@ pub struct PositionAngles;
 /// Joints whose angles are compared.
 const COMPARED: [usize; 2] = [3, 4];
 
+/// What the robot's pose implies of the bar, less what was measured.
+#[derive(Debug, Clone)]
+pub struct Compared {
+    implied: ImpliedBar,
+    differences: [Turn; COMPARED.len()],
+}
+
 /// Measured joints, none where there is no encoder.
 pub(in crate::cost) fn measured(observation: &Observation) -> [Option<f64>; BAR_JOINTS] {
     std::array::from_fn(|joint| observation.measured[joint].then_some(observation.bar_rad[joint]))
 }
 
 impl Residual for PositionAngles {
-    type Local = ImpliedBar;
+    type Local = Compared;
 
     const NAME: &'static str = "position_angles";
     const ROWS: usize = 5;
@@ -35,20 +42,23 @@ impl Residual for PositionAngles {
             && encoders_suffice(id, Self::ENCODERS)
     }
 
-    fn local(&self, scene: &Scene<'_>) -> Option<ImpliedBar> {
+    fn local(&self, scene: &Scene<'_>) -> Option<Compared> {
         let (chain, tracer) = scene.bar_chain;
-        ImpliedBar::new(chain, tracer, scene.robot.end(), &measured(scene.observation)).ok()
+        let implied = ImpliedBar::new(chain, tracer, scene.robot.end(), &measured(scene.observation)).ok()?;
+        let differences = COMPARED.map(|joint| Turn::of(implied.joints_rad[joint] - scene.bar_rad[joint]));
+        Some(Compared { implied, differences })
     }
 
-    fn residual(&self, scene: &Scene<'_>, implied: &ImpliedBar, out: &mut [f64]) {
+    fn residual(&self, scene: &Scene<'_>, compared: &Compared, out: &mut [f64]) {
         let (position, angles) = out.split_at_mut(3);
         position.copy_from_slice(difference(scene).as_slice());
-        for (out, joint) in angles.iter_mut().zip(COMPARED) {
-            *out = (implied.joints_rad[joint] - scene.bar_rad[joint]).sin();
+        for (out, difference) in angles.iter_mut().zip(compared.differences) {
+            *out = difference.sin;
         }
     }
 
-    fn derivative(&self, scene: &Scene<'_>, implied: &ImpliedBar, id: ParameterId, out: &mut [f64]) {
+    fn derivative(&self, scene: &Scene<'_>, compared: &Compared, id: ParameterId, out: &mut [f64]) {
+        let Compared { implied, differences } = compared;
         let (position, angles) = out.split_at_mut(3);
         position.copy_from_slice(derivative(scene, id).as_slice());
         let joints = match (scene.movement(id), id) {
@@ -67,8 +77,8 @@ impl Residual for PositionAngles {
             }
             (Movement::None, _) => return,
         };
-        for (out, joint) in angles.iter_mut().zip(COMPARED) {
-            *out = joints[joint] * (implied.joints_rad[joint] - scene.bar_rad[joint]).cos();
+        for ((out, joint), difference) in angles.iter_mut().zip(COMPARED).zip(differences) {
+            *out = joints[joint] * difference.cos;
         }
     }
 }

@@ -13,11 +13,11 @@ use super::clock::{ClockFit, EDGE_S, SHIFT_SIGMA_S, SKEW_SIGMA};
 use crate::cost::{LoopProblem, Movement, Residual, Scene};
 use crate::kinematics::{
     BAR_JOINTS, Chain, ImpliedBar, Joints, LinkParameter, Trace, Tracer, Turn, singularity_margin_rad,
+    wrapped,
 };
 use crate::logs::CubicSpline;
 use crate::model::{Geometry, Group, Model, ModelError, Observation, ParameterId, RobotMotion, Role};
 use crate::prepare::AlignedLog;
-use crate::prepare::encoders::circular::wrapped;
 use crate::prepare::samples::angle_errors::AngleErrors;
 use crate::solver::{Block, GoodShare, Loss, Options, Prior, Problem, Schedule, Summary, minimise};
 use crate::threads::rows;

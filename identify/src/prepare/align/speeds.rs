@@ -1,9 +1,8 @@
 //! Speeds on a uniform grid, without signs or directions: what two logs can be compared by before anything is known.
 
 use super::predict::Predictor;
-use crate::kinematics::BAR_JOINTS;
+use crate::kinematics::{BAR_JOINTS, wrapped};
 use crate::logs::Stream;
-use crate::prepare::encoders::circular::wrapped;
 use crate::prepare::{BarReading, Channels};
 use crate::threads::rows;
 

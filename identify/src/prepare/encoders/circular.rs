@@ -1,16 +1,10 @@
 //! Statistics of angles that outliers do not touch.
 
-use std::f64::consts::TAU;
-
+use crate::kinematics::wrapped;
 use crate::statistics::median;
 
 /// A median deviation times this is the standard deviation of normal numbers.
 const NORMAL: f64 = 1.4826;
-
-/// The angle less whole turns, within half a turn of zero \[rad\].
-pub(in crate::prepare) fn wrapped(angle_rad: f64) -> f64 {
-    angle_rad - (angle_rad / TAU).round() * TAU
-}
 
 /// Median on the circle, about the mean direction \[rad\]; 0 where there is nothing.
 pub(in crate::prepare) fn circular_median(angles_rad: &[f64]) -> f64 {

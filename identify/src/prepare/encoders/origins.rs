@@ -2,8 +2,7 @@
 
 use serde::Serialize;
 
-use super::circular::wrapped;
-use crate::kinematics::BAR_JOINTS;
+use crate::kinematics::{BAR_JOINTS, wrapped};
 use crate::logs::Stream;
 #[cfg(doc)]
 use crate::model::Observation;

@@ -4,8 +4,8 @@
 //! the offsets stay the same. The offsets of an origin are found in its longest segment, in the configuration in which measured
 //! and predicted angles differ by constants; its other segments then need only one of four configurations each.
 
-use super::circular::{circular_median, spread_of, wrapped};
-use crate::kinematics::{BAR_JOINTS, Configuration};
+use super::circular::{circular_median, spread_of};
+use crate::kinematics::{BAR_JOINTS, Configuration, wrapped};
 use crate::statistics::median;
 
 /// Measured and predicted angles of one instant, by joint.

@@ -1,8 +1,8 @@
 //! An encoder that slipped so far that it fits nowhere: told before anything is fitted, or the refusal would blame the encoder map.
 //! Smaller slips are found against the fitted geometry (`judge`).
 
-use super::circular::{circular_median, deviations, spread_of, wrapped};
-use crate::kinematics::BAR_JOINTS;
+use super::circular::{circular_median, deviations, spread_of};
+use crate::kinematics::{BAR_JOINTS, wrapped};
 use crate::prepare::{AnglePair, PrepareError, PrepareOptions};
 
 /// Pairs to either side of a slip.
