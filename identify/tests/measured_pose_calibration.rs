@@ -5,6 +5,7 @@
 use std::path::Path;
 
 use identify::calibrate::HoldOut;
+use identify::calibrate::change::Cause;
 use identify::calibrate::rows::tracker::validate;
 use identify::calibrate::rows::{PoseFigures, Stages};
 use identify::calibrate::validation::deployment::Deployment;
@@ -120,6 +121,45 @@ fn a_fifth_of_gross_faults_changes_little() {
         |report: &Found| validate(&untouched, &ur10(), report.model(), 1).unwrap()[1].position_m.rms;
     println!("{:.2e} -> {:.2e}", on_clean(&clean), on_clean(&faulty));
     assert!(on_clean(&faulty) < 1.5 * on_clean(&clean));
+}
+
+#[test]
+fn rows_that_are_no_measurements_are_named_and_judge_nothing() {
+    let (rows, ..) = made_up(120, 3e-5, 0.0);
+    let links = Alone::quick().without_joint_errors();
+    let clean = links.poses(&rows, &ur10()).unwrap();
+    let wrong: Vec<usize> = (3..120).step_by(10).collect();
+    type Spoil = fn(&mut PoseRow);
+    let ways: [(&str, Spoil); 3] = [
+        ("far", |row| row.position_m.x += 0.05),
+        ("a beam that broke", |row| row.position_m = Vector3::zeros()),
+        ("another target", |row| row.rotation = row.rotation.map(|r| Rotation3::new(Vector3::x()) * r)),
+    ];
+    for (name, spoil) in ways {
+        let mut spoiled = rows.clone();
+        wrong.iter().for_each(|row| spoil(&mut spoiled[*row]));
+        let found = links.poses(&spoiled, &ur10()).unwrap();
+        let rejected: Vec<usize> = found.rows().rejected.iter().map(|one| one.row).collect();
+        assert_eq!(rejected, wrong, "{name}");
+        let [held_out, of_clean] = [&found, &clean].map(|found| found.held_out().joints.position_m.max);
+        assert!(held_out < 1.5 * of_clean, "{name}: {held_out} {of_clean}");
+        assert!(found.table().contains("12 of"), "{}", found.table());
+    }
+    assert!(clean.rows().rejected.is_empty());
+}
+
+#[test]
+fn a_tracker_that_was_moved_by_half_a_millimetre_is_named_in_short_files_too() {
+    for count in [120, 250] {
+        let (mut rows, ..) = made_up(count, 3e-5, 0.0);
+        rows.iter_mut().for_each(|row| row.rotation = None);
+        let links = Alone::quick().without_joint_errors();
+        assert_eq!(links.poses(&rows, &ur10()).unwrap().0.changed, []);
+        rows[count / 2..].iter_mut().for_each(|row| row.position_m.x += 5e-4);
+        let changed = links.poses(&rows, &ur10()).unwrap().0.changed;
+        let causes: Vec<Cause> = changed.iter().map(|one| one.cause).collect();
+        assert_eq!(causes, [Cause::Tracker(0)], "{count} rows");
+    }
 }
 
 #[test]

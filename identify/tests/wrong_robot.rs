@@ -191,7 +191,7 @@ fn a_wrong_ratio_contradicts_what_is_expected_and_is_reported_and_expectations_t
         let found =
             ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar, &config).unwrap();
         let all = limits(&found, &[], &WorkspaceError::default());
-        all.into_iter().find(|limit| limit.sentence.starts_with("The run contradicts"))
+        all.into_iter().find(|limit| limit.sentence.starts_with("What was measured contradicts"))
     };
     assert_eq!(told(&run), None);
     for joints in run.robot_log.q_rad.iter_mut() {

@@ -164,7 +164,7 @@ impl BallBarCalibration {
     }
 
     /// Copies of the runs.
-    pub(super) fn all_runs(&self) -> Vec<Run> {
+    pub(crate) fn all_runs(&self) -> Vec<Run> {
         let run = |(instrument, model): (&Instrument, &Model)| Run {
             instrument: instrument.clone(),
             model: model.clone(),

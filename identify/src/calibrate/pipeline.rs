@@ -32,7 +32,7 @@ const COST_TOLERANCE_LAST: f64 = 1e-12;
 /// Groups of each data set that are held out in turn to choose terms.
 const HELD_OUT: usize = 8;
 /// Groups of each data set that are left out in turn for the covariance.
-const LEFT_OUT: usize = 30;
+pub(super) const LEFT_OUT: usize = 30;
 
 /// What a solve is given beside the data sets, whose models have their roles and start values.
 #[derive(Debug, Clone)]
@@ -201,7 +201,7 @@ pub(super) fn refit(
 }
 
 /// Of rod and plate those that are not the same in all runs with a bar.
-fn differ(runs: &[Run]) -> Vec<ParameterId> {
+pub(super) fn differ(runs: &[Run]) -> Vec<ParameterId> {
     let differs = |id: &ParameterId| {
         let bars = runs.iter().filter(|run| run.instrument.bar().is_some());
         let mut lengths = bars.filter_map(|run| run.model.parameter(*id).map(|length| length.nominal));
@@ -213,7 +213,7 @@ fn differ(runs: &[Run]) -> Vec<ParameterId> {
 
 /// What a data set has for itself: the robot is that of all and the bar that of all runs with one, but instruments are set up
 /// anew and encoders count from new zeros.
-fn is_own(id: ParameterId, differ: &[ParameterId]) -> bool {
+pub(super) fn is_own(id: ParameterId, differ: &[ParameterId]) -> bool {
     // Another bar deflects by another amount.
     let length = if id.group() == Group::Force { ParameterId::ROD } else { id };
     id.block().of_run || differ.contains(&length)

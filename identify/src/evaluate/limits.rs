@@ -7,8 +7,9 @@ use statrs::distribution::{ContinuousCDF, Normal};
 use super::{Elongation, PositiveForce, Quantiles, RunEvidence, WorkspaceError};
 use crate::calibrate::ball_bar::BallBarCalibration;
 use crate::calibrate::change::Changed;
+use crate::calibrate::validation::agreement::{Disagreement, disagreeing};
 use crate::cost::Closure;
-use crate::instrument::Instrument;
+use crate::instrument::{Instrument, Run};
 use crate::kinematics::LinkParameter;
 use crate::model::{JointTerm, Model, ParameterId, Role};
 use crate::prepare::Prepared;
@@ -76,6 +77,9 @@ pub fn limits(
     limits.extend(of_changes(&calibration.changed, reach_m, workspace.budget.expanded_m));
     limits.extend(of_drives(model, solution));
     limits.extend(turned_plate(model, solution));
+    if !calibration.others.is_empty() {
+        limits.extend(of_disagreement(&calibration.all_runs(), &calibration.sigmas, solution.loss));
+    }
     limits.extend(strained_priors(model, solution));
     limits.extend(of_lengths(model, solution, calibration.bars().map(|_| ScaleFrom::Plate)));
     limits.extend(lasting_errors(calibration));
@@ -160,6 +164,26 @@ impl ScaleFrom {
     }
 }
 
+/// Data sets that contradict each other.
+pub fn of_disagreement(runs: &[Run], sigmas: &[f64], loss: Loss) -> Option<Limit> {
+    let of = |Disagreement { data_set, times }: &Disagreement| {
+        let name = runs.get(*data_set).map_or("", |run| run.instrument.name());
+        format!(
+            "{name} (data set {}): what is left of it is {times:.2} times as large as by itself",
+            data_set + 1
+        )
+    };
+    let told: Vec<String> = disagreeing(runs, sigmas, loss).iter().map(of).collect();
+    (!told.is_empty()).then(|| Limit {
+        sentence: format!(
+            "The data sets contradict each other: {}. They are of different robots, or of one that was changed in between, or one \
+             of them is in another scale: calibrate each by itself and `identify compare` them.",
+            told.join("; ")
+        ),
+        serious: true,
+    })
+}
+
 /// Lengths that nobody expected, found with any instruments. `model` has the solution's first columns.
 pub fn of_lengths(model: &Model, solution: &Solution, scales: impl Iterator<Item = ScaleFrom>) -> Vec<Limit> {
     let scale = scales.map(ScaleFrom::describe).fold(Vec::new(), |mut told: Vec<&str>, one| {
@@ -224,12 +248,12 @@ fn forces_without_sign(calibration: &BallBarCalibration) -> impl Iterator<Item =
 }
 
 /// Parameters that the samples want where their priors hardly let them: the test of Evans and Moshonov (2006) for each of the
-/// `n` priors, at a chance of [`STRAINED_BY_CHANCE`] for all.
+/// `n` priors, at a chance of [`STRAINED_BY_CHANCE`] for all. `model` has the solution's first columns.
 ///
 /// A prior of `x0` with sigma `s0` that holds moves what is found by `g` where it is off by `s0`. Then `x - x0` has the variance
 /// `(s0 - g)^2` ([`NONLINEAR`] of `g` is left open), and with it what all other sources (samples, other priors, fixed parameters that
 /// are wrong) make of `x`. Where sources are not known one by one it is that of independent noise, `s0^2 - s^2`.
-fn strained_priors(model: &Model, solution: &Solution) -> Option<Limit> {
+pub fn strained_priors(model: &Model, solution: &Solution) -> Option<Limit> {
     let Solution { x, covariance, .. } = solution;
     let priors = model.columns().enumerate().filter_map(|(column, parameter)| match parameter.role {
         Role::Prior { value, sigma: expected } => {
@@ -260,7 +284,7 @@ fn strained_priors(model: &Model, solution: &Solution) -> Option<Limit> {
     let names: Vec<&str> = strained.iter().map(|(sentence, _)| sentence.as_str()).collect();
     (!names.is_empty()).then(|| Limit {
         sentence: format!(
-            "The run contradicts what was expected of {}. Look for the cause (the ratio in the controller, a worn gear or \
+            "What was measured contradicts what was expected of {}. Look for the cause (the ratio in the controller, a worn gear or \
              grating, a plate or rod of another length), or expect more under [priors] or [joint_terms] of the configuration: \
              so tight, the expectation pulls the result towards it.",
             names.join(", ")

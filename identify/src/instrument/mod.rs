@@ -16,7 +16,7 @@ use std::ops::{Deref, DerefMut};
 pub use ball_bar::BallBar;
 pub use contact::{Contact, ContactError, ContactRow};
 pub use screened::{RejectedRow, Rejection};
-pub(crate) use screened::{faulty, without};
+pub(crate) use screened::{faulty, gross_rows, without};
 pub use sockets::{KnownDistance, PlacedSocket, SocketTable, Sockets};
 pub use standing::{Standing, poses, standing};
 pub use tracker::{PoseError, PoseRow, Tracker};

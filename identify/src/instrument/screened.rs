@@ -1,8 +1,11 @@
 //! Rows of which those that do not belong with the rest take no part, judged anew wherever a solve has come: single ones with gross
 //! residuals, and runs of rows that are off together.
 
-use super::Standing;
+use super::{PoseError, Standing};
 use crate::statistics::median_size;
+
+/// Standard deviations beyond which a single row is gross: no row of a normal distribution is, and few of a heavy tail.
+const GROSS: f64 = 8.0;
 
 /// Why a row takes no part.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -76,8 +79,6 @@ pub(crate) fn faulty(
     fitting: &[usize],
     kept: &[usize],
 ) -> Vec<RejectedRow> {
-    /// Standard deviations beyond which a single row is gross: no row of a normal distribution is, and few of a heavy tail.
-    const GROSS: f64 = 8.0;
     /// And the median of neighbouring rows: what independent ones reach less than once in a million times.
     const RUN: f64 = 3.0;
     // As if all rows were as uncertain as the median one.
@@ -98,6 +99,27 @@ pub(crate) fn faulty(
     found.extend(alone.iter().filter_map(single));
     found.sort_by_key(|rejected| rejected.row);
     found
+}
+
+/// Which rows neither the nominal nor the calibrated robot comes near, of each its errors in all rows.
+pub(crate) fn gross_rows(nominal: &[PoseError], calibrated: &[PoseError]) -> Vec<bool> {
+    /// Robust standard deviations that errors of the nominal robot stay within: of a distance these are seven of a coordinate.
+    const OF_NOMINAL: f64 = 3.0;
+    let far = [beyond(nominal, OF_NOMINAL), beyond(calibrated, GROSS)];
+    far[0].iter().zip(&far[1]).map(|(nominal, calibrated)| *nominal && *calibrated).collect()
+}
+
+/// Which errors, of position or of rotation, are beyond so many robust standard deviations of all.
+fn beyond(errors: &[PoseError], sigmas: f64) -> Vec<bool> {
+    let sizes: [Vec<f64>; 2] = [
+        errors.iter().map(|error| error.position_m).collect(),
+        errors.iter().filter_map(|error| error.rotation_rad).collect(),
+    ];
+    let limits = sizes.map(|sizes| sigmas * robust_sigma(sizes.into_iter()));
+    let is_beyond = |error: &PoseError| {
+        error.position_m > limits[0] || error.rotation_rad.is_some_and(|angle| angle > limits[1])
+    };
+    errors.iter().map(is_beyond).collect()
 }
 
 /// Standard deviation of residuals that are mostly normal, by their median size.

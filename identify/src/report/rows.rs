@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use crate::calibrate::rows::{PoseFigures, RowSet, RunCause, Sizes, Stages};
 use crate::evaluate::{Limit, Validity};
-use crate::instrument::{Contact, Instrument, Rejection};
+use crate::instrument::{Contact, Instrument, RejectedRow, Rejection};
 use crate::kinematics::Joints;
 use crate::model::{Model, ParameterId, Phase, Waves};
 
@@ -95,7 +95,7 @@ pub fn table(
 ) -> String {
     match instrument {
         Instrument::BallBar(_) => String::new(),
-        Instrument::Tracker(_) => poses(set, validations),
+        Instrument::Tracker(_) => poses(set, validations) + &rejected_rows(set, lines),
         Instrument::Wire(_) => lengths(set, lines),
         Instrument::Contact(contact) => seats(set) + &contacts(contact, model, lines),
     }
@@ -150,7 +150,7 @@ fn rejected_rows(report: &RowSet, lines: &[u64]) -> String {
                 distance_m * 1e3
             ),
             Rejection::GrossResidual { residual_m } => {
-                writeln!(text, "  line {}: length off by {:.1} mm", line(rejected.row), residual_m * 1e3)
+                writeln!(text, "  line {}: off by {:.1} mm", line(rejected.row), residual_m * 1e3)
             }
             // Told as a run below.
             Rejection::FaultyRun { .. } => Ok(()),
@@ -215,6 +215,30 @@ fn contacts(contact: &Contact, model: &Model, lines: &[u64]) -> String {
         let _ = writeln!(text, "  line {line} takes no part: {sentence}");
     }
     text
+}
+
+/// Rows of a file that are no measurements, `name` being what the file is called; `lines` gives each row's line in it.
+pub fn left_out(set: &RowSet, name: &str, lines: &[u64]) -> Option<Limit> {
+    /// Named, at most.
+    const NAMED: usize = 8;
+    /// Where more than this part of a file is wrong, the others may be, too.
+    const SERIOUS: f64 = 0.05;
+    let is_gross = |one: &&RejectedRow| matches!(one.why, Rejection::GrossResidual { .. });
+    let rejected: Vec<&RejectedRow> = set.rejected.iter().filter(is_gross).collect();
+    let line = |one: &&RejectedRow| lines.get(one.row).map(u64::to_string);
+    let named: Vec<String> = rejected.iter().take(NAMED).filter_map(line).collect();
+    let more = rejected.len().checked_sub(NAMED).filter(|more| *more > 0);
+    let more = more.map_or_else(String::new, |more| format!(" and {more} more"));
+    (!rejected.is_empty()).then(|| Limit {
+        sentence: format!(
+            "{} of {} rows of the {name} (lines {}{more}) are further from the robot than it can be off and take no part: look for \
+             broken beams, wrong targets and joints of another pose.",
+            rejected.len(),
+            lines.len(),
+            named.join(", ")
+        ),
+        serious: rejected.len() as f64 > SERIOUS * lines.len() as f64,
+    })
 }
 
 /// What is known of sockets but contradicted by their rows.

@@ -18,7 +18,7 @@ use std::collections::BTreeMap;
 use super::ball_bar::CalibrateError;
 use super::mix::Measured;
 use crate::instrument::{
-    Instrument, Measures, PoseError, RejectedRow, Rejection, Run, Wire, faulty, without,
+    Instrument, Measures, PoseError, RejectedRow, Rejection, Run, Wire, faulty, gross_rows, without,
 };
 use crate::kinematics::Chain;
 use crate::model::{Model, ParameterId, SetUp};
@@ -148,6 +148,27 @@ impl RowSet {
             }
             Instrument::Tracker(_) | Instrument::BallBar(_) => {}
         }
+        self.leave_out_gross();
+    }
+
+    /// Rows that neither the nominal robot nor the calibrated one comes near are no measurements, whether a fit saw them or not: a
+    /// beam that broke, another target, a length that was read wrong. A calibration that predicts badly leaves its held-out rows
+    /// near the nominal robot, and they stay.
+    fn leave_out_gross(&mut self) {
+        let [nominal, .., joints] = &self.errors.stages;
+        let is_gross = gross_rows(nominal, joints);
+        let rows = self.errors.fitted.iter().chain(&self.errors.held_out).copied();
+        let gross = rows.filter(|row| is_gross.get(*row) == Some(&true));
+        let gross: Vec<usize> =
+            gross.filter(|row| !self.rejected.iter().any(|one| one.row == *row)).collect();
+        let rejected = |row: &usize| {
+            let residual_m = joints[*row].position_m;
+            RejectedRow { row: *row, why: Rejection::GrossResidual { residual_m } }
+        };
+        self.rejected.extend(gross.iter().map(rejected));
+        self.rejected.sort_by_key(|one| one.row);
+        self.errors.fitted.retain(|row| !gross.contains(row));
+        self.errors.held_out.retain(|row| !gross.contains(row));
     }
 
     fn at(&self, model: &Model) -> Vec<PoseError> {
@@ -215,7 +236,13 @@ impl RowSet {
     pub(super) fn everything(&self, model: &Model) -> Result<Instrument, CalibrateError> {
         let all: Vec<usize> = (0..self.whole.samples()).collect();
         let (Instrument::Wire(wire), Some(drift)) = (&self.whole, &self.drift) else {
-            let wrong = self.rejected_where(|why| matches!(why, Rejection::FlangeContradicts { .. }));
+            // A wire judges its gross rows anew wherever a solve has come.
+            let of_tracker = matches!(self.whole, Instrument::Tracker(_));
+            let wrong = self.rejected_where(|why| match why {
+                Rejection::FlangeContradicts { .. } => true,
+                Rejection::GrossResidual { .. } => of_tracker,
+                Rejection::FaultyRun { .. } => false,
+            });
             return Ok(self.whole.part(&without(&all, &wrong)));
         };
         let usable = self.beside_drift(&all);

@@ -1,5 +1,6 @@
 //! What judges a calibration: samples that were held out, controllers that take a part of it, other costs, a simulated truth.
 
+pub mod agreement;
 pub mod deployment;
 pub mod held_out;
 pub mod other_costs;

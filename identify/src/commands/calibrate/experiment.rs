@@ -17,7 +17,7 @@ use crate::calibrate::mix::{self, DataSets, Rows};
 use crate::calibrate::rows::RowSet;
 use crate::commands::ensure_six_revolute_axes;
 use crate::commands::on_terminal::OnTerminal;
-use crate::evaluate::{RunEvidence, Validity, of_lengths};
+use crate::evaluate::{RunEvidence, Validity, of_disagreement, of_lengths, strained_priors};
 use crate::instrument::{Instrument, Run};
 use crate::kinematics::flange_chain;
 use crate::logs::{LogFormat, LogOptions};
@@ -430,6 +430,7 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
         tables += &format!("\n{}\n{table}", name(number));
         tables += &beside.set_ups();
         tables.extend(beside.aligned.as_ref().map(Aligned::line));
+        limits.extend(of_rows::left_out(set, &name(number), &beside.lines));
         if let Instrument::Contact(contact) = instrument {
             limits.extend(of_rows::contradicted(contact, model));
         }
@@ -438,6 +439,8 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
     let first = found.runs.first().context("there is no data set")?;
     tables += &of_rows::waves(&first.model);
     file.validity = Some(validity);
+    limits.extend(of_disagreement(&found.runs, &found.solved.sigmas, solution.loss));
+    limits.extend(strained_priors(&first.model, solution));
     limits.extend(of_lengths(&first.model, solution, found.runs.iter().map(|run| (&run.instrument).into())));
     let told = Told {
         robot,

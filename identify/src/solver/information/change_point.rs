@@ -296,13 +296,15 @@ impl Tried {
 
     /// How likely a sound run shows as much at this instant.
     fn chance(&self) -> f64 {
+        let pooled = POOLED.iter().filter_map(|together| self.pooled(*together));
+        let least_sure = pooled.reduce(f64::max).unwrap_or(1.0);
         let enough = |together: &&usize| self.own.len() / **together >= GROUPS_MIN;
-        let pooled = POOLED.iter().filter(enough).map(|together| self.pooled(*together));
         let clustered = CLUSTERED.iter().filter(enough).map(|together| self.clustered(*together));
-        pooled.chain(clustered).fold(0.0, f64::max)
+        clustered.fold(least_sure, f64::max)
     }
 
-    fn pooled(&self, together: usize) -> f64 {
+    /// None where too few groups show all of its numbers: two positions do not show how an instrument is turned.
+    fn pooled(&self, together: usize) -> Option<f64> {
         let scatter: Vec<f64> = summed(&self.along, together)
             .into_iter()
             .filter_map(|(score, stiffness)| {
@@ -310,9 +312,12 @@ impl Tried {
                 Some(score.dot(&factor.solve(&score)))
             })
             .collect();
+        if scatter.len() < GROUPS_MIN {
+            return None;
+        }
         let count = scatter.len() as f64;
         let each = scatter.iter().sum::<f64>() / ((count - 1.0) * self.by.len() as f64);
-        tail(self.fall / each, self.by.len(), count - 1.0)
+        Some(tail(self.fall / each, self.by.len(), count - 1.0))
     }
 
     fn clustered(&self, together: usize) -> f64 {
