@@ -333,7 +333,8 @@ fn staged(
     rows.iter_mut().zip(&runs[bars..]).for_each(|(set, run)| set.judge_joints(&run.model));
     rows::unless_implausible(&data.rows, &rows, &runs, &flange)?;
     // What was held out has judged: now it takes part.
-    for (set, run) in rows.iter().zip(&mut runs[bars..]) {
+    for (set, run) in rows.iter_mut().zip(&mut runs[bars..]) {
+        set.leave_out_gross(&run.model);
         run.instrument = set.everything(&run.model)?;
     }
     let (columns, mut solution, sigmas) = refit(&mut runs, plan.loss)?;

@@ -1,12 +1,10 @@
 //! A model, a motion, observations and a cost, as the least-squares problem that the solver gets.
 
-use std::cell::OnceCell;
-
 use nalgebra::Vector3;
 
 use super::{DataSet, Residual, Scene};
 use crate::kinematics::{BAR_JOINTS, Chain, ROD_LINK, Trace, Tracer, Turn};
-use crate::model::{Geometry, Model, Observation, ParameterId, RobotMotion};
+use crate::model::{Geometry, Model, MovingJoints, Observation, ParameterId, RobotMotion};
 use crate::solver::{Block, Prior, Problem};
 
 /// Observations that a cost cannot use.
@@ -128,6 +126,7 @@ pub struct LoopPoint {
     bar_chain: Chain,
     bar_tracer: Tracer,
     base_y: Vector3<f64>,
+    joints: MovingJoints,
     robot: Trace,
     bar: Trace,
 }
@@ -141,6 +140,7 @@ impl LoopPoint {
             bar_chain,
             base_y: Vector3::new(0.0, geometry.base.rx_rad.cos(), geometry.base.rx_rad.sin()),
             geometry,
+            joints: MovingJoints::default(),
             robot: Trace::default(),
             bar: Trace::default(),
         }
@@ -159,7 +159,10 @@ impl LoopPoint {
         observation: &'a Observation,
         readings: &'a [Turn; BAR_JOINTS],
     ) -> Option<Scene<'a>> {
-        let joints = self.geometry.joints_at(motion, observation.t_s)?;
+        if !self.geometry.joints_at(motion, observation.t_s, &mut self.joints) {
+            return None;
+        }
+        let joints = &self.joints;
         let errors_rad = self.geometry.encoder_errors_rad(readings);
         let origin_offsets_rad = self.geometry.offsets_of_origin(observation.origin);
         let added_rad: [f64; BAR_JOINTS] =
@@ -180,7 +183,6 @@ impl LoopPoint {
             bar_rad: std::array::from_fn(|joint| observation.bar_rad[joint] + added_rad[joint]),
             bar_chain: (&self.bar_chain, &self.bar_tracer),
             joints,
-            drives: OnceCell::new(),
             robot: &self.robot,
             bar: &self.bar,
             robot_rate: self.robot.moved_by(&joints.corrected.qd),

@@ -1,7 +1,5 @@
 //! One sample with everything that residuals are made of.
 
-use std::cell::OnceCell;
-
 use nalgebra::Vector3;
 
 use crate::kinematics::{BAR_JOINTS, Chain, LinkParameter, ROD_LINK, Trace, Tracer, Turn, Twist};
@@ -34,9 +32,7 @@ pub struct Scene<'a> {
     /// The bar on its base, as long as force and direction make it, and the same made ready for forward passes.
     pub bar_chain: (&'a Chain, &'a Tracer),
     /// Of the robot.
-    pub joints: MovingJoints,
-    /// Where the drives are, once somebody has asked.
-    pub(super) drives: OnceCell<DriveState>,
+    pub joints: &'a MovingJoints,
     /// The robot at this instant, its joints without their errors.
     pub robot: &'a Trace,
     /// The bar as its encoders claim; without meaning where the cost needs no encoders.
@@ -86,8 +82,7 @@ impl Scene<'_> {
     }
 
     fn drives(&self) -> &DriveState {
-        let state = || self.geometry.joints.drives.state(&self.joints.reported);
-        self.drives.get_or_init(|| self.joints.drives.unwrap_or_else(state))
+        self.joints.drives(&self.geometry.joints.drives)
     }
 
     fn joint_wave(&self, axis: usize, order: u8, phase: Phase) -> Movement {
@@ -104,7 +99,7 @@ impl Scene<'_> {
 
     /// An error of a robot axis turns each joint that its drive turns.
     fn joint_error(&self, axis: usize, term: JointTerm) -> Twist {
-        let MovingJoints { reported, delayed, .. } = &self.joints;
+        let MovingJoints { reported, delayed, .. } = self.joints;
         let of = if term == JointTerm::Delay { delayed } else { reported };
         self.robot.moved_by(&self.geometry.joints.by_amplitude(axis, term, of, self.drives()))
     }

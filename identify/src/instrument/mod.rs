@@ -116,6 +116,16 @@ impl Instrument {
         (0..self.samples()).filter_map(move |sample| Some(self.reported(sample, &clock)?.q))
     }
 
+    /// What each row is worth where files state that: its standard deviation over that of the median row, as of the last
+    /// [`Measures::adapt`].
+    pub(crate) fn relative_noise(&self) -> Vec<f64> {
+        match self {
+            Self::Tracker(tracker) => tracker.relative_noise(),
+            Self::Wire(wire) => wire.relative_noise(),
+            Self::BallBar(_) | Self::Contact(_) => vec![1.0; self.samples()],
+        }
+    }
+
     /// The run of a ball-bar.
     pub fn bar(&self) -> Option<&BallBar> {
         match self {

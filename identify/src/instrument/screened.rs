@@ -101,16 +101,28 @@ pub(crate) fn faulty(
     found
 }
 
-/// Which rows neither the nominal nor the calibrated robot comes near, of each its errors in all rows.
-pub(crate) fn gross_rows(nominal: &[PoseError], calibrated: &[PoseError]) -> Vec<bool> {
+/// Which rows neither the nominal nor the calibrated robot comes near, by the errors of each in all rows and the noise of these over that
+/// of the median row.
+pub(crate) fn gross_rows(
+    nominal: &[PoseError],
+    calibrated: &[PoseError],
+    relative_noise: &[f64],
+) -> Vec<bool> {
     /// Robust standard deviations that errors of the nominal robot stay within: of a distance these are seven of a coordinate.
     const OF_NOMINAL: f64 = 3.0;
-    let far = [beyond(nominal, OF_NOMINAL), beyond(calibrated, GROSS)];
+    let far = [(nominal, OF_NOMINAL), (calibrated, GROSS)];
+    let far = far.map(|(errors, sigmas)| beyond(errors, relative_noise, sigmas));
     far[0].iter().zip(&far[1]).map(|(nominal, calibrated)| *nominal && *calibrated).collect()
 }
 
 /// Which errors, of position or of rotation, are beyond so many robust standard deviations of all.
-fn beyond(errors: &[PoseError], sigmas: f64) -> Vec<bool> {
+fn beyond(errors: &[PoseError], relative_noise: &[f64], sigmas: f64) -> Vec<bool> {
+    // As if all rows were as uncertain as the median one.
+    let alike = |(error, noise): (&PoseError, &f64)| PoseError {
+        position_m: error.position_m / noise,
+        rotation_rad: error.rotation_rad.map(|angle| angle / noise),
+    };
+    let errors: Vec<PoseError> = errors.iter().zip(relative_noise).map(alike).collect();
     let sizes: [Vec<f64>; 2] = [
         errors.iter().map(|error| error.position_m).collect(),
         errors.iter().filter_map(|error| error.rotation_rad).collect(),

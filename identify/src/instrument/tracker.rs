@@ -142,6 +142,12 @@ impl Tracker {
         median_size(self.noise.iter().map(|noise| noise.position_m))
     }
 
+    /// Noise of every row over that of the median one.
+    pub(crate) fn relative_noise(&self) -> Vec<f64> {
+        let usual_m = self.noise_m();
+        self.noise.iter().map(|noise| noise.position_m / usual_m).collect()
+    }
+
     /// Name of the cost: positions alone or whole poses.
     pub fn cost(&self) -> &'static str {
         if self.poses.is_some() { MeasuredPose::NAME } else { MeasuredPosition::NAME }

@@ -1,5 +1,7 @@
 //! The closed chain that a set of parameter values describes.
 
+use std::cell::OnceCell;
+
 use nalgebra::{Rotation3, Translation3, Vector3};
 
 use super::{BarForce, DriveState, DriveTrain, JointErrors, JointState, RobotMotion, SetUp, Tracker, Waves};
@@ -8,8 +10,8 @@ use crate::kinematics::{AXES_MAX, BAR_JOINTS, Chain, DhLink, Pose, Turn};
 /// Joints of the bar before its rod: those that give it its direction.
 pub(super) const DIRECTION_JOINTS: usize = 2;
 
-/// The joints of a robot that moves.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// The joints of a robot that moves. Reused from sample to sample.
+#[derive(Debug, Clone, Default, PartialEq)]
 pub struct MovingJoints {
     /// As logged.
     pub reported: JointState,
@@ -17,8 +19,15 @@ pub struct MovingJoints {
     pub delayed: JointState,
     /// ...and without their other errors.
     pub corrected: JointState,
-    /// Where the drives are, as logged; none where nothing goes by it.
-    pub drives: Option<DriveState>,
+    /// Where the drives are, as logged, once something goes by it.
+    drives: OnceCell<DriveState>,
+}
+
+impl MovingJoints {
+    /// Where the drives are, as logged.
+    pub fn drives(&self, drives: &DriveTrain) -> &DriveState {
+        self.drives.get_or_init(|| drives.state(&self.reported))
+    }
 }
 
 /// Where the ball-bar stands: `T(origin) Rx(rx) Ry(ry)`; the turn about z is the bar's `btheta1`.
@@ -163,29 +172,33 @@ impl Geometry {
 
     /// The robot's joints without their errors, where it stands still or all joints were logged at one instant.
     pub fn corrected(&self, reported: &JointState) -> JointState {
-        self.without_errors(*reported, reported).0
+        let mut corrected = *reported;
+        self.take_errors(&mut corrected, reported, &OnceCell::new());
+        corrected
     }
 
-    /// The robot's joints at a time of the bar's clock; none where the robot's log does not cover it.
-    pub fn joints_at(&self, motion: &impl RobotMotion, t_s: f64) -> Option<MovingJoints> {
+    /// The robot's joints at a time of the bar's clock, into joints that are overwritten; false where the robot's log does not
+    /// cover it.
+    #[must_use]
+    pub fn joints_at(&self, motion: &impl RobotMotion, t_s: f64, joints: &mut MovingJoints) -> bool {
         let tau_s = self.clock.robot_time_s(t_s);
-        let reported = motion.at(tau_s)?;
-        let delayed = self.joints.delayed(&reported, motion, tau_s);
-        let (corrected, drives) = self.without_errors(delayed, &reported);
-        Some(MovingJoints { reported, delayed, corrected, drives })
+        let Some(reported) = motion.at(tau_s) else { return false };
+        joints.reported = reported;
+        joints.delayed = self.joints.delayed(&reported, motion, tau_s);
+        joints.corrected = joints.delayed;
+        joints.drives = OnceCell::new();
+        self.take_errors(&mut joints.corrected, &joints.reported, &joints.drives);
+        true
     }
 
-    fn without_errors(
-        &self,
-        mut corrected: JointState,
-        reported: &JointState,
-    ) -> (JointState, Option<DriveState>) {
+    /// Takes errors out of joints, all of one instant.
+    fn take_errors(&self, corrected: &mut JointState, reported: &JointState, drives: &OnceCell<DriveState>) {
         // Sines and cosines of all drives take longer than to look.
         if !self.joints.any() && self.axis_waves.iter().all(Waves::is_none) {
-            return (corrected, None);
+            return;
         }
-        let state = self.joints.drives.state(reported);
-        self.joints.add_to(&mut corrected, reported, &state);
+        let state = drives.get_or_init(|| self.joints.drives.state(reported));
+        self.joints.add_to(corrected, reported, state);
         let waves = self.axis_waves.iter().zip(&self.joints.drives.joint_from_drive).enumerate();
         for (axis, (waves, joint_from_drive)) in waves {
             let (error, slope) = waves.at(state.turn[axis]);
@@ -195,7 +208,6 @@ impl Geometry {
                 corrected.qd[joint] += part * error_rate;
             }
         }
-        (corrected, Some(state))
     }
 
     /// What the bar's encoders show too much at these readings \[rad\].

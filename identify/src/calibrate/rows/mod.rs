@@ -148,15 +148,16 @@ impl RowSet {
             }
             Instrument::Tracker(_) | Instrument::BallBar(_) => {}
         }
-        self.leave_out_gross();
     }
 
     /// Rows that neither the nominal robot nor the calibrated one comes near are no measurements, whether a fit saw them or not: a
     /// beam that broke, another target, a length that was read wrong. A calibration that predicts badly leaves its held-out rows
     /// near the nominal robot, and they stay.
-    fn leave_out_gross(&mut self) {
+    pub(super) fn leave_out_gross(&mut self, model: &Model) {
+        let mut whole = self.whole.clone();
+        whole.adapt(model);
         let [nominal, .., joints] = &self.errors.stages;
-        let is_gross = gross_rows(nominal, joints);
+        let is_gross = gross_rows(nominal, joints, &whole.relative_noise());
         let rows = self.errors.fitted.iter().chain(&self.errors.held_out).copied();
         let gross = rows.filter(|row| is_gross.get(*row) == Some(&true));
         let gross: Vec<usize> =

@@ -2,7 +2,7 @@
 
 use super::position_angles::measured;
 use crate::kinematics::{BAR_JOINTS, ImpliedBar, Tracer};
-use crate::model::{Geometry, Observation, RobotMotion};
+use crate::model::{Geometry, MovingJoints, Observation, RobotMotion};
 
 /// Sets the angle of each joint without encoder to the one that the robot's pose implies on this geometry.
 ///
@@ -11,9 +11,11 @@ use crate::model::{Geometry, Observation, RobotMotion};
 /// log stay as they are.
 pub fn fill_in(geometry: &Geometry, motion: &impl RobotMotion, observations: &mut [Observation]) {
     let bar = geometry.bar();
-    let tracer = Tracer::new(&bar);
+    let (tracer, mut joints) = (Tracer::new(&bar), MovingJoints::default());
     for observation in observations.iter_mut().filter(|observation| observation.measured.contains(&false)) {
-        let Some(joints) = geometry.joints_at(motion, observation.t_s) else { continue };
+        if !geometry.joints_at(motion, observation.t_s, &mut joints) {
+            continue;
+        }
         let target = geometry.robot.forward(&joints.corrected.q);
         let Ok(implied) = ImpliedBar::new(&bar, &tracer, &target, &measured(observation)) else { continue };
         for joint in (0..BAR_JOINTS).filter(|&joint| !observation.measured[joint]) {
