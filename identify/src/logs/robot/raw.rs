@@ -240,7 +240,7 @@ impl RawLog {
 
     /// Rows that are none would be interpolated, and change the motion by which the clocks are compared.
     fn drop_excursions(&mut self, meaning: &Meaning<'_>) -> Result<(), LogError> {
-        let rows: Vec<Joints> = self.joints.iter().map(|row| meaning.conversion.to_joint(row)).collect();
+        let rows = threads::rows(self.joints.len(), |row| meaning.conversion.to_joint(&self.joints[row]));
         let kinds: Vec<JointKind> = meaning.robot.joint_kinds().collect();
         let step = |from: usize, to: usize, joint: usize| {
             let by = rows[to][joint] - rows[from][joint];

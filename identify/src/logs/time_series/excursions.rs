@@ -15,7 +15,7 @@ const ROWS_MAX: usize = 8;
 const QUARTILES: f64 = 12.0;
 /// A log of which more jumps out is refused, not mended.
 const PART_MAX: f64 = 0.1;
-/// Second differences that are looked at for it, about.
+/// Rows of a long log by which its period and its noise are judged, about.
 const LOOKED_AT: usize = 100_000;
 /// Places that a message names.
 const NAMED_MAX: usize = 5;
@@ -44,10 +44,12 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
     /// between them, by more than the noise of the log, and by more than the neighbours are apart, which is no more than can be
     /// moved meanwhile. The further apart rows are the less is told: what could be motion is kept.
     pub fn find(&self) -> Vec<usize> {
-        let period_s = trimmed_mean(self.t_s.windows(2).map(|pair| pair[1] - pair[0]).collect(), STEPS_PART);
-        let period_s = period_s.unwrap_or_default();
+        let every = self.t_s.len().div_ceil(LOOKED_AT).max(1);
+        let looked_at: Vec<f64> = self.t_s.iter().step_by(every).copied().collect();
+        let steps_s = looked_at.windows(2).map(|pair| (pair[1] - pair[0]) / every as f64);
+        let period_s = trimmed_mean(steps_s.collect(), STEPS_PART).unwrap_or_default();
         let noise: Vec<f64> =
-            (0..self.columns).map(|column| QUARTILES * self.second_difference(column)).collect();
+            (0..self.columns).map(|column| QUARTILES * self.second_difference(column, every)).collect();
         let (mut found, mut before) = (Vec::new(), 0);
         while before + 2 < self.t_s.len() {
             let leaves =
@@ -85,8 +87,7 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
     }
 
     /// The lower quartile of those that are not zero: resolution and noise make them, and bad rows three each.
-    fn second_difference(&self, column: usize) -> f64 {
-        let every = self.t_s.len().div_ceil(LOOKED_AT).max(1);
+    fn second_difference(&self, column: usize, every: usize) -> f64 {
         let rows = (1..self.t_s.len().saturating_sub(1)).step_by(every);
         let sizes = rows.map(|row| (self.step)(row, row + 1, column) - (self.step)(row - 1, row, column));
         let mut sizes: Vec<f64> = sizes.map(f64::abs).filter(|size| *size > 0.0).collect();
