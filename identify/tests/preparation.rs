@@ -210,6 +210,31 @@ fn bad_cycles_are_dropped_and_counted_and_a_new_origin_begins_a_new_run() {
     assert!(counts.standstill > 300);
 }
 
+/// Each origin has five parameters: thousands of them would be solved for hours.
+#[test]
+fn counters_that_start_anew_all_the_time_are_refused_at_once() {
+    let (robot, bar) = (irb2400(), bar());
+    let mut run = run(&robot, &bar, |_| {});
+    for (number, cycle) in run.cycles.iter_mut().enumerate() {
+        cycle.origin = number as u32 / 20;
+    }
+    let told = refusal(&run, &robot, &bar);
+    assert!(told.contains("at 300 places, at most 60") && told.contains("interpolation_bits"), "{told}");
+}
+
+#[test]
+fn stamps_in_bunches_are_named_where_they_leave_no_speed_to_compare() {
+    let (robot, bar) = (irb2400(), bar());
+    let mut run = run(&robot, &bar, |_| {});
+    let first = run.cycles[0].sample_time;
+    for (number, cycle) in run.cycles.iter_mut().enumerate() {
+        let number = number as i64;
+        cycle.sample_time = first.plus_ns((number - number % 10) * 10_000_000 + number % 10 * 100);
+    }
+    let told = refusal(&run, &robot, &bar);
+    assert!(told.contains("cannot be compared") && told.contains("bunches"), "{told}");
+}
+
 #[test]
 fn two_logs_of_the_same_motion_done_twice_are_matched_over_their_whole_length() {
     let (robot, bar) = (irb2400(), bar());

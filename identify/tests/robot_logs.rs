@@ -1,14 +1,20 @@
 //! Robot logs in and out: conversions, round trips and every refusal.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use identify::kinematics::Joints;
+use std::f64::consts::{PI, TAU};
 use std::path::Path;
+
+use identify::inspect;
+use identify::kinematics::Joints;
 
 use crate::support::{irb2400 as irb, nj220 as nj};
 use identify::logs::{
     JointConversion, LogError, LogOptions, Origin, RobotLog, RobotLogMapping, Stream, load_with, read, write,
 };
 use proptest::prelude::*;
+use rand::SeedableRng;
+use rand_chacha::ChaCha8Rng;
+use rand_distr::{Distribution, Normal};
 use shared::config::RobotConfig;
 
 /// A log of 60 rows at 4 ms whose stamps need more digits than an f64 has.
@@ -118,6 +124,115 @@ fn a_repeated_row_is_dropped_and_counted() {
     let log = parse(&text.replace(row, &format!("{row}\n{row}\n{row}")), &irb()).unwrap();
     assert_eq!(log.quality.duplicates_dropped, 2);
     assert_eq!(log.q_rad.t_s.len(), 60);
+}
+
+#[test]
+fn rows_that_jump_out_and_back_are_left_out_and_named_by_their_lines() {
+    let expected = parse(&edited(0, |_| {}), &irb()).unwrap();
+    let with_bad = |bad: &[usize], write: &dyn Fn(&mut [String])| {
+        let text = edited(0, |_| {});
+        let lines = text.lines().enumerate().map(|(index, line)| {
+            let mut cells: Vec<String> = line.split(',').map(str::to_owned).collect();
+            if bad.iter().any(|row| row + 4 == index) {
+                write(&mut cells[1..]);
+            }
+            cells.join(",")
+        });
+        parse(&lines.collect::<Vec<_>>().join("\n"), &irb())
+    };
+    let zeros = |cells: &mut [String]| cells.fill("0".into());
+    // Joint 1 of the IRB 2400 by 50 mrad.
+    let spike = |cells: &mut [String]| cells[0] = (cells[0].parse::<f64>().unwrap() + 6.48).to_string();
+    for (bad, write) in [(&[20, 30, 31, 40][..], &zeros as &dyn Fn(&mut [String])), (&[10, 12, 14], &spike)] {
+        let log = with_bad(bad, write).unwrap();
+        assert_eq!(log.quality.excursions_dropped, bad.len());
+        let kept: Vec<usize> = (0..expected.q_rad.len()).filter(|row| !bad.contains(row)).collect();
+        assert_eq!(log.q_rad.rows, kept.iter().map(|row| expected.q_rad[*row]).collect::<Vec<_>>());
+        for (t_s, row) in log.q_rad.t_s.iter().zip(kept) {
+            assert!((t_s - expected.q_rad.t_s[row]).abs() < 1e-9);
+        }
+        let lines: Vec<String> = bad.iter().map(|row| (row + 5).to_string()).collect();
+        let told = inspect::robot_log(&log).suspicious.join("\n");
+        assert!(told.contains(&format!("{} of 60 lines", bad.len())), "{told}");
+        assert!(told.contains(&lines.join(", ")) && !told.contains("no robot is so fast"), "{told}");
+    }
+    let many: Vec<usize> = (5..55).step_by(5).collect();
+    let told = message(with_bad(&many, &zeros));
+    assert!(
+        told.contains("10 of 60 lines") && told.contains("line 10, 15") && told.contains("log again"),
+        "{told}"
+    );
+}
+
+/// Joints that sweep evenly, turn back with 130 rad/s² and more, and rest for a second every 20 s.
+fn hard(t_s: f64) -> Joints {
+    let along = t_s - (TAU * t_s / 20.0).sin() * 20.0 / TAU;
+    Joints::from_fn(6, |joint| 0.3 * (0.995 * (along * (2.0 + 0.25 * joint as f64)).sin()).asin())
+}
+
+#[test]
+fn no_healthy_log_loses_a_row() {
+    let mut random = ChaCha8Rng::seed_from_u64(7);
+    let stepped = |q: &Joints, by: f64| q.map(|q| (q / by).round() * by);
+    for rate_hz in [5.0, 10.0, 20.0, 50.0, 100.0, 250.0, 500.0, 1000.0] {
+        let even_s: Vec<f64> = (0..(60.0 * rate_hz) as usize).map(|row| row as f64 / rate_hz).collect();
+        let smooth: Vec<Joints> = even_s
+            .iter()
+            .map(|t_s| Joints::from_fn(6, |j| 0.4 * (t_s * (0.5 + 0.13 * j as f64)).sin()))
+            .collect();
+        let hard: Vec<Joints> = even_s.iter().map(|t_s| hard(*t_s)).collect();
+        let mut noisy = |sigma: f64| -> Vec<Joints> {
+            let normal = Normal::new(0.0, sigma).unwrap();
+            smooth.iter().map(|q| Joints::from_fn(6, |j| q[j] + normal.sample(&mut random))).collect()
+        };
+        let (fine, rough) = (noisy(20e-6), noisy(1e-3));
+        let coarse = |deg: f64| smooth.iter().map(|q| stepped(q, deg.to_radians())).collect::<Vec<_>>();
+        // Play that is taken up at once where joints turn back.
+        let play: Vec<Joints> = smooth
+            .windows(2)
+            .map(|pair| Joints::from_fn(6, |j| pair[1][j] + 0.6e-3 * (pair[1][j] - pair[0][j]).signum()))
+            .collect();
+        let held: Vec<Joints> = (0..smooth.len()).map(|row| smooth[row - row % 5]).collect();
+        let late = |row: usize| ((row * row % 17) as f64 / 17.0).powi(3) * 0.02;
+        let jittered: Vec<f64> = even_s
+            .iter()
+            .enumerate()
+            .scan(0.0, |last, (row, t_s)| {
+                *last = f64::max(*last + 1e-6, t_s + late(row));
+                Some(*last)
+            })
+            .collect();
+        let bunched: Vec<f64> =
+            (0..even_s.len()).map(|row| even_s[row - row % 10] + 1e-6 * (row % 10) as f64).collect();
+        for (what, t_s, rows) in [
+            ("hard", &even_s, &hard),
+            ("hard, stamps jitter", &jittered, &hard),
+            ("hard, stamps in bunches", &bunched, &hard),
+            ("noise of an encoder", &even_s, &fine),
+            ("noise of a millirad", &even_s, &rough),
+            ("noise, stamps jitter", &jittered, &fine),
+            ("steps of 0.01 deg", &even_s, &coarse(0.01)),
+            ("steps of 0.1 deg", &even_s, &coarse(0.1)),
+            ("play", &even_s, &play),
+            ("held", &even_s, &held),
+        ] {
+            let q_rad = Stream::new(0, t_s.clone(), rows.clone()).into();
+            let text = text_of(&RobotLog { q_rad, ..RobotLog::default() }, &nj());
+            let log = parse(&text, &nj()).unwrap();
+            let remarks = log.quality.remarks.join("; ");
+            assert_eq!(log.quality.excursions_dropped, 0, "{what} at {rate_hz} Hz: {remarks}");
+        }
+    }
+}
+
+#[test]
+fn an_angle_that_begins_anew_after_a_turn_is_no_jump() {
+    let mut log = sample_log();
+    for (row, q) in log.q_rad.iter_mut().enumerate() {
+        q[5] = if row % 3 == 0 { -PI + 1e-4 } else { PI - 1e-4 };
+    }
+    let read = parse(&text_of(&log, &nj()), &nj()).unwrap();
+    assert_eq!((read.quality.excursions_dropped, read.q_rad.len()), (0, 60));
 }
 
 #[test]

@@ -264,6 +264,25 @@ fn the_command_takes_both_logs_and_what_it_writes_repeats_it() {
     assert!(err.contains("report.html") && !folder.path().join("result/calibration.toml").exists(), "{err}");
 }
 
+/// A tracker whose beam is broken writes zeros.
+#[test]
+fn rows_of_a_broken_beam_are_left_out_and_named() {
+    let mut followed = Followed::new(1, Sizes::default());
+    let whole = followed.aligned().unwrap();
+    let count = followed.poses().rows.len();
+    let bad: Vec<usize> = (100..count).step_by(100).flat_map(|row| [row, row + 1]).collect();
+    let lines = followed.text.lines().enumerate().map(|(line, text)| {
+        let stamp = text.split(';').next().unwrap();
+        if bad.contains(&(line + 1)) { format!("{stamp};0;0;0") } else { text.to_owned() }
+    });
+    followed.text = lines.collect::<Vec<_>>().join("\n");
+    let read = followed.poses();
+    assert_eq!(read.rows.len(), count - bad.len());
+    assert!(matches!(&read.remarks[..], [one] if one.contains("line 100, 101, 200")), "{:?}", read.remarks);
+    let found = followed.aligned().unwrap().alignment;
+    assert!((found.correlation - whole.alignment.correlation).abs() < 1e-3, "{found:?}");
+}
+
 #[test]
 fn stamps_that_go_back_are_refused_by_their_line() {
     let followed = Followed::new(1, Sizes { duration_s: 1.0, ..Sizes::default() });

@@ -36,6 +36,7 @@ pub use rows::measured_length::{
     FlangeColumns, LengthColumn, LengthUncertaintyColumn, MeasuredLength, MeasuredLengthMapping,
     MeasuredLengths,
 };
+pub(crate) use rows::measured_pose::SPEED_M_S_MAX;
 pub use rows::measured_pose::{
     EulerFrame, MeasuredPose, MeasuredPoseMapping, MeasuredPoses, PoseUncertainty, PositionColumns,
     RotationColumns, RotationForm, TimedPose, TimedPoses, UncertaintyColumns,
@@ -92,6 +93,8 @@ pub struct LogQuality {
     pub duplicates_dropped: usize,
     /// Rows that repeat the joints before them under a new stamp in the middle of a motion; they are not used.
     pub frozen_dropped: usize,
+    /// Rows that jump out and come back as nothing moves, mostly zeros; they are not used.
+    pub excursions_dropped: usize,
     /// Rows in which a joint is missing or not a number; they are not used.
     pub incomplete_dropped: usize,
     /// The regular clock behind the stamps, where there is one.

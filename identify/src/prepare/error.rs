@@ -4,9 +4,6 @@ use super::{Deviations, ForceError};
 use crate::kinematics::InverseError;
 use crate::logs::LogError;
 
-/// Speeds of different runs mostly correlate by less.
-const OF_OTHER_RUNS: f64 = 0.5;
-
 /// What is wrong and what to do.
 #[derive(Debug, thiserror::Error)]
 pub enum PrepareError {
@@ -18,6 +15,18 @@ pub enum PrepareError {
     NoValidCycle {
         /// Cycles in the recording.
         cycles: usize,
+    },
+    /// More parts with offsets of their own than are solved for.
+    #[error(
+        "the encoders' counters started anew, or may have, at {origins} places, at most {most} are followed; mend the plug, cable or \
+         supply that fails so often and record again, or, if none did, compare lines and interpolation_bits in the bar's \
+         configuration with the encoders"
+    )]
+    TooManyOrigins {
+        /// Places where they did.
+        origins: usize,
+        /// Threshold.
+        most: usize,
     },
     /// A cycle's encoders are not those that the recording declares.
     #[error(
@@ -114,12 +123,8 @@ pub enum PrepareError {
     #[error(
         "robot log and {other} do not match at any clock difference: the best correlation of their speeds is \
          {correlation:.2} (over {overlap_s:.0} s), at least {needed} is asked for. They do not overlap in time or are \
-         of different runs; give the log of this run{}",
-        if *correlation < OF_OTHER_RUNS {
-            ""
-        } else {
-            ". If it is of this run, noise, rows of zeros or spikes hide the motion in one of them: `identify inspect` shows both"
-        }
+         of different runs, or something hides the motion in one of them, such as noise or rows that are no measurements; give the \
+         log of this run, or look for that with `identify inspect`, which shows both"
     )]
     NoMatch {
         /// What it was compared with.
@@ -130,6 +135,18 @@ pub enum PrepareError {
         overlap_s: f64,
         /// Threshold.
         needed: f64,
+    },
+    /// Speeds cannot be compared anywhere.
+    #[error(
+        "robot log and {other} cannot be compared: at no clock difference do both say for {needed_s:.0} s how fast the robot moves. \
+         Stamps that come in bunches, or too far apart, give speeds that no robot has, or none; log the time at which each sample \
+         was taken (`identify inspect` shows how far apart stamps are)"
+    )]
+    NoSpeeds {
+        /// What the robot's log was compared with.
+        other: &'static str,
+        /// For how long both would have to \[s\].
+        needed_s: f64,
     },
     /// They match where they hardly overlap.
     #[error(

@@ -30,6 +30,9 @@ const TRAVEL_DEG_MIN: f64 = 3.0;
 /// Longest log \[s\]. A longer one mostly is a clock that was set.
 const DURATION_S_MAX: f64 = 24.0 * 3600.0;
 
+/// Changes of the counters' origin in one run: an hour of a bus that fails once a minute. Each has five parameters of its own.
+const ORIGIN_CHANGES_MAX: usize = 60;
+
 /// Brings recording and robot log together.
 ///
 /// `encoders` are those of the recording, in its order. Parts of the recording after a change of the counters' origin are
@@ -222,6 +225,10 @@ fn check(angles: &BarAngles, log: &RobotLog, options: &PrepareOptions) -> Result
     let readings = &angles.readings;
     if readings.is_empty() {
         return Err(PrepareError::NoValidCycle { cycles: angles.statuses.len() });
+    }
+    let origins = angles.origins().saturating_sub(1);
+    if origins > ORIGIN_CHANGES_MAX {
+        return Err(PrepareError::TooManyOrigins { origins, most: ORIGIN_CHANGES_MAX });
     }
     if let Some(dead) = frozen(readings, &angles.measured) {
         return Err(dead);

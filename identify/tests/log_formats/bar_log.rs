@@ -227,6 +227,44 @@ fn counters_that_start_anew_are_marked_and_one_that_slips_is_not_excused() {
 }
 
 #[test]
+fn rows_that_jump_out_and_back_are_no_new_origins_but_marked_and_named() {
+    let text = table(|row, joint| match (row, joint) {
+        (40 | 41 | 90, _) => "0".into(),
+        (120, 4) => ((counts(row, joint) + 1_000_000) as u32).to_string(),
+        _ => shown(row, joint),
+    });
+    let log = read(text.as_bytes(), None).unwrap();
+    let invalid: Vec<usize> = (0..log.cycles.len()).filter(|row| !log.cycles[*row].is_valid()).collect();
+    assert_eq!((log.quality.excursions_dropped, invalid), (4, vec![40, 41, 90, 120]));
+    assert!(log.cycles.iter().all(|cycle| cycle.origin == 0));
+    assert_follows(&log, 1e-6);
+    let told = inspect::bar_log(&log).suspicious.join("\n");
+    assert!(told.contains("4 of 200 lines") && told.contains("line 42, 43, 92, 122"), "{told}");
+    // More of them are no fault of single rows.
+    let many = table(|row, joint| if row % 7 == 3 { "0".into() } else { shown(row, joint) });
+    let told = self::told(many.as_bytes(), None);
+    assert!(
+        told.contains("28 of 200 lines") && told.contains("line 5, 12") && told.contains("log again"),
+        "{told}"
+    );
+}
+
+#[test]
+fn counters_that_start_anew_twice_within_a_few_rows_have_three_origins() {
+    for rows in 1..=5 {
+        let anew = |row: usize, joint: usize| {
+            let since =
+                [0, 700_000_000, -900_000_000][usize::from(row >= 100) + usize::from(row >= 100 + rows)];
+            ((counts(row, joint) + since) as u32).to_string()
+        };
+        let log = read(table(anew).as_bytes(), None).unwrap();
+        let origins: Vec<usize> = log.cycles.chunk_by(|a, b| a.origin == b.origin).map(<[_]>::len).collect();
+        assert_eq!(origins, [100, rows, ROWS - 100 - rows]);
+        assert_eq!(log.quality.excursions_dropped, 0);
+    }
+}
+
+#[test]
 fn what_cannot_be_meant_is_refused_with_place_and_remedy() {
     let good = table(shown);
     let line = |number: usize| good.lines().nth(number - 1).unwrap().to_owned();

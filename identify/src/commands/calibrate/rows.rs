@@ -320,6 +320,9 @@ fn timed_poses(
         of.mapping.display()
     );
     let read = TimedPoses::load(&of.file, &mapping)?;
+    for remark in &read.remarks {
+        tracing::warn!("{}: {remark}", of.file.display());
+    }
     let log = load_log(robot_log, with.robot, &with.logs)?;
     let AlignedPoses { rows, states, moving, alignment, t_ref, left_out } =
         align_poses(&read, &log, &flange_chain(with.robot), with.options)

@@ -31,7 +31,7 @@ const UNSAID: [(&str, &str); 5] = [
     ),
     (
         "which values are not valid",
-        "every row that has all values is used, but for those that repeat the counts before them",
+        "every row that has all values is used, but for those that repeat the counts before them, or jump out and come back",
     ),
     (
         "where counters started anew",
@@ -76,7 +76,7 @@ pub struct OtherBarLog {
     pub encoders: Vec<EncoderInfo>,
     /// One for each row or message; those that cannot be used are not valid.
     pub cycles: Vec<CycleRecord>,
-    /// How good the log is in itself; rows without a value, and frozen ones, are there and not valid.
+    /// How good the log is in itself; rows without a value, frozen ones and those that jump out and back are there and not valid.
     pub quality: LogQuality,
     /// Counters and angles that began anew and were made continuous.
     pub unwrapped: Vec<Unwrapped>,

@@ -10,10 +10,13 @@ use shared::time::UtcNs;
 
 use super::mapping::EncoderUnit;
 use super::{OtherBarLog, UNSAID};
+use crate::logs::time_series::excursions::{Excursions, Fastest, told};
 use crate::logs::{LogError, LogQuality, ROWS_MIN, Unwrapped, UnwrappedPoint, since_first_s};
 
 /// Faster than this no bar is moved by a robot \[rad/s\].
 const SPEED_RAD_S_MAX: f64 = 4.0 * std::f64::consts::PI;
+/// Bars are moved by robots and by hand, and both turn back no faster than a robot's own joints.
+const FASTEST: Fastest = Fastest { speed: SPEED_RAD_S_MAX, acceleration: 200.0 };
 /// Smaller steps than this are no new origin \[rad\]: times of reception jitter, and rows come close behind each other.
 const JUMP_RAD_MIN: f64 = 0.2;
 /// Places where counters started anew that a remark names: a wrong scale makes thousands.
@@ -87,13 +90,17 @@ impl Reading {
 
     /// A counter of another width to 32 bits.
     fn widened(&mut self, shown: i64) -> u32 {
-        let width = i128::from(self.wraps_at);
         let (before, unwrapped) = self.last.unwrap_or((shown, shown));
-        let half = width / 2;
-        let step = (i128::from(shown) - i128::from(before) + half).rem_euclid(width) - half;
-        let unwrapped = unwrapped.wrapping_add(step as i64);
+        let unwrapped = unwrapped.wrapping_add(self.step(before, shown));
         self.last = Some((shown, unwrapped));
         wrap(unwrapped)
+    }
+
+    /// From one count that is shown to another, the shorter way around.
+    fn step(&self, before: i64, shown: i64) -> i64 {
+        let width = i128::from(self.wraps_at);
+        let half = width / 2;
+        ((i128::from(shown) - i128::from(before) + half).rem_euclid(width) - half) as i64
     }
 }
 
@@ -179,10 +186,13 @@ impl RawBarLog {
         if usable < ROWS_MIN {
             return Err(LogError::TooFewRows { path: self.path, rows: usable, needed: ROWS_MIN });
         }
+        self.quality.incomplete_dropped = if self.kind.has_validity { 0 } else { self.rows.len() - usable };
+        if !self.kind.has_origins {
+            self.mark_excursions()?;
+        }
         for place in 0..self.readings.len() {
             self.check_wrap(place)?;
         }
-        self.quality.incomplete_dropped = if self.kind.has_validity { 0 } else { self.rows.len() - usable };
         let mut cycles = self.cycles();
         if !self.kind.has_origins {
             self.mark_frozen(&mut cycles);
@@ -235,6 +245,26 @@ impl RawBarLog {
             (pair[0], pair[1], steps.collect())
         };
         valid.windows(2).map(step).collect()
+    }
+
+    /// Rows of zeros, or of anything else that is no reading: each would be two places at which counters start anew.
+    fn mark_excursions(&mut self) -> Result<(), LogError> {
+        let width = self.readings.len();
+        let valid: Vec<usize> = (0..self.rows.len()).filter(|row| self.rows[*row].is_valid(width)).collect();
+        let t_s = since_first_s(&valid.iter().map(|row| self.rows[*row].stamp_ns).collect::<Vec<_>>());
+        let shown = |row: usize, place: usize| self.rows[valid[row]].counts[place].unwrap_or_default();
+        let step = |from: usize, to: usize, place: usize| {
+            let reading = &self.readings[place];
+            let counts = reading.step(shown(from, place), shown(to, place));
+            counts as f64 * reading.info.scale.rad_per_count()
+        };
+        let found = Excursions { t_s: &t_s, columns: width, fastest: FASTEST, step }.find();
+        let places: Vec<u64> = found.iter().map(|row| self.rows[valid[*row]].place).collect();
+        let remark = told(&places, valid.len(), (&self.path, self.kind.row), "they are marked and not used")?;
+        self.quality.remarks.extend(remark);
+        self.quality.excursions_dropped = found.len();
+        found.into_iter().for_each(|row| self.rows[valid[row]].valid = [false; MAX_ENCODERS]);
+        Ok(())
     }
 
     /// Loggers that run faster than their source give the same counts again under a new stamp, in the middle of a motion.

@@ -5,14 +5,15 @@ use std::path::{Path, PathBuf};
 use shared::config::{AngleUnit, JointKind, LogConversion, RobotConfig};
 
 use super::mapping::RobotLogMapping;
-use crate::kinematics::Joints;
+use crate::kinematics::{Joints, wrapped};
 use crate::logs::force::FORCE_MAX;
 use crate::logs::rows::pose_rows::joints_of_robot;
+use crate::logs::time_series::excursions::{Excursions, Fastest, told};
 use crate::logs::time_series::sampling::Stamps;
 use crate::logs::time_series::stream::retain;
 use crate::logs::{
     ForceClock, ForceKind, ForceLog, JointConversion, LogError, LogFormat, LogQuality, Origin, ROWS_MIN,
-    RobotLog, Stream, travel,
+    RobotLog, Stream, since_first_s, travel,
 };
 use crate::statistics::extremes;
 use crate::threads;
@@ -24,6 +25,8 @@ const LIMIT_SLACK_DEG: f64 = 2.0;
 const MOTION_DEG_MIN: f64 = 5.0;
 /// A row that repeats the joints before it is frozen if they moved further than this before and after \[rad\].
 const FROZEN_STEP_RAD: f64 = 1e-4;
+/// Hands of small robots reach 1500 deg/s, within 0.13 s.
+const FASTEST: Fastest = Fastest { speed: 30.0, acceleration: 200.0 };
 
 /// One row of a log in the file's own units.
 #[derive(Debug, Clone, Default)]
@@ -160,6 +163,7 @@ impl RawLog {
     pub fn finish(mut self, meaning: &Meaning<'_>) -> Result<RobotLog, LogError> {
         let rows = self.joints.len();
         self.more.iter_mut().filter(|all| all.len() < rows).for_each(Vec::clear);
+        self.drop_excursions(meaning)?;
         self.drop_frozen(meaning.unit);
         if self.joints.len() < ROWS_MIN {
             return Err(self.too_few(self.joints.len()));
@@ -231,9 +235,33 @@ impl RawLog {
             _ => true,
         });
         self.quality.frozen_dropped = is_kept.iter().filter(|is_kept| !**is_kept).count();
-        retain(&mut self.places, &is_kept);
-        retain(&mut self.stamps_ns, &is_kept);
-        self.more.iter_mut().chain([&mut self.joints]).for_each(|all| retain(all, &is_kept));
+        self.retain(&is_kept);
+    }
+
+    /// Rows that are none would be interpolated, and change the motion by which the clocks are compared.
+    fn drop_excursions(&mut self, meaning: &Meaning<'_>) -> Result<(), LogError> {
+        let rows = threads::rows(self.joints.len(), |row| meaning.conversion.to_joint(&self.joints[row]));
+        let kinds: Vec<JointKind> = meaning.robot.joint_kinds().collect();
+        let step = |from: usize, to: usize, joint: usize| {
+            let by = rows[to][joint] - rows[from][joint];
+            // Angles may begin anew after a turn.
+            if kinds[joint] == JointKind::Prismatic { by } else { wrapped(by) }
+        };
+        let t_s = since_first_s(&self.stamps_ns);
+        let found = Excursions { t_s: &t_s, columns: kinds.len(), fastest: FASTEST, step }.find();
+        let places: Vec<u64> = found.iter().map(|row| self.places[*row]).collect();
+        self.remarks.extend(told(&places, rows.len(), (&self.path, self.what), "they are left out")?);
+        self.quality.excursions_dropped = found.len();
+        let mut is_kept = vec![true; rows.len()];
+        found.into_iter().for_each(|row| is_kept[row] = false);
+        self.retain(&is_kept);
+        Ok(())
+    }
+
+    fn retain(&mut self, is_kept: &[bool]) {
+        retain(&mut self.places, is_kept);
+        retain(&mut self.stamps_ns, is_kept);
+        self.more.iter_mut().chain([&mut self.joints]).for_each(|all| retain(all, is_kept));
     }
 
     /// Of rows with one stamp only the first has a time, where no clock says more.

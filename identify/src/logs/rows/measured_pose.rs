@@ -4,6 +4,7 @@
 //! There is no common file format, so a mapping in TOML says which columns to read and how. An example that explains
 //! each key is `config/measured_pose.toml`.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
@@ -15,10 +16,15 @@ use crate::kinematics::Joints;
 use crate::logs::source::Source;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn};
-use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, Stamps, Stream};
+use crate::logs::time_series::excursions::{Excursions, Fastest, told};
+use crate::logs::time_series::stream::retain;
+use crate::logs::{CsvLayout, JointColumn, LengthUnit, LogError, Stamps, Stream, since_first_s};
 
 /// No tracker sees further \[m\]; more means a wrong unit.
 const POSITION_M_MAX: f64 = 100.0;
+/// No robot moves its end faster \[m/s\], nor turns it back by more than 5 g: no target stays in its nest then.
+pub const SPEED_M_S_MAX: f64 = 10.0;
+const FASTEST: Fastest = Fastest { speed: SPEED_M_S_MAX, acceleration: 50.0 };
 /// No angle of an orientation is larger \[rad\]; more means a wrong unit.
 const ANGLE_RAD_MAX: f64 = 2.0 * std::f64::consts::TAU;
 
@@ -341,6 +347,8 @@ pub struct TimedPoses {
     pub targets: Vec<String>,
     /// The stamps against that clock.
     pub stamps: Option<Stamps>,
+    /// What looks odd but is not wrong by itself, in sentences.
+    pub remarks: Vec<String>,
 }
 
 impl TimedPoses {
@@ -379,11 +387,37 @@ impl TimedPoses {
             let is_other = i64::from(!pose.is_seen_as(&before));
             *stamp_ns = (*stamp_ns).max(before_ns.saturating_add(is_other));
         }
-        let (stamps_ns, rows): (_, Vec<TimedPose>) = rows.into_iter().unzip();
+        let (mut stamps_ns, mut rows): (_, Vec<TimedPose>) = rows.into_iter().unzip();
+        let remarks = drop_excursions(&mut stamps_ns, &mut rows, path)?.into_iter().collect();
         let (rows, stamps, _) = Stream::sampled(stamps_ns, rows, |rows| motion(rows).into());
         let [stations, targets] = names.in_order();
-        Ok(Self { rows, stations, targets, stamps })
+        Ok(Self { rows, stations, targets, stamps, remarks })
     }
+}
+
+/// Rows of a beam that was broken, of each target that is seen from each station; a remark where there are any.
+fn drop_excursions(
+    stamps_ns: &mut Vec<i64>,
+    rows: &mut Vec<TimedPose>,
+    path: &Path,
+) -> Result<Option<String>, LogError> {
+    let mut views: BTreeMap<(usize, usize), Vec<usize>> = BTreeMap::new();
+    for (place, row) in rows.iter().enumerate() {
+        views.entry((row.station, row.target)).or_default().push(place);
+    }
+    let mut is_kept = vec![true; rows.len()];
+    for view in views.values() {
+        let t_s = since_first_s(&view.iter().map(|row| stamps_ns[*row]).collect::<Vec<_>>());
+        let position_m = |row: usize, axis: usize| rows[view[row]].position_m[axis];
+        let step = |from: usize, to: usize, axis: usize| position_m(to, axis) - position_m(from, axis);
+        let found = Excursions { t_s: &t_s, columns: 3, fastest: FASTEST, step }.find();
+        found.into_iter().for_each(|row| is_kept[view[row]] = false);
+    }
+    let lines = rows.iter().zip(&is_kept).filter(|(_, is_kept)| !**is_kept).map(|(row, _)| row.line);
+    let remark = told(&lines.collect::<Vec<_>>(), rows.len(), (path, "line"), "they are left out")?;
+    retain(stamps_ns, &is_kept);
+    retain(rows, &is_kept);
+    Ok(remark)
 }
 
 /// How the target moves from row to row; where another one is seen, or from another station, no motion.

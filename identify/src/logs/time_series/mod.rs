@@ -1,6 +1,7 @@
 //! What was logged over time: rows on one clock, the regular clock behind stamps, values between stamps.
 
 mod average;
+pub(super) mod excursions;
 mod frozen;
 pub(super) mod sampling;
 pub(super) mod shared;

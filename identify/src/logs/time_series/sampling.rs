@@ -70,7 +70,7 @@ const NEIGHBOURS_WHOLE: usize = 10;
 const STEP_RAD_MIN: f64 = 50e-6;
 /// Rows over which the period is measured at first, and the part of such segments at either end that has a step of the clock.
 const LAG: usize = 32;
-const STEPS_PART: f64 = 0.02;
+pub(super) const STEPS_PART: f64 = 0.02;
 /// The rate of a clock follows temperature over minutes: it is free to change at this distance \[s\].
 const KNOTS_S: f64 = 60.0;
 /// Knots at most.
@@ -301,7 +301,7 @@ fn periods_at(steps: &[Joints], periods: &[Option<f64>], at: usize) -> Option<f6
 }
 
 /// Mean of the values but for this part of them at either end.
-fn trimmed_mean(mut values: Vec<f64>, part: f64) -> Option<f64> {
+pub(super) fn trimmed_mean(mut values: Vec<f64>, part: f64) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let ends = (part * values.len() as f64) as usize;
     let kept = values.get(ends..values.len() - ends).filter(|kept| !kept.is_empty())?;

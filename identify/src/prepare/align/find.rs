@@ -87,7 +87,7 @@ impl Search<'_> {
     /// The best alignment.
     ///
     /// # Errors
-    /// [`PrepareError::NoMatch`], [`PrepareError::ClockJump`], [`PrepareError::EncoderSlip`] and those of
+    /// [`PrepareError::NoMatch`], [`PrepareError::NoSpeeds`], [`PrepareError::ClockJump`], [`PrepareError::EncoderSlip`] and those of
     /// [`find_encoder_map`].
     pub fn run(&self) -> Result<Found, PrepareError> {
         let step_s = grid_step_s(self.log_duration_s);
@@ -162,7 +162,8 @@ impl Search<'_> {
     fn candidates(&self, window: &Range<usize>, step_s: f64) -> Result<Vec<Match>, PrepareError> {
         let readings = self.readings.slice(window.clone());
         let window_s = readings.duration_s();
-        let overlap_min = (overlap_min_s(self.options, window_s, self.log_duration_s) / step_s) as usize;
+        let needed_s = overlap_min_s(self.options, window_s, self.log_duration_s);
+        let overlap_min = (needed_s / step_s) as usize;
         let from_bar = measured_speeds(&readings, &self.joints(), step_s);
         let from_robot = self.predicted(step_s);
         let channels = [[&from_robot, &from_bar].map(without_order), [from_robot, from_bar]];
@@ -181,11 +182,15 @@ impl Search<'_> {
             }
         }
         if all.is_empty() {
-            let no_match = PrepareError::NoMatch {
-                other: "recording",
-                correlation: best.map_or(0.0, |best| best.correlation),
-                overlap_s: best.map_or(0.0, |best| best.overlap as f64 * step_s),
-                needed: self.options.correlation_min,
+            let other = "recording";
+            let no_match = match best {
+                Some(Match { correlation, overlap, .. }) => PrepareError::NoMatch {
+                    other,
+                    correlation,
+                    overlap_s: overlap as f64 * step_s,
+                    needed: self.options.correlation_min,
+                },
+                None => PrepareError::NoSpeeds { other, needed_s },
             };
             return Err(self.jump_between_parts(window, step_s).unwrap_or(no_match));
         }

@@ -19,7 +19,7 @@ use super::speeds::{REACH, grid_step_s, speeds};
 use super::window::{CANDIDATES, liveliest, overlap_min_s, wider};
 use crate::cost::{LoopProblem, MeasuredPosition, PoseNoise};
 use crate::kinematics::{Chain, Joints, Pose};
-use crate::logs::{CubicSpline, RobotLog, Stream, TimedPose, TimedPoses, travel};
+use crate::logs::{CubicSpline, RobotLog, SPEED_M_S_MAX, Stream, TimedPose, TimedPoses, travel};
 use crate::model::{Axis, Coordinate, JointState, Model, Observation, ParameterId, RobotMotion, Role, SetUp};
 use crate::prepare::readings::standstill::MOVING_RAD_S;
 use crate::prepare::samples::select::select;
@@ -33,8 +33,6 @@ use crate::solver::{Begin, GoodShare, LossName, Options, minimise_robust};
 /// Rows further apart are taken at standstills \[s\]: a tracker that follows a moving target measures faster than once in this
 /// time, and waits longer for one that has to come to rest.
 const STANDING_S: f64 = 0.5;
-/// No robot moves its end faster \[m/s\]: a jump in a log.
-const SPEED_M_S_MAX: f64 = 10.0;
 /// Positions that spread by less say nothing of a robot's motion \[m\].
 const EXTENT_M_MIN: f64 = 0.02;
 /// Rows of a fit at most.
@@ -255,11 +253,14 @@ impl Search<'_> {
             judged.iter().any(|(other, _)| (fit.clock.shift_s - other.clock.shift_s).abs() > STANDING_S)
         });
         let Some((fit, matched)) = of_longest_overlap(judged, |(_, matched)| matched) else {
-            let overlap_s = shifts.first().map_or(0.0, |best| best.overlap as f64 * self.step_s);
+            let other = "tracker's log";
+            let Some(best) = shifts.first() else {
+                return Err(PrepareError::NoSpeeds { other, needed_s: overlap_min_s });
+            };
             return Err(PrepareError::NoMatch {
-                other: "tracker's log",
+                other,
                 correlation: closest,
-                overlap_s,
+                overlap_s: best.overlap as f64 * self.step_s,
                 needed: self.options.correlation_min,
             });
         };

@@ -1,0 +1,128 @@
+//! Rows that jump out and come back faster than anything moves: no measurements, but what a logger or an instrument writes where
+//! it has none, mostly zeros.
+
+use std::path::Path;
+
+use super::sampling::{STEPS_PART, trimmed_mean};
+use crate::logs::LogError;
+use crate::statistics::quantile;
+
+/// Rows that jump out together at most. Of independent ones, as many as [`PART_MAX`] allows, longer runs begin at one row in a
+/// billion.
+const ROWS_MAX: usize = 8;
+/// A row is out by more than so many times the lower quartile of the log's own second differences, of those that are not zero: 9.4
+/// standard deviations of noise beyond both neighbours, which one row in 10^14 is by chance, and twelve steps of a coarse resolution.
+const QUARTILES: f64 = 12.0;
+/// A log of which more jumps out is refused, not mended.
+const PART_MAX: f64 = 0.1;
+/// Rows of a long log by which its period and its noise are judged, about.
+const LOOKED_AT: usize = 100_000;
+/// Places that a message names.
+const NAMED_MAX: usize = 5;
+
+/// What nothing that is measured exceeds.
+#[derive(Debug, Clone, Copy)]
+pub(in crate::logs) struct Fastest {
+    /// \[rad/s, m/s\]
+    pub speed: f64,
+    /// \[rad/s², m/s²\]
+    pub acceleration: f64,
+}
+
+/// Rows of a log at times that do not decrease \[s\], to be searched for excursions.
+pub(in crate::logs) struct Excursions<'a, S> {
+    pub t_s: &'a [f64],
+    /// Numbers of each row.
+    pub columns: usize,
+    pub fastest: Fastest,
+    /// How far a number is from one row to another: `step(from, to, column)` \[rad, m\].
+    pub step: S,
+}
+
+impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
+    /// The rows that jump out and back, in their order: beyond both neighbours by more than the fastest motion that turns back
+    /// between them, by more than the noise of the log, and by more than the neighbours are apart, which is no more than can be
+    /// moved meanwhile. The further apart rows are the less is told: what could be motion is kept.
+    pub fn find(&self) -> Vec<usize> {
+        let every = self.t_s.len().div_ceil(LOOKED_AT).max(1);
+        let looked_at: Vec<f64> = self.t_s.iter().step_by(every).copied().collect();
+        let steps_s = looked_at.windows(2).map(|pair| (pair[1] - pair[0]) / every as f64);
+        let period_s = trimmed_mean(steps_s.collect(), STEPS_PART).unwrap_or_default();
+        let noise: Vec<f64> =
+            (0..self.columns).map(|column| QUARTILES * self.second_difference(column, every)).collect();
+        let (mut found, mut before) = (Vec::new(), 0);
+        while before + 2 < self.t_s.len() {
+            let leaves =
+                (0..self.columns).any(|column| (self.step)(before, before + 1, column).abs() > noise[column]);
+            // All that belong together: with fewer, one of them would be taken for where the others come back to.
+            let run = (1..=ROWS_MAX)
+                .rev()
+                .filter(|_| leaves)
+                .find(|rows| self.is_out(before, *rows, period_s, &noise));
+            let after = before + 1 + run.unwrap_or_default();
+            found.extend(before + 1..after);
+            before = after;
+        }
+        found
+    }
+
+    /// Whether the `rows` after `before` are out, and the next one is back.
+    fn is_out(&self, before: usize, rows: usize, period_s: f64, noise: &[f64]) -> bool {
+        let after = before + rows + 1;
+        let Some(after_s) = self.t_s.get(after) else { return false };
+        // Stamps may be late, or the same for several rows.
+        let apart_s = (after_s - self.t_s[before]).max((rows + 1) as f64 * period_s);
+        let [within, turning] =
+            [self.fastest.speed * apart_s, self.fastest.acceleration * apart_s.powi(2) / 8.0];
+        let back = |column: usize| (self.step)(before, after, column);
+        let aside = (0..self.columns).map(|column| back(column).abs()).fold(0.0, f64::max);
+        let is_beyond = |row: usize, column: usize| {
+            let (here, back) = ((self.step)(before, row, column), back(column));
+            let by = (here - back.max(0.0)).max(back.min(0.0) - here);
+            // What follows may itself be out: then it is further away than the good row before it.
+            by > turning.max(noise[column]).max(aside)
+        };
+        aside <= within
+            && (before + 1..after).all(|row| (0..self.columns).any(|column| is_beyond(row, column)))
+    }
+
+    /// The lower quartile of those that are not zero: resolution and noise make them, and bad rows three each.
+    fn second_difference(&self, column: usize, every: usize) -> f64 {
+        let rows = (1..self.t_s.len().saturating_sub(1)).step_by(every);
+        let sizes = rows.map(|row| (self.step)(row, row + 1, column) - (self.step)(row - 1, row, column));
+        let mut sizes: Vec<f64> = sizes.map(f64::abs).filter(|size| *size > 0.0).collect();
+        quantile(&mut sizes, 0.25)
+    }
+}
+
+/// What to say of rows of `path` that jump out, by their places in it; `what` they are called there, and what is `done` with them.
+/// Nothing where there are none.
+///
+/// # Errors
+/// [`LogError::Content`] where they are more than a tenth of all `rows`.
+pub(in crate::logs) fn told(
+    places: &[u64],
+    rows: usize,
+    (path, what): (&Path, &str),
+    done: &str,
+) -> Result<Option<String>, LogError> {
+    let count = places.len();
+    if count == 0 {
+        return Ok(None);
+    }
+    let mut named = places.iter().take(NAMED_MAX).map(u64::to_string).collect::<Vec<_>>().join(", ");
+    if count > NAMED_MAX {
+        named += &format!(" and {} more", count - NAMED_MAX);
+    }
+    let whose = "jump away from those before and after them, as nothing moves";
+    if count as f64 > PART_MAX * rows as f64 {
+        return Err(LogError::Content {
+            path: path.to_owned(),
+            problem: format!("{count} of {rows} {what}s {whose} ({what} {named})"),
+            remedy: "find out what is written there, take out what is no measurement, or log again".into(),
+        });
+    }
+    Ok(Some(format!(
+        "{count} of {rows} {what}s {whose} ({what} {named}): {done}; find out what is written there, mostly zeros in place of a value"
+    )))
+}
