@@ -122,6 +122,38 @@ fn links_of_a_urdf_are_those_of_the_data_sheet_where_it_has_any() {
 }
 
 #[test]
+fn axes_a_little_from_parallel_become_links_of_a_robot_s_size() {
+    let mut random = StdRng::seed_from_u64(4);
+    for roll_rad in [1e-4, 3e-3, 0.02, 0.06, 0.3] {
+        let skew = format!("0.612\" rpy=\"{roll_rad} 0 0\"");
+        let urdf = text("ur10").replacen("0.612\" rpy=\"0 0 0\"", &skew, 1);
+        assert!(urdf.contains(&skew));
+        let imported = import(&urdf, Some("base_link"), Some("tool0")).unwrap();
+        let robot = parsed(&imported.to_toml("x"));
+        assert!(check(&robot).suspicious.is_empty(), "{roll_rad}: {:?}", check(&robot).suspicious);
+        for _ in 0..20 {
+            let joints = random_joints(&robot, &mut random);
+            let off =
+                apart(&flange_chain(&robot).forward(&joints), &by_urdf(&urdf, "base_link", "tool0", &joints));
+            assert!(off < 1e-12, "{roll_rad}: {off:e}");
+        }
+    }
+}
+
+#[test]
+fn what_is_assumed_of_limits_says_what_the_file_has() {
+    let limits = |lower: &str, upper: &str| {
+        let range = "lower=\"-2.96706\" upper=\"2.96706\"";
+        let urdf = text("seven_axes").replacen(range, &format!("lower=\"{lower}\" upper=\"{upper}\""), 1);
+        import(&urdf, None, None).unwrap().assumed
+    };
+    assert!(limits("-2", "2").is_empty());
+    assert!(limits("2", "-2")[0].contains("has limits of 114.591559026 to -114.591559026 deg in the file"));
+    assert!(limits("1", "1")[0].contains("which are no range"));
+    assert!(limits("0", "0")[0].contains("no limits in the file, or both are zero"));
+}
+
+#[test]
 fn a_urdf_that_gives_no_serial_arm_is_refused_with_what_to_do() {
     let refusal = |text: &str, base: Option<&str>, tip: Option<&str>| import(text, base, tip).unwrap_err();
     let ur10 = text("ur10");
@@ -139,6 +171,17 @@ fn a_urdf_that_gives_no_serial_arm_is_refused_with_what_to_do() {
     assert!(refusal(&mimic, None, None).to_string().contains("follows joint `a2`"));
     let nowhere = seven.replacen("<axis xyz=\"0 0 1\"/>", "<axis xyz=\"0 0 0\"/>", 1);
     assert!(refusal(&nowhere, None, None).to_string().contains("axis without direction"));
+    // What no command would load, and what contradicts itself.
+    for (from, to, told) in [
+        ("xyz=\"0 0 0.2025\"", "xyz=\"nan 0 0.2025\"", "joint `a2` has NaN in its origin or axis"),
+        ("xyz=\"0 0 0.2025\"", "xyz=\"0 0 202.5\"", "links[0].d_m: 202.6575 is out of range"),
+        ("joint name=\"a3\"", "joint name=\"a2\"", "several joints have the name `a2`"),
+        ("link name=\"l3\"", "link name=\"l2\"", "several links have the name `l2`"),
+        ("child link=\"l3\"", "child link=\"l2\"", "several joints lead to link `l2`"),
+    ] {
+        let error = refusal(&seven.replacen(from, to, 1), None, None).to_string();
+        assert!(error.contains(told) && error.contains("correct the file"), "{told}: {error}");
+    }
 }
 
 /// Franka Emika Panda, Craig's convention as its maker prints it, on a track.
@@ -377,7 +420,22 @@ fn a_check_states_what_an_arm_is_and_what_looks_wrong() {
         assert!(found.iter().any(|sentence| sentence.contains(told)), "{told}: {found:?}");
     };
     wrong(&|robot| robot.links[0].alpha_deg = 1.5708, "alpha_deg = 1.5708 looks like radians");
-    wrong(&|robot| robot.links[1].alpha_deg = 0.001, "from parallel");
+    for (rounded_deg, rad) in [
+        (1.57_f64.to_degrees(), "1.57 rad"),
+        (-1.571_f64.to_degrees(), "-1.571 rad"),
+        (3.1416_f64.to_degrees(), "3.1416 rad"),
+        (3.14159_f64.to_degrees(), "3.14159 rad"),
+        (89.9544, "1.57 rad"),
+    ] {
+        wrong(&|robot| robot.links[1].alpha_deg = rounded_deg, &format!("may be {rad}"));
+    }
+    // Of a robot that was calibrated nothing is said.
+    for calibrated_deg in [-0.06499325789, 0.001, 89.95321, 179.9981237, 90.0, 180.0] {
+        let mut robot: RobotConfig = config::load(&repository("config/robots/ur10.toml")).unwrap();
+        robot.links[0].alpha_deg = calibrated_deg;
+        let found = check(&robot).suspicious;
+        assert!(!found.iter().any(|sentence| sentence.contains("may be")), "{calibrated_deg}: {found:?}");
+    }
     wrong(
         &|robot| robot.joint_limits_deg[2] = [-3.1416, 3.1416],
         "axis 3: limits of -3.1416 to 3.1416 look like radians",

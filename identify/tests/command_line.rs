@@ -225,6 +225,32 @@ fn keys_of_an_experiment_that_nothing_is_for_are_refused_by_name() {
     }
 }
 
+#[test]
+fn numbers_that_no_clock_and_no_table_has_are_refused_and_a_page_is_no_log() {
+    let room = tempfile::tempdir().unwrap();
+    let (bar, out) = (config("ball_bar.toml"), room.path().join("out"));
+    let of_bar = ["simulate", "bar", "--bar", bar.to_str().unwrap()];
+    for (option, value) in [
+        ("--skew-ppm", "nan"),
+        ("--skew-ppm", "1e7"),
+        ("--skew-ppm", "-2e6"),
+        ("--robot-clock-s", "nan"),
+        ("--robot-clock-s", "1e30"),
+    ] {
+        let output = identify(&[&of_bar[..], &[option, value]].concat(), IRB, &out);
+        fails(&output, &[option, "give a number from"]);
+        assert!(!out.exists(), "{option} {value}");
+    }
+    fails(&identify(&["simulate", "contact", "--rows", "0"], IRB, &out), &["--rows is 0"]);
+    assert!(!out.exists());
+    let page = room.path().join("report.html");
+    std::fs::write(&page, "<!DOCTYPE html><html></html>").unwrap();
+    let inspect = ["inspect", page.to_str().unwrap(), "--robot"];
+    let robot = repository("config/robots").join(IRB);
+    let output = Command::new(env!("CARGO_BIN_EXE_identify")).args(inspect).arg(robot).output().unwrap();
+    fails(&output, &["a page for a browser, no log"]);
+}
+
 /// The experiment's counters as the thesis' program wrote them: a date and the counters of joints 1, 2, 4 and 5, no header.
 fn counters(directory: &Path) -> (PathBuf, Vec<String>) {
     let recording = Recording::open(&experiment().join("recording.mcap")).unwrap();

@@ -63,14 +63,14 @@ fn probabilities_of_ten_robots_are_spread_as_true_intervals_spread_them() {
 #[test]
 #[ignore = "takes ten seconds"]
 fn the_probability_is_that_of_the_chi_square_table() {
-    let of_sigma = |correction: f64, sigma: f64| {
+    let of_sigma = |value: f64, sigma: f64| {
         let mut file = file(1, 9);
         file.parameters.retain(|entry| entry.name == "ra1");
-        file.parameters[0].correction = correction;
+        file.parameters[0].value = value;
         file.parameters[0].sigma = Some(sigma);
         file
     };
-    let of = |correction: f64| of_sigma(correction, 1e-3);
+    let of = |value: f64| of_sigma(value, 1e-3);
     // Two values 2.7718 sigma apart: chi-square 3.8415 with one degree of freedom, 5 % in every table.
     let pair = Consistency::new(&[of(0.0), of(2.7718e-3)]).unwrap();
     assert!((pair.parameters[0].p.unwrap() - 0.05).abs() < 1e-4);
@@ -78,6 +78,34 @@ fn the_probability_is_that_of_the_chi_square_table() {
     // The square of this difference is the smallest number that there is.
     let alike = Consistency::new(&[of(0.0), of_sigma(1.8e-162, 1.0)]).unwrap();
     assert_eq!(alike.parameters[0].p, Some(1.0));
+}
+
+#[test]
+fn identified_values_are_compared_whatever_the_nominal_ones_were() {
+    let one = file(1, 9);
+    let moved = |nominal_m: f64, value_m: f64| {
+        let mut file = one.clone();
+        let entry = file.parameters.iter_mut().find(|entry| entry.name == "ra2").unwrap();
+        entry.nominal += nominal_m;
+        entry.value += value_m;
+        entry.correction = entry.value - entry.nominal;
+        Consistency::new(&[one.clone(), file]).unwrap()
+    };
+    let names = ["monday".to_owned(), "tuesday".to_owned()];
+    // The same robot, from another data sheet.
+    let same = moved(1e-3, 0.0);
+    assert!(same.is_consistent() && same.other_nominals == ["ra2"], "{same:?}");
+    assert!(side_by_side::table(&same, &names).contains("nominal values of ra2 differ"));
+    // Another robot, whose correction is the same.
+    let other = moved(1e-3, 1e-3);
+    assert!(!other.is_consistent() && other.other_nominals == ["ra2"], "{other:?}");
+    let equal = moved(0.0, 0.0);
+    assert!(equal.is_consistent() && equal.other_nominals.is_empty(), "{equal:?}");
+    // Whole turns are none.
+    let mut turned = one.clone();
+    let entry = turned.parameters.iter_mut().find(|entry| entry.name == "rtheta2").unwrap();
+    entry.value += std::f64::consts::TAU;
+    assert!(Consistency::new(&[one.clone(), turned]).unwrap().is_consistent());
 }
 
 #[test]

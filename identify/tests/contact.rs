@@ -184,12 +184,13 @@ fn told(directory: &Path, rows: &str, sockets: &str) -> (bool, String) {
 }
 
 /// What a person is told of an experiment file.
-fn experiment(file: &Path, out: &Path) -> String {
+fn experiment(file: &Path, out: &Path, more: &[&str]) -> String {
     let run = std::process::Command::new(env!("CARGO_BIN_EXE_identify"))
         .args(["calibrate", "--verbose", "--experiment"])
         .arg(file)
         .arg("--out")
         .arg(out)
+        .args(more)
         .output()
         .unwrap();
     String::from_utf8([run.stdout, run.stderr].concat()).unwrap()
@@ -254,27 +255,48 @@ fn a_person_simulates_calibrates_and_repeats_it() {
     let robot = repository("config/robots/irb120_3.toml");
     let both = format!("robot = {:?}\n{}{}", robot.to_str().unwrap(), block(""), block("other/"));
     std::fs::write(at.join("both.toml"), both).unwrap();
-    let text = experiment(&at.join("both.toml"), &at.join("both"));
+    let text = experiment(&at.join("both.toml"), &at.join("both"), &[]);
     assert!(text.contains("verdict green") && text.contains("contact (data set 2)"), "{text}");
     let of_both = std::fs::read_to_string(at.join("both/calibration.toml")).unwrap();
     assert!(
         of_both.contains("instrument = \"2 times contact\"") && of_both.contains("socket6_z@2"),
         "{of_both}"
     );
+    // The same measurements twice are none more.
+    let twice = format!("robot = {:?}\n{}{}", robot.to_str().unwrap(), block(""), block("copy/"));
+    std::fs::create_dir(at.join("copy")).unwrap();
+    for name in ["contacts.csv", "contact.toml", "sockets.toml"] {
+        std::fs::copy(at.join(name), at.join("copy").join(name)).unwrap();
+    }
+    std::fs::write(at.join("twice.toml"), twice).unwrap();
+    let text = experiment(&at.join("twice.toml"), &at.join("twice"), &[]);
+    assert!(text.contains("data sets 1 and 2 are the same measurements"), "{text}");
+    assert!(!at.join("twice").exists());
     // A table of sockets goes with a ball in sockets, and with nothing else.
     let without = format!("robot = {:?}\n{}", robot.to_str().unwrap(), block("").replace("sockets =", "#"));
     std::fs::write(at.join("without.toml"), without).unwrap();
-    let text = experiment(&at.join("without.toml"), &at.join("without"));
+    let text = experiment(&at.join("without.toml"), &at.join("without"), &[]);
     assert!(text.contains("contact[0].sockets"), "{text}");
     // The experiment beside the result repeats it to the last digit.
-    let again = at.join("again");
-    let text = experiment(&at.join("out/experiment.toml"), &again);
-    assert!(text.contains("verdict green"), "{text}");
-    let [first, second] = [at.join("out"), again].map(|out| {
+    let values = |out: &Path| {
         let text = std::fs::read_to_string(out.join("calibration.toml")).unwrap();
         text.lines().filter(|line| line.starts_with("value")).map(str::to_owned).collect::<Vec<_>>()
-    });
-    assert!(!first.is_empty() && first == second);
+    };
+    let again = at.join("again");
+    let text = experiment(&at.join("out/experiment.toml"), &again, &[]);
+    assert!(text.contains("verdict green"), "{text}");
+    assert!(!values(&again).is_empty() && values(&again) == values(&at.join("out")));
+    // Also where the folder of data and result was moved, and with another requirement.
+    let moved = at.join("moved");
+    std::fs::create_dir_all(moved.join("out")).unwrap();
+    for name in ["contacts.csv", "contact.toml", "sockets.toml", "out/experiment.toml"] {
+        std::fs::copy(at.join(name), moved.join(name)).unwrap();
+    }
+    std::fs::rename(at.join("contacts.csv"), at.join("gone.csv")).unwrap();
+    let text = experiment(&moved.join("out/experiment.toml"), &again, &["--require", "0.0001mm"]);
+    assert!(text.contains("verdict amber: The required 0.0001 mm are not met"), "{text}");
+    assert_eq!(values(&again), values(&at.join("out")));
+    std::fs::rename(at.join("gone.csv"), at.join("contacts.csv")).unwrap();
 
     let rows = std::fs::read_to_string(at.join("contacts.csv")).unwrap();
     inspected(at, &rows);

@@ -317,9 +317,10 @@ fn the_command_calibrates_validates_and_writes_what_it_took() {
     // Two files of one robot in one solve, each with its own tracker and probe.
     let text = std::fs::read_to_string(folder.path().join("out/experiment.toml")).unwrap();
     let second =
-        "\n[[tracker]]\nfile = \"other.csv\"\nmapping = \"MAPPING\"\n".replace("MAPPING", mapping[1]);
+        "\n[[tracker]]\nfile = \"../other.csv\"\nmapping = \"MAPPING\"\n".replace("MAPPING", mapping[1]);
     let two = text.clone() + &second;
-    let path = folder.path().join("two.toml");
+    // Its paths count from there.
+    let path = folder.path().join("out/two.toml");
     std::fs::write(&path, &two).unwrap();
     let (solved, err) = experiment(&path);
     assert!(solved, "{err}");

@@ -13,7 +13,8 @@ use identify::model::ParameterId;
 use identify::model::TermGroup;
 use identify::plan::{
     Bodies, Checked, Constraints, Criterion, Design, ExpectedPosition, Found, Information, Language,
-    Obstacle, PlaceRequest, PlannedPath, Visited, check, places, position_m_min, program, robot_path, search,
+    Obstacle, PlaceRequest, PlanError, PlannedPath, Progress, Visited, check, places, position_m_min,
+    program, robot_path, search,
 };
 use identify::robot::import;
 use identify::simulate::{self, Effects, Experiment, Simulated, StaticErrors};
@@ -69,8 +70,8 @@ impl Cell {
     /// After so many changes, however long they take.
     fn search(&self, seed: u64, changes: usize) -> Found {
         let budget = Duration::from_secs(3600);
-        search(&self.constraints(), &self.information(), seed, budget, |progress| progress.tried >= changes)
-            .unwrap()
+        let is_over = |progress: Option<&Progress>| progress.is_some_and(|made| made.tried >= changes);
+        search(&self.constraints(), &self.information(), seed, budget, is_over).unwrap()
     }
 
     fn robot_path(&self, found: &Found) -> RobotLog {
@@ -759,6 +760,24 @@ fn a_urscript_program_that_is_run_drives_the_path_in_its_time() {
 }
 
 #[test]
+fn a_search_ends_inside_a_path_that_is_longer_than_its_time() {
+    let cell = Cell::new(irb2400(), 6.0 * 3600.0);
+    let (constraints, information) = (cell.constraints(), cell.information());
+    let ended = Err(PlanError::Ended { duration_s: 6.0 * 3600.0 });
+    let found = |budget: Duration, is_over: &mut dyn FnMut() -> bool| {
+        search(&constraints, &information, 1, budget, |_| is_over()).map(drop)
+    };
+    assert_eq!(found(Duration::ZERO, &mut || false), ended);
+    let mut asked = 0;
+    let mut interrupted = || {
+        asked += 1;
+        asked > 20
+    };
+    assert_eq!(found(Duration::from_secs(3600), &mut interrupted), ended);
+    assert!(asked < 25, "{asked}");
+}
+
+#[test]
 fn the_command_plans_checks_and_simulates_what_it_planned() {
     let directory = tempfile::tempdir().unwrap();
     let out = directory.path();
@@ -792,6 +811,19 @@ fn the_command_plans_checks_and_simulates_what_it_planned() {
         assert!(((place(ends) - place(ends + 1)).norm() - 0.6).abs() < 0.002);
         assert!((place(ends + 1) - Vector3::from(path.base_m)).norm() < 0.001);
     }
+    // Refused before anything is looked for, and with what does help.
+    let [budget, short, program] = [["--budget", "1h"], ["--duration", "10s"], ["--program", "rapid"]];
+    let hasty = identify(&[&["plan", "--bar", bar][..], &budget, &short].concat(), robot, &run);
+    let told = String::from_utf8_lossy(&hasty.stderr).into_owned();
+    assert!(told.contains("--duration of at least 15 s") && !told.contains("--seed"), "{told}");
+    let elsewhere = directory.path().join("elsewhere");
+    let refused = identify(&[&["plan", "--bar", bar][..], &budget, &program].concat(), robot, &elsewhere);
+    let told = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(told.contains("--program") && told.contains("raw_to_joint") && !elsewhere.exists(), "{told}");
+    let target = ["plan", "poses", "--measures", "positions", "--target", "nan,0,0"];
+    let refused = identify(&target, robot, &elsewhere);
+    let told = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(told.contains("--target has NaN"), "{told}");
     let short = identify(&["plan", "--bar", bar, "--posture", "0,20"], robot, out);
     assert!(String::from_utf8_lossy(&short.stderr).contains("--posture has 2 numbers"));
     let nowhere = identify(&["plan", "--bar", bar, "--base", "9,0,0"], robot, out);

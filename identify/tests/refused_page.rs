@@ -159,6 +159,7 @@ fn an_older_calibration_is_set_aside_and_a_newer_one_takes_the_page_away() {
         "corrections.csv",
         "offsets.csv",
         "report.html",
+        "experiment.toml",
     ];
     for name in older.iter().chain(&["notes.txt"]) {
         std::fs::write(out.path().join(name), format!("older {name}")).unwrap();

@@ -159,6 +159,8 @@ fn a_study_that_makes_no_sense_is_refused_by_key() {
             "estimators = [\"nobody\"]",
             "no estimator is called `nobody`",
         ),
+        ("x = [20]", "x = [20]\nwith = { gear_sine_urad = -1 }", "figures[1].series[1].with.gear_sine_urad"),
+        ("duration_s = 60.0", "duration_s = 1.0", "key `duration_s`: 1 s have no room for a random path"),
         ("figure = \"exact\"", "figure = \"exct\"", "statements[1].of"),
         ("x = [20]", "x = [nan]", "figures[1].series[1].x"),
         ("cost = \"length\"", "cost = \"lenght\"", "lenght"),

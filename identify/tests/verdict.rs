@@ -146,6 +146,10 @@ fn a_required_accuracy_is_judged_and_repeated_for_every_instrument() {
         let cube = expected.cube.unwrap();
         assert!(expected.calibrated.mean_m < expected.nominal.mean_m, "{expected:?}");
         assert!(page.contains(&format!("cube of {:.0} mm", cube.edge_m * 1e3)), "{cube:?}");
+        for part in [expected.nominal, expected.calibrated, cube.before, cube.after] {
+            let [low_m, high_m] = part.interval_m;
+            assert!(part.p95_upper_m >= part.p95_m && (low_m..=high_m).contains(&part.mean_m), "{part:?}");
+        }
     }
     let out = tempfile::tempdir().unwrap();
     let (output, files) = wire(&csv, &["--require", "0"], out.path());
@@ -162,5 +166,7 @@ fn nothing_to_apply_is_written_where_the_nominal_robot_is_as_good_and_what_was_t
     let text = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success() && text.contains("verdict amber: "), "{text}");
     assert_eq!(files, ["calibration.json", "calibration.toml", "earlier", "experiment.toml", "report.html"]);
-    assert!(out.path().join("earlier/corrections.csv").exists());
+    for name in ["corrections.csv", "experiment.toml"] {
+        assert!(out.path().join("earlier").join(name).exists(), "{name}");
+    }
 }

@@ -384,6 +384,38 @@ fn positive(key: String, value: f64) -> Result<(), Violation> {
     Err(Violation::new(key, format!("{value} is no standard deviation"), "give a number above zero"))
 }
 
+/// What lies outside decides nothing, or leaves nothing to decide on.
+fn validate_preparation(prepare: &PrepareOptions) -> Result<(), Violation> {
+    /// Fewer samples than twice the parameters of robot, bar and clocks determine none of them.
+    const POINTS_MIN: usize = 100;
+    for (key, value, [low, high]) in [
+        ("correlation_min", prepare.correlation_min, [0.0, 1.0]),
+        ("overlap_min_s", prepare.overlap_min_s, [0.0, 86_400.0]),
+        ("overlap_min_part", prepare.overlap_min_part, [0.0, 1.0]),
+        ("spread_max_mrad", prepare.spread_max_mrad, [0.01, 3000.0]),
+        ("sphere_tolerance_mm", prepare.sphere_tolerance_mm, [0.01, 1000.0]),
+        ("length_tolerance_mm", prepare.length_tolerance_mm, [0.01, 1000.0]),
+        ("singular_margin_deg", prepare.singular_margin_deg, [0.0, 60.0]),
+        ("motion_min_mrad", prepare.motion_min_mrad, [0.0, 1000.0]),
+        ("moving_average_ms", prepare.moving_average_ms, [0.0, 10_000.0]),
+        ("fit_max_mrad", prepare.fit_max_mrad, [0.01, 3000.0]),
+        ("joint_travel_min_deg", prepare.joint_travel_min_deg, [0.0, 360.0]),
+        ("slip_min_mrad", prepare.slip_min_mrad, [0.001, 1000.0]),
+    ] {
+        // A range that contains the value: NaN fails too.
+        if !(low..=high).contains(&value) {
+            let remedy = format!("give a number from {low} to {high}");
+            return Err(Violation::new(format!("prepare.{key}"), format!("{value} is out of range"), remedy));
+        }
+    }
+    if (1..POINTS_MIN).contains(&prepare.points_max) {
+        let problem = format!("{} samples determine nothing", prepare.points_max);
+        let remedy = format!("give {POINTS_MIN} or more, or 0 for all");
+        return Err(Violation::new("prepare.points_max", problem, remedy));
+    }
+    Ok(())
+}
+
 impl Validate for IdentifyConfig {
     fn validate(&self) -> Result<(), Violation> {
         let known = |key: String, name: &String| {
@@ -394,6 +426,10 @@ impl Validate for IdentifyConfig {
             for (index, name) in names.iter().enumerate() {
                 known(format!("{key}[{index}]"), name)?;
             }
+        }
+        if let Some((index, name)) = self.fix.iter().enumerate().find(|(_, name)| self.free.contains(name)) {
+            let problem = format!("`{name}` is in free as well");
+            return Err(Violation::new(format!("fix[{index}]"), problem, "leave it out of one"));
         }
         for (name, &sigma) in &self.priors {
             known(format!("priors.{name}"), name)?;
@@ -416,6 +452,7 @@ impl Validate for IdentifyConfig {
         positive("joint_terms.compliance_urad_per_m".into(), terms.compliance_urad_per_m)?;
         positive("noise.encoder_urad".into(), self.noise.encoder_urad)?;
         positive("noise.robot_urad".into(), self.noise.robot_urad)?;
+        validate_preparation(&self.prepare)?;
         for (key, sigma) in
             [("encoder_harmonics_urad", self.encoder_harmonics_urad), ("bar_length_um", self.bar_length_um)]
         {

@@ -53,12 +53,9 @@ pub struct CommonArguments {
     robot: PathBuf,
     #[command(flatten)]
     result: ResultArguments,
-    /// Position error that the calibrated robot may have at most, such as 0.2mm; the verdict says whether it is met
-    #[arg(long, value_name = "MM", value_parser = millimetres)]
-    require: Option<f64>,
 }
 
-/// Where a result goes, and how much of it is printed.
+/// Where a result goes, what is asked of it, and how much of it is printed.
 #[derive(Debug, Clone, Args)]
 pub struct ResultArguments {
     /// Directory for calibration.toml
@@ -67,6 +64,9 @@ pub struct ResultArguments {
     /// Print every parameter, what its uncertainty rests on, terms, held-out figures and all that limits
     #[arg(long)]
     verbose: bool,
+    /// Position error that the calibrated robot may have at most, such as 0.2mm; the verdict says whether it is met
+    #[arg(long, value_name = "MM", value_parser = millimetres)]
+    require: Option<f64>,
 }
 
 /// A length above zero, with or without its unit \[mm\].

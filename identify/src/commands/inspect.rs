@@ -115,6 +115,14 @@ impl Settings {
             return Ok(vec![inspect::recording(&Recording::open(path)?)]);
         }
         let bytes = std::fs::read(path)?;
+        let begins = |with: &str| {
+            let text = bytes.trim_ascii_start();
+            text.get(..with.len()).is_some_and(|text| text.eq_ignore_ascii_case(with.as_bytes()))
+        };
+        anyhow::ensure!(
+            !begins("<!doctype html") && !begins("<html"),
+            "it is a page for a browser, no log or recording; open it in one"
+        );
         let is_of_bar = OtherBarLog::is_usual_table(&bytes);
         let of_bar = self.bar.as_ref().map(|bar| {
             let log = OtherBarLog::read(&bytes, path, bar, self.recording_mapping.as_ref());

@@ -11,6 +11,8 @@ use crate::solver::{Progress, Watch};
 /// Somebody pressed Ctrl-C.
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 static HANDLER: OnceLock<()> = OnceLock::new();
+/// Something looks whether it was pressed.
+static WATCHED: AtomicBool = AtomicBool::new(false);
 
 /// Exit code of a program that Ctrl-C ended, as shells have it.
 const EXIT_INTERRUPTED: i32 = 130;
@@ -22,7 +24,8 @@ pub fn interrupt(ends: bool) {
     INTERRUPTED.store(ends, Ordering::Relaxed);
 }
 
-/// A bar on the terminal, where there is one, that Ctrl-C ends. A second Ctrl-C ends the program at once.
+/// A bar on the terminal, where there is one, that Ctrl-C ends. A second Ctrl-C ends the program at once, and so does the first where
+/// the bar is gone.
 #[derive(Debug)]
 pub struct OnTerminal {
     bar: ProgressBar,
@@ -34,11 +37,12 @@ impl OnTerminal {
         HANDLER.get_or_init(|| {
             // Without a handler Ctrl-C ends the program, which writes no file either. A program that has one keeps it.
             let _ = ctrlc::try_set_handler(|| {
-                if INTERRUPTED.swap(true, Ordering::Relaxed) {
+                if INTERRUPTED.swap(true, Ordering::Relaxed) || !WATCHED.load(Ordering::Relaxed) {
                     std::process::exit(EXIT_INTERRUPTED);
                 }
             });
         });
+        WATCHED.store(true, Ordering::Relaxed);
         let bar = ProgressBar::no_length();
         let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} samples");
         Self {
@@ -73,6 +77,7 @@ impl OnTerminal {
 
     /// Takes the bar off the terminal.
     pub fn finish(&self) {
+        WATCHED.store(false, Ordering::Relaxed);
         self.bar.finish_and_clear();
     }
 }

@@ -119,7 +119,7 @@ struct PathArguments {
     /// Length of the run
     #[arg(long, default_value = "2m", value_parser = humantime::parse_duration)]
     duration: Duration,
-    /// How long to look for better paths
+    /// How long to look for better paths; the one that is found is checked every millisecond after that
     #[arg(long, default_value = "50s", value_parser = humantime::parse_duration)]
     budget: Duration,
     /// Programs for controllers; default: that of the robot's maker, by its name
@@ -298,6 +298,7 @@ pub fn run(arguments: &PlanArguments) -> anyhow::Result<()> {
 
 fn find(arguments: &PathArguments) -> anyhow::Result<()> {
     let mut loaded = arguments.cell.load(arguments.criterion)?;
+    can_be_written(&arguments.program, &loaded.robot)?;
     let (given, axes) = (arguments.posture.len(), loaded.robot.axes());
     anyhow::ensure!(
         given == 0 || given == axes,
@@ -312,11 +313,11 @@ fn find(arguments: &PathArguments) -> anyhow::Result<()> {
 
     let terminal = OnTerminal::new();
     let found = plan::search(&constraints, &information, arguments.seed, arguments.budget, |progress| {
-        let Progress { tried, taken, score } = *progress;
-        !terminal.says(|| {
-            format!(
+        !terminal.says(|| match progress {
+            None => "first paths; Ctrl-C takes the best so far".into(),
+            Some(Progress { tried, taken, score }) => format!(
                 "{tried} changes tried, {taken} taken, criterion {score:.3e}; Ctrl-C takes the path as it is"
-            )
+            ),
         })
     });
     terminal.finish();
@@ -368,6 +369,14 @@ fn find(arguments: &PathArguments) -> anyhow::Result<()> {
     })
 }
 
+/// Before anything is looked for: what was asked for will be there.
+fn can_be_written(asked: &[Language], robot: &RobotConfig) -> anyhow::Result<()> {
+    if !asked.is_empty() {
+        plan::can_be_programmed(robot).context("--program")?;
+    }
+    Ok(())
+}
+
 /// Writes the programs that were asked for, or that of the robot's maker. What was asked for must be there; what goes without
 /// saying is left out with its reason.
 fn programs(
@@ -391,6 +400,7 @@ fn programs(
 fn poses(arguments: &PosesArguments) -> anyhow::Result<()> {
     let PosesArguments { measures, out, count, anchor, noise_mm, noise_mrad, seed, .. } = arguments;
     let robot: RobotConfig = config::load(&arguments.robot)?;
+    can_be_written(&arguments.program, &robot)?;
     for (name, size) in [("noise-mm", *noise_mm), ("noise-mrad", noise_mrad.unwrap_or(1.0))] {
         anyhow::ensure!(size.is_finite() && size > 0.0, "--{name} is {size}; give a number above zero");
     }
@@ -406,6 +416,9 @@ fn poses(arguments: &PosesArguments) -> anyhow::Result<()> {
         arguments.mapping.is_none() || arguments.candidates.is_some(),
         "--mapping says which columns of --candidates are the joints; give both or none"
     );
+    if let Some(number) = arguments.target.iter().find(|number| !number.is_finite()) {
+        anyhow::bail!("--target has {number}, which is no place; give metres");
+    }
     let bodies = arguments.around.bodies(flange_chain(&robot).reach_m())?;
     let (candidates, bodies) = match arguments.candidates.as_deref().zip(arguments.mapping.as_deref()) {
         Some((file, mapping)) => {

@@ -169,6 +169,21 @@ pub(super) fn numbers<const N: usize>(text: &str) -> Result<[f64; N], String> {
     numbers.try_into().map_err(|_| format!("{count} numbers are given, {N} belong here"))
 }
 
+/// No clock runs so badly [ppm].
+const SKEW_PPM_MAX: f64 = 1e4;
+/// Clocks count nanoseconds since 1970 in 64 bits, up to the year 2262; a run of any length is to fit in [s].
+const CLOCK_S_MAX: f64 = 9e9;
+
+fn within(option: &str, value: f64, limit: f64) -> anyhow::Result<()> {
+    // A range that contains the value: NaN fails too.
+    anyhow::ensure!(
+        (-limit..=limit).contains(&value),
+        "--{option} is {value}; give a number from {} to {limit}",
+        -limit
+    );
+    Ok(())
+}
+
 pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
     match &arguments.instrument {
         Instrument::Bar(arguments) => bar(arguments),
@@ -177,6 +192,7 @@ pub fn run(arguments: &SimulateArguments) -> anyhow::Result<()> {
 }
 
 fn contacts(arguments: &ContactArguments) -> anyhow::Result<()> {
+    anyhow::ensure!(arguments.rows > 0, "--rows is 0; give at least one pose");
     let robot: RobotConfig = config::load(&arguments.robot)?;
     let sockets: Option<SocketTable> = arguments.sockets.as_deref().map(config::load).transpose()?;
     let simulated = contact::run(&ContactExperiment {
@@ -225,8 +241,10 @@ fn bar(arguments: &BarArguments) -> anyhow::Result<()> {
         experiment.design.duration_s = planned.path.duration_s;
         experiment.path = Some(planned);
     }
+    within("skew-ppm", arguments.skew_ppm, SKEW_PPM_MAX)?;
     experiment.clocks.skew = arguments.skew_ppm * 1e-6;
     if let Some(clock_s) = arguments.robot_clock_s {
+        within("robot-clock-s", clock_s, CLOCK_S_MAX)?;
         experiment.clocks.robot_at_bar_start_ns = (clock_s * 1e9).round() as i64;
     }
     let sizes = Effects {

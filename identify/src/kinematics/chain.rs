@@ -6,6 +6,9 @@ use shared::config::JointKind;
 /// A rigid transform `a_from_b`: takes coordinates in frame b to frame a.
 pub type Pose = nalgebra::IsometryMatrix3<f64>;
 
+/// The longest link of a robot; beyond, lengths are mostly millimetres or wrong \[m\].
+pub const LENGTH_M_MAX: f64 = 4.0;
+
 /// `R = Rz(yaw) Ry(pitch) Rx(roll)`, as URDF has it. Roll is what yaw and pitch leave over: where a pitch of a quarter turn
 /// makes the two one, their sum is still exact.
 pub(crate) fn roll_pitch_yaw(rotation: &Rotation3<f64>) -> [f64; 3] {

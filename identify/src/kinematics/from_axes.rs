@@ -2,13 +2,14 @@
 //!
 //! At joint zero an axis is a point and a direction. What the arm does follows from these lines and from where its end then
 //! is (product of exponentials, Brockett 1984), so that links along the same lines move the end in the same way. Each
-//! link leads from one line to the next: by their common normal, or, where the two are nearly parallel and that is far
-//! away or not unique, by Hayati's link to the point where the next line crosses the plane across the one before.
+//! link leads from one line to the next: by their common normal, or, where that is further away than robots are long or not
+//! unique, because the two are nearly parallel, by Hayati's link to the point where the next line crosses the plane across the
+//! one before.
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use shared::config::JointKind;
 
-use super::{Chain, DhLink, Pose, rotation_vector};
+use super::{Chain, DhLink, LENGTH_M_MAX, Pose, rotation_vector};
 
 /// An axis at joint zero, in the root frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,8 +22,12 @@ pub struct AxisLine {
     pub direction: Vector3<f64>,
 }
 
-/// Directions whose sine is less are nearly parallel: a common normal would be more than the link's length times 1000 away.
+/// Directions whose sine is less are parallel but for what a calibration or rounding makes of them: their common normal is
+/// anywhere.
 const NEARLY_PARALLEL: f64 = 1e-3;
+/// Between directions whose sine is less, Hayati's link is taken where their common normal is further away than any link is long.
+/// The plane across one axis is crossed by the other well within the link's own length more.
+const ASLANT: f64 = 0.5;
 /// Lengths \[m\] and angles \[rad\] below this are rounding.
 const ROUNDING: f64 = 1e-12;
 
@@ -92,7 +97,9 @@ fn link_to(at: &Pose, next: &AxisLine, plane_m: f64) -> DhLink {
     let sine = u.x.hypot(u.y);
     let snapped = |value: f64| if value.abs() < ROUNDING { 0.0 } else { value };
     let angle = |y: f64, x: f64| snapped(y.atan2(x));
-    if sine < NEARLY_PARALLEL {
+    // The foot of the common normal on the next axis.
+    let foot = p - u * ((p.x * u.x + p.y * u.y) / (sine * sine));
+    if sine < NEARLY_PARALLEL || (sine < ASLANT && foot.z.abs() > LENGTH_M_MAX) {
         // Where the next axis crosses the plane.
         let crossing = p - u * ((p.z - plane_m) / u.z);
         let a_m = snapped(crossing.x.hypot(crossing.y));
@@ -109,8 +116,7 @@ fn link_to(at: &Pose, next: &AxisLine, plane_m: f64) -> DhLink {
             ..DhLink::default()
         };
     }
-    // The foot of the common normal on the next axis; it runs along x. Of two lines that meet, x with the smaller turn.
-    let foot = p - u * ((p.x * u.x + p.y * u.y) / (sine * sine));
+    // The common normal runs along x. Of two lines that meet, x with the smaller turn.
     let normal = Vector3::new(-u.y, u.x, 0.0) / sine;
     let length = normal.dot(&foot);
     let x = match snapped(length) {

@@ -21,7 +21,7 @@ pub use ball_bar_inverse::{
     singularity_margin_rad,
 };
 pub(crate) use chain::roll_pitch_yaw;
-pub use chain::{Chain, DhLink, Pose};
+pub use chain::{Chain, DhLink, LENGTH_M_MAX, Pose};
 pub use configured::{ball_bar_chain, flange_chain, robot_chain};
 pub use from_axes::AxisLine;
 pub use hayati::ConversionError;

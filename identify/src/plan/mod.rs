@@ -27,8 +27,8 @@ pub use place::{Place, PlaceRequest, Places, Second, places};
 pub use poses::{
     Determined, Measures, PlannedPoses, PoseRequest, PosesError, poses, poses_position_m_min, random_postures,
 };
-pub use programs::{Language, ProgramError, Task, pose_program, program};
-pub use random::{PlanError, Route, random_poses, random_route};
+pub use programs::{Language, ProgramError, Task, can_be_programmed, pose_program, program};
+pub use random::{DURATION_S_MIN, PlanError, Route, random_poses, random_route};
 pub use search::{Found, Progress, search};
 
 use serde::{Deserialize, Serialize};

@@ -21,6 +21,8 @@ const STEPS_MAX: usize = 300;
 const GAP: f64 = 0.05;
 /// Random poses that a path is compared with.
 const RANDOM_POSES: usize = 1000;
+/// Poses of the path beside them at most: those of four minutes. Of a longer path every second or third says as much.
+const PATH_POSES_MAX: usize = 2400;
 /// Those of the best parts that a path is drawn towards: about twice as many as share most of the time.
 const GOALS: usize = 60;
 
@@ -57,8 +59,10 @@ pub fn position_m_min(
     information: &Information,
 ) -> Option<f64> {
     let mut poses = random_poses(constraints, RANDOM_POSES, &mut ChaCha8Rng::seed_from_u64(1));
-    poses.bar_rad.extend(&checked.visited.bar_rad);
-    poses.robot.extend(&checked.visited.robot);
+    let visited = &checked.visited;
+    let every = visited.robot.len().div_ceil(PATH_POSES_MAX).max(1);
+    poses.bar_rad.extend(visited.bar_rad.iter().step_by(every));
+    poses.robot.extend(visited.robot.iter().step_by(every));
     information.optimum(&poses, checked.duration_s).map(|best| best.variance_min.sqrt())
 }
 

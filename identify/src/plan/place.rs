@@ -10,8 +10,9 @@ use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, UnitSphere};
 use shared::config::{BallBarConfig, RobotConfig};
 
+use super::random::random_route_until;
 use super::search::{Pieces, tight_design, tightened};
-use super::{Bodies, Constraints, Criterion, Design, ExpectedPosition, Information, random_route};
+use super::{Bodies, Constraints, Criterion, Design, ExpectedPosition, Information};
 use crate::kinematics::{Chain, Joints, ball_bar_chain, ball_bar_inverse, robot_chain};
 use crate::model::ModelError;
 use crate::solver::Normal;
@@ -98,13 +99,18 @@ pub fn places(
     while begun.elapsed() < budget && !is_over(tried) {
         let length_m = request.lengths_m.get(tried % request.lengths_m.len().max(1)).copied();
         let bar = request.bar_of(length_m.unwrap_or(request.bar.length_m));
+        // While a place is looked at it is not yet tried.
+        let before = tried;
+        let mut is_over = || begun.elapsed() >= budget || is_over(before);
         tried += 1;
         let Some((base_m, posture_deg)) = request.somewhere(&bar, &mut random) else {
             places.without_path += 1;
             continue;
         };
-        match request.at(&bar, base_m, posture_deg, &mut random)? {
+        match request.at(&bar, base_m, posture_deg, &mut random, &mut is_over)? {
             Some(place) => places.found.push(place),
+            // What was not finished is no place without a path.
+            None if is_over() => {}
             None => places.without_path += 1,
         }
     }
@@ -203,6 +209,7 @@ impl PlaceRequest<'_> {
         base_m: [f64; 3],
         posture_deg: Joints,
         random: &mut ChaCha8Rng,
+        is_over: &mut impl FnMut() -> bool,
     ) -> Result<Option<Place>, ModelError> {
         let design = Design { base_m, posture_deg, ..self.design.clone() };
         let (arm, mut chain) = (robot_chain(self.robot, bar), ball_bar_chain(bar));
@@ -215,8 +222,8 @@ impl PlaceRequest<'_> {
         let mut best: Option<Place> = None;
         for _ in 0..PATHS {
             // A place where the first path gets stuck is cramped.
-            let Ok(route) = random_route(&tight, random) else { break };
-            let Ok(pieces) = Pieces::of(&tight, &information, &route) else { continue };
+            let Ok(route) = random_route_until(&tight, random, is_over) else { break };
+            let Ok(pieces) = Pieces::of(&tight, &information, &route, is_over) else { continue };
             let normal = pieces.total(&information);
             let (score, expected) = (information.score(&normal), information.position(&normal));
             if score.is_finite() && best.as_ref().is_none_or(|best| score < best.score) {

@@ -148,6 +148,14 @@ impl Language {
     }
 }
 
+/// The controller of this robot takes programs.
+///
+/// # Errors
+/// [`ProgramError`].
+pub fn can_be_programmed(robot: &RobotConfig) -> Result<(), ProgramError> {
+    conversion(robot).map(drop)
+}
+
 /// The program of a path.
 ///
 /// # Errors

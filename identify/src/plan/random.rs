@@ -19,6 +19,8 @@ const MOVES_GIVEN_UP: usize = 4;
 const PART_OF_WAY: std::ops::Range<f64> = 0.3..1.0;
 /// Fewest moves of a path that excites all joints.
 const MOVES_MIN: usize = 4;
+/// Shorter runs have no room for so many moves and the standstills between them; of 13 s, one in three has \[s\].
+pub const DURATION_S_MIN: f64 = 15.0;
 /// Range of a move's peak speed, in parts of the design's.
 const SPEED_RANGE: std::ops::Range<f64> = 0.5..1.0;
 
@@ -37,6 +39,24 @@ pub enum PlanError {
         base_m: [f64; 3],
         /// What stood in the way most often.
         obstacle: Obstacle,
+    },
+    /// No room for the moves of a path.
+    #[error(
+        "a run of {duration_s} s has no room for the {MOVES_MIN} moves that excite all joints; give a --duration of at least \
+         {DURATION_S_MIN} s"
+    )]
+    TooShort {
+        /// Duration asked for \[s\].
+        duration_s: f64,
+    },
+    /// Somebody or the budget ended the search for the first path.
+    #[error(
+        "a first path of {duration_s} s was not finished when the search ended; give a longer --budget, or a shorter --duration: the \
+         robot can drive it again"
+    )]
+    Ended {
+        /// Duration asked for \[s\].
+        duration_s: f64,
     },
     /// The path ends in a corner.
     #[error(
@@ -84,9 +104,22 @@ pub struct Route {
 /// # Errors
 /// [`PlanError`] where base, length, ranges and robot do not go together.
 pub fn random_route(constraints: &Constraints<'_>, random: &mut impl Rng) -> Result<Route, PlanError> {
+    random_route_until(constraints, random, &mut || false)
+}
+
+/// [`random_route`], but for the end of the search, which `is_over` says before each move that is tried.
+pub(super) fn random_route_until(
+    constraints: &Constraints<'_>,
+    random: &mut impl Rng,
+    is_over: &mut impl FnMut() -> bool,
+) -> Result<Route, PlanError> {
+    let duration_s = constraints.design.duration_s;
+    if duration_s < DURATION_S_MIN {
+        return Err(PlanError::TooShort { duration_s });
+    }
     let (start_rad, robot_rad) = start(constraints, random)?;
     let mut route = Route { path: Path::at_rest(start_rad, constraints.design), robot_rad: vec![robot_rad] };
-    fill(constraints, &mut route, random)?;
+    fill(constraints, &mut route, random, is_over)?;
     Ok(route)
 }
 
@@ -165,15 +198,23 @@ enum Extension {
     Reached,
     TimeIsUp,
     None,
+    Ended,
 }
 
 /// Adds moves until the time is used up. Where no next move is found the last few are given up: a joint near its limit may
 /// leave no way on.
-fn fill(constraints: &Constraints<'_>, route: &mut Route, random: &mut impl Rng) -> Result<(), PlanError> {
+fn fill(
+    constraints: &Constraints<'_>,
+    route: &mut Route,
+    random: &mut impl Rng,
+    is_over: &mut impl FnMut() -> bool,
+) -> Result<(), PlanError> {
+    let duration_s = constraints.design.duration_s;
     let mut obstacles = Obstacles::default();
     let (mut retreats, mut longest) = (0, 0);
     loop {
-        match extend(constraints, route, &mut obstacles, random) {
+        match extend(constraints, route, &mut obstacles, random, is_over) {
+            Extension::Ended => return Err(PlanError::Ended { duration_s }),
             Extension::Reached => {
                 if route.path.moves.len() > longest {
                     (retreats, longest) = (0, route.path.moves.len());
@@ -194,7 +235,7 @@ fn fill(constraints: &Constraints<'_>, route: &mut Route, random: &mut impl Rng)
     Err(PlanError::Stuck {
         moves: route.path.moves.len(),
         time_s: route.path.moves.last().map_or(0.0, Move::end_s),
-        duration_s: constraints.design.duration_s,
+        duration_s,
         obstacle: obstacles.worst(),
     })
 }
@@ -205,10 +246,14 @@ fn extend(
     route: &mut Route,
     obstacles: &mut Obstacles,
     random: &mut impl Rng,
+    is_over: &mut impl FnMut() -> bool,
 ) -> Extension {
     let design = constraints.design;
     let from_rad = route.path.end_rad();
     for _ in 0..TRIES {
+        if is_over() {
+            return Extension::Ended;
+        }
         // Part of the way to a point anywhere: a line stays within the ranges, and a short one is found more easily.
         let (goal, part) = (point(design, random), random.random_range(PART_OF_WAY));
         let to_rad = std::array::from_fn(|i| from_rad[i] + part * (goal[i] - from_rad[i]));

@@ -13,7 +13,7 @@ use rand_chacha::rand_core::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
 
 use super::optimum::goals;
-use super::random::{point, random_route, speed_rad_s};
+use super::random::{point, random_route_until, speed_rad_s};
 use super::{Bodies, Constraints, Design, Information, Obstacle, Path, PlanError, Route, Visited};
 use crate::kinematics::Joints;
 use crate::model::JointState;
@@ -70,7 +70,8 @@ pub(super) struct Pieces {
     normals: Vec<Normal>,
 }
 
-/// Searches until `budget` is over or `is_over` says so, whichever is first; at least one random path is looked at.
+/// Searches until `budget` is over or `is_over` says so, whichever is first. It is asked without progress while there is nothing
+/// yet that could be made better.
 ///
 /// # Errors
 /// [`PlanError`] where there is no path at all.
@@ -79,7 +80,7 @@ pub fn search(
     information: &Information,
     seed: u64,
     budget: Duration,
-    mut is_over: impl FnMut(&Progress) -> bool,
+    mut is_over: impl FnMut(Option<&Progress>) -> bool,
 ) -> Result<Found, PlanError> {
     let begun = Instant::now();
     let design = tight_design(constraints.design);
@@ -89,35 +90,32 @@ pub fn search(
     let (mut best, mut random_scores) = (None, Vec::new());
     let mut refused = None;
     for _ in 0..STARTS {
-        match random_route(constraints, &mut random) {
-            Ok(route) => {
-                if let Ok(pieces) = Pieces::of(constraints, information, &route) {
-                    let score = information.score(&pieces.total(information));
-                    random_scores.push(score);
-                    if best.as_ref().is_none_or(|(least, _)| score < *least) {
-                        best = Some((score, pieces));
-                    }
+        // A first path may take all of the time, others a part of it.
+        let until = if best.is_none() { budget } else { budget / 4 };
+        let mut is_over = || begun.elapsed() > until || is_over(None);
+        let route = random_route_until(constraints, &mut random, &mut is_over);
+        match route.and_then(|route| Pieces::of(constraints, information, &route, &mut is_over)) {
+            Ok(pieces) => {
+                let score = information.score(&pieces.total(information));
+                random_scores.push(score);
+                if best.as_ref().is_none_or(|(least, _)| score < *least) {
+                    best = Some((score, pieces));
                 }
             }
             Err(error) => refused = Some(error),
         }
-        if best.is_some() && begun.elapsed() > budget / 4 {
+        if is_over() {
             break;
         }
     }
     let Some((mut score, mut pieces)) = best else {
-        let stuck = PlanError::Stuck {
-            moves: 0,
-            time_s: 0.0,
-            duration_s: constraints.design.duration_s,
-            obstacle: Obstacle::Reach,
-        };
-        return Err(refused.unwrap_or(stuck));
+        let ended = PlanError::Ended { duration_s: constraints.design.duration_s };
+        return Err(refused.unwrap_or(ended));
     };
     let mut progress = Progress { tried: 0, taken: 0, score };
     let mut total = pieces.total(information);
     let mut found_goals = None;
-    while begun.elapsed() < budget && !is_over(&progress) {
+    while begun.elapsed() < budget && !is_over(Some(&progress)) {
         progress.tried += 1;
         let goals = found_goals.get_or_insert_with(|| goals(constraints, information, &mut random));
         let Some(change) = pieces.changed(constraints, information, goals, &mut random) else { continue };
@@ -160,11 +158,20 @@ impl Pieces {
         constraints: &Constraints<'_>,
         information: &Information,
         route: &Route,
-    ) -> Result<Self, Obstacle> {
+        is_over: &mut impl FnMut() -> bool,
+    ) -> Result<Self, PlanError> {
         let mut pieces = Self { path: route.path.clone(), robot_rad: Vec::new(), normals: Vec::new() };
         pieces.robot_rad.extend(route.robot_rad.first());
-        let count = pieces.path.moves.len();
-        pieces.redo(constraints, information, 0..count)?;
+        let (moves, duration_s) = (pieces.path.moves.len(), pieces.path.duration_s);
+        for index in 0..moves {
+            if is_over() {
+                return Err(PlanError::Ended { duration_s });
+            }
+            pieces.redo(constraints, information, index..index + 1).map_err(|obstacle| {
+                let time_s = pieces.span_s(index).0;
+                PlanError::Stuck { moves: index, time_s, duration_s, obstacle }
+            })?;
+        }
         Ok(pieces)
     }
 

@@ -19,30 +19,42 @@ pub fn table(consistency: &Consistency, names: &[String]) -> String {
     }
     let _ = write!(text, "{:<10}", "parameter");
     (1..=names.len()).for_each(|index| {
-        let _ = write!(text, "{:>22}", format!("[{index}]"));
+        let _ = write!(text, "{:>24}", format!("[{index}]"));
     });
     let _ = writeln!(text, "{:>10}  unit", "p");
     for one in &consistency.parameters {
         let factor = one.unit.display_factor();
         let _ = write!(text, "{:<10}", one.name);
-        for correction in &one.corrections {
-            let _ = write!(text, "{:>22}", shown(*correction, factor));
+        for value in &one.values {
+            let _ = write!(text, "{:>24}", shown(*value, factor));
         }
         let _ = writeln!(text, "{:>10}  {}", probability(one.p), one.unit.display_symbol());
     }
+    other_nominals(consistency).into_iter().for_each(|sentence| text += &format!("{sentence}\n"));
     let _ = writeln!(text, "{}", verdict(consistency));
     text
 }
 
-fn shown(correction: Option<(f64, f64)>, factor: f64) -> String {
-    correction.map_or_else(
+fn shown(value: Option<(f64, f64)>, factor: f64) -> String {
+    value.map_or_else(
         || "fixed".into(),
-        |(value, sigma)| format!("{:+.4} +- {:.4}", value * factor, sigma * factor),
+        |(value, sigma)| format!("{:.4} +- {:.4}", value * factor, sigma * factor),
     )
 }
 
 fn probability(p: Option<f64>) -> String {
     p.map_or_else(|| "-".into(), |p| if p < 1e-4 { "<0.0001".into() } else { format!("{p:.4}") })
+}
+
+/// Corrections of such calibrations cannot be compared, and what was fixed is not the same.
+fn other_nominals(consistency: &Consistency) -> Option<String> {
+    let names = &consistency.other_nominals;
+    (!names.is_empty()).then(|| {
+        format!(
+            "the robot's configuration was not the same: nominal values of {} differ; identified values are compared, not corrections",
+            names.join(", ")
+        )
+    })
 }
 
 fn verdict(consistency: &Consistency) -> String {
@@ -77,6 +89,7 @@ pub fn page(consistency: &Consistency, robot: &str, names: &[String]) -> Result<
         &html! {
             h1 { (title) }
             div.verdict.doubt[!consistency.is_consistent()] { (verdict(consistency)) }
+            @if let Some(sentence) = other_nominals(consistency) { p { (sentence) } }
             ol { @for (index, name) in names.iter().enumerate() {
                 @let colour = COLOURS[index % COLOURS.len()];
                 li { span style=(format!("color: rgb({},{},{})", colour.0, colour.1, colour.2)) { "● " } (name) }
@@ -97,7 +110,7 @@ fn intervals(title: &str, unit: Unit, parameters: &[&Compared], files: usize) ->
     let factor = unit.display_factor();
     let bar = |file: usize| {
         let of = |one: &&Compared| {
-            let (value, _) = (*one.corrections.get(file)?)?;
+            let (value, _) = (*one.values.get(file)?)?;
             Some(((value - one.mean) * factor, (*one.half_widths.get(file)?)? * factor))
         };
         parameters.iter().map(of).collect()
@@ -118,7 +131,7 @@ fn rows(consistency: &Consistency, files: usize) -> Markup {
                 @for one in &consistency.parameters {
                     tr {
                         td { (one.name) }
-                        @for correction in &one.corrections { td { (shown(*correction, one.unit.display_factor())) } }
+                        @for value in &one.values { td { (shown(*value, one.unit.display_factor())) } }
                         td { (probability(one.p)) }
                         td.text { (one.unit.display_symbol()) }
                     }

@@ -2,7 +2,7 @@
 //! position and in rotation; and is the robot then as accurate as it must be?
 
 use std::fmt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
@@ -146,8 +146,8 @@ impl CalibrationFile {
     ///
     /// # Errors
     /// [`FileError::Io`].
-    pub fn set_earlier_aside(&self, directory: &Path) -> Result<(), FileError> {
-        Earlier::in_directory(directory).map_or(Ok(()), |earlier| earlier.set_aside().map(drop))
+    pub fn set_earlier_aside(&self, directory: &Path) -> Result<Option<PathBuf>, FileError> {
+        Earlier::in_directory(directory).map(Earlier::set_aside).transpose()
     }
 
     /// Held-out errors of each data set.

@@ -6,7 +6,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use shared::config::{JointKind, RobotConfig};
 
-use crate::kinematics::{Chain, InverseError, Joints, Trace, Tracer, flange_chain, robot_inverse_all};
+use crate::kinematics::{
+    Chain, InverseError, Joints, LENGTH_M_MAX, Trace, Tracer, flange_chain, robot_inverse_all,
+};
 
 /// Random postures within the limits that reach and rank are looked for in.
 const POSTURES: usize = 20_000;
@@ -14,16 +16,14 @@ const POSTURES: usize = 20_000;
 const RANK_POSTURES: usize = 50;
 /// Singular values that are less, beside the largest, are none: two axes do the same.
 const RANK_TOLERANCE: f64 = 1e-6;
-/// Axes that are less apart from parallel, but are not, mostly come from rounded angles \[deg\].
-const NEARLY_PARALLEL_DEG: f64 = 0.1;
-/// Less is rounding of the sine of half a turn \[deg\].
-const ROUNDING_DEG: f64 = 1e-9;
+/// Numbers of decimals to which people round a right or straight angle in radians. In degrees it needs none.
+const RADIAN_DECIMALS: std::ops::RangeInclusive<i32> = 2..=5;
+/// Decimals of an angle in degrees that a conversion from radians keeps.
+const CONVERTED_DIGITS: usize = 9;
 /// Angles in degrees that are so near to a part of a turn in radians were mostly meant as radians \[deg\].
 const AS_RADIANS: f64 = 1e-3;
 /// A revolute axis turns by this at most; more is no data sheet's \[deg\].
 const RANGE_DEG_MAX: f64 = 1440.0;
-/// The longest part of a robot \[m\]; beyond, lengths are mostly millimetres or wrong.
-const LENGTH_M_MAX: f64 = 4.0;
 
 /// What a configuration describes.
 #[derive(Debug, Clone, PartialEq)]
@@ -142,6 +142,27 @@ fn facts(
     ]
 }
 
+/// What rounding a multiple of a right angle in radians makes of it, and that multiple in degrees: where the angle is this to the
+/// last digit that is written, which one that was measured or calibrated hardly is.
+fn rounded(degrees: f64) -> Option<(f64, f64)> {
+    let exact_deg = (degrees / 90.0).round() * 90.0;
+    if degrees == exact_deg {
+        return None;
+    }
+    let written = degrees.to_string();
+    let digits = written.split_once('.').map_or(0, |(_, decimals)| decimals.len()).min(CONVERTED_DIGITS);
+    let as_written = |degrees: f64| (degrees * 10f64.powi(digits as i32)).round();
+    RADIAN_DECIMALS
+        .flat_map(|decimals| {
+            let in_rad = 10f64.powi(decimals);
+            let exact = exact_deg.to_radians() * in_rad;
+            // Some round, others cut off.
+            [exact.round(), exact.trunc()].map(|digits| digits / in_rad)
+        })
+        .find(|rounded_rad| as_written(rounded_rad.to_degrees()) == as_written(degrees))
+        .map(|rounded_rad| (rounded_rad, exact_deg))
+}
+
 fn suspicious(robot: &RobotConfig, chain: &Chain, rank: usize) -> Vec<String> {
     let mut found = Vec::new();
     let mut tell = |sentence: String| found.push(sentence);
@@ -160,13 +181,13 @@ fn suspicious(robot: &RobotConfig, chain: &Chain, rank: usize) -> Vec<String> {
                 tell(format!("link {number}: {key} = {degrees} looks like radians; write degrees"));
             }
         }
-        let from_parallel = (link.alpha_deg.to_radians().sin().abs()).asin().to_degrees();
-        if (ROUNDING_DEG..NEARLY_PARALLEL_DEG).contains(&from_parallel) {
-            tell(format!(
-                "link {number}: alpha_deg = {} is {from_parallel:.1e} deg from parallel, probably a rounded angle: its d_m is \
-                 hardly defined; write 0 or 180",
-                link.alpha_deg
-            ));
+        for (key, degrees) in [("alpha_deg", link.alpha_deg), ("theta_deg", link.theta_deg)] {
+            if let Some((rounded_rad, exact_deg)) = rounded(degrees) {
+                tell(format!(
+                    "link {number}: {key} = {degrees} may be {rounded_rad} rad, rounded from a whole right angle; if so, write \
+                     {exact_deg}; if it was calibrated, leave it"
+                ));
+            }
         }
         for (key, length_m) in [("a_m", link.a_m), ("d_m", link.d_m)] {
             if length_m.abs() > LENGTH_M_MAX {

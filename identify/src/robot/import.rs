@@ -1,11 +1,12 @@
 //! A robot's configuration from a URDF: the joints between two of its links as Denavit-Hartenberg links.
 
+use std::collections::HashSet;
 use std::fmt::Write;
 
 use nalgebra::{Rotation3, Unit, Vector3};
 use shared::config::{
     AXES_MAX, AXES_MIN, AngleUnit, Convention, DrivesConfig, JointKind, LinkConfig, LogConversion,
-    RobotConfig, TransformConfig,
+    RobotConfig, TransformConfig, Validate, Violation,
 };
 use urdf_rs::{Joint, JointType};
 
@@ -49,6 +50,9 @@ pub enum ImportError {
         /// What is wrong with it.
         problem: String,
     },
+    /// It contradicts itself, or describes what is no robot.
+    #[error("{0}; correct the file")]
+    Wrong(String),
     /// Too few or too many.
     #[error(
         "{axes} axes are between `{base}` and `{tip}`, a robot has {AXES_MIN} to {AXES_MAX}; choose other links"
@@ -85,12 +89,27 @@ pub struct Imported {
 /// [`ImportError`].
 pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Imported, ImportError> {
     let robot = urdf_rs::read_from_string(text).map_err(|error| ImportError::NotUrdf(error.to_string()))?;
+    let joints = || robot.joints.iter();
+    for (what, name) in [
+        ("links have the name", repeated(robot.links.iter().map(|link| &link.name))),
+        ("joints have the name", repeated(joints().map(|joint| &joint.name))),
+        ("joints lead to link", repeated(joints().map(|joint| &joint.child.link))),
+    ] {
+        if let Some(name) = name {
+            return Err(ImportError::Wrong(format!("several {what} `{name}`")));
+        }
+    }
     let base = end_of(&robot, base, |joint| &joint.child.link)?;
     let tip = end_of(&robot, tip, |joint| &joint.parent.link)?;
     let mut assumed = Vec::new();
     let (mut pose, mut axes, mut names) = (Pose::identity(), Vec::new(), Vec::new());
     let (mut limits_deg, mut limits_m) = (Vec::new(), Vec::new());
     for joint in between(&robot, &base, &tip)? {
+        let numbers = [joint.origin.xyz.0, joint.origin.rpy.0, joint.axis.xyz.0];
+        if let Some(number) = numbers.as_flattened().iter().find(|number| !number.is_finite()) {
+            let what = format!("joint `{}` has {number} in its origin or axis", joint.name);
+            return Err(ImportError::Wrong(what));
+        }
         pose *= origin(joint);
         let Some(kind) = kind(joint)? else { continue };
         let direction = Unit::try_new(Vector3::from(joint.axis.xyz.0), 1e-6);
@@ -123,7 +142,17 @@ pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Impor
         log: LogConversion::direct(AngleUnit::Rad, axes.len()),
         drives: DrivesConfig::default(),
     };
+    // What no other command would load is not written either.
+    config.validate().map_err(|Violation { key, problem, remedy }| {
+        ImportError::Wrong(format!("its links `{base}` to `{tip}` are no robot: {key}: {problem}, {remedy}"))
+    })?;
     Ok(Imported { config, base, tip, joints: names, assumed })
+}
+
+/// A name that is there more than once.
+fn repeated<'a>(mut names: impl Iterator<Item = &'a String>) -> Option<&'a String> {
+    let mut seen = HashSet::new();
+    names.find(|name| !seen.insert(*name))
 }
 
 /// The link that is asked for, or the only one that is no joint's `other` end.
@@ -210,13 +239,15 @@ fn limits(
     assumed: &mut Vec<String>,
 ) -> [f64; 2] {
     let limits = [joint.limit.lower, joint.limit.upper].map(|limit| (convert(limit) * 1e9).round() / 1e9);
-    if joint.joint_type != JointType::Continuous
-        && limits[0] < limits[1]
-        && limits.iter().all(|x| x.is_finite())
-    {
-        return limits;
-    }
-    assumed.push(format!("joint `{}` has no limits in the file: +-{otherwise} {unit} are taken", joint.name));
+    let [low, high] = limits;
+    let found = match joint.joint_type {
+        JointType::Continuous => "no limits in the file".to_owned(),
+        _ if low < high && low.is_finite() && high.is_finite() => return limits,
+        // What a file without limits gives, too.
+        _ if low == 0.0 && high == 0.0 => "no limits in the file, or both are zero".to_owned(),
+        _ => format!("limits of {low} to {high} {unit} in the file, which are no range"),
+    };
+    assumed.push(format!("joint `{}` has {found}: +-{otherwise} {unit} are taken", joint.name));
     [-otherwise, otherwise]
 }
 

@@ -31,6 +31,15 @@ pub enum ConditionError {
     },
 }
 
+impl ConditionError {
+    /// The key as given.
+    pub fn key(&self) -> &str {
+        match self {
+            Self::Unknown { key } | Self::Value { key, .. } => key,
+        }
+    }
+}
+
 /// What is so in one experiment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Conditions {

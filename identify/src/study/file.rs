@@ -8,6 +8,7 @@ use shared::config::{Validate, Violation};
 
 use super::Conditions;
 use crate::calibrate::IdentifyConfig;
+use crate::plan::DURATION_S_MIN;
 
 /// A study.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -227,7 +228,7 @@ pub struct UnknownFigure {
     known: String,
 }
 
-fn wrong(key: String, problem: impl Into<String>, remedy: &'static str) -> Violation {
+fn wrong(key: String, problem: impl Into<String>, remedy: impl Into<String>) -> Violation {
     Violation::new(key, problem.into(), remedy)
 }
 
@@ -268,7 +269,13 @@ impl StudyFile {
             }
             for &x in &series.x {
                 let conditions = Conditions::of(self, series, x).map_err(|error| {
-                    wrong(key("vary"), error.to_string(), "correct the key or the number")
+                    let named = error.key();
+                    let place = match (series.vary.contains_key(named), series.with.contains_key(named)) {
+                        (true, _) => key(&format!("vary.{named}")),
+                        (_, true) => key(&format!("with.{named}")),
+                        _ => named.to_owned(),
+                    };
+                    wrong(place, error.to_string(), "correct the key or the number")
                 })?;
                 let one_path = self.path.planned.is_some() || self.path.log.is_some();
                 if conditions.stations > 1 && (self.second_base_m.is_none() || one_path) {
@@ -319,6 +326,10 @@ impl Validate for StudyFile {
             }
         }
         let PathChoice { seed, planned, log } = &self.path;
+        if planned.is_none() && log.is_none() && self.duration_s < DURATION_S_MIN {
+            let problem = format!("{} s have no room for a random path", self.duration_s);
+            return Err(wrong("duration_s".into(), problem, format!("give at least {DURATION_S_MIN}")));
+        }
         if [seed.is_some(), planned.is_some(), log.is_some()].into_iter().filter(|given| *given).count() > 1 {
             return Err(wrong("path".into(), "more than one path", "give `seed`, `planned` or `log`"));
         }

@@ -110,7 +110,7 @@ fn identify_config(arguments: &BarArguments) -> anyhow::Result<IdentifyConfig> {
     config.cost = arguments.cost.or(config.cost);
     config.loss = arguments.loss.or(config.loss);
     config.ransac |= arguments.ransac;
-    config.require_mm = arguments.common.require.or(config.require_mm);
+    config.require_mm = arguments.common.result.require.or(config.require_mm);
     config.selection = arguments.selection.unwrap_or(config.selection);
     // What is typed counts more than the file.
     if let Some(both) = arguments.fix.iter().find(|name| arguments.free.contains(name)) {
@@ -300,14 +300,16 @@ pub(super) fn solved<T>(
 
 /// Reads, calibrates, writes and prints.
 pub(super) fn run(arguments: &BarArguments) -> anyhow::Result<()> {
-    calibrate(arguments, &identify_config(arguments)?)
+    calibrate(arguments, Experiment::of_bars(arguments, &identify_config(arguments)?))
 }
 
-/// The same with this configuration.
-pub(super) fn calibrate(arguments: &BarArguments, config: &IdentifyConfig) -> anyhow::Result<()> {
+/// The same as an experiment says, whose files the arguments have.
+pub(super) fn calibrate(arguments: &BarArguments, experiment: Experiment) -> anyhow::Result<()> {
+    let config = &experiment.identify;
     let robot = &arguments.common.robot()?;
     crate::commands::ensure_six_revolute_axes(robot)?;
     let truth = arguments.truth.as_deref().map(load_truth).transpose()?;
+    experiment.ensure_distinct()?;
     let (inputs, runs) = both(|| inputs(&input_files(arguments)), || runs(arguments, robot));
     let (mut runs, inputs) = (runs?, inputs?);
     let on_terminal = OnTerminal::new();
@@ -321,14 +323,15 @@ pub(super) fn calibrate(arguments: &BarArguments, config: &IdentifyConfig) -> an
     });
     on_terminal.finish();
     let (calibration, evidence) =
-        studied.map_err(|error| refused::of_runs(arguments, robot, &runs, config, error))?;
+        studied.map_err(|error| refused::of_runs(arguments, robot, &runs, &experiment, error))?;
     let mut file = calibration_file(inputs, robot, &runs, &calibration).with_validation(&evidence);
     let mut forces = ForceEntry::all(&evidence.spheres).into_iter();
     file.validity = Some(Validity::of(calibration.poses(), &flange_chain(robot)));
     (file.force, file.other_forces) = (forces.next(), forces.collect());
     let file =
         file.with_verdict(&evidence.workspace, &evidence.limits, config.require_mm.map(|mm| mm * 1e-3));
-    let written = write_files(&file, robot, runs.first().map(|run| &run.bar), &arguments.common.result.out)?;
+    let bar = runs.first().map(|run| &run.bar);
+    let written = write_files(&file, robot, bar, &experiment, &arguments.common.result.out)?;
     let page = Page {
         file: &file,
         calibration: &calibration,
@@ -337,7 +340,7 @@ pub(super) fn calibrate(arguments: &BarArguments, config: &IdentifyConfig) -> an
         configuration: &toml::to_string(config)?,
     };
     let page = page.write(&arguments.common.result.out)?;
-    Experiment::of_bars(arguments, config).write(&arguments.common.result.out)?;
+    experiment.write(&arguments.common.result.out)?;
     if let Some(truth) = &truth {
         show(wrapped(&(table::comparison(&Comparison::new(&calibration, truth)) + "\n")))?;
     }

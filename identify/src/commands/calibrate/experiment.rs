@@ -1,7 +1,7 @@
 //! `identify calibrate --experiment FILE`: any mix of instruments on one robot. Such a file is written beside every result, so
 //! that one command repeats it.
 
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 use anyhow::Context;
 use clap::Args;
@@ -97,6 +97,9 @@ pub struct Experiment {
     /// How to calibrate: the keys of identify.toml.
     #[serde(default)]
     pub identify: IdentifyConfig,
+    /// The file that says so.
+    #[serde(skip)]
+    pub(super) read_from: Option<PathBuf>,
 }
 
 impl Validate for Experiment {
@@ -187,6 +190,7 @@ impl Experiment {
             wires: Vec::new(),
             contacts: Vec::new(),
             identify,
+            read_from: None,
         }
     }
 
@@ -248,7 +252,7 @@ impl Experiment {
     /// That of a calibration from rows alone, without its rows.
     pub(super) fn of_rows(common: &CommonArguments, fix: &[ParameterId], loss: Option<LossName>) -> Self {
         let fix = fix.iter().map(ToString::to_string).collect();
-        let require_mm = common.require;
+        let require_mm = common.result.require;
         Self::new(&common.robot, IdentifyConfig { fix, loss, require_mm, ..IdentifyConfig::default() })
     }
 
@@ -271,10 +275,44 @@ impl Experiment {
         paths
     }
 
-    /// Writes it beside a result, so that it can be repeated from anywhere; its text.
+    /// No data set is another one again: what is measured once would count twice, and intervals would be too narrow.
+    pub(super) fn ensure_distinct(&self) -> anyhow::Result<()> {
+        let bars = self.bars.iter().map(|run| [&run.recording, &run.robot_log]);
+        let rows = self.rows().map(|(_, of)| [&of.file, &of.mapping]);
+        let sets: Vec<[&PathBuf; 2]> = bars.chain(rows).collect();
+        if sets.len() < 2 {
+            return Ok(());
+        }
+        let content = |set: &[&PathBuf; 2]| -> anyhow::Result<Vec<String>> {
+            let read = inputs(&set.map(|path| ("", path.as_path())))?;
+            Ok(read.into_iter().map(|input| input.sha256).collect())
+        };
+        let contents = sets.iter().map(content).collect::<anyhow::Result<Vec<_>>>()?;
+        for (number, content) in contents.iter().enumerate() {
+            let Some(first) = contents[..number].iter().position(|earlier| earlier == content) else {
+                continue;
+            };
+            anyhow::bail!(
+                "data sets {} and {} are the same measurements, {} and {}; what is measured once counts once, leave one out",
+                first + 1,
+                number + 1,
+                sets[first][0].display(),
+                sets[number][0].display()
+            );
+        }
+        Ok(())
+    }
+
+    /// Writes it beside a result, so that it can be repeated from anywhere, also where the folder that has the data and the result
+    /// is moved or copied; its text.
     pub(super) fn write(mut self, directory: &Path) -> anyhow::Result<String> {
+        // As the system finds `..` from there, whatever links have led there.
+        let from = directory.canonicalize().with_context(|| directory.display().to_string())?;
         for path in self.paths() {
-            *path = std::path::absolute(&*path).with_context(|| path.display().to_string())?;
+            // One that is gone is still named.
+            let found = path.canonicalize().or_else(|_| std::path::absolute(&*path));
+            let found = found.with_context(|| path.display().to_string())?;
+            *path = relative(&found, &from).unwrap_or(found);
         }
         let (to, text) = (directory.join(NAME), toml::to_string(&self)?);
         std::fs::write(&to, &text).with_context(|| to.display().to_string())?;
@@ -287,6 +325,7 @@ impl Experiment {
         for path in experiment.paths() {
             *path = directory.join(&*path);
         }
+        experiment.read_from = Some(path.to_owned());
         Ok(experiment)
     }
 
@@ -317,21 +356,52 @@ impl Experiment {
     }
 
     fn common(&self, result: &ResultArguments) -> CommonArguments {
-        let require = self.identify.require_mm;
-        CommonArguments { robot: self.robot.clone(), result: result.clone(), require }
+        CommonArguments { robot: self.robot.clone(), result: result.clone() }
     }
+}
+
+/// The way from a directory to a file, both without links; none where they do not belong together: what they have in common is
+/// far above the directory, or a place where everything lies, such as `/tmp`.
+fn relative(to: &Path, from: &Path) -> Option<PathBuf> {
+    /// `project/results/monday/earlier` belongs with `project/data`.
+    const UP_MAX: usize = 3;
+    const COMMON_FOLDERS_MIN: usize = 2;
+    let common = to.components().zip(from.components()).take_while(|(one, other)| one == other).count();
+    let folders = to.components().take(common).filter(|part| matches!(part, Component::Normal(_))).count();
+    let up = from.components().skip(common).map(|_| Component::ParentDir);
+    (folders >= COMMON_FOLDERS_MIN && up.clone().count() <= UP_MAX)
+        .then(|| up.chain(to.components().skip(common)).collect())
+}
+
+/// Takes the experiment of a calibration that was set aside to its place, so that it still repeats it. What the present run was
+/// read from stays: it is its own.
+pub(super) fn set_aside(directory: &Path, place: &Path, own: Option<&Path>) -> anyhow::Result<()> {
+    let file = directory.join(NAME);
+    let is_own = own.is_some_and(|own| own.canonicalize().ok() == file.canonicalize().ok());
+    if is_own || !file.exists() {
+        return Ok(());
+    }
+    match Experiment::load(&file) {
+        Ok(experiment) => experiment.write(place).map(drop)?,
+        // Of an older program, or edited: as it is.
+        Err(_) => drop(std::fs::copy(&file, place.join(NAME)).with_context(|| file.display().to_string())?),
+    }
+    std::fs::remove_file(&file).with_context(|| file.display().to_string())
 }
 
 /// Reads, calibrates, writes and prints.
 pub(super) fn run(arguments: &ExperimentArguments) -> anyhow::Result<()> {
-    calibrate(Experiment::load(&arguments.experiment)?, &arguments.result)
+    let mut experiment = Experiment::load(&arguments.experiment)?;
+    experiment.identify.require_mm = arguments.result.require.or(experiment.identify.require_mm);
+    calibrate(experiment, &arguments.result)
 }
 
 /// The same of an experiment that was not read from a file.
 pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) -> anyhow::Result<()> {
     if experiment.rows().next().is_none() {
-        return bar::calibrate(&experiment.bar_arguments(result), &experiment.identify);
+        return bar::calibrate(&experiment.bar_arguments(result), experiment);
     }
+    experiment.ensure_distinct()?;
     let robot = &experiment.common(result).robot()?;
     let log_mapping = experiment.log_mapping.as_deref().map(config::load).transpose()?;
     let logs = LogOptions { format: experiment.log_format, mapping: log_mapping };

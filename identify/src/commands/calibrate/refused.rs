@@ -8,9 +8,8 @@ use shared::config::RobotConfig;
 use shared::output::explained;
 
 use super::bar::{BarArguments, RunFiles, input_files};
-use super::experiment::Experiment;
+use super::experiment::{self, Experiment};
 use super::{inputs, sources};
-use crate::calibrate::IdentifyConfig;
 use crate::calibrate::ball_bar::CalibrateError;
 use crate::calibrate::refusal::Refusal;
 use crate::inspect::{self, curves};
@@ -28,6 +27,8 @@ struct Attempt<'a> {
     configuration: String,
     /// `--out`.
     directory: &'a Path,
+    /// File that says all of this, where there is one.
+    read_from: Option<&'a Path>,
 }
 
 /// The error of a calibration from measured rows, as the terminal shows it; `files` begin with that of the rows.
@@ -46,6 +47,7 @@ pub(super) fn of_rows(
         files,
         configuration: configuration(experiment),
         directory,
+        read_from: experiment.read_from.as_deref(),
     };
     attempt.told(error, &path.display().to_string(), Vec::new)
 }
@@ -55,7 +57,7 @@ pub(super) fn of_runs(
     arguments: &BarArguments,
     robot: &RobotConfig,
     runs: &[RunFiles<'_>],
-    config: &IdentifyConfig,
+    experiment: &Experiment,
     error: CalibrateError,
 ) -> anyhow::Error {
     let attempt = Attempt {
@@ -63,8 +65,9 @@ pub(super) fn of_runs(
         instrument: runs.first().map_or("", |run| run.bar.name.as_str()),
         measured: runs.iter().filter_map(RunFiles::measured).collect(),
         files: &input_files(arguments),
-        configuration: configuration(config),
+        configuration: configuration(&experiment.identify),
         directory: &arguments.common.result.out,
+        read_from: experiment.read_from.as_deref(),
     };
     let of_one = match &error {
         CalibrateError::Prepare { run, .. } => runs.get(*run..=*run),
@@ -114,7 +117,11 @@ impl Attempt<'_> {
             inputs: &inputs(self.files)?,
             configuration: &self.configuration,
         };
-        page.write(self.directory).with_context(|| self.directory.display().to_string())
+        let written = page.write(self.directory).with_context(|| self.directory.display().to_string())?;
+        if let Some(place) = &written.set_aside {
+            experiment::set_aside(self.directory, place, self.read_from)?;
+        }
+        Ok(written)
     }
 
     /// Where the page is, and what became of an older calibration.

@@ -7,7 +7,7 @@ use shared::config::{BallBarConfig, RobotConfig};
 use shared::output::{say, show};
 
 use super::ResultArguments;
-use super::experiment::Experiment;
+use super::experiment::{self, Experiment};
 use crate::calibrate::change::Changed;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::evaluate::{Limit, of_changes, workspace_error};
@@ -65,7 +65,7 @@ impl Told<'_> {
         let workspace = workspace.with_cube(model, covariance, &limits_of_joints);
         limits.extend(of_changes(changed, flange_chain(robot).reach_m(), workspace.budget.expanded_m));
         let file = file.with_verdict(&workspace, &limits, experiment.identify.require_mm.map(|mm| mm * 1e-3));
-        let written = write_files(&file, robot, bar, directory)?;
+        let written = write_files(&file, robot, bar, &experiment, directory)?;
         let page = MeasuredPage {
             file: &file,
             workspace: &workspace,
@@ -87,12 +87,15 @@ pub(super) fn write_files(
     file: &CalibrationFile,
     robot: &RobotConfig,
     bar: Option<&BallBarConfig>,
+    experiment: &Experiment,
     directory: &Path,
 ) -> anyhow::Result<Vec<PathBuf>> {
     let would_stay =
         |part: Deployment| !file.serves(part) && files(part).iter().any(|name| directory.join(name).exists());
-    if is_red(file) || Deployment::PARTIAL.into_iter().any(would_stay) {
-        file.set_earlier_aside(directory)?;
+    if (is_red(file) || Deployment::PARTIAL.into_iter().any(would_stay))
+        && let Some(place) = file.set_earlier_aside(directory)?
+    {
+        experiment::set_aside(directory, &place, experiment.read_from.as_deref())?;
     }
     if is_red(file) {
         return Ok(Vec::new());

@@ -6,11 +6,14 @@
 
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
+use crate::kinematics::nearest_turn;
 use crate::model::{ParameterId, Unit};
-use crate::report::result::file::{CalibrationFile, Status};
+use crate::report::result::file::{CalibrationFile, ParameterEntry, Status};
 
 /// Agreement is refused below this probability.
 pub const P_MIN: f64 = 0.01;
+/// Nominal values that differ by less are rounded differently \[m, rad\].
+const SAME_NOMINAL: f64 = 1e-9;
 
 /// One parameter in several calibrations.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,8 +22,8 @@ pub struct Compared {
     pub name: String,
     /// How people read it.
     pub unit: Unit,
-    /// Correction and sigma in each calibration, SI; none where it was fixed there.
-    pub corrections: Vec<Option<(f64, f64)>>,
+    /// Identified value and sigma in each calibration, SI; none where it was fixed there. Angles are within half a turn of the first.
+    pub values: Vec<Option<(f64, f64)>>,
     /// Half the width of the 95 % interval in each calibration, SI.
     pub half_widths: Vec<Option<f64>>,
     /// Mean weighted by the inverse variances.
@@ -34,6 +37,8 @@ pub struct Compared {
 pub struct Consistency {
     /// The robot's parameters.
     pub parameters: Vec<Compared>,
+    /// Parameters of the robot whose nominal value is not the same in all of them.
+    pub other_nominals: Vec<String>,
     /// Smallest probability times the number of tests, at most one; none where nothing could be tested.
     pub p_corrected: Option<f64>,
 }
@@ -77,18 +82,23 @@ impl Consistency {
                 other: other.robot.clone(),
             });
         }
-        let mut names: Vec<String> = Vec::new();
-        for entry in files.iter().flat_map(|file| &file.parameters) {
-            let of_robot = matches!(entry.name.parse(), Ok(ParameterId::Robot { .. }));
-            if of_robot && entry.status != Status::Fixed && !names.contains(&entry.name) {
+        let (mut names, mut other_nominals): (Vec<String>, Vec<String>) = Default::default();
+        let of_robot = |entry: &&ParameterEntry| matches!(entry.name.parse(), Ok(ParameterId::Robot { .. }));
+        for entry in files.iter().flat_map(|file| &file.parameters).filter(of_robot) {
+            if entry.status != Status::Fixed && !names.contains(&entry.name) {
                 names.push(entry.name.clone());
+            }
+            let first = first.parameters.iter().find(|first| first.name == entry.name);
+            let differs = first.is_some_and(|first| (entry.nominal - first.nominal).abs() > SAME_NOMINAL);
+            if differs && !other_nominals.contains(&entry.name) {
+                other_nominals.push(entry.name.clone());
             }
         }
         let parameters: Vec<Compared> = names.into_iter().map(|name| compared(name, files)).collect();
         let tested: Vec<f64> = parameters.iter().filter_map(|one| one.p).collect();
         let p_corrected =
             tested.iter().copied().min_by(f64::total_cmp).map(|p| (p * tested.len() as f64).min(1.0));
-        Ok(Self { parameters, p_corrected })
+        Ok(Self { parameters, other_nominals, p_corrected })
     }
 }
 
@@ -98,16 +108,20 @@ fn compared(name: String, files: &[CalibrationFile]) -> Compared {
         let entry = file.parameters.iter().find(|entry| entry.name == name)?;
         let found = entry.status != Status::Fixed;
         let sigma = entry.sigma.filter(|sigma| found && *sigma > 0.0 && sigma.is_finite())?;
-        Some((entry.correction, sigma))
+        Some((entry.value, sigma))
     };
-    let corrections: Vec<Option<(f64, f64)>> = files.iter().map(of).collect();
+    let mut values: Vec<Option<(f64, f64)>> = files.iter().map(of).collect();
+    // Half a turn one way is half a turn the other.
+    if let (Unit::Radian, Some((first, _))) = (unit, values.iter().copied().flatten().next()) {
+        values.iter_mut().flatten().for_each(|(value, _)| *value = nearest_turn(*value, first));
+    }
     let of_95 = |file: &CalibrationFile| {
         let from = file.knowledge.as_ref().map(|knowledge| knowledge.sigmas_from).unwrap_or_default();
         from.sigmas_of_95()
     };
     let half_widths =
-        corrections.iter().zip(files).map(|(one, file)| one.map(|(_, sigma)| of_95(file) * sigma)).collect();
-    let known: Vec<(f64, f64)> = corrections.iter().copied().flatten().collect();
+        values.iter().zip(files).map(|(one, file)| one.map(|(_, sigma)| of_95(file) * sigma)).collect();
+    let known: Vec<(f64, f64)> = values.iter().copied().flatten().collect();
     let weight: f64 = known.iter().map(|(_, sigma)| sigma.powi(-2)).sum();
     let mean = known.iter().map(|(value, sigma)| value * sigma.powi(-2)).sum::<f64>() / weight;
     let chi_squared: f64 = known.iter().map(|(value, sigma)| ((value - mean) / sigma).powi(2)).sum();
@@ -115,5 +129,5 @@ fn compared(name: String, files: &[CalibrationFile]) -> Compared {
     // Half of it must be more than zero there.
     let chi_squared = if chi_squared < f64::MIN_POSITIVE { 0.0 } else { chi_squared };
     let p = ChiSquared::new(freedom as f64).ok().map(|distribution| distribution.sf(chi_squared));
-    Compared { name, unit, corrections, half_widths, mean, p }
+    Compared { name, unit, values, half_widths, mean, p }
 }
