@@ -56,6 +56,36 @@ fn a_value_of_another_type_is_reported_with_what_was_expected() {
 }
 
 #[test]
+fn a_value_of_none_of_several_forms_is_reported_without_names_of_the_program() {
+    #[derive(Debug, serde::Deserialize)]
+    #[serde(untagged)]
+    enum Form {
+        Number(f64),
+        List(Vec<f64>),
+    }
+    #[derive(Debug, serde::Deserialize)]
+    struct File {
+        form: Form,
+    }
+    impl Validate for File {
+        fn validate(&self) -> Result<(), config::Violation> {
+            let usable = match &self.form {
+                Form::Number(number) => number.is_finite(),
+                Form::List(list) => !list.is_empty(),
+            };
+            usable.then_some(()).ok_or_else(|| config::Violation::new("form", "nothing", "give numbers"))
+        }
+    }
+    assert_eq!(told::<File>("form = [1.0]"), "accepted");
+    let told = told::<File>("\nform = \"1,2\"\n");
+    assert!(
+        told.starts_with("cell.toml, line 2: key `form`: what stands there has none of the forms"),
+        "{told}"
+    );
+    assert!(!told.contains("untagged") && !told.contains("Form"), "{told}");
+}
+
+#[test]
 fn a_value_that_makes_no_sense_is_named_with_its_line_also_within_a_table_of_several() {
     let text = shipped("ball_bar.toml");
     let (last, line) =

@@ -62,6 +62,11 @@ pub(super) fn message(key: Option<&str>, said: &str) -> String {
         [missing] if said.starts_with("missing field") => {
             format!("key {} is missing; add it", of_table(missing))
         }
+        // Serde says a name of the program there.
+        _ if said.starts_with("data did not match any variant") => format!(
+            "key `{key}`: what stands there has none of the forms that it may have; the comment above it in the file that is shipped \
+             (config/) has them"
+        ),
         _ => format!("key `{key}`: {}", said.trim_end()),
     }
 }
