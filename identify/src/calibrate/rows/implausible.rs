@@ -46,8 +46,8 @@ pub enum Reason {
     },
     /// Positions fit where orientations are beyond what any robot is off.
     Turned {
-        /// Mean angle between the nominal robot and what was measured \[rad\].
-        mean_rad: f64,
+        /// Angle between the nominal robot and what was measured \[rad\].
+        turned_rad: f64,
     },
     /// Tracker, probe or robot were moved.
     Moved(Step),
@@ -78,9 +78,9 @@ impl fmt::Display for Reason {
                 calibrated_m * 1e3,
                 nominal_m * 1e3
             ),
-            Self::Turned { mean_rad } => write!(
+            Self::Turned { turned_rad } => write!(
                 f,
-                "the nominal robot fits the positions, and its orientation is {mean_rad:.2} rad off, as if angles were in \
+                "the nominal robot fits the positions, and its orientation is {turned_rad:.2} rad off, as if angles were in \
                  another order, frame or unit than [rotation] of the mapping says"
             ),
             Self::Moved(step) => write!(f, "{step}"),
@@ -339,10 +339,13 @@ fn furthest_link(model: &Model) -> Option<Reason> {
 fn turned(set: &RowSet) -> Option<Reason> {
     /// The nominal robot's orientation is better than this, any wrong order is worse \[rad\].
     const WRONG_RAD: f64 = 0.1;
-    let nominal = set.fitted().nominal;
-    let mean_rad = nominal.rotation_rad?.mean;
-    let fits = nominal.position_m.mean < SIGMAS_MAX * LINK_M;
-    (fits && mean_rad > WRONG_RAD).then_some(Reason::Turned { mean_rad })
+    /// Part of the rows that are better: of one in five that is no measurement nothing follows for the others.
+    const PART: f64 = 0.78;
+    let nominal = || set.errors.fitted.iter().filter_map(|row| set.errors.stages[0].get(*row));
+    let mut turned_rad: Vec<f64> = nominal().map(|error| error.rotation_rad).collect::<Option<_>>()?;
+    let turned_rad = quantile(&mut turned_rad, PART);
+    let fits = median_size(nominal().map(|error| error.position_m)) < SIGMAS_MAX * LINK_M;
+    (fits && turned_rad > WRONG_RAD).then_some(Reason::Turned { turned_rad })
 }
 
 /// What joints of industrial arms are off at most once their links are known: gears, resolvers, and commanded angles rounded to a

@@ -21,7 +21,7 @@ use crate::prepare::{PrepareError, PrepareOptions};
 
 /// What to do about order and directions of the encoders.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[serde(rename_all = "snake_case", expecting = "\"find\", \"recorded\" or a list such as [1, 2, -3, 5, 4]")]
 pub enum EncoderMapChoice {
     /// Take those that the recording states if they fit, else those that do, and say so.
     #[default]
