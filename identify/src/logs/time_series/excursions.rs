@@ -51,15 +51,27 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
         let noise: Vec<f64> =
             (0..self.columns).map(|column| QUARTILES * self.second_difference(column, every)).collect();
         let (mut found, mut before) = (Vec::new(), 0);
+        let (mut last, mut next) = (vec![0.0; self.columns], vec![0.0; self.columns]);
         while before + 2 < self.t_s.len() {
+            next.iter_mut()
+                .enumerate()
+                .for_each(|(column, next)| *next = (self.step)(before, before + 1, column));
+            // What goes on as before need not be looked at: an excursion is more than all motion from before it to after it.
             let leaves =
-                (0..self.columns).any(|column| (self.step)(before, before + 1, column).abs() > noise[column]);
+                (0..self.columns).any(|column| (next[column] - last[column]).abs() > 0.5 * noise[column]);
             // All that belong together: with fewer, one of them would be taken for where the others come back to.
             let run = (1..=ROWS_MAX)
                 .rev()
                 .filter(|_| leaves)
                 .find(|rows| self.is_out(before, *rows, period_s, &noise));
             let after = before + 1 + run.unwrap_or_default();
+            if run.is_some() {
+                let rows = (after - before) as f64;
+                next.iter_mut()
+                    .enumerate()
+                    .for_each(|(column, next)| *next = (self.step)(before, after, column) / rows);
+            }
+            std::mem::swap(&mut last, &mut next);
             found.extend(before + 1..after);
             before = after;
         }
