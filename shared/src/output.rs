@@ -48,6 +48,15 @@ pub fn unless_gone(written: io::Result<()>) -> io::Result<()> {
     })
 }
 
+/// The first of some things by name, and how many more there are.
+pub fn named(things: &[impl fmt::Display], most: usize) -> String {
+    let shown = things.iter().take(most).map(ToString::to_string).collect::<Vec<_>>().join(", ");
+    match things.len().checked_sub(most) {
+        Some(more) if more > 0 => format!("{shown} and {more} more"),
+        _ => shown,
+    }
+}
+
 /// An error with its causes, each once: most of ours name theirs already, so that who has only the error has all of it.
 pub fn explained(error: &(dyn Error + 'static)) -> String {
     let (mut text, mut next) = (error.to_string(), error.source());

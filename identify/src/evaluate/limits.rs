@@ -77,11 +77,10 @@ pub fn limits(
     limits.extend(of_changes(&calibration.changed, reach_m, workspace.budget.expanded_m));
     limits.extend(of_drives(model, solution));
     limits.extend(turned_plate(model, solution));
-    if !calibration.others.is_empty() {
-        limits.extend(of_disagreement(&calibration.all_runs(), &calibration.sigmas, solution.loss));
-    }
-    limits.extend(strained_priors(model, solution));
-    limits.extend(of_lengths(model, solution, calibration.bars().map(|_| ScaleFrom::Plate)));
+    // One alone contradicts nothing, and its copy would be of the whole log.
+    let several = if calibration.others.is_empty() { Vec::new() } else { calibration.all_runs() };
+    let scales = calibration.bars().map(|_| ScaleFrom::Plate);
+    limits.extend(of_solution(model, solution, &several, &calibration.sigmas, scales));
     limits.extend(lasting_errors(calibration));
     let mut tell = |serious: bool, sentence: String| limits.push(Limit { sentence, serious });
     for (joint, travel_deg) in travel_deg(runs).into_iter().enumerate() {
@@ -164,8 +163,23 @@ impl ScaleFrom {
     }
 }
 
+/// What a solve of any mix of data sets contradicts: each other, what was expected, the robot's lengths. `model` has the solution's
+/// first columns; `sigmas` are what residuals of each of the runs are worth, `scales` what fixes that of lengths.
+pub fn of_solution(
+    model: &Model,
+    solution: &Solution,
+    runs: &[Run],
+    sigmas: &[f64],
+    scales: impl Iterator<Item = ScaleFrom>,
+) -> Vec<Limit> {
+    let mut limits: Vec<Limit> = of_disagreement(runs, sigmas, solution.loss).into_iter().collect();
+    limits.extend(strained_priors(model, solution));
+    limits.extend(of_lengths(model, solution, scales));
+    limits
+}
+
 /// Data sets that contradict each other.
-pub fn of_disagreement(runs: &[Run], sigmas: &[f64], loss: Loss) -> Option<Limit> {
+fn of_disagreement(runs: &[Run], sigmas: &[f64], loss: Loss) -> Option<Limit> {
     let of = |Disagreement { data_set, times }: &Disagreement| {
         let name = runs.get(*data_set).map_or("", |run| run.instrument.name());
         format!(
@@ -184,8 +198,8 @@ pub fn of_disagreement(runs: &[Run], sigmas: &[f64], loss: Loss) -> Option<Limit
     })
 }
 
-/// Lengths that nobody expected, found with any instruments. `model` has the solution's first columns.
-pub fn of_lengths(model: &Model, solution: &Solution, scales: impl Iterator<Item = ScaleFrom>) -> Vec<Limit> {
+/// Lengths that nobody expected, found with any instruments.
+fn of_lengths(model: &Model, solution: &Solution, scales: impl Iterator<Item = ScaleFrom>) -> Vec<Limit> {
     let scale = scales.map(ScaleFrom::describe).fold(Vec::new(), |mut told: Vec<&str>, one| {
         if !told.contains(&one) {
             told.push(one);
@@ -248,12 +262,12 @@ fn forces_without_sign(calibration: &BallBarCalibration) -> impl Iterator<Item =
 }
 
 /// Parameters that the samples want where their priors hardly let them: the test of Evans and Moshonov (2006) for each of the
-/// `n` priors, at a chance of [`STRAINED_BY_CHANCE`] for all. `model` has the solution's first columns.
+/// `n` priors, at a chance of [`STRAINED_BY_CHANCE`] for all.
 ///
 /// A prior of `x0` with sigma `s0` that holds moves what is found by `g` where it is off by `s0`. Then `x - x0` has the variance
 /// `(s0 - g)^2` ([`NONLINEAR`] of `g` is left open), and with it what all other sources (samples, other priors, fixed parameters that
 /// are wrong) make of `x`. Where sources are not known one by one it is that of independent noise, `s0^2 - s^2`.
-pub fn strained_priors(model: &Model, solution: &Solution) -> Option<Limit> {
+fn strained_priors(model: &Model, solution: &Solution) -> Option<Limit> {
     let Solution { x, covariance, .. } = solution;
     let priors = model.columns().enumerate().filter_map(|(column, parameter)| match parameter.role {
         Role::Prior { value, sigma: expected } => {

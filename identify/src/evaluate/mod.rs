@@ -22,7 +22,7 @@ pub use evidence::{Evidence, RunEvidence, evidence};
 pub use figures::{Quantiles, rms};
 pub use gaps::{JointGap, joint_gaps};
 pub use held_out::{HeldOut, HeldOutSegment, PoseError, PoseErrorRms, held_out, nominals};
-pub use limits::{Limit, ScaleFrom, limits, of_changes, of_disagreement, of_lengths, strained_priors};
+pub use limits::{Limit, ScaleFrom, limits, of_changes, of_solution};
 pub use nominal::uncalibrated;
 pub use shift::{ShiftCurve, shift_curve};
 pub use sphere_deviation::{Deviation, Elongation, OffSphere, PositiveForce, SphereDeviation};

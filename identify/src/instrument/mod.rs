@@ -74,6 +74,11 @@ pub trait Measures: fmt::Debug + Sync {
     fn errors(&self, _geometry: &Geometry) -> Vec<PoseError> {
         Vec::new()
     }
+
+    /// Noise of each of these over that of the median one, where files state what rows are worth, as of the last [`Measures::adapt`].
+    fn relative_noise(&self) -> Vec<f64> {
+        vec![1.0; self.samples()]
+    }
 }
 
 /// The instruments.
@@ -114,16 +119,6 @@ impl Instrument {
     pub fn poses(&self, model: &Model) -> impl Iterator<Item = Joints> {
         let clock = model.geometry(&[]).clock;
         (0..self.samples()).filter_map(move |sample| Some(self.reported(sample, &clock)?.q))
-    }
-
-    /// What each row is worth where files state that: its standard deviation over that of the median row, as of the last
-    /// [`Measures::adapt`].
-    pub(crate) fn relative_noise(&self) -> Vec<f64> {
-        match self {
-            Self::Tracker(tracker) => tracker.relative_noise(),
-            Self::Wire(wire) => wire.relative_noise(),
-            Self::BallBar(_) | Self::Contact(_) => vec![1.0; self.samples()],
-        }
     }
 
     /// The run of a ball-bar.

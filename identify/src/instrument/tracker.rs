@@ -142,12 +142,6 @@ impl Tracker {
         median_size(self.noise.iter().map(|noise| noise.position_m))
     }
 
-    /// Noise of every row over that of the median one.
-    pub(crate) fn relative_noise(&self) -> Vec<f64> {
-        let usual_m = self.noise_m();
-        self.noise.iter().map(|noise| noise.position_m / usual_m).collect()
-    }
-
     /// Name of the cost: positions alone or whole poses.
     pub fn cost(&self) -> &'static str {
         if self.poses.is_some() { MeasuredPose::NAME } else { MeasuredPosition::NAME }
@@ -287,5 +281,10 @@ impl Measures for Tracker {
 
     fn errors(&self, geometry: &Geometry) -> Vec<PoseError> {
         self.pose_errors(geometry)
+    }
+
+    fn relative_noise(&self) -> Vec<f64> {
+        let usual_m = self.noise_m();
+        self.noise.iter().map(|noise| noise.position_m / usual_m).collect()
     }
 }

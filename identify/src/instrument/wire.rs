@@ -68,11 +68,6 @@ impl Wire {
         Self::of(self.rows.clone(), other.noise)
     }
 
-    /// Noise of every row over that of the median one, whether it takes part or not.
-    pub(crate) fn relative_noise(&self) -> Vec<f64> {
-        self.noise.relative(self.rows.all.rows.iter().map(|row| row.uncertainty_m))
-    }
-
     /// A model with the anchors and attachments of the rows.
     pub fn fitted_out(&self, model: Model) -> Model {
         let set_ups = self.rows.all.rows.iter().map(|row| row.set_up);
@@ -226,5 +221,10 @@ impl Measures for Wire {
     fn errors(&self, geometry: &Geometry) -> Vec<PoseError> {
         let apart = |residual_m: f64| PoseError { position_m: residual_m.abs(), rotation_rad: None };
         self.residuals_m(geometry).into_iter().map(apart).collect()
+    }
+
+    /// Whether a row takes part or not.
+    fn relative_noise(&self) -> Vec<f64> {
+        self.noise.relative(self.rows.all.rows.iter().map(|row| row.uncertainty_m))
     }
 }

@@ -2,6 +2,8 @@
 
 use std::fmt::Write;
 
+use shared::output::named;
+
 use crate::calibrate::rows::{PoseFigures, RowSet, RunCause, Sizes, Stages};
 use crate::evaluate::{Limit, Validity};
 use crate::instrument::{Contact, Instrument, RejectedRow, Rejection};
@@ -225,17 +227,14 @@ pub fn left_out(set: &RowSet, name: &str, lines: &[u64]) -> Option<Limit> {
     const SERIOUS: f64 = 0.05;
     let is_gross = |one: &&RejectedRow| matches!(one.why, Rejection::GrossResidual { .. });
     let rejected: Vec<&RejectedRow> = set.rejected.iter().filter(is_gross).collect();
-    let line = |one: &&RejectedRow| lines.get(one.row).map(u64::to_string);
-    let named: Vec<String> = rejected.iter().take(NAMED).filter_map(line).collect();
-    let more = rejected.len().checked_sub(NAMED).filter(|more| *more > 0);
-    let more = more.map_or_else(String::new, |more| format!(" and {more} more"));
+    let rejected_lines: Vec<u64> = rejected.iter().filter_map(|one| lines.get(one.row)).copied().collect();
     (!rejected.is_empty()).then(|| Limit {
         sentence: format!(
-            "{} of {} rows of the {name} (lines {}{more}) are further from the robot than it can be off and take no part: look for \
+            "{} of {} rows of the {name} (lines {}) are further from the robot than it can be off and take no part: look for \
              broken beams, wrong targets and joints of another pose.",
             rejected.len(),
             lines.len(),
-            named.join(", ")
+            named(&rejected_lines, NAMED)
         ),
         serious: rejected.len() as f64 > SERIOUS * lines.len() as f64,
     })

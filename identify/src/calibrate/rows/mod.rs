@@ -158,18 +158,16 @@ impl RowSet {
         whole.adapt(model);
         let [nominal, .., joints] = &self.errors.stages;
         let is_gross = gross_rows(nominal, joints, &whole.relative_noise());
-        let rows = self.errors.fitted.iter().chain(&self.errors.held_out).copied();
-        let gross = rows.filter(|row| is_gross.get(*row) == Some(&true));
-        let gross: Vec<usize> =
-            gross.filter(|row| !self.rejected.iter().any(|one| one.row == *row)).collect();
-        let rejected = |row: &usize| {
-            let residual_m = joints[*row].position_m;
-            RejectedRow { row: *row, why: Rejection::GrossResidual { residual_m } }
-        };
-        self.rejected.extend(gross.iter().map(rejected));
+        let rows = without(&(0..is_gross.len()).collect::<Vec<_>>(), &self.rejected);
+        let gross = rows.into_iter().filter(|row| is_gross[*row]).map(|row| {
+            let residual_m = joints[row].position_m;
+            RejectedRow { row, why: Rejection::GrossResidual { residual_m } }
+        });
+        let gross: Vec<RejectedRow> = gross.collect();
+        self.errors.fitted = without(&self.errors.fitted, &gross);
+        self.errors.held_out = without(&self.errors.held_out, &gross);
+        self.rejected.extend(gross);
         self.rejected.sort_by_key(|one| one.row);
-        self.errors.fitted.retain(|row| !gross.contains(row));
-        self.errors.held_out.retain(|row| !gross.contains(row));
     }
 
     fn at(&self, model: &Model) -> Vec<PoseError> {

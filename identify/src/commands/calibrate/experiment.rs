@@ -17,7 +17,7 @@ use crate::calibrate::mix::{self, DataSets, Rows};
 use crate::calibrate::rows::RowSet;
 use crate::commands::ensure_six_revolute_axes;
 use crate::commands::on_terminal::OnTerminal;
-use crate::evaluate::{RunEvidence, Validity, of_disagreement, of_lengths, strained_priors};
+use crate::evaluate::{RunEvidence, Validity, of_solution};
 use crate::instrument::{Instrument, Run};
 use crate::kinematics::flange_chain;
 use crate::logs::{LogFormat, LogOptions};
@@ -283,15 +283,22 @@ impl Experiment {
         if sets.len() < 2 {
             return Ok(());
         }
+        let size = |path: &PathBuf| -> anyhow::Result<u64> {
+            let found = std::fs::metadata(path).with_context(|| format!("cannot read {}", path.display()))?;
+            Ok(found.len())
+        };
+        let sizes = |set: &[&PathBuf; 2]| -> anyhow::Result<[u64; 2]> { Ok([size(set[0])?, size(set[1])?]) };
+        let sizes = sets.iter().map(sizes).collect::<anyhow::Result<Vec<_>>>()?;
         let content = |set: &[&PathBuf; 2]| -> anyhow::Result<Vec<String>> {
             let read = inputs(&set.map(|path| ("", path.as_path())))?;
             Ok(read.into_iter().map(|input| input.sha256).collect())
         };
-        let contents = sets.iter().map(content).collect::<anyhow::Result<Vec<_>>>()?;
-        for (number, content) in contents.iter().enumerate() {
-            let Some(first) = contents[..number].iter().position(|earlier| earlier == content) else {
+        let pairs = (0..sets.len()).flat_map(|number| (0..number).map(move |first| (first, number)));
+        // Files of other lengths need not be read for that.
+        for (first, number) in pairs.filter(|(first, number)| sizes[*first] == sizes[*number]) {
+            if content(&sets[first])? != content(&sets[number])? {
                 continue;
-            };
+            }
             anyhow::bail!(
                 "data sets {} and {} are the same measurements, {} and {}; what is measured once counts once, leave one out",
                 first + 1,
@@ -509,9 +516,8 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
     let first = found.runs.first().context("there is no data set")?;
     tables += &of_rows::waves(&first.model);
     file.validity = Some(validity);
-    limits.extend(of_disagreement(&found.runs, &found.solved.sigmas, solution.loss));
-    limits.extend(strained_priors(&first.model, solution));
-    limits.extend(of_lengths(&first.model, solution, found.runs.iter().map(|run| (&run.instrument).into())));
+    let scales = found.runs.iter().map(|run| (&run.instrument).into());
+    limits.extend(of_solution(&first.model, solution, &found.runs, &found.solved.sigmas, scales));
     let told = Told {
         robot,
         bar: bars.first().map(|run| &run.bar),

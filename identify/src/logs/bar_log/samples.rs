@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use shared::config::BallBarConfig;
 use shared::encoder::{Direction, EncoderScale, Unwrapper, wrap};
+use shared::output::named;
 use shared::recording::schema::{CycleRecord, EncoderInfo, EncoderSample, MAX_ENCODERS, flags};
 use shared::time::UtcNs;
 
@@ -314,18 +315,16 @@ impl RawBarLog {
     }
 
     fn tell_origins(&mut self, places: &[u64]) {
-        let named = places.iter().take(PLACES_MAX).map(u64::to_string).collect::<Vec<_>>().join(", ");
-        let (more, remedy) = match places.len() {
+        let remedy = match places.len() {
             0 => return,
-            count if count > PLACES_MAX => (
-                format!(" and {} more", count - PLACES_MAX),
-                "; if none did, compare lines and interpolation_bits in the bar's configuration with the encoders",
-            ),
-            _ => (String::new(), ""),
+            1..=PLACES_MAX => "",
+            _ => {
+                "; if none did, compare lines and interpolation_bits in the bar's configuration with the encoders"
+            }
         };
-        let row = self.kind.row;
+        let (row, named) = (self.kind.row, named(places, PLACES_MAX));
         self.remark(format!(
-            "at {row} {named}{more} two or more encoders jump at once: taken for counters that started anew{remedy}"
+            "at {row} {named} two or more encoders jump at once: taken for counters that started anew{remedy}"
         ));
     }
 

@@ -3,6 +3,8 @@
 
 use std::path::Path;
 
+use shared::output::named;
+
 use super::sampling::{STEPS_PART, trimmed_mean};
 use crate::logs::LogError;
 use crate::statistics::quantile;
@@ -42,7 +44,8 @@ pub(in crate::logs) struct Excursions<'a, S> {
 impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
     /// The rows that jump out and back, in their order: beyond both neighbours by more than the fastest motion that turns back
     /// between them, by more than the noise of the log, and by more than the neighbours are apart, which is no more than can be
-    /// moved meanwhile. The further apart rows are the less is told: what could be motion is kept.
+    /// moved meanwhile. The longer the
+    /// time between rows, the less is certain: what could be motion is kept.
     pub fn find(&self) -> Vec<usize> {
         let every = self.t_s.len().div_ceil(LOOKED_AT).max(1);
         let looked_at: Vec<f64> = self.t_s.iter().step_by(every).copied().collect();
@@ -52,10 +55,13 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
             (0..self.columns).map(|column| QUARTILES * self.second_difference(column, every)).collect();
         let (mut found, mut before) = (Vec::new(), 0);
         let (mut last, mut next) = (vec![0.0; self.columns], vec![0.0; self.columns]);
+        let steps = |from: usize, to: usize, by_row: &mut [f64]| {
+            for (column, by_row) in by_row.iter_mut().enumerate() {
+                *by_row = (self.step)(from, to, column) / (to - from) as f64;
+            }
+        };
         while before + 2 < self.t_s.len() {
-            next.iter_mut()
-                .enumerate()
-                .for_each(|(column, next)| *next = (self.step)(before, before + 1, column));
+            steps(before, before + 1, &mut next);
             // What goes on as before need not be looked at: an excursion is more than all motion from before it to after it.
             let leaves =
                 (0..self.columns).any(|column| (next[column] - last[column]).abs() > 0.5 * noise[column]);
@@ -66,10 +72,7 @@ impl<S: Fn(usize, usize, usize) -> f64> Excursions<'_, S> {
                 .find(|rows| self.is_out(before, *rows, period_s, &noise));
             let after = before + 1 + run.unwrap_or_default();
             if run.is_some() {
-                let rows = (after - before) as f64;
-                next.iter_mut()
-                    .enumerate()
-                    .for_each(|(column, next)| *next = (self.step)(before, after, column) / rows);
+                steps(before, after, &mut next);
             }
             std::mem::swap(&mut last, &mut next);
             found.extend(before + 1..after);
@@ -122,10 +125,7 @@ pub(in crate::logs) fn told(
     if count == 0 {
         return Ok(None);
     }
-    let mut named = places.iter().take(NAMED_MAX).map(u64::to_string).collect::<Vec<_>>().join(", ");
-    if count > NAMED_MAX {
-        named += &format!(" and {} more", count - NAMED_MAX);
-    }
+    let named = named(places, NAMED_MAX);
     let whose = "jump away from those before and after them, as nothing moves";
     if count as f64 > PART_MAX * rows as f64 {
         return Err(LogError::Content {

@@ -2,6 +2,7 @@
 
 use maud::{Markup, html};
 use plotters::prelude::RGBColor;
+use shared::output::named;
 
 use super::Page;
 use super::drawing::intervals::Intervals;
@@ -82,16 +83,8 @@ fn figures_row(name: &str, figures: &CostFigures) -> Markup {
             td { (format!("{:.4}", figures.expected.mean_m * 1e3)) }
         }
         @if !figures.not_determined.is_empty() {
-            tr.aside { td {} td.text colspan="8" { "does not determine " (named(&figures.not_determined)) } }
+            tr.aside { td {} td.text colspan="8" { "does not determine " (named(&figures.not_determined, NAMES_MAX)) } }
         }
-    }
-}
-
-fn named(names: &[String]) -> String {
-    let shown = names.iter().take(NAMES_MAX).map(String::as_str).collect::<Vec<_>>().join(", ");
-    match names.len().checked_sub(NAMES_MAX) {
-        Some(more) if more > 0 => format!("{shown} and {more} more"),
-        _ => shown,
     }
 }
 
