@@ -15,6 +15,7 @@ use identify::simulate::contact::{self, ContactExperiment, SimulatedContacts};
 use nalgebra::{DVector, Rotation3, Vector3};
 use shared::config::{self, RobotConfig, Validate};
 
+use crate::support::campaign::{is_full, size};
 use crate::support::command::identify;
 use crate::support::truth::apart_m;
 use crate::support::{irb120, irb2400, repository};
@@ -166,8 +167,10 @@ fn within(robot: &RobotConfig, seeds: u64) -> f64 {
 #[ignore = "takes minutes"]
 fn intervals_of_links_hold_95_percent_over_robots() {
     for robot in [irb2400(), irb120(), seven_axes()] {
-        let within = within(&robot, 30);
-        assert!((0.92..=0.99).contains(&within), "{}: {within}", robot.name);
+        let within = within(&robot, size(6, 30));
+        // Links of one robot err together, so that few robots leave a larger spread.
+        let allowed = if is_full() { 0.92..=0.99 } else { 0.86..=1.0 };
+        assert!(allowed.contains(&within), "{}: {within}", robot.name);
     }
 }
 

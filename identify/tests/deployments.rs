@@ -1,5 +1,5 @@
 //! What a controller takes of a calibration, beside direct fits of the same freedom by another program: pybotics' kinematic chain
-//! with SciPy's least squares. `IDENTIFY_CASES=20` for twenty arms.
+//! with SciPy's least squares. `CAMPAIGNS=full` for twenty arms.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -20,6 +20,7 @@ use shared::config::RobotConfig;
 
 use crate::measured_pose_calibration::fixture;
 use crate::rows_campaign::{Kind, Level, rows};
+use crate::support::campaign::size;
 use crate::support::rows::Alone;
 use crate::support::{irb120, irb2400, nj220, ur10};
 
@@ -87,7 +88,7 @@ fn by_direct_fit(name: &str, robot: &RobotConfig, rows: &[PoseRow]) -> [f64; 2] 
 #[test]
 #[ignore = "needs Python with pybotics: set BALLBAR_PYTHON"]
 fn what_a_controller_takes_predicts_as_well_as_a_direct_fit_of_it() {
-    let arms: u64 = std::env::var("IDENTIFY_CASES").ok().and_then(|text| text.parse().ok()).unwrap_or(4);
+    let arms = size(4, 20);
     let robots = [irb2400(), ur10(), nj220(), irb120()];
     let of_arm = |seed: u64| {
         let robot = &robots[(seed % 4) as usize];

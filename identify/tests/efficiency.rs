@@ -1,8 +1,9 @@
 //! What `pose` makes of noise: how near its errors come to the Cramer-Rao bound, whether its intervals hold, and what
-//! gross outliers do. `IDENTIFY_SEEDS=200` repeats more often than the default.
+//! gross outliers do. `CAMPAIGNS=full` repeats more often.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
+use crate::support::campaign::size;
 use crate::support::{Cell, spread_poses};
 use identify::cost::{AngleNoise, LoopProblem, Residual, Transform, WhitenedPose};
 use identify::model::{Model, Observation, ParameterId, PerObservation, Selection};
@@ -15,7 +16,7 @@ use rand_distr::StandardNormal;
 const NOISE: AngleNoise = AngleNoise { encoder_rad: 10e-6, robot_rad: 10e-6 };
 
 fn seeds() -> u64 {
-    std::env::var("IDENTIFY_SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(40)
+    size(40, 200)
 }
 
 struct Setup {

@@ -1,9 +1,10 @@
 //! A laboratory with what real ones have and estimators leave out: two clocks, a leaning base, eccentric encoders, gears
-//! and noise. How far each way of solving gets on the robot's own parameters. `IDENTIFY_SEEDS` set: all ways, that many
+//! and noise. How far each way of solving gets on the robot's own parameters. `CAMPAIGNS=full`: all ways, more
 //! seeds.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
+use crate::support::campaign::{is_full, size};
 use crate::support::{bar, irb2400, nj220};
 use identify::calibrate::ball_bar::{self, BallBarCalibration};
 use identify::calibrate::validation::deployment::Deployment;
@@ -83,7 +84,7 @@ fn ways() -> Vec<(&'static str, IdentifyConfig)> {
         ("pose, base tilt, harmonics", with(Pose, Cell, 30.0)),
         ("pose, base tilt, harmonics, joint terms", IdentifyConfig::default()),
     ];
-    if std::env::var("IDENTIFY_SEEDS").is_ok() {
+    if is_full() {
         return all;
     }
     let (first, last) = (all[..1].to_vec(), all[all.len() - 3..].to_vec());
@@ -91,7 +92,7 @@ fn ways() -> Vec<(&'static str, IdentifyConfig)> {
 }
 
 fn seeds() -> u64 {
-    std::env::var("IDENTIFY_SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(3)
+    size(3, 10)
 }
 
 #[test]

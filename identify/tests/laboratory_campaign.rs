@@ -5,6 +5,7 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
+use crate::support::campaign::size;
 use crate::support::laboratory::{self, Level};
 use crate::support::truth::position_error_m;
 use crate::support::{bar, irb2400, nj220};
@@ -160,12 +161,10 @@ fn ten_runs_of_each_kind_with_both_robots() {
         ("repeated motion", &five, repeated),
         ("hard", &five, hard),
     ];
-    let wanted = std::env::var("IDENTIFY_KINDS").unwrap_or_default();
-    let is_wanted = |name: &str| wanted.split(',').any(|one| name.contains(one));
-    let seeds = std::env::var("IDENTIFY_SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(10);
+    let seeds = size(2, 10);
     let mut missed = Vec::new();
     for robot in [irb2400(), nj220()] {
-        for (name, bar, make) in kinds.into_iter().filter(|(name, ..)| is_wanted(name)) {
+        for (name, bar, make) in kinds {
             let outcomes = outcomes(&robot, bar, make, 1..=seeds);
             let (mean, most) = summary(&format!("{}, {name}", robot.name), &outcomes);
             let (mean_max, most_max) = if name == "hard" { (0.25, f64::INFINITY) } else { (0.12, 0.25) };
@@ -174,7 +173,7 @@ fn ten_runs_of_each_kind_with_both_robots() {
             }
             if name == "usual" {
                 assert!(outcomes.iter().all(|one| one.repeats_ms < 0.1), "{}", robot.name);
-                as_the_thesis(&robot, bar);
+                as_the_thesis(&robot, bar, seeds);
             }
         }
     }
@@ -182,12 +181,16 @@ fn ten_runs_of_each_kind_with_both_robots() {
 }
 
 /// The thesis' cost and parameters on the files of the usual runs, aligned and chosen as here: what the rest is worth.
-fn as_the_thesis(robot: &RobotConfig, bar: &BallBarConfig) {
+fn as_the_thesis(robot: &RobotConfig, bar: &BallBarConfig, seeds: u64) {
     let config = IdentifyConfig {
         cost: Some(CostName::Transform),
         selection: SelectionName::Thesis,
         ..IdentifyConfig::default()
     };
-    let errors = (1..=10).map(|seed| calibrated(&usual(robot, bar, seed), robot, bar, &config).robot_mm_mrad);
-    println!("    the thesis' cost and parameters on the same files: {:.3} mean", errors.sum::<f64>() / 10.0);
+    let errors =
+        (1..=seeds).map(|seed| calibrated(&usual(robot, bar, seed), robot, bar, &config).robot_mm_mrad);
+    println!(
+        "    the thesis' cost and parameters on the same files: {:.3} mean",
+        errors.sum::<f64>() / seeds as f64
+    );
 }

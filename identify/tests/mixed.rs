@@ -17,6 +17,7 @@ use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
 use shared::config::BallBarConfig;
 
+use crate::support::campaign::size;
 use crate::support::gears::Gears;
 use crate::support::laboratory::{self, Level};
 use crate::support::{bar, irb2400};
@@ -238,7 +239,7 @@ fn a_mix_is_nearer_to_the_truth_than_bar_tracker_wire_or_contact_alone() {
 #[test]
 #[ignore = "takes minutes"]
 fn over_twenty_robots_a_mix_is_nearer_than_each_alone_and_its_intervals_hold() {
-    let ([all, alone @ ..], within) = means_mm(20);
+    let ([all, alone @ ..], within) = means_mm(size(4, 20));
     assert!(alone.iter().all(|alone| all < *alone), "{all} {alone:?}");
     // Coordinates of one robot err together, so that twenty robots leave a spread of some hundredths.
     assert!(within > 0.85, "{within}");
@@ -276,7 +277,7 @@ fn data_sets_of_one_robot_agree_and_a_scale_or_zero_of_their_own_is_said() {
 #[ignore = "takes minutes"]
 fn over_thirty_robots_data_sets_agree() {
     let said: Vec<usize> =
-        (1..=30).flat_map(|seed| contradicting(&Cell::new(seed).calibrated(ALL))).collect();
+        (1..=size(6, 30)).flat_map(|seed| contradicting(&Cell::new(seed).calibrated(ALL))).collect();
     assert!(said.len() <= 1, "{said:?}");
 }
 

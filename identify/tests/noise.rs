@@ -1,8 +1,9 @@
 //! What angles are worth is found in the data: the configuration starts the estimate, and who configures another noise gets the
-//! same robot. `IDENTIFY_SEEDS=20` repeats the campaign more often.
+//! same robot. `CAMPAIGNS=full` repeats the campaign more often.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
+use crate::support::campaign::size;
 use crate::support::laboratory::{self, Level};
 use crate::support::truth::position_error_m;
 use crate::support::{bar, irb2400, nj220};
@@ -40,7 +41,7 @@ fn plain(cost: CostName) -> IdentifyConfig {
 #[test]
 #[ignore = "150 calibrations: minutes"]
 fn campaign_of_noises_with_both_robots() {
-    let seeds: u64 = std::env::var("IDENTIFY_SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(3);
+    let seeds = size(1, 3);
     for robot in [irb2400(), nj220()] {
         let spoilt = [(5.0, 15.0), (20.0, 0.0), (200.0, 0.0), (0.0, 200.0), (100.0, 20.0)];
         let alone = spoilt.map(|(encoder, robot)| (format!("{encoder}/{robot} urad"), noise(encoder, robot)));

@@ -26,6 +26,7 @@ use rand_chacha::rand_core::SeedableRng;
 use shared::config::{self, AngleUnit, BallBarConfig, RobotConfig};
 
 use crate::support::browser;
+use crate::support::campaign::{is_full, size};
 use crate::support::command::identify;
 use crate::support::truth::position_error_m;
 use crate::support::{bar, irb2400, nj220};
@@ -327,13 +328,14 @@ fn poses_alone_are_at_least_as_good_as_the_path_through_them_and_worth_more_the_
 }
 
 #[test]
-#[ignore = "plans four robots' paths and seeks a hundred random ones of each: ten minutes"]
+#[ignore = "plans four robots' paths and seeks random ones of each: minutes"]
 fn no_path_is_better_than_poses_without_any_motion_between_them() {
     for cell in of_all_sizes(120.0) {
         let (constraints, information) = (cell.constraints(), cell.information());
-        let random: Vec<f64> = (1..=13).flat_map(|seed| cell.search(seed, 0).random_scores).collect();
+        let random: Vec<f64> =
+            (1..=size(3, 13)).flat_map(|seed| cell.search(seed, 0).random_scores).collect();
         let best_m = random.iter().copied().fold(f64::INFINITY, f64::min);
-        let found = cell.search(1, 4000);
+        let found = cell.search(1, if is_full() { 4000 } else { 800 });
         let planned_m = information.position(&found.normal).with_terms_m;
         let checked = cell.check(&cell.robot_path(&found));
         let least_m = position_m_min(&checked, &constraints, &information).unwrap();
@@ -849,9 +851,9 @@ fn a_browser_draws_the_arm_along_the_path_and_asks_nobody_else() {
 }
 
 #[test]
-#[ignore = "plans and calibrates ten runs of two robots: IDENTIFY_SEEDS for another number"]
+#[ignore = "plans paths of two robots and calibrates ten runs on each: minutes"]
 fn the_error_of_a_calibration_is_the_one_that_was_expected_of_its_path_and_terms() {
-    let seeds: u32 = std::env::var("IDENTIFY_SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(10);
+    let seeds = size(3, 10);
     for robot in [irb2400(), nj220()] {
         let cell = Cell::new(robot, 120.0);
         let information = cell.information();
@@ -859,13 +861,13 @@ fn the_error_of_a_calibration_is_the_one_that_was_expected_of_its_path_and_terms
         let planned = cell.planned(&found);
         let (mut squared, mut expected) = (0.0, 0.0);
         for seed in 1..=seeds {
-            let (run, calibration) = cell.calibrated(u64::from(seed), Some(&planned));
+            let (run, calibration) = cell.calibrated(seed, Some(&planned));
             let taken = calibration.candidates.iter().filter(|candidate| candidate.accepted);
             let groups: Vec<TermGroup> =
                 taken.map(|candidate| candidate.group).chain([TermGroup::EncoderHarmonics]).collect();
             // The root mean square of an error of equal spread in three directions is 1.085 times its mean (Maxwell).
-            squared += (1.085 * position_error_m(&run, &calibration, &cell.robot)).powi(2) / f64::from(seeds);
-            expected += information.position_with(&found.normal, &groups).powi(2) / f64::from(seeds);
+            squared += (1.085 * position_error_m(&run, &calibration, &cell.robot)).powi(2) / seeds as f64;
+            expected += information.position_with(&found.normal, &groups).powi(2) / seeds as f64;
         }
         let (found_m, expected_m) = (squared.sqrt(), expected.sqrt());
         println!(

@@ -1,7 +1,6 @@
 //! Trackers, wires and balls in sockets as a person uses them: files in, the command's verdict out, on robots whose truth is known
 //! and whose gears and loads no model contains. Good files are not refused and their claims hold; spoiled ones are refused,
-//! flagged, or do no harm. `IDENTIFY_CASES=200` for the whole campaign, `IDENTIFY_SPOILS=joint` for
-//! what has this in its name.
+//! flagged, or do no harm. `IDENTIFY_SPOILS=joint` for what has this in its name.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -21,6 +20,7 @@ use rand::{Rng, SeedableRng};
 use rand_distr::StandardNormal;
 use shared::config::RobotConfig;
 
+use crate::support::campaign::{fewest, size};
 use crate::support::command::identify;
 use crate::support::gears::Gears;
 use crate::support::truth::apart_m;
@@ -430,7 +430,7 @@ fn spoiled_rows_are_refused_or_flagged_or_do_no_harm() {
 #[test]
 #[ignore = "a calibration for each of a dozen robots: a minute"]
 fn good_rows_are_not_refused_and_their_claims_hold() {
-    let cases: u64 = std::env::var("IDENTIFY_CASES").ok().and_then(|text| text.parse().ok()).unwrap_or(12);
+    let cases = size(40, 200);
     let robots = [irb2400(), ur10(), nj220(), irb120()];
     let mut verdicts = BTreeMap::<String, u32>::new();
     let mut squares = BTreeMap::<String, Vec<f64>>::new();
@@ -472,8 +472,7 @@ fn good_rows_are_not_refused_and_their_claims_hold() {
     let within: u32 =
         verdicts.iter().filter(|(verdict, _)| verdict.contains("within")).map(|one| one.1).sum();
     println!("{within} of {cases} true errors within what is claimed with k = 2");
-    // Of eighty claims that hold with 95 %, fewer than 70 do once in 600 times.
-    assert!(cases < 80 || u64::from(within) * 8 >= cases * 7, "{within} of {cases}");
+    assert!(u64::from(within) >= fewest(cases, 0.95), "{within} of {cases}");
     assert!(!verdicts.keys().any(|verdict| verdict.contains("refused")), "good rows are refused");
     assert!(
         !verdicts.keys().any(|verdict| verdict.contains("Green, true error beyond twice")),

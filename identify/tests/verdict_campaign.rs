@@ -1,5 +1,5 @@
 //! Verdicts on many experiments whose truth is known: what is claimed of the robot's error holds, and nothing is green that is
-//! not as accurate as that. `IDENTIFY_CASES=200` for the whole campaign.
+//! not as accurate as that. `CAMPAIGNS=full` for all of them.
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
@@ -20,6 +20,7 @@ use rand_distr::StandardNormal;
 use shared::config::{BallBarConfig, RobotConfig};
 use statrs::distribution::{Binomial, DiscreteCDF};
 
+use crate::support::campaign::size;
 use crate::support::laboratory::{self, Level};
 use crate::support::{bar, irb2400, nj220};
 
@@ -74,7 +75,7 @@ pub fn judged(
 #[test]
 #[ignore = "a dozen calibrations with everything that is said of them: most of a minute"]
 fn nothing_is_green_that_is_wrong_and_no_good_run_is_refused() {
-    let cases: u64 = std::env::var("IDENTIFY_CASES").ok().and_then(|text| text.parse().ok()).unwrap_or(12);
+    let cases = size(40, 200);
     let mut verdicts = BTreeMap::<String, u32>::new();
     let (mut within, mut below) = (0, 0);
     for seed in 1..=cases {

@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test stops at the first surprise")]
 
 pub mod browser;
+pub mod campaign;
 pub mod command;
 pub mod gears;
 pub mod independent;
