@@ -44,6 +44,8 @@ fn a_run_is_recorded_and_exported_with_counts_and_angles() {
     let export = ballbard().args(["export", "--csv"]).arg(&file).output().unwrap();
     assert!(export.status.success());
     let recording = Recording::open(&file).unwrap();
+    let version = ballbard().arg("--version").output().unwrap();
+    assert_eq!(String::from_utf8_lossy(&version.stdout).trim(), recording.run.software);
     let mut table = csv::Reader::from_path(out.path().join("trial.csv")).unwrap();
     assert_eq!(table.headers().unwrap().iter().take(3).collect::<Vec<_>>(), ["time_utc", "count1", "count2"]);
     let rows: Vec<csv::StringRecord> = table.records().map(Result::unwrap).collect();

@@ -9,3 +9,4 @@ pub mod generate;
 pub mod output;
 pub mod recording;
 pub mod time;
+pub mod version;

@@ -22,6 +22,7 @@ use clap::{Args, CommandFactory, Parser, Subcommand};
 use serde::Serialize;
 use shared::generate::GenerateArguments;
 use shared::output::say;
+use shared::version::version;
 use std::time::Duration;
 
 const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed, or what was asked for is bad: a check with problems, a run that is \
@@ -29,7 +30,7 @@ const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed, or what was asked for is
 
 /// Records a sensed double ball-bar over EtherCAT.
 #[derive(Debug, Parser)]
-#[command(name = "ballbard", version, about, after_help = EXIT_CODES)]
+#[command(name = "ballbard", version = version(), about, after_help = EXIT_CODES)]
 pub struct Arguments {
     #[command(subcommand)]
     command: Command,

@@ -258,7 +258,7 @@ impl Session {
             payload: about.payload,
             note: about.note,
             started: UtcNs(self.clock.now().0 + utc_minus_monotonic_ns),
-            software: concat!("ballbard ", env!("CARGO_PKG_VERSION")).into(),
+            software: shared::version::software("ballbard"),
             bus: self.bus.clone(),
             cycle_period_ns: self.period.as_nanos() as u64,
             distributed_clocks: self.daemon.distributed_clocks,

@@ -17,10 +17,11 @@ use std::ffi::OsString;
 use clap::{CommandFactory, Parser, Subcommand};
 use shared::config::{JointKind, RobotConfig};
 use shared::generate::GenerateArguments;
+use shared::version::version;
 
 /// Calibrates a robot from a ball-bar recording and the robot's own log.
 #[derive(Debug, Parser)]
-#[command(name = "identify", version, about)]
+#[command(name = "identify", version = version(), about)]
 pub struct Arguments {
     #[command(subcommand)]
     command: Command,

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::RecordingWriter;
 use shared::recording::schema::RunMetadata;
+use shared::version::software;
 
 use super::Simulated;
 use super::sample::CYCLE_NS;
@@ -85,7 +86,7 @@ fn metadata(
         payload: String::new(),
         note: format!("simulated from known parameters, seed {}", simulated.truth.seed),
         started,
-        software: format!("identify {}", env!("CARGO_PKG_VERSION")),
+        software: software("identify"),
         bus: "simulated".into(),
         cycle_period_ns: CYCLE_NS as u64,
         distributed_clocks: true,

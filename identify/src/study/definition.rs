@@ -76,13 +76,7 @@ impl Definition {
     }
 
     fn new(study: StudyFile, robot: RobotConfig, bar: BallBarConfig, reference: Reference) -> Self {
-        Self {
-            study,
-            robot,
-            bar,
-            reference,
-            software: concat!("identify ", env!("CARGO_PKG_VERSION")).into(),
-        }
+        Self { study, robot, bar, reference, software: shared::version::software("identify") }
     }
 
     /// Checksum of all of it, hexadecimal: results of equal ones belong together.

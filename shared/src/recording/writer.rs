@@ -21,6 +21,7 @@ use super::schema::{CycleRecord, Event, PortCounts, RunEnd, RunMetadata};
 use super::shown::Shown;
 use super::timing::TimingSummary;
 use crate::time::UtcNs;
+use crate::version::version;
 
 /// Why a recording cannot be written.
 #[derive(Debug, thiserror::Error)]
@@ -140,7 +141,7 @@ impl<W: Write> RecordingWriter<W> {
         let spool = Spool::default();
         let mut writer = WriteOptions::new()
             .profile("ros2")
-            .library(format!("{LIBRARY_NAME}{}", env!("CARGO_PKG_VERSION")))
+            .library(format!("{LIBRARY_NAME}{}", version()))
             .compression(Some(Compression::Zstd))
             .compression_threads(0)
             .disable_seeking(true)

@@ -336,7 +336,7 @@ impl CalibrationFile {
         Self {
             schema: SCHEMA,
             created: now(),
-            software: software().into(),
+            software: software(),
             robot: robot.to_owned(),
             instrument: instrument.to_owned(),
             measured: Vec::new(),
@@ -462,8 +462,8 @@ pub(in crate::report) fn now() -> String {
 }
 
 /// Program and version.
-pub(in crate::report) const fn software() -> &'static str {
-    concat!("identify ", env!("CARGO_PKG_VERSION"))
+pub(in crate::report) fn software() -> String {
+    shared::version::software("identify")
 }
 
 /// Puts a file in place at once.

@@ -103,7 +103,7 @@ impl RefusedPage<'_> {
                     }
                     (self.deviations()?)
                     @for run in &runs { (run) }
-                    (repeated_with(self.inputs, software(), self.configuration))
+                    (repeated_with(self.inputs, &software(), self.configuration))
                 }
             },
         ))
