@@ -1,12 +1,13 @@
 //! Replay: what goes into the simulated encoders comes out of the recording, bit for bit.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 use ballbard::run::{self, BusChoice, RunError, Stop};
 use shared::config::BallBarConfig;
-use shared::recording::Recording;
-use shared::recording::schema::CycleRecord;
+use shared::recording::schema::{CycleRecord, ReplayOrigin, RunMetadata, SIMULATED_BUS};
+use shared::recording::{Recording, RecordingWriter};
 use shared::time::DcNs;
 use system_tests::{ball_bar, daemon, record, request};
 
@@ -63,6 +64,31 @@ fn a_replay_in_real_time_is_the_same_bit_for_bit() {
         assert_eq!(counts_of(one), counts_of(other), "cycle {}", one.cycle);
     }
     assert_eq!(replayed.cycles.len(), original.cycles.len());
+}
+
+#[test]
+fn a_replay_carries_the_origin_of_what_it_plays() {
+    let directory = tempfile::tempdir().unwrap();
+    let bar = ball_bar();
+    let replay = |name: &str, path: PathBuf| {
+        record(directory.path(), &request(name, BusChoice::Replay(path), None, true), &bar)
+    };
+    let request = request("made-up", BusChoice::Simulated, Some(Duration::from_secs(3)), true);
+    let (path, made_up) = record(directory.path(), &request, &bar);
+    assert!(made_up.run.is_simulated() && made_up.run.replay_of.is_none());
+    assert!(replay("again", path).1.run.is_simulated());
+
+    // The same counts as a real bus would have given them.
+    let run = RunMetadata { name: "measured".into(), bus: "eth1".into(), ..made_up.run };
+    let mut writer = RecordingWriter::create(directory.path(), &run).unwrap();
+    made_up.cycles.iter().for_each(|cycle| writer.write_cycle(cycle).unwrap());
+    let path = writer.finish("stopped", made_up.end.ended).unwrap();
+    let (path, once) = replay("once", path);
+    let origin = ReplayOrigin { name: "measured".into(), started: run.started, bus: "eth1".into() };
+    for replayed in [once, replay("twice", path).1] {
+        assert_eq!((replayed.run.is_simulated(), replayed.run.replay_of), (false, Some(origin.clone())));
+        assert_eq!(replayed.run.bus, SIMULATED_BUS);
+    }
 }
 
 #[test]

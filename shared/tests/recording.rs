@@ -3,7 +3,7 @@
 
 use std::io::Cursor;
 
-use shared::recording::schema::{CycleRecord, Event, EventKind, flags};
+use shared::recording::schema::{CycleRecord, Event, EventKind, RunMetadata, flags};
 use shared::recording::{ReadErrorKind, Recording, RecordingWriter, WriteError, salvage};
 
 use crate::support::run::{START, cycle, run, timing};
@@ -35,6 +35,17 @@ fn what_is_written_is_read_back() {
     assert_eq!((recording.end.cycles, recording.end.cycles_valid, recording.end.cycles_lost), (100, 94, 0));
     assert_eq!(recording.end.cause, "stopped");
     assert_eq!(recording.timing, Some(timing()));
+}
+
+#[test]
+fn a_file_of_an_older_program_is_simulated_by_its_bus() {
+    let mut older = serde_json::to_value(run("older")).unwrap();
+    assert!(older.get("replay_of").is_none(), "an older program reads a run that is no replay");
+    for (bus, is_simulated) in [("simulated", true), ("eth1", false)] {
+        older["bus"] = bus.into();
+        let run: RunMetadata = serde_json::from_value(older.clone()).unwrap();
+        assert_eq!(run.is_simulated(), is_simulated, "{bus}");
+    }
 }
 
 #[test]

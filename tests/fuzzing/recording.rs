@@ -134,6 +134,7 @@ fn run() -> RunMetadata {
         started: START,
         software: "test".into(),
         bus: "simulated".into(),
+        replay_of: None,
         cycle_period_ns: 10_000_000,
         distributed_clocks: true,
         utc_minus_monotonic_ns: 42,

@@ -23,6 +23,7 @@ fn metadata() -> RunMetadata {
         started: UtcNs(0),
         software: String::new(),
         bus: String::new(),
+        replay_of: None,
         cycle_period_ns: 10_000_000,
         distributed_clocks: true,
         utc_minus_monotonic_ns: 0,

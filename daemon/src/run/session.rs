@@ -6,7 +6,7 @@ use std::thread;
 use std::time::Duration;
 
 use shared::config::{BallBarConfig, DaemonConfig};
-use shared::recording::schema::{DeviceInfo, EncoderInfo, RunMetadata};
+use shared::recording::schema::{DeviceInfo, EncoderInfo, ReplayOrigin, RunMetadata};
 use shared::recording::{
     Disk, RecordingWriter, Recovery, RunFile, Salvaged, Tap, WriteError, recover_file_on,
 };
@@ -37,6 +37,7 @@ pub struct Session {
     live: Arc<Live>,
     clock: Clock,
     bus: String,
+    replay_of: Option<ReplayOrigin>,
     period: Duration,
     encoders: Vec<EncoderInfo>,
     cycles: Option<u64>,
@@ -67,7 +68,7 @@ impl Session {
     ) -> Result<Self, RunError> {
         let (clock, encoders) = (prepared.clock.clone(), prepared.encoders.clone());
         let (bus, period) = (prepared.plan.name.clone(), prepared.plan.cycle_period);
-        let cycles = prepared.cycles;
+        let (cycles, replay_of) = (prepared.cycles, prepared.replay_of.clone());
         let (ready_tx, ready_rx) = sync_channel(1);
         let (jobs, jobs_rx) = sync_channel(1);
         let realtime =
@@ -89,6 +90,7 @@ impl Session {
                 live,
                 clock,
                 bus,
+                replay_of,
                 period,
                 encoders,
                 cycles,
@@ -260,6 +262,7 @@ impl Session {
             started: UtcNs(self.clock.now().0 + utc_minus_monotonic_ns),
             software: shared::version::software("ballbard"),
             bus: self.bus.clone(),
+            replay_of: self.replay_of.clone(),
             cycle_period_ns: self.period.as_nanos() as u64,
             distributed_clocks: self.daemon.distributed_clocks,
             utc_minus_monotonic_ns,

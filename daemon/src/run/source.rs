@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use shared::config::{BallBarConfig, DaemonConfig, EncoderConfig};
 use shared::recording::Recording;
-use shared::recording::schema::EncoderInfo;
+use shared::recording::schema::{EncoderInfo, ReplayOrigin, SIMULATED_BUS};
 use shared::time::UtcNs;
 
 use super::{BusChoice, RunError, RunRequest};
@@ -24,6 +24,8 @@ pub(super) struct Prepared {
     pub plan: BusPlan,
     /// Encoders of the run, in bus order.
     pub encoders: Vec<EncoderInfo>,
+    /// The recording that is replayed.
+    pub replay_of: Option<ReplayOrigin>,
     /// Starts the replay, and when its first sample was taken.
     pub replay: Option<(ReplayHandle, UtcNs)>,
     /// Turns the simulated joints when they are homed.
@@ -54,15 +56,13 @@ pub(super) fn prepare(
             let config = SegmentConfig { terminals: bar.encoders.len(), ..SegmentConfig::default() };
             let (source, hand) = HandTurned::new(SmoothMotion::new(bar.encoders.len(), lines, config.seed));
             let wire = in_process(&config, Box::new(source), &clock, &request.faults);
-            let prepared = Prepared::from_config(wire, clock, SIMULATED, daemon, bar);
+            let prepared = Prepared::from_config(wire, clock, SIMULATED_BUS, daemon, bar);
             Prepared { hand: Some(hand), ..prepared }
         }
         BusChoice::Replay(path) => follow(path, clock, daemon, bar, &request.faults)?,
     };
     Ok(prepared)
 }
-
-const SIMULATED: &str = "simulated";
 
 /// Refuses what contradicts itself.
 pub(super) fn check(request: &RunRequest) -> Result<(), RunError> {
@@ -101,6 +101,7 @@ impl Prepared {
                 reply_timeout: daemon.reply_timeout(),
             },
             encoders: bar.encoders.iter().map(info).collect(),
+            replay_of: None,
             replay: None,
             hand: None,
             cycles: None,
@@ -146,7 +147,7 @@ fn follow(
     // or too slow.
     let config = SegmentConfig { terminals: encoders.len(), drift_ppm: 0.0, ..SegmentConfig::default() };
     let wire = in_process(&config, Box::new(source), &clock, faults);
-    let mut prepared = Prepared::from_config(wire, clock, SIMULATED, daemon, bar);
+    let mut prepared = Prepared::from_config(wire, clock, SIMULATED_BUS, daemon, bar);
     prepared.plan.encoders = encoders
         .iter()
         .map(|info| EncoderConfig {
@@ -160,6 +161,7 @@ fn follow(
     prepared.plan.cycle_period = Duration::from_nanos(recording.run.cycle_period_ns);
     prepared.plan.sync0_shift = prepared.plan.cycle_period / 2;
     prepared.encoders.clone_from(encoders);
+    prepared.replay_of = Some(recording.run.origin());
     prepared.replay = Some((handle, first.sample_time));
     prepared.cycles = Some(recording.cycles.len() as u64);
     Ok(prepared)

@@ -129,6 +129,7 @@ pub fn metadata(period: Duration) -> RunMetadata {
         started: UtcNs(0),
         software: String::new(),
         bus: String::new(),
+        replay_of: None,
         cycle_period_ns: period.as_nanos() as u64,
         distributed_clocks: true,
         utc_minus_monotonic_ns: 0,

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::RecordingWriter;
-use shared::recording::schema::RunMetadata;
+use shared::recording::schema::{RunMetadata, SIMULATED_BUS};
 use shared::version::software;
 
 use super::Simulated;
@@ -87,7 +87,8 @@ fn metadata(
         note: format!("simulated from known parameters, seed {}", simulated.truth.seed),
         started,
         software: software("identify"),
-        bus: "simulated".into(),
+        bus: SIMULATED_BUS.into(),
+        replay_of: None,
         cycle_period_ns: CYCLE_NS as u64,
         distributed_clocks: true,
         utc_minus_monotonic_ns: started.0.saturating_sub(monotonic_ns),

@@ -212,8 +212,11 @@ pub struct RunMetadata {
     pub started: UtcNs,
     /// Program and version that wrote it.
     pub software: String,
-    /// Network interface, or `simulated`.
+    /// Network interface, or [`SIMULATED_BUS`].
     pub bus: String,
+    /// The recording that a replay played; none where the run is no replay, or an older program wrote the file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub replay_of: Option<ReplayOrigin>,
     /// Time between two cycles \[ns\].
     pub cycle_period_ns: u64,
     /// Whether the terminals sample on distributed clocks. Without them a sample may be one period old.
@@ -228,6 +231,35 @@ pub struct RunMetadata {
     pub daemon_config: String,
     /// The bar's configuration, TOML.
     pub ball_bar_config: String,
+}
+
+/// Name of the bus whose encoder signals a program makes up.
+pub const SIMULATED_BUS: &str = "simulated";
+
+/// The recording whose counts a replay played on the simulated bus. A replay of a replay has the origin of the first.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ReplayOrigin {
+    /// Name of that run.
+    pub name: String,
+    /// When it began.
+    pub started: UtcNs,
+    /// Network interface that it was recorded from, or [`SIMULATED_BUS`].
+    pub bus: String,
+}
+
+impl RunMetadata {
+    /// Whether the encoder counts were made up by a program. A replay is as its origin; a file of an older program, which
+    /// names no origin, is as its bus.
+    pub fn is_simulated(&self) -> bool {
+        self.replay_of.as_ref().map_or(&self.bus, |origin| &origin.bus) == SIMULATED_BUS
+    }
+
+    /// What a replay of this recording is a replay of.
+    pub fn origin(&self) -> ReplayOrigin {
+        let Self { name, started, bus, .. } = self;
+        let this = || ReplayOrigin { name: name.clone(), started: *started, bus: bus.clone() };
+        self.replay_of.clone().unwrap_or_else(this)
+    }
 }
 
 /// What a port of a device has counted since the run began.
