@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use proptest::prelude::*;
-use shared::config::{self, BallBarConfig, DaemonConfig, RobotConfig, Validate};
+use shared::config::{self, BallBarConfig, DaemonConfig, Maker, RobotConfig, Validate};
 
 fn shipped(name: &str) -> String {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config").join(name);
@@ -125,6 +125,29 @@ fn a_key_that_is_missing_is_named() {
 fn text_that_is_no_toml_is_reported_with_its_line() {
     let told = told::<BallBarConfig>("length_m = 0.6\nplate_m 0.1\n");
     assert!(told.starts_with("cell.toml, line 2: this is not TOML: "), "{told}");
+}
+
+#[test]
+fn the_maker_is_a_word_of_the_robot_s_name_however_it_is_written() {
+    use Maker::{Abb, Fanuc, Kuka, UniversalRobots};
+    for (name, maker) in [
+        ("ABB IRB 2400/16", Some(Abb)),
+        ("abb_irb120_3_58", Some(Abb)),
+        ("irb4600-20-250", Some(Abb)),
+        ("kuka_kr6r700sixx", Some(Kuka)),
+        ("KR6 R700", Some(Kuka)),
+        ("cell3-fanuc_lrmate200id", Some(Fanuc)),
+        ("Fanuc M-10iA", Some(Fanuc)),
+        ("Universal Robots UR10", Some(UniversalRobots)),
+        ("ur5e_robot", Some(UniversalRobots)),
+        ("UR", Some(UniversalRobots)),
+        ("Comau NJ 220-2.7", None),
+        ("kraken", None),
+        ("urdf_arm", None),
+        ("", None),
+    ] {
+        assert_eq!(Maker::in_name(name), maker, "{name}");
+    }
 }
 
 proptest! {

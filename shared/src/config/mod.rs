@@ -14,7 +14,7 @@ pub use ball_bar::{BallBarConfig, EncoderConfig, bar_joint_name};
 pub use daemon::{DaemonConfig, RealtimeConfig};
 pub use homing::{HomedEncoder, HomingConfig};
 pub use robot::{
-    AXES_MAX, AXES_MIN, AngleUnit, Convention, DrivesConfig, JointKind, LinkConfig, LogConversion,
+    AXES_MAX, AXES_MIN, AngleUnit, Convention, DrivesConfig, JointKind, LinkConfig, LogConversion, Maker,
     RobotConfig, TransformConfig,
 };
 

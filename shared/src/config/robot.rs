@@ -223,6 +223,46 @@ impl DrivesConfig {
     }
 }
 
+/// Makers whose controllers differ in their programming language and joint definitions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Maker {
+    /// ABB: RAPID.
+    Abb,
+    /// FANUC: TP; joint 3 of the controller is measured from the horizontal, not from the upper arm.
+    Fanuc,
+    /// KUKA: KRL.
+    Kuka,
+    /// Universal Robots: URScript.
+    UniversalRobots,
+}
+
+impl Maker {
+    /// The maker in a robot's name: any of its words, in upper or lower case, separated by anything but letters and digits,
+    /// such as `ABB IRB 2400/16`, `kuka_kr6r700sixx` or `ur5e_robot`.
+    pub fn in_name(name: &str) -> Option<Self> {
+        let mut words = name.split(|letter: char| !letter.is_alphanumeric()).map(str::to_lowercase);
+        words.find_map(|word| match word.as_str() {
+            "abb" => Some(Self::Abb),
+            "fanuc" => Some(Self::Fanuc),
+            "kuka" | "kr" => Some(Self::Kuka),
+            "universal" | "ur" => Some(Self::UniversalRobots),
+            model => [
+                ("irb", Self::Abb),
+                ("crb", Self::Abb),
+                ("lrmate", Self::Fanuc),
+                ("crx", Self::Fanuc),
+                ("kr", Self::Kuka),
+                ("ur", Self::UniversalRobots),
+            ]
+            .into_iter()
+            .find(|(series, _)| {
+                model.strip_prefix(series).is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()))
+            })
+            .map(|(_, maker)| maker),
+        })
+    }
+}
+
 /// A robot: two to eight axes in a row, nominal values from its data sheet.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -257,6 +297,11 @@ impl RobotConfig {
     /// Number of axes.
     pub fn axes(&self) -> usize {
         self.links.len()
+    }
+
+    /// The maker by the robot's name; `None` for any other.
+    pub fn maker(&self) -> Option<Maker> {
+        Maker::in_name(&self.name)
     }
 
     /// How each axis moves.
