@@ -13,8 +13,10 @@ pub const LENGTH_M_MAX: f64 = 4.0;
 /// makes the two one, their sum is still exact.
 pub(crate) fn roll_pitch_yaw(rotation: &Rotation3<f64>) -> [f64; 3] {
     let r = rotation.matrix();
-    let yaw = r[(1, 0)].atan2(r[(0, 0)]);
-    let pitch = (-r[(2, 0)]).atan2(r[(0, 0)].hypot(r[(1, 0)]));
+    let across = r[(0, 0)].hypot(r[(1, 0)]);
+    // With x upright only the sum of yaw and roll is determined.
+    let yaw = if across < 1e-12 { 0.0 } else { r[(1, 0)].atan2(r[(0, 0)]) };
+    let pitch = (-r[(2, 0)]).atan2(across);
     let rest = Rotation3::from_euler_angles(0.0, pitch, yaw).inverse() * rotation;
     [rest[(2, 1)].atan2(rest[(1, 1)]), pitch, yaw]
 }

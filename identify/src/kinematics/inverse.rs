@@ -1,6 +1,6 @@
 //! What both inverse kinematics share: right-angled twists, three-axis wrists, refinement on the true chain.
 
-use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Matrix3, Rotation3, SMatrix, SVector, Vector3};
 use shared::config::JointKind;
@@ -11,16 +11,15 @@ use super::{Chain, Pose, Trace, Tracer};
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum InverseError {
     /// The links are not those of the structure that the closed form solves.
-    #[error(
-        "link {link} has a twist of {alpha_deg:.3} deg, the closed form needs {expected}; \
-         check alpha_deg in the configuration"
-    )]
+    #[error("link {link} has {key} = {value:.4}, the closed form needs {expected}; check the configuration")]
     Structure {
         /// Link, from 1.
         link: usize,
-        /// Its twist.
-        alpha_deg: f64,
-        /// What it should be.
+        /// Which of its numbers, `alpha_deg`, `a_m` or `d_m`.
+        key: &'static str,
+        /// Value of this number \[deg, m\].
+        value: f64,
+        /// The value of the structure.
         expected: &'static str,
     },
     /// The closed form is of arms without.
@@ -73,6 +72,9 @@ impl InverseError {
 
 /// How far a twist may be from a multiple of 90 degrees and still count as one \[rad\].
 const TWIST_TOLERANCE_RAD: f64 = 0.1;
+/// How far a length may be from zero and still be an error of a chain whose nominal length is zero \[m\]: ten times what
+/// robots are made to, and a tenth of the smallest offset that a wrist is designed with.
+const LENGTH_TOLERANCE_M: f64 = 5e-3;
 
 /// Checks that no axis is prismatic.
 pub(super) fn revolute(chain: &Chain) -> Result<(), InverseError> {
@@ -80,22 +82,39 @@ pub(super) fn revolute(chain: &Chain) -> Result<(), InverseError> {
     prismatic.map_or(Ok(()), |index| Err(InverseError::Prismatic { link: index + 1 }))
 }
 
-/// The sign of a twist of +-90 degrees.
+/// The sine of a twist of +-90 degrees.
 pub(super) fn right_angle(chain: &Chain, index: usize) -> Result<f64, InverseError> {
-    let alpha_rad = chain.links.get(index).map_or(f64::NAN, |link| link.alpha_rad);
-    if (alpha_rad.abs() - FRAC_PI_2).abs() < TWIST_TOLERANCE_RAD {
-        return Ok(alpha_rad.signum());
+    let alpha_rad = twist_rad(chain, index);
+    if alpha_rad.cos().abs() < TWIST_TOLERANCE_RAD {
+        return Ok(alpha_rad.sin().signum());
     }
-    Err(InverseError::Structure { link: index + 1, alpha_deg: alpha_rad.to_degrees(), expected: "+-90" })
+    Err(other_twist(chain, index, "+-90"))
 }
 
-/// Checks that a twist is zero within the tolerance.
-pub(super) fn parallel(chain: &Chain, index: usize) -> Result<(), InverseError> {
-    let alpha_rad = chain.links.get(index).map_or(f64::NAN, |link| link.alpha_rad);
-    if alpha_rad.abs() < TWIST_TOLERANCE_RAD {
+/// The cosine of a twist of 0 or 180 degrees.
+pub(super) fn parallel(chain: &Chain, index: usize) -> Result<f64, InverseError> {
+    let alpha_rad = twist_rad(chain, index);
+    if alpha_rad.sin().abs() < TWIST_TOLERANCE_RAD {
+        return Ok(alpha_rad.cos().signum());
+    }
+    Err(other_twist(chain, index, "0 or 180"))
+}
+
+/// Checks that a length of a link (from 1) is zero but for errors.
+pub(super) fn without_length(link: usize, key: &'static str, value: f64) -> Result<(), InverseError> {
+    if value.abs() < LENGTH_TOLERANCE_M {
         return Ok(());
     }
-    Err(InverseError::Structure { link: index + 1, alpha_deg: alpha_rad.to_degrees(), expected: "0" })
+    Err(InverseError::Structure { link, key, value, expected: "0" })
+}
+
+fn twist_rad(chain: &Chain, index: usize) -> f64 {
+    chain.links.get(index).map_or(f64::NAN, |link| link.alpha_rad)
+}
+
+fn other_twist(chain: &Chain, index: usize, expected: &'static str) -> InverseError {
+    let value = twist_rad(chain, index).to_degrees();
+    InverseError::Structure { link: index + 1, key: "alpha_deg", value, expected }
 }
 
 /// Turn about z, then a twist of `sign * 90` degrees about x: a link's rotation on the nominal structure.

@@ -5,7 +5,7 @@ use nalgebra::Matrix3;
 
 use super::inverse::{
     distance_squared, nearest_turn, parallel, refine, refine_centred, revolute, right_angle, turn_and_twist,
-    wrapped, wrist_angles,
+    without_length, wrapped, wrist_angles,
 };
 use super::{Chain, InverseError, Joints, Pose};
 
@@ -14,8 +14,10 @@ const AXES: usize = 6;
 
 /// What the closed form needs: twists snapped to right angles, offsets that the structure does not have dropped.
 struct Arm {
-    /// Signs of the twists of links 1, 3, 4, 5.
+    /// Signs of the twists of links 1, 3, 4, 5, with axis 3 taken along axis 2.
     signs: [f64; 4],
+    /// Whether axis 3 is along axis 2 (1) or against it (-1, as in arms by FANUC): joint 3 then turns the other way.
+    sense: f64,
     a1_m: f64,
     d1_m: f64,
     a2_m: f64,
@@ -32,15 +34,21 @@ impl Arm {
             return Err(InverseError::Links { found: chain.links.len(), expected: AXES });
         };
         revolute(chain)?;
-        parallel(chain, 1)?;
-        let signs =
+        let sense = parallel(chain, 1)?;
+        let [first, third, fourth, fifth] =
             [right_angle(chain, 0)?, right_angle(chain, 2)?, right_angle(chain, 3)?, right_angle(chain, 4)?];
+        // Axes 4, 5 and 6 meet in the wrist's centre.
+        without_length(4, "a_m", l4.a_m)?;
+        without_length(5, "a_m", l5.a_m)?;
+        without_length(5, "d_m", l5.d_m)?;
         Ok(Self {
-            signs,
+            // Rx(180) Rz(theta3) Rx(alpha3) = Rz(-theta3) Rx(180 + alpha3)
+            signs: [first, sense * third, fourth, fifth],
+            sense,
             a1_m: l1.a_m,
             d1_m: l1.d_m,
             a2_m: l2.a_m,
-            shoulder_m: l2.d_m + l3.d_m,
+            shoulder_m: l2.d_m + sense * l3.d_m,
             a3_m: l3.a_m,
             d4_m: l4.d_m,
             theta_rad: [l1, l2, l3, l4, l5, l6].map(|link| link.theta_rad),
@@ -69,7 +77,7 @@ impl Arm {
             for elbow in [elbow, -elbow] {
                 let (s, c) = elbow.sin_cos();
                 let theta2 = up.atan2(out) - (forearm_m * s).atan2(self.a2_m + forearm_m * c);
-                found.push([theta1, theta2, elbow - bend]);
+                found.push([theta1, theta2, self.sense * (elbow - bend)]);
             }
         }
         found
@@ -77,7 +85,7 @@ impl Arm {
 
     /// Rotation of frame 3 in the base.
     fn base_from_link3(&self, [theta1, theta2, theta3]: [f64; 3]) -> Matrix3<f64> {
-        turn_and_twist(theta1, self.signs[0]) * turn_and_twist(theta2 + theta3, self.signs[1])
+        turn_and_twist(theta1, self.signs[0]) * turn_and_twist(theta2 + self.sense * theta3, self.signs[1])
     }
 }
 
@@ -111,7 +119,7 @@ fn closed_form(chain: &Chain, target: &Pose, near: &[f64; AXES]) -> Result<Vec<[
 /// has one for each axis.
 ///
 /// The closed form of the spherical-wrist arm (six revolute axes, twists of links 1, 3, 4, 5 at right angles, axes 2 and 3
-/// parallel) starts Newton's method on the chain as it is, which may have errors of some mm and mrad in every parameter.
+/// parallel in either sense, axes 4 to 6 through one point) starts Newton's method on the chain as it is, which may have errors of some mm and mrad in every parameter.
 /// Other arms start at `near`, so that they find a solution where it is not far; seven and eight axes leave it no
 /// further than they must.
 ///

@@ -22,6 +22,9 @@ const RADIAN_DECIMALS: std::ops::RangeInclusive<i32> = 2..=5;
 const CONVERTED_DIGITS: usize = 9;
 /// Angles in degrees that are so near to a part of a turn in radians were mostly meant as radians \[deg\].
 const AS_RADIANS: f64 = 1e-3;
+/// Neighbouring axes as near as this \[m\] and to this parallel (sine) are one: a calibration cannot separate them.
+const SAME_AXIS_M: f64 = 1e-3;
+const SAME_DIRECTION: f64 = 1e-3;
 /// A revolute axis turns by this at most; more is no data sheet's \[deg\].
 const RANGE_DEG_MAX: f64 = 1440.0;
 
@@ -67,7 +70,7 @@ pub fn check(robot: &RobotConfig) -> RobotCheck {
         .collect();
     RobotCheck {
         facts: facts(robot, &chain, &trace, &reached_m),
-        suspicious: suspicious(robot, &chain, rank),
+        suspicious: suspicious(robot, &chain, rank, &axes),
         postures: [
             ("all joints at zero", arm(&chain, &zero)),
             ("middle of all ranges", arm(&chain, &middle)),
@@ -123,13 +126,14 @@ fn facts(
     let p = at_zero.position_m();
     let inverse = match (kinds.len(), robot_inverse_all(chain, at_zero.end())) {
         (..6, _) => "none: fewer than six axes cannot take any pose",
-        (6, Err(InverseError::Structure { .. } | InverseError::Prismatic { .. })) => {
-            "numerical: no spherical wrist behind two parallel axes"
+        (6, Err(InverseError::Structure { link, key, value, expected })) => {
+            &format!("numerical: link {link} has {key} = {value:.4}, a closed form needs {expected}")
         }
+        (6, Err(InverseError::Prismatic { link })) => &format!("numerical: axis {link} is prismatic"),
         (6, _) => "closed form, up to eight solutions",
         _ => "numerical: more than six axes, the solution nearest to the posture before",
     };
-    vec![
+    let mut facts = vec![
         ("robot", robot.name.clone()),
         ("axes", format!("{}, {prismatic} of them prismatic", kinds.len())),
         ("convention", format!("{:?} Denavit-Hartenberg", robot.convention).to_lowercase()),
@@ -139,7 +143,17 @@ fn facts(
         ("flange from the z axis", range(|p| p.x.hypot(p.y))),
         ("flange above the base", range(|p| p.z)),
         ("log columns", format!("{}1 to {}{}", robot.log.column, robot.log.column, kinds.len())),
-    ]
+    ];
+    let limits = robot.joint_limits().into_iter().zip(1..);
+    let without_zero = limits.filter(|([low, high], _)| *low > 0.0 || *high < 0.0);
+    let without_zero: Vec<String> = without_zero.map(|(_, axis)| axis.to_string()).collect();
+    if !without_zero.is_empty() {
+        facts.push(("limits without zero", format!("axis {}", without_zero.join(", "))));
+    }
+    if kinds.len() > 6 {
+        facts.push(("to calibrate it", "postures that differ in all axes, not only poses that do".into()));
+    }
+    facts
 }
 
 /// What rounding a multiple of a right angle in radians makes of it, and that multiple in degrees: where the angle is this to the
@@ -163,7 +177,12 @@ fn rounded(degrees: f64) -> Option<(f64, f64)> {
         .map(|rounded_rad| (rounded_rad, exact_deg))
 }
 
-fn suspicious(robot: &RobotConfig, chain: &Chain, rank: usize) -> Vec<String> {
+fn suspicious(
+    robot: &RobotConfig,
+    chain: &Chain,
+    rank: usize,
+    axes: &[(JointKind, Vector3<f64>, Vector3<f64>)],
+) -> Vec<String> {
     let mut found = Vec::new();
     let mut tell = |sentence: String| found.push(sentence);
     let wanted = robot.axes().min(6);
@@ -172,6 +191,25 @@ fn suspicious(robot: &RobotConfig, chain: &Chain, rank: usize) -> Vec<String> {
             "the axes move the flange in {rank} independent directions, {wanted} are expected: two axes are one and the same \
              line, or more than three are parallel; check alpha_deg and a_m"
         ));
+    }
+    // How neighbours lie to each other is the same in all postures.
+    for ((kind, point, along), (other, next, next_along), number) in
+        axes.iter().zip(axes.iter().skip(1)).zip(1..).map(|((axis, next), number)| (axis, next, number))
+    {
+        let apart_m = match kind {
+            JointKind::Revolute => (next - point).cross(along).norm(),
+            JointKind::Prismatic => 0.0,
+        };
+        if kind == other && along.cross(next_along).norm() < SAME_DIRECTION && apart_m < SAME_AXIS_M {
+            let (does, line) = match kind {
+                JointKind::Revolute => ("rotate", "about the same line"),
+                JointKind::Prismatic => ("slide", "in the same direction"),
+            };
+            tell(format!(
+                "axes {number} and {} {does} {line}: a calibration finds only what both do together; check alpha_deg and a_m",
+                number + 1
+            ));
+        }
     }
     let from_axis = robot.links.iter().zip(1..);
     for (link, number) in from_axis.clone() {
@@ -208,18 +246,9 @@ fn suspicious(robot: &RobotConfig, chain: &Chain, rank: usize) -> Vec<String> {
                 ));
             }
         }
-        if low > 0.0 || high < 0.0 {
-            tell(format!("axis {number}: zero is outside its limits; check the sign, or theta_deg"));
-        }
     }
     if chain.links.iter().all(|link| link.a_m == 0.0 && link.d_m == 0.0) {
         tell("all lengths are zero".into());
-    }
-    if robot.axes() > 6 {
-        tell(format!(
-            "{} axes: nothing is wrong, but a calibration needs postures that differ in all of them, not only poses that do",
-            robot.axes()
-        ));
     }
     found
 }
