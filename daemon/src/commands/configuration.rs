@@ -4,16 +4,16 @@ use std::path::{Path, PathBuf};
 
 use clap::Args;
 use serde::de::DeserializeOwned;
-use shared::config::{self, BallBarConfig, ConfigError, DaemonConfig, HomingConfig, Validate};
+use shared::config::{
+    self, BallBarConfig, ConfigError, DaemonConfig, HomingConfig, PLACES, Source, Validate,
+};
 
 use crate::homing::MarksFile;
 
-/// Where it is looked for, in this order.
-const PLACES: [&str; 2] = ["config", "/etc/ballbard"];
 /// Where a packaged service keeps what it finds out.
 const STATE: &str = "/var/lib/ballbard";
-const DAEMON: (&str, &str) = ("daemon.toml", include_str!("../../../config/daemon.toml"));
-const BALL_BAR: (&str, &str) = ("ball_bar.toml", include_str!("../../../config/ball_bar.toml"));
+const DAEMON: &str = "daemon";
+const BALL_BAR: &str = "ball_bar";
 
 #[derive(Debug, Clone, Args)]
 pub struct Configuration {
@@ -37,14 +37,14 @@ impl Configuration {
     /// Where reference marks are kept. They used to be beside `ball_bar.toml`, or with the recordings where nobody has
     /// written one.
     pub fn marks_file(&self, state: &State, daemon: &DaemonConfig) -> MarksFile {
-        let beside = self.find(BALL_BAR.0).and_then(|file| file.parent().map(Path::to_owned));
+        let beside = self.find(BALL_BAR).and_then(|file| file.parent().map(Path::to_owned));
         let older = beside.unwrap_or_else(|| daemon.directory.clone()).join(HomingConfig::FILE_NAME);
         MarksFile::new(state.directory(), Some(older))
     }
 
     /// Where a file came from, for people.
     pub fn origin(&self) -> String {
-        match self.find(DAEMON.0) {
+        match self.find(DAEMON) {
             Some(file) => file.display().to_string(),
             None => format!(
                 "what the program brings along, as there is no daemon.toml in {}",
@@ -55,18 +55,23 @@ impl Configuration {
 
     /// None where what the program brings along is used.
     fn find(&self, name: &str) -> Option<PathBuf> {
-        match &self.config {
-            // What was typed is meant, whether it is there or not.
-            Some(directory) => Some(directory.join(name)),
-            None => PLACES.iter().map(|place| Path::new(place).join(name)).find(|file| file.is_file()),
+        match self.source(name) {
+            Some(Source::File(file)) => Some(file),
+            _ => None,
         }
     }
 
-    fn load<T: DeserializeOwned + Validate>(&self, (name, shipped): (&str, &str)) -> Result<T, ConfigError> {
-        match self.find(name) {
-            Some(file) => config::load(&file),
-            None => config::parse(shipped, Path::new(name)),
+    fn source(&self, name: &str) -> Option<Source> {
+        match &self.config {
+            // What was typed is meant, whether it is there or not.
+            Some(directory) => Some(Source::File(directory.join(name).with_extension("toml"))),
+            None => Source::named(name),
         }
+    }
+
+    fn load<T: DeserializeOwned + Validate>(&self, name: &str) -> Result<T, ConfigError> {
+        let source = self.source(name).unwrap_or_else(|| Source::File(name.into()));
+        config::parse(&source.text()?, source.path())
     }
 }
 

@@ -48,7 +48,7 @@ enum Instrument {
 /// What every calibration needs.
 #[derive(Debug, Args)]
 pub struct CommonArguments {
-    /// The robot's configuration, such as config/robots/irb2400_16.toml
+    /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
     #[arg(long, value_name = "FILE")]
     robot: PathBuf,
     #[command(flatten)]
@@ -95,7 +95,7 @@ pub struct RowArguments {
     /// Decides which rows are held out
     #[arg(long, default_value_t = SEED)]
     seed: u64,
-    /// Fix these parameters where they start
+    /// Fix these parameters where they start, such as ra6,rd6: with commas, or --fix several times
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     fix: Vec<ParameterId>,
 }

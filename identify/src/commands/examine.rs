@@ -12,11 +12,11 @@ use crate::report::examination::examinations;
 
 #[derive(Debug, Args)]
 pub struct ExamineArguments {
-    /// The robot's configuration, such as config/robots/irb2400_16.toml
+    /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
     #[arg(long, value_name = "FILE")]
     robot: PathBuf,
-    /// The bar's configuration, such as config/ball_bar.toml
-    #[arg(long, value_name = "FILE")]
+    /// The bar's configuration; by default ball_bar.toml in config or /etc/ballbard, or the one that is built in
+    #[arg(long, value_name = "FILE", default_value = "ball_bar")]
     bar: PathBuf,
     /// Costs to examine; default: all
     #[arg(long, value_delimiter = ',')]

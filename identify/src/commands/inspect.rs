@@ -22,7 +22,7 @@ pub struct InspectArguments {
     /// Recordings of the ball-bar and logs of the robot, of any kind that `calibrate` reads
     #[arg(required = true, value_name = "FILES")]
     files: Vec<PathBuf>,
-    /// The robot's configuration, such as config/robots/irb2400_16.toml: says how its log becomes joint angles
+    /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16: how its log becomes joint angles
     #[arg(long, value_name = "FILE")]
     robot: Option<PathBuf>,
     /// The bar's configuration, such as config/ball_bar.toml: says how counters of other programs become angles

@@ -46,11 +46,11 @@ enum PlanCommand {
 
 #[derive(Debug, Args)]
 struct Cell {
-    /// The robot's configuration, such as config/robots/irb2400_16.toml
+    /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
     #[arg(long, value_name = "FILE")]
     robot: PathBuf,
-    /// The bar's configuration, such as config/ball_bar.toml
-    #[arg(long, value_name = "FILE")]
+    /// The bar's configuration; by default ball_bar.toml in config or /etc/ballbard, or the one that is built in
+    #[arg(long, value_name = "FILE", default_value = "ball_bar")]
     bar: PathBuf,
     /// Centre of the bar's gimbal in the robot's base frame [m]; default: by the robot's size
     #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true)]
@@ -156,7 +156,7 @@ struct PlaceArguments {
 
 #[derive(Debug, Args)]
 struct PosesArguments {
-    /// The robot's configuration, such as config/robots/ur10.toml
+    /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
     #[arg(long, value_name = "FILE")]
     robot: PathBuf,
     /// What is measured at each pose

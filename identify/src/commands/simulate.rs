@@ -42,7 +42,7 @@ enum Instrument {
 
 #[derive(Debug, Args)]
 struct ContactArguments {
-    /// The robot's configuration, such as config/robots/irb2400_16.toml
+    /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
     #[arg(long, value_name = "FILE")]
     robot: PathBuf,
     /// Directory for contacts.csv, its mapping contact.toml, sockets.toml and truth.toml
@@ -82,11 +82,11 @@ struct ContactArguments {
 
 #[derive(Debug, Args)]
 struct BarArguments {
-    /// The robot's configuration, such as config/robots/irb2400_16.toml
+    /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
     #[arg(long, value_name = "FILE")]
     robot: PathBuf,
-    /// The bar's configuration, such as config/ball_bar.toml
-    #[arg(long, value_name = "FILE")]
+    /// The bar's configuration; by default ball_bar.toml in config or /etc/ballbard, or the one that is built in
+    #[arg(long, value_name = "FILE", default_value = "ball_bar")]
     bar: PathBuf,
     /// Directory for recording.mcap, robot_log.csv and truth.toml
     #[arg(long, value_name = "DIR")]

@@ -536,6 +536,10 @@ impl FromStr for ParameterId {
     fn from_str(name: &str) -> Result<Self, ModelError> {
         static NAMED: LazyLock<HashMap<String, ParameterId>> =
             LazyLock::new(|| ParameterId::all().map(|id| (id.name(), id)).collect());
-        NAMED.get(name).copied().ok_or_else(|| ModelError::UnknownName { name: name.to_owned() })
+        NAMED.get(name).copied().ok_or_else(|| {
+            let known: Vec<String> = Self::all().map(Self::name).collect();
+            let nearest = shared::config::nearest(name, known.iter().map(String::as_str));
+            ModelError::UnknownName { name: name.to_owned(), nearest: nearest.map(str::to_owned) }
+        })
     }
 }

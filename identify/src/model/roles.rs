@@ -51,10 +51,15 @@ pub struct Parameter {
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ModelError {
     /// No parameter has this name.
-    #[error("no parameter is called `{name}`; there are {}", ranges())]
+    #[error("no parameter is called `{name}`; {}", nearest.as_ref().map_or_else(
+        || format!("there are {}", ranges()),
+        |nearest| format!("did you mean `{nearest}`?")
+    ))]
     UnknownName {
         /// As given.
         name: String,
+        /// The parameter that was probably meant.
+        nearest: Option<String>,
     },
     /// The model does not have this parameter.
     #[error("this model has no parameter `{id}`; take it out of the selection")]

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
-use shared::config::{self, BallBarConfig, ConfigError, RobotConfig};
+use shared::config::{self, BallBarConfig, ConfigError, Kind, RobotConfig, Source};
 
 use super::{Driven, PathChoice, Reference, ReferenceError, StudyFile};
 use crate::logs::{self, LogError};
@@ -54,13 +54,12 @@ impl Definition {
                 include_str!("../../../config/studies/thesis.toml"),
                 &file("studies/thesis.toml"),
             )?;
-            let robot = include_str!("../../../config/robots/irb2400_16.toml");
-            let robot = config::parse(robot, &file("robots/irb2400_16.toml"))?;
-            let bar = config::parse(include_str!("../../../config/ball_bar.toml"), &file("ball_bar.toml"))?;
+            let robot = config::parse(Kind::Robot.built_in("irb2400_16"), &file("robots/irb2400_16.toml"))?;
+            let bar = config::parse(Kind::BallBar.built_in("ball_bar"), &file("ball_bar.toml"))?;
             return Ok(Self::new(study, robot, bar, Reference::Random));
         }
         let path = Path::new(study);
-        let beside = |file: &Path| path.parent().unwrap_or(Path::new("")).join(file);
+        let beside = |file: &Path| Source::beside(path.parent().unwrap_or(Path::new("")), file);
         let study: StudyFile = config::load(path)?;
         let robot: RobotConfig = config::load(&beside(&study.robot))?;
         let bar: BallBarConfig = config::load(&beside(&study.bar))?;

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::robot::validate_links;
-use super::{JointKind, LinkConfig, Validate, Violation};
+use super::{JointKind, Kind, LinkConfig, Validate, Violation};
 use crate::encoder::{Direction, EncoderScale, INTERPOLATION_BITS};
 use crate::recording::schema::MAX_ENCODERS;
 
@@ -131,6 +131,8 @@ impl BallBarConfig {
 }
 
 impl Validate for BallBarConfig {
+    const KIND: Option<Kind> = Some(Kind::BallBar);
+
     fn validate(&self) -> Result<(), Violation> {
         for (key, value, low, high) in [
             ("length_m", self.length_m, 0.05, 5.0),

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Validate, Violation};
+use super::{Kind, Validate, Violation};
 
 /// The cycle's thread.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -113,6 +113,8 @@ impl Default for DaemonConfig {
 }
 
 impl Validate for DaemonConfig {
+    const KIND: Option<Kind> = Some(Kind::Daemon);
+
     fn validate(&self) -> Result<(), Violation> {
         let period_us = 1_000_000 / self.rate_hz.max(1);
         let ranges = [

@@ -35,6 +35,14 @@ pub(super) fn line_of(text: &str, key: &str) -> Option<usize> {
     Some(text.get(..place?)?.matches('\n').count() + 1)
 }
 
+/// The known name that was probably meant by a wrong one.
+pub fn nearest<'a>(wrong: &str, known: impl Iterator<Item = &'a str>) -> Option<&'a str> {
+    let wrong = wrong.to_lowercase();
+    let alike = known.map(|name| (strsim::jaro_winkler(&wrong, &name.to_lowercase()), name));
+    let nearest = alike.max_by(|(one, _), (other, _)| one.total_cmp(other));
+    nearest.filter(|(alike, _)| *alike >= ALIKE).map(|(_, name)| name)
+}
+
 /// The sentence about `key`, its dotted path, from what serde and toml say.
 pub(super) fn message(key: Option<&str>, said: &str) -> String {
     let Some(key) = key else { return format!("this is not TOML: {}", said.trim_end()) };
@@ -44,12 +52,7 @@ pub(super) fn message(key: Option<&str>, said: &str) -> String {
         _ if matches!(key, "." | "") || key == name => format!("`{name}`"),
         _ => format!("`{key}.{name}`"),
     };
-    let meant = |wrong: &str, known: &[&str]| {
-        let alike = |name: &&str| strsim::jaro_winkler(&wrong.to_lowercase(), &name.to_lowercase());
-        let nearest = known.iter().max_by(|a, b| alike(a).total_cmp(&alike(b)));
-        let nearest = nearest.filter(|name| alike(name) >= ALIKE);
-        nearest.map_or_else(|| ".".to_owned(), |name| format!("; did you mean `{name}`?"))
-    };
+    let meant = |wrong: &str, known: &[&str]| super::did_you_mean(wrong, known.iter().copied());
     match named.as_slice() {
         [wrong, known @ ..] if said.starts_with("unknown field") => {
             let (key, meant) = (of_table(wrong), meant(wrong, known));

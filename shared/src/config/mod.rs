@@ -2,17 +2,21 @@
 
 mod ball_bar;
 mod daemon;
+mod find;
 mod homing;
 mod malformed;
 mod robot;
 
+use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
 use serde::de::DeserializeOwned;
 
 pub use ball_bar::{BallBarConfig, EncoderConfig, bar_joint_name};
 pub use daemon::{DaemonConfig, RealtimeConfig};
+pub use find::{Kind, PLACES, Source};
 pub use homing::{HomedEncoder, HomingConfig};
+pub use malformed::nearest;
 pub use robot::{
     AXES_MAX, AXES_MIN, AngleUnit, Convention, DrivesConfig, JointKind, LinkConfig, LogConversion, Maker,
     RobotConfig, TransformConfig,
@@ -28,6 +32,18 @@ pub enum ConfigError {
         path: PathBuf,
         /// What the system said.
         source: std::io::Error,
+    },
+    /// There is no such file, nor a configuration of that name.
+    #[error("there is no file {} and no {} of that name{nearest} Known by name: {known}", path.display(), kind.noun())]
+    Unknown {
+        /// The path or name that was given.
+        path: PathBuf,
+        /// Kind of configuration that is needed.
+        kind: Kind,
+        /// The name that was probably meant, as the end of a sentence.
+        nearest: String,
+        /// Names of all configurations of this kind.
+        known: String,
     },
     /// The text is not TOML, or a key has the wrong name or type.
     #[error("{}: {message}", place(path, *line))]
@@ -80,23 +96,62 @@ impl Violation {
 
 /// Rules that types alone cannot state, checked once after reading.
 pub trait Validate {
+    /// Kind of a configuration that may be given by its name.
+    const KIND: Option<Kind> = None;
+
     /// The first rule that is broken.
     fn validate(&self) -> Result<(), Violation>;
 }
 
-/// Reads, types and validates one configuration file.
+/// Reads, types and validates one configuration file; where `T` has a [`Kind`], `path` may be a name as [`Source::find`] takes it.
 pub fn load<T: DeserializeOwned + Validate>(path: &Path) -> Result<T, ConfigError> {
-    let text = std::fs::read_to_string(path)
-        .map_err(|source| ConfigError::Unreadable { path: path.to_owned(), source })?;
-    parse(&text, path)
+    let Some(kind) = T::KIND else {
+        return parse(&Source::File(path.to_owned()).text()?, path);
+    };
+    let source = Source::find(path);
+    let text = source.text().map_err(|error| match error {
+        ConfigError::Unreadable { source, .. } if source.kind() == ErrorKind::NotFound => unknown(path, kind),
+        error => error,
+    })?;
+    match &source {
+        Source::File(file) if file == path => {}
+        Source::File(file) => tracing::info!("{}: {}", kind.noun(), file.display()),
+        Source::BuiltIn(name, _) => tracing::info!("{}: `{name}` as built into the program", kind.noun()),
+    }
+    parse(&text, source.path())
+}
+
+fn unknown(path: &Path, kind: Kind) -> ConfigError {
+    let robots = Source::robots();
+    let known: Vec<&str> = match kind {
+        Kind::Robot => robots.iter().map(|(name, _)| name.as_str()).collect(),
+        other => other.names(),
+    };
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+    ConfigError::Unknown {
+        path: path.to_owned(),
+        kind,
+        nearest: did_you_mean(&stem, known.iter().copied()),
+        known: known.join(", "),
+    }
+}
+
+/// The end of a sentence on a wrong name, with the known one that was probably meant, if any.
+fn did_you_mean<'a>(wrong: &str, known: impl Iterator<Item = &'a str>) -> String {
+    nearest(wrong, known).map_or_else(|| ".".to_owned(), |name| format!("; did you mean `{name}`?"))
 }
 
 /// [`load`] on text already in memory; `path` is only named in errors.
 pub fn parse<T: DeserializeOwned + Validate>(text: &str, path: &Path) -> Result<T, ConfigError> {
-    let malformed = |key: Option<String>, error: &toml::de::Error| ConfigError::Malformed {
-        path: path.to_owned(),
-        line: malformed::line(text, error),
-        message: malformed::message(key.as_deref(), error.message()),
+    let malformed = |key: Option<String>, error: &toml::de::Error| {
+        let (line, message) = match Kind::of(text).filter(|kind| T::KIND != Some(*kind)) {
+            Some(other) => {
+                let (noun, option) = (other.noun(), other.option());
+                (None, format!("this is the configuration of a {noun}; give it with {option}"))
+            }
+            None => (malformed::line(text, error), malformed::message(key.as_deref(), error.message())),
+        };
+        ConfigError::Malformed { path: path.to_owned(), line, message }
     };
     let deserializer = toml::Deserializer::parse(text).map_err(|error| malformed(None, &error))?;
     let value: T = serde_path_to_error::deserialize(deserializer)

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::{Validate, Violation};
+use super::{Kind, Validate, Violation};
 
 /// Axes of a robot, at least; the last two cannot be told from where an instrument is mounted.
 pub const AXES_MIN: usize = 2;
@@ -321,6 +321,8 @@ impl RobotConfig {
 }
 
 impl Validate for RobotConfig {
+    const KIND: Option<Kind> = Some(Kind::Robot);
+
     fn validate(&self) -> Result<(), Violation> {
         let axes = self.axes();
         if !(AXES_MIN..=AXES_MAX).contains(&axes) {

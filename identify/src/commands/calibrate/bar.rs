@@ -22,8 +22,10 @@ use crate::commands::on_terminal::OnTerminal;
 use crate::cost::SharedColumns;
 use crate::evaluate::{Validity, evidence};
 use crate::kinematics::flange_chain;
-use crate::logs::{self, BarLog, BarLogMapping, LogFormat, LogOptions, RobotLog, RobotLogMapping};
-use crate::model::Model;
+use crate::logs::{
+    self, BarLog, BarLogMapping, LogFormat, LogOptions, RobotLog, RobotLogMapping, is_recording,
+};
+use crate::model::{Model, ModelError, ParameterId};
 use crate::prepare::{EncoderMapChoice, Prepared, bar_angles};
 use crate::report::page::Page;
 use crate::report::result::clocks::{ClockEntry, SolvedClock};
@@ -64,8 +66,9 @@ pub struct BarArguments {
     /// Take the bar as rigid although the robot's log has a force
     #[arg(long, conflicts_with = "force_log")]
     pub(super) ignore_force: bool,
-    /// The bar's configuration, such as config/ball_bar.toml: one for all recordings, or one for each
-    #[arg(long, value_name = "FILE", required = true)]
+    /// The bar's configuration, one for all recordings or one for each; by default ball_bar.toml in config or /etc/ballbard, or
+    /// the one that is built in
+    #[arg(long, value_name = "FILE", default_value = "ball_bar")]
     pub(super) bar: Vec<PathBuf>,
     /// Where an encoder slips, a clock jumps or the bar is moved at one instant, calibrate the run in two parts, each with its
     /// own clocks, base and offsets
@@ -88,11 +91,11 @@ pub struct BarArguments {
     /// Free parameters
     #[arg(long)]
     pub(super) selection: Option<SelectionName>,
-    /// Also free these parameters
-    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    /// Also free these parameters, such as ra6,rd6: with commas, or --free several times
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = parameter_name)]
     pub(super) free: Vec<String>,
-    /// Fix these parameters
-    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    /// Fix these parameters, such as ra6,rd6: with commas, or --fix several times
+    #[arg(long, value_name = "NAMES", value_delimiter = ',', value_parser = parameter_name)]
     pub(super) fix: Vec<String>,
     /// Which encoder sits on which joint: find, recorded, or for each encoder of the recording its joint, negative where
     /// it counts the other way, such as 1,2,-3,5,4; default: find
@@ -101,6 +104,11 @@ pub struct BarArguments {
     /// True parameters of a simulated experiment (the first one), to compare with
     #[arg(long, value_name = "FILE")]
     pub(super) truth: Option<PathBuf>,
+}
+
+/// A name that some model has.
+fn parameter_name(name: &str) -> Result<String, ModelError> {
+    name.parse::<ParameterId>().map(|_| name.to_owned())
 }
 
 /// The configuration file with what was typed on top of it.
@@ -264,6 +272,11 @@ fn load_recording(
 
 /// Reads a robot's log and says what is odd about it.
 pub(super) fn load_log(path: &Path, robot: &RobotConfig, options: &LogOptions) -> anyhow::Result<RobotLog> {
+    anyhow::ensure!(
+        !is_recording(path).unwrap_or(false),
+        "{} is a recording of the ball-bar, not a robot's log; exchange the files of --recording and --robot-log",
+        path.display()
+    );
     let log = logs::load_with(path, robot, options)?;
     for remark in &log.quality.remarks {
         tracing::warn!("{}: {remark}", path.display());

@@ -6,7 +6,7 @@ use std::path::{Component, Path, PathBuf};
 use anyhow::Context;
 use clap::Args;
 use serde::{Deserialize, Serialize};
-use shared::config::{self, Validate, Violation};
+use shared::config::{self, Source, Validate, Violation};
 
 use super::bar::{self, BarArguments};
 use super::result::Told;
@@ -316,8 +316,13 @@ impl Experiment {
         // As the system finds `..` from there, whatever links have led there.
         let from = directory.canonicalize().with_context(|| directory.display().to_string())?;
         for path in self.paths() {
+            let file = match Source::find(path) {
+                // Whoever repeats it has the same one.
+                Source::BuiltIn(..) => continue,
+                Source::File(file) => file,
+            };
             // One that is gone is still named.
-            let found = path.canonicalize().or_else(|_| std::path::absolute(&*path));
+            let found = file.canonicalize().or_else(|_| std::path::absolute(&file));
             let found = found.with_context(|| path.display().to_string())?;
             *path = relative(&found, &from).unwrap_or(found);
         }
@@ -330,7 +335,7 @@ impl Experiment {
         let mut experiment: Self = config::load(path)?;
         let directory = path.parent().unwrap_or(Path::new(""));
         for path in experiment.paths() {
-            *path = directory.join(&*path);
+            *path = Source::beside(directory, path);
         }
         experiment.read_from = Some(path.to_owned());
         Ok(experiment)

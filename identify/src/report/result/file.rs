@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
+use shared::config::Source;
 use shared::recording::schema::RunMetadata;
 use shared::time::UtcNs;
 
@@ -62,10 +63,13 @@ pub struct Input {
 }
 
 impl Input {
-    /// Reads a file's checksum.
+    /// Reads the checksum of a file, or of a configuration that was given by its name.
     pub fn of(role: &str, path: &Path) -> io::Result<Self> {
         let mut hash = Sha256::new();
-        io::copy(&mut File::open(path)?, &mut hash)?;
+        match Source::find(path) {
+            Source::File(file) => drop(io::copy(&mut File::open(file)?, &mut hash)?),
+            Source::BuiltIn(_, text) => hash.update(text),
+        }
         let sha256 = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
         Ok(Self { role: role.to_owned(), path: path.to_owned(), sha256 })
     }

@@ -1,0 +1,177 @@
+//! Where a configuration comes from: a path, a name in one of the usual places, or the copy that is built into the programs.
+
+use std::borrow::Cow;
+use std::path::{Component, Path, PathBuf};
+
+use super::ConfigError;
+
+/// Directories with configuration, in the order in which they count: of this directory, of the machine.
+pub const PLACES: [&str; 2] = ["config", "/etc/ballbard"];
+/// Directory of robots in each of [`PLACES`].
+const ROBOTS: &str = "robots";
+const ENDING: &str = "toml";
+
+/// A kind of configuration that has a name, and is built into the programs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// `robots/*.toml`.
+    Robot,
+    /// `ball_bar.toml`.
+    BallBar,
+    /// `daemon.toml`.
+    Daemon,
+}
+
+/// Kind, name and text of all that is built in.
+const BUILT_IN: [(Kind, &str, &str); 6] = [
+    (Kind::Robot, "irb120_3", include_str!("../../../config/robots/irb120_3.toml")),
+    (Kind::Robot, "irb2400_16", include_str!("../../../config/robots/irb2400_16.toml")),
+    (Kind::Robot, "nj220_2_7", include_str!("../../../config/robots/nj220_2_7.toml")),
+    (Kind::Robot, "ur10", include_str!("../../../config/robots/ur10.toml")),
+    (Kind::BallBar, "ball_bar", include_str!("../../../config/ball_bar.toml")),
+    (Kind::Daemon, "daemon", include_str!("../../../config/daemon.toml")),
+];
+
+/// A configuration that was found.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Source {
+    /// In this file.
+    File(PathBuf),
+    /// Built into the program: its name and text.
+    BuiltIn(&'static str, &'static str),
+}
+
+impl Source {
+    /// The file at a path; where there is none, what a name stands for ([`Source::named`]). A path that is neither stays what it is.
+    pub fn find(given: &Path) -> Self {
+        let named = || Self::named(name(given)?);
+        let is_file = given.is_file();
+        (!is_file).then(named).flatten().unwrap_or_else(|| Self::File(given.to_owned()))
+    }
+
+    /// The first configuration of a name, without `.toml`: in [`PLACES`], or built in.
+    pub fn named(name: &str) -> Option<Self> {
+        let file = format!("{name}.{ENDING}");
+        let below = |place| [Path::new(place).join(&file), Path::new(place).join(ROBOTS).join(&file)];
+        let in_place = PLACES.into_iter().flat_map(below).find(|file| file.is_file()).map(Self::File);
+        let built_in = || {
+            let (_, name, text) = BUILT_IN.into_iter().find(|(_, other, _)| *other == name)?;
+            Some(Self::BuiltIn(name, text))
+        };
+        in_place.or_else(built_in)
+    }
+
+    /// A path that stands in a file of `directory`: relative to it, unless it is a name that is found elsewhere.
+    pub fn beside(directory: &Path, given: &Path) -> PathBuf {
+        let beside = directory.join(given);
+        let is_elsewhere = !beside.exists() && Self::find(given) != Self::File(given.to_owned());
+        if is_elsewhere { given.to_owned() } else { beside }
+    }
+
+    /// All robots that have a name, in the order of [`PLACES`]; each name once.
+    pub fn robots() -> Vec<(String, Self)> {
+        let mut robots: Vec<(String, Self)> = Vec::new();
+        for place in PLACES {
+            let files = std::fs::read_dir(Path::new(place).join(ROBOTS)).into_iter().flatten().flatten();
+            let mut files: Vec<PathBuf> = files.map(|entry| entry.path()).collect();
+            files.retain(|file| file.extension().is_some_and(|ending| ending == ENDING));
+            files.sort();
+            let name = |file: &Path| Some(file.file_stem()?.to_str()?.to_owned());
+            robots.extend(files.into_iter().filter_map(|file| Some((name(&file)?, Self::File(file)))));
+        }
+        let built_in = BUILT_IN.iter().filter(|(kind, ..)| *kind == Kind::Robot);
+        robots.extend(built_in.map(|&(_, name, text)| (name.to_owned(), Self::BuiltIn(name, text))));
+        let mut seen = std::collections::HashSet::new();
+        robots.retain(|(name, _)| seen.insert(name.clone()));
+        robots
+    }
+
+    /// What errors name it by.
+    pub fn path(&self) -> &Path {
+        match self {
+            Self::File(path) => path,
+            Self::BuiltIn(name, _) => Path::new(name),
+        }
+    }
+
+    /// Its text.
+    ///
+    /// # Errors
+    /// [`ConfigError::Unreadable`], and [`ConfigError::Malformed`] where it is no text.
+    pub fn text(&self) -> Result<Cow<'static, str>, ConfigError> {
+        let path = match self {
+            Self::BuiltIn(_, text) => return Ok(Cow::Borrowed(text)),
+            Self::File(path) => path,
+        };
+        let bytes = std::fs::read(path)
+            .map_err(|source| ConfigError::Unreadable { path: path.to_owned(), source })?;
+        String::from_utf8(bytes)
+            .map(Cow::Owned)
+            .map_err(|error| not_utf8(path, error.as_bytes(), error.utf8_error().valid_up_to()))
+    }
+}
+
+fn not_utf8(path: &Path, bytes: &[u8], at: usize) -> ConfigError {
+    let before = bytes.get(..at).unwrap_or_default();
+    let message = if bytes.contains(&0) {
+        "this is a binary file, not TOML; give a configuration file".to_owned()
+    } else {
+        let byte = bytes.get(at).copied().unwrap_or_default();
+        format!(
+            "byte 0x{byte:02X} is not UTF-8, in which TOML is written; save it as UTF-8, or\n\
+             iconv -f latin1 -t utf-8 {} > NEW",
+            path.display()
+        )
+    };
+    let line = Some(before.iter().filter(|byte| **byte == b'\n').count() + 1);
+    ConfigError::Malformed { path: path.to_owned(), line: line.filter(|_| !bytes.contains(&0)), message }
+}
+
+/// The name that was given instead of a path.
+fn name(given: &Path) -> Option<&str> {
+    let is_name = matches!(given.components().collect::<Vec<_>>()[..], [Component::Normal(_)]);
+    let name = given.to_str().filter(|_| is_name)?;
+    Some(name.strip_suffix(".toml").unwrap_or(name))
+}
+
+impl Kind {
+    /// Names of what is built in.
+    pub fn names(self) -> Vec<&'static str> {
+        BUILT_IN.iter().filter(|(kind, ..)| *kind == self).map(|&(_, name, _)| name).collect()
+    }
+
+    /// The text that is built in, whatever the machine has; empty where there is none of this name.
+    pub fn built_in(self, name: &str) -> &'static str {
+        BUILT_IN.iter().find(|(kind, other, _)| *kind == self && *other == name).map_or("", |(.., text)| text)
+    }
+
+    /// Of a text: by the keys that only this kind has.
+    pub(super) fn of(text: &str) -> Option<Self> {
+        let table: toml::Table = text.parse().ok()?;
+        let keys = [
+            (Self::Robot, &["links", "log"][..]),
+            (Self::BallBar, &["links", "encoders"]),
+            (Self::Daemon, &["rate_hz"]),
+        ];
+        let has_all = |keys: &[&str]| keys.iter().all(|key| table.contains_key(*key));
+        keys.into_iter().find(|(_, keys)| has_all(keys)).map(|(kind, _)| kind)
+    }
+
+    /// In one word.
+    pub(super) const fn noun(self) -> &'static str {
+        match self {
+            Self::Robot => "robot",
+            Self::BallBar => "ball-bar",
+            Self::Daemon => "daemon",
+        }
+    }
+
+    /// The option that takes it.
+    pub(super) const fn option(self) -> &'static str {
+        match self {
+            Self::Robot => "--robot",
+            Self::BallBar => "--bar",
+            Self::Daemon => "--config",
+        }
+    }
+}
