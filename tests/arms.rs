@@ -81,7 +81,8 @@ fn a_urdf_has_the_forward_kinematics_that_yourdfpy_gives_it() {
         );
         let off_m = apart(&flange_chain(&robot), &postures, &expected);
         println!("{}: {} axes, largest difference {off_m:.1e} m", arm.0, robot.axes());
-        assert!(off_m < 1e-9, "{}: {off_m:e}", arm.0);
+        // One file has right angles with nine decimals, which an import takes as right angles.
+        assert!(off_m < 1e-8, "{}: {off_m:e}", arm.0);
     }
 }
 

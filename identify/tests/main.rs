@@ -16,6 +16,7 @@ mod deployments;
 mod draw_wire;
 mod efficiency;
 mod examination;
+mod found_by_name;
 mod healthy_runs;
 mod identifiability;
 mod independent;

@@ -1,10 +1,12 @@
 //! `identify robot`: a robot's configuration before anything is measured.
 
+use std::fs::File;
+use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use clap::{Args, Subcommand};
-use shared::config::{self, RobotConfig};
+use shared::config::{self, RobotConfig, Source};
 use shared::output::{say, show};
 
 use crate::report::{picture, robot_check};
@@ -20,6 +22,8 @@ pub struct RobotArguments {
 enum RobotCommand {
     /// Make a configuration from a URDF: the joints between two of its links as Denavit-Hartenberg links.
     Import(ImportArguments),
+    /// List the robots that have a name, which `--robot` takes in place of a file.
+    List,
     /// Draw and explain a configuration: axes, conventions, limits, reach, and what looks wrong.
     Check(CheckArguments),
 }
@@ -29,20 +33,23 @@ struct ImportArguments {
     /// The robot's URDF
     #[arg(value_name = "URDF")]
     urdf: PathBuf,
-    /// Link where the robot's base frame is; default: the one that hangs on none
+    /// Link where the robot's base frame is; default: base_link or base, else the link that has the first axis
     #[arg(long, value_name = "LINK")]
     base: Option<String>,
-    /// Link that is the flange; default: the one on which none hangs
+    /// Link that is the flange; default: tool0 or flange, else the end of the longest row of axes, without a gripper
     #[arg(long, value_name = "LINK")]
     tip: Option<String>,
     /// Where the configuration goes; default: the URDF's name with .toml, in the current directory
     #[arg(long, value_name = "FILE")]
     out: Option<PathBuf>,
+    /// Overwrite the configuration if it exists
+    #[arg(long)]
+    force: bool,
 }
 
 #[derive(Debug, Args)]
 struct CheckArguments {
-    /// The robot's configuration, such as config/robots/ur10.toml
+    /// The robot's configuration, or the name of one in `identify robot list`, such as irb2400_16
     #[arg(value_name = "FILE")]
     robot: PathBuf,
     /// Where the picture goes; default: the configuration's name with .svg, in the current directory
@@ -53,6 +60,7 @@ struct CheckArguments {
 pub fn run(arguments: &RobotArguments) -> anyhow::Result<()> {
     match &arguments.command {
         RobotCommand::Import(arguments) => run_import(arguments),
+        RobotCommand::List => run_list(),
         RobotCommand::Check(arguments) => run_check(arguments),
     }
 }
@@ -64,25 +72,25 @@ fn place(asked: Option<&PathBuf>, like: &Path, ending: &str) -> PathBuf {
         .unwrap_or_else(|| PathBuf::from(like.file_name().unwrap_or_default()).with_extension(ending))
 }
 
-/// Nobody's file is lost to a default name.
-fn write_new(path: &Path, text: &str, asked: bool) -> anyhow::Result<()> {
-    let exists = !asked && path.exists();
-    anyhow::ensure!(
-        !exists,
-        "{} exists already; name another file, or this one, with its option",
-        path.display()
-    );
-    std::fs::write(path, text).with_context(|| format!("cannot write {}", path.display()))
-}
-
 fn run_import(arguments: &ImportArguments) -> anyhow::Result<()> {
     let urdf = &arguments.urdf;
-    let text = std::fs::read_to_string(urdf).with_context(|| format!("cannot read {}", urdf.display()))?;
+    let text = std::fs::read(urdf).with_context(|| format!("cannot read {}", urdf.display()))?;
+    // Comments may be in any encoding; names of links and joints are ASCII.
+    let text = String::from_utf8_lossy(&text);
     let imported = import(&text, arguments.base.as_deref(), arguments.tip.as_deref())
         .with_context(|| urdf.display().to_string())?;
     let out = place(arguments.out.as_ref(), urdf, "toml");
     let source = urdf.file_name().unwrap_or_default().to_string_lossy();
-    write_new(&out, &imported.to_toml(&source), arguments.out.is_some())?;
+    let toml = imported.to_toml(&source);
+    let file = if arguments.force { File::create(&out) } else { File::create_new(&out) };
+    let written = match file {
+        Err(error) if error.kind() == ErrorKind::AlreadyExists => anyhow::bail!(
+            "{} exists and may have been edited; give another name with --out, or --force",
+            out.display()
+        ),
+        file => file.and_then(|mut file| file.write_all(toml.as_bytes())),
+    };
+    written.with_context(|| format!("cannot write {}", out.display()))?;
     say(format_args!(
         "{}: {} axes from link `{}` to link `{}`: {}",
         imported.config.name,
@@ -91,7 +99,7 @@ fn run_import(arguments: &ImportArguments) -> anyhow::Result<()> {
         imported.tip,
         imported.joints.join(", ")
     ))?;
-    for sentence in &imported.assumed {
+    for sentence in imported.left_out.iter().chain(&imported.assumed) {
         say(format_args!("  {sentence}"))?;
     }
     say(format_args!(
@@ -99,6 +107,20 @@ fn run_import(arguments: &ImportArguments) -> anyhow::Result<()> {
         out.display(),
         out.display()
     ))?;
+    Ok(())
+}
+
+fn run_list() -> anyhow::Result<()> {
+    for (name, source) in Source::robots() {
+        let robot = source.text().and_then(|text| config::parse::<RobotConfig>(&text, source.path()));
+        // A file that is wrong hides none of the others.
+        let described = robot.map_or_else(|error| error.to_string(), |robot| robot.name);
+        let place = match &source {
+            Source::File(file) => file.display().to_string(),
+            Source::BuiltIn(..) => "built in".into(),
+        };
+        say(format_args!("{name:<16} {described:<36} {place}"))?;
+    }
     Ok(())
 }
 

@@ -5,19 +5,35 @@ use std::fmt::Write;
 
 use nalgebra::{Rotation3, Unit, Vector3};
 use shared::config::{
-    AXES_MAX, AXES_MIN, AngleUnit, Convention, DrivesConfig, JointKind, LinkConfig, LogConversion,
+    AXES_MAX, AXES_MIN, AngleUnit, Convention, DrivesConfig, JointKind, LinkConfig, LogConversion, Maker,
     RobotConfig, TransformConfig, Validate, Violation,
 };
-use urdf_rs::{Joint, JointType};
 
+use super::ends::Ends;
+use super::urdf::{DECIMALS_FINE, Joint, Urdf, angle_rad, decimals};
 use crate::kinematics::{AxisLine, Chain, DhLink, Pose};
 
 /// Why a URDF gives no robot.
 #[derive(Debug, thiserror::Error)]
 pub enum ImportError {
-    /// It is none.
-    #[error("it is no URDF: {0}; a xacro file has to be expanded first (`xacro arm.urdf.xacro > arm.urdf`)")]
+    /// The text is something else.
+    #[error("this is not a URDF: {0}")]
     NotUrdf(String),
+    /// Macros are not expanded.
+    #[error(
+        "it has <{0}> and is thus not expanded; run `xacro arm.urdf.xacro > arm.urdf` and import the result"
+    )]
+    Xacro(String),
+    /// A joint hangs on nothing.
+    #[error(
+        "parent `{parent}` of joint `{joint}` is not among the links; give with --base the link where the arm begins"
+    )]
+    NoParent {
+        /// The joint's name.
+        joint: String,
+        /// The missing link.
+        parent: String,
+    },
     /// There is no such link.
     #[error("it has no link `{link}`; its links are {known}")]
     UnknownLink {
@@ -78,41 +94,39 @@ pub struct Imported {
     pub tip: String,
     /// Name of each axis' joint.
     pub joints: Vec<String>,
-    /// What the file does not say and was assumed.
+    /// What the file does not state and was assumed.
     pub assumed: Vec<String>,
+    /// Links before `base` and joints behind `tip` that were left out by default.
+    pub left_out: Vec<String>,
 }
 
-/// The arm between links `base` (the file's root where not given) and `tip` (its only end where not given). Forward
-/// kinematics from `base` to `tip` at the joints' values are those of the file.
+/// The arm between links `base` and `tip`. Without `base` it is the link called so, or the one on which the first axis is;
+/// without `tip` the link called `tool0` or `flange`, or the only end of the longest row of axes, less a gripper.
+///
+/// Forward kinematics from `base` to `tip` at the joints' values are those of the file, within the decimals of its right angles.
 ///
 /// # Errors
 /// [`ImportError`].
 pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Imported, ImportError> {
-    let robot = urdf_rs::read_from_string(text).map_err(|error| ImportError::NotUrdf(error.to_string()))?;
-    let joints = || robot.joints.iter();
+    let urdf = Urdf::read(text)?;
+    let joints = || urdf.joints.iter();
     for (what, name) in [
-        ("links have the name", repeated(robot.links.iter().map(|link| &link.name))),
+        ("links have the name", repeated(urdf.links.iter())),
         ("joints have the name", repeated(joints().map(|joint| &joint.name))),
-        ("joints lead to link", repeated(joints().map(|joint| &joint.child.link))),
+        ("joints lead to link", repeated(joints().map(|joint| &joint.child))),
     ] {
         if let Some(name) = name {
             return Err(ImportError::Wrong(format!("several {what} `{name}`")));
         }
     }
-    let base = end_of(&robot, base, |joint| &joint.child.link)?;
-    let tip = end_of(&robot, tip, |joint| &joint.parent.link)?;
+    let Ends { base, tip, joints, left_out } = Ends::of(&urdf, base, tip)?;
     let mut assumed = Vec::new();
     let (mut pose, mut axes, mut names) = (Pose::identity(), Vec::new(), Vec::new());
     let (mut limits_deg, mut limits_m) = (Vec::new(), Vec::new());
-    for joint in between(&robot, &base, &tip)? {
-        let numbers = [joint.origin.xyz.0, joint.origin.rpy.0, joint.axis.xyz.0];
-        if let Some(number) = numbers.as_flattened().iter().find(|number| !number.is_finite()) {
-            let what = format!("joint `{}` has {number} in its origin or axis", joint.name);
-            return Err(ImportError::Wrong(what));
-        }
-        pose *= origin(joint);
+    for joint in joints {
+        pose *= origin(joint, &mut assumed)?;
         let Some(kind) = kind(joint)? else { continue };
-        let direction = Unit::try_new(Vector3::from(joint.axis.xyz.0), 1e-6);
+        let direction = Unit::try_new(Vector3::from(joint.axis()?), 1e-6);
         let direction = direction.ok_or_else(|| problem(joint, "has an axis without direction"))?;
         axes.push(AxisLine {
             joint: kind,
@@ -121,18 +135,24 @@ pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Impor
         });
         names.push(joint.name.clone());
         match kind {
-            JointKind::Revolute => {
-                limits_deg.push(limits(joint, 180.0, "deg", f64::to_degrees, &mut assumed))
+            JointKind::Revolute => limits_deg.push(limits(
+                joint,
+                180.0,
+                "deg",
+                |text| Some(angle_rad(text)?.to_degrees()),
+                &mut assumed,
+            )),
+            JointKind::Prismatic => {
+                limits_m.push(limits(joint, 1.0, "m", |text| text.parse().ok(), &mut assumed))
             }
-            JointKind::Prismatic => limits_m.push(limits(joint, 1.0, "m", |value| value, &mut assumed)),
         }
     }
     if !(AXES_MIN..=AXES_MAX).contains(&axes.len()) {
         return Err(ImportError::Axes { axes: axes.len(), base, tip });
     }
     let chain = Chain::from_axes(&axes, &pose);
-    let config = RobotConfig {
-        name: robot.name,
+    let mut config = RobotConfig {
+        name: urdf.name,
         convention: Convention::Standard,
         base: transform(&chain.root_from_base),
         flange: transform(&chain.last_from_end),
@@ -142,11 +162,36 @@ pub fn import(text: &str, base: Option<&str>, tip: Option<&str>) -> Result<Impor
         log: LogConversion::direct(AngleUnit::Rad, axes.len()),
         drives: DrivesConfig::default(),
     };
+    if config.maker() == Some(Maker::Fanuc) {
+        assumed.push(couple_joint_3(&mut config, &axes));
+    }
     // What no other command would load is not written either.
     config.validate().map_err(|Violation { key, problem, remedy }| {
         ImportError::Wrong(format!("its links `{base}` to `{tip}` are no robot: {key}: {problem}, {remedy}"))
     })?;
-    Ok(Imported { config, base, tip, joints: names, assumed })
+    Ok(Imported { config, base, tip, joints: names, assumed, left_out })
+}
+
+/// FANUC controllers measure joint 3 from the horizontal: it keeps its value when joint 2 turns. A URDF measures it from the
+/// upper arm, so that its joint 3 is J3 + J2, with axes 2 and 3 in opposite directions as in the files of ROS-Industrial.
+fn couple_joint_3(config: &mut RobotConfig, axes: &[AxisLine]) -> String {
+    let opposite = match axes {
+        [_, second, third, ..] if config.joint_kinds().take(3).eq([JointKind::Revolute; 3]) => {
+            second.direction.dot(&third.direction) < -0.999
+        }
+        _ => false,
+    };
+    match config.log.raw_to_joint.get_mut(1).and_then(|row| row.get_mut(2)) {
+        Some(third) if opposite => {
+            *third = 1.0;
+            "the log has J1 to J6 of the FANUC controller, whose J3 does not include J2: joint 3 is J3 + J2 (raw_to_joint); \
+             for a log of joint_states (ROS) write 0.0 there"
+        }
+        _ => {
+            "J3 of a FANUC controller does not include J2, but joint 3 of this file may; raw_to_joint has no such coupling"
+        }
+    }
+    .to_owned()
 }
 
 /// A name that is there more than once.
@@ -155,79 +200,38 @@ fn repeated<'a>(mut names: impl Iterator<Item = &'a String>) -> Option<&'a Strin
     names.find(|name| !seen.insert(*name))
 }
 
-/// The link that is asked for, or the only one that is no joint's `other` end.
-fn end_of(
-    robot: &urdf_rs::Robot,
-    asked: Option<&str>,
-    other: fn(&Joint) -> &String,
-) -> Result<String, ImportError> {
-    let links = || robot.links.iter().map(|link| link.name.as_str());
-    if let Some(link) = asked {
-        let known = || links().collect::<Vec<_>>().join(", ");
-        return if links().any(|name| name == link) {
-            Ok(link.to_owned())
-        } else {
-            Err(ImportError::UnknownLink { link: link.to_owned(), known: known() })
-        };
-    }
-    let ends: Vec<&str> =
-        links().filter(|name| robot.joints.iter().all(|joint| other(joint) != name)).collect();
-    match ends[..] {
-        [end] => Ok(end.to_owned()),
-        _ => Err(ImportError::SeveralTips { tips: ends.join(", ") }),
-    }
-}
-
-/// The joints from one link to the other, base first.
-fn between<'a>(robot: &'a urdf_rs::Robot, base: &str, tip: &str) -> Result<Vec<&'a Joint>, ImportError> {
-    let mut joints: Vec<&Joint> = Vec::new();
-    let mut link = tip;
-    while link != base {
-        // A link that hangs on itself would have no end.
-        let above = robot.joints.iter().find(|joint| joint.child.link == link);
-        match above.filter(|_| joints.len() < robot.joints.len()) {
-            Some(joint) => {
-                joints.push(joint);
-                link = &joint.parent.link;
-            }
-            None => {
-                let above =
-                    joints.iter().map(|joint| joint.parent.link.as_str()).collect::<Vec<_>>().join(", ");
-                return Err(ImportError::NotConnected { base: base.to_owned(), tip: tip.to_owned(), above });
-            }
-        }
-    }
-    joints.reverse();
-    Ok(joints)
-}
-
 fn problem(joint: &Joint, problem: impl Into<String>) -> ImportError {
     ImportError::Joint { joint: joint.name.clone(), problem: problem.into() }
 }
 
 /// How it moves; none where it is fixed.
 fn kind(joint: &Joint) -> Result<Option<JointKind>, ImportError> {
-    if let Some(mimic) = &joint.mimic {
-        return Err(problem(
-            joint,
-            format!("follows joint `{}` (mimic) and is no axis of its own", mimic.joint),
-        ));
+    if let Some(other) = joint.value("mimic", "joint") {
+        return Err(problem(joint, format!("follows joint `{other}` (mimic) and does not move by itself")));
     }
-    match joint.joint_type {
-        JointType::Fixed => Ok(None),
-        JointType::Revolute | JointType::Continuous => Ok(Some(JointKind::Revolute)),
-        JointType::Prismatic => Ok(Some(JointKind::Prismatic)),
-        JointType::Floating | JointType::Planar | JointType::Spherical => Err(problem(
-            joint,
-            format!("is {:?}, not revolute, prismatic or fixed", joint.joint_type).to_lowercase(),
-        )),
+    match joint.kind.as_str() {
+        "fixed" => Ok(None),
+        "revolute" | "continuous" => Ok(Some(JointKind::Revolute)),
+        "prismatic" => Ok(Some(JointKind::Prismatic)),
+        other => Err(problem(joint, format!("is {other}, not revolute, prismatic or fixed"))),
     }
 }
 
 /// `T(xyz) Rz(yaw) Ry(pitch) Rx(roll)`.
-fn origin(joint: &Joint) -> Pose {
-    let ([roll, pitch, yaw], xyz_m) = (joint.origin.rpy.0, Vector3::from(joint.origin.xyz.0));
-    Pose::from_parts(xyz_m.into(), Rotation3::from_euler_angles(roll, pitch, yaw))
+fn origin(joint: &Joint, assumed: &mut Vec<String>) -> Result<Pose, ImportError> {
+    let [xyz_m, rpy_rad] = joint.origin()?;
+    let written = joint.value("origin", "rpy").unwrap_or_default().split_whitespace();
+    for (written, rad) in written.zip(rpy_rad) {
+        if decimals(written) < DECIMALS_FINE && written.parse() != Ok(rad) {
+            let (name, deg) = (&joint.name, rad.to_degrees());
+            assumed.push(format!(
+                "joint `{name}` is turned by {written} rad in the file: {deg:.0} deg are taken"
+            ));
+        }
+    }
+    let [roll, pitch, yaw] = rpy_rad;
+    let rotation = Rotation3::from_euler_angles(roll, pitch, yaw);
+    Ok(Pose::from_parts(Vector3::from(xyz_m).into(), rotation))
 }
 
 /// Lower and upper limit in the configuration's unit; so much to either side where the file has none.
@@ -235,13 +239,15 @@ fn limits(
     joint: &Joint,
     otherwise: f64,
     unit: &str,
-    convert: fn(f64) -> f64,
+    read: fn(&str) -> Option<f64>,
     assumed: &mut Vec<String>,
 ) -> [f64; 2] {
-    let limits = [joint.limit.lower, joint.limit.upper].map(|limit| (convert(limit) * 1e9).round() / 1e9);
+    // Absent is zero, as URDF has it.
+    let limit = |key| joint.value("limit", key).map_or(Some(0.0), read).unwrap_or(f64::NAN);
+    let limits = ["lower", "upper"].map(|key| (limit(key) * 1e9).round() / 1e9);
     let [low, high] = limits;
-    let found = match joint.joint_type {
-        JointType::Continuous => "no limits in the file".to_owned(),
+    let found = match joint.kind.as_str() {
+        "continuous" => "no limits in the file".to_owned(),
         _ if low < high && low.is_finite() && high.is_finite() => return limits,
         // What a file without limits gives, too.
         _ if low == 0.0 && high == 0.0 => "no limits in the file, or both are zero".to_owned(),
@@ -251,26 +257,44 @@ fn limits(
     [-otherwise, otherwise]
 }
 
+/// A length as files have it: what arithmetic adds is less than any robot is made to.
+fn length_m(length_m: f64) -> f64 {
+    without_rounding(length_m, 1e-12)
+}
+
+/// As [`length_m`].
+fn angle_deg(angle_rad: f64) -> f64 {
+    without_rounding(angle_rad.to_degrees(), 1e-9)
+}
+
+/// The nearest number of six decimals where that is nearer than `rounding`; any other keeps all digits that mean something.
+fn without_rounding(value: f64, rounding: f64) -> f64 {
+    let to = |decimals: f64| (value * decimals).round() / decimals;
+    let (rounded, digits) = (to(1e6), to(1e3 / rounding));
+    // Minus zero is zero.
+    (if (value - rounded).abs() < rounding { rounded } else { digits }) + 0.0
+}
+
 fn link(link: &DhLink) -> LinkConfig {
     LinkConfig {
         joint: link.joint,
-        a_m: link.a_m,
-        alpha_deg: link.alpha_rad.to_degrees(),
-        d_m: link.d_m,
-        theta_deg: link.theta_rad.to_degrees(),
-        beta_deg: link.beta_rad.to_degrees(),
+        a_m: length_m(link.a_m),
+        alpha_deg: angle_deg(link.alpha_rad),
+        d_m: length_m(link.d_m),
+        theta_deg: angle_deg(link.theta_rad),
+        beta_deg: angle_deg(link.beta_rad),
     }
 }
 
 fn transform(pose: &Pose) -> TransformConfig {
-    let rpy_deg = crate::kinematics::roll_pitch_yaw(&pose.rotation).map(f64::to_degrees);
-    TransformConfig { xyz_m: pose.translation.vector.into(), rpy_deg }
+    let xyz_m = <[f64; 3]>::from(pose.translation.vector).map(length_m);
+    TransformConfig { xyz_m, rpy_deg: crate::kinematics::roll_pitch_yaw(&pose.rotation).map(angle_deg) }
 }
 
 impl Imported {
     /// The configuration as a file that says what its numbers are; `source` is where they come from.
     pub fn to_toml(&self, source: &str) -> String {
-        let Self { config, base, tip, joints, assumed } = self;
+        let Self { config, base, tip, joints, assumed, left_out } = self;
         let quoted = |text: &str| toml::Value::from(text).to_string();
         let mut text = format!(
             "# {}, link `{base}` to link `{tip}` of {}, written by `identify robot import`.\n\
@@ -278,6 +302,7 @@ impl Imported {
             one_line(&config.name),
             one_line(source)
         );
+        left_out.iter().for_each(|sentence| text += &format!("# {}.\n", one_line(sentence)));
         assumed.iter().for_each(|sentence| text += &format!("# Please correct: {}.\n", one_line(sentence)));
         let _ = write!(
             text,
@@ -304,7 +329,8 @@ impl Imported {
             if (TransformConfig { xyz_m, rpy_deg }) != TransformConfig::default() {
                 let _ = write!(
                     text,
-                    "\n# From {} to {}.\n[{key}]\nxyz_m = {xyz_m:?}\nrpy_deg = {rpy_deg:?}\n",
+                    "\n# From {} to {}: shifted by xyz_m, then turned by rpy_deg about the fixed axes x, y and z of where it\n\
+                     # begins, in this order, as in a URDF: Rz(yaw) Ry(pitch) Rx(roll).\n[{key}]\nxyz_m = {xyz_m:?}\nrpy_deg = {rpy_deg:?}\n",
                     one_line(&from),
                     one_line(to)
                 );
@@ -328,11 +354,18 @@ impl Imported {
                 let _ = writeln!(text, "{key} = {value:?}");
             }
         }
+        let coupled = config.log != LogConversion::direct(config.log.unit, joints.len());
+        let meaning = if coupled {
+            "J1, J2 .. of the controller (joint 3 = J3 + J2)"
+        } else {
+            "the joint variables themselves"
+        };
         let _ = write!(
             text,
-            "\n# How the robot's log becomes joint variables: q = (raw * unit - raw_offset_rad) * raw_to_joint. As it stands\n\
-             # here: columns joint1_rad, joint2_rad .. (joint1_m where the joint is prismatic) with the joint variables\n\
-             # themselves. Correct it for a log in degrees (unit = \"deg\") or of motors.\n\
+            "\n# How the robot's log becomes joint variables: q = (raw * unit - raw_offset_rad) * raw_to_joint; row i is what\n\
+             # column i of the log contributes to each joint. As it stands here the log has columns joint1_rad, joint2_rad ..\n\
+             # (joint1_m where the joint is prismatic) with {meaning}.\n\
+             # Correct it for a log in degrees (unit = \"deg\") or of motors.\n\
              [log]\ncolumn = \"{}\"\nunit = \"rad\"\nraw_offset_rad = {:?}\nraw_to_joint = [\n",
             config.log.column, config.log.raw_offset_rad
         );

@@ -1,0 +1,176 @@
+//! Where an arm begins and ends in a URDF, for those who do not say it.
+//!
+//! Files have more than the arm: a world before it, frames beside it, a gripper behind it. Only what moves decides: links on
+//! which the same joints act are ends of the same arm, and the names of the field choose among them.
+
+use super::import::ImportError;
+use super::urdf::{Joint, Urdf};
+
+/// Names of a mechanical interface (ISO 9787), wherever it is; the first counts most.
+const FLANGES: [&str; 2] = ["tool0", "flange"];
+/// Names of one where several links follow the last axis.
+const TOOLS: [&str; 5] = ["link8", "ee_link", "link_ee", "link_eef", "end_effector"];
+/// Names of a robot's own base.
+const BASES: [&str; 4] = ["base_link", "base", "link0", "link_0"];
+/// Parts of names that joints or links of grippers have.
+const GRIPPERS: [&str; 5] = ["gripper", "finger", "jaw", "knuckle", "thumb"];
+/// An error lists so many links.
+const LISTED_MAX: usize = 12;
+
+/// Where an arm begins and ends.
+pub(super) struct Ends<'a> {
+    pub(super) base: String,
+    pub(super) tip: String,
+    /// Base to tip.
+    pub(super) joints: Vec<&'a Joint>,
+    /// Links that are left out by default, and how to include them.
+    pub(super) left_out: Vec<String>,
+}
+
+impl<'a> Ends<'a> {
+    /// Those that were given, or the usual ones.
+    pub(super) fn of(urdf: &'a Urdf, base: Option<&str>, tip: Option<&str>) -> Result<Self, ImportError> {
+        for link in [base, tip].into_iter().flatten() {
+            if !urdf.links.iter().any(|known| known == link) {
+                return Err(ImportError::UnknownLink { link: link.to_owned(), known: listed(&urdf.links) });
+            }
+        }
+        let mut left_out = Vec::new();
+        let tip = match tip {
+            Some(tip) => tip.to_owned(),
+            None => find_tip(urdf, base, &mut left_out)?,
+        };
+        let joints = urdf.joints_to(&tip);
+        let root = joints.first().map_or(tip.as_str(), |joint| &joint.parent);
+        let base = match base {
+            Some(base) => base.to_owned(),
+            None => find_base(root, &joints, &mut left_out),
+        };
+        let begin = joints.iter().position(|joint| joint.parent == base);
+        let Some(begin) = begin.or_else(|| (base == tip).then_some(joints.len())) else {
+            let above: Vec<&String> = joints.iter().rev().map(|joint| &joint.parent).collect();
+            return Err(ImportError::NotConnected { base, tip, above: listed(&above) });
+        };
+        let joints = joints[begin..].to_vec();
+        if let Some(joint) = joints.iter().find(|joint| !urdf.links.contains(&joint.parent)) {
+            let (joint, parent) = (joint.name.clone(), joint.parent.clone());
+            return Err(ImportError::NoParent { joint, parent });
+        }
+        Ok(Self { base, tip, joints, left_out })
+    }
+}
+
+/// A link and the axes of the arm that move it; the joint with which a gripper begins, where it belongs to one.
+struct End<'a> {
+    link: &'a str,
+    axes: Vec<&'a Joint>,
+    gripper: Option<&'a Joint>,
+}
+
+impl<'a> End<'a> {
+    /// `joints` lead to the link.
+    fn new(link: &'a str, joints: &[&'a Joint]) -> Self {
+        let moving = joints.iter().copied().filter(|joint| joint.moves());
+        let mut gripper = None;
+        let axes = moving.take_while(|joint| {
+            gripper = Some(*joint).filter(|joint| is_of_gripper(joint));
+            gripper.is_none()
+        });
+        Self { link, axes: axes.collect(), gripper }
+    }
+
+    /// Whether the axes of another end are the first of its own.
+    fn continues(&self, other: &Self) -> bool {
+        let mut pairs = self.axes.iter().zip(&other.axes);
+        self.axes.len() >= other.axes.len() && pairs.all(|(own, other)| own.name == other.name)
+    }
+}
+
+fn find_tip(urdf: &Urdf, base: Option<&str>, left_out: &mut Vec<String>) -> Result<String, ImportError> {
+    let below_base = |link: &str| {
+        let joints = urdf.joints_to(link);
+        let begin = base.map_or(Some(0), |base| joints.iter().position(|joint| joint.parent == base))?;
+        Some(joints[begin..].to_vec())
+    };
+    let end = |link| Some(End::new(link, &below_base(link)?));
+    let ends = urdf.links.iter().filter_map(|link| end(link.as_str()));
+    let ends: Vec<End<'_>> = ends.filter(|end| !end.axes.is_empty()).collect();
+    for name in FLANGES {
+        let called: Vec<&End<'_>> = ends.iter().filter(|end| is_called(end.link, name)).collect();
+        match called[..] {
+            [] => {}
+            [end] => return Ok(end.link.to_owned()),
+            _ => return Err(several(&called)),
+        }
+    }
+    let Some(arm) = ends.iter().max_by_key(|end| end.axes.len()) else {
+        let problem = "no joint of an arm moves in it; say --base and --tip, or";
+        return Err(ImportError::Wrong(problem.into()));
+    };
+    let is_parent = |link: &str| urdf.joints.iter().any(|joint| joint.parent == link);
+    if !ends.iter().all(|end| arm.continues(end)) {
+        return Err(several(&ends.iter().filter(|end| !is_parent(end.link)).collect::<Vec<_>>()));
+    }
+    let behind = ends.iter().filter(|end| end.axes.len() == arm.axes.len());
+    let (grippers, behind): (Vec<&End<'_>>, Vec<_>) = behind.partition(|end| end.gripper.is_some());
+    let leads_on = |link: &str| {
+        let mut joints = urdf.joints.iter().filter(|joint| joint.parent == link);
+        joints.any(|joint| behind.iter().any(|end| end.link == joint.child))
+    };
+    let tips: Vec<&End<'_>> = behind.iter().copied().filter(|end| !leads_on(end.link)).collect();
+    let named = || {
+        let mut called =
+            TOOLS.iter().map(|name| behind.iter().copied().filter(move |end| is_called(end.link, name)));
+        called.find_map(|mut called| called.next())
+    };
+    let tip = match tips[..] {
+        [tip] => tip,
+        _ => named().ok_or_else(|| several(&tips))?,
+    };
+    let first = grippers.first();
+    if let Some((end, joint)) = first.and_then(|end| Some((end, end.gripper?))) {
+        let (joint, link) = (&joint.name, end.link);
+        left_out.push(format!("joint `{joint}` is taken for a gripper's; `--tip {link}` makes it an axis"));
+    }
+    Ok(tip.link.to_owned())
+}
+
+/// The link named as a robot's base, or else the one on which the first axis is, of those that do not move.
+fn find_base(root: &str, joints: &[&Joint], left_out: &mut Vec<String>) -> String {
+    let fixed = joints.iter().position(|joint| joint.moves()).unwrap_or(0);
+    let children = joints[..fixed].iter().map(|joint| joint.child.as_str());
+    let links: Vec<&str> = std::iter::once(root).chain(children).collect();
+    let named = BASES.iter().find_map(|name| links.iter().rfind(|link| is_called(link, name)));
+    let base = named.or(links.last()).map_or(root, |base| *base);
+    if base != root {
+        left_out.push(format!("link `{root}` before `{base}` is left out; `--base {root}` includes it"));
+    }
+    base.to_owned()
+}
+
+fn several(ends: &[&End<'_>]) -> ImportError {
+    let tips: Vec<String> =
+        ends.iter().map(|end| format!("{} ({} axes)", end.link, end.axes.len())).collect();
+    ImportError::SeveralTips { tips: listed(&tips) }
+}
+
+/// Names with commas; of many the first.
+fn listed<T: AsRef<str>>(names: &[T]) -> String {
+    let first: Vec<&str> = names.iter().take(LISTED_MAX).map(AsRef::as_ref).collect();
+    match names.len().saturating_sub(LISTED_MAX) {
+        0 => first.join(", "),
+        more => format!("{} and {more} more", first.join(", ")),
+    }
+}
+
+/// Whether a link has this name, also with a prefix such as `left_`.
+fn is_called(link: &str, name: &str) -> bool {
+    let link = link.to_lowercase();
+    link.strip_suffix(name)
+        .is_some_and(|prefix| prefix.chars().next_back().is_none_or(|last| !last.is_alphanumeric()))
+}
+
+fn is_of_gripper(joint: &Joint) -> bool {
+    let names = [&joint.name, &joint.child].map(|name| name.to_lowercase());
+    GRIPPERS.iter().any(|part| names.iter().any(|name| name.contains(part)))
+}

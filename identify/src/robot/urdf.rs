@@ -1,0 +1,184 @@
+//! Links and joints of a URDF. Shapes, materials, masses, transmissions and extensions of simulators are skipped, whatever they
+//! contain. Numbers are read of those joints only that an arm has.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use quick_xml::events::{BytesStart, Event};
+use quick_xml::{Reader, XmlVersion};
+
+use super::import::ImportError;
+
+/// A tree of links; everything is as written in the file.
+pub(super) struct Urdf {
+    pub(super) name: String,
+    pub(super) links: Vec<String>,
+    pub(super) joints: Vec<Joint>,
+}
+
+/// A joint between two links.
+#[derive(Default)]
+pub(super) struct Joint {
+    pub(super) name: String,
+    /// `revolute`, `fixed` and so on.
+    pub(super) kind: String,
+    pub(super) parent: String,
+    pub(super) child: String,
+    /// Its elements, such as `origin`, with their attributes.
+    elements: Vec<(String, Vec<(String, String)>)>,
+}
+
+impl Urdf {
+    pub(super) fn read(text: &str) -> Result<Self, ImportError> {
+        let not_urdf = |problem: String| ImportError::NotUrdf(problem);
+        let mut urdf = Self { name: String::new(), links: Vec::new(), joints: Vec::new() };
+        let mut reader = Reader::from_str(text);
+        let mut open: Vec<String> = Vec::new();
+        loop {
+            let event = reader.read_event().map_err(|error| not_urdf(error.to_string()))?;
+            match event {
+                Event::Start(tag) => {
+                    urdf.element(&open, &tag)?;
+                    open.push(tag.name().as_ref().to_owned());
+                }
+                Event::Empty(tag) => urdf.element(&open, &tag)?,
+                Event::End(_) => drop(open.pop()),
+                Event::Eof => break,
+                _ => {}
+            }
+        }
+        if let Some(element) = open.pop() {
+            return Err(not_urdf(format!("it ends within <{element}>")));
+        }
+        for joint in &mut urdf.joints {
+            let link = |element: &str| joint.value(element, "link").unwrap_or_default().to_owned();
+            (joint.parent, joint.child) = (link("parent"), link("child"));
+        }
+        Ok(urdf)
+    }
+
+    /// Takes an element inside those that are open.
+    fn element(&mut self, open: &[String], tag: &BytesStart<'_>) -> Result<(), ImportError> {
+        let name = tag.name();
+        let name = name.as_ref();
+        if name.starts_with("xacro:") {
+            return Err(ImportError::Xacro(name.to_owned()));
+        }
+        let open: Vec<&str> = open.iter().map(String::as_str).collect();
+        match (open.as_slice(), name) {
+            ([], "robot") => self.name = attribute(&attributes(tag)?, "name"),
+            ([], other) => {
+                return Err(ImportError::NotUrdf(format!("its first element is <{other}>, not <robot>")));
+            }
+            (["robot"], "link") => self.links.push(attribute(&attributes(tag)?, "name")),
+            (["robot"], "joint") => {
+                let attributes = attributes(tag)?;
+                let [name, kind] = ["name", "type"].map(|key| attribute(&attributes, key));
+                self.joints.push(Joint { name, kind, ..Joint::default() });
+            }
+            (["robot", "joint"], "parent" | "child" | "origin" | "axis" | "limit" | "mimic") => {
+                if let Some(joint) = self.joints.last_mut() {
+                    joint.elements.push((name.to_owned(), attributes(tag)?));
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// The joints from where the tree begins to a link, root first.
+    pub(super) fn joints_to(&self, link: &str) -> Vec<&Joint> {
+        let (mut joints, mut link): (Vec<&Joint>, _) = (Vec::new(), link);
+        // Links in a circle have no root.
+        while let Some(joint) =
+            self.joints.iter().find(|joint| joint.child == link).filter(|_| joints.len() < self.joints.len())
+        {
+            joints.push(joint);
+            link = &joint.parent;
+        }
+        joints.reverse();
+        joints
+    }
+}
+
+impl Joint {
+    /// An attribute of one of its elements.
+    pub(super) fn value(&self, element: &str, attribute: &str) -> Option<&str> {
+        let (_, attributes) = self.elements.iter().find(|(name, _)| name == element)?;
+        attributes.iter().find(|(key, _)| key == attribute).map(|(_, value)| value.as_str())
+    }
+
+    pub(super) fn moves(&self) -> bool {
+        self.kind != "fixed"
+    }
+
+    /// Direction of its axis, of any length; x where the file has none.
+    pub(super) fn axis(&self) -> Result<[f64; 3], ImportError> {
+        let is_given = self.elements.iter().any(|(name, _)| name == "axis");
+        self.numbers("axis", "xyz", (!is_given).then_some([1.0, 0.0, 0.0]), |text| text.parse().ok())
+    }
+
+    /// Position \[m\], then roll, pitch and yaw \[rad\] as [`angle_rad`] reads them.
+    pub(super) fn origin(&self) -> Result<[[f64; 3]; 2], ImportError> {
+        let xyz_m = self.numbers("origin", "xyz", Some([0.0; 3]), |text| text.parse().ok())?;
+        Ok([xyz_m, self.numbers("origin", "rpy", Some([0.0; 3]), angle_rad)?])
+    }
+
+    fn numbers(
+        &self,
+        element: &str,
+        attribute: &str,
+        otherwise: Option<[f64; 3]>,
+        read: fn(&str) -> Option<f64>,
+    ) -> Result<[f64; 3], ImportError> {
+        let wrong = |what: String| ImportError::Wrong(format!("joint `{}` has {what}", self.name));
+        let Some(text) = self.value(element, attribute) else {
+            return otherwise.ok_or_else(|| wrong(format!("an {element} without {attribute}")));
+        };
+        let numbers: Option<Vec<f64>> = text.split_whitespace().map(read).collect();
+        let numbers = numbers.and_then(|numbers| <[f64; 3]>::try_from(numbers).ok());
+        let numbers = numbers.ok_or_else(|| wrong(format!("`{text}` as {attribute} of its {element}")))?;
+        match numbers.iter().find(|number| !number.is_finite()) {
+            Some(number) => Err(wrong(format!("{number} in its origin or axis"))),
+            None => Ok(numbers),
+        }
+    }
+}
+
+/// An angle \[rad\]. Files have right angles with some decimals: an angle that is a whole number of right angles to its last
+/// digit, or of 15 degrees if it has [`DECIMALS_FINE`] decimals, is taken as exactly that.
+pub(super) fn angle_rad(text: &str) -> Option<f64> {
+    /// More are beyond the resolution of a double.
+    const DECIMALS_MAX: usize = 14;
+    let written: f64 = text.parse().ok()?;
+    let decimals = decimals(text).min(DECIMALS_MAX);
+    let step = if decimals >= DECIMALS_FINE { PI / 12.0 } else { FRAC_PI_2 };
+    let (exact, unit) = ((written / step).round() * step, 10f64.powi(decimals as i32));
+    // Some files round, others truncate.
+    let digits = [(exact * unit).round(), (exact * unit).trunc()];
+    let is_exact = decimals >= 2 && digits.contains(&(written * unit).round());
+    Some(if is_exact { exact } else { written })
+}
+
+/// Fewer decimals change an angle by more than a robot repeats.
+pub(super) const DECIMALS_FINE: usize = 4;
+
+/// Digits after the point.
+pub(super) fn decimals(text: &str) -> usize {
+    let digits = text.split_once('.').map_or("", |(_, decimals)| decimals);
+    if digits.bytes().all(|digit| digit.is_ascii_digit()) { digits.len() } else { 0 }
+}
+
+fn attributes(tag: &BytesStart<'_>) -> Result<Vec<(String, String)>, ImportError> {
+    let mut attributes = Vec::new();
+    for attribute in tag.attributes() {
+        let attribute = attribute.map_err(|error| ImportError::NotUrdf(error.to_string()))?;
+        let value = attribute.normalized_value(XmlVersion::Implicit1_0);
+        let value = value.map_err(|error| ImportError::NotUrdf(error.to_string()))?;
+        attributes.push((attribute.key.as_ref().to_owned(), value.into_owned()));
+    }
+    Ok(attributes)
+}
+
+fn attribute(attributes: &[(String, String)], name: &str) -> String {
+    attributes.iter().find(|(key, _)| key == name).map(|(_, value)| value.clone()).unwrap_or_default()
+}
