@@ -323,7 +323,8 @@ fn staged(
     // What rows that do not belong with the rest, and a drift, are judged by.
     let of_links = Plan { groups: Vec::new(), tolerances: Vec::new(), alike: Vec::new(), ..plan.clone() };
     let Solved { sigmas, .. } = estimate(&mut runs, &of_links)?;
-    let offsets = fitted(&runs, Deployment::Offsets, plan.loss)?.map_or_else(Vec::new, |found| found.runs);
+    let offsets = fitted(&runs, Deployment::Offsets, plan.loss, watch)?;
+    let offsets = offsets.map_or_else(Vec::new, |found| found.runs);
     for (number, set) in rows.iter_mut().enumerate() {
         let run = &mut runs[bars + number];
         set.judge_links(offsets.get(bars + number).map(|run| &run.model), &run.model);
@@ -337,12 +338,12 @@ fn staged(
         set.leave_out_gross(&run.model);
         run.instrument = set.everything(&run.model)?;
     }
-    let (columns, mut solution, sigmas) = refit(&mut runs, plan.loss)?;
+    let (columns, mut solution, sigmas) = refit(&mut runs, plan.loss, watch)?;
     for ((number, set), run) in (bars..).zip(&rows).zip(&runs[bars..]) {
         let times = set.widens(&run.model, sigmas[number])?;
         solution.covariance = solution.covariance.widened(number, times);
     }
-    let deployed = deployed(&runs, plan.loss)?;
+    let deployed = deployed(&runs, plan.loss, watch)?;
     let changed = change::checked(&runs, &sigmas, &config.prepare)?;
     let solved = Solved { columns, solution, without_terms, candidates, prior_scale, sigmas };
     Ok(MixedCalibration { runs, rows, solved, changed, deployed })

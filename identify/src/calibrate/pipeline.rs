@@ -142,6 +142,7 @@ pub fn estimate(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateEr
 
 fn estimated(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError> {
     let mut solver = Solver::new(runs, plan);
+    solver.begins("links");
     let (mut columns, mut solution) = solver.settle()?;
     if solver.explains_by_play(solution.loss)? {
         (columns, solution) = solver.settle()?;
@@ -192,8 +193,9 @@ fn estimated(runs: &mut [Run], plan: &Plan<'_>) -> Result<Solved, CalibrateError
 pub(super) fn refit(
     runs: &mut [Run],
     loss: LossName,
+    watch: Option<&dyn Watch>,
 ) -> Result<(SharedColumns, Solution, Vec<f64>), CalibrateError> {
-    let plan = Plan::new(loss, Vec::new());
+    let plan = Plan { watch, ..Plan::new(loss, Vec::new()) };
     let mut solver = Solver::new(runs, &plan);
     let (columns, mut solution) = solver.settle()?;
     solution.covariance = solver.covariance(&columns, &solution)?;
@@ -371,6 +373,12 @@ impl<'a> Solver<'a> {
         }
     }
 
+    fn begins(&self, stage: &str) {
+        if let Some(watch) = self.plan.watch {
+            watch.begins(stage);
+        }
+    }
+
     fn begin(&self) -> Begin {
         if self.plan.ransac { Begin::Subsets } else { Begin::Start }
     }
@@ -468,6 +476,7 @@ impl<'a> Solver<'a> {
     /// Terms that were left out are there or not: with them under their priors the solution has another spread and is
     /// elsewhere, and both count (the mean squared error of a solution without them, where they are as is expected).
     fn covariance(&self, columns: &SharedColumns, solution: &Solution) -> Result<Covariance, CalibrateError> {
+        self.begins("uncertainty");
         let mut covariance = solution.covariance.clone();
         let models: Vec<Model> = self.runs.iter().map(|run| run.model.with_considered(let_in)).collect();
         let all = SharedColumns::new(&models, |id| is_own(id, &self.differ));
@@ -581,6 +590,7 @@ impl<'a> Solver<'a> {
 
     /// Tries each kind of terms on held-out groups, gives those that stay their priors, and finds the scale of tolerances.
     fn choose_terms(&mut self, solution: &Solution) -> Result<(Vec<Candidate>, f64), CalibrateError> {
+        self.begins("errors of joints");
         let mut groups = self.plan.groups.clone();
         let is_open =
             |group: &&mut CandidateGroup| group.group == TermGroup::LineSpectrum && group.ids.is_empty();

@@ -13,7 +13,10 @@ mod study;
 pub use on_terminal::interrupt;
 
 use std::ffi::OsString;
+use std::fs::File;
+use std::path::Path;
 
+use anyhow::Context;
 use clap::{CommandFactory, Parser, Subcommand};
 use shared::config::{JointKind, RobotConfig};
 use shared::generate::GenerateArguments;
@@ -81,6 +84,25 @@ fn ensure_six_revolute_axes(robot: &RobotConfig) -> anyhow::Result<()> {
         robot.name
     );
     Ok(())
+}
+
+/// Files can be made in this directory, which need not exist yet: tried before any work is done, and nothing is left there.
+fn ensure_can_write(directory: &Path) -> anyhow::Result<()> {
+    let above = directory.ancestors();
+    let mut above = above.map(|path| if path.as_os_str().is_empty() { Path::new(".") } else { path });
+    let there = above.find(|path| path.exists()).unwrap_or(directory);
+    anyhow::ensure!(
+        there.is_dir(),
+        "--out {}: {} is a file; give a directory",
+        directory.display(),
+        there.display()
+    );
+    let trial = there.join(format!(".identify-{}", std::process::id()));
+    let tried = File::create_new(&trial).and_then(|_| std::fs::remove_file(&trial));
+    tried.with_context(|| {
+        let (out, there) = (directory.display(), there.display());
+        format!("--out {out}: no file can be made in {there}; give another directory")
+    })
 }
 
 /// Does what was typed; an error's text is meant for a person.

@@ -1,7 +1,7 @@
 //! Progress of a long solve on a terminal, and Ctrl-C that ends it.
 
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -11,8 +11,10 @@ use crate::solver::{Progress, Watch};
 /// Somebody pressed Ctrl-C.
 static INTERRUPTED: AtomicBool = AtomicBool::new(false);
 static HANDLER: OnceLock<()> = OnceLock::new();
-/// Something looks whether it was pressed.
-static WATCHED: AtomicBool = AtomicBool::new(false);
+/// The command that runs polls it and ends with what it has.
+static POLLED: AtomicBool = AtomicBool::new(false);
+/// What is shown, so that Ctrl-C leaves a clean line.
+static SHOWN: Mutex<Option<ProgressBar>> = Mutex::new(None);
 
 /// Exit code of a program that Ctrl-C ended, as shells have it.
 const EXIT_INTERRUPTED: i32 = 130;
@@ -24,31 +26,45 @@ pub fn interrupt(ends: bool) {
     INTERRUPTED.store(ends, Ordering::Relaxed);
 }
 
-/// A bar on the terminal, where there is one, that Ctrl-C ends. A second Ctrl-C ends the program at once, and so does the first where
-/// the bar is gone.
+/// A progress bar on the terminal, where there is one. Ctrl-C ends the program immediately with exit code 130, or, where the command
+/// keeps what it has so far, asks it to end; a second Ctrl-C then ends the program.
 #[derive(Debug)]
 pub struct OnTerminal {
     bar: ProgressBar,
     began: std::time::Instant,
+    /// Part of the work that runs.
+    stage: Mutex<String>,
 }
 
 impl OnTerminal {
+    /// For a command that polls for Ctrl-C and keeps what it has.
     pub fn new() -> Self {
+        Self::with(true)
+    }
+
+    /// For a command that writes nothing before it has everything: Ctrl-C ends it from anywhere.
+    pub fn all_or_nothing() -> Self {
+        Self::with(false)
+    }
+
+    fn with(polled: bool) -> Self {
         HANDLER.get_or_init(|| {
             // Without a handler Ctrl-C ends the program, which writes no file either. A program that has one keeps it.
             let _ = ctrlc::try_set_handler(|| {
-                if INTERRUPTED.swap(true, Ordering::Relaxed) || !WATCHED.load(Ordering::Relaxed) {
+                if INTERRUPTED.swap(true, Ordering::Relaxed) || !POLLED.load(Ordering::Relaxed) {
+                    if let Some(bar) = &*SHOWN.lock().unwrap_or_else(PoisonError::into_inner) {
+                        bar.finish_and_clear();
+                    }
                     std::process::exit(EXIT_INTERRUPTED);
                 }
             });
         });
-        WATCHED.store(true, Ordering::Relaxed);
+        POLLED.store(polled, Ordering::Relaxed);
         let bar = ProgressBar::no_length();
         let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} samples");
-        Self {
-            bar: style.map_or_else(|_| bar.clone(), |style| bar.clone().with_style(style)),
-            began: std::time::Instant::now(),
-        }
+        let bar = style.map_or_else(|_| bar.clone(), |style| bar.clone().with_style(style));
+        *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(bar.clone());
+        Self { bar, began: std::time::Instant::now(), stage: Mutex::default() }
     }
 
     /// Shows a sentence about work that has no known end; false once Ctrl-C was pressed.
@@ -77,19 +93,27 @@ impl OnTerminal {
 
     /// Takes the bar off the terminal.
     pub fn finish(&self) {
-        WATCHED.store(false, Ordering::Relaxed);
+        POLLED.store(false, Ordering::Relaxed);
         self.bar.finish_and_clear();
     }
 }
 
 impl Watch for OnTerminal {
+    fn begins(&self, stage: &str) {
+        stage.clone_into(&mut self.stage.lock().unwrap_or_else(PoisonError::into_inner));
+        if self.began.elapsed() > PATIENCE {
+            self.bar.set_message(stage.to_owned());
+        }
+    }
+
     fn goes_on(&self, progress: &Progress) -> bool {
         if self.began.elapsed() > PATIENCE {
             self.bar.set_length(progress.samples as u64);
             self.bar.set_position(progress.samples_done as u64);
+            let stage = self.stage.lock().unwrap_or_else(PoisonError::into_inner);
             self.bar.set_message(progress.cost.map_or_else(
-                || "first pass".to_owned(),
-                |cost| format!("iteration {}, cost {cost:.3e}", progress.iteration + 1),
+                || format!("{stage}: first pass"),
+                |cost| format!("{stage}: iteration {}, cost {cost:.3e}", progress.iteration + 1),
             ));
         }
         !INTERRUPTED.load(Ordering::Relaxed)

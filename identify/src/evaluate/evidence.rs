@@ -119,6 +119,9 @@ impl Evidence {
         joint_limits: &[[f64; 2]],
         watch: Option<&dyn Watch>,
     ) -> Result<Self, CalibrateError> {
+        if let Some(watch) = watch {
+            watch.begins("held-out segments, other costs");
+        }
         // None needs the others, and each is as long as the calibration.
         let costs = || {
             let others = other_costs(calibration, config, watch)?;

@@ -19,6 +19,11 @@ pub struct Progress {
 
 /// Someone who looks on: a progress bar, a button that says stop.
 pub trait Watch: fmt::Debug + Sync {
+    /// A part of the work begins; `stage` names it in a few words.
+    fn begins(&self, stage: &str) {
+        let _ = stage;
+    }
+
     /// Called whenever a part of the samples (a millisecond to some tens of them) is done, by the thread that did it.
     /// False ends the solve with [`super::SolveError::Cancelled`].
     fn goes_on(&self, progress: &Progress) -> bool;

@@ -12,7 +12,7 @@ use crate::cost::SharedColumns;
 use crate::instrument::Run;
 use crate::kinematics::LinkParameter;
 use crate::model::{Model, ModelError, Owner, ParameterId, Role};
-use crate::solver::{LossName, Solution};
+use crate::solver::{LossName, Solution, Watch};
 
 /// What a controller takes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -68,9 +68,13 @@ pub struct Deployed {
 ///
 /// # Errors
 /// [`CalibrateError`].
-pub(in crate::calibrate) fn deployed(runs: &[Run], loss: LossName) -> Result<Vec<Deployed>, CalibrateError> {
+pub(in crate::calibrate) fn deployed(
+    runs: &[Run],
+    loss: LossName,
+    watch: Option<&dyn Watch>,
+) -> Result<Vec<Deployed>, CalibrateError> {
     let one = |deployment| {
-        let found = fitted(runs, deployment, loss)?;
+        let found = fitted(runs, deployment, loss, watch)?;
         let of_first = |Fitted { runs, solution, .. }: Fitted| {
             let model = runs.into_iter().next()?.model;
             Some(Deployed { deployment, model, solution })
@@ -86,7 +90,8 @@ impl BallBarCalibration {
     /// # Errors
     /// [`CalibrateError`].
     pub fn deployed(&self, deployment: Deployment, loss: LossName) -> Result<Option<Self>, CalibrateError> {
-        let Some(Fitted { runs, columns, solution, sigmas }) = fitted(&self.all_runs(), deployment, loss)?
+        let Some(Fitted { runs, columns, solution, sigmas }) =
+            fitted(&self.all_runs(), deployment, loss, None)?
         else {
             return Ok(None);
         };
@@ -113,10 +118,11 @@ pub(in crate::calibrate) fn fitted(
     runs: &[Run],
     deployment: Deployment,
     loss: LossName,
+    watch: Option<&dyn Watch>,
 ) -> Result<Option<Fitted>, CalibrateError> {
     let mut runs = runs.to_vec();
     runs.iter_mut().try_for_each(|run| deployment.restrict(&mut run.model))?;
-    match refit(&mut runs, loss) {
+    match refit(&mut runs, loss, watch) {
         Ok((columns, solution, sigmas)) => Ok(Some(Fitted { runs, columns, solution, sigmas })),
         Err(CalibrateError::NotConverged(_)) => Ok(None),
         Err(error) => Err(error),

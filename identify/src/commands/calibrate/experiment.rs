@@ -15,8 +15,8 @@ use super::{CommonArguments, ResultArguments, inputs, refused};
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::mix::{self, DataSets, Rows};
 use crate::calibrate::rows::RowSet;
-use crate::commands::ensure_six_revolute_axes;
 use crate::commands::on_terminal::OnTerminal;
+use crate::commands::{ensure_can_write, ensure_six_revolute_axes};
 use crate::evaluate::{RunEvidence, Validity, of_solution};
 use crate::instrument::{Instrument, Run};
 use crate::kinematics::flange_chain;
@@ -413,6 +413,8 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
     if experiment.rows().next().is_none() {
         return bar::calibrate(&experiment.bar_arguments(result), experiment);
     }
+    ensure_can_write(&result.out)?;
+    let on_terminal = OnTerminal::all_or_nothing();
     experiment.ensure_distinct()?;
     let robot = &experiment.common(result).robot()?;
     let log_mapping = experiment.log_mapping.as_deref().map(config::load).transpose()?;
@@ -440,7 +442,6 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
         ensure_six_revolute_axes(robot)?;
         bar::runs(&bar_arguments, robot)?
     };
-    let on_terminal = OnTerminal::new();
     let found = bar::solved(&bar_arguments, &mut bars, |inputs| {
         let data = DataSets { bars: inputs.to_vec(), rows: rows.clone() };
         mix::calibrate(&data, robot, config, Some(&on_terminal))
