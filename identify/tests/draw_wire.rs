@@ -2,11 +2,15 @@
 #![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
 #![allow(clippy::print_stdout, reason = "figures of a run")]
 
-use identify::calibrate::HoldOut;
+use std::sync::Mutex;
+
+use identify::calibrate::mix::{DataSets, Measured, Rows, calibrate};
 use identify::calibrate::rows::{PoseFigures, RunCause, Sizes};
+use identify::calibrate::{HoldOut, IdentifyConfig};
 use identify::instrument::{LengthRow, Rejection, Standing, Wire};
 use identify::kinematics::{Joints, flange_chain};
 use identify::model::{Axis, ParameterId};
+use identify::solver::{Progress, Watch};
 use nalgebra::{Rotation3, Vector3};
 use rand::rngs::StdRng;
 use rand::{Rng, SeedableRng};
@@ -119,6 +123,67 @@ fn faults_in_the_rows_are_found_named_and_kept_out_of_the_fit() {
         report.rows().rejected.iter().filter(|r| matches!(r.why, Rejection::GrossResidual { .. })).count();
     assert!((4..=10).contains(&fitting_outliers), "{:?}", report.rows().rejected);
     assert!(report.fitted().joints.position_m.rms < 1.5e-4, "{:?}", report.fitted().joints);
+}
+
+#[test]
+fn lengths_in_another_unit_are_refused_with_the_unit_and_short_strokes_are_not() {
+    let (rows, _) = made_up(200);
+    let read_as = |factor: f64| -> Vec<LengthRow> {
+        rows.iter().map(|row| LengthRow { length_m: factor * row.length_m, ..*row }).collect()
+    };
+    // Metres, centimetres and inches read as millimetres, millimetres read as centimetres.
+    for (factor, why) in [(1e-3, "1000"), (0.1, "10"), (1.0 / 25.4, "25.4"), (10.0, "0.1")] {
+        let refused = Alone::default().lengths(&read_as(factor), &irb120()).unwrap_err().to_string();
+        let why = format!("the lengths are {why} times as long as read");
+        assert!(refused.contains(&why), "{factor}: {refused}");
+    }
+    // A telescoping bar that moves by less than the nominal robot is off.
+    let (anchor_m, stroke_m) = (Vector3::new(0.3, -0.9, 0.1), 2e-3);
+    let chain = flange_chain(&irb120());
+    let near = |row: &&LengthRow| {
+        let at_m = chain.forward(&row.joints_rad).translation.vector;
+        ((at_m - anchor_m).norm() - 0.9).abs() < stroke_m
+    };
+    let (many, _) = made_up(40_000);
+    let short: Vec<LengthRow> = many.iter().filter(near).copied().collect();
+    assert!(short.len() > 40, "{}", short.len());
+    let told = Alone::default().lengths(&short, &irb120()).err().map(|error| error.to_string());
+    assert!(told.is_none_or(|told| !told.contains("times as long")));
+}
+
+/// What a progress bar is given.
+#[derive(Debug, Default)]
+struct Stages(Mutex<Vec<String>>);
+
+impl Watch for Stages {
+    fn begins(&self, stage: &str) {
+        self.0.lock().unwrap().push(stage.to_owned());
+    }
+
+    fn goes_on(&self, progress: &Progress) -> bool {
+        // Each pass belongs to a stage that has a name.
+        assert!(progress.samples > 0 && !self.0.lock().unwrap().is_empty());
+        true
+    }
+}
+
+#[test]
+fn a_calibration_from_rows_reports_its_stages_to_who_watches() {
+    let rows = vec![Rows::from(Measured::Lengths(made_up(200).0))];
+    let (data, stages) = (DataSets { rows, ..DataSets::default() }, Stages::default());
+    calibrate(&data, &irb120(), &IdentifyConfig::default(), Some(&stages)).unwrap();
+    let stages = stages.0.into_inner().unwrap();
+    for stage in ["links", "errors of joints", "uncertainty"] {
+        assert!(stages.iter().any(|one| one == stage), "{stage}: {stages:?}");
+    }
+}
+
+#[test]
+fn rows_that_all_contradict_the_robots_file_are_of_another_robot_and_not_too_few() {
+    let (rows, _) = made_up(200);
+    let refused = Alone::default().lengths(&rows, &crate::support::ur10()).unwrap_err().to_string();
+    assert!(refused.contains("in 200 of 200 rows the controller's flange is not where"), "{refused}");
+    assert!(refused.contains("give the file of this robot"), "{refused}");
 }
 
 /// Half of the rows are fifteen times worse, and which is known.

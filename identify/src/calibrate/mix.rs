@@ -244,10 +244,11 @@ fn laid_out<'w>(
             return Err(CalibrateError::NoPlace { data_set });
         }
         if run.model.columns().len() > 0 {
-            estimate(
-                std::slice::from_mut(&mut run),
-                &Plan { watch, ..Plan::new(LossName::Huber, Vec::new()) },
-            )?;
+            let plan = Plan { watch, ..Plan::new(LossName::Huber, Vec::new()) };
+            let placed = estimate(std::slice::from_mut(&mut run), &plan);
+            // Lengths in another unit may allow no solution at all.
+            rows::unless_other_unit(file, set.whole(), &run.model)?;
+            placed?;
         }
         set.judge_nominal(&run.model);
         rows.push(set);

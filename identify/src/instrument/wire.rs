@@ -88,6 +88,19 @@ impl Wire {
         Self::of(Screened::new(all), self.noise)
     }
 
+    /// The same with all lengths multiplied by a factor: in another unit.
+    #[must_use]
+    pub(crate) fn times(&self, factor: f64) -> Self {
+        let mut all = self.rows.all.clone();
+        all.rows.iter_mut().for_each(|row| row.length_m *= factor);
+        Self::of(Screened::new(all), self.noise)
+    }
+
+    /// What was measured at each row \[m\].
+    pub(crate) fn lengths_m(&self) -> impl Iterator<Item = f64> {
+        self.rows.all.rows.iter().map(|row| row.length_m)
+    }
+
     /// The same with a joint that turns the other way.
     #[must_use]
     pub(crate) fn with_sign_reversed(&self, joint: usize) -> Self {

@@ -16,6 +16,19 @@ pub enum RowError {
         /// Least number.
         needed: usize,
     },
+    /// The controller's positions are not where the robot's file has the flange.
+    #[error(
+        "in {rejected} of {rows} rows the controller's flange is not where the robot's file has it at these joints, {median_mm:.0} mm \
+         away in the median; give the file of this robot, or correct units and signs of joints or [flange] in the mapping"
+    )]
+    OtherRobot {
+        /// Number of rows that contradict it.
+        rejected: usize,
+        /// Number of rows in the file.
+        rows: usize,
+        /// Median distance \[mm\].
+        median_mm: f64,
+    },
     /// Too few rows for one of several stations or targets.
     #[error(
         "{what} {number} has {rows} rows, too few to place it, at least {needed} are needed; measure more there or take them out"

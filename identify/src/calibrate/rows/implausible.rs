@@ -9,13 +9,15 @@ use nalgebra::Vector3;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::tracker::{ROWS_MIN, check_rows, placed};
-use super::{PoseFigures, RowSet, is_surely_worse};
+use super::{PoseFigures, RowSet, Sizes, is_surely_worse};
 use crate::calibrate::ball_bar::CalibrateError;
-use crate::calibrate::mix::Rows;
-use crate::instrument::{PoseError, PoseRow, Run, Standing, Tracker, standing};
+use crate::calibrate::mix::{Measured, Rows};
+use crate::calibrate::pipeline::{Plan, estimate};
+use crate::instrument::{Instrument, PoseError, PoseRow, Run, Standing, Tracker, Wire, standing};
 use crate::kinematics::Chain;
 use crate::logs::JointMistake;
 use crate::model::{Model, ParameterId, Role, Unit};
+use crate::solver::LossName;
 use crate::statistics::{median_size, quantile};
 
 /// What the rows cannot be.
@@ -128,6 +130,8 @@ pub enum Mistake {
     Mirrored,
     /// From this row on, from 0, tracker, target or robot stand elsewhere.
     Moved(usize),
+    /// Lengths are this many thousandths of what they are read as.
+    LengthUnit(u32),
     /// Lengths and twists stand in the row of the next joint: Craig's convention, read as the standard one.
     ModifiedTable,
 }
@@ -143,6 +147,11 @@ impl fmt::Display for Mistake {
                 write!(f, "two axes of the positions are exchanged or one has the other sign")
             }
             Self::Moved(row) => write!(f, "tracker, target or robot were moved near row {}", row + 1),
+            Self::LengthUnit(thousandths) => write!(
+                f,
+                "the lengths are {} times as long as read, in another unit than `unit` of the mapping",
+                f64::from(*thousandths) / 1e3
+            ),
             Self::ModifiedTable => write!(
                 f,
                 "the robot's table is in the modified convention and read as the standard one (convention = \"modified\")"
@@ -197,7 +206,7 @@ impl Mistake {
                 };
                 vec![(rows.iter().map(mirrored).collect(), robot.clone())]
             }
-            Self::Moved(_) => Vec::new(),
+            Self::Moved(_) | Self::LengthUnit(_) => Vec::new(),
             Self::ModifiedTable => {
                 let mut read = robot.clone();
                 let next = robot.links.iter().skip(1).map(|link| (link.a_m, link.alpha_rad));
@@ -303,6 +312,49 @@ pub(in crate::calibrate) fn unless_implausible(
         return Ok(());
     }
     Err(CalibrateError::Implausible { found: found.join("; "), likely: likely_of_all(files, robot) })
+}
+
+/// Refuses the lengths of a wire that are in another unit than the mapping states. `nominal` has the nominal robot, the wire fitted to it.
+///
+/// Lengths whose variation the nominal robot does not explain, and does explain where they are in another usual unit, are in that.
+///
+/// # Errors
+/// [`CalibrateError::Implausible`] with the unit.
+pub(in crate::calibrate) fn unless_other_unit(
+    file: &Rows,
+    whole: &Instrument,
+    nominal: &Model,
+) -> Result<(), CalibrateError> {
+    /// m read as mm, cm as mm, inches as mm or as m, and each the other way round \[1/1000\].
+    const THOUSANDTHS: [u32; 6] = [1_000_000, 10_000, 25_400, 100, 39, 1];
+    /// The nominal robot leaves less than this part of the variation of lengths that are read right: its own millimetres of decimetres.
+    const UNEXPLAINED: f64 = 0.3;
+    let (Measured::Lengths(rows), Instrument::Wire(wire)) = (&file.measured, whole) else { return Ok(()) };
+    let spread_m = |wire: &Wire| {
+        let lengths_m = || wire.lengths_m();
+        let mean_m = lengths_m().sum::<f64>() / rows.len().max(1) as f64;
+        Sizes::of(lengths_m().map(|length_m| length_m - mean_m)).rms
+    };
+    let left_m = |wire: &Wire, model: &Model| median_size(wire.residuals_m(&model.geometry(&[])).into_iter());
+    let (varies_m, as_read_m) = (spread_m(wire), left_m(wire, nominal));
+    if as_read_m < UNEXPLAINED * varies_m {
+        return Ok(());
+    }
+    let undone = |thousandths: &u32| {
+        let other = wire.times(f64::from(*thousandths) * 1e-3);
+        let mut run = Run { instrument: Instrument::Wire(other.clone()), model: nominal.clone() };
+        run.instrument.place(&mut run.model, &[]).ok().filter(|placed| *placed)?;
+        estimate(std::slice::from_mut(&mut run), &Plan::new(LossName::Huber, Vec::new())).ok()?;
+        let undone_m = left_m(&other, &run.model);
+        let mistake = Mistake::LengthUnit(*thousandths);
+        (undone_m < UNEXPLAINED * spread_m(&other)).then_some(Likely { mistake, as_read_m, undone_m })
+    };
+    let Some(likely) = THOUSANDTHS.iter().find_map(undone) else { return Ok(()) };
+    let found = format!(
+        "the lengths vary by {:.3} mm (RMS), and the nominal robot explains nothing of it",
+        varies_m * 1e3
+    );
+    Err(CalibrateError::Implausible { found, likely: Some(likely) })
 }
 
 fn of_set(set: &RowSet, file: &Rows, model: &Model, robot: &Chain) -> Vec<Reason> {

@@ -28,8 +28,9 @@ pub use error::RowError;
 pub use faulty_runs::{FaultyRun, RunCause};
 pub use figures::{PoseFigures, RowErrors, Sizes, Stages, is_surely_better, is_surely_worse};
 pub use implausible::{Likely, Mistake, Step, likely, misfit};
-pub(super) use implausible::{likely_of_all, unless_implausible};
+pub(super) use implausible::{likely_of_all, unless_implausible, unless_other_unit};
 pub(crate) use terms::groups;
+pub use wire::wire_misfit;
 
 /// Highest order of the joints' waves that is tried as a rule: there is no finer tooth near the output of a strain wave gear.
 pub const WAVES_PER_TURN_MAX: u8 = 64;
@@ -47,7 +48,9 @@ impl Measured {
             }
             Self::Lengths(rows) => {
                 wire::check_rows(rows)?;
-                (wire::contradicting(rows, robot), rows.len(), wire::ROWS_MIN)
+                let contradicting = wire::contradicting(rows, robot);
+                wire::of_this_robot(&contradicting, rows.len())?;
+                (contradicting, rows.len(), wire::ROWS_MIN)
             }
             // The instrument checks them against its table.
             Self::Contacts(..) => return Ok(Vec::new()),
@@ -111,6 +114,11 @@ impl RowSet {
         let fitted = (0..whole.samples()).filter(|sample| held_out.binary_search(sample).is_err()).collect();
         let errors = RowErrors { fitted, held_out, ..RowErrors::default() };
         Self { whole, errors, rejected, runs: Vec::new(), drift: None, drift_m: Vec::new(), step: None }
+    }
+
+    /// The instrument with all rows, rejected and held-out ones included.
+    pub(super) fn whole(&self) -> &Instrument {
+        &self.whole
     }
 
     /// The rows that a fit sees.

@@ -2,9 +2,15 @@
 
 use nalgebra::Vector3;
 
-use super::{RowError, each_has_rows};
-use crate::instrument::{LengthRow, RejectedRow, Rejection};
+use super::{RowError, Sizes, each_has_rows};
+use crate::calibrate::HoldOut;
+use crate::calibrate::mix::SEED;
+use crate::calibrate::pipeline::{Plan, estimate};
+use crate::instrument::{Instrument, LengthRow, RejectedRow, Rejection, Run, Standing, Wire};
 use crate::kinematics::Chain;
+use crate::model::Model;
+use crate::solver::LossName;
+use crate::statistics::median_size;
 
 /// Fewest rows of a fit: the seven unknowns of the wire and as many again.
 pub(super) const ROWS_MIN: usize = 14;
@@ -25,6 +31,32 @@ pub(super) fn check_rows(rows: &[LengthRow]) -> Result<(), RowError> {
     }
     let needed = [("anchor", ANCHOR_ROWS_MIN), ("attachment", ATTACHMENT_ROWS_MIN)];
     each_has_rows(rows.iter().map(|row| row.set_up), needed)
+}
+
+/// Residuals of the lengths with the nominal robot, the wire fitted to it with a robust loss; none if the rows do not determine the
+/// place of the wire.
+pub fn wire_misfit(rows: &[LengthRow], robot: &Chain) -> Option<Sizes> {
+    let at = Standing::of_file(rows, |row| row.joints_rad, robot, HoldOut::Rows, SEED);
+    let wire = Wire::new(at);
+    let model = wire.fitted_out(Model::measured_length(robot));
+    let mut run = Run { instrument: Instrument::Wire(wire), model };
+    run.instrument.place(&mut run.model, &[]).ok().filter(|placed| *placed)?;
+    estimate(std::slice::from_mut(&mut run), &Plan::new(LossName::Huber, Vec::new())).ok()?;
+    let errors = run.instrument.errors(&run.model.geometry(&[]));
+    Some(Sizes::of(errors.iter().map(|error| error.position_m)))
+}
+
+/// Single rows are of another pose; where most contradict the robot's file, that is of another robot.
+pub(super) fn of_this_robot(contradicting: &[RejectedRow], rows: usize) -> Result<(), RowError> {
+    let rejected = contradicting.len();
+    if 2 * rejected <= rows {
+        return Ok(());
+    }
+    let distances_m = contradicting.iter().filter_map(|one| match one.why {
+        Rejection::FlangeContradicts { distance_m } => Some(distance_m),
+        _ => None,
+    });
+    Err(RowError::OtherRobot { rejected, rows, median_mm: median_size(distances_m) * 1e3 })
 }
 
 /// Rows whose controller position is not where their joint angles put the flange.
