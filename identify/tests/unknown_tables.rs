@@ -319,6 +319,20 @@ fn columns_that_are_exchanged_or_reversed_or_in_another_unit_are_named_by_trying
 }
 
 #[test]
+fn a_date_written_as_one_number_is_no_time_in_milliseconds() {
+    let mut csv = String::from("Timestamp;q1;q2;q3;q4;q5;q6;x;y;z\n");
+    for row in 0..60 {
+        let q: Vec<String> = joints_rad(row).iter().map(|q| format!("{q:.6}")).collect();
+        let at = seen(row).translation.vector * 1e3;
+        let second = 10 + row / 2;
+        csv += &format!("202007141639{second:02};{};{:.4};{:.4};{:.4}\n", q.join(";"), at.x, at.y, at.z);
+    }
+    let text = proposed(csv.as_bytes()).to_toml().unwrap();
+    assert!(text.contains("`Timestamp` has dates (YYYYMMDDhhmmss)"), "{text}");
+    assert!(!text.contains("time in ms"), "{text}");
+}
+
+#[test]
 fn what_is_no_table_of_joints_is_refused_with_what_was_found() {
     let told =
         |text: &str| propose(text.as_bytes(), Path::new("table.txt"), &irb2400()).unwrap_err().to_string();

@@ -592,6 +592,19 @@ fn rises(column: &Column) -> bool {
     all > 0 && 2 * rising > all && 100 * falling <= all
 }
 
+/// `20161122101500`: year, month, day, hours, minutes and seconds written as one number.
+fn is_date_in_digits(number: f64) -> bool {
+    let part = |divisor: f64, most: f64| (number / divisor).floor() % most;
+    let [year, month, day] = [part(1e10, 1e4), part(1e8, 100.0), part(1e6, 100.0)];
+    let time = [part(1e4, 100.0), part(1e2, 100.0), part(1.0, 100.0)];
+    number.fract() == 0.0
+        && number < 1e14
+        && (1980.0..2100.0).contains(&year)
+        && (1.0..=12.0).contains(&month)
+        && (1.0..=31.0).contains(&day)
+        && time.iter().zip([24.0, 60.0, 61.0]).all(|(part, most)| *part < most)
+}
+
 /// The time stamps, if there are some.
 fn time(columns: &[&Column], reasons: &mut Vec<String>) -> Option<TimeColumn> {
     let dated = columns.iter().find(|column| column.is_date && column.has_word(TIMES));
@@ -608,6 +621,10 @@ fn time(columns: &[&Column], reasons: &mut Vec<String>) -> Option<TimeColumn> {
     let step = median(&mut steps)?;
     /// FILETIME of the years 1980 to 2100.
     const FILETIME: std::ops::Range<f64> = 1.19e17..1.58e17;
+    if column.numbers.iter().all(|number| is_date_in_digits(*number)) {
+        reasons.push(format!("`{}` has dates (YYYYMMDDhhmmss), too coarse for times of rows", column.name));
+        return None;
+    }
     let (unit, why) = match column.unit.as_deref() {
         Some("s") => (TimeUnit::S, "the header says so".to_owned()),
         Some("ms") => (TimeUnit::Ms, "the header says so".into()),

@@ -12,7 +12,7 @@ use crate::logs::source::Source;
 use crate::logs::tables::csv_text::{Column, Row, Table};
 use crate::logs::tables::stamp::{StampColumn, TimeColumn, TimeUnit};
 use crate::logs::tables::text::Text;
-use crate::logs::{ForceColumns, LogError, LogFormat, Origin, RobotLog};
+use crate::logs::{ForceColumns, LogError, LogFormat, Origin, RobotLog, usual_and_longest_step_s};
 
 /// Name of the column with time stamps \[s\].
 pub(in crate::logs) const TIME_COLUMN: &str = "t_s";
@@ -45,7 +45,36 @@ pub(in crate::logs) fn read_own(source: Source<'_>, robot: &RobotConfig) -> Resu
     read_rows(&mut table, &mut layout, &mut raw)?;
     declare(&mut raw, &table);
     raw.force = layout.force.as_ref().map(|force| force.kind(&table));
-    raw.finish(&meaning)
+    in_seconds(raw.finish(&meaning)?, path)
+}
+
+/// The log, unless its `t_s` counts milliseconds or less: rows seconds apart, between which no joint is ever as fast as any robot's.
+fn in_seconds(log: RobotLog, path: &Path) -> Result<RobotLog, LogError> {
+    /// Logs with longer steps follow no motion \[s\].
+    const PERIOD_S_MIN: f64 = 0.9;
+    /// No motion is so slow throughout \[rad/s, m/s\].
+    const SPEED_MIN: f64 = 0.02;
+    let (t_s, rows) = (&log.q_rad.t_s, &log.q_rad);
+    let [period_s, _] = usual_and_longest_step_s(t_s);
+    let fastest = t_s.windows(2).zip(rows.windows(2)).fold(0.0_f64, |fastest, (t_s, q)| {
+        let moved = q[1].iter().zip(&q[0]).map(|(to, from)| (to - from).abs()).fold(0.0, f64::max);
+        fastest.max(moved / (t_s[1] - t_s[0]).max(f64::MIN_POSITIVE))
+    });
+    if period_s < PERIOD_S_MIN || fastest > SPEED_MIN {
+        return Ok(log);
+    }
+    let unit = if period_s < 1e3 * PERIOD_S_MIN { "ms" } else { "us" };
+    Err(LogError::Content {
+        path: path.to_owned(),
+        problem: format!(
+            "column `{TIME_COLUMN}` counts {unit}, not seconds: rows are {period_s:.3} apart, and no joint would be faster than \
+             {:.3} deg/s",
+            fastest.to_degrees()
+        ),
+        remedy: format!(
+            "rename it and name its unit in a mapping, [time] unit = \"{unit}\" (--log-mapping; `identify inspect --propose` writes one)"
+        ),
+    })
 }
 
 fn own_layout(table: &Table<'_>, path: &Path, robot: &RobotConfig) -> Result<Layout, LogError> {

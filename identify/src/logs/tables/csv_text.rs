@@ -181,7 +181,7 @@ impl<'a> Table<'a> {
                 row,
                 column,
                 format!("`{text}` has a decimal comma"),
-                "export with decimal points",
+                "`decimal_comma = true` in a mapping reads it (--log-mapping; `identify inspect --propose` writes one)",
             )),
             Err(_) => {
                 Err(self.bad(row, column, format!("`{text}` is not a number"), "correct or remove the row"))
