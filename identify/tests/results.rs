@@ -6,6 +6,7 @@ use identify::calibrate::validation::deployment::{Deployed, Deployment};
 use identify::cost::{LoopProblem, Residual, Transform};
 use identify::kinematics::{Chain, DhLink, Pose};
 use identify::model::{Model, Selection};
+use identify::report::result::corrections::corrections;
 use identify::report::result::deployments::DeploymentEntry;
 use identify::report::result::file::{CalibrationFile, DhRow, ParameterEntry, SolveEntry};
 use identify::report::table;
@@ -77,14 +78,47 @@ fn the_table_of_links_and_both_files_give_the_poses_of_the_solution() {
     }
 }
 
+/// The correction of a joint's zero as the table has it \[deg\].
+fn offset_deg(table: &str, joint: usize) -> f64 {
+    let name = format!("rtheta{joint} ");
+    let line = table.lines().find(|line| line.starts_with(&name)).unwrap();
+    let words: Vec<&str> = line.split_whitespace().collect();
+    assert_eq!(words[4], "deg", "{line}");
+    words[2].parse().unwrap()
+}
+
+#[test]
+fn a_joint_has_one_offset_in_the_table_and_in_what_a_controller_takes() {
+    let (model, solution) = solved();
+    let mut written = file(&model, &solution);
+    // The links alone fit best elsewhere than the links of the full model.
+    let mut alone = model.clone();
+    for joint in 2..6 {
+        let id = format!("rtheta{joint}").parse().unwrap();
+        alone.set_value(id, model.parameter(id).unwrap().value + 2e-4).unwrap();
+    }
+    let links = Deployed { deployment: Deployment::Dh, model: alone, solution };
+    written.deployments = vec![DeploymentEntry::from(&links)];
+    let (text, rows) = (table::calibration(&written), corrections(&written, Deployment::Dh));
+    for joint in 2..6 {
+        let row = rows.iter().find(|row| row.what == format!("joint {joint}")).unwrap();
+        assert_eq!(row.add, offset_deg(&text, joint), "{joint}: {text}");
+        assert!(row.add != 0.0 && row.to.starts_with("the joint angle of the model"));
+    }
+    assert_eq!(text.matches("added to the joint angle of the model").count(), 1, "{text}");
+    // No alternative beside it, and nothing that no controller takes.
+    assert!(rows.iter().all(|row| row.what.starts_with("joint ") || row.what.starts_with("link ")));
+    let digits = |value: f64| format!("{value}").split_once('.').map_or(0, |(_, digits)| digits.len());
+    assert!(rows.iter().all(|row| digits(row.add) <= 5), "{rows:?}");
+    assert!(rows.iter().filter(|row| row.what.starts_with("link")).all(|row| row.add.abs() >= 1e-5));
+}
+
 #[test]
 fn a_joint_offset_as_printed_added_to_the_joint_angle_gives_the_identified_robot() {
     let (model, solution) = solved();
     let text = table::calibration(&file(&model, &solution));
-    let offset_deg = |joint: usize| -> f64 {
-        let line = text.lines().find(|line| line.starts_with(&format!("  joint {joint}: "))).unwrap();
-        line.split_whitespace().nth(2).unwrap().parse().unwrap()
-    };
+    let free = |joint: usize| text.lines().any(|line| line.starts_with(&format!("rtheta{joint} ")));
+    let offset_deg = |joint: usize| if free(joint) { offset_deg(&text, joint) } else { 0.0 };
     let identified = model.geometry(&model.start()).robot;
     let mut zeros_nominal = identified.clone();
     let nominal = Cell::irb2400().robot;

@@ -2,19 +2,14 @@
 
 use std::fmt::Write;
 
-use super::result::file::{CalibrationFile, ParameterEntry, Status};
+use super::result::corrections::TO_JOINT;
+use super::result::file::{CalibrationFile, ReadIn, Status};
 use crate::calibrate::mix::MixedCalibration;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::calibrate::validation::truth::Comparison;
 use crate::inspect::{Inspection, JointLine};
 use crate::instrument::{Instrument, RejectedRow, Run};
-use crate::kinematics::LinkParameter;
-use crate::model::{ParameterId, Unit};
-
-/// Unit in which people read a parameter.
-fn display_unit(entry: &ParameterEntry) -> Unit {
-    entry.id().map_or(Unit::Ratio, ParameterId::unit)
-}
+use crate::model::ParameterId;
 
 /// How the solve went, and every identified parameter: nominal, correction and sigma in mm and mrad.
 pub fn calibration(file: &CalibrationFile) -> String {
@@ -59,7 +54,6 @@ pub fn calibration(file: &CalibrationFile) -> String {
     text.push_str(&budget(file));
     text.push_str(&candidates(file));
     text.push_str(&super::result::validation::describe(file));
-    text.push_str(&joint_offsets(file));
     text
 }
 
@@ -92,31 +86,31 @@ pub fn data_sets(found: &MixedCalibration) -> String {
     text
 }
 
-/// Every identified parameter, and the names of the others.
+/// Every identified parameter, and the names of the others; links as a controller takes them.
 fn parameters(file: &CalibrationFile) -> String {
     let mut text = String::new();
+    let applied = file.applied();
     let _ = writeln!(text, "\n{:<16}{:>14}{:>12}{:>10}  unit", "parameter", "nominal", "correction", "sigma");
     let (mut exact, mut held) = (Vec::new(), Vec::new());
-    let (told, waves) = file.reported();
+    let (told, waves) = applied.reported();
     for entry in told {
         if entry.status == Status::Fixed {
             if entry.sigma.is_some() { &mut held } else { &mut exact }.push(entry.held());
             continue;
         }
-        let unit = display_unit(entry);
-        let factor = unit.display_factor();
+        let ReadIn { factor, unit, decimals } = entry.read_in();
         let sigma = entry.sigma.map_or_else(|| "-".into(), |sigma| format!("{:.5}", sigma * factor));
         let prior = if entry.status == Status::IdentifiedWithPrior { " (prior)" } else { "" };
         let _ = writeln!(
             text,
-            "{:<16}{:>14.4}{:>+12.4}{:>10}  {}{prior}",
+            "{:<16}{:>14.4}{:>+12.decimals$}{:>10}  {unit}{prior}",
             entry.name,
             entry.nominal * factor,
             entry.correction * factor,
             sigma,
-            unit.display_symbol(),
         );
     }
+    let _ = writeln!(text, "{}", about_links(file));
     if waves > 0 {
         let _ = writeln!(text, "and {waves} amplitudes of waves of the axes");
     }
@@ -168,20 +162,14 @@ fn candidates(file: &CalibrationFile) -> String {
     text
 }
 
-/// The corrections of the robot's zeros as they are applied with nothing else: in degrees, with what the sign means.
-fn joint_offsets(file: &CalibrationFile) -> String {
-    let mut text = String::new();
-    for entry in &file.deployed(Deployment::Offsets).parameters {
-        let id = entry.name.parse::<ParameterId>();
-        let Ok(ParameterId::Robot { link, parameter: LinkParameter::Theta }) = id else { continue };
-        let degrees = entry.correction.to_degrees();
-        let fixed = if entry.status == Status::Fixed { " (fixed)" } else { "" };
-        let _ = writeln!(text, "  joint {}: {degrees:+.5} deg{fixed}", link + 1);
-    }
-    format!(
-        "joint offsets: add to the joint angle of the model (the log converted as the robot's file says) to get the true \
-         one;\nwhere the conversion turns a joint's sign, subtract on the controller\n{text}"
-    )
+/// What the numbers of the robot's links are for, and the sign of joint offsets.
+pub(in crate::report) fn about_links(file: &CalibrationFile) -> String {
+    let of = if file.serves(Deployment::Dh) {
+        "Links as in corrections.csv, for a controller without the terms of joints (calibration.toml has those of the full model)"
+    } else {
+        "Links of the full model, of use together with its terms alone"
+    };
+    format!("{of}. A joint's offset, rtheta, is added to {TO_JOINT}.")
 }
 
 /// True beside identified, with the thesis' two measures.

@@ -6,8 +6,9 @@ use super::Page;
 use super::drawing::plot::PlotError;
 use super::drawing::{correlations, figures, workspace};
 use crate::evaluate::{Evaluation, Expected, Limit, Quantiles};
-use crate::model::{Owner, ParameterId, Unit};
-use crate::report::result::file::{CalibrationFile, Input, ParameterEntry, Status};
+use crate::model::{Owner, ParameterId};
+use crate::report::result::file::{CalibrationFile, Input, ParameterEntry, ReadIn, Status};
+use crate::report::table::about_links;
 
 /// mm with as many digits as mean something.
 pub(super) fn mm(metres: f64) -> String {
@@ -65,13 +66,10 @@ pub(super) fn numbers(page: &Page<'_>) -> Result<Markup, PlotError> {
     })
 }
 
-fn unit_of(entry: &ParameterEntry) -> Unit {
-    entry.id().map_or(Unit::Ratio, ParameterId::unit)
-}
-
 /// `place` is what the first data set has for itself, `others` the names of the data sets after it.
 pub(super) fn parameters(file: &CalibrationFile, place: &str, others: &[String]) -> Markup {
-    let (entries, waves) = file.reported();
+    let applied = file.applied();
+    let (entries, waves) = applied.reported();
     let fixed = |with_sigma: bool| -> Vec<String> {
         let wanted =
             |entry: &&&ParameterEntry| entry.status == Status::Fixed && entry.sigma.is_some() == with_sigma;
@@ -100,6 +98,7 @@ pub(super) fn parameters(file: &CalibrationFile, place: &str, others: &[String])
             }
         }
         p.note {
+            (about_links(file)) " "
             @if waves > 0 { (waves) " amplitudes of waves of the axes are in calibration.toml. " }
             "sigma: one standard deviation. (p): data and prior. Fixed at nominal: " (exact.join(", ")) "."
             @if !held.is_empty() {
@@ -178,14 +177,13 @@ fn table(caption: &str, entries: &[&ParameterEntry]) -> Markup {
             thead { tr { th { "name" } th { "nominal" } th { "correction" } th { "sigma" } th.text { "" } } }
             tbody {
                 @for entry in entries {
-                    @let unit = unit_of(entry);
-                    @let factor = unit.display_factor();
+                    @let ReadIn { factor, unit, decimals } = entry.read_in();
                     tr {
                         td { (entry.name) @if entry.status == Status::IdentifiedWithPrior { " (p)" } }
                         td { (format!("{:.3}", entry.nominal * factor)) }
-                        td { (format!("{:+.4}", entry.correction * factor)) }
-                        td { @if let Some(sigma) = entry.sigma { (format!("{:.4}", sigma * factor)) } @else { "–" } }
-                        td.unit { (unit.display_symbol()) }
+                        td { (format!("{:+.decimals$}", entry.correction * factor)) }
+                        td { @if let Some(sigma) = entry.sigma { (format!("{:.decimals$}", sigma * factor)) } @else { "–" } }
+                        td.unit { (unit) }
                     }
                 }
             }

@@ -3,20 +3,20 @@
 use serde::{Deserialize, Serialize};
 use shared::config::{AngleUnit, RobotConfig};
 
-use super::file::CalibrationFile;
+use super::file::{CalibrationFile, ReadIn};
 use crate::calibrate::validation::deployment::Deployment;
 use crate::kinematics::{Joints, LinkParameter};
 use crate::logs::{JointConversion, LogError};
-use crate::model::{ParameterId, Unit};
+use crate::model::ParameterId;
 
-/// One row of `corrections.csv` or `offsets.csv`.
+/// One row of `corrections.csv` or `offsets.csv`, or of their `_log.csv`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Correction {
-    /// What is corrected: `joint 2`, `motor2_rad`, `link 3 alpha`.
+    /// What is corrected: `joint 2`, `link 3 alpha`, `motor2_rad` of the log.
     pub what: String,
     /// `deg`, `rad` or `mm`.
     pub unit: String,
-    /// The number to add.
+    /// The number to add, in digits that controllers take: 0.0001 mm, 0.00001 deg.
     pub add: f64,
     /// To what it is added.
     pub to: String,
@@ -28,56 +28,89 @@ pub struct Correction {
     pub held_out_mm: Option<f64>,
 }
 
-const TO_JOINT: &str = "the joint angle of the model (log converted as the robot's file says, nominal theta)";
-const TO_LOG: &str =
-    "the logged value before it is converted; instead of the joint corrections, not on top of them";
+/// The one rule for the sign of a joint's offset.
+pub(in crate::report) const TO_JOINT: &str =
+    "the joint angle of the model (log converted as the robot's file says, nominal theta)";
+const TO_LOG: &str = "the logged value before it is converted, in the log's own unit and sign";
 const TO_LINK: &str = "the nominal Denavit-Hartenberg number of the link";
 
-/// What a deployment takes: joint offsets for the model, the same for the log's own columns, and every other correction of a
-/// link.
+/// Rounded to the digits that a controller takes.
+fn rounded(value: f64, unit: &str) -> f64 {
+    let per_unit = match unit {
+        "mm" => 1e4,
+        "deg" => 1e5,
+        _ => 1e7,
+    };
+    // Zero has no sign.
+    (value * per_unit).round() / per_unit + 0.0
+}
+
+/// Rows of one table, which are applied together.
+struct Rows {
+    deployment: Deployment,
+    held_out_mm: Option<f64>,
+    rows: Vec<Correction>,
+}
+
+impl Rows {
+    fn of(file: &CalibrationFile, deployment: Deployment) -> Self {
+        let held_out_mm = file.held_out_m(deployment).map(|[_, own_m]| rounded(own_m * 1e3, "mm"));
+        Self { deployment, held_out_mm, rows: Vec::new() }
+    }
+
+    fn push(&mut self, what: String, unit: &str, add: f64, to: &str, sigma: Option<f64>) {
+        self.rows.push(Correction {
+            what,
+            unit: unit.into(),
+            add: rounded(add, unit),
+            to: to.into(),
+            sigma: sigma.map(|sigma| rounded(sigma, unit)),
+            deployment: self.deployment,
+            held_out_mm: self.held_out_mm,
+        });
+    }
+}
+
+/// What a deployment takes: offsets of the model's joints, then every other correction of a link that is not zero.
+pub fn corrections(file: &CalibrationFile, deployment: Deployment) -> Vec<Correction> {
+    let (mut joints, mut links) = (Rows::of(file, deployment), Rows::of(file, deployment));
+    for entry in &file.deployed(deployment).parameters {
+        let Ok(ParameterId::Robot { link, parameter }) = entry.name.parse() else { continue };
+        let ReadIn { factor, unit, .. } = entry.read_in();
+        let (add, sigma) = (entry.correction * factor, entry.sigma.map(|sigma| sigma * factor));
+        if parameter == LinkParameter::Theta {
+            joints.push(format!("joint {}", link + 1), unit, add, TO_JOINT, sigma);
+        } else {
+            links.push(format!("link {} {}", link + 1, parameter.name()), unit, add, TO_LINK, sigma);
+        }
+    }
+    let links = links.rows.into_iter().filter(|row| row.add != 0.0);
+    joints.rows.into_iter().chain(links).collect()
+}
+
+/// The joint offsets of a deployment for the log's own columns, which are a controller's joint values where the log has them: applied
+/// instead of those of the model's joints.
 ///
 /// # Errors
 /// [`LogError::SingularConversion`].
-pub fn corrections(
+pub fn log_corrections(
     file: &CalibrationFile,
     robot: &RobotConfig,
     deployment: Deployment,
 ) -> Result<Vec<Correction>, LogError> {
-    let held_out_mm = file.held_out_m(deployment).map(|[_, own_m]| own_m * 1e3);
-    let correction = |what: String, unit: &str, add: f64, to: &str, sigma: Option<f64>| Correction {
-        what,
-        unit: unit.into(),
-        add,
-        to: to.into(),
-        sigma,
-        deployment,
-        held_out_mm,
-    };
     let mut offsets = Joints::zeros(robot.axes());
-    let (mut joints, mut links) = (Vec::new(), Vec::new());
     for entry in &file.deployed(deployment).parameters {
-        let Ok(ParameterId::Robot { link, parameter }) = entry.name.parse() else { continue };
-        if parameter == LinkParameter::Theta {
-            if let Some(offset) = offsets.get_mut(link) {
-                *offset = entry.correction;
-            }
-            let (what, add) = (format!("joint {}", link + 1), entry.correction.to_degrees());
-            joints.push(correction(what, "deg", add, TO_JOINT, entry.sigma.map(f64::to_degrees)));
-        } else if entry.correction != 0.0 {
-            let (unit, factor) = match (ParameterId::Robot { link, parameter }).unit() {
-                Unit::Metre => ("mm", 1e3),
-                _ => ("deg", 1f64.to_degrees()),
-            };
-            let what = format!("link {} {}", link + 1, parameter.name());
-            let sigma = entry.sigma.map(|sigma| sigma * factor);
-            links.push(correction(what, unit, entry.correction * factor, TO_LINK, sigma));
+        if let Ok(ParameterId::Robot { link, parameter: LinkParameter::Theta }) = entry.name.parse()
+            && let Some(offset) = offsets.get_mut(link)
+        {
+            *offset = entry.correction;
         }
     }
-    let mut rows = joints;
-    let of_log = of_the_log(robot, &offsets)?.into_iter();
-    rows.extend(of_log.map(|(what, unit, add)| correction(what, unit, add, TO_LOG, None)));
-    rows.extend(links);
-    Ok(rows)
+    let mut rows = Rows::of(file, deployment);
+    for (what, unit, add) in of_the_log(robot, &offsets)? {
+        rows.push(what, unit, add, TO_LOG, None);
+    }
+    Ok(rows.rows)
 }
 
 /// `q + offset = (raw + change - raw_offset) T`: what the joint offsets are in the log's own columns: name, unit,

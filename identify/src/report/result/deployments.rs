@@ -34,8 +34,8 @@ impl From<&Deployed> for DeploymentEntry {
 /// What is written of it, beside the full calibration.
 pub const fn files(deployment: Deployment) -> &'static [&'static str] {
     match deployment {
-        Deployment::Offsets => &["offsets.csv"],
-        Deployment::Dh => &["dh.csv", "corrections.csv", "robot.urdf"],
+        Deployment::Offsets => &["offsets.csv", "offsets_log.csv"],
+        Deployment::Dh => &["dh.csv", "corrections.csv", "corrections_log.csv", "robot.urdf"],
         Deployment::Full => &[],
     }
 }
@@ -60,6 +60,12 @@ impl CalibrationFile {
                 .for_each(|other| *other = own.clone());
         }
         file
+    }
+
+    /// The calibration with the links that `corrections.csv` has, where that is written: a joint then has one offset, wherever it is
+    /// printed.
+    pub(in crate::report) fn applied(&self) -> Self {
+        if self.serves(Deployment::Dh) { self.deployed(Deployment::Dh) } else { self.clone() }
     }
 
     fn entry(&self, deployment: Deployment) -> Option<&DeploymentEntry> {

@@ -6,11 +6,13 @@ use super::file::FileError;
 use crate::report::page::is_page;
 
 /// Everything that a calibration writes, what other programs read first.
-const FILES: [&str; 7] = [
+const FILES: [&str; 9] = [
     "calibration.toml",
     "calibration.json",
     "corrections.csv",
+    "corrections_log.csv",
     "offsets.csv",
+    "offsets_log.csv",
     "robot.urdf",
     "dh.csv",
     "report.html",

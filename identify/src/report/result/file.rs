@@ -168,6 +168,17 @@ impl ParameterEntry {
         }
     }
 
+    /// How people read it: angles of the robot's links in degrees, as controllers have them.
+    pub(in crate::report) fn read_in(&self) -> ReadIn {
+        let unit = self.id().map_or(Unit::Ratio, ParameterId::unit);
+        match (self.id(), unit) {
+            (Some(ParameterId::Robot { .. }), Unit::Radian) => {
+                ReadIn { factor: 1f64.to_degrees(), unit: "deg", decimals: 5 }
+            }
+            _ => ReadIn { factor: unit.display_factor(), unit: unit.display_symbol(), decimals: 4 },
+        }
+    }
+
     /// Which parameter it is, of whichever run; none for a name that is not known.
     pub fn id(&self) -> Option<ParameterId> {
         self.name.split('@').next()?.parse().ok()
@@ -187,6 +198,16 @@ impl ParameterEntry {
         let told = model.parameters().iter().filter(|parameter| !left_out(parameter));
         told.map(|parameter| Self::new(parameter, sigma(parameter.id))).collect()
     }
+}
+
+/// The unit in which people read a number.
+pub(in crate::report) struct ReadIn {
+    /// From SI.
+    pub factor: f64,
+    /// Its symbol.
+    pub unit: &'static str,
+    /// Digits after the point that mean something.
+    pub decimals: usize,
 }
 
 /// How the solve went.
