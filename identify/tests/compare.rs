@@ -4,7 +4,7 @@
 use crate::support::campaign::size;
 use crate::support::{bar, irb2400};
 use identify::calibrate::{IdentifyConfig, ball_bar};
-use identify::evaluate::{Consistency, ConsistencyError};
+use identify::evaluate::{Consistency, ConsistencyError, Validity};
 use identify::report::result::file::{CalibrationFile, ParameterEntry, SolveEntry};
 use identify::report::side_by_side;
 use identify::simulate::{self, Effects, Experiment, StaticErrors};
@@ -114,6 +114,34 @@ fn identified_values_are_compared_whatever_the_nominal_ones_were() {
     let entry = turned.parameters.iter_mut().find(|entry| entry.name == "rtheta2").unwrap();
     entry.value += std::f64::consts::TAU;
     assert!(Consistency::new(&[one.clone(), turned]).unwrap().is_consistent());
+}
+
+#[test]
+fn the_robots_ends_are_as_far_apart_as_their_links_say() {
+    let validity = Validity { joints: vec![vec![[-1.0, 1.0]]; 6], prismatic: Vec::new() };
+    let one = CalibrationFile { validity: Some(validity), ..file(1, 9) };
+    let mut longer = one.clone();
+    let entry = longer.parameters.iter_mut().find(|entry| entry.name == "rd1").unwrap();
+    entry.value += 2e-4;
+    let found = Consistency::new(&[one.clone(), longer, file(1, 9)]).unwrap();
+    let apart = found.apart[0].unwrap();
+    assert!((apart.mean - 2e-4).abs() < 1e-9 && (apart.max - 2e-4).abs() < 1e-9, "{apart:?}");
+    // Without ranges of its joints there is no distance.
+    assert_eq!(found.apart[1], None);
+    let names = ["monday", "tuesday", "none"].map(str::to_owned);
+    let text = side_by_side::table(&found, &names);
+    assert!(text.contains("the robot's end with [2] and with [1]: 0.200 mm apart in the mean"), "{text}");
+}
+
+#[test]
+fn one_calibration_is_not_compared_with_itself() {
+    let directory = tempfile::tempdir().unwrap();
+    file(1, 9).write(directory.path()).unwrap();
+    let twice = [directory.path(), &directory.path().join("calibration.json")];
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_identify"));
+    let output = command.arg("compare").args(twice).output().unwrap();
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.code() == Some(1) && text.contains("are the same calibration"), "{text}");
 }
 
 #[test]

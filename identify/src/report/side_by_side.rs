@@ -7,7 +7,7 @@ use maud::{Markup, PreEscaped, html};
 use super::page::document;
 use super::page::drawing::intervals::Intervals;
 use super::page::drawing::plot::{COLOURS, PlotError};
-use crate::evaluate::{Compared, Consistency};
+use crate::evaluate::{Compared, Consistency, Quantiles};
 use crate::model::Unit;
 
 /// The table on a terminal.
@@ -32,6 +32,7 @@ pub fn table(consistency: &Consistency, names: &[String]) -> String {
     }
     other_nominals(consistency).into_iter().for_each(|sentence| text += &format!("{sentence}\n"));
     let _ = writeln!(text, "{}", verdict(consistency));
+    apart(consistency).into_iter().for_each(|sentence| text += &format!("{sentence}\n"));
     text
 }
 
@@ -55,6 +56,21 @@ fn other_nominals(consistency: &Consistency) -> Option<String> {
             names.join(", ")
         )
     })
+}
+
+/// How far each calibration puts the robot's end from where the first one does.
+fn apart(consistency: &Consistency) -> Vec<String> {
+    let sentence = |(number, apart): (usize, &Option<Quantiles>)| {
+        let Some(apart) = apart else {
+            return format!("the robot's end with [{number}] and with [1]: no joint ranges in common");
+        };
+        let [mean, p95, max] = [apart.mean, apart.p95, apart.max].map(|metres| metres * 1e3);
+        format!(
+            "the robot's end with [{number}] and with [1]: {mean:.3} mm apart in the mean, 95 % within {p95:.3} mm, {max:.3} mm at \
+             most, where both measured the joints"
+        )
+    };
+    (2..).zip(&consistency.apart).map(sentence).collect()
 }
 
 fn verdict(consistency: &Consistency) -> String {
@@ -90,6 +106,7 @@ pub fn page(consistency: &Consistency, robot: &str, names: &[String]) -> Result<
             h1 { (title) }
             div.verdict.doubt[!consistency.is_consistent()] { (verdict(consistency)) }
             @if let Some(sentence) = other_nominals(consistency) { p { (sentence) } }
+            @for sentence in apart(consistency) { p { (sentence) } }
             ol { @for (index, name) in names.iter().enumerate() {
                 @let colour = COLOURS[index % COLOURS.len()];
                 li { span style=(format!("color: rgb({},{},{})", colour.0, colour.1, colour.2)) { "● " } (name) }

@@ -6,9 +6,12 @@
 
 use statrs::distribution::{ChiSquared, ContinuousCDF};
 
-use crate::kinematics::nearest_turn;
+use super::workspace::random_postures;
+use crate::evaluate::Quantiles;
+use crate::kinematics::{Chain, Joints, nearest_turn};
 use crate::model::{ParameterId, Unit};
 use crate::report::result::file::{CalibrationFile, ParameterEntry, Status};
+use crate::statistics::extremes;
 
 /// Agreement is refused below this probability.
 pub const P_MIN: f64 = 0.01;
@@ -41,6 +44,9 @@ pub struct Consistency {
     pub other_nominals: Vec<String>,
     /// Smallest probability times the number of tests, at most one; none where nothing could be tested.
     pub p_corrected: Option<f64>,
+    /// How far the ends of the robots with each calibration after the first are from that with the first, over the joints that
+    /// both measured; none if these ranges have nothing in common.
+    pub apart: Vec<Option<Quantiles>>,
 }
 
 /// Calibrations that cannot be compared.
@@ -98,8 +104,31 @@ impl Consistency {
         let tested: Vec<f64> = parameters.iter().filter_map(|one| one.p).collect();
         let p_corrected =
             tested.iter().copied().min_by(f64::total_cmp).map(|p| (p * tested.len() as f64).min(1.0));
-        Ok(Self { parameters, other_nominals, p_corrected })
+        let apart = others.iter().map(|other| ends_apart(first, other)).collect();
+        Ok(Self { parameters, other_nominals, p_corrected, apart })
     }
+}
+
+/// How far two calibrations move the robot's end to different places: what each adds to its own nominal robot, so that a different
+/// plate on the flange does not count. Errors of joints beyond their links are not in it.
+fn ends_apart(one: &CalibrationFile, other: &CalibrationFile) -> Option<Quantiles> {
+    let ranges = one.validity.as_ref()?.joints.iter().zip(&other.validity.as_ref()?.joints);
+    let common: Vec<[f64; 2]> = ranges
+        .map(|(one, other)| {
+            let [[low, high], [other_low, other_high]] =
+                [one, other].map(|intervals| extremes(intervals.iter().flatten().copied()));
+            let range = [low.max(other_low), high.min(other_high)];
+            (range[0] < range[1]).then_some(range)
+        })
+        .collect::<Option<_>>()?;
+    let moved = [one, other].map(|file| (file.links(|entry| entry.value), file.links(|entry| entry.nominal)));
+    let position = |chain: &Chain, q: &Joints| chain.forward(q).translation.vector;
+    let apart = random_postures(&common).map(|q| {
+        let [one, other] =
+            moved.each_ref().map(|(value, nominal)| position(value, &q) - position(nominal, &q));
+        (one - other).norm()
+    });
+    Some(Quantiles::of(apart.collect()))
 }
 
 fn compared(name: String, files: &[CalibrationFile]) -> Compared {
