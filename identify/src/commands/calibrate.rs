@@ -58,7 +58,7 @@ pub struct CommonArguments {
 /// Where a result goes, what is asked of it, and how much of it is printed.
 #[derive(Debug, Clone, Args)]
 pub struct ResultArguments {
-    /// Directory for calibration.toml
+    /// Directory for all results: report.html, calibration.toml, corrections.csv and others
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Print every parameter, what its uncertainty rests on, terms, held-out figures and all that limits
@@ -86,7 +86,8 @@ impl CommonArguments {
 /// What calibrations from tables of measured rows have in common.
 #[derive(Debug, Args)]
 pub struct RowArguments {
-    /// Which column of the file is what, such as config/measured_pose.toml
+    /// Which column of the file is what, such as config/measured_pose.toml of a tracker, config/measured_length.toml of a wire,
+    /// config/contact.toml of a ball in sockets
     #[arg(long, value_name = "FILE")]
     mapping: PathBuf,
     /// Which rows are held out together; default: rows of lengths and contacts, regions of poses

@@ -13,7 +13,8 @@ use shared::recording::Recording;
 use crate::inspect::{self, Inspection};
 use crate::instrument::SocketTable;
 use crate::logs::{
-    self, BarLogMapping, ContactMapping, Contacts, LogFormat, LogOptions, OtherBarLog, joints_of_robot,
+    self, BarLogMapping, ContactMapping, Contacts, LogFormat, LogOptions, MeasuredLengthMapping,
+    MeasuredLengths, MeasuredPoseMapping, MeasuredPoses, OtherBarLog, TimedPoses, joints_of_robot,
 };
 use crate::report::table;
 
@@ -37,6 +38,10 @@ pub struct InspectArguments {
     /// Which column or joint of recordings of other programs is what, such as config/bar_log.toml
     #[arg(long, value_name = "FILE", requires = "bar")]
     recording_mapping: Option<PathBuf>,
+    /// Which column of rows of a tracker or a wire is what, such as config/measured_pose.toml or
+    /// config/measured_length.toml; all files are then read as such rows
+    #[arg(long, value_name = "FILE", requires = "robot", conflicts_with_all = ["log_mapping", "log_format", "bar", "recording_mapping", "sockets"])]
+    mapping: Option<PathBuf>,
     /// Table of the sockets that a ball is seated in, such as config/sockets.toml: the files are rows of it
     #[arg(long, value_name = "FILE", requires = "robot", requires = "contact_mapping",
           conflicts_with_all = ["log_mapping", "log_format", "bar", "recording_mapping"])]
@@ -45,7 +50,7 @@ pub struct InspectArguments {
     #[arg(long, value_name = "FILE", requires = "sockets")]
     contact_mapping: Option<PathBuf>,
     /// Look for what the columns of a table of joints are, and write a mapping for it into this file
-    #[arg(long, value_name = "FILE", requires = "robot", conflicts_with_all = ["log_mapping", "log_format", "bar", "recording_mapping", "sockets"])]
+    #[arg(long, value_name = "FILE", requires = "robot", conflicts_with_all = ["log_mapping", "log_format", "bar", "recording_mapping", "sockets", "mapping"])]
     propose: Option<PathBuf>,
 }
 
@@ -56,6 +61,39 @@ struct Settings {
     bar: Option<BallBarConfig>,
     recording_mapping: Option<BarLogMapping>,
     contacts: Option<(SocketTable, ContactMapping)>,
+    rows: Option<RowMapping>,
+}
+
+/// Of rows of an instrument that has no format of its own.
+enum RowMapping {
+    Poses(MeasuredPoseMapping),
+    Lengths(MeasuredLengthMapping),
+}
+
+impl RowMapping {
+    /// What has [length] is of a wire.
+    fn load(path: &Path) -> anyhow::Result<Self> {
+        let text =
+            std::fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
+        let of_wire = text.parse::<toml::Table>().is_ok_and(|table| table.contains_key("length"));
+        Ok(if of_wire { Self::Lengths(config::load(path)?) } else { Self::Poses(config::load(path)?) })
+    }
+
+    fn inspected(&self, path: &Path, robot: &RobotConfig) -> anyhow::Result<Inspection> {
+        Ok(match self {
+            Self::Lengths(mapping) => {
+                joints_of_robot(&mapping.joints, robot, path)?;
+                inspect::lengths(&MeasuredLengths::load(path, mapping)?, robot)
+            }
+            Self::Poses(mapping) if mapping.time.is_some() => {
+                inspect::timed_poses(&TimedPoses::load(path, mapping)?)
+            }
+            Self::Poses(mapping) => {
+                joints_of_robot(&mapping.joints, robot, path)?;
+                inspect::poses(&MeasuredPoses::load(path, mapping)?, robot)
+            }
+        })
+    }
 }
 
 pub fn run(arguments: &InspectArguments) -> anyhow::Result<()> {
@@ -64,6 +102,7 @@ pub fn run(arguments: &InspectArguments) -> anyhow::Result<()> {
         contacts: contacts
             .map(|(sockets, mapping)| anyhow::Ok((config::load(sockets)?, config::load(mapping)?)))
             .transpose()?,
+        rows: arguments.mapping.as_deref().map(RowMapping::load).transpose()?,
         robot: arguments.robot.as_deref().map(config::load).transpose()?,
         log_options: LogOptions {
             format: arguments.log_format,
@@ -106,6 +145,9 @@ fn propose(path: &Path, robot: &RobotConfig, out: &Path) -> anyhow::Result<()> {
 impl Settings {
     /// What is in a file: a bag may have both the robot and the bar.
     fn inspected(&self, path: &Path) -> anyhow::Result<Vec<Inspection>> {
+        if let (Some(mapping), Some(robot)) = (&self.rows, &self.robot) {
+            return Ok(vec![mapping.inspected(path, robot)?]);
+        }
         if let (Some((table, mapping)), Some(robot)) = (&self.contacts, &self.robot) {
             joints_of_robot(&mapping.joints, robot, path)?;
             let contacts = Contacts::load(path, mapping, &table.names())?;
@@ -143,7 +185,7 @@ impl Settings {
             (false, _) => Ok(found),
             (true, false) => anyhow::bail!(
                 "{}; if it is a table of another layout, --propose FILE writes a mapping for it",
-                refusals.join("; ")
+                refusals.join("; ").trim_end_matches('.')
             ),
             _ if is_of_bar => anyhow::bail!("it has counters of the bar; say with --bar which bar's"),
             _ => anyhow::bail!(

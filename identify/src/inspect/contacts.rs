@@ -7,7 +7,7 @@ use crate::calibrate::HoldOut;
 use crate::calibrate::mix::SEED;
 use crate::calibrate::rows::Sizes;
 use crate::instrument::{Contact, ContactRow, Measures, SocketTable, Standing};
-use crate::kinematics::{Chain, flange_chain};
+use crate::kinematics::{Chain, Joints, flange_chain};
 use crate::logs::SeatedRow;
 use crate::model::Model;
 use crate::statistics::extremes;
@@ -22,7 +22,7 @@ pub fn contacts(rows: &[SeatedRow], table: &SocketTable, robot: &RobotConfig) ->
     let known = [(table.sockets.len(), "places"), (table.distances.len(), "distances")];
     let known = known.iter().filter(|(count, _)| *count > 0).map(|(count, what)| format!("{count} {what}"));
     inspection.fact("known of sockets", known.collect::<Vec<_>>().join(", "));
-    ranges(&mut inspection, rows, robot);
+    ranges(&mut inspection, rows.iter().map(|row| row.q_rad), robot);
     let chain = flange_chain(robot);
     few_orientations(&mut inspection, rows, table, &chain);
     let of_rows: Vec<ContactRow> = rows.iter().map(ContactRow::from).collect();
@@ -35,14 +35,18 @@ pub fn contacts(rows: &[SeatedRow], table: &SocketTable, robot: &RobotConfig) ->
 }
 
 /// How far each joint goes.
-fn ranges(inspection: &mut Inspection, rows: &[SeatedRow], robot: &RobotConfig) {
+pub(super) fn ranges(
+    inspection: &mut Inspection,
+    rows: impl Iterator<Item = Joints> + Clone,
+    robot: &RobotConfig,
+) {
     /// A joint that turned less says nothing of its link \[deg\].
     const TRAVEL_MIN_DEG: f64 = 5.0;
     for (joint, kind) in robot.joint_kinds().enumerate() {
         let (name, unit) =
             (format!("q{}", joint + 1), if kind == JointKind::Revolute { "deg" } else { "mm" });
         let number = |q: f64| if kind == JointKind::Revolute { q.to_degrees() } else { q * 1e3 };
-        let [low, high] = extremes(rows.iter().map(|row| number(row.q_rad[joint])));
+        let [low, high] = extremes(rows.clone().map(|q| number(q[joint])));
         inspection.fact(&name, format!("{low:.1} to {high:.1} {unit}"));
         if kind == JointKind::Revolute && high - low < TRAVEL_MIN_DEG {
             inspection.suspect(format!(

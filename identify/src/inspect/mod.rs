@@ -5,12 +5,14 @@ mod contacts;
 pub mod curves;
 mod recording;
 mod robot_log;
+mod rows;
 mod unknown_table;
 
 pub use bar_log::bar_log;
 pub use contacts::contacts;
 pub use recording::recording;
 pub use robot_log::robot_log;
+pub use rows::{lengths, poses, timed_poses};
 pub use unknown_table::{Mapping, Proposal, ProposeError, propose};
 
 use crate::logs::{LogQuality, Row, Unwrapped, ranges, usual_and_longest_step_s};
