@@ -8,8 +8,8 @@ use std::sync::OnceLock;
 use crate::support::command::identify;
 use crate::support::refused::states_the_verdict;
 use crate::support::{lengths, repository};
-use shared::recording::Recording;
 use shared::recording::schema::CycleRecord;
+use shared::recording::{Recording, RecordingWriter};
 use tempfile::TempDir;
 
 fn config(name: &str) -> PathBuf {
@@ -543,4 +543,102 @@ fn completions_and_man_pages_know_every_command() {
     }
     let nowhere = generate(&["man", pages.path().join("nowhere").to_str().unwrap()]);
     assert!(!nowhere.status.success() && String::from_utf8_lossy(&nowhere.stderr).contains("nowhere"));
+}
+
+#[test]
+fn a_place_for_results_that_cannot_be_used_is_found_before_any_work() {
+    let inputs = tempfile::tempdir().unwrap();
+    let file = inputs.path().join("result.csv");
+    std::fs::write(&file, "").unwrap();
+    // The log is not read: it is not there.
+    let missing = inputs.path().join("missing.csv");
+    for out in [&file, &file.join("deeper"), Path::new("/proc/results")] {
+        let output = calibrate(&experiment().join("recording.mcap"), &missing, &[], out);
+        fails(&output, &["--out", &out.display().to_string(), "directory"]);
+        assert!(!String::from_utf8_lossy(&output.stderr).contains("missing.csv"));
+    }
+    // Nothing is left of the trial.
+    let out = inputs.path().join("not/yet");
+    fails(&calibrate(&experiment().join("recording.mcap"), &missing, &[], &out), &["missing.csv"]);
+    let left: Vec<_> =
+        std::fs::read_dir(inputs.path()).unwrap().map(|one| one.unwrap().file_name()).collect();
+    assert_eq!(left, ["result.csv"]);
+}
+
+#[test]
+fn milliseconds_under_a_header_of_seconds_and_decimal_commas_are_refused_with_what_reads_them() {
+    let in_ms = |row: usize, line: &str| match line.split_once(',') {
+        Some((time, joints)) if row > 0 => format!("{:.1},{joints}", 1e3 * time.parse::<f64>().unwrap()),
+        _ => line.to_owned(),
+    };
+    refused_log(in_ms, &["column `t_s` counts ms, not seconds", "--log-mapping", "--propose"]);
+    let inspected = |path: &Path| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_identify"));
+        let output = command.arg("inspect").arg(path).arg("--robot").arg(config("robots").join(IRB));
+        output.output().unwrap()
+    };
+    let inputs = tempfile::tempdir().unwrap();
+    fails(&inspected(&edited_log(inputs.path(), in_ms)), &["`t_s` counts ms", "--propose FILE"]);
+    let commas = |_: usize, line: &str| line.replace(',', ";").replace('.', ",");
+    refused_log(commas, &["has a decimal comma", "decimal_comma = true", "--log-mapping", "--propose"]);
+}
+
+/// The first sheet of a result of the simulated bus, or of a robot.
+#[test]
+fn a_result_of_the_simulated_bus_says_so_first_and_one_of_a_robot_does_not() {
+    let directory = experiment();
+    for simulated in [true, false] {
+        let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let recording = inputs.path().join("recording.mcap");
+        let bytes = std::fs::read(directory.join("recording.mcap")).unwrap();
+        std::fs::write(&recording, bytes).unwrap();
+        if !simulated {
+            on_another_bus(&recording);
+        }
+        let output = calibrate(&recording, &directory.join("robot_log.csv"), &[], out.path());
+        let text = String::from_utf8_lossy(&output.stdout);
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        assert_eq!(text.starts_with("SIMULATED: "), simulated, "{text}");
+        // What the scale rests on, and what a plate of another length would do.
+        let words = text.split_whitespace().collect::<Vec<_>>().join(" ");
+        let scale = "scale: the offset plate of 250.000 mm within 0.010 mm (one sigma), as ball_bar.toml states; a plate longer by \
+                     0.1 mm would move positions by ";
+        assert!(words.contains(scale), "{text}");
+        let page = std::fs::read_to_string(out.path().join("report.html")).unwrap();
+        assert_eq!(page.contains("<div class=\"band\">SIMULATED"), simulated);
+        let written = std::fs::read_to_string(out.path().join("calibration.toml")).unwrap();
+        assert_eq!(written.contains("simulated = true"), simulated);
+    }
+}
+
+/// Rewrites a recording as if it were of a network interface.
+fn on_another_bus(path: &Path) {
+    let recording = Recording::open(path).unwrap();
+    let mut run = recording.run.clone();
+    run.bus = "eth1".into();
+    let mut writer = RecordingWriter::begin(Vec::new(), &run).unwrap();
+    recording.cycles.iter().for_each(|cycle| writer.write_cycle(cycle).unwrap());
+    std::fs::write(path, writer.end("stopped", run.started).unwrap()).unwrap();
+}
+
+/// Ctrl-C ends a calibration from rows as it ends one with the bar, wherever it is, and nothing is written.
+#[test]
+fn ctrl_c_ends_a_calibration_from_rows_with_the_shells_code() {
+    let (inputs, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let robot: shared::config::RobotConfig = shared::config::load(&config("robots").join(IRB)).unwrap();
+    // Minutes of work.
+    let path = inputs.path().join("lengths.csv");
+    std::fs::write(&path, lengths::table(&robot, 200_000, 12.0)).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_identify"));
+    command.args(["calibrate", "wire"]).arg(&path).arg("--mapping").arg(config("measured_length.toml"));
+    command.arg("--robot").arg(config("robots").join(IRB)).arg("--out").arg(out.path());
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    std::thread::sleep(std::time::Duration::from_secs(3));
+    assert!(child.try_wait().unwrap().is_none(), "it was over too soon");
+    let pid = child.id().to_string();
+    assert!(Command::new("kill").args(["-INT", &pid]).status().unwrap().success());
+    let status = child.wait().unwrap();
+    // Before its handler is there the signal itself ends it, which shells show as the same.
+    assert!(status.code() == Some(130) || status.code().is_none(), "{status}");
+    assert_eq!(std::fs::read_dir(out.path()).unwrap().count(), 0);
 }

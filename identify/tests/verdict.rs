@@ -131,10 +131,15 @@ fn a_required_accuracy_is_judged_and_repeated_for_every_instrument() {
         let text = String::from_utf8_lossy(&output.stdout);
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
         assert!(text.starts_with(&format!("verdict {grade}: ")), "{text}");
-        // Verdict, before and after, what limits, files, next step; all else is asked for.
+        // Verdict, before and after, parts, scale, limits, files, next step; the rest needs --verbose.
         let fits = |line: &str| line.chars().count() <= 100 || !line.trim().contains(' ');
         assert!(text.lines().all(fits), "{text}");
-        assert_eq!(text.lines().filter(|line| !line.starts_with("  ")).count(), 5, "{text}");
+        assert_eq!(text.lines().filter(|line| !line.starts_with("  ")).count(), 7, "{text}");
+        // The number stands first.
+        assert!(
+            text.starts_with(&format!("verdict {grade}: 0.0"))
+                && text.contains("scale: the lengths of the wire")
+        );
         assert!(text.contains("(k = 2)") && text.contains("robot.urdf, "), "{text}");
         assert!(files.iter().any(|file| file == "robot.urdf"), "{files:?}");
         let experiment = std::fs::read_to_string(out.path().join("experiment.toml")).unwrap();

@@ -2,6 +2,7 @@
 
 use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
+use shared::output::named;
 use statrs::distribution::{ContinuousCDF, Normal};
 
 use super::{Elongation, PositiveForce, Quantiles, RunEvidence, WorkspaceError};
@@ -49,6 +50,9 @@ const NONLINEAR: f64 = 0.1;
 
 /// A contribution below this part of an uncertainty adds less than 6 % to it.
 const NEGLIGIBLE: f64 = 1.0 / 3.0;
+
+/// Most names in one sentence; it ends with the number of further ones.
+const NAMED: usize = 3;
 
 /// One thing that limits a calibration.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -111,7 +115,7 @@ pub fn limits(
         );
     }
     if !workspace.weakest.is_empty() {
-        let names: Vec<&str> = workspace.weakest.iter().map(|(name, _)| name.as_str()).take(4).collect();
+        let names: Vec<&str> = workspace.weakest.iter().map(|(name, _)| name.as_str()).take(NAMED).collect();
         tell(
             false,
             format!(
@@ -192,7 +196,7 @@ fn of_disagreement(runs: &[Run], sigmas: &[f64], loss: Loss) -> Option<Limit> {
         sentence: format!(
             "The data sets contradict each other: {}. They are of different robots, or of one that was changed in between, or one \
              of them is in another scale: calibrate each by itself and `identify compare` them.",
-            told.join("; ")
+            named(&told, NAMED)
         ),
         serious: true,
     })
@@ -213,12 +217,11 @@ fn of_lengths(model: &Model, solution: &Solution, scales: impl Iterator<Item = S
 /// its geometry is said to be known within. That part is small: a change is in the uncertainty, too, since other samples say other
 /// things.
 pub fn of_changes(changed: &[Changed], reach_m: f64, known_m: f64) -> Option<Limit> {
-    let told: Vec<String> = changed.iter().map(ToString::to_string).collect();
-    (!told.is_empty()).then(|| Limit {
+    (!changed.is_empty()).then(|| Limit {
         sentence: format!(
             "Something changed while it was measured: {}. The robot is calibrated for what lies between: let it warm up, look at what is \
              named, or calibrate from what was measured before or after it.",
-            told.join("; ")
+            named(changed, NAMED)
         ),
         serious: changed.iter().any(|one| one.moves_m(reach_m) > NEGLIGIBLE * known_m),
     })
@@ -283,28 +286,44 @@ fn strained_priors(model: &Model, solution: &Solution) -> Option<Limit> {
     });
     let priors: Vec<Prior> = priors.collect();
     let most = covariance.sigmas_from.sigmas_within(STRAINED_BY_CHANCE / priors.len().max(1) as f64);
-    let mut strained = Vec::new();
+    let mut strained: Vec<Strained> = Vec::new();
     for Prior { id, off, expected, sigma, own, spread } in priors {
         if spread > 0.0 && off.abs() > most * spread {
             // Without the prior it would be further off.
             let pulls = off.abs() * own > sigma * (expected - own);
-            let unit = id.unit();
+            let (unit, times) = (id.unit(), off.abs() / spread);
             let [off, expected] = [off, expected].map(|value| value * unit.display_factor());
             let sentence =
                 format!("{id} by {off:+.3} {} (expected within {expected:.3})", unit.display_symbol());
-            strained.push((sentence, pulls));
+            strained.push(Strained { sentence, pulls, times });
         }
     }
-    let names: Vec<&str> = strained.iter().map(|(sentence, _)| sentence.as_str()).collect();
-    (!names.is_empty()).then(|| Limit {
+    strained.sort_by(|a, b| b.times.total_cmp(&a.times));
+    (!strained.is_empty()).then(|| Limit {
         sentence: format!(
             "What was measured contradicts what was expected of {}. Look for the cause (the ratio in the controller, a worn gear or \
              grating, a plate or rod of another length), or expect more under [priors] or [joint_terms] of the configuration: \
              so tight, the expectation pulls the result towards it.",
-            names.join(", ")
+            named(&strained, NAMED)
         ),
-        serious: strained.iter().any(|(_, pulls)| *pulls),
+        serious: strained.iter().any(|one| one.pulls),
     })
+}
+
+/// A prior that the samples contradict.
+struct Strained {
+    /// Name, size and expectation, as part of a sentence.
+    sentence: String,
+    /// It moves the result towards itself by more than that is uncertain.
+    pulls: bool,
+    /// How many times further off than where all priors hold.
+    times: f64,
+}
+
+impl std::fmt::Display for Strained {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        out.write_str(&self.sentence)
+    }
 }
 
 /// A parameter with a prior, in its unit.
@@ -384,14 +403,14 @@ fn turned_plate(model: &Model, solution: &Solution) -> Option<Limit> {
 
 /// Lengths that come out far from the configured ones: of another robot or bar, or all by the same part.
 fn other_lengths(model: &Model, solution: &Solution, scale: &str) -> Vec<Limit> {
-    let off: Vec<Length> =
+    let mut off: Vec<Length> =
         lengths(model, solution).filter(|length| length.off_m.abs() > LENGTH_OFF_M).collect();
+    off.sort_by(|a, b| b.off_m.abs().total_cmp(&a.off_m.abs()));
     let off = (!off.is_empty()).then(|| {
-        let off: Vec<String> = off.iter().map(ToString::to_string).collect();
         format!(
             "Lengths come out far from the configured ones: {}. Where one or two are off, the robot's or the bar's configuration \
              is not that of the cell; where all are, by one part, their scale is not, and all lengths are wrong by as much. {scale}.",
-            off.join(", ")
+            named(&off, NAMED)
         )
     });
     off.into_iter()

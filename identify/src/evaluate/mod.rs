@@ -8,6 +8,7 @@ mod gaps;
 mod held_out;
 mod limits;
 mod nominal;
+mod scale;
 mod shift;
 mod sphere_deviation;
 
@@ -24,5 +25,6 @@ pub use gaps::{JointGap, joint_gaps};
 pub use held_out::{HeldOut, HeldOutSegment, PoseError, PoseErrorRms, held_out, nominals};
 pub use limits::{Limit, ScaleFrom, limits, of_changes, of_solution};
 pub use nominal::uncalibrated;
+pub use scale::scale_sentence;
 pub use shift::{ShiftCurve, shift_curve};
 pub use sphere_deviation::{Deviation, Elongation, OffSphere, PositiveForce, SphereDeviation};

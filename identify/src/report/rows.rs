@@ -251,7 +251,7 @@ pub fn contradicted(contact: &Contact, model: &Model) -> Option<Limit> {
         sentence: format!(
             "The rows contradict the table of sockets: {}. Correct the table, or give a larger uncertainty: so tight, it pulls the \
              result towards it.",
-            told.join(", ")
+            named(&told, 3)
         ),
         serious: true,
     })

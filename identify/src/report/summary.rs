@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use super::result::file::CalibrationFile;
 use super::verdict::Grade;
 use crate::calibrate::validation::deployment::Deployment;
-use crate::evaluate::{Limit, WorkspaceError};
+use crate::evaluate::WorkspaceError;
 
 /// Columns of a terminal.
 pub const COLUMNS: usize = 100;
@@ -24,50 +24,42 @@ pub fn wrapped(text: &str) -> String {
 pub fn summary(
     file: &CalibrationFile,
     workspace: &WorkspaceError,
-    limits: &[Limit],
     written: &[PathBuf],
     page: &Path,
 ) -> String {
-    let Some(verdict) = &file.verdict else { return String::new() };
+    if file.verdict.is_none() {
+        return String::new();
+    }
     let mm = |metres: f64| format!("{:.3} mm", metres * 1e3);
     let (before, after) = (&workspace.before, &workspace.after);
     let expanded = file.budget.as_ref().map(|budget| {
         format!("; the geometry is known within {} (k = {})", mm(budget.expanded_m), budget.coverage_factor)
     });
-    let held_out = file.held_out_m(Deployment::Full).map(|[nominal, calibrated]| {
-        let parts: String = file.deployments_reported().iter().map(|told| format!("; {told}")).collect();
-        format!("; on data that no fit has seen {} and {} (RMS{parts})", mm(nominal), mm(calibrated))
-    });
+    let parts = file.deployments_reported();
     let lines = [
-        verdict.to_string(),
-        format!(
-            "position error by geometry: {} before, {} after, mean over the workspace{}{}",
+        file.is_simulated().then(|| SIMULATED.to_owned()),
+        Some(file.verdict_sentence()),
+        Some(format!(
+            "position error by geometry: {} before, {} after, mean over the workspace{}",
             mm(before.mean_m),
             mm(after.mean_m),
             expanded.unwrap_or_default(),
-            held_out.unwrap_or_default(),
-        ),
-        format!("limited by: {}{}", limit(file, limits).trim_end_matches('.'), measured(file)),
-        files(written, page),
-        format!("next: {}", next(file)),
+        )),
+        (!parts.is_empty()).then(|| format!("held-out data with a part of it: {}", parts.join("; "))),
+        file.scale.as_ref().map(|scale| format!("scale: {scale}")),
+        Some(format!("limited by: {}{}", limit(file).trim_end_matches('.'), measured(file))),
+        Some(files(written, page)),
+        Some(format!("next: {}", next(file))),
     ];
-    lines.map(|line| wrapped(&line) + "\n").concat()
+    lines.into_iter().flatten().map(|line| wrapped(&line) + "\n").collect()
 }
 
-/// The first limit that the verdict does not name, or what makes positions uncertain most.
-fn limit(file: &CalibrationFile, limits: &[Limit]) -> String {
-    let reason = file.verdict.as_ref().and_then(|verdict| verdict.reason.as_ref());
-    let other = limits.iter().find(|limit| limit.serious && Some(&limit.sentence) != reason);
-    let largest = || {
-        let budget = file.budget.as_ref()?;
-        let most = budget.contributions.first()?;
-        let part = 100.0 * budget.part(most);
-        Some(format!("{}, {part:.0} % of the variance of a position", most.source))
-    };
-    other
-        .map(|limit| limit.sentence.clone())
-        .or_else(largest)
-        .unwrap_or_else(|| "nothing that is known".into())
+/// What stands above every result of a simulated recording.
+pub(super) const SIMULATED: &str = "SIMULATED: the recording is of the simulated bus, no robot was measured";
+
+/// The first limit that the verdict does not name; the page has them all.
+fn limit(file: &CalibrationFile) -> &str {
+    file.other_limits().next().map_or("nothing that is known", |limit| &limit.sentence)
 }
 
 /// Where the calibration is supported.
@@ -84,15 +76,24 @@ fn files(written: &[PathBuf], page: &Path) -> String {
 }
 
 fn next(file: &CalibrationFile) -> &'static str {
-    match file.verdict.as_ref().map(|verdict| verdict.grade) {
+    let grade = file.verdict.as_ref().map(|verdict| verdict.grade);
+    match (file.serves(Deployment::Dh), grade) {
         _ if !file.may_be_applied() => {
-            "read report.html for what to measure otherwise; keep the nominal geometry"
+            "keep the nominal geometry in the controller and measure again; report.html lists what limits"
         }
-        _ if !file.serves(Deployment::Dh) => {
-            "without the terms of calibration.json a controller gains nothing sure: read report.html"
+        (true, Some(Grade::Green)) => {
+            "add each number of corrections.csv to the controller's own (joints in its units and signs: corrections_log.csv), then \
+             measure once more and `identify compare` both"
         }
-        Some(Grade::Green) => "apply corrections.csv, then measure once more and `identify compare` both",
-        _ => "read report.html, then apply corrections.csv if what limits does not matter",
+        (true, _) => {
+            "read report.html; if what limits is acceptable, add each number of corrections.csv to the controller's own"
+        }
+        (false, _) if file.serves(Deployment::Offsets) => {
+            "add each number of offsets.csv to the controller's own (joints in its units and signs: offsets_log.csv)"
+        }
+        (false, _) => {
+            "change nothing in the controller: only the full model of calibration.json, with its terms, is surely better"
+        }
     }
 }
 

@@ -10,6 +10,7 @@ use super::result::earlier::Earlier;
 use super::result::file::{CalibrationFile, FileError};
 use super::result::knowledge::ExpectedEntry;
 use crate::calibrate::rows::is_surely_worse;
+use crate::calibrate::validation::deployment::Deployment;
 use crate::evaluate::{Limit, WorkspaceError};
 
 /// Samples of a segment share their errors: it counts as one independent error along each axis.
@@ -43,23 +44,26 @@ pub struct Verdict {
     pub reason: Option<String>,
 }
 
-impl fmt::Display for Verdict {
+impl fmt::Display for Grade {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let grade = match self.grade {
-            Grade::Green => "green",
-            Grade::Amber => "amber",
-            Grade::Red => "red",
-        };
-        write!(f, "verdict {grade}: ")?;
+        f.write_str(match self {
+            Self::Green => "green",
+            Self::Amber => "amber",
+            Self::Red => "red",
+        })
+    }
+}
+
+impl fmt::Display for Verdict {
+    /// The reason, without grade and number.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match (&self.reason, self.required_m) {
             (Some(reason), _) => f.write_str(reason),
-            (None, Some(required_m)) => write!(
-                f,
-                "better than the nominal robot on data that no fit has seen, and within the required {} mm",
-                in_mm(required_m)
-            ),
+            (None, Some(required_m)) => {
+                write!(f, "Better than the nominal robot, and within the required {} mm.", in_mm(required_m))
+            }
             (None, None) => f.write_str(
-                "better than the nominal robot on data that no fit has seen; --require 0.2mm also asks whether that is enough",
+                "Better than the nominal robot; --require 0.2mm also checks whether that is accurate enough.",
             ),
         }
     }
@@ -108,6 +112,8 @@ impl CalibrationFile {
     ) -> Self {
         self.budget = Some(workspace.budget.clone());
         self.limits = limits.to_vec();
+        let serious = limits.iter().rposition(|limit| limit.serious).map_or(0, |last| last + 1);
+        self.limits.splice(serious..serious, largest_contribution(workspace));
         self.expected = Some(ExpectedEntry::of(workspace));
         let predicted = self.predicted();
         let better = (!predicted.is_empty()).then(|| predicted.iter().all(Predicted::is_better));
@@ -135,6 +141,22 @@ impl CalibrationFile {
         };
         self.verdict = Some(Verdict { grade, better, required_m, reason });
         self
+    }
+
+    /// The grade, the position error on held-out data and the reason; empty without a verdict.
+    pub fn verdict_sentence(&self) -> String {
+        let Some(verdict) = &self.verdict else { return String::new() };
+        let number = self.held_out_m(Deployment::Full).map(|[nominal_m, calibrated_m]| {
+            let [nominal, calibrated] = [nominal_m, calibrated_m].map(|metres| metres * 1e3);
+            format!("{calibrated:.3} mm RMS on held-out data, nominal {nominal:.3} mm. ")
+        });
+        format!("verdict {}: {}{verdict}", verdict.grade, number.unwrap_or_default())
+    }
+
+    /// What limits it beside what its verdict names, the most important first.
+    pub fn other_limits(&self) -> impl Iterator<Item = &Limit> {
+        let reason = self.verdict.as_ref().and_then(|verdict| verdict.reason.as_ref());
+        self.limits.iter().filter(move |limit| Some(&limit.sentence) != reason)
     }
 
     /// Held-out data do not say that the nominal robot is as good.
@@ -176,6 +198,17 @@ impl CalibrationFile {
         }
         all
     }
+}
+
+/// What makes positions uncertain most.
+fn largest_contribution(WorkspaceError { budget, .. }: &WorkspaceError) -> Option<Limit> {
+    let most = budget.contributions.first().filter(|most| most.u_m > 0.0)?;
+    let sentence = format!(
+        "{:.0} % of the variance of a position comes from: {}.",
+        100.0 * budget.part(most),
+        most.source
+    );
+    Some(Limit { sentence, serious: false })
 }
 
 /// The geometry is more uncertain over the workspace than the nominal one is wrong: what was measured says nothing of the rest.

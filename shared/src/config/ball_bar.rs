@@ -83,12 +83,14 @@ pub struct BallBarConfig {
     pub encoders: Vec<EncoderConfig>,
 }
 
-/// A calliper: nothing better is known of a plate of which nothing is said.
 const fn plate_u_um() -> f64 {
-    50.0
+    BallBarConfig::PLATE_U_UM
 }
 
 impl BallBarConfig {
+    /// Standard uncertainty of a plate of which the file states none: a calliper's \[um\].
+    pub const PLATE_U_UM: f64 = 50.0;
+
     fn validate_encoder(&self, index: usize, encoder: &EncoderConfig) -> Result<(), Violation> {
         let key = |name: &str| format!("encoders[{index}].{name}");
         if !(1..=BAR_JOINTS as u8).contains(&encoder.joint) {

@@ -21,7 +21,7 @@ use crate::calibrate::{CostName, IdentifyConfig, SelectionName};
 use crate::commands::ensure_can_write;
 use crate::commands::on_terminal::OnTerminal;
 use crate::cost::SharedColumns;
-use crate::evaluate::{Validity, evidence};
+use crate::evaluate::{Validity, evidence, scale_sentence};
 use crate::kinematics::flange_chain;
 use crate::logs::{
     self, BarLog, BarLogMapping, LogFormat, LogOptions, RobotLog, RobotLogMapping, is_recording,
@@ -145,6 +145,8 @@ pub(super) struct RunFiles<'a> {
     cycles: Range<usize>,
     pub(super) log: Arc<RobotLog>,
     pub(super) bar: BallBarConfig,
+    /// File that states it.
+    pub(super) bar_path: &'a Path,
 }
 
 impl RunFiles<'_> {
@@ -241,6 +243,7 @@ pub(super) fn runs<'a>(
                 recording: Arc::new(recording),
                 log: Arc::new(log),
                 bar,
+                bar_path,
                 recording_path,
                 log_path,
             })
@@ -343,8 +346,10 @@ pub(super) fn calibrate(arguments: &BarArguments, experiment: Experiment) -> any
     let mut forces = ForceEntry::all(&evidence.spheres).into_iter();
     file.validity = Some(Validity::of(calibration.poses(), &flange_chain(robot)));
     (file.force, file.other_forces) = (forces.next(), forces.collect());
-    let file =
+    let mut file =
         file.with_verdict(&evidence.workspace, &evidence.limits, config.require_mm.map(|mm| mm * 1e-3));
+    let bars = runs.iter().map(|run| (&run.bar, run.bar_path));
+    file.scale = Some(scale_sentence(bars, [], &evidence.workspace.budget));
     let bar = runs.first().map(|run| &run.bar);
     let written = write_files(&file, robot, bar, &experiment, &arguments.common.result.out)?;
     let page = Page {
@@ -360,7 +365,7 @@ pub(super) fn calibrate(arguments: &BarArguments, experiment: Experiment) -> any
         show(wrapped(&(table::comparison(&Comparison::new(&calibration, truth)) + "\n")))?;
     }
     let all = arguments.common.result.verbose.then(|| table::calibration(&file) + &limited(&file));
-    let summary = summary(&file, &evidence.workspace, &evidence.limits, &written, &page);
+    let summary = summary(&file, &evidence.workspace, &written, &page);
     conclude(&file, all.as_deref(), &summary, &page)
 }
 

@@ -17,7 +17,7 @@ use crate::calibrate::mix::{self, DataSets, Rows};
 use crate::calibrate::rows::RowSet;
 use crate::commands::on_terminal::OnTerminal;
 use crate::commands::{ensure_can_write, ensure_six_revolute_axes};
-use crate::evaluate::{RunEvidence, Validity, of_solution};
+use crate::evaluate::{RunEvidence, ScaleFrom, Validity, of_solution};
 use crate::instrument::{Instrument, Run};
 use crate::kinematics::flange_chain;
 use crate::logs::{LogFormat, LogOptions};
@@ -522,14 +522,16 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
     let first = found.runs.first().context("there is no data set")?;
     tables += &of_rows::waves(&first.model);
     file.validity = Some(validity);
-    let scales = found.runs.iter().map(|run| (&run.instrument).into());
-    limits.extend(of_solution(&first.model, solution, &found.runs, &found.solved.sigmas, scales));
+    let scales: Vec<ScaleFrom> = found.runs.iter().map(|run| (&run.instrument).into()).collect();
+    let sigmas = &found.solved.sigmas;
+    limits.extend(of_solution(&first.model, solution, &found.runs, sigmas, scales.iter().copied()));
     let told = Told {
         robot,
-        bar: bars.first().map(|run| &run.bar),
         file,
         model: &first.model,
         solution,
+        bars: bars.iter().map(|run| (&run.bar, run.bar_path)).collect(),
+        scales,
         limits,
         changed: &found.changed,
         data_sets,

@@ -10,7 +10,7 @@ use super::ResultArguments;
 use super::experiment::{self, Experiment};
 use crate::calibrate::change::Changed;
 use crate::calibrate::validation::deployment::Deployment;
-use crate::evaluate::{Limit, of_changes, workspace_error};
+use crate::evaluate::{Limit, ScaleFrom, of_changes, scale_sentence, workspace_error};
 use crate::kinematics::flange_chain;
 use crate::model::Model;
 use crate::report::page::{Measured, MeasuredPage};
@@ -24,12 +24,14 @@ use crate::solver::Solution;
 /// A calibration with everything that is reported of it.
 pub(super) struct Told<'a> {
     pub(super) robot: &'a RobotConfig,
-    /// That of the first run, where there is one.
-    pub(super) bar: Option<&'a BallBarConfig>,
     pub(super) file: CalibrationFile,
     /// Of the first data set.
     pub(super) model: &'a Model,
     pub(super) solution: &'a Solution,
+    /// Each run's bar, with the file that states it.
+    pub(super) bars: Vec<(&'a BallBarConfig, &'a Path)>,
+    /// What fixes the scale, data set by data set.
+    pub(super) scales: Vec<ScaleFrom>,
     /// What limits it.
     pub(super) limits: Vec<Limit>,
     /// What did not stay while it was measured.
@@ -49,10 +51,11 @@ impl Told<'_> {
         let directory = &result.out;
         let Self {
             robot,
-            bar,
             file,
             model,
             solution,
+            bars,
+            scales,
             mut limits,
             changed,
             data_sets,
@@ -64,7 +67,10 @@ impl Told<'_> {
         let workspace = workspace_error(model, covariance, &limits_of_joints);
         let workspace = workspace.with_cube(model, covariance, &limits_of_joints);
         limits.extend(of_changes(changed, flange_chain(robot).reach_m(), workspace.budget.expanded_m));
-        let file = file.with_verdict(&workspace, &limits, experiment.identify.require_mm.map(|mm| mm * 1e-3));
+        let mut file =
+            file.with_verdict(&workspace, &limits, experiment.identify.require_mm.map(|mm| mm * 1e-3));
+        file.scale = Some(scale_sentence(bars.iter().copied(), scales, &workspace.budget));
+        let bar = bars.first().map(|(bar, _)| *bar);
         let written = write_files(&file, robot, bar, &experiment, directory)?;
         let page = MeasuredPage {
             file: &file,
@@ -76,7 +82,7 @@ impl Told<'_> {
         let page = page.write(directory).with_context(|| directory.display().to_string())?;
         show(wrapped(&asked))?;
         let all = result.verbose.then(|| table::calibration(&file) + "\n" + &tables + &limited(&file));
-        conclude(&file, all.as_deref(), &summary(&file, &workspace, &limits, &written, &page), &page)
+        conclude(&file, all.as_deref(), &summary(&file, &workspace, &written, &page), &page)
     }
 }
 
@@ -113,8 +119,7 @@ fn is_red(file: &CalibrationFile) -> bool {
 
 /// Sentences on all that limits a calibration beside what its verdict names.
 pub(super) fn limited(file: &CalibrationFile) -> String {
-    let reason = file.verdict.as_ref().and_then(|verdict| verdict.reason.as_ref());
-    let others = file.limits.iter().filter(|limit| Some(&limit.sentence) != reason);
+    let others = file.other_limits();
     others.map(|limit| format!("{} {}\n", if limit.serious { '!' } else { '-' }, limit.sentence)).collect()
 }
 
@@ -128,7 +133,11 @@ pub(super) fn conclude(
     if let Some(all) = all {
         say(wrapped(all))?;
     }
-    let verdict = file.verdict.as_ref().map(ToString::to_string).unwrap_or_default();
-    anyhow::ensure!(!is_red(file), "{verdict}\nnot calibrated: {} shows what was found", page.display());
+    anyhow::ensure!(
+        !is_red(file),
+        "{}\nnot calibrated: {} shows what was found",
+        file.verdict_sentence(),
+        page.display()
+    );
     Ok(show(summary)?)
 }

@@ -42,6 +42,10 @@ pub struct Budget {
     pub expanded_m: f64,
     /// The largest first.
     pub contributions: Vec<Contribution>,
+    /// How far positions move, root mean square over the workspace, for each metre by which the bar's offset plate is longer than
+    /// stated: the derivative of the solution. Absent without a plate, or where it is taken as exact.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub moved_by_plate: Option<f64>,
 }
 
 /// Coverage factor: 95 % of normal errors along an axis, and more of a distance in space.
@@ -59,8 +63,14 @@ impl Budget {
         let moved_m =
             &postures.by_parameter * spread.by_source.select_rows(columns.iter().map(|(column, _)| column));
         let mut contributions: Vec<Contribution> = Vec::new();
+        let mut moved_by_plate = None;
         for (source, moved_m) in spread.sources.iter().zip(moved_m.column_iter()) {
             let (name, u_m) = (named(*source, model, covariance), moved_m.norm() / (POSTURES as f64).sqrt());
+            if let Source::Prior { column } | Source::Considered { column } = *source
+                && covariance.name(column) == ParameterId::PLATE.to_string()
+            {
+                moved_by_plate = stated_sigma(model, ParameterId::PLATE).map(|sigma| u_m / sigma);
+            }
             match contributions.iter_mut().find(|one| one.source == name) {
                 Some(one) => one.u_m = one.u_m.hypot(u_m),
                 None => {
@@ -83,12 +93,21 @@ impl Budget {
             coverage_factor: K,
             expanded_m: K * variance.sqrt(),
             contributions,
+            moved_by_plate,
         }
     }
 
     /// Part of the variance that is a contribution's, 0 to 1.
     pub fn part(&self, of: &Contribution) -> f64 {
         if self.u_m > 0.0 { (of.u_m / self.u_m).powi(2) } else { 0.0 }
+    }
+}
+
+/// Standard deviation that is stated of a parameter, SI.
+fn stated_sigma(model: &Model, id: ParameterId) -> Option<f64> {
+    match model.parameter(id)?.role {
+        Role::Prior { sigma, .. } | Role::Considered { sigma } => Some(sigma),
+        Role::Free | Role::Fixed => None,
     }
 }
 
@@ -106,12 +125,14 @@ fn named(source: Source, model: &Model, covariance: &Covariance) -> String {
     let Some(id) = name.split('@').next().and_then(|name| name.parse::<ParameterId>().ok()) else {
         return name.to_owned();
     };
-    let sigma = match model.parameter(id).map(|parameter| parameter.role) {
-        Some(Role::Prior { sigma, .. } | Role::Considered { sigma }) => Some(sigma),
-        _ => None,
-    };
+    let sigma = stated_sigma(model, id);
     let alone = matches!(source, Source::Considered { .. }) || ParameterId::KNOWN_LENGTHS.contains(&id);
     match (id.group(), sigma) {
+        (_, Some(sigma)) if ParameterId::KNOWN_LENGTHS.contains(&id) => {
+            let what =
+                if id == ParameterId::PLATE { "length of the offset plate" } else { "length of the rod" };
+            format!("{what} ({name}), stated within {}", id.unit().display(sigma))
+        }
         (_, Some(sigma)) if alone => {
             format!("{name}, {how} within {}", id.unit().display(sigma))
         }

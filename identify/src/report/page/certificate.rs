@@ -2,6 +2,8 @@
 
 use maud::{Markup, html};
 
+use super::drawing::plot::PlotError;
+use super::drawing::workspace;
 use super::sections::mm;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::evaluate::{CubeError, Expected, WorkspaceError};
@@ -9,20 +11,43 @@ use crate::report::result::file::{CalibrationFile, MeasurementEntry, ParameterEn
 use crate::report::verdict::Grade;
 
 /// What is certified of a calibration, whatever it was measured with.
-pub(super) fn certificate(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
-    html! {
-        section.certificate {
+///
+/// # Errors
+/// [`PlotError`].
+pub(super) fn certificate(file: &CalibrationFile, workspace: &WorkspaceError) -> Result<Markup, PlotError> {
+    let map = workspace::map(workspace)?;
+    Ok(sheet(
+        file.is_simulated(),
+        &html! {
             header {
                 h1 { "Calibration of " (file.robot) }
                 p.about { "Certificate · " (to_the_second(&file.created)) " · " (file.software) }
             }
             (verdict(file, workspace))
-            (identity(&file.robot, &file.instrument, &file.measured, Some(required(file))))
+            (identity(&file.robot, &file.instrument, &file.measured, Some(required(file)), dated(file)))
             (results(file, workspace))
+            (map)
             (conditions(file))
             (signature())
+        },
+    ))
+}
+
+/// The first sheet, with a band across it, on the screen and in print, if the recording is of the simulated bus.
+pub(super) fn sheet(simulated: bool, content: &Markup) -> Markup {
+    html! {
+        section.certificate.simulated[simulated] {
+            @if simulated { div.band { "SIMULATED" small { "no robot was measured" } } }
+            (content)
         }
     }
+}
+
+/// When it was measured by the instrument's clock, where no recording says it.
+fn dated(file: &CalibrationFile) -> Option<String> {
+    let mut dates = file.clocks().map(|clock| to_the_second(&clock.reference_utc));
+    // Clocks without a date count from the epoch.
+    dates.find(|date| !date.starts_with("1970"))
 }
 
 /// Whether it is calibrated, and the one reason for doubt.
@@ -36,15 +61,14 @@ fn verdict(file: &CalibrationFile, workspace: &WorkspaceError) -> Markup {
     let red = verdict.is_some_and(|verdict| verdict.grade == Grade::Red);
     html! { div class=(class) {
         strong { @if red { "Not calibrated. " } @else { "Calibrated. " } }
+        @if let Some([nominal_m, calibrated_m]) = file.held_out_m(Deployment::Full) {
+            b { (mm(calibrated_m)) " mm" } " RMS on held-out data, " b { (mm(nominal_m)) " mm" } " with the nominal robot. "
+        }
         @if let Some(reason) = verdict.and_then(|verdict| verdict.reason.as_ref()) { b { (reason) } " " }
         @else if let Some(required_m) = verdict.and_then(|verdict| verdict.required_m) {
             "The required " (mm(required_m)) " mm are met. "
         }
         @if red { "Nothing of it may be applied." } @else {
-            @if let Some([nominal_m, calibrated_m]) = file.held_out_m(Deployment::Full) {
-                "On data that no fit has seen the robot is off by " b { (mm(calibrated_m)) " mm" } " (RMS) instead of "
-                b { (mm(nominal_m)) " mm" } ". "
-            }
             "The position error that is expected of the geometry alone falls from "
             b { (mm(workspace.before.mean_m)) " mm" } " to " b { (mm(workspace.after.mean_m)) " mm" }
             " in the mean over the workspace."
@@ -57,12 +81,14 @@ pub(super) fn to_the_second(utc: &str) -> String {
     utc.get(..19).map_or_else(|| utc.to_owned(), |second| format!("{} UTC", second.replace('T', " ")))
 }
 
-/// Robot, instrument, who and when: what no file says is left to be written by hand.
+/// Robot, instrument, who and when: what no file says is left to be written by hand. `dated` is when it was measured, where no
+/// recording says it.
 pub(super) fn identity(
     robot: &str,
     instrument: &str,
     measured: &[MeasurementEntry],
     required: Option<String>,
+    dated: Option<String>,
 ) -> Markup {
     let of = |what: fn(&MeasurementEntry) -> String| {
         let mut all: Vec<String> = measured.iter().map(what).collect();
@@ -70,12 +96,17 @@ pub(super) fn identity(
         all.dedup();
         all.join("; ")
     };
+    // A recording that only repeats the name has no serial number.
+    let number = |recorded: String, name: &str| {
+        if recorded.eq_ignore_ascii_case(name) { String::new() } else { recorded }
+    };
+    let started = Some(of(|one| to_the_second(&one.started))).filter(|started| !started.is_empty());
     let lines = [
         ("Robot", Some(robot.to_owned())),
-        ("Which one (serial number)", Some(of(|one| one.robot.clone()))),
+        ("Serial number of the robot", Some(number(of(|one| one.robot.clone()), robot))),
         ("Instrument", Some(instrument.to_owned())),
-        ("Which one (serial number)", Some(of(|one| one.bar.clone()))),
-        ("Measured", Some(of(|one| to_the_second(&one.started)))),
+        ("Serial number of the instrument", Some(number(of(|one| one.bar.clone()), instrument))),
+        ("Measured", Some(started.or(dated).unwrap_or_default())),
         ("Operator", Some(of(|one| one.operator.clone()))),
         ("Payload", Some(of(|one| one.payload.clone()))),
         ("Required", required),
@@ -147,14 +178,15 @@ fn conditions(file: &CalibrationFile) -> Markup {
         |entries: &[&ParameterEntry]| entries.iter().map(|entry| entry.held()).collect::<Vec<_>>().join(", ");
     html! {
         dl.conditions {
+            @if let Some(scale) = &file.scale { dt { "Scale rests on" } dd { (scale) } }
             @if let Some(validity) = &file.validity {
                 dt { "Supported [deg]" } dd { "where the joints were measured: " (validity) }
             }
             @if !parts.is_empty() {
                 dt { "In parts" }
                 dd {
-                    "Who applies only part of it needs another geometry, which is in files of its own; on the same held-out data: "
-                    (parts.join("; ")) ". Held-out data were predicted by fits without them; what is in the files is fitted to all."
+                    "A controller that takes only part of it needs another geometry, which is in files of its own; on the same "
+                    "held-out data: " (parts.join("; ")) ". Held-out data were predicted by fits without them; what is in the files is fitted to all."
                 }
             }
             @if !held.is_empty() { dt { "Held within" } dd { (names(&held)) } }

@@ -80,8 +80,8 @@ impl Page<'_> {
             &title,
             &html! {
                 main {
-                    (certificate::certificate(self.file, &self.evidence.workspace))
-                    (sections::numbers(self)?)
+                    (certificate::certificate(self.file, &self.evidence.workspace)?)
+                    (sections::numbers(self))
                     (held_out::section(self)?)
                     (runs::gaps(self)?)
                     (sphere::section(self)?)

@@ -7,8 +7,7 @@ use maud::{Markup, html};
 use super::certificate::certificate;
 use super::drawing::figures::{WIDE, dots, gap_over_time};
 use super::drawing::plot::{BLUE, GREY, ORANGE, Panel, PlotError};
-use super::drawing::workspace;
-use super::sections::{budget, candidates, dependence, expected, mm, parameters, repeated_with, svg};
+use super::sections::{budget, candidates, dependence, expected, limits, mm, parameters, repeated_with, svg};
 use super::{PageError, document};
 use crate::calibrate::rows::{PoseFigures, RowErrors, Sizes};
 use crate::evaluate::{RunEvidence, WorkspaceError};
@@ -70,8 +69,8 @@ impl MeasuredPage<'_> {
             &title,
             &html! {
                 main {
-                    (certificate(self.file, self.workspace))
-                    (self.numbers()?)
+                    (certificate(self.file, self.workspace)?)
+                    (self.numbers())
                     h2 { "Errors, row by row" }
                     p.note { "Robot against what was measured. Mind the scales. Rows that take no part are drawn as well." }
                     @for (name, panels) in shown {
@@ -96,7 +95,7 @@ impl MeasuredPage<'_> {
         ))
     }
 
-    fn numbers(&self) -> Result<Markup, PlotError> {
+    fn numbers(&self) -> Markup {
         let WorkspaceError { before, after, .. } = self.workspace;
         let held_out = |(name, measured): &(String, Measured<'_>)| match measured {
             Measured::Rows(errors) if !errors.held_out.is_empty() => {
@@ -110,8 +109,9 @@ impl MeasuredPage<'_> {
         let sizes = |Sizes { mean, p95, max, .. }: Sizes| {
             format!("mean {} mm, 95 % {} mm, largest {} mm", mm(mean), mm(p95), mm(max))
         };
-        Ok(html! {
+        html! {
             h2 { "Before and after" }
+            (limits(self.file))
             div.numbers {
                 (expected("before", before))
                 (expected("after", after))
@@ -131,8 +131,7 @@ impl MeasuredPage<'_> {
                 "where nothing was measured. After: what the covariance of the parameters leaves there. Errors that do not depend "
                 "on the geometry (gears, load, temperature) come on top; held-out rows have them."
             }
-            (workspace::map(self.workspace)?)
-        })
+        }
     }
 }
 

@@ -4,8 +4,8 @@ use maud::{Markup, PreEscaped, html};
 
 use super::Page;
 use super::drawing::plot::PlotError;
-use super::drawing::{correlations, figures, workspace};
-use crate::evaluate::{Evaluation, Expected, Limit, Quantiles};
+use super::drawing::{correlations, figures};
+use crate::evaluate::{Evaluation, Expected, Quantiles};
 use crate::model::{Owner, ParameterId};
 use crate::report::result::file::{CalibrationFile, Input, ParameterEntry, ReadIn, Status};
 use crate::report::table::about_links;
@@ -35,11 +35,13 @@ pub(super) fn expected(label: &str, expected: &Expected) -> Markup {
     } }
 }
 
-pub(super) fn numbers(page: &Page<'_>) -> Result<Markup, PlotError> {
+/// What limits a calibration beside what its verdict names, as the terminal has it.
+pub(super) fn limits(file: &CalibrationFile) -> Markup {
+    html! { @if file.other_limits().next().is_some() { ul { @for limit in file.other_limits() { li { (limit.sentence) } } } } }
+}
+
+pub(super) fn numbers(page: &Page<'_>) -> Markup {
     let expected_errors = &page.evidence.workspace;
-    let reason = page.file.verdict.as_ref().and_then(|verdict| verdict.reason.as_ref());
-    let limits = page.evidence.limits.iter().filter(|limit| Some(&limit.sentence) != reason);
-    let limits: Vec<&Limit> = limits.collect();
     let (before, after) = (&expected_errors.before, &expected_errors.after);
     let gap = |label: &str, gap: &Quantiles| {
         html! { div.number {
@@ -47,9 +49,9 @@ pub(super) fn numbers(page: &Page<'_>) -> Result<Markup, PlotError> {
             span { "robot against bar, " (label) "; median " (mm(gap.median)) ", 95 % " (mm(gap.p95)) ", largest " (mm(gap.max)) " mm" }
         } }
     };
-    Ok(html! {
+    html! {
         h2 { "Before and after" }
-        @if !limits.is_empty() { ul { @for limit in limits { li { (limit.sentence) } } } }
+        (limits(page.file))
         div.numbers {
             (expected("before", before))
             (expected("after", after))
@@ -62,8 +64,7 @@ pub(super) fn numbers(page: &Page<'_>) -> Result<Markup, PlotError> {
             "that do not depend on the geometry (gears, load, temperature) come on top; what the bar saw of them is in the two "
             "figures on the right."
         }
-        (workspace::map(expected_errors)?)
-    })
+    }
 }
 
 /// `place` is what the first data set has for itself, `others` the names of the data sets after it.

@@ -202,9 +202,9 @@ impl ParameterEntry {
 
 /// The unit in which people read a number.
 pub(in crate::report) struct ReadIn {
-    /// From SI.
+    /// Multiplies the SI value.
     pub factor: f64,
-    /// Its symbol.
+    /// Symbol of the unit, such as `deg`.
     pub unit: &'static str,
     /// Digits after the point that mean something.
     pub decimals: usize,
@@ -260,6 +260,9 @@ pub struct MeasurementEntry {
     pub bar: String,
     /// What the robot carried beside the bar.
     pub payload: String,
+    /// It was made on the simulated bus: nothing was measured.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub simulated: bool,
 }
 
 impl From<&RunMetadata> for MeasurementEntry {
@@ -270,6 +273,7 @@ impl From<&RunMetadata> for MeasurementEntry {
             robot: run.robot.clone(),
             bar: run.bar.clone(),
             payload: run.payload.clone(),
+            simulated: run.is_simulated(),
         }
     }
 }
@@ -296,6 +300,9 @@ pub struct CalibrationFile {
     /// What limits it, the most important first; the verdict names the first that is serious.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub limits: Vec<Limit>,
+    /// What the scale of all lengths rests on.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub scale: Option<String>,
     /// Solve.
     pub solve: SolveEntry,
     /// Clocks of instrument and robot, where there are two; of the first data set that has its own.
@@ -367,6 +374,7 @@ impl CalibrationFile {
             measured: Vec::new(),
             verdict: None,
             limits: Vec::new(),
+            scale: None,
             solve,
             clock,
             other_clocks: Vec::new(),
@@ -386,6 +394,11 @@ impl CalibrationFile {
             knowledge: None,
             covariance: None,
         }
+    }
+
+    /// One of the recordings is of the simulated bus.
+    pub fn is_simulated(&self) -> bool {
+        self.measured.iter().any(|one| one.simulated)
     }
 
     /// Clocks of all data sets that have their own.

@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 use plotters::style::RGBColor;
 
-use super::figures::{ROUND, dots};
+use super::figures::dots;
 use super::plot::{Panel, PlotError};
 use crate::evaluate::{PlaceError, WorkspaceError};
 use crate::report::page::sections::{mm, svg};
@@ -17,6 +17,9 @@ const FIFTHS: [RGBColor; 5] = [
     RGBColor(180, 40, 60),
 ];
 
+/// Both maps side by side on the first sheet, which they share with what is signed \[px\].
+const SHEET: (u32, u32) = (450, 300);
+
 /// Two maps: a place by its distance from the first axis and its height.
 pub(in crate::report::page) fn map(workspace: &WorkspaceError) -> Result<Markup, PlotError> {
     if workspace.places.is_empty() {
@@ -29,9 +32,8 @@ pub(in crate::report::page) fn map(workspace: &WorkspaceError) -> Result<Markup,
     Ok(html! { figure {
         div.panels { @for map in maps { (svg(map)) } }
         figcaption {
-            "The same by place: root mean square of the position error that is expected in so many postures within the joint limits, "
-            "each where it takes the robot's end. Each colour is a fifth of the postures and each map has its own scale. Red, the "
-            "worst fifth, is where more measurements would help most."
+            "Position error that is expected by place, root mean square. Each dot is a posture within the joint limits, each colour a "
+            "fifth of the postures; each map has its own scale. Red: the worst fifth, where more measurements help most."
         }
     } })
 }
@@ -52,7 +54,7 @@ fn of(title: &str, places: &[PlaceError], error_m: fn(&PlaceError) -> f64) -> Re
         title: format!("{title}, up to [mm]"),
         x: "distance from axis 1 [mm]",
         y: "height [mm]".into(),
-        size: ROUND,
+        size: SHEET,
         series: series.collect(),
         from_zero: false,
     }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use maud::{Markup, html};
 
-use super::certificate::{identity, signature, to_the_second};
+use super::certificate::{identity, sheet, to_the_second};
 use super::drawing::plot::PlotError;
 use super::run::inputs::rows;
 use super::sections::{repeated_with, svg};
@@ -92,15 +92,14 @@ impl RefusedPage<'_> {
             &title,
             &html! {
                 main {
-                    section.certificate {
+                    (sheet(self.measured.iter().any(|one| one.simulated), &html! {
                         header {
                             h1 { (title) }
                             p.about { "Refusal · " (to_the_second(&now())) " · " (software()) }
                         }
                         (self.verdict(set_aside))
-                        (identity(self.robot, self.instrument, self.measured, None))
-                        (signature())
-                    }
+                        (identity(self.robot, self.instrument, self.measured, None, None))
+                    }))
                     (self.deviations()?)
                     @for run in &runs { (run) }
                     (repeated_with(self.inputs, &software(), self.configuration))

@@ -1,0 +1,63 @@
+//! What the scale of all lengths rests on, in words: nothing else that is measured can tell whether it is right.
+
+use std::path::Path;
+
+use shared::config::BallBarConfig;
+use shared::output::named;
+
+use super::{Budget, ScaleFrom};
+
+/// How much longer a plate is that the sentence takes as an example \[m\].
+const LONGER_M: f64 = 1e-4;
+
+/// One sentence on what fixes the scale: the plates of `bars`, each with the file that states it, and the `others` instruments. What
+/// a wrong plate does to positions is the derivative of the solution, which the budget has.
+pub fn scale_sentence<'a>(
+    bars: impl IntoIterator<Item = (&'a BallBarConfig, &'a Path)>,
+    others: impl IntoIterator<Item = ScaleFrom>,
+    budget: &Budget,
+) -> String {
+    const NAMED: usize = 3;
+    let mut told: Vec<String> = Vec::new();
+    let plates = bars.into_iter().map(|(bar, file)| plate(bar, file));
+    let others = others.into_iter().filter_map(of_other).map(str::to_owned);
+    for one in plates.chain(others) {
+        if !told.contains(&one) {
+            told.push(one);
+        }
+    }
+    let moved = budget.moved_by_plate.map(|per_metre| {
+        format!(
+            "; a plate longer by {} mm would move positions by {:.2} mm (RMS over the workspace)",
+            LONGER_M * 1e3,
+            per_metre * LONGER_M * 1e3
+        )
+    });
+    named(&told, NAMED) + &moved.unwrap_or_default()
+}
+
+fn plate(bar: &BallBarConfig, file: &Path) -> String {
+    let file = file.file_name().unwrap_or(file.as_os_str()).to_string_lossy();
+    let plate_mm = bar.plate_m * 1e3;
+    let rod = bar.length_u_um.map(|u_um| {
+        format!(" and the rod's length of {:.3} mm within {:.3} mm", bar.length_m * 1e3, u_um * 1e-3)
+    });
+    let plate = if bar.plate_u_um > 0.0 {
+        // Whether it was stated or is the default, what it means is the same.
+        let calliper = bar.plate_u_um == BallBarConfig::PLATE_U_UM;
+        let whose = if calliper { " (one sigma, a calliper's)" } else { " (one sigma)" };
+        format!("the offset plate of {plate_mm:.3} mm within {:.3} mm{whose}", bar.plate_u_um * 1e-3)
+    } else {
+        format!("the offset plate of {plate_mm:.3} mm, taken as exact")
+    };
+    format!("{plate}{}, as {file} states", rod.unwrap_or_default())
+}
+
+const fn of_other(from: ScaleFrom) -> Option<&'static str> {
+    match from {
+        ScaleFrom::Plate => None,
+        ScaleFrom::Tracker => Some("the positions of the tracker, whose own scale is taken as exact"),
+        ScaleFrom::Wire => Some("the lengths of the wire, whose own scale is taken as exact"),
+        ScaleFrom::Sockets => Some("the table of sockets, within the uncertainty that it states"),
+    }
+}
