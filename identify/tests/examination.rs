@@ -35,6 +35,21 @@ fn ranks_groups_and_influences_of_all_costs_and_both_robots_are_those_of_the_sna
     assert_eq!(text.lines().count(), expected.lines().count());
 }
 
+/// Axes 2 to 4 are parallel: their offsets shift the same height, which no cost and no pose separates.
+#[test]
+fn offsets_along_parallel_axes_are_named_and_do_not_end_the_examination() {
+    let found: Vec<_> = COSTS
+        .iter()
+        .map(|&cost| examine(&crate::support::ur10(), &crate::support::bar(), cost, 300, 1).unwrap())
+        .collect();
+    let text = examinations(&found);
+    assert_eq!(text.matches("dependent: rd2|rd3|rd4 (fix 2)").count(), COSTS.len(), "{text}");
+    for one in found {
+        assert!(one.surplus.iter().any(|id| ["rd2", "rd4"].contains(&id.to_string().as_str())), "{text}");
+        assert!(one.observability.o1 > 0.0, "{text}");
+    }
+}
+
 /// The thesis' way: 1 mm|mrad of error in one fixed parameter, a solve, and a look at the others.
 fn solves_show_the_influence<R: Residual>(residual: R, cost: CostName) {
     let (robot, bar) = (crate::support::irb2400(), crate::support::bar());

@@ -69,7 +69,7 @@ fn ways() -> Vec<(&'static str, IdentifyConfig)> {
         ..IdentifyConfig::default()
     };
     use CostName::{Length, Pose, Position, PositionAngles, Transform};
-    use SelectionName::{AllIdentifiable, Automatic, Cell, Thesis};
+    use SelectionName::{AllIdentifiable, Cell, Thesis};
     let named = |selection| IdentifyConfig { selection, ..IdentifyConfig::default() };
     let all = vec![
         ("transform, thesis", with(Transform, Thesis, 0.0)),
@@ -79,7 +79,6 @@ fn ways() -> Vec<(&'static str, IdentifyConfig)> {
         ("transform, base tilt", with(Transform, Cell, 0.0)),
         ("transform, base tilt, harmonics", with(Transform, Cell, 30.0)),
         ("pose, all identifiable, joint terms", named(AllIdentifiable)),
-        ("pose, automatic, joint terms", named(Automatic)),
         ("pose, base tilt", with(Pose, Cell, 0.0)),
         ("pose, base tilt, harmonics", with(Pose, Cell, 30.0)),
         ("pose, base tilt, harmonics, joint terms", IdentifyConfig::default()),

@@ -63,6 +63,7 @@ mod stamps;
 mod stations_and_targets;
 mod streams;
 mod studies;
+mod tolerances;
 mod tracker_clock;
 mod unknown_tables;
 mod verdict;

@@ -78,12 +78,15 @@ fn terms_are_taken_where_the_robot_has_the_error_and_left_out_where_not() {
 }
 
 #[test]
-fn automatic_scales_its_priors_and_takes_encoder_harmonics_where_they_are() {
+fn harmonics_of_encoders_are_found_and_tolerances_that_hold_stay() {
     let effects = Effects { encoder_eccentricity_urad: 40.0, ..Effects::default() };
-    let found = calibrated(effects, SelectionName::Automatic);
-    assert!(taken(&found).contains(TermGroup::EncoderHarmonics.name()), "{:?}", taken(&found));
+    let found = calibrated(effects, SelectionName::Cell);
+    let wave = |phase| ParameterId::EncoderWave { joint: 0, order: 1, phase };
+    let value = |phase| found.model.parameter(wave(phase)).unwrap().value * 1e6;
+    let amplitude_urad: f64 = f64::hypot(value(Phase::Sine), value(Phase::Cosine));
+    assert!((amplitude_urad - 40.0).abs() < 12.0, "{amplitude_urad}");
     // True errors are around 1 mm|mrad.
-    assert!((0.5..=100.0).contains(&found.prior_scale), "{}", found.prior_scale);
+    assert!((1.0..=2.0).contains(&found.prior_scale), "{}", found.prior_scale);
 }
 
 const LOBES: [f64; 6] = [57.0, 31.0, 44.0, 63.0, 52.0, 35.0];

@@ -1,5 +1,7 @@
 //! A robot from a ball-bar recording and the robot's own log.
 
+use std::collections::BTreeSet;
+
 use shared::config::{BallBarConfig, RobotConfig};
 use shared::recording::schema::{CycleRecord, EncoderInfo};
 
@@ -13,7 +15,7 @@ use crate::cost::{CostError, SharedColumns};
 use crate::instrument::{BallBar, Instrument, Run};
 use crate::kinematics::{BAR_JOINTS, Joints, LinkParameter, ball_bar_chain, robot_chain};
 use crate::logs::{RobotLog, Unwrapped};
-use crate::model::{Axis, DriveTrain, Model, ModelError, ParameterId};
+use crate::model::{Axis, DriveTrain, Group, Model, ModelError, Parameter, ParameterId, Role};
 use crate::prepare::{PrepareError, Prepared, prepare};
 use crate::solver::{NotConverged, Solution, SolveError, Unidentifiable, Watch};
 
@@ -118,7 +120,7 @@ pub struct BallBarCalibration {
     pub solution: Solution,
     /// Kinds of terms that were tried, and what became of them.
     pub candidates: Vec<Candidate>,
-    /// Tolerances of the links were multiplied by this: one but with selection `automatic`.
+    /// Tolerances of the links were multiplied by this.
     pub prior_scale: f64,
     /// What a residual of each run is worth against priors, one standard deviation.
     pub sigmas: Vec<f64>,
@@ -319,6 +321,7 @@ pub(super) fn solve(
     let first = runs.first().ok_or(CalibrateError::NoRun)?;
     let BallBar { prepared, cost, measured, .. } = first.instrument.bar().ok_or(CalibrateError::NoRun)?;
     let (cost, measured) = (*cost, *measured);
+    config.require_known(runs.iter().map(|run| &run.model))?;
     let free = match config.selection.fixed() {
         Some(_) => Vec::new(),
         None => {
@@ -326,32 +329,53 @@ pub(super) fn solve(
             identifiable(&first.model, motion, observations, cost.unweighed(&measured))?
         }
     };
-    let fix: Vec<ParameterId> = config.fix.iter().filter_map(|name| name.parse().ok()).collect();
-    let mut held = fix.clone();
+    set_roles(runs, config, &free)?;
+    let Some(Run { instrument, model }) = runs.first() else { return Err(CalibrateError::NoRun) };
+    let groups = config.groups(model, |id| instrument.identifies(id));
+    let plan = Plan {
+        loss: config.loss_for(cost),
+        ransac: config.ransac,
+        groups,
+        fix: config.fixed(),
+        tolerances: tolerances(runs, config),
+        alike: config.alike().collect(),
+        watch,
+    };
+    estimate(runs, &plan)
+}
+
+/// Gives the parameters of runs with the ball-bar their roles; `identifiable` is the set of a selection that depends on the poses.
+///
+/// # Errors
+/// [`ModelError`].
+pub(super) fn set_roles(
+    runs: &mut [Run],
+    config: &IdentifyConfig,
+    identifiable: &[ParameterId],
+) -> Result<(), ModelError> {
+    let mut held = config.fixed();
     held.extend((config.selection == SelectionName::Thesis).then_some(ParameterId::PLATE));
     for Run { instrument, model } in &mut *runs {
-        config.set_roles(model, &free, |id| instrument.identifies(id))?;
+        config.set_roles(model, identifiable, |id| instrument.identifies(id))?;
         instrument.place(model, &held)?;
         if let Some(force) = instrument.bar().and_then(|bar| bar.prepared.force.as_ref()) {
             config.free_for_force(model, force.parameter())?;
         }
     }
-    let Some(Run { instrument, model }) = runs.first() else { return Err(CalibrateError::NoRun) };
-    let of_link = |id: &ParameterId| {
-        let is_link = matches!(id, ParameterId::Robot { .. } | ParameterId::Bar { .. });
-        is_link && *id != ParameterId::PLATE && !config.priors.contains_key(&id.to_string())
+    Ok(())
+}
+
+/// Numbers of links whose tolerances are widened where samples ask for it: what a person stated stays as it is.
+pub(super) fn tolerances(runs: &[Run], config: &IdentifyConfig) -> Vec<ParameterId> {
+    let has_tolerance = |one: &&Parameter| {
+        let is_link = matches!(one.id.group(), Group::Link | Group::InPlaceOfAnother);
+        let is_stated =
+            ParameterId::KNOWN_LENGTHS.contains(&one.id) || config.priors.contains_key(&one.id.to_string());
+        is_link && matches!(one.role, Role::Prior { .. }) && !is_stated
     };
-    let scaled = config.selection == SelectionName::Automatic;
-    let plan = Plan {
-        loss: config.loss_for(cost),
-        ransac: config.ransac,
-        groups: config.groups(model, |id| instrument.identifies(id)),
-        fix,
-        tolerances: model.columns().map(|one| one.id).filter(of_link).filter(|_| scaled).collect(),
-        alike: config.alike().collect(),
-        watch,
-    };
-    estimate(runs, &plan)
+    let of_runs = runs.iter().flat_map(|run| run.model.columns());
+    let ids: BTreeSet<ParameterId> = of_runs.filter(has_tolerance).map(|one| one.id).collect();
+    ids.into_iter().collect()
 }
 
 /// Nominal robot and bar, at the place and with the encoder offsets that the preparation found.

@@ -5,10 +5,11 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use shared::config::{BallBarConfig, Validate, Violation};
 
+use super::selection::links::link_ids;
 use super::selection::terms::CandidateGroup;
 use crate::cost::AngleNoise;
-use crate::kinematics::BAR_JOINTS;
-use crate::model::{Group, Model, ModelError, ParameterId, Role, Selection, THESIS_FIXED, TermGroup};
+use crate::kinematics::{BAR_JOINTS, LinkParameter};
+use crate::model::{Group, Model, ModelError, Owner, ParameterId, Role, Selection, THESIS_FIXED, TermGroup};
 use crate::prepare::PrepareOptions;
 use crate::solver::LossName;
 
@@ -72,15 +73,15 @@ impl CostName {
 pub enum SelectionName {
     /// The thesis' 38 and the clocks.
     Thesis,
-    /// And two rotations of the bar's base, which no real cell has at zero.
+    /// Every number of the links, each expected at its nominal value within the tolerance, which is widened where held-out
+    /// samples are predicted better; and where the instrument stands and how it is mounted.
     #[default]
+    #[serde(alias = "automatic")]
+    #[value(alias = "automatic")]
     Cell,
-    /// All that the poses determine: of each dependent group the parameter that is best fixed is left out.
+    /// All that the poses determine, without priors: of each dependent group the parameter that is best fixed is left out.
     #[value(alias = "all-identifiable")]
     AllIdentifiable,
-    /// The same, each number of the links expected at its nominal value within a tolerance, which is widened until
-    /// held-out segments of the run are predicted best.
-    Automatic,
 }
 
 impl SelectionName {
@@ -89,7 +90,7 @@ impl SelectionName {
         match self {
             Self::Thesis => Some(Selection::ThesisWithClocks),
             Self::Cell => Some(Selection::CellWithClocks),
-            Self::AllIdentifiable | Self::Automatic => None,
+            Self::AllIdentifiable => None,
         }
     }
 }
@@ -162,8 +163,7 @@ pub struct IdentifyConfig {
     /// Parameters fixed all the same.
     pub fix: Vec<String>,
     /// With any selection but `thesis`, each harmonic of an encoder is expected to be zero within this standard deviation
-    /// \[urad\], or as much less as the samples say of all of them; zero leaves them out. With `automatic` they are a candidate
-    /// like the robot's terms.
+    /// \[urad\], or as much less as the samples say of all of them; zero leaves them out.
     pub encoder_harmonics_urad: f64,
     /// With any selection but `thesis`, how much longer or shorter the bar may be by its direction: each wave is expected
     /// to be zero within this standard deviation \[um\], and all stay only where they predict held-out segments of the
@@ -171,8 +171,8 @@ pub struct IdentifyConfig {
     pub bar_length_um: f64,
     /// Errors of the robot's axes, with any selection but `thesis`.
     pub joint_terms: JointTermsConfig,
-    /// The tolerance of the links' numbers: with selection `automatic` of those that are estimated, with any of those that are
-    /// fixed \[mm|mrad\].
+    /// The tolerance of the links' numbers, one standard deviation: with selection `cell` of those that are estimated, with any of
+    /// those that are fixed \[mm|mrad\].
     pub tolerance_mm_mrad: f64,
     /// Position error that the calibrated robot may have at most; absent: none is required \[mm\].
     pub require_mm: Option<f64>,
@@ -205,6 +205,15 @@ impl Default for IdentifyConfig {
     }
 }
 
+/// A number of the bar's links that only says where its frames are, on its base and on the robot's flange.
+const fn says_where_frames_are(id: ParameterId) -> bool {
+    const LAST: usize = BAR_JOINTS - 1;
+    matches!(
+        id,
+        ParameterId::Bar { link: 0, parameter: LinkParameter::D } | ParameterId::Bar { link: LAST, .. }
+    )
+}
+
 impl IdentifyConfig {
     /// The loss for a cost.
     pub fn loss_for(&self, cost: CostName) -> LossName {
@@ -212,8 +221,8 @@ impl IdentifyConfig {
         self.loss.unwrap_or(usual)
     }
 
-    /// Gives every parameter its role for a cost that identifies what `identifies` says. `identifiable` is the set of a selection that
-    /// depends on the poses. Terms that are candidates are left out.
+    /// Gives every parameter of a model with a ball-bar its role for a cost that identifies what `identifies` says. `identifiable`
+    /// is the set of a selection that depends on the poses. Terms that are candidates are left out.
     ///
     /// # Errors
     /// [`ModelError`] where a name or a standard deviation makes no sense.
@@ -225,32 +234,112 @@ impl IdentifyConfig {
     ) -> Result<(), ModelError> {
         match self.selection.fixed() {
             Some(selection) => model.select(selection, &identifies),
-            None => self.select_identifiable(model, identifiable, &identifies)?,
+            None => model
+                .free_only(|id| identifiable.contains(&id) || id.group() == Group::Clock && identifies(id)),
         }
         let zeros = model.ids().into_iter();
         let zeros: Vec<ParameterId> =
             zeros.filter(|id| matches!(id, ParameterId::EncoderOffset { .. }) && identifies(*id)).collect();
         model.set_roles(zeros, Role::Prior { value: 0.0, sigma: ZERO_SIGMA_RAD })?;
-        let always = matches!(self.selection, SelectionName::Cell | SelectionName::AllIdentifiable);
-        if always && self.encoder_harmonics_urad > 0.0 {
+        if self.selection != SelectionName::Thesis && self.encoder_harmonics_urad > 0.0 {
             let group = TermGroup::EncoderHarmonics;
             let harmonics = ParameterId::of_term(group).filter(|id| identifies(*id));
             model.set_roles(harmonics, Role::Prior { value: 0.0, sigma: self.sigma(group) })?;
         }
-        for (name, sigma) in &self.priors {
-            let id: ParameterId = name.parse()?;
-            let value = model.parameter(id).ok_or(ModelError::NotInModel { id })?.value;
-            model.set_role(id, Role::Prior { value, sigma: sigma / id.unit().display_factor() })?;
-        }
-        for (names, role) in [(&self.free, Role::Free), (&self.fix, Role::Fixed)] {
-            for name in names {
-                model.set_role(name.parse()?, role)?;
-            }
+        if self.selection == SelectionName::Cell {
+            // The rod is measured, or found.
+            let of_bar = |id: &ParameterId| {
+                let is_link = id.owner() == Owner::BallBar && id.group() == Group::Link;
+                is_link && !says_where_frames_are(*id) && *id != ParameterId::ROD && identifies(*id)
+            };
+            self.set_tolerances(model, model.ids().into_iter().filter(of_bar).collect())?;
+            self.set_link_roles(model)?;
+        } else {
+            self.set_named_roles(model)?;
         }
         let fixed = model.parameters().iter().filter(|parameter| parameter.role == Role::Fixed);
         let fixed: Vec<ParameterId> = fixed.map(|parameter| parameter.id).collect();
         for (id, sigma) in fixed.into_iter().filter_map(|id| Some((id, self.uncertainty(id)?))) {
             model.set_role(id, Role::Considered { sigma })?;
+        }
+        Ok(())
+    }
+
+    /// Gives the numbers of the robot's links their roles, the same whatever measures its end: each is expected at its nominal
+    /// value within the tolerance. Those of the last link belong to what is mounted there and stay as they are; those that only say
+    /// where frames are stay fixed. Then come those parameters of the model that have a role by name.
+    ///
+    /// # Errors
+    /// [`ModelError`] where a name or a standard deviation makes no sense.
+    pub(crate) fn set_link_roles(&self, model: &mut Model) -> Result<(), ModelError> {
+        let last = model.axes().saturating_sub(1);
+        let of_links = |id: &ParameterId| matches!(id, ParameterId::Robot { link, .. } if *link < last);
+        model.set_roles(model.ids().into_iter().filter(of_links), Role::Fixed)?;
+        let free = link_ids(&model.geometry(&[]).robot);
+        self.set_tolerances(model, free.clone())?;
+        self.set_named_roles(model)?;
+        let fixed = |id: &ParameterId| {
+            free.contains(id) && model.parameter(*id).is_some_and(|one| one.role == Role::Fixed)
+        };
+        let fixed: Vec<ParameterId> = free.iter().copied().filter(fixed).collect();
+        for id in fixed {
+            let sigma = self.stated(id).unwrap_or_else(|| self.tolerance());
+            model.set_role(id, Role::Considered { sigma })?;
+        }
+        Ok(())
+    }
+
+    /// Standard deviation that is stated of a parameter by name, SI.
+    fn stated(&self, id: ParameterId) -> Option<f64> {
+        Some(self.priors.get(&id.to_string())? / id.unit().display_factor())
+    }
+
+    /// One standard deviation \[m, rad\].
+    fn tolerance(&self) -> f64 {
+        self.tolerance_mm_mrad * 1e-3
+    }
+
+    /// Expects parameters at their nominal values within the tolerance.
+    fn set_tolerances(&self, model: &mut Model, ids: Vec<ParameterId>) -> Result<(), ModelError> {
+        for id in ids {
+            let Some(value) = model.parameter(id).map(|parameter| parameter.nominal) else { continue };
+            model.set_role(id, Role::Prior { value, sigma: self.tolerance() })?;
+        }
+        Ok(())
+    }
+
+    /// Gives those parameters of a model their roles that have one by name.
+    fn set_named_roles(&self, model: &mut Model) -> Result<(), ModelError> {
+        for (name, sigma) in &self.priors {
+            let id: ParameterId = name.parse()?;
+            let Some(value) = model.parameter(id).map(|parameter| parameter.value) else { continue };
+            model.set_role(id, Role::Prior { value, sigma: sigma / id.unit().display_factor() })?;
+        }
+        for (names, role) in [(&self.free, Role::Free), (&self.fix, Role::Fixed)] {
+            for name in names {
+                let id: ParameterId = name.parse()?;
+                if model.parameter(id).is_some() {
+                    model.set_role(id, role)?;
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Every parameter that has a role by name is one of some of the models.
+    ///
+    /// # Errors
+    /// [`ModelError`] names one that is not.
+    pub(crate) fn require_known<'m>(
+        &self,
+        models: impl Iterator<Item = &'m Model> + Clone,
+    ) -> Result<(), ModelError> {
+        for name in self.priors.keys().chain(&self.free).chain(&self.fix) {
+            let id: ParameterId = name.parse()?;
+            let is_wave = matches!(id, ParameterId::JointWave { .. });
+            if !is_wave && models.clone().all(|model| model.parameter(id).is_none()) {
+                return Err(ModelError::NotInModel { id });
+            }
         }
         Ok(())
     }
@@ -268,11 +357,17 @@ impl IdentifyConfig {
     /// where frames are, whose values are a matter of choice. The plate's is in the bar's configuration.
     fn uncertainty(&self, id: ParameterId) -> Option<f64> {
         let name = id.to_string();
-        if let Some(sigma) = self.priors.get(&name) {
-            return Some(sigma / id.unit().display_factor());
+        if let Some(sigma) = self.stated(id) {
+            return Some(sigma);
         }
+        let is_made = match (self.selection, id) {
+            // Where the robot's links have their roles they have this, too, but for the last one.
+            (SelectionName::Cell, ParameterId::Robot { link, .. }) => link == 5 && id != ParameterId::PLATE,
+            (SelectionName::Cell, _) => !says_where_frames_are(id),
+            _ => !THESIS_FIXED.contains(&name.as_str()),
+        };
         match id.group() {
-            Group::Link if !THESIS_FIXED.contains(&name.as_str()) => Some(self.tolerance_mm_mrad * 1e-3),
+            Group::Link if is_made => Some(self.tolerance()),
             Group::Term(group) if self.fix.contains(&name) => Some(self.sigma(group)),
             _ if matches!(id, ParameterId::BaseRotation { .. }) => Some(BASE_TILT_SIGMA_RAD),
             _ => None,
@@ -293,35 +388,15 @@ impl IdentifyConfig {
         model.set_role(id, Role::Free)
     }
 
-    fn select_identifiable(
-        &self,
-        model: &mut Model,
-        identifiable: &[ParameterId],
-        identifies: impl Fn(ParameterId) -> bool,
-    ) -> Result<(), ModelError> {
-        let all = model.ids();
-        for id in all {
-            let free = identifiable.contains(&id) || id.group() == Group::Clock && identifies(id);
-            model.set_role(id, if free { self.geometry_role(model, id) } else { Role::Fixed })?;
-        }
-        Ok(())
-    }
-
-    /// The links' numbers have tolerances; where the bar stands, how its encoders are mounted and the clocks are anywhere.
-    fn geometry_role(&self, model: &Model, id: ParameterId) -> Role {
-        let made = id.group() == Group::Link;
-        match model.parameter(id) {
-            Some(parameter) if made && self.selection == SelectionName::Automatic => {
-                Role::Prior { value: parameter.nominal, sigma: self.tolerance_mm_mrad * 1e-3 }
-            }
-            _ => Role::Free,
-        }
-    }
-
     /// Parameters that are freed, fixed or given a prior by name, as far as such names exist.
     pub fn named(&self) -> impl Iterator<Item = ParameterId> + '_ {
         let names = self.priors.keys().chain(&self.free).chain(&self.fix);
         names.filter_map(|name| name.parse().ok())
+    }
+
+    /// Parameters that are fixed by name, as far as such names exist.
+    pub(crate) fn fixed(&self) -> Vec<ParameterId> {
+        self.fix.iter().filter_map(|name| name.parse().ok()).collect()
     }
 
     /// Harmonics of the bar's encoders that nobody has named.
@@ -336,9 +411,6 @@ impl IdentifyConfig {
             SelectionName::Thesis => Vec::new(),
             _ => self.joint_terms.candidates.clone(),
         };
-        if self.selection == SelectionName::Automatic && self.encoder_harmonics_urad > 0.0 {
-            groups.insert(0, TermGroup::EncoderHarmonics);
-        }
         if self.selection != SelectionName::Thesis && self.bar_length_um > 0.0 {
             groups.push(TermGroup::BarLength);
         }

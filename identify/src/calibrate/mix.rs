@@ -4,11 +4,10 @@
 use shared::config::RobotConfig;
 
 use super::IdentifyConfig;
-use super::ball_bar::{CalibrateError, RunInput, prepared_runs, solve};
+use super::ball_bar::{CalibrateError, RunInput, prepared_runs, set_roles, solve, tolerances};
 use super::change::{self, Changed};
 use super::pipeline::{Plan, Solved, estimate, refit, waves_per_turn};
 use super::rows::{self, RowSet};
-use super::selection::links::{free_links, link_ids};
 use super::validation::deployment::{Deployed, Deployment, deployed, fitted};
 use super::validation::split::HoldOut;
 use crate::instrument::{
@@ -16,7 +15,7 @@ use crate::instrument::{
     Wire,
 };
 use crate::kinematics::{Chain, Joints, flange_chain};
-use crate::model::{DriveTrain, Model, ModelError, ParameterId, Role};
+use crate::model::{DriveTrain, Model, ParameterId};
 use crate::prepare::Moving;
 use crate::solver::{LossName, Watch};
 
@@ -164,12 +163,8 @@ fn check(data: &DataSets<'_>, config: &IdentifyConfig) -> Result<(), CalibrateEr
     let usual = IdentifyConfig::default();
     let first =
         |given: &[(&'static str, bool)]| given.iter().find(|(_, given)| *given).map(|(option, _)| *option);
-    let of_mix = [
-        ("selection", config.selection != usual.selection),
-        ("free", config.free != usual.free),
-        ("priors", config.priors != usual.priors),
-        ("ransac", config.ransac != usual.ransac),
-    ];
+    let of_mix =
+        [("selection", config.selection != usual.selection), ("ransac", config.ransac != usual.ransac)];
     if let Some(option) = first(&of_mix) {
         return Err(CalibrateError::Mixed { option });
     }
@@ -210,26 +205,18 @@ fn laid_out<'w>(
     watch: Option<&'w dyn Watch>,
 ) -> Result<LaidOut<'w>, CalibrateError> {
     check(data, config)?;
-    let fix = config.fix.iter().map(|name| name.parse()).collect::<Result<Vec<ParameterId>, ModelError>>()?;
     let flange = flange_chain(robot);
     let mut plan = Plan {
         loss: config.loss.unwrap_or(LossName::Huber),
         ransac: false,
         groups: Vec::new(),
-        tolerances: link_ids(&flange),
+        tolerances: Vec::new(),
         alike: config.alike().collect(),
-        fix,
+        fix: config.fixed(),
         watch,
     };
     let mut runs = prepared_runs(&data.bars, robot, config)?;
-    for Run { instrument, model } in &mut runs {
-        let named = IdentifyConfig { fix: Vec::new(), ..config.clone() };
-        named.set_roles(model, &[], |id| instrument.identifies(id))?;
-        if let Some(force) = instrument.bar().and_then(|bar| bar.prepared.force.as_ref()) {
-            config.free_for_force(model, force.parameter())?;
-        }
-        instrument.place(model, &plan.fix)?;
-    }
+    set_roles(&mut runs, config, &[])?;
     let mut rows = Vec::new();
     for file in &data.rows {
         let data_set = runs.len() + 1;
@@ -238,8 +225,8 @@ fn laid_out<'w>(
         let contradicting = file.measured.checked(alone, &flange).map_err(bad)?;
         let (whole, model) = file.at_nominal(&flange).map_err(|error| bad(error.into()))?;
         let mut set = RowSet::new(whole, contradicting, judged);
-        let mut run =
-            Run { instrument: set.fitting(), model: model.with_drives(DriveTrain::of(robot, &flange)) };
+        let model = model.with_drives(DriveTrain::of(robot, &flange)).with(config.named());
+        let mut run = Run { instrument: set.fitting(), model };
         if !run.instrument.place(&mut run.model, &plan.fix)? {
             return Err(CalibrateError::NoPlace { data_set });
         }
@@ -254,10 +241,11 @@ fn laid_out<'w>(
         rows.push(set);
         runs.push(run);
     }
-    for Run { model, .. } in &mut runs {
-        free_robot(model, &flange, &plan.fix, config.tolerance_mm_mrad * 1e-3)?;
+    for Run { model, .. } in &mut runs[data.bars.len()..] {
+        config.set_link_roles(model)?;
     }
-    known_somewhere(&runs, &plan.fix)?;
+    config.require_known(runs.iter().map(|run| &run.model))?;
+    plan.tolerances = tolerances(&runs, config);
     plan.groups = if data.bars.is_empty() {
         let measured =
             |run: &Run| Ok(run.instrument.samples() * run.instrument.data_set(&run.model, 1.0)?.rows());
@@ -268,7 +256,7 @@ fn laid_out<'w>(
             run.model = run.model.clone().with(ParameterId::joint_waves(last));
         }
         let known = |id: &ParameterId| runs.iter().any(|run| run.model.parameter(*id).is_some());
-        let mut groups = rows::groups(last, |id| known(id) && !plan.fix.contains(id));
+        let mut groups = rows::groups(last, |id| known(id) && !config.named().any(|named| named == *id));
         groups.retain(|group| config.joint_terms.candidates.contains(&group.group));
         groups
     } else {
@@ -348,27 +336,4 @@ fn staged(
     let changed = change::checked(&runs, &sigmas, &config.prepare)?;
     let solved = Solved { columns, solution, without_terms, candidates, prior_scale, sigmas };
     Ok(MixedCalibration { runs, rows, solved, changed, deployed })
-}
-
-/// The same numbers of the robot's links are free in every model; those of the last one belong to what is mounted there.
-pub(crate) fn free_robot(
-    model: &mut Model,
-    flange: &Chain,
-    fix: &[ParameterId],
-    sigma: f64,
-) -> Result<(), ModelError> {
-    let last = flange.links.len().saturating_sub(1);
-    let all = model.ids();
-    let of_links = |id: &ParameterId| matches!(id, ParameterId::Robot { link, .. } if *link < last);
-    model.set_roles(all.into_iter().filter(|id| of_links(id) || fix.contains(id)), Role::Fixed)?;
-    free_links(model, &link_ids(flange), fix, sigma)
-}
-
-/// Every parameter that is fixed by name belongs to some data set.
-fn known_somewhere(runs: &[Run], fix: &[ParameterId]) -> Result<(), ModelError> {
-    let is_known = |id: &ParameterId| {
-        matches!(id, ParameterId::JointWave { .. })
-            || runs.iter().any(|run| run.model.parameter(*id).is_some())
-    };
-    fix.iter().find(|id| !is_known(id)).map_or(Ok(()), |id| Err(ModelError::NotInModel { id: *id }))
 }

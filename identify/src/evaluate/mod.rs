@@ -9,6 +9,7 @@ mod held_out;
 mod limits;
 mod nominal;
 mod scale;
+mod separation;
 mod shift;
 mod sphere_deviation;
 
@@ -26,5 +27,6 @@ pub use held_out::{HeldOut, HeldOutSegment, PoseError, PoseErrorRms, held_out, n
 pub use limits::{Limit, ScaleFrom, limits, of_changes, of_solution};
 pub use nominal::uncalibrated;
 pub use scale::scale_sentence;
+pub use separation::not_separated;
 pub use shift::{ShiftCurve, shift_curve};
 pub use sphere_deviation::{Deviation, Elongation, OffSphere, PositiveForce, SphereDeviation};

@@ -11,7 +11,7 @@ pub use poses::{PoseError, Poses};
 use shared::config::{BallBarConfig, RobotConfig};
 
 use crate::calibrate::CostName;
-use crate::calibrate::selection::structure::is_geometry;
+use crate::calibrate::selection::structure::{is_geometry, surplus};
 use crate::cost::{
     AngleNoise, CostError, Length, LoopProblem, Position, PositionAngles, Residual, Transform, WhitenedPose,
 };
@@ -51,7 +51,9 @@ pub struct Examination {
     pub all: Identifiability,
     /// And the two rotations of the base.
     pub tilted: Identifiability,
-    /// What the thesis' fixed parameters do to its free ones.
+    /// What has to be fixed beside the thesis' parameters, where this robot's depend on each other.
+    pub surplus: Vec<ParameterId>,
+    /// What the thesis' fixed parameters and these do to the free ones.
     pub influence: Influence,
     /// Of the thesis' free parameters, in mm and mrad.
     pub observability: Observability,
@@ -106,13 +108,25 @@ fn examine_with<R: Residual>(
     let tilted = identified(&model)?;
 
     model.select(Selection::Thesis, R::identifies);
+    let mut fixed = Vec::new();
+    let independent = loop {
+        let free: Vec<ParameterId> = model.columns().map(|parameter| parameter.id).collect();
+        let found = identified(&model)?;
+        let more = surplus(&found, &free);
+        if more.is_empty() {
+            break found;
+        }
+        model.set_roles(more.iter().copied(), Role::Fixed)?;
+        fixed.extend(more);
+    };
     let units: Vec<f64> = model.columns().map(|p| p.id.unit().display_factor().recip()).collect();
-    let observability = identified(&model)?.observability(&units);
+    let observability = independent.observability(&units);
     let held = THESIS_FIXED.iter().map(|name| name.parse()).collect::<Result<Vec<ParameterId>, _>>()?;
-    let held: Vec<ParameterId> = held.into_iter().filter(|id| R::depends_on(*id)).collect();
+    let held = held.into_iter().chain(fixed.iter().copied());
+    let held: Vec<ParameterId> = held.filter(|id| R::depends_on(*id)).collect();
     model.set_roles(held.iter().copied(), Role::Free)?;
     let columns: Vec<usize> = held.iter().filter_map(|id| model.column_of(*id)).collect();
     let problem = LoopProblem::new(&model, &poses.joints, &poses.observations, &residual, 1.0)?;
     let influence = influence(&problem, &model.start(), &columns, &options)?;
-    Ok(Examination { cost, all, tilted, influence, observability })
+    Ok(Examination { cost, all, tilted, surplus: fixed, influence, observability })
 }

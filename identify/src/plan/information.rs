@@ -27,9 +27,6 @@ const POSTURES: usize = 300;
 /// Rate of the recording \[1/s\].
 const SAMPLES_PER_S: f64 = 100.0;
 
-/// No link is further from its nominal value, one standard deviation \[m, rad\]. Where a robot's axes are parallel some lengths
-/// depend on each other whatever the path, without a say in positions: this alone separates them.
-const LINK_SIGMA: f64 = 10e-3;
 /// Standard deviation of what counts as known, SI.
 const KNOWN_SIGMA: f64 = 1e-9;
 
@@ -142,9 +139,6 @@ impl Information {
         let scale = model.column_of(ParameterId::PLATE);
         let mut known = Normal::zeros(model.columns().len());
         known.add_priors(&model.priors(), &model.start());
-        for &column in &robot_columns {
-            known.matrix[(column, column)] += LINK_SIGMA.powi(-2);
-        }
         let noise = config.noise.into();
         let kept = config.prepare.points_max as f64 / duration_s.max(1.0);
         let samples_per_s = if kept > 0.0 { kept.min(SAMPLES_PER_S) } else { SAMPLES_PER_S };

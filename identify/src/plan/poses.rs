@@ -14,7 +14,6 @@ use shared::config::RobotConfig;
 
 use super::Bodies;
 use crate::calibrate::IdentifyConfig;
-use crate::calibrate::mix::free_robot;
 use crate::calibrate::rows::{WAVES_PER_TURN_MAX, groups};
 use crate::calibrate::selection::terms::CandidateGroup;
 use crate::cost::{LoopProblem, MeasuredLength, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
@@ -282,7 +281,7 @@ impl<'a> Known<'a> {
         let own: Vec<ParameterId> = model.ids().into_iter().filter(is_own).collect();
         let waves = ParameterId::joint_waves(WAVES_PER_TURN_MAX);
         let mut model = model.with_drives(DriveTrain::of(request.robot, &flange)).with(waves);
-        free_robot(&mut model, &flange, &[], IdentifyConfig::default().tolerance_mm_mrad * 1e-3)?;
+        IdentifyConfig::default().set_link_roles(&mut model)?;
         for id in model.ids() {
             match id {
                 ParameterId::Attachment { axis, .. }

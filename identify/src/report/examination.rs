@@ -23,6 +23,14 @@ pub fn examinations(examinations: &[Examination]) -> String {
             one.tilted.names.len(),
             gap(&one.tilted),
         );
+        if !one.surplus.is_empty() {
+            let names: Vec<String> = one.surplus.iter().map(ToString::to_string).collect();
+            let _ = writeln!(
+                text,
+                "  fixed beside the thesis' nine, since they depend on others: {}",
+                names.join(" ")
+            );
+        }
         influences(&mut text, &one.influence);
         let o = &one.observability;
         let _ = writeln!(

@@ -48,6 +48,7 @@ pub fn summary(
         (!parts.is_empty()).then(|| format!("held-out data with a part of it: {}", parts.join("; "))),
         file.scale.as_ref().map(|scale| format!("scale: {scale}")),
         Some(format!("limited by: {}{}", limit(file).trim_end_matches('.'), measured(file))),
+        not_separated(file),
         Some(files(written, page)),
         Some(format!("next: {}", next(file))),
     ];
@@ -56,6 +57,18 @@ pub fn summary(
 
 /// What stands above every result of a simulated recording.
 pub(super) const SIMULATED: &str = "SIMULATED: the recording is of the simulated bus, no robot was measured";
+
+/// Numbers of the robot's links that the data determine in combination only, and those that they do not determine at all.
+pub(in crate::report) fn not_separated(file: &CalibrationFile) -> Option<String> {
+    let (groups, single): (Vec<&str>, Vec<&str>) =
+        file.not_separated.iter().map(String::as_str).partition(|group| group.contains('|'));
+    let part =
+        |what: &str, names: Vec<&str>| (!names.is_empty()).then(|| format!("{what}: {}", names.join(", ")));
+    let parts =
+        [part("not separated by the data", groups), part("not determined by the data, near nominal", single)];
+    let parts: Vec<String> = parts.into_iter().flatten().collect();
+    (!parts.is_empty()).then(|| parts.join("; "))
+}
 
 /// The first limit that the verdict does not name; the page has them all.
 fn limit(file: &CalibrationFile) -> &str {

@@ -79,9 +79,8 @@ pub(super) fn sizes(family: Family, seed: u64) -> Sizes {
     }
 }
 
-/// `identify calibrate` on files of a run. Where the arm has parallel axes whose offsets only their sum determines, the user
-/// fixes one more, as the program asks for.
-pub(super) fn calibrate(run: &Run, files: &Files, out: &Path) -> Output {
+/// `identify calibrate` on files of a run.
+pub(super) fn calibrate(files: &Files, out: &Path) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_identify"));
     command
         .arg("calibrate")
@@ -90,15 +89,12 @@ pub(super) fn calibrate(run: &Run, files: &Files, out: &Path) -> Output {
         .arg("--robot-log")
         .arg(&files.robot_log);
     command.arg("--robot").arg(&files.robot).arg("--bar").arg(&files.bar).arg("--out").arg(out);
-    for name in run.robot.undetermined.iter().filter(|name| !["rd1", "rd3", "rtheta1"].contains(name)) {
-        command.args(["--fix", name]);
-    }
     command.output().unwrap()
 }
 
 fn calibrated(run: &Run, directory: &Path) -> Outcome {
     let (files, out) = (run.write(directory), directory.join("out"));
-    let output = calibrate(run, &files, &out);
+    let output = calibrate(&files, &out);
     Outcome::of(run, &output, &out)
 }
 
@@ -117,13 +113,19 @@ impl Outcome {
         let correction =
             |entry: &toml::Value| Some((entry["name"].as_str()?.to_owned(), entry["correction"].as_float()?));
         let found: BTreeMap<String, f64> = entries.iter().filter_map(correction).collect();
+        // Of parallel axes the last has the sum of all offsets, of which the first alone is wrong.
+        let mut truth = run.truth.robot.clone();
+        let last = run.robot.undetermined.iter().rfind(|name| name.starts_with("rd"));
+        if let Some(last) = last.filter(|last| **last != "rd1") {
+            truth.insert((*last).to_owned(), truth["rd2"]);
+        }
         // Name, error and its standard uncertainty [mm, mrad].
         let errors: Vec<(&str, f64, f64)> = entries
             .iter()
             .filter(|entry| entry["status"].as_str() != Some("fixed"))
             .filter_map(|entry| {
                 let name = entry["name"].as_str().unwrap();
-                let error = entry["correction"].as_float().unwrap() - run.truth.robot.get(name)?;
+                let error = entry["correction"].as_float().unwrap() - truth.get(name)?;
                 Some((name, error * 1e3, entry["sigma"].as_float()? * 1e3))
             })
             .collect();

@@ -2,19 +2,20 @@
 
 use nalgebra::{Matrix3, Matrix4, Matrix6, Vector3, Vector6};
 
-/// One link, standard convention: `Rz(theta) Tz(d) Tx(a) Rx(alpha)` \[m, rad\]; the joint's angle is added to theta.
+/// One link, standard convention: `Rz(theta) Tz(d) Tx(a) Rx(alpha)`, then `Ry(beta)` \[m, rad\]; the joint's angle is added to theta.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Dh {
     pub a_m: f64,
     pub alpha_rad: f64,
     pub d_m: f64,
     pub theta_rad: f64,
+    pub beta_rad: f64,
 }
 
 impl Dh {
     /// From the units that data sheets have \[m, deg\].
     pub fn new(a_m: f64, alpha_deg: f64, d_m: f64, theta_deg: f64) -> Self {
-        Self { a_m, alpha_rad: alpha_deg.to_radians(), d_m, theta_rad: theta_deg.to_radians() }
+        Self { a_m, alpha_rad: alpha_deg.to_radians(), d_m, theta_rad: theta_deg.to_radians(), beta_rad: 0.0 }
     }
 
     /// `previous_from_link` where the joint stands at `angle_rad`.
@@ -28,7 +29,15 @@ impl Dh {
             0.0,      sa,       ca, self.d_m,
             0.0,     0.0,      0.0, 1.0,
         );
-        rows
+        let (sb, cb) = self.beta_rad.sin_cos();
+        #[rustfmt::skip]
+        let about_y = Matrix4::new(
+            cb,  0.0, sb,  0.0,
+            0.0, 1.0, 0.0, 0.0,
+            -sb, 0.0, cb,  0.0,
+            0.0, 0.0, 0.0, 1.0,
+        );
+        rows * about_y
     }
 }
 

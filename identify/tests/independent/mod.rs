@@ -348,6 +348,7 @@ impl Run {
             link.d_m += of("rd");
             link.alpha_rad += of("ralpha");
             link.theta_rad += of("rtheta");
+            link.beta_rad += of("rbeta");
         }
         let mut random = ChaCha8Rng::seed_from_u64(1);
         let limits = self.robot.limits_rad();

@@ -1,14 +1,14 @@
-//! Which numbers of a robot's links are free where other instruments than the ball-bar measure its end.
+//! Which numbers of a robot's links are free, whatever instrument measures its end.
 
 use nalgebra::Vector3;
 use shared::config::JointKind;
 
 use crate::kinematics::{Chain, LinkParameter, Trace, Tracer};
-use crate::model::{Model, ModelError, ParameterId, Role};
+use crate::model::ParameterId;
 
 /// What the links are freed to do: 4 numbers of each, by the two axes that it joins.
 ///
-/// The first link's `d` and `theta` are the tracker's place, the last link is the probe's mounting. Between nearly
+/// The first link's `d` and `theta` are the instrument's place, the last link is its mounting. Between nearly
 /// parallel axes `d` has no value and Hayati's `beta` takes its place; a length along such axes is told once, by the `d`
 /// of the link after them.
 ///
@@ -42,11 +42,16 @@ fn link_parameters(robot: &Chain, directions: &[Vector3<f64>], link: usize) -> V
     free
 }
 
-/// The numbers of all links that are free.
-pub(in crate::calibrate) fn link_ids(robot: &Chain) -> Vec<ParameterId> {
+/// Directions of the joints' axes of the nominal robot.
+fn directions(robot: &Chain) -> Vec<Vector3<f64>> {
     let mut trace = Trace::default();
     Tracer::new(robot).trace(&[], &mut trace);
-    let directions: Vec<Vector3<f64>> = trace.joint_axes().map(|(_, direction)| direction).collect();
+    trace.joint_axes().map(|(_, direction)| direction).collect()
+}
+
+/// The numbers of all links that are free.
+pub(in crate::calibrate) fn link_ids(robot: &Chain) -> Vec<ParameterId> {
+    let directions = directions(robot);
     let of = |link: usize| {
         let free = link_parameters(robot, &directions, link).into_iter();
         free.map(move |parameter| ParameterId::Robot { link, parameter })
@@ -54,22 +59,21 @@ pub(in crate::calibrate) fn link_ids(robot: &Chain) -> Vec<ParameterId> {
     (0..robot.links.len()).flat_map(of).collect()
 }
 
-/// Frees numbers of links, expected at nominal within a tolerance, one standard deviation \[m, rad\], but for those in `fix`,
-/// which stay there within it.
-///
-/// # Errors
-/// [`ModelError::BadPrior`].
-pub(in crate::calibrate) fn free_links(
-    model: &mut Model,
-    ids: &[ParameterId],
-    fix: &[ParameterId],
-    sigma: f64,
-) -> Result<(), ModelError> {
-    for &id in ids {
-        let Some(value) = model.parameter(id).map(|parameter| parameter.nominal) else { continue };
-        let held = fix.contains(&id);
-        let role = if held { Role::Considered { sigma } } else { Role::Prior { value, sigma } };
-        model.set_role(id, role)?;
-    }
-    Ok(())
+/// Offsets along parallel axes, of which any data determine the sum alone. The last of each group is the one that is free.
+pub(crate) fn inseparable_offsets(robot: &Chain) -> Vec<Vec<ParameterId>> {
+    let free = link_ids(robot);
+    let offset = |link: usize| ParameterId::Robot { link, parameter: LinkParameter::D };
+    let is_carried = |link: &usize| {
+        let parallel = ParameterId::Robot { link: *link, parameter: LinkParameter::Beta };
+        free.contains(&parallel) && !free.contains(&offset(*link))
+    };
+    let last = robot.links.len().saturating_sub(1);
+    let sums = (0..robot.links.len()).filter(|link| *link == last || free.contains(&offset(*link)));
+    let group = |link: usize| -> Vec<ParameterId> {
+        let carried = (0..link).rev().take_while(is_carried).map(offset);
+        let mut group: Vec<ParameterId> = std::iter::once(offset(link)).chain(carried).collect();
+        group.reverse();
+        group
+    };
+    sums.map(group).filter(|group| group.len() > 1).collect()
 }

@@ -1,4 +1,4 @@
-//! What the poses of a run can identify at all, whatever the noise: the start of the automatic selection.
+//! What the poses of a run can identify at all, whatever the noise.
 
 use crate::cost::{CostError, Length, LoopProblem, Position, PositionAngles, Residual, Transform, fill_in};
 use crate::kinematics::{LinkParameter, robot_inverse};
@@ -116,8 +116,8 @@ fn reduce<R: Residual + Copy>(
     }
 }
 
-/// What does nothing, and one of each dependent group.
-fn surplus(found: &Identifiability, free: &[ParameterId]) -> Vec<ParameterId> {
+/// What does nothing, and one of each dependent group: what is best fixed of the `free` parameters that were examined.
+pub(crate) fn surplus(found: &Identifiability, free: &[ParameterId]) -> Vec<ParameterId> {
     let named = |columns: &[usize]| -> Vec<ParameterId> {
         columns.iter().filter_map(|column| free.get(*column).copied()).collect()
     };

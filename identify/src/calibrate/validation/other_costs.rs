@@ -1,7 +1,7 @@
 //! The same runs by the other costs that their encoders allow: what each would have said of the robot.
 
 use crate::calibrate::ball_bar::{BallBarCalibration, CalibrateError, solve};
-use crate::calibrate::config::{CostName, IdentifyConfig, SelectionName};
+use crate::calibrate::config::{CostName, IdentifyConfig};
 use crate::calibrate::pipeline::Solved;
 use crate::instrument::{Instrument, Run};
 use crate::model::{Group, Model, ModelError, ParameterId, Role, TermGroup};
@@ -78,14 +78,10 @@ fn same_terms(calibration: &BallBarCalibration, config: &IdentifyConfig, cost: C
     let measured = calibration.measured();
     config.joint_terms.candidates.clear();
     config.bar_length_um = 0.0;
-    let chosen_here = config.selection == SelectionName::Automatic;
-    if chosen_here {
-        config.encoder_harmonics_urad = 0.0;
-    }
     for parameter in calibration.model.columns().filter(|parameter| cost.identifies(&measured, parameter.id))
     {
         let id = parameter.id;
-        let of_selection = !chosen_here && id.term() == Some(TermGroup::EncoderHarmonics);
+        let of_selection = id.term() == Some(TermGroup::EncoderHarmonics);
         if let Role::Prior { sigma, .. } = parameter.role
             && id.term().is_some()
             && !of_selection

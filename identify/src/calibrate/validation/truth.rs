@@ -4,6 +4,7 @@ use nalgebra::{Point3, Vector3};
 use shared::config::RobotConfig;
 
 use crate::calibrate::ball_bar::BallBarCalibration;
+use crate::calibrate::selection::links::inseparable_offsets;
 use crate::kinematics::{LinkParameter, nearest_turn};
 use crate::model::{Model, ParameterId, Unit};
 use crate::simulate::Truth;
@@ -50,7 +51,8 @@ impl Comparison {
             })
             .map(|parameter| Compared {
                 id: parameter.id,
-                truth: true_value(truth, parameter.id, parameter.value),
+                truth: true_value(truth, parameter.id, parameter.value)
+                    + carried_m(&calibration.model, truth, parameter.id),
                 identified: parameter.value,
             })
             .collect();
@@ -98,11 +100,10 @@ pub fn position_errors_m(
     const STEPS: [usize; 6] = [7, 11, 13, 17, 19, 23];
     const POSTURES: usize = 2000;
     let mut true_model = found.clone();
-    for (name, value) in &truth.parameters {
-        if let Ok(id @ ParameterId::Robot { .. }) = name.parse() {
-            // Only what the model does not have is refused.
-            let _ = true_model.set_value(id, *value);
-        }
+    for parameter in found.parameters().iter().filter(|one| matches!(one.id, ParameterId::Robot { .. })) {
+        let value = truth.parameters.get(&parameter.id.to_string()).copied();
+        // Every parameter comes from the model itself.
+        let _ = true_model.set_value(parameter.id, value.unwrap_or(parameter.nominal));
     }
     let [identified, truth] = [found, &true_model].map(|model| model.geometry(&model.start()).robot);
     let limits = robot.joint_limits();
@@ -117,6 +118,30 @@ pub fn position_errors_m(
     };
     let mut distances_m: Vec<f64> = (0..POSTURES).map(distance_m).collect();
     (distances_m.iter().sum::<f64>() / POSTURES as f64, quantile(&mut distances_m, 0.95))
+}
+
+/// What the offsets along parallel axes before that of a link add to it \[m\]: data determine their sum alone, which is found as the
+/// last of them while the others stay where they are.
+fn carried_m(found: &Model, truth: &Truth, id: ParameterId) -> f64 {
+    let robot = found.geometry(&[]).robot;
+    let Some(group) = inseparable_offsets(&robot).into_iter().find(|group| group.last() == Some(&id)) else {
+        return 0.0;
+    };
+    let stays = |id: &ParameterId| found.column_of(*id).is_none();
+    let mut sum_m = 0.0;
+    for one in group {
+        let ParameterId::Robot { link, .. } = one else { continue };
+        if one == id {
+            break;
+        }
+        let value = found.parameter(one).map_or(0.0, |parameter| parameter.value);
+        if stays(&one) {
+            sum_m += truth.parameters.get(&one.to_string()).map_or(0.0, |truth| truth - value);
+        }
+        // Of axes that point against each other the offsets count against each other.
+        sum_m *= robot.links.get(link).map_or(1.0, |at| at.alpha_rad.cos().signum());
+    }
+    sum_m
 }
 
 /// The identified `btheta` holds the encoder's unknown offset too; whole turns of an angle mean nothing.

@@ -408,7 +408,8 @@ fn calibration_file(
         inputs,
         ParameterEntry::of_runs(calibration),
     )
-    .with_knowledge(solution);
+    .with_knowledge(solution)
+    .with_separation(&calibration.model, solution);
     file.other_clocks = clocks.collect();
     file.measured = runs.iter().filter_map(RunFiles::measured).collect();
     file.candidates.clone_from(&calibration.candidates);

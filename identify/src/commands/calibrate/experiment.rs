@@ -451,6 +451,7 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
     let files = experiment.files(&bar_arguments);
     let found = found.map_err(|error| refused::of_rows(&result.out, robot, &files, &experiment, error))?;
     let solution = &found.solved.solution;
+    let first = found.runs.first().context("there is no data set")?;
     let mut file = CalibrationFile::new(
         &robot.name,
         &instruments(&found.runs),
@@ -463,7 +464,8 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
             &solution.covariance,
         ),
     )
-    .with_knowledge(solution);
+    .with_knowledge(solution)
+    .with_separation(&first.model, solution);
     let of_bars = bars.iter().zip(&found.runs).enumerate().filter_map(|(number, (files, run))| {
         let prepared = &run.instrument.bar()?.prepared;
         Some(files.clock(number, prepared, &run.model, &found.solved.columns, &solution.covariance))
@@ -519,7 +521,6 @@ pub(super) fn calibrate(mut experiment: Experiment, result: &ResultArguments) ->
         }
         data_sets.push((name(number), Measured::Rows(&set.errors)));
     }
-    let first = found.runs.first().context("there is no data set")?;
     tables += &of_rows::waves(&first.model);
     file.validity = Some(validity);
     let scales: Vec<ScaleFrom> = found.runs.iter().map(|run| (&run.instrument).into()).collect();

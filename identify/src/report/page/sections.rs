@@ -6,8 +6,9 @@ use super::Page;
 use super::drawing::plot::PlotError;
 use super::drawing::{correlations, figures};
 use crate::evaluate::{Evaluation, Expected, Quantiles};
-use crate::model::{Owner, ParameterId};
+use crate::model::{Owner, ParameterId, Unit};
 use crate::report::result::file::{CalibrationFile, Input, ParameterEntry, ReadIn, Status};
+use crate::report::summary::not_separated;
 use crate::report::table::about_links;
 
 /// mm with as many digits as mean something.
@@ -232,6 +233,7 @@ pub(super) fn dependence(file: &CalibrationFile) -> Markup {
             "; residual RMS "
             (figure(solve.residual_rms_start)) " to " (figure(solve.residual_rms)) "."
             @for noise in &file.noise { " Found in what is left: " (noise.sentence()) "." }
+            @if let Some(groups) = not_separated(file) { " Beyond that: " (groups) "." }
         }
         @if !strongest.is_empty() {
             p {

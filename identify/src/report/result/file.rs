@@ -21,10 +21,10 @@ use crate::calibrate::selection::terms::Candidate;
 use crate::calibrate::validation::deployment::Deployment;
 use crate::cost::SharedColumns;
 use crate::evaluate::Limit;
-use crate::evaluate::{Budget, Validity};
+use crate::evaluate::{Budget, Validity, not_separated};
 use crate::model::{Group, Model, Parameter, ParameterId, Role, TermGroup, Unit};
 use crate::report::verdict::Verdict;
-use crate::solver::{Covariance, Identifiability, Summary};
+use crate::solver::{Covariance, Identifiability, Solution, Summary};
 
 /// Version of the file's structure; it rises when a key changes its meaning.
 pub const SCHEMA: u32 = 1;
@@ -291,6 +291,9 @@ pub struct CalibrationFile {
     pub robot: String,
     /// What it was measured with.
     pub instrument: String,
+    /// Numbers of the robot's links of which the data determine no more than a combination, such as `rd2|rd3|rd4`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub not_separated: Vec<String>,
     /// What each recording says of its measurement.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub measured: Vec<MeasurementEntry>,
@@ -371,6 +374,7 @@ impl CalibrationFile {
             software: software(),
             robot: robot.to_owned(),
             instrument: instrument.to_owned(),
+            not_separated: Vec::new(),
             measured: Vec::new(),
             verdict: None,
             limits: Vec::new(),
@@ -399,6 +403,15 @@ impl CalibrationFile {
     /// One of the recordings is of the simulated bus.
     pub fn is_simulated(&self) -> bool {
         self.measured.iter().any(|one| one.simulated)
+    }
+
+    /// Adds what the data do not separate; `model` has the solution's first columns.
+    #[must_use]
+    pub fn with_separation(mut self, model: &Model, solution: &Solution) -> Self {
+        let joined =
+            |group: Vec<ParameterId>| group.iter().map(ToString::to_string).collect::<Vec<_>>().join("|");
+        self.not_separated = not_separated(model, solution).into_iter().map(joined).collect();
+        self
     }
 
     /// Clocks of all data sets that have their own.

@@ -6,6 +6,7 @@
 //! length first, so that metres, radians and seconds compare. The singular values show the rank and how clear its gap is; the
 //! null space shows who depends on whom.
 
+use std::collections::BTreeSet;
 use std::fmt;
 
 use nalgebra::{DMatrix, DVector};
@@ -50,8 +51,8 @@ pub struct Identifiability {
 /// Some free parameters are not determined by the samples.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "{rank} of {columns} free parameters are identified: {what}; fix the surplus ones, give them a prior, \
-     or measure more varied poses"
+    "{rank} of {columns} free parameters are identified: {what}; fix the surplus ones (`--fix {fix}`), \
+     give them a prior, or measure more varied poses"
 )]
 pub struct Unidentifiable {
     /// Rank found.
@@ -60,6 +61,8 @@ pub struct Unidentifiable {
     pub columns: usize,
     /// The culprits by name.
     pub what: String,
+    /// What to fix, so that the others are determined, as it is typed.
+    pub fix: String,
 }
 
 impl Identifiability {
@@ -89,6 +92,51 @@ impl Identifiability {
         Observability::new(&self.triangle, units, self.samples, 1e-9)
     }
 
+    /// Groups of these columns, which have priors, of which the samples with all other priors determine some combination less well
+    /// than the groups' own priors do. A group may be a single column.
+    ///
+    /// In units of the priors' standard deviations the information of everything else about the columns is `S`, the Schur complement
+    /// of the normal matrix. Directions whose eigenvalue of `S` is below one follow the priors; `P` is the projection onto them,
+    /// and columns `i` and `j` with an entry `P_ij` belong to one group.
+    pub fn by_priors(&self, columns: &[usize]) -> Vec<Vec<usize>> {
+        /// A column with a smaller part in such a direction is determined.
+        const PART: f64 = 0.1;
+        let of_others: Vec<usize> =
+            (0..self.names.len()).filter(|column| !columns.contains(column)).collect();
+        let sigma = |column: &usize| self.prior_sigmas.get(*column).copied().flatten();
+        let priors = of_others
+            .iter()
+            .enumerate()
+            .filter_map(|(place, column)| Some(Prior { column: place, value: 0.0, sigma: sigma(column)? }));
+        let priors: Vec<Prior> = priors.collect();
+        let order = [&of_others[..], columns].concat();
+        let mut rows = with_priors(priors.iter(), &self.triangle.select_columns(&order));
+        let own = of_others.len();
+        if rows.nrows() <= own {
+            return if columns.is_empty() { Vec::new() } else { vec![columns.to_vec()] };
+        }
+        for (place, column) in columns.iter().enumerate() {
+            rows.column_mut(own + place).scale_mut(sigma(column).unwrap_or(1.0));
+        }
+        let left = rows.view_range(own.., own..).into_owned();
+        let eigen = (left.tr_mul(&left)).symmetric_eigen();
+        let mut by_prior = DMatrix::<f64>::zeros(columns.len(), columns.len());
+        for (direction, information) in eigen.eigenvectors.column_iter().zip(eigen.eigenvalues.iter()) {
+            if *information < 1.0 {
+                by_prior += direction * direction.transpose();
+            }
+        }
+        let mut groups: Vec<Vec<usize>> = Vec::new();
+        for i in (0..columns.len()).filter(|i| by_prior[(*i, *i)] > PART) {
+            let is_joined = |group: &Vec<usize>| group.iter().any(|j| by_prior[(i, *j)].abs() > PART);
+            let (joined, apart): (Vec<_>, Vec<_>) = groups.into_iter().partition(is_joined);
+            groups = apart;
+            groups.push([joined.concat(), vec![i]].concat());
+        }
+        let named = |group: Vec<usize>| group.into_iter().map(|i| columns[i]).collect();
+        groups.into_iter().map(named).collect()
+    }
+
     /// Columns that are not determined: zero or in a dependent group.
     pub fn undetermined(&self) -> Vec<usize> {
         let mut columns = self.zero_columns.clone();
@@ -106,7 +154,13 @@ impl Identifiability {
         if self.is_full() {
             return Ok(());
         }
-        Err(Unidentifiable { rank: self.rank, columns: self.names.len(), what: self.describe() })
+        let of_groups = self.groups.iter().flat_map(|group| group.columns.iter().take(group.excess));
+        let fix: Vec<usize> = self.zero_columns.iter().chain(of_groups).copied().collect();
+        // A parameter is typed without the number of its run.
+        let names = fix.iter().filter_map(|column| self.name(*column).split('@').next());
+        let names: BTreeSet<&str> = names.collect();
+        let (what, fix) = (self.describe(), names.into_iter().collect::<Vec<_>>().join(","));
+        Err(Unidentifiable { rank: self.rank, columns: self.names.len(), what, fix })
     }
 
     fn name(&self, column: usize) -> &str {

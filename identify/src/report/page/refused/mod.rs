@@ -278,7 +278,8 @@ mod tests {
                 "give the log of this run",
             ),
             (
-                CalibrateError::from(Unidentifiable { rank: 1, columns: 3, what }).to_string(),
+                CalibrateError::from(Unidentifiable { rank: 1, columns: 3, what, fix: "rd2,ra1".into() })
+                    .to_string(),
                 "ra1|ox (fix 1)",
                 "fix the surplus",
             ),

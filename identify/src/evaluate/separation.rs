@@ -1,0 +1,23 @@
+//! Which numbers of the robot's links the data do not separate.
+
+use crate::calibrate::selection::links::inseparable_offsets;
+use crate::model::{Group, Model, ParameterId, Role};
+use crate::solver::Solution;
+
+/// Groups of links' numbers of which the data determine no more than a combination, by name: offsets along parallel axes, whose sum
+/// is all that any data show, and those that follow their tolerance more than they follow these data. A group of one is a number
+/// that the data do not determine. `model` has the solution's first columns.
+pub fn not_separated(model: &Model, solution: &Solution) -> Vec<Vec<ParameterId>> {
+    let with_tolerance = model.columns().enumerate().filter(|(_, one)| {
+        let is_link = matches!(one.id.group(), Group::Link | Group::InPlaceOfAnother);
+        is_link && matches!((one.id, one.role), (ParameterId::Robot { .. }, Role::Prior { .. }))
+    });
+    let (columns, ids): (Vec<usize>, Vec<ParameterId>) =
+        with_tolerance.map(|(column, one)| (column, one.id)).unzip();
+    let id = |column: usize| columns.iter().position(|one| *one == column).map(|place| ids[place]);
+    let of_data = solution.identifiability.by_priors(&columns).into_iter();
+    let of_data = of_data.map(|group| group.into_iter().filter_map(id).collect());
+    let is_free = |group: &Vec<ParameterId>| group.last().is_some_and(|sum| ids.contains(sum));
+    let of_axes = inseparable_offsets(&model.geometry(&[]).robot).into_iter().filter(is_free);
+    of_axes.chain(of_data).collect()
+}

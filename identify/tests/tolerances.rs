@@ -1,0 +1,154 @@
+//! What is free by default: every number of the links, each expected at its nominal value within its tolerance, whatever measures the
+//! robot and whichever numbers the data separate.
+#![allow(clippy::unwrap_used, reason = "a test stops at the first surprise")]
+#![allow(clippy::print_stdout, reason = "figures of a run")]
+
+use std::collections::BTreeSet;
+
+use crate::support::rows::Alone;
+use crate::support::truth::position_error_m;
+use crate::support::{bar, irb2400, ur10};
+use identify::calibrate::ball_bar::{self, BallBarCalibration};
+use identify::calibrate::{IdentifyConfig, JointTermsConfig};
+use identify::evaluate::{not_separated, workspace_error};
+use identify::instrument::PoseRow;
+use identify::kinematics::{LinkParameter, Pose, flange_chain};
+use identify::model::{Model, ParameterId, Role};
+use identify::simulate::{self, Design, Effects, Experiment, Simulated, StaticErrors};
+use nalgebra::Vector3;
+use rand::rngs::StdRng;
+use rand::{Rng, SeedableRng};
+use rand_distr::StandardNormal;
+use shared::config::RobotConfig;
+
+/// No terms, which would only take time.
+fn quick() -> IdentifyConfig {
+    IdentifyConfig {
+        bar_length_um: 0.0,
+        joint_terms: JointTermsConfig { candidates: Vec::new(), ..JointTermsConfig::default() },
+        ..IdentifyConfig::default()
+    }
+}
+
+/// A minute with the bar on a robot of which every number is wrong by a millimetre or milliradian.
+fn run(robot: &RobotConfig) -> Simulated {
+    let (errors, effects) = (StaticErrors::Drawn { seed: 3 }, Effects::LABORATORY);
+    let design = Design { duration_s: 60.0, ..Design::for_robot(robot) };
+    simulate::run(&Experiment { seed: 3, errors, effects, design, ..Experiment::new(robot, &bar()) }).unwrap()
+}
+
+fn calibrated(run: &Simulated, robot: &RobotConfig, config: &IdentifyConfig) -> BallBarCalibration {
+    ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, robot, &bar(), config).unwrap()
+}
+
+fn names(ids: &[ParameterId]) -> String {
+    ids.iter().map(ToString::to_string).collect::<Vec<_>>().join("|")
+}
+
+/// Numbers of links that have a tolerance, without the last link, on which instruments are mounted.
+fn with_tolerance(model: &Model) -> BTreeSet<ParameterId> {
+    let is_one = |id: ParameterId| matches!(id, ParameterId::Robot { link, .. } if link < 5);
+    let of_links = model.columns().filter(|one| is_one(one.id));
+    of_links.filter(|one| matches!(one.role, Role::Prior { .. })).map(|one| one.id).collect()
+}
+
+/// A tracker's rows of a robot whose links are as its file says but for the errors, at joints within so many radians.
+fn tracked(robot: &RobotConfig, reach_rad: [f64; 6]) -> Vec<PoseRow> {
+    let mut random = StdRng::seed_from_u64(5);
+    let mut truth = flange_chain(robot);
+    for link in truth.links.iter_mut().take(5) {
+        link.alpha_rad += 1e-3 * random.sample::<f64, _>(StandardNormal);
+        link.a_m += 1e-3 * random.sample::<f64, _>(StandardNormal);
+    }
+    let place = Pose::translation(-3.0, 0.5, 1.3);
+    let row = |_| {
+        let joints_rad: [f64; 6] =
+            reach_rad.map(|reach| if reach > 0.0 { random.random_range(-reach..reach) } else { 0.4 });
+        let mut seen = place.inverse() * truth.forward(&joints_rad);
+        seen.translation.vector += Vector3::from_fn(|_, _| 2e-5 * random.sample::<f64, _>(StandardNormal));
+        let (position_m, rotation) = (seen.translation.vector, Some(seen.rotation));
+        PoseRow { joints_rad: joints_rad.into(), position_m, rotation, ..PoseRow::default() }
+    };
+    (0..200).map(row).collect()
+}
+
+/// Three parallel axes: `rd2`, `rd3` and `rd4` shift the same height.
+#[test]
+fn a_ur10_is_calibrated_with_the_ball_bar_and_what_its_parallel_axes_do_not_separate_is_named() {
+    let robot = ur10();
+    let run = run(&robot);
+    let found = calibrated(&run, &robot, &quick());
+    let groups: Vec<String> =
+        not_separated(&found.model, &found.solution).iter().map(|group| names(group)).collect();
+    assert_eq!(groups, ["rd2|rd3|rd4"]);
+    let claimed = workspace_error(&found.model, &found.solution.covariance, &robot.joint_limits()).after;
+    let error_m = position_error_m(&run, &found, &robot);
+    println!("{:.3} mm, claimed up to {:.3} mm", error_m * 1e3, claimed.interval_m[1] * 1e3);
+    assert!(error_m < 0.2e-3 && error_m < claimed.interval_m[1], "{error_m} {claimed:?}");
+}
+
+#[test]
+fn the_same_numbers_are_free_whichever_instrument_measures_the_robot() {
+    let robot = irb2400();
+    let by_bar = with_tolerance(&calibrated(&run(&robot), &robot, &quick()).model);
+    let found = Alone::quick().without_joint_errors().poses(&tracked(&robot, [1.0; 6]), &robot).unwrap();
+    assert_eq!(by_bar, with_tolerance(found.model()));
+    let named = |parameter| by_bar.contains(&ParameterId::Robot { link: 1, parameter });
+    assert!(named(LinkParameter::Beta) && !named(LinkParameter::D), "{by_bar:?}");
+}
+
+/// What is fixed by name stays, is exact where it only says where a frame is, and is uncertain by its tolerance otherwise.
+#[test]
+fn only_what_is_fixed_by_name_is_fixed() {
+    let robot = ur10();
+    let fix = ["rd2", "ra3", "balpha2"].map(str::to_owned).to_vec();
+    let found = calibrated(&run(&robot), &robot, &IdentifyConfig { fix, ..quick() });
+    let role = |name: &str| found.model.parameter(name.parse().unwrap()).unwrap().role;
+    assert_eq!(role("rd2"), Role::Fixed);
+    assert_eq!([role("ra3"), role("balpha2")], [Role::Considered { sigma: 1e-3 }; 2]);
+    let fixed = found.model.parameters().iter().filter(|one| {
+        let of_chains = matches!(one.id, ParameterId::Robot { .. } | ParameterId::Bar { .. });
+        let beta = matches!(one.id, ParameterId::Robot { parameter: LinkParameter::Beta, .. });
+        of_chains && !beta && !one.role.is_estimated()
+    });
+    let fixed: Vec<String> = fixed.map(|one| one.id.to_string()).collect();
+    let of_frames = ["rd1", "rtheta1", "rd2", "rd3", "bd1", "ba5", "bd5", "balpha5"].map(str::to_owned);
+    let expected: BTreeSet<String> = of_frames.into_iter().chain(["ra3".into(), "balpha2".into()]).collect();
+    assert_eq!(fixed.into_iter().collect::<BTreeSet<_>>(), expected);
+}
+
+/// Joint 3 stands still: what it would separate is named and stays near nominal, and the rest is found.
+#[test]
+fn what_the_data_do_not_determine_is_named_and_stays_near_nominal() {
+    let robot = irb2400();
+    let rows = tracked(&robot, [1.0, 1.0, 0.0, 1.0, 1.0, 1.0]);
+    let found = Alone::quick().without_joint_errors().poses(&rows, &robot).unwrap();
+    let groups = not_separated(found.model(), &found.0.solved.solution);
+    println!("{:?}", groups.iter().map(|group| names(group)).collect::<Vec<_>>());
+    let of_joint_3: Vec<ParameterId> = groups.iter().skip(1).flatten().copied().collect();
+    for name in ["rtheta3", "ra2"] {
+        assert!(of_joint_3.contains(&name.parse().unwrap()), "{groups:?}");
+    }
+    let scale = found.0.solved.prior_scale;
+    for id in of_joint_3 {
+        let one = found.model().parameter(id).unwrap();
+        assert!((one.value - one.nominal).abs() < 3e-3 * scale, "{id}: {one:?}");
+    }
+    let of_wrist: ParameterId = "ralpha4".parse().unwrap();
+    assert!(found.sigma(of_wrist).unwrap() < 1e-4);
+}
+
+#[test]
+fn a_parameter_that_has_a_role_by_name_has_to_be_one_of_the_model() {
+    let robot = irb2400();
+    for config in [
+        IdentifyConfig { fix: vec!["probe_x".into()], ..quick() },
+        IdentifyConfig { free: vec!["probe_x".into()], ..quick() },
+        IdentifyConfig { priors: [("probe_x".to_owned(), 1.0)].into(), ..quick() },
+    ] {
+        let run = run(&robot);
+        let error = ball_bar::calibrate(&run.cycles, &run.encoders, &run.robot_log, &robot, &bar(), &config)
+            .unwrap_err();
+        assert!(error.to_string().contains("no parameter `probe_x`"), "{error}");
+    }
+}
