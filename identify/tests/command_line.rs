@@ -122,7 +122,7 @@ fn a_calibration_prints_a_table_and_writes_every_parameter_with_sigma_and_state(
     };
     // Table 3.1 of the thesis: ra3 is 1.52 mm short.
     let (status, has_sigma, correction) = entry("ra3");
-    assert_eq!((status.as_str(), has_sigma), ("identified", true));
+    assert_eq!((status.as_str(), has_sigma), ("identified_with_prior", true));
     assert!((correction.as_float().unwrap() + 1.52e-3).abs() < 1e-6);
     // The plate is what its measurement says; balpha4 was fixed by name and has its tolerance; rd1 says where the base is.
     let (status, has_sigma, correction) = entry("ra6");
@@ -139,8 +139,8 @@ fn freeing_what_cannot_be_identified_is_refused_with_its_name() {
     let out = tempfile::tempdir().unwrap();
     let directory = experiment();
     let (recording, log) = (directory.join("recording.mcap"), directory.join("robot_log.csv"));
-    let output = calibrate(&recording, &log, &["--free", "rd3"], out.path());
-    refused_with_page(&output, &["63 of 64", "rd2", "rd3"], out.path());
+    let output = calibrate(&recording, &log, &["--free", "rd2,rd3"], out.path());
+    refused_with_page(&output, &["65 of 66", "dependent rd2", "rd3", "--fix rd2"], out.path());
     let out = tempfile::tempdir().unwrap();
     let unknown = calibrate(&recording, &log, &["--free", "rgamma3"], out.path());
     refused(&unknown, &["no parameter is called `rgamma3`"], out.path());
