@@ -6,7 +6,7 @@ use super::Page;
 use super::drawing::plot::PlotError;
 use super::drawing::{correlations, figures};
 use crate::evaluate::{Evaluation, Expected, Quantiles};
-use crate::model::{Owner, ParameterId, Unit};
+use crate::model::{Owner, ParameterId};
 use crate::report::result::file::{CalibrationFile, Input, ParameterEntry, ReadIn, Status};
 use crate::report::summary::not_separated;
 use crate::report::table::about_links;
