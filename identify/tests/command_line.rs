@@ -578,7 +578,7 @@ fn milliseconds_under_a_header_of_seconds_and_decimal_commas_are_refused_with_wh
         output.output().unwrap()
     };
     let inputs = tempfile::tempdir().unwrap();
-    fails(&inspected(&edited_log(inputs.path(), in_ms)), &["`t_s` counts ms", "--propose FILE"]);
+    fails(&inspected(&edited_log(inputs.path(), in_ms)), &["`t_s` counts ms", "--propose FILE writes"]);
     let commas = |_: usize, line: &str| line.replace(',', ";").replace('.', ",");
     refused_log(commas, &["has a decimal comma", "decimal_comma = true", "--log-mapping", "--propose"]);
 }

@@ -133,7 +133,7 @@ fn lengths_in_another_unit_are_refused_with_the_unit_and_short_strokes_are_not()
     };
     // Metres, centimetres and inches read as millimetres, millimetres read as centimetres.
     for (factor, why) in [(1e-3, "1000"), (0.1, "10"), (1.0 / 25.4, "25.4"), (10.0, "0.1")] {
-        let refused = Alone::default().lengths(&read_as(factor), &irb120()).unwrap_err().to_string();
+        let refused = Alone::default().lengths(&read_as(factor), &irb120()).err().unwrap().to_string();
         let why = format!("the lengths are {why} times as long as read");
         assert!(refused.contains(&why), "{factor}: {refused}");
     }
@@ -181,7 +181,7 @@ fn a_calibration_from_rows_reports_its_stages_to_who_watches() {
 #[test]
 fn rows_that_all_contradict_the_robots_file_are_of_another_robot_and_not_too_few() {
     let (rows, _) = made_up(200);
-    let refused = Alone::default().lengths(&rows, &crate::support::ur10()).unwrap_err().to_string();
+    let refused = Alone::default().lengths(&rows, &crate::support::ur10()).err().unwrap().to_string();
     assert!(refused.contains("in 200 of 200 rows the controller's flange is not where"), "{refused}");
     assert!(refused.contains("give the file of this robot"), "{refused}");
 }

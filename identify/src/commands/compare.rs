@@ -23,8 +23,8 @@ pub struct CompareArguments {
 pub fn run(arguments: &CompareArguments) -> anyhow::Result<()> {
     let files: Vec<CalibrationFile> =
         arguments.calibrations.iter().map(|path| CalibrationFile::open(path)).collect::<Result<_, _>>()?;
-    let pairs = (0..files.len()).flat_map(|second| (0..second).map(move |first| (first, second)));
-    for (first, second) in pairs.filter(|(first, second)| files[*first] == files[*second]) {
+    let mut pairs = (0..files.len()).flat_map(|second| (0..second).map(move |first| (first, second)));
+    if let Some((first, second)) = pairs.find(|(first, second)| files[*first] == files[*second]) {
         anyhow::bail!(
             "{} and {} are the same calibration; give those of two measurements",
             arguments.calibrations[first].display(),

@@ -184,7 +184,7 @@ impl Settings {
         match (found.is_empty(), refusals.is_empty()) {
             (false, _) => Ok(found),
             (true, false) => anyhow::bail!(
-                "{}; if it is a table of another layout, --propose FILE writes a mapping for it",
+                "{}; for a table of another layout --propose FILE writes a mapping",
                 refusals.join("; ").trim_end_matches('.')
             ),
             _ if is_of_bar => anyhow::bail!("it has counters of the bar; say with --bar which bar's"),

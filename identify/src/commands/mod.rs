@@ -101,7 +101,7 @@ fn ensure_can_write(directory: &Path) -> anyhow::Result<()> {
     let tried = File::create_new(&trial).and_then(|_| std::fs::remove_file(&trial));
     tried.with_context(|| {
         let (out, there) = (directory.display(), there.display());
-        format!("--out {out}: no file can be made in {there}; give another directory")
+        format!("--out {out}: cannot write in {there}; give another directory")
     })
 }
 

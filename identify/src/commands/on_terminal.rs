@@ -4,7 +4,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use crate::solver::{Progress, Watch};
 
@@ -31,7 +31,6 @@ pub fn interrupt(ends: bool) {
 #[derive(Debug)]
 pub struct OnTerminal {
     bar: ProgressBar,
-    began: std::time::Instant,
     /// Part of the work that runs.
     stage: Mutex<String>,
 }
@@ -60,35 +59,42 @@ impl OnTerminal {
             });
         });
         POLLED.store(polled, Ordering::Relaxed);
-        let bar = ProgressBar::no_length();
+        let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::hidden());
         let style = ProgressStyle::with_template("{msg} {wide_bar} {pos}/{len} samples");
         let bar = style.map_or_else(|_| bar.clone(), |style| bar.clone().with_style(style));
         *SHOWN.lock().unwrap_or_else(PoisonError::into_inner) = Some(bar.clone());
-        Self { bar, began: std::time::Instant::now(), stage: Mutex::default() }
+        let shown = bar.clone();
+        // Without a thread nothing is shown.
+        let _ = std::thread::Builder::new().spawn(move || {
+            std::thread::sleep(PATIENCE);
+            if !shown.is_finished() {
+                shown.set_draw_target(ProgressDrawTarget::stderr());
+                // Also shown while no pass over samples reports.
+                shown.enable_steady_tick(PATIENCE);
+            }
+        });
+        Self { bar, stage: Mutex::default() }
     }
 
     /// Shows a sentence about work that has no known end; false once Ctrl-C was pressed.
     pub fn says(&self, sentence: impl FnOnce() -> String) -> bool {
-        if self.began.elapsed() > PATIENCE {
-            if let Ok(style) = ProgressStyle::with_template("{msg}") {
-                self.bar.set_style(style);
-            }
-            self.bar.set_message(sentence());
-        }
+        self.set_template("{msg}");
+        self.bar.set_message(sentence());
         !INTERRUPTED.load(Ordering::Relaxed)
     }
 
     /// Shows how much of some work is done; false once Ctrl-C was pressed.
     pub fn counts(&self, done: usize, of: usize, what: &str) -> bool {
-        if self.began.elapsed() > PATIENCE {
-            let template = format!("{{wide_bar}} {{pos}}/{{len}} {what}, {{eta}} left");
-            if let Ok(style) = ProgressStyle::with_template(&template) {
-                self.bar.set_style(style);
-            }
-            self.bar.set_length(of as u64);
-            self.bar.set_position(done as u64);
-        }
+        self.set_template(&format!("{{wide_bar}} {{pos}}/{{len}} {what}, {{eta}} left"));
+        self.bar.set_length(of as u64);
+        self.bar.set_position(done as u64);
         !INTERRUPTED.load(Ordering::Relaxed)
+    }
+
+    fn set_template(&self, template: &str) {
+        if let Ok(style) = ProgressStyle::with_template(template) {
+            self.bar.set_style(style);
+        }
     }
 
     /// Takes the bar off the terminal.
@@ -101,21 +107,17 @@ impl OnTerminal {
 impl Watch for OnTerminal {
     fn begins(&self, stage: &str) {
         stage.clone_into(&mut self.stage.lock().unwrap_or_else(PoisonError::into_inner));
-        if self.began.elapsed() > PATIENCE {
-            self.bar.set_message(stage.to_owned());
-        }
+        self.bar.set_message(stage.to_owned());
     }
 
     fn goes_on(&self, progress: &Progress) -> bool {
-        if self.began.elapsed() > PATIENCE {
-            self.bar.set_length(progress.samples as u64);
-            self.bar.set_position(progress.samples_done as u64);
-            let stage = self.stage.lock().unwrap_or_else(PoisonError::into_inner);
-            self.bar.set_message(progress.cost.map_or_else(
-                || format!("{stage}: first pass"),
-                |cost| format!("{stage}: iteration {}, cost {cost:.3e}", progress.iteration + 1),
-            ));
-        }
+        self.bar.set_length(progress.samples as u64);
+        self.bar.set_position(progress.samples_done as u64);
+        let stage = self.stage.lock().unwrap_or_else(PoisonError::into_inner);
+        self.bar.set_message(progress.cost.map_or_else(
+            || format!("{stage}: first pass"),
+            |cost| format!("{stage}: iteration {}, cost {cost:.3e}", progress.iteration + 1),
+        ));
         !INTERRUPTED.load(Ordering::Relaxed)
     }
 }

@@ -203,11 +203,8 @@ impl CalibrationFile {
 /// What makes positions uncertain most.
 fn largest_contribution(WorkspaceError { budget, .. }: &WorkspaceError) -> Option<Limit> {
     let most = budget.contributions.first().filter(|most| most.u_m > 0.0)?;
-    let sentence = format!(
-        "{:.0} % of the variance of a position comes from: {}.",
-        100.0 * budget.part(most),
-        most.source
-    );
+    let sentence =
+        format!("{}: {:.0} % of the variance of a position.", most.source, 100.0 * budget.part(most));
     Some(Limit { sentence, serious: false })
 }
 
