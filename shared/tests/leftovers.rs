@@ -5,10 +5,12 @@ use std::fs::File;
 use std::io;
 use std::os::unix::fs::FileExt;
 use std::path::{Path, PathBuf};
+use std::sync::Mutex;
 
+use nix::fcntl::{Flock, FlockArg};
 use shared::recording::{
-    Disk, Recording, RecordingWriter, RecoverError, Recovery, RunFile, RunOverview, recover_file,
-    recover_file_on, recover_leftovers,
+    Disk, Recording, RecordingWriter, RecoverError, Recovery, RunFile, RunOverview, SystemDisk, is_in_use,
+    recover_file, recover_file_on, recover_leftovers, recover_leftovers_on,
 };
 
 use crate::support::run::{START, cycle, run};
@@ -40,6 +42,42 @@ fn names(directory: &Path) -> Vec<String> {
     let mut names: Vec<_> = entries.map(|entry| entry.file_name().into_string().unwrap()).collect();
     names.sort();
     names
+}
+
+/// The shared lock of another process that checks whether a file is in use.
+fn checking(path: &Path) -> Flock<File> {
+    Flock::lock(File::open(path).unwrap(), FlockArg::LockSharedNonblock).unwrap()
+}
+
+#[test]
+fn two_checks_at_once_do_not_take_each_other_for_the_writer() {
+    let directory = tempfile::tempdir().unwrap();
+    let left = left_behind(directory.path(), "crashed");
+    let _other = checking(&left);
+    assert!(!is_in_use(&SystemDisk, &left).unwrap());
+    let writer = running(directory.path(), "running");
+    assert!(is_in_use(&SystemDisk, writer.sink().place().path()).unwrap());
+}
+
+/// A disk with a file that another process checks until the first attempt to lock it.
+#[derive(Debug)]
+struct Checked(Mutex<Option<Flock<File>>>);
+
+impl Disk for Checked {
+    fn lock(&self, file: File) -> io::Result<Flock<File>> {
+        let locked = SystemDisk.lock(file);
+        self.0.lock().unwrap().take();
+        locked
+    }
+}
+
+#[test]
+fn a_run_left_behind_is_recovered_while_another_process_checks_it() {
+    let directory = tempfile::tempdir().unwrap();
+    let left = left_behind(directory.path(), "crashed");
+    let disk = Checked(Mutex::new(Some(checking(&left))));
+    let leftovers = recover_leftovers_on(&disk, directory.path());
+    assert!(matches!(leftovers[..], [ref one] if one.outcome.is_ok()), "{leftovers:?}");
 }
 
 #[test]

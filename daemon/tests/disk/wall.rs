@@ -226,6 +226,11 @@ impl Disk for Wall {
         SystemDisk.lock(file)
     }
 
+    fn is_locked(&self, file: File) -> io::Result<bool> {
+        self.on(Call::Lock, &file)?;
+        SystemDisk.is_locked(file)
+    }
+
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
         self.at(Call::Rename, to)?;
         SystemDisk.rename(from, to)

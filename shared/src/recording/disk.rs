@@ -74,6 +74,15 @@ pub trait Disk: Debug + Send + Sync {
         Flock::lock(file, FlockArg::LockExclusiveNonblock).map_err(|(_, error)| error.into())
     }
 
+    /// Whether another has locked the file with [`lock`](Self::lock). Any number may ask at a time.
+    fn is_locked(&self, file: File) -> io::Result<bool> {
+        match Flock::lock(file, FlockArg::LockSharedNonblock) {
+            Ok(_) => Ok(false),
+            Err((_, Errno::EWOULDBLOCK)) => Ok(true),
+            Err((_, error)) => Err(error.into()),
+        }
+    }
+
     /// Renames without replacing.
     fn rename(&self, from: &Path, to: &Path) -> io::Result<()> {
         match renameat2(AT_FDCWD, from, AT_FDCWD, to, RenameFlags::RENAME_NOREPLACE) {

@@ -6,6 +6,10 @@
 use std::fs::File;
 use std::io::{self, BufReader, BufWriter};
 use std::path::{Path, PathBuf};
+use std::thread;
+use std::time::Duration;
+
+use nix::fcntl::Flock;
 
 use super::disk::{Disk, OpenFile, SystemDisk, is_absent};
 use super::recover::{self, SalvageError, Salvaged};
@@ -19,6 +23,9 @@ use super::writer::WriteError;
 const RECOVERING_ENDING: &str = "mcap.recovering";
 /// Originals of one name that are kept beside each other.
 const TORN_MAX: u32 = 1000;
+/// Attempts to lock a file while [`is_in_use`] of other threads and processes holds a shared lock on it, for microseconds each.
+const LOCK_TRIES: u32 = 100;
+const LOCK_PAUSE: Duration = Duration::from_millis(1);
 
 /// What became of a file.
 #[derive(Debug, Clone, PartialEq)]
@@ -97,7 +104,7 @@ pub fn recover_file_on(disk: &dyn Disk, path: &Path) -> Result<Recovery, Recover
     let stem = active.or_else(|| name.strip_suffix(&format!(".{FINISHED_ENDING}")));
     let stem = stem.ok_or_else(|| RecoverError::NotARecording(path.to_owned()))?;
     let io = |source| RecoverError::Io { path: path.to_owned(), source };
-    let original = disk.lock(disk.open(path).map_err(io)?).map_err(|error| match error.kind() {
+    let original = lock_left_behind(disk, path).map_err(|error| match error.kind() {
         io::ErrorKind::WouldBlock => RecoverError::Busy(path.to_owned()),
         _ => io(error),
     })?;
@@ -175,7 +182,7 @@ fn unnamed_by(path: &Path) -> Option<&str> {
 /// Removes a file in which there is nothing, and which nobody is about to fill.
 fn remove_if_empty(disk: &dyn Disk, path: &Path) -> bool {
     let is_empty = |file: &File| disk.length(file).is_ok_and(|length| length == 0);
-    let unused = disk.open(path).ok().filter(is_empty).and_then(|file| disk.lock(file).ok());
+    let unused = disk.open(path).ok().filter(is_empty).and_then(|_| lock_left_behind(disk, path).ok());
     unused.is_some_and(|unused| is_empty(&unused) && disk.remove(path).is_ok())
 }
 
@@ -263,11 +270,22 @@ fn free_torn_name(disk: &dyn Disk, path: &Path) -> Result<PathBuf, WriteError> {
     Err(WriteError::Exists(first))
 }
 
-/// A living process writes the file.
+/// Whether a living process writes the file. Takes a shared lock for a moment, so that several processes may ask at once.
 pub fn is_in_use(disk: &dyn Disk, path: &Path) -> io::Result<bool> {
-    match disk.open(path).and_then(|file| disk.lock(file)) {
-        Ok(_) => Ok(false),
-        Err(error) if error.kind() == io::ErrorKind::WouldBlock => Ok(true),
-        Err(error) => Err(error),
+    disk.open(path).and_then(|file| disk.is_locked(file))
+}
+
+/// Locks a file that no process writes; `WouldBlock` if one does. Waits for the shared locks of [`is_in_use`].
+fn lock_left_behind(disk: &dyn Disk, path: &Path) -> io::Result<Flock<File>> {
+    for _ in 0..LOCK_TRIES {
+        match disk.lock(disk.open(path)?) {
+            Err(error)
+                if error.kind() == io::ErrorKind::WouldBlock && !is_in_use(disk, path).unwrap_or(true) =>
+            {
+                thread::sleep(LOCK_PAUSE);
+            }
+            outcome => return outcome,
+        }
     }
+    Err(io::ErrorKind::WouldBlock.into())
 }
