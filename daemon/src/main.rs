@@ -2,7 +2,7 @@
 
 use std::process::ExitCode;
 
-use ballbard::commands::{self, Arguments};
+use ballbard::commands::{self, Arguments, UsageError};
 use ballbard::log::Log;
 use clap::Parser;
 use shared::output::explained;
@@ -14,7 +14,7 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             log.line(&format!("error: {}", explained(error.as_ref())));
-            ExitCode::FAILURE
+            if error.is::<UsageError>() { UsageError::EXIT_CODE.into() } else { ExitCode::FAILURE }
         }
     }
 }

@@ -10,7 +10,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use rtrb::{Consumer, Producer, PushError, RingBuffer};
-use shared::recording::schema::{CycleRecord, Event, EventKind, PortCounts, RunMetadata};
+use shared::recording::schema::{CycleRecord, Event, EventKind, PortCounts, Provenance, RunMetadata};
 use shared::recording::{RecordingWriter, RunFile, RunSync, TimingSummary, WriteError};
 use shared::time::{MonoNs, UtcNs};
 
@@ -64,6 +64,8 @@ pub struct RunSummary {
     pub cycles_lost: u64,
     /// Why the run ended.
     pub cause: String,
+    /// Where its counts come from.
+    pub provenance: Provenance,
     /// How well the loop kept its time; none on virtual time.
     pub timing: Option<TimingSummary>,
 }
@@ -157,6 +159,7 @@ pub struct Recorder {
     /// That of the host when it was looked at last \[ns\].
     host_offset_ns: i64,
     cycle_period_ns: i64,
+    provenance: Provenance,
     lost: u64,
     /// Cycles written when the file was last told how well loop and disk kept their time, and the longest
     /// synchronisation until then.
@@ -196,6 +199,7 @@ impl Recorder {
             cut_cycles: (period.as_nanos() as u64 / run.cycle_period_ns.max(1)).max(1),
             utc_minus_monotonic_ns: run.utc_minus_monotonic_ns,
             cycle_period_ns: run.cycle_period_ns as i64,
+            provenance: run.provenance(),
             lost: 0,
             timed: (0, 0),
             cut: (0, Instant::now()),
@@ -453,7 +457,7 @@ impl Recorder {
             }
         };
         self.link.progress.synced(0, Some(self.as_synced()));
-        Ok(RunSummary { path, cycles, cycles_valid, cycles_lost, cause, timing })
+        Ok(RunSummary { path, cycles, cycles_valid, cycles_lost, cause, provenance: self.provenance, timing })
     }
 }
 

@@ -1,12 +1,13 @@
 //! What a person types and what comes back: exit codes, messages, files.
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "tests")]
 
+use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
 
-use shared::recording::Recording;
-use shared::recording::schema::flags;
+use shared::recording::schema::{RunMetadata, flags};
+use shared::recording::{Recording, RecordingWriter};
 
 fn config() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../config")
@@ -21,6 +22,9 @@ fn ballbard() -> Command {
 fn record(out: &Path, arguments: &[&str]) -> Output {
     let mut command = ballbard();
     command.args(["record", "--config"]).arg(config()).arg("--out").arg(out).args(arguments);
+    if !arguments.iter().any(|argument| ["--bus", "--replay"].contains(argument)) {
+        command.args(["--bus", "simulated"]);
+    }
     command.output().unwrap()
 }
 
@@ -59,6 +63,68 @@ fn a_run_is_recorded_and_exported_with_counts_and_angles() {
             assert!((row[6 + index].parse::<f64>().unwrap() - angle_rad).abs() < 1e-8);
         }
     }
+}
+
+#[test]
+fn no_bus_is_assumed() {
+    let out = tempfile::tempdir().unwrap();
+    for verb in ["record", "run"] {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+        let bare = command.args([OsStr::new(verb), OsStr::new("--out"), out.path().as_os_str()]);
+        let output = bare.env_remove("STATE_DIRECTORY").output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{}", said(&output));
+        refused(&output, &["--bus INTERFACE", "--bus simulated", "this machine: ", "lo"], out.path());
+        // As the unit of the package starts it.
+        let output = bare.env("STATE_DIRECTORY", out.path()).output().unwrap();
+        assert_eq!(output.status.code(), Some(2), "{}", said(&output));
+        refused(&output, &["BALLBARD_OPTIONS in /etc/default/ballbard", "lo"], out.path());
+    }
+}
+
+#[test]
+fn simulated_data_are_called_that_from_the_beginning_to_the_end() {
+    let out = tempfile::tempdir().unwrap();
+    let arguments = ["record", "--bus", "simulated", "--name", "made-up", "--duration", "1s", "--fast"];
+    let recorded = |arguments: &[&str]| {
+        let mut command = ballbard();
+        command
+            .env_remove("RUST_LOG")
+            .args(arguments)
+            .arg("--config")
+            .arg(config())
+            .arg("--out")
+            .arg(out.path());
+        let output = command.output().unwrap();
+        assert!(output.status.success(), "{}", said(&output));
+        output
+    };
+    let output = recorded(&arguments);
+    let (begin, end) = (String::from_utf8_lossy(&output.stderr), String::from_utf8_lossy(&output.stdout));
+    assert!(begin.contains("SIMULATED") && end.contains("SIMULATED"), "{}", said(&output));
+    // So is a replay of them, but not one of measured data.
+    let made_up = out.path().join("made-up.mcap");
+    let Recording { run, cycles, .. } = Recording::open(&made_up).unwrap();
+    let ended = run.started;
+    let measured = RunMetadata { name: "measured".into(), bus: "eth1".into(), ..run };
+    let mut writer = RecordingWriter::create(out.path(), &measured).unwrap();
+    cycles.iter().for_each(|cycle| writer.write_cycle(cycle).unwrap());
+    let measured = writer.finish("stopped", ended).unwrap();
+    for (file, name, is_simulated) in [(made_up, "again", true), (measured, "repeated", false)] {
+        let output = recorded(&["record", "--replay", file.to_str().unwrap(), "--name", name, "--fast"]);
+        assert_eq!(said(&output).contains("SIMULATED"), is_simulated, "{}", said(&output));
+        let origin = file.file_stem().unwrap().to_str().unwrap();
+        assert!(said(&output).contains(&format!("replay of `{origin}`, recorded 20")), "{}", said(&output));
+    }
+    let listed = ballbard().arg("runs").arg(out.path()).output().unwrap();
+    let lines = said(&listed);
+    let line = |name: &str| lines.lines().find(|line| line.starts_with(name)).unwrap();
+    assert!(line("made-up").contains("  [SIMULATED]"), "{lines}");
+    assert!(line("again").contains("[SIMULATED, replay of `made-up`, recorded"), "{lines}");
+    assert!(
+        line("repeated").contains("[replay of `measured`") && line("repeated").contains("on eth1]"),
+        "{lines}"
+    );
+    assert!(!line("measured").contains('['), "{lines}");
 }
 
 #[test]
@@ -167,7 +233,8 @@ fn a_bus_that_is_waited_for_can_be_given_up() {
 fn what_a_killed_run_left_is_recovered_when_the_next_begins() {
     let out = tempfile::tempdir().unwrap();
     let mut command = ballbard();
-    command.args(["record", "--name", "killed", "--config"]).arg(config()).arg("--out").arg(out.path());
+    command.args(["record", "--bus", "simulated", "--name", "killed", "--config"]).arg(config());
+    command.arg("--out").arg(out.path());
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
     let active = out.path().join("killed.mcap.active");
     while !active.exists() {
@@ -228,7 +295,8 @@ fn a_wrong_key_in_the_configuration_is_named_with_its_file() {
     ] {
         std::fs::write(directory.path().join("daemon.toml"), broken).unwrap();
         let mut command = ballbard();
-        command.args(["record", "--fast", "--duration", "1s", "--config"]).arg(directory.path());
+        command.args(["record", "--bus", "simulated", "--fast", "--duration", "1s"]);
+        command.arg("--config").arg(directory.path());
         let output = command.arg("--out").arg(out.path()).output().unwrap();
         refused(&output, &["daemon.toml", why], out.path());
     }
@@ -239,7 +307,8 @@ fn a_configuration_that_cannot_be_read_is_named_with_its_cause_once() {
     let (directory, out) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
     std::fs::create_dir(directory.path().join("daemon.toml")).unwrap();
     let mut command = ballbard();
-    command.args(["record", "--fast", "--duration", "1s", "--config"]).arg(directory.path());
+    command.args(["record", "--bus", "simulated", "--fast", "--duration", "1s"]);
+    command.arg("--config").arg(directory.path());
     let output = command.arg("--out").arg(out.path()).output().unwrap();
     refused(&output, &["daemon.toml", "check the path"], out.path());
     assert_eq!(said(&output).matches("Is a directory").count(), 1, "{}", said(&output));
@@ -250,7 +319,7 @@ fn default_names_and_lists_are_in_the_time_of_the_place_and_lists_say_which() {
     let out = tempfile::tempdir().unwrap();
     let there = |mut command: Command| command.env("TZ", "JST-9").output().unwrap();
     let mut record = ballbard();
-    record.args(["record", "--duration", "1s", "--fast", "--config"]).arg(config());
+    record.args(["record", "--bus", "simulated", "--duration", "1s", "--fast", "--config"]).arg(config());
     record.arg("--out").arg(out.path());
     let before = chrono::Utc::now().timestamp();
     let recorded = there(record);
@@ -271,7 +340,8 @@ fn default_names_and_lists_are_in_the_time_of_the_place_and_lists_say_which() {
 fn a_signal_ends_a_run_with_a_finished_file_that_states_it() {
     let out = tempfile::tempdir().unwrap();
     let mut command = ballbard();
-    command.args(["record", "--name", "signal", "--config"]).arg(config()).arg("--out").arg(out.path());
+    command.args(["record", "--bus", "simulated", "--name", "signal", "--config"]).arg(config());
+    command.arg("--out").arg(out.path());
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
     let active = out.path().join("signal.mcap.active");
     while !active.exists() {
@@ -297,7 +367,8 @@ fn commands_without_a_service_answer_programs_too() {
     let (out, config) = (tempfile::tempdir().unwrap(), config());
     let (directory, config) = (out.path().to_str().unwrap(), config.to_str().unwrap());
     let recorded = |name: &str, fault: &str| {
-        let arguments = ["record", "--name", name, "--duration", "2s", "--fast", "--fault", fault];
+        let arguments = ["record", "--bus", "simulated", "--name", name, "--fault", fault];
+        let arguments = [&arguments[..], &["--duration", "2s", "--fast"]].concat();
         json(&[&arguments[..], &["--config", config, "--out", directory]].concat())
     };
     // A whole run, and one without a valid cycle, which is a failure with an answer.
@@ -361,18 +432,23 @@ fn said(output: &Output) -> String {
 
 #[test]
 fn a_run_is_recorded_from_any_directory_and_a_bare_number_is_seconds() {
-    let (directory, output) =
-        nowhere(&["record", "--name", "bare", "--duration", "2", "--fast", "--out", "here"]);
+    let arguments = ["record", "--bus", "simulated", "--name", "bare", "--duration", "2", "--fast"];
+    let (directory, output) = nowhere(&[&arguments[..], &["--out", "here"]].concat());
     assert!(output.status.success(), "{}", said(&output));
     let file = directory.path().join("here/bare.mcap");
     assert_eq!(Recording::open(&file).unwrap().cycles.len(), 200);
-    let wrong = ballbard().args(["record", "--duration", "2 parsecs", "--fast"]).output().unwrap();
-    assert_eq!(wrong.status.code(), Some(2), "{}", said(&wrong));
+    for wrong in ["2 parsecs", "5x", "-1", "1e400"] {
+        let argument = format!("--duration={wrong}");
+        let wrong = ballbard().args(["record", "--bus", "simulated", &argument, "--fast"]).output().unwrap();
+        assert_eq!(wrong.status.code(), Some(2), "{}", said(&wrong));
+        assert!(said(&wrong).contains("such as 90, 90s, 2m or 1h30m"), "{}", said(&wrong));
+    }
 }
 
 #[test]
 fn a_directory_that_was_typed_is_meant_and_what_is_missing_in_it_is_named() {
-    let (_directory, output) = nowhere(&["record", "--config", "nothing-here", "--fast", "--duration", "1"]);
+    let (_directory, output) =
+        nowhere(&["record", "--bus", "simulated", "--config", "nothing-here", "--fast", "--duration", "1"]);
     assert!(
         !output.status.success() && said(&output).contains("nothing-here/daemon.toml"),
         "{}",
@@ -389,18 +465,20 @@ fn a_directory_that_was_typed_is_meant_and_what_is_missing_in_it_is_named() {
 #[test]
 fn an_export_replaces_nothing_unasked_and_has_marks_relative_seconds_and_continental_numbers() {
     let out = tempfile::tempdir().unwrap();
-    let about = ["--robot", "IRB 2400", "--note", "=cmd()", "--fault", "gone:3@1s-1500ms"];
+    let about = ["--robot", "IRB 2400", "--note", "=cmd()\nnext", "--fault", "gone:3@1s-1500ms"];
     let arguments = ["--name", "trial", "--duration", "4s", "--fast"];
     assert!(record(out.path(), &[&arguments[..], &about].concat()).status.success());
     let (file, table) = (out.path().join("trial.mcap"), out.path().join("trial.csv"));
-    let export = |arguments: &[&str]| {
-        ballbard().arg("export").arg("--csv").args(arguments).arg(&file).output().unwrap()
-    };
+    let export = |arguments: &[&str]| ballbard().arg("export").args(arguments).arg(&file).output().unwrap();
     assert!(export(&[]).status.success());
     let first = std::fs::read_to_string(&table).unwrap();
     assert!(first.lines().next().unwrap().ends_with(",cycle,flags,event"), "{}", &first[..200]);
     assert!(
-        first.lines().nth(1).unwrap().ends_with(",robot: IRB 2400; note: =cmd()"),
+        first
+            .lines()
+            .nth(1)
+            .unwrap()
+            .ends_with(",SIMULATED; angles from: counter at 0; robot: IRB 2400; note: =cmd() next"),
         "{:?}",
         first.lines().nth(1)
     );

@@ -25,7 +25,10 @@ fn config() -> PathBuf {
 
 fn record(directory: &Path, name: &str) -> Child {
     let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
-    command.env("RUST_LOG", "off").args(["record", "--name", name, "--config"]).arg(config());
+    command
+        .env("RUST_LOG", "off")
+        .args(["record", "--bus", "simulated", "--name", name, "--config"])
+        .arg(config());
     command.arg("--out").arg(directory).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap()
 }
 

@@ -65,6 +65,15 @@ sed "s|^ExecStart=|&$(realpath "$root")|" daemon/debian/ballbard.service > "$uni
 systemd-analyze verify --man=no "$unit"
 systemd-analyze security --offline=yes --threshold=30 "$unit" | tail -1
 
+step "without an interface it ends with what to set, and is not restarted"
+grep -q '^RestartPreventExitStatus=2$' daemon/debian/ballbard.service || fail "it would be restarted"
+(. "$root/etc/default/ballbard"; [ -z "${BALLBARD_OPTIONS:-}" ]) || fail "the package assumes an interface"
+# /etc/ballbard is found without an option.
+code=0
+inside env STATE_DIRECTORY=/var/lib/ballbard ballbard run 2>"$root/tmp/usage.log" || code=$?
+[ "$code" = 2 ] || fail "exit code $code without an interface"
+grep -q "/etc/default/ballbard" "$root/tmp/usage.log" || fail "no word of what to set"
+
 step "run with what the unit grants, and no more"
 ip -n "$network" link set lo up
 ip -n "$network" link add near type veth peer name far

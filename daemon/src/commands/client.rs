@@ -102,11 +102,9 @@ pub fn start(arguments: StartArguments) -> anyhow::Result<()> {
         return Ok(());
     }
     let run = reply.run.unwrap_or_default();
-    match reply.answer.as_str() {
-        "running" => say(format_args!("run `{run}` goes on already"))?,
-        _ => say(format_args!("run `{run}` has begun"))?,
-    }
-    Ok(())
+    let what = if reply.answer == "running" { "is running already" } else { "has begun" };
+    let simulated = if reply.simulated { "; SIMULATED" } else { "" };
+    Ok(say(format_args!("run `{run}` {what}{simulated}"))?)
 }
 
 pub fn stop(arguments: &AskArguments) -> anyhow::Result<()> {
@@ -155,6 +153,9 @@ pub fn status(arguments: &AskArguments) -> anyhow::Result<()> {
     }
     let reason = status.reason.as_ref().map_or(String::new(), |why| format!(": {why}"));
     say(format_args!("{}{reason}", status.headline().word))?;
+    if status.simulated {
+        say("SIMULATED: no hardware; the encoder counts are made up")?;
+    }
     if let Some(run) = &status.run {
         say(running(run))?;
     }
@@ -232,7 +233,7 @@ fn listed_in(directory: &Path, spare: Option<&Path>) -> anyhow::Result<Vec<RunLi
 /// Nobody answers where the service should be.
 #[derive(Debug, thiserror::Error)]
 #[error("no answer from {url} ({why}); {remedy}")]
-struct NoService {
+pub(super) struct NoService {
     url: String,
     why: ureq::Error,
     remedy: String,
@@ -342,7 +343,7 @@ impl ServiceArguments {
         }
         let from = self.port.map_or_else(|| self.configuration.origin(), |_| "--port".into());
         format!(
-            "is the service running? start it with `ballbard run` (the port is that of {from}; --port takes another, --service \
+            "is the service running? start it with `ballbard run --bus INTERFACE` (the port is that of {from}; --port takes another, --service \
              that of another machine)"
         )
     }
@@ -383,16 +384,13 @@ fn running(run: &RunStatus) -> String {
 }
 
 pub(super) fn last_run(last: &LastRun) -> String {
-    let LastRun { name, file, cycles, cycles_valid, cycles_lost, cause, error: _, timing: _ } = last;
+    let LastRun { name, file, cycles, cycles_valid, cycles_lost, cause, provenance, .. } = last;
     let flagged = cycles - cycles_valid.min(cycles);
-    match file {
-        Some(file) => {
-            format!(
-                "{file}\n{cycles} cycles, {cycles_valid} valid, {flagged} flagged, {cycles_lost} lost; {cause}"
-            )
-        }
-        None => format!("{name}: {cause}"),
-    }
+    let Some(file) = file else { return format!("{name}: {cause}") };
+    let provenance = if provenance.is_measured() { String::new() } else { format!("\n{provenance}") };
+    format!(
+        "{file}\n{cycles} cycles, {cycles_valid} valid, {flagged} flagged, {cycles_lost} lost; {cause}{provenance}"
+    )
 }
 
 fn listed(line: &RunLine) -> String {
@@ -404,6 +402,9 @@ fn listed(line: &RunLine) -> String {
         "{:<28} {started:<26}  {:>8.1} s {:>8} cycles  {verdict}",
         line.name, line.length_s, line.cycles
     );
+    if !line.provenance.is_measured() {
+        let _ = write!(text, "  [{}]", line.provenance);
+    }
     if line.recovered {
         text.push_str("  [recovered]");
     }

@@ -8,7 +8,7 @@ use clap::Args;
 use shared::output::{explained, say};
 use shared::recording::SystemDisk;
 
-use super::client::ServiceArguments;
+use super::client::{NoService, ServiceArguments};
 use super::configuration::State;
 use super::{Format, bus_choice, on_signal};
 use crate::control::homing::Homing;
@@ -21,9 +21,9 @@ const POLL: Duration = Duration::from_millis(200);
 
 #[derive(Debug, Args)]
 pub struct HomeArguments {
-    /// Without a service: network interface such as eth1, or `simulated`, where the joints turn by themselves.
-    /// Default: ask the running service, which has the bus
-    #[arg(long, conflicts_with = "service")]
+    /// Without a service: network interface of the coupler, such as eth1, or `simulated`, where the joints turn by
+    /// themselves. Default: ask the running service, which has the bus
+    #[arg(long, value_name = "INTERFACE", conflicts_with = "service")]
     bus: Option<String>,
     #[command(flatten)]
     state: State,
@@ -45,7 +45,13 @@ pub fn run(arguments: HomeArguments) -> anyhow::Result<()> {
 }
 
 fn by_service(service: &ServiceArguments, stop: &Stop) -> anyhow::Result<()> {
-    let reply: Reply = service.post("home", &HomeRequest {})?;
+    let reply: Reply = service.post("home", &HomeRequest {}).map_err(|error| {
+        if error.is::<NoService>() {
+            error.context("to home without a service add --bus INTERFACE")
+        } else {
+            error
+        }
+    })?;
     let is_ours = reply.answer == "begun";
     if !is_ours && !service.format.json {
         say("the encoders are being homed already, as somebody else asked; this is how it goes on")?;
@@ -85,7 +91,7 @@ fn on_own_bus(bus: &str, service: &ServiceArguments, state: &State, stop: &Stop)
     if let Some(problem) = marks.problem(&SystemDisk) {
         bail!("{problem}; {}", homing::REMEDY);
     }
-    let session = run::open(&bus_choice(bus), &[], &daemon, &bar, &Storage::new(&daemon)?)?;
+    let session = run::open(&bus_choice(Some(bus))?, &[], &daemon, &bar, &Storage::new(&daemon)?)?;
     session.log();
     let (mut printer, mut homing) = (Printer::new(service.format), Homing::begin(&session));
     while !homing.look(&bar.encoders, &marks) {

@@ -17,16 +17,20 @@ pub use export::{Layout, open, write_csv};
 
 use self::signals::Signals;
 use crate::run::BusChoice;
+use crate::segment::interfaces;
 use anyhow::Context;
 use clap::{Args, CommandFactory, Parser, Subcommand};
 use serde::Serialize;
 use shared::generate::GenerateArguments;
-use shared::output::say;
+use shared::output::{named, say};
+use shared::recording::schema::SIMULATED_BUS;
 use shared::version::version;
 use std::time::Duration;
 
-const EXIT_CODES: &str = "Exit codes: 0 done; 1 failed, or what was asked for is bad: a check with problems, a run that is \
-    BAD; 2 not understood.";
+const EXIT_CODES: &str = "Exit codes: 0 done; 1 failure, failed check, or run rated BAD; 2 usage error, such as a run \
+    without --bus.";
+/// Interfaces that a message lists.
+const INTERFACES_MAX: usize = 8;
 
 /// Records a sensed double ball-bar over EtherCAT.
 #[derive(Debug, Parser)]
@@ -110,19 +114,41 @@ impl Format {
 }
 
 /// A duration as a person types it: `90` and `90s` are seconds, `2m` minutes.
-fn duration(text: &str) -> Result<Duration, String> {
-    let seconds = text.trim().parse::<f64>().ok().map(Duration::try_from_secs_f64);
-    match seconds {
-        Some(seconds) => seconds.map_err(|error| error.to_string()),
-        None => humantime::parse_duration(text).map_err(|error| error.to_string()),
+fn duration(text: &str) -> Result<Duration, &'static str> {
+    const FORMS: &str = "write seconds or units, such as 90, 90s, 2m or 1h30m";
+    match text.trim().parse::<f64>() {
+        Ok(seconds) => Duration::try_from_secs_f64(seconds).map_err(|_| FORMS),
+        Err(_) => humantime::parse_duration(text).map_err(|_| FORMS),
     }
 }
 
-/// The bus that a person names.
-fn bus_choice(name: &str) -> BusChoice {
+/// A command that cannot be carried out as it was typed.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct UsageError(String);
+
+impl UsageError {
+    /// As clap ends the program. The Debian package's unit does not restart a service that ends with it.
+    pub const EXIT_CODE: u8 = 2;
+}
+
+/// The bus that a person names. None is assumed: simulated data must not pass for measured ones.
+fn bus_choice(name: Option<&str>) -> Result<BusChoice, UsageError> {
     match name {
-        "simulated" => BusChoice::Simulated,
-        interface => BusChoice::Interface(interface.to_owned()),
+        Some(SIMULATED_BUS) => Ok(BusChoice::Simulated),
+        Some(interface) => Ok(BusChoice::Interface(interface.to_owned())),
+        None => {
+            // As the unit of the Debian package starts it.
+            let remedy = if std::env::var_os("STATE_DIRECTORY").is_some() {
+                " to BALLBARD_OPTIONS in /etc/default/ballbard"
+            } else {
+                ", or --bus simulated for made-up data"
+            };
+            let interfaces = named(&interfaces(), INTERFACES_MAX);
+            Err(UsageError(format!(
+                "no bus is given; add --bus INTERFACE{remedy}\nnetwork interfaces of this machine: {interfaces}"
+            )))
+        }
     }
 }
 

@@ -7,6 +7,7 @@ use clap::Args;
 use shared::config::HomingConfig;
 use shared::output::say;
 use shared::recording::SystemDisk;
+use shared::recording::schema::SIMULATED_BUS;
 
 use super::client::{last_run, unless_blind};
 use super::configuration::{Configuration, State};
@@ -24,10 +25,10 @@ pub struct RecordArguments {
     /// How long: 90 (seconds), 90s or 2m; default: until Ctrl-C, or to the end of a replay
     #[arg(long, value_parser = super::duration)]
     duration: Option<Duration>,
-    /// `simulated`, or a network interface such as eth1
-    #[arg(long, default_value = "simulated")]
-    bus: String,
-    /// Let the simulated encoders follow this recording
+    /// Network interface of the coupler, such as eth1; `simulated` records made-up data without hardware
+    #[arg(long, value_name = "INTERFACE")]
+    bus: Option<String>,
+    /// Let the encoders of the simulated bus follow this recording
     #[arg(long, value_name = "FILE")]
     replay: Option<PathBuf>,
     /// If the bus does not come up, say what is missing and try again until it does
@@ -76,12 +77,12 @@ pub fn run(arguments: &RecordArguments) -> anyhow::Result<()> {
 }
 
 fn request(arguments: &RecordArguments, homing: Option<HomingConfig>) -> anyhow::Result<RunRequest> {
-    let bus = match (&arguments.replay, arguments.bus.as_str()) {
-        (Some(file), "simulated") => BusChoice::Replay(file.clone()),
-        (Some(_), interface) => {
+    let bus = match (&arguments.replay, arguments.bus.as_deref()) {
+        (Some(file), None | Some(SIMULATED_BUS)) => BusChoice::Replay(file.clone()),
+        (Some(_), Some(interface)) => {
             anyhow::bail!("--replay plays on the simulated bus, not on {interface}; leave out one of the two")
         }
-        (None, name) => bus_choice(name),
+        (None, name) => bus_choice(name)?,
     };
     let name = arguments.name.clone();
     Ok(RunRequest {
@@ -98,7 +99,7 @@ fn request(arguments: &RecordArguments, homing: Option<HomingConfig>) -> anyhow:
 
 /// What the service says of a run that is over.
 fn over(name: String, summary: RunSummary) -> LastRun {
-    let RunSummary { path, cycles, cycles_valid, cycles_lost, cause, timing } = summary;
+    let RunSummary { path, cycles, cycles_valid, cycles_lost, cause, provenance, timing } = summary;
     let file = Some(path.display().to_string());
-    LastRun { name, file, cycles, cycles_valid, cycles_lost, cause, error: None, timing }
+    LastRun { name, file, cycles, cycles_valid, cycles_lost, cause, error: None, timing, provenance }
 }

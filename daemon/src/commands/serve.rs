@@ -29,9 +29,9 @@ const BLOCKING_THREADS_MAX: usize = 8;
 
 #[derive(Debug, Args)]
 pub struct RunArguments {
-    /// `simulated`, or a network interface such as eth1
-    #[arg(long, default_value = "simulated")]
-    bus: String,
+    /// Network interface of the coupler, such as eth1; `simulated` serves made-up data without hardware
+    #[arg(long, value_name = "INTERFACE")]
+    bus: Option<String>,
     /// What goes wrong on the simulated bus, such as lost:0.01 or gone:3@10s-15s (an unknown one lists all); may be
     /// repeated
     #[arg(long = "fault", value_name = "FAULT[@FROM[-UNTIL]]")]
@@ -68,6 +68,7 @@ pub struct RunArguments {
 }
 
 pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
+    let bus = bus_choice(arguments.bus.as_deref())?;
     let (mut daemon, bar) = (arguments.configuration.daemon()?, arguments.configuration.ball_bar()?);
     let marks = arguments.configuration.marks_file(&arguments.state, &daemon);
     tracing::info!("configuration: {}", arguments.configuration.origin());
@@ -79,12 +80,10 @@ pub fn run(arguments: &RunArguments) -> anyhow::Result<()> {
         *directory = std::path::absolute(&directory).context("cannot tell the working directory")?;
     }
     let port = arguments.port.unwrap_or(daemon.port);
-    let bus = bus_choice(&arguments.bus);
     let faults = arguments.faults.clone();
-    if bus != BusChoice::Simulated && !faults.is_empty() {
+    if let (BusChoice::Interface(name), false) = (&bus, faults.is_empty()) {
         bail!(
-            "--fault breaks the simulated bus, not {}; leave it out, or use `ballbard segment --fault`",
-            arguments.bus
+            "--fault breaks the simulated bus, not {name}; leave it out, or use `ballbard segment --fault`"
         );
     }
     let live_tap = arguments.foxglove.then(|| LiveTap::new(arguments.foxglove_origin.clone()));

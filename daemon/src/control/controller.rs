@@ -310,6 +310,7 @@ impl Controller {
             cycles_lost: count(|summary| summary.cycles_lost),
             error,
             file: summary.as_ref().map(|summary| summary.path.display().to_string()),
+            provenance: summary.as_ref().map(|summary| summary.provenance.clone()).unwrap_or_default(),
             timing: summary.and_then(|summary| summary.timing),
         });
     }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use shared::recording::schema::EncoderSample;
+use shared::recording::schema::{EncoderSample, Provenance};
 use shared::recording::{
     ACTIVE_ENDING, Disk, FINISHED_ENDING, ReadError, Recording, RunOverview, is_absent, is_in_use,
 };
@@ -49,6 +49,9 @@ pub struct RunLine {
     pub payload: String,
     /// Free text that was given with it, or since.
     pub note: String,
+    /// Whether it is simulated, or a replay.
+    #[serde(flatten)]
+    pub provenance: Provenance,
 }
 
 /// Recordings of a directory, the latest first; those that do not tell when they began come last. With those of runs
@@ -126,6 +129,7 @@ pub fn finished(disk: &dyn Disk, name: String, file: PathBuf) -> RunLine {
             let RunOverview { mut run, end } = overview;
             note::apply(disk, &file, &mut run);
             RunLine {
+                provenance: run.provenance(),
                 name,
                 file,
                 started: Some(run.started),

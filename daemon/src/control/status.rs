@@ -4,6 +4,7 @@ use std::fmt;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use shared::recording::schema::Provenance;
 use shared::recording::{DiskTiming, TimingSummary};
 use shared::time::{MonoNs, UtcNs};
 
@@ -32,6 +33,9 @@ pub struct Status {
     pub homing: Option<HomingStatus>,
     /// Network interface, or `simulated`.
     pub bus: String,
+    /// The encoder counts are made up by a program.
+    #[serde(default)]
+    pub simulated: bool,
     /// Devices in operation, in bus order.
     pub devices: Vec<String>,
     /// The latest sample of each encoder.
@@ -151,6 +155,9 @@ pub struct LastRun {
     /// How well the loop kept its time.
     #[serde(default)]
     pub timing: Option<TimingSummary>,
+    /// Whether it is simulated, or a replay.
+    #[serde(flatten)]
+    pub provenance: Provenance,
 }
 
 /// How far a homing is.
@@ -281,6 +288,9 @@ pub struct Reply {
     pub answer: String,
     /// The run that it is about.
     pub run: Option<String>,
+    /// The service has no real bus: what it records is made up by a program.
+    #[serde(default)]
+    pub simulated: bool,
     /// The run that has ended.
     pub last: Option<LastRun>,
     /// What its file is worth.

@@ -79,6 +79,7 @@ impl View<'_> {
             runs_over: self.runs_over,
             homing: self.homing.map(|homing| homing.status().clone()),
             bus: bus_name(&self.settings.bus),
+            simulated: self.session.map_or(self.settings.bus == BusChoice::Simulated, Session::is_simulated),
             disk_usable_mb: self.storage.usable_bytes().map(|bytes| bytes / 1_000_000),
             ..Status::default()
         };

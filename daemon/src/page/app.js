@@ -26,6 +26,9 @@ function joint_card(joint) {
 
 function show_joints(joints) {
   const place = $("encoders");
+  const homed = joints.filter((joint) => joint.from_mark).length;
+  const zero = homed === joints.length ? "reference marks" : homed ? "reference marks or first samples" : "first samples";
+  text($("strip-title"), `Last minute, degrees from ${zero}`);
   if (place.children.length !== joints.length) place.replaceChildren(...joints.map(joint_card));
   joints.forEach((joint, index) => {
     const card = place.children[index];
@@ -49,10 +52,11 @@ function show_state({ headline, status, run_s }) {
   const header = $("state");
   header.dataset.level = headline.level;
   header.dataset.state = status.state;
+  $("simulated").hidden = !status.simulated;
   text($("word"), headline.word);
   text($("reason"), status.reason ?? (status.run ? "" : `bus ${status.bus}: ${status.devices.length} devices`));
   const running = Boolean(status.run);
-  document.title = `${headline.word}${running ? ` ${status.run.name}` : ""} – ballbard`;
+  document.title = `${headline.word}${running ? ` ${status.run.name}` : ""}${status.simulated ? " (SIMULATED)" : ""} – ballbard`;
   $("run-facts").hidden = !running;
   $("mark").hidden = $("note").hidden = $("stop").hidden = !running || status.state === "closing";
   $("start").hidden = $("preflight").hidden = running;

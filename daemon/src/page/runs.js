@@ -32,6 +32,8 @@ function facts(run) {
   const valid = `${run.cycles_valid} of ${run.cycles} cycles valid`;
   const parts = [begun(run.started), run.cycles ? `${duration(run.length_s)}, ${valid}` : null, people];
   if (run.recovered) parts.push("recovered");
+  if (run.simulated) parts.unshift("SIMULATED");
+  if (run.replay_of) parts.push(`replay of ${run.replay_of.name}, recorded ${begun(run.replay_of.started)} on ${run.replay_of.bus}`);
   return parts.filter(Boolean).join(" · ");
 }
 

@@ -6,7 +6,7 @@ use std::thread;
 use std::time::Duration;
 
 use shared::config::{BallBarConfig, DaemonConfig};
-use shared::recording::schema::{DeviceInfo, EncoderInfo, ReplayOrigin, RunMetadata};
+use shared::recording::schema::{DeviceInfo, EncoderInfo, Provenance, ReplayOrigin, RunMetadata};
 use shared::recording::{
     Disk, RecordingWriter, Recovery, RunFile, Salvaged, Tap, WriteError, recover_file_on,
 };
@@ -114,7 +114,10 @@ impl Session {
         }
         details.check().map_err(RunError::Request)?;
         let metadata = self.metadata(details);
-        let started = metadata.started;
+        let (started, provenance) = (metadata.started, metadata.provenance());
+        if !provenance.is_measured() {
+            tracing::warn!(run = metadata.name, "{provenance}");
+        }
         let ring_cycles = self.daemon.ring_cycles(self.period);
         let (sink, ring) = recorder::ring(ring_cycles, &self.clock);
         let (marks, marks_rx) = sync_channel(MARKS_MAX);
@@ -205,6 +208,11 @@ impl Session {
     pub fn outage(&self) -> Option<String> {
         let absent = |from| BusError::absent(&self.bus, &self.ready.devices, from).to_string();
         self.live.missing_from().map(absent).or_else(|| self.live.outage())
+    }
+
+    /// Whether the encoder counts are made up by a program.
+    pub fn is_simulated(&self) -> bool {
+        Provenance::new(&self.bus, self.replay_of.clone()).simulated
     }
 
     /// Time between two cycles.
@@ -334,8 +342,10 @@ fn broken(source: WriteError, progress: &Progress, disk: &dyn Disk, cause: Strin
     };
     let lost = progress.get().taken.saturating_sub(content.cycles);
     let saved = format!("{} cycles are saved in {}, the last {lost} are not", content.cycles, file.display());
-    let Salvaged { cycles, cycles_valid, timing, .. } = *content;
-    let summary = RunSummary { path: file, cycles, cycles_valid, cycles_lost: lost, cause, timing };
+    let Salvaged { run, cycles, cycles_valid, timing, .. } = *content;
+    let provenance = run.provenance();
+    let summary =
+        RunSummary { path: file, cycles, cycles_valid, cycles_lost: lost, cause, provenance, timing };
     RunError::Broken { source, saved, content: Some(Box::new(summary)) }
 }
 

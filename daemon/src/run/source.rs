@@ -112,7 +112,7 @@ impl Prepared {
 /// Real time on any wire.
 #[cfg(test)]
 pub(super) fn on_wire(wire: Box<dyn Wire>, daemon: &DaemonConfig, bar: &BallBarConfig) -> Prepared {
-    Prepared::from_config(wire, crate::clock::Clock::Real, "test", daemon, bar)
+    Prepared::from_config(wire, crate::clock::Clock::Real, SIMULATED_BUS, daemon, bar)
 }
 
 fn in_process(

@@ -150,7 +150,7 @@ fn open_socket(name: &str) -> Result<OwnedFd, OpenError> {
 }
 
 /// Names of the interfaces of this machine, for error messages.
-fn interfaces() -> Vec<String> {
+pub fn interfaces() -> Vec<String> {
     let all = nix::net::if_::if_nameindex();
     all.map(|all| all.iter().map(|one| one.name().to_string_lossy().into_owned()).collect())
         .unwrap_or_default()

@@ -76,12 +76,22 @@ fn a_run_is_recorded_whatever_becomes_of_the_log() {
     for Broken { name, stderr, _reader } in broken_logs() {
         let out = tempfile::tempdir().unwrap();
         let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
-        command.args(["record", "--name", "logged", "--duration", "1s", "--fast", "--config"]);
+        command.args([
+            "record",
+            "--bus",
+            "simulated",
+            "--name",
+            "logged",
+            "--duration",
+            "1s",
+            "--fast",
+            "--config",
+        ]);
         command.arg(shipped()).arg("--out").arg(out.path()).stderr(stderr).stdout(Stdio::null());
         assert!(command.status().unwrap().success(), "{name}");
         assert!(out.path().join("logged.mcap").exists(), "{name}");
         // The last word of a command that fails is no reason to stay, either.
-        command.arg("--bus").arg("eth99");
+        command.arg("--replay").arg("nothing.mcap");
         assert_eq!(command.status().unwrap().code(), Some(1), "{name}");
     }
 }
@@ -92,7 +102,7 @@ fn a_service_whose_standard_output_fails_serves() {
         let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let directory = tempfile::tempdir().unwrap();
         let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
-        command.args(["run", "--port", &port.to_string(), "--config"]).arg(shipped());
+        command.args(["run", "--bus", "simulated", "--port", &port.to_string(), "--config"]).arg(shipped());
         let command = command.arg("--out").arg(directory.path()).stdout(stdout).stderr(Stdio::null());
         let mut service = Running { child: command.spawn().unwrap(), port: port.to_string(), directory };
         while std::net::TcpStream::connect(("127.0.0.1", port)).is_err() {
@@ -128,8 +138,9 @@ fn commands_whose_reader_has_gone_end_quietly_and_a_full_disk_is_an_error() {
     let (config, out) = (shipped(), out.path().to_str().unwrap().to_owned());
     let config = config.to_str().unwrap();
     let recording = format!("{out}/piped.mcap");
-    let record = ["record", "--duration", "1s", "--fast", "--config", config, "--out", &out, "--name"];
-    let of = |name| record.into_iter().chain([name]).collect::<Vec<_>>();
+    let record = ["record", "--bus", "simulated", "--duration", "1s", "--fast", "--config", config];
+    let record = [&record[..], &["--out", &out, "--name"]].concat();
+    let of = |name| [&record[..], &[name]].concat();
     let commands = |run| -> [Vec<&str>; 11] {
         [
             vec!["start", "--name", run],

@@ -63,7 +63,10 @@ impl Running {
     pub fn by(mut command: Command, directory: tempfile::TempDir, config: &Path, arguments: &[&str]) -> Self {
         // Nothing of the person who runs the tests is read or changed.
         command.env("STATE_DIRECTORY", directory.path());
-        command.env_remove("RUST_LOG").args(["run", "--port", "0", "--config"]).arg(config);
+        command
+            .env_remove("RUST_LOG")
+            .args(["run", "--bus", "simulated", "--port", "0", "--config"])
+            .arg(config);
         command.arg("--out").arg(directory.path()).args(arguments).stdout(Stdio::piped());
         let mut child = command.spawn().unwrap();
         let mut line = String::new();

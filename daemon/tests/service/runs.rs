@@ -96,9 +96,9 @@ fn many_clients_at_once_get_one_run_at_a_time_and_every_file_is_whole() {
 fn the_commands_say_what_they_did() {
     let service = Running::start();
     service.wait_for("waiting");
-    let started = service.command(&["start", "--name", "typed", "--note", "by hand", "--operator", "A"]);
-    assert!(started.status.success() && text(&started).contains("`typed` has begun"), "{}", text(&started));
-    assert!(text(&service.command(&["start", "--name", "typed"])).contains("goes on already"));
+    let begun = service.command(&["start", "--name", "typed", "--note", "by hand", "--operator", "A"]);
+    assert!(begun.status.success() && text(&begun).contains("`typed` has begun"), "{}", text(&begun));
+    assert!(text(&service.command(&["start", "--name", "typed"])).contains("is running already"));
     service.wait_for("writing");
     assert!(text(&service.command(&["mark", "a mark"])).contains("marked in run `typed`"));
     let status = service.command(&["status"]);
@@ -110,6 +110,9 @@ fn the_commands_say_what_they_did() {
         Command::new(env!("CARGO_BIN_EXE_ballbard")).arg("runs").arg(service.directory.path()).output();
     let runs = text(&runs.unwrap());
     assert!(runs.contains("typed") && runs.contains("by hand") && !runs.contains("recovered"), "{runs}");
+    for simulated in [text(&begun), text(&status), text(&stopped), runs.clone()] {
+        assert!(simulated.contains("SIMULATED"), "{simulated}");
+    }
     // In the time of this place, as default names are, and with what that is.
     let started = service.recording("typed").run.started.to_datetime().with_timezone(&chrono::Local);
     assert!(runs.contains(&started.format("%Y-%m-%d %H:%M:%S %:z").to_string()), "{runs}");
@@ -209,11 +212,13 @@ fn what_the_service_knows_is_asked_for_by_name_and_as_json() {
     };
     assert_eq!(json(&["start", "--name", "asked"])["answer"], "begun");
     service.wait_for("writing");
-    assert_eq!(json(&["status"])["run"]["name"], "asked");
+    let status = json(&["status"]);
+    assert_eq!((&status["run"]["name"], &status["simulated"]), (&"asked".into(), &true.into()));
     assert_eq!(json(&["mark", "here"])["answer"], "marked");
     let (stopped, listed) = (json(&["stop"]), json(&["runs"]));
     assert!(stopped["verdict"]["level"].is_string(), "{stopped}");
     assert_eq!((&listed[0]["name"], &listed[0]["verdict"]), (&"asked".into(), &stopped["verdict"]));
+    assert!(stopped["last"]["simulated"] == true && listed[0]["simulated"] == true, "{stopped} {listed}");
     assert!(json(&["check"]).as_array().unwrap().len() > 5);
     // By its name alone, from wherever somebody is.
     let elsewhere = tempfile::tempdir().unwrap();
@@ -223,6 +228,14 @@ fn what_the_service_knows_is_asked_for_by_name_and_as_json() {
     assert!(output.status.success(), "{}", text(&output));
     let table = std::fs::read_to_string(elsewhere.path().join("asked.csv")).unwrap();
     assert!(table.contains("mark: here"));
+    // For spreadsheets, by the page's link and by the command.
+    let fetched = |query: &str| agent().get(&service.url(&format!("runs/asked/csv?{query}"))).call().unwrap();
+    let excel = fetched("excel=true&relative").body_mut().read_to_string().unwrap();
+    assert!(excel.contains(";angle1_rad;") && excel.contains("mark: here"), "{excel:.300}");
+    let typed = service.command(&["export", "asked", "--excel", "--relative", "--out", "-"]);
+    assert_eq!(String::from_utf8(typed.stdout).unwrap(), excel);
+    assert_eq!(fetched("").body_mut().read_to_string().unwrap(), table);
+    assert_eq!(fetched("xlsx").status(), 400);
     let unknown = service.command(&["export", "--csv", "unknown"]);
     assert!(!unknown.status.success() && text(&unknown).contains("`unknown`"), "{}", text(&unknown));
 }

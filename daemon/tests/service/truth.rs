@@ -88,7 +88,17 @@ fn a_run_without_a_valid_cycle_is_no_success() {
     let faults: Vec<&str> = faults.iter().flat_map(|fault| ["--fault", fault]).collect();
     let out = tempfile::tempdir().unwrap();
     let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
-    command.args(["record", "--name", "blind", "--duration", "2s", "--fast", "--config"]);
+    command.args([
+        "record",
+        "--bus",
+        "simulated",
+        "--name",
+        "blind",
+        "--duration",
+        "2s",
+        "--fast",
+        "--config",
+    ]);
     let output = command.arg(shipped()).arg("--out").arg(out.path()).args(&faults).output().unwrap();
     assert_eq!(output.status.code(), Some(1), "{}", text(&output));
     assert!(text(&output).contains("none of the 200 cycles is valid"), "{}", text(&output));
@@ -121,7 +131,7 @@ fn a_terminal_that_is_closed_ends_a_service_with_its_run_finished() {
 /// How a run of two seconds ended whose terminal is closed as soon as it has its file.
 fn cause_after_hangup(mut command: Command) -> String {
     let out = tempfile::tempdir().unwrap();
-    command.args(["record", "--name", "hangup", "--duration", "2s"]);
+    command.args(["record", "--bus", "simulated", "--name", "hangup", "--duration", "2s"]);
     command.arg("--config").arg(shipped()).arg("--out").arg(out.path());
     let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
     while !out.path().join("hangup.mcap.active").exists() {
@@ -149,14 +159,19 @@ fn a_second_process_in_a_directory_is_refused_with_who_has_it() {
     service.wait_for("waiting");
     service.granted("start", &json!({"name": "first"}));
     let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
-    command.args(["record", "--name", "second", "--duration", "1s", "--fast", "--config"]).arg(shipped());
+    command.args(["record", "--bus", "simulated", "--name", "second", "--duration", "1s", "--fast"]);
+    command.arg("--config").arg(shipped());
     command.arg("--out").arg(service.directory.path());
     let refused = command.output().unwrap();
     assert_eq!(refused.status.code(), Some(1), "{}", text(&refused));
     let pid = format!("process {} (`ballbard run`, recording run `first`)", service.child.id());
     assert!(text(&refused).contains(&pid), "{}", text(&refused));
     let mut other = Command::new(env!("CARGO_BIN_EXE_ballbard"));
-    other.args(["run", "--port", "0", "--config"]).arg(shipped()).arg("--out").arg(service.directory.path());
+    other
+        .args(["run", "--bus", "simulated", "--port", "0", "--config"])
+        .arg(shipped())
+        .arg("--out")
+        .arg(service.directory.path());
     let refused = other.output().unwrap();
     assert_eq!(refused.status.code(), Some(1), "{}", text(&refused));
     assert!(text(&refused).contains(&pid), "{}", text(&refused));

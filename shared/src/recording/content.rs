@@ -49,16 +49,19 @@ struct StoredRun<Run> {
     /// Each cycle carries the number of its origin: what the schema says, for a file that has lost it.
     #[serde(default)]
     origin_numbers: bool,
+    /// [`RunMetadata::is_simulated`] for other readers of the file.
+    #[serde(default)]
+    simulated: bool,
 }
 
 /// The metadata record of a run.
 pub(super) fn metadata_of_run(run: &RunMetadata) -> Result<Metadata, serde_json::Error> {
-    metadata_of(RUN_METADATA, &StoredRun { run, origin_numbers: true })
+    metadata_of(RUN_METADATA, &StoredRun { run, origin_numbers: true, simulated: run.is_simulated() })
 }
 
 /// The run that a metadata record is about, and how its cycles are laid out.
 pub(super) fn run_of(metadata: &Metadata) -> Result<(RunMetadata, CycleLayout), ReadErrorKind> {
-    let StoredRun { run, origin_numbers } = content_of(RUN_METADATA, metadata)?;
+    let StoredRun { run, origin_numbers, simulated: _ } = content_of(RUN_METADATA, metadata)?;
     check_encoders(&run)?;
     Ok((run, if origin_numbers { CycleLayout::OriginNumber } else { CycleLayout::OriginFlag }))
 }

@@ -1,5 +1,8 @@
 //! What a recording says of each bus cycle, and the ros2msg text that tells it to other readers.
 
+use std::fmt;
+
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::encoder::EncoderScale;
@@ -214,7 +217,7 @@ pub struct RunMetadata {
     pub software: String,
     /// Network interface, or [`SIMULATED_BUS`].
     pub bus: String,
-    /// The recording that a replay played; none where the run is no replay, or an older program wrote the file.
+    /// The recording that a replay played. Files of older programs do not have it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub replay_of: Option<ReplayOrigin>,
     /// Time between two cycles \[ns\].
@@ -237,24 +240,65 @@ pub struct RunMetadata {
 pub const SIMULATED_BUS: &str = "simulated";
 
 /// The recording whose counts a replay played on the simulated bus. A replay of a replay has the origin of the first.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct ReplayOrigin {
     /// Name of that run.
     pub name: String,
-    /// When it began.
+    /// Beginning of that run.
     pub started: UtcNs,
     /// Network interface that it was recorded from, or [`SIMULATED_BUS`].
     pub bus: String,
+}
+
+/// Where the encoder counts of a run come from, for lists and messages.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Provenance {
+    /// The encoder counts were made up by a program.
+    #[serde(default)]
+    pub simulated: bool,
+    /// The recording that a replay played.
+    #[serde(default)]
+    pub replay_of: Option<ReplayOrigin>,
+}
+
+impl Provenance {
+    /// Of a run on `bus`. A replay is as its origin.
+    pub fn new(bus: &str, replay_of: Option<ReplayOrigin>) -> Self {
+        let simulated = replay_of.as_ref().map_or(bus, |origin| &origin.bus) == SIMULATED_BUS;
+        Self { simulated, replay_of }
+    }
+
+    /// Counts of a real bus, as it gave them.
+    pub fn is_measured(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// Such as `SIMULATED, replay of ..`; empty for measured data.
+impl fmt::Display for Provenance {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let simulated = self.simulated.then(|| "SIMULATED".to_owned());
+        let replay = self.replay_of.as_ref().map(|ReplayOrigin { name, started, bus }| {
+            let began = started.to_datetime().format("%Y-%m-%d %H:%M:%S UTC");
+            format!("replay of `{name}`, recorded {began} on {bus}")
+        });
+        f.write_str(&simulated.into_iter().chain(replay).collect::<Vec<_>>().join(", "))
+    }
 }
 
 impl RunMetadata {
     /// Whether the encoder counts were made up by a program. A replay is as its origin; a file of an older program, which
     /// names no origin, is as its bus.
     pub fn is_simulated(&self) -> bool {
-        self.replay_of.as_ref().map_or(&self.bus, |origin| &origin.bus) == SIMULATED_BUS
+        self.provenance().simulated
     }
 
-    /// What a replay of this recording is a replay of.
+    /// Where the counts come from.
+    pub fn provenance(&self) -> Provenance {
+        Provenance::new(&self.bus, self.replay_of.clone())
+    }
+
+    /// The origin of a replay of this recording.
     pub fn origin(&self) -> ReplayOrigin {
         let Self { name, started, bus, .. } = self;
         let this = || ReplayOrigin { name: name.clone(), started: *started, bus: bus.clone() };

@@ -417,9 +417,13 @@ async fn start(State(service): State<Service>, body: Body<StartRequest>) -> Resp
         return refusal(StatusCode::GATEWAY_TIMEOUT, &error);
     };
     let ended = |_| Err(Refusal { error: "the service is ending".into() });
+    let Status { run, simulated, .. } = service.status();
+    let granted = |answer: &str, run| {
+        Json(Reply { answer: answer.into(), run, simulated, ..Reply::default() }).into_response()
+    };
     match answer.unwrap_or_else(ended) {
-        Ok(Answer::Beginning) => reply("begun", service.status().run.map(|run| run.name).or(named), None),
-        Ok(Answer::Running(run)) => reply("running", Some(run), None),
+        Ok(Answer::Beginning) => granted("begun", run.map(|run| run.name).or(named)),
+        Ok(Answer::Running(run)) => granted("running", Some(run)),
         Ok(Answer::Busy(run)) => refusal(
             StatusCode::CONFLICT,
             &format!("run `{run}` goes on; stop it first, or wait until its file is finished"),
@@ -447,7 +451,7 @@ async fn stop(State(service): State<Service>, body: Body<StopRequest>) -> Respon
             Some(last) => {
                 let verdict = verdict(&service, &last).await;
                 let (answer, run, last) = ("stopped".into(), Some(run), Some(last));
-                Json(Reply { answer, run, last, verdict, homing: None }).into_response()
+                Json(Reply { answer, run, last, verdict, ..Reply::default() }).into_response()
             }
             None => refusal(
                 StatusCode::GATEWAY_TIMEOUT,
