@@ -138,7 +138,9 @@ fn state(view: &View<'_>, found: Option<&Found>) -> CheckLine {
     const SUBJECT: &str = "state";
     let Some(found) = found else { return unanswered(SUBJECT) };
     match &found.unkept {
-        None => good(SUBJECT, format!("a homing is kept in {}", view.settings.marks.path().display())),
+        None => {
+            good(SUBJECT, format!("reference marks can be saved in {}", view.settings.marks.path().display()))
+        }
         Some(finding) => problem(SUBJECT, finding.as_str(), homing::REMEDY),
     }
 }

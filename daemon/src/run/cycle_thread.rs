@@ -123,7 +123,10 @@ fn serve(
         Some(_) => "end of the replayed recording",
         None => "duration reached",
     });
-    tracing::info!(wire = ?acquisition.wire_counters(), "run ended");
+    // The recorder ends first if the start was refused or the disk failed, which the service reports.
+    if !sink.is_abandoned() {
+        tracing::info!(wire = ?acquisition.wire_counters(), "run ended");
+    }
 }
 
 /// Says why a run ends that takes its thread with it.
