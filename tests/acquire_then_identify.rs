@@ -14,8 +14,8 @@ use identify::model::ParameterId;
 use identify::prepare::bar_angles;
 use identify::simulate::{self, Design, Effects, Experiment};
 use shared::config::{self, BallBarConfig, RobotConfig};
-use shared::recording::Recording;
 use shared::recording::schema::{CycleRecord, EncoderInfo, flags};
+use shared::recording::{Recording, SystemDisk};
 use system_tests::{ball_bar, config_directory, record, request};
 
 fn robot(name: &str) -> RobotConfig {
@@ -166,7 +166,8 @@ fn a_run_exported_as_a_table_of_counters_calibrates_as_the_recording_does() {
     let files = simulate::write(directory.path(), &simulated, &robot, &bar).unwrap();
     let recording = Recording::open(&files.recording).unwrap();
     let table = directory.path().join("exported.csv");
-    write_csv(&recording, Layout::default(), std::fs::File::create(&table).unwrap()).unwrap();
+    let sink = std::fs::File::create(&table).unwrap();
+    write_csv(&SystemDisk, &files.recording, Layout::default(), sink).unwrap();
 
     let of_table = BarLog::load(&table, &bar, None).unwrap();
     let BarLog::Other(other) = &of_table else { panic!("a table is no recording") };

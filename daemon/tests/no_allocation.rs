@@ -19,22 +19,39 @@ struct Counting;
 
 thread_local! {
     static CALLS: Cell<u64> = const { Cell::new(0) };
+    /// Bytes that this thread holds, and the most that it held.
+    static HELD: Cell<i64> = const { Cell::new(0) };
+    static HELD_MOST: Cell<i64> = const { Cell::new(0) };
+}
+
+fn note(freed_bytes: usize, allocated_bytes: usize) {
+    CALLS.set(CALLS.get() + 1);
+    HELD.set(HELD.get() + allocated_bytes as i64 - freed_bytes as i64);
+    HELD_MOST.set(HELD_MOST.get().max(HELD.get()));
+}
+
+/// Most memory that `work` holds at a time beyond what its thread held before \[bytes\].
+pub fn peak_bytes(work: impl FnOnce()) -> i64 {
+    let before = HELD.get();
+    HELD_MOST.set(before);
+    work();
+    HELD_MOST.get() - before
 }
 
 // SAFETY: everything is handed to the system's allocator unchanged.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        CALLS.set(CALLS.get() + 1);
+        note(0, layout.size());
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        CALLS.set(CALLS.get() + 1);
+        note(layout.size(), 0);
         unsafe { System.dealloc(pointer, layout) }
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        CALLS.set(CALLS.get() + 1);
+        note(layout.size(), size);
         unsafe { System.realloc(pointer, layout, size) }
     }
 }

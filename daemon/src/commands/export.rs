@@ -1,24 +1,29 @@
 //! `ballbard export`: a recording as a table for spreadsheets and scripts.
 
 use std::fs::File;
-use std::io::{BufReader, BufWriter, Read, Write};
+use std::io::{self, BufReader, BufWriter, Write};
+use std::iter::Peekable;
 use std::path::{Path, PathBuf};
+use std::slice;
 
 use anyhow::{Context, bail};
 use clap::Args;
+use shared::encoder::Unwrapper;
 use shared::output::{say, unless_gone};
 use shared::recording::schema::{CycleRecord, EncoderInfo, Event, EventKind, RunMetadata, flags};
-use shared::recording::{Disk, ReadError, Recording, SystemDisk};
+use shared::recording::{Disk, OpenFile, Outline, ReadError, ReadErrorKind, SystemDisk};
+use shared::time::UtcNs;
 
 use super::client::ServiceArguments;
 use crate::control::note;
+use crate::control::runs::RunLine;
 
 #[derive(Debug, Args)]
 pub struct ExportArguments {
     /// The recording: a file, or the name of a run
     recording: PathBuf,
-    /// Comma-separated values: time stamp and counters, then angles and validity, events and marks
-    #[arg(long, required = true)]
+    /// Comma-separated values, the only format: time stamp and counters, then angles and validity, events and marks
+    #[arg(long)]
     csv: bool,
     /// Where to; `-` for standard output; default: beside the file, or here for a name, ending in .csv
     #[arg(long, value_name = "FILE")]
@@ -33,7 +38,7 @@ pub struct ExportArguments {
 }
 
 /// How a table is written.
-#[derive(Debug, Clone, Copy, Default, Args)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Args)]
 pub struct Layout {
     /// Seconds since the first cycle (`t_s`) instead of `time_utc`
     #[arg(long)]
@@ -44,18 +49,21 @@ pub struct Layout {
 }
 
 pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
-    let (recording, beside) = find(&arguments.recording, &arguments.service)?;
+    let ExportArguments { layout, service, .. } = arguments;
+    let (source, beside) = find(&arguments.recording, service)?;
     let out = arguments.out.clone().unwrap_or_else(|| beside.with_extension("csv"));
     if out == Path::new("-") {
-        if arguments.service.format.json {
+        if service.format.json {
             bail!(
                 "--json says what was written to a file, and standard output has the table; leave out one of the two"
             );
         }
-        let mut table = Vec::new();
-        write_csv(&recording, arguments.layout, &mut table)?;
-        let written = std::io::stdout().lock().write_all(&table);
-        return Ok(unless_gone(written)?);
+        let written = source.write_csv(*layout, service, BufWriter::new(io::stdout().lock()));
+        return match written.map_err(anyhow::Error::downcast::<io::Error>) {
+            Ok(_) => Ok(()),
+            Err(Ok(error)) => Ok(unless_gone(Err(error))?),
+            Err(Err(error)) => Err(error),
+        };
     }
     if out.exists() && !arguments.force {
         bail!("{} is there already; --force replaces it, --out writes another", out.display());
@@ -63,29 +71,50 @@ pub fn run(arguments: &ExportArguments) -> anyhow::Result<()> {
     // Under its final name the table is whole, or it is not there.
     let part = out.with_extension("csv.part");
     let sink = File::create(&part).with_context(|| format!("cannot create {}", part.display()))?;
-    write_csv(&recording, arguments.layout, BufWriter::new(sink))
-        .and_then(|()| Ok(std::fs::rename(&part, &out)?))
+    let rows = source
+        .write_csv(*layout, service, BufWriter::new(sink))
+        .and_then(|rows| Ok(std::fs::rename(&part, &out).map(|()| rows)?))
         .with_context(|| format!("cannot write {}; check free space", out.display()))?;
-    let (file, rows) = (out.display().to_string(), recording.cycles.len());
-    if arguments.service.format.prints(&serde_json::json!({ "file": file, "rows": rows }))? {
+    let file = out.display().to_string();
+    if service.format.prints(&serde_json::json!({ "file": file, "rows": rows }))? {
         return Ok(());
     }
     Ok(say(format_args!("{file}: {rows} rows"))?)
 }
 
-/// A recording as tables show it, with the note that it has by now.
-pub fn open(disk: &dyn Disk, file: &Path) -> Result<Recording, ReadError> {
-    let mut recording = Recording::open_on(disk, file)?;
-    note::apply(disk, file, &mut recording.run);
-    Ok(recording)
+/// Where the recording is.
+enum Source {
+    File(PathBuf),
+    /// At the service of another machine, which makes the table there.
+    Elsewhere(RunLine),
 }
 
-/// The recording that is meant, and what its table is called after.
-fn find(recording: &Path, service: &ServiceArguments) -> anyhow::Result<(Recording, PathBuf)> {
+impl Source {
+    /// Gives the number of rows.
+    fn write_csv(
+        &self,
+        layout: Layout,
+        service: &ServiceArguments,
+        mut sink: impl Write,
+    ) -> anyhow::Result<u64> {
+        match self {
+            Self::File(file) => write_csv(&SystemDisk, file, layout, sink),
+            Self::Elsewhere(RunLine { name, cycles, .. }) => {
+                let path = format!("runs/{name}/csv{}", layout.query());
+                service
+                    .fetch(&path, |table| Ok(io::copy(table, &mut sink).and_then(|_| sink.flush())?))
+                    .map(|()| *cycles)
+            }
+        }
+    }
+}
+
+/// The recording that is meant, and the name of its table but for the ending.
+fn find(recording: &Path, service: &ServiceArguments) -> anyhow::Result<(Source, PathBuf)> {
     let is_name = recording.components().count() == 1 && recording.extension().is_none();
     // Files of this machine are none of another's service.
     if (recording.exists() || !is_name) && !service.is_elsewhere() {
-        return Ok((open(&SystemDisk, recording)?, recording.to_owned()));
+        return Ok((Source::File(recording.to_owned()), recording.to_owned()));
     }
     let name = recording.to_string_lossy();
     let Some(line) = service.runs()?.into_iter().find(|line| line.name == name && line.verdict.is_some())
@@ -93,49 +122,84 @@ fn find(recording: &Path, service: &ServiceArguments) -> anyhow::Result<(Recordi
         bail!("no file and no finished run is called `{name}`; `ballbard runs` lists them")
     };
     let beside = PathBuf::from(format!("{name}.mcap"));
-    if !service.is_elsewhere() {
-        return Ok((open(&SystemDisk, &line.file)?, beside));
-    }
-    let read = |file: &mut dyn Read| Recording::read(BufReader::new(file)).map_err(anyhow::Error::from);
-    let mut fetched = service
-        .fetch(&format!("runs/{name}/mcap"), read)
-        .with_context(|| format!("cannot fetch run `{name}`; try again"))?;
-    fetched.run.note = line.note;
-    Ok((fetched, beside))
+    let source = if service.is_elsewhere() { Source::Elsewhere(line) } else { Source::File(line.file) };
+    Ok((source, beside))
 }
 
 /// One row per cycle: `time_utc` (or `t_s`), a `count` per encoder (the thesis' columns), then `angle` \[rad\] per encoder
 /// unwrapped and in the encoder's own zero, `valid` per encoder, cycle number, the reasons of flagged cycles, and what
 /// happened in it: marks, events, in the first row what was said of the run. Counts and angles of encoders that gave
-/// nothing are left empty.
-pub fn write_csv(recording: &Recording, layout: Layout, sink: impl Write) -> anyhow::Result<()> {
-    let encoders = &recording.run.encoders;
-    let mut sink = sink;
-    if layout.excel {
-        // Without it a spreadsheet takes the text for that of the code page of its country.
-        sink.write_all("\u{feff}".as_bytes())?;
-    }
-    let delimiter = if layout.excel { b';' } else { b',' };
-    let mut table = csv::WriterBuilder::new().delimiter(delimiter).from_writer(sink);
-    let column = |pattern: &str| {
-        let named = |encoder: &EncoderInfo| pattern.replace('#', &encoder.joint.to_string());
-        encoders.iter().map(named).collect::<Vec<_>>()
-    };
-    let mut header = vec![if layout.relative { "t_s" } else { "time_utc" }.to_owned()];
-    header.extend(["count#", "angle#_rad", "valid#"].into_iter().flat_map(column));
-    header.extend(["cycle", "flags", "event"].map(str::to_owned));
-    table.write_record(&header)?;
+/// nothing are left empty. Gives the number of rows.
+///
+/// Memory does not grow with the number of cycles. The file is read twice, because an event may follow many later cycles, as a
+/// mark does whose text took a while to type. The first pass collects the events and proves that the recording is whole.
+pub fn write_csv(disk: &dyn Disk, path: &Path, layout: Layout, sink: impl Write) -> anyhow::Result<u64> {
+    let error = |kind| ReadError { path: path.to_owned(), kind };
+    let file = disk.open(path).map_err(|source| error(source.into()))?;
+    let source = || BufReader::new(OpenFile::new(disk, &file));
+    let mut outline = Outline::read(source(), &mut |_| Ok::<_, ReadErrorKind>(())).map_err(error)?;
+    note::apply(disk, path, &mut outline.run);
+    let mut table = Table::begin(&outline, layout, sink)?;
+    Outline::read(source(), &mut |cycle| Ok::<_, anyhow::Error>(table.add(&cycle)?))?;
+    table.rows.flush()?;
+    Ok(outline.end.cycles)
+}
 
-    let mut unwrappers: Vec<_> = encoders.iter().map(|encoder| encoder.scale.unwrapper()).collect();
-    let mut origin = recording.cycles.first().map_or(0, |record| record.origin);
-    let mut events = recording.events.iter().peekable();
-    for (index, record) in recording.cycles.iter().enumerate() {
-        let changed = std::mem::replace(&mut origin, record.origin) != record.origin;
+/// A table that grows row by row.
+struct Table<'a, W: Write> {
+    layout: Layout,
+    rows: csv::Writer<W>,
+    encoders: &'a [EncoderInfo],
+    unwrappers: Vec<Unwrapper>,
+    events: Peekable<slice::Iter<'a, Event>>,
+    /// For the event cell of the first row.
+    about: Vec<String>,
+    first_sample: Option<UtcNs>,
+    origin: Option<u32>,
+    cycles: u64,
+}
+
+impl<'a, W: Write> Table<'a, W> {
+    /// Begins with the header, and in the layout for spreadsheets with a byte order mark.
+    fn begin(outline: &'a Outline, layout: Layout, mut sink: W) -> io::Result<Self> {
+        if layout.excel {
+            // Without it a spreadsheet takes the text for that of the code page of its country.
+            sink.write_all("\u{feff}".as_bytes())?;
+        }
+        let encoders = &outline.run.encoders;
+        let column = |pattern: &str| {
+            let named = |encoder: &EncoderInfo| pattern.replace('#', &encoder.joint.to_string());
+            encoders.iter().map(named).collect::<Vec<_>>()
+        };
+        let mut header = vec![if layout.relative { "t_s" } else { "time_utc" }.to_owned()];
+        header.extend(["count#", "angle#_rad", "valid#"].into_iter().flat_map(column));
+        header.extend(["cycle", "flags", "event"].map(str::to_owned));
+        let delimiter = if layout.excel { b';' } else { b',' };
+        let mut rows = csv::WriterBuilder::new().delimiter(delimiter).from_writer(sink);
+        rows.write_record(&header)?;
+        Ok(Self {
+            layout,
+            rows,
+            encoders,
+            unwrappers: encoders.iter().map(|encoder| encoder.scale.unwrapper()).collect(),
+            events: outline.events.iter().peekable(),
+            about: about(&outline.run),
+            first_sample: None,
+            origin: None,
+            cycles: outline.end.cycles,
+        })
+    }
+
+    /// Writes the row of the next cycle.
+    fn add(&mut self, record: &CycleRecord) -> io::Result<()> {
+        let layout = self.layout;
+        let changed = self.origin.replace(record.origin).is_some_and(|before| before != record.origin);
         let seen = record.flags & (flags::LOST | flags::NO_REPLY | flags::DEADLINE_MISSED) == 0;
         let samples = record.encoders();
-        let mut row = vec![layout.time(record, &recording.cycles[0])];
+        let first_sample = *self.first_sample.get_or_insert(record.sample_time);
+        let mut row = vec![layout.time(record.sample_time, first_sample)];
         row.extend(samples.iter().map(|sample| if seen { sample.count.to_string() } else { String::new() }));
-        row.extend(samples.iter().zip(encoders).zip(&mut unwrappers).map(
+        row.extend(samples.iter().zip(self.encoders).zip(&mut self.unwrappers).map(
             |((sample, encoder), unwrapper)| {
                 if sample.valid {
                     layout.number(format!("{:.9}", encoder.scale.counts_to_rad(unwrapper.next(sample.count))))
@@ -145,33 +209,56 @@ pub fn write_csv(recording: &Recording, layout: Layout, sink: impl Write) -> any
             },
         ));
         row.extend(samples.iter().map(|sample| u8::from(sample.valid).to_string()));
-        let is_last = index + 1 == recording.cycles.len();
-        let mut said = if index == 0 { about(&recording.run) } else { Vec::new() };
+        let is_last = record.cycle + 1 == self.cycles;
+        let mut texts = std::mem::take(&mut self.about);
         while let Some(Event { kind, text, .. }) =
-            events.next_if(|event| event.cycle <= record.cycle || is_last)
+            self.events.next_if(|event| event.cycle <= record.cycle || is_last)
         {
-            said.push(format!("{}: {text}", kind_name(*kind)));
+            texts.push(format!("{}: {text}", kind_name(*kind)));
         }
         row.extend([
             record.cycle.to_string(),
             flag_names(record.flags | if changed { flags::ORIGIN_CHANGED } else { 0 }),
-            said.join("; "),
+            // One line of text per row, for readers that split at line ends.
+            texts.join("; ").replace(char::is_control, " "),
         ]);
-        table.write_record(&row)?;
+        Ok(self.rows.write_record(&row)?)
     }
-    table.flush()?;
-    Ok(())
 }
 
 impl Layout {
-    fn time(self, record: &CycleRecord, first: &CycleRecord) -> String {
+    /// From the query of a URL, such as `excel&relative`.
+    pub fn from_query(query: &str) -> Result<Self, String> {
+        let mut layout = Self::default();
+        for name in query.split('&').filter(|name| !name.is_empty()) {
+            match name.strip_suffix("=true").unwrap_or(name) {
+                "relative" => layout.relative = true,
+                "excel" => layout.excel = true,
+                _ => {
+                    return Err(format!(
+                        "no table has the option `{name}`; there are `relative` and `excel`"
+                    ));
+                }
+            }
+        }
+        Ok(layout)
+    }
+
+    /// The query of a URL that [`Self::from_query`] reads, with its `?`; empty for the default.
+    fn query(self) -> String {
+        let names = [(self.relative, "relative=true"), (self.excel, "excel=true")];
+        let names: Vec<_> = names.into_iter().filter_map(|(is_set, name)| is_set.then_some(name)).collect();
+        if names.is_empty() { String::new() } else { format!("?{}", names.join("&")) }
+    }
+
+    fn time(self, at: UtcNs, first: UtcNs) -> String {
         if self.relative {
-            return self.number(format!("{:.6}", record.sample_time.seconds_since(first.sample_time)));
+            return self.number(format!("{:.6}", at.seconds_since(first)));
         }
         if self.excel {
-            return self.number(record.sample_time.to_datetime().format("%Y-%m-%d %H:%M:%S%.3f").to_string());
+            return self.number(at.to_datetime().format("%Y-%m-%d %H:%M:%S%.3f").to_string());
         }
-        record.sample_time.to_string()
+        at.to_string()
     }
 
     fn number(self, text: String) -> String {
@@ -179,11 +266,28 @@ impl Layout {
     }
 }
 
-/// What people said of a run.
+/// Where the data come from, where angles are zero, and what people said of the run.
 fn about(run: &RunMetadata) -> Vec<String> {
     let RunMetadata { operator, robot, bar, payload, note, .. } = run;
     let said = [("robot", robot), ("bar", bar), ("payload", payload), ("operator", operator), ("note", note)];
-    said.iter().filter(|(_, text)| !text.is_empty()).map(|(what, text)| format!("{what}: {text}")).collect()
+    let said = said.iter().filter(|(_, text)| !text.is_empty()).map(|(what, text)| format!("{what}: {text}"));
+    let provenance = Some(run.provenance().to_string()).filter(|text| !text.is_empty());
+    provenance.into_iter().chain([angle_zeros(&run.encoders)]).chain(said).collect()
+}
+
+fn angle_zeros(encoders: &[EncoderInfo]) -> String {
+    let (homed, others): (Vec<&EncoderInfo>, Vec<_>) =
+        encoders.iter().partition(|encoder| encoder.scale.reference_counts != 0);
+    let zero = |what: &str, of: &[&EncoderInfo]| match of.len() {
+        0 => None,
+        count if count == encoders.len() => Some(what.to_owned()),
+        _ => {
+            let joints: Vec<_> = of.iter().map(|encoder| encoder.joint.to_string()).collect();
+            Some(format!("{what} (joint {})", joints.join(" ")))
+        }
+    };
+    let zeros = [zero("reference mark", &homed), zero("counter at 0", &others)];
+    format!("angles from: {}", zeros.into_iter().flatten().collect::<Vec<_>>().join(" and "))
 }
 
 /// Before each text, so that no spreadsheet takes one for a formula.

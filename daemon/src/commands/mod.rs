@@ -13,7 +13,7 @@ mod signals;
 mod systemd;
 mod tune;
 
-pub use export::{Layout, open, write_csv};
+pub use export::{Layout, write_csv};
 
 use self::signals::Signals;
 use crate::run::BusChoice;

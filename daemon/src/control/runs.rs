@@ -1,13 +1,14 @@
 //! The recordings of a directory: how long, what they are worth, and which of them were recovered.
 
-use std::io;
+use std::io::{self, BufReader};
 use std::path::{Path, PathBuf};
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use shared::recording::schema::{EncoderSample, Provenance};
+use shared::encoder::{EncoderScale, Unwrapper};
+use shared::recording::schema::{CycleRecord, EncoderInfo, EncoderSample, Provenance};
 use shared::recording::{
-    ACTIVE_ENDING, Disk, FINISHED_ENDING, ReadError, Recording, RunOverview, is_absent, is_in_use,
+    ACTIVE_ENDING, Disk, FINISHED_ENDING, OpenFile, Outline, ReadError, RunOverview, is_absent, is_in_use,
 };
 use shared::time::UtcNs;
 
@@ -156,7 +157,7 @@ pub fn finished(disk: &dyn Disk, name: String, file: PathBuf) -> RunLine {
 }
 
 /// Moments of a run that are drawn.
-const CURVE_POINTS: usize = 1500;
+const CURVE_POINTS: u64 = 1500;
 
 /// A run as a whole, for people to look at.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -176,29 +177,56 @@ pub struct Curve {
     pub angle_deg: Vec<Option<f64>>,
 }
 
-/// Reads the whole file. Of each part of it the worst cycle is shown: a gap stays one, however short.
-pub fn curves(disk: &dyn Disk, file: &Path) -> Result<Curves, ReadError> {
-    let Recording { run, cycles, .. } = Recording::open_on(disk, file)?;
-    let each = cycles.len().div_ceil(CURVE_POINTS).max(1);
-    let Some(first) = cycles.first() else { return Ok(Curves::default()) };
-    let t_s = cycles.iter().step_by(each).map(|cycle| cycle.sample_time.seconds_since(first.sample_time));
-    let joints = run.encoders.iter().enumerate().map(|(place, encoder)| {
-        let mut unwrapper = encoder.scale.unwrapper();
-        let mut begin = None;
-        let mut angle = |sample: EncoderSample| {
-            let counts = unwrapper.next(sample.count);
-            let from = *begin.get_or_insert(counts);
-            (encoder.scale.direction.sign() * (counts - from)) as f64
-                * encoder.scale.rad_per_count().to_degrees()
-        };
-        let angles = cycles.iter().map(|cycle| {
-            let sample = cycle.encoders().get(place).copied().unwrap_or_default();
-            sample.valid.then(|| angle(sample))
+/// Reads the file once and keeps at most `CURVE_POINTS` points per joint. A part of the run with any invalid cycle is a gap.
+pub fn curves(disk: &dyn Disk, path: &Path) -> Result<Curves, ReadError> {
+    let RunOverview { run, end } = RunOverview::open_on(disk, path)?;
+    let each = end.cycles.div_ceil(CURVE_POINTS).max(1);
+    let mut curves = Curves::default();
+    let mut joints: Vec<_> = run.encoders.iter().map(JointCurve::new).collect();
+    let mut first_sample = None;
+    let mut take = |cycle: CycleRecord| {
+        let begins_part = cycle.cycle.is_multiple_of(each);
+        if begins_part {
+            let first = *first_sample.get_or_insert(cycle.sample_time);
+            curves.t_s.push(cycle.sample_time.seconds_since(first));
+        }
+        for (place, joint) in joints.iter_mut().enumerate() {
+            joint.take(cycle.encoders().get(place).copied().unwrap_or_default(), begins_part);
+        }
+        Ok(())
+    };
+    let error = |kind| ReadError { path: path.to_owned(), kind };
+    let file = disk.open(path).map_err(|source| error(source.into()))?;
+    Outline::read(BufReader::new(OpenFile::new(disk, &file)), &mut take).map_err(error)?;
+    curves.joints = joints.into_iter().map(|joint| joint.curve).collect();
+    Ok(curves)
+}
+
+/// A curve that grows cycle by cycle.
+struct JointCurve {
+    curve: Curve,
+    scale: EncoderScale,
+    unwrapper: Unwrapper,
+    /// Unwrapped count of the first valid sample.
+    first: Option<i64>,
+}
+
+impl JointCurve {
+    fn new(encoder: &EncoderInfo) -> Self {
+        let EncoderInfo { joint, scale } = *encoder;
+        let curve = Curve { joint, angle_deg: Vec::new() };
+        Self { curve, scale, unwrapper: scale.unwrapper(), first: None }
+    }
+
+    fn take(&mut self, sample: EncoderSample, begins_part: bool) {
+        let angle_deg = sample.valid.then(|| {
+            let counts = self.unwrapper.next(sample.count);
+            let counts = counts - *self.first.get_or_insert(counts);
+            (self.scale.direction.sign() * counts) as f64 * self.scale.rad_per_count().to_degrees()
         });
-        let angles: Vec<_> = angles.collect();
-        let of_part =
-            |part: &[Option<f64>]| if part.contains(&None) { None } else { part.first().copied().flatten() };
-        Curve { joint: encoder.joint, angle_deg: angles.chunks(each).map(of_part).collect() }
-    });
-    Ok(Curves { t_s: t_s.collect(), joints: joints.collect() })
+        match self.curve.angle_deg.last_mut() {
+            Some(part_deg) if !begins_part => *part_deg = part_deg.filter(|_| angle_deg.is_some()),
+            _ => self.curve.angle_deg.push(angle_deg),
+        }
+    }
 }

@@ -72,7 +72,7 @@ async function look(run) {
   try {
     const curves = await ask(`runs/${encodeURIComponent(run.name)}/plot`);
     text($("plot-title"), run.name);
-    text($("plot-text"), `${with_note(run)}\nIt ended: ${run.cause}`);
+    text($("plot-text"), `Degrees from the first valid sample of each joint.\n${with_note(run)}\nIt ended: ${run.cause}`);
     $("plot").showModal();
     plot(curves);
   } catch (error) {
@@ -82,11 +82,13 @@ async function look(run) {
 
 function row(run) {
   const path = `/api/runs/${encodeURIComponent(run.name)}`;
-  const download = (kind) => el("a", {
-    className: "button", href: `${path}/${kind.toLowerCase()}`, download: "", textContent: kind, ariaLabel: `Download ${run.name} as ${kind}`,
+  const download = (kind, file, layout = "") => el("a", {
+    className: "button", href: `${path}/${file}`, download: "", textContent: kind, title: layout,
+    ariaLabel: `Download ${run.name} as ${kind} ${layout}`.trim(),
   });
   const tool = (label, act) => el("button", { type: "button", textContent: label, ariaLabel: `${label} ${run.name}`, onclick: () => act(run) });
-  const tools = run.verdict ? [tool("Plot", look), download("MCAP"), download("CSV"), tool("Note", note), tool("Delete", remove)] : [];
+  const tools = run.verdict ? [tool("Plot", look), download("MCAP", "mcap"), download("CSV", "csv"),
+    download("CSV;", "csv?excel=true", "for Excel: semicolons and decimal commas"), tool("Note", note), tool("Delete", remove)] : [];
   const item = el("li", { level: run.verdict?.level ?? "check" },
     el("span", { className: "verdict", textContent: verdict_word(run.verdict) || "…" }),
     el("span", { className: "name" }, run.name, why(run) ? el("div", { className: "facts", textContent: why(run) }) : null),

@@ -5,6 +5,7 @@
 mod calls;
 mod leftovers;
 mod log;
+mod memory;
 mod rig;
 mod service;
 mod slow;

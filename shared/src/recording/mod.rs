@@ -30,7 +30,7 @@ pub use leftover::{
 pub use lengths::{parse_record, up_to_broken_chunk};
 pub use messages::{MessageError, TOPICS, Topic};
 pub use overview::RunOverview;
-pub use reader::{ReadError, ReadErrorKind, Recording};
+pub use reader::{Outline, ReadError, ReadErrorKind, Recording};
 pub use recover::{SalvageError, Salvaged, salvage, verify};
 pub use resync::Damage;
 pub use run_file::{ACTIVE_ENDING, FINISHED_ENDING, RunFile, RunPlace, RunSync, TORN_ENDING};

@@ -113,11 +113,47 @@ impl Recording {
 
     /// Reads a finished recording from any source of bytes.
     pub fn read(source: impl Read) -> Result<Self, ReadErrorKind> {
-        let (mut decoder, mut content) = (Decoder::default(), Content::default());
-        for_each_record(source, &mut |record| {
-            decoder.decode(record)?.map_or(Ok(()), |item| content.take(item))
+        let mut cycles = Vec::new();
+        let outline = Outline::read(source, &mut |cycle| {
+            cycles.push(cycle);
+            Ok::<_, ReadErrorKind>(())
         })?;
-        content.finish()
+        let Outline { run, events, timing, end } = outline;
+        Ok(Self { run, cycles, events, timing, end })
+    }
+}
+
+/// A whole, finished recording without its cycles, which a reader takes one by one: memory does not grow with the run.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Outline {
+    /// As in [`Recording`].
+    pub run: RunMetadata,
+    /// As in [`Recording`].
+    pub events: Vec<Event>,
+    /// As in [`Recording`].
+    pub timing: Option<TimingSummary>,
+    /// As in [`Recording`].
+    pub end: RunEnd,
+}
+
+impl Outline {
+    /// Reads a finished recording from any source of bytes and gives each cycle to `take`, in order and without a hole. The
+    /// recording is known to be whole only when this returns.
+    pub fn read<E: From<ReadErrorKind>>(
+        source: impl Read,
+        take: &mut dyn FnMut(CycleRecord) -> Result<(), E>,
+    ) -> Result<Self, E> {
+        let (mut decoder, mut content) = (Decoder::default(), Content::default());
+        for_each_record(source, &mut |record| match decoder
+            .decode(record)?
+            .map(|item| content.take(item))
+            .transpose()?
+            .flatten()
+        {
+            Some(cycle) => take(cycle),
+            None => Ok(()),
+        })?;
+        Ok(content.finish()?)
     }
 }
 
@@ -141,35 +177,36 @@ struct Content {
     run: Option<RunMetadata>,
     end: Option<RunEnd>,
     timing: Option<TimingSummary>,
-    cycles: Vec<CycleRecord>,
+    cycles: u64,
     events: Vec<Event>,
 }
 
 impl Content {
-    fn take(&mut self, item: Item) -> Result<(), ReadErrorKind> {
+    /// Keeps all but a cycle, which is given back if it is the next one.
+    fn take(&mut self, item: Item) -> Result<Option<CycleRecord>, ReadErrorKind> {
         match item {
             Item::Run(run) => take_run(&mut self.run, *run)?,
             Item::Cycle(cycle) => {
-                let expected = self.cycles.len() as u64;
-                if cycle.cycle != expected {
-                    return Err(ReadErrorKind::Hole { expected, found: cycle.cycle });
+                if cycle.cycle != self.cycles {
+                    return Err(ReadErrorKind::Hole { expected: self.cycles, found: cycle.cycle });
                 }
-                self.cycles.push(cycle);
+                self.cycles += 1;
+                return Ok(Some(cycle));
             }
             Item::Event(event) => self.events.push(event),
             Item::Timing(timing) => self.timing = Some(*timing),
             Item::End(end) => self.end = Some(end),
         }
-        Ok(())
+        Ok(None)
     }
 
-    fn finish(self) -> Result<Recording, ReadErrorKind> {
+    fn finish(self) -> Result<Outline, ReadErrorKind> {
         let missing = |name| ReadErrorKind::Metadata { name, problem: "missing".into() };
         let run = self.run.ok_or_else(|| missing(RUN_METADATA))?;
         let end = self.end.ok_or(ReadErrorKind::Unfinished)?;
-        if end.cycles != self.cycles.len() as u64 {
-            return Err(ReadErrorKind::Hole { expected: self.cycles.len() as u64, found: end.cycles });
+        if end.cycles != self.cycles {
+            return Err(ReadErrorKind::Hole { expected: self.cycles, found: end.cycles });
         }
-        Ok(Recording { run, cycles: self.cycles, events: self.events, timing: self.timing, end })
+        Ok(Outline { run, events: self.events, timing: self.timing, end })
     }
 }

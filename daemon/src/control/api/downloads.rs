@@ -17,7 +17,7 @@ use tokio::sync::{Semaphore, mpsc};
 
 use super::refusal;
 
-/// Downloads at a time: each has a thread, and a table the whole recording in memory.
+/// Downloads at a time: each has a thread, whose memory is locked.
 const DOWNLOADS_MAX: usize = 2;
 /// Pieces that wait for the client.
 const PIECES_MAX: usize = 4;

@@ -19,7 +19,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::rejection::{JsonRejection, PathRejection};
-use axum::extract::{self, FromRef, Request, State};
+use axum::extract::{self, FromRef, RawQuery, Request, State};
 use axum::http::{HeaderMap, HeaderName, StatusCode, header};
 use axum::middleware::{self, Next};
 use axum::response::sse::{self, Sse};
@@ -46,7 +46,7 @@ use super::status::{
     StartRequest, Status, StopRequest,
 };
 use super::verdict::Verdict;
-use crate::commands::{self, Layout, write_csv};
+use crate::commands::{Layout, write_csv};
 use crate::page;
 use crate::run::{About, check_text};
 
@@ -149,7 +149,10 @@ fn operations() -> Vec<(Operation, MethodRouter<Shared>)> {
             get(download_mcap),
         ),
         (
-            Operation::get_other("/runs/{name}/csv", "text/csv", "A finished recording as a table."),
+            Operation::get_other("/runs/{name}/csv", "text/csv", "A finished recording as a table.").with_options(&[
+                ("relative", "Seconds since the first cycle (`t_s`) instead of `time_utc`."),
+                ("excel", "For spreadsheets of continental Europe: semicolons between columns, commas in numbers."),
+            ]),
             get(download_csv),
         ),
         (Operation::get::<Curves>("/runs/{name}/plot", "Its angles, thinned, to be drawn."), get(curves)),
@@ -333,12 +336,15 @@ async fn download_mcap(
 async fn download_csv(
     State(Shared { service, downloads, .. }): State<Shared>,
     name: Name,
+    RawQuery(query): RawQuery,
 ) -> Result<Response, Response> {
+    let layout = Layout::from_query(query.as_deref().unwrap_or_default())
+        .map_err(|problem| refusal(StatusCode::BAD_REQUEST, &problem))?;
     let (file, name) = found(&service, name).await?;
     let what =
         Download { file_name: format!("{name}.csv"), media_type: "text/csv; charset=utf-8", length: None };
     let disk = service.disk();
-    Ok(downloads.send(&what, move |sink| write_csv(&commands::open(&*disk, &file)?, Layout::default(), sink)))
+    Ok(downloads.send(&what, move |sink| write_csv(&*disk, &file, layout, sink).map(drop)))
 }
 
 async fn curves(

@@ -22,6 +22,8 @@ pub(super) struct Operation {
     pub summary: &'static str,
     method: &'static str,
     body: Option<Describe>,
+    /// Name and meaning of what the query may set.
+    options: &'static [(&'static str, &'static str)],
     answer: Answer,
 }
 
@@ -41,13 +43,19 @@ impl Operation {
             summary,
             method: "get",
             body: None,
+            options: &[],
             answer: Answer::Json(SchemaGenerator::subschema_for::<A>),
         }
     }
 
     /// Answers with something else.
     pub fn get_other(path: &'static str, media_type: &'static str, summary: &'static str) -> Self {
-        Self { path, summary, method: "get", body: None, answer: Answer::Other(media_type) }
+        Self { path, summary, method: "get", body: None, options: &[], answer: Answer::Other(media_type) }
+    }
+
+    /// May be asked with these in the query, each `true` or left out.
+    pub fn with_options(self, options: &'static [(&'static str, &'static str)]) -> Self {
+        Self { options, ..self }
     }
 
     /// Takes and answers JSON of these types.
@@ -58,6 +66,7 @@ impl Operation {
             summary,
             method: "post",
             body,
+            options: &[],
             answer: Answer::Json(SchemaGenerator::subschema_for::<A>),
         }
     }
@@ -72,7 +81,7 @@ pub(super) fn document(operations: &[Operation]) -> Value {
     let mut answered = settings(SchemaSettings::draft2020_12()).for_serialize().into_generator();
     let mut paths: BTreeMap<String, Map<String, Value>> = BTreeMap::new();
     for operation in operations {
-        let Operation { path, summary, method, body, answer } = operation;
+        let Operation { path, summary, method, body, options, answer } = operation;
         let content = match answer {
             Answer::Json(describe) => json!({"application/json": {"schema": describe(&mut answered)}}),
             Answer::Other(media_type) => json!({*media_type: {}}),
@@ -96,7 +105,8 @@ pub(super) fn document(operations: &[Operation]) -> Value {
         let names = path.split('/').filter_map(|part| part.strip_prefix('{')?.strip_suffix('}'));
         let parameter =
             |name| json!({"name": name, "in": "path", "required": true, "schema": {"type": "string"}});
-        described["parameters"] = names.map(parameter).collect();
+        let option = |(name, meaning): &(&str, &str)| json!({"name": name, "in": "query", "description": meaning, "schema": {"type": "boolean", "default": false}});
+        described["parameters"] = names.map(parameter).chain(options.iter().map(option)).collect();
         paths.entry(format!("/api{path}")).or_default().insert((*method).to_owned(), described);
     }
     let mut schemas = asked.take_definitions(true);

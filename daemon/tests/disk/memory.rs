@@ -1,0 +1,34 @@
+//! A run that lasted for days is drawn and written as a table in the memory that a short one takes.
+
+use std::io;
+
+use ballbard::commands::{Layout, write_csv};
+use ballbard::control::runs::curves;
+use shared::recording::SystemDisk;
+
+use super::rig::leave;
+use crate::no_allocation::peak_bytes;
+
+#[test]
+fn what_a_plot_or_a_table_holds_does_not_grow_with_the_run() {
+    // The cycles that the long one has more are 9 MB of records.
+    let (short, long) = (600, 60_000);
+    let directory = tempfile::tempdir().unwrap();
+    let peaks = [short, long].map(|cycles| {
+        let name = format!("of-{cycles}");
+        leave(directory.path(), &name, cycles, true);
+        let file = directory.path().join(format!("{name}.mcap"));
+        let plot = peak_bytes(|| {
+            let curves = curves(&SystemDisk, &file).unwrap();
+            assert!((500..=1500).contains(&curves.t_s.len()));
+        });
+        let table = peak_bytes(|| {
+            assert_eq!(write_csv(&SystemDisk, &file, Layout::default(), io::sink()).unwrap(), cycles);
+        });
+        [plot, table]
+    });
+    let [short, long] = peaks;
+    for (what, (short, long)) in ["plot", "table"].into_iter().zip(short.into_iter().zip(long)) {
+        assert!(long - short < 1 << 20, "{what}: {long} bytes against {short}");
+    }
+}
