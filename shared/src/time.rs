@@ -1,6 +1,7 @@
 //! Integer time. Each clock has its own type, so that bus time, host time and UTC cannot mix.
 
 use std::fmt;
+use std::time::Duration;
 
 use chrono::{DateTime, Utc};
 use schemars::JsonSchema;
@@ -8,6 +9,19 @@ use serde::{Deserialize, Serialize};
 
 /// Nanoseconds in one second.
 pub const NS_PER_S: i64 = 1_000_000_000;
+
+/// A duration as a person types it: `90` and `90s` are seconds, `2m` minutes.
+///
+/// # Errors
+/// A sentence that lists the units.
+pub fn parse_duration(text: &str) -> Result<Duration, String> {
+    let seconds = text.trim().parse::<f64>().ok().map(|seconds| Duration::try_from_secs_f64(seconds).ok());
+    seconds.unwrap_or_else(|| humantime::parse_duration(text).ok()).ok_or_else(|| {
+        format!(
+            "`{text}` is not a duration; give seconds, or a number with ms, s, m or h, such as 90s or 1h 30m"
+        )
+    })
+}
 
 macro_rules! clock_instant {
     ($(#[$doc:meta])* $name:ident) => {

@@ -48,7 +48,7 @@ pub struct StartArguments {
     #[arg(long)]
     name: Option<String>,
     /// How long: 90 (seconds), 90s or 2m; default: until stopped
-    #[arg(long, value_parser = super::duration)]
+    #[arg(long, value_parser = shared::time::parse_duration)]
     duration: Option<Duration>,
     /// Why the run begins in spite of a problem that stops it; goes into the file
     #[arg(long)]

@@ -25,7 +25,6 @@ use shared::generate::GenerateArguments;
 use shared::output::{named, say};
 use shared::recording::schema::SIMULATED_BUS;
 use shared::version::version;
-use std::time::Duration;
 
 const EXIT_CODES: &str = "Exit codes: 0 done; 1 failure, failed check, or run rated BAD; 2 usage error, such as a run \
     without --bus.";
@@ -110,15 +109,6 @@ impl Format {
             say(serde_json::to_string_pretty(outcome)?)?;
         }
         Ok(self.json)
-    }
-}
-
-/// A duration as a person types it: `90` and `90s` are seconds, `2m` minutes.
-fn duration(text: &str) -> Result<Duration, &'static str> {
-    const FORMS: &str = "write seconds or units, such as 90, 90s, 2m or 1h30m";
-    match text.trim().parse::<f64>() {
-        Ok(seconds) => Duration::try_from_secs_f64(seconds).map_err(|_| FORMS),
-        Err(_) => humantime::parse_duration(text).map_err(|_| FORMS),
     }
 }
 

@@ -23,7 +23,7 @@ pub struct RecordArguments {
     #[arg(long)]
     name: Option<String>,
     /// How long: 90 (seconds), 90s or 2m; default: until Ctrl-C, or to the end of a replay
-    #[arg(long, value_parser = super::duration)]
+    #[arg(long, value_parser = shared::time::parse_duration)]
     duration: Option<Duration>,
     /// Network interface of the coupler, such as eth1; `simulated` records made-up data without hardware
     #[arg(long, value_name = "INTERFACE")]

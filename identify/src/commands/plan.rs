@@ -8,6 +8,7 @@ use anyhow::Context;
 use clap::{Args, Subcommand};
 use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::output::{say, show};
+use shared::time::parse_duration;
 
 use super::on_terminal::OnTerminal;
 use super::simulate::numbers;
@@ -117,10 +118,10 @@ struct PathArguments {
     #[arg(long, value_name = "Q1,Q2,..", value_delimiter = ',', allow_hyphen_values = true)]
     posture: Vec<f64>,
     /// Length of the run
-    #[arg(long, default_value = "2m", value_parser = humantime::parse_duration)]
+    #[arg(long, default_value = "2m", value_parser = parse_duration)]
     duration: Duration,
     /// How long to look for better paths; the one that is found is checked every millisecond after that
-    #[arg(long, default_value = "50s", value_parser = humantime::parse_duration)]
+    #[arg(long, default_value = "50s", value_parser = parse_duration)]
     budget: Duration,
     /// Programs for controllers; default: that of the robot's maker, by its name
     #[arg(long, value_enum, value_delimiter = ',')]
@@ -144,10 +145,10 @@ struct PlaceArguments {
     #[arg(long, value_name = "LOW,HIGH", value_parser = numbers::<2>, allow_hyphen_values = true, default_value = "0,1")]
     height: [f64; 2],
     /// Length of the run
-    #[arg(long, default_value = "2m", value_parser = humantime::parse_duration)]
+    #[arg(long, default_value = "2m", value_parser = parse_duration)]
     duration: Duration,
     /// How long to look for places
-    #[arg(long, default_value = "60s", value_parser = humantime::parse_duration)]
+    #[arg(long, default_value = "60s", value_parser = parse_duration)]
     budget: Duration,
     /// Decides the places that are tried
     #[arg(long, default_value_t = 1)]
@@ -195,7 +196,7 @@ struct PosesArguments {
     #[arg(long, value_enum, value_delimiter = ',')]
     program: Vec<Language>,
     /// How long the robot stands at each pose of a program
-    #[arg(long, default_value = "3s", value_parser = humantime::parse_duration)]
+    #[arg(long, default_value = "3s", value_parser = parse_duration)]
     stand: Duration,
     /// Decides which random poses there are
     #[arg(long, default_value_t = 1)]

@@ -6,6 +6,7 @@ use std::time::Duration;
 use clap::{Args, Subcommand, ValueEnum};
 use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::output::say;
+use shared::time::parse_duration;
 
 use crate::instrument::SocketTable;
 use crate::plan::PlannedPath;
@@ -104,7 +105,7 @@ struct BarArguments {
     #[arg(long, value_name = "Q1,..,Q6", value_parser = numbers::<6>, allow_hyphen_values = true)]
     posture: Option<[f64; 6]>,
     /// Length of the run
-    #[arg(long, default_value = "2m", value_parser = humantime::parse_duration)]
+    #[arg(long, default_value = "2m", value_parser = parse_duration)]
     duration: Duration,
     /// The path that the robot drives, such as path.toml of `identify plan`; default: a random one
     #[arg(long, value_name = "FILE", conflicts_with_all = ["base", "posture", "duration"])]
