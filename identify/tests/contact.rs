@@ -9,7 +9,7 @@ use identify::calibrate::mix::{DataSets, Measured, MixedCalibration, calibrate};
 use identify::instrument::{ContactRow, Instrument, KnownDistance, PlacedSocket, SocketTable, Sockets};
 use identify::kinematics::{LinkParameter, flange_chain};
 use identify::logs::ContactMapping;
-use identify::model::ParameterId;
+use identify::model::{DriveTrain, JointState, Model, ParameterId};
 use identify::robot::import;
 use identify::simulate::contact::{self, ContactExperiment, SimulatedContacts};
 use nalgebra::{DVector, Rotation3, Vector3};
@@ -359,4 +359,42 @@ fn a_person_simulates_calibrates_and_repeats_it() {
         done && text.contains("line 5 takes no part") && text.contains("from `D`: look for a wrong name"),
         "{text}"
     );
+}
+
+/// The ball is in its sockets at the joints that the truth's gear terms correct.
+#[test]
+fn gear_errors_of_the_truth_seat_the_ball() {
+    for robot in [irb120(), seven_axes()] {
+        let experiment = ContactExperiment {
+            rows: 30,
+            robot_noise_urad: 0.0,
+            gear_sine_urad: 50.0,
+            seating_um: 0.0,
+            ..ContactExperiment::new(&robot)
+        };
+        let made = contact::run(&experiment).unwrap();
+        let mut model = Model::contact(&made.robot, made.truth.sockets.len())
+            .with_drives(DriveTrain::of(&robot, &made.robot));
+        let mut terms = 0;
+        for (name, value) in made
+            .truth
+            .parameters
+            .iter()
+            .filter(|(name, _)| name.starts_with("rsin") || name.starts_with("rcos"))
+        {
+            model.set_value(name.parse().unwrap(), *value).unwrap();
+            terms += 1;
+        }
+        assert_eq!(terms, 2 * robot.axes());
+        let geometry = model.geometry(&[]);
+        let place = |name: &str| {
+            Vector3::from(["x", "y", "z"].map(|axis| made.truth.parameters[&format!("{name}_{axis}")]))
+        };
+        for row in &made.rows {
+            let end = geometry.robot_end(&JointState::at_rest(row.joints_rad));
+            let ball = end * nalgebra::Point3::from(place("ball"));
+            let off_m = (ball.coords - place(&format!("socket{}", row.socket + 1))).norm();
+            assert!(off_m < 1e-7, "{off_m}");
+        }
+    }
 }

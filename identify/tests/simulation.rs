@@ -4,6 +4,7 @@
 use crate::support::{bar, irb2400, nj220};
 use identify::kinematics::{Configuration, ball_bar_chain, robot_chain, singularity_margin_rad};
 use identify::logs;
+use identify::model::{DriveTrain, JointState, Model, ParameterId};
 use identify::simulate::{self, Clocks, Design, Effects, Experiment, Simulated, StaticErrors, Truth};
 use shared::config::RobotConfig;
 use shared::encoder::Unwrapper;
@@ -243,4 +244,60 @@ fn drawn_errors_touch_the_38_free_parameters_and_no_other() {
     for fixed in ["ra6", "ba5", "rd1", "bd1", "rd3", "rtheta1", "bd5", "balpha2", "balpha5", "orx", "ory"] {
         assert!(!changed.iter().any(|name| name == fixed));
     }
+}
+
+/// A model whose gear terms are those of the truth corrects the log to the joints of a robot without gear errors.
+#[test]
+fn gear_errors_of_the_truth_correct_the_log() {
+    for robot in robots() {
+        let bar = bar();
+        let simulated =
+            |effects| simulate::run(&Experiment { effects, ..Experiment::new(&robot, &bar) }).unwrap();
+        let clean = simulated(Effects::NONE);
+        let with_gears = simulated(Effects { gear_sine_urad: 50.0, cycloid_urad: 20.0, ..Effects::NONE });
+        let arm = robot_chain(&robot, &bar);
+        let terms: Vec<(ParameterId, f64)> = with_gears
+            .truth
+            .parameters
+            .iter()
+            .filter(|(name, _)| name.starts_with("rsin") || name.starts_with("rcos"))
+            .map(|(name, value)| (name.parse().unwrap(), *value))
+            .collect();
+        assert!(terms.len() >= 12 && clean.truth.parameters.keys().all(|name| !name.starts_with("rsin")));
+        let model = Model::ball_bar(&arm, &ball_bar_chain(&bar)).with_drives(DriveTrain::of(&robot, &arm));
+        let mut model = model.with(terms.iter().map(|(id, _)| *id));
+        for (id, value) in terms {
+            model.set_value(id, value).unwrap();
+        }
+        let geometry = model.geometry(&[]);
+        let mut largest_rad = 0.0_f64;
+        for (read, true_rad) in
+            with_gears.robot_log.q_rad.iter().zip(clean.robot_log.q_rad.iter()).step_by(50)
+        {
+            let corrected = geometry.corrected(&JointState::at_rest(*read));
+            for ((corrected, read), is) in corrected.q.iter().zip(read.iter()).zip(true_rad.iter()) {
+                assert!((corrected - is).abs() < 2e-7, "{corrected} {is}");
+                largest_rad = largest_rad.max((read - is).abs());
+            }
+        }
+        assert!(largest_rad > 4e-5, "{largest_rad}");
+    }
+}
+
+#[test]
+fn runs_of_one_robot_have_its_errors_and_paths_of_their_own() {
+    let (robot, bar) = (&robots()[0], bar());
+    let effects = Effects { gear_sine_urad: 50.0, ..Effects::LABORATORY };
+    let run = |robot_seed: Option<u64>, seed: u64| {
+        let errors = StaticErrors::Drawn { seed: robot_seed.unwrap_or(seed) };
+        simulate::run(&Experiment { effects, errors, robot_seed, seed, ..Experiment::new(robot, &bar) })
+            .unwrap()
+    };
+    let [one, other, alone] = [run(Some(7), 1), run(Some(7), 2), run(None, 1)];
+    assert_eq!(one.truth.parameters, other.truth.parameters);
+    assert_ne!(one.motion.path, other.motion.path);
+    assert_ne!(one.truth.encoders, other.truth.encoders);
+    assert_eq!(one.motion.path, alone.motion.path);
+    assert_ne!(one.truth.parameters, alone.truth.parameters);
+    assert_eq!(run(Some(1), 1).robot_log, alone.robot_log);
 }

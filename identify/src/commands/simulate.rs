@@ -17,7 +17,7 @@ use crate::simulate::{self, BarLoad, Effects, Experiment, StaticErrors};
 enum Errors {
     /// Table 3.1 of the thesis
     Thesis,
-    /// Drawn from the seed, 1 mm|mrad standard deviation
+    /// Drawn by --robot-seed, 1 mm|mrad standard deviation
     Drawn,
     /// The robot is as its data sheet says
     None,
@@ -92,9 +92,12 @@ struct BarArguments {
     /// Directory for recording.mcap, robot_log.csv and truth.toml
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// Decides path, encoder offsets, noise and drawn errors
+    /// Decides path, encoder offsets and noise
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Decides drawn errors and the phases of gears and encoders, the same for another run of one robot and bar; default: as --seed
+    #[arg(long, value_name = "SEED")]
+    robot_seed: Option<u64>,
     /// Errors of robot and bar
     #[arg(long, value_enum, default_value = "thesis")]
     errors: Errors,
@@ -220,9 +223,10 @@ fn bar(arguments: &BarArguments) -> anyhow::Result<()> {
     let bar: BallBarConfig = config::load(&arguments.bar)?;
     let mut experiment = Experiment::new(&robot, &bar);
     experiment.seed = arguments.seed;
+    experiment.robot_seed = arguments.robot_seed;
     experiment.errors = match arguments.errors {
         Errors::Thesis => StaticErrors::Thesis,
-        Errors::Drawn => StaticErrors::Drawn { seed: arguments.seed },
+        Errors::Drawn => StaticErrors::Drawn { seed: arguments.robot_seed.unwrap_or(arguments.seed) },
         Errors::None => StaticErrors::None,
     };
     experiment.design.base_m = arguments.base.unwrap_or(experiment.design.base_m);

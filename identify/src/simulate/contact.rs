@@ -12,6 +12,7 @@ use rand_distr::StandardNormal;
 use serde::{Deserialize, Serialize};
 use shared::config::RobotConfig;
 
+use super::effects::{GEAR_PERIODS, Wave};
 use super::{Stream, WriteError, random};
 use crate::instrument::{ContactRow, KnownDistance, PlacedSocket, SocketTable};
 use crate::kinematics::{Chain, DhLink, Joints, Pose, Trace, Tracer, flange_chain};
@@ -262,7 +263,12 @@ pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, Cont
             *number += by * errors.sample::<f64, _>(StandardNormal);
         }
     }
-    let phases: Vec<f64> = chain.links.iter().map(|_| errors.random_range(0.0..TAU)).collect();
+    let gear = |_: &DhLink| Wave {
+        amplitude_rad: experiment.gear_sine_urad * 1e-6,
+        periods: GEAR_PERIODS,
+        phase_rad: errors.random_range(0.0..TAU),
+    };
+    let gears: Vec<Wave> = chain.links.iter().map(gear).collect();
     let limits = robot.joint_limits();
     let arm = Arm { tracer: Tracer::new(&chain), limits: &limits, ball_m: BALL_M.into() };
     let mut poses = random(seed, Stream::Path);
@@ -315,15 +321,19 @@ pub fn run(experiment: &ContactExperiment<'_>) -> Result<SimulatedContacts, Cont
         };
         let mut joints_rad =
             Joints::from_fn(limits.len(), |joint| stands[joint] + noise(experiment.robot_noise_urad));
-        for (drive, phase) in phases.iter().enumerate().filter(|(drive, _)| drives.turns(*drive)) {
-            let error =
-                experiment.gear_sine_urad * 1e-6 * (2.0 * drives.of_drive(drive, &stands) + phase).sin();
+        for (drive, gear) in gears.iter().enumerate().filter(|(drive, _)| drives.turns(*drive)) {
+            let error = gear.at(drives.of_drive(drive, &stands));
             let turned = joints_rad.iter_mut().zip(&drives.joint_from_drive[drive]);
             turned.for_each(|(q, part)| *q += part * error);
         }
         rows.push(ContactRow { joints_rad, socket });
     }
-    let truth = truth(experiment, &table, &chain, &sockets_m);
+    let mut truth = truth(experiment, &table, &chain, &sockets_m);
+    if experiment.gear_sine_urad > 0.0 {
+        let turning = gears.iter().enumerate().filter(|(drive, _)| drives.turns(*drive));
+        let terms = turning.flat_map(|(drive, gear)| gear.terms(&gear.periods.to_string(), drive));
+        truth.parameters.extend(terms);
+    }
     let table = if experiment.distances {
         SocketTable { distances: distances(&table), sockets: Vec::new(), ..table }
     } else {

@@ -1,5 +1,6 @@
 //! What spoils real measurements and is in no estimator's geometry. Each effect is one key and one function.
 
+use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
 use nalgebra::{Matrix6, RowVector6};
@@ -39,7 +40,9 @@ pub struct Effects {
 }
 
 /// Turns of the gear error in one turn of the gear's output.
-const GEAR_PERIODS: f64 = 2.0;
+pub(super) const GEAR_PERIODS: f64 = 2.0;
+/// Place of a cycloid's first wave among the waves of a gear; a calibration names it by the lobes, not by their number.
+const CYCLOID: usize = 1;
 /// Second wave of a cycloid's ripple, part of the first.
 const CYCLOID_SECOND: f64 = 0.25;
 
@@ -118,15 +121,22 @@ impl Effects {
 
 /// `amplitude sin(periods angle + phase)`.
 #[derive(Debug, Clone, Copy)]
-struct Wave {
-    amplitude_rad: f64,
-    periods: f64,
-    phase_rad: f64,
+pub(super) struct Wave {
+    pub amplitude_rad: f64,
+    pub periods: f64,
+    pub phase_rad: f64,
 }
 
 impl Wave {
-    fn at(&self, angle_rad: f64) -> f64 {
+    pub fn at(&self, angle_rad: f64) -> f64 {
         self.amplitude_rad * (self.periods * angle_rad + self.phase_rad).sin()
+    }
+
+    /// The terms by which a calibration takes the error out of a drive's reading (from 0), named after `order` \[rad\].
+    pub fn terms(&self, order: &str, drive: usize) -> [(String, f64); 2] {
+        let (sin, cos) = self.phase_rad.sin_cos();
+        [("sin", cos), ("cos", sin)]
+            .map(|(phase, part)| (format!("r{phase}{order}_{}", drive + 1), -self.amplitude_rad * part))
     }
 }
 
@@ -222,6 +232,18 @@ impl RobotReading {
         let noisy = Noisy { waves, noise_rad: effects.robot_noise_urad * 1e-6, random };
         let play_rad = effects.backlash_urad * 1e-6;
         Self { noisy, joints_from_gears, gears_from_joints, play_rad, motors_rad: None }
+    }
+
+    /// Errors of the gears as the terms of a calibration by their names \[rad\].
+    pub fn terms(&self) -> BTreeMap<String, f64> {
+        let mut terms = BTreeMap::new();
+        for (kind, waves) in self.noisy.waves.iter().enumerate() {
+            for (drive, wave) in waves.iter().enumerate().filter(|(_, wave)| wave.amplitude_rad > 0.0) {
+                let order = if kind == CYCLOID { "c".to_owned() } else { wave.periods.to_string() };
+                terms.extend(wave.terms(&order, drive));
+            }
+        }
+        terms
     }
 
     /// Where the joints are at `true_rad`, after they were where it was asked before.

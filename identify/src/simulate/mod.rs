@@ -84,8 +84,8 @@ pub struct Experiment<'a> {
     pub path: Option<PlannedPath>,
     /// Seed of path, encoder offsets and noise.
     pub seed: u64,
-    /// Seed of the noise where it is another one: another run of the same robot and bar.
-    pub noise_seed: Option<u64>,
+    /// Seed of the phases of gears and encoders, where it is another one: another run of the same robot and bar.
+    pub robot_seed: Option<u64>,
 }
 
 impl<'a> Experiment<'a> {
@@ -102,7 +102,7 @@ impl<'a> Experiment<'a> {
             clocks: Clocks::default(),
             path: None,
             seed: 1,
-            noise_seed: None,
+            robot_seed: None,
         }
     }
 }
@@ -127,7 +127,7 @@ pub struct Simulated {
 pub enum SimulateError {
     /// Layouts and effects are those of other arms.
     #[error(
-        "{robot} has {axes} axes; experiments with the ball-bar are simulated for arms of six revolute axes"
+        "{robot} has {axes} axes; the ball-bar is simulated for six revolute ones; any arm: `identify simulate contact`"
     )]
     Axes {
         /// Its name.
@@ -233,7 +233,8 @@ impl Experiment<'_> {
     ) -> Result<(Truth, Motion<P>, ChaCha8Rng), SimulateError> {
         self.check()?;
         let [nominal_robot, nominal_bar] = self.nominal();
-        let truth = Truth::new(self, &nominal_robot, &nominal_bar);
+        let mut truth = Truth::new(self, &nominal_robot, &nominal_bar);
+        truth.parameters.extend(self.robot_reading().terms());
         let mut load_random = random(self.seed, Stream::Load);
         let motion = Motion {
             path,
@@ -246,16 +247,26 @@ impl Experiment<'_> {
     }
 
     fn robot_reading(&self) -> RobotReading {
-        let stream = |seed| random(seed, Stream::RobotEffects);
-        RobotReading::new(self.robot, &self.effects, stream(self.seed), self.noise_seed.map(stream))
+        let (phases, noise) = self.streams(Stream::RobotEffects);
+        RobotReading::new(self.robot, &self.effects, phases, noise)
     }
 
     fn bar_reading(&self) -> BarReading {
-        let stream = |seed| random(seed, Stream::EncoderEffects);
-        BarReading::new(&self.effects, stream(self.seed), self.noise_seed.map(stream))
+        let (phases, noise) = self.streams(Stream::EncoderEffects);
+        BarReading::new(&self.effects, phases, noise)
     }
 
-    fn check(&self) -> Result<(), SimulateError> {
+    /// What makes the phases of an instrument, and its noise where another seed does.
+    fn streams(&self, stream: Stream) -> (ChaCha8Rng, Option<ChaCha8Rng>) {
+        let robot_seed = self.robot_seed.unwrap_or(self.seed);
+        (random(robot_seed, stream), (robot_seed != self.seed).then(|| random(self.seed, stream)))
+    }
+
+    /// Before anything is simulated: arm and sizes are such that it can be.
+    ///
+    /// # Errors
+    /// [`SimulateError`].
+    pub fn check(&self) -> Result<(), SimulateError> {
         self.effects.check()?;
         let (axes, mut kinds) = (self.robot.axes(), self.robot.joint_kinds());
         if axes != 6 || kinds.any(|kind| kind == JointKind::Prismatic) {

@@ -98,15 +98,13 @@ fn simulate(definition: &Definition, seed: u32, conditions: &Conditions) -> Resu
     let mut truth = None;
     for station in 0..conditions.stations {
         let mut experiment = experiment(definition, seed, conditions);
-        let usual_seed = experiment.seed;
         if station > 0 {
             // The same robot and bar at another place, on another path, with noise of its own.
+            experiment.robot_seed = Some(experiment.seed);
             experiment.seed += (station as u64) << 32;
-            experiment.noise_seed = Some(experiment.seed);
             experiment.design.base_m = definition.study.second_base_m.unwrap_or(experiment.design.base_m);
         }
         let (path, start_rad) = definition.reference.drive(&mut experiment)?;
-        experiment.seed = usual_seed;
         let count = conditions.points / conditions.stations;
         let pairs = pairs(&experiment, path.as_ref(), start_rad, count, conditions.time_difference_s)?;
         stations.push(prepared(&pairs, conditions.measured, experiment.design.base_m)?);
