@@ -8,6 +8,7 @@ use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use identify::calibrate::ball_bar::calibrate_prepared;
+use identify::robot::import;
 use identify::simulate::{Effects, Experiment, LEAD_ROWS, pairs};
 use identify::study::{Definition, Results, THESIS, prepared, run, trials};
 use rand::rngs::StdRng;
@@ -179,6 +180,55 @@ fn a_study_that_makes_no_sense_is_refused_by_key() {
     fs::write(&file, text).unwrap();
     let refused = study(&[&file, "--out", out.to_str().unwrap(), "--figures", "3.2"]);
     assert!(said(&refused).contains("no figure `3.2`; there are exact, noise"), "{}", said(&refused));
+}
+
+#[test]
+fn a_study_without_a_single_estimate_ends_with_an_error_and_its_reason() {
+    let room = tempfile::tempdir().unwrap();
+    let file = small(room.path(), "");
+    let text = fs::read_to_string(&file).unwrap();
+    // No encoder, which the cost needs.
+    let text = text.replace("x = [0]\n", "x = [0]\nwith = { encoders = 0 }\n");
+    fs::write(&file, text).unwrap();
+    for (out, shard) in [("whole", &[][..]), ("shard", &["--shard", "1/2"])] {
+        let out = room.path().join(out);
+        let failed =
+            study(&[&[&file, "--out", out.to_str().unwrap(), "--figures", "exact"][..], shard].concat());
+        assert_eq!(failed.status.code(), Some(1));
+        assert!(said(&failed).contains("estimates failed, the first: "), "{}", said(&failed));
+        assert_eq!(out.join("study.html").exists(), shard.is_empty());
+    }
+}
+
+#[test]
+fn an_arm_that_is_not_simulated_is_refused_before_the_first_experiment() {
+    let room = tempfile::tempdir().unwrap();
+    let file = small(room.path(), "");
+    let arm = room.path().join("arm.toml");
+    let urdf = fs::read_to_string(repository("identify/tests/data/seven_axes.urdf")).unwrap();
+    let imported = import(&urdf, Some("base"), Some("flange")).unwrap().config;
+    fs::write(&arm, toml::to_string(&imported).unwrap()).unwrap();
+    let text = fs::read_to_string(&file).unwrap();
+    let shipped = text.lines().find(|line| line.starts_with("robot = ")).unwrap();
+    fs::write(&file, text.replace(shipped, &format!("robot = {arm:?}"))).unwrap();
+    let out = room.path().join("out");
+    let refused = study(&[&file, "--out", out.to_str().unwrap()]);
+    assert!(!refused.status.success() && !out.exists());
+    assert!(said(&refused).contains("is not an arm of six revolute axes"), "{}", said(&refused));
+}
+
+#[test]
+fn the_help_lists_every_condition_and_the_log_of_a_batch_job_has_lines_of_progress() {
+    let help = String::from_utf8(command(&["--help"]).output().unwrap().stdout).unwrap();
+    for condition in ["encoder_bits", "wire_noise_um", "stations", "encoder_step_urad", "rd3"] {
+        assert!(help.contains(condition), "{condition}: {help}");
+    }
+    let room = tempfile::tempdir().unwrap();
+    let file = small(room.path(), "");
+    let out = room.path().join("out");
+    let mut batch = command(&[&file, "--figures", "exact", "--out", out.to_str().unwrap()]);
+    let log = said(&batch.env("RUST_LOG", "info").output().unwrap());
+    assert!(log.contains("1 of 3 experiments") && log.contains("3 of 3 experiments"), "{log}");
 }
 
 /// The path of a real robot is its log: what the bar's joints did follows from it, and all costs find the errors on it.

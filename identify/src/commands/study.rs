@@ -1,19 +1,35 @@
 //! `identify study`.
 
+use std::io::IsTerminal;
 use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc;
+use std::time::Instant;
 
 use clap::{Args, Subcommand};
 use shared::output::say;
 
 use super::on_terminal::OnTerminal;
 use crate::report::page::StudyPage;
+use crate::simulate::Effects;
 use crate::study::{self, Definition, Results, Share, Summary, Trial, TrialRows, trials};
 
+/// Lines of progress in the log of a batch job.
+const LINES: usize = 20;
+
+/// What `[[figures]]` may vary, for `--help`.
+fn conditions() -> String {
+    let mut text = String::from("Conditions of `vary` and `with` in the file of a study:\n");
+    for (key, meaning) in study::CONDITIONS {
+        text += &format!("  {key:<20}{meaning}\n");
+    }
+    text += &format!("  {}\n  effects of `identify simulate`\n", Effects::KEYS.join(", "));
+    text + "  rd3, bd1, rbeta2, ..  further error of one parameter [mm|mrad]"
+}
+
 #[derive(Debug, Args)]
-#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true)]
+#[command(args_conflicts_with_subcommands = true, subcommand_negates_reqs = true, after_long_help = conditions())]
 pub struct StudyArguments {
     /// `thesis` for the shipped study of the thesis' simulations, or the file of another one, such as
     /// config/studies/thesis.toml
@@ -75,6 +91,7 @@ pub fn run(arguments: &StudyArguments) -> anyhow::Result<()> {
         .collect();
     compute(&definition, &missing, arguments.threads, &mut results)?;
     if arguments.shard.is_some() {
+        ensure_one_succeeded(&results)?;
         say(format_args!("{}; put all shards together with `identify study merge`", out.display()))?;
         return Ok(());
     }
@@ -91,6 +108,8 @@ fn compute(
     let there = std::thread::available_parallelism().ok();
     let threads = threads.or(there).map_or(1, NonZeroUsize::get).min(missing.len().max(1));
     let on_terminal = OnTerminal::new();
+    // The bar is on a terminal only; the log of a batch job gets lines.
+    let (is_watched, begun) = (std::io::stderr().is_terminal(), Instant::now());
     let (next, stop) = (AtomicUsize::new(0), AtomicBool::new(false));
     let (sender, receiver) = mpsc::channel::<TrialRows>();
     std::thread::scope(|scope| -> anyhow::Result<()> {
@@ -111,6 +130,10 @@ fn compute(
             done += 1;
             let kept = results.add(rows);
             let goes_on = on_terminal.counts(done, missing.len(), "experiments");
+            if !is_watched && done * LINES / missing.len() > (done - 1) * LINES / missing.len() {
+                let left_s = begun.elapsed().as_secs_f64() / done as f64 * (missing.len() - done) as f64;
+                tracing::info!("{done} of {} experiments, about {left_s:.0} s left", missing.len());
+            }
             if kept.is_err() || !goes_on {
                 stop.store(true, Ordering::Relaxed);
             }
@@ -148,6 +171,16 @@ fn conclude(out: &Path, definition: &Definition, results: &Results) -> anyhow::R
     }
     for file in files {
         say(file.display())?;
+    }
+    ensure_one_succeeded(results)
+}
+
+/// A study without a single estimate is wrong as a whole.
+fn ensure_one_succeeded(results: &Results) -> anyhow::Result<()> {
+    let rows = || results.done().values().flat_map(|trial| &trial.rows);
+    let reason = rows().next().and_then(|row| row.failed.as_deref());
+    if let Some(reason) = reason.filter(|_| rows().all(|row| row.failed.is_some())) {
+        anyhow::bail!("all {} estimates failed, the first: {reason}", rows().count());
     }
     Ok(())
 }

@@ -7,13 +7,27 @@ use super::{Series, StudyFile};
 use crate::model::ParameterId;
 use crate::simulate::{BarLoad, Effects, StaticErrors};
 
+/// Keys of conditions but effects and parameters, with their meaning.
+pub const CONDITIONS: [(&str, &str); 9] = [
+    ("points", "pairs of robot and bar angles"),
+    ("encoders", "joints of the bar with an encoder: 5, 4, 2 or 0"),
+    ("stations", "places of the bar: 1 or 2"),
+    ("static_errors", "1: table 3.1 of the thesis; 0: none"),
+    ("time_difference_ms", "the bar's angles are those of this much later"),
+    ("encoder_bits", "the step of an encoder with this many bits for each turn"),
+    ("wire_rows", "postures that a draw-wire measures"),
+    ("wire_noise_um", "noise of its lengths"),
+    ("bar_play_um", "how much longer the bar is under tension, and shorter under compression"),
+];
+
 /// A condition that is none.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ConditionError {
     /// No such key.
     #[error(
-        "`{key}` is no condition; there are points, encoders, stations, static_errors, time_difference_ms, encoder_bits, wire_rows, wire_noise_um, \
-         bar_play_um, the effects of `identify simulate` such as robot_noise_urad, and parameters such as rd3 [mm|mrad]"
+        "`{key}` is not a condition; there are {}, effects of `identify simulate` such as robot_noise_urad, and parameters such as \
+         rd3 [mm|mrad]",
+        CONDITIONS.map(|(key, _)| key).join(", ")
     )]
     Unknown {
         /// As given.

@@ -8,6 +8,7 @@ use shared::config::{self, BallBarConfig, ConfigError, Kind, RobotConfig, Source
 
 use super::{Driven, PathChoice, Reference, ReferenceError, StudyFile};
 use crate::logs::{self, LogError};
+use crate::simulate::Experiment;
 
 /// The word for the shipped study of the thesis' chapter 3.
 pub const THESIS: &str = "thesis";
@@ -21,6 +22,14 @@ pub enum LoadError {
     /// The robot's log.
     #[error(transparent)]
     Log(#[from] LogError),
+    /// Neither the bar nor a wire is simulated with such an arm.
+    #[error(
+        "{robot} is not an arm of six revolute axes, which studies simulate; name another file as `robot`"
+    )]
+    Arm {
+        /// The robot's name.
+        robot: String,
+    },
     /// There is no path in the robot's log.
     #[error(transparent)]
     Reference(#[from] ReferenceError),
@@ -63,6 +72,7 @@ impl Definition {
         let study: StudyFile = config::load(path)?;
         let robot: RobotConfig = config::load(&beside(&study.robot))?;
         let bar: BallBarConfig = config::load(&beside(&study.bar))?;
+        Experiment::new(&robot, &bar).check().map_err(|_| LoadError::Arm { robot: robot.name.clone() })?;
         let reference = match &study.path {
             PathChoice { seed: Some(seed), .. } => Reference::Same(*seed),
             PathChoice { planned: Some(file), .. } => Reference::Planned(config::load(&beside(file))?),

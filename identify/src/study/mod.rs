@@ -14,7 +14,7 @@ mod summary;
 mod table;
 mod trial;
 
-pub use conditions::{ConditionError, Conditions};
+pub use conditions::{CONDITIONS, ConditionError, Conditions};
 pub use definition::{Definition, LoadError, THESIS};
 pub use file::{
     Choice, Estimator, Figure, Kind, Measure, PathChoice, Series, Statement, StudyFile, StudyInstrument,
