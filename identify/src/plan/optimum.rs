@@ -19,6 +19,8 @@ use crate::solver::ScaledCholesky;
 const STEPS_MAX: usize = 300;
 /// The bound is found where `(d - m) / v` is no more than this.
 const GAP: f64 = 0.05;
+/// Part of the variance of the best parts that were found which its bound has to reach to be one worth comparing with.
+const TIGHT: f64 = 0.9;
 /// Random poses that a path is compared with.
 const RANDOM_POSES: usize = 1000;
 /// Poses of the path beside them at most: those of four minutes. Of a longer path every second or third says as much.
@@ -52,18 +54,24 @@ pub(super) fn goals(
 }
 
 /// What every run of a path's length leaves at least of the RMS position error with all terms of the axes \[m\], if it bends elbow and wrist
-/// as the path does, by its poses and random ones. None where they leave a parameter open.
+/// as the path does, by its poses and random ones. None if they leave a parameter open, if the bound did not
+/// converge, and for an arm that has more than six axes.
 pub fn position_m_min(
     checked: &Checked,
     constraints: &Constraints<'_>,
     information: &Information,
 ) -> Option<f64> {
+    // How elbow and wrist are bent is known of six axes only: freely bent ones leave far less than any path.
+    if constraints.limits.len() != 6 {
+        return None;
+    }
     let mut poses = random_poses(constraints, RANDOM_POSES, &mut ChaCha8Rng::seed_from_u64(1));
     let visited = &checked.visited;
     let every = visited.robot.len().div_ceil(PATH_POSES_MAX).max(1);
     poses.bar_rad.extend(visited.bar_rad.iter().step_by(every));
     poses.robot.extend(visited.robot.iter().step_by(every));
-    information.optimum(&poses, checked.duration_s).map(|best| best.variance_min.sqrt())
+    let best = information.optimum(&poses, checked.duration_s)?;
+    (best.variance_min > TIGHT * best.variance).then(|| best.variance_min.sqrt())
 }
 
 /// The parts of poses, as often as one likes, that `measurements` of them should have so that `tr(weight covariance)` is least.

@@ -3,7 +3,7 @@
 
 mod bodies;
 
-use nalgebra::{Matrix6, Vector6};
+use nalgebra::{Matrix6, Vector3, Vector6};
 
 pub use bodies::{Bodies, Skeleton};
 
@@ -163,9 +163,11 @@ impl<'a> Constraints<'a> {
         }
     }
 
-    /// Which way wrist and elbow are bent: the signs of joint 5 and of the Jacobian's determinant of an arm of six axes, which no path
-    /// changes that stays away from singular postures.
-    pub(super) fn bent(&self, robot_rad: &[f64]) -> [bool; 2] {
+    /// Which way wrist, elbow and shoulder of an arm of six axes are bent: the sign of joint 5, the side of the upper arm on which the
+    /// wrist is, and the sign of the Jacobian's determinant, which changes with each of the three. No path changes them that stays
+    /// away from singular postures.
+    pub(super) fn bent(&self, robot_rad: &[f64]) -> [bool; 3] {
+        let &[_, _, _, _, wrist, _] = robot_rad else { return [true; 3] };
         let mut trace = Trace::default();
         self.tracer.trace(robot_rad, &mut trace);
         let mut jacobian = Matrix6::zeros();
@@ -173,10 +175,10 @@ impl<'a> Constraints<'a> {
             column.fixed_rows_mut::<3>(0).copy_from(&twist.linear);
             column.fixed_rows_mut::<3>(3).copy_from(&twist.angular);
         }
-        match *robot_rad {
-            [_, _, _, _, wrist, _] => [wrist.sin() > 0.0, jacobian.determinant() > 0.0],
-            _ => [true; 2],
-        }
+        let axes: Vec<(Vector3<f64>, Vector3<f64>)> = trace.joint_axes().collect();
+        let [(shoulder, along), (elbow, _), (wrist_m, _)] = [axes[1], axes[2], axes[4]];
+        let side = along.dot(&(elbow - shoulder).cross(&(wrist_m - elbow)));
+        [wrist.sin() > 0.0, side > 0.0, jacobian.determinant() > 0.0]
     }
 
     /// Smallest singular value of the robot's Jacobian, position in m and rotation in rad.
