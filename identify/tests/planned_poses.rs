@@ -11,7 +11,8 @@ use identify::instrument::{Measures as _, PoseRow, Standing, Tracker, standing};
 use identify::kinematics::{Joints, flange_chain};
 use identify::logs::{JointTableMapping, MeasuredPoseMapping, MeasuredPoses};
 use identify::plan::{
-    Bodies, Measures, PlannedPoses, PoseRequest, poses, poses_position_m_min, random_postures,
+    Bodies, Language, Measures, PlannedPoses, PoseRequest, Way, pose_program, poses, poses_position_m_min,
+    random_postures,
 };
 use identify::robot::import;
 use nalgebra::{Point3, Vector3};
@@ -190,14 +191,15 @@ fn poses_of_any_arm_and_instrument_are_clear_within_limits_and_expected_to_be_be
         let [short, long]: [f64; 2] = [&found.joints, &by_number].map(|order| moves(order).sum());
         assert!(short < 0.8 * long, "{short} {long}");
         // Where the way is not said to be blocked it is clear, looked at more closely than by the planner.
-        for (pose, pair) in
-            found.joints.windows(2).enumerate().filter(|(pose, _)| !found.blocked.contains(pose))
-        {
-            for step in 0..=100 {
-                let part = f64::from(step) / 100.0;
-                let q = Joints::from_fn(pair[0].len(), |i| pair[0][i] + part * (pair[1][i] - pair[0][i]));
-                let height_m = arm.forward(&q).translation.vector.z;
-                assert!(height_m > -0.1 + 0.5 * bodies.link_radius_m, "{pose}: {height_m}");
+        for (postures, way) in found.moves().zip(&found.ways[1..]).filter(|(_, way)| **way != Way::Blocked) {
+            assert_eq!(postures.len() > 2, *way != Way::Straight);
+            for pair in postures.windows(2) {
+                for step in 0..=100 {
+                    let part = f64::from(step) / 100.0;
+                    let q = Joints::from_fn(pair[0].len(), |i| pair[0][i] + part * (pair[1][i] - pair[0][i]));
+                    let height_m = arm.forward(&q).translation.vector.z;
+                    assert!(height_m > -0.1 + 0.5 * bodies.link_radius_m, "{height_m}");
+                }
             }
         }
     }
@@ -222,10 +224,12 @@ fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_eac
         identify(&[&common[..], &["--count", count], more].concat(), "ur10.toml", out)
     };
     let planned =
-        plan("20", &["--measures", "positions", "--stand", "2s", "--program", "urscript,rapid,krl,fanuc"]);
+        plan("20", &["--measures", "positions", "--stand", "2s", "--program", "urscript,rapid,krl"]);
     assert!(planned.status.success(), "{}", String::from_utf8_lossy(&planned.stderr));
     let said = String::from_utf8(planned.stdout).unwrap();
     assert!(said.contains("20 of 60 poses") && said.contains("waves per turn"), "{said}");
+    // The default target does not move when joint 6 turns.
+    assert!(said.contains("on the axis of joint 6") && said.contains("--target 0.1,0,0.1"), "{said}");
     let mapping: JointTableMapping = config::load(&out.join("poses.toml")).unwrap();
     let joints = mapping.load(&out.join("poses.csv")).unwrap();
     assert_eq!(joints.len(), 20);
@@ -257,7 +261,6 @@ fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_eac
         ("measure_poses.script", "movej(", "sleep(2)"),
         ("MeasurePoses.mod", ",fine,tool0;", "WaitTime 2;"),
         ("measure_poses.src", "PTP {", "WAIT SEC 2"),
-        ("measure_poses.ls", "10% FINE", "WAIT   2.00(sec)"),
     ] {
         let program = read(name);
         assert_eq!([program.matches(stop).count(), program.matches(wait).count()], [20, 20], "{name}");
@@ -292,4 +295,99 @@ fn the_command_writes_poses_that_calibrate_reads_and_a_program_that_stops_at_eac
         let said = String::from_utf8_lossy(&refused.stderr).into_owned();
         assert!(!refused.status.success() && said.contains(told), "{said}");
     }
+}
+
+/// What each language does before a pose that no free way leads to, and on a way through another posture.
+#[test]
+fn programs_stop_before_a_pose_without_a_free_way_and_drive_through_the_postures_of_others() {
+    let mut robot = ur10();
+    // As FANUC needs it.
+    robot.log.raw_to_joint[1][2] = -1.0;
+    let joints: Vec<Joints> = (1..=3).map(|pose| Joints::of([0.1 * f64::from(pose); 6])).collect();
+    let through = Joints::of([0.25; 6]);
+    let planned = PlannedPoses {
+        chosen: vec![0, 1, 2],
+        ways: vec![Way::Straight, Way::Through(vec![through]), Way::Blocked],
+        joints,
+        before_m: 0.0,
+        position_m: 0.0,
+        random_m: 0.0,
+        determined: Vec::new(),
+    };
+    for (language, moves, waits, stop) in [
+        (Language::Rapid, "MoveAbsJ ", "WaitTime", "Stop\\NoRegain;"),
+        (Language::Krl, "PTP {", "WAIT SEC", "HALT"),
+        (Language::Urscript, "movej(", "sleep(", "  halt"),
+        (Language::Fanuc, "J P[", "WAIT ", "PAUSE"),
+    ] {
+        let text = pose_program(language, &planned, &robot, 2.0).unwrap();
+        let lines: Vec<&str> = text
+            .lines()
+            .filter(|line| line.contains(moves) || line.contains(waits) || line.contains(stop))
+            .collect();
+        let is = |line: &&str| [moves, waits, stop].iter().position(|word| line.contains(word)).unwrap();
+        assert_eq!(lines.iter().map(is).collect::<Vec<_>>(), [0, 1, 0, 0, 1, 2, 0, 1], "{text}");
+        assert!(text.contains("jog by hand to pose 3"), "{text}");
+        let before = text.split_once(stop).unwrap().0.replace("\n", " ");
+        assert!(before.contains("no free way from pose 2 to pose 3"), "{text}");
+    }
+}
+
+/// A wall across the ways of many moves, which the arm can pass at its ends.
+#[test]
+fn moves_go_round_a_wall_through_postures_that_are_clear() {
+    let robot = ur10();
+    let bodies = Bodies { boxes_m: vec![[[0.45, -0.02, -1.0], [3.0, 0.02, 3.0]]], ..Bodies::for_reach(1.3) };
+    let arm = flange_chain(&robot);
+    let found = planned(&robot, Measures::Positions, &bodies, 25);
+    assert!(found.ways.iter().any(|way| matches!(way, Way::Through(_))), "{:?}", found.ways);
+    for (postures, way) in found.moves().zip(&found.ways[1..]).filter(|(_, way)| **way != Way::Blocked) {
+        assert_eq!(postures.len() > 2, *way != Way::Straight);
+        for pair in postures.windows(2) {
+            for step in 0..=200 {
+                let part = f64::from(step) / 200.0;
+                let q = Joints::from_fn(6, |axis| pair[0][axis] + part * (pair[1][axis] - pair[0][axis]));
+                assert!(
+                    bodies.is_clear(&arm, &q)
+                        && q.iter().zip(robot.joint_limits()).all(|(q, [low, high])| low <= *q && *q <= high)
+                );
+            }
+        }
+    }
+}
+
+/// Two walls with less room between them than the wrist needs: no way leads from one side to the other.
+#[test]
+fn poses_without_a_free_way_between_them_are_marked_everywhere_and_end_with_an_error() {
+    let directory = tempfile::tempdir().unwrap();
+    let out = directory.path();
+    let arguments = ["plan", "poses", "--measures", "positions", "--draw", "60", "--count", "12"];
+    let walls = ["--box", "-0.02,0.2,-1,0.02,3,3", "--box", "-0.02,-3,-1,0.02,-0.2,3"];
+    let programs = ["--program", "urscript,rapid,krl"];
+    let planned = identify(&[&arguments[..], &walls, &programs].concat(), "ur10.toml", out);
+    let [said, error] =
+        [&planned.stdout, &planned.stderr].map(|text| String::from_utf8_lossy(text).into_owned());
+    assert_eq!(planned.status.code(), Some(1), "{said} {error}");
+    assert!(error.contains("moves have no free way") && error.contains("--draw"), "{error}");
+    assert!(said.contains("no free way of the joints was found to pose "), "{said}");
+    let read = |name: &str| std::fs::read_to_string(out.join(name)).unwrap();
+    assert!(read("poses.html").contains("no free way of the joints was found to pose "));
+    let table = read("poses.csv");
+    let marked: Vec<usize> =
+        table.lines().enumerate().filter(|(_, row)| row.contains("BLOCKED")).map(|(row, _)| row).collect();
+    assert!(!marked.is_empty());
+    for (name, stop) in [
+        ("MeasurePoses.mod", "Stop\\NoRegain;"),
+        ("measure_poses.src", "\nHALT\n"),
+        ("measure_poses.script", "\n  halt\n"),
+    ] {
+        let program = read(name);
+        assert_eq!(program.matches(stop).count(), marked.len(), "{name}");
+        for pose in &marked {
+            assert!(program.contains(&format!("jog by hand to pose {pose}")), "{name}");
+        }
+    }
+    // The table is read in spite of its marks.
+    let mapping: JointTableMapping = config::load(&out.join("poses.toml")).unwrap();
+    assert_eq!(mapping.load(&out.join("poses.csv")).unwrap().len(), 12);
 }

@@ -13,8 +13,8 @@ use identify::model::ParameterId;
 use identify::model::TermGroup;
 use identify::plan::{
     Bodies, Checked, Constraints, Criterion, Design, ExpectedPosition, Found, Information, Language,
-    Obstacle, PlaceRequest, PlanError, PlannedPath, Progress, Visited, check, places, position_m_min,
-    program, robot_path, search,
+    Obstacle, PlaceRequest, PlanError, PlannedPath, PlannedPoses, Progress, Visited, Way, check, places,
+    pose_program, position_m_min, program, robot_path, search,
 };
 use identify::robot::import;
 use identify::simulate::{self, Effects, Experiment, Simulated, StaticErrors};
@@ -23,7 +23,7 @@ use nalgebra::Vector3;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use shared::config::{self, AngleUnit, BallBarConfig, RobotConfig};
+use shared::config::{self, AngleUnit, BallBarConfig, LogConversion, RobotConfig};
 
 use crate::support::browser;
 use crate::support::campaign::{is_full, size};
@@ -409,6 +409,12 @@ fn lengths_that_no_path_tells_apart_leave_the_expected_error_of_positions_as_it_
     let information = cell.information();
     for seed in 1..=4 {
         let checked = cell.check(&cell.robot_path(&cell.search(seed, 0)));
+        let open = information.not_separated(&checked.normal);
+        let open: Vec<String> = open.iter().map(ToString::to_string).collect();
+        assert!(
+            open.contains(&"rd2".to_owned()) && open.contains(&"rd4".to_owned()) && open.len() < 8,
+            "{open:?}"
+        );
         let expected = information.position(&checked.normal);
         assert!(
             expected.axes_exact_m < expected.with_terms_m && expected.with_terms_m < 1e-3,
@@ -494,6 +500,9 @@ fn a_second_station_adds_what_more_of_the_first_does_not() {
     let found = places(&request, 1, Duration::from_secs(3600), |tried| tried >= 12).unwrap();
     let (first, second) = (&found.found[0], found.second.as_ref().unwrap());
     assert!(second.place.base_m != first.base_m && second.place.length_m == first.length_m);
+    // The bar's stand and the robot's foot do not share a place.
+    let reach_m = robot_chain(&robot, &bar).reach_m();
+    assert!(found.found.iter().all(|place| place.base_m[0].hypot(place.base_m[1]) >= 0.25 * reach_m));
     let errors =
         |expected: &ExpectedPosition| [expected.axes_exact_m, expected.with_terms_m, expected.with_plate_m];
     let [alone, twice, both] = [&first.expected, &second.twice_as_long, &second.expected].map(errors);
@@ -530,6 +539,28 @@ fn numbers(program: &str, word: &str, [open, close]: [&str; 2]) -> Vec<Vec<f64>>
             inside.split(',').map(number).collect()
         })
         .collect()
+}
+
+/// Joints at each period of a program, in its unit, from where the path begins; a standstill counts as often as it has periods.
+fn followed(program: &str, [moves, waits]: [&str; 2], brackets: [&str; 2], period_s: f64) -> Vec<Vec<f64>> {
+    let mut points: Vec<Vec<f64>> = Vec::new();
+    let mut waits_before = 0;
+    for line in program.lines().map(str::trim_start) {
+        if let Some(rest) = line.strip_prefix(waits) {
+            waits_before += 1;
+            // The first is before the path.
+            if waits_before > 1 {
+                let seconds: f64 = rest.trim_end_matches(';').parse().unwrap();
+                let last = points.last().unwrap().clone();
+                points.extend(std::iter::repeat_n(last, (seconds / period_s).round() as usize));
+            }
+        }
+        for point in numbers(line, moves, brackets) {
+            assert_ne!(points.last(), Some(&point), "a segment of zero length");
+            points.push(point);
+        }
+    }
+    points
 }
 
 /// A controller that logs joint angles: joint 2 counts the other way, joint 3 from the horizontal, joint 5 from its middle.
@@ -589,8 +620,13 @@ fn programs_of_controllers_have_the_joints_of_the_path() {
     for language in [Language::Rapid, Language::Krl, Language::Urscript] {
         let text = program(language, &path, &cell.robot, &cell.constraints()).unwrap();
         let (points, to_deg, skipped) = match language {
-            Language::Rapid => (numbers(&text, "MoveAbsJ ", ["[[", "]"]), 1.0, 0),
-            Language::Krl => (numbers(&text, "SPTP ", ["{", "}"]), 1.0, 1),
+            Language::Rapid => {
+                (followed(&text, ["MoveAbsJ ", "WaitTime "], ["[[", "]"], period_s(&text)), 1.0, 0)
+            }
+            Language::Krl => {
+                let as_one = text.replace("SPTP", "PTP");
+                (followed(&as_one, ["PTP ", "WAIT SEC "], ["{", "}"], period_s(&text)), 1.0, 0)
+            }
             Language::Urscript => (numbers(&text, "go(", ["[", "]"]), 1f64.to_degrees(), 1),
             Language::Fanuc => unreachable!("another form"),
         };
@@ -598,6 +634,63 @@ fn programs_of_controllers_have_the_joints_of_the_path() {
             points.iter().map(|point| point.iter().map(|angle| angle * to_deg).collect()).collect();
         assert_same(&points, &rows, period_s(&text), skipped, 1e-4);
     }
+}
+
+/// The arm drives to the start without the bar.
+#[test]
+fn every_program_stops_between_the_way_to_the_start_and_the_path_to_attach_the_bar() {
+    let mut cell = Cell::new(irb2400(), 30.0);
+    let path = cell.robot_path(&cell.search(1, 0));
+    cell.robot = with_joint_log(cell.robot);
+    for (language, words) in [
+        (Language::Rapid, ["MoveAbsJ", "TPWrite \"attach the ball-bar now\";", "Stop;", "MoveAbsJ"]),
+        (Language::Krl, ["PTP {", "; attach the ball-bar now", "HALT", "SPTP {"]),
+        (Language::Urscript, ["movej(", "popup(\"attach the ball-bar now\"", "blocking=True", "go(["]),
+        (Language::Fanuc, ["10% FINE", "MESSAGE[attach the ball bar now]", "PAUSE", "msec CNT100"]),
+    ] {
+        let text = program(language, &path, &cell.robot, &cell.constraints()).unwrap();
+        let mut rest = text.as_str();
+        for word in words {
+            rest = rest.split_once(word).unwrap_or_else(|| panic!("{word} in order: {language:?}")).1;
+        }
+        assert_eq!(text.matches("the ball-bar now").count() + text.matches("the ball bar now").count(), 1);
+    }
+    // A KUKA controller moves nothing while tool and base are undefined.
+    let krl = program(Language::Krl, &path, &cell.robot, &cell.constraints()).unwrap();
+    let before = krl.split_once("PTP ").unwrap().0;
+    assert!(before.contains("$TOOL=$NULLFRAME\n") && before.contains("$BASE=$NULLFRAME\n"), "{before}");
+}
+
+/// Joint 3 of the LR Mate's description is that of the forearm against the upper arm, the controller's that against the horizontal.
+#[test]
+fn a_fanuc_program_is_refused_where_joint_3_of_the_robots_file_is_not_the_controllers() {
+    let mut robot = irb2400();
+    robot.name = "fanuc_lrmate200id".into();
+    robot.log = LogConversion::direct(AngleUnit::Deg, 6);
+    // Axes 2 and 3 of it are antiparallel.
+    robot.links[1].alpha_deg = 180.0;
+    let joints = [0.0, 46.053, -29.842, 0.0, 30.0, 0.0].map(f64::to_radians);
+    let poses = PlannedPoses {
+        chosen: vec![0],
+        joints: vec![Joints::of(joints)],
+        ways: vec![Way::Straight],
+        before_m: 0.0,
+        position_m: 0.0,
+        random_m: 0.0,
+        determined: Vec::new(),
+    };
+    let refused = pose_program(Language::Fanuc, &poses, &robot, 1.0).unwrap_err().to_string();
+    assert!(
+        refused.contains("[0.0, 1.0, 1.0, 0.0, 0.0, 0.0]") && refused.contains("second row"),
+        "{refused}"
+    );
+    assert!(pose_program(Language::Krl, &poses, &robot, 1.0).is_ok());
+    robot.log.raw_to_joint[1][2] = -1.0;
+    assert!(pose_program(Language::Fanuc, &poses, &robot, 1.0).is_err());
+    robot.log.raw_to_joint[1][2] = 1.0;
+    let text = pose_program(Language::Fanuc, &poses, &robot, 1.0).unwrap();
+    assert!(text.contains("J2= 46.053 deg") && text.contains("J3= -75.895 deg"), "{text}");
+    assert_eq!(Language::of(&robot), Some(Language::Fanuc));
 }
 
 #[test]
@@ -624,8 +717,25 @@ fn a_fanuc_program_has_each_point_once_and_moves_to_them_in_order() {
     assert_eq!(moves[0], "1] 10% FINE ;");
     let period_ms: f64 = moves[1].split(' ').nth(1).unwrap().strip_suffix("msec").unwrap().parse().unwrap();
     for (index, step) in moves.iter().enumerate().skip(1) {
-        assert_eq!(*step, format!("{}] {period_ms}msec CNT100 ;", index + 1));
+        let through = format!("{}] {period_ms}msec ", index + 1);
+        assert!(matches!(step.strip_prefix(&through), Some("CNT100 ;" | "FINE ;")), "{step}");
     }
+    // Standstills are waits at an exact stop; the first wait is before the path.
+    let mut periods = Vec::new();
+    let mut standstills = 0;
+    for line in lines.iter().skip_while(|line| !line.contains("PAUSE")).skip(2) {
+        if line.contains(":J P[") {
+            periods.push(1);
+        } else {
+            let seconds = line.split_once("WAIT").unwrap().1.split_once("(sec)").unwrap().0.trim();
+            let stands_s: f64 = seconds.parse().unwrap();
+            periods.push((stands_s * 1e3 / period_ms).round() as usize);
+            standstills += 1;
+        }
+    }
+    assert!(standstills > 2);
+    let before_waits = lines.windows(2).filter(|pair| pair[1].contains("WAIT"));
+    assert!(before_waits.skip(1).all(|pair| !pair[0].contains("CNT100")), "{lines:?}");
     let points: Vec<Vec<f64>> = between("/POS\n", "/END")
         .split("};")
         .filter(|block| !block.trim().is_empty())
@@ -641,7 +751,13 @@ fn a_fanuc_program_has_each_point_once_and_moves_to_them_in_order() {
         })
         .collect();
     assert_eq!(points.len(), moves.len());
-    assert_same(&points, &logged(&path, &cell.robot), period_ms * 1e-3, 0, 6e-4);
+    let mut at = points.iter();
+    let mut driven = vec![at.next().unwrap().clone()];
+    for (line, periods) in lines.iter().skip_while(|line| !line.contains("PAUSE")).skip(2).zip(periods) {
+        let point = if line.contains(":J P[") { at.next().unwrap() } else { driven.last().unwrap() }.clone();
+        driven.extend(std::iter::repeat_n(point, periods));
+    }
+    assert_same(&driven, &logged(&path, &cell.robot), period_ms * 1e-3, 0, 6e-4);
 }
 
 /// What `script` prints of the program in `argv[1]`: a point for each line, angles by spaces.
@@ -668,18 +784,30 @@ tokens = module.parse_string(text, parse_all=True).as_list()
 assert tokens[:3] == ["MODULE", "BallBarPath", "PROC"], tokens[:3]
 assert tokens[-2:] == ["ENDPROC", "ENDMODULE"], tokens[-2:]
 starts = [i for i, token in enumerate(tokens) if token == "MoveAbsJ"]
+period_s = tokens[starts[1] + 23]
 for start, end in zip(starts, starts[1:] + [len(tokens) - 2]):
     assert tokens[start + 1:start + 3] == ["[", "["] and tokens[start + 9:start + 11] == ["]", "["]
     assert all(axis == 9e9 for axis in tokens[start + 11:start + 17])
     rest = tokens[start + 19:end]
+    stands = 0
     if start == starts[0]:
-        assert rest == ["\\NoEOffs", ",", "v50", ",", "fine", ",", "tool0", ";", "WaitTime", 1, ";"], rest
+        assert rest[:8] == ["\\NoEOffs", ",", "v50", ",", "fine", ",", "tool0", ";"], rest
+        rest = rest[8:]
+        assert rest[0] == "TPWrite" and "Stop" in rest, rest
+        rest = rest[rest.index("Stop") + 2:]
+        assert rest[:3] == ["WaitTime", 1, ";"], rest
+        rest = rest[3:]
         time_s = 0
     else:
         assert rest[:4] == ["\\NoEOffs", ",", "v1000", "\\T"] and rest[4] == ":=", rest
-        assert rest[6:] == [",", "z1", ",", "tool0", ";"], rest
-        time_s = rest[5]
+        assert rest[7] == ("z1" if len(rest) == 11 else "fine"), rest
+        assert rest[8:11] == [",", "tool0", ";"] and rest[5] == period_s, rest
+        time_s, rest = rest[5], rest[11:]
+    if end < len(tokens) - 2 or rest:
+        assert not rest or (rest[0] == "WaitTime" and len(rest) == 3), rest
     print(*tokens[start + 3:start + 9], time_s)
+    for _ in range(round(float(rest[1]) / period_s) if rest else 0):
+        print(*tokens[start + 3:start + 9], period_s)
 "#;
 
 /// RAPID's grammar by another hand.
@@ -722,12 +850,13 @@ for dt in (0.002, 0.008):
         get_steptime=lambda: dt,
         movej=lambda q, a, v: called.append(("movej", q)),
         sleep=lambda s: called.append(("sleep", s)),
+        popup=lambda s, title, blocking: called.append(("popup", s)),
         stopj=lambda a: called.append(("stopj", a)),
         servoj=lambda q, t, lookahead_time, gain: (called.append("servoj"), steps.append([t, *q])),
     )
     exec("\n".join(lines), known)
-    assert [name for name, _ in called[:2]] == ["movej", "sleep"] and called[-1] == ("stopj", 2), called[-1]
-    assert set(called[2:-1]) == {"servoj"}
+    assert [name for name, _ in called[:3]] == ["movej", "popup", "sleep"], called[:3]
+    assert called[-1] == ("stopj", 2) and set(called[3:-1]) == {"servoj"}, called[-1]
     for q in [[0.0, *called[0][1]], *steps]:
         assert q[0] in (0, dt)
         print(dt, *q[1:])
@@ -898,4 +1027,106 @@ fn a_planned_path_calibrates_better_than_random_ones_in_the_simulated_laboratory
     let expected = cell.information().position(&found.normal);
     println!("position error of the robot: random {random_m:.2e} m, planned {planned_m:.2e}, {expected:?}");
     assert!(planned_m < 0.7 * random_m, "{planned_m} {random_m}");
+}
+
+/// What a person types wrongly about lengths and times, and what the terminal adds to a path.
+#[test]
+fn places_in_millimetres_and_unknown_units_of_time_are_answered_with_what_to_type() {
+    let directory = tempfile::tempdir().unwrap();
+    let bar = crate::support::repository("config/ball_bar.toml");
+    let told = |more: &[&str]| {
+        let arguments = [&["plan", "--bar", bar.to_str().unwrap(), "--budget", "1s"][..], more].concat();
+        let refused = identify(&arguments, "irb2400_16.toml", directory.path());
+        assert!(!refused.status.success(), "{more:?}");
+        String::from_utf8_lossy(&refused.stderr).into_owned()
+    };
+    let base = told(&["--base", "1000,50,350"]);
+    assert!(base.contains("in metres") && base.contains("write --base 1,0.05,0.35"), "{base}");
+    let floor = told(&["--floor", "350"]);
+    assert!(floor.contains("write --floor 0.35"), "{floor}");
+    // Two seconds, as `ballbard start --duration 90` are ninety.
+    let short = told(&["--duration", "2"]);
+    assert!(short.contains("--duration of at least 15 s"), "{short}");
+    let unknown = told(&["--duration", "5x"]);
+    assert!(
+        unknown.contains("`5x` is not a duration; give seconds") && !unknown.contains("years"),
+        "{unknown}"
+    );
+}
+
+#[test]
+fn a_path_of_an_arm_that_calibrate_refuses_begins_with_that_and_no_program_has_its_reason() {
+    let directory = tempfile::tempdir().unwrap();
+    let room = directory.path();
+    let arm = room.join("arm.toml");
+    let cell = seven_axes();
+    std::fs::write(&arm, toml::to_string(&cell.robot).unwrap()).unwrap();
+    let bar = room.join("bar.toml");
+    std::fs::write(&bar, toml::to_string(&cell.bar).unwrap()).unwrap();
+    let planned = Command::new(env!("CARGO_BIN_EXE_identify"))
+        .args([
+            "plan",
+            "--robot",
+            arm.to_str().unwrap(),
+            "--bar",
+            bar.to_str().unwrap(),
+            "--base",
+            "0.2,-0.3,0.5",
+        ])
+        .args(["--posture", "-124,26,7,-116,132,108,32", "--link-radius-mm", "40"])
+        .args(["--duration", "30", "--budget", "5s", "--out", room.join("out").to_str().unwrap()])
+        .output()
+        .unwrap();
+    let said = String::from_utf8(planned.stdout).unwrap();
+    assert!(planned.status.success(), "{said} {}", String::from_utf8_lossy(&planned.stderr));
+    let first = said.lines().next().unwrap();
+    assert!(
+        first.contains("`identify calibrate` does not take a run") && first.contains("six revolute"),
+        "{first}"
+    );
+    assert!(said.contains("gimbal in the robot's base frame: 0.200, -0.300, 0.500 m (--base)"), "{said}");
+    assert!(said.contains("not end where it begins") || said.contains("ends where it begins"), "{said}");
+    assert!(said.contains("no program") && said.contains("--program"), "{said}");
+    // No bound is known of arms that can bend more than elbow and wrist.
+    assert!(!said.contains("efficiency"), "{said}");
+    let page = std::fs::read_to_string(room.join("out/path.html")).unwrap();
+    assert!(page.contains("0.200, -0.300, 0.500 m") && page.contains("where it begins"));
+}
+
+#[test]
+fn a_program_is_that_of_the_maker_in_the_robots_name_however_it_is_written() {
+    let of = |name: &str| Language::of(&RobotConfig { name: name.into(), ..irb2400() });
+    for (name, language) in [
+        ("abb_irb120_3_58", Some(Language::Rapid)),
+        ("ABB IRB 2400/16", Some(Language::Rapid)),
+        ("kuka_kr6r700sixx", Some(Language::Krl)),
+        ("ur5e_robot", Some(Language::Urscript)),
+        ("Universal Robots UR10", Some(Language::Urscript)),
+        ("fanuc_lrmate200id", Some(Language::Fanuc)),
+        ("urdf_arm", None),
+        ("Comau NJ 220-2.7", None),
+    ] {
+        assert_eq!(of(name), language, "{name}");
+    }
+}
+
+/// A UR5e reaches the sphere with shoulder and elbow turned over, too; no path leads there.
+#[test]
+fn the_bound_of_a_path_takes_its_poses_bent_as_the_path_is() {
+    let mut robot: RobotConfig =
+        config::load(&crate::support::repository("config/robots/ur10.toml")).unwrap();
+    let links = [(0.0, 0.1625), (-0.425, 0.0), (-0.3922, 0.0), (0.0, 0.1333), (0.0, 0.0997), (0.0, 0.0996)];
+    for (link, (a_m, d_m)) in robot.links.iter_mut().zip(links) {
+        (link.a_m, link.d_m) = (a_m, d_m);
+    }
+    let design = Design { base_m: [0.6, 0.05, 0.35], duration_s: 60.0, ..Design::for_robot(&robot) };
+    let bar = BallBarConfig { plate_m: 0.1, length_m: 0.4, ..bar() };
+    let cell = Cell::with(robot, bar, design);
+    let (constraints, information) = (cell.constraints(), cell.information());
+    let found = cell.search(1, 100);
+    let planned_m = information.position(&found.normal).with_terms_m;
+    let checked = cell.check(&cell.robot_path(&found));
+    let least_m = position_m_min(&checked, &constraints, &information);
+    println!("planned {planned_m:.3e} m, bound {least_m:.3e?}");
+    assert!(least_m.is_none_or(|least_m| 0.5 * planned_m < least_m && least_m < planned_m));
 }

@@ -10,6 +10,7 @@ use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::output::{say, show};
 use shared::time::parse_duration;
 
+use super::ensure_six_revolute_axes;
 use super::on_terminal::OnTerminal;
 use super::simulate::numbers;
 use crate::cost::PoseNoise;
@@ -89,13 +90,37 @@ fn above_zero(option: &str, value: f64) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// From the last axis, a place for a target that shows its turn \[m\].
+const OFF_AXIS_M: f64 = 0.1;
+/// No cell is larger \[m\].
+const CELL_M_MAX: f64 = 100.0;
+/// No robot of these gets further \[m\].
+const REACH_M_MAX: f64 = 10.0;
+
+/// Coordinates as typed are finite, and of a size that metres have.
+fn in_metres(option: &str, numbers: &[f64], limit_m: f64) -> anyhow::Result<()> {
+    let list = |factor: f64| {
+        numbers.iter().map(|number| (number * factor).to_string()).collect::<Vec<_>>().join(",")
+    };
+    anyhow::ensure!(
+        numbers.iter().all(|number| number.is_finite()),
+        "--{option} has {}; give numbers in metres",
+        list(1.0)
+    );
+    anyhow::ensure!(
+        numbers.iter().all(|number| number.abs() <= limit_m),
+        "--{option} {} is in metres, and beyond {limit_m} m; if these are millimetres write --{option} {}",
+        list(1.0),
+        list(1e-3)
+    );
+    Ok(())
+}
+
 impl Around {
     fn bodies(&self, reach_m: f64) -> anyhow::Result<Bodies> {
         self.link_radius_mm.map_or(Ok(()), |radius_mm| above_zero("link-radius-mm", radius_mm))?;
-        let places = self.boxes.iter().flatten().chain(&self.floor);
-        if let Some(place) = places.copied().find(|place| !place.is_finite()) {
-            anyhow::bail!("{place} in --box or --floor is no place; give metres");
-        }
+        self.boxes.iter().try_for_each(|corners| in_metres("box", corners, CELL_M_MAX))?;
+        in_metres("floor", self.floor.as_slice(), CELL_M_MAX)?;
         let mut bodies = Bodies::for_reach(reach_m);
         bodies.link_radius_m = self.link_radius_mm.map_or(bodies.link_radius_m, |mm| mm * 1e-3);
         bodies.boxes_m = self.boxes.iter().map(|&[a, b, c, d, e, f]| [[a, b, c], [d, e, f]]).collect();
@@ -163,7 +188,8 @@ struct PosesArguments {
     /// What is measured at each pose
     #[arg(long, value_enum)]
     measures: Measures,
-    /// Directory for poses.csv, its mapping poses.toml, poses.html and a program for the robot's controller
+    /// Directory for poses.csv, its mapping poses.toml, poses.html and a program for the robot's controller. The exit code is 1
+    /// where no free way to one of the poses was found: the table marks it, and programs stop there
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
     /// Poses to choose
@@ -234,6 +260,9 @@ impl Cell {
             robot.name,
             robot.axes()
         );
+        if let Err(error) = ensure_six_revolute_axes(&robot) {
+            say(format_args!("`identify calibrate` does not take a run of this path: {error}"))?;
+        }
         let bar: BallBarConfig = config::load(&self.bar)?;
         above_zero("speed", self.speed)?;
         above_zero("acceleration", self.acceleration)?;
@@ -241,6 +270,7 @@ impl Cell {
         let bodies = self.around.bodies(arm.reach_m())?;
         let mut design = Design::for_robot(&robot);
         design.base_m = self.base.unwrap_or(design.base_m);
+        in_metres("base", &design.base_m, REACH_M_MAX)?;
         design.robot_speed_rad_s = self.speed;
         let mut bar_chain = ball_bar_chain(&bar);
         bar_chain.root_from_base = nalgebra::Translation3::from(design.base_m).into();
@@ -326,12 +356,7 @@ fn find(arguments: &PathArguments) -> anyhow::Result<()> {
     let robot_path = plan::robot_path(&loaded.robot.name, &constraints, &found.route)
         .map_err(|(t_s, error)| anyhow::anyhow!("the robot cannot follow the path at {t_s:.3} s: {error}"))?;
     let checked = plan::check(&robot_path, &constraints, &information)?;
-    let summary = path::summary(
-        &checked,
-        &information,
-        plan::position_m_min(&checked, &constraints, &information),
-        Some(&found),
-    );
+    let summary = path::summary(&checked, &constraints, &information, Some(&found));
     show(&summary)?;
     anyhow::ensure!(
         checked.violations.is_empty(),
@@ -372,10 +397,7 @@ fn find(arguments: &PathArguments) -> anyhow::Result<()> {
 
 /// Before anything is looked for: what was asked for will be there.
 fn can_be_written(asked: &[Language], robot: &RobotConfig) -> anyhow::Result<()> {
-    if !asked.is_empty() {
-        plan::can_be_programmed(robot).context("--program")?;
-    }
-    Ok(())
+    asked.iter().try_for_each(|language| plan::can_be_programmed(*language, robot)).context("--program")
 }
 
 /// Writes the programs that were asked for, or that of the robot's maker. What was asked for must be there; what goes without
@@ -388,6 +410,12 @@ fn programs(
     program: impl Fn(Language) -> Result<String, ProgramError>,
 ) -> anyhow::Result<()> {
     let by_itself = Language::of(robot).filter(|_| asked.is_empty());
+    if asked.is_empty() && by_itself.is_none() {
+        say(format_args!(
+            "no program: the maker of {} is not one of its languages; choose with --program",
+            robot.name
+        ))?;
+    }
     for &language in asked.iter().chain(&by_itself) {
         match program(language) {
             Ok(text) => write(&out.join(language.file_name(task)), &text)?,
@@ -417,9 +445,8 @@ fn poses(arguments: &PosesArguments) -> anyhow::Result<()> {
         arguments.mapping.is_none() || arguments.candidates.is_some(),
         "--mapping says which columns of --candidates are the joints; give both or none"
     );
-    if let Some(number) = arguments.target.iter().find(|number| !number.is_finite()) {
-        anyhow::bail!("--target has {number}, which is no place; give metres");
-    }
+    in_metres("target", &arguments.target, REACH_M_MAX)?;
+    in_metres("anchor", anchor.as_ref().map_or(&[], |anchor| anchor), CELL_M_MAX)?;
     let bodies = arguments.around.bodies(flange_chain(&robot).reach_m())?;
     let (candidates, bodies) = match arguments.candidates.as_deref().zip(arguments.mapping.as_deref()) {
         Some((file, mapping)) => {
@@ -439,10 +466,18 @@ fn poses(arguments: &PosesArguments) -> anyhow::Result<()> {
         anchor_m: anchor.unwrap_or_default(),
         noise: PoseNoise { position_m: noise_mm * 1e-3, rotation_rad: noise_mrad.unwrap_or(0.1) * 1e-3 },
     };
+    if *measures != Measures::Poses && plan::is_on_last_axis(&robot, &arguments.target) {
+        let [x, y, z] = arguments.target;
+        say(format_args!(
+            "--target is on the axis of joint {}, so that nothing shows how far it turns: mount it off the axis, such as --target {},{y},{z}",
+            robot.axes(),
+            x + OFF_AXIS_M
+        ))?;
+    }
     let planned = plan::poses(&request, &candidates, *count, bodies, *seed)?;
     show(path::poses(&planned, candidates.len()))?;
     fs::create_dir_all(out).with_context(|| format!("cannot create {}", out.display()))?;
-    let (table, mapping) = path::pose_table(&planned.joints, &robot, *measures)?;
+    let (table, mapping) = path::pose_table(&planned, &robot, *measures)?;
     write(&out.join("poses.csv"), &table)?;
     write(&out.join("poses.toml"), &mapping)?;
     let page = PosesPage {
@@ -456,8 +491,17 @@ fn poses(arguments: &PosesArguments) -> anyhow::Result<()> {
     };
     say(page.write(out)?.display())?;
     programs(&arguments.program, &robot, Task::Poses, out, |language| {
-        plan::pose_program(language, &planned.joints, &robot, arguments.stand.as_secs_f64())
-    })
+        plan::pose_program(language, &planned, &robot, arguments.stand.as_secs_f64())
+    })?;
+    let blocked = planned.blocked();
+    anyhow::ensure!(
+        blocked.is_empty(),
+        "{} of {} moves have no free way; poses.csv marks them, and programs stop there; to find a way give another --seed,\n\
+         more poses to choose from (--draw), or a smaller --link-radius-mm",
+        blocked.len(),
+        planned.joints.len() - 1
+    );
+    Ok(())
 }
 
 fn write(path: &Path, text: &str) -> anyhow::Result<()> {
@@ -509,8 +553,7 @@ fn check(arguments: &CheckArguments) -> anyhow::Result<()> {
     let information = loaded.information(log.q_rad.duration_s())?;
     let constraints = loaded.constraints();
     let checked = plan::check(&log, &constraints, &information)?;
-    let position_m_min = plan::position_m_min(&checked, &constraints, &information);
-    show(path::summary(&checked, &information, position_m_min, None))?;
+    show(path::summary(&checked, &constraints, &information, None))?;
     anyhow::ensure!(checked.violations.is_empty(), "the path does not keep to its constraints");
     Ok(())
 }

@@ -72,6 +72,8 @@ pub struct Information {
     samples_per_s: f64,
     /// What is known of the columns whatever the path.
     known: Normal,
+    /// Standard deviation of each before anything is measured, SI; infinite where nothing is known.
+    expected: Vec<f64>,
     /// Columns of the robot's links.
     robot: Vec<usize>,
     /// Mean of `J^T J` of positions over the workspace, of those columns \[m²\].
@@ -142,7 +144,19 @@ impl Information {
         let noise = config.noise.into();
         let kept = config.prepare.points_max as f64 / duration_s.max(1.0);
         let samples_per_s = if kept > 0.0 { kept.min(SAMPLES_PER_S) } else { SAMPLES_PER_S };
-        Ok(Self { model, noise, samples_per_s, known, robot: robot_columns, weight, criterion, terms, scale })
+        let expected = known.matrix.diagonal().iter().map(|information| information.sqrt().recip()).collect();
+        Ok(Self {
+            model,
+            noise,
+            samples_per_s,
+            known,
+            expected,
+            robot: robot_columns,
+            weight,
+            criterion,
+            terms,
+            scale,
+        })
     }
 
     /// The same after a calibration, whose covariance this is: `between` of two parameters, none where one was not identified. A
@@ -301,6 +315,25 @@ impl Information {
         groups.dedup();
         let alone = |group| WithTerms { group, position_m: self.position_with(normal, &[group]) };
         groups.into_iter().map(alone).collect()
+    }
+
+    /// Numbers of the robot's links of which the data determine some combination less well than their priors do.
+    pub fn not_separated(&self, normal: &Normal) -> Vec<ParameterId> {
+        /// A number with a smaller part in such a combination is determined.
+        const PART: f64 = 0.1;
+        let Some(covariance) = self.covariance_of(normal) else { return Vec::new() };
+        // In units of the priors' standard deviations more than half of the variance is left where the priors know more.
+        let left = DMatrix::from_fn(self.robot.len(), self.robot.len(), |i, j| {
+            let [i, j] = [self.robot[i], self.robot[j]];
+            covariance[(i, j)] / (self.expected[i] * self.expected[j])
+        });
+        let eigen = left.symmetric_eigen();
+        let open = eigen.eigenvectors.column_iter().zip(eigen.eigenvalues.iter());
+        let open: Vec<_> = open.filter(|(_, left)| **left > 0.5).map(|(direction, _)| direction).collect();
+        let part = |row: usize| open.iter().map(|direction| direction[row].powi(2)).sum::<f64>();
+        let ids: Vec<ParameterId> = self.model.columns().map(|parameter| parameter.id).collect();
+        let columns = self.robot.iter().enumerate().filter(|(row, _)| part(*row) > PART);
+        columns.map(|(_, column)| ids[*column]).collect()
     }
 
     /// Name and expected standard deviation of each parameter, SI, in the order of the columns.

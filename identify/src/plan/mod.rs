@@ -3,7 +3,7 @@
 //! `random` finds a path that keeps to the `constraints` (which know `bodies`), `search` makes it better by what
 //! `information` says that a calibration learns from it, `check` judges any path by the robot's joints alone, `programs`
 //! writes it for robot controllers, `optimum` is what any of them could determine at best; `place` looks for where the bar should
-//! stand, `poses` chooses poses for instruments that measure a robot at rest.
+//! stand, `poses` chooses poses for instruments that measure a robot at rest, `way` leads an arm from one to the next round obstacles.
 
 mod check;
 mod constraints;
@@ -16,6 +16,7 @@ mod poses;
 mod programs;
 mod random;
 mod search;
+mod way;
 
 pub use check::{CheckError, Checked, Violation, check};
 pub use constraints::{Bodies, Constraints, Obstacle, Skeleton};
@@ -25,7 +26,8 @@ pub use optimum::{Optimum, position_m_min};
 pub use path::{Move, Path};
 pub use place::{Place, PlaceRequest, Places, Second, places};
 pub use poses::{
-    Determined, Measures, PlannedPoses, PoseRequest, PosesError, poses, poses_position_m_min, random_postures,
+    Determined, Measures, PlannedPoses, PoseRequest, PosesError, Way, is_on_last_axis, poses,
+    poses_position_m_min, random_postures,
 };
 pub use programs::{Language, ProgramError, Task, can_be_programmed, pose_program, program};
 pub use random::{DURATION_S_MIN, PlanError, Route, random_poses, random_route};

@@ -5,26 +5,26 @@
 //! than a few poses determine: without them the best poses crowd at the ends of the joints' ranges and say nothing of what lies
 //! between. Poses are taken one by one, the best first (greedy), then each is exchanged for a better one (Fedorov 1972).
 
-use nalgebra::{DMatrix, DMatrixView, DVector, Vector3};
+use nalgebra::{DMatrix, DMatrixView, DVector, Point3, Vector3};
 use rand::Rng;
 use rand::seq::index;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use shared::config::RobotConfig;
 
-use super::Bodies;
+use super::{Bodies, way};
 use crate::calibrate::IdentifyConfig;
 use crate::calibrate::rows::{WAVES_PER_TURN_MAX, groups};
 use crate::calibrate::selection::terms::CandidateGroup;
 use crate::cost::{LoopProblem, MeasuredLength, MeasuredPose, MeasuredPosition, PoseNoise, Residual};
 use crate::instrument::standing;
-use crate::kinematics::{Joints, Pose, flange_chain};
+use crate::kinematics::{Joints, Pose, Trace, Tracer, flange_chain};
 use crate::model::{
     Coordinate, DriveTrain, JointState, Model, ModelError, Observation, Owner, ParameterId, Placement, Role,
     SetUp,
 };
 use crate::solver::{ScaledCholesky, stacked};
-use crate::statistics::median;
+use crate::statistics::{extremes, median};
 
 use super::information::States;
 use super::optimum::optimum;
@@ -145,8 +145,46 @@ pub struct PlannedPoses {
     pub random_m: f64,
     /// How well the poses determine links, loads and gears.
     pub determined: Vec<Determined>,
-    /// Moves, by the pose before, that come too near to something in a straight line of the joints.
-    pub blocked: Vec<usize>,
+    /// How the arm gets to each pose from the one before.
+    pub ways: Vec<Way>,
+}
+
+/// How an arm moves to a pose.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Way {
+    /// Along the straight line of the joints; nothing is in the way as far as that is known.
+    Straight,
+    /// Along straight lines of the joints through these postures \[rad, m\].
+    Through(Vec<Joints>),
+    /// No way was found that keeps its distance from everything.
+    Blocked,
+}
+
+impl PlannedPoses {
+    /// Numbers of the poses to which no way was found, from 1.
+    pub fn blocked(&self) -> Vec<usize> {
+        let numbered = self.ways.iter().zip(1..);
+        numbered.filter(|(way, _)| **way == Way::Blocked).map(|(_, number)| number).collect()
+    }
+
+    /// Postures of each move: the pose before, those on the way, the pose.
+    pub fn moves(&self) -> impl Iterator<Item = Vec<Joints>> + '_ {
+        self.joints.windows(2).zip(self.ways.iter().skip(1)).map(|(pair, way)| {
+            let between: &[Joints] = if let Way::Through(postures) = way { postures } else { &[] };
+            [&pair[..1], between, &pair[1..]].concat()
+        })
+    }
+}
+
+/// A target (in the flange's frame \[m\]) on the axis of the last joint does not move when that joint turns.
+pub fn is_on_last_axis(robot: &RobotConfig, target_m: &[f64; 3]) -> bool {
+    const NEAR_M: f64 = 1e-3;
+    let (mut trace, axes) = (Trace::default(), robot.axes());
+    let arm = flange_chain(robot);
+    Tracer::new(&arm).trace(&Joints::zeros(axes), &mut trace);
+    let target_m = arm.forward(&Joints::zeros(axes)) * Point3::from(*target_m);
+    let turned = trace.point_twists(target_m.coords, axes).last();
+    turned.is_some_and(|twist| twist.linear.norm() < NEAR_M)
 }
 
 /// Random postures that touch nothing, within half a turn of each joint and `margin_rad` from its limits.
@@ -206,9 +244,20 @@ pub fn poses(
     let chosen = Choice::new(&known, &jacobian, &weight).best(count);
 
     let arm = flange_chain(request.robot);
-    let Driven { order, blocked } = driven(&chosen, candidates, |a, b| {
-        bodies.is_none_or(|bodies| bodies.is_way_clear(&arm, &candidates[a], &candidates[b]))
-    });
+    let is_clear =
+        |from: &Joints, to: &Joints| bodies.is_none_or(|bodies| bodies.is_way_clear(&arm, from, to));
+    let order = driven(&chosen, candidates, |a, b| is_clear(&candidates[a], &candidates[b]));
+    let joint = |axis: usize| extremes(candidates.iter().map(|q| q[axis]));
+    let range: Vec<[f64; 2]> = (0..request.robot.axes()).map(joint).collect();
+    let mut random = ChaCha8Rng::seed_from_u64(seed);
+    let way = |pair: &[usize]| {
+        let ends = [candidates[pair[0]], candidates[pair[1]]];
+        if is_clear(&ends[0], &ends[1]) {
+            return Way::Straight;
+        }
+        way::round(ends, &range, is_clear, &mut random).map_or(Way::Blocked, Way::Through)
+    };
+    let ways = std::iter::once(Way::Straight).chain(order.windows(2).map(way)).collect();
     // How backlash is approached follows from the order alone.
     let of = |chosen: &[usize]| -> Result<Option<DMatrix<f64>>, PosesError> {
         let states = standing(chosen.iter().map(|&pose| candidates[pose]));
@@ -229,7 +278,7 @@ pub fn poses(
         random_m: median(&mut random_m).unwrap_or(f64::INFINITY),
         determined: known.determined(&covariance),
         chosen: order,
-        blocked,
+        ways,
     })
 }
 
@@ -529,19 +578,14 @@ pub(super) fn squared(rows: &DMatrix<f64>) -> DMatrix<f64> {
     times(&rows.transpose(), rows)
 }
 
-/// An order of poses.
-struct Driven {
-    order: Vec<usize>,
-    /// Moves, by the pose before, that are not clear.
-    blocked: Vec<usize>,
+/// Largest change of a joint between two postures, which decides how long the move takes.
+pub(super) fn far(q: &Joints, other: &Joints) -> f64 {
+    q.iter().zip(other).fold(0.0_f64, |most, (a, b)| most.max((a - b).abs()))
 }
 
 /// A short way through poses from the one nearest to the joints' zeros: to the nearest next one, then shorter by turning parts of it
 /// round (2-opt, Croes 1958). A move takes as long as its largest joint.
-fn driven(chosen: &[usize], candidates: &[Joints], is_clear: impl Fn(usize, usize) -> bool) -> Driven {
-    let far = |q: &Joints, other: &Joints| {
-        q.iter().zip(other).fold(0.0_f64, |most, (a, b)| most.max((a - b).abs()))
-    };
+fn driven(chosen: &[usize], candidates: &[Joints], is_clear: impl Fn(usize, usize) -> bool) -> Vec<usize> {
     let zeros = candidates.first().map_or_else(Joints::default, |q| Joints::zeros(q.len()));
     let way = |a: usize, b: usize| far(&candidates[a], &candidates[b]);
     let mut left = chosen.to_vec();
@@ -571,7 +615,5 @@ fn driven(chosen: &[usize], candidates: &[Joints], is_clear: impl Fn(usize, usiz
             }
         }
     }
-    let blocked =
-        (1..order.len()).filter(|&to| !is_clear(order[to - 1], order[to])).map(|to| to - 1).collect();
-    Driven { order, blocked }
+    order
 }

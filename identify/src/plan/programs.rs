@@ -9,17 +9,20 @@
 
 use std::fmt::Write;
 
+use nalgebra::Vector3;
 use shared::config::{AngleUnit, LogConversion, RobotConfig};
 
 use super::check::curve;
-use super::{CheckError, Constraints};
-use crate::kinematics::Joints;
+use super::{CheckError, Constraints, PlannedPoses, Way};
+use crate::kinematics::{Joints, Trace, Tracer, flange_chain};
 use crate::logs::{CubicSpline, JointConversion, LogError, RobotLog};
 
 /// Times between two points that are tried, longest first \[s\].
 const PERIODS_S: [f64; 6] = [0.2, 0.1, 0.05, 0.04, 0.02, 0.01];
 /// How far the robot may leave the sphere between two points \[m\].
 const OFF_SPHERE_M_MAX: f64 = 0.1e-3;
+/// Standstill at the start of a path, before the arm follows it \[s\].
+const SETTLE_S: f64 = 1.0;
 /// Points of a spline block that a KUKA controller takes.
 const BLOCK_POINTS_MAX: usize = 1000;
 
@@ -64,6 +67,17 @@ pub enum ProgramError {
         /// How many.
         axes: usize,
     },
+    /// Joint 3 of the model is counted from another line than that of the controller.
+    #[error(
+        "FANUC counts joint 3 from the horizontal, `raw_to_joint` of {robot} does not: joint 3 of the program would be wrong;\n\
+         write {row:?} as its second row, as its log needs it, too"
+    )]
+    Coupling {
+        /// The robot's name.
+        robot: String,
+        /// What joint 2 of the controller contributes to each joint of the model.
+        row: Vec<f64>,
+    },
     /// Even the closest points leave the sphere.
     #[error(
         "between points {period_s} s apart the robot leaves the sphere by {off_mm:.3} mm; plan with a lower \
@@ -77,22 +91,80 @@ pub enum ProgramError {
     },
 }
 
-/// Points of a program.
+/// One thing that a program does; the controller's angles in radians.
+enum Step {
+    /// Goes there slowly and stops.
+    Go(Joints),
+    /// Stands still \[s\].
+    Wait(f64),
+    /// Stops until a person continues.
+    Halt(Halt),
+    /// Drives along a path from where it stands.
+    Follow(Points),
+}
+
+/// Why a program stops for a person.
+#[derive(Debug, Clone, Copy)]
+enum Halt {
+    /// The arm is at the start of the path.
+    AttachBar,
+    /// No free way is known to this pose, counted from 1.
+    NoWay {
+        /// The pose that is next.
+        to: usize,
+    },
+}
+
+impl Halt {
+    /// What to do, for the controller's display: the shortest of them takes 24 characters.
+    fn message(self) -> String {
+        match self {
+            Self::AttachBar => "attach the ball-bar now".into(),
+            Self::NoWay { to } => format!("jog by hand to pose {to}"),
+        }
+    }
+
+    /// Why, for a comment.
+    fn reason(self) -> String {
+        match self {
+            Self::AttachBar => "the arm is at the start of the path".into(),
+            Self::NoWay { to } => format!("no free way from pose {} to pose {to} was found", to - 1),
+        }
+    }
+}
+
+/// Points of a path, the first where the robot stands before.
 struct Points {
-    task: Task,
-    /// Time between two points of a path \[s\].
+    /// Time between two points \[s\].
     period_s: f64,
-    /// How long the robot stands at the first point of a path, and at each pose \[s\].
-    wait_s: f64,
     /// The controller's numbers, angles in radians.
     raw_rad: Vec<Joints>,
+    /// Their rates \[rad/s\].
     rate_rad_s: Vec<Joints>,
 }
 
+/// Part of a path.
+enum Segment<'p> {
+    /// Points that the robot drives through, to a stop at the last.
+    Moves(Vec<&'p Joints>),
+    /// Time at a standstill \[s\].
+    Stands(f64),
+}
+
 impl Points {
-    /// The robot goes to this one at leisure and stands there.
-    fn stops(&self, index: usize) -> bool {
-        index == 0 || self.task == Task::Poses
+    /// Moves and standstills in turn. Points that a program would write with the same digits are standstills: controllers refuse
+    /// segments of zero length, or stop at them.
+    fn segments(&self, digits: i32) -> Vec<Segment<'_>> {
+        let written = |q: &Joints| q.map(|angle| (angle.to_degrees() * 10f64.powi(digits)).round());
+        let moves = |pair: &&[Joints]| written(&pair[0]) != written(&pair[1]);
+        let pairs: Vec<&[Joints]> = self.raw_rad.windows(2).collect();
+        pairs
+            .chunk_by(|one, next| moves(one) == moves(next))
+            .map(|run| match run.first().is_some_and(moves) {
+                true => Segment::Moves(run.iter().map(|pair| &pair[1]).collect()),
+                false => Segment::Stands(self.period_s * run.len() as f64),
+            })
+            .collect()
     }
 }
 
@@ -106,16 +178,18 @@ pub enum Task {
 }
 
 impl Language {
-    /// That of a robot's maker, by the robot's name.
+    /// That of the maker in a robot's name, if it is one of these.
     pub fn of(robot: &RobotConfig) -> Option<Self> {
-        let first = robot.name.split_whitespace().next()?;
+        let name = robot.name.to_lowercase();
+        let mut words = name.split(|c: char| !c.is_ascii_alphanumeric());
+        let first = words.find(|word| !word.is_empty())?;
         match first {
-            "ABB" => Some(Self::Rapid),
-            "KUKA" => Some(Self::Krl),
-            "UR" | "Universal" => Some(Self::Urscript),
-            "FANUC" | "Fanuc" => Some(Self::Fanuc),
+            "abb" => Some(Self::Rapid),
+            "kuka" => Some(Self::Krl),
+            "ur" | "universal" => Some(Self::Urscript),
+            "fanuc" => Some(Self::Fanuc),
             _ => first
-                .strip_prefix("UR")
+                .strip_prefix("ur")
                 .filter(|model| model.starts_with(|c: char| c.is_ascii_digit()))
                 .map(|_| Self::Urscript),
         }
@@ -142,18 +216,23 @@ impl Language {
         }
     }
 
+    /// Decimals of a degree that its programs have.
+    const fn digits(self) -> i32 {
+        if matches!(self, Self::Fanuc) { 3 } else { 6 }
+    }
+
     /// The controller goes from point to point along curves that pass their speeds.
     const fn is_smooth(self) -> bool {
         !matches!(self, Self::Rapid | Self::Fanuc)
     }
 }
 
-/// The controller of this robot takes programs.
+/// The controller of this robot takes programs in this language.
 ///
 /// # Errors
 /// [`ProgramError`].
-pub fn can_be_programmed(robot: &RobotConfig) -> Result<(), ProgramError> {
-    conversion(robot).map(drop)
+pub fn can_be_programmed(language: Language, robot: &RobotConfig) -> Result<(), ProgramError> {
+    conversion(language, robot).map(drop)
 }
 
 /// The program of a path.
@@ -174,38 +253,49 @@ pub fn program(
         points.period_s,
         off_sphere_m * 1e3
     );
-    Ok(text(language, &about, &points))
+    let start = points.raw_rad.first().copied().unwrap_or_default();
+    let steps = [Step::Go(start), Step::Halt(Halt::AttachBar), Step::Wait(SETTLE_S), Step::Follow(points)];
+    Ok(text(language, Task::Path, &about, &steps))
 }
 
-/// The program that stops at poses, for so long at each \[s\].
+/// The program that stops at poses, for `wait_s` at each \[s\]. Before a pose to which no free way is known it stops for a person.
 ///
 /// # Errors
 /// [`ProgramError`].
 pub fn pose_program(
     language: Language,
-    poses: &[Joints],
+    poses: &PlannedPoses,
     robot: &RobotConfig,
     wait_s: f64,
 ) -> Result<String, ProgramError> {
-    let conversion = conversion(robot)?;
-    let raw_rad = poses.iter().map(|q| conversion.to_raw(q)).collect();
-    let points = Points { task: Task::Poses, period_s: 0.0, wait_s, raw_rad, rate_rad_s: Vec::new() };
-    let about = format!("{}: {} poses, {wait_s} s at each", robot.name, poses.len());
-    Ok(text(language, &about, &points))
+    let conversion = conversion(language, robot)?;
+    let mut steps = Vec::new();
+    for ((q, way), number) in poses.joints.iter().zip(&poses.ways).zip(1..) {
+        match way {
+            Way::Straight => {}
+            Way::Through(postures) => {
+                steps.extend(postures.iter().map(|q| Step::Go(conversion.to_raw(q))));
+            }
+            Way::Blocked => steps.push(Step::Halt(Halt::NoWay { to: number })),
+        }
+        steps.extend([Step::Go(conversion.to_raw(q)), Step::Wait(wait_s)]);
+    }
+    let about = format!("{}: {} poses, {wait_s} s at each", robot.name, poses.joints.len());
+    Ok(text(language, Task::Poses, &about, &steps))
 }
 
-fn text(language: Language, about: &str, points: &Points) -> String {
-    let name = language.name(points.task);
+fn text(language: Language, task: Task, about: &str, steps: &[Step]) -> String {
+    let name = language.name(task);
     match language {
-        Language::Rapid => rapid(name, about, points),
-        Language::Krl => krl(name, about, points),
-        Language::Urscript => ur_script(name, about, points),
-        Language::Fanuc => fanuc(name, about, points),
+        Language::Rapid => rapid(name, about, steps),
+        Language::Krl => krl(name, about, steps),
+        Language::Urscript => ur_script(name, about, steps),
+        Language::Fanuc => fanuc(name, about, steps),
     }
 }
 
 /// From joints to the numbers that the controller takes, angles in radians.
-fn conversion(robot: &RobotConfig) -> Result<JointConversion, ProgramError> {
+fn conversion(language: Language, robot: &RobotConfig) -> Result<JointConversion, ProgramError> {
     if robot.axes() != 6 {
         return Err(ProgramError::Axes { robot: robot.name.clone(), axes: robot.axes() });
     }
@@ -214,7 +304,26 @@ fn conversion(robot: &RobotConfig) -> Result<JointConversion, ProgramError> {
     if !robot.log.raw_to_joint.iter().flatten().all(is_joint) {
         return Err(ProgramError::Motors { robot: robot.name.clone() });
     }
+    if language == Language::Fanuc {
+        counts_from_horizontal(robot)?;
+    }
     Ok(JointConversion::new(&LogConversion { unit: AngleUnit::Rad, ..robot.log.clone() })?)
+}
+
+/// FANUC controllers count joint 3 from the horizontal: it keeps its number where joint 2 alone turns and the forearm keeps its
+/// direction. Robot descriptions often count from the upper arm, so that joint 2 is part of the model's joint 3.
+fn counts_from_horizontal(robot: &RobotConfig) -> Result<(), ProgramError> {
+    let mut trace = Trace::default();
+    Tracer::new(&flange_chain(robot)).trace(&Joints::zeros(robot.axes()), &mut trace);
+    let axes: Vec<Vector3<f64>> = trace.joint_twists().map(|twist| twist.angular).collect();
+    let along = axes[1].dot(&axes[2]).round();
+    let stated = &robot.log.raw_to_joint[1];
+    let mut row = stated.clone();
+    row[2] = -along * row[1] + 0.0;
+    if row == *stated {
+        return Ok(());
+    }
+    Err(ProgramError::Coupling { robot: robot.name.clone(), row })
 }
 
 /// Points of a path, and how far it leaves the sphere between them \[m\].
@@ -224,7 +333,7 @@ fn points(
     robot: &RobotConfig,
     constraints: &Constraints<'_>,
 ) -> Result<(Points, f64), ProgramError> {
-    let conversion = conversion(robot)?;
+    let conversion = conversion(language, robot)?;
     let curve = curve(path)?;
     let mut off_sphere_m = 0.0;
     for period_s in PERIODS_S {
@@ -238,8 +347,7 @@ fn points(
                 Joints::from_fn(raw.len(), |axis| raw[axis] - none[axis])
             };
             let rate_rad_s = at.iter().map(|point| rate(&point.rate)).collect();
-            let points = Points { task: Task::Path, period_s, wait_s: 1.0, raw_rad, rate_rad_s };
-            return Ok((points, off_sphere_m));
+            return Ok((Points { period_s, raw_rad, rate_rad_s }, off_sphere_m));
         }
     }
     let period_s = PERIODS_S.last().copied().unwrap_or_default();
@@ -292,64 +400,126 @@ fn list(numbers: &[f64], factor: f64) -> String {
     numbers.iter().map(|number| format!("{:.6}", number * factor)).collect::<Vec<_>>().join(",")
 }
 
-fn rapid(name: &str, about: &str, points: &Points) -> String {
+fn rapid(name: &str, about: &str, steps: &[Step]) -> String {
     let mut text = format!("MODULE {name}\n  ! {about}\n  PROC {name}()\n");
-    for (index, raw_rad) in points.raw_rad.iter().enumerate() {
-        let target = format!("[[{}],[9E9,9E9,9E9,9E9,9E9,9E9]]", list(raw_rad, 1f64.to_degrees()));
+    let target = |raw_rad: &Joints| {
+        format!("MoveAbsJ [[{}],[9E9,9E9,9E9,9E9,9E9,9E9]]\\NoEOffs", list(raw_rad, 1f64.to_degrees()))
+    };
+    for step in steps {
         // Writing to a string cannot fail.
-        let _ = if points.stops(index) {
-            let wait_s = points.wait_s;
-            write!(text, "    MoveAbsJ {target}\\NoEOffs,v50,fine,tool0;\n    WaitTime {wait_s};\n")
-        } else {
-            writeln!(text, "    MoveAbsJ {target}\\NoEOffs,v1000\\T:={},z1,tool0;", points.period_s)
+        let _ = match step {
+            Step::Go(raw_rad) => writeln!(text, "    {},v50,fine,tool0;", target(raw_rad)),
+            Step::Wait(wait_s) => writeln!(text, "    WaitTime {wait_s};"),
+            Step::Halt(halt) => {
+                // Where it was jogged away it must not go back.
+                let stop = if matches!(halt, Halt::NoWay { .. }) { "Stop\\NoRegain" } else { "Stop" };
+                let (reason, message) = (halt.reason(), halt.message());
+                writeln!(text, "    ! {reason}\n    TPWrite \"{message}\";\n    {stop};")
+            }
+            Step::Follow(points) => {
+                for segment in points.segments(Language::Rapid.digits()) {
+                    let moves = match segment {
+                        Segment::Moves(moves) => moves,
+                        Segment::Stands(wait_s) => {
+                            let _ = writeln!(text, "    WaitTime {wait_s:.3};");
+                            continue;
+                        }
+                    };
+                    for (index, raw_rad) in moves.iter().enumerate() {
+                        let zone = if index + 1 == moves.len() { "fine" } else { "z1" };
+                        let (target, period_s) = (target(raw_rad), points.period_s);
+                        let _ = writeln!(text, "    {target},v1000\\T:={period_s},{zone},tool0;");
+                    }
+                }
+                Ok(())
+            }
         };
     }
     text.push_str("  ENDPROC\nENDMODULE\n");
     text
 }
 
-fn krl(name: &str, about: &str, points: &Points) -> String {
+fn krl(name: &str, about: &str, steps: &[Step]) -> String {
     let target = |raw_rad: &Joints| {
         let axes = raw_rad.iter().enumerate();
         let axes: Vec<String> =
             axes.map(|(axis, angle)| format!("A{} {:.6}", axis + 1, angle.to_degrees())).collect();
         format!("{{{}}}", axes.join(","))
     };
-    let mut text = format!("&ACCESS RVP\nDEF {name}()\n; {about}\nBAS(#INITMOV,0)\nBAS(#VEL_PTP,10)\n");
-    let stops = points.raw_rad.iter().enumerate().take_while(|(index, _)| points.stops(*index)).count();
-    let (stops, others) = points.raw_rad.split_at(stops);
-    for raw_rad in stops {
-        let _ = write!(text, "PTP {}\nWAIT SEC {}\n", target(raw_rad), points.wait_s);
-    }
-    for block in others.chunks(BLOCK_POINTS_MAX) {
-        text.push_str("PTP_SPLINE\n  TIME_BLOCK START\n");
-        for (index, raw_rad) in block.iter().enumerate() {
-            let _ = writeln!(text, "  SPTP {}", target(raw_rad));
-            if index + 1 < block.len() {
-                text.push_str("  TIME_BLOCK PART = 1\n");
+    // Targets are angles of axes, which tool and base do not change; a controller without valid ones does not move.
+    let mut text = format!(
+        "&ACCESS RVP\nDEF {name}()\n; {about}\nBAS(#INITMOV,0)\nBAS(#VEL_PTP,10)\n$TOOL=$NULLFRAME\n$BASE=$NULLFRAME\n"
+    );
+    for step in steps {
+        let _ = match step {
+            Step::Go(raw_rad) => writeln!(text, "PTP {}", target(raw_rad)),
+            Step::Wait(wait_s) => writeln!(text, "WAIT SEC {wait_s}"),
+            Step::Halt(halt) => writeln!(text, "; {}\n; {}\nHALT", halt.reason(), halt.message()),
+            Step::Follow(points) => {
+                for segment in points.segments(Language::Krl.digits()) {
+                    let moves = match segment {
+                        Segment::Moves(moves) => moves,
+                        Segment::Stands(wait_s) => {
+                            let _ = writeln!(text, "WAIT SEC {wait_s:.3}");
+                            continue;
+                        }
+                    };
+                    for block in moves.chunks(BLOCK_POINTS_MAX) {
+                        text.push_str("PTP_SPLINE\n  TIME_BLOCK START\n");
+                        for (index, raw_rad) in block.iter().enumerate() {
+                            let _ = writeln!(text, "  SPTP {}", target(raw_rad));
+                            if index + 1 < block.len() {
+                                text.push_str("  TIME_BLOCK PART = 1\n");
+                            }
+                        }
+                        let block_s = points.period_s * block.len() as f64;
+                        let _ = write!(text, "  TIME_BLOCK END = {block_s:.3}\nENDSPLINE\n");
+                    }
+                }
+                Ok(())
             }
-        }
-        let _ = write!(text, "  TIME_BLOCK END = {:.3}\nENDSPLINE\n", points.period_s * block.len() as f64);
+        };
     }
     text.push_str("END\n");
     text
 }
 
-fn ur_script(name: &str, about: &str, points: &Points) -> String {
+fn ur_script(name: &str, about: &str, steps: &[Step]) -> String {
+    let mut text = format!("def {name}():\n  # {about}\n");
+    for step in steps {
+        let _ = match step {
+            Step::Go(raw_rad) => writeln!(text, "  movej([{}], a=0.3, v=0.2)", list(raw_rad, 1.0)),
+            Step::Wait(wait_s) => writeln!(text, "  sleep({wait_s})"),
+            Step::Halt(halt) => {
+                let message = halt.message();
+                let _ = writeln!(text, "  # {}", halt.reason());
+                match halt {
+                    Halt::AttachBar => {
+                        writeln!(text, "  popup(\"{message}\", title=\"{name}\", blocking=True)")
+                    }
+                    // The arm cannot be jogged while a program runs.
+                    Halt::NoWay { to } => writeln!(
+                        text,
+                        "  # stop here, {message}, and start again without what is above, for poses {to} and following\n  \
+                         popup(\"{message}\", title=\"{name}\", warning=True)\n  halt"
+                    ),
+                }
+            }
+            Step::Follow(points) => {
+                text.push_str(&ur_script_path(points));
+                Ok(())
+            }
+        };
+    }
+    let _ = write!(text, "end\n{name}()\n");
+    text
+}
+
+fn ur_script_path(points: &Points) -> String {
     let Some(first) = points.raw_rad.first() else { return String::new() };
     let axes = first.len();
-    let mut text = format!("def {name}():\n  # {about}\n");
-    if points.task == Task::Poses {
-        for raw_rad in &points.raw_rad {
-            let (q, wait_s) = (list(raw_rad, 1.0), points.wait_s);
-            let _ = write!(text, "  movej([{q}], a=0.3, v=0.2)\n  sleep({wait_s})\n");
-        }
-        let _ = write!(text, "end\n{name}()\n");
-        return text;
-    }
-    let _ = write!(
-        text,
-        "  global q0 = [{}]\n  global v0 = [{}]\n  global t = 0\n  movej(q0, a=0.3, v=0.2)\n  sleep(1)\n",
+    let mut text = format!(
+        "  global q0 = [{}]\n  global v0 = [{}]\n  global t = 0\n",
         list(first, 1.0),
         list(&Joints::zeros(axes), 1.0)
     );
@@ -370,24 +540,51 @@ fn ur_script(name: &str, about: &str, points: &Points) -> String {
     for (raw_rad, rate_rad_s) in points.raw_rad.iter().zip(&points.rate_rad_s).skip(1) {
         let _ = writeln!(text, "  go([{}], [{}])", list(raw_rad, 1.0), list(rate_rad_s, 1.0));
     }
-    let _ = write!(text, "  stopj(2)\nend\n{name}()\n");
+    text.push_str("  stopj(2)\n");
     text
 }
 
-/// Joint 3 is what the controller calls so, from the horizontal, where `raw_to_joint` of the robot's configuration has the
-/// coupling: the numbers are those of its log.
-fn fanuc(name: &str, about: &str, points: &Points) -> String {
+/// Joint 3 is counted from the horizontal, by the coupling in `raw_to_joint` ([`counts_from_horizontal`]).
+fn fanuc(name: &str, about: &str, steps: &[Step]) -> String {
     /// Characters of a remark that a controller takes.
     const REMARK: usize = 32;
-    let mut lines: Vec<String> =
-        textwrap::wrap(about, REMARK).into_iter().map(|part| format!("!{part}")).collect();
+    /// Characters of a message.
+    const MESSAGE: usize = 24;
+    let remark = |text: &str| -> Vec<String> {
+        textwrap::wrap(text, REMARK).into_iter().map(|part| format!("!{part}")).collect()
+    };
+    let mut lines = remark(about);
     lines.extend(["UFRAME_NUM=0".into(), "UTOOL_NUM=0".into()]);
-    let period_ms = (points.period_s * 1e3).round();
-    for point in 1..=points.raw_rad.len() {
-        if points.stops(point - 1) {
-            lines.extend([format!("J P[{point}] 10% FINE"), format!("WAIT {:>6.2}(sec)", points.wait_s)]);
-        } else {
-            lines.push(format!("J P[{point}] {period_ms}msec CNT100"));
+    let mut positions: Vec<&Joints> = Vec::new();
+    for step in steps {
+        match step {
+            Step::Go(raw_rad) => {
+                positions.push(raw_rad);
+                lines.push(format!("J P[{}] 10% FINE", positions.len()));
+            }
+            Step::Wait(wait_s) => lines.push(format!("WAIT {wait_s:>6.2}(sec)")),
+            Step::Halt(halt) => {
+                lines.extend(remark(&halt.reason()));
+                let message: String = halt.message().replace('-', " ").chars().take(MESSAGE).collect();
+                lines.extend([format!("MESSAGE[{message}]"), "PAUSE".into()]);
+            }
+            Step::Follow(points) => {
+                let period_ms = (points.period_s * 1e3).round();
+                for segment in points.segments(Language::Fanuc.digits()) {
+                    let moves = match segment {
+                        Segment::Moves(moves) => moves,
+                        Segment::Stands(wait_s) => {
+                            lines.push(format!("WAIT {wait_s:>6.2}(sec)"));
+                            continue;
+                        }
+                    };
+                    for (index, raw_rad) in moves.iter().enumerate() {
+                        positions.push(raw_rad);
+                        let end = if index + 1 == moves.len() { "FINE" } else { "CNT100" };
+                        lines.push(format!("J P[{}] {period_ms}msec {end}", positions.len()));
+                    }
+                }
+            }
         }
     }
     let mut text = format!(
@@ -398,10 +595,10 @@ fn fanuc(name: &str, about: &str, points: &Points) -> String {
     );
     // Writing to a string cannot fail.
     for (index, line) in lines.iter().enumerate() {
-        let _ = writeln!(text, "{:>4}:{}{line} ;", index + 1, if line.starts_with('J') { "" } else { "  " });
+        let _ = writeln!(text, "{:>4}:{}{line} ;", index + 1, if line.starts_with("J ") { "" } else { "  " });
     }
     text.push_str("/POS\n");
-    for (index, raw_rad) in points.raw_rad.iter().enumerate() {
+    for (index, raw_rad) in positions.iter().enumerate() {
         let joint =
             |(axis, angle): (usize, &f64)| format!("J{}= {:.3} deg", axis + 1, angle.to_degrees() + 0.0);
         let joints: Vec<String> = raw_rad.iter().enumerate().map(joint).collect();

@@ -9,19 +9,21 @@ use crate::logs::{
     CsvLayout, EulerFrame, LengthColumn, LengthUnit, MeasuredLengthMapping, MeasuredPoseMapping,
     PositionColumns, RotationColumns, RotationForm, joint_columns,
 };
-use crate::plan::{Checked, ExpectedPosition, Found, Information, Measures, Places, PlannedPoses};
+use crate::plan::{
+    Checked, Constraints, ExpectedPosition, Found, Information, Measures, Places, PlannedPoses, Way,
+    position_m_min,
+};
 
 /// So many places are shown.
 const PLACES_SHOWN: usize = 10;
 /// So many parameters of a kind are named.
 const NAMED: usize = 12;
 
-/// The lines about a path, each ended. `found` is how it was found, `position_m_min` what poses without any motion between them
-/// leave at least \[m\].
+/// The lines about a path, each ended. `found` is how it was found.
 pub fn summary(
     checked: &Checked,
+    constraints: &Constraints<'_>,
     information: &Information,
-    position_m_min: Option<f64>,
     found: Option<&Found>,
 ) -> String {
     let mut text = String::new();
@@ -41,7 +43,12 @@ pub fn summary(
     for one in information.with_each(&checked.normal) {
         let _ = writeln!(text, "  {:<33} {}", one.group.name(), mm(one.position_m));
     }
-    if let Some(least_m) = position_m_min {
+    let open: Vec<String> =
+        information.not_separated(&checked.normal).iter().map(ToString::to_string).collect();
+    if !open.is_empty() {
+        let _ = writeln!(text, "not separated by the data of this path: {}", open.join(", "));
+    }
+    if let Some(least_m) = position_m_min(checked, constraints, information) {
         let _ = writeln!(
             text,
             "efficiency {:.0} %: poses without any motion between them, as often as one likes, leave at least {} with all terms",
@@ -61,6 +68,12 @@ pub fn summary(
             found.random_scores.len()
         );
     }
+    let [x, y, z] = constraints.design.base_m;
+    let _ = writeln!(
+        text,
+        "centre of the bar's gimbal in the robot's base frame: {x:.3}, {y:.3}, {z:.3} m (--base)"
+    );
+    text.push_str(&ends(checked));
     let row = |name: &str, values: Vec<f64>, digits: usize| {
         let values: String = values.iter().map(|value| format!("{:>9.digits$}", value + 0.0)).collect();
         format!("{name:<28}{values}\n")
@@ -96,6 +109,23 @@ pub fn summary(
         text.push_str("all constraints are kept, checked every millisecond\n");
     }
     text
+}
+
+/// Whether the arm ends where it began, ended: another run from there needs the way back, which a bar that is attached does not
+/// let it take in a straight line.
+fn ends(checked: &Checked) -> String {
+    const SAME_RAD: f64 = 1e-3;
+    let states = &checked.visited.robot;
+    let (Some(start), Some(end)) = (states.first(), states.last()) else { return String::new() };
+    let away = start.q.iter().zip(&*end.q).map(|(start, end)| (end - start).abs()).enumerate();
+    match away.max_by(|a, b| a.1.total_cmp(&b.1)) {
+        Some((joint, away_rad)) if away_rad > SAME_RAD => format!(
+            "the path does not end where it begins: joint {} is {:.1} deg away; detach the bar before the arm drives back\n",
+            joint + 1,
+            away_rad.to_degrees()
+        ),
+        _ => "the path ends where it begins\n".into(),
+    }
 }
 
 /// The best places of the bar, a line for each, and what a second run of this length adds to the first of them.
@@ -192,23 +222,34 @@ pub fn poses(planned: &PlannedPoses, candidates: usize) -> String {
             let _ = writeln!(text, "  undetermined: {}", undetermined.join(" "));
         }
     }
-    if !planned.blocked.is_empty() {
-        let after: Vec<String> = planned.blocked.iter().map(|pose| (pose + 1).to_string()).collect();
-        let _ = writeln!(
-            text,
-            "the straight way of the joints to the next pose comes too near to something after {}: drive round it",
-            after.join(", ")
-        );
+    if let Some(ways) = ways(planned) {
+        text.push_str(&ways);
+        text.push('\n');
     }
     text
 }
 
-/// A table of poses with empty columns for what is measured there, and its mapping for `calibrate`.
+/// A sentence about the poses to which the straight way of the joints is not free, if there are any.
+pub fn ways(planned: &PlannedPoses) -> Option<String> {
+    let round = planned.ways.iter().filter(|way| matches!(way, Way::Through(_))).count();
+    let blocked: Vec<String> = planned.blocked().iter().map(usize::to_string).collect();
+    match (round, blocked.is_empty()) {
+        (0, true) => None,
+        (_, true) => Some(format!("{round} of the moves go round something through further postures")),
+        _ => Some(format!(
+            "no free way of the joints was found to pose {}: a program stops before it, jog there by hand",
+            blocked.join(", ")
+        )),
+    }
+}
+
+/// A table of poses with empty columns for what is measured there, and its mapping for `calibrate`. Column `way` is empty where the
+/// joints go straight to a pose from the one before.
 ///
 /// # Errors
 /// Those of TOML.
 pub fn pose_table(
-    poses: &[Joints],
+    planned: &PlannedPoses,
     robot: &RobotConfig,
     measures: Measures,
 ) -> Result<(String, String), toml::ser::Error> {
@@ -221,11 +262,21 @@ pub fn pose_table(
         Measures::Positions => columns.extend(position.clone()),
         Measures::Poses => columns.extend(position.iter().chain(&rotation).cloned()),
     }
-    let mut table = columns.join(",") + "\n";
-    for q in poses {
-        let cells = q.iter().zip(&joints).map(|(q, joint)| format!("{:.6}", q / joint.unit.to_si()));
+    let mut table = columns.join(",") + ",way\n";
+    let numbers = |q: &Joints| -> Vec<String> {
+        q.iter().zip(&joints).map(|(q, joint)| format!("{:.6}", q / joint.unit.to_si())).collect()
+    };
+    for (q, way) in planned.joints.iter().zip(&planned.ways) {
+        let way = match way {
+            Way::Straight => String::new(),
+            Way::Through(postures) => {
+                let postures: Vec<String> = postures.iter().map(|q| numbers(q).join(" ")).collect();
+                format!("through {}", postures.join("; "))
+            }
+            Way::Blocked => "BLOCKED: no free way from the pose before".into(),
+        };
         let empty = columns[joints.len()..].iter().map(|_| String::new());
-        table += &cells.chain(empty).collect::<Vec<_>>().join(",");
+        table += &numbers(q).into_iter().chain(empty).chain([way]).collect::<Vec<_>>().join(",");
         table.push('\n');
     }
     let mapping = if measures == Measures::Lengths {

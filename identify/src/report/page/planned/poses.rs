@@ -15,6 +15,7 @@ use crate::report::page::drawing::figures::{ROUND, WIDE, dots};
 use crate::report::page::drawing::plot::{BLUE, COLOURS, GREY, Mark, Panel, PlotError, Series};
 use crate::report::page::sections::{mm, svg};
 use crate::report::page::{PageError, document_with};
+use crate::report::path;
 use crate::report::result::file::replace;
 
 /// Poses of the animation from one chosen pose to the next.
@@ -72,12 +73,7 @@ impl PosesPage<'_> {
                 }
                 main {
                     (self.view())
-                    @if !planned.blocked.is_empty() {
-                        p.note {
-                            "The straight way of the joints to the next pose comes too near to something after "
-                            (self.blocked()) ": drive round it."
-                        }
-                    }
+                    @if let Some(note) = path::ways(planned) { p.note { (note) } }
                     @if let Some(bodies) = self.bodies { (collisions(bodies, false)) }
                     h2 { "Position error that is expected" }
                     div.numbers {
@@ -109,11 +105,12 @@ impl PosesPage<'_> {
 
     fn view(&self) -> Markup {
         let joints = &self.planned.joints;
-        let between = |(move_number, pair): (usize, &[Joints])| {
-            let (from, to) = (pair[0], pair[1]);
+        let between = |(move_number, postures): (usize, Vec<Joints>)| {
             (0..FRAMES_PER_MOVE).map(move |frame| {
                 let part = frame as f64 / FRAMES_PER_MOVE as f64;
-                let q = Joints::from_fn(from.len(), |i| from[i] + part * (to[i] - from[i]));
+                let along = part * (postures.len() - 1) as f64;
+                let (from, to) = (&postures[along as usize], &postures[along as usize + 1]);
+                let q = Joints::from_fn(from.len(), |i| from[i] + along.fract() * (to[i] - from[i]));
                 (move_number as f64 + part, q)
             })
         };
@@ -121,15 +118,10 @@ impl PosesPage<'_> {
         view(&View {
             arm: self.arm,
             carried: Carried::Target(self.target_m.into()),
-            motion: joints.windows(2).enumerate().flat_map(between).chain(last).collect(),
+            motion: self.planned.moves().enumerate().flat_map(between).chain(last).collect(),
             frames_per_pose: Some(FRAMES_PER_MOVE),
             bodies: self.bodies,
         })
-    }
-
-    fn blocked(&self) -> String {
-        let after: Vec<String> = self.planned.blocked.iter().map(|pose| (pose + 1).to_string()).collect();
-        after.join(", ")
     }
 
     fn places(
@@ -177,6 +169,14 @@ impl PosesPage<'_> {
         }
     }
 
+    /// By a joint on all moves together \[rad, m\].
+    fn travelled(&self, joint: usize) -> f64 {
+        let of_move = |postures: Vec<Joints>| -> f64 {
+            postures.windows(2).map(|pair| (pair[1][joint] - pair[0][joint]).abs()).sum()
+        };
+        self.planned.moves().map(of_move).sum()
+    }
+
     fn travel(&self) -> Markup {
         let joints = &self.planned.joints;
         html! { table {
@@ -185,7 +185,7 @@ impl PosesPage<'_> {
             } }
             tbody { @for (joint, limits) in self.limits.iter().enumerate() {
                 @let [low, high] = crate::statistics::extremes(joints.iter().map(|q| q[joint]));
-                @let travel = joints.windows(2).map(|pair| (pair[1][joint] - pair[0][joint]).abs()).sum::<f64>();
+                @let travel = self.travelled(joint);
                 @let (factor, unit) = self.unit(joint);
                 @let [lowest, highest, from, to, in_all] =
                     [low, high, limits[0], limits[1], travel].map(|value| format!("{:.0}", value * factor + 0.0));

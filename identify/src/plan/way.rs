@@ -1,0 +1,95 @@
+//! A way of an arm round what is in its way: two trees of postures, one from each end, grow towards random postures and towards each
+//! other until they meet (RRT-Connect, Kuffner and LaValle 2000). Postures that the way does not need are left out.
+
+use rand::Rng;
+
+use super::poses::far;
+use crate::kinematics::Joints;
+
+/// Random postures that the trees grow towards. Of ways that exist past boxes and floors, fewer than a tenth need more than a hundred.
+const TRIES: usize = 1500;
+/// Largest change of a joint in one step of a tree \[rad, m\].
+const STEP: f64 = 0.4;
+
+/// Postures that are reached from the first one, each with the one before it.
+struct Tree {
+    postures: Vec<Joints>,
+    before: Vec<usize>,
+}
+
+impl Tree {
+    fn new(root: Joints) -> Self {
+        Self { postures: vec![root], before: vec![0] }
+    }
+
+    /// One step from the nearest posture towards another one: the step's end, if its way is clear.
+    fn grow(&mut self, towards: &Joints, is_clear: impl Fn(&Joints, &Joints) -> bool) -> Option<Joints> {
+        let distance = |at: usize| far(&self.postures[at], towards);
+        let nearest = (0..self.postures.len()).min_by(|a, b| distance(*a).total_cmp(&distance(*b)))?;
+        let (from, left) = (self.postures[nearest], distance(nearest));
+        let part = STEP / left;
+        let to = match part < 1.0 {
+            true => Joints::from_fn(from.len(), |axis| from[axis] + part * (towards[axis] - from[axis])),
+            false => *towards,
+        };
+        if !is_clear(&from, &to) {
+            return None;
+        }
+        self.postures.push(to);
+        self.before.push(nearest);
+        Some(to)
+    }
+
+    /// From the posture that was reached last to the first one.
+    fn branch(&self) -> Vec<Joints> {
+        let mut at = self.postures.len() - 1;
+        let mut branch = vec![self.postures[at]];
+        while at > 0 {
+            at = self.before[at];
+            branch.push(self.postures[at]);
+        }
+        branch
+    }
+}
+
+/// Postures between two others, with clear straight ways of the joints all along; joints stay within `range`. None if none was found.
+pub(super) fn round(
+    [from, to]: [Joints; 2],
+    range: &[[f64; 2]],
+    is_clear: impl Fn(&Joints, &Joints) -> bool,
+    random: &mut impl Rng,
+) -> Option<Vec<Joints>> {
+    let [mut one, mut other] = [from, to].map(Tree::new);
+    for attempt in 0..TRIES {
+        let joint = |[low, high]: &[f64; 2]| low + (high - low) * random.random::<f64>();
+        let somewhere: Joints = range.iter().map(joint).collect();
+        if let Some(reached) = one.grow(&somewhere, &is_clear) {
+            while let Some(grown) = other.grow(&reached, &is_clear) {
+                if grown == reached {
+                    let [mut first, mut second] = [one.branch(), other.branch()];
+                    if attempt % 2 == 1 {
+                        std::mem::swap(&mut first, &mut second);
+                    }
+                    first.reverse();
+                    first.extend(second.into_iter().skip(1));
+                    return Some(shortened(&first, is_clear));
+                }
+            }
+        }
+        std::mem::swap(&mut one, &mut other);
+    }
+    None
+}
+
+/// The postures of a way, but its ends, that are needed: from each to the farthest one that is reached in a straight line.
+fn shortened(way: &[Joints], is_clear: impl Fn(&Joints, &Joints) -> bool) -> Vec<Joints> {
+    let (mut at, last) = (0, way.len() - 1);
+    let mut needed = Vec::new();
+    while at < last {
+        let next = (at + 1..=last).rev().find(|next| is_clear(&way[at], &way[*next]));
+        at = next.unwrap_or(at + 1);
+        needed.push(way[at]);
+    }
+    needed.pop();
+    needed
+}
