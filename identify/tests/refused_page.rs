@@ -119,10 +119,8 @@ fn every_kind_of_refusal_has_its_page() {
     // An encoder map that is stated otherwise than it is.
     typed(&run).refused(&["do not fit as stated", "--encoders 1,2,3,4,5"], &["--encoders", "2,1,3,4,5"]);
     // A parameter that the motion does not tell.
-    typed(&run).refused(
-        &["free parameters are identified", "dependent rd2", "--fix rd2"],
-        &["--free", "rd2,rd3"],
-    );
+    typed(&run)
+        .refused(&["free parameters are identified", "dependent rd2", "--fix rd2"], &["--free", "rd2,rd3"]);
     // An encoder that the cost needs.
     let mut four = bar();
     four.encoders.remove(2);

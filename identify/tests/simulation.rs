@@ -1,10 +1,11 @@
 //! Simulated experiments: consistent in themselves, comfortable for robot and bar, and worth identifying.
 #![allow(clippy::unwrap_used, reason = "tests")]
 
-use crate::support::{bar, irb2400, nj220};
+use crate::support::{bar, irb2400, nj220, repository};
 use identify::kinematics::{Configuration, ball_bar_chain, robot_chain, singularity_margin_rad};
 use identify::logs;
 use identify::model::{DriveTrain, JointState, Model, ParameterId};
+use identify::robot::import;
 use identify::simulate::{self, Clocks, Design, Effects, Experiment, Simulated, StaticErrors, Truth};
 use shared::config::RobotConfig;
 use shared::encoder::Unwrapper;
@@ -300,4 +301,12 @@ fn runs_of_one_robot_have_its_errors_and_paths_of_their_own() {
     assert_eq!(one.motion.path, alone.motion.path);
     assert_ne!(one.truth.parameters, alone.truth.parameters);
     assert_eq!(run(Some(1), 1).robot_log, alone.robot_log);
+}
+
+#[test]
+fn an_arm_that_the_bar_does_not_take_gets_the_hint_at_sockets() {
+    let urdf = std::fs::read_to_string(repository("identify/tests/data/seven_axes.urdf")).unwrap();
+    let robot = import(&urdf, Some("base"), Some("flange")).unwrap().config;
+    let refused = simulate::run(&Experiment::new(&robot, &bar())).unwrap_err().to_string();
+    assert!(refused.contains("has 7 axes") && refused.contains("`identify simulate contact`"), "{refused}");
 }

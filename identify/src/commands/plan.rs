@@ -10,9 +10,9 @@ use shared::config::{self, BallBarConfig, RobotConfig};
 use shared::output::{say, show};
 use shared::time::parse_duration;
 
-use super::ensure_six_revolute_axes;
 use super::on_terminal::OnTerminal;
 use super::simulate::numbers;
+use super::{ensure_can_write, ensure_six_revolute_axes};
 use crate::cost::PoseNoise;
 use crate::kinematics::{Chain, ball_bar_chain, flange_chain, robot_chain};
 use crate::logs::{self, JointTableMapping, joints_of_robot};
@@ -330,6 +330,7 @@ pub fn run(arguments: &PlanArguments) -> anyhow::Result<()> {
 fn find(arguments: &PathArguments) -> anyhow::Result<()> {
     let mut loaded = arguments.cell.load(arguments.criterion)?;
     can_be_written(&arguments.program, &loaded.robot)?;
+    ensure_can_write(&arguments.out)?;
     let (given, axes) = (arguments.posture.len(), loaded.robot.axes());
     anyhow::ensure!(
         given == 0 || given == axes,
@@ -430,6 +431,7 @@ fn poses(arguments: &PosesArguments) -> anyhow::Result<()> {
     let PosesArguments { measures, out, count, anchor, noise_mm, noise_mrad, seed, .. } = arguments;
     let robot: RobotConfig = config::load(&arguments.robot)?;
     can_be_written(&arguments.program, &robot)?;
+    ensure_can_write(out)?;
     for (name, size) in [("noise-mm", *noise_mm), ("noise-mrad", noise_mrad.unwrap_or(1.0))] {
         anyhow::ensure!(size.is_finite() && size > 0.0, "--{name} is {size}; give a number above zero");
     }

@@ -333,7 +333,9 @@ impl Information {
         let part = |row: usize| open.iter().map(|direction| direction[row].powi(2)).sum::<f64>();
         let ids: Vec<ParameterId> = self.model.columns().map(|parameter| parameter.id).collect();
         let columns = self.robot.iter().enumerate().filter(|(row, _)| part(*row) > PART);
-        columns.map(|(_, column)| ids[*column]).collect()
+        // The plate is what its measurement says, whatever the path.
+        let columns = columns.map(|(_, column)| *column).filter(|column| Some(*column) != self.scale);
+        columns.map(|column| ids[column]).collect()
     }
 
     /// Name and expected standard deviation of each parameter, SI, in the order of the columns.

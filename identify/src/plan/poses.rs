@@ -258,7 +258,7 @@ pub fn poses(
         way::round(ends, &range, is_clear, &mut random).map_or(Way::Blocked, Way::Through)
     };
     let ways = std::iter::once(Way::Straight).chain(order.windows(2).map(way)).collect();
-    // How backlash is approached follows from the order alone.
+    // How backlash is approached follows from the order, as if all moves were straight.
     let of = |chosen: &[usize]| -> Result<Option<DMatrix<f64>>, PosesError> {
         let states = standing(chosen.iter().map(|&pose| candidates[pose]));
         Ok(known.covariance(&known.measured(&states)?))

@@ -10,7 +10,7 @@
 use std::fmt::Write;
 
 use nalgebra::Vector3;
-use shared::config::{AngleUnit, LogConversion, RobotConfig};
+use shared::config::{AngleUnit, LogConversion, Maker, RobotConfig};
 
 use super::check::curve;
 use super::{CheckError, Constraints, PlannedPoses, Way};
@@ -180,19 +180,12 @@ pub enum Task {
 impl Language {
     /// That of the maker in a robot's name, if it is one of these.
     pub fn of(robot: &RobotConfig) -> Option<Self> {
-        let name = robot.name.to_lowercase();
-        let mut words = name.split(|c: char| !c.is_ascii_alphanumeric());
-        let first = words.find(|word| !word.is_empty())?;
-        match first {
-            "abb" => Some(Self::Rapid),
-            "kuka" => Some(Self::Krl),
-            "ur" | "universal" => Some(Self::Urscript),
-            "fanuc" => Some(Self::Fanuc),
-            _ => first
-                .strip_prefix("ur")
-                .filter(|model| model.starts_with(|c: char| c.is_ascii_digit()))
-                .map(|_| Self::Urscript),
-        }
+        Some(match robot.maker()? {
+            Maker::Abb => Self::Rapid,
+            Maker::Kuka => Self::Krl,
+            Maker::UniversalRobots => Self::Urscript,
+            Maker::Fanuc => Self::Fanuc,
+        })
     }
 
     /// Name of the file that a controller takes.

@@ -6,7 +6,7 @@ use rand::Rng;
 use super::poses::far;
 use crate::kinematics::Joints;
 
-/// Random postures that the trees grow towards. Of ways that exist past boxes and floors, fewer than a tenth need more than a hundred.
+/// Random postures that the trees grow towards, at most: where there is no way, the search ends after some seconds.
 const TRIES: usize = 1500;
 /// Largest change of a joint in one step of a tree \[rad, m\].
 const STEP: f64 = 0.4;
