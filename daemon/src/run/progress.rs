@@ -214,10 +214,10 @@ impl Progress {
         self.disk().place.clone()
     }
 
-    /// The file is not where it should be; the recorder will look.
+    /// The file is not where it should be; the recorder will look. Says nothing of the file that the run has by now.
     pub fn set_lost(&self, place: &RunPlace, why: String) {
         let mut disk = self.disk();
-        if disk.place.as_ref().is_some_and(|own| own.path() == place.path()) {
+        if disk.place.as_ref().is_some_and(|own| own.is_same(place)) {
             disk.lost = Some(why);
         }
     }

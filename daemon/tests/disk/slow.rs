@@ -5,13 +5,15 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
-use ballbard::run::Storage;
+use ballbard::clock::Clock;
+use ballbard::recorder;
+use ballbard::run::{Limits, Progress, Storage};
 use nix::fcntl::{AT_FDCWD, RenameFlags, renameat2};
 use shared::config::DaemonConfig;
-use shared::recording::Recording;
 use shared::recording::schema::{EventKind, flags};
+use shared::recording::{Recording, RecordingWriter};
 
-use super::rig::{Outcome, Plan, Way, in_parallel, record};
+use super::rig::{Outcome, Plan, Way, in_parallel, metadata, record};
 use super::wall::{Call, Fault, Wall};
 
 /// What a busy machine adds to anything: beside two builds threads have waited for 0.9 s to be run.
@@ -204,4 +206,25 @@ fn a_file_or_directory_that_vanishes_is_reported_within_a_second_and_the_run_goe
         let first = outcome.looks.iter().find(|look| told(look.snapshot.warning())).unwrap();
         assert!(first.at < Duration::from_secs(3), "told at {:?}", first.at);
     });
+}
+
+/// A look takes as long as the disk does, and the copy of a run may have the name that its file had.
+#[test]
+fn a_look_that_began_before_a_run_moved_reports_nothing_about_its_new_file() {
+    let (directory, period) = (tempfile::tempdir().unwrap(), Duration::from_millis(10));
+    let mut writer = RecordingWriter::create(directory.path(), &metadata(period)).unwrap();
+    let (_sink, source) = recorder::ring(10, &Clock::Real);
+    let limits = Limits { cycle_period: period, sync_period: period, ring_cycles: 10, cycle_waits: false };
+    let progress = Progress::new(Arc::clone(source.handed()), limits);
+    let before = writer.sink().place().clone();
+    progress.opened(before.clone());
+    std::fs::remove_file(before.path()).unwrap();
+    progress.set_lost(&before, "it is gone".into());
+    assert!(progress.lost().is_some());
+    writer.sink_mut().move_to(directory.path()).unwrap();
+    let after = writer.sink().place().clone();
+    assert_eq!(after.path(), before.path());
+    progress.moved(after, "it is gone".into());
+    progress.set_lost(&before, "it is gone".into());
+    assert_eq!(progress.lost(), None);
 }

@@ -159,6 +159,11 @@ impl RunPlace {
         &self.path
     }
 
+    /// Whether both are the same file under the same path: another run, or a copy, may have taken the path.
+    pub fn is_same(&self, other: &Self) -> bool {
+        self.path == other.path && self.id == other.id
+    }
+
     /// Whether the file of this path is still the run's.
     pub fn check(&self) -> Result<(), WriteError> {
         match self.disk.id_at(&self.path) {
