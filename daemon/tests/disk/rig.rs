@@ -2,7 +2,9 @@
 
 use std::collections::HashMap;
 use std::fmt::Debug;
+use std::fs::Metadata;
 use std::io::Cursor;
+use std::os::unix::fs::MetadataExt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -221,15 +223,17 @@ pub fn record(plan: &Plan, wall: impl FnOnce(&Path) -> Wall) -> Outcome {
         });
         while !recording.is_finished() {
             let (problem, snapshot) = (storage.problem(), progress.get());
-            // Looked at after what was said, which it must be enough for.
-            let synced_bytes = wall.synced_bytes(&snapshot.file);
-            let written_bytes = std::fs::metadata(&snapshot.file).map_or(0, |file| file.len());
+            // Measured after the snapshot, whose claims it must cover; all of one file.
+            let file = std::fs::metadata(&snapshot.file).ok();
+            let written_bytes = file.as_ref().map_or(0, Metadata::len);
+            let synced_bytes = file.as_ref().map_or(0, |file| wall.synced_bytes(file.ino()));
             let at = begun.elapsed();
-            // While it moves it is neither here nor there, and a file that was just removed is not missed yet.
+            // While it moves it is neither here nor there, and a file that was just removed is not missed yet. It is reported
+            // lost before another one takes its name, so that this is looked at last.
             let places = |of: &Snapshot| {
                 of.warnings.iter().filter(|one| ["lost file", "moved"].contains(&one.what)).count()
             };
-            let is_steady = places(&progress.get()) == places(&snapshot) && snapshot.file.exists();
+            let is_steady = file.is_some() && places(&progress.get()) == places(&snapshot);
             looks.push(Look { snapshot, problem, synced_bytes, written_bytes, is_steady, at });
             thread::sleep(Duration::from_millis(5));
         }

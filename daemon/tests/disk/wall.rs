@@ -126,8 +126,7 @@ impl Wall {
     }
 
     /// Bytes of a file that survive a power cut.
-    pub fn synced_bytes(&self, path: &Path) -> u64 {
-        let inode = std::fs::metadata(path).map_or(0, |found| found.ino());
+    pub fn synced_bytes(&self, inode: u64) -> u64 {
         self.state().synced.get(&inode).copied().unwrap_or(0)
     }
 
