@@ -9,12 +9,14 @@ use std::time::Duration;
 use shared::recording::schema::{RunMetadata, flags};
 use shared::recording::{Recording, RecordingWriter};
 
+use crate::support::{PROGRAM, isolated};
+
 fn config() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../config")
 }
 
 fn ballbard() -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    let mut command = isolated(Command::new(PROGRAM));
     command.env("RUST_LOG", "off");
     command
 }
@@ -137,12 +139,9 @@ fn an_unknown_interface_is_refused_with_those_that_exist() {
 fn without_permission_the_message_says_what_to_type() {
     let out = tempfile::tempdir().unwrap();
     let root = nix::unistd::geteuid().is_root();
-    let program = env!("CARGO_BIN_EXE_ballbard");
-    let mut command = if root { Command::new("setpriv") } else { Command::new(program) };
+    let mut command = isolated(Command::new(if root { "setpriv" } else { PROGRAM }));
     if root {
-        command.args(["--reuid=65534", "--regid=65534", "--clear-groups", "--inh-caps=-all", program]);
-        // The home of root is closed to others, and they have their own.
-        command.env("HOME", "/nonexistent").env_remove("XDG_STATE_HOME");
+        command.args(["--reuid=65534", "--regid=65534", "--clear-groups", "--inh-caps=-all", PROGRAM]);
     }
     command.args(["record", "--bus", "lo", "--config"]).arg(config()).arg("--out").arg(out.path());
     refused(&command.output().expect("setpriv of util-linux"), &["no permission", "setcap"], out.path());
@@ -419,11 +418,25 @@ fn tune_says_how_each_setting_stands() {
     }
 }
 
-/// In an empty directory, where no configuration and no service is.
+/// In an empty directory, where no configuration is.
 fn nowhere(arguments: &[&str]) -> (tempfile::TempDir, Output) {
     let directory = tempfile::tempdir().unwrap();
     let output = ballbard().current_dir(&directory).args(arguments).output().unwrap();
     (directory, output)
+}
+
+/// A command on a machine of its own, where no service runs and none is installed, as far as this one has namespaces for its user.
+fn alone(arguments: &[&str]) -> Output {
+    const WITHIN: [&str; 5] = ["--map-root-user", "--net", "--mount", "sh", "-c"];
+    const INSTALLED: &str = "[ ! -d /etc/ballbard ] || mount -t tmpfs none /etc/ballbard";
+    let unshare = || isolated(Command::new("unshare"));
+    let has_namespaces = unshare().args(WITHIN).arg(INSTALLED).output().is_ok_and(|out| out.status.success());
+    let directory = tempfile::tempdir().unwrap();
+    let mut command = if has_namespaces { unshare() } else { ballbard() };
+    if has_namespaces {
+        command.args(WITHIN).arg(format!("{INSTALLED} && exec \"$0\" \"$@\"")).arg(PROGRAM);
+    }
+    command.current_dir(&directory).args(arguments).output().unwrap()
 }
 
 fn said(output: &Output) -> String {
@@ -455,7 +468,7 @@ fn a_directory_that_was_typed_is_meant_and_what_is_missing_in_it_is_named() {
         said(&output)
     );
     // Without one, who asks is told once where the port came from.
-    let (_directory, output) = nowhere(&["status"]);
+    let output = alone(&["status"]);
     let text = said(&output);
     let counts = ["no daemon.toml in config or /etc/ballbard", "7311"].map(|part| text.matches(part).count());
     assert!(!output.status.success(), "{text}");

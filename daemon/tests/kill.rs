@@ -13,6 +13,8 @@ use rand::{Rng, SeedableRng};
 use shared::recording::{Recording, Recovery, recover_file};
 use shared::time::{NS_PER_S, UtcNs};
 
+use crate::support::ballbard;
+
 /// Processes that record at the same time.
 const AT_ONCE: usize = 6;
 /// A second, the drain period of the ring, and what a busy machine adds to noticing the kill \[ns\].
@@ -24,7 +26,7 @@ fn config() -> PathBuf {
 }
 
 fn record(directory: &Path, name: &str) -> Child {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    let mut command = ballbard();
     command
         .env("RUST_LOG", "off")
         .args(["record", "--bus", "simulated", "--name", name, "--config"])

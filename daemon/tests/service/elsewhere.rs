@@ -4,7 +4,7 @@ use std::io::Read;
 use std::net::TcpListener;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::Output;
 use std::sync::Arc;
 
 use ballbard::control::runs::RunLine;
@@ -16,6 +16,7 @@ use tokio_rustls::rustls::sign::{CertifiedKey, SingleCertAndKey};
 use tokio_rustls::rustls::{ServerConfig, ServerConnection};
 
 use super::rig::{Running, shipped, text};
+use crate::support::ballbard;
 
 /// A service that other machines reach, and what a person needs to know of it.
 struct Far {
@@ -50,7 +51,7 @@ impl Far {
 }
 
 fn ask(directory: &Path, arguments: &[&str], url: &str, token: &Path, fingerprint: &str) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    let mut command = ballbard();
     command.env("RUST_LOG", "off").current_dir(directory).args(arguments).args(["--service", url]);
     command.arg("--token-file").arg(token).args(["--fingerprint", fingerprint]).output().unwrap()
 }
@@ -198,7 +199,7 @@ fn what_is_wrong_with_address_token_or_network_is_said_with_the_remedy() {
             "--port",
         ),
     ] {
-        let output = Command::new(env!("CARGO_BIN_EXE_ballbard")).args(&arguments).output().unwrap();
+        let output = ballbard().args(&arguments).output().unwrap();
         assert_eq!(output.status.code(), Some(2), "{arguments:?}");
         assert!(text(&output).contains(told), "{arguments:?}: {}", text(&output));
     }

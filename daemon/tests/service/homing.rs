@@ -1,7 +1,7 @@
 //! Homing through the service: what a person types, reads, and finds in the files.
 
 use std::io::{BufRead, BufReader};
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 
 use ballbard::control::status::{CheckLine, HomingStatus, Status};
 use nix::sys::signal::{Signal, kill};
@@ -10,6 +10,7 @@ use serde_json::json;
 use shared::config::{self, HomingConfig};
 
 use super::rig::{Running, copied, shipped, text};
+use crate::support::ballbard;
 
 fn marks_line(service: &Running) -> CheckLine {
     let lines: Vec<CheckLine> = service.get("check");
@@ -71,7 +72,7 @@ fn homing_is_stopped_like_a_run_and_keeps_runs_out() {
     service.wait_for("homing");
     // Who asks for it as well looks on, and ends nothing by going away.
     assert_eq!(service.granted("home", &json!({})).answer, "homing");
-    let mut other = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    let mut other = ballbard();
     let mut other = other.args(["home", "--port", &service.port]).stdout(Stdio::piped()).spawn().unwrap();
     let mut told = BufReader::new(other.stdout.take().unwrap()).lines().map(Result::unwrap);
     assert!(told.next().unwrap().contains("homed already"));
@@ -113,7 +114,7 @@ fn a_homing_whose_marks_could_not_be_kept_is_refused_before_anybody_turns_a_join
     assert!(refused["error"].as_str().unwrap().contains("cannot be written"), "{refused}");
     assert!(service.get::<Status>("status").homing.is_none());
     // Without a service the same.
-    let mut alone = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    let mut alone = ballbard();
     alone.args(["home", "--bus", "simulated", "--state"]).arg(&state).arg("--config").arg(shipped());
     let output = alone.output().unwrap();
     assert!(!output.status.success() && text(&output).contains("cannot be written"), "{}", text(&output));

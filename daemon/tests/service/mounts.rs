@@ -10,6 +10,7 @@ use serde_json::json;
 use shared::recording::Recording;
 
 use super::rig::{Running, copied};
+use crate::support::PROGRAM;
 
 /// What is promised; measured is a third of it.
 const REPORTED_WITHIN: Duration = Duration::from_secs(1);
@@ -35,7 +36,7 @@ impl Mounted {
         let mut command = Command::new("unshare");
         command.args(["--mount", "--propagation", "private", "sh", "-ec"]);
         command.arg(format!("{mount}; shift 2; exec \"$@\"")).arg("sh");
-        command.arg(directory.path()).arg(outside.path().join("image")).arg(env!("CARGO_BIN_EXE_ballbard"));
+        command.arg(directory.path()).arg(outside.path().join("image")).arg(PROGRAM);
         command.stderr(File::create(outside.path().join("log")).unwrap());
         let service = Running::by(command, directory, config.path(), &[]);
         service.wait_for("waiting");

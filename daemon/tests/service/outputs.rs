@@ -4,7 +4,7 @@ use std::fs::{File, OpenOptions};
 use std::io::{PipeReader, Write, pipe};
 use std::os::fd::OwnedFd;
 use std::os::unix::net::UnixStream;
-use std::process::{Command, Output, Stdio};
+use std::process::{Output, Stdio};
 use std::time::Duration;
 
 use ballbard::control::status::CheckLine;
@@ -13,6 +13,7 @@ use nix::sys::signal::Signal;
 use serde_json::json;
 
 use super::rig::{Running, shipped, text};
+use crate::support::ballbard;
 
 /// What a service's standard error may be; the reader lives as long as this does.
 struct Broken {
@@ -75,7 +76,7 @@ fn a_log_that_cannot_be_written_costs_lines_and_nothing_else() {
 fn a_run_is_recorded_whatever_becomes_of_the_log() {
     for Broken { name, stderr, _reader } in broken_logs() {
         let out = tempfile::tempdir().unwrap();
-        let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+        let mut command = ballbard();
         command.args([
             "record",
             "--bus",
@@ -101,7 +102,7 @@ fn a_service_whose_standard_output_fails_serves() {
     for (name, stdout) in [("full", full()), ("its reader gone", gone())] {
         let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         let directory = tempfile::tempdir().unwrap();
-        let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+        let mut command = ballbard();
         command.args(["run", "--bus", "simulated", "--port", &port.to_string(), "--config"]).arg(shipped());
         let command = command.arg("--out").arg(directory.path()).stdout(stdout).stderr(Stdio::null());
         let mut service = Running { child: command.spawn().unwrap(), port: port.to_string(), directory };
@@ -117,7 +118,7 @@ fn a_service_whose_standard_output_fails_serves() {
 
 /// Every command that prints, on a service that records.
 fn typed(service: &Running, arguments: &[&str], stdout: Stdio) -> Output {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    let mut command = ballbard();
     if arguments[0] == "stop" {
         // A run that is stopped before its first cycle is of no use, and `stop` says that.
         service.wait_until("a cycle", |status| status.run.as_ref().is_some_and(|run| run.cycles > 0));

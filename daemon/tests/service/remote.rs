@@ -8,6 +8,7 @@ use std::process::Command;
 use ballbard::control::status::Status;
 
 use super::rig::{Running, agent, shipped};
+use crate::support::ballbard;
 
 fn open(arguments: &[&str]) -> Running {
     Running::with(tempfile::tempdir().unwrap(), &shipped(), arguments)
@@ -119,7 +120,7 @@ fn token_and_key_are_made_once_for_their_owner_alone() {
 
 /// Starts with what is in the directory, and gives what it says when it refuses.
 fn refused(directory: &Path, arguments: &[&str]) -> String {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    let mut command = ballbard();
     command.env("STATE_DIRECTORY", directory).env("RUST_LOG", "off");
     command.args(["run", "--bus", "simulated", "--port", "0", "--config"]);
     let output = command.arg(shipped()).arg("--out").arg(directory).args(arguments).output().unwrap();

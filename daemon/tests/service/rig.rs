@@ -9,6 +9,8 @@ use ballbard::control::status::{Reply, Status};
 use serde_json::Value;
 use shared::recording::Recording;
 
+use crate::support::{PROGRAM, ballbard};
+
 pub fn shipped() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../config")
 }
@@ -54,7 +56,7 @@ impl Running {
         config: &Path,
         arguments: &[&str],
     ) -> Self {
-        let mut command = heeding_hangups(env!("CARGO_BIN_EXE_ballbard"));
+        let mut command = heeding_hangups(PROGRAM);
         command.stderr(stderr);
         Self::by(command, directory, config, arguments)
     }
@@ -113,7 +115,7 @@ impl Running {
 
     /// What a person types.
     pub fn command(&self, arguments: &[&str]) -> Output {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+        let mut command = ballbard();
         command.env("RUST_LOG", "off").args(arguments).args(["--port", &self.port]).output().unwrap()
     }
 

@@ -1,6 +1,5 @@
 //! Runs from beginning to end, asked for by programs and by people.
 
-use std::process::Command;
 use std::time::Duration;
 
 use ballbard::control::runs::RunLine;
@@ -10,6 +9,7 @@ use shared::recording::Recording;
 use shared::recording::schema::EventKind;
 
 use super::rig::{Running, agent, text};
+use crate::support::ballbard;
 
 #[test]
 fn runs_are_recorded_one_after_the_other_from_one_bus() {
@@ -106,8 +106,7 @@ fn the_commands_say_what_they_did() {
     let stopped = service.command(&["stop"]);
     assert!(text(&stopped).contains("typed.mcap"), "{}", text(&stopped));
     assert!(text(&service.command(&["stop"])).contains("no run goes on"));
-    let runs =
-        Command::new(env!("CARGO_BIN_EXE_ballbard")).arg("runs").arg(service.directory.path()).output();
+    let runs = ballbard().arg("runs").arg(service.directory.path()).output();
     let runs = text(&runs.unwrap());
     assert!(runs.contains("typed") && runs.contains("by hand") && !runs.contains("recovered"), "{runs}");
     for simulated in [text(&begun), text(&status), text(&stopped), runs.clone()] {
@@ -171,8 +170,7 @@ fn a_note_is_changed_after_the_run_and_the_recorded_file_is_not() {
 
 #[test]
 fn without_a_service_the_commands_say_what_to_type() {
-    let output =
-        Command::new(env!("CARGO_BIN_EXE_ballbard")).args(["status", "--port", "1"]).output().unwrap();
+    let output = ballbard().args(["status", "--port", "1"]).output().unwrap();
     assert!(!output.status.success() && text(&output).contains("ballbard run"), "{}", text(&output));
 }
 
@@ -222,7 +220,7 @@ fn what_the_service_knows_is_asked_for_by_name_and_as_json() {
     assert!(json(&["check"]).as_array().unwrap().len() > 5);
     // By its name alone, from wherever somebody is.
     let elsewhere = tempfile::tempdir().unwrap();
-    let mut export = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    let mut export = ballbard();
     export.current_dir(&elsewhere).args(["export", "--csv", "asked", "--port", &service.port]);
     let output = export.output().unwrap();
     assert!(output.status.success(), "{}", text(&output));

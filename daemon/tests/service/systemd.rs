@@ -3,16 +3,17 @@
 use std::fs::File;
 use std::os::unix::fs::MetadataExt;
 use std::os::unix::net::UnixDatagram;
-use std::process::{Command, Stdio};
+use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use serde_json::json;
 
 use super::rig::{Running, shipped};
+use crate::support::ballbard;
 
 /// With the environment that systemd gives, and where standard error goes.
 fn under_systemd(stderr: Stdio, environment: &[(&str, String)]) -> Running {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    let mut command = ballbard();
     command.stderr(stderr).envs(environment.iter().map(|(name, value)| (name, value)));
     Running::by(command, tempfile::tempdir().unwrap(), &shipped(), &[])
 }

@@ -11,6 +11,7 @@ use serde_json::json;
 use shared::recording::schema::EventKind;
 
 use super::rig::{Running, heeding_hangups, shipped, text};
+use crate::support::{PROGRAM, ballbard};
 
 #[test]
 fn terminals_that_are_gone_are_a_fault_at_once_and_no_run_begins() {
@@ -87,7 +88,7 @@ fn a_run_without_a_valid_cycle_is_no_success() {
     let faults: Vec<String> = (1..=5).map(|position| format!("no-signal:{position}")).collect();
     let faults: Vec<&str> = faults.iter().flat_map(|fault| ["--fault", fault]).collect();
     let out = tempfile::tempdir().unwrap();
-    let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    let mut command = ballbard();
     command.args([
         "record",
         "--bus",
@@ -146,7 +147,6 @@ fn cause_after_hangup(mut command: Command) -> String {
 
 #[test]
 fn a_terminal_that_is_closed_ends_a_recording_command_with_a_finished_file_unless_nohup_says_otherwise() {
-    const PROGRAM: &str = env!("CARGO_BIN_EXE_ballbard");
     assert!(cause_after_hangup(heeding_hangups(PROGRAM)).contains("SIGHUP"));
     let mut outliving = Command::new("nohup");
     outliving.arg(PROGRAM);
@@ -158,7 +158,7 @@ fn a_second_process_in_a_directory_is_refused_with_who_has_it() {
     let mut service = Running::start();
     service.wait_for("waiting");
     service.granted("start", &json!({"name": "first"}));
-    let mut command = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    let mut command = ballbard();
     command.args(["record", "--bus", "simulated", "--name", "second", "--duration", "1s", "--fast"]);
     command.arg("--config").arg(shipped());
     command.arg("--out").arg(service.directory.path());
@@ -166,7 +166,7 @@ fn a_second_process_in_a_directory_is_refused_with_who_has_it() {
     assert_eq!(refused.status.code(), Some(1), "{}", text(&refused));
     let pid = format!("process {} (`ballbard run`, recording run `first`)", service.child.id());
     assert!(text(&refused).contains(&pid), "{}", text(&refused));
-    let mut other = Command::new(env!("CARGO_BIN_EXE_ballbard"));
+    let mut other = ballbard();
     other
         .args(["run", "--bus", "simulated", "--port", "0", "--config"])
         .arg(shipped())

@@ -2,6 +2,7 @@
 #![allow(dead_code, clippy::unwrap_used, reason = "each user takes a part")]
 
 use std::collections::HashMap;
+use std::process::Command;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
@@ -9,6 +10,24 @@ use ballbard::bus::BusPlan;
 use ballbard::segment::simulated::{Conversion, EncoderSource, Signal};
 use shared::config::EncoderConfig;
 use shared::recording::schema::CycleRecord;
+
+/// Path of the built `ballbard`.
+pub const PROGRAM: &str = env!("CARGO_BIN_EXE_ballbard");
+
+/// The built program, with no state of the user or the machine and no service manager.
+pub fn ballbard() -> Command {
+    isolated(Command::new(PROGRAM))
+}
+
+/// A command whose program finds no state that the test did not make.
+pub fn isolated(mut command: Command) -> Command {
+    const NOWHERE: &str = "/nonexistent";
+    command.env("HOME", NOWHERE).env("STATE_DIRECTORY", NOWHERE);
+    for name in ["XDG_STATE_HOME", "NOTIFY_SOCKET", "WATCHDOG_USEC", "JOURNAL_STREAM", "RUST_LOG"] {
+        command.env_remove(name);
+    }
+    command
+}
 
 /// Five terminals on distributed clocks, the frame half a period after the sample.
 pub fn plan(rate_hz: u64) -> BusPlan {
