@@ -49,6 +49,17 @@ fn a_file_of_an_older_program_is_simulated_by_its_bus() {
 }
 
 #[test]
+fn the_end_of_a_recording_repeats_its_markers_and_counts_cycles_that_are_not_valid() {
+    let recording = Recording::read(&small_recording(60)[..]).unwrap();
+    let [mark] = &recording.end.marks[..] else { panic!("{:?}", recording.end.marks) };
+    let at_s = marker(30).time.seconds_since(START);
+    assert_eq!((mark.text.as_str(), mark.at_s), ("second half", at_s));
+    let invalid = recording.cycles.iter().filter(|cycle| !cycle.is_valid()).count() as u64;
+    let counted: u64 = recording.end.flagged.iter().map(|flagged| flagged.cycles).sum();
+    assert!(counted >= invalid, "{invalid}: {:?}", recording.end.flagged);
+}
+
+#[test]
 fn a_run_has_its_final_name_only_when_it_is_finished() {
     let directory = tempfile::tempdir().unwrap();
     let mut writer = RecordingWriter::create(directory.path(), &run("trial-1")).unwrap();

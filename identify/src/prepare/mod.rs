@@ -63,6 +63,7 @@ pub use timeline::{SampleStatus, Timeline, TimelinePoint};
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
+use shared::recording::schema::required;
 use shared::time::UtcNs;
 
 use crate::kinematics::{BAR_JOINTS, Configuration};
@@ -121,7 +122,7 @@ impl Default for PrepareOptions {
     fn default() -> Self {
         Self {
             correlation_min: 0.85,
-            overlap_min_s: 10.0,
+            overlap_min_s: required::OVERLAP_MIN_S,
             overlap_min_part: 0.25,
             spread_max_mrad: 50.0,
             sphere_tolerance_mm: 20.0,
@@ -132,7 +133,7 @@ impl Default for PrepareOptions {
             encoders: EncoderMapChoice::Find,
             moving_average_ms: 0.0,
             fit_max_mrad: 3.0,
-            joint_travel_min_deg: 3.0,
+            joint_travel_min_deg: required::TRAVEL_MIN_DEG,
             slip_min_mrad: 0.3,
         }
     }

@@ -7,6 +7,7 @@
 //! [`recover_leftovers`].
 
 mod content;
+mod digest;
 mod disk;
 mod leftover;
 mod lengths;
@@ -22,6 +23,7 @@ mod shown;
 mod timing;
 mod writer;
 
+pub use digest::{Flagged, RunMark};
 pub use disk::{Disk, FileId, OpenFile, Space, SystemDisk, is_absent};
 pub use leftover::{
     Leftover, RecoverError, Recovery, is_in_use, recover_file, recover_file_on, recover_leftovers,
@@ -33,6 +35,6 @@ pub use overview::RunOverview;
 pub use reader::{Outline, ReadError, ReadErrorKind, Recording};
 pub use recover::{SalvageError, Salvaged, salvage, verify};
 pub use resync::Damage;
-pub use run_file::{ACTIVE_ENDING, FINISHED_ENDING, RunFile, RunPlace, RunSync, TORN_ENDING};
+pub use run_file::{ACTIVE_ENDING, FINISHED_ENDING, RunFile, RunPlace, RunSync, TORN_ENDING, run_name};
 pub use timing::{Bin, DiskTiming, Durations, TimingSummary};
 pub use writer::{RecordingWriter, Tap, WriteError};

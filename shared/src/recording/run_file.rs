@@ -193,17 +193,49 @@ impl RunSync {
     }
 }
 
+/// Endings that stand for the state of a file.
+const RESERVED_ENDINGS: [&str; 4] = [FINISHED_ENDING, "active", "torn", "recovering"];
+
+fn is_plain(c: char) -> bool {
+    c.is_alphanumeric() || "-_.+".contains(c)
+}
+
+/// Turns typed text into the name of a run: letters, digits, `-`, `_`, `+` and `.` stay, anything else becomes `-`. Absent if
+/// no letter or digit is left.
+pub fn run_name(typed: &str) -> Option<String> {
+    // Accents as characters of their own, as some keyboards send them.
+    let is_accent = |c: &char| ('\u{300}'..='\u{36f}').contains(c);
+    let mut plain = String::new();
+    for c in typed.trim().chars().filter(|c| !is_accent(c)) {
+        if is_plain(c) {
+            plain.push(c);
+        } else if !plain.ends_with('-') {
+            plain.push('-');
+        }
+    }
+    while plain.len() > NAME_BYTES_MAX {
+        plain.pop();
+    }
+    let mut name = String::new();
+    for (index, part) in plain.trim_end_matches(['.', '-']).split('.').enumerate() {
+        let joint = if RESERVED_ENDINGS.contains(&part) { "-" } else { "." };
+        name.push_str(if index > 0 { joint } else { "" });
+        name.push_str(part);
+    }
+    let name = name.trim_start_matches(['.', '-']);
+    let has_content = name.chars().any(char::is_alphanumeric);
+    (has_content && check_name(name).is_ok()).then(|| name.to_owned())
+}
+
 /// Refuses names that are not plain file names, that a command would take for an option, or that say what state a
 /// file is in.
 fn check_name(name: &str) -> Result<(), WriteError> {
-    let plain = |c: char| c.is_alphanumeric() || "-_.+".contains(c);
-    let endings = [FINISHED_ENDING, "active", "torn", "recovering"];
-    let has_ending = endings.iter().any(|ending| name.split('.').skip(1).any(|part| part == *ending));
+    let has_ending = name.split('.').skip(1).any(|part| RESERVED_ENDINGS.contains(&part));
     if name.is_empty()
         || name.starts_with(['.', '-'])
         || name.len() > NAME_BYTES_MAX
         || has_ending
-        || !name.chars().all(plain)
+        || !name.chars().all(is_plain)
     {
         return Err(WriteError::Name(name.to_owned()));
     }
@@ -270,5 +302,42 @@ impl Write for RunFile {
     /// Returns when everything written so far survives a power cut.
     fn flush(&mut self) -> io::Result<()> {
         self.synchroniser().sync()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_people_type_becomes_a_name_that_is_accepted() {
+        for (typed, name) in [
+            ("monday-1", "monday-1"),
+            ("Montag 1", "Montag-1"),
+            (" Prüfling  7 / links ", "Prüfling-7-links"),
+            ("Pru\u{308}fling", "Prufling"),
+            ("../../etc/passwd", "etc-passwd"),
+            ("a.mcap.active", "a-mcap-active"),
+            ("v1.2+b", "v1.2+b"),
+            (&"x".repeat(500), &"x".repeat(NAME_BYTES_MAX)),
+            (&"ü".repeat(500), &"ü".repeat(NAME_BYTES_MAX / 2)),
+        ] {
+            assert_eq!(run_name(typed).as_deref(), Some(name), "{typed}");
+        }
+        for typed in ["", " ", "..", "-", "///", "\u{202e}", "_"] {
+            assert_eq!(run_name(typed), None, "{typed:?}");
+        }
+    }
+
+    #[test]
+    fn every_text_becomes_a_name_that_a_file_may_have_or_none() {
+        for code in (0..=0x2fff).filter_map(char::from_u32) {
+            for typed in [format!("{code}a.{code}mcap"), format!("a.mcap{code}"), format!("a{code}")] {
+                if let Some(name) = run_name(&typed) {
+                    assert!(check_name(&name).is_ok(), "{typed:?}: {name:?}");
+                    assert_eq!(run_name(&name), Some(name));
+                }
+            }
+        }
     }
 }

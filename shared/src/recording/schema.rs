@@ -5,6 +5,7 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::digest::{Flagged, RunMark};
 use crate::encoder::EncoderScale;
 use crate::time::{DcNs, MonoNs, UtcNs};
 
@@ -341,4 +342,19 @@ pub struct RunEnd {
     /// where an older program wrote the file \[deg\].
     #[serde(default)]
     pub turned_deg: Vec<f64>,
+    /// The first markers. Empty where an older program wrote the file.
+    #[serde(default)]
+    pub marks: Vec<RunMark>,
+    /// The cycles that are not valid, by joint and reason. Empty where an older program wrote the file.
+    #[serde(default)]
+    pub flagged: Vec<Flagged>,
+}
+
+/// The shortest run, and the least travel of each measured joint, that `identify calibrate` uses by default. The recorder
+/// grades runs by the same limits.
+pub mod required {
+    /// Robot log and recording must overlap at least this long \[s\]: a shorter motion matches at more than one place.
+    pub const OVERLAP_MIN_S: f64 = 10.0;
+    /// A joint with less travel does not separate its encoder's offset from the robot's geometry \[deg\].
+    pub const TRAVEL_MIN_DEG: f64 = 3.0;
 }

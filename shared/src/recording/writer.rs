@@ -14,6 +14,7 @@ use mcap::write::NoSeek;
 use mcap::{Attachment, Compression, McapError, WriteOptions, Writer};
 
 use super::content::{END_METADATA, LIBRARY_NAME, TIMING_METADATA, metadata_of, metadata_of_run};
+use super::digest::{Digest, Flagged};
 use super::disk::{Disk, SystemDisk};
 use super::messages::{self, MessageError, Topic};
 use super::run_file::RunFile;
@@ -105,6 +106,8 @@ pub struct RecordingWriter<W: Write> {
     log_channel: Channel,
     diagnostics_channel: Channel,
     shown: Shown,
+    digest: Digest,
+    started: UtcNs,
     cycles: u64,
     cycles_valid: u64,
     cycles_lost: u64,
@@ -164,6 +167,8 @@ impl<W: Write> RecordingWriter<W> {
             log_channel,
             diagnostics_channel,
             shown: Shown::new(run),
+            digest: Digest::default(),
+            started: run.started,
             cycles: 0,
             cycles_valid: 0,
             cycles_lost: 0,
@@ -187,6 +192,7 @@ impl<W: Write> RecordingWriter<W> {
         if let Some(data) = self.shown.diagnostics(record) {
             self.add_message(self.diagnostics_channel, sequence, record.sample_time, &data?)?;
         }
+        self.digest.take_cycle(record);
         self.cycles += 1;
         self.cycles_valid += u64::from(record.is_valid());
         self.cycles_lost += u64::from(record.flags & super::schema::flags::LOST != 0);
@@ -206,6 +212,7 @@ impl<W: Write> RecordingWriter<W> {
     /// Appends an event, which is a line of the log, too.
     pub fn write_event(&mut self, event: &Event) -> Result<(), WriteError> {
         let data = messages::encode_event(event)?;
+        self.digest.take_event(event, self.started);
         self.events = self.events.wrapping_add(1);
         self.add_message(self.event_channel, self.events, event.time, &data)?;
         self.add_message(self.log_channel, self.events, event.time, &messages::encode_log(event)?)?;
@@ -272,6 +279,11 @@ impl<W: Write> RecordingWriter<W> {
         self.cycles_valid
     }
 
+    /// Cycles written so far that are not valid, by joint and reason.
+    pub fn flagged(&self) -> Vec<Flagged> {
+        self.digest.flagged()
+    }
+
     /// Ends the run on any sink: how it ended, summary, footer.
     pub fn end(mut self, cause: &str, ended: UtcNs) -> Result<W, WriteError> {
         self.close(cause, ended)?;
@@ -294,6 +306,8 @@ impl<W: Write> RecordingWriter<W> {
             cycles_lost: self.cycles_lost,
             recovered: false,
             turned_deg: self.shown.turned_deg(),
+            marks: self.digest.marks(),
+            flagged: self.digest.flagged(),
         }
     }
 

@@ -1,0 +1,178 @@
+//! What the end of a recording states about its content, so that a list of hundreds of recordings reads none of them whole:
+//! the markers, and which cycles are not valid, since when and why.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use super::schema::{CycleRecord, EncoderSample, Event, EventKind, flags};
+use crate::time::UtcNs;
+
+/// Markers that the end of a recording repeats; all of them are among its events.
+const MARKS_MAX: usize = 50;
+/// Longest text of a marker there; longer ones are cut.
+const MARK_CHARS_MAX: usize = 300;
+
+/// A marker of a run.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RunMark {
+    /// Time since the run began \[s\].
+    pub at_s: f64,
+    /// Text as it was typed, at most 300 characters.
+    pub text: String,
+}
+
+/// Cycles that are not valid for one reason, in one encoder or in all of them.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Flagged {
+    /// Bar joint, 1 to 5; none for all joints together.
+    pub joint: Option<u8>,
+    /// The reason, in words.
+    pub reason: String,
+    /// Number of the first cycle.
+    pub first: u64,
+    /// Number of such cycles in the run.
+    pub cycles: u64,
+    /// Number of periods in which they follow each other.
+    pub periods: u64,
+}
+
+/// Collects it while a run is written.
+#[derive(Debug, Default)]
+pub(super) struct Digest {
+    marks: Vec<RunMark>,
+    counted: Vec<Counted>,
+}
+
+#[derive(Debug)]
+struct Counted {
+    joint: Option<u8>,
+    reason: &'static str,
+    first: u64,
+    last: u64,
+    cycles: u64,
+    periods: u64,
+}
+
+impl Digest {
+    pub fn take_event(&mut self, event: &Event, started: UtcNs) {
+        if event.kind == EventKind::Marker && self.marks.len() < MARKS_MAX {
+            let at_s = event.time.seconds_since(started).max(0.0);
+            let text = event.text.chars().take(MARK_CHARS_MAX).collect();
+            self.marks.push(RunMark { at_s, text });
+        }
+    }
+
+    pub fn take_cycle(&mut self, record: &CycleRecord) {
+        if record.is_valid() {
+            return;
+        }
+        let encoders = record.encoders();
+        let reason_of = |encoder: Option<&EncoderSample>| reason(encoder, record.flags);
+        let first = reason_of(encoders.first());
+        if encoders.iter().all(|encoder| !encoder.valid && reason_of(Some(encoder)) == first) {
+            self.count(None, first, record.cycle);
+            return;
+        }
+        for encoder in encoders.iter().filter(|encoder| !encoder.valid) {
+            self.count(Some(encoder.joint), reason_of(Some(encoder)), record.cycle);
+        }
+    }
+
+    fn count(&mut self, joint: Option<u8>, reason: &'static str, cycle: u64) {
+        let known =
+            self.counted.iter_mut().find(|counted| counted.joint == joint && counted.reason == reason);
+        match known {
+            Some(counted) => {
+                counted.periods += u64::from(cycle > counted.last + 1);
+                counted.cycles += 1;
+                counted.last = cycle;
+            }
+            None => {
+                let counted = Counted { joint, reason, first: cycle, last: cycle, cycles: 1, periods: 1 };
+                self.counted.push(counted);
+            }
+        }
+    }
+
+    pub fn marks(&self) -> Vec<RunMark> {
+        self.marks.clone()
+    }
+
+    pub fn flagged(&self) -> Vec<Flagged> {
+        let flagged = |counted: &Counted| {
+            let Counted { joint, reason, first, cycles, periods, .. } = *counted;
+            Flagged { joint, reason: reason.into(), first, cycles, periods }
+        };
+        self.counted.iter().map(flagged).collect()
+    }
+}
+
+/// Bits of an EL5021's status word (Beckhoff, index 0x6000), which are more specific than the flags of their cycle.
+const STATUS_REASONS: [(u16, &str); 2] = [(1 << 4, "signal too low"), (1 << 3, "turned too fast")];
+
+/// Flags in the order in which they explain a missing sample.
+const FLAG_REASONS: [(u32, &str); 9] = [
+    (flags::LOST, "lost before the file"),
+    (flags::BUS_DOWN, "bus down"),
+    (flags::NO_REPLY, "no reply from the bus"),
+    (flags::NOT_OPERATIONAL, "terminal not in operation"),
+    (flags::WORKING_COUNTER, "terminal does not answer"),
+    (flags::TERMINAL_ERROR, "terminal reports an error"),
+    (flags::STALE_INPUT, "no new sample"),
+    (flags::DEADLINE_MISSED, "cycle too late"),
+    (flags::NO_DC, "no distributed clock"),
+];
+
+/// Bits of a whole bus: the status words of such a cycle may be old.
+const NO_STATUS: u32 = flags::LOST | flags::BUS_DOWN | flags::NO_REPLY;
+
+fn reason(encoder: Option<&EncoderSample>, set: u32) -> &'static str {
+    let status = encoder.filter(|_| set & NO_STATUS == 0).map_or(0, |encoder| encoder.status);
+    let by_status = STATUS_REASONS.iter().find(|(bit, _)| status & bit != 0).map(|(_, reason)| *reason);
+    let by_flags = || FLAG_REASONS.iter().find(|(bit, _)| set & bit != 0).map(|(_, reason)| *reason);
+    by_status.or_else(by_flags).unwrap_or("not valid")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::recording::schema::MAX_ENCODERS;
+
+    fn record(cycle: u64, flags: u32, invalid: &[u8], status: u16) -> CycleRecord {
+        let mut record =
+            CycleRecord { cycle, flags, encoder_count: MAX_ENCODERS as u8, ..CycleRecord::default() };
+        for (encoder, joint) in record.encoders.iter_mut().zip(1..) {
+            let valid = !invalid.contains(&joint);
+            let status = if valid { 0 } else { status };
+            *encoder = EncoderSample { joint, valid, status, ..EncoderSample::default() };
+        }
+        record
+    }
+
+    #[test]
+    fn invalid_cycles_are_counted_by_joint_and_reason() {
+        let mut digest = Digest::default();
+        for cycle in 0..100 {
+            digest.take_cycle(&match cycle {
+                10..20 | 50..55 => record(cycle, flags::TERMINAL_ERROR, &[3], 1 << 4),
+                30..40 => record(cycle, flags::NO_REPLY, &[1, 2, 3, 4, 5], 1 << 4),
+                60 => record(cycle, flags::WORKING_COUNTER, &[4, 5], 0),
+                _ => record(cycle, 0, &[], 0),
+            });
+        }
+        let flagged = |joint, reason: &str, first, cycles, periods| Flagged {
+            joint,
+            reason: reason.into(),
+            first,
+            cycles,
+            periods,
+        };
+        let expected = [
+            flagged(Some(3), "signal too low", 10, 15, 2),
+            flagged(None, "no reply from the bus", 30, 10, 1),
+            flagged(Some(4), "terminal does not answer", 60, 1, 1),
+            flagged(Some(5), "terminal does not answer", 60, 1, 1),
+        ];
+        assert_eq!(digest.flagged(), expected);
+    }
+}
